@@ -25,10 +25,8 @@ from jaxstab.numbers import checked_count, checked_number
 from jaxstab.point.verdicts import linear_verdict
 from jaxstab.proofs.jitter import (
     Walls,
-    factor_of,
     is_stable_for_all,
-    largest_factors,
-    samples_of,
+    largest_jitters,
 )
 from jaxstab.rounding import EPS
 from jaxstab.shown import shortened
@@ -79,7 +77,7 @@ class MovingLimits:
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
         >>> loop.limits(delays=(0.0, 0.2e-3))
-        K = 28878 N/m at B = 51.69 N s/m is proved for every sequence of delays; K = 43091 N/m
+        K = 43665 N/m at B = 62.34 N s/m is proved for every sequence of delays; K = 44859 N/m
         there is unstable
     """
 
@@ -127,10 +125,10 @@ class MovingLoop(NamedTuple):
         return cls(first, _sampled(first), filters, samples)
 
     @property
-    def factor(self) -> float:
-        """kappa^2 of lemma J1."""
+    def jitter(self) -> float:
+        """How far the delay moves in samples, rounded up; a lost sample is one sample more."""
         low, high, lost = self.delays
-        return float(factor_of(np.array([(high - low) * (1.0 + 4.0 * EPS) + lost]))[0])
+        return ((high - low) * (1.0 + 4.0 * EPS) + lost) * (1.0 + EPS)
 
     def walls(self, stiffness: Numbers, damping: Numbers) -> tuple[Walls, tuple[int, ...]]:
         """Return gains as walls (alpha, beta), and the shape of their grid."""
@@ -162,8 +160,7 @@ class MovingLoop(NamedTuple):
 
     def is_proved(self, walls: Walls) -> Bool[np.ndarray, " wall"]:
         """Return which walls are proved for every sequence of delays."""
-        factor = np.full(len(walls), self.factor)
-        return is_stable_for_all(self.device, self.filters, walls, factor)
+        return is_stable_for_all(self.device, self.filters, walls, self.jitter)
 
     def lowest_unstable(self, stiffness: float, damping: float) -> float:
         """Return a stiffness above one that is STABLE, proved UNSTABLE, by bisection."""
@@ -238,9 +235,9 @@ def jitter_margin(
     """Return how far the delay may move above the loop's, in s: ``HapticLoop.jitter_margin``."""
     moving = MovingLoop.of(loop, (float(loop.delay), float(loop.delay)))
     walls, shape = moving.walls(stiffness, damping)
-    factors = largest_factors(moving.device, moving.filters, walls)
-    samples = samples_of(factors).reshape(shape)
-    return np.asarray(samples * float(moving.loop.sample_time) * (1.0 - EPS))
+    most = LONGEST_DELAY - moving.delays.low
+    samples = largest_jitters(moving.device, moving.filters, walls, most).reshape(shape)
+    return np.asarray(samples * (float(moving.loop.sample_time) * (1.0 - 8.0 * EPS)))
 
 
 def simulate_moving(

@@ -548,7 +548,7 @@ class HapticLoop(LoopParameters):
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
             >>> constant = loop.margins(1000.0, 20.0).extra_delay
             >>> print(f"{1e3 * loop.jitter_margin(1000.0, 20.0):.2f} of {1e3 * constant:.2f} ms")
-            4.19 of 5.76 ms
+            4.21 of 5.76 ms
         """
         self._refuse_tracers("jitter_margin")
         return jitter_margin(self, stiffness, damping)

@@ -2,16 +2,12 @@
 
 Let the delay of each sample lie between L and L + J, in samples, and let the newest sample that has
 arrived set the force. The force then differs from that of the loop with the delay L by the last
-changes of the computed force: in energy by at most
+changes of the computed force, and that difference comes back through the device
+(``model.device.late_forces``). With x = 1/z, g the polynomial of the loop of delay L (as in
+``linear_circle``), H = alpha P + beta V the wall and Q the response of the device to changes that
+come up to J late, the way round is a contraction if on the whole unit circle
 
-    kappa^2 = n^2 + (2 n + 1) f,      J = n + f,      n = floor(J),
-
-times that of these changes. The difference comes back through the device, with all aliases
-(``model.device.aliases``). With x = 1/z, g the polynomial of the loop of delay L (as in
-``linear_circle``), H = alpha P + beta V the wall and Q = A^2 |D|^2 the aliases, the way round is a
-contraction if on the whole unit circle
-
-    |g|^2 > kappa^2 Q |(1 - x) H|^2,
+    |g|^2 > Q |(1 - x) H|^2,
 
 and then, if the loop of delay L is stable, so is every sequence (the small-gain theorem; Kao,
 Lincoln 2004; lemma J1 of docs/proofs.md). A sample that is lost is one that arrives a sample later.
@@ -29,7 +25,7 @@ from jaxtyping import Bool, Float64, Int64
 from jaxstab.arrays import PI_REST
 from jaxstab.conventions import Verdict
 from jaxstab.model.device import SampledDevice
-from jaxstab.model.device.aliases import aliases
+from jaxstab.model.device.late_forces import late_response
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import Filter, Filters, Velocity
 from jaxstab.model.sections import ONE, Polynomial
@@ -51,67 +47,57 @@ from jaxstab.proofs.linear_circle import Place, spoilt
 from jaxstab.rounding import EPS
 
 Walls = Float64[np.ndarray, "wall 2"]
-PerWall = Float64[np.ndarray, " wall"]
-Numbers = Float64[np.ndarray, " number"]
 Numbered = Int64[np.ndarray, " box"]
 
 _FIRST_BOXES = 64  # of half a turn
 _HALVINGS = 24
 _MOST_BOXES = 4096  # of a wall at once, beyond which it is given up
 _AT_ONCE = 1 << 16  # boxes, of all walls
-_ANGLES = 4096  # at which the largest factor is looked for
+_THETA = np.pi * (np.arange(4096) + 0.5) / 4096  # where the largest jitter is looked for
+_CLOSE, _SMALLEST = 1e-4, 1e-9  # of the jitter, and in samples
 _SHARES = (1e-3, 1e-2, 0.05, 0.2, 0.5)  # by which it is lowered until it is proved
 _DIFFERENCE = (DoubleDouble(1.0, 0.0), DoubleDouble(-1.0, 0.0))  # 1 - x
 
 
-def factor_of(samples: Numbers) -> Numbers:
-    """Return kappa^2 of delays that move by J samples, rounded up."""
-    whole = np.floor(samples)
-    factor: Numbers = whole**2 + (2.0 * whole + 1.0) * (samples - whole)
-    return factor * (1.0 + 8.0 * EPS)
-
-
-def samples_of(factor: Numbers) -> Numbers:
-    """Return J of kappa^2, rounded down."""
-    factor = factor * (1.0 - 16.0 * EPS)
-    whole = np.floor(np.sqrt(factor))
-    whole = np.where(whole**2 > factor, whole - 1.0, whole)
-    with np.errstate(invalid="ignore"):
-        samples = whole + np.minimum((factor - whole**2) / (2.0 * whole + 1.0), 1.0)
-    return np.where(np.isinf(factor), factor, samples * (1.0 - 8.0 * EPS))
-
-
 def is_stable_for_all(
-    device: SampledDevice, filters: Filters | None, walls: Walls, factor: PerWall
+    device: SampledDevice, filters: Filters | None, walls: Walls, jitter: float
 ) -> Bool[np.ndarray, " wall"]:
     """Which walls (alpha, beta) are proved stable for every sequence of delays.
 
-    ``factor`` is kappa^2 of each wall; the delay of the device is the shortest one, L.
+    The delay of the device is the shortest one, L; the longest is ``jitter`` samples more.
     """
     codes = np.asarray(linear_verdict(walls[:, 0], walls[:, 1], device.loop(filters)))
     proved = np.asarray(codes == Verdict.STABLE)
-    moving = np.flatnonzero(proved & (factor > 0.0))
-    if moving.size:
-        cells = MovingCells.of(device, filters)
-        proved[moving] = _is_contraction(cells, walls[moving], factor[moving])
+    if jitter > 0.0 and proved.any():
+        cells = MovingCells.of(device, filters, jitter)
+        proved[proved] = _is_contraction(cells, walls[proved])
     return proved
 
 
-def largest_factors(device: SampledDevice, filters: Filters | None, walls: Walls) -> PerWall:
-    """A kappa^2 with which walls are proved stable; 0 where none is, infinite where any is.
+def largest_jitters(
+    device: SampledDevice, filters: Filters | None, walls: Walls, most: float
+) -> Float64[np.ndarray, " wall"]:
+    """Return a jitter in samples with which each wall is proved stable; 0 if none is.
 
-    It is the largest one, less the first of some shares with which the proof succeeds.
+    It is the largest one up to ``most``, found by bisection at some angles, less the first of some
+    shares with which the proof succeeds.
     """
-    largest = np.zeros(len(walls))
-    least = _least_factors(MovingCells.of(device, filters), walls)
-    still = np.any(walls, axis=1)
-    for share in _SHARES:
-        chosen = np.flatnonzero((largest == 0.0) & still)
-        tried = least[chosen] * (1.0 - share)
-        proved = is_stable_for_all(device, filters, walls[chosen], tried)
-        largest[chosen[proved]] = tried[proved]
-    codes = np.asarray(linear_verdict(walls[:, 0], walls[:, 1], device.loop(filters)))
-    return np.where(~still & (codes == Verdict.STABLE), inf, largest)
+    largest = np.where(np.any(walls, axis=1), 0.0, inf)
+    stable = is_stable_for_all(device, filters, walls, 0.0)
+    squares = MovingCells.of(device, filters, 1.0).squares(walls)
+    for number in np.flatnonzero(stable & (largest == 0.0)):
+        low, high = 0.0, most
+        while high - low > _CLOSE * high and high > _SMALLEST:
+            tried = 0.5 * (low + high) if low > 0.0 else high / 16.0
+            response = late_response(device, tried).at(_THETA)
+            is_more = bool(np.all(squares[number] > response))
+            low, high = (tried, high) if is_more else (low, tried)
+        for share in _SHARES:
+            tried = low * (1.0 - share)
+            if is_stable_for_all(device, filters, walls[number, None], tried)[0]:
+                largest[number] = tried
+                break
+    return np.where(stable, largest, 0.0)
 
 
 class MovingCells(NamedTuple):
@@ -126,23 +112,34 @@ class MovingCells(NamedTuple):
     per_velocity: float
 
     @classmethod
-    def of(cls, device: SampledDevice, filters: Filters | None) -> "MovingCells":
-        """Return a loop; its parts are remembered."""
+    def of(cls, device: SampledDevice, filters: Filters | None, jitter: float) -> "MovingCells":
+        """Return a loop whose delay moves by ``jitter`` samples; its parts are remembered."""
         plant, period = device.plant, device.sample_time
         lag = float(plant.lag + len(plant.denominator) - len(plant.numerator))
         velocity, position = filters or (Velocity(), Filter())
         chains = filter_cells((velocity.per_sample(period), position.per_sample(period)))
         per_velocity = device.stiffness_unit / device.damping_unit / period
-        return cls(_device_cells(device), chains, lag, per_velocity)
+        return cls(_device_cells(device, jitter), chains, lag, per_velocity)
 
     def gains(self, walls: Walls) -> Walls:
         """Return what P and T V are multiplied with."""
         return walls * [1.0, self.per_velocity]
 
+    def squares(self, walls: Walls) -> Float64[np.ndarray, "wall angle"]:
+        """Return |g|^2 / |(1 - x) H|^2 at some angles, without bounds."""
+        free, force, change, _ = responses(self.device, _THETA)[0]
+        position, velocity = responses(self.filters, _THETA)[0]
+        stiffness, damping = self.gains(walls).T[..., None]
+        there = stiffness * position + damping * velocity
+        g = free + force * np.exp(-1j * self.lag * _THETA) * there
+        with np.errstate(all="ignore"):
+            squares: np.ndarray = np.abs(g / (change * there)) ** 2
+        return squares
+
 
 @lru_cache(maxsize=64)
-def _device_cells(device: SampledDevice) -> FilterCells:
-    plant, known = device.plant, aliases(device)
+def _device_cells(device: SampledDevice, jitter: float) -> FilterCells:
+    plant, known = device.plant, late_response(device, jitter)
     shifted = plant.shifted or (None,) * 4
 
     def functions(middle: Cells, half: Cells, is_wide: bool) -> list[Series]:
@@ -152,13 +149,13 @@ def _device_cells(device: SampledDevice) -> FilterCells:
         far = _in_cosines(mirror, half, is_wide, known.about_minus_one, known.errors[1])
         signs = np.where(np.arange(ORDERS) % 2, -1.0, 1.0)[:, None]
         is_better = near.error[0] <= far.error[0]
-        energy = Series(
+        response = Series(
             np.where(is_better, near.value, far.value * signs),
             np.where(is_better, near.error, far.error),
         )
         free = place.polynomial(plant.denominator, shifted[1], shifted[3], plant.errors[1])
         force = place.polynomial(plant.numerator, shifted[0], shifted[2], plant.errors[0])
-        return [free, force, place.chain([(_DIFFERENCE, ONE)]), energy]
+        return [free, force, place.chain([(_DIFFERENCE, ONE)]), response]
 
     return cells_of(functions)
 
@@ -175,8 +172,8 @@ def _in_cosines(
     return spoilt(total, rising, error * 2.0 ** len(rising))  # h^k has terms of 2^k in all
 
 
-def _is_contraction(cells: MovingCells, walls: Walls, factor: PerWall) -> Bool[np.ndarray, " wall"]:
-    """For which walls |g|^2 is proved to exceed factor Q |(1 - x) H|^2 on the whole circle."""
+def _is_contraction(cells: MovingCells, walls: Walls) -> Bool[np.ndarray, " wall"]:
+    """For which walls |g|^2 is proved to exceed Q |(1 - x) H|^2 on the whole circle."""
     is_open = np.ones(len(walls), bool)
     wall, box = (
         part.ravel()
@@ -186,7 +183,7 @@ def _is_contraction(cells: MovingCells, walls: Walls, factor: PerWall) -> Bool[n
         left = []
         for first in range(0, wall.size, _AT_ONCE):
             some = wall[first : first + _AT_ONCE], box[first : first + _AT_ONCE]
-            more = excess(cells, walls, factor, some, _FIRST_BOXES << halving)
+            more = excess(cells, walls, some, _FIRST_BOXES << halving)
             is_open[some[0][more.high < 0.0]] = False
             left.append(~(more.low > 0.0))
         unsure = np.concatenate(left) & is_open[wall] if left else np.zeros(0, bool)
@@ -201,19 +198,15 @@ def _is_contraction(cells: MovingCells, walls: Walls, factor: PerWall) -> Bool[n
 
 
 def excess(
-    cells: MovingCells,
-    walls: Walls,
-    factor: PerWall,
-    some: tuple[Numbered, Numbered],
-    boxes: int,
+    cells: MovingCells, walls: Walls, some: tuple[Numbered, Numbered], boxes: int
 ) -> LinearModel:
-    """Return |g|^2 - factor Q |(1 - x) H|^2 of walls over boxes of so many of half a turn."""
+    """Return |g|^2 - Q |(1 - x) H|^2 of walls over boxes of so many of half a turn."""
     number, box = some
     known, index = np.unique(box, return_inverse=True)
     theta = np.pi * (known + 0.5) / boxes
     half = np.full(theta.shape, 0.5 * np.pi / boxes) + 8.0 * EPS
     index = np.ravel(index)
-    free, force, change, energy, position, velocity = (
+    free, force, change, response, position, velocity = (
         LinearModel(one.centre[index], one.slope[:, index], one.rest[index], one.half)
         for part in (cells.device, cells.filters)
         for one in OverCells.of(part, theta, half).values_along(1)
@@ -222,7 +215,7 @@ def excess(
     wall = position * stiffness + velocity * damping
     late = variable(0, 1, theta[index], half[index]) * cells.lag
     g = free + phasor(late) * force * wall
-    more: LinearModel = _square(g) - _real(energy) * _square(change * wall) * factor[number]
+    more: LinearModel = _square(g) - _real(response) * _square(change * wall)
     return more
 
 
@@ -232,18 +225,3 @@ def _square(model: LinearModel) -> LinearModel:
 
 def _real(model: LinearModel) -> LinearModel:
     return LinearModel(model.centre.real, model.slope.real, model.rest, model.half)
-
-
-def _least_factors(cells: MovingCells, walls: Walls) -> PerWall:
-    """Return the least |g|^2 / (Q |(1 - x) H|^2) of walls at some angles, without a bound."""
-    theta = np.pi * (np.arange(_ANGLES) + 0.5) / _ANGLES
-    free, force, change, energy = responses(cells.device, theta)[0]
-    position, velocity = responses(cells.filters, theta)[0]
-    force = force * np.exp(-1j * cells.lag * theta)
-    least = np.empty(len(walls))
-    for number, (stiffness, damping) in enumerate(cells.gains(walls)):
-        wall = stiffness * position + damping * velocity
-        with np.errstate(all="ignore"):
-            ratios = np.abs((free + force * wall) / (change * wall)) ** 2 / energy.real
-        least[number] = np.min(ratios)
-    return least

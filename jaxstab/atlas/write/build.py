@@ -57,9 +57,7 @@ def tile_images(
                 return
             wait(running, return_when=FIRST_COMPLETED)
             for future in [future for future in running if future.done()]:
-                tile, image = running.pop(future), _result(future)
-                with opened_tile(plan, tile, key, image):
-                    yield tile, image
+                yield running.pop(future), _result(future)
     finally:
         for future in running:
             future.cancel()
@@ -188,7 +186,8 @@ def write_atlas(
         try:
             with closing(tile_images(plan, missing, shards.key, executor)) as images:
                 for tile, image in images:
-                    shards.put(tile, image)
+                    with opened_tile(plan, tile, shards.key, image):
+                        shards.put(tile, image)
                     done += 1
                     tell(done, len(tiles))
         except BrokenExecutor as error:

@@ -19,7 +19,7 @@ import platform
 import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from itertools import product
@@ -106,8 +106,9 @@ def encode_tile(plan: Plan, tile: Tile, key: str, arrays: dict[str, NDArray[Any]
         file.attrs[_TILE] = np.bytes_(_title(key, tile))
         file.attrs[_MAKER] = np.bytes_(computed_by())
         for name, values in arrays.items():
-            _check(plan, tile, name, values)
+            _check_shape(plan, tile, name, values)
             if values.size:
+                _check_range(name, values)
                 chunk = plan.chunk(name) if plan.is_gridded(name) else values.shape
                 _write(file, name, values, chunk)
         file.flush()
@@ -116,11 +117,8 @@ def encode_tile(plan: Plan, tile: Tile, key: str, arrays: dict[str, NDArray[Any]
 
 @contextmanager
 def opened_tile(plan: Plan, tile: Tile, key: str, image: bytes) -> Iterator[h5py.File]:
-    """Open the image of a tile in memory, after a check of all of it and of who computed it."""
-    whole = image_of(image)
-    if whole is None:
-        raise ValueError(f"tile {_name(tile)} is damaged; build the same atlas again.")
-    with h5py.File.in_memory(whole) as file:
+    """Open the image of a tile in memory, after a check of its layout and of who computed it."""
+    with _whole_image(tile, image) as file:
         try:
             maker = bytes(file.attrs.get(_MAKER, b"an older jaxstab")).decode("utf-8")
             if maker == computed_by():
@@ -135,6 +133,16 @@ def opened_tile(plan: Plan, tile: Tile, key: str, image: bytes) -> Iterator[h5py
                 f"a worker computes with {maker}, and this build with {computed_by()}; install the "
                 "same for all workers."
             )
+        yield file
+
+
+@contextmanager
+def _whole_image(tile: Tile, image: bytes) -> Iterator[h5py.File]:
+    """Open the image of a tile in memory, if all of its bytes are those that were sealed."""
+    whole = image_of(image)
+    if whole is None:
+        raise ValueError(f"tile {_name(tile)} is damaged; build the same atlas again.")
+    with h5py.File.in_memory(whole) as file:
         yield file
 
 
@@ -153,10 +161,17 @@ def _check_datasets(file: h5py.File, plan: Plan, tile: Tile) -> None:
         else:
             whole = chunk = shape = file[name].shape
         dataset = checked_layout(file, variable, dtype, whole, chunk)
+        check(isinstance(dataset.attrs[VALUES_DIGEST], np.bytes_))
+
+
+def _check_contents(file: h5py.File, plan: Plan, tile: Tile) -> None:
+    """Refuse values out of their ranges, and others than those of the digests."""
+    for name, dataset in file.items():
+        shape = plan.shape(name, tile) if plan.is_gridded(name) else dataset.shape
         values = dataset[()][tuple(map(slice, shape))]
-        check_values(variable, values)
+        check_values(VARIABLES[name], values)
         said = bytes(dataset.attrs[VALUES_DIGEST]).decode("ascii").split(" ")
-        check(said == [values_digest(part) for part in _parts(values, chunk)])
+        check(said == [values_digest(part) for part in _parts(values, dataset.chunks)])
 
 
 def _whole_chunks(shape: Sequence[int], chunk: Sequence[int]) -> tuple[int, ...]:
@@ -176,7 +191,7 @@ def _title(key: str, tile: Tile) -> str:
     return f"{key} {tile.delay} {tile.gamma} {tile.delta.start} {tile.delta.stop}"
 
 
-def _check(plan: Plan, tile: Tile, name: str, values: NDArray[Any]) -> None:
+def _check_shape(plan: Plan, tile: Tile, name: str, values: NDArray[Any]) -> None:
     dtype = np.dtype(VARIABLES[name].dtype)
     shape = plan.shape(name, tile) if plan.is_gridded(name) else values.shape
     if values.dtype != dtype or values.shape != shape:
@@ -184,6 +199,14 @@ def _check(plan: Plan, tile: Tile, name: str, values: NDArray[Any]) -> None:
             f"{name} was computed as {values.dtype} of shape {values.shape}, not as {dtype} of "
             f"shape {shape}; look at the versions of the worker."
         )
+
+
+def _check_range(name: str, values: NDArray[Any]) -> None:
+    """Refuse values that the schema does not allow; they are not decoded again in this build."""
+    try:
+        check_values(VARIABLES[name], values)
+    except RefusalError as error:
+        raise RuntimeError(f"{name} was computed out of its range; report it.") from error
 
 
 def _write(file: h5py.File, name: str, values: NDArray[Any], chunk: Sequence[int]) -> None:
@@ -209,21 +232,22 @@ class Shards:
     def has(self, plan: Plan, tile: Tile) -> bool:
         """Whether the image of a tile is here, whole and of this build."""
         try:
-            with self.opened(plan, tile):
+            with opened_tile(plan, tile, self.key, self._image(tile)) as file:
+                _check_contents(file, plan, tile)
                 return True
-        except (OSError, ValueError, RuntimeError):
+        except TROUBLES:
             return False
 
     def has_any(self) -> bool:
         """Whether the image of any tile is here."""
         return any(name.endswith(".tile") for name in self.folder.names())
 
-    @contextmanager
-    def opened(self, plan: Plan, tile: Tile) -> Iterator[h5py.File]:
-        """Open the image of a stored tile in memory; errors as ``opened_tile``."""
-        image = self.folder.read(f"{_name(tile)}.tile")
-        with opened_tile(plan, tile, self.key, image) as file:
-            yield file
+    def opened(self, tile: Tile) -> AbstractContextManager[h5py.File]:
+        """Open the image of a stored tile that was checked; ValueError: it is damaged."""
+        return _whole_image(tile, self._image(tile))
+
+    def _image(self, tile: Tile) -> bytes:
+        return self.folder.read(f"{_name(tile)}.tile")
 
     def clear(self, pattern: re.Pattern[str] = _OURS) -> None:
         """Remove what builds put into the folder, and nothing else."""
@@ -405,7 +429,7 @@ def _flat_lengths(plan: Plan, shards: Shards, names: Iterable[str]) -> dict[str,
     flat = [n for n in names if not (plan.is_gridded(n) or VARIABLES[n].is_axis or n == SPEC)]
     lengths = {VARIABLES[name].dimensions[-1]: 0 for name in flat}
     for tile in plan.tiles if flat else ():
-        with shards.opened(plan, tile) as image:
+        with shards.opened(tile) as image:
             sizes = {
                 VARIABLES[name].dimensions[-1]: image[name].shape[-1]
                 for name in flat
@@ -425,7 +449,7 @@ def _copy_tiles(
     digests: _Digests = {}
     filled = dict.fromkeys(datasets, 0)
     for tile in plan.tiles:
-        with shards.opened(plan, tile) as image:
+        with shards.opened(tile) as image:
             for name, part in image.items():
                 if plan.is_gridded(name):
                     dimensions = VARIABLES[name].dimensions

@@ -33,7 +33,10 @@ def write_variable(file: h5py.File, variable: Variable, values: NDArray[Any]) ->
 
 def filters_of(variable: Variable) -> dict[str, Any]:
     """Return how the chunks of a variable are stored."""
-    return {"fletcher32": True, "track_times": False} | (_PACKED if variable.is_packed else {})
+    filters = {"fletcher32": True, "track_times": False} | (_PACKED if variable.is_packed else {})
+    if variable.dtype == "float32" and variable.is_packed:
+        filters |= {"compression_opts": 1}  # mostly digits at random: 4 % larger in half the time
+    return filters
 
 
 def create_variable(

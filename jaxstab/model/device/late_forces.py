@@ -1,23 +1,29 @@
-"""How strongly a force of any shape moves the samples of a device: the sum over all aliases.
+"""How strongly a force whose changes arrive late moves the samples of a device.
 
-A force w(t) of finite energy, T = 1, moves the sampled position with the gain A(theta),
+Each change of the computed force should act after the delay L, and acts up to J samples later. So
+the force is wrong by the last changes, at most N(s) of them at the time s after L, T = 1:
 
-    A(theta)^2 = sum over all integers k of |G(i (theta + 2 pi k))|^2,
+    N(s) = n + 1 for s < f,   N(s) = n from there on,      n = floor(J),  f = J - n,   0 <= s < 1.
 
-at the angle theta: its frequencies that differ by whole turns arrive together (Poisson's sum, with
-the inequality of Cauchy and Schwarz, which some w attains). From sample to sample the states s of
-(A, B, C) move by s -> F s + what w adds, and W, the Gramian of one sample, says how much that can
-be. So, with D(z) as in ``sampling``,
+From sample to sample the states of (A, B, C) move by x -> F x + what the force adds. With b(s) what
+an impulse at the time s after L adds at the next sample, c(z) = C adj(z - F) and D(z) as in
+``sampling``, errors of this kind move the samples of the position at the angle theta by no more
+than sqrt(Q)/|D| times the changes (lemma J1 of docs/proofs.md),
 
-    A^2 |D|^2 = Q,     Q = c(z) W c(1/z)',     c(z) = C adj(z - F),     |z| = 1,
+    Q = c(z) M c(1/z)',     M = J times the integral of N b b',     |z| = 1,
 
-a cosine sum of as many terms as the device has states: nothing is truncated (lemma J1 of
-docs/proofs.md). It is finite where D vanishes, and known in powers of 1 - cos(theta) and of
+a cosine sum of as many terms as the device has states. The integral over a whole sample is the
+Gramian of one sample; that over s < f has the part of a sample in which an (n + 1)-th change may
+still be missing. Q is finite where D vanishes, and known in powers of 1 - cos(theta) and of
 1 + cos(theta), in balls until each coefficient has more digits than pairs of float64.
 """
 
 from functools import lru_cache
+from math import ceil, floor, log2
 from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from jaxtyping import Float64
 
 from jaxstab.model.device.parts import exact, working_precision
 from jaxstab.model.device.sampling import (
@@ -34,12 +40,12 @@ from jaxstab.model.sections import Polynomial
 from jaxstab.rounding import RAISED_FEW
 
 if TYPE_CHECKING:
-    from flint import arb, arb_poly
+    from flint import arb, arb_poly, fmpq
 
 _FIRST_BITS, _MOST_BITS = 256, 1 << 12
 
 
-class Aliases(NamedTuple):
+class CosineSum(NamedTuple):
     """Q of a device, in the unit of force of its plant; lowest power first.
 
     about_one: coefficients in powers of 1 - cos(theta).
@@ -51,41 +57,56 @@ class Aliases(NamedTuple):
     about_minus_one: Polynomial
     errors: tuple[float, float]
 
+    def at(self, theta: Float64[np.ndarray, " angle"]) -> Float64[np.ndarray, " angle"]:
+        """Return Q at angles, without a bound."""
+        powers = 1.0 - np.cos(theta), 1.0 + np.cos(theta)
+        values = [
+            np.polynomial.polynomial.polyval(h, [float(c.rounded()) for c in rising])
+            for h, rising in zip(powers, (self.about_one, self.about_minus_one), strict=True)
+        ]
+        return np.where(theta < 0.5 * np.pi, *values)
 
-@lru_cache(maxsize=64)
-def aliases(device: SampledDevice) -> Aliases:
-    """Return Q; the delay does not matter."""
+
+@lru_cache(maxsize=256)
+def late_response(device: SampledDevice, jitter: float) -> CosineSum:
+    """Return Q; L is the delay of the device, ``jitter`` is J in samples."""
     import flint
 
     bits = _FIRST_BITS
     while True:
         with working_precision(bits):
-            cosines = _cosine_sum(device)
+            cosines = _cosine_sum(device, jitter)
             both = [_in_powers(cosines, sign) for sign in (-1, 1)]
             if all(map(is_known, both)) or bits >= _MOST_BITS:
                 unit = flint.arb(exact(device.stiffness_unit))
                 known = [[bounded(c / unit**2) for c in each.coeffs()] for each in both]
                 values = [tuple(one.value for one in each) for each in known]
                 errors = [float(sum(one.error for one in each)) * RAISED_FEW for each in known]
-                return Aliases(values[0], values[1], (errors[0], errors[1]))
+                return CosineSum(values[0], values[1], (errors[0], errors[1]))
         bits *= 2
 
 
-def _cosine_sum(device: SampledDevice) -> list["arb"]:
+def _cosine_sum(device: SampledDevice, jitter: float) -> list["arb"]:
     """Return q of Q = q_0 + 2 q_1 cos(theta) + 2 q_2 cos(2 theta) + ..., in SI units."""
     import flint
 
     given = in_samples(device.device.compliance(), device.sample_time)
     above, below, speed = in_fastest_time(*given)
     order = len(below) - 1
-    transition, gramian = _one_sample(below, speed)
+    transition, whole = _after(below, speed)
+    gramian = whole * floor(jitter)
+    for first, last in _windows(device.delay % 1.0, jitter % 1.0):
+        rest, _ = _after(below, (1 - last) * speed)
+        _, part = _after(below, (last - first) * speed)
+        gramian += rest * part * rest.transpose()
+    weights = (gramian * (speed * flint.arb(exact(jitter)))).tolist()
     denominator = transition.charpoly()
     units = [[int(i == j) for i in range(order)] for j in range(order)]
     columns = [flint.arb_mat([unit]).transpose() for unit in units]
     rows = [
         flint.arb_poly(position_after(above, transition, denominator, column)) for column in columns
     ]
-    weights, zero = gramian.tolist(), flint.arb_poly([])
+    zero = flint.arb_poly([])
     total = zero
     for row, weighted in zip(rows, weights, strict=True):
         other = sum((one * w for one, w in zip(rows, weighted, strict=True)), zero)
@@ -94,11 +115,21 @@ def _cosine_sum(device: SampledDevice) -> list["arb"]:
     return [total[order - 1 + lag] for lag in range(order)]
 
 
-def _one_sample(below: list[Ball], speed: "arb") -> "tuple[Matrix, Matrix]":
-    """Return F, and the Gramian of a sample: the integral of exp(A t) B B' exp(A' t) (Van Loan)."""
+def _windows(start: float, length: float) -> list[tuple["fmpq", "fmpq"]]:
+    """Return the parts of a sample in which a window lies that may go on in the next one."""
+    first, last = exact(start), exact(start) + exact(length)
+    parts = [(first, min(last, exact(1.0))), (exact(0.0), last - 1)]
+    return [part for part in parts if part[0] < part[1]]
+
+
+def _after(below: list[Ball], time: "arb") -> "tuple[Matrix, Matrix]":
+    """Return F, and the Gramian, over a time: the integral of exp(A t) B B' exp(A' t) (Van Loan).
+
+    They are formed over a time in which the device's numbers are of size 1, then doubled.
+    """
     import flint
 
-    order, start = len(below) - 1, min(speed, flint.arb(1), key=float)
+    order, doublings = len(below) - 1, max(0, ceil(log2(float(time)))) if time > 0 else 0
     rows = [[flint.arb(0)] * (2 * order) for _ in range(2 * order)]
     for row in range(order - 1):
         rows[row][row + 1], rows[order + row + 1][order + row] = flint.arb(-1), flint.arb(1)
@@ -106,15 +137,14 @@ def _one_sample(below: list[Ball], speed: "arb") -> "tuple[Matrix, Matrix]":
         rows[order - 1][column] = below[column]
         rows[order + column][2 * order - 1] = -below[column]
     rows[order - 1][2 * order - 1] = flint.arb(1)
-    blocks = (flint.arb_mat(rows) * start).exp().tolist()
+    blocks = (flint.arb_mat(rows) * (flint.arb(time) / flint.arb(2) ** doublings)).exp().tolist()
     turned = flint.arb_mat([row[order:] for row in blocks[order:]])
     transition = turned.transpose()
     gramian = transition * flint.arb_mat([row[order:] for row in blocks[:order]])
-    time = start
-    while float(time) < float(speed):
+    for _ in range(doublings):
         gramian = gramian + transition * gramian * transition.transpose()
-        transition, time = transition * transition, 2 * time
-    return transition, gramian * speed
+        transition = transition * transition
+    return transition, gramian
 
 
 def _in_powers(cosines: list["arb"], sign: int) -> "arb_poly":
