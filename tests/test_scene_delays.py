@@ -303,7 +303,9 @@ def test_hands_of_a_range_are_not_called_proved() -> None:
     hands = ["--hand-mass", "0:0.2", "--wall", "soft", "500", "5"]
     for options in ([], ["--constant-delay"]):
         limits = answered("limits", *MOVING, *hands, *options, code=1)
-        assert limits["hand"].startswith("at its lowest values alone")
+        assert limits["hand"] == (
+            "at its lowest values: others are not proved together with a range of delays"
+        )
         soft = answered("check", *MOVING, *hands, *options, code=1)["walls"]["soft"]
         assert soft["hands_are"] == limits["hand"]
         assert soft["verdict"] == "stable"
@@ -336,3 +338,17 @@ def test_a_model_with_a_moving_delay_is_explained(tmp_path: Path) -> None:
     text = run("scene", file, "--explain").stdout
     assert re.search(r"(?m)^delay +0 to 1 ms; in samples 0 to 1; moves between 0 and 1 ms", text)
     assert "a mass, hand or gain that changes while the wall is touched" in text
+
+
+def test_the_page_on_the_model_shows_what_the_commands_answer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = (Path(__file__).parents[1] / "docs" / "model.md").read_text(encoding="utf-8")
+    part = page.split("### A scene whose delay is a range")[1].split("\n## ")[0]
+    (text,) = re.findall(r"(?ms)^```toml\n(.*?)^```", part)
+    monkeypatch.chdir(tmp_path)
+    Path("moving.toml").write_text(text, encoding="utf-8")
+    shown = re.findall(r"(?ms)^```console\n\$ jaxstab (.*?)\n(.*?)^```", part)
+    assert len(shown) == 2
+    for command, output in shown:
+        assert run(*command.split()).stdout == output

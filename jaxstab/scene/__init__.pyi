@@ -12,6 +12,7 @@ from .design import design_loop as design_loop
 from .example import EXAMPLE as EXAMPLE
 from .example import explain_model as explain_model
 from .limits import Limits as Limits
+from .limits import LimitsOverDelays as LimitsOverDelays
 from .limits import scene_limits as scene_limits
 from .loops import corner_loops as corner_loops
 from .loops import hands_of as hands_of

@@ -73,7 +73,7 @@ from jaxstab.scene.scene import Scene
 
 _PROVED = "proved for every hand"
 _TRIED = "no hand that was tried is unstable, but not all others are proved"
-NOT_FOR_HANDS = "at its lowest values alone: hands are not proved together with ranges of delays"
+NOT_FOR_OTHERS = ": others are not proved together with a range of delays"
 _ROWS = 400  # of B, in which walls are stable for all hands
 
 WallOfScene = tuple[Scene, Gains]
@@ -153,7 +153,7 @@ def worst_over_delays(scene: Scene, gains: Gains) -> WorstHeld:
     Of a delay that moves it is for every sequence, of one that is constant for each constant one.
     """
     loops, controller = loops_over_delays(scene), scene.controller
-    tried = NOT_FOR_HANDS if hands_of(scene) else None
+    tried = at_lowest(scene, NOT_FOR_OTHERS)
     if controller.moves:
         moving: Any = {"delays": controller.delays, "lost": controller.lost_samples}
         code, words = Verdict(int(loops[0].verdict(*gains, **moving))), None
@@ -475,6 +475,8 @@ def _measures_are(wall: _Wall) -> str | None:
     """Return for which delays of a range the measures are; None for a single delay."""
     if wall.scene.controller.has_one_delay:
         return None
+    if len(wall.loops) == 1:
+        return "of the constant delay, with no sample lost"
     if wall.scene.controller.moves:
         return "the worst of two constant delays, the shortest and the longest"
     return "the worst of the constant delays that were tried: both ends and the worst one found"

@@ -25,7 +25,7 @@ from jaxstab.scene.answers import (
     basis_of,
 )
 from jaxstab.scene.check import (
-    NOT_FOR_HANDS,
+    NOT_FOR_OTHERS,
     AllHands,
     Floats,
     at_lowest,
@@ -33,7 +33,7 @@ from jaxstab.scene.check import (
     loops_over_delays,
     worst_over_delays,
 )
-from jaxstab.scene.loops import hands_of, is_plain, loop_of, reachable, wall_region, walls_of
+from jaxstab.scene.loops import is_plain, loop_of, reachable, wall_region, walls_of
 from jaxstab.scene.scene import Scene
 
 _NOT_REACHABLE = "not reachable by turning gains up"
@@ -229,7 +229,7 @@ def _over_delays(scene: Scene) -> LimitsOverDelays:
     return LimitsOverDelays(
         inputs=basis_of(scene),
         safety=wanted.safety,
-        hand=NOT_FOR_HANDS if hands_of(scene) else None,
+        hand=at_lowest(scene, NOT_FOR_OTHERS),
         best=ProvedWall(*best, f"{_PROVED} {every}" if is_proved else tried, unstable),
         walls={name: JudgedWall(one.verdict, one.delays) for name, one in judged.items()},
     )
