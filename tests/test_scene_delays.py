@@ -107,6 +107,7 @@ def test_bad_ranges_of_delays_are_refused(controller: dict[str, Any], words: str
         ["tune"],
         ["design", "--stiffness", "1000"],
         ["check", *ISSUE, "--plot", "picture.png"],
+        ["check", *ISSUE, "--plot", "picture.png", "--sweep", "device.mass=0.1,0.2"],
     ],
 )
 def test_commands_for_one_delay_refuse_a_range(
@@ -118,7 +119,8 @@ def test_commands_for_one_delay_refuse_a_range(
         assert refused.exit_code == 2
         assert refused.stdout == ""
         assert_one_sentence(refused.stderr)
-        assert "this answer is for one constant delay; give one, such as --delay" in refused.stderr
+        what = "a picture" if "--plot" in arguments else "this answer"
+        assert f"but {what} is for one constant delay; give one, such as --delay" in refused.stderr
     remedy = refused.stderr.split("such as ")[1].strip().strip(".").split()
     assert remedy == ["--delay", "0.001", "--lost-samples", "0"]
     answer = run(*arguments, *LIGHT, *remedy)

@@ -208,6 +208,9 @@ def answer_many(given: dict[str, Any], function: str, as_json: bool) -> list[Any
     variants = variants_of(tables_of(given), dict(map(sweep_of, given["sweep"])))
     for words in dict.fromkeys(w for v in variants if v.scene for w in v.scene.unusual()):
         warn(words)
+    for variant in variants if given["plot"] else []:
+        if variant.scene:
+            variant.scene.controller.require_one_delay("a picture")
     rows = list(
         _with_progress(answer_all(variants, getattr(jaxstab.scene, function)), len(variants))
     )
@@ -459,6 +462,8 @@ def answer(file: Path, explain: bool, plot: Path | None, as_json: bool) -> int:
         for step in plan_scene(scene):
             click.echo(f"{'compute' if step.computed else 'skip':8}{step.what:36}{step.why}")
         return 0
+    if plot:
+        scene.controller.require_one_delay("a picture")
     computed = {name: _computed(scene, name) for name in scene.wanted.answers}
     by_name = {name: replace(one, inputs=None) for name, one in computed.items()}
     answers = Answers(basis_of(scene), by_name)
@@ -474,6 +479,8 @@ def _answer(given: dict[str, Any], name: str, as_json: bool) -> int:
         answers = answer_many(given, FUNCTIONS[name], as_json)
         return 0 if all(one.all_stable for one in answers) else 1
     scene, plot = scene_of(given), given.get("plot")
+    if plot:
+        scene.controller.require_one_delay("a picture")
     answer = _computed(scene, name)
     if plot:
         _draw(scene, answer, plot)

@@ -28,7 +28,9 @@ from jaxstab.scene.check import (
     NOT_FOR_OTHERS,
     AllHands,
     Floats,
+    WallCheck,
     at_lowest,
+    check_walls,
     limit_for_all,
     loops_over_delays,
     worst_over_delays,
@@ -118,14 +120,6 @@ class ProvedWall(StiffestWall):
 
 
 @dataclass(frozen=True)
-class JudgedWall(Answer):
-    """The verdict on a wall for a range of delays, and the delays with which a motion grows."""
-
-    verdict: Verdict
-    worst_delays: str | None
-
-
-@dataclass(frozen=True)
 class LimitsOverDelays(Answer):
     """The limits of a scene over a range of delays, with the hand at its lowest values."""
 
@@ -133,7 +127,7 @@ class LimitsOverDelays(Answer):
     safety: Number | None
     hand: str | None
     best: ProvedWall
-    walls: dict[str, JudgedWall]
+    walls: dict[str, WallCheck]
 
     @property
     def all_stable(self) -> bool:
@@ -225,13 +219,13 @@ def _over_delays(scene: Scene) -> LimitsOverDelays:
         best = best._replace(stiffness=wanted.safety * best.stiffness)
         is_proved = worst_over_delays(scene, best).verdict == Verdict.STABLE
     tried = "not proved" if best.stiffness > 0.0 else "no wall was found"
-    judged = {name: worst_over_delays(scene, wall) for name, wall in walls_of(scene).items()}
+    judged = replace(scene, wanted=replace(wanted, measures=()))
     return LimitsOverDelays(
         inputs=basis_of(scene),
         safety=wanted.safety,
         hand=at_lowest(scene, NOT_FOR_OTHERS),
         best=ProvedWall(*best, f"{_PROVED} {every}" if is_proved else tried, unstable),
-        walls={name: JudgedWall(one.verdict, one.delays) for name, one in judged.items()},
+        walls=check_walls(judged).walls if scene.walls else {},
     )
 
 

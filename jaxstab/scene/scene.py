@@ -445,14 +445,18 @@ class Controller(Table):
     @property
     def time_delay(self) -> float:
         """The delay t_d in s; ValueError where it is not one that is known and constant."""
-        if not self.has_one_delay:
-            raise ValueError(
-                f"the delay is {range_in_words(self.delays)} s"
-                f"{' and moves' if self.moves else ''}, but this answer is for one constant delay; "
-                "give one, such as --delay "
-                f"{self.delays[1]:g}{' --lost-samples 0' if self.lost_samples else ''}."
-            )
+        self.require_one_delay("this answer")
         return self.delays[0]
+
+    def require_one_delay(self, what: str) -> None:
+        """Refuse a delay that is not one that is known and constant."""
+        if not self.has_one_delay:
+            lost = " --lost-samples 0" if self.lost_samples else ""
+            raise ValueError(
+                f"the delay is {range_in_words(self.delays)} s{' and moves' if self.moves else ''},"
+                f" but {what} is for one constant delay; give one, such as --delay "
+                f"{self.delays[1]:g}{lost}."
+            )
 
     @property
     def samples(self) -> float:
