@@ -12,7 +12,9 @@ from commands import assert_one_sentence, run
 from programs_in_c import STRICT, compiled, rows_of
 
 import jaxstab
+import jaxstab.guard.build
 from benchmarks.truth.filtered import FilteredLoop, average, difference
+from benchmarks.truth.moving import Moving, growth
 from jaxstab import Guard, HandRange, HapticLoop, Velocity, Verdict, build_guard
 from jaxstab.guard.limits import boundary_of
 
@@ -31,7 +33,14 @@ REFUSED = 2
 
 @pytest.fixture(scope="module")
 def guard() -> Guard:
-    return build_guard(LOOP, HANDS, mass=(0.24, 0.26), delay=(0.9e-3, 1.1e-3), cells=(1, 1, 16))
+    return build_guard(
+        LOOP,
+        HANDS,
+        mass=(0.24, 0.26),
+        delay=(0.9e-3, 1.1e-3),
+        cells=(1, 1, 16),
+        constant_delay=True,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -156,6 +165,92 @@ def test_exact_limits_are_those_of_the_region() -> None:
     assert boundary.largest_damping()[0, 0] == pytest.approx(last, rel=1e-3)
 
 
+CLAMPED = """
+#include <stdio.h>
+#include "test_guard.h"
+int main(void)
+{
+    double stiffness, damping, mass;
+    while (scanf("%lf %lf %lf", &stiffness, &damping, &mass) == 3) {
+        test_guard_clamp(&stiffness, &damping, mass CALL_DELAY);
+        printf("%.17g %.17g\\n", stiffness, damping);
+    }
+    return 0;
+}
+"""
+LIGHT = HapticLoop(device_mass=0.1, device_damping=0.05, sample_time=1e-3)
+TURNS = [[1, 1, 1, 0], [1, 1, 0], [1, 0], [1, 0, 0], [1, 1, 1, 1, 0], [1, 1, 1, 0, 0], [1, 1, 0, 0]]
+
+
+def grown(guard: Guard, folder: Path, call_delay: str, requests: int) -> int:
+    """Of some requests, how many are left with a wall that grows under some sequence of delays."""
+    (folder / "test_guard.h").write_text(guard.header("test_guard"))
+    source = folder / "clamped.c"
+    source.write_text(CLAMPED.replace("CALL_DELAY", call_delay))
+    program = compiled(source, folder, ["-O2", f"-I{folder}", *STRICT])
+    rng = np.random.default_rng(208)
+    walls = [(k, b) for k in np.linspace(1000.0, 16000.0, 16) for b in np.linspace(5.0, 90.0, 13)]
+    walls = [walls[number] for number in rng.permutation(len(walls))[:requests]]
+    masses = rng.uniform(*guard.mass, len(walls))
+    words = "".join(f"{k} {b} {m}\n" for (k, b), m in zip(walls, masses, strict=True))
+    done = subprocess.run([program], input=words, capture_output=True, text=True, check=True)
+    turns = [np.tile(8 * np.array(turn), 1200 // len(turn)) for turn in TURNS]
+    turns += [np.tile(rng.integers(0, 9, 12), 100) for _ in range(12)]
+    count = 0
+    for line, mass in zip(done.stdout.splitlines(), masses.tolist(), strict=True):
+        stiffness, damping = map(float, line.split())
+        if stiffness > 0.0:
+            truth = Moving((1.0,), (mass, LIGHT.device_damping, 0.0), 1e-3)
+            runs = truth.positions(stiffness, damping, np.array(turns))
+            count += bool(np.any(growth(runs, 60) > 1.0))
+    return count
+
+
+RANGES: dict[str, Any] = {"mass": (0.095, 0.105), "delay": (0.0, 1e-3)}
+
+
+@pytest.fixture
+def little_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    work = jaxstab.guard.build._OF_MASS._replace(most=150_000)
+    monkeypatch.setattr(jaxstab.guard.build, "_OF_MASS", work)
+
+
+@pytest.mark.usefixtures("little_work")
+def test_no_sequence_of_delays_makes_a_wall_grow_that_a_header_grants(tmp_path: Path) -> None:
+    moving = build_guard(LIGHT, HandRange(), **RANGES, cells=(1, 1, 8))
+    assert not moving.is_delay_constant
+    assert moving.granted > 0.3
+    assert grown(moving, tmp_path, "", 30) == 0
+    constant = build_guard(LIGHT, HandRange(), **RANGES, cells=(1, 1, 8), constant_delay=True)
+    assert grown(constant, tmp_path, ", 0.0", 30) > 10  # as its header says
+
+
+@pytest.mark.campaign
+def test_of_208_requests_none_grows(tmp_path: Path) -> None:
+    """Clamped for constant delays, with the delay of the moment, 158 did."""
+    for given in ({}, {"lost": 1}):
+        moving = build_guard(LIGHT, HandRange(), **RANGES, **given, cells=(1, 1, 16))
+        assert grown(moving, tmp_path, "", 208) == 0
+    constant = build_guard(LIGHT, HandRange(), **RANGES, cells=(1, 4, 16), constant_delay=True)
+    assert grown(constant, tmp_path, ", 1e-3", 208) > 5
+    assert grown(constant, tmp_path, ", 0.0", 208) > 100
+
+
+@pytest.mark.usefixtures("little_work")
+def test_a_guard_is_asked_with_a_delay_if_and_only_if_it_is_constant(guard: Guard) -> None:
+    moving = build_guard(LIGHT, HandRange(), mass=(0.09, 0.11), delay=(0.0, 1e-3), cells=(1, 1, 4))
+    with pytest.raises(TypeError, match="give no delay"):
+        moving.largest_stiffness(10.0, mass=0.1, delay=0.5e-3)
+    with pytest.raises(TypeError, match="give delay in s"):
+        guard.largest_stiffness(10.0, mass=0.25)
+    assert moving.largest_stiffness(10.0, mass=0.1) > 1000.0
+    assert moving.costliest.delay is None
+    limits = LIGHT.limits(delays=(0.0, 1e-3))
+    assert moving.largest_stiffness(np.linspace(0.0, 80.0, 99), mass=0.1).max() < limits.stiffness
+    assert "double mass)" in moving.header("one")
+    assert "double mass, double delay)" in guard.header("one")
+
+
 HOSTILE = """
 #include <stdio.h>
 #include "test_guard.h"
@@ -230,6 +325,10 @@ def test_examples_compile_against_stubs(example: str, guard: Guard, tmp_path: Pa
         ({"delay": (1e-3, 1e-3)}, "delay is"),
         ({"delay": (-1e-3, 1e-3)}, "delay is -0.001"),
         ({"cells": (3, 1, 1)}, "powers of two"),
+        ({"cells": (1, 2, 1)}, "give 1 of delay, or constant_delay"),
+        ({"lost": -1}, "lost is -1"),
+        ({"lost": 500}, "lost is 500, of delays to 1 samples; give fewer"),
+        ({"lost": 1, "constant_delay": True}, "with a constant delay no sample is lost"),
         ({"hands": HandRange(mass=(1.0, 0.0))}, "hands.mass"),
     ],
 )
@@ -251,17 +350,25 @@ def test_bad_names_are_refused(guard: Guard) -> None:
             guard.header(name)
 
 
+@pytest.mark.usefixtures("little_work")
 def test_the_command_writes_a_header_and_a_picture(tmp_path: Path) -> None:
     words = [
         "guard", "--mass", "0.25", "--damping", "0.5", "--sample-time", "0.001", "--window-samples",
         "4", "--delay-samples", "1", "-o", tmp_path / "my_guard.h", "--plot", tmp_path / "a.svg",
         "--cells", "1,1,16", "--masses", "0.24:0.26", "--delays", "0.9e-3:1.1e-3",
     ]  # fmt: skip
-    answer = run(*words)
-    assert answer.exit_code == 0, answer.output
-    assert "my_guard_clamp" in (tmp_path / "my_guard.h").read_text()
-    assert (tmp_path / "a.svg").stat().st_size > 1000
-    assert "It grants" in answer.output
+    for kind, said, parameters in (
+        ([], "delay, moving from sample to sample: 0.0009 to 0.0011 s", "double mass)"),
+        (["--lost-samples", "1"], "up to 1 samples lost in a row", "double mass)"),
+        (["--constant-delay"], "delay, constant during contact: 0.0009", "mass, double delay)"),
+    ):
+        answer = run(*words, *kind)
+        assert answer.exit_code == 0, answer.output
+        header = (tmp_path / "my_guard.h").read_text()
+        assert parameters in header.split("int my_guard_clamp")[1].split("{")[0]
+        assert (tmp_path / "a.svg").stat().st_size > 1000
+        assert "It grants" in answer.output
+        assert said in answer.output
 
 
 @pytest.mark.parametrize(
@@ -273,6 +380,8 @@ def test_the_command_writes_a_header_and_a_picture(tmp_path: Path) -> None:
         ["--cells", "3,3,3"],
         ["--output", "my-guard.h"],
         ["--json"],
+        ["--lost-samples", "-1"],
+        ["--lost-samples", "1", "--constant-delay"],
     ],
 )
 def test_the_command_refuses_in_one_sentence(words: list[str], tmp_path: Path) -> None:

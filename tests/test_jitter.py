@@ -1,6 +1,5 @@
 """Delays that move: proofs for every sequence, against simulations that share no code with them."""
 
-from itertools import pairwise
 from math import inf
 
 import jax
@@ -9,7 +8,7 @@ import pytest
 from jaxtyping import Float64
 
 from benchmarks import jitter as campaign
-from benchmarks.truth.moving import LOST, Moving, growth
+from benchmarks.truth.moving import LOST, Moving, growth, late_energy
 from jaxstab import Device, Filter, Hand, HapticLoop, Mode, Velocity, Verdict
 from jaxstab.loop.jitter import MovingLoop
 from jaxstab.model.device import SampledDevice, sampled_device
@@ -50,19 +49,8 @@ JITTERS = [(0.0, 1.0), (0.0, 0.4), (0.3, 0.7), (0.8, 0.4), (0.95, 0.1), (1.5, 1.
 
 
 def true_response(name: str, theta: float, delay: float, jitter: float) -> float:
-    """M of lemma J1 from the device in continuous time: its impulses at all times of a sample."""
-    above, below = _floats(DEVICES[name], True), _floats(DEVICES[name])
-    turns = theta + 2.0 * np.pi * np.arange(-4000, 4001)
-    gains = np.polyval(above, 1j * turns / T) / np.polyval(below, 1j * turns / T)
-    nodes, weights = np.polynomial.legendre.leggauss(24)
-    whole, total = int(jitter), 0.0
-    ends = sorted({delay, delay + jitter - whole, np.floor(delay) + 1.0, delay + 1.0})  # kinks
-    for first, last in pairwise(ends):
-        changes = whole + (last <= delay + jitter - whole)
-        times = 0.5 * (first + last) + 0.5 * (last - first) * nodes
-        impulses = np.exp(-1j * np.outer(times, turns)) @ gains
-        total += changes * 0.5 * (last - first) * float(weights @ np.abs(impulses) ** 2)
-    return jitter * total
+    parts = _floats(DEVICES[name], True), _floats(DEVICES[name])
+    return late_energy(*parts, T, theta, delay, jitter)
 
 
 @pytest.mark.parametrize(("delay", "jitter_of"), JITTERS)

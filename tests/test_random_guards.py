@@ -74,7 +74,9 @@ def drawn(seed: int) -> Scene:
 
 
 def guard_of(scene: Scene) -> Guard:
-    return build_guard(scene.loop, scene.hands, mass=scene.mass, delay=scene.delay)
+    return build_guard(
+        scene.loop, scene.hands, mass=scene.mass, delay=scene.delay, constant_delay=True
+    )
 
 
 def share_of_proved(scene: Scene, guard: Guard) -> float:
@@ -156,7 +158,9 @@ def test_31_10_what_nothing_damps_has_a_guard() -> None:
     loop = HapticLoop(device_mass=0.25, device_damping=0.0, sample_time=1e-3, delay=1e-3)
     hands = HandRange(stiffness=(0.0, 300.0))
     scene = Scene(loop, hands, (0.24, 0.26), (0.9e-3, 1.1e-3), filtered.difference(1))
-    guard = build_guard(loop, hands, mass=scene.mass, delay=scene.delay, cells=(1, 1, 16))
+    guard = build_guard(
+        loop, hands, mass=scene.mass, delay=scene.delay, cells=(1, 1, 16), constant_delay=True
+    )
     assert np.all(guard.rows == [0, 16])
     assert_nothing_unstable(scene, guard, 2, 400)
     weak = guard.largest_stiffness(1e-3, mass=0.25, delay=1e-3)

@@ -597,7 +597,20 @@ def _cells(_: click.Context, option: click.Parameter, text: str | None) -> Any:
 @click.option(
     "--delays",
     callback=_range,
-    help="LOW:HIGH in s; default: one sample less and more; a tenth of one for such a device.",
+    help="LOW:HIGH in s; default: the delay to one sample more, and from one less if it is "
+    "constant; a tenth of one for such a device.",
+)
+@click.option(
+    "--constant-delay",
+    is_flag=True,
+    help="Prove walls for delays that do not change during contact; the function takes the delay.",
+)
+@click.option(
+    "--lost-samples",
+    "lost",
+    type=click.IntRange(0),
+    default=0,
+    help="How many samples in a row may never arrive.",
 )
 @click.option(
     "--cells", callback=_cells, help="Cells along mass, delay and damping: powers of two."
@@ -614,9 +627,10 @@ def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
     from jaxstab.scene.guard import guard_about, guard_plan, header_of, scene_guard
 
     name = checked_name(output.stem)  # before the proof, which takes long
-    cells = given["cells"]
-    with _progress(guard_plan(scene, cells)) as show:
-        made = scene_guard(scene, given["masses"], given["delays"], progress=show, cells=cells)
+    cells, kind = given["cells"], {name: given[name] for name in ("lost", "constant_delay")}
+    ranges = given["masses"], given["delays"]
+    with _progress(guard_plan(scene, kind["constant_delay"], cells)) as show:
+        made = scene_guard(scene, *ranges, **kind, progress=show, cells=cells)
     publish(header_of(scene, made, name).encode(), output)
     if plot:
         from jaxstab.pictures.scene import guard_figure

@@ -17,7 +17,8 @@ from jaxstab.guard.guard import Guard, Range
 from jaxstab.guard.limits import boundary_of
 from jaxstab.model import LoopParameters
 from jaxstab.model.filters import known_filters
-from jaxstab.numbers import checked_number
+from jaxstab.model.parameters import LONGEST_DELAY
+from jaxstab.numbers import checked_count, checked_number
 from jaxstab.point.verdicts import linear_verdict
 from jaxstab.proofs.device_boxes import BEYOND, Arms, device_of, with_parts
 from jaxstab.proofs.filters import responses_at
@@ -102,9 +103,9 @@ def _is_stable(
     return int(code) == Verdict.STABLE
 
 
-CELLS = 4, 8, 16
+CELLS, CONSTANT_CELLS = (4, 1, 16), (4, 8, 16)
 
-"""Cells along mass, delay and damping, powers of two."""
+"""Cells along mass, delay and damping, powers of two: of delays that move, and of constant ones."""
 
 _PULL = 0.03  # of each limit
 _PULL_ALL = 0.02  # of the largest limit of the same mass and delay
@@ -118,6 +119,7 @@ _FEWEST, _ROUNDS = 2000, 8  # boxes of a cell in the first round, or a part of a
 _MORE = 1.5  # times as many boxes, and as much to take from the limits, in the next round
 _SQUARE = (0, 0), (0, 1), (1, 0), (1, 1)
 _CODES = 0xFFFF
+_SLACK = 1e-9  # of a jitter, which is rounded up
 _LEAST_GAIN = 1e-6  # of a position filter at z = 1
 _PARTS = 2, 2, 4  # of a cell, at whose ends a guard is held against the boundary
 _LEAST_SHARE = 1e-3  # of the largest damping: at none what nothing damps is on the circle
@@ -143,14 +145,20 @@ def build_guard(
     *,
     mass: Range,
     delay: Range,
-    cells: tuple[int, int, int] = CELLS,
+    lost: int = 0,
+    constant_delay: bool = False,
+    cells: tuple[int, int, int] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Guard:
     """The guard of a loop: walls that are proved stable for all hands, masses and delays.
 
+    The delay may change from sample to sample within its range: walls are proved for every sequence
+    of delays, and the guard is called without a delay. With ``constant_delay`` they are proved for
+    every delay that does not change while the wall is touched, which grants more, and the guard
+    takes the delay. Mass, hand and both gains are constant while the wall is touched.
+
     Where nothing could be proved within 2 million boxes of loops, about 20 s of CPU time (1
-    million and 40 s with modes, actuators or a grip), the guard grants no wall. Mass, hand, delay
-    and both gains are constant while the wall is touched.
+    million and 40 s with modes, actuators or a grip), the guard grants no wall.
 
     Args:
         loop: the loop, with its velocity estimator and position filter, and the vibration modes,
@@ -158,35 +166,43 @@ def build_guard(
             not used.
         hands: the range of hands.
         mass: the lowest and the highest mass of the device in kg, over its postures for example.
-        delay: the shortest and the longest delay of the loop in s.
-        cells: the number of cells along mass, delay and damping, powers of two. More cells grant
-            more, but the table is larger and takes longer to prove.
+        delay: the shortest and the longest delay of the loop in s. The newest sample that has
+            arrived sets the force.
+        lost: how many samples in a row may never arrive.
+        constant_delay: whether the delay is constant while the wall is touched.
+        cells: the number of cells along mass, delay and damping, powers of two: (4, 1, 16), or (4,
+            8, 16) for a constant delay; one of delay if it moves. More cells grant more, but the
+            table is larger and takes longer to prove.
         progress: called with the share of the proof that is done.
 
     Raises:
-        ValueError: a range is empty or out of order, or a number of cells is not a power of two.
+        ValueError: a range is empty or out of order, a number of cells is not a power of two, or
+            samples are lost although the delay is constant.
         NotImplementedError: the loop has a ``device`` that is not a mass with vibration modes,
             actuators and one hand of mass, spring and damper, behind a grip or not.
         RuntimeError: no wall at all could be proved.
 
-    Source: lemmas B10, B15 and B20 of docs/proofs.md.
+    Source: lemmas B10, B15 and B20 of docs/proofs.md; J3 for delays that move.
 
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
         >>> hands, mass, delay = jaxstab.HandRange(), (0.24, 0.26), (1e-3, 1.1e-3)
         >>> guard = jaxstab.build_guard(loop, hands, mass=mass, delay=delay, cells=(1, 1, 4))
-        >>> print(f"{guard.largest_stiffness(10.0, mass=0.25, delay=1e-3):.0f} N/m")
+        >>> print(f"{guard.largest_stiffness(10.0, mass=0.25):.0f} N/m")
         4846 N/m
     """
-    _check(loop, hands, mass, delay, cells)
+    cells = cells or (CONSTANT_CELLS if constant_delay else CELLS)
+    _check(loop, hands, mass, delay, cells, may_be_one=lost > 0)
+    jitter = _checked_jitter(loop, delay, lost, constant_delay, cells)
     progress = progress or (lambda _: None)
     progress(0.0)
     period = loop.sample_time
+    longest = delay[1] if constant_delay else delay[0]
     nodes = [
         np.linspace(*mass, cells[0] + 1),
-        np.linspace(delay[0] / period, delay[1] / period, cells[1] + 1),
+        np.linspace(delay[0] / period, longest / period, cells[1] + 1),
     ]
-    grid, units = _first_grid(loop, hands, nodes, cells)
+    grid, units = _first_grid(loop, hands, nodes, cells, jitter)
     grid = _below_curves(loop, hands, grid, units[0])
     grid, is_proved = _proved(loop, hands, grid, units[0], progress)
     rows = _granted_rows(loop, hands, grid, is_proved)
@@ -195,7 +211,26 @@ def build_guard(
             "no wall is proved stable for every hand at any mass and delay of the ranges; narrow "
             "them, or give the hand more damping."
         )
-    return Guard(loop, hands, mass, delay, grid, units, rows)
+    return Guard(loop, hands, mass, delay, grid, units, rows, lost)
+
+
+def _checked_jitter(
+    loop: LoopParameters, delay: Range, lost: int, constant_delay: bool, cells: tuple[int, int, int]
+) -> float:
+    """Return by how many samples the delay may move, rounded up."""
+    if constant_delay:
+        if lost:
+            raise ValueError(f"lost is {lost}; with a constant delay no sample is lost.")
+        return 0.0
+    if cells[1] != 1:
+        raise ValueError(f"cells are {cells}; give 1 of delay, or constant_delay.")
+    samples, lost = delay[1] / loop.sample_time, checked_count("lost", lost, 0)
+    if samples + lost > LONGEST_DELAY:
+        raise ValueError(
+            f"lost is {lost}, of delays to {samples:g} samples; give fewer, up to "
+            f"{LONGEST_DELAY:g} samples in all."
+        )
+    return (samples - delay[0] / loop.sample_time) * (1.0 + _SLACK) + lost
 
 
 class GuardPlan(NamedTuple):
@@ -233,9 +268,10 @@ def _first_grid(
     hands: HandRange,
     nodes: list[np.ndarray],
     cells: tuple[int, int, int],
+    jitter: float,
 ) -> tuple[Grid, tuple[float, float]]:
     """Limits a little below the boundaries at the nodes, and the units of the table."""
-    tops = _tops(loop, hands, nodes) * (1.0 - _PULL_TOP)
+    tops = _tops(loop, hands, nodes, jitter) * (1.0 - _PULL_TOP)
     is_good = np.isfinite(tops) & (tops > 0.0)
     if not is_good.any():
         raise RuntimeError(
@@ -245,7 +281,7 @@ def _first_grid(
     top, damping_unit = _coded(np.where(is_good, tops, tops[is_good].min()))
     top = np.maximum(top, damping_unit)
     share = np.maximum(np.linspace(0.0, 1.0, cells[2] + 1), _LEAST_SHARE)
-    exact = boundary_of(loop, hands, *nodes).largest_stiffness(top[..., None] * share)
+    exact = boundary_of(loop, hands, *nodes, jitter).largest_stiffness(top[..., None] * share)
     exact = np.where(np.isfinite(exact) & is_good[..., None], exact, 0.0)
     largest = exact.max(axis=-1, keepdims=True)
     limit = np.maximum(exact * (1.0 - _PULL) - _PULL_ALL * largest, 0.0)
@@ -255,7 +291,7 @@ def _first_grid(
         is_little = limit[..., end] < _LITTLE * largest[..., 0]
         limit[..., end] = np.where(is_little, 0.0, limit[..., end])
     limit, unit = _coded(limit)
-    return Grid(nodes[0], nodes[1], top, limit), (unit, damping_unit)
+    return Grid(nodes[0], nodes[1], top, limit, jitter), (unit, damping_unit)
 
 
 def _proved(
@@ -324,6 +360,8 @@ def _check(
     mass: Range,
     delay: Range,
     cells: tuple[int, int, int],
+    *,
+    may_be_one: bool,
 ) -> None:
     checked_range(hands)
     filters = known_filters(**loop.filters)
@@ -335,21 +373,27 @@ def _check(
     for name, ends, least in (("mass", mass, 0.0), ("delay", delay, 0.0)):
         for end in ends:
             checked_number(name, end, least)
-        if not ends[0] < ends[1] or (name == "mass" and ends[0] <= 0.0):
+        is_one = name == "delay" and may_be_one and ends[0] == ends[1]
+        if not (ends[0] < ends[1] or is_one) or (name == "mass" and ends[0] <= 0.0):
             raise ValueError(f"{name} is {ends}; give the lower end first, then a higher one.")
     for count in cells:
         if count < 1 or count & (count - 1):
             raise ValueError(f"cells are {cells}; give powers of two.")
 
 
-def _tops(loop: LoopParameters, hands: HandRange, nodes: list[np.ndarray]) -> np.ndarray:
+def _tops(
+    loop: LoopParameters, hands: HandRange, nodes: list[np.ndarray], jitter: float
+) -> np.ndarray:
     """Largest dampings at nodes, low enough for those between nodes."""
     fine = [
         np.interp(np.arange((axis.size - 1) * _FINER + 1) / _FINER, np.arange(axis.size), axis)
         for axis in nodes
     ]
     exact = np.concatenate(
-        [boundary_of(loop, hands, one, fine[1]).largest_damping() for one in fine[0][:, None]]
+        [
+            boundary_of(loop, hands, one, fine[1], jitter).largest_damping()
+            for one in fine[0][:, None]
+        ]
     )
     top = exact[::_FINER, ::_FINER]
     places = np.indices(exact.shape).reshape(2, -1) / _FINER
@@ -395,7 +439,7 @@ def _below_curves(loop: LoopParameters, hands: HandRange, grid: Grid, unit: floa
     damping = damping.reshape(sizes)
     exact = np.concatenate(
         [
-            boundary_of(loop, hands, one[None], delay).largest_stiffness(row[None])
+            boundary_of(loop, hands, one[None], delay, grid.jitter).largest_stiffness(row[None])
             for one, row in zip(mass, damping, strict=True)
         ]
     )

@@ -32,13 +32,15 @@ class Grid(NamedTuple):
 
     The nodes of mass in kg and of delay in samples are evenly spaced. ``top`` is the largest
     damping in N s/m, ``limit`` the largest stiffness in N/m at evenly spaced dampings from 0 to
-    that one.
+    that one. Where the delay moves, both nodes of the delay are the shortest one, and ``jitter`` is
+    by how many samples a delay may be longer.
     """
 
     mass: Float64[np.ndarray, " mass"]
     delay: Float64[np.ndarray, " delay"]
     top: Float64[np.ndarray, "mass delay"]
     limit: Float64[np.ndarray, "mass delay damping"]
+    jitter: float = 0.0
 
     @property
     def cells(self) -> tuple[int, int, int]:
@@ -85,7 +87,8 @@ def grid_boxes(device: Device, loop: LoopParameters, hands: HandRange, grid: Gri
 
     mass = float(grid.mass[0]), float(grid.mass[-1])
     arm = hands.stiffness[1], hands.damping[0]
-    return DeviceBoxes(device, loop, mass, arm, extent, FirstRow(is_first, whole_walls))
+    first = FirstRow(is_first, whole_walls)
+    return DeviceBoxes(device, loop, mass, arm, extent, first, grid.jitter)
 
 
 def _limits_over(grid: Grid, low: Ends, high: Ends) -> LinearModel:

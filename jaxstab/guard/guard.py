@@ -11,7 +11,7 @@ from jaxtyping import Float64, Int64
 
 from jaxstab.arrays import Numbers
 from jaxstab.guard.grid import Grid, interpolated
-from jaxstab.guard.limits import boundary_of
+from jaxstab.guard.limits import Boundary, boundary_of
 from jaxstab.model import LoopParameters
 from jaxstab.ranges import HandRange
 from jaxstab.shown import printable, shortened
@@ -29,19 +29,57 @@ _WIDTH = 96
 _LINE = ("kg", "N/m", "N s/m")
 
 
+class _Kind(NamedTuple):
+    """What differs between headers of guards for constant delays and for those that move, in C."""
+
+    proved: str
+    parameter: str
+    argument: str
+    find: str
+
+
+_MOVING = _Kind(
+    """\
+ * @NAME@_clamp leaves is stable for every sequence of delays of their range, which may change from
+ * sample to sample (the newest sample sets the force), if mass, hand and gains are constant while
+ * the wall is touched: call it when contact begins, and keep both gains until contact ends, for no
+ * proof covers gains that change.""",
+    "",
+    "",
+    """    place->delay = 0;
+    place->delay_share = 0.0;""",
+)
+_CONSTANT = _Kind(
+    """\
+ * @NAME@_clamp leaves is stable, if mass, hand, delay and gains are constant while the wall is
+ * touched: call it when contact begins, and keep both gains until contact ends. Neither mass nor
+ * delay may change during contact: delays that move from sample to sample are not covered, nor is
+ * a guard that is asked again with the delay of the moment.""",
+    ", double delay",
+    ", delay",
+    """    if (!@NAME@_is_finite_(delay))
+        return 0;
+    if (delay < @MACRO@_SHORTEST_DELAY || delay > @MACRO@_LONGEST_DELAY)
+        return 0;
+    along = (delay - @MACRO@_SHORTEST_DELAY) * @PER_DELAY@;
+    place->delay = along < @D_LAST@.0 ? (int)along : @D_LAST@;
+    place->delay_share = along - place->delay;""",
+)
+
+
 class Costliest(NamedTuple):
     """The corner of a guard's ranges at which the stiffest wall is the least stiff.
 
     Attributes:
         mass: of the device in kg.
-        delay: in s.
+        delay: in s; None if it moves.
         hand: mass in kg, stiffness in N/m and damping in N s/m of the hand that limits it there.
         granted: the largest stiffness that the guard grants there, in N/m.
         exact: the largest one that is stable for all hands there, good to about 1e-3.
     """
 
     mass: float
-    delay: float
+    delay: float | None
     hand: tuple[float, float, float]
     granted: float
     exact: float
@@ -51,7 +89,8 @@ class Costliest(NamedTuple):
 class Guard:
     """Walls that are proved stable for every hand, mass and delay of given ranges.
 
-    Mass, hand, delay and both gains are constant while the wall is touched.
+    Mass, hand and both gains are constant while the wall is touched. So is the delay, if
+    ``is_delay_constant``; otherwise it may change from sample to sample.
 
     Attributes:
         loop: the loop; its mass, hand and delay are replaced by those of the ranges.
@@ -62,18 +101,19 @@ class Guard:
         units: steps of stiffness and damping: all numbers of the grid are whole multiples.
         rows: for each cell of mass and delay, the first and the last node of the damping between
             which walls are proved; no wall is granted elsewhere.
+        lost: how many samples in a row may never arrive.
 
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
         >>> hands, mass, delay = jaxstab.HandRange(), (0.24, 0.26), (1e-3, 1.1e-3)
         >>> guard = jaxstab.build_guard(loop, hands, mass=mass, delay=delay, cells=(1, 1, 4))
-        >>> guard.largest_stiffness([0.0, 20.0], mass=0.25, delay=1.05e-3).round().tolist()
+        >>> guard.largest_stiffness([0.0, 20.0], mass=0.25).round().tolist()
         [0.0, 9430.0]
         >>> place = {"mass": np.array([0.25]), "delay": np.array([1e-3])}
         >>> print(f"{guard.exact_stiffness(np.full((1, 1, 1), 20.0), **place).item():.3g} N/m")
         1.22e+04 N/m
-        >>> round(guard.granted, 2), guard.costliest.mass, guard.costliest.delay
-        (0.88, 0.24, 0.0011)
+        >>> round(guard.granted, 2), guard.costliest.mass, guard.is_delay_constant
+        (0.88, 0.24, False)
         >>> "double omega_guard_largest_stiffness(double damping" in guard.header("omega_guard")
         True
     """
@@ -85,29 +125,42 @@ class Guard:
     grid: Grid = field(repr=False)
     units: tuple[float, float] = field(repr=False)
     rows: Int64[np.ndarray, "mass delay 2"] = field(repr=False)
+    lost: int = 0
+
+    @property
+    def is_delay_constant(self) -> bool:
+        """Whether walls are proved for constant delays alone."""
+        return not self.grid.jitter
 
     def largest_stiffness(
-        self, damping: Numbers, *, mass: Numbers, delay: Numbers
+        self, damping: Numbers, *, mass: Numbers, delay: Numbers | None = None
     ) -> Float64[np.ndarray, "*grid"]:
         """The stiffness up to which all walls are proved stable, as the C header computes it.
 
         In N/m; 0 where nothing is proved, as outside the ranges. Arrays of damping in N s/m, mass
-        of the device in kg and delay in s have any shape and broadcast.
+        of the device in kg and delay in s have any shape and broadcast. The delay is given if it is
+        constant, and only then: TypeError otherwise.
         """
+        if self.is_delay_constant and delay is None:
+            raise TypeError("the guard is for constant delays; give delay in s.")
+        if not self.is_delay_constant and delay is not None:
+            raise TypeError("the guard is for a delay that moves; give no delay.")
         values = np.broadcast_arrays(
-            *(np.asarray(value, np.float64) for value in (damping, mass, delay))
+            *(
+                np.asarray(v, np.float64)
+                for v in (damping, mass, self.delay[0] if delay is None else delay)
+            )
         )
         damping_, *place = (value.ravel() for value in values)
-        index = np.stack(
-            [
-                (value - low) * (count / (high - low))
-                for value, (low, high), count in zip(
-                    place, (self.mass, self.delay), self.grid.cells[:2], strict=True
-                )
-            ]
-        )
-        ends = zip(place, (self.mass, self.delay), strict=True)
-        inside = np.all([(value >= low) & (value <= high) for value, (low, high) in ends], axis=0)
+        ends = (self.mass, self._delays)
+        inside = np.ones(damping_.shape, bool)
+        index = np.zeros((2, damping_.size))
+        for row, value, (low, high), count in zip(
+            index, place, ends, self.grid.cells, strict=False
+        ):
+            inside &= (value >= low) & (value <= high)
+            if low < high:
+                row += (value - low) * (count / (high - low))
         index = np.where(inside, index, 0.0)
         top = interpolated(self.grid.top, index)
         last = np.array(self.grid.cells[:2])[:, None] - 1
@@ -128,36 +181,39 @@ class Guard:
         """The stiffness at which the first of the sampled hands of the range becomes unstable.
 
         They are the corners of the range; with a ``device``, three along each quantity. In N/m,
-        good to about 1e-3; 0 where no stiffness is stable. Units as in ``largest_stiffness``.
+        good to about 1e-3; 0 where no stiffness is stable. Units as in ``largest_stiffness``. Where
+        the delay moves it is that at the worst of some constant delays, from the given ones up.
         """
-        boundary = boundary_of(self.loop, self.hands, mass, delay / self.loop.sample_time)
+        boundary = self._boundary(mass, delay)
         limits = boundary.largest_stiffness(damping)
         inside = damping < boundary.largest_damping()[..., None]
         return np.where(inside & np.isfinite(limits), limits, 0.0)
 
+    def _boundary(self, mass: np.ndarray, delay: np.ndarray) -> Boundary:
+        """Return the boundary at delays in s, and where they move at some that are longer."""
+        samples = delay / self.loop.sample_time
+        return boundary_of(self.loop, self.hands, mass, samples, self.grid.jitter)
+
     @property
     def granted(self) -> float:
-        """The mean granted stiffness over the mean stable one, over the whole range."""
+        """The mean granted stiffness over the mean stable one, over the whole range.
+
+        Where the delay moves, stable is what some constant delays of the range all allow.
+        """
         mass, delay = (
             low + (high - low) * (np.arange(_SAMPLES) + 0.5) / _SAMPLES
-            for low, high in (self.mass, self.delay)
+            for low, high in (self.mass, self._delays)
         )
-        boundary = boundary_of(self.loop, self.hands, mass, delay / self.loop.sample_time)
-        share = (np.arange(_DAMPINGS) + 0.5) / _DAMPINGS
-        damping = boundary.largest_damping()[..., None] * share
-        limits = boundary.largest_stiffness(damping)
-        exact = np.where(np.isfinite(limits), limits, 0.0)
-        proved = self.largest_stiffness(damping, mass=mass[:, None, None], delay=delay[:, None])
+        damping, exact = self._stable(mass, delay)
+        given = delay[:, None] if self.is_delay_constant else None
+        proved = self.largest_stiffness(damping, mass=mass[:, None, None], delay=given)
         return float(np.sum(proved) / np.sum(exact))
 
     @property
     def costliest(self) -> Costliest:
         """The corner of mass, delay and hand that costs most of the stiffness."""
-        mass, delay = np.array(self.mass), np.array(self.delay)
-        boundary = boundary_of(self.loop, self.hands, mass, delay / self.loop.sample_time)
-        share = (np.arange(_DAMPINGS) + 0.5) / _DAMPINGS
-        damping = boundary.largest_damping()[..., None] * share
-        exact = self.exact_stiffness(damping, mass=mass, delay=delay)
+        mass, delay = np.array(self.mass), np.array(self._delays)
+        damping, exact = self._stable(mass, delay)
         row, column = np.unravel_index(np.argmin(exact.max(axis=-1)), (2, 2))
         best = int(np.argmax(exact[row, column]))
         place = {"mass": mass[[row]], "delay": delay[[column]]}
@@ -170,14 +226,32 @@ class Guard:
             .item()
             for corner in corners
         ]
-        granted = self.largest_stiffness(damping[row, column], mass=mass[row], delay=delay[column])
+        given = float(delay[column]) if self.is_delay_constant else None
+        granted = self.largest_stiffness(damping[row, column], mass=mass[row], delay=given)
         return Costliest(
             float(mass[row]),
-            float(delay[column]),
+            given,
             tuple(corners[int(np.argmin(alone))].values()),
             float(granted.max()),
             float(exact[row, column, best]),
         )
+
+    @property
+    def _delays(self) -> Range:
+        """The range of delays along the grid: one that moves has but one place there."""
+        return self.delay if self.is_delay_constant else (self.delay[0], self.delay[0])
+
+    def _boundary(self, mass: np.ndarray, delay: np.ndarray) -> Boundary:
+        samples = delay / self.loop.sample_time
+        return boundary_of(self.loop, self.hands, mass, samples, self.grid.jitter)
+
+    def _stable(self, mass: np.ndarray, delay: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return some dampings at each mass and delay, and the largest stiffness there."""
+        boundary = self._boundary(mass, delay)
+        share = (np.arange(_DAMPINGS) + 0.5) / _DAMPINGS
+        damping = boundary.largest_damping()[..., None] * share
+        limits = boundary.largest_stiffness(damping)
+        return damping, np.where(np.isfinite(limits), limits, 0.0)
 
     def header(self, name: str, about: str = "", units: tuple[str, str, str] = _LINE) -> str:
         """A C99 header with NAME_clamp and NAME_largest_stiffness.
@@ -196,7 +270,10 @@ class Guard:
             if "*/" in text or printable(text, "\n") != text:  # it would end the comment
                 raise ValueError(f"{kind} is {shortened(text)}; give printable lines without '*/'.")
         grid, (stiffness_step, damping_step) = self.grid, self.units
-        masses, delays, rows = grid.limit.shape
+        kept = slice(None if self.is_delay_constant else 1)  # both nodes of a moving delay are one
+        tops, limits, granted = grid.top[:, kept], grid.limit[:, kept], self.rows[:, kept]
+        masses, delays, rows = limits.shape
+        kind = _CONSTANT if self.is_delay_constant else _MOVING
         values = {
             "NAME": name,
             "MACRO": name.upper(),
@@ -210,7 +287,6 @@ class Guard:
             "DELAY_LOW": repr(float(self.delay[0])),
             "DELAY_HIGH": repr(float(self.delay[1])),
             "PER_MASS": repr((masses - 1) / (self.mass[1] - self.mass[0])),
-            "PER_DELAY": repr((delays - 1) / (self.delay[1] - self.delay[0])),
             "STIFFNESS": repr(float(grid.limit.max())),
             "DAMPING": repr(float(grid.top.max())),
             "TOP_STEP": repr(damping_step),
@@ -219,17 +295,26 @@ class Guard:
             "D": str(delays),
             "B": str(rows),
             "M_CELLS": str(masses - 1),
-            "D_CELLS": str(delays - 1),
+            "D_CELLS": str(granted.shape[1]),
+            "D_NEXT": str(min(delays - 1, 1)),
             "M_LAST": str(masses - 2),
-            "D_LAST": str(delays - 2),
             "B_LAST": str(rows - 2),
             "ROWS": str(rows - 1),
-            "TOP": _table(grid.top / damping_step),
-            "GRANTED": _table(self.rows),
-            "LIMIT": _table(grid.limit / stiffness_step),
+            "TOP": _table(tops / damping_step),
+            "GRANTED": _table(granted),
+            "LIMIT": _table(limits / stiffness_step),
+            "PROVED": kind.proved,
+            "DELAY_PARAMETER": kind.parameter,
+            "DELAY": kind.argument,
+            "FIND_DELAY": kind.find,
         }
+        if self.is_delay_constant:
+            values["PER_DELAY"] = repr((delays - 1) / (self.delay[1] - self.delay[0]))
+            values["D_LAST"] = str(delays - 2)
         template = files("jaxstab.guard").joinpath("guard.h.in").read_text(encoding="utf-8")
-        text = re.sub(r"@([A-Z_]+)@", lambda match: values[match[1]], template)
+        for _ in range(2):  # what is put in has names of its own
+            template = re.sub(r"@([A-Z_]+)@", lambda match: values[match[1]], template)
+        text = template
         if len(text.encode()) > LARGEST_HEADER:
             raise ValueError(f"the header would have {len(text)} bytes; give fewer cells.")
         return text

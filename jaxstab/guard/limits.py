@@ -20,6 +20,7 @@ from jaxstab.ranges import HandRange
 from jaxstab.ranges.hands import spread_hands
 
 _ANGLES = 800
+_LATE = 5  # delays of a range
 _DEVICE_ANGLES = 1200  # devices have resonances
 _DEVICE_HANDS = 3  # along each range: behind a grip the worst one need not be at a corner
 _BEND = 1.5  # angles are closer to each other near 0
@@ -85,22 +86,28 @@ def boundary_of(
     hands: HandRange,
     mass: Float64[np.ndarray, " mass"],
     delay: Float64[np.ndarray, " delay"],
+    jitter: float = 0.0,
 ) -> Boundary:
-    """Return the boundary for devices of some masses, at delays in samples."""
+    """Return the boundary for devices of some masses, at delays in samples.
+
+    With ``jitter`` each hand is taken with some delays up to so many samples longer, too.
+    """
+    late = np.linspace(0.0, jitter, _LATE if jitter else 1)
     if loop.device is None:
-        return _of_masses(loop, hands, mass, delay)
+        return _of_masses(loop, hands, mass, delay, late)
     device = HeldDevice.from_device(loop.device, loop.sample_time)
-    return _of_devices(device, loop, hands, mass, delay)
+    return _of_devices(device, loop, hands, mass, delay, late)
 
 
 def _of_masses(
-    loop: LoopParameters, hands: HandRange, mass: np.ndarray, delay: np.ndarray
+    loop: LoopParameters, hands: HandRange, mass: np.ndarray, delay: np.ndarray, late: np.ndarray
 ) -> Boundary:
     period = loop.sample_time
-    corners = np.array(list(product(*(sorted(set(ends)) for ends in vars(hands).values()))))
+    corners = list(product(*(sorted(set(ends)) for ends in vars(hands).values()), late.tolist()))
+    corners = np.array(corners)
     moved = mass[:, None, None] + corners[:, 0]
     units = period**2 / moved, period / moved
-    lag = np.broadcast_to(delay[:, None], (*moved.shape[:1], len(delay), len(corners)))
+    lag = np.broadcast_to(delay[:, None] + corners[:, 3], (len(mass), len(delay), len(corners)))
     gamma = np.broadcast_to(corners[:, 1] * units[0], lag.shape)
     delta = np.broadcast_to((loop.device_damping + corners[:, 2]) * units[1], lag.shape)
     plant = quick_plant(gamma, delta, lag)
@@ -120,6 +127,7 @@ def _of_devices(
     hands: HandRange,
     mass: np.ndarray,
     delay: np.ndarray,
+    late: np.ndarray,
 ) -> Boundary:
     period = loop.sample_time
     units = np.full((1, 1, 1), period**2), np.full((1, 1, 1), period)
@@ -127,7 +135,11 @@ def _of_devices(
     arms = Arms(moved, springs * period**2, dampers * period)
 
     def stiffness(theta: Angles) -> Complex128[np.ndarray, "mass delay hand angle"]:
-        return np.stack([-1.0 / device.response(one, arms, delay, theta) for one in mass])
+        responses = [
+            np.concatenate([device.response(one, arms, delay + by, theta) for by in late], axis=1)
+            for one in mass
+        ]
+        return -1.0 / np.stack(responses)
 
     return _boundary(loop, stiffness, units, _DEVICE_ANGLES)
 

@@ -483,24 +483,31 @@ _POINTS = 400
 def guard_figure(guard: Guard, units: Units = Units.LINE) -> Figure:
     """The largest stiffness over the damping: exact, and as granted by the guard.
 
-    On the left for delays of the range, at the middle mass, on the right for masses, at the middle
-    delay.
+    For masses of the range, at the middle delay or for a delay that moves; where it is constant, on
+    the left for delays, at the middle mass.
     """
     figure = Figure(figsize=_SIZE, layout="constrained")
-    left, right = figure.subplots(1, 2, sharey=True)
-    middle = float(np.mean(guard.mass)), float(np.mean(guard.delay))
-    for delay, colour in _coloured(guard.delay):
-        _draw(left, guard, (middle[0], delay), colour, f"{1e3 * delay:.3g} ms")
-    for mass, colour in _coloured(guard.mass):
-        _draw(right, guard, (mass, middle[1]), colour, f"{mass:.3g} {units.kilogram}")
-    left.set_title(f"delays, at {middle[0]:.3g} {units.kilogram}")
-    right.set_title(f"{units.moved} of the device, at {1e3 * middle[1]:.3g} ms")
+    panels = figure.subplots(1, 1 + guard.is_delay_constant, sharey=True, squeeze=False)[0]
+    left, right = panels[0], panels[-1]
+    mass, delay = float(np.mean(guard.mass)), None
+    low, high = (f"{1e3 * end:.3g}" for end in guard.delay)
+    title = f"a delay that moves between {low} and {high} ms"
+    if guard.is_delay_constant:
+        delay = float(np.mean(guard.delay))
+        for one, colour in _coloured(guard.delay):
+            _draw(left, guard, (mass, one), colour, f"{1e3 * one:.3g} ms")
+        left.set_title(f"delays, at {mass:.3g} {units.kilogram}")
+        title = f"{1e3 * delay:.3g} ms"
+    for one, colour in _coloured(guard.mass):
+        _draw(right, guard, (one, delay), colour, f"{one:.3g} {units.kilogram}")
+    right.set_title(f"{units.moved} of the device, at {title}")
     left.set_ylabel(f"largest stiffness K ({units.stiffness}), for all hands")
-    for panel in (left, right):
+    edge = "where a hand becomes unstable" + ("" if delay else " at a constant delay")
+    for panel in panels:
         panel.set_xlabel(f"damping B ({units.damping})")
         panel.set_ylim(0.0, None)
         panel.set_xlim(0.0, None)
-        panel.plot([], [], color="black", lw=0.8, ls="--", label="where a hand becomes unstable")
+        panel.plot([], [], color="black", lw=0.8, ls="--", label=edge)
         panel.plot([], [], color="black", lw=1.6, label="granted, proved stable")
         panel.legend(fontsize=8)
     return figure
@@ -512,13 +519,12 @@ def _coloured(ends: tuple[float, float]) -> list[tuple[float, object]]:
 
 
 def _draw(
-    panel: Axes, guard: Guard, place: tuple[float, float], colour: object, label: str
+    panel: Axes, guard: Guard, place: tuple[float, float | None], colour: object, label: str
 ) -> None:
     mass, delay = place
     damping = np.linspace(0.0, 1.1 * float(guard.grid.top.max()), _POINTS)
-    exact = guard.exact_stiffness(
-        damping[None, None], mass=np.array([mass]), delay=np.array([delay])
-    )[0, 0]
+    delays = np.array([guard.delay[0] if delay is None else delay])
+    exact = guard.exact_stiffness(damping[None, None], mass=np.array([mass]), delay=delays)[0, 0]
     panel.plot(damping, np.where(exact > 0.0, exact, np.nan), color=colour, lw=0.8, ls="--")
     granted = guard.largest_stiffness(damping, mass=mass, delay=delay)
     panel.plot(damping, np.where(granted > 0.0, granted, np.nan), color=colour, lw=1.6, label=label)

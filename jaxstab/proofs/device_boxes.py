@@ -6,6 +6,14 @@ With s = i theta, position over force N/D (``HeldDevice``) and the wall's H = al
 
 R the sum of aliases, vanishes on the circle where the characteristic polynomial does (lemma B20 of
 docs/proofs.md). F is real at theta = 0, where a free device has its root without a wall.
+
+If the delay moves from sample to sample, from d to d + J samples, F has to be farther from 0 than
+
+    rho = J |2 sin(theta/2)| |H| (|N| + |D| R'),
+
+R' the sum of the moduli of the aliases' responses (lemma J3): a disc around F. Along the stiffness
+F is affine and rho convex, so a straight line that parts the discs of two walls from 0 parts those
+of all walls between them.
 """
 
 from collections.abc import Callable
@@ -329,6 +337,7 @@ class DeviceBoxes:
         extent: returns the ``Extent`` of boxes, for their middles and half-widths.
         first_row: which of them begin with no wall; then boxes hold all stiffnesses from none up
             to that of the extent. Without it they hold that stiffness alone.
+        jitter: by how many samples the delay may exceed that of the extent, in each sample anew.
 
     Raises:
         NotImplementedError: the device is of another kind, or has modes far above half of the
@@ -343,7 +352,9 @@ class DeviceBoxes:
         arm: Range,
         extent: Callable[[Boxes, Boxes], Extent],
         first_row: FirstRow | None = None,
+        jitter: float = 0.0,
     ) -> None:
+        self._jitter = jitter * _ROUNDED_UP
         self._period = float(loop.sample_time)
         self._device = HeldDevice.from_device(device, self._period)
         self._extent, self._first_row = extent, first_row
@@ -390,11 +401,15 @@ class DeviceBoxes:
         place, alpha, beta = self._parts(center, half)
         above, below = self._device.parts(place.theta * 1j, place.mass, place.arm)
         others = self._others(place, aliases)
-        force = sinc(place.theta).value * above + sine(place.theta) * below * others
+        force = sinc(place.theta).value * above + sine(place.theta) * below * others.total
         force = phasor(place.theta * (place.delay + 0.5)) * force
         position, velocity = self._filters(place.theta)
-        none = below + beta * velocity.value * force
-        most = none + alpha * position.value * force
+        damper, spring = beta * velocity.value, alpha * position.value
+        none = below + damper * force
+        most = none + spring * force
+        late = sine(place.theta).size * self._late(above, below, others)
+        none = _widened(none, late * damper.size)
+        most = _widened(most, late * (damper + spring).size)
         return (most if self._first_row is None else none), most
 
     def _are_slow(self, center: Boxes, half: Boxes) -> tuple[Bool[np.ndarray, " box"], Boxes]:
@@ -403,10 +418,10 @@ class DeviceBoxes:
         above, below = self._device.parts(_moving_s(place.theta), place.mass, place.arm)
         damper, most = self._walls(place.theta, alpha, beta)
         least = most if self._first_row is None else damper
-        force = self._force(place, above)
-        others = below.value.size * self._others(place, self._slow).size
+        force, others = self._force(place, above), self._others(place, self._slow)
+        taken_away = below.value.size * others.total.size + self._late(above, below, others)
         free, shares = _rising(
-            [((below + wall * force).rate, wall.value.size * others) for wall in (least, most)]
+            [((below + wall * force).rate, wall.value.size * taken_away) for wall in (least, most)]
         )
         return free & ((self._first_row is not None) | (alpha.low > 0.0)), shares
 
@@ -423,10 +438,11 @@ class DeviceBoxes:
         one = _known(np.ones_like(center[0]))
         turned = conjugate(one * above * self._device.lag(place.theta * 1j))
         others = self._others(place, aliases)
-        force = sinc(place.theta).value * above + sine(place.theta) * below * others
+        force = sinc(place.theta).value * above + sine(place.theta) * below * others.total
         force = phasor(place.theta * (place.delay + 0.5)) * force * turned
+        late = sine(place.theta).size * self._late(above, below, others) * turned.size
         walls = self._walls(place.theta, *self._wall_of_first_row(center, half))
-        return _rising([(wall.value * force, 0.0) for wall in walls], below)
+        return _rising([(one.value * force, one.value.size * late) for one in walls], below)
 
     def _grow_slowly(self, center: Boxes, half: Boxes) -> tuple[Bool[np.ndarray, " box"], Boxes]:
         """Say the same next to theta = 0, by the derivative."""
@@ -437,10 +453,19 @@ class DeviceBoxes:
         turned = one * above * self._device.lag(s)
         turned = Moving(conjugate(turned.value), conjugate(turned.rate))
         force = self._force(place, above) * turned
-        others = below.value.size * turned.value.size * self._others(place, self._slow).size
+        others = self._others(place, self._slow)
+        taken_away = below.value.size * others.total.size + self._late(above, below, others)
+        taken_away = taken_away * turned.value.size
         walls = self._walls(place.theta, *self._wall_of_first_row(center, half))
-        rates = [((wall * force).rate, wall.value.size * others) for wall in walls]
+        rates = [((wall * force).rate, wall.value.size * taken_away) for wall in walls]
         return _rising(rates, below.value)
+
+    def _late(self, above: Function, below: Function, others: "_Others") -> np.ndarray:
+        """Return a bound of J (|N| + |D| R')."""
+        if not self._jitter:
+            return np.zeros_like(others.moduli)  # though a size may be infinite
+        late: np.ndarray = self._jitter * (_size(above) + _size(below) * others.moduli)
+        return late * _ROUNDED_UP
 
     def _force(self, place: _Place, above: Any) -> Moving:
         """Return the held force behind the delay times N, without aliases."""
@@ -485,20 +510,22 @@ class DeviceBoxes:
         back = phasor(theta)
         return Moving(one, none), Moving(1.0 - back, back * 1j)
 
-    def _others(self, place: _Place, aliases: "_Aliases") -> LinearModel:
-        """Return R."""
+    def _others(self, place: _Place, aliases: "_Aliases") -> "_Others":
+        """Return R and R'."""
         discs = place.as_discs()
-        total = _known(np.zeros(place.theta.centre.shape, complex))
-        total = LinearModel(total.centre, total.slope, total.rest + aliases.tail, total.half)
-        for turns, most in aliases.followed:
+        total = _widened(_known(np.zeros(place.theta.centre.shape, complex)), aliases.tail)
+        moduli = np.full(place.theta.centre.shape, aliases.tail_of_moduli)
+        for turns, nearest, most in aliases.followed:
             # The nearest one is followed along the axes.
             one = self._alias(place if turns == -1 else discs, turns)
+            angle = place.theta + 2.0 * pi * turns
+            moduli = moduli + np.minimum(one.size * angle.size, most * nearest)
             is_known = one.swing < most
             centre = np.where(is_known, one.centre, 0.0)
             slope = np.where(is_known, one.slope, 0.0)
             one = LinearModel(centre, slope, np.where(is_known, one.rest, most), one.half)
             total = total + on_axes_of(one, total)
-        return total
+        return _Others(total, moduli * _ROUNDED_UP)
 
     def _alias(self, place: _Place, turns: int) -> LinearModel:
         angle = place.theta + 2.0 * pi * turns
@@ -507,15 +534,24 @@ class DeviceBoxes:
         return above * wave * (below * angle).reciprocal()
 
 
+class _Others(NamedTuple):
+    """R, and a bound of R'."""
+
+    total: LinearModel
+    moduli: np.ndarray
+
+
 class _Aliases(NamedTuple):
     """The aliases whose sum is R.
 
-    ``followed`` are those that are followed, as k of theta + 2 pi k, each with a bound; ``tail`` is
-    a bound of the sum of all others.
+    ``followed`` are those that are followed, as k of theta + 2 pi k, each with the least modulus of
+    that angle and a bound; ``tail`` is a bound of the sum of all others, ``tail_of_moduli`` of what
+    they add to R'.
     """
 
-    followed: tuple[tuple[int, float], ...]
+    followed: tuple[tuple[int, float, float], ...]
     tail: float
+    tail_of_moduli: float
 
     @classmethod
     def of(
@@ -539,12 +575,13 @@ class _Aliases(NamedTuple):
                 f"frequencies: {device}."
             )
         tail = most * (near**-3 + far**-3 + 1.0 / (2.0 * pi * far**2)) * _ROUNDED_UP
+        moduli = most * (near**-2 + far**-2 + 1.0 / (pi * far)) * _ROUNDED_UP
         followed = []
         for turns in [sign * k for k in range(1, count + 1) for sign in (-1, 1)]:
             nearest = 2.0 * pi * abs(turns) - (last if turns < 0 else 0.0)
             most = device.largest_compliance(mass, arm, nearest)
-            followed.append((turns, most / nearest**3 * _ROUNDED_UP))
-        return cls(tuple(followed), tail)
+            followed.append((turns, nearest, most / nearest**3 * _ROUNDED_UP))
+        return cls(tuple(followed), tail, moduli)
 
 
 # ------------------------------------------------------------------------------------------ models
@@ -566,6 +603,17 @@ def _rising(
         is_far = np.abs(below.centre) > _FAR * below.swing
         taken_there = np.where((np.minimum(*most) > 0.0) & ~is_far, taken_there, 0.0)
     return np.minimum(*clear) > 0.0, taken_there
+
+
+def _widened(model: LinearModel, by: Any) -> LinearModel:
+    """Return all functions that are so close to those of a model."""
+    return replace(model, rest=model.rest + by)
+
+
+def _size(part: Any) -> Any:
+    """Return a bound of the modulus of a function, with its derivative or without, or a number."""
+    part = part.value if isinstance(part, Moving) else part
+    return part.size if isinstance(part, LinearModel) else abs(part)
 
 
 def _moving_s(theta: LinearModel) -> Moving:

@@ -7,7 +7,7 @@ from math import prod
 import numpy as np
 
 from jaxstab.guard import Guard, build_guard
-from jaxstab.guard.build import CELLS, plan_guard
+from jaxstab.guard.build import CELLS, CONSTANT_CELLS, plan_guard
 from jaxstab.guard.guard import LARGEST_HEADER
 from jaxstab.model.parameters import LONGEST_DELAY
 from jaxstab.scene.answers import basis_of
@@ -17,7 +17,7 @@ from jaxstab.scene.scene import Scene
 Range = tuple[float, float]
 
 _MASSES = 0.8, 1.25  # of the scene's: what postures may make of it
-_DELAYS = 1.0  # samples beside the scene's
+_DELAYS = 1.0  # samples beside the scene's if it is constant, and beyond it if it moves
 _DEVICE_MASSES, _DEVICE_DELAYS = (0.96, 1.04), 0.1  # the same with modes, an actuator or a grip
 _DEVICE_CELLS = 1, 1, 16
 _FAR = 10.0  # masses beyond this multiple of the scene's are more likely a slip of the unit
@@ -29,22 +29,26 @@ def scene_guard(
     masses: Range | None = None,
     delays: Range | None = None,
     *,
+    lost: int = 0,
+    constant_delay: bool = False,
     progress: Callable[[float], None] | None = None,
     cells: tuple[int, int, int] | None = None,
 ) -> Guard:
     """The guard of a scene, for its hands: see ``jaxstab.build_guard``.
 
     The masses, in kg, are by default those of the scene, and if that is a single one 0.8 to 1.25
-    times it, the delays, in s, one sample less to one sample more than the scene's; for a device
-    with modes, an actuator or a grip 0.96 to 1.04, and a tenth of a sample. The cells are by
-    default those of ``build_guard``, a single one of mass and delay for such a device. ``progress``
-    is called with the completed share of the proof.
+    times it. The delays, in s, are by default the scene's to one sample more, and one sample less
+    to one sample more if the delay is constant. For a device with modes, an actuator or a grip it
+    is 0.96 to 1.04, and a tenth of a sample. The cells are by default those of ``build_guard``, a
+    single one of mass and delay for such a device. ``progress`` is called with the completed share
+    of the proof.
     """
     _check_size(scene, delays, cells)
     loop = loop_of(scene)
     is_plain = is_one_mass(scene)
     shares, beside = (_MASSES, _DELAYS) if is_plain else (_DEVICE_MASSES, _DEVICE_DELAYS)
     mass, delay, period = scene.device.effective_mass[0], loop.delay, loop.sample_time
+    shortest = max(delay - beside * period, 0.0) if constant_delay else delay
     if masses and not (masses[0] <= _FAR * mass and mass <= _FAR * masses[1]):
         unit = scene.units.kilogram
         warnings.warn(
@@ -56,9 +60,11 @@ def scene_guard(
         loop,
         range_of_hands(scene),
         mass=masses or masses_of(scene) or (shares[0] * mass, shares[1] * mass),
-        delay=delays or (max(delay - beside * period, 0.0), delay + beside * period),
+        delay=delays or (shortest, delay + beside * period),
+        lost=lost,
+        constant_delay=constant_delay,
         progress=progress,
-        cells=cells or _cells_of(scene),
+        cells=cells or _cells_of(scene, constant_delay),
     )
 
 
@@ -77,13 +83,15 @@ def _check_size(scene: Scene, delays: Range | None, cells: tuple[int, int, int] 
         )
 
 
-def guard_plan(scene: Scene, cells: tuple[int, int, int] | None = None) -> str:
+def guard_plan(scene: Scene, constant_delay: bool, cells: tuple[int, int, int] | None) -> str:
     """Describe what ``scene_guard`` will compute, and about how long that takes."""
-    return str(plan_guard(loop_of(scene), cells or _cells_of(scene)))
+    return str(plan_guard(loop_of(scene), cells or _cells_of(scene, constant_delay)))
 
 
-def _cells_of(scene: Scene) -> tuple[int, int, int]:
-    return CELLS if is_one_mass(scene) else _DEVICE_CELLS
+def _cells_of(scene: Scene, constant_delay: bool) -> tuple[int, int, int]:
+    if not is_one_mass(scene):
+        return _DEVICE_CELLS
+    return CONSTANT_CELLS if constant_delay else CELLS
 
 
 def guard_about(scene: Scene, guard: Guard) -> str:
@@ -93,7 +101,7 @@ def guard_about(scene: Scene, guard: Guard) -> str:
     return "\n".join(
         [
             _line(f"{units.moved} of the device", guard.mass, units.kilogram),
-            _line("delay", guard.delay, "s"),
+            _line(_delay_of(guard), guard.delay, "s"),
             f"damping of the device: {scene.device.damping:g} {units.damping}",
             *_beside_a_mass(scene),
             f"sample time: {guard.loop.sample_time:g} s",
@@ -108,16 +116,25 @@ def guard_about(scene: Scene, guard: Guard) -> str:
     )
 
 
+def _delay_of(guard: Guard) -> str:
+    if guard.is_delay_constant:
+        return "delay, constant during contact"
+    lost = f", up to {guard.lost} samples lost in a row" if guard.lost else ""
+    return f"delay, moving from sample to sample{lost}"
+
+
 def _granted(scene: Scene, guard: Guard) -> list[str]:
     """Return what share of the stable walls is granted, and where it is least, in lines."""
     units, least = scene.units, guard.costliest
     mass, stiffness, damping = (f"{number:g}" for number in least.hand)
     proved = float(np.diff(guard.rows).mean()) / guard.grid.cells[2]
     left = f"Nothing is proved, and granted, in {100.0 * (1.0 - proved):.1f} % of the table."
+    at = "any delay" if least.delay is None else f"a delay of {least.delay:g} s"
+    stable = "the stable stiffness" if guard.is_delay_constant else "what constant delays allow"
     return [
-        f"It grants {100.0 * guard.granted:.1f} % of the stable stiffness, in the mean.",
+        f"It grants {100.0 * guard.granted:.1f} % of {stable}, in the mean.",
         *([left] if proved < 1.0 else []),
-        f"The least stiff corner: {least.mass:g} {units.kilogram}, a delay of {least.delay:g} s,",
+        f"The least stiff corner: {least.mass:g} {units.kilogram}, {at},",
         f"limited by a hand of {mass} {units.kilogram}, {stiffness} {units.stiffness} and "
         f"{damping} {units.damping}.",
         f"It grants {least.granted:.4g} {units.stiffness} there, of {least.exact:.4g}.",
