@@ -601,25 +601,19 @@ def _cells(_: click.Context, option: click.Parameter, text: str | None) -> Any:
     "constant; a tenth of one for such a device.",
 )
 @click.option(
-    "--constant-delay",
-    is_flag=True,
-    help="Prove walls for delays that do not change during contact; the function takes the delay.",
-)
-@click.option(
-    "--lost-samples",
-    "lost",
-    type=click.IntRange(0),
-    default=0,
-    help="How many samples in a row may never arrive.",
-)
-@click.option(
     "--cells", callback=_cells, help="Cells along mass, delay and damping: powers of two."
 )
 @click.option("--plot", type=Path, callback=picture_file, help="PNG or SVG file of the limits.")
 def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
-    """Write a C header that clamps K and B to what is proved stable, for a running loop."""
+    """Write a C header that clamps K and B to what is proved stable, for a running loop.
+
+    Its walls are proved for every sequence of the delays; with --constant-delay for delays that do
+    not change during contact, and the function takes the delay.
+    """
     if len(given["files"]) > 1 or given["sweep"] or given["csv_file"] or as_json:
         raise click.UsageError("a guard is of one scene; give one FILE, no --sweep, --csv, --json.")
+    kind: Any = {"constant_delay": given["constant_delay"] is not None}
+    kind["lost"] = given.pop("lost_samples") or 0  # beside one delay of the scene, too
     scene = scene_of(given)
     warn(*scene.unusual())
     from jaxstab.durable import publish
@@ -627,8 +621,7 @@ def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
     from jaxstab.scene.guard import guard_about, guard_plan, header_of, scene_guard
 
     name = checked_name(output.stem)  # before the proof, which takes long
-    cells, kind = given["cells"], {name: given[name] for name in ("lost", "constant_delay")}
-    ranges = given["masses"], given["delays"]
+    cells, ranges = given["cells"], (given["masses"], given["delays"])
     with _progress(guard_plan(scene, kind["constant_delay"], cells)) as show:
         made = scene_guard(scene, *ranges, **kind, progress=show, cells=cells)
     publish(header_of(scene, made, name).encode(), output)

@@ -9,9 +9,10 @@ import numpy as np
 from jaxstab.guard import Guard, build_guard
 from jaxstab.guard.build import CELLS, CONSTANT_CELLS, plan_guard
 from jaxstab.guard.guard import LARGEST_HEADER
+from jaxstab.loop import HapticLoop
 from jaxstab.model.parameters import LONGEST_DELAY
 from jaxstab.scene.answers import basis_of
-from jaxstab.scene.loops import is_one_mass, loop_of, masses_of, range_of_hands
+from jaxstab.scene.loops import is_one_mass, loop_of, masses_of, range_of_hands, with_delay
 from jaxstab.scene.scene import Scene
 
 Range = tuple[float, float]
@@ -37,17 +38,19 @@ def scene_guard(
     """The guard of a scene, for its hands: see ``jaxstab.build_guard``.
 
     The masses, in kg, are by default those of the scene, and if that is a single one 0.8 to 1.25
-    times it. The delays, in s, are by default the scene's to one sample more, and one sample less
-    to one sample more if the delay is constant. For a device with modes, an actuator or a grip it
-    is 0.96 to 1.04, and a tenth of a sample. The cells are by default those of ``build_guard``, a
-    single one of mass and delay for such a device. ``progress`` is called with the completed share
-    of the proof.
+    times it. The delays, in s, are by default the scene's range. If that is a single delay, they
+    are that one to one sample more, and one sample less to one sample more if it is constant. For a
+    device with modes, an actuator or a grip it is 0.96 to 1.04, and a tenth of a sample. The cells
+    are by default those of ``build_guard``, a single one of mass and delay for such a device.
+    ``progress`` is called with the completed share of the proof.
     """
     _check_size(scene, delays, cells)
-    loop = loop_of(scene)
+    loop, controller = _loop_of(scene), scene.controller
+    lost, constant_delay = lost or controller.lost_samples, _is_constant(scene, constant_delay)
     is_plain = is_one_mass(scene)
     shares, beside = (_MASSES, _DELAYS) if is_plain else (_DEVICE_MASSES, _DEVICE_DELAYS)
     mass, delay, period = scene.device.effective_mass[0], loop.delay, loop.sample_time
+    known = controller.delays
     shortest = max(delay - beside * period, 0.0) if constant_delay else delay
     if masses and not (masses[0] <= _FAR * mass and mass <= _FAR * masses[1]):
         unit = scene.units.kilogram
@@ -60,7 +63,7 @@ def scene_guard(
         loop,
         range_of_hands(scene),
         mass=masses or masses_of(scene) or (shares[0] * mass, shares[1] * mass),
-        delay=delays or (shortest, delay + beside * period),
+        delay=delays or (known if known[0] < known[1] else (shortest, delay + beside * period)),
         lost=lost,
         constant_delay=constant_delay,
         progress=progress,
@@ -85,7 +88,17 @@ def _check_size(scene: Scene, delays: Range | None, cells: tuple[int, int, int] 
 
 def guard_plan(scene: Scene, constant_delay: bool, cells: tuple[int, int, int] | None) -> str:
     """Describe what ``scene_guard`` will compute, and about how long that takes."""
-    return str(plan_guard(loop_of(scene), cells or _cells_of(scene, constant_delay)))
+    cells = cells or _cells_of(scene, _is_constant(scene, constant_delay))
+    return str(plan_guard(_loop_of(scene), cells))
+
+
+def _loop_of(scene: Scene) -> HapticLoop:
+    """Return the loop of a scene with its shortest delay."""
+    return loop_of(with_delay(scene, scene.controller.delays[0]))
+
+
+def _is_constant(scene: Scene, constant_delay: bool) -> bool:
+    return constant_delay or scene.controller.delay_is == "constant"
 
 
 def _cells_of(scene: Scene, constant_delay: bool) -> tuple[int, int, int]:
