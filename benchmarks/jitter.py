@@ -13,14 +13,17 @@ sequence found against it and of every constant delay.
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from matplotlib.figure import Figure
 
 import jaxstab
 from benchmarks.truth.moving import LOST, Moving, growth
 from jaxstab import HapticLoop, Velocity, Verdict
 
+PICTURE = Path(__file__).resolve().parents[1] / "docs" / "moving_delays.png"
 _PARTS = 8  # of a sample: delays are whole numbers of them
 _SIDE_BY_SIDE, _TURN, _TURNS = 24, 12, 40  # sequences, samples of a turn, turns
 _ROUNDS = 3  # of changes
@@ -54,7 +57,29 @@ def main(small: bool, points: int | None = None) -> int:
     print(", ".join(f"{name}: {count:,}" for name, count in sorted(counts.items())))
     for line in table(small):
         print(line)
+    if not small:
+        picture()
     return wrong
+
+
+def picture(path: Path = PICTURE) -> None:
+    """Draw the proved walls of some loops, and walls that are proved unstable, for the docs."""
+    figure = Figure(figsize=(9.0, 5.4), layout="constrained")
+    for row, (low, high) in zip(figure.subplots(2, 3), ((0.8, 1.2), (1.0, 2.0)), strict=True):
+        for panel, window in zip(row, (1, 5, 20), strict=True):
+            loop = omega(window, low)
+            loop.region(delays=(low * _T, high * _T)).plot(panel)
+            panel.get_legend().remove()
+            panel.set_title(f"window {window}, delays {low:g} to {high:g}", fontsize=9)
+    figure.legend(*panel.get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    figure.savefig(path, dpi=110)
+
+
+def omega(window: int, delay: float) -> HapticLoop:
+    """Return the loop of an omega-like device, with a delay in samples."""
+    velocity = Velocity.difference(samples=window)
+    held = {"device_mass": 0.25, "device_damping": 0.1, "sample_time": _T}
+    return HapticLoop(**held, delay=delay * _T, velocity=velocity)
 
 
 def random_case(rng: np.random.Generator) -> Case:
@@ -168,9 +193,7 @@ def table(small: bool) -> Iterator[str]:
     yield "|---|---|---|---|---|---|"
     for window in (20,) if small else (1, 5, 10, 20):
         for low, high in ((0.8, 1.2),) if small else ((1.0, 1.1), (0.8, 1.2), (1.0, 2.0)):
-            velocity = Velocity.difference(samples=window)
-            omega = {"device_mass": 0.25, "device_damping": 0.1, "sample_time": _T}
-            loop = HapticLoop(**omega, delay=low * _T, velocity=velocity)
+            loop = omega(window, low)
             stiffest = replace(loop, delay=high * _T).limits()
             for share in (1.0,) if small else (0.4, 1.0, 2.0):
                 yield _line(loop, window, (low, high), share * stiffest.at_damping)

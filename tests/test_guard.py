@@ -227,13 +227,13 @@ def test_no_sequence_of_delays_makes_a_wall_grow_that_a_header_grants(tmp_path: 
 
 @pytest.mark.campaign
 def test_of_208_requests_none_grows(tmp_path: Path) -> None:
-    """Clamped for constant delays, with the delay of the moment, 158 did."""
+    """Clamped for constant delays and asked with the delay 0, 88 did."""
     for given in ({}, {"lost": 1}):
         moving = build_guard(LIGHT, HandRange(), **RANGES, **given, cells=(1, 1, 16))
         assert grown(moving, tmp_path, "", 208) == 0
     constant = build_guard(LIGHT, HandRange(), **RANGES, cells=(1, 4, 16), constant_delay=True)
     assert grown(constant, tmp_path, ", 1e-3", 208) > 5
-    assert grown(constant, tmp_path, ", 0.0", 208) > 100
+    assert grown(constant, tmp_path, ", 0.0", 208) > 50
 
 
 @pytest.mark.usefixtures("little_work")
@@ -308,9 +308,11 @@ def test_numbers_that_are_none_and_numbers_out_of_range_leave_no_gains(
 
 
 @pytest.mark.parametrize("example", ["chai3d_guard.cpp", "ros2_control_guard.cpp"])
-def test_examples_compile_against_stubs(example: str, guard: Guard, tmp_path: Path) -> None:
+@pytest.mark.usefixtures("little_work")
+def test_examples_compile_against_stubs(example: str, tmp_path: Path) -> None:
     if shutil.which("g++") is None:
         pytest.skip("there is no g++")
+    guard = build_guard(LIGHT, HandRange(), **RANGES, cells=(1, 1, 4))
     (tmp_path / "omega_guard.h").write_text(guard.header("omega_guard"))
     words = ["g++", "-std=c++17", *STRICT, f"-I{tmp_path}", f"-I{ROOT / 'tests' / 'stubs'}"]
     source = ROOT / "docs" / "examples" / example

@@ -266,6 +266,53 @@ def test_no_wall_is_proved_that_a_constant_delay_of_the_range_makes_unstable() -
     assert np.count_nonzero(codes == Verdict.STABLE) > 400
 
 
+# ------------------------------------------------------------------------------------- regions
+def test_every_wall_of_a_region_is_proved_and_next_to_those_that_are_not() -> None:
+    random = np.random.default_rng(8)
+    for loop, delays in ((window(5), (0.8 * T, 1.2 * T)), (HapticLoop(**LIGHT), (0.0, T))):
+        region = loop.region(delays=delays)
+        walls = random.uniform(0.0, region.outline.max(axis=0), (400, 2)).T
+        inside = region.contains(*walls)
+        assert np.mean(inside) > 0.2
+        assert np.all(loop.verdict(*walls[:, inside], delays=delays) == Verdict.STABLE)
+        edge = region.outline[3:-1]
+        assert np.all(region.contains(*(edge * [1.0 - 1e-9, 1.0]).T))
+        assert not np.any(region.contains(*(edge * [1.0 + 1e-9, 1.0]).T))
+        proved = loop.verdict(*(edge * [1.04, 1.0]).T, delays=delays) == Verdict.STABLE
+        assert np.mean(proved) < 0.35  # where the edge bends most it is pulled in more
+        stiffness, damping = region.unstable[np.isfinite(region.unstable[:, 0])].T
+        assert np.all(loop.verdict(stiffness, damping, delays=delays) == Verdict.UNSTABLE)
+        assert "every wall of a polygon" in repr(region)
+        x, y = region.outline.T
+        assert np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) > 0.0  # counter-clockwise
+    none = HapticLoop(device=TOPPLING, sample_time=T, delay=20 * T).region(delays=(20 * T, 21 * T))
+    assert not none.contains(1.0, 1.0)
+    assert "no wall was found" in repr(none)
+    with pytest.raises(ValueError, match="nothing to draw"):
+        none.plot()
+
+
+def test_a_polygon_is_proved_up_to_the_limits_of_its_walls_and_no_further() -> None:
+    loop, delays = window(20), (0.8, 1.2)
+    device = sampled_device(FREE, T, delays[0])
+    filters = loop.velocity, Filter()
+    limits = loop.limits(delays=(0.8 * T, 1.2 * T))
+    center = np.array([limits.stiffness, limits.damping])
+    units = device.stiffness_unit, device.damping_unit
+    square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+
+    def is_proved(share: float, size: float) -> bool:
+        corners = center * [share, 1.0] * (1.0 + size * square) * units
+        jittered = delays[1] - delays[0]
+        return bool(jitter.are_polygons_stable(device, filters, corners[None], jittered)[0])
+
+    assert is_proved(0.99, 1e-3)
+    assert is_proved(0.6, 0.3)
+    assert not is_proved(1.01, 1e-3)
+    assert not is_proved(0.9, 0.15)
+    assert not is_proved(3.0, 1e-3)  # unstable at the shortest delay
+
+
 # ------------------------------------------------------------------------------------- margins
 def test_the_margin_is_proved_and_no_larger_than_that_of_a_constant_delay() -> None:
     for loop in (HapticLoop(**LIGHT), window(20, T), HapticLoop(device=DEVICES["mode"], **AT)):

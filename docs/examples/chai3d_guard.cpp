@@ -4,8 +4,8 @@
 //
 // CHAI3D 3.3 has a largest stiffness and damping of each device (cHapticDeviceInfo), the same for
 // all hands, postures and rates, and does not clamp to them. Here the maker's limits come first,
-// then those that are proved. The proof is for gains, mass and delay that are constant while the
-// wall is touched, so the guard is called once, when contact begins.
+// then those that are proved, for every sequence of delays. Gains and mass have to be constant while
+// the wall is touched, so the guard is called once, when contact begins, and its gains are held.
 #include "chai3d.h"
 #include "omega_guard.h"
 
@@ -32,8 +32,8 @@ public:
         if (inside && !touching_) {
             stiffness_ = stiffness < most_stiffness_ ? stiffness : most_stiffness_;
             damping_ = damping < most_damping_ ? damping : most_damping_;
-            // REFUSED: the mass or the delay is out of the proved ranges; both gains are 0.
-            code_ = omega_guard_clamp(&stiffness_, &damping_, mass, delay_);
+            // REFUSED: the mass is out of the proved range; both gains are 0.
+            code_ = omega_guard_clamp(&stiffness_, &damping_, mass);
         }
         touching_ = inside;
         const double force = inside ? -stiffness_ * position.z() - damping_ * velocity.z() : 0.0;
@@ -44,7 +44,6 @@ public:
 private:
     cGenericHapticDevicePtr device_;
     double most_stiffness_, most_damping_;
-    double delay_ = 0.001;  // s, from reading to writing with the transport: measured, constant
     double stiffness_ = 0.0, damping_ = 0.0;  // of this contact
     bool touching_ = false;
     int code_ = OMEGA_GUARD_UNCHANGED;

@@ -1,7 +1,7 @@
 // A ros2_control controller for one joint: a spring and a damper whose gains come from parameters
-// or from a topic, and pass a guard before they reach the motor. The proof is for gains, mass and
-// delay that are constant while the spring acts, so the guard is called once, at activation; new
-// gains take effect at the next activation. The header is made beforehand:
+// or from a topic, and pass a guard before they reach the motor. Its walls are proved for every
+// sequence of delays, but not for gains or a mass that change while the spring acts; so the guard is
+// called once, at activation, and new gains take effect at the next one. Made beforehand:
 //
 //     jaxstab guard wheel.toml -o omega_guard.h
 //
@@ -31,7 +31,7 @@ public:
         stiffness_ = wanted_stiffness_;
         damping_ = wanted_damping_;
         const bool is_refused
-            = omega_guard_clamp(&stiffness_, &damping_, mass_, delay_) == OMEGA_GUARD_REFUSED;
+            = omega_guard_clamp(&stiffness_, &damping_, mass_) == OMEGA_GUARD_REFUSED;
         return is_refused ? controller_interface::CallbackReturn::FAILURE
                           : controller_interface::CallbackReturn::SUCCESS;
     }
@@ -50,8 +50,7 @@ public:
 
 private:
     double wanted_stiffness_ = 500.0, wanted_damping_ = 5.0, rest_ = 0.0;
-    double mass_ = 0.25;    // kg: what the joint moves
-    double delay_ = 0.001;  // s: measured, constant
+    double mass_ = 0.25;  // kg: what the joint moves
     double stiffness_ = 0.0, damping_ = 0.0;  // granted, from activation on
 };
 

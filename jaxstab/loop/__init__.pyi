@@ -5,6 +5,7 @@ from .common import CommonWall as CommonWall
 from .common import common_region as common_region
 from .common import tune_for_all as tune_for_all
 from .jitter import MovingLimits as MovingLimits
+from .jitter import MovingRegion as MovingRegion
 from .jitter import WorstDelays as WorstDelays
 from .loop import HapticLoop as HapticLoop
 from .many import ManyLimits as ManyLimits

@@ -7,14 +7,14 @@ J2). Between the two it is UNDECIDED.
 
 from dataclasses import dataclass, replace
 from math import inf, isinf, nan
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int8
 
 from jaxstab.arrays import Array, Numbers, is_any_traced, named
 from jaxstab.conventions import Verdict
-from jaxstab.loop.region import TOLERANCE, wall_region
+from jaxstab.loop.region import TOLERANCE, WallRegion, wall_region
 from jaxstab.model import LoopParameters, checked_gain, require_x64
 from jaxstab.model.device import Device, SampledDevice, sampled_device
 from jaxstab.model.filters import Filters, given_filters
@@ -25,17 +25,24 @@ from jaxstab.numbers import checked_count, checked_number
 from jaxstab.point.verdicts import linear_verdict
 from jaxstab.proofs.jitter import (
     Walls,
+    are_polygons_stable,
     is_stable_for_all,
     largest_jitters,
 )
 from jaxstab.rounding import EPS
 from jaxstab.shown import shortened
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 DelayRange = tuple[float, float]  # in s
 _CONSTANT = 5  # constant delays of a range that are tried
 _GRID, _ZOOMS = 16, 3  # gains tried on each axis, and how often around the best damping
 _BISECTIONS = 12  # of a stiffness that is proved
 _COARSE = 9  # of one that is unstable
+_COLUMNS, _EVERY = 24, 3  # dampings of a region, and of walls that are proved unstable
+_LEAST = 1e-3  # of the stiffest wall: the least stiffness of a region
+_PULLS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3)  # by which the stiffest walls are lowered
 
 
 @dataclass(frozen=True, repr=False)
@@ -97,6 +104,63 @@ class MovingLimits:
         )
 
 
+@dataclass(frozen=True, repr=False, eq=False)
+class MovingRegion:
+    """Walls that are proved for every sequence of delays: a polygon, with all that is inside.
+
+    It is the largest one that a search finds, not the set of all such walls.
+
+    Attributes:
+        outline: (n, 2), K in N/m and B in N s/m, counter-clockwise; empty if no wall is proved.
+        unstable: (m, 2), walls that are proved unstable, at dampings of the outline: K is the
+            lowest one found there, infinite if none was. Between both nothing is known.
+
+    Example:
+        >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
+        >>> region = loop.region(delays=(0.0, 1e-3))
+        >>> region.contains(5000.0, [20.0, 60.0, 150.0]).tolist()
+        [True, True, False]
+        >>> region
+        MovingRegion: every wall of a polygon is proved for every sequence of delays
+          stiffest     K = 34502 N/m at B = 97.25 N s/m
+          most damped  B = 159.8 N s/m
+    """
+
+    outline: Float64[np.ndarray, "vertex 2"]
+    unstable: Float64[np.ndarray, "wall 2"]
+
+    def contains(self, stiffness: Numbers, damping: Numbers) -> Bool[np.ndarray, "*grid"]:
+        """Which walls are in the polygon; arrays of K in N/m and B in N s/m broadcast."""
+        given = np.broadcast_arrays(*(np.asarray(v, np.float64) for v in (stiffness, damping)))
+        if not len(self.outline):
+            return np.zeros(given[0].shape, bool)
+        (least, last), (_, first), *_ = self.outline
+        tops = self.outline[2:]
+        most = np.interp(given[1], tops[:, 1], tops[:, 0]) * (1.0 - 4.0 * EPS)
+        return (given[0] >= least) & (given[0] <= most) & (given[1] >= first) & (given[1] <= last)
+
+    def __repr__(self) -> str:
+        if not len(self.outline):
+            return "MovingRegion: no wall was found that is proved for every sequence of delays"
+        stiffest = self.outline[np.argmax(self.outline[:, 0])]
+        return (
+            "MovingRegion: every wall of a polygon is proved for every sequence of delays\n"
+            f"  stiffest     K = {stiffest[0]:.5g} N/m at B = {stiffest[1]:.4g} N s/m\n"
+            f"  most damped  B = {self.outline[:, 1].max():.4g} N s/m"
+        )
+
+    def plot(self, ax: "Axes | None" = None) -> "Axes":
+        """Draw the polygon, and walls that are proved unstable; axes of a new figure by default.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
+            >>> axes = loop.region(delays=(0.0, 1e-3)).plot()
+        """
+        from jaxstab.pictures.style import plot_moving_region
+
+        return plot_moving_region(self, ax)
+
+
 class MovingLoop(NamedTuple):
     """A loop whose delays lie in a range, in samples.
 
@@ -138,8 +202,12 @@ class MovingLoop(NamedTuple):
             np.asarray(checked_gain("stiffness", stiffness), np.float64),
             np.asarray(checked_gain("damping", damping), np.float64),
         )
-        units = self.device.stiffness_unit, self.device.damping_unit
-        return np.stack(grid, axis=-1).reshape(-1, 2) * units, grid[0].shape
+        return np.stack(grid, axis=-1).reshape(-1, 2) * self.units, grid[0].shape
+
+    @property
+    def units(self) -> tuple[float, float]:
+        """alpha/K and beta/B."""
+        return self.device.stiffness_unit, self.device.damping_unit
 
     def codes(self, walls: Walls) -> Int8[np.ndarray, " wall"]:
         """Return the verdicts on walls."""
@@ -201,32 +269,90 @@ def worst_delays(
 def limits_for_all(loop: LoopParameters, delays: Any, lost: Any) -> MovingLimits:
     """Return the stiffest proved wall that a search finds: ``HapticLoop.limits``."""
     moving = MovingLoop.of(loop, delays, lost)
-    region = wall_region(moving.loop, TOLERANCE)
-    region = region.main or region
-    corner = np.max(region.outline, axis=0, initial=0.0)
-
-    def is_allowed(gains: Walls) -> np.ndarray:
-        allowed = np.asarray(region.contains(*gains.T))
-        allowed[allowed] = moving.is_proved(moving.walls(*gains[allowed].T)[0])
-        return allowed
-
-    low, high, best = 0.0, corner[1], np.zeros(2)
+    search = _Search.of(moving)
+    low, high, best = 0.0, search.corner[1], np.zeros(2)
     for _ in range(_ZOOMS):
         dampings = np.linspace(low, high, _GRID + 1)[1:]
-        tried = np.outer(np.arange(1, _GRID + 1), np.full(_GRID, corner[0] / _GRID))
-        walls = np.stack(np.broadcast_arrays(tried, dampings), axis=-1)
-        allowed = is_allowed(walls.reshape(-1, 2)).reshape(tried.shape)
-        stiffest = np.max(np.where(allowed, tried, 0.0), axis=0)
-        for halving in range(1, _BISECTIONS):
-            more = stiffest + corner[0] / _GRID * 0.5**halving
-            stiffest = np.where(is_allowed(np.stack([more, dampings], axis=-1)), more, stiffest)
+        stiffest = search.stiffest(dampings)
         column, step = int(np.argmax(stiffest)), (high - low) / _GRID
         best = np.array([stiffest[column], dampings[column]])
-        low, high = max(best[1] - step, 0.0), min(best[1] + step, corner[1])
+        low, high = max(best[1] - step, 0.0), min(best[1] + step, search.corner[1])
     stiffness, damping = map(float, best)
     if stiffness == 0.0:
         return MovingLimits(nan, nan, nan)
     return MovingLimits(stiffness, damping, moving.lowest_unstable(stiffness, damping))
+
+
+def region_for_all(loop: LoopParameters, delays: Any, lost: Any) -> MovingRegion:
+    """Return a polygon of proved walls: ``HapticLoop.region``."""
+    # Between two dampings a trapezoid below the stiffest walls, pulled in until all of it is
+    # proved; it stays so where its neighbour lowers a corner.
+    moving = MovingLoop.of(loop, delays, lost)
+    search, most = _Search.of(moving), 0.0
+    for _ in range(2):  # the second time where walls are proved
+        most = most or search.corner[1]
+        dampings = np.linspace(0.0, most, _COLUMNS + 1)[1:]
+        tops = search.stiffest(dampings)
+        most = dampings[min(np.flatnonzero(tops)[-1] + 1, _COLUMNS - 1)] if tops.any() else 0.0
+    least, kept = _LEAST * np.max(tops), np.zeros(_COLUMNS - 1)
+    for pull in _PULLS:
+        lower = np.stack([tops[:-1], tops[1:]]) * (1.0 - pull)
+        chosen = np.flatnonzero((kept == 0.0) & np.all(lower > least, axis=0))
+        first, last = lower[:, chosen]
+        gains = np.full((chosen.size, 4, 2), least)
+        gains[:, 2, 0], gains[:, 3, 0] = last, first
+        gains[:, [0, 3], 1], gains[:, [1, 2], 1] = dampings[[chosen, chosen + 1]][..., None]
+        walls = gains * moving.units
+        proved = are_polygons_stable(moving.device, moving.filters, walls, moving.jitter)
+        kept[chosen[proved]] = 1.0 - pull
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], kept > 0.0, [False]])))
+    if not edges.size:
+        return MovingRegion(np.zeros((0, 2)), np.zeros((0, 2)))
+    areas = [np.sum(tops[first : last + 1]) for first, last in edges.reshape(-1, 2)]
+    first, last = edges.reshape(-1, 2)[int(np.argmax(areas))]
+    shares = np.minimum(np.append(kept[first:last], 1.0), np.append(1.0, kept[first:last]))
+    here = dampings[first : last + 1]
+    edge = np.stack([tops[first : last + 1] * shares, here], axis=-1)
+    lowest = [[moving.lowest_unstable(*wall), wall[1]] for wall in edge[::_EVERY].tolist()]
+    outline = np.concatenate([[[least, here[-1]], [least, here[0]]], edge])
+    return MovingRegion(outline, np.array(lowest))
+
+
+class _Search(NamedTuple):
+    """The search for walls that are proved, within the stable region of the shortest delay.
+
+    corner: the largest K and B of that region.
+    """
+
+    moving: MovingLoop
+    region: WallRegion
+    corner: Float64[np.ndarray, "2"]
+
+    @classmethod
+    def of(cls, moving: MovingLoop) -> "_Search":
+        """Return the search for the walls of a loop."""
+        region = wall_region(moving.loop, TOLERANCE)
+        region = region.main or region
+        return cls(moving, region, np.max(region.outline, axis=0, initial=0.0))
+
+    def stiffest(
+        self, dampings: Float64[np.ndarray, " damping"]
+    ) -> Float64[np.ndarray, " damping"]:
+        """Return the stiffest proved wall that was found at each damping; 0 if none was."""
+        tried = np.outer(np.arange(1, _GRID + 1), np.full(len(dampings), self.corner[0] / _GRID))
+        walls = np.stack(np.broadcast_arrays(tried, dampings), axis=-1)
+        allowed = self._is_allowed(walls.reshape(-1, 2)).reshape(tried.shape)
+        stiffest = np.max(np.where(allowed, tried, 0.0), axis=0)
+        for halving in range(1, _BISECTIONS):
+            more = stiffest + self.corner[0] / _GRID * 0.5**halving
+            is_more = self._is_allowed(np.stack([more, dampings], axis=-1))
+            stiffest = np.where(is_more, more, stiffest)
+        return stiffest
+
+    def _is_allowed(self, gains: Walls) -> Bool[np.ndarray, " wall"]:
+        allowed = np.asarray(self.region.contains(*gains.T))
+        allowed[allowed] = self.moving.is_proved(self.moving.walls(*gains[allowed].T)[0])
+        return allowed
 
 
 def jitter_margin(

@@ -13,10 +13,12 @@ from jaxstab.conventions import Verdict
 from jaxstab.loop.jitter import (
     DelayRange,
     MovingLimits,
+    MovingRegion,
     WorstDelays,
     jitter_margin,
     limits_for_all,
     moving_verdict,
+    region_for_all,
     simulate_moving,
     worst_delays,
 )
@@ -101,7 +103,19 @@ class HapticLoop(LoopParameters):
         (0.02, 0.2, 20.0)
     """
 
-    def region(self, *, tolerance: float = TOLERANCE) -> WallRegion:
+    @overload
+    def region(self, *, tolerance: float = TOLERANCE) -> WallRegion: ...
+
+    @overload
+    def region(self, *, delays: DelayRange, lost: int = 0) -> MovingRegion: ...
+
+    def region(
+        self,
+        *,
+        tolerance: float = TOLERANCE,
+        delays: DelayRange | None = None,
+        lost: int = 0,
+    ) -> WallRegion | MovingRegion:
         """The set of all stable walls, in its connected parts.
 
         A loop that JAX traces, without estimator and filter, is answered by
@@ -110,21 +124,28 @@ class HapticLoop(LoopParameters):
         Args:
             tolerance: largest distance between the outline and the boundary, as a share of the
                 region's diameter, > 1e-10. Everything else is measured on the exact boundary.
+            delays: as for ``verdict``; the answer is then a polygon of walls that are all proved
+                for every sequence of these delays, and ``tolerance`` is not used.
+            lost: as for ``verdict``.
 
         Returns:
-            WallRegion of NumPy arrays, with its status.
+            WallRegion of NumPy arrays, with its status; MovingRegion with ``delays``.
 
         Raises: see ``jaxstab.conventions``; ValueError also for a delay longer than 500 samples and
         for a device with zero DC gain: the boundary is computed from 1/G(0) on. TypeError if JAX
         traces a loop with an estimator or a filter; ``limits`` takes it.
 
-        Source: eq. (9) by the D-decomposition; see ``jaxstab.stable_region``.
+        Source: eq. (9) by the D-decomposition; see ``jaxstab.stable_region``. Lemmas J1 and J4 of
+        docs/proofs.md for delays that move.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
             >>> loop.region().status.words
             'the boundary closes to loops'
         """
+        if delays is not None or lost:
+            self._refuse_tracers("region with delays")
+            return region_for_all(self, delays, lost)
         if is_any_traced(self):
             return traced_region(self)
         return wall_region(self.in_floats(), tolerance)

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from jaxstab.loop import HapticLoop, WallRegion
+from jaxstab.loop import HapticLoop, MovingRegion, WallRegion
 from jaxstab.model.filters import given_filters
 from jaxstab.region import StableRegion
 
@@ -120,6 +120,22 @@ def plot_region(region: Region, ax: Axes | None = None) -> Axes:
     is_in_si_units = isinstance(region, WallRegion)
     panel.set_xlabel(_STIFFNESS_LABEL if is_in_si_units else ALPHA_LABEL)
     panel.set_ylabel(_DAMPING_LABEL if is_in_si_units else BETA_LABEL)
+    return panel
+
+
+def plot_moving_region(region: MovingRegion, ax: Axes | None = None) -> Axes:
+    """Draw proved walls of a delay that moves, and unstable ones; ValueError if it is empty."""
+    if not len(region.outline):
+        raise ValueError(f"there is nothing to draw: {region!r}.")
+    panel = new_axes() if ax is None else ax
+    outline = np.concatenate([region.outline, region.outline[:1]]).T
+    panel.fill(*outline, color=SKY, alpha=0.35, lw=0, label="stable for every sequence, proved")
+    panel.plot(*outline, color=BLUE, lw=1.2)
+    known = region.unstable[np.isfinite(region.unstable[:, 0])]
+    panel.plot(*known.T, "x", color=RED, ms=6, label="unstable for some sequence, proved")
+    top = 1.25 * float(region.outline[:, 1].max())  # room for the legend
+    panel.set(xlim=(0.0, None), ylim=(0.0, top), xlabel=_STIFFNESS_LABEL, ylabel=_DAMPING_LABEL)
+    panel.legend(fontsize=8, frameon=False, loc="upper right")
     return panel
 
 

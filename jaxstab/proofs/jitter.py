@@ -15,7 +15,9 @@ Both sides are enclosed over boxes of the angle, which are halved until the ineq
 of each: the circle is covered, not sampled.
 """
 
+from collections.abc import Callable
 from functools import lru_cache
+from itertools import pairwise
 from math import inf
 from typing import NamedTuple
 
@@ -53,6 +55,7 @@ _FIRST_BOXES = 64  # of half a turn
 _HALVINGS = 24
 _MOST_BOXES = 4096  # of a wall at once, beyond which it is given up
 _AT_ONCE = 1 << 16  # boxes, of all walls
+_TINY, _LOST, _ROUNDED_UP = 1e-300, 16.0 * EPS, 1.0 + 1e-9
 _THETA = np.pi * (np.arange(4096) + 0.5) / 4096  # where the largest jitter is looked for
 _CLOSE, _SMALLEST = 1e-4, 1e-9  # of the jitter, and in samples
 _SHARES = (1e-3, 1e-2, 0.05, 0.2, 0.5)  # by which it is lowered until it is proved
@@ -70,7 +73,35 @@ def is_stable_for_all(
     proved = np.asarray(codes == Verdict.STABLE)
     if jitter > 0.0 and proved.any():
         cells = MovingCells.of(device, filters, jitter)
-        proved[proved] = _is_contraction(cells, walls[proved])
+        chosen = walls[proved]
+
+        def judge(wall: Numbered, box: Numbered, boxes: int) -> tuple[np.ndarray, np.ndarray]:
+            more = excess(cells, chosen, (wall, box), boxes)
+            return more.low > 0.0, more.high < 0.0
+
+        proved[proved] = _covered(len(chosen), judge)
+    return proved
+
+
+def are_polygons_stable(
+    device: SampledDevice,
+    filters: Filters | None,
+    corners: Float64[np.ndarray, "polygon corner 2"],
+    jitter: float,
+) -> Bool[np.ndarray, " polygon"]:
+    """Which convex polygons of (alpha, beta) are proved stable for every sequence, all walls.
+
+    Over each box of the angle one straight line parts g, less discs of the radius sqrt(Q) |(1 - x)
+    H|, of all corners from 0, and so that of all walls between them (lemma J4).
+    """
+    codes = np.asarray(linear_verdict(*corners[:, 0].T, device.loop(filters)))
+    proved = np.asarray(codes == Verdict.STABLE)
+    cells, chosen = MovingCells.of(device, filters, jitter), corners[proved]
+
+    def judge(polygon: Numbered, box: Numbered, boxes: int) -> tuple[np.ndarray, np.ndarray]:
+        return _are_parted(cells, chosen, (polygon, box), boxes), np.zeros(box.shape, bool)
+
+    proved[proved] = _covered(len(chosen), judge)
     return proved
 
 
@@ -125,6 +156,21 @@ class MovingCells(NamedTuple):
         """Return what P and T V are multiplied with."""
         return walls * [1.0, self.per_velocity]
 
+    def over(self, box: Numbered, boxes: int) -> "OverBoxes":
+        """Return the loop over boxes of so many of half a turn."""
+        known, index = np.unique(box, return_inverse=True)
+        theta = np.pi * (known + 0.5) / boxes
+        half = np.full(theta.shape, 0.5 * np.pi / boxes) + 8.0 * EPS
+        index = np.ravel(index)
+        models = [
+            LinearModel(one.centre[index], one.slope[:, index], one.rest[index], one.half)
+            for part in (self.device, self.filters)
+            for one in OverCells.of(part, theta, half).values_along(1)
+        ]
+        late = variable(0, 1, theta[index], half[index]) * self.lag
+        free, force, *others = models
+        return OverBoxes(free, phasor(late) * force, *others)
+
     def squares(self, walls: Walls) -> Float64[np.ndarray, "wall angle"]:
         """Return |g|^2 / |(1 - x) H|^2 at some angles, without bounds."""
         free, force, change, _ = responses(self.device, _THETA)[0]
@@ -135,6 +181,22 @@ class MovingCells(NamedTuple):
         with np.errstate(all="ignore"):
             squares: np.ndarray = np.abs(g / (change * there)) ** 2
         return squares
+
+
+class OverBoxes(NamedTuple):
+    """The parts of g and of the inequality over boxes of the angle."""
+
+    free: LinearModel
+    force: LinearModel
+    change: LinearModel
+    response: LinearModel
+    position: LinearModel
+    velocity: LinearModel
+
+    def g(self, gains: Walls) -> tuple[LinearModel, LinearModel]:
+        """Return g and H of the wall of each box."""
+        wall = self.position * gains[:, 0] + self.velocity * gains[:, 1]
+        return self.free + self.force * wall, wall
 
 
 @lru_cache(maxsize=64)
@@ -172,28 +234,34 @@ def _in_cosines(
     return spoilt(total, rising, error * 2.0 ** len(rising))  # h^k has terms of 2^k in all
 
 
-def _is_contraction(cells: MovingCells, walls: Walls) -> Bool[np.ndarray, " wall"]:
-    """For which walls |g|^2 is proved to exceed Q |(1 - x) H|^2 on the whole circle."""
-    is_open = np.ones(len(walls), bool)
-    wall, box = (
+def _covered(
+    count: int, judge: Callable[[Numbered, Numbered, int], tuple[np.ndarray, np.ndarray]]
+) -> Bool[np.ndarray, " item"]:
+    """For which items something is proved on the whole circle, over boxes that are halved.
+
+    ``judge`` takes numbers of items, and of boxes of so many of half a turn; it returns in which of
+    them the item is proved, and in which it is refuted.
+    """
+    is_open = np.ones(count, bool)
+    item, box = (
         part.ravel()
-        for part in np.meshgrid(np.arange(len(walls)), np.arange(_FIRST_BOXES), indexing="ij")
+        for part in np.meshgrid(np.arange(count), np.arange(_FIRST_BOXES), indexing="ij")
     )
     for halving in range(_HALVINGS + 1):
         left = []
-        for first in range(0, wall.size, _AT_ONCE):
-            some = wall[first : first + _AT_ONCE], box[first : first + _AT_ONCE]
-            more = excess(cells, walls, some, _FIRST_BOXES << halving)
-            is_open[some[0][more.high < 0.0]] = False
-            left.append(~(more.low > 0.0))
-        unsure = np.concatenate(left) & is_open[wall] if left else np.zeros(0, bool)
-        wall, box = wall[unsure], box[unsure]
-        if not wall.size:
+        for first in range(0, item.size, _AT_ONCE):
+            some = item[first : first + _AT_ONCE], box[first : first + _AT_ONCE]
+            is_proved, is_refuted = judge(*some, _FIRST_BOXES << halving)
+            is_open[some[0][is_refuted]] = False
+            left.append(~is_proved)
+        unsure = np.concatenate(left) & is_open[item] if left else np.zeros(0, bool)
+        item, box = item[unsure], box[unsure]
+        if not item.size:
             return is_open
-        is_open &= np.bincount(wall, minlength=len(walls)) <= _MOST_BOXES
-        wall, box = np.repeat(wall, 2), np.repeat(2 * box, 2)
+        is_open &= np.bincount(item, minlength=count) <= _MOST_BOXES
+        item, box = np.repeat(item, 2), np.repeat(2 * box, 2)
         box[1::2] += 1
-    is_open[wall] = False
+    is_open[item] = False
     return is_open
 
 
@@ -202,21 +270,37 @@ def excess(
 ) -> LinearModel:
     """Return |g|^2 - Q |(1 - x) H|^2 of walls over boxes of so many of half a turn."""
     number, box = some
-    known, index = np.unique(box, return_inverse=True)
-    theta = np.pi * (known + 0.5) / boxes
-    half = np.full(theta.shape, 0.5 * np.pi / boxes) + 8.0 * EPS
-    index = np.ravel(index)
-    free, force, change, response, position, velocity = (
-        LinearModel(one.centre[index], one.slope[:, index], one.rest[index], one.half)
-        for part in (cells.device, cells.filters)
-        for one in OverCells.of(part, theta, half).values_along(1)
-    )
-    stiffness, damping = cells.gains(walls)[number].T
-    wall = position * stiffness + velocity * damping
-    late = variable(0, 1, theta[index], half[index]) * cells.lag
-    g = free + phasor(late) * force * wall
-    more: LinearModel = _square(g) - _real(response) * _square(change * wall)
+    over = cells.over(box, boxes)
+    g, wall = over.g(cells.gains(walls)[number])
+    more: LinearModel = _square(g) - _real(over.response) * _square(over.change * wall)
     return more
+
+
+def _are_parted(
+    cells: MovingCells,
+    corners: Float64[np.ndarray, "polygon corner 2"],
+    some: tuple[Numbered, Numbered],
+    boxes: int,
+) -> Bool[np.ndarray, " box"]:
+    """Where one of some straight lines parts the discs of all corners from 0."""
+    number, box = some
+    over = cells.over(box, boxes)
+    late = np.sqrt(np.maximum(_real(over.response).high, 0.0))
+    pairs = [over.g(cells.gains(walls)[number]) for walls in np.moveaxis(corners, 1, 0)]
+    centres = [g.centre for g, _ in pairs]
+    around = [g.rest + late * (over.change * wall).size * _ROUNDED_UP for g, wall in pairs]
+    nearest = np.full(box.shape, -inf)
+    sides = [1j * (b - a) for a, b in pairwise([*centres, centres[0]])]
+    for normal in (*centres, *sides):
+        normal = normal / np.maximum(np.abs(normal), _TINY)
+        far = [np.real(np.conj(normal) * centre) for centre in centres]
+        sign = np.where(sum(far) < 0.0, -1.0, 1.0)
+        distances = [
+            sign * one - np.sum(np.abs(np.real(np.conj(normal) * g.slope)) * g.half, axis=0) - rest
+            for one, (g, _), rest in zip(far, pairs, around, strict=True)
+        ]
+        nearest = np.maximum(nearest, np.minimum.reduce(distances))
+    return nearest > _LOST * np.max(np.abs(centres), axis=0)
 
 
 def _square(model: LinearModel) -> LinearModel:
