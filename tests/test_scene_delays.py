@@ -15,6 +15,7 @@ from benchmarks.truth.loop import spectral_radius
 from benchmarks.truth.moving import LOST, Moving, growth
 from jaxstab.conventions import Verdict
 from jaxstab.guard import build as guards
+from jaxstab.pictures.scene import scene_figure
 from jaxstab.scene import Scene, check_walls, loop_of, scene_limits
 from jaxstab.scene.limits import LimitsOverDelays
 
@@ -107,7 +108,6 @@ def test_bad_ranges_of_delays_are_refused(controller: dict[str, Any], words: str
     [
         ["tune"],
         ["design", "--stiffness", "1000"],
-        ["check", *ISSUE, "--plot", "picture.png"],
         ["check", *ISSUE, "--plot", "picture.png", "--sweep", "device.mass=0.1,0.2"],
     ],
 )
@@ -126,6 +126,39 @@ def test_commands_for_one_delay_refuse_a_range(
     assert remedy == ["--delay", "0.001", "--lost-samples", "0"]
     answer = run(*arguments, *LIGHT, *remedy)
     assert answer.exit_code in (0, 1)
+
+
+def test_pictures_are_of_one_delay_or_of_one_that_moves(tmp_path: Path) -> None:
+    file = tmp_path / "picture.png"
+    refused = run("check", *MOVING, *ISSUE, "--constant-delay", "--plot", file)
+    assert refused.exit_code == 2
+    assert "but a picture is for one constant delay; give one" in refused.stderr
+    assert not file.exists()
+    assert run("limits", *MOVING, *ISSUE, "--plot", file).exit_code == 0
+    assert file.stat().st_size > 10_000
+
+
+def test_the_picture_of_a_moving_delay_has_its_walls_in_its_units() -> None:
+    turning = scene({"inertia": 0.1, "damping": 0.05}, delay=[0.0, T])
+    turning["walls"] = {"soft": {"stiffness": 500.0, "damping": 5.0}}
+    figure = scene_figure(Scene.from_table(turning))
+    (panel,) = figure.axes
+    assert panel.get_xlabel() == "stiffness K (N m/rad)"
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert labels == [
+        "stable for every sequence, proved",
+        "unstable for some sequence, proved",
+        "elsewhere: not decided",
+        "wall, stable",
+    ]
+    outline = panel.patches[0].get_path().vertices
+    assert isinstance(outline, np.ndarray)
+    motions = [
+        TRUTH.positions(*(0.99 * wall), np.tile([[0, 8, 8, 8], [0, 0, 0, 8], [8, 8, 8, 8]], 500))
+        for wall in outline[:: len(outline) // 6]
+    ]
+    assert all(np.all(growth(motion, 4) < 1.0) for motion in motions)
+    assert "delay moves between 0 and 1 ms" in figure.get_suptitle()
 
 
 def test_files_for_one_delay_refuse_one_that_moves(tmp_path: Path) -> None:

@@ -462,8 +462,7 @@ def answer(file: Path, explain: bool, plot: Path | None, as_json: bool) -> int:
         for step in plan_scene(scene):
             click.echo(f"{'compute' if step.computed else 'skip':8}{step.what:36}{step.why}")
         return 0
-    if plot:
-        scene.controller.require_one_delay("a picture")
+    _require_picture(scene, plot)
     computed = {name: _computed(scene, name) for name in scene.wanted.answers}
     by_name = {name: replace(one, inputs=None) for name, one in computed.items()}
     answers = Answers(basis_of(scene), by_name)
@@ -479,13 +478,17 @@ def _answer(given: dict[str, Any], name: str, as_json: bool) -> int:
         answers = answer_many(given, FUNCTIONS[name], as_json)
         return 0 if all(one.all_stable for one in answers) else 1
     scene, plot = scene_of(given), given.get("plot")
-    if plot:
-        scene.controller.require_one_delay("a picture")
+    _require_picture(scene, plot)
     answer = _computed(scene, name)
     if plot:
         _draw(scene, answer, plot)
     _print(scene, answer, as_json)
     return 0 if answer.all_stable else 1
+
+
+def _require_picture(scene: "Scene", plot: Path | None) -> None:
+    if plot and not scene.controller.moves:
+        scene.controller.require_one_delay("a picture")
 
 
 def _draw(scene: "Scene", answer: Any, file: Path) -> None:

@@ -32,10 +32,20 @@ from jaxstab.pictures.style import (
     draw_linear_rule,
     draw_stable,
     plain,
+    plot_moving_region,
 )
 from jaxstab.scene.answers import Answer, Quantity, basis_of, in_words
-from jaxstab.scene.check import Check, WallCheck, at_lowest, check_walls, common_outline
+from jaxstab.scene.check import (
+    NOT_FOR_OTHERS,
+    Check,
+    WallCheck,
+    at_lowest,
+    check_walls,
+    common_outline,
+    loops_over_delays,
+)
 from jaxstab.scene.design import Design, delayed_loop, sampled_loop
+from jaxstab.scene.limits import LimitsOverDelays
 from jaxstab.scene.loops import (
     OneHand,
     corner_loops,
@@ -171,12 +181,14 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
     Passive walls, or walls stable for all hands, that are too small to be seen are enlarged in a
     separate panel. Of ``check_walls`` the walls' step responses are drawn in a separate panel, of
     ``scene_limits`` the bound for all hands, of ``tune_walls`` the best walls, and of
-    ``design_loop`` the wanted stiffness and the regions that just allow it. ValueError: no wall is
-    stable.
+    ``design_loop`` the wanted stiffness and the regions that just allow it. For a delay that moves
+    it has the walls that are proved for every sequence. ValueError: no wall is stable.
     """
-    judged = replace(scene, wanted=replace(scene.wanted, measures=()))
     checked = answer if isinstance(answer, Check) else None
-    loop, walls = loop_of(scene), (checked or check_walls(judged)).walls if scene.walls else {}
+    walls = _judged(scene, answer)
+    if scene.controller.moves:
+        return _moving_figure(scene, walls)
+    loop = loop_of(scene)
     everything = wall_region(loop)
     if everything.is_empty:
         raise ValueError("no wall is stable for this scene; there is nothing to draw.")
@@ -247,6 +259,42 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
         figure.draw_without_rendering()  # positions are known only now
         for panel in planes:
             name_walls(panel, walls)
+    return figure
+
+
+def _judged(scene: Scene, answer: Answer | None) -> Walls:
+    """Return the walls of a scene with their verdicts, of an answer that has them."""
+    if not scene.walls or isinstance(answer, Check | LimitsOverDelays):
+        return answer.walls if isinstance(answer, Check | LimitsOverDelays) else {}
+    return check_walls(replace(scene, wanted=replace(scene.wanted, measures=()))).walls
+
+
+def _moving_figure(scene: Scene, walls: Walls) -> Figure:
+    """Draw the walls that are proved for every sequence of delays, and those of the scene."""
+    controller, units = scene.controller, scene.units
+    (loop, _) = loops_over_delays(scene)
+    region = loop.region(delays=controller.delays, lost=controller.lost_samples)
+    figure = Figure(figsize=(_WIDTH, _HEIGHT), layout="constrained")
+    panel = plot_moving_region(region, figure.subplots())
+    panel.plot([], [], "s", mfc="white", mec=BLACK, ms=8, label="elsewhere: not decided")
+    draw_walls(panel, walls)
+    gains = np.array([(wall.stiffness, wall.damping) for wall in walls.values()]).reshape(-1, 2)
+    unstable = region.unstable[np.isfinite(region.unstable[:, 0])]
+    _set_window(panel, np.concatenate([region.outline, unstable, gains, np.zeros((1, 2))]))
+    panel.set_xlabel(f"stiffness K ({units.stiffness})")
+    panel.set_ylabel(f"damping B ({units.damping})")
+    legend = panel.get_legend()
+    assert legend is not None
+    legend.remove()
+    _draw_legend(figure, panel, 3)
+    basis = basis_of(scene)
+    remarks = [f"velocity: {basis.velocity}", f"delay {basis.range_of_delays}"]
+    remarks += [f"hand {hand}" for hand in [at_lowest(scene, NOT_FOR_OTHERS)] if hand]
+    width = int(_LETTERS * _WIDTH)
+    figure.suptitle("\n".join(fill(remark, width) for remark in remarks), fontsize=9)
+    if walls:
+        figure.draw_without_rendering()  # positions are known only now
+        name_walls(panel, walls)
     return figure
 
 
