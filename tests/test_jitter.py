@@ -1,5 +1,6 @@
 """Delays that move: proofs for every sequence, against simulations that share no code with them."""
 
+from itertools import product
 from math import inf
 
 import jax
@@ -9,7 +10,7 @@ from jaxtyping import Float64
 
 from benchmarks import jitter as campaign
 from benchmarks.truth.moving import LOST, Moving, growth, late_energy
-from jaxstab import Device, Filter, Hand, HapticLoop, Mode, Velocity, Verdict
+from jaxstab import Device, Filter, Hand, HandRange, HapticLoop, Mode, Velocity, Verdict
 from jaxstab.loop.jitter import MovingLoop
 from jaxstab.model.device import SampledDevice, sampled_device
 from jaxstab.model.device.late_forces import late_response
@@ -311,6 +312,36 @@ def test_a_polygon_is_proved_up_to_the_limits_of_its_walls_and_no_further() -> N
     assert not is_proved(1.01, 1e-3)
     assert not is_proved(0.9, 0.15)
     assert not is_proved(3.0, 1e-3)  # unstable at the shortest delay
+
+
+# --------------------------------------------------------------------------------------- hands
+HANDS = HandRange(mass=(0.0, 0.5), stiffness=(0.0, 300.0), damping=(0.5, 5.0))
+
+
+def test_a_limit_for_all_hands_is_proved_and_survives_attacks() -> None:
+    loop, delays = window(20), (0.75 * T, 1.25 * T)
+    limit = loop.robust_limit(HANDS, delays=delays)
+    assert limit.is_proved
+    assert 0.9 < limit.stiffness / limit.limit < 1.0
+    wall, random = (limit.stiffness, limit.damping), np.random.default_rng(9)
+    assert loop.worst_hand(HANDS, *wall, delays=delays).verdict == Verdict.STABLE
+    turns = np.array([random.integers(6, 11, 12) for _ in range(20)] + [np.tile([6, 10], 6)])
+    for corner in product(*vars(HANDS).values()):
+        mass, stiffness, damping = corner
+        held = Moving((1.0,), (0.25 + mass, 0.1 + damping, stiffness), T, 20)
+        assert np.all(growth(held.positions(*wall, np.tile(turns, (1, 200))), 12) < 1.0)
+    stiff = loop.worst_hand(HANDS, 1.1 * limit.limit, limit.damping, delays=delays)
+    assert stiff.verdict == Verdict.UNSTABLE
+
+
+def test_hands_and_masses_with_lost_samples_need_more_distance() -> None:
+    loop, hands = HapticLoop(**LIGHT), HandRange(damping=(0.1, 1.0))
+    moving = {"mass": (0.09, 0.11), "delays": (0.0, 0.5 * T)}
+    assert loop.worst_hand(hands, 4000.0, 15.0, **moving).verdict == Verdict.STABLE
+    assert loop.worst_hand(hands, 4000.0, 15.0, **moving, lost=3).verdict != Verdict.STABLE
+    assert loop.worst_hand(hands, 8000.0, 15.0, **moving, lost=3).verdict == Verdict.UNSTABLE
+    with pytest.raises(TypeError, match="give the shortest and the longest delay"):
+        loop.worst_hand(HandRange(), 4000.0, 15.0, lost=1)
 
 
 # ------------------------------------------------------------------------------------- margins

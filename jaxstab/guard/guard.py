@@ -189,11 +189,6 @@ class Guard:
         inside = damping < boundary.largest_damping()[..., None]
         return np.where(inside & np.isfinite(limits), limits, 0.0)
 
-    def _boundary(self, mass: np.ndarray, delay: np.ndarray) -> Boundary:
-        """Return the boundary at delays in s, and where they move at some that are longer."""
-        samples = delay / self.loop.sample_time
-        return boundary_of(self.loop, self.hands, mass, samples, self.grid.jitter)
-
     @property
     def granted(self) -> float:
         """The mean granted stiffness over the mean stable one, over the whole range.
@@ -273,7 +268,7 @@ class Guard:
         kept = slice(None if self.is_delay_constant else 1)  # both nodes of a moving delay are one
         tops, limits, granted = grid.top[:, kept], grid.limit[:, kept], self.rows[:, kept]
         masses, delays, rows = limits.shape
-        kind = _CONSTANT if self.is_delay_constant else _MOVING
+        words = _CONSTANT if self.is_delay_constant else _MOVING
         values = {
             "NAME": name,
             "MACRO": name.upper(),
@@ -303,10 +298,10 @@ class Guard:
             "TOP": _table(tops / damping_step),
             "GRANTED": _table(granted),
             "LIMIT": _table(limits / stiffness_step),
-            "PROVED": kind.proved,
-            "DELAY_PARAMETER": kind.parameter,
-            "DELAY": kind.argument,
-            "FIND_DELAY": kind.find,
+            "PROVED": words.proved,
+            "DELAY_PARAMETER": words.parameter,
+            "DELAY": words.argument,
+            "FIND_DELAY": words.find,
         }
         if self.is_delay_constant:
             values["PER_DELAY"] = repr((delays - 1) / (self.delay[1] - self.delay[0]))

@@ -103,8 +103,8 @@ def _of_masses(
     loop: LoopParameters, hands: HandRange, mass: np.ndarray, delay: np.ndarray, late: np.ndarray
 ) -> Boundary:
     period = loop.sample_time
-    corners = list(product(*(sorted(set(ends)) for ends in vars(hands).values()), late.tolist()))
-    corners = np.array(corners)
+    ends = (sorted(set(pair)) for pair in vars(hands).values())
+    corners = np.array(list(product(*ends, late.tolist())))
     moved = mass[:, None, None] + corners[:, 0]
     units = period**2 / moved, period / moved
     lag = np.broadcast_to(delay[:, None] + corners[:, 3], (len(mass), len(delay), len(corners)))

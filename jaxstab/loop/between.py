@@ -1,7 +1,7 @@
 """All loops between two: walls that each of them renders stably, proved."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial, reduce
 from itertools import product
 from math import inf, nan, pi
@@ -12,6 +12,7 @@ from jaxtyping import Float64, Int8, Int64
 
 from jaxstab.arrays import Numbers, joined
 from jaxstab.conventions import Verdict
+from jaxstab.loop.jitter import MovingLoop
 from jaxstab.loop.loop import HapticLoop
 from jaxstab.loop.region import TOLERANCE, WallRegion, wall_region
 from jaxstab.model import Device, Hand, checked_gain
@@ -354,7 +355,8 @@ _ROUNDED_UP = 1.0 + 1e-9
 class LoopsWithHands:
     """A loop with its device and all hands of a range, in place of its hand; a grip stays.
 
-    ``mass`` is the lowest and the highest mass of the device in kg, None for its own. Errors: as
+    ``mass`` is the lowest and the highest mass of the device in kg, None for its own. ``moving``
+    has the keywords ``delays`` and ``lost`` of a delay that moves. Errors: as
     ``HapticLoop.worst_hand``.
     """
 
@@ -362,6 +364,7 @@ class LoopsWithHands:
     device: Device
     hands: HandRange
     mass: Range | None = None
+    moving: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         checked_range(self.hands, self.mass)
@@ -381,7 +384,7 @@ class LoopsWithHands:
         wall = stiffness, damping
 
         def judge(_: int, rows: Hands) -> WorstHand:
-            return _worst_of([self._held(row) for row in rows], wall)
+            return _worst_of([self._held(row) for row in rows], wall, self.moving)
 
         def unproved(numbers: list[int]) -> dict[int, Hands]:
             try:
@@ -391,7 +394,7 @@ class LoopsWithHands:
 
         sampled = [judge(0, self._spread(_VALUES))]
         (worst,) = worst_of_range(sampled, unproved, judge, _MOST_TRIED)
-        if worst.verdict == Verdict.UNDECIDED and self._between is not None:
+        if worst.verdict == Verdict.UNDECIDED and not self.moving and self._between is not None:
             code, loop, _, radius = self._between.worst_loop(*wall)
             return WorstHand(code, loop, radius)
         return worst
@@ -399,6 +402,8 @@ class LoopsWithHands:
     def robust_limit(self) -> RobustLimit:
         """The stiffest wall that all of them allow: ``HapticLoop.robust_limit``."""
         loops = [self._held(row) for row in self._spread(2)]
+        delays = self.moving.get("delays", (self.loop.delay,))
+        loops = [replace(loop, delay=delay) for delay in delays for loop in loops]
         return limit_for_hands(loops, stiffest_wall, self.worst)
 
     @cached_property
@@ -449,16 +454,24 @@ class LoopsWithHands:
             return Extent(along(MASS, own, by_own), *numbers)
 
         arm = hands.stiffness[1], hands.damping[0]
-        loops = DeviceBoxes(device, loop, mass, arm, extent)
+        jitter = MovingLoop.of(loop, **self.moving).jitter if self.moving else 0.0
+        loops = DeviceBoxes(device, loop, mass, arm, extent, jitter=jitter)
         fixed = (0.0, 0.0)  # the delay and the damping of the wall
         ends = mass, fixed, fixed, *vars(hands).values(), (0.0, pi * (1.0 + BEYOND))
         paving = paved_device(loops, np.zeros(1, int), ends, _SMALLEST, most=_MOST)
         return np.clip(paving.boxes.center, *np.transpose(ends))[:, [3, 4, 5, MASS]]
 
 
-def _worst_of(loops: "list[HapticLoop]", wall: tuple[float, float]) -> WorstHand:
-    """The verdict on a wall in the loop of the largest radius; of unstable ones, if any."""
-    codes = np.array([loop.verdict(*wall) for loop in loops])
+def _worst_of(
+    loops: "list[HapticLoop]", wall: tuple[float, float], moving: dict[str, Any]
+) -> WorstHand:
+    """The verdict on a wall in the loop of the largest radius; of unstable ones, if any.
+
+    That is the radius at the longest delay, if the delay moves.
+    """
+    codes = np.array([loop.verdict(*wall, **moving) for loop in loops])
+    if moving:
+        loops = [replace(loop, delay=moving["delays"][1]) for loop in loops]
     poles = [np.abs(np.asarray(loop.poles(*wall))).max() for loop in loops]
     unstable = codes == Verdict.UNSTABLE
     number = int(np.argmax(np.where(unstable | ~unstable.any(), poles, -1.0)))

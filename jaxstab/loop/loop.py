@@ -13,6 +13,7 @@ from jaxstab.conventions import Verdict
 from jaxstab.loop.jitter import (
     DelayRange,
     MovingLimits,
+    MovingLoop,
     MovingRegion,
     WorstDelays,
     jitter_margin,
@@ -41,6 +42,8 @@ from jaxstab.ranges.hands import Range
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from jaxstab.loop.between import LoopsWithHands
 
 
 @pytree
@@ -303,25 +306,32 @@ class HapticLoop(LoopParameters):
         damping: float,
         *,
         mass: Range | None = None,
+        delays: DelayRange | None = None,
+        lost: int = 0,
     ) -> WorstHand:
         """Whether a wall is stable for every hand of a range, and the worst of the sampled hands.
 
-        Each hand, like the rest of the loop, is constant while the wall is touched.
+        Each hand, like the rest of the loop, is constant while the wall is touched; with ``delays``
+        the delay may change from sample to sample.
 
         Args:
             hands: the range of hands, which replace the hand of the loop.
             stiffness, damping: see ``jaxstab.conventions``.
             mass: the device's lowest and highest mass in kg over its postures; None for its own.
+            delays: as for ``verdict``; the radius is then that at the longest delay.
+            lost: as for ``verdict``.
 
         Returns:
             WorstHand; UNDECIDED where sampled hands are stable, but others could not be proved. A
             ``device`` is proved if it is a mass with or without modes and actuators, a grip has a
-            spring, and grip or hand a damper; any other one if a single number varies.
+            spring, and grip or hand a damper; any other one if a single number varies and the delay
+            does not move.
 
         Raises: see ``jaxstab.conventions``; ValueError also if a range is out of order, or a
         ``device`` has several hands, or no mass that could vary.
 
-        Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); lemmas B6, B21 of docs/proofs.md.
+        Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); lemmas B6, B21 and J3 of
+        docs/proofs.md.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -330,14 +340,20 @@ class HapticLoop(LoopParameters):
             'STABLE'
         """
         self._refuse_tracers("worst_hand")
-        if self.device is not None:
-            from jaxstab.loop.between import LoopsWithHands
+        with_hands = self._with_hands(hands, mass, delays, lost)
+        if with_hands is None:
+            return ranges.worst_hand(self, hands, stiffness, damping, mass)
+        wall = (checked_number("stiffness", stiffness), checked_number("damping", damping))
+        return with_hands.worst(*wall)
 
-            wall = (checked_number("stiffness", stiffness), checked_number("damping", damping))
-            return LoopsWithHands(self, self.device, hands, mass).worst(*wall)
-        return ranges.worst_hand(self, hands, stiffness, damping, mass)
-
-    def robust_limit(self, hands: HandRange, *, mass: Range | None = None) -> RobustLimit:
+    def robust_limit(
+        self,
+        hands: HandRange,
+        *,
+        mass: Range | None = None,
+        delays: DelayRange | None = None,
+        lost: int = 0,
+    ) -> RobustLimit:
         """The largest stiffness, and its damping, that every hand of a range allows.
 
         The corners of the range, and the hands at which a proof failed, set the limit. With a
@@ -346,6 +362,9 @@ class HapticLoop(LoopParameters):
         Args:
             hands: the range of hands, which replace the hand of the loop.
             mass: the device's lowest and highest mass in kg over its postures; None for its own.
+            delays: as for ``verdict``; the limit is then that at both ends of the delays, and the
+                wall is proved for every sequence of them, if ``is_proved``.
+            lost: as for ``verdict``.
 
         Raises:
             ValueError: a range is out of order; a ``device`` has several hands, or no such mass.
@@ -358,11 +377,34 @@ class HapticLoop(LoopParameters):
             True
         """
         self._refuse_tracers("robust_limit")
-        if self.device is not None:
-            from jaxstab.loop.between import LoopsWithHands
+        with_hands = self._with_hands(hands, mass, delays, lost)
+        if with_hands is None:
+            return ranges.robust_limit(self, hands, mass)
+        return with_hands.robust_limit()
 
-            return LoopsWithHands(self, self.device, hands, mass).robust_limit()
-        return ranges.robust_limit(self, hands, mass)
+    def _with_hands(
+        self, hands: HandRange, mass: Range | None, delays: DelayRange | None, lost: int
+    ) -> "LoopsWithHands | None":
+        """Return the loop with all hands; None for one mass at a constant delay."""
+        moves = delays is not None or bool(lost)
+        if self.device is None and not moves:
+            return None
+        from jaxstab.loop.between import LoopsWithHands
+        from jaxstab.proofs.device_boxes import device_of
+
+        if not moves:
+            assert self.device is not None
+            return LoopsWithHands(self, self.device, hands, mass)
+        first = MovingLoop.of(self, delays, lost).loop
+        loop = HapticLoop(
+            sample_time=first.sample_time,
+            delay=first.delay,
+            device=device_of(first),
+            velocity=self.velocity,
+            position=self.position,
+        )
+        moving = {"delays": delays, "lost": lost}
+        return LoopsWithHands(loop, device_of(first), hands, mass, moving)
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
         """Draw the stable walls, the stiffest of them, islands and, if it applies, the linear rule.

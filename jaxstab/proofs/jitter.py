@@ -94,7 +94,8 @@ def are_polygons_stable(
     Over each box of the angle one straight line parts g, less discs of the radius sqrt(Q) |(1 - x)
     H|, of all corners from 0, and so that of all walls between them (lemma J4).
     """
-    codes = np.asarray(linear_verdict(*corners[:, 0].T, device.loop(filters)))
+    alpha, beta = corners[:, 0].T
+    codes = np.asarray(linear_verdict(alpha, beta, device.loop(filters)))
     proved = np.asarray(codes == Verdict.STABLE)
     cells, chosen = MovingCells.of(device, filters, jitter), corners[proved]
 
