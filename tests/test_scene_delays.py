@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import re
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from commands import assert_one_sentence, run
 
 from benchmarks.truth.loop import spectral_radius
 from benchmarks.truth.moving import LOST, Moving, growth
+from jaxstab import HapticLoop
 from jaxstab.conventions import Verdict
 from jaxstab.guard import build as guards
 from jaxstab.pictures.scene import scene_figure
@@ -335,16 +337,69 @@ def test_the_extra_delay_of_a_moving_one_is_beyond_its_range() -> None:
     assert loop.verdict(2000.0, 15.0, **longest) == Verdict.STABLE  # type: ignore[arg-type]
 
 
-def test_hands_of_a_range_are_not_called_proved() -> None:
-    hands = ["--hand-mass", "0:0.2", "--wall", "soft", "500", "5"]
-    for options in ([], ["--constant-delay"]):
-        limits = answered("limits", *MOVING, *hands, *options, code=1)
-        assert limits["hand"] == (
-            "at its lowest values: others are not proved together with a range of delays"
-        )
-        soft = answered("check", *MOVING, *hands, *options, code=1)["walls"]["soft"]
-        assert soft["hands_are"] == limits["hand"]
-        assert soft["verdict"] == "stable"
+def test_other_hands_are_not_called_proved_for_constant_delays() -> None:
+    hands = ["--hand-mass", "0:0.2", "--wall", "soft", "500", "5", "--constant-delay"]
+    limits = answered("limits", *MOVING, *hands, code=1)
+    assert limits["hand"] == (
+        "at its lowest values: others are not proved together with a range of delays"
+    )
+    soft = answered("check", *MOVING, *hands, code=1)["walls"]["soft"]
+    assert soft["hands_are"] == limits["hand"]
+    assert soft["verdict"] == "stable"
+
+
+def test_walls_are_proved_for_every_hand_and_every_sequence() -> None:
+    table = scene(delay=[0.0, T / 4.0], velocity={"window_samples": 5})
+    table["hand"] = {"mass": [0.0, 0.1], "stiffness": [0.0, 300.0], "damping": [0.5, 2.0]}
+    limits = limits_of(table)
+    assert limits.hand == "at its lowest values (all hands: see below)"
+    assert limits.all_hands is not None
+    assert limits.all_hands.certainty == "proved for every hand and every sequence of delays"
+    assert limits.all_hands.none_is_stiffer_than is None
+    wall = limits.all_hands.largest_stiffness, limits.all_hands.at_damping
+    table["walls"] = {
+        "all": {"stiffness": wall[0], "damping": wall[1]},
+        "hard": {"stiffness": 2.0 * wall[0], "damping": wall[1]},
+    }
+    table["wanted"] = {"measures": ["jitter", "radius"]}
+    checked = check_walls(Scene.from_table(table)).walls
+    assert checked["all"].verdict == Verdict.STABLE
+    assert checked["hard"].verdict == Verdict.UNSTABLE
+    turns = np.random.default_rng(4).integers(0, TRUTH.parts // 4 + 1, (40, 12))
+    for mass, stiffness, damping in product((0.0, 0.1), (0.0, 300.0), (0.5, 2.0)):
+        held = Moving((1.0,), (0.1 + mass, 0.05 + damping, stiffness), T, 5)
+        motions = held.positions(*wall, np.tile(turns, (1, 120)))
+        assert np.all(growth(motions, 12) < 1.0)
+    hand, worst = checked["hard"].worst_hand, checked["hard"].worst_delays
+    assert hand is not None
+    assert worst is not None
+    held = Moving((1.0,), (0.1 + hand.mass, 0.05 + hand.damping, hand.stiffness), T, 5)
+    said = re.fullmatch(r"(?:a delay|delays) of ([\d., ]+) ms.*factor of ([\d.]+) per.*", worst)
+    assert said
+    turn = np.array([float(delay) for delay in said[1].split(",")]) * TRUTH.parts
+    motion = held.positions(2.0 * wall[0], wall[1], np.resize(np.rint(turn).astype(int), (1, 1200)))
+    assert growth(motion, len(turn))[0] == pytest.approx(float(said[2]), rel=1e-3)
+    assert float(said[2]) > 1.0
+
+
+def test_measures_with_hands_are_the_worst_of_hands_and_delays() -> None:
+    table = scene(delay=[0.0, T])
+    table["hand"] = {"mass": [0.0, 0.1]}
+    table["walls"] = {"a": {"stiffness": 2000.0, "damping": 15.0}}
+    (wall,) = check_walls(Scene.from_table(table)).walls.values()
+    assert wall.margins is not None
+    assert wall.margins.margins_are is not None
+    assert wall.margins.margins_are.endswith("hands and constant delays")
+    assert wall.jitter is not None
+    assert wall.jitter.moving_is == "beyond the range, for the worst hand"
+    each = [
+        HapticLoop(
+            device_mass=0.1, device_damping=0.05, hand_mass=hand, sample_time=T, delay=delay
+        ).margins(2000.0, 15.0)
+        for hand, delay in product((0.0, 0.1), (0.0, T))
+    ]
+    least = min(float(margins.stiffness_gain) for margins in each)
+    assert wall.margins.stiffness_gain == pytest.approx(least, rel=1e-9)
 
 
 def test_ranges_of_delays_are_rows_of_a_table(tmp_path: Path) -> None:

@@ -36,7 +36,6 @@ from jaxstab.pictures.style import (
 )
 from jaxstab.scene.answers import Answer, Quantity, basis_of, in_words
 from jaxstab.scene.check import (
-    NOT_FOR_OTHERS,
     Check,
     WallCheck,
     at_lowest,
@@ -289,7 +288,7 @@ def _moving_figure(scene: Scene, walls: Walls) -> Figure:
     _draw_legend(figure, panel, 3)
     basis = basis_of(scene)
     remarks = [f"velocity: {basis.velocity}", f"delay {basis.range_of_delays}"]
-    remarks += [f"hand {hand}" for hand in [at_lowest(scene, NOT_FOR_OTHERS)] if hand]
+    remarks += [f"hand {hand}" for hand in [at_lowest(scene, "")] if hand]
     width = int(_LETTERS * _WIDTH)
     figure.suptitle("\n".join(fill(remark, width) for remark in remarks), fontsize=9)
     if walls:

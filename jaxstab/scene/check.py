@@ -1,7 +1,7 @@
 """The walls of a scene: verdict, margins, radius, settling and chatter, with proofs."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import ROUND_CEILING, ROUND_FLOOR
 from math import inf, isfinite, isinf, isnan, nan
 from typing import Annotated, Any, NamedTuple
@@ -148,18 +148,22 @@ def _worst_of_a_kind(walls: Sequence[WallOfScene]) -> list[WorstHeld]:
 
 
 def worst_over_delays(scene: Scene, gains: Gains) -> WorstHeld:
-    """Return the verdict on a wall for a range of delays, with the hand at its lowest values.
+    """Return the verdict on a wall for a range of delays, and the worst hand or delay.
 
-    Of a delay that moves it is for every sequence, of one that is constant for each constant one.
+    Of a delay that moves it is for every sequence and hand, of one that is constant for each
+    constant one, with the hand at its lowest values.
     """
-    loops, controller = loops_over_delays(scene), scene.controller
+    loops, hands, moving = loops_over_delays(scene), hands_of(scene), moving_delays(scene)
+    if moving:
+        loop, hand, code = loops[0], None, Verdict(int(loops[0].verdict(*gains, **moving)))
+        if hands is not None:
+            code, loop, _ = loop.worst_hand(hands, *gains, mass=masses_of(scene), **moving)
+            hand = held_by(loop, scene)
+        tried = _TRIED if hands and code == Verdict.UNDECIDED else None
+        is_unstable = code == Verdict.UNSTABLE
+        words = str(loop.worst_delays(*gains, **moving)) if is_unstable else None
+        return WorstHeld(code, loop, hand, tried, words)
     tried = at_lowest(scene, NOT_FOR_OTHERS)
-    if controller.moves:
-        moving: Any = {"delays": controller.delays, "lost": controller.lost_samples}
-        code, words = Verdict(int(loops[0].verdict(*gains, **moving))), None
-        if code == Verdict.UNSTABLE:
-            words = str(loops[0].worst_delays(*gains, **moving))
-        return WorstHeld(code, loops[0], None, tried, words)
     worst = LoopsBetween(*loops).worst_loop(*gains)
     delay = Quantity("s").words(worst.loop.delay)
     words = f"a constant delay of {delay}: a factor of {worst.radius:.6g} per sample"
@@ -172,24 +176,31 @@ def loops_over_delays(scene: Scene) -> list[HapticLoop]:
     return [loop_of(with_delay(scene, delay)) for delay in scene.controller.delays]
 
 
+def moving_delays(scene: Scene) -> dict[str, Any]:
+    """Return the arguments ``delays`` and ``lost`` for a delay that moves; none for another."""
+    moves, delays = scene.controller.moves, scene.controller.delays
+    return {"delays": delays, "lost": scene.controller.lost_samples} if moves else {}
+
+
 def limit_for_all(scene: Scene, safety: float) -> AllHands | None:
     """Return what all hands of a scene allow; None where neither the hand nor the mass varies."""
     hands = hands_of(scene)
     if hands is None:
         return None
-    loop, mass = loop_of(scene), masses_of(scene)
-    robust = loop.robust_limit(hands, mass=mass)
+    loop, mass, moving = loops_over_delays(scene)[0], masses_of(scene), moving_delays(scene)
+    robust = loop.robust_limit(hands, mass=mass, **moving)
     is_proved, stiffness = robust.is_proved, safety * robust.stiffness
     if safety < 1.0 and not isnan(stiffness):
-        worst = loop.worst_hand(hands, stiffness, robust.damping, mass=mass)
+        worst = loop.worst_hand(hands, stiffness, robust.damping, mass=mass, **moving)
         is_proved = worst.verdict == Verdict.STABLE
     proved = _PROVED + ("" if mass is None else f" and {scene.units.moved}")
+    proved += " and every sequence of delays" if moving else ""
     tried = "no wall was found" if isnan(stiffness) else "not proved"
     return AllHands(
         largest_stiffness=stiffness,
         at_damping=robust.damping,
         certainty=proved if is_proved else tried,
-        none_is_stiffer_than=robust.limit if is_one_mass(scene) else None,
+        none_is_stiffer_than=robust.limit if is_one_mass(scene) and not moving else None,
         worst_hand=held_by(robust.loop, scene),
     )
 
@@ -416,11 +427,10 @@ def _walls_of(scenes: Sequence[Scene]) -> list[_Wall]:
     listed: list[tuple[Scene, Gains, list[HapticLoop]]] = []
     for scene in scenes:
         scene.require_walls()
-        if scene.controller.has_one_delay:
-            corners = corner_loops(scene) if hands_of(scene) else []
-            loops = list(dict.fromkeys([loop_of(scene), *corners]))
-        else:
-            loops = loops_over_delays(scene)
+        loops = list(dict.fromkeys(loops_over_delays(scene)))
+        if hands_of(scene) and (scene.controller.has_one_delay or scene.controller.moves):
+            every = (corner_loops(with_delay(scene, loop.delay)) for loop in loops)
+            loops = list(dict.fromkeys([*loops, *(loop for some in every for loop in some)]))
         listed += [(scene, gains, loops) for gains in walls_of(scene).values()]
     kinds = [(one.controller.has_one_delay, hands_of(one) is not None) for one, *_ in listed]
     known = by_kind(listed, kinds, _known)
@@ -447,11 +457,7 @@ def _over_hands(
     walls: Sequence[_Wall], ask: Callable[[Sequence[Rendered], Floats], Any]
 ) -> tuple[list[list[HapticLoop]], list[Any]]:
     """Return the loops of each wall, and what all of them answer, evaluated together."""
-    of_worst = ask in (_radii, _jitter_margins)
-    held = [
-        [wall.known.loop] if of_worst and not wall.scene.controller.moves else wall.loops
-        for wall in walls
-    ]
+    held = [_loops_for(wall, ask) for wall in walls]
     counts = [len(loops) for loops in held]
     encoders = [wall.scene.device.encoder for wall in walls]
     steps = [encoder.resolution if encoder else nan for encoder in encoders]
@@ -465,9 +471,19 @@ def _over_hands(
     return held, parts
 
 
+def _loops_for(wall: _Wall, ask: Any) -> list[HapticLoop]:
+    """Return the loops of a wall that a measure is for: all of them, or the worst alone."""
+    if ask is _jitter_margins and wall.scene.controller.moves:
+        return [replace(wall.known.loop, delay=wall.scene.controller.delays[0])]
+    is_of_worst = ask in (_radii, _jitter_margins) and not wall.scene.controller.moves
+    return [wall.known.loop] if is_of_worst else wall.loops
+
+
 def _among(words: str, loops: list[HapticLoop]) -> str | None:
     """Return of how many hands or delays an answer is the worst, or None of one loop."""
-    what = "hands" if len({loop.delay for loop in loops}) == 1 else "constant delays"
+    delays = len({loop.delay for loop in loops})
+    what = "hands and constant delays" if delays < len(loops) else "constant delays"
+    what = "hands" if delays == 1 else what
     return f"{words} of {len(loops)} {what}" if len(loops) > 1 else None
 
 
@@ -475,7 +491,7 @@ def _measures_are(wall: _Wall) -> str | None:
     """Return for which delays of a range the measures are; None for a single delay."""
     if wall.scene.controller.has_one_delay:
         return None
-    if len(wall.loops) == 1:
+    if len({loop.delay for loop in wall.loops}) == 1:
         return "of the constant delay, with no sample lost"
     if wall.scene.controller.moves:
         return "the worst of two constant delays, the shortest and the longest"
@@ -571,10 +587,13 @@ def _jitter(wall: _Wall, _: list[HapticLoop], margin: Floats) -> Jitter:
         low, high = controller.delays
         spent = high - low + controller.lost_samples * controller.sample_time
         extra = max(extra * (1.0 - 8.0 * EPS) - spent * (1.0 + 8.0 * EPS), 0.0)
-    words = "for the worst hand" if wall.known.hand else None
-    if not controller.has_one_delay:
-        words = "beyond the range" if controller.moves else "for the worst constant delay"
-    return Jitter(extra or nan, words)
+    words = [
+        *(["beyond the range"] if controller.moves else []),
+        *(["for the worst hand"] if wall.known.hand else []),
+    ]
+    if not controller.moves and not controller.has_one_delay:
+        words = ["for the worst constant delay"]
+    return Jitter(extra or nan, ", ".join(words) or None)
 
 
 _MEASURES: dict[str, tuple[Callable[..., Any], Callable[..., Answer]]] = {

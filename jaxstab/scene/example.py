@@ -25,7 +25,7 @@ damping = 1.0             # N s/m
 [controller]
 sample_time = 0.001       # s
 delay_samples = 1.5       # samples, whole or not; or: delay = 0.0015, in s; [lowest, highest]
-                          # for a delay that moves from sample to sample: limits and check
+                          # for one that moves from sample to sample (limits, check, guard)
 # delay_is = "constant"   # a range of delays is of one that is constant, but not known
 # lost_samples = 0        # samples in a row that never arrive, with a delay that moves
 # position.cutoff = 400.0 # Hz, a filter of the position, with the keys of velocity below

@@ -1,8 +1,9 @@
 """The limits of a scene: the largest stiffness and damping, beside the simple rules."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 from math import isfinite, nan
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -33,7 +34,7 @@ from jaxstab.scene.check import (
     check_walls,
     limit_for_all,
     loops_over_delays,
-    worst_over_delays,
+    moving_delays,
 )
 from jaxstab.scene.loops import is_plain, loop_of, reachable, wall_region, walls_of
 from jaxstab.scene.scene import Scene
@@ -121,17 +122,23 @@ class ProvedWall(StiffestWall):
 
 @dataclass(frozen=True)
 class LimitsOverDelays(Answer):
-    """The limits of a scene over a range of delays, with the hand at its lowest values."""
+    """The limits of a scene over a range of delays, with the hand at its lowest values.
+
+    ``all_hands`` is of a delay that moves.
+    """
 
     inputs: Basis | None
     safety: Number | None
     hand: str | None
     best: ProvedWall
     walls: dict[str, WallCheck]
+    all_hands: AllHands | None
 
     @property
     def all_stable(self) -> bool:
-        """Whether a wall is proved, and there is no other hand."""
+        """Whether a wall is proved, for all hands."""
+        if self.all_hands is not None:
+            return self.all_hands.all_stable
         return self.best.certainty.startswith(_PROVED) and self.hand is None
 
 
@@ -212,20 +219,23 @@ def _over_delays(scene: Scene) -> LimitsOverDelays:
         moving = loops[0].limits(delays=controller.delays, lost=controller.lost_samples)
         best, is_proved = Gains(moving.stiffness, moving.damping), moving.stiffness > 0.0
         unstable, every = moving.unstable_stiffness, "sequence of delays"
+        judge: Any = partial(loops[0].verdict, **moving_delays(scene))
     else:
-        found = LoopsBetween(*loops).robust_limit()
+        between = LoopsBetween(*loops)
+        found, judge = between.robust_limit(), between.verdict
         best, is_proved = Gains(found.stiffness, found.damping), found.is_proved
     if is_proved and wanted.safety:
         best = best._replace(stiffness=wanted.safety * best.stiffness)
-        is_proved = worst_over_delays(scene, best).verdict == Verdict.STABLE
+        is_proved = bool(judge(*best) == Verdict.STABLE)
     tried = "not proved" if best.stiffness > 0.0 else "no wall was found"
     judged = replace(scene, wanted=replace(wanted, measures=()))
     return LimitsOverDelays(
         inputs=basis_of(scene),
         safety=wanted.safety,
-        hand=at_lowest(scene, NOT_FOR_OTHERS),
+        hand=at_lowest(scene, _SEE_BELOW if controller.moves else NOT_FOR_OTHERS),
         best=ProvedWall(*best, f"{_PROVED} {every}" if is_proved else tried, unstable),
         walls=check_walls(judged).walls if scene.walls else {},
+        all_hands=limit_for_all(scene, wanted.safety or 1.0) if controller.moves else None,
     )
 
 

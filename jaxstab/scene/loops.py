@@ -250,13 +250,14 @@ def plan_scene(scene: Scene) -> list[Step]:
         if name == "chatter" and scene.device.encoder is None:
             is_wanted, why = False, "device.encoder is not given"
         steps.append(Step(name, requested["check"] and is_wanted, why))
-    varies = hands_of(scene) is not None and scene.controller.has_one_delay
+    is_judged = scene.controller.has_one_delay or scene.controller.moves
+    varies = hands_of(scene) is not None and is_judged
     is_over = varies or bool(wanted.mass_tolerance) or bool(wanted.delay_tolerance)
     why = "neither hand nor mass nor a tolerance of mass or delay is a range"
     why = "a hand, the mass or a tolerance is a range" if is_over else why
     steps.append(Step("tune over ranges", is_over and requested["tune"], why))
     why = "the hand or the mass is a range" if varies else "there is one hand at most, and one mass"
-    why = why if scene.controller.has_one_delay else "the delay is a range"
+    why = why if is_judged else "the delay is a range of constant ones"
     steps.append(Step("worst case over the hands", varies, why))
     steps.append(Step("proof for all hands", varies, why))
     return steps
