@@ -4,11 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from mpmath import mpf
 
 import jaxstab
 from benchmarks.limits_of import is_wrong
-from benchmarks.truth.filtered import FilteredLoop, average, difference
-from jaxstab import Device, HapticLoop, Velocity, limits_of, regions_of
+from benchmarks.truth.devices import DeviceLoop, Mechanism, mode
+from benchmarks.truth.filtered import FilteredLoop, average, difference, low_pass, times
+from jaxstab import Device, HapticLoop, Mode, Velocity, Verdict, limits_of, regions_of
+from jaxstab.loop import many as loops_together
 from jaxstab.results import RegionStatus
 
 PERIOD = 1e-3
@@ -108,6 +111,51 @@ def test_an_undamped_free_mass_has_the_known_limits() -> None:
         ]
         stiffness = limits_of(many).stiffness
         assert stiffness == pytest.approx(alpha * masses / PERIOD**2, rel=1e-9)
+
+
+MASS, DAMPING, FREQUENCY, MODAL_MASS, CUTOFF = 0.134, 0.0356, 112.0, 0.152, 57.5
+
+
+def next_to_modes(rng: np.random.Generator) -> list[HapticLoop]:
+    """Devices with a lightly damped mode: a piece of the boundary next to it is narrow."""
+    return [
+        HapticLoop(
+            device=Device.modes(
+                [Mode(frequency=FREQUENCY, damping_ratio=ratio, modal_mass=MODAL_MASS)],
+                mass=MASS,
+                damping=DAMPING,
+            ),
+            delay=float(rng.uniform(3.1, 3.5)) * PERIOD,
+            sample_time=PERIOD,
+            velocity=Velocity.low_pass(CUTOFF, order=1),
+        )
+        for ratio in np.linspace(0.004, 0.014, COUNT).tolist()
+    ]
+
+
+def stiffest_by_roots(loop: HapticLoop, stiffness: float, damping: float) -> list[int]:
+    """Codes of certified roots a little inside of the stiffest wall and outside of it."""
+    (ratio,) = (one.damping_ratio for one in loop.device.mechanism.modes)
+    body = mpf(MASS), mpf(DAMPING), mpf(0)
+    system = Mechanism([body, mode(FREQUENCY, ratio, MODAL_MASS)]).system()
+    filters = times(difference(1), low_pass(CUTOFF * PERIOD, 1)), average(1)
+    truth = DeviceLoop(system, PERIOD, loop.delay / PERIOD, *filters)
+    return [truth.code(stiffness * one, damping) for one in (1.0 - 1e-8, 1.0 + 1e-8)]
+
+
+def test_pieces_that_a_scan_missed_are_found_by_a_second_one(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    many = next_to_modes(rng)
+    limits = regions_of(many).limits
+    assert not limits.is_single.any()
+    assert not any(is_wrong(limits, index, loop.limits()) for index, loop in enumerate(many))
+    for index in range(0, COUNT, 18):
+        wall = limits.stiffness[index], limits.at_damping[index]
+        assert stiffest_by_roots(many[index], *wall) == [Verdict.STABLE, Verdict.UNSTABLE]
+
+    monkeypatch.setattr(loops_together, "_SCANS", 1)
+    assert np.mean(regions_of(many).limits.is_single) > 0.05
 
 
 def test_few_loops_are_answered_one_by_one(rng: np.random.Generator) -> None:

@@ -802,7 +802,8 @@ class HapticLoop(LoopParameters):
                 (Remark 1); otherwise it holds the device from both sides, as in the rest of the
                 paper.
             delays: of the samples in s, repeated in turn, in place of the loop's delay; infinite
-                for a sample that is lost. The newest sample that has arrived sets the force.
+                for a sample that is lost. The newest sample that has arrived sets the force. For
+                random delays draw them: ``np.random.default_rng(1).uniform(0.0, 1e-3, samples)``.
 
         Returns:
             Response at samples * (between + 1) times; exact up to rounding at each of them, and

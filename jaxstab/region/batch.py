@@ -14,7 +14,8 @@ branches are known before the scan. The program, for each loop:
    stable set (lemma G1 of docs/proofs.md). Neighbouring angles that pass are one piece.
 2. *Ends.* A piece ends where another root reaches the circle: z = 1 or z = -1, where the margin
    p(1) or p(-1) changes its sign, or else another pair, at a corner with another piece. Bisection
-   brackets the end, Newton's method solves for the corner.
+   brackets the end, Newton's method solves for the corner. If no piece ends at the angle of that
+   pair, the scan missed one there: a second scan is finer next to it (``missed``).
 3. *Loops.* Seen in the direction in which the stable set is on the left, each piece is followed by
    the one that begins where it ends, or by the next one along the line of a real root, or around
    the crossing of both lines. Each piece must follow exactly one.
@@ -48,7 +49,7 @@ from jaxstab.rounding import UNIT
 SLOTS = 6  # pieces of one loop
 _VERTICES, _FINE = 48, 192  # of a piece, and angles between which they are spread
 _REFINED = 32  # loops at once: what they need stays in the cache
-_ROOM = 260  # angles where p(1), p(-1) > 0: about half of all, but more of few
+_TILE = 64  # angles of a scan at once
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 _LOWERED = 8  # steps of the recursion between which its arrays get shorter
 _HALVINGS = 8  # of the brackets of ends
@@ -58,6 +59,7 @@ _SLACK = 1e-6  # of angles beside their brackets
 _CANDIDATES = 3  # places where the curve turns that are refined
 _LOWER = 5e-3  # beside the largest value: how much less the others have to be
 _LOST = 1e-10  # of an extreme, by rounding
+_APART = 1e-3  # of angles that are those of two ends
 _PARALLEL = 1e-3  # the sine of the angle at a corner
 _ASIDE = 1e-6  # of the component's size: where walls beside the extremes are tested
 _SMALL = jnp.array([1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 3e-2])  # gains, beside the size of the stable set
@@ -85,18 +87,19 @@ class Triples(NamedTuple):
 class Extremes(NamedTuple):
     """The walls (alpha, beta) of the largest alpha and of the largest beta, and what is known.
 
-    ``failures`` has a bit for each test of the module's text that failed; 0 is resolved.
+    ``failures`` has a bit for each test of the module's text that failed; 0 is resolved. ``missed``
+    are the two angles next to which the scan most likely missed a piece, should it have done so.
     """
 
     walls: Float64[Array, "*loop 2 2"]
     failures: Array
+    missed: Float64[Array, "*loop 2"]
 
 
 class _Scan(NamedTuple):
     passes: Bool[Array, " angle"]
     walls: Float64[Array, "2 angle"]
     sense: Float64[Array, " angle"]
-    fits: Bool[Array, ""]  # there was room for all angles where p(1), p(-1) > 0
 
 
 class _Ends(NamedTuple):
@@ -189,7 +192,14 @@ def _margins(loop: Triples, walls: Array) -> Array:
 
 
 def _are_inside(loop: Triples, walls: Array, total: Array, product: float, removed: int) -> Array:
-    """Return where all roots are inside but two, which p is divided by.
+    """Return where all roots are inside but two, which p is divided by; see ``_reduced``."""
+    return _reduced(loop, walls, total, product, removed)[1]
+
+
+def _reduced(
+    loop: Triples, walls: Array, total: Array, product: float, removed: int, least: int = 1
+) -> tuple[Array, Array]:
+    """Divide p by two of its roots, and lower its degree by the recursion of Schur and Cohn.
 
     Args:
         loop: one loop.
@@ -197,6 +207,10 @@ def _are_inside(loop: Triples, walls: Array, total: Array, product: float, remov
         total: sum of these two.
         product: of them; the divisor is z^2 - total z + product.
         removed: 2, or 0 if p is not divided at all.
+        least: how many coefficients to end with.
+
+    Returns:
+        These coefficients, and where no step met a root on the circle or outside.
     """
 
     def divided(last: tuple[Array, Array], part: Array) -> tuple[tuple[Array, Array], Array]:
@@ -209,12 +223,12 @@ def _are_inside(loop: Triples, walls: Array, total: Array, product: float, remov
     _, falling = lax.scan(divided, (nothing, nothing), loop.straight.T[:count])
 
     state = falling, falling[::-1], jnp.ones(nothing.shape, bool)
-    while count > 1:
-        steps = min(_LOWERED, count - 1)
+    while count > least:
+        steps = min(_LOWERED, count - least)
         falling, rising, inside = repeat(steps, reflected, state)
         count -= steps
         state = falling[:count], rising[:count], inside
-    return state[2]
+    return state[0], state[2]
 
 
 def _bounds(loop: Triples, theta: Array) -> tuple[Array, Array, Array]:
@@ -234,14 +248,19 @@ def _scan(loop: Triples) -> _Scan:
     """Return where the curve bounds the stable set; the recursion runs where p(1), p(-1) let it."""
     walls, det = _curve(loop, loop.angles)
     is_candidate = jnp.all(_margins(loop, walls) > 0.0, axis=0)
-    count = len(loop.angles)
-    room = min(count, max(_ROOM, 5 * count // 8))
+    count, total = len(loop.angles), jnp.sum(is_candidate)
+    room = -(-count // _TILE) * _TILE
     index = jnp.searchsorted(jnp.cumsum(is_candidate), jnp.arange(1, room + 1))
-    chosen = jnp.minimum(index, count - 1)
-    total = 2.0 * jnp.cos(loop.angles[chosen])
-    inside = _are_inside(loop, walls[:, chosen], total, 1.0, 2)
-    passes = jnp.zeros(count, bool).at[index].set(inside, mode="drop")
-    return _Scan(passes, walls, jnp.sign(det), jnp.sum(is_candidate) <= room)
+
+    def next_tile(tile: Array, passes: Array) -> Array:
+        own = lax.dynamic_slice(index, (tile * _TILE,), (_TILE,))
+        chosen = jnp.minimum(own, count - 1)
+        pair = 2.0 * jnp.cos(loop.angles[chosen])
+        inside = _are_inside(loop, walls[:, chosen], pair, 1.0, 2)
+        return passes.at[own].set(inside, mode="drop")
+
+    passes = lax.fori_loop(0, -(-total // _TILE), next_tile, jnp.zeros(count, bool))
+    return _Scan(passes, walls, jnp.sign(det))
 
 
 # ------------------------------------------------------------------------ pieces and loops
@@ -289,6 +308,7 @@ class _Corners(NamedTuple):
     walls: Array  # (2, row, piece)
     slopes: Array  # in the direction of travel
     following: Array  # piece that begins nearest to the end of each
+    preceding: Array  # piece that ends nearest to the beginning of each
     is_solved: Array  # (piece,)
     is_lower: Array  # (2, piece) whether the end is the piece's smallest angle
     next_to: Array
@@ -340,10 +360,29 @@ def _corners_of(loop: Triples, ends: _Ends, sense: Array, size: Array) -> _Corne
         walls=walls,
         slopes=slopes * jnp.where(forward, 1.0, -1.0),
         following=following,
+        preceding=preceding,
         is_solved=jnp.all(is_solved, axis=0) & closes,
         is_lower=turned(jnp.array([[True], [False]]) & ends.exists),
         next_to=index,
     )
+
+
+def _missed(loop: Triples, ends: _Ends) -> Array:
+    """Return where a second root is on the circle at an end of a piece and no end is: two angles.
+
+    The recursion of Schur and Cohn keeps a pair on the circle: its last z^2 - 2 cos(th) z + 1 is
+    that of the second root. There another piece begins or ends.
+    """
+    total = 2.0 * jnp.cos(ends.theta.ravel())
+    walls = _wall(loop, ends.theta.ravel())
+    quadratic, _ = _reduced(loop, walls, total, 1.0, 2, least=3)
+    other = jnp.arccos(-0.5 * quadratic[1] / quadratic[0])
+    distance = abs(other[:, None] - ends.theta.ravel())
+    distance = jnp.min(jnp.where(jnp.tile(ends.exists, 2), distance, jnp.inf), axis=1)
+    is_open = (ends.exists & (ends.branch == Branch.CURVE)).ravel() & jnp.isfinite(other)
+    distance, farthest = lax.top_k(jnp.where(is_open, distance, -jnp.inf), 2)
+    angles = jnp.where(distance > _APART, other[farthest], other[farthest[0]])
+    return jnp.where(distance[0] > _APART, angles, jnp.nan)
 
 
 def _root(newton: Any, start: Array, known: Any) -> tuple[Array, Array]:
@@ -447,6 +486,7 @@ class _Component(NamedTuple):
     label: Array  # (piece,) of its loop
     main: Array  # the label of the component
     tests: Array
+    missed: Array
 
 
 def _component(loop: Triples, scan: _Scan) -> _Component:
@@ -463,14 +503,14 @@ def _component(loop: Triples, scan: _Scan) -> _Component:
     around = _are_around(loop, scan, corners, links, label, small) & (jnp.arange(SLOTS) == label)
     main = jnp.argmax(around[0])
     is_around = starts & jnp.all(jnp.sum(around, axis=1) == 1) & jnp.all(around[:, main])
-    tests = jnp.stack([has_room & scan.fits, corners.exists[0], is_joined, is_around])
-    return _Component(size, corners, links, label, main, tests)
+    tests = jnp.stack([has_room, corners.exists[0], is_joined, is_around])
+    return _Component(size, corners, links, label, main, tests, _missed(loop, ends))
 
 
 def _extremes(loop: Triples, scan: _Scan) -> tuple[_Component, Extremes]:
     """Return the pieces and the extreme walls of one loop."""
     component = _component(loop, scan)
-    size, corners, links, label, main, tests = component
+    size, corners, links, label, main, tests, missed = component
     on = scan.passes
     piece = jnp.cumsum(on & ~jnp.append(False, on[:-1])) - 1
     in_main = on & (label[jnp.clip(piece, 0, SLOTS - 1)] == main)
@@ -479,7 +519,7 @@ def _extremes(loop: Triples, scan: _Scan) -> tuple[_Component, Extremes]:
     walls, are_sound = jax.vmap(largest)(jnp.arange(2))
     tests = jnp.append(tests, are_sound)
     failures = jnp.sum((~tests).astype(jnp.int32) << jnp.arange(len(tests)))
-    return component, Extremes(walls, failures)
+    return component, Extremes(walls, failures, missed)
 
 
 # ------------------------------------------------------------------------ outlines
@@ -490,7 +530,7 @@ def _outline(loop: Triples, component: _Component) -> Outline:
     is the integral of (alpha dbeta - beta dalpha) / 2, by Gauss's rule between the vertices of a
     piece, and exact on straight edges.
     """
-    size, corners, links, label, main, _ = component
+    size, corners, links, label, main, *_ = component
 
     def followed(piece: Array, _: None) -> tuple[Array, Array]:
         return links.successor[piece], piece
@@ -611,7 +651,16 @@ def _largest(
     at_every = jnp.where(may, every[axis], -jnp.inf)
     corner = jnp.argmax(at_every)
     is_smooth = solved[turn] & (smooth[axis, turn] > at_every[corner])
-    wall = jnp.where(is_smooth, smooth[:, turn], every[:, corner])
+    # A corner of the curve is on two pieces; where the curve is slower, less is lost.
+    row, own = corner // SLOTS, corner % SLOTS
+    twin = jnp.where(row == 0, corners.preceding[own], corners.following[own])
+    is_twice = (row < 2) & (corners.branch[jnp.minimum(row, 1), own] == Branch.CURVE)
+    twin = jnp.where(is_twice, (1 - row) * SLOTS + twin, corner)
+    both = jnp.stack([corner, twin])
+    walls = jnp.where(is_smooth, smooth[:, [turn, turn]], every[:, both])
+    at_both = jnp.where(is_smooth, theta[turn], corners.theta.ravel()[both % (2 * SLOTS)])
+    lost = jax.vmap(partial(_rounding, loop), (0, 1, None))(at_both, walls, axis) / unit
+    wall, lost = walls[:, jnp.argmin(lost)], jnp.min(lost)
     value = wall[axis]
     enough = value - _LOWER * abs(value)
     is_refined = jnp.all(solved | (best <= enough)) & (rest <= enough)
@@ -621,8 +670,6 @@ def _largest(
     direction = jnp.where(is_smooth, straight, _bisector(loop, corners, links, corner, size))
     away = _ASIDE * size * direction
     beside = _are_stable(loop, jnp.stack([wall + away, wall - away], axis=1))
-    theta_at = jnp.where(is_smooth, theta[turn], corners.theta.ravel()[corner % (2 * SLOTS)])
-    lost = _rounding(loop, theta_at, wall, axis) / unit
     is_exact = (lost < _LOST) & jnp.isfinite(value)
     return wall, jnp.stack([is_refined, beside[0] & ~beside[1], is_exact])
 
@@ -648,11 +695,9 @@ def _bisector(loop: Triples, corners: _Corners, links: _Links, corner: Array, si
     row, piece = corner // SLOTS, corner % SLOTS
     branch = corners.branch[jnp.minimum(row, 1), piece]
     line = lines[jnp.where(branch == Branch.Z_MINUS_ONE, 1, 0)]
-    is_open = corners.exists & (corners.branch[1] == Branch.CURVE)
-    preceding = jnp.argmax((corners.following == piece) & is_open)
     is_curve = branch == Branch.CURVE
     begins, ends = slopes[:, 0], slopes[:, 1]
-    into = jnp.where(is_curve, ends[:, preceding], line)
+    into = jnp.where(is_curve, ends[:, corners.preceding[piece]], line)
     out_of = jnp.where(is_curve, begins[:, corners.following[piece]], line)
     other = lines[jnp.where(branch == Branch.Z_MINUS_ONE, 0, 1)]
     at_begin, at_end, at_crossing = begins[:, piece] - into, out_of - ends[:, piece], other - line
