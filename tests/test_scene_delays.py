@@ -317,7 +317,9 @@ def test_a_safety_is_proved_anew() -> None:
 
 def test_measures_are_those_of_the_worst_constant_delay() -> None:
     wall = answered("check", *MOVING, "--wall", "a", "5000", "20")["walls"]["a"]
-    assert wall["measures_are"] == "the worst of two constant delays, the shortest and the longest"
+    assert wall["measures_are"] == (
+        "of constant delays, no sample lost: the worst of the shortest and the longest one"
+    )
     assert wall["margins_are"] == "the least of 2 constant delays"
     radii = [true_radius(5000.0, 20.0, delay) for delay in (0.0, 1.0)]
     assert wall["spectral_radius"] == pytest.approx(max(radii), abs=1e-12)

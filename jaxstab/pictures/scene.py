@@ -271,8 +271,9 @@ def _judged(scene: Scene, answer: Answer | None) -> Walls:
 def _moving_figure(scene: Scene, walls: Walls) -> Figure:
     """Draw the walls that are proved for every sequence of delays, and those of the scene."""
     controller, units = scene.controller, scene.units
-    (loop, _) = loops_over_delays(scene)
-    region = loop.region(delays=controller.delays, lost=controller.lost_samples)
+    region = loops_over_delays(scene)[0].region(
+        delays=controller.delays, lost=controller.lost_samples
+    )
     figure = Figure(figsize=(_WIDTH, _HEIGHT), layout="constrained")
     panel = plot_moving_region(region, figure.subplots())
     panel.plot([], [], "s", mfc="white", mec=BLACK, ms=8, label="elsewhere: not decided")

@@ -155,13 +155,14 @@ def worst_over_delays(scene: Scene, gains: Gains) -> WorstHeld:
     """
     loops, hands, moving = loops_over_delays(scene), hands_of(scene), moving_delays(scene)
     if moving:
-        loop, hand, code = loops[0], None, Verdict(int(loops[0].verdict(*gains, **moving)))
-        if hands is not None:
+        loop, hand, tried, words = loops[0], None, None, None
+        if hands is None:
+            code = Verdict(int(loop.verdict(*gains, **moving)))
+        else:
             code, loop, _ = loop.worst_hand(hands, *gains, mass=masses_of(scene), **moving)
-            hand = held_by(loop, scene)
-        tried = _TRIED if hands and code == Verdict.UNDECIDED else None
-        is_unstable = code == Verdict.UNSTABLE
-        words = str(loop.worst_delays(*gains, **moving)) if is_unstable else None
+            hand, tried = held_by(loop, scene), _TRIED if code == Verdict.UNDECIDED else None
+        if code == Verdict.UNSTABLE:
+            words = str(loop.worst_delays(*gains, **moving))
         return WorstHeld(code, loop, hand, tried, words)
     tried = at_lowest(scene, NOT_FOR_OTHERS)
     worst = LoopsBetween(*loops).worst_loop(*gains)
@@ -172,8 +173,8 @@ def worst_over_delays(scene: Scene, gains: Gains) -> WorstHeld:
 
 
 def loops_over_delays(scene: Scene) -> list[HapticLoop]:
-    """Return the loops of the shortest and the longest delay of a range."""
-    return [loop_of(with_delay(scene, delay)) for delay in scene.controller.delays]
+    """Return the loops of the shortest and the longest delay; one where these are the same."""
+    return [loop_of(with_delay(scene, delay)) for delay in dict.fromkeys(scene.controller.delays)]
 
 
 def moving_delays(scene: Scene) -> dict[str, Any]:
@@ -427,7 +428,7 @@ def _walls_of(scenes: Sequence[Scene]) -> list[_Wall]:
     listed: list[tuple[Scene, Gains, list[HapticLoop]]] = []
     for scene in scenes:
         scene.require_walls()
-        loops = list(dict.fromkeys(loops_over_delays(scene)))
+        loops = loops_over_delays(scene)
         if hands_of(scene) and (scene.controller.has_one_delay or scene.controller.moves):
             every = (corner_loops(with_delay(scene, loop.delay)) for loop in loops)
             loops = list(dict.fromkeys([*loops, *(loop for some in every for loop in some)]))
@@ -491,11 +492,9 @@ def _measures_are(wall: _Wall) -> str | None:
     """Return for which delays of a range the measures are; None for a single delay."""
     if wall.scene.controller.has_one_delay:
         return None
-    if len({loop.delay for loop in wall.loops}) == 1:
-        return "of the constant delay, with no sample lost"
     if wall.scene.controller.moves:
-        return "the worst of two constant delays, the shortest and the longest"
-    return "the worst of the constant delays that were tried: both ends and the worst one found"
+        return "of constant delays, no sample lost: the worst of the shortest and the longest one"
+    return "of constant delays: the worst of those that were tried, both ends and the worst found"
 
 
 def _hand_of(wall: _Wall, loop: HapticLoop) -> HeldBy | None:
@@ -587,12 +586,8 @@ def _jitter(wall: _Wall, _: list[HapticLoop], margin: Floats) -> Jitter:
         low, high = controller.delays
         spent = high - low + controller.lost_samples * controller.sample_time
         extra = max(extra * (1.0 - 8.0 * EPS) - spent * (1.0 + 8.0 * EPS), 0.0)
-    words = [
-        *(["beyond the range"] if controller.moves else []),
-        *(["for the worst hand"] if wall.known.hand else []),
-    ]
-    if not controller.moves and not controller.has_one_delay:
-        words = ["for the worst constant delay"]
+    words = ["beyond the range"] * controller.moves
+    words += ["for the worst hand"] * (wall.known.hand is not None)
     return Jitter(extra or nan, ", ".join(words) or None)
 
 
