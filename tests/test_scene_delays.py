@@ -221,6 +221,20 @@ def test_options_replace_the_delay_of_a_file(tmp_path: Path) -> None:
     assert "delay_is" not in answered("limits", file, "--delay", "0.001")["inputs"]
 
 
+def test_samples_may_be_lost_of_a_delay_that_is_otherwise_constant() -> None:
+    lossy = limits_of(scene(delay=T, delay_is="moving", lost_samples=1))
+    assert lossy.inputs is not None
+    assert lossy.inputs.delay == T
+    assert lossy.inputs.delay_is == (
+        "is 1 ms, newest sample wins, up to 1 in a row lost: proofs hold for every sequence"
+    )
+    wall = lossy.best.largest_stiffness, lossy.best.at_damping
+    random = np.random.default_rng(5)
+    turns = np.full((60, 12), TRUTH.parts)
+    turns[:, ::2] = np.where(random.random((60, 6)) < 0.5, LOST, TRUTH.parts)
+    assert np.all(growth(TRUTH.positions(*wall, np.tile(turns, (1, 120))), 12) < 1.0)
+
+
 # -------------------------------------------------------------------------------- the answers
 @pytest.mark.parametrize("command", ["limits", "check"])
 def test_the_line_of_the_estimator_says_what_is_proved(command: str) -> None:

@@ -307,11 +307,13 @@ def _delay_is(controller: Controller) -> str | None:
     if controller.has_one_delay:
         is_given = controller.delay is not None or controller.delay_samples is not None
         return None if is_given else _NO_DELAY
-    ends = IntervalQuantity("s").words(controller.delays).replace(" to ", " and ")
+    low, high = controller.delays
+    ends = IntervalQuantity("s").words((low, high)).replace(" to ", " and ")
     if not controller.moves:
         return f"constant, somewhere between {ends}: proofs hold for every constant delay"
     lost = f", up to {controller.lost_samples} in a row lost" if controller.lost_samples else ""
-    return f"moves between {ends}, newest sample wins{lost}: proofs hold for every sequence"
+    known = f"moves between {ends}" if low < high else f"is {Quantity('s').words(low)}"
+    return f"{known}, newest sample wins{lost}: proofs hold for every sequence"
 
 
 def basis_of(scene: Scene) -> Basis:
