@@ -1,5 +1,6 @@
 """Delays that move: proofs for every sequence, against simulations that share no code with them."""
 
+from fractions import Fraction
 from itertools import product
 from math import inf
 
@@ -11,7 +12,7 @@ from jaxtyping import Float64
 from benchmarks import jitter as campaign
 from benchmarks.truth.moving import LOST, Moving, growth, late_energy
 from jaxstab import Device, Filter, Hand, HandRange, HapticLoop, Mode, Velocity, Verdict
-from jaxstab.loop.jitter import MovingLoop
+from jaxstab.loop.jitter import MovingLoop, MovingRegion
 from jaxstab.model.device import SampledDevice, sampled_device
 from jaxstab.model.device.late_forces import late_response
 from jaxstab.model.device.periodic import segments_of
@@ -291,6 +292,21 @@ def test_every_wall_of_a_region_is_proved_and_next_to_those_that_are_not() -> No
     assert "no wall was found" in repr(none)
     with pytest.raises(ValueError, match="nothing to draw"):
         none.plot()
+
+
+def test_no_wall_above_an_edge_is_in_a_region_however_steep_it_is() -> None:
+    random = np.random.default_rng(10)
+    for _ in range(20):
+        (low, high), (first, last) = random.uniform(0.01, 1.0, 2), np.sort(random.uniform(1, 9, 2))
+        outline = np.array([[1e-3, last], [1e-3, first], [high, first], [low, last]])
+        region = MovingRegion(outline, np.zeros((0, 2)))
+        dampings = random.uniform(0.9 * last + 0.1 * first, last, 200)
+        for damping in dampings.tolist():
+            share = (Fraction(damping) - Fraction(first)) / (Fraction(last) - Fraction(first))
+            edge = Fraction(high) + (Fraction(low) - Fraction(high)) * share
+            above = np.nextafter(float(edge), np.inf)
+            assert not region.contains(above, damping)
+            assert region.contains(float(edge) - 1e-14, damping)
 
 
 def test_a_polygon_is_proved_up_to_the_limits_of_its_walls_and_no_further() -> None:

@@ -108,7 +108,8 @@ class MovingLimits:
 class MovingRegion:
     """Walls that are proved for every sequence of delays: a polygon, with all that is inside.
 
-    It is the largest one that a search finds, not the set of all such walls.
+    It is what a search finds, not the set of all such walls: it begins at 1/1000 of its largest
+    stiffness and at the first of its dampings, though softer walls may be stable as well.
 
     Attributes:
         outline: (n, 2), K in N/m and B in N s/m, counter-clockwise; empty if no wall is proved.
@@ -136,8 +137,10 @@ class MovingRegion:
             return np.zeros(given[0].shape, bool)
         (least, last), (_, first), *_ = self.outline
         tops = self.outline[2:]
-        most = np.interp(given[1], tops[:, 1], tops[:, 0]) * (1.0 - 4.0 * EPS)
-        return (given[0] >= least) & (given[0] <= most) & (given[1] >= first) & (given[1] <= last)
+        rounding = 8.0 * EPS * tops[:, 0].max()  # of an edge, whose ends may be of other sizes
+        most = np.interp(given[1], tops[:, 1], tops[:, 0]) - rounding
+        is_between = (given[0] >= least) & (given[0] <= most)
+        return np.asarray(is_between & (given[1] >= first) & (given[1] <= last))
 
     def __repr__(self) -> str:
         if not len(self.outline):
