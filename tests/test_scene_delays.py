@@ -364,8 +364,10 @@ def test_other_hands_are_not_called_proved_for_constant_delays() -> None:
     assert soft["verdict"] == "stable"
 
 
-def test_walls_are_proved_for_every_hand_and_every_sequence() -> None:
-    table = scene(delay=[0.0, T / 4.0], velocity={"window_samples": 5})
+@pytest.mark.parametrize(("parts", "window"), [(2, 5), (8, 1)])
+def test_walls_are_proved_for_every_hand_and_every_sequence(parts: int, window: int) -> None:
+    delays = [0.0, T * parts / TRUTH.parts]
+    table = scene(delay=delays, velocity={"window_samples": window})
     table["hand"] = {"mass": [0.0, 0.1], "stiffness": [0.0, 300.0], "damping": [0.5, 2.0]}
     limits = limits_of(table)
     assert limits.hand == "at its lowest values (all hands: see below)"
@@ -381,15 +383,15 @@ def test_walls_are_proved_for_every_hand_and_every_sequence() -> None:
     checked = check_walls(Scene.from_table(table)).walls
     assert checked["all"].verdict == Verdict.STABLE
     assert checked["hard"].verdict == Verdict.UNSTABLE
-    turns = np.random.default_rng(4).integers(0, TRUTH.parts // 4 + 1, (40, 12))
+    turns = np.random.default_rng(4).integers(0, parts + 1, (40, 12))
     for mass, stiffness, damping in product((0.0, 0.1), (0.0, 300.0), (0.5, 2.0)):
-        held = Moving((1.0,), (0.1 + mass, 0.05 + damping, stiffness), T, 5)
+        held = Moving((1.0,), (0.1 + mass, 0.05 + damping, stiffness), T, window)
         motions = held.positions(*wall, np.tile(turns, (1, 120)))
         assert np.all(growth(motions, 12) < 1.0)
     hand, worst = checked["hard"].worst_hand, checked["hard"].worst_delays
     assert hand is not None
     assert worst is not None
-    held = Moving((1.0,), (0.1 + hand.mass, 0.05 + hand.damping, hand.stiffness), T, 5)
+    held = Moving((1.0,), (0.1 + hand.mass, 0.05 + hand.damping, hand.stiffness), T, window)
     said = re.fullmatch(r"(?:a delay|delays) of ([\d., ]+) ms.*factor of ([\d.]+) per.*", worst)
     assert said
     turn = np.array([float(delay) for delay in said[1].split(",")]) * TRUTH.parts
