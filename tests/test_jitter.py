@@ -350,6 +350,15 @@ def test_a_limit_for_all_hands_is_proved_and_survives_attacks() -> None:
     assert stiff.verdict == Verdict.UNSTABLE
 
 
+def test_a_limit_for_all_hands_is_found_where_constant_delays_allow_much_more() -> None:
+    loop, hands = HapticLoop(**LIGHT), HandRange(damping=(0.1, 1.0))
+    limit = loop.robust_limit(hands, delays=(0.0, T))
+    assert limit.is_proved
+    assert 10000.0 < limit.stiffness < loop.limits(delays=(0.0, T)).stiffness * 1.1
+    worst = loop.worst_hand(hands, limit.stiffness, limit.damping, delays=(0.0, T))
+    assert worst.verdict == Verdict.STABLE
+
+
 def test_hands_and_masses_with_lost_samples_need_more_distance() -> None:
     loop, hands = HapticLoop(**LIGHT), HandRange(damping=(0.1, 1.0))
     moving = {"mass": (0.09, 0.11), "delays": (0.0, 0.5 * T)}

@@ -346,6 +346,7 @@ class TriedLoops:
 
 _VALUES = 3  # values of each number that varies
 _MOST_TRIED = 64  # loops of those that could not be proved
+_LOWERED = (1.0, 0.95, 0.9, 0.8, 0.65, 0.5)  # shares of what one hand allows if the delay moves
 _SMALLEST = 2.0**-16  # of the ranges: boxes are not halved beyond
 _MOST = 40_000  # boxes at once
 _ROUNDED_UP = 1.0 + 1e-9
@@ -403,8 +404,18 @@ class LoopsWithHands:
         """The stiffest wall that all of them allow: ``HapticLoop.robust_limit``."""
         loops = [self._held(row) for row in self._spread(2)]
         delays = self.moving.get("delays", (self.loop.delay,))
-        loops = [replace(loop, delay=delay) for delay in delays for loop in loops]
-        return limit_for_hands(loops, stiffest_wall, self.worst)
+        at_delays = [replace(loop, delay=delay) for delay in delays for loop in loops]
+        limit = limit_for_hands(at_delays, stiffest_wall, self.worst)
+        if limit.is_proved or not self.moving:
+            return limit
+        # Constant delays may allow much more than is proved: what one hand allows comes next.
+        wall = loops[0].limits(**self.moving)
+        for share in _LOWERED if wall.stiffness > 0.0 else ():
+            stiffness = share * wall.stiffness
+            worst = self.worst(stiffness, wall.damping)
+            if worst.verdict == Verdict.STABLE:
+                return RobustLimit(stiffness, wall.damping, True, limit.limit, limit.loop)
+        return limit
 
     @cached_property
     def _between(self) -> LoopsBetween | None:

@@ -74,7 +74,6 @@ from jaxstab.scene.scene import Scene
 _PROVED = "proved for every hand"
 _TRIED = "no hand that was tried is unstable, but not all others are proved"
 NOT_FOR_OTHERS = ": others are not proved together with a range of delays"
-_LOWERED = (1.0, 0.95, 0.9, 0.8, 0.65, 0.5)  # shares of a stiffness that are tried for all hands
 _ROWS = 400  # of B, in which walls are stable for all hands
 
 WallOfScene = tuple[Scene, Gains]
@@ -191,16 +190,6 @@ def limit_for_all(scene: Scene, safety: float) -> AllHands | None:
         return None
     loop, mass, moving = loops_over_delays(scene)[0], masses_of(scene), moving_delays(scene)
     robust = loop.robust_limit(hands, mass=mass, **moving)
-    if moving and not robust.is_proved:  # it begins with what constant delays allow
-        proved_for_lowest: Any = loop.limits(**moving)
-        for share in _LOWERED:
-            wall = Gains(share * proved_for_lowest.stiffness, proved_for_lowest.damping)
-            if isnan(wall.stiffness):
-                break
-            worst = loop.worst_hand(hands, *wall, mass=mass, **moving)
-            if worst.verdict == Verdict.STABLE:
-                robust = robust._replace(**wall._asdict(), is_proved=True, loop=worst.loop)
-                break
     is_proved, stiffness = robust.is_proved, safety * robust.stiffness
     if safety < 1.0 and not isnan(stiffness):
         worst = loop.worst_hand(hands, stiffness, robust.damping, mass=mass, **moving)
