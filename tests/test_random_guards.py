@@ -10,7 +10,7 @@ import jaxstab
 from benchmarks.truth import filtered
 from benchmarks.truth.filtered import FilteredLoop, Rational
 from jaxstab import Guard, HandRange, HapticLoop, Velocity, Verdict, build_guard
-from jaxstab.guard.build import plan_guard
+from jaxstab.guard.build import CONSTANT_CELLS, plan_guard
 
 Range = tuple[float, float]
 SCENES = many(100)
@@ -168,7 +168,8 @@ def test_31_10_what_nothing_damps_has_a_guard() -> None:
 
 
 def test_31_10_the_plan_of_a_guard_is_within_its_time() -> None:
-    plan = plan_guard(WHEEL.loop)
+    assert plan_guard(WHEEL.loop).cells == 4 * 16  # of a delay that moves
+    plan = plan_guard(WHEEL.loop, CONSTANT_CELLS)
     assert plan.cells == 4 * 8 * 16
     assert plan.seconds[0] <= plan.seconds[1] <= 30.0
     arm = jaxstab.Hand.mass_spring_damper(0.1, damping=1.0).with_grip(stiffness=2000.0, damping=4.0)

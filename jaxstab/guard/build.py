@@ -189,7 +189,7 @@ def build_guard(
         >>> hands, mass, delay = jaxstab.HandRange(), (0.24, 0.26), (1e-3, 1.1e-3)
         >>> guard = jaxstab.build_guard(loop, hands, mass=mass, delay=delay, cells=(1, 1, 4))
         >>> print(f"{guard.largest_stiffness(10.0, mass=0.25):.0f} N/m")
-        4846 N/m
+        4575 N/m
     """
     cells = cells or (CONSTANT_CELLS if constant_delay else CELLS)
     _check(loop, hands, mass, delay, cells, may_be_one=lost > 0)

@@ -108,12 +108,12 @@ class Guard:
         >>> hands, mass, delay = jaxstab.HandRange(), (0.24, 0.26), (1e-3, 1.1e-3)
         >>> guard = jaxstab.build_guard(loop, hands, mass=mass, delay=delay, cells=(1, 1, 4))
         >>> guard.largest_stiffness([0.0, 20.0], mass=0.25).round().tolist()
-        [0.0, 9430.0]
+        [0.0, 9149.0]
         >>> place = {"mass": np.array([0.25]), "delay": np.array([1e-3])}
         >>> print(f"{guard.exact_stiffness(np.full((1, 1, 1), 20.0), **place).item():.3g} N/m")
-        1.22e+04 N/m
+        1.14e+04 N/m
         >>> round(guard.granted, 2), guard.costliest.mass, guard.is_delay_constant
-        (0.88, 0.24, False)
+        (0.71, 0.24, False)
         >>> "double omega_guard_largest_stiffness(double damping" in guard.header("omega_guard")
         True
     """

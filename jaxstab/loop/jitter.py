@@ -119,7 +119,7 @@ class MovingRegion:
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
         >>> region = loop.region(delays=(0.0, 1e-3))
-        >>> region.contains(5000.0, [20.0, 60.0, 150.0]).tolist()
+        >>> region.contains(5000.0, [20.0, 60.0, 170.0]).tolist()
         [True, True, False]
         >>> region
         MovingRegion: every wall of a polygon is proved for every sequence of delays
