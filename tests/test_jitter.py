@@ -12,6 +12,7 @@ from jaxtyping import Float64
 from benchmarks import jitter as campaign
 from benchmarks.truth.moving import LOST, Moving, growth, late_energy
 from jaxstab import Device, Filter, Hand, HandRange, HapticLoop, Mode, Velocity, Verdict
+from jaxstab.loop.between import LoopsWithHands
 from jaxstab.loop.jitter import MovingLoop, MovingRegion
 from jaxstab.model.device import SampledDevice, sampled_device
 from jaxstab.model.device.late_forces import late_response
@@ -357,6 +358,20 @@ def test_a_limit_for_all_hands_is_found_where_constant_delays_allow_much_more() 
     assert 10000.0 < limit.stiffness < loop.limits(delays=(0.0, T)).stiffness * 1.1
     worst = loop.worst_hand(hands, limit.stiffness, limit.damping, delays=(0.0, T))
     assert worst.verdict == Verdict.STABLE
+
+
+def test_boxes_of_hands_keep_the_distance_of_moving_delays_themselves() -> None:
+    """Sampled hands are judged apart, so that only the boxes say what is proved between them."""
+    device = Device.mass_spring_damper(0.1, damping=0.05)
+    moving, hands = {"delays": (0.0, 0.5 * T), "lost": 3}, HandRange(damping=(0.1, 1.0))
+    lowest = HapticLoop(device_mass=0.1, device_damping=0.15, sample_time=T)
+    limits = lowest.limits(**moving)
+    loops = LoopsWithHands(HapticLoop(sample_time=T, device=device), device, hands, None, moving)
+    wall = 1.05 * limits.stiffness, limits.damping
+    assert lowest.verdict(*wall) == Verdict.STABLE
+    assert lowest.verdict(*wall, **moving) == Verdict.UNDECIDED
+    assert len(loops._unproved(wall)) > 0
+    assert len(loops._unproved((0.95 * limits.stiffness, limits.damping))) == 0
 
 
 def test_hands_and_masses_with_lost_samples_need_more_distance() -> None:
