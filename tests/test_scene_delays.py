@@ -33,6 +33,14 @@ def scene(device: dict[str, Any] = DEVICE, **controller: Any) -> dict[str, Any]:
     return {"device": device, "controller": {"sample_time": T, **controller}}
 
 
+def written(folder: Path, delay: str) -> Path:
+    """Return the file of a scene of the light device, with lines for its delay."""
+    file = folder / "scene.toml"
+    text = "[device]\nmass = 0.1\ndamping = 0.05\n[controller]\nsample_time = 0.001\n"
+    file.write_text(f"{text}{delay}\n", encoding="utf-8")
+    return file
+
+
 def answered(*arguments: str | Path, code: int = 0) -> Any:
     result = run(*arguments, "--json")
     assert result.exit_code == code, result.stderr
@@ -164,10 +172,8 @@ def test_the_picture_of_a_moving_delay_has_its_walls_in_its_units() -> None:
 
 
 def test_files_for_one_delay_refuse_one_that_moves(tmp_path: Path) -> None:
-    file = tmp_path / "scene.toml"
-    text = "[device]\nmass = 0.1\ndamping = 0.05\n[controller]\nsample_time = 0.001\n"
     for more in ("delay = [0.0, 0.001]", "delay = 0.001\ndelay_is = 'moving'\nlost_samples = 1"):
-        file.write_text(f"{text}{more}\n", encoding="utf-8")
+        file = written(tmp_path, more)
         page = tmp_path / "page.html"
         for arguments in (["explore", file, "-o", page], ["atlas", "spec", "--scene", file]):
             refused = run(*arguments)
@@ -202,12 +208,7 @@ def test_a_delay_is_one_number_or_two_and_says_what_it_is() -> None:
 
 
 def test_options_replace_the_delay_of_a_file(tmp_path: Path) -> None:
-    file = tmp_path / "scene.toml"
-    file.write_text(
-        "[device]\nmass = 0.1\ndamping = 0.05\n[controller]\nsample_time = 0.001\n"
-        "delay = [0.0, 0.001]\ndelay_is = 'constant'\n",
-        encoding="utf-8",
-    )
+    file = written(tmp_path, "delay = [0.0, 0.001]\ndelay_is = 'constant'")
     assert (
         "constant, somewhere between 0 and 1 ms" in answered("limits", file)["inputs"]["delay_is"]
     )
@@ -459,12 +460,7 @@ def test_a_constant_range_gives_an_atlas_its_corners() -> None:
 
 
 def test_a_model_with_a_moving_delay_is_explained(tmp_path: Path) -> None:
-    file = tmp_path / "scene.toml"
-    file.write_text(
-        "[device]\nmass = 0.1\ndamping = 0.05\n[controller]\nsample_time = 0.001\n"
-        "delay_samples = [0.0, 1.0]\n",
-        encoding="utf-8",
-    )
+    file = written(tmp_path, "delay_samples = [0.0, 1.0]")
     text = run("scene", file, "--explain").stdout
     assert re.search(r"(?m)^delay +0 to 1 ms; in samples 0 to 1; moves between 0 and 1 ms", text)
     assert "a mass, hand or gain that changes while the wall is touched" in text

@@ -17,7 +17,7 @@ from jaxstab.guard.guard import Guard, Range
 from jaxstab.guard.limits import boundary_of
 from jaxstab.model import LoopParameters
 from jaxstab.model.filters import known_filters
-from jaxstab.model.parameters import LONGEST_DELAY
+from jaxstab.motion.moving_delays import Range as Delays
 from jaxstab.numbers import checked_count, checked_number
 from jaxstab.point.verdicts import linear_verdict
 from jaxstab.proofs.device_boxes import BEYOND, Arms, device_of, with_parts
@@ -119,7 +119,6 @@ _FEWEST, _ROUNDS = 2000, 8  # boxes of a cell in the first round, or a part of a
 _MORE = 1.5  # times as many boxes, and as much to take from the limits, in the next round
 _SQUARE = (0, 0), (0, 1), (1, 0), (1, 1)
 _CODES = 0xFFFF
-_SLACK = 1e-9  # of a jitter, which is rounded up
 _LEAST_GAIN = 1e-6  # of a position filter at z = 1
 _PARTS = 2, 2, 4  # of a cell, at whose ends a guard is held against the boundary
 _LEAST_SHARE = 1e-3  # of the largest damping: at none what nothing damps is on the circle
@@ -191,6 +190,7 @@ def build_guard(
         >>> print(f"{guard.largest_stiffness(10.0, mass=0.25):.0f} N/m")
         4575 N/m
     """
+    lost = checked_count("lost", lost, 0)
     cells = cells or (CONSTANT_CELLS if constant_delay else CELLS)
     _check(loop, hands, mass, delay, cells, may_be_one=lost > 0)
     jitter = _checked_jitter(loop, delay, lost, constant_delay, cells)
@@ -224,13 +224,8 @@ def _checked_jitter(
         return 0.0
     if cells[1] != 1:
         raise ValueError(f"cells are {cells}; give 1 of delay, or constant_delay.")
-    samples, lost = delay[1] / loop.sample_time, checked_count("lost", lost, 0)
-    if samples + lost > LONGEST_DELAY:
-        raise ValueError(
-            f"lost is {lost}, of delays to {samples:g} samples; give fewer, up to "
-            f"{LONGEST_DELAY:g} samples in all."
-        )
-    return (samples - delay[0] / loop.sample_time) * (1.0 + _SLACK) + lost
+    low, high = (end / loop.sample_time for end in delay)
+    return Delays.of(low, high, lost).jitter
 
 
 class GuardPlan(NamedTuple):

@@ -301,6 +301,7 @@ class Guard:
             "PROVED": words.proved,
             "DELAY_PARAMETER": words.parameter,
             "DELAY": words.argument,
+            "AND_DELAY": " and delay" if self.is_delay_constant else "",
             "FIND_DELAY": words.find,
         }
         if self.is_delay_constant:

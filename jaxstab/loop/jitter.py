@@ -21,7 +21,7 @@ from jaxstab.model.filters import Filters, given_filters
 from jaxstab.model.parameters import LONGEST_DELAY
 from jaxstab.motion.moving_delays import Growth, Range, growing_turn
 from jaxstab.motion.response import Response, simulate_device
-from jaxstab.numbers import checked_count, checked_number
+from jaxstab.numbers import checked_number
 from jaxstab.point.verdicts import linear_verdict
 from jaxstab.proofs.jitter import (
     Walls,
@@ -181,21 +181,9 @@ class MovingLoop(NamedTuple):
         loop = loop.in_floats()
         low, high = _checked_range(delays)
         first, last = (replace(loop, delay=delay) for delay in (low, high))
-        lost = checked_count("lost", lost, 0)
-        if last.delay_samples + lost > LONGEST_DELAY:
-            raise ValueError(
-                f"lost is {lost}, of delays to {last.delay_samples:g} samples; give fewer, up to "
-                f"{LONGEST_DELAY:g} samples in all."
-            )
-        samples = Range(float(first.delay_samples), float(last.delay_samples), lost)
+        samples = Range.of(float(first.delay_samples), float(last.delay_samples), lost)
         filters = given_filters(loop.velocity, loop.position)
         return cls(first, _sampled(first), filters, samples)
-
-    @property
-    def jitter(self) -> float:
-        """How far the delay moves in samples, rounded up; a lost sample is one sample more."""
-        low, high, lost = self.delays
-        return ((high - low) * (1.0 + 4.0 * EPS) + lost) * (1.0 + EPS)
 
     def walls(self, stiffness: Numbers, damping: Numbers) -> tuple[Walls, tuple[int, ...]]:
         """Return gains as walls (alpha, beta), and the shape of their grid."""
@@ -231,7 +219,7 @@ class MovingLoop(NamedTuple):
 
     def is_proved(self, walls: Walls) -> Bool[np.ndarray, " wall"]:
         """Return which walls are proved for every sequence of delays."""
-        return is_stable_for_all(self.device, self.filters, walls, self.jitter)
+        return is_stable_for_all(self.device, self.filters, walls, self.delays.jitter)
 
     def lowest_unstable(self, stiffness: float, damping: float) -> float:
         """Return a stiffness above one that is STABLE, proved UNSTABLE, by bisection."""
@@ -306,7 +294,7 @@ def region_for_all(loop: LoopParameters, delays: Any, lost: Any) -> MovingRegion
         gains[:, 2, 0], gains[:, 3, 0] = last, first
         gains[:, [0, 3], 1], gains[:, [1, 2], 1] = dampings[[chosen, chosen + 1]][..., None]
         walls = gains * moving.units
-        proved = are_polygons_stable(moving.device, moving.filters, walls, moving.jitter)
+        proved = are_polygons_stable(moving.device, moving.filters, walls, moving.delays.jitter)
         kept[chosen[proved]] = 1.0 - pull
     edges = np.flatnonzero(np.diff(np.concatenate([[False], kept > 0.0, [False]])))
     if not edges.size:

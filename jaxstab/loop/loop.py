@@ -363,7 +363,8 @@ class HapticLoop(LoopParameters):
             hands: the range of hands, which replace the hand of the loop.
             mass: the device's lowest and highest mass in kg over its postures; None for its own.
             delays: as for ``verdict``; the limit is then that at both ends of the delays, and the
-                wall is proved for every sequence of them, if ``is_proved``.
+                wall is proved for every sequence of them, if ``is_proved``. Where those ends allow
+                much more than is proved, it is a share of the wall proved for the first hand.
             lost: as for ``verdict``.
 
         Raises:
@@ -392,19 +393,18 @@ class HapticLoop(LoopParameters):
         from jaxstab.loop.between import LoopsWithHands
         from jaxstab.proofs.device_boxes import device_of
 
+        device = device_of(self)
         if not moves:
-            assert self.device is not None
-            return LoopsWithHands(self, self.device, hands, mass)
+            return LoopsWithHands(self, device, hands, mass)
         first = MovingLoop.of(self, delays, lost).loop
         loop = HapticLoop(
             sample_time=first.sample_time,
             delay=first.delay,
-            device=device_of(first),
+            device=device,
             velocity=self.velocity,
             position=self.position,
         )
-        moving = {"delays": delays, "lost": lost}
-        return LoopsWithHands(loop, device_of(first), hands, mass, moving)
+        return LoopsWithHands(loop, device, hands, mass, {"delays": delays, "lost": lost})
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
         """Draw the stable walls, the stiffest of them, islands and, if it applies, the linear rule.

@@ -12,13 +12,16 @@ from collections.abc import Iterator, Sequence
 from functools import cache, reduce
 from itertools import groupby, product
 from math import ceil, inf, isinf
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxstab.model.device import SampledDevice
 from jaxstab.model.device.periodic import PeriodicLoop, proved_growth, segments_of
 from jaxstab.model.filters import Filters
+from jaxstab.model.parameters import LONGEST_DELAY
+from jaxstab.numbers import checked_count
+from jaxstab.rounding import EPS
 
 Turn = tuple[float, ...]  # of delays in samples; infinite for a sample that is lost
 
@@ -36,6 +39,22 @@ class Range(NamedTuple):
     low: float
     high: float
     lost: int = 0
+
+    @classmethod
+    def of(cls, low: float, high: float, lost: Any) -> "Range":
+        """Return delays between two; ValueError or TypeError: ``lost`` is no count, or too many."""
+        lost = checked_count("lost", lost, 0)
+        if high + lost > LONGEST_DELAY:
+            raise ValueError(
+                f"lost is {lost}, of delays to {high:g} samples; give fewer, up to "
+                f"{LONGEST_DELAY:g} samples in all."
+            )
+        return cls(low, high, lost)
+
+    @property
+    def jitter(self) -> float:
+        """How far the delay moves, rounded up; a lost sample is one sample more."""
+        return ((self.high - self.low) * (1.0 + 4.0 * EPS) + self.lost) * (1.0 + EPS)
 
     def allows(self, turn: Turn) -> bool:
         """Whether no more samples in a row are lost, around the turn."""

@@ -263,8 +263,10 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
 
 def _judged(scene: Scene, answer: Answer | None) -> Walls:
     """Return the walls of a scene with their verdicts, of an answer that has them."""
-    if not scene.walls or isinstance(answer, Check | LimitsOverDelays):
-        return answer.walls if isinstance(answer, Check | LimitsOverDelays) else {}
+    if isinstance(answer, Check | LimitsOverDelays):
+        return answer.walls
+    if not scene.walls:
+        return {}
     return check_walls(replace(scene, wanted=replace(scene.wanted, measures=()))).walls
 
 

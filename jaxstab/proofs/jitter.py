@@ -46,7 +46,7 @@ from jaxstab.proofs.filters import (
     responses,
 )
 from jaxstab.proofs.linear_circle import Place, spoilt
-from jaxstab.rounding import EPS
+from jaxstab.rounding import EPS, RAISED
 
 Walls = Float64[np.ndarray, "wall 2"]
 Numbered = Int64[np.ndarray, " box"]
@@ -55,7 +55,7 @@ _FIRST_BOXES = 64  # of half a turn
 _HALVINGS = 24
 _MOST_BOXES = 4096  # of a wall at once, beyond which it is given up
 _AT_ONCE = 1 << 16  # boxes, of all walls
-_TINY, _LOST, _ROUNDED_UP = 1e-300, 16.0 * EPS, 1.0 + 1e-9
+_TINY, _LOST = 1e-300, 16.0 * EPS
 _THETA = np.pi * (np.arange(4096) + 0.5) / 4096  # where the largest jitter is looked for
 _CLOSE, _SMALLEST = 1e-4, 1e-9  # of the jitter, and in samples
 _SHARES = (1e-3, 1e-2, 0.05, 0.2, 0.5)  # by which it is lowered until it is proved
@@ -289,7 +289,7 @@ def _are_parted(
     late = np.sqrt(np.maximum(_real(over.response).high, 0.0))
     pairs = [over.g(cells.gains(walls)[number]) for walls in np.moveaxis(corners, 1, 0)]
     centres = [g.centre for g, _ in pairs]
-    around = [g.rest + late * (over.change * wall).size * _ROUNDED_UP for g, wall in pairs]
+    around = [g.rest + late * (over.change * wall).size * RAISED for g, wall in pairs]
     nearest = np.full(box.shape, -inf)
     sides = [1j * (b - a) for a, b in pairwise([*centres, centres[0]])]
     for normal in (*centres, *sides):

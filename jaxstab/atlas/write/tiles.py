@@ -147,7 +147,7 @@ def _whole_image(tile: Tile, image: bytes) -> Iterator[h5py.File]:
 
 
 def _check_datasets(file: h5py.File, plan: Plan, tile: Tile) -> None:
-    """Refuse other variables than those of a tile, and others than its values in their chunks."""
+    """Refuse other variables than those of a tile, and chunks of other shapes."""
     chosen = [PRODUCTS[product] for product in plan.spec.products]
     held = [v.name for p in chosen for v in p.variables if not v.is_axis and v.name not in p.known]
     gridded = {n for n in held if plan.is_gridded(n) and 0 not in plan.shape(n, tile)}
