@@ -13,7 +13,7 @@ from benchmarks import jitter as campaign
 from benchmarks.truth.moving import LOST, Moving, growth, late_energy
 from jaxstab import Device, Filter, Hand, HandRange, HapticLoop, Mode, Velocity, Verdict
 from jaxstab.loop.between import LoopsWithHands
-from jaxstab.loop.jitter import MovingLoop, MovingRegion
+from jaxstab.loop.jitter import MovingLoop, MovingRegion, _Search
 from jaxstab.model.device import SampledDevice, sampled_device
 from jaxstab.model.device.late_forces import late_response
 from jaxstab.model.device.periodic import segments_of
@@ -205,6 +205,29 @@ def test_limits_of_general_devices_survive_attacks_and_what_is_unstable_grows(na
     grown = campaign.replayed(case, wall, worst.delays)
     assert grown == pytest.approx(worst.growth, abs=1e-4)
     assert grown > 1.0
+
+
+@pytest.mark.parametrize("window", [1, 5, 20])
+def test_the_search_ends_where_the_proof_does(window: int) -> None:
+    velocity = Velocity.difference(samples=window)
+    loop = HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=T, velocity=velocity)
+    moving = MovingLoop.of(loop, (0.8 * T, 1.2 * T))
+    search = _Search.of(moving)
+    dampings = search.corner[1] * np.array([0.1, 0.3, 0.5, 0.7, 0.9])
+    tops = search.stiffest(dampings)
+    assert np.count_nonzero(tops) >= 3
+    for damping, top in zip(dampings, tops, strict=True):
+        stiffness = np.linspace(0.0, 1.2 * max(top, 100.0), 241)[1:]
+        proved = moving.is_proved(moving.walls(stiffness, damping)[0])
+        last = stiffness[proved].max(initial=0.0)
+        assert last <= top < last + 2.0 * stiffness[0] or (top == 0.0 and not proved.any())
+
+
+def test_a_range_of_one_delay_has_the_limits_of_that_delay() -> None:
+    loop = HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=T, delay=T)
+    exact, moving = loop.limits(), loop.limits(delays=(T, T))
+    assert 0.995 * exact.stiffness < moving.stiffness < exact.stiffness < moving.unstable_stiffness
+    assert loop.region(delays=(T, T)).outline[:, 0].max() > 0.99 * exact.stiffness
 
 
 def test_attacks_notice_a_jitter_that_is_too_small(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -28,6 +28,7 @@ from jaxstab.proofs.jitter import (
     are_polygons_stable,
     is_stable_for_all,
     largest_jitters,
+    stiffest_for_all,
 )
 from jaxstab.rounding import EPS
 from jaxstab.shown import shortened
@@ -37,8 +38,8 @@ if TYPE_CHECKING:
 
 DelayRange = tuple[float, float]  # in s
 _CONSTANT = 5  # constant delays of a range that are tried
-_GRID, _ZOOMS = 16, 3  # gains tried on each axis, and how often around the best damping
-_BISECTIONS = 12  # of a stiffness that is proved
+_GRID, _ZOOMS = 16, 3  # gains tried at once, and how often around the best damping
+_PROOFS = 3  # rounds of walls that are proved at the best damping
 _COARSE = 9  # of one that is unstable
 _COLUMNS, _EVERY = 24, 3  # dampings of a region, and of walls that are proved unstable
 _LEAST = 1e-3  # of the stiffest wall: the least stiffness of a region
@@ -84,7 +85,7 @@ class MovingLimits:
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
         >>> loop.limits(delays=(0.0, 0.2e-3))
-        K = 43665 N/m at B = 62.34 N s/m is proved for every sequence of delays; K = 44859 N/m
+        K = 43656 N/m at B = 62.73 N s/m is proved for every sequence of delays; K = 44849 N/m
         there is unstable
     """
 
@@ -269,8 +270,15 @@ def limits_for_all(loop: LoopParameters, delays: Any, lost: Any) -> MovingLimits
         best = np.array([stiffest[column], dampings[column]])
         low, high = max(best[1] - step, 0.0), min(best[1] + step, search.corner[1])
     stiffness, damping = map(float, best)
-    if stiffness == 0.0:
+    share, step = 0.0, 1.0
+    for _ in range(_PROOFS):
+        step /= _GRID
+        shares = share + step * np.arange(1, _GRID + 1)
+        proved = moving.is_proved(moving.walls(stiffness * shares, damping)[0])
+        share = float(np.max(shares[proved], initial=share))
+    if stiffness * share == 0.0:
         return MovingLimits(nan, nan, nan)
+    stiffness *= share
     return MovingLimits(stiffness, damping, moving.lowest_unstable(stiffness, damping))
 
 
@@ -329,21 +337,12 @@ class _Search(NamedTuple):
     def stiffest(
         self, dampings: Float64[np.ndarray, " damping"]
     ) -> Float64[np.ndarray, " damping"]:
-        """Return the stiffest proved wall that was found at each damping; 0 if none was."""
-        tried = np.outer(np.arange(1, _GRID + 1), np.full(len(dampings), self.corner[0] / _GRID))
-        walls = np.stack(np.broadcast_arrays(tried, dampings), axis=-1)
-        allowed = self._is_allowed(walls.reshape(-1, 2)).reshape(tried.shape)
-        stiffest = np.max(np.where(allowed, tried, 0.0), axis=0)
-        for halving in range(1, _BISECTIONS):
-            more = stiffest + self.corner[0] / _GRID * 0.5**halving
-            is_more = self._is_allowed(np.stack([more, dampings], axis=-1))
-            stiffest = np.where(is_more, more, stiffest)
-        return stiffest
-
-    def _is_allowed(self, gains: Walls) -> Bool[np.ndarray, " wall"]:
-        allowed = np.asarray(self.region.contains(*gains.T))
-        allowed[allowed] = self.moving.is_proved(self.moving.walls(*gains[allowed].T)[0])
-        return allowed
+        """Return up to which K walls may be proved at each damping; 0 if none is."""
+        moving, (_, high) = self.moving, self.region.stiffness_limits(dampings).T
+        alpha, beta = np.nan_to_num(high) * moving.units[0], dampings * moving.units[1]
+        jitter = moving.delays.jitter
+        found = stiffest_for_all(moving.device, moving.filters, beta, alpha, jitter)
+        return found / moving.units[0]
 
 
 def jitter_margin(

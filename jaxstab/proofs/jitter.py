@@ -50,13 +50,15 @@ from jaxstab.rounding import EPS, RAISED
 
 Walls = Float64[np.ndarray, "wall 2"]
 Numbered = Int64[np.ndarray, " box"]
+Excluded = Float64[np.ndarray, "damping angle"]
 
 _FIRST_BOXES = 64  # of half a turn
 _HALVINGS = 24
 _MOST_BOXES = 4096  # of a wall at once, beyond which it is given up
 _AT_ONCE = 1 << 16  # boxes, of all walls
 _TINY, _LOST = 1e-300, 16.0 * EPS
-_THETA = np.pi * (np.arange(4096) + 0.5) / 4096  # where the largest jitter is looked for
+_EVEN = np.pi * (np.arange(4096) + 0.5) / 4096
+_THETA = np.concatenate([np.geomspace(1e-6, _EVEN[0], 512), _EVEN])  # angles of a search
 _CLOSE, _SMALLEST = 1e-4, 1e-9  # of the jitter, and in samples
 _SHARES = (1e-3, 1e-2, 0.05, 0.2, 0.5)  # by which it is lowered until it is proved
 _DIFFERENCE = (DoubleDouble(1.0, 0.0), DoubleDouble(-1.0, 0.0))  # 1 - x
@@ -104,6 +106,25 @@ def are_polygons_stable(
 
     proved[proved] = _covered(len(chosen), judge)
     return proved
+
+
+def stiffest_for_all(
+    device: SampledDevice,
+    filters: Filters | None,
+    beta: Float64[np.ndarray, " damping"],
+    most: Float64[np.ndarray, " damping"],
+    jitter: float,
+) -> Float64[np.ndarray, " damping"]:
+    """Return up to which alpha the inequality holds at the angles of a search, without a proof.
+
+    It is at most ``most``, and 0 if there is none. Where the inequality does not hold at 0, it is
+    the end of the first alphas beyond those that an angle excludes there.
+    """
+    low, high = MovingCells.of(device, filters, jitter).excluded(beta)
+    first = np.max(np.where(low < 0.0, high, 0.0), axis=1)
+    beyond = np.maximum(np.where(high > first[:, None], low, inf), first[:, None])
+    last = np.minimum(np.min(beyond, axis=1), most)
+    return np.where(last > first, last, 0.0)
 
 
 def largest_jitters(
@@ -173,15 +194,39 @@ class MovingCells(NamedTuple):
         return OverBoxes(free, phasor(late) * force, *others)
 
     def squares(self, walls: Walls) -> Float64[np.ndarray, "wall angle"]:
-        """Return |g|^2 / |(1 - x) H|^2 at some angles, without bounds."""
-        free, force, change, _ = responses(self.device, _THETA)[0]
-        position, velocity = responses(self.filters, _THETA)[0]
+        """Return |g|^2 / |(1 - x) H|^2 at the angles of a search, without bounds."""
+        free, force, change, _, position, velocity = self._at_angles()
         stiffness, damping = self.gains(walls).T[..., None]
         there = stiffness * position + damping * velocity
-        g = free + force * np.exp(-1j * self.lag * _THETA) * there
         with np.errstate(all="ignore"):
-            squares: np.ndarray = np.abs(g / (change * there)) ** 2
+            squares: np.ndarray = np.abs((free + force * there) / (change * there)) ** 2
         return squares
+
+    def excluded(self, beta: Float64[np.ndarray, " damping"]) -> tuple[Excluded, Excluded]:
+        """Return from where to where |g|^2 <= Q |(1 - x) H|^2 in alpha, at the angles of a search.
+
+        The difference is quadratic in alpha. An interval from inf is empty.
+        """
+        free, force, change, response, position, velocity = self._at_angles()
+        there = velocity * (self.per_velocity * beta[:, None])
+        late, rest = response.real * np.abs(change) ** 2, free + force * there
+        square = np.abs(position) ** 2 * (np.abs(force) ** 2 - late) + np.zeros_like(rest.real)
+        middle = np.real((np.conj(rest) * force - late * np.conj(there)) * position)
+        constant = np.abs(rest) ** 2 - late * np.abs(there) ** 2
+        root = middle**2 - square * constant
+        with np.errstate(all="ignore"):
+            outer = -(middle + np.copysign(np.sqrt(np.maximum(root, 0.0)), middle))
+            low, high = np.sort([outer / square, constant / outer], axis=0)
+        is_all = (square < 0.0) & (constant <= 0.0)
+        is_none = (square >= 0.0) & ~(root > 0.0)
+        low = np.select([is_all, is_none, square < 0.0], [-inf, inf, high], low)
+        return low, np.where(square < 0.0, inf, high)
+
+    def _at_angles(self) -> list[np.ndarray]:
+        """Return D, F, 1 - x, Q, P and T V at the angles of a search."""
+        parts = [*responses(self.device, _THETA)[0], *responses(self.filters, _THETA)[0]]
+        parts[1] = parts[1] * np.exp(-1j * self.lag * _THETA)
+        return parts
 
 
 class OverBoxes(NamedTuple):

@@ -79,7 +79,8 @@ def late_response(device: SampledDevice, jitter: float) -> CosineSum:
             both = [_in_powers(cosines, sign) for sign in (-1, 1)]
             if all(map(is_known, both)) or bits >= _MOST_BITS:
                 unit = flint.arb(exact(device.stiffness_unit))
-                known = [[bounded(c / unit**2) for c in each.coeffs()] for each in both]
+                balls = [each.coeffs() or [flint.arb(0)] for each in both]
+                known = [[bounded(c / unit**2) for c in each] for each in balls]
                 values = [tuple(one.value for one in each) for each in known]
                 errors = [float(sum(one.error for one in each)) * RAISED_FEW for each in known]
                 return CosineSum(values[0], values[1], (errors[0], errors[1]))

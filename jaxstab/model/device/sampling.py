@@ -292,7 +292,7 @@ def is_known(polynomial: "arb_poly") -> bool:
 
 def are_known(balls: "list[arb]", bits: int, nothing: float) -> bool:
     """Return whether balls are known to some bits, or next to 0 beside the largest of them."""
-    least = max((one.abs_lower() for one in balls), key=float) * nothing
+    least = max((one.abs_lower() for one in balls), key=float, default=0.0) * nothing
     return all(one.rel_accuracy_bits() >= bits or one.abs_upper() <= least for one in balls)
 
 
