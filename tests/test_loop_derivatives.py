@@ -146,12 +146,24 @@ def extreme(loop: HapticLoop, numbers: Numbers, start: list[float], axis: int) -
     return mp.findroot(equations, start, tol=mpf(10) ** -60)[axis]
 
 
+def stacked(loops: list[HapticLoop]) -> HapticLoop:
+    """Loops as one whose leaves are arrays."""
+    together: HapticLoop = jax.tree.map(lambda *leaves: jnp.stack(leaves), *loops)
+    return together
+
+
 @pytest.mark.campaign
-@pytest.mark.parametrize("name", LOOPS)
-def test_the_slopes_of_limits_are_those_of_50_digits(name: str) -> None:
+@pytest.mark.parametrize(("name", "count"), [(name, 1) for name in LOOPS] + [("plain", 64)])
+def test_the_slopes_of_limits_are_those_of_50_digits(name: str, count: int) -> None:
     loop = LOOPS[name]
     limits = loop.limits()
-    found = gradient(jax.grad(lambda one: one.limits().stiffness)(loop))
+    slopes = jax.grad(lambda one: one.limits().stiffness)
+    if count > 1:  # by the program of a batch
+        others = np.linspace(0.1, 0.5, count - 1).tolist()
+        loops = stacked([loop, *(replace(loop, device_mass=mass) for mass in others)])
+        found = gradient(jax.tree.map(lambda column: column[0], jax.vmap(slopes)(loops)))
+    else:
+        found = gradient(slopes(loop))
     wall = (limits.stiffness, limits.at_damping)
     poles = loop.poles(*wall)
     angle = float(np.abs(np.angle(poles[np.argmin(np.abs(np.abs(poles) - 1.0))])))
@@ -184,6 +196,25 @@ def test_the_largest_damping_moves_as_a_corner_does() -> None:
 
 
 @pytest.mark.campaign
+def test_limits_move_in_a_batch_as_they_do_alone() -> None:
+    """Smooth extremes, corners of two pairs, corners on a line, and loops that are left open."""
+    loops = [
+        replace(HELD, device_mass=mass, device_damping=damping, hand_stiffness=stiffness)
+        for mass in (0.02, 0.1, 0.2, 0.6)
+        for damping in (0.0, 0.01, 0.1, 2.0)
+        for stiffness in (0.0, 1.0, 150.0, 4000.0)
+    ]
+    slopes = jax.jacrev(lambda loop: jnp.stack(loop.limits()[:4]))
+    together = jax.vmap(slopes)(stacked(loops))
+    for index in (3, 22, 41, 60):
+        own = slopes(loops[index])
+        for key in ("device_mass", "device_damping", "hand_stiffness", "delay"):
+            here, alone = getattr(together, key)[index], np.asarray(getattr(own, key))
+            size = np.max(np.abs(alone))
+            np.testing.assert_allclose(here, alone, rtol=1e-6, atol=1e-9 * size, err_msg=key)
+
+
+@pytest.mark.campaign
 def test_the_region_of_a_traced_loop_has_the_same_extremes_and_slopes() -> None:
     wall, own = jax.jit(lambda loop: loop.region().stiffest)(HELD), HELD.region().stiffest
     np.testing.assert_allclose(wall, own, rtol=1e-8)
@@ -196,9 +227,7 @@ def test_the_region_of_a_traced_loop_has_the_same_extremes_and_slopes() -> None:
 @pytest.mark.campaign
 def test_a_loop_goes_through_jit_and_vmap_as_an_argument() -> None:
     masses = np.array([0.1, 0.2, 0.4])
-    loops = jax.tree.map(
-        lambda *leaves: jnp.stack(leaves), *(replace(HELD, device_mass=mass) for mass in masses)
-    )
+    loops = stacked([replace(HELD, device_mass=mass) for mass in masses])
     radii = jax.jit(jax.vmap(lambda loop: loop.spectral_radius(*WALL).value))(loops)
     codes = jax.vmap(lambda loop: loop.verdict(*WALL))(loops)
     most = jax.vmap(lambda loop: loop.limits().stiffness)(loops)

@@ -123,7 +123,7 @@ def limits_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> Many
     """
     many, shape = _varied(loops, fields)
     limits = _no_limits(len(many))
-    for members, (extremes, _) in _resolved(many):
+    for members, (extremes, _) in resolved(many):
         _write_limits(limits, members, extremes.walls, _units(many, members))
     for number in np.flatnonzero(limits.is_single).tolist():
         _write_single(limits, number, many[number].limits())
@@ -175,7 +175,7 @@ def regions_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> Man
     limits = _no_limits(len(many))
     outlines = np.full((len(many), _VERTICES, 2), np.nan)
     area = np.full(len(many), np.nan)
-    for members, (extremes, outline) in _resolved(many, outlines=True):
+    for members, (extremes, outline) in resolved(many, outlines=True):
         units = _units(many, members)
         _write_limits(limits, members, extremes.walls, units)
         outlines[members] = outline.vertices * units[:, None]
@@ -252,7 +252,7 @@ def in_floats(loop: Any) -> "HapticLoop":
     return floats
 
 
-def _resolved(
+def resolved(
     many: "list[HapticLoop]", *, outlines: bool = False
 ) -> "Iterator[tuple[Indices, tuple[Extremes, Any]]]":
     """Yield loops that the program of a batch resolved, and its answers to them."""

@@ -1,10 +1,13 @@
-"""Limits of a loop that JAX traces: searched for outside JAX, with derivatives at the limit.
+"""Limits of a loop that JAX traces: searched for on the host, with derivatives at the limit.
 
 At the stiffest wall a pair of roots is on the circle where the boundary turns, or two roots are on
 it at once, at a corner. Both are equations for the wall and the roots' angles, which the implicit
-function theorem differentiates by all numbers of the loop.
+function theorem differentiates by all numbers of the loop. Under vmap the loops are searched
+together, as ``limits_of`` searches; inside jit they are searched one by one, by a callback.
 """
 
+from collections.abc import Callable, Iterable
+from functools import cache
 from math import pi
 from typing import Any, NamedTuple
 
@@ -14,9 +17,11 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float64
 
+from jaxstab.loop.many import resolved
 from jaxstab.loop.region import TOLERANCE, Gains, WallLimits, WallRegion, wall_region
 from jaxstab.model import LoopParameters, characteristic_polynomial
 from jaxstab.point import closed_loop_poles
+from jaxstab.region import RegionStatus
 
 _FOUND = 5  # numbers of one extreme wall
 _REAL = 1e-6  # rad: a root this near to the real axis is real
@@ -42,14 +47,7 @@ def moving_limits(loop: LoopParameters) -> WallLimits:
     where more than two roots are on the circle.
     """
     leaves, structure = jax.tree.flatten(loop)
-
-    def search(*values: Any) -> Float64[np.ndarray, "2 found"]:
-        concrete = jax.tree.unflatten(structure, [float(value) for value in values])
-        return _extremes(wall_region(concrete, TOLERANCE))
-
-    shape = jax.ShapeDtypeStruct((2, _FOUND + 1), jnp.float64)
-    fixed = [jax.lax.stop_gradient(leaf) for leaf in leaves]
-    found = jax.pure_callback(search, shape, *fixed, vmap_method="sequential")
+    found: Any = _search(structure)(*(jax.lax.stop_gradient(leaf) for leaf in leaves))
     parts = _parts(loop)
     stiffest, most_damped = (
         _moved(loop, parts, _Extreme(*found[axis, :_FOUND]), axis) for axis in range(2)
@@ -61,6 +59,44 @@ def moving_limits(loop: LoopParameters) -> WallLimits:
         found[0, _FOUND].astype(jnp.int8),
         found[0, _FOUND - 1] == 1.0,
     )
+
+
+@cache
+def _search(structure: Any) -> Callable[..., Array]:
+    """Return the search for the extreme walls of loops of one structure, from their leaves."""
+
+    def loop_of(values: Iterable[Any]) -> Any:
+        return jax.tree.unflatten(structure, [float(value) for value in values])
+
+    def search(*values: Any) -> Float64[np.ndarray, "2 found"]:
+        return _extremes(wall_region(loop_of(values), TOLERANCE))
+
+    @jax.custom_batching.custom_vmap
+    def found(*leaves: Array) -> Array:
+        shape = jax.ShapeDtypeStruct((2, _FOUND + 1), jnp.float64)
+        traced: Array = jax.pure_callback(search, shape, *leaves, vmap_method="sequential")
+        return traced
+
+    @found.def_vmap
+    def together(size: int, is_batched: list[bool], *leaves: Array) -> tuple[Array, bool]:
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+            axes = [0 if batched else None for batched in is_batched]
+            return jax.vmap(found.fun, axes)(*leaves), True
+        rows = zip(*(np.broadcast_to(np.asarray(leaf), size) for leaf in leaves), strict=True)
+        return jnp.asarray(_extremes_of([loop_of(row) for row in rows])), True
+
+    return found
+
+
+def _extremes_of(loops: list[Any]) -> Float64[np.ndarray, "loop 2 found"]:
+    """Return the extreme walls of many loops, those that the program of a batch left open alone."""
+    rows, is_open = np.ones((len(loops), 2, _FOUND + 1)), np.ones(len(loops), bool)
+    for members, (extremes, _) in resolved(loops):
+        rows[members, :, :2], rows[members, :, 2:4] = extremes.walls, extremes.angles
+        rows[members, :, _FOUND], is_open[members] = RegionStatus.COMPLETE, False
+    for number in np.flatnonzero(is_open):
+        rows[number] = _extremes(wall_region(loops[number], TOLERANCE))
+    return rows
 
 
 def _extremes(region: WallRegion) -> Float64[np.ndarray, "2 found"]:

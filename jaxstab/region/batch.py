@@ -87,11 +87,14 @@ class Triples(NamedTuple):
 class Extremes(NamedTuple):
     """The walls (alpha, beta) of the largest alpha and of the largest beta, and what is known.
 
-    ``failures`` has a bit for each test of the module's text that failed; 0 is resolved. ``missed``
-    are the two angles next to which the scan most likely missed a piece, should it have done so.
+    ``angles`` are those of the roots on the circle there: the second one is that of the other root
+    at a corner, and NaN where the boundary is smooth. ``failures`` has a bit for each test of the
+    module's text that failed; 0 is resolved. ``missed`` are the two angles next to which the scan
+    most likely missed a piece, should it have done so.
     """
 
     walls: Float64[Array, "*loop 2 2"]
+    angles: Float64[Array, "*loop 2 2"]
     failures: Array
     missed: Float64[Array, "*loop 2"]
 
@@ -516,10 +519,10 @@ def _extremes(loop: Triples, scan: _Scan) -> tuple[_Component, Extremes]:
     in_main = on & (label[jnp.clip(piece, 0, SLOTS - 1)] == main)
     of_main = corners.exists & (label == main)
     largest = partial(_largest, loop, scan, corners, links, (in_main, of_main), size)
-    walls, are_sound = jax.vmap(largest)(jnp.arange(2))
+    walls, angles, are_sound = jax.vmap(largest)(jnp.arange(2))
     tests = jnp.append(tests, are_sound)
     failures = jnp.sum((~tests).astype(jnp.int32) << jnp.arange(len(tests)))
-    return component, Extremes(walls, failures, missed)
+    return component, Extremes(walls, angles, failures, missed)
 
 
 # ------------------------------------------------------------------------ outlines
@@ -587,8 +590,8 @@ def _largest(
     members: tuple[Array, Array],
     size: Array,
     axis: Array,
-) -> tuple[Array, Array]:
-    """Return the wall of the largest alpha or beta, and which tests it passes."""
+) -> tuple[Array, Array, Array]:
+    """Return the wall of the largest alpha or beta, the angles of the roots, and its tests."""
     in_main, of_main = members
     values, at_corners, unit = scan.walls[axis], corners.walls[axis], size[axis]
     count, angles = len(values), loop.angles
@@ -671,7 +674,13 @@ def _largest(
     away = _ASIDE * size * direction
     beside = _are_stable(loop, jnp.stack([wall + away, wall - away], axis=1))
     is_exact = (lost < _LOST) & jnp.isfinite(value)
-    return wall, jnp.stack([is_refined, beside[0] & ~beside[1], is_exact])
+    branch, at_corner = corners.branch[jnp.minimum(row, 1), own], corners.theta.ravel()
+    on_line = jnp.where(branch == Branch.Z_MINUS_ONE, jnp.pi, 0.0)
+    other = jnp.where(branch == Branch.CURVE, at_corner[twin % (2 * SLOTS)], on_line)
+    ends = jnp.stack([at_corner[corner % (2 * SLOTS)], other])
+    ends = jnp.where(row < 2, ends, jnp.array([0.0, jnp.pi]))
+    roots = jnp.where(is_smooth, jnp.stack([theta[turn], jnp.nan]), ends)
+    return wall, roots, jnp.stack([is_refined, beside[0] & ~beside[1], is_exact])
 
 
 def _vertex(angles: Array, middle: Array, beside: Array) -> Array:
