@@ -172,7 +172,7 @@ def contact_map(
     """Simulate contacts with many walls, or with one wall under many conditions.
 
     Large maps are computed by one program of JAX, in float64 whatever its flag says, on all cores,
-    1,024 runs at a time: 10^9 samples take less than a minute on two cores. They need no more
+    4,096 runs at a time: 10^9 samples take less than a minute on two cores. They need no more
     memory than their answers.
 
     Args:

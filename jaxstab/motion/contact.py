@@ -9,39 +9,38 @@ and with b = f + push - s f_c - gamma x_0 it has the position and the velocity
 
     x_0 + v_0 S(t) + b Y(t),    v_0 S'(t) + b S(t),
 
-where S is the response to a unit impulse and Y, its integral, that to a unit step. With w the root
-of |delta^2/4 - gamma|, the velocity reaches 0 where tanh(w t) / w, or tan(w t) / w if the plant
-oscillates, equals v_0 / (v_0 delta/2 - b). There the mass sticks if the other forces are not larger
-than the static friction f_s >= f_c, and stays until the force changes; otherwise it turns round.
+where S is the response to a unit impulse and Y, its integral, that to a unit step. With
+w^2 = gamma - delta^2/4, of either sign, the velocity reaches 0 where tan(w t) / w equals
+r = v_0 / (v_0 delta/2 - b). There the mass sticks if the other forces are not larger than the
+static friction f_s >= f_c, and stays until the force changes; otherwise it turns round.
 
 Pieces are cut to at most 1 / max(delta, sqrt(gamma)). Then S and Y at any time of a piece are power
-series of few terms without cancellation, and as a piece is shorter than half a period, the velocity
-passes through 0 at most once: two legs are enough, in every run. So one formulation serves plain
-numbers, NumPy and XLA, without a loop for each run.
+series of few terms without cancellation. So is t, after the angle is halved twice: r / (1 + sqrt(1
++ w^2 r^2)) is tan(w t / 2) / w, also where w is imaginary. And as a piece is shorter than half a
+period, the velocity passes through 0 at most once: two legs are enough, in every run. So one
+formulation serves plain numbers, NumPy and XLA, without a loop for each run.
 
 A run is summed up while it is computed: a million runs need the memory of a few tiles.
 """
 
 from collections.abc import Callable
-from functools import cache
-from math import atan, atanh, ceil, inf, sqrt
+from math import ceil, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
 
 from jaxstab.arrays import Array, is_jax, namespace, repeat, repeat_and_keep
-from jaxstab.batches import in_float64, lists, on_cores
+from jaxstab.batches import TILE, compiled, lists, on_cores
 from jaxstab.model.device.periodic import Segments, segments_of
 from jaxstab.model.plant import plant_transition
 from jaxstab.motion.response import Controller
 
 FASTEST = 64.0  # max(delta, sqrt(gamma)) that is simulated: as many pieces has a sample
 LIMIT = 1e6  # positions and velocities beyond it are given up
-_SMALLEST_RATE = 1e-9  # w below it does not change a float64
 _SMALLEST_TERM = 1e-18  # of a series
+_ARCTAN = tuple((-1.0) ** k / (2 * k + 1) for k in range(13, -1, -1))  # of squares up to 0.066
 _WHOLE = 2.0**52  # larger float64 are whole numbers
-_TILE = 1024  # runs that XLA computes together: their state stays in the cache
 _MANY = 1 << 19  # runs times samples from which on a program of XLA pays
 
 
@@ -103,23 +102,21 @@ class Flow(NamedTuple):
 class Plant(NamedTuple):
     """One mass whose force changes in turn.
 
-    gamma, half_damping: of the equation of motion; rate: the w above.
+    gamma, half_damping: of the equation of motion; square: the w^2 above.
     impulse, step: coefficients of S(t) / t and Y(t) / t^2, the highest power first.
     ages: how many samples old the force is in each piece of each sample of a turn.
     flows: these pieces; one more axis, of the fields of ``Flow``.
     oldest: the age of the oldest force that acts.
-    oscillates: whether delta^2/4 < gamma.
     """
 
     gamma: Array
     half_damping: Array
-    rate: Array
+    square: Array
     impulse: Any
     step: Any
     ages: Any
     flows: Any
     oldest: int
-    oscillates: bool
 
     @classmethod
     def of(cls, gamma: float, delta: float, delays: tuple[float, ...]) -> "Plant":
@@ -132,16 +129,14 @@ class Plant(NamedTuple):
         lengths = np.array([[length for _, length in turn] for turn in turns])
         moved = plant_transition(gamma, delta, lengths)
         flows = np.stack([lengths, moved[..., 0, 1], moved[..., 1, 1], moved[..., 0, 2]], axis=-1)
-        square = 0.25 * delta**2 - gamma
         return cls(
             gamma,
             0.5 * delta,
-            max(sqrt(abs(square)), _SMALLEST_RATE),
+            gamma - 0.25 * delta**2,
             *_series(gamma, delta, 1.0 / max(fastest, 1.0)),
             ages,
             flows.tolist(),
-            oldest=max(map(max, ages)),
-            oscillates=square < 0.0,
+            max(map(max, ages)),
         )
 
 
@@ -172,7 +167,7 @@ def _series(
 class _PlainNumbers:
     """Functions of a namespace for numbers of Python, with which one run is fastest."""
 
-    minimum, maximum, arctan, any = min, max, atan, bool
+    minimum, maximum, sqrt, any = min, max, sqrt, bool
 
     @staticmethod
     def where(condition: bool, one: float, other: float) -> float:
@@ -181,10 +176,6 @@ class _PlainNumbers:
     @staticmethod
     def rint(value: float) -> float:
         return float(round(value)) if abs(value) < _WHOLE else value
-
-    @staticmethod
-    def arctanh(value: float) -> float:
-        return atanh(value) if value < 1.0 else inf
 
     @staticmethod
     def sign(value: float) -> float:
@@ -204,38 +195,31 @@ def contacts(
         with np.errstate(all="ignore"):
             return _summary(plant, controller, runs, samples, one_sided, pulls)
     arrays = plant._replace(ages=np.array(plant.ages), flows=np.array(plant.flows))
-    static = {"oldest": plant.oldest, "oscillates": plant.oscillates}
-    static |= {"one_sided": one_sided, "pulls": pulls}
+    static = {"oldest": plant.oldest, "one_sided": one_sided, "pulls": pulls}
 
     def of_tile(tile: tuple[np.ndarray, np.ndarray]) -> Summary:
         part, padded = tile
         own = Runs(*(column[padded] for column in runs))
-        summary = in_float64(_program(), arrays[:-2], controller, own, samples, **static)
+        summary = _of_tile(arrays, controller, own, samples, **static)
         return Summary(*(column[: part.size] for column in summary))
 
-    tiles = on_cores(of_tile, list(lists(np.arange(count), _TILE, _TILE // 64)))
+    tiles = on_cores(of_tile, list(lists(np.arange(count), TILE, TILE // 64)))
     return Summary(*map(np.concatenate, zip(*tiles, strict=True)))
 
 
-@cache
-def _program() -> Any:
-    import jax
-
-    def program(
-        plant: Any,
-        controller: Controller,
-        runs: Runs,
-        samples: Any,
-        *,
-        oldest: int,
-        oscillates: bool,
-        one_sided: bool,
-        pulls: bool,
-    ) -> Summary:
-        whole = Plant(*plant, oldest=oldest, oscillates=oscillates)
-        return _summary(whole, controller, runs, samples, one_sided, pulls)
-
-    return jax.jit(program, static_argnames=("oldest", "oscillates", "one_sided", "pulls"))
+@compiled(static=["oldest", "one_sided", "pulls"], many=0, wide=True)
+def _of_tile(
+    plant: Plant,
+    controller: Controller,
+    runs: Runs,
+    samples: Any,
+    *,
+    oldest: int,
+    one_sided: bool,
+    pulls: bool,
+) -> Summary:
+    plant = plant._replace(oldest=oldest)
+    return _summary(plant, controller, runs, samples, one_sided, pulls)
 
 
 def _summary(
@@ -293,9 +277,10 @@ def _motion(
         return sign, xp.where(sign == 0.0, 0.0, others - sign * runs.friction)
 
     def time_to_turn(turns: Array, v: Array, b: Array) -> Array:
-        v = xp.where(turns, v, 0.0)
-        angle = plant.rate * v / xp.where(turns, plant.half_damping * v - b, 1.0)
-        return (xp.arctan(angle) if plant.oscillates else xp.arctanh(angle)) / plant.rate
+        time = xp.where(turns, v, 0.0) / xp.where(turns, plant.half_damping * v - b, 1.0)
+        for _ in range(2):
+            time = time / (1.0 + xp.sqrt(1.0 + plant.square * time * time))
+        return 4.0 * time * _series_at(_ARCTAN, plant.square * time * time)
 
     def step(state: Any) -> tuple[Any, tuple[Array, Array, Array]]:
         sample, x, v, memory, line, was = state
