@@ -13,7 +13,7 @@ from jaxtyping import Float64, Int8
 from jaxstab.arrays import Numbers, is_any_traced, named
 from jaxstab.conventions import Status
 from jaxstab.loop.jitter import turn_of
-from jaxstab.model import LoopParameters, checked_gain
+from jaxstab.model import LoopParameters, checked_gain, require_x64
 from jaxstab.model.filters import Filter, Velocity, given_filters
 from jaxstab.motion.contact import FASTEST, LIMIT, Plant, Runs, Summary, contacts, paths
 from jaxstab.motion.response import Controller, Response
@@ -63,8 +63,8 @@ class Contact(NamedTuple):
         ...     velocity=jaxstab.Velocity.difference(window=0.02),
         ... )
         >>> loop.contact(5000.0, 30.0, friction=0.3, push=1.0)
-        Contact: rests after 53 ms, penetration 0.2637 mm, largest force 1.5 N (rests)
-        >>> loop.contact(5000.0, 30.0, friction=0.1, push=1.0).kind
+        Contact: rests after 53 ms, penetration 0.2635 mm, largest force 1.713 N (rests)
+        >>> loop.contact(3000.0, 15.0, push=1.0).kind
         <ContactKind.BOUNCES: 3>
     """
 
@@ -78,10 +78,9 @@ class Contact(NamedTuple):
     path: Response | None = None
 
     def __repr__(self) -> str:
-        values = self.time_to_rest, self.amplitude, self.frequency, self.penetration
-        return answer_text(
-            "Contact", (*values, self.largest_force), _COLUMNS, self.kind, ContactKind
-        )
+        moving = np.where(self.kind == ContactKind.RESTS, np.nan, self.amplitude)
+        values = self.time_to_rest, moving, *self[2:3], *self[4:6]
+        return answer_text("Contact", values, _COLUMNS, self.kind, ContactKind)
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
         """Draw position and force of one run over time; axes of a new figure by default.
@@ -194,9 +193,9 @@ def contact_map(
         ...     velocity=jaxstab.Velocity.difference(window=0.02),
         ... )
         >>> friction = np.array([0.0, 0.1, 0.3])
-        >>> kinds = jaxstab.contact_map(loop, 5000.0, 30.0, friction=friction, push=1.0).kind
-        >>> [jaxstab.results.ContactKind(kind).name for kind in kinds]
-        ['BOUNCES', 'BOUNCES', 'RESTS']
+        >>> contact = jaxstab.contact_map(loop, 3000.0, 15.0, friction=friction, push=1.0)
+        >>> (contact.kind == jaxstab.results.ContactKind.RESTS).tolist()
+        [False, True, True]
     """
     setup = _setup(loop, stiffness, damping, **options)
     runs = Runs(*(column.ravel() for column in setup.runs))
@@ -220,15 +219,18 @@ def _setup(
     position: Numbers = 0.0,
     one_sided: bool = True,
     pulls: bool = False,
-    duration: float = 4.0,
+    duration: int | float = 4.0,
     delays: Any = None,
     tolerance: Numbers = 1e-6,
 ) -> _Setup:
-    if is_any_traced(loop, stiffness, damping):
+    given = stiffness, damping, friction, static_friction, encoder, phase, force_step, max_force
+    given = *given, push, speed, position, duration, delays, tolerance
+    if is_any_traced(loop, given):
         raise TypeError(
-            "contacts are simulated outside of jit, vmap and grad: give a loop and gains of "
-            "concrete numbers."
+            "contacts are simulated outside of jit, vmap and grad: give concrete numbers, and a "
+            "loop of such."
         )
+    require_x64(*given)
     loop = loop.in_floats()
     if loop.body is None:
         raise ValueError(
@@ -250,7 +252,7 @@ def _setup(
         static_friction = friction
     most = np.inf if max_force is None else checked("max_force", max_force, 0.0, is_open=True)
     wall = checked_gain("stiffness", stiffness), checked_gain("damping", damping)
-    given = Runs(
+    columns = Runs(
         loop.alpha(wall[0]),
         loop.beta(wall[1]),
         friction / unit,
@@ -264,7 +266,7 @@ def _setup(
         checked("speed", speed) * period,
         checked("tolerance", tolerance, 0.0),
     )
-    runs = Runs(*(np.array(column) for column in np.broadcast_arrays(*given)))
+    runs = Runs(*(np.array(column) for column in np.broadcast_arrays(*columns)))
     _refuse_odd(runs, unit, gamma)
     turn = (float(loop.delay_samples),) if delays is None else turn_of(loop, delays)
     filters = given_filters(**loop.filters) or (Velocity(), Filter())

@@ -852,7 +852,7 @@ class HapticLoop(LoopParameters):
         position: Numbers = 0.0,
         one_sided: bool = True,
         pulls: bool = False,
-        duration: float = 4.0,
+        duration: int | float = 4.0,
         delays: Sequence[float] | np.ndarray | None = None,
         tolerance: Numbers = 1e-6,
     ) -> Contact:

@@ -195,12 +195,12 @@ def contacts(
         with np.errstate(all="ignore"):
             return _summary(plant, controller, runs, samples, one_sided, pulls)
     arrays = plant._replace(ages=np.array(plant.ages), flows=np.array(plant.flows))
-    static = {"oldest": plant.oldest, "one_sided": one_sided, "pulls": pulls}
+    sides = {"one_sided": one_sided, "pulls": pulls}
 
     def of_tile(tile: tuple[np.ndarray, np.ndarray]) -> Summary:
         part, padded = tile
         own = Runs(*(column[padded] for column in runs))
-        summary = _of_tile(arrays, controller, own, samples, **static)
+        summary = _of_tile(arrays, controller, own, samples, oldest=plant.oldest, **sides)
         return Summary(*(column[: part.size] for column in summary))
 
     tiles = on_cores(of_tile, list(lists(np.arange(count), TILE, TILE // 64)))
