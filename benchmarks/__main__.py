@@ -42,10 +42,21 @@ def main() -> int:
     parser.add_argument(
         "name",
         nargs="?",
-        choices=[*BENCHMARKS, "golden", "jitter", "lemmas", "limits_of", "papers", "plot", "table"],
+        choices=[
+            *BENCHMARKS,
+            "contact",
+            "golden",
+            "jitter",
+            "lemmas",
+            "limits_of",
+            "papers",
+            "plot",
+            "table",
+        ],
         help="what to measure, or plot: draw all records and put their table into the pages, "
         "or table: print that table, or golden: compare answers with those recorded, bit by bit, "
         "or jitter: attack proofs for delays that move, "
+        "or contact: simulate contacts beside what is proved, "
         "or lemmas: check the lemmas that proofs rest on, or limits_of: print the limits of many "
         "loops beside single ones, or papers: compare published numbers; "
         "without a name all benchmarks",
@@ -69,8 +80,8 @@ def main() -> int:
         return golden.take(path) if choice.record else golden.compare(choice.small, path)
     if choice.name == "lemmas":
         return import_module("benchmarks.lemmas").main(choice.small)
-    if choice.name == "jitter":
-        return import_module("benchmarks.jitter").main(choice.small, choice.points)
+    if choice.name in ("contact", "jitter"):
+        return import_module(f"benchmarks.{choice.name}").main(choice.small, choice.points)
     if choice.name == "limits_of":
         rows = import_module("benchmarks.limits_of").rows(choice.small, choice.points)
         return max(int(row["error"] > 0.0) for row in record.shown(rows))

@@ -1,5 +1,6 @@
 """Simulated contacts: against scipy with events, closed forms, and the linear simulation."""
 
+import re
 from math import inf, pi
 from typing import Any
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 import jaxstab
+from benchmarks import contact as benchmark
 from benchmarks.truth import contact as truth
 from benchmarks.truth.march import difference_taps, low_pass_taps
 from jaxstab import HapticLoop, Velocity
@@ -286,6 +288,16 @@ def test_no_run_of_a_stable_wall_passes_the_proved_amplitude(rng: np.random.Gene
     )  # fmt: skip
     assert np.all(contact.amplitude <= proved.position)
     assert contact.amplitude.max() > 0.0
+
+
+def test_the_campaign_finds_no_amplitude_above_its_bound(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert benchmark.main(small=True) == 0
+    first, *_ = capsys.readouterr().out.splitlines()
+    found = re.match(r"Amplitudes above the proved bound: 0 of ([\d,]+) runs;", first)
+    assert found
+    assert int(found[1].replace(",", "")) > 20
 
 
 def test_walls_below_the_rule_of_abbott_and_okamura_come_to_rest() -> None:

@@ -89,7 +89,7 @@ class Contact(NamedTuple):
             >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
             >>> axes = loop.contact(1000.0, 2.0, push=1.0).plot()
         """
-        from jaxstab.pictures.style import plot_contact
+        from jaxstab.pictures.contact import plot_contact
 
         return plot_contact(self, ax)
 
@@ -171,8 +171,7 @@ def contact_map(
     """Simulate contacts with many walls, or with one wall under many conditions.
 
     Large maps are computed by one program of JAX, in float64 whatever its flag says, on all cores,
-    4,096 runs at a time: 10^9 samples take less than a minute on two cores. They need no more
-    memory than their answers.
+    4,096 runs at a time: about ten million samples per second and core, in little memory.
 
     Args:
         loop: device and hand are one mass.
@@ -223,8 +222,8 @@ def _setup(
     delays: Any = None,
     tolerance: Numbers = 1e-6,
 ) -> _Setup:
-    given = stiffness, damping, friction, static_friction, encoder, phase, force_step, max_force
-    given = *given, push, speed, position, duration, delays, tolerance
+    conditions = friction, static_friction, encoder, phase, force_step, max_force, push, speed
+    given = (stiffness, damping, *conditions, position, duration, delays, tolerance)
     if is_any_traced(loop, given):
         raise TypeError(
             "contacts are simulated outside of jit, vmap and grad: give concrete numbers, and a "

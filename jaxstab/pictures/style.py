@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from jaxstab.loop import Contact, ContactKind, HapticLoop, MovingRegion, WallRegion
+from jaxstab.loop import HapticLoop, MovingRegion, WallRegion
 from jaxstab.model.filters import given_filters
 from jaxstab.region import StableRegion
 
@@ -136,24 +136,6 @@ def plot_moving_region(region: MovingRegion, ax: Axes | None = None) -> Axes:
     top = 1.25 * float(region.outline[:, 1].max())  # room for the legend
     panel.set(xlim=(0.0, None), ylim=(0.0, top), xlabel=_STIFFNESS_LABEL, ylabel=_DAMPING_LABEL)
     panel.legend(fontsize=8, frameon=False, loc="upper right")
-    return panel
-
-
-def plot_contact(contact: Contact, ax: Axes | None = None) -> Axes:
-    """Draw a simulated contact over time; ValueError if it is not one run with its path."""
-    path = contact.path
-    if path is None or path.position.ndim != 1:
-        raise ValueError(
-            f"there is no single path to draw: {contact!r}; ask loop.contact about one wall."
-        )
-    panel = new_axes() if ax is None else ax
-    panel.axhline(0.0, color=BLACK, lw=0.6)
-    panel.plot(path.time, 1000.0 * path.position, color=BLUE, lw=1.0, label="position")
-    panel.set(xlabel="time in s", ylabel="position in mm, positive inside the wall")
-    beside = panel.twinx()
-    beside.plot(path.time, path.force, color=RED, lw=0.6, alpha=0.7, label="force of the wall")
-    beside.set_ylabel("force of the wall in N")
-    panel.set_title(f"simulated: {ContactKind(int(contact.kind)).words}", fontsize=9)
     return panel
 
 
