@@ -1,6 +1,7 @@
 """Simulated contacts: against scipy with events, closed forms, and the linear simulation."""
 
 import re
+import tomllib
 from math import inf, pi
 from typing import Any
 
@@ -14,7 +15,9 @@ from benchmarks.truth import contact as truth
 from benchmarks.truth.march import difference_taps, low_pass_taps
 from jaxstab import HapticLoop, Velocity
 from jaxstab.motion import contact as kernel
+from jaxstab.pictures.scene import scene_figure
 from jaxstab.results import ContactKind
+from jaxstab.scene import Scene, check_walls, simulate_contacts
 
 PERIOD = 1e-3
 HELD = {"device_mass": 0.25, "device_damping": 0.1, "sample_time": PERIOD}
@@ -347,3 +350,109 @@ def test_a_run_can_be_drawn_and_a_map_cannot() -> None:
     assert axes.get_title() == "simulated: rests"
     with pytest.raises(ValueError, match="no single path"):
         WINDOW.contact([1000.0, 2000.0], 3.0, push=1.0).plot()
+
+
+SCENE = """
+[device]
+mass = 0.25
+damping = 0.1
+friction = 0.1
+encoder.resolution = 1e-5
+[controller]
+sample_time = 0.001
+delay = 0.001
+velocity.window = 0.02
+[walls.soft]
+stiffness = 1000.0
+damping = 10.0
+[walls.hard]
+stiffness = 5000.0
+damping = 30.0
+[contact]
+push = 1.0
+speed = 0.1
+"""
+
+
+def scene_with(**changes: dict[str, Any]) -> Scene:
+    table = tomllib.loads(SCENE)
+    for name, keys in changes.items():
+        table[name] = table.get(name, {}) | keys
+    return Scene.from_table(table)
+
+
+def test_a_scene_answers_with_the_worst_of_its_starts() -> None:
+    contacts = simulate_contacts(scene_with())
+    hard, soft = contacts.walls["hard"], contacts.walls["soft"]
+    assert soft.contact == ContactKind.RESTS
+    assert hard.contact in (ContactKind.BOUNCES, ContactKind.GROWS)
+    assert not contacts.all_stable
+    causes: dict[str, Any] = {"friction": 0.1, "encoder": 1e-5}
+    runs = [
+        WINDOW.contact(1000.0, 10.0, **causes, push=push, speed=speed, phase=phase)
+        for push, speed in [(1.0, 0.0), (0.0, 0.1), (1.0, 0.1)]
+        for phase in (0.0, 0.25, 0.5, 0.75)
+    ]
+    resting = [one for one in runs if one.kind == ContactKind.RESTS]
+    worst = max(resting, key=lambda one: float(one.time_to_rest))
+    assert soft.time_to_rest == worst.time_to_rest
+    assert soft.penetration == pytest.approx(float(worst.penetration), rel=1e-12)
+    assert "at 0.1 m/s" in soft.worst_start
+    assert soft.contact_is == "simulated for 4 s, not proved"
+
+
+def test_check_adds_the_simulated_contact_below_what_is_proved() -> None:
+    check = check_walls(scene_with())
+    assert check.walls["hard"].simulated == simulate_contacts(scene_with()).walls["hard"]
+    lines = str(check).splitlines()
+    assert lines.index("  simulated") > next(k for k, one in enumerate(lines) if "verdict" in one)
+    table = tomllib.loads(SCENE)
+    del table["contact"], table["device"]["friction"]
+    assert check_walls(Scene.from_table(table)).walls["hard"].simulated is None
+
+
+def test_ranges_are_simulated_at_their_lowest_hand_and_longest_delay() -> None:
+    scene = scene_with(
+        hand={"mass": [0.1, 0.3]}, controller={"delay": [1e-3, 2e-3], "max_force": 12.0}
+    )
+    soft = simulate_contacts(scene).walls["soft"]
+    words = "the delay constant, its longest; hand and device at their lowest values"
+    assert soft.contact_is.endswith(words)
+    loop = HapticLoop(**HELD, hand_mass=0.1, delay=2e-3, velocity=Velocity.difference(window=0.02))
+    runs = jaxstab.contact_map(
+        loop, 1000.0, 10.0, push=[1.0, 0.0, 1.0], speed=[0.0, 0.1, 0.1], friction=0.1,
+        phase=np.array([0.0, 0.25, 0.5, 0.75])[:, None], encoder=1e-5, max_force=12.0,
+    )  # fmt: skip
+    assert soft.penetration in runs.penetration
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"contact": {"push": 0.0, "speed": 0.0}}, "push and speed are 0, so nothing moves"),
+        ({"contact": {"one_sided": 1.0}}, "one_sided is 1.0; give true or false"),
+        ({"device": {"static_friction": 0.01}}, "static_friction is 0.01 beside a friction of 0.1"),
+        ({"device": {"friction": -1.0}}, "friction is -1.0"),
+        ({"device": {"actuator": {"bandwidth": 100.0}}}, "contacts are simulated for one mass"),
+    ],
+)
+def test_odd_scenes_are_refused(changes: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        scene_with(**changes)
+
+
+def test_friction_without_a_contact_is_refused() -> None:
+    table = tomllib.loads(SCENE)
+    del table["contact"]
+    with pytest.raises(ValueError, match=r"device\.friction is 0\.1, but only simulated contacts"):
+        Scene.from_table(table)
+    del table["device"]["friction"]
+    with pytest.raises(ValueError, match=r"contact is missing; give contact\.push"):
+        simulate_contacts(Scene.from_table(table))
+
+
+def test_the_map_of_a_scene_names_its_walls() -> None:
+    figure = scene_figure(scene_with(), simulate_contacts(scene_with()))
+    panel = figure.axes[0]
+    assert {text.get_text() for text in panel.texts} == {"soft", "hard"}
+    assert panel.get_xlim()[1] > 5000.0
