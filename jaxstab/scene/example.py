@@ -6,6 +6,9 @@ from jaxstab.scene.scene import Hand, Scene, Units
 EXAMPLE = """\
 # A haptic scene for jaxstab. All quantities are in SI units.
 
+# contact = { push = 1.0, speed = 0.1, one_sided = true, duration = 4.0 }  # N, m/s, 1, s: check
+                          # simulates how the device, if it is one mass, meets each wall
+
 [device]
 # preset = "phantom"      # instead of the two below; `jaxstab scene presets` lists them
 mass = 0.1                # kg at the handle, or [lowest, highest] over the postures; inertia in
@@ -13,7 +16,7 @@ mass = 0.1                # kg at the handle, or [lowest, highest] over the post
 damping = 1.5             # N s/m, physical damping of the device
 # encoder.resolution = 1e-5   # m at the handle: check bounds what its rounding does
 # actuator.bandwidth = 200.0  # Hz, at which motor and amplifier lose 3 dB
-# friction = 0.1          # N, Coulomb's, with the table contact below; static_friction, too
+# friction = 0.1          # N, Coulomb's, of simulated contacts; static_friction, too
 # modes = [{ frequency = 80.0, damping_ratio = 0.02, modal_mass = 1.5 }]  # Hz, 1, kg: it vibrates
 
 [hand]                    # leave this table out for no hand
@@ -28,7 +31,7 @@ sample_time = 0.001       # s
 delay_samples = 1.5       # samples, whole or not; or: delay = 0.0015, in s; [lowest, highest]
                           # for one that moves from sample to sample (limits, check, guard)
 # delay_is = "constant"   # a range of delays is of one that is constant, but not known
-# max_force = 10.0        # N, with the table contact below; force_step in N, too
+# max_force = 10.0        # N, of simulated contacts; force_step in N, too
 # lost_samples = 0        # samples in a row that never arrive, with a delay that moves
 # position.cutoff = 400.0 # Hz, a filter of the position, with the keys of velocity below
 
@@ -47,12 +50,6 @@ damping = 2.0             # N s/m
 [walls.hard]
 stiffness = 1500.0
 damping = 12.0
-
-# [contact]               # check simulates contacts of one mass, with friction
-# push = 1.0              # N, of the hand, from rest; and, or:
-# speed = 0.1             # m/s, at which the device meets the wall
-# one_sided = true        # the wall only pushes
-# duration = 4.0          # s
 
 [wanted]                  # what `jaxstab scene FILE` answers
 answers = ["limits", "check"]    # of limits, check, tune, design

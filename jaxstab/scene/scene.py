@@ -565,7 +565,7 @@ class Scene:
             )
 
     def _require_contact(self) -> None:
-        """Refuse what only simulated contacts have, without them, and contacts of other devices."""
+        """Refuse what only simulated contacts have, without them."""
         device, controller = self.device, self.controller
         only = {
             "device.friction": device.friction,
@@ -578,13 +578,6 @@ class Scene:
             raise ValueError(
                 f"{given} is {only[given]:g}, but only simulated contacts have it; give "
                 "contact.push or contact.speed."
-            )
-        if self.contact is not None and (
-            device.modes or device.actuator or (self.hand and self.hand.grip)
-        ):
-            raise ValueError(
-                "contact is given beside modes, an actuator or a grip, but contacts are simulated "
-                "for one mass; leave out one or the other."
             )
 
     @property
@@ -630,6 +623,7 @@ class Scene:
             _outside("controller.sample_time", controller.sample_time, 1e-5, 0.05, "s"),
             _outside("the delay", controller.delays[1], 0.0, 2.0, "s"),
             *_slips_of_delay(controller),
+            _no_contact(self),
             _other_period(controller),
         ]
         for name, wall in self.walls.items():
@@ -726,6 +720,14 @@ def _unusual_mechanics(device: Device, hand: Hand, usual: _Usual) -> Iterator[st
         grip, limits = hand.grip, (usual.stiffness, usual.hand_damping)
         yield _outside("hand.grip.stiffness", grip.stiffness, *limits[0], units.stiffness)
         yield _outside("hand.grip.damping", grip.damping, *limits[1], units.damping)
+
+
+def _no_contact(scene: Scene) -> str:
+    """Return a warning for contacts that are not simulated."""
+    grip = scene.hand.grip if scene.hand else None
+    if scene.contact is None or not (scene.device.modes or scene.device.actuator or grip):
+        return ""
+    return "contact is given, but simulated for one mass only: not with modes, actuator or grip"
 
 
 def _slips_of_delay(controller: Controller) -> Iterator[str]:
