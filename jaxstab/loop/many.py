@@ -86,7 +86,7 @@ def limits_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> Many
 
     The answers are those of ``HapticLoop.limits`` to 1e-9, without islands. Batches of at least 64
     loops of about the same degree are computed by one program of JAX, in float64 whatever its flag
-    says, and first compiled in about 20 s (``use_compilation_cache`` keeps that). Loops that it
+    says, and first compiled in 10 to 20 s (``use_compilation_cache`` keeps that). Loops that it
     does not resolve, and those of smaller batches, are answered one by one.
 
     A batch has tests in place of the audit of a single region: what none of them would notice is a
@@ -273,10 +273,12 @@ def _resolved(
 
 def _answers(triples: "Triples", outlines: bool) -> "Iterator[tuple[Indices, Any]]":
     """Yield parts of a group, and the answers of the program, filled up with copies."""
-    from jaxstab.region import batch
+    from jaxstab.region.batch import program
+
+    components = program(triples.straight.shape[-1] - 1, outlines=outlines)
 
     def solved(indices: Indices) -> Any:
-        return in_float64(batch.components, at(triples, indices), outlines=outlines)
+        return in_float64(components, at(triples, indices))
 
     parts = list(lists(np.arange(len(triples.angles)), _AT_ONCE))
     answers = on_cores(solved, [indices for _, indices in parts])
