@@ -272,13 +272,13 @@ _ROUNDS = 8
 _KEPT = 32  # pieces that do not close
 
 
-def refined_pieces(c: Curve, delay: float, *, may_be_empty: bool) -> Pieces:
+def refined_pieces(c: Curve, *, may_be_empty: bool) -> Pieces:
     """Return pieces that join up to loops, searched until nothing hides at their ends.
 
     With damping, the loop without a wall is stable, so an empty answer means that the scan was too
     coarse. Where even the finest scan is not enough, the pieces' ``resolved`` is False.
     """
-    length = c.parts.shape[1] - 2 if isinstance(c, FilteredCurve) else coefficient_count(delay)
+    length = c.parts.shape[1] - 2 if isinstance(c, FilteredCurve) else int(c.turns) + 2
     first = slice_angles(c, length, 1)
     closer = crossings(c, first, length)
     scans = _SCANS[: _FILTERED_SCANS if isinstance(c, FilteredCurve) else None]
@@ -312,8 +312,3 @@ def _settled_pieces(
             is_all = not fresh.size and len(closer) <= most
             return pieces, closer, is_all and bool(pieces.resolved)
     return pieces, closer, False
-
-
-def coefficient_count(delay: float) -> int:
-    """Return how many coefficients the polynomials of the other roots have."""
-    return int(delay) + 3

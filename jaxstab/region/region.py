@@ -19,7 +19,7 @@ from jaxstab.numbers import checked_count, checked_number
 from jaxstab.point.verdicts import linear_verdict
 from jaxstab.region import measures
 from jaxstab.region.corners import Branch
-from jaxstab.region.crossings import coefficient_count, refined_pieces
+from jaxstab.region.crossings import refined_pieces
 from jaxstab.region.curve import Curve, curve_and_lift, slice_coefficients
 from jaxstab.region.exact import Pairs, exact_gains, in_pairs
 from jaxstab.region.filtered_curve import (
@@ -154,35 +154,26 @@ _NOTHING = 2.0**-86  # of the coefficients of p(z): pairs know that much
 _BULGE = 0.35  # times points^-2 is at most about how far the boundary leaves the polygon
 
 
-def resolved_outline(
-    c: Curve,
-    delay: float,
-    tolerance: float,
-    *,
-    may_be_empty: bool,
-    system: System | None,
-) -> tuple[Curve, Outline]:
-    """Return the outline of a slice, and the coefficients by which it was resolved.
+def region_of_system(system: System, tolerance: float, *, may_be_empty: bool) -> StableRegion:
+    """Return the region of a loop with filters.
 
-    Where no number of digits resolves it, or it fails the audit, the outline is not ``resolved``.
-    That nothing is stable is said after all have been tried.
+    Where no number of digits resolves its outline, or it fails the audit, it is UNRESOLVED. That
+    nothing is stable is said after all have been tried.
     """
-    if not isinstance(c, FilteredCurve) or system is None:
-        return c, _outline(c, delay, tolerance, may_be_empty, None)[0]
-    loop = loop_of_system(system)
+    c, loop = filtered_curve(*system), loop_of_system(system)
     rough = None
     if not c.loses_digits:
-        outline, _ = _outline(c, delay, tolerance, may_be_empty, loop)
+        outline, _ = _audited(c, tolerance, may_be_empty, loop)
         rough = outline if _is_known(outline) else None
         if rough is not None and not (c.may_lose_some and _strays(c, rough, system)):
-            return c, rough
+            return region_within(c, rough)
     pairs = parts_in_pairs(system)
     if not c.loses_digits and outline.resolved and _keeps_a_root(pairs):
-        return c, outline
+        return region_within(c, outline)
     centers = DoubleDouble.of(np.empty(0))
     for _ in range(_STRETCHINGS):
         exact = in_pairs(c, pairs, centers)
-        outline, pieces = _outline(exact, delay, tolerance, may_be_empty, loop)
+        outline, pieces = _audited(exact, tolerance, may_be_empty, loop)
         if _is_known(outline):
             break
         more = lone_partners(exact, pieces)
@@ -190,8 +181,8 @@ def resolved_outline(
             break
         centers = joined([centers, more])
     if rough is not None and not _is_known(outline):
-        return c, rough
-    return exact, outline
+        return region_within(c, rough)
+    return region_within(exact, outline)
 
 
 def _strays(c: FilteredCurve, outline: Outline, system: System) -> bool:
@@ -221,22 +212,13 @@ def _is_known(outline: Outline) -> bool:
     return bool(outline.resolved) and int(outline.size) > 0
 
 
-def _outline(
-    c: Curve,
-    delay: float,
-    tolerance: float,
-    may_be_empty: bool,
-    loop: LinearLoop | None,
+def _audited(
+    c: FilteredCurve, tolerance: float, may_be_empty: bool, loop: LinearLoop
 ) -> tuple[Outline, Pieces]:
     """Return an outline, not ``resolved`` if it fails the audit, and its pieces."""
-    pieces = refined_pieces(c, delay, may_be_empty=may_be_empty)
+    pieces = refined_pieces(c, may_be_empty=may_be_empty)
     outline, deviation = _adapted(c, pieces, tolerance)
-    if (
-        isinstance(c, FilteredCurve)
-        and loop is not None
-        and outline.resolved
-        and fails_audit(c, outline, loop, deviation)
-    ):
+    if outline.resolved and fails_audit(c, outline, loop, deviation):
         outline = polygon(c, pieces._replace(resolved=np.bool_(False)), _FEWEST_POINTS)
     return outline, pieces
 
@@ -363,7 +345,7 @@ def region_outline(
     least = 2 * extra_vertices(slots)
     if checked_count("points", points, 0) < least:
         raise ValueError(f"points is {points}; give at least {least} for {slots} slots.")
-    length = coefficient_count(float(whole_and_fraction(delay)[0]))
+    length = int(whole_and_fraction(delay)[0]) + 3
     c = stored(slice_coefficients(gamma, delta, delay, radius))
     angles = namespace(c).asarray(scan_angles(length, fineness))
     pieces = _pieces(c, angles, length=length, slots=slots)
@@ -381,27 +363,14 @@ def _stable_region(
 ) -> StableRegion:
     may_be_empty = delta == 0.0 or radius < 1.0
     if not filters:
-        plain = slice_coefficients(gamma, delta, delay, radius)
-        region = region_of(plain, delay, tolerance, may_be_empty=may_be_empty)
+        c = slice_coefficients(gamma, delta, delay, radius)
+        pieces = refined_pieces(c, may_be_empty=may_be_empty)
+        region = region_within(c, _adapted(c, pieces, tolerance)[0])
         if region.status != RegionStatus.UNRESOLVED or radius != 1.0:
             return region
         filters = Velocity.difference(samples=1), Filter()  # the same loop in another form
     system = mass_system(gamma, delta, delay, filters)
-    curve = filtered_curve(*system)
-    return region_of(curve, delay, tolerance, may_be_empty=may_be_empty, system=system)
-
-
-def region_of(
-    c: Curve,
-    delay: float,
-    tolerance: float,
-    *,
-    may_be_empty: bool,
-    system: System | None = None,
-) -> StableRegion:
-    """Return the region of a slice, UNRESOLVED if that of a loop with filters fails the audit."""
-    both = resolved_outline(c, delay, tolerance, may_be_empty=may_be_empty, system=system)
-    return region_within(*both)
+    return region_of_system(system, tolerance, may_be_empty=may_be_empty)
 
 
 _pieces = compiled(static=("length", "slots"))(find_pieces)
@@ -430,6 +399,4 @@ def linear_region(
             "region and no limits here; use verdicts, radii, poles or margins."
         )
     with np.errstate(all="ignore"):
-        c = filtered_curve(plant, velocity, position)
-        system = plant, velocity, position
-        return region_of(c, float(plant.lag), tolerance, may_be_empty=True, system=system)
+        return region_of_system((plant, velocity, position), tolerance, may_be_empty=True)
