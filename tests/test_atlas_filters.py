@@ -175,7 +175,7 @@ def test_every_product_of_a_window_of_twenty(tmp_path: Path) -> None:
         alpha=FittedAxis(16),
         beta=FittedAxis(12),
         gamma=(0.0, 1e-3),
-        delta=jaxstab.ToleranceAxis(0.0, 8e-3, tolerance=0.2),
+        delta=(0.0, 8e-3),
         delay=(1.0, 2.5),
         limit_cells=32,
         velocity=Velocity.difference(samples=20),

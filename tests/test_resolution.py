@@ -13,7 +13,6 @@ from jaxstab import (
     Atlas,
     AtlasSpec,
     FittedAxis,
-    ToleranceAxis,
     Velocity,
     Verdict,
     build_atlas,
@@ -52,7 +51,7 @@ RANGES = {
     "stiff": (
         AtlasSpec(
             gamma=[0.0, 0.05, 0.3, 1.0],
-            delta=ToleranceAxis(0.0, 0.6, tolerance=0.1),
+            delta=np.linspace(0.0, 0.6, 9),
             delay=[0.0, 1.0],
             products=["alpha_limits"],
         ),

@@ -1,10 +1,8 @@
 """Where the nodes and cells of an atlas lie: the specification in numbers.
 
-Axes of gamma, delta and delay are given as nodes, or, for gamma and delta, as a range and a
-tolerance: then as many nodes as keep the motion of the stable set's boundary between two of them
-below it, few where little changes (``tolerant_nodes``). Axes of alpha and beta may be fitted: laid
-around the stable regions of the atlas's hands at each delay, with a margin, and with nodes close to
-the line alpha = -gamma, where stability ends and no cell can be decided (``_fitted_alpha``).
+Axes of gamma, delta and delay are given as nodes. Axes of alpha and beta may be fitted: laid around
+the stable regions of the atlas's hands at each delay, with a margin, and with nodes close to the
+line alpha = -gamma, where stability ends and no cell can be decided (``_fitted_alpha``).
 
 Limits of alpha and radii also answer between the delays, in cells of delays. Whole samples are
 edges of cells, for there the degree of the polynomial changes. A cell of limits is longer as the
@@ -14,7 +12,7 @@ The ends of alpha and beta of a cell follow from the regions at some edges (``_d
 At the end of this file a specification gets other counts along its axes, for plans of resolutions.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
 from math import ceil, floor, prod
@@ -27,8 +25,6 @@ from jaxstab.atlas.format.spec import (
     FEWEST_FITTED,
     AtlasSpec,
     FittedAxis,
-    Nodes,
-    ToleranceAxis,
     check_size,
 )
 from jaxstab.atlas.format.variables import CELL, NODE
@@ -36,41 +32,9 @@ from jaxstab.atlas.products.limits import ALPHA_LIMITS
 from jaxstab.atlas.products.radii import RADIUS_CELL, SPECTRAL_RADIUS
 from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.model.filters import Filters, as_keywords
-from jaxstab.region import Branch, RegionStatus, StableRegion, stable_region
-from jaxstab.region.curve import curve_point, minus_offset, minus_slope, plus_offset, plus_slope
+from jaxstab.region import RegionStatus, StableRegion, stable_region
 
-_PROBES = 17  # values along the axis at which the boundary is computed
 _FINENESS = 1e-3  # of outlines, whose extremes are exact
-Slice = tuple[float, float, float]
-
-
-def tolerant_nodes(
-    axis: ToleranceAxis,
-    name: str,
-    across: Sequence[float],
-    delays: Sequence[float],
-    filters: Filters | None,
-) -> Float64[np.ndarray, " node"]:
-    """Nodes between which the boundary of the stable set moves by the tolerance at most.
-
-    The motion is that of the boundary's points at a fixed angle of the roots on the circle, and for
-    a real root at a fixed beta, in units of the set's extents. It is added up over even steps along
-    the axis, and the nodes share it equally. ``across`` are values of the other one of gamma,
-    delta.
-    """
-    values = np.linspace(axis.start, axis.stop, _PROBES)
-    moved = np.zeros(_PROBES - 1)
-    for other in across:
-        for delay in delays:
-            slices = [
-                (value, other, delay) if name == "gamma" else (other, value, delay)
-                for value in values.tolist()
-            ]
-            moved = np.maximum(moved, _motions(slices, filters))
-    passed = np.concatenate([[0.0], np.cumsum(moved)])
-    steps = max(1, ceil(passed[-1] / axis.tolerance))
-    nodes = np.interp(np.linspace(0.0, passed[-1], steps + 1), passed, values)
-    return np.concatenate([[axis.start], nodes[1:-1], [axis.stop]])
 
 
 def known_region(gamma: float, delta: float, delay: float, filters: Filters | None) -> StableRegion:
@@ -84,37 +48,6 @@ def known_region(gamma: float, delta: float, delay: float, filters: Filters | No
             f"{delay:g} ({RegionStatus.UNRESOLVED.words}); give its nodes."
         )
     return region
-
-
-def _motions(slices: Sequence[Slice], filters: Filters | None) -> list[float]:
-    regions = [known_region(*one, filters) for one in slices]
-    points = np.concatenate([region.points for region in regions])
-    if not points.size:
-        raise ValueError(
-            f"no (alpha, beta) is stable at delay {slices[0][2]:g} along an axis that is given by "
-            "a tolerance; give its nodes."
-        )
-    extent = np.ptp(points, axis=0)
-    there = [_motion(*pair, extent) for pair in pairwise(regions)]
-    back = [_motion(*pair, extent) for pair in zip(regions[1:], regions[:-1], strict=True)]
-    return list(map(max, there, back))
-
-
-def _motion(region: StableRegion, other: StableRegion, extent: Float64[np.ndarray, "2"]) -> float:
-    """Return how far the outline's points move to another slice, at their angle or their beta."""
-    points, branch, c = region.points[:-1], region.branch[:, None], other.coefficients
-    beta = points[:, 1]
-    moved = np.select(
-        [branch == kind for kind in (Branch.CURVE, Branch.Z_PLUS_ONE, Branch.Z_MINUS_ONE)],
-        [
-            np.stack(curve_point(c, region.outline.angles[: beta.size, 0]), axis=-1),
-            np.stack([plus_offset(c) - plus_slope(c) * beta, beta], axis=-1),
-            np.stack([minus_offset(c) - minus_slope(c) * beta, beta], axis=-1),
-        ],
-        np.nan,
-    )
-    way = np.abs(moved - points) / extent
-    return float(np.max(way, where=np.isfinite(way), initial=0.0))
 
 
 _MARGIN = 0.03  # around the stable region, of its size
@@ -242,28 +175,20 @@ class Reach:
 
 def reach_of(spec: AtlasSpec) -> Reach:
     """The reach of the regions at the corners of gamma and delta: fewer than an axis needs."""
-    corners = (np.array(ends_of(getattr(spec, name))) for name in ("gamma", "delta"))
-    gamma, delta = corners
+    gamma, delta = (np.unique(np.array(axis)[[0, -1]]) for axis in (spec.gamma, spec.delta))
     delays = np.array(spec.delay)
     stations = _stations(_delay_edges(delays, _COARSE) if spec.delay_cells else [], delays)
     boxes = [_stable_box(gamma, delta, delay, spec.filters) for delay in stations]
     return Reach(np.array(stations), np.array([[highest, *beta] for highest, beta in boxes]))
 
 
-def ends_of(axis: Nodes | ToleranceAxis) -> tuple[float, ...]:
-    """Return the first and the last node of gamma or delta, or the only one."""
-    nodes = (axis.start, axis.stop) if isinstance(axis, ToleranceAxis) else np.array(axis).tolist()
-    return tuple(sorted({float(nodes[0]), float(nodes[-1])}))
-
-
 def lay_out(spec: AtlasSpec, reach: Reach | None = None) -> Grid:
     """The nodes of a specification, with the fitted axes laid around each stable region.
 
-    With a ``reach`` no region is computed. ValueError: an axis is fitted to a stable region, or
-    given by a tolerance, and the region is empty or unresolved; or the grid is too large.
+    With a ``reach`` no region is computed. ValueError: an axis is fitted to a stable region that is
+    empty or unresolved; or the grid is too large.
     """
-    gamma, delta = (plant_axis(spec, name) for name in ("gamma", "delta"))
-    delay = np.array(spec.delay)
+    gamma, delta, delay = map(np.array, (spec.gamma, spec.delta, spec.delay))
     walls = [_wall_axes(spec, gamma, delta, samples, reach) for samples in delay.tolist()]
     alpha, beta = (np.stack(columns, axis=1) for columns in zip(*walls, strict=True))
     has_limits, has_radii = (name in spec.products for name in (ALPHA_LIMITS, SPECTRAL_RADIUS))
@@ -380,15 +305,6 @@ def _delay_edges(delay: Float64[np.ndarray, " delay"], fineness: int) -> list[fl
     return edges
 
 
-def plant_axis(spec: AtlasSpec, name: str) -> Float64[np.ndarray, " node"]:
-    """Return the nodes of gamma or delta; those by tolerance with the other one at its ends."""
-    axis = getattr(spec, name)
-    if not isinstance(axis, ToleranceAxis):
-        return np.array(axis)
-    across = ends_of(getattr(spec, "delta" if name == "gamma" else "gamma"))
-    return tolerant_nodes(axis, name, across, np.array(spec.delay).tolist(), spec.filters)
-
-
 def _wall_axes(
     spec: AtlasSpec,
     gamma: Float64[np.ndarray, " gamma"],
@@ -488,13 +404,8 @@ Counts = Mapping[str, int]
 WALLS, HANDS, OF_LIMITS = ("alpha", "beta"), ("gamma", "delta"), ("limit_cells", "delay_cells")
 
 
-def with_known_nodes(spec: AtlasSpec) -> AtlasSpec:
-    """A specification whose axes by tolerance are nodes."""
-    return replace(spec, **{name: plant_axis(spec, name).tolist() for name in HANDS})
-
-
 def counts_of(spec: AtlasSpec) -> dict[str, int]:
-    """Return the counts of a specification with known nodes; no cells where only delays are."""
+    """Return the counts of a specification; no cells where only delays are."""
     along: dict[str, int] = {name: _length(getattr(spec, name)) for name in (*WALLS, *HANDS)}
     along |= {name: max(1, along[name] - 1) for name in HANDS}
     cells = 0 if is_fixed(spec, "delay_cells") else int(spec.delay_cells or 0)

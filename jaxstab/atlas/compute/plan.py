@@ -9,10 +9,8 @@ from jaxtyping import Float64
 from numpy.typing import NDArray
 
 from jaxstab.atlas.compute.layout import Grid, lay_out
-from jaxstab.atlas.format.schema import (
-    VARIABLES,
-)
-from jaxstab.atlas.format.spec import AtlasSpec, ToleranceAxis
+from jaxstab.atlas.format.schema import VARIABLES
+from jaxstab.atlas.format.spec import AtlasSpec
 from jaxstab.atlas.format.variables import LARGEST_ARRAY
 from jaxstab.atlas.products.limits import ALPHA_LIMITS
 from jaxstab.atlas.products.radii import RADIUS_CELL
@@ -209,15 +207,10 @@ def _degree(delay: float, spec: AtlasSpec) -> int:
 
 
 def _axis_line(plan: Plan, name: str) -> str:
-    nodes, axis = getattr(plan.grid, name), getattr(plan.spec, name)
+    nodes = getattr(plan.grid, name)
     if nodes.size == 1:
         return f"{name}: fixed at {nodes[0]:g}, not gridded"
-    text = f"{name}: {nodes.size} nodes from {nodes[0]:g} to {nodes[-1]:g}"
-    if isinstance(axis, ToleranceAxis):
-        text += (
-            f", as many as keep the boundary's motion between two of them below {axis.tolerance:g}"
-        )
-    return text
+    return f"{name}: {nodes.size} nodes from {nodes[0]:g} to {nodes[-1]:g}"
 
 
 def _delay_cells_line(plan: Plan) -> str:

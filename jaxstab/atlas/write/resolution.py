@@ -47,7 +47,6 @@ from jaxstab.atlas.compute.layout import (
     reach_of,
     regions_around,
     with_counts,
-    with_known_nodes,
 )
 from jaxstab.atlas.compute.plan import Plan, compute_tile
 from jaxstab.atlas.format.schema import image_of
@@ -376,7 +375,7 @@ class _Range:
         if judge is None:
             raise ValueError(f"size needs verdicts; add {ALPHA_LIMITS!r} to the products.")
         self._judge = judge
-        self._spec = with_known_nodes(spec)
+        self._spec = spec
         self._knobs = [n for n in PRODUCTS[judge].knobs if not is_fixed(self._spec, n)]
         begin = process_time()
         self._reach = reach_of(self._spec)
