@@ -227,9 +227,8 @@ def _bytes(_: click.Context, option: click.Parameter, text: str | None) -> float
 def plan(file: Path | None, spec: Path | None, output: Path | None, **wishes: float | None) -> None:
     """Print what a build would compute, why it need not compute the rest, and what it will take.
 
-    With a wish, print instead what resolutions of the same range give and take, by samples, and
-    write the specification that meets the wish: jaxstab atlas plan --spec mine.toml --accuracy
-    0.01 -o mine-0.01.toml
+    With a wish, print instead the error and the cost of the resolution that meets it, by samples,
+    and write its specification: jaxstab atlas plan --spec mine.toml --accuracy 0.01 -o finer.toml
     """
     from jaxstab.atlas import AtlasSpec, plan_atlas, plan_resolution
     from jaxstab.atlas.write.resolution import estimate_build

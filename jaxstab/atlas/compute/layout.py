@@ -8,21 +8,16 @@ Limits of alpha and radii also answer between the delays, in cells of delays. Wh
 edges of cells, for there the degree of the polynomial changes. A cell of limits is longer as the
 delay grows, for the boundary bends less; those of radii are even, and wider after some samples.
 The ends of alpha and beta of a cell follow from the regions at some edges (``_delay_cells``).
-
-At the end of this file a specification gets other counts along its axes, for plans of resolutions.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
-from math import ceil, floor, prod
-from typing import Any
+from math import ceil, floor
 
 import numpy as np
 from jaxtyping import Float64
 
 from jaxstab.atlas.format.spec import (
-    FEWEST_FITTED,
     AtlasSpec,
     FittedAxis,
     check_size,
@@ -207,17 +202,6 @@ def lay_out(spec: AtlasSpec, reach: Reach | None = None) -> Grid:
     return grid
 
 
-def regions_around(spec: AtlasSpec, grid: Grid) -> int:
-    """Return how many stable regions ``lay_out`` computes, where their reach is not known."""
-    if not isinstance(spec.alpha, FittedAxis) and not isinstance(spec.beta, FittedAxis):
-        return 0
-    cells = max(grid.limit_range, grid.radius_range, key=len)
-    edges = [] if np.all(cells[:, 0] == cells[:, 1]) else [*cells[:, 0].tolist(), cells[-1, 1]]
-    return len(_stations(edges, grid.delay)) * prod(
-        len(_thinned(nodes)) for nodes in (grid.gamma, grid.delta)
-    )
-
-
 def radius_cells_of(alphas: int, betas: int, gammas: int, deltas: int) -> tuple[int, int, int, int]:
     """Return how many cells of radii there are along alpha, beta, gamma and delta, for nodes."""
     # Functions of second order bend with the radius, so these cells are wider than others.
@@ -392,55 +376,3 @@ def _fitted_alpha(
 def _fitted_beta(count: int, lowest: float, highest: float) -> Float64[np.ndarray, " count"]:
     margin = _MARGIN * (highest - lowest)
     return np.linspace(lowest - margin, highest + margin, count)
-
-
-# The same range with more or fewer nodes: the counts along each axis of a specification.
-
-Counts = Mapping[str, int]
-
-"""Of nodes along alpha and beta, of cells along gamma and delta, and ``limit_cells`` and
-``delay_cells`` of the limits of alpha."""
-
-WALLS, HANDS, OF_LIMITS = ("alpha", "beta"), ("gamma", "delta"), ("limit_cells", "delay_cells")
-
-
-def counts_of(spec: AtlasSpec) -> dict[str, int]:
-    """Return the counts of a specification; no cells where only delays are."""
-    along: dict[str, int] = {name: _length(getattr(spec, name)) for name in (*WALLS, *HANDS)}
-    along |= {name: max(1, along[name] - 1) for name in HANDS}
-    cells = 0 if is_fixed(spec, "delay_cells") else int(spec.delay_cells or 0)
-    return along | {"limit_cells": spec.limit_cells, "delay_cells": cells}
-
-
-def is_fixed(spec: AtlasSpec, name: str) -> bool:
-    """Whether a count cannot be another one: an axis of one node, or limits at delays alone."""
-    if name == "delay_cells":
-        return not spec.delay_cells or _length(spec.delay) == 1
-    return name in HANDS and _length(getattr(spec, name)) == 1
-
-
-def with_counts(spec: AtlasSpec, counts: Counts) -> AtlasSpec:
-    """A specification of the same range with other counts; nodes stay as dense as they were."""
-    now = counts_of(spec)
-    changed: dict[str, Any] = {}
-    for name in (name for name in counts if counts[name] != now[name]):
-        if name in OF_LIMITS:
-            changed[name] = counts[name]
-        elif isinstance(getattr(spec, name), FittedAxis):
-            changed[name] = replace(getattr(spec, name), count=counts[name])
-        else:
-            nodes, count = np.array(getattr(spec, name)), counts[name] + (name in HANDS)
-            places = np.linspace(0.0, nodes.size - 1.0, count)
-            changed[name] = np.interp(places, np.arange(nodes.size), nodes).tolist()
-    return replace(spec, **changed)
-
-
-def least_count(spec: AtlasSpec, name: str) -> int:
-    """Return the smallest count that a specification may have."""
-    if name not in WALLS:
-        return 1
-    return FEWEST_FITTED if isinstance(getattr(spec, name), FittedAxis) else 2
-
-
-def _length(axis: Any) -> int:
-    return axis.count if isinstance(axis, FittedAxis) else len(axis)

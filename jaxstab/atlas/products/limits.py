@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxstab.atlas.format.variables import Variable, numbers
-from jaxstab.atlas.products.product import Array, Arrays, Floats, Product
+from jaxstab.atlas.products.product import Array, Floats, Product
 from jaxstab.conventions import Verdict
 from jaxstab.rounding import PLANES
 
@@ -99,11 +99,6 @@ class Limits(Product):
     rows = LIMIT_RANGE
     lengths = {"limit_term": 2 * LIMIT_TERMS, "limit_end": 6}  # noqa: RUF012
     unit = LIMITS[:4]
-    knobs = "gamma", "delta", "limit_cells", "delay_cells"
-    power = 2.0
-    error = "limit_error"
-    quantile = 0.95
-    has_calls = True
 
     def compute(self, plan: "Plan", tile: "Tile") -> dict[str, Array]:
         from jaxstab.proofs.columns import stable_columns
@@ -148,24 +143,24 @@ class Limits(Product):
         part = grid.slice_at(0.0, gamma, delta).without_walls(ends)
         return replace(part, limit_cells=columns, limit_range=ends)
 
-    def judged(
-        self, grid: "Grid", arrays: Arrays, reach: "Reach | None", chance: np.random.Generator
-    ) -> tuple[Floats, float]:
-        early, late, least, most, low, high = grid.limit_range[0].tolist()
-        terms = arrays[ALPHA_LIMITS].reshape(-1, 2 * LIMIT_TERMS)
-        column = np.repeat(np.arange(len(terms)), _PER_COLUMN)
-        beta = low + (column + chance.random(column.size)) / len(terms) * (high - low)
-        ends = *((nodes[0], nodes[-1]) for nodes in (grid.gamma, grid.delta)), (early, late)
-        others = [chance.uniform(*pair, column.size) for pair in ends]
-        limits = limits_at(terms[column].T, beta, *others)
-        undecided = float(undecided_share(limits, least, most).mean())
-        if reach is None:
-            return np.zeros(0), undecided
-        stable = (limits.lower < inf) & ((limits.upper < inf) | (limits.upper_error == inf))
-        return limits.upper_error[stable] / reach.along(others[-1][stable])[:, 0], undecided
-
 
 _COLUMNS, _PER_COLUMN = 64, 4  # of a part, and points in each at which it is judged
+
+
+def upper_errors(
+    grid: "Grid", limits: Array, reach: "Reach", chance: np.random.Generator
+) -> Floats:
+    """Return errors of the upper limits of a part, over the largest stable alpha at their delay."""
+    early, late, _, _, low, high = grid.limit_range[0].tolist()
+    terms = limits.reshape(-1, 2 * LIMIT_TERMS)
+    column = np.repeat(np.arange(len(terms)), _PER_COLUMN)
+    beta = low + (column + chance.random(column.size)) / len(terms) * (high - low)
+    ends = *((nodes[0], nodes[-1]) for nodes in (grid.gamma, grid.delta)), (early, late)
+    others = [chance.uniform(*pair, column.size) for pair in ends]
+    at = limits_at(terms[column].T, beta, *others)
+    stable = (at.lower < inf) & ((at.upper < inf) | (at.upper_error == inf))
+    errors: Floats = at.upper_error[stable] / reach.along(others[-1][stable])[:, 0]
+    return errors
 
 
 def in_float32(terms: Floats, largest: tuple[float, float, float, float]) -> NDArray[np.float32]:

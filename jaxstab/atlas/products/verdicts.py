@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxstab.atlas.format.variables import CELL, CODES, NODE, SLICE, Variable
-from jaxstab.atlas.products.product import Array, Arrays, Check, Floats, Place, Product, Stored
+from jaxstab.atlas.products.product import Array, Check, Floats, Place, Product, Stored
 from jaxstab.conventions import Verdict
 
 if TYPE_CHECKING:
-    from jaxstab.atlas.compute.layout import Grid, Reach
+    from jaxstab.atlas.compute.layout import Grid
     from jaxstab.atlas.compute.plan import Plan, Share, Tile
 
 VERDICT = "verdict"
@@ -51,9 +51,6 @@ class Verdicts(Product):
     variables = _VARIABLES
     gridded = VERDICT, CELL_VERDICT
     unit = ("beta_node", *SLICE)
-    knobs = "alpha", "beta", "gamma", "delta"
-    power = 1.0
-    error = "undecided"
 
     def compute(self, plan: "Plan", tile: "Tile") -> dict[str, Array]:
         from jaxstab.atlas.compute.verdicts import cell_verdicts, node_verdicts
@@ -86,12 +83,6 @@ class Verdicts(Product):
 
     def part(self, grid: "Grid", place: Floats) -> "Grid":
         return grid.slice_at(*place[:3].tolist())
-
-    def judged(
-        self, grid: "Grid", arrays: Arrays, reach: "Reach | None", chance: np.random.Generator
-    ) -> tuple[Floats, float]:
-        axes = [grid.alpha[:, 0], grid.beta[:, 0], grid.gamma, grid.delta]
-        return np.zeros(0), 1.0 - decided_share([((0, 0, 0, 0, 0), arrays[CELL_VERDICT])], axes)
 
     def checks(self, stored: Stored) -> Iterator[Check]:
         for name, points_at in ((VERDICT, _nodes_at), (CELL_VERDICT, _points_in_cells)):
