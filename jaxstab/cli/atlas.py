@@ -14,7 +14,6 @@ import click
 import jaxstab
 from jaxstab.cli.options import at_work, file_in, keep_programs, output_file
 from jaxstab.cli.scene import scene_of, warn
-from jaxstab.cli.untrusted import careful
 from jaxstab.conventions import Verdict
 
 if TYPE_CHECKING:
@@ -121,7 +120,6 @@ def spec(file: Path, **tolerances: float | None) -> None:
 
 @click.command()
 @click.argument("file", type=Path)
-@careful
 def info(file: Path) -> None:
     """Print what an atlas holds, and a line to query it."""
     click.echo(_described(jaxstab.open_atlas(file), file))
@@ -136,7 +134,6 @@ def info(file: Path) -> None:
     show_default=True,
     help="About how many points of each kind to compute again.",
 )
-@careful
 def verify(file: Path, sample: int) -> None:
     """Check that an atlas is whole, and right at a random sample of points."""
     from jaxstab.atlas.write.verify import verify_atlas

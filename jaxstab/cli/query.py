@@ -12,7 +12,6 @@ import click
 
 import jaxstab
 from jaxstab.cli.options import file_in, keep_programs
-from jaxstab.cli.untrusted import careful
 from jaxstab.conventions import AXES, Verdict
 from jaxstab.tables import parsed, text_of
 
@@ -58,7 +57,6 @@ def _axis_options(command: Any) -> Any:
 )
 @click.option("--stiffness", type=float, help="K of a wall in place of the scene's, in N/m.")
 @click.option("--damping", type=float, help="B of a wall in place of the scene's, in N s/m.")
-@careful
 def query(
     file: Path,
     table: Path | None,
