@@ -25,7 +25,7 @@ def test_bytes_that_are_no_text_are_named_by_file_and_line(path: Path, tmp_path:
     spec.write_bytes(b"gamma = [0]\ndelta = \xff\n")
     for answer, place in (
         (run("atlas", "query", path, "--csv", table), f"{table}: line 3"),
-        (run("scene", spec), f"{spec}: line 2"),
+        (run("limits", spec), f"{spec}: line 2"),
     ):
         assert (answer.exit_code > 0, answer.stdout) == (True, "")
         assert_one_sentence(answer.stderr)
@@ -39,7 +39,7 @@ def test_bytes_that_are_no_text_are_named_by_file_and_line(path: Path, tmp_path:
 )
 def test_a_monstrous_toml_is_one_sentence(text: str, tmp_path: Path) -> None:
     (tmp_path / "bad.toml").write_text(f"a = {text}" if text[0] == "[" else text)
-    answer = run("scene", tmp_path / "bad.toml")
+    answer = run("limits", tmp_path / "bad.toml")
     assert (answer.exit_code, answer.stdout) == (2, "")
     assert_one_sentence(answer.stderr)
     assert "bad.toml" in answer.stderr
@@ -90,7 +90,7 @@ def test_a_table_where_a_number_should_be_is_named_by_its_key(tmp_path: Path) ->
         "[device]\npreset = 'omega'\n[controller]\nsample_time = 0.001\n"
         "[wanted]\nstiffness = { a = 1 }\n"
     )
-    answer = run("scene", tmp_path / "s.toml")
+    answer = run("limits", tmp_path / "s.toml")
     assert "s.toml: wanted.stiffness is {'a': 1}; give a finite number" in answer.stderr
 
 

@@ -232,7 +232,7 @@ def _asked_of_scene(
     """Return inputs and units, and a row for each wall at each corner of the ranges of a scene."""
     from jaxstab.loop import Gains
     from jaxstab.scene import Scene
-    from jaxstab.scene.answers import Answers, basis_of
+    from jaxstab.scene.answers import Inputs, basis_of
     from jaxstab.scene.atlas import ask_atlas
     from jaxstab.scene.loops import walls_of
 
@@ -262,7 +262,7 @@ def _asked_of_scene(
         answer = (getattr(entry.answer, name).item() for name in _ANSWER)
         where: dict[str, float | str] = {"wall": entry.name}
         rows.append(where | dict(zip(units, numbers, strict=True)) | _words(*answer))
-    stated = Answers(basis_of(scene), {}).as_json()
+    stated = Inputs(basis_of(scene)).as_json()
     stated["inputs"] |= {"created_by": opened.created_by}
     stated["units"] |= units | dict.fromkeys(_RADIUS, "1")
     return stated, rows

@@ -25,7 +25,6 @@ _HEADINGS = {
     "walls": "wall {}",
     "islands": "island {}",
     "windows": "with a window of {} samples",
-    "answers": "{}",
 }
 
 """The headings of the answers in a field that is a dictionary, by its name."""
@@ -254,11 +253,10 @@ class Basis(Answer):
 
 
 @dataclass(frozen=True)
-class Answers(Answer):
-    """Several answers by their names."""
+class Inputs(Answer):
+    """The inputs alone, with their units, of answers that are no ``Answer``."""
 
-    inputs: Basis | None
-    answers: dict[str, Any]
+    inputs: Basis
 
 
 def in_words(value: str | IntEnum) -> str:
