@@ -36,9 +36,6 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     write_small(tmp_path)
     (tmp_path / "spec.toml").write_text(SMALL_TOML, encoding="utf-8")
     (tmp_path / "scene.toml").write_text(EXAMPLE, encoding="utf-8")
-    (tmp_path / "unstable.toml").write_text(
-        EXAMPLE.replace("stiffness = 1500.0", "stiffness = 150000.0"), encoding="utf-8"
-    )
     (tmp_path / "damaged.h5").write_bytes((tmp_path / "small.h5").read_bytes()[:-1])
     monkeypatch.chdir(tmp_path)
     return tmp_path

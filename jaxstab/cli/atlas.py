@@ -222,7 +222,7 @@ def _bytes(_: click.Context, option: click.Parameter, text: str | None) -> float
     help="TOML file to write, which meets the wish.",
 )
 def plan(file: Path | None, spec: Path | None, output: Path | None, **wishes: float | None) -> None:
-    """Print what a build would compute, why it need not compute the rest, and what it will take.
+    """Print what a build would compute, and what it will take.
 
     With a wish, print instead the error and the cost of the resolution that meets it, by samples,
     and write its specification: jaxstab atlas plan --spec mine.toml --accuracy 0.01 -o finer.toml

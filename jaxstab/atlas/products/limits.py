@@ -29,7 +29,7 @@ from jaxstab.rounding import PLANES
 
 if TYPE_CHECKING:
     from jaxstab.atlas.compute.layout import Grid, Reach
-    from jaxstab.atlas.compute.plan import Plan, Share, Tile
+    from jaxstab.atlas.compute.plan import Plan, Tile
     from jaxstab.model.filters import Filters
 
 ALPHA_LIMITS = "alpha_limits"
@@ -130,12 +130,6 @@ class Limits(Product):
             return True
         limits = np.split(values, 2, axis=-1)
         return all(np.all(np.isfinite(v[..., 1:-1])) and v[..., -1].min() >= 0.0 for v in limits)
-
-    def share(self, plan: "Plan", variable: str) -> "Share":
-        from jaxstab.atlas.compute.plan import Share
-
-        requested = plan.points(variable) // (2 * LIMIT_TERMS)
-        return Share(variable, requested, requested)
 
     def part(self, grid: "Grid", place: Floats) -> "Grid":
         delay, gamma, delta, beta = place

@@ -27,7 +27,7 @@ from jaxstab.atlas.format.variables import SLICE, Variable
 
 if TYPE_CHECKING:
     from jaxstab.atlas.compute.layout import Grid
-    from jaxstab.atlas.compute.plan import Plan, Share, Tile
+    from jaxstab.atlas.compute.plan import Plan, Tile
     from jaxstab.atlas.read.atlas import Atlas
     from jaxstab.model.filters import Filters
 
@@ -127,13 +127,6 @@ class Product:
             for counts, dimension in self.strung.items()
             if counts in arrays
         )
-
-    def share(self, plan: "Plan", variable: str) -> "Share":
-        """Return how many of the points of a variable are evaluated."""
-        from jaxstab.atlas.compute.plan import Share
-
-        requested = plan.points(variable)
-        return Share(variable, requested, requested)
 
     def part(self, grid: "Grid", place: Floats) -> "Grid":
         """Return the grid of a part, where delay, gamma, delta and beta are at shares of ranges."""
