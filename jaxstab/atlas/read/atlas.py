@@ -402,11 +402,10 @@ class Atlas:
         delay: Numbers,
         outside: Outside = "error",
         exact: bool = False,
-        velocity: Any = None,
-        position: Any = None,
     ) -> AtlasAnswer:
         """Verdicts and radii of points of any broadcast shape, each proved or called undecided.
 
+        The atlas answers for its own estimator and filter (``filters``; ``for_loop`` checks them).
         At a node of the grid the verdict is what was computed there. Between nodes it is given
         where the limits of alpha, or the proof for the whole cell, decide it, and is UNDECIDED
         elsewhere: at all delays for which there are limits, or else at those of ``delays``.
@@ -416,17 +415,13 @@ class Atlas:
             alpha, beta, gamma, delta, delay: see ``jaxstab.conventions``.
             outside: "error" to refuse points outside of the atlas, "undecided" to call them so.
             exact: settle UNDECIDED points inside by computation.
-            velocity: the velocity estimator that you mean, in units of one sample; an atlas of
-                another one refuses. Without it and ``position`` the atlas answers for its own.
-            position: likewise, the position filter.
 
         Raises: see ``jaxstab.conventions``; ValueError also for points outside of the atlas, unless
-        ``outside`` is "undecided", and if it has another estimator or filter than the named one.
+        ``outside`` is "undecided".
 
         Source: ``jaxstab.proofs.columns``.
         """
         checked_word("outside", outside, ("error", "undecided"))
-        self._check_filters(velocity, position)
         points = np.broadcast_arrays(*all_checked((alpha, beta, gamma, delta, delay)))
         shape = points[0].shape
         has_verdicts = VERDICT in self.arrays or ALPHA_LIMITS in self.arrays
@@ -457,14 +452,11 @@ class Atlas:
         delay: Numbers,
         outside: Outside = "error",
         exact: bool = False,
-        velocity: Any = None,
-        position: Any = None,
     ) -> NDArray[np.int8]:
         """The verdicts of ``query`` alone (int8 codes), faster where limits of alpha decide.
 
         Arguments, errors and source: as ``query``.
         """
-        self._check_filters(velocity, position)
         given = (alpha, beta, gamma, delta, delay)
         if outside == "error":
             codes = self._verdict_by_limits(given)
@@ -523,19 +515,6 @@ class Atlas:
         """
         table = self._table_over(None, beta, gamma, delta, delay)
         return table.common_limits(beta, gamma, delta, delay)
-
-    def _check_filters(self, velocity: Any, position: Any) -> None:
-        if velocity is None and position is None:
-            return
-        from jaxstab.atlas.format.spec import words_of
-        from jaxstab.model.filters import known_filters
-
-        named = known_filters(velocity, position)
-        if named != self.filters:
-            raise ValueError(
-                f"the query is for {words_of(named)}, and this atlas is of "
-                f"{self.filters_in_words}; open another atlas, or build one."
-            )
 
     def _verdict_by_limits(self, given: Sequence[Numbers]) -> NDArray[np.int8] | None:
         """Return what the limits of alpha say; None where they are missing or do not reach."""
