@@ -8,8 +8,8 @@ above upper + error it is unstable, between lower + error and upper - error stab
 atlas leaves it undecided. Many points are answered by one of the two surfaces, where that one alone
 decides (``_deciding``).
 
-Some axes hold the whole stable set: ``compute.beyond`` proves of which cells of delays, and a wall
-beyond such an axis is unstable.
+Some axes hold the whole stable set: ``compute.verdicts`` proves of which cells of delays, and a
+wall beyond such an axis is unstable.
 """
 
 from bisect import bisect_right
@@ -121,7 +121,7 @@ class Limits(Product):
         return {ALPHA_LIMITS: limits.reshape(shape)}
 
     def known_before(self, grid: "Grid", filters: "Filters | None") -> dict[str, Array]:
-        from jaxstab.atlas.compute.beyond import whole_axes
+        from jaxstab.atlas.compute.verdicts import whole_axes
 
         return {LIMIT_RANGE: grid.limit_range, LIMIT_WHOLE: whole_axes(grid, filters)}
 
