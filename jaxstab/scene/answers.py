@@ -310,8 +310,8 @@ def _delay_is(controller: Controller) -> str | None:
     if not controller.moves:
         return f"constant, somewhere between {ends}: proofs hold for every constant delay"
     lost = f", up to {controller.lost_samples} in a row lost" if controller.lost_samples else ""
-    known = f"moves between {ends}" if low < high else f"is {Quantity('s').words(low)}"
-    return f"{known}, newest sample wins{lost}: proofs hold for every sequence"
+    motion = f"moves between {ends}" if low < high else f"is {Quantity('s').words(low)}"
+    return f"{motion}, newest sample wins{lost}: proofs hold for every sequence"
 
 
 def basis_of(scene: Scene) -> Basis:

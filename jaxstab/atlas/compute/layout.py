@@ -116,14 +116,14 @@ class Grid:
             _index(np.diff(nodes), share)
             for nodes, share in ((self.gamma, gamma), (self.delta, delta))
         )
-        one = slice(int(delay * self.delay.size), int(delay * self.delay.size) + 1)
+        at_delay = slice(int(delay * self.delay.size), int(delay * self.delay.size) + 1)
         return replace(
             self,
-            alpha=self.alpha[:, one],
-            beta=self.beta[:, one],
+            alpha=self.alpha[:, at_delay],
+            beta=self.beta[:, at_delay],
             gamma=self.gamma[first : first + 1 + boxes],
             delta=self.delta[second : second + 1 + boxes],
-            delay=self.delay[one],
+            delay=self.delay[at_delay],
         )
 
     def row_at(
@@ -225,12 +225,12 @@ def _delay_cells(
     if delay.size == 1 or not fineness:
         return np.column_stack([delay, delay, at_nodes])
     edges = _delay_edges(delay, fineness)
-    known = dict(zip(delay.tolist(), at_nodes, strict=True))
+    ends_at = dict(zip(delay.tolist(), at_nodes, strict=True))
     stations = _stations(edges, delay)
-    for edge in (edge for edge in stations if edge not in known):
+    for edge in (edge for edge in stations if edge not in ends_at):
         alpha, beta = _wall_axes(spec, *hands, edge, reach)
-        known[edge] = alpha[0], alpha[-1], beta[0], beta[-1]
-    ends = np.array([known[station] for station in stations])
+        ends_at[edge] = alpha[0], alpha[-1], beta[0], beta[-1]
+    ends = np.array([ends_at[station] for station in stations])
     along = np.stack([np.interp(edges, stations, column) for column in ends.T], axis=-1)
     low, high = np.minimum(along[1:], along[:-1]), np.maximum(along[1:], along[:-1])
     walls_of = [low[:, 0], high[:, 1], low[:, 2], high[:, 3]]

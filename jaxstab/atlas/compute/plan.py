@@ -87,11 +87,10 @@ class Plan:
         if dimension == RADIUS_CELL[-1]:
             return self.grid.delay_cells(tile.delay, self.grid.radius_range)
         count = self.grid.lengths[dimension]
-        one = {"gamma": tile.gamma, "delay": tile.delay}
-        inside = {name: range(number, number + 1) for name, number in one.items()}
-        inside |= {"delta": tile.delta}
-        part = inside.get(dimension.removesuffix("_cell"), range(count))
-        return range(part.start, max(part.start, min(part.stop, count)))
+        gamma, delay = (range(index, index + 1) for index in (tile.gamma, tile.delay))
+        inside = {"gamma": gamma, "delta": tile.delta, "delay": delay}
+        indices = inside.get(dimension.removesuffix("_cell"), range(count))
+        return range(indices.start, max(indices.start, min(indices.stop, count)))
 
     def shape(self, variable: str, tile: Tile) -> tuple[int, ...]:
         """Return the shape of the part of a variable that is in a tile."""

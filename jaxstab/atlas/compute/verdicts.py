@@ -103,8 +103,8 @@ def _codes(
     gaps = column_gaps(beta, hands, delay, domain, filters)
     first = np.searchsorted(alpha, gaps.low, "right")
     stop = np.searchsorted(alpha, gaps.high, "left") + 1 - nodes
-    known = (first < stop) & np.isin(gaps.verdict, (Verdict.STABLE, Verdict.UNSTABLE))
-    ends = np.stack([first, stop], axis=-1) * known[..., None]
+    is_decided = (first < stop) & np.isin(gaps.verdict, (Verdict.STABLE, Verdict.UNSTABLE))
+    ends = np.stack([first, stop], axis=-1) * is_decided[..., None]
     shape = hands.gamma.size, beta.size - 1, alpha.size + 1 - nodes
     return _filled(ends.reshape(*shape[:2], -1), gaps.verdict, shape[-1])
 
@@ -219,15 +219,15 @@ def _proved(
             return True
     if not halvings or not half:
         return False
-    parts = (early, middle), (middle, late)
-    return all(_proved(grid, part, edges, alpha, filters, halvings - 1) for part in parts)
+    halves = (early, middle), (middle, late)
+    return all(_proved(grid, ends, edges, alpha, filters, halvings - 1) for ends in halves)
 
 
 def _boxes(grid: Grid, *, cells: bool) -> HandBoxes:
     sides = [grid.sides(name) for name in ("gamma", "delta")]
     if not cells:
         sides = [np.array([[along[0, 0], along[-1, 1]]]) for along in sides]
-    pairs = np.array([(one, other) for one in sides[0] for other in sides[1]])
+    pairs = np.array(list(product(*sides)))
     gamma, delta = pairs[:, 0], pairs[:, 1]
     halves = (0.5 * (along[:, 1] - along[:, 0]) * RAISED_MUCH for along in (gamma, delta))
     return HandBoxes(gamma.mean(axis=1), delta.mean(axis=1), *halves)

@@ -506,9 +506,9 @@ class LimitTable:
             number = numbers[point]
             edges = np.arange(self._cells + 1) / self._per_beta[number] + self._beta[number]
             sides = np.stack([edges[:-1], edges[1:]])  # planes are highest at their sides
-            one = slice(point, point + 1)
+            here = slice(point, point + 1)
             least, most = (end[number] for end in self.delays.ends["alpha"])
-            found_at = limits_at(columns[:, row].T, sides, gamma[one], delta[one], delay[one])
+            found_at = limits_at(columns[:, row].T, sides, gamma[here], delta[here], delay[here])
             at = within(found_at, least, most)
             top = np.minimum(at.upper - at.upper_error, most)
             holds = at.lower + at.lower_error < top

@@ -64,8 +64,8 @@ class Stored:
     def places(self, counts: Sequence[int]) -> list[Place]:
         """Return some of the slices, each once."""
         slices = prod(counts)
-        some = self.chance.choice(slices, min(_SLICES, self.sample, slices), replace=False)
-        places: list[Place] = np.stack(np.unravel_index(some, counts), axis=-1).tolist()
+        chosen = self.chance.choice(slices, min(_SLICES, self.sample, slices), replace=False)
+        places: list[Place] = np.stack(np.unravel_index(chosen, counts), axis=-1).tolist()
         return places
 
     def loop(self, place: Place) -> tuple[float, float, float]:

@@ -207,12 +207,12 @@ def _parts(ends: Floats, count: int) -> tuple[Floats, float]:
     return low + half * (2.0 * np.arange(count) + 1.0), half * (1.0 + OVERLAP)
 
 
-def _in_float32(known: "RadiusSurfaces") -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+def _in_float32(surfaces: "RadiusSurfaces") -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """Return the kinds of cells and the terms of their functions, with what rounding loses."""
     from jaxstab.proofs.radius_cells import WIDEST_CLUSTER, SurfaceKind
 
-    kind, terms = known.kind.astype(np.int32), known.terms.copy()
-    errors = np.concatenate([known.error, np.zeros((1, kind.size))])
+    kind, terms = surfaces.kind.astype(np.int32), surfaces.terms.copy()
+    errors = np.concatenate([surfaces.error, np.zeros((1, kind.size))])
     is_known = (kind != SurfaceKind.NONE) & np.all(np.abs(terms) < _LARGEST, axis=(0, 1))
     is_known &= np.all(np.isfinite(errors), axis=0)
     terms[..., ~is_known], errors[:, ~is_known], kind[~is_known] = 0.0, np.inf, SurfaceKind.ONE

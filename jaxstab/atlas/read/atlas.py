@@ -296,9 +296,9 @@ def _ends(atlas: "Atlas", delay: float) -> tuple[tuple[float, float], tuple[floa
         nodes = atlas.nodes(int(np.searchsorted(atlas.delays, delay)))
         alpha, beta = ((float(axis[0]), float(axis[-1])) for axis in list(nodes.values())[:2])
         return alpha, beta
-    known = ", ".join(f"{node:g}" for node in atlas.delays.tolist())
+    delays = ", ".join(f"{node:g}" for node in atlas.delays.tolist())
     raise ValueError(
-        f"delay of the loop is {delay!r} samples, and this atlas answers at {known} alone; ask "
+        f"delay of the loop is {delay!r} samples, and this atlas answers at {delays} alone; ask "
         "another atlas, or build one."
     )
 

@@ -91,11 +91,11 @@ def _computed(
     plan: Plan, product: str, grid: Grid
 ) -> tuple[float, int, Mapping[str, NDArray[Any]]]:
     """Return the seconds, the compressed bytes and the arrays of the first tile of a part."""
-    part = Plan(replace(plan.spec, products=(product,)), grid)
-    tile = part.tiles[0]
+    plan = Plan(replace(plan.spec, products=(product,)), grid)
+    tile = plan.tiles[0]
     begin = process_time()
-    arrays = compute_tile(part, tile)
-    image = encode_tile(part, tile, "", arrays)
+    arrays = compute_tile(plan, tile)
+    image = encode_tile(plan, tile, "", arrays)
     seconds = process_time() - begin
     with h5py.File.in_memory(image_of(image)) as file:
         size = sum(dataset.id.get_storage_size() for dataset in file.values())
