@@ -252,7 +252,7 @@ def test_the_command_writes_what_meets_the_wish(tmp_path: Path) -> None:
     source, target = tmp_path / "mine.toml", tmp_path / "finer.toml"
     source.write_text(SLICE.to_toml(), encoding="utf-8")
     options = ["--size", "40kB", "-o", str(target)]
-    answer = CliRunner().invoke(main, ["atlas", "plan", "--spec", str(source), *options])
+    answer = CliRunner().invoke(main, ["atlas", "plan", str(source), *options])
     assert answer.exit_code == 0, answer.output
     assert "meets size 40000" in answer.stdout
     assert f"jaxstab atlas build --spec {target}" in answer.stdout
@@ -266,7 +266,6 @@ def test_the_command_writes_what_meets_the_wish(tmp_path: Path) -> None:
         (["-o", "finer.toml"], "-o needs a wish, such as --accuracy 0.01."),
         (["--accuracy", "0.1", "-o", "finer.txt"], "finer.txt does not end in .toml."),
         (["--accuracy", "0.1", "--size", "3"], "--accuracy and --size are given; give one wish."),
-        (["one.toml", "--spec", "two.toml"], "SPEC and --spec are given; give one of them."),
     ],
 )
 def test_the_command_refuses_in_one_sentence(options: list[str], says: str) -> None:
