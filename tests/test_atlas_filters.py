@@ -138,7 +138,6 @@ def test_the_file_says_its_estimator_in_words_and_numbers(atlas: jaxstab.Atlas) 
     words = "velocity: the difference over a window of 5 samples; position: no filter"
     assert atlas.filters_in_words == words
     assert atlas.filters == (FIVE, Filter())
-    assert atlas.to_xarray().attrs["filters"] == words
     assert words in CliRunner().invoke(main, ["atlas", "info", str(WINDOW)]).output
 
 

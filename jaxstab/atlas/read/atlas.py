@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxstab.arrays import tree_map
-from jaxstab.atlas.format.schema import VARIABLES, attributes_of, head_attributes
 from jaxstab.atlas.format.variables import SPEC
 from jaxstab.atlas.products.limits import (
     ALPHA_LIMITS,
@@ -342,8 +341,6 @@ class Atlas:
         >>> low, high = atlas.common_alpha_limits(0.3, **hands, delay=1.0)
         >>> low < high, round(high, 2)
         (True, 0.13)
-        >>> atlas.to_xarray()["verdict"].dims
-        ('alpha_node', 'beta_node', 'gamma', 'delta', 'delay')
         >>> axes = atlas.plot(delay=1.0)
     """
 
@@ -577,24 +574,6 @@ class Atlas:
         walls = {"beta": beta} | ({} if alpha is None else {"alpha": alpha})
         numbers = {name: checked_number(name, value) for name, value in walls.items()}
         return self._table_and_points(checked_number("delay", delay), **ranges, **numbers)[0]
-
-    def to_xarray(self) -> Any:
-        """Return all arrays as an xarray.Dataset; RuntimeError if xarray is not installed."""
-        try:
-            import xarray
-        except ImportError as error:
-            raise RuntimeError(
-                "an xarray.Dataset needs xarray: python -m pip install 'jaxstab[xarray]'."
-            ) from error
-        variables = {}
-        for name, values in self.arrays.items():
-            said = attributes_of(VARIABLES[name])
-            said.pop("coordinates", None)  # xarray takes it for its own
-            variables[name] = VARIABLES[name].dimensions, values, said
-        head = head_attributes(self.created_by, self.filters_in_words)
-        for product in self.products:
-            head |= PRODUCTS[product].attributes(self.arrays)
-        return xarray.Dataset(variables, attrs=head).set_coords(["alpha", "beta"])
 
     def outline(self, *, gamma: float, delta: float, delay: float) -> AtlasOutline:
         """The boundary of the stable region of a slice that is a node, with its corners.
