@@ -21,7 +21,7 @@ from jaxstab.cli.options import (
     picture_file,
     write_beside,
 )
-from jaxstab.shown import printable, shortened
+from jaxstab.shown import printable, shortened, table_text
 
 if TYPE_CHECKING:
     from jaxstab.scene import Answer, Scene
@@ -277,22 +277,15 @@ def _table(rows: list["Row"]) -> str:
     from jaxstab.scene.many import short
 
     paths = [path for path in _paths(rows) if path in _SHOWN or _is_of_wall(path)]
-    first = "scene" if any(row.variant.source for row in rows) else ""
-    heads = [first, *rows[0].variant.values]
+    has_files = any(row.variant.source for row in rows)
     plain = (path.removeprefix("walls.").replace("_", " ").replace(".", ": ") for path in paths)
-    lines = [[*heads, *plain]]
+    lines = [["scene"] * has_files + [*rows[0].variant.values, *plain, ""]]
     for row in rows:
-        own = [row.variant.source, *(short(value) for value in row.variant.values.values())]
-        lines.append(list(map(printable, [*own, *(row.words.get(path, "") for path in paths)])))
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    refusals = ["", *(printable(row.refusal) for row in rows)]
-    return "\n".join(
-        "  ".join(
-            f"{cell:{width}}" for cell, width in zip(line, widths, strict=True) if width
-        ).rstrip()
-        + (f"  {refusal}" if refusal else "")
-        for line, refusal in zip(lines, refusals, strict=True)
-    )
+        swept = map(short, row.variant.values.values())
+        words = (row.words.get(path, "") for path in paths)
+        cells = [row.variant.source] * has_files + [*swept, *words, row.refusal]
+        lines.append(list(map(printable, cells)))
+    return table_text(lines)
 
 
 def _is_of_wall(path: str) -> bool:

@@ -37,6 +37,7 @@ from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.products.verdicts import VERDICT
 from jaxstab.atlas.write.tiles import encode_tile
 from jaxstab.numbers import checked_number
+from jaxstab.shown import table_text
 
 Floats = Float64[np.ndarray, "..."]
 _PLASTIC = 1.1673039782614187  # the root of x^5 = x + 1: its powers spread four numbers evenly
@@ -237,12 +238,7 @@ class ResolutionPlan:
             counts = (str(count or "-") for count in row.counts.values())
             cost = f"{row.size / 1e6:.3g}", f"{row.seconds:.3g}"
             rows.append([*counts, str(row.limit_error), *cost, note])
-        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        lines = [
-            "  ".join(f"{cell:>{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
-            for row in rows
-        ]
-        return "\n".join([*lines, "", *_LEGEND])
+        return "\n".join([table_text(rows), "", *_LEGEND])
 
 
 _LEGEND = (
