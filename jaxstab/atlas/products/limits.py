@@ -306,13 +306,6 @@ def surface(terms: Any, beta: Any, gamma: Any, delta: Any, delay: Any) -> Any:
     return c + per_beta * beta + per_gamma * gamma + per_delta * delta + rate * delay
 
 
-def surfaces(columns: NDArray[np.float32], *point: Floats) -> Sequence[Floats]:
-    """Return the lower limit, its error, the upper and its error, of columns (20, point)."""
-    terms = columns.astype(np.float64, order="C")  # at once: many times faster than in each product
-    lower, upper = terms[:LIMIT_TERMS], terms[LIMIT_TERMS:]
-    return surface(lower, *point), lower[-1], surface(upper, *point), upper[-1]
-
-
 @ignoring
 def codes_by_limits(
     alpha: Floats, lower: Floats, lower_error: Floats, upper: Floats, upper_error: Floats
@@ -447,8 +440,7 @@ class LimitTable:
         if not self.delays.hold(cell, delay, alpha=alpha, beta=beta):
             raise OutsideError
         point = beta, gamma, delta, delay
-        rows = self._rows_of(cell, *point[:-1])
-        return (codes_by_limits(alpha, *self._limits(rows, *point)),)
+        return (codes_by_limits(alpha, *self._limits(cell, *point)),)
 
     def verdict(self, alpha: float, beta: float, gamma: float, delta: float, delay: float) -> int:
         """Return the code of one point, without the cost of arrays."""
@@ -471,22 +463,19 @@ class LimitTable:
         self, beta: Floats, gamma: Floats, delta: Floats, delay: Floats
     ) -> AlphaLimits:
         """Return the limits at points inside of the table, as far as they are within its alphas."""
+
+        def limits(*point: Floats) -> AlphaLimits:
+            return self._limits(self.delays.cells_at(point[-1]), *point)
+
         ends = self.delays.walls("alpha", self.delays.cells_at(delay))
-        return within(self.limits(beta, gamma, delta, delay), *ends)
+        values = in_parts(limits, (beta, gamma, delta, delay), *[float] * 4)
+        return within(AlphaLimits(*values), *ends)
 
-    def limits(self, beta: Floats, gamma: Floats, delta: Floats, delay: Floats) -> AlphaLimits:
-        """The limits at points of the table, for its alphas; infinite where none is stable."""
-        return AlphaLimits(*in_parts(self._limits_of, (beta, gamma, delta, delay), *[float] * 4))
-
-    def _limits_of(self, *point: Floats) -> Sequence[Floats]:
-        return self._limits(self._rows_of(self.delays.cells_at(point[-1]), *point[:-1]), *point)
-
-    def _limits(self, rows: Integers, *point: Floats) -> Sequence[Floats]:
-        return surfaces(self._columns.take(rows, axis=0).T, *point)
-
-    def _rows_of(self, number: Integers, beta: Floats, gamma: Floats, delta: Floats) -> Integers:
-        rows = self.beta_cell(number, beta) * self._steps[0] + self._hands(gamma, delta) + number
-        return np.asarray(rows)
+    def _limits(
+        self, cell: Integers, beta: Floats, gamma: Floats, delta: Floats, delay: Floats
+    ) -> AlphaLimits:
+        rows = self.beta_cell(cell, beta) * self._steps[0] + self._hands(gamma, delta) + cell
+        return limits_at(self._columns.take(rows, axis=0).T, beta, gamma, delta, delay)
 
     def _hands(self, gamma: Floats, delta: Floats) -> Integers:
         """Return the numbers of the cells of hands within a cell along beta."""
@@ -604,7 +593,9 @@ def undecided_share(limits: AlphaLimits, low: Floats | float, high: Floats | flo
 @ignoring
 def limits_at(columns: NDArray[np.float32], *point: Floats) -> AlphaLimits:
     """Return the limits of columns, (20, point), at points."""
-    return AlphaLimits(*surfaces(columns, *point))
+    terms = columns.astype(np.float64, order="C")  # at once: many times faster than in each product
+    lower, upper = terms[:LIMIT_TERMS], terms[LIMIT_TERMS:]
+    return AlphaLimits(surface(lower, *point), lower[-1], surface(upper, *point), upper[-1])
 
 
 @ignoring
