@@ -5,17 +5,15 @@ and the upper limit of the stable alphas, and the error of each; for one delay t
 ``proofs.columns`` proves them in double precision. A file has them in single precision: what that
 changes is added to the error (``in_float32``). One column decides a point: below lower - error and
 above upper + error it is unstable, between lower + error and upper - error stable, elsewhere the
-atlas leaves it undecided. Many points are answered by one of the two surfaces, where that one alone
-decides (``_deciding``).
+atlas leaves it undecided.
 
-Some axes hold the whole stable set: ``compute.beyond`` proves of which cells of delays, and a wall
-beyond such an axis is unstable.
+Some axes hold the whole stable set: ``compute.verdicts`` proves of which cells of delays, and a
+wall beyond such an axis is unstable.
 """
 
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cached_property, partial
 from math import inf
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -23,13 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxstab.atlas.format.variables import Variable, numbers
-from jaxstab.atlas.products.product import Array, Arrays, Floats, Product
+from jaxstab.atlas.products.product import Array, Floats, Product
 from jaxstab.conventions import Verdict
 from jaxstab.rounding import PLANES
 
 if TYPE_CHECKING:
     from jaxstab.atlas.compute.layout import Grid, Reach
-    from jaxstab.atlas.compute.plan import Plan, Share, Tile
+    from jaxstab.atlas.compute.plan import Plan, Tile
     from jaxstab.model.filters import Filters
 
 ALPHA_LIMITS = "alpha_limits"
@@ -99,11 +97,6 @@ class Limits(Product):
     rows = LIMIT_RANGE
     lengths = {"limit_term": 2 * LIMIT_TERMS, "limit_end": 6}  # noqa: RUF012
     unit = LIMITS[:4]
-    knobs = "gamma", "delta", "limit_cells", "delay_cells"
-    power = 2.0
-    error = "limit_error"
-    quantile = 0.95
-    has_calls = True
 
     def compute(self, plan: "Plan", tile: "Tile") -> dict[str, Array]:
         from jaxstab.proofs.columns import stable_columns
@@ -126,7 +119,7 @@ class Limits(Product):
         return {ALPHA_LIMITS: limits.reshape(shape)}
 
     def known_before(self, grid: "Grid", filters: "Filters | None") -> dict[str, Array]:
-        from jaxstab.atlas.compute.beyond import whole_axes
+        from jaxstab.atlas.compute.verdicts import whole_axes
 
         return {LIMIT_RANGE: grid.limit_range, LIMIT_WHOLE: whole_axes(grid, filters)}
 
@@ -136,36 +129,30 @@ class Limits(Product):
         limits = np.split(values, 2, axis=-1)
         return all(np.all(np.isfinite(v[..., 1:-1])) and v[..., -1].min() >= 0.0 for v in limits)
 
-    def share(self, plan: "Plan", variable: str) -> "Share":
-        from jaxstab.atlas.compute.plan import Share
-
-        requested = plan.points(variable) // (2 * LIMIT_TERMS)
-        return Share(variable, requested, requested)
-
     def part(self, grid: "Grid", place: Floats) -> "Grid":
         delay, gamma, delta, beta = place
         columns, ends = grid.row_at(grid.limit_range, delay, grid.limit_cells, _COLUMNS, beta)
         part = grid.slice_at(0.0, gamma, delta).without_walls(ends)
         return replace(part, limit_cells=columns, limit_range=ends)
 
-    def judged(
-        self, grid: "Grid", arrays: Arrays, reach: "Reach | None", chance: np.random.Generator
-    ) -> tuple[Floats, float]:
-        early, late, least, most, low, high = grid.limit_range[0].tolist()
-        terms = arrays[ALPHA_LIMITS].reshape(-1, 2 * LIMIT_TERMS)
-        column = np.repeat(np.arange(len(terms)), _PER_COLUMN)
-        beta = low + (column + chance.random(column.size)) / len(terms) * (high - low)
-        ends = *((nodes[0], nodes[-1]) for nodes in (grid.gamma, grid.delta)), (early, late)
-        others = [chance.uniform(*pair, column.size) for pair in ends]
-        limits = limits_at(terms[column].T, beta, *others)
-        undecided = float(undecided_share(limits, least, most).mean())
-        if reach is None:
-            return np.zeros(0), undecided
-        stable = (limits.lower < inf) & ((limits.upper < inf) | (limits.upper_error == inf))
-        return limits.upper_error[stable] / reach.along(others[-1][stable])[:, 0], undecided
-
 
 _COLUMNS, _PER_COLUMN = 64, 4  # of a part, and points in each at which it is judged
+
+
+def upper_errors(
+    grid: "Grid", limits: Array, reach: "Reach", chance: np.random.Generator
+) -> Floats:
+    """Return errors of the upper limits of a part, over the largest stable alpha at their delay."""
+    early, late, _, _, low, high = grid.limit_range[0].tolist()
+    terms = limits.reshape(-1, 2 * LIMIT_TERMS)
+    column = np.repeat(np.arange(len(terms)), _PER_COLUMN)
+    beta = low + (column + chance.random(column.size)) / len(terms) * (high - low)
+    ends = *((nodes[0], nodes[-1]) for nodes in (grid.gamma, grid.delta)), (early, late)
+    others = [chance.uniform(*pair, column.size) for pair in ends]
+    at = limits_at(terms[column].T, beta, *others)
+    stable = (at.lower < inf) & ((at.upper < inf) | (at.upper_error == inf))
+    errors: Floats = at.upper_error[stable] / reach.along(others[-1][stable])[:, 0]
+    return errors
 
 
 def in_float32(terms: Floats, largest: tuple[float, float, float, float]) -> NDArray[np.float32]:
@@ -305,12 +292,11 @@ def in_parts(
         return list(parts.operands[count:])
 
 
-# What the limits of a column say about an alpha, and which of the two says it. NumPy alone.
+# What the limits of a column say about an alpha. NumPy alone.
 
 Codes = NDArray[np.int8]
 Mask = NDArray[np.bool_]
 ignoring = np.errstate(over="ignore", invalid="ignore")  # infinite limits may have infinite errors
-_ROUNDING = 1e-6  # of a sum: far above its rounding error, also at the edges of cells
 
 
 def surface(terms: Any, beta: Any, gamma: Any, delta: Any, delay: Any) -> Any:
@@ -320,13 +306,6 @@ def surface(terms: Any, beta: Any, gamma: Any, delta: Any, delay: Any) -> Any:
     return c + per_beta * beta + per_gamma * gamma + per_delta * delta + rate * delay
 
 
-def surfaces(columns: NDArray[np.float32], *point: Floats) -> Sequence[Floats]:
-    """Return the lower limit, its error, the upper and its error, of columns (20, point)."""
-    terms = columns.astype(np.float64, order="C")  # at once: many times faster than in each product
-    lower, upper = terms[:LIMIT_TERMS], terms[LIMIT_TERMS:]
-    return surface(lower, *point), lower[-1], surface(upper, *point), upper[-1]
-
-
 @ignoring
 def codes_by_limits(
     alpha: Floats, lower: Floats, lower_error: Floats, upper: Floats, upper_error: Floats
@@ -334,56 +313,9 @@ def codes_by_limits(
     """Return the verdicts on alphas."""
     is_unstable = (alpha < lower - lower_error) | (alpha > upper + upper_error)
     is_stable = (alpha > lower + lower_error) & (alpha < upper - upper_error)
-    return _codes(is_unstable | is_stable, is_stable)
-
-
-@ignoring
-def codes_by_one(
-    alpha: Floats, is_upper: Mask, terms: NDArray[np.float32], *point: Floats
-) -> Codes:
-    """Return the verdicts on alphas that one limit decides, by its terms (10, point)."""
-    of_limit = terms.astype(np.float64, order="C")
-    limit, error = surface(of_limit, *point), of_limit[-1]
-    is_below = alpha < limit - error
-    is_decided = is_below | (alpha > limit + error)
-    return _codes(is_decided, is_decided & (is_below == is_upper))
-
-
-def _codes(is_decided: Mask, is_stable: Mask) -> Codes:
-    """Return UNDECIDED, UNSTABLE or STABLE: codes that follow each other downwards."""
-    codes: Codes = np.int8(Verdict.UNDECIDED) - is_decided.view(np.int8)
-    codes -= is_stable.view(np.int8)
+    codes: Codes = np.int8(Verdict.UNDECIDED) - (is_unstable | is_stable).view(np.int8)
+    codes -= is_stable.view(np.int8)  # UNSTABLE, or STABLE: the codes follow each other downwards
     return codes
-
-
-@ignoring
-def _deciding(
-    columns: NDArray[np.float32], numbers: Floats, *boxes: Floats
-) -> tuple[Floats, Floats]:
-    terms = columns.take(numbers.astype(np.intp), axis=0).T.astype(np.float64, order="C")
-    lower, upper = terms[:LIMIT_TERMS], terms[LIMIT_TERMS:]
-    (lowest, reach), (highest, room) = (_range(of_limit, *boxes) for of_limit in (lower, upper))
-    is_empty = lower[0] - lower[-1] == np.inf
-    return lowest + reach, np.where(is_empty, np.inf, highest - room)
-
-
-def _range(terms: Floats, *boxes: Floats) -> tuple[Floats, Floats]:
-    """Return a limit at the middle of its column, and how far it and its error reach from there."""
-    beta, gamma, delta, delay, *halves = boxes
-    _, per_beta, per_gamma, per_delta, per_delay, bend, *mixed, error = terms
-    by_beta, by_gamma, by_delta = mixed
-    slopes = (
-        per_beta + by_beta * delay,
-        per_gamma + by_gamma * delay,
-        per_delta + by_delta * delay,
-        per_delay + 2.0 * bend * delay + by_beta * beta + by_gamma * gamma + by_delta * delta,
-    )
-    half_delay = halves[-1]
-    bends = zip((*mixed, bend), halves, strict=True)
-    reach = error + half_delay * sum(np.abs(term) * half for term, half in bends)
-    reach += sum(np.abs(slope) * half for slope, half in zip(slopes, halves, strict=True))
-    farthest = (np.abs(middle) + half for middle, half in zip(boxes[:4], halves, strict=True))
-    return surface(terms, *boxes[:4]), reach + _ROUNDING * surface(np.abs(terms), *farthest)
 
 
 _FEW = 16  # nodes
@@ -492,13 +424,9 @@ class LimitTable:
 
     def verdicts(self, points: Sequence[NDArray[Any]]) -> NDArray[np.int8]:
         """The codes of points of any broadcast shape; OutsideError for a point outside, or NaN."""
-        is_large = np.broadcast(*points).size >= len(self._columns)
-        deciding = self._deciding if is_large else None  # for few it takes longer than they do
-        return in_parts(partial(self._verdicts, deciding), points, np.int8)[0]
+        return in_parts(self._verdicts, points, np.int8)[0]
 
-    def _verdicts(
-        self, deciding: Floats | None, alpha: Floats, beta: Floats, *plant: Floats
-    ) -> tuple[NDArray[np.int8]]:
+    def _verdicts(self, alpha: Floats, beta: Floats, *plant: Floats) -> tuple[NDArray[np.int8]]:
         """Return the codes of points; a plant that all of them share is looked up once."""
         ends = [(values.min(), values.max()) for values in plant]
         for (least, most), (low, high) in zip(ends, self.plants, strict=True):
@@ -512,50 +440,7 @@ class LimitTable:
         if not self.delays.hold(cell, delay, alpha=alpha, beta=beta):
             raise OutsideError
         point = beta, gamma, delta, delay
-        rows = self._rows_of(cell, *point[:-1])
-        if deciding is None:
-            return (codes_by_limits(alpha, *self._limits(rows, *point)),)
-        return (self._codes(deciding.take(rows, axis=0), rows, alpha, *point),)
-
-    def _codes(
-        self, deciding: Floats, rows: Integers, alpha: Floats, *point: Floats
-    ) -> NDArray[np.int8]:
-        """Return the codes of points, by one limit where that is enough; see ``_deciding``."""
-        by_upper, by_lower = alpha > deciding[:, 0], alpha < deciding[:, 1]
-        each = self._columns.reshape(-1, LIMIT_TERMS).take(2 * rows + by_upper, axis=0)
-        codes = codes_by_one(alpha, by_upper, each.T, *point)
-        both = np.flatnonzero(~(by_upper | by_lower))
-        if both.size:
-            some = [np.broadcast_to(v, alpha.shape)[both] for v in (rows, alpha, *point)]
-            codes[both] = codes_by_limits(some[1], *self._limits(some[0], *some[2:]))
-        return codes
-
-    @cached_property
-    def _deciding(self) -> Floats:
-        """Above which alpha, and below which one, one limit decides, in columns (column, 2)."""
-        # Above the first, which is above all that the lower limit leaves open in the column, that
-        # is the upper limit; below the second, which is below all that the upper one leaves open,
-        # the lower. Of a column without a stable alpha the lower limit says so: there it is
-        # infinite.
-        middles, halves = self._boxes
-        shape = np.broadcast_shapes(*(middle.shape for middle in middles))
-        rows = np.arange(len(self._columns), dtype=np.float64).reshape(shape)
-        alphas = in_parts(
-            partial(_deciding, self._columns), [rows, *middles, *halves], float, float
-        )
-        return np.stack(alphas, axis=-1).reshape(-1, 2)
-
-    @cached_property
-    def _boxes(self) -> tuple[list[Floats], list[Floats]]:
-        """Middles, and half widths, of the cells of beta, gamma, delta and delay, as a grid."""
-        number = np.arange(self._cells).reshape(-1, 1, 1, 1) + 0.5
-        middles, halves = [number / self._per_beta + self._beta], [0.5 / self._per_beta]
-        for shape, nodes in zip(((-1, 1, 1), (-1, 1)), self._nodes, strict=True):
-            low, high = (nodes[:-1], nodes[1:]) if nodes.size > 1 else (nodes, nodes)
-            middles.append(0.5 * (high + low).reshape(shape))
-            halves.append(0.5 * (high - low).reshape(shape))
-        early, late = self.delays.ends["delay"]
-        return [*middles, 0.5 * (late + early)], [*halves, 0.5 * (late - early)]
+        return (codes_by_limits(alpha, *self._limits(cell, *point)),)
 
     def verdict(self, alpha: float, beta: float, gamma: float, delta: float, delay: float) -> int:
         """Return the code of one point, without the cost of arrays."""
@@ -578,22 +463,19 @@ class LimitTable:
         self, beta: Floats, gamma: Floats, delta: Floats, delay: Floats
     ) -> AlphaLimits:
         """Return the limits at points inside of the table, as far as they are within its alphas."""
+
+        def limits(*point: Floats) -> AlphaLimits:
+            return self._limits(self.delays.cells_at(point[-1]), *point)
+
         ends = self.delays.walls("alpha", self.delays.cells_at(delay))
-        return within(self.limits(beta, gamma, delta, delay), *ends)
+        values = in_parts(limits, (beta, gamma, delta, delay), *[float] * 4)
+        return within(AlphaLimits(*values), *ends)
 
-    def limits(self, beta: Floats, gamma: Floats, delta: Floats, delay: Floats) -> AlphaLimits:
-        """The limits at points of the table, for its alphas; infinite where none is stable."""
-        return AlphaLimits(*in_parts(self._limits_of, (beta, gamma, delta, delay), *[float] * 4))
-
-    def _limits_of(self, *point: Floats) -> Sequence[Floats]:
-        return self._limits(self._rows_of(self.delays.cells_at(point[-1]), *point[:-1]), *point)
-
-    def _limits(self, rows: Integers, *point: Floats) -> Sequence[Floats]:
-        return surfaces(self._columns.take(rows, axis=0).T, *point)
-
-    def _rows_of(self, number: Integers, beta: Floats, gamma: Floats, delta: Floats) -> Integers:
-        rows = self.beta_cell(number, beta) * self._steps[0] + self._hands(gamma, delta) + number
-        return np.asarray(rows)
+    def _limits(
+        self, cell: Integers, beta: Floats, gamma: Floats, delta: Floats, delay: Floats
+    ) -> AlphaLimits:
+        rows = self.beta_cell(cell, beta) * self._steps[0] + self._hands(gamma, delta) + cell
+        return limits_at(self._columns.take(rows, axis=0).T, beta, gamma, delta, delay)
 
     def _hands(self, gamma: Floats, delta: Floats) -> Integers:
         """Return the numbers of the cells of hands within a cell along beta."""
@@ -613,9 +495,9 @@ class LimitTable:
             number = numbers[point]
             edges = np.arange(self._cells + 1) / self._per_beta[number] + self._beta[number]
             sides = np.stack([edges[:-1], edges[1:]])  # planes are highest at their sides
-            one = slice(point, point + 1)
+            here = slice(point, point + 1)
             least, most = (end[number] for end in self.delays.ends["alpha"])
-            found_at = limits_at(columns[:, row].T, sides, gamma[one], delta[one], delay[one])
+            found_at = limits_at(columns[:, row].T, sides, gamma[here], delta[here], delay[here])
             at = within(found_at, least, most)
             top = np.minimum(at.upper - at.upper_error, most)
             holds = at.lower + at.lower_error < top
@@ -637,8 +519,9 @@ class LimitTable:
             np.diff(nodes) / np.ptp(nodes) if nodes.size > 1 else np.ones(1)
             for nodes in self._nodes
         ]
-        beta, gamma, delta, _ = np.broadcast_arrays(*self._boxes[0])
-        point = (middle[..., number].ravel() for middle in (beta, gamma, delta))
+        beta = (np.arange(self._cells) + 0.5) / self._per_beta[number] + self._beta[number]
+        hands = (0.5 * (n[1:] + n[:-1]) if n.size > 1 else n for n in self._nodes)
+        point = (middle.ravel() for middle in np.meshgrid(beta, *hands, indexing="ij"))
         columns = self._columns[number :: self._steps[2]].T
         at = limits_at(columns, *point, np.array(delay))
         weights = np.multiply.outer(np.ones(self._cells), np.multiply.outer(*spans)).ravel()
@@ -710,7 +593,9 @@ def undecided_share(limits: AlphaLimits, low: Floats | float, high: Floats | flo
 @ignoring
 def limits_at(columns: NDArray[np.float32], *point: Floats) -> AlphaLimits:
     """Return the limits of columns, (20, point), at points."""
-    return AlphaLimits(*surfaces(columns, *point))
+    terms = columns.astype(np.float64, order="C")  # at once: many times faster than in each product
+    lower, upper = terms[:LIMIT_TERMS], terms[LIMIT_TERMS:]
+    return AlphaLimits(surface(lower, *point), lower[-1], surface(upper, *point), upper[-1])
 
 
 @ignoring
