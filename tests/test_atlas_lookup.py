@@ -1,4 +1,4 @@
-"""How an atlas answers for many points: in parts, by cells of delays."""
+"""How an atlas answers for many points: in parts, by cells of delays, by the limit that decides."""
 
 import numpy as np
 import pytest
@@ -62,6 +62,23 @@ def test_a_plant_that_many_share_is_answered_as_any(atlas: Atlas, rng: np.random
     np.testing.assert_array_equal(codes, atlas.verdict(**by_name(alpha, beta, *each)))
     one_wall = atlas.verdict(**by_name(alpha[0], beta[0], np.full(20_000, shared[0]), *shared[1:]))
     np.testing.assert_array_equal(one_wall, codes[0])
+
+
+def test_one_limit_decides_only_where_the_other_cannot(
+    atlas: Atlas, rng: np.random.Generator
+) -> None:
+    table = table_of(atlas)
+    _, beta, *plant = points = points_in_cells(atlas, 100_000, rng)
+    cell = table.delays.cells_at(points[-1])
+    deciding = table._deciding[table._rows_of(cell, beta, *plant[:2])]
+    at = table.limits(beta, *plant)
+    above, below = deciding.T
+    holds = at.lower < np.inf  # others are unstable by the lower limit, whatever alpha
+    with np.errstate(invalid="ignore"):
+        assert not np.any(above[holds] < (at.lower + at.lower_error)[holds])
+        assert not np.any(below[holds] > (at.upper - at.upper_error)[holds])
+    assert np.mean(above[holds] < below[holds]) > 0.7
+    assert np.all(below[~holds] == np.inf)
 
 
 @pytest.mark.parametrize(

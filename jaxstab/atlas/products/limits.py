@@ -5,7 +5,8 @@ and the upper limit of the stable alphas, and the error of each; for one delay t
 ``proofs.columns`` proves them in double precision. A file has them in single precision: what that
 changes is added to the error (``in_float32``). One column decides a point: below lower - error and
 above upper + error it is unstable, between lower + error and upper - error stable, elsewhere the
-atlas leaves it undecided.
+atlas leaves it undecided. Many points are answered by one of the two surfaces, where that one alone
+decides (``_deciding``).
 
 Some axes hold the whole stable set: ``compute.verdicts`` proves of which cells of delays, and a
 wall beyond such an axis is unstable.
@@ -14,6 +15,7 @@ wall beyond such an axis is unstable.
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cached_property, partial
 from math import inf
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -292,11 +294,12 @@ def in_parts(
         return list(parts.operands[count:])
 
 
-# What the limits of a column say about an alpha. NumPy alone.
+# What the limits of a column say about an alpha, and which of the two says it. NumPy alone.
 
 Codes = NDArray[np.int8]
 Mask = NDArray[np.bool_]
 ignoring = np.errstate(over="ignore", invalid="ignore")  # infinite limits may have infinite errors
+_ROUNDING = 1e-6  # of a sum: far above its rounding error, also at the edges of cells
 
 
 def surface(terms: Any, beta: Any, gamma: Any, delta: Any, delay: Any) -> Any:
@@ -306,6 +309,13 @@ def surface(terms: Any, beta: Any, gamma: Any, delta: Any, delay: Any) -> Any:
     return c + per_beta * beta + per_gamma * gamma + per_delta * delta + rate * delay
 
 
+def surfaces(columns: NDArray[np.float32], *point: Floats) -> Sequence[Floats]:
+    """Return the lower limit, its error, the upper and its error, of columns (20, point)."""
+    terms = columns.astype(np.float64, order="C")  # at once: many times faster than in each product
+    lower, upper = terms[:LIMIT_TERMS], terms[LIMIT_TERMS:]
+    return surface(lower, *point), lower[-1], surface(upper, *point), upper[-1]
+
+
 @ignoring
 def codes_by_limits(
     alpha: Floats, lower: Floats, lower_error: Floats, upper: Floats, upper_error: Floats
@@ -313,9 +323,56 @@ def codes_by_limits(
     """Return the verdicts on alphas."""
     is_unstable = (alpha < lower - lower_error) | (alpha > upper + upper_error)
     is_stable = (alpha > lower + lower_error) & (alpha < upper - upper_error)
-    codes: Codes = np.int8(Verdict.UNDECIDED) - (is_unstable | is_stable).view(np.int8)
-    codes -= is_stable.view(np.int8)  # UNSTABLE, or STABLE: the codes follow each other downwards
+    return _codes(is_unstable | is_stable, is_stable)
+
+
+@ignoring
+def codes_by_one(
+    alpha: Floats, is_upper: Mask, terms: NDArray[np.float32], *point: Floats
+) -> Codes:
+    """Return the verdicts on alphas that one limit decides, by its terms (10, point)."""
+    of_limit = terms.astype(np.float64, order="C")
+    limit, error = surface(of_limit, *point), of_limit[-1]
+    is_below = alpha < limit - error
+    is_decided = is_below | (alpha > limit + error)
+    return _codes(is_decided, is_decided & (is_below == is_upper))
+
+
+def _codes(is_decided: Mask, is_stable: Mask) -> Codes:
+    """Return UNDECIDED, UNSTABLE or STABLE: codes that follow each other downwards."""
+    codes: Codes = np.int8(Verdict.UNDECIDED) - is_decided.view(np.int8)
+    codes -= is_stable.view(np.int8)
     return codes
+
+
+@ignoring
+def _deciding(
+    columns: NDArray[np.float32], numbers: Floats, *boxes: Floats
+) -> tuple[Floats, Floats]:
+    terms = columns.take(numbers.astype(np.intp), axis=0).T.astype(np.float64, order="C")
+    lower, upper = terms[:LIMIT_TERMS], terms[LIMIT_TERMS:]
+    (lowest, reach), (highest, room) = (_range(of_limit, *boxes) for of_limit in (lower, upper))
+    is_empty = lower[0] - lower[-1] == np.inf
+    return lowest + reach, np.where(is_empty, np.inf, highest - room)
+
+
+def _range(terms: Floats, *boxes: Floats) -> tuple[Floats, Floats]:
+    """Return a limit at the middle of its column, and how far it and its error reach from there."""
+    beta, gamma, delta, delay, *halves = boxes
+    _, per_beta, per_gamma, per_delta, per_delay, bend, *mixed, error = terms
+    by_beta, by_gamma, by_delta = mixed
+    slopes = (
+        per_beta + by_beta * delay,
+        per_gamma + by_gamma * delay,
+        per_delta + by_delta * delay,
+        per_delay + 2.0 * bend * delay + by_beta * beta + by_gamma * gamma + by_delta * delta,
+    )
+    half_delay = halves[-1]
+    bends = zip((*mixed, bend), halves, strict=True)
+    reach = error + half_delay * sum(np.abs(term) * half for term, half in bends)
+    reach += sum(np.abs(slope) * half for slope, half in zip(slopes, halves, strict=True))
+    farthest = (np.abs(middle) + half for middle, half in zip(boxes[:4], halves, strict=True))
+    return surface(terms, *boxes[:4]), reach + _ROUNDING * surface(np.abs(terms), *farthest)
 
 
 _FEW = 16  # nodes
@@ -424,9 +481,13 @@ class LimitTable:
 
     def verdicts(self, points: Sequence[NDArray[Any]]) -> NDArray[np.int8]:
         """The codes of points of any broadcast shape; OutsideError for a point outside, or NaN."""
-        return in_parts(self._verdicts, points, np.int8)[0]
+        is_large = np.broadcast(*points).size >= len(self._columns)
+        deciding = self._deciding if is_large else None  # for few it takes longer than they do
+        return in_parts(partial(self._verdicts, deciding), points, np.int8)[0]
 
-    def _verdicts(self, alpha: Floats, beta: Floats, *plant: Floats) -> tuple[NDArray[np.int8]]:
+    def _verdicts(
+        self, deciding: Floats | None, alpha: Floats, beta: Floats, *plant: Floats
+    ) -> tuple[NDArray[np.int8]]:
         """Return the codes of points; a plant that all of them share is looked up once."""
         ends = [(values.min(), values.max()) for values in plant]
         for (least, most), (low, high) in zip(ends, self.plants, strict=True):
@@ -440,7 +501,50 @@ class LimitTable:
         if not self.delays.hold(cell, delay, alpha=alpha, beta=beta):
             raise OutsideError
         point = beta, gamma, delta, delay
-        return (codes_by_limits(alpha, *self._limits(cell, *point)),)
+        rows = self._rows_of(cell, *point[:-1])
+        if deciding is None:
+            return (codes_by_limits(alpha, *self._limits(rows, *point)),)
+        return (self._codes(deciding.take(rows, axis=0), rows, alpha, *point),)
+
+    def _codes(
+        self, deciding: Floats, rows: Integers, alpha: Floats, *point: Floats
+    ) -> NDArray[np.int8]:
+        """Return the codes of points, by one limit where that is enough; see ``_deciding``."""
+        by_upper, by_lower = alpha > deciding[:, 0], alpha < deciding[:, 1]
+        each = self._columns.reshape(-1, LIMIT_TERMS).take(2 * rows + by_upper, axis=0)
+        codes = codes_by_one(alpha, by_upper, each.T, *point)
+        both = np.flatnonzero(~(by_upper | by_lower))
+        if both.size:
+            some = [np.broadcast_to(v, alpha.shape)[both] for v in (rows, alpha, *point)]
+            codes[both] = codes_by_limits(some[1], *self._limits(some[0], *some[2:]))
+        return codes
+
+    @cached_property
+    def _deciding(self) -> Floats:
+        """Above which alpha, and below which one, one limit decides, in columns (column, 2)."""
+        # Above the first, which is above all that the lower limit leaves open in the column, that
+        # is the upper limit; below the second, which is below all that the upper one leaves open,
+        # the lower. Of a column without a stable alpha the lower limit says so: there it is
+        # infinite.
+        middles, halves = self._boxes
+        shape = np.broadcast_shapes(*(middle.shape for middle in middles))
+        rows = np.arange(len(self._columns), dtype=np.float64).reshape(shape)
+        alphas = in_parts(
+            partial(_deciding, self._columns), [rows, *middles, *halves], float, float
+        )
+        return np.stack(alphas, axis=-1).reshape(-1, 2)
+
+    @cached_property
+    def _boxes(self) -> tuple[list[Floats], list[Floats]]:
+        """Middles, and half widths, of the cells of beta, gamma, delta and delay, as a grid."""
+        number = np.arange(self._cells).reshape(-1, 1, 1, 1) + 0.5
+        middles, halves = [number / self._per_beta + self._beta], [0.5 / self._per_beta]
+        for shape, nodes in zip(((-1, 1, 1), (-1, 1)), self._nodes, strict=True):
+            low, high = (nodes[:-1], nodes[1:]) if nodes.size > 1 else (nodes, nodes)
+            middles.append(0.5 * (high + low).reshape(shape))
+            halves.append(0.5 * (high - low).reshape(shape))
+        early, late = self.delays.ends["delay"]
+        return [*middles, 0.5 * (late + early)], [*halves, 0.5 * (late - early)]
 
     def verdict(self, alpha: float, beta: float, gamma: float, delta: float, delay: float) -> int:
         """Return the code of one point, without the cost of arrays."""
@@ -463,19 +567,22 @@ class LimitTable:
         self, beta: Floats, gamma: Floats, delta: Floats, delay: Floats
     ) -> AlphaLimits:
         """Return the limits at points inside of the table, as far as they are within its alphas."""
-
-        def limits(*point: Floats) -> AlphaLimits:
-            return self._limits(self.delays.cells_at(point[-1]), *point)
-
         ends = self.delays.walls("alpha", self.delays.cells_at(delay))
-        values = in_parts(limits, (beta, gamma, delta, delay), *[float] * 4)
-        return within(AlphaLimits(*values), *ends)
+        return within(self.limits(beta, gamma, delta, delay), *ends)
 
-    def _limits(
-        self, cell: Integers, beta: Floats, gamma: Floats, delta: Floats, delay: Floats
-    ) -> AlphaLimits:
-        rows = self.beta_cell(cell, beta) * self._steps[0] + self._hands(gamma, delta) + cell
-        return limits_at(self._columns.take(rows, axis=0).T, beta, gamma, delta, delay)
+    def limits(self, beta: Floats, gamma: Floats, delta: Floats, delay: Floats) -> AlphaLimits:
+        """The limits at points of the table, for its alphas; infinite where none is stable."""
+        return AlphaLimits(*in_parts(self._limits_of, (beta, gamma, delta, delay), *[float] * 4))
+
+    def _limits_of(self, *point: Floats) -> Sequence[Floats]:
+        return self._limits(self._rows_of(self.delays.cells_at(point[-1]), *point[:-1]), *point)
+
+    def _limits(self, rows: Integers, *point: Floats) -> Sequence[Floats]:
+        return surfaces(self._columns.take(rows, axis=0).T, *point)
+
+    def _rows_of(self, number: Integers, beta: Floats, gamma: Floats, delta: Floats) -> Integers:
+        rows = self.beta_cell(number, beta) * self._steps[0] + self._hands(gamma, delta) + number
+        return np.asarray(rows)
 
     def _hands(self, gamma: Floats, delta: Floats) -> Integers:
         """Return the numbers of the cells of hands within a cell along beta."""
@@ -519,9 +626,8 @@ class LimitTable:
             np.diff(nodes) / np.ptp(nodes) if nodes.size > 1 else np.ones(1)
             for nodes in self._nodes
         ]
-        beta = (np.arange(self._cells) + 0.5) / self._per_beta[number] + self._beta[number]
-        hands = (0.5 * (n[1:] + n[:-1]) if n.size > 1 else n for n in self._nodes)
-        point = (middle.ravel() for middle in np.meshgrid(beta, *hands, indexing="ij"))
+        beta, gamma, delta, _ = np.broadcast_arrays(*self._boxes[0])
+        point = (middle[..., number].ravel() for middle in (beta, gamma, delta))
         columns = self._columns[number :: self._steps[2]].T
         at = limits_at(columns, *point, np.array(delay))
         weights = np.multiply.outer(np.ones(self._cells), np.multiply.outer(*spans)).ravel()
@@ -593,9 +699,7 @@ def undecided_share(limits: AlphaLimits, low: Floats | float, high: Floats | flo
 @ignoring
 def limits_at(columns: NDArray[np.float32], *point: Floats) -> AlphaLimits:
     """Return the limits of columns, (20, point), at points."""
-    terms = columns.astype(np.float64, order="C")  # at once: many times faster than in each product
-    lower, upper = terms[:LIMIT_TERMS], terms[LIMIT_TERMS:]
-    return AlphaLimits(surface(lower, *point), lower[-1], surface(upper, *point), upper[-1])
+    return AlphaLimits(*surfaces(columns, *point))
 
 
 @ignoring
