@@ -49,7 +49,7 @@ from jaxstab.region.pieces import reflected
 from jaxstab.rounding import UNIT
 
 SLOTS = 6  # pieces of one loop
-_PROGRAMS = 8  # that are kept, one for each degree: each takes 50 to 70 MB
+_PROGRAMS = 8  # that are kept, one for each degree: each takes 40 to 90 MB
 _VERTICES, _FINE = 48, 192  # of a piece, and angles between which they are spread
 _REFINED = 32  # loops at once: what they need stays in the cache
 _TILE = 64  # angles of a scan at once
