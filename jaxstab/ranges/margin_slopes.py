@@ -16,7 +16,7 @@ from jaxtyping import Float64
 
 from jaxstab.arrays import is_traced
 from jaxstab.model.filters import Filters
-from jaxstab.proofs.filters import responses_at
+from jaxstab.proofs.filters import Responses, responses_at
 from jaxstab.proofs.plant import circle_equations, quick_plant, quick_slice
 from jaxstab.ranges.margins import WAYS, first_crossings
 
@@ -99,7 +99,9 @@ def _circle(
     """The real part of g, and the imaginary one, which without filters is over a sine."""
     alpha, beta, gamma, delta, delay = loop
     if filters is None:
-        return circle_equations(quick_slice(gamma, delta, delay), alpha, beta, theta)
+        return circle_equations(
+            quick_slice(gamma, delta, delay), alpha, beta, theta, Responses.of(None)
+        )
     plant = quick_plant(gamma, delta, delay)
     z, back = jnp.exp(1j * theta), jnp.exp(-1j * theta)
     stiffness, damping = responses_at(filters, z)
