@@ -44,6 +44,7 @@ def main() -> int:
         nargs="?",
         choices=[
             *BENCHMARKS,
+            "contact",
             "golden",
             "jitter",
             "lemmas",
@@ -56,6 +57,7 @@ def main() -> int:
         help="what to measure, or plot: draw all records and put their table into the pages, "
         "or table: print that table, or golden: compare answers with those recorded, bit by bit, "
         "or jitter: attack proofs for delays that move, "
+        "or contact: simulate contacts beside what is proved, "
         "or lemmas: check the lemmas that proofs rest on, or limits_of: print the limits of many "
         "loops beside single ones, or papers: compare published numbers, "
         "or traces: compare boundaries over delays with limits, and draw them; "
@@ -80,8 +82,8 @@ def main() -> int:
         return golden.take(path) if choice.record else golden.compare(choice.small, path)
     if choice.name == "lemmas":
         return import_module("benchmarks.lemmas").main(choice.small)
-    if choice.name == "jitter":
-        return import_module("benchmarks.jitter").main(choice.small, choice.points)
+    if choice.name in ("contact", "jitter"):
+        return import_module(f"benchmarks.{choice.name}").main(choice.small, choice.points)
     if choice.name == "traces":
         return import_module("benchmarks.traces").main(choice.small)
     if choice.name == "limits_of":

@@ -70,6 +70,7 @@ COUNTS = dict.fromkeys(COMPUTING_CALLS, _OF_WALLS) | {
     # Regions, proofs and searches: as many as take a few seconds.
     "HapticLoop.amplitude": Counts(100, 2),
     "HapticLoop.boundary_distance": Counts(60, 20),
+    "HapticLoop.contact": Counts(40, 2),
     "HapticLoop.damping_limits": Counts(60, 20),
     "HapticLoop.limits": Counts(100),
     "HapticLoop.margins": Counts(100, 2),
@@ -81,6 +82,7 @@ COUNTS = dict.fromkeys(COMPUTING_CALLS, _OF_WALLS) | {
     "HapticLoop.worst_hand": Counts(60),
     "amplitude": Counts(200, 2),
     "common_region": Counts(20),
+    "contact_map": Counts(20, 2),
     "paper.linear_validity": Counts(100, 20),
     "margins": Counts(200, 8),
     "minimize_radius": Counts(60, 1),
@@ -217,7 +219,7 @@ class _Drawn:
                 return self._numbers("alpha", shape) * self._mass / self._period**2
             case "damping":  # in N s/m
                 return self._numbers("beta", shape) * self._mass / self._period
-            case "encoder" | "friction" | "force_step" | "force":
+            case "encoder" | "friction" | "force_step" | "force" | "push":
                 return spread(-5.0, 0.0)
         raise ValueError(f"{name} is an argument that golden does not know; say how to draw it.")
 

@@ -15,6 +15,7 @@ from .guard import build_guard as build_guard
 from .loop import HapticLoop as HapticLoop
 from .loop import LoopsBetween as LoopsBetween
 from .loop import common_region as common_region
+from .loop import contact_map as contact_map
 from .loop import limits_of as limits_of
 from .loop import regions_of as regions_of
 from .loop import tune_for_all as tune_for_all

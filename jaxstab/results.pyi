@@ -10,6 +10,8 @@ from .atlas import ResolutionPlan as ResolutionPlan
 from .conventions import RadiusStatus as RadiusStatus
 from .loop import CommonRegion as CommonRegion
 from .loop import CommonWall as CommonWall
+from .loop import Contact as Contact
+from .loop import ContactKind as ContactKind
 from .loop import Gains as Gains
 from .loop import ManyLimits as ManyLimits
 from .loop import ManyRegions as ManyRegions

@@ -229,6 +229,13 @@ def whole(low: int, high: int) -> Check:
     return check
 
 
+def truth(value: Any) -> bool:
+    """Return true or false."""
+    if not isinstance(value, bool):
+        raise ValueError("give true or false")
+    return value
+
+
 def coefficients(value: Any) -> tuple[float, ...]:
     """Return a list of finite numbers, at least one, as a tuple."""
     numbers = [_finite(entry) for entry in value] if isinstance(value, list | tuple) else []

@@ -19,7 +19,18 @@ import jaxstab
 from jaxstab.cli.atlas import build, info, plan, spec, verify
 from jaxstab.cli.query import plot, query
 from jaxstab.cli.region import figure, region
-from jaxstab.cli.scene import check, design, explore, guard, limits, scene, sentence_of, tune, warn
+from jaxstab.cli.scene import (
+    check,
+    contact,
+    design,
+    explore,
+    guard,
+    limits,
+    scene,
+    sentence_of,
+    tune,
+    warn,
+)
 from jaxstab.shown import printable
 
 
@@ -88,7 +99,7 @@ def main() -> None:
     """Stability of haptic rendering loops."""
 
 
-for _command in (limits, check, tune, design, scene, explore, guard, region, figure):
+for _command in (limits, check, contact, tune, design, scene, explore, guard, region, figure):
     main.add_command(_command)
 
 

@@ -351,6 +351,18 @@ def check(as_json: bool, **given: Any) -> int:
 @click.command()
 @scene_options
 @_plot_option
+def contact(as_json: bool, **given: Any) -> int:
+    """Simulate how the device of a scene meets each wall: does it rest, bounce or buzz?
+
+    With friction, a one-sided wall and the encoder, as the table [contact] of the scene says.
+    Nothing is proved. The exit code is 0 if every simulated contact comes to rest, 1 if not.
+    """
+    return _answer(given, "contact", as_json)
+
+
+@click.command()
+@scene_options
+@_plot_option
 @click.option("--at-stiffness", type=float, help="Give the best B at this K in N/m.")
 @click.option("--mass-tolerance", type=float, help="Of the device; 0.1 means 10 % up and down.")
 @click.option("--delay-tolerance", type=float, help="Of the delay up and down, in s.")
@@ -458,6 +470,7 @@ FUNCTIONS = {
     "check": "check_walls",
     "tune": "tune_walls",
     "design": "design_loop",
+    "contact": "simulate_contacts",
 }
 
 

@@ -4,6 +4,9 @@ from .common import CommonRegion as CommonRegion
 from .common import CommonWall as CommonWall
 from .common import common_region as common_region
 from .common import tune_for_all as tune_for_all
+from .contact import Contact as Contact
+from .contact import ContactKind as ContactKind
+from .contact import contact_map as contact_map
 from .jitter import MovingLimits as MovingLimits
 from .jitter import MovingRegion as MovingRegion
 from .jitter import WorstDelays as WorstDelays

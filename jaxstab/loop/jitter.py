@@ -365,6 +365,16 @@ def simulate_moving(
 ) -> Response:
     """Return the motion of a loop whose delays change in turn: ``HapticLoop.simulate``."""
     _refuse_traced(stiffness, damping, *options.values())
+    loop = loop.in_floats()
+    turn = turn_of(loop, delays)
+    device = _sampled(replace(loop, delay=0.0))
+    filters = given_filters(loop.velocity, loop.position)
+    where = device.device, device.sample_time, 0.0, filters
+    return simulate_device(*where, stiffness, damping, delays=turn, **options)
+
+
+def turn_of(loop: LoopParameters, delays: Any) -> tuple[float, ...]:
+    """Return delays in s, in turn, as samples of a loop; infinite for a sample that is lost."""
     given = np.asarray(delays, np.float64)
     if given.ndim != 1 or not given.size:
         raise TypeError(f"delays is {shortened(delays)}; give a sequence of delays in s.")
@@ -374,13 +384,8 @@ def simulate_moving(
             f"delays is {shortened(delays)}; give delays >= 0 s, infinite for a lost sample, one "
             "at least finite."
         )
-    loop = loop.in_floats()
     samples = {one: replace(loop, delay=one).delay_samples for one in set(known.tolist())}
-    turn = tuple(samples.get(one, inf) for one in given.tolist())
-    device = _sampled(replace(loop, delay=0.0))
-    filters = given_filters(loop.velocity, loop.position)
-    where = device.device, device.sample_time, 0.0, filters
-    return simulate_device(*where, stiffness, damping, delays=turn, **options)
+    return tuple(samples.get(one, inf) for one in given.tolist())
 
 
 def _refuse_traced(*values: Any) -> None:

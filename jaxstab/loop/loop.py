@@ -10,6 +10,7 @@ from jaxtyping import Complex128, Float64, Int8
 from jaxstab import motion, point, ranges
 from jaxstab.arrays import Array, Numbers, is_any_traced, named, pytree
 from jaxstab.conventions import Verdict
+from jaxstab.loop.contact import Contact, contact
 from jaxstab.loop.jitter import (
     DelayRange,
     MovingLimits,
@@ -54,9 +55,9 @@ class HapticLoop(LoopParameters):
     At every sample the wall's force is -(K P(z) + B V(z)) x: K times the position, filtered if
     there is a filter, and B times the estimated velocity. Methods about one wall (K, B):
     ``verdict``, ``spectral_radius``, ``poles``, ``margins``, ``settling_time``, ``oscillation``,
-    ``amplitude``, ``simulate``; about all walls: ``region``, ``limits``, ``stiffness_limits``,
-    ``damping_limits``, ``boundary_distance``, ``tune``; about all hands of a range:
-    ``worst_hand``, ``robust_limit``; and ``to_control``. Numbers are finite and in SI units.
+    ``amplitude``, ``simulate``, ``contact``; about all walls: ``region``, ``limits``,
+    ``stiffness_limits``, ``damping_limits``, ``boundary_distance``, ``tune``; about all hands of a
+    range: ``worst_hand``, ``robust_limit``; and ``to_control``. Numbers are finite and in SI units.
 
     A loop is a pytree: JAX traces its numbers, the cut-offs of filters among them, but not windows
     nor how many whole samples the delay has (``jax.grad(f)(loop).delay`` is the derivative by t_d).
@@ -834,6 +835,91 @@ class HapticLoop(LoopParameters):
         if self.body is None:
             return simulate_device(*self._device_and_filters, stiffness, damping, **options)
         return motion.simulate(self, stiffness, damping, **options)
+
+    def contact(
+        self,
+        stiffness: Numbers,
+        damping: Numbers,
+        *,
+        friction: Numbers = 0.0,
+        static_friction: Numbers = None,
+        encoder: Numbers = 0.0,
+        phase: Numbers = 0.0,
+        force_step: Numbers = 0.0,
+        max_force: Numbers = None,
+        push: Numbers = 0.0,
+        speed: Numbers = 0.0,
+        position: Numbers = 0.0,
+        one_sided: bool = True,
+        pulls: bool = False,
+        duration: int | float = 4.0,
+        delays: Sequence[float] | np.ndarray | None = None,
+        tolerance: Numbers = 1e-6,
+    ) -> Contact:
+        """Simulate a contact as it is felt: a one-sided wall, friction, encoder, saturation.
+
+        The motion between samples is exact, friction included. The answer is simulated, not proved:
+        it is that of this start and this duration. Before time 0 the device was at rest where it
+        starts, and no force was on its way. All paths are kept; ``jaxstab.contact_map`` simulates
+        many walls without them. The numbers may be arrays that broadcast.
+
+        Args:
+            stiffness, damping: see ``jaxstab.conventions``.
+            friction: Coulomb friction of the device in N.
+            static_friction: the largest force in N that does not move the device from rest, at
+                least ``friction``; None for the same.
+            encoder: resolution of the position in m, which is rounded to the nearest step; 0 for
+                none.
+            phase: where the steps of the encoder lie, as a share of its resolution.
+            force_step: resolution of the force in N; 0 for none.
+            max_force: the largest force of the actuator in N; None for no limit.
+            push: constant force of the hand in N, from time 0 on, positive into the wall.
+            speed: velocity at time 0 in m/s, positive into the wall.
+            position: position at time 0 in m, the penetration if positive.
+            one_sided: the wall acts only where the sampled position is positive.
+            pulls: whether a one-sided wall may pull; otherwise such forces are 0.
+            duration: how long to simulate, in s, from 16 samples on.
+            delays: as for ``simulate``.
+            tolerance: the device rests while it stays within this distance of one place, in m.
+
+        Returns:
+            Contact of NumPy arrays: how the run ends, and its path.
+
+        Raises: see ``jaxstab.conventions``; TypeError also if JAX traces anything. ValueError also
+        if nothing moves, a push meets neither wall nor hand stiffness, static friction is below
+        Coulomb friction, or the device is not one mass.
+
+        Source: eqs. (1)-(5) of Hulin, Preusche, Hirzinger (2008), with Coulomb friction.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(
+            ...     device_mass=0.25, device_damping=0.1, sample_time=1e-3, delay=1e-3,
+            ...     velocity=jaxstab.Velocity.difference(window=0.02),
+            ... )
+            >>> loop.verdict(3000.0, 15.0)
+            <Verdict.UNSTABLE: 2>
+            >>> loop.contact(3000.0, 15.0, push=1.0, friction=0.1).kind
+            <ContactKind.RESTS: 1>
+        """
+        return contact(
+            self,
+            stiffness,
+            damping,
+            friction=friction,
+            static_friction=static_friction,
+            encoder=encoder,
+            phase=phase,
+            force_step=force_step,
+            max_force=max_force,
+            push=push,
+            speed=speed,
+            position=position,
+            one_sided=one_sided,
+            pulls=pulls,
+            duration=duration,
+            delays=delays,
+            tolerance=tolerance,
+        )
 
     @property
     def _device_and_filters(self) -> tuple[Device, float, float, Filters | None]:

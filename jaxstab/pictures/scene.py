@@ -19,6 +19,7 @@ from jaxstab.conventions import Verdict
 from jaxstab.guard import Guard
 from jaxstab.loop import HapticLoop, WallRegion
 from jaxstab.paper import passive_region
+from jaxstab.pictures.contact import scene_contacts
 from jaxstab.pictures.style import (
     BLACK,
     BLUE,
@@ -43,6 +44,7 @@ from jaxstab.scene.check import (
     common_outline,
     loops_over_delays,
 )
+from jaxstab.scene.contact import Contacts
 from jaxstab.scene.design import Design, delayed_loop, sampled_loop
 from jaxstab.scene.limits import LimitsOverDelays
 from jaxstab.scene.loops import (
@@ -181,8 +183,11 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
     separate panel. Of ``check_walls`` the walls' step responses are drawn in a separate panel, of
     ``scene_limits`` the bound for all hands, of ``tune_walls`` the best walls, and of
     ``design_loop`` the wanted stiffness and the regions that just allow it. For a delay that moves
-    it has the walls that are proved for every sequence. ValueError: no wall is stable.
+    it has the walls that are proved for every sequence. Of ``simulate_contacts`` it is the map of
+    simulated contacts. ValueError: no wall is stable.
     """
+    if isinstance(answer, Contacts):
+        return scene_contacts(scene)
     checked = answer if isinstance(answer, Check) else None
     walls = _judged(scene, answer)
     if scene.controller.moves:

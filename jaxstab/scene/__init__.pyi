@@ -5,6 +5,8 @@ from .check import Check as Check
 from .check import WallCheck as WallCheck
 from .check import check_scenes as check_scenes
 from .check import check_walls as check_walls
+from .contact import Contacts as Contacts
+from .contact import simulate_contacts as simulate_contacts
 from .design import Design as Design
 from .design import DesignStatus as DesignStatus
 from .design import design_loop as design_loop

@@ -53,6 +53,7 @@ from jaxstab.scene.answers import (
     Time,
     basis_of,
 )
+from jaxstab.scene.contact import Simulated, contacts_of
 from jaxstab.scene.loops import (
     corner_loops,
     hands_of,
@@ -361,6 +362,7 @@ class WallCheck(Answer):
     oscillation: Oscillation | None = None
     chatter: Chatter | None = None
     jitter: Jitter | None = None
+    simulated: Simulated | None = None
 
 
 @dataclass(frozen=True)
@@ -409,6 +411,7 @@ def check_scenes(scenes: Sequence[Scene]) -> list[Check]:
             wanting = [walls[number] for number in numbers]
             for number, loops, answer in zip(numbers, *_over_hands(wanting, ask), strict=True):
                 measured[number][name] = summarise(walls[number], loops, answer)
+    felt = (contacts.get(name) for s in scenes for contacts in [contacts_of(s)] for name in s.walls)
     checked = (
         WallCheck(
             *wall.gains,
@@ -418,8 +421,9 @@ def check_scenes(scenes: Sequence[Scene]) -> list[Check]:
             wall.known.delays,
             _measures_are(wall) if answers else None,
             **answers,
+            simulated=simulated,
         )
-        for wall, answers in zip(walls, measured, strict=True)
+        for wall, answers, simulated in zip(walls, measured, felt, strict=True)
     )
     return [Check(basis_of(one), {name: next(checked) for name in one.walls}) for one in scenes]
 

@@ -13,6 +13,7 @@ mass = 0.1                # kg at the handle, or [lowest, highest] over the post
 damping = 1.5             # N s/m, physical damping of the device
 # encoder.resolution = 1e-5   # m at the handle: check bounds what its rounding does
 # actuator.bandwidth = 200.0  # Hz, at which motor and amplifier lose 3 dB
+# friction = 0.1          # N, Coulomb's, with the table contact below; static_friction, too
 # modes = [{ frequency = 80.0, damping_ratio = 0.02, modal_mass = 1.5 }]  # Hz, 1, kg: it vibrates
 
 [hand]                    # leave this table out for no hand
@@ -27,6 +28,7 @@ sample_time = 0.001       # s
 delay_samples = 1.5       # samples, whole or not; or: delay = 0.0015, in s; [lowest, highest]
                           # for one that moves from sample to sample (limits, check, guard)
 # delay_is = "constant"   # a range of delays is of one that is constant, but not known
+# max_force = 10.0        # N, with the table contact below; force_step in N, too
 # lost_samples = 0        # samples in a row that never arrive, with a delay that moves
 # position.cutoff = 400.0 # Hz, a filter of the position, with the keys of velocity below
 
@@ -45,6 +47,12 @@ damping = 2.0             # N s/m
 [walls.hard]
 stiffness = 1500.0
 damping = 12.0
+
+# [contact]               # check simulates contacts of one mass, with friction
+# push = 1.0              # N, of the hand, from rest; and, or:
+# speed = 0.1             # m/s, at which the device meets the wall
+# one_sided = true        # the wall only pushes
+# duration = 4.0          # s
 
 [wanted]
 # measures = ["margins"]  # check: beside the verdict of a wall; all of them by default:
@@ -84,7 +92,7 @@ _COUNTED = (
 
 _OUTSIDE = (
     "steps of the encoder, but for their chatter in check; steps of the amplifier",
-    "Coulomb friction, saturation",
+    "Coulomb friction, saturation, but for simulated contacts",
     "a mass, hand{} or gain that changes while the wall is touched; several axes at once",
     "bouncing off the wall, estimators that adapt, clocks that jitter",
 )

@@ -31,6 +31,7 @@ from jaxstab.tables import (
     read_table,
     share,
     tolerance,
+    truth,
     whole,
 )
 
@@ -140,6 +141,8 @@ def _folder() -> Traversable:
 # What moves in a scene: the device and the hand that holds it, as tables of a file.
 
 LENGTH = "m, or in rad for a device that turns"
+FORCE = "N, or in N m for a device that turns"
+SPEED = "m/s, or in rad/s for a device that turns"
 _NO_MASS = "mass is missing; give it a value."
 
 
@@ -187,7 +190,7 @@ class Device(Table):
 
     A device that turns has a moment of inertia in kg m^2 in place of the mass, and its damping is
     in N m s/rad. Either may be a range, from the lowest to the highest one of all postures.
-    Vibration modes and an actuator are of any device.
+    Vibration modes and an actuator are of any device. Friction is simulated, see ``Contact``.
     """
 
     preset: str | None = key(lambda name: one_of(device_presets())(name), None)
@@ -197,9 +200,16 @@ class Device(Table):
     encoder: Encoder | None = key(nested(Encoder), None)
     modes: tuple[VibrationMode, ...] = key(each(nested(VibrationMode)), ())
     actuator: Actuator | None = key(nested(Actuator), None)
+    friction: float = key(quantity(FORCE), 0.0)
+    static_friction: float | None = key(quantity(FORCE), None)
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.static_friction is not None and self.static_friction < self.friction:
+            raise ValueError(
+                f"static_friction is {self.static_friction:g} beside a friction of "
+                f"{self.friction:g}; give it at least as large."
+            )
         if self.mass is not None and self.inertia is not None:
             raise ValueError(
                 f"mass is {self.mass[0]:g} beside inertia; give mass for a device that moves along "
@@ -396,6 +406,8 @@ class Controller(Table):
     delay_samples: tuple[float, float] | None = key(interval("samples"), None)
     delay_is: str | None = key(one_of(("moving", "constant")), None)
     lost_samples: int = key(whole(0, int(LONGEST_DELAY)), 0)
+    max_force: float | None = key(quantity(FORCE, is_positive=True), None)
+    force_step: float = key(quantity(FORCE), 0.0)
     velocity: VelocityTable | None = key(nested(VelocityTable), None)
     position: PositionTable | None = key(nested(PositionTable), None)
 
@@ -482,6 +494,21 @@ class Wall(Table):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Contact(Table):
+    """How the device meets a wall: contacts are simulated from this start."""
+
+    push: float = key(quantity(FORCE), 0.0)
+    speed: float = key(quantity(SPEED), 0.0)
+    one_sided: bool = key(truth, True)
+    duration: float = key(quantity("s", is_positive=True), 4.0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.push == self.speed == 0.0:
+            raise ValueError("push and speed are 0, so nothing moves; give one of them.")
+
+
+@dataclass(frozen=True, kw_only=True)
 class Wanted(Table):
     """The measures of a wall beside its verdict, and what is given of answers."""
 
@@ -504,6 +531,7 @@ class Scene:
     hand: Hand | None = None
     walls: dict[str, Wall] = field(default_factory=dict)
     wanted: Wanted = field(default_factory=Wanted)
+    contact: Contact | None = None
 
     def __post_init__(self) -> None:
         hand, turns = self.hand or Hand(), self.device.units is Units.ROTATION
@@ -517,6 +545,7 @@ class Scene:
                 f"wanted.chatter is {self.wanted.chatter:g}, but no encoder is known; give "
                 "device.encoder.resolution."
             )
+        self._require_contact()
         if turns and hand.mass != (0.0, 0.0):
             raise ValueError(
                 f"hand.mass is {list(hand.mass)} beside device.inertia; a device that turns moves "
@@ -526,6 +555,29 @@ class Scene:
             raise ValueError(
                 f"hand.inertia is {list(hand.inertia)} beside device.mass; give hand.mass in kg, "
                 "or device.inertia."
+            )
+
+    def _require_contact(self) -> None:
+        """Refuse what only simulated contacts have, without them, and contacts of other devices."""
+        device, controller = self.device, self.controller
+        only = {
+            "device.friction": device.friction,
+            "device.static_friction": device.static_friction,
+            "controller.max_force": controller.max_force,
+            "controller.force_step": controller.force_step,
+        }
+        given = next((name for name, value in only.items() if value), None)
+        if self.contact is None and given is not None:
+            raise ValueError(
+                f"{given} is {only[given]:g}, but only simulated contacts have it; give "
+                "contact.push or contact.speed."
+            )
+        if self.contact is not None and (
+            device.modes or device.actuator or (self.hand and self.hand.grip)
+        ):
+            raise ValueError(
+                "contact is given beside modes, an actuator or a grip, but contacts are simulated "
+                "for one mass; leave out one or the other."
             )
 
     @property
@@ -614,6 +666,7 @@ _PARTS: Mapping[str, type[Table]] = {
     "controller": Controller,
     "hand": Hand,
     "wanted": Wanted,
+    "contact": Contact,
 }
 
 

@@ -1,0 +1,201 @@
+"""Where linear theory can be trusted: simulated contacts of random devices beside what is proved.
+
+Stable walls: the amplitude of contacts with a quantised encoder, a quantised force and friction, on
+two-sided walls, from random starts and phases of which the worst are changed again and again. None
+may exceed the proved bound of ``HapticLoop.amplitude``.
+
+All walls: one-sided contacts under a push or at a speed. How many rest, of walls that are proved
+stable and unstable, by friction; and of the walls that a rule of the literature accepts:
+
+- K T / 2 + |B| < b: passivity (Colgate, Schenkel 1997), for a difference over one sample without
+  delay;
+- K <= min(2 b / T, 2 f_c / q): Abbott, Okamura (2005), for walls without damping.
+
+Both are applied here beyond their assumptions (windows, delays, damping), as a designer might.
+"""
+
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from time import perf_counter
+from typing import NamedTuple
+
+import numpy as np
+
+import jaxstab
+from jaxstab import HapticLoop, Velocity, Verdict
+from jaxstab.results import Contact, ContactKind
+
+PICTURE = Path(__file__).resolve().parents[1] / "docs" / "contact.png"
+_T = 1e-3
+_DEVICES, _SMALL_DEVICES = 300, 3
+_WALLS, _STARTS = 40, 84  # of a device, and of a wall: 1e6 runs of 300 devices
+_ROUNDS = 3  # of starts, the later ones around the worst
+_DURATION = 2.0  # s
+_SLOWEST = 0.985  # spectral radius of the stable walls whose amplitudes are judged
+_ROUNDING = 1e-9
+_BINS = (0.0, 0.03, 0.1, 0.3, 1.0)  # N of friction
+_GRID = 90  # walls on an axis of the picture
+
+
+class Device(NamedTuple):
+    """A device with its encoder, and walls around its limits."""
+
+    loop: HapticLoop
+    encoder: float
+    stiffness: np.ndarray
+    damping: np.ndarray
+    verdict: np.ndarray
+
+
+def main(small: bool, points: int | None = None) -> int:
+    """Print what was found for so many devices; how many amplitudes exceeded their bound."""
+    rng = np.random.default_rng(36)
+    counts: Counter[str] = Counter()
+    start, widest = perf_counter(), 0.0
+    for _ in range(_SMALL_DEVICES if small else points or _DEVICES):
+        device = random_device(rng, 12 if small else _WALLS)
+        above, runs, share = amplitudes(device, rng, 6 if small else _STARTS)
+        counts.update({"above": above, "bounded": runs})
+        widest = max(widest, share)
+        counts.update(ends(device, rng, 6 if small else _STARTS))
+    seconds = perf_counter() - start
+    for line in table(counts, widest):
+        print(line)
+    print(f"{counts['bounded'] + counts['runs']:,} runs of {_DURATION:g} s in {seconds:.0f} s")
+    if not small:
+        draw()
+    return counts["above"]
+
+
+def random_device(rng: np.random.Generator, walls: int) -> Device:
+    """A device of 0.02 to 2 kg with an encoder of 1 to 50 um; few windows, so few programs."""
+    mass, damping = 10.0 ** rng.uniform(-1.7, 0.3), 10.0 ** rng.uniform(-2.0, 0.5)
+    loop = HapticLoop(
+        device_mass=mass,
+        device_damping=damping,
+        sample_time=_T,
+        delay=float(rng.choice([0.0, _T])),
+        velocity=Velocity.difference(int(rng.choice([1, 5, 20]))),
+    )
+    of_wall = loop.limits().damping * rng.uniform(0.01, 0.99, walls)
+    stiffest = loop.stiffness_limits(of_wall)[:, 1]
+    stiffness = stiffest * np.where(
+        np.arange(walls) % 2, rng.uniform(0.05, 1.0, walls), rng.uniform(1.0, 3.0, walls)
+    )
+    verdict = np.asarray(loop.verdict(stiffness, of_wall))
+    encoder = 10.0 ** rng.uniform(-6.0, -4.3)
+    return Device(loop, encoder, stiffness, of_wall, verdict)
+
+
+def amplitudes(device: Device, rng: np.random.Generator, starts: int) -> tuple[int, int, float]:
+    """How many simulated amplitudes exceed the proved bound, of how many, and the largest share."""
+    radius = np.asarray(device.loop.spectral_radius(device.stiffness, device.damping).value)
+    chosen = (device.verdict == Verdict.STABLE) & (radius < _SLOWEST)
+    if not chosen.any():
+        return 0, 0, 0.0
+    wall = device.stiffness[chosen][:, None], device.damping[chosen][:, None]
+    shape = len(wall[0]), max(1, starts // _ROUNDS)
+    friction = rng.choice([0.0, 0.01, 0.1], (shape[0], 1))
+    causes = {"encoder": device.encoder, "friction": friction, "force_step": 0.01}
+    bound = np.asarray(device.loop.amplitude(*wall, **causes).position)
+    push, speed = 10.0 ** rng.uniform(-1.0, 0.7, shape), 10.0 ** rng.uniform(-3.0, -1.0, shape)
+    phase = rng.uniform(size=shape)
+    above, share = 0, 0.0
+    for _ in range(_ROUNDS):
+        runs = jaxstab.contact_map(
+            device.loop, *wall, **causes, push=push, speed=speed, phase=phase,
+            one_sided=False, duration=_DURATION,
+        )  # fmt: skip
+        shares = runs.amplitude / bound
+        above += int(np.count_nonzero(shares > 1.0 + _ROUNDING))
+        share = max(share, float(shares.max()))
+        best = np.argsort(shares, axis=1)[:, -max(1, shape[1] // 4) :]
+        parents = best[:, rng.integers(best.shape[1], size=shape[1])]
+        push, speed, phase = (np.take_along_axis(a, parents, 1) for a in (push, speed, phase))
+        push, speed = (a * 10.0 ** rng.normal(0.0, 0.05, shape) for a in (push, speed))
+        phase = phase + rng.normal(0.0, 0.05, shape)
+    return above, _ROUNDS * int(np.prod(shape)), share
+
+
+def ends(device: Device, rng: np.random.Generator, starts: int) -> Iterator[str]:
+    """Name what is to be counted of one-sided contacts: verdict, friction, rules; do they rest."""
+    shape = len(device.stiffness), starts
+    friction = np.where(rng.random(shape) < 0.2, 0.0, 10.0 ** rng.uniform(-2.5, 0.0, shape))
+    push, speed = 10.0 ** rng.uniform(-1.0, 0.7, shape), rng.uniform(0.0, 0.3, shape)
+    wall = device.stiffness[:, None], device.damping[:, None]
+    contact = jaxstab.contact_map(
+        device.loop, *wall, friction=friction, encoder=device.encoder,
+        phase=rng.uniform(size=shape), push=push, speed=speed, duration=_DURATION,
+    )  # fmt: skip
+    rests = _does_rest(contact)
+    own = float(device.loop.device_damping)
+    passive = np.broadcast_to(0.5 * wall[0] * _T + wall[1] < own, shape)
+    abbott = wall[0] <= np.minimum(2.0 * own / _T, 2.0 * friction / device.encoder)
+    bins = np.searchsorted(_BINS, friction)
+    verdicts = np.broadcast_to(device.verdict[:, None], shape)
+    for rest, code, number, is_passive, is_abbott in zip(
+        *(a.ravel().tolist() for a in (rests, verdicts, bins, passive, abbott)), strict=True
+    ):
+        yield "runs"
+        names = [f"{Verdict(code).name} {number}", Verdict(code).name, "all"]
+        names += ["passive"] * is_passive + ["abbott"] * is_abbott
+        for name in names:
+            yield name
+            if rest:
+                yield f"{name} rests"
+
+
+def _does_rest(contact: Contact) -> np.ndarray:
+    return np.isin(contact.kind, [ContactKind.RESTS])
+
+
+def table(counts: Counter[str], widest: float) -> Iterator[str]:
+    """Lines of two tables in Markdown."""
+    yield (
+        f"Amplitudes above the proved bound: {counts['above']} of {counts['bounded']:,} runs; the "
+        f"largest was {100.0 * widest:.0f} % of its bound."
+    )
+    yield ""
+    yield "| friction in N | proved stable, rests | proved unstable, rests |"
+    yield "|---|---|---|"
+    for number, high in enumerate(_BINS):
+        name = "0" if number == 0 else f"{_BINS[number - 1]:g} to {high:g}"
+        shares = (_share(counts, f"{code} {number}") for code in ("STABLE", "UNSTABLE"))
+        yield f"| {name} | {' | '.join(shares)} |"
+    yield ""
+    yield "| rule | walls that it accepts | of these, rest | of those that rest, accepted |"
+    yield "|---|---|---|---|"
+    rules = {
+        "STABLE in jaxstab": "STABLE",
+        "K T/2 + B < b": "passive",
+        "K <= min(2 b/T, 2 f_c/q)": "abbott",
+    }
+    for words, name in rules.items():
+        accepted = counts[name] / max(counts["all"], 1)
+        found = counts[f"{name} rests"] / max(counts["all rests"], 1)
+        yield f"| {words} | {100 * accepted:.1f} % | {_share(counts, name)} | {100 * found:.1f} % |"
+
+
+def _share(counts: Counter[str], name: str) -> str:
+    if not counts[name]:
+        return "none"
+    return f"{100.0 * counts[f'{name} rests'] / counts[name]:.1f} % of {counts[name]:,}"
+
+
+def draw() -> None:
+    """Draw where a device like the omega rests, for some frictions."""
+    from jaxstab.pictures.contact import contact_figure, walls_around
+
+    loop = HapticLoop(
+        device_mass=0.25, device_damping=0.1, sample_time=_T, delay=_T,
+        velocity=Velocity.difference(window=0.02),
+    )  # fmt: skip
+    walls = walls_around(loop, _GRID)
+    maps = {
+        f"friction {friction:g} N, push 1 N": jaxstab.contact_map(
+            loop, *walls, friction=friction, push=1.0, encoder=1e-5
+        )
+        for friction in (0.0, 0.03, 0.1)
+    }
+    contact_figure(loop, walls, maps).savefig(PICTURE, dpi=130)

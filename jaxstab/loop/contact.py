@@ -1,0 +1,302 @@
+"""Contacts of a loop in SI units: what a hand would feel, simulated, and summed up.
+
+One run or a few are computed with their path; a map of many walls without it, in bounded memory.
+The kind of a run is read off its last two quarters (``jaxstab.motion.contact``). Nothing here is
+proved: another start, another phase of the encoder or a longer run may end differently.
+"""
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float64, Int8
+
+from jaxstab.arrays import Numbers, is_any_traced, named
+from jaxstab.conventions import Status
+from jaxstab.loop.jitter import turn_of
+from jaxstab.model import LoopParameters, checked_gain, require_x64
+from jaxstab.model.filters import Filter, Velocity, given_filters
+from jaxstab.motion.contact import FASTEST, LIMIT, Plant, Runs, Summary, contacts, paths
+from jaxstab.motion.response import Column, Controller, Response, answer_text
+from jaxstab.numbers import checked, checked_number
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_GROWTH = 1.5  # of the amplitude, from one quarter of a run to the next
+_SHORTEST = 16  # samples
+
+
+class ContactKind(Status):
+    """How a simulated contact ends.
+
+    Example:
+        >>> jaxstab.results.ContactKind(1).words
+        'rests'
+    """
+
+    NOT_COMPUTED = 0, "not computed"
+    RESTS = 1, "rests"
+    OSCILLATES = 2, "oscillates in contact with the wall"
+    BOUNCES = 3, "leaves the wall and returns to it"
+    GROWS = 4, "the motion grows"
+    DECAYS = 5, "still moves, less and less"
+    LEAVES = 6, "does not return to the wall"
+
+
+class Contact(NamedTuple):
+    """Simulated contacts with walls: how they end, in the last quarter of the run.
+
+    Attributes:
+        kind: codes of ``ContactKind``.
+        amplitude: half of the peak-to-peak position at the end in m; infinite if it was given up.
+        frequency: of the maxima of the position at the end in Hz; NaN if it rests, or has not two.
+        time_to_rest: from when on it rests, in s; infinite if it does not.
+        penetration: the largest position of the run in m.
+        largest_force: the largest modulus of the wall's force in N.
+        energy: in J, what the wall gave to device and hand; negative if it took.
+        path: the motion at the samples, the force as it is computed there; None for maps.
+
+    Example:
+        >>> loop = jaxstab.HapticLoop(
+        ...     device_mass=0.25, device_damping=0.1, sample_time=1e-3, delay=1e-3,
+        ...     velocity=jaxstab.Velocity.difference(window=0.02),
+        ... )
+        >>> loop.contact(5000.0, 30.0, friction=0.3, push=1.0)
+        Contact: rests after 53 ms, penetration 0.2635 mm, largest force 1.713 N (rests)
+        >>> loop.contact(3000.0, 15.0, push=1.0).kind
+        <ContactKind.BOUNCES: 3>
+    """
+
+    kind: Int8[np.ndarray, "*grid"]
+    amplitude: Float64[np.ndarray, "*grid"]
+    frequency: Float64[np.ndarray, "*grid"]
+    time_to_rest: Float64[np.ndarray, "*grid"]
+    penetration: Float64[np.ndarray, "*grid"]
+    largest_force: Float64[np.ndarray, "*grid"]
+    energy: Float64[np.ndarray, "*grid"]
+    path: Response | None = None
+
+    def __repr__(self) -> str:
+        moving = np.where(self.kind == ContactKind.RESTS, np.nan, self.amplitude)
+        values = self.time_to_rest, moving, *self[2:3], *self[4:6]
+        return answer_text("Contact", values, _COLUMNS, self.kind, ContactKind)
+
+    def plot(self, ax: "Axes | None" = None) -> "Axes":
+        """Draw position and force of one run over time; axes of a new figure by default.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
+            >>> axes = loop.contact(1000.0, 2.0, push=1.0).plot()
+        """
+        from jaxstab.pictures.contact import plot_contact
+
+        return plot_contact(self, ax)
+
+
+_COLUMNS = [
+    Column("rests after", "ms", 1000),
+    Column("amplitude", "mm", 1000),
+    Column("", "Hz"),
+    Column("penetration", "mm", 1000),
+    Column("largest force", "N"),
+]
+
+
+class _Setup(NamedTuple):
+    """Runs of a loop: their numbers for T = m = 1, the shape of their grid, and what is fixed."""
+
+    plant: Plant
+    controller: Controller
+    runs: Runs
+    shape: tuple[int, ...]
+    samples: int
+    sides: dict[str, bool]
+    period: float
+    unit: float  # N that are 1
+
+    def answer(self, summary: Summary, path: Response | None = None) -> Contact:
+        """Return the answer to runs that are summed up."""
+        values = Summary(*(np.reshape(value, self.shape) for value in summary))
+        kind, is_far = self._kinds(values), values.deepest >= LIMIT
+        rests = kind == ContactKind.RESTS
+        with np.errstate(all="ignore"):
+            cycles = np.where(values.maxima > 1.0, values.maxima - 1.0, np.nan)
+            duration = self.period * (values.last_maximum - values.first_maximum)
+            frequency = np.where(is_far | rests, np.nan, cycles / duration)
+        return Contact(
+            named(kind, ContactKind),
+            np.where(is_far, np.inf, 0.5 * (values.high - values.low)),
+            frequency,
+            np.where(rests, self.period * values.since, np.inf),
+            np.where(is_far, np.inf, values.deepest),
+            np.where(is_far, np.inf, values.strongest * self.unit),
+            np.where(is_far, np.nan, values.energy * self.unit),
+            path,
+        )
+
+    def _kinds(self, values: Summary) -> Int8[np.ndarray, "*grid"]:
+        size, earlier = values.high - values.low, values.earlier_high - values.earlier_low
+        is_one_sided = self.sides["one_sided"]
+        rests = values.since <= self.samples - self.samples // 4
+        cases = [
+            (values.deepest >= LIMIT, ContactKind.GROWS),
+            (rests, ContactKind.RESTS),
+            (is_one_sided & (values.high <= 0.0), ContactKind.LEAVES),
+            (size > _GROWTH * earlier, ContactKind.GROWS),
+            (earlier > _GROWTH * size, ContactKind.DECAYS),
+            (is_one_sided & (values.low <= 0.0), ContactKind.BOUNCES),
+        ]
+        conditions, kinds = zip(*cases, strict=True)
+        chosen = np.select(conditions, kinds, ContactKind.OSCILLATES)
+        return np.asarray(chosen, np.int8)
+
+
+def contact(loop: LoopParameters, stiffness: Numbers, damping: Numbers, **options: Any) -> Contact:
+    """Simulate contacts with their paths: ``HapticLoop.contact``."""
+    setup = _setup(loop, stiffness, damping, **options)
+    runs = setup.runs
+    if not setup.shape:  # numbers of Python are several times faster here
+        runs = Runs(*(column.item() for column in runs))
+    summary, (x, v, f) = paths(setup.plant, setup.controller, runs, setup.samples, **setup.sides)
+    x, v, f = (np.moveaxis(one, 0, -1).reshape(*setup.shape, -1) for one in (x, v, f))
+    x = np.where(x < LIMIT, x, np.nan)  # given up
+    time = setup.period * np.arange(setup.samples)
+    return setup.answer(summary, Response(time, x, v / setup.period, f * setup.unit))
+
+
+def contact_map(
+    loop: LoopParameters, stiffness: Numbers, damping: Numbers, **options: Any
+) -> Contact:
+    """Simulate contacts with many walls, or with one wall under many conditions.
+
+    Large maps are computed by one program of JAX, in float64 whatever its flag says, on all cores,
+    4,096 runs at a time: about ten million samples per second and core, in little memory.
+
+    Args:
+        loop: device and hand are one mass.
+        stiffness, damping: see ``jaxstab.conventions``.
+        **options: those of ``HapticLoop.contact``; numbers may be arrays that broadcast with the
+            gains.
+
+    Returns:
+        Contact of the broadcast shape, without paths.
+
+    Raises: as ``HapticLoop.contact``.
+
+    Source: eqs. (1)-(5) of Hulin, Preusche, Hirzinger (2008); Coulomb friction between the samples.
+
+    Example:
+        >>> loop = jaxstab.HapticLoop(
+        ...     device_mass=0.25, device_damping=0.1, sample_time=1e-3, delay=1e-3,
+        ...     velocity=jaxstab.Velocity.difference(window=0.02),
+        ... )
+        >>> friction = np.array([0.0, 0.1, 0.3])
+        >>> contact = jaxstab.contact_map(loop, 3000.0, 15.0, friction=friction, push=1.0)
+        >>> (contact.kind == jaxstab.results.ContactKind.RESTS).tolist()
+        [False, True, True]
+    """
+    setup = _setup(loop, stiffness, damping, **options)
+    runs = Runs(*(column.ravel() for column in setup.runs))
+    summary = contacts(setup.plant, setup.controller, runs, setup.samples, **setup.sides)
+    return setup.answer(summary)
+
+
+def _setup(
+    loop: LoopParameters,
+    stiffness: Numbers,
+    damping: Numbers,
+    *,
+    friction: Numbers = 0.0,
+    static_friction: Numbers = None,
+    encoder: Numbers = 0.0,
+    phase: Numbers = 0.0,
+    force_step: Numbers = 0.0,
+    max_force: Numbers = None,
+    push: Numbers = 0.0,
+    speed: Numbers = 0.0,
+    position: Numbers = 0.0,
+    one_sided: bool = True,
+    pulls: bool = False,
+    duration: int | float = 4.0,
+    delays: Any = None,
+    tolerance: Numbers = 1e-6,
+) -> _Setup:
+    conditions = friction, static_friction, encoder, phase, force_step, max_force, push, speed
+    given = (stiffness, damping, *conditions, position, duration, delays, tolerance)
+    if is_any_traced(loop, given):
+        raise TypeError(
+            "contacts are simulated outside of jit, vmap and grad: give concrete numbers, and a "
+            "loop of such."
+        )
+    require_x64(*given)
+    loop = loop.in_floats()
+    if loop.body is None:
+        raise ValueError(
+            f"the device ({loop.device}) is not one mass; contacts are simulated with one mass: "
+            "give device_mass and device_damping."
+        )
+    gamma, delta, period = float(loop.gamma), float(loop.delta), float(loop.sample_time)
+    if max(delta, gamma**0.5) > FASTEST:
+        raise ValueError(
+            f"the device without a wall moves at {max(delta, gamma**0.5):.3g} rad per sample; "
+            f"contacts are simulated up to {FASTEST:g}: give a shorter sample_time."
+        )
+    samples = round(checked_number("duration", duration, 0.0, unit="s") / period)
+    if samples < _SHORTEST:
+        raise ValueError(f"duration is {duration} s; give {_SHORTEST} samples at least.")
+    unit = float(loop.mass) / period**2
+    friction = checked("friction", friction, 0.0)
+    if static_friction is None:
+        static_friction = friction
+    most = np.inf if max_force is None else checked("max_force", max_force, 0.0, is_open=True)
+    wall = checked_gain("stiffness", stiffness), checked_gain("damping", damping)
+    columns = Runs(
+        loop.alpha(wall[0]),
+        loop.beta(wall[1]),
+        friction / unit,
+        checked("static_friction", static_friction, 0.0) / unit,
+        checked("encoder", encoder, 0.0),
+        checked("phase", phase),
+        checked("force_step", force_step, 0.0) / unit,
+        most / unit,
+        checked("push", push) / unit,
+        checked("position", position),
+        checked("speed", speed) * period,
+        checked("tolerance", tolerance, 0.0),
+    )
+    runs = Runs(*(np.array(column) for column in np.broadcast_arrays(*columns)))
+    _refuse_odd(runs, unit, gamma)
+    turn = (float(loop.delay_samples),) if delays is None else turn_of(loop, delays)
+    filters = given_filters(**loop.filters) or (Velocity(), Filter())
+    return _Setup(
+        Plant.of(gamma, delta, turn),
+        Controller.from_filters(filters),
+        runs,
+        runs.alpha.shape,
+        samples,
+        {"one_sided": bool(one_sided), "pulls": bool(pulls)},
+        period,
+        unit,
+    )
+
+
+def _refuse_odd(runs: Runs, unit: float, gamma: float) -> None:
+    """Refuse conditions that contradict each other, or under which nothing moves."""
+    less = runs.static_friction < runs.friction
+    if np.any(less):
+        static, friction = (
+            unit * column[less].flat[0] for column in (runs.static_friction, runs.friction)
+        )
+        raise ValueError(
+            f"static_friction is {static:g} N, below friction, {friction:g} N; give it at least "
+            "as large."
+        )
+    if gamma == 0.0 and np.any((runs.push != 0.0) & (runs.alpha == 0.0)):
+        raise ValueError(
+            "push is given where stiffness is 0, so nothing holds the device; give a stiffness, or "
+            "a hand_stiffness of the loop."
+        )
+    if not np.all((runs.push != 0.0) | (runs.velocity != 0.0) | (runs.position != 0.0)):
+        raise ValueError(
+            "push, speed and position are all 0, so nothing moves: give one of them another value."
+        )

@@ -1,0 +1,364 @@
+"""Contact as it is felt: a one-sided wall, friction, an encoder, saturation. Simulated, not proved.
+
+The wall acts through the sampled controller, so its force is constant between arrivals of forces.
+In such a piece, with the velocity's sign s and Coulomb friction f_c, one mass (T = m = 1) obeys
+
+    x'' + delta x' + gamma x = f + push - s f_c,
+
+and with b = f + push - s f_c - gamma x_0 it has the position and the velocity
+
+    x_0 + v_0 S(t) + b Y(t),    v_0 S'(t) + b S(t),
+
+where S is the response to a unit impulse and Y, its integral, that to a unit step. With
+w^2 = gamma - delta^2/4, of either sign, the velocity reaches 0 where tan(w t) / w equals
+r = v_0 / (v_0 delta/2 - b). There the mass sticks if the other forces are not larger than the
+static friction f_s >= f_c, and stays until the force changes; otherwise it turns round.
+
+Pieces are cut to at most 1 / max(delta, sqrt(gamma)). Then S and Y at any time of a piece are power
+series of few terms without cancellation. So is t, after the angle is halved twice: r / (1 + sqrt(1
++ w^2 r^2)) is tan(w t / 2) / w, also where w is imaginary. And as a piece is shorter than half a
+period, the velocity passes through 0 at most once: two legs are enough, in every run. So one
+formulation serves plain numbers, NumPy and XLA, without a loop for each run.
+
+A run is summed up while it is computed: a million runs need the memory of a few tiles.
+"""
+
+from collections.abc import Callable
+from math import ceil, sqrt
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float64
+
+from jaxstab.arrays import Array, is_jax, namespace, repeat, repeat_and_keep
+from jaxstab.batches import TILE, compiled, lists, on_cores
+from jaxstab.model.device.periodic import Segments, segments_of
+from jaxstab.model.plant import plant_transition
+from jaxstab.motion.response import Controller
+
+FASTEST = 64.0  # max(delta, sqrt(gamma)) that is simulated: as many pieces has a sample
+LIMIT = 1e6  # positions and velocities beyond it are given up
+_SMALLEST_TERM = 1e-18  # of a series
+_ARCTAN = tuple((-1.0) ** k / (2 * k + 1) for k in range(13, -1, -1))  # of squares up to 0.066
+_WHOLE = 2.0**52  # larger float64 are whole numbers
+_MANY = 1 << 19  # runs times samples from which on a program of XLA pays
+
+
+class Runs(NamedTuple):
+    """What may differ from run to run, for T = m = 1; arrays of one shape, or plain numbers.
+
+    A resolution of 0 is none. The phase of the encoder is a share of its resolution. A run rests
+    while it stays within the tolerance of one place.
+    """
+
+    alpha: Array
+    beta: Array
+    friction: Array
+    static_friction: Array
+    encoder: Array
+    phase: Array
+    force_step: Array
+    max_force: Array
+    push: Array
+    position: Array
+    velocity: Array
+    tolerance: Array
+
+
+class Summary(NamedTuple):
+    """What is kept of runs; times are in samples.
+
+    low, high: extremes of the position in the last quarter; ``earlier``: in the one before.
+    since: from when on the position was within the tolerance of ``place``.
+    maxima: how many maxima of the position the last quarter has, the first and the last of them.
+    deepest: the largest position; LIMIT where the run passed it and was given up.
+    strongest: the largest modulus of the wall's force.
+    energy: what the wall's force did to the mass.
+    """
+
+    low: Array
+    high: Array
+    earlier_low: Array
+    earlier_high: Array
+    place: Array
+    since: Array
+    maxima: Array
+    first_maximum: Array
+    last_maximum: Array
+    deepest: Array
+    strongest: Array
+    energy: Array
+
+
+class Flow(NamedTuple):
+    """A piece of a sample: its length, and S, S' and Y at its end."""
+
+    length: Array
+    impulse: Array
+    slope: Array
+    step: Array
+
+
+class Plant(NamedTuple):
+    """One mass whose force changes in turn.
+
+    gamma, half_damping: of the equation of motion; square: the w^2 above.
+    impulse, step: coefficients of S(t) / t and Y(t) / t^2, the highest power first.
+    ages: how many samples old the force is in each piece of each sample of a turn.
+    flows: these pieces; one more axis, of the fields of ``Flow``.
+    oldest: the age of the oldest force that acts.
+    """
+
+    gamma: Array
+    half_damping: Array
+    square: Array
+    impulse: Any
+    step: Any
+    ages: Any
+    flows: Any
+    oldest: int
+
+    @classmethod
+    def of(cls, gamma: float, delta: float, delays: tuple[float, ...]) -> "Plant":
+        """Return the plant; delays in samples, in turn, infinite for a lost sample."""
+        fastest = max(delta, sqrt(gamma))
+        turns = [_cut(segments, fastest) for segments in segments_of(delays)]
+        most = max(map(len, turns))
+        turns = [[*turn, *[(0, 0.0)] * (most - len(turn))] for turn in turns]
+        ages = [[age for age, _ in turn] for turn in turns]
+        lengths = np.array([[length for _, length in turn] for turn in turns])
+        moved = plant_transition(gamma, delta, lengths)
+        flows = np.stack([lengths, moved[..., 0, 1], moved[..., 1, 1], moved[..., 0, 2]], axis=-1)
+        return cls(
+            gamma,
+            0.5 * delta,
+            gamma - 0.25 * delta**2,
+            *_series(gamma, delta, 1.0 / max(fastest, 1.0)),
+            ages,
+            flows.tolist(),
+            max(map(max, ages)),
+        )
+
+
+def _cut(segments: Segments, fastest: float) -> list[tuple[int, float]]:
+    """Return ages and lengths of pieces of a sample, none too long."""
+    pieces = []
+    for age, begin, end in segments:
+        count = max(1, ceil((end - begin) * fastest))
+        pieces += [(age, (end - begin) / count)] * count
+    return pieces
+
+
+def _series(
+    gamma: float, delta: float, longest: float
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return the coefficients of S(t) / t and Y(t) / t^2 for times up to the longest."""
+    terms, power = [0.0, 1.0], 1.0
+    while len(terms) % 4 != 1 or abs(terms[-1]) + abs(terms[-2]) * longest > _SMALLEST_TERM / power:
+        order = len(terms) - 1
+        term = -(delta * order * terms[-1] + gamma * terms[-2]) / (order * (order + 1))
+        terms.append(term)
+        power *= longest
+    impulse = terms[1:]
+    step = [term / (order + 2) for order, term in enumerate(impulse)]
+    return tuple(reversed(impulse)), tuple(reversed(step))
+
+
+class _PlainNumbers:
+    """Functions of a namespace for numbers of Python, with which one run is fastest."""
+
+    minimum, maximum, sqrt, any = min, max, sqrt, bool
+
+    @staticmethod
+    def where(condition: bool, one: float, other: float) -> float:
+        return one if condition else other
+
+    @staticmethod
+    def rint(value: float) -> float:
+        return float(round(value)) if abs(value) < _WHOLE else value
+
+    @staticmethod
+    def sign(value: float) -> float:
+        return float((value > 0.0) - (value < 0.0))
+
+
+def _functions(value: Array) -> Any:
+    return _PlainNumbers if type(value) is float else namespace(value)
+
+
+def contacts(
+    plant: Plant, controller: Controller, runs: Runs, samples: int, *, one_sided: bool, pulls: bool
+) -> Summary:
+    """Simulate runs, arrays of one length, and sum them up; many by XLA, on all cores."""
+    count = len(runs.alpha)
+    if count * samples < _MANY:
+        with np.errstate(all="ignore"):
+            return _summary(plant, controller, runs, samples, one_sided, pulls)
+    arrays = plant._replace(ages=np.array(plant.ages), flows=np.array(plant.flows))
+    sides = {"one_sided": one_sided, "pulls": pulls}
+
+    def of_tile(tile: tuple[np.ndarray, np.ndarray]) -> Summary:
+        part, padded = tile
+        own = Runs(*(column[padded] for column in runs))
+        summary = _of_tile(arrays, controller, own, samples, oldest=plant.oldest, **sides)
+        return Summary(*(column[: part.size] for column in summary))
+
+    tiles = on_cores(of_tile, list(lists(np.arange(count), TILE, TILE // 64)))
+    return Summary(*map(np.concatenate, zip(*tiles, strict=True)))
+
+
+@compiled(static=["oldest", "one_sided", "pulls"], many=0, wide=True)
+def _of_tile(
+    plant: Plant,
+    controller: Controller,
+    runs: Runs,
+    samples: Any,
+    *,
+    oldest: int,
+    one_sided: bool,
+    pulls: bool,
+) -> Summary:
+    plant = plant._replace(oldest=oldest)
+    return _summary(plant, controller, runs, samples, one_sided, pulls)
+
+
+def _summary(
+    plant: Plant, controller: Controller, runs: Runs, samples: Any, one_sided: bool, pulls: bool
+) -> Summary:
+    step, start = _motion(plant, controller, runs, samples, one_sided, pulls)
+    summary: Summary = repeat(samples, lambda state: step(state)[0], start)[-1]
+    return summary
+
+
+def paths(
+    plant: Plant, controller: Controller, runs: Runs, samples: int, *, one_sided: bool, pulls: bool
+) -> tuple[Summary, Float64[np.ndarray, "3 sample *run"]]:
+    """Simulate runs, arrays of one shape or plain numbers; also position, velocity and force.
+
+    The force is that computed at the sample.
+    """
+    step, start = _motion(plant, controller, runs, samples, one_sided, pulls)
+    with np.errstate(all="ignore"):
+        state, history = repeat_and_keep(samples, step, start)
+    return state[-1], np.array(history)
+
+
+def _motion(
+    plant: Plant, controller: Controller, runs: Runs, samples: Any, one_sided: bool, pulls: bool
+) -> tuple[Callable[[Any], tuple[Any, tuple[Array, Array, Array]]], Any]:
+    """Return the step from sample to sample, and the state at the first one.
+
+    The state: sample, position, velocity, memory of the filters, forces, the newest first, summary.
+    A step also gives position, velocity and force at its beginning.
+    """
+    xp = _functions(runs.alpha)
+    is_coarse, is_stepped = runs.encoder > 0.0, runs.force_step > 0.0
+    count = xp.where(is_coarse, runs.encoder, 1.0)
+    force_unit = xp.where(is_stepped, runs.force_step, 1.0)
+    quarter = samples // 4
+    middle, last = samples - 2 * quarter, samples - quarter
+
+    def read(x: Array) -> Array:
+        return xp.where(is_coarse, count * (xp.rint(x / count + runs.phase) - runs.phase), x)
+
+    def force_at(x: Array, memory: Any) -> tuple[Array, Any]:
+        position = read(x)
+        filtered, velocity, memory = controller.step(position, memory)
+        force = -(runs.alpha * filtered + runs.beta * velocity)
+        if one_sided:
+            force = xp.where(position > 0.0, force if pulls else xp.minimum(force, 0.0), 0.0)
+        force = xp.where(is_stepped, force_unit * xp.rint(force / force_unit), force)
+        return xp.maximum(xp.minimum(force, runs.max_force), -runs.max_force), memory
+
+    def pushed(v: Array, others: Array) -> tuple[Array, Array]:
+        """The direction in which the mass moves, 0 if it sticks, and the b above."""
+        slips = xp.where(abs(others) > runs.static_friction, xp.sign(others), 0.0)
+        sign = xp.where(v == 0.0, slips, xp.sign(v))
+        return sign, xp.where(sign == 0.0, 0.0, others - sign * runs.friction)
+
+    def time_to_turn(turns: Array, v: Array, b: Array) -> Array:
+        time = xp.where(turns, v, 0.0) / xp.where(turns, plant.half_damping * v - b, 1.0)
+        for _ in range(2):
+            time = time / (1.0 + xp.sqrt(1.0 + plant.square * time * time))
+        return 4.0 * time * _series_at(_ARCTAN, plant.square * time * time)
+
+    def step(state: Any) -> tuple[Any, tuple[Array, Array, Array]]:
+        sample, x, v, memory, line, was = state
+        force, memory = force_at(x, memory)
+        first = x, v, force
+        line = _after(force, line)
+        turn = sample % len(plant.ages)
+        ages, flows = plant.ages[turn], plant.flows[turn]
+        begin, energy = sample, was.energy
+        is_new = (sample == middle) | (sample == last)  # a quarter of the run
+        earlier_low = xp.where(is_new, was.low, was.earlier_low)
+        earlier_high = xp.where(is_new, was.high, was.earlier_high)
+        maxima = xp.where(is_new, 0.0, was.maxima)
+        first_maximum, last_maximum = was.first_maximum, was.last_maximum
+        low = high = x
+        for piece in range(len(flows)):
+            acting, flow = line[ages[piece]], Flow(*flows[piece])
+            others = acting + runs.push - plant.gamma * x
+            sign, b = pushed(v, others)
+            way = flow.impulse * v + flow.step * b
+            speed = flow.slope * v + flow.impulse * b
+            turns = sign * speed < 0.0
+            if is_jax(turns) or xp.any(turns):
+                time = xp.minimum(time_to_turn(turns, v, b), flow.length)
+                rest = flow.length - time
+                there = time * (v * _series_at(plant.impulse, time))
+                there = there + time * time * (b * _series_at(plant.step, time))
+                _, b = pushed(0.0 * v, others - plant.gamma * there)
+                back = rest * rest * (b * _series_at(plant.step, rest))
+                way = xp.where(turns, there + back, way)
+                speed = xp.where(turns, rest * (b * _series_at(plant.impulse, rest)), speed)
+                peak = xp.where(turns, x + there, x)
+                low, high = xp.minimum(low, peak), xp.maximum(high, peak)
+                is_maximum = turns & (sign > 0.0)
+                last_maximum = xp.where(is_maximum, begin + time, last_maximum)
+                first_maximum = xp.where(is_maximum & (maxima == 0.0), last_maximum, first_maximum)
+                maxima = maxima + is_maximum
+            x, v, begin = x + way, speed, begin + flow.length
+            energy = energy + acting * way
+            low, high = xp.minimum(low, x), xp.maximum(high, x)
+        is_near = (abs(x) < LIMIT) & (abs(v) < LIMIT)
+        x, v = xp.where(is_near, x, LIMIT), xp.where(is_near, v, 0.0)
+        low, high = xp.where(is_near, low, LIMIT), xp.where(is_near, high, LIMIT)
+        moved = xp.maximum(high - was.place, was.place - low) > runs.tolerance
+        now = Summary(
+            low=xp.where(is_new, low, xp.minimum(was.low, low)),
+            high=xp.where(is_new, high, xp.maximum(was.high, high)),
+            earlier_low=earlier_low,
+            earlier_high=earlier_high,
+            place=xp.where(moved, x, was.place),
+            since=xp.where(moved, sample + 1.0, was.since),
+            maxima=maxima,
+            first_maximum=first_maximum,
+            last_maximum=last_maximum,
+            deepest=xp.maximum(was.deepest, high),
+            strongest=xp.maximum(was.strongest, abs(force)),
+            energy=energy,
+        )
+        return (sample + 1, x, v, memory, line, now), first
+
+    x, v = runs.position, runs.velocity
+    rest = 0.0 * x
+    start = Summary(x, x, x, x, x, rest, rest, rest, rest, x, rest, rest)
+    forces: Any = (rest,) * (plant.oldest + 1)
+    if type(x) is not float:
+        forces = xp.stack(forces)
+    return step, (0, x, v, controller.at_rest(read(x)), forces, start)
+
+
+def _after(newest: Array, line: Any) -> Any:
+    """Return forces, the newest first, without the oldest."""
+    if isinstance(line, tuple):
+        return (newest, *line[:-1])
+    return namespace(line).concatenate([newest[None], line[:-1]])
+
+
+def _series_at(coefficients: Any, time: Array) -> Array:
+    total = coefficients[0]
+    for coefficient in coefficients[1:]:
+        total = total * time + coefficient
+    return total

@@ -1,0 +1,147 @@
+"""Simulated contacts with the walls of a scene: the worst of some starts. Nothing is proved.
+
+Each wall is simulated from rest under the scene's push, or at its speed with or without the push,
+and from four phases of the encoder if there is one. The hand and the device's mass are at the
+lowest ends of their ranges, the delay is constant and the longest one. The answer is that of the
+worst start, which it names.
+"""
+
+from dataclasses import dataclass
+from math import isnan
+from typing import Annotated, Any
+
+import numpy as np
+
+from jaxstab.loop import Contact, ContactKind, HapticLoop, contact_map
+from jaxstab.scene.answers import Answer, Basis, Frequency, Quantity, basis_of
+from jaxstab.scene.loops import hands_of, loop_of, walls_of, with_delay
+from jaxstab.scene.scene import Scene
+
+_WORST_LAST = (
+    ContactKind.LEAVES,
+    ContactKind.RESTS,
+    ContactKind.DECAYS,
+    ContactKind.OSCILLATES,
+    ContactKind.BOUNCES,
+    ContactKind.GROWS,
+)
+_PHASES = 0.0, 0.25, 0.5, 0.75
+
+
+@dataclass(frozen=True)
+class Simulated(Answer):
+    """How the worst of the simulated contacts ends."""
+
+    contact: ContactKind
+    time_to_rest: Annotated[float, Quantity("s", 3, infinite="never")]
+    amplitude: Annotated[float, Quantity("m", 3)]
+    contact_frequency: Frequency | None
+    penetration: Annotated[float, Quantity("m", 3)]
+    largest_force: Annotated[float, Quantity("N", 3)]
+    worst_start: str
+    contact_is: str
+
+    @property
+    def is_quiet(self) -> bool:
+        """Whether the device came to rest, or left the wall for good."""
+        return self.contact in (ContactKind.RESTS, ContactKind.LEAVES)
+
+
+@dataclass(frozen=True)
+class Contacts(Answer):
+    """The simulated contact of each wall, by its name."""
+
+    inputs: Basis | None
+    friction: Annotated[float, Quantity("N")]
+    walls: dict[str, Simulated]
+
+    @property
+    def all_stable(self) -> bool:
+        """Whether every simulated contact came to rest; nothing is proved."""
+        return all(wall.is_quiet for wall in self.walls.values())
+
+
+def simulate_contacts(scene: Scene) -> Contacts:
+    """The worst simulated contact with each wall of a scene that says how the device meets it."""
+    scene.require_walls()
+    if scene.contact is None:
+        raise ValueError("contact is missing; give contact.push in N, or contact.speed in m/s.")
+    return Contacts(basis_of(scene), scene.device.friction, contacts_of(scene))
+
+
+def contacts_of(scene: Scene) -> dict[str, Simulated]:
+    """Return the worst simulated contact of each wall; none for a scene without contacts."""
+    if scene.contact is None or not scene.walls:
+        return {}
+    starts = _starts(scene)
+    gains = np.array([*walls_of(scene).values()]).T[:, :, None]
+    push, speed, phase = np.array(starts).T
+    contact = simulated_map(scene, *gains, push=push, speed=speed, phase=phase)
+    rank = np.argsort(_WORST_LAST)[contact.kind - 1]
+    order = (contact.time_to_rest, contact.amplitude, rank)
+    worst = np.lexsort(np.nan_to_num(order, posinf=np.finfo(float).max), axis=-1)[:, -1]
+    return {
+        name: _simulated(scene, Contact(*(one[k, start] for one in contact[:-1])), starts[start])
+        for k, (name, start) in enumerate(zip(scene.walls, worst, strict=True))
+    }
+
+
+def simulated_map(scene: Scene, stiffness: Any, damping: Any, **start: Any) -> Contact:
+    """Return the contacts of walls with the device of a scene; by default at its own start."""
+    assert scene.contact is not None  # callers look
+    device, controller, given = scene.device, scene.controller, scene.contact
+    return contact_map(
+        contact_loop(scene),
+        stiffness,
+        damping,
+        friction=device.friction,
+        static_friction=device.static_friction,
+        encoder=device.encoder.resolution if device.encoder else 0.0,
+        force_step=controller.force_step,
+        max_force=controller.max_force,
+        one_sided=given.one_sided,
+        duration=given.duration,
+        **({"push": given.push, "speed": given.speed} | start),
+    )
+
+
+def contact_loop(scene: Scene) -> HapticLoop:
+    """Return the loop whose contacts are simulated: the lightest one with the longest delay."""
+    return loop_of(with_delay(scene, scene.controller.delays[1]))
+
+
+def _starts(scene: Scene) -> list[tuple[float, float, float]]:
+    """Return pushes, speeds and phases of the encoder to try."""
+    assert scene.contact is not None  # callers look
+    push, speed = scene.contact.push, scene.contact.speed
+    pairs = dict.fromkeys([(push, 0.0), (0.0, speed), (push, speed)])
+    phases = _PHASES if scene.device.encoder else (0.0,)
+    return [(*pair, phase) for pair in pairs if any(pair) for phase in phases]
+
+
+def _simulated(scene: Scene, contact: Contact, start: tuple[float, float, float]) -> Simulated:
+    push, speed, phase = start
+    units, words = scene.units, []
+    if speed:
+        words.append(f"at {speed:g} {units.length}/s")
+    if push:
+        words.append(f"pushed with {Quantity('N').words(push, units)}")
+    if scene.device.encoder:
+        words.append(f"encoder at {phase:g} of a step")
+    assert scene.contact is not None  # callers look
+    about = [f"simulated for {scene.contact.duration:g} s, not proved"]
+    if not scene.controller.has_one_delay:
+        about.append("the delay constant, its longest")
+    if hands_of(scene) is not None:
+        about.append("hand and device at their lowest values")
+    frequency = float(contact.frequency)
+    return Simulated(
+        ContactKind(int(contact.kind)),
+        float(contact.time_to_rest),
+        float(contact.amplitude),
+        None if isnan(frequency) else frequency,
+        float(contact.penetration),
+        float(contact.largest_force),
+        ", ".join(words),
+        "; ".join(about),
+    )

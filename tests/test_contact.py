@@ -1,0 +1,458 @@
+"""Simulated contacts: against scipy with events, closed forms, and the linear simulation."""
+
+import re
+import tomllib
+from math import inf, pi
+from typing import Any
+
+import campaign
+import numpy as np
+import pytest
+
+import jaxstab
+from benchmarks import contact as benchmark
+from benchmarks.truth import contact as truth
+from benchmarks.truth.march import difference_taps, low_pass_taps
+from jaxstab import HapticLoop, Velocity
+from jaxstab.motion import contact as kernel
+from jaxstab.pictures.scene import scene_figure
+from jaxstab.results import ContactKind
+from jaxstab.scene import Scene, check_walls, simulate_contacts
+
+PERIOD = 1e-3
+HELD = {"device_mass": 0.25, "device_damping": 0.1, "sample_time": PERIOD}
+WINDOW = HapticLoop(**HELD, delay=PERIOD, velocity=Velocity.difference(window=0.02))
+FREE = HapticLoop(device_mass=0.5, device_damping=0.0, sample_time=PERIOD)
+
+
+def random_case(rng: np.random.Generator) -> tuple[HapticLoop, dict[str, Any], truth.Felt]:
+    """A loop of any mass, hand, estimator and delays, and what disturbs it."""
+    mass, damping = 10.0 ** rng.uniform(-1.7, 0.3), rng.choice([0.0, 0.1, 3.0, 60.0])
+    stiffness = rng.choice([0.0, 300.0, 3e4, mass / PERIOD**2])
+    fields: dict[str, Any] = {"velocity": None, "position": None}
+    velocity, position = [difference_taps(1)], []
+    kind = rng.integers(4)
+    if kind == 1:
+        window = int(rng.integers(2, 21))
+        fields["velocity"] = Velocity.difference(samples=window)
+        velocity = [difference_taps(window)]
+    elif kind == 2:
+        fields["velocity"] = Velocity.difference(samples=1) * jaxstab.Filter.low_pass(100.0)
+        velocity = [difference_taps(1), low_pass_taps(100.0 * PERIOD)]
+    elif kind == 3:
+        fields["position"] = jaxstab.Filter.low_pass(200.0)
+        position = [low_pass_taps(200.0 * PERIOD)]
+    delays = rng.choice([0.0, PERIOD, 1.5 * PERIOD, 3.2 * PERIOD], int(rng.integers(1, 4)))
+    moving = [*delays.tolist(), inf] if rng.random() < 0.2 else delays.tolist()
+    loop = HapticLoop(
+        device_mass=mass, device_damping=damping, hand_stiffness=stiffness, sample_time=PERIOD,
+        delay=delays[0], **fields,
+    )  # fmt: skip
+    unit = mass / PERIOD**2
+    size = 10.0 ** rng.uniform(-5.0, -2.0)  # m that it moves in a sample
+    wall = unit * rng.uniform(0.0, 0.3), unit * PERIOD * rng.uniform(0.0, 0.5)
+    friction = rng.choice([0.0, rng.uniform(0.0, 0.1)]) * size * unit
+    felt: dict[str, Any] = {
+        "friction": friction,
+        "static_friction": friction * rng.choice([1.0, 1.5]),
+        "encoder": rng.choice([0.0, 0.3 * size]),
+        "phase": rng.uniform(),
+        "force_step": rng.choice([0.0, 0.02 * size * unit]),
+        "max_force": rng.choice([inf, 0.3 * size * unit]),
+        "push": rng.choice([0.0, 0.1 * size * unit]),
+        "one_sided": bool(rng.random() < 0.7),
+        "pulls": bool(rng.random() < 0.5),
+    }
+    own = truth.Felt(mass, damping, stiffness, PERIOD, moving, velocity, position, wall, **felt)
+    felt["max_force"] = None if felt["max_force"] == inf else felt["max_force"]
+    start = {
+        "position": rng.uniform(-1.0, 1.0) * size,
+        "speed": rng.uniform(0.2, 1.0) * size / PERIOD,
+    }
+    return loop, {"stiffness": wall[0], "damping": wall[1], **felt, **start, "delays": moving}, own
+
+
+def assert_runs_are_true(rng: np.random.Generator, runs: int, samples: int) -> None:
+    compared = events = balanced = 0
+    for _ in range(runs):
+        loop, options, felt = random_case(rng)
+        start = options["position"], options["speed"]
+        contact = loop.contact(**options, duration=samples * PERIOD)
+        longer = loop.contact(**options, duration=(samples + 1) * PERIOD)
+        true = truth.run(felt, start, samples)
+        assert contact.path is not None
+        assert longer.path is not None
+        known = slice(true.certain)
+        compared, events = compared + true.certain, events + true.events
+        for ours, theirs in zip(contact.path[1:], true.path, strict=True):
+            scale = np.maximum.accumulate(np.abs(theirs))[known]
+            assert np.all(np.abs(ours - theirs)[known] <= 1e-11 * scale)
+        if true.certain == samples:
+            assert abs(contact.penetration - true.highest) <= 1e-11 * np.abs(true.path[0]).max()
+            # Our energy and our last state, and what scipy's friction and damping took.
+            x, v = float(longer.path.position[-1]), float(longer.path.velocity[-1])
+            moved = felt.push * (x - start[0]) - 0.5 * felt.stiffness * (x**2 - start[0] ** 2)
+            kinetic = 0.5 * felt.mass * (v**2 - start[1] ** 2)
+            balance = float(contact.energy) + moved - true.lost - kinetic
+            size = abs(float(contact.energy)) + felt.mass * start[1] ** 2 + true.lost
+            assert abs(balance) <= 1e-9 * size
+            balanced += 1
+    assert compared > 0.9 * runs * samples
+    assert balanced > 0.8 * runs
+    assert events > runs
+
+
+def test_random_runs_are_those_of_scipy_with_events(rng: np.random.Generator) -> None:
+    assert_runs_are_true(rng, 16, 40)
+
+
+@pytest.mark.campaign
+def test_200_random_runs_are_those_of_scipy_with_events(rng: np.random.Generator) -> None:
+    assert_runs_are_true(rng, campaign.many(200, 40), 60)
+
+
+def test_a_free_mass_slides_until_friction_stops_it() -> None:
+    speed, friction = 0.3, 0.7
+    contact = FREE.contact(1.0, 0.0, position=-1.0, speed=speed, friction=friction, duration=0.4)
+    assert contact.path is not None
+    deceleration = friction / FREE.mass
+    stop = speed / deceleration
+    time = np.minimum(contact.path.time, stop)
+    true = -1.0 + speed * time - 0.5 * deceleration * time**2
+    assert np.allclose(contact.path.position, true, rtol=1e-14, atol=1e-15)
+    assert contact.kind == ContactKind.RESTS
+    assert contact.time_to_rest == pytest.approx(stop, abs=5e-3)  # the last um takes 1.2 ms
+    assert contact.energy == 0.0
+    assert contact.largest_force == 0.0
+
+
+def test_the_first_touch_is_that_of_the_formula() -> None:
+    stiffness, damping, speed = 800.0, 5.0, 0.2
+    contact = FREE.contact(stiffness, damping, speed=speed, duration=0.016)
+    assert contact.path is not None
+    first = speed * PERIOD  # at time 0 the mass is at the surface, and feels nothing
+    force = -(stiffness * first + damping * speed)
+    assert contact.path.force[:2].tolist() == [0.0, pytest.approx(force, rel=1e-13)]
+    second = 2.0 * first + 0.5 * force / FREE.mass * PERIOD**2
+    assert contact.path.position[2] == pytest.approx(second, rel=1e-13)
+
+
+def test_a_push_up_to_the_static_friction_moves_nothing() -> None:
+    friction = {"friction": 0.2, "static_friction": 0.5}
+    still = WINDOW.contact(1000.0, 3.0, push=0.5, **friction)
+    assert (still.kind, still.time_to_rest, still.penetration) == (ContactKind.RESTS, 0.0, 0.0)
+    moved = FREE.contact(1.0, 0.0, push=0.51, position=-1.0, **friction, duration=0.1)
+    assert moved.path is not None
+    true = -1.0 + 0.5 * (0.51 - 0.2) / FREE.mass * moved.path.time**2
+    assert np.allclose(moved.path.position, true, rtol=1e-13)
+
+
+def relay_cycle(delay: float, force: float, friction: float, mass: float) -> tuple[float, float]:
+    """Amplitude and period of a mass with friction under a relay of its delayed position.
+
+    It passes 0 with the speed v, is still pushed for the delay, is then braked to rest, and returns
+    to 0 with the speed v: 2 v^2 = (v + a t)^2 (1 + a / c).
+    """
+    a, c = (force - friction) / mass, (force + friction) / mass
+    share = np.sqrt(0.5 * (1.0 + a / c))
+    speed = a * delay * share / (1.0 - share)
+    fastest = speed + a * delay
+    peak = speed * delay + 0.5 * a * delay**2 + 0.5 * fastest**2 / c
+    return float(peak), float(2.0 * (delay + fastest / c + np.sqrt(2.0 * peak / a)))
+
+
+def test_a_relay_with_delay_and_friction_has_the_limit_cycle_of_the_formula() -> None:
+    samples, force, friction = 200, 2.0, 0.8
+    loop = HapticLoop(device_mass=0.5, device_damping=0.0, sample_time=1e-4, delay=samples * 1e-4)
+    contact = loop.contact(
+        1e9, 0.0, max_force=force, friction=friction, one_sided=False, position=1e-3, duration=6.0
+    )
+    # The relay looks once per sample: the delay is between 200 and 201 samples.
+    low, high = (
+        relay_cycle(count * 1e-4, force, friction, 0.5) for count in (samples, samples + 1)
+    )
+    assert contact.kind == ContactKind.OSCILLATES
+    assert low[0] <= contact.amplitude <= high[0]
+    assert 1.0 / high[1] <= contact.frequency <= 1.0 / low[1]
+
+
+@pytest.mark.parametrize("one_sided", [False, True])
+@pytest.mark.parametrize("case", range(8))
+def test_without_friction_and_encoder_a_contact_is_simulate(case: int, one_sided: bool) -> None:
+    loop, options, felt = random_case(np.random.default_rng(case))
+    wall = felt.wall[0], felt.wall[1]
+    start = {"initial_position": options["position"], "initial_velocity": options["speed"]}
+    linear = loop.simulate(
+        *wall, **start, force=felt.push, samples=50, unilateral=one_sided, delays=options["delays"]
+    )
+    contact = loop.contact(
+        *wall, position=options["position"], speed=options["speed"], push=felt.push,
+        one_sided=one_sided, pulls=True, duration=50 * PERIOD, delays=options["delays"],
+    )  # fmt: skip
+    assert contact.path is not None
+    for ours, theirs in zip(contact.path[1:3], linear[1:3], strict=True):
+        assert np.all(np.abs(ours - theirs) <= 1e-11 * np.maximum.accumulate(np.abs(theirs)))
+
+
+def many_conditions(rng: np.random.Generator, count: int) -> dict[str, Any]:
+    friction = rng.uniform(0.0, 0.4, count)
+    return {
+        "stiffness": rng.uniform(100.0, 6000.0, count),
+        "damping": rng.uniform(0.0, 40.0, count),
+        "friction": friction,
+        "static_friction": friction * rng.uniform(1.0, 1.5, count),
+        "encoder": rng.choice([0.0, 1e-5, 5e-5], count),
+        "phase": rng.uniform(size=count),
+        "force_step": rng.choice([0.0, 0.01], count),
+        "max_force": rng.choice([5.0, 1e9], count),
+        "push": rng.uniform(0.0, 2.0, count),
+        "speed": rng.uniform(0.01, 0.5, count),
+    }
+
+
+LOOPS = {
+    "window": WINDOW,
+    "hand": HapticLoop(**HELD, hand_mass=0.1, hand_stiffness=400.0, hand_damping=3.0, delay=1.4e-3),
+    "fast": HapticLoop(**HELD, hand_stiffness=1e6, position=jaxstab.Filter.low_pass(150.0)),
+    "damped": HapticLoop(device_mass=0.02, device_damping=50.0, sample_time=PERIOD),
+}
+
+
+@pytest.mark.parametrize("name", LOOPS)
+@pytest.mark.parametrize("delays", [None, (0.2e-3, 1e-3, inf, 1.7e-3)])
+def test_numbers_numpy_and_jax_agree(
+    name: str, delays: Any, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loop, count = LOOPS[name], 40
+    options = many_conditions(rng, count)
+    fixed = {"duration": 0.04, "delays": delays}
+    by_numpy = jaxstab.contact_map(loop, **options, **fixed)
+    monkeypatch.setattr(kernel, "_MANY", 0)
+    by_jax = jaxstab.contact_map(loop, **options, **fixed)
+    single = [
+        loop.contact(**{key: value[k] for key, value in options.items()}, **fixed)
+        for k in range(count)
+    ]
+    for name_of in ("amplitude", "penetration", "largest_force", "energy"):
+        numpy = getattr(by_numpy, name_of)
+        scale = 1e-12 * np.abs(numpy).max()
+        assert np.allclose(getattr(by_jax, name_of), numpy, rtol=1e-12, atol=scale)
+        ours = [float(getattr(one, name_of)) for one in single]
+        assert np.allclose(ours, numpy, rtol=1e-12, atol=scale)
+    assert np.array_equal(by_jax.kind, by_numpy.kind)
+
+
+def test_maps_larger_than_a_tile_keep_their_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    stiffness = np.linspace(500.0, 6000.0, 23)[:, None] * np.ones(101)
+    friction = np.linspace(0.0, 0.4, 101)
+    given = {"friction": friction, "push": 1.0, "duration": 0.03}
+    monkeypatch.setattr(kernel, "_MANY", inf)
+    by_numpy = jaxstab.contact_map(WINDOW, stiffness, 10.0, **given)
+    monkeypatch.setattr(kernel, "_MANY", 0)
+    by_jax = jaxstab.contact_map(WINDOW, stiffness, 10.0, **given)
+    assert by_jax.penetration.shape == (23, 101)
+    assert np.allclose(by_jax.penetration, by_numpy.penetration, rtol=1e-12)
+    assert np.allclose(by_jax.energy, by_numpy.energy, rtol=1e-9, atol=1e-18)
+
+
+def test_friction_holds_walls_that_are_unstable() -> None:
+    walls = [(5000.0, 30.0)] * 3 + [(3000.0, 15.0)] * 2
+    friction = [0.3, 0.1, 0.0, 0.1, 0.0]
+    contact = jaxstab.contact_map(WINDOW, *np.transpose(walls), friction=friction, push=1.0)
+    assert (contact.kind == ContactKind.RESTS).tolist() == [True, False, False, True, False]
+    does_move = np.isin(contact.kind, [ContactKind.BOUNCES, ContactKind.GROWS])
+    assert does_move.tolist() == [False, True, True, False, True]
+    assert np.all(contact.amplitude[does_move] > 1e-3)
+    assert np.all(WINDOW.verdict([5000.0, 3000.0], [30.0, 15.0]) == jaxstab.Verdict.UNSTABLE)
+
+
+def test_every_kind_of_end_has_its_name() -> None:
+    held = HapticLoop(**HELD, hand_stiffness=200.0)
+    two_sided = held.contact(40000.0, 0.0, speed=0.1, one_sided=False, duration=8.0)
+    assert two_sided.kind == ContactKind.GROWS
+    assert two_sided.amplitude == two_sided.penetration == two_sided.largest_force == inf
+    assert np.isnan(two_sided.energy)
+    assert WINDOW.contact(1000.0, 3.0, speed=0.1).kind == ContactKind.LEAVES
+    free = HapticLoop(device_mass=0.25, device_damping=0.02, sample_time=PERIOD)
+    decaying = free.contact(1000.0, 1.0, speed=0.1, push=0.5, one_sided=False)
+    assert decaying.kind == ContactKind.DECAYS
+    still = free.contact(10.0, 0.005, speed=0.1, one_sided=False, duration=8.0)
+    assert still.kind == ContactKind.OSCILLATES
+    assert still.frequency == pytest.approx(np.sqrt(10.0 / 0.25) / (2.0 * pi), rel=1e-2)
+
+
+def test_no_run_of_a_stable_wall_passes_the_proved_amplitude(rng: np.random.Generator) -> None:
+    count, wall = 300, (1000.0, 10.0)
+    causes = {"encoder": 2e-5, "friction": 1e-3, "force_step": 0.02}
+    proved = WINDOW.amplitude(*wall, **causes)
+    contact = jaxstab.contact_map(
+        WINDOW, *wall, **causes, one_sided=False, push=rng.uniform(0.0, 2.0, count),
+        speed=rng.uniform(0.0, 0.1, count), phase=rng.uniform(size=count),
+    )  # fmt: skip
+    assert np.all(contact.amplitude <= proved.position)
+    assert contact.amplitude.max() > 0.0
+
+
+def test_the_campaign_finds_no_amplitude_above_its_bound(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert benchmark.main(small=True) == 0
+    first, *_ = capsys.readouterr().out.splitlines()
+    found = re.match(r"Amplitudes above the proved bound: 0 of ([\d,]+) runs;", first)
+    assert found
+    assert int(found[1].replace(",", "")) > 20
+
+
+def test_walls_below_the_rule_of_abbott_and_okamura_come_to_rest() -> None:
+    """K < 2 b / T and K < 2 f_c / q, without damping and delay: passive, so it rests."""
+    damping, encoder = 2.0, 4e-5
+    loop = HapticLoop(device_mass=0.1, device_damping=damping, sample_time=PERIOD)
+    friction = np.array([0.01, 0.02, 0.05, 0.1])[:, None]
+    largest = np.minimum(2.0 * damping / PERIOD, 2.0 * friction / encoder)
+    push = np.linspace(0.2, 3.0, 7)
+    below = jaxstab.contact_map(
+        loop, 0.9 * largest, 0.0, friction=friction, encoder=encoder, push=push, speed=0.05
+    )
+    assert np.all(below.kind == ContactKind.RESTS)
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"friction": -0.1}, "friction is -0.1; allowed are finite values >= 0"),
+        ({"friction": 0.2, "static_friction": 0.1}, "static_friction is 0.1 N, below friction"),
+        ({"encoder": -1e-5}, "encoder is -1e-05"),
+        ({"max_force": 0.0}, "max_force is 0.0"),
+        ({"stiffness": 0.0}, "nothing holds the device"),
+        ({"push": 0.0}, "nothing moves"),
+        ({"duration": 1e-3}, "give 16 samples at least"),
+        ({"delays": (inf,)}, "one at least finite"),
+    ],
+)
+def test_bad_input_is_refused_in_one_sentence(options: dict[str, Any], sentence: str) -> None:
+    given = {"stiffness": 1000.0, "damping": 3.0, "push": 1.0, **options}
+    with pytest.raises(ValueError, match=sentence):
+        WINDOW.contact(**given)
+
+
+def test_devices_that_are_not_one_fast_mass_are_refused() -> None:
+    mode = jaxstab.Mode(frequency=80.0, damping_ratio=0.01, modal_mass=0.5)
+    device = jaxstab.Device.modes(mass=0.25, damping=0.1, modes=[mode])
+    with pytest.raises(ValueError, match="is not one mass"):
+        HapticLoop(device=device, sample_time=PERIOD).contact(1000.0, 3.0, push=1.0)
+    fast = HapticLoop(device_mass=0.01, device_damping=1000.0, sample_time=PERIOD)
+    with pytest.raises(ValueError, match="100 rad per sample"):
+        fast.contact(1000.0, 3.0, push=1.0)
+
+
+def test_a_run_can_be_drawn_and_a_map_cannot() -> None:
+    axes = WINDOW.contact(1000.0, 3.0, push=1.0, friction=0.1).plot()
+    assert axes.get_title() == "simulated: rests"
+    with pytest.raises(ValueError, match="no single path"):
+        WINDOW.contact([1000.0, 2000.0], 3.0, push=1.0).plot()
+
+
+SCENE = """
+[device]
+mass = 0.25
+damping = 0.1
+friction = 0.1
+encoder.resolution = 1e-5
+[controller]
+sample_time = 0.001
+delay = 0.001
+velocity.window = 0.02
+[walls.soft]
+stiffness = 1000.0
+damping = 10.0
+[walls.hard]
+stiffness = 5000.0
+damping = 30.0
+[contact]
+push = 1.0
+speed = 0.1
+"""
+
+
+def scene_with(**changes: dict[str, Any]) -> Scene:
+    table = tomllib.loads(SCENE)
+    for name, keys in changes.items():
+        table[name] = table.get(name, {}) | keys
+    return Scene.from_table(table)
+
+
+def test_a_scene_answers_with_the_worst_of_its_starts() -> None:
+    contacts = simulate_contacts(scene_with())
+    hard, soft = contacts.walls["hard"], contacts.walls["soft"]
+    assert soft.contact == ContactKind.RESTS
+    assert hard.contact in (ContactKind.BOUNCES, ContactKind.GROWS)
+    assert not contacts.all_stable
+    causes: dict[str, Any] = {"friction": 0.1, "encoder": 1e-5}
+    runs = [
+        WINDOW.contact(1000.0, 10.0, **causes, push=push, speed=speed, phase=phase)
+        for push, speed in [(1.0, 0.0), (0.0, 0.1), (1.0, 0.1)]
+        for phase in (0.0, 0.25, 0.5, 0.75)
+    ]
+    resting = [one for one in runs if one.kind == ContactKind.RESTS]
+    worst = max(resting, key=lambda one: float(one.time_to_rest))
+    assert soft.time_to_rest == worst.time_to_rest
+    assert soft.penetration == pytest.approx(float(worst.penetration), rel=1e-12)
+    assert "at 0.1 m/s" in soft.worst_start
+    assert soft.contact_is == "simulated for 4 s, not proved"
+
+
+def test_check_adds_the_simulated_contact_below_what_is_proved() -> None:
+    check = check_walls(scene_with())
+    assert check.walls["hard"].simulated == simulate_contacts(scene_with()).walls["hard"]
+    lines = str(check).splitlines()
+    assert lines.index("  simulated") > next(k for k, one in enumerate(lines) if "verdict" in one)
+    table = tomllib.loads(SCENE)
+    del table["contact"], table["device"]["friction"]
+    assert check_walls(Scene.from_table(table)).walls["hard"].simulated is None
+
+
+def test_ranges_are_simulated_at_their_lowest_hand_and_longest_delay() -> None:
+    scene = scene_with(
+        hand={"mass": [0.1, 0.3]}, controller={"delay": [1e-3, 2e-3], "max_force": 12.0}
+    )
+    soft = simulate_contacts(scene).walls["soft"]
+    words = "the delay constant, its longest; hand and device at their lowest values"
+    assert soft.contact_is.endswith(words)
+    loop = HapticLoop(**HELD, hand_mass=0.1, delay=2e-3, velocity=Velocity.difference(window=0.02))
+    runs = jaxstab.contact_map(
+        loop, 1000.0, 10.0, push=[1.0, 0.0, 1.0], speed=[0.0, 0.1, 0.1], friction=0.1,
+        phase=np.array([0.0, 0.25, 0.5, 0.75])[:, None], encoder=1e-5, max_force=12.0,
+    )  # fmt: skip
+    assert soft.penetration in runs.penetration
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"contact": {"push": 0.0, "speed": 0.0}}, "push and speed are 0, so nothing moves"),
+        ({"contact": {"one_sided": 1.0}}, "one_sided is 1.0; give true or false"),
+        ({"device": {"static_friction": 0.01}}, "static_friction is 0.01 beside a friction of 0.1"),
+        ({"device": {"friction": -1.0}}, "friction is -1.0"),
+        ({"device": {"actuator": {"bandwidth": 100.0}}}, "contacts are simulated for one mass"),
+    ],
+)
+def test_odd_scenes_are_refused(changes: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        scene_with(**changes)
+
+
+def test_friction_without_a_contact_is_refused() -> None:
+    table = tomllib.loads(SCENE)
+    del table["contact"]
+    with pytest.raises(ValueError, match=r"device\.friction is 0\.1, but only simulated contacts"):
+        Scene.from_table(table)
+    del table["device"]["friction"]
+    with pytest.raises(ValueError, match=r"contact is missing; give contact\.push"):
+        simulate_contacts(Scene.from_table(table))
+
+
+def test_the_map_of_a_scene_names_its_walls() -> None:
+    figure = scene_figure(scene_with(), simulate_contacts(scene_with()))
+    panel = figure.axes[0]
+    assert {text.get_text() for text in panel.texts} == {"soft", "hard"}
+    assert panel.get_xlim()[1] > 5000.0
