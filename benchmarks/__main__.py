@@ -52,13 +52,15 @@ def main() -> int:
             "papers",
             "plot",
             "table",
+            "traces",
         ],
         help="what to measure, or plot: draw all records and put their table into the pages, "
         "or table: print that table, or golden: compare answers with those recorded, bit by bit, "
         "or jitter: attack proofs for delays that move, "
         "or contact: simulate contacts beside what is proved, "
         "or lemmas: check the lemmas that proofs rest on, or limits_of: print the limits of many "
-        "loops beside single ones, or papers: compare published numbers; "
+        "loops beside single ones, or papers: compare published numbers, "
+        "or traces: compare boundaries over delays with limits, and draw them; "
         "without a name all benchmarks",
     )
     parser.add_argument("--small", action="store_true", help="the smallest sizes, in seconds")
@@ -82,6 +84,8 @@ def main() -> int:
         return import_module("benchmarks.lemmas").main(choice.small)
     if choice.name in ("contact", "jitter"):
         return import_module(f"benchmarks.{choice.name}").main(choice.small, choice.points)
+    if choice.name == "traces":
+        return import_module("benchmarks.traces").main(choice.small)
     if choice.name == "limits_of":
         rows = import_module("benchmarks.limits_of").rows(choice.small, choice.points)
         return max(int(row["error"] > 0.0) for row in record.shown(rows))

@@ -4,9 +4,11 @@ Loops with a window of 20 samples and a delay of 3, of degree 25, give the speed
 any estimator, filter, delay of 0 to 30 samples and modes are judged: ``error`` is the share of
 loops whose largest stiffness or damping is not that of ``HapticLoop.limits`` to 1e-9. ``open`` is
 the share that the batch leaves to be answered one by one. Seconds are those of CPU, without
-compiling; those of a loop by itself are of a part of the loops, stated as ``points``.
+compiling; those of a loop by itself are of a part of the loops, stated as ``points``. ``peak_mib``
+is the largest resident memory of the process until then, JAX and its compiler included.
 """
 
+import resource
 from collections.abc import Iterator
 from time import process_time
 from typing import Any
@@ -70,6 +72,7 @@ def _row(section: str, method: str, count: int, seconds: float, wrong: float, le
         "error_measure": MEASURE,
         "open": left,
         "loops_per_cpu_second": count / seconds,
+        "peak_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
     }
 
 

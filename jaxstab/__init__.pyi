@@ -4,7 +4,6 @@ from .atlas import Atlas as Atlas
 from .atlas import AtlasSpec as AtlasSpec
 from .atlas import FittedAxis as FittedAxis
 from .atlas import LoopAtlas as LoopAtlas
-from .atlas import ToleranceAxis as ToleranceAxis
 from .atlas import build_atlas as build_atlas
 from .atlas import open_atlas as open_atlas
 from .atlas import plan_atlas as plan_atlas

@@ -15,7 +15,7 @@ one trace or of several, that are followed at the same time. The boxes are compu
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from math import inf, pi, prod
 from typing import Any, NamedTuple, overload
 
@@ -25,9 +25,18 @@ from jaxtyping import Bool, Float64, Int8, Int64
 from jaxstab.arrays import Array, Numbers, at, is_traced, namespace
 from jaxstab.batches import lists
 from jaxstab.conventions import AXES, Status
-from jaxstab.model import LoopParameters, characteristic_polynomial, companion_matrix
+from jaxstab.model import (
+    Filter,
+    LoopParameters,
+    Velocity,
+    by_name,
+    characteristic_polynomial,
+    companion_matrix,
+)
+from jaxstab.model.filters import Filters, as_keywords, known_filters
 from jaxstab.numbers import checked, checked_number, require_x64
 from jaxstab.proofs.exclusion import Loops, exclude
+from jaxstab.proofs.filters import Responses
 from jaxstab.proofs.plant import circle_equations, quick_slice
 from jaxstab.ranges.box import ParameterBox, Proof, excluded, joined
 from jaxstab.region.corners import Branch
@@ -126,6 +135,31 @@ def loop_quantities(loop: LoopParameters) -> dict[str, float]:
     }
 
 
+def _filters_of(
+    plane: tuple[str, str],
+    window: Window,
+    fixed: Mapping[str, Numbers],
+    velocity: Velocity | None,
+    position: Filter | None,
+) -> Filters | None:
+    """Return the filters in units of one sample.
+
+    ValueError: they change with a sampling period that does.
+    """
+    given = known_filters(velocity, position)
+    if given is None:
+        return None
+    ranges = {**fixed, **dict(zip(plane, window, strict=True))}
+    periods = np.unique(ranges.get("sample_time", 1.0)).tolist()
+    first, *others = [tuple(part.per_sample(period) for part in given) for period in periods]
+    if any(other != first for other in others):
+        raise ValueError(
+            f"the filters ({given[0]}; {given[1]}) change with sample_time, which is {periods}; "
+            "fix sample_time, or give filters in samples."
+        )
+    return first
+
+
 def _check_names(plane: tuple[str, str], fixed: Mapping[str, Numbers]) -> None:
     names = [*plane, *fixed]
     table = _table(plane)
@@ -200,14 +234,15 @@ _MOST_LANES, _FEWEST_LANES = 512, 64  # both are compiled, nothing else
 
 
 class Lanes(NamedTuple):
-    """The trace and the kind of branch of each point."""
+    """The trace and the kind of branch of each point, and the filters of all."""
 
     scene: Monomials
     branch: Int8[Array, " points"]
+    responses: Responses
 
     def select(self, chosen: Int64[np.ndarray, " chosen"]) -> "Lanes":
         """Return some of them."""
-        return Lanes(self.scene.select(chosen), self.branch[chosen])
+        return Lanes(self.scene.select(chosen), self.branch[chosen], self.responses)
 
 
 class Corrected(NamedTuple):
@@ -233,11 +268,12 @@ class Path(NamedTuple):
     stalled: tuple[bool, bool]
 
 
-def _values(c: SliceCoefficients, alpha: Array, beta: Array, turn: Array, branch: Array) -> Array:
+def _values(c: SliceCoefficients, alpha: Array, beta: Array, turn: Array, lanes: Lanes) -> Array:
     """Return the two equations of a branch at gains and theta / pi: (2, ...)."""
     xp = namespace(c, alpha)
-    is_pair, end = branch == Branch.CURVE, 1.0 * (branch == Branch.Z_MINUS_ONE)
-    real, imaginary = circle_equations(c, alpha, beta, pi * xp.where(is_pair, turn, end))
+    is_pair, end = lanes.branch == Branch.CURVE, 1.0 * (lanes.branch == Branch.Z_MINUS_ONE)
+    theta = pi * xp.where(is_pair, turn, end)
+    real, imaginary = circle_equations(c, alpha, beta, theta, lanes.responses)
     return xp.stack([real, xp.where(is_pair, imaginary, turn - end)])
 
 
@@ -254,7 +290,7 @@ def _corrector() -> Callable[..., tuple[Array, Array, Array]]:
     def equations(u: Array, lanes: Lanes) -> tuple[Array, Array]:
         moved = u + shift
         alpha, beta, *plant = lanes.scene.parameters(moved[:, :2])
-        value = _values(quick_slice(*plant), alpha, beta, moved[:, 2], lanes.branch)
+        value = _values(quick_slice(*plant), alpha, beta, moved[:, 2], lanes)
         return value[:, 0], (value[:, 1:] - value[:, :1]) / _DIFFERENCE
 
     def correct(guess: Array, normal: Array, lanes: Lanes) -> tuple[Array, Array, Array]:
@@ -275,7 +311,8 @@ def _corrector() -> Callable[..., tuple[Array, Array, Array]]:
         return found.value, found.aux, found.result == optimistix.RESULTS.successful
 
     # What is not of each lane is of the plane.
-    program = jax.jit(jax.vmap(correct, in_axes=(0, 0, Lanes(Monomials(1, None, None, None), 0))))
+    of_lane = Lanes(Monomials(1, None, None, None), 0, None)
+    program = jax.jit(jax.vmap(correct, in_axes=(0, 0, of_lane)))
 
     def in_float64(*arguments: Any) -> tuple[Array, Array, Array]:
         with jax.enable_x64(True):
@@ -306,7 +343,7 @@ def polish(
         alpha, beta, *plant = lanes.scene.parameters(points[:, :2])
         gamma, delta, delay = (np.maximum(value, 0.0) for value in plant)
         c = slice_coefficients(gamma, delta, delay, np.ones(len(points)))
-        value = _values(c, alpha, beta, points[:, 2], lanes.branch).T[..., None]
+        value = _values(c, alpha, beta, points[:, 2], lanes).T[..., None]
         points = points - (across @ np.linalg.solve(rows @ across, value))[..., 0]
     return points, np.linalg.norm(value[..., 0], axis=1)
 
@@ -419,6 +456,7 @@ _COVER = 1.0  # resolutions: a box this near to a traced point is explained by i
 _REFINEMENTS = 4  # each to a quarter of the size before
 _KINDS = (Branch.Z_PLUS_ONE, Branch.Z_MINUS_ONE, Branch.CURVE)
 _MOST_BOXES = 60_000  # of a search, at once
+_MATRICES = 1024  # at once: those of long windows need 0.3 MB each
 _AT_ONCE = 64  # traces: as many fill the lanes, and their boxes the memory
 _ON_CIRCLE = 1e-7  # a modulus this little above 1 counts as 1 (corners are double roots)
 
@@ -487,6 +525,8 @@ def trace_boundary(
     window: Window,
     *,
     loop: LoopParameters | None = None,
+    velocity: Velocity | None = None,
+    position: Filter | None = None,
     resolution: int | float = 1 / 64,
     **fixed: float,
 ) -> BoundaryTrace: ...
@@ -498,6 +538,8 @@ def trace_boundary(
     window: Window,
     *,
     loop: LoopParameters | None = None,
+    velocity: Velocity | None = None,
+    position: Filter | None = None,
     resolution: int | float = 1 / 64,
     **fixed: Numbers,
 ) -> list[BoundaryTrace]: ...
@@ -508,6 +550,8 @@ def trace_boundary(
     window: Window,
     *,
     loop: LoopParameters | None = None,
+    velocity: Velocity | None = None,
+    position: Filter | None = None,
     resolution: int | float = 1 / 64,
     **fixed: Numbers,
 ) -> BoundaryTrace | list[BoundaryTrace]:
@@ -518,7 +562,10 @@ def trace_boundary(
             or both physical, in SI units: stiffness K, damping B, mass m, sample_time T,
             physical_stiffness k, physical_damping b, time_delay t_d (Table I).
         window: lower and upper end of each axis.
-        loop: gives the physical quantities beside K and B that are neither axes nor fixed.
+        loop: gives the physical quantities beside K and B that are neither axes nor fixed, and the
+            velocity estimator and the position filter.
+        velocity, position: estimator and filter in place of those of the loop, in SI units in a
+            physical plane and in units of one sample in a dimensionless one.
         resolution: largest step along a branch and size of the smallest boxes, as a part of the
             window (and of pi for theta), in [1e-3, 0.25].
         **fixed: a value for each other quantity of the same kind. Lists, all of one length, ask for
@@ -551,11 +598,13 @@ def trace_boundary(
         fixed = {
             name: value for name, value in loop_quantities(loop).items() if name not in plane
         } | fixed
+        velocity, position = velocity or loop.velocity, position or loop.position
     scene = monomials(plane, window, fixed)
+    filters = _filters_of(plane, window, fixed, velocity, position)
     count = scene.factor.shape[1]
     traces: list[BoundaryTrace] = []
     for part in np.array_split(np.arange(count), -(-count // _AT_ONCE)):
-        tracer = _Tracer(scene.select(part), resolution)
+        tracer = _Tracer(scene.select(part), filters, resolution)
         with np.errstate(all="ignore"):  # what diverges is infinite or NaN
             tracer.search()
         traces += _gathered(plane, tracer)
@@ -569,8 +618,9 @@ class _Tracer:
     three times that of the trace, and that of the kind.
     """
 
-    def __init__(self, scene: Monomials, resolution: float) -> None:
+    def __init__(self, scene: Monomials, filters: Filters | None, resolution: float) -> None:
         self.scene = scene
+        self.filters, self.responses = filters, Responses.of(filters)
         self.resolution = resolution
         self.paths: list[list[tuple[Branch, Path]]] = [[] for _ in scene.factor.T]
         self.unresolved: list[ParameterBox] = []
@@ -639,7 +689,8 @@ class _Tracer:
         return is_near
 
     def _lanes(self, number: Int64[np.ndarray, " points"]) -> Lanes:
-        return Lanes(self.scene.select(number // 3), np.array(_KINDS, np.int8)[number % 3])
+        kinds = np.array(_KINDS, np.int8)[number % 3]
+        return Lanes(self.scene.select(number // 3), kinds, self.responses)
 
     def _proof(self, boxes: ParameterBox) -> Proof:
         scene = self.scene.select(boxes.index // 3)
@@ -648,7 +699,8 @@ class _Tracer:
         parts = np.zeros((3, 6, turn.size))
         parts[:2, :5], parts[2, 5] = by_axis, turn
         center, radius = (np.concatenate(part) for part in ((middle, theta), (radius, turn)))
-        return excluded(exclude, Loops(*center), parts, Loops(*radius))
+        test = partial(exclude, filters=self.filters)
+        return excluded(test, Loops(*center), parts, Loops(*radius))
 
 
 def _gathered(plane: tuple[str, str], tracer: _Tracer) -> list[BoundaryTrace]:
@@ -666,7 +718,7 @@ def _gathered(plane: tuple[str, str], tracer: _Tracer) -> list[BoundaryTrace]:
     for (_, path), end in zip(paths, np.cumsum(sizes), strict=True):
         ends = np.array([end - len(path.points), end - 1])
         status[ends[np.array(path.stalled)]] = TraceStatus.STALLED
-    lanes = Lanes(scene.select(trace), branch)
+    lanes = Lanes(scene.select(trace), branch, tracer.responses)
     residual = np.zeros(0)
     if sizes:
         cloud, residual = polish(cloud, rows, lanes)
@@ -675,7 +727,7 @@ def _gathered(plane: tuple[str, str], tracer: _Tracer) -> list[BoundaryTrace]:
         "theta": np.clip(pi * cloud[:, 2], 0.0, pi),
         "branch": branch,
         "piece": piece,
-        "edge": _no_root_outside(lanes.scene, cloud[:, :2]),
+        "edge": _no_root_outside(lanes.scene, cloud[:, :2], tracer.filters),
         "residual": residual,
         "status": status,
     }
@@ -700,13 +752,16 @@ def _merged(unresolved: ParameterBox, resolution: float) -> Float64[np.ndarray, 
 
 
 def _no_root_outside(
-    scene: Monomials, positions: Float64[np.ndarray, "points 2"]
+    scene: Monomials, positions: Float64[np.ndarray, "points 2"], filters: Filters | None
 ) -> Bool[np.ndarray, " points"]:
+    edge = np.zeros(len(positions), bool)
     if not len(positions):
-        return np.zeros(0, bool)
+        return edge
     alpha, beta, *plant = scene.parameters(positions)
-    gamma, delta, delay = (np.maximum(values, 0.0) for values in plant)
-    polynomials = characteristic_polynomial(alpha, beta, gamma=gamma, delta=delta, delay=delay)
-    roots = np.linalg.eigvals(companion_matrix(polynomials))
-    edge: Bool[np.ndarray, " points"] = np.abs(roots).max(axis=1) <= 1.0 + _ON_CIRCLE
+    polynomials = characteristic_polynomial(
+        alpha, beta, **by_name(*np.maximum(plant, 0.0)), **as_keywords(filters)
+    )
+    for some in np.array_split(np.arange(len(edge)), 1 + len(edge) // _MATRICES):
+        roots = np.linalg.eigvals(companion_matrix(polynomials[some]))
+        edge[some] = np.abs(roots).max(axis=1) <= 1.0 + _ON_CIRCLE
     return edge

@@ -1,7 +1,8 @@
 """What every test stands on: float64, checked shapes and dtypes, seeded randomness.
 
 What XLA compiles is kept in one folder for as long as the tests run: workers of pytest-xdist and
-the processes that tests start do not compile the same again. The user's own cache is not touched.
+the processes that tests start do not compile the same again. The user's own cache is not touched;
+``JAXSTAB_TEST_PROGRAMS`` names a folder for several runs.
 """
 
 import os
@@ -18,7 +19,7 @@ import jaxstab  # noqa: E402
 
 if "PYTEST_XDIST_WORKER" not in os.environ:
     _programs = TemporaryDirectory(prefix="jaxstab-tests-")  # deleted when this process ends
-    jaxstab.use_compilation_cache(_programs.name)
+    jaxstab.use_compilation_cache(os.environ.get("JAXSTAB_TEST_PROGRAMS") or _programs.name)
 
 import jax  # noqa: E402
 

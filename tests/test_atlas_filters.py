@@ -125,21 +125,6 @@ def test_answers_hold_against_certified_roots(
     assert judged > 50
 
 
-def test_a_question_about_another_estimator_is_refused(atlas: jaxstab.Atlas) -> None:
-    point = (0.01, 0.1, 0.0004, 0.007, 1.0)
-    named = atlas.query(**by_name(*point), velocity=FIVE)
-    assert (
-        named.verdict
-        == atlas.query(**by_name(*point)).verdict
-        == atlas.verdict(**by_name(*point), velocity=FIVE)
-    )
-    for ask in (atlas.query, atlas.verdict):
-        with pytest.raises(ValueError, match=r"window of 10 samples.*this atlas is of.* of 5 sam"):
-            ask(**by_name(*point), velocity=Velocity.difference(samples=10))
-        with pytest.raises(ValueError, match=r"position: a low pass at 0\.1 of the sampling rate"):
-            ask(**by_name(*point), velocity=FIVE, position=Filter.low_pass(0.1))
-
-
 def test_what_it_leaves_open_is_computed_for_its_estimator(atlas: jaxstab.Atlas) -> None:
     delay, hand = 1.0, (0.0002, 0.003)
     limits = atlas.alpha_limits(0.1, **by_name(*hand, delay))
@@ -153,19 +138,7 @@ def test_the_file_says_its_estimator_in_words_and_numbers(atlas: jaxstab.Atlas) 
     words = "velocity: the difference over a window of 5 samples; position: no filter"
     assert atlas.filters_in_words == words
     assert atlas.filters == (FIVE, Filter())
-    assert atlas.to_xarray().attrs["filters"] == words
     assert words in CliRunner().invoke(main, ["atlas", "info", str(WINDOW)]).output
-
-
-def test_the_command_refuses_another_estimator() -> None:
-    axes = ("alpha", "beta", "gamma", "delta", "delay")
-    numbers = ("0.01", "0.1", "0.0004", "0.007", "1")
-    point = [word for axis, n in zip(axes, numbers, strict=True) for word in (f"--{axis}", n)]
-    ask = ["atlas", "query", str(WINDOW), *point]
-    assert CliRunner().invoke(main, [*ask, "--velocity", "window_samples = 5"]).exit_code == 0
-    refused = CliRunner().invoke(main, [*ask, "--velocity", "window_samples = 6"])
-    assert refused.exit_code != 0
-    assert "this atlas is of velocity: the difference over a window of 5 samples" in refused.output
 
 
 @pytest.mark.campaign
@@ -175,7 +148,7 @@ def test_every_product_of_a_window_of_twenty(tmp_path: Path) -> None:
         alpha=FittedAxis(16),
         beta=FittedAxis(12),
         gamma=(0.0, 1e-3),
-        delta=jaxstab.ToleranceAxis(0.0, 8e-3, tolerance=0.2),
+        delta=(0.0, 8e-3),
         delay=(1.0, 2.5),
         limit_cells=32,
         velocity=Velocity.difference(samples=20),

@@ -309,7 +309,6 @@ def test_the_walls_of_a_scene_are_asked_at_each_corner(tmp_path: Path) -> None:
     [
         ["--scene", "S", "--alpha", "0.1"],
         ["--scene", "S", "--csv", "points.csv"],
-        ["--scene", "S", "--velocity", "window_samples = 5"],
         ["--scene", "S", "--stiffness", "100"],
         ["--scene", "S", "--stiffness", "nan", "--damping", "1"],
         ["--scene", "S", "--stiffness", "1", "--damping", "1e9", "--outside", "error"],

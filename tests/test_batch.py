@@ -1,6 +1,8 @@
 """Limits of batches of loops on JAX, against balls of python-flint and single answers."""
 
+import gc
 from dataclasses import replace
+from weakref import ref
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from benchmarks.truth.devices import DeviceLoop, Mechanism, mode
 from benchmarks.truth.filtered import FilteredLoop, average, difference, low_pass, times
 from jaxstab import Device, HapticLoop, Mode, Velocity, Verdict, limits_of, regions_of
 from jaxstab.loop import many as loops_together
+from jaxstab.region.batch import program
 from jaxstab.results import RegionStatus
 
 PERIOD = 1e-3
@@ -156,6 +159,15 @@ def test_pieces_that_a_scan_missed_are_found_by_a_second_one(
 
     monkeypatch.setattr(loops_together, "_SCANS", 1)
     assert np.mean(regions_of(many).limits.is_single) > 0.05
+
+
+def test_a_program_is_kept_until_eight_others_are_needed() -> None:
+    first = ref(program(101))
+    assert program(101) is first()
+    for degree in range(102, 110):
+        program(degree)
+    gc.collect()
+    assert first() is None
 
 
 def test_few_loops_are_answered_one_by_one(rng: np.random.Generator) -> None:

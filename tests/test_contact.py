@@ -326,6 +326,7 @@ def test_walls_below_the_rule_of_abbott_and_okamura_come_to_rest() -> None:
         ({"stiffness": 0.0}, "nothing holds the device"),
         ({"push": 0.0}, "nothing moves"),
         ({"duration": 1e-3}, "give 16 samples at least"),
+        ({"duration": 1e300}, "and 1e\\+08 at most"),
         ({"delays": (inf,)}, "one at least finite"),
     ],
 )

@@ -64,7 +64,7 @@ def test_outlines_of_devices_that_stray_from_the_curve(number):
     There a vertex of the outline rounded to the end of its piece, and came after that corner.
     """
     loop, region, rng = drawn(number, DeviceLoop)
-    assert region.coefficients.filtered.is_exact
+    assert region.coefficients.is_exact
     assert_right_next_to_the_boundary(loop, region, rng)
 
 
@@ -84,7 +84,7 @@ def test_arcs_that_the_curve_passes_in_an_instant(number):
     """Fast roots that slow filters hardly move: between two angles in float64 lie whole arcs."""
     loop, region, rng = drawn(number)
     assert region.status == RegionStatus.COMPLETE
-    assert region.coefficients.filtered.stretches
+    assert region.coefficients.stretches
     assert_right_next_to_the_boundary(loop, region, rng)
 
 
@@ -136,7 +136,7 @@ def test_slopes_of_the_curve_are_those_of_its_points():
 def test_angles_of_a_scan_are_close_to_the_poles_that_float64_misses():
     loop, region, _ = drawn(SLOW[0])
     coefficients = region.coefficients
-    angles = np.abs(slice_angles(coefficients, coefficients.filtered.parts.shape[1] - 2, 1))
+    angles = np.abs(slice_angles(coefficients, coefficients.parts.shape[1] - 2, 1))
     signs = []
     for theta in np.geomspace(1e-3, 0.5, 60):
         with flint.ctx.workprec(600):

@@ -30,8 +30,8 @@ from jaxstab.model.filters import given_filters
 from jaxstab.model.linear_loop import _values, filtered_loop
 from jaxstab.model.sections import Section
 from jaxstab.point.schur_cohn import dense_codes, rounded_loop, without_zeros
-from jaxstab.region.curve import curve_and_lift, filtered_coefficients
-from jaxstab.region.filtered_curve import mass_system
+from jaxstab.region.curve import curve_and_lift, minus_offset, minus_slope
+from jaxstab.region.filtered_curve import filtered_curve, mass_system
 from jaxstab.rounding import UNIT
 from jaxstab.tables import parsed
 
@@ -590,11 +590,21 @@ def test_the_curve_of_plants_that_are_nearly_zero_at_the_nyquist_frequency(numbe
     # W is up to 1e16 at z = -1, or V is: divided by z + 1 they took 8 to 16 digits.
     loop = MassLoop.drawn(np.random.default_rng([20121120, number]))
     angles = np.linspace(1.6, 3.1, 12)
-    coefficients = filtered_coefficients(*mass_system(*loop.plant, loop.filters[:2]))
+    coefficients = filtered_curve(*mass_system(*loop.plant, loop.filters[:2]))
     walls = np.stack(curve_and_lift(coefficients, angles)[:2], axis=1)
     truths = np.array([loop.balls.wall_with_roots_at(theta) for theta in angles.tolist()])
     size = np.max(np.abs(truths), axis=1, keepdims=True)
     assert np.max(np.abs(walls - truths) / size) < 1e-12
+
+
+@pytest.mark.parametrize("samples", [3, 5])
+def test_walls_of_the_line_of_a_real_root_at_minus_one_have_that_root(samples: int) -> None:
+    window = Velocity.difference(samples)
+    c = jaxstab.stable_region(**by_name(0.3, 0.1, 1.5), velocity=window).coefficients
+    for beta in (-0.2, 0.4):
+        alpha = minus_offset(c) - minus_slope(c) * beta
+        poles = jaxstab.closed_loop_poles(alpha, beta, **by_name(0.3, 0.1, 1.5), velocity=window)
+        assert np.min(np.abs(np.asarray(poles) + 1.0)) < 1e-12
 
 
 @pytest.mark.parametrize("loop", [(MassLoop, 300), (MassLoop, 573), (DeviceLoop, 310)])

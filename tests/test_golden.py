@@ -15,16 +15,16 @@ WALLS = [Question("verdict", form, number) for form in ("plain", "arrays") for n
 
 
 def test_the_same_code_gives_the_same_bits_and_few_errors() -> None:
-    asked = list(golden.questions(quick=True))
-    answers = [question.answer() for question in asked]
-    rows = golden.hashes(asked)
-    assert "".join(map(golden.hash_of, answers)) == "".join(
+    answers = {question: question.answer() for question in golden.questions(quick=True)}
+    again = [question for question in answers if question.number == 0]
+    rows = golden.hashes(again)
+    assert "".join(golden.hash_of(answers[question]) for question in again) == "".join(
         map("".join, map(dict.values, rows.values()))
     )
     assert list(golden.changes(rows, rows)) == []
     assert set(rows) == set(golden.COUNTS) - golden.SLOW
     # Errors are answers, too, but a record of errors alone would compare nothing.
-    refused = [a for a in answers if isinstance(a[0], str) and a[0].endswith("Error")]
+    refused = [a for a in answers.values() if isinstance(a[0], str) and a[0].endswith("Error")]
     assert len(refused) < 0.1 * len(answers)
 
 

@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxstab.atlas.compute.layout import counts_of
+from jaxstab.atlas.compute.layout import reach_of
 from jaxstab.atlas.compute.plan import Plan, compute_tile, plan_atlas
 from jaxstab.atlas.format.schema import VARIABLES
 from jaxstab.atlas.format.spec import AtlasSpec
+from jaxstab.atlas.products.limits import upper_errors
 from jaxstab.atlas.products.table import PRODUCTS
 
 # A product that jaxstab does not have: the largest stable beta of each slice.
@@ -70,7 +71,6 @@ def test_a_new_product_is_a_class_and_a_line_of_the_table(tmp_path: Path) -> Non
 def test_a_part_of_a_product_is_what_its_variables_say(name: str) -> None:
     product = PRODUCTS[name]
     spec = AtlasSpec(gamma=[0.0, 1e-3], delta=[0.0, 0.015], delay=[1.0, 2.0], products=[name])
-    assert set(product.knobs) <= set(counts_of(spec))
     plan = plan_atlas(spec)
     grid = product.part(plan.grid, np.array([0.5, 0.5, 0.5, 0.5]))
     part = Plan(spec, grid)
@@ -83,6 +83,7 @@ def test_a_part_of_a_product_is_what_its_variables_say(name: str) -> None:
         assert product.are_values(key, values)
         known = values[~np.isnan(values)] if variable.has_nan else values
         assert np.all((known >= variable.lowest) & (known <= variable.highest))
-    errors, undecided = product.judged(grid, arrays, None, np.random.default_rng(1))
-    assert np.all(errors >= 0.0)
-    assert np.isnan(undecided) or 0.0 <= undecided < 0.2  # one wide box of hands
+    if name == "alpha_limits":
+        errors = upper_errors(grid, arrays[name], reach_of(spec), np.random.default_rng(1))
+        assert 0.0 <= np.median(errors) < 0.2  # one wide box of hands
+        assert np.all(errors >= 0.0)

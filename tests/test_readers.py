@@ -3,7 +3,6 @@
 import os
 import shutil
 import subprocess
-import sys
 from collections.abc import Iterator
 from itertools import product
 from pathlib import Path
@@ -300,17 +299,3 @@ def test_xarray_finds_named_coordinates(golden: Path, atlas: Atlas) -> None:
             decided = np.asarray(plane.verdict != Verdict.UNDECIDED)
             np.testing.assert_array_equal(answer.verdict[decided], plane.verdict.data[decided])
         assert dataset.verdict.attrs["flag_meanings"].split()[Verdict.STABLE] == "stable"
-
-
-def test_an_atlas_in_memory_is_the_same_dataset(golden: Path, atlas: Atlas) -> None:
-    xarray = pytest.importorskip("xarray")
-    pytest.importorskip("h5netcdf")
-    with xarray.open_dataset(golden, engine="h5netcdf") as dataset:
-        del dataset.attrs["content_sha256"]
-        xarray.testing.assert_identical(atlas.to_xarray(), dataset)
-
-
-def test_without_xarray_the_remedy_is_told(atlas: Atlas, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "xarray", None)
-    with pytest.raises(RuntimeError, match=r"pip install 'jaxstab\[xarray\]'"):
-        atlas.to_xarray()

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from jaxstab.scene import EXAMPLE, Scene, plan_scene
-from jaxstab.scene.scene import MEASURES, device_presets
+from jaxstab.scene import EXAMPLE, Scene
+from jaxstab.scene.scene import device_presets
 
 SCENES = sorted((Path(__file__).parents[1] / "data" / "scenes").glob("*.toml"))
 GOOD: dict[str, Any] = {
@@ -227,13 +227,8 @@ def test_a_device_of_which_no_mass_is_known_asks_for_one() -> None:
             "or a longer sample_time; one in samples is given as delay_samples.",
         ),
         ("controller", {}, "controller.sample_time is missing; give it a value."),
-        ("wanted.answers", ["limit"], "wanted.answers.0 is 'limit'; did you mean 'limits'?"),
-        ("wanted.answers", "limits", "wanted.answers is 'limits'; give a list."),
-        (
-            "wanted.answers",
-            [],
-            "wanted.answers is empty; give at least one of limits, check, tune, design.",
-        ),
+        ("wanted.measures", ["margin"], "wanted.measures.0 is 'margin'; did you mean 'margins'?"),
+        ("wanted.measures", "margins", "wanted.measures is 'margins'; give a list."),
     ],
 )
 def test_bad_input_is_named_with_its_value_and_what_is_allowed(
@@ -278,21 +273,3 @@ def test_a_scale_that_looks_like_a_slip_is_remarked_on(path: str, value: Any, wo
     unusual = Scene.from_table(with_value(path, value)).unusual()
     assert len(unusual) == 1
     assert unusual[0].startswith(words)
-
-
-def test_the_plan_computes_only_what_is_asked_for() -> None:
-    bare = {step.what: step.computed for step in plan_scene(Scene.from_table(GOOD))}
-    assert [what for what, computed in bare.items() if computed] == ["limits"]
-    asked = Scene.from_table(
-        with_value("wanted", {"answers": ["check"], "measures": ["radius"]})
-        | {"walls": {"a": {"stiffness": 1.0, "damping": 1.0}}, "hand": {"mass": [0.0, 1.0]}}
-    )
-    computed = {step.what for step in plan_scene(asked) if step.computed}
-    assert computed == {
-        "certified verdicts",
-        "radius",
-        "worst case over the hands",
-        "proof for all hands",
-    }
-    assert set(MEASURES) <= {step.what for step in plan_scene(asked)}
-    assert all(step.why for step in plan_scene(asked))

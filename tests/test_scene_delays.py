@@ -461,7 +461,7 @@ def test_a_constant_range_gives_an_atlas_its_corners() -> None:
 
 def test_a_model_with_a_moving_delay_is_explained(tmp_path: Path) -> None:
     file = written(tmp_path, "delay_samples = [0.0, 1.0]")
-    text = run("scene", file, "--explain").stdout
+    text = run("scene", "explain", file).stdout
     assert re.search(r"(?m)^delay +0 to 1 ms; in samples 0 to 1; moves between 0 and 1 ms", text)
     assert "a mass, hand or gain that changes while the wall is touched" in text
 

@@ -333,7 +333,7 @@ def test_answers_say_first_what_moves_beside_the_mass(file: Path) -> None:
 
 
 def test_the_model_is_explained_with_its_modes_motor_and_grip(file: Path) -> None:
-    text = run("scene", file, "--explain").stdout
+    text = run("scene", "explain", file).stdout
     for line in (
         r"mode 1 +80 Hz, damping ratio 0\.02, 1\.5 kg",
         r"actuator +a first-order lag of 200 Hz of the force",
@@ -343,7 +343,7 @@ def test_the_model_is_explained_with_its_modes_motor_and_grip(file: Path) -> Non
         assert re.search(line, text, re.MULTILINE), line
     plain = "[device]\nmass = 0.25\ndamping = 0.1\n[controller]\nsample_time = 0.001\n"
     file.write_text(plain)
-    text = run("scene", file, "--explain").stdout
+    text = run("scene", "explain", file).stdout
     assert re.search(r"outside +vibration modes, bandwidth of motor and amplifier$", text, re.M)
 
 

@@ -55,9 +55,9 @@ def test_a_file_is_answered_with_its_estimator_once_and_first(tmp_path: Path) ->
     text = '[device]\npreset = "omega"\n[controller]\nsample_time = 0.001\n'
     file.write_text(
         text + "velocity.cutoff = 100.0\nposition.window_samples = 2\n"
-        '[walls.a]\nstiffness = 100.0\ndamping = 5.0\n[wanted]\nanswers = ["limits", "check"]\n'
+        "[walls.a]\nstiffness = 100.0\ndamping = 5.0\n"
     )
-    lines = run("scene", file).stdout.splitlines()
+    lines = run("check", file).stdout.splitlines()
     assert re.match(r"velocity +the difference over one sample, a low pass at 100 Hz", lines[0])
     assert re.match(r"position +a window of 2 samples", lines[1])
     assert sum(line.startswith("velocity") for line in lines) == 1
@@ -117,7 +117,7 @@ def test_what_is_tuned_is_compared_with_what_gains_reach_when_they_are_turned_up
 def test_a_scene_is_explained_as_the_page_on_the_model_does() -> None:
     page = (ROOT / "docs" / "model.md").read_text(encoding="utf-8")
     assert DIAGRAM in page
-    explained = run("scene", ROOT / "data" / "scenes" / "teleoperation.toml", "--explain").stdout
+    explained = run("scene", "explain", ROOT / "data" / "scenes" / "teleoperation.toml").stdout
     assert explained.startswith(DIAGRAM)
     assert re.search(r"(?m)^delay +12.35 ms; in samples 12.35$", explained)
     assert re.search(r"(?m)^hand +0.5 kg, 200 N/m, 3 N s/m$", explained)

@@ -97,6 +97,18 @@ class TestSpectralRadius:
         assert abs(float(radius.value) - float(mp.exp(-mpf(0.2) / 2))) <= float(radius.error)
         assert float(radius.error) < 1e-12
 
+    @pytest.mark.parametrize("method", ["fast", "companion"])
+    def test_points_of_many_delays_are_those_of_each_alone(
+        self, method: str, rng: np.random.Generator
+    ) -> None:
+        delay = np.concatenate([rng.uniform(0.0, 4.0, 60), rng.integers(0, 8, 60) / 2.0])
+        point = {"gamma": 0.01, "delta": 0.2, "method": method}
+        alpha, beta = rng.uniform(-0.1, 0.4, 120), rng.uniform(-0.1, 0.8, 120)
+        together = jaxstab.spectral_radius(alpha, beta, delay=delay, **point)
+        for k in range(120):
+            alone = jaxstab.spectral_radius(alpha[k], beta[k], delay=delay[k], **point)
+            assert (together.value[k], together.error[k]) == (alone.value, alone.error)
+
     def test_broadcasts_over_five_axes_with_fractional_delays(self) -> None:
         axes = np.ix_([0.01, 0.1, 0.2], [0.1, 0.3], [0.0, 1e-3], [0.0, 0.015], [0.0, 0.5, 2.0])
         radius = jaxstab.spectral_radius(**by_name(*axes))

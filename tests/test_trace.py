@@ -8,7 +8,8 @@ import pytest
 from mpmath import mp
 
 from benchmarks import truth
-from jaxstab import HapticLoop
+from benchmarks.truth import filtered
+from jaxstab import Filter, HapticLoop, Velocity
 from jaxstab.paper import minus_line
 from jaxstab.proofs.exclusion import Loops, exclude
 from jaxstab.region import boundary_curve
@@ -223,7 +224,21 @@ def test_a_window_without_boundary_is_proved_empty():
     assert trace.points.shape == (0, 2)
 
 
-def test_no_box_that_holds_a_root_is_called_free(rng):
+def smoothed(z):
+    """The difference over one sample behind a pole at 0.6."""
+    return (1 - 1 / z) * 0.4 / (1 - 0.6 / z)
+
+
+@pytest.mark.parametrize(
+    ("velocity", "response"),
+    [
+        (Velocity(), lambda z: 1 - 1 / z),
+        (Velocity.difference(samples=7), lambda z: (1 - z**-7) / 7),
+        (Velocity.exponential(0.4), smoothed),
+    ],
+    ids=["difference", "window of 7", "smoothed"],
+)
+def test_no_box_that_holds_a_root_is_called_free(rng, velocity, response):
     count = 20_000
     gamma = rng.uniform(0, 12, count) * rng.choice([0, 1e-3, 0.1, 1], count)
     delta = rng.uniform(0, 3, count) * rng.choice([0, 0.01, 1], count)
@@ -232,6 +247,10 @@ def test_no_box_that_holds_a_root_is_called_free(rng):
     alpha, beta = (
         np.asarray(v) for v in boundary_curve(theta, gamma=gamma, delta=delta, delay=delay)
     )
+    z = np.exp(1j * theta)
+    wall, by_velocity = alpha + beta * (1 - 1 / z), response(z)
+    beta = wall.imag / by_velocity.imag
+    alpha = wall.real - beta * by_velocity.real
     loops = np.stack([alpha, beta, gamma, delta, delay, theta])
     loops = loops[:, np.abs(loops[:2]).max(axis=0) < 50]
     count = loops.shape[1]
@@ -240,9 +259,179 @@ def test_no_box_that_holds_a_root_is_called_free(rng):
     center = loops + radius * rng.uniform(-1, 1, (6, count))
     center[2:5] = np.maximum(center[2:5], 0.0)
     radius = np.maximum(radius, np.abs(center - loops) * (1 + 1e-12))
-    assert not np.any(exclude(Loops(*center), Loops(*radius)).free)
+    filters = None if velocity == Velocity() else (velocity, Filter())
     away = center + np.array([[5.0], [0], [0], [0], [0], [0]])
-    assert np.mean(exclude(Loops(*away), Loops(*(1e-3 * radius))).free) > 0.5
+    with np.errstate(invalid="ignore"):  # beyond the angles at which filters are known
+        is_free = exclude(Loops(*center), Loops(*radius), filters).free
+        is_clear = exclude(Loops(*away), Loops(*(1e-3 * radius)), filters).free
+    assert not np.any(is_free)
+    assert np.mean(is_clear) > 0.5
+
+
+HELD = {"mass": 0.25, "physical_damping": 0.1, "physical_stiffness": 0.0, "sample_time": 1e-3}
+
+
+def held(stiffness, mass=0.25, hand=0.0, delay=1e-3, damping=10.0):
+    """The five numbers of a device in SI units at 1 kHz."""
+    unit = 1e-3 / mass
+    return stiffness * 1e-3 * unit, damping * unit, hand * 1e-3 * unit, 0.1 * unit, delay / 1e-3
+
+
+# plane, window, fixed; estimator and filter here and, exactly, those of the truth; the five numbers
+ESTIMATORS = {
+    "time_delay-stiffness, a window of 20": (
+        (("time_delay", "stiffness"), ((0.0, 4.5e-3), (-100.0, 4e3)), HELD | {"damping": 10.0}),
+        (Velocity.difference(window=0.02), None),
+        (filtered.difference(20), filtered.average(1)),
+        lambda x, y: held(y, delay=x),
+    ),
+    "mass-stiffness, low pass behind a window": (
+        (
+            ("mass", "stiffness"),
+            ((0.05, 0.5), (-100.0, 1e4)),
+            HELD | {"damping": 10.0, "time_delay": 1.3e-3, "mass": None},
+        ),
+        (Velocity.difference(samples=5) * Filter.low_pass(150.0), Filter.exponential(0.7)),
+        (
+            filtered.times(filtered.difference(5), filtered.low_pass(0.15, 1)),
+            filtered.exponential(0.7),
+        ),
+        lambda x, y: held(y, mass=x, delay=1.3e-3),
+    ),
+    "physical_stiffness-stiffness, Butterworth": (
+        (
+            ("physical_stiffness", "stiffness"),
+            ((0.0, 2e3), (-3e3, 1e4)),
+            HELD | {"damping": 10.0, "time_delay": 1e-3, "physical_stiffness": None},
+        ),
+        (Velocity.butterworth(100.0, order=2), Filter.average(samples=3)),
+        (
+            filtered.times(filtered.difference(1), filtered.butterworth(0.1, 2)),
+            filtered.average(3),
+        ),
+        lambda x, y: held(y, hand=x),
+    ),
+    "damping-stiffness, a transfer function": (
+        (
+            ("damping", "stiffness"),
+            ((-20.0, 60.0), (-500.0, 1e4)),
+            HELD | {"time_delay": 0.5e-3},
+        ),
+        (Velocity.transfer_function([250.0, -250.0, 0.0], [1.0, -1.0, 0.25]), None),
+        (
+            filtered.rational(
+                [filtered.exact(v) for v in (0.25, -0.25, 0.0)],
+                [filtered.exact(v) for v in (1.0, -1.0, 0.25)],
+            ),
+            filtered.average(1),
+        ),
+        lambda x, y: held(y, damping=x, delay=0.5e-3),
+    ),
+    "alpha-beta, islands of a window of 10": (
+        (("alpha", "beta"), ((-0.05, 0.5), (-1.2, 0.6)), {"gamma": 0.0, "delta": 0.0, "delay": 0}),
+        (Velocity.difference(samples=10), None),
+        (filtered.difference(10), filtered.average(1)),
+        lambda x, y: (x, y, 0.0, 0.0, 0.0),
+    ),
+}
+
+
+@pytest.fixture(scope="module", params=ESTIMATORS)
+def with_filters(request):
+    (plane, window, fixed), (velocity, position), (true_velocity, true_position), loop_of = (
+        ESTIMATORS[request.param]
+    )
+    fixed = {name: value for name, value in fixed.items() if value is not None}
+    trace = trace_boundary(plane, window, velocity=velocity, position=position, **fixed)
+
+    def polynomial(point):
+        alpha, beta, gamma, delta, delay = loop_of(*(float(value) for value in point))
+        hand = max(gamma, 0.0), delta, max(delay, 0.0)
+        loop = filtered.FilteredLoop(*hand, true_velocity, true_position)
+        return filtered.without_zeros(loop.polynomial(alpha, beta, 400))
+
+    return trace, np.array(window), polynomial
+
+
+def test_with_filters_the_window_is_accounted_for(with_filters, rng):
+    trace, window, polynomial = with_filters
+    assert trace.complete
+    assert np.all(trace.status == TraceStatus.CONVERGED)
+    unit, changes = in_window(trace.points, window), 0
+    for start, move in zip(rng.uniform(0, 1, (60, 2)), rng.normal(0, 0.1, (60, 2)), strict=True):
+        ends = np.stack([start, np.clip(start + move, 0, 1)])
+        moduli = [
+            np.abs(np.roots([float(c) for c in polynomial(window[:, 0] + end * np.ptp(window, 1))]))
+            for end in ends
+        ]
+        if all(np.all(np.abs(roots - 1.0) > 1e-6) for roots in moduli):
+            is_crossed = np.sum(moduli[0] > 1.0) != np.sum(moduli[1] > 1.0)
+            changes += is_crossed
+            assert (
+                not is_crossed or np.min(distance_to_segment(unit, *ends)) < 2.0 * trace.resolution
+            )
+    assert changes > 0
+
+
+def test_with_filters_points_have_a_root_on_the_circle(with_filters, rng):
+    trace, _, polynomial = with_filters
+    checked = 0
+    for number in rng.choice(len(trace.points), 12, replace=False):
+        falling = [truth.as_mpf(c) for c in polynomial(trace.points[number])]
+        z, degree = mp.expj(trace.theta[number]), len(falling) - 1
+        slopes = [(degree - power) * c for power, c in enumerate(falling[:-1])]
+        # A root of p lies within degree |p / p'|.
+        step = degree * abs(truth.evaluate(falling, z) / truth.evaluate(slopes, z))
+        assert step < 1e-10
+        moduli = np.abs(np.roots([float(c) for c in falling]))
+        outside = np.sort(moduli)[::-1] - 1.0
+        if not np.any((outside > 1e-9) & (outside < 1e-5)):
+            assert trace.edge[number] == (outside[0] < 1e-9)
+            checked += 1
+    assert checked > 0
+
+
+@pytest.mark.parametrize(
+    "velocity", [None, Velocity.difference(samples=5), Velocity.low_pass(100.0)], ids=str
+)
+def test_a_trace_over_delays_has_the_exact_limits_of_each_loop(velocity, rng):
+    given = {"device_mass": 0.25, "device_damping": 0.1, "sample_time": 1e-3, "velocity": velocity}
+    window = (1e-4, 4e-3), (10.0, 2e4)
+    loop = HapticLoop(**given, delay=1e-3)
+    trace = trace_boundary(("time_delay", "stiffness"), window, loop=loop, damping=10.0)
+    assert trace.complete
+    edge = trace.points[trace.edge]
+    for delay, stiffness in edge[rng.choice(len(edge), 6, replace=False)]:
+        ends = HapticLoop(**given, delay=delay).stiffness_limits(10.0)
+        assert np.min(np.abs(ends / stiffness - 1.0)) < 1e-9
+
+
+def test_filters_of_one_kind_share_a_program():
+    compiled = []
+    jax.monitoring.register_event_duration_secs_listener(
+        lambda name, _, **__: compiled.append(name) if "backend_compile" in name else None
+    )
+    slices = {"gamma": 0.0, "delta": 0.01, "resolution": 0.1}
+    trace_boundary(
+        ("delay", "alpha"),
+        ((0.0, 3.0), (0.0, 0.1)),
+        beta=0.1,
+        velocity=Velocity.low_pass(0.1),
+        **slices,
+    )
+    compiled.clear()
+    window = (0.0, 0.1), (0.0, 0.5)
+    for velocity in (Velocity.difference(samples=20), Velocity.butterworth(0.1, order=4)):
+        trace_boundary(("alpha", "beta"), window, delay=1.0, velocity=velocity, **slices)
+    assert not compiled
+
+
+def test_filters_in_s_have_one_sampling_period():
+    plane, window, fixed, _ = PLANES["stiffness-sample_time"]
+    with pytest.raises(ValueError, match="change with sample_time"):
+        trace_boundary(plane, window, velocity=Velocity.low_pass(100.0), **fixed)
+    counted = Velocity.difference(samples=3)
+    assert trace_boundary(plane, window, velocity=counted, resolution=0.1, **fixed).complete
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@ from .compute.plan import Plan as Plan
 from .compute.plan import plan_atlas as plan_atlas
 from .format.spec import AtlasSpec as AtlasSpec
 from .format.spec import FittedAxis as FittedAxis
-from .format.spec import ToleranceAxis as ToleranceAxis
 from .products.limits import AlphaLimits as AlphaLimits
 from .products.limits import MaxAlpha as MaxAlpha
 from .products.slices import AtlasOutline as AtlasOutline

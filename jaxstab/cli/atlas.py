@@ -14,7 +14,6 @@ import click
 import jaxstab
 from jaxstab.cli.options import at_work, file_in, keep_programs, output_file
 from jaxstab.cli.scene import scene_of, warn
-from jaxstab.cli.untrusted import careful
 from jaxstab.conventions import Verdict
 
 if TYPE_CHECKING:
@@ -121,7 +120,6 @@ def spec(file: Path, **tolerances: float | None) -> None:
 
 @click.command()
 @click.argument("file", type=Path)
-@careful
 def info(file: Path) -> None:
     """Print what an atlas holds, and a line to query it."""
     click.echo(_described(jaxstab.open_atlas(file), file))
@@ -136,7 +134,6 @@ def info(file: Path) -> None:
     show_default=True,
     help="About how many points of each kind to compute again.",
 )
-@careful
 def verify(file: Path, sample: int) -> None:
     """Check that an atlas is whole, and right at a random sample of points."""
     from jaxstab.atlas.write.verify import verify_atlas
@@ -209,8 +206,7 @@ def _bytes(_: click.Context, option: click.Parameter, text: str | None) -> float
 
 
 @click.command()
-@click.argument("file", metavar="[SPEC]", type=Path, required=False)
-@click.option("--spec", type=Path, help="TOML file, like SPEC; default: the range of the paper.")
+@click.argument("spec", type=Path, required=False)
 @click.option(
     "--accuracy",
     type=float,
@@ -224,24 +220,20 @@ def _bytes(_: click.Context, option: click.Parameter, text: str | None) -> float
     callback=file_in(".toml"),
     help="TOML file to write, which meets the wish.",
 )
-def plan(file: Path | None, spec: Path | None, output: Path | None, **wishes: float | None) -> None:
-    """Print what a build would compute, why it need not compute the rest, and what it will take.
+def plan(spec: Path | None, output: Path | None, **wishes: float | None) -> None:
+    """Print what a build of SPEC, or of the range of the paper, would compute, and what it takes.
 
-    With a wish, print instead what resolutions of the same range give and take, by samples, and
-    write the specification that meets the wish: jaxstab atlas plan --spec mine.toml --accuracy
-    0.01 -o mine-0.01.toml
+    With a wish, print instead the error and the cost of the resolution that meets it, by samples,
+    and write its specification: jaxstab atlas plan mine.toml --accuracy 0.01 -o finer.toml
     """
     from jaxstab.atlas import AtlasSpec, plan_atlas, plan_resolution
     from jaxstab.atlas.write.resolution import estimate_build
 
-    if file and spec:
-        raise click.UsageError("SPEC and --spec are given; give one of them.")
     given = {name: wish for name, wish in wishes.items() if wish is not None}
     if not given and output:
         raise click.UsageError("-o needs a wish, such as --accuracy 0.01.")
     keep_programs()
-    source = file or spec
-    given_spec = AtlasSpec.from_file(source) if source else AtlasSpec()
+    given_spec = AtlasSpec.from_file(spec) if spec else AtlasSpec()
     if not given:
         planned = plan_atlas(given_spec)
         click.echo(planned)

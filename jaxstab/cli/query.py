@@ -12,9 +12,8 @@ import click
 
 import jaxstab
 from jaxstab.cli.options import file_in, keep_programs
-from jaxstab.cli.untrusted import careful
 from jaxstab.conventions import AXES, Verdict
-from jaxstab.tables import parsed, text_of
+from jaxstab.tables import text_of
 
 if TYPE_CHECKING:
     from jaxstab.atlas import Atlas, AtlasAnswer
@@ -45,12 +44,6 @@ def _axis_options(command: Any) -> Any:
 )
 @click.option("--exact", is_flag=True, help="Compute the verdicts that the atlas leaves open.")
 @click.option(
-    "--velocity",
-    metavar="TOML",
-    help="Refuse if the atlas is not of this estimator, such as 'window_samples = 20'.",
-)
-@click.option("--position", metavar="TOML", help="Likewise, the position filter.")
-@click.option(
     "--scene",
     "scene_file",
     type=Path,
@@ -58,15 +51,12 @@ def _axis_options(command: Any) -> Any:
 )
 @click.option("--stiffness", type=float, help="K of a wall in place of the scene's, in N/m.")
 @click.option("--damping", type=float, help="B of a wall in place of the scene's, in N s/m.")
-@careful
 def query(
     file: Path,
     table: Path | None,
     form: str,
     outside: Any,
     exact: bool,
-    velocity: str | None,
-    position: str | None,
     scene_file: Path | None,
     stiffness: float | None,
     damping: float | None,
@@ -80,14 +70,12 @@ def query(
     ranges; of those between nothing is said. The exit code is 0 if every verdict is stable, 1 if
     not.
     """
-    from jaxstab.atlas.format.spec import position_of, velocity_of
-
     if exact:
         keep_programs()
     given = {name: value for name, value in point.items() if value is not None}
     wall = {"stiffness": stiffness, "damping": damping}
     if scene_file is not None:
-        others = given | {"csv": table, "velocity": velocity, "position": position}
+        others = given | {"csv": table}
         _refuse_beside_scene(others)
         opened = jaxstab.open_atlas(file)
         stated, rows = _asked_of_scene(
@@ -109,8 +97,6 @@ def query(
         **points,
         outside=outside or "error",
         exact=exact,
-        velocity=None if velocity is None else velocity_of(parsed(velocity, "--velocity: ")),
-        position=None if position is None else position_of(parsed(position, "--position: ")),
     )
     stated = {"inputs": _made_of(opened), "units": dict.fromkeys([*AXES, *_RADIUS], "1")}
     _write(_answered(points, answer), _columns(opened, [*AXES, *_ANSWER]), form, stated)
@@ -234,7 +220,7 @@ def _asked_of_scene(
     """Return inputs and units, and a row for each wall at each corner of the ranges of a scene."""
     from jaxstab.loop import Gains
     from jaxstab.scene import Scene
-    from jaxstab.scene.answers import Answers, basis_of
+    from jaxstab.scene.answers import Inputs, basis_of
     from jaxstab.scene.atlas import ask_atlas
     from jaxstab.scene.loops import walls_of
 
@@ -264,7 +250,7 @@ def _asked_of_scene(
         answer = (getattr(entry.answer, name).item() for name in _ANSWER)
         where: dict[str, float | str] = {"wall": entry.name}
         rows.append(where | dict(zip(units, numbers, strict=True)) | _words(*answer))
-    stated = Answers(basis_of(scene), {}).as_json()
+    stated = Inputs(basis_of(scene)).as_json()
     stated["inputs"] |= {"created_by": opened.created_by}
     stated["units"] |= units | dict.fromkeys(_RADIUS, "1")
     return stated, rows

@@ -7,7 +7,6 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +21,7 @@ from jaxstab.cli.options import (
     picture_file,
     write_beside,
 )
-from jaxstab.shown import printable, shortened
+from jaxstab.shown import printable, shortened, table_text
 
 if TYPE_CHECKING:
     from jaxstab.scene import Answer, Scene
@@ -278,22 +277,15 @@ def _table(rows: list["Row"]) -> str:
     from jaxstab.scene.many import short
 
     paths = [path for path in _paths(rows) if path in _SHOWN or _is_of_wall(path)]
-    first = "scene" if any(row.variant.source for row in rows) else ""
-    heads = [first, *rows[0].variant.values]
+    has_files = any(row.variant.source for row in rows)
     plain = (path.removeprefix("walls.").replace("_", " ").replace(".", ": ") for path in paths)
-    lines = [[*heads, *plain]]
+    lines = [["scene"] * has_files + [*rows[0].variant.values, *plain, ""]]
     for row in rows:
-        own = [row.variant.source, *(short(value) for value in row.variant.values.values())]
-        lines.append(list(map(printable, [*own, *(row.words.get(path, "") for path in paths)])))
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    refusals = ["", *(printable(row.refusal) for row in rows)]
-    return "\n".join(
-        "  ".join(
-            f"{cell:{width}}" for cell, width in zip(line, widths, strict=True) if width
-        ).rstrip()
-        + (f"  {refusal}" if refusal else "")
-        for line, refusal in zip(lines, refusals, strict=True)
-    )
+        swept = map(short, row.variant.values.values())
+        words = (row.words.get(path, "") for path in paths)
+        cells = [row.variant.source] * has_files + [*swept, *words, row.refusal]
+        lines.append(list(map(printable, cells)))
+    return table_text(lines)
 
 
 def _is_of_wall(path: str) -> bool:
@@ -320,16 +312,6 @@ def _refuse_some(rows: list["Row"]) -> None:
             f"{len(wrong)} of {len(rows)} scenes were refused; the first, {first.variant.name}: "
             f"{first.refusal}"
         )
-
-
-class _FileOrCommand(click.Group):
-    """A group whose first argument may also be a file, for the command ``answer``."""
-
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Put the name of the command in front where it is left out."""
-        if args and args[0] not in {*self.commands, "--help"}:
-            args.insert(0, "answer")
-        return super().parse_args(ctx, args)
 
 
 _plot_option = click.option(
@@ -406,13 +388,9 @@ def design(as_json: bool, **given: Any) -> int:
     return _answer(given, "design", as_json)
 
 
-@click.group(cls=_FileOrCommand)
+@click.group()
 def scene() -> None:
-    """Write an example of a scene (init), or answer what a scene FILE wants.
-
-    With FILE: --explain prints the model, what is computed, what is skipped and why; --json prints
-    JSON; --plot draws a picture into a PNG or SVG file. presets lists devices and software.
-    """
+    """Write an example of a scene, explain the model of one, or list devices and software."""
 
 
 @scene.command()
@@ -451,37 +429,15 @@ def presets() -> None:
             click.echo("\n".join([f'{heading} "{name}"', f"  {title}", *lines, ""]))
 
 
-@scene.command(hidden=True)
+@scene.command()
 @click.argument("file", type=Path)
-@click.option(
-    "--explain",
-    is_flag=True,
-    help="Print the model, what is computed and what is skipped, and why.",
-)
-@_plot_option
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-def answer(file: Path, explain: bool, plot: Path | None, as_json: bool) -> int:
-    """Answer what a scene FILE wants.
-
-    The exit code is 1 if it would be that of the command for one of the answers.
-    """
-    from jaxstab.scene import Answers, basis_of, explain_model, plan_scene
+def explain(file: Path) -> None:
+    """Print the model of a scene FILE: its blocks with their values, and what it leaves out."""
+    from jaxstab.scene import explain_model
 
     scene = scene_of({"files": [file]})
-    if explain:
-        warn(*scene.unusual())
-        click.echo(f"{explain_model(scene)}\n")
-        for step in plan_scene(scene):
-            click.echo(f"{'compute' if step.computed else 'skip':8}{step.what:36}{step.why}")
-        return 0
-    _require_picture(scene, plot)
-    computed = {name: _computed(scene, name) for name in scene.wanted.answers}
-    by_name = {name: replace(one, inputs=None) for name, one in computed.items()}
-    answers = Answers(basis_of(scene), by_name)
-    if plot:
-        _draw(scene, computed.get("check") or [*computed.values()][-1], plot)
-    _print(scene, answers, as_json)
-    return 0 if all(one.all_stable for one in computed.values()) else 1
+    warn(*scene.unusual())
+    click.echo(explain_model(scene))
 
 
 # --------------------------------------------------------------------------- from options to scene

@@ -16,15 +16,14 @@ from jaxstab.loop.jitter import turn_of
 from jaxstab.model import LoopParameters, checked_gain, require_x64
 from jaxstab.model.filters import Filter, Velocity, given_filters
 from jaxstab.motion.contact import FASTEST, LIMIT, Plant, Runs, Summary, contacts, paths
-from jaxstab.motion.response import Controller, Response
-from jaxstab.motion.shown import Column, answer_text
+from jaxstab.motion.response import Column, Controller, Response, answer_text
 from jaxstab.numbers import checked, checked_number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _GROWTH = 1.5  # of the amplitude, from one quarter of a run to the next
-_SHORTEST = 16  # samples
+_SHORTEST, _LONGEST = 16, 1e8  # samples
 
 
 class ContactKind(Status):
@@ -242,9 +241,13 @@ def _setup(
             f"the device without a wall moves at {max(delta, gamma**0.5):.3g} rad per sample; "
             f"contacts are simulated up to {FASTEST:g}: give a shorter sample_time."
         )
-    samples = round(checked_number("duration", duration, 0.0, unit="s") / period)
-    if samples < _SHORTEST:
-        raise ValueError(f"duration is {duration} s; give {_SHORTEST} samples at least.")
+    count = checked_number("duration", duration, 0.0, unit="s") / period
+    if not _SHORTEST <= count <= _LONGEST:
+        raise ValueError(
+            f"duration is {duration:g} s, {count:.3g} samples; give {_SHORTEST} samples at least "
+            f"and {_LONGEST:g} at most."
+        )
+    samples = round(count)
     unit = float(loop.mass) / period**2
     friction = checked("friction", friction, 0.0)
     if static_friction is None:

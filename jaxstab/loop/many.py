@@ -86,11 +86,11 @@ def limits_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> Many
 
     The answers are those of ``HapticLoop.limits`` to 1e-9, without islands. Batches of at least 64
     loops of about the same degree are computed by one program of JAX, in float64 whatever its flag
-    says, and first compiled in about 20 s (``use_compilation_cache`` keeps that). Loops that it
+    says, and first compiled in 10 to 20 s (``use_compilation_cache`` keeps that). Loops that it
     does not resolve, and those of smaller batches, are answered one by one.
 
     A batch has tests in place of the audit of a single region: what none of them would notice is a
-    stable set that is cut or dented between two of the 548 to 1,348 angles of its scan. Of 3,433
+    stable set that is cut or dented between two of the 548 to 1,348 angles of its scan. Of 9,000
     random loops (delays to 30 samples, windows to 20, filters, modes) none was wrong.
 
     Args:
@@ -273,10 +273,12 @@ def resolved(
 
 def _answers(triples: "Triples", outlines: bool) -> "Iterator[tuple[Indices, Any]]":
     """Yield parts of a group, and the answers of the program, filled up with copies."""
-    from jaxstab.region import batch
+    from jaxstab.region.batch import program
+
+    components = program(triples.straight.shape[-1] - 1, outlines=outlines)
 
     def solved(indices: Indices) -> Any:
-        return in_float64(batch.components, at(triples, indices), outlines=outlines)
+        return in_float64(components, at(triples, indices))
 
     parts = list(lists(np.arange(len(triples.angles)), _AT_ONCE))
     answers = on_cores(solved, [indices for _, indices in parts])
@@ -284,10 +286,11 @@ def _answers(triples: "Triples", outlines: bool) -> "Iterator[tuple[Indices, Any
 
 
 class _Formed(NamedTuple):
-    """Loops that are formed together."""
+    """Loops that are formed together, as arrays: while they wait, these take the least memory."""
 
     members: Indices
-    loop: LinearLoop  # of numbers or arrays
+    parts: DoubleDouble  # (loop, part, power) coefficients of p(z)
+    ends: Float64[np.ndarray, "loop 2 3"]
     poles: Angles  # where the curve goes to infinity
     roots: Float64[np.ndarray, "loop root 2"]  # next to the circle: angles and distances
 
@@ -365,7 +368,8 @@ def _formed(many: "list[HapticLoop]") -> Iterator[_Formed]:
             roots = _resonances(gamma, delta)
         known = of_filters(*transfers)
         if not known.loses_digits:
-            yield _Formed(np.array(members), linear, np.sort(known.real_angles), roots)
+            own, ends = _parts(linear, len(members)), _ends(linear, len(members))
+            yield _Formed(np.array(members), own, ends, np.sort(known.real_angles), roots)
 
 
 def _kind(loop: "HapticLoop") -> Hashable:
@@ -385,7 +389,7 @@ def _resonances(gamma: Column, delta: Column) -> Float64[np.ndarray, "loop 1 2"]
 
 def _filled_degree(formed: _Formed) -> int | None:
     """Return the degree up to which p(z) is filled; None where that or its poles are too many."""
-    enough = (degree for degree in _DEGREES if degree >= formed.loop.degree)
+    enough = (degree for degree in _DEGREES if degree >= formed.parts.hi.shape[-1] - 1)
     poles, roots = len(formed.poles), formed.roots.shape[1]
     return next((degree for degree in enough if poles + roots <= degree + 2), None)
 
@@ -393,8 +397,8 @@ def _filled_degree(formed: _Formed) -> int | None:
 def _triples(formed: list[_Formed], degree: int) -> "Triples":
     from jaxstab.region.batch import Triples
 
-    straight = _joined([_parts(one, degree) for one in formed])
-    ends = np.concatenate([_ends(one) for one in formed])
+    straight = _joined([one.parts for one in formed], degree)
+    ends = np.concatenate([one.ends for one in formed])
     scans = [_scans(one, degree) for one in formed]
     shifted, rounded = _shifted(straight), straight.rounded()
     powers = _STEPS ** np.arange(degree, -1, -1)[:, None]
@@ -403,32 +407,32 @@ def _triples(formed: list[_Formed], degree: int) -> "Triples":
     return Triples(rounded, shifted, close, ends, np.concatenate(scans))
 
 
-def _parts(formed: _Formed, degree: int) -> DoubleDouble:
-    """Return the coefficients (loop, part, power) of p(z) times a power of z."""
-    shape = (len(formed.members),)
-    missing = [DoubleDouble(np.zeros(shape), np.zeros(shape))] * (degree - formed.loop.degree)
-    columns = [
-        [DoubleDouble(*np.broadcast_arrays(c.hi, c.lo, np.zeros(shape))[:2]) for c in part]
-        + missing
-        for part in formed.loop[:3]
-    ]
-    high, low = (
-        np.array([[getattr(c, name) for c in part] for part in columns]) for name in ("hi", "lo")
-    )
+def _parts(loop: LinearLoop, count: int) -> DoubleDouble:
+    """Return the coefficients (loop, part, power) of a number of loops that are formed together."""
+    shape = (3, loop.degree + 1, count)
+    high, low = np.empty(shape), np.empty(shape)
+    for number, part in enumerate(loop[:3]):
+        for power, coefficient in enumerate(part):
+            high[number, power], low[number, power] = coefficient.hi, coefficient.lo
     return DoubleDouble(np.moveaxis(high, 2, 0), np.moveaxis(low, 2, 0))
 
 
-def _joined(parts: list[DoubleDouble]) -> DoubleDouble:
-    return DoubleDouble(
-        np.concatenate([part.hi for part in parts]), np.concatenate([part.lo for part in parts])
-    )
+def _joined(parts: list[DoubleDouble], degree: int) -> DoubleDouble:
+    """Join coefficients, each p(z) times a power of z that makes it one of the given degree."""
+    shape = (sum(len(part.hi) for part in parts), 3, degree + 1)
+    high, low, start = np.zeros(shape), np.zeros(shape), 0
+    for part in parts:
+        count, _, powers = part.hi.shape
+        own = np.s_[start : start + count, :, :powers]
+        high[own], low[own] = part.hi, part.lo
+        start += count
+    return DoubleDouble(high, low)
 
 
-def _ends(formed: _Formed) -> Float64[np.ndarray, "loop 2 3"]:
-    shape = (len(formed.members),)
+def _ends(loop: LinearLoop, count: int) -> Float64[np.ndarray, "loop 2 3"]:
     values = [
-        [np.broadcast_to(part.value.rounded(), shape) for part in end]
-        for end in (formed.loop.at_one, formed.loop.at_minus_one)
+        [np.broadcast_to(part.value.rounded(), count) for part in end]
+        for end in (loop.at_one, loop.at_minus_one)
     ]
     return np.moveaxis(np.array(values), 2, 0)
 

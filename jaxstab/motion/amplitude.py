@@ -43,12 +43,13 @@ from jaxstab.motion.response import (
     POSITION,
     VELOCITY,
     Bank,
+    Column,
+    answer_text,
     bank_for,
     groups,
     propagator,
     steps_of,
 )
-from jaxstab.motion.shown import Column, answer_text
 from jaxstab.numbers import checked
 from jaxstab.rounding import RAISED, RAISED_MANY, UNIT
 

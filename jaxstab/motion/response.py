@@ -5,8 +5,9 @@ transition is exact there. This route shares the plant with p(z), but neither z 
 """
 
 from bisect import bisect_right
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from decimal import ROUND_HALF_EVEN
 from functools import lru_cache, reduce
 from itertools import pairwise
 from math import prod
@@ -19,6 +20,7 @@ from jaxtyping import Complex128, Float64
 from jaxstab.arrays import (
     Array,
     Numbers,
+    are_numbers,
     fixed,
     float_arrays,
     is_any_traced,
@@ -29,6 +31,7 @@ from jaxstab.arrays import (
     repeat_and_keep,
 )
 from jaxstab.batches import compiled
+from jaxstab.conventions import Status
 from jaxstab.model import LoopParameters, by_name, checked_gain, plant_transition, require_x64
 from jaxstab.model.device import Device
 from jaxstab.model.device.mechanics import Mechanics, mechanics
@@ -36,9 +39,9 @@ from jaxstab.model.device.periodic import Segments, segments_of
 from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
 from jaxstab.model.sections import Polynomial, Transfer
 from jaxstab.motion.contraction import Matrices, Systems
-from jaxstab.motion.shown import Column, answer_text
 from jaxstab.numbers import checked, checked_count
 from jaxstab.point.poles import closed_loop_poles
+from jaxstab.shown import rounded_text
 
 # What the controller runs at each sample: the estimator and the filter as difference equations.
 #
@@ -243,6 +246,63 @@ def _less(total: Array, coefficient: Array | None, value: Array) -> Array:
 
 def _sum(coefficients: tuple[Array | None, ...]) -> Array:
     return sum((one for one in coefficients if one is not None), 0.0)
+
+
+# How answers about motions print themselves: the numbers of one loop, the ranges of many.
+
+_SHOWN_DIGITS = 4
+
+
+class Column(NamedTuple):
+    """A field of an answer: its label, the unit, the factor to that unit, the rounding."""
+
+    label: str
+    unit: str = ""
+    factor: int = 1
+    rounding: str = ROUND_HALF_EVEN
+
+
+def answer_text(
+    name: str,
+    values: Sequence[Numbers],
+    columns: Sequence[Column],
+    codes: Numbers = None,
+    kind: type[Status] | None = None,
+) -> str:
+    """One line: a name, the values of one loop or the ranges of many, and the status, if any.
+
+    ``values`` are an array for each column; infinite and NaN values are left out.
+    """
+    fields = (*values,) if kind is None else (*values, codes)
+    if not are_numbers(fields):
+        return f"{name}{fields}"
+    count, is_one = np.size(fields[-1]), np.ndim(fields[-1]) == 0
+    words = ", ".join(filter(None, map(_range_text, values, columns)))
+    if kind is not None:
+        flat = np.ravel(codes)
+        of_kind = {one: np.count_nonzero(flat == one) for one in kind}
+        names = (
+            f"{'' if is_one else f'{number} '}{one.name.lower().replace('_', ' ')}"
+            for one, number in of_kind.items()
+            if number
+        )
+        status = ", ".join(names) if words or not is_one else kind(int(flat[0])).words
+        words = f"{words} ({status})" if words else status
+    head = name if is_one or kind is None else f"{name} of {count} loops"
+    return f"{head}: {words}"
+
+
+def _range_text(value: Numbers, column: Column) -> str:
+    """Return a number with label and unit, the range of several, "" where none is finite."""
+    flat = np.ravel(value)
+    finite = flat[np.isfinite(flat)]
+    if not finite.size:
+        return ""
+    ends = (
+        rounded_text(float(end), _SHOWN_DIGITS, column.rounding, factor=column.factor)
+        for end in (finite.min(), finite.max())
+    )
+    return f"{column.label} {' to '.join(dict.fromkeys(ends))} {column.unit}".strip()
 
 
 class Response(NamedTuple):

@@ -33,14 +33,15 @@ from jaxstab.motion.contraction import (
 )
 from jaxstab.motion.response import (
     Bank,
+    Column,
     Loops,
+    answer_text,
     bank_for,
     device_loops,
     groups,
     loops_of,
     propagator,
 )
-from jaxstab.motion.shown import Column, answer_text
 from jaxstab.numbers import checked_count, checked_number, checked_word
 from jaxstab.point.verdicts import linear_verdict, verdict
 from jaxstab.rounding import RAISED_MANY

@@ -401,9 +401,7 @@ def _answers(question: _Question) -> LinearValidity:
     owners = at(question, changes.owner)
     curve = _Curve(
         owners,
-        SliceCoefficients(
-            *(np.asarray(part)[changes.owner] for part in slices if part is not None)
-        ),
+        SliceCoefficients(*(np.asarray(part)[changes.owner] for part in slices)),
     )
     ends = -changes.direction, changes.direction
     with np.errstate(divide="ignore", invalid="ignore"):  # of steps, which are bisected then

@@ -414,26 +414,36 @@ def _concrete_radius(points: list[Array], *, is_fast: bool) -> tuple[Array, Arra
     if delay.size == 1:
         return _of_delay(parameters, shape, delay.item(), is_fast=is_fast)
     value, error = np.zeros(shape), np.full(shape, np.inf)
-    for one in np.unique(delay).tolist():
-        indices = np.flatnonzero(np.broadcast_to(delay == one, shape))
-        listed = looked_up(parameters, shape, indices)
-        radii = _of_delay(listed, indices.shape, one, is_fast=is_fast)
-        value.flat[indices], error.flat[indices] = radii
+    form = np.floor(delay) + np.ceil(delay)
+    for one in np.unique(form).tolist():
+        indices = np.flatnonzero(np.broadcast_to(form == one, shape))
+        (listed,) = looked_up([delay], shape, indices)
+        delays, number = np.unique(listed, return_inverse=True)
+        parts = [indices]  # of few points for each delay
+        if delays.size * MANY <= indices.size:
+            parts = [indices[number == k] for k in range(delays.size)]
+        for part in parts:
+            *listed, own = looked_up(points, shape, part)
+            own = own[0].item() if len(parts) == delays.size else own
+            radii = _of_delay(listed, part.shape, own, is_fast=is_fast)
+            value.flat[part], error.flat[part] = radii
     return value, error
 
 
 def _of_delay(
-    parameters: list[Array], shape: tuple[int, ...], delay: float, *, is_fast: bool
+    parameters: list[Array], shape: tuple[int, ...], delay: Values | float, *, is_fast: bool
 ) -> tuple[Array, Array]:
+    """Return value and error at points of one delay, or of delays of the same form of p(z)."""
     if is_fast and _is_for_many(shape, delay):
-        value, error = fast_radius(parameters, shape, delay)
+        value, error = fast_radius(parameters, shape, float(delay))
     else:
         value, error = np.zeros(shape), np.full(shape, np.inf)
     still_open = true_indices(~(error <= TOLERANCE))
     for start in range(0, still_open.size, _LIST):
         part = still_open[start : start + _LIST]
         listed = tree_map(np.asarray, looked_up(parameters, shape, part))
-        best = _few(listed, delay, is_fast=is_fast)
+        own = delay if np.ndim(delay) == 0 else np.asarray(delay)[part]
+        best = _few(listed, own, is_fast=is_fast)
         closer = ~(best[1] >= np.asarray(error.ravel()[part]))
         value, error = (
             with_values(column, part[closer], new[closer])
@@ -447,7 +457,9 @@ def _is_for_many(shape: tuple[int, ...], delay: Values | float) -> bool:
     return prod(shape) >= MANY and np.size(delay) == 1 and bool(delay <= LONGEST_DELAY)
 
 
-def _few(parameters: list[Values], delay: float, *, is_fast: bool) -> tuple[Values, Values]:
+def _few(
+    parameters: list[Values], delay: Values | float, *, is_fast: bool
+) -> tuple[Values, Values]:
     """Return value and error for a list of points: eigenvalues, proved in one of two ways."""
     alpha, beta, gamma, delta = parameters
     coefficients = characteristic_polynomial(alpha, beta, gamma=gamma, delta=delta, delay=delay)
@@ -464,10 +476,12 @@ def _few(parameters: list[Values], delay: float, *, is_fast: bool) -> tuple[Valu
     return value, error
 
 
-def _polished(parameters: list[Values], delay: float, root: Values) -> tuple[Values, Values]:
+def _polished(
+    parameters: list[Values], delay: Values | float, root: Values
+) -> tuple[Values, Values]:
     alpha, beta, gamma, delta = parameters
-    degree, fraction = polynomial_degree(delay), delay % 1.0
-    plant = float_plant(gamma, delta, np.float64(fraction), is_fractional=fraction > 0.0)
+    degree, fraction = polynomial_degree(float(np.max(delay))), np.asarray(delay) % 1.0
+    plant = float_plant(gamma, delta, fraction, is_fractional=bool(np.any(fraction > 0.0)))
     loop = Loop(alpha, beta, gamma, plant)
     t = Complex(root.real - 1.0, np.abs(root.imag))
     with np.errstate(all="ignore"):

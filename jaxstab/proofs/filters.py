@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Complex128, Float64
 
-from jaxstab.arrays import PI_REST, Array, at, joined
+from jaxstab.arrays import PI_REST, Array, at, joined, namespace
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import Filters
 from jaxstab.model.sections import ONE, Polynomial, Transfer, size_of
@@ -155,6 +155,10 @@ class FilterCells(NamedTuple):
     steepness: Float64[np.ndarray, "k cell bound"]
 
 
+OverSine = tuple[Array, Array]
+
+"""Re f and Im f / sin(theta) of a function with real coefficients at e^(i theta)."""
+
 Functions = Callable[[Cells, Cells, bool], list[Series]]
 
 """Series of functions over cells of some middles and halves: in the middles, or in all of them."""
@@ -199,6 +203,77 @@ def cells_of(functions: Functions) -> FilterCells:
         lost=whole.lost,
         steepness=largest_from(whole.steepness),
     )
+
+
+class Responses(NamedTuple):
+    """P and V as numbers that a compiled program takes: V is (1 - z^-n) / n times its chain.
+
+    chains: of P and of V, its stages, each a numerator and a denominator in powers of 1/z, lowest
+        power first. Stages and coefficients are filled up to powers of two: few shapes.
+    """
+
+    samples: Float64[Array, ""]
+    chains: Float64[Array, "2 stage 2 power"]
+
+    @classmethod
+    def of(cls, filters: Filters | None) -> "Responses":
+        """Return those of filters in units of one sample; without any, no stages."""
+        if filters is None:
+            return cls(np.array(1.0), np.zeros((2, 0, 2, 1)))
+        velocity, position = filters
+        samples, stages = velocity.stages()
+        both = [[_in_lags(stage) for stage in each] for each in (position.stages(), stages)]
+        longest = max([4, *(len(part) for chain in both for one in chain for part in one)])
+        shape = [_power_of_two(count) for count in (max(2, *map(len, both)), longest)]
+        chains = np.zeros((2, shape[0], 2, shape[1]))
+        chains[..., 0] = 1.0
+        for chain, known in zip(chains, both, strict=True):
+            for stage, factor in zip(chain, known, strict=False):
+                for row, part in zip(stage, factor, strict=True):
+                    row[: len(part)] = [float(one.rounded()) for one in part]
+        return cls(np.array(float(samples)), chains)
+
+    def over_sine(self, theta: Array) -> tuple[OverSine, OverSine]:
+        """Return P and V at z = e^(i theta), smooth in theta at 0 and pi."""
+        xp = namespace(self, theta)
+        versine = 2.0 * xp.sin(0.5 * self.samples * theta) ** 2
+        ratio = turns_over_sine(self.samples, theta)[1]
+        position = xp.ones_like(theta), xp.zeros_like(theta)
+        velocity = versine / self.samples, ratio / self.samples
+        if not self.chains.shape[1]:
+            return position, velocity
+        square = xp.sin(theta) ** 2
+        cosines, ratios = turns_over_sine(xp.arange(self.chains.shape[-1]), theta[..., None])
+
+        def through(value: OverSine, chain: Array) -> OverSine:
+            for above, below in chain:
+                one, other = ((cosines @ part, -(ratios @ part)) for part in (above, below))
+                size = other[0] ** 2 + square * other[1] ** 2
+                value = _product(_product(value, one, square), (other[0], -other[1]), square)
+                value = value[0] / size, value[1] / size
+            return value
+
+        return through(position, self.chains[0]), through(velocity, self.chains[1])
+
+
+def turns_over_sine(count: Array, theta: Array) -> OverSine:
+    """Return cos(count theta) and sin(count theta) / sin(theta) for whole counts."""
+    xp = namespace(count, theta)
+    upper = theta > 0.5 * np.pi
+    folded = xp.where(upper, (np.pi - theta) + PI_REST, theta)
+    sine, is_end = xp.sin(folded), folded == 0.0
+    ratio = xp.where(is_end, count, xp.sin(count * folded) / xp.where(is_end, 1.0, sine))
+    sign = xp.where(upper, 1.0 - 2.0 * (count % 2.0), 1.0)
+    return sign * xp.cos(count * folded), xp.where(upper, -sign, 1.0) * ratio
+
+
+def _product(one: OverSine, other: OverSine, square: Array) -> OverSine:
+    real = one[0] * other[0] - square * one[1] * other[1]
+    return real, one[0] * other[1] + one[1] * other[0]
+
+
+def _power_of_two(count: int) -> int:
+    return 1 << max(count - 1, 0).bit_length()
 
 
 def responses_at(filters: Filters, z: Array) -> tuple[Array, Array]:

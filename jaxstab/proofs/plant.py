@@ -16,6 +16,7 @@ from jaxstab.arrays import PI_REST, Array, Numbers, namespace, repeat
 from jaxstab.model import by_name, plant_coefficients
 from jaxstab.model.plant import pairs_error
 from jaxstab.proofs.enclosures import LinearModel
+from jaxstab.proofs.filters import Responses, turns_over_sine
 from jaxstab.region.curve import SliceCoefficients
 from jaxstab.rounding import PLANT_MODEL, QUICK_D, QUICK_N, UNDERFLOW
 
@@ -23,7 +24,9 @@ from jaxstab.rounding import PLANT_MODEL, QUICK_D, QUICK_N, UNDERFLOW
 #
 # With z = e^(i theta), m = floor(delay) + 1 and the notation of ``jaxstab.region.curve``,
 #
-#     g = p(z) / z^(m + 2) = D/z + z^-m (N/z) H,      H = alpha + beta (1 - 1/z).
+#     g = D/z + z^-m (N/z) H,      H = alpha P + beta V,
+#
+# P = 1 and V = 1 - 1/z without filters; then g = p(z) / z^(m + 2).
 #
 # g is continuous in all six variables, in the delay too. Re g and Im g / sin(theta) are even and 2
 # pi-periodic in theta, so the equations Re g = 0, Im g / sin(theta) = 0 of a pair of roots go on
@@ -170,28 +173,24 @@ def quick_slice(gamma: Array, delta: Array, delay: Array) -> SliceCoefficients:
 
 
 def circle_equations(
-    c: SliceCoefficients, alpha: Numbers, beta: Numbers, theta: Array
+    c: SliceCoefficients, alpha: Numbers, beta: Numbers, theta: Array, responses: Responses
 ) -> tuple[Array, Array]:
     """Return Re g and Im g / sin(theta); differentiable, and smooth in theta at 0 and pi."""
     xp = namespace(c, alpha, beta, theta)
     upper = theta > pi / 2
     folded = xp.where(upper, (pi - theta) + PI_REST, theta)
-    sine, is_end = xp.sin(folded), folded == 0.0
-    turn = xp.where(upper, 1.0 - 2.0 * (c.turns % 2.0), 1.0)
-    cosine_m = turn * xp.cos(c.turns * folded)
-    ratio = xp.where(
-        is_end, c.turns, xp.sin(c.turns * folded) / xp.where(is_end, 1.0, sine)
-    )  # sin(m theta) / sin(theta)
-    ratio_m = xp.where(upper, -turn, 1.0) * ratio
+    square = xp.sin(folded) ** 2
+    cosine_m, ratio_m = turns_over_sine(c.turns, theta)
     near, far = 2.0 * xp.sin(0.5 * folded) ** 2, 2.0 * xp.cos(0.5 * folded) ** 2
     h, rest = xp.where(upper, far, near), xp.where(upper, near, far)  # 1 -+ cos(theta)
     d = xp.where(upper, c.kappa * rest - c.den_minus, c.den_plus - c.kappa * h)
     q = xp.where(upper, c.sigma * rest - c.num_minus, c.num_plus - c.sigma * h)
-    wall = alpha + beta * h
+    position, velocity = responses.over_sine(theta)
+    wall, wall_turned = (alpha * p + beta * v for p, v in zip(position, velocity, strict=True))
     # (N/z) H = push + i sin(theta) turned
-    push = q * wall - c.nu * beta * sine**2
-    turned = q * beta + c.nu * wall
-    real = d + cosine_m * push + ratio_m * sine**2 * turned
+    push = q * wall - c.nu * wall_turned * square
+    turned = q * wall_turned + c.nu * wall
+    real = d + cosine_m * push + ratio_m * square * turned
     imaginary = c.eps + cosine_m * turned - ratio_m * push
     return real, imaginary
 

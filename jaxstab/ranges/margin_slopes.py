@@ -16,8 +16,8 @@ from jaxtyping import Float64
 
 from jaxstab.arrays import is_traced
 from jaxstab.model.filters import Filters
-from jaxstab.proofs.filters import responses_at
-from jaxstab.proofs.plant import circle_equations, quick_plant, quick_slice
+from jaxstab.proofs.filters import Responses
+from jaxstab.proofs.plant import circle_equations, quick_slice
 from jaxstab.ranges.margins import WAYS, first_crossings
 
 _REAL = 2.0**-29  # of pi: a root this near to the real axis is taken for real
@@ -72,6 +72,7 @@ def _moving_jvp(
 @lru_cache(maxsize=16)
 def _slopes(filters: Filters | None) -> Callable[..., Array]:
     """A function for the derivatives of a step by the point, from p(z) = 0 at the crossing."""
+    responses = Responses.of(filters)
 
     def slopes(point: Array, step: Array, angle: Array, axis: Array) -> Array:
         end = jnp.round(angle)
@@ -79,8 +80,9 @@ def _slopes(filters: Filters | None) -> Callable[..., Array]:
         start = pi * jnp.where(is_real, end, angle)
 
         def equations(crossing: Array, point: Array) -> Array:
-            loop = point.at[axis].add(crossing[0])
-            real, imaginary = _circle(loop, crossing[1], is_real, filters)
+            alpha, beta, *plant = point.at[axis].add(crossing[0])
+            c = quick_slice(*plant)
+            real, imaginary = circle_equations(c, alpha, beta, crossing[1], responses)
             return jnp.stack([real, jnp.where(is_real, crossing[1] - start, imaginary)])
 
         bracketed = jnp.stack([step, start])
@@ -91,19 +93,3 @@ def _slopes(filters: Filters | None) -> Callable[..., Array]:
         return moved
 
     return jax.jit(jnp.vectorize(slopes, signature="(n),(),(),()->(n)"))
-
-
-def _circle(
-    loop: Array, theta: Array, is_real: Array, filters: Filters | None
-) -> tuple[Array, Array]:
-    """The real part of g, and the imaginary one, which without filters is over a sine."""
-    alpha, beta, gamma, delta, delay = loop
-    if filters is None:
-        return circle_equations(quick_slice(gamma, delta, delay), alpha, beta, theta)
-    plant = quick_plant(gamma, delta, delay)
-    z, back = jnp.exp(1j * theta), jnp.exp(-1j * theta)
-    stiffness, damping = responses_at(filters, z)
-    behind = jnp.exp(-1j * (jnp.floor(delay) + 1.0) * theta)
-    force = behind * (plant.n2 * z + plant.n1 + plant.n0 * back)
-    g = z + plant.d1 + plant.d0 * back + force * (alpha * stiffness + beta * damping)
-    return g.real, jnp.where(is_real, 0.0, g.imag)

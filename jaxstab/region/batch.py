@@ -31,7 +31,8 @@ they should be. What no test notices is a component that is cut in two, or dente
 angles of the scan. Small angles are evaluated in powers of z - 1, as elsewhere (``exact``).
 """
 
-from functools import partial
+from collections.abc import Callable
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -42,11 +43,13 @@ from jax import lax
 from jaxtyping import Bool, Float64
 
 from jaxstab.arrays import Array, repeat
+from jaxstab.batches import LEAN, is_on_cpu
 from jaxstab.region.corners import Branch
 from jaxstab.region.pieces import reflected
 from jaxstab.rounding import UNIT
 
 SLOTS = 6  # pieces of one loop
+_PROGRAMS = 8  # that are kept, one for each degree: each takes 40 to 90 MB
 _VERTICES, _FINE = 48, 192  # of a piece, and angles between which they are spread
 _REFINED = 32  # loops at once: what they need stays in the cache
 _TILE = 64  # angles of a scan at once
@@ -128,8 +131,17 @@ class Outline(NamedTuple):
     area: Float64[Array, "*loop"]
 
 
-@partial(jax.jit, static_argnames=["outlines"])
-def components(triples: Triples, *, outlines: bool = False) -> tuple[Extremes, Outline | None]:
+Answers = tuple[Extremes, Outline | None]
+
+
+@lru_cache(maxsize=_PROGRAMS)
+def program(degree: int, *, outlines: bool = False) -> Callable[[Triples], Answers]:
+    """Return the compiled program for triples of one degree; the oldest of many are dropped."""
+    solve = partial(_components, outlines=outlines)
+    return jax.jit(solve, compiler_options=LEAN if is_on_cpu() else None)
+
+
+def _components(triples: Triples, *, outlines: bool) -> Answers:
     """Return extreme walls of the components that hold small gains, and their outlines."""
     scans = lax.map(_scan, triples)
     solved = lax.map(lambda one: _extremes(*one), (triples, scans), batch_size=_REFINED)

@@ -6,7 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxstab.arrays import Array, constant, kept, namespace, repeat_while
-from jaxstab.region.curve import SliceCoefficients, curve_and_lift, minus_margin, plus_offset
+from jaxstab.region.curve import Curve, curve_and_lift, minus_margin, plus_offset
+from jaxstab.region.filtered_curve import FilteredCurve
 from jaxstab.region.roots import nonzero, with_slope
 from jaxstab.rounding import UNIT
 
@@ -50,20 +51,19 @@ class _Steps(NamedTuple):
     mismatches: tuple[Array, ...]
 
 
-def scales(c: SliceCoefficients, alpha: Array, beta: Array, theta: Array) -> Scales:
+def scales(c: Curve, alpha: Array, beta: Array, theta: Array) -> Scales:
     """Return the scales of the mismatches at points of the curve."""
     cosine = namespace(theta).cos(theta)
     size = abs(alpha) + abs(beta) + abs(plus_offset(c))
-    if c.filtered is not None:  # undamped modes put corners at 0
+    base, slope, damping = map(abs, c.at_minus_one)
+    if isinstance(c, FilteredCurve):  # undamped modes put corners at 0
         size = size + _SMALLEST * np.max(size, initial=0.0, where=np.isfinite(size))
-    slope = abs(c.num_minus)
-    if c.filtered is not None:
-        slope = slope + abs(c.filtered.at_minus_one[2])
-    margin = abs(c.gain * c.den_minus) + slope * size
+        slope = slope + damping
+    margin = base + slope * size
     return Scales(1.0 / size, (1.0 - cosine) / size, (1.0 + cosine) / margin)
 
 
-def nearest_branch(c: SliceCoefficients, angles: Array, scale: Scales) -> Array:
+def nearest_branch(c: Curve, angles: Array, scale: Scales) -> Array:
     """Return for ends at angles[0] which Branch the curve meets there, next to angles[1] or not.
 
     For each kind of corner Newton's method says how far off it is; the nearest one is taken.
@@ -74,7 +74,7 @@ def nearest_branch(c: SliceCoefficients, angles: Array, scale: Scales) -> Array:
 
 
 def solved_corners(
-    c: SliceCoefficients, branch: Array, angles: Array, scale: Scales, half_width: Array
+    c: Curve, branch: Array, angles: Array, scale: Scales, half_width: Array
 ) -> tuple[Array, Array, Array]:
     """Return the angles near ``angles[0]`` where the curve meets a branch, and which are solved.
 
@@ -85,7 +85,7 @@ def solved_corners(
     """
     xp = namespace(c, angles)
 
-    def newton(slice_: SliceCoefficients, angles: Array) -> tuple[Array, Array]:
+    def newton(slice_: Curve, angles: Array) -> tuple[Array, Array]:
         """Return the steps of pairs of angles to a corner, and how far they are from it."""
         every = _newton_steps(slice_, angles, scale)
         step, gap, partner = 0.0, 0.0, xp.where(is_of[0], every.partner, 0.0)
@@ -116,11 +116,11 @@ def solved_corners(
         steps, mismatch = newton(c, here)  # one more has the derivative in the slice
     solved = here - steps
     low = constant((here - kept(solved)) - steps)
-    if c.filtered is None:
+    if not isinstance(c, FilteredCurve):
         return solved[0], low[0], mismatch < _TOLERANCE
     # Where the curve flies from one point to another, angles round to points that are apart.
     is_last = np.max(np.abs(steps) - _ROUNDING * (1.0 + np.abs(here)), axis=0) < 0.0
-    tolerance = _ROUGH if c.filtered.is_exact else _TOLERANCE
+    tolerance = _ROUGH if c.is_exact else _TOLERANCE
     return solved[0], low[0], (mismatch < tolerance) | is_last
 
 
@@ -139,7 +139,7 @@ def steps_to_meeting(
     return first, second
 
 
-def _newton_steps(c: SliceCoefficients, angles: Array, scale: Scales) -> _Steps:
+def _newton_steps(c: Curve, angles: Array, scale: Scales) -> _Steps:
     """Return the steps from angles (2, end) to corners: the second row is for curve with curve."""
     xp = namespace(c, angles)
 
@@ -157,7 +157,7 @@ def _newton_steps(c: SliceCoefficients, angles: Array, scale: Scales) -> _Steps:
     alpha_slope, beta_slope, lift_slope, margin_slope = constant(slopes)
     first, second = steps_to_meeting(alpha, beta, alpha_slope, beta_slope)
     gap = xp.maximum(abs(alpha[0] - alpha[1]), abs(beta[0] - beta[1]))
-    if c.filtered is not None and c.filtered.lines:  # straight: a line never meets itself
+    if c.lines:  # straight: a line never meets itself
         lengths = np.hypot(alpha_slope, beta_slope)
         turn = beta_slope[0] * alpha_slope[1] - alpha_slope[0] * beta_slope[1]
         first = np.where(abs(turn) < _PARALLEL * lengths[0] * lengths[1], np.inf, first)

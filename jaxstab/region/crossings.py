@@ -14,9 +14,8 @@ from jaxtyping import Float64, Int
 
 from jaxstab.arrays import tree_map
 from jaxstab.region.corners import steps_to_meeting
-from jaxstab.region.curve import SliceCoefficients, curve_and_lift, minus_margin
+from jaxstab.region.curve import Curve, curve_and_lift, minus_margin
 from jaxstab.region.filtered_curve import FilteredCurve
-from jaxstab.region.filtered_points import may_be_stable
 from jaxstab.region.pieces import (
     Angles,
     Pieces,
@@ -63,7 +62,7 @@ class _Cubics(NamedTuple):
 
 
 @np.errstate(all="ignore")
-def crossings(c: SliceCoefficients, angles: Angles, length: int) -> Angles:
+def crossings(c: Curve, angles: Angles, length: int) -> Angles:
     """Return the angles, in order, at which the curve of a scan meets itself or a line."""
     cubics = _cubics(c, angles, length)
     if not cubics.number.size:
@@ -72,14 +71,14 @@ def crossings(c: SliceCoefficients, angles: Angles, length: int) -> Angles:
     return every[np.diff(every, prepend=-np.inf) > _CLOSE]
 
 
-def _cubics(c: SliceCoefficients, angles: Angles, length: int) -> _Cubics:
+def _cubics(c: Curve, angles: Angles, length: int) -> _Cubics:
     """Return the parts that are worth it, with the slopes at their ends."""
     number, line = np.arange(len(angles) - 1), np.zeros(len(angles) - 1, int)
-    if c.filtered is not None:
-        line = _lines_of_parts(c.filtered, angles)
-        is_near = _are_nearly_stable(c, c.filtered, angles, length)
+    if isinstance(c, FilteredCurve):
+        line = _lines_of_parts(c, angles)
+        is_near = others_inside(c, angles, length, within=_NEARLY_STABLE)
         is_near = is_near[1:] | is_near[:-1] | (line != 0)  # those of lines may be long
-        number = np.flatnonzero(is_near & ~_spans_a_pole(c.filtered, angles))
+        number = np.flatnonzero(is_near & ~_spans_a_pole(c, angles))
     ends = np.unique(np.concatenate([number, number + 1]))
     values, slopes = with_slope(lambda theta: _values(c, theta), angles[ends])
     first = np.searchsorted(ends, number)
@@ -91,16 +90,7 @@ def _cubics(c: SliceCoefficients, angles: Angles, length: int) -> _Cubics:
     return _Cubics(number, begin, end, controls, begin_slopes, end_slopes, line[number])
 
 
-def _are_nearly_stable(
-    c: SliceCoefficients, curve: FilteredCurve, angles: Angles, length: int
-) -> np.ndarray:
-    """Return which angles of a loop with filters may have the stable set nearby."""
-    is_near = may_be_stable(curve, *curve_and_lift(c, angles)[:2])
-    is_near[is_near] = others_inside(c, angles[is_near], length, within=_NEARLY_STABLE)
-    return is_near
-
-
-def _values(c: SliceCoefficients, theta: np.ndarray) -> np.ndarray:
+def _values(c: Curve, theta: np.ndarray) -> np.ndarray:
     """Return alpha, beta and the margins to the lines z = r and z = -r."""
     alpha, beta, lift = curve_and_lift(c, theta)
     return np.stack([alpha, beta, lift, minus_margin(c, alpha, beta)])
@@ -123,7 +113,7 @@ def _lines_of_parts(curve: FilteredCurve, angles: Angles) -> Parts:
 
 
 # ---------------------------------------------------------------------------- of two parts
-def _self_crossings(c: SliceCoefficients, cubics: _Cubics) -> Angles:
+def _self_crossings(c: Curve, cubics: _Cubics) -> Angles:
     controls = cubics.controls[:, :2]
     pairs = np.concatenate([_touching_parts(cubics.number, controls), _loops(cubics)], axis=1)
     line = cubics.line[pairs]
@@ -213,7 +203,7 @@ def _starts(
 
 
 def _meetings(
-    c: SliceCoefficients,
+    c: Curve,
     start: Float64[np.ndarray, "2 pair"],
     begin: Float64[np.ndarray, "2 pair"],
     width: Float64[np.ndarray, "2 pair"],
@@ -240,7 +230,7 @@ def _meetings(
 
 
 # ------------------------------------------------------------------------ of parts and lines
-def _line_crossings(c: SliceCoefficients, cubics: _Cubics) -> Angles:
+def _line_crossings(c: Curve, cubics: _Cubics) -> Angles:
     controls, begin, end = cubics.controls[:, 2:], cubics.begin, cubics.end
     crosses = _unlike(controls[0], controls[3])
     line, step = np.nonzero(crosses)
@@ -260,14 +250,14 @@ def _unlike(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     return unlike
 
 
-def _margin(parameters: tuple[SliceCoefficients, Parts], theta: np.ndarray) -> np.ndarray:
+def _margin(parameters: tuple[Curve, Parts], theta: np.ndarray) -> np.ndarray:
     """Return how far the curve is from the line z = r, number 0, or z = -r, number 1."""
     c, line = parameters
     alpha, beta, lift = curve_and_lift(c, theta)
     return np.choose(line, [lift, minus_margin(c, alpha, beta)])
 
 
-def _margin_slope(parameters: tuple[SliceCoefficients, Parts], theta: np.ndarray) -> np.ndarray:
+def _margin_slope(parameters: tuple[Curve, Parts], theta: np.ndarray) -> np.ndarray:
     return with_slope(lambda angle: _margin(parameters, angle), theta)[1]
 
 
@@ -282,16 +272,16 @@ _ROUNDS = 8
 _KEPT = 32  # pieces that do not close
 
 
-def refined_pieces(c: SliceCoefficients, delay: float, *, may_be_empty: bool) -> Pieces:
+def refined_pieces(c: Curve, *, may_be_empty: bool) -> Pieces:
     """Return pieces that join up to loops, searched until nothing hides at their ends.
 
     With damping, the loop without a wall is stable, so an empty answer means that the scan was too
     coarse. Where even the finest scan is not enough, the pieces' ``resolved`` is False.
     """
-    length = coefficient_count(delay) if c.filtered is None else c.filtered.parts.shape[1] - 2
+    length = c.parts.shape[1] - 2 if isinstance(c, FilteredCurve) else int(c.turns) + 2
     first = slice_angles(c, length, 1)
     closer = crossings(c, first, length)
-    scans = _SCANS if c.filtered is None else _SCANS[:_FILTERED_SCANS]
+    scans = _SCANS[: _FILTERED_SCANS if isinstance(c, FilteredCurve) else None]
     for fineness, most, outside in scans:
         scan = first if fineness == 1 else slice_angles(c, length, fineness)
         pieces, closer, is_settled = _settled_pieces(c, scan, closer, most, outside, length)
@@ -305,7 +295,7 @@ def refined_pieces(c: SliceCoefficients, delay: float, *, may_be_empty: bool) ->
 
 
 def _settled_pieces(
-    c: SliceCoefficients, scan: Angles, closer: Angles, most: int, outside: float, length: int
+    c: Curve, scan: Angles, closer: Angles, most: int, outside: float, length: int
 ) -> tuple[Pieces, Angles, bool]:
     """Look closer at more and more angles, until no new one shows; return whether all is resolved.
 
@@ -322,8 +312,3 @@ def _settled_pieces(
             is_all = not fresh.size and len(closer) <= most
             return pieces, closer, is_all and bool(pieces.resolved)
     return pieces, closer, False
-
-
-def coefficient_count(delay: float) -> int:
-    """Return how many coefficients the polynomials of the other roots have."""
-    return int(delay) + 3

@@ -12,6 +12,11 @@ With h = 1 - cos th, at z = r e^(i th),
 so everything is real arithmetic, and each half of the circle has a basis without cancellation:
 z = r for th < pi/2 and z = -r for th > pi/2. For th < pi/2 alpha is the line z = r plus terms that
 all carry the factor h, divided out by hand.
+
+Loops with estimators, filters or devices have another curve (``filtered_curve``). Both kinds of
+``Curve`` are three things, and all else in this folder needs no more: points at angles, the lines
+of real roots at z = r and z = -r, and the polynomial p(r zeta), base + alpha stiffness + beta
+damping.
 """
 
 from math import factorial, pi
@@ -34,12 +39,10 @@ from jaxstab.arrays import (
 from jaxstab.batches import MANY_ANGLES, compiled
 from jaxstab.model import checked_delta, checked_gamma, require_x64
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.linear_loop import SampledPlant
 from jaxstab.model.parameters import whole_and_fraction
 from jaxstab.model.plant import PlantPairs, plant_pairs
-from jaxstab.model.sections import Transfer
 from jaxstab.numbers import checked
-from jaxstab.region.filtered_curve import FilteredCurve, filtered_curve
+from jaxstab.region.filtered_curve import FilteredCurve, PoleLine
 from jaxstab.region.filtered_points import filtered_point
 
 # Sine, cosine and sin(x) / x of positive angles, with derivatives to full precision.
@@ -110,8 +113,7 @@ class SliceCoefficients(NamedTuple):
     """What the boundary in one (alpha, beta) plane is made of; arrays of the slice's shape.
 
     ``radius`` is r, ``turns`` is m, ``gain`` is r^m; ``ratio`` is D(r)/N(r), which is gamma for
-    r = 1; ``den_plus`` is D(r)/r and ``den_minus`` is D(-r)/r, likewise for the numerator N. With
-    an estimator or a position filter the curve is that of ``filtered``.
+    r = 1; ``den_plus`` is D(r)/r and ``den_minus`` is D(-r)/r, likewise for the numerator N.
     """
 
     radius: Array
@@ -126,7 +128,21 @@ class SliceCoefficients(NamedTuple):
     den_minus: Array
     num_plus: Array
     num_minus: Array
-    filtered: FilteredCurve | None = None
+
+    @property
+    def lines(self) -> tuple[PoleLine, ...]:
+        """Whole lines of the boundary at poles: there are none."""
+        return ()
+
+    @property
+    def at_minus_one(self) -> tuple[Array, Array, Array]:
+        """p(-r) / r^2 = base + alpha stiffness + beta damping, its sign plus in the stable set."""
+        stiffness = parity(self) * self.num_minus
+        return self.gain * self.den_minus, stiffness, stiffness * minus_slope(self)
+
+
+# What the boundary in one plane is made of: with filters it has another form.
+Curve = SliceCoefficients | FilteredCurve
 
 
 def boundary_curve(
@@ -183,28 +199,6 @@ def slice_coefficients(
     return tree_map(np.float64, single)
 
 
-def filtered_coefficients(
-    plant: SampledPlant, velocity: Transfer, position: Transfer
-) -> SliceCoefficients:
-    """Return the coefficients of the boundary of one plant with filters, for radius 1."""
-    curve = filtered_curve(plant, velocity, position)
-    num_plus, den_plus = map(np.float64, curve.plus.at_one[:2])
-    den_minus, num_minus, _ = curve.at_minus_one
-    one = np.float64(1.0)
-    return SliceCoefficients(
-        radius=one,
-        turns=np.float64(0.0),
-        gain=one,
-        ratio=den_plus / num_plus,
-        **dict.fromkeys(("kappa", "eps", "sigma", "nu"), np.float64(np.nan)),
-        den_plus=den_plus,
-        num_plus=num_plus,
-        den_minus=den_minus,
-        num_minus=num_minus,
-        filtered=curve,
-    )
-
-
 @compiled(many=MANY_ANGLES)
 def _slice_coefficients(
     gamma: Array, radius: Array, turns: Array, plant: PlantPairs
@@ -237,24 +231,29 @@ def _slice_coefficients(
     )
 
 
-def plus_offset(c: SliceCoefficients) -> Array:
+def plus_offset(c: Curve) -> Array:
     """Return w(r): the line z = r is alpha + plus_slope beta = w(r)."""
-    return 0.0 - c.gain * c.ratio  # not the number -0
+    offset = c.plus.values[0] if isinstance(c, FilteredCurve) else -c.gain * c.ratio
+    return 0.0 + offset  # not the number -0
 
 
-def plus_slope(c: SliceCoefficients) -> Array:
+def plus_slope(c: Curve) -> Array:
     """Return 1 - 1/r."""
-    return (c.radius - 1.0) / c.radius
+    return 0.0 if isinstance(c, FilteredCurve) else (c.radius - 1.0) / c.radius
 
 
-@np.errstate(divide="ignore")  # infinite where N(-r) = 0
-def minus_offset(c: SliceCoefficients) -> Array:
+@np.errstate(all="ignore")  # infinite where N(-r) = 0
+def minus_offset(c: Curve) -> Array:
     """Return w(-r): the line z = -r is alpha + minus_slope beta = w(-r)."""
-    return -parity(c) * c.gain * c.den_minus / c.num_minus
+    base, stiffness, _ = c.at_minus_one
+    return -base / stiffness
 
 
-def minus_slope(c: SliceCoefficients) -> Array:
-    """Return 1 + 1/r."""
+@np.errstate(all="ignore")
+def minus_slope(c: Curve) -> Array:
+    """Return 1 + 1/r, or what the estimator makes of it."""
+    if isinstance(c, FilteredCurve):
+        return c.at_minus_one[2] / c.at_minus_one[1]
     return (c.radius + 1.0) / c.radius
 
 
@@ -263,14 +262,14 @@ def parity(c: SliceCoefficients) -> Array:
     return 1.0 - 2.0 * (c.turns % 2.0)
 
 
-def poles(c: SliceCoefficients) -> tuple[Array, Array]:
+def poles(c: Curve) -> tuple[Array, Array]:
     """Return the angles of the two zeros of N, in [0, pi], and how far they are from the circle.
 
     The curve runs off to infinity there: next to a zero it changes within steps as short as the
     zero's distance from the circle, | log(|z| / r) |.
     """
-    if c.filtered is not None:
-        angles, distances = c.filtered.poles
+    if isinstance(c, FilteredCurve):
+        angles, distances = c.poles
         return np.concatenate([angles, -angles]), np.tile(distances, 2)
     xp = namespace(c)
     first, last = 0.5 * (c.sigma + c.nu), 0.5 * (c.sigma - c.nu)
@@ -287,9 +286,7 @@ def poles(c: SliceCoefficients) -> tuple[Array, Array]:
 
 
 @compiled(many=MANY_ANGLES)
-def curve_point(
-    c: SliceCoefficients, theta: Array, low: Array | float = 0.0
-) -> tuple[Array, Array]:
+def curve_point(c: Curve, theta: Array, low: Array | float = 0.0) -> tuple[Array, Array]:
     """Return (alpha, beta) of the curve at angles in [0, pi] that broadcast with the slices.
 
     ``low`` is what rounding took from theta: close to pi it holds digits of pi - theta.
@@ -298,16 +295,14 @@ def curve_point(
     return alpha, beta
 
 
-def curve_and_lift(
-    c: SliceCoefficients, theta: Array, low: Array | float = 0.0
-) -> tuple[Array, Array, Array]:
+def curve_and_lift(c: Curve, theta: Array, low: Array | float = 0.0) -> tuple[Array, Array, Array]:
     """Return alpha, beta and (alpha + plus_slope beta - w(r)) / (1 - cos th).
 
     The third value vanishes where the curve crosses the line z = r, but not where it starts on it.
     Analytic in theta, so that NumPy takes derivatives by a complex step (``with_slope``).
     """
-    if c.filtered is not None:
-        return filtered_point(c.filtered, theta, low)
+    if isinstance(c, FilteredCurve):
+        return filtered_point(c, theta, low)
     xp = namespace(c, theta)
     upper = xp.real(theta) > pi / 2
     # XLA would otherwise add the two parts of pi first.
@@ -382,38 +377,53 @@ def _quotient(c: SliceCoefficients, upper: Array, circle: _Circle) -> tuple[Arra
 # The lines of a real root at z = r and z = -r: margins to them, directions, where they cross.
 
 
-def minus_margin(c: SliceCoefficients, alpha: Array, beta: Array) -> Array:
+def minus_margin(c: Curve, alpha: Array, beta: Array) -> Array:
     """Return p(-r) / r^2 with the sign chosen so that it is positive inside the stable set."""
-    if c.filtered is not None:
-        base, stiffness, damping = c.filtered.at_minus_one
-        return base + (stiffness * alpha + damping * beta)
-    return c.gain * c.den_minus + parity(c) * c.num_minus * (alpha + minus_slope(c) * beta)
+    base, stiffness, damping = c.at_minus_one
+    return base + (stiffness * alpha + damping * beta)
 
 
-def lines_crossing(c: SliceCoefficients) -> tuple[Array, Array]:
+@np.errstate(all="ignore")  # they may be parallel
+def lines_crossing(c: Curve) -> tuple[Array, Array]:
     """Return (alpha, beta) where the lines of a real root at r and at -r cross."""
-    if c.filtered is not None:
-        damping, alpha = c.filtered.at_minus_one[2], plus_offset(c)
-        with np.errstate(all="ignore"):  # an estimator may make them parallel
-            return alpha, -minus_margin(c, alpha, np.float64(0.0)) / damping
-    beta = (minus_offset(c) - plus_offset(c)) / (minus_slope(c) - plus_slope(c))
+    _, stiffness, damping = c.at_minus_one
+    beta = -minus_margin(c, plus_offset(c), 0.0) / (damping - stiffness * plus_slope(c))
     return plus_offset(c) - plus_slope(c) * beta, beta
 
 
-def along_lines(c: SliceCoefficients, alpha: Array, beta: Array) -> tuple[Array, Array]:
+def along_lines(c: Curve, alpha: Array, beta: Array) -> tuple[Array, Array]:
     """Return coordinates along the lines z = r and z = -r, with the stable set on the left."""
     xp = namespace(c, beta)
-    plus = -xp.sign(c.num_plus) * beta
-    if c.filtered is not None and c.filtered.at_minus_one[1] == 0.0:  # a line of constant beta
-        return plus, np.sign(c.filtered.at_minus_one[2]) * alpha
-    return plus, -xp.sign(parity(c) * c.num_minus) * beta
+    _, stiffness, damping = c.at_minus_one
+    level = xp.sign(damping) * alpha  # of a line of constant beta
+    minus = xp.where(stiffness == 0.0, level, -xp.sign(stiffness) * beta)
+    return -xp.sign(c.num_plus) * beta, minus
 
 
-def lines_turn(c: SliceCoefficients) -> Array:
+def lines_turn(c: Curve) -> Array:
     """Return a sign: 1 where the boundary turns from the line z = r into the line z = -r.
 
     It is -1 where it turns from z = -r into z = r, and 0 where they are parallel.
     """
     xp = namespace(c)
-    slanted = parity(c) * c.num_minus if c.filtered is None else c.filtered.at_minus_one[2]
-    return xp.sign(c.num_plus) * xp.sign(slanted)
+    _, stiffness, damping = c.at_minus_one
+    return xp.sign(c.num_plus) * xp.sign(damping - stiffness * plus_slope(c))
+
+
+def polynomial(c: Curve, wall: tuple[Array, Array], length: int) -> Array:
+    """Return the highest ``length`` coefficients of p(r zeta) of walls, over the first one."""
+    xp = namespace(c, wall)
+    if isinstance(c, FilteredCurve):
+        base, stiffness, damping = c.parts[:, :length]
+    else:
+        power, unit = xp.arange(length), c.gain * c.radius
+        leading, middle = 0.5 * (c.sigma + c.nu) / unit, (c.num_plus - c.sigma) / unit
+        first, second = (c.den_plus - c.kappa) / c.radius, 0.5 * (c.kappa - c.eps) / c.radius
+        base = xp.where(power == 0, 1.0, xp.where(power == 1, first, 0.0))
+        base = base + xp.where(power == 2, second, 0.0)
+        is_leading, is_next = power == c.turns, power == c.turns + 1.0
+        stiffness = xp.where(is_leading, leading, xp.where(is_next, middle, 0.0))
+        damping = stiffness - xp.where(is_next, leading / c.radius, 0.0)
+    columns = (len(base), *(1 for _ in wall[0].shape))
+    base, stiffness, damping = (part.reshape(columns) for part in (base, stiffness, damping))
+    return base + (stiffness * wall[0] + damping * wall[1])

@@ -602,6 +602,11 @@ class FilteredCurve(NamedTuple):
     pairs: Float64[np.ndarray, "half form pair part coefficient"] = _NO_PAIRS  # if it is exact
     is_exact: bool = False  # whether all of it is evaluated in double-double
 
+    @property
+    def num_plus(self) -> float:
+        """N(1)."""
+        return self.plus.at_one[0]
+
 
 def mass_system(gamma: float, delta: float, delay: float, filters: Filters) -> System:
     """Return the plant of one mass, with T V(z) less its factor (1 - 1/z), and with P(z)."""

@@ -4,8 +4,7 @@ See ``filtered_curve`` for the form that is evaluated. Formulas are written once
 arrays with slopes.
 """
 
-from functools import cache
-from math import comb
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -159,10 +158,10 @@ def _on_line(
     return np.stack([alpha, beta, lift]), np.stack([alpha_slope, beta_slope, lift_slope])
 
 
-def root_angles(curve: FilteredCurve, theta: Array) -> Array:
+def root_angles(lines: Sequence[PoleLine], theta: Array) -> Array:
     """Return the angles of the roots; next to a line at a pole they are closer to the pole."""
     size = np.abs(theta).ravel()
-    for line in curve.lines:
+    for line in lines:
         held = line.holds(size)
         if np.any(held):
             size[held] = line.gains(size[held])[0][2]
@@ -312,38 +311,3 @@ def _swing_of_estimate(half: Half, u: Angles) -> Angles:
     else:
         swing = _swing(rise / y / y_one, np.tan(0.5 * u))
     return swing
-
-
-def may_be_stable(
-    curve: FilteredCurve, alpha: Array, beta: Array, within: float = 1.0
-) -> Bool[np.ndarray, "*walls"]:
-    """Return False where not all roots of p are inside of a circle, by the coefficients alone.
-
-    They are at most those of (z + within)^n then.
-    """
-    base, stiffness, damping = curve.parts
-    largest = _binomials(len(base) - 1) * within ** np.arange(float(len(base)))
-    walls = np.stack([np.ones(alpha.size), alpha.ravel(), beta.ravel()])
-    coefficients = np.stack([base, stiffness, damping], axis=1) @ walls
-    fits: np.ndarray = np.all(np.abs(coefficients) <= largest[:, None], axis=0)
-    return fits.reshape(alpha.shape)
-
-
-@cache
-def _binomials(degree: int) -> Float64[np.ndarray, " coefficient"]:
-    return np.array([comb(degree, k) for k in range(degree + 1)], float)
-
-
-def filtered_quotient(
-    curve: FilteredCurve, wall: tuple[Array, Array], total: Array, product: float, length: int
-) -> Array:
-    """Divide p(zeta) of a wall by zeta^2 - total zeta + product, of two roots that the wall has."""
-    alpha, beta = wall
-    base, stiffness, damping = curve.parts
-    before, last = np.zeros_like(total), np.zeros_like(total)
-    quotient = []
-    for k in range(length):
-        coefficient = base[k] + (stiffness[k] * alpha + damping[k] * beta)
-        before, last = last, coefficient + total * last - product * before
-        quotient.append(last)
-    return np.stack(quotient)

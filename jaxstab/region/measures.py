@@ -13,7 +13,7 @@ from jaxtyping import Float64
 from jaxstab.arrays import Array, constant, first_indices, namespace, repeat, repeat_while
 from jaxstab.batches import compiled
 from jaxstab.region.corners import Branch
-from jaxstab.region.curve import SliceCoefficients, curve_and_lift
+from jaxstab.region.curve import Curve, curve_and_lift
 from jaxstab.region.outline import Outline
 from jaxstab.region.roots import bracketed_root, nonzero, root_between, with_slope
 
@@ -28,7 +28,7 @@ _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 @compiled(static=["axis", "outermost"])
 def limits(
-    c: SliceCoefficients, outline: Outline, values: Array, *, axis: int, outermost: bool = True
+    c: Curve, outline: Outline, values: Array, *, axis: int, outermost: bool = True
 ) -> Array:
     """Return where lines of constant alpha (axis 0) or beta (axis 1) enter and leave the region.
 
@@ -51,7 +51,7 @@ def limits(
 
 
 def crossings(
-    c: SliceCoefficients, outline: Outline, values: Float64[np.ndarray, " row"], *, axis: int
+    c: Curve, outline: Outline, values: Float64[np.ndarray, " row"], *, axis: int
 ) -> Float64[np.ndarray, "row crossing"]:
     """Return the ends of all intervals on lines as in ``limits``, ascending, then NaN."""
     with np.errstate(all="ignore"):  # as where it is compiled
@@ -60,7 +60,7 @@ def crossings(
 
 
 @compiled()
-def contains(c: SliceCoefficients, outline: Outline, alpha: Array, beta: Array) -> Array:
+def contains(c: Curve, outline: Outline, alpha: Array, beta: Array) -> Array:
     """Return whether an odd number of crossings of the row lies beyond alpha."""
 
     def is_inside(alpha: Array, beta: Array) -> Array:
@@ -78,7 +78,7 @@ def contains(c: SliceCoefficients, outline: Outline, alpha: Array, beta: Array) 
 
 
 @compiled()
-def distance(c: SliceCoefficients, outline: Outline, alpha: Array, beta: Array) -> Array:
+def distance(c: Curve, outline: Outline, alpha: Array, beta: Array) -> Array:
     """Return the distance to the exact boundary, positive inside."""
 
     def to_boundary(alpha: Array, beta: Array) -> Array:
@@ -94,7 +94,7 @@ def distance(c: SliceCoefficients, outline: Outline, alpha: Array, beta: Array) 
 
 
 @compiled()
-def area(c: SliceCoefficients, outline: Outline) -> Array:
+def area(c: Curve, outline: Outline) -> Array:
     """Return the integral of alpha d(beta) around the boundary, by Gauss' rule on each piece."""
     xp = namespace(c, outline)
     begin, end = outline.angles[:, :1], outline.angles[:, 1:]
@@ -109,7 +109,7 @@ def area(c: SliceCoefficients, outline: Outline) -> Array:
     return xp.where(outline.resolved, enclosed, xp.nan)
 
 
-def deviation(c: SliceCoefficients, outline: Outline) -> Array:
+def deviation(c: Curve, outline: Outline) -> Array:
     """Return how far the boundary leaves the polygon, as a share of the region's diameter."""
     xp = namespace(c, outline)
     middle = xp.stack(_point(c, xp.mean(outline.angles, axis=1)), axis=-1)
@@ -120,7 +120,7 @@ def deviation(c: SliceCoefficients, outline: Outline) -> Array:
     return xp.max(xp.where(outline.branches == Branch.CURVE, bulges, 0.0)) / size
 
 
-def _point(c: SliceCoefficients, theta: Array, low: Array | float = 0.0) -> Array:
+def _point(c: Curve, theta: Array, low: Array | float = 0.0) -> Array:
     return namespace(c, theta).stack(curve_and_lift(c, theta, low)[:2])
 
 
@@ -145,7 +145,7 @@ def _in_batches(function: Callable[..., Array], outline: Outline, *columns: Arra
 
 
 def _crossings(
-    c: SliceCoefficients, outline: Outline, values: Array, axis: int, met: Array
+    c: Curve, outline: Outline, values: Array, axis: int, met: Array
 ) -> tuple[Array, Array]:
     """Return the other coordinate (row, crossing) where rows meet edges, and which exist."""
     xp = namespace(c, outline, values)
@@ -156,7 +156,7 @@ def _crossings(
     edges = xp.where(exist, edges, 0)
     values = xp.broadcast_to(values[:, None], edges.shape)
 
-    def excess(parameters: tuple[SliceCoefficients, Array], theta: Array) -> Array:
+    def excess(parameters: tuple[Curve, Array], theta: Array) -> Array:
         slice_, goal = parameters
         return _point(slice_, theta)[axis] - goal
 
@@ -178,7 +178,7 @@ def _met(outline: Outline, values: Array, axis: int) -> Array:
     return (above[:, :-1] != above[:, 1:]) & (outline.branches >= 0)
 
 
-def _last_steps(c: SliceCoefficients, theta: Array, values: Array, axis: int) -> Array:
+def _last_steps(c: Curve, theta: Array, values: Array, axis: int) -> Array:
     """Return Newton's steps from a crossing's angle: close to pi, what rounding took from it."""
     known, theta, values = constant((c, theta, values))
     xp = namespace(known, theta)
@@ -195,7 +195,7 @@ def _last_steps(c: SliceCoefficients, theta: Array, values: Array, axis: int) ->
 # ------------------------------------------------------------------------ the nearest point
 
 
-def _nearest(c: SliceCoefficients, outline: Outline, points: Array) -> Array:
+def _nearest(c: Curve, outline: Outline, points: Array) -> Array:
     """Return the nearest points (point, 2) of the boundary.
 
     Edges are looked at in the order of the distances of their boxes, up to where a box is farther
@@ -252,9 +252,7 @@ def _box_distances(here: Array, there: Array, points: Array) -> Array:
     return xp.hypot(beside[..., 0], beside[..., 1])
 
 
-def _feet(
-    c: SliceCoefficients, outline: Outline, edges: Array, points: Array
-) -> tuple[Array, Array]:
+def _feet(c: Curve, outline: Outline, edges: Array, points: Array) -> tuple[Array, Array]:
     """Return the distances (point, edge) of points to some edges each, and the angles there.
 
     An edge of the curve is divided, and so is its part with the nearest box, with its neighbours;

@@ -25,7 +25,7 @@ from jaxstab.arrays import (
 )
 from jaxstab.region.corners import Branch
 from jaxstab.region.curve import (
-    SliceCoefficients,
+    Curve,
     curve_and_lift,
     lines_crossing,
     plus_offset,
@@ -83,9 +83,7 @@ class _Marks(NamedTuple):
 _ON_PIECE, _VIA, _CLOSING = 0, 1, 2  # in the order in which a piece and what follows pass them
 
 
-def polygon(
-    c: SliceCoefficients, pieces: Pieces, points: int, length: int | None = None
-) -> Outline:
+def polygon(c: Curve, pieces: Pieces, points: int, length: int | None = None) -> Outline:
     """Return an outline of ``points`` vertices, spread so that all edges bend alike.
 
     It is differentiable in the slice: vertices between corners keep their share of the piece. If
@@ -213,7 +211,7 @@ def _sequence(pieces: Pieces) -> tuple[Array, Array]:
     return order, xp.cumsum(closed) - closed
 
 
-def _survey(c: SliceCoefficients, pieces: Pieces, count: int) -> tuple[Array, Array]:
+def _survey(c: Curve, pieces: Pieces, count: int) -> tuple[Array, Array]:
     """Return angles (piece, node) and the tangents (alpha', beta') there (2, piece, node)."""
     # At th = 0 and pi the curve has zero speed: look beside.
     xp = namespace(c, pieces)
@@ -230,13 +228,13 @@ def _survey(c: SliceCoefficients, pieces: Pieces, count: int) -> tuple[Array, Ar
     return ordered, _tangent(c, ordered)
 
 
-def _tangent(c: SliceCoefficients, theta: Array) -> Array:
+def _tangent(c: Curve, theta: Array) -> Array:
     xp = namespace(c, theta)
     return with_slope(lambda angle: xp.stack(curve_and_lift(c, angle)[:2]), theta)[1]
 
 
 def _turning_points(
-    c: SliceCoefficients, pieces: Pieces, nodes: Array, tangents: Array, slots: int
+    c: Curve, pieces: Pieces, nodes: Array, tangents: Array, slots: int
 ) -> tuple[_Marks, Array]:
     """Return where alpha or beta turns, and whether there is room for all of these points."""
     xp = namespace(c, pieces)
@@ -249,7 +247,7 @@ def _turning_points(
     exists = flat < turns.size
     is_beta, piece, node = xp.unravel_index(xp.where(exists, flat, 0), turns.shape)
 
-    def slope(parameters: tuple[SliceCoefficients, Array], theta: Array) -> Array:
+    def slope(parameters: tuple[Curve, Array], theta: Array) -> Array:
         slice_, is_beta = parameters
         along_alpha, along_beta = _tangent(slice_, theta)
         return xp.where(is_beta == 1, along_beta, along_alpha)
@@ -283,7 +281,7 @@ def _spread(pieces: Pieces, nodes: Array, tangents: Array, count: int) -> _Marks
     return _on_curve(pieces, piece, theta, exists)
 
 
-def _points(c: SliceCoefficients, marks: _Marks) -> Array:
+def _points(c: Curve, marks: _Marks) -> Array:
     """Return the points of marks; corners with a line are on that line to the last digit."""
     xp = namespace(c, marks)
     alpha, beta = curve_and_lift(c, marks.theta, marks.low)[:2]

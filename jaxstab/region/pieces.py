@@ -11,6 +11,7 @@ G1): a scan of th can miss components none of whose pieces it meets (docs/proofs
 
 from collections.abc import Callable
 from functools import cache, partial
+from math import comb
 from typing import NamedTuple
 
 import numpy as np
@@ -30,19 +31,18 @@ from jaxstab.model import companion_matrix
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.region.corners import Branch, Scales, nearest_branch, scales, solved_corners
 from jaxstab.region.curve import (
-    SliceCoefficients,
+    Curve,
     along_lines,
     curve_and_lift,
     lines_crossing,
     lines_turn,
+    polynomial,
 )
 from jaxstab.region.exact import all_inside, angles_on_circle, lines_crossing_of
 from jaxstab.region.filtered_curve import FilteredCurve, PoleLine, standing_for
 from jaxstab.region.filtered_points import (
     exact_walls,
-    filtered_quotient,
     is_oriented,
-    may_be_stable,
     root_angles,
 )
 
@@ -57,35 +57,64 @@ _AT_ONCE = 1 << 18  # coefficients of polynomials that are held in memory
 _ROUND = 32  # steps of the test after which NumPy drops the polynomials that failed
 
 
-def others_inside(c: SliceCoefficients, theta: Array, length: int, within: float = 1.0) -> Array:
+def others_inside(c: Curve, theta: Array, length: int, within: float = 1.0) -> Array:
     """Return where all roots of p but those at r e^(+-i theta) lie inside of the circle.
 
     ``within`` is the size of another circle, as a multiple of that.
 
     Source: the criterion of Schur and Cohn, as a recursion for the polynomial and its reverse.
     """
-    if c.filtered is not None and c.filtered.is_exact:
-        return all_inside(c.filtered, *exact_walls(c.filtered, theta), within)
+    if isinstance(c, FilteredCurve) and c.is_exact:
+        return all_inside(c, *exact_walls(c, theta), within)
     xp = namespace(c, theta)
     if xp is np and theta.size * length > _AT_ONCE and theta.size > 1:
         parts = np.array_split(theta.ravel(), -(-theta.size * length // _AT_ONCE))
-        inside = [others_inside(c, part, length, within) for part in parts]
-        return np.concatenate(inside).reshape(theta.shape)
-    if c.filtered is not None:
-        return _others_inside(c, c.filtered, theta.ravel(), length, within).reshape(theta.shape)
-    return _all_inside(stored(_shrunk(other_roots(c, theta, length), within)))
-
-
-def _others_inside(
-    c: SliceCoefficients, curve: FilteredCurve, theta: Array, length: int, within: float
-) -> Array:
-    """Return the same for a loop with filters; p is divided only where its coefficients may be."""
-    alpha, beta = curve_and_lift(c, theta)[:2]
-    inside = may_be_stable(curve, alpha, beta, within)
-    wall, angle = (alpha[inside], beta[inside]), root_angles(curve, theta[inside])
-    others = _quotient(c, wall, 2.0 * np.cos(angle), 1.0, length)
-    inside[inside] = _all_inside(_shrunk(others, within))
+        each = [others_inside(c, part, length, within) for part in parts]
+        return np.concatenate(each).reshape(theta.shape)
+    falling = polynomial(c, stored(curve_and_lift(c, theta)[:2]), length)
+    if xp is not np:
+        return _all_inside(stored(_shrunk(_others(c, falling, theta), within)))
+    inside = _may_be_stable(falling, within)
+    inside[inside] = _all_inside(_shrunk(_others(c, falling[:, inside], theta[inside]), within))
     return inside
+
+
+def _others(c: Curve, falling: Array, theta: Array) -> Array:
+    """Divide polynomials by the pairs at r e^(+-i theta), roots of them."""
+    angle = root_angles(c.lines, theta) if c.lines else theta
+    return _quotient(falling, 2.0 * namespace(c, theta).cos(angle), 1.0)
+
+
+def _quotient(falling: Array, total: Array, product: float) -> Array:
+    """Divide polynomials by z^2 - total z + product, two roots of each; both highest power first.
+
+    The last two coefficients of a polynomial do not count, and are not given.
+    """
+
+    def step(state: tuple[Array, ...]) -> tuple[tuple[Array, ...], Array]:
+        count, before, last = state
+        following = falling[count] + total * last - product * before
+        return (count + 1, last, following), following
+
+    nothing = namespace(falling).zeros_like(falling[0])
+    return repeat_and_keep(len(falling), step, (0, nothing, nothing))[1]
+
+
+def _may_be_stable(falling: Array, within: float) -> Bool[np.ndarray, "*walls"]:
+    """Return False where not all roots of p are inside of a circle, by the coefficients alone.
+
+    They are at most those of (z + within)^n then.
+    """
+    length = len(falling)
+    largest = _binomials(length + 1)[:length] * within ** np.arange(float(length))
+    largest = largest.reshape(-1, *(1 for _ in falling.shape[1:]))
+    fits: np.ndarray = np.all(np.abs(falling) <= largest, axis=0)
+    return fits
+
+
+@cache
+def _binomials(degree: int) -> Float64[np.ndarray, " coefficient"]:
+    return np.array([comb(degree, k) for k in range(degree + 1)], float)
 
 
 def _shrunk(falling: Array, within: float) -> Array:
@@ -94,57 +123,12 @@ def _shrunk(falling: Array, within: float) -> Array:
     return falling * (within**-powers).reshape(-1, *(1 for _ in falling.shape[1:]))
 
 
-def lines_crossing_is_stable(c: SliceCoefficients, length: int) -> Array:
+def lines_crossing_is_stable(c: Curve, length: int) -> Array:
     """Return whether all roots lie inside where the lines z = r and z = -r cross, but for those."""
-    if c.filtered is not None and c.filtered.is_exact:
-        return all_inside(c.filtered, *lines_crossing_of(c.filtered.pairs), 1.0)
-    both = _quotient(c, lines_crossing(c), namespace(c).zeros(()), -1.0, length)
-    return _all_inside(both)
-
-
-def other_roots(c: SliceCoefficients, theta: Array, length: int) -> Array:
-    """Return the coefficients of p(r zeta) / (zeta^2 - 2 cos(theta) zeta + 1), highest first.
-
-    There are ``length`` of them, the last ones zeros: roots at 0 are inside of any circle.
-    """
-    wall = stored(curve_and_lift(c, theta)[:2])
-    angle = theta if c.filtered is None else root_angles(c.filtered, theta)
-    return _quotient(c, wall, 2.0 * namespace(c, theta).cos(angle), 1.0, length)
-
-
-def _quotient(
-    c: SliceCoefficients, wall: tuple[Array, Array], total: Array, product: float, length: int
-) -> Array:
-    """Divide p(r zeta) by zeta^2 - total zeta + product, of two roots that the wall has."""
-    if c.filtered is not None:
-        return filtered_quotient(c.filtered, wall, total, product, length)
-    xp = namespace(c, wall)
-    alpha, beta = wall
-    unit = c.gain * c.radius
-    gain, lagged = (alpha + beta) / unit, beta / (c.radius * unit)
-    leading, middle = 0.5 * (c.sigma + c.nu), c.num_plus - c.sigma
-    first, second = (c.den_plus - c.kappa) / c.radius, 0.5 * (c.kappa - c.eps) / c.radius
-    third, fourth = leading * gain, middle * gain - leading * lagged  # of powers m and m + 1
-    series = _series_of_inverse(total, product, length)
-    zeros = xp.zeros_like(series[:2])
-    once = xp.concatenate([zeros[:1], series[:-1]])
-    twice = xp.concatenate([zeros, series[:-2]])
-    power = xp.arange(length).reshape(-1, *(1 for _ in total.shape))
-    quotient = series + first * once + second * twice
-    quotient = quotient + xp.where(power == c.turns, third, 0.0)
-    quotient = quotient + xp.where(power == c.turns + 1, third * total + fourth, 0.0)
-    return xp.where(power <= c.turns + 1, quotient, 0.0)
-
-
-def _series_of_inverse(total: Array, product: float, length: int) -> Array:
-    """Return the series of 1 / (1 - total x + product x^2): Chebyshev's polynomials for 1."""
-
-    def step(before: tuple[Array, Array]) -> tuple[tuple[Array, Array], Array]:
-        last, last_but_one = before
-        return (total * last - product * last_but_one, last), last
-
-    xp = namespace(total)
-    return repeat_and_keep(length, step, (xp.ones_like(total), xp.zeros_like(total)))[1]
+    if isinstance(c, FilteredCurve) and c.is_exact:
+        return all_inside(c, *lines_crossing_of(c.pairs), 1.0)
+    falling = polynomial(c, lines_crossing(c), length)
+    return _all_inside(_quotient(falling, namespace(c).zeros(()), -1.0))
 
 
 def _all_inside(falling: Array) -> Array:
@@ -248,13 +232,11 @@ class _Links(NamedTuple):
     exists: Array
 
 
-def find_pieces(
-    c: SliceCoefficients, angles: Array, *, length: int, slots: int | None = None
-) -> Pieces:
+def find_pieces(c: Curve, angles: Array, *, length: int, slots: int | None = None) -> Pieces:
     """Return the pieces of one slice that a scan over these angles, in (0, pi) in order, finds.
 
-    ``length`` is that of the polynomials with the other roots: floor(delay) + 3, or more; ``slots``
-    the largest number of pieces and the length of the arrays, which JAX needs.
+    ``length`` is that of the polynomials with the other roots: floor(delay) + 3 for one mass;
+    ``slots`` the largest number of pieces and the length of the arrays, which JAX needs.
 
     Source: the D-decomposition of Gryazina, Polyak, Tremba (2008), with the criterion of Schur and
     Cohn for the other roots. Differentiable in the slice by the theorem of the implicit function.
@@ -267,7 +249,7 @@ def find_pieces(
     met = nearest_branch(known, to_join, ends.scale)
     branch = xp.where(ends.exists, xp.where(ends.pinned, ends.line, met), NO_BRANCH)
     to_join, following, preceding = _joined(ends, branch == Branch.CURVE)
-    if c.filtered is not None and c.filtered.lines:
+    if c.lines:
         following, preceding = _across_knots(ends, following, preceding)
     theta, low, is_solved = _solved(c, ends, branch, to_join)
 
@@ -305,9 +287,7 @@ def find_pieces(
 
 
 # ---------------------------------------------------------------------------- where pieces end
-def _found_ends(
-    c: SliceCoefficients, angles: Array, length: int, slots: int | None
-) -> tuple[_Ends, Array]:
+def _found_ends(c: Curve, angles: Array, length: int, slots: int | None) -> tuple[_Ends, Array]:
     """Return the ends of the pieces between two angles each, and whether all fit into the slots."""
     xp = namespace(c, angles)
     inside = partial(others_inside, c, length=length)
@@ -343,7 +323,7 @@ def _found_ends(
     # Both ends of all pieces are solved in one batch.
     padded = xp.concatenate([xp.zeros(1), angles, xp.full(1, xp.pi)])
     neighbours = padded[xp.minimum(xp.concatenate([begins, ends + 2]), len(angles) + 1)]
-    is_exact = c.filtered is not None and c.filtered.is_exact
+    is_exact = isinstance(c, FilteredCurve) and c.is_exact
     outer, inner = _narrowed(
         inside,
         _EXACT_NARROWING if is_exact else (*_NARROWING["numpy" if xp is np else "jax"], _SLACK),
@@ -356,14 +336,14 @@ def _found_ends(
     return _Ends(exists, pinned, limit, line, outer, inner, rough, points, scale), count <= slots
 
 
-def _are_knots(c: SliceCoefficients, angles: Array) -> tuple[Array, Array] | None:
+def _are_knots(c: Curve, angles: Array) -> tuple[Array, Array] | None:
     """Return which angles are knots at which pieces begin, and which are those where they end.
 
     A scan has them twice; without lines at poles there are none.
     """
-    if c.filtered is None or not c.filtered.lines:
+    if not c.lines:
         return None
-    knots = np.concatenate([line.knots for line in c.filtered.lines])
+    knots = np.concatenate([line.knots for line in c.lines])
     twice = (np.diff(angles) == 0.0) & np.isin(np.abs(angles[1:]), knots)
     return np.append(False, twice), np.append(twice, False)
 
@@ -416,9 +396,7 @@ def _joined(ends: _Ends, is_open: Array) -> tuple[Array, Array, Array]:
     return xp.stack([ends.rough, others]), following, preceding
 
 
-def _solved(
-    c: SliceCoefficients, ends: _Ends, branch: Array, angles: Array
-) -> tuple[Array, Array, Array]:
+def _solved(c: Curve, ends: _Ends, branch: Array, angles: Array) -> tuple[Array, Array, Array]:
     """Return angles, what rounding took from them, and whether they are right; (2, piece) each."""
     xp = namespace(c, ends)
     half_width = _STRAY * (abs(ends.outer - ends.inner) + _SLACK)
@@ -435,7 +413,7 @@ def _solved(
 
 
 # ------------------------------------------------------------------------ what follows a piece
-def _may_turn(c: SliceCoefficients, via: Array, length: int) -> Array:
+def _may_turn(c: Curve, via: Array, length: int) -> Array:
     """Return whether the boundary may turn where the lines cross, if any piece ends there."""
     if namespace(c, via) is np and not np.any(via):
         return np.False_
@@ -443,7 +421,7 @@ def _may_turn(c: SliceCoefficients, via: Array, length: int) -> Array:
 
 
 def _linked(
-    c: SliceCoefficients,
+    c: Curve,
     exists: Array,
     walls: Array,
     begin_branch: Array,
@@ -509,25 +487,23 @@ def scan_angles(length: int, fineness: int) -> Angles:
     return angles
 
 
-def slice_angles(c: SliceCoefficients, length: int, fineness: int) -> Angles:
+def slice_angles(c: Curve, length: int, fineness: int) -> Angles:
     """Return the angles of a scan: with filters more of them at the poles and where beta is 0.
 
     They have the sign of Im V: see ``filtered_curve``.
     """
     angles = scan_angles(length, fineness)
-    if c.filtered is None:
+    if not isinstance(c, FilteredCurve):
         return angles
     offsets = np.geomspace(_CLOSEST, np.pi / len(angles), 8 * fineness)
-    centers = np.concatenate([c.filtered.poles[0], c.filtered.steep])
+    centers = np.concatenate([c.poles[0], c.steep])
     around = centers[:, None] + np.concatenate([-offsets, offsets])
-    lines = [_around_line(line, fineness) for line in c.filtered.lines]
-    drawn = [one.scan for one in c.filtered.stretches]
-    around = np.concatenate(
-        [around.ravel(), _around_resonances(c.filtered, fineness), *lines, *drawn]
-    )
+    lines = [_around_line(line, fineness) for line in c.lines]
+    drawn = [one.scan for one in c.stretches]
+    around = np.concatenate([around.ravel(), _around_resonances(c, fineness), *lines, *drawn])
     inner = around[(around > angles[0]) & (around < angles[-1])]
     angles = np.sort(np.concatenate([angles, inner]))
-    return np.sort(np.where(is_oriented(c.filtered, angles), angles, -angles))
+    return np.sort(np.where(is_oriented(c, angles), angles, -angles))
 
 
 def _around_resonances(curve: FilteredCurve, fineness: int) -> Angles:
@@ -551,19 +527,17 @@ def _around_line(line: PoleLine, fineness: int) -> Angles:
     return np.concatenate([line.angle + offsets, beside.ravel()])
 
 
-def closer_angles(c: SliceCoefficients, angles: Angles, centers: Angles) -> Angles:
+def closer_angles(c: Curve, angles: Angles, centers: Angles) -> Angles:
     """Return the angles of a scan with more angles around some centres."""
     offsets = np.geomspace(_CLOSEST, np.max(np.diff(angles)), _OFFSETS)
     around = centers[:, None] + np.concatenate([-offsets, offsets])
     closer: Angles = np.clip(around.ravel(), angles[0], angles[-1])
-    if c.filtered is not None:
-        closer = closer[is_oriented(c.filtered, closer)]
+    if isinstance(c, FilteredCurve):
+        closer = closer[is_oriented(c, closer)]
     return np.sort(np.concatenate([angles, closer]))
 
 
-def suspects(
-    c: SliceCoefficients, pieces: Pieces, known: Angles, outside: float, *, length: int
-) -> Angles:
+def suspects(c: Curve, pieces: Pieces, known: Angles, outside: float, *, length: int) -> Angles:
     """Return further angles around which a piece may hide between two angles of the scan.
 
     They are the corners that the pieces have and the angles of the roots that are on the circle
@@ -572,26 +546,23 @@ def suspects(
     ends = np.concatenate([pieces.begin, pieces.end])
     size = np.abs(ends)
     corners = ends[np.tile(pieces.exists, 2) & (size > 0.0) & (size < np.pi)]
-    if c.filtered is not None and c.filtered.is_exact:
-        angles_of_roots = angles_on_circle(c.filtered, *exact_walls(c.filtered, corners))
-        partners = standing_for(c.filtered.stretches, angles_of_roots)
+    if isinstance(c, FilteredCurve) and c.is_exact:
+        partners = standing_for(c.stretches, angles_on_circle(c, *exact_walls(c, corners)))
     else:
-        others = other_roots(c, corners, length)
+        others = _others(c, polynomial(c, curve_and_lift(c, corners)[:2], length), corners)
         partners = _angles_near_circle(others[:, np.all(np.isfinite(others), axis=0)].T)
-    if c.filtered is not None:
-        partners = np.where(is_oriented(c.filtered, partners), partners, -partners)
+    if isinstance(c, FilteredCurve):
+        partners = np.where(is_oriented(c, partners), partners, -partners)
     every = np.concatenate([corners, partners])
     away = np.min(np.abs(every[:, None] - known), axis=1, initial=np.inf)
     return nearly_stable(c, every[away >= _SAME], outside, length=length)
 
 
-def lone_partners(c: SliceCoefficients, pieces: Pieces) -> DoubleDouble:
+def lone_partners(curve: FilteredCurve, pieces: Pieces) -> DoubleDouble:
     """Return the angles at which a piece would have to begin or end for others, but none does.
 
     The curve is evaluated in double-double.
     """
-    curve = c.filtered
-    assert curve is not None
     ends = np.concatenate([pieces.begin, pieces.end])
     ends = ends[np.tile(pieces.exists, 2)]
     open_ends = ends[(ends != 0.0) & (np.abs(ends) < np.pi)]
@@ -605,7 +576,7 @@ def lone_partners(c: SliceCoefficients, pieces: Pieces) -> DoubleDouble:
     return angles[chosen]
 
 
-def nearly_stable(c: SliceCoefficients, angles: Angles, outside: float, *, length: int) -> Angles:
+def nearly_stable(c: Curve, angles: Angles, outside: float, *, length: int) -> Angles:
     """Return the angles, in order, at which no other root is farther outside than a limit."""
     if not angles.size:
         return angles

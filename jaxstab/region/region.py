@@ -19,15 +19,17 @@ from jaxstab.numbers import checked_count, checked_number
 from jaxstab.point.verdicts import linear_verdict
 from jaxstab.region import measures
 from jaxstab.region.corners import Branch
-from jaxstab.region.crossings import coefficient_count, refined_pieces
-from jaxstab.region.curve import (
-    SliceCoefficients,
-    curve_and_lift,
-    filtered_coefficients,
-    slice_coefficients,
-)
+from jaxstab.region.crossings import refined_pieces
+from jaxstab.region.curve import Curve, curve_and_lift, slice_coefficients
 from jaxstab.region.exact import Pairs, exact_gains, in_pairs
-from jaxstab.region.filtered_curve import System, loop_of_system, mass_system, parts_in_pairs
+from jaxstab.region.filtered_curve import (
+    FilteredCurve,
+    System,
+    filtered_curve,
+    loop_of_system,
+    mass_system,
+    parts_in_pairs,
+)
 from jaxstab.region.outline import Outline, extra_vertices, polygon
 from jaxstab.region.pieces import (
     NO_BRANCH,
@@ -63,7 +65,7 @@ Edges = Float64[np.ndarray, "_ 4"]
 Walls = Float64[np.ndarray, "2 _"]
 
 
-def fails_audit(c: SliceCoefficients, outline: Outline, loop: LinearLoop, deviation: float) -> bool:
+def fails_audit(c: FilteredCurve, outline: Outline, loop: LinearLoop, deviation: float) -> bool:
     """Return whether a verdict proves a wall inside unstable, or one outside stable.
 
     Where a mode is next to undamped, an outline also fails if no wall beside it is proved stable.
@@ -84,8 +86,7 @@ def fails_audit(c: SliceCoefficients, outline: Outline, loop: LinearLoop, deviat
     is_any_proved = bool(np.any(codes == Verdict.STABLE))
     doubtful = codes == np.where(are_inside(edges, walls), Verdict.UNSTABLE, Verdict.STABLE)
     walls, codes = walls[:, doubtful], codes[doubtful]  # a polygon is not exact
-    assert c.filtered is not None
-    angles, distances = c.filtered.resonances
+    angles, distances = c.resonances
     if np.any((angles > 0.0) & (distances < _UNDAMPED)):
         if not is_any_proved:
             return True
@@ -114,7 +115,7 @@ def _beside(edges: Edges, extent: Float64[np.ndarray, "2"], *, is_near: bool = F
     return np.concatenate([middle + aside, middle - aside]).T
 
 
-def _near_corners(c: SliceCoefficients, outline: Outline) -> Edges:
+def _near_corners(c: Curve, outline: Outline) -> Edges:
     """Return short edges of the boundary, at some distances from the corners."""
     size = int(outline.size)
     vertices = outline.vertices[:size]
@@ -131,7 +132,7 @@ def _near_corners(c: SliceCoefficients, outline: Outline) -> Edges:
 
 
 def _on_edges(
-    c: SliceCoefficients,
+    c: Curve,
     outline: Outline,
     edges: Int[np.ndarray, " edge"],
     shares: Float64[np.ndarray, " edge"],
@@ -153,35 +154,26 @@ _NOTHING = 2.0**-86  # of the coefficients of p(z): pairs know that much
 _BULGE = 0.35  # times points^-2 is at most about how far the boundary leaves the polygon
 
 
-def resolved_outline(
-    c: SliceCoefficients,
-    delay: float,
-    tolerance: float,
-    *,
-    may_be_empty: bool,
-    system: System | None,
-) -> tuple[SliceCoefficients, Outline]:
-    """Return the outline of a slice, and the coefficients by which it was resolved.
+def region_of_system(system: System, tolerance: float, *, may_be_empty: bool) -> StableRegion:
+    """Return the region of a loop with filters.
 
-    Where no number of digits resolves it, or it fails the audit, the outline is not ``resolved``.
-    That nothing is stable is said after all have been tried.
+    Where no number of digits resolves its outline, or it fails the audit, it is UNRESOLVED. That
+    nothing is stable is said after all have been tried.
     """
-    if c.filtered is None or system is None:
-        return c, _outline(c, delay, tolerance, may_be_empty, None)[0]
-    loop = loop_of_system(system)
-    curve, rough = c.filtered, None
-    if not curve.loses_digits:
-        outline, _ = _outline(c, delay, tolerance, may_be_empty, loop)
+    c, loop = filtered_curve(*system), loop_of_system(system)
+    rough = None
+    if not c.loses_digits:
+        outline, _ = _audited(c, tolerance, may_be_empty, loop)
         rough = outline if _is_known(outline) else None
-        if rough is not None and not (curve.may_lose_some and _strays(c, rough, system)):
-            return c, rough
+        if rough is not None and not (c.may_lose_some and _strays(c, rough, system)):
+            return region_within(c, rough)
     pairs = parts_in_pairs(system)
-    if not curve.loses_digits and outline.resolved and _keeps_a_root(pairs):
-        return c, outline
+    if not c.loses_digits and outline.resolved and _keeps_a_root(pairs):
+        return region_within(c, outline)
     centers = DoubleDouble.of(np.empty(0))
     for _ in range(_STRETCHINGS):
-        exact = c._replace(filtered=in_pairs(curve, pairs, centers))
-        outline, pieces = _outline(exact, delay, tolerance, may_be_empty, loop)
+        exact = in_pairs(c, pairs, centers)
+        outline, pieces = _audited(exact, tolerance, may_be_empty, loop)
         if _is_known(outline):
             break
         more = lone_partners(exact, pieces)
@@ -189,16 +181,14 @@ def resolved_outline(
             break
         centers = joined([centers, more])
     if rough is not None and not _is_known(outline):
-        return c, rough
-    return exact, outline
+        return region_within(c, rough)
+    return region_within(exact, outline)
 
 
-def _strays(c: SliceCoefficients, outline: Outline, system: System) -> bool:
+def _strays(c: FilteredCurve, outline: Outline, system: System) -> bool:
     """Return whether some points of an outline in float64 are beside the curve in double-double."""
-    curve = c.filtered
-    assert curve is not None
     size = np.abs(outline.angles)
-    straight = np.any([line.holds(size[:, 0]) for line in curve.lines], axis=0)
+    straight = np.any([line.holds(size[:, 0]) for line in c.lines], axis=0)
     edges = np.flatnonzero((outline.branches == Branch.CURVE) & ~straight)
     edges = edges[np.linspace(0, len(edges) - 1, min(_ASKED, len(edges))).round().astype(int)]
     extent = np.ptp(outline.vertices, axis=0)
@@ -222,22 +212,18 @@ def _is_known(outline: Outline) -> bool:
     return bool(outline.resolved) and int(outline.size) > 0
 
 
-def _outline(
-    c: SliceCoefficients,
-    delay: float,
-    tolerance: float,
-    may_be_empty: bool,
-    loop: LinearLoop | None,
+def _audited(
+    c: FilteredCurve, tolerance: float, may_be_empty: bool, loop: LinearLoop
 ) -> tuple[Outline, Pieces]:
     """Return an outline, not ``resolved`` if it fails the audit, and its pieces."""
-    pieces = refined_pieces(c, delay, may_be_empty=may_be_empty)
+    pieces = refined_pieces(c, may_be_empty=may_be_empty)
     outline, deviation = _adapted(c, pieces, tolerance)
-    if outline.resolved and loop is not None and fails_audit(c, outline, loop, deviation):
+    if outline.resolved and fails_audit(c, outline, loop, deviation):
         outline = polygon(c, pieces._replace(resolved=np.bool_(False)), _FEWEST_POINTS)
     return outline, pieces
 
 
-def _adapted(c: SliceCoefficients, pieces: Pieces, tolerance: float) -> tuple[Outline, float]:
+def _adapted(c: Curve, pieces: Pieces, tolerance: float) -> tuple[Outline, float]:
     """Return an outline with as many points as the tolerance requires, and its deviation."""
     fewest = max(_FEWEST_POINTS, 2 * extra_vertices(len(pieces.exists)))
     points = _enough_points(sqrt(_BULGE / tolerance), fewest)
@@ -359,7 +345,7 @@ def region_outline(
     least = 2 * extra_vertices(slots)
     if checked_count("points", points, 0) < least:
         raise ValueError(f"points is {points}; give at least {least} for {slots} slots.")
-    length = coefficient_count(float(whole_and_fraction(delay)[0]))
+    length = int(whole_and_fraction(delay)[0]) + 3
     c = stored(slice_coefficients(gamma, delta, delay, radius))
     angles = namespace(c).asarray(scan_angles(length, fineness))
     pieces = _pieces(c, angles, length=length, slots=slots)
@@ -378,35 +364,20 @@ def _stable_region(
     may_be_empty = delta == 0.0 or radius < 1.0
     if not filters:
         c = slice_coefficients(gamma, delta, delay, radius)
-        region = region_of(c, delay, tolerance, may_be_empty=may_be_empty)
+        pieces = refined_pieces(c, may_be_empty=may_be_empty)
+        region = region_within(c, _adapted(c, pieces, tolerance)[0])
         if region.status != RegionStatus.UNRESOLVED or radius != 1.0:
             return region
         filters = Velocity.difference(samples=1), Filter()  # the same loop in another form
     system = mass_system(gamma, delta, delay, filters)
-    c = filtered_coefficients(*system)
-    return region_of(c, delay, tolerance, may_be_empty=may_be_empty, system=system)
-
-
-def region_of(
-    c: SliceCoefficients,
-    delay: float,
-    tolerance: float,
-    *,
-    may_be_empty: bool,
-    system: System | None = None,
-) -> StableRegion:
-    """Return the region of a slice, UNRESOLVED if that of a loop with filters fails the audit."""
-    both = resolved_outline(c, delay, tolerance, may_be_empty=may_be_empty, system=system)
-    return region_within(*both)
+    return region_of_system(system, tolerance, may_be_empty=may_be_empty)
 
 
 _pieces = compiled(static=("length", "slots"))(find_pieces)
 
 
 @compiled(static=("points", "length"))
-def _region(
-    c: SliceCoefficients, pieces: Pieces, *, points: int, length: int | None = None
-) -> StableRegion:
+def _region(c: Curve, pieces: Pieces, *, points: int, length: int | None = None) -> StableRegion:
     return region_within(c, polygon(c, pieces, points, length))
 
 
@@ -428,6 +399,4 @@ def linear_region(
             "region and no limits here; use verdicts, radii, poles or margins."
         )
     with np.errstate(all="ignore"):
-        c = filtered_coefficients(plant, velocity, position)
-        system = plant, velocity, position
-        return region_of(c, float(plant.lag), tolerance, may_be_empty=True, system=system)
+        return region_of_system((plant, velocity, position), tolerance, may_be_empty=True)

@@ -1,5 +1,4 @@
 from .answers import Answer as Answer
-from .answers import Answers as Answers
 from .answers import Basis as Basis
 from .answers import basis_of as basis_of
 from .check import Check as Check
@@ -19,7 +18,6 @@ from .limits import scene_limits as scene_limits
 from .loops import corner_loops as corner_loops
 from .loops import hands_of as hands_of
 from .loops import loop_of as loop_of
-from .loops import plan_scene as plan_scene
 from .loops import wall_region as wall_region
 from .scene import Scene as Scene
 from .tune import BestWall as BestWall

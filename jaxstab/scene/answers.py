@@ -25,7 +25,6 @@ _HEADINGS = {
     "walls": "wall {}",
     "islands": "island {}",
     "windows": "with a window of {} samples",
-    "answers": "{}",
 }
 
 """The headings of the answers in a field that is a dictionary, by its name."""
@@ -254,11 +253,10 @@ class Basis(Answer):
 
 
 @dataclass(frozen=True)
-class Answers(Answer):
-    """Several answers by their names."""
+class Inputs(Answer):
+    """The inputs alone, with their units, of answers that are no ``Answer``."""
 
-    inputs: Basis | None
-    answers: dict[str, Any]
+    inputs: Basis
 
 
 def in_words(value: str | IntEnum) -> str:
@@ -312,8 +310,8 @@ def _delay_is(controller: Controller) -> str | None:
     if not controller.moves:
         return f"constant, somewhere between {ends}: proofs hold for every constant delay"
     lost = f", up to {controller.lost_samples} in a row lost" if controller.lost_samples else ""
-    known = f"moves between {ends}" if low < high else f"is {Quantity('s').words(low)}"
-    return f"{known}, newest sample wins{lost}: proofs hold for every sequence"
+    motion = f"moves between {ends}" if low < high else f"is {Quantity('s').words(low)}"
+    return f"{motion}, newest sample wins{lost}: proofs hold for every sequence"
 
 
 def basis_of(scene: Scene) -> Basis:

@@ -51,8 +51,7 @@ damping = 2.0             # N s/m
 stiffness = 1500.0
 damping = 12.0
 
-[wanted]                  # what `jaxstab scene FILE` answers
-answers = ["limits", "check"]    # of limits, check, tune, design
+[wanted]
 # measures = ["margins"]  # check: beside the verdict of a wall; all of them by default:
                           # margins, distance, radius, settling, oscillation, chatter, jitter
 # at_damping = 20.0       # N s/m, limits: the stiffness allowed at this damping

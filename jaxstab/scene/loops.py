@@ -14,7 +14,7 @@ from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT
 from jaxstab.ranges import HandRange
 from jaxstab.ranges.hands import spread_hands
 from jaxstab.region import RegionStatus
-from jaxstab.scene.scene import ANSWERS, MEASURES, Hand, Scene
+from jaxstab.scene.scene import Hand, Scene
 
 
 class OneHand(NamedTuple):
@@ -216,48 +216,3 @@ def with_delay(scene: Scene, delay: float) -> Scene:
     """Return a scene with one constant delay in s."""
     one: Any = {"delay_samples": None, "delay_is": None, "lost_samples": 0}
     return replace(scene, controller=replace(scene.controller, delay=(delay, delay), **one))
-
-
-# The plan for a scene: computed and skipped steps, and why.
-
-
-class Step(NamedTuple):
-    """A quantity that a scene may request: whether it is computed, and why or why not."""
-
-    what: str
-    computed: bool
-    why: str
-
-
-def plan_scene(scene: Scene) -> list[Step]:
-    """The steps that are computed for a scene and those that are skipped."""
-    wanted = scene.wanted
-    requested = {name: name in wanted.answers for name in ANSWERS}
-    reason = {True: "wanted.answers has it", False: "wanted.answers does not have it"}
-    steps = [
-        Step(name, requested[name], reason[requested[name]])
-        for name in ("limits", "tune", "design")
-    ]
-    for key, what in (("at_damping", "stiffness limits"), ("at_stiffness", "damping limits")):
-        given = getattr(wanted, key) is not None
-        why = f"wanted.{key} is {'given' if given else 'not given'}"
-        steps.append(Step(f"{what} at a given {key[3:]}", given and requested["limits"], why))
-    checked = f"for each of {len(scene.walls)} walls" if requested["check"] else reason[False]
-    steps.append(Step("certified verdicts", requested["check"], checked))
-    for name in MEASURES:
-        is_wanted = name in wanted.measures
-        why = checked if is_wanted else "wanted.measures does not have it"
-        if name == "chatter" and scene.device.encoder is None:
-            is_wanted, why = False, "device.encoder is not given"
-        steps.append(Step(name, requested["check"] and is_wanted, why))
-    is_judged = scene.controller.has_one_delay or scene.controller.moves
-    varies = hands_of(scene) is not None and is_judged
-    is_over = varies or bool(wanted.mass_tolerance) or bool(wanted.delay_tolerance)
-    why = "neither hand nor mass nor a tolerance of mass or delay is a range"
-    why = "a hand, the mass or a tolerance is a range" if is_over else why
-    steps.append(Step("tune over ranges", is_over and requested["tune"], why))
-    why = "the hand or the mass is a range" if varies else "there is one hand at most, and one mass"
-    why = why if is_judged else "the delay is a range of constant ones"
-    steps.append(Step("worst case over the hands", varies, why))
-    steps.append(Step("proof for all hands", varies, why))
-    return steps

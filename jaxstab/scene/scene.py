@@ -378,7 +378,6 @@ class VelocityTable(_TimedTable):
         return f"{self.as_velocity()}{preset if self.preset else ''}"
 
 
-ANSWERS = ("limits", "check", "tune", "design")
 MEASURES = ("margins", "distance", "radius", "settling", "oscillation", "chatter", "jitter")
 _FEW_SAMPLES = 0.01  # of delay: more likely s
 _SOFT = 5.0  # N/m: more likely N/mm, of a device above _LIGHT in kg
@@ -511,9 +510,8 @@ class Contact(Table):
 
 @dataclass(frozen=True, kw_only=True)
 class Wanted(Table):
-    """What to answer, and with which measures of a wall beside its verdict."""
+    """The measures of a wall beside its verdict, and what is given of answers."""
 
-    answers: tuple[str, ...] = key(each(one_of(ANSWERS)), ("limits",))
     measures: tuple[str, ...] = key(each(one_of(MEASURES)), MEASURES)
     at_damping: float | None = key(quantity("N s/m"), None)
     at_stiffness: float | None = key(quantity("N/m"), None)
@@ -522,11 +520,6 @@ class Wanted(Table):
     safety: float | None = key(share, None)
     mass_tolerance: float | None = key(tolerance, None)
     delay_tolerance: float | None = key(quantity("s"), None)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.answers:
-            raise ValueError(f"answers is empty; give at least one of {', '.join(ANSWERS)}.")
 
 
 @dataclass(frozen=True, kw_only=True)

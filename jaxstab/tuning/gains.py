@@ -21,8 +21,8 @@ from jaxstab.model import checked_delta, checked_gain, checked_gamma, require_x6
 from jaxstab.model.filters import Filter, Velocity, given_filters
 from jaxstab.motion.settling import STRETCH, Excitation, checked_level, positions
 from jaxstab.numbers import checked_number
-from jaxstab.tuning.component import ALL_GAINS, OptimalGains, TuningStatus
 from jaxstab.tuning.loops import MassLoop, TunedLoop
+from jaxstab.tuning.radius import ALL_GAINS, OptimalGains, TuningStatus
 
 # Grids of gains that zoom in on their best point.
 

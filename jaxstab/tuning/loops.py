@@ -17,14 +17,18 @@ from jaxstab.point import SpectralRadius, spectral_radius
 from jaxstab.point.radius import linear_spectral_radius
 from jaxstab.point.verdicts import linear_verdict, verdict
 from jaxstab.region.region import linear_region
-from jaxstab.tuning.component import (
+from jaxstab.tuning.radius import (
     ALL_GAINS,
     Component,
     OptimalGains,
+    Walls,
     component_of,
+    mass_walls,
+    minimize_radius,
     searched_component,
+    smallest_radius,
+    walls_of,
 )
-from jaxstab.tuning.radius import Walls, mass_walls, minimize_radius, smallest_radius, walls_of
 
 Plant = tuple[float, float, float]
 

@@ -1,34 +1,25 @@
 """Where the nodes and cells of an atlas lie: the specification in numbers.
 
-Axes of gamma, delta and delay are given as nodes, or, for gamma and delta, as a range and a
-tolerance: then as many nodes as keep the motion of the stable set's boundary between two of them
-below it, few where little changes (``tolerant_nodes``). Axes of alpha and beta may be fitted: laid
-around the stable regions of the atlas's hands at each delay, with a margin, and with nodes close to
-the line alpha = -gamma, where stability ends and no cell can be decided (``_fitted_alpha``).
+Axes of gamma, delta and delay are given as nodes. Axes of alpha and beta may be fitted: laid around
+the stable regions of the atlas's hands at each delay, with a margin, and with nodes close to the
+line alpha = -gamma, where stability ends and no cell can be decided (``_fitted_alpha``).
 
 Limits of alpha and radii also answer between the delays, in cells of delays. Whole samples are
 edges of cells, for there the degree of the polynomial changes. A cell of limits is longer as the
 delay grows, for the boundary bends less; those of radii are even, and wider after some samples.
 The ends of alpha and beta of a cell follow from the regions at some edges (``_delay_cells``).
-
-At the end of this file a specification gets other counts along its axes, for plans of resolutions.
 """
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
-from math import ceil, floor, prod
-from typing import Any
+from math import ceil, floor
 
 import numpy as np
 from jaxtyping import Float64
 
 from jaxstab.atlas.format.spec import (
-    FEWEST_FITTED,
     AtlasSpec,
     FittedAxis,
-    Nodes,
-    ToleranceAxis,
     check_size,
 )
 from jaxstab.atlas.format.variables import CELL, NODE
@@ -36,41 +27,9 @@ from jaxstab.atlas.products.limits import ALPHA_LIMITS
 from jaxstab.atlas.products.radii import RADIUS_CELL, SPECTRAL_RADIUS
 from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.model.filters import Filters, as_keywords
-from jaxstab.region import Branch, RegionStatus, StableRegion, stable_region
-from jaxstab.region.curve import curve_point, minus_offset, minus_slope, plus_offset, plus_slope
+from jaxstab.region import RegionStatus, StableRegion, stable_region
 
-_PROBES = 17  # values along the axis at which the boundary is computed
 _FINENESS = 1e-3  # of outlines, whose extremes are exact
-Slice = tuple[float, float, float]
-
-
-def tolerant_nodes(
-    axis: ToleranceAxis,
-    name: str,
-    across: Sequence[float],
-    delays: Sequence[float],
-    filters: Filters | None,
-) -> Float64[np.ndarray, " node"]:
-    """Nodes between which the boundary of the stable set moves by the tolerance at most.
-
-    The motion is that of the boundary's points at a fixed angle of the roots on the circle, and for
-    a real root at a fixed beta, in units of the set's extents. It is added up over even steps along
-    the axis, and the nodes share it equally. ``across`` are values of the other one of gamma,
-    delta.
-    """
-    values = np.linspace(axis.start, axis.stop, _PROBES)
-    moved = np.zeros(_PROBES - 1)
-    for other in across:
-        for delay in delays:
-            slices = [
-                (value, other, delay) if name == "gamma" else (other, value, delay)
-                for value in values.tolist()
-            ]
-            moved = np.maximum(moved, _motions(slices, filters))
-    passed = np.concatenate([[0.0], np.cumsum(moved)])
-    steps = max(1, ceil(passed[-1] / axis.tolerance))
-    nodes = np.interp(np.linspace(0.0, passed[-1], steps + 1), passed, values)
-    return np.concatenate([[axis.start], nodes[1:-1], [axis.stop]])
 
 
 def known_region(gamma: float, delta: float, delay: float, filters: Filters | None) -> StableRegion:
@@ -84,37 +43,6 @@ def known_region(gamma: float, delta: float, delay: float, filters: Filters | No
             f"{delay:g} ({RegionStatus.UNRESOLVED.words}); give its nodes."
         )
     return region
-
-
-def _motions(slices: Sequence[Slice], filters: Filters | None) -> list[float]:
-    regions = [known_region(*one, filters) for one in slices]
-    points = np.concatenate([region.points for region in regions])
-    if not points.size:
-        raise ValueError(
-            f"no (alpha, beta) is stable at delay {slices[0][2]:g} along an axis that is given by "
-            "a tolerance; give its nodes."
-        )
-    extent = np.ptp(points, axis=0)
-    there = [_motion(*pair, extent) for pair in pairwise(regions)]
-    back = [_motion(*pair, extent) for pair in zip(regions[1:], regions[:-1], strict=True)]
-    return list(map(max, there, back))
-
-
-def _motion(region: StableRegion, other: StableRegion, extent: Float64[np.ndarray, "2"]) -> float:
-    """Return how far the outline's points move to another slice, at their angle or their beta."""
-    points, branch, c = region.points[:-1], region.branch[:, None], other.coefficients
-    beta = points[:, 1]
-    moved = np.select(
-        [branch == kind for kind in (Branch.CURVE, Branch.Z_PLUS_ONE, Branch.Z_MINUS_ONE)],
-        [
-            np.stack(curve_point(c, region.outline.angles[: beta.size, 0]), axis=-1),
-            np.stack([plus_offset(c) - plus_slope(c) * beta, beta], axis=-1),
-            np.stack([minus_offset(c) - minus_slope(c) * beta, beta], axis=-1),
-        ],
-        np.nan,
-    )
-    way = np.abs(moved - points) / extent
-    return float(np.max(way, where=np.isfinite(way), initial=0.0))
 
 
 _MARGIN = 0.03  # around the stable region, of its size
@@ -188,14 +116,14 @@ class Grid:
             _index(np.diff(nodes), share)
             for nodes, share in ((self.gamma, gamma), (self.delta, delta))
         )
-        one = slice(int(delay * self.delay.size), int(delay * self.delay.size) + 1)
+        at_delay = slice(int(delay * self.delay.size), int(delay * self.delay.size) + 1)
         return replace(
             self,
-            alpha=self.alpha[:, one],
-            beta=self.beta[:, one],
+            alpha=self.alpha[:, at_delay],
+            beta=self.beta[:, at_delay],
             gamma=self.gamma[first : first + 1 + boxes],
             delta=self.delta[second : second + 1 + boxes],
-            delay=self.delay[one],
+            delay=self.delay[at_delay],
         )
 
     def row_at(
@@ -242,28 +170,20 @@ class Reach:
 
 def reach_of(spec: AtlasSpec) -> Reach:
     """The reach of the regions at the corners of gamma and delta: fewer than an axis needs."""
-    corners = (np.array(ends_of(getattr(spec, name))) for name in ("gamma", "delta"))
-    gamma, delta = corners
+    gamma, delta = (np.unique(np.array(axis)[[0, -1]]) for axis in (spec.gamma, spec.delta))
     delays = np.array(spec.delay)
     stations = _stations(_delay_edges(delays, _COARSE) if spec.delay_cells else [], delays)
     boxes = [_stable_box(gamma, delta, delay, spec.filters) for delay in stations]
     return Reach(np.array(stations), np.array([[highest, *beta] for highest, beta in boxes]))
 
 
-def ends_of(axis: Nodes | ToleranceAxis) -> tuple[float, ...]:
-    """Return the first and the last node of gamma or delta, or the only one."""
-    nodes = (axis.start, axis.stop) if isinstance(axis, ToleranceAxis) else np.array(axis).tolist()
-    return tuple(sorted({float(nodes[0]), float(nodes[-1])}))
-
-
 def lay_out(spec: AtlasSpec, reach: Reach | None = None) -> Grid:
     """The nodes of a specification, with the fitted axes laid around each stable region.
 
-    With a ``reach`` no region is computed. ValueError: an axis is fitted to a stable region, or
-    given by a tolerance, and the region is empty or unresolved; or the grid is too large.
+    With a ``reach`` no region is computed. ValueError: an axis is fitted to a stable region that is
+    empty or unresolved; or the grid is too large.
     """
-    gamma, delta = (plant_axis(spec, name) for name in ("gamma", "delta"))
-    delay = np.array(spec.delay)
+    gamma, delta, delay = map(np.array, (spec.gamma, spec.delta, spec.delay))
     walls = [_wall_axes(spec, gamma, delta, samples, reach) for samples in delay.tolist()]
     alpha, beta = (np.stack(columns, axis=1) for columns in zip(*walls, strict=True))
     has_limits, has_radii = (name in spec.products for name in (ALPHA_LIMITS, SPECTRAL_RADIUS))
@@ -280,17 +200,6 @@ def lay_out(spec: AtlasSpec, reach: Reach | None = None) -> Grid:
     )
     check_size(grid.shape)
     return grid
-
-
-def regions_around(spec: AtlasSpec, grid: Grid) -> int:
-    """Return how many stable regions ``lay_out`` computes, where their reach is not known."""
-    if not isinstance(spec.alpha, FittedAxis) and not isinstance(spec.beta, FittedAxis):
-        return 0
-    cells = max(grid.limit_range, grid.radius_range, key=len)
-    edges = [] if np.all(cells[:, 0] == cells[:, 1]) else [*cells[:, 0].tolist(), cells[-1, 1]]
-    return len(_stations(edges, grid.delay)) * prod(
-        len(_thinned(nodes)) for nodes in (grid.gamma, grid.delta)
-    )
 
 
 def radius_cells_of(alphas: int, betas: int, gammas: int, deltas: int) -> tuple[int, int, int, int]:
@@ -316,12 +225,12 @@ def _delay_cells(
     if delay.size == 1 or not fineness:
         return np.column_stack([delay, delay, at_nodes])
     edges = _delay_edges(delay, fineness)
-    known = dict(zip(delay.tolist(), at_nodes, strict=True))
+    ends_at = dict(zip(delay.tolist(), at_nodes, strict=True))
     stations = _stations(edges, delay)
-    for edge in (edge for edge in stations if edge not in known):
+    for edge in (edge for edge in stations if edge not in ends_at):
         alpha, beta = _wall_axes(spec, *hands, edge, reach)
-        known[edge] = alpha[0], alpha[-1], beta[0], beta[-1]
-    ends = np.array([known[station] for station in stations])
+        ends_at[edge] = alpha[0], alpha[-1], beta[0], beta[-1]
+    ends = np.array([ends_at[station] for station in stations])
     along = np.stack([np.interp(edges, stations, column) for column in ends.T], axis=-1)
     low, high = np.minimum(along[1:], along[:-1]), np.maximum(along[1:], along[:-1])
     walls_of = [low[:, 0], high[:, 1], low[:, 2], high[:, 3]]
@@ -378,15 +287,6 @@ def _delay_edges(delay: Float64[np.ndarray, " delay"], fineness: int) -> list[fl
         inner = np.geomspace(low + 0.5, high + 0.5, count + 1)[1:-1] - 0.5
         edges += [*inner.tolist(), high]
     return edges
-
-
-def plant_axis(spec: AtlasSpec, name: str) -> Float64[np.ndarray, " node"]:
-    """Return the nodes of gamma or delta; those by tolerance with the other one at its ends."""
-    axis = getattr(spec, name)
-    if not isinstance(axis, ToleranceAxis):
-        return np.array(axis)
-    across = ends_of(getattr(spec, "delta" if name == "gamma" else "gamma"))
-    return tolerant_nodes(axis, name, across, np.array(spec.delay).tolist(), spec.filters)
 
 
 def _wall_axes(
@@ -476,60 +376,3 @@ def _fitted_alpha(
 def _fitted_beta(count: int, lowest: float, highest: float) -> Float64[np.ndarray, " count"]:
     margin = _MARGIN * (highest - lowest)
     return np.linspace(lowest - margin, highest + margin, count)
-
-
-# The same range with more or fewer nodes: the counts along each axis of a specification.
-
-Counts = Mapping[str, int]
-
-"""Of nodes along alpha and beta, of cells along gamma and delta, and ``limit_cells`` and
-``delay_cells`` of the limits of alpha."""
-
-WALLS, HANDS, OF_LIMITS = ("alpha", "beta"), ("gamma", "delta"), ("limit_cells", "delay_cells")
-
-
-def with_known_nodes(spec: AtlasSpec) -> AtlasSpec:
-    """A specification whose axes by tolerance are nodes."""
-    return replace(spec, **{name: plant_axis(spec, name).tolist() for name in HANDS})
-
-
-def counts_of(spec: AtlasSpec) -> dict[str, int]:
-    """Return the counts of a specification with known nodes; no cells where only delays are."""
-    along: dict[str, int] = {name: _length(getattr(spec, name)) for name in (*WALLS, *HANDS)}
-    along |= {name: max(1, along[name] - 1) for name in HANDS}
-    cells = 0 if is_fixed(spec, "delay_cells") else int(spec.delay_cells or 0)
-    return along | {"limit_cells": spec.limit_cells, "delay_cells": cells}
-
-
-def is_fixed(spec: AtlasSpec, name: str) -> bool:
-    """Whether a count cannot be another one: an axis of one node, or limits at delays alone."""
-    if name == "delay_cells":
-        return not spec.delay_cells or _length(spec.delay) == 1
-    return name in HANDS and _length(getattr(spec, name)) == 1
-
-
-def with_counts(spec: AtlasSpec, counts: Counts) -> AtlasSpec:
-    """A specification of the same range with other counts; nodes stay as dense as they were."""
-    now = counts_of(spec)
-    changed: dict[str, Any] = {}
-    for name in (name for name in counts if counts[name] != now[name]):
-        if name in OF_LIMITS:
-            changed[name] = counts[name]
-        elif isinstance(getattr(spec, name), FittedAxis):
-            changed[name] = replace(getattr(spec, name), count=counts[name])
-        else:
-            nodes, count = np.array(getattr(spec, name)), counts[name] + (name in HANDS)
-            places = np.linspace(0.0, nodes.size - 1.0, count)
-            changed[name] = np.interp(places, np.arange(nodes.size), nodes).tolist()
-    return replace(spec, **changed)
-
-
-def least_count(spec: AtlasSpec, name: str) -> int:
-    """Return the smallest count that a specification may have."""
-    if name not in WALLS:
-        return 1
-    return FEWEST_FITTED if isinstance(getattr(spec, name), FittedAxis) else 2
-
-
-def _length(axis: Any) -> int:
-    return axis.count if isinstance(axis, FittedAxis) else len(axis)

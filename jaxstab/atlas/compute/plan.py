@@ -1,4 +1,4 @@
-"""The work that a specification needs, and why the rest is not needed."""
+"""The work that a specification needs."""
 
 from dataclasses import dataclass
 from math import prod
@@ -9,10 +9,8 @@ from jaxtyping import Float64
 from numpy.typing import NDArray
 
 from jaxstab.atlas.compute.layout import Grid, lay_out
-from jaxstab.atlas.format.schema import (
-    VARIABLES,
-)
-from jaxstab.atlas.format.spec import AtlasSpec, ToleranceAxis
+from jaxstab.atlas.format.schema import VARIABLES
+from jaxstab.atlas.format.spec import AtlasSpec
 from jaxstab.atlas.format.variables import LARGEST_ARRAY
 from jaxstab.atlas.products.limits import ALPHA_LIMITS
 from jaxstab.atlas.products.radii import RADIUS_CELL
@@ -36,26 +34,9 @@ class Tile(NamedTuple):
     delay: int
 
 
-class Share(NamedTuple):
-    """The evaluated part of the requested points of a variable, and why the others need not be."""
-
-    variable: str
-    requested: int
-    evaluated: int
-    reason: str = ""
-    is_estimated: bool = False
-
-    def __str__(self) -> str:
-        about = "about " if self.is_estimated and self.evaluated else ""
-        requested = f"{self.variable}: {_points(self.requested)} requested"
-        words = f"{requested}, {about}{self.evaluated} evaluated"
-        left_out = self.requested - self.evaluated
-        return words + (f"\n  {about}{left_out} not: {self.reason}" if left_out else "")
-
-
 @dataclass(frozen=True)
 class Plan:
-    """The work that a specification needs; printed, it gives the amount and the skipped parts.
+    """The work that a specification needs; printed, it gives the amount, and what is left out.
 
     ``plan_atlas`` makes one. A product is computed variable by variable, on the nodes of the grid
     or in its cells; nothing is computed for a product that was not chosen.
@@ -66,8 +47,8 @@ class Plan:
 
     Example:
         >>> plan = jaxstab.plan_atlas(jaxstab.AtlasSpec(delay=(1.0,), products=("alpha_limits",)))
-        >>> len(plan.tiles), [share.variable for share in plan.shares()]
-        (3, ['alpha_limits'])
+        >>> len(plan.tiles), plan.variables
+        (3, ('alpha_limits',))
     """
 
     spec: AtlasSpec
@@ -106,11 +87,10 @@ class Plan:
         if dimension == RADIUS_CELL[-1]:
             return self.grid.delay_cells(tile.delay, self.grid.radius_range)
         count = self.grid.lengths[dimension]
-        one = {"gamma": tile.gamma, "delay": tile.delay}
-        inside = {name: range(number, number + 1) for name, number in one.items()}
-        inside |= {"delta": tile.delta}
-        part = inside.get(dimension.removesuffix("_cell"), range(count))
-        return range(part.start, max(part.start, min(part.stop, count)))
+        gamma, delay = (range(index, index + 1) for index in (tile.gamma, tile.delay))
+        inside = {"gamma": gamma, "delta": tile.delta, "delay": delay}
+        indices = inside.get(dimension.removesuffix("_cell"), range(count))
+        return range(indices.start, max(indices.start, min(indices.stop, count)))
 
     def shape(self, variable: str, tile: Tile) -> tuple[int, ...]:
         """Return the shape of the part of a variable that is in a tile."""
@@ -146,22 +126,15 @@ class Plan:
         half = 0.5 * np.diff(ends, axis=-1)[..., 0] * (1.0 + OVERLAP)
         return HandBoxes(*ends.mean(axis=-1).T, *half.T)
 
-    def shares(self) -> list[Share]:
-        """The evaluated share of each variable, estimated from two slices of each delay."""
-        chosen = (PRODUCTS[product] for product in self.spec.products)
-        return [product.share(self, name) for product in chosen for name in product.gridded]
-
-    def points(self, variable: str) -> int:
-        """Return how many values of a gridded variable there are."""
-        return prod(self.grid.lengths[dimension] for dimension in VARIABLES[variable].dimensions)
-
     def __str__(self) -> str:
         lines = [_axis_line(self, name) for name in ("gamma", "delta")]
         degrees = (f"{d:g} (degree {_degree(d, self.spec)})" for d in self.grid.delay.tolist())
         lines.append(f"delay: {', '.join(degrees)}; each computed at its own degree")
         if ALPHA_LIMITS in self.variables:
             lines.append(_delay_cells_line(self))
-        lines += map(str, self.shares())
+        for name in self.variables:
+            count = prod(self.grid.lengths[axis] for axis in VARIABLES[name].dimensions)
+            lines.append(f"{name}: {count} values")
         slices = prod(self.grid.shape[2:])
         lines += [
             f"{name}: {slices} slices, each from the closed form, without a grid"
@@ -209,15 +182,10 @@ def _degree(delay: float, spec: AtlasSpec) -> int:
 
 
 def _axis_line(plan: Plan, name: str) -> str:
-    nodes, axis = getattr(plan.grid, name), getattr(plan.spec, name)
+    nodes = getattr(plan.grid, name)
     if nodes.size == 1:
         return f"{name}: fixed at {nodes[0]:g}, not gridded"
-    text = f"{name}: {nodes.size} nodes from {nodes[0]:g} to {nodes[-1]:g}"
-    if isinstance(axis, ToleranceAxis):
-        text += (
-            f", as many as keep the boundary's motion between two of them below {axis.tolerance:g}"
-        )
-    return text
+    return f"{name}: {nodes.size} nodes from {nodes[0]:g} to {nodes[-1]:g}"
 
 
 def _delay_cells_line(plan: Plan) -> str:
@@ -228,7 +196,3 @@ def _delay_cells_line(plan: Plan) -> str:
         f"limits of alpha: {len(cells)} cells of delays from {cells[0, 0]:g} to {cells[-1, 1]:g}, "
         "whole samples on their edges"
     )
-
-
-def _points(count: int) -> str:
-    return f"{count} point" + ("s" if count != 1 else "")

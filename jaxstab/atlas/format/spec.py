@@ -101,8 +101,8 @@ _LIMIT_CELLS = 256, 128  # at delays alone, and between them
 _SPACINGS: Mapping[str, Callable[..., Any]] = {"linear": np.linspace, "geometric": np.geomspace}
 _OF_FIELDS = {"where": ("near", "all"), "method": ("fast", "companion")}
 _RANGE = ("start", "stop", "count", "spacing")
-_TOLERANT = ("start", "stop", "tolerance")
 _REACH = ("least", "most")
+_FITTED = ("alpha", "beta")
 _LINE_LENGTH = 90
 
 
@@ -134,43 +134,13 @@ class FittedAxis:
                 object.__setattr__(self, name, number)
 
 
-@dataclass(frozen=True)
-class ToleranceAxis:
-    """An axis of gamma or delta with as few nodes as a tolerance allows, at least its two ends.
-
-    Args:
-        start: the first node, >= 0.
-        stop: the last node, > start.
-        tolerance: how far the boundary of a stable region may move from one node to the next, as a
-            share of the region's extents in alpha and beta; in [0.001, 1].
-
-    Raises: see ``jaxstab.conventions``.
-
-    Example:
-        >>> axis = jaxstab.ToleranceAxis(0.0, 0.001, tolerance=0.01)
-        >>> jaxstab.AtlasSpec(gamma=axis).gamma.stop
-        0.001
-    """
-
-    start: float | int
-    stop: float | int
-    tolerance: float | int = field(kw_only=True)
-
-    def __post_init__(self) -> None:
-        for name, *limits in (("start", 0.0), ("stop", 0.0), ("tolerance", 1e-3, 1.0)):
-            number = checked_number(f"{name} of an axis", getattr(self, name), *limits)
-            object.__setattr__(self, name, number)
-        if not self.start < self.stop:
-            raise ValueError(f"an axis goes from {self.start} to {self.stop}; give stop > start.")
-
-
 @dataclass(frozen=True, kw_only=True)
 class AtlasSpec:
     """The axes and products of an atlas; without arguments, the paper's haptic range (15).
 
     Args:
         alpha: nodes, two or more, or a FittedAxis for each delay; so is beta.
-        gamma: nodes, one or more, or a ToleranceAxis; so is delta.
+        gamma: nodes, one or more; so is delta.
         delay: delays t_d/T in [0, 100], whole or fractional; each has its own grid.
         products: what to compute, of "verdict", "alpha_limits", "spectral_radius", "fields",
             "outline" and "summary"; by default the first four.
@@ -202,8 +172,8 @@ class AtlasSpec:
 
     alpha: Nodes | FittedAxis = field(default_factory=partial(FittedAxis, 128))
     beta: Nodes | FittedAxis = field(default_factory=partial(FittedAxis, 112))
-    gamma: Nodes | ToleranceAxis = tuple(np.linspace(0.0, 1e-3, 3).tolist())
-    delta: Nodes | ToleranceAxis = tuple(np.linspace(0.0, 0.015, 9).tolist())
+    gamma: Nodes = tuple(np.linspace(0.0, 1e-3, 3).tolist())
+    delta: Nodes = tuple(np.linspace(0.0, 0.015, 9).tolist())
     delay: Nodes = (0.0, 1.0, 2.0, 3.0)
     products: Sequence[str] = ("verdict", "alpha_limits", "spectral_radius", FIELDS)
     limit_cells: int = 0
@@ -216,7 +186,7 @@ class AtlasSpec:
     def __post_init__(self) -> None:
         for name in AXES:
             value = getattr(self, name)
-            if not isinstance(value, _LAID_OUT.get(name, ())):
+            if not (name in _FITTED and isinstance(value, FittedAxis)):
                 object.__setattr__(self, name, _checked_nodes(name, value))
         object.__setattr__(self, "products", _checked_products(self.products))
         if self.delay_cells is None:
@@ -250,9 +220,8 @@ class AtlasSpec:
 
         An axis is a list of nodes, or a table with ``values``, or one with ``start``, ``stop``,
         ``count`` and perhaps ``spacing`` ("linear" or "geometric"). For alpha and beta it may have
-        ``fitted``, a count, and perhaps ``least`` and ``most``, and for gamma and delta ``start``,
-        ``stop`` and ``tolerance``. The tables ``velocity`` and ``position`` are of
-        ``jaxstab.atlas.format.spec``.
+        ``fitted``, a count, and perhaps ``least`` and ``most``. The tables ``velocity`` and
+        ``position`` are of ``jaxstab.atlas.format.spec``.
 
         Raises: see ``jaxstab.conventions``; ValueError also if it is no TOML, or has an unknown
         name.
@@ -280,20 +249,9 @@ class AtlasSpec:
         return "\n".join(entries) + "\n"
 
 
-_LAID_OUT: Mapping[str, type] = {
-    "alpha": FittedAxis,
-    "beta": FittedAxis,
-    "gamma": ToleranceAxis,
-    "delta": ToleranceAxis,
-}
-
 _FILTERS: Mapping[str, Callable[[Any], Velocity | Filter]] = {
     "velocity": velocity_of,
     "position": position_of,
-}
-_ENTRIES: Mapping[type, list[str]] = {
-    FittedAxis: [*_REACH, "fitted"],
-    ToleranceAxis: ["tolerance"],
 }
 
 
@@ -316,29 +274,22 @@ def _as_written(name: str, value: Velocity | Filter | None) -> Velocity | Filter
 
 
 def _least_count(axis: Any) -> int:
-    if isinstance(axis, FittedAxis):
-        return axis.count
-    return 2 if isinstance(axis, ToleranceAxis) else len(axis)
+    return axis.count if isinstance(axis, FittedAxis) else len(axis)
 
 
 def _axis_of(name: str, entry: Any) -> Any:
     if not isinstance(entry, Mapping):
         return entry
-    allowed = ["values", *_RANGE, *_ENTRIES.get(_LAID_OUT.get(name, object), [])]
-    check_keys(name, entry, allowed)
+    is_fitted = name in _FITTED
+    check_keys(name, entry, ["values", *_RANGE, *((*_REACH, "fitted") if is_fitted else ())])
     if "fitted" in entry and set(entry) <= {"fitted", *_REACH}:
         return FittedAxis(entry["fitted"], entry.get("least"), entry.get("most"))
     if set(entry) == {"values"}:
         return entry["values"]
-    if set(entry) == set(_TOLERANT):
-        return ToleranceAxis(
-            **{key: checked_number(f"{key} of {name}", entry[key]) for key in _TOLERANT}
-        )
     if set(entry) | {"spacing"} != set(_RANGE):
-        others = {"fitted": ", or fitted", "tolerance": ", or start, stop and tolerance"}
         raise ValueError(
             f"axis {name} has {', '.join(entry) or 'nothing'}; give either values, or start, stop "
-            f"and count{others.get(allowed[-1], '')}."
+            f"and count{', or fitted' if is_fitted else ''}."
         )
     return _spaced(name, **entry)
 
@@ -354,7 +305,7 @@ def _spaced(name: str, start: Any, stop: Any, count: Any, spacing: Any = "linear
 
 
 def _checked_nodes(name: str, values: Any) -> tuple[float, ...]:
-    if isinstance(values, str | Mapping | FittedAxis | ToleranceAxis) or not isinstance(
+    if isinstance(values, str | Mapping | FittedAxis) or not isinstance(
         values, Sequence | np.ndarray
     ):
         raise TypeError(f"axis {name} is {values!r}; give a list of numbers.")
@@ -391,8 +342,6 @@ def _toml(value: Any) -> str:
         ends = {name: getattr(value, name) for name in _REACH}
         given = [f", {name} = {end!r}" for name, end in ends.items() if end is not None]
         return f"{{ fitted = {value.count}{''.join(given)} }}"
-    if isinstance(value, ToleranceAxis):
-        return "{ " + ", ".join(f"{key} = {getattr(value, key)!r}" for key in _TOLERANT) + " }"
     if isinstance(value, Velocity | Filter):
         return toml_of(value)
     if not isinstance(value, tuple):

@@ -8,8 +8,8 @@ above upper + error it is unstable, between lower + error and upper - error stab
 atlas leaves it undecided. Many points are answered by one of the two surfaces, where that one alone
 decides (``_deciding``).
 
-Some axes hold the whole stable set: ``compute.beyond`` proves of which cells of delays, and a wall
-beyond such an axis is unstable.
+Some axes hold the whole stable set: ``compute.verdicts`` proves of which cells of delays, and a
+wall beyond such an axis is unstable.
 """
 
 from bisect import bisect_right
@@ -23,13 +23,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxstab.atlas.format.variables import Variable, numbers
-from jaxstab.atlas.products.product import Array, Arrays, Floats, Product
+from jaxstab.atlas.products.product import Array, Floats, Product
 from jaxstab.conventions import Verdict
 from jaxstab.rounding import PLANES
 
 if TYPE_CHECKING:
     from jaxstab.atlas.compute.layout import Grid, Reach
-    from jaxstab.atlas.compute.plan import Plan, Share, Tile
+    from jaxstab.atlas.compute.plan import Plan, Tile
     from jaxstab.model.filters import Filters
 
 ALPHA_LIMITS = "alpha_limits"
@@ -99,11 +99,6 @@ class Limits(Product):
     rows = LIMIT_RANGE
     lengths = {"limit_term": 2 * LIMIT_TERMS, "limit_end": 6}  # noqa: RUF012
     unit = LIMITS[:4]
-    knobs = "gamma", "delta", "limit_cells", "delay_cells"
-    power = 2.0
-    error = "limit_error"
-    quantile = 0.95
-    has_calls = True
 
     def compute(self, plan: "Plan", tile: "Tile") -> dict[str, Array]:
         from jaxstab.proofs.columns import stable_columns
@@ -126,7 +121,7 @@ class Limits(Product):
         return {ALPHA_LIMITS: limits.reshape(shape)}
 
     def known_before(self, grid: "Grid", filters: "Filters | None") -> dict[str, Array]:
-        from jaxstab.atlas.compute.beyond import whole_axes
+        from jaxstab.atlas.compute.verdicts import whole_axes
 
         return {LIMIT_RANGE: grid.limit_range, LIMIT_WHOLE: whole_axes(grid, filters)}
 
@@ -136,36 +131,30 @@ class Limits(Product):
         limits = np.split(values, 2, axis=-1)
         return all(np.all(np.isfinite(v[..., 1:-1])) and v[..., -1].min() >= 0.0 for v in limits)
 
-    def share(self, plan: "Plan", variable: str) -> "Share":
-        from jaxstab.atlas.compute.plan import Share
-
-        requested = plan.points(variable) // (2 * LIMIT_TERMS)
-        return Share(variable, requested, requested)
-
     def part(self, grid: "Grid", place: Floats) -> "Grid":
         delay, gamma, delta, beta = place
         columns, ends = grid.row_at(grid.limit_range, delay, grid.limit_cells, _COLUMNS, beta)
         part = grid.slice_at(0.0, gamma, delta).without_walls(ends)
         return replace(part, limit_cells=columns, limit_range=ends)
 
-    def judged(
-        self, grid: "Grid", arrays: Arrays, reach: "Reach | None", chance: np.random.Generator
-    ) -> tuple[Floats, float]:
-        early, late, least, most, low, high = grid.limit_range[0].tolist()
-        terms = arrays[ALPHA_LIMITS].reshape(-1, 2 * LIMIT_TERMS)
-        column = np.repeat(np.arange(len(terms)), _PER_COLUMN)
-        beta = low + (column + chance.random(column.size)) / len(terms) * (high - low)
-        ends = *((nodes[0], nodes[-1]) for nodes in (grid.gamma, grid.delta)), (early, late)
-        others = [chance.uniform(*pair, column.size) for pair in ends]
-        limits = limits_at(terms[column].T, beta, *others)
-        undecided = float(undecided_share(limits, least, most).mean())
-        if reach is None:
-            return np.zeros(0), undecided
-        stable = (limits.lower < inf) & ((limits.upper < inf) | (limits.upper_error == inf))
-        return limits.upper_error[stable] / reach.along(others[-1][stable])[:, 0], undecided
-
 
 _COLUMNS, _PER_COLUMN = 64, 4  # of a part, and points in each at which it is judged
+
+
+def upper_errors(
+    grid: "Grid", limits: Array, reach: "Reach", chance: np.random.Generator
+) -> Floats:
+    """Return errors of the upper limits of a part, over the largest stable alpha at their delay."""
+    early, late, _, _, low, high = grid.limit_range[0].tolist()
+    terms = limits.reshape(-1, 2 * LIMIT_TERMS)
+    column = np.repeat(np.arange(len(terms)), _PER_COLUMN)
+    beta = low + (column + chance.random(column.size)) / len(terms) * (high - low)
+    ends = *((nodes[0], nodes[-1]) for nodes in (grid.gamma, grid.delta)), (early, late)
+    others = [chance.uniform(*pair, column.size) for pair in ends]
+    at = limits_at(terms[column].T, beta, *others)
+    stable = (at.lower < inf) & ((at.upper < inf) | (at.upper_error == inf))
+    errors: Floats = at.upper_error[stable] / reach.along(others[-1][stable])[:, 0]
+    return errors
 
 
 def in_float32(terms: Floats, largest: tuple[float, float, float, float]) -> NDArray[np.float32]:
@@ -613,9 +602,9 @@ class LimitTable:
             number = numbers[point]
             edges = np.arange(self._cells + 1) / self._per_beta[number] + self._beta[number]
             sides = np.stack([edges[:-1], edges[1:]])  # planes are highest at their sides
-            one = slice(point, point + 1)
+            here = slice(point, point + 1)
             least, most = (end[number] for end in self.delays.ends["alpha"])
-            found_at = limits_at(columns[:, row].T, sides, gamma[one], delta[one], delay[one])
+            found_at = limits_at(columns[:, row].T, sides, gamma[here], delta[here], delay[here])
             at = within(found_at, least, most)
             top = np.minimum(at.upper - at.upper_error, most)
             holds = at.lower + at.lower_error < top

@@ -5,7 +5,7 @@ that is particular to one is in its module, as a subclass of ``Product`` beside 
 
 - its variables, which values of them a reader accepts, and how they fit together;
 - ``compute``: what a tile of a build holds of it, and ``known_before``: what no tile holds;
-- ``part`` and ``judged``: a small part of it, from which a plan tells cost and errors;
+- ``part``: a small part of it, from which a plan tells its cost;
 - ``checks``: how ``jaxstab atlas verify`` compares a file with a new computation.
 
 Format, build, plan and verification go through ``products.table.PRODUCTS`` and ask each object. So
@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 from jaxstab.atlas.format.variables import SLICE, Variable
 
 if TYPE_CHECKING:
-    from jaxstab.atlas.compute.layout import Grid, Reach
-    from jaxstab.atlas.compute.plan import Plan, Share, Tile
+    from jaxstab.atlas.compute.layout import Grid
+    from jaxstab.atlas.compute.plan import Plan, Tile
     from jaxstab.atlas.read.atlas import Atlas
     from jaxstab.model.filters import Filters
 
@@ -64,8 +64,8 @@ class Stored:
     def places(self, counts: Sequence[int]) -> list[Place]:
         """Return some of the slices, each once."""
         slices = prod(counts)
-        some = self.chance.choice(slices, min(_SLICES, self.sample, slices), replace=False)
-        places: list[Place] = np.stack(np.unravel_index(some, counts), axis=-1).tolist()
+        chosen = self.chance.choice(slices, min(_SLICES, self.sample, slices), replace=False)
+        places: list[Place] = np.stack(np.unravel_index(chosen, counts), axis=-1).tolist()
         return places
 
     def loop(self, place: Place) -> tuple[float, float, float]:
@@ -88,11 +88,6 @@ class Product:
         strung: variables of counts, and the dimension along which these places are strung.
         lengths: the lengths of dimensions that no atlas may change.
         unit: the dimensions of what its cost is proportional to.
-        knobs: the counts of a specification on which its error depends.
-        power: of the fall of the error, with all of these counts.
-        error: the error of ``Resolution`` that finer cells reduce.
-        quantile: the share of errors that keep the one that is said; 0 for an undecided share.
-        has_calls: whether each tile and cell of delays costs a time beside that of its units.
     """
 
     name: ClassVar[str]
@@ -103,11 +98,6 @@ class Product:
     strung: ClassVar[Mapping[str, str]] = {}
     lengths: ClassVar[Mapping[str, int]] = {}
     unit: ClassVar[tuple[str, ...]] = SLICE
-    knobs: ClassVar[tuple[str, ...]] = ()
-    power: ClassVar[float] = 0.0
-    error: ClassVar[str] = ""
-    quantile: ClassVar[float] = 0.0
-    has_calls: ClassVar[bool] = False
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -138,23 +128,10 @@ class Product:
             if counts in arrays
         )
 
-    def share(self, plan: "Plan", variable: str) -> "Share":
-        """Return how many of the points of a variable are evaluated."""
-        from jaxstab.atlas.compute.plan import Share
-
-        requested = plan.points(variable)
-        return Share(variable, requested, requested)
-
     def part(self, grid: "Grid", place: Floats) -> "Grid":
         """Return the grid of a part, where delay, gamma, delta and beta are at shares of ranges."""
         delay, gamma, delta, _ = place.tolist()
         return grid.slice_at(delay, gamma, delta, boxes=0)
-
-    def judged(
-        self, grid: "Grid", arrays: Arrays, reach: "Reach | None", chance: np.random.Generator
-    ) -> tuple[Floats, float]:
-        """Return errors at points of a part, and the share of it that is undecided."""
-        return np.zeros(0), np.nan
 
     def checks(self, stored: Stored) -> Iterator[Check]:
         """Compare a file with a new computation."""

@@ -21,7 +21,7 @@ from jaxstab.atlas.products.product import Array, Arrays, Check, Floats, Product
 from jaxstab.rounding import OVERLAP, ROOTS, SURFACES
 
 if TYPE_CHECKING:
-    from jaxstab.atlas.compute.layout import Grid, Reach
+    from jaxstab.atlas.compute.layout import Grid
     from jaxstab.atlas.compute.plan import Plan, Tile
     from jaxstab.atlas.read.atlas import Atlas
     from jaxstab.model.filters import Filters
@@ -106,10 +106,6 @@ class Radii(Product):
     rows = RADIUS_RANGE
     lengths = {"radius_term": TERMS_OF_RADIUS, "radius_end": 6}  # noqa: RUF012
     unit = RADIUS_CELL
-    knobs = "alpha", "beta", "gamma", "delta"
-    power = 3.0
-    error = "radius_error"
-    quantile = 0.5
 
     def compute(self, plan: "Plan", tile: "Tile") -> dict[str, Array]:
         """Return the functions of a tile, one cell of delays after the other."""
@@ -172,18 +168,6 @@ class Radii(Product):
             radius_range=ends,
         )
 
-    def judged(
-        self, grid: "Grid", arrays: Arrays, reach: "Reach | None", chance: np.random.Generator
-    ) -> tuple[Floats, float]:
-        """Return the errors of points that are proved stable."""
-        hands = {"gamma": grid.gamma, "delta": grid.delta}
-        table = RadiusTable({**arrays, **hands, RADIUS_RANGE: grid.radius_range})
-        early, late, *walls = grid.radius_range[0].tolist()
-        ends = *np.reshape(walls, (2, 2)), *hands.values(), (early, late)
-        low, high = table.bounds([chance.uniform(side[0], side[-1], _POINTS) for side in ends])
-        stable = low + high < 2.0
-        return 0.5 * (np.minimum(high, 1.0) - low)[stable], np.nan
-
     def checks_of_answers(
         self, atlas: "Atlas", sample: int, chance: np.random.Generator
     ) -> Iterator[Check]:
@@ -208,7 +192,7 @@ class Radii(Product):
         yield Check(SPECTRAL_RADIUS, wrong == 0, f"{wrong} of {each * _ROWS} points are wrong")
 
 
-_BETAS, _POINTS = 16, 2**12  # cells along beta of a part, and points at which it is judged
+_BETAS = 16  # cells along beta of a part
 _ROWS = 16  # cells of delays that are verified
 _STEP = 1 / 64  # of an error: terms are multiples of less than this, which take little room
 _LEAST_ERROR = 1e-9
@@ -223,12 +207,12 @@ def _parts(ends: Floats, count: int) -> tuple[Floats, float]:
     return low + half * (2.0 * np.arange(count) + 1.0), half * (1.0 + OVERLAP)
 
 
-def _in_float32(known: "RadiusSurfaces") -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+def _in_float32(surfaces: "RadiusSurfaces") -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """Return the kinds of cells and the terms of their functions, with what rounding loses."""
     from jaxstab.proofs.radius_cells import WIDEST_CLUSTER, SurfaceKind
 
-    kind, terms = known.kind.astype(np.int32), known.terms.copy()
-    errors = np.concatenate([known.error, np.zeros((1, kind.size))])
+    kind, terms = surfaces.kind.astype(np.int32), surfaces.terms.copy()
+    errors = np.concatenate([surfaces.error, np.zeros((1, kind.size))])
     is_known = (kind != SurfaceKind.NONE) & np.all(np.abs(terms) < _LARGEST, axis=(0, 1))
     is_known &= np.all(np.isfinite(errors), axis=0)
     terms[..., ~is_known], errors[:, ~is_known], kind[~is_known] = 0.0, np.inf, SurfaceKind.ONE

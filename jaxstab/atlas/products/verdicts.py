@@ -5,19 +5,18 @@ none. ``compute.verdicts`` proves both column by column; a reader looks them up 
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from math import prod
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jaxstab.atlas.format.variables import CELL, CODES, NODE, SLICE, Variable
-from jaxstab.atlas.products.product import Array, Arrays, Check, Floats, Place, Product, Stored
+from jaxstab.atlas.products.product import Array, Check, Floats, Place, Product, Stored
 from jaxstab.conventions import Verdict
 
 if TYPE_CHECKING:
-    from jaxstab.atlas.compute.layout import Grid, Reach
-    from jaxstab.atlas.compute.plan import Plan, Share, Tile
+    from jaxstab.atlas.compute.layout import Grid
+    from jaxstab.atlas.compute.plan import Plan, Tile
 
 VERDICT = "verdict"
 CELL_VERDICT = "cell_verdict"
@@ -51,9 +50,6 @@ class Verdicts(Product):
     variables = _VARIABLES
     gridded = VERDICT, CELL_VERDICT
     unit = ("beta_node", *SLICE)
-    knobs = "alpha", "beta", "gamma", "delta"
-    power = 1.0
-    error = "undecided"
 
     def compute(self, plan: "Plan", tile: "Tile") -> dict[str, Array]:
         from jaxstab.atlas.compute.verdicts import cell_verdicts, node_verdicts
@@ -69,29 +65,8 @@ class Verdicts(Product):
             CELL_VERDICT: np.moveaxis(cells, 0, -1).reshape(plan.shape(CELL_VERDICT, tile)),
         }
 
-    def share(self, plan: "Plan", variable: str) -> "Share":
-        from jaxstab.atlas.compute.plan import Share
-
-        requested = plan.points(variable)
-        if variable == VERDICT:
-            why = "between two pieces of the boundary, with one proved verdict for a whole column"
-            return Share(variable, requested, _undecided_nodes(plan), why, is_estimated=True)
-        columns = requested // plan.grid.lengths["alpha_cell"]
-        return Share(
-            variable,
-            requested,
-            0,
-            f"proved, or left undecided, in {columns} columns of cells as a whole",
-        )
-
     def part(self, grid: "Grid", place: Floats) -> "Grid":
         return grid.slice_at(*place[:3].tolist())
-
-    def judged(
-        self, grid: "Grid", arrays: Arrays, reach: "Reach | None", chance: np.random.Generator
-    ) -> tuple[Floats, float]:
-        axes = [grid.alpha[:, 0], grid.beta[:, 0], grid.gamma, grid.delta]
-        return np.zeros(0), 1.0 - decided_share([((0, 0, 0, 0, 0), arrays[CELL_VERDICT])], axes)
 
     def checks(self, stored: Stored) -> Iterator[Check]:
         for name, points_at in ((VERDICT, _nodes_at), (CELL_VERDICT, _points_in_cells)):
@@ -104,18 +79,6 @@ class Verdicts(Product):
                 point = points_at(stored, i, j, place)
                 wrong += wrong_codes(codes[i, j], point, stored.filters)
             yield Check(name, wrong == 0, f"{wrong} of {each * len(places)} points are wrong")
-
-
-def _undecided_nodes(plan: "Plan") -> int:
-    """Estimate how many nodes no column decides, from the first and the last hand."""
-    from jaxstab.atlas.compute.verdicts import undecided_nodes
-
-    grid, total = plan.grid, 0.0
-    hands = grid.gamma[[0, -1]], grid.delta[[0, -1]]
-    for index in range(grid.delay.size):
-        alpha, beta, delay = grid.walls(index)
-        total += float(undecided_nodes(alpha, beta, *hands, delay, plan.spec.filters).mean())
-    return round(total * prod(grid.shape[2:4]))
 
 
 def _some(

@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxstab.arrays import tree_map
-from jaxstab.atlas.format.schema import VARIABLES, attributes_of, head_attributes
 from jaxstab.atlas.format.variables import SPEC
 from jaxstab.atlas.products.limits import (
     ALPHA_LIMITS,
@@ -296,9 +295,9 @@ def _ends(atlas: "Atlas", delay: float) -> tuple[tuple[float, float], tuple[floa
         nodes = atlas.nodes(int(np.searchsorted(atlas.delays, delay)))
         alpha, beta = ((float(axis[0]), float(axis[-1])) for axis in list(nodes.values())[:2])
         return alpha, beta
-    known = ", ".join(f"{node:g}" for node in atlas.delays.tolist())
+    delays = ", ".join(f"{node:g}" for node in atlas.delays.tolist())
     raise ValueError(
-        f"delay of the loop is {delay!r} samples, and this atlas answers at {known} alone; ask "
+        f"delay of the loop is {delay!r} samples, and this atlas answers at {delays} alone; ask "
         "another atlas, or build one."
     )
 
@@ -342,8 +341,6 @@ class Atlas:
         >>> low, high = atlas.common_alpha_limits(0.3, **hands, delay=1.0)
         >>> low < high, round(high, 2)
         (True, 0.13)
-        >>> atlas.to_xarray()["verdict"].dims
-        ('alpha_node', 'beta_node', 'gamma', 'delta', 'delay')
         >>> axes = atlas.plot(delay=1.0)
     """
 
@@ -402,11 +399,10 @@ class Atlas:
         delay: Numbers,
         outside: Outside = "error",
         exact: bool = False,
-        velocity: Any = None,
-        position: Any = None,
     ) -> AtlasAnswer:
         """Verdicts and radii of points of any broadcast shape, each proved or called undecided.
 
+        The atlas answers for its own estimator and filter (``filters``; ``for_loop`` checks them).
         At a node of the grid the verdict is what was computed there. Between nodes it is given
         where the limits of alpha, or the proof for the whole cell, decide it, and is UNDECIDED
         elsewhere: at all delays for which there are limits, or else at those of ``delays``.
@@ -416,17 +412,13 @@ class Atlas:
             alpha, beta, gamma, delta, delay: see ``jaxstab.conventions``.
             outside: "error" to refuse points outside of the atlas, "undecided" to call them so.
             exact: settle UNDECIDED points inside by computation.
-            velocity: the velocity estimator that you mean, in units of one sample; an atlas of
-                another one refuses. Without it and ``position`` the atlas answers for its own.
-            position: likewise, the position filter.
 
         Raises: see ``jaxstab.conventions``; ValueError also for points outside of the atlas, unless
-        ``outside`` is "undecided", and if it has another estimator or filter than the named one.
+        ``outside`` is "undecided".
 
         Source: ``jaxstab.proofs.columns``.
         """
         checked_word("outside", outside, ("error", "undecided"))
-        self._check_filters(velocity, position)
         points = np.broadcast_arrays(*all_checked((alpha, beta, gamma, delta, delay)))
         shape = points[0].shape
         has_verdicts = VERDICT in self.arrays or ALPHA_LIMITS in self.arrays
@@ -457,14 +449,11 @@ class Atlas:
         delay: Numbers,
         outside: Outside = "error",
         exact: bool = False,
-        velocity: Any = None,
-        position: Any = None,
     ) -> NDArray[np.int8]:
         """The verdicts of ``query`` alone (int8 codes), faster where limits of alpha decide.
 
         Arguments, errors and source: as ``query``.
         """
-        self._check_filters(velocity, position)
         given = (alpha, beta, gamma, delta, delay)
         if outside == "error":
             codes = self._verdict_by_limits(given)
@@ -523,19 +512,6 @@ class Atlas:
         """
         table = self._table_over(None, beta, gamma, delta, delay)
         return table.common_limits(beta, gamma, delta, delay)
-
-    def _check_filters(self, velocity: Any, position: Any) -> None:
-        if velocity is None and position is None:
-            return
-        from jaxstab.atlas.format.spec import words_of
-        from jaxstab.model.filters import known_filters
-
-        named = known_filters(velocity, position)
-        if named != self.filters:
-            raise ValueError(
-                f"the query is for {words_of(named)}, and this atlas is of "
-                f"{self.filters_in_words}; open another atlas, or build one."
-            )
 
     def _verdict_by_limits(self, given: Sequence[Numbers]) -> NDArray[np.int8] | None:
         """Return what the limits of alpha say; None where they are missing or do not reach."""
@@ -598,24 +574,6 @@ class Atlas:
         walls = {"beta": beta} | ({} if alpha is None else {"alpha": alpha})
         numbers = {name: checked_number(name, value) for name, value in walls.items()}
         return self._table_and_points(checked_number("delay", delay), **ranges, **numbers)[0]
-
-    def to_xarray(self) -> Any:
-        """Return all arrays as an xarray.Dataset; RuntimeError if xarray is not installed."""
-        try:
-            import xarray
-        except ImportError as error:
-            raise RuntimeError(
-                "an xarray.Dataset needs xarray: python -m pip install 'jaxstab[xarray]'."
-            ) from error
-        variables = {}
-        for name, values in self.arrays.items():
-            said = attributes_of(VARIABLES[name])
-            said.pop("coordinates", None)  # xarray takes it for its own
-            variables[name] = VARIABLES[name].dimensions, values, said
-        head = head_attributes(self.created_by, self.filters_in_words)
-        for product in self.products:
-            head |= PRODUCTS[product].attributes(self.arrays)
-        return xarray.Dataset(variables, attrs=head).set_coords(["alpha", "beta"])
 
     def outline(self, *, gamma: float, delta: float, delay: float) -> AtlasOutline:
         """The boundary of the stable region of a slice that is a node, with its corners.
