@@ -73,6 +73,9 @@ _OPTIONS: dict[str, tuple[str, str, Any, str]] = {  # table and key of a scene, 
         str,
         "Velocity as this software estimates it; jaxstab scene presets lists names.",
     ),
+    "friction": ("device", "friction", float, "Coulomb friction in N, of simulated contacts."),
+    "push": ("contact", "push", float, "Push of the hand in N, of simulated contacts."),
+    "speed": ("contact", "speed", float, "Speed in m/s at which they meet the wall."),
 }
 
 
