@@ -292,6 +292,7 @@ def _corrector() -> Callable[..., tuple[Array, Array, Array]]:
     """Return the compiled program that solves for a point of a branch in each lane."""
     import jax
     import jax.numpy as jnp
+    import lineax
     import optimistix
 
     newton: Any = optimistix.Newton(rtol=0.0, atol=_CONVERGED)
@@ -307,16 +308,22 @@ def _corrector() -> Callable[..., tuple[Array, Array, Array]]:
         def residual(u: Array, _: None) -> tuple[Array, Array]:
             here = jax.lax.stop_gradient(u)
             value, rows = equations(here, lanes)
-            along = jnp.cross(*rows)
+            first, second = rows
+            along = jnp.cross(first, second)
             across = jnp.where(jnp.any(normal != 0.0), normal, along)
-            slopes = jnp.concatenate([rows, across[None]])
-            size = jnp.linalg.norm(slopes, axis=1)
-            distance = jnp.append(value, normal @ (here - guess)) / size
-            # Linear in u, with the derivatives at hand: JAX has nothing to differentiate.
-            return distance + (slopes / size[:, None]) @ (u - here), rows
+            sides = jnp.stack([jnp.cross(second, across), jnp.cross(across, first), along])
+            distance = jnp.append(value, normal @ (here - guess))
+            # The derivatives are at hand: solved for, the equations have those of u itself.
+            return (u - here) + distance @ sides / (across @ along), rows
 
         found: Any = optimistix.root_find(
-            residual, newton, guess, has_aux=True, max_steps=_MOST_STEPS, throw=False
+            residual,
+            newton,
+            guess,
+            has_aux=True,
+            max_steps=_MOST_STEPS,
+            throw=False,
+            tags=frozenset({lineax.diagonal_tag}),
         )
         return found.value, found.aux, found.result == optimistix.RESULTS.successful
 
