@@ -125,12 +125,20 @@ def _table(plane: tuple[str, str]) -> dict[str, dict[str, int]]:
 
 
 def loop_quantities(loop: LoopParameters) -> dict[str, float]:
-    """Return the physical quantities of a loop under the names used here."""
+    """Return the physical quantities of a loop under the names used here.
+
+    TypeError: the device is not one mass.
+    """
+    body = loop.body
+    if body is None:
+        raise TypeError(
+            f"the device ({loop.device}) is not one mass; a trace takes mass, spring and damper."
+        )
     return {
-        "mass": loop.mass,
+        "mass": body.mass,
         "sample_time": loop.sample_time,
-        "physical_stiffness": loop.hand_stiffness,
-        "physical_damping": loop.device_damping + loop.hand_damping,
+        "physical_stiffness": body.stiffness,
+        "physical_damping": body.damping,
         "time_delay": loop.delay,
     }
 
@@ -151,12 +159,14 @@ def _filters_of(
         return None
     ranges = {**fixed, **dict(zip(plane, window, strict=True))}
     periods = np.unique(ranges.get("sample_time", 1.0)).tolist()
-    first, *others = [tuple(part.per_sample(period) for part in given) for period in periods]
+    first, *others = [(given[0].per_sample(each), given[1].per_sample(each)) for each in periods]
     if any(other != first for other in others):
         raise ValueError(
-            f"the filters ({given[0]}; {given[1]}) change with sample_time, which is {periods}; "
-            "fix sample_time, or give filters in samples."
+            f"velocity is {given[0]} and position {given[1]}, which change with sample_time; fix "
+            "sample_time, or give windows in samples and factors in place of cut-offs."
         )
+    for part in (first[0].filter, first[1]):
+        part.transfer()  # refuses what is too long
     return first
 
 
@@ -282,6 +292,7 @@ def _corrector() -> Callable[..., tuple[Array, Array, Array]]:
     """Return the compiled program that solves for a point of a branch in each lane."""
     import jax
     import jax.numpy as jnp
+    import lineax
     import optimistix
 
     newton: Any = optimistix.Newton(rtol=0.0, atol=_CONVERGED)
@@ -297,21 +308,27 @@ def _corrector() -> Callable[..., tuple[Array, Array, Array]]:
         def residual(u: Array, _: None) -> tuple[Array, Array]:
             here = jax.lax.stop_gradient(u)
             value, rows = equations(here, lanes)
-            along = jnp.cross(*rows)
+            first, second = rows
+            along = jnp.cross(first, second)
             across = jnp.where(jnp.any(normal != 0.0), normal, along)
-            slopes = jnp.concatenate([rows, across[None]])
-            size = jnp.linalg.norm(slopes, axis=1)
-            distance = jnp.append(value, normal @ (here - guess)) / size
-            # Linear in u, with the derivatives at hand: JAX has nothing to differentiate.
-            return distance + (slopes / size[:, None]) @ (u - here), rows
+            sides = jnp.stack([jnp.cross(second, across), jnp.cross(across, first), along])
+            distance = jnp.append(value, normal @ (here - guess))
+            # The derivatives are at hand: solved for, the equations have those of u itself.
+            return (u - here) + distance @ sides / (across @ along), rows
 
         found: Any = optimistix.root_find(
-            residual, newton, guess, has_aux=True, max_steps=_MOST_STEPS, throw=False
+            residual,
+            newton,
+            guess,
+            has_aux=True,
+            max_steps=_MOST_STEPS,
+            throw=False,
+            tags=frozenset({lineax.diagonal_tag}),
         )
         return found.value, found.aux, found.result == optimistix.RESULTS.successful
 
     # What is not of each lane is of the plane.
-    of_lane = Lanes(Monomials(1, None, None, None), 0, None)
+    of_lane: Any = Lanes(Monomials(1, None, None, None), 0, None)  # type: ignore[arg-type]
     program = jax.jit(jax.vmap(correct, in_axes=(0, 0, of_lane)))
 
     def in_float64(*arguments: Any) -> tuple[Array, Array, Array]:
@@ -564,8 +581,9 @@ def trace_boundary(
         window: lower and upper end of each axis.
         loop: gives the physical quantities beside K and B that are neither axes nor fixed, and the
             velocity estimator and the position filter.
-        velocity, position: estimator and filter in place of those of the loop, in SI units in a
-            physical plane and in units of one sample in a dimensionless one.
+        velocity: estimator in place of that of the loop, in SI units in a physical plane and in
+            units of one sample in a dimensionless one.
+        position: filter in place of that of the loop, in the same units.
         resolution: largest step along a branch and size of the smallest boxes, as a part of the
             window (and of pi for theta), in [1e-3, 0.25].
         **fixed: a value for each other quantity of the same kind. Lists, all of one length, ask for
@@ -576,7 +594,8 @@ def trace_boundary(
         smaller than three resolutions may be missed where it lies next to another branch.
 
     Raises: see ``jaxstab.conventions``; ValueError also if a name is unknown, missing or doubled, a
-    window empty, or lists are of several lengths.
+    window empty, lists are of several lengths, or filters change with a sampling period that is an
+    axis or a list; TypeError if the loop's device is not one mass.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) on the unit circle; pseudo-arclength
     continuation (Keller 1977); exclusion boxes, ``exclude`` of jaxstab/proofs/exclusion.py.

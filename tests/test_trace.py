@@ -9,7 +9,7 @@ from mpmath import mp
 
 from benchmarks import truth
 from benchmarks.truth import filtered
-from jaxstab import Filter, HapticLoop, Velocity
+from jaxstab import Device, Filter, HapticLoop, Mode, Velocity
 from jaxstab.paper import minus_line
 from jaxstab.proofs.exclusion import Loops, exclude
 from jaxstab.region import boundary_curve
@@ -424,6 +424,27 @@ def test_filters_of_one_kind_share_a_program():
     for velocity in (Velocity.difference(samples=20), Velocity.butterworth(0.1, order=4)):
         trace_boundary(("alpha", "beta"), window, delay=1.0, velocity=velocity, **slices)
     assert not compiled
+
+
+def test_a_device_gives_the_physical_quantities_of_its_one_mass():
+    window, chosen = ((0.0, 1e3), (0.0, 5e-3)), {"damping": 10.0, "resolution": 0.1}
+    plane = "physical_stiffness", "time_delay"
+    device = Device.mass_spring_damper(0.1, damping=1.5)
+    given = HapticLoop(device=device, sample_time=1e-3)
+    one, other = (
+        trace_boundary(plane, window, loop=loop, stiffness=1e3, **chosen) for loop in (given, LOOP)
+    )
+    assert np.array_equal(one.points, other.points)
+    mode = Mode(frequency=100.0, damping_ratio=0.02, modal_mass=0.05)
+    soft = Device.modes([mode], mass=0.1, damping=1.5)
+    with pytest.raises(TypeError, match="is not one mass"):
+        trace_boundary(
+            plane,
+            window,
+            loop=HapticLoop(device=soft, sample_time=1e-3),
+            stiffness=1e3,
+            **chosen,
+        )
 
 
 def test_filters_in_s_have_one_sampling_period():
