@@ -82,6 +82,7 @@ def is_traced(value: object) -> bool:
 
 def is_any_traced(*trees: object) -> bool:
     """Return whether JAX traces a leaf of nested values."""
+    _register_once()
     return "jax" in sys.modules and any(map(is_traced, leaves(trees, plain=False)))
 
 
@@ -94,8 +95,7 @@ def are_numbers(*trees: object) -> bool:
 
 def namespace(*values: object) -> Any:
     """Return ``jax.numpy`` if a leaf of the values is a JAX array or a tracer, else ``numpy``."""
-    if _unregistered and hasattr(sys.modules.get("jax"), "Array"):  # JAX is loaded by now
-        _register()
+    _register_once()
     if is_any_jax(values):
         import jax.numpy
 
@@ -166,8 +166,7 @@ def pytree(cls: Class) -> Class:
     ``tree_unflatten`` what its arrays are.
     """
     _unregistered.append(cls)
-    if "jax" in sys.modules:
-        _register()
+    _register_once()
     return cls
 
 
@@ -176,7 +175,10 @@ def fixed() -> Any:
     return field(metadata={"static": True})
 
 
-def _register() -> None:
+def _register_once() -> None:
+    """Tell JAX of the pytrees, if it is loaded by now."""
+    if not _unregistered or not hasattr(sys.modules.get("jax"), "Array"):
+        return
     import jax
 
     while _unregistered:

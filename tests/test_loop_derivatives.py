@@ -1,5 +1,7 @@
 """A loop as a pytree: derivatives by all that it is made of, against differences in 50 digits."""
 
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -297,3 +299,19 @@ def test_a_traced_whole_delay_is_a_fraction_of_zero() -> None:
     np.testing.assert_allclose(np.sort(np.abs(poles))[1:], np.sort(np.abs(own)), rtol=1e-9)
     assert np.abs(poles).min() < 1e-12
     assert jax.jit(lambda loop: loop.verdict(*WALL))(PLAIN) == Verdict.STABLE
+
+
+def test_jax_may_be_imported_after_jaxstab() -> None:
+    """In a process of its own: what a loop is made of is known to JAX by the first use."""
+    code = (
+        "from dataclasses import replace\n"
+        "import jaxstab\n"
+        "loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)\n"
+        "loop.limits()\n"
+        "import jax\n"
+        "jax.config.update('jax_enable_x64', True)\n"
+        "print(jax.grad(lambda mass: replace(loop, device_mass=mass).limits().stiffness)(0.25))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    own = jax.grad(lambda mass: replace(PLAIN, device_mass=mass, delay=0.0).limits().stiffness)
+    assert float(done.stdout) == pytest.approx(float(own(0.25)), rel=1e-12)
