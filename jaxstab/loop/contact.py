@@ -170,7 +170,7 @@ def contact_map(
     """Simulate contacts with many walls, or with one wall under many conditions.
 
     Large maps are computed by one program of JAX, in float64 whatever its flag says, on all cores,
-    4,096 runs at a time: about ten million samples per second and core, in little memory.
+    1,024 runs at a time: about ten million samples per second and core, in little memory.
 
     Args:
         loop: device and hand are one mass.

@@ -17,6 +17,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float64
 
+from jaxstab.arrays import is_any_traced
 from jaxstab.loop.many import resolved
 from jaxstab.loop.region import TOLERANCE, Gains, WallLimits, WallRegion, wall_region
 from jaxstab.model import LoopParameters, characteristic_polynomial
@@ -79,7 +80,7 @@ def _search(structure: Any) -> Callable[..., Array]:
 
     @found.def_vmap
     def together(size: int, is_batched: list[bool], *leaves: Array) -> tuple[Array, bool]:
-        if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+        if is_any_traced(*leaves):
             axes = [0 if batched else None for batched in is_batched]
             return jax.vmap(found.fun, axes)(*leaves), True
         rows = zip(*(np.broadcast_to(np.asarray(leaf), size) for leaf in leaves), strict=True)
