@@ -253,7 +253,7 @@ def test_a_specification_of_a_scene_is_planned(tmp_path: Path) -> None:
     small = replace(spec, **axes, delta=spec.delta[-1:], limit_cells=8, delay=spec.delay[-1:])
     planned = run("atlas", "plan", scene_file(tmp_path, small.to_toml()))
     assert planned.exit_code == 0, planned.stderr
-    assert "144 points requested" in planned.stdout
+    assert "verdict: 144 values" in planned.stdout
 
 
 def test_tolerances_widen_the_ranges_and_whole_delays_are_nodes() -> None:
