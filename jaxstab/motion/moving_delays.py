@@ -8,8 +8,8 @@ The search does not find the largest growth; what it returns is one sequence, an
 grows is proved in balls (lemma J2 of docs/proofs.md).
 """
 
-from collections.abc import Iterator, Sequence
-from functools import cache, reduce
+from collections.abc import Sequence
+from functools import cache, lru_cache, reduce
 from itertools import groupby, product
 from math import ceil, inf, isinf
 from typing import Any, NamedTuple
@@ -90,6 +90,9 @@ def growing_turn(
     return fastest, growth > 1.0
 
 
+_segments = lru_cache(maxsize=512)(segments_of)
+
+
 class _Search:
     """Turns of one wall, each sample's matrix formed once."""
 
@@ -99,22 +102,17 @@ class _Search:
         self._step = cache(lambda segments: loop.step(segments, oldest))
 
     def growths(self, turns: Sequence[Turn]) -> list[Growth]:
-        """Return the growth of turns of one length."""
+        """Return the growth of turns."""
         with np.errstate(all="ignore"):
             matrices = np.stack([self._matrix(turn) for turn in turns])
             matrices = np.where(np.isfinite(matrices), matrices, 0.0)
             radii = np.abs(np.linalg.eigvals(matrices)).max(axis=-1)
-        each = radii ** (1.0 / len(turns[0]))
+        each = radii ** (1.0 / np.array([*map(len, turns)]))
         return [Growth(turn, float(one)) for turn, one in zip(turns, each, strict=True)]
 
     def patterns(self, longest: int) -> list[Growth]:
         """Return the growth of all patterns of the ends of the range, the fastest first."""
-        letters = sorted({self.delays.low, self.delays.high}) + [inf] * (self.delays.lost > 0)
-        found: list[Growth] = []
-        for length in range(1, longest + 1):
-            turns = [turn for turn in _turns(letters, length) if self.delays.allows(turn)]
-            found += self.growths(turns) if turns else []
-        return sorted(found, key=_fastest_first)
+        return sorted(self.growths(_patterns(self.delays, longest)), key=_fastest_first)
 
     def climbed(self, best: list[Growth]) -> list[Growth]:
         """Return what hill climbing makes of the fastest turns."""
@@ -134,7 +132,7 @@ class _Search:
         return sorted(found, key=_fastest_first)
 
     def _matrix(self, turn: Turn) -> np.ndarray:
-        steps = map(self._step, segments_of(turn))
+        steps = map(self._step, _segments(turn))
         return reduce(lambda total, step: step @ total, steps)
 
 
@@ -148,12 +146,16 @@ def _fastest_first(growth: Growth) -> tuple[float, int]:
     return -growth.per_sample, len(growth.turn)
 
 
-def _turns(letters: Sequence[float], length: int) -> Iterator[Turn]:
-    """Yield turns of a length, each once up to rotation, and no repetition of a shorter one."""
-    for turn in product(letters, repeat=length):
-        rotated = [turn[k:] + turn[:k] for k in range(1, length)]
-        if all(turn < other for other in rotated):
-            yield turn
+@lru_cache(maxsize=16)
+def _patterns(delays: Range, longest: int) -> list[Turn]:
+    """Return all turns of the ends of the range, each once up to rotation and repetition."""
+    letters = sorted({delays.low, delays.high}) + [inf] * (delays.lost > 0)
+    return [
+        turn
+        for length in range(1, longest + 1)
+        for turn in product(letters, repeat=length)
+        if all(turn < turn[k:] + turn[:k] for k in range(1, length)) and delays.allows(turn)
+    ]
 
 
 def _changed(turn: Turn, letters: Sequence[float], random: np.random.Generator) -> Turn:
