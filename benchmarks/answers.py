@@ -3,8 +3,7 @@
 Random points of its whole range, between its nodes, are asked in one call and one by one: at each
 of its delays, at any delay between them, and next to the limits of alpha, to the faces of their
 cells and to whole delays. ``error`` is the share of points without a right verdict: undecided, or
-wrong by ``verdict(resolve="exact")``. Spectral radii are asked at a part of the points; there it is
-the share without a radius, or with one that is outside of its bound by ``spectral_radius``.
+wrong by ``verdict(resolve="exact")``.
 ``undecided_of_cells`` is the share that all cells of limits leave open, in their middles, and
 ``undecided_at_best_beta``, say, what as many cells would at least leave if their widths along beta
 were the best ones.
@@ -25,7 +24,6 @@ from jaxstab.conventions import AXES, Verdict
 from jaxstab.model import by_name
 
 MEASURE = "share of random points without a right verdict: undecided or wrong"
-RADIUS_MEASURE = "share of random points without a radius, or with one outside of its bound"
 SMALL = jaxstab.AtlasSpec(
     alpha=jaxstab.FittedAxis(8),
     beta=jaxstab.FittedAxis(8),
@@ -42,7 +40,6 @@ Points = list[np.ndarray]
 _CALL = 1_000_000  # points
 _CALLS = 3  # for each delay
 _ONE_BY_ONE = 1000
-_RADII, _FEW_RADII = 10_000, 200  # each at a delay of its own, where any is asked for
 
 
 def rows(small: bool) -> Iterator[Row]:
@@ -120,10 +117,8 @@ def _rows(atlas: jaxstab.Atlas, section: str, lists: list[Points], small: bool) 
     ones = [by_name(*point) for point in each]
     exact = [np.asarray(jaxstab.verdict(**by_name(*some), resolve="exact")) for some in lists]
     said = [atlas.verdict(**by_name(*some)) for some in lists]
-    asked = [values[: _FEW_RADII if small else _RADII] for values in lists[0]]
     rivals: dict[str, Callable[[], Any]] = {
         "atlas, many points": lambda: atlas.verdict(**by_name(*lists[0])),
-        "atlas, radii": lambda: atlas.query(**by_name(*asked)),
         "atlas, one by one": lambda: [atlas.verdict(**point) for point in ones],
         "verdict": lambda: jaxstab.verdict(**by_name(*lists[0])),
     }
@@ -132,7 +127,6 @@ def _rows(atlas: jaxstab.Atlas, section: str, lists: list[Points], small: bool) 
     on_the_spot = np.asarray(timings["verdict"].answer)
     place = section, float(lists[0][4].max())
     yield _row(*place, "atlas, many points", timings, points, said, exact)
-    yield _radius_row(*place, timings["atlas, radii"], asked)
     yield _row(*place, "atlas, one by one", timings, len(ones), [one_by_one], exact)
     yield _row(*place, "verdict", timings, points, [on_the_spot], exact)
 
@@ -227,31 +221,6 @@ _PLACES: dict[str, Callable[[jaxstab.Atlas, np.random.Generator, Points], Points
     "next to faces": _beside_faces,
     "next to whole delays": _beside_whole_delays,
 }
-
-
-def _radius_row(section: str, delay: float, timing: Timing, asked: Points) -> Row:
-    answer, exact = timing.answer, jaxstab.spectral_radius(**by_name(*asked))
-    radius, error = np.asarray(exact.value), np.asarray(exact.error)
-    is_known = np.isfinite(answer.radius_error)
-    off = np.abs(answer.spectral_radius - radius)
-    wrong = is_known & ~(off <= answer.radius_error + error)
-    of_stable = answer.radius_error[radius < 1.0]
-    return {
-        "section": section,
-        "method": "atlas, radii",
-        "delay": delay,
-        "points": radius.size,
-        **timing.columns(),
-        "seconds_per_point": float(np.median(timing.cpu_seconds)) / radius.size,
-        "asked": radius.size,
-        "error": float(np.mean(wrong | ~is_known)),
-        "error_measure": RADIUS_MEASURE,
-        "undecided": float(np.mean(~is_known)),
-        "wrong": int(wrong.sum()),
-        "unjudged": int(np.sum(np.isnan(radius))),
-        "median_bound": float(np.median(of_stable)),
-        "bound_of_99_percent": float(np.quantile(of_stable, 0.99)),
-    }
 
 
 def _row(

@@ -148,7 +148,7 @@ def _methods(atlas: jaxstab.Atlas, asked: Asked) -> dict[str, tuple[Callable[[],
 
 def _of_atlas(atlas: jaxstab.Atlas, asked: Asked) -> Answer:
     answer = atlas.query(**by_name(*asked.axes, asked.delay), outside="undecided")
-    return Answer(answer.verdict, answer.spectral_radius)
+    return Answer(answer.verdict, np.full(answer.verdict.shape, np.nan))
 
 
 def _of_nearest(

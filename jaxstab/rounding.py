@@ -56,10 +56,6 @@ ELEMENTARY = 4 * EPS
 # and the rest hold; what moves to products with t stays in the size. Inverses: 12 UNIT. 64 count.
 LINEAR_MODEL = 32 * EPS
 
-# One operation on quadratics, of the sum of the sizes of its terms (lemma B18): a term of a product
-# has 4 products and 5 sums, and the constant is counted twice: at most 18 UNIT. 32 are counted.
-QUADRATIC_MODEL = 16 * EPS
-
 # Coefficients of a plant over a box, of their size: they are right to UNIT, the secants to 6, and
 # gamma and delta at the ends of the box to UNIT: at most 100 of d1, as gamma h(1) <= gamma^(1/2).
 PLANT_MODEL = 64 * EPS
@@ -75,10 +71,6 @@ PLANES = 1e-14
 # Coefficients in powers of z - 1 of a stage of a filter, of the size of those in z: sums of three
 # pairs, themselves right to FILTERS / 16 (lemma V8).
 SHIFTED = 2.0**-94
-
-# Radii, of 1: from bounds of two of them; by square roots of surfaces; of a cubic's roots, whose
-# own residual is added.
-RADII, ROOTS, SURFACES = 1e-15, 1e-14, 1e-13
 
 # More than any sum of numbers that are flushed to zero.
 UNDERFLOW = 1e-290

@@ -18,7 +18,7 @@ from jaxstab.atlas.format import schema as footer
 from jaxstab.atlas.format.schema import Chunked, values_digest
 from jaxstab.atlas.format.spec import words_of
 from jaxstab.atlas.format.table import Place, table_text
-from jaxstab.atlas.products.radii import RADIUS_CELL
+from jaxstab.atlas.format.variables import SLICE
 from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.read.file import Array
 
@@ -185,21 +185,15 @@ ELSEWHERE: dict[str, Edit] = {
     "a beta that rounding swallows": become(
         "beta", lambda v: 1.0 + 2.0**-50 * np.arange(len(v))[:, None] * np.ones((1, v.shape[1]))
     ),
-    "radii at a beta that rounding swallows": put(
-        "radius_range", [1.0, 1.0 + 2.0**-45], (0, [4, 5])
-    ),
     "lines of no text": become("spec", lambda v: np.array([b"\xff", *v[1:]], v.dtype)),
     "one alpha": become("alpha", lambda v: v[:1]),
     "node numbers": put("alpha_node", 7),
     "cell numbers": become("limit_cell", lambda v: v[::-1]),
     "a code beyond": put("verdict", 4),
     "a negative code": put("cell_verdict", -1),
-    "a kind of radii beyond": put("radius_kind", 5),
-    "cells of radii of no kind": put("radius_kind", 0),
-    "more functions of radii than there are": put("radius_kind", 4),
-    "terms of radii of NaN": put("radius_terms", np.nan),
-    "negative errors of radii": put("radius_terms", -1e-9, (-1, 0)),
-    "delays of radii that descend": become("radius_range", lambda v: v[::-1]),
+    "a negative radius": put("spectral_radius", -1.0),
+    "a damping ratio beyond": put("damping_ratio", 1.5),
+    "a number of poles beyond": put("outside", -2),
     "half a product": without("cell_verdict"),
     "no products": without(*(set(schema.VARIABLES) - schema.ALWAYS)),
     "no axis": without("gamma", "alpha_node"),
@@ -263,7 +257,7 @@ WORDS: dict[str, Callable[[str], str]] = {
     "escapes in the filters": sub("filters [^\n]*", "filters \x1b]0;title\x07"),
     "endless filters": sub("filters [^\n]*", "filters " + "a" * 5000),
     "letters beyond ASCII": sub("made by [^\n]*", "made by \xe9"),
-    "an overlap": sub(r"(\nradius_kind) \d+(\+\d+)", r"\1 8\2"),
+    "an overlap": sub(r"(\ncell_verdict) \d+(\+\d+)", r"\1 8\2"),
 }
 """What the readers of limits alone do not look at."""
 
@@ -287,26 +281,28 @@ def long_tables(base: Arrays) -> dict[str, bytes]:
 
 
 def longer_stream(base: Arrays) -> bytes:
-    """A chunk of radii that goes on for 64 MB when it is inflated."""
+    """A chunk of fields that goes on for 64 MB when it is inflated."""
     image, table = parted(assembled(base))
     packed = zlib.compress(bytes(2**26), 1)
     place = f"{len(image)}+{len(packed) + 4}"
-    text = re.sub(r"(\nradius_kind )\d+\+\d+", rf"\g<1>{place}", table.decode())
+    text = re.sub(r"(\noutside )\d+\+\d+", rf"\g<1>{place}", table.decode())
     return footer.sealed(image + packed + bytes(4), text.encode())
 
 
 def bomb(base: Arrays) -> bytes:
-    """A megabyte that promises 218 MB of kinds of radii, and has them: zeros."""
-    counts = 2048, 2048, 13, 1, 1
+    """A megabyte that promises 226 MB of fields, and has them: zeros."""
+    count, (gammas, deltas, delays) = 2048, (base[name].size for name in SLICE)
     arrays = dict(base)
     for name in ("verdict", "cell_verdict", *PRODUCTS["alpha_limits"].names):
         del arrays[name]
-    for name, count in zip(RADIUS_CELL, counts, strict=True):
-        arrays[name] = np.arange(count, dtype=np.int32)
-    first, last = base["radius_range"][0], base["radius_range"][-1]
-    arrays["radius_range"] = np.array([[first[0], last[1], *first[2:]]])
-    arrays["radius_kind"] = np.broadcast_to(np.int32(0), counts)
-    return assembled(arrays, {"radius_kind": (*counts[:2], 1, 1, 1)})
+    for name in ("alpha", "beta"):
+        arrays[f"{name}_node"] = np.arange(count, dtype=np.int32)
+        arrays[f"{name}_cell"] = np.arange(count - 1, dtype=np.int32)
+        arrays[name] = np.linspace(0.0, 1.0, count)[:, None] * np.ones((1, delays))
+    shape = count, count, gammas, deltas, delays
+    fields = PRODUCTS["fields"].names[:-1]
+    arrays |= {name: np.broadcast_to(base[name].dtype.type(0), shape) for name in fields}
+    return assembled(arrays, dict.fromkeys(fields, (count, count, 1, 1, 1)))
 
 
 def wrong_content(data: bytes) -> bytes:

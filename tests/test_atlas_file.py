@@ -29,7 +29,7 @@ from jaxstab import open_atlas, plan_atlas
 from jaxstab.atlas.compute.plan import compute_tile
 from jaxstab.atlas.format import schema
 from jaxstab.atlas.format import schema as footer
-from jaxstab.atlas.products.radii import RADIUS_CELL
+from jaxstab.atlas.format.variables import NODE
 from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.read import file
 from jaxstab.atlas.write.verify import verify_atlas
@@ -68,16 +68,11 @@ def test_what_is_computed_is_read(tmp_path: Path) -> None:
     contents, plan = file.read(write_small(tmp_path)), plan_atlas(SMALL)
     assert contents.created_by == f"jaxstab {jaxstab.__version__}"
     assert list(contents.arrays) == variables_of_small()
-    strung = []
     for tile in plan.tiles:
-        parts = compute_tile(plan, tile)
-        strung.append(parts.pop("radius_terms"))
-        for name, values in parts.items():
+        for name, values in compute_tile(plan, tile).items():
             places = (plan.numbers(d, tile) for d in schema.VARIABLES[name].dimensions)
             assert contents.arrays[name].dtype == values.dtype
             np.testing.assert_array_equal(contents.arrays[name][np.ix_(*places)], values)
-    terms = contents.arrays["radius_terms"]
-    np.testing.assert_array_equal(terms, np.concatenate(strung, axis=1))
 
 
 def test_every_dataset_is_checksummed_and_has_units_words_and_dimensions(tmp_path: Path) -> None:
@@ -226,7 +221,6 @@ def test_whatever_becomes_of_the_file_an_opened_atlas_answers_as_before(tmp_path
     path.write_bytes(data[: len(data) // 2] + bytes(len(data)))
     answer = atlas.query(**by_name(*point))
     assert answer.verdict == known.verdict
-    assert answer.spectral_radius == known.spectral_radius
     path.unlink()
     for name, values in whole.items():
         np.testing.assert_array_equal(atlas.arrays[name], values)
@@ -273,10 +267,8 @@ def test_what_is_too_large_is_refused_and_the_rest_answers(
     monkeypatch.setattr(file, "LARGEST_UNASKED", 0)
     monkeypatch.setattr(schema, "LARGEST_EXPANSION", 1)
     atlas = open_atlas(path)
-    size = 4 * prod(atlas.arrays[name].size for name in RADIUS_CELL)
-    assert f"has {size} bytes of radius_kind" in refusal(
-        path, lambda _: atlas.query(0.1, 0.5, gamma=0.0005, delta=0.01, delay=0.0)
-    )
+    size = 4 * prod(atlas.arrays[name].size for name in NODE)
+    assert f"has {size} bytes of frequency" in refusal(path, lambda _: atlas.arrays["frequency"])
     assert atlas.verdict(0.1, 0.5, gamma=0.0005, delta=0.01, delay=0.0) == jaxstab.Verdict.STABLE
     with pytest.raises(KeyError):
         atlas.arrays["passengers"]

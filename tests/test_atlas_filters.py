@@ -105,9 +105,6 @@ def test_an_atlas_answers_for_its_estimator(atlas: jaxstab.Atlas, rng: np.random
         assert np.any(
             exact != jaxstab.verdict(**by_name(*points, delay))
         )  # for the other loop it were wrong
-        radius = jaxstab.spectral_radius(**by_name(*points, delay), velocity=FIVE)
-        aside = np.abs(answer.spectral_radius - radius.value)
-        assert np.all(aside <= answer.radius_error + radius.error)
 
 
 def test_answers_hold_against_certified_roots(
@@ -152,7 +149,7 @@ def test_every_product_of_a_window_of_twenty(tmp_path: Path) -> None:
         delay=(1.0, 2.5),
         limit_cells=32,
         velocity=Velocity.difference(samples=20),
-        products=("verdict", "alpha_limits", "spectral_radius", "outline", "summary"),
+        products=("verdict", "alpha_limits", "fields", "outline", "summary"),
     )
     jaxstab.build_atlas(spec, path)
     result = CliRunner().invoke(main, ["atlas", "verify", str(path), "--sample", "100"])

@@ -80,7 +80,7 @@ def some_view(file: Path, rng: np.random.Generator) -> LoopAtlas:
 
 
 @pytest.mark.parametrize("file", [PLAIN, WINDOW])
-def test_verdicts_and_radii_are_those_of_the_loop(file: Path) -> None:
+def test_verdicts_are_those_of_the_loop(file: Path) -> None:
     rng, decided = np.random.default_rng(5), 0
     for _ in range(20):
         view = some_view(file, rng)
@@ -93,10 +93,6 @@ def test_verdicts_and_radii_are_those_of_the_loop(file: Path) -> None:
         known = codes != Verdict.UNDECIDED
         decided += int(known.sum())
         assert np.array_equal(codes[known], loop.verdict(stiffness, damping)[known])
-        exactly = loop.spectral_radius(stiffness, damping)
-        off = np.abs(answer.spectral_radius - exactly.value) - exactly.error
-        held = np.isfinite(answer.spectral_radius)
-        assert np.all(off[held] <= answer.radius_error[held])
         exact = view.verdict(stiffness[known], damping[known], exact=True)
         assert np.array_equal(exact, codes[known])
     assert decided > 500
@@ -286,11 +282,11 @@ def test_the_walls_of_a_scene_are_asked_at_each_corner(tmp_path: Path) -> None:
     assert {row["wall"] for row in rows} == {"soft", "stiff"}
     assert {row["verdict"] for row in rows} == {"stable", "unstable"}
     stiff = run("atlas", "query", WINDOW, "--scene", path, "--stiffness", "1e9", "--damping", "1")
-    assert stiff.stdout.count("unstable,nan,inf,cell") == len(corners)  # lemma B21
+    assert stiff.stdout.count("unstable,cell") == len(corners)  # lemma B21
     loops = [loop_of_member(scene, corner) for corner in corners]
     assert {int(loop.verdict(1e9, 1.0)) for loop in loops} == {Verdict.UNSTABLE}
     far = run("atlas", "query", WINDOW, "--scene", path, "--stiffness", "1", "--damping", "1e9")
-    assert far.stdout.count("undecided,nan,inf,outside") == len(corners)
+    assert far.stdout.count("undecided,outside") == len(corners)
     wall = "--stiffness", "500", "--damping", "5", "--format", "json"
     (one, *_) = json.loads(run("atlas", "query", WINDOW, "--scene", path, *wall).stdout)["points"]
     assert (one["wall"], one["stiffness"], one["mass"]) == ("", 500.0, 0.2)

@@ -16,7 +16,7 @@ def test_the_default_is_the_haptic_range_of_the_paper_for_delays_up_to_three() -
     assert (spec.gamma[0], spec.gamma[-1]) == (0.0, 0.001)
     assert (spec.delta[0], spec.delta[-1]) == (0.0, 0.015)
     assert spec.delay == (0.0, 1.0, 2.0, 3.0)
-    assert spec.products == ("verdict", "alpha_limits", "spectral_radius", "fields")
+    assert spec.products == ("verdict", "alpha_limits", "fields")
     assert (spec.where, spec.method) == ("near", "fast")
 
 

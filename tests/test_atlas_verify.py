@@ -1,4 +1,4 @@
-"""`atlas verify` finds what is wrong in a file: bytes, contents, verdicts, radii."""
+"""`atlas verify` finds what is wrong in a file: bytes, contents, verdicts, fields."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -18,10 +18,10 @@ from jaxstab.cli.main import main
 
 SPEC = AtlasSpec(
     alpha=FittedAxis(16), beta=FittedAxis(16), gamma=[0.0, 0.001], delta=[0.0, 0.015], delay=[1.0],
-    products=["verdict", "spectral_radius", "outline", "summary"],
+    products=["verdict", "fields", "outline", "summary"],
 )  # fmt: skip
 NAMES = [
-    "file", "schema", "content", "verdict", "cell_verdict", "outline", "summary", "spectral_radius",
+    "file", "schema", "content", "verdict", "cell_verdict", "fields", "outline", "summary",
     "answers",
 ]  # fmt: skip
 
@@ -86,8 +86,8 @@ def test_an_image_that_is_not_what_the_table_says_is_found(whole: bytes, tmp_pat
 
 def test_a_single_changed_value_under_a_right_footer_is_found(image: bytes, tmp_path: Path) -> None:
     def change(opened: h5py.File) -> None:
-        value = opened["radius_terms"][0, 0]
-        opened["radius_terms"][0, 0] = np.nextafter(value, value + value)
+        value = opened["stable_area"][0, 0, 0]
+        opened["stable_area"][0, 0, 0] = np.nextafter(value, value + value)
 
     assert verified(edited(change, image), tmp_path) == (1, ["content"])
 
@@ -106,7 +106,7 @@ def wipe(opened: h5py.File) -> None:
 
 
 def boast(opened: h5py.File) -> None:
-    opened["radius_terms"][-1] = 2.0**-60
+    opened["spectral_radius"][...] *= 1.0 - 1e-5
 
 
 def scale(name: str, factor: float) -> Callable[[h5py.File], None]:
@@ -137,8 +137,8 @@ def cut_off(opened: h5py.File) -> None:
         (scale("beta_of_least_radius", 1.0 + 1e-5), {"summary"}),
         (swap("verdict"), {"verdict"}),
         (wipe, {"verdict"}),
-        (swap("cell_verdict"), {"cell_verdict", "spectral_radius", "answers"}),
-        (boast, {"spectral_radius"}),
+        (swap("cell_verdict"), {"cell_verdict", "answers"}),
+        (boast, {"fields"}),
     ],
 )
 def test_wrong_values_under_right_digests_are_found_by_computing_them_again(
@@ -158,7 +158,7 @@ def test_a_radius_that_cannot_be_computed_is_not_taken_for_right(
         return radius._replace(value=np.full_like(radius.value, np.nan))
 
     monkeypatch.setattr("jaxstab.point.spectral_radius", lost)
-    assert verified(whole, tmp_path) == (1, ["spectral_radius"])
+    assert verified(whole, tmp_path) == (1, ["fields"])
 
 
 def test_outlines_that_are_counted_wrong_are_refused(image: bytes, tmp_path: Path) -> None:

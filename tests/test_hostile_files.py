@@ -71,7 +71,7 @@ def base(tmp_path_factory: pytest.TempPathFactory) -> Base:
 def codes_of(atlas: Atlas, points: np.ndarray) -> np.ndarray:
     """What Python says, with the code of the other readers outside of the limits of alpha.
 
-    They read nothing else; where there are no limits Python may know a radius.
+    They read nothing else.
     """
     answer = atlas.query(**by_name(*points.T), outside="undecided")
     early, late = atlas.arrays["limit_range"][:, :2].T
@@ -195,7 +195,7 @@ def test_no_reader_takes_a_hostile_file_for_an_atlas(
 def test_28_many_codes_in_a_small_file_do_not_fill_the_memory(base: Base, tmp_path: Path) -> None:
     """252 MB of codes, unpacked from 4.2 MB at the first question."""
     counts, arrays = (2048, 2048, 1, 1, 60), dict(base.arrays)
-    chosen = {*PRODUCTS["alpha_limits"].names, *PRODUCTS["spectral_radius"].names}
+    chosen = {*PRODUCTS["alpha_limits"].names, *PRODUCTS["fields"].names}
     arrays = {name: values for name, values in arrays.items() if name not in chosen}
     for name, count in zip(NODE[:2], counts, strict=False):
         cells = name.replace("node", "cell")

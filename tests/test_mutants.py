@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import jaxstab
-from jaxstab.proofs.radius_cells import CellPolynomial, _bend
 from jaxstab.region.filtered_curve import PoleLine
 from jaxstab.region.pieces import _all_inside
 
@@ -23,22 +22,6 @@ def test_batched_counts_of_roots_are_those_of_numpys_roots() -> None:
     assert 50 < inside.sum() < 350
     for array in (np.asarray, jnp.asarray):
         assert np.asarray(_all_inside(array(falling))).tolist() == inside.tolist()
-
-
-def test_the_bend_of_a_polynomial_bounds_its_second_derivative() -> None:
-    """followed_roots: the Taylor coefficients in the middle, by repeated division."""
-    rng = np.random.default_rng(6)
-    for degree in range(3, 9):
-        p = np.append(1.0, rng.normal(size=degree))
-        start, reach = 1.4 * np.exp(1j * rng.uniform(0.0, 3.0)), 0.1
-        terms = np.zeros((degree + 1, 3, 1))
-        terms[:, 0, 0] = p
-        cell = CellPolynomial(terms, np.zeros((degree + 1, 1)))
-        bound = float(_bend(cell, np.array([start]), np.array([reach]))[0])
-        away = start + reach * np.exp(1j * np.linspace(0.0, 6.2, 60))
-        largest = np.abs(np.polyval(np.polyder(p, 2), away)).max()
-        assert largest <= bound
-        assert bound < 20.0 * largest
 
 
 @pytest.mark.parametrize("width", [1e-3, 0.3, 1.0, 2.0])

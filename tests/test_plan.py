@@ -27,7 +27,6 @@ from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.write.resolution import estimate_build
 from jaxstab.results import QueryStatus, RegionStatus
 
-RADII = ("radius_kind", "radius_terms")
 ONE_SLICE = {"gamma": [0.001], "delta": [0.015], "products": ["verdict"]}
 
 
@@ -41,7 +40,7 @@ def test_a_plan_counts_the_values_of_every_variable() -> None:
         f"cell_verdict: {23 * 19 * 1 * 2 * 2} values",
     ):
         assert line in plan.splitlines()
-    for name in ("alpha_limits", "radius_kind", "spectral_radius"):
+    for name in ("alpha_limits", "spectral_radius"):
         assert re.search(rf"(?m)^{name}: \d+ values$", plan)
     assert "1.5 (degree 5)" in plan
 
@@ -62,17 +61,13 @@ def test_a_tile_is_the_same_alone_and_in_an_atlas_of_any_tiles(
     plan, whole = plan_atlas(SMALL), small_contents().arrays
     monkeypatch.setattr("jaxstab.atlas.compute.plan.TILE_NODES", 1)
     assert len(plan.tiles) == 2 * 3 * 2
-    strung = []
     for tile in plan.tiles[::-1]:
-        parts = compute_tile(plan, tile)
-        strung.append(parts.pop("radius_terms"))
-        for name, values in parts.items():
+        for name, values in compute_tile(plan, tile).items():
             places = (plan.numbers(dimension, tile) for dimension in VARIABLES[name].dimensions)
             np.testing.assert_array_equal(values, whole[name][np.ix_(*places)])
-    np.testing.assert_array_equal(np.concatenate(strung[::-1], axis=1), whole["radius_terms"])
 
 
-@pytest.mark.parametrize("product", ["verdict", "spectral_radius"])
+@pytest.mark.parametrize("product", ["verdict", "fields"])
 def test_what_is_not_asked_for_is_not_computed(
     product: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -81,10 +76,9 @@ def test_what_is_not_asked_for_is_not_computed(
         products=[product],
     )  # fmt: skip
     plan = plan_atlas(spec)
-    other = {"verdict": "spectral_radius", "spectral_radius": "verdict"}[product]
+    other = {"verdict": "fields", "fields": "verdict"}[product]
     monkeypatch.setattr(PRODUCTS[other], "compute", None)
-    computed = {"verdict": PRODUCTS["verdict"].names, "spectral_radius": RADII}[product]
-    assert set(compute_tile(plan, plan.tiles[0])) == set(computed)
+    assert set(compute_tile(plan, plan.tiles[0])) == set(PRODUCTS[product].names)
     assert f"{other}: not requested" in str(plan)
 
 

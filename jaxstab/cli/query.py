@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from jaxstab.atlas import Atlas, AtlasAnswer
 
 _MOST_BYTES = 100_000_000  # of a CSV file
-_RADIUS = ("spectral_radius", "radius_error")
-_ANSWER = ("verdict", *_RADIUS, "status")
+_ANSWER = "verdict", "status"
 
 
 def _axis_options(command: Any) -> Any:
@@ -98,7 +97,7 @@ def query(
         outside=outside or "error",
         exact=exact,
     )
-    stated = {"inputs": _made_of(opened), "units": dict.fromkeys([*AXES, *_RADIUS], "1")}
+    stated = {"inputs": _made_of(opened), "units": dict.fromkeys(AXES, "1")}
     _write(_answered(points, answer), _columns(opened, [*AXES, *_ANSWER]), form, stated)
     return 0 if (answer.verdict == Verdict.STABLE).all() else 1
 
@@ -114,7 +113,7 @@ def query(
 def plot(
     file: Path, output: Path, gamma: float | None, delta: float | None, delay: tuple[float, ...]
 ) -> None:
-    """Draw verdicts, spectral radii and fields in the (alpha, beta) plane."""
+    """Draw verdicts and fields in the (alpha, beta) plane."""
     from jaxstab.durable import publish
     from jaxstab.pictures.atlas import draw_atlas
 
@@ -182,17 +181,15 @@ def _answered(
 ) -> Iterator[dict[str, float | str]]:
     """Yield a row of words and numbers for each point."""
     columns = (*points.values(), *(getattr(answer, name).tolist() for name in _ANSWER))
-    for *numbers, verdict, radius, error, status in zip(*columns, strict=True):
-        yield dict(zip(AXES, numbers, strict=True)) | _words(verdict, radius, error, status)
+    for *numbers, verdict, status in zip(*columns, strict=True):
+        yield dict(zip(AXES, numbers, strict=True)) | _words(verdict, status)
 
 
-def _words(verdict: int, radius: float, error: float, status: int) -> dict[str, float | str]:
+def _words(verdict: int, status: int) -> dict[str, float | str]:
     from jaxstab.atlas import QueryStatus
 
     return {
         "verdict": Verdict(verdict).name.lower(),
-        "spectral_radius": radius,
-        "radius_error": error,
         "status": QueryStatus(status).name.lower(),
     }
 
@@ -207,11 +204,8 @@ def _refuse_beside_scene(others: dict[str, Any]) -> None:
 
 def _columns(opened: "Atlas", names: list[str]) -> list[str]:
     """Return the names of columns without those of products that a file does not have."""
-    products = set(opened.products)
-    left_out = set() if products & {"verdict", "alpha_limits"} else {"verdict"}
-    if "spectral_radius" not in products:
-        left_out |= {*_RADIUS}
-    return [name for name in names if name not in left_out]
+    has_verdicts = not {"verdict", "alpha_limits"}.isdisjoint(opened.products)
+    return [name for name in names if has_verdicts or name != "verdict"]
 
 
 def _asked_of_scene(
@@ -252,7 +246,7 @@ def _asked_of_scene(
         rows.append(where | dict(zip(units, numbers, strict=True)) | _words(*answer))
     stated = Inputs(basis_of(scene)).as_json()
     stated["inputs"] |= {"created_by": opened.created_by}
-    stated["units"] |= units | dict.fromkeys(_RADIUS, "1")
+    stated["units"] |= units
     return stated, rows
 
 

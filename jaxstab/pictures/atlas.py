@@ -1,4 +1,4 @@
-"""Pictures of an atlas: verdicts, spectral radii and fields in planes of (alpha, beta)."""
+"""Pictures of an atlas: verdicts and fields in planes of (alpha, beta)."""
 
 from collections.abc import Sequence
 
@@ -24,7 +24,7 @@ _MOST_PLANES = 6
 # The rows of a picture, and the products that provide each.
 _ANSWERED_BY = {
     "verdict": {"verdict", "alpha_limits"},
-    "spectral_radius": {"spectral_radius", FIELDS},
+    "spectral_radius": {FIELDS},
     "frequency": {FIELDS},
     "damping_ratio": {FIELDS},
 }
@@ -67,18 +67,14 @@ def draw_atlas(
     panels = figure.subplots(len(rows), len(numbers), squeeze=False)
     filled: dict[str, ScalarMappable] = {}
     for column, number in zip(panels.T, numbers, strict=True):
-        alpha, beta = _raster(atlas, number)
-        answer = atlas.query(
-            alpha, beta[:, None], gamma=gamma, delta=delta, delay=atlas.delays[number]
-        )
         for panel, row in zip(column, rows, strict=True):
             if row == "verdict":
-                _draw_verdicts(panel, alpha, beta, answer.verdict)
+                alpha, beta = _raster(atlas, number)
+                hand = by_name(gamma, delta, atlas.delays[number])
+                _draw_verdicts(panel, alpha, beta, atlas.verdict(alpha, beta[:, None], **hand))
             elif row in _FIELDS:
                 plane = _nodes_of(atlas, row, number, gamma, delta)
                 filled[row] = panel.pcolormesh(*plane, norm=_FIELDS[row][1])
-            elif row in atlas.products:
-                filled[row] = _draw_radii(panel, alpha, beta, answer.spectral_radius)
             else:
                 filled[row] = _draw_radii(panel, *_nodes_of(atlas, row, number, gamma, delta))
             panel.tick_params(labelsize=8)

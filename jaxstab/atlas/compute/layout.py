@@ -4,10 +4,10 @@ Axes of gamma, delta and delay are given as nodes. Axes of alpha and beta may be
 the stable regions of the atlas's hands at each delay, with a margin, and with nodes close to the
 line alpha = -gamma, where stability ends and no cell can be decided (``_fitted_alpha``).
 
-Limits of alpha and radii also answer between the delays, in cells of delays. Whole samples are
-edges of cells, for there the degree of the polynomial changes. A cell of limits is longer as the
-delay grows, for the boundary bends less; those of radii are even, and wider after some samples.
-The ends of alpha and beta of a cell follow from the regions at some edges (``_delay_cells``).
+Limits of alpha also answer between the delays, in cells of delays. Whole samples are edges of
+cells, for there the degree of the polynomial changes. A cell is longer as the delay grows, for the
+boundary bends less. The ends of alpha and beta of a cell follow from the regions at some edges
+(``_delay_cells``).
 """
 
 from dataclasses import dataclass, replace
@@ -24,7 +24,6 @@ from jaxstab.atlas.format.spec import (
 )
 from jaxstab.atlas.format.variables import CELL, NODE
 from jaxstab.atlas.products.limits import ALPHA_LIMITS
-from jaxstab.atlas.products.radii import RADIUS_CELL, SPECTRAL_RADIUS
 from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.model.filters import Filters, as_keywords
 from jaxstab.region import RegionStatus, StableRegion, stable_region
@@ -49,8 +48,6 @@ _MARGIN = 0.03  # around the stable region, of its size
 _BAND_GUARD = 0.02  # around the line alpha = -gamma, of the distance of two nodes or of its width
 _STATIONS = 0.25  # of a delay and half a sample: how far apart regions are computed
 _COARSE = 32  # cells to a sample, at some of whose edges regions are computed beforehand
-_RADII = 0.8  # cells of radii along the delay for each of limits around a delay of 1/2
-_LATE = 3.0  # samples: from here on they are wider
 _MOST_SLICES = 5  # of gamma and of delta, to find the region's size
 
 
@@ -69,8 +66,6 @@ class Grid:
     delay: Float64[np.ndarray, " delay"]
     limit_cells: int
     limit_range: Float64[np.ndarray, "delay_cell 6"]
-    radius_cells: tuple[int, int, int, int]
-    radius_range: Float64[np.ndarray, "radius_delay_cell 6"]
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -85,15 +80,14 @@ class Grid:
         cells = *(max(count - 1, 1) for count in nodes), delays
         lengths = dict(zip((*NODE, *CELL), (*self.shape, *cells), strict=True))
         lengths |= {"limit_cell": self.limit_cells, "delay_cell": len(self.limit_range)}
-        of_radii = zip(RADIUS_CELL, (*self.radius_cells, len(self.radius_range)), strict=True)
         fixed = (pair for product in PRODUCTS.values() for pair in product.lengths.items())
-        return lengths | dict(of_radii) | dict(fixed)
+        return lengths | dict(fixed)
 
-    def delay_cells(self, delay: int, cells: Float64[np.ndarray, "delay_cell 6"]) -> range:
+    def delay_cells(self, delay: int) -> range:
         """Return which cells of delays begin from the delay of this index to the next one."""
         last = self.delay.size - 1
         ends = self.delay[delay], self.delay[delay + 1] if delay < last else np.inf
-        first, stop = np.searchsorted(cells[:, 0], ends)
+        first, stop = np.searchsorted(self.limit_range[:, 0], ends)
         return range(int(first), int(stop))
 
     def walls(
@@ -186,27 +180,11 @@ def lay_out(spec: AtlasSpec, reach: Reach | None = None) -> Grid:
     gamma, delta, delay = map(np.array, (spec.gamma, spec.delta, spec.delay))
     walls = [_wall_axes(spec, gamma, delta, samples, reach) for samples in delay.tolist()]
     alpha, beta = (np.stack(columns, axis=1) for columns in zip(*walls, strict=True))
-    has_limits, has_radii = (name in spec.products for name in (ALPHA_LIMITS, SPECTRAL_RADIUS))
-    fineness = int(spec.delay_cells or 0) if has_limits or has_radii else 0
-    alone, cells = (
-        _delay_cells(spec, (gamma, delta), delay, walls, reach, n) for n in (0, fineness)
-    )
-    limit_range = cells if has_limits else alone
-    radius_range = _cells_of_radii(cells, delay, fineness) if has_radii else alone
-    radius_cells = radius_cells_of(len(alpha), len(beta), gamma.size, delta.size)
-    grid = Grid(
-        *(alpha, beta, gamma, delta, delay),
-        *(spec.limit_cells, limit_range, radius_cells, radius_range),
-    )
+    fineness = int(spec.delay_cells or 0) if ALPHA_LIMITS in spec.products else 0
+    limit_range = _delay_cells(spec, (gamma, delta), delay, walls, reach, fineness)
+    grid = Grid(alpha, beta, gamma, delta, delay, spec.limit_cells, limit_range)
     check_size(grid.shape)
     return grid
-
-
-def radius_cells_of(alphas: int, betas: int, gammas: int, deltas: int) -> tuple[int, int, int, int]:
-    """Return how many cells of radii there are along alpha, beta, gamma and delta, for nodes."""
-    # Functions of second order bend with the radius, so these cells are wider than others.
-    alpha, beta = max(12, 7 * alphas // 32), max(32, 9 * betas // 14)
-    return alpha, beta, max(1, gammas // 2), max(1, deltas // 4)
 
 
 def _delay_cells(
@@ -246,29 +224,6 @@ def _stations(edges: list[float], delay: Float64[np.ndarray, " delay"]) -> list[
             stations.add(edge)
             last = edge
     return sorted(stations)
-
-
-def _cells_of_radii(
-    cells: Float64[np.ndarray, "delay_cell 6"],
-    delay: Float64[np.ndarray, " delay"],
-    fineness: int,
-) -> Float64[np.ndarray, "radius_delay_cell 6"]:
-    """Return ``fineness`` even cells of delays to a sample, that extend as far as those given."""
-    # Functions of second order miss the radius by about as much at 0 as at 3 samples, and later
-    # less.
-    if delay.size == 1 or not fineness:
-        return cells
-    edges = [float(delay[0])]
-    for low, high in pairwise(_corners(delay)):
-        each = _RADII * fineness * min(1.0, _LATE / (1.0 + low))
-        count = max(1, ceil((high - low) * each - 1e-9))
-        edges += np.linspace(low, high, count + 1)[1:].tolist()
-    even = []
-    for early, late in pairwise(edges):
-        met = cells[(cells[:, 0] < late) & (cells[:, 1] > early)]
-        (_, _, *least), (_, _, *most) = met.min(axis=0), met.max(axis=0)
-        even.append([early, late, least[0], most[1], least[2], most[3]])
-    return np.array(even)
 
 
 def _corners(delay: Float64[np.ndarray, " delay"]) -> list[float]:

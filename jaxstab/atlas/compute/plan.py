@@ -13,7 +13,6 @@ from jaxstab.atlas.format.schema import VARIABLES
 from jaxstab.atlas.format.spec import AtlasSpec
 from jaxstab.atlas.format.variables import LARGEST_ARRAY
 from jaxstab.atlas.products.limits import ALPHA_LIMITS
-from jaxstab.atlas.products.radii import RADIUS_CELL
 from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.model import by_name, characteristic_polynomial
 from jaxstab.model.filters import as_keywords
@@ -81,11 +80,7 @@ class Plan:
     def numbers(self, dimension: str, tile: Tile) -> range:
         """Return which indices along a dimension of the schema are in a tile."""
         if dimension == "delay_cell":
-            return self.grid.delay_cells(tile.delay, self.grid.limit_range)
-        if dimension in RADIUS_CELL and (tile.gamma or tile.delta.start):
-            return range(0)  # the first tile of a delay has all cells of radii
-        if dimension == RADIUS_CELL[-1]:
-            return self.grid.delay_cells(tile.delay, self.grid.radius_range)
+            return self.grid.delay_cells(tile.delay)
         count = self.grid.lengths[dimension]
         gamma, delay = (range(index, index + 1) for index in (tile.gamma, tile.delay))
         inside = {"gamma": gamma, "delta": tile.delta, "delay": delay}
@@ -104,7 +99,7 @@ class Plan:
     def chunk(self, variable: str) -> tuple[int, ...]:
         """Return the shape of the part of a gridded variable that is in a whole tile."""
         lengths = {name: self.grid.lengths[name] for name in VARIABLES[variable].dimensions}
-        most = {"gamma": 1, "delta": self.deltas_of_a_tile, "delay": 1, "radius_delay": 1}
+        most = {"gamma": 1, "delta": self.deltas_of_a_tile, "delay": 1}
         return tuple(
             min(most.get(name.removesuffix("_cell"), length), length)
             for name, length in lengths.items()

@@ -142,13 +142,13 @@ class AtlasSpec:
         alpha: nodes, two or more, or a FittedAxis for each delay; so is beta.
         gamma: nodes, one or more; so is delta.
         delay: delays t_d/T in [0, 100], whole or fractional; each has its own grid.
-        products: what to compute, of "verdict", "alpha_limits", "spectral_radius", "fields",
-            "outline" and "summary"; by default the first four.
+        products: what to compute, of "verdict", "alpha_limits", "fields", "outline" and
+            "summary"; by default the first three.
         limit_cells: number of even cells along beta in which the limits of alpha are given; 0 for
             128 where they are given between delays, too, and else 256.
         delay_cells: how finely they are given between the delays, in cells (delay + 1/2) /
             delay_cells long; 0 for these delays alone. None means 32, or 0 for loops with an
-            estimator or a filter. Spectral radii are given where limits are, in fewer cells.
+            estimator or a filter.
         where: which nodes have fields: "near" for corners of cells (in alpha and beta) with a
             stable corner, "all" for all.
         method: how the dominant poles of fields are found: "fast", by powers of the companion
@@ -175,7 +175,7 @@ class AtlasSpec:
     gamma: Nodes = tuple(np.linspace(0.0, 1e-3, 3).tolist())
     delta: Nodes = tuple(np.linspace(0.0, 0.015, 9).tolist())
     delay: Nodes = (0.0, 1.0, 2.0, 3.0)
-    products: Sequence[str] = ("verdict", "alpha_limits", "spectral_radius", FIELDS)
+    products: Sequence[str] = ("verdict", "alpha_limits", FIELDS)
     limit_cells: int = 0
     delay_cells: int | None = None
     where: str = "near"

@@ -33,8 +33,7 @@ CODES: Final = (min(FLAG_VALUES), max(FLAG_VALUES))
 class Variable:
     """One dataset: its type, its dimensions (itself for an axis), what it means and its range.
 
-    ``packed`` chunks are compressed although they are not over nodes or their cells. ``attributes``
-    are those of the dataset that are not the same for all.
+    ``attributes`` are those of the dataset that are not the same for all.
     """
 
     name: str
@@ -45,13 +44,12 @@ class Variable:
     lowest: float | int = -inf
     highest: float | int = inf
     has_nan: bool = False
-    packed: bool = False
     attributes: tuple[tuple[str, str], ...] = ()
 
     @property
     def is_packed(self) -> bool:
         """Whether its chunks are shuffled and deflated; those of others are plain numbers."""
-        return self.packed or self.dimensions in (NODE, CELL)
+        return self.dimensions in (NODE, CELL)
 
     @property
     def is_axis(self) -> bool:

@@ -163,7 +163,9 @@ def _wrong_nodes(stored: Stored, place: Any, fields: Mapping[str, Array], count:
     poles = np.asarray(closed_loop_poles(**point, **stored.filters))
     given = {name: values[i, j].astype(np.float64) for name, values in fields.items()}
     upper, error = given[RADIUS_FIELD], given[RADIUS_ERROR]
-    off = (radius.value - radius.error > upper) | (radius.value + radius.error < upper - error)
+    is_within = radius.value - radius.error <= upper
+    is_within &= np.isinf(error) | (radius.value + radius.error >= upper - error)
+    off = ~(np.isnan(upper) | is_within)  # NaN in the new computation is wrong, too
     moduli = np.abs(poles)
     off |= (given[OUTSIDE] == 0) & np.isnan(error) | np.isnan(upper) & np.isfinite(error)
     counted = (np.min(np.abs(moduli - 1.0), axis=-1) > _NEAR_CIRCLE) & (given[OUTSIDE] >= 0)

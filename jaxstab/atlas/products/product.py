@@ -1,6 +1,6 @@
 """What a product of an atlas is to the rest of the package: one object that answers for all of it.
 
-An atlas holds products: verdicts, limits of alpha, spectral radii, fields, outlines, summaries. All
+An atlas holds products: verdicts, limits of alpha, fields, outlines, summaries. All
 that is particular to one is in its module, as a subclass of ``Product`` beside the lookups in it:
 
 - its variables, which values of them a reader accepts, and how they fit together;

@@ -3,11 +3,9 @@
 from jaxstab.atlas.products.fields import Fields
 from jaxstab.atlas.products.limits import Limits
 from jaxstab.atlas.products.product import Product
-from jaxstab.atlas.products.radii import Radii
 from jaxstab.atlas.products.slices import Outlines, Summaries
 from jaxstab.atlas.products.verdicts import Verdicts
 
 PRODUCTS: dict[str, Product] = {
-    product.name: product
-    for product in (Verdicts(), Limits(), Radii(), Fields(), Outlines(), Summaries())
+    product.name: product for product in (Verdicts(), Limits(), Fields(), Outlines(), Summaries())
 }

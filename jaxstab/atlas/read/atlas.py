@@ -31,7 +31,6 @@ from jaxstab.atlas.products.limits import (
     MaxAlpha,
     OutsideError,
 )
-from jaxstab.atlas.products.radii import SPECTRAL_RADIUS, RadiusTable
 from jaxstab.atlas.products.slices import AtlasOutline, outline_at
 from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.products.verdicts import CELL_VERDICT, VERDICT, decided_share
@@ -44,7 +43,6 @@ from jaxstab.atlas.read.points import (
     all_checked,
     answer_at_delay,
     answer_by_limits,
-    answer_radii,
     check_inside,
     checked_range,
     find_outside,
@@ -143,7 +141,7 @@ class LoopAtlas:
         *,
         exact: bool = False,
     ) -> AtlasAnswer:
-        """Verdicts, and radii where the atlas holds them, of walls (K, B) of any broadcast shape.
+        """Verdicts of walls (K, B) of any broadcast shape.
 
         Other arguments, errors and source: as ``Atlas.query``.
         """
@@ -319,7 +317,7 @@ class Atlas:
     Example:
         >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
         >>> atlas.products, atlas.delays.tolist(), atlas.filters is None
-        (('verdict', 'alpha_limits', 'spectral_radius'), [0.0, 1.0, 1.5], True)
+        (('verdict', 'alpha_limits'), [0.0, 1.0, 1.5], True)
         >>> {name: nodes.size for name, nodes in atlas.nodes(0).items()}
         {'alpha': 10, 'beta': 9, 'gamma': 3, 'delta': 3}
         >>> hand = {"gamma": 0.0005, "delta": 0.01, "delay": 1.0}
@@ -400,13 +398,12 @@ class Atlas:
         outside: Outside = "error",
         exact: bool = False,
     ) -> AtlasAnswer:
-        """Verdicts and radii of points of any broadcast shape, each proved or called undecided.
+        """Verdicts of points of any broadcast shape, each proved or called undecided.
 
         The atlas answers for its own estimator and filter (``filters``; ``for_loop`` checks them).
         At a node of the grid the verdict is what was computed there. Between nodes it is given
         where the limits of alpha, or the proof for the whole cell, decide it, and is UNDECIDED
         elsewhere: at all delays for which there are limits, or else at those of ``delays``.
-        Spectral radii are functions of cells, at nodes and between them, each with a proved bound.
 
         Args:
             alpha, beta, gamma, delta, delay: see ``jaxstab.conventions``.
@@ -432,8 +429,6 @@ class Atlas:
             here = np.flatnonzero(inside & (where["delay"] == node))
             if here.size:
                 answer_at_delay(self.arrays, number, where, here, answer)
-        if SPECTRAL_RADIUS in self.products:
-            answer_radii(self._radii, where, inside, answer)
         if exact:
             own = self.filters or (None, None)
             settle(where, answer, dict(zip(("velocity", "position"), own, strict=True)))
@@ -528,10 +523,6 @@ class Atlas:
             return table.verdicts(points)
         except OutsideError:
             return None
-
-    @cached_property
-    def _radii(self) -> RadiusTable:
-        return RadiusTable(self.arrays)
 
     @cached_property
     def _table(self) -> LimitTable | None:

@@ -2,8 +2,8 @@
 
 A query fills in one ``AtlasAnswer``. ``find_outside`` marks points beyond the atlas; axes that hold
 the whole stable set have no end. ``answer_by_limits`` gives the verdicts of columns,
-``answer_at_delay`` those of nodes and their cells at the delays of the atlas, ``answer_radii``
-intervals of the spectral radius, which a verdict narrows; ``settle`` computes the rest.
+``answer_at_delay`` those of nodes and their cells at the delays of the atlas; ``settle`` computes
+the rest.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,12 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jaxstab.atlas.products.limits import ALPHA_LIMITS, LimitTable
-from jaxstab.atlas.products.radii import RadiusTable
 from jaxstab.atlas.products.verdicts import CELL_VERDICT, VERDICT
 from jaxstab.atlas.read.file import Integers, Mask, PackedArrays, Place
 from jaxstab.conventions import AXES, Status, Verdict
 from jaxstab.numbers import checked
-from jaxstab.rounding import RADII
 
 Floats = NDArray[np.float64]
 Numbers = ArrayLike | float | int
@@ -43,13 +41,11 @@ class QueryStatus(Status):
 
 @dataclass(frozen=True)
 class AtlasAnswer:
-    """What an atlas says about points; four arrays of the broadcast shape of the query.
+    """What an atlas says about points; two arrays of the broadcast shape of the query.
 
     Attributes:
         verdict: int8 codes of ``jaxstab.Verdict``, proved or UNDECIDED; NOT_COMPUTED if the atlas
             holds no verdicts.
-        spectral_radius: the middle of the interval in which it is proved to be; NaN if unknown.
-        radius_error: proved bound of the error of ``spectral_radius``; infinite without one.
         status: int8 codes of ``QueryStatus``: how this is known.
 
     Example:
@@ -60,8 +56,6 @@ class AtlasAnswer:
     """
 
     verdict: NDArray[np.int8]
-    spectral_radius: Floats
-    radius_error: Floats
     status: NDArray[np.int8]
 
 
@@ -69,8 +63,6 @@ def no_answer(size: int, *, has_verdicts: bool) -> AtlasAnswer:
     """Return an answer that says nothing yet."""
     return AtlasAnswer(
         verdict=np.full(size, Verdict.UNDECIDED if has_verdicts else Verdict.NOT_COMPUTED, np.int8),
-        spectral_radius=np.full(size, np.nan),
-        radius_error=np.full(size, np.inf),
         status=np.full(size, QueryStatus.BETWEEN_DELAYS, np.int8),
     )
 
@@ -220,19 +212,3 @@ def _codes_at(arrays: Arrays, name: str, place: Sequence[Integers], delay: int) 
         arrays.codes_at(name, index) if isinstance(arrays, PackedArrays) else arrays[name][index]
     )
     return codes
-
-
-def answer_radii(table: RadiusTable, where: Points, inside: Mask, answer: AtlasAnswer) -> None:
-    """Fill in the radii of points inside of an atlas; verdicts that are known bound them."""
-    here = np.flatnonzero(inside)
-    low, high = table.bounds([where[name][here] for name in AXES])
-    codes = answer.verdict[here]
-    low = np.where(codes == Verdict.UNSTABLE, np.maximum(low, 1.0), low)
-    high = np.where(codes == Verdict.STABLE, np.minimum(high, 1.0), high)
-    high = np.maximum(high, low)
-    is_known = np.isfinite(high)
-    members, low, high = here[is_known], low[is_known], high[is_known]
-    answer.spectral_radius[members] = 0.5 * (low + high)
-    answer.radius_error[members] = 0.5 * (high - low) + RADII * high
-    is_between = answer.status[members] == QueryStatus.BETWEEN_DELAYS
-    answer.status[members[is_between]] = QueryStatus.UNDECIDED_CELL

@@ -161,7 +161,7 @@ def build_atlas(
             atlas is larger than can be opened in memory.
         RuntimeError: a worker computed what the schema does not allow, or workers died.
 
-    Source: the verdicts, the radii and the proofs for cells name theirs.
+    Source: the verdicts, the fields and the proofs for cells name theirs.
 
     Example:
         >>> spec = jaxstab.AtlasSpec(delay=(1.0,), gamma=(0.0,), delta=(0.0, 0.015))

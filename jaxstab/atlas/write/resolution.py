@@ -2,7 +2,7 @@
 
 A plan must cost less than the build it plans, so no tile is computed here. Each product of an atlas
 has parts that need no others: some columns of limits of alpha over one box of hands and one cell of
-delays, some cells of radii, the verdicts of two hands. Such parts are computed at places that one
+delays, the verdicts of two hands. Such parts are computed at places that one
 additive sequence spreads evenly over the range of delays, hands and beta. Their CPU time and
 compressed bytes of a unit (a column, a cell, a hand), times the units of the whole atlas, are its
 cost. Limits of alpha also take a time for each call, which a part of one column shows; parts of
@@ -32,7 +32,6 @@ from jaxstab.atlas.format.schema import image_of
 from jaxstab.atlas.format.spec import FEWEST_FITTED, AtlasSpec, FittedAxis
 from jaxstab.atlas.format.variables import LARGEST_ARRAY
 from jaxstab.atlas.products.limits import ALPHA_LIMITS, upper_errors
-from jaxstab.atlas.products.radii import SPECTRAL_RADIUS
 from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.products.verdicts import VERDICT
 from jaxstab.atlas.write.tiles import encode_tile
@@ -83,7 +82,7 @@ def _parts(plan: Plan, product: str, most: int) -> list[Grid]:
     for index in range(max(_FEWEST, min(most, _calls(plan) // _PER_PART))):
         place = (0.5 + index * _PLASTIC ** -np.arange(1.0, 5.0)) % 1.0
         grid = PRODUCTS[product].part(plan.grid, place)
-        axes = grid.limit_range, grid.radius_range, grid.delay, grid.gamma, grid.delta
+        axes = grid.limit_range, grid.delay, grid.gamma, grid.delta
         parts[b"".join(axis.tobytes() for axis in axes)] = grid
     return list(parts.values())
 
@@ -284,7 +283,7 @@ def plan_resolution(
     value = checked_number(name, wish, *_ALLOWED[name])
     if name == "accuracy" and ALPHA_LIMITS not in spec.products:
         raise ValueError(f"accuracy is of limits of alpha; add {ALPHA_LIMITS!r} to the products.")
-    if not {ALPHA_LIMITS, VERDICT, SPECTRAL_RADIUS} & {*spec.products}:
+    if not {ALPHA_LIMITS, VERDICT} & {*spec.products}:
         raise ValueError(f"size needs verdicts; add {ALPHA_LIMITS!r} to the products.")
     range_ = _Range(spec)
     chosen = range_.of_accuracy(value) if name == "accuracy" else range_.of_size(value)

@@ -6,7 +6,7 @@ owner's alone and locked by one process; a tile counts if it is of this build an
 the schema says.
 
 At the end the tiles are merged, with one of them in memory at a time. The chunks of variables over
-a grid are copied as they are, compressed, to their places; lists (outlines, functions of radii) are
+a grid are copied as they are, compressed, to their places; lists (outlines, corners) are
 strung together in the order of the tiles. Table and footer follow the image, and the file is opened
 once before it takes the place of a former one.
 """
