@@ -5,7 +5,7 @@ from pathlib import Path
 
 from jaxstab import AtlasSpec, plan_atlas
 from jaxstab.atlas.compute.plan import Plan, Tile
-from jaxstab.atlas.write.build import tile_image
+from jaxstab.atlas.write.build import Build
 
 KEY = "0" * 64
 TINY = AtlasSpec(
@@ -20,9 +20,13 @@ def tiny_plan() -> Plan:
     return plan_atlas(TINY)
 
 
+def tiny_build(key: str = KEY) -> Build:
+    return Build(TINY, key, Path("a.h5"))
+
+
 @cache
 def tiny_images() -> dict[Tile, bytes]:
-    return {tile: tile_image(tiny_plan(), tile, KEY) for tile in tiny_plan().tiles}
+    return {tile: tiny_build().image(tile) for tile in tiny_plan().tiles}
 
 
 def entries(folder: Path) -> list[str]:

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from jaxstab import build_atlas
+from jaxstab import build_atlas, tiles
 from jaxstab.atlas.write import build
 
 FORMER = b"the former file"
@@ -21,13 +21,13 @@ spec, key, images, whole = pickle.load(sys.stdin.buffer)
 path, kills = Path(sys.argv[1]), int(sys.argv[2])
 
 
-def tile_images(_: Any, tiles: Any, *__: Any) -> Iterator[Any]:
-    for tile in tiles:
+def stored_images(_: Any, items: Any, *__: Any) -> Iterator[Any]:
+    for tile in items:
         time.sleep(0.001)
         yield tile, images[tile]
 
 
-build.build_key, build.tile_images = (lambda *_: key), tile_images
+build.build_key, tiles.images = (lambda *_: key), stored_images
 start = time.perf_counter()
 build_atlas(spec, path)
 takes = time.perf_counter() - start

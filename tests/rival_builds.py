@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from jaxstab import build_atlas
+from jaxstab import build_atlas, tiles
 from jaxstab.atlas.write import build
 
 FORMER = b"the former file"
@@ -24,12 +24,12 @@ spec, key, images, whole = pickle.load(sys.stdin.buffer)
 path, deed, number = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
 
 
-def tile_images(_: Any, tiles: Any, *__: Any) -> Iterator[Any]:
-    for tile in tiles:
+def stored_images(_: Any, items: Any, *__: Any) -> Iterator[Any]:
+    for tile in items:
         yield tile, images[tile]
 
 
-build.build_key, build.tile_images = (lambda *_: key), tile_images
+build.build_key, tiles.images = (lambda *_: key), stored_images
 
 
 def built() -> int:

@@ -18,7 +18,7 @@ import h5py
 import jax
 import numpy as np
 import pytest
-from builds import FORMER, KEY, TINY, entries, tiny_images, tiny_plan
+from builds import FORMER, KEY, TINY, entries, tiny_build, tiny_images, tiny_plan
 from campaign import many
 from counts import note
 from hostile import retold, sub
@@ -29,8 +29,8 @@ from jaxstab.atlas.compute.plan import Plan, Tile
 from jaxstab.atlas.format.schema import VARIABLES
 from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.write import build
-from jaxstab.atlas.write.build import tile_image
-from jaxstab.atlas.write.tiles import shards_of
+from jaxstab.atlas.write.tiles import name_of
+from jaxstab.tiles import shards_of
 
 LONG = pytest.mark.campaign
 KILLS = Path(__file__).with_name("killed_builds.py")
@@ -51,13 +51,13 @@ def computed(images: dict[Tile, bytes], monkeypatch: pytest.MonkeyPatch) -> list
     """The tiles that were computed; they come at once, from what was computed before."""
     asked: list[Tile] = []
 
-    def tile_images(_: Plan, tiles: list[Tile], *__: Any) -> Iterator[tuple[Tile, bytes]]:
+    def stored(_: Any, tiles: list[Tile], *__: Any) -> Iterator[tuple[Tile, bytes]]:
         for tile in tiles:
             asked.append(tile)
             yield tile, images[tile]
 
     monkeypatch.setattr(build, "build_key", lambda *_: KEY)
-    monkeypatch.setattr(build, "tile_images", tile_images)
+    monkeypatch.setattr("jaxstab.tiles.images", stored)
     return asked
 
 
@@ -133,9 +133,9 @@ def test_a_tile_of_another_place_or_build_is_not_taken(
     path = tmp_path / "a.h5"
     first, second, third, _ = plan.tiles
     with shards_of(path, KEY) as shards:
-        shards.put(first, images[second])
-        shards.put(second, images[second])
-        shards.put(third, tile_image(plan, third, "1" * 64))
+        shards.put(name_of(first), images[second])
+        shards.put(name_of(second), images[second])
+        shards.put(name_of(third), tiny_build("1" * 64).image(third))
     build_atlas(TINY, path)
     assert computed == [first, *plan.tiles[2:]]
     assert path.read_bytes() == whole
@@ -166,14 +166,14 @@ def test_what_is_not_in_float64_is_refused_in_the_worker(
     wrong = {"verdict": np.zeros((3, 2, 1, 1, 1))}
     monkeypatch.setattr(PRODUCTS["verdict"], "compute", lambda *_: wrong)
     with pytest.raises(RuntimeError, match=r"verdict was computed as float64 .*, not as int8"):
-        tile_image(plan, plan.tiles[0], KEY)
+        tiny_build().image(plan.tiles[0])
 
 
 def test_a_worker_computes_in_float64_whatever_its_process_was_set_to(
     plan: Plan, images: dict[Tile, bytes]
 ) -> None:
     with jax.enable_x64(False):
-        assert tile_image(plan, plan.tiles[0], KEY) == images[plan.tiles[0]]
+        assert tiny_build().image(plan.tiles[0]) == images[plan.tiles[0]]
 
 
 # ----------------------------------------------------------------------------------- failing writes

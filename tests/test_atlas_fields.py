@@ -20,10 +20,11 @@ from benchmarks import truth
 from benchmarks.truth import filtered
 from jaxstab import Atlas, AtlasSpec, FittedAxis, Velocity, build_atlas
 from jaxstab.atlas.format import schema as footer
-from jaxstab.atlas.write.build import processes, write_atlas
+from jaxstab.atlas.write.build import write_atlas
 from jaxstab.atlas.write.verify import verify_atlas
 from jaxstab.cli.main import main
 from jaxstab.point.fields import UNKNOWN, _outwards, fields_of_grid, poles_outside
+from jaxstab.tiles import processes
 
 FIELDS = ("spectral_radius", "spectral_radius_error", "frequency", "damping_ratio", "outside")
 DELAYS = [0.0, 0.3, 1.0, 2.0, 5.5, 12.0]

@@ -19,7 +19,7 @@ import pytest
 
 from jaxstab import AtlasSpec, Velocity, build_atlas
 from jaxstab.atlas.write import tiles
-from jaxstab.atlas.write.build import dask_cluster, processes
+from jaxstab.tiles import dask_cluster, processes
 
 pytestmark = pytest.mark.campaign
 
@@ -211,7 +211,7 @@ def test_31_25_workers_of_a_local_cluster_are_believed_if_their_code_is_that_of_
 
 
 def test_without_a_scheduler_or_dask_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("jaxstab.atlas.write.build._SECONDS_TO_CONNECT", 1)
+    monkeypatch.setattr("jaxstab.tiles._SECONDS_TO_CONNECT", 1)
     with pytest.raises(OSError, match=r"no dask scheduler answers at tcp://127\.0\.0\.1:9;"):
         dask_cluster("tcp://127.0.0.1:9").__enter__()
     monkeypatch.setitem(sys.modules, "distributed", None)

@@ -12,8 +12,8 @@ import pytest
 
 import jaxstab
 from benchmarks.truth.problems import PROBLEMS
-from jaxstab.atlas.write.build import processes
 from jaxstab.model import by_name
+from jaxstab.tiles import processes
 
 DELAY = 0.0  # one, for each is compiled in each process
 COUNT = 2**16 + 3  # enough for threads to share it, and no multiple of what they share it by

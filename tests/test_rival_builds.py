@@ -14,7 +14,7 @@ from campaign import many
 from counts import note
 
 from jaxstab import build_atlas, durable
-from jaxstab.atlas.write.tiles import shards_of
+from jaxstab.tiles import shards_of
 
 LONG = pytest.mark.campaign
 MANY = many(1000)

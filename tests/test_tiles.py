@@ -11,12 +11,13 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from builds import FORMER, KEY, TINY, entries, tiny_images, tiny_plan
+from builds import FORMER, KEY, TINY, entries, tiny_build, tiny_images, tiny_plan
 
 from jaxstab import build_atlas
 from jaxstab.atlas.format.schema import image_of, sealed
 from jaxstab.atlas.write import build, tiles
-from jaxstab.atlas.write.tiles import VALUES_DIGEST, build_key, shards_of
+from jaxstab.atlas.write.tiles import VALUES_DIGEST, build_key, name_of
+from jaxstab.tiles import shards_of
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="folders are opened by descriptor")
 
@@ -128,10 +129,10 @@ def test_24_a_tile_of_wrong_content_with_a_right_seal_is_not_taken(
     tile = tiny_plan().tiles[0]
     right = tiny_images()[tile]
     with shards_of(tmp_path / "a.h5", KEY) as shards:
-        shards.put(tile, right)
-        assert shards.has(tiny_plan(), tile)
-        shards.put(tile, retiled(right, WRONG[name]))
-        assert not shards.has(tiny_plan(), tile)
+        shards.put(name_of(tile), right)
+        assert shards.has(tiny_build(), tile)
+        shards.put(name_of(tile), retiled(right, WRONG[name]))
+        assert not shards.has(tiny_build(), tile)
         shards.remove()
 
 

@@ -42,7 +42,8 @@ def build(spec: Path | None, output: Path, workers: int | None, scheduler: str |
     """
     from jaxstab.atlas import AtlasSpec
     from jaxstab.atlas.read.file import node_count
-    from jaxstab.atlas.write.build import dask_cluster, processes, write_atlas
+    from jaxstab.atlas.write.build import write_atlas
+    from jaxstab.tiles import dask_cluster, processes
 
     if workers and scheduler is not None:
         raise click.UsageError("--workers and --scheduler are given; give one of them.")

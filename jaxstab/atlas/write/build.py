@@ -1,20 +1,8 @@
-"""Build an atlas: compute the tiles of the plan, keep each when it is done, publish one file."""
+"""Build an atlas: the tiles of the plan as a job, whose file is the atlas."""
 
-import multiprocessing
-import os
-import signal
-import threading
-from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    BrokenExecutor,
-    Executor,
-    Future,
-    ProcessPoolExecutor,
-    wait,
-)
-from contextlib import closing, contextmanager
-from itertools import islice
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from functools import cached_property
 from os import PathLike
 from pathlib import Path
 
@@ -24,114 +12,54 @@ from jaxstab.atlas.format.spec import AtlasSpec
 from jaxstab.atlas.read.atlas import Atlas, open_atlas
 from jaxstab.atlas.write.tiles import (
     build_key,
-    computed_by,
     encode_tile,
+    is_whole,
     merge,
+    name_of,
     opened_tile,
-    shards_of,
 )
-
-# Where tiles are computed: in this process, in processes of this machine, or on a dask cluster.
+from jaxstab.tiles import Job, Progress, Shards, complete
 
 _NODES_IN_FLIGHT = 2**26
-_SECONDS_TO_CONNECT = 10
 
 
-def tile_images(
-    plan: Plan, tiles: Sequence[Tile], key: str, executor: Executor | None
-) -> Generator[tuple[Tile, bytes], None, None]:
-    """Yield tiles and their images as they are done, and keep few of them waiting."""
-    if executor is None:
-        for tile in tiles:
-            yield tile, tile_image(plan, tile, key)
-        return
-    size = plan.deltas_of_a_tile * plan.grid.alpha.shape[0] * plan.grid.beta.shape[0]
-    most = max(2, _NODES_IN_FLIGHT // size)
-    rest = iter(tiles)
-    running: dict[Future[bytes], Tile] = {}
-    try:
-        while True:
-            for tile in islice(rest, most - len(running)):
-                running[executor.submit(tile_image, plan, tile, key)] = tile
-            if not running:
-                return
-            wait(running, return_when=FIRST_COMPLETED)
-            for future in [future for future in running if future.done()]:
-                yield running.pop(future), _result(future)
-    finally:
-        for future in running:
-            future.cancel()
+@dataclass(frozen=True)
+class Build(Job[Tile]):
+    """The job of building an atlas: its specification, its key and where the file goes."""
 
+    spec: AtlasSpec
+    key: str
+    path: Path
 
-def _result(future: Future[bytes]) -> bytes:
-    """Return the image of a tile, or say why a worker of another jaxstab has none."""
-    try:
-        return bytes(future.result())
-    except (ImportError, AttributeError, TypeError) as error:
-        raise RuntimeError(
-            f"a worker cannot compute tiles of this build ({error}); install {computed_by()} for "
-            "all workers."
-        ) from error
+    @cached_property
+    def plan(self) -> Plan:
+        """The plan, made when the place of the file is known to be good."""
+        return plan_atlas(self.spec)
 
+    @property
+    def items(self) -> list[Tile]:
+        return self.plan.tiles
 
-def tile_image(plan: Plan, tile: Tile, key: str) -> bytes:
-    """The image of a tile, computed."""
-    return encode_tile(plan, tile, key, compute_tile(plan, tile))
+    @property
+    def at_once(self) -> int:
+        alphas, betas, *_ = self.plan.grid.shape
+        return max(2, _NODES_IN_FLIGHT // (self.plan.deltas_of_a_tile * alphas * betas))
 
+    def name(self, item: Tile) -> str:
+        return name_of(item)
 
-@contextmanager
-def processes(count: int) -> Iterator[Executor]:
-    """Open worker processes, spawned: a process that has used JAX must not be forked."""
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(count, context, _follow_parent) as executor:
-        yield executor
+    def image(self, item: Tile) -> bytes:
+        return encode_tile(self.plan, item, self.key, compute_tile(self.plan, item))
 
+    def check(self, item: Tile, image: bytes) -> None:
+        with opened_tile(self.plan, item, self.key, image):
+            pass
 
-def _follow_parent() -> None:
-    """Leave Ctrl-C to the parent, and end when the parent does, however it ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = multiprocessing.parent_process()
+    def is_done(self, item: Tile, image: bytes) -> bool:
+        return is_whole(self.plan, item, self.key, image)
 
-    def wait_for_end() -> None:
-        if parent is not None:
-            parent.join()
-            os._exit(1)
-
-    threading.Thread(target=wait_for_end, daemon=True).start()
-
-
-@contextmanager
-def dask_cluster(
-    address: str, tell: Callable[[str], object] = lambda words: None
-) -> Iterator[Executor]:
-    """Open the workers of a dask scheduler; a tile whose worker dies is computed by another.
-
-    ``tell`` is called with a sentence where the scheduler has no workers yet. RuntimeError: dask is
-    not installed; OSError: no scheduler answers at the address, such as tcp://10.0.0.1:8786.
-    """
-    try:
-        from distributed import Client
-    except ImportError as error:
-        raise RuntimeError(
-            "a dask cluster needs dask: python -m pip install 'jaxstab[distributed]'."
-        ) from error
-    try:
-        client = Client(address, timeout=_SECONDS_TO_CONNECT)
-    except OSError as error:
-        raise OSError(
-            f"no dask scheduler answers at {address}; start one, or correct the address."
-        ) from error
-    except ValueError as error:  # of an address that dask cannot read
-        raise ValueError(
-            f"scheduler is {address!r}; give an address such as tcp://10.0.0.1:8786."
-        ) from error
-    with client:
-        if not client.scheduler_info()["workers"]:
-            tell(f"the dask scheduler at {address} has no workers; the build waits for one.")
-        yield client.get_executor(pure=False, retries=3)
-
-
-Progress = Callable[[int, int], object]
+    def publish(self, shards: Shards) -> None:
+        merge(self.plan, shards, self.path, f"jaxstab {jaxstab.__version__}")
 
 
 def build_atlas(
@@ -175,25 +103,4 @@ def write_atlas(
     spec: AtlasSpec, path: Path, progress: Progress | None, executor: Executor | None
 ) -> None:
     """Build an atlas of any size; see ``build_atlas``, which opens it."""
-    created_by = f"jaxstab {jaxstab.__version__}"
-    with shards_of(path, build_key(spec)) as shards:
-        plan = plan_atlas(spec)
-        tiles = plan.tiles
-        missing = [tile for tile in tiles if not shards.has(plan, tile)]
-        done = len(tiles) - len(missing)
-        tell = progress or (lambda done, total: None)
-        tell(done, len(tiles))
-        try:
-            with closing(tile_images(plan, missing, shards.key, executor)) as images:
-                for tile, image in images:
-                    with opened_tile(plan, tile, shards.key, image):
-                        shards.put(tile, image)
-                    done += 1
-                    tell(done, len(tiles))
-        except BrokenExecutor as error:
-            raise RuntimeError(
-                f"a worker died; {done} of {len(tiles)} tiles are stored, so build the same atlas "
-                "again to continue."
-            ) from error
-        merge(plan, shards, path, created_by)
-        shards.remove()
+    complete(Build(spec, build_key(spec), path), path, progress, executor)

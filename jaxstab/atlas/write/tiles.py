@@ -1,9 +1,7 @@
-"""Tiles on disk, and how they become one file.
+"""The images of tiles, and how they become one file.
 
-While a build runs, the image of each tile that is done lies in a folder beside the atlas. What is
-in the folder are the finished tiles: an interrupted build continues from there. The folder is its
-owner's alone and locked by one process; a tile counts if it is of this build and this code, and as
-the schema says.
+``jaxstab.tiles`` stores the image of each tile that is done. A tile counts if it is of this build
+and this code, and as the schema says.
 
 At the end the tiles are merged, with one of them in memory at a time. The chunks of variables over
 a grid are copied as they are, compressed, to their places; lists (outlines, corners) are
@@ -11,17 +9,11 @@ strung together in the order of the tiles. Table and footer follow the image, an
 once before it takes the place of a former one.
 """
 
-import errno
 import hashlib
 import io
 import os
-import platform
-import re
-import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
-from dataclasses import dataclass
-from functools import cache
+from contextlib import AbstractContextManager, contextmanager
 from itertools import product
 from math import prod
 from operator import add
@@ -32,7 +24,6 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-import jaxstab
 from jaxstab.atlas.compute.plan import Plan, Tile
 from jaxstab.atlas.format.schema import (
     ALWAYS,
@@ -62,36 +53,12 @@ from jaxstab.atlas.write.variables import (
     write_attributes,
     write_variable,
 )
-from jaxstab.durable import (
-    Folder,
-    PatientStream,
-    named_errors,
-    own_folder,
-    replacing,
-    target_of,
-    write_all,
-)
+from jaxstab.durable import PatientStream, replacing, write_all
+from jaxstab.tiles import Shards, computed_by
 
 VALUES_DIGEST = "values_sha256"
 _TILE = "tile"
 _MAKER = "computed_by"
-_LOCK = "lock"
-_LEFT_OVER = re.compile(r"\..+\.[0-9a-f]{16}\.part")
-_OURS = re.compile(rf"\d+-\d+-\d+\.tile|{_LEFT_OVER.pattern}")
-_BUSY = "another process is building it"
-_ATTEMPTS = 100
-
-
-@cache
-def computed_by() -> str:
-    """Return what computes tiles here: jaxstab and a hash of its code, NumPy and Python."""
-    root = Path(jaxstab.__file__).parent
-    digest = hashlib.sha256()
-    for path in sorted(root.rglob("*.py")):
-        digest.update(f"{path.relative_to(root).as_posix()}\n".encode() + path.read_bytes())
-    code = digest.hexdigest()[:16]
-    versions = f"NumPy {np.__version__}, Python {platform.python_version()}"
-    return f"jaxstab {jaxstab.__version__} (code {code}), {versions}"
 
 
 def build_key(spec: AtlasSpec) -> str:
@@ -126,7 +93,7 @@ def opened_tile(plan: Plan, tile: Tile, key: str, image: bytes) -> Iterator[h5py
                 _check_datasets(file, plan, tile)
         except TROUBLES as error:
             raise ValueError(
-                f"tile {_name(tile)} is not of this build; build the same atlas again."
+                f"tile {name_of(tile)} is not of this build; build the same atlas again."
             ) from error
         if maker != computed_by():
             raise RuntimeError(
@@ -141,9 +108,24 @@ def _whole_image(tile: Tile, image: bytes) -> Iterator[h5py.File]:
     """Open the image of a tile in memory, if all of its bytes are those that were sealed."""
     whole = image_of(image)
     if whole is None:
-        raise ValueError(f"tile {_name(tile)} is damaged; build the same atlas again.")
+        raise ValueError(f"tile {name_of(tile)} is damaged; build the same atlas again.")
     with h5py.File.in_memory(whole) as file:
         yield file
+
+
+def stored_tile(shards: Shards, tile: Tile) -> AbstractContextManager[h5py.File]:
+    """Open the image of a stored tile that was checked; ValueError: it is damaged."""
+    return _whole_image(tile, shards.read(name_of(tile)))
+
+
+def is_whole(plan: Plan, tile: Tile, key: str, image: bytes) -> bool:
+    """Whether the image of a tile is whole and of this build."""
+    try:
+        with opened_tile(plan, tile, key, image) as file:
+            _check_contents(file, plan, tile)
+            return True
+    except TROUBLES:
+        return False
 
 
 def _check_datasets(file: h5py.File, plan: Plan, tile: Tile) -> None:
@@ -183,7 +165,8 @@ def _parts(values: NDArray[Any], chunk: Sequence[int]) -> Iterator[NDArray[Any]]
     return (values[tuple(map(slice, start, np.add(start, chunk)))] for start in starts)
 
 
-def _name(tile: Tile) -> str:
+def name_of(tile: Tile) -> str:
+    """Return the name of a tile."""
     return f"{tile.delay}-{tile.gamma}-{tile.delta.start}"
 
 
@@ -215,128 +198,6 @@ def _write(file: h5py.File, name: str, values: NDArray[Any], chunk: Sequence[int
     filters = filters_of(VARIABLES[name])
     dataset = file.create_dataset(name, data=whole, chunks=tuple(chunk), **filters)
     dataset.attrs[VALUES_DIGEST] = np.bytes_(" ".join(map(values_digest, _parts(values, chunk))))
-
-
-@dataclass(frozen=True)
-class Shards:
-    """The finished tiles of one build (``key``) in its folder; ``shards_of`` makes it."""
-
-    folder: Folder
-    key: str
-
-    def put(self, tile: Tile, image: bytes) -> None:
-        """Store the image of a tile, durably."""
-        with named_errors("write", self.folder.path):
-            self.folder.put(f"{_name(tile)}.tile", image)
-
-    def has(self, plan: Plan, tile: Tile) -> bool:
-        """Whether the image of a tile is here, whole and of this build."""
-        try:
-            with opened_tile(plan, tile, self.key, self._image(tile)) as file:
-                _check_contents(file, plan, tile)
-                return True
-        except TROUBLES:
-            return False
-
-    def has_any(self) -> bool:
-        """Whether the image of any tile is here."""
-        return any(name.endswith(".tile") for name in self.folder.names())
-
-    def opened(self, tile: Tile) -> AbstractContextManager[h5py.File]:
-        """Open the image of a stored tile that was checked; ValueError: it is damaged."""
-        return _whole_image(tile, self._image(tile))
-
-    def _image(self, tile: Tile) -> bytes:
-        return self.folder.read(f"{_name(tile)}.tile")
-
-    def clear(self, pattern: re.Pattern[str] = _OURS) -> None:
-        """Remove what builds put into the folder, and nothing else."""
-        for name in self.folder.names():
-            if pattern.fullmatch(name):
-                self.folder.remove(name)
-
-    def remove(self) -> None:
-        """Remove the tiles and the folder, the lock last: until then it keeps others out."""
-        # Another process may have made a new lock by then, and continue in the folder.
-        with suppress(OSError):
-            self.clear()
-            self.folder.remove(_LOCK)
-            os.rmdir(self.folder.path)
-
-
-@contextmanager
-def shards_of(path: Path, key: str) -> Iterator[Shards]:
-    """Open, or make, the folder of a build of the atlas at a path, for this process alone.
-
-    It stays for the next build of the same atlas unless it is empty, or removed. OSError: it cannot
-    be made or locked, it is a link, another user's or open to others, there is something else than
-    a file at the path, or another process builds this atlas.
-    """
-    with ExitStack() as stack:
-        with named_errors("write", path):
-            target, _ = target_of(path)
-            place = target.with_name(f".{target.name}.{key[:16]}.tiles")
-            shards = _locked(place, key, stack)
-        try:  # the system opens the lock when this process ends in whatever way
-            shards.clear(_LEFT_OVER)
-            yield shards
-        finally:
-            if not shards.has_any():
-                shards.remove()
-
-
-def _locked(place: Path, key: str, stack: ExitStack) -> Shards:
-    """Return the folder of a build, open and locked until the stack is left."""
-    for _ in range(_ATTEMPTS):
-        with ExitStack() as attempt, suppress(_GoneError):
-            try:
-                shards = Shards(attempt.enter_context(own_folder(place)), key)
-            except FileNotFoundError as error:
-                if place.parent.is_dir():
-                    raise _GoneError from error
-                raise
-            attempt.callback(os.close, _lock_in(shards))
-            stack.push(attempt.pop_all())
-            return shards
-    raise BlockingIOError(errno.EAGAIN, _BUSY)
-
-
-class _GoneError(Exception):
-    """Who had the lock removed the folder in the meantime."""
-
-
-def _lock_in(shards: Shards) -> int:
-    try:
-        lock = shards.folder.open(_LOCK, os.O_RDWR | os.O_CREAT, 0o600)
-    except FileNotFoundError as error:
-        raise _GoneError from error
-    try:
-        _lock(lock)
-        if not shards.folder.has(_LOCK, lock):
-            raise _GoneError
-    except BaseException as error:
-        os.close(lock)
-        if not isinstance(error, BlockingIOError | _GoneError) and not shards.has_any():
-            shards.remove()
-        raise
-    return lock
-
-
-def _lock(descriptor: int) -> None:
-    try:
-        if sys.platform == "win32":
-            import msvcrt
-
-            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
-        else:
-            import fcntl
-
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except (BlockingIOError, PermissionError) as error:
-        raise BlockingIOError(error.errno, _BUSY) from error
-    except OSError as error:
-        words = f"its folder cannot be locked ({error.strerror}), so build it elsewhere and copy it"
-        raise OSError(error.errno, words) from error
 
 
 # ------------------------------------------------------------------------------ tiles to one file
@@ -429,7 +290,7 @@ def _flat_lengths(plan: Plan, shards: Shards, names: Iterable[str]) -> dict[str,
     flat = [n for n in names if not (plan.is_gridded(n) or VARIABLES[n].is_axis or n == SPEC)]
     lengths = {VARIABLES[name].dimensions[-1]: 0 for name in flat}
     for tile in plan.tiles if flat else ():
-        with shards.opened(tile) as image:
+        with stored_tile(shards, tile) as image:
             sizes = {
                 VARIABLES[name].dimensions[-1]: image[name].shape[-1]
                 for name in flat
@@ -449,7 +310,7 @@ def _copy_tiles(
     digests: _Digests = {}
     filled = dict.fromkeys(datasets, 0)
     for tile in plan.tiles:
-        with shards.opened(tile) as image:
+        with stored_tile(shards, tile) as image:
             for name, part in image.items():
                 if plan.is_gridded(name):
                     dimensions = VARIABLES[name].dimensions

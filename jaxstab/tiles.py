@@ -1,0 +1,345 @@
+"""Work in tiles: computed anywhere, kept until all are done, then published as one file.
+
+A *job* divides its work into tiles that need nothing of each other. Tiles are computed in this
+process, in processes of this machine or on a dask cluster, by any ``concurrent.futures.Executor``;
+what a tile gives is its *image*, bytes that the job can check.
+
+Until all tiles are done, their images lie in a hidden folder beside the target: what is in it are
+the tiles that are done, and an interrupted job continues from there. The folder is its owner's
+alone, locked by one process, and named by the job's key, which tells it from other jobs.
+"""
+
+import errno
+import hashlib
+import multiprocessing
+import os
+import platform
+import re
+import signal
+import sys
+import threading
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    wait,
+)
+from contextlib import ExitStack, closing, contextmanager, suppress
+from dataclasses import dataclass
+from functools import cache
+from itertools import islice
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+import jaxstab
+from jaxstab.durable import Folder, named_errors, own_folder, target_of
+
+Item = TypeVar("Item")
+Progress = Callable[[int, int], object]
+
+_LOCK = "lock"
+_LEFT_OVER = re.compile(r"\..+\.[0-9a-f]{16}\.part")
+_OURS = re.compile(rf"[\w-]+\.tile|{_LEFT_OVER.pattern}")
+_BUSY = "another process is building it"
+_ATTEMPTS = 100
+_SECONDS_TO_CONNECT = 10
+
+
+class Job(ABC, Generic[Item]):
+    """Work in tiles.
+
+    ``key`` is a hash of what is computed and of what computes it: tiles of other jobs do not match.
+    """
+
+    key: str
+
+    @property
+    @abstractmethod
+    def items(self) -> Sequence[Item]:
+        """The tiles."""
+
+    @property
+    @abstractmethod
+    def at_once(self) -> int:
+        """How many tiles may be in flight."""
+
+    @abstractmethod
+    def name(self, item: Item) -> str:
+        """The name of a tile: letters, digits, "_" and "-"."""
+
+    @abstractmethod
+    def image(self, item: Item) -> bytes:
+        """The image of a tile, computed; workers call it, so jobs and tiles can be pickled."""
+
+    @abstractmethod
+    def check(self, item: Item, image: bytes) -> None:
+        """Raise ValueError for an image that is damaged, RuntimeError for one of other code."""
+
+    @abstractmethod
+    def is_done(self, item: Item, image: bytes) -> bool:
+        """Whether an image that was stored is whole and of this job."""
+
+    @abstractmethod
+    def publish(self, shards: "Shards") -> None:
+        """Write the file of all tiles, which are done."""
+
+
+def complete(
+    job: Job[Item], path: Path, progress: Progress | None, executor: Executor | None
+) -> None:
+    """Compute the tiles of a job that are not done, and publish its file.
+
+    OSError: the folder is missing, read-only or full, or another process does the same;
+    RuntimeError: workers died, or are of other code.
+    """
+    with shards_of(path, job.key) as shards:
+        items = job.items
+        missing = [item for item in items if not shards.has(job, item)]
+        done = len(items) - len(missing)
+        tell = progress or (lambda done, total: None)
+        tell(done, len(items))
+        try:
+            with closing(images(job.image, missing, job.at_once, executor)) as computed:
+                for item, image in computed:
+                    job.check(item, image)
+                    shards.put(job.name(item), image)
+                    done += 1
+                    tell(done, len(items))
+        except BrokenExecutor as error:
+            raise RuntimeError(
+                f"a worker died; {done} of {len(items)} tiles are stored, so do the same again "
+                "to continue."
+            ) from error
+        job.publish(shards)
+        shards.remove()
+
+
+@cache
+def computed_by() -> str:
+    """Return what computes tiles here: jaxstab and a hash of its code, NumPy and Python."""
+    root = Path(jaxstab.__file__).parent
+    digest = hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        digest.update(f"{path.relative_to(root).as_posix()}\n".encode() + path.read_bytes())
+    code = digest.hexdigest()[:16]
+    versions = f"NumPy {np.__version__}, Python {platform.python_version()}"
+    return f"jaxstab {jaxstab.__version__} (code {code}), {versions}"
+
+
+# ----------------------------------------------------------------------- where tiles are computed
+
+
+def images(
+    compute: Callable[[Item], bytes],
+    items: Sequence[Item],
+    at_once: int,
+    executor: Executor | None,
+) -> Generator[tuple[Item, bytes], None, None]:
+    """Yield tiles and their images as they are done, and keep few of them waiting."""
+    if executor is None:
+        for item in items:
+            yield item, compute(item)
+        return
+    left = iter(items)
+    running: dict[Future[bytes], Item] = {}
+    try:
+        while True:
+            for item in islice(left, at_once - len(running)):
+                running[executor.submit(compute, item)] = item
+            if not running:
+                return
+            wait(running, return_when=FIRST_COMPLETED)
+            for future in [future for future in running if future.done()]:
+                yield running.pop(future), _result(future)
+    finally:
+        for future in running:
+            future.cancel()
+
+
+def _result(future: Future[bytes]) -> bytes:
+    """Return the image of a tile, or say why a worker of another jaxstab has none."""
+    try:
+        return bytes(future.result())
+    except (ImportError, AttributeError, TypeError) as error:
+        raise RuntimeError(
+            f"a worker cannot compute tiles of this build ({error}); install {computed_by()} for "
+            "all workers."
+        ) from error
+
+
+@contextmanager
+def processes(count: int) -> Iterator[Executor]:
+    """Open worker processes, spawned: a process that has used JAX must not be forked."""
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(count, context, _follow_parent) as executor:
+        yield executor
+
+
+def _follow_parent() -> None:
+    """Leave Ctrl-C to the parent, and end when the parent does, however it ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+
+    def wait_for_end() -> None:
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=wait_for_end, daemon=True).start()
+
+
+@contextmanager
+def dask_cluster(
+    address: str, tell: Callable[[str], object] = lambda words: None
+) -> Iterator[Executor]:
+    """Open the workers of a dask scheduler; a tile whose worker dies is computed by another.
+
+    ``tell`` is called with a sentence where the scheduler has no workers yet. RuntimeError: dask is
+    not installed; OSError: no scheduler answers at the address, such as tcp://10.0.0.1:8786.
+    """
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise RuntimeError(
+            "a dask cluster needs dask: python -m pip install 'jaxstab[distributed]'."
+        ) from error
+    try:
+        client = Client(address, timeout=_SECONDS_TO_CONNECT)
+    except OSError as error:
+        raise OSError(
+            f"no dask scheduler answers at {address}; start one, or correct the address."
+        ) from error
+    except ValueError as error:  # of an address that dask cannot read
+        raise ValueError(
+            f"scheduler is {address!r}; give an address such as tcp://10.0.0.1:8786."
+        ) from error
+    with client:
+        if not client.scheduler_info()["workers"]:
+            tell(f"the dask scheduler at {address} has no workers; the build waits for one.")
+        yield client.get_executor(pure=False, retries=3)
+
+
+# --------------------------------------------------------------------------- where they are stored
+
+
+@dataclass(frozen=True)
+class Shards:
+    """The images of the tiles of one job (``key``) in its folder; ``shards_of`` makes it."""
+
+    folder: Folder
+    key: str
+
+    def put(self, name: str, image: bytes) -> None:
+        """Store the image of a tile, durably."""
+        with named_errors("write", self.folder.path):
+            self.folder.put(f"{name}.tile", image)
+
+    def read(self, name: str) -> bytes:
+        """The image of a tile; OSError without one."""
+        return self.folder.read(f"{name}.tile")
+
+    def has(self, job: Job[Any], item: Any) -> bool:
+        """Whether the image of a tile is here, whole and of its job."""
+        try:
+            return job.is_done(item, self.read(job.name(item)))
+        except OSError:
+            return False
+
+    def has_any(self) -> bool:
+        """Whether the image of any tile is here."""
+        return any(name.endswith(".tile") for name in self.folder.names())
+
+    def clear(self, pattern: re.Pattern[str] = _OURS) -> None:
+        """Remove what jobs put into the folder, and nothing else."""
+        for name in self.folder.names():
+            if pattern.fullmatch(name):
+                self.folder.remove(name)
+
+    def remove(self) -> None:
+        """Remove the tiles and the folder, the lock last: until then it keeps others out."""
+        # Another process may have made a new lock by then, and continue in the folder.
+        with suppress(OSError):
+            self.clear()
+            self.folder.remove(_LOCK)
+            os.rmdir(self.folder.path)
+
+
+@contextmanager
+def shards_of(path: Path, key: str) -> Iterator[Shards]:
+    """Open, or make, the folder of a job whose file goes to a path, for this process alone.
+
+    It stays for the next run of the same job unless it is empty, or removed. OSError: it cannot
+    be made or locked, it is a link, another user's or open to others, there is something else than
+    a file at the path, or another process does this job.
+    """
+    with ExitStack() as stack:
+        with named_errors("write", path):
+            target, _ = target_of(path)
+            place = target.with_name(f".{target.name}.{key[:16]}.tiles")
+            shards = _locked(place, key, stack)
+        try:  # the system opens the lock when this process ends in whatever way
+            shards.clear(_LEFT_OVER)
+            yield shards
+        finally:
+            if not shards.has_any():
+                shards.remove()
+
+
+def _locked(place: Path, key: str, stack: ExitStack) -> Shards:
+    """Return the folder of a job, open and locked until the stack is left."""
+    for _ in range(_ATTEMPTS):
+        with ExitStack() as attempt, suppress(_GoneError):
+            try:
+                shards = Shards(attempt.enter_context(own_folder(place)), key)
+            except FileNotFoundError as error:
+                if place.parent.is_dir():
+                    raise _GoneError from error
+                raise
+            attempt.callback(os.close, _lock_in(shards))
+            stack.push(attempt.pop_all())
+            return shards
+    raise BlockingIOError(errno.EAGAIN, _BUSY)
+
+
+class _GoneError(Exception):
+    """Who had the lock removed the folder in the meantime."""
+
+
+def _lock_in(shards: Shards) -> int:
+    try:
+        lock = shards.folder.open(_LOCK, os.O_RDWR | os.O_CREAT, 0o600)
+    except FileNotFoundError as error:
+        raise _GoneError from error
+    try:
+        _lock(lock)
+        if not shards.folder.has(_LOCK, lock):
+            raise _GoneError
+    except BaseException as error:
+        os.close(lock)
+        if not isinstance(error, BlockingIOError | _GoneError) and not shards.has_any():
+            shards.remove()
+        raise
+    return lock
+
+
+def _lock(descriptor: int) -> None:
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except (BlockingIOError, PermissionError) as error:
+        raise BlockingIOError(error.errno, _BUSY) from error
+    except OSError as error:
+        words = f"its folder cannot be locked ({error.strerror}), so build it elsewhere and copy it"
+        raise OSError(error.errno, words) from error
