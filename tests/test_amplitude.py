@@ -84,7 +84,7 @@ def test_no_run_with_a_quantised_encoder_and_force_exceeds_a_bound(
 
 @pytest.mark.campaign
 def test_nothing_exceeds_a_bound_in_many_loops(rng: np.random.Generator) -> None:
-    for _ in range(many(100)):
+    for _ in range(many(100, small=5)):
         case = random_case(rng)
         assert excess_of_signals(*case)[0] < 1.0 + 1e-9
         assert excess_of_runs(*case, 500, rng)[0] < 1.0 + 1e-9

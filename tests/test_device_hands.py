@@ -14,7 +14,7 @@ from jaxstab import Device, Hand, HandRange, HapticLoop, Velocity, Verdict
 from tests.campaign import many
 
 PERIOD = 1e-3
-CASES = many(200, small=6)
+CASES = many(200, small=4)
 NEAR = 1e-7  # of a radius: closer to 1, balls decide
 
 Floats = NDArray[np.float64]

@@ -70,7 +70,7 @@ def test_coefficients_are_within_their_bounds(seed: int) -> None:
 
 @pytest.mark.campaign
 def test_coefficients_of_many_devices_are_within_their_bounds() -> None:
-    for seed in range(1000, 1000 + many(2000)):
+    for seed in range(1000, 1000 + many(2000, small=100)):
         drawn = truth.drawn(np.random.default_rng(seed))
         sampled = sampled_device(device_of(drawn), drawn.sample_time, drawn.delay)
         system = drawn.mechanism.system()

@@ -10,7 +10,7 @@ from campaign import many
 from programs_in_c import READER
 
 HERE = Path(__file__).parent
-SECONDS = many(900, small=45)
+SECONDS = many(900, small=20)
 
 
 @pytest.fixture(scope="module")

@@ -29,7 +29,7 @@ GOLDEN = ROOT / "data" / "golden" / "atlas-v3.h5"
 READERS = ROOT / "data" / "readers"
 SANITIZED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g"]
 OUTSIDE = -1
-CI, CAMPAIGN = 500, many(20_000)
+CI, CAMPAIGN = 500, many(20_000, small=1000)
 MOST_MEMORY = 200 * 2**20  # bytes
 
 Said = tuple[bool, str]

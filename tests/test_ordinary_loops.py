@@ -27,7 +27,7 @@ from jaxstab.results import SettlingStatus
 
 pytestmark = pytest.mark.campaign
 
-COUNT = many(1000)
+COUNT = many(1000, small=60)
 MOST = 0.005  # the share of settling times that are not proved
 MOST_OTHERS = 0.02  # the share of margins, and of ranges of hands, without an answer
 LEVEL = 0.02

@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 
 DEVICES = [name for name, preset in device_presets().items() if "mass" in preset.numbers]
 SOFTWARE = [name for name, preset in software_presets().items() if preset.numbers]
-HANDS = many(56)  # at full size 1,008 walls of each preset
+HANDS = many(56, small=3)  # at full size 1,008 walls of each preset
 NEXT_TO_IT = 0.02  # of the largest stiffness: how far from it walls are simulated
 
 

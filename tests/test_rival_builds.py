@@ -17,7 +17,7 @@ from jaxstab import build_atlas, durable
 from jaxstab.tiles import shards_of
 
 LONG = pytest.mark.campaign
-MANY = many(1000)
+MANY = many(1000, small=50)
 RIVALS = Path(__file__).with_name("rival_builds.py")
 
 

@@ -35,8 +35,8 @@ class Moving:
 
     def positions(
         self,
-        stiffness: float,
-        damping: float,
+        stiffness: float | np.ndarray,
+        damping: float | np.ndarray,
         delays: np.ndarray,
         seed: int = 0,
         *,
@@ -46,7 +46,8 @@ class Moving:
 
         With ``rest`` the device had been at its first position before, as the controller sees it.
 
-        ``delays`` are whole numbers of parts, (sequence, sample), or LOST.
+        ``delays`` are whole numbers of parts, (sequence, sample), or LOST; stiffness and damping
+        may differ by sequence.
         """
         a, b, c, _ = tf2ss(self.numerator, self.denominator)
         order, part = len(a), self.sample_time / self.parts
