@@ -48,7 +48,11 @@ DEVICE = Device.modes([MODE], mass=0.25, damping=0.5).with_actuator(300.0).held_
 WINDOW = Velocity.difference(samples=4)
 LOOP = HapticLoop(device=DEVICE, sample_time=PERIOD, delay=1e-3, velocity=WINDOW)
 MASSES, DELAYS = (0.245, 0.255), (0.95e-3, 1.05e-3)
-BOXES, CALLS, GUARDS = many(100, small=4), many(20_000, small=1000), many(40, small=2)  # of the campaign
+BOXES, CALLS, GUARDS = (
+    many(100, small=4),
+    many(20_000, small=1000),
+    many(40, small=2),
+)  # of the campaign
 
 
 def with_hand(loop: HapticLoop, mass: float, delay: float, arm: Arms) -> HapticLoop:

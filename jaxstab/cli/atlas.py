@@ -3,16 +3,20 @@
 import re
 import shlex
 import sys
-from collections.abc import Callable, Iterator
-from concurrent.futures import Executor
-from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 import jaxstab
-from jaxstab.cli.options import at_work, file_in, keep_programs, output_file
+from jaxstab.cli.options import (
+    at_work,
+    executor_of,
+    file_in,
+    keep_programs,
+    output_file,
+    resumable,
+)
 from jaxstab.cli.scene import scene_of, warn
 from jaxstab.conventions import Verdict
 
@@ -43,29 +47,11 @@ def build(spec: Path | None, output: Path, workers: int | None, scheduler: str |
     from jaxstab.atlas import AtlasSpec
     from jaxstab.atlas.read.file import node_count
     from jaxstab.atlas.write.build import write_atlas
-    from jaxstab.tiles import dask_cluster, processes
 
-    if workers and scheduler is not None:
-        raise click.UsageError("--workers and --scheduler are given; give one of them.")
-    if scheduler == "":
-        raise click.UsageError("--scheduler is empty; give an address such as tcp://10.0.0.1:8786.")
     keep_programs()
     chosen = AtlasSpec.from_file(spec) if spec else AtlasSpec()
-    where: AbstractContextManager[Executor | None] = nullcontext()
-    if workers:
-        where = processes(workers)
-    elif scheduler:
-        where = dask_cluster(scheduler, lambda words: click.echo(f"jaxstab: {words}", err=True))
-    try:
-        with where as executor, _progress(output) as show:
-            write_atlas(chosen, output, show, executor)
-    except KeyboardInterrupt:
-        click.echo(
-            "jaxstab: interrupted; the finished tiles are stored, so give the same command "
-            "again to continue.",
-            err=True,
-        )
-        sys.exit(130)
+    with executor_of(workers, scheduler) as executor, resumable(output) as show:
+        write_atlas(chosen, output, show, executor)
     if node_count(output) <= _MOST_DESCRIBED:
         click.echo(_described(jaxstab.open_atlas(output), output))
     else:
@@ -73,33 +59,6 @@ def build(spec: Path | None, output: Path, workers: int | None, scheduler: str |
             f"{output}: {output.stat().st_size / 1e6:.2f} MB; jaxstab atlas info loads it to say "
             "what it holds."
         )
-
-
-@contextmanager
-def _progress(output: Path) -> Iterator[Callable[[int, int], None]]:
-    """Yield a function that draws a bar with rate and time left on stderr."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    bar = Progress(
-        TextColumn(f"building {output}"),
-        BarColumn(),
-        TextColumn("{task.completed} of {task.total} tiles, {task.fields[rate]} a second"),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-    )
-    task = bar.add_task("", total=None, rate="?")
-
-    def show(done: int, total: int) -> None:
-        bar.start()  # only now: an early refusal needs no bar
-        speed = bar.tasks[0].speed
-        bar.update(task, completed=done, total=total, rate=f"{speed:.2g}" if speed else "?")
-
-    try:
-        yield show
-    finally:
-        if bar.live.is_started:
-            bar.stop()
 
 
 @click.command()

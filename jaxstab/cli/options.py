@@ -3,7 +3,8 @@
 import os
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from concurrent.futures import Executor
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
@@ -84,3 +85,55 @@ def at_work(words: str) -> Iterator[None]:
 
     with Console(stderr=True).status(words):
         yield
+
+
+@contextmanager
+def executor_of(workers: int | None, scheduler: str | None = None) -> Iterator[Executor | None]:
+    """Open processes, or the workers of a dask scheduler; none computes in this process."""
+    from jaxstab.tiles import dask_cluster, processes
+
+    if workers and scheduler is not None:
+        raise click.UsageError("--workers and --scheduler are given; give one of them.")
+    if scheduler == "":
+        raise click.UsageError("--scheduler is empty; give an address such as tcp://10.0.0.1:8786.")
+    where: Any = nullcontext()
+    if workers:
+        where = processes(workers)
+    elif scheduler:
+        where = dask_cluster(scheduler, lambda words: click.echo(f"jaxstab: {words}", err=True))
+    with where as executor:
+        yield executor
+
+
+@contextmanager
+def resumable(output: Path) -> Iterator[Callable[[int, int], None]]:
+    """Yield a function that draws a bar with rate and time left; say how to continue on Ctrl-C."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    bar = Progress(
+        TextColumn(f"building {output}"),
+        BarColumn(),
+        TextColumn("{task.completed} of {task.total} tiles, {task.fields[rate]} a second"),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+    )
+    task = bar.add_task("", total=None, rate="?")
+
+    def show(done: int, total: int) -> None:
+        bar.start()  # only now: an early refusal needs no bar
+        speed = bar.tasks[0].speed
+        bar.update(task, completed=done, total=total, rate=f"{speed:.2g}" if speed else "?")
+
+    try:
+        yield show
+    except KeyboardInterrupt:
+        click.echo(
+            "jaxstab: interrupted; the finished tiles are stored, so give the same command "
+            "again to continue.",
+            err=True,
+        )
+        sys.exit(130)
+    finally:
+        if bar.live.is_started:
+            bar.stop()

@@ -15,10 +15,13 @@ import click
 from jaxstab.cli.options import (
     at_work,
     draw,
+    executor_of,
     file_in,
+    keep_programs,
     number_or_range,
     output_file,
     picture_file,
+    resumable,
     write_beside,
 )
 from jaxstab.shown import printable, shortened, table_text
@@ -354,13 +357,54 @@ def check(as_json: bool, **given: Any) -> int:
 @click.command()
 @scene_options
 @_plot_option
-def contact(as_json: bool, **given: Any) -> int:
+@click.option(
+    "-o",
+    "--output",
+    type=Path,
+    callback=file_in(".h5", ".nc"),
+    help="Simulate a map of walls around the stable ones into this netCDF-4 file instead.",
+)
+@click.option("--count", type=click.IntRange(2), default=60, help="Walls along each axis of it.")
+@click.option("--frictions", help="LOW:HIGH:COUNT in N: its third axis.")
+@click.option("--workers", type=click.IntRange(1), help="Number of processes that compute it.")
+def contact(
+    as_json: bool,
+    output: Path | None,
+    count: int,
+    frictions: str | None,
+    workers: int | None,
+    **given: Any,
+) -> int:
     """Simulate how the device of a scene meets each wall: does it rest, bounce or buzz?
 
     With friction, a one-sided wall and the encoder, as the table [contact] of the scene says.
     Nothing is proved. The exit code is 0 if every simulated contact comes to rest, 1 if not.
+
+    A map (--output) continues where it stopped when the command is repeated.
     """
-    return _answer(given, "contact", as_json)
+    if output is None:
+        return _answer(given, "contact", as_json)
+    import numpy as np
+
+    from jaxstab.datasets import stored
+    from jaxstab.loop import ContactKind
+    from jaxstab.scene.contact import map_contacts
+    from jaxstab.scene.many import sweep_of
+
+    keep_programs()
+    scene = scene_of(given)
+    warn(*scene.unusual())
+    forces = None if frictions is None else np.array(sweep_of(f"friction={frictions}")[1], float)
+    dataset = map_contacts(scene, output, count, forces)
+    assert scene.contact is not None  # there is a map
+    axes = " x ".join(f"{len(values)} {name}" for name, values in dataset.coordinates.items())
+    words = f"{np.prod(dataset.shape):,} contacts of {scene.contact.duration:g} s"
+    click.echo(f"jaxstab: {axes}: {words}, simulated, not proved", err=True)
+    with executor_of(workers) as executor, resumable(output) as show:
+        kinds = stored(dataset, show, executor)["kind"]
+    rests = float(np.mean(kinds == ContactKind.RESTS))
+    click.echo(f"{output}: {100.0 * rests:.1f} % of the contacts come to rest")
+    return 0
 
 
 @click.command()

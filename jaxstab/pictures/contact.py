@@ -1,6 +1,6 @@
 """Pictures of simulated contacts: one run over time, and where in (K, B) a device rests."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from jaxstab.loop import Contact, ContactKind, HapticLoop
 from jaxstab.pictures.style import BLACK, BLUE, GREEN, ORANGE, closed_outline, new_axes, plain
 from jaxstab.scene.answers import Quantity
-from jaxstab.scene.contact import contact_loop, simulated_map
+from jaxstab.scene.contact import MAP_COUNT, contact_loop, simulated_map, walls_around
 from jaxstab.scene.loops import walls_of
 from jaxstab.scene.scene import Scene, Units
 
@@ -20,8 +20,6 @@ Floats = NDArray[np.float64]
 
 _PANEL = (4.6, 3.6)  # inches
 _FAINTEST, _STRONGEST = 1e-3, 100.0  # mm, of the colours
-_COUNT = 60  # walls on an axis of the map of a scene
-_WIDER = 1.6  # times the largest gains
 
 
 def plot_contact(contact: Contact, ax: Axes | None = None) -> Axes:
@@ -46,20 +44,10 @@ def plot_contact(contact: Contact, ax: Axes | None = None) -> Axes:
 def scene_contacts(scene: Scene) -> Figure:
     """Return the map of simulated contacts of a scene, from its own start, and its walls."""
     loop, gains, units = contact_loop(scene), walls_of(scene), scene.units
-    walls = walls_around(loop, _COUNT, gains.values())
+    walls = walls_around(loop, MAP_COUNT, gains.values())
     friction = Quantity("N").words(scene.device.friction, units)
     contact = simulated_map(scene, *walls)
     return contact_figure(loop, walls, {f"friction {friction}": contact}, gains, units)
-
-
-def walls_around(
-    loop: HapticLoop, count: int, others: Iterable[tuple[float, float]] = ()
-) -> tuple[Floats, Floats]:
-    """Return a grid of walls beyond the stable ones and others, (count,) and (count, 1)."""
-    limits = loop.limits()
-    known = np.array([(limits.stiffness, limits.damping), *others])
-    stiffness, damping = _WIDER * np.nanmax(known, axis=0)
-    return np.linspace(0.0, stiffness, count + 1)[1:], np.linspace(0.0, damping, count)[:, None]
 
 
 def contact_figure(

@@ -6,16 +6,23 @@ lowest ends of their ranges, the delay is constant and the longest one. The answ
 worst start, which it names.
 """
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from math import isnan
-from typing import Annotated, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+from jaxtyping import Float64
 
 from jaxstab.loop import Contact, ContactKind, HapticLoop, contact_map
+from jaxstab.loop.contact import contact_dataset
 from jaxstab.scene.answers import Answer, Basis, Frequency, Quantity, basis_of
 from jaxstab.scene.loops import hands_of, is_one_mass, loop_of, walls_of, with_delay
-from jaxstab.scene.scene import Scene
+from jaxstab.scene.scene import Scene, Units
+
+if TYPE_CHECKING:
+    from jaxstab.datasets import Dataset
 
 _WORST_LAST = (
     ContactKind.LEAVES,
@@ -26,6 +33,10 @@ _WORST_LAST = (
     ContactKind.GROWS,
 )
 _PHASES = 0.0, 0.25, 0.5, 0.75
+MAP_COUNT = 60  # walls along each axis of a map
+_WIDER = 1.6  # times the largest gains
+
+Floats = Float64[np.ndarray, " _"]
 
 
 @dataclass(frozen=True)
@@ -64,6 +75,11 @@ class Contacts(Answer):
 def simulate_contacts(scene: Scene) -> Contacts:
     """The worst simulated contact with each wall of a scene that says how the device meets it."""
     scene.require_walls()
+    _require_contact(scene)
+    return Contacts(basis_of(scene), scene.device.friction, contacts_of(scene))
+
+
+def _require_contact(scene: Scene) -> None:
     if scene.contact is None:
         raise ValueError("contact is missing; give contact.push in N, or contact.speed in m/s.")
     if not is_one_mass(scene):
@@ -71,7 +87,6 @@ def simulate_contacts(scene: Scene) -> Contacts:
             "the device has modes, an actuator or a grip, but contacts are simulated for one mass; "
             "leave them out."
         )
-    return Contacts(basis_of(scene), scene.device.friction, contacts_of(scene))
 
 
 def contacts_of(scene: Scene) -> dict[str, Simulated]:
@@ -93,21 +108,59 @@ def contacts_of(scene: Scene) -> dict[str, Simulated]:
 
 def simulated_map(scene: Scene, stiffness: Any, damping: Any, **start: Any) -> Contact:
     """Return the contacts of walls with the device of a scene; by default at its own start."""
+    return contact_map(contact_loop(scene), stiffness, damping, **{**_conditions(scene), **start})
+
+
+def map_contacts(
+    scene: Scene, path: Path, count: int = MAP_COUNT, friction: Floats | None = None
+) -> "Dataset":
+    """Return a map of walls around the stable ones, from the scene's own start, as a dataset.
+
+    ``friction``, in the unit of the scene's force, is the third dimension if it is given.
+    """
+    _require_contact(scene)
+    loop = contact_loop(scene)
+    walls = walls_around(loop, count, walls_of(scene).values())
+    given = {"stiffness": walls[0], "damping": walls[1], **_conditions(scene)}
+    if friction is not None:
+        if given["static_friction"] is not None:
+            raise ValueError(
+                "device.static_friction is given beside a range of friction; leave it out: it is "
+                "then equal to friction."
+            )
+        given["friction"] = friction[:, None, None]
+    return contact_dataset(loop, given, path, _in_units(scene.units))
+
+
+def _in_units(units: Units) -> Callable[[str], str]:
+    return lambda unit: f"{units.length}/s" if unit == "m/s" else units.unit(unit)
+
+
+def _conditions(scene: Scene) -> dict[str, Any]:
+    """Return what a scene says of contacts, as arguments of ``contact_map``."""
     assert scene.contact is not None  # callers look
     device, controller, given = scene.device, scene.controller, scene.contact
-    return contact_map(
-        contact_loop(scene),
-        stiffness,
-        damping,
-        friction=device.friction,
-        static_friction=device.static_friction,
-        encoder=device.encoder.resolution if device.encoder else 0.0,
-        force_step=controller.force_step,
-        max_force=controller.max_force,
-        one_sided=given.one_sided,
-        duration=given.duration,
-        **({"push": given.push, "speed": given.speed} | start),
-    )
+    return {
+        "friction": device.friction,
+        "static_friction": device.static_friction,
+        "encoder": device.encoder.resolution if device.encoder else 0.0,
+        "force_step": controller.force_step,
+        "max_force": controller.max_force,
+        "one_sided": given.one_sided,
+        "duration": given.duration,
+        "push": given.push,
+        "speed": given.speed,
+    }
+
+
+def walls_around(
+    loop: HapticLoop, count: int, others: Iterable[tuple[float, float]] = ()
+) -> tuple[Floats, Float64[np.ndarray, "_ 1"]]:
+    """Return a grid of walls beyond the stable ones and others, (count,) and (count, 1)."""
+    limits = loop.limits()
+    known = np.array([(limits.stiffness, limits.damping), *others])
+    stiffness, damping = _WIDER * np.nanmax(known, axis=0)
+    return np.linspace(0.0, stiffness, count + 1)[1:], np.linspace(0.0, damping, count)[:, None]
 
 
 def contact_loop(scene: Scene) -> HapticLoop:
