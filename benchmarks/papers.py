@@ -11,6 +11,7 @@ from math import exp, pi, sqrt
 import numpy as np
 
 from jaxstab.conventions import Verdict
+from jaxstab.loop import ContactKind, HapticLoop, contact_map
 from jaxstab.model import Device, plant_coefficients
 from jaxstab.paper import linear_validity, passive_region
 from jaxstab.point import closed_loop_poles, verdict
@@ -23,6 +24,7 @@ _DELAYS = 0.0, 1.0
 _TINY = 1e-12  # what rounding leaves
 _HANDS = 201  # samples of gamma up to the Nyquist frequency
 _INSIDE = 1.0 - 1e-6  # towards the middle: the edge itself is not asymptotically stable
+_WALLS = 60  # of a device with friction
 _SAMPLES = 0.0, 1.0, 2.0, 3.0  # delays for which the best settling is asked
 
 
@@ -221,6 +223,29 @@ def _half_of_the_stiffness() -> Finding:
     return bound(max(shares), 0.5)
 
 
+def _quantised_walls() -> Finding:
+    """Springs of up to the stiffness of the rule, on devices with friction and an encoder."""
+    random, period, grown = np.random.default_rng(2005), 1e-3, 0
+    masses = 0.05, 0.2, 1.0
+    for mass in masses:
+        damping = 10.0 ** random.uniform(-0.5, 0.5)
+        loop = HapticLoop(device_mass=mass, device_damping=damping, sample_time=period)
+        friction = 10.0 ** random.uniform(-2.0, 0.0, _WALLS)
+        encoder = 10.0 ** random.uniform(-6.0, -4.0, _WALLS)
+        contact = contact_map(
+            loop,
+            np.minimum(2.0 * damping / period, 2.0 * friction / encoder),
+            0.0,
+            friction=friction,
+            encoder=encoder,
+            phase=random.uniform(size=_WALLS),
+            speed=10.0 ** random.uniform(-3.0, -1.0, _WALLS),
+            one_sided=False,
+        )
+        grown += int(np.sum(contact.kind == ContactKind.GROWS))
+    return Finding(f"{grown} of {len(masses) * _WALLS} grow", str(grown), grown == 0)
+
+
 def _of(place: str) -> str:
     return f"{_PAPER}, {place}"
 
@@ -281,6 +306,12 @@ CLAIMS: tuple[Claim, ...] = (
             partial(_passive, delay),
         )
         for delay in (0.0, 1.0, 2.0)
+    ),
+    Claim(
+        "Abbott and Okamura 2005, as quoted",
+        "K = min(2 b/T, 2 f_c/q), B = 0, d = 0: simulated contacts that grow",
+        "none *",
+        _quantised_walls,
     ),
     Claim(
         "later papers of Hulin et al.",
