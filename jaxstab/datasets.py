@@ -212,7 +212,8 @@ def stored(
             progress(len(dataset.items), len(dataset.items))
     elif os.path.lexists(dataset.path):
         raise FileExistsError(
-            f"{dataset.path} exists and is of something else; remove it, or give another name."
+            f"{dataset.path} exists, and is of something else or of another version of jaxstab; "
+            "remove it, or give another name."
         )
     else:
         complete(dataset, dataset.path, progress, executor)
