@@ -64,6 +64,7 @@ class Dataset(Job[Block]):
         coordinates: the dimensions in order, with the values along each.
         variables: those over all dimensions, and what coordinates are, by their names.
         attributes: of the file, as text.
+        identity: what tells it from other datasets, all that is computed from, to the last digit.
         compute: the variables in a block, by name; it and its arguments can be pickled.
     """
 
@@ -71,14 +72,15 @@ class Dataset(Job[Block]):
     coordinates: Mapping[str, NDArray[Any]]
     variables: Mapping[str, Variable]
     attributes: Mapping[str, str]
+    identity: str
     compute: Callable[[Block], Arrays]
     size: int
     at_once: int = _AT_ONCE
     key: str = field(init=False, default="")
 
     def __post_init__(self) -> None:
-        digest = hashlib.sha256(repr([*self.attributes.items(), self.size]).encode())
-        digest.update(repr([*self.variables.items(), computed_by()]).encode())
+        digest = hashlib.sha256(repr([self.identity, self.size, computed_by()]).encode())
+        digest.update(repr([*self.attributes.items(), *self.variables.items()]).encode())
         for name, values in self.coordinates.items():
             digest.update(f"\n{name} {values.dtype.str} {values.shape} ".encode())
             digest.update(np.ascontiguousarray(values).tobytes())

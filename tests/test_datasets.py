@@ -64,6 +64,14 @@ def test_a_file_holds_the_contacts_of_the_call_without_one(tmp_path: Path) -> No
     assert entries(tmp_path) == ["a.h5"]
 
 
+def test_arrays_of_one_number_are_no_dimensions(tmp_path: Path) -> None:
+    walls = {"stiffness": np.array([800.0, 900.0]), "damping": np.full((1, 1, 1), 9.0)}
+    own = contact_map(LOOP, **walls, **AT_REST, store=tmp_path / "a.h5")
+    plain = contact_map(LOOP, **walls, **AT_REST)
+    assert own.kind.shape == plain.kind.shape == (1, 1, 2)
+    np.testing.assert_array_equal(own.amplitude, plain.amplitude)
+
+
 def test_xarray_finds_named_dimensions_units_and_codes(tmp_path: Path) -> None:
     own = mapped(tmp_path / "a.h5")
     opened = xarray.open_dataset(tmp_path / "a.h5", engine="h5netcdf")
@@ -128,6 +136,21 @@ def test_blocks_of_another_map_are_not_taken(other: dict[str, Any], tmp_path: Pa
     with pytest.raises(FileExistsError, match=r"a\.h5 exists, and is of something else or"):
         mapped(path)
     assert h5py.File(path).attrs["conditions"] != b""
+
+
+def test_sequences_of_delays_that_differ_in_one_sample_are_of_different_maps(
+    tmp_path: Path,
+) -> None:
+    delays = np.full(3000, 1e-3)
+    keys = set()
+    for place in (None, 1500):
+        turn = delays.copy()
+        turn[place] = 0.0 if place else 1e-3
+        given = {**GIVEN, **AT_REST, "delays": turn}
+        dataset = maps.contact_dataset(LOOP, given, tmp_path / "a.h5")
+        assert len(dataset.attributes["conditions"]) < 1000
+        keys.add(dataset.key)
+    assert len(keys) == 2
 
 
 def test_workers_give_the_same_bytes_and_their_death_loses_nothing(tmp_path: Path) -> None:

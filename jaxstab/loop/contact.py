@@ -24,6 +24,7 @@ from jaxstab.model.filters import Filter, Velocity, given_filters
 from jaxstab.motion.contact import FASTEST, LIMIT, Plant, Runs, Summary, contacts, paths
 from jaxstab.motion.response import Column, Controller, Response, answer_text
 from jaxstab.numbers import checked, checked_number
+from jaxstab.shown import shortened
 from jaxstab.tiles import Progress
 
 if TYPE_CHECKING:
@@ -227,7 +228,7 @@ def contact_map(
         given = {"stiffness": stiffness, "damping": damping, **options}
         dataset = contact_dataset(loop, given, Path(store))
         values = stored(dataset, progress, executor)
-        shape = np.broadcast_shapes(*(np.shape(given[name]) for name in dataset.coordinates))
+        shape = np.broadcast_shapes(*(np.shape(given[name]) for name in given if name in _AXES))
         kind, *others = (values[name].reshape(shape) for name in _VARIABLES)
         return Contact._make([named(kind, ContactKind), *others, None])
     if progress is not None or executor is not None:
@@ -251,7 +252,8 @@ class _Blocks:
         parts = [self.given[name][part] for name, part in zip(self.dimensions, block, strict=True)]
         mesh = dict(zip(self.dimensions, np.ix_(*parts), strict=True))
         contact = contact_map(self.loop, **{**self.given, **mesh})
-        return {name: np.asarray(getattr(contact, name)) for name in _VARIABLES}
+        shape = [len(part) for part in parts]
+        return {name: np.reshape(getattr(contact, name), shape) for name in _VARIABLES}
 
 
 def contact_dataset(
@@ -268,7 +270,7 @@ def contact_dataset(
     from jaxstab.datasets import Dataset, Variable, mesh_of
 
     loop = loop.in_floats()
-    numbers = {name: value for name, value in given.items() if name in _COORDINATES}
+    numbers = {name: value for name, value in given.items() if name in _AXES}
     mesh = mesh_of({name: checked(name, v) for name, v in numbers.items() if np.ndim(v)})
     if not mesh:
         raise ValueError("no argument is an array, so there is nothing to map; use loop.contact.")
@@ -281,7 +283,7 @@ def contact_dataset(
         variables={
             name: Variable(dtype, words, in_units(unit), *flags)
             for name, (dtype, words, unit, *flags) in (
-                *((name, ("float64", *_COORDINATES[name])) for name in mesh),
+                *((name, ("float64", *_AXES[name])) for name in mesh),
                 *_VARIABLES.items(),
             )
         },
@@ -289,8 +291,11 @@ def contact_dataset(
             "title": "Simulated contacts with virtual walls; nothing is proved",
             "source": f"jaxstab {jaxstab.__version__}, contact_map",
             "loop": repr(loop),
-            "conditions": ", ".join(f"{name}={value!r}" for name, value in fixed.items()),
+            "conditions": ", ".join(f"{name}={shortened(v)}" for name, v in fixed.items()),
         },
+        identity=repr(
+            [loop, *((name, np.asarray(value).tolist()) for name, value in fixed.items())]
+        ),
         compute=_Blocks(loop, {**fixed, **mesh}, tuple(mesh)),
         size=max(_LEAST, _BLOCK // samples),
     )
@@ -306,7 +311,7 @@ _VARIABLES: dict[str, Any] = {
     "largest_force": ("float64", "largest modulus of the wall's force", "N"),
     "energy": ("float64", "energy that the wall gave to device and hand", "J"),
 }
-_COORDINATES = {
+_AXES = {
     "stiffness": ("stiffness of the virtual wall", "N/m"),
     "damping": ("damping of the virtual wall", "N s/m"),
     "friction": ("Coulomb friction", "N"),
