@@ -252,6 +252,13 @@ def test_the_command_stores_a_map_in_the_units_of_its_scene(tmp_path: Path) -> N
     before = path.stat().st_mtime_ns
     assert run(*words).stdout == done.stdout
     assert path.stat().st_mtime_ns == before
+    for more, said in (
+        (("--plot", tmp_path / "a.png"), "--plot is given beside --output; give one of them"),
+        (("--sweep", "device.damping=0.1,0.2"), "a map is of one scene; give one FILE and no"),
+    ):
+        refused = run(*words, *more)
+        assert (refused.exit_code, refused.stdout) == (2, "")
+        assert said in refused.stderr
     other = run(*words[:-1], "0:0.02:3")
     assert other.exit_code == 2
     assert "is of something else or of another version" in other.stderr

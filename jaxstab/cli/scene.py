@@ -384,6 +384,11 @@ def contact(
     """
     if output is None:
         return _answer(given, "contact", as_json)
+    if len(given["files"]) > 1 or given["sweep"]:
+        raise click.UsageError("a map is of one scene; give one FILE and no --sweep.")
+    beside = {"plot": given["plot"], "csv": given["csv_file"], "json": as_json}
+    for name in (name for name, value in beside.items() if value):
+        raise click.UsageError(f"--{name} is given beside --output; give one of them.")
     import numpy as np
 
     from jaxstab.datasets import stored
