@@ -16,7 +16,7 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import h5py
 import numpy as np
@@ -28,7 +28,10 @@ from jaxstab.tiles import Job, Progress, Shards, complete, computed_by
 Arrays = dict[str, NDArray[Any]]
 Block = tuple[slice, ...]
 
-_VERSIONS = "v110", "v110"  # of HDF5
+FORMAT_VERSIONS: Final = ("v110", "v110")
+
+"""Of HDF5: checksums of its own structures; 1.10 and newer read it."""
+
 _FILTERS = {"shuffle": True, "compression": "gzip", "compression_opts": 1, "fletcher32": True}
 _KEY, _MAKER = "key", "computed_by"
 _AT_ONCE = 8  # blocks in flight
@@ -155,7 +158,7 @@ class Dataset(Job[Block]):
         """Write the file: a chunk for each block, in their order."""
         with replacing(self.path, shards.folder) as descriptor:
             stream = PatientStream(descriptor)
-            with h5py.File(stream, "w", libver=_VERSIONS) as file:
+            with h5py.File(stream, "w", libver=FORMAT_VERSIONS) as file:
                 datasets = self._created(file)
                 for item in self.items:
                     arrays = _arrays(shards.read(self.name(item)))
@@ -167,19 +170,19 @@ class Dataset(Job[Block]):
 
     def _created(self, file: h5py.File) -> dict[str, h5py.Dataset]:
         """Write attributes and coordinates, and create the variables."""
-        _write_attributes(file, {**self.attributes, "Conventions": "CF-1.8", _KEY: self.key})
+        write_attributes(file, {**self.attributes, "Conventions": "CF-1.8", _KEY: self.key})
         for name, values in self.coordinates.items():
             is_text = values.dtype.kind == "U"
             stored = np.char.encode(values, "utf-8") if is_text else values
             dataset = file.create_dataset(name, data=stored, track_times=False)
             dataset.make_scale(name)
-            _write_attributes(dataset, self.variables[name].attributes)
+            write_attributes(dataset, self.variables[name].attributes)
         datasets = {}
         for name, variable in self.computed.items():
             datasets[name] = file.create_dataset(
                 name, self.shape, variable.dtype, chunks=self.chunk, track_times=False, **_FILTERS
             )
-            _write_attributes(datasets[name], variable.attributes)
+            write_attributes(datasets[name], variable.attributes)
             for number, dimension in enumerate(self.coordinates):
                 datasets[name].dims[number].attach_scale(file[dimension])
         return datasets
@@ -250,6 +253,7 @@ def _arrays(image: bytes) -> Arrays:
         return {}
 
 
-def _write_attributes(to: Any, attributes: Mapping[str, Any]) -> None:
+def write_attributes(to: h5py.File | h5py.Dataset, attributes: Mapping[str, Any]) -> None:
+    """Write attributes; texts as UTF-8 of a fixed length."""
     for name, value in attributes.items():
         to.attrs[name] = np.bytes_(value.encode("utf-8")) if isinstance(value, str) else value

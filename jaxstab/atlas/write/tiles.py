@@ -44,15 +44,14 @@ from jaxstab.atlas.format.variables import LARGEST_UNASKED, SPEC
 from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.read.file import TooLargeError, check_values, contents_of, table_in
 from jaxstab.atlas.write.variables import (
-    FORMAT_VERSIONS,
     TROUBLES,
     checked_layout,
     create_variable,
     filters_of,
     places_of,
-    write_attributes,
     write_variable,
 )
+from jaxstab.datasets import FORMAT_VERSIONS, write_attributes
 from jaxstab.durable import PatientStream, replacing, write_all
 from jaxstab.tiles import Shards, computed_by
 

@@ -1,6 +1,6 @@
 """How the variables of the schema are written to HDF5. No JAX."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from math import prod
 from pathlib import Path
@@ -13,10 +13,7 @@ from numpy.typing import NDArray
 from jaxstab.atlas.format.schema import attributes_of
 from jaxstab.atlas.format.table import DAMAGED, Place, RefusalError, Table, check
 from jaxstab.atlas.format.variables import Variable
-
-FORMAT_VERSIONS: Final = ("v110", "v110")
-
-"""Of HDF5: checksums of its own structures, and the other readers know it."""
+from jaxstab.datasets import write_attributes
 
 _PACKED: Final = {"shuffle": True, "compression": "gzip", "compression_opts": 6}
 _LARGEST_CHUNK = 2**17  # values of an array that is not laid out in tiles
@@ -61,12 +58,6 @@ def create_variable(
         for number, dimension in enumerate(variable.dimensions):
             dataset.dims[number].attach_scale(file[dimension])
     return dataset
-
-
-def write_attributes(to: h5py.File | h5py.Dataset, attributes: Mapping[str, Any]) -> None:
-    """Write attributes; texts as UTF-8 of a fixed length."""
-    for name, value in attributes.items():
-        to.attrs[name] = np.bytes_(value.encode("utf-8")) if isinstance(value, str) else value
 
 
 def places_of(dataset: h5py.Dataset) -> list[Place]:
