@@ -317,7 +317,7 @@ class Atlas:
     Example:
         >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
         >>> atlas.products, atlas.delays.tolist(), atlas.filters is None
-        (('verdict', 'alpha_limits'), [0.0, 1.0, 1.5], True)
+        (('verdict', 'alpha_limits', 'fields'), [0.0, 1.0, 1.5], True)
         >>> {name: nodes.size for name, nodes in atlas.nodes(0).items()}
         {'alpha': 10, 'beta': 9, 'gamma': 3, 'delta': 3}
         >>> hand = {"gamma": 0.0005, "delta": 0.01, "delay": 1.0}
