@@ -50,7 +50,7 @@ def build(spec: Path | None, output: Path, workers: int | None, scheduler: str |
 
     keep_programs()
     chosen = AtlasSpec.from_file(spec) if spec else AtlasSpec()
-    with executor_of(workers, scheduler) as executor, resumable(output) as show:
+    with resumable(output) as show, executor_of(workers, scheduler) as executor:
         write_atlas(chosen, output, show, executor)
     if node_count(output) <= _MOST_DESCRIBED:
         click.echo(_described(jaxstab.open_atlas(output), output))

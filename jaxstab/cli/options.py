@@ -126,7 +126,11 @@ def resumable(output: Path) -> Iterator[Callable[[int, int], None]]:
         bar.update(task, completed=done, total=total, rate=f"{speed:.2g}" if speed else "?")
 
     try:
-        yield show
+        try:
+            yield show
+        finally:
+            if bar.live.is_started:
+                bar.stop()
     except KeyboardInterrupt:
         click.echo(
             "jaxstab: interrupted; the finished tiles are stored, so give the same command "
@@ -134,6 +138,3 @@ def resumable(output: Path) -> Iterator[Callable[[int, int], None]]:
             err=True,
         )
         sys.exit(130)
-    finally:
-        if bar.live.is_started:
-            bar.stop()

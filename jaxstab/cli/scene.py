@@ -405,7 +405,7 @@ def contact(
     axes = " x ".join(f"{len(values)} {name}" for name, values in dataset.coordinates.items())
     words = f"{np.prod(dataset.shape):,} contacts of {scene.contact.duration:g} s"
     click.echo(f"jaxstab: {axes}: {words}, simulated, not proved", err=True)
-    with executor_of(workers) as executor, resumable(output) as show:
+    with resumable(output) as show, executor_of(workers) as executor:
         kinds = stored(dataset, show, executor)["kind"]
     rests = float(np.mean(kinds == ContactKind.RESTS))
     click.echo(f"{output}: {100.0 * rests:.1f} % of the contacts come to rest")
