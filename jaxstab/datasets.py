@@ -5,18 +5,23 @@ blocks, boxes of the grid of dimensions, by ``jaxstab.tiles``: in any executor, 
 interruption, the same bytes however the work was done. A block is also a chunk of the file, which
 xarray, h5py and any HDF5 viewer open. The file has the key of its dataset, so an equal call finds
 that all is done.
+
+A variable may lack some of the dimensions, of which each block then holds the whole. A dataset can
+be computed in *parts*, every n-th block each, by processes that know nothing of each other: the
+file of a part has all dimensions and its own chunks, and ``merged`` puts the chunks together.
 """
 
 import hashlib
 import io
 import os
+import shutil
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
-from itertools import product
+from itertools import islice, product
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeVar
 
 import h5py
 import numpy as np
@@ -25,6 +30,7 @@ from numpy.typing import NDArray
 from jaxstab.durable import PatientStream, named_errors, replacing
 from jaxstab.tiles import Job, Progress, Shards, complete, computed_by
 
+Item = TypeVar("Item")
 Arrays = dict[str, NDArray[Any]]
 Block = tuple[slice, ...]
 
@@ -33,20 +39,22 @@ FORMAT_VERSIONS: Final = ("v110", "v110")
 """Of HDF5: checksums of its own structures; 1.10 and newer read it."""
 
 _FILTERS = {"shuffle": True, "compression": "gzip", "compression_opts": 1, "fletcher32": True}
-_KEY, _MAKER = "key", "computed_by"
+_FILL = {"float64": np.nan, "int8": 0}  # of chunks that other parts have
+_KEY, _MAKER, _PART = "key", "computed_by", "part"
 _AT_ONCE = 8  # blocks in flight
 
 
 class Variable(NamedTuple):
     """A variable, or the coordinate of a dimension: its type, its name in words and its unit.
 
-    flags: the words of codes, by their numbers.
+    flags: the words of codes, by their numbers; without: dimensions that the variable lacks.
     """
 
     dtype: str
     long_name: str
     units: str
     flags: Mapping[int, str] = {}
+    without: tuple[str, ...] = ()
 
     @property
     def attributes(self) -> dict[str, Any]:
@@ -69,6 +77,9 @@ class Dataset(Job[Block]):
         attributes: of the file, as text.
         identity: what tells it from other datasets, all that is computed from, to the last digit.
         compute: the variables in a block, by name; it and its arguments can be pickled.
+        size: values in a block, at most.
+        labels: further coordinates along one dimension each, by name: the dimension, the values.
+        part: which part of how many, counted from 1.
     """
 
     path: Path
@@ -78,15 +89,22 @@ class Dataset(Job[Block]):
     identity: str
     compute: Callable[[Block], Arrays]
     size: int
+    labels: Mapping[str, tuple[str, NDArray[Any]]] = field(default_factory=dict)
+    part: tuple[int, int] = (1, 1)
     at_once: int = _AT_ONCE
+    whole_key: str = field(init=False, default="")
     key: str = field(init=False, default="")
 
     def __post_init__(self) -> None:
         digest = hashlib.sha256(repr([self.identity, self.size, computed_by()]).encode())
         digest.update(repr([*self.attributes.items(), *self.variables.items()]).encode())
-        for name, values in self.coordinates.items():
+        labels = {name: values for name, (_, values) in self.labels.items()}
+        for name, values in {**self.coordinates, **labels}.items():
             digest.update(f"\n{name} {values.dtype.str} {values.shape} ".encode())
             digest.update(np.ascontiguousarray(values).tobytes())
+        object.__setattr__(self, "whole_key", digest.hexdigest())
+        if self.part != (1, 1):
+            digest.update(repr(self.part).encode())
         object.__setattr__(self, "key", digest.hexdigest())
 
     @property
@@ -106,18 +124,25 @@ class Dataset(Job[Block]):
     @property
     def computed(self) -> dict[str, Variable]:
         """The variables that blocks hold."""
-        return {n: v for n, v in self.variables.items() if n not in self.coordinates}
+        others = {*self.coordinates, *self.labels}
+        return {name: v for name, v in self.variables.items() if name not in others}
+
+    def own(self, variable: Variable, along: Sequence[Item]) -> tuple[Item, ...]:
+        """Return what belongs to the dimensions that a variable has, of something for each."""
+        pairs = zip(self.coordinates, along, strict=True)
+        return tuple(one for name, one in pairs if name not in variable.without)
 
     @property
     def items(self) -> list[Block]:
-        """The blocks."""
+        """The blocks of the part."""
         starts = (range(0, n, step) for n, step in zip(self.shape, self.chunk, strict=True))
+        number, count = self.part
         return [
             tuple(
                 slice(first, min(first + step, n))
                 for first, step, n in zip(place, self.chunk, self.shape, strict=True)
             )
-            for place in product(*starts)
+            for place in islice(product(*starts), number - 1, None, count)
         ]
 
     def name(self, item: Block) -> str:
@@ -148,9 +173,11 @@ class Dataset(Job[Block]):
         return self._is_own(item, _arrays(image))
 
     def _is_own(self, item: Block, arrays: Arrays) -> bool:
-        shape = tuple(part.stop - part.start for part in item)
+        lengths = tuple(part.stop - part.start for part in item)
         return str(arrays.get(_KEY)) == self.key and all(
-            name in arrays and arrays[name].shape == shape and arrays[name].dtype == variable.dtype
+            name in arrays
+            and arrays[name].shape == self.own(variable, lengths)
+            and arrays[name].dtype == variable.dtype
             for name, variable in self.computed.items()
         )
 
@@ -163,36 +190,47 @@ class Dataset(Job[Block]):
                 for item in self.items:
                     arrays = _arrays(shards.read(self.name(item)))
                     for name, dataset in datasets.items():
-                        dataset[item] = arrays[name]
+                        dataset[self.own(self.variables[name], item)] = arrays[name]
                     stream.check()
             stream.check()
             os.ftruncate(descriptor, stream.size)
 
     def _created(self, file: h5py.File) -> dict[str, h5py.Dataset]:
         """Write attributes and coordinates, and create the variables."""
-        write_attributes(file, {**self.attributes, "Conventions": "CF-1.8", _KEY: self.key})
-        for name, values in self.coordinates.items():
-            is_text = values.dtype.kind == "U"
-            stored = np.char.encode(values, "utf-8") if is_text else values
-            dataset = file.create_dataset(name, data=stored, track_times=False)
-            dataset.make_scale(name)
+        said = {"Conventions": "CF-1.8", _KEY: self.whole_key}
+        if self.part != (1, 1):
+            said[_PART] = "{} of {}".format(*self.part)
+        write_attributes(file, {**self.attributes, **said})
+        labels = {name: values for name, (_, values) in self.labels.items()}
+        for name, values in {**self.coordinates, **labels}.items():
+            kind = h5py.string_dtype() if values.dtype.kind == "U" else values.dtype
+            dataset = file.create_dataset(name, data=values.astype(kind), track_times=False)
+            if name in self.coordinates:
+                dataset.make_scale(name)
+            else:
+                dataset.dims[0].attach_scale(file[self.labels[name][0]])
             write_attributes(dataset, self.variables[name].attributes)
         datasets = {}
         for name, variable in self.computed.items():
-            datasets[name] = file.create_dataset(
-                name, self.shape, variable.dtype, chunks=self.chunk, track_times=False, **_FILTERS
-            )
-            write_attributes(datasets[name], variable.attributes)
-            for number, dimension in enumerate(self.coordinates):
-                datasets[name].dims[number].attach_scale(file[dimension])
+            shape, chunk = self.own(variable, self.shape), self.own(variable, self.chunk)
+            options = {"chunks": chunk, "fillvalue": _FILL[variable.dtype], **_FILTERS}
+            created = file.create_dataset(name, shape, variable.dtype, track_times=False, **options)
+            own = self.own(variable, [*self.coordinates])
+            labelled = [label for label, (along, _) in self.labels.items() if along in own]
+            coordinates = {"coordinates": " ".join(labelled)} if labelled else {}
+            write_attributes(created, {**variable.attributes, **coordinates})
+            for number, dimension in enumerate(own):
+                created.dims[number].attach_scale(file[dimension])
+            datasets[name] = created
         return datasets
 
     @property
     def is_published(self) -> bool:
-        """Whether the file at the path is of this dataset."""
+        """Whether the file at the path is of this dataset, and of this part."""
         try:
             with h5py.File(self.path, "r") as file:
-                return bytes(file.attrs[_KEY]).decode() == self.key
+                part = (1, 1) if _PART not in file.attrs else _part(file)
+                return _text(file, _KEY) == self.whole_key and part == self.part
         except (OSError, KeyError, ValueError, TypeError):
             return False
 
@@ -202,10 +240,10 @@ class Dataset(Job[Block]):
             return {name: file[name][()] for name in self.computed}
 
 
-def stored(
+def ensure(
     dataset: Dataset, progress: Progress | None = None, executor: Executor | None = None
-) -> Arrays:
-    """Return the variables of a dataset from its file, which is computed unless it is done already.
+) -> None:
+    """Compute the file of a dataset unless it is done already.
 
     ``progress`` is called with the number of finished blocks and of all blocks.
 
@@ -222,7 +260,135 @@ def stored(
         )
     else:
         complete(dataset, dataset.path, progress, executor)
+
+
+def stored(
+    dataset: Dataset, progress: Progress | None = None, executor: Executor | None = None
+) -> Arrays:
+    """Return the variables of a dataset, whole; arguments and errors as ``ensure``."""
+    ensure(dataset, progress, executor)
     return dataset.read()
+
+
+# What is read of files, chunk by chunk.
+
+
+class Kept(NamedTuple):
+    """What a file says of its dataset: attributes, and for each variable its own and dimensions."""
+
+    attributes: dict[str, str]
+    coordinates: dict[str, NDArray[Any]]
+    dimensions: dict[str, tuple[str, ...]]
+    units: dict[str, str]
+    long_names: dict[str, str]
+
+
+def kept(path: Path) -> Kept:
+    """Return what the file of a dataset holds, without the values of its variables.
+
+    OSError: it cannot be read; ValueError: it is no file of a dataset.
+    """
+    with named_errors("read", path):
+        os.stat(path)  # HDF5's own sentence is long
+    with named_errors("read", path), h5py.File(path, "r") as file:
+        if _KEY not in file.attrs:
+            raise ValueError(f"{path} is no dataset of jaxstab.")
+        scales = {name for name in file if file[name].is_scale}
+        return Kept(
+            {name: _text(file, name) for name in file.attrs},
+            {name: _decoded(file[name][()]) for name in sorted(scales)},
+            {
+                name: tuple(str(dim[0].name)[1:] for dim in file[name].dims)
+                for name in file
+                if name not in scales
+            },
+            {name: _text(file[name], "units") for name in file},
+            {name: _text(file[name], "long_name") for name in file},
+        )
+
+
+def chunks(path: Path, name: str) -> Iterator[tuple[Block, NDArray[Any]]]:
+    """Yield the values of a variable, a chunk at a time, each with its place."""
+    with named_errors("read", path), h5py.File(path, "r") as file:
+        for block in file[name].iter_chunks():
+            yield tuple(block), file[name][block]
+
+
+def values(path: Path, name: str) -> NDArray[Any]:
+    """Return the values of a variable, whole."""
+    with named_errors("read", path), h5py.File(path, "r") as file:
+        return _decoded(file[name][()])
+
+
+def merged(parts: Sequence[Path], path: Path) -> None:
+    """Put the files of all parts of a dataset together, chunk by chunk, as they are.
+
+    ValueError: parts are of different datasets, missing or given twice; FileExistsError: another
+    file is at the path; OSError: a file cannot be read or written.
+    """
+    if os.path.lexists(path):
+        raise FileExistsError(f"{path} exists; remove it, or give another name.")
+    own: dict[tuple[int, int], Path] = {}
+    keys = dict[str, Path]()
+    for one in parts:
+        with named_errors("read", one), h5py.File(one, "r") as file:
+            if _PART not in file.attrs or _KEY not in file.attrs:
+                raise ValueError(f"{one} is no part of a study; give the files that --part wrote.")
+            key, part = _text(file, _KEY), _part(file)
+        keys.setdefault(key, one)
+        if len(keys) > 1:
+            first, second = keys.values()
+            raise ValueError(
+                f"{second} and {first} are parts of different studies, or of different versions of "
+                "jaxstab; give those of one."
+            )
+        if part in own:
+            raise ValueError(f"{one} and {own[part]} are the same part; give each once.")
+        own[part] = one
+    count = max((count for _, count in own), default=0)
+    missing = [number for number in range(1, count + 1) if (number, count) not in own]
+    if missing or not own:
+        words = f"part {missing[0]} of {count} is missing" if own else "no part is given"
+        raise ValueError(f"{words}; give the files of all parts.")
+    with replacing(path) as descriptor:
+        stream = PatientStream(descriptor)
+        first, *others = (one for _, one in sorted(own.items()))
+        with first.open("rb") as source:
+            shutil.copyfileobj(source, stream)
+        stream.check()
+        with h5py.File(stream, "r+", libver=FORMAT_VERSIONS) as file:
+            del file.attrs[_PART]
+            for other in others:
+                with named_errors("read", other), h5py.File(other, "r") as source_file:
+                    _copy_chunks(source_file, file)
+                stream.check()
+        stream.check()
+        os.ftruncate(descriptor, stream.size)
+
+
+def _copy_chunks(source: h5py.File, target: h5py.File) -> None:
+    for name in source:
+        if source[name].chunks is None:  # a coordinate
+            continue
+        chunks = source[name].id
+        for number in range(chunks.get_num_chunks()):
+            place = chunks.get_chunk_info(number).chunk_offset
+            mask, raw = chunks.read_direct_chunk(place)
+            target[name].id.write_direct_chunk(place, raw, mask)
+
+
+def _part(file: h5py.File) -> tuple[int, int]:
+    number, _, count = _text(file, _PART).partition(" of ")
+    return int(number), int(count)
+
+
+def _text(of: h5py.File | h5py.Dataset, name: str) -> str:
+    value = of.attrs.get(name, b"")
+    return value.decode() if isinstance(value, bytes) else str(value)
+
+
+def _decoded(array: NDArray[Any]) -> NDArray[Any]:
+    return array if array.dtype != object else np.array([text.decode() for text in array])
 
 
 def mesh_of(values: Mapping[str, Any]) -> dict[str, NDArray[Any]]:

@@ -31,6 +31,7 @@ from jaxstab.cli.scene import (
     tune,
     warn,
 )
+from jaxstab.cli.study import study
 from jaxstab.shown import printable
 
 
@@ -99,7 +100,8 @@ def main() -> None:
     """Stability of haptic rendering loops."""
 
 
-for _command in (limits, check, contact, tune, design, scene, explore, guard, region, figure):
+_COMMANDS = (limits, check, contact, tune, design, study, scene, explore, guard, region, figure)
+for _command in _COMMANDS:
     main.add_command(_command)
 
 

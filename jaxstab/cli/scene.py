@@ -82,8 +82,8 @@ _OPTIONS: dict[str, tuple[str, str, Any, str]] = {  # table and key of a scene, 
 }
 
 
-def scene_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add what describes a scene: a file, options that go before it, and the form of the answer."""
+def mechanics_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add what describes a scene: a file, and options that go before it."""
     decorations = (
         click.argument("files", type=Path, nargs=-1, metavar="[FILE]..."),
         *(_scene_option(name, kind, words) for name, (_, _, kind, words) in _OPTIONS.items()),
@@ -94,6 +94,16 @@ def scene_options(command: Callable[..., Any]) -> Callable[..., Any]:
             metavar="NAME K B",
             help="A wall: its name, N/m and N s/m; may be repeated.",
         ),
+    )
+    for decoration in reversed(decorations):
+        command = decoration(command)
+    return command
+
+
+def scene_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add what describes scenes, and the form of the answer."""
+    decorations = (
+        mechanics_options,
         click.option(
             "--sweep",
             multiple=True,

@@ -130,25 +130,25 @@ def _variant(source: str, table: Mapping[str, Any], values: dict[str, float | st
     changed: Any = table
     try:
         for name, value in values.items():
-            changed = _with(changed, name.split("."), value)
+            changed = with_value(changed, name.split("."), value)
         return Variant(source, values, Scene.from_table(changed))
     except ValueError as error:
         return Variant(source, values, None, str(error))
 
 
-def _with(table: Any, path: list[str], value: float | str) -> Any:
+def with_value(table: Any, path: list[str], value: Any) -> Any:
     """Return a table with a value in place of another one; entries of lists go by their numbers."""
     first, *rest = path
     if isinstance(table, list):
         if not (first.isdigit() and int(first) < len(table)):
             raise ValueError(f"{first} is not an entry of a list of {len(table)} to sweep.")
         number = int(first)
-        changed = _with(table[number], rest, value) if rest else value
+        changed = with_value(table[number], rest, value) if rest else value
         return [*table[:number], changed, *table[number + 1 :]]
     inner = table.get(first, {})
     if rest and not isinstance(inner, Mapping | list):
         raise ValueError(f"{first} is {inner!r}; it has no key {rest[0]!r} to sweep.")
-    return {**table, first: _with(inner, rest, value) if rest else value}
+    return {**table, first: with_value(inner, rest, value) if rest else value}
 
 
 def _value(text: str) -> float | str:

@@ -1,0 +1,228 @@
+"""The command for studies: many devices, people and controllers as one table."""
+
+from math import prod
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import numpy as np
+
+from jaxstab.cli.options import (
+    draw,
+    executor_of,
+    file_in,
+    keep_programs,
+    picture_file,
+    resumable,
+)
+from jaxstab.cli.scene import mechanics_options, tables_of
+from jaxstab.shown import printable, table_text
+
+if TYPE_CHECKING:
+    from jaxstab.scene.study import Study
+
+_MOST_ROWS = 20
+_PROBABILITIES = (0.05, 0.5, 0.95)
+
+
+def _part(_: click.Context, option: click.Parameter, text: str | None) -> tuple[int, int]:
+    if text is None:
+        return 1, 1
+    number, slash, count = text.partition("/")
+    if not (slash and number.isdigit() and count.isdigit() and 1 <= int(number) <= int(count)):
+        raise click.BadParameter(
+            f"{text!r} is no part; give NUMBER/COUNT, such as 3/64.", param=option
+        )
+    return int(number), int(count)
+
+
+def _over(_: click.Context, option: click.Parameter, texts: tuple[str, ...]) -> dict[str, Any]:
+    from jaxstab.scene.draws import distribution_of
+    from jaxstab.scene.many import sweep_of
+
+    over: dict[str, Any] = {}
+    for text in texts:
+        key, __, values = text.partition("=")
+        try:
+            given: Any = distribution_of(values) or sweep_of(text)[1]
+        except ValueError as error:
+            words = str(error).replace("sweep is", "it is")
+            raise click.BadParameter(words, param=option) from None
+        if key in over:
+            raise click.BadParameter(f"{key} is given twice; give each key once.", param=option)
+        over[key] = given
+    return over
+
+
+@click.command()
+@mechanics_options
+@click.option(
+    "--over",
+    multiple=True,
+    callback=_over,
+    metavar="KEY=VALUES",
+    help="What varies: LOW:HIGH:COUNT, V,V,..., normal:MEAN:DEVIATION, uniform:LOW:HIGH, "
+    "lognormal:MEDIAN:FACTOR or csv:FILE:COLUMN; may be repeated.",
+)
+@click.option(
+    "--answer",
+    "answers",
+    multiple=True,
+    help="limits, verdict, margins, settling_time or spectral_radius; may be repeated. Default: "
+    "limits, and verdict if there are walls.",
+)
+@click.option("--samples", default=10_000, show_default=True, help="Number of draws.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the draws.")
+@click.option(
+    "-o",
+    "--output",
+    type=Path,
+    required=True,
+    callback=file_in(".h5", ".nc"),
+    help="The table, a netCDF-4 file.",
+)
+@click.option("--workers", type=click.IntRange(1), help="Number of processes on this machine.")
+@click.option(
+    "--scheduler",
+    envvar="DASK_SCHEDULER_ADDRESS",
+    help="Compute on the dask cluster whose scheduler has this address.",
+)
+@click.option(
+    "--part", callback=_part, metavar="NUMBER/COUNT", help="Compute one part of the study alone."
+)
+@click.option("--merge", is_flag=True, help="FILEs are all parts of a study: put them together.")
+@click.option(
+    "--plot", type=Path, callback=picture_file, help="PNG or SVG file to draw the study into."
+)
+def study(
+    over: dict[str, Any],
+    answers: tuple[str, ...],
+    samples: int,
+    seed: int,
+    output: Path,
+    workers: int | None,
+    scheduler: str | None,
+    part: tuple[int, int],
+    merge: bool,
+    plot: Path | None,
+    **given: Any,
+) -> None:
+    """Answer for many devices, people and controllers at once, as one table.
+
+    Lists of values span a grid, distributions are drawn at each of its points. A study that was
+    interrupted continues when the command is repeated; one that is done costs nothing.
+    """
+    from jaxstab.scene.study import Study, merge_studies, plan_of, study_dataset
+
+    if merge:
+        if over or part != (1, 1):
+            raise click.UsageError("--merge is given beside --over or --part; give one of them.")
+        made = merge_studies(given["files"], output)
+    else:
+        if len(given["files"]) > 1:
+            raise click.UsageError("a study is of one scene; give one FILE, or --merge.")
+        from jaxstab.datasets import ensure
+
+        ((_, table),) = tables_of(given).items()
+        keep_programs()
+        options: dict[str, Any] = {"samples": samples, "seed": seed, "part": part}
+        dataset = study_dataset(table, over, output, answers=answers, **options)
+        click.echo(f"jaxstab: {plan_of(dataset)}", err=True)
+        if note := dataset.attributes["notes"]:
+            click.echo(f"jaxstab: {note}", err=True)
+        with resumable(output) as show, executor_of(workers, scheduler) as executor:
+            ensure(dataset, show, executor)
+        if part != (1, 1):
+            click.echo(f"{output}: part {part[0]} of {part[1]}; --merge puts all together")
+            return
+        made = Study(output)
+    click.echo(f"{output}: {output.stat().st_size / 1e6:.2f} MB")
+    for words in (*_limits_words(made), *_shares_words(made)):
+        click.echo(words)
+    if plot:
+        from jaxstab.pictures.study import study_figure
+
+        draw(study_figure(made), plot)
+
+
+def _limits_words(made: "Study") -> list[str]:
+    """Return the largest stiffness: its range, or its quantiles among draws."""
+    if "largest_stiffness" not in made.units:
+        return []
+    unit = made.units["largest_stiffness"]
+    if "sample" not in made.dimensions:
+        values = made.values("largest_stiffness")
+        low, high = (f"{end:.5g}" for end in (np.nanmin(values), np.nanmax(values)))
+        return [f"largest stiffness: {low} to {high} {unit}"]
+    low, middle, high = made.quantiles(at=_PROBABILITIES)
+    rows = [
+        [*labels, *(f"{value:.5g}" for value in row)]
+        for labels, row in zip(
+            _points(made, low.shape),
+            zip(low.ravel(), middle.ravel(), high.ravel(), strict=True),
+            strict=True,
+        )
+    ]
+    heads = [*_grid(made), f"largest stiffness in {unit}: 5 % below", "half below", "95 % below"]
+    return [_table([heads, *rows])]
+
+
+def _shares_words(made: "Study") -> list[str]:
+    """Return for which share of the draws, or of the grid, each wall is stable."""
+    from jaxstab.conventions import Verdict
+
+    if "verdict" not in made.units:
+        return []
+    names = made.dimensions["wall"].tolist()
+    if "sample" not in made.dimensions:
+        codes = made.values("verdict").reshape(-1, len(names))
+        return [
+            f"{name}: stable for {(column == Verdict.STABLE).sum():,} of {len(column):,} loops, "
+            f"{(column == Verdict.UNDECIDED).sum():,} undecided"
+            for name, column in zip(names, codes.T, strict=True)
+        ]
+    shares = made.shares()
+    if shares.share.ndim == 1:
+        return [
+            f"{name}: stable for {100.0 * share:.4g} % of {shares.draws:,} draws (95 % confidence: "
+            f"{100.0 * low:.4g} to {100.0 * high:.4g} %; each verdict proved, {undecided} "
+            "undecided)"
+            for name, share, low, high, undecided in zip(
+                names, shares.share, shares.low, shares.high, shares.undecided, strict=True
+            )
+        ]
+    rows = [
+        [*labels, *(f"{100.0 * v:.4g} ({100.0 * a:.4g} to {100.0 * b:.4g})" for v, a, b in row)]
+        for labels, row in zip(
+            _points(made, shares.share.shape[:-1]),
+            np.stack(shares[:3], axis=-1).reshape(-1, len(names), 3),
+            strict=True,
+        )
+    ]
+    heads = [*_grid(made), *(f"{name}: % stable" for name in names)]
+    undecided = int(shares.undecided.sum())
+    words = f"in brackets: 95 % confidence; each verdict proved, {undecided} undecided"
+    return [_table([heads, *rows]), words]
+
+
+def _grid(made: "Study") -> list[str]:
+    return [name for name in made.dimensions if name not in ("sample", "wall")]
+
+
+def _points(made: "Study", shape: tuple[int, ...]) -> list[list[str]]:
+    """Return the values of the dimensions at each point of the grid, as text."""
+    values = [made.dimensions[name] for name in _grid(made)]
+    places = np.indices(shape).reshape(len(shape), prod(shape)).T
+    return [
+        [
+            f"{along[k]:g}" if along.dtype.kind in "fi" else printable(str(along[k]))
+            for along, k in zip(values, place, strict=True)
+        ]
+        for place in places
+    ]
+
+
+def _table(rows: list[list[str]]) -> str:
+    more = len(rows) - 1 - _MOST_ROWS
+    text = table_text(rows[: 1 + _MOST_ROWS])
+    return f"{text}\n... and {more:,} more rows, in the file" if more > 0 else text

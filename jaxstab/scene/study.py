@@ -1,0 +1,916 @@
+"""Studies: the answers of many devices, people and controllers as one labelled table.
+
+A study varies keys of a scene, or fields of a loop. Each list is a dimension of its own; what is
+drawn from distributions shares the dimension ``sample``, so a study with three lists and two
+distributions has four dimensions, and walls are one more. The table is a ``Dataset``: computed in
+blocks by any executor, resumed, in parts, and read by xarray.
+
+Within a block, what decides the filters and the sampling period is put into the scene, once for
+each combination. Masses, dampings, stiffnesses and delays are arrays beside the loop that results:
+verdicts, radii, margins and settling times are asked of the five numbers of all of them at once,
+limits of ``limits_of``. Devices that are not one mass are asked loop by loop.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, fields, replace
+from itertools import islice, product
+from math import prod
+from os import PathLike
+from pathlib import Path
+from shutil import rmtree
+from statistics import NormalDist
+from tempfile import mkdtemp
+from typing import TYPE_CHECKING, Any, NamedTuple
+from weakref import finalize
+
+import numpy as np
+from jaxtyping import Int64
+from numpy.typing import NDArray
+
+import jaxstab
+from jaxstab import motion, point, ranges
+from jaxstab.conventions import Verdict
+from jaxstab.loop import HapticLoop, limits_of
+from jaxstab.motion.settling import SettlingStatus
+from jaxstab.region import RegionStatus
+from jaxstab.scene.draws import Distribution, draws_of
+from jaxstab.scene.loops import hands_of, loop_of
+from jaxstab.scene.many import with_value
+from jaxstab.scene.scene import Scene, Units
+from jaxstab.shown import shortened
+from jaxstab.tables import check_keys, checked_label, one_of, read_table
+
+if TYPE_CHECKING:
+    from xarray import Dataset as XarrayDataset
+
+    from jaxstab.datasets import Block, Dataset
+    from jaxstab.tiles import Progress
+
+Floats = NDArray[np.float64]
+Values = list[Any] | NDArray[Any]
+
+MOST_SAMPLES = 10_000_000
+_MOST_CORNERS = 4096  # loops that are made before anything is computed
+_BLOCK = 1 << 13  # loops times walls
+_SAMPLE, _WALL = "sample", "wall"
+
+_NUMBERS = {  # keys of a scene that are numbers of a loop: the field, the words, the unit
+    "device.mass": ("device_mass", "mass of the device", "kg"),
+    "device.inertia": ("device_mass", "moment of inertia of the device", "kg"),
+    "device.damping": ("device_damping", "damping of the device", "N s/m"),
+    "hand.mass": ("hand_mass", "mass of the hand", "kg"),
+    "hand.inertia": ("hand_mass", "moment of inertia of the hand", "kg"),
+    "hand.stiffness": ("hand_stiffness", "stiffness of the hand", "N/m"),
+    "hand.damping": ("hand_damping", "damping of the hand", "N s/m"),
+    "controller.delay": ("delay", "delay", "s"),
+    "controller.delay_samples": ("delay_samples", "delay", "samples"),
+}
+_DELAYS = ("controller.delay", "controller.delay_samples")
+_OF_LOOPS = {field: (field, words, unit) for field, words, unit in _NUMBERS.values()} | {
+    "delay": ("delay", "delay", "s")
+}
+_OTHER_UNITS = {"sample_time": "s", "window": "s", "cutoff": "Hz", "frequency": "Hz"}
+
+_LIMITS = {status.value: status.name.lower() for status in RegionStatus}
+_VERDICTS = {verdict.value: verdict.name.lower() for verdict in Verdict}
+_SETTLING = {status.value: status.name.lower() for status in SettlingStatus}
+
+ANSWERS: dict[str, dict[str, tuple[Any, ...]]] = {  # variables: type, words, unit, codes
+    "verdict": {"verdict": ("int8", "whether the wall is stable, proved", "1", _VERDICTS)},
+    "limits": {
+        "largest_stiffness": ("float64", "largest stiffness of a stable wall", "N/m"),
+        "at_damping": ("float64", "damping at the largest stiffness", "N s/m"),
+        "largest_damping": ("float64", "largest damping of a stable wall", "N s/m"),
+        "at_stiffness": ("float64", "stiffness at the largest damping", "N/m"),
+        "limits_status": ("int8", "what is known of the stable walls", "1", _LIMITS),
+    },
+    "margins": {
+        "stiffness_gain": ("float64", "factor by which the stiffness may grow", "1"),
+        "damping_gain": ("float64", "factor by which the damping may grow", "1"),
+        "extra_delay": ("float64", "delay that may be added", "s"),
+    },
+    "settling_time": {
+        "settling_time": ("float64", "time to settle to 2 percent", "s"),
+        "settling_status": ("int8", "what is known of the settling time", "1", _SETTLING),
+    },
+    "spectral_radius": {
+        "spectral_radius": ("float64", "largest modulus of the poles, per sample", "1"),
+        "spectral_radius_error": ("float64", "proved bound of its error", "1"),
+    },
+}
+_COSTS = {  # CPU seconds of a loop and a wall; of a loop for limits
+    "verdict": 1e-5,
+    "limits": 8e-4,
+    "margins": 9e-4,
+    "settling_time": 5e-4,
+    "spectral_radius": 3e-4,
+}
+
+
+class Shares(NamedTuple):
+    """The share of draws for which a wall is stable, with a confidence interval.
+
+    Attributes:
+        share: proved stable, of all draws, over the other dimensions and the walls.
+        low, high: the interval of the share among all that could be drawn: its lower end takes
+            what is undecided for unstable, its upper end for stable.
+        undecided: how many verdicts are.
+        draws: their number.
+        confidence: of the interval.
+
+    Example:
+        >>> jaxstab.results.Shares(*map(np.array, (0.9, 0.89, 0.91, 0)), 4000, 0.95).share
+        array(0.9)
+    """
+
+    share: Floats
+    low: Floats
+    high: Floats
+    undecided: Int64[np.ndarray, "*grid"]
+    draws: int
+    confidence: float
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study on disk; ``jaxstab.study`` computes one and ``jaxstab.open_study`` opens one.
+
+    Attributes:
+        path: of the file, netCDF-4.
+        is_temporary: whether the file goes when the study does.
+
+    Example:
+        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+        >>> study = jaxstab.study(loop, over={"device_mass": [0.1, 0.2]})
+        >>> study.values("largest_stiffness").round().tolist()
+        [70643.0, 139265.0]
+    """
+
+    path: Path
+    is_temporary: bool = False
+
+    def open(self) -> "XarrayDataset":
+        """Open the table as an ``xarray.Dataset``, whose values are read when they are used.
+
+        Those of a temporary file are read at once.
+
+        ModuleNotFoundError: xarray or h5netcdf is missing. OSError: the file cannot be read.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> study = jaxstab.study(loop, over={"delay": [0.0, 1e-3]})
+            >>> study.open().largest_stiffness.dims
+            ('delay',)
+        """
+        import xarray
+
+        opened = xarray.open_dataset(self.path, engine="h5netcdf")
+        if not self.is_temporary:
+            return opened
+        with opened:
+            return opened.load()
+
+    @property
+    def dimensions(self) -> dict[str, NDArray[Any]]:
+        """The values along each dimension, by its name; of ``sample``, numbers from 0.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> jaxstab.study(loop, over={"delay": [0.0, 1e-3]}).dimensions
+            {'delay': array([0.   , 0.001])}
+        """
+        from jaxstab.datasets import kept
+
+        said = kept(self.path)
+        names = dict.fromkeys(name for own in said.dimensions.values() for name in own)
+        return {name: said.coordinates[name] for name in names}
+
+    @property
+    def units(self) -> dict[str, str]:
+        """The units of what the study has, by name.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> jaxstab.study(loop, over={"delay": [0.0, 1e-3]}).units["largest_stiffness"]
+            'N/m'
+        """
+        from jaxstab.datasets import kept
+
+        return kept(self.path).units
+
+    @property
+    def long_names(self) -> dict[str, str]:
+        """What the study has, in words, by name.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> jaxstab.study(loop, over={"delay": [0.0, 1e-3]}).long_names["at_damping"]
+            'damping at the largest stiffness'
+        """
+        from jaxstab.datasets import kept
+
+        return kept(self.path).long_names
+
+    def values(self, name: str) -> NDArray[Any]:
+        """Return the values of a variable or of what was drawn, whole.
+
+        KeyError: the study has no such variable. OSError: the file cannot be read.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> study = jaxstab.study(loop, over={"device_mass": [0.1, 0.2]})
+            >>> study.values("device_mass")
+            array([0.1, 0.2])
+        """
+        from jaxstab.datasets import values
+
+        self._require(name)
+        return values(self.path, name)
+
+    def shares(self, *, confidence: float = 0.95) -> Shares:
+        """Return the share of draws for which each wall is proved stable, with its interval.
+
+        Args:
+            confidence: of the interval, between 0 and 1.
+
+        Returns:
+            Shares of the shape of all dimensions but ``sample``, walls last.
+
+        Raises:
+            ValueError: the study has no draws or no verdicts, or is a part, or the confidence is
+                not between 0 and 1.
+
+        Source: the score interval (Wilson 1927).
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> over = {"hand_stiffness": jaxstab.Normal(300.0, 100.0)}
+            >>> study = jaxstab.study(loop, over=over, walls={"a": (70000.0, 40.0)}, samples=200)
+            >>> shares = study.shares()
+            >>> bool((shares.low <= shares.share).all() and (shares.share <= shares.high).all())
+            True
+        """
+        from jaxstab.datasets import chunks
+
+        if not 0.0 < confidence < 1.0:
+            raise ValueError(f"confidence is {confidence:g}; give a number between 0 and 1.")
+        dimensions, axis = self._drawn("verdict")
+        lengths = [len(self.dimensions[name]) for name in dimensions]
+        count = lengths.pop(axis)
+        counts = {verdict: np.zeros(lengths, np.int64) for verdict in Verdict}
+        for block, codes in chunks(self.path, "verdict"):
+            place = block[:axis] + block[axis + 1 :]
+            for verdict, total in counts.items():
+                total[place] += (codes == verdict).sum(axis=axis)
+        if counts[Verdict.NOT_COMPUTED].any():
+            raise ValueError(f"{self.path} is a part of a study; merge all parts first.")
+        stable, open_ = counts[Verdict.STABLE], counts[Verdict.UNDECIDED]
+        low, _ = _score_interval(stable, count, confidence)
+        _, high = _score_interval(stable + open_, count, confidence)
+        return Shares(stable / count, low, high, open_, count, confidence)
+
+    def quantiles(
+        self, variable: str = "largest_stiffness", *, at: Sequence[float] = (0.05, 0.5, 0.95)
+    ) -> Floats:
+        """Return quantiles of a variable over the draws.
+
+        Where no wall is stable, the largest stiffness and damping count as 0; what is not known
+        (NaN) is left out.
+
+        Args:
+            variable: of the study, with the dimension ``sample``.
+            at: probabilities, between 0 and 1.
+
+        Returns:
+            float64 array, (probability, *all dimensions of the variable but ``sample``).
+
+        Raises:
+            KeyError: the study has no such variable. ValueError: it has no draws, or a probability
+            is not between 0 and 1.
+
+        Source: the inverse of the empirical distribution function.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> over = {"device_mass": jaxstab.Uniform(0.1, 0.2)}
+            >>> study = jaxstab.study(loop, over=over, samples=100)
+            >>> low, median, high = study.quantiles()
+            >>> bool(70643.0 < low < median < high < 139265.0)
+            True
+        """
+        chosen = np.asarray(at, np.float64)
+        if not ((chosen >= 0.0) & (chosen <= 1.0)).all():
+            raise ValueError(f"at is {shortened(list(at))}; give numbers from 0 to 1.")
+        _, axis = self._drawn(variable)
+        numbers = self.values(variable).astype(np.float64)
+        if variable in ("largest_stiffness", "largest_damping"):
+            numbers[self.values("limits_status") == RegionStatus.EMPTY] = 0.0
+        found = np.nanquantile(numbers, chosen, axis=axis, method="inverted_cdf")
+        return np.asarray(found, np.float64)
+
+    def _require(self, name: str) -> None:
+        from jaxstab.datasets import kept
+
+        said = kept(self.path)
+        known = [*said.dimensions, *said.coordinates]
+        if name not in known:
+            raise KeyError(f"{name} is no variable of the study; it has {', '.join(known)}.")
+
+    def _drawn(self, variable: str) -> tuple[tuple[str, ...], int]:
+        """Return the dimensions of a variable, and which of them are the draws."""
+        from jaxstab.datasets import kept
+
+        if variable == "verdict" and variable not in kept(self.path).dimensions:
+            raise ValueError("the study has no verdicts; give walls, and verdict among answers.")
+        self._require(variable)
+        dimensions = kept(self.path).dimensions.get(variable, ())
+        if _SAMPLE not in dimensions:
+            raise ValueError(
+                f"{variable} has no draws; let a quantity have a distribution, such as "
+                "jaxstab.Normal(300.0, 100.0)."
+            )
+        return dimensions, dimensions.index(_SAMPLE)
+
+
+def open_study(path: str | PathLike[str]) -> Study:
+    """Open the file of a study.
+
+    Args:
+        path: of a file that ``jaxstab.study`` or ``jaxstab study`` wrote.
+
+    Returns:
+        Study.
+
+    Raises:
+        OSError: the file cannot be read. ValueError: it is of something else.
+
+    Source: none.
+
+    Example:
+        >>> jaxstab.open_study("nothing.h5")
+        Traceback (most recent call last):
+        FileNotFoundError: [Errno 2] cannot read nothing.h5: No such file or directory.
+    """
+    from jaxstab.datasets import kept
+
+    if "over" not in kept(Path(path)).attributes:
+        raise ValueError(f"{path} is no study.")
+    return Study(Path(path))
+
+
+def study(
+    of: "Scene | HapticLoop | Mapping[str, Any] | str | PathLike[str]",
+    over: Mapping[str, Any],
+    *,
+    answers: Sequence[str] | None = None,
+    walls: Mapping[str, tuple[float, float]] | None = None,
+    samples: int = 10_000,
+    seed: int = 0,
+    store: str | PathLike[str] | None = None,
+    part: tuple[int, int] = (1, 1),
+    progress: "Progress | None" = None,
+    executor: Executor | None = None,
+) -> Study:
+    """Answer for many devices, people and controllers, as one labelled table.
+
+    An interrupted study continues where it stopped when it is called again with the same ``store``,
+    and one that is done is opened. The file is the same however the work was divided.
+
+    Args:
+        of: a scene (a file, or its tables) or a loop.
+        over: what varies, by keys of the scene such as "hand.stiffness", or by fields of the loop:
+            a list of values, (low, high, count), or a distribution such as ``jaxstab.Normal``.
+            Lists span a grid; distributions are drawn together, ``samples`` times at each of its
+            points.
+        answers: of "limits", "verdict", "margins", "settling_time", "spectral_radius"; all but the
+            first are of walls. By default limits, and verdicts if there are walls.
+        walls: stiffness and damping in SI units by name; those of the scene by default.
+        samples: the number of draws.
+        seed: of the draws, a whole number >= 0.
+        store: the file; without one it is temporary, and goes when the study does.
+        part: (3, 64) computes the third of 64 parts, with a ``store``; see ``merge_studies``.
+        progress: called with the number of finished blocks and of all blocks.
+        executor: any ``concurrent.futures.Executor``, such as dask's ``client.get_executor()``;
+            without one, this process computes. One of processes must not fork them.
+
+    Returns:
+        Study.
+
+    Raises:
+        ValueError: a key is unknown, a value is refused by the scene, or a distribution reaches
+            where the scene forbids. FileExistsError: another file is at ``store``; OSError: it
+            cannot be written; RuntimeError: workers died, or are of other code.
+
+    Source: the answers' own, see ``HapticLoop``.
+
+    Example:
+        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+        >>> over = {"delay": (0.0, 2e-3, 3), "hand_stiffness": jaxstab.LogNormal(300.0, 1.5)}
+        >>> study = jaxstab.study(loop, over=over, walls={"stiff": (20000.0, 20.0)}, samples=50)
+        >>> study.shares().share.ravel()
+        array([1., 0., 0.])
+    """
+    from jaxstab.datasets import ensure
+
+    if store is None and part != (1, 1):
+        raise ValueError("part is given without store; give the file of the part.")
+    folder = mkdtemp(prefix="jaxstab-study-") if store is None else None
+    path = Path(folder, "study.h5") if folder else Path(str(store))
+    made = Study(path, is_temporary=folder is not None)
+    if folder is not None:
+        finalize(made, rmtree, folder, ignore_errors=True)
+    dataset = study_dataset(
+        of, over, path, answers=answers, walls=walls, samples=samples, seed=seed, part=part
+    )
+    ensure(dataset, progress, executor)
+    return made
+
+
+def merge_studies(parts: Sequence[str | PathLike[str]], store: str | PathLike[str]) -> Study:
+    """Put the parts of a study together.
+
+    Args:
+        parts: the files of all parts, in any order.
+        store: the file of the whole.
+
+    Returns:
+        Study, with the values of one that was computed in one part.
+
+    Raises:
+        ValueError: parts are of different studies, missing or given twice. FileExistsError: another
+            file is at ``store``; OSError: a file cannot be read or written.
+
+    Source: none.
+
+    Example:
+        >>> jaxstab.merge_studies([], "study.h5")
+        Traceback (most recent call last):
+        ValueError: no part is given; give the files of all parts.
+    """
+    from jaxstab.datasets import merged
+
+    merged([Path(one) for one in parts], Path(store))
+    return Study(Path(store))
+
+
+def study_dataset(
+    of: Any,
+    over: Mapping[str, Any],
+    path: Path,
+    *,
+    answers: Sequence[str] | None = None,
+    walls: Mapping[str, tuple[float, float]] | None = None,
+    samples: int = 10_000,
+    seed: int = 0,
+    part: tuple[int, int] = (1, 1),
+) -> "Dataset":
+    """Return the dataset of a study; arguments and errors as ``study``."""
+    from jaxstab.datasets import Dataset, Variable
+
+    number, count = part
+    if not 1 <= number <= count:
+        raise ValueError(f"part is {number}/{count}; give 1/{count} to {count}/{count}.")
+    if not over:
+        raise ValueError("over is empty; give at least one key that varies.")
+    source = _Source(_table_of(of))
+    columns, notes = _columns(source, over, _checked_samples(samples), seed)
+    source.check([(column.key, column.values) for column in columns])
+    gains = source.walls if walls is None else {n: _checked_wall(n, *w) for n, w in walls.items()}
+    wanted = tuple(answers or ("limits", *(["verdict"] if gains else [])))
+    for name in wanted:
+        _checked_answer(name)
+        if name != "limits" and not gains:
+            raise ValueError(f"answers has {name}, which is of walls; give walls.")
+    has_walls = wanted != ("limits",)
+    dimensions = {c.dimension: c.values for c in columns if c.dimension != _SAMPLE}
+    coordinates = {name: np.asarray(values) for name, values in dimensions.items()}
+    drawn = [column for column in columns if column.dimension == _SAMPLE]
+    if drawn:
+        coordinates[_SAMPLE] = np.arange(samples)
+    own_dimensions = tuple(coordinates)
+    if has_walls:
+        coordinates[_WALL] = np.array([*gains])
+    unit = source.units.unit
+    variables = {c.name: Variable("", c.words, unit(c.unit)) for c in columns}
+    if drawn:
+        variables[_SAMPLE] = Variable("", "number of the draw", "1")
+    labels = {c.name: (_SAMPLE, np.asarray(c.values)) for c in drawn}
+    if has_walls:
+        variables[_WALL] = Variable("", "name of the wall", "1")
+        for k, (name, words, one) in enumerate(
+            (
+                ("wall_stiffness", "stiffness of the wall", "N/m"),
+                ("wall_damping", "damping of the wall", "N s/m"),
+            )
+        ):
+            labels[name] = (_WALL, np.array([pair[k] for pair in gains.values()]))
+            variables[name] = Variable("", words, unit(one))
+    for name in wanted:
+        lacks = (_WALL,) if name == "limits" and has_walls else ()
+        for variable, (kind, words, one, *codes) in ANSWERS[name].items():
+            flags = codes[0] if codes else {}
+            variables[variable] = Variable(kind, words, unit(one), flags, lacks)
+    said = json.dumps({k: shortened(v) if np.ndim(v) else str(v) for k, v in over.items()})
+    return Dataset(
+        path=path,
+        coordinates=coordinates,
+        variables=variables,
+        attributes={
+            "title": "Stability of haptic loops; verdicts and limits as jaxstab proves them",
+            "source": f"jaxstab {jaxstab.__version__}, study",
+            "of": str(source.table),
+            "over": said,
+            "seed": str(seed),
+            "notes": " ".join(notes),
+        },
+        identity=repr([source.table, [*over], wanted, gains, seed]),
+        compute=_Blocks(source, tuple(columns), own_dimensions, gains, wanted),
+        size=max(_BLOCK, len(gains)),
+        labels=labels,
+        part=part,
+    )
+
+
+def plan_of(dataset: "Dataset") -> str:
+    """Say how many loops a study has, what they cost and how large its file may be."""
+    blocks = dataset.compute
+    assert isinstance(blocks, _Blocks)
+    share = len(dataset.items) / _blocks(dataset)
+    loops = prod(len(dataset.coordinates[name]) for name in blocks.dimensions)
+    walls = max(len(blocks.walls), 1)
+    seconds = (
+        share
+        * loops
+        * sum(_COSTS[name] * (1 if name == "limits" else walls) for name in blocks.answers)
+    )
+    drawn = sum(column.nbytes for _, column in dataset.labels.values())
+    bytes_ = drawn + share * sum(
+        np.dtype(variable.dtype).itemsize * prod(dataset.own(variable, dataset.shape))
+        for variable in dataset.computed.values()
+    )
+    axes = " x ".join(f"{len(values)} {name}" for name, values in dataset.coordinates.items())
+    one = "" if share == 1.0 else f", part {dataset.part[0]} of {dataset.part[1]} of them"
+    return (
+        f"{axes}: {loops:,} loops{one}, about {_time(seconds)} of CPU time for devices of one "
+        f"mass, at most {bytes_ / 1e6:.3g} MB"
+    )
+
+
+def _blocks(dataset: "Dataset") -> int:
+    return prod(-(-n // step) for n, step in zip(dataset.shape, dataset.chunk, strict=True))
+
+
+def _time(seconds: float) -> str:
+    for limit, unit, words in ((90.0, 1.0, "s"), (5400.0, 60.0, "min")):
+        if seconds < limit:
+            return f"{max(seconds / unit, 1.0):.0f} {words}"
+    return f"{seconds / 3600.0:.0f} h"
+
+
+# What varies, checked.
+
+
+class _Column(NamedTuple):
+    """A key that varies: its dimension, its values, and what they are."""
+
+    key: str
+    dimension: str
+    values: Values
+    words: str
+    unit: str
+
+    @property
+    def name(self) -> str:
+        return _name_of(self.key)
+
+
+def _name_of(key: str) -> str:
+    return key.replace(".", "_")
+
+
+def _columns(
+    source: "_Source", over: Mapping[str, Any], samples: int, seed: int
+) -> tuple[list[_Column], list[str]]:
+    """Return what varies, and what is to be said about the draws."""
+    columns, notes = list[_Column](), list[str]()
+    for key, given in over.items():
+        source.check_key(key)
+        _, words, unit = source.numbers.get(key, ("", key, _other_unit(key)))
+        if isinstance(given, Distribution):
+            least = 0.0 if key in source.numbers else -np.inf
+            values, again = draws_of(key, given, samples, seed, least)
+            if again:
+                share = 100.0 * again / samples
+                notes.append(f"{key}: {share:.2g} % of the draws were below 0 and drawn again.")
+            columns.append(_Column(key, _SAMPLE, values, words, unit))
+        else:
+            listed = _listed(key, given)
+            if key not in source.numbers and not isinstance(listed, list):
+                whole = listed.astype(np.int64)  # as a window in samples is
+                listed = whole if (whole == listed).all() else listed
+            columns.append(_Column(key, _name_of(key), listed, words, unit))
+    names = [column.name for column in columns]
+    doubled = next((n for n in names if names.count(n) > 1 or n in (_SAMPLE, _WALL)), None)
+    if doubled is not None:
+        raise ValueError(f"{doubled} is twice in over; give each key once.")
+    return columns, notes
+
+
+def _listed(key: str, given: Any) -> Values:
+    """Return the values of a list or of (low, high, count)."""
+    if isinstance(given, tuple) and len(given) == 3 and isinstance(given[2], int):
+        low, high, count = given
+        if count < 2:
+            raise ValueError(f"{key} is {given}; give (low, high, count) with a count >= 2.")
+        return np.linspace(float(low), float(high), count)
+    if isinstance(given, str) or not np.ndim(given):
+        raise ValueError(
+            f"{key} is {shortened(given)}; give a list of values, (low, high, count), or a "
+            "distribution such as jaxstab.Normal(300.0, 100.0)."
+        )
+    values = list(given)
+    if not values:
+        raise ValueError(f"{key} is an empty list; give at least one value.")
+    if all(isinstance(value, str) for value in values):
+        return values
+    try:
+        return np.array(values, np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"{key} is {shortened(values)}; give numbers, or texts, not both."
+        ) from None
+
+
+def _other_unit(key: str) -> str:
+    return _OTHER_UNITS.get(key.rpartition(".")[2], "1")
+
+
+def _checked_samples(samples: int) -> int:
+    if isinstance(samples, bool) or not isinstance(samples, int | np.integer):
+        raise ValueError(f"samples is {samples!r}; give a whole number.")
+    if not 1 <= samples <= MOST_SAMPLES:
+        raise ValueError(f"samples is {samples}; give 1 to {MOST_SAMPLES:,}.")
+    return int(samples)
+
+
+def _checked_wall(name: str, stiffness: float, damping: float) -> tuple[float, float]:
+    checked_label("wall", name)
+    pair = float(stiffness), float(damping)
+    if not np.isfinite(pair).all():
+        raise ValueError(f"wall {name} is {pair}; give finite numbers.")
+    return pair
+
+
+def _checked_answer(name: str) -> None:
+    try:
+        one_of(ANSWERS)(name)
+    except ValueError as error:
+        raise ValueError(f"answers has {shortened(name)}; {error}") from None
+
+
+def _table_of(of: Any) -> Any:
+    """Return a loop, or the tables of a scene."""
+    if isinstance(of, HapticLoop):
+        return of.in_floats()
+    if isinstance(of, Mapping):
+        return {name: of[name] for name in of}
+    if isinstance(of, str | PathLike):
+        return read_table(of, "scene")
+    raise TypeError(f"of is {shortened(of)}; give a scene (a file, or its tables) or a HapticLoop.")
+
+
+@dataclass(frozen=True)
+class _Source:
+    """Where loops come from: a loop, or the tables of a scene."""
+
+    table: Any
+
+    @property
+    def is_loop(self) -> bool:
+        return isinstance(self.table, HapticLoop)
+
+    @property
+    def numbers(self) -> dict[str, tuple[str, str, str]]:
+        """The keys that are numbers of a loop."""
+        return _OF_LOOPS if self.is_loop else _NUMBERS
+
+    @property
+    def units(self) -> Units:
+        turns = not self.is_loop and "inertia" in self.table.get("device", {})
+        return Units.ROTATION if turns else Units.LINE
+
+    @property
+    def walls(self) -> dict[str, tuple[float, float]]:
+        """The walls of the scene; they are checked with it."""
+        walls = {} if self.is_loop else self.table.get("walls", {})
+        return {name: (wall["stiffness"], wall["damping"]) for name, wall in walls.items()}
+
+    def check_key(self, key: str) -> None:
+        if self.is_loop:
+            known = [*self.numbers, *(f.name for f in fields(HapticLoop) if f.name != "delay")]
+            check_keys("", [key], list(dict.fromkeys(known)))
+        elif key.partition(".")[0] in ("walls", "wanted", "contact"):
+            raise ValueError(f"{key} cannot vary in a study; give walls as walls.")
+
+    def made(self, values: Mapping[str, Any]) -> HapticLoop:
+        """Return the loop with values in place of its own."""
+        if self.is_loop:
+            given = {key: value for key, value in values.items() if key != "delay_samples"}
+            if "delay_samples" in values:
+                period = given.get("sample_time", self.table.sample_time)
+                given["delay"] = values["delay_samples"] * period
+            return replace(self.table, **given)
+        table: Any = self.table
+        if any(key in _DELAYS for key in values):  # in place of one in either unit
+            own = table.get("controller", {}).items()
+            kept = {name: value for name, value in own if f"controller.{name}" not in _DELAYS}
+            table = {**table, "controller": kept}
+        for key, value in values.items():
+            table = with_value(table, key.split("."), value)
+        scene = Scene.from_table(table)
+        if hands_of(scene) is not None:
+            raise ValueError(
+                "hand or device.mass is a range; a study is of single values: let it vary over "
+                "this range, such as hand.stiffness over jaxstab.Uniform(100.0, 500.0)."
+            )
+        return loop_of(scene)
+
+    def check(self, columns: Sequence[tuple[str, Values]]) -> None:
+        """Refuse values at the corners of what varies, in the words of a scene."""
+        ends = [
+            list(dict.fromkeys(_ends(values) if key in self.numbers else _few(values)))
+            for key, values in columns
+        ]
+        for corner in islice(product(*ends), _MOST_CORNERS):
+            self.made(dict(zip((key for key, _ in columns), corner, strict=True)))
+
+
+def _ends(values: Values) -> list[float]:
+    return [float(np.min(values)), float(np.max(values))]
+
+
+def _few(values: Values) -> list[Any]:
+    """Return values as Python's own; of many numbers, the ends."""
+    if isinstance(values, list):
+        return values
+    return values.tolist() if len(values) <= _MOST_CORNERS else _ends(values)
+
+
+# What is computed.
+
+
+@dataclass(frozen=True)
+class _Blocks:
+    """Blocks of a study: where loops come from, what varies, the dimensions, walls, answers."""
+
+    source: _Source
+    columns: tuple[_Column, ...]
+    dimensions: tuple[str, ...]  # but that of walls
+    walls: Mapping[str, tuple[float, float]]
+    answers: tuple[str, ...]
+
+    def __call__(self, block: "Block") -> dict[str, NDArray[Any]]:
+        """Return the answers of a block."""
+        spans = dict(zip(self.dimensions, block, strict=False))
+        shape = tuple(span.stop - span.start for span in spans.values())
+        places = dict(zip(spans, np.indices(shape).reshape(len(shape), -1), strict=True))
+        numbers, others = dict[str, Floats](), dict[str, tuple[Values, NDArray[np.int64]]]()
+        for column in self.columns:
+            own, place = column.values[spans[column.dimension]], places[column.dimension]
+            if column.key in self.source.numbers:
+                numbers[column.key] = np.asarray(own)[place]
+            else:
+                others[column.key] = own, place
+        found = {
+            name: np.zeros(
+                (prod(shape), *((len(self.walls),) if answer != "limits" else ())), variable[0]
+            )
+            for answer in self.answers
+            for name, variable in ANSWERS[answer].items()
+        }
+        keys = np.array([place for _, place in others.values()], np.int64)
+        keys = keys.reshape(len(others), prod(shape))
+        _, first, group = np.unique(keys, axis=1, return_index=True, return_inverse=True)
+        for number, row in enumerate(first.tolist()):
+            members = np.flatnonzero(group.ravel() == number)
+            fixed = {key: _one(own, place[row]) for key, (own, place) in others.items()}
+            given = {key: values[members] for key, values in numbers.items()}
+            for name, values in self._answered(fixed, given, len(members)).items():
+                found[name][members] = values
+        return {name: values.reshape(*shape, *values.shape[1:]) for name, values in found.items()}
+
+    def _answered(
+        self, fixed: Mapping[str, Any], numbers: Mapping[str, Floats], count: int
+    ) -> dict[str, NDArray[Any]]:
+        """Return the answers of loops that have filters and sampling period in common."""
+        rows = (dict(zip(numbers, row, strict=True)) for row in _rows(numbers, count))
+        first = next(rows)
+        base = self.source.made({**fixed, **first})
+        gains = np.array([*self.walls.values()]).reshape(-1, 2).T
+        if base.device is not None:
+            loops = [base, *(self.source.made({**fixed, **row}) for row in rows)]
+            return _of_loops(loops, gains, self.answers)
+        named = {self.source.numbers[key][0]: values for key, values in numbers.items()}
+        if "delay_samples" in named:
+            named["delay"] = named.pop("delay_samples") * base.sample_time
+        fields = {name: np.full(count, getattr(base, name)) for name in _FIELDS} | named
+        return _of_one_mass(base, fields, gains, self.answers)
+
+
+_FIELDS = ("device_mass", "device_damping", "hand_mass", "hand_stiffness", "hand_damping", "delay")
+
+
+def _rows(numbers: Mapping[str, Floats], count: int) -> Any:
+    if not numbers:
+        return iter([()] * count)
+    return zip(*(values.tolist() for values in numbers.values()), strict=True)
+
+
+def _one(values: Values, place: Any) -> Any:
+    value = values[place]
+    return value if isinstance(value, str) else value.item()
+
+
+def _of_one_mass(
+    base: HapticLoop, fields: Mapping[str, Floats], gains: Floats, answers: Sequence[str]
+) -> dict[str, NDArray[Any]]:
+    """Return the answers of loops of one mass, by their five numbers (Table I)."""
+    found: dict[str, NDArray[Any]] = {}
+    if "limits" in answers:
+        found |= _limits(limits_of(base, **fields))
+    if not gains.size:
+        return found
+    period: Any = base.sample_time
+    mass = fields["device_mass"] + fields["hand_mass"]
+    damping = fields["device_damping"] + fields["hand_damping"]
+    samples = fields["delay"] / period
+    nearest = samples.round()
+    is_whole = abs(samples - nearest) <= 4.0 * np.spacing(samples)
+    loop: Any = {
+        "gamma": (fields["hand_stiffness"] * period**2 / mass)[:, None],
+        "delta": (damping * period / mass)[:, None],
+        "delay": np.where(is_whole, nearest, samples)[:, None],
+        **base.filters,
+    }
+    wall = gains[0] * (period**2 / mass)[:, None], gains[1] * (period / mass)[:, None]
+    if "verdict" in answers:
+        found["verdict"] = np.asarray(point.verdict(*wall, **loop))
+    if "spectral_radius" in answers:
+        radius = point.spectral_radius(*wall, **loop)
+        found |= {"spectral_radius": radius.value, "spectral_radius_error": radius.error}
+    if "margins" in answers:
+        margins = ranges.margins(*wall, **loop)
+        found |= {
+            "stiffness_gain": margins.stiffness_gain,
+            "damping_gain": margins.damping_gain,
+            "extra_delay": period * margins.extra_delay,
+        }
+    if "settling_time" in answers:
+        settling = motion.settling_samples(*wall, **loop)
+        found |= {"settling_time": settling.value * period, "settling_status": settling.status}
+    return found
+
+
+def _of_loops(
+    loops: list[HapticLoop], gains: Floats, answers: Sequence[str]
+) -> dict[str, NDArray[Any]]:
+    """Return the answers of any loops, one by one but for limits."""
+    rows: list[dict[str, NDArray[Any]]] = [{} for _ in loops]
+    for row, loop in zip(rows, loops, strict=True):
+        if "verdict" in answers:
+            row["verdict"] = np.asarray(loop.verdict(*gains))
+        if "spectral_radius" in answers:
+            radius = loop.spectral_radius(*gains)
+            row |= {"spectral_radius": radius.value, "spectral_radius_error": radius.error}
+        if "margins" in answers:
+            margins = loop.margins(*gains)
+            row |= {name: getattr(margins, name) for name in ANSWERS["margins"]}
+        if "settling_time" in answers:
+            settling = loop.settling_time(*gains)
+            row |= {"settling_time": settling.value, "settling_status": settling.status}
+    found = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    return found | (_limits(limits_of(loops)) if "limits" in answers else {})
+
+
+def _limits(limits: Any) -> dict[str, NDArray[Any]]:
+    return {
+        "largest_stiffness": limits.stiffness,
+        "at_damping": limits.at_damping,
+        "largest_damping": limits.damping,
+        "at_stiffness": limits.at_stiffness,
+        "limits_status": limits.status,
+    }
+
+
+def _score_interval(
+    count: Int64[np.ndarray, "*grid"], total: int, confidence: float
+) -> tuple[Floats, Floats]:
+    """Return Wilson's interval of a share; 0 and 1 exactly where nothing and all was counted."""
+    z = NormalDist().inv_cdf(0.5 + 0.5 * confidence)
+    share, weight = count / total, z * z / total
+    middle = (share + 0.5 * weight) / (1.0 + weight)
+    half = z * np.sqrt(share * (1.0 - share) / total + 0.25 * weight / total) / (1.0 + weight)
+    low, high = middle - half, middle + half
+    return np.where(count == 0, 0.0, low), np.where(count == total, 1.0, high)
