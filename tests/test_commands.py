@@ -53,6 +53,8 @@ COMMANDS: list[tuple[str, list[str], int]] = [
     ("contact", [*OMEGA, *GOOD, "--push", "1", "--friction", "0.1"], 0),
     ("contact", [*OMEGA, *BAD, "--speed", "0.1", "--push", "1"], 1),
     ("contact", [*OMEGA, *GOOD], 2),
+    ("study", [*OMEGA, *GOOD, "--over", "device.mass=0.2,0.3", "-o", "study.h5"], 0),
+    ("study", [*OMEGA, *GOOD, "--over", "device.mass=0.2,x", "-o", "study.h5"], 2),
     ("tune", [*OMEGA, *GOOD], 0),
     ("tune", NEVER, 1),
     ("tune", [*OMEGA, "--at-stiffness", "-1"], 2),

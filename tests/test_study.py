@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray
+from campaign import many
 from commands import START, assert_one_sentence, run
 
 import jaxstab
@@ -319,6 +320,56 @@ def test_a_file_of_another_study_is_left_alone(tmp_path: Path) -> None:
         with pytest.raises(FileExistsError, match=r"a\.h5 exists, and is of something else"):
             small(tmp_path / "a.h5", **other)
     assert (tmp_path / "a.h5").read_bytes() == before
+
+
+@pytest.mark.campaign
+def test_random_studies_have_the_answers_of_single_loops() -> None:
+    rng = np.random.default_rng(35)
+    for _ in range(many(200, 6)):
+        table = random_table(rng)
+        over = {
+            "device.mass": LogNormal(table["device"]["mass"], 2.0),
+            "hand.stiffness": Uniform(0.0, 2000.0),
+            "controller.delay_samples": [0.0, float(rng.integers(1, 12)), rng.uniform(0.0, 6.0)],
+        }
+        walls = {"a": (10 ** rng.uniform(2, 4.5), 10 ** rng.uniform(0, 2)), "b": (500.0, 5.0)}
+        study = jaxstab.study(table, over, walls=walls, samples=17, seed=int(rng.integers(1000)))
+        opened = study.open()
+        for delay in range(3):
+            for draw in range(17):
+                row = opened.isel(controller_delay_samples=delay, sample=draw)
+                loop = loop_of(Scene.from_table(own_table(table, row)))
+                gains = row.wall_stiffness.values, row.wall_damping.values
+                np.testing.assert_array_equal(row.verdict, loop.verdict(*gains))
+                limits = loop.limits()
+                assert row.limits_status == limits.status
+                np.testing.assert_allclose(row.largest_stiffness, limits.stiffness, rtol=1e-9)
+                np.testing.assert_allclose(row.largest_damping, limits.damping, rtol=1e-9)
+
+
+def random_table(rng: np.random.Generator) -> dict[str, Any]:
+    velocities = (
+        {"window_samples": int(rng.integers(1, 21))},
+        {"cutoff": 10 ** rng.uniform(1.3, 2.4)},
+        {"window": rng.uniform(0.002, 0.02)},
+    )
+    return {
+        "device": {"mass": 10 ** rng.uniform(-1.3, 0.0), "damping": 10 ** rng.uniform(-3, 0.5)},
+        "hand": {"damping": rng.uniform(0.0, 8.0)},
+        "controller": {
+            "sample_time": float(rng.choice([1e-3, 5e-4, 2e-3])),
+            "velocity": velocities[rng.integers(3)],
+        },
+    }
+
+
+def own_table(table: dict[str, Any], row: xarray.Dataset) -> dict[str, Any]:
+    """The table of the loop of one row."""
+    return {
+        "device": {**table["device"], "mass": row.device_mass.item()},
+        "hand": {**table["hand"], "stiffness": row.hand_stiffness.item()},
+        "controller": {**table["controller"], "delay_samples": row.controller_delay_samples.item()},
+    }
 
 
 @pytest.mark.campaign
