@@ -7,8 +7,9 @@ blocks by any executor, resumed, in parts, and read by xarray.
 
 Within a block, what decides the filters and the sampling period is put into the scene, once for
 each combination. Masses, dampings, stiffnesses and delays are arrays beside the loop that results:
-verdicts, radii, margins and settling times are asked of the five numbers of all of them at once,
-limits of ``limits_of``. Devices that are not one mass are asked loop by loop.
+verdicts, radii, margins and settling times are asked of the five numbers of all of them at once.
+Limits are asked of all loops of the block together, whatever their filters. Devices that are not
+one mass are asked about walls loop by loop.
 """
 
 import json
@@ -793,28 +794,42 @@ class _Blocks:
         keys = np.array([place for _, place in others.values()], np.int64)
         keys = keys.reshape(len(others), prod(shape))
         _, first, group = np.unique(keys, axis=1, return_index=True, return_inverse=True)
+        loops = np.empty(prod(shape), object)
         for number, row in enumerate(first.tolist()):
             members = np.flatnonzero(group.ravel() == number)
             fixed = {key: _one(own, place[row]) for key, (own, place) in others.items()}
             given = {key: values[members] for key, values in numbers.items()}
-            for name, values in self._answered(fixed, given, len(members)).items():
+            for name, values in self._answered(fixed, given, members, loops).items():
                 found[name][members] = values
+        if "limits" in self.answers:
+            found |= _limits(limits_of(list(loops)))  # batches are of loops with any filters
         return {name: values.reshape(*shape, *values.shape[1:]) for name, values in found.items()}
 
     def _answered(
-        self, fixed: Mapping[str, Any], numbers: Mapping[str, Floats], count: int
+        self,
+        fixed: Mapping[str, Any],
+        numbers: Mapping[str, Floats],
+        members: NDArray[np.int64],
+        loops: NDArray[Any],
     ) -> dict[str, NDArray[Any]]:
-        """Return the answers of loops that have filters and sampling period in common."""
-        rows = (dict(zip(numbers, row, strict=True)) for row in _rows(numbers, count))
-        first = next(rows)
-        base = self.source.made({**fixed, **first})
+        """Return answers about walls, of loops that have filters and sampling period in common.
+
+        Where limits are wanted, the loops are put among ``loops``.
+        """
+        count = len(members)
+        rows = [dict(zip(numbers, row, strict=True)) for row in _rows(numbers, count)]
+        base = self.source.made({**fixed, **rows[0]})
         gains = np.array([*self.walls.values()]).reshape(-1, 2).T
         if base.device is not None:
-            loops = [base, *(self.source.made({**fixed, **row}) for row in rows)]
-            return _of_loops(loops, gains, self.answers)
+            own = [base, *(self.source.made({**fixed, **row}) for row in rows[1:])]
+            loops[members] = own
+            return _of_loops(own, gains, self.answers)
         named = {self.source.numbers[key][0]: values for key, values in numbers.items()}
         if "delay_samples" in named:
             named["delay"] = named.pop("delay_samples") * base.sample_time
+        if "limits" in self.answers:
+            varied = _rows(named, count)
+            loops[members] = [replace(base, **dict(zip(named, row, strict=True))) for row in varied]
         fields = {name: np.full(count, getattr(base, name)) for name in _FIELDS} | named
         return _of_one_mass(base, fields, gains, self.answers)
 
@@ -838,8 +853,6 @@ def _of_one_mass(
 ) -> dict[str, NDArray[Any]]:
     """Return the answers of loops of one mass, by their five numbers (Table I)."""
     found: dict[str, NDArray[Any]] = {}
-    if "limits" in answers:
-        found |= _limits(limits_of(base, **fields))
     if not gains.size:
         return found
     period: Any = base.sample_time
@@ -876,7 +889,7 @@ def _of_one_mass(
 def _of_loops(
     loops: list[HapticLoop], gains: Floats, answers: Sequence[str]
 ) -> dict[str, NDArray[Any]]:
-    """Return the answers of any loops, one by one but for limits."""
+    """Return the answers of any loops about walls, one by one."""
     rows: list[dict[str, NDArray[Any]]] = [{} for _ in loops]
     for row, loop in zip(rows, loops, strict=True):
         if "verdict" in answers:
@@ -890,8 +903,7 @@ def _of_loops(
         if "settling_time" in answers:
             settling = loop.settling_time(*gains)
             row |= {"settling_time": settling.value, "settling_status": settling.status}
-    found = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    return found | (_limits(limits_of(loops)) if "limits" in answers else {})
+    return {name: np.array([row[name] for row in rows]) for name in rows[0]}
 
 
 def _limits(limits: Any) -> dict[str, NDArray[Any]]:
