@@ -190,6 +190,24 @@ def test_columns_of_one_file_are_drawn_row_by_row(tmp_path: Path) -> None:
     assert set(study.values("hand_damping")) == {1.0, 2.0, 4.0}
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a,k\n1,2\n", "hands.csv has no column 'b'; its columns are 'a, k'"),
+        ("a,b\n1,2\n1,x\n", "hands.csv, line 3: b is 'x'; give a number"),
+        ("a,b\n1\n", "hands.csv, line 2: b is None; give a number"),
+        ("a,b\n", "measured values are missing or not finite"),
+        ("a,b\n1,nan\n", "measured values are missing or not finite"),
+    ],
+)
+def test_a_file_that_is_no_column_of_numbers_is_refused(
+    text: str, words: str, tmp_path: Path
+) -> None:
+    (tmp_path / "hands.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(ValueError, match=words):
+        distribution_of(f"csv:{tmp_path / 'hands.csv'}:b")
+
+
 # Shares and quantiles.
 
 

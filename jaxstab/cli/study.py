@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-import numpy as np
 
 from jaxstab.cli.options import (
     draw,
@@ -149,6 +148,8 @@ def _limits_words(made: "Study") -> list[str]:
     """Return the largest stiffness: its range, or its quantiles among draws."""
     if "largest_stiffness" not in made.units:
         return []
+    import numpy as np
+
     unit = made.units["largest_stiffness"]
     if "sample" not in made.dimensions:
         values = made.values("largest_stiffness")
@@ -169,10 +170,12 @@ def _limits_words(made: "Study") -> list[str]:
 
 def _shares_words(made: "Study") -> list[str]:
     """Return for which share of the draws, or of the grid, each wall is stable."""
-    from jaxstab.conventions import Verdict
-
     if "verdict" not in made.units:
         return []
+    import numpy as np
+
+    from jaxstab.conventions import Verdict
+
     names = made.dimensions["wall"].tolist()
     if "sample" not in made.dimensions:
         codes = made.values("verdict").reshape(-1, len(names))
@@ -211,6 +214,8 @@ def _grid(made: "Study") -> list[str]:
 
 def _points(made: "Study", shape: tuple[int, ...]) -> list[list[str]]:
     """Return the values of the dimensions at each point of the grid, as text."""
+    import numpy as np
+
     values = [made.dimensions[name] for name in _grid(made)]
     places = np.indices(shape).reshape(len(shape), prod(shape)).T
     return [

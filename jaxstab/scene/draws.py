@@ -8,16 +8,18 @@ Columns of one CSV file are drawn row by row: mass and stiffness of a hand stay 
 import csv
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from io import StringIO
 from math import inf, isfinite
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
 
 from jaxstab.shown import shortened
+from jaxstab.tables import text_of
 
 Draws = Float64[np.ndarray, " draw"]
+_MOST_BYTES = 100_000_000  # of a CSV file
 _ROUNDS = 200  # of draws in place of those that are not allowed
 _FORMS = "normal:MEAN:DEVIATION, uniform:LOW:HIGH, lognormal:MEDIAN:FACTOR or csv:FILE:COLUMN"
 
@@ -200,21 +202,20 @@ def draws_of(
 
 
 def _column(file: str, column: str) -> Measured:
-    with Path(file).open(newline="", encoding="utf-8-sig") as stream:
-        reader = csv.DictReader(stream)
-        names = reader.fieldnames or []
-        if column not in names:
-            known = shortened(", ".join(names))
-            raise ValueError(f"{file} has no column {column!r}; its columns are {known}.")
-        numbers = []
-        for row in reader:
-            try:
-                numbers.append(float(row[column]))
-            except (TypeError, ValueError):
-                raise ValueError(
-                    f"{file}, line {reader.line_num}: {column} is {shortened(row[column])}; give a "
-                    "number."
-                ) from None
+    reader = csv.DictReader(StringIO(text_of(file, _MOST_BYTES)))
+    names = reader.fieldnames or []
+    if column not in names:
+        known = shortened(", ".join(names))
+        raise ValueError(f"{file} has no column {column!r}; its columns are {known}.")
+    numbers = []
+    for row in reader:
+        try:
+            numbers.append(float(row[column]))
+        except (TypeError, ValueError):
+            raise ValueError(
+                f"{file}, line {reader.line_num}: {column} is {shortened(row[column])}; give a "
+                "number."
+            ) from None
     return Measured(tuple(numbers), file)
 
 
