@@ -274,6 +274,90 @@ def test_margins_and_settling_times_of_walls(rng: np.random.Generator) -> None:
     assert compared > 3
 
 
+def random_contacts(rng: np.random.Generator, count: int) -> list[Any]:
+    """Loops with a wall and with conditions of a contact: half of the walls are stable."""
+    found = []
+    while len(found) < count:
+        setup = random_setup(rng)
+        loop = loop_of(setup)
+        limits = loop.limits()
+        if not np.isfinite(limits.stiffness):
+            continue
+        share = rng.uniform(0.1, 2.0)
+        wall = {"stiffness": share * limits.stiffness, "damping": share * limits.at_damping}
+        push = float(10.0 ** rng.uniform(-1.0, 1.0))
+        friction = push * float(rng.choice([0.0, rng.uniform(0.01, 0.8)]))
+        depth = push / wall["stiffness"]
+        conditions = {
+            "push": push,
+            "friction": friction,
+            "staticFriction": friction * float(rng.choice([1.0, 1.3])),
+            "encoder": depth * float(rng.choice([0.0, rng.uniform(0.01, 0.3)])),
+            "speed": float(rng.choice([0.0, depth / setup["period"] / 100.0])),
+            "oneSided": bool(rng.random() < 0.8),
+        }
+        found.append((loop, setup | {"wall": wall, "conditions": conditions}))
+    return found
+
+
+def contact_of(loop: Any, setup: Any, push: float) -> jaxstab.results.Contact:
+    """The same contact from Python, with another push."""
+    given, wall = setup["conditions"], setup["wall"]
+    return loop.contact(
+        wall["stiffness"],
+        wall["damping"],
+        push=push,
+        friction=given["friction"],
+        static_friction=given["staticFriction"],
+        encoder=given["encoder"],
+        speed=given["speed"],
+        one_sided=given["oneSided"],
+    )
+
+
+def departure(first: np.ndarray, other: np.ndarray, share: float) -> int:
+    """The first sample at which two motions differ by a share of the largest position."""
+    count = min(first.size, other.size)
+    differs = ~(np.abs(other[:count] - first[:count]) <= share * np.nanmax(np.abs(first)))
+    return int(np.argmax(differs)) if np.any(differs) else count
+
+
+@needs_node
+def test_contacts_are_those_of_python(rng: np.random.Generator) -> None:
+    """To 1e-9 of the largest position; chaotic ones until Python's own roundings part them."""
+    found = random_contacts(rng, 30)
+    answers = asked_of_node("contacts", [setup for _, setup in found])
+    kinds, chaotic = set(), 0
+    for (loop, setup), answer in zip(found, answers, strict=True):
+        push = setup["conditions"]["push"]
+        known = contact_of(loop, setup, push)
+        assert known.path is not None
+        kind = jaxstab.results.ContactKind(int(known.kind)).name.lower()
+        kinds.add(kind)
+        assert answer["kind"] == kind, setup
+        positions, expected = np.array(answer["positions"]), known.path.position
+        same = departure(expected, positions, 1e-9)
+        if same < positions.size:  # then the last digit of the push matters as much
+            chaotic += 1
+            pushes = push * (1.0 + 2.0**-52 * np.array([-2, -1, 1, 2]))
+            paths = [contact_of(loop, setup, float(one)).path for one in pushes]
+            parted = min(departure(expected, path.position, 1e-12) for path in paths if path)
+            assert parted <= same, setup
+            continue
+        size = np.nanmax(np.abs(expected))
+        for name, measure, scale in (
+            ("amplitude", known.amplitude, size),
+            ("frequency", known.frequency, known.frequency),
+            ("timeToRest", known.time_to_rest, known.time_to_rest),
+        ):
+            if np.isfinite(measure):
+                assert abs(answer[name] - measure) <= 1e-9 * scale, (name, setup)
+            else:
+                assert answer[name] is None
+    assert len(kinds) > 2
+    assert chaotic < 6
+
+
 @needs_node
 def test_passive_walls_are_those_of_python(rng: np.random.Generator) -> None:
     plain = {"window": 1, "cutoff": 0.0, "order": 1, "kind": "low-pass", "factor": 1.0}

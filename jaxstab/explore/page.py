@@ -11,7 +11,7 @@ from jaxstab.scene.loops import hands_of, is_one_mass, loop_of, wall_region, wal
 from jaxstab.scene.scene import Hand, Units, VelocityTable, software_presets
 
 SCRIPTS = (
-    *("plant", "polynomial", "loop", "region", "wall", "rules", "state"),
+    *("plant", "polynomial", "loop", "region", "wall", "contact", "rules", "state"),
     *("picture", "controls", "words", "page"),
 )
 """The page's scripts, in their order; those of the first line need no page."""
