@@ -74,3 +74,8 @@ function contacts(cases) {
     return { ...answer, positions: Array.from(positions) };
   });
 }
+
+/** Why contacts are not simulated. */
+function refusals(cases) {
+  return cases.map((setup) => whyNoContact(setup, setup.wall, setup.conditions));
+}

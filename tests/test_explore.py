@@ -385,11 +385,57 @@ def test_the_linear_rule_is_that_of_python(rng: np.random.Generator) -> None:
             assert abs(limit - loop.alpha(stiffness)) <= 1e-12 * size
 
 
+CONTACTS: list[dict[str, Any]] = [
+    {
+        "device": {"mass": 0.1, "damping": 1.0, "friction": 0.3, "encoder": {"resolution": 2e-5}},
+        "contact": {"push": 2.5},
+    },
+    {"device": {"inertia": 1e-3, "damping": 1e-3, "friction": 1e-3}, "contact": {"push": 0.02}},
+    {"device": {"mass": 0.1, "damping": 1.0, "encoder": {"resolution": 1e-7}}},
+]
+
+
+def test_a_page_begins_with_the_contact_of_the_scene() -> None:
+    keys = ("contact", "friction", "push", "encoder")
+    states = [initial_of(page_of(table))["state"] for table in CONTACTS]
+    assert [[state[key] for key in keys] for state in states] == [
+        ["on", 0.3, 2.5, 2e-5],
+        ["on", 1e-3, 0.02, 0.0],
+        ["off", 0.0, 1.0, 1e-7],
+    ]
+
+
+def test_a_page_says_what_its_simulated_contacts_ignore() -> None:
+    contact = {"push": 1.0, "speed": 0.1, "one_sided": False}
+    notes = " ".join(initial_of(page_of({"contact": contact}))["notes"])
+    assert "ignore contact.speed, contact.one_sided of the scene" in notes
+    assert "ignore" not in " ".join(initial_of(page_of(CONTACTS[0]))["notes"])
+
+
+@needs_node
+def test_contacts_that_cannot_be_simulated_are_refused_in_a_sentence() -> None:
+    state = initial_of(page_of({}))["state"]
+    setup = state | {"estimator": state, "wall": {"stiffness": 100.0, "damping": 1.0}}
+    conditions = {"friction": 0.1, "push": 1.0, "encoder": 0.0}
+    cases = [
+        setup | {"conditions": conditions},
+        setup | {"conditions": conditions | {"push": 0.0}},
+        setup | {"conditions": conditions, "period": 1.0},
+        setup | {"conditions": conditions, "damping": 1e4},
+        setup | {"conditions": conditions, "wall": {"stiffness": 0.0, "damping": 1.0}},
+    ]
+    words = ["", "give a push", "sampling period", "too fast", "nothing holds the device"]
+    for answer, expected in zip(asked_of_node("refusals", cases), words, strict=True):
+        assert expected in answer
+        assert bool(answer) == bool(expected)
+
+
 @needs_node
 def test_a_link_reproduces_the_state_and_a_scene_is_one(rng: np.random.Generator) -> None:
     states = [initial_of(explorer_page(Scene.from_file(path)))["state"] for path in SCENES]
     table = {"velocity": {"preset": "hapkit"}, "sample_time": 1e-4}
     states.append(initial_of(page_of({"controller": table}))["state"])
+    states += [initial_of(page_of(table))["state"] for table in CONTACTS]
     words = {"stiffness": 1.5, "damping": -2.0, "name": 'a "b" & c=d #é'}
     states[0]["walls"].append(words)
     assert [state | {"software": None} for state in asked_of_node("links", states)] == [
@@ -570,10 +616,44 @@ def test_sliders_move_by_keys_and_the_link_brings_the_state_back(omega: Browser)
 
 
 @pytest.mark.campaign
+def test_a_contact_is_simulated_where_the_switch_is_on(omega: Browser) -> None:
+    """The words are those of Python for the same wall, and never call it proved."""
+    loop = scene_loop(Scene.from_file(SCENES[0].parent / "omega.toml"))
+    contact = loop.contact(1000.0, 8.0, friction=0.3, push=1.0)
+    omega.run("update({ cursorStiffness: 1000, cursorDamping: 8, friction: 0.3, push: 1 });")
+    off, on = omega.run(SWITCH)
+    assert off["words"] == ""
+    assert "as a share of its final value" in off["caption"]
+    assert on["words"] == f"simulated: rests after {float(f'{contact.time_to_rest:.3g}'):g} s"
+    assert "proved" not in on["words"] + on["caption"]
+    assert on["scene"].count("friction = 0.3") == on["scene"].count("[contact]") == 1
+    assert on["drawn"] != off["drawn"]
+    assert omega.run(SWITCH) == [on, off]
+    assert omega.complaints() == []
+
+
+SWITCH = """
+const text = (id) => document.getElementById(id).textContent;
+const shown = () => {
+  sayMore();
+  return {
+    words: text("contact-verdict"), caption: text("response-caption"), scene: text("scene"),
+    drawn: document.getElementById("response").innerHTML,
+  };
+};
+const before = shown();
+document.getElementById("contact-on").click();
+return [before, shown()];
+"""
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("contact", ["off", "on"])
 @pytest.mark.parametrize("look", ["light", "dark"])
 @pytest.mark.parametrize("width", [1360, 390])
-def test_axe_finds_nothing(omega: Browser, look: str, width: int) -> None:
+def test_axe_finds_nothing(omega: Browser, look: str, width: int, contact: str) -> None:
     omega.look(look, width, 1000)
+    omega.run("update({ contact: arguments[0], friction: 0.3 }); sayMore();", contact)
     omega.run("return new Promise((done) => setTimeout(done, 300));")  # it is drawn anew
     omega.run(axe().read_text(encoding="utf-8"))
     found = omega.run("return axe.run().then(({ violations }) => violations);")
