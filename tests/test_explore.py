@@ -322,10 +322,21 @@ def departure(first: np.ndarray, other: np.ndarray, share: float) -> int:
     return int(np.argmax(differs)) if np.any(differs) else count
 
 
+def slow_contact() -> tuple[jaxstab.HapticLoop, dict[str, Any]]:
+    """A contact that still moves in the end, less and less, as no random one does."""
+    zeros = dict.fromkeys(("handMass", "handStiffness", "handDamping", "delay"), 0.0)
+    plain = {"window": 1, "cutoff": 0.0, "order": 1, "kind": "low-pass", "factor": 1.0}
+    setup = {"mass": 1.0, "damping": 1.5, "period": 1e-3, "estimator": plain} | zeros
+    conditions = {"push": 1.0, "friction": 0.0, "staticFriction": 0.0, "encoder": 0.0}
+    setup["conditions"] = conditions | {"speed": 0.0, "oneSided": False}
+    setup["wall"] = {"stiffness": 100.0, "damping": 0.0}
+    return loop_of(setup), setup
+
+
 @needs_node
 def test_contacts_are_those_of_python(rng: np.random.Generator) -> None:
     """To 1e-9 of the largest position; chaotic ones until Python's own roundings part them."""
-    found = random_contacts(rng, 30)
+    found = [*random_contacts(rng, 30), slow_contact()]
     answers = asked_of_node("contacts", [setup for _, setup in found])
     kinds, chaotic = set(), 0
     for (loop, setup), answer in zip(found, answers, strict=True):
@@ -354,7 +365,7 @@ def test_contacts_are_those_of_python(rng: np.random.Generator) -> None:
                 assert abs(answer[name] - measure) <= 1e-9 * scale, (name, setup)
             else:
                 assert answer[name] is None
-    assert len(kinds) > 2
+    assert {"rests", "bounces", "grows", "decays"} <= kinds
     assert chaotic < 6
 
 
