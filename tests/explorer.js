@@ -66,3 +66,16 @@ function scenes(states) {
 function rules(cases) {
   return cases.map((setup) => linearRule(setup, [0, 1000]));
 }
+
+/** Simulated contacts with a wall each. */
+function contacts(cases) {
+  return cases.map((setup) => {
+    const { positions, ...answer } = contactOf(setup, setup.wall, setup.conditions);
+    return { ...answer, positions: Array.from(positions) };
+  });
+}
+
+/** Why contacts are not simulated. */
+function refusals(cases) {
+  return cases.map((setup) => whyNoContact(setup, setup.wall, setup.conditions));
+}

@@ -120,6 +120,8 @@ def hostile_state(rng: np.random.Generator) -> dict[str, Any]:
     gains = (rng.choice([-1.0, 1.0], 4) * 10.0 ** rng.uniform(-6.0, 12.0, 4)).tolist()
     state["delay"] = float(rng.choice([state.get("delay", 0.0), rng.uniform(0.0, 200.0)]))
     state["order"] = int(rng.integers(1, 9))
+    state |= {key: 10.0 ** rng.uniform(-12.0, 12.0) for key in ("friction", "push", "encoder")}
+    state["contact"] = str(rng.choice(["off", "on"]))
     state["view"] = str(rng.choice(["near", "all", "sample"]))
     state["cursorStiffness"], state["cursorDamping"] = gains[:2]
     state["walls"] = [{"name": "</b>&", "stiffness": gains[2], "damping": gains[3]}]

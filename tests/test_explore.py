@@ -274,6 +274,101 @@ def test_margins_and_settling_times_of_walls(rng: np.random.Generator) -> None:
     assert compared > 3
 
 
+def random_contacts(rng: np.random.Generator, count: int) -> list[Any]:
+    """Loops with a wall and with conditions of a contact: half of the walls are stable."""
+    found = []
+    while len(found) < count:
+        setup = random_setup(rng)
+        loop = loop_of(setup)
+        limits = loop.limits()
+        if not np.isfinite(limits.stiffness):
+            continue
+        share = rng.uniform(0.1, 2.0)
+        wall = {"stiffness": share * limits.stiffness, "damping": share * limits.at_damping}
+        push = float(10.0 ** rng.uniform(-1.0, 1.0))
+        friction = push * float(rng.choice([0.0, rng.uniform(0.01, 0.8)]))
+        depth = push / wall["stiffness"]
+        conditions = {
+            "push": push,
+            "friction": friction,
+            "staticFriction": friction * float(rng.choice([1.0, 1.3])),
+            "encoder": depth * float(rng.choice([0.0, rng.uniform(0.01, 0.3)])),
+            "speed": float(rng.choice([0.0, depth / setup["period"] / 100.0])),
+            "oneSided": bool(rng.random() < 0.8),
+        }
+        found.append((loop, setup | {"wall": wall, "conditions": conditions}))
+    return found
+
+
+def contact_of(loop: Any, setup: Any, push: float) -> jaxstab.results.Contact:
+    """The same contact from Python, with another push."""
+    given, wall = setup["conditions"], setup["wall"]
+    return loop.contact(
+        wall["stiffness"],
+        wall["damping"],
+        push=push,
+        friction=given["friction"],
+        static_friction=given["staticFriction"],
+        encoder=given["encoder"],
+        speed=given["speed"],
+        one_sided=given["oneSided"],
+    )
+
+
+def departure(first: np.ndarray, other: np.ndarray, share: float) -> int:
+    """The first sample at which two motions differ by a share of the largest position."""
+    count = min(first.size, other.size)
+    differs = ~(np.abs(other[:count] - first[:count]) <= share * np.nanmax(np.abs(first)))
+    return int(np.argmax(differs)) if np.any(differs) else count
+
+
+def slow_contact() -> tuple[jaxstab.HapticLoop, dict[str, Any]]:
+    """A contact that still moves in the end, less and less, as no random one does."""
+    zeros = dict.fromkeys(("handMass", "handStiffness", "handDamping", "delay"), 0.0)
+    plain = {"window": 1, "cutoff": 0.0, "order": 1, "kind": "low-pass", "factor": 1.0}
+    setup = {"mass": 1.0, "damping": 1.5, "period": 1e-3, "estimator": plain} | zeros
+    conditions = {"push": 1.0, "friction": 0.0, "staticFriction": 0.0, "encoder": 0.0}
+    setup["conditions"] = conditions | {"speed": 0.0, "oneSided": False}
+    setup["wall"] = {"stiffness": 100.0, "damping": 0.0}
+    return loop_of(setup), setup
+
+
+@needs_node
+def test_contacts_are_those_of_python(rng: np.random.Generator) -> None:
+    """To 1e-9 of the largest position; chaotic ones until Python's own roundings part them."""
+    found = [*random_contacts(rng, 30), slow_contact()]
+    answers = asked_of_node("contacts", [setup for _, setup in found])
+    kinds, chaotic = set(), 0
+    for (loop, setup), answer in zip(found, answers, strict=True):
+        push = setup["conditions"]["push"]
+        known = contact_of(loop, setup, push)
+        assert known.path is not None
+        kind = jaxstab.results.ContactKind(int(known.kind)).name.lower()
+        kinds.add(kind)
+        assert answer["kind"] == kind, setup
+        positions, expected = np.array(answer["positions"]), known.path.position
+        same = departure(expected, positions, 1e-9)
+        if same < positions.size:  # then the last digit of the push matters as much
+            chaotic += 1
+            pushes = push * (1.0 + 2.0**-52 * np.array([-2, -1, 1, 2]))
+            paths = [contact_of(loop, setup, float(one)).path for one in pushes]
+            parted = min(departure(expected, path.position, 1e-12) for path in paths if path)
+            assert parted <= same, setup
+            continue
+        size = np.nanmax(np.abs(expected))
+        for name, measure, scale in (
+            ("amplitude", known.amplitude, size),
+            ("frequency", known.frequency, known.frequency),
+            ("timeToRest", known.time_to_rest, known.time_to_rest),
+        ):
+            if np.isfinite(measure):
+                assert abs(answer[name] - measure) <= 1e-9 * scale, (name, setup)
+            else:
+                assert answer[name] is None
+    assert {"rests", "bounces", "grows", "decays"} <= kinds
+    assert chaotic < 6
+
+
 @needs_node
 def test_passive_walls_are_those_of_python(rng: np.random.Generator) -> None:
     plain = {"window": 1, "cutoff": 0.0, "order": 1, "kind": "low-pass", "factor": 1.0}
@@ -301,11 +396,58 @@ def test_the_linear_rule_is_that_of_python(rng: np.random.Generator) -> None:
             assert abs(limit - loop.alpha(stiffness)) <= 1e-12 * size
 
 
+CONTACTS: list[dict[str, Any]] = [
+    {
+        "device": {"mass": 0.1, "damping": 1.0, "friction": 0.3, "encoder": {"resolution": 2e-5}},
+        "contact": {"push": 2.5},
+    },
+    {"device": {"inertia": 1e-3, "damping": 1e-3, "friction": 1e-3}, "contact": {"push": 0.02}},
+    {"device": {"mass": 0.1, "damping": 1.0, "encoder": {"resolution": 1e-7}}},
+]
+
+
+def test_a_page_begins_with_the_contact_of_the_scene() -> None:
+    keys = ("contact", "friction", "push", "encoder")
+    states = [initial_of(page_of(table))["state"] for table in CONTACTS]
+    assert [[state[key] for key in keys] for state in states] == [
+        ["on", 0.3, 2.5, 2e-5],
+        ["on", 1e-3, 0.02, 0.0],
+        ["off", 0.0, 1.0, 1e-7],
+    ]
+
+
+def test_a_page_says_what_its_simulated_contacts_ignore() -> None:
+    contact = {"push": 1.0, "speed": 0.1, "one_sided": False}
+    notes = " ".join(initial_of(page_of({"contact": contact}))["notes"])
+    assert "ignore contact.speed, contact.one_sided of the scene" in notes
+    assert "ignore" not in " ".join(initial_of(page_of(CONTACTS[0]))["notes"])
+
+
+@needs_node
+def test_contacts_that_cannot_be_simulated_are_refused_in_a_sentence() -> None:
+    state = initial_of(page_of({}))["state"]
+    setup = state | {"estimator": state, "wall": {"stiffness": 100.0, "damping": 1.0}}
+    conditions = {"friction": 0.1, "push": 1.0, "encoder": 0.0}
+    cases = [
+        setup | {"conditions": conditions},
+        setup | {"conditions": conditions | {"push": 0.0}},
+        setup | {"conditions": conditions, "period": 1.0},
+        setup | {"conditions": conditions, "period": 1e-6},
+        setup | {"conditions": conditions, "damping": 1e4},
+        setup | {"conditions": conditions, "wall": {"stiffness": 0.0, "damping": 1.0}},
+    ]
+    words = ["", "a push", "too long for a contact", "in a browser", "too fast", "nothing holds"]
+    for answer, expected in zip(asked_of_node("refusals", cases), words, strict=True):
+        assert expected in answer
+        assert bool(answer) == bool(expected)
+
+
 @needs_node
 def test_a_link_reproduces_the_state_and_a_scene_is_one(rng: np.random.Generator) -> None:
     states = [initial_of(explorer_page(Scene.from_file(path)))["state"] for path in SCENES]
     table = {"velocity": {"preset": "hapkit"}, "sample_time": 1e-4}
     states.append(initial_of(page_of({"controller": table}))["state"])
+    states += [initial_of(page_of(table))["state"] for table in CONTACTS]
     words = {"stiffness": 1.5, "damping": -2.0, "name": 'a "b" & c=d #é'}
     states[0]["walls"].append(words)
     assert [state | {"software": None} for state in asked_of_node("links", states)] == [
@@ -486,10 +628,44 @@ def test_sliders_move_by_keys_and_the_link_brings_the_state_back(omega: Browser)
 
 
 @pytest.mark.campaign
+def test_a_contact_is_simulated_where_the_switch_is_on(omega: Browser) -> None:
+    """The words are those of Python for the same wall, and never call it proved."""
+    loop = scene_loop(Scene.from_file(SCENES[0].parent / "omega.toml"))
+    contact = loop.contact(1000.0, 8.0, friction=0.3, push=1.0)
+    omega.run("update({ cursorStiffness: 1000, cursorDamping: 8, friction: 0.3, push: 1 });")
+    off, on = omega.run(SWITCH)
+    assert off["words"] == ""
+    assert "as a share of its final value" in off["caption"]
+    assert on["words"] == f"simulated: rests after {float(f'{contact.time_to_rest:.3g}'):g} s"
+    assert "proved" not in on["words"] + on["caption"]
+    assert on["scene"].count("friction = 0.3") == on["scene"].count("[contact]") == 1
+    assert on["drawn"] != off["drawn"]
+    assert omega.run(SWITCH) == [on, off]
+    assert omega.complaints() == []
+
+
+SWITCH = """
+const text = (id) => document.getElementById(id).textContent;
+const shown = () => {
+  sayMore();
+  return {
+    words: text("contact-verdict"), caption: text("response-caption"), scene: text("scene"),
+    drawn: document.getElementById("response").innerHTML,
+  };
+};
+const before = shown();
+document.getElementById("contact-on").click();
+return [before, shown()];
+"""
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("contact", ["off", "on"])
 @pytest.mark.parametrize("look", ["light", "dark"])
 @pytest.mark.parametrize("width", [1360, 390])
-def test_axe_finds_nothing(omega: Browser, look: str, width: int) -> None:
+def test_axe_finds_nothing(omega: Browser, look: str, width: int, contact: str) -> None:
     omega.look(look, width, 1000)
+    omega.run("update({ contact: arguments[0], friction: 0.3 }); sayMore();", contact)
     omega.run("return new Promise((done) => setTimeout(done, 300));")  # it is drawn anew
     omega.run(axe().read_text(encoding="utf-8"))
     found = omega.run("return axe.run().then(({ violations }) => violations);")

@@ -100,6 +100,15 @@ function changeTo(key, value, moved) {
   return update(next, moved);
 }
 
+/** Build the switch for simulated contacts, and what it asks for. */
+function buildContact() {
+  for (const quantity of quantitiesOf(state.motion).filter((one) => one.group === "contact")) {
+    byId("contact-controls").append(rowOf(quantity, "Contact: ", (value, moved) => changeTo(quantity.key, value, moved)));
+  }
+  const isOn = byId("contact-on");
+  isOn.addEventListener("change", () => update({ contact: isOn.checked ? "on" : "off" }));
+}
+
 /** The cursor's two sliders, which go as far as the axes. */
 function cursorQuantities() {
   const ends = drawn ? drawn.frame.ends : [[0, 1], [0, 1]];

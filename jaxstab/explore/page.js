@@ -32,6 +32,8 @@ function showState(moved) {
   const late = `${short(rounded(state.delay * state.period * 1e3, 3))} ms`;
   assign(byId("controller-hint"), "textContent", `${short(rate)} Hz; a delay of ${late}`);
   assign(byId("velocity-hint"), "textContent", estimatorInWords(setup));
+  assign(byId("contact-on"), "checked", state.contact === "on");
+  assign(byId("contact-controls"), "hidden", state.contact === "off");
   document.querySelectorAll("[name=view]").forEach((one) => {
     assign(one, "checked", one.value === state.view);
     assign(one, "disabled", one.value === "sample" && isPlain(setup));
@@ -125,14 +127,15 @@ function sayMore() {
   if (drawn.isRough) draw();
   const { setup, loop, region } = drawn, facts = wallFacts(setup, loop, region, cursorWall());
   showFacts(facts);
-  showResponse(facts);
+  if (state.contact === "on") showContact();
+  else showResponse(facts);
   const hash = `#${hashOf(state)}`;
   byId("link").href = hash;
   if (location.hash !== hash) history.replaceState(null, "", hash);
   byId("scene").textContent = sceneOf(state);
   const stable = drawn.walls.filter(({ code }) => code === STABLE).length;
   byId("status").textContent =
-    `${byId("headline").textContent} ${stable} of ${drawn.walls.length} walls are stable. Cursor: ${byId("cursor-verdict").textContent}.`;
+    `${byId("headline").textContent} ${stable} of ${drawn.walls.length} walls are stable. Cursor: ${byId("cursor-verdict").textContent}. ${byId("contact-verdict").textContent}`;
 }
 
 /** Show margins and settling of the cursor. */
@@ -168,6 +171,29 @@ function showResponse({ code, settling }) {
   const samples = Math.round(Math.min(4000, Math.max(40, wanted)));
   drawResponse(byId("response"), responseOf(setup, alpha, beta, samples), setup.period);
   byId("response-title").textContent = code === STABLE ? "The response to a push comes to rest." : "The response to a push.";
+  byId("response-caption").textContent = "Position after a constant push, as a share of its final value, with the 2 % band.";
+  byId("contact-verdict").textContent = "";
+}
+
+/** Simulate the contact with the cursor's wall; draw it, and say how it ends. */
+function showContact() {
+  const { setup } = drawn, wall = cursorWall(), { friction, push, encoder } = state;
+  const conditions = { friction, push, encoder }, why = whyNoContact(setup, wall, conditions);
+  const contact = why ? null : contactOf(setup, wall, conditions);
+  const words = why || contactInWords(contact);
+  drawContact(byId("response"), contact ? startOf(contact, setup, wall) : [], setup.period);
+  byId("contact-verdict").textContent = words;
+  byId("response-title").textContent = words;
+  byId("response-caption").textContent =
+    `Simulated position in ${smallUnit()} over time, pushed from rest at the wall's surface, which is at 0; simulated for ${DURATION} s.`;
+}
+
+/** The positions that are drawn: a little beyond rest, and what grows while it is small. */
+function startOf({ kind, timeToRest, positions }, { handStiffness, period }, { stiffness }) {
+  if (kind === "rests") return positions.slice(0, Math.max(40, Math.round((1.5 * timeToRest) / period)));
+  const most = LARGEST_SHARE * Math.abs(state.push / (stiffness + handStiffness));
+  const beyond = positions.findIndex((position) => !(Math.abs(position) < most));
+  return beyond < 0 ? positions : positions.slice(0, Math.max(2, beyond));
 }
 
 // ------------------------------------------------------------------------------------------- start
@@ -210,6 +236,7 @@ function start() {
   document.querySelectorAll(".damping-unit").forEach((one) => (one.textContent = `(${units().damping})`));
   buildControls();
   buildCursor();
+  buildContact();
   const picture = byId("picture");
   picture.addEventListener("pointerdown", pointAt);
   picture.addEventListener("pointermove", (event) => event.buttons & 1 && pointAt(event));

@@ -11,13 +11,15 @@ from jaxstab.scene.loops import hands_of, is_one_mass, loop_of, wall_region, wal
 from jaxstab.scene.scene import Hand, Units, VelocityTable, software_presets
 
 SCRIPTS = (
-    *("plant", "polynomial", "loop", "region", "wall", "rules", "state"),
+    *("plant", "polynomial", "loop", "region", "wall", "contact", "rules", "state"),
     *("picture", "controls", "words", "page"),
 )
 """The page's scripts, in their order; those of the first line need no page."""
 
 _HALF = 0.5
 _LONGEST_DELAY = 200.0  # samples
+_DURATION = 4.0  # s of a simulated contact
+_PUSHES = {Units.LINE: 1.0, Units.ROTATION: 0.05}  # N, N m: of a finger
 
 
 def explorer_page(scene: Scene, title: str = "") -> str:
@@ -96,10 +98,22 @@ def _state(scene: Scene) -> dict[str, Any]:
         "cursorDamping": damping,
         "motion": "line" if scene.units is Units.LINE else "rotation",
         "view": "near",
+        **_contact(scene),
         "walls": [
             {"name": name, "stiffness": wall.stiffness, "damping": wall.damping}
             for name, wall in walls_of(scene).items()
         ],
+    }
+
+
+def _contact(scene: Scene) -> dict[str, Any]:
+    """Return what the page simulates of contacts; with an ordinary push where there is none."""
+    device, push = scene.device, scene.contact.push if scene.contact else 0.0
+    return {
+        "contact": "on" if push else "off",
+        "friction": device.friction,
+        "push": push or _PUSHES[scene.units],
+        "encoder": device.encoder.resolution if device.encoder else 0.0,
     }
 
 
@@ -160,4 +174,23 @@ def _notes(scene: Scene, title: str) -> list[str]:
         notes.append("The scene has ranges: the page begins with their lowest values.")
     if scene.controller.velocity is None:
         notes.append("The scene names no estimator: the difference over one sample is assumed.")
+    ignored = _ignored_of_contacts(scene)
+    if ignored:
+        notes.append(f"Simulated contacts on this page ignore {', '.join(ignored)} of the scene.")
     return notes
+
+
+def _ignored_of_contacts(scene: Scene) -> list[str]:
+    """Return what only Python simulates: the page pushes from rest against a one-sided wall."""
+    given, device, controller = scene.contact, scene.device, scene.controller
+    if given is None:
+        return []
+    is_given = {
+        "device.static_friction": device.static_friction is not None,
+        "controller.max_force": controller.max_force is not None,
+        "controller.force_step": controller.force_step > 0.0,
+        "contact.speed": given.speed > 0.0,
+        "contact.one_sided": not given.one_sided,
+        "contact.duration": given.duration != _DURATION,
+    }
+    return [name for name, is_so in is_given.items() if is_so]

@@ -202,3 +202,34 @@ function drawResponse(svg, every, period) {
   parts.push(element("text", { class: "quiet", x: box.x + box.width, y: height - 6, "text-anchor": "end" }, time));
   svg.replaceChildren(svg.querySelector("title"), ...parts);
 }
+
+/** Draw positions at samples over time: the lowest and the highest of each pixel's width. */
+function drawContact(svg, positions, period) {
+  const { width, height } = svg.getBoundingClientRect(), title = svg.querySelector("title");
+  svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
+  if (!positions.length) return svg.replaceChildren(title);
+  const box = { x: 52, y: 8, width: width - 60, height: height - 28 };
+  const points = thinned(positions, Math.ceil(box.width)).map(([k, position]) => [k * period, position * 1e3]);
+  const { low, high } = extentOf([...points, [0, 0]]), room = 0.06 * (high[1] - low[1]) || 1;
+  const frame = frameOf([[0, (positions.length - 1) * period], [low[1] - room, high[1] + room]], box);
+  const parts = ticksOf(...frame.ends[1], 3).flatMap((tick) => {
+    const y = frame.y(tick), line = { class: tick === 0 ? "axis" : "grid", d: `M${box.x} ${y}H${box.x + box.width}` };
+    const at = { class: "quiet", x: box.x - 6, y: y + 4, "text-anchor": "end" };
+    return [element("path", line), element("text", at, short(tick))];
+  });
+  parts.push(element("path", { class: "trace", d: pathOf(frame, points, false) }));
+  const time = `${short(rounded(frame.ends[0][1], 3))} s`;
+  parts.push(element("text", { class: "quiet", x: box.x + box.width, y: height - 6, "text-anchor": "end" }, time));
+  return svg.replaceChildren(title, ...parts);
+}
+
+/** Samples with their positions; where they are many, the lowest and highest of so many columns. */
+function thinned(positions, columns) {
+  const all = Array.from(positions, (position, k) => [k, position]), most = Math.ceil(all.length / columns);
+  if (most <= 2) return all;
+  return Array.from({ length: Math.ceil(all.length / most) }, (_, column) => {
+    const own = all.slice(column * most, (column + 1) * most);
+    const low = own.reduce((a, b) => (b[1] < a[1] ? b : a)), high = own.reduce((a, b) => (b[1] > a[1] ? b : a));
+    return low[0] < high[0] ? [low, high] : [high, low];
+  }).flat();
+}

@@ -19,6 +19,8 @@ function quantitiesOf(motion) {
   const ofMass = turns ? [1e-6, 0.1] : [0.01, 10];
   const ofDamping = turns ? [1e-5, 1] : [0.01, 100];
   const ofStiffness = turns ? [0.01, 1e4] : [1, 1e6];
+  const [force, length] = turns ? ["N m", "rad"] : ["N", "m"];
+  const ofPush = turns ? [1e-3, 10] : [0.01, 100];
   const log = (low, high, hasZero) => ({ map: "log", low, high, hasZero, scale: 1 });
   return [
     { key: "mass", group: "device", label: moved, unit: kilogram, ...log(...ofMass, false) },
@@ -30,6 +32,9 @@ function quantitiesOf(motion) {
     { key: "delay", group: "controller", label: "delay", unit: "samples", map: "square", low: 0, high: MOST_SLIDER_DELAY, scale: 1 },
     { key: "window", group: "velocity", label: "window", unit: "samples", map: "whole", low: 1, high: MOST_WINDOW, scale: 1 },
     { key: "cutoff", group: "velocity", label: "low pass at", unit: "Hz", map: "log", low: 5, high: 5e3, hasZero: true, isInverse: true, scale: 1 },
+    { key: "friction", group: "contact", label: "friction", unit: force, ...log(...ofPush, true) },
+    { key: "push", group: "contact", label: "push", unit: force, ...log(...ofPush, false) },
+    { key: "encoder", group: "contact", label: "encoder (0: none)", unit: length, ...log(1e-7, 1e-2, true) },
   ];
 }
 
@@ -87,9 +92,12 @@ function setupOf(state) {
 
 const NUMBERS = [
   "mass", "damping", "handMass", "handStiffness", "handDamping", "period", "delay", "window",
-  "cutoff", "order", "factor", "cursorStiffness", "cursorDamping",
+  "cutoff", "order", "factor", "friction", "push", "encoder", "cursorStiffness", "cursorDamping",
 ];
-const WORDS = { motion: ["line", "rotation"], kind: ["low-pass", "butterworth"], view: ["near", "all", "sample"] };
+const WORDS = {
+  motion: ["line", "rotation"], kind: ["low-pass", "butterworth"], view: ["near", "all", "sample"],
+  contact: ["off", "on"],
+};
 const LISTS = ["numerator", "denominator"];
 
 /** The state as what stands behind # of a link. */
@@ -134,12 +142,16 @@ function wallOfWords(words) {
 /** The state as a scene, which `jaxstab check` takes. */
 function sceneOf(state) {
   const mass = state.motion === "rotation" ? "inertia" : "mass";
+  const isSimulated = state.contact === "on" && state.push > 0; // only such scenes have friction
   const lines = [
-    "[device]", `${mass} = ${state.mass}`, `damping = ${state.damping}`, "",
+    "[device]", `${mass} = ${state.mass}`, `damping = ${state.damping}`,
+    ...(isSimulated ? [`friction = ${state.friction}`] : []), "",
+    ...(state.encoder > 0 ? ["[device.encoder]", `resolution = ${state.encoder}`, ""] : []),
     "[hand]", `${mass} = ${state.handMass}`, `stiffness = ${state.handStiffness}`,
     `damping = ${state.handDamping}`, "",
     "[controller]", `sample_time = ${state.period}`, `delay_samples = ${state.delay}`, "",
     "[controller.velocity]", ...velocityLines(state),
+    ...(isSimulated ? ["", "[contact]", `push = ${state.push}`] : []),
   ];
   state.walls.forEach(({ name, stiffness, damping }) => {
     lines.push("", `[walls.${JSON.stringify(name)}]`, `stiffness = ${stiffness}`, `damping = ${damping}`);

@@ -110,6 +110,26 @@ function changeWall(index, change) {
   update({ walls: state.walls.map((wall, other) => (other === index ? { ...wall, ...change } : wall)) });
 }
 
+/** How a simulated contact ends. */
+function contactInWords({ kind, amplitude, frequency, timeToRest }) {
+  const rate = Number.isFinite(frequency) ? ` at ${short(rounded(frequency, 3))} Hz` : "";
+  const motion = `amplitude ${short(rounded(amplitude * 1e3, 3))} ${smallUnit()}${rate}`;
+  const words = {
+    rests: `rests after ${short(rounded(timeToRest, 3))} s`,
+    oscillates: `oscillates in contact with the wall, ${motion}`,
+    bounces: `leaves the wall and returns to it, ${motion}`,
+    grows: "the motion grows",
+    decays: `still moves after ${DURATION} s, less and less`,
+    leaves: "does not return to the wall",
+  };
+  return `simulated: ${words[kind]}`;
+}
+
+/** The unit in which positions are drawn: a thousandth of the scene's. */
+function smallUnit() {
+  return state.motion === "rotation" ? "mrad" : "mm";
+}
+
 /** Say at once whether the cursor is stable, and by which radius. */
 function showCursorVerdict({ code, radius, bound }) {
   const words = byId("cursor-verdict");
