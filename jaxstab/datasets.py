@@ -19,7 +19,7 @@ import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
-from itertools import islice, product
+from itertools import product
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeVar
 
@@ -98,14 +98,18 @@ class Dataset(Job[Block]):
     def __post_init__(self) -> None:
         digest = hashlib.sha256(repr([self.identity, self.size, computed_by()]).encode())
         digest.update(repr([*self.attributes.items(), *self.variables.items()]).encode())
-        labels = {name: values for name, (_, values) in self.labels.items()}
-        for name, values in {**self.coordinates, **labels}.items():
+        for name, values in self.all_coordinates.items():
             digest.update(f"\n{name} {values.dtype.str} {values.shape} ".encode())
             digest.update(np.ascontiguousarray(values).tobytes())
         object.__setattr__(self, "whole_key", digest.hexdigest())
         if self.part != (1, 1):
             digest.update(repr(self.part).encode())
         object.__setattr__(self, "key", digest.hexdigest())
+
+    @property
+    def all_coordinates(self) -> Arrays:
+        """The values along each dimension, and the labels."""
+        return {**self.coordinates, **{name: values for name, (_, values) in self.labels.items()}}
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -124,7 +128,7 @@ class Dataset(Job[Block]):
     @property
     def computed(self) -> dict[str, Variable]:
         """The variables that blocks hold."""
-        others = {*self.coordinates, *self.labels}
+        others = self.all_coordinates
         return {name: v for name, v in self.variables.items() if name not in others}
 
     def own(self, variable: Variable, along: Sequence[Item]) -> tuple[Item, ...]:
@@ -135,14 +139,19 @@ class Dataset(Job[Block]):
     @property
     def items(self) -> list[Block]:
         """The blocks of the part."""
-        starts = (range(0, n, step) for n, step in zip(self.shape, self.chunk, strict=True))
         number, count = self.part
+        return self.blocks[number - 1 :: count]
+
+    @property
+    def blocks(self) -> list[Block]:
+        """The blocks of all parts."""
+        starts = (range(0, n, step) for n, step in zip(self.shape, self.chunk, strict=True))
         return [
             tuple(
                 slice(first, min(first + step, n))
                 for first, step, n in zip(place, self.chunk, self.shape, strict=True)
             )
-            for place in islice(product(*starts), number - 1, None, count)
+            for place in product(*starts)
         ]
 
     def name(self, item: Block) -> str:
@@ -201,8 +210,7 @@ class Dataset(Job[Block]):
         if self.part != (1, 1):
             said[_PART] = "{} of {}".format(*self.part)
         write_attributes(file, {**self.attributes, **said})
-        labels = {name: values for name, (_, values) in self.labels.items()}
-        for name, values in {**self.coordinates, **labels}.items():
+        for name, values in self.all_coordinates.items():
             kind = h5py.string_dtype() if values.dtype.kind == "U" else values.dtype
             dataset = file.create_dataset(name, data=values.astype(kind), track_times=False)
             if name in self.coordinates:
@@ -274,7 +282,7 @@ def stored(
 
 
 class Kept(NamedTuple):
-    """What a file says of its dataset: attributes, and for each variable its own and dimensions."""
+    """What a file says of its dataset; dimensions, units and names of each variable."""
 
     attributes: dict[str, str]
     coordinates: dict[str, NDArray[Any]]

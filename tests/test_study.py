@@ -67,14 +67,22 @@ def test_every_answer_is_that_of_its_own_loop(modes: list[dict[str, float]]) -> 
                 row = study.sel(
                     controller_velocity_window_samples=window, controller_delay=delay, sample=draw
                 )
-                hand = {k: row[f"hand_{k}"].item() for k in ("stiffness", "damping")}
-                controller = {
-                    **table["controller"],
-                    "delay": delay,
-                    "velocity": {"window_samples": window},
+                values = {
+                    "controller.delay": delay,
+                    "controller.velocity": {"window_samples": window},
+                    "hand.stiffness": row.hand_stiffness.item(),
+                    "hand.damping": row.hand_damping.item(),
                 }
-                own = {**table, "hand": {**table["hand"], **hand}, "controller": controller}
-                assert_row_is_of(row, loop_of(Scene.from_table(own)))
+                assert_row_is_of(row, loop_with(table, values))
+
+
+def loop_with(table: dict[str, Any], values: dict[str, Any]) -> HapticLoop:
+    """The loop of a scene with values in place of its own, by "section.key"."""
+    own = {section: {**keys} for section, keys in table.items()}
+    for name, value in values.items():
+        section, key = name.split(".")
+        own[section][key] = value
+    return loop_of(Scene.from_table(own))
 
 
 def assert_row_is_of(row: xarray.Dataset, loop: HapticLoop) -> None:
@@ -108,6 +116,16 @@ def test_a_loop_varies_by_its_fields_and_estimators() -> None:
             np.testing.assert_array_equal(
                 row.verdict, own.verdict(*np.transpose([*WALLS.values()]))
             )
+
+
+def test_the_delay_of_a_loop_varies_in_one_unit() -> None:
+    with pytest.raises(ValueError, match="delay is given beside delay_samples; give one"):
+        jaxstab.study(LOOP, {"delay": [0.0, 1e-3], "delay_samples": [1.0]})
+
+
+def test_an_answer_that_is_wanted_twice_is_given_once() -> None:
+    study = jaxstab.study(LOOP, {"delay": [0.0, 1e-3]}, answers=["limits", "limits"])
+    assert list(study.dimensions) == ["delay"]
 
 
 def test_a_table_has_named_dimensions_units_codes_and_what_it_is_of() -> None:
@@ -225,11 +243,13 @@ def test_shares_count_the_verdicts() -> None:
 
 def test_undecided_draws_widen_the_interval_on_both_sides(monkeypatch: pytest.MonkeyPatch) -> None:
     def third_undecided(alpha: Any, beta: Any, **loop: Any) -> Any:
-        codes = np.broadcast_to(np.int8(Verdict.STABLE), np.shape(alpha)).copy()
+        codes = np.full(
+            np.broadcast_shapes(np.shape(alpha), np.shape(loop["gamma"])), np.int8(Verdict.STABLE)
+        )
         codes[::3] = Verdict.UNDECIDED
         return codes
 
-    monkeypatch.setattr(studies.point, "verdict", third_undecided)
+    monkeypatch.setattr(jaxstab.point, "verdict", third_undecided)
     over = {"hand.stiffness": Normal(300.0, 100.0)}
     shares = jaxstab.study(TABLE, over, answers=["verdict"], samples=300).shares()
     assert shares.undecided.tolist() == [100, 100]
@@ -302,8 +322,11 @@ def test_parts_put_together_are_the_whole(tmp_path: Path, small_blocks: None) ->
     for number, path in enumerate(parts, 1):
         part = small(path, part=(number, 3))
         assert (part.values("verdict") != Verdict.NOT_COMPUTED).sum() == 80
-    with pytest.raises(ValueError, match=r"1\.h5 is a part of a study; merge all parts first\."):
-        jaxstab.open_study(parts[0]).shares()
+    for question in (Study.shares, Study.quantiles):
+        with pytest.raises(
+            ValueError, match=r"1\.h5 is a part of a study; merge all parts first\."
+        ):
+            question(jaxstab.open_study(parts[0]))
     made = jaxstab.merge_studies(parts[::-1], tmp_path / "made.h5")
     assert made.open().identical(whole)
     told: list[int] = []
@@ -356,7 +379,12 @@ def test_random_studies_have_the_answers_of_single_loops() -> None:
         for delay in range(3):
             for draw in range(170):
                 row = opened.isel(controller_delay_samples=delay, sample=draw)
-                loop = loop_of(Scene.from_table(own_table(table, row)))
+                values = {
+                    "device.mass": row.device_mass.item(),
+                    "hand.stiffness": row.hand_stiffness.item(),
+                    "controller.delay_samples": row.controller_delay_samples.item(),
+                }
+                loop = loop_with(table, values)
                 gains = row.wall_stiffness.values, row.wall_damping.values
                 np.testing.assert_array_equal(row.verdict, loop.verdict(*gains))
                 limits = loop.limits()
@@ -378,15 +406,6 @@ def random_table(rng: np.random.Generator) -> dict[str, Any]:
             "sample_time": float(rng.choice([1e-3, 5e-4, 2e-3])),
             "velocity": velocities[rng.integers(3)],
         },
-    }
-
-
-def own_table(table: dict[str, Any], row: xarray.Dataset) -> dict[str, Any]:
-    """The table of the loop of one row."""
-    return {
-        "device": {**table["device"], "mass": row.device_mass.item()},
-        "hand": {**table["hand"], "stiffness": row.hand_stiffness.item()},
-        "controller": {**table["controller"], "delay_samples": row.controller_delay_samples.item()},
     }
 
 

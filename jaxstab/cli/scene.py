@@ -95,9 +95,7 @@ def mechanics_options(command: Callable[..., Any]) -> Callable[..., Any]:
             help="A wall: its name, N/m and N s/m; may be repeated.",
         ),
     )
-    for decoration in reversed(decorations):
-        command = decoration(command)
-    return command
+    return _decorated(command, decorations)
 
 
 def scene_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -120,6 +118,10 @@ def scene_options(command: Callable[..., Any]) -> Callable[..., Any]:
         ),
         click.option("--json", "as_json", is_flag=True, help="Print JSON."),
     )
+    return _decorated(command, decorations)
+
+
+def _decorated(command: Callable[..., Any], decorations: tuple[Any, ...]) -> Callable[..., Any]:
     for decoration in reversed(decorations):
         command = decoration(command)
     return command

@@ -109,7 +109,7 @@ def study(
     """Answer for many devices, people and controllers at once, as one table.
 
     Lists of values span a grid, distributions are drawn at each of its points. A study that was
-    interrupted continues when the command is repeated; one that is done costs nothing.
+    interrupted continues when the command is repeated; one that is done is read.
     """
     from jaxstab.scene.study import Study, merge_studies, plan_of, study_dataset
 
@@ -164,7 +164,7 @@ def _limits_words(made: "Study") -> list[str]:
             strict=True,
         )
     ]
-    heads = [*_grid(made), f"largest stiffness in {unit}: 5 % below", "half below", "95 % below"]
+    heads = [*made.lists, f"largest stiffness in {unit}: 5 % below", "half below", "95 % below"]
     return [_table([heads, *rows])]
 
 
@@ -202,21 +202,17 @@ def _shares_words(made: "Study") -> list[str]:
             strict=True,
         )
     ]
-    heads = [*_grid(made), *(f"{name}: % stable" for name in names)]
+    heads = [*made.lists, *(f"{name}: % stable" for name in names)]
     undecided = int(shares.undecided.sum())
     words = f"in brackets: 95 % confidence; each verdict proved, {undecided} undecided"
     return [_table([heads, *rows]), words]
-
-
-def _grid(made: "Study") -> list[str]:
-    return [name for name in made.dimensions if name not in ("sample", "wall")]
 
 
 def _points(made: "Study", shape: tuple[int, ...]) -> list[list[str]]:
     """Return the values of the dimensions at each point of the grid, as text."""
     import numpy as np
 
-    values = [made.dimensions[name] for name in _grid(made)]
+    values = [made.dimensions[name] for name in made.lists]
     places = np.indices(shape).reshape(len(shape), prod(shape)).T
     return [
         [

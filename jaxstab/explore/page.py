@@ -8,7 +8,7 @@ from typing import Any
 from jaxstab.model.filters import NO_FILTER
 from jaxstab.scene import Scene
 from jaxstab.scene.loops import hands_of, is_one_mass, loop_of, wall_region, walls_of
-from jaxstab.scene.scene import Hand, Units, VelocityTable, software_presets
+from jaxstab.scene.scene import Contact, Hand, Units, VelocityTable, software_presets
 
 SCRIPTS = (
     *("plant", "polynomial", "loop", "region", "wall", "contact", "rules", "state"),
@@ -18,7 +18,6 @@ SCRIPTS = (
 
 _HALF = 0.5
 _LONGEST_DELAY = 200.0  # samples
-_DURATION = 4.0  # s of a simulated contact
 _PUSHES = {Units.LINE: 1.0, Units.ROTATION: 0.05}  # N, N m: of a finger
 
 
@@ -191,6 +190,6 @@ def _ignored_of_contacts(scene: Scene) -> list[str]:
         "controller.force_step": controller.force_step > 0.0,
         "contact.speed": given.speed > 0.0,
         "contact.one_sided": not given.one_sided,
-        "contact.duration": given.duration != _DURATION,
+        "contact.duration": given.duration != Contact.duration,
     }
     return [name for name, is_so in is_given.items() if is_so]

@@ -196,11 +196,20 @@ function drawResponse(svg, every, period) {
   const band = { class: "band", x: box.x, y: frame.y(1 + LEVEL), width: box.width, height: frame.y(1 - LEVEL) - frame.y(1 + LEVEL) };
   const parts = [element("rect", band), element("path", { class: "trace", d: pathOf(frame, points, false) })];
   for (const share of [0, 1]) {
-    parts.push(element("text", { class: "quiet", x: box.x - 6, y: frame.y(share) + 4, "text-anchor": "end" }, String(share)));
+    parts.push(besideAxis(box, frame.y(share), String(share)));
   }
-  const time = `${short(rounded((shares.length - 1) * period * 1e3, 3))} ms`;
-  parts.push(element("text", { class: "quiet", x: box.x + box.width, y: height - 6, "text-anchor": "end" }, time));
+  parts.push(belowEnd(box, height, `${short(rounded((shares.length - 1) * period * 1e3, 3))} ms`));
   svg.replaceChildren(svg.querySelector("title"), ...parts);
+}
+
+/** A number beside the vertical axis. */
+function besideAxis(box, y, words) {
+  return element("text", { class: "quiet", x: box.x - 6, y: y + 4, "text-anchor": "end" }, words);
+}
+
+/** The last time, below the end of the horizontal axis. */
+function belowEnd(box, height, words) {
+  return element("text", { class: "quiet", x: box.x + box.width, y: height - 6, "text-anchor": "end" }, words);
 }
 
 /** Draw positions at samples over time: the lowest and the highest of each pixel's width. */
@@ -214,12 +223,10 @@ function drawContact(svg, positions, period) {
   const frame = frameOf([[0, (positions.length - 1) * period], [low[1] - room, high[1] + room]], box);
   const parts = ticksOf(...frame.ends[1], 3).flatMap((tick) => {
     const y = frame.y(tick), line = { class: tick === 0 ? "axis" : "grid", d: `M${box.x} ${y}H${box.x + box.width}` };
-    const at = { class: "quiet", x: box.x - 6, y: y + 4, "text-anchor": "end" };
-    return [element("path", line), element("text", at, short(tick))];
+    return [element("path", line), besideAxis(box, y, short(tick))];
   });
   parts.push(element("path", { class: "trace", d: pathOf(frame, points, false) }));
-  const time = `${short(rounded(frame.ends[0][1], 3))} s`;
-  parts.push(element("text", { class: "quiet", x: box.x + box.width, y: height - 6, "text-anchor": "end" }, time));
+  parts.push(belowEnd(box, height, `${short(rounded(frame.ends[0][1], 3))} s`));
   return svg.replaceChildren(title, ...parts);
 }
 

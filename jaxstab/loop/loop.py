@@ -585,10 +585,12 @@ class HapticLoop(LoopParameters):
             )
         plant = self.gamma, self.delta, self.delay_samples  # a delay that is traced may be any
         margins = ranges.margins(*self._wall(stiffness, damping), **by_name(*plant), **self.filters)
+        stiffness_unit = _beside_ends(self.stiffness(1.0))
+        damping_unit = _beside_ends(self.damping(1.0))
         return WallMargins(
             margins.verdict,
-            self.stiffness(margins.stiffness),
-            self.damping(margins.damping),
+            margins.stiffness * stiffness_unit,
+            margins.damping * damping_unit,
             margins.stiffness_gain,
             margins.damping_gain,
             self.sample_time * margins.extra_delay,
@@ -941,3 +943,8 @@ class HapticLoop(LoopParameters):
                 f"{method} takes no loop that JAX traces: give one of concrete numbers, made "
                 "outside of jit, vmap and grad."
             )
+
+
+def _beside_ends(unit: Any) -> Any:
+    """Return a unit that multiplies pairs of ends: that of many loops gets their axis."""
+    return unit[..., None] if np.ndim(unit) else unit

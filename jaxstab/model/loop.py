@@ -1,10 +1,12 @@
 """A haptic loop in SI units as numbers: device, hand, sampling, delay, estimator and filter."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields
 from functools import lru_cache, wraps
 from math import ulp
 from typing import Any, ClassVar, NamedTuple, ParamSpec, TypedDict, TypeVar
+
+import numpy as np
 
 from jaxstab.arrays import Numbers, constant, is_any_traced, is_jax, is_traced, leaves, namespace
 from jaxstab.model.device import Device, SampledDevice, sampled_device
@@ -183,9 +185,12 @@ class LoopParameters:
         if is_any_traced(self.delay, self.sample_time):
             delay = self._traced_delay()
             return delay.whole + delay.fraction
-        samples = float(self.delay) / float(self.sample_time)
-        nearest = float(round(samples))
-        return nearest if abs(samples - nearest) <= 4.0 * ulp(samples) else samples
+        samples = np.float64(self.delay) / np.float64(self.sample_time)
+        nearest = np.rint(samples)
+        is_whole = abs(samples - nearest) <= 4.0 * np.spacing(samples)
+        if np.ndim(samples):  # of ``with_columns``
+            return np.where(is_whole, nearest, samples)
+        return float(nearest if is_whole else samples)
 
     @property
     def slice(self) -> dict[str, Any]:
@@ -276,6 +281,15 @@ class LoopParameters:
         if sampled is not None:
             return beta / sampled.damping_unit
         return beta * (self.mass / self.sample_time)
+
+
+def with_columns(loop: LoopParameters, columns: Mapping[str, Numbers]) -> Any:
+    """Return many loops of one mass as one, unchecked: arrays in place of numbers of a loop.
+
+    They broadcast with the gains of walls about which it is asked. The sampling period is a number.
+    """
+    numbers = {name: getattr(loop, name) for name in _LEAST} | dict(columns)
+    return loop.tree_unflatten((None, None), (*numbers.values(), loop.velocity, loop.position))
 
 
 @lru_cache(_REMEMBERED)

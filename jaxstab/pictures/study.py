@@ -6,6 +6,7 @@ Without a grid the draws are shown as a distribution. Along one key a line, with
 
 from typing import TYPE_CHECKING, Any
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -22,11 +23,12 @@ Floats = NDArray[np.float64]
 _SIZE = (6.0, 4.2)  # inches
 _FEW = 6  # lines in one panel
 _BAND = (0.05, 0.5, 0.95)
+_POINTS = 1001  # of a distribution
 
 
 def study_figure(made: "Study") -> Figure:
     """Return the picture of a study; ValueError for one with more than two lists, or of parts."""
-    grid = [name for name in made.dimensions if name not in ("sample", "wall")]
+    grid = made.lists
     if len(grid) > 2:
         raise ValueError(
             f"the study has {len(grid)} lists ({', '.join(grid)}), and a picture shows two; open "
@@ -52,14 +54,13 @@ def _label(made: "Study", name: str) -> str:
 
 
 def _draw_distribution(panel: Axes, made: "Study") -> None:
-    """Draw for which share of the draws a stiffness is stable, and the walls."""
-    stiffness = np.sort(np.nan_to_num(made.values("largest_stiffness")))
-    share = 100.0 * (1.0 - np.arange(len(stiffness)) / len(stiffness))
-    panel.plot(stiffness, share, color=BLUE, lw=1.5)
+    """Draw for which share of the draws a stiffness is stable."""
+    below = np.linspace(0.0, 1.0, _POINTS)
+    panel.plot(made.quantiles(at=below.tolist()), 100.0 * (1.0 - below), color=BLUE, lw=1.5)
     panel.set_xlabel(_label(made, "largest_stiffness"))
     panel.set_ylabel("% of the draws that allow it, at some damping")
     panel.set_ylim(0.0, 103.0)
-    panel.set_title(f"{len(stiffness):,} draws", fontsize=9)
+    panel.set_title(f"{len(made.dimensions['sample']):,} draws", fontsize=9)
     panel.grid(visible=True, lw=0.3)
 
 
@@ -79,11 +80,7 @@ def _draw_over(panel: Axes, made: "Study", grid: list[str], values: Floats) -> N
 
 def _draw_lines(panel: Axes, made: "Study", grid: list[str], bands: Floats) -> None:
     """Draw a line for each value of the second list, with its band: (quantile, first, second)."""
-    import matplotlib as mpl
-
-    along = made.dimensions[grid[0]]
-    has_numbers = along.dtype.kind in "fi"
-    places: Any = along if has_numbers else np.arange(len(along))
+    places = _places_along(panel, made, grid[0])
     others = made.dimensions[grid[1]] if len(grid) == 2 else [None]
     colors = (
         [BLUE] if len(others) == 1 else mpl.colormaps["viridis"](np.linspace(0, 0.85, len(others)))
@@ -94,13 +91,20 @@ def _draw_lines(panel: Axes, made: "Study", grid: list[str], bands: Floats) -> N
         panel.plot(places, bands[len(bands) // 2, :, k], "o-", ms=3, color=color, label=words)
         if len(bands) > 1:
             panel.fill_between(places, low, high, color=color, alpha=0.2, lw=0)
-    if not has_numbers:
-        panel.set_xticks(places, [plain(str(name)) for name in along])
     if len(others) > 1:
         panel.legend(title=_label(made, grid[1]), fontsize=8, title_fontsize=8)
-    panel.set_xlabel(_label(made, grid[0]))
     panel.set_ylim(bottom=0.0)
+
+
+def _places_along(panel: Axes, made: "Study", name: str) -> Any:
+    """Label the axis of a list; return where its values are: words are side by side."""
+    along = made.dimensions[name]
+    panel.set_xlabel(_label(made, name))
     panel.grid(visible=True, lw=0.3)
+    if along.dtype.kind in "fi":
+        return along
+    panel.set_xticks(range(len(along)), [plain(str(word)) for word in along])
+    return np.arange(len(along))
 
 
 def _value_text(made: "Study", name: str, value: Any) -> str:
@@ -130,23 +134,18 @@ def _draw_shares(panel: Axes, made: "Study", grid: list[str]) -> None:
         raise ValueError(
             "the study has nothing to draw: give limits among answers, or verdict over one list."
         )
-    along, walls = made.dimensions[grid[0]], made.dimensions["wall"]
     if "sample" in made.dimensions:
         shares = made.shares()
         middle, low, high = shares.share, shares.low, shares.high
     else:
         middle = low = high = (made.values("verdict") == Verdict.STABLE).astype(np.float64)
-    places: Any = along if along.dtype.kind in "fi" else np.arange(len(along))
-    for k, name in enumerate(walls.tolist()):
+    places = _places_along(panel, made, grid[0])
+    for k, name in enumerate(made.dimensions["wall"].tolist()):
         color = (BLUE, ORANGE, GREEN, BLACK)[k % 4]
         panel.plot(places, 100.0 * middle[:, k], "o-", ms=3, color=color, label=plain(name))
         panel.fill_between(
             places, 100.0 * low[:, k], 100.0 * high[:, k], color=color, alpha=0.2, lw=0
         )
-    if along.dtype.kind not in "fi":
-        panel.set_xticks(places, [plain(str(name)) for name in along])
-    panel.set_xlabel(_label(made, grid[0]))
     panel.set_ylabel("% of the draws for which the wall is stable\n(band: 95 % confidence)")
     panel.set_ylim(-2.0, 103.0)
     panel.legend(fontsize=8)
-    panel.grid(visible=True, lw=0.3)

@@ -7,7 +7,7 @@ blocks by any executor, resumed, in parts, and read by xarray.
 
 Within a block, what decides the filters and the sampling period is put into the scene, once for
 each combination. Masses, dampings, stiffnesses and delays are arrays beside the loop that results:
-verdicts, radii, margins and settling times are asked of the five numbers of all of them at once.
+verdicts, radii, margins and settling times are asked of all of them at once.
 Limits are asked of all loops of the block together, whatever their filters. Devices that are not
 one mass are asked about walls loop by loop.
 """
@@ -16,6 +16,7 @@ import json
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from itertools import islice, product
 from math import prod
 from os import PathLike
@@ -31,9 +32,9 @@ from jaxtyping import Int64
 from numpy.typing import NDArray
 
 import jaxstab
-from jaxstab import motion, point, ranges
 from jaxstab.conventions import Verdict
 from jaxstab.loop import HapticLoop, limits_of
+from jaxstab.model.loop import with_columns
 from jaxstab.motion.settling import SettlingStatus
 from jaxstab.region import RegionStatus
 from jaxstab.scene.draws import Distribution, draws_of
@@ -46,7 +47,7 @@ from jaxstab.tables import check_keys, checked_label, one_of, read_table
 if TYPE_CHECKING:
     from xarray import Dataset as XarrayDataset
 
-    from jaxstab.datasets import Block, Dataset
+    from jaxstab.datasets import Block, Dataset, Kept
     from jaxstab.tiles import Progress
 
 Floats = NDArray[np.float64]
@@ -55,7 +56,7 @@ Values = list[Any] | NDArray[Any]
 MOST_SAMPLES = 10_000_000
 _MOST_CORNERS = 4096  # loops that are made before anything is computed
 _BLOCK = 1 << 13  # loops times walls
-_SAMPLE, _WALL = "sample", "wall"
+SAMPLE, WALL = "sample", "wall"  # dimensions
 
 _NUMBERS = {  # keys of a scene that are numbers of a loop: the field, the words, the unit
     "device.mass": ("device_mass", "mass of the device", "kg"),
@@ -173,6 +174,12 @@ class Study:
         with opened:
             return opened.load()
 
+    @cached_property
+    def _said(self) -> "Kept":
+        from jaxstab.datasets import kept
+
+        return kept(self.path)
+
     @property
     def dimensions(self) -> dict[str, NDArray[Any]]:
         """The values along each dimension, by its name; of ``sample``, numbers from 0.
@@ -182,11 +189,20 @@ class Study:
             >>> jaxstab.study(loop, over={"delay": [0.0, 1e-3]}).dimensions
             {'delay': array([0.   , 0.001])}
         """
-        from jaxstab.datasets import kept
+        names = dict.fromkeys(name for own in self._said.dimensions.values() for name in own)
+        return {name: self._said.coordinates[name] for name in names}
 
-        said = kept(self.path)
-        names = dict.fromkeys(name for own in said.dimensions.values() for name in own)
-        return {name: said.coordinates[name] for name in names}
+    @property
+    def lists(self) -> list[str]:
+        """The dimensions that are lists of values: neither draws nor walls.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> over = {"delay": [0.0, 1e-3], "hand_stiffness": jaxstab.Uniform(100.0, 500.0)}
+            >>> jaxstab.study(loop, over=over, samples=5).lists
+            ['delay']
+        """
+        return [name for name in self.dimensions if name not in (SAMPLE, WALL)]
 
     @property
     def units(self) -> dict[str, str]:
@@ -197,9 +213,7 @@ class Study:
             >>> jaxstab.study(loop, over={"delay": [0.0, 1e-3]}).units["largest_stiffness"]
             'N/m'
         """
-        from jaxstab.datasets import kept
-
-        return kept(self.path).units
+        return self._said.units
 
     @property
     def long_names(self) -> dict[str, str]:
@@ -210,9 +224,7 @@ class Study:
             >>> jaxstab.study(loop, over={"delay": [0.0, 1e-3]}).long_names["at_damping"]
             'damping at the largest stiffness'
         """
-        from jaxstab.datasets import kept
-
-        return kept(self.path).long_names
+        return self._said.long_names
 
     def values(self, name: str) -> NDArray[Any]:
         """Return the values of a variable or of what was drawn, whole.
@@ -260,14 +272,11 @@ class Study:
         dimensions, axis = self._drawn("verdict")
         lengths = [len(self.dimensions[name]) for name in dimensions]
         count = lengths.pop(axis)
-        counts = {verdict: np.zeros(lengths, np.int64) for verdict in Verdict}
+        stable, open_ = np.zeros((2, *lengths), np.int64)
         for block, codes in chunks(self.path, "verdict"):
             place = block[:axis] + block[axis + 1 :]
-            for verdict, total in counts.items():
-                total[place] += (codes == verdict).sum(axis=axis)
-        if counts[Verdict.NOT_COMPUTED].any():
-            raise ValueError(f"{self.path} is a part of a study; merge all parts first.")
-        stable, open_ = counts[Verdict.STABLE], counts[Verdict.UNDECIDED]
+            stable[place] += (codes == Verdict.STABLE).sum(axis=axis)
+            open_[place] += (codes == Verdict.UNDECIDED).sum(axis=axis)
         low, _ = _score_interval(stable, count, confidence)
         _, high = _score_interval(stable + open_, count, confidence)
         return Shares(stable / count, low, high, open_, count, confidence)
@@ -288,8 +297,8 @@ class Study:
             float64 array, (probability, *all dimensions of the variable but ``sample``).
 
         Raises:
-            KeyError: the study has no such variable. ValueError: it has no draws, or a probability
-            is not between 0 and 1.
+            KeyError: the study has no such variable. ValueError: it has no draws, or is a part, or
+            a probability is not between 0 and 1.
 
         Source: the inverse of the empirical distribution function.
 
@@ -312,27 +321,24 @@ class Study:
         return np.asarray(found, np.float64)
 
     def _require(self, name: str) -> None:
-        from jaxstab.datasets import kept
-
-        said = kept(self.path)
-        known = [*said.dimensions, *said.coordinates]
+        known = [*self._said.dimensions, *self._said.coordinates]
         if name not in known:
             raise KeyError(f"{name} is no variable of the study; it has {', '.join(known)}.")
 
     def _drawn(self, variable: str) -> tuple[tuple[str, ...], int]:
         """Return the dimensions of a variable, and which of them are the draws."""
-        from jaxstab.datasets import kept
-
-        if variable == "verdict" and variable not in kept(self.path).dimensions:
+        if "part" in self._said.attributes:
+            raise ValueError(f"{self.path} is a part of a study; merge all parts first.")
+        if variable == "verdict" and variable not in self._said.dimensions:
             raise ValueError("the study has no verdicts; give walls, and verdict among answers.")
         self._require(variable)
-        dimensions = kept(self.path).dimensions.get(variable, ())
-        if _SAMPLE not in dimensions:
+        dimensions = self._said.dimensions.get(variable, ())
+        if SAMPLE not in dimensions:
             raise ValueError(
                 f"{variable} has no draws; let a quantity have a distribution, such as "
                 "jaxstab.Normal(300.0, 100.0)."
             )
-        return dimensions, dimensions.index(_SAMPLE)
+        return dimensions, dimensions.index(SAMPLE)
 
 
 def open_study(path: str | PathLike[str]) -> Study:
@@ -354,15 +360,14 @@ def open_study(path: str | PathLike[str]) -> Study:
         Traceback (most recent call last):
         FileNotFoundError: [Errno 2] cannot read nothing.h5: No such file or directory.
     """
-    from jaxstab.datasets import kept
-
-    if "over" not in kept(Path(path)).attributes:
+    made = Study(Path(path))
+    if "over" not in made._said.attributes:
         raise ValueError(f"{path} is no study.")
-    return Study(Path(path))
+    return made
 
 
 def study(
-    of: "Scene | HapticLoop | Mapping[str, Any] | str | PathLike[str]",
+    of: "HapticLoop | Mapping[str, Any] | str | PathLike[str]",
     over: Mapping[str, Any],
     *,
     answers: Sequence[str] | None = None,
@@ -479,37 +484,36 @@ def study_dataset(
     columns, notes = _columns(source, over, _checked_samples(samples), seed)
     source.check([(column.key, column.values) for column in columns])
     gains = source.walls if walls is None else {n: _checked_wall(n, *w) for n, w in walls.items()}
-    wanted = tuple(answers or ("limits", *(["verdict"] if gains else [])))
+    wanted = tuple(dict.fromkeys(answers or ("limits", *(["verdict"] if gains else []))))
     for name in wanted:
         _checked_answer(name)
         if name != "limits" and not gains:
             raise ValueError(f"answers has {name}, which is of walls; give walls.")
     has_walls = wanted != ("limits",)
-    dimensions = {c.dimension: c.values for c in columns if c.dimension != _SAMPLE}
-    coordinates = {name: np.asarray(values) for name, values in dimensions.items()}
-    drawn = [column for column in columns if column.dimension == _SAMPLE]
+    drawn = [column for column in columns if column.is_drawn]
+    coordinates = {c.name: np.asarray(c.values) for c in columns if not c.is_drawn}
     if drawn:
-        coordinates[_SAMPLE] = np.arange(samples)
+        coordinates[SAMPLE] = np.arange(samples)
     own_dimensions = tuple(coordinates)
     if has_walls:
-        coordinates[_WALL] = np.array([*gains])
+        coordinates[WALL] = np.array([*gains])
     unit = source.units.unit
     variables = {c.name: Variable("", c.words, unit(c.unit)) for c in columns}
     if drawn:
-        variables[_SAMPLE] = Variable("", "number of the draw", "1")
-    labels = {c.name: (_SAMPLE, np.asarray(c.values)) for c in drawn}
+        variables[SAMPLE] = Variable("", "number of the draw", "1")
+    labels = {c.name: (SAMPLE, np.asarray(c.values)) for c in drawn}
     if has_walls:
-        variables[_WALL] = Variable("", "name of the wall", "1")
+        variables[WALL] = Variable("", "name of the wall", "1")
         for k, (name, words, one) in enumerate(
             (
                 ("wall_stiffness", "stiffness of the wall", "N/m"),
                 ("wall_damping", "damping of the wall", "N s/m"),
             )
         ):
-            labels[name] = (_WALL, np.array([pair[k] for pair in gains.values()]))
+            labels[name] = (WALL, np.array([pair[k] for pair in gains.values()]))
             variables[name] = Variable("", words, unit(one))
     for name in wanted:
-        lacks = (_WALL,) if name == "limits" and has_walls else ()
+        lacks = (WALL,) if name == "limits" and has_walls else ()
         for variable, (kind, words, one, *codes) in ANSWERS[name].items():
             flags = codes[0] if codes else {}
             variables[variable] = Variable(kind, words, unit(one), flags, lacks)
@@ -519,7 +523,7 @@ def study_dataset(
         coordinates=coordinates,
         variables=variables,
         attributes={
-            "title": "Stability of haptic loops; verdicts and limits as jaxstab proves them",
+            "title": "Stability of haptic loops; verdicts are proved",
             "source": f"jaxstab {jaxstab.__version__}, study",
             "of": str(source.table),
             "over": said,
@@ -538,7 +542,7 @@ def plan_of(dataset: "Dataset") -> str:
     """Say how many loops a study has, what they cost and how large its file may be."""
     blocks = dataset.compute
     assert isinstance(blocks, _Blocks)
-    share = len(dataset.items) / _blocks(dataset)
+    share = len(dataset.items) / len(dataset.blocks)
     loops = prod(len(dataset.coordinates[name]) for name in blocks.dimensions)
     walls = max(len(blocks.walls), 1)
     seconds = (
@@ -559,10 +563,6 @@ def plan_of(dataset: "Dataset") -> str:
     )
 
 
-def _blocks(dataset: "Dataset") -> int:
-    return prod(-(-n // step) for n, step in zip(dataset.shape, dataset.chunk, strict=True))
-
-
 def _time(seconds: float) -> str:
     for limit, unit, words in ((90.0, 1.0, "s"), (5400.0, 60.0, "min")):
         if seconds < limit:
@@ -574,21 +574,21 @@ def _time(seconds: float) -> str:
 
 
 class _Column(NamedTuple):
-    """A key that varies: its dimension, its values, and what they are."""
+    """A key that varies: its values, what they are, and whether they are drawn."""
 
     key: str
-    dimension: str
     values: Values
     words: str
     unit: str
+    is_drawn: bool
 
     @property
     def name(self) -> str:
-        return _name_of(self.key)
+        return self.key.replace(".", "_")
 
-
-def _name_of(key: str) -> str:
-    return key.replace(".", "_")
+    @property
+    def dimension(self) -> str:
+        return SAMPLE if self.is_drawn else self.name
 
 
 def _columns(
@@ -605,15 +605,17 @@ def _columns(
             if again:
                 share = 100.0 * again / samples
                 notes.append(f"{key}: {share:.2g} % of the draws were below 0 and drawn again.")
-            columns.append(_Column(key, _SAMPLE, values, words, unit))
+            columns.append(_Column(key, values, words, unit, is_drawn=True))
         else:
             listed = _listed(key, given)
             if key not in source.numbers and not isinstance(listed, list):
                 whole = listed.astype(np.int64)  # as a window in samples is
                 listed = whole if (whole == listed).all() else listed
-            columns.append(_Column(key, _name_of(key), listed, words, unit))
+            columns.append(_Column(key, listed, words, unit, is_drawn=False))
+    if source.is_loop and {"delay", "delay_samples"} <= {*over}:
+        raise ValueError("delay is given beside delay_samples; give one.")
     names = [column.name for column in columns]
-    doubled = next((n for n in names if names.count(n) > 1 or n in (_SAMPLE, _WALL)), None)
+    doubled = next((n for n in names if names.count(n) > 1 or n in (SAMPLE, WALL)), None)
     if doubled is not None:
         raise ValueError(f"{doubled} is twice in over; give each key once.")
     return columns, notes
@@ -823,18 +825,16 @@ class _Blocks:
         if base.device is not None:
             own = [base, *(self.source.made({**fixed, **row}) for row in rows[1:])]
             loops[members] = own
-            return _of_loops(own, gains, self.answers)
+            answers = [_about_walls(loop, gains, self.answers) for loop in own]
+            return {name: np.array([one[name] for one in answers]) for name in answers[0]}
         named = {self.source.numbers[key][0]: values for key, values in numbers.items()}
         if "delay_samples" in named:
             named["delay"] = named.pop("delay_samples") * base.sample_time
         if "limits" in self.answers:
             varied = _rows(named, count)
             loops[members] = [replace(base, **dict(zip(named, row, strict=True))) for row in varied]
-        fields = {name: np.full(count, getattr(base, name)) for name in _FIELDS} | named
-        return _of_one_mass(base, fields, gains, self.answers)
-
-
-_FIELDS = ("device_mass", "device_damping", "hand_mass", "hand_stiffness", "hand_damping", "delay")
+        columns = {name: values[:, None] for name, values in named.items()}
+        return _about_walls(with_columns(base, columns), gains, self.answers)
 
 
 def _rows(numbers: Mapping[str, Floats], count: int) -> Any:
@@ -848,62 +848,23 @@ def _one(values: Values, place: Any) -> Any:
     return value if isinstance(value, str) else value.item()
 
 
-def _of_one_mass(
-    base: HapticLoop, fields: Mapping[str, Floats], gains: Floats, answers: Sequence[str]
+def _about_walls(
+    loop: HapticLoop, gains: Floats, answers: Sequence[str]
 ) -> dict[str, NDArray[Any]]:
-    """Return the answers of loops of one mass, by their five numbers (Table I)."""
+    """Return the answers of a loop, or of many as one, about walls."""
     found: dict[str, NDArray[Any]] = {}
-    if not gains.size:
-        return found
-    period: Any = base.sample_time
-    mass = fields["device_mass"] + fields["hand_mass"]
-    damping = fields["device_damping"] + fields["hand_damping"]
-    samples = fields["delay"] / period
-    nearest = samples.round()
-    is_whole = abs(samples - nearest) <= 4.0 * np.spacing(samples)
-    loop: Any = {
-        "gamma": (fields["hand_stiffness"] * period**2 / mass)[:, None],
-        "delta": (damping * period / mass)[:, None],
-        "delay": np.where(is_whole, nearest, samples)[:, None],
-        **base.filters,
-    }
-    wall = gains[0] * (period**2 / mass)[:, None], gains[1] * (period / mass)[:, None]
     if "verdict" in answers:
-        found["verdict"] = np.asarray(point.verdict(*wall, **loop))
+        found["verdict"] = np.asarray(loop.verdict(*gains))
     if "spectral_radius" in answers:
-        radius = point.spectral_radius(*wall, **loop)
+        radius = loop.spectral_radius(*gains)
         found |= {"spectral_radius": radius.value, "spectral_radius_error": radius.error}
     if "margins" in answers:
-        margins = ranges.margins(*wall, **loop)
-        found |= {
-            "stiffness_gain": margins.stiffness_gain,
-            "damping_gain": margins.damping_gain,
-            "extra_delay": period * margins.extra_delay,
-        }
+        margins = loop.margins(*gains)
+        found |= {name: getattr(margins, name) for name in ANSWERS["margins"]}
     if "settling_time" in answers:
-        settling = motion.settling_samples(*wall, **loop)
-        found |= {"settling_time": settling.value * period, "settling_status": settling.status}
+        settling = loop.settling_time(*gains)
+        found |= {"settling_time": settling.value, "settling_status": settling.status}
     return found
-
-
-def _of_loops(
-    loops: list[HapticLoop], gains: Floats, answers: Sequence[str]
-) -> dict[str, NDArray[Any]]:
-    """Return the answers of any loops about walls, one by one."""
-    rows: list[dict[str, NDArray[Any]]] = [{} for _ in loops]
-    for row, loop in zip(rows, loops, strict=True):
-        if "verdict" in answers:
-            row["verdict"] = np.asarray(loop.verdict(*gains))
-        if "spectral_radius" in answers:
-            radius = loop.spectral_radius(*gains)
-            row |= {"spectral_radius": radius.value, "spectral_radius_error": radius.error}
-        if "margins" in answers:
-            margins = loop.margins(*gains)
-            row |= {name: getattr(margins, name) for name in ANSWERS["margins"]}
-        if "settling_time" in answers:
-            settling = loop.settling_time(*gains)
-            row |= {"settling_time": settling.value, "settling_status": settling.status}
-    return {name: np.array([row[name] for row in rows]) for name in rows[0]}
 
 
 def _limits(limits: Any) -> dict[str, NDArray[Any]]:
