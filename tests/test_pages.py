@@ -7,12 +7,14 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
+from operator import attrgetter
 from pathlib import Path
 
 import pytest
 from commands import run, run_code
 from transforms import rows
 
+import jaxstab
 from benchmarks.calls import PUBLIC
 from jaxstab.scene import Scene
 
@@ -81,6 +83,13 @@ def test_every_public_name_is_on_a_page_of_the_api() -> None:
     assert sorted(listed) == sorted(set(PUBLIC) - {"paper", "results"} | {"conventions"})
 
 
+def test_every_method_of_a_loop_is_on_its_page() -> None:
+    (listed,) = re.findall(r"members: \[(.+)\]", (DOCS / "api" / "loop.md").read_text("utf-8"))
+    loop = jaxstab.HapticLoop
+    methods = {name for name in dir(loop) if name[0] != "_" and callable(getattr(loop, name))}
+    assert methods - set(listed.split(", ")) == {"in_floats", "tree_flatten", "tree_unflatten"}
+
+
 @pytest.mark.campaign
 def test_the_table_of_transformations_is_what_jax_does() -> None:
     text = (DOCS / "transforms.md").read_text(encoding="utf-8")
@@ -94,13 +103,14 @@ def test_the_table_of_transformations_is_what_jax_does() -> None:
 
 
 def anchors(page: Path) -> set[str]:
-    """What a page's headings, and the names of its API, are called in links (Python-Markdown)."""
+    """What a page's headings, and its names and their members, are called in links."""
     text = re.sub(r"(?ms)^```.*?^```", "", page.read_text(encoding="utf-8"))
     headings = re.findall(r"^#+ (.+)$", text, re.MULTILINE)
     slugs = [re.sub(r"[^\w\s-]", "", heading).strip().lower() for heading in headings]
-    return {re.sub(r"[-\s]+", "-", slug) for slug in slugs} | set(
-        re.findall(r"^::: (.+)$", text, re.MULTILINE)
-    )
+    names = re.findall(r"^::: jaxstab\.(.+)$", text, re.MULTILINE)
+    members = [f"{name}.{member}" for name in names for member in dir(attrgetter(name)(jaxstab))]
+    headed = {re.sub(r"[-\s]+", "-", slug) for slug in slugs}
+    return headed | {f"jaxstab.{name}" for name in [*names, *members]}
 
 
 @pytest.mark.parametrize("page", [*PAGES, *sorted(ROOT.glob("*.md"))], ids=lambda page: page.name)
