@@ -15,6 +15,7 @@ from commands import run, run_code
 from transforms import rows
 
 import jaxstab
+from benchmarks import record, table
 from benchmarks.calls import PUBLIC
 from jaxstab.scene import Scene
 
@@ -43,8 +44,8 @@ def test_the_lines_of_python_run_one_after_the_other(page: Path) -> None:
     assert completed.returncode == 0, completed.stderr
     for promised in re.findall(r"^print\(.*\)  # (.*)$", code, re.MULTILINE):
         assert promised in completed.stdout, completed.stdout
-    for table in re.findall(rf"{PRINTED}\n.*\n.*\n((?:\|.*\n)+)", page.read_text("utf-8")):
-        assert set(table.splitlines()) <= set(completed.stdout.splitlines())
+    for lines in re.findall(rf"{PRINTED}\n.*\n.*\n((?:\|.*\n)+)", page.read_text("utf-8")):
+        assert set(lines.splitlines()) <= set(completed.stdout.splitlines())
 
 
 def scenes(page: Path) -> Iterator[str]:
@@ -128,6 +129,12 @@ def test_the_spelling_is_right() -> None:
     words = [sys.executable, "-m", "codespell_lib", "docs", "jaxstab", *sorted(ROOT.glob("*.md"))]
     spelled = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
     assert spelled.returncode == 0, spelled.stdout + spelled.stderr
+
+
+def test_the_tables_of_accuracy_are_those_of_the_records() -> None:
+    records, page = record.read_all(record.RESULTS), (DOCS / "accuracy.md").read_text("utf-8")
+    assert table.summary(records) in page
+    assert table.markdown(records) in page
 
 
 def test_included_files_are_there() -> None:
