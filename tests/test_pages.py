@@ -124,6 +124,13 @@ def test_links_lead_to_a_file_and_a_heading(page: Path) -> None:
             assert not anchor or anchor in anchors(file), target
 
 
+def test_the_paper_cites_what_its_bibliography_has() -> None:
+    cited = set(re.findall(r"@(\w+)", (DOCS / "paper.md").read_text(encoding="utf-8")))
+    has = re.findall(r"^@\w+{(\w+),", (DOCS / "paper.bib").read_text("utf-8"), re.MULTILINE)
+    assert cited == set(has)
+    assert len(has) == len(cited)
+
+
 def test_the_spelling_is_right() -> None:
     pytest.importorskip("codespell_lib")
     words = [sys.executable, "-m", "codespell_lib", "docs", "jaxstab", *sorted(ROOT.glob("*.md"))]
