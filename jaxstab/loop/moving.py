@@ -1,9 +1,10 @@
 """Limits of a loop that JAX traces: searched for on the host, with derivatives at the limit.
 
-At the stiffest wall a pair of roots is on the circle where the boundary turns, or two roots are on
-it at once, at a corner. Both are equations for the wall and the roots' angles, which the implicit
-function theorem differentiates by all numbers of the loop. Under vmap the loops are searched
-together, as ``limits_of`` searches; inside jit they are searched one by one, by a callback.
+At the stiffest wall a pair of roots is on the circle where the boundary turns or crosses B = 0, or
+two roots are on it at once, at a corner. These are equations for the wall and the roots' angles,
+which the implicit function theorem differentiates by all numbers of the loop. Under vmap the loops
+are searched together, as ``limits_of`` searches; inside jit they are searched one by one, by a
+callback.
 """
 
 from collections.abc import Callable, Iterable
@@ -22,7 +23,7 @@ from jaxstab.loop.many import resolved
 from jaxstab.loop.region import TOLERANCE, Gains, WallLimits, WallRegion, wall_region
 from jaxstab.model import LoopParameters, characteristic_polynomial
 from jaxstab.point import closed_loop_poles
-from jaxstab.region import RegionStatus
+from jaxstab.region import RegionStatus, measures
 
 _FOUND = 5  # numbers of one extreme wall
 _REAL = 1e-6  # rad: a root this near to the real axis is real
@@ -37,7 +38,7 @@ class _Extreme(NamedTuple):
     alpha: Array
     beta: Array
     first: Array
-    second: Array  # NaN where the boundary is smooth
+    second: Array  # NaN where the boundary turns, or crosses the axis: then the other gain is 0
     is_reachable: Array
 
 
@@ -105,7 +106,7 @@ def _extremes(region: WallRegion) -> Float64[np.ndarray, "2 found"]:
     main = region.main
     of = region if main is None else main
     loop, rows = region.loop, []
-    for point in (of.region.max_alpha, of.region.max_beta):
+    for point in measures.quadrant_extremes(of.region.coefficients, of.region.outline):
         angles = np.full(2, np.nan)
         if np.all(np.isfinite(point)):
             alpha, beta = point.tolist()
@@ -122,7 +123,7 @@ def _extremes(region: WallRegion) -> Float64[np.ndarray, "2 found"]:
 
 def _moved(loop: LoopParameters, parts: _Parts, extreme: _Extreme, axis: int) -> Gains:
     """An extreme wall, with its derivatives by the numbers of the loop."""
-    is_corner = ~jnp.isnan(extreme.second)
+    is_corner, is_on_axis = ~jnp.isnan(extreme.second), extreme[1 - axis] == 0.0
     start = jnp.stack([*extreme[:3], jnp.where(is_corner, extreme.second, 0.0)])
 
     def equations(unknown: Array, parts: _Parts) -> Array:
@@ -131,7 +132,8 @@ def _moved(loop: LoopParameters, parts: _Parts, extreme: _Extreme, axis: int) ->
         value, turn = _on_circle(polynomial, unknown[2])
         # The other gain and the angle change, and p stays 0: where the boundary turns.
         along, _ = _on_circle(others[1 - axis], unknown[2])
-        smooth = jnp.stack([jnp.imag(jnp.conj(along) * turn), unknown[3]])
+        turns = jnp.imag(jnp.conj(along) * turn)
+        smooth = jnp.stack([jnp.where(is_on_axis, unknown[1 - axis], turns), unknown[3]])
         there, _ = _on_circle(polynomial, unknown[3])
         corner = _root_equations(there, unknown[3], start[3])
         first = _root_equations(value, unknown[2], start[2])
