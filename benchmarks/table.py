@@ -272,13 +272,13 @@ def _loops(rows: list[Row]) -> Iterator[Line]:
     for row in rows:
         loops, judged = row["repeats"], row["judged"]
         doubts = [
-            f"{row[word]} {word}"
+            f"{row[word]:,} {word}"
             for word in ("undecided", "unbounded", "unresolved")
             if row.get(word)
         ]
         task = f"{loops:,} loops with estimators and filters, {judged:,} {row['section']} judged"
         time = f"{_time(row['seconds'])} of CPU for {row['points']}"
-        yield task, row["method"], time, ", ".join([f"{row['wrong']} wrong", *doubts]), ""
+        yield task, row["method"], time, ", ".join([f"{row['wrong']:,} wrong", *doubts]), ""
 
 
 def _stress(rows: list[Row]) -> Iterator[Line]:
