@@ -1,8 +1,10 @@
 """What commands share: values of options, checked before anything is computed, and the cache."""
 
+import csv
+import io
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
@@ -62,6 +64,23 @@ def write_beside(data: bytes, path: Path) -> None:
     click.echo(f"jaxstab: wrote {path}", err=True)
 
 
+def print_with_csv(words: Any, rows: Iterable[Iterable[Any]], file: Path | None) -> None:
+    """Print an answer, and write its rows into a CSV file; for "-" print these alone."""
+    if file:
+        stream = io.StringIO()
+        csv.writer(stream, lineterminator="\n").writerows(map(_no_formula, row) for row in rows)
+        if str(file) == "-":
+            words = stream.getvalue().rstrip("\n")
+        else:
+            write_beside(stream.getvalue().encode(), file)
+    click.echo(words)
+
+
+def _no_formula(value: Any) -> Any:
+    """Return a cell with a quote before what a spreadsheet would compute."""
+    return f"'{value}" if isinstance(value, str) and value[:1] in tuple("=+-@\t\r") else value
+
+
 def draw(figure: Any, path: Path) -> None:
     """Write a figure of matplotlib beside an answer, in the format that its name ends in."""
     from jaxstab.pictures.style import picture
@@ -106,13 +125,16 @@ def executor_of(workers: int | None, scheduler: str | None = None) -> Iterator[E
 
 
 @contextmanager
-def resumable(output: Path) -> Iterator[Callable[[int, int], None]]:
-    """Yield a function that draws a bar with rate and time left; say how to continue on Ctrl-C."""
+def resumable(output: Path | None) -> Iterator[Callable[[int, int], None]]:
+    """Yield a function that draws a bar with rate and time left; say how to continue on Ctrl-C.
+
+    Without an output nothing is stored.
+    """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     bar = Progress(
-        TextColumn(f"building {output}"),
+        TextColumn(f"building {output}" if output else "computing"),
         BarColumn(),
         TextColumn("{task.completed} of {task.total} tiles, {task.fields[rate]} a second"),
         TimeRemainingColumn(),
@@ -132,6 +154,8 @@ def resumable(output: Path) -> Iterator[Callable[[int, int], None]]:
             if bar.live.is_started:
                 bar.stop()
     except KeyboardInterrupt:
+        if output is None:
+            raise
         click.echo(
             "jaxstab: interrupted; the finished tiles are stored, so give the same command "
             "again to continue.",
