@@ -15,6 +15,7 @@ from jaxstab.cli.options import (
     at_work,
     draw,
     executor_of,
+    executor_options,
     file_in,
     keep_programs,
     number_or_range,
@@ -359,13 +360,12 @@ def check(as_json: bool, **given: Any) -> int:
 )
 @click.option("--count", type=click.IntRange(2), default=60, help="Walls along each axis of it.")
 @click.option("--frictions", help="LOW:HIGH:COUNT in N: its third axis.")
-@click.option("--workers", type=click.IntRange(1), help="Number of processes that compute it.")
+@executor_options
 def contact(
     as_json: bool,
     output: Path | None,
     count: int,
     frictions: str | None,
-    workers: int | None,
     **given: Any,
 ) -> int:
     """Simulate how the device of a scene meets each wall: does it rest, bounce or buzz?
@@ -398,7 +398,7 @@ def contact(
     axes = " x ".join(f"{len(values)} {name}" for name, values in dataset.coordinates.items())
     words = f"{np.prod(dataset.shape):,} contacts of {scene.contact.duration:g} s"
     click.echo(f"jaxstab: {axes}: {words}, simulated, not proved", err=True)
-    with resumable(output) as show, executor_of(workers) as executor:
+    with resumable(output) as show, executor_of(given) as executor:
         kinds = stored(dataset, show, executor)["kind"]
     rests = float(np.mean(kinds == ContactKind.RESTS))
     click.echo(f"{output}: {100.0 * rests:.1f} % of the contacts come to rest")

@@ -12,6 +12,7 @@ import click
 from jaxstab.cli.options import (
     draw,
     executor_of,
+    executor_options,
     file_in,
     keep_programs,
     output_file,
@@ -95,12 +96,7 @@ def _over(_: click.Context, option: click.Parameter, texts: tuple[str, ...]) -> 
     callback=output_file,
     help="CSV file ('-': stdout) for the table, a row for each loop and wall.",
 )
-@click.option("--workers", type=click.IntRange(1), help="Number of processes on this machine.")
-@click.option(
-    "--scheduler",
-    envvar="DASK_SCHEDULER_ADDRESS",
-    help="Compute on the dask cluster whose scheduler has this address.",
-)
+@executor_options
 @click.option(
     "--part", callback=_part, metavar="NUMBER/COUNT", help="Compute one part of the study alone."
 )
@@ -115,8 +111,6 @@ def study(
     seed: int,
     output: Path | None,
     csv_file: Path | None,
-    workers: int | None,
-    scheduler: str | None,
     part: tuple[int, int],
     merge: bool,
     plot: Path | None,
@@ -151,7 +145,7 @@ def study(
         click.echo(f"jaxstab: {plan_of(dataset)}", err=True)
         if note := dataset.attributes["notes"]:
             click.echo(f"jaxstab: {note}", err=True)
-        with resumable(output) as show, executor_of(workers, scheduler) as executor:
+        with resumable(output) as show, executor_of(given) as executor:
             ensure(dataset, show, executor)
         if part != (1, 1):
             click.echo(f"{output}: part {part[0]} of {part[1]}; --merge puts all together")

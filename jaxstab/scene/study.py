@@ -424,8 +424,8 @@ def study(
         store: the file; without one it is temporary, and goes when the study does.
         part: (3, 64) computes the third of 64 parts, with a ``store``; see ``merge_studies``.
         progress: called with the number of finished blocks and of all blocks.
-        executor: any ``concurrent.futures.Executor``, such as dask's ``client.get_executor()``;
-            without one, this process computes. One of processes must not fork them.
+        executor: any ``concurrent.futures.Executor``; one of processes must not fork them. Without
+            one, the dask ``Client`` of this process computes; without a client, this process.
 
     Returns:
         Study.
