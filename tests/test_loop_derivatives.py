@@ -223,6 +223,39 @@ def test_limits_of_loops_in_a_list_move_by_all_that_they_are_made_of() -> None:
 
 
 @pytest.mark.campaign
+@pytest.mark.parametrize("count", [1, 64])
+def test_limits_on_an_axis_move_as_its_crossing_does(count: int) -> None:
+    """A held device has its largest K at B = 0 and its largest B at K = 0."""
+    loop = replace(WINDOW, device_mass=0.1, hand_damping=9.0, hand_stiffness=200.0)
+    limits = loop.limits()
+    assert limits.at_damping == limits.at_stiffness == 0.0
+    slopes = jax.jacrev(lambda one: jnp.stack(one.limits()[:4]))
+    masses = np.linspace(0.1, 0.12, count).tolist()
+    found = jax.vmap(slopes)(stacked([replace(loop, device_mass=mass) for mass in masses]))
+    for axis, gain in enumerate((limits.stiffness, limits.damping)):
+        poles = loop.poles(*np.where(np.arange(2) == axis, gain, 0.0).tolist())
+        angle = float(np.abs(np.angle(poles[np.argmin(np.abs(np.abs(poles) - 1.0))])))
+
+        def crossing(numbers: Numbers, axis: int = axis, start: Any = (gain, angle)) -> mpf:
+            base, *columns = parts(loop, numbers)
+
+            def on_circle(size: mpf, turn: mpf) -> list[mpf]:
+                z = mpc(mp.cos(turn), mp.sin(turn))
+                value = evaluate(base, z) + size * evaluate(columns[axis], z)
+                return [value.real, value.imag]
+
+            return mp.findroot(on_circle, start, tol=mpf(10) ** -60)[0]
+
+        with mp.workdps(50):
+            numbers = numbers_of(loop)
+            assert float(crossing(numbers)) == pytest.approx(gain, rel=1e-10)
+            for key in numbers:
+                own = getattr(found, key)[0]
+                assert own[2 * axis] == pytest.approx(difference(crossing, numbers, key), rel=1e-6)
+                assert own[2 * axis + 1] == 0.0
+
+
+@pytest.mark.campaign
 def test_the_largest_damping_moves_as_a_corner_does() -> None:
     """Without delay, hand and stiffness p = (z - 1) (z^2 + a z + B n1), a pair at B n1 = 1."""
     loop = replace(PLAIN, delay=0.0)

@@ -163,7 +163,7 @@ class HapticLoop(LoopParameters):
     def limits(
         self, *, delays: DelayRange | None = None, lost: int = 0
     ) -> WallLimits | MovingLimits:
-        """The largest stiffness and the largest damping that the loop allows.
+        """The largest stiffness and the largest damping that the loop allows, of walls K, B >= 0.
 
         They hold for the stable component that contains small gains; the limits of islands, which
         are not connected to it, follow separately. For a loop that JAX traces, the limits are

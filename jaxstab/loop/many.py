@@ -56,9 +56,10 @@ class ManyLimits(NamedTuple):
     """The stiffest and the most damped stable wall of each loop; arrays of one length.
 
     Attributes:
-        stiffness: the largest stable K in N/m, as in ``WallLimits``; NaN where no wall is stable.
+        stiffness: the largest stable K in N/m of walls with B >= 0, as in ``WallLimits``; NaN where
+            none is stable.
         at_damping: the B in N s/m at which it is reached.
-        damping: the largest stable B in N s/m.
+        damping: the largest stable B in N s/m of walls with K >= 0.
         at_stiffness: the K in N/m at which it is reached.
         status: codes of ``RegionStatus``.
         is_reachable: whether the walls are reached by turning gains up from 0.

@@ -28,7 +28,7 @@ from jaxstab.model.filters import given_filters
 from jaxstab.point import closed_loop_poles
 from jaxstab.proofs.filters import Responses
 from jaxstab.proofs.plant import circle_equations, quick_slice
-from jaxstab.region import RegionStatus
+from jaxstab.region import RegionStatus, measures
 
 _REAL = 1e-6  # rad: a root this near to the real axis is real
 
@@ -117,7 +117,7 @@ def _extremes(region: WallRegion) -> Float64[np.ndarray, "2 found"]:
     main = region.main
     of = region if main is None else main
     loop, rows = region.loop, []
-    for point in (of.region.max_alpha, of.region.max_beta):
+    for point in measures.quadrant_extremes(of.region.coefficients, of.region.outline):
         angles = np.full(2, np.nan)
         if np.all(np.isfinite(point)):
             alpha, beta = point.tolist()
@@ -134,7 +134,7 @@ def _extremes(region: WallRegion) -> Float64[np.ndarray, "2 found"]:
 
 @jax.jit
 def _moved(loop: LoopParameters, extremes: _Extreme) -> ManyLimits:
-    """The walls of the largest alpha and beta, with their derivatives by the numbers of the loop."""
+    """Both extreme walls, with their derivatives by the numbers of the loop."""
     plant = loop.gamma, loop.delta, loop.delay / loop.sample_time
     known = plant, Responses.of(given_filters(**loop.filters))
     fixed = jax.lax.stop_gradient(known)
