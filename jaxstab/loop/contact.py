@@ -168,7 +168,9 @@ def contact(loop: LoopParameters, stiffness: Numbers, damping: Numbers, **option
     """Simulate contacts with their paths: ``HapticLoop.contact``."""
     setup = _setup(loop, stiffness, damping, **options)
     runs = setup.runs
-    if not setup.shape and loop.body:  # numbers of Python are several times faster here
+    if not setup.shape and isinstance(
+        setup.plant, Plant
+    ):  # numbers of Python are several times faster here
         runs = Runs(*(column.item() for column in runs))
     summary, (x, v, f) = paths(setup.plant, setup.controller, runs, setup.samples, **setup.sides)
     x, v, f = (np.moveaxis(one, 0, -1).reshape(*setup.shape, -1) for one in (x, v, f))
@@ -358,23 +360,11 @@ def _setup(
         )
     require_x64(*given)
     loop = loop.in_floats()
-    period, body, device = float(loop.sample_time), loop.body, loop.device
-    wall = checked_gain("stiffness", stiffness), checked_gain("damping", damping)
-    if body is None and device is not None:
-        unit, support = 1.0, device.static_stiffness()
-        fastest, wall = handle(device, period).ticks, (wall[0], wall[1] / period)
-    else:
-        unit, support = float(loop.mass) / period**2, float(loop.gamma)
-        fastest, wall = (
-            max(float(loop.delta), support**0.5),
-            (loop.alpha(wall[0]), loop.beta(wall[1])),
-        )
-    if fastest > FASTEST:
-        raise ValueError(
-            f"the device without a wall moves at {fastest:.3g} rad per sample; contacts are "
-            f"simulated up to {FASTEST:g}: give a shorter sample_time."
-        )
+    period = float(loop.sample_time)
     turn = (float(loop.delay_samples),) if delays is None else turn_of(loop, delays)
+    mechanism, unit, support = _mechanism(loop, period, turn)
+    stiffness, damping = checked_gain("stiffness", stiffness), checked_gain("damping", damping)
+    is_mass = loop.body is not None
     count = checked_number("duration", duration, 0.0, unit="s") / period
     if not _SHORTEST <= count <= _LONGEST:
         raise ValueError(
@@ -387,7 +377,8 @@ def _setup(
         static_friction = friction
     most = np.inf if max_force is None else checked("max_force", max_force, 0.0, is_open=True)
     columns = Runs(
-        *wall,
+        loop.alpha(stiffness) if is_mass else stiffness,
+        loop.beta(damping) if is_mass else damping / period,
         friction / unit,
         checked("static_friction", static_friction, 0.0) / unit,
         checked("encoder", encoder, 0.0),
@@ -403,9 +394,7 @@ def _setup(
     _refuse_odd(runs, unit, support)
     filters = given_filters(**loop.filters) or (Velocity(), Filter())
     return _Setup(
-        Plant.of(support, float(loop.delta), turn)
-        if body is not None
-        else Handle.of(device, period, turn),
+        mechanism,
         Controller.from_filters(filters),
         runs,
         runs.alpha.shape,
@@ -414,6 +403,27 @@ def _setup(
         period,
         unit,
     )
+
+
+def _mechanism(
+    loop: LoopParameters, period: float, turn: tuple[float, ...]
+) -> tuple[Mechanism, float, float]:
+    """Return what moves, how many N are 1, and its stiffness without a wall."""
+    device = loop.device
+    if loop.body is None and device is not None:
+        _refuse_fast(handle(device, period).ticks)
+        return Handle.of(device, period, turn), 1.0, device.static_stiffness()
+    gamma, delta = float(loop.gamma), float(loop.delta)
+    _refuse_fast(max(delta, gamma**0.5))
+    return Plant.of(gamma, delta, turn), float(loop.mass) / period**2, gamma
+
+
+def _refuse_fast(speed: float) -> None:
+    if speed > FASTEST:
+        raise ValueError(
+            f"the device without a wall moves at {speed:.3g} rad per sample; contacts are "
+            f"simulated up to {FASTEST:g}: give a shorter sample_time."
+        )
 
 
 def _refuse_odd(runs: Runs, unit: float, support: float) -> None:

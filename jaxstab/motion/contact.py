@@ -140,7 +140,6 @@ class Plant(NamedTuple):
     ages: Any
     flows: Any
     oldest: int
-    tile = TILE
 
     @classmethod
     def of(cls, gamma: float, delta: float, delays: tuple[float, ...]) -> "Plant":
@@ -290,7 +289,8 @@ def contacts(
         summary = _of_tile(arrays, controller, own, samples, oldest=plant.oldest, **sides)
         return Summary(*(column[: part.size] for column in summary))
 
-    tiles = on_cores(of_tile, list(lists(np.arange(count), plant.tile, TILE // 64)))
+    tile = TILE if isinstance(plant, Plant) else TILE // 32  # of any device, with its series
+    tiles = on_cores(of_tile, list(lists(np.arange(count), tile, TILE // 64)))
     return Summary(*map(np.concatenate, zip(*tiles, strict=True)))
 
 

@@ -20,13 +20,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxstab.arrays import Array, is_jax, repeat_while
-from jaxstab.batches import TILE
 from jaxstab.model.device import Device
 from jaxstab.model.device.mechanics import handle
 from jaxstab.motion.contact import Runs, Seen, functions, pieces, series_at
 
-_TERMS = 20  # of a power series, up to 1 / 19!
-_EXPONENTS = np.arange(_TERMS - 1.0, -1.0, -1.0)
+_MOST_MOTION = 2.0  # of a piece, in rad
+_SMALLEST_TERM = 1e-18  # of a series
 _MOST_LEGS, _MOST_STEPS = 32, 64  # of a piece; of a search for a time
 _CLOSE = 2.0**-50  # of a piece: times that are found
 
@@ -51,7 +50,6 @@ class Handle(NamedTuple):
     ages: Any
     flows: Any
     oldest: int
-    tile = TILE // 32
 
     @classmethod
     def of(cls, device: Device, sample_time: float, delays: tuple[float, ...]) -> "Handle":
@@ -63,13 +61,14 @@ class Handle(NamedTuple):
         rates[:, :size] = matrix, matrix - np.outer(thrown, matrix[1])
         rates[1, :2] = 0.0  # without errors of rounding
         rows = np.stack([np.vstack([whole[:size], row, whole[pull]]) for row in (whole[1], load)])
-        series = [rows]
-        for power in range(1, _TERMS):
-            series.append(series[-1] @ rates / power)
-        fastest = np.abs(rates[:, :size, :size]).sum(axis=2).max()
-        ages, lengths = pieces(delays, ticks * float(fastest))
+        fastest = ticks * float(np.abs(rates[:, :size, :size]).sum(axis=2).max())  # at most
+        ages, lengths = pieces(delays, fastest / _MOST_MOTION)
+        series, term, motion = [rows], 1.0, fastest * lengths.max()
+        while term > _SMALLEST_TERM:
+            series.append(series[-1] @ rates / len(series))
+            term *= motion / len(series)
         return cls(
-            np.concatenate(np.moveaxis(series[::-1], 1, 0), axis=-1),
+            np.concatenate(np.moveaxis(np.array(series[::-1]), 1, 0), axis=-1),
             load,
             at_rest,
             thrown,
@@ -123,7 +122,7 @@ class Handle(NamedTuple):
         The time left is in ticks; ``loose`` is the direction in which the handle broke loose.
         """
         xp, static = functions(left), runs.static_friction
-        v, none = states[1], 0.0 * left
+        v = states[1]
         load = xp.tensordot(self.load, _with(states, acting, runs.push), 1)
         slips = xp.where(abs(load) > static, xp.sign(load), loose)
         sign = xp.where(v == 0.0, slips, xp.sign(v))
@@ -135,19 +134,9 @@ class Handle(NamedTuple):
         low = xp.where(sticks, -static, xp.where(sign > 0.0, 0.0, -np.inf))
         high = xp.where(sticks, static, xp.where(sign < 0.0, 0.0, np.inf))
 
-        def is_out(value: Array) -> Array:
-            return (value < low) | (value > high)
-
-        # The extreme within the leg, if there is one, and whether it is beyond a limit.
-        slope = _slope(watched)
-        bends = slope[-1] * _value(slope, left) < 0.0
-        middle = _time_of(slope, none, none, left, bends)
-        returns = bends & is_out(_value(watched, middle)) & (sticks | (v != 0.0))
-        begin, last = xp.where(bends & ~returns, middle, none), xp.where(returns, middle, left)
-        value = _value(watched, last)
-        ends = is_out(value) & (count < _MOST_LEGS - 1)
-        limit = xp.where(ends, xp.where(value > high, high, low), 0.0)
-        time = xp.where(ends, _time_of(watched, limit, begin, last, ends), left)
+        time, value, ends = _exit(watched, low, high, left, sticks | (v != 0.0))
+        ends = ends & (count < _MOST_LEGS - 1)
+        time = xp.where(ends, time, left)
 
         moved = _value(terms, time)
         work = _product(pull, terms[:, 1], time)
@@ -177,19 +166,50 @@ def _value(terms: Array, time: Array) -> Array:
     return (terms * (powers if terms.ndim == powers.ndim else powers[:, None])).sum(axis=0)
 
 
+def _exponents(count: int, ndim: int) -> Array:
+    """Return the exponents of a polynomial's terms, with axes for runs behind."""
+    return np.arange(count - 1.0, -1.0, -1.0).reshape(-1, *(1,) * ndim)
+
+
 def _powers(time: Array, count: int) -> Array:
-    return time ** _EXPONENTS[-count:].reshape(-1, *(1,) * time.ndim)
+    return time ** _exponents(count, time.ndim)
+
+
+def _exit(
+    terms: Array, low: Array, high: Array, length: Array, is_within: Array
+) -> tuple[Array, Array, Array]:
+    """Return when a polynomial first leaves an interval, its value then or soon after, and whether.
+
+    Where it begins at the end of the interval (not ``is_within``), it first moves inwards.
+    """
+    xp = functions(length)
+
+    def is_out(value: Array) -> Array:
+        return (value < low) | (value > high)
+
+    slope, end = _slope(terms), _value(terms, length)
+    bends = slope[-1] * _value(slope, length) < 0.0
+    if not (is_jax(end) or np.any(bends | is_out(end))):
+        return length, end, bends
+    none = 0.0 * length
+    middle = _time_of(slope, none, none, length, bends)
+    returns = bends & is_out(_value(terms, middle)) & is_within
+    begin, last = xp.where(bends & ~returns, middle, none), xp.where(returns, middle, length)
+    value = _value(terms, last)
+    leaves = is_out(value)
+    limit = xp.where(leaves, xp.where(value > high, high, low), 0.0)
+    return _time_of(terms, limit, begin, last, leaves), value, leaves
 
 
 def _slope(terms: Array) -> Array:
     """Return the derivative of a polynomial."""
-    return terms[:-1] * _EXPONENTS[-len(terms) : -1].reshape(-1, *(1,) * (terms.ndim - 1))
+    return terms[:-1] * _exponents(len(terms), terms.ndim - 1)[:-1]
 
 
 def _product(one: Array, other: Array, time: Array) -> Array:
     """Return the integral of the product of two polynomials up to a time."""
-    shares = 1.0 / (_EXPONENTS[:, None] + _EXPONENTS + 1.0)
-    powers = _powers(time, _TERMS)
+    exponents, powers = _exponents(len(one), 1), _powers(time, len(one))
+    shares = 1.0 / (exponents + exponents[:, 0] + 1.0)
     inner = functions(one).tensordot(shares, other * powers, 1)
     return time * (one * powers * inner).sum(axis=0)
 
