@@ -2,6 +2,7 @@
 
 import re
 import tomllib
+from collections.abc import Callable
 from math import inf, pi
 from typing import Any
 
@@ -25,10 +26,41 @@ WINDOW = HapticLoop(**HELD, delay=PERIOD, velocity=Velocity.difference(window=0.
 FREE = HapticLoop(device_mass=0.5, device_damping=0.0, sample_time=PERIOD)
 
 
-def random_case(rng: np.random.Generator) -> tuple[HapticLoop, dict[str, Any], truth.Felt]:
-    """A loop of any mass, hand, estimator and delays, and what disturbs it."""
+def random_body(rng: np.random.Generator) -> tuple[dict[str, float], float, dict[str, Any]]:
+    """One mass with a hand: fields of the loop, its mass, and the same for the truth."""
     mass, damping = 10.0 ** rng.uniform(-1.7, 0.3), rng.choice([0.0, 0.1, 3.0, 60.0])
     stiffness = rng.choice([0.0, 300.0, 3e4, mass / PERIOD**2])
+    fields = {"device_mass": mass, "device_damping": damping, "hand_stiffness": stiffness}
+    return fields, mass, {"damping": damping, "stiffness": stiffness}
+
+
+def random_device(rng: np.random.Generator) -> tuple[dict[str, Any], float, dict[str, Any]]:
+    """The same of a device with up to two modes, an actuator and an arm behind a grip."""
+    mass, damping = 10.0 ** rng.uniform(-1.0, 0.3), rng.choice([0.0, 0.1, 3.0])
+    bodies, modes, arm = [(mass, damping, 0.0)], [], None
+    for _ in range(rng.integers(3)):
+        moved, frequency, ratio = mass * rng.uniform(0.3, 3.0), rng.uniform(30.0, 400.0), 0.02
+        rate = 2.0 * pi * frequency
+        bodies.append((moved, 2.0 * ratio * rate * moved, rate**2 * moved))
+        modes.append(jaxstab.Mode(frequency=frequency, damping_ratio=ratio, modal_mass=moved))
+    device = jaxstab.Device.modes(modes, mass=mass, damping=damping)
+    bandwidth = rng.choice([None, 50.0, 300.0])
+    if bandwidth:
+        device = device.with_actuator(bandwidth)
+    if rng.random() < 0.5 or not (modes or bandwidth):
+        arm = 1.0, 5.0, 300.0, 4.0, 2000.0
+        hand = jaxstab.Hand.mass_spring_damper(arm[0], damping=arm[1], stiffness=arm[2])
+        device = device.held_by(hand.with_grip(damping=arm[3], stiffness=arm[4]))
+    at_handle = 1.0 / sum(1.0 / body[0] for body in bodies)
+    same = {"damping": 0.0, "stiffness": 0.0, "device": truth.structure(bodies, arm, bandwidth)}
+    return {"device": device}, at_handle, same
+
+
+def random_case(
+    rng: np.random.Generator, random: Callable[..., Any] = random_body
+) -> tuple[HapticLoop, dict[str, Any], truth.Felt]:
+    """A loop of any device, estimator and delays, and what disturbs it."""
+    mechanics, mass, same = random(rng)
     fields: dict[str, Any] = {"velocity": None, "position": None}
     velocity, position = [difference_taps(1)], []
     kind = rng.integers(4)
@@ -44,10 +76,7 @@ def random_case(rng: np.random.Generator) -> tuple[HapticLoop, dict[str, Any], t
         position = [low_pass_taps(200.0 * PERIOD)]
     delays = rng.choice([0.0, PERIOD, 1.5 * PERIOD, 3.2 * PERIOD], int(rng.integers(1, 4)))
     moving = [*delays.tolist(), inf] if rng.random() < 0.2 else delays.tolist()
-    loop = HapticLoop(
-        device_mass=mass, device_damping=damping, hand_stiffness=stiffness, sample_time=PERIOD,
-        delay=delays[0], **fields,
-    )  # fmt: skip
+    loop = HapticLoop(**mechanics, sample_time=PERIOD, delay=delays[0], **fields)
     unit = mass / PERIOD**2
     size = 10.0 ** rng.uniform(-5.0, -2.0)  # m that it moves in a sample
     wall = unit * rng.uniform(0.0, 0.3), unit * PERIOD * rng.uniform(0.0, 0.5)
@@ -63,7 +92,10 @@ def random_case(rng: np.random.Generator) -> tuple[HapticLoop, dict[str, Any], t
         "one_sided": bool(rng.random() < 0.7),
         "pulls": bool(rng.random() < 0.5),
     }
-    own = truth.Felt(mass, damping, stiffness, PERIOD, moving, velocity, position, wall, **felt)
+    own = truth.Felt(
+        mass=mass, period=PERIOD, delays=moving, velocity=velocity, position=position, wall=wall,
+        **same, **felt,
+    )  # fmt: skip
     felt["max_force"] = None if felt["max_force"] == inf else felt["max_force"]
     start = {
         "position": rng.uniform(-1.0, 1.0) * size,
