@@ -191,7 +191,7 @@ class HapticLoop(LoopParameters):
         if is_any_traced(self):
             from jaxstab.loop.moving import moving_limits
 
-            return moving_limits(self)
+            return WallLimits(*moving_limits(self)[:-1])
         return self.region().limits()
 
     def stiffness_limits(self, damping: Numbers) -> Float64[Array, "*grid 2"]:
