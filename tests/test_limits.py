@@ -98,6 +98,18 @@ def test_the_largest_damping_on_the_line_of_a_real_root_is_where_that_crosses_th
     assert limits.damping == pytest.approx(base / (base - damping), rel=1e-12)
 
 
+def test_an_island_of_negative_damping_has_no_stiffest_wall_but_limits() -> None:
+    window = Velocity.difference(samples=20)
+    omega = {"device_mass": 0.25, "device_damping": 0.1, "sample_time": 1e-3, "delay": 1e-3}
+    loop = HapticLoop(**omega, velocity=window)
+    for island, limits in zip(loop.region().islands, loop.limits().islands, strict=True):
+        low, high = island.outline.min(axis=0), island.outline.max(axis=0)
+        assert high[1] < 0.0 < low[0]
+        assert np.isnan(island.stiffest).all()
+        assert np.isnan(island.most_damped).all()
+        assert (limits.stiffness, limits.damping) == pytest.approx(tuple(high), rel=1e-12)
+
+
 def test_without_walls_of_positive_gains_there_are_no_limits() -> None:
     """Sec. VIII of the paper: with such a hand all stable walls have K <= 0."""
     loop = loop_of(np.pi**2 / 4, 0.0, 0.0)

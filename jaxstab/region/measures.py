@@ -68,7 +68,8 @@ def _extreme(c: Curve, outline: Outline, axis: int) -> Array:
     is_crossing = crossing - largest > _STILL * abs(crossing)
     point = xp.where(is_crossing, on_axis, outline.vertices[xp.argmax(values)])
     size = xp.max(abs(xp.nan_to_num(outline.vertices[:, axis])))
-    return xp.where(point[axis] > _STILL * size, point, xp.nan) + 0.0  # no -0
+    is_there = xp.where(is_crossing, crossing, largest) > _STILL * size
+    return xp.where(is_there, point, xp.nan) + 0.0  # no -0
 
 
 def crossings(
