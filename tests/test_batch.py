@@ -161,6 +161,26 @@ def test_pieces_that_a_scan_missed_are_found_by_a_second_one(
     assert np.mean(regions_of(many).limits.is_single) > 0.05
 
 
+def test_a_turn_of_the_boundary_next_to_an_axis_is_not_passed_over() -> None:
+    """A few angles of the scan cover all of K, B >= 0: the stiffest wall is between two of them."""
+    loop = HapticLoop(
+        device_mass=0.2,
+        device_damping=1.5,
+        sample_time=PERIOD,
+        delay=1.025e-3,
+        velocity=Velocity.butterworth(24.32, order=4),
+    )
+    masses = np.linspace(0.18, 0.22, COUNT)
+    limits = limits_of(loop, device_mass=masses)
+    assert np.mean(limits.is_single) < 0.5
+    for index, mass in enumerate(masses.tolist()):
+        own = replace(loop, device_mass=mass)
+        assert not is_wrong(limits, index, own.limits())
+        wall = limits.stiffness[index], limits.at_damping[index]
+        assert own.verdict(wall[0] * (1.0 - 1e-7), wall[1]) == Verdict.STABLE
+        assert own.verdict(wall[0] * (1.0 + 1e-7), wall[1]) == Verdict.UNSTABLE
+
+
 def test_a_program_is_kept_until_eight_others_are_needed() -> None:
     first = ref(program(101))
     assert program(101) is first()
