@@ -27,7 +27,7 @@ from jaxstab.cli.options import (
 from jaxstab.shown import printable, shortened, table_text
 
 if TYPE_CHECKING:
-    from jaxstab.scene import Answer, Scene
+    from jaxstab.scene import Scene
     from jaxstab.scene.many import Row, Variant
 
 # Options that describe scenes, and the tables of scenes that files and options make.
@@ -347,12 +347,21 @@ _safety_option = click.option(
 @_safety_option
 @click.option("--at-damping", type=float, help="Give the stiffness limits at this B in N s/m.")
 @click.option("--at-stiffness", type=float, help="Give the damping limits at this K in N/m.")
-def limits(as_json: bool, **given: Any) -> int:
-    """Give the largest stiffness and damping that a scene allows.
+@click.option("--all", "in_full", is_flag=True, help="Print everything, as --json does.")
+@click.option("--islands", is_flag=True, help="Print stable walls not connected to zero gains too.")
+def limits(as_json: bool, in_full: bool, islands: bool, **given: Any) -> int:
+    """Give the largest stiffness that a scene allows, and the limits at each of its walls.
 
-    The exit code is 0 if walls are stable, for all hands of the scene by proof, 1 if not.
+    All limits are of walls with K >= 0 and B >= 0. The exit code is 0 if walls are stable, for all
+    hands of the scene by proof, 1 if not.
     """
-    return _answer(given, "limits", as_json)
+
+    def shown(answer: Any) -> str:
+        from jaxstab.scene.limits import brief
+
+        return str(answer) if in_full else brief(answer, islands=islands)
+
+    return _answer(given, "limits", as_json, shown)
 
 
 @click.command()
@@ -505,7 +514,9 @@ def explain(file: Path) -> None:
 
 
 # --------------------------------------------------------------------------- from options to scene
-def _answer(given: dict[str, Any], name: str, as_json: bool) -> int:
+def _answer(
+    given: dict[str, Any], name: str, as_json: bool, shown: Callable[[Any], str] = str
+) -> int:
     if len(given["files"]) > 1 or given["sweep"] or given["csv_file"]:
         answers = answer_many(given, FUNCTIONS[name], as_json)
         return 0 if all(one.all_stable for one in answers) else 1
@@ -514,7 +525,8 @@ def _answer(given: dict[str, Any], name: str, as_json: bool) -> int:
     answer = _computed(scene, name)
     if plot:
         _draw(scene, answer, plot)
-    _print(scene, answer, as_json)
+    warn(*scene.unusual())
+    click.echo(json.dumps(answer.as_json(), indent=1) if as_json else shown(answer))
     return 0 if answer.all_stable else 1
 
 
@@ -543,12 +555,6 @@ def _computed(scene: "Scene", name: str) -> Any:
 
     with at_work(f"{name} of a loop with {scene.controller.samples:g} samples of delay"):
         return getattr(jaxstab.scene, FUNCTIONS[name])(scene)
-
-
-# ------------------------------------------------------------------------------------------- print
-def _print(scene: "Scene", answer: "Answer", as_json: bool) -> None:
-    warn(*scene.unusual())
-    click.echo(json.dumps(answer.as_json(), indent=1) if as_json else answer)
 
 
 # The command that writes a page to explore a scene in.
