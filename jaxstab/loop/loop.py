@@ -191,7 +191,7 @@ class HapticLoop(LoopParameters):
         if is_any_traced(self):
             from jaxstab.loop.moving import moving_limits
 
-            return moving_limits(self)
+            return WallLimits(*moving_limits(self)[:-1])
         return self.region().limits()
 
     def stiffness_limits(self, damping: Numbers) -> Float64[Array, "*grid 2"]:
@@ -741,7 +741,7 @@ class HapticLoop(LoopParameters):
         must be concrete.
 
         Source: the l1 norm of a linear system (Vidyasagar 1986) for the loop of eqs. (1)-(5);
-        lemmas M3 to M8 of docs/proofs.md.
+        lemmas M3 to M9 of docs/proofs.md.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)

@@ -659,14 +659,15 @@ def _largest(
     start = jnp.where(number < count, start, 0.5 * (lower + upper))
     start = jnp.where(exists, start, start[0])  # all wait for the slowest
 
-    def newton(theta: Array, _: None) -> Array:
+    limits = lower - _SLACK, upper + _SLACK
+
+    def newton(theta: Array, limits: tuple[Array, Array]) -> Array:
         slopes = partial(_with_slopes, loop)
         (_, slope), (_, bend) = jax.jvp(slopes, (theta,), (jnp.ones_like(theta),))
-        return theta - slope[axis] / bend[axis]
+        return jnp.clip(theta - slope[axis] / bend[axis], *limits)
 
-    theta, solved = jax.vmap(lambda x: _root(newton, x, None))(start)
-    is_between = (theta >= lower - _SLACK) & (theta <= upper + _SLACK)
-    solved = exists & solved & is_between
+    theta, solved = jax.vmap(partial(_root, newton))(start, limits)
+    solved = exists & solved & (theta > limits[0]) & (theta < limits[1])
     smooth = _wall(loop, jnp.where(solved, theta, angles[at]))
     solved = solved & (smooth[axis] >= best - _TOLERANCE * unit)
     at_turns = jnp.where(solved & may_be(smooth), smooth[axis], -jnp.inf)
@@ -695,8 +696,9 @@ def _largest(
     lost = jnp.where(is_crossing & crossing_of_axis.is_on_line, UNIT, lost)
     wall, lost = walls[:, jnp.argmin(lost)], jnp.min(lost)
     value = wall[axis]
-    enough = value - _LOWER * abs(value)
-    is_refined = jnp.all(solved | (best <= enough)) & (rest <= enough)
+    enough, for_turns = (most - _LOWER * abs(most) for most in (value, others))
+    # A turn next to the axis may be much higher than the scan's angles and the crossing beside it.
+    is_refined = jnp.all(solved | (best <= for_turns)) & (rest <= enough)
     is_refined = is_refined & (crossing_of_axis.rest <= enough)
 
     # Stable walls on one side, unstable ones on the other.
