@@ -203,8 +203,8 @@ def contact_map(
         stiffness, damping: see ``jaxstab.conventions``.
         store: the file; each array then varies along an axis of its own, as those of ``np.ix_``.
         progress: with ``store``, called with the number of finished blocks and of all blocks.
-        executor: with ``store``, computes the blocks; without one, this process does. An executor
-            of processes must not fork them.
+        executor: with ``store``, computes the blocks; without one, the dask ``Client`` of this
+            process does, or this process. An executor of processes must not fork them.
         **options: those of ``HapticLoop.contact``; numbers may be arrays that broadcast with the
             gains.
 
