@@ -68,7 +68,7 @@ def main(small: bool, points: int | None = None) -> int:
         widest = max(widest, share)
         counts.update(ends(device, rng, 6 if small else _STARTS))
     seconds = perf_counter() - start
-    counts.update(by_ratio(2 if small else _DEVICES // 3, 40 if small else _RATIOS))
+    counts.update(by_ratio(2 if small else _DEVICES // 5, 40 if small else _RATIOS))
     for line in table(counts, widest):
         print(line)
     print(f"{counts['bounded'] + counts['runs']:,} runs of {_DURATION:g} s in {seconds:.0f} s")

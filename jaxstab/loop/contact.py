@@ -199,7 +199,7 @@ def contact_map(
     for each argument that varies; xarray and h5py open it. Nothing in it is proved.
 
     Args:
-        loop: any device with a mass at its handle; one mass is simulated about 25 times faster.
+        loop: any device with a mass at its handle; one mass is simulated at least ten times faster.
         stiffness, damping: see ``jaxstab.conventions``.
         store: the file; each array then varies along an axis of its own, as those of ``np.ix_``.
         progress: with ``store``, called with the number of finished blocks and of all blocks.
