@@ -17,12 +17,12 @@ verdicts (lemma R3), and frequency and damping ratio are NaN.
 
 from collections.abc import Callable
 from functools import partial
-from math import ceil
+from math import ceil, prod
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from jaxstab.arrays import Array, namespace, repeat, tree_map
+from jaxstab.arrays import Array, namespace, repeat
 from jaxstab.batches import MANY, compiled, over_rows
 from jaxstab.model.filters import Filter, Filters, Velocity
 from jaxstab.model.linear_loop import LinearLoop
@@ -45,7 +45,7 @@ UNKNOWN = -1  # poles outside of the circle, where one is too close to it to tel
 _DOUBLINGS = 16  # of the power of the companion matrix, which is degree 2^16
 _LONGEST = 9  # degree up to which these doublings and the proof are compiled without loops
 _NEWTON_STEPS = 1
-_BLOCK = 2**20  # points of a part of a grid, which bound the memory
+_BLOCK = 2**19  # points of a part of a grid, which bound the memory
 _CLOSE = 2.0**-22  # relative distance of a pole that is resolved from its approximation
 _QUANTUM = 2.0**-20  # of frequencies and damping ratios: what has fewer digits deflates better
 _LAST_OF_FLOAT32, _LAST_OF_POWER = 1 << 29, 1 << 52  # bits of a float64 that they leave
@@ -108,11 +108,14 @@ def fields_of_grid(
         zeros = (0.0 * loop.base[0],) * missing
         base, stiffness, damping = (part + zeros for part in loop[:3])
         loop = loop._replace(base=base, stiffness=stiffness, damping=damping)
-    parts = []
-    for some in np.array_split(points.alpha, -(-alpha.size * beta.size * gamma.size // _BLOCK)):
-        fields = _fields(some, beta, loop, method=method)
-        parts.append(_with_ladder(fields, some, beta, loop))
-    return tree_map(lambda *columns: np.moveaxis(np.concatenate(columns, 1), 0, -1), *parts)
+    shape = alpha.size, beta.size, gamma.size
+    fields = PoleFields(*(np.empty(shape, kind) for kind in (*4 * [np.float32], np.int16)))
+    for rows in np.array_split(np.arange(alpha.size), -(-prod(shape) // _BLOCK)):
+        stiffness = points.alpha[rows]
+        part = _with_ladder(_fields(stiffness, beta, loop, method=method), stiffness, beta, loop)
+        for whole, some in zip(fields, part, strict=True):
+            whole[rows] = np.moveaxis(some, 0, -1)
+    return fields
 
 
 @compiled(static=["method"], many=MANY, wide=True, pointwise=True)
