@@ -30,7 +30,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.arrays import Array, is_jax, namespace, repeat, repeat_and_keep
+from jaxstab.arrays import Array, is_jax, is_traced, namespace, repeat, repeat_and_keep
 from jaxstab.batches import TILE, compiled, lists, on_cores
 from jaxstab.model.device.periodic import Segments, segments_of
 from jaxstab.model.plant import plant_transition
@@ -39,6 +39,7 @@ from jaxstab.motion.response import Controller
 FASTEST = 64.0  # max(delta, sqrt(gamma)) that is simulated: as many pieces has a sample
 LIMIT = 1e6  # positions and velocities beyond it are given up
 _SMALLEST_TERM = 1e-18  # of a series
+_TRACED_TERMS = 13
 _ARCTAN = tuple((-1.0) ** k / (2 * k + 1) for k in range(13, -1, -1))  # of squares up to 0.066
 _WHOLE = 2.0**52  # larger float64 are whole numbers
 _MANY = 1 << 19  # runs times samples from which on a program of XLA pays
@@ -133,7 +134,7 @@ class Plant(NamedTuple):
             gamma,
             0.5 * delta,
             gamma - 0.25 * delta**2,
-            *_series(gamma, delta, 1.0 / max(fastest, 1.0)),
+            *series(gamma, delta, 1.0 / max(fastest, 1.0)),
             ages,
             flows.tolist(),
             max(map(max, ages)),
@@ -149,12 +150,21 @@ def _cut(segments: Segments, fastest: float) -> list[tuple[int, float]]:
     return pieces
 
 
-def _series(
-    gamma: float, delta: float, longest: float
-) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the coefficients of S(t) / t and Y(t) / t^2 for times up to the longest."""
+def series(
+    gamma: Array, delta: Array, longest: float
+) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+    """Return the coefficients of S(t) / t and Y(t) / t^2 for times up to the longest.
+
+    Traced ones, whose size is not known, get as many as a delta of 1 needs.
+    """
     terms, power = [0.0, 1.0], 1.0
-    while len(terms) % 4 != 1 or abs(terms[-1]) + abs(terms[-2]) * longest > _SMALLEST_TERM / power:
+
+    def is_short() -> bool:
+        if is_traced(gamma):
+            return len(terms) < _TRACED_TERMS
+        return abs(terms[-1]) + abs(terms[-2]) * longest > _SMALLEST_TERM / power
+
+    while len(terms) % 4 != 1 or is_short():
         order = len(terms) - 1
         term = -(delta * order * terms[-1] + gamma * terms[-2]) / (order * (order + 1))
         terms.append(term)
@@ -184,6 +194,57 @@ class _PlainNumbers:
 
 def _functions(value: Array) -> Any:
     return _PlainNumbers if type(value) is float else namespace(value)
+
+
+class Leg(NamedTuple):
+    """The motion of a piece: its way, the velocity at its end, and how it turns round, if it does.
+
+    sign: the direction in which it begins, 0 where the mass sticks.
+    time, there: when it turns, and how far it has moved by then; 0 where it does not.
+    """
+
+    way: Array
+    speed: Array
+    turns: Array
+    sign: Array
+    time: Array
+    there: Array
+
+
+def coulomb_leg(
+    plant: Plant, flow: Flow, v: Array, others: Array, friction: Array, static_friction: Array
+) -> Leg:
+    """Move the mass for one piece from a velocity, with Coulomb friction.
+
+    ``others`` is the force besides damping and friction at its beginning. JAX may differentiate it.
+    """
+    xp = _functions(v)
+
+    def pushed(v: Array, others: Array) -> tuple[Array, Array]:
+        """The direction in which the mass moves, 0 if it sticks, and the b above."""
+        slips = xp.where(abs(others) > static_friction, xp.sign(others), 0.0)
+        sign = xp.where(v == 0.0, slips, xp.sign(v))
+        return sign, xp.where(sign == 0.0, 0.0, others - sign * friction)
+
+    sign, b = pushed(v, others)
+    way = flow.impulse * v + flow.step * b
+    speed = flow.slope * v + flow.impulse * b
+    turns = sign * speed < 0.0
+    if not (is_jax(turns) or xp.any(turns)):
+        return Leg(way, speed, turns, sign, 0.0, 0.0)
+    time = xp.where(turns, v, 0.0) / xp.where(turns, plant.half_damping * v - b, 1.0)
+    for _ in range(2):
+        time = time / (1.0 + xp.sqrt(1.0 + plant.square * time * time))
+    time = 4.0 * time * series_at(_ARCTAN, plant.square * time * time)
+    time = xp.minimum(time, flow.length)
+    rest = flow.length - time
+    there = time * (v * series_at(plant.impulse, time))
+    there = there + time * time * (b * series_at(plant.step, time))
+    _, b = pushed(0.0 * v, others - plant.gamma * there)
+    back = rest * rest * (b * series_at(plant.step, rest))
+    way = xp.where(turns, there + back, way)
+    speed = xp.where(turns, rest * (b * series_at(plant.impulse, rest)), speed)
+    return Leg(way, speed, turns, sign, time, there)
 
 
 def contacts(
@@ -270,18 +331,6 @@ def _motion(
         force = xp.where(is_stepped, force_unit * xp.rint(force / force_unit), force)
         return xp.maximum(xp.minimum(force, runs.max_force), -runs.max_force), memory
 
-    def pushed(v: Array, others: Array) -> tuple[Array, Array]:
-        """The direction in which the mass moves, 0 if it sticks, and the b above."""
-        slips = xp.where(abs(others) > runs.static_friction, xp.sign(others), 0.0)
-        sign = xp.where(v == 0.0, slips, xp.sign(v))
-        return sign, xp.where(sign == 0.0, 0.0, others - sign * runs.friction)
-
-    def time_to_turn(turns: Array, v: Array, b: Array) -> Array:
-        time = xp.where(turns, v, 0.0) / xp.where(turns, plant.half_damping * v - b, 1.0)
-        for _ in range(2):
-            time = time / (1.0 + xp.sqrt(1.0 + plant.square * time * time))
-        return 4.0 * time * _series_at(_ARCTAN, plant.square * time * time)
-
     def step(state: Any) -> tuple[Any, tuple[Array, Array, Array]]:
         sample, x, v, memory, line, was = state
         force, memory = force_at(x, memory)
@@ -299,26 +348,16 @@ def _motion(
         for piece in range(len(flows)):
             acting, flow = line[ages[piece]], Flow(*flows[piece])
             others = acting + runs.push - plant.gamma * x
-            sign, b = pushed(v, others)
-            way = flow.impulse * v + flow.step * b
-            speed = flow.slope * v + flow.impulse * b
-            turns = sign * speed < 0.0
+            leg = coulomb_leg(plant, flow, v, others, runs.friction, runs.static_friction)
+            turns, way = leg.turns, leg.way
             if is_jax(turns) or xp.any(turns):
-                time = xp.minimum(time_to_turn(turns, v, b), flow.length)
-                rest = flow.length - time
-                there = time * (v * _series_at(plant.impulse, time))
-                there = there + time * time * (b * _series_at(plant.step, time))
-                _, b = pushed(0.0 * v, others - plant.gamma * there)
-                back = rest * rest * (b * _series_at(plant.step, rest))
-                way = xp.where(turns, there + back, way)
-                speed = xp.where(turns, rest * (b * _series_at(plant.impulse, rest)), speed)
-                peak = xp.where(turns, x + there, x)
+                peak = xp.where(turns, x + leg.there, x)
                 low, high = xp.minimum(low, peak), xp.maximum(high, peak)
-                is_maximum = turns & (sign > 0.0)
-                last_maximum = xp.where(is_maximum, begin + time, last_maximum)
+                is_maximum = turns & (leg.sign > 0.0)
+                last_maximum = xp.where(is_maximum, begin + leg.time, last_maximum)
                 first_maximum = xp.where(is_maximum & (maxima == 0.0), last_maximum, first_maximum)
                 maxima = maxima + is_maximum
-            x, v, begin = x + way, speed, begin + flow.length
+            x, v, begin = x + way, leg.speed, begin + flow.length
             energy = energy + acting * way
             low, high = xp.minimum(low, x), xp.maximum(high, x)
         is_near = (abs(x) < LIMIT) & (abs(v) < LIMIT)
@@ -357,7 +396,8 @@ def _after(newest: Array, line: Any) -> Any:
     return namespace(line).concatenate([newest[None], line[:-1]])
 
 
-def _series_at(coefficients: Any, time: Array) -> Array:
+def series_at(coefficients: Any, time: Array) -> Array:
+    """Return the value of a power series, its highest power first."""
     total = coefficients[0]
     for coefficient in coefficients[1:]:
         total = total * time + coefficient
