@@ -41,7 +41,7 @@ FORMAT_VERSIONS: Final = ("v110", "v110")
 _FILTERS = {"shuffle": True, "compression": "gzip", "compression_opts": 1, "fletcher32": True}
 _FILL = {"float64": np.nan, "int8": 0}  # of chunks that other parts have
 _KEY, _MAKER, _PART = "key", "computed_by", "part"
-_AT_ONCE = 8  # blocks in flight
+_AT_ONCE = 256  # blocks in flight, more than a cluster has workers
 
 
 class Variable(NamedTuple):

@@ -118,13 +118,15 @@ def test_bad_ranges_of_delays_are_refused(controller: dict[str, Any], words: str
     [
         ["tune"],
         ["design", "--stiffness", "1000"],
-        ["check", *ISSUE, "--plot", "picture.png", "--sweep", "device.mass=0.1,0.2"],
+        ["check", "a.toml", "b.toml", *ISSUE, "--plot", "picture.png"],
     ],
 )
 def test_commands_for_one_delay_refuse_a_range(
     arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    for file in ("a.toml", "b.toml"):
+        Path(file).write_text("[device]\ndamping = 0.05\n", encoding="utf-8")
     for options in ([], ["--constant-delay"], ["--lost-samples", "2"]):
         refused = run(*arguments, *MOVING, *options)
         assert refused.exit_code == 2
@@ -423,10 +425,10 @@ def test_measures_with_hands_are_the_worst_of_hands_and_delays() -> None:
 
 def test_ranges_of_delays_are_rows_of_a_table(tmp_path: Path) -> None:
     file = tmp_path / "rows.csv"
-    result = run("check", *MOVING, *ISSUE, "--sweep", "device.mass=0.1,0.2", "--csv", file)
+    result = run("check", *MOVING, *ISSUE, "--csv", file)
     assert result.exit_code == 1
     rows = list(csv.DictReader(io.StringIO(file.read_text(encoding="utf-8"))))
-    assert [row["inputs.delay_high"] for row in rows] == ["0.001", "0.001"]
+    assert [row["inputs.delay_high"] for row in rows] == ["0.001"]
     assert rows[0]["walls.issue.verdict"] == "unstable"
     assert rows[0]["refusal"] == ""
 

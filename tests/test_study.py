@@ -1,10 +1,12 @@
 """Studies: each answer that of its own loop, draws that repeat, shares, parts, resuming, words."""
 
+import csv
 import json
 import signal
 import subprocess
 import sys
 import time
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -192,6 +194,28 @@ def test_a_normal_distribution_is_cut_at_what_the_scene_allows_and_says_so(tmp_p
     over = "hand.stiffness=normal:100:100"
     result = run("study", scene, "--over", over, "--samples", 500, "-o", tmp_path / "a.h5")
     assert "% of the draws were below 0 and drawn again" in result.stderr
+
+
+def test_ranges_of_a_scene_are_drawn_uniformly_and_it_says_so(tmp_path: Path) -> None:
+    table = {
+        **TABLE,
+        "device": {"mass": [0.1, 0.3], "damping": 0.1},
+        "hand": {"mass": [0.2, 0.2], "stiffness": [100.0, 500.0], "damping": 3.0},
+    }
+    over = {"controller.delay": [0.0, 1e-3]}
+    given = {"answers": ["verdict"], "samples": 9}
+    study = jaxstab.study(table, over, store=tmp_path / "a.h5", **given)
+    assert study.open().attrs["notes"] == (
+        "device.mass: drawn uniformly from the range of the scene, 0.1 to 0.3. "
+        "hand.stiffness: drawn uniformly from the range of the scene, 100 to 500."
+    )
+    assert set(study.dimensions) == {"controller_delay", "sample", "wall"}
+    ranges = {"device.mass": Uniform(0.1, 0.3), "hand.stiffness": Uniform(100.0, 500.0)}
+    same = jaxstab.study({**table, "hand": {**table["hand"], "mass": 0.2}}, over | ranges, **given)
+    for name in ("device_mass", "hand_stiffness", "verdict"):
+        np.testing.assert_array_equal(same.values(name), study.values(name))
+    with pytest.raises(ValueError, match=r"hand\.stiffness is \[5.0, 1.0\]; its ends are swapped"):
+        jaxstab.study({**table, "hand": {"stiffness": [5.0, 1.0]}}, over, **given)
 
 
 def test_columns_of_one_file_are_drawn_row_by_row(tmp_path: Path) -> None:
@@ -485,13 +509,6 @@ def test_what_makes_no_sense_is_refused_in_a_sentence(
         jaxstab.study(TABLE, over, **options)
 
 
-def test_a_scene_of_ranges_says_how_to_let_them_vary() -> None:
-    table = {**TABLE, "hand": {"stiffness": [100.0, 500.0]}}
-    with pytest.raises(ValueError, match=r"is a range; a study is of single values: let it vary"):
-        jaxstab.study(table, {"device.mass": [0.1]})
-    jaxstab.study(table, {"hand.stiffness": Uniform(100.0, 500.0)}, answers=["verdict"], samples=9)
-
-
 @pytest.mark.parametrize(
     ("make", "words"),
     [
@@ -557,6 +574,40 @@ def test_the_command_says_the_plan_the_quantiles_and_the_shares(desk: Path) -> N
     assert run(*given).stdout == result.stdout
 
 
+def test_a_grid_is_printed_and_written_as_csv(desk: Path) -> None:
+    given = ["study", desk, "--over", "device.mass=0.1:0.3:3", "--over", "controller.delay=0,0.001"]
+    table = run(*given).stdout.splitlines()
+    assert table[0].startswith("device mass (kg)  controller delay (s)  wall  verdict")
+    assert [line.split()[:4] for line in table[3:5]] == [
+        ["0.2", "0", "soft", "stable"],
+        ["0.2", "0.001", "soft", "stable"],
+    ]
+    assert table[7:] == ["soft: stable for 6 of 6 loops, 0 undecided"]
+    rows = list(csv.DictReader(run(*given, "--csv", "-").stdout.splitlines()))
+    assert [row["device_mass"] for row in rows] == ["0.1", "0.1", "0.2", "0.2", "0.3", "0.3"]
+    values = {"device.mass": 0.2, "controller.delay": 1e-3}
+    own = loop_with(tomllib.loads(desk.read_text()), values).limits()
+    assert float(rows[3]["largest_stiffness"]) == pytest.approx(own.stiffness, rel=1e-9)
+    file = desk.with_name("a.csv")
+    assert run(*given, "--csv", file).stdout.splitlines() == table
+    assert list(csv.DictReader(file.read_text().splitlines())) == rows
+
+
+def test_what_does_not_exist_is_an_empty_cell_of_csv(desk: Path) -> None:
+    given = ["--answer", "margins", "--answer", "settling_time", "--wall", "hard", "90000", "10"]
+    text = run("study", desk, "--over", "device.mass=0.2,0.3", *given, "--csv", "-").stdout
+    row = list(csv.DictReader(text.splitlines()))[1]
+    assert (row["wall"], row["settling_status"]) == ("hard", "unstable")
+    assert row["stiffness_gain"] == row["settling_time"] == ""
+
+
+def test_csv_of_more_rows_than_a_spreadsheet_has_is_refused(desk: Path) -> None:
+    given = ["--over", "device.mass=0.1:0.3:1001", "--over", "controller.delay=0:0.001:1100"]
+    result = run("study", desk, *given, "--csv", "-")
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert "the CSV file would have 1,101,100 rows; give --output" in result.stderr
+
+
 def test_the_command_computes_parts_and_merges_them(desk: Path) -> None:
     parts = [desk.with_name(f"{k}.h5") for k in (1, 2)]
     given = ["study", desk, "--over", "device.mass=0.1,0.2", "--over", "hand.damping=1:3:3"]
@@ -571,7 +622,11 @@ def test_the_command_computes_parts_and_merges_them(desk: Path) -> None:
     ("arguments", "words"),
     [
         (["--over", "hand.stiffness=normal:1"], "'normal:1' is no distribution"),
-        (["--over", "device.mass"], "give KEY=LOW:HIGH:COUNT"),
+        (["--over", "device.mass"], "'device.mass' is not KEY=VALUES, such as device.mass=0.1"),
+        (["--over", "=1:2:3"], "'=1:2:3' is not KEY=VALUES"),
+        (["--over", "device.mass=1:2"], "device.mass is '1:2'; give LOW:HIGH:COUNT"),
+        (["--over", "device.mass=1:2:0.5"], "device.mass is '1:2:0.5'; give LOW:HIGH:COUNT"),
+        (["--over", "device.mass=1:2:1"], "with a COUNT from 2 to 100000"),
         (["--over", "device.mass=1,2", "--over", "device.mass=1,2"], "device.mass is given twice"),
         (["--over", "device.mass=1,2", "--part", "3/2"], "'3/2' is no part; give NUMBER/COUNT"),
         (["--over", "device.mass=1,2", "--merge"], "--merge is given beside --over"),

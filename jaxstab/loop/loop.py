@@ -163,7 +163,7 @@ class HapticLoop(LoopParameters):
     def limits(
         self, *, delays: DelayRange | None = None, lost: int = 0
     ) -> WallLimits | MovingLimits:
-        """The largest stiffness and the largest damping that the loop allows.
+        """The largest stiffness and the largest damping that the loop allows, of walls K, B >= 0.
 
         They hold for the stable component that contains small gains; the limits of islands, which
         are not connected to it, follow separately. For a loop that JAX traces, the limits are
@@ -191,7 +191,7 @@ class HapticLoop(LoopParameters):
         if is_any_traced(self):
             from jaxstab.loop.moving import moving_limits
 
-            return moving_limits(self)
+            return WallLimits(*moving_limits(self)[:-1])
         return self.region().limits()
 
     def stiffness_limits(self, damping: Numbers) -> Float64[Array, "*grid 2"]:
@@ -741,7 +741,7 @@ class HapticLoop(LoopParameters):
         must be concrete.
 
         Source: the l1 norm of a linear system (Vidyasagar 1986) for the loop of eqs. (1)-(5);
-        lemmas M3 to M8 of docs/proofs.md.
+        lemmas M3 to M9 of docs/proofs.md.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)

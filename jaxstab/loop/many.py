@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
-from jaxstab.arrays import at
+from jaxstab.arrays import at, is_any_traced, namespace
 from jaxstab.batches import alike, in_float64, lists, on_cores
 from jaxstab.model import LoopParameters
 from jaxstab.model.double_double import DoubleDouble
@@ -56,9 +56,10 @@ class ManyLimits(NamedTuple):
     """The stiffest and the most damped stable wall of each loop; arrays of one length.
 
     Attributes:
-        stiffness: the largest stable K in N/m, as in ``WallLimits``; NaN where no wall is stable.
+        stiffness: the largest stable K in N/m of walls with B >= 0, as in ``WallLimits``; NaN where
+            none is stable.
         at_damping: the B in N s/m at which it is reached.
-        damping: the largest stable B in N s/m.
+        damping: the largest stable B in N s/m of walls with K >= 0.
         at_stiffness: the K in N/m at which it is reached.
         status: codes of ``RegionStatus``.
         is_reachable: whether the walls are reached by turning gains up from 0.
@@ -122,6 +123,11 @@ def limits_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> Many
                [ 14498.,  28945.]])
     """
     many, shape = _varied(loops, fields)
+    if is_any_traced(many):
+        from jaxstab.loop.moving import moving_limits_of
+
+        return _in_shape(moving_limits_of(many), shape)
+    many = list(map(in_floats, many))
     limits = _no_limits(len(many))
     for members, (extremes, _) in resolved(many):
         _write_limits(limits, members, extremes.walls, _units(many, members))
@@ -172,6 +178,7 @@ def regions_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> Man
         True
     """
     many, shape = _varied(loops, fields)
+    many = list(map(in_floats, many))
     limits = _no_limits(len(many))
     outlines = np.full((len(many), _VERTICES, 2), np.nan)
     area = np.full(len(many), np.nan)
@@ -230,17 +237,19 @@ def _units(many: "list[HapticLoop]", members: Indices) -> Units:
 def _varied(loops: Any, fields: dict[str, Any]) -> "tuple[list[HapticLoop], tuple[int, ...]]":
     """Return the loops, and the shape of their answers."""
     if isinstance(loops, LoopParameters):
-        if not fields:
-            return [in_floats(loops)], ()
-        columns = np.broadcast_arrays(*fields.values())
-        rows = zip(*(column.ravel().tolist() for column in columns), strict=True)
-        varied = (replace(loops, **dict(zip(fields, row, strict=True))) for row in rows)
-        return [in_floats(loop) for loop in varied], columns[0].shape
+        shape = np.broadcast_shapes(*map(np.shape, fields.values()))
+        xps = map(namespace, fields.values())
+        columns = (
+            list(xp.broadcast_to(value, shape).ravel())
+            for xp, value in zip(xps, fields.values(), strict=True)
+        )
+        rows = zip(*columns, strict=True) if fields else [()]
+        return [replace(loops, **dict(zip(fields, row, strict=True))) for row in rows], shape
     if not isinstance(loops, Iterable):
         raise TypeError(f"loops is {loops!r}; give a list of HapticLoop, or one.")
     if fields:
         raise TypeError(f"{next(iter(fields))} is given beside a list; give one loop that varies.")
-    many = [in_floats(loop) for loop in loops]
+    many = list(loops)
     return many, (len(many),)
 
 

@@ -39,15 +39,12 @@ from jaxstab.motion.contraction import (
 )
 from jaxstab.motion.response import (
     DIFFERENCE,
-    FORCE,
     POSITION,
-    VELOCITY,
     Bank,
     Column,
     answer_text,
     bank_for,
     groups,
-    propagator,
     steps_of,
 )
 from jaxstab.numbers import checked
@@ -170,182 +167,64 @@ def _sum_of_moduli(
     return total
 
 
-# Disturbed sampled loops: what errors of the encoder and of the force, and friction, do.
+# Disturbed loops: what errors of the encoder and of the force, and friction, do at all times.
 #
-# What a unit of each does at the samples is a sum of moduli of an impulse response (lemmas M6 and
-# M7 of docs/proofs.md).
+# What a unit of each does at the samples is a sum of moduli of an impulse response (lemma M6).
+# Position and velocity between samples are bounded from the ends of pieces of the sample, with
+# their second derivatives (lemma M9 of docs/proofs.md).
 
 _NUMBERS = 1 << 18  # of the matrices of all loops in one batch
-_ROUNDINGS = 16  # of an entry of the transition, beside those of filters (lemma M7)
-_HARD = 8.0  # roundings of 1: the error of a transition with an entry that may nearly vanish
-_ACCURATE_GAMMA, _ACCURATE_DELTA = 0.5, 1.0  # up to which no entry of it nearly vanishes
+_ERROR = 16 * UNIT  # of the entries of a transition, beside that of filters
+_SMALLEST = 2.0**-100  # of the largest entry: what entries next to 0 may be wrong by, and more
 
 
-class Causes(NamedTuple):
-    """The kinds of disturbances: of the sampled position, of the computed force, of the device."""
-
-    position: bool
-    force: bool
-    friction: bool
-
-
-class Gains(NamedTuple):
-    """The most that one disturbance of size 1 does at the samples.
-
-    middle: of the velocity where the delayed force changes, between two samples.
-    """
+class Bounds(NamedTuple):
+    """Bounds of what a disturbance of size 1 does; infinite where none is proved."""
 
     position: Array
     velocity: Array
     force: Array
-    middle: Array
 
 
-def gains_of_disturbances(*lanes: Array, bank: Bank, causes: Causes) -> tuple[Gains, Gains, Gains]:
-    """Return what a unit of each disturbance does; infinite where nothing is proved.
+Causes = tuple[bool, bool, bool]  # errors of the position, of the computed force, and friction
 
-    The lanes hold alpha, beta, the entries (2, 4) of the propagator of a sample, the entries (3) of
-    the velocity in the middle, gamma, delta and the whole delay. What is not requested is 0.
+_LIKE = (Bounds(*[np.float64] * 3),) * 3
+
+
+class _Plant(NamedTuple):
+    """A device with its whole delay, and what the controller runs.
+
+    rows: of the states at the next sample, of states and of two forces.
     """
-    columns = np.array([np.ravel(lane) for lane in lanes])
-    gains = np.zeros((3, 4, columns.shape[1]))
-    whole_delay, is_any = columns[-1], np.ones(columns.shape[1], bool)
-    for whole, some in groups(whole_delay, is_any, len(bank.steps), _NUMBERS):
-        loops = _Loops.from_lanes(columns[:, some])
-        sums = impulse_sums(_systems(loops, whole, bank, causes))
-        gains[:, :, some] = _gains(sums, loops, causes)
-    one, two, three = gains.reshape(3, 4, *lanes[0].shape)
-    return Gains(*one), Gains(*two), Gains(*three)
 
-
-def throw(gamma: Array, delta: Array) -> Array:
-    """Return a bound of how far a unit impulse moves the device within a sample (lemma M7)."""
-    xp = namespace(gamma, delta)
-    return 1.0 / xp.maximum(1.0, xp.maximum(delta, xp.sqrt(gamma)))
-
-
-def path(delta: Array) -> Array:
-    """Return a bound of the path of a device within a sample after a unit impulse (lemma M7)."""
-    xp = namespace(delta)
-    return 1.0 / xp.sqrt(xp.maximum(1.0, 2.0 * delta))
-
-
-def drag(gamma: Array, delta: Array) -> Array:
-    """Return a bound of the device's acceleration after a unit impulse (lemma M7)."""
-    xp = namespace(gamma, delta)
-    return delta + xp.minimum(gamma, xp.sqrt(gamma))
-
-
-class _Loops(NamedTuple):
-    """Loops side by side: gains, propagators of a sample, velocities in the middle, plants."""
-
-    alpha: PerLoop
-    beta: PerLoop
-    rows: Float64[np.ndarray, "loop 2 4"]
-    middle: Float64[np.ndarray, "loop 3"]
-    gamma: PerLoop
-    delta: PerLoop
+    rows: Float64[np.ndarray, "state column"]
+    between: Between
+    whole_delay: int
+    bank: Bank
 
     @classmethod
-    def from_lanes(cls, columns: Float64[np.ndarray, "lane loop"]) -> "_Loops":
-        rows = np.ascontiguousarray(columns[2:10].T).reshape(-1, 2, 4)
-        return cls(columns[0], columns[1], rows, columns[10:13].T, columns[13], columns[14])
+    def of(cls, device: Device, sample_time: float, delay: float, bank: Bank) -> "_Plant":
+        """Return a device behind a delay in samples."""
+        fraction = delay % 1.0
+        rows = mechanics(device, sample_time, fraction, (1.0,)).rows[-1, :, :-1]
+        return cls(rows, between_samples(device, sample_time, fraction), int(delay), bank)
 
-    def sizes(self) -> tuple[Float64[np.ndarray, "loop 2 4"], Float64[np.ndarray, "loop 3"]]:
-        """Return the sizes to which the errors of the propagators are relative (lemma M7)."""
-        is_hard = (self.gamma > _ACCURATE_GAMMA) | (self.delta > _ACCURATE_DELTA)
-        hard = np.where(is_hard, _HARD, 0.0)[:, None]
-        rows, middle = np.abs(self.rows), np.abs(self.middle) + hard
-        rows[:, :, 2] += 2.0 * rows[:, :, 3]  # the acting force's is a difference
-        rows += hard[:, :, None]
-        stiff = hard[:, 0] * np.sqrt(self.gamma)
-        rows[:, 1, 0] += stiff
-        middle[:, 0] += stiff
-        return rows, middle
+    @property
+    def places(self) -> np.ndarray:
+        """Where a loop's state has those of the device, the acting force last."""
+        states = len(self.rows)
+        return np.array([POSITION, *range(DIFFERENCE + 1, states + 1), states + 1])
 
-
-def _systems(loops: _Loops, whole_delay: int, bank: Bank, causes: Causes) -> Systems:
-    """Return the loops with inputs: encoder, computed force, and three of a push on the device."""
-    # The difference is that to the last position *as it was read*: so an error that was read with
-    # it is in the state, and need not be remembered beside it.
-    alpha, beta, rows, middle, *_ = loops
-    row_sizes, middle_sizes = loops.sizes()
-    step = with_inputs(-alpha, -beta, rows, bank.outputs, bank.steps, whole_delay)
-    size = step.shape[1]
-    step[:, DIFFERENCE, size] -= 1.0
-    sizes = with_inputs(np.abs(alpha), np.abs(beta), row_sizes, *bank.sizes, whole_delay)
-    sizes[:, DIFFERENCE, [POSITION, size]] += [2.0, 1.0]  # the modulus of -1, for the difference
-    step = np.concatenate([step, _pushes(rows, size)], axis=2)
-    sizes = np.concatenate([sizes, _pushes(row_sizes, size)], axis=2)
-    outputs = np.zeros((alpha.size, 4, size))
-    outputs[:, [0, 1, 2], [POSITION, VELOCITY, FORCE]] = 1.0
-    output_sizes = outputs.copy()
-    outputs[:, 3, [POSITION, VELOCITY, FORCE]] = middle
-    output_sizes[:, 3, [POSITION, VELOCITY, FORCE]] = middle_sizes
-    is_wanted = np.array([True] * size + [*causes[:2], *causes[2:] * 3])
-    which = slice(4 if np.any(middle[:, 2]) else 3)
-    return Systems(
-        transition=step[:, :, :size],
-        inputs=step[:, :, is_wanted][:, :, size:],
-        outputs=outputs[:, which],
-        sizes=sizes[:, :, is_wanted],
-        output_sizes=output_sizes[:, which],
-        error=(_ROUNDINGS + bank.roundings) * UNIT,
-    )
-
-
-def with_inputs(
-    alpha: PerLoop,
-    beta: PerLoop,
-    rows: Matrices,
-    outputs: np.ndarray,
-    steps: np.ndarray,
-    whole_delay: int,
-) -> Matrices:
-    """Return the steps of loops with two more inputs: the reading error, and an extra push."""
-    wall = alpha[:, None] * outputs[0] + beta[:, None] * outputs[1]
-    wall = np.column_stack([wall, wall[:, 0] + wall[:, 1], np.ones(len(wall))])
-    remembered = np.column_stack([steps, steps[:, 0] + steps[:, 1], np.zeros(len(steps))])
-    return steps_of(wall, rows, remembered, whole_delay)
-
-
-def _pushes(rows: Matrices, size: int) -> Matrices:
-    """Return what unit impulses do to the state: a hit, a displacement, and a hit a sample ago."""
-    pushes = np.zeros((len(rows), size, 3))
-    pushes[:, VELOCITY, 0] = 1.0
-    pushes[:, [POSITION, DIFFERENCE], 1] = 1.0
-    pushes[:, [POSITION, DIFFERENCE], 2] = rows[:, 0, [1]]
-    pushes[:, VELOCITY, 2] = rows[:, 1, 1]
-    return pushes
-
-
-def _gains(
-    sums: Float64[np.ndarray, "loop output input"], loops: _Loops, causes: Causes
-) -> Float64[np.ndarray, "3 4 loop"]:
-    gains = np.zeros((3, 4, len(sums)))
-    columns = np.moveaxis(sums, 0, 2)
-    which = slice(columns.shape[0])
-    simple = [number for number, cause in enumerate(causes[:2]) if cause]
-    for place, number in enumerate(simple):
-        gains[number, which] = columns[:, place]
-    if causes.friction:
-        hit, moved, ended = np.moveaxis(columns[:, len(simple) :], 1, 0)
-        gains[2, which] = _of_friction(hit, moved, ended, loops)
-    return gains
-
-
-def _of_friction(
-    hit: Float64[np.ndarray, "output loop"],
-    moved: Float64[np.ndarray, "output loop"],
-    ended: Float64[np.ndarray, "output loop"],
-    loops: _Loops,
-) -> Float64[np.ndarray, "output loop"]:
-    """Return the integrals over all times of what unit impulses do, at most (lemma M7)."""
-    gamma, delta = loops.gamma, loops.delta
-    bent = drag(gamma, delta)
-    curved = 0.5 * (hit + ended) + (moved * bent + hit * (delta * bent + gamma)) / 12.0
-    thrown = moved * np.minimum(0.5, throw(gamma, delta)) + hit * path(delta)
-    return RAISED * np.minimum(curved, thrown)
+    def bounds(
+        self, stiffness: PerLoop, damping: PerLoop, causes: Causes
+    ) -> Float64[np.ndarray, "3 3 loop"]:
+        """Return bounds of position, velocity (per sample) and force for each cause of size 1."""
+        bounds = np.zeros((3, 3, stiffness.size))
+        wholes, is_any = np.full(stiffness.size, self.whole_delay), np.ones(stiffness.size, bool)
+        memory = len(self.rows) - 2 + len(self.bank.steps)
+        for _, walls in groups(wholes, is_any, memory, _NUMBERS):
+            bounds[..., walls] = _bounds(stiffness[walls], damping[walls], self, causes)
+        return bounds
 
 
 Kind = TypeVar("Kind", bound="Amplitude")
@@ -449,7 +328,7 @@ def amplitude(
     differentiates by gains or plant.
 
     Source: the l1 norm of a linear system (Vidyasagar 1986) for the loop of eqs. (1)-(5); lemmas M3
-    to M8 of docs/proofs.md.
+    to M9 of docs/proofs.md.
 
     Example:
         >>> found = jaxstab.amplitude(0.1, 0.4, gamma=0.0, delta=0.001, delay=0.0, encoder=1.0)
@@ -458,114 +337,83 @@ def amplitude(
     """
     require_x64(alpha, beta, gamma, delta)
     delay = checked_delay(delay)
-    filters = given_filters(velocity, position)
     sizes = _checked_disturbances(encoder, force_step, friction, noise)
     gains = float_arrays(checked_gain("alpha", alpha), checked_gain("beta", beta))
-    gamma, delta = float_arrays(checked_gamma(gamma), checked_delta(delta))
-    fraction = delay % 1.0
-    moments = np.stack([fraction, np.ones_like(fraction)], axis=-1)
-    propagate = propagator(gamma, delta, fraction, moments)
-    entries = [propagate[..., 1, row, column] for row in (0, 1) for column in range(4)]
-    middle = [propagate[..., 0, 1, column] for column in range(3)]
-    xp = namespace(gains, propagate)
-    grid = xp.broadcast_shapes(*map(np.shape, gains), propagate.shape[:-3], delay.shape)
-    errors, step, rubbing, extra = sizes
-    bounds = 0.5 * errors + extra, 0.5 * step, rubbing
-    causes = Causes(*(is_traced(size) or bool(np.any(size)) for size in bounds))
-    bank = bank_for(filters)
-    search = partial(gains_of_disturbances, bank=bank, causes=causes)
-    lanes = *gains, *entries, *middle, gamma, delta, np.floor(delay)
-    like = (Gains(*[np.float64] * 4),) * 3
-    found = on_host(search, *lanes, shape=grid, like=like, is_count=False)
-    sampled = Gains(*(_total(bounds, parts) for parts in zip(*found, strict=True)))
-    is_proved = xp.isfinite(sum(gain.position for gain in found))
-    bounded = _at_all_times(sampled, rubbing, gamma, delta, fraction)
-    return _answered(Amplitude, bounded, is_proved, errors, gains, bank)
+    lanes = *gains, *float_arrays(checked_gamma(gamma), checked_delta(delta)), delay
+    bank = bank_for(given_filters(velocity, position))
+    search = partial(_of_masses, bank=bank, causes=_causes(sizes))
+    grid = namespace(lanes).broadcast_shapes(*map(np.shape, lanes))
+    found = on_host(search, *lanes, shape=grid, like=_LIKE, is_count=False)
+    return _answered(Amplitude, found, sizes, gains, bank)
+
+
+def _of_masses(*lanes: np.ndarray, bank: Bank, causes: Causes) -> tuple[Bounds, Bounds, Bounds]:
+    """Return the bounds of loops with alpha, beta, gamma, delta and delay, for m = T = 1."""
+    columns = np.array([np.ravel(lane) for lane in lanes])
+    plants, number = np.unique(columns[2:], axis=1, return_inverse=True)
+    found = np.zeros((3, 3, columns.shape[1]))
+    for index, (gamma, delta, delay) in enumerate(plants.T.tolist()):
+        device = Device.mass_spring_damper(1.0, damping=delta, stiffness=gamma)
+        lanes_of_plant = np.flatnonzero(np.ravel(number) == index)
+        alpha, beta = columns[:2, lanes_of_plant]
+        bounds = _Plant.of(device, 1.0, delay, bank).bounds(alpha, beta, causes)
+        found[..., lanes_of_plant] = bounds
+    return _in_shape(found, lanes[0].shape)
+
+
+def _in_shape(
+    found: Float64[np.ndarray, "3 3 loop"], shape: tuple[int, ...]
+) -> tuple[Bounds, Bounds, Bounds]:
+    one, two, three = found.reshape(3, 3, *shape)
+    return Bounds(*one), Bounds(*two), Bounds(*three)
+
+
+class _Sizes(NamedTuple):
+    """The resolution of the encoder, and the size of each cause."""
+
+    resolution: Array
+    causes: tuple[Array, Array, Array]
 
 
 def _checked_disturbances(
     encoder: Numbers, force_step: Numbers, friction: Numbers, noise: Numbers
-) -> list[Array]:
+) -> _Sizes:
     """The sizes of disturbances, not all of them 0."""
     given = {"encoder": encoder, "force_step": force_step, "friction": friction, "noise": noise}
     require_x64(*given.values())
     sizes = float_arrays(*(checked(name, value, 0.0) for name, value in given.items()))
     if not any(is_traced(size) or np.any(size) for size in sizes):
         raise ValueError(f"{', '.join(given)} are all 0; give what disturbs the loop.")
-    return sizes
+    resolution, step, rubbing, extra = sizes
+    return _Sizes(resolution, (0.5 * resolution + extra, 0.5 * step, rubbing))
+
+
+def _causes(sizes: _Sizes) -> Causes:
+    """Which causes there are."""
+    one, two, three = (is_traced(size) or bool(np.any(size)) for size in sizes.causes)
+    return one, two, three
 
 
 def _answered(
     kind: type[Kind],
-    bounds: tuple[Array, Array, Array],
-    is_proved: Array,
-    resolution: Array,
+    found: tuple[Bounds, Bounds, Bounds],
+    sizes: _Sizes,
     gains: Sequence[Array],
     bank: Bank,
 ) -> Kind:
-    """The bounds of position, velocity and force, infinite where none is proved."""
-    xp = namespace(bounds, is_proved, resolution, gains)
-    x, v, force = (xp.where(is_proved, bound, xp.inf) for bound in bounds)
+    """The sums of the bounds of all causes, infinite where one is not proved."""
+    xp = namespace(found, sizes, gains)
+    is_proved = xp.isfinite(sum(one.position for one in found))
+    totals = []
+    for parts in zip(*found, strict=True):
+        known = (xp.where(is_proved, part, 0.0) for part in parts)
+        total = RAISED * sum(size * one for size, one in zip(sizes.causes, known, strict=True))
+        totals.append(xp.where(is_proved, total, xp.inf))
     status = xp.where(is_proved, AmplitudeStatus.PROVED, AmplitudeStatus.NOT_PROVED)
     direct = bank.outputs[:, POSITION] + bank.outputs[:, DIFFERENCE]
-    per_count = resolution * abs(gains[0] * direct[0] + gains[1] * direct[1])
-    answers = kind(*xp.broadcast_arrays(x, v, force, per_count, status.astype(np.int8)))
+    per_count = sizes.resolution * abs(gains[0] * direct[0] + gains[1] * direct[1])
+    answers = kind(*xp.broadcast_arrays(*totals, per_count, status.astype(np.int8)))
     return answers._replace(status=named(answers.status, AmplitudeStatus))
-
-
-def _total(sizes: tuple[Array, ...], gains: tuple[Array, ...]) -> Array:
-    """The sum of the bounds of all disturbances; infinite ones count as 0."""
-    xp = namespace(sizes, gains)
-    known = [xp.where(xp.isfinite(gain), gain, 0.0) for gain in gains]
-    return RAISED * sum(size * gain for size, gain in zip(sizes, known, strict=True))
-
-
-def _at_all_times(
-    sampled: Gains, friction: Array, gamma: Array, delta: Array, fraction: Array
-) -> tuple[Array, Array, Array]:
-    """Return bounds at all times from those at the samples, for T = m = 1 (lemma M8)."""
-    xp = namespace(sampled, friction, gamma, delta)
-    x, v, force, middle = sampled
-    bent, far = drag(gamma, delta), throw(gamma, delta)
-    is_late = fraction > 0.0
-    acceleration = force * (1.0 + xp.where(is_late, xp.minimum(2.0, bent), 0.0))
-    acceleration = acceleration + delta * v + gamma * (x + v)
-    acceleration = acceleration + friction * (1.0 + delta + 0.5 * gamma)
-    flown = x + far * v + xp.minimum(0.5, far) * (force + friction)
-    position = RAISED * xp.minimum(x + acceleration / 8.0, flown)
-    moved = xp.maximum(v, middle + friction * xp.minimum(fraction, path(delta)))
-    held = force + delta * moved + gamma * position
-    curved = moved + (held * bent + gamma * moved) / 8.0 + friction * (2.0 + bent) / 4.0
-    thrown = v + gamma * far * x + far * force * xp.where(is_late, 3.0, 1.0)
-    velocity = RAISED * xp.minimum(curved, thrown + friction * path(delta))
-    return position, velocity, force
-
-
-# Proved amplitudes of any linear device: lemma M9 of docs/proofs.md.
-#
-# The sums of moduli are formed as for one mass, but position and velocity between
-# samples are bounded from the ends of pieces of the sample, with their second derivatives.
-
-_ERROR = 16 * UNIT  # of the entries of a transition, beside that of filters
-_SMALLEST = 2.0**-100  # of the largest entry: what entries next to 0 may be wrong by, and more
-
-
-class _Plant(NamedTuple):
-    """A device with its whole delay, and what the controller runs.
-
-    rows: of the states at the next sample, of states and of two forces.
-    """
-
-    rows: Float64[np.ndarray, "state column"]
-    between: Between
-    whole_delay: int
-    bank: Bank
-
-    @property
-    def places(self) -> np.ndarray:
-        """Where a loop's state has those of the device, the acting force last."""
-        states = len(self.rows)
-        return np.array([POSITION, *range(DIFFERENCE + 1, states + 1), states + 1])
 
 
 def device_amplitude(
@@ -589,62 +437,43 @@ def device_amplitude(
     require_x64(stiffness, damping)
     sizes = _checked_disturbances(encoder, force_step, friction, noise)
     gains = float_arrays(checked_gain("stiffness", stiffness), checked_gain("damping", damping))
-    bank, fraction = bank_for(filters, sample_time), delay % 1.0
-    moves = mechanics(device, sample_time, fraction, (1.0,))
-    between = between_samples(device, sample_time, fraction)
-    plant = _Plant(moves.rows[-1, :, :-1], between, int(delay), bank)
-    resolution, step, rubbing, extra = sizes
-    lanes = *gains, 0.5 * resolution + extra, 0.5 * step, rubbing
-    xp = namespace(gains, sizes)
-    grid = xp.broadcast_shapes(*map(np.shape, lanes))
-    search = partial(_bounds, plant=plant, sample_time=sample_time)
-    x, v, force = on_host(search, *lanes, shape=grid, like=(np.float64,) * 3)
-    is_proved, per_sample = xp.isfinite(x + v + force), (gains[0], gains[1] / sample_time)
-    bounds = x, v / sample_time, force
-    return _answered(WallAmplitude, bounds, is_proved, resolution, per_sample, bank)
+    bank = bank_for(filters, sample_time)
+    plant, causes = _Plant.of(device, sample_time, delay, bank), _causes(sizes)
+
+    def search(stiffness: np.ndarray, damping: np.ndarray) -> tuple[Bounds, Bounds, Bounds]:
+        found = plant.bounds(np.ravel(stiffness), np.ravel(damping) / sample_time, causes)
+        found[:, 1] /= sample_time
+        return _in_shape(found, stiffness.shape)
+
+    grid = namespace(gains).broadcast_shapes(*map(np.shape, gains))
+    found = on_host(search, *gains, shape=grid, like=_LIKE, is_count=False)
+    per_sample = gains[0], gains[1] / sample_time
+    return _answered(WallAmplitude, found, sizes, per_sample, bank)
 
 
 def _bounds(
-    *lanes: np.ndarray, plant: _Plant, sample_time: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return bounds of position, velocity (per sample) and force, infinite where none is proved."""
-    # The lanes: the two gains, and the sizes of the errors of position and force and of friction.
-    columns = np.array([np.ravel(lane) for lane in lanes])
-    columns[1] = columns[1] / sample_time
-    found = np.full((3, columns.shape[1]), np.inf)
-    wholes = np.full(columns.shape[1], plant.whole_delay)
-    memory = len(plant.rows) - 2 + len(plant.bank.steps)
-    is_any = np.ones(columns.shape[1], bool)
-    causes = Causes(*(bool(np.any(size)) for size in columns[2:]))
-    for _, some in groups(wholes, is_any, memory, _NUMBERS):
-        found[:, some] = _bounds_of(columns[:, some], plant, causes)
-    x, v, force = (one.reshape(lanes[0].shape) for one in found)
-    return x, v, force
-
-
-def _bounds_of(
-    columns: Float64[np.ndarray, "5 loop"], plant: _Plant, causes: Causes
-) -> Float64[np.ndarray, "3 loop"]:
-    stiffness, damping, *sizes = columns
-    systems, direct = _device_systems(stiffness, damping, plant, causes)
+    stiffness: PerLoop, damping: PerLoop, plant: _Plant, causes: Causes
+) -> Float64[np.ndarray, "3 3 loop"]:
+    systems, direct = _systems(stiffness, damping, plant, causes)
     sums = impulse_sums(systems)
     is_proved = np.isfinite(sums).all(axis=(1, 2))
     sums = np.where(is_proved[:, None, None], sums, 0.0)
-    simple = [number for number, cause in enumerate(causes[:2]) if cause]
-    totals, path = np.zeros(sums.shape[:2]), np.zeros((2, len(stiffness)))
-    for place, number in enumerate(simple):
-        totals += (sums[:, :, place] + direct[:, :, number]) * sizes[number][:, None]
-    if causes.friction:
-        totals += _device_friction(sums[:, :, len(simple) :], plant.between) * sizes[2][:, None]
-        path = np.array(plant.between.path)[:, None] * sizes[2]
-    found = _device_at_all_times(RAISED * totals, plant.between) + np.stack([*path, 0.0 * path[0]])
+    found = np.zeros((3, 3, len(stiffness)))
+    numbers = [number for number, cause in enumerate(causes[:2]) if cause]
+    for place, number in enumerate(numbers):
+        found[number] = _at_all_times(sums[:, :, place] + direct[:, :, number], plant.between)
+    if causes[2]:
+        totals = _of_friction(sums[:, :, len(numbers) :], plant.between)
+        within = np.array([*plant.between.path, 0.0])[:, None]
+        found[2] = _at_all_times(totals, plant.between) + within
     return np.where(is_proved, found, np.inf)
 
 
-def _device_at_all_times(
+def _at_all_times(
     totals: Float64[np.ndarray, "loop output"], between: Between
 ) -> Float64[np.ndarray, "3 loop"]:
     """Return bounds at all times by those at the ends of pieces, without friction's last share."""
+    totals = RAISED * totals
     ends = totals[:, between.ends].reshape(len(totals), -1, 2, 2, 2)  # end, derivatives, which
     states = totals[:, between.states]  # and the acting force, which the arriving one does not pass
     states = np.concatenate([states, states[:, -1:]], axis=1)
@@ -656,7 +485,7 @@ def _device_at_all_times(
     return RAISED * np.stack([*found.T, states[:, -1]])
 
 
-def _device_friction(
+def _of_friction(
     sums: Float64[np.ndarray, "loop output input"], between: Between
 ) -> Float64[np.ndarray, "loop output"]:
     """Return the integrals over all times of what unit blows do, at most."""
@@ -670,7 +499,7 @@ def _device_friction(
     return np.asarray(RAISED * total)
 
 
-def _device_systems(
+def _systems(
     stiffness: PerLoop, damping: PerLoop, plant: _Plant, causes: Causes
 ) -> tuple[Systems, Float64[np.ndarray, "loop output 2"]]:
     """Return the loops with inputs: encoder, computed force, and blows; what acts at once, too.
@@ -681,16 +510,16 @@ def _device_systems(
     count, between = stiffness.size, plant.between
     rows = np.broadcast_to(plant.rows, (count, *plant.rows.shape))
     tiny = _SMALLEST * np.abs(plant.rows).max()
-    step = with_inputs(-stiffness, -damping, rows, bank.outputs, bank.steps, whole)
+    step = _with_inputs(-stiffness, -damping, rows, bank.outputs, bank.steps, whole)
     size = step.shape[1]
     step[:, DIFFERENCE, size] -= 1.0
-    sizes = with_inputs(abs(stiffness), abs(damping), np.abs(rows) + tiny, *bank.sizes, whole)
+    sizes = _with_inputs(abs(stiffness), abs(damping), np.abs(rows) + tiny, *bank.sizes, whole)
     sizes[:, DIFFERENCE, [POSITION, size]] += [2.0, 1.0]  # the modulus of -1, for the difference
     outputs, direct = _outputs(step, plant)
     output_sizes, _ = _outputs(sizes, plant, np.abs)
     is_wanted = np.array([True] * size + [*causes[:2]])
     step, sizes = step[:, :, is_wanted], sizes[:, :, is_wanted]
-    if causes.friction:
+    if causes[2]:
         blows = _blows(between, count, size, states)
         step = np.concatenate([step, blows], axis=2)
         sizes = np.concatenate([sizes, np.abs(blows)], axis=2)
@@ -703,6 +532,21 @@ def _device_systems(
         error=_ERROR + bank.roundings * UNIT,
     )
     return systems, RAISED * np.abs(direct)
+
+
+def _with_inputs(
+    alpha: PerLoop,
+    beta: PerLoop,
+    rows: Matrices,
+    outputs: np.ndarray,
+    steps: np.ndarray,
+    whole_delay: int,
+) -> Matrices:
+    """Return the steps of loops with two more inputs: the reading error, and an extra push."""
+    wall = alpha[:, None] * outputs[0] + beta[:, None] * outputs[1]
+    wall = np.column_stack([wall, wall[:, 0] + wall[:, 1], np.ones(len(wall))])
+    remembered = np.column_stack([steps, steps[:, 0] + steps[:, 1], np.zeros(len(steps))])
+    return steps_of(wall, rows, remembered, whole_delay)
 
 
 def _outputs(

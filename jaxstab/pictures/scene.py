@@ -1,6 +1,6 @@
 """A picture of a scene: the stable set in the plane of K and B, its walls and their responses."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from decimal import ROUND_CEILING, ROUND_FLOOR
 from itertools import product
@@ -56,7 +56,6 @@ from jaxstab.scene.loops import (
     reachable,
     wall_region,
 )
-from jaxstab.scene.many import Variant, short
 from jaxstab.scene.scene import Encoder, Scene, Units
 from jaxstab.scene.tune import Tuned
 from jaxstab.tuning import TuningStatus
@@ -465,68 +464,38 @@ _COLOURS = BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK
 _MOST_NAMES = 12  # in a legend
 
 
-def comparison_figure(variants: Sequence[Variant]) -> Figure:
-    """The stable walls of several scenes, in the components that contain small gains.
+def comparison_figure(scenes: Mapping[str, Scene]) -> Figure:
+    """The stable walls of several scenes by name, and the largest stiffness of each.
 
-    Beside them is the largest stiffness of each: over the values of a key, where one was swept
-    through numbers, else by name. ValueError: there is no scene, or rotational and linear ones.
+    Of the components that contain small gains. ValueError: there is no scene, or rotational and
+    linear ones.
     """
-    scenes = [variant.scene for variant in variants if variant.scene]
     if not scenes:
         raise ValueError("no scene was answered; there is nothing to draw.")
-    if len({scene.units for scene in scenes}) > 1:
+    if len({scene.units for scene in scenes.values()}) > 1:
         raise ValueError("linear and rotational scenes cannot share a picture; draw them apart.")
-    regions = [reachable(wall_region(loop_of(scene))) for scene in scenes]
-    swept = _swept_numbers(variants)
-    colours = _colours(len(scenes), is_graded=swept is not None)
+    names, units = list(map(plain, scenes)), next(iter(scenes.values())).units
+    regions = [reachable(wall_region(loop_of(scene))) for scene in scenes.values()]
+    graded = colormaps["viridis"](np.linspace(0.0, 0.9, len(scenes)))
+    colours = _COLOURS[: len(scenes)] if len(scenes) <= len(_COLOURS) else list(graded)
     figure = Figure(figsize=_SIZE, layout="constrained")
     walls, largest = figure.subplots(1, 2, width_ratios=(3, 2))
-    for variant, region, colour in zip(variants, regions, colours, strict=True):
+    for name, region, colour in zip(names, regions, colours, strict=True):
         if not region.is_empty:
-            outline = closed_outline(region)
-            walls.plot(*outline.T, color=colour, lw=1.2, label=_label(variant))
+            walls.plot(*closed_outline(region).T, color=colour, lw=1.2, label=name)
     walls.set_title("stable walls")
-    walls.set_xlabel(f"stiffness K ({scenes[0].units.stiffness})")
-    walls.set_ylabel(f"damping B ({scenes[0].units.damping})")
+    walls.set_xlabel(f"stiffness K ({units.stiffness})")
+    walls.set_ylabel(f"damping B ({units.damping})")
+    places = np.arange(len(scenes))
     stiffnesses = [region.stiffest.stiffness for region in regions]
-    if swept is None:
-        places = np.arange(len(variants))
-        largest.barh(places, np.nan_to_num(stiffnesses), color=colours)
-        largest.set_yticks(places, [_label(variant) for variant in variants], fontsize=7)
-        largest.invert_yaxis()
-        largest.set_xlabel(f"largest stiffness K ({scenes[0].units.stiffness})")
-        if len(scenes) <= _MOST_NAMES:
-            walls.legend(fontsize=8, frameon=True, title=", ".join(variants[0].values))
-    else:
-        name, values = swept
-        largest.plot(values, stiffnesses, color=BLACK, lw=0.8, zorder=1)
-        largest.scatter(values, stiffnesses, c=colours, s=24, zorder=2)
-        largest.set(xlabel=name, ylim=(0.0, None))
-        largest.set_ylabel(f"largest stiffness K ({scenes[0].units.stiffness})")
+    largest.barh(places, np.nan_to_num(stiffnesses), color=colours)
+    largest.set_yticks(places, names, fontsize=7)
+    largest.invert_yaxis()
+    largest.set_xlabel(f"largest stiffness K ({units.stiffness})")
     largest.set_title("the largest stiffness")
+    if len(scenes) <= _MOST_NAMES:
+        walls.legend(fontsize=8, frameon=True)
     return figure
-
-
-def _label(variant: Variant) -> str:
-    values = map(short, variant.values.values())
-    return plain(", ".join([*([variant.source] if variant.source else []), *values]))
-
-
-def _swept_numbers(variants: Sequence[Variant]) -> tuple[str, list[float]] | None:
-    """Return the key and its values where one file was swept through the numbers of one key."""
-    keys = {tuple(variant.values) for variant in variants}
-    if len({variant.source for variant in variants}) > 1 or len(keys) > 1:
-        return None
-    (names,) = keys
-    values = [value for variant in variants for value in variant.values.values()]
-    numbers = [value for value in values if isinstance(value, float)]
-    return (names[0], numbers) if len(names) == 1 and len(numbers) == len(variants) > 1 else None
-
-
-def _colours(count: int, *, is_graded: bool) -> list[object]:
-    if is_graded or count > len(_COLOURS):
-        return list(colormaps["viridis"](np.linspace(0.0, 0.9, count)))
-    return list(_COLOURS[:count])
 
 
 # A picture of a guard: the granted stiffness beside the exact one.

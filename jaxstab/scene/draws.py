@@ -22,6 +22,7 @@ from jaxstab.tables import text_of
 Draws = Float64[np.ndarray, " draw"]
 _MOST_BYTES = 100_000_000  # of a CSV file
 _ROUNDS = 200  # of draws in place of those that are not allowed
+_MOST_VALUES = 100_000  # of a list between two ends
 _FORMS = "normal:MEAN:DEVIATION, uniform:LOW:HIGH, lognormal:MEDIAN:FACTOR or csv:FILE:COLUMN"
 
 
@@ -175,6 +176,31 @@ def distribution_of(text: str) -> Distribution | None:
         raise ValueError(f"{shortened(text)} is no distribution; give {_FORMS}.") from None
     made: Distribution = kinds[kind](first, second)
     return made
+
+
+def values_of(key: str, text: str) -> list[float | str]:
+    """Return the values of a text: ``LOW:HIGH:COUNT`` or ``VALUE,VALUE,...``; ValueError."""
+    ends = text.split(":")
+    if len(ends) == 1 and text:
+        return [_number_or_text(value) for value in text.split(",")]
+    try:
+        low, high, count = float(ends[0]), float(ends[1]), int(ends[2])
+        if len(ends) == 3 and 2 <= count <= _MOST_VALUES and isfinite(high - low):
+            between = np.linspace(low, high, count)[1:-1].tolist()
+            return [low, *(float(f"{value:.15g}") for value in between), high]
+    except (ValueError, IndexError):
+        pass
+    raise ValueError(
+        f"{key} is {shortened(text)}; give LOW:HIGH:COUNT with a COUNT from 2 to {_MOST_VALUES}, "
+        "or VALUE,VALUE,..."
+    )
+
+
+def _number_or_text(text: str) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return text
 
 
 def draws_of(

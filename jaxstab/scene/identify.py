@@ -39,7 +39,7 @@ from jaxtyping import Float64
 from jaxstab.arrays import Array, Numbers
 from jaxstab.batches import in_float64
 from jaxstab.model import Velocity
-from jaxstab.motion.contact import Flow, Plant, coulomb_leg, series, series_at
+from jaxstab.motion.contact import Flow, Plant, Runs, Seen, series, series_at
 from jaxstab.numbers import checked, checked_number
 
 FEWEST, MOST = 2000, 64_000  # rows
@@ -321,22 +321,25 @@ def _program() -> Any:
         mass, damping, friction, offset, stiffness, delay, x, v = both
         gamma, delta = stiffness / mass, damping / mass
         impulse, step = series(gamma, delta, 1.0)
-        plant = Plant(gamma, 0.5 * delta, gamma - 0.25 * delta**2, impulse, step, None, None, 0)
         whole = jnp.floor(jax.lax.stop_gradient(delay))
         length = len(forces) - HISTORY - 1
         lengths = jnp.tile(jnp.stack([delay - whole, 1.0 - (delay - whole)]), length)
         newest = jnp.arange(length) + HISTORY - whole.astype(int)
         acting = jnp.stack([forces[newest - 1], forces[newest]], axis=1).ravel()
-        strength = lengths * series_at(impulse, lengths), lengths**2 * series_at(step, lengths)
-        slope = 1.0 - delta * strength[0] - gamma * strength[1]
-        flows = Flow(lengths, strength[0], slope, strength[1])
+        pushed, moved = (
+            lengths * series_at(impulse, lengths),
+            lengths**2 * series_at(step, lengths),
+        )
+        flows = Flow(lengths, pushed, 1.0 - delta * pushed - gamma * moved, moved)
+        plant = Plant(gamma, 0.5 * delta, gamma - 0.25 * delta**2, impulse, step, [[0]], [[]], 0)
+        nothing = 0.0 * x
+        runs, seen = Runs(*[nothing] * 12), Seen(*[nothing] * 6)
+        runs = runs._replace(friction=friction / mass, static_friction=friction / mass)
 
         def piece(state: Any, of_piece: Any) -> Any:
-            x, v = state
             force, flow = of_piece
-            others = (force - offset) / mass - gamma * x
-            leg = coulomb_leg(plant, flow, v, others, friction / mass, friction / mass)
-            return (x + leg.way, leg.speed), x
+            own = plant._replace(flows=[[flow]])
+            return own.moved(runs, state, seen, [(force - offset) / mass], 0)[0], state[0]
 
         return jax.lax.scan(piece, (x, v), (acting, flows))[1][::2]
 

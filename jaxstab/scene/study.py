@@ -15,6 +15,7 @@ one mass are asked about walls loop by loop.
 import json
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import islice, product
@@ -37,12 +38,11 @@ from jaxstab.loop import HapticLoop, limits_of
 from jaxstab.model.loop import with_columns
 from jaxstab.motion.settling import SettlingStatus
 from jaxstab.region import RegionStatus
-from jaxstab.scene.draws import Distribution, draws_of
-from jaxstab.scene.loops import hands_of, loop_of
-from jaxstab.scene.many import with_value
+from jaxstab.scene.draws import Distribution, Uniform, draws_of
+from jaxstab.scene.loops import loop_of
 from jaxstab.scene.scene import Scene, Units
 from jaxstab.shown import shortened
-from jaxstab.tables import check_keys, checked_label, one_of, read_table
+from jaxstab.tables import check_keys, checked_label, interval, one_of, read_table
 
 if TYPE_CHECKING:
     from xarray import Dataset as XarrayDataset
@@ -69,6 +69,7 @@ _NUMBERS = {  # keys of a scene that are numbers of a loop: the field, the words
     "controller.delay": ("delay", "delay", "s"),
     "controller.delay_samples": ("delay_samples", "delay", "samples"),
 }
+_RANGES = tuple(key for key in _NUMBERS if "mass" in key or "inertia" in key or key[:5] == "hand.")
 _DELAYS = ("controller.delay", "controller.delay_samples")
 _OF_LOOPS = {field: (field, words, unit) for field, words, unit in _NUMBERS.values()} | {
     "delay": ("delay", "delay", "s")
@@ -242,6 +243,31 @@ class Study:
         self._require(name)
         return values(self.path, name)
 
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Return dimensions, draws and answers, each over all dimensions; codes as their words.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> study = jaxstab.study(loop, over={"delay": [0.0, 1e-3]}, walls={"a": (2e4, 20.0)})
+            >>> columns = study.columns()
+            >>> columns["delay"].tolist(), columns["verdict"].tolist()
+            ([[0.0], [0.001]], [['stable'], ['unstable']])
+        """
+        known = self.dimensions
+        order = [*self.lists, *(name for name in (SAMPLE, WALL) if name in known)]
+        coded = {name: own for answer in ANSWERS.values() for name, own in answer.items()}
+        names = [name for name in [*self._said.dimensions] if name not in coded]
+        columns = {}
+        for name in [*order, *names, *(name for name in coded if name in self._said.dimensions)]:
+            own, values = self._said.dimensions.get(name, (name,)), self.values(name)
+            if len(coded.get(name, ())) > 3:
+                words = coded[name][3]
+                values = np.array([words.get(code, "") for code in range(max(words) + 1)])[values]
+            lengths = [len(known[one]) if one in own else 1 for one in order]
+            shape = [len(known[one]) for one in order]
+            columns[name] = np.broadcast_to(values.reshape(lengths), shape)
+        return columns
+
     def shares(self, *, confidence: float = 0.95) -> Shares:
         """Return the share of draws for which each wall is proved stable, with its interval.
 
@@ -398,8 +424,8 @@ def study(
         store: the file; without one it is temporary, and goes when the study does.
         part: (3, 64) computes the third of 64 parts, with a ``store``; see ``merge_studies``.
         progress: called with the number of finished blocks and of all blocks.
-        executor: any ``concurrent.futures.Executor``, such as dask's ``client.get_executor()``;
-            without one, this process computes. One of processes must not fork them.
+        executor: any ``concurrent.futures.Executor``; one of processes must not fork them. Without
+            one, the dask ``Client`` of this process computes; without a client, this process.
 
     Returns:
         Study.
@@ -481,7 +507,13 @@ def study_dataset(
     if not over:
         raise ValueError("over is empty; give at least one key that varies.")
     source = _Source(_table_of(of))
+    drawn_ranges = {key: own for key, own in source.ranges.items() if key not in over}
+    over = {**over, **drawn_ranges}
     columns, notes = _columns(source, over, _checked_samples(samples), seed)
+    notes += [
+        f"{key}: drawn uniformly from the range of the scene, {own.low:g} to {own.high:g}."
+        for key, own in drawn_ranges.items()
+    ]
     source.check([(column.key, column.values) for column in columns])
     gains = source.walls if walls is None else {n: _checked_wall(n, *w) for n, w in walls.items()}
     wanted = tuple(dict.fromkeys(answers or ("limits", *(["verdict"] if gains else []))))
@@ -710,6 +742,19 @@ class _Source:
         walls = {} if self.is_loop else self.table.get("walls", {})
         return {name: (wall["stiffness"], wall["damping"]) for name, wall in walls.items()}
 
+    @property
+    def ranges(self) -> dict[str, Uniform]:
+        """The ranges of the hand and of the device's mass, as distributions."""
+        found = dict[str, Uniform]()
+        for key in () if self.is_loop else _RANGES:
+            section, _, name = key.partition(".")
+            match self.table.get(section):
+                case {**keys} if isinstance(keys.get(name), list | tuple):
+                    with suppress(ValueError):  # which the scene refuses
+                        low, high = interval("")(keys[name])
+                        found |= {key: Uniform(low, high)} if low < high else {}
+        return found
+
     def check_key(self, key: str) -> None:
         if self.is_loop:
             known = [*self.numbers, *(f.name for f in fields(HapticLoop) if f.name != "delay")]
@@ -731,14 +776,8 @@ class _Source:
             kept = {name: value for name, value in own if f"controller.{name}" not in _DELAYS}
             table = {**table, "controller": kept}
         for key, value in values.items():
-            table = with_value(table, key.split("."), value)
-        scene = Scene.from_table(table)
-        if hands_of(scene) is not None:
-            raise ValueError(
-                "hand or device.mass is a range; a study is of single values: let it vary over "
-                "this range, such as hand.stiffness over jaxstab.Uniform(100.0, 500.0)."
-            )
-        return loop_of(scene)
+            table = _with_value(table, key, value, key.split("."))
+        return loop_of(Scene.from_table(table))
 
     def check(self, columns: Sequence[tuple[str, Values]]) -> None:
         """Refuse values at the corners of what varies, in the words of a scene."""
@@ -748,6 +787,21 @@ class _Source:
         ]
         for corner in islice(product(*ends), _MOST_CORNERS):
             self.made(dict(zip((key for key, _ in columns), corner, strict=True)))
+
+
+def _with_value(table: Any, key: str, value: Any, path: Sequence[str]) -> Any:
+    """Return a table with the value of a key; ``path`` leads there, by numbers through lists."""
+    first, *inner = path
+    if isinstance(table, list):
+        if not (first.isdigit() and int(first) < len(table)):
+            raise ValueError(f"{key} is not in the scene; that list has {len(table)} entries.")
+        changed = [*table]
+        changed[int(first)] = _with_value(table[int(first)], key, value, inner) if inner else value
+        return changed
+    if not isinstance(table, Mapping):
+        raise ValueError(f"{key} is not in the scene, which has {shortened(table)} in its place.")
+    own = _with_value(table.get(first, {}), key, value, inner) if inner else value
+    return {**table, first: own}
 
 
 def _ends(values: Values) -> list[float]:
