@@ -138,9 +138,6 @@ def _questions() -> list[Question]:
         Question("jaxstab check, a range of hands and four walls", 4.0, _command(
             "check", *_SCENE, *_HANDS, *_FOUR_WALLS,
         )),
-        Question("jaxstab check, a hundred such scenes", 6.0, _command(
-            "check", *_SCENE, *_HANDS, *_FOUR_WALLS, "--sweep", "device.mass=0.2:0.3:100",
-        )),
         Question("jaxstab tune", 4.0, _command("tune", *_SCENE)),
         Question("jaxstab design", 3.0, _command("design", *_SCENE, "--stiffness", "5000")),
         Question("jaxstab region, with a picture", 3.0, _command(

@@ -1,6 +1,6 @@
 """The table of benchmarks: a line for each task and method, with its run time and its error.
 
-All of it stands in docs/accuracy.md, and a few lines in the README.
+docs/accuracy.md has all of it below five lines for a reader, and the README has a few lines.
 """
 
 import re
@@ -16,7 +16,9 @@ README, PAGE = ROOT / "README.md", ROOT / "docs" / "accuracy.md"
 _BEGIN, _END = "<!-- table of benchmarks: begin -->", "<!-- table of benchmarks: end -->"
 _DEVICES = "<!-- table of devices: begin -->", "<!-- table of devices: end -->"
 
-_HEADING = ("task", "method", "run time", "error", "LAPACK's CPU time is so many times")
+_READER = "<!-- table for a reader: begin -->", "<!-- table for a reader: end -->"
+
+_HEADING = ("task", "method", "run time", "error", "speed-up over LAPACK eigenvalues")
 _DELAYS = (0.0, 1.0, 5.0, 20.0, 60.0)  # of the throughput: the plot has others, and more rivals
 _METHODS = ("verdict", "spectral_radius")
 _OWN_REGIONS = ("stable_region", "vmapped outlines")
@@ -29,6 +31,36 @@ _IN_README = {  # parts of tasks, and their methods
     ("random and adversarial loops", "verdict"),
 }
 
+# For a reader: the question, then what is said of jaxstab and of the usual way. A line of the whole
+# table is found by a part of its task and by its method; its columns fill the braces.
+_QUESTIONS = (
+    (
+        "Is one wall stable, in a fresh process?",
+        ("process: verdict", "jaxstab", "{2}, proved"),
+        ("process: verdict", "NumPy eigenvalues", "eigenvalues: {2}, not proved"),
+    ),
+    (
+        "A million walls, one sample of delay",
+        ("1,000,000 points, delay 1", "verdict", "{2}, proved"),
+        ("1,000,000 points, delay 1", "verdict", "eigenvalues: {4} times as long, not proved"),
+    ),
+    (
+        "The boundary of the stable set",
+        ("boundary of a slice", "closed form", "{2}, error {3}"),
+        ("boundary of a slice", "eigenvalue grid", "eigenvalues on a grid: {2}, error {3}"),
+    ),
+    (
+        "Verdicts on loops with estimators, many of them next to the boundary",
+        ("walls judged", "verdict", "{0}: {3}"),
+        ("walls judged", "numpy eigvals", "eigenvalues: {3}"),
+    ),
+    (
+        "Verdicts from a table",
+        ("default atlas, at any delay", "atlas, many points", "{2}, {3}"),
+        ("walls of a slice", "nearest node", "nearest node: {2}, {3}"),
+    ),
+)
+
 Line = tuple[str, str, str, str, str]
 
 
@@ -37,18 +69,45 @@ def markdown(records: list[Record], *, brief: bool = False) -> str:
 
     The brief one has the lines of the README alone.
     """
-    machines = Counter(one["machine"]["name"] for one in records)
-    machine = machines.most_common(1)[0][0]
-    chosen = {one["benchmark"]: one for one in records if one["machine"]["name"] == machine}
+    chosen = _of_one_machine(records)
     lines = [
         line
-        for name in _LINES
-        if name in chosen
-        for line in _LINES[name](chosen[name]["rows"])
+        for line in _lines(chosen)
         if not brief or any(part in line[0] and line[1] == method for part, method in _IN_README)
     ]
     table = map(_row, [_HEADING, ("---",) * len(_HEADING), *lines])
     return "\n".join([_caption(list(chosen.values())), "", *table])
+
+
+def summary(records: list[Record]) -> str:
+    """Return five lines for a reader, each beside the usual way, of the same machine."""
+    lines = [tuple(map(_short, line)) for line in _lines(_of_one_machine(records))]
+    rows = [("question", "jaxstab", "the usual way"), ("---",) * 3]
+    for question, *columns in _QUESTIONS:
+        said = [
+            next(words.format(*line) for line in lines if part in line[0] and line[1] == method)
+            for part, method, words in columns
+        ]
+        rows.append((question, *said))
+    return "\n".join(map(_row, rows))
+
+
+def _short(cell: str) -> str:
+    """Without what is in brackets, and after them."""
+    return cell.split(" (")[0]
+
+
+def _of_one_machine(records: list[Record]) -> dict[str, Record]:
+    """The records of the machine that has the most, by benchmark."""
+    machines = Counter(one["machine"]["name"] for one in records)
+    machine = machines.most_common(1)[0][0]
+    return {one["benchmark"]: one for one in records if one["machine"]["name"] == machine}
+
+
+def _lines(chosen: dict[str, Record]) -> list[Line]:
+    return [
+        line for name in _LINES if name in chosen for line in _LINES[name](chosen[name]["rows"])
+    ]
 
 
 def put_into_pages(records: list[Record]) -> None:
@@ -57,6 +116,8 @@ def put_into_pages(records: list[Record]) -> None:
     for page in (README, PAGE):
         text = page.read_text(encoding="utf-8")
         text = _replaced(text, (_BEGIN, _END), markdown(records, brief=page == README))
+        if page == PAGE:
+            text = _replaced(text, _READER, summary(records))
         if page == PAGE and devices:
             text = _replaced(text, _DEVICES, accelerated(devices))
         page.write_text(text, encoding="utf-8")
@@ -211,13 +272,13 @@ def _loops(rows: list[Row]) -> Iterator[Line]:
     for row in rows:
         loops, judged = row["repeats"], row["judged"]
         doubts = [
-            f"{row[word]} {word}"
+            f"{row[word]:,} {word}"
             for word in ("undecided", "unbounded", "unresolved")
             if row.get(word)
         ]
         task = f"{loops:,} loops with estimators and filters, {judged:,} {row['section']} judged"
         time = f"{_time(row['seconds'])} of CPU for {row['points']}"
-        yield task, row["method"], time, ", ".join([f"{row['wrong']} wrong", *doubts]), ""
+        yield task, row["method"], time, ", ".join([f"{row['wrong']:,} wrong", *doubts]), ""
 
 
 def _stress(rows: list[Row]) -> Iterator[Line]:
@@ -248,7 +309,7 @@ def _latency(rows: list[Row]) -> Iterator[Line]:
     for row in rows:
         time = f"{_time(row['seconds'])} of CPU"
         if row["method"] == "jaxstab":
-            time += f" (wanted: {row['target_seconds']:g} s), {row['peak_mib']:.0f} MiB"
+            time += f" (target: {row['target_seconds']:g} s), {row['peak_mib']:.0f} MiB"
         yield f"fresh process: {row['section']}", row["method"], time, _error(row["error"]), ""
 
 

@@ -95,6 +95,8 @@ def complete(
 ) -> None:
     """Compute the tiles of a job that are not done, and publish its file.
 
+    Without an executor the dask client of this process computes; without one, this process.
+
     OSError: the folder is missing, read-only or full, or another process does the same;
     RuntimeError: workers died, or are of other code.
     """
@@ -105,7 +107,8 @@ def complete(
         tell = progress or (lambda done, total: None)
         tell(done, len(items))
         try:
-            with closing(images(job.image, missing, job.at_once, executor)) as computed:
+            where = executor or _own_client()
+            with closing(images(job.image, missing, job.at_once, where)) as computed:
                 for item, image in computed:
                     job.check(item, image)
                     shards.put(job.name(item), image)
@@ -222,7 +225,23 @@ def dask_cluster(
     with client:
         if not client.scheduler_info()["workers"]:
             tell(f"the dask scheduler at {address} has no workers; the build waits for one.")
-        yield client.get_executor(pure=False, retries=3)
+        yield _of_client(client)
+
+
+def _of_client(client: Any) -> Executor:
+    made: Executor = client.get_executor(pure=False, retries=3)
+    return made
+
+
+def _own_client() -> Executor | None:
+    """Return the workers of the dask client of this process, if it has opened one."""
+    if "distributed" not in sys.modules:
+        return None
+    from distributed import default_client  # inside a task get_client would wait for itself
+
+    with suppress(ValueError):
+        return _of_client(default_client())
+    return None
 
 
 # --------------------------------------------------------------------------- where they are stored

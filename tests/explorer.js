@@ -28,7 +28,7 @@ function verdicts(cases) {
 function regions(cases) {
   return cases.map((setup) => {
     const loop = loopOf(setup), scale = unitsOf(setup), region = regionOf(loop);
-    const inUnits = ([alpha, beta]) => [alpha * scale.stiffness, beta * scale.damping];
+    const inUnits = (wall) => wall ? [wall[0] * scale.stiffness, wall[1] * scale.damping] : [null, null];
     return {
       isClosed: region.isClosed,
       hasMain: Boolean(mainOf(region)),

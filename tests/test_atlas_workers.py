@@ -16,8 +16,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from commands import run
 
 from jaxstab import AtlasSpec, Velocity, build_atlas
+from jaxstab import tiles as work
 from jaxstab.atlas.write import tiles
 from jaxstab.tiles import dask_cluster, processes
 
@@ -151,6 +153,7 @@ class Cluster:
         self.start("scheduler", "--host", "127.0.0.1", "--port", "0", *where)
         while not file.exists():
             time.sleep(0.05)
+        self.file = file
         self.address = json.loads(file.read_text(encoding="utf-8"))["address"]
         for _ in range(3):
             self.start("worker", self.address, "--no-nanny", "--nthreads", "1", "--no-dashboard")
@@ -179,6 +182,30 @@ def test_a_dask_cluster_builds_the_serial_atlas_though_a_worker_is_killed(
     with dask_cluster(cluster.address) as executor:
         build_atlas(SPEC, path, when_done(1, cluster.running[-1].kill), executor)
     assert path.read_bytes() == serial
+
+
+def test_the_file_of_a_scheduler_and_a_client_of_this_process_are_found(
+    serial: bytes, cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from distributed import Client
+
+    spec, a, b = tmp_path / "spec.toml", tmp_path / "a.h5", tmp_path / "b.h5"
+    spec.write_text(SPEC.to_toml(), encoding="utf-8")
+    here = work.images
+    used = list[str]()
+
+    def images(compute: Any, items: Any, at_once: int, executor: Any) -> Any:
+        used.append(type(executor).__name__)
+        return here(compute, items, at_once, executor)
+
+    monkeypatch.setattr(work, "images", images)
+    done = run("atlas", "build", "--spec", spec, "-o", a, "--scheduler-file", cluster.file)
+    assert done.exit_code == 0, done.stderr
+    with Client(cluster.address):
+        build_atlas(SPEC, b)
+    assert a.read_bytes() == b.read_bytes() == serial
+    build_atlas(SPEC, tmp_path / "c.h5")
+    assert used == ["ClientExecutor", "ClientExecutor", "NoneType"]
 
 
 def as_of_another_code() -> None:

@@ -48,7 +48,7 @@ COMMANDS: list[tuple[str, list[str], int]] = [
     ("limits", [*OMEGA, "--mass", "-1"], 2),
     ("check", [*OMEGA, *GOOD], 0),
     ("check", [*OMEGA, *GOOD, *BAD], 1),
-    ("check", [*OMEGA, *GOOD, "--sweep", "device.mass=0.1,0.001"], 1),
+    ("check", ["scene.toml", "scene.toml", *GOOD, *BAD], 1),
     ("check", OMEGA, 2),
     ("contact", [*OMEGA, *GOOD, "--push", "1", "--friction", "0.1"], 0),
     ("contact", [*OMEGA, *BAD, "--speed", "0.1", "--push", "1"], 1),
@@ -141,7 +141,7 @@ def test_31_15_a_delay_that_is_assumed_is_said_beside_the_estimator(command: str
     inputs = json.loads(run(*arguments, "--json").stdout)["inputs"]
     assert (inputs["delay"], inputs["delay_is"]) == (0.0, "assumed: the scene names none")
     given = run(*arguments, "--delay", "0").stdout.splitlines()[1]
-    assert given.split(maxsplit=1) == ["delay", "0 ms; in samples 0"]
+    assert given.split(maxsplit=1) == ["delay", "0 ms (0 samples)"]
 
 
 @pytest.mark.parametrize(
@@ -198,7 +198,7 @@ def test_31_15_a_delay_in_samples_is_refused_by_the_loop() -> None:
         (["atlas", "build", "--spec", "scene.toml"], "is a scene; jaxstab limits"),
         (["atlas", "plan", "scene.toml"], "is a scene; jaxstab limits"),
         (
-            ["limits", *OMEGA, "--sweep", "device.mas=0.1:0.5:20"],
+            ["study", *OMEGA, "--over", "device.mas=0.1:0.5:20"],
             "jaxstab: device.mas is unknown; did you mean 'mass'?\n",
         ),
     ],
@@ -218,7 +218,9 @@ def test_31_16_what_is_misspelt_or_of_another_kind_is_named(
 OUTPUTS = [
     ["limits", *OMEGA, "--csv", "none/a.csv"],
     ["limits", *OMEGA, "--plot", "none/a.png"],
-    ["check", *OMEGA, *GOOD, "--sweep", "device.mass=0.1,0.2", "--csv", "none/a.csv"],
+    ["check", *OMEGA, *GOOD, "--csv", "none/a.csv"],
+    ["study", *OMEGA, "--over", "device.mass=0.1,0.2", "--csv", "none/a.csv"],
+    ["study", *OMEGA, "--over", "device.mass=0.1,0.2", "-o", "none/a.h5"],
     ["tune", *OMEGA, "--csv", "none/a.csv"],
     ["design", *OMEGA, "--stiffness", "1000", "--csv", "none/a.csv"],
     ["scene", "init", "-o", "none/a.toml"],

@@ -2,10 +2,12 @@
 
 import re
 import tomllib
+from collections.abc import Callable
 from math import inf, pi
 from typing import Any
 
 import campaign
+import jax
 import numpy as np
 import pytest
 
@@ -14,6 +16,7 @@ from benchmarks import contact as benchmark
 from benchmarks.truth import contact as truth
 from benchmarks.truth.march import difference_taps, low_pass_taps
 from jaxstab import HapticLoop, Velocity
+from jaxstab.loop.contact import _setup
 from jaxstab.motion import contact as kernel
 from jaxstab.pictures.scene import scene_figure
 from jaxstab.results import ContactKind
@@ -22,13 +25,51 @@ from jaxstab.scene import Scene, check_walls, simulate_contacts
 PERIOD = 1e-3
 HELD = {"device_mass": 0.25, "device_damping": 0.1, "sample_time": PERIOD}
 WINDOW = HapticLoop(**HELD, delay=PERIOD, velocity=Velocity.difference(window=0.02))
+ARM = jaxstab.Hand.mass_spring_damper(1.0, damping=5.0, stiffness=300.0)
+MODE = jaxstab.Mode(frequency=80.0, damping_ratio=0.01, modal_mass=0.5)
+GENERAL = (
+    jaxstab.Device.modes([MODE], mass=0.25, damping=0.1)
+    .with_actuator(200.0)
+    .held_by(ARM.with_grip(stiffness=2000.0, damping=4.0))
+)
 FREE = HapticLoop(device_mass=0.5, device_damping=0.0, sample_time=PERIOD)
 
 
-def random_case(rng: np.random.Generator) -> tuple[HapticLoop, dict[str, Any], truth.Felt]:
-    """A loop of any mass, hand, estimator and delays, and what disturbs it."""
+def random_body(rng: np.random.Generator) -> tuple[dict[str, float], float, dict[str, Any]]:
+    """One mass with a hand: fields of the loop, its mass, and the same for the truth."""
     mass, damping = 10.0 ** rng.uniform(-1.7, 0.3), rng.choice([0.0, 0.1, 3.0, 60.0])
     stiffness = rng.choice([0.0, 300.0, 3e4, mass / PERIOD**2])
+    fields = {"device_mass": mass, "device_damping": damping, "hand_stiffness": stiffness}
+    return fields, mass, {"damping": damping, "stiffness": stiffness}
+
+
+def random_device(rng: np.random.Generator) -> tuple[dict[str, Any], float, dict[str, Any]]:
+    """The same of a device with up to two modes, an actuator and an arm behind a grip."""
+    mass, damping = 10.0 ** rng.uniform(-1.0, 0.3), rng.choice([0.0, 0.1, 3.0])
+    bodies, modes, arm = [(mass, damping, 0.0)], [], None
+    for _ in range(rng.integers(3)):
+        moved, frequency, ratio = mass * rng.uniform(0.3, 3.0), rng.uniform(30.0, 400.0), 0.02
+        rate = 2.0 * pi * frequency
+        bodies.append((moved, 2.0 * ratio * rate * moved, rate**2 * moved))
+        modes.append(jaxstab.Mode(frequency=frequency, damping_ratio=ratio, modal_mass=moved))
+    device = jaxstab.Device.modes(modes, mass=mass, damping=damping)
+    bandwidth = rng.choice([None, 50.0, 300.0])
+    if bandwidth:
+        device = device.with_actuator(bandwidth)
+    if rng.random() < 0.5 or not (modes or bandwidth):
+        arm = 1.0, 5.0, 300.0, 4.0, 2000.0
+        hand = jaxstab.Hand.mass_spring_damper(arm[0], damping=arm[1], stiffness=arm[2])
+        device = device.held_by(hand.with_grip(damping=arm[3], stiffness=arm[4]))
+    at_handle = 1.0 / sum(1.0 / body[0] for body in bodies)
+    same = {"damping": 0.0, "stiffness": 0.0, "device": truth.structure(bodies, arm, bandwidth)}
+    return {"device": device}, at_handle, same
+
+
+def random_case(
+    rng: np.random.Generator, random: Callable[..., Any] = random_body
+) -> tuple[HapticLoop, dict[str, Any], truth.Felt]:
+    """A loop of any device, estimator and delays, and what disturbs it."""
+    mechanics, mass, same = random(rng)
     fields: dict[str, Any] = {"velocity": None, "position": None}
     velocity, position = [difference_taps(1)], []
     kind = rng.integers(4)
@@ -44,10 +85,7 @@ def random_case(rng: np.random.Generator) -> tuple[HapticLoop, dict[str, Any], t
         position = [low_pass_taps(200.0 * PERIOD)]
     delays = rng.choice([0.0, PERIOD, 1.5 * PERIOD, 3.2 * PERIOD], int(rng.integers(1, 4)))
     moving = [*delays.tolist(), inf] if rng.random() < 0.2 else delays.tolist()
-    loop = HapticLoop(
-        device_mass=mass, device_damping=damping, hand_stiffness=stiffness, sample_time=PERIOD,
-        delay=delays[0], **fields,
-    )  # fmt: skip
+    loop = HapticLoop(**mechanics, sample_time=PERIOD, delay=delays[0], **fields)
     unit = mass / PERIOD**2
     size = 10.0 ** rng.uniform(-5.0, -2.0)  # m that it moves in a sample
     wall = unit * rng.uniform(0.0, 0.3), unit * PERIOD * rng.uniform(0.0, 0.5)
@@ -63,7 +101,10 @@ def random_case(rng: np.random.Generator) -> tuple[HapticLoop, dict[str, Any], t
         "one_sided": bool(rng.random() < 0.7),
         "pulls": bool(rng.random() < 0.5),
     }
-    own = truth.Felt(mass, damping, stiffness, PERIOD, moving, velocity, position, wall, **felt)
+    own = truth.Felt(
+        mass=mass, period=PERIOD, delays=moving, velocity=velocity, position=position, wall=wall,
+        **same, **felt,
+    )  # fmt: skip
     felt["max_force"] = None if felt["max_force"] == inf else felt["max_force"]
     start = {
         "position": rng.uniform(-1.0, 1.0) * size,
@@ -72,10 +113,12 @@ def random_case(rng: np.random.Generator) -> tuple[HapticLoop, dict[str, Any], t
     return loop, {"stiffness": wall[0], "damping": wall[1], **felt, **start, "delays": moving}, own
 
 
-def assert_runs_are_true(rng: np.random.Generator, runs: int, samples: int) -> None:
+def assert_runs_are_true(
+    rng: np.random.Generator, runs: int, samples: int, random: Callable[..., Any] = random_body
+) -> None:
     compared = events = balanced = 0
     for _ in range(runs):
-        loop, options, felt = random_case(rng)
+        loop, options, felt = random_case(rng, random)
         start = options["position"], options["speed"]
         contact = loop.contact(**options, duration=samples * PERIOD)
         longer = loop.contact(**options, duration=(samples + 1) * PERIOD)
@@ -89,13 +132,16 @@ def assert_runs_are_true(rng: np.random.Generator, runs: int, samples: int) -> N
             assert np.all(np.abs(ours - theirs)[known] <= 1e-11 * scale)
         if true.certain == samples:
             assert abs(contact.penetration - true.highest) <= 1e-11 * np.abs(true.path[0]).max()
-            # Our energy and our last state, and what scipy's friction and damping took.
-            x, v = float(longer.path.position[-1]), float(longer.path.velocity[-1])
-            moved = felt.push * (x - start[0]) - 0.5 * felt.stiffness * (x**2 - start[0] ** 2)
-            kinetic = 0.5 * felt.mass * (v**2 - start[1] ** 2)
-            balance = float(contact.energy) + moved - true.lost - kinetic
-            size = abs(float(contact.energy)) + felt.mass * start[1] ** 2 + true.lost
-            assert abs(balance) <= 1e-9 * size
+            given = abs(true.given) + felt.mass * start[1] ** 2
+            assert abs(contact.energy - true.given) <= 1e-9 * given
+            if felt.device is None:
+                # Our energy and our last state, and what scipy's friction and damping took.
+                x, v = float(longer.path.position[-1]), float(longer.path.velocity[-1])
+                moved = felt.push * (x - start[0]) - 0.5 * felt.stiffness * (x**2 - start[0] ** 2)
+                kinetic = 0.5 * felt.mass * (v**2 - start[1] ** 2)
+                balance = float(contact.energy) + moved - true.lost - kinetic
+                size = abs(float(contact.energy)) + felt.mass * start[1] ** 2 + true.lost
+                assert abs(balance) <= 1e-9 * size
             balanced += 1
     assert compared > 0.9 * runs * samples
     assert balanced > 0.8 * runs
@@ -109,6 +155,15 @@ def test_random_runs_are_those_of_scipy_with_events(rng: np.random.Generator) ->
 @pytest.mark.campaign
 def test_200_random_runs_are_those_of_scipy_with_events(rng: np.random.Generator) -> None:
     assert_runs_are_true(rng, campaign.many(200, 40), 60)
+
+
+def test_random_devices_move_as_in_scipy_with_events(rng: np.random.Generator) -> None:
+    assert_runs_are_true(rng, 8, 30, random_device)
+
+
+@pytest.mark.campaign
+def test_200_random_devices_move_as_in_scipy_with_events(rng: np.random.Generator) -> None:
+    assert_runs_are_true(rng, campaign.many(200, 40), 40, random_device)
 
 
 def test_a_free_mass_slides_until_friction_stops_it() -> None:
@@ -147,6 +202,26 @@ def test_a_push_up_to_the_static_friction_moves_nothing() -> None:
     assert np.allclose(moved.path.position, true, rtol=1e-13)
 
 
+def test_a_handle_breaks_loose_when_the_actuator_has_got_up_enough_force() -> None:
+    """Within the first sample the wall's force is constant; the actuator approaches it."""
+    mass, bandwidth, force, static, friction = 0.5, 300.0, 4.0, 2.0, 1.0
+    device = jaxstab.Device.mass_spring_damper(mass).with_actuator(bandwidth)
+    loop = HapticLoop(device=device, sample_time=PERIOD)
+    contact = loop.contact(
+        4000.0, 0.0, position=1e-3, friction=friction, static_friction=static, one_sided=False,
+        duration=0.016,
+    )  # fmt: skip
+    assert contact.path is not None
+    rate = 2.0 * pi * bandwidth
+    loose = -np.log(1.0 - static / force) / rate
+    rest, late, early = PERIOD - loose, np.exp(-rate * PERIOD), np.exp(-rate * loose)
+    assert 0.0 < loose < PERIOD
+    impulse = (force - friction) * rest - force * (early - late) / rate
+    way = 0.5 * (force - friction) * rest**2 + force * ((early - late) / rate - early * rest) / rate
+    assert contact.path.velocity[1] == pytest.approx(-impulse / mass, rel=1e-12)
+    assert contact.path.position[1] == pytest.approx(1e-3 - way / mass, rel=1e-13)
+
+
 def relay_cycle(delay: float, force: float, friction: float, mass: float) -> tuple[float, float]:
     """Amplitude and period of a mass with friction under a relay of its delayed position.
 
@@ -177,9 +252,12 @@ def test_a_relay_with_delay_and_friction_has_the_limit_cycle_of_the_formula() ->
 
 
 @pytest.mark.parametrize("one_sided", [False, True])
+@pytest.mark.parametrize("random", [random_body, random_device])
 @pytest.mark.parametrize("case", range(8))
-def test_without_friction_and_encoder_a_contact_is_simulate(case: int, one_sided: bool) -> None:
-    loop, options, felt = random_case(np.random.default_rng(case))
+def test_without_friction_and_encoder_a_contact_is_simulate(
+    case: int, random: Callable[..., Any], one_sided: bool
+) -> None:
+    loop, options, felt = random_case(np.random.default_rng(case), random)
     wall = felt.wall[0], felt.wall[1]
     start = {"initial_position": options["position"], "initial_velocity": options["speed"]}
     linear = loop.simulate(
@@ -215,6 +293,7 @@ LOOPS = {
     "hand": HapticLoop(**HELD, hand_mass=0.1, hand_stiffness=400.0, hand_damping=3.0, delay=1.4e-3),
     "fast": HapticLoop(**HELD, hand_stiffness=1e6, position=jaxstab.Filter.low_pass(150.0)),
     "damped": HapticLoop(device_mass=0.02, device_damping=50.0, sample_time=PERIOD),
+    "device": HapticLoop(device=GENERAL, sample_time=PERIOD, delay=1.4e-3),
 }
 
 
@@ -223,7 +302,7 @@ LOOPS = {
 def test_numbers_numpy_and_jax_agree(
     name: str, delays: Any, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    loop, count = LOOPS[name], 40
+    loop, count = LOOPS[name], 10 if name == "device" else 40
     options = many_conditions(rng, count)
     fixed = {"duration": 0.04, "delays": delays}
     by_numpy = jaxstab.contact_map(loop, **options, **fixed)
@@ -240,6 +319,23 @@ def test_numbers_numpy_and_jax_agree(
         ours = [float(getattr(one, name_of)) for one in single]
         assert np.allclose(ours, numpy, rtol=1e-12, atol=scale)
     assert np.array_equal(by_jax.kind, by_numpy.kind)
+
+
+@pytest.mark.parametrize(("name", "loops"), [("window", 0), ("device", 3)])
+def test_a_map_is_one_program_that_never_returns_to_the_host(name: str, loops: int) -> None:
+    """One loop over samples; of any device, in each piece one over legs and two that search."""
+    given: dict[str, Any] = {"friction": 0.1, "push": 1.0}
+    setup = _setup(LOOPS[name], np.full(64, 1000.0), 3.0, **given)
+    plant = setup.plant
+    arrays = plant._replace(ages=np.array(plant.ages), flows=np.array(plant.flows))
+
+    def summed(samples: Any, arrays: Any, controller: Any, runs: Any) -> Any:
+        own = arrays._replace(oldest=plant.oldest)
+        return kernel._summary(own, controller, runs, samples, one_sided=True, pulls=False)
+
+    text = jax.jit(summed).lower(4000, arrays, setup.controller, setup.runs).as_text()
+    assert text.count("stablehlo.while") == 1 + loops * len(plant.flows[0])
+    assert not re.search("custom_call|callback|infeed|outfeed|stablehlo.send", text)
 
 
 def test_maps_larger_than_a_tile_keep_their_order(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -336,14 +432,48 @@ def test_bad_input_is_refused_in_one_sentence(options: dict[str, Any], sentence:
         WINDOW.contact(**given)
 
 
-def test_devices_that_are_not_one_fast_mass_are_refused() -> None:
-    mode = jaxstab.Mode(frequency=80.0, damping_ratio=0.01, modal_mass=0.5)
-    device = jaxstab.Device.modes(mass=0.25, damping=0.1, modes=[mode])
-    with pytest.raises(ValueError, match="is not one mass"):
-        HapticLoop(device=device, sample_time=PERIOD).contact(1000.0, 3.0, push=1.0)
-    fast = HapticLoop(device_mass=0.01, device_damping=1000.0, sample_time=PERIOD)
-    with pytest.raises(ValueError, match="100 rad per sample"):
-        fast.contact(1000.0, 3.0, push=1.0)
+def test_a_device_that_is_one_mass_in_disguise_moves_as_that_mass(
+    rng: np.random.Generator,
+) -> None:
+    """A transfer function takes the way of any device: two routes, one answer."""
+    options = many_conditions(rng, 40) | {"duration": 0.04, "delays": (0.2e-3, 1e-3, inf, 1.7e-3)}
+    fields = {"sample_time": PERIOD, "velocity": Velocity.difference(window=0.02)}
+    device = jaxstab.Device.transfer_function([1.0], [0.25, 0.1, 200.0])
+    assert device.one_mass() is None
+    mass = HapticLoop(device_mass=0.25, device_damping=0.1, hand_stiffness=200.0, **fields)
+    ours = jaxstab.contact_map(HapticLoop(device=device, **fields), **options)
+    theirs = jaxstab.contact_map(mass, **options)
+    for name in ("amplitude", "penetration", "largest_force", "energy"):
+        one, other = getattr(ours, name), getattr(theirs, name)
+        assert np.allclose(one, other, rtol=1e-11, atol=1e-11 * np.abs(other).max())
+    assert np.array_equal(ours.kind, theirs.kind)
+
+
+@pytest.mark.parametrize(
+    ("loop", "sentence"),
+    [
+        (
+            HapticLoop(device_mass=0.01, device_damping=1000.0, sample_time=PERIOD),
+            "moves at 100 rad per sample",
+        ),
+        (
+            HapticLoop(device=jaxstab.Device.transfer_function([1.0], [1.0, 9.0]), sample_time=1.0),
+            "has no mass at its handle",
+        ),
+        (
+            HapticLoop(
+                device=jaxstab.Device.transfer_function([1.0, 0.0], [1.0, 9.0, 1.0, 1.0]),
+                sample_time=PERIOD,
+            ),
+            "zero DC gain",
+        ),
+    ],
+)
+def test_devices_that_are_too_fast_or_have_no_mass_are_refused(
+    loop: HapticLoop, sentence: str
+) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        loop.contact(1000.0, 3.0, push=1.0)
 
 
 def test_a_run_can_be_drawn_and_a_map_cannot() -> None:
@@ -442,12 +572,23 @@ def test_odd_scenes_are_refused(changes: dict[str, Any], sentence: str) -> None:
         scene_with(**changes)
 
 
-def test_contacts_of_other_devices_are_refused_and_left_out_of_check() -> None:
-    scene = scene_with(device={"actuator": {"bandwidth": 100.0}})
-    assert any("simulated for one mass only" in words for words in scene.unusual())
-    assert check_walls(scene).walls["soft"].simulated is None
-    with pytest.raises(ValueError, match="contacts are simulated for one mass"):
-        simulate_contacts(scene)
+def test_scenes_with_modes_actuators_and_grips_are_simulated() -> None:
+    mode = {"frequency": 80.0, "damping_ratio": 0.01, "modal_mass": 0.5}
+    scene = scene_with(
+        device={"actuator": {"bandwidth": 200.0}, "modes": [mode]},
+        hand={"mass": 1.0, "damping": 5.0, "stiffness": 300.0,
+              "grip": {"stiffness": 2000.0, "damping": 4.0}},
+        contact={"duration": 0.2},
+    )  # fmt: skip
+    soft = simulate_contacts(scene).walls["soft"]
+    loop = HapticLoop(
+        device=GENERAL, sample_time=PERIOD, delay=PERIOD, velocity=Velocity.difference(window=0.02)
+    )
+    runs = jaxstab.contact_map(
+        loop, 1000.0, 10.0, push=[1.0, 0.0, 1.0], speed=[0.0, 0.1, 0.1], friction=0.1,
+        phase=np.array([0.0, 0.25, 0.5, 0.75])[:, None], encoder=1e-5, duration=0.2,
+    )  # fmt: skip
+    assert np.isclose(soft.penetration, runs.penetration, rtol=1e-12, atol=0.0).any()
 
 
 def test_friction_without_a_contact_is_refused() -> None:

@@ -254,7 +254,7 @@ def test_the_command_stores_a_map_in_the_units_of_its_scene(tmp_path: Path) -> N
     assert path.stat().st_mtime_ns == before
     for more, said in (
         (("--plot", tmp_path / "a.png"), "--plot is given beside --output; give one of them"),
-        (("--sweep", "device.damping=0.1,0.2"), "a map is of one scene; give one FILE and no"),
+        ((scene,), "a map is of one scene; give one FILE"),
     ):
         refused = run(*words, *more)
         assert (refused.exit_code, refused.stdout) == (2, "")

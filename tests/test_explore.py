@@ -224,9 +224,11 @@ def assert_regions_are_right(setups: list[Any], answers: list[Any]) -> int:
         ):
             assert area == pytest.approx(component.area, rel=1e-2)
             (stiffest, _), (_, most_damped) = farthest
-            size = component.extent
-            assert abs(stiffest - component.stiffest.stiffness) < 1e-6 * size.stiffness, setup
-            assert abs(most_damped - component.most_damped.damping) < 1e-6 * size.damping, setup
+            size, exact = component.extent, component.stiffest.stiffness
+            assert (stiffest is None) == np.isnan(exact), setup
+            if stiffest is not None:
+                assert abs(stiffest - exact) < 1e-6 * size.stiffness, setup
+                assert abs(most_damped - component.most_damped.damping) < 1e-6 * size.damping
     return unresolved
 
 
@@ -322,15 +324,42 @@ def departure(first: np.ndarray, other: np.ndarray, share: float) -> int:
     return int(np.argmax(differs)) if np.any(differs) else count
 
 
+def contact_without_friction(
+    fields: dict[str, float], wall: tuple[float, float], conditions: dict[str, Any]
+) -> tuple[jaxstab.HapticLoop, dict[str, Any]]:
+    """A free kilogram and its wall, with a velocity over one sample."""
+    zeros = dict.fromkeys(("handMass", "handStiffness", "handDamping", "delay", "damping"), 0.0)
+    plain = {"window": 1, "cutoff": 0.0, "order": 1, "kind": "low-pass", "factor": 1.0}
+    setup: dict[str, Any] = {"mass": 1.0, "estimator": plain} | zeros | fields
+    still = dict.fromkeys(("push", "friction", "staticFriction", "encoder", "speed"), 0.0)
+    setup["conditions"] = still | conditions
+    setup["wall"] = dict(zip(("stiffness", "damping"), wall, strict=True))
+    return loop_of(setup), setup
+
+
 def slow_contact() -> tuple[jaxstab.HapticLoop, dict[str, Any]]:
     """A contact that still moves in the end, less and less, as no random one does."""
-    zeros = dict.fromkeys(("handMass", "handStiffness", "handDamping", "delay"), 0.0)
-    plain = {"window": 1, "cutoff": 0.0, "order": 1, "kind": "low-pass", "factor": 1.0}
-    setup = {"mass": 1.0, "damping": 1.5, "period": 1e-3, "estimator": plain} | zeros
-    conditions = {"push": 1.0, "friction": 0.0, "staticFriction": 0.0, "encoder": 0.0}
-    setup["conditions"] = conditions | {"speed": 0.0, "oneSided": False}
-    setup["wall"] = {"stiffness": 100.0, "damping": 0.0}
-    return loop_of(setup), setup
+    fields = {"damping": 1.5, "period": 1e-3}
+    return contact_without_friction(fields, (100.0, 0.0), {"push": 1.0, "oneSided": False})
+
+
+@needs_node
+def test_an_encoder_rounds_exact_ties_to_the_even_step_as_python_does() -> None:
+    """Half a step per sample, all in powers of two; the wall's first force comes after ten."""
+    period, step = 2.0**-10, 2.0**-17
+    loop, setup = contact_without_friction(
+        {"period": period, "delay": 10.0}, (4096.0, 16.0),
+        {"encoder": step, "speed": 0.5 * step / period, "oneSided": True},
+    )  # fmt: skip
+    known = contact_of(loop, setup, 0.0).path
+    assert known is not None
+    assert np.array_equal(known.position[:11], 0.5 * step * np.arange(11))
+    read = step * np.array([0, 0, 1, 2, 2, 2, 3, 4, 4, 4, 5])  # 0, 1/2, 1, 3/2 ... steps
+    speed = np.diff(read, prepend=0.0) / period
+    force = -np.maximum(4096.0 * read + 16.0 * speed, 0.0)
+    assert np.array_equal(known.force[:11], np.where(read > 0.0, force, 0.0))
+    (answer,) = asked_of_node("contacts", [setup])
+    assert np.allclose(answer["positions"][:40], known.position[:40], rtol=1e-13, atol=0.0)
 
 
 @needs_node

@@ -309,13 +309,20 @@ def test_numbers_that_are_none_and_numbers_out_of_range_leave_no_gains(
     assert subprocess.run([program], check=False).returncode == 0
 
 
-@pytest.mark.parametrize("example", ["chai3d_guard.cpp", "ros2_control_guard.cpp"])
+@pytest.mark.parametrize(
+    ("example", "name"),
+    [
+        ("chai3d_guard.cpp", "omega_guard"),
+        ("openhaptics_guard.cpp", "touch_guard"),
+        ("ros2_control_guard.cpp", "joint_guard"),
+    ],
+)
 @pytest.mark.usefixtures("little_work")
-def test_examples_compile_against_stubs(example: str, tmp_path: Path) -> None:
+def test_examples_compile_against_stubs(example: str, name: str, tmp_path: Path) -> None:
     if shutil.which("g++") is None:
         pytest.skip("there is no g++")
     guard = build_guard(LIGHT, HandRange(), **RANGES, cells=(1, 1, 4))
-    (tmp_path / "omega_guard.h").write_text(guard.header("omega_guard"))
+    (tmp_path / f"{name}.h").write_text(guard.header(name))
     words = ["g++", "-std=c++17", *STRICT, f"-I{tmp_path}", f"-I{ROOT / 'tests' / 'stubs'}"]
     source = ROOT / "docs" / "examples" / example
     subprocess.run([*words, "-c", source, "-o", tmp_path / "example.o"], check=True)

@@ -11,6 +11,7 @@ import pytest
 
 import jaxstab
 from benchmarks import truth
+from benchmarks.truth.filtered import FilteredLoop, average, difference
 from jaxstab import Filter, HapticLoop, Velocity, Verdict
 from jaxstab.model import by_name
 from jaxstab.region import Branch, RegionStatus, StableRegion, boundary_curve, stable_region
@@ -33,13 +34,89 @@ def is_stable(alpha: float, beta: float, loop: HapticLoop) -> bool:
 def test_the_largest_damping_is_not_missed_between_two_angles() -> None:
     loop = loop_of(10.157332213034863, 0.00267301090318457, 15.788241242160241)
     assert is_stable(-9.74824021756067, 4.853085545023148, loop)
-    best = loop.limits()
-    assert best.status == RegionStatus.COMPLETE
-    assert best.damping == pytest.approx(5.0573, abs=5e-5)
+    region = loop.region()
+    assert region.status == RegionStatus.COMPLETE
+    at_stiffness, damping = region.region.max_beta
+    assert damping == pytest.approx(5.0573, abs=5e-5)
     for share, stable in ((1 - 1e-6, True), (1 + 1e-6, False)):
         # Next to the corner the stable set is thin: a little to the right of alpha = -gamma.
-        walls = best.at_stiffness + np.geomspace(1e-9, 1e-3, 13)
-        assert any(is_stable(float(a), best.damping * share, loop) for a in walls) == stable
+        walls = at_stiffness + np.geomspace(1e-9, 1e-3, 13)
+        assert any(is_stable(float(a), damping * share, loop) for a in walls) == stable
+
+
+def held(rng: np.random.Generator, samples: int) -> HapticLoop:
+    """A device in a hand with stiffness and damping, and the difference over some samples."""
+    return HapticLoop(
+        device_mass=float(rng.uniform(0.05, 0.5)),
+        device_damping=0.1,
+        hand_damping=float(10 ** rng.uniform(0.0, 1.5)),
+        hand_stiffness=float(10 ** rng.uniform(1.0, 3.5)),
+        sample_time=1e-3,
+        delay=float(rng.choice([0.0, 1.0, rng.uniform(0.1, 2.9)])) * 1e-3,
+        velocity=Velocity.difference(samples),
+    )
+
+
+@pytest.mark.parametrize("samples", [1, 3, 20])
+def test_no_wall_without_negative_gains_exceeds_the_limits(samples: int) -> None:
+    """The stable set of a held device extends to negative gains; larger ones are stable there."""
+    rng, on_axes = np.random.default_rng(37), np.zeros(2, int)
+    shares = np.linspace(0.0, 1.0, 60)
+    for _ in range(12):
+        loop = held(rng, samples)
+        limits = loop.limits()
+        exact = FilteredLoop(**loop.slice, velocity=difference(samples), position=average(1))
+        balls = exact.balls(400)
+
+        def is_stable(stiffness: float, damping: float) -> bool:
+            return balls.is_stable(loop.alpha(stiffness), loop.beta(damping))  # noqa: B023
+
+        for share, stable in ((1.0 - 1e-9, True), (1.0 + 1e-9, False)):
+            assert is_stable(share * limits.stiffness, limits.at_damping) == stable
+            assert is_stable(limits.at_stiffness, share * limits.damping) == stable
+        on_axes += [limits.at_damping == 0.0, limits.at_stiffness == 0.0]
+        # Verdicts are proved: beyond a limit no wall of a grid is stable but on islands.
+        stiffer = limits.stiffness * (1.0 + 1e-6 + shares), limits.damping * shares[:, None]
+        damped = limits.stiffness * shares, limits.damping * (1.0 + 1e-6 + shares[:, None])
+        for walls in (stiffer, damped):
+            is_wall = loop.verdict(*walls) == Verdict.STABLE
+            assert not np.any(
+                is_wall & ~np.any([i.contains(*walls) for i in loop.region().islands], 0)
+            )
+    assert ((on_axes > 0) == [samples == 20, True]).all()
+
+
+def test_the_largest_damping_on_the_line_of_a_real_root_is_where_that_crosses_the_axis() -> None:
+    """Without delay a stiff hand is stable up to a root at -1: alpha + 2 beta = w(-1)."""
+    loop = loop_of(4.0, 2.0, 0.0)
+    base, damping = (
+        np.polyval(jaxstab.model.characteristic_polynomial(*wall, **loop.slice), -1.0)
+        for wall in ((0.0, 0.0), (0.0, 1.0))
+    )
+    limits = loop.limits()
+    assert limits.at_stiffness == 0.0
+    assert limits.damping == pytest.approx(base / (base - damping), rel=1e-12)
+
+
+def test_an_island_of_negative_damping_has_no_stiffest_wall_but_limits() -> None:
+    window = Velocity.difference(samples=20)
+    omega = {"device_mass": 0.25, "device_damping": 0.1, "sample_time": 1e-3, "delay": 1e-3}
+    loop = HapticLoop(**omega, velocity=window)
+    for island, limits in zip(loop.region().islands, loop.limits().islands, strict=True):
+        low, high = island.outline.min(axis=0), island.outline.max(axis=0)
+        assert high[1] < 0.0 < low[0]
+        assert np.isnan(island.stiffest).all()
+        assert np.isnan(island.most_damped).all()
+        assert (limits.stiffness, limits.damping) == pytest.approx(tuple(high), rel=1e-12)
+
+
+def test_without_walls_of_positive_gains_there_are_no_limits() -> None:
+    """Sec. VIII of the paper: with such a hand all stable walls have K <= 0."""
+    loop = loop_of(np.pi**2 / 4, 0.0, 0.0)
+    limits = loop.limits()
+    assert np.isnan(limits[:4]).all()
+    assert repr(limits).endswith("no wall with K >= 0 and B >= 0 is stable")
+    assert float(loop.region().region.max_alpha[0]) <= 1e-12
 
 
 def test_thin_intervals_of_damping_are_found() -> None:

@@ -4,6 +4,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import jax
@@ -13,7 +14,7 @@ import pytest
 from mpmath import mp, mpc, mpf
 
 from benchmarks.truth.loop import evaluate, sampled_plant
-from jaxstab import Filter, HandRange, HapticLoop, Velocity, Verdict
+from jaxstab import Filter, HandRange, HapticLoop, Velocity, Verdict, limits_of
 
 Numbers = dict[str, Any]
 
@@ -177,6 +178,81 @@ def test_the_slopes_of_limits_are_those_of_50_digits(name: str, count: int) -> N
         }
     for key, slope in truth.items():
         assert found[key] == pytest.approx(slope, rel=1e-6), key
+
+
+def test_limits_of_many_loops_have_the_slopes_of_50_digits() -> None:
+    """Whole delays and fractions of samples in one array: each p(z) has its own degree."""
+    masses, delays = np.array([0.1, 0.4, 0.25]), np.array([1e-3, 1.7e-3, 2e-3])
+
+    def limits(mass: Any, delay: Any) -> Any:
+        return limits_of(WINDOW, device_mass=mass, delay=delay).stiffness
+
+    def limit(mass: Any, delay: Any) -> Any:
+        return replace(WINDOW, device_mass=mass, delay=delay).limits().stiffness
+
+    by_batch = [np.diag(slopes) for slopes in jax.jacrev(limits, (0, 1))(masses, delays)]
+    by_vmap = jax.vmap(jax.grad(limit, (0, 1)))(masses, delays)
+    for index, (mass, delay) in enumerate(zip(masses.tolist(), delays.tolist(), strict=True)):
+        loop = replace(WINDOW, device_mass=mass, delay=delay)
+        wall = loop.limits()[:2]
+        poles = loop.poles(*wall)
+        start = [*wall, float(np.abs(np.angle(poles[np.argmin(np.abs(np.abs(poles) - 1.0))])))]
+        with mp.workdps(50):
+            numbers = numbers_of(loop)
+            stiffest = partial(extreme, loop, start=start, axis=0)
+            truth = [difference(stiffest, numbers, key) for key in ("device_mass", "delay")]
+        for slopes in (by_batch, by_vmap):
+            assert [slope[index] for slope in slopes] == pytest.approx(truth, rel=1e-6)
+
+
+@pytest.mark.campaign
+def test_limits_of_loops_in_a_list_move_by_all_that_they_are_made_of() -> None:
+    """Low passes and a window beside each other; derivatives are loops as well."""
+    loops = [SMOOTH, WINDOW, replace(SMOOTH, device_mass=0.4)]
+    answers = limits_of(loops)
+    found = jax.grad(lambda many: limits_of(many).damping.sum())(loops)
+    assert jax.grad(lambda many: limits_of(many).stiffness[1])(loops)[0].device_mass == 0.0
+    for loop, slopes, damping in zip(loops, found, answers.damping, strict=True):
+        alone = jax.grad(lambda one: one.limits().damping)(loop)
+        assert gradient(slopes) == pytest.approx(gradient(alone), rel=1e-9)
+        step = 1e-5 * loop.device_damping
+        ahead = replace(loop, device_damping=loop.device_damping + step).limits().damping
+        assert gradient(slopes)["device_damping"] == pytest.approx(
+            (ahead - damping) / step, rel=1e-3
+        )
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("count", [1, 64])
+def test_limits_on_an_axis_move_as_its_crossing_does(count: int) -> None:
+    """A held device has its largest K at B = 0 and its largest B at K = 0."""
+    loop = replace(WINDOW, device_mass=0.1, hand_damping=9.0, hand_stiffness=200.0)
+    limits = loop.limits()
+    assert limits.at_damping == limits.at_stiffness == 0.0
+    slopes = jax.jacrev(lambda one: jnp.stack(one.limits()[:4]))
+    masses = np.linspace(0.1, 0.12, count).tolist()
+    found = jax.vmap(slopes)(stacked([replace(loop, device_mass=mass) for mass in masses]))
+    for axis, gain in enumerate((limits.stiffness, limits.damping)):
+        poles = loop.poles(*np.where(np.arange(2) == axis, gain, 0.0).tolist())
+        angle = float(np.abs(np.angle(poles[np.argmin(np.abs(np.abs(poles) - 1.0))])))
+
+        def crossing(numbers: Numbers, axis: int = axis, start: Any = (gain, angle)) -> mpf:
+            base, *columns = parts(loop, numbers)
+
+            def on_circle(size: mpf, turn: mpf) -> list[mpf]:
+                z = mpc(mp.cos(turn), mp.sin(turn))
+                value = evaluate(base, z) + size * evaluate(columns[axis], z)
+                return [value.real, value.imag]
+
+            return mp.findroot(on_circle, start, tol=mpf(10) ** -60)[0]
+
+        with mp.workdps(50):
+            numbers = numbers_of(loop)
+            assert float(crossing(numbers)) == pytest.approx(gain, rel=1e-10)
+            for key in numbers:
+                own = getattr(found, key)[0]
+                assert own[2 * axis] == pytest.approx(difference(crossing, numbers, key), rel=1e-6)
+                assert own[2 * axis + 1] == 0.0
 
 
 @pytest.mark.campaign

@@ -147,9 +147,23 @@ def test_a_file_is_written_behind_its_link_and_keeps_its_mode(tmp_path: Path) ->
     assert [entry.name for entry in target.parent.iterdir()] == ["file"]
 
 
-def test_an_empty_address_is_no_address() -> None:
-    answer = run("atlas", "build", "--scheduler", "")
-    assert (answer.exit_code, "--scheduler is empty" in answer.stderr) == (2, True)
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (["--scheduler", ""], "--scheduler is empty; give an address such as tcp://10.0.0.1:8786"),
+        (["--scheduler", "tcp://a:1", "--workers", "2"], "--workers and --scheduler are given; gi"),
+        (["--scheduler-file", "none.json"], "none.json"),
+        (["--scheduler-file", "a.json"], "a.json is no scheduler file; give what dask scheduler"),
+    ],
+)
+def test_where_tiles_are_computed_is_checked_first(
+    given: list[str], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("a.json").write_text('{"id": 1}', encoding="utf-8")
+    answer = run("atlas", "build", *given)
+    assert (answer.exit_code, words in answer.stderr) == (2, True), answer.stderr
+    assert_one_sentence(answer.stderr)
 
 
 def test_what_takes_long_is_shown_on_a_terminal(tmp_path: Path) -> None:

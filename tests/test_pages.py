@@ -3,18 +3,26 @@
 import os
 import re
 import shlex
+import subprocess
+import sys
+import tomllib
 from collections.abc import Iterator
+from operator import attrgetter
 from pathlib import Path
 
 import pytest
 from commands import run, run_code
 from transforms import rows
 
+import jaxstab
+from benchmarks import record, table
 from benchmarks.calls import PUBLIC
+from jaxstab.scene import Scene
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
+PRINTED = "<!-- printed by the lines above -->"  # before a table
 
 
 def blocks(page: Path, language: str) -> list[str]:
@@ -36,12 +44,32 @@ def test_the_lines_of_python_run_one_after_the_other(page: Path) -> None:
     assert completed.returncode == 0, completed.stderr
     for promised in re.findall(r"^print\(.*\)  # (.*)$", code, re.MULTILINE):
         assert promised in completed.stdout, completed.stdout
+    for lines in re.findall(rf"{PRINTED}\n.*\n.*\n((?:\|.*\n)+)", page.read_text("utf-8")):
+        assert set(lines.splitlines()) <= set(completed.stdout.splitlines())
+
+
+def scenes(page: Path) -> Iterator[str]:
+    """The scenes of a page that have a device and a controller."""
+    yield from (text for text in blocks(page, "toml") if "[controller]" in text)
+
+
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if any(scenes(page))], ids=lambda page: page.name
+)
+def test_the_scenes_are_read_and_nothing_about_them_is_unusual(page: Path) -> None:
+    for text in scenes(page):
+        assert Scene.from_table(tomllib.loads(text)).unusual() == []
 
 
 @pytest.mark.campaign
 @pytest.mark.parametrize("page", list(pages_with("sh")))
-def test_the_commands_run(page: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(ROOT)
+def test_the_commands_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside data/, and the scenes of the page whose first line is a file's name."""
+    (tmp_path / "data").symlink_to(ROOT / "data")
+    for text in scenes(page):
+        for name in re.findall(r"\A# (\w+\.toml)\n", text):
+            (tmp_path / name).write_text(text, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
     for line in "".join(blocks(page, "sh")).splitlines():
         program, *arguments = shlex.split(line, comments=True)
         if program == "jaxstab":
@@ -56,6 +84,13 @@ def test_every_public_name_is_on_a_page_of_the_api() -> None:
     assert sorted(listed) == sorted(set(PUBLIC) - {"paper", "results"} | {"conventions"})
 
 
+def test_every_method_of_a_loop_is_on_its_page() -> None:
+    (listed,) = re.findall(r"members: \[(.+)\]", (DOCS / "api" / "loop.md").read_text("utf-8"))
+    loop = jaxstab.HapticLoop
+    methods = {name for name in dir(loop) if name[0] != "_" and callable(getattr(loop, name))}
+    assert methods - set(listed.split(", ")) == {"in_floats", "tree_flatten", "tree_unflatten"}
+
+
 @pytest.mark.campaign
 def test_the_table_of_transformations_is_what_jax_does() -> None:
     text = (DOCS / "transforms.md").read_text(encoding="utf-8")
@@ -68,13 +103,61 @@ def test_the_table_of_transformations_is_what_jax_does() -> None:
     assert shown == rows()
 
 
-def test_links_between_pages_lead_somewhere() -> None:
-    for page in PAGES:
-        for target in re.findall(r"\]\(([^)#]+\.[^)#]+)[^)]*\)", page.read_text(encoding="utf-8")):
-            assert target.startswith("http") or (page.parent / target).exists(), (page, target)
+def anchors(page: Path) -> set[str]:
+    """What a page's headings, and its names and their members, are called in links."""
+    text = re.sub(r"(?ms)^```.*?^```", "", page.read_text(encoding="utf-8"))
+    headings = re.findall(r"^#+ (.+)$", text, re.MULTILINE)
+    slugs = [re.sub(r"[^\w\s-]", "", heading).strip().lower() for heading in headings]
+    names = re.findall(r"^::: jaxstab\.(.+)$", text, re.MULTILINE)
+    members = [f"{name}.{member}" for name in names for member in dir(attrgetter(name)(jaxstab))]
+    headed = {re.sub(r"[-\s]+", "-", slug) for slug in slugs}
+    return headed | {f"jaxstab.{name}" for name in [*names, *members]}
+
+
+@pytest.mark.parametrize("page", [*PAGES, *sorted(ROOT.glob("*.md"))], ids=lambda page: page.name)
+def test_links_lead_to_a_file_and_a_heading(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)\s]*[.#][^)\s]*)\)", page.read_text(encoding="utf-8")):
+        if not re.match(r"https?://", target):
+            file, _, anchor = target.partition("#")
+            file = page.parent / file if file else page
+            assert file.exists(), target
+            assert not anchor or anchor in anchors(file), target
+
+
+def test_the_paper_cites_what_its_bibliography_has() -> None:
+    cited = set(re.findall(r"@(\w+)", (DOCS / "paper.md").read_text(encoding="utf-8")))
+    has = re.findall(r"^@\w+{(\w+),", (DOCS / "paper.bib").read_text("utf-8"), re.MULTILINE)
+    assert cited == set(has)
+    assert len(has) == len(cited)
+
+
+def test_the_spelling_is_right() -> None:
+    pytest.importorskip("codespell_lib")
+    words = [sys.executable, "-m", "codespell_lib", "docs", "jaxstab", *sorted(ROOT.glob("*.md"))]
+    spelled = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert spelled.returncode == 0, spelled.stdout + spelled.stderr
+
+
+def test_the_tables_of_accuracy_are_those_of_the_records() -> None:
+    records, page = record.read_all(record.RESULTS), (DOCS / "accuracy.md").read_text("utf-8")
+    assert table.summary(records) in page
+    assert table.markdown(records) in page
 
 
 def test_included_files_are_there() -> None:
     for page in PAGES:
         for file in re.findall(r'^--8<-- "(.+)"$', page.read_text(encoding="utf-8"), re.MULTILINE):
             assert os.path.exists(ROOT / file), (page, file)
+
+
+@pytest.mark.campaign
+def test_the_first_page_of_the_site_has_the_explorer(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("mkdocs")
+    from mkdocs.config import load_config
+    from mkdocs.structure.files import Files
+
+    monkeypatch.chdir(ROOT)
+    config = load_config(str(ROOT / ".mkdocs.yml"))
+    (page,) = config.plugins.on_files(Files([]), config=config)  # the hook among them
+    assert f'src="{page.src_uri}"' in (DOCS / "index.md").read_text(encoding="utf-8")
+    assert '"mass": 0.25' in page.content_string

@@ -253,7 +253,7 @@ def test_issue_31_31_numbers_of_5000_digits_are_refused_in_words(tmp_path: Path)
     file.write_text(scene_text().replace("0.25", digits))
     for done in (
         run("limits", file),
-        run("limits", *LOOP, "--sweep", f"device.mass=0.1:0.2:{digits}"),
+        run("study", *LOOP, "--over", f"device.mass=0.1:0.2:{digits}"),
         run("limits", *LOOP, "--wall", "a", digits, "1"),
         run("guard", *LOOP, "-o", tmp_path / "g.h", "--cells", f"1,1,{digits}"),
     ):

@@ -118,13 +118,15 @@ def test_bad_ranges_of_delays_are_refused(controller: dict[str, Any], words: str
     [
         ["tune"],
         ["design", "--stiffness", "1000"],
-        ["check", *ISSUE, "--plot", "picture.png", "--sweep", "device.mass=0.1,0.2"],
+        ["check", "a.toml", "b.toml", *ISSUE, "--plot", "picture.png"],
     ],
 )
 def test_commands_for_one_delay_refuse_a_range(
     arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    for file in ("a.toml", "b.toml"):
+        Path(file).write_text("[device]\ndamping = 0.05\n", encoding="utf-8")
     for options in ([], ["--constant-delay"], ["--lost-samples", "2"]):
         refused = run(*arguments, *MOVING, *options)
         assert refused.exit_code == 2
@@ -253,7 +255,7 @@ def test_the_line_of_the_estimator_says_what_is_proved(command: str) -> None:
         first, second, *_ = run(command, *MOVING, *wall, *options).stdout.splitlines()
         assert first.startswith("velocity ")
         assert first.endswith(words)
-        assert re.fullmatch(r"delay +0 to 1 ms; in samples 0 to 1", second)
+        assert re.fullmatch(r"delay +0 to 1 ms \(0 to 1 samples\)", second)
 
 
 def test_an_unstable_wall_names_delays_that_make_it_grow() -> None:
@@ -335,7 +337,7 @@ def test_measures_are_those_of_the_worst_constant_delay() -> None:
     assert wall["measures_are"] == (
         "of constant delays, no sample lost: the worst of the shortest and the longest one"
     )
-    assert wall["margins_are"] == "the least of 2 constant delays"
+    assert wall["margins_are"] == "smallest over 2 constant delays"
     radii = [true_radius(5000.0, 20.0, delay) for delay in (0.0, 1.0)]
     assert wall["spectral_radius"] == pytest.approx(max(radii), abs=1e-12)
 
@@ -423,10 +425,10 @@ def test_measures_with_hands_are_the_worst_of_hands_and_delays() -> None:
 
 def test_ranges_of_delays_are_rows_of_a_table(tmp_path: Path) -> None:
     file = tmp_path / "rows.csv"
-    result = run("check", *MOVING, *ISSUE, "--sweep", "device.mass=0.1,0.2", "--csv", file)
+    result = run("check", *MOVING, *ISSUE, "--csv", file)
     assert result.exit_code == 1
     rows = list(csv.DictReader(io.StringIO(file.read_text(encoding="utf-8"))))
-    assert [row["inputs.delay_high"] for row in rows] == ["0.001", "0.001"]
+    assert [row["inputs.delay_high"] for row in rows] == ["0.001"]
     assert rows[0]["walls.issue.verdict"] == "unstable"
     assert rows[0]["refusal"] == ""
 
@@ -462,7 +464,7 @@ def test_a_constant_range_gives_an_atlas_its_corners() -> None:
 def test_a_model_with_a_moving_delay_is_explained(tmp_path: Path) -> None:
     file = written(tmp_path, "delay_samples = [0.0, 1.0]")
     text = run("scene", "explain", file).stdout
-    assert re.search(r"(?m)^delay +0 to 1 ms; in samples 0 to 1; moves between 0 and 1 ms", text)
+    assert re.search(r"(?m)^delay +0 to 1 ms \(0 to 1 samples\); moves between 0 and 1 ms", text)
     assert "a mass, hand or gain that changes while the wall is touched" in text
 
 

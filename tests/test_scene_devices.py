@@ -4,6 +4,7 @@ Nothing in the simulation knows transfer functions: masses, dampers and springs 
 displacements of the rigid body, the modes and the arm, and a loop's step is scipy's exponential.
 """
 
+import csv
 import json
 import math
 import re
@@ -408,16 +409,16 @@ def test_an_encoder_is_bounded_and_the_best_walls_are_found_for_modes_too(file: 
     assert best["chatter_at_most"] == loop.amplitude(*wall, encoder=1e-5).position
 
 
-def test_a_number_of_a_mode_may_be_swept(file: Path) -> None:
-    sweep = "device.modes.0.frequency=60:100:3"
-    text = run("limits", file, "--sweep", sweep, "--json").stdout
-    stiffest = [one["answer"]["best"]["largest_stiffness"] for one in json.loads(text)]
+def test_a_number_of_a_mode_varies_in_a_study(file: Path) -> None:
+    given = ["study", file, "--answer", "limits", "--csv", "-"]
+    text = run(*given, "--over", "device.modes.0.frequency=60:100:3").stdout
+    stiffest = [float(row["largest_stiffness"]) for row in csv.DictReader(text.splitlines())]
     single = json.loads(run("limits", file, "--json").stdout)["best"]["largest_stiffness"]
-    assert stiffest[1] == single
+    assert stiffest[1] == pytest.approx(single, rel=1e-9)
     assert len(set(stiffest)) == 3
-    refused = run("limits", file, "--sweep", "device.modes.3.frequency=60:100:2")
+    refused = run(*given, "--over", "device.modes.3.frequency=60:100:2")
     assert refused.exit_code == 2
-    assert "3 is not an entry of a list of 1 to sweep" in refused.stderr
+    assert "device.modes.3.frequency is not in the scene; that list has 1 entries" in refused.stderr
 
 
 @pytest.mark.campaign

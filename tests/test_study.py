@@ -1,10 +1,12 @@
 """Studies: each answer that of its own loop, draws that repeat, shares, parts, resuming, words."""
 
+import csv
 import json
 import signal
 import subprocess
 import sys
 import time
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -194,6 +196,28 @@ def test_a_normal_distribution_is_cut_at_what_the_scene_allows_and_says_so(tmp_p
     assert "% of the draws were below 0 and drawn again" in result.stderr
 
 
+def test_ranges_of_a_scene_are_drawn_uniformly_and_it_says_so(tmp_path: Path) -> None:
+    table = {
+        **TABLE,
+        "device": {"mass": [0.1, 0.3], "damping": 0.1},
+        "hand": {"mass": [0.2, 0.2], "stiffness": [100.0, 500.0], "damping": 3.0},
+    }
+    over = {"controller.delay": [0.0, 1e-3]}
+    given = {"answers": ["verdict"], "samples": 9}
+    study = jaxstab.study(table, over, store=tmp_path / "a.h5", **given)
+    assert study.open().attrs["notes"] == (
+        "device.mass: drawn uniformly from the range of the scene, 0.1 to 0.3.\n"
+        "hand.stiffness: drawn uniformly from the range of the scene, 100 to 500."
+    )
+    assert set(study.dimensions) == {"controller_delay", "sample", "wall"}
+    ranges = {"device.mass": Uniform(0.1, 0.3), "hand.stiffness": Uniform(100.0, 500.0)}
+    same = jaxstab.study({**table, "hand": {**table["hand"], "mass": 0.2}}, over | ranges, **given)
+    for name in ("device_mass", "hand_stiffness", "verdict"):
+        np.testing.assert_array_equal(same.values(name), study.values(name))
+    with pytest.raises(ValueError, match=r"hand\.stiffness is \[5.0, 1.0\]; its ends are swapped"):
+        jaxstab.study({**table, "hand": {"stiffness": [5.0, 1.0]}}, over, **given)
+
+
 def test_columns_of_one_file_are_drawn_row_by_row(tmp_path: Path) -> None:
     file = tmp_path / "hands.csv"
     file.write_text("name,k,b\na,100,1\nb,200,2\nc,400,4\n", encoding="utf-8")
@@ -206,6 +230,37 @@ def test_columns_of_one_file_are_drawn_row_by_row(tmp_path: Path) -> None:
         study.values("hand_stiffness"), 100.0 * study.values("hand_damping")
     )
     assert set(study.values("hand_damping")) == {1.0, 2.0, 4.0}
+
+
+def test_a_row_that_is_drawn_again_is_computed_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    over = {
+        "device.mass": [0.1, 0.3],
+        "hand.stiffness": Measured((100.0, 200.0, 400.0), "hands"),
+        "hand.damping": Measured((1.0, 5.0, 2.0), "hands"),
+    }
+    real, counts = studies.limits_of, list[int]()
+
+    def counted(loops: Any) -> Any:
+        counts.append(len(loops))
+        return real(loops)
+
+    monkeypatch.setattr(studies, "limits_of", counted)
+    study = jaxstab.study(TABLE, over, samples=90).open()
+    assert counts == [6]
+    for draw in (0, 7, 89):
+        row = study.isel(device_mass=1, sample=draw)
+        hand = {"mass": 0.1, "stiffness": row.hand_stiffness.item()}
+        own = loop_with(
+            {**TABLE, "hand": hand},
+            {"device.mass": 0.3, "hand.damping": row.hand_damping.item()},
+        )
+        np.testing.assert_allclose(row.largest_stiffness, own.limits().stiffness, rtol=1e-9)
+        gains = row.wall_stiffness.values, row.wall_damping.values
+        np.testing.assert_array_equal(row.verdict, own.verdict(*gains))
+    plan = studies.plan_of(studies.study_dataset(TABLE, over, tmp_path / "a.h5", samples=90))
+    assert "180 loops (of 3 different draws, each computed once in a block)" in plan
 
 
 @pytest.mark.parametrize(
@@ -340,7 +395,9 @@ def test_parts_that_do_not_go_together_are_refused(tmp_path: Path, small_blocks:
     small(two, part=(2, 3))
     small(other, part=(3, 3), seed=5)
     small(whole)
+    (tmp_path / "text.h5").write_text("no part")
     for parts, words in (
+        ([one, tmp_path / "text.h5"], r"text\.h5 is no HDF5 file, or it is damaged"),
         ([one, two], "part 3 of 3 is missing"),
         ([one, two, one], r"one\.h5 and .*one\.h5 are the same part"),
         ([one, two, other], r"other\.h5 and .*one\.h5 are parts of different studies"),
@@ -350,6 +407,8 @@ def test_parts_that_do_not_go_together_are_refused(tmp_path: Path, small_blocks:
         with pytest.raises(ValueError, match=words):
             jaxstab.merge_studies(parts, tmp_path / "made.h5")
         assert not (tmp_path / "made.h5").exists()
+    with pytest.raises(FileNotFoundError, match=r"cannot read .*none\.h5: No such file"):
+        jaxstab.merge_studies([one, tmp_path / "none.h5"], tmp_path / "made.h5")
     with pytest.raises(FileExistsError, match=r"whole\.h5 exists; remove it"):
         jaxstab.merge_studies([one, two], whole)
 
@@ -428,28 +487,31 @@ def test_processes_and_dask_workers_make_the_same_file(tmp_path: Path) -> None:
 def test_a_study_that_is_killed_again_and_again_equals_an_uninterrupted_one(
     tmp_path: Path,
 ) -> None:
-    scene = tmp_path / "desk.toml"
+    scene, samples = tmp_path / "desk.toml", many(330_000, 66_000)
     scene.write_text("[device]\nmass = 0.1\ndamping = 1.5\n[controller]\nsample_time = 0.001\n")
-    command = ["study", str(scene), "--over", "hand.stiffness=lognormal:300:1.5", "--answer",
-               "margins", "--wall", "a", "9000", "20", "--samples", "40000"]  # fmt: skip
+    varied = ["--over", "hand.stiffness=lognormal:300:1.5", "--samples", str(samples)]
+    wall = ["--answer", "spectral_radius", "--wall", "a", "9000", "20"]
+    command = ["study", str(scene), *varied, *wall]
     start = [sys.executable, "-c", START, *command, "-o"]
-    subprocess.run([*start, str(tmp_path / "whole.h5")], check=True, capture_output=True)
-    kills = 0
-    while True:
+    rng = np.random.default_rng(50)
+
+    def done() -> int:
+        return len([*tmp_path.glob(".a.h5.*.tiles/*.tile")])
+
+    for number in range(many(50, 4)):
+        before, most = done(), rng.uniform(0.0, 1.5)  # s: every second one at any time
         process = subprocess.Popen(
             [*start, str(tmp_path / "a.h5")], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
-        folders = [*tmp_path.glob(".a.h5.*.tiles")]
-        before = len([*folders[0].glob("*.tile")]) if folders else 0
-        while process.poll() is None:
-            time.sleep(0.05)
-            folders = [*tmp_path.glob(".a.h5.*.tiles")]
-            if folders and len([*folders[0].glob("*.tile")]) > before:
-                process.send_signal(signal.SIGKILL)
-                kills += 1
-        if process.returncode == 0:
-            break
-    assert kills >= 3
+        began = time.monotonic()
+        while done() <= before and (number % 2 == 0 or time.monotonic() < began + most):
+            assert process.poll() is None
+            time.sleep(0.02)
+        process.kill()
+        assert process.wait() == -signal.SIGKILL
+        assert not (tmp_path / "a.h5").exists()
+    for name in ("a.h5", "whole.h5"):
+        subprocess.run([*start, str(tmp_path / name)], check=True, capture_output=True)
     assert (tmp_path / "a.h5").read_bytes() == (tmp_path / "whole.h5").read_bytes()
 
 
@@ -466,7 +528,11 @@ def test_a_study_that_is_killed_again_and_again_equals_an_uninterrupted_one(
         ({"device.mass": [0.1, "a"]}, {}, "give numbers, or texts, not both"),
         ({"device.mass": (0.1, 0.2, 1)}, {}, "with a count >= 2"),
         ({}, {}, "over is empty"),
-        ({"walls.soft.damping": [1.0]}, {}, "walls.soft.damping cannot vary in a study"),
+        (
+            {"walls.soft.damping": [1.0]},
+            {},
+            "walls.soft.damping cannot vary in a study; give a wall",
+        ),
         ({"hand.stiffness": Uniform(-5.0, 9.0)}, {}, "hand.stiffness has draws below 0"),
         ({"hand.stiffness": Normal(-5.0, 1.0)}, {}, "hand.stiffness has draws below 0"),
         ({"device.mass": [0.1]}, {"answers": ["limit"]}, "answers has 'limit'; did you mean 'lim"),
@@ -483,13 +549,6 @@ def test_what_makes_no_sense_is_refused_in_a_sentence(
 ) -> None:
     with pytest.raises(ValueError, match=words):
         jaxstab.study(TABLE, over, **options)
-
-
-def test_a_scene_of_ranges_says_how_to_let_them_vary() -> None:
-    table = {**TABLE, "hand": {"stiffness": [100.0, 500.0]}}
-    with pytest.raises(ValueError, match=r"is a range; a study is of single values: let it vary"):
-        jaxstab.study(table, {"device.mass": [0.1]})
-    jaxstab.study(table, {"hand.stiffness": Uniform(100.0, 500.0)}, answers=["verdict"], samples=9)
 
 
 @pytest.mark.parametrize(
@@ -557,6 +616,52 @@ def test_the_command_says_the_plan_the_quantiles_and_the_shares(desk: Path) -> N
     assert run(*given).stdout == result.stdout
 
 
+def test_a_grid_is_printed_and_written_as_csv(desk: Path) -> None:
+    given = ["study", desk, "--over", "device.mass=0.1:0.3:3", "--over", "controller.delay=0,0.001"]
+    table = run(*given).stdout.splitlines()
+    assert table[0].startswith("device mass (kg)  controller delay (s)  wall  verdict")
+    assert [line.split()[:4] for line in table[3:5]] == [
+        ["0.2", "0", "soft", "stable"],
+        ["0.2", "0.001", "soft", "stable"],
+    ]
+    assert table[7:] == ["soft: stable for 6 of 6 loops, 0 undecided"]
+    rows = list(csv.DictReader(run(*given, "--csv", "-").stdout.splitlines()))
+    assert [row["device_mass"] for row in rows] == ["0.1", "0.1", "0.2", "0.2", "0.3", "0.3"]
+    values = {"device.mass": 0.2, "controller.delay": 1e-3}
+    own = loop_with(tomllib.loads(desk.read_text()), values).limits()
+    assert float(rows[3]["largest_stiffness"]) == pytest.approx(own.stiffness, rel=1e-9)
+    file = desk.with_name("a.csv")
+    assert run(*given, "--csv", file).stdout.splitlines() == table
+    assert list(csv.DictReader(file.read_text().splitlines())) == rows
+
+
+def test_what_does_not_exist_is_an_empty_cell_of_csv(desk: Path) -> None:
+    given = ["--answer", "margins", "--answer", "settling_time", "--wall", "hard", "90000", "10"]
+    text = run("study", desk, "--over", "device.mass=0.2,0.3", *given, "--csv", "-").stdout
+    row = list(csv.DictReader(text.splitlines()))[1]
+    assert (row["wall"], row["settling_status"]) == ("hard", "unstable")
+    assert row["stiffness_gain"] == row["settling_time"] == ""
+
+
+def test_csv_of_more_rows_than_a_spreadsheet_has_is_refused(desk: Path) -> None:
+    given = ["--over", "device.mass=0.1:0.3:1001", "--over", "controller.delay=0:0.001:1100"]
+    result = run("study", desk, *given, "--csv", "-")
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert "the CSV file would have 1,101,100 rows; give --output" in result.stderr
+
+
+def test_a_part_needs_a_file(desk: Path) -> None:
+    result = run("study", desk, "--over", "device.mass=0.1,0.2", "--part", "1/2")
+    assert result.exit_code == 2
+    assert "--merge and --part are given without --output; give the file" in result.stderr
+
+
+def test_likely_slips_of_units_are_warned_of(desk: Path) -> None:
+    result = run("study", desk, "--over", "device.mass=100,250", "--answer", "limits")
+    assert result.exit_code == 0
+    assert "jaxstab: warning: device.mass is 250 kg" in result.stderr
+
+
 def test_the_command_computes_parts_and_merges_them(desk: Path) -> None:
     parts = [desk.with_name(f"{k}.h5") for k in (1, 2)]
     given = ["study", desk, "--over", "device.mass=0.1,0.2", "--over", "hand.damping=1:3:3"]
@@ -571,11 +676,21 @@ def test_the_command_computes_parts_and_merges_them(desk: Path) -> None:
     ("arguments", "words"),
     [
         (["--over", "hand.stiffness=normal:1"], "'normal:1' is no distribution"),
-        (["--over", "device.mass"], "give KEY=LOW:HIGH:COUNT"),
+        (["--over", "device.mass"], "'device.mass' is not KEY=VALUES, such as device.mass=0.1"),
+        (["--over", "=1:2:3"], "'=1:2:3' is not KEY=VALUES"),
+        (["--over", "device.mass=1:2"], "device.mass is '1:2'; give LOW:HIGH:COUNT"),
+        (["--over", "device.mass=1:2:0.5"], "device.mass is '1:2:0.5'; give LOW:HIGH:COUNT"),
+        (["--over", "device.mass=1:2:1"], "with a COUNT from 2 to 100000"),
         (["--over", "device.mass=1,2", "--over", "device.mass=1,2"], "device.mass is given twice"),
         (["--over", "device.mass=1,2", "--part", "3/2"], "'3/2' is no part; give NUMBER/COUNT"),
         (["--over", "device.mass=1,2", "--merge"], "--merge is given beside --over"),
         (["--over", "hand.stiffness=csv:none.csv:k"], "none.csv"),
+        (["--over", "hand.stiffness=nomal:1:2"], "'nomal:1:2' is no distribution; give normal:"),
+        (["--over", "device.mass=0.1kg,0.2kg"], "device.mass is '0.1kg'; give a finite number > 0"),
+        (["--over", "device.mass.x=1,2"], "device.mass.x is not in the scene, which has 0.25"),
+        (["--over", "controller.velocity.window_samples=1:20:4"], "is 7.333"),
+        (["--over", "device.mass=1,2", "--merge", "--csv", "a.csv"], "--merge is given beside"),
+        (["--over", "device.mass=1,2", "desk.toml"], "a study is of one scene; give one FILE"),
         ([], "over is empty"),
     ],
 )

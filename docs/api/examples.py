@@ -20,6 +20,14 @@ _ERRORS = re.findall(r"(\w+Error) for ([^;]+?)(?:;|\.$)", " ".join(_DOC.split("r
 class Examples(griffe.Extension):
     """Rename the sections ``Example:``, and write out the arguments and errors that are shared."""
 
+    def on_package(self, *, pkg: griffe.Module, **_: Any) -> None:
+        """Take a function for its name, not the module of the same name (``margins``)."""
+        for package in pkg.modules.values():
+            for name, module in package.modules.items():
+                listed = pkg.members.get(name)
+                if listed is not None and listed.is_alias and listed.target_path == module.path:
+                    pkg.members[name] = griffe.Alias(name, module.members[name], parent=pkg)
+
     def on_object(self, *, obj: griffe.Object, **_: Any) -> None:
         """Change one docstring."""
         if obj.docstring is None:

@@ -3,12 +3,12 @@
 // sequence of delays, but not for gains or a mass that change while the spring acts; so the guard is
 // called once, at activation, and new gains take effect at the next one. Made beforehand:
 //
-//     jaxstab guard wheel.toml -o omega_guard.h
+//     jaxstab guard joint.toml -o joint_guard.h
 //
 // Interfaces: position and velocity in, effort out.
 #include <controller_interface/controller_interface.hpp>
 
-#include "omega_guard.h"
+#include "joint_guard.h"
 
 namespace guarded {
 
@@ -31,7 +31,7 @@ public:
         stiffness_ = wanted_stiffness_;
         damping_ = wanted_damping_;
         const bool is_refused
-            = omega_guard_clamp(&stiffness_, &damping_, mass_) == OMEGA_GUARD_REFUSED;
+            = joint_guard_clamp(&stiffness_, &damping_, inertia_) == JOINT_GUARD_REFUSED;
         return is_refused ? controller_interface::CallbackReturn::FAILURE
                           : controller_interface::CallbackReturn::SUCCESS;
     }
@@ -49,8 +49,8 @@ public:
     }
 
 private:
-    double wanted_stiffness_ = 500.0, wanted_damping_ = 5.0, rest_ = 0.0;
-    double mass_ = 0.25;  // kg: what the joint moves
+    double wanted_stiffness_ = 100.0, wanted_damping_ = 2.0, rest_ = 0.0;
+    double inertia_ = 0.04;  // kg m^2 at the joint, in this posture
     double stiffness_ = 0.0, damping_ = 0.0;  // granted, from activation on
 };
 

@@ -4,7 +4,7 @@ import re
 import shlex
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -12,6 +12,7 @@ import jaxstab
 from jaxstab.cli.options import (
     at_work,
     executor_of,
+    executor_options,
     file_in,
     keep_programs,
     output_file,
@@ -37,9 +38,8 @@ _MOST_ASKED = 128  # nodes along alpha and beta
     default=Path("atlas.h5"),
     show_default=True,
 )
-@click.option("--workers", type=click.IntRange(1), help="Number of processes on this machine.")
-@click.option("--scheduler", help="Compute on the dask cluster whose scheduler has this address.")
-def build(spec: Path | None, output: Path, workers: int | None, scheduler: str | None) -> None:
+@executor_options
+def build(spec: Path | None, output: Path, **where: Any) -> None:
     """Compute an atlas and write it as one HDF5 file.
 
     An interrupted build continues where it stopped when the command is repeated.
@@ -50,7 +50,7 @@ def build(spec: Path | None, output: Path, workers: int | None, scheduler: str |
 
     keep_programs()
     chosen = AtlasSpec.from_file(spec) if spec else AtlasSpec()
-    with resumable(output) as show, executor_of(workers, scheduler) as executor:
+    with resumable(output) as show, executor_of(where) as executor:
         write_atlas(chosen, output, show, executor)
     if node_count(output) <= _MOST_DESCRIBED:
         click.echo(_described(jaxstab.open_atlas(output), output))

@@ -1,8 +1,11 @@
 """What commands share: values of options, checked before anything is computed, and the cache."""
 
+import csv
+import io
+import json
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Executor
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
@@ -12,6 +15,9 @@ import click
 
 import jaxstab
 from jaxstab.durable import publish, target_of
+from jaxstab.tables import text_of
+
+_MOST_OF_A_SCHEDULER = 1_000_000  # bytes of its file
 
 
 def number_or_range(_: click.Context, option: click.Parameter, text: str | None) -> Any:
@@ -62,6 +68,23 @@ def write_beside(data: bytes, path: Path) -> None:
     click.echo(f"jaxstab: wrote {path}", err=True)
 
 
+def print_with_csv(words: Any, rows: Iterable[Iterable[Any]], file: Path | None) -> None:
+    """Print an answer, and write its rows into a CSV file; for "-" print these alone."""
+    if file:
+        stream = io.StringIO()
+        csv.writer(stream, lineterminator="\n").writerows(map(_no_formula, row) for row in rows)
+        if str(file) == "-":
+            words = stream.getvalue().rstrip("\n")
+        else:
+            write_beside(stream.getvalue().encode(), file)
+    click.echo(words)
+
+
+def _no_formula(value: Any) -> Any:
+    """Return a cell with a quote before what a spreadsheet would compute."""
+    return f"'{value}" if isinstance(value, str) and value[:1] in tuple("=+-@\t\r") else value
+
+
 def draw(figure: Any, path: Path) -> None:
     """Write a figure of matplotlib beside an answer, in the format that its name ends in."""
     from jaxstab.pictures.style import picture
@@ -87,32 +110,63 @@ def at_work(words: str) -> Iterator[None]:
         yield
 
 
+def executor_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add where tiles are computed, for ``executor_of``."""
+    for option in (
+        click.option("--scheduler-file", type=Path, help="File in which the scheduler says it."),
+        click.option(
+            "--scheduler",
+            help="Address of the scheduler of a dask cluster that computes; default: "
+            "DASK_SCHEDULER_ADDRESS, if set.",
+        ),
+        click.option("--workers", type=click.IntRange(1), help="Processes of this machine."),
+    ):
+        command = option(command)
+    return command
+
+
 @contextmanager
-def executor_of(workers: int | None, scheduler: str | None = None) -> Iterator[Executor | None]:
+def executor_of(given: Mapping[str, Any]) -> Iterator[Executor | None]:
     """Open processes, or the workers of a dask scheduler; none computes in this process."""
     from jaxstab.tiles import dask_cluster, processes
 
-    if workers and scheduler is not None:
-        raise click.UsageError("--workers and --scheduler are given; give one of them.")
+    workers, scheduler, file = (given[name] for name in ("workers", "scheduler", "scheduler_file"))
+    options = {"--workers": workers, "--scheduler": scheduler, "--scheduler-file": file}
+    names = [name for name, value in options.items() if value is not None]
+    if len(names) > 1:
+        raise click.UsageError(f"{' and '.join(names)} are given; give one of them.")
     if scheduler == "":
         raise click.UsageError("--scheduler is empty; give an address such as tcp://10.0.0.1:8786.")
+    address = _address_in(file) if file else scheduler
     where: Any = nullcontext()
     if workers:
         where = processes(workers)
-    elif scheduler:
-        where = dask_cluster(scheduler, lambda words: click.echo(f"jaxstab: {words}", err=True))
+    elif address := address or os.environ.get("DASK_SCHEDULER_ADDRESS"):
+        where = dask_cluster(address, lambda words: click.echo(f"jaxstab: {words}", err=True))
     with where as executor:
         yield executor
 
 
+def _address_in(file: Path) -> str:
+    try:
+        return str(json.loads(text_of(file, _MOST_OF_A_SCHEDULER))["address"])
+    except (ValueError, KeyError, TypeError):
+        raise click.UsageError(
+            f"{file} is no scheduler file; give what dask scheduler --scheduler-file wrote."
+        ) from None
+
+
 @contextmanager
-def resumable(output: Path) -> Iterator[Callable[[int, int], None]]:
-    """Yield a function that draws a bar with rate and time left; say how to continue on Ctrl-C."""
+def resumable(output: Path | None) -> Iterator[Callable[[int, int], None]]:
+    """Yield a function that draws a bar with rate and time left; say how to continue on Ctrl-C.
+
+    Without an output nothing is stored.
+    """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     bar = Progress(
-        TextColumn(f"building {output}"),
+        TextColumn(f"building {output}" if output else "computing"),
         BarColumn(),
         TextColumn("{task.completed} of {task.total} tiles, {task.fields[rate]} a second"),
         TimeRemainingColumn(),
@@ -132,6 +186,8 @@ def resumable(output: Path) -> Iterator[Callable[[int, int], None]]:
             if bar.live.is_started:
                 bar.stop()
     except KeyboardInterrupt:
+        if output is None:
+            raise
         click.echo(
             "jaxstab: interrupted; the finished tiles are stored, so give the same command "
             "again to continue.",

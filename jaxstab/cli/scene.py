@@ -1,12 +1,11 @@
 """The commands around a scene: what it allows, how its walls do, the best walls, the design."""
 
-import csv
-import io
 import json
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,19 +15,19 @@ from jaxstab.cli.options import (
     at_work,
     draw,
     executor_of,
+    executor_options,
     file_in,
     keep_programs,
     number_or_range,
     output_file,
     picture_file,
+    print_with_csv,
     resumable,
-    write_beside,
 )
 from jaxstab.shown import printable, shortened, table_text
 
 if TYPE_CHECKING:
     from jaxstab.scene import Answer, Scene
-    from jaxstab.scene.many import Row, Variant
 
 # Options that describe scenes, and the tables of scenes that files and options make.
 
@@ -103,13 +102,6 @@ def scene_options(command: Callable[..., Any]) -> Callable[..., Any]:
     decorations = (
         mechanics_options,
         click.option(
-            "--sweep",
-            multiple=True,
-            metavar="KEY=LOW:HIGH:COUNT",
-            help="Answer for each value of a key, such as device.mass=0.1:0.5:20, or KEY=V,V,...; "
-            "may be repeated.",
-        ),
-        click.option(
             "--csv",
             "csv_file",
             type=Path,
@@ -133,7 +125,7 @@ def _scene_option(name: str, kind: Any, words: str) -> Any:
     return click.option(f"--{name.replace('_', '-')}", **reads, help=words)
 
 
-_DESCRIBES = ("device", "mass", "inertia", "damping", "sample_time", "wall", "sweep")
+_DESCRIBES = ("device", "mass", "inertia", "damping", "sample_time", "wall")
 _NOTHING = (
     "no scene is given; give the FILE of one (jaxstab scene init -o scene.toml writes an example), "
     "or options, such as --device omega --sample-time 0.001 --delay 0.001."
@@ -200,7 +192,7 @@ def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
     return merged | {name: merged.get(name, {}) | keys for name, keys in chosen.items()}
 
 
-# Many scenes in one process: a table, CSV, JSON, and a picture that compares them.
+# Several scenes in one process: a table, CSV, JSON, and a picture that compares them.
 _SHOWN = {
     "best.largest_stiffness",
     "best.at_damping",
@@ -217,70 +209,71 @@ _SHOWN = {
 _SHOWN_OF_WALLS = {"verdict", "stiffness_gain", "settling_time_2_percent"}
 
 
-def answer_many(given: dict[str, Any], function: str, as_json: bool) -> list[Any]:
-    """Answer several scenes and print what they allow; UsageError if some were refused."""
-    import jaxstab.scene
-    from jaxstab.scene.many import answer_all, sweep_of, variants_of
+@dataclass(frozen=True)
+class _Row:
+    """What a scene answers, or why it was refused."""
 
-    variants = variants_of(tables_of(given), dict(map(sweep_of, given["sweep"])))
-    for words in dict.fromkeys(w for v in variants if v.scene for w in v.scene.unusual()):
-        warn(words)
-    for variant in variants if given["plot"] else []:
-        if variant.scene:
-            variant.scene.controller.require_one_delay("a picture")
-    rows = list(
-        _with_progress(answer_all(variants, getattr(jaxstab.scene, function)), len(variants))
-    )
-    _write(rows, given["csv_file"], as_json)
+    source: str
+    scene: "Scene | None" = None
+    answer: "Answer | None" = None
+    refusal: str = ""
+
+    @property
+    def leaves(self) -> list[tuple[str, Any, str]]:
+        """The path, value and words of each number."""
+        return list(self.answer.leaves()) if self.answer else []
+
+
+def answer_many(given: dict[str, Any], name: str, as_json: bool) -> list[Any]:
+    """Answer several scenes and print what they allow; UsageError if some were refused."""
+    rows = [_read(source, table) for source, table in tables_of(given).items()]
+    for scene in (row.scene for row in rows if row.scene):
+        warn(*scene.unusual())
+        if given["plot"]:
+            scene.controller.require_one_delay("a picture")
+    rows = [_answered(row, row.scene, name) if row.scene else row for row in rows]
+    words = _json(rows) if as_json else _table(rows)
+    print_with_csv(words, _csv(rows), given["csv_file"])
     if given["plot"]:
-        _draw_rows(rows, given["plot"])
+        from jaxstab.pictures.scene import comparison_figure
+
+        answered = {row.source: row.scene for row in rows if row.scene and row.answer}
+        draw(comparison_figure(answered), given["plot"])
     _refuse_some(rows)
     return [row.answer for row in rows if row.answer]
 
 
-def _with_progress(rows: Iterable["Row"], count: int) -> Iterator["Row"]:
-    if not sys.stderr.isatty():
-        yield from rows
-        return
-    from rich.console import Console
-    from rich.progress import track
+def _read(source: str, table: dict[str, Any]) -> _Row:
+    from jaxstab.scene import Scene
 
-    yield from track(rows, "scenes", total=count, console=Console(stderr=True), transient=True)
-
-
-def _write(rows: list["Row"], csv_file: Path | None, as_json: bool) -> None:
-    if csv_file:
-        text = _csv(rows)
-        if str(csv_file) == "-":
-            click.echo(text, nl=False)
-            return
-        write_beside(text.encode(), csv_file)
-    click.echo(_json(rows) if as_json else _table(rows))
+    try:
+        return _Row(source, Scene.from_table(table))
+    except ValueError as error:
+        return _Row(source, refusal=str(error))
 
 
-def _csv(rows: list["Row"]) -> str:
-    columns = ["scene", *rows[0].variant.values, *_paths(rows), "refusal"]
-    stream = io.StringIO()
-    writer = csv.DictWriter(stream, columns, lineterminator="\n", restval="")
-    writer.writeheader()
-    for row in rows:
-        given = {"scene": row.variant.source, **row.variant.values}
-        cells = {**given, **row.values, "refusal": row.refusal}
-        writer.writerow({name: _no_formula(value) for name, value in cells.items()})
-    return stream.getvalue()
+def _answered(row: _Row, scene: "Scene", name: str) -> _Row:
+    try:
+        return replace(row, answer=_computed(scene, name))
+    except (ValueError, TypeError, RuntimeError) as error:
+        return replace(row, refusal=str(error))
 
 
-def _no_formula(value: Any) -> Any:
-    """Return a cell with a quote before what a spreadsheet would compute."""
-    return f"'{value}" if isinstance(value, str) and value[:1] in tuple("=+-@\t\r") else value
+def _csv(rows: list[_Row]) -> list[list[Any]]:
+    columns = ["scene", *_paths(rows), "refusal"]
+    cells = (
+        {"scene": row.source, "refusal": row.refusal}
+        | {path: value for path, value, _ in row.leaves}
+        for row in rows
+    )
+    return [columns, *([own.get(name, "") for name in columns] for own in cells)]
 
 
-def _json(rows: list["Row"]) -> str:
+def _json(rows: list[_Row]) -> str:
     return json.dumps(
         [
             {
-                "scene": row.variant.source,
-                "swept": row.variant.values,
+                "scene": row.source,
                 "answer": row.answer.as_json() if row.answer else None,
                 "refusal": row.refusal or None,
             }
@@ -290,18 +283,14 @@ def _json(rows: list["Row"]) -> str:
     )
 
 
-def _table(rows: list["Row"]) -> str:
+def _table(rows: list[_Row]) -> str:
     """Return the main numbers of each scene, in columns, or the reason why it was refused."""
-    from jaxstab.scene.many import short
-
     paths = [path for path in _paths(rows) if path in _SHOWN or _is_of_wall(path)]
-    has_files = any(row.variant.source for row in rows)
     plain = (path.removeprefix("walls.").replace("_", " ").replace(".", ": ") for path in paths)
-    lines = [["scene"] * has_files + [*rows[0].variant.values, *plain, ""]]
+    lines = [["scene", *plain, ""]]
     for row in rows:
-        swept = map(short, row.variant.values.values())
-        words = (row.words.get(path, "") for path in paths)
-        cells = [row.variant.source] * has_files + [*swept, *words, row.refusal]
+        words = {path: text for path, _, text in row.leaves}
+        cells = [row.source, *(words.get(path, "") for path in paths), row.refusal]
         lines.append(list(map(printable, cells)))
     return table_text(lines)
 
@@ -311,23 +300,16 @@ def _is_of_wall(path: str) -> bool:
     return name in _SHOWN_OF_WALLS and outer.startswith("walls.") and outer.count(".") == 1
 
 
-def _paths(rows: list["Row"]) -> list[str]:
-    return list(dict.fromkeys(path for row in rows for path in row.values))
+def _paths(rows: list[_Row]) -> list[str]:
+    return list(dict.fromkeys(path for row in rows for path, *_ in row.leaves))
 
 
-def _draw_rows(rows: list["Row"], file: Path) -> None:
-    from jaxstab.pictures.scene import comparison_figure
-
-    answered: list[Variant] = [row.variant for row in rows if row.answer]
-    draw(comparison_figure(answered), file)
-
-
-def _refuse_some(rows: list["Row"]) -> None:
+def _refuse_some(rows: list[_Row]) -> None:
     wrong = [row for row in rows if row.refusal]
     if wrong:
         first = wrong[0]
         raise click.UsageError(
-            f"{len(wrong)} of {len(rows)} scenes were refused; the first, {first.variant.name}: "
+            f"{len(wrong)} of {len(rows)} scenes were refused; the first, {first.source}: "
             f"{first.refusal}"
         )
 
@@ -347,12 +329,21 @@ _safety_option = click.option(
 @_safety_option
 @click.option("--at-damping", type=float, help="Give the stiffness limits at this B in N s/m.")
 @click.option("--at-stiffness", type=float, help="Give the damping limits at this K in N/m.")
-def limits(as_json: bool, **given: Any) -> int:
-    """Give the largest stiffness and damping that a scene allows.
+@click.option("--all", "in_full", is_flag=True, help="Print everything, as --json does.")
+@click.option("--islands", is_flag=True, help="Print stable walls not connected to zero gains too.")
+def limits(as_json: bool, in_full: bool, islands: bool, **given: Any) -> int:
+    """Give the largest stiffness that a scene allows, and the limits at each of its walls.
 
-    The exit code is 0 if walls are stable, for all hands of the scene by proof, 1 if not.
+    All limits are of walls with K >= 0 and B >= 0. The exit code is 0 if walls are stable, for all
+    hands of the scene by proof, 1 if not.
     """
-    return _answer(given, "limits", as_json)
+
+    def shown(answer: Any) -> str:
+        from jaxstab.scene.limits import brief
+
+        return str(answer) if in_full else brief(answer, islands=islands)
+
+    return _answer(given, "limits", as_json, shown)
 
 
 @click.command()
@@ -378,13 +369,12 @@ def check(as_json: bool, **given: Any) -> int:
 )
 @click.option("--count", type=click.IntRange(2), default=60, help="Walls along each axis of it.")
 @click.option("--frictions", help="LOW:HIGH:COUNT in N: its third axis.")
-@click.option("--workers", type=click.IntRange(1), help="Number of processes that compute it.")
+@executor_options
 def contact(
     as_json: bool,
     output: Path | None,
     count: int,
     frictions: str | None,
-    workers: int | None,
     **given: Any,
 ) -> int:
     """Simulate how the device of a scene meets each wall: does it rest, bounce or buzz?
@@ -396,8 +386,8 @@ def contact(
     """
     if output is None:
         return _answer(given, "contact", as_json)
-    if len(given["files"]) > 1 or given["sweep"]:
-        raise click.UsageError("a map is of one scene; give one FILE and no --sweep.")
+    if len(given["files"]) > 1:
+        raise click.UsageError("a map is of one scene; give one FILE.")
     beside = {"plot": given["plot"], "csv": given["csv_file"], "json": as_json}
     for name in (name for name, value in beside.items() if value):
         raise click.UsageError(f"--{name} is given beside --output; give one of them.")
@@ -406,18 +396,18 @@ def contact(
     from jaxstab.datasets import stored
     from jaxstab.loop import ContactKind
     from jaxstab.scene.contact import map_contacts
-    from jaxstab.scene.many import sweep_of
+    from jaxstab.scene.draws import values_of
 
     keep_programs()
     scene = scene_of(given)
     warn(*scene.unusual())
-    forces = None if frictions is None else np.array(sweep_of(f"friction={frictions}")[1], float)
+    forces = None if frictions is None else np.array(values_of("friction", frictions), float)
     dataset = map_contacts(scene, output, count, forces)
     assert scene.contact is not None  # there is a map
     axes = " x ".join(f"{len(values)} {name}" for name, values in dataset.coordinates.items())
     words = f"{np.prod(dataset.shape):,} contacts of {scene.contact.duration:g} s"
     click.echo(f"jaxstab: {axes}: {words}, simulated, not proved", err=True)
-    with resumable(output) as show, executor_of(workers) as executor:
+    with resumable(output) as show, executor_of(given) as executor:
         kinds = stored(dataset, show, executor)["kind"]
     rests = float(np.mean(kinds == ContactKind.RESTS))
     click.echo(f"{output}: {100.0 * rests:.1f} % of the contacts come to rest")
@@ -505,16 +495,20 @@ def explain(file: Path) -> None:
 
 
 # --------------------------------------------------------------------------- from options to scene
-def _answer(given: dict[str, Any], name: str, as_json: bool) -> int:
-    if len(given["files"]) > 1 or given["sweep"] or given["csv_file"]:
-        answers = answer_many(given, FUNCTIONS[name], as_json)
-        return 0 if all(one.all_stable for one in answers) else 1
+def _answer(
+    given: dict[str, Any], name: str, as_json: bool, shown: Callable[[Any], str] = str
+) -> int:
+    if len(given["files"]) > 1:
+        return 0 if all(one.all_stable for one in answer_many(given, name, as_json)) else 1
     scene, plot = scene_of(given), given.get("plot")
     _require_picture(scene, plot)
     answer = _computed(scene, name)
     if plot:
         _draw(scene, answer, plot)
-    _print(scene, answer, as_json)
+    warn(*scene.unusual())
+    words = json.dumps(answer.as_json(), indent=1) if as_json else shown(answer)
+    source = "".join(map(str, given["files"]))
+    print_with_csv(words, _csv([_Row(source, scene, answer)]), given["csv_file"])
     return 0 if answer.all_stable else 1
 
 
@@ -543,12 +537,6 @@ def _computed(scene: "Scene", name: str) -> Any:
 
     with at_work(f"{name} of a loop with {scene.controller.samples:g} samples of delay"):
         return getattr(jaxstab.scene, FUNCTIONS[name])(scene)
-
-
-# ------------------------------------------------------------------------------------------- print
-def _print(scene: "Scene", answer: "Answer", as_json: bool) -> None:
-    warn(*scene.unusual())
-    click.echo(json.dumps(answer.as_json(), indent=1) if as_json else answer)
 
 
 # The command that writes a page to explore a scene in.
@@ -646,8 +634,8 @@ def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
     Its walls are proved for every sequence of the delays; with --constant-delay for delays that do
     not change during contact, and the function takes the delay.
     """
-    if len(given["files"]) > 1 or given["sweep"] or given["csv_file"] or as_json:
-        raise click.UsageError("a guard is of one scene; give one FILE, no --sweep, --csv, --json.")
+    if len(given["files"]) > 1 or given["csv_file"] or as_json:
+        raise click.UsageError("a guard is of one scene; give one FILE, and no --csv or --json.")
     kind: Any = {"constant_delay": given["constant_delay"] is not None}
     kind["lost"] = given.pop("lost_samples") or 0  # beside one delay of the scene, too
     scene = scene_of(given)

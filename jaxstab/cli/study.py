@@ -1,7 +1,10 @@
 """The command for studies: many devices, people and controllers as one table."""
 
-from math import prod
+from collections.abc import Callable, Iterator
+from itertools import chain
+from math import inf, prod
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -9,18 +12,22 @@ import click
 from jaxstab.cli.options import (
     draw,
     executor_of,
+    executor_options,
     file_in,
     keep_programs,
+    output_file,
     picture_file,
+    print_with_csv,
     resumable,
 )
 from jaxstab.cli.scene import mechanics_options, tables_of
-from jaxstab.shown import printable, table_text
+from jaxstab.shown import printable, shortened, table_text
 
 if TYPE_CHECKING:
     from jaxstab.scene.study import Study
 
 _MOST_ROWS = 20
+_MOST_IN_CSV = 1_048_575  # as in a spreadsheet, with a row of names
 _PROBABILITIES = (0.05, 0.5, 0.95)
 
 
@@ -36,17 +43,20 @@ def _part(_: click.Context, option: click.Parameter, text: str | None) -> tuple[
 
 
 def _over(_: click.Context, option: click.Parameter, texts: tuple[str, ...]) -> dict[str, Any]:
-    from jaxstab.scene.draws import distribution_of
-    from jaxstab.scene.many import sweep_of
+    from jaxstab.scene.draws import distribution_of, values_of
 
     over: dict[str, Any] = {}
     for text in texts:
         key, __, values = text.partition("=")
+        if not (key and values):
+            raise click.BadParameter(
+                f"{shortened(text)} is not KEY=VALUES, such as device.mass=0.1:0.5:20.",
+                param=option,
+            )
         try:
-            given: Any = distribution_of(values) or sweep_of(text)[1]
+            given: Any = distribution_of(values) or values_of(key, values)
         except ValueError as error:
-            words = str(error).replace("sweep is", "it is")
-            raise click.BadParameter(words, param=option) from None
+            raise click.BadParameter(str(error), param=option) from None
         if key in over:
             raise click.BadParameter(f"{key} is given twice; give each key once.", param=option)
         over[key] = given
@@ -76,16 +86,17 @@ def _over(_: click.Context, option: click.Parameter, texts: tuple[str, ...]) -> 
     "-o",
     "--output",
     type=Path,
-    required=True,
     callback=file_in(".h5", ".nc"),
-    help="The table, a netCDF-4 file.",
+    help="Store the table as this netCDF-4 file, and continue an interrupted study.",
 )
-@click.option("--workers", type=click.IntRange(1), help="Number of processes on this machine.")
 @click.option(
-    "--scheduler",
-    envvar="DASK_SCHEDULER_ADDRESS",
-    help="Compute on the dask cluster whose scheduler has this address.",
+    "--csv",
+    "csv_file",
+    type=Path,
+    callback=output_file,
+    help="CSV file ('-': stdout) for the table, a row for each loop and wall.",
 )
+@executor_options
 @click.option(
     "--part", callback=_part, metavar="NUMBER/COUNT", help="Compute one part of the study alone."
 )
@@ -98,9 +109,8 @@ def study(
     answers: tuple[str, ...],
     samples: int,
     seed: int,
-    output: Path,
-    workers: int | None,
-    scheduler: str | None,
+    output: Path | None,
+    csv_file: Path | None,
     part: tuple[int, int],
     merge: bool,
     plot: Path | None,
@@ -113,48 +123,85 @@ def study(
     """
     from jaxstab.scene.study import Study, merge_studies, plan_of, study_dataset
 
+    if output is None and (merge or part != (1, 1)):
+        raise click.UsageError("--merge and --part are given without --output; give the file.")
     if merge:
         if over or part != (1, 1):
             raise click.UsageError("--merge is given beside --over or --part; give one of them.")
-        made = merge_studies(given["files"], output)
-    else:
-        if len(given["files"]) > 1:
-            raise click.UsageError("a study is of one scene; give one FILE, or --merge.")
-        from jaxstab.datasets import ensure
+        assert output is not None
+        _report(merge_studies(given["files"], output), csv_file, plot)
+        return
+    if len(given["files"]) > 1:
+        raise click.UsageError("a study is of one scene; give one FILE, or --merge.")
+    from jaxstab.datasets import ensure
 
-        ((_, table),) = tables_of(given).items()
-        keep_programs()
-        options: dict[str, Any] = {"samples": samples, "seed": seed, "part": part}
-        dataset = study_dataset(table, over, output, answers=answers, **options)
+    ((_, table),) = tables_of(given).items()
+    keep_programs()
+    options: dict[str, Any] = {"samples": samples, "seed": seed, "part": part}
+    with TemporaryDirectory(prefix="jaxstab-study-") as folder:
+        path = output or Path(folder, "study.h5")
+        dataset = study_dataset(table, over, path, answers=answers, **options)
+        _require_few(prod(dataset.shape), csv_file)
         click.echo(f"jaxstab: {plan_of(dataset)}", err=True)
-        if note := dataset.attributes["notes"]:
+        for note in dataset.attributes["notes"].splitlines():
             click.echo(f"jaxstab: {note}", err=True)
-        with resumable(output) as show, executor_of(workers, scheduler) as executor:
+        with resumable(output) as show, executor_of(given) as executor:
             ensure(dataset, show, executor)
         if part != (1, 1):
             click.echo(f"{output}: part {part[0]} of {part[1]}; --merge puts all together")
-            return
-        made = Study(output)
-    click.echo(f"{output}: {output.stat().st_size / 1e6:.2f} MB")
-    for words in (*_limits_words(made), *_shares_words(made)):
-        click.echo(words)
+        else:
+            _report(Study(path), csv_file, plot)
+
+
+def _require_few(rows: int, csv_file: Path | None) -> None:
+    if csv_file and rows > _MOST_IN_CSV:
+        raise click.UsageError(
+            f"the CSV file would have {rows:,} rows; give --output in place of --csv for more than "
+            f"{_MOST_IN_CSV:,}."
+        )
+
+
+def _report(made: "Study", csv_file: Path | None, plot: Path | None) -> None:
+    """Print what a study says, and write its table and its picture."""
+    size = prod(map(len, made.dimensions.values()))
+    _require_few(size, csv_file)
+    is_grid = "sample" not in made.dimensions and size <= _MOST_IN_CSV
+    columns = made.columns() if csv_file or is_grid else {}
+    grid = [_grid_table(columns, made.units)] if is_grid else []
+    words = [*grid, *_limits_words(made), *_shares_words(made)]
+    print_with_csv("\n".join(words), chain([columns], _rows(columns, _cell)), csv_file)
     if plot:
         from jaxstab.pictures.study import study_figure
 
         draw(study_figure(made), plot)
 
 
-def _limits_words(made: "Study") -> list[str]:
-    """Return the largest stiffness: its range, or its quantiles among draws."""
-    if "largest_stiffness" not in made.units:
-        return []
-    import numpy as np
+def _rows(columns: dict[str, Any], shown: Callable[[Any], str]) -> Iterator[list[str]]:
+    for row in zip(*(column.flat for column in columns.values()), strict=True):
+        yield [shown(value) for value in row]
 
+
+def _grid_table(columns: dict[str, Any], units: dict[str, str]) -> str:
+    """Return what each loop of a grid answers; the gains of walls are known by their names."""
+    own = {name: values for name, values in columns.items() if not name.startswith("wall_")}
+    heads = [name.replace("_", " ") + f" ({units[name]})" * (units[name] != "1") for name in own]
+    return _table([heads, *_rows(own, _shown)])
+
+
+def _cell(value: Any) -> str:
+    """Return a value of CSV; nothing in place of a number that does not exist or is infinite."""
+    return "" if value in (-inf, inf) or value != value else str(value)
+
+
+def _shown(value: Any) -> str:
+    return printable(value) if isinstance(value, str) else f"{value:.6g}"
+
+
+def _limits_words(made: "Study") -> list[str]:
+    """Return the quantiles of the largest stiffness among draws."""
+    if not {"largest_stiffness", "sample"} <= made.units.keys():
+        return []
     unit = made.units["largest_stiffness"]
-    if "sample" not in made.dimensions:
-        values = made.values("largest_stiffness")
-        low, high = (f"{end:.5g}" for end in (np.nanmin(values), np.nanmax(values)))
-        return [f"largest stiffness: {low} to {high} {unit}"]
     low, middle, high = made.quantiles(at=_PROBABILITIES)
     rows = [
         [*labels, *(f"{value:.5g}" for value in row)]
@@ -226,4 +273,4 @@ def _points(made: "Study", shape: tuple[int, ...]) -> list[list[str]]:
 def _table(rows: list[list[str]]) -> str:
     more = len(rows) - 1 - _MOST_ROWS
     text = table_text(rows[: 1 + _MOST_ROWS])
-    return f"{text}\n... and {more:,} more rows, in the file" if more > 0 else text
+    return f"{text}\n... and {more:,} more rows; write them with --csv or -o" if more > 0 else text

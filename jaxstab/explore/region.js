@@ -340,33 +340,57 @@ function mainOf(region) {
 }
 
 /**
- * The point of a component that is farthest along an axis.
+ * The point of a component that is farthest along an axis, of those where the other gain is not
+ * negative; undefined where there are none.
  * @param {0|1} axis 0 for alpha, 1 for beta
  */
 function farthest(loop, component, axis) {
-  let best = { value: -Infinity };
-  for (const piece of component.pieces) {
-    piece.points.forEach((point, index) => {
-      if (point[axis] > best.value) best = { value: point[axis], point, piece, index };
+  const other = 1 - axis;
+  let best;
+  const offer = (point) => {
+    if (point[other] >= 0 && !(best && point[axis] <= best[axis])) best = point;
+  };
+  for (const { points, angles } of component.pieces) {
+    points.forEach((point, index) => {
+      offer(point);
+      const last = points[index - 1], next = points[index + 1];
+      if (last && last[other] < 0 !== point[other] < 0) offer(onAxis(loop, last, point, angles && [angles[index - 1], angles[index]], other));
+      if (angles && last && next && point[axis] > last[axis] && point[axis] > next[axis]) offer(refinedPeak(loop, angles[index - 1], angles[index + 1], axis));
     });
   }
-  const { piece, index, point } = best;
-  const angles = piece && piece.angles;
-  if (!angles || index === 0 || index === angles.length - 1) return point;
-  return refinedPeak(loop, angles[index - 1], angles[index + 1], axis);
+  return best;
+}
+
+/** Where the boundary crosses 0 of a gain between two points of a line or, with angles, of the curve. */
+function onAxis(loop, here, there, angles, gain) {
+  const share = here[gain] / (here[gain] - there[gain]);
+  const point = here.map((value, axis) => value + share * (there[axis] - value));
+  if (angles) {
+    let [low, high] = angles;
+    for (let k = 0; k < HALVINGS; k++) {
+      const middle = 0.5 * (low + high);
+      if (wallAt(loop, middle)[gain] < 0 === here[gain] < 0) low = middle;
+      else high = middle;
+    }
+    point.splice(0, 2, ...wallAt(loop, high));
+  }
+  point[gain] = 0;
+  return point;
+}
+
+/** The wall with roots at an angle. */
+function wallAt(loop, theta) {
+  const { alpha, beta } = curvePoint(loop, theta);
+  return [alpha, beta];
 }
 
 /** The farthest point of the curve between two angles, by the golden section. */
 function refinedPeak(loop, low, high, axis) {
   const golden = (Math.sqrt(5) - 1) / 2;
-  const at = (theta) => {
-    const { alpha, beta } = curvePoint(loop, theta);
-    return [alpha, beta];
-  };
   for (let k = 0; k < HALVINGS; k++) {
     const width = golden * (high - low), first = high - width, second = low + width;
-    if (at(first)[axis] > at(second)[axis]) high = second;
+    if (wallAt(loop, first)[axis] > wallAt(loop, second)[axis]) high = second;
     else low = first;
   }
-  return at(0.5 * (low + high));
+  return wallAt(loop, 0.5 * (low + high));
 }

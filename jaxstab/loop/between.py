@@ -250,20 +250,21 @@ def common_walls(regions: Sequence[WallRegion], count: int = _ROWS) -> Points:
 
 
 def stiffest_wall(loops: Sequence[HapticLoop], pull: float) -> Guess | None:
-    """The stiffest wall that all of the loops have, pulled down by a share of its stiffness."""
+    """The stiffest wall with B >= 0 that all loops have, pulled down by a share of it."""
     regions = walls_of(loops)
     if not regions:
         return None
     if any(region.is_empty for region in regions.values()):
         return NOTHING
     low, high = common_rows([*regions.values()])
+    low = max(low, 0.0)
     wall: tuple[float, float, float] | None = None  # both ends of the stiffness, and the damping
     for _ in range(_ZOOMS):
         if not low < high:
             break
         rows = np.linspace(low, high, _ROWS + 2)[1:-1]
         left, right = common_limits([*regions.values()], rows)
-        right = np.where(left < right, right, -np.inf)
+        right = np.where((left < right) & (right > 0.0), right, -np.inf)
         number = int(np.argmax(right))
         if right[number] == -np.inf:
             break

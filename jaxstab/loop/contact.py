@@ -20,8 +20,10 @@ from jaxstab.arrays import Numbers, is_any_traced, named
 from jaxstab.conventions import Status
 from jaxstab.loop.jitter import turn_of
 from jaxstab.model import LoopParameters, checked_gain, require_x64
+from jaxstab.model.device.mechanics import handle
 from jaxstab.model.filters import Filter, Velocity, given_filters
-from jaxstab.motion.contact import FASTEST, LIMIT, Plant, Runs, Summary, contacts, paths
+from jaxstab.motion.contact import FASTEST, LIMIT, Mechanism, Plant, Runs, Summary, contacts, paths
+from jaxstab.motion.handle import Handle
 from jaxstab.motion.response import Column, Controller, Response, answer_text
 from jaxstab.numbers import checked, checked_number
 from jaxstab.shown import shortened
@@ -116,7 +118,7 @@ _COLUMNS = [
 class _Setup(NamedTuple):
     """Runs of a loop: their numbers for T = m = 1, the shape of their grid, and what is fixed."""
 
-    plant: Plant
+    plant: Mechanism
     controller: Controller
     runs: Runs
     shape: tuple[int, ...]
@@ -166,7 +168,9 @@ def contact(loop: LoopParameters, stiffness: Numbers, damping: Numbers, **option
     """Simulate contacts with their paths: ``HapticLoop.contact``."""
     setup = _setup(loop, stiffness, damping, **options)
     runs = setup.runs
-    if not setup.shape:  # numbers of Python are several times faster here
+    if not setup.shape and isinstance(
+        setup.plant, Plant
+    ):  # numbers of Python are several times faster here
         runs = Runs(*(column.item() for column in runs))
     summary, (x, v, f) = paths(setup.plant, setup.controller, runs, setup.samples, **setup.sides)
     x, v, f = (np.moveaxis(one, 0, -1).reshape(*setup.shape, -1) for one in (x, v, f))
@@ -188,19 +192,19 @@ def contact_map(
     """Simulate contacts with many walls, or with one wall under many conditions.
 
     Large maps are computed by one program of JAX, in float64 whatever its flag says, on all cores,
-    1,024 runs at a time: about ten million samples per second and core, in little memory.
+    tile by tile: about ten million samples of one mass per second and core, in little memory.
 
     With ``store`` the map goes to a netCDF-4 file, block by block. An interrupted map continues
     where it stopped when it is called again, and one that is done is read. The file has a dimension
     for each argument that varies; xarray and h5py open it. Nothing in it is proved.
 
     Args:
-        loop: device and hand are one mass.
+        loop: any device with a mass at its handle; one mass is simulated at least ten times faster.
         stiffness, damping: see ``jaxstab.conventions``.
         store: the file; each array then varies along an axis of its own, as those of ``np.ix_``.
         progress: with ``store``, called with the number of finished blocks and of all blocks.
-        executor: with ``store``, computes the blocks; without one, this process does. An executor
-            of processes must not fork them.
+        executor: with ``store``, computes the blocks; without one, the dask ``Client`` of this
+            process does, or this process. An executor of processes must not fork them.
         **options: those of ``HapticLoop.contact``; numbers may be arrays that broadcast with the
             gains.
 
@@ -356,17 +360,11 @@ def _setup(
         )
     require_x64(*given)
     loop = loop.in_floats()
-    if loop.body is None:
-        raise ValueError(
-            f"the device ({loop.device}) is not one mass; contacts are simulated with one mass: "
-            "give device_mass and device_damping."
-        )
-    gamma, delta, period = float(loop.gamma), float(loop.delta), float(loop.sample_time)
-    if max(delta, gamma**0.5) > FASTEST:
-        raise ValueError(
-            f"the device without a wall moves at {max(delta, gamma**0.5):.3g} rad per sample; "
-            f"contacts are simulated up to {FASTEST:g}: give a shorter sample_time."
-        )
+    period = float(loop.sample_time)
+    turn = (float(loop.delay_samples),) if delays is None else turn_of(loop, delays)
+    mechanism, unit, support = _mechanism(loop, period, turn)
+    stiffness, damping = checked_gain("stiffness", stiffness), checked_gain("damping", damping)
+    is_mass = loop.body is not None
     count = checked_number("duration", duration, 0.0, unit="s") / period
     if not _SHORTEST <= count <= _LONGEST:
         raise ValueError(
@@ -374,15 +372,13 @@ def _setup(
             f"and {_LONGEST:g} at most."
         )
     samples = round(count)
-    unit = float(loop.mass) / period**2
     friction = checked("friction", friction, 0.0)
     if static_friction is None:
         static_friction = friction
     most = np.inf if max_force is None else checked("max_force", max_force, 0.0, is_open=True)
-    wall = checked_gain("stiffness", stiffness), checked_gain("damping", damping)
     columns = Runs(
-        loop.alpha(wall[0]),
-        loop.beta(wall[1]),
+        loop.alpha(stiffness) if is_mass else stiffness,
+        loop.beta(damping) if is_mass else damping / period,
         friction / unit,
         checked("static_friction", static_friction, 0.0) / unit,
         checked("encoder", encoder, 0.0),
@@ -395,11 +391,10 @@ def _setup(
         checked("tolerance", tolerance, 0.0),
     )
     runs = Runs(*(np.array(column) for column in np.broadcast_arrays(*columns)))
-    _refuse_odd(runs, unit, gamma)
-    turn = (float(loop.delay_samples),) if delays is None else turn_of(loop, delays)
+    _refuse_odd(runs, unit, support)
     filters = given_filters(**loop.filters) or (Velocity(), Filter())
     return _Setup(
-        Plant.of(gamma, delta, turn),
+        mechanism,
         Controller.from_filters(filters),
         runs,
         runs.alpha.shape,
@@ -410,7 +405,28 @@ def _setup(
     )
 
 
-def _refuse_odd(runs: Runs, unit: float, gamma: float) -> None:
+def _mechanism(
+    loop: LoopParameters, period: float, turn: tuple[float, ...]
+) -> tuple[Mechanism, float, float]:
+    """Return what moves, how many N are 1, and its stiffness without a wall."""
+    device = loop.device
+    if loop.body is None and device is not None:
+        _refuse_fast(handle(device, period).ticks)
+        return Handle.of(device, period, turn), 1.0, device.static_stiffness()
+    gamma, delta = float(loop.gamma), float(loop.delta)
+    _refuse_fast(max(delta, gamma**0.5))
+    return Plant.of(gamma, delta, turn), float(loop.mass) / period**2, gamma
+
+
+def _refuse_fast(speed: float) -> None:
+    if speed > FASTEST:
+        raise ValueError(
+            f"the device without a wall moves at {speed:.3g} rad per sample; contacts are "
+            f"simulated up to {FASTEST:g}: give a shorter sample_time."
+        )
+
+
+def _refuse_odd(runs: Runs, unit: float, support: float) -> None:
     """Refuse conditions that contradict each other, or under which nothing moves."""
     less = runs.static_friction < runs.friction
     if np.any(less):
@@ -421,10 +437,10 @@ def _refuse_odd(runs: Runs, unit: float, gamma: float) -> None:
             f"static_friction is {static:g} N, below friction, {friction:g} N; give it at least "
             "as large."
         )
-    if gamma == 0.0 and np.any((runs.push != 0.0) & (runs.alpha == 0.0)):
+    if support == 0.0 and np.any((runs.push != 0.0) & (runs.alpha == 0.0)):
         raise ValueError(
-            "push is given where stiffness is 0, so nothing holds the device; give a stiffness, or "
-            "a hand_stiffness of the loop."
+            "push is given where stiffness is 0, so nothing holds the device; give a stiffness to "
+            "the wall or to the hand."
         )
     if not np.all((runs.push != 0.0) | (runs.velocity != 0.0) | (runs.position != 0.0)):
         raise ValueError(

@@ -163,7 +163,7 @@ class HapticLoop(LoopParameters):
     def limits(
         self, *, delays: DelayRange | None = None, lost: int = 0
     ) -> WallLimits | MovingLimits:
-        """The largest stiffness and the largest damping that the loop allows.
+        """The largest stiffness and the largest damping that the loop allows, of walls K, B >= 0.
 
         They hold for the stable component that contains small gains; the limits of islands, which
         are not connected to it, follow separately. For a loop that JAX traces, the limits are
@@ -191,7 +191,7 @@ class HapticLoop(LoopParameters):
         if is_any_traced(self):
             from jaxstab.loop.moving import moving_limits
 
-            return moving_limits(self)
+            return WallLimits(*moving_limits(self)[:-1])
         return self.region().limits()
 
     def stiffness_limits(self, damping: Numbers) -> Float64[Array, "*grid 2"]:
@@ -866,7 +866,7 @@ class HapticLoop(LoopParameters):
 
         Args:
             stiffness, damping: see ``jaxstab.conventions``.
-            friction: Coulomb friction of the device in N.
+            friction: Coulomb friction of the device in N, at its handle.
             static_friction: the largest force in N that does not move the device from rest, at
                 least ``friction``; None for the same.
             encoder: resolution of the position in m, which is rounded to the nearest step; 0 for
@@ -888,7 +888,7 @@ class HapticLoop(LoopParameters):
 
         Raises: see ``jaxstab.conventions``; TypeError also if JAX traces anything. ValueError also
         if nothing moves, a push meets neither wall nor hand stiffness, static friction is below
-        Coulomb friction, or the device is not one mass.
+        Coulomb friction, or no mass is at the device's handle.
 
         Source: eqs. (1)-(5) of Hulin, Preusche, Hirzinger (2008), with Coulomb friction.
 

@@ -1,13 +1,15 @@
-"""Limits of a loop that JAX traces: searched for on the host, with derivatives at the limit.
+"""Limits of loops that JAX traces: searched for on the host, with derivatives at the limit.
 
-At the stiffest wall a pair of roots is on the circle where the boundary turns, or two roots are on
-it at once, at a corner. Both are equations for the wall and the roots' angles, which the implicit
-function theorem differentiates by all numbers of the loop. Under vmap the loops are searched
-together, as ``limits_of`` searches; inside jit they are searched one by one, by a callback.
+At the stiffest wall a pair of roots is on the circle where the boundary turns or crosses B = 0, or
+two roots are on it at once, at a corner. These are equations for the wall and the roots' angles,
+which the implicit function theorem differentiates by all numbers of the loop. They are those of
+``circle_equations``, in which the delay is a real number, so that one program serves loops of all
+degrees. Under vmap the loops are searched together, as ``limits_of`` searches; inside jit they are
+searched one by one, by a callback.
 """
 
 from collections.abc import Callable, Iterable
-from functools import cache
+from functools import cache, partial
 from math import pi
 from typing import Any, NamedTuple
 
@@ -18,17 +20,17 @@ from jax import Array
 from jaxtyping import Float64
 
 from jaxstab.arrays import is_any_traced
-from jaxstab.loop.many import resolved
-from jaxstab.loop.region import TOLERANCE, Gains, WallLimits, WallRegion, wall_region
-from jaxstab.model import LoopParameters, characteristic_polynomial
+from jaxstab.batches import alike
+from jaxstab.loop.many import ManyLimits, resolved
+from jaxstab.loop.region import TOLERANCE, WallRegion, wall_region
+from jaxstab.model import LoopParameters
+from jaxstab.model.filters import given_filters
 from jaxstab.point import closed_loop_poles
-from jaxstab.region import RegionStatus
+from jaxstab.proofs.filters import Responses
+from jaxstab.proofs.plant import circle_equations, quick_slice
+from jaxstab.region import RegionStatus, measures
 
-_FOUND = 5  # numbers of one extreme wall
 _REAL = 1e-6  # rad: a root this near to the real axis is real
-
-
-_Parts = tuple[Array, Array, Array]  # p(z) as base, and what the two gains multiply
 
 
 class _Extreme(NamedTuple):
@@ -37,11 +39,33 @@ class _Extreme(NamedTuple):
     alpha: Array
     beta: Array
     first: Array
-    second: Array  # NaN where the boundary is smooth
+    second: Array  # NaN where the boundary turns, or crosses the axis: then the other gain is 0
+    status: Array
     is_reachable: Array
+    is_single: Array
 
 
-def moving_limits(loop: LoopParameters) -> WallLimits:
+_FOUND = len(_Extreme._fields)
+
+
+def moving_limits_of(loops: list[Any]) -> ManyLimits:
+    """Return the limits of many loops, some of which JAX traces, as ``moving_limits`` does.
+
+    Loops of one structure are stacked: their filters are of the same kinds, orders and windows.
+    """
+    loops = [loop.tree_unflatten((None, loop.device), loop.tree_flatten()[0]) for loop in loops]
+    groups = alike(map(jax.tree.structure, loops))
+    stacks = (
+        jax.tree.map(lambda *leaves: jnp.stack(leaves), *(loops[number] for number in members))
+        for members in groups
+    )
+    answers = [jax.vmap(moving_limits)(loops) for loops in stacks]
+    order = np.argsort(np.concatenate(groups))
+    columns = (jnp.concatenate(column)[order] for column in zip(*answers, strict=True))
+    return ManyLimits(*columns)
+
+
+def moving_limits(loop: LoopParameters) -> ManyLimits:
     """Return the limits of a traced loop, differentiable once in its leaves; islands are left out.
 
     All are NaN where no wall is stable and where the region is UNRESOLVED; derivatives are NaN
@@ -49,17 +73,8 @@ def moving_limits(loop: LoopParameters) -> WallLimits:
     """
     leaves, structure = jax.tree.flatten(loop)
     found: Any = _search(structure)(*(jax.lax.stop_gradient(leaf) for leaf in leaves))
-    parts = _parts(loop)
-    stiffest, most_damped = (
-        _moved(loop, parts, _Extreme(*found[axis, :_FOUND]), axis) for axis in range(2)
-    )
-    return WallLimits(
-        *stiffest,
-        most_damped.damping,
-        most_damped.stiffness,
-        found[0, _FOUND].astype(jnp.int8),
-        found[0, _FOUND - 1] == 1.0,
-    )
+    limits: ManyLimits = _moved(loop, _Extreme(*found.T))
+    return limits
 
 
 @cache
@@ -73,13 +88,13 @@ def _search(structure: Any) -> Callable[..., Array]:
         return _extremes(wall_region(loop_of(values), TOLERANCE))
 
     @jax.custom_batching.custom_vmap
-    def found(*leaves: Array) -> Array:
-        shape = jax.ShapeDtypeStruct((2, _FOUND + 1), jnp.float64)
+    def found(*leaves: Any) -> Array:
+        shape = jax.ShapeDtypeStruct((2, _FOUND), jnp.float64)
         traced: Array = jax.pure_callback(search, shape, *leaves, vmap_method="sequential")
         return traced
 
     @found.def_vmap
-    def together(size: int, is_batched: list[bool], *leaves: Array) -> tuple[Array, bool]:
+    def together(size: int, is_batched: list[bool], *leaves: Any) -> tuple[Array, bool]:
         if is_any_traced(*leaves):
             axes = [0 if batched else None for batched in is_batched]
             return jax.vmap(found.fun, axes)(*leaves), True
@@ -91,11 +106,11 @@ def _search(structure: Any) -> Callable[..., Array]:
 
 def _extremes_of(loops: list[Any]) -> Float64[np.ndarray, "loop 2 found"]:
     """Return the extreme walls of many loops, those that the program of a batch left open alone."""
-    rows, is_open = np.ones((len(loops), 2, _FOUND + 1)), np.ones(len(loops), bool)
+    rows = np.ones((len(loops), 2, _FOUND))
     for members, (extremes, _) in resolved(loops):
         rows[members, :, :2], rows[members, :, 2:4] = extremes.walls, extremes.angles
-        rows[members, :, _FOUND], is_open[members] = RegionStatus.COMPLETE, False
-    for number in np.flatnonzero(is_open):
+        rows[members, :, 4:] = RegionStatus.COMPLETE, True, False
+    for number in np.flatnonzero(rows[:, 0, -1]):
         rows[number] = _extremes(wall_region(loops[number], TOLERANCE))
     return rows
 
@@ -105,7 +120,7 @@ def _extremes(region: WallRegion) -> Float64[np.ndarray, "2 found"]:
     main = region.main
     of = region if main is None else main
     loop, rows = region.loop, []
-    for point in (of.region.max_alpha, of.region.max_beta):
+    for point in measures.quadrant_extremes(of.region.coefficients, of.region.outline):
         angles = np.full(2, np.nan)
         if np.all(np.isfinite(point)):
             alpha, beta = point.tolist()
@@ -116,52 +131,60 @@ def _extremes(region: WallRegion) -> Float64[np.ndarray, "2 found"]:
             is_corner = np.any(np.all(of.region.corners == point, axis=1))
             nearest = np.abs(np.angle(poles[order[: 1 + is_corner]]))
             angles[: len(nearest)] = nearest
-        rows.append([*point, *angles, float(main is not None), float(region.status)])
-    return np.array(rows)
+        rows.append([*point, *angles, region.status, main is not None, True])
+    return np.array(rows, float)
 
 
-def _moved(loop: LoopParameters, parts: _Parts, extreme: _Extreme, axis: int) -> Gains:
-    """An extreme wall, with its derivatives by the numbers of the loop."""
-    is_corner = ~jnp.isnan(extreme.second)
-    start = jnp.stack([*extreme[:3], jnp.where(is_corner, extreme.second, 0.0)])
+@jax.jit
+def _moved(loop: LoopParameters, extremes: _Extreme) -> ManyLimits:
+    """Both extreme walls, with their derivatives by the numbers of the loop."""
+    plant = loop.gamma, loop.delta, loop.delay / loop.sample_time
+    known = plant, Responses.of(given_filters(**loop.filters))
+    fixed = jax.lax.stop_gradient(known)
 
-    def equations(unknown: Array, parts: _Parts) -> Array:
-        base, *others = parts
-        polynomial = base + unknown[0] * others[0] + unknown[1] * others[1]
-        value, turn = _on_circle(polynomial, unknown[2])
-        # The other gain and the angle change, and p stays 0: where the boundary turns.
-        along, _ = _on_circle(others[1 - axis], unknown[2])
-        smooth = jnp.stack([jnp.imag(jnp.conj(along) * turn), unknown[3]])
-        there, _ = _on_circle(polynomial, unknown[3])
-        corner = _root_equations(there, unknown[3], start[3])
-        first = _root_equations(value, unknown[2], start[2])
-        return jnp.concatenate([first, jnp.where(is_corner, corner, smooth)])
+    def moved(extreme: _Extreme, axis: Array) -> Array:
+        is_corner = ~jnp.isnan(extreme.second)
+        start = jnp.stack([*extreme[:3], jnp.where(is_corner, extreme.second, 0.0)])
+        residual = partial(_equations, start, is_corner, axis)
+        step = jnp.linalg.solve(jax.jacfwd(residual)(start, fixed), residual(start, known))
+        return start[:2] - (step - jax.lax.stop_gradient(step))[:2]
 
-    fixed = jax.lax.stop_gradient((start, parts))
-    step = jnp.linalg.solve(jax.jacfwd(equations)(*fixed), equations(start, parts))
-    wall = start - (step - jax.lax.stop_gradient(step))
-    return Gains(loop.stiffness(wall[0]), loop.damping(wall[1]))
-
-
-def _parts(loop: LoopParameters) -> _Parts:
-    """The parts of p(z), from p(z) of three walls."""
-    gains = jnp.array([0.0, 1.0, 0.0]), jnp.array([0.0, 0.0, 1.0])
-    base, *others = characteristic_polynomial(*gains, **loop.slice, **loop.filters)
-    return base, others[0] - base, others[1] - base
+    (stiffest, at_damping), (at_stiffness, damping) = jax.vmap(moved)(extremes, jnp.arange(2))
+    return ManyLimits(
+        loop.stiffness(stiffest),
+        loop.damping(at_damping),
+        loop.damping(damping),
+        loop.stiffness(at_stiffness),
+        extremes.status[0].astype(jnp.int8),
+        extremes.is_reachable[0] == 1.0,
+        extremes.is_single[0] == 1.0,
+    )
 
 
-def _on_circle(polynomial: Array, angle: Array) -> tuple[Array, Array]:
-    """A polynomial at exp(i angle), and its derivative by the angle, both turned back."""
-    degree = len(polynomial) - 1
-    powers = jnp.arange(degree, -1, -1) - 0.5 * degree
-    terms = polynomial * jnp.exp(1j * powers * angle)
-    return jnp.sum(terms), jnp.sum(1j * powers * terms)
+def _equations(
+    start: Array, is_corner: Array, axis: Array, unknown: Array, known: tuple[Any, Responses]
+) -> Array:
+    """What is 0 at an extreme wall: functions of alpha, beta and the angles of its roots."""
+    plant, responses = known
+    c, wall, angles = quick_slice(*plant), unknown[:2], unknown[2:]
+    other = (jnp.arange(2) != axis).astype(float)
 
+    def with_slopes(wall: Array, angle: Array) -> tuple[Array, Array]:
+        def values(angle: Array) -> Array:
+            return jnp.stack(circle_equations(c, wall[0], wall[1], angle, responses))
 
-def _root_equations(value: Array, angle: Array, start: Array) -> Array:
-    """The residual, 0 where a root is on the circle; a real root keeps its angle."""
-    is_real = (start < _REAL) | (start > pi - _REAL)
-    end = jnp.round(start / pi) * pi
-    # At a real root the value, turned back, is real or imaginary.
-    real = jnp.stack([jnp.real(value) + jnp.imag(value), angle - end])
-    return jnp.where(is_real, real, jnp.stack([jnp.real(value), jnp.imag(value)]))
+        both: tuple[Array, Array] = jax.jvp(values, (angle,), (jnp.ones(()),))
+        return both
+
+    walls, at = jnp.stack([wall, wall, wall + other]), angles[jnp.array([0, 1, 0])]
+    values, turns = jax.vmap(with_slopes)(walls, at)
+    # At a real root the second equation is that its angle stays.
+    ends = jnp.round(start[2:] / pi) * pi
+    is_real = abs(start[2:] - ends) < _REAL
+    roots = values[:2].at[:, 1].set(jnp.where(is_real, angles - ends, values[:2, 1]))
+    # The other gain and the angle change, and p stays 0: where the boundary turns.
+    rises = values[2] - values[0]
+    turning = rises[0] * turns[0, 1] - rises[1] * turns[0, 0]
+    is_on_axis = start[:2] @ other == 0.0
+    smooth = jnp.stack([jnp.where(is_on_axis, wall @ other, turning), angles[1]])
+    return jnp.concatenate([roots[0], jnp.where(is_corner, roots[1], smooth)])

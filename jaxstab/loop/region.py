@@ -36,18 +36,20 @@ class Gains(NamedTuple):
 class WallLimits(NamedTuple):
     """The stiffest and the most damped stable wall, in SI units; NaN where no wall is stable.
 
-    All four are limits: stable walls come as close to them as one likes. They hold for the walls
-    that are reached by turning gains up from 0. Where small gains are not stable, ``is_reachable``
-    is False and the limits are those of all stable walls.
+    Walls have K >= 0 and B >= 0: a hand with stiffness and damping is stable with negative gains as
+    well, and the stable set may extend farther there. All four are limits: stable walls come as
+    close to them as one likes. They hold for the component that contains small gains. Where small
+    gains are not stable, ``is_reachable`` is False and the limits are those of all stable walls.
 
     Attributes:
         stiffness: the largest stable K in N/m.
-        at_damping: the B in N s/m at which it is reached.
+        at_damping: the B in N s/m at which it is reached; 0 where the boundary crosses B = 0.
         damping: the largest stable B in N s/m.
-        at_stiffness: the K in N/m at which it is reached.
+        at_stiffness: the K in N/m at which it is reached; 0 where the boundary crosses K = 0.
         status: of the region; if it is UNRESOLVED all four are NaN, though walls may be stable.
         is_reachable: whether the walls are reached by turning gains up from 0.
-        islands: the limits of each set of stable walls that is not reached so.
+        islands: the limits of each component that is not reached so. An island without walls of
+            K >= 0 and B >= 0 has those of all its walls, with a negative gain.
 
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -73,7 +75,8 @@ class WallLimits(NamedTuple):
             return f"{name}{tuple(self)}"
         words = f"{name}: {RegionStatus(int(self.status)).words}"
         if np.isnan(self.stiffness):
-            return words
+            is_negative = self.status == RegionStatus.COMPLETE
+            return words + is_negative * "; no wall with K >= 0 and B >= 0 is stable"
         extremes = self[:2], (self.at_stiffness, self.damping)
         islands = [island[:2] for island in self.islands]
         return limits_text(words, _NAMES, extremes, islands, is_reachable=bool(self.is_reachable))
@@ -160,18 +163,26 @@ class WallRegion(ShownRegion):
 
     @cached_property
     def stiffest(self) -> Gains:
-        """The point of the largest K."""
-        return self._gains(self.region.max_alpha)
+        """The largest K of walls with B >= 0; NaN where there are none."""
+        return self._quadrant[0]
 
     @cached_property
     def most_damped(self) -> Gains:
-        """The point of the largest B."""
-        return self._gains(self.region.max_beta)
+        """The largest B of walls with K >= 0; NaN where there are none."""
+        return self._quadrant[1]
 
     @property
     def extremes(self) -> tuple[Gains, Gains]:
-        """The points of the largest K and of the largest B."""
-        return self.stiffest, self.most_damped
+        """The stiffest and the most damped wall; if none has K >= 0 and B >= 0, of all walls."""
+        if is_jax(self.region.status) or not np.isnan(self.stiffest.stiffness):
+            return self._quadrant
+        return self._gains(self.region.max_alpha), self._gains(self.region.max_beta)
+
+    @cached_property
+    def _quadrant(self) -> tuple[Gains, Gains]:
+        region = self.region
+        stiffest, damped = measures.quadrant_extremes(region.coefficients, region.outline)
+        return self._gains(stiffest), self._gains(damped)
 
     @property
     def area(self) -> float:
@@ -201,14 +212,10 @@ class WallRegion(ShownRegion):
 
     def limits(self) -> WallLimits:
         """Return the stiffest and the most damped wall, and those of each island."""
-        islands = self.islands if len(self.components) > 1 else []
-        limits = tuple(island._limits(is_reachable=False) for island in islands)
-        return (self.main or self)._limits(is_reachable=self.main is not None, islands=limits)
-
-    def _limits(self, *, is_reachable: bool, islands: tuple[WallLimits, ...] = ()) -> WallLimits:
-        most = self.most_damped
-        own = *self.stiffest, most.damping, most.stiffness, self.status
-        return WallLimits(*own, is_reachable, islands)
+        limits = tuple(_limits_of(*one.extremes, one.status) for one in self.islands)
+        main = self.main or self
+        own = _limits_of(main.stiffest, main.most_damped, self.status)
+        return own._replace(is_reachable=self.main is not None, islands=limits)
 
     def stiffness_limits(self, damping: Numbers) -> Float64[Array, "*grid 2"]:
         """Return the smallest and the largest stable K at dampings B in N s/m.
@@ -283,6 +290,10 @@ class WallRegion(ShownRegion):
         return measures.limits(
             region.coefficients, region.outline, values, axis=axis, outermost=False
         )
+
+
+def _limits_of(stiffest: Gains, damped: Gains, status: RegionStatus) -> WallLimits:
+    return WallLimits(*stiffest, damped.damping, damped.stiffness, status, is_reachable=False)
 
 
 @lru_cache(maxsize=_REMEMBERED)

@@ -25,20 +25,21 @@ A run is summed up while it is computed: a million runs need the memory of a few
 
 from collections.abc import Callable
 from math import ceil, sqrt
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.arrays import Array, is_jax, namespace, repeat, repeat_and_keep
+from jaxstab.arrays import Array, is_jax, is_traced, namespace, repeat, repeat_and_keep
 from jaxstab.batches import TILE, compiled, lists, on_cores
-from jaxstab.model.device.periodic import Segments, segments_of
+from jaxstab.model.device.periodic import segments_of
 from jaxstab.model.plant import plant_transition
 from jaxstab.motion.response import Controller
 
 FASTEST = 64.0  # max(delta, sqrt(gamma)) that is simulated: as many pieces has a sample
 LIMIT = 1e6  # positions and velocities beyond it are given up
 _SMALLEST_TERM = 1e-18  # of a series
+_TRACED_TERMS = 13
 _ARCTAN = tuple((-1.0) ** k / (2 * k + 1) for k in range(13, -1, -1))  # of squares up to 0.066
 _WHOLE = 2.0**52  # larger float64 are whole numbers
 _MANY = 1 << 19  # runs times samples from which on a program of XLA pays
@@ -90,6 +91,29 @@ class Summary(NamedTuple):
     energy: Array
 
 
+class Seen(NamedTuple):
+    """What is noted between two samples: extremes and maxima of the position, the wall's work."""
+
+    low: Array
+    high: Array
+    maxima: Array
+    first_maximum: Array
+    last_maximum: Array
+    energy: Array
+
+    def at(self, x: Array, xp: Any) -> "Seen":
+        """Note a position that may be an extreme."""
+        return self._replace(low=xp.minimum(self.low, x), high=xp.maximum(self.high, x))
+
+    def with_maximum(self, is_maximum: Array, time: Array, xp: Any) -> "Seen":
+        """Note at what time a maximum was, where there was one."""
+        last = xp.where(is_maximum, time, self.last_maximum)
+        first = xp.where(is_maximum & (self.maxima == 0.0), last, self.first_maximum)
+        return self._replace(
+            maxima=self.maxima + is_maximum, first_maximum=first, last_maximum=last
+        )
+
+
 class Flow(NamedTuple):
     """A piece of a sample: its length, and S, S' and Y at its end."""
 
@@ -122,39 +146,100 @@ class Plant(NamedTuple):
     def of(cls, gamma: float, delta: float, delays: tuple[float, ...]) -> "Plant":
         """Return the plant; delays in samples, in turn, infinite for a lost sample."""
         fastest = max(delta, sqrt(gamma))
-        turns = [_cut(segments, fastest) for segments in segments_of(delays)]
-        most = max(map(len, turns))
-        turns = [[*turn, *[(0, 0.0)] * (most - len(turn))] for turn in turns]
-        ages = [[age for age, _ in turn] for turn in turns]
-        lengths = np.array([[length for _, length in turn] for turn in turns])
+        ages, lengths = pieces(delays, fastest)
         moved = plant_transition(gamma, delta, lengths)
         flows = np.stack([lengths, moved[..., 0, 1], moved[..., 1, 1], moved[..., 0, 2]], axis=-1)
         return cls(
             gamma,
             0.5 * delta,
             gamma - 0.25 * delta**2,
-            *_series(gamma, delta, 1.0 / max(fastest, 1.0)),
+            *series(gamma, delta, 1.0 / max(fastest, 1.0)),
             ages,
             flows.tolist(),
             max(map(max, ages)),
         )
 
+    def start(self, position: Array, velocity: Array) -> tuple[Array, ...]:
+        """Return position and velocity."""
+        return position, velocity
 
-def _cut(segments: Segments, fastest: float) -> list[tuple[int, float]]:
-    """Return ages and lengths of pieces of a sample, none too long."""
-    pieces = []
-    for age, begin, end in segments:
-        count = max(1, ceil((end - begin) * fastest))
-        pieces += [(age, (end - begin) / count)] * count
-    return pieces
+    def moved(
+        self, runs: Runs, state: tuple[Array, ...], seen: Seen, forces: Any, sample: Any
+    ) -> tuple[tuple[Array, ...], Seen]:
+        """Return position and velocity at the next sample: two legs for each piece."""
+        (x, v), xp, begin = state, functions(runs.alpha), sample
+        turn = sample % len(self.ages)
+        ages, flows = self.ages[turn], self.flows[turn]
+        for piece in range(len(flows)):
+            acting, flow = forces[ages[piece]], Flow(*flows[piece])
+            others = acting + runs.push - self.gamma * x
+            sign, b = _pushed(runs, v, others)
+            way = flow.impulse * v + flow.step * b
+            speed = flow.slope * v + flow.impulse * b
+            turns = sign * speed < 0.0
+            if is_jax(turns) or xp.any(turns):
+                time = xp.minimum(self._time_to_turn(turns, v, b), flow.length)
+                rest = flow.length - time
+                there = time * (v * series_at(self.impulse, time))
+                there = there + time * time * (b * series_at(self.step, time))
+                _, b = _pushed(runs, 0.0 * v, others - self.gamma * there)
+                back = rest * rest * (b * series_at(self.step, rest))
+                way = xp.where(turns, there + back, way)
+                speed = xp.where(turns, rest * (b * series_at(self.impulse, rest)), speed)
+                seen = seen.at(xp.where(turns, x + there, x), xp)
+                seen = seen.with_maximum(turns & (sign > 0.0), begin + time, xp)
+            x, v, begin = x + way, speed, begin + flow.length
+            seen = seen.at(x, xp)._replace(energy=seen.energy + acting * way)
+        return (x, v), seen
+
+    def _time_to_turn(self, turns: Array, v: Array, b: Array) -> Array:
+        xp = functions(v)
+        time = xp.where(turns, v, 0.0) / xp.where(turns, self.half_damping * v - b, 1.0)
+        for _ in range(2):
+            time = time / (1.0 + xp.sqrt(1.0 + self.square * time * time))
+        return 4.0 * time * series_at(_ARCTAN, self.square * time * time)
 
 
-def _series(
-    gamma: float, delta: float, longest: float
-) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the coefficients of S(t) / t and Y(t) / t^2 for times up to the longest."""
+def _pushed(runs: Runs, v: Array, others: Array) -> tuple[Array, Array]:
+    """Return the direction in which the mass moves, 0 if it sticks, and the b above."""
+    xp = functions(runs.alpha)
+    slips = xp.where(abs(others) > runs.static_friction, xp.sign(others), 0.0)
+    sign = xp.where(v == 0.0, slips, xp.sign(v))
+    return sign, xp.where(sign == 0.0, 0.0, others - sign * runs.friction)
+
+
+def pieces(
+    delays: tuple[float, ...], fastest: float
+) -> tuple[list[list[int]], Float64[np.ndarray, "turn piece"]]:
+    """Return ages of forces and lengths of the pieces of each sample of a turn, none too long."""
+    turns = []
+    for segments in segments_of(delays):
+        turn = []
+        for age, begin, end in segments:
+            count = max(1, ceil((end - begin) * fastest))
+            turn += [(age, (end - begin) / count)] * count
+        turns.append(turn)
+    most = max(map(len, turns))
+    turns = [[*turn, *[(0, 0.0)] * (most - len(turn))] for turn in turns]
+    ages = [[age for age, _ in turn] for turn in turns]
+    return ages, np.array([[length for _, length in turn] for turn in turns])
+
+
+def series(
+    gamma: Array, delta: Array, longest: float
+) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+    """Return the coefficients of S(t) / t and Y(t) / t^2 for times up to the longest.
+
+    Traced ones, whose size is not known, get as many as 1e-10 takes where both are up to 1.
+    """
     terms, power = [0.0, 1.0], 1.0
-    while len(terms) % 4 != 1 or abs(terms[-1]) + abs(terms[-2]) * longest > _SMALLEST_TERM / power:
+
+    def is_short() -> bool:
+        if is_traced(gamma):
+            return len(terms) < _TRACED_TERMS
+        return abs(terms[-1]) + abs(terms[-2]) * longest > _SMALLEST_TERM / power
+
+    while len(terms) % 4 != 1 or is_short():
         order = len(terms) - 1
         term = -(delta * order * terms[-1] + gamma * terms[-2]) / (order * (order + 1))
         terms.append(term)
@@ -182,12 +267,23 @@ class _PlainNumbers:
         return float((value > 0.0) - (value < 0.0))
 
 
-def _functions(value: Array) -> Any:
+def functions(value: Array) -> Any:
+    """Return the namespace of an array or a number."""
     return _PlainNumbers if type(value) is float else namespace(value)
 
 
+Mechanism: TypeAlias = Any
+"""What moves between samples: a ``Plant``, or a ``Handle``, whose methods have the same meaning."""
+
+
 def contacts(
-    plant: Plant, controller: Controller, runs: Runs, samples: int, *, one_sided: bool, pulls: bool
+    plant: Mechanism,
+    controller: Controller,
+    runs: Runs,
+    samples: int,
+    *,
+    one_sided: bool,
+    pulls: bool,
 ) -> Summary:
     """Simulate runs, arrays of one length, and sum them up; many by XLA, on all cores."""
     count = len(runs.alpha)
@@ -203,13 +299,14 @@ def contacts(
         summary = _of_tile(arrays, controller, own, samples, oldest=plant.oldest, **sides)
         return Summary(*(column[: part.size] for column in summary))
 
-    tiles = on_cores(of_tile, list(lists(np.arange(count), TILE, TILE // 64)))
+    tile = TILE if isinstance(plant, Plant) else TILE // 32  # of any device, with its series
+    tiles = on_cores(of_tile, list(lists(np.arange(count), tile, TILE // 64)))
     return Summary(*map(np.concatenate, zip(*tiles, strict=True)))
 
 
 @compiled(static=["oldest", "one_sided", "pulls"], many=0, wide=True)
 def _of_tile(
-    plant: Plant,
+    plant: Mechanism,
     controller: Controller,
     runs: Runs,
     samples: Any,
@@ -223,7 +320,7 @@ def _of_tile(
 
 
 def _summary(
-    plant: Plant, controller: Controller, runs: Runs, samples: Any, one_sided: bool, pulls: bool
+    plant: Mechanism, controller: Controller, runs: Runs, samples: Any, one_sided: bool, pulls: bool
 ) -> Summary:
     step, start = _motion(plant, controller, runs, samples, one_sided, pulls)
     summary: Summary = repeat(samples, lambda state: step(state)[0], start)[-1]
@@ -231,7 +328,13 @@ def _summary(
 
 
 def paths(
-    plant: Plant, controller: Controller, runs: Runs, samples: int, *, one_sided: bool, pulls: bool
+    plant: Mechanism,
+    controller: Controller,
+    runs: Runs,
+    samples: int,
+    *,
+    one_sided: bool,
+    pulls: bool,
 ) -> tuple[Summary, Float64[np.ndarray, "3 sample *run"]]:
     """Simulate runs, arrays of one shape or plain numbers; also position, velocity and force.
 
@@ -244,14 +347,14 @@ def paths(
 
 
 def _motion(
-    plant: Plant, controller: Controller, runs: Runs, samples: Any, one_sided: bool, pulls: bool
+    plant: Mechanism, controller: Controller, runs: Runs, samples: Any, one_sided: bool, pulls: bool
 ) -> tuple[Callable[[Any], tuple[Any, tuple[Array, Array, Array]]], Any]:
     """Return the step from sample to sample, and the state at the first one.
 
-    The state: sample, position, velocity, memory of the filters, forces, the newest first, summary.
+    The state: sample, that of the plant, memory of the filters, forces, the newest first, summary.
     A step also gives position, velocity and force at its beginning.
     """
-    xp = _functions(runs.alpha)
+    xp = functions(runs.alpha)
     is_coarse, is_stepped = runs.encoder > 0.0, runs.force_step > 0.0
     count = xp.where(is_coarse, runs.encoder, 1.0)
     force_unit = xp.where(is_stepped, runs.force_step, 1.0)
@@ -270,60 +373,22 @@ def _motion(
         force = xp.where(is_stepped, force_unit * xp.rint(force / force_unit), force)
         return xp.maximum(xp.minimum(force, runs.max_force), -runs.max_force), memory
 
-    def pushed(v: Array, others: Array) -> tuple[Array, Array]:
-        """The direction in which the mass moves, 0 if it sticks, and the b above."""
-        slips = xp.where(abs(others) > runs.static_friction, xp.sign(others), 0.0)
-        sign = xp.where(v == 0.0, slips, xp.sign(v))
-        return sign, xp.where(sign == 0.0, 0.0, others - sign * runs.friction)
-
-    def time_to_turn(turns: Array, v: Array, b: Array) -> Array:
-        time = xp.where(turns, v, 0.0) / xp.where(turns, plant.half_damping * v - b, 1.0)
-        for _ in range(2):
-            time = time / (1.0 + xp.sqrt(1.0 + plant.square * time * time))
-        return 4.0 * time * _series_at(_ARCTAN, plant.square * time * time)
-
     def step(state: Any) -> tuple[Any, tuple[Array, Array, Array]]:
-        sample, x, v, memory, line, was = state
+        sample, body, memory, line, was = state
+        x, v, *_ = body
         force, memory = force_at(x, memory)
         first = x, v, force
         line = _after(force, line)
-        turn = sample % len(plant.ages)
-        ages, flows = plant.ages[turn], plant.flows[turn]
-        begin, energy = sample, was.energy
         is_new = (sample == middle) | (sample == last)  # a quarter of the run
         earlier_low = xp.where(is_new, was.low, was.earlier_low)
         earlier_high = xp.where(is_new, was.high, was.earlier_high)
         maxima = xp.where(is_new, 0.0, was.maxima)
-        first_maximum, last_maximum = was.first_maximum, was.last_maximum
-        low = high = x
-        for piece in range(len(flows)):
-            acting, flow = line[ages[piece]], Flow(*flows[piece])
-            others = acting + runs.push - plant.gamma * x
-            sign, b = pushed(v, others)
-            way = flow.impulse * v + flow.step * b
-            speed = flow.slope * v + flow.impulse * b
-            turns = sign * speed < 0.0
-            if is_jax(turns) or xp.any(turns):
-                time = xp.minimum(time_to_turn(turns, v, b), flow.length)
-                rest = flow.length - time
-                there = time * (v * _series_at(plant.impulse, time))
-                there = there + time * time * (b * _series_at(plant.step, time))
-                _, b = pushed(0.0 * v, others - plant.gamma * there)
-                back = rest * rest * (b * _series_at(plant.step, rest))
-                way = xp.where(turns, there + back, way)
-                speed = xp.where(turns, rest * (b * _series_at(plant.impulse, rest)), speed)
-                peak = xp.where(turns, x + there, x)
-                low, high = xp.minimum(low, peak), xp.maximum(high, peak)
-                is_maximum = turns & (sign > 0.0)
-                last_maximum = xp.where(is_maximum, begin + time, last_maximum)
-                first_maximum = xp.where(is_maximum & (maxima == 0.0), last_maximum, first_maximum)
-                maxima = maxima + is_maximum
-            x, v, begin = x + way, speed, begin + flow.length
-            energy = energy + acting * way
-            low, high = xp.minimum(low, x), xp.maximum(high, x)
-        is_near = (abs(x) < LIMIT) & (abs(v) < LIMIT)
-        x, v = xp.where(is_near, x, LIMIT), xp.where(is_near, v, 0.0)
-        low, high = xp.where(is_near, low, LIMIT), xp.where(is_near, high, LIMIT)
+        seen = Seen(x, x, maxima, was.first_maximum, was.last_maximum, was.energy)
+        body, seen = plant.moved(runs, body, seen, line, sample)
+        is_near = (abs(body[0]) < LIMIT) & (abs(body[1]) < LIMIT)
+        x, *others = (xp.where(is_near, one, 0.0) for one in body)
+        x = xp.where(is_near, x, LIMIT)
+        low, high = xp.where(is_near, seen.low, LIMIT), xp.where(is_near, seen.high, LIMIT)
         moved = xp.maximum(high - was.place, was.place - low) > runs.tolerance
         now = Summary(
             low=xp.where(is_new, low, xp.minimum(was.low, low)),
@@ -332,22 +397,23 @@ def _motion(
             earlier_high=earlier_high,
             place=xp.where(moved, x, was.place),
             since=xp.where(moved, sample + 1.0, was.since),
-            maxima=maxima,
-            first_maximum=first_maximum,
-            last_maximum=last_maximum,
+            maxima=seen.maxima,
+            first_maximum=seen.first_maximum,
+            last_maximum=seen.last_maximum,
             deepest=xp.maximum(was.deepest, high),
             strongest=xp.maximum(was.strongest, abs(force)),
-            energy=energy,
+            energy=seen.energy,
         )
-        return (sample + 1, x, v, memory, line, now), first
+        return (sample + 1, (x, *others), memory, line, now), first
 
-    x, v = runs.position, runs.velocity
+    x = runs.position
     rest = 0.0 * x
     start = Summary(x, x, x, x, x, rest, rest, rest, rest, x, rest, rest)
     forces: Any = (rest,) * (plant.oldest + 1)
     if type(x) is not float:
         forces = xp.stack(forces)
-    return step, (0, x, v, controller.at_rest(read(x)), forces, start)
+    body = plant.start(x, runs.velocity)
+    return step, (0, body, controller.at_rest(read(x)), forces, start)
 
 
 def _after(newest: Array, line: Any) -> Any:
@@ -357,7 +423,8 @@ def _after(newest: Array, line: Any) -> Any:
     return namespace(line).concatenate([newest[None], line[:-1]])
 
 
-def _series_at(coefficients: Any, time: Array) -> Array:
+def series_at(coefficients: Any, time: Array) -> Array:
+    """Return the value of a polynomial whose highest power comes first."""
     total = coefficients[0]
     for coefficient in coefficients[1:]:
         total = total * time + coefficient

@@ -208,6 +208,8 @@ def cells_of(functions: Functions) -> FilterCells:
 class Responses(NamedTuple):
     """P and V as numbers that a compiled program takes: V is (1 - z^-n) / n times its chain.
 
+    They are JAX's where JAX traces the filters.
+
     chains: of P and of V, its stages, each a numerator and a denominator in powers of 1/z, lowest
         power first. Stages and coefficients are filled up to powers of two: few shapes.
     """
@@ -224,13 +226,18 @@ class Responses(NamedTuple):
         samples, stages = velocity.stages()
         both = [[_in_lags(stage) for stage in each] for each in (position.stages(), stages)]
         longest = max([4, *(len(part) for chain in both for one in chain for part in one)])
-        shape = [_power_of_two(count) for count in (max(2, *map(len, both)), longest)]
-        chains = np.zeros((2, shape[0], 2, shape[1]))
-        chains[..., 0] = 1.0
-        for chain, known in zip(chains, both, strict=True):
-            for stage, factor in zip(chain, known, strict=False):
-                for row, part in zip(stage, factor, strict=True):
-                    row[: len(part)] = [float(one.rounded()) for one in part]
+        count = _power_of_two(max(2, *map(len, both))) if any(both) else 0
+        power = _power_of_two(longest)
+
+        def filled(part: Polynomial) -> list[Array]:
+            return [*(one.rounded() for one in part), *[0.0] * (power - len(part))]
+
+        unit = ONE, ONE
+        rows = [
+            [[filled(part) for part in stage] for stage in (*chain, *[unit] * (count - len(chain)))]
+            for chain in both
+        ]
+        chains = namespace(filters).asarray(rows).reshape(2, count, 2, power)
         return cls(np.array(float(samples)), chains)
 
     def over_sine(self, theta: Array) -> tuple[OverSine, OverSine]:

@@ -372,7 +372,7 @@ class _Gaps(NamedTuple):
 
 
 def _common_limit(loops: list[Loop], pull: float) -> Guess:
-    """The stiffest wall that all of the loops allow, pulled down by a share of its stiffness."""
+    """The stiffest wall with B >= 0 that all loops allow, pulled down by a share of itself."""
     span = _common_span(loops)
     if span is None:
         return NOTHING
@@ -402,10 +402,10 @@ def _common_limit(loops: list[Loop], pull: float) -> Guess:
             )
         )
     top, best = int(np.argmax(columns.most)), int(np.argmax(columns.high))
-    if columns.most[top] == -np.inf:
+    if not columns.most[top] > 0.0:
         return NOTHING
     limit, setter = float(columns.most[top]), loops[int(columns.setter[top])]
-    if columns.high[best] == -np.inf:
+    if not columns.high[best] > 0.0:
         return Guess(NOTHING.walls, limit, setter)
     low, high = columns.low[best], columns.high[best]
     pulled = max(high - pull * abs(high), 0.5 * (low + high))
@@ -414,8 +414,8 @@ def _common_limit(loops: list[Loop], pull: float) -> Guess:
 
 
 def _common_span(loops: list[Loop]) -> _Span | None:
-    """The span of stiffness and damping that all stable regions share, in SI units."""
-    low, high, setter = np.full(2, -np.inf), np.full(2, np.inf), 0
+    """The span of stiffness and damping >= 0 that all stable regions share, in SI units."""
+    low, high, setter = np.array([-np.inf, 0.0]), np.full(2, np.inf), 0
     for number, loop in enumerate(loops):
         region = stable_region(
             gamma=loop.gamma, delta=loop.delta, delay=loop.delay_samples, **loop.filters

@@ -21,8 +21,9 @@ branches are known before the scan. The program, for each loop:
    the crossing of both lines. Each piece must follow exactly one.
 4. *Component.* A wall with small gains is enclosed by one of the loops: that is the component of
    walls that are reached by turning gains up from 0.
-5. *Extremes.* The largest alpha and beta of its closure are at corners, or where the curve turns:
-   the best angles of the scan are refined by Newton's method.
+5. *Extremes.* The largest alpha where beta >= 0, and the largest beta where alpha >= 0, are at
+   corners, where the curve turns, or where the boundary crosses the axis of that gain: the best
+   angles of the scan are refined by Newton's method.
 
 Each step has a test, and a loop that fails one of them is UNRESOLVED: pieces that do not join, more
 of them than there is room for, no or several loops around small gains, extremes that do not
@@ -62,6 +63,7 @@ _SLACK = 1e-6  # of angles beside their brackets
 _CANDIDATES = 3  # places where the curve turns that are refined
 _LOWER = 5e-3  # beside the largest value: how much less the others have to be
 _LOST = 1e-10  # of an extreme, by rounding
+_ON_AXIS = 1e-10  # of the component's size: a corner that far beyond an axis is on it
 _APART = 1e-3  # of angles that are those of two ends
 _PARALLEL = 1e-3  # the sine of the angle at a corner
 _ASIDE = 1e-6  # of the component's size: where walls beside the extremes are tested
@@ -90,8 +92,9 @@ class Triples(NamedTuple):
 class Extremes(NamedTuple):
     """The walls (alpha, beta) of the largest alpha and of the largest beta, and what is known.
 
-    ``angles`` are those of the roots on the circle there: the second one is that of the other root
-    at a corner, and NaN where the boundary is smooth. ``failures`` has a bit for each test of the
+    Both gains are >= 0. ``angles`` are those of the roots on the circle there: the second one is
+    that of the other root at a corner, and NaN where the boundary turns or crosses an axis, which
+    makes the other gain 0. ``failures`` has a bit for each test of the
     module's text that failed; 0 is resolved. ``missed`` are the two angles next to which the scan
     most likely missed a piece, should it have done so.
     """
@@ -607,6 +610,13 @@ def _largest(
     in_main, of_main = members
     values, at_corners, unit = scan.walls[axis], corners.walls[axis], size[axis]
     count, angles = len(values), loop.angles
+
+    def may_be(walls: Array) -> Array:
+        """Return which walls are in the quadrant."""
+        return walls[1 - axis] >= -_ON_AXIS * size[1 - axis]
+
+    are_in = may_be(scan.walls)
+    are_near = are_in | jnp.append(False, are_in[:-1]) | jnp.append(are_in[1:], False)
     next_angle = angles[corners.next_to]
     # The largest values of the scan between their neighbours. The curve between a corner and the
     # nearest angle of the scan may turn, too.
@@ -617,9 +627,10 @@ def _largest(
     is_less = jnp.any(
         (corners.next_to[..., None] == jnp.arange(count)) & is_beside[..., None], axis=(0, 1)
     )
-    tops = (on_pieces >= before) & (on_pieces >= after) & ~is_less
+    tops = (on_pieces >= before) & (on_pieces >= after) & ~is_less & are_near
     rises = corners.slopes[axis] * jnp.array([[1.0], [-1.0]]) > 0.0
     bulges = is_beside & rises & (corners.theta != next_angle)
+    bulges = bulges & (may_be(corners.walls) | are_near[corners.next_to])
     scores = jnp.concatenate(
         [jnp.where(tops, on_pieces, -jnp.inf), jnp.where(bulges, at_corners, -jnp.inf).ravel()]
     )
@@ -648,37 +659,47 @@ def _largest(
     start = jnp.where(number < count, start, 0.5 * (lower + upper))
     start = jnp.where(exists, start, start[0])  # all wait for the slowest
 
-    def newton(theta: Array, _: None) -> Array:
+    limits = lower - _SLACK, upper + _SLACK
+
+    def newton(theta: Array, limits: tuple[Array, Array]) -> Array:
         slopes = partial(_with_slopes, loop)
         (_, slope), (_, bend) = jax.jvp(slopes, (theta,), (jnp.ones_like(theta),))
-        return theta - slope[axis] / bend[axis]
+        return jnp.clip(theta - slope[axis] / bend[axis], *limits)
 
-    theta, solved = jax.vmap(lambda x: _root(newton, x, None))(start)
-    is_between = (theta >= lower - _SLACK) & (theta <= upper + _SLACK)
-    solved = exists & solved & is_between
+    theta, solved = jax.vmap(partial(_root, newton))(start, limits)
+    solved = exists & solved & (theta > limits[0]) & (theta < limits[1])
     smooth = _wall(loop, jnp.where(solved, theta, angles[at]))
     solved = solved & (smooth[axis] >= best - _TOLERANCE * unit)
-    turn = jnp.argmax(jnp.where(solved, smooth[axis], -jnp.inf))
+    at_turns = jnp.where(solved & may_be(smooth), smooth[axis], -jnp.inf)
+    turn = jnp.argmax(at_turns)
 
     crossing = jnp.broadcast_to(links.crossing[:, None], (2, SLOTS))
     every = jnp.concatenate([corners.walls[:, 0], corners.walls[:, 1], crossing], axis=1)
     may = jnp.concatenate([of_main[None], of_main[None], (of_main & links.via)[None]]).ravel()
-    at_every = jnp.where(may, every[axis], -jnp.inf)
+    at_every = jnp.where(may & may_be(every), every[axis], -jnp.inf)
     corner = jnp.argmax(at_every)
-    is_smooth = solved[turn] & (smooth[axis, turn] > at_every[corner])
+    crossing_of_axis = _on_axis(loop, scan, corners, links, members, axis, may_be)
+    others = jnp.maximum(at_turns[turn], at_every[corner])
+    is_crossing = crossing_of_axis.wall[axis] > others + _ON_AXIS * unit
+    is_smooth = is_crossing | (at_turns[turn] > at_every[corner])
+    smooth_wall = jnp.where(is_crossing, crossing_of_axis.wall, smooth[:, turn])
+    smooth_angle = jnp.where(is_crossing, crossing_of_axis.theta, theta[turn])
     # A corner of the curve is on two pieces; where the curve is slower, less is lost.
     row, own = corner // SLOTS, corner % SLOTS
     twin = jnp.where(row == 0, corners.preceding[own], corners.following[own])
     is_twice = (row < 2) & (corners.branch[jnp.minimum(row, 1), own] == Branch.CURVE)
     twin = jnp.where(is_twice, (1 - row) * SLOTS + twin, corner)
     both = jnp.stack([corner, twin])
-    walls = jnp.where(is_smooth, smooth[:, [turn, turn]], every[:, both])
-    at_both = jnp.where(is_smooth, theta[turn], corners.theta.ravel()[both % (2 * SLOTS)])
+    walls = jnp.where(is_smooth, smooth_wall[:, None], every[:, both])
+    at_both = jnp.where(is_smooth, smooth_angle, corners.theta.ravel()[both % (2 * SLOTS)])
     lost = jax.vmap(partial(_rounding, loop), (0, 1, None))(at_both, walls, axis) / unit
+    lost = jnp.where(is_crossing & crossing_of_axis.is_on_line, UNIT, lost)
     wall, lost = walls[:, jnp.argmin(lost)], jnp.min(lost)
     value = wall[axis]
-    enough = value - _LOWER * abs(value)
-    is_refined = jnp.all(solved | (best <= enough)) & (rest <= enough)
+    enough, for_turns = (most - _LOWER * abs(most) for most in (value, others))
+    # A turn next to the axis may be much higher than the scan's angles and the crossing beside it.
+    is_refined = jnp.all(solved | (best <= for_turns)) & (rest <= enough)
+    is_refined = is_refined & (crossing_of_axis.rest <= enough)
 
     # Stable walls on one side, unstable ones on the other.
     straight = jnp.where(jnp.arange(2) == axis, -1.0, 0.0)
@@ -691,8 +712,74 @@ def _largest(
     other = jnp.where(branch == Branch.CURVE, at_corner[twin % (2 * SLOTS)], on_line)
     ends = jnp.stack([at_corner[corner % (2 * SLOTS)], other])
     ends = jnp.where(row < 2, ends, jnp.array([0.0, jnp.pi]))
-    roots = jnp.where(is_smooth, jnp.stack([theta[turn], jnp.nan]), ends)
+    roots = jnp.where(is_smooth, jnp.stack([smooth_angle, jnp.nan]), ends)
     return wall, roots, jnp.stack([is_refined, beside[0] & ~beside[1], is_exact])
+
+
+class _Crossing(NamedTuple):
+    """The last crossing of a component's boundary with the axis of a gain; -inf if there is none.
+
+    ``rest``: no other crossing, nor this one where it is not solved for, has a larger gain.
+    """
+
+    wall: Array
+    theta: Array
+    is_on_line: Array
+    rest: Array
+
+
+def _on_axis(
+    loop: Triples,
+    scan: _Scan,
+    corners: _Corners,
+    links: _Links,
+    members: tuple[Array, Array],
+    axis: Array,
+    may_be: Callable[[Array], Array],
+) -> _Crossing:
+    """Return where the boundary crosses the axis: by Newton's method, on lines in closed form."""
+    in_main, of_main = members
+    first, last = corners.walls[:, 0][:, links.successor], corners.walls[:, 1]
+    middle = jnp.where(links.via, links.crossing[:, None], first)
+
+    def on_axis(gain: Array) -> Array:
+        return jnp.where(jnp.arange(2) == axis, gain, 0.0)
+
+    line = jnp.where(corners.branch[1] == Branch.Z_MINUS_ONE, 1, 0)
+    on_lines = -loop.ends[:, 0] / loop.ends[:, 1 + axis]
+    is_line = of_main & (corners.branch[1] != Branch.CURVE)
+    meets = is_line & jnp.stack([may_be(last) != may_be(middle), may_be(middle) != may_be(first)])
+    lines = jnp.stack([line, 1 - line])
+    on_line = jnp.where(meets, on_lines[lines], -jnp.inf).ravel()
+    best_line = jnp.argmax(on_line)
+
+    beside = corners.next_to
+    starts = jnp.concatenate([loop.angles[:-1], corners.theta.ravel()])
+    stops = jnp.concatenate([loop.angles[1:], loop.angles[beside].ravel()])
+    here = jnp.concatenate([scan.walls[:, :-1], corners.walls.reshape(2, -1)], axis=1)
+    there = jnp.concatenate([scan.walls[:, 1:], scan.walls[:, beside].reshape(2, -1)], axis=1)
+    exist = jnp.concatenate([in_main[:-1] & in_main[1:], of_main, of_main])
+    crosses = exist & (may_be(here) != may_be(there))
+    run = there[1 - axis] - here[1 - axis]
+    share = -here[1 - axis] / jnp.where(crosses, run, 1.0)
+    gains = jnp.where(crosses, here[axis] + share * (there[axis] - here[axis]), -jnp.inf)
+    most = jnp.where(crosses, jnp.maximum(here[axis], there[axis]), -jnp.inf)
+    best = jnp.argmax(gains)
+    low, high = jnp.minimum(starts, stops)[best], jnp.maximum(starts, stops)[best]
+
+    def newton(theta: Array, _: None) -> Array:
+        walls, slopes = _with_slopes(loop, theta)
+        return theta - walls[1 - axis] / slopes[1 - axis]
+
+    start = starts[best] + share[best] * (stops[best] - starts[best])
+    theta, is_solved = _root(newton, jnp.where(crosses[best], start, starts[best]), None)
+    is_solved = crosses[best] & is_solved & (theta >= low - _SLACK) & (theta <= high + _SLACK)
+    on_curve = jnp.where(is_solved, _wall(loop, theta)[axis], -jnp.inf)
+    rest = jnp.max(jnp.where(is_solved & (jnp.arange(len(most)) == best), -jnp.inf, most))
+    is_on_line = on_line[best_line] > on_curve
+    gain = jnp.where(is_on_line, on_line[best_line], on_curve)
+    theta = jnp.where(is_on_line, jnp.pi * lines.ravel()[best_line], theta)
+    return _Crossing(on_axis(gain), theta, is_on_line, rest)
 
 
 def _vertex(angles: Array, middle: Array, beside: Array) -> Array:

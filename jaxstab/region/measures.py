@@ -50,6 +50,28 @@ def limits(
     return _in_batches(ends, outline, values).reshape(*values.shape, 2)
 
 
+def quadrant_extremes(c: Curve, outline: Outline) -> tuple[Array, Array]:
+    """Return the points of the largest alpha and of the largest beta where the other is >= 0.
+
+    Each is a vertex, or the last crossing with the axis of that gain; NaN where there is none.
+    """
+    return _extreme(c, outline, 0), _extreme(c, outline, 1)
+
+
+def _extreme(c: Curve, outline: Outline, axis: int) -> Array:
+    xp = namespace(c, outline)
+    other = xp.nan_to_num(outline.vertices[:, 1 - axis], nan=-xp.inf)
+    is_allowed = other >= -_STILL * xp.max(other)  # a corner on the axis may be beside it
+    values = xp.where(is_allowed, outline.vertices[:, axis], -xp.inf)
+    largest, crossing = xp.max(values), limits(c, outline, xp.zeros(1), axis=1 - axis)[0, 1]
+    on_axis = xp.stack([crossing, xp.zeros_like(crossing)][:: 1 - 2 * axis])
+    is_crossing = crossing - largest > _STILL * abs(crossing)
+    point = xp.where(is_crossing, on_axis, outline.vertices[xp.argmax(values)])
+    size = xp.max(abs(xp.nan_to_num(outline.vertices[:, axis])))
+    is_there = xp.where(is_crossing, crossing, largest) > _STILL * size
+    return xp.where(is_there, point, xp.nan) + 0.0  # no -0
+
+
 def crossings(
     c: Curve, outline: Outline, values: Float64[np.ndarray, " row"], *, axis: int
 ) -> Float64[np.ndarray, "row crossing"]:

@@ -126,8 +126,9 @@ class StableRegion(ShownRegion):
         coefficients: what the exact boundary is made of.
         outline: the polygon in arrays of one length.
         status: a RegionStatus.
-        max_alpha: the point (alpha, beta) of the largest alpha; NaN where there is none.
-        max_beta: the point (alpha, beta) of the largest beta; NaN where there is none.
+        max_alpha: the point (alpha, beta) of the largest alpha, over negative betas as well (the
+            limits of a ``HapticLoop`` are of walls with K >= 0 and B >= 0); NaN if there is none.
+        max_beta: the same of the largest beta.
 
     Source: eq. (9) by the D-decomposition, keeping the pieces around the stable set.
 

@@ -3,7 +3,6 @@ from .answers import Basis as Basis
 from .answers import basis_of as basis_of
 from .check import Check as Check
 from .check import WallCheck as WallCheck
-from .check import check_scenes as check_scenes
 from .check import check_walls as check_walls
 from .contact import Contacts as Contacts
 from .contact import simulate_contacts as simulate_contacts

@@ -11,7 +11,6 @@ from jaxtyping import Float64
 from numpy.typing import NDArray
 
 from jaxstab.arrays import tree_map
-from jaxstab.batches import by_kind
 from jaxstab.conventions import Verdict
 from jaxstab.loop import Gains, HapticLoop
 from jaxstab.loop.between import LoopsBetween, common_walls
@@ -77,8 +76,6 @@ _TRIED = "no hand that was tried is unstable, but not all others are proved"
 NOT_FOR_OTHERS = ": others are not proved together with a range of delays"
 _ROWS = 400  # of B, in which walls are stable for all hands
 
-WallOfScene = tuple[Scene, Gains]
-
 Floats = NDArray[np.float64]
 
 
@@ -122,21 +119,13 @@ class WorstHeld(NamedTuple):
     delays: str | None = None
 
 
-def worst_held(walls: Sequence[WallOfScene]) -> list[WorstHeld]:
-    """Verdicts on walls for all hands of their scenes' ranges, and the worst hands."""
-    return by_kind(walls, [is_one_mass(scene) for scene, _ in walls], _worst_of_a_kind)
-
-
-def _worst_of_a_kind(walls: Sequence[WallOfScene]) -> list[WorstHeld]:
-    """Return the same for scenes that are all of one mass, or none of them."""
-    held = [
-        HeldWall(loop_of(scene), range_of_hands(scene), *gains, masses_of(scene))
-        for scene, gains in walls
-    ]
-    if is_one_mass(walls[0][0]):
-        worsts = worst_hands(held)
+def worst_held(scene: Scene, walls: Sequence[Gains]) -> list[WorstHeld]:
+    """Verdicts on walls for all hands of a scene's range, and the worst hands."""
+    loop, hands, mass = loop_of(scene), range_of_hands(scene), masses_of(scene)
+    if is_one_mass(scene):
+        worsts = worst_hands([HeldWall(loop, hands, *gains, mass) for gains in walls])
     else:
-        worsts = [loop.worst_hand(*wall, mass=mass) for loop, *wall, mass in held]
+        worsts = [loop.worst_hand(hands, *gains, mass=mass) for gains in walls]
     return [
         WorstHeld(
             worst.verdict,
@@ -144,7 +133,7 @@ def _worst_of_a_kind(walls: Sequence[WallOfScene]) -> list[WorstHeld]:
             held_by(worst.loop, scene),
             _TRIED if worst.verdict == Verdict.UNDECIDED else None,
         )
-        for worst, (scene, _) in zip(worsts, walls, strict=True)
+        for worst in worsts
     ]
 
 
@@ -207,7 +196,7 @@ def limit_for_all(scene: Scene, safety: float) -> AllHands | None:
     )
 
 
-def at_lowest(scene: Scene, rest: str = ", where nothing else is said") -> str | None:
+def at_lowest(scene: Scene, rest: str = " unless stated otherwise") -> str | None:
     """Return for which hand answers hold that name none, and the rest; None where none varies."""
     if hands_of(scene) is None:
         return None
@@ -397,23 +386,17 @@ class _Wall:
 
 def check_walls(scene: Scene) -> Check:
     """The verdict on each wall and the requested measures, at their worst; at least one wall."""
-    (check,) = check_scenes([scene])
-    return check
-
-
-def check_scenes(scenes: Sequence[Scene]) -> list[Check]:
-    """``check_walls`` of each scene, evaluated as one batch."""
-    walls = _walls_of(scenes)
+    walls = _walls_of(scene)
     measured: list[dict[str, Any]] = [{} for _ in walls]
     for name, (ask, summarise) in _MEASURES.items():
-        numbers = [number for number, wall in enumerate(walls) if wall.wants(name)]
-        if numbers:
-            wanting = [walls[number] for number in numbers]
-            for number, loops, answer in zip(numbers, *_over_hands(wanting, ask), strict=True):
-                measured[number][name] = summarise(walls[number], loops, answer)
-    felt = (contacts.get(name) for s in scenes for contacts in [contacts_of(s)] for name in s.walls)
-    checked = (
-        WallCheck(
+        if walls[0].wants(name):
+            for own, wall, loops, answer in zip(
+                measured, walls, *_over_hands(walls, ask), strict=True
+            ):
+                own[name] = summarise(wall, loops, answer)
+    felt = contacts_of(scene)
+    checked = {
+        name: WallCheck(
             *wall.gains,
             wall.known.verdict,
             wall.known.tried,
@@ -421,41 +404,34 @@ def check_scenes(scenes: Sequence[Scene]) -> list[Check]:
             wall.known.delays,
             _measures_are(wall) if answers else None,
             **answers,
-            simulated=simulated,
+            simulated=felt.get(name),
         )
-        for wall, answers, simulated in zip(walls, measured, felt, strict=True)
-    )
-    return [Check(basis_of(one), {name: next(checked) for name in one.walls}) for one in scenes]
+        for name, wall, answers in zip(scene.walls, walls, measured, strict=True)
+    }
+    return Check(basis_of(scene), checked)
 
 
-def _walls_of(scenes: Sequence[Scene]) -> list[_Wall]:
-    listed: list[tuple[Scene, Gains, list[HapticLoop]]] = []
-    for scene in scenes:
-        scene.require_walls()
-        loops = loops_over_delays(scene)
-        if hands_of(scene) and (scene.controller.has_one_delay or scene.controller.moves):
-            every = (corner_loops(with_delay(scene, loop.delay)) for loop in loops)
-            loops = list(dict.fromkeys([*loops, *(loop for some in every for loop in some)]))
-        listed += [(scene, gains, loops) for gains in walls_of(scene).values()]
-    kinds = [(one.controller.has_one_delay, hands_of(one) is not None) for one, *_ in listed]
-    known = by_kind(listed, kinds, _known)
+def _walls_of(scene: Scene) -> list[_Wall]:
+    scene.require_walls()
+    loops = loops_over_delays(scene)
+    if hands_of(scene) and (scene.controller.has_one_delay or scene.controller.moves):
+        every = (corner_loops(with_delay(scene, loop.delay)) for loop in loops)
+        loops = list(dict.fromkeys([*loops, *(loop for some in every for loop in some)]))
+    gains = list(walls_of(scene).values())
     return [
-        _Wall(scene, gains, list(dict.fromkeys([*loops, held.loop])), held)
-        for (scene, gains, loops), held in zip(listed, known, strict=True)
+        _Wall(scene, pair, list(dict.fromkeys([*loops, held.loop])), held)
+        for pair, held in zip(gains, _known(scene, gains, loops[0]), strict=True)
     ]
 
 
-def _known(walls: Sequence[tuple[Scene, Gains, list[HapticLoop]]]) -> list[WorstHeld]:
+def _known(scene: Scene, walls: list[Gains], loop: HapticLoop) -> list[WorstHeld]:
     """The verdict on each wall at the worst hand or delay, or in the loop if none varies."""
-    if not walls[0][0].controller.has_one_delay:
-        return [worst_over_delays(scene, gains) for scene, gains, _ in walls]
-    if hands_of(walls[0][0]):
-        return worst_held([(scene, gains) for scene, gains, _ in walls])
-    codes = verdicts([Rendered(loops[0], gains) for _, gains, loops in walls])
-    return [
-        WorstHeld(Verdict(int(code)), loops[0], None, None)
-        for code, (*_, loops) in zip(codes, walls, strict=True)
-    ]
+    if not scene.controller.has_one_delay:
+        return [worst_over_delays(scene, gains) for gains in walls]
+    if hands_of(scene):
+        return worst_held(scene, walls)
+    codes = verdicts([Rendered(loop, gains) for gains in walls])
+    return [WorstHeld(Verdict(int(code)), loop, None, None) for code in codes]
 
 
 def _over_hands(
@@ -489,7 +465,7 @@ def _among(words: str, loops: list[HapticLoop]) -> str | None:
     delays = len({loop.delay for loop in loops})
     what = "hands and constant delays" if delays < len(loops) else "constant delays"
     what = "hands" if delays == 1 else what
-    return f"{words} of {len(loops)} {what}" if len(loops) > 1 else None
+    return f"{words} over {len(loops)} {what}" if len(loops) > 1 else None
 
 
 def _measures_are(wall: _Wall) -> str | None:
@@ -512,7 +488,7 @@ def _least_margins(wall: _Wall, loops: list[HapticLoop], margins: LoopMargins) -
     searched = MOST_DELAY * wall.loops[0].sample_time if isinf(extra_delay) else None
     limits = _common(margins.stiffness), _common(margins.damping)
     kind = NoMargins if wall.known.verdict == Verdict.UNSTABLE else Margins
-    words = _among("the least", loops)
+    words = _among("smallest", loops)
     return kind(stiffer, damper, *limits, extra_delay, searched, words)
 
 
@@ -524,7 +500,7 @@ def _common(limits: Float64[np.ndarray, "hand 2"]) -> tuple[float, float]:
 
 def _least_distance(_: _Wall, loops: list[HapticLoop], distances: Floats) -> Distance:
     """Return the least distance; NaN if a loop has no region."""
-    return Distance(float(np.min(distances)), _among("the least", loops))
+    return Distance(float(np.min(distances)), _among("smallest", loops))
 
 
 def _radii(rendered: Sequence[Rendered], _: Floats) -> SpectralRadius:
@@ -543,7 +519,7 @@ def _longest(wall: _Wall, loops: list[HapticLoop], settlings: list[MotionSettlin
         for number, settling in zip(numbers, settlings, strict=True)
     )
     status, hand = SettlingStatus(int(two.status)), _hand_of(wall, loops[numbers[0]])
-    return Settling(settled(two), settled(five), status, _among("the longest", loops), hand)
+    return Settling(settled(two), settled(five), status, _among("longest", loops), hand)
 
 
 def _slowest(settling: MotionSettling) -> int:
@@ -568,12 +544,12 @@ def _least_damped(wall: _Wall, loops: list[HapticLoop], modes: Mode) -> Oscillat
     ratios = np.asarray(modes.damping_ratio)
     index = int(np.argmin(np.where(np.isnan(ratios), inf, ratios)))
     ratio, frequency = float(ratios[index]), float(modes.frequency[index])
-    words, hand = _among("the least damped", loops), _hand_of(wall, loops[index])
+    words, hand = _among("least damped", loops), _hand_of(wall, loops[index])
     return Oscillation(ratio, frequency, words, hand)
 
 
 def _chatter(_: _Wall, loops: list[HapticLoop], amplitude: Amplitudes) -> Chatter:
-    most, among = float(amplitude.position.max()), _among("the largest", loops)
+    most, among = float(amplitude.position.max()), _among("largest", loops)
     words = None if isinf(most) else ", ".join(filter(None, ["proved", among]))
     force = float(amplitude.force.max())
     return Chatter(most, force, float(amplitude.force_per_count[0]), words)

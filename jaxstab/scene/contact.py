@@ -18,7 +18,7 @@ from jaxtyping import Float64
 from jaxstab.loop import Contact, ContactKind, HapticLoop, contact_map
 from jaxstab.loop.contact import contact_dataset
 from jaxstab.scene.answers import Answer, Basis, Frequency, Quantity, basis_of
-from jaxstab.scene.loops import hands_of, is_one_mass, loop_of, walls_of, with_delay
+from jaxstab.scene.loops import hands_of, loop_of, walls_of, with_delay
 from jaxstab.scene.scene import Scene, Units
 
 if TYPE_CHECKING:
@@ -82,16 +82,11 @@ def simulate_contacts(scene: Scene) -> Contacts:
 def _require_contact(scene: Scene) -> None:
     if scene.contact is None:
         raise ValueError("contact is missing; give contact.push in N, or contact.speed in m/s.")
-    if not is_one_mass(scene):
-        raise ValueError(
-            "the device has modes, an actuator or a grip, but contacts are simulated for one mass; "
-            "leave them out."
-        )
 
 
 def contacts_of(scene: Scene) -> dict[str, Simulated]:
     """Return the worst simulated contact of each wall; none where none is simulated."""
-    if scene.contact is None or not scene.walls or not is_one_mass(scene):
+    if scene.contact is None or not scene.walls:
         return {}
     starts = _starts(scene)
     gains = np.array([*walls_of(scene).values()]).T[:, :, None]

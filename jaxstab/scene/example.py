@@ -7,7 +7,7 @@ EXAMPLE = """\
 # A haptic scene for jaxstab. All quantities are in SI units.
 
 # contact = { push = 1.0, speed = 0.1, one_sided = true, duration = 4.0 }  # N, m/s, 1, s: check
-                          # simulates how the device, if it is one mass, meets each wall
+                          # simulates how the device meets each wall
 
 [device]
 # preset = "phantom"      # instead of the two below; `jaxstab scene presets` lists them

@@ -616,7 +616,6 @@ class Scene:
             _outside("controller.sample_time", controller.sample_time, 1e-5, 0.05, "s"),
             _outside("the delay", controller.delays[1], 0.0, 2.0, "s"),
             *_slips_of_delay(controller),
-            _no_contact(self),
             _other_period(controller),
         ]
         for name, wall in self.walls.items():
@@ -713,14 +712,6 @@ def _unusual_mechanics(device: Device, hand: Hand, usual: _Usual) -> Iterator[st
         grip, limits = hand.grip, (usual.stiffness, usual.hand_damping)
         yield _outside("hand.grip.stiffness", grip.stiffness, *limits[0], units.stiffness)
         yield _outside("hand.grip.damping", grip.damping, *limits[1], units.damping)
-
-
-def _no_contact(scene: Scene) -> str:
-    """Return a warning for contacts that are not simulated."""
-    grip = scene.hand.grip if scene.hand else None
-    if scene.contact is None or not (scene.device.modes or scene.device.actuator or grip):
-        return ""
-    return "contact is given, but simulated for one mass only: not with modes, actuator or grip"
 
 
 def _slips_of_delay(controller: Controller) -> Iterator[str]:

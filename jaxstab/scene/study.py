@@ -7,14 +7,16 @@ blocks by any executor, resumed, in parts, and read by xarray.
 
 Within a block, what decides the filters and the sampling period is put into the scene, once for
 each combination. Masses, dampings, stiffnesses and delays are arrays beside the loop that results:
-verdicts, radii, margins and settling times are asked of all of them at once.
-Limits are asked of all loops of the block together, whatever their filters. Devices that are not
-one mass are asked about walls loop by loop.
+verdicts, radii, margins and settling times are asked of all of them at once. Limits are asked of
+all loops of the block together, whatever their filters. Where all that is drawn is measured, a row
+that is drawn again has the answers of the first one of the block. Devices that are not one mass are
+asked about walls loop by loop.
 """
 
 import json
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import islice, product
@@ -37,12 +39,11 @@ from jaxstab.loop import HapticLoop, limits_of
 from jaxstab.model.loop import with_columns
 from jaxstab.motion.settling import SettlingStatus
 from jaxstab.region import RegionStatus
-from jaxstab.scene.draws import Distribution, draws_of
-from jaxstab.scene.loops import hands_of, loop_of
-from jaxstab.scene.many import with_value
+from jaxstab.scene.draws import Distribution, Measured, Uniform, draws_of
+from jaxstab.scene.loops import loop_of
 from jaxstab.scene.scene import Scene, Units
 from jaxstab.shown import shortened
-from jaxstab.tables import check_keys, checked_label, one_of, read_table
+from jaxstab.tables import check_keys, checked_label, interval, one_of, read_table
 
 if TYPE_CHECKING:
     from xarray import Dataset as XarrayDataset
@@ -69,6 +70,7 @@ _NUMBERS = {  # keys of a scene that are numbers of a loop: the field, the words
     "controller.delay": ("delay", "delay", "s"),
     "controller.delay_samples": ("delay_samples", "delay", "samples"),
 }
+_RANGES = tuple(key for key in _NUMBERS if "mass" in key or "inertia" in key or key[:5] == "hand.")
 _DELAYS = ("controller.delay", "controller.delay_samples")
 _OF_LOOPS = {field: (field, words, unit) for field, words, unit in _NUMBERS.values()} | {
     "delay": ("delay", "delay", "s")
@@ -242,6 +244,31 @@ class Study:
         self._require(name)
         return values(self.path, name)
 
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Return dimensions, draws and answers, each over all dimensions; codes as their words.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> study = jaxstab.study(loop, over={"delay": [0.0, 1e-3]}, walls={"a": (2e4, 20.0)})
+            >>> columns = study.columns()
+            >>> columns["delay"].tolist(), columns["verdict"].tolist()
+            ([[0.0], [0.001]], [['stable'], ['unstable']])
+        """
+        known = self.dimensions
+        order = [*self.lists, *(name for name in (SAMPLE, WALL) if name in known)]
+        coded = {name: own for answer in ANSWERS.values() for name, own in answer.items()}
+        names = [name for name in [*self._said.dimensions] if name not in coded]
+        columns = {}
+        for name in [*order, *names, *(name for name in coded if name in self._said.dimensions)]:
+            own, values = self._said.dimensions.get(name, (name,)), self.values(name)
+            if len(coded.get(name, ())) > 3:
+                words = coded[name][3]
+                values = np.array([words.get(code, "") for code in range(max(words) + 1)])[values]
+            lengths = [len(known[one]) if one in own else 1 for one in order]
+            shape = [len(known[one]) for one in order]
+            columns[name] = np.broadcast_to(values.reshape(lengths), shape)
+        return columns
+
     def shares(self, *, confidence: float = 0.95) -> Shares:
         """Return the share of draws for which each wall is proved stable, with its interval.
 
@@ -398,8 +425,8 @@ def study(
         store: the file; without one it is temporary, and goes when the study does.
         part: (3, 64) computes the third of 64 parts, with a ``store``; see ``merge_studies``.
         progress: called with the number of finished blocks and of all blocks.
-        executor: any ``concurrent.futures.Executor``, such as dask's ``client.get_executor()``;
-            without one, this process computes. One of processes must not fork them.
+        executor: any ``concurrent.futures.Executor``; one of processes must not fork them. Without
+            one, the dask ``Client`` of this process computes; without a client, this process.
 
     Returns:
         Study.
@@ -481,8 +508,14 @@ def study_dataset(
     if not over:
         raise ValueError("over is empty; give at least one key that varies.")
     source = _Source(_table_of(of))
+    drawn_ranges = {key: own for key, own in source.ranges.items() if key not in over}
+    over = {**over, **drawn_ranges}
     columns, notes = _columns(source, over, _checked_samples(samples), seed)
-    source.check([(column.key, column.values) for column in columns])
+    notes += [
+        f"{key}: drawn uniformly from the range of the scene, {own.low:g} to {own.high:g}."
+        for key, own in drawn_ranges.items()
+    ]
+    notes += source.check([(column.key, column.values) for column in columns])
     gains = source.walls if walls is None else {n: _checked_wall(n, *w) for n, w in walls.items()}
     wanted = tuple(dict.fromkeys(answers or ("limits", *(["verdict"] if gains else []))))
     for name in wanted:
@@ -491,6 +524,7 @@ def study_dataset(
             raise ValueError(f"answers has {name}, which is of walls; give walls.")
     has_walls = wanted != ("limits",)
     drawn = [column for column in columns if column.is_drawn]
+    repeats = bool(drawn) and all(isinstance(over[c.key], Measured) for c in drawn)
     coordinates = {c.name: np.asarray(c.values) for c in columns if not c.is_drawn}
     if drawn:
         coordinates[SAMPLE] = np.arange(samples)
@@ -528,10 +562,10 @@ def study_dataset(
             "of": str(source.table),
             "over": said,
             "seed": str(seed),
-            "notes": " ".join(notes),
+            "notes": "\n".join(notes),
         },
         identity=repr([source.table, [*over], wanted, gains, seed]),
-        compute=_Blocks(source, tuple(columns), own_dimensions, gains, wanted),
+        compute=_Blocks(source, tuple(columns), own_dimensions, gains, wanted, repeats),
         size=max(_BLOCK, len(gains)),
         labels=labels,
         part=part,
@@ -545,10 +579,13 @@ def plan_of(dataset: "Dataset") -> str:
     share = len(dataset.items) / len(dataset.blocks)
     loops = prod(len(dataset.coordinates[name]) for name in blocks.dimensions)
     walls = max(len(blocks.walls), 1)
-    seconds = (
-        share
-        * loops
-        * sum(_COSTS[name] * (1 if name == "limits" else walls) for name in blocks.answers)
+    computed, words = share * loops, ""
+    if blocks.repeats:
+        count = len(blocks.different(slice(None))[0])
+        computed *= min(count / dataset.chunk[blocks.dimensions.index(SAMPLE)], 1.0)
+        words = f" (of {count:,} different draws, each computed once in a block)"
+    seconds = computed * sum(
+        _COSTS[name] * (1 if name == "limits" else walls) for name in blocks.answers
     )
     drawn = sum(column.nbytes for _, column in dataset.labels.values())
     bytes_ = drawn + share * sum(
@@ -558,8 +595,8 @@ def plan_of(dataset: "Dataset") -> str:
     axes = " x ".join(f"{len(values)} {name}" for name, values in dataset.coordinates.items())
     one = "" if share == 1.0 else f", part {dataset.part[0]} of {dataset.part[1]} of them"
     return (
-        f"{axes}: {loops:,} loops{one}, about {_time(seconds)} of CPU time for devices of one "
-        f"mass, at most {bytes_ / 1e6:.3g} MB"
+        f"{axes}: {loops:,} loops{words}{one}, about {_time(seconds)} of CPU time for devices of "
+        f"one mass, at most {bytes_ / 1e6:.3g} MB"
     )
 
 
@@ -710,12 +747,25 @@ class _Source:
         walls = {} if self.is_loop else self.table.get("walls", {})
         return {name: (wall["stiffness"], wall["damping"]) for name, wall in walls.items()}
 
+    @property
+    def ranges(self) -> dict[str, Uniform]:
+        """The ranges of the hand and of the device's mass, as distributions."""
+        found = dict[str, Uniform]()
+        for key in () if self.is_loop else _RANGES:
+            section, _, name = key.partition(".")
+            match self.table.get(section):
+                case {**keys} if isinstance(keys.get(name), list | tuple):
+                    with suppress(ValueError):  # which the scene refuses
+                        low, high = interval("")(keys[name])
+                        found |= {key: Uniform(low, high)} if low < high else {}
+        return found
+
     def check_key(self, key: str) -> None:
         if self.is_loop:
             known = [*self.numbers, *(f.name for f in fields(HapticLoop) if f.name != "delay")]
             check_keys("", [key], list(dict.fromkeys(known)))
         elif key.partition(".")[0] in ("walls", "wanted", "contact"):
-            raise ValueError(f"{key} cannot vary in a study; give walls as walls.")
+            raise ValueError(f"{key} cannot vary in a study; give a wall for each value.")
 
     def made(self, values: Mapping[str, Any]) -> HapticLoop:
         """Return the loop with values in place of its own."""
@@ -725,40 +775,58 @@ class _Source:
                 period = given.get("sample_time", self.table.sample_time)
                 given["delay"] = values["delay_samples"] * period
             return replace(self.table, **given)
+        return loop_of(self._scene(values))
+
+    def _scene(self, values: Mapping[str, Any]) -> Scene:
         table: Any = self.table
         if any(key in _DELAYS for key in values):  # in place of one in either unit
             own = table.get("controller", {}).items()
             kept = {name: value for name, value in own if f"controller.{name}" not in _DELAYS}
             table = {**table, "controller": kept}
         for key, value in values.items():
-            table = with_value(table, key.split("."), value)
-        scene = Scene.from_table(table)
-        if hands_of(scene) is not None:
-            raise ValueError(
-                "hand or device.mass is a range; a study is of single values: let it vary over "
-                "this range, such as hand.stiffness over jaxstab.Uniform(100.0, 500.0)."
-            )
-        return loop_of(scene)
+            is_whole = isinstance(value, float) and value.is_integer()  # as a window in samples
+            table = _with_value(table, key, int(value) if is_whole else value, key.split("."))
+        return Scene.from_table(table)
 
-    def check(self, columns: Sequence[tuple[str, Values]]) -> None:
-        """Refuse values at the corners of what varies, in the words of a scene."""
+    def check(self, columns: Sequence[tuple[str, Values]]) -> list[str]:
+        """Refuse values at the corners of what varies; return warnings of likely slips of a unit.
+
+        Both are the sentences of a scene.
+        """
         ends = [
-            list(dict.fromkeys(_ends(values) if key in self.numbers else _few(values)))
+            list(dict.fromkeys(_few(values, 2 if key in self.numbers else _MOST_CORNERS)))
             for key, values in columns
         ]
+        keys = [key for key, _ in columns]
         for corner in islice(product(*ends), _MOST_CORNERS):
-            self.made(dict(zip((key for key, _ in columns), corner, strict=True)))
+            self.made(dict(zip(keys, corner, strict=True)))
+        if self.is_loop:
+            return []
+        outer = [self._scene(dict(zip(keys, [v[k] for v in ends], strict=True))) for k in (0, -1)]
+        words = dict.fromkeys(words for scene in outer for words in scene.unusual())
+        return [f"warning: {one}{'' if one.endswith('?') else '.'}" for one in words]
 
 
-def _ends(values: Values) -> list[float]:
-    return [float(np.min(values)), float(np.max(values))]
+def _with_value(table: Any, key: str, value: Any, path: Sequence[str]) -> Any:
+    """Return a table with the value of a key; ``path`` leads there, by numbers through lists."""
+    first, *inner = path
+    if isinstance(table, list):
+        if not (first.isdigit() and int(first) < len(table)):
+            raise ValueError(f"{key} is not in the scene; that list has {len(table)} entries.")
+        changed = [*table]
+        changed[int(first)] = _with_value(table[int(first)], key, value, inner) if inner else value
+        return changed
+    if not isinstance(table, Mapping):
+        raise ValueError(f"{key} is not in the scene, which has {shortened(table)} in its place.")
+    own = _with_value(table.get(first, {}), key, value, inner) if inner else value
+    return {**table, first: own}
 
 
-def _few(values: Values) -> list[Any]:
-    """Return values as Python's own; of many numbers, the ends."""
+def _few(values: Values, most: int) -> list[Any]:
+    """Return values as Python's own; of more numbers than ``most``, the ends."""
     if isinstance(values, list):
         return values
-    return values.tolist() if len(values) <= _MOST_CORNERS else _ends(values)
+    return values.tolist() if len(values) <= most else [values.min().item(), values.max().item()]
 
 
 # What is computed.
@@ -773,15 +841,34 @@ class _Blocks:
     dimensions: tuple[str, ...]  # but that of walls
     walls: Mapping[str, tuple[float, float]]
     answers: tuple[str, ...]
+    repeats: bool  # whether all that is drawn is measured: the same rows are drawn again
 
     def __call__(self, block: "Block") -> dict[str, NDArray[Any]]:
-        """Return the answers of a block."""
+        """Return the answers of a block; of equal draws, those of the first one."""
         spans = dict(zip(self.dimensions, block, strict=False))
-        shape = tuple(span.stop - span.start for span in spans.values())
-        places = dict(zip(spans, np.indices(shape).reshape(len(shape), -1), strict=True))
+        indices = {name: np.arange(span.start, span.stop) for name, span in spans.items()}
+        if self.repeats:
+            first, again = self.different(spans[SAMPLE])
+            indices[SAMPLE] = indices[SAMPLE][first]
+        found = self._found(indices)
+        if self.repeats:
+            axis = self.dimensions.index(SAMPLE)
+            found = {name: np.take(values, again, axis) for name, values in found.items()}
+        return found
+
+    def different(self, span: slice) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return the first of equal draws, and which of these each draw equals."""
+        draws = np.stack([column.values[span] for column in self.columns if column.is_drawn])
+        _, first, again = np.unique(draws, axis=1, return_index=True, return_inverse=True)
+        return first, again.ravel()
+
+    def _found(self, indices: Mapping[str, NDArray[np.int64]]) -> dict[str, NDArray[Any]]:
+        """Return the answers at the points of a grid of indices along the dimensions."""
+        shape = tuple(map(len, indices.values()))
+        places = dict(zip(indices, np.indices(shape).reshape(len(shape), -1), strict=True))
         numbers, others = dict[str, Floats](), dict[str, tuple[Values, NDArray[np.int64]]]()
         for column in self.columns:
-            own, place = column.values[spans[column.dimension]], places[column.dimension]
+            own, place = column.values, indices[column.dimension][places[column.dimension]]
             if column.key in self.source.numbers:
                 numbers[column.key] = np.asarray(own)[place]
             else:

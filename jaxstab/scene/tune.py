@@ -232,7 +232,7 @@ def _best(
         return BestWall(None, None, None, best.status, None)
     gains = Gains(best.stiffness, best.damping)
     rounded = Gains(rounded_gain(best.stiffness), rounded_gain(best.damping))
-    worst = worst_held([(scene, rounded)])[0] if hands else None
+    worst = worst_held(scene, [rounded])[0] if hands else None
     return BestWall(
         _tuned(TunedWall, loop, gains, encoder),
         _tuned(RoundedWall, loop, rounded, encoder),

@@ -407,8 +407,8 @@ class MaxAlpha(NamedTuple):
     """The largest stable alpha of a slice, by proofs; NaN where none is proved stable.
 
     The loop is stable at ``beta`` and every alpha just below ``alpha``, and at no alpha above
-    ``bound`` and no beta of the atlas. Where the stable set may continue beyond the atlas, across
-    its largest alpha or an end of beta, ``bound`` is infinite.
+    ``bound`` and no beta of the atlas, which may hold negative ones. Where the stable set may
+    continue beyond the atlas, across its largest alpha or an end of beta, ``bound`` is infinite.
 
     Example:
         >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")

@@ -79,8 +79,8 @@ def build_atlas(
         spec: the specification of the atlas.
         path: of the file.
         progress: called with the number of finished tiles and of all tiles.
-        executor: computes the tiles; without one, this process does. A tile may be computed twice.
-            An executor of processes must not fork them.
+        executor: computes the tiles; without one, the dask ``Client`` of this process does, or this
+            process. A tile may be computed twice. An executor of processes must not fork them.
 
     Raises:
         OSError: the folder is missing, read-only or full, or another process builds this atlas; a

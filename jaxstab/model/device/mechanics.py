@@ -7,7 +7,7 @@ balls, rounded once.
 
 from functools import lru_cache
 from itertools import pairwise
-from math import ceil
+from math import ceil, log2, pi
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 _FIRST_BITS, _MOST_BITS = 256, 1 << 14
 _WANTED_BITS = 64  # of each entry
+_HANDLE_BITS = 1024
 _NOTHING = 2.0**-200  # of the largest entry: one that small may be 0
 
 Rows = Float64[np.ndarray, "offset state column"]
@@ -122,6 +123,52 @@ def equations(
         matrix[state, state] = -rate
         matrix[state, state - 1 if number else wall] = rate
     return matrix
+
+
+class Handle(NamedTuple):
+    """A device whose handle has a mass, in continuous time; x is in m, forces in N.
+
+    The unit of time is a tick, in which the fastest pole moves by 1 rad or so. The first states are
+    position and velocity.
+
+    matrix: rates of the states, of these, of the wall's force and of the hand's.
+    pull: the column of the force that pulls at the handle beside the hand's.
+    at_rest: the states of a device at rest at position 1 without a wall's force.
+    ticks: of a sample, a power of 2.
+    """
+
+    matrix: Float64[np.ndarray, "state column"]
+    pull: int
+    at_rest: Float64[np.ndarray, " state"]
+    ticks: float
+
+
+@lru_cache(maxsize=64)
+def handle(device: Device, sample_time: float) -> Handle:
+    """The equations of a device at its handle; ValueError if no mass is there."""
+    import flint
+
+    with working_precision(_HANDLE_BITS):
+        of_samples = in_samples(device.handle_compliance(), sample_time)
+        fastest = float(in_fastest_time(*of_samples)[2])
+        fastest = max(fastest, *(2.0 * pi * one * sample_time for one in device.bandwidths), 1.0)
+        ticks = 2.0 ** ceil(log2(fastest))
+        tick = sample_time / ticks
+        moves = mechanics(device, tick, 0.0, (0.0,))
+        matrix = equations(device, *in_samples(device.handle_compliance(), tick), tick)
+        columns = matrix.ncols()
+        if moves.thrown is None or not matrix[1, columns - 1] > 0:
+            raise ValueError(
+                f"the device ({device}) has no mass at its handle, or a negative one, and friction "
+                "needs one there; give a compliance of two degrees more in the denominator."
+            )
+        # The second state of the canonical form is the velocity, less a share of the position.
+        there, back = (flint.arb_mat(columns, columns) + 1 for _ in range(2))
+        there[1, 0], back[1, 0] = matrix[0, 0], -matrix[0, 0]
+        rows = (there * matrix * back).tolist()[:-2]
+    at_rest = np.array([moves.at_rest[0], 0.0, *moves.at_rest[2:]])
+    pull = columns - 3 if device.bandwidths else columns - 2
+    return Handle(np.array([[_float(one) for one in row] for row in rows]), pull, at_rest, ticks)
 
 
 def _held(matrix: "arb_mat", fraction: float, offset: float) -> "arb_mat":

@@ -1,0 +1,92 @@
+"""Draw pictures of docs/quickstart.md, which.md and joints.md: python data/pictures/pages.py."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+
+import jaxstab
+from jaxstab.scene import Scene, loop_of
+
+matplotlib.use("Agg")
+from matplotlib import pyplot
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+BLUE, ORANGE, GREY = "#0072b2", "#b35c00", "#4a5366"
+
+
+def quickstart(loop: jaxstab.HapticLoop) -> None:
+    """What loop.plot() draws."""
+    figure, ax = pyplot.subplots(figsize=(7, 4.2), layout="constrained")
+    loop.plot(ax)
+    figure.savefig(DOCS / "quickstart.png", dpi=130)
+
+
+def which(loop: jaxstab.HapticLoop) -> None:
+    """One wall of one stable set, and the methods that answer about it."""
+    K, B = 1000.0, 25.0  # N/m, N s/m
+    damping = np.linspace(0.0, loop.limits().damping, 400)
+    stiffness = loop.stiffness_limits(damping)[:, 1]
+    best, fastest, margins = loop.limits(), loop.tune(), loop.margins(K, B)
+    figure, ax = pyplot.subplots(figsize=(8, 5), layout="constrained")
+    ax.fill_betweenx(damping, 0.0, stiffness, color="#cfe6f5")
+    ax.plot(stiffness, damping, color=BLUE, linewidth=2)
+    arrow = {"arrowstyle": "->", "color": ORANGE, "linewidth": 1.6}
+    for end in ((K * float(margins.stiffness_gain), B), (K, B * float(margins.damping_gain))):
+        ax.annotate("", end, (K, B), arrowprops=arrow)
+    (right,) = loop.stiffness_limits([B])[:, 1]
+    about_one = "one wall (K, B)\nverdict, amplitude,\nspectral_radius,\nsettling_time"
+    for point, text, place in (
+        ((K, B), about_one, (420, 25.5)),
+        ((best.stiffness, best.at_damping), "largest stiffness\nlimits", (2100, 11.0)),
+        ((best.at_stiffness, best.damping), "largest damping\nlimits", (80, 48.5)),
+        ((right, B), "largest K at this B\nstiffness_limits", (right + 60, 25.5)),
+        ((fastest.stiffness, fastest.damping), "settles fastest\ntune", (430, 9.5)),
+    ):
+        color = ORANGE if text == about_one else BLUE
+        ax.plot(*point, "o", color=color, markersize=7, zorder=3, clip_on=False)
+        ax.annotate(text, point, place, fontsize=10, color=GREY)
+    ax.text(1180, 22.0, "margins", fontsize=10, color=ORANGE)
+    ax.text(1150, 12.0, "all stable walls\nregion, plot", fontsize=10, color=BLUE)
+    ax.set(xlim=(0, 2900), ylim=(0, 55), xlabel="stiffness K (N/m)", ylabel="damping B (N s/m)")
+    figure.savefig(DOCS / "which.png", dpi=130)
+
+
+def joints(scene: Scene) -> None:
+    """Stable gains of the lightest and the heaviest joint, and the full scale of MIT frames."""
+    lightest = loop_of(scene)
+    kd = np.linspace(0.0, 6.0, 400)
+    figure, ax = pyplot.subplots(figsize=(7, 4.2), layout="constrained")
+    for inertia, color, name in zip(
+        scene.device.effective_mass,
+        ("#cfe6f5", "#f6dcc2"),
+        ("motor alone", "with the arm"),
+        strict=True,
+    ):
+        kp = replace(lightest, device_mass=inertia).stiffness_limits(kd)[:, 1]
+        order = 2 if color == "#cfe6f5" else 1
+        label = f"stable, {name}: {inertia:g} kg m²"
+        ax.fill_betweenx(kd, 0.0, np.nan_to_num(kp), color=color, zorder=order, label=label)
+    ax.plot([500, 500, 0], [0, 5, 5], "--", color=GREY, zorder=3, label="full scale of MIT frames")
+    for name, wall in scene.walls.items():
+        point = wall.stiffness, wall.damping
+        ax.plot(*point, "o", color=ORANGE, zorder=4)
+        ax.annotate(name, point, (6, 5), textcoords="offset points", fontsize=10, zorder=4)
+    ax.set(xlim=(0, 620), ylim=(0, 6), xlabel="kp (N m/rad)", ylabel="kd (N m s/rad)")
+    figure.legend(loc="outside upper center", ncols=3, fontsize=8, frameon=False)
+    figure.savefig(DOCS / "joints.png", dpi=130)
+
+
+if __name__ == "__main__":
+    omega = jaxstab.HapticLoop(
+        device_mass=0.25,
+        device_damping=0.1,
+        sample_time=1e-3,
+        delay=1e-3,
+        velocity=jaxstab.Velocity.difference(window=0.02),
+    )
+    quickstart(omega)
+    which(omega)
+    joints(Scene.from_file(ROOT / "data" / "scenes" / "joint.toml"))
