@@ -145,7 +145,7 @@ def tables_of(given: dict[str, Any]) -> dict[str, dict[str, Any]]:
 
 def scene_of(given: dict[str, Any]) -> "Scene":
     """Return the checked scene of one file and options."""
-    from jaxstab.scene import Answer, Scene
+    from jaxstab.scene import Scene
 
     ((source, table),) = tables_of(given).items()
     return Scene.from_table(table, source)
@@ -244,7 +244,7 @@ def answer_many(given: dict[str, Any], name: str, as_json: bool) -> list[Any]:
 
 
 def _read(source: str, table: dict[str, Any]) -> _Row:
-    from jaxstab.scene import Answer, Scene
+    from jaxstab.scene import Scene
 
     try:
         return _Row(source, Scene.from_table(table))
