@@ -61,7 +61,7 @@ def test_a_file_is_answered_with_its_estimator_once_and_first(tmp_path: Path) ->
     assert re.match(
         r"velocity estimator +the difference over one sample, a low pass at 100 Hz", lines[0]
     )
-    assert re.match(r"position +a window of 2 samples", lines[1])
+    assert re.match(r"position filter +a window of 2 samples", lines[1])
     assert sum(line.startswith("velocity") for line in lines) == 1
 
 
