@@ -7,6 +7,7 @@ from math import inf, pi
 from typing import Any
 
 import campaign
+import jax
 import numpy as np
 import pytest
 
@@ -15,6 +16,7 @@ from benchmarks import contact as benchmark
 from benchmarks.truth import contact as truth
 from benchmarks.truth.march import difference_taps, low_pass_taps
 from jaxstab import HapticLoop, Velocity
+from jaxstab.loop.contact import _setup
 from jaxstab.motion import contact as kernel
 from jaxstab.pictures.scene import scene_figure
 from jaxstab.results import ContactKind
@@ -317,6 +319,23 @@ def test_numbers_numpy_and_jax_agree(
         ours = [float(getattr(one, name_of)) for one in single]
         assert np.allclose(ours, numpy, rtol=1e-12, atol=scale)
     assert np.array_equal(by_jax.kind, by_numpy.kind)
+
+
+@pytest.mark.parametrize(("name", "loops"), [("window", 0), ("device", 3)])
+def test_a_map_is_one_program_that_never_returns_to_the_host(name: str, loops: int) -> None:
+    """One loop over samples; of any device, in each piece one over legs and two that search."""
+    given: dict[str, Any] = {"friction": 0.1, "push": 1.0}
+    setup = _setup(LOOPS[name], np.full(64, 1000.0), 3.0, **given)
+    plant = setup.plant
+    arrays = plant._replace(ages=np.array(plant.ages), flows=np.array(plant.flows))
+
+    def summed(samples: Any, arrays: Any, controller: Any, runs: Any) -> Any:
+        own = arrays._replace(oldest=plant.oldest)
+        return kernel._summary(own, controller, runs, samples, one_sided=True, pulls=False)
+
+    text = jax.jit(summed).lower(4000, arrays, setup.controller, setup.runs).as_text()
+    assert text.count("stablehlo.while") == 1 + loops * len(plant.flows[0])
+    assert not re.search("custom_call|callback|infeed|outfeed|stablehlo.send", text)
 
 
 def test_maps_larger_than_a_tile_keep_their_order(monkeypatch: pytest.MonkeyPatch) -> None:

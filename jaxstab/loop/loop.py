@@ -867,7 +867,7 @@ class HapticLoop(LoopParameters):
 
         Args:
             stiffness, damping: see ``jaxstab.conventions``.
-            friction: Coulomb friction of the device in N.
+            friction: Coulomb friction of the device in N, at its handle.
             static_friction: the largest force in N that does not move the device from rest, at
                 least ``friction``; None for the same.
             encoder: resolution of the position in m, which is rounded to the nearest step; 0 for
@@ -889,7 +889,7 @@ class HapticLoop(LoopParameters):
 
         Raises: see ``jaxstab.conventions``; TypeError also if JAX traces anything. ValueError also
         if nothing moves, a push meets neither wall nor hand stiffness, static friction is below
-        Coulomb friction, or the device is not one mass.
+        Coulomb friction, or no mass is at the device's handle.
 
         Source: eqs. (1)-(5) of Hulin, Preusche, Hirzinger (2008), with Coulomb friction.
 

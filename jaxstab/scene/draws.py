@@ -168,13 +168,13 @@ def distribution_of(text: str) -> Distribution | None:
     if kind == "csv" and len(parts) >= 2:
         return _column(":".join(parts[:-1]), parts[-1])
     kinds: dict[str, Any] = {"normal": Normal, "uniform": Uniform, "lognormal": LogNormal}
-    if kind not in kinds and kind != "csv":
+    if not parts or isinstance(_number_or_text(kind), float):
         return None
     try:
-        first, second = map(float, parts)
-    except ValueError:
+        make, (first, second) = kinds[kind], map(float, parts)
+    except (KeyError, ValueError):
         raise ValueError(f"{shortened(text)} is no distribution; give {_FORMS}.") from None
-    made: Distribution = kinds[kind](first, second)
+    made: Distribution = make(first, second)
     return made
 
 
@@ -218,7 +218,7 @@ def draws_of(
     if again and (not isinstance(distribution, Normal) or distribution.mean < least):
         raise ValueError(
             f"{name} has draws below {least:g}, such as {values.min():g}, which a scene refuses; "
-            "give a distribution above it, such as a uniform or a lognormal one."
+            "give a distribution that stays above, such as a lognormal one."
         )
     for _ in range(_ROUNDS):
         if not below.any():
