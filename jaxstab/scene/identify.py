@@ -26,7 +26,7 @@ segments.
 
 from dataclasses import dataclass
 from functools import cache
-from math import floor, log, log10, pi
+from math import floor, inf, log, log10, pi
 from typing import Any, NamedTuple
 
 import jax
@@ -68,6 +68,8 @@ class Estimate(NamedTuple):
     Example:
         >>> print(jaxstab.results.Estimate(0.25012, 0.2493, 0.2509))
         0.25012 (0.24930 to 0.25090)
+        >>> print(jaxstab.results.Estimate(0.25012, 0.2493, 0.2509).times(1e3))
+        250.12 (249.30 to 250.90)
     """
 
     value: float
@@ -80,13 +82,9 @@ class Estimate(NamedTuple):
         value, low, high = (f"{number:.{places}f}" for number in self)
         return f"{value} ({low} to {high})"
 
-    def times(self, factor: float) -> "Estimate":
-        """The same in another unit."""
-        return Estimate(*(factor * number for number in self))
-
-    def at_least_0(self) -> "Estimate":
-        """The same without what is negative, for what cannot be."""
-        return Estimate(*(max(number, 0.0) for number in self))
+    def times(self, factor: float, least: float = -inf) -> "Estimate":
+        """The same in another unit, without what is below the least that can be."""
+        return Estimate(*(max(factor * number, least) for number in self))
 
 
 @dataclass(frozen=True, repr=False)
@@ -206,8 +204,8 @@ def identify(
     estimator, unexplained = _estimator(positions, columns.get("velocity"), period)
     return Identified(
         mass,
-        damping.at_least_0(),
-        friction.at_least_0(),
+        damping.times(1.0, 0.0),
+        friction.times(1.0, 0.0),
         offset,
         stiffness,
         delay,

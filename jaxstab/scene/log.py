@@ -65,14 +65,15 @@ def identified_text(found: "Identified", units: Units) -> str:
         "spring": f"{found.stiffness} {units.stiffness}" if found.stiffness.value else "",
         "delay": f"{found.delay.times(1e3)} ms; in samples {found.delay.times(1.0 / period)}",
         "residual": f"{length.words(found.residual, units)} rms{explained}",
-        "velocity": _velocity(found) if found.velocity else "",
+        "velocity": f"{found.velocity}, which {_left(found)}" if found.velocity else "",
     }
     shown = [f"{name:16}{words}" for name, words in lines.items() if words]
     return "\n".join([*shown, "in brackets: 95 % confidence intervals, if the model holds"])
 
 
-def _velocity(found: "Identified") -> str:
-    return f"{found.velocity}, which leaves {100.0 * found.unexplained:.2g} % (rms)"
+def _left(found: "Identified") -> str:
+    percent = 100.0 * found.unexplained
+    return f"leaves {f'{percent:.2g}' if percent >= 1e-3 else '< 0.001'} % (rms)"
 
 
 def identified_scene(found: "Identified", units: Units, source: str) -> str:
@@ -125,4 +126,4 @@ def _velocity_key(found: "Identified") -> list[str]:
         if hasattr(section, own)
     )
     mark = "" if found.unexplained <= _EXPLAINED else "# not explained: "
-    return [f"{mark}velocity.{name} = {value:.6g}  # {_velocity(found)}"]
+    return [f"{mark}velocity.{name} = {value:.6g}  # {_left(found)}"]
