@@ -300,7 +300,7 @@ def kept(path: Path) -> Kept:
         os.stat(path)  # HDF5's own sentence is long
     with named_errors("read", path), h5py.File(path, "r") as file:
         if _KEY not in file.attrs:
-            raise ValueError(f"{path} is no dataset of jaxstab.")
+            raise ValueError(f"{path} is not a jaxstab dataset.")
         scales = {name for name in file if file[name].is_scale}
         return Kept(
             {name: _text(file, name) for name in file.attrs},
