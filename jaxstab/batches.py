@@ -217,6 +217,33 @@ def over_tiles(kernel: Callable[..., Result], arguments: Any, tile: int = TILE) 
     return tree_map(lambda row: row.ravel()[:size].reshape(shape), jax.lax.map(of_tile, tiles))
 
 
+def over_rows(
+    kernel: Callable[..., Result], loops: Any, alpha: Array, *found: Array, width: int
+) -> Result:
+    """Evaluate an elementwise kernel of a grid (loop, alpha, width), some rows at a time.
+
+    As ``over_tiles``, but what is the same for a row or a loop is not copied for each point. The
+    arrays of ``loops`` have the shape (loop, 1, 1) or (), alpha has (alpha, 1), others the grid's.
+    """
+    xp = namespace(loops, alpha)
+    if xp is np or not is_on_cpu():
+        return kernel(loops, alpha, *found)
+    from jax import lax
+
+    count = -(-len(alpha) // max(1, TILE // width))
+    rows = -(-len(alpha) // count)
+
+    def of_loop(arguments: tuple[Any, ...]) -> Result:
+        loop, *own = arguments
+        tiles = [xp.resize(part, (count, rows, part.shape[-1])) for part in (alpha, *own)]
+        answer = lax.map(lambda parts: kernel(loop, *parts), tiles)
+        return tree_map(lambda part: part.reshape(-1, width)[: len(alpha)], answer)
+
+    shape = xp.broadcast_shapes((1, 1, 1), *map(xp.shape, leaves(loops)))
+    loops = tree_map(lambda leaf: xp.broadcast_to(leaf, shape), loops)
+    return lax.map(of_loop, (loops, *found))
+
+
 def lists(
     indices: Int64[np.ndarray, " point"],
     longest: int,

@@ -156,7 +156,7 @@ def test_an_example_of_a_scene_is_written_and_explained(tmp_path: Path) -> None:
     assert run("scene", "init", "-o", file).exit_code != 0  # never over an existing file
     explained = run("scene", "explain", file)
     assert explained.exit_code == 0
-    assert "does not count: the hold of half a sample" in explained.stdout
+    assert "excludes: the zero-order hold" in explained.stdout
 
 
 def test_options_go_before_the_values_of_a_file(tmp_path: Path) -> None:

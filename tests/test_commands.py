@@ -67,6 +67,8 @@ COMMANDS: list[tuple[str, list[str], int]] = [
     ("scene init", ["-o", "scene.toml"], 2),
     ("scene presets", [], 0),
     ("scene presets", ["more"], 2),
+    ("identify", ["--help"], 0),  # tests/test_identify.py fits logs
+    ("identify", ["none.csv"], 2),
     ("explore", ["scene.toml"], 0),
     ("explore", ["none.toml"], 2),
     ("guard", ["--help"], 0),  # tests/test_guard.py builds some

@@ -131,7 +131,7 @@ def test_a_scene_is_explained_with_a_diagram_and_its_numbers() -> None:
     assert explained.startswith(DIAGRAM)
     assert re.search(r"(?m)^delay +12.35 ms \(12.35 samples\)$", explained)
     assert re.search(r"(?m)^hand +0.5 kg, 200 N/m, 3 N s/m$", explained)
-    assert re.search(r"(?m)^ +does not count: the hold of half a sample", explained)
+    assert re.search(r"(?m)^ +excludes: the zero-order hold", explained)
     assert re.search(r"(?m)^outside ", explained)
 
 

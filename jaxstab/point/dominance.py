@@ -51,7 +51,7 @@ def reciprocal(x: Array) -> Array:
     """Return 1/x for x > 0 to eight digits."""
     if not is_jax(x):
         return 1.0 / x
-    y = _floats(_RECIPROCAL - _bits(x))
+    y = floats(_RECIPROCAL - bits(x))
     for _ in range(3):
         y = y * (2.0 - x * y)
     return y
@@ -61,7 +61,7 @@ def square_root(x: Array) -> Array:
     """Return the root of x >= 0 to eight digits."""
     if not is_jax(x):
         return np.sqrt(x)
-    y = _floats(_INVERSE_ROOT - (_bits(x) >> 1))
+    y = floats(_INVERSE_ROOT - (bits(x) >> 1))
     for _ in range(3):
         y = y * (1.5 - 0.5 * x * y * y)
     return x * y
@@ -69,10 +69,11 @@ def square_root(x: Array) -> Array:
 
 def power_of_two_below_inverse(x: Array) -> Array:
     """Return the power of two that brings x > 0 to [1, 2)."""
-    return _floats(_LARGEST_EXPONENT - (_bits(x) & _EXPONENT))
+    return floats(_LARGEST_EXPONENT - (bits(x) & _EXPONENT))
 
 
-def _bits(x: Array) -> Array:
+def bits(x: Array) -> Array:
+    """Return the bits of float64 numbers, as integers."""
     if is_jax(x):
         from jax import lax
 
@@ -80,12 +81,13 @@ def _bits(x: Array) -> Array:
     return np.asarray(x, np.float64).view(np.int64)
 
 
-def _floats(bits: Array) -> Array:
-    if is_jax(bits):
+def floats(integers: Array) -> Array:
+    """Return the float64 numbers that have these bits."""
+    if is_jax(integers):
         from jax import lax
 
-        return lax.bitcast_convert_type(bits, np.float64)
-    return np.asarray(bits, np.int64).view(np.float64)
+        return lax.bitcast_convert_type(integers, np.float64)
+    return np.asarray(integers, np.int64).view(np.float64)
 
 
 # The dominant root of p(z) without eigenvalues, point by point.

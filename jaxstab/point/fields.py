@@ -15,20 +15,23 @@ same modulus compete, the dominant one is not known; there the radius is proved 
 verdicts (lemma R3), and frequency and damping ratio are NaN.
 """
 
+from collections.abc import Callable
 from functools import partial
-from math import ceil
-from typing import NamedTuple
+from math import ceil, prod
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from jaxstab.arrays import Array, joined, namespace, repeat
-from jaxstab.batches import MANY, compiled, over_tiles
+from jaxstab.arrays import Array, namespace, repeat
+from jaxstab.batches import MANY, compiled, over_rows
 from jaxstab.model.filters import Filter, Filters, Velocity
 from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.point.dominance import (
     Complex,
     are_all_inside,
+    bits,
     divided,
+    floats,
     power_of_two_below_inverse,
     reciprocal,
 )
@@ -41,9 +44,13 @@ from jaxstab.rounding import UNIT
 UNKNOWN = -1  # poles outside of the circle, where one is too close to it to tell
 _DOUBLINGS = 16  # of the power of the companion matrix, which is degree 2^16
 _LONGEST = 9  # degree up to which these doublings and the proof are compiled without loops
-_NEWTON_STEPS = 3
-_BLOCK = 2**24  # coefficients of a part of a grid, which bound the memory
+_NEWTON_STEPS = 1
+_BLOCK = 2**19  # points of a part of a grid, which bound the memory
 _CLOSE = 2.0**-22  # relative distance of a pole that is resolved from its approximation
+_QUANTUM = 2.0**-20  # of frequencies and damping ratios: what has fewer digits deflates better
+_LAST_OF_FLOAT32, _LAST_OF_POWER = 1 << 29, 1 << 52  # bits of a float64 that they leave
+_TINY = 2.0**-126  # the least float32 of full precision
+Result = TypeVar("Result")
 
 
 class PoleFields(NamedTuple):
@@ -92,7 +99,8 @@ def fields_of_grid(
     one program serves all. ``method`` is "fast" for powers of the companion matrix, "companion" for
     its eigenvalues; grids of few points always take eigenvalues.
     """
-    points = Points(alpha[:, None, None], beta[:, None], gamma, delta, np.asarray(delay))
+    hand = gamma[:, None, None], delta[:, None, None]
+    points = Points(alpha[:, None], beta, *hand, np.asarray(delay))
     form = Form.from_delay(delay)
     loop = rounded_loop(filtered_loops(points, form, filters or (Velocity(), Filter())))
     missing = ceil(longest) - ceil(delay)
@@ -100,37 +108,38 @@ def fields_of_grid(
         zeros = (0.0 * loop.base[0],) * missing
         base, stiffness, damping = (part + zeros for part in loop[:3])
         loop = loop._replace(base=base, stiffness=stiffness, damping=damping)
-    size, parts = alpha.size * beta.size * gamma.size * (loop.degree + 1), []
-    for some in np.array_split(points.alpha, -(-size // _BLOCK)):
-        fields = _fields(some, points.beta, loop, method=method)
-        parts.append(_with_ladder(fields, some, points.beta, loop))
-    return joined(parts)
+    shape = alpha.size, beta.size, gamma.size
+    fields = PoleFields(*(np.empty(shape, kind) for kind in (*4 * [np.float32], np.int16)))
+    for rows in np.array_split(np.arange(alpha.size), -(-prod(shape) // _BLOCK)):
+        stiffness = points.alpha[rows]
+        part = _with_ladder(_fields(stiffness, beta, loop, method=method), stiffness, beta, loop)
+        for whole, some in zip(fields, part, strict=True):
+            whole[rows] = np.moveaxis(some, 0, -1)
+    return fields
 
 
 @compiled(static=["method"], many=MANY, wide=True, pointwise=True)
 def _fields(alpha: Array, beta: Array, loop: LinearLoop, *, method: str) -> PoleFields:
-    # Each stage is a loop over tiles of its own: XLA computes what several results share anew.
-    coefficients, error = loop_coefficients(alpha, beta, loop, UNIT)
-    xp, columns = namespace(coefficients), list(coefficients)
-    is_guessed = method == "fast" and xp is not np
-    z = over_tiles(partial(_pole, is_guessed=is_guessed), (columns,))
-    bound = over_tiles(_bound, (columns, error, z))
-    outside = over_tiles(poles_outside, (columns, error))
-    radius, frequency = abs(z), xp.arctan2(z.imag, z.real)
-    decay = -xp.log(radius)
-    size = xp.hypot(decay, frequency)
-    is_resolved = bound <= _CLOSE * xp.minimum(radius, size)
-    upper, error = _outwards(radius, bound)
-    frequency, damping_ratio = (
-        xp.where(is_resolved, value, xp.nan).astype(np.float32)
-        for value in (frequency, decay / size)
-    )
-    return PoleFields(upper, error, frequency, damping_ratio, outside)
+    # Each stage is a loop over tiles of its own: XLA computes what several results share anew. The
+    # coefficients, too, are computed in each: that takes less time than to read them from memory.
+    xp = namespace(alpha, beta, loop)
+
+    def stage(kernel: Callable[..., Result], *found: Array) -> Result:
+        def of_rows(loop: LinearLoop, alpha: Array, *found: Array) -> Result:
+            coefficients, error = loop_coefficients(alpha, beta, loop, UNIT)
+            return kernel(list(coefficients), error, *found)
+
+        return over_rows(of_rows, loop, alpha, *found, width=beta.size)
+
+    pole = stage(partial(_pole, is_guessed=method == "fast" and xp is not np))
+    bound, radius = stage(_bound, pole), abs(pole)
+    shown = _mode(pole, radius, bound)
+    return PoleFields(*_outwards(radius, bound), *shown, stage(poles_outside))
 
 
-def _pole(columns: list[Array], *, is_guessed: bool) -> Array:
+def _pole(columns: list[Array], error: Array, *, is_guessed: bool) -> Array:
     """Return a pole that is probably dominant, its imaginary part >= 0."""
-    xp = namespace(columns)
+    xp = namespace(columns, error)
     if is_guessed:
         from jaxstab.point.traced_radius import guessed_root
 
@@ -232,17 +241,35 @@ def poles_outside(columns: list[Array], error: Array) -> Array:
     return xp.where(abs(rows[0]) > SAFETY * known.lost, known.count, UNKNOWN).astype(np.int16)
 
 
+def _mode(pole: Array, radius: Array, bound: Array) -> tuple[Array, Array]:
+    """Return frequency and damping ratio of poles, NaN where the bound is too large."""
+    xp = namespace(pole)
+    frequency, decay = xp.arctan2(pole.imag, pole.real), -xp.log(radius)
+    size = xp.sqrt(decay * decay + frequency * frequency)
+    is_resolved = bound <= _CLOSE * xp.minimum(radius, size)
+    frequency, ratio = (
+        xp.where(is_resolved, _QUANTUM * xp.round(value / _QUANTUM), xp.nan).astype(np.float32)
+        for value in (frequency, decay / size)
+    )
+    return xp.minimum(frequency, np.float32(np.pi)), ratio
+
+
 def _outwards(radius: Array, bound: Array) -> tuple[Array, Array]:
     """Return radii, rounded up, and their bounds, rounded up to powers of two, in float32."""
-    xp = namespace(radius, bound)
-    upper, is_known = (radius + bound) * (1.0 + 2.0 * UNIT), xp.isfinite(bound)
-    value = upper.astype(np.float32)
-    above = xp.nextafter(value, np.float32(np.inf))
-    value = xp.where(value < upper, above, value)
-    fraction, exponent = xp.frexp(3.0 * bound + 2.0**-23 * value)
-    error = xp.ldexp(xp.where(fraction > 0.5, 1.0, 0.5), exponent).astype(np.float32)
+    xp, bound = namespace(radius, bound), bound + _TINY
+    is_known = xp.isfinite(bound)
+    upper = _rounded_up((radius + bound) * (1.0 + 2.0 * UNIT), _LAST_OF_FLOAT32)
+    error = _rounded_up(3.0 * bound + 2.0**-23 * upper, _LAST_OF_POWER)
     unknown = np.float32(np.nan), np.float32(np.inf)
-    return xp.where(is_known, value, unknown[0]), xp.where(is_known, error, unknown[1])
+    return tuple(
+        xp.where(is_known, value.astype(np.float32), other)
+        for value, other in zip((upper, error), unknown, strict=True)
+    )
+
+
+def _rounded_up(x: Array, last: int) -> Array:
+    """Round x >= 0 up to what has no bits below the given last one of float64."""
+    return floats((bits(x) + (last - 1)) & -last)
 
 
 def _with_ladder(fields: PoleFields, alpha: Array, beta: Array, loop: LinearLoop) -> PoleFields:

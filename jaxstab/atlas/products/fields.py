@@ -106,9 +106,10 @@ class Fields(Product):
             # Where a pole is on the circle, or too close to it to tell, the radius decides.
             least = fields.radius - fields.error
             near = _near((fields.outside == 0) | ((fields.outside < 0) & (least <= 1.0)))
-        values = [np.where(near, value, np.float32(np.nan)) for value in fields[:-1]]
+        for values in fields[:-1]:
+            np.copyto(values, np.nan, where=~near)
         count = np.sum(near, axis=(0, 1), dtype=np.int32)
-        arrays = zip(self.names, (*values, fields.outside, count), strict=True)
+        arrays = zip(self.names, (*fields, count), strict=True)
         return {name: value.reshape(plan.shape(name, tile)) for name, value in arrays}
 
     def attributes(self, datasets: Mapping[str, Any]) -> dict[str, Any]:
