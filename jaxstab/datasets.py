@@ -309,7 +309,7 @@ def kept(path: Path) -> Kept:
     """
     with _opened(path) as file:
         if _KEY not in file.attrs:
-            raise ValueError(f"{path} is no dataset of jaxstab.")
+            raise ValueError(f"{path} is not a jaxstab dataset.")
         scales = {name for name in file if file[name].is_scale}
         return Kept(
             {name: _text(file, name) for name in file.attrs},

@@ -177,8 +177,8 @@ def _check_names(plane: tuple[str, str], fixed: Mapping[str, Numbers]) -> None:
     unknown += [name for name in names if name not in table]
     if unknown:
         raise ValueError(
-            f"{unknown[0]!r} is no quantity of this plane; give names all of "
-            f"{', '.join(DIMENSIONLESS)}, or all of {', '.join(PHYSICAL)}."
+            f"{unknown[0]!r} is not a quantity of this plane; choose all names from "
+            f"{', '.join(DIMENSIONLESS)}, or all from {', '.join(PHYSICAL)}."
         )
     doubled = [name for name in names if names.count(name) > 1]
     if doubled:

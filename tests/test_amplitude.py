@@ -242,7 +242,7 @@ def test_check_of_hands_takes_the_largest_and_of_rotation_the_units() -> None:
     text = str(check_walls(Scene.from_table(scene)))
     assert "urad" in text
     assert "N m\n" in text
-    assert "proved, the largest of 2 hands" in text
+    assert "proved, largest over 2 hands" in text
 
 
 def test_a_scene_refuses_what_is_no_resolution() -> None:

@@ -161,7 +161,7 @@ def test_a_point_outside_is_refused_by_name_value_and_range_or_undecided(
     if name in ("alpha", "beta"):  # beyond axes that hold the whole stable set
         assert atlas.query(**point).verdict == Verdict.UNSTABLE
         return
-    with pytest.raises(ValueError, match=rf"^{name} is 1000\.0, and this atlas reaches from .* to"):
+    with pytest.raises(ValueError, match=rf"^{name} is 1000\.0, and this atlas covers .* to"):
         atlas.query(**point)
     answer = atlas.query(**point, outside="undecided")
     assert answer.verdict == Verdict.UNDECIDED

@@ -355,5 +355,5 @@ def test_a_delay_is_a_number_or_an_array(moving: Atlas, rng: np.random.Generator
     assert truth.spectral_radius(0.5, 0.3, 0.0, 0.0, 1.37)[0] > 1.0
     with pytest.raises(ValueError, match=r"^alpha is 0.5, and this atlas .*; give a value in"):
         moving.worst_verdict(0.5, 0.3, gamma=(0.0, 0.0), delta=(0.0, 0.0), delay=1.37)
-    with pytest.raises(ValueError, match=r"^delay is 1.6, and this atlas reaches from 0.0 to 1.5"):
+    with pytest.raises(ValueError, match=r"^delay is 1.6, and this atlas covers 0.0 to 1.5"):
         moving.alpha_limits(0.3, gamma=0.0, delta=0.0, delay=[0.3, 1.6])

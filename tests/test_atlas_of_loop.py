@@ -188,7 +188,7 @@ def test_loops_of_which_an_atlas_says_nothing_are_refused(
 def test_other_bad_input_is_refused() -> None:
     window = Velocity.difference(window=0.005)
     loop = HapticLoop(**MASS, delay=0.0005, velocity=window)
-    with pytest.raises(ValueError, match=r"delay of the loop is 0\.5 samples, .* at 0, 1, 1\.5"):
+    with pytest.raises(ValueError, match=r"delay of the loop is 0\.5 samples, .* only 0, 1, 1\.5"):
         jaxstab.open_atlas(WINDOW).for_loop(loop)
     with pytest.raises(TypeError, match=r"give a jaxstab\.HapticLoop"):
         jaxstab.open_atlas(PLAIN).for_loop((0.1, 0.0))

@@ -458,9 +458,9 @@ def test_filters_in_s_have_one_sampling_period():
 @pytest.mark.parametrize(
     ("plane", "window", "fixed", "message"),
     [
-        (("alpha", "betta"), ((0.0, 1.0), (0.0, 1.0)), {}, "'betta' is no quantity of this"),
+        (("alpha", "betta"), ((0.0, 1.0), (0.0, 1.0)), {}, "'betta' is not a quantity of this"),
         (("alpha", "alpha"), ((0.0, 1.0), (0.0, 1.0)), {}, "alpha is given twice"),
-        (("alpha", ""), ((0.0, 1.0), (0.0, 1.0)), {}, "'' is no quantity of this"),
+        (("alpha", ""), ((0.0, 1.0), (0.0, 1.0)), {}, "'' is not a quantity of this"),
         (("alpha", "beta"), ((0.0, 1.0), (0.0, 1.0)), {"gamma": 0.0}, "delta has no value"),
         (("alpha", "beta"), ((1.0, 1.0), (0.0, 1.0)), {}, "the window of alpha"),
         (("alpha", "gamma"), ((0.0, 1.0), (-1.0, 1.0)), {"beta": 0.0}, "gamma is -1"),

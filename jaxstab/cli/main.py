@@ -121,7 +121,7 @@ for _command in _COMMANDS:
 
 @main.group()
 def atlas() -> None:
-    """Plan, build, inspect, verify, ask and plot atlases: stability over a grid, in one file."""
+    """Plan, build, inspect, verify, query and plot atlases: stability over a grid, in one file."""
 
 
 for _command in (spec, build, plan, info, verify, query, plot):

@@ -242,7 +242,7 @@ class LoopAtlas:
         beyond = np.flatnonzero(~((numbers >= low) & (numbers <= high)))
         if beyond.size:
             raise ValueError(
-                f"{name} is {float(gains.flat[beyond[0]])!r}, and this atlas reaches from "
+                f"{name} is {float(gains.flat[beyond[0]])!r}, and this atlas covers "
                 f"{in_units(low):.9g} to {in_units(high):.9g} for this loop; give a value in this "
                 "range, or set outside to 'undecided'."
             )
@@ -276,8 +276,8 @@ def _check_filters(atlas: "Atlas", loop: Any) -> None:
     own = AtlasSpec(**loop.filters).filters
     if own != atlas.filters:
         raise ValueError(
-            f"the loop has {words_of(own)}, and this atlas is of {atlas.filters_in_words}; ask "
-            "another atlas, or build one."
+            f"the loop has {words_of(own)}, but this atlas was built for {atlas.filters_in_words}; "
+            "use another atlas, or build one."
         )
 
 
@@ -295,7 +295,7 @@ def _ends(atlas: "Atlas", delay: float) -> tuple[tuple[float, float], tuple[floa
         return alpha, beta
     delays = ", ".join(f"{node:g}" for node in atlas.delays.tolist())
     raise ValueError(
-        f"delay of the loop is {delay!r} samples, and this atlas answers at {delays} alone; ask "
+        f"delay of the loop is {delay!r} samples, but this atlas holds only {delays}; use "
         "another atlas, or build one."
     )
 

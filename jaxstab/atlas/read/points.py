@@ -83,7 +83,7 @@ def check_inside(
         )
         where = "" if at is None else f" at delay {float(at.flat[beyond[0]]):g}"
         raise ValueError(
-            f"{name} is {first!r}, and this atlas reaches from {least!r} to {most!r}{where}; "
+            f"{name} is {first!r}, and this atlas covers {least!r} to {most!r}{where}; "
             "give a value in this range, or set outside to 'undecided'."
         )
 
