@@ -51,6 +51,7 @@ def main() -> int:
             "limits_of",
             "papers",
             "plot",
+            "studies",
             "table",
             "traces",
         ],
@@ -60,6 +61,7 @@ def main() -> int:
         "or contact: simulate contacts beside what is proved, "
         "or lemmas: check the lemmas that proofs rest on, or limits_of: print the limits of many "
         "loops beside single ones, or papers: compare published numbers, "
+        "or studies: time a study on two workers of a dask cluster beside one, "
         "or traces: compare boundaries over delays with limits, and draw them; "
         "without a name all benchmarks",
     )
@@ -82,7 +84,7 @@ def main() -> int:
         return golden.take(path) if choice.record else golden.compare(choice.small, path)
     if choice.name == "lemmas":
         return import_module("benchmarks.lemmas").main(choice.small)
-    if choice.name in ("contact", "jitter"):
+    if choice.name in ("contact", "jitter", "studies"):
         return import_module(f"benchmarks.{choice.name}").main(choice.small, choice.points)
     if choice.name == "traces":
         return import_module("benchmarks.traces").main(choice.small)

@@ -12,6 +12,11 @@ stable and unstable, by friction; and of the walls that a rule of the literature
 - K <= min(2 b / T, 2 f_c / q): Abbott, Okamura (2005), for walls without damping.
 
 Both are applied here beyond their assumptions (windows, delays, damping), as a designer might.
+
+Within them (no wall damping, no delay): contacts by the two ratios that the second rule compares
+with 1. K T / (2 b) is what the hold gives beside what viscous damping takes, K q / (2 f_c) what the
+encoder gives beside what friction takes. Diolaiti et al. (2006) describe regions of such effects;
+theirs were not seen, and these are simulated.
 """
 
 from collections import Counter
@@ -33,8 +38,11 @@ _WALLS, _STARTS = 40, 84  # of a device, and of a wall: 1e6 runs of 300 devices
 _ROUNDS = 3  # of starts, the later ones around the worst
 _DURATION = 2.0  # s
 _SLOWEST = 0.985  # spectral radius of the stable walls whose amplitudes are judged
+_LONG = 8.0  # s, in which bounces end
 _ROUNDING = 1e-9
 _BINS = (0.0, 0.03, 0.1, 0.3, 1.0)  # N of friction
+_RATIOS = 400  # runs of a device, by the ratios of the second rule
+_BUZZ = 2.0  # steps of the encoder
 _GRID = 90  # walls on an axis of the picture
 
 
@@ -60,6 +68,7 @@ def main(small: bool, points: int | None = None) -> int:
         widest = max(widest, share)
         counts.update(ends(device, rng, 6 if small else _STARTS))
     seconds = perf_counter() - start
+    counts.update(by_ratio(2 if small else _DEVICES // 5, 40 if small else _RATIOS))
     for line in table(counts, widest):
         print(line)
     print(f"{counts['bounded'] + counts['runs']:,} runs of {_DURATION:g} s in {seconds:.0f} s")
@@ -146,6 +155,27 @@ def ends(device: Device, rng: np.random.Generator, starts: int) -> Iterator[str]
                 yield f"{name} rests"
 
 
+def by_ratio(devices: int, runs: int) -> Iterator[str]:
+    """Name what is to be counted of undamped walls without delay: the ratios' region, the end."""
+    rng = np.random.default_rng(37)
+    for _ in range(devices):
+        mass, hold = 10.0 ** rng.uniform(-1.7, 0.3), 10.0 ** rng.uniform(-1.0, 1.0, runs)
+        damping, encoder = mass / _T * 10.0 ** rng.uniform(-3.0, -1.0), 1e-5
+        stiffness = hold * 2.0 * damping / _T
+        count = 10.0 ** rng.uniform(-1.0, 1.0, runs)
+        contact = jaxstab.contact_map(
+            HapticLoop(device_mass=mass, device_damping=damping, sample_time=_T), stiffness, 0.0,
+            friction=stiffness * encoder / (2.0 * count), encoder=encoder,
+            phase=rng.uniform(size=runs), duration=_LONG,
+            push=stiffness * encoder * 10.0 ** rng.uniform(0.0, 3.0, runs),
+        )  # fmt: skip
+        small = contact.amplitude <= _BUZZ * encoder
+        ends = np.where(_does_rest(contact), "rests", np.where(small, "buzzes", "moves"))
+        for is_held, is_counted, end in zip(hold <= 1.0, count <= 1.0, ends, strict=True):
+            yield f"ratios {int(is_held)}{int(is_counted)}"
+            yield f"ratios {int(is_held)}{int(is_counted)} {end}"
+
+
 def _does_rest(contact: Contact) -> np.ndarray:
     return np.isin(contact.kind, [ContactKind.RESTS])
 
@@ -175,12 +205,20 @@ def table(counts: Counter[str], widest: float) -> Iterator[str]:
         accepted = counts[name] / max(counts["all"], 1)
         found = counts[f"{name} rests"] / max(counts["all rests"], 1)
         yield f"| {words} | {100 * accepted:.1f} % | {_share(counts, name)} | {100 * found:.1f} % |"
+    yield ""
+    yield f"| K T/(2 b) | K q/(2 f_c) | rest | buzz by {_BUZZ:g} steps at most | move further |"
+    yield "|---|---|---|---|---|"
+    for held, counted in ((1, 1), (1, 0), (0, 1), (0, 0)):
+        name = f"ratios {held}{counted}"
+        ends = (_share(counts, name, end) for end in ("rests", "buzzes", "moves"))
+        sides = " | ".join("up to 1" if is_small else "above 1" for is_small in (held, counted))
+        yield f"| {sides} | {' | '.join(ends)} |"
 
 
-def _share(counts: Counter[str], name: str) -> str:
+def _share(counts: Counter[str], name: str, end: str = "rests") -> str:
     if not counts[name]:
         return "none"
-    return f"{100.0 * counts[f'{name} rests'] / counts[name]:.1f} % of {counts[name]:,}"
+    return f"{100.0 * counts[f'{name} {end}'] / counts[name]:.1f} % of {counts[name]:,}"
 
 
 def draw() -> None:

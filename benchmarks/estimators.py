@@ -4,6 +4,8 @@ LAPACK's matrices are made beforehand, of a random part of the slice, stated as 
 starts from the axes. ``error`` is how far from the boundary a verdict was still wrong or undecided,
 as a share of the gains. Balls of python-flint judge, at walls that come closer and closer to the
 boundary; ``undecided`` counts these walls, ``undecided_of_slice`` is the share of the slice.
+``share_of_plain_recursion`` is the speed of verdicts beside that of the recursion of Schur and Cohn
+in float64 alone, jitted and in tiles, which proves nothing.
 """
 
 from collections.abc import Callable, Iterator
@@ -11,6 +13,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 import jaxstab
@@ -29,6 +32,7 @@ from benchmarks.truth.filtered import (
     times,
 )
 from jaxstab import Velocity
+from jaxstab.batches import MANY, compiled, over_tiles
 from jaxstab.conventions import Verdict
 
 MEASURE = "largest distance from the boundary with a wrong or no verdict, as a share of the gains"
@@ -44,6 +48,8 @@ _ESTIMATORS: dict[str, tuple[Velocity, Rational]] = {
         times(difference(1), butterworth(_CUTOFF, 4)),
     ),
 }
+PLAIN = "Schur-Cohn, not proved"
+_PLAIN_TILE = 512
 _SHARES = 10.0 ** np.arange(-15.0, -2.0)  # of the gains, by which judged walls are moved
 _JUDGED = 24  # walls of the boundary
 
@@ -73,18 +79,20 @@ def _estimator_rows(words: str, velocity: Velocity, truth: Rational, small: bool
     matrices = family.companions(*_part(slice_, family).T)
     on_device = jax.device_put(matrices)
 
-    verdict = partial(_verdict, velocity)
+    verdict, plain = partial(_verdict, velocity), _plain_verdict(family)
     answers: dict[str, Callable[..., Any]] = {
         "verdict": verdict,
+        PLAIN: plain,
         "numpy eigvals": lambda *walls: _codes(np.linalg.eigvals(family.companions(*walls))),
         "jax eigvals": lambda *walls: _codes(jax_eigenvalues(family.companions(*walls))),
     }
     calls: dict[str, Callable[[], Any]] = {
         "verdict": partial(verdict, alpha, beta[:, None]),
+        PLAIN: partial(plain, alpha, beta[:, None]),
         "numpy eigvals": partial(np.linalg.eigvals, matrices),
         "jax eigvals": partial(jax_eigenvalues, on_device),
     }
-    points = {name: side**2 if name == "verdict" else len(matrices) for name in calls}
+    points = {name: side**2 if name in ("verdict", PLAIN) else len(matrices) for name in calls}
     timings = interleaved(calls, budget=0.1 if small else 3.0, most=30)
     for name, answer in answers.items():
         yield {
@@ -143,7 +151,34 @@ def _of_slice(timings: dict[str, Timing], points: dict[str, int]) -> Row:
             f"cpu_times_{name.replace(' ', '_')}": float(cpu[name] / cpu["verdict"])
             for name in rivals
         },
+        "share_of_plain_recursion": timings[PLAIN].median / timings["verdict"].median,
     }
+
+
+def _plain_verdict(family: LoopFamily) -> Callable[..., np.ndarray]:
+    """Return a function for codes by the recursion of Schur and Cohn, with what is 0 left out."""
+    parts = [part.tolist() for part in (family.plant, family.alpha, family.beta)]
+
+    def codes(alpha: Any, beta: Any) -> Any:
+        falling = [
+            b + s * alpha + d * beta if s or d else b for b, s, d in zip(*parts, strict=True)
+        ]
+        inside = alpha + beta < np.inf
+        while len(falling) > 1:
+            ratio = falling[-1] / falling[0]
+            inside = inside & (abs(ratio) < 1.0)
+            pairs = zip(falling, reversed(falling), strict=True)
+            falling = [
+                one if isinstance(other, float) and other == 0.0 else one - ratio * other
+                for one, other in pairs
+            ][:-1]
+        return jnp.where(inside, Verdict.STABLE, Verdict.UNSTABLE).astype(np.int8)
+
+    @compiled(many=MANY, wide=True, pointwise=True)
+    def in_tiles(alpha: Any, beta: Any) -> Any:
+        return over_tiles(codes, (alpha, beta), _PLAIN_TILE)
+
+    return lambda alpha, beta: np.asarray(in_tiles(*map(jnp.asarray, (alpha, beta))))
 
 
 def _verdict(velocity: Velocity, alpha: np.ndarray, beta: np.ndarray) -> Any:

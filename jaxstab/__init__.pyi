@@ -44,6 +44,7 @@ from .scene.draws import LogNormal as LogNormal
 from .scene.draws import Measured as Measured
 from .scene.draws import Normal as Normal
 from .scene.draws import Uniform as Uniform
+from .scene.identify import identify as identify
 from .scene.study import merge_studies as merge_studies
 from .scene.study import open_study as open_study
 from .scene.study import study as study

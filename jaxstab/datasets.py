@@ -18,6 +18,7 @@ import shutil
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
@@ -244,7 +245,7 @@ class Dataset(Job[Block]):
 
     def read(self) -> Arrays:
         """The variables of the file, whole."""
-        with named_errors("read", self.path), h5py.File(self.path, "r") as file:
+        with _opened(self.path) as file:
             return {name: file[name][()] for name in self.computed}
 
 
@@ -281,6 +282,16 @@ def stored(
 # What is read of files, chunk by chunk.
 
 
+@contextmanager
+def _opened(path: Path) -> Iterator[h5py.File]:
+    with named_errors("read", path):
+        with path.open("rb"):  # HDF5's own sentences are long
+            if not h5py.is_hdf5(path):
+                raise ValueError(f"{path} is no HDF5 file, or it is damaged.")
+        with h5py.File(path, "r") as file:
+            yield file
+
+
 class Kept(NamedTuple):
     """What a file says of its dataset; dimensions, units and names of each variable."""
 
@@ -296,9 +307,7 @@ def kept(path: Path) -> Kept:
 
     OSError: it cannot be read; ValueError: it is no file of a dataset.
     """
-    with named_errors("read", path):
-        os.stat(path)  # HDF5's own sentence is long
-    with named_errors("read", path), h5py.File(path, "r") as file:
+    with _opened(path) as file:
         if _KEY not in file.attrs:
             raise ValueError(f"{path} is no dataset of jaxstab.")
         scales = {name for name in file if file[name].is_scale}
@@ -317,14 +326,14 @@ def kept(path: Path) -> Kept:
 
 def chunks(path: Path, name: str) -> Iterator[tuple[Block, NDArray[Any]]]:
     """Yield the values of a variable, a chunk at a time, each with its place."""
-    with named_errors("read", path), h5py.File(path, "r") as file:
+    with _opened(path) as file:
         for block in file[name].iter_chunks():
             yield tuple(block), file[name][block]
 
 
 def values(path: Path, name: str) -> NDArray[Any]:
     """Return the values of a variable, whole."""
-    with named_errors("read", path), h5py.File(path, "r") as file:
+    with _opened(path) as file:
         return _decoded(file[name][()])
 
 
@@ -339,7 +348,7 @@ def merged(parts: Sequence[Path], path: Path) -> None:
     own: dict[tuple[int, int], Path] = {}
     keys = dict[str, Path]()
     for one in parts:
-        with named_errors("read", one), h5py.File(one, "r") as file:
+        with _opened(one) as file:
             if _PART not in file.attrs or _KEY not in file.attrs:
                 raise ValueError(f"{one} is no part of a study; give the files that --part wrote.")
             key, part = _text(file, _KEY), _part(file)
@@ -367,7 +376,7 @@ def merged(parts: Sequence[Path], path: Path) -> None:
         with h5py.File(stream, "r+", libver=FORMAT_VERSIONS) as file:
             del file.attrs[_PART]
             for other in others:
-                with named_errors("read", other), h5py.File(other, "r") as source_file:
+                with _opened(other) as source_file:
                     _copy_chunks(source_file, file)
                 stream.check()
         stream.check()

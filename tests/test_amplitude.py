@@ -226,7 +226,8 @@ def test_check_of_a_scene_tells_how_far_its_encoder_drives_it() -> None:
 
 def test_a_picture_draws_lines_of_equal_amplitude() -> None:
     table = SCENE | {"controller": {"sample_time": 1e-3, "delay_samples": 1.0}}
-    figure = scene_figure(Scene.from_table(table))
+    scene = Scene.from_table(table)
+    figure = scene_figure(scene, tune_walls(scene))
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
     assert "encoder of 10 um: chatters by less, proved" in labels
     names = [text.get_text() for text in figure.axes[0].texts]

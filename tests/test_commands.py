@@ -67,6 +67,8 @@ COMMANDS: list[tuple[str, list[str], int]] = [
     ("scene init", ["-o", "scene.toml"], 2),
     ("scene presets", [], 0),
     ("scene presets", ["more"], 2),
+    ("identify", ["--help"], 0),  # tests/test_identify.py fits logs
+    ("identify", ["none.csv"], 2),
     ("explore", ["scene.toml"], 0),
     ("explore", ["none.toml"], 2),
     ("guard", ["--help"], 0),  # tests/test_guard.py builds some
@@ -141,7 +143,7 @@ def test_31_15_a_delay_that_is_assumed_is_said_beside_the_estimator(command: str
     inputs = json.loads(run(*arguments, "--json").stdout)["inputs"]
     assert (inputs["delay"], inputs["delay_is"]) == (0.0, "assumed: the scene names none")
     given = run(*arguments, "--delay", "0").stdout.splitlines()[1]
-    assert given.split(maxsplit=1) == ["delay", "0 ms; in samples 0"]
+    assert given.split(maxsplit=1) == ["delay", "0 ms (0 samples)"]
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ from math import inf, pi
 from typing import Any
 
 import campaign
+import jax
 import numpy as np
 import pytest
 
@@ -15,10 +16,12 @@ from benchmarks import contact as benchmark
 from benchmarks.truth import contact as truth
 from benchmarks.truth.march import difference_taps, low_pass_taps
 from jaxstab import HapticLoop, Velocity
+from jaxstab.loop.contact import _setup
 from jaxstab.motion import contact as kernel
 from jaxstab.pictures.scene import scene_figure
 from jaxstab.results import ContactKind
 from jaxstab.scene import Scene, check_walls, simulate_contacts
+from jaxstab.scene.scene import Contact
 
 PERIOD = 1e-3
 HELD = {"device_mass": 0.25, "device_damping": 0.1, "sample_time": PERIOD}
@@ -319,6 +322,23 @@ def test_numbers_numpy_and_jax_agree(
     assert np.array_equal(by_jax.kind, by_numpy.kind)
 
 
+@pytest.mark.parametrize(("name", "loops"), [("window", 0), ("device", 3)])
+def test_a_map_is_one_program_that_never_returns_to_the_host(name: str, loops: int) -> None:
+    """One loop over samples; of any device, in each piece one over legs and two that search."""
+    given: dict[str, Any] = {"friction": 0.1, "push": 1.0}
+    setup = _setup(LOOPS[name], np.full(64, 1000.0), 3.0, **given)
+    plant = setup.plant
+    arrays = plant._replace(ages=np.array(plant.ages), flows=np.array(plant.flows))
+
+    def summed(samples: Any, arrays: Any, controller: Any, runs: Any) -> Any:
+        own = arrays._replace(oldest=plant.oldest)
+        return kernel._summary(own, controller, runs, samples, one_sided=True, pulls=False)
+
+    text = jax.jit(summed).lower(4000, arrays, setup.controller, setup.runs).as_text()
+    assert text.count("stablehlo.while") == 1 + loops * len(plant.flows[0])
+    assert not re.search("custom_call|callback|infeed|outfeed|stablehlo.send", text)
+
+
 def test_maps_larger_than_a_tile_keep_their_order(monkeypatch: pytest.MonkeyPatch) -> None:
     stiffness = np.linspace(500.0, 6000.0, 23)[:, None] * np.ones(101)
     friction = np.linspace(0.0, 0.4, 101)
@@ -572,11 +592,14 @@ def test_scenes_with_modes_actuators_and_grips_are_simulated() -> None:
     assert np.isclose(soft.penetration, runs.penetration, rtol=1e-12, atol=0.0).any()
 
 
-def test_friction_without_a_contact_is_refused() -> None:
+def test_friction_without_a_start_meets_the_push_of_a_finger() -> None:
     table = tomllib.loads(SCENE)
     del table["contact"]
-    with pytest.raises(ValueError, match=r"device\.friction is 0\.1, but only simulated contacts"):
-        Scene.from_table(table)
+    scene = Scene.from_table(table)
+    assert scene.contact == Contact(push=1.0)  # N
+    assert simulate_contacts(scene).walls["soft"].worst_start.startswith("pushed with 1 N")
+    table["device"]["friction"] = 3.0
+    assert Scene.from_table(table).contact == Contact(push=6.0)  # it overcomes the friction
     del table["device"]["friction"]
     with pytest.raises(ValueError, match=r"contact is missing; give contact\.push"):
         simulate_contacts(Scene.from_table(table))

@@ -25,6 +25,6 @@ def test_a_notebook_runs(file: Path) -> None:
 
 def test_every_notebook_is_on_the_page() -> None:
     page = (ROOT / "docs" / "notebooks" / "index.md").read_text(encoding="utf-8")
-    assert len(NOTEBOOKS) == 5
+    assert len(NOTEBOOKS) == 6
     for file in NOTEBOOKS:
         assert f"]({file.name})" in page

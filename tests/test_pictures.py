@@ -1,5 +1,6 @@
 """Issue 31, item 21: pictures show what is asked, with labels that agree with the text."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from matplotlib.figure import Figure
 import jaxstab
 from jaxstab.pictures.scene import scene_figure
 from jaxstab.scene import Scene, check_walls, design_loop, scene_limits, tune_walls
+from jaxstab.scene.limits import brief
 
 WINDOW = jaxstab.Velocity.difference(window=0.02)
 TABLE: dict[str, Any] = {
@@ -74,17 +76,32 @@ def test_issue_31_21_limits_draw_the_walls_and_round_the_bound_as_the_text_does(
     assert marks["wall, stable"].tolist() == [[500.0, 5.0]]
     assert marks["wall, unstable"].tolist() == [[4e4, 5.0]]
     assert {text.get_text() for text in figure.axes[0].texts} >= {"soft", "stiff"}
-    (printed,) = (line for line in str(limits).splitlines() if "none is stiffer than" in line)
-    bound = printed.split("none is stiffer than")[1].strip()
-    assert f"for all corners of the hands' range: none is stiffer than {bound}" in labels_of(figure)
+    bound = brief(limits).split("upper bound ")[1].splitlines()[0]
+    every = f"stable for all hands (corners of the range): upper bound {bound}"
+    assert every in labels_of(figure)
+    assert not any(text.get_text().endswith(" ms") for text in figure.axes[0].texts)
+
+
+def test_check_draws_how_far_each_gain_may_go_alone_and_the_responses() -> None:
+    scene = Scene.from_table(TABLE | {"hand": HAND})
     checked = check_walls(scene)
-    assert "for all corners of the hands' range" in labels_of(scene_figure(scene, checked))
+    plane, responses = scene_figure(scene, checked).axes
+    assert "stable for all hands" in {patch.get_label() for patch in plane.patches}
+    crosses = [line.get_xydata() for line in plane.get_lines() if line.get_marker() in "|_"]
+    margins = checked.walls["soft"].margins
+    assert margins is not None
+    along, across = (np.asarray(cross) for cross in crosses)  # of the stable wall alone
+    np.testing.assert_allclose(along, [(k, 5.0) for k in margins.stiffness_limits])
+    np.testing.assert_allclose(across, [(500.0, b) for b in margins.damping_limits])
+    assert len(responses.get_lines()) == 2
 
 
 def test_issue_31_21_tune_draws_what_it_answers() -> None:
     scene = Scene.from_table(TABLE | {"wanted": {"at_stiffness": 2000.0}})
     tuned = tune_walls(scene)
-    marks = marks_of(scene_figure(scene, tuned).axes[0])
+    (panel,) = scene_figure(scene, tuned).axes
+    assert 1 <= len({text.get_text() for text in panel.texts if " ms" in text.get_text()}) <= 3
+    marks = marks_of(panel)
     by_word = {label.split(":")[0]: points for label, points in marks.items()}
     for words, best in (
         ("fastest", tuned.least_settling.rounded),
@@ -100,15 +117,25 @@ def test_issue_31_21_tune_draws_what_it_answers() -> None:
 def test_issue_31_21_design_draws_what_it_answers() -> None:
     scene = Scene.from_table(TABLE | {"wanted": {"stiffness": 20000.0}})
     design = design_loop(scene)
-    panel = scene_figure(scene, design).axes[0]
-    (line,) = (line for line in panel.get_lines() if str(line.get_label()).startswith("wanted"))
-    assert set(line.get_xdata()) == {20000.0}
-    for words in ("with a sample time of", "with a delay of"):
-        (patch,) = (one for one in panel.patches if str(one.get_label()).startswith(words))
-        assert patch.get_path().vertices[:, 0].max() == pytest.approx(20000.0, rel=1e-4)
-        assert patch.get_window_extent().x1 < panel.bbox.x1
+    loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3, delay=1e-3)
+    longest = design.sample_time.largest_sample_time, design.delay.largest_delay
+    for panel, found, name in zip(
+        scene_figure(scene, design).axes, longest, ("sample time", "delay"), strict=True
+    ):
+        assert panel.get_xlabel() == f"{name} (ms)"
+        curve, wanted, _, mark = panel.get_lines()
+        assert set(wanted.get_ydata()) == {20000.0}
+        assert np.ravel(mark.get_xydata()).tolist() == [1e3 * found, 20000.0]
+        times, stiffness = curve.get_data()
+        assert np.interp(1e3 * found, times, stiffness) == pytest.approx(20000.0, rel=1e-2)
+        for time, value in list(zip(times, stiffness, strict=True))[::8]:
+            changed = {"sample_time": time / 1e3} if name == "sample time" else {}
+            delay = {"delay": time / 1e3}  # of one sample, where the sample time changes
+            exact = replace(loop, **changed, **delay).limits().stiffness
+            assert value == pytest.approx(exact, rel=1e-9)
     none = Scene.from_table(TABLE | {"wanted": {"stiffness": 1e9}, "walls": {}})
-    assert "with a delay" not in " ".join(labels_of(scene_figure(none, design_loop(none))))
+    for panel in scene_figure(none, design_loop(none)).axes:
+        assert not any(str(line.get_label()).startswith("largest d") for line in panel.get_lines())
 
 
 @pytest.mark.campaign

@@ -255,7 +255,7 @@ def test_the_line_of_the_estimator_says_what_is_proved(command: str) -> None:
         first, second, *_ = run(command, *MOVING, *wall, *options).stdout.splitlines()
         assert first.startswith("velocity ")
         assert first.endswith(words)
-        assert re.fullmatch(r"delay +0 to 1 ms; in samples 0 to 1", second)
+        assert re.fullmatch(r"delay +0 to 1 ms \(0 to 1 samples\)", second)
 
 
 def test_an_unstable_wall_names_delays_that_make_it_grow() -> None:
@@ -337,7 +337,7 @@ def test_measures_are_those_of_the_worst_constant_delay() -> None:
     assert wall["measures_are"] == (
         "of constant delays, no sample lost: the worst of the shortest and the longest one"
     )
-    assert wall["margins_are"] == "the least of 2 constant delays"
+    assert wall["margins_are"] == "smallest over 2 constant delays"
     radii = [true_radius(5000.0, 20.0, delay) for delay in (0.0, 1.0)]
     assert wall["spectral_radius"] == pytest.approx(max(radii), abs=1e-12)
 
@@ -464,7 +464,7 @@ def test_a_constant_range_gives_an_atlas_its_corners() -> None:
 def test_a_model_with_a_moving_delay_is_explained(tmp_path: Path) -> None:
     file = written(tmp_path, "delay_samples = [0.0, 1.0]")
     text = run("scene", "explain", file).stdout
-    assert re.search(r"(?m)^delay +0 to 1 ms; in samples 0 to 1; moves between 0 and 1 ms", text)
+    assert re.search(r"(?m)^delay +0 to 1 ms \(0 to 1 samples\); moves between 0 and 1 ms", text)
     assert "a mass, hand or gain that changes while the wall is touched" in text
 
 

@@ -16,7 +16,7 @@ from jaxstab.model import Velocity
 from jaxstab.pictures.scene import scene_figure
 from jaxstab.scene import Scene, check_walls, loop_of, scene_limits
 from jaxstab.scene.example import DIAGRAM
-from jaxstab.scene.limits import inwards
+from jaxstab.scene.limits import brief, inwards
 
 ROOT = Path(__file__).parents[1]
 OMEGA = ["--device", "omega", "--sample-time", "0.001", "--delay-samples", "1"]
@@ -34,7 +34,7 @@ def answered(*arguments: str | Path) -> Any:
 def test_a_scene_without_an_estimator_says_first_which_one_was_assumed() -> None:
     for command in (["limits"], ["check", "--wall", "a", "100", "5"]):
         first = run(*command, *OMEGA).stdout.splitlines()[0]
-        assert re.match(r"velocity +the difference over one sample \(assumed: ", first)
+        assert re.match(r"velocity estimator +the difference over one sample \(assumed: ", first)
     named = run("limits", *SDK).stdout.splitlines()[0]
     assert "a window of 0.02 s (preset force-dimension-sdk, assumed in part)" in named
     assert run("limits", *OMEGA, "--window-samples", "1").stdout.count("assumed") == 0
@@ -58,8 +58,10 @@ def test_a_file_is_answered_with_its_estimator_once_and_first(tmp_path: Path) ->
         "[walls.a]\nstiffness = 100.0\ndamping = 5.0\n"
     )
     lines = run("check", file).stdout.splitlines()
-    assert re.match(r"velocity +the difference over one sample, a low pass at 100 Hz", lines[0])
-    assert re.match(r"position +a window of 2 samples", lines[1])
+    assert re.match(
+        r"velocity estimator +the difference over one sample, a low pass at 100 Hz", lines[0]
+    )
+    assert re.match(r"position filter +a window of 2 samples", lines[1])
     assert sum(line.startswith("velocity") for line in lines) == 1
 
 
@@ -92,18 +94,28 @@ def test_islands_are_named_as_not_reachable_and_drawn() -> None:
     # (0.2734, -0.704) is stable, by a recursion in 60 digits, and no neighbour of 0.
     assert island["largest_stiffness"] > 0.2734
     assert island["largest_damping"] > -0.704
-    assert "not reachable by turning gains up" in run("limits", *free).stdout
+    assert "island 1 " not in run("limits", *free).stdout
+    (line,) = (
+        one for one in run("limits", *free, "--islands").stdout.splitlines() if "island" in one
+    )
+    assert line.endswith("isolated: not connected to zero gains")
     scene = Scene.from_table(
         {
             "device": {"mass": 0.25, "damping": 0.1},
             "controller": {"sample_time": 1e-3, "velocity": {"window_samples": 10}},
         }
     )
+    assert all(island.at_damping < 0.0 for island in scene_limits(scene).islands.values())
+    assert len(scene_figure(scene).axes) == 1  # no wall of an engineer's is on an island
+    held = {"device": {"mass": 0.08, "damping": 0.1}, "hand": {"stiffness": 185.0, "damping": 2.9}}
+    held |= {"controller": {"sample_time": 1e-3, "velocity": {"window_samples": 20}}}
+    scene = Scene.from_table(held)
+    assert brief(scene_limits(scene)).splitlines()[-1].endswith("see --islands")
     figure = scene_figure(scene)
-    assert [panel.get_title() for panel in figure.axes][-1] == "all stable walls"
+    assert [panel.get_title() for panel in figure.axes] == ["Stable walls", "with islands"]
     (legend,) = figure.legends
     labels = [text.get_text() for text in legend.get_texts()]
-    assert "stable, not reachable by turning gains up" in labels
+    assert "stable, not connected to zero gains" in labels
     assert not any("linear" in label or "passive" in label for label in labels)
 
 
@@ -117,9 +129,9 @@ def test_what_is_tuned_is_compared_with_what_gains_reach_when_they_are_turned_up
 def test_a_scene_is_explained_with_a_diagram_and_its_numbers() -> None:
     explained = run("scene", "explain", ROOT / "data" / "scenes" / "teleoperation.toml").stdout
     assert explained.startswith(DIAGRAM)
-    assert re.search(r"(?m)^delay +12.35 ms; in samples 12.35$", explained)
+    assert re.search(r"(?m)^delay +12.35 ms \(12.35 samples\)$", explained)
     assert re.search(r"(?m)^hand +0.5 kg, 200 N/m, 3 N s/m$", explained)
-    assert re.search(r"(?m)^ +does not count: the hold of half a sample", explained)
+    assert re.search(r"(?m)^ +excludes: the zero-order hold", explained)
     assert re.search(r"(?m)^outside ", explained)
 
 
@@ -293,9 +305,15 @@ def test_limits_around_a_wall_are_those_of_the_interval_that_it_is_in() -> None:
 
 
 def test_the_hand_that_limits_are_of_stands_before_them_and_the_linear_rule_is_no_limit() -> None:
-    lines = run("limits", *OMEGA, "--hand-mass", "0:0.2").stdout.splitlines()
+    arguments = ["limits", *OMEGA, "--hand-mass", "0:0.2"]
+    lines = run(*arguments, "--all").stdout.splitlines()
     assert re.match(r"hand +at its lowest values \(all hands: see below\)$", lines[2])
     assert lines[3] == "best"
+    *_, largest, every = run(*arguments).stdout.splitlines()
+    assert re.match(r"largest stiffness +\d+ N/m at .* N s/m, hand at its lowest values$", largest)
+    assert re.match(
+        r"for all hands +\d+ N/m at .*, proved for every hand, upper bound \d+ N/m$", every
+    )
     rule = answered("limits", *OMEGA)["linear_rule"]
     best = answered("limits", *OMEGA)["best"]
     share = rule["largest_stiffness"] / best["largest_stiffness"]

@@ -165,7 +165,7 @@ def test_plots_draw_what_is_asked_on_the_axes_that_are_given() -> None:
     axes = Figure().subplots()
     assert WINDOW.region().plot(axes) is axes
     filled = [patch.get_label() for patch in axes.patches]
-    assert filled == ["stable", "stable, not reachable by turning gains up"]
+    assert filled == ["stable", "stable, not connected to zero gains"]
     outline = axes.lines[0].get_xydata()
     assert np.nanmax(outline[:, 0]) == pytest.approx(WINDOW.limits().stiffness, rel=1e-6)
     axes = Figure().subplots()

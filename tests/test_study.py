@@ -206,7 +206,7 @@ def test_ranges_of_a_scene_are_drawn_uniformly_and_it_says_so(tmp_path: Path) ->
     given = {"answers": ["verdict"], "samples": 9}
     study = jaxstab.study(table, over, store=tmp_path / "a.h5", **given)
     assert study.open().attrs["notes"] == (
-        "device.mass: drawn uniformly from the range of the scene, 0.1 to 0.3. "
+        "device.mass: drawn uniformly from the range of the scene, 0.1 to 0.3.\n"
         "hand.stiffness: drawn uniformly from the range of the scene, 100 to 500."
     )
     assert set(study.dimensions) == {"controller_delay", "sample", "wall"}
@@ -232,14 +232,45 @@ def test_columns_of_one_file_are_drawn_row_by_row(tmp_path: Path) -> None:
     assert set(study.values("hand_damping")) == {1.0, 2.0, 4.0}
 
 
+def test_a_row_that_is_drawn_again_is_computed_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    over = {
+        "device.mass": [0.1, 0.3],
+        "hand.stiffness": Measured((100.0, 200.0, 400.0), "hands"),
+        "hand.damping": Measured((1.0, 5.0, 2.0), "hands"),
+    }
+    real, counts = studies.limits_of, list[int]()
+
+    def counted(loops: Any) -> Any:
+        counts.append(len(loops))
+        return real(loops)
+
+    monkeypatch.setattr(studies, "limits_of", counted)
+    study = jaxstab.study(TABLE, over, samples=90).open()
+    assert counts == [6]
+    for draw in (0, 7, 89):
+        row = study.isel(device_mass=1, sample=draw)
+        hand = {"mass": 0.1, "stiffness": row.hand_stiffness.item()}
+        own = loop_with(
+            {**TABLE, "hand": hand},
+            {"device.mass": 0.3, "hand.damping": row.hand_damping.item()},
+        )
+        np.testing.assert_allclose(row.largest_stiffness, own.limits().stiffness, rtol=1e-9)
+        gains = row.wall_stiffness.values, row.wall_damping.values
+        np.testing.assert_array_equal(row.verdict, own.verdict(*gains))
+    plan = studies.plan_of(studies.study_dataset(TABLE, over, tmp_path / "a.h5", samples=90))
+    assert "180 loops (of 3 different draws, each computed once in a block)" in plan
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
         ("a,k\n1,2\n", "hands.csv has no column 'b'; its columns are 'a, k'"),
-        ("a,b\n1,2\n1,x\n", "hands.csv, line 3: b is 'x'; give a number"),
-        ("a,b\n1\n", "hands.csv, line 2: b is None; give a number"),
+        ("a,b\n1,2\n1,x\n", "hands.csv, line 3: b is 'x'; give a finite number"),
+        ("a,b\n1\n", "hands.csv, line 2: b is None; give a finite number"),
         ("a,b\n", "measured values are missing or not finite"),
-        ("a,b\n1,nan\n", "measured values are missing or not finite"),
+        ("a,b\n1,nan\n", "hands.csv, line 2: b is 'nan'; give a finite number"),
     ],
 )
 def test_a_file_that_is_no_column_of_numbers_is_refused(
@@ -364,7 +395,9 @@ def test_parts_that_do_not_go_together_are_refused(tmp_path: Path, small_blocks:
     small(two, part=(2, 3))
     small(other, part=(3, 3), seed=5)
     small(whole)
+    (tmp_path / "text.h5").write_text("no part")
     for parts, words in (
+        ([one, tmp_path / "text.h5"], r"text\.h5 is no HDF5 file, or it is damaged"),
         ([one, two], "part 3 of 3 is missing"),
         ([one, two, one], r"one\.h5 and .*one\.h5 are the same part"),
         ([one, two, other], r"other\.h5 and .*one\.h5 are parts of different studies"),
@@ -374,6 +407,8 @@ def test_parts_that_do_not_go_together_are_refused(tmp_path: Path, small_blocks:
         with pytest.raises(ValueError, match=words):
             jaxstab.merge_studies(parts, tmp_path / "made.h5")
         assert not (tmp_path / "made.h5").exists()
+    with pytest.raises(FileNotFoundError, match=r"cannot read .*none\.h5: No such file"):
+        jaxstab.merge_studies([one, tmp_path / "none.h5"], tmp_path / "made.h5")
     with pytest.raises(FileExistsError, match=r"whole\.h5 exists; remove it"):
         jaxstab.merge_studies([one, two], whole)
 
@@ -452,28 +487,31 @@ def test_processes_and_dask_workers_make_the_same_file(tmp_path: Path) -> None:
 def test_a_study_that_is_killed_again_and_again_equals_an_uninterrupted_one(
     tmp_path: Path,
 ) -> None:
-    scene = tmp_path / "desk.toml"
+    scene, samples = tmp_path / "desk.toml", many(330_000, 66_000)
     scene.write_text("[device]\nmass = 0.1\ndamping = 1.5\n[controller]\nsample_time = 0.001\n")
-    command = ["study", str(scene), "--over", "hand.stiffness=lognormal:300:1.5", "--answer",
-               "margins", "--wall", "a", "9000", "20", "--samples", "40000"]  # fmt: skip
+    varied = ["--over", "hand.stiffness=lognormal:300:1.5", "--samples", str(samples)]
+    wall = ["--answer", "spectral_radius", "--wall", "a", "9000", "20"]
+    command = ["study", str(scene), *varied, *wall]
     start = [sys.executable, "-c", START, *command, "-o"]
-    subprocess.run([*start, str(tmp_path / "whole.h5")], check=True, capture_output=True)
-    kills = 0
-    while True:
+    rng = np.random.default_rng(50)
+
+    def done() -> int:
+        return len([*tmp_path.glob(".a.h5.*.tiles/*.tile")])
+
+    for number in range(many(50, 4)):
+        before, most = done(), rng.uniform(0.0, 1.5)  # s: every second one at any time
         process = subprocess.Popen(
             [*start, str(tmp_path / "a.h5")], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
-        folders = [*tmp_path.glob(".a.h5.*.tiles")]
-        before = len([*folders[0].glob("*.tile")]) if folders else 0
-        while process.poll() is None:
-            time.sleep(0.05)
-            folders = [*tmp_path.glob(".a.h5.*.tiles")]
-            if folders and len([*folders[0].glob("*.tile")]) > before:
-                process.send_signal(signal.SIGKILL)
-                kills += 1
-        if process.returncode == 0:
-            break
-    assert kills >= 3
+        began = time.monotonic()
+        while done() <= before and (number % 2 == 0 or time.monotonic() < began + most):
+            assert process.poll() is None
+            time.sleep(0.02)
+        process.kill()
+        assert process.wait() == -signal.SIGKILL
+        assert not (tmp_path / "a.h5").exists()
+    for name in ("a.h5", "whole.h5"):
+        subprocess.run([*start, str(tmp_path / name)], check=True, capture_output=True)
     assert (tmp_path / "a.h5").read_bytes() == (tmp_path / "whole.h5").read_bytes()
 
 
@@ -490,7 +528,11 @@ def test_a_study_that_is_killed_again_and_again_equals_an_uninterrupted_one(
         ({"device.mass": [0.1, "a"]}, {}, "give numbers, or texts, not both"),
         ({"device.mass": (0.1, 0.2, 1)}, {}, "with a count >= 2"),
         ({}, {}, "over is empty"),
-        ({"walls.soft.damping": [1.0]}, {}, "walls.soft.damping cannot vary in a study"),
+        (
+            {"walls.soft.damping": [1.0]},
+            {},
+            "walls.soft.damping cannot vary in a study; give a wall",
+        ),
         ({"hand.stiffness": Uniform(-5.0, 9.0)}, {}, "hand.stiffness has draws below 0"),
         ({"hand.stiffness": Normal(-5.0, 1.0)}, {}, "hand.stiffness has draws below 0"),
         ({"device.mass": [0.1]}, {"answers": ["limit"]}, "answers has 'limit'; did you mean 'lim"),
@@ -608,6 +650,18 @@ def test_csv_of_more_rows_than_a_spreadsheet_has_is_refused(desk: Path) -> None:
     assert "the CSV file would have 1,101,100 rows; give --output" in result.stderr
 
 
+def test_a_part_needs_a_file(desk: Path) -> None:
+    result = run("study", desk, "--over", "device.mass=0.1,0.2", "--part", "1/2")
+    assert result.exit_code == 2
+    assert "--merge and --part are given without --output; give the file" in result.stderr
+
+
+def test_likely_slips_of_units_are_warned_of(desk: Path) -> None:
+    result = run("study", desk, "--over", "device.mass=100,250", "--answer", "limits")
+    assert result.exit_code == 0
+    assert "jaxstab: warning: device.mass is 250 kg" in result.stderr
+
+
 def test_the_command_computes_parts_and_merges_them(desk: Path) -> None:
     parts = [desk.with_name(f"{k}.h5") for k in (1, 2)]
     given = ["study", desk, "--over", "device.mass=0.1,0.2", "--over", "hand.damping=1:3:3"]
@@ -631,6 +685,12 @@ def test_the_command_computes_parts_and_merges_them(desk: Path) -> None:
         (["--over", "device.mass=1,2", "--part", "3/2"], "'3/2' is no part; give NUMBER/COUNT"),
         (["--over", "device.mass=1,2", "--merge"], "--merge is given beside --over"),
         (["--over", "hand.stiffness=csv:none.csv:k"], "none.csv"),
+        (["--over", "hand.stiffness=nomal:1:2"], "'nomal:1:2' is no distribution; give normal:"),
+        (["--over", "device.mass=0.1kg,0.2kg"], "device.mass is '0.1kg'; give a finite number > 0"),
+        (["--over", "device.mass.x=1,2"], "device.mass.x is not in the scene, which has 0.25"),
+        (["--over", "controller.velocity.window_samples=1:20:4"], "is 7.333"),
+        (["--over", "device.mass=1,2", "--merge", "--csv", "a.csv"], "--merge is given beside"),
+        (["--over", "device.mass=1,2", "desk.toml"], "a study is of one scene; give one FILE"),
         ([], "over is empty"),
     ],
 )

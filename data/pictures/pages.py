@@ -1,16 +1,19 @@
-"""Draw the pictures of docs/quickstart.md and docs/which.md: python data/pictures/pages.py."""
+"""Draw pictures of docs/quickstart.md, which.md and joints.md: python data/pictures/pages.py."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib
 import numpy as np
 
 import jaxstab
+from jaxstab.scene import Scene, loop_of
 
 matplotlib.use("Agg")
 from matplotlib import pyplot
 
-DOCS = Path(__file__).resolve().parents[2] / "docs"
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
 BLUE, ORANGE, GREY = "#0072b2", "#b35c00", "#4a5366"
 
 
@@ -51,6 +54,31 @@ def which(loop: jaxstab.HapticLoop) -> None:
     figure.savefig(DOCS / "which.png", dpi=130)
 
 
+def joints(scene: Scene) -> None:
+    """Stable gains of the lightest and the heaviest joint, and the full scale of MIT frames."""
+    lightest = loop_of(scene)
+    kd = np.linspace(0.0, 6.0, 400)
+    figure, ax = pyplot.subplots(figsize=(7, 4.2), layout="constrained")
+    for inertia, color, name in zip(
+        scene.device.effective_mass,
+        ("#cfe6f5", "#f6dcc2"),
+        ("motor alone", "with the arm"),
+        strict=True,
+    ):
+        kp = replace(lightest, device_mass=inertia).stiffness_limits(kd)[:, 1]
+        order = 2 if color == "#cfe6f5" else 1
+        label = f"stable, {name}: {inertia:g} kg m²"
+        ax.fill_betweenx(kd, 0.0, np.nan_to_num(kp), color=color, zorder=order, label=label)
+    ax.plot([500, 500, 0], [0, 5, 5], "--", color=GREY, zorder=3, label="full scale of MIT frames")
+    for name, wall in scene.walls.items():
+        point = wall.stiffness, wall.damping
+        ax.plot(*point, "o", color=ORANGE, zorder=4)
+        ax.annotate(name, point, (6, 5), textcoords="offset points", fontsize=10, zorder=4)
+    ax.set(xlim=(0, 620), ylim=(0, 6), xlabel="kp (N m/rad)", ylabel="kd (N m s/rad)")
+    figure.legend(loc="outside upper center", ncols=3, fontsize=8, frameon=False)
+    figure.savefig(DOCS / "joints.png", dpi=130)
+
+
 if __name__ == "__main__":
     omega = jaxstab.HapticLoop(
         device_mass=0.25,
@@ -61,3 +89,4 @@ if __name__ == "__main__":
     )
     quickstart(omega)
     which(omega)
+    joints(Scene.from_file(ROOT / "data" / "scenes" / "joint.toml"))

@@ -17,6 +17,7 @@ import click
 
 import jaxstab
 from jaxstab.cli.atlas import build, info, plan, spec, verify
+from jaxstab.cli.identify import identify
 from jaxstab.cli.query import plot, query
 from jaxstab.cli.region import figure, region
 from jaxstab.cli.scene import (
@@ -100,7 +101,20 @@ def main() -> None:
     """Stability of haptic rendering loops."""
 
 
-_COMMANDS = (limits, check, contact, tune, design, study, scene, explore, guard, region, figure)
+_COMMANDS = (
+    limits,
+    check,
+    contact,
+    tune,
+    design,
+    study,
+    scene,
+    identify,
+    explore,
+    guard,
+    region,
+    figure,
+)
 for _command in _COMMANDS:
     main.add_command(_command)
 

@@ -329,12 +329,21 @@ _safety_option = click.option(
 @_safety_option
 @click.option("--at-damping", type=float, help="Give the stiffness limits at this B in N s/m.")
 @click.option("--at-stiffness", type=float, help="Give the damping limits at this K in N/m.")
-def limits(as_json: bool, **given: Any) -> int:
-    """Give the largest stiffness and damping that a scene allows.
+@click.option("--all", "in_full", is_flag=True, help="Print everything, as --json does.")
+@click.option("--islands", is_flag=True, help="Print stable walls not connected to zero gains too.")
+def limits(as_json: bool, in_full: bool, islands: bool, **given: Any) -> int:
+    """Give the largest stiffness that a scene allows, and the limits at each of its walls.
 
-    The exit code is 0 if walls are stable, for all hands of the scene by proof, 1 if not.
+    All limits are of walls with K >= 0 and B >= 0. The exit code is 0 if walls are stable, for all
+    hands of the scene by proof, 1 if not.
     """
-    return _answer(given, "limits", as_json)
+
+    def shown(answer: Any) -> str:
+        from jaxstab.scene.limits import brief
+
+        return str(answer) if in_full else brief(answer, islands=islands)
+
+    return _answer(given, "limits", as_json, shown)
 
 
 @click.command()
@@ -486,7 +495,9 @@ def explain(file: Path) -> None:
 
 
 # --------------------------------------------------------------------------- from options to scene
-def _answer(given: dict[str, Any], name: str, as_json: bool) -> int:
+def _answer(
+    given: dict[str, Any], name: str, as_json: bool, shown: Callable[[Any], str] = str
+) -> int:
     if len(given["files"]) > 1:
         return 0 if all(one.all_stable for one in answer_many(given, name, as_json)) else 1
     scene, plot = scene_of(given), given.get("plot")
@@ -495,7 +506,7 @@ def _answer(given: dict[str, Any], name: str, as_json: bool) -> int:
     if plot:
         _draw(scene, answer, plot)
     warn(*scene.unusual())
-    words = json.dumps(answer.as_json(), indent=1) if as_json else answer
+    words = json.dumps(answer.as_json(), indent=1) if as_json else shown(answer)
     source = "".join(map(str, given["files"]))
     print_with_csv(words, _csv([_Row(source, scene, answer)]), given["csv_file"])
     return 0 if answer.all_stable else 1

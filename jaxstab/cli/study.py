@@ -143,7 +143,7 @@ def study(
         dataset = study_dataset(table, over, path, answers=answers, **options)
         _require_few(prod(dataset.shape), csv_file)
         click.echo(f"jaxstab: {plan_of(dataset)}", err=True)
-        if note := dataset.attributes["notes"]:
+        for note in dataset.attributes["notes"].splitlines():
             click.echo(f"jaxstab: {note}", err=True)
         with resumable(output) as show, executor_of(given) as executor:
             ensure(dataset, show, executor)

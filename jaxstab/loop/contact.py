@@ -192,14 +192,14 @@ def contact_map(
     """Simulate contacts with many walls, or with one wall under many conditions.
 
     Large maps are computed by one program of JAX, in float64 whatever its flag says, on all cores,
-    1,024 runs at a time: about ten million samples per second and core, in little memory.
+    tile by tile: about ten million samples of one mass per second and core, in little memory.
 
     With ``store`` the map goes to a netCDF-4 file, block by block. An interrupted map continues
     where it stopped when it is called again, and one that is done is read. The file has a dimension
     for each argument that varies; xarray and h5py open it. Nothing in it is proved.
 
     Args:
-        loop: device and hand are one mass.
+        loop: any device with a mass at its handle; one mass is simulated at least ten times faster.
         stiffness, damping: see ``jaxstab.conventions``.
         store: the file; each array then varies along an axis of its own, as those of ``np.ix_``.
         progress: with ``store``, called with the number of finished blocks and of all blocks.
@@ -439,8 +439,8 @@ def _refuse_odd(runs: Runs, unit: float, support: float) -> None:
         )
     if support == 0.0 and np.any((runs.push != 0.0) & (runs.alpha == 0.0)):
         raise ValueError(
-            "push is given where stiffness is 0, so nothing holds the device; give a stiffness, or "
-            "a hand_stiffness of the loop."
+            "push is given where stiffness is 0, so nothing holds the device; give a stiffness to "
+            "the wall or to the hand."
         )
     if not np.all((runs.push != 0.0) | (runs.velocity != 0.0) | (runs.position != 0.0)):
         raise ValueError(

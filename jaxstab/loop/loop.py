@@ -392,9 +392,8 @@ class HapticLoop(LoopParameters):
         if self.device is None and not moves:
             return None
         from jaxstab.loop.between import LoopsWithHands
-        from jaxstab.proofs.device_boxes import device_of
 
-        device = device_of(self)
+        device = self.held_device
         if not moves:
             return LoopsWithHands(self, device, hands, mass)
         first = MovingLoop.of(self, delays, lost).loop
@@ -867,7 +866,7 @@ class HapticLoop(LoopParameters):
 
         Args:
             stiffness, damping: see ``jaxstab.conventions``.
-            friction: Coulomb friction of the device in N.
+            friction: Coulomb friction of the device in N, at its handle.
             static_friction: the largest force in N that does not move the device from rest, at
                 least ``friction``; None for the same.
             encoder: resolution of the position in m, which is rounded to the nearest step; 0 for
@@ -889,7 +888,7 @@ class HapticLoop(LoopParameters):
 
         Raises: see ``jaxstab.conventions``; TypeError also if JAX traces anything. ValueError also
         if nothing moves, a push meets neither wall nor hand stiffness, static friction is below
-        Coulomb friction, or the device is not one mass.
+        Coulomb friction, or no mass is at the device's handle.
 
         Source: eqs. (1)-(5) of Hulin, Preusche, Hirzinger (2008), with Coulomb friction.
 

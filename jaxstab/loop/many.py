@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
-from jaxstab.arrays import at, is_any_traced, namespace
+from jaxstab.arrays import Array, at, is_any_traced, namespace
 from jaxstab.batches import alike, in_float64, lists, on_cores
 from jaxstab.model import LoopParameters
 from jaxstab.model.double_double import DoubleDouble
@@ -71,13 +71,13 @@ class ManyLimits(NamedTuple):
         [70643.0]
     """
 
-    stiffness: Column
-    at_damping: Column
-    damping: Column
-    at_stiffness: Column
-    status: Int8[np.ndarray, " loop"]
-    is_reachable: Bool[np.ndarray, " loop"]
-    is_single: Bool[np.ndarray, " loop"]
+    stiffness: Float64[Array, "*loop"]
+    at_damping: Float64[Array, "*loop"]
+    damping: Float64[Array, "*loop"]
+    at_stiffness: Float64[Array, "*loop"]
+    status: Int8[Array, "*loop"]
+    is_reachable: Bool[Array, "*loop"]
+    is_single: Bool[Array, "*loop"]
 
 
 def limits_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> ManyLimits:
@@ -90,22 +90,26 @@ def limits_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> Many
     says, and first compiled in 10 to 20 s (``use_compilation_cache`` keeps that). Loops that it
     does not resolve, and those of smaller batches, are answered one by one.
 
+    Where JAX traces loops or fields, the answers are arrays of JAX, differentiable once: by all
+    numbers of loops of one mass and their filters, by the implicit function theorem. Inside jit the
+    loops are searched one by one.
+
     A batch has tests in place of the audit of a single region: what none of them would notice is a
     stable set that is cut or dented between two of the 548 to 1,348 angles of its scan. Of 9,000
     random loops (delays to 30 samples, windows to 20, filters, modes) none was wrong.
 
     Args:
-        loops: any number of loops of concrete numbers, of any estimators, filters, devices and
-            delays. Batches of loops with the same estimator and filter are the fastest.
+        loops: any number of loops, of any estimators, filters, devices and delays. Batches of loops
+            with the same estimator and filter are the fastest.
         **fields: beside one loop, fields of ``HapticLoop`` that replace its own, as arrays or
             lists that broadcast: numbers in the units of these fields, or estimators and devices.
 
     Returns:
-        ManyLimits of NumPy arrays in the order of the loops, or of the shape of the fields.
+        ManyLimits of arrays in the order of the loops, or of the shape of the fields.
 
     Raises:
-        TypeError: this is no list, or an item is no HapticLoop, or JAX traces it; a field is
-            unknown, or beside a list.
+        TypeError: this is no list, or an item is no HapticLoop; a field is unknown, or beside a
+            list; JAX traces a loop whose device is not one mass.
         ValueError: as ``HapticLoop.region``, for any of the loops.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
@@ -163,7 +167,7 @@ def regions_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> Man
     They are those of ``HapticLoop.region().main``, computed as ``limits_of`` computes limits; see
     there for the batches, what they cost, and what their tests do not notice. Areas agree to 1e-6.
 
-    Args and Raises: as ``limits_of``.
+    Args and Raises: as ``limits_of``; TypeError also if JAX traces a loop.
 
     Returns:
         ManyRegions of NumPy arrays in the order of the loops, or of the shape of the fields.
@@ -234,7 +238,7 @@ def _units(many: "list[HapticLoop]", members: Indices) -> Units:
     return np.array([[many[k].stiffness(1.0), many[k].damping(1.0)] for k in members.tolist()])
 
 
-def _varied(loops: Any, fields: dict[str, Any]) -> "tuple[list[HapticLoop], tuple[int, ...]]":
+def _varied(loops: Any, fields: dict[str, Any]) -> tuple[list[Any], tuple[int, ...]]:
     """Return the loops, and the shape of their answers."""
     if isinstance(loops, LoopParameters):
         shape = np.broadcast_shapes(*map(np.shape, fields.values()))

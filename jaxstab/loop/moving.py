@@ -49,7 +49,10 @@ _FOUND = len(_Extreme._fields)
 
 
 def moving_limits_of(loops: list[Any]) -> ManyLimits:
-    """Return the limits of many loops, some of which JAX traces, as ``moving_limits`` does."""
+    """Return the limits of many loops, some of which JAX traces, as ``moving_limits`` does.
+
+    Loops of one structure are stacked: their filters are of the same kinds, orders and windows.
+    """
     loops = [loop.tree_unflatten((None, loop.device), loop.tree_flatten()[0]) for loop in loops]
     groups = alike(map(jax.tree.structure, loops))
     stacks = (
@@ -168,7 +171,7 @@ def _equations(
 
     def with_slopes(wall: Array, angle: Array) -> tuple[Array, Array]:
         def values(angle: Array) -> Array:
-            return jnp.stack(circle_equations(c, *wall, angle, responses))
+            return jnp.stack(circle_equations(c, wall[0], wall[1], angle, responses))
 
         both: tuple[Array, Array] = jax.jvp(values, (angle,), (jnp.ones(()),))
         return both

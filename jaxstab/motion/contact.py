@@ -30,7 +30,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.arrays import Array, is_jax, namespace, repeat, repeat_and_keep
+from jaxstab.arrays import Array, is_jax, is_traced, namespace, repeat, repeat_and_keep
 from jaxstab.batches import TILE, compiled, lists, on_cores
 from jaxstab.model.device.periodic import segments_of
 from jaxstab.model.plant import plant_transition
@@ -39,6 +39,7 @@ from jaxstab.motion.response import Controller
 FASTEST = 64.0  # max(delta, sqrt(gamma)) that is simulated: as many pieces has a sample
 LIMIT = 1e6  # positions and velocities beyond it are given up
 _SMALLEST_TERM = 1e-18  # of a series
+_TRACED_TERMS = 13
 _ARCTAN = tuple((-1.0) ** k / (2 * k + 1) for k in range(13, -1, -1))  # of squares up to 0.066
 _WHOLE = 2.0**52  # larger float64 are whole numbers
 _MANY = 1 << 19  # runs times samples from which on a program of XLA pays
@@ -152,7 +153,7 @@ class Plant(NamedTuple):
             gamma,
             0.5 * delta,
             gamma - 0.25 * delta**2,
-            *_series(gamma, delta, 1.0 / max(fastest, 1.0)),
+            *series(gamma, delta, 1.0 / max(fastest, 1.0)),
             ages,
             flows.tolist(),
             max(map(max, ages)),
@@ -224,12 +225,21 @@ def pieces(
     return ages, np.array([[length for _, length in turn] for turn in turns])
 
 
-def _series(
-    gamma: float, delta: float, longest: float
-) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the coefficients of S(t) / t and Y(t) / t^2 for times up to the longest."""
+def series(
+    gamma: Array, delta: Array, longest: float
+) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+    """Return the coefficients of S(t) / t and Y(t) / t^2 for times up to the longest.
+
+    Traced ones, whose size is not known, get as many as 1e-10 takes where both are up to 1.
+    """
     terms, power = [0.0, 1.0], 1.0
-    while len(terms) % 4 != 1 or abs(terms[-1]) + abs(terms[-2]) * longest > _SMALLEST_TERM / power:
+
+    def is_short() -> bool:
+        if is_traced(gamma):
+            return len(terms) < _TRACED_TERMS
+        return abs(terms[-1]) + abs(terms[-2]) * longest > _SMALLEST_TERM / power
+
+    while len(terms) % 4 != 1 or is_short():
         order = len(terms) - 1
         term = -(delta * order * terms[-1] + gamma * terms[-2]) / (order * (order + 1))
         terms.append(term)

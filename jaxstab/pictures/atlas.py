@@ -1,6 +1,7 @@
 """Pictures of an atlas: verdicts and fields in planes of (alpha, beta)."""
 
 from collections.abc import Sequence
+from textwrap import fill
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,11 +16,20 @@ from jaxstab.atlas import Atlas
 from jaxstab.atlas.products.fields import FIELDS
 from jaxstab.conventions import Verdict
 from jaxstab.model import by_name
-from jaxstab.pictures.style import ALPHA_LABEL, BETA_LABEL, SKY, hand_label, new_axes, picture
+from jaxstab.pictures.style import (
+    ALPHA_LABEL,
+    BETA_LABEL,
+    SKY,
+    hand_label,
+    new_axes,
+    picture,
+    plain,
+)
 
 _RASTER = 400  # points along each side of a plane
 _WIDTH, _HEIGHT = 3.3, 2.9  # inches of a panel
 _MOST_PLANES = 6
+_LINE = 60  # letters of a title
 
 # The rows of a picture, and the products that provide each.
 _ANSWERED_BY = {
@@ -90,7 +100,7 @@ def draw_atlas(
         bar.set_label("spectral radius (line: 1)" if is_radius else _FIELDS[row][0])
     if "verdict" in rows:
         figure.legend(handles=_legend(), loc="outside lower center", ncols=3, frameon=False)
-    figure.suptitle(rf"$\gamma = {gamma:g}$,  $\delta = {delta:g}$", fontsize=11)
+    figure.suptitle(f"{plain(atlas.filters_in_words)}\n{hand_label(gamma, delta)}", fontsize=10)
     return picture(figure, "png")
 
 
@@ -111,7 +121,8 @@ def plot_atlas(
     panel = new_axes() if ax is None else ax
     _draw_verdicts(panel, alpha, beta, atlas.verdict(alpha, beta[:, None], **by_name(*hand)))
     panel.set(xlabel=ALPHA_LABEL, ylabel=BETA_LABEL)
-    panel.set_title(rf"{hand_label(*hand[:2])}, $d = {hand[2]:g}$", fontsize=10)
+    words = fill(plain(atlas.filters_in_words), _LINE)
+    panel.set_title(f"{words}\n{hand_label(*hand[:2])}, $d = {hand[2]:g}$", fontsize=9)
     panel.legend(handles=_legend(), fontsize=8, loc="upper right")
     return panel
 

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from jaxstab.loop import Contact, ContactKind, HapticLoop
-from jaxstab.pictures.style import BLACK, BLUE, GREEN, ORANGE, closed_outline, new_axes, plain
+from jaxstab.pictures.style import BLACK, BLUE, GREEN, HALO, ORANGE, closed_outline, new_axes, plain
 from jaxstab.scene.answers import Quantity
 from jaxstab.scene.contact import MAP_COUNT, contact_loop, simulated_map, walls_around
 from jaxstab.scene.loops import walls_of
@@ -27,16 +27,16 @@ def plot_contact(contact: Contact, ax: Axes | None = None) -> Axes:
     path = contact.path
     if path is None or path.position.ndim != 1:
         raise ValueError(
-            f"there is no single path to draw: {contact!r}; ask loop.contact about one wall."
+            f"there is no single path to draw: {contact!r}; call loop.contact with one wall."
         )
     panel = new_axes() if ax is None else ax
     panel.axhline(0.0, color=BLACK, lw=0.6)
     panel.plot(path.time, 1000.0 * path.position, color=BLUE, lw=1.0)
-    panel.set_xlabel("time in s")
-    panel.set_ylabel("position in mm, positive inside the wall", color=BLUE)
+    panel.set_xlabel("time (s)")
+    panel.set_ylabel("position (mm), positive inside the wall", color=BLUE)
     beside = panel.twinx()
     beside.plot(path.time, path.force, color=ORANGE, lw=0.6)
-    beside.set_ylabel("force of the wall in N", color=ORANGE)
+    beside.set_ylabel("force of the wall (N)", color=ORANGE)
     panel.set_title(f"simulated: {ContactKind(int(contact.kind)).words}", fontsize=9)
     return panel
 
@@ -64,18 +64,19 @@ def contact_figure(
     for panel, (title, contact) in zip(panels, maps.items(), strict=True):
         mesh = _draw_map(panel, loop, walls, contact)
         panel.set_title(title, fontsize=9)
-        panel.set_xlabel(f"stiffness K in {units.stiffness}")
+        panel.set_xlabel(f"stiffness K ({units.stiffness})")
         for name, gains in (marked or {}).items():
             panel.plot(*gains, "o", color=BLACK, mfc="white", ms=5)
-            panel.annotate(
+            text = panel.annotate(
                 plain(name), gains, xytext=(5, 4), textcoords="offset points", fontsize=8
             )
+            text.set_path_effects(HALO)
     length = "mm" if units is Units.LINE else "mrad"
     bar = figure.colorbar(
-        mesh, ax=list(panels), label=f"amplitude at the end in {length}, simulated"
+        mesh, ax=list(panels), label=f"amplitude at the end ({length}), simulated"
     )
     bar.ax.tick_params(labelsize=7)
-    panels[0].set_ylabel(f"damping B in {units.damping}")
+    panels[0].set_ylabel(f"damping B ({units.damping})")
     panels[0].legend(fontsize=7, loc="upper right")
     return figure
 

@@ -24,6 +24,7 @@ from jaxstab.pictures.style import (
     BLACK,
     BLUE,
     GREEN,
+    HALO,
     ORANGE,
     PURPLE,
     RED,
@@ -45,7 +46,7 @@ from jaxstab.scene.check import (
     loops_over_delays,
 )
 from jaxstab.scene.contact import Contacts
-from jaxstab.scene.design import Design, delayed_loop, sampled_loop
+from jaxstab.scene.design import Design, stiffness_over_delays, stiffness_over_sample_times
 from jaxstab.scene.limits import LimitsOverDelays
 from jaxstab.scene.loops import (
     OneHand,
@@ -58,7 +59,6 @@ from jaxstab.scene.loops import (
 )
 from jaxstab.scene.scene import Encoder, Scene, Units
 from jaxstab.scene.tune import Tuned
-from jaxstab.tuning import TuningStatus
 
 # The walls of a scene in its picture: marks by their verdicts, names, and responses.
 
@@ -127,10 +127,21 @@ def name_walls(panel: Axes, checked: Walls) -> None:
             text.set(ha="left" if across > 0 else "right")
             text.xyann = (8 * across, along)
             box = text.get_window_extent()
-            is_inside = panel.bbox.containsx(box.x0) and panel.bbox.containsx(box.x1)
+            is_inside = panel.bbox.contains(*box.min) and panel.bbox.contains(*box.max)
             if is_inside and not box.count_overlaps(taken):
                 break
         taken.append(box)
+
+
+def draw_margins(panel: Axes, checked: Walls) -> None:
+    """Draw from each stable wall how far K alone, and B alone, may go."""
+    label = "K alone, or B alone, may go this far"
+    for wall in checked.values():
+        if wall.margins is not None and np.isfinite(wall.margins.stiffness_limits).all():
+            stiffness, damping = wall.margins.stiffness_limits, wall.margins.damping_limits
+            panel.plot(stiffness, [wall.damping] * 2, "|-", color=BLACK, lw=1.2, ms=9, label=label)
+            panel.plot([wall.stiffness] * 2, damping, "_-", color=BLACK, lw=1.2, ms=9)
+            label = ""
 
 
 def draw_responses(panel: Axes, scene: Scene, checked: Walls) -> None:
@@ -140,6 +151,7 @@ def draw_responses(panel: Axes, scene: Scene, checked: Walls) -> None:
     settled = [time for time in times if isfinite(time)] or [0.0]
     longest = min(1.2 * max(settled), 6.0 * min(settled))
     samples = int(np.clip(longest / period, _FEWEST, _MOST))
+    panel.set_prop_cycle(color=_COLOURS)
     for name, wall in checked.items():
         hand = wall.worst_hand
         held = loop_of(scene, None if hand is None else OneHand(*vars(hand).values()))
@@ -164,7 +176,9 @@ _COLUMNS = 64  # of the map of settling times, and rows
 _ROUND = np.outer(10.0 ** np.arange(-3, 8), [1.0, 2.0, 5.0]).ravel()  # ms
 _CALM_COLUMNS = 40  # of the map of amplitudes, and rows
 _COUNTS = 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0  # amplitudes that are drawn
-_LONGEST = 50.0  # of the shortest settling time: the slowest line that is drawn
+_FOR_ALL = "#8bc0e2"  # darker than the stable set
+_MOST_LEVELS = 3  # of lines of equal values
+_ROOM_ABOVE = 1.6  # of the stiffness that a design is about
 _HORIZON = 4096  # samples
 _LETTERS = 14.0  # of a remark, per inch
 _LARGEST = Quantity("N/m", 4, ROUND_FLOOR)
@@ -176,18 +190,20 @@ Floats = NDArray[np.float64]
 
 
 def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
-    """The stable region in the plane of K and B, in SI units, the scene's walls and an answer.
+    """The picture of an answer: one for each question, in SI units.
 
-    Passive walls, or walls stable for all hands, that are too small to be seen are enlarged in a
-    separate panel. Of ``check_walls`` the walls' step responses are drawn in a separate panel, of
-    ``scene_limits`` the bound for all hands, of ``tune_walls`` the best walls, and of
-    ``design_loop`` the wanted stiffness and the regions that just allow it. For a delay that moves
-    it has the walls that are proved for every sequence. Of ``simulate_contacts`` it is the map of
-    simulated contacts. ValueError: no wall is stable.
+    Of ``scene_limits``, or without an answer, it is the stable set in the plane of K and B, the
+    scene's walls and the walls for all hands; passive walls, or walls for all hands, that are too
+    small to be seen are enlarged in a panel. Of ``check_walls`` it has the margins of the walls and
+    their step responses, of ``tune_walls`` settling times and the best walls, of ``design_loop``
+    the largest stiffness over the sample time and the delay, of ``simulate_contacts`` the map of
+    simulated contacts. For a delay that moves it has the walls that are proved for every sequence.
+    ValueError: no wall is stable.
     """
     if isinstance(answer, Contacts):
         return scene_contacts(scene)
-    checked = answer if isinstance(answer, Check) else None
+    if isinstance(answer, Design):
+        return _design_figure(scene, answer)
     walls = _judged(scene, answer)
     if scene.controller.moves:
         return _moving_figure(scene, walls)
@@ -195,73 +211,106 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
     everything = wall_region(loop)
     if everything.is_empty:
         raise ValueError("no wall is stable for this scene; there is nothing to draw.")
+    checked = answer if isinstance(answer, Check) else None
+    tuned = answer if isinstance(answer, Tuned) else None
     region = reachable(everything)
-    islands = [island for island in everything.components if island is not region]
-    if region is everything:
-        islands = []
-    parts = [part for part in (_common(scene, answer), _passive(scene, loop)) if len(part.outline)]
+    islands = [one for one in everything.islands if isfinite(one.stiffest.stiffness)]
+    parts = [] if tuned else [_common(scene, answer)]
+    if not (tuned or checked):
+        parts.append(_passive(scene, loop))
+    parts = [part for part in parts if len(part.outline)]
     is_small = [(np.ptp(part.outline, axis=0) < _SEEN * np.array(region.extent)) for part in parts]
     small = [part.outline for part, axes in zip(parts, is_small, strict=True) if axes.any()]
 
-    narrow = bool(small) + bool(islands)
-    widths = [_WIDTH] + [_ZOOM_WIDTH] * narrow + [_RESPONSE_WIDTH] * (checked is not None)
+    beside = [("enlarged", np.concatenate(small))] if small else []
+    if islands and not (small or tuned or checked):
+        outlines = [one.outline for one in (region, *islands)]
+        beside.append(("with islands", np.maximum(np.concatenate(outlines), 0.0)))
+    widths = [_WIDTH] + [_ZOOM_WIDTH] * len(beside) + [_RESPONSE_WIDTH] * (checked is not None)
     figure = Figure(figsize=(sum(widths), _HEIGHT), layout="constrained")
     panels = figure.subplots(1, len(widths), squeeze=False, width_ratios=widths)[0]
     gains = np.array([(wall.stiffness, wall.damping) for wall in walls.values()]).reshape(-1, 2)
-    designed = _designed(scene, answer) if isinstance(answer, Design) else []
-    seen = [region.outline, gains, np.zeros((1, 2)), *(one.outline for one in designed)]
+    seen = [np.maximum(region.outline, 0.0), gains, np.zeros((1, 2))]
     _set_window(panels[0], np.concatenate(seen))
-    _draw_settling(panels[0], loop, region)
-    encoder = scene.device.encoder
-    if encoder is not None:
-        _draw_chatter(panels[0], loop, region, encoder, scene.units)
-    tuned = answer if isinstance(answer, Tuned) else None
-    _draw_best(panels[0], loop, region, tuned, scene.units)
-    _draw_parts(panels[0], designed)
-    if isinstance(answer, Design):
-        label = f"wanted: {_STIFFNESS.words(answer.stiffness, scene.units)}"
-        panels[0].axvline(answer.stiffness, color=BLACK, lw=1.2, ls="dashdot", label=label)
-    panels[0].set_title("stable walls, and how long they take to settle")
-    planes = [panels[0]]
-    if small:
-        _set_window(panels[1], np.concatenate(small))
-        panels[1].locator_params(axis="x", nbins=5)
-        panels[1].set_title("enlarged")
-        planes.append(panels[1])
-    if islands:
-        planes.append(panels[narrow])
-        _set_window(panels[narrow], everything.outline)
-        panels[narrow].locator_params(axis="x", nbins=4)
-        panels[narrow].set_title("all stable walls")
+    panels[0].set_title("Stable walls")
+    planes = [panels[0], *panels[1 : 1 + len(beside)]]
+    for panel, (title, points) in zip(planes[1:], beside, strict=True):
+        _set_window(panel, points)
+        panel.locator_params(axis="x", nbins=5)
+        panel.set_title(title)
     for panel in planes:
         panel.set_xlabel(f"stiffness K ({scene.units.stiffness})")
         panel.set_ylabel(f"damping B ({scene.units.damping})")
         draw_stable(panel, region)
-        draw_islands(panel, islands)
         _draw_parts(panel, parts)
-        draw_linear_rule(panel, loop)
-        draw_walls(panel, walls)
-    if checked is not None:
-        draw_responses(panels[-1], scene, walls)
-        panels[-1].set_title("a constant push, and the band of 2 %")
-    basis = basis_of(scene)
-    remarks = [f"velocity: {basis.velocity}"]
-    if basis.mechanics:
-        remarks.append(basis.mechanics)
-    if basis.postures:
-        remarks.append(basis.postures)
-    if hands_of(scene):
-        remarks.append(
-            f"region, settling and fastest wall: hand {at_lowest(scene, '')}"
-            + ("; responses: worst hand of each wall" if checked else "")
+        if not (tuned or checked):
+            draw_islands(panel, islands)
+            draw_linear_rule(panel, loop)
+    if tuned:
+        panels[0].set_title("Settling times of stable walls")
+        _draw_settling(panels[0], loop, region)
+        encoder = scene.device.encoder
+        if encoder is not None:
+            _draw_chatter(panels[0], loop, region, encoder, scene.units)
+        _draw_tuned(panels[0], tuned, scene.units)
+    elif checked is None and isfinite(region.stiffest.stiffness):
+        wall = _gains_text(*region.stiffest, scene.units, _LARGEST)
+        panels[0].plot(
+            *region.stiffest, ">", color=ORANGE, ms=9, mec=BLACK, label=f"stiffest: {wall}"
         )
-    width = int(_LETTERS * sum(widths))
-    figure.suptitle("\n".join(fill(remark, width) for remark in remarks), fontsize=9)
+    if checked is not None:
+        draw_margins(panels[0], walls)
+        draw_responses(panels[-1], scene, walls)
+        panels[-1].set_title("Response to a constant push")
+    for panel in planes:
+        draw_walls(panel, walls)
+    of_responses = "; responses: worst hand of each wall" if checked else ""
+    _write_basis(figure, scene, of_responses)
     _draw_legend(figure, panels[0], min(1 + len(widths), 4))
     if walls:
         figure.draw_without_rendering()  # positions are known only now
         for panel in planes:
             name_walls(panel, walls)
+    return figure
+
+
+def _write_basis(figure: Figure, scene: Scene, more: str = "") -> None:
+    """Write above a picture what it holds for: the estimator, the device, the delay, the hand."""
+    basis, hand = basis_of(scene), at_lowest(scene, "")
+    delay = basis.range_of_delays
+    remarks = [f"velocity: {basis.velocity}"]
+    remarks += [f"delay {delay}" if delay else f"delay: {basis.delay_in_words}"]
+    remarks += [one for one in (basis.mechanics, basis.postures) if one]
+    remarks += [f"hand {hand}{more}"] if hand else []
+    width = int(_LETTERS * figure.get_figwidth())
+    figure.suptitle("\n".join(fill(remark, width) for remark in remarks), fontsize=9)
+
+
+def _design_figure(scene: Scene, design: Design) -> Figure:
+    """Draw the largest stiffness over the sample time and over the delay, and the wanted one."""
+    units, loop = scene.units, loop_of(scene)
+    figure = Figure(figsize=(1.5 * _WIDTH, _HEIGHT), layout="constrained")
+    panels = figure.subplots(1, 2, sharey=True)
+    wanted, now = design.stiffness, design.now_allowed_stiffness
+    time, delay = design.sample_time.largest_sample_time, design.delay.largest_delay
+    for panel, name, begin, found, curve in (
+        (panels[0], "sample time", loop.sample_time, time, stiffness_over_sample_times),
+        (panels[1], "delay", loop.delay, delay, stiffness_over_delays),
+    ):
+        values, largest = curve(scene, design)
+        panel.plot(1e3 * values, largest, color=BLUE, lw=1.6, label="largest stable stiffness")
+        label = f"wanted: {_STIFFNESS.words(wanted, units)}"
+        panel.axhline(wanted, color=BLACK, lw=1.2, ls="dashdot", label=label)
+        label = f"now: {_LARGEST.words(now, units)}" if isfinite(now) else "now: no stable wall"
+        panel.plot(1e3 * begin, now, "o", color=SKY, mec=BLACK, ms=8, ls="", label=label)
+        if isfinite(found):
+            label = f"largest {name}: {_LARGEST_TIME.words(found)}"
+            panel.plot(1e3 * found, wanted, "D", color=ORANGE, mec=BLACK, ms=8, ls="", label=label)
+        panel.set(xlabel=f"{name} (ms)", title=f"Stiffness over the {name}")
+        panel.legend(fontsize=8)
+    panels[0].set_ylabel(f"stiffness K ({units.stiffness})")
+    panels[0].set_ylim(0.0, _ROOM_ABOVE * np.nanmax([wanted, now]))
+    _write_basis(figure, scene)
     return figure
 
 
@@ -293,11 +342,7 @@ def _moving_figure(scene: Scene, walls: Walls) -> Figure:
     assert legend is not None
     legend.remove()
     _draw_legend(figure, panel, 3)
-    basis = basis_of(scene)
-    remarks = [f"velocity: {basis.velocity}", f"delay {basis.range_of_delays}"]
-    remarks += [f"hand {hand}" for hand in [at_lowest(scene, "")] if hand]
-    width = int(_LETTERS * _WIDTH)
-    figure.suptitle("\n".join(fill(remark, width) for remark in remarks), fontsize=9)
+    _write_basis(figure, scene)
     if walls:
         figure.draw_without_rendering()  # positions are known only now
         name_walls(panel, walls)
@@ -325,11 +370,11 @@ class _Part(NamedTuple):
 def _common(scene: Scene, answer: Answer | None) -> _Part:
     """Return the walls that are stable for the hands at all corners of the range, if it is one."""
     outline = common_outline(corner_loops(scene)) if hands_of(scene) else np.zeros((0, 2))
-    label, all_hands = "for all corners of the hands' range", getattr(answer, "all_hands", None)
+    label, all_hands = "stable for all hands", getattr(answer, "all_hands", None)
     if all_hands is not None and all_hands.none_is_stiffer_than is not None:
         bound = _BOUND.words(all_hands.none_is_stiffer_than, scene.units)
-        label += f": none is stiffer than {bound}"
-    look = {"facecolor": "none", "edgecolor": BLUE, "hatch": "///", "lw": 0.6, "label": label}
+        label += f" (corners of the range): upper bound {bound}"
+    look = {"facecolor": _FOR_ALL, "lw": 0.0, "label": label}
     return _Part(outline, look)
 
 
@@ -348,26 +393,10 @@ def _set_window(panel: Axes, points: Floats) -> None:
     """Show some points (K, B), and a little more, whatever is drawn."""
     low, high = points.min(axis=0), points.max(axis=0)
     (left, bottom), (right, top) = (
-        low - (0.04, 0.06) * (high - low),
+        low - (0.04, 0.12) * (high - low),
         high + (0.12, 0.06) * (high - low),
     )
     panel.set(xlim=(left, right), ylim=(bottom, top))
-
-
-def _designed(scene: Scene, design: Design) -> list[_Part]:
-    """Return the walls that are stable with the designed sample time, and with the delay."""
-    time, delay = design.sample_time.largest_sample_time, design.delay.largest_delay
-    parts = []
-    for value, loop_with, words, colour, line in (
-        (time, sampled_loop, "sample time", GREEN, "--"),
-        (delay, delayed_loop, "delay", PURPLE, "-."),
-    ):
-        if isfinite(value):
-            region = reachable(wall_region(loop_with(scene, value)))
-            label = f"with a {words} of {_LARGEST_TIME.words(value)}"
-            look = {"facecolor": "none", "edgecolor": colour, "ls": line, "lw": 2, "label": label}
-            parts.append(_Part(region.outline, look))
-    return parts
 
 
 def _draw_parts(panel: Axes, parts: list[_Part]) -> None:
@@ -376,46 +405,30 @@ def _draw_parts(panel: Axes, parts: list[_Part]) -> None:
 
 
 def _draw_tuned(panel: Axes, tuned: Tuned, units: Units) -> None:
-    """Draw the tuned walls beside the fastest one, each with its own mark."""
+    """Draw the tuned walls, each with its own mark."""
     given = [*tuned.walls.values(), *filter(None, [tuned.at_given_stiffness])]
-    at_worst = tuned.over_ranges
     for label, walls, mark, colour in (
+        ("fastest", [tuned.least_settling.rounded], "*", ORANGE),
         ("smallest radius", [tuned.least_radius.rounded], "D", GREEN),
         ("best damping at a given stiffness", [one.rounded for one in given], "P", SKY),
-        ("fastest at worst over the ranges", [at_worst], "p", PURPLE),
+        ("fastest at worst over the ranges", [tuned.over_ranges], "p", PURPLE),
     ):
         pairs = [(wall.stiffness, wall.damping) for wall in walls if wall]
         gains = np.array([wall for wall in pairs if None not in wall], np.float64).reshape(-1, 2)
         if len(gains) == 1:
             label += f": {_gains_text(float(gains[0, 0]), float(gains[0, 1]), units)}"
+        if label.startswith("fastest:") and tuned.least_settling.rounded:
+            time = tuned.least_settling.rounded.settling_time_2_percent
+            label += f", settles in {_TIME.words(time)}"
         if len(gains):
-            panel.plot(*gains.T, mark, color=colour, ms=8, mec=BLACK, ls="", label=label)
+            size = 13 if mark == "*" else 8
+            panel.plot(*gains.T, mark, color=colour, ms=size, mec=BLACK, ls="", label=label)
 
 
-def _gains_text(stiffness: float, damping: float, units: Units) -> str:
-    return f"{_STIFFNESS.words(stiffness, units)}, {_DAMPING.words(damping, units)}"
-
-
-def _draw_best(
-    panel: Axes, loop: HapticLoop, region: WallRegion, tuned: Tuned | None, units: Units
-) -> None:
-    stiffest = f"stiffest: {_LARGEST.words(region.stiffest.stiffness, units)}"
-    damping = _DAMPING.words(region.stiffest.damping, units)
-    panel.plot(*region.stiffest, ">", color=ORANGE, ms=9, mec=BLACK, label=f"{stiffest}, {damping}")
-    if tuned is None:
-        best = loop.tune("settling")
-        fastest = (best.stiffness, best.damping), best.settling_time
-        if best.status == TuningStatus.NO_STABLE_GAINS:
-            return
-    else:
-        _draw_tuned(panel, tuned, units)
-        rounded = tuned.least_settling.rounded
-        if rounded is None:
-            return
-        fastest = (rounded.stiffness, rounded.damping), rounded.settling_time_2_percent
-    gains, time = fastest
-    label = f"fastest: {_gains_text(*gains, units)}, settles in {_TIME.words(time)}"
-    panel.plot(*gains, "*", color=ORANGE, ms=12, mec=BLACK, label=label)
+def _gains_text(
+    stiffness: float, damping: float, units: Units, quantity: Quantity = _STIFFNESS
+) -> str:
+    return f"{quantity.words(stiffness, units)}, {_DAMPING.words(damping, units)}"
 
 
 def _draw_chatter(
@@ -427,13 +440,14 @@ def _draw_chatter(
     amplitude = loop.amplitude(stiffness[None, :], damping[:, None], encoder=resolution)
     counts = np.where(np.isfinite(amplitude.position), amplitude.position / resolution, np.nan)
     fewest, most = np.nanmin(counts, initial=np.inf), np.nanmax(counts, initial=0.0)
-    levels = [count for count in _COUNTS if fewest < count < most]
+    levels = [count for count in _COUNTS if fewest < count < most][:_MOST_LEVELS]
     if not levels:
         return
-    lines = panel.contour(
-        stiffness, damping, counts, levels, colors=PURPLE, linewidths=0.7, linestyles="dashed"
-    )
-    panel.clabel(lines, fmt=lambda count: _LENGTH.words(count * resolution, units), fontsize=7)
+
+    def words(count: float) -> str:
+        return _LENGTH.words(count * resolution, units)
+
+    _draw_levels(panel, (stiffness, damping, counts), levels, words, PURPLE, "dashed")
     label = f"encoder of {_LENGTH.words(resolution, units)}: chatters by less, proved"
     panel.plot([], [], color=PURPLE, lw=0.7, ls="dashed", label=label)
 
@@ -450,11 +464,23 @@ def _draw_settling(panel: Axes, loop: HapticLoop, region: WallRegion) -> None:
     if np.isnan(times).all():
         return
     fastest, slowest = float(np.nanmin(times)), float(np.nanmax(times))
-    levels = [time for time in _ROUND if fastest < time < min(slowest, _LONGEST * fastest)]
-    lines = panel.contour(
-        stiffness, damping, times, levels, colors=BLACK, linewidths=0.7, linestyles="dotted"
-    )
-    panel.clabel(lines, fmt="%g ms", fontsize=7)
+    levels = [time for time in _ROUND if 1.5 * fastest < time < slowest][:_MOST_LEVELS]
+    _draw_levels(panel, (stiffness, damping, times), levels, "%g ms", BLACK, "dotted")
+    panel.plot([], [], color=BLACK, lw=1.0, ls="dotted", label="settling time to 2 %")
+
+
+def _draw_levels(
+    panel: Axes,
+    grid: tuple[Floats, Floats, Floats],
+    levels: list[float],
+    words: Any,
+    colour: str,
+    style: str,
+) -> None:
+    """Draw lines of equal values, each with its value on a halo."""
+    lines = panel.contour(*grid, levels, colors=colour, linewidths=1.0, linestyles=style)
+    for text in panel.clabel(lines, fmt=words, fontsize=8):
+        text.set_path_effects(HALO)
 
 
 # A picture of several scenes: the stable set and the largest stiffness of each.

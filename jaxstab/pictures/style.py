@@ -8,6 +8,7 @@ from io import BytesIO
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patheffects import AbstractPathEffect, withStroke
 from numpy.typing import NDArray
 
 from jaxstab.loop import HapticLoop, MovingRegion, WallRegion
@@ -24,6 +25,9 @@ BLACK, ORANGE, SKY, GREEN, BLUE, RED, PURPLE = (
     "#d55e00",
     "#cc79a7",
 )
+
+HALO: list[AbstractPathEffect] = [withStroke(linewidth=2.5, foreground="white")]
+"""Around text on a picture."""
 
 ALPHA_LABEL = r"stiffness  $\alpha = K\,T^2/m$"
 BETA_LABEL = r"damping  $\beta = B\,T/m$"
@@ -75,6 +79,7 @@ def picture(figure: Figure, form: str) -> bytes:
 _SIZE = 5.0, 3.6  # inches
 _MAP = 0.72, 0.12, 0.26, 0.36  # of the axes: where islands are drawn
 _ROOM = np.array([0.65, 0.35])  # of the main component, beside it for the map and the legend
+_LEGEND_ROOM = 0.25  # of the height of a loop's picture, above it
 _STIFFNESS_LABEL, _DAMPING_LABEL = "stiffness K (N/m)", "damping B (N s/m)"
 
 Region = StableRegion | WallRegion
@@ -100,7 +105,7 @@ def draw_stable(panel: Axes, region: Region) -> None:
 
 def draw_islands(panel: Axes, islands: Sequence[Region]) -> None:
     """Fill islands: stable sets that are not connected to small gains."""
-    label = "stable, not reachable by turning gains up"
+    label = "stable, not connected to zero gains"
     for number, island in enumerate(islands):
         outline = closed_outline(island).T
         panel.fill(*outline, color=PURPLE, alpha=0.35, lw=0, label="" if number else label)
@@ -110,7 +115,9 @@ def draw_islands(panel: Axes, islands: Sequence[Region]) -> None:
 def plot_region(region: Region, ax: Axes | None = None) -> Axes:
     """Draw a region on axes, or on new ones: ``region.plot``; ValueError if it is empty."""
     if not isinstance(region.status, int) or not region.components:
-        raise ValueError(f"there is nothing to draw: {region!r}; ask a region that is COMPLETE.")
+        raise ValueError(
+            f"there is nothing to draw: {region!r}; the region must be COMPLETE and not empty."
+        )
     panel = new_axes() if ax is None else ax
     if region.main is not None:
         draw_stable(panel, region.main)
@@ -168,7 +175,11 @@ def plot_loop(loop: HapticLoop, ax: Axes | None = None) -> Axes:
         label=f"stiffest: {region.names.at_largest_stiffness(limits[:2])}",
     )
     draw_linear_rule(panel, loop)
-    panel.legend(fontsize=8, frameon=False)
+    if not panel.child_axes:  # a map of islands has made room already
+        low, high = panel.get_ylim()
+        panel.set_ylim(low, high + _LEGEND_ROOM * (high - low))
+    panel.locator_params(axis="x", nbins=6)
+    panel.legend(fontsize=8, frameon=False, loc="upper right")
     return panel
 
 

@@ -70,7 +70,7 @@ class ShownRegion:
         return html_of(self, self.plot)
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
-        """Draw the region: walls reached by turning gains up from 0 in blue, islands in purple.
+        """Draw the region: the component that holds small gains in blue, islands in purple.
 
         The former fill the axes (None: those of a new figure); the islands are in a small map
         beside them. ValueError: the region is empty or unresolved, or made of arrays of JAX.

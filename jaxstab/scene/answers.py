@@ -29,6 +29,25 @@ _HEADINGS = {
 
 """The headings of the answers in a field that is a dictionary, by its name."""
 
+_LABELS = {
+    "none_is_stiffer_than": "upper bound for all hands",
+    "now_allowed_stiffness": "stiffness allowed now",
+    "settling_time_2_percent": "settling time (2 %)",
+    "settling_time_5_percent": "settling time (5 %)",
+    "reached": "connection",
+    "margins_are": "margins",
+    "distance_is": "distance",
+    "settling_is": "settling",
+    "oscillation_is": "oscillation",
+    "chatter_is": "chatter",
+    "moving_is": "moving delay",
+    "hands_are": "hands",
+    "measures_are": "measures",
+    "linear_rule_is": "note",
+}
+
+"""What is printed for names that are no words."""
+
 
 @dataclass(frozen=True)
 class Quantity:
@@ -46,7 +65,7 @@ class Quantity:
         """Return a finite or infinite number with its unit."""
         return self._with_unit(self._text(value, self.rounding, self.digits), units)
 
-    def _text(self, value: float, rounding: str, digits: int) -> str:
+    def _text(self, value: float | int, rounding: str, digits: int) -> str:
         if isinf(value):
             return self.infinite
         factor = {"s": 1000, "m": 10**6}.get(self.unit, 1)
@@ -133,7 +152,9 @@ class Answer:
         units = self._units(units)
         for (*outer, name), value in self._entries():
             words = (
-                _HEADINGS[outer[0]].format(name) if outer else _named(name, units).replace("_", " ")
+                _HEADINGS[outer[0]].format(name)
+                if outer
+                else _LABELS.get(name) or _named(name, units).replace("_", " ")
             )
             if not isinstance(value, Answer):
                 lines.append(_line(indent, words, self._words(name, value, units)))
@@ -233,23 +254,28 @@ class Basis(Answer):
         if self.delay_is == _NO_DELAY:
             return f"{self.delay:g} ({self.delay_is})"
         words = IntervalQuantity("s").words(self.delay)
-        return f"{words}; in samples {IntervalQuantity().words(self.delay_samples)}"
+        plural = "" if self.delay_samples == 1.0 else "s"
+        return f"{words} ({IntervalQuantity().words(self.delay_samples)} sample{plural})"
 
-    def lines(self, indent: str = "", units: Units = Units.LINE) -> list[str]:
-        """Return a line for the estimator, the filter, the delay, and what moves.
+    def facts(self) -> dict[str, str]:
+        """The estimator, the filter, the delay, and what moves.
 
         That of the estimator says for which delays a proof holds, where they are a range.
         """
         ranged = f"; delay {self.range_of_delays}" if self.range_of_delays else ""
         words = {
-            "velocity": f"{self.velocity}{ranged}",
-            "position": self.position,
+            "velocity estimator": f"{self.velocity}{ranged}",
+            "position filter": self.position,
             "delay": self.delay_in_words,
             "mechanics": self.mechanics,
             "postures": self.postures,
             "motion": self.motion,
         }
-        return [_line(indent, name, said) for name, said in words.items() if said is not None]
+        return {name: said for name, said in words.items() if said is not None}
+
+    def lines(self, indent: str = "", units: Units = Units.LINE) -> list[str]:
+        """Return a line for each of the facts."""
+        return [_line(indent, name, said) for name, said in self.facts().items()]
 
 
 @dataclass(frozen=True)

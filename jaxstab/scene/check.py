@@ -196,7 +196,7 @@ def limit_for_all(scene: Scene, safety: float) -> AllHands | None:
     )
 
 
-def at_lowest(scene: Scene, rest: str = ", where nothing else is said") -> str | None:
+def at_lowest(scene: Scene, rest: str = " unless stated otherwise") -> str | None:
     """Return for which hand answers hold that name none, and the rest; None where none varies."""
     if hands_of(scene) is None:
         return None
@@ -465,7 +465,7 @@ def _among(words: str, loops: list[HapticLoop]) -> str | None:
     delays = len({loop.delay for loop in loops})
     what = "hands and constant delays" if delays < len(loops) else "constant delays"
     what = "hands" if delays == 1 else what
-    return f"{words} of {len(loops)} {what}" if len(loops) > 1 else None
+    return f"{words} over {len(loops)} {what}" if len(loops) > 1 else None
 
 
 def _measures_are(wall: _Wall) -> str | None:
@@ -488,7 +488,7 @@ def _least_margins(wall: _Wall, loops: list[HapticLoop], margins: LoopMargins) -
     searched = MOST_DELAY * wall.loops[0].sample_time if isinf(extra_delay) else None
     limits = _common(margins.stiffness), _common(margins.damping)
     kind = NoMargins if wall.known.verdict == Verdict.UNSTABLE else Margins
-    words = _among("the least", loops)
+    words = _among("smallest", loops)
     return kind(stiffer, damper, *limits, extra_delay, searched, words)
 
 
@@ -500,7 +500,7 @@ def _common(limits: Float64[np.ndarray, "hand 2"]) -> tuple[float, float]:
 
 def _least_distance(_: _Wall, loops: list[HapticLoop], distances: Floats) -> Distance:
     """Return the least distance; NaN if a loop has no region."""
-    return Distance(float(np.min(distances)), _among("the least", loops))
+    return Distance(float(np.min(distances)), _among("smallest", loops))
 
 
 def _radii(rendered: Sequence[Rendered], _: Floats) -> SpectralRadius:
@@ -519,7 +519,7 @@ def _longest(wall: _Wall, loops: list[HapticLoop], settlings: list[MotionSettlin
         for number, settling in zip(numbers, settlings, strict=True)
     )
     status, hand = SettlingStatus(int(two.status)), _hand_of(wall, loops[numbers[0]])
-    return Settling(settled(two), settled(five), status, _among("the longest", loops), hand)
+    return Settling(settled(two), settled(five), status, _among("longest", loops), hand)
 
 
 def _slowest(settling: MotionSettling) -> int:
@@ -544,12 +544,12 @@ def _least_damped(wall: _Wall, loops: list[HapticLoop], modes: Mode) -> Oscillat
     ratios = np.asarray(modes.damping_ratio)
     index = int(np.argmin(np.where(np.isnan(ratios), inf, ratios)))
     ratio, frequency = float(ratios[index]), float(modes.frequency[index])
-    words, hand = _among("the least damped", loops), _hand_of(wall, loops[index])
+    words, hand = _among("least damped", loops), _hand_of(wall, loops[index])
     return Oscillation(ratio, frequency, words, hand)
 
 
 def _chatter(_: _Wall, loops: list[HapticLoop], amplitude: Amplitudes) -> Chatter:
-    most, among = float(amplitude.position.max()), _among("the largest", loops)
+    most, among = float(amplitude.position.max()), _among("largest", loops)
     words = None if isinf(most) else ", ".join(filter(None, ["proved", among]))
     force = float(amplitude.force.max())
     return Chatter(most, force, float(amplitude.force_per_count[0]), words)

@@ -7,6 +7,9 @@ from functools import partial
 from math import inf, isfinite, nan
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from jaxstab.conventions import Status
 from jaxstab.loop import Gains, HapticLoop
 from jaxstab.model.sections import LONGEST_WINDOW
@@ -28,14 +31,17 @@ _AGREEMENT = 1e-8  # relative, of a designed sample time or delay
 _MOST_SAMPLES = 256.0  # of delay that are tried
 _FACTOR = 1024.0  # by which the sample times that are tried are longer or shorter
 _NO_DELAY = 1e-3  # samples: less than this is tried as none at first
+_AROUND, _POINTS = (0.6, 1.6), 33  # of a picture: shares of its shortest and longest value
+
+Floats = NDArray[np.float64]
 
 
 class DesignStatus(Status):
     """What is known of a largest sample time or delay."""
 
-    FOUND = 1, "the largest one that allows the stiffness"
-    NONE = 2, "none that was tried allows the stiffness"
-    LONGEST_TRIED = 3, "the longest one that was tried allows the stiffness"
+    FOUND = 1, "the largest that allows the stiffness"
+    NONE = 2, "no value tried reaches this stiffness; shorten the delay or the filter"
+    LONGEST_TRIED = 3, "the longest value tried still allows the stiffness"
 
 
 @dataclass(frozen=True)
@@ -104,6 +110,33 @@ def design_loop(scene: Scene) -> Design:
         delay=LargestDelay(*_largest(delayed, required, period, 0.0, _MOST_SAMPLES * period)),
         hand=at_lowest(scene),
     )
+
+
+def stiffness_over_sample_times(scene: Scene, design: Design) -> tuple[Floats, Floats]:
+    """Return sample times around the present and the designed one, and the largest stiffness."""
+    period, velocity = loop_of(scene).sample_time, scene.controller.velocity
+    found = design.sample_time.largest_sample_time
+    ends = min(period, found) if found > 0.0 else period, max(period, found)
+    low, high = _AROUND[0] * ends[0], _AROUND[1] * ends[1]
+    high = min(high, velocity.longest_sample_time) if velocity else high
+    values = np.linspace(low, high, _POINTS)
+    if velocity and velocity.window:
+        values = velocity.window / np.arange(LONGEST_WINDOW, 0, -1)
+        values = values[(low <= values) & (values <= high)]
+    return values, _stiffnesses(scene, partial(sampled_loop, scene), values)
+
+
+def stiffness_over_delays(scene: Scene, design: Design) -> tuple[Floats, Floats]:
+    """Return delays up to beyond the present and the designed one, and the largest stiffness."""
+    loop, found = loop_of(scene), design.delay.largest_delay
+    longest = _AROUND[1] * max(loop.delay, loop.sample_time, found if found > 0.0 else 0.0)
+    values = np.linspace(0.0, longest, _POINTS)
+    return values, _stiffnesses(scene, partial(delayed_loop, scene), values)
+
+
+def _stiffnesses(scene: Scene, loop_at: Callable[[float], HapticLoop], values: Floats) -> Floats:
+    safety = scene.wanted.safety or 1.0
+    return np.array([safety * _stiffest(loop_at(value)).stiffness for value in values.tolist()])
 
 
 def sampled_loop(scene: Scene, period: float) -> HapticLoop:

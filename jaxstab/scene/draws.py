@@ -7,6 +7,7 @@ Columns of one CSV file are drawn row by row: mass and stiffness of a hand stay 
 
 import csv
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from io import StringIO
 from math import inf, isfinite
@@ -167,13 +168,13 @@ def distribution_of(text: str) -> Distribution | None:
     if kind == "csv" and len(parts) >= 2:
         return _column(":".join(parts[:-1]), parts[-1])
     kinds: dict[str, Any] = {"normal": Normal, "uniform": Uniform, "lognormal": LogNormal}
-    if kind not in kinds and kind != "csv":
+    if not parts or isinstance(_number_or_text(kind), float):
         return None
     try:
-        first, second = map(float, parts)
-    except ValueError:
+        make, (first, second) = kinds[kind], map(float, parts)
+    except (KeyError, ValueError):
         raise ValueError(f"{shortened(text)} is no distribution; give {_FORMS}.") from None
-    made: Distribution = kinds[kind](first, second)
+    made: Distribution = make(first, second)
     return made
 
 
@@ -217,7 +218,7 @@ def draws_of(
     if again and (not isinstance(distribution, Normal) or distribution.mean < least):
         raise ValueError(
             f"{name} has draws below {least:g}, such as {values.min():g}, which a scene refuses; "
-            "give a distribution above it, such as a uniform or a lognormal one."
+            "give a distribution that stays above, such as a lognormal one."
         )
     for _ in range(_ROUNDS):
         if not below.any():
@@ -228,21 +229,37 @@ def draws_of(
 
 
 def _column(file: str, column: str) -> Measured:
-    reader = csv.DictReader(StringIO(text_of(file, _MOST_BYTES)))
+    return Measured(tuple(columns_of(file, [column])[column]), file)
+
+
+def columns_of(
+    file: str, columns: Sequence[str], optional: Sequence[str] = ()
+) -> dict[str, list[float]]:
+    """Return columns of a CSV file with a header; ValueError for one that is missing or no number.
+
+    Optional ones are left out where they are missing.
+    """
+    reader = csv.DictReader(StringIO(text_of(file, _MOST_BYTES)), skipinitialspace=True)
     names = reader.fieldnames or []
-    if column not in names:
-        known = shortened(", ".join(names))
-        raise ValueError(f"{file} has no column {column!r}; its columns are {known}.")
-    numbers = []
+    for column in columns:
+        if column not in names:
+            known = shortened(", ".join(names))
+            raise ValueError(f"{file} has no column {column!r}; its columns are {known}.")
+    numbers: dict[str, list[float]] = {
+        column: [] for column in (*columns, *optional) if column in names
+    }
     for row in reader:
-        try:
-            numbers.append(float(row[column]))
-        except (TypeError, ValueError):
-            raise ValueError(
-                f"{file}, line {reader.line_num}: {column} is {shortened(row[column])}; give a "
-                "number."
-            ) from None
-    return Measured(tuple(numbers), file)
+        for column, values in numbers.items():
+            try:
+                values.append(float(row[column]))
+                if not isfinite(values[-1]):
+                    raise ValueError
+            except (TypeError, ValueError):
+                raise ValueError(
+                    f"{file}, line {reader.line_num}: {column} is {shortened(row[column])}; give a "
+                    "finite number."
+                ) from None
+    return numbers
 
 
 def _require_finite(numbers: Any) -> None:

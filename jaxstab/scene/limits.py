@@ -39,9 +39,9 @@ from jaxstab.scene.check import (
 from jaxstab.scene.loops import is_plain, loop_of, reachable, wall_region, walls_of
 from jaxstab.scene.scene import Scene
 
-_NOT_REACHABLE = "not reachable by turning gains up"
+_ISOLATED = "isolated: not connected to zero gains"
 _SEE_BELOW = " (all hands: see below)"
-_FAR = "small gains are not stable: no wall is reachable by turning gains up"
+_UNSTABLE_AT_0 = "small gains are not stable"
 _PROVED = "proved for every"
 _WINDOWS = (10, 20)  # samples: 10 and 20 ms at 1 kHz
 
@@ -78,7 +78,10 @@ class LinearRule(StiffestWall):
 
 @dataclass(frozen=True)
 class Island(Answer):
-    """Stable walls that are not connected to small gains: unstable ones lie between."""
+    """Stable walls that are not connected to small gains: unstable ones lie between.
+
+    Without walls of K >= 0 and B >= 0 the limits are those of negative gains.
+    """
 
     largest_stiffness: LargestStiffness
     at_damping: Damping
@@ -169,6 +172,57 @@ class Limits(Answer):
         )
 
 
+def brief(answer: Limits | LimitsOverDelays, *, islands: bool = False) -> str:
+    """Return the estimator, the delay, the largest stiffness and each wall, a line for each."""
+    assert answer.inputs is not None  # there are, in answers of scene_limits
+    lines, said = answer.inputs.facts(), {path: words for path, _, words in answer.leaves()}
+
+    def limit(key: str, *more: str | None) -> str:
+        stiffness, damping = said[f"{key}.largest_stiffness"], said[f"{key}.at_damping"]
+        if stiffness == Answer.absent:
+            return "no stable wall"
+        return ", ".join([f"{stiffness} at {damping}", *filter(None, more)])
+
+    if answer.safety is not None:
+        lines["safety factor"] = f"{said['safety']}, applied to every limit"
+    hand = answer.hand and f"hand {answer.hand.removesuffix(_SEE_BELOW)}"
+    lines["largest stiffness"] = limit("best", said.get("best.certainty"), hand)
+    if answer.all_hands:
+        bound = said.get("all_hands.none_is_stiffer_than")
+        proof, above = said["all_hands.certainty"], bound and f"upper bound {bound}"
+        lines["for all hands"] = limit("all_hands", proof, above)
+    if "reached" in said:
+        lines["note"] = said["reached"]
+    for gain, fixed in (("stiffness", "damping"), ("damping", "stiffness")):
+        key = f"at_given_{fixed}"
+        if f"{key}.at_{fixed}" in said:
+            limits = said[f"{key}.{gain}_limits_low"]
+            lines[f"stable {gain}"] = f"{limits} at {said[f'{key}.at_{fixed}']}"
+    for name, wall in answer.walls.items():
+        lines[f"wall {name}"] = _wall_in_words(wall, f"walls.{name}", said)
+    for name, island in answer.islands.items() if isinstance(answer, Limits) else ():
+        if islands:
+            lines[f"island {name}"] = limit(f"islands.{name}", island.reached)
+        elif island.largest_stiffness > 0.0 and island.at_damping >= 0.0:
+            lines["islands"] = "stable walls that are not connected to zero gains: see --islands"
+    column = max(map(len, lines)) + 2
+    return "\n".join(f"{name:{column}}{words}" for name, words in lines.items())
+
+
+def _wall_in_words(wall: WallCheck | AroundWall, key: str, said: dict[str, str]) -> str:
+    """Return the gains of a wall, and its verdict or the limits beside it."""
+    if isinstance(wall, WallCheck):
+        names = (f"{key}.{name}" for name in ("verdict", "worst_delays"))
+        words = ", ".join(said[name] for name in names if name in said)
+        return f"{said[f'{key}.stiffness']} at {said[f'{key}.damping']}, {words}"
+    (low, high), limits = wall.stiffness_limits, said[f"{key}.stiffness_limits_low"]
+    is_within = "within" if low < wall.at_stiffness < high else "outside"
+    gains = f"{said[f'{key}.at_stiffness']} at {said[f'{key}.at_damping']}"
+    if isfinite(high):
+        return f"{gains}, {is_within} the stable range of {limits}"
+    return f"{gains}, where no stiffness is stable"
+
+
 def scene_limits(scene: Scene) -> Limits | LimitsOverDelays:
     """The largest stiffness and damping, the linear rule, the passive limit, all hands.
 
@@ -191,7 +245,7 @@ def scene_limits(scene: Scene) -> Limits | LimitsOverDelays:
         hand=at_lowest(scene, _SEE_BELOW),
         best=StiffestWall(*rows.scaled_stiffness(limits.stiffness, limits.at_damping)),
         most_damped=MostDampedWall(*rows.scaled_damping(limits.damping, limits.at_stiffness)),
-        reached=None if limits.is_reachable or region.is_empty else _FAR,
+        reached=None if limits.is_reachable or region.is_empty else _UNSTABLE_AT_0,
         islands={} if wanted.safety else _islands(limits),
         passive=_passive(loop, safety) if has_rules else None,
         linear_rule=(
@@ -303,7 +357,7 @@ def inwards(low: float, high: float, safety: float) -> tuple[float, float]:
 
 def _islands(limits: WallLimits) -> dict[str, Island]:
     return {
-        str(number): Island(*island[:4], _NOT_REACHABLE)
+        str(number): Island(*island[:4], _ISOLATED)
         for number, island in enumerate(limits.islands, 1)
     }
 

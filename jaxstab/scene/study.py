@@ -7,9 +7,10 @@ blocks by any executor, resumed, in parts, and read by xarray.
 
 Within a block, what decides the filters and the sampling period is put into the scene, once for
 each combination. Masses, dampings, stiffnesses and delays are arrays beside the loop that results:
-verdicts, radii, margins and settling times are asked of all of them at once.
-Limits are asked of all loops of the block together, whatever their filters. Devices that are not
-one mass are asked about walls loop by loop.
+verdicts, radii, margins and settling times are asked of all of them at once. Limits are asked of
+all loops of the block together, whatever their filters. Where all that is drawn is measured, a row
+that is drawn again has the answers of the first one of the block. Devices that are not one mass are
+asked about walls loop by loop.
 """
 
 import json
@@ -38,7 +39,7 @@ from jaxstab.loop import HapticLoop, limits_of
 from jaxstab.model.loop import with_columns
 from jaxstab.motion.settling import SettlingStatus
 from jaxstab.region import RegionStatus
-from jaxstab.scene.draws import Distribution, Uniform, draws_of
+from jaxstab.scene.draws import Distribution, Measured, Uniform, draws_of
 from jaxstab.scene.loops import loop_of
 from jaxstab.scene.scene import Scene, Units
 from jaxstab.shown import shortened
@@ -514,7 +515,7 @@ def study_dataset(
         f"{key}: drawn uniformly from the range of the scene, {own.low:g} to {own.high:g}."
         for key, own in drawn_ranges.items()
     ]
-    source.check([(column.key, column.values) for column in columns])
+    notes += source.check([(column.key, column.values) for column in columns])
     gains = source.walls if walls is None else {n: _checked_wall(n, *w) for n, w in walls.items()}
     wanted = tuple(dict.fromkeys(answers or ("limits", *(["verdict"] if gains else []))))
     for name in wanted:
@@ -523,6 +524,7 @@ def study_dataset(
             raise ValueError(f"answers has {name}, which is of walls; give walls.")
     has_walls = wanted != ("limits",)
     drawn = [column for column in columns if column.is_drawn]
+    repeats = bool(drawn) and all(isinstance(over[c.key], Measured) for c in drawn)
     coordinates = {c.name: np.asarray(c.values) for c in columns if not c.is_drawn}
     if drawn:
         coordinates[SAMPLE] = np.arange(samples)
@@ -560,10 +562,10 @@ def study_dataset(
             "of": str(source.table),
             "over": said,
             "seed": str(seed),
-            "notes": " ".join(notes),
+            "notes": "\n".join(notes),
         },
         identity=repr([source.table, [*over], wanted, gains, seed]),
-        compute=_Blocks(source, tuple(columns), own_dimensions, gains, wanted),
+        compute=_Blocks(source, tuple(columns), own_dimensions, gains, wanted, repeats),
         size=max(_BLOCK, len(gains)),
         labels=labels,
         part=part,
@@ -577,10 +579,13 @@ def plan_of(dataset: "Dataset") -> str:
     share = len(dataset.items) / len(dataset.blocks)
     loops = prod(len(dataset.coordinates[name]) for name in blocks.dimensions)
     walls = max(len(blocks.walls), 1)
-    seconds = (
-        share
-        * loops
-        * sum(_COSTS[name] * (1 if name == "limits" else walls) for name in blocks.answers)
+    computed, words = share * loops, ""
+    if blocks.repeats:
+        count = len(blocks.different(slice(None))[0])
+        computed *= min(count / dataset.chunk[blocks.dimensions.index(SAMPLE)], 1.0)
+        words = f" (of {count:,} different draws, each computed once in a block)"
+    seconds = computed * sum(
+        _COSTS[name] * (1 if name == "limits" else walls) for name in blocks.answers
     )
     drawn = sum(column.nbytes for _, column in dataset.labels.values())
     bytes_ = drawn + share * sum(
@@ -590,8 +595,8 @@ def plan_of(dataset: "Dataset") -> str:
     axes = " x ".join(f"{len(values)} {name}" for name, values in dataset.coordinates.items())
     one = "" if share == 1.0 else f", part {dataset.part[0]} of {dataset.part[1]} of them"
     return (
-        f"{axes}: {loops:,} loops{one}, about {_time(seconds)} of CPU time for devices of one "
-        f"mass, at most {bytes_ / 1e6:.3g} MB"
+        f"{axes}: {loops:,} loops{words}{one}, about {_time(seconds)} of CPU time for devices of "
+        f"one mass, at most {bytes_ / 1e6:.3g} MB"
     )
 
 
@@ -760,7 +765,7 @@ class _Source:
             known = [*self.numbers, *(f.name for f in fields(HapticLoop) if f.name != "delay")]
             check_keys("", [key], list(dict.fromkeys(known)))
         elif key.partition(".")[0] in ("walls", "wanted", "contact"):
-            raise ValueError(f"{key} cannot vary in a study; give walls as walls.")
+            raise ValueError(f"{key} cannot vary in a study; give a wall for each value.")
 
     def made(self, values: Mapping[str, Any]) -> HapticLoop:
         """Return the loop with values in place of its own."""
@@ -770,23 +775,36 @@ class _Source:
                 period = given.get("sample_time", self.table.sample_time)
                 given["delay"] = values["delay_samples"] * period
             return replace(self.table, **given)
+        return loop_of(self._scene(values))
+
+    def _scene(self, values: Mapping[str, Any]) -> Scene:
         table: Any = self.table
         if any(key in _DELAYS for key in values):  # in place of one in either unit
             own = table.get("controller", {}).items()
             kept = {name: value for name, value in own if f"controller.{name}" not in _DELAYS}
             table = {**table, "controller": kept}
         for key, value in values.items():
-            table = _with_value(table, key, value, key.split("."))
-        return loop_of(Scene.from_table(table))
+            is_whole = isinstance(value, float) and value.is_integer()  # as a window in samples
+            table = _with_value(table, key, int(value) if is_whole else value, key.split("."))
+        return Scene.from_table(table)
 
-    def check(self, columns: Sequence[tuple[str, Values]]) -> None:
-        """Refuse values at the corners of what varies, in the words of a scene."""
+    def check(self, columns: Sequence[tuple[str, Values]]) -> list[str]:
+        """Refuse values at the corners of what varies; return warnings of likely slips of a unit.
+
+        Both are the sentences of a scene.
+        """
         ends = [
-            list(dict.fromkeys(_ends(values) if key in self.numbers else _few(values)))
+            list(dict.fromkeys(_few(values, 2 if key in self.numbers else _MOST_CORNERS)))
             for key, values in columns
         ]
+        keys = [key for key, _ in columns]
         for corner in islice(product(*ends), _MOST_CORNERS):
-            self.made(dict(zip((key for key, _ in columns), corner, strict=True)))
+            self.made(dict(zip(keys, corner, strict=True)))
+        if self.is_loop:
+            return []
+        outer = [self._scene(dict(zip(keys, [v[k] for v in ends], strict=True))) for k in (0, -1)]
+        words = dict.fromkeys(words for scene in outer for words in scene.unusual())
+        return [f"warning: {one}{'' if one.endswith('?') else '.'}" for one in words]
 
 
 def _with_value(table: Any, key: str, value: Any, path: Sequence[str]) -> Any:
@@ -804,15 +822,11 @@ def _with_value(table: Any, key: str, value: Any, path: Sequence[str]) -> Any:
     return {**table, first: own}
 
 
-def _ends(values: Values) -> list[float]:
-    return [float(np.min(values)), float(np.max(values))]
-
-
-def _few(values: Values) -> list[Any]:
-    """Return values as Python's own; of many numbers, the ends."""
+def _few(values: Values, most: int) -> list[Any]:
+    """Return values as Python's own; of more numbers than ``most``, the ends."""
     if isinstance(values, list):
         return values
-    return values.tolist() if len(values) <= _MOST_CORNERS else _ends(values)
+    return values.tolist() if len(values) <= most else [values.min().item(), values.max().item()]
 
 
 # What is computed.
@@ -827,15 +841,34 @@ class _Blocks:
     dimensions: tuple[str, ...]  # but that of walls
     walls: Mapping[str, tuple[float, float]]
     answers: tuple[str, ...]
+    repeats: bool  # whether all that is drawn is measured: the same rows are drawn again
 
     def __call__(self, block: "Block") -> dict[str, NDArray[Any]]:
-        """Return the answers of a block."""
+        """Return the answers of a block; of equal draws, those of the first one."""
         spans = dict(zip(self.dimensions, block, strict=False))
-        shape = tuple(span.stop - span.start for span in spans.values())
-        places = dict(zip(spans, np.indices(shape).reshape(len(shape), -1), strict=True))
+        indices = {name: np.arange(span.start, span.stop) for name, span in spans.items()}
+        if self.repeats:
+            first, again = self.different(spans[SAMPLE])
+            indices[SAMPLE] = indices[SAMPLE][first]
+        found = self._found(indices)
+        if self.repeats:
+            axis = self.dimensions.index(SAMPLE)
+            found = {name: np.take(values, again, axis) for name, values in found.items()}
+        return found
+
+    def different(self, span: slice) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return the first of equal draws, and which of these each draw equals."""
+        draws = np.stack([column.values[span] for column in self.columns if column.is_drawn])
+        _, first, again = np.unique(draws, axis=1, return_index=True, return_inverse=True)
+        return first, again.ravel()
+
+    def _found(self, indices: Mapping[str, NDArray[np.int64]]) -> dict[str, NDArray[Any]]:
+        """Return the answers at the points of a grid of indices along the dimensions."""
+        shape = tuple(map(len, indices.values()))
+        places = dict(zip(indices, np.indices(shape).reshape(len(shape), -1), strict=True))
         numbers, others = dict[str, Floats](), dict[str, tuple[Values, NDArray[np.int64]]]()
         for column in self.columns:
-            own, place = column.values[spans[column.dimension]], places[column.dimension]
+            own, place = column.values, indices[column.dimension][places[column.dimension]]
             if column.key in self.source.numbers:
                 numbers[column.key] = np.asarray(own)[place]
             else:

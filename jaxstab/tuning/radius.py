@@ -46,17 +46,17 @@ class TuningStatus(Status):
 
     Example:
         >>> jaxstab.results.TuningStatus(1).words
-        'the best found: a triple real pole, solved for to full precision'
+        'best of a search: a triple real pole, to full precision'
     """
 
     NOT_COMPUTED = 0, "not computed"
-    TRIPLE_ROOT = 1, "the best found: a triple real pole, solved for to full precision"
-    DOUBLE_PAIR = 2, "the best found: a double pair of poles, solved for to full precision"
+    TRIPLE_ROOT = 1, "best of a search: a triple real pole, to full precision"
+    DOUBLE_PAIR = 2, "best of a search: a double pair of poles, to full precision"
     SCANNED = 3, "best of a search; up to 0.01 % better may exist"
     NO_STABLE_GAINS = 4, "no gains found that make the loop stable"
-    ISLAND = 5, "the best found, of a scan: in an island, for small gains are not stable"
-    ANY_COMPONENT = 6, "the best found, of a scan: perhaps in an island, the region is unresolved"
-    NOT_CALM = 7, "no gains found that the encoder drives no further than the limit"
+    ISLAND = 5, "best of a search, in an island: small gains are not stable"
+    ANY_COMPONENT = 6, "best of a search, perhaps in an island: the region is unresolved"
+    NOT_CALM = 7, "no gains found that keep encoder chatter within the limit"
 
 
 class OptimalGains(NamedTuple):

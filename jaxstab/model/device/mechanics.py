@@ -159,8 +159,8 @@ def handle(device: Device, sample_time: float) -> Handle:
         columns = matrix.ncols()
         if moves.thrown is None or not matrix[1, columns - 1] > 0:
             raise ValueError(
-                f"the device ({device}) has no mass at its handle; contacts are simulated for "
-                "compliances of two degrees more in the denominator, with a positive first term."
+                f"the device ({device}) has no mass at its handle, or a negative one, and friction "
+                "needs one there; give a compliance of two degrees more in the denominator."
             )
         # The second state of the canonical form is the velocity, less a share of the position.
         there, back = (flint.arb_mat(columns, columns) + 1 for _ in range(2))

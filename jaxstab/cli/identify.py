@@ -1,0 +1,73 @@
+"""The command that measures a device: a scene from a log of forces and positions."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from jaxstab.cli.options import draw, keep_programs, output_file, picture_file
+from jaxstab.cli.scene import warn
+
+_NAMES = ("time", "force", "position", "velocity")
+
+
+def _columns(command: Callable[..., Any]) -> Callable[..., Any]:
+    for name in reversed(_NAMES):
+        option = click.option(
+            f"--{name}", metavar="COLUMN", help=f'Column of the {name}; default: "{name}".'
+        )
+        command = option(command)
+    return command
+
+
+@click.command()
+@click.argument("log", type=Path)
+@click.option(
+    "-o", "--output", type=Path, callback=output_file, help="Scene (TOML) to write; '-': stdout."
+)
+@_columns
+@click.option("--sample-time", type=float, help="Sampling period in s, in place of a time column.")
+@click.option("--turns", is_flag=True, help="The device turns: rad and N m in place of m and N.")
+@click.option("--spring", is_flag=True, help="Fit a spring of the device, such as a centring one.")
+@click.option(
+    "--plot", type=Path, callback=picture_file, help="PNG or SVG file: measured against fitted."
+)
+def identify(
+    log: Path,
+    output: Path | None,
+    sample_time: float | None,
+    turns: bool,
+    spring: bool,
+    plot: Path | None,
+    **columns: str | None,
+) -> None:
+    """Fit mass, damping, friction and delay to a LOG, with 95 % confidence intervals.
+
+    The log is a CSV file with a header and a row for each sample: time in s, commanded force in N,
+    position in m, and, if logged, the velocity of the software. docs/identify.md says how to
+    record one.
+    """
+    from jaxstab.durable import publish
+    from jaxstab.scene.log import identified_scene, identified_text, read_log
+    from jaxstab.scene.scene import Units
+
+    keep_programs()
+    names = {name: columns[name] or name for name in _NAMES}
+    given = read_log(str(log), names, sample_time, columns["velocity"] is not None)
+    from jaxstab.scene.identify import identify as fit
+
+    found = fit(**vars(given), spring=spring)
+    warn(*filter(None, [found.warning]))
+    units = Units.ROTATION if turns else Units.LINE
+    if plot:
+        from jaxstab.pictures.identify import identified_figure
+
+        draw(identified_figure(found, units), plot)
+    scene = identified_scene(found, units, log.name)
+    if str(output) == "-":
+        click.echo(scene, nl=False)
+        return
+    if output:
+        publish(scene.encode(), output)
+    click.echo(identified_text(found, units))

@@ -1,0 +1,432 @@
+"""Mass, damping, friction and delay of a device from a log of forces and positions.
+
+The model is one mass behind a zero-order hold and a delay,
+
+    m x'' + b x' + f_c sign(x') + c [+ k x] = u(t - t_d),
+
+with a constant force c (gravity, an offset of the amplifier), read by an encoder. Between arrivals
+of forces its motion is exact, sticking included (``jaxstab.motion.contact``), and differentiable
+with respect to all of these. Where the delay is w + f samples, f is the length of the first of the
+two pieces of a sample, so the fraction is as smooth as the mass.
+
+The fit compares positions, simulated with measured (output error). The log is cut into segments,
+each with an initial position and velocity that are fitted too, so that what the model lacks does
+not add up over the log. The start is a linear regression: the equation of motion is multiplied by
+bumps of 40 ms and integrated by parts, so that only the sign of the velocity needs a
+derivative of the positions; of all whole delays the one with the smallest residual is taken. Then
+Levenberg and Marquardt's method refines everything together.
+
+Rounding and friction leave residuals that are not white and depend on the motion. The covariance is
+therefore the jackknife's over segments (Efron, Stein 1981), one Newton step for each: with J_s the
+derivatives of segment s, less what its initial state can explain, A_s = J_s' J_s, A their sum and
+g_s = J_s' r_s, leaving the segment out moves the estimate by (A - A_s)^-1 g_s. Nothing is assumed
+of the residuals within a segment. Intervals are Student's, with a degree of freedom less than
+segments.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from math import floor, inf, log, log10, pi
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import lineax
+import numpy as np
+import optimistix
+from jaxtyping import Float64
+
+from jaxstab.arrays import Array, Numbers
+from jaxstab.batches import in_float64
+from jaxstab.model import Velocity
+from jaxstab.motion.contact import Flow, Plant, Runs, Seen, series, series_at
+from jaxstab.numbers import checked, checked_number
+
+FEWEST, MOST = 2000, 64_000  # rows
+HISTORY = 100  # samples before the first segment: longer delays are not tried
+_SEGMENTS, _ROWS = (16, 64), 500  # how many, and of how many rows between the two
+_BUMP, _BUMP_ROWS = 0.04, (16, 200)  # s; samples
+_LEAST_STEPS = 20  # of the encoder, of the motion
+_MOST_COUNTS = 2.0**31  # of an encoder: finer steps are rounding of float64
+_LOOSE = 0.5  # of the mass: with a wider half of its interval the log does not tell it
+_INERTIA = 0.01  # of the force, that must accelerate
+_EXCITE = "excite the device more strongly, or with more changes of the force"
+_LONGEST_WINDOW = 200  # samples
+_MOST_STEPS = 40
+_MISFIT = 0.1  # of the motion: a larger residual is not of a mass with friction
+_NORMAL = 1.959963984540054  # the quantile of 97.5 %
+_NOISE = 1e-6  # of the motion: a smaller residual is of no interest
+_ODD, _SHARP = 1.5, 20.0  # a residual in roundings, its peak in medians of the spectrum
+
+Rows = Float64[np.ndarray, " row"]
+Segments = Float64[np.ndarray, "segment sample"]
+
+
+class Estimate(NamedTuple):
+    """A value and the ends of its 95 % confidence interval, which holds if the model does.
+
+    Example:
+        >>> print(jaxstab.results.Estimate(0.25012, 0.2493, 0.2509))
+        0.25012 (0.24930 to 0.25090)
+        >>> print(jaxstab.results.Estimate(0.25012, 0.2493, 0.2509).times(1e3))
+        250.12 (249.30 to 250.90)
+    """
+
+    value: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        half = 0.5 * (self.high - self.low)
+        places = max(0, 1 - floor(log10(half))) if half > 0.0 else 6
+        value, low, high = (f"{number:.{places}f}" for number in self)
+        return f"{value} ({low} to {high})"
+
+    def times(self, factor: float, least: float = -inf) -> "Estimate":
+        """The same in another unit, without what is below the least that can be."""
+        return Estimate(*(max(factor * number, least) for number in self))
+
+
+@dataclass(frozen=True, repr=False)
+class Identified:
+    """What a log tells about a device, in SI units; see ``jaxstab.identify``.
+
+    Attributes:
+        mass, damping, friction, offset, stiffness, delay: estimates, the delay in s. The offset is
+            a constant force against the command, at the mean position. The stiffness of the
+            device's spring is 0 unless one was fitted.
+        sample_time: in s.
+        resolution: the step of the encoder; None where positions are not multiples of one.
+        residual: the root mean square of measured less fitted positions.
+        warning: what the residual says against the model; empty if nothing.
+        velocity: the estimator that explains the logged velocity best; None without one.
+        unexplained: what it leaves of the velocity, as a share of the root mean square.
+        measured, fitted: positions, a row for each segment, from sample ``HISTORY`` on.
+
+    Example:
+        >>> push = np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 200), 10)
+        >>> speed = np.cumsum(push) * 1e-3 / 0.25  # of 0.25 kg, without friction and delay
+        >>> place = np.cumsum(speed - push * 0.5e-3 / 0.25) * 1e-3
+        >>> found = jaxstab.identify(
+        ...     force=push, position=np.append(0.0, place[:-1]), sample_time=1e-3
+        ... )
+        >>> print(f"{found.mass.value:.4f} kg")
+        0.2500 kg
+    """
+
+    mass: Estimate
+    damping: Estimate
+    friction: Estimate
+    offset: Estimate
+    stiffness: Estimate
+    delay: Estimate
+    sample_time: float
+    resolution: float | None
+    residual: float
+    warning: str
+    velocity: Velocity | None
+    unexplained: float
+    measured: Segments
+    fitted: Segments
+
+    def __repr__(self) -> str:
+        return f"Identified(mass={self.mass}, damping={self.damping}, delay={self.delay})"
+
+
+def identify(
+    *,
+    force: Numbers,
+    position: Numbers,
+    sample_time: float,
+    velocity: Numbers = None,
+    spring: bool = False,
+) -> Identified:
+    """Fit mass, damping, Coulomb friction and delay to a log, with 95 % confidence intervals.
+
+    docs/identify.md says how to make such a log. The intervals hold if the model does: one mass,
+    free of the hand, and quantities that are constant.
+
+    Args:
+        force: the force that was commanded at each sample in N, or in N m.
+        position: as the encoder was read at that sample, in m or rad; 2,000 to 64,000 samples.
+        sample_time: in s.
+        velocity: what the software computed as the velocity, to tell its estimator.
+        spring: fit a spring of the device too; that of the software is in the force.
+
+    Raises: see ``jaxstab.conventions``; ValueError also for a log that is too short or too long,
+    that does not move, or does not tell the mass.
+
+    Source: output error by Levenberg-Marquardt, jackknife of Efron and Stein (1981).
+
+    Example: ``jaxstab.results.Identified`` has one of a good log.
+        >>> jaxstab.identify(force=[0.0], position=[0.0], sample_time=1e-3)
+        Traceback (most recent call last):
+        ValueError: the log has 1 rows; give 2000 to 64000, such as those of ten seconds.
+    """
+    period = checked_number("sample_time", sample_time, 0.0, is_open=True, unit="s")
+    given = {"force": force, "position": position}
+    given |= {} if velocity is None else {"velocity": velocity}
+    columns = {name: np.ravel(checked(name, values)) for name, values in given.items()}
+    forces, positions = columns["force"], columns["position"]
+    for name, column in columns.items():
+        if len(column) != len(positions):
+            raise ValueError(
+                f"{name} has {len(column)} rows beside {len(positions)} of position; give as many."
+            )
+    if not FEWEST <= len(positions) <= MOST:
+        raise ValueError(
+            f"the log has {len(positions)} rows; give {FEWEST} to {MOST}, such as those of ten "
+            "seconds."
+        )
+    resolution, extent = _resolution(positions), float(np.ptp(positions))
+    unit = resolution or 1e-4 * extent
+    if not extent >= _LEAST_STEPS * unit or not np.ptp(forces):
+        raise ValueError(
+            f"position moves by {extent:g} and force by {np.ptp(forces):g} in all; give a log "
+            f"whose force moves the device by {_LEAST_STEPS} steps of its encoder."
+        )
+    middle = float(positions.mean())
+    estimates, measured, fitted = _fit(forces, (positions - middle) / unit, period, spring)
+    residual = unit * float(np.sqrt(np.mean((measured - fitted) ** 2)))
+    if not residual < _MISFIT * np.std(positions):
+        raise ValueError(
+            f"no mass with friction moves like this log: {residual:g} rms are left of "
+            f"{np.std(positions):g}; free the handle of the hand, and put force and position of "
+            "the same turn of the loop in one row."
+        )
+    factors = (period**2 / unit, period / unit, 1.0, 1.0, 1.0 / unit, period)
+    mass, damping, friction, offset, stiffness, delay = map(Estimate.times, estimates, factors)
+    if not mass.high - mass.low < 2.0 * _LOOSE * mass.value:
+        raise ValueError(
+            f"the log tells the mass only as {mass.value:.3g}, from {mass.low:.3g} to "
+            f"{mass.high:.3g}, not apart from damping and friction; {_EXCITE}."
+        )
+    estimator, unexplained = _estimator(positions, columns.get("velocity"), period)
+    return Identified(
+        mass,
+        damping.times(1.0, 0.0),
+        friction.times(1.0, 0.0),
+        offset,
+        stiffness,
+        delay,
+        period,
+        resolution,
+        residual,
+        _warning(measured - fitted, resolution is not None, residual, extent, period),
+        estimator,
+        unexplained,
+        middle + unit * measured,
+        middle + unit * fitted,
+    )
+
+
+def _resolution(positions: Rows) -> float | None:
+    """Return the step of which positions are multiples, but for a constant."""
+    places = np.unique(positions)
+    if len(places) < 2:
+        return None
+    step = float(np.diff(places).min())
+    most = float(np.rint((places[-1] - places[0]) / step))
+    if most > _MOST_COUNTS:
+        return None
+    step = float(places[-1] - places[0]) / most
+    counts = (places - places[0]) / step
+    return step if np.all(abs(counts - np.rint(counts)) < 0.1) else None
+
+
+def _start(
+    forces: Rows, positions: Rows, period: float, spring: bool
+) -> tuple[Float64[np.ndarray, " 6"], Rows]:
+    """Return mass, damping, friction, offset, stiffness and delay in samples, and velocities."""
+    half = int(np.clip(_BUMP / period, *_BUMP_ROWS)) // 2
+    bump = (1.0 - (np.arange(1 - half, half) / half) ** 2) ** 3
+    slope, bend = np.convolve(bump, [0.5, 0.0, -0.5]), np.convolve(bump, [1.0, -2.0, 1.0])
+    speeds = np.convolve(positions, slope, "same") / bump.sum()
+    terms = [
+        np.convolve(positions, bend, "same"),
+        np.convolve(positions, slope, "same"),
+        np.convolve(np.sign(speeds), bump, "same"),
+        np.full(len(positions), bump.sum()),
+        *([np.convolve(positions, bump, "same")] if spring else []),
+    ]
+    pushes = np.convolve(forces, bump, "same")
+    inside = slice(HISTORY + 2 * half, len(positions) - 2 * half)
+    rows = np.stack(terms, axis=1)[inside]
+    delayed = np.stack([np.roll(pushes, lag)[inside] for lag in range(HISTORY)], axis=1)
+    guesses = np.linalg.lstsq(rows, delayed)[0]
+    best = int(np.argmin(np.sum((rows @ guesses - delayed) ** 2, axis=0)))
+    found = np.append(guesses[:, best], [0.0] * (not spring))
+    if not abs(found[0]) * np.std(rows[:, 0]) > _INERTIA * np.std(delayed[:, best]):
+        raise ValueError(
+            f"less than {100.0 * _INERTIA:g} % of the force accelerates the device, so the log "
+            f"does not tell the mass; {_EXCITE}."
+        )
+    if not found[0] > 0.0:
+        raise ValueError(
+            "the force does not accelerate the device in its direction; give a log whose force "
+            "and position have the same sign, and columns of one axis."
+        )
+    found[0] = max(found[0], abs(found[1]), abs(found[4]))  # nothing is faster than a sample
+    return np.append(found, max(best - 0.5, 0.5)), speeds  # a held force is half a sample late
+
+
+def _fit(
+    forces: Rows, positions: Rows, period: float, spring: bool
+) -> tuple[list[Estimate], Segments, Segments]:
+    """Return estimates for a sample of 1, and positions measured and fitted in segments."""
+    start, speeds = _start(forces, positions, period, spring)
+    count = int(np.clip((len(positions) - HISTORY - 1) // _ROWS, *_SEGMENTS))
+    length = (len(positions) - HISTORY - 1) // count
+    begins = HISTORY + length * np.arange(count)
+    measured = positions[begins[:, None] + np.arange(length)]
+    pushes = forces[begins[:, None] + np.arange(-HISTORY, length + 1)]
+    sizes = start * [1e-3, 1e-2, 1e-2, 0.0, 1e-2, 0.0] + [0.0, 0.0, 0.0, 0.01, 0.0, 0.05]
+    states = np.stack([measured[:, 0], speeds[begins]], axis=1)
+    fitted, slopes, values = in_float64(_program(), start, sizes, states, pushes, measured)
+    free = sizes != 0.0
+    to_states = slopes[:, :, 6:]
+    rows = slopes[:, :, :6][:, :, free]
+    rows = rows - to_states @ (np.linalg.pinv(to_states) @ rows)
+    squares = rows.transpose(0, 2, 1) @ rows
+    gradients = np.einsum("srp,sr->sp", rows, measured - fitted)
+    moves = np.zeros((count, 6))
+    try:
+        moves[:, free] = np.linalg.solve(squares.sum(0) - squares, gradients[..., None])[..., 0]
+    except np.linalg.LinAlgError:  # nothing tells some of them apart
+        moves[:, free] = np.inf
+    errors = np.sqrt((count - 1.0) / count * np.sum(moves**2, axis=0))
+    half_widths = _student(count - 1) * errors
+    return list(map(Estimate, values, values - half_widths, values + half_widths)), measured, fitted
+
+
+def _student(freedom: int) -> float:
+    """Return Student's quantile of 97.5 %, to 1e-4 from 15 degrees of freedom on (Fisher 1926)."""
+    z, n = _NORMAL, float(freedom)
+    first, second = z**3 + z, 5.0 * z**5 + 16.0 * z**3 + 3.0 * z
+    third = 3.0 * z**7 + 19.0 * z**5 + 17.0 * z**3 - 15.0 * z
+    return z + first / (4.0 * n) + second / (96.0 * n**2) + third / (384.0 * n**3)
+
+
+@cache
+def _program() -> Any:
+    """Return the compiled fit: positions, their derivatives, and the values.
+
+    Values are those of ``_start``; each is fitted in units of its size.
+    """
+
+    def path(both: Array, forces: Array) -> Array:
+        """Return the positions of a segment from the values and its initial state."""
+        mass, damping, friction, offset, stiffness, delay, x, v = both
+        gamma, delta = stiffness / mass, damping / mass
+        impulse, step = series(gamma, delta, 1.0)
+        whole = jnp.floor(jax.lax.stop_gradient(delay))
+        length = len(forces) - HISTORY - 1
+        lengths = jnp.tile(jnp.stack([delay - whole, 1.0 - (delay - whole)]), length)
+        newest = jnp.arange(length) + HISTORY - whole.astype(int)
+        acting = jnp.stack([forces[newest - 1], forces[newest]], axis=1).ravel()
+        pushed, moved = (
+            lengths * series_at(impulse, lengths),
+            lengths**2 * series_at(step, lengths),
+        )
+        flows = Flow(lengths, pushed, 1.0 - delta * pushed - gamma * moved, moved)
+        plant = Plant(gamma, 0.5 * delta, gamma - 0.25 * delta**2, impulse, step, [[0]], [[]], 0)
+        nothing = 0.0 * x
+        runs, seen = Runs(*[nothing] * 12), Seen(*[nothing] * 6)
+        runs = runs._replace(friction=friction / mass, static_friction=friction / mass)
+
+        def piece(state: Any, of_piece: Any) -> Any:
+            force, flow = of_piece
+            own = plant._replace(flows=[[flow]])
+            return own.moved(runs, state, seen, [(force - offset) / mass], 0)[0], state[0]
+
+        return jax.lax.scan(piece, (x, v), (acting, flows))[1][::2]
+
+    def with_slopes(both: Array, forces: Array) -> tuple[Array, Array]:
+        """Return the positions and their derivatives with respect to all of both."""
+        twice = lambda both: (path(both, forces),) * 2  # noqa: E731
+        slopes, positions = jax.jacfwd(twice, has_aux=True)(both)
+        return positions, slopes
+
+    @jax.custom_jvp
+    def paths(both: Array, forces: Array) -> Array:
+        return jax.vmap(path)(both, forces)
+
+    @paths.defjvp
+    def _(values: Any, directions: Any) -> tuple[Array, Array]:
+        # The derivatives of a segment are computed once, not for the initial states of all others.
+        positions, slopes = jax.vmap(with_slopes)(*values)
+        return positions, jnp.einsum("srp,sp->sr", slopes, directions[0])
+
+    def fit(start: Array, sizes: Array, states: Array, forces: Array, measured: Array) -> Any:
+        length = measured.shape[1]
+
+        def both(y: Any) -> Array:
+            factor = jnp.exp(y[0][0] * sizes[0] / start[0])  # so that no mass is negative
+            values = (start + sizes * y[0]).at[0].set(start[0] * factor)
+            own = states + jnp.array([1.0, 1.0 / length]) * y[1]
+            return jnp.concatenate([jnp.broadcast_to(values, (len(own), 6)), own], axis=1)
+
+        solver: Any = optimistix.LevenbergMarquardt(
+            rtol=1e-9, atol=1e-3, linear_solver=lineax.Normal(lineax.Cholesky())
+        )
+        found: Any = optimistix.least_squares(
+            lambda y, _: paths(both(y), forces) - measured,
+            solver,
+            (jnp.zeros(6), jnp.zeros_like(states)),
+            max_steps=_MOST_STEPS,
+            throw=False,
+        )
+        best = both(found.value)
+        positions, slopes = jax.vmap(with_slopes)(best, forces)
+        return positions, slopes, best[0, :6]
+
+    return jax.jit(fit)
+
+
+def _warning(
+    residual: Segments, is_stepped: bool, size: float, extent: float, period: float
+) -> str:
+    """Say where the residual is largest, if it is more than the rounding of an encoder."""
+    window = np.hanning(residual.shape[1])
+    power = np.mean(abs(np.fft.rfft(window * residual, axis=1)) ** 2, axis=0)[2:]
+    peak = int(np.argmax(power))
+    times = float(np.sqrt(12.0 * np.mean(residual**2)))
+    is_sharp = power[peak] > _SHARP * np.median(power) and size > _NOISE * extent
+    is_odd = times > _ODD if is_stepped else is_sharp
+    if not is_odd:
+        return ""
+    of_rounding = f", {times:.3g} times that of the encoder's rounding" if is_stepped else ""
+    return (
+        f"the residual is {size:.3g} rms{of_rounding}, with its largest peak at "
+        f"{(peak + 2) / (residual.shape[1] * period):.3g} Hz: the model lacks something, such as a "
+        "vibration mode, a hand on the handle or a delay that moves"
+    )
+
+
+def _estimator(
+    positions: Rows, velocity: Rows | None, period: float
+) -> tuple[Velocity | None, float]:
+    """Return the window or the low pass that explains velocities best, and what it leaves."""
+    if velocity is None:
+        return None, 0.0
+    late = slice(_LONGEST_WINDOW, None)
+    differences = np.diff(positions, prepend=positions[0]) / period
+    guesses: list[tuple[float, Velocity]] = []
+
+    def guess(estimator: Velocity, values: Rows) -> None:
+        guesses.append((float(np.mean((values - velocity)[late] ** 2)), estimator))
+
+    for samples in range(1, _LONGEST_WINDOW + 1):
+        values = np.zeros_like(positions)
+        values[samples:] = (positions[samples:] - positions[:-samples]) / (samples * period)
+        guess(Velocity.difference(samples=samples), values)
+    # v_k - d_k = q (v_(k-1) - d_k) of a low pass is linear in q.
+    before, now = velocity[:-1] - differences[1:], velocity[1:] - differences[1:]
+    share = float(before @ now) / max(float(before @ before), np.finfo(float).tiny)
+    if 0.0 < share < 1.0:
+        values = velocity.copy()
+        for row in range(1, len(values)):
+            values[row] = share * values[row - 1] + (1.0 - share) * differences[row]
+        guess(Velocity.low_pass(-log(share) / (2.0 * pi * period)), values)
+    left, best = min(guesses, key=lambda one: one[0])
+    return best, float(np.sqrt(left / max(np.mean(velocity[late] ** 2), np.finfo(float).tiny)))

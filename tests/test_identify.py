@@ -1,0 +1,249 @@
+"""What a log tells about a device: against logs that an independent simulation made."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.integrate
+import scipy.signal
+from campaign import many
+from commands import assert_one_sentence, run
+
+import jaxstab
+from benchmarks.truth.pushed import Log, Pushed, as_csv, difference, moved
+from benchmarks.truth.pushed import run as simulated
+from jaxstab.results import Estimate, Identified
+from jaxstab.scene import Scene
+from jaxstab.tables import parsed
+
+DEVICES = {
+    "that of the page": Pushed(),
+    "a coarse encoder": Pushed(encoder=1e-4),
+    "friction that holds it often": Pushed(size=0.8, friction=0.5, held=35),
+    "no friction": Pushed(size=0.5, friction=0.0, damping=1.0, encoder=1e-6),
+    "a whole delay": Pushed(delay=2e-3),
+    "no delay": Pushed(delay=0.0),
+    "a long delay": Pushed(delay=12.35e-3, spring=30.0),
+    "4 kHz": Pushed(period=2.5e-4, delay=4e-4, held=80),
+}
+ROWS = 10_000
+
+
+def identified(device: Pushed, log: Log) -> Identified:
+    return jaxstab.identify(force=log.force, position=log.position, sample_time=device.period)
+
+
+def estimates(found: Identified) -> dict[str, Estimate]:
+    return {name: getattr(found, name) for name in ("mass", "damping", "friction", "delay")}
+
+
+def test_the_simulated_device_moves_as_scipy_integrates_it(rng: np.random.Generator) -> None:
+    device = Pushed()
+    for v, force in zip(rng.normal(0.0, 0.02, 5), rng.normal(0.0, 1.0, 5), strict=True):
+        state, time, others = [0.0, v], 0.0, force - device.offset
+
+        def stops(_: float, state: np.ndarray) -> float:
+            return float(state[1])
+
+        stops.terminal = True  # type: ignore[attr-defined]
+        while time < 5e-3 and (state[1] or abs(others) > device.friction):
+            sign = math.copysign(1.0, state[1] or others)
+            found = scipy.integrate.solve_ivp(
+                lambda _, y, sign=sign, others=others: [
+                    y[1],
+                    (others - sign * device.friction - device.damping * y[1]) / device.mass,
+                ],
+                (time, 5e-3),
+                state,
+                events=stops if state[1] else None,
+                rtol=1e-11,
+                atol=1e-14,
+            )
+            time, state = found.t[-1], list(found.y[:, -1])
+            state[1] = 0.0 if found.status == 1 else state[1]
+        assert moved(device, 0.0, v, force, 5e-3) == pytest.approx(state, rel=1e-8, abs=1e-12)
+
+
+def assert_covered(device: Pushed, logs: int) -> None:
+    """95 % intervals contain the truth in at least 90 of 100 logs, delays to 0.05 samples."""
+    names = estimates(identified(device, simulated(device, ROWS, 1))).keys()
+    hits = dict.fromkeys(names, 0)
+    for seed in range(logs):
+        found = estimates(identified(device, simulated(device, ROWS, seed)))
+        for name, (value, low, high) in found.items():
+            hits[name] += low <= getattr(device, name) <= high
+            assert low <= value <= high
+        assert abs(found["delay"].value - device.delay) < 0.05 * device.period
+    least = 0.9 if logs >= 100 else 0.75  # of a few logs 90 % may be missed by chance
+    assert min(hits.values()) >= least * logs, hits
+
+
+def test_intervals_contain_the_truth() -> None:
+    assert_covered(Pushed(), 8)
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("name", DEVICES)
+def test_intervals_contain_the_truth_in_90_of_100_logs(name: str) -> None:
+    assert_covered(DEVICES[name], many(100, 8))
+
+
+def test_a_mass_without_friction_is_found_to_rounding() -> None:
+    """In closed form, with positions of float64: constant accelerations from sample to sample."""
+    push = np.repeat(np.random.default_rng(3).choice([-1.0, 1.0], 250), 10)
+    speed = np.append(0.0, np.cumsum(push / 0.4) * 2e-3)[:-1]
+    place = np.append(0.0, np.cumsum(speed * 2e-3 + push / 0.4 * 2e-6))[:-1]
+    found = jaxstab.identify(force=push, position=place, sample_time=2e-3)
+    assert found.mass.value == pytest.approx(0.4, rel=1e-6)
+    assert found.damping.value == pytest.approx(0.0, abs=1e-5)
+    assert found.friction.value == pytest.approx(0.0, abs=1e-5)
+    assert found.delay.value == pytest.approx(0.0, abs=1e-7)
+    assert (found.resolution, found.warning) == (None, "")
+
+
+def test_a_spring_of_the_device_is_found() -> None:
+    """A spring of the software is known to the log; hidden from it, it is one of the device."""
+    device = Pushed(delay=0.0)
+    log = simulated(device, ROWS, 5)
+    hidden = replace(log, force=log.force + device.spring * log.position)
+    found = jaxstab.identify(
+        force=hidden.force, position=log.position, sample_time=1e-3, spring=True
+    )
+    # It is held for a sample, so it acts half a sample late and takes damping away.
+    assert found.stiffness.value == pytest.approx(device.spring, rel=1e-3)
+    assert found.mass.value == pytest.approx(device.mass, rel=1e-3)
+    assert found.damping.value == pytest.approx(device.damping - 0.5e-3 * device.spring, rel=2e-2)
+
+
+@pytest.mark.parametrize("samples", [1, 15, 200])
+def test_a_window_is_told_from_the_velocity(samples: int) -> None:
+    log = simulated(Pushed(), 2000, 7)
+    velocity = difference(log, samples)
+    found = jaxstab.identify(
+        force=log.force, position=log.position, sample_time=1e-3, velocity=velocity
+    )
+    assert found.velocity == jaxstab.Velocity.difference(samples=samples)
+    assert found.unexplained < 1e-9
+
+
+def low_passed(log: Log, cutoff: float) -> np.ndarray:
+    q = math.exp(-2.0 * math.pi * cutoff * 1e-3)
+    return scipy.signal.lfilter([1.0 - q], [1.0, -q], difference(log, 1))
+
+
+def test_a_low_pass_is_told_from_the_velocity() -> None:
+    log = simulated(Pushed(), 2000, 7)
+    found = jaxstab.identify(
+        force=log.force, position=log.position, sample_time=1e-3, velocity=low_passed(log, 40.0)
+    )
+    assert found.velocity is not None
+    assert found.velocity.filter.sections[0].cutoff == pytest.approx(40.0, rel=1e-9)
+    assert found.unexplained < 1e-9
+
+
+def test_a_vibration_mode_is_noticed_with_its_frequency() -> None:
+    log = simulated(Pushed(), ROWS, 2)
+    mode = 2.0 * math.pi * 61.0
+    push = scipy.signal.StateSpace([[0, 1], [-(mode**2), -0.02 * mode]], [[0], [0.2]], [[1, 0]], 0)
+    shaken = scipy.signal.lsim(push, log.force, log.time)[1]
+    found = identified(Pushed(), replace(log, position=np.round((log.position + shaken), 5)))
+    frequency = float(found.warning.split(" Hz")[0].split()[-1])
+    assert frequency == pytest.approx(61.0, abs=3.0)
+
+
+# The command, as a user meets it.
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = simulated(Pushed(), ROWS, 0)
+    path = tmp_path_factory.mktemp("log") / "log.csv"
+    path.write_text(as_csv(made, velocity=difference(made, 20)), encoding="utf-8")
+    return path
+
+
+def test_the_scene_is_what_limits_takes(log: Path, tmp_path: Path) -> None:
+    scene, picture = tmp_path / "my.toml", tmp_path / "fit.png"
+    answer = run("identify", log, "-o", scene, "--plot", picture)
+    assert answer.exit_code == 0, answer.stderr
+    assert "the difference over a window of 20 samples" in answer.stdout
+    assert "95 % confidence intervals, if the model holds" in answer.stdout
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    text = scene.read_text(encoding="utf-8")
+    assert text.startswith("# From log.csv by jaxstab identify")
+    made = Scene.from_table(parsed(text))
+    low, high = made.device.effective_mass
+    assert low < 0.25 < high < 0.251
+    low, high = made.controller.delays
+    assert low < 1.37e-3 < high < 1.38e-3
+    assert made.device.friction == pytest.approx(0.3, rel=1e-3)
+    assert made.device.encoder is not None
+    assert made.device.encoder.resolution == pytest.approx(1e-5)
+    limits = run("limits", scene)
+    assert limits.exit_code == 0, limits.stderr
+    assert "for every hand and mass and every sequence of delays" in limits.stdout
+
+
+def test_columns_have_names_and_a_device_may_turn(tmp_path: Path) -> None:
+    made = simulated(Pushed(), 2000, 0)
+    text = as_csv(made).replace("time,force,position", "t,torque,angle")
+    path = tmp_path / "wheel.csv"
+    path.write_text(text, encoding="utf-8")
+    names = ["--force", "torque", "--position", "angle", "--sample-time", "0.001"]
+    answer = run("identify", path, *names, "--turns", "-o", "-")
+    assert answer.exit_code == 0, answer.stderr
+    scene = Scene.from_table(parsed(answer.stdout))
+    assert scene.device.inertia is not None
+    assert scene.device.inertia[0] == pytest.approx(0.25, rel=1e-2)
+
+
+GOOD = as_csv(simulated(Pushed(), 2100, 0))
+STILL = as_csv(Log(1e-3 * np.arange(2100), np.ones(2100), np.zeros(2100)))
+WEAK = as_csv(
+    Log(
+        1e-3 * np.arange(2100),
+        np.round(np.sin(1e-3 * np.arange(2100)), 3),
+        np.round(1e-3 * np.arange(2100) % 2.0, 2),
+    )
+)
+BAD = {
+    "a missing column": (GOOD.replace("force", "torque", 1), "no column 'force'"),
+    "a word": (GOOD.replace("\n0.5,", "\nhalf,", 1), "time is 'half'"),
+    "NaN": (GOOD.replace("\n0.5,", "\nnan,", 1), "give a finite number"),
+    "a missing row": (GOOD.replace("\n0.5,", "\n0.5005,", 1), "the time does not grow"),
+    "too short": ("\n".join(GOOD.splitlines()[:100]), "the log has 99 rows"),
+    "no motion": (STILL, "position moves by 0"),
+    "the sign of the force": (
+        as_csv(replace(made := simulated(Pushed(), 2100, 0), force=-made.force)),
+        "in its direction",
+    ),
+    "a motion of its own": (WEAK, "force"),
+    "empty": ("", "no column"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_bad_log_is_one_sentence_and_no_scene(name: str, tmp_path: Path) -> None:
+    text, words = BAD[name]
+    path, scene = tmp_path / "bad.csv", tmp_path / "my.toml"
+    path.write_text(text, encoding="utf-8")
+    answer = run("identify", path, "-o", scene)
+    assert (answer.exit_code, answer.stdout) == (2, "")
+    assert_one_sentence(answer.stderr)
+    assert words in answer.stderr
+    assert not scene.exists()
+
+
+def test_a_log_that_hardly_tells_the_mass_is_refused() -> None:
+    """A force that changes so slowly that friction and damping alone balance it."""
+    device = Pushed(size=0.4, held=1000, damping=20.0, spring=0.0, encoder=1e-4)
+    log = simulated(device, 4000, 0)
+    with pytest.raises(ValueError, match=r"does not tell the mass; excite the device"):
+        identified(device, log)
+
+
+def test_columns_of_other_lengths_are_refused() -> None:
+    with pytest.raises(ValueError, match="force has 3 rows beside 2 of position"):
+        jaxstab.identify(force=[0.0, 1.0, 0.0], position=[0.0, 0.0], sample_time=1e-3)
