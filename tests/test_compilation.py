@@ -29,7 +29,10 @@ WITHOUT_ARRAYS = {
     *(f"HapticLoop.{method}" for method in ("region", "limits", "tune", "robust_limit")),
 }
 
-WITH_FLINT = {"HapticLoop.jitter_margin", "HapticLoop.worst_delays"}  # balls, for any loop
+WITH_FLINT = {  # their devices are discretised in balls
+    *("HapticLoop.amplitude", "amplitude"),
+    *("HapticLoop.jitter_margin", "HapticLoop.worst_delays"),
+}
 
 WITHOUT_JAX = """
 import json, sys

@@ -21,6 +21,7 @@ from jaxstab.motion import contact as kernel
 from jaxstab.pictures.scene import scene_figure
 from jaxstab.results import ContactKind
 from jaxstab.scene import Scene, check_walls, simulate_contacts
+from jaxstab.scene.scene import Contact
 
 PERIOD = 1e-3
 HELD = {"device_mass": 0.25, "device_damping": 0.1, "sample_time": PERIOD}
@@ -591,11 +592,14 @@ def test_scenes_with_modes_actuators_and_grips_are_simulated() -> None:
     assert np.isclose(soft.penetration, runs.penetration, rtol=1e-12, atol=0.0).any()
 
 
-def test_friction_without_a_contact_is_refused() -> None:
+def test_friction_without_a_start_meets_the_push_of_a_finger() -> None:
     table = tomllib.loads(SCENE)
     del table["contact"]
-    with pytest.raises(ValueError, match=r"device\.friction is 0\.1, but only simulated contacts"):
-        Scene.from_table(table)
+    scene = Scene.from_table(table)
+    assert scene.contact == Contact(push=1.0)  # N
+    assert simulate_contacts(scene).walls["soft"].worst_start.startswith("pushed with 1 N")
+    table["device"]["friction"] = 3.0
+    assert Scene.from_table(table).contact == Contact(push=6.0)  # it overcomes the friction
     del table["device"]["friction"]
     with pytest.raises(ValueError, match=r"contact is missing; give contact\.push"):
         simulate_contacts(Scene.from_table(table))

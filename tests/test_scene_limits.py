@@ -61,7 +61,7 @@ def test_a_file_is_answered_with_its_estimator_once_and_first(tmp_path: Path) ->
     assert re.match(
         r"velocity estimator +the difference over one sample, a low pass at 100 Hz", lines[0]
     )
-    assert re.match(r"position +a window of 2 samples", lines[1])
+    assert re.match(r"position filter +a window of 2 samples", lines[1])
     assert sum(line.startswith("velocity") for line in lines) == 1
 
 
@@ -131,7 +131,7 @@ def test_a_scene_is_explained_with_a_diagram_and_its_numbers() -> None:
     assert explained.startswith(DIAGRAM)
     assert re.search(r"(?m)^delay +12.35 ms \(12.35 samples\)$", explained)
     assert re.search(r"(?m)^hand +0.5 kg, 200 N/m, 3 N s/m$", explained)
-    assert re.search(r"(?m)^ +does not count: the hold of half a sample", explained)
+    assert re.search(r"(?m)^ +excludes: the zero-order hold", explained)
     assert re.search(r"(?m)^outside ", explained)
 
 

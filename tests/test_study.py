@@ -267,10 +267,10 @@ def test_a_row_that_is_drawn_again_is_computed_once(
     ("text", "words"),
     [
         ("a,k\n1,2\n", "hands.csv has no column 'b'; its columns are 'a, k'"),
-        ("a,b\n1,2\n1,x\n", "hands.csv, line 3: b is 'x'; give a number"),
-        ("a,b\n1\n", "hands.csv, line 2: b is None; give a number"),
+        ("a,b\n1,2\n1,x\n", "hands.csv, line 3: b is 'x'; give a finite number"),
+        ("a,b\n1\n", "hands.csv, line 2: b is None; give a finite number"),
         ("a,b\n", "measured values are missing or not finite"),
-        ("a,b\n1,nan\n", "measured values are missing or not finite"),
+        ("a,b\n1,nan\n", "hands.csv, line 2: b is 'nan'; give a finite number"),
     ],
 )
 def test_a_file_that_is_no_column_of_numbers_is_refused(

@@ -8,7 +8,14 @@ from typing import Any
 from jaxstab.model.filters import NO_FILTER
 from jaxstab.scene import Scene
 from jaxstab.scene.loops import hands_of, is_one_mass, loop_of, wall_region, walls_of
-from jaxstab.scene.scene import Contact, Hand, Units, VelocityTable, software_presets
+from jaxstab.scene.scene import (
+    FINGER_PUSH,
+    Contact,
+    Hand,
+    Units,
+    VelocityTable,
+    software_presets,
+)
 
 SCRIPTS = (
     *("plant", "polynomial", "loop", "region", "wall", "contact", "rules", "state"),
@@ -18,7 +25,6 @@ SCRIPTS = (
 
 _HALF = 0.5
 _LONGEST_DELAY = 200.0  # samples
-_PUSHES = {Units.LINE: 1.0, Units.ROTATION: 0.05}  # N, N m: of a finger
 
 
 def explorer_page(scene: Scene, title: str = "") -> str:
@@ -111,7 +117,7 @@ def _contact(scene: Scene) -> dict[str, Any]:
     return {
         "contact": "on" if push else "off",
         "friction": device.friction,
-        "push": push or _PUSHES[scene.units],
+        "push": push or FINGER_PUSH[scene.units],
         "encoder": device.encoder.resolution if device.encoder else 0.0,
     }
 

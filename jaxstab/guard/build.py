@@ -20,7 +20,7 @@ from jaxstab.model.filters import known_filters
 from jaxstab.motion.moving_delays import Range as Delays
 from jaxstab.numbers import checked_count, checked_number
 from jaxstab.point.verdicts import linear_verdict
-from jaxstab.proofs.device_boxes import BEYOND, Arms, device_of, with_parts
+from jaxstab.proofs.device_boxes import BEYOND, Arms, with_parts
 from jaxstab.proofs.filters import responses_at
 from jaxstab.ranges import HandRange
 from jaxstab.ranges.box import paved_device
@@ -54,7 +54,7 @@ def proved(
     with the number of cells that are proved. Of the loop, the device's mass, the hand and the delay
     are not used.
     """
-    boxes = grid_boxes(device_of(loop), loop, hands, grid)
+    boxes = grid_boxes(loop.held_device, loop, hands, grid)
     others = [*vars(hands).values(), (0.0, pi * (1.0 + BEYOND))]
     waiting, is_proved, count = np.flatnonzero(cells), np.zeros(cells.size, bool), 0
     while waiting.size and count < most[1]:
@@ -94,7 +94,7 @@ def _is_stable(
     mass, delay = place
     held = LoopParameters(
         sample_time=loop.sample_time,
-        device=with_parts(device_of(loop), mass, arm),
+        device=with_parts(loop.held_device, mass, arm),
         delay=delay * loop.sample_time,
         velocity=loop.velocity,
         position=loop.position,

@@ -16,7 +16,7 @@ from jaxstab.arrays import Array, Numbers, is_any_traced, named
 from jaxstab.conventions import Verdict
 from jaxstab.loop.region import TOLERANCE, WallRegion, wall_region
 from jaxstab.model import LoopParameters, checked_gain, require_x64
-from jaxstab.model.device import Device, SampledDevice, sampled_device
+from jaxstab.model.device import SampledDevice, sampled_device
 from jaxstab.model.filters import Filters, given_filters
 from jaxstab.model.parameters import LONGEST_DELAY
 from jaxstab.motion.moving_delays import Growth, Range, growing_turn
@@ -406,10 +406,4 @@ def _checked_range(delays: Any) -> DelayRange:
 
 
 def _sampled(loop: LoopParameters) -> SampledDevice:
-    body = loop.body
-    device = loop.device
-    if device is None:
-        assert body is not None  # a loop without a device is one mass
-        mass, damping, stiffness = map(float, body)
-        device = Device.mass_spring_damper(mass, damping=damping, stiffness=stiffness)
-    return sampled_device(device, float(loop.sample_time), float(loop.delay_samples))
+    return sampled_device(loop.held_device, float(loop.sample_time), float(loop.delay_samples))

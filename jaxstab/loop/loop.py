@@ -392,9 +392,8 @@ class HapticLoop(LoopParameters):
         if self.device is None and not moves:
             return None
         from jaxstab.loop.between import LoopsWithHands
-        from jaxstab.proofs.device_boxes import device_of
 
-        device = device_of(self)
+        device = self.held_device
         if not moves:
             return LoopsWithHands(self, device, hands, mass)
         first = MovingLoop.of(self, delays, lost).loop

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple, ParamSpec, TypedDict, TypeVar
 import numpy as np
 
 from jaxstab.arrays import Numbers, constant, is_any_traced, is_jax, is_traced, leaves, namespace
-from jaxstab.model.device import Device, SampledDevice, sampled_device
+from jaxstab.model.device import Device, Hand, SampledDevice, sampled_device
 from jaxstab.model.filters import Filter, Velocity, given_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.model.parameters import LONGEST_DELAY, TracedDelay, by_name
@@ -28,7 +28,8 @@ _LEAST = {  # the least allowed value, and whether it is excluded
 }
 
 _FOR_COMPUTING = frozenset(
-    {"body", "filters", "in_floats", "linear", "sampled", "tree_flatten", "tree_unflatten"}
+    {"body", "filters", "held_device", "in_floats", "linear", "sampled"}
+    | {"tree_flatten", "tree_unflatten"}
 )
 _OF_DEVICE = ("device_mass", "device_damping")
 _OF_HAND = ("hand_mass", "hand_damping", "hand_stiffness")
@@ -129,6 +130,15 @@ class LoopParameters:
             return None if one is None else Body(one.mass, one.damping, one.stiffness)
         damping = self.device_damping + self.hand_damping
         return Body(self.device_mass + self.hand_mass, damping, self.hand_stiffness)
+
+    @property
+    def held_device(self) -> Device:
+        """The device with its hand, of one mass as well."""
+        if self.device is not None:
+            return self.device
+        numbers = {"damping": self.hand_damping, "stiffness": self.hand_stiffness}
+        device = Device.mass_spring_damper(self.device_mass, damping=self.device_damping)
+        return device.held_by(Hand.mass_spring_damper(self.hand_mass, **numbers))
 
     @property
     def _one_body(self) -> Body:

@@ -71,8 +71,8 @@ def impulse_sums(systems: Systems) -> Float64[np.ndarray, "loop output input"]:
     sums = np.full((len(new.doublings), new.outputs.shape[1], new.inputs.shape[2]), np.inf)
     with np.errstate(all="ignore"):
         for doublings in np.unique(new.doublings[new.doublings >= 0]).tolist():
-            for some in _parts(new, doublings):
-                sums[some] = _sums(at(new, some), doublings)
+            for loops in _parts(new, doublings):
+                sums[loops] = _sums(at(new, loops), doublings)
     return sums
 
 
@@ -343,29 +343,29 @@ def amplitude(
     bank = bank_for(given_filters(velocity, position))
     search = partial(_of_masses, bank=bank, causes=_causes(sizes))
     grid = namespace(lanes).broadcast_shapes(*map(np.shape, lanes))
-    found = on_host(search, *lanes, shape=grid, like=_LIKE, is_count=False)
-    return _answered(Amplitude, found, sizes, gains, bank)
+    bounds = on_host(search, *lanes, shape=grid, like=_LIKE, is_count=False)
+    return _answered(Amplitude, bounds, sizes, gains, bank)
 
 
 def _of_masses(*lanes: np.ndarray, bank: Bank, causes: Causes) -> tuple[Bounds, Bounds, Bounds]:
     """Return the bounds of loops with alpha, beta, gamma, delta and delay, for m = T = 1."""
     columns = np.array([np.ravel(lane) for lane in lanes])
     plants, number = np.unique(columns[2:], axis=1, return_inverse=True)
-    found = np.zeros((3, 3, columns.shape[1]))
+    bounds = np.zeros((3, 3, columns.shape[1]))
     for index, (gamma, delta, delay) in enumerate(plants.T.tolist()):
         device = Device.mass_spring_damper(1.0, damping=delta, stiffness=gamma)
         lanes_of_plant = np.flatnonzero(np.ravel(number) == index)
         alpha, beta = columns[:2, lanes_of_plant]
-        bounds = _Plant.of(device, 1.0, delay, bank).bounds(alpha, beta, causes)
-        found[..., lanes_of_plant] = bounds
-    return _in_shape(found, lanes[0].shape)
+        plant = _Plant.of(device, 1.0, delay, bank)
+        bounds[..., lanes_of_plant] = plant.bounds(alpha, beta, causes)
+    return _in_shape(bounds, lanes[0].shape)
 
 
 def _in_shape(
-    found: Float64[np.ndarray, "3 3 loop"], shape: tuple[int, ...]
+    bounds: Float64[np.ndarray, "3 3 loop"], shape: tuple[int, ...]
 ) -> tuple[Bounds, Bounds, Bounds]:
-    one, two, three = found.reshape(3, 3, *shape)
-    return Bounds(*one), Bounds(*two), Bounds(*three)
+    position, force, friction = bounds.reshape(3, 3, *shape)
+    return Bounds(*position), Bounds(*force), Bounds(*friction)
 
 
 class _Sizes(NamedTuple):
@@ -390,24 +390,24 @@ def _checked_disturbances(
 
 def _causes(sizes: _Sizes) -> Causes:
     """Which causes there are."""
-    one, two, three = (is_traced(size) or bool(np.any(size)) for size in sizes.causes)
-    return one, two, three
+    position, force, friction = (is_traced(x) or bool(np.any(x)) for x in sizes.causes)
+    return position, force, friction
 
 
 def _answered(
     kind: type[Kind],
-    found: tuple[Bounds, Bounds, Bounds],
+    bounds: tuple[Bounds, Bounds, Bounds],
     sizes: _Sizes,
     gains: Sequence[Array],
     bank: Bank,
 ) -> Kind:
     """The sums of the bounds of all causes, infinite where one is not proved."""
-    xp = namespace(found, sizes, gains)
-    is_proved = xp.isfinite(sum(one.position for one in found))
+    xp = namespace(bounds, sizes, gains)
+    is_proved = xp.isfinite(sum(of_cause.position for of_cause in bounds))
     totals = []
-    for parts in zip(*found, strict=True):
-        known = (xp.where(is_proved, part, 0.0) for part in parts)
-        total = RAISED * sum(size * one for size, one in zip(sizes.causes, known, strict=True))
+    for of_causes in zip(*bounds, strict=True):  # of the position, the velocity or the force
+        finite = (xp.where(is_proved, bound, 0.0) for bound in of_causes)
+        total = RAISED * sum(a * b for a, b in zip(sizes.causes, finite, strict=True))
         totals.append(xp.where(is_proved, total, xp.inf))
     status = xp.where(is_proved, AmplitudeStatus.PROVED, AmplitudeStatus.NOT_PROVED)
     direct = bank.outputs[:, POSITION] + bank.outputs[:, DIFFERENCE]
@@ -441,14 +441,14 @@ def device_amplitude(
     plant, causes = _Plant.of(device, sample_time, delay, bank), _causes(sizes)
 
     def search(stiffness: np.ndarray, damping: np.ndarray) -> tuple[Bounds, Bounds, Bounds]:
-        found = plant.bounds(np.ravel(stiffness), np.ravel(damping) / sample_time, causes)
-        found[:, 1] /= sample_time
-        return _in_shape(found, stiffness.shape)
+        bounds = plant.bounds(np.ravel(stiffness), np.ravel(damping) / sample_time, causes)
+        bounds[:, 1] /= sample_time
+        return _in_shape(bounds, stiffness.shape)
 
     grid = namespace(gains).broadcast_shapes(*map(np.shape, gains))
-    found = on_host(search, *gains, shape=grid, like=_LIKE, is_count=False)
+    bounds = on_host(search, *gains, shape=grid, like=_LIKE, is_count=False)
     per_sample = gains[0], gains[1] / sample_time
-    return _answered(WallAmplitude, found, sizes, per_sample, bank)
+    return _answered(WallAmplitude, bounds, sizes, per_sample, bank)
 
 
 def _bounds(
@@ -458,15 +458,15 @@ def _bounds(
     sums = impulse_sums(systems)
     is_proved = np.isfinite(sums).all(axis=(1, 2))
     sums = np.where(is_proved[:, None, None], sums, 0.0)
-    found = np.zeros((3, 3, len(stiffness)))
+    bounds = np.zeros((3, 3, len(stiffness)))
     numbers = [number for number, cause in enumerate(causes[:2]) if cause]
     for place, number in enumerate(numbers):
-        found[number] = _at_all_times(sums[:, :, place] + direct[:, :, number], plant.between)
+        bounds[number] = _at_all_times(sums[:, :, place] + direct[:, :, number], plant.between)
     if causes[2]:
         totals = _of_friction(sums[:, :, len(numbers) :], plant.between)
         within = np.array([*plant.between.path, 0.0])[:, None]
-        found[2] = _at_all_times(totals, plant.between) + within
-    return np.where(is_proved, found, np.inf)
+        bounds[2] = _at_all_times(totals, plant.between) + within
+    return np.where(is_proved, bounds, np.inf)
 
 
 def _at_all_times(
@@ -481,8 +481,8 @@ def _at_all_times(
     rest = np.einsum("pwc,lc->lpw", between.rest, states)
     most = ends.max(axis=2)
     curved = most[:, :, 1] + bent[:, None] * rest
-    found = (most[:, :, 0] + bent[:, None] * curved).max(axis=1)
-    return RAISED * np.stack([*found.T, states[:, -1]])
+    bounds = (most[:, :, 0] + bent[:, None] * curved).max(axis=1)
+    return RAISED * np.stack([*bounds.T, states[:, -1]])
 
 
 def _of_friction(
@@ -555,11 +555,11 @@ def _outputs(
     """Return rows of the state, and of the two inputs that act at once."""
     size, places = step.shape[1], plant.places
     first = places[-1]
-    known = part(plant.between.rows)
-    rows = np.zeros((len(step), len(known), size))
-    rows[:, :, places] = known[:, :-1]
-    rows += known[:, -1:] * step[:, [first], :size]
-    return rows, known[:, -1:] * step[:, [first], size : size + 2]
+    between = part(plant.between.rows)
+    rows = np.zeros((len(step), len(between), size))
+    rows[:, :, places] = between[:, :-1]
+    rows += between[:, -1:] * step[:, [first], :size]
+    return rows, between[:, -1:] * step[:, [first], size : size + 2]
 
 
 def _blows(between: Between, count: int, size: int, states: int) -> np.ndarray:

@@ -277,8 +277,10 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
 def _write_basis(figure: Figure, scene: Scene, more: str = "") -> None:
     """Write above a picture what it holds for: the estimator, the device, the delay, the hand."""
     basis, hand = basis_of(scene), at_lowest(scene, "")
-    remarks = [f"velocity: {basis.velocity}", f"delay: {basis.delay_in_words}"]
-    remarks += [one for one in (basis.range_of_delays, basis.mechanics, basis.postures) if one]
+    delay = basis.range_of_delays
+    remarks = [f"velocity: {basis.velocity}"]
+    remarks += [f"delay {delay}" if delay else f"delay: {basis.delay_in_words}"]
+    remarks += [one for one in (basis.mechanics, basis.postures) if one]
     remarks += [f"hand {hand}{more}"] if hand else []
     width = int(_LETTERS * figure.get_figwidth())
     figure.suptitle("\n".join(fill(remark, width) for remark in remarks), fontsize=9)

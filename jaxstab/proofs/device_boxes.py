@@ -188,13 +188,6 @@ class HeldDevice(NamedTuple):
         ]
 
 
-def device_of(loop: LoopParameters) -> Device:
-    """Return the device of a loop, without a hand where it is one mass by its numbers."""
-    if loop.device is not None:
-        return loop.device
-    return Device.mass_spring_damper(loop.device_mass, damping=loop.device_damping)
-
-
 def with_parts(device: Device, mass: float, arm: Arms) -> Device:
     """Return a device with another mass, held by another arm behind the same grip, if any."""
     dynamics = MassSpringDamper(arm.mass, arm.damping, arm.stiffness)

@@ -152,27 +152,11 @@ def device_margins(
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> Margins:
-    """Margins of walls on any linear device, one quantity changed at a time.
+    """Margins of walls on a sampled device in SI units, one quantity changed at a time.
 
-    Args:
-        device: with its hands and actuators, sampled: ``sampled_device``.
-        stiffness, damping: see ``jaxstab.conventions``.
-        velocity: the velocity estimator in SI units; None for the difference over one sample.
-        position: the position filter in SI units; None for none.
-
-    Returns:
-        Margins in N/m, N s/m and s, proved like those of one mass. For a device with poles far
-        beyond the sampling rate no extra delay is proved (NaN): from about a hundred rad per sample
-        on, or some thousand if the poles decay.
-
-    Raises: see ``jaxstab.conventions``. Source: lemmas B5, B13 and B14 of docs/proofs.md.
-
-    Example:
-        >>> device = jaxstab.Device.mass_spring_damper(0.1, damping=1.5)
-        >>> device = device.with_actuator(500.0)
-        >>> loop = jaxstab.HapticLoop(device=device, sample_time=1e-3, delay=1.5e-3)
-        >>> float(device_margins(loop.sampled, 300.0, 2.0).stiffness_gain)
-        4.930...
+    For a device with poles far beyond the sampling rate no extra delay is proved (NaN): from about
+    a hundred rad per sample on, or some thousand if the poles decay. Source: lemmas B5, B13 and B14
+    of docs/proofs.md.
     """
     filters = known_filters(velocity, position)
     grid = np.broadcast_arrays(
@@ -204,16 +188,9 @@ def is_stable_along(
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> Bool[np.ndarray, " device"]:
-    """For which devices all walls on and inside a closed polygon are proved stable.
+    """For which devices all walls on and inside a closed polygon (K, B) are proved stable.
 
-    This proves that the intersection of the regions of several devices, pulled in a little, is a
-    robust region of all of them. Source: lemmas B11 and B13 of docs/proofs.md.
-
-    Args:
-        devices: sampled devices.
-        outline: vertices (K, B) of the polygon in N/m and N s/m, the first one not repeated.
-        velocity: the velocity estimator in SI units; None for the difference over one sample.
-        position: the position filter in SI units; None for none.
+    The first vertex is not repeated. Source: lemmas B11 and B13 of docs/proofs.md.
     """
     filters = known_filters(velocity, position)
     proved = np.zeros(len(devices), bool)

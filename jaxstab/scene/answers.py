@@ -65,7 +65,7 @@ class Quantity:
         """Return a finite or infinite number with its unit."""
         return self._with_unit(self._text(value, self.rounding, self.digits), units)
 
-    def _text(self, value: float, rounding: str, digits: int) -> str:
+    def _text(self, value: float | int, rounding: str, digits: int) -> str:
         if isinf(value):
             return self.infinite
         factor = {"s": 1000, "m": 10**6}.get(self.unit, 1)

@@ -6,44 +6,44 @@ from jaxstab.scene.scene import Hand, Scene, Units
 EXAMPLE = """\
 # A haptic scene for jaxstab. All quantities are in SI units.
 
-# contact = { push = 1.0, speed = 0.1, one_sided = true, duration = 4.0 }  # N, m/s, 1, s: check
-                          # simulates how the device meets each wall
+# contact = { push = 1.0, speed = 0.1, one_sided = true, duration = 4.0 }  # N, m/s, true/false, s:
+                          # how the simulated device meets each wall (check, contact)
 
 [device]
-# preset = "phantom"      # instead of the two below; `jaxstab scene presets` lists them
-mass = 0.1                # kg at the handle, or [lowest, highest] over the postures; inertia in
-                          # kg m^2 for one that turns
-damping = 1.5             # N s/m, physical damping of the device
-# encoder.resolution = 1e-5   # m at the handle: check bounds what its rounding does
-# actuator.bandwidth = 200.0  # Hz, at which motor and amplifier lose 3 dB
-# friction = 0.1          # N, Coulomb's, of simulated contacts; static_friction, too
-# modes = [{ frequency = 80.0, damping_ratio = 0.02, modal_mass = 1.5 }]  # Hz, 1, kg: it vibrates
+# preset = "phantom"      # replaces the two values below; `jaxstab scene presets` lists them
+mass = 0.1                # kg at the handle, or [lowest, highest] over the postures; for a
+                          # rotary device give inertia, in kg m^2
+damping = 1.5             # N s/m, viscous damping of the device
+# encoder.resolution = 1e-5   # m at the handle; check bounds the chatter it causes
+# actuator.bandwidth = 200.0  # Hz, -3 dB bandwidth of motor and amplifier
+# friction = 0.1          # N, Coulomb friction; only simulated, as is static_friction
+# modes = [{ frequency = 80.0, damping_ratio = 0.02, modal_mass = 1.5 }]  # Hz, -, kg
 
-[hand]                    # leave this table out for no hand
-mass = [0.0, 0.3]         # kg; each of the three is a number or [lowest, highest]
+[hand]                    # omit this table for a device without a hand
+mass = [0.0, 0.3]         # kg; each value is a number or a range [lowest, highest]
 stiffness = [0.0, 200.0]  # N/m
 damping = 1.0             # N s/m
-# grip.stiffness = 2000.0 # N/m, between the device and the hand, which is glued to it otherwise
+# grip.stiffness = 2000.0 # N/m, between device and hand; without a grip they are rigidly attached
 # grip.damping = 4.0      # N s/m
 
 [controller]
 sample_time = 0.001       # s
-delay_samples = 1.5       # samples, whole or not; or: delay = 0.0015, in s; [lowest, highest]
-                          # for one that moves from sample to sample (limits, check, guard)
-# delay_is = "constant"   # a range of delays is of one that is constant, but not known
-# max_force = 10.0        # N, of simulated contacts; force_step in N, too
-# lost_samples = 0        # samples in a row that never arrive, with a delay that moves
-# position.cutoff = 400.0 # Hz, a filter of the position, with the keys of velocity below
+delay_samples = 1.5       # samples, may be fractional; or delay = 0.0015, in s; a range
+                          # [lowest, highest] if it changes from sample to sample
+# delay_is = "constant"   # the range is of a constant but unknown delay
+# max_force = 10.0        # N, saturation; only simulated, as is force_step, in N
+# lost_samples = 0        # consecutive samples that may be lost, if the delay changes
+# position.cutoff = 400.0 # Hz, position filter; takes the keys of velocity below
 
-[controller.velocity]     # how the velocity is estimated; without it, over one sample
-# preset = "chai3d"       # instead of the others: what a software does
-window = 0.005            # s, the difference over a window; or: window_samples = 5
-# cutoff = 100.0          # Hz, a low pass behind it
+[controller.velocity]     # velocity estimator; default: difference over one sample
+# preset = "chai3d"       # replaces the others: the estimator of this software
+window = 0.005            # s, difference over a window; or window_samples = 5
+# cutoff = 100.0          # Hz, low pass after the difference
 # order = 1               # of the low pass
-# kind = "butterworth"    # of the low pass, instead of first-order ones in a row
-# factor = 0.5            # exponential smoothing behind it
+# kind = "butterworth"    # default: first-order low passes in series
+# factor = 0.5            # exponential smoothing after the difference
 
-[walls.soft]              # any number of walls, each with its own name
+[walls.soft]              # any number of walls, each with a name
 stiffness = 300.0         # N/m
 damping = 2.0             # N s/m
 
@@ -52,15 +52,15 @@ stiffness = 1500.0
 damping = 12.0
 
 [wanted]
-# measures = ["margins"]  # check: beside the verdict of a wall; all of them by default:
+# measures = ["margins"]  # check: what to report beside the verdict; default: all of
                           # margins, distance, radius, settling, oscillation, chatter, jitter
-# at_damping = 20.0       # N s/m, limits: the stiffness allowed at this damping
-# at_stiffness = 1000.0   # N/m, limits: the damping allowed at this stiffness
-# safety = 0.8            # limits and design: what limits are multiplied by
-# chatter = 2e-5          # m, tune: how far the encoder's rounding may drive a wall
-# mass_tolerance = 0.1    # tune: over the device's mass +-10 %, and over all hands
-# delay_tolerance = 2e-4  # s, tune: over delays so far to both sides
-# stiffness = 3000.0      # N/m, design: what the sample time or the delay is to allow
+# at_damping = 20.0       # N s/m, limits: stiffness limits at this damping
+# at_stiffness = 1000.0   # N/m, limits: damping limits at this stiffness
+# safety = 0.8            # limits and design: multiply all limits by this
+# chatter = 2e-5          # m, tune: chatter that encoder quantisation may cause
+# mass_tolerance = 0.1    # tune: for a mass of +-10 %, and for all hands
+# delay_tolerance = 2e-4  # s, tune: for delays up to this much shorter or longer
+# stiffness = 3000.0      # N/m, design: stiffness that sample time or delay must allow
 """
 
 
@@ -83,15 +83,15 @@ DIAGRAM = """\
 """
 
 _COUNTED = (
-    "counts: reading the encoder, transport there and back (USB, network), waiting, computing, DAC",
-    "does not count: the hold of half a sample, and the window or filter, which are modelled",
+    "includes: encoder reading, transport both ways (USB, network), waiting, computation, DAC",
+    "excludes: the zero-order hold and the window or filter, which are modelled separately",
 )
 
 _OUTSIDE = (
-    "steps of the encoder, but for their chatter in check; steps of the amplifier",
-    "Coulomb friction, saturation, but for simulated contacts",
+    "quantisation of encoder and force (check bounds the chatter that an encoder causes)",
+    "Coulomb friction, saturation, bouncing off the wall (simulated by check and contact)",
     "a mass, hand{} or gain that changes while the wall is touched; several axes at once",
-    "bouncing off the wall, estimators that adapt, clocks that jitter",
+    "adaptive velocity estimators, a jittering sampling clock",
 )
 
 _UNITS = ("kg", "N/m", "N s/m")
@@ -99,7 +99,7 @@ _NAME = 14  # column of the values of a block
 
 
 def explain_model(scene: Scene) -> str:
-    """The loop as a diagram, the values of its blocks, and limits of the model."""
+    """The loop as a diagram, the values of its blocks, and what the model leaves out."""
     blocks = [f"{name:{_NAME}}{words}" for name, words in _blocks(scene).items()]
     counted = [f"{'':{_NAME}}{words}" for words in _COUNTED]
     delay = "" if scene.controller.moves else ", delay"

@@ -508,6 +508,9 @@ class Contact(Table):
             raise ValueError("push and speed are 0, so nothing moves; give one of them.")
 
 
+FINGER_PUSH = {Units.LINE: 1.0, Units.ROTATION: 0.05}  # N, N m: what starts a contact by default
+
+
 @dataclass(frozen=True, kw_only=True)
 class Wanted(Table):
     """The measures of a wall beside its verdict, and what is given of answers."""
@@ -545,7 +548,11 @@ class Scene:
                 f"wanted.chatter is {self.wanted.chatter:g}, but no encoder is known; give "
                 "device.encoder.resolution."
             )
-        self._require_contact()
+        friction = max(self.device.friction, self.device.static_friction or 0.0)
+        limits = self.controller.max_force, self.controller.force_step
+        if self.contact is None and (friction or any(limits)):  # verdicts are without these
+            push = max(FINGER_PUSH[self.units], 2.0 * friction)  # it moves the device
+            object.__setattr__(self, "contact", Contact(push=push))
         if turns and hand.mass != (0.0, 0.0):
             raise ValueError(
                 f"hand.mass is {list(hand.mass)} beside device.inertia; a device that turns moves "
@@ -555,22 +562,6 @@ class Scene:
             raise ValueError(
                 f"hand.inertia is {list(hand.inertia)} beside device.mass; give hand.mass in kg, "
                 "or device.inertia."
-            )
-
-    def _require_contact(self) -> None:
-        """Refuse what only simulated contacts have, without them."""
-        device, controller = self.device, self.controller
-        only = {
-            "device.friction": device.friction,
-            "device.static_friction": device.static_friction,
-            "controller.max_force": controller.max_force,
-            "controller.force_step": controller.force_step,
-        }
-        given = next((name for name, value in only.items() if value), None)
-        if self.contact is None and given is not None:
-            raise ValueError(
-                f"{given} is {only[given]:g}, but only simulated contacts have it; give "
-                "contact.push or contact.speed."
             )
 
     @property

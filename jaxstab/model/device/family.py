@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.model.device.device import Device, Hand
+from jaxstab.model.device.device import Device
 from jaxstab.model.device.parts import Rational, Span, StateSpace, exact, working_precision
 from jaxstab.model.device.sampling import (
     SampledDevice,
@@ -327,7 +327,7 @@ class LoopFamily:
                 "give two loops of one sampling period."
             )
         loops = first.in_floats(), last.in_floats()
-        devices = [_device_of(loop) for loop in loops]
+        devices = [loop.held_device for loop in loops]
         delays = [float(loop.delay_samples) for loop in loops]
         filters = [(loop.velocity or Velocity(), loop.position or Filter()) for loop in loops]
         whole: Device = merged(*devices)
@@ -486,15 +486,6 @@ def _interpolation(bits: int) -> "tuple[list[arb], arb_mat]":
     with working_precision(bits):
         points = [flint.arb(cos(pi * (2 * k + 1) / (2 * _NODES))) for k in range(_NODES)]
         return points, flint.arb_mat([[x**j for j in range(_NODES)] for x in points]).inv()
-
-
-def _device_of(loop: LoopParameters) -> Device:
-    if loop.device is not None:
-        return loop.device
-    hand = Hand.mass_spring_damper(
-        loop.hand_mass, damping=loop.hand_damping, stiffness=loop.hand_stiffness
-    )
-    return Device.mass_spring_damper(loop.device_mass, damping=loop.device_damping).held_by(hand)
 
 
 def _shared(chain: Filter) -> Filter:
