@@ -176,7 +176,9 @@ class Dataset(Job[Block]):
                 "the same for all workers."
             )
         if not self._is_own(item, arrays):
-            raise ValueError(f"block {self.name(item)} of {self.path} is damaged; do it again.")
+            raise ValueError(
+                f"block {self.name(item)} of {self.path} is damaged; compute it again."
+            )
 
     def is_done(self, item: Block, image: bytes) -> bool:
         """Whether a stored block is whole and of this dataset."""
@@ -264,7 +266,7 @@ def ensure(
             progress(len(dataset.items), len(dataset.items))
     elif os.path.lexists(dataset.path):
         raise FileExistsError(
-            f"{dataset.path} exists, and is of something else or of another version of jaxstab; "
+            f"{dataset.path} exists, and holds something else or is of another version of jaxstab; "
             "remove it, or give another name."
         )
     else:

@@ -88,7 +88,7 @@ def parsed(text: str, source: str = "") -> dict[str, Any]:
             raise RecursionError
         return tomllib.loads(text)
     except RecursionError:
-        raise ValueError(f"{source}it is nested too deep; give tables fewer levels.") from None
+        raise ValueError(f"{source}it is nested too deeply; use fewer levels of tables.") from None
     except tomllib.TOMLDecodeError as error:
         raise ValueError(f"{source}this is not TOML: {error}.") from error
     except ValueError as error:  # of a whole number

@@ -116,7 +116,7 @@ def complete(
                     tell(done, len(items))
         except BrokenExecutor as error:
             raise RuntimeError(
-                f"a worker died; {done} of {len(items)} tiles are stored, so do the same again "
+                f"a worker died; {done} of {len(items)} tiles are stored, so repeat the same call "
                 "to continue."
             ) from error
         job.publish(shards)

@@ -133,7 +133,7 @@ def test_blocks_of_another_map_are_not_taken(other: dict[str, Any], tmp_path: Pa
     given = {**GIVEN, **AT_REST, **other}
     contact_map(LOOP, **given, store=path, progress=lambda done, _: counts.append(done))
     assert counts[0] == 0
-    with pytest.raises(FileExistsError, match=r"a\.h5 exists, and is of something else or"):
+    with pytest.raises(FileExistsError, match=r"a\.h5 exists, and holds something else or is"):
         mapped(path)
     assert h5py.File(path).attrs["conditions"] != b""
 
@@ -254,11 +254,11 @@ def test_the_command_stores_a_map_in_the_units_of_its_scene(tmp_path: Path) -> N
     assert path.stat().st_mtime_ns == before
     for more, said in (
         (("--plot", tmp_path / "a.png"), "--plot is given beside --output; give one of them"),
-        ((scene,), "a map is of one scene; give one FILE"),
+        ((scene,), "a map is for one scene; give one FILE"),
     ):
         refused = run(*words, *more)
         assert (refused.exit_code, refused.stdout) == (2, "")
         assert said in refused.stderr
     other = run(*words[:-1], "0:0.02:3")
     assert other.exit_code == 2
-    assert "is of something else or of another version" in other.stderr
+    assert "holds something else or is of another version" in other.stderr

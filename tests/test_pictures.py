@@ -170,3 +170,21 @@ def test_issue_31_21_commands_draw_their_answers(command: list[str], tmp_path: P
     done = run(*command, *loop, "--wall", "soft", "500", "5", "--plot", picture)
     assert done.exit_code == 0, done.stderr
     assert picture.stat().st_size > 10_000
+
+
+def test_an_atlas_draws_the_walls_of_a_loop_in_si_units() -> None:
+    window = jaxstab.Velocity.difference(window=0.005)
+    device = {"device_mass": 0.2, "device_damping": 2.0, "sample_time": 1e-3, "delay": 1e-3}
+    loop = jaxstab.HapticLoop(**device, velocity=window)
+    walls = jaxstab.open_atlas("data/golden/atlas-v3-window.h5").for_loop(loop)
+    axes = walls.plot(Figure().subplots())
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("stiffness K (N/m)", "damping B (N s/m)")
+    assert "window of 5 samples" in axes.get_title()
+    (mesh,) = axes.collections
+    codes = np.asarray(mesh.get_array())
+    stiffness, damping = (np.linspace(*ends, 400) for ends in (axes.get_xlim(), axes.get_ylim()))
+    exact = loop.verdict(stiffness[::20], damping[::20, None])
+    decided = codes[::20, ::20] != jaxstab.Verdict.UNDECIDED
+    assert decided.mean() > 0.9
+    # Cells are drawn around their walls, so next to the boundary a cell may have the other verdict.
+    assert (codes[::20, ::20] == exact)[decided].mean() > 0.98

@@ -222,7 +222,7 @@ def test_a_given_axis_keeps_its_ends_and_its_density() -> None:
 @pytest.mark.parametrize(
     ("products", "wish", "says"),
     [
-        (["alpha_limits"], {}, "nothing is wished for; give one of accuracy, size."),
+        (["alpha_limits"], {}, "nothing is given; give one of accuracy, size."),
         (["alpha_limits"], {"accuracy": 0.1, "size": 1e5}, "accuracy and size is wished for"),
         (["alpha_limits"], {"accuracy": 0.0}, "accuracy is 0.0"),
         (["alpha_limits"], {"size": -1.0}, "size is -1.0"),
@@ -263,9 +263,9 @@ def test_the_command_writes_what_meets_the_wish(tmp_path: Path) -> None:
     ("options", "says"),
     [
         (["--size", "ten"], "invalid size 'ten'; give one such as 500kB, 10MB or 2GB."),
-        (["-o", "finer.toml"], "-o needs a wish, such as --accuracy 0.01."),
+        (["-o", "finer.toml"], "-o needs a target, such as --accuracy 0.01."),
         (["--accuracy", "0.1", "-o", "finer.txt"], "finer.txt does not end in .toml."),
-        (["--accuracy", "0.1", "--size", "3"], "--accuracy and --size are given; give one wish."),
+        (["--accuracy", "0.1", "--size", "3"], "--accuracy and --size are given; give only one."),
     ],
 )
 def test_the_command_refuses_in_one_sentence(options: list[str], says: str) -> None:

@@ -690,7 +690,7 @@ def test_the_command_computes_parts_and_merges_them(desk: Path) -> None:
         (["--over", "device.mass.x=1,2"], "device.mass.x is not in the scene, which has 0.25"),
         (["--over", "controller.velocity.window_samples=1:20:4"], "is 7.333"),
         (["--over", "device.mass=1,2", "--merge", "--csv", "a.csv"], "--merge is given beside"),
-        (["--over", "device.mass=1,2", "desk.toml"], "a study is of one scene; give one FILE"),
+        (["--over", "device.mass=1,2", "desk.toml"], "a study is for one scene; give one FILE"),
         ([], "over is empty"),
     ],
 )

@@ -191,7 +191,7 @@ def plan(spec: Path | None, output: Path | None, **wishes: float | None) -> None
 
     given = {name: wish for name, wish in wishes.items() if wish is not None}
     if not given and output:
-        raise click.UsageError("-o needs a wish, such as --accuracy 0.01.")
+        raise click.UsageError("-o needs a target, such as --accuracy 0.01.")
     keep_programs()
     given_spec = AtlasSpec.from_file(spec) if spec else AtlasSpec()
     if not given:
@@ -200,7 +200,7 @@ def plan(spec: Path | None, output: Path | None, **wishes: float | None) -> None
         click.echo(estimate_build(planned))
         return
     if len(given) > 1:
-        raise click.UsageError(f"--{' and --'.join(given)} are given; give one wish.")
+        raise click.UsageError(f"--{' and --'.join(given)} are given; give only one.")
     with at_work("resolutions of the range"):
         resolutions = plan_resolution(given_spec, **given)
     click.echo(resolutions)

@@ -387,7 +387,7 @@ def contact(
     if output is None:
         return _answer(given, "contact", as_json)
     if len(given["files"]) > 1:
-        raise click.UsageError("a map is of one scene; give one FILE.")
+        raise click.UsageError("a map is for one scene; give one FILE.")
     beside = {"plot": given["plot"], "csv": given["csv_file"], "json": as_json}
     for name in (name for name, value in beside.items() if value):
         raise click.UsageError(f"--{name} is given beside --output; give one of them.")
@@ -635,7 +635,7 @@ def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
     not change during contact, and the function takes the delay.
     """
     if len(given["files"]) > 1 or given["csv_file"] or as_json:
-        raise click.UsageError("a guard is of one scene; give one FILE, and no --csv or --json.")
+        raise click.UsageError("a guard is for one scene; give one FILE, and no --csv or --json.")
     kind: Any = {"constant_delay": given["constant_delay"] is not None}
     kind["lost"] = given.pop("lost_samples") or 0  # beside one delay of the scene, too
     scene = scene_of(given)

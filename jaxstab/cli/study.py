@@ -132,7 +132,7 @@ def study(
         _report(merge_studies(given["files"], output), csv_file, plot)
         return
     if len(given["files"]) > 1:
-        raise click.UsageError("a study is of one scene; give one FILE, or --merge.")
+        raise click.UsageError("a study is for one scene; give one FILE, or --merge.")
     from jaxstab.datasets import ensure
 
     ((_, table),) = tables_of(given).items()

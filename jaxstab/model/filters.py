@@ -327,7 +327,7 @@ def _checked_rational(
     if len(above) > len(below):
         raise ValueError(
             f"numerator has degree {len(above) - 1} in z and denominator {len(below) - 1}; a "
-            "filter that runs is proper: give a denominator of at least the same degree."
+            "realisable filter is proper: give a denominator of at least the same degree."
         )
     if len(below) - 1 > HIGHEST_ORDER:
         raise ValueError(f"denominator has degree {len(below) - 1}; give {HIGHEST_ORDER} at most.")

@@ -12,14 +12,16 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from jaxstab.atlas import Atlas
+from jaxstab.atlas import Atlas, LoopAtlas
 from jaxstab.atlas.products.fields import FIELDS
 from jaxstab.conventions import Verdict
 from jaxstab.model import by_name
 from jaxstab.pictures.style import (
     ALPHA_LABEL,
     BETA_LABEL,
+    DAMPING_LABEL,
     SKY,
+    STIFFNESS_LABEL,
     hand_label,
     new_axes,
     picture,
@@ -123,6 +125,23 @@ def plot_atlas(
     panel.set(xlabel=ALPHA_LABEL, ylabel=BETA_LABEL)
     words = fill(plain(atlas.filters_in_words), _LINE)
     panel.set_title(f"{words}\n{hand_label(*hand[:2])}, $d = {hand[2]:g}$", fontsize=9)
+    panel.legend(handles=_legend(), fontsize=8, loc="upper right")
+    return panel
+
+
+def plot_walls(walls: LoopAtlas, ax: Axes | None) -> Axes:
+    """Draw the verdicts of an atlas for the walls of one loop, in SI units: ``LoopAtlas.plot``."""
+    atlas, loop = walls.atlas, walls.loop
+    nearest = int(np.argmin(np.abs(atlas.delays - loop.delay_samples)))
+    alpha, beta = _raster(atlas, nearest)
+    stiffness, damping = loop.stiffness(alpha), loop.damping(beta)
+    panel = new_axes() if ax is None else ax
+    _draw_verdicts(
+        panel, stiffness, damping, walls.verdict(stiffness, damping[:, None], "undecided")
+    )
+    panel.set(xlabel=STIFFNESS_LABEL, ylabel=DAMPING_LABEL)
+    words = fill(plain(atlas.filters_in_words), _LINE)
+    panel.set_title(f"{words}\n{loop.mass:g} kg, delay {1e3 * loop.delay:g} ms", fontsize=9)
     panel.legend(handles=_legend(), fontsize=8, loc="upper right")
     return panel
 

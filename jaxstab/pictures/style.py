@@ -80,7 +80,7 @@ _SIZE = 5.0, 3.6  # inches
 _MAP = 0.72, 0.12, 0.26, 0.36  # of the axes: where islands are drawn
 _ROOM = np.array([0.65, 0.35])  # of the main component, beside it for the map and the legend
 _LEGEND_ROOM = 0.25  # of the height of a loop's picture, above it
-_STIFFNESS_LABEL, _DAMPING_LABEL = "stiffness K (N/m)", "damping B (N s/m)"
+STIFFNESS_LABEL, DAMPING_LABEL = "stiffness K (N/m)", "damping B (N s/m)"
 
 Region = StableRegion | WallRegion
 
@@ -125,8 +125,8 @@ def plot_region(region: Region, ax: Axes | None = None) -> Axes:
             _draw_map(panel, region.main, region.islands)
     draw_islands(panel, region.islands)
     is_in_si_units = isinstance(region, WallRegion)
-    panel.set_xlabel(_STIFFNESS_LABEL if is_in_si_units else ALPHA_LABEL)
-    panel.set_ylabel(_DAMPING_LABEL if is_in_si_units else BETA_LABEL)
+    panel.set_xlabel(STIFFNESS_LABEL if is_in_si_units else ALPHA_LABEL)
+    panel.set_ylabel(DAMPING_LABEL if is_in_si_units else BETA_LABEL)
     return panel
 
 
@@ -141,7 +141,7 @@ def plot_moving_region(region: MovingRegion, ax: Axes | None = None) -> Axes:
     known = region.unstable[np.isfinite(region.unstable[:, 0])]
     panel.plot(*known.T, "x", color=RED, ms=6, label="unstable for some sequence, proved")
     top = 1.25 * float(region.outline[:, 1].max())  # room for the legend
-    panel.set(xlim=(0.0, None), ylim=(0.0, top), xlabel=_STIFFNESS_LABEL, ylabel=_DAMPING_LABEL)
+    panel.set(xlim=(0.0, None), ylim=(0.0, top), xlabel=STIFFNESS_LABEL, ylabel=DAMPING_LABEL)
     panel.legend(fontsize=8, frameon=False, loc="upper right")
     return panel
 

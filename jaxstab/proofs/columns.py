@@ -399,8 +399,8 @@ def _checked_ends(filters: Filters) -> Ends:
     ends = filter_ends(filters)
     if ends.position_at_one == 0.0:
         raise ValueError(
-            f"position is {filters[1]}, whose gain at z = 1 is 0: it holds no hand at rest; give a "
-            "filter that passes what does not move."
+            f"position is {filters[1]}, whose gain at z = 1 is 0: the wall does not push back at "
+            "rest; give a filter that passes a constant position."
         )
     return ends
 

@@ -206,7 +206,7 @@ def _body_of(device: Device) -> MassSpringDamper | Modes:
     if not known or not isinstance(body, MassSpringDamper | Modes):
         raise NotImplementedError(
             "a guard is proved for a mass with vibration modes, actuators and one hand of mass, "
-            f"spring and damper, behind a grip with a spring or glued; this device is {device}."
+            f"spring and damper, behind a grip with a spring or rigidly attached; this is {device}."
         )
     return body
 

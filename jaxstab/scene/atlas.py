@@ -33,7 +33,7 @@ def atlas_spec(scene: Scene) -> AtlasSpec:
     loops = [loop_of_member(scene, member) for member in corners_of(scene)]
     if loops[0].body is None:
         raise TypeError(
-            "an atlas is of devices that are one mass with their hand; leave out device.modes, "
+            "an atlas covers devices that are one mass with their hand; leave out device.modes, "
             "device.actuator and hand.grip."
         )
     delays = sorted({float(loop.delay_samples) for loop in loops})

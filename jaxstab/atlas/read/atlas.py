@@ -177,6 +177,18 @@ class LoopAtlas:
         self._check_inside("damping", given, beta, self._betas, self.loop.damping)
         return self._limits(beta)
 
+    def plot(self, ax: "Axes | None" = None) -> "Axes":
+        """Draw the verdicts of the walls (K, B), in SI units: stable, unstable, undecided.
+
+        Args:
+            ax: the axes of matplotlib to draw in; None makes a figure with matplotlib.pyplot.
+
+        Raises: as ``verdict``. Source: as ``verdict``.
+        """
+        from jaxstab.pictures.atlas import plot_walls
+
+        return plot_walls(self, ax)
+
     def largest_stiffness(self) -> LargestStiffness:
         """The largest stable stiffness, its damping, and a proved bound.
 
@@ -257,7 +269,7 @@ def _checked_loop(loop: Any) -> Any:
     plain = loop.in_floats()
     if plain.body is None:
         raise TypeError(
-            f"an atlas is of devices that are one mass with their hand, and this one is not "
+            f"an atlas covers devices that are one mass with their hand, and this one is not "
             f"({loop.device}); use the methods of the loop."
         )
     return plain

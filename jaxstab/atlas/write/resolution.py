@@ -278,7 +278,7 @@ def plan_resolution(
     given = {name: wish for name, wish in wishes.items() if wish is not None}
     if len(given) != 1:
         words = " and ".join(given) or "nothing"
-        raise TypeError(f"{words} is wished for; give one of {', '.join(wishes)}.")
+        raise TypeError(f"{words} is given; give one of {', '.join(wishes)}.")
     ((name, wish),) = given.items()
     value = checked_number(name, wish, *_ALLOWED[name])
     if name == "accuracy" and ALPHA_LIMITS not in spec.products:
@@ -342,7 +342,7 @@ class _Range:
         if not met:
             raise ValueError(
                 f"accuracy is {accuracy:g}, and resolutions of this range are too irregular to "
-                "find one that reaches it; give a plainer range, or the size of the file."
+                "find one that reaches it; give a smaller range, or the size of the file."
             )
         return min(met, key=lambda resolution: resolution.size)
 

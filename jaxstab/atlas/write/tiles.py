@@ -179,7 +179,7 @@ def _check_shape(plan: Plan, tile: Tile, name: str, values: NDArray[Any]) -> Non
     if values.dtype != dtype or values.shape != shape:
         raise RuntimeError(
             f"{name} was computed as {values.dtype} of shape {values.shape}, not as {dtype} of "
-            f"shape {shape}; look at the versions of the worker."
+            f"shape {shape}; compare the versions of the worker."
         )
 
 
@@ -188,7 +188,7 @@ def _check_range(name: str, values: NDArray[Any]) -> None:
     try:
         check_values(VARIABLES[name], values)
     except RefusalError as error:
-        raise RuntimeError(f"{name} was computed out of its range; report it.") from error
+        raise RuntimeError(f"{name} was computed out of its range; please report this.") from error
 
 
 def _write(file: h5py.File, name: str, values: NDArray[Any], chunk: Sequence[int]) -> None:

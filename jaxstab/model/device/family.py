@@ -47,7 +47,8 @@ def merged(first: Any, last: Any) -> Any:
     """A value in which each number that differs is a span; ValueError if more differs."""
     if type(first) is not type(last) or (_is_whole(first) and first != last):
         raise ValueError(
-            f"one loop has {first}, the other {last}: nothing is known between; {_REMEDY}."
+            f"one loop has {first}, the other {last}: nothing can be proved between them; "
+            f"{_REMEDY}."
         )
     if isinstance(first, float) and first != last:
         return Span(first, last)
@@ -66,7 +67,8 @@ def merged(first: Any, last: Any) -> Any:
         return whole
     if first != last:
         raise ValueError(
-            f"one loop has {first!r}, the other {last!r}: nothing is known between; {_REMEDY}."
+            f"one loop has {first!r}, the other {last!r}: nothing can be proved between them; "
+            f"{_REMEDY}."
         )
     return first
 

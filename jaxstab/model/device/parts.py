@@ -369,7 +369,8 @@ def checked_compliance(function: Rational, what: str) -> Rational:
     """A strictly proper function of s without its common factor, which must not be unstable."""
     if degree_of(function.denominator) < 0 or degree_of(function.numerator) < 0:
         raise ValueError(
-            f"{what} has the transfer function 0 or no finite one in s; give what a force moves."
+            f"{what} has the transfer function 0 or no finite one in s; give a device that a force "
+            "moves."
         )
     reduced, common = function.reduced()
     above, below = reduced.degrees

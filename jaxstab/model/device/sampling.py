@@ -119,7 +119,7 @@ def _sampled(device: Device, sample_time: float, delay: float) -> SampledDevice:
     if max(abs(unit), abs(unit - period)) > _MOST_BINARY_DIGITS or not _is_finite(plant):
         raise ValueError(
             f"the device ({device}) moves by about 2^{unit} m per N within a sampling period of "
-            f"{sample_time:g} s; give SI units, and no pole so unstable that float64 ends."
+            f"{sample_time:g} s; give SI units, and no pole so unstable that float64 overflows."
         )
     units = ldexp(1.0, unit), ldexp(1.0, unit - period)
     return SampledDevice(plant, sample_time, *units, device, delay)
