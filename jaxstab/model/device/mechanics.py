@@ -150,10 +150,8 @@ def handle_equations(device: Device, sample_time: float) -> HandleEquations:
 
     with working_precision(_HANDLE_BITS):
         of_samples = in_samples(device.handle_compliance(), sample_time)
-        fastest = float(in_fastest_time(*of_samples)[2])
-        fastest = max(
-            fastest, *(2.0 * pi * width * sample_time for width in device.bandwidths), 1.0
-        )
+        turns = (2.0 * pi * width * sample_time for width in device.bandwidths)
+        fastest = max(float(in_fastest_time(*of_samples)[2]), *turns, 1.0)
         ticks = 2.0 ** ceil(log2(fastest))
         tick = sample_time / ticks
         moves = mechanics(device, tick, 0.0, (0.0,))
