@@ -57,17 +57,17 @@ def identify(
     given = read_log(str(log), names, sample_time, columns["velocity"] is not None)
     from jaxstab.scene.identify import identify as fit
 
-    found = fit(**vars(given), spring=spring)
-    warn(*filter(None, [found.warning]))
+    device = fit(**vars(given), spring=spring)
+    warn(*filter(None, [device.warning]))
     units = Units.ROTATION if turns else Units.LINE
     if plot:
         from jaxstab.pictures.identify import identified_figure
 
-        draw(identified_figure(found, units), plot)
-    scene = identified_scene(found, units, log.name)
+        draw(identified_figure(device, units), plot)
+    scene = identified_scene(device, units, log.name)
     if str(output) == "-":
         click.echo(scene, nl=False)
         return
     if output:
         publish(scene.encode(), output)
-    click.echo(identified_text(found, units))
+    click.echo(identified_text(device, units))
