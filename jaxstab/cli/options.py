@@ -160,7 +160,7 @@ def _address_in(file: Path) -> str:
         return str(json.loads(text_of(file, _MOST_OF_A_SCHEDULER))["address"])
     except (ValueError, KeyError, TypeError):
         raise click.UsageError(
-            f"{file} is not a scheduler file; give the one that dask scheduler --scheduler-file wrote."
+            f"{file} is not a scheduler file; give what dask scheduler --scheduler-file wrote."
         ) from None
 
 
