@@ -218,16 +218,16 @@ def over_tiles(kernel: Callable[..., Result], arguments: Any, tile: int = TILE) 
 
 
 def over_rows(
-    kernel: Callable[..., Result], loops: Any, alpha: Array, *found: Array, width: int
+    kernel: Callable[..., Result], loops: Any, alpha: Array, *others: Array, width: int
 ) -> Result:
-    """Evaluate an elementwise kernel of a grid (loop, alpha, width), some rows at a time.
+    """Evaluate an elementwise kernel on a grid (loop, alpha, width), a few rows at a time.
 
-    As ``over_tiles``, but what is the same for a row or a loop is not copied for each point. The
-    arrays of ``loops`` have the shape (loop, 1, 1) or (), alpha has (alpha, 1), others the grid's.
+    Like ``over_tiles``, but values shared by a row or a loop are not copied for each point. Arrays
+    of ``loops`` have the shape (loop, 1, 1) or (), ``alpha`` (alpha, 1), ``others`` the grid's.
     """
     xp = namespace(loops, alpha)
     if xp is np or not is_on_cpu():
-        return kernel(loops, alpha, *found)
+        return kernel(loops, alpha, *others)
     from jax import lax
 
     count = -(-len(alpha) // max(1, TILE // width))
@@ -235,13 +235,13 @@ def over_rows(
 
     def of_loop(arguments: tuple[Any, ...]) -> Result:
         loop, *own = arguments
-        tiles = [xp.resize(part, (count, rows, part.shape[-1])) for part in (alpha, *own)]
-        answer = lax.map(lambda parts: kernel(loop, *parts), tiles)
-        return tree_map(lambda part: part.reshape(-1, width)[: len(alpha)], answer)
+        tiles = [xp.resize(one, (count, rows, one.shape[-1])) for one in (alpha, *own)]
+        answer = lax.map(lambda arrays: kernel(loop, *arrays), tiles)
+        return tree_map(lambda row: row.reshape(-1, width)[: len(alpha)], answer)
 
     shape = xp.broadcast_shapes((1, 1, 1), *map(xp.shape, leaves(loops)))
     loops = tree_map(lambda leaf: xp.broadcast_to(leaf, shape), loops)
-    return lax.map(of_loop, (loops, *found))
+    return lax.map(of_loop, (loops, *others))
 
 
 def lists(

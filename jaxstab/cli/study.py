@@ -162,7 +162,7 @@ def _require_few(rows: int, csv_file: Path | None) -> None:
 
 
 def _report(made: "Study", csv_file: Path | None, plot: Path | None) -> None:
-    """Print what a study says, and write its table and its picture."""
+    """Print the results of a study, and write its table and its picture."""
     size = prod(map(len, made.dimensions.values()))
     _require_few(size, csv_file)
     is_grid = "sample" not in made.dimensions and size <= _MOST_IN_CSV
@@ -182,14 +182,14 @@ def _rows(columns: dict[str, Any], shown: Callable[[Any], str]) -> Iterator[list
 
 
 def _grid_table(columns: dict[str, Any], units: dict[str, str]) -> str:
-    """Return what each loop of a grid answers; the gains of walls are known by their names."""
+    """Return the answers for each loop of a grid; columns of the walls' gains are left out."""
     own = {name: values for name, values in columns.items() if not name.startswith("wall_")}
     heads = [name.replace("_", " ") + f" ({units[name]})" * (units[name] != "1") for name in own]
     return _table([heads, *_rows(own, _shown)])
 
 
 def _cell(value: Any) -> str:
-    """Return a value of CSV; nothing in place of a number that does not exist or is infinite."""
+    """Return a cell of CSV, empty for NaN and infinite numbers."""
     return "" if value in (-inf, inf) or value != value else str(value)
 
 

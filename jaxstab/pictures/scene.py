@@ -293,19 +293,21 @@ def _design_figure(scene: Scene, design: Design) -> Figure:
     panels = figure.subplots(1, 2, sharey=True)
     wanted, now = design.stiffness, design.now_allowed_stiffness
     time, delay = design.sample_time.largest_sample_time, design.delay.largest_delay
-    for panel, name, begin, found, curve in (
+    for panel, name, present, designed, curve in (
         (panels[0], "sample time", loop.sample_time, time, stiffness_over_sample_times),
         (panels[1], "delay", loop.delay, delay, stiffness_over_delays),
     ):
         values, largest = curve(scene, design)
-        panel.plot(1e3 * values, largest, color=BLUE, lw=1.6, label="largest stable stiffness")
+        panel.plot(1e3 * values, largest, color=BLUE, lw=1.6, label="largest allowed stiffness")
         label = f"wanted: {_STIFFNESS.words(wanted, units)}"
         panel.axhline(wanted, color=BLACK, lw=1.2, ls="dashdot", label=label)
         label = f"now: {_LARGEST.words(now, units)}" if isfinite(now) else "now: no stable wall"
-        panel.plot(1e3 * begin, now, "o", color=SKY, mec=BLACK, ms=8, ls="", label=label)
-        if isfinite(found):
-            label = f"largest {name}: {_LARGEST_TIME.words(found)}"
-            panel.plot(1e3 * found, wanted, "D", color=ORANGE, mec=BLACK, ms=8, ls="", label=label)
+        panel.plot(1e3 * present, now, "o", color=SKY, mec=BLACK, ms=8, ls="", label=label)
+        if isfinite(designed):
+            label = f"largest {name}: {_LARGEST_TIME.words(designed)}"
+            panel.plot(
+                1e3 * designed, wanted, "D", color=ORANGE, mec=BLACK, ms=8, label=label, ls=""
+            )
         panel.set(xlabel=f"{name} (ms)", title=f"Stiffness over the {name}")
         panel.legend(fontsize=8)
     panels[0].set_ylabel(f"stiffness K ({units.stiffness})")

@@ -112,9 +112,9 @@ def fields_of_grid(
     fields = PoleFields(*(np.empty(shape, kind) for kind in (*4 * [np.float32], np.int16)))
     for rows in np.array_split(np.arange(alpha.size), -(-prod(shape) // _BLOCK)):
         stiffness = points.alpha[rows]
-        part = _with_ladder(_fields(stiffness, beta, loop, method=method), stiffness, beta, loop)
-        for whole, some in zip(fields, part, strict=True):
-            whole[rows] = np.moveaxis(some, 0, -1)
+        computed = _fields(stiffness, beta, loop, method=method)
+        for whole, own in zip(fields, _with_ladder(computed, stiffness, beta, loop), strict=True):
+            whole[rows] = np.moveaxis(own, 0, -1)
     return fields
 
 
@@ -124,12 +124,12 @@ def _fields(alpha: Array, beta: Array, loop: LinearLoop, *, method: str) -> Pole
     # coefficients, too, are computed in each: that takes less time than to read them from memory.
     xp = namespace(alpha, beta, loop)
 
-    def stage(kernel: Callable[..., Result], *found: Array) -> Result:
-        def of_rows(loop: LinearLoop, alpha: Array, *found: Array) -> Result:
+    def stage(kernel: Callable[..., Result], *more: Array) -> Result:
+        def of_rows(loop: LinearLoop, alpha: Array, *more: Array) -> Result:
             coefficients, error = loop_coefficients(alpha, beta, loop, UNIT)
-            return kernel(list(coefficients), error, *found)
+            return kernel(list(coefficients), error, *more)
 
-        return over_rows(of_rows, loop, alpha, *found, width=beta.size)
+        return over_rows(of_rows, loop, alpha, *more, width=beta.size)
 
     pole = stage(partial(_pole, is_guessed=method == "fast" and xp is not np))
     bound, radius = stage(_bound, pole), abs(pole)

@@ -53,7 +53,7 @@ def limits(
 def quadrant_extremes(c: Curve, outline: Outline) -> tuple[Array, Array]:
     """Return the points of the largest alpha and of the largest beta where the other is >= 0.
 
-    Each is a vertex, or the last crossing with the axis of that gain; NaN where there is none.
+    Each is a vertex, or the last crossing with the axis of that gain; NaN if no gain is positive.
     """
     return _extreme(c, outline, 0), _extreme(c, outline, 1)
 

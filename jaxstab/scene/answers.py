@@ -46,7 +46,7 @@ _LABELS = {
     "linear_rule_is": "note",
 }
 
-"""What is printed for names that are no words."""
+"""Labels of fields whose names do not read as English, by name."""
 
 
 @dataclass(frozen=True)

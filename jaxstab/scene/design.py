@@ -113,10 +113,10 @@ def design_loop(scene: Scene) -> Design:
 
 
 def stiffness_over_sample_times(scene: Scene, design: Design) -> tuple[Floats, Floats]:
-    """Return sample times around the present and the designed one, and the largest stiffness."""
+    """Return sample times in s, around those now and designed, and the allowed stiffness."""
     period, velocity = loop_of(scene).sample_time, scene.controller.velocity
-    found = design.sample_time.largest_sample_time
-    ends = min(period, found) if found > 0.0 else period, max(period, found)
+    designed = design.sample_time.largest_sample_time
+    ends = min(period, designed) if designed > 0.0 else period, max(period, designed)
     low, high = _AROUND[0] * ends[0], _AROUND[1] * ends[1]
     high = min(high, velocity.longest_sample_time) if velocity else high
     values = np.linspace(low, high, _POINTS)
@@ -127,9 +127,9 @@ def stiffness_over_sample_times(scene: Scene, design: Design) -> tuple[Floats, F
 
 
 def stiffness_over_delays(scene: Scene, design: Design) -> tuple[Floats, Floats]:
-    """Return delays up to beyond the present and the designed one, and the largest stiffness."""
-    loop, found = loop_of(scene), design.delay.largest_delay
-    longest = _AROUND[1] * max(loop.delay, loop.sample_time, found if found > 0.0 else 0.0)
+    """Return delays in s, from 0 to beyond those now and designed, and the allowed stiffness."""
+    loop, designed = loop_of(scene), design.delay.largest_delay
+    longest = _AROUND[1] * max(loop.delay, loop.sample_time, designed if designed > 0.0 else 0.0)
     values = np.linspace(0.0, longest, _POINTS)
     return values, _stiffnesses(scene, partial(delayed_loop, scene), values)
 

@@ -754,15 +754,15 @@ class _Source:
     @property
     def ranges(self) -> dict[str, Uniform]:
         """The ranges of the hand and of the device's mass, as uniform distributions."""
-        found = dict[str, Uniform]()
+        uniform = dict[str, Uniform]()
         for key in () if self.is_loop else _RANGES:
             section, _, name = key.partition(".")
             match self.table.get(section):
                 case {**keys} if isinstance(keys.get(name), list | tuple):
                     with suppress(ValueError):  # the scene refuses it later
                         low, high = interval("")(keys[name])
-                        found |= {key: Uniform(low, high)} if low < high else {}
-        return found
+                        uniform |= {key: Uniform(low, high)} if low < high else {}
+        return uniform
 
     def check_key(self, key: str) -> None:
         if self.is_loop:
@@ -854,11 +854,11 @@ class _Blocks:
         if self.repeats:
             first, again = self.different(spans[SAMPLE])
             indices[SAMPLE] = indices[SAMPLE][first]
-        found = self._found(indices)
+        answers = self._computed(indices)
         if self.repeats:
             axis = self.dimensions.index(SAMPLE)
-            found = {name: np.take(values, again, axis) for name, values in found.items()}
-        return found
+            answers = {name: np.take(values, again, axis) for name, values in answers.items()}
+        return answers
 
     def different(self, span: slice) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return the indices of draws that differ, and for each draw which of them it equals."""
@@ -866,7 +866,7 @@ class _Blocks:
         _, first, again = np.unique(draws, axis=1, return_index=True, return_inverse=True)
         return first, again.ravel()
 
-    def _found(self, indices: Mapping[str, NDArray[np.int64]]) -> dict[str, NDArray[Any]]:
+    def _computed(self, indices: Mapping[str, NDArray[np.int64]]) -> dict[str, NDArray[Any]]:
         """Return the answers at the points of a grid of indices along the dimensions."""
         shape = tuple(map(len, indices.values()))
         places = dict(zip(indices, np.indices(shape).reshape(len(shape), -1), strict=True))
