@@ -275,19 +275,6 @@ def alike(kinds: Iterable[Hashable]) -> list[list[int]]:
     return list(numbers.values())
 
 
-def by_kind(
-    items: Sequence[Item],
-    kinds: Iterable[Hashable],
-    answer: Callable[[list[Item]], Iterable[Result]],
-) -> list[Result]:
-    """Return the answers to items in their order; items of one kind are evaluated together."""
-    results: dict[int, Result] = {}
-    for numbers in alike(kinds):
-        answers = answer([items[number] for number in numbers])
-        results.update(zip(numbers, answers, strict=True))
-    return [results[number] for number in range(len(items))]
-
-
 def use_compilation_cache(folder: str | os.PathLike[str] | None = None) -> Path:
     """Keep what XLA compiles in a folder, for this process, its children and later ones.
 

@@ -4,7 +4,7 @@ The worst hand is found among samples. Boxes of 1/m, k, b and theta prove all ot
 (``ranges.box``, lemma B6 of docs/proofs.md).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -14,8 +14,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from jaxstab.arrays import at, joined
-from jaxstab.batches import by_kind
+from jaxstab.arrays import at
 from jaxstab.conventions import Verdict
 from jaxstab.model import LoopParameters, by_name
 from jaxstab.model.filters import known_filters
@@ -33,6 +32,7 @@ Hands = Float64[np.ndarray, "hand 4"]  # mass, stiffness and damping; the device
 Column = Float64[np.ndarray, " hand"]
 Integers = Int64[np.ndarray, " row"]
 Values = Float64[np.ndarray, " row"]
+Walls = Float64[np.ndarray, "wall 2"]  # K and B
 
 _SAMPLES = 9  # hands along each range
 _ASIDE = 1e-7  # of a radius
@@ -59,19 +59,12 @@ class HandRange:
     damping: Range = (0.0, 0.0)
 
 
-class HeldWall(NamedTuple):
-    """A loop, the hands that may hold its device, and a wall (K, B) that it renders."""
+class HeldLoop(NamedTuple):
+    """A loop, the hands that may hold its device, and the masses that the device may have."""
 
     loop: Any  # a LoopParameters of one mass
     hands: HandRange
-    stiffness: float
-    damping: float
-    mass: Range | None = None  # that the device may have; None for that of the loop
-
-    @property
-    def masses(self) -> Range:
-        """The lowest and the highest mass of the device."""
-        return masses_of(self.loop, self.mass)
+    masses: Range
 
 
 class Plants(NamedTuple):
@@ -117,78 +110,56 @@ def worst_hand(
 ) -> WorstHand:
     """Return whether a wall is stable for every hand of a range: ``HapticLoop.worst_hand``."""
     wall = (checked_number("stiffness", stiffness), checked_number("damping", damping))
-    (worst,) = worst_hands([HeldWall(loop, hands, *wall, mass)])
+    (worst,) = worst_hands(loop, hands, [wall], mass)
     return worst
 
 
-def worst_hands(walls: Sequence[HeldWall]) -> list[WorstHand]:
-    """Return for each wall whether it is stable for every hand of its range, and the worst hand."""
-    for hands, mass in dict.fromkeys((wall.hands, wall.mass) for wall in walls):
-        checked_range(hands, mass)
-    loops = [wall.loop for wall in walls]
-    kinds = [(loop.delay_samples, *loop.filters.values()) for loop in loops]
-    return by_kind(walls, kinds, _worst_of_a_kind)
+def worst_hands(
+    loop: Loop,
+    hands: HandRange,
+    walls: Sequence[tuple[float, float]],
+    mass: Range | None = None,
+) -> list[WorstHand]:
+    """Return for each wall (K, B) whether it is stable for every hand, and the worst hand."""
+    checked_range(hands, mass)
+    given, gains = HeldLoop(loop, hands, masses_of(loop, mass)), np.array(walls, np.float64)
+    groups = np.array_split(gains, -(-len(gains) // _AT_ONCE))
+    return [worst for group in groups for worst in _worst_at_once(given, group)]
 
 
-def _worst_of_a_kind(walls: Sequence[HeldWall]) -> Iterator[WorstHand]:
-    """Yield the same for loops with one delay in samples and the same filters."""
-    for first in range(0, len(walls), _AT_ONCE):
-        yield from _worst_at_once(walls[first : first + _AT_ONCE])
-
-
-def _worst_at_once(walls: Sequence[HeldWall]) -> list[WorstHand]:
-    kinds = [(wall.hands, wall.masses) for wall in walls]
-    among = {kind: spread_bodies(*kind, _SAMPLES) for kind in kinds}
-
+def _worst_at_once(given: HeldLoop, walls: Walls) -> list[WorstHand]:
     def unproved(numbers: list[int]) -> dict[int, Hands]:
         # Nearly all walls need few boxes; those that need more are proved one by one.
-        hard = [numbers[n] for n in _left([walls[number] for number in numbers], _FEW_BOXES)]
-        alone = {number: _left([walls[number]], _MOST_BOXES) for number in hard}
+        hard = [numbers[n] for n in _left(given, walls[numbers], _FEW_BOXES)]
+        alone = {number: _left(given, walls[[number]], _MOST_BOXES) for number in hard}
         return {number: left[0] for number, left in alone.items() if left}
 
     def judge(number: int, hands: Hands) -> WorstHand:
-        return _worst_of([walls[number]], [hands])[0]
+        return _worst_of(given.loop, walls[[number]], hands)[0]
 
-    return worst_of_range(_worst_of(walls, [among[kind] for kind in kinds]), unproved, judge, _MOST)
+    hands = spread_bodies(given.hands, given.masses, _SAMPLES)
+    return worst_of_range(_worst_of(given.loop, walls, hands), unproved, judge, _MOST)
 
 
-def _worst_of(walls: Sequence[HeldWall], among: Sequence[Hands]) -> list[WorstHand]:
-    """For each wall the verdict on the worst of the hands given for it."""
-    loop = walls[0].loop
-    plants, rows = _plants(walls, among)
+def _worst_of(loop: LoopParameters, walls: Walls, hands: Hands) -> list[WorstHand]:
+    """For each wall the verdict on the worst of some hands."""
+    plants = _plants_of(loop, hands)
+    wall, plant = np.indices((len(walls), len(hands))).reshape(2, -1)
+    rows = Rows(wall, plant, *walls[wall].T)
     rows = at(rows, _may_be_worst(loop, plants, rows))
     points = _points(loop, plants, rows)
     radii = np.asarray(spectral_radius(**points, **loop.filters).value)
     codes = np.asarray(verdict(**points, **loop.filters))
     ends = np.searchsorted(rows.wall, np.arange(len(walls) + 1))
     answers = []
-    for number, wall in enumerate(walls):
-        of_wall = slice(ends[number], ends[number + 1])
+    for of_wall in map(slice, ends[:-1], ends[1:]):
         unstable = codes[of_wall] == Verdict.UNSTABLE
         place = np.argmax(np.where(unstable | ~unstable.any(), radii[of_wall], -1.0))
         worst = of_wall.start + int(place)
         hand = plants.hand[rows.plant[worst]]
         code, radius = Verdict(int(codes[worst])), float(radii[worst])
-        answers.append(WorstHand(code, held(wall.loop, hand), radius))
+        answers.append(WorstHand(code, held(loop, hand), radius))
     return answers
-
-
-def _plants(walls: Sequence[HeldWall], among: Sequence[Hands]) -> tuple[Plants, Rows]:
-    """Device and hands, once where walls have them in common, and rows of all walls."""
-    numbers: dict[Any, int] = {}
-    parts: list[Plants] = []
-    start, own = [0], []
-    for wall, hands in zip(walls, among, strict=True):
-        known = numbers.setdefault((wall.loop, id(hands)), len(parts))
-        if known == len(parts):
-            parts.append(_plants_of(wall.loop, hands))
-            start.append(start[-1] + len(hands))
-        own.append(np.arange(start[known], start[known + 1]))
-    counts = [len(plants) for plants in own]
-    gains = np.array([(wall.stiffness, wall.damping) for wall in walls])
-    wall_numbers = np.repeat(np.arange(len(walls)), counts)
-    rows = Rows(wall_numbers, np.concatenate(own), *gains[wall_numbers].T)
-    return joined(parts), rows
 
 
 def _plants_of(loop: LoopParameters, hands: Hands) -> Plants:
@@ -263,27 +234,27 @@ def _points(loop: LoopParameters, plants: Plants, rows: Rows) -> dict[str, Any]:
     return by_name(alpha, beta, gamma, delta, float(loop.delay_samples))
 
 
-def _left(walls: Sequence[HeldWall], most: int) -> dict[int, Hands]:
+def _left(given: HeldLoop, walls: Walls, most: int) -> dict[int, Hands]:
     """Hands at which a root on the circle could not be excluded, by the number of the wall.
 
     The axes of the boxes are shares of the intervals of 1/m, of k and b of the hand, and of theta
     from 0 to pi; ``most`` boxes of each wall are open at once.
     """
-    if not walls:
+    if not len(walls):
         return {}
-    low, high = np.array([_ends(wall) for wall in walls]).T
+    loop, hands, masses = given
+    period, own = loop.sample_time, loop.device_damping
+    lightest, heaviest = map(sum, zip(masses, hands.mass, strict=True))  # with the hand
+    ends = (1.0 / heaviest, 1.0 / lightest), hands.stiffness, hands.damping
+    low, high = np.array(ends).T[:, :, None]
     span = high - low
-    varies = np.where(span > 0.0, 0.5, 0.0)
-    gains = np.array([(wall.stiffness, wall.damping) for wall in walls]).T
-    numbers = [(w.loop.sample_time, w.loop.device_damping, w.loop.delay_samples) for w in walls]
-    loops = np.array(numbers).T
+    varies = np.where(span[:, 0] > 0.0, 0.5, 0.0)
 
     def prove(boxes: ParameterBox) -> Proof:
-        wall = boxes.index
-        middle = low[:, wall] + span[:, wall] * boxes.center.T[:3]
+        middle = low + span * boxes.center.T[:3]
         light, spring, damper = middle
-        by_light, by_spring, by_damper = span[:, wall] * boxes.half.T[:3] + _ROUNDING * middle
-        (stiffness, damping), (period, own, delay) = gains[:, wall], loops[:, wall]
+        by_light, by_spring, by_damper = span * boxes.half.T[:3] + _ROUNDING * middle
+        stiffness, damping = walls[boxes.index].T
         theta, by_theta = boxes["theta"]
         per_mass = np.stack(
             [stiffness * period**2, damping * period, spring * period**2, (own + damper) * period]
@@ -296,35 +267,21 @@ def _left(walls: Sequence[HeldWall], most: int) -> dict[int, Hands]:
         moves["spring", "gamma"] = (light + by_light) * period**2 * by_spring
         moves["damper", "delta"] = (light + by_light) * period * by_damper
         moves["theta", "theta"] = pi * by_theta
+        delay = np.full_like(theta, loop.delay_samples)
         center = Loops(alpha, beta, gamma, delta, delay, pi * theta)
         return excluded(test, center, boxes.moved(moves))
 
-    test = partial(exclude, filters=known_filters(**walls[0].loop.filters))
+    test = partial(exclude, filters=known_filters(**loop.filters))
     light, spring, damper = ((0.5, half) for half in varies)
     boxes = ParameterBox.of(
         np.arange(len(walls)), light=light, spring=spring, damper=damper, theta=(0.5, 0.5)
     )
     left = boxes.paved(prove, _SMALLEST, most_each=most).boxes
-    hands = {}
-    for number in np.unique(left.index).tolist():
-        wall, own = walls[number], left.center[left.index == number].T[:3]
-        light, spring, damper = low[:, number, None] + span[:, number, None] * own
-        lightest, heaviest = _moved(wall)
-        share = np.clip((1.0 / light - lightest) / max(heaviest - lightest, 1e-300), 0.0, 1.0)
-        masses = [np.interp(share, (0.0, 1.0), pair) for pair in (wall.hands.mass, wall.masses)]
-        hands[number] = np.column_stack([masses[0], spring, damper, masses[1]])
-    return hands
-
-
-def _ends(wall: HeldWall) -> tuple[Range, Range, Range]:
-    heaviest, lightest = (1.0 / moved for moved in reversed(_moved(wall)))
-    return (heaviest, lightest), wall.hands.stiffness, wall.hands.damping
-
-
-def _moved(wall: HeldWall) -> Range:
-    """The lowest and the highest mass of device and hand together."""
-    low, high = (sum(both) for both in zip(wall.masses, wall.hands.mass, strict=True))
-    return low, high
+    light, spring, damper = low + span * left.center.T[:3]
+    share = np.clip((1.0 / light - lightest) / max(heaviest - lightest, 1e-300), 0.0, 1.0)
+    of_hand, of_device = (np.interp(share, (0.0, 1.0), pair) for pair in (hands.mass, masses))
+    rows = np.column_stack([of_hand, spring, damper, of_device])
+    return {number: rows[left.index == number] for number in np.unique(left.index).tolist()}
 
 
 def spread_hands(hands: HandRange, count: int) -> Float64[np.ndarray, "hand 3"]:

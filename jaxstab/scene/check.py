@@ -32,7 +32,7 @@ from jaxstab.motion import SettlingStatus
 from jaxstab.numbers import without_noise
 from jaxstab.point import SpectralRadius
 from jaxstab.ranges import Margins as LoopMargins
-from jaxstab.ranges.hands import HeldWall, worst_hands
+from jaxstab.ranges.hands import worst_hands
 from jaxstab.ranges.margins import MOST_DELAY
 from jaxstab.rounding import EPS
 from jaxstab.scene.answers import (
@@ -123,7 +123,7 @@ def worst_held(scene: Scene, walls: Sequence[Gains]) -> list[WorstHeld]:
     """Verdicts on walls for all hands of a scene's range, and the worst hands."""
     loop, hands, mass = loop_of(scene), range_of_hands(scene), masses_of(scene)
     if is_one_mass(scene):
-        worsts = worst_hands([HeldWall(loop, hands, *gains, mass) for gains in walls])
+        worsts = worst_hands(loop, hands, walls, mass)
     else:
         worsts = [loop.worst_hand(hands, *gains, mass=mass) for gains in walls]
     return [
