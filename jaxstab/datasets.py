@@ -42,7 +42,7 @@ FORMAT_VERSIONS: Final = ("v110", "v110")
 _FILTERS = {"shuffle": True, "compression": "gzip", "compression_opts": 1, "fletcher32": True}
 _FILL = {"float64": np.nan, "int8": 0}  # of chunks that other parts have
 _KEY, _MAKER, _PART = "key", "computed_by", "part"
-_AT_ONCE = 256  # blocks in flight, more than a cluster has workers
+_AT_ONCE = 256  # blocks in flight; more workers than that are not kept busy
 
 
 class Variable(NamedTuple):
@@ -289,13 +289,13 @@ def _opened(path: Path) -> Iterator[h5py.File]:
     with named_errors("read", path):
         with path.open("rb"):  # HDF5's own sentences are long
             if not h5py.is_hdf5(path):
-                raise ValueError(f"{path} is no HDF5 file, or it is damaged.")
+                raise ValueError(f"{path} is not an HDF5 file, or is damaged.")
         with h5py.File(path, "r") as file:
             yield file
 
 
 class Kept(NamedTuple):
-    """What a file says of its dataset; dimensions, units and names of each variable."""
+    """Attributes and coordinates of a file; dimensions, units and long names by variable."""
 
     attributes: dict[str, str]
     coordinates: dict[str, NDArray[Any]]

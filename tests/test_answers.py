@@ -234,7 +234,7 @@ def test_what_is_too_small_to_be_seen_beside_the_region_is_enlarged() -> None:
     whole, enlarged = scene_figure(scene).axes
     parts = {str(patch.get_label()): patch.get_path().vertices for patch in enlarged.patches}
     assert "passive: up to 3000 N/m" in parts  # 2 b/T, Colgate
-    common = next(name for name in parts if name.startswith("stable for all hands"))
+    common = next(name for name in parts if name.startswith("stable for the hands at all corners"))
     proved = scene_limits(scene).all_hands
     stiffest = parts[common][:, 0].max()
     assert proved.largest_stiffness < stiffest <= proved.none_is_stiffer_than

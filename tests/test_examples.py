@@ -26,7 +26,7 @@ INTERNAL = {
     "Device": {"compliance", "handle_compliance"},
     "Filter": {"stages", "transfer"},
     "Hand": {"dynamic_stiffness"},
-    "HapticLoop": {"body", "filters", "linear", "sampled"},
+    "HapticLoop": {"body", "filters", "held_device", "linear", "sampled"},
     "LoopsBetween": {"family"},
     "Mode": {"compliance"},
     "Plan": {

@@ -213,11 +213,11 @@ BAD = {
     "a word": (GOOD.replace("\n0.5,", "\nhalf,", 1), "time is 'half'"),
     "NaN": (GOOD.replace("\n0.5,", "\nnan,", 1), "give a finite number"),
     "a missing row": (GOOD.replace("\n0.5,", "\n0.5005,", 1), "the time does not grow"),
-    "too short": ("\n".join(GOOD.splitlines()[:100]), "the log has 99 rows"),
-    "no motion": (STILL, "position moves by 0"),
+    "too short": ("\n".join(GOOD.splitlines()[:100]), "rows of the log: 99"),
+    "no motion": (STILL, "position spans 0"),
     "the sign of the force": (
         as_csv(replace(made := simulated(Pushed(), 2100, 0), force=-made.force)),
-        "in its direction",
+        "accelerates against the force",
     ),
     "a motion of its own": (WEAK, "force"),
     "empty": ("", "no column"),
@@ -240,10 +240,10 @@ def test_a_log_that_hardly_tells_the_mass_is_refused() -> None:
     """A force that changes so slowly that friction and damping alone balance it."""
     device = Pushed(size=0.4, held=1000, damping=20.0, spring=0.0, encoder=1e-4)
     log = simulated(device, 4000, 0)
-    with pytest.raises(ValueError, match=r"does not tell the mass; excite the device"):
+    with pytest.raises(ValueError, match=r"does not determine the mass; excite the device"):
         identified(device, log)
 
 
 def test_columns_of_other_lengths_are_refused() -> None:
-    with pytest.raises(ValueError, match="force has 3 rows beside 2 of position"):
+    with pytest.raises(ValueError, match="force has 3 rows but position has 2"):
         jaxstab.identify(force=[0.0, 1.0, 0.0], position=[0.0, 0.0], sample_time=1e-3)

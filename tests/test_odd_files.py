@@ -153,7 +153,7 @@ def test_a_file_is_written_behind_its_link_and_keeps_its_mode(tmp_path: Path) ->
         (["--scheduler", ""], "--scheduler is empty; give an address such as tcp://10.0.0.1:8786"),
         (["--scheduler", "tcp://a:1", "--workers", "2"], "--workers and --scheduler are given; gi"),
         (["--scheduler-file", "none.json"], "none.json"),
-        (["--scheduler-file", "a.json"], "a.json is no scheduler file; give what dask scheduler"),
+        (["--scheduler-file", "a.json"], "a.json is not a scheduler file; give what dask"),
     ],
 )
 def test_where_tiles_are_computed_is_checked_first(

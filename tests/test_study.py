@@ -397,7 +397,7 @@ def test_parts_that_do_not_go_together_are_refused(tmp_path: Path, small_blocks:
     small(whole)
     (tmp_path / "text.h5").write_text("no part")
     for parts, words in (
-        ([one, tmp_path / "text.h5"], r"text\.h5 is no HDF5 file, or it is damaged"),
+        ([one, tmp_path / "text.h5"], r"text\.h5 is not an HDF5 file, or is damaged"),
         ([one, two], "part 3 of 3 is missing"),
         ([one, two, one], r"one\.h5 and .*one\.h5 are the same part"),
         ([one, two, other], r"other\.h5 and .*one\.h5 are parts of different studies"),
@@ -417,7 +417,7 @@ def test_a_file_of_another_study_is_left_alone(tmp_path: Path) -> None:
     small(tmp_path / "a.h5")
     before = (tmp_path / "a.h5").read_bytes()
     for other in ({"seed": 1}, {"answers": ["spectral_radius"]}, {"walls": {"x": (1.0, 1.0)}}):
-        with pytest.raises(FileExistsError, match=r"a\.h5 exists, and is of something else"):
+        with pytest.raises(FileExistsError, match=r"a\.h5 exists, and holds something else"):
             small(tmp_path / "a.h5", **other)
     assert (tmp_path / "a.h5").read_bytes() == before
 

@@ -1,4 +1,4 @@
-"""The command that measures a device: a scene from a log of forces and positions."""
+"""The command that identifies a device: a scene from a log of forces and positions."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -6,19 +6,20 @@ from typing import Any
 
 import click
 
-from jaxstab.cli.options import draw, keep_programs, output_file, picture_file
+from jaxstab.cli.options import decorated, draw, keep_programs, output_file, picture_file
 from jaxstab.cli.scene import warn
 
 _NAMES = ("time", "force", "position", "velocity")
 
 
 def _columns(command: Callable[..., Any]) -> Callable[..., Any]:
-    for name in reversed(_NAMES):
-        option = click.option(
+    options = (
+        click.option(
             f"--{name}", metavar="COLUMN", help=f'Column of the {name}; default: "{name}".'
         )
-        command = option(command)
-    return command
+        for name in _NAMES
+    )
+    return decorated(command, *options)
 
 
 @click.command()
@@ -28,8 +29,10 @@ def _columns(command: Callable[..., Any]) -> Callable[..., Any]:
 )
 @_columns
 @click.option("--sample-time", type=float, help="Sampling period in s, in place of a time column.")
-@click.option("--turns", is_flag=True, help="The device turns: rad and N m in place of m and N.")
-@click.option("--spring", is_flag=True, help="Fit a spring of the device, such as a centring one.")
+@click.option("--turns", is_flag=True, help="Rotary device: rad and N m in place of m and N.")
+@click.option(
+    "--spring", is_flag=True, help="Also fit a spring of the device, such as a centring spring."
+)
 @click.option(
     "--plot", type=Path, callback=picture_file, help="PNG or SVG file: measured against fitted."
 )
@@ -57,17 +60,17 @@ def identify(
     given = read_log(str(log), names, sample_time, columns["velocity"] is not None)
     from jaxstab.scene.identify import identify as fit
 
-    found = fit(**vars(given), spring=spring)
-    warn(*filter(None, [found.warning]))
+    device = fit(**vars(given), spring=spring)
+    warn(*filter(None, [device.warning]))
     units = Units.ROTATION if turns else Units.LINE
     if plot:
         from jaxstab.pictures.identify import identified_figure
 
-        draw(identified_figure(found, units), plot)
-    scene = identified_scene(found, units, log.name)
+        draw(identified_figure(device, units), plot)
+    scene = identified_scene(device, units, log.name)
     if str(output) == "-":
         click.echo(scene, nl=False)
         return
     if output:
         publish(scene.encode(), output)
-    click.echo(identified_text(found, units))
+    click.echo(identified_text(device, units))

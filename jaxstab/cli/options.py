@@ -69,7 +69,7 @@ def write_beside(data: bytes, path: Path) -> None:
 
 
 def print_with_csv(words: Any, rows: Iterable[Iterable[Any]], file: Path | None) -> None:
-    """Print an answer, and write its rows into a CSV file; for "-" print these alone."""
+    """Print an answer, and write its rows into a CSV file; for "-" print only the rows."""
     if file:
         stream = io.StringIO()
         csv.writer(stream, lineterminator="\n").writerows(map(_no_formula, row) for row in rows)
@@ -110,24 +110,32 @@ def at_work(words: str) -> Iterator[None]:
         yield
 
 
+def decorated(command: Callable[..., Any], *decorations: Any) -> Callable[..., Any]:
+    """Return a command with decorations, the uppermost one first."""
+    for decoration in reversed(decorations):
+        command = decoration(command)
+    return command
+
+
 def executor_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add where tiles are computed, for ``executor_of``."""
-    for option in (
-        click.option("--scheduler-file", type=Path, help="File in which the scheduler says it."),
+    """Add options for where tiles are computed, which ``executor_of`` reads."""
+    return decorated(
+        command,
+        click.option("--workers", type=click.IntRange(1), help="Number of processes to use here."),
         click.option(
             "--scheduler",
-            help="Address of the scheduler of a dask cluster that computes; default: "
-            "DASK_SCHEDULER_ADDRESS, if set.",
+            help="Address of the dask scheduler to compute on; default: DASK_SCHEDULER_ADDRESS, if "
+            "set.",
         ),
-        click.option("--workers", type=click.IntRange(1), help="Processes of this machine."),
-    ):
-        command = option(command)
-    return command
+        click.option(
+            "--scheduler-file", type=Path, help="JSON file that the dask scheduler wrote."
+        ),
+    )
 
 
 @contextmanager
 def executor_of(given: Mapping[str, Any]) -> Iterator[Executor | None]:
-    """Open processes, or the workers of a dask scheduler; none computes in this process."""
+    """Open processes or the workers of a dask scheduler; None computes in this process."""
     from jaxstab.tiles import dask_cluster, processes
 
     workers, scheduler, file = (given[name] for name in ("workers", "scheduler", "scheduler_file"))
@@ -152,7 +160,7 @@ def _address_in(file: Path) -> str:
         return str(json.loads(text_of(file, _MOST_OF_A_SCHEDULER))["address"])
     except (ValueError, KeyError, TypeError):
         raise click.UsageError(
-            f"{file} is no scheduler file; give what dask scheduler --scheduler-file wrote."
+            f"{file} is not a scheduler file; give what dask scheduler --scheduler-file wrote."
         ) from None
 
 

@@ -13,6 +13,7 @@ import click
 
 from jaxstab.cli.options import (
     at_work,
+    decorated,
     draw,
     executor_of,
     executor_options,
@@ -94,7 +95,7 @@ def mechanics_options(command: Callable[..., Any]) -> Callable[..., Any]:
             help="A wall: its name, N/m and N s/m; may be repeated.",
         ),
     )
-    return _decorated(command, decorations)
+    return decorated(command, *decorations)
 
 
 def scene_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -110,13 +111,7 @@ def scene_options(command: Callable[..., Any]) -> Callable[..., Any]:
         ),
         click.option("--json", "as_json", is_flag=True, help="Print JSON."),
     )
-    return _decorated(command, decorations)
-
-
-def _decorated(command: Callable[..., Any], decorations: tuple[Any, ...]) -> Callable[..., Any]:
-    for decoration in reversed(decorations):
-        command = decoration(command)
-    return command
+    return decorated(command, *decorations)
 
 
 def _scene_option(name: str, kind: Any, words: str) -> Any:

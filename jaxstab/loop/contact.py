@@ -20,7 +20,7 @@ from jaxstab.arrays import Numbers, is_any_traced, named
 from jaxstab.conventions import Status
 from jaxstab.loop.jitter import turn_of
 from jaxstab.model import LoopParameters, checked_gain, require_x64
-from jaxstab.model.device.mechanics import handle
+from jaxstab.model.device.mechanics import handle_equations
 from jaxstab.model.filters import Filter, Velocity, given_filters
 from jaxstab.motion.contact import FASTEST, LIMIT, Mechanism, Plant, Runs, Summary, contacts, paths
 from jaxstab.motion.handle import Handle
@@ -168,9 +168,8 @@ def contact(loop: LoopParameters, stiffness: Numbers, damping: Numbers, **option
     """Simulate contacts with their paths: ``HapticLoop.contact``."""
     setup = _setup(loop, stiffness, damping, **options)
     runs = setup.runs
-    if not setup.shape and isinstance(
-        setup.plant, Plant
-    ):  # numbers of Python are several times faster here
+    if not setup.shape and isinstance(setup.plant, Plant):
+        # Numbers of Python are several times faster here.
         runs = Runs(*(column.item() for column in runs))
     summary, (x, v, f) = paths(setup.plant, setup.controller, runs, setup.samples, **setup.sides)
     x, v, f = (np.moveaxis(one, 0, -1).reshape(*setup.shape, -1) for one in (x, v, f))
@@ -199,7 +198,7 @@ def contact_map(
     for each argument that varies; xarray and h5py open it. Nothing in it is proved.
 
     Args:
-        loop: any device with a mass at its handle; one mass is simulated at least ten times faster.
+        loop: any device with a mass at its handle; one mass alone is simulated much faster.
         stiffness, damping: see ``jaxstab.conventions``.
         store: the file; each array then varies along an axis of its own, as those of ``np.ix_``.
         progress: with ``store``, called with the number of finished blocks and of all blocks.
@@ -411,7 +410,7 @@ def _mechanism(
     """Return what moves, how many N are 1, and its stiffness without a wall."""
     device = loop.device
     if loop.body is None and device is not None:
-        _refuse_fast(handle(device, period).ticks)
+        _refuse_fast(handle_equations(device, period).ticks)
         return Handle.of(device, period, turn), 1.0, device.static_stiffness()
     gamma, delta = float(loop.gamma), float(loop.delta)
     _refuse_fast(max(delta, gamma**0.5))

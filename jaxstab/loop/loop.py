@@ -945,5 +945,5 @@ class HapticLoop(LoopParameters):
 
 
 def _beside_ends(unit: Any) -> Any:
-    """Return a unit that multiplies pairs of ends: that of many loops gets their axis."""
+    """Return a factor for pairs of limits: factors of many loops get the axis of the pairs."""
     return unit[..., None] if np.ndim(unit) else unit

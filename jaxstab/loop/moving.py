@@ -45,7 +45,7 @@ class _Extreme(NamedTuple):
     is_single: Array
 
 
-_FOUND = len(_Extreme._fields)
+_FIELDS = len(_Extreme._fields)
 
 
 def moving_limits_of(loops: list[Any]) -> ManyLimits:
@@ -72,8 +72,8 @@ def moving_limits(loop: LoopParameters) -> ManyLimits:
     where more than two roots are on the circle.
     """
     leaves, structure = jax.tree.flatten(loop)
-    found: Any = _search(structure)(*(jax.lax.stop_gradient(leaf) for leaf in leaves))
-    limits: ManyLimits = _moved(loop, _Extreme(*found.T))
+    extremes: Any = _search(structure)(*(jax.lax.stop_gradient(leaf) for leaf in leaves))
+    limits: ManyLimits = _moved(loop, _Extreme(*extremes.T))
     return limits
 
 
@@ -84,29 +84,29 @@ def _search(structure: Any) -> Callable[..., Array]:
     def loop_of(values: Iterable[Any]) -> Any:
         return jax.tree.unflatten(structure, [float(value) for value in values])
 
-    def search(*values: Any) -> Float64[np.ndarray, "2 found"]:
+    def search(*values: Any) -> Float64[np.ndarray, "2 field"]:
         return _extremes(wall_region(loop_of(values), TOLERANCE))
 
     @jax.custom_batching.custom_vmap
-    def found(*leaves: Any) -> Array:
-        shape = jax.ShapeDtypeStruct((2, _FOUND), jnp.float64)
+    def extremes(*leaves: Any) -> Array:
+        shape = jax.ShapeDtypeStruct((2, _FIELDS), jnp.float64)
         traced: Array = jax.pure_callback(search, shape, *leaves, vmap_method="sequential")
         return traced
 
-    @found.def_vmap
+    @extremes.def_vmap
     def together(size: int, is_batched: list[bool], *leaves: Any) -> tuple[Array, bool]:
         if is_any_traced(*leaves):
             axes = [0 if batched else None for batched in is_batched]
-            return jax.vmap(found.fun, axes)(*leaves), True
+            return jax.vmap(extremes.fun, axes)(*leaves), True
         rows = zip(*(np.broadcast_to(np.asarray(leaf), size) for leaf in leaves), strict=True)
         return jnp.asarray(_extremes_of([loop_of(row) for row in rows])), True
 
-    return found
+    return extremes
 
 
-def _extremes_of(loops: list[Any]) -> Float64[np.ndarray, "loop 2 found"]:
-    """Return the extreme walls of many loops, those that the program of a batch left open alone."""
-    rows = np.ones((len(loops), 2, _FOUND))
+def _extremes_of(loops: list[Any]) -> Float64[np.ndarray, "loop 2 field"]:
+    """Return the extreme walls of many loops: a batch, and one by one those that it left open."""
+    rows = np.ones((len(loops), 2, _FIELDS))
     for members, (extremes, _) in resolved(loops):
         rows[members, :, :2], rows[members, :, 2:4] = extremes.walls, extremes.angles
         rows[members, :, 4:] = RegionStatus.COMPLETE, True, False
@@ -115,7 +115,7 @@ def _extremes_of(loops: list[Any]) -> Float64[np.ndarray, "loop 2 found"]:
     return rows
 
 
-def _extremes(region: WallRegion) -> Float64[np.ndarray, "2 found"]:
+def _extremes(region: WallRegion) -> Float64[np.ndarray, "2 field"]:
     """The two extreme walls of the reachable part, or of all, and the status of the region."""
     main = region.main
     of = region if main is None else main
@@ -137,16 +137,16 @@ def _extremes(region: WallRegion) -> Float64[np.ndarray, "2 found"]:
 
 @jax.jit
 def _moved(loop: LoopParameters, extremes: _Extreme) -> ManyLimits:
-    """Both extreme walls, with their derivatives by the numbers of the loop."""
+    """Return both extreme walls, with their derivatives by the numbers of the loop."""
     plant = loop.gamma, loop.delta, loop.delay / loop.sample_time
-    known = plant, Responses.of(given_filters(**loop.filters))
-    fixed = jax.lax.stop_gradient(known)
+    numbers = plant, Responses.of(given_filters(**loop.filters))
+    fixed = jax.lax.stop_gradient(numbers)
 
     def moved(extreme: _Extreme, axis: Array) -> Array:
         is_corner = ~jnp.isnan(extreme.second)
         start = jnp.stack([*extreme[:3], jnp.where(is_corner, extreme.second, 0.0)])
         residual = partial(_equations, start, is_corner, axis)
-        step = jnp.linalg.solve(jax.jacfwd(residual)(start, fixed), residual(start, known))
+        step = jnp.linalg.solve(jax.jacfwd(residual)(start, fixed), residual(start, numbers))
         return start[:2] - (step - jax.lax.stop_gradient(step))[:2]
 
     (stiffest, at_damping), (at_stiffness, damping) = jax.vmap(moved)(extremes, jnp.arange(2))
@@ -162,10 +162,10 @@ def _moved(loop: LoopParameters, extremes: _Extreme) -> ManyLimits:
 
 
 def _equations(
-    start: Array, is_corner: Array, axis: Array, unknown: Array, known: tuple[Any, Responses]
+    start: Array, is_corner: Array, axis: Array, unknown: Array, numbers: tuple[Any, Responses]
 ) -> Array:
-    """What is 0 at an extreme wall: functions of alpha, beta and the angles of its roots."""
-    plant, responses = known
+    """Return what is 0 at an extreme wall, of alpha, beta and the angles of its roots."""
+    plant, responses = numbers
     c, wall, angles = quick_slice(*plant), unknown[:2], unknown[2:]
     other = (jnp.arange(2) != axis).astype(float)
 
@@ -182,7 +182,7 @@ def _equations(
     ends = jnp.round(start[2:] / pi) * pi
     is_real = abs(start[2:] - ends) < _REAL
     roots = values[:2].at[:, 1].set(jnp.where(is_real, angles - ends, values[:2, 1]))
-    # The other gain and the angle change, and p stays 0: where the boundary turns.
+    # Where the boundary turns, p stays 0 to first order as the other gain and the angle change.
     rises = values[2] - values[0]
     turning = rises[0] * turns[0, 1] - rises[1] * turns[0, 0]
     is_on_axis = start[:2] @ other == 0.0

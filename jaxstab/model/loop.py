@@ -133,7 +133,7 @@ class LoopParameters:
 
     @property
     def held_device(self) -> Device:
-        """The device with its hand, of one mass as well."""
+        """The device with its hand, also where both are given as numbers of one mass."""
         if self.device is not None:
             return self.device
         numbers = {"damping": self.hand_damping, "stiffness": self.hand_stiffness}
@@ -296,7 +296,7 @@ class LoopParameters:
 def with_columns(loop: LoopParameters, columns: Mapping[str, Numbers]) -> Any:
     """Return many loops of one mass as one, unchecked: arrays in place of numbers of a loop.
 
-    They broadcast with the gains of walls about which it is asked. The sampling period is a number.
+    They broadcast with the gains of walls given to its methods. The sampling period is one number.
     """
     numbers = {name: getattr(loop, name) for name in _LEAST} | dict(columns)
     return loop.tree_unflatten((None, None), (*numbers.values(), loop.velocity, loop.position))

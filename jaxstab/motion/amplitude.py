@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float64, Int8
 
 from jaxstab.arrays import Array, Numbers, at, float_arrays, is_traced, named, namespace
-from jaxstab.batches import on_host
+from jaxstab.batches import alike, on_host
 from jaxstab.conventions import Status
 from jaxstab.model import checked_delay, checked_gain, require_x64
 from jaxstab.model.device import Device
@@ -211,7 +211,7 @@ class _Plant(NamedTuple):
 
     @property
     def places(self) -> np.ndarray:
-        """Where a loop's state has those of the device, the acting force last."""
+        """Which entries of a loop's state are those of the device; the acting force is the last."""
         states = len(self.rows)
         return np.array([POSITION, *range(DIFFERENCE + 1, states + 1), states + 1])
 
@@ -350,14 +350,13 @@ def amplitude(
 def _of_masses(*lanes: np.ndarray, bank: Bank, causes: Causes) -> tuple[Bounds, Bounds, Bounds]:
     """Return the bounds of loops with alpha, beta, gamma, delta and delay, for m = T = 1."""
     columns = np.array([np.ravel(lane) for lane in lanes])
-    plants, number = np.unique(columns[2:], axis=1, return_inverse=True)
     bounds = np.zeros((3, 3, columns.shape[1]))
-    for index, (gamma, delta, delay) in enumerate(plants.T.tolist()):
+    for members in alike(map(tuple, columns[2:].T.tolist())):
+        gamma, delta, delay = columns[2:, members[0]].tolist()
         device = Device.mass_spring_damper(1.0, damping=delta, stiffness=gamma)
-        lanes_of_plant = np.flatnonzero(np.ravel(number) == index)
-        alpha, beta = columns[:2, lanes_of_plant]
+        alpha, beta = columns[:2, members]
         plant = _Plant.of(device, 1.0, delay, bank)
-        bounds[..., lanes_of_plant] = plant.bounds(alpha, beta, causes)
+        bounds[..., members] = plant.bounds(alpha, beta, causes)
     return _in_shape(bounds, lanes[0].shape)
 
 
@@ -506,8 +505,7 @@ def _systems(
 
     The outputs are the rows of ``Between``.
     """
-    bank, whole, states = plant.bank, plant.whole_delay, len(plant.rows)
-    count, between = stiffness.size, plant.between
+    bank, whole, count = plant.bank, plant.whole_delay, stiffness.size
     rows = np.broadcast_to(plant.rows, (count, *plant.rows.shape))
     tiny = _SMALLEST * np.abs(plant.rows).max()
     step = _with_inputs(-stiffness, -damping, rows, bank.outputs, bank.steps, whole)
@@ -520,7 +518,7 @@ def _systems(
     is_wanted = np.array([True] * size + [*causes[:2]])
     step, sizes = step[:, :, is_wanted], sizes[:, :, is_wanted]
     if causes[2]:
-        blows = _blows(between, count, size, states)
+        blows = _blows(plant, count, size)
         step = np.concatenate([step, blows], axis=2)
         sizes = np.concatenate([sizes, np.abs(blows)], axis=2)
     systems = Systems(
@@ -562,11 +560,10 @@ def _outputs(
     return rows, between[:, -1:] * step[:, [first], size : size + 2]
 
 
-def _blows(between: Between, count: int, size: int, states: int) -> np.ndarray:
+def _blows(plant: _Plant, count: int, size: int) -> np.ndarray:
     """Return what unit impulses at the handle do to the state, and each state alone."""
-    plant = np.array([POSITION, *range(DIFFERENCE + 1, states + 1)])
-    columns = np.concatenate([*between.blows, np.eye(states)]).T
+    columns = np.concatenate([*plant.between.blows, np.eye(len(plant.rows))]).T
     blows = np.zeros((count, size, columns.shape[1]))
-    blows[:, plant] = columns
+    blows[:, plant.places[:-1]] = columns
     blows[:, DIFFERENCE] = columns[0]
     return blows

@@ -38,7 +38,7 @@ from jaxstab.motion.response import Controller
 
 FASTEST = 64.0  # max(delta, sqrt(gamma)) that is simulated: as many pieces has a sample
 LIMIT = 1e6  # positions and velocities beyond it are given up
-_SMALLEST_TERM = 1e-18  # of a series
+SMALLEST_TERM = 1e-18  # of a series
 _TRACED_TERMS = 13
 _ARCTAN = tuple((-1.0) ** k / (2 * k + 1) for k in range(13, -1, -1))  # of squares up to 0.066
 _WHOLE = 2.0**52  # larger float64 are whole numbers
@@ -230,14 +230,14 @@ def series(
 ) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
     """Return the coefficients of S(t) / t and Y(t) / t^2 for times up to the longest.
 
-    Traced ones, whose size is not known, get as many as 1e-10 takes where both are up to 1.
+    Traced ones, whose size is unknown, get enough for an error of 1e-10 where both are up to 1.
     """
     terms, power = [0.0, 1.0], 1.0
 
     def is_short() -> bool:
         if is_traced(gamma):
             return len(terms) < _TRACED_TERMS
-        return abs(terms[-1]) + abs(terms[-2]) * longest > _SMALLEST_TERM / power
+        return abs(terms[-1]) + abs(terms[-2]) * longest > SMALLEST_TERM / power
 
     while len(terms) % 4 != 1 or is_short():
         order = len(terms) - 1

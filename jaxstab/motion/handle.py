@@ -1,4 +1,6 @@
-"""Contacts of any linear device, with friction at its handle: what ``Plant`` is for one mass.
+"""Contacts of any linear device with a mass at its handle, and friction there.
+
+It is to general devices what ``Plant`` of ``jaxstab.motion.contact`` is to one mass.
 
 While a force f of the wall is held, the states z obey z' = A z + w f + h (push - s f_c). The
 handle's velocity v is one of them, s is its sign; its entry of h is 1/m, m the mass at the handle.
@@ -6,13 +8,14 @@ handle's velocity v is one of them, s is its sign; its entry of h is 1/m, m the 
 Where v is 0, the force F on the handle beside friction is m times the velocity's row of A z + w f,
 plus the push. The handle sticks while |F| is at most the static friction. Friction then is -F, and
 the other states obey z' = A z + w f + h (push - F), which is linear, too. Modes and actuators go on
-moving meanwhile, so F changes and the handle may break loose between two samples. A sample has any
-number of legs therefore; in each of them v has one sign, or the handle sticks.
+moving meanwhile, so F changes and the handle may break loose between two samples. A sample
+therefore has several legs, in each of which v has one sign or the handle sticks; a piece of it has
+at most 32, and the last of these goes to the end of the piece.
 
 Pieces of samples are so short that exp(A t) is a power series of few terms, and the states of a leg
 are polynomials in time. A leg ends where v leaves its side of 0, or F the interval of static
-friction; Newton's method in a bracket finds when. It may also leave and return within a leg, so its
-extreme is looked at, too; a piece is so short that there is hardly ever a second one.
+friction; Newton's method in a bracket finds when. It may also leave and return within a leg, so one
+extreme within the leg is checked as well; a second one in a piece of at most 2 rad would be missed.
 """
 
 from typing import Any, NamedTuple
@@ -21,13 +24,12 @@ import numpy as np
 
 from jaxstab.arrays import Array, is_jax, repeat_while
 from jaxstab.model.device import Device
-from jaxstab.model.device.mechanics import handle
-from jaxstab.motion.contact import Runs, Seen, functions, pieces, series_at
+from jaxstab.model.device.mechanics import handle_equations
+from jaxstab.motion.contact import SMALLEST_TERM, Runs, Seen, functions, pieces, series_at
 
 _MOST_MOTION = 2.0  # of a piece, in rad
-_SMALLEST_TERM = 1e-18  # of a series
 _MOST_LEGS, _MOST_STEPS = 32, 64  # of a piece; of a search for a time
-_CLOSE = 2.0**-50  # of a piece: times that are found
+_CLOSE = 2.0**-50  # of a piece: the accuracy of times
 
 
 class Handle(NamedTuple):
@@ -38,8 +40,8 @@ class Handle(NamedTuple):
         and force at the handle, where it slips, and the same once more where it sticks.
     load: the force on the handle beside friction, from such columns.
     at_rest, thrown: states at rest at position 1, and at velocity 1.
-    ticks: of a sample.
-    ages, flows: of ``Plant``; flows are lengths in ticks.
+    ticks: how many make a sample.
+    ages, flows, oldest: as of ``Plant``; flows are lengths in ticks.
     """
 
     series: Array
@@ -54,17 +56,17 @@ class Handle(NamedTuple):
     @classmethod
     def of(cls, device: Device, sample_time: float, delays: tuple[float, ...]) -> "Handle":
         """Return a device; delays in samples, in turn. ValueError if no mass is at its handle."""
-        matrix, pull, at_rest, ticks = handle(device, sample_time)
+        matrix, pull, at_rest, ticks = handle_equations(device, sample_time)
         size, columns = matrix.shape
         load, thrown = matrix[1] / matrix[1, -1], matrix[:, -1] / matrix[1, -1]
         rates, whole = np.zeros((2, columns, columns)), np.eye(columns)
         rates[:, :size] = matrix, matrix - np.outer(thrown, matrix[1])
-        rates[1, :2] = 0.0  # without errors of rounding
+        rates[1, :2] = 0.0  # exactly
         rows = np.stack([np.vstack([whole[:size], row, whole[pull]]) for row in (whole[1], load)])
         fastest = ticks * float(np.abs(rates[:, :size, :size]).sum(axis=2).max())  # at most
         ages, lengths = pieces(delays, fastest / _MOST_MOTION)
         series, term, motion = [rows], 1.0, fastest * lengths.max()
-        while term > _SMALLEST_TERM:
+        while term > SMALLEST_TERM:
             series.append(series[-1] @ rates / len(series))
             term *= motion / len(series)
         return cls(
@@ -159,7 +161,7 @@ def _with(states: Array, acting: Array, force: Array) -> Array:
 
 
 def _value(terms: Array, time: Array) -> Array:
-    """Return the value of a polynomial whose highest power is the first term."""
+    """Return what ``series_at`` returns; without JAX the terms are added in one call."""
     if is_jax(terms):
         return series_at(terms, time)
     powers = _powers(time, len(terms))
@@ -172,15 +174,16 @@ def _exponents(count: int, ndim: int) -> Array:
 
 
 def _powers(time: Array, count: int) -> Array:
+    """Return the powers of a time that a polynomial's terms multiply."""
     return time ** _exponents(count, time.ndim)
 
 
 def _exit(
     terms: Array, low: Array, high: Array, length: Array, is_within: Array
 ) -> tuple[Array, Array, Array]:
-    """Return when a polynomial first leaves an interval, its value then or soon after, and whether.
+    """Return when a polynomial leaves an interval, its value then or soon after, and if it does.
 
-    Where it begins at the end of the interval (not ``is_within``), it first moves inwards.
+    Where it begins at an end of the interval (not ``is_within``), it moves inwards at first.
     """
     xp = functions(length)
 

@@ -370,10 +370,11 @@ class _Part(NamedTuple):
 def _common(scene: Scene, answer: Answer | None) -> _Part:
     """Return the walls that are stable for the hands at all corners of the range, if it is one."""
     outline = common_outline(corner_loops(scene)) if hands_of(scene) else np.zeros((0, 2))
-    label, all_hands = "stable for all hands", getattr(answer, "all_hands", None)
+    label = "stable for the hands at all corners of the range"
+    all_hands = getattr(answer, "all_hands", None)
     if all_hands is not None and all_hands.none_is_stiffer_than is not None:
         bound = _BOUND.words(all_hands.none_is_stiffer_than, scene.units)
-        label += f" (corners of the range): upper bound {bound}"
+        label += f"; for all hands at most {bound}"
     look = {"facecolor": _FOR_ALL, "lw": 0.0, "label": label}
     return _Part(outline, look)
 

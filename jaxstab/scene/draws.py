@@ -235,9 +235,9 @@ def _column(file: str, column: str) -> Measured:
 def columns_of(
     file: str, columns: Sequence[str], optional: Sequence[str] = ()
 ) -> dict[str, list[float]]:
-    """Return columns of a CSV file with a header; ValueError for one that is missing or no number.
+    """Return columns of a CSV file with a header; ValueError if one is missing or not numeric.
 
-    Optional ones are left out where they are missing.
+    Optional columns may be missing.
     """
     reader = csv.DictReader(StringIO(text_of(file, _MOST_BYTES)), skipinitialspace=True)
     names = reader.fieldnames or []

@@ -7,26 +7,27 @@ The model is one mass behind a zero-order hold and a delay,
 with a constant force c (gravity, an offset of the amplifier), read by an encoder. Between arrivals
 of forces its motion is exact, sticking included (``jaxstab.motion.contact``), and differentiable
 with respect to all of these. Where the delay is w + f samples, f is the length of the first of the
-two pieces of a sample, so the fraction is as smooth as the mass.
+two pieces of a sample, so positions are differentiable with respect to the delay, too.
 
 The fit compares positions, simulated with measured (output error). The log is cut into segments,
 each with an initial position and velocity that are fitted too, so that what the model lacks does
 not add up over the log. The start is a linear regression: the equation of motion is multiplied by
-bumps of 40 ms and integrated by parts, so that only the sign of the velocity needs a
-derivative of the positions; of all whole delays the one with the smallest residual is taken. Then
-Levenberg and Marquardt's method refines everything together.
+bumps of 40 ms and integrated by parts, so that only the sign of the velocity needs a derivative of
+the positions; of all whole delays below 100 samples the one with the smallest residual is taken.
+Then Levenberg and Marquardt's method refines everything together.
 
 Rounding and friction leave residuals that are not white and depend on the motion. The covariance is
 therefore the jackknife's over segments (Efron, Stein 1981), one Newton step for each: with J_s the
 derivatives of segment s, less what its initial state can explain, A_s = J_s' J_s, A their sum and
 g_s = J_s' r_s, leaving the segment out moves the estimate by (A - A_s)^-1 g_s. Nothing is assumed
-of the residuals within a segment. Intervals are Student's, with a degree of freedom less than
-segments.
+of the residuals within a segment. Intervals are Student's, with one degree of freedom fewer than
+there are segments.
 """
 
 from dataclasses import dataclass
 from functools import cache
 from math import floor, inf, log, log10, pi
+from statistics import NormalDist
 from typing import Any, NamedTuple
 
 import jax
@@ -44,18 +45,18 @@ from jaxstab.numbers import checked, checked_number
 
 FEWEST, MOST = 2000, 64_000  # rows
 HISTORY = 100  # samples before the first segment: longer delays are not tried
-_SEGMENTS, _ROWS = (16, 64), 500  # how many, and of how many rows between the two
+_SEGMENTS, _ROWS = (16, 64), 500  # fewest and most; rows of one, between these numbers
 _BUMP, _BUMP_ROWS = 0.04, (16, 200)  # s; samples
-_LEAST_STEPS = 20  # of the encoder, of the motion
+_LEAST_STEPS = 20  # of the encoder, which the device moves at least
 _MOST_COUNTS = 2.0**31  # of an encoder: finer steps are rounding of float64
-_LOOSE = 0.5  # of the mass: with a wider half of its interval the log does not tell it
-_INERTIA = 0.01  # of the force, that must accelerate
+_LOOSE = 0.5  # of the mass: a larger half-width of its interval is refused
+_INERTIA = 0.01  # of the force, which at least must accelerate the device
 _EXCITE = "excite the device more strongly, or with more changes of the force"
 _LONGEST_WINDOW = 200  # samples
 _MOST_STEPS = 40
-_MISFIT = 0.1  # of the motion: a larger residual is not of a mass with friction
-_NORMAL = 1.959963984540054  # the quantile of 97.5 %
-_NOISE = 1e-6  # of the motion: a smaller residual is of no interest
+_MISFIT = 0.1  # of the motion: a log with a larger residual is refused
+_NORMAL = NormalDist().inv_cdf(0.975)
+_NOISE = 1e-6  # of the motion: a smaller residual causes no warning
 _ODD, _SHARP = 1.5, 20.0  # a residual in roundings, its peak in medians of the spectrum
 
 Rows = Float64[np.ndarray, " row"]
@@ -79,29 +80,31 @@ class Estimate(NamedTuple):
     def __str__(self) -> str:
         half = 0.5 * (self.high - self.low)
         places = max(0, 1 - floor(log10(half))) if half > 0.0 else 6
-        value, low, high = (f"{number:.{places}f}" for number in self)
+        value, low, high = (f"{end:.{places}f}" for end in self)
         return f"{value} ({low} to {high})"
 
     def times(self, factor: float, least: float = -inf) -> "Estimate":
-        """The same in another unit, without what is below the least that can be."""
-        return Estimate(*(max(factor * number, least) for number in self))
+        """Return the estimate in another unit, all three values at least ``least``."""
+        return Estimate(*(max(factor * end, least) for end in self))
 
 
 @dataclass(frozen=True, repr=False)
 class Identified:
-    """What a log tells about a device, in SI units; see ``jaxstab.identify``.
+    """A device as identified from a log, in SI units; see ``jaxstab.identify``.
 
     Attributes:
-        mass, damping, friction, offset, stiffness, delay: estimates, the delay in s. The offset is
-            a constant force against the command, at the mean position. The stiffness of the
-            device's spring is 0 unless one was fitted.
+        mass, damping, friction, offset, stiffness, delay: estimates in kg, N s/m, N, N, N/m and s
+            (kg m^2, N m s/rad, N m, N m, N m/rad and s if it turns). The offset is a constant
+            force against the command, at the mean position. The stiffness of the device's spring is
+            0 unless one was fitted.
         sample_time: in s.
-        resolution: the step of the encoder; None where positions are not multiples of one.
-        residual: the root mean square of measured less fitted positions.
-        warning: what the residual says against the model; empty if nothing.
-        velocity: the estimator that explains the logged velocity best; None without one.
-        unexplained: what it leaves of the velocity, as a share of the root mean square.
-        measured, fitted: positions, a row for each segment, from sample ``HISTORY`` on.
+        resolution: the step of the encoder in m or rad; None where positions are not multiples of
+            one.
+        residual: the rms of measured minus fitted positions in m or rad.
+        warning: a sentence if the residual contradicts the model; empty otherwise.
+        velocity: the estimator that fits the logged velocity best; None without one.
+        unexplained: the rms of the logged minus the estimated velocity, over that of the velocity.
+        measured, fitted: positions in m or rad, (segment, sample), from row 100 of the log on.
 
     Example:
         >>> push = np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 200), 10)
@@ -143,25 +146,28 @@ def identify(
 ) -> Identified:
     """Fit mass, damping, Coulomb friction and delay to a log, with 95 % confidence intervals.
 
-    docs/identify.md says how to make such a log. The intervals hold if the model does: one mass,
-    free of the hand, and quantities that are constant.
+    docs/identify.md says how to record such a log. The intervals hold if the model does: one mass
+    that no hand touches, and constant quantities.
 
     Args:
-        force: the force that was commanded at each sample in N, or in N m.
-        position: as the encoder was read at that sample, in m or rad; 2,000 to 64,000 samples.
+        force: the force commanded at each sample, in N or N m; 2,000 to 64,000 samples.
+        position: the encoder reading at each sample, in m or rad; as many samples.
         sample_time: in s.
-        velocity: what the software computed as the velocity, to tell its estimator.
-        spring: fit a spring of the device too; that of the software is in the force.
+        velocity: the velocity that the software computed, in m/s or rad/s; identifies its
+            estimator.
+        spring: fit a spring of the device too; one that the software renders is in the force.
 
-    Raises: see ``jaxstab.conventions``; ValueError also for a log that is too short or too long,
-    that does not move, or does not tell the mass.
+    Returns: Identified.
+
+    Raises: see ``jaxstab.conventions``; ValueError also if the log is too short or too long, its
+    columns differ in length, nothing moves, or it does not determine the mass.
 
     Source: output error by Levenberg-Marquardt, jackknife of Efron and Stein (1981).
 
     Example: ``jaxstab.results.Identified`` has one of a good log.
         >>> jaxstab.identify(force=[0.0], position=[0.0], sample_time=1e-3)
         Traceback (most recent call last):
-        ValueError: the log has 1 rows; give 2000 to 64000, such as those of ten seconds.
+        ValueError: rows of the log: 1; give 2000 to 64000, such as those of ten seconds.
     """
     period = checked_number("sample_time", sample_time, 0.0, is_open=True, unit="s")
     given = {"force": force, "position": position}
@@ -171,35 +177,36 @@ def identify(
     for name, column in columns.items():
         if len(column) != len(positions):
             raise ValueError(
-                f"{name} has {len(column)} rows beside {len(positions)} of position; give as many."
+                f"{name} has {len(column)} rows but position has {len(positions)}; give columns of "
+                "one length."
             )
     if not FEWEST <= len(positions) <= MOST:
         raise ValueError(
-            f"the log has {len(positions)} rows; give {FEWEST} to {MOST}, such as those of ten "
+            f"rows of the log: {len(positions)}; give {FEWEST} to {MOST}, such as those of ten "
             "seconds."
         )
     resolution, extent = _resolution(positions), float(np.ptp(positions))
     unit = resolution or 1e-4 * extent
     if not extent >= _LEAST_STEPS * unit or not np.ptp(forces):
         raise ValueError(
-            f"position moves by {extent:g} and force by {np.ptp(forces):g} in all; give a log "
-            f"whose force moves the device by {_LEAST_STEPS} steps of its encoder."
+            f"position spans {extent:g} and force spans {np.ptp(forces):g}; give a log in which "
+            f"the force moves the device by at least {_LEAST_STEPS} encoder steps."
         )
     middle = float(positions.mean())
     estimates, measured, fitted = _fit(forces, (positions - middle) / unit, period, spring)
     residual = unit * float(np.sqrt(np.mean((measured - fitted) ** 2)))
     if not residual < _MISFIT * np.std(positions):
         raise ValueError(
-            f"no mass with friction moves like this log: {residual:g} rms are left of "
-            f"{np.std(positions):g}; free the handle of the hand, and put force and position of "
-            "the same turn of the loop in one row."
+            f"a mass with friction does not fit this log: the residual is {residual:g} rms, the "
+            f"motion {np.std(positions):g} rms; let go of the handle, and log force and position "
+            "of the same sample in one row."
         )
     factors = (period**2 / unit, period / unit, 1.0, 1.0, 1.0 / unit, period)
     mass, damping, friction, offset, stiffness, delay = map(Estimate.times, estimates, factors)
     if not mass.high - mass.low < 2.0 * _LOOSE * mass.value:
         raise ValueError(
-            f"the log tells the mass only as {mass.value:.3g}, from {mass.low:.3g} to "
-            f"{mass.high:.3g}, not apart from damping and friction; {_EXCITE}."
+            f"the log does not separate the mass from damping and friction: it is {mass.low:.3g} "
+            f"to {mass.high:.3g}; {_EXCITE}."
         )
     estimator, unexplained = _estimator(positions, columns.get("velocity"), period)
     return Identified(
@@ -221,7 +228,7 @@ def identify(
 
 
 def _resolution(positions: Rows) -> float | None:
-    """Return the step of which positions are multiples, but for a constant."""
+    """Return the step of which positions are multiples, up to a constant offset."""
     places = np.unique(positions)
     if len(places) < 2:
         return None
@@ -255,25 +262,25 @@ def _start(
     delayed = np.stack([np.roll(pushes, lag)[inside] for lag in range(HISTORY)], axis=1)
     guesses = np.linalg.lstsq(rows, delayed)[0]
     best = int(np.argmin(np.sum((rows @ guesses - delayed) ** 2, axis=0)))
-    found = np.append(guesses[:, best], [0.0] * (not spring))
-    if not abs(found[0]) * np.std(rows[:, 0]) > _INERTIA * np.std(delayed[:, best]):
+    values = np.append(guesses[:, best], [0.0] * (not spring))
+    if not abs(values[0]) * np.std(rows[:, 0]) > _INERTIA * np.std(delayed[:, best]):
         raise ValueError(
             f"less than {100.0 * _INERTIA:g} % of the force accelerates the device, so the log "
-            f"does not tell the mass; {_EXCITE}."
+            f"does not determine the mass; {_EXCITE}."
         )
-    if not found[0] > 0.0:
+    if not values[0] > 0.0:
         raise ValueError(
-            "the force does not accelerate the device in its direction; give a log whose force "
-            "and position have the same sign, and columns of one axis."
+            "the device accelerates against the force; give force and position of the same axis, "
+            "with the same sign."
         )
-    found[0] = max(found[0], abs(found[1]), abs(found[4]))  # nothing is faster than a sample
-    return np.append(found, max(best - 0.5, 0.5)), speeds  # a held force is half a sample late
+    values[0] = max(values[0], abs(values[1]), abs(values[4]))  # nothing is faster than a sample
+    return np.append(values, max(best - 0.5, 0.5)), speeds  # a held force is half a sample late
 
 
 def _fit(
     forces: Rows, positions: Rows, period: float, spring: bool
 ) -> tuple[list[Estimate], Segments, Segments]:
-    """Return estimates for a sample of 1, and positions measured and fitted in segments."""
+    """Return estimates for a sampling period of 1; positions in segments, measured and fitted."""
     start, speeds = _start(forces, positions, period, spring)
     count = int(np.clip((len(positions) - HISTORY - 1) // _ROWS, *_SEGMENTS))
     length = (len(positions) - HISTORY - 1) // count
@@ -292,7 +299,7 @@ def _fit(
     moves = np.zeros((count, 6))
     try:
         moves[:, free] = np.linalg.solve(squares.sum(0) - squares, gradients[..., None])[..., 0]
-    except np.linalg.LinAlgError:  # nothing tells some of them apart
+    except np.linalg.LinAlgError:  # the log does not separate them
         moves[:, free] = np.inf
     errors = np.sqrt((count - 1.0) / count * np.sum(moves**2, axis=0))
     half_widths = _student(count - 1) * errors
@@ -324,10 +331,8 @@ def _program() -> Any:
         lengths = jnp.tile(jnp.stack([delay - whole, 1.0 - (delay - whole)]), length)
         newest = jnp.arange(length) + HISTORY - whole.astype(int)
         acting = jnp.stack([forces[newest - 1], forces[newest]], axis=1).ravel()
-        pushed, moved = (
-            lengths * series_at(impulse, lengths),
-            lengths**2 * series_at(step, lengths),
-        )
+        pushed = lengths * series_at(impulse, lengths)
+        moved = lengths**2 * series_at(step, lengths)
         flows = Flow(lengths, pushed, 1.0 - delta * pushed - gamma * moved, moved)
         plant = Plant(gamma, 0.5 * delta, gamma - 0.25 * delta**2, impulse, step, [[0]], [[]], 0)
         nothing = 0.0 * x
@@ -342,7 +347,7 @@ def _program() -> Any:
         return jax.lax.scan(piece, (x, v), (acting, flows))[1][::2]
 
     def with_slopes(both: Array, forces: Array) -> tuple[Array, Array]:
-        """Return the positions and their derivatives with respect to all of both."""
+        """Return the positions, and their derivatives with respect to values and states."""
         twice = lambda both: (path(both, forces),) * 2  # noqa: E731
         slopes, positions = jax.jacfwd(twice, has_aux=True)(both)
         return positions, slopes
@@ -369,14 +374,14 @@ def _program() -> Any:
         solver: Any = optimistix.LevenbergMarquardt(
             rtol=1e-9, atol=1e-3, linear_solver=lineax.Normal(lineax.Cholesky())
         )
-        found: Any = optimistix.least_squares(
+        solution: Any = optimistix.least_squares(
             lambda y, _: paths(both(y), forces) - measured,
             solver,
             (jnp.zeros(6), jnp.zeros_like(states)),
             max_steps=_MOST_STEPS,
             throw=False,
         )
-        best = both(found.value)
+        best = both(solution.value)
         positions, slopes = jax.vmap(with_slopes)(best, forces)
         return positions, slopes, best[0, :6]
 
@@ -386,7 +391,7 @@ def _program() -> Any:
 def _warning(
     residual: Segments, is_stepped: bool, size: float, extent: float, period: float
 ) -> str:
-    """Say where the residual is largest, if it is more than the rounding of an encoder."""
+    """Return a warning with the residual's main frequency if rounding does not explain it."""
     window = np.hanning(residual.shape[1])
     power = np.mean(abs(np.fft.rfft(window * residual, axis=1)) ** 2, axis=0)[2:]
     peak = int(np.argmax(power))
@@ -399,14 +404,14 @@ def _warning(
     return (
         f"the residual is {size:.3g} rms{of_rounding}, with its largest peak at "
         f"{(peak + 2) / (residual.shape[1] * period):.3g} Hz: the model lacks something, such as a "
-        "vibration mode, a hand on the handle or a delay that moves"
+        "vibration mode, a hand on the handle or a varying delay"
     )
 
 
 def _estimator(
     positions: Rows, velocity: Rows | None, period: float
 ) -> tuple[Velocity | None, float]:
-    """Return the window or the low pass that explains velocities best, and what it leaves."""
+    """Return the window or the low pass that fits velocities best, and its relative error."""
     if velocity is None:
         return None, 0.0
     late = slice(_LONGEST_WINDOW, None)
@@ -428,5 +433,5 @@ def _estimator(
         for row in range(1, len(values)):
             values[row] = share * values[row - 1] + (1.0 - share) * differences[row]
         guess(Velocity.low_pass(-log(share) / (2.0 * pi * period)), values)
-    left, best = min(guesses, key=lambda one: one[0])
-    return best, float(np.sqrt(left / max(np.mean(velocity[late] ** 2), np.finfo(float).tiny)))
+    error, best = min(guesses, key=lambda guess: guess[0])
+    return best, float(np.sqrt(error / max(np.mean(velocity[late] ** 2), np.finfo(float).tiny)))

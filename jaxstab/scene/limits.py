@@ -173,8 +173,8 @@ class Limits(Answer):
 
 
 def brief(answer: Limits | LimitsOverDelays, *, islands: bool = False) -> str:
-    """Return the estimator, the delay, the largest stiffness and each wall, a line for each."""
-    assert answer.inputs is not None  # there are, in answers of scene_limits
+    """Return the estimator, the delay, the largest stiffness and each wall, one on each line."""
+    assert answer.inputs is not None  # scene_limits always gives them
     lines, said = answer.inputs.facts(), {path: words for path, _, words in answer.leaves()}
 
     def limit(key: str, *more: str | None) -> str:
@@ -210,7 +210,7 @@ def brief(answer: Limits | LimitsOverDelays, *, islands: bool = False) -> str:
 
 
 def _wall_in_words(wall: WallCheck | AroundWall, key: str, said: dict[str, str]) -> str:
-    """Return the gains of a wall, and its verdict or the limits beside it."""
+    """Return the gains of a wall, and its verdict or the stiffness limits at its damping."""
     if isinstance(wall, WallCheck):
         names = (f"{key}.{name}" for name in ("verdict", "worst_delays"))
         words = ", ".join(said[name] for name in names if name in said)

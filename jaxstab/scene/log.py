@@ -15,8 +15,8 @@ from jaxstab.shown import printable
 if TYPE_CHECKING:
     from jaxstab.scene.identify import Estimate, Identified
 
-_UNEQUAL = 0.1  # of a sample: how far steps of the time may be from their mean
-_EXPLAINED = 0.05  # of a velocity: an estimator that leaves more is not taken
+_UNEQUAL = 0.1  # of a sample: the most that a time step may differ from the mean
+_EXPLAINED = 0.05  # of a velocity: an estimator with a larger error is only a comment
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Log:
 def read_log(
     file: str, names: dict[str, str], sample_time: float | None, needs_velocity: bool
 ) -> Log:
-    """Read a log whose columns are named; ValueError for a bad one, or unequal steps of time."""
+    """Read a log by the names of its columns; ValueError if it is bad or its time steps differ."""
     needed = ["force", "position", *(["time"] if sample_time is None else [])]
     optional = [] if needs_velocity else [names["velocity"]]
     needed += ["velocity"] if needs_velocity else []
@@ -45,67 +45,67 @@ def read_log(
         if len(odd) or not sample_time > 0.0:
             line = int(odd[0]) + 3 if len(odd) else 3
             raise ValueError(
-                f"{file}, line {line}: the time does not grow by {sample_time:.6g} s, the mean "
-                "step; give a log with equal steps, or the period as --sample-time if no row is "
+                f"{file}, line {line}: the time does not grow by the mean step of "
+                f"{sample_time:.6g} s; give a log with equal steps, or --sample-time if no row is "
                 "missing."
             )
     return Log(sample_time, columns["force"], columns["position"], columns.get("velocity"))
 
 
-def identified_text(found: "Identified", units: Units) -> str:
-    """Return what was identified, a line each."""
-    period, length = found.sample_time, Quantity("m", digits=3)
-    rounding = length.words((found.resolution or 0.0) / sqrt(12.0), units)
-    explained = f", where the encoder's rounding explains {rounding}" if found.resolution else ""
+def identified_text(device: "Identified", units: Units) -> str:
+    """Return the identified quantities, one on each line, with units."""
+    period, length = device.sample_time, Quantity("m", digits=3)
+    rounding = length.words((device.resolution or 0.0) / sqrt(12.0), units)
+    explained = f" (encoder rounding alone: {rounding})" if device.resolution else ""
     lines = {
-        units.moved: f"{found.mass} {units.kilogram}",
-        "damping": f"{found.damping} {units.damping}",
-        "friction": f"{found.friction} {units.force}",
-        "constant force": f"{found.offset} {units.force}",
-        "spring": f"{found.stiffness} {units.stiffness}" if found.stiffness.value else "",
-        "delay": f"{found.delay.times(1e3)} ms; in samples {found.delay.times(1.0 / period)}",
-        "residual": f"{length.words(found.residual, units)} rms{explained}",
-        "velocity": f"{found.velocity}, which {_left(found)}" if found.velocity else "",
+        units.moved: f"{device.mass} {units.kilogram}",
+        "damping": f"{device.damping} {units.damping}",
+        "friction": f"{device.friction} {units.force}",
+        "constant force": f"{device.offset} {units.force}",
+        "spring": f"{device.stiffness} {units.stiffness}" if device.stiffness.value else "",
+        "delay": f"{device.delay.times(1e3)} ms; in samples {device.delay.times(1.0 / period)}",
+        "residual": f"{length.words(device.residual, units)} rms{explained}",
+        "velocity": f"{device.velocity}; {_unexplained(device)}" if device.velocity else "",
     }
     shown = [f"{name:16}{words}" for name, words in lines.items() if words]
     return "\n".join([*shown, "in brackets: 95 % confidence intervals, if the model holds"])
 
 
-def _left(found: "Identified") -> str:
-    percent = 100.0 * found.unexplained
-    return f"leaves {f'{percent:.2g}' if percent >= 1e-3 else '< 0.001'} % (rms)"
+def _unexplained(device: "Identified") -> str:
+    percent = 100.0 * device.unexplained
+    return f"{f'{percent:.2g}' if percent >= 1e-3 else '< 0.001'} % rms unexplained"
 
 
-def identified_scene(found: "Identified", units: Units, source: str) -> str:
-    """Return the text of a scene: intervals where it takes ranges, the others as comments.
+def identified_scene(device: "Identified", units: Units, source: str) -> str:
+    """Return the text of a scene: intervals as ranges where it takes them, else as comments.
 
-    The delay becomes a range in which it moves, for proofs of these hold for all masses, too.
+    The delay becomes a range in which it may vary, because those proofs cover ranges of mass, too.
     """
-    period, resolution, velocity = found.sample_time, found.resolution, _velocity_key(found)
-    remarks = [f"Warning: {found.warning}."] if found.warning else []
-    if found.stiffness.value:
+    period, resolution, velocity = device.sample_time, device.resolution, _velocity_key(device)
+    remarks = [f"Warning: {device.warning}."] if device.warning else []
+    if device.stiffness.value:
         remarks.append(
-            f"The device has a spring of {found.stiffness} {units.stiffness}: add it to the "
+            f"The device has a spring of {device.stiffness} {units.stiffness}: add it to the "
             "stiffness of the hand."
         )
     lines = [
         f"# From {printable(source)} by jaxstab identify. In brackets and as ranges: 95 %",
-        "# confidence intervals, which hold if the model does.",
+        "# confidence intervals, if the model holds.",
         *(f"# {remark}" for remark in remarks),
         "",
         "[device]",
-        f"{units.moved} = {_range(found.mass)}  # {units.kilogram}; best {found.mass.value:.7g}",
-        f"damping = {found.damping.value:.6g}  # {units.damping}; {found.damping}",
-        f"friction = {found.friction.value:.6g}  # {units.force}; {found.friction}",
+        f"{units.moved} = {_range(device.mass)}  # {units.kilogram}; best {device.mass.value:.7g}",
+        f"damping = {device.damping.value:.6g}  # {units.damping}; {device.damping}",
+        f"friction = {device.friction.value:.6g}  # {units.force}; {device.friction}",
         *([f"encoder.resolution = {resolution:.6g}  # {units.length}"] if resolution else []),
         "",
         "[controller]",
         f"sample_time = {period:.9g}  # s",
-        f"delay = {_range(found.delay)}  # s; in samples {found.delay.times(1.0 / period)}",
+        f"delay = {_range(device.delay)}  # s; in samples {device.delay.times(1.0 / period)}",
         *velocity,
     ]
-    if found.friction.value:
-        speed = float(np.std(np.diff(found.fitted, axis=1))) / period
+    if device.friction.value:
+        speed = float(np.std(np.diff(device.fitted, axis=1))) / period
         words = f"{units.length}/s, of simulated contacts; that of the log"
         lines += ["", "[contact]", f"speed = {speed:.2g}  # {words}"]
     return "\n".join([*lines, ""])
@@ -115,15 +115,15 @@ def _range(estimate: "Estimate") -> str:
     return f"[{max(estimate.low, 0.0):.7g}, {max(estimate.high, 0.0):.7g}]"
 
 
-def _velocity_key(found: "Identified") -> list[str]:
+def _velocity_key(device: "Identified") -> list[str]:
     """Return the key of the velocity's estimator, as a comment if it explains too little."""
-    if found.velocity is None:
+    if device.velocity is None:
         return []
-    (section,) = found.velocity.filter.sections
+    (section,) = device.velocity.filter.sections
     name, value = next(
         (name, getattr(section, own))
         for name, own in (("window_samples", "samples"), ("cutoff", "cutoff"))
         if hasattr(section, own)
     )
-    mark = "" if found.unexplained <= _EXPLAINED else "# not explained: "
-    return [f"{mark}velocity.{name} = {value:.6g}  # {_left(found)}"]
+    mark = "" if device.unexplained <= _EXPLAINED else "# not explained: "
+    return [f"{mark}velocity.{name} = {value:.6g}  # {_unexplained(device)}"]

@@ -7,10 +7,10 @@ blocks by any executor, resumed, in parts, and read by xarray.
 
 Within a block, what decides the filters and the sampling period is put into the scene, once for
 each combination. Masses, dampings, stiffnesses and delays are arrays beside the loop that results:
-verdicts, radii, margins and settling times are asked of all of them at once. Limits are asked of
-all loops of the block together, whatever their filters. Where all that is drawn is measured, a row
-that is drawn again has the answers of the first one of the block. Devices that are not one mass are
-asked about walls loop by loop.
+verdicts, radii, margins and settling times are computed for all of them at once. Limits are
+computed for all loops of the block together, whatever their filters. If every distribution is
+measured data, equal rows are drawn repeatedly, and each is computed once in a block. Walls on
+devices that are not one mass are computed loop by loop.
 """
 
 import json
@@ -245,7 +245,11 @@ class Study:
         return values(self.path, name)
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Return dimensions, draws and answers, each over all dimensions; codes as their words.
+        """Return dimensions, draws and answers as the columns of a table, with codes as words.
+
+        Returns:
+            An array for each name, of the shape of the whole grid: lists, then ``sample`` and
+            ``wall`` if there are any. Units: ``units``.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -254,18 +258,18 @@ class Study:
             >>> columns["delay"].tolist(), columns["verdict"].tolist()
             ([[0.0], [0.001]], [['stable'], ['unstable']])
         """
-        known = self.dimensions
-        order = [*self.lists, *(name for name in (SAMPLE, WALL) if name in known)]
+        grid, known = self.dimensions, self._said.dimensions
+        order = [*self.lists, *(name for name in (SAMPLE, WALL) if name in grid)]
         coded = {name: own for answer in ANSWERS.values() for name, own in answer.items()}
-        names = [name for name in [*self._said.dimensions] if name not in coded]
+        labels = (name for name in known if name not in coded)
         columns = {}
-        for name in [*order, *names, *(name for name in coded if name in self._said.dimensions)]:
-            own, values = self._said.dimensions.get(name, (name,)), self.values(name)
+        for name in [*order, *labels, *(name for name in coded if name in known)]:
+            own, values = known.get(name, (name,)), self.values(name)
             if len(coded.get(name, ())) > 3:
                 words = coded[name][3]
                 values = np.array([words.get(code, "") for code in range(max(words) + 1)])[values]
-            lengths = [len(known[one]) if one in own else 1 for one in order]
-            shape = [len(known[one]) for one in order]
+            lengths = [len(grid[axis]) if axis in own else 1 for axis in order]
+            shape = [len(grid[axis]) for axis in order]
             columns[name] = np.broadcast_to(values.reshape(lengths), shape)
         return columns
 
@@ -749,13 +753,13 @@ class _Source:
 
     @property
     def ranges(self) -> dict[str, Uniform]:
-        """The ranges of the hand and of the device's mass, as distributions."""
+        """The ranges of the hand and of the device's mass, as uniform distributions."""
         found = dict[str, Uniform]()
         for key in () if self.is_loop else _RANGES:
             section, _, name = key.partition(".")
             match self.table.get(section):
                 case {**keys} if isinstance(keys.get(name), list | tuple):
-                    with suppress(ValueError):  # which the scene refuses
+                    with suppress(ValueError):  # the scene refuses it later
                         low, high = interval("")(keys[name])
                         found |= {key: Uniform(low, high)} if low < high else {}
         return found
@@ -789,9 +793,9 @@ class _Source:
         return Scene.from_table(table)
 
     def check(self, columns: Sequence[tuple[str, Values]]) -> list[str]:
-        """Refuse values at the corners of what varies; return warnings of likely slips of a unit.
+        """Refuse bad values at the corners of what varies; return warnings of unusual values.
 
-        Both are the sentences of a scene.
+        Both are the sentences that a scene gives.
         """
         ends = [
             list(dict.fromkeys(_few(values, 2 if key in self.numbers else _MOST_CORNERS)))
@@ -841,10 +845,10 @@ class _Blocks:
     dimensions: tuple[str, ...]  # but that of walls
     walls: Mapping[str, tuple[float, float]]
     answers: tuple[str, ...]
-    repeats: bool  # whether all that is drawn is measured: the same rows are drawn again
+    repeats: bool  # whether every distribution is measured data, so that rows are drawn again
 
     def __call__(self, block: "Block") -> dict[str, NDArray[Any]]:
-        """Return the answers of a block; of equal draws, those of the first one."""
+        """Return the answers of a block; equal measured draws are computed once."""
         spans = dict(zip(self.dimensions, block, strict=False))
         indices = {name: np.arange(span.start, span.stop) for name, span in spans.items()}
         if self.repeats:
@@ -857,7 +861,7 @@ class _Blocks:
         return found
 
     def different(self, span: slice) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the first of equal draws, and which of these each draw equals."""
+        """Return the indices of draws that differ, and for each draw which of them it equals."""
         draws = np.stack([column.values[span] for column in self.columns if column.is_drawn])
         _, first, again = np.unique(draws, axis=1, return_index=True, return_inverse=True)
         return first, again.ravel()

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 _FIRST_BITS, _MOST_BITS = 256, 1 << 14
 _WANTED_BITS = 64  # of each entry
-_HANDLE_BITS = 1024
+_HANDLE_BITS = 1024  # of the equations at the handle
 _NOTHING = 2.0**-200  # of the largest entry: one that small may be 0
 
 Rows = Float64[np.ndarray, "offset state column"]
@@ -125,8 +125,8 @@ def equations(
     return matrix
 
 
-class Handle(NamedTuple):
-    """A device whose handle has a mass, in continuous time; x is in m, forces in N.
+class HandleEquations(NamedTuple):
+    """The equations of a device with a mass at its handle, in continuous time, in m and N.
 
     The unit of time is a tick, in which the fastest pole moves by 1 rad or so. The first states are
     position and velocity.
@@ -134,7 +134,7 @@ class Handle(NamedTuple):
     matrix: rates of the states, of these, of the wall's force and of the hand's.
     pull: the column of the force that pulls at the handle beside the hand's.
     at_rest: the states of a device at rest at position 1 without a wall's force.
-    ticks: of a sample, a power of 2.
+    ticks: how many make a sample, a power of 2.
     """
 
     matrix: Float64[np.ndarray, "state column"]
@@ -144,14 +144,14 @@ class Handle(NamedTuple):
 
 
 @lru_cache(maxsize=64)
-def handle(device: Device, sample_time: float) -> Handle:
-    """The equations of a device at its handle; ValueError if no mass is there."""
+def handle_equations(device: Device, sample_time: float) -> HandleEquations:
+    """Return the equations of a device at its handle; ValueError if no mass is there."""
     import flint
 
     with working_precision(_HANDLE_BITS):
         of_samples = in_samples(device.handle_compliance(), sample_time)
-        fastest = float(in_fastest_time(*of_samples)[2])
-        fastest = max(fastest, *(2.0 * pi * one * sample_time for one in device.bandwidths), 1.0)
+        turns = (2.0 * pi * width * sample_time for width in device.bandwidths)
+        fastest = max(float(in_fastest_time(*of_samples)[2]), *turns, 1.0)
         ticks = 2.0 ** ceil(log2(fastest))
         tick = sample_time / ticks
         moves = mechanics(device, tick, 0.0, (0.0,))
@@ -159,8 +159,8 @@ def handle(device: Device, sample_time: float) -> Handle:
         columns = matrix.ncols()
         if moves.thrown is None or not matrix[1, columns - 1] > 0:
             raise ValueError(
-                f"the device ({device}) has no mass at its handle, or a negative one, and friction "
-                "needs one there; give a compliance of two degrees more in the denominator."
+                f"the device ({device}) has no mass at its handle, or a negative one, but friction "
+                "needs a mass there; give a compliance whose denominator is two degrees higher."
             )
         # The second state of the canonical form is the velocity, less a share of the position.
         there, back = (flint.arb_mat(columns, columns) + 1 for _ in range(2))
@@ -168,7 +168,8 @@ def handle(device: Device, sample_time: float) -> Handle:
         rows = (there * matrix * back).tolist()[:-2]
     at_rest = np.array([moves.at_rest[0], 0.0, *moves.at_rest[2:]])
     pull = columns - 3 if device.bandwidths else columns - 2
-    return Handle(np.array([[_float(one) for one in row] for row in rows]), pull, at_rest, ticks)
+    rates = np.array([[_float(entry) for entry in row] for row in rows])
+    return HandleEquations(rates, pull, at_rest, ticks)
 
 
 def _held(matrix: "arb_mat", fraction: float, offset: float) -> "arb_mat":
