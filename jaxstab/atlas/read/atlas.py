@@ -111,6 +111,7 @@ class LoopAtlas:
         'CELL'
         >>> round(walls.largest_stiffness().damping)
         43
+        >>> axes = walls.plot()
     """
 
     def __init__(self, atlas: "Atlas", loop: Any) -> None:

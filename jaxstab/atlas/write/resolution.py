@@ -277,8 +277,8 @@ def plan_resolution(
     wishes = {"accuracy": accuracy, "size": size}
     given = {name: wish for name, wish in wishes.items() if wish is not None}
     if len(given) != 1:
-        words = " and ".join(given) or "nothing"
-        raise TypeError(f"{words} is given; give one of {', '.join(wishes)}.")
+        words = "both are" if given else "nothing is"
+        raise TypeError(f"{words} given; give one of {', '.join(wishes)}.")
     ((name, wish),) = given.items()
     value = checked_number(name, wish, *_ALLOWED[name])
     if name == "accuracy" and ALPHA_LIMITS not in spec.products:
