@@ -223,7 +223,7 @@ def test_a_given_axis_keeps_its_ends_and_its_density() -> None:
     ("products", "wish", "says"),
     [
         (["alpha_limits"], {}, "nothing is given; give one of accuracy, size."),
-        (["alpha_limits"], {"accuracy": 0.1, "size": 1e5}, "both are given; give one of accuracy, size."),
+        (["alpha_limits"], {"accuracy": 0.1, "size": 1e5}, "both are given; give one of"),
         (["alpha_limits"], {"accuracy": 0.0}, "accuracy is 0.0"),
         (["alpha_limits"], {"size": -1.0}, "size is -1.0"),
         (["verdict"], {"accuracy": 0.1}, "accuracy is of limits of alpha; add 'alpha_limits'"),
