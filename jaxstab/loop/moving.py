@@ -147,7 +147,8 @@ def _moved(loop: LoopParameters, extremes: _Extreme) -> ManyLimits:
         start = jnp.stack([*extreme[:3], jnp.where(is_corner, extreme.second, 0.0)])
         residual = partial(_equations, start, is_corner, axis)
         step = jnp.linalg.solve(jax.jacfwd(residual)(start, fixed), residual(start, numbers))
-        return start[:2] - (step - jax.lax.stop_gradient(step))[:2]
+        wall = start[:2] - (step - jax.lax.stop_gradient(step))[:2]
+        return jnp.where(~is_corner & (start[:2] == 0.0), 0.0, wall)  # on an axis it stays there
 
     (stiffest, at_damping), (at_stiffness, damping) = jax.vmap(moved)(extremes, jnp.arange(2))
     return ManyLimits(
