@@ -40,7 +40,6 @@ FORMAT_VERSIONS: Final = ("v110", "v110")
 """Of HDF5: checksums of its own structures; 1.10 and newer read it."""
 
 _FILTERS = {"shuffle": True, "compression": "gzip", "compression_opts": 1, "fletcher32": True}
-_FILL = {"float64": np.nan, "int8": 0}  # of chunks that other parts have
 _KEY, _MAKER, _PART = "key", "computed_by", "part"
 _AT_ONCE = 256  # blocks in flight; more workers than that are not kept busy
 
@@ -56,6 +55,11 @@ class Variable(NamedTuple):
     units: str
     flags: Mapping[int, str] = {}
     without: tuple[str, ...] = ()
+
+    @property
+    def fill(self) -> float:
+        """The value where other parts compute: not a number, or the smallest code."""
+        return float(min(self.flags)) if self.flags else np.nan
 
     @property
     def attributes(self) -> dict[str, Any]:
@@ -224,7 +228,7 @@ class Dataset(Job[Block]):
         datasets = {}
         for name, variable in self.computed.items():
             shape, chunk = self.own(variable, self.shape), self.own(variable, self.chunk)
-            options = {"chunks": chunk, "fillvalue": _FILL[variable.dtype], **_FILTERS}
+            options = {"chunks": chunk, "fillvalue": variable.fill, **_FILTERS}
             created = file.create_dataset(name, shape, variable.dtype, track_times=False, **options)
             own = self.own(variable, [*self.coordinates])
             labelled = [label for label, (along, _) in self.labels.items() if along in own]

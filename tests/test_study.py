@@ -389,6 +389,18 @@ def test_parts_put_together_are_the_whole(tmp_path: Path, small_blocks: None) ->
     assert told == [12]
 
 
+def test_loops_of_other_parts_have_the_status_not_computed(
+    tmp_path: Path, small_blocks: None
+) -> None:
+    part = small(tmp_path / "1.h5", part=(1, 3), answers=["limits"]).open().limits_status
+    words = dict(zip(part.flag_values, part.flag_meanings.split(), strict=True))
+    statuses = [words[code] for code in part.values.ravel()]
+    assert {one: statuses.count(one) for one in words.values() if one in statuses} == {
+        "not_computed": 80,
+        "complete": 40,
+    }
+
+
 def test_parts_that_do_not_go_together_are_refused(tmp_path: Path, small_blocks: None) -> None:
     one, two, other, whole = (tmp_path / f"{name}.h5" for name in ("one", "two", "other", "whole"))
     small(one, part=(1, 3))

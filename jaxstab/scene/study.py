@@ -77,7 +77,7 @@ _OF_LOOPS = {field: (field, words, unit) for field, words, unit in _NUMBERS.valu
 }
 _OTHER_UNITS = {"sample_time": "s", "window": "s", "cutoff": "Hz", "frequency": "Hz"}
 
-_LIMITS = {status.value: status.name.lower() for status in RegionStatus}
+_LIMITS = {-1: "not_computed"} | {one.value: one.name.lower() for one in RegionStatus}
 _VERDICTS = {verdict.value: verdict.name.lower() for verdict in Verdict}
 _SETTLING = {status.value: status.name.lower() for status in SettlingStatus}
 
