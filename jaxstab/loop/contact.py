@@ -411,10 +411,10 @@ def _mechanism(
     device = loop.device
     if loop.body is None and device is not None:
         _refuse_fast(handle_equations(device, period).ticks)
-        return Handle.of(device, period, turn), 1.0, device.static_stiffness()
+        return Handle.from_device(device, period, turn), 1.0, device.static_stiffness()
     gamma, delta = float(loop.gamma), float(loop.delta)
     _refuse_fast(max(delta, gamma**0.5))
-    return Plant.of(gamma, delta, turn), float(loop.mass) / period**2, gamma
+    return Plant.from_delays(gamma, delta, turn), float(loop.mass) / period**2, gamma
 
 
 def _refuse_fast(speed: float) -> None:

@@ -28,7 +28,7 @@ from jaxstab.shown import call_text
 from jaxstab.tables import Table, coefficients, key, one_of, quantity, share, whole
 
 _LEAST_FACTOR = 2.0**-53  # of exponential smoothing
-_NO_REST = 4.0 * 2.0**-53  # of the numerator's size, per coefficient: V(1) as good as zero
+_ZERO_SUM = 4.0 * 2.0**-53  # of the numerator's size, per coefficient: V(1) as good as zero
 
 
 @pytree
@@ -224,10 +224,10 @@ class Velocity:
         Raises: as ``Filter.transfer_function``; ValueError also if V(1) is not 0.
         """
         above, below = _checked_rational(numerator, denominator)
-        rest = abs(float(sum(map(Fraction, above))))
-        if len(above) < 2 or rest > _NO_REST * len(above) * sum(map(abs, above)):
+        total = abs(float(sum(map(Fraction, above))))
+        if len(above) < 2 or total > _ZERO_SUM * len(above) * sum(map(abs, above)):
             raise ValueError(
-                f"numerator is {list(above)}: its sum, V(1) in z, is {rest:.3g}, but a "
+                f"numerator is {list(above)}: its sum, V(1) in z, is {total:.3g}, but a "
                 "velocity is 0 at rest; give one whose coefficients sum to 0."
             )
         return cls(Filter((Differentiator(above, below),)))
@@ -238,9 +238,9 @@ class Velocity:
 
     def stages(self, sample_time: Numbers = 1.0) -> tuple[int, list[Transfer]]:
         """A number of samples n, and transfer functions behind (1 - z^-n) / n."""
-        first, *others = self.filter.per_sample(sample_time).sections or (Average(1, None),)
-        if isinstance(first, Average):
-            return first.length, Filter(tuple(others)).stages()
+        section, *others = self.filter.per_sample(sample_time).sections or (Average(1, None),)
+        if isinstance(section, Average):
+            return section.length, Filter(tuple(others)).stages()
         return 1, self.filter.stages(sample_time)
 
     def __mul__(self, other: Filter) -> "Velocity":
@@ -253,14 +253,14 @@ class Velocity:
         maker = sections[0].estimator if sections else None
         if maker is None:  # the difference over one sample
             return " * ".join(["Velocity()", *_filter_calls(sections)])
-        first = _call(f"Velocity.{maker}", sections[0])
-        return " * ".join([first, *_filter_calls(sections[1:])])
+        call = _call(f"Velocity.{maker}", sections[0])
+        return " * ".join([call, *_filter_calls(sections[1:])])
 
     def __str__(self) -> str:
-        first, *others = self.filter.sections or (Average(1, None),)
-        if isinstance(first, Average):
-            return ", ".join([f"the difference over {first}", *map(str, others)])
-        if isinstance(first, Differentiator):
+        section, *others = self.filter.sections or (Average(1, None),)
+        if isinstance(section, Average):
+            return ", ".join([f"the difference over {section}", *map(str, others)])
+        if isinstance(section, Differentiator):
             return str(self.filter)
         return f"the difference over one sample, {self.filter}"
 
@@ -402,7 +402,7 @@ class FilterTable(Table):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        given = [name for name in self._known() if getattr(self, name) is not None]
+        given = [name for name in self._names() if getattr(self, name) is not None]
         for name in _BESIDE:
             if name in given and self.cutoff is None:
                 raise ValueError(
@@ -415,9 +415,9 @@ class FilterTable(Table):
         if fraction and others:
             raise ValueError(f"{others[0]} is given beside numerator; give one of them.")
         if not given:
-            first, *rest = (name for name in self._known() if name not in (*_BESIDE, *_FRACTION))
+            needed, *more = (name for name in self._names() if name not in (*_BESIDE, *_FRACTION))
             raise ValueError(
-                f"{first} is missing; give it, or {', '.join(rest)}, or numerator and denominator."
+                f"{needed} is missing; give it, or {', '.join(more)}, or numerator and denominator."
             )
 
     def as_filter(self) -> Filter:
@@ -447,16 +447,16 @@ class FilterTable(Table):
         return chain if self.factor is None else chain * Filter.exponential(self.factor)
 
     @classmethod
-    def _known(cls) -> list[str]:
+    def _names(cls) -> list[str]:
         return [entry.name for entry in fields(cls) if entry.name not in cls.names_besides]
 
 
 def below_one(value: Any) -> float:
     """Return a cut-off as a share of the sampling rate."""
-    number: float = quantity("1", is_positive=True)(value)
-    if number >= 1.0:
+    ratio: float = quantity("1", is_positive=True)(value)
+    if ratio >= 1.0:
         raise ValueError("give it as a share of the sampling rate, below 1")
-    return number
+    return ratio
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -29,8 +29,8 @@ class Bounded(NamedTuple):
     error: Array
 
     def __mul__(self, other: "Bounded") -> "Bounded":  # type: ignore[override]
-        one, two = abs(self.value.hi), abs(other.value.hi)
-        error = self.error * (two + other.error) + one * other.error + PAIR_PRODUCT * one * two
+        a, b = abs(self.value.hi), abs(other.value.hi)
+        error = self.error * (b + other.error) + a * other.error + PAIR_PRODUCT * a * b
         return Bounded(self.value * other.value, error)
 
     def __neg__(self) -> "Bounded":
@@ -96,14 +96,14 @@ def sampled_mass(
     """Device and hand of one mass (eq. (9)); the fraction of the delay is 0.0, or nowhere 0."""
     pairs = plant_pairs(gamma, delta, fraction)
     xp = namespace(pairs)
-    one = DoubleDouble.of(xp.ones_like(pairs.d0.hi))
+    unit = DoubleDouble.of(xp.ones_like(pairs.d0.hi))
     numerator: Polynomial = (pairs.n2, pairs.n1, pairs.n0)
     relative = pairs_error(gamma, delta)
     size = size_of(numerator)
     rounding = relative * xp.where(may_cancel(gamma, delta), xp.sqrt(size), size)
     at_minus_one = (
         Bounded(pairs.difference, rounding),
-        Bounded(one - pairs.d1 + pairs.d0, 4.0 * relative),
+        Bounded(unit - pairs.d1 + pairs.d0, 4.0 * relative),
     )
     is_whole = isinstance(fraction, float) and fraction == 0.0
     if is_whole:  # N(0) = 0: a sample less
@@ -111,10 +111,10 @@ def sampled_mass(
         at_minus_one = -at_minus_one[0], at_minus_one[1]
     return SampledPlant(
         numerator=numerator,
-        denominator=(one, pairs.d1, pairs.d0),
+        denominator=(unit, pairs.d1, pairs.d0),
         lag=whole_delay + (not is_whole),
         errors=(3.0 * rounding, 2.0 * relative),
-        at_one=(Bounded(one, 0.0), Bounded(DoubleDouble.of(gamma), 0.0)),
+        at_one=(Bounded(unit, 0.0), Bounded(DoubleDouble.of(gamma), 0.0)),
         at_minus_one=at_minus_one,
     )
 
@@ -168,15 +168,15 @@ def loop_of(plant: SampledPlant, filters: LoopFilters) -> LinearLoop:
     plants = plant.denominator, plant.numerator, plant.numerator
     zero = plant.denominator[0] - plant.denominator[0]
     parts = [
-        product(one, other) + (zero,) * power
-        for one, other, power in zip(plants, filters.products, powers, strict=True)
+        product(polynomial, factor) + (zero,) * power
+        for polynomial, factor, power in zip(plants, filters.products, powers, strict=True)
     ]
     degree = len(parts[0]) - 1
-    base, stiffness, damping = ((zero,) * (degree + 1 - len(part)) + part for part in parts)
+    base, stiffness, damping = ((zero,) * (degree + 1 - len(terms)) + terms for terms in parts)
     roundings = plant.errors[1], plant.errors[0], plant.errors[0]
     errors = [
-        size * (rounding + FILTERS * size_of(one))
-        for size, rounding, one in zip(filters.sizes, roundings, plants, strict=True)
+        size * (rounding + FILTERS * size_of(polynomial))
+        for size, rounding, polynomial in zip(filters.sizes, roundings, plants, strict=True)
     ]
     return LinearLoop(
         base,
@@ -221,9 +221,9 @@ def _at_minus_one(plant: SampledPlant, filters: LoopFilters, powers: list[int]) 
     numerator, denominator = plant.at_minus_one
     nv, dv, np_, dp = filters.at_minus_one
     minus_two = Bounded(DoubleDouble(-2.0, 0.0), 0.0)
-    parts = denominator * dp * dv, numerator * np_ * dv, minus_two * numerator * nv * dp
+    terms = denominator * dp * dv, numerator * np_ * dv, minus_two * numerator * nv * dp
     return Affine(
-        *(-part if power % 2 else part for part, power in zip(parts, powers, strict=True))
+        *(-term if power % 2 else term for term, power in zip(terms, powers, strict=True))
     )
 
 

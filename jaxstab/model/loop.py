@@ -79,8 +79,8 @@ class LoopParameters:
         for name, (least, is_open) in _LEAST.items():
             value = getattr(self, name)
             if not (value is None or is_traced(value)):
-                number = checked_number(name, value, least, is_open=is_open)
-                object.__setattr__(self, name, value if is_jax(value) else number)
+                checked = checked_number(name, value, least, is_open=is_open)
+                object.__setattr__(self, name, value if is_jax(value) else checked)
         is_known = not is_any_traced(self.delay, self.sample_time)
         object.__setattr__(self, "_whole_delay", int(self.delay_samples) if is_known else None)
         if is_known and self.delay_samples > LONGEST_DELAY:
@@ -126,8 +126,8 @@ class LoopParameters:
     def body(self) -> Body | None:
         """Device and hand as one mass on a spring and a damper; None for any other device."""
         if self.device is not None:
-            one = self.device.one_mass()
-            return None if one is None else Body(one.mass, one.damping, one.stiffness)
+            body = self.device.one_mass()
+            return None if body is None else Body(body.mass, body.damping, body.stiffness)
         damping = self.device_damping + self.hand_damping
         return Body(self.device_mass + self.hand_mass, damping, self.hand_stiffness)
 
@@ -228,10 +228,10 @@ class LoopParameters:
                 "the delay in samples is traced, but its whole part sets the degree of p(z): make "
                 "the loop outside of jit, vmap and grad and give it to the function as an argument."
             )
-        part = self.delay / self.sample_time - whole
+        fraction = self.delay / self.sample_time - whole
         # A whole delay stays so up to the rounding of the division, its derivative unchanged.
-        is_less = part <= 4.0 * ulp(whole)
-        return TracedDelay(whole, part - namespace(part).where(is_less, constant(part), 0.0))
+        is_less, xp = fraction <= 4.0 * ulp(whole), namespace(fraction)
+        return TracedDelay(whole, fraction - xp.where(is_less, constant(fraction), 0.0))
 
     def tree_flatten(self) -> tuple[tuple[Any, ...], tuple[int | None, Device | None]]:
         """Return the parts that JAX traces, and the others: whole samples of delay, a device.
@@ -239,7 +239,7 @@ class LoopParameters:
         Windows in s become whole numbers of samples, which are not traced.
         """
         numbers = (getattr(self, name) for name in _LEAST)
-        filters = (_counted(part, self.sample_time) for part in (self.velocity, self.position))
+        filters = (_counted(chain, self.sample_time) for chain in (self.velocity, self.position))
         return (*numbers, *filters), (self._whole_delay, self.device)
 
     @classmethod
@@ -313,14 +313,14 @@ def _linear_loop(loop: LoopParameters) -> LinearLoop:
     return filtered_loop(loop.gamma, loop.delta, int(whole), fraction, filters)
 
 
-def _counted(part: Any, sample_time: Numbers) -> Any:
+def _counted(chain: Any, sample_time: Numbers) -> Any:
     """Return an estimator or filter with its windows in samples."""
-    if isinstance(part, Velocity):
-        return Velocity(_counted(part.filter, sample_time))
-    if not isinstance(part, Filter):
-        return part
+    if isinstance(chain, Velocity):
+        return Velocity(_counted(chain.filter, sample_time))
+    if not isinstance(chain, Filter):
+        return chain
     return Filter(
-        tuple(s.per_sample(sample_time) if isinstance(s, Average) else s for s in part.sections)
+        tuple(s.per_sample(sample_time) if isinstance(s, Average) else s for s in chain.sections)
     )
 
 

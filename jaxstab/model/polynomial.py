@@ -127,8 +127,8 @@ def _polynomial(
 ) -> Array:
     wall = _times_wall(alpha, beta, plant)
     xp = namespace(alpha, beta, plant)
-    one = DoubleDouble.of(xp.ones_like(plant.d0.hi))
-    denominator = (one, plant.d1, plant.d0)
+    unit = DoubleDouble.of(xp.ones_like(plant.d0.hi))
+    denominator = (unit, plant.d1, plant.d0)
     grid = xp.broadcast_shapes(wall[0].hi.shape, whole_delay.shape)
     columns = []
     for power in range(degree + 1):
@@ -156,13 +156,13 @@ def _filtered_polynomials(
     grid = np.broadcast_shapes(delay.shape, *(np.shape(value) for value in point))
     arguments = [np.broadcast_to(np.asarray(value), grid) for value in (*point, delay)]
     members = [np.broadcast_to(twice == form, grid) for form in forms]
-    parts = []
+    blocks = []
     for chosen in members:
         *listed, delays = (argument[chosen] for argument in arguments)
-        parts.append(_filtered_polynomials(tuple(listed), delays, filters))
-    result = np.zeros((*grid, max(part.shape[-1] for part in parts)))
-    for chosen, part in zip(members, parts, strict=True):
-        result[chosen, : part.shape[-1]] = part
+        blocks.append(_filtered_polynomials(tuple(listed), delays, filters))
+    result = np.zeros((*grid, max(block.shape[-1] for block in blocks)))
+    for chosen, block in zip(members, blocks, strict=True):
+        result[chosen, : block.shape[-1]] = block
     return namespace(point).asarray(result)
 
 

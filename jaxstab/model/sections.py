@@ -44,7 +44,7 @@ class Transfer(NamedTuple):
     sizes: tuple[Array, Array]
 
     @classmethod
-    def of(cls, numerator: Polynomial, denominator: Polynomial, lag: int) -> "Transfer":
+    def with_sizes(cls, numerator: Polynomial, denominator: Polynomial, lag: int) -> "Transfer":
         """Return a transfer function with its sizes."""
         return cls(numerator, denominator, lag, (size_of(numerator), size_of(denominator)))
 
@@ -66,7 +66,7 @@ class Transfer(NamedTuple):
 
     def values_at(self, z: float) -> tuple[DoubleDouble, DoubleDouble]:
         """Return numerator and denominator at z."""
-        above, below = (reduce(lambda value, c: value * z + c, one) for one in self[:2])
+        above, below = (reduce(lambda value, c: value * z + c, falling) for falling in self[:2])
         return above, below
 
     @property
@@ -79,17 +79,17 @@ def product(a: Polynomial, b: Polynomial) -> Polynomial:
     """Return the product of two polynomials; those of windows have few terms that are not 0."""
     terms: list[list[DoubleDouble]] = [[] for _ in range(len(a) + len(b) - 1)]
     others = [(j, other) for j, other in enumerate(b) if not _is_zero(other)]
-    for i, one in enumerate(a):
-        for j, other in [] if _is_zero(one) else others:
-            terms[i + j].append(one * other)
+    for i, value in enumerate(a):
+        for j, other in [] if _is_zero(value) else others:
+            terms[i + j].append(value * other)
     if not all(terms):
         nothing = (a[0] * b[0]).scaled(0.0)  # of the shape of all
         terms = [column or [nothing] for column in terms]
     return tuple(reduce(DoubleDouble.__add__, column) for column in terms)
 
 
-def _is_zero(number: DoubleDouble) -> bool:
-    return type(number.hi) is float and number.hi == 0.0
+def _is_zero(value: DoubleDouble) -> bool:
+    return type(value.hi) is float and value.hi == 0.0
 
 
 def size_of(polynomial: Polynomial) -> Array:
@@ -98,7 +98,7 @@ def size_of(polynomial: Polynomial) -> Array:
 
 
 ONE: Polynomial = (DoubleDouble(1.0, 0.0),)
-UNIT = Transfer.of(ONE, ONE, 0)
+UNIT = Transfer.with_sizes(ONE, ONE, 0)
 HIGHEST_ORDER = 40  # poles of a filter, but for those at z = 0
 LONGEST_WINDOW = 200  # samples
 MOST_STAGES = 80  # factors of a filter's transfer function: lemma V8 counts them
@@ -178,8 +178,8 @@ class Average(Section):
 
     def stages(self) -> list[Transfer]:
         count = self.length
-        part = DoubleDouble.of(1.0) / float(count)
-        return [Transfer.of((part,) * count, ONE, count - 1)]
+        weight = DoubleDouble.of(1.0) / float(count)
+        return [Transfer.with_sizes((weight,) * count, ONE, count - 1)]
 
 
 @pytree
@@ -216,8 +216,8 @@ class LowPass(Section):
     def stages(self) -> list[Transfer]:
         pole = self.pole
         gain = DoubleDouble.of(1.0) - pole
-        one = Transfer.of((gain,), (DoubleDouble.of(1.0), -DoubleDouble.of(pole)), -1)
-        return [one] * self.order
+        stage = Transfer.with_sizes((gain,), (DoubleDouble.of(1.0), -DoubleDouble.of(pole)), -1)
+        return [stage] * self.order
 
     @property
     def longest_sample_time(self) -> float:
@@ -244,7 +244,7 @@ class Exponential(Section):
     def stages(self) -> list[Transfer]:
         factor = DoubleDouble.of(_float(self.factor))
         pole = DoubleDouble.of(1.0) - factor
-        return [Transfer.of((factor,), (DoubleDouble.of(1.0), -pole), -1)]
+        return [Transfer.with_sizes((factor,), (DoubleDouble.of(1.0), -pole), -1)]
 
     def ball_factors(self, ball: Callable[[Any], Any], period: Any, pi: Any) -> list[Factor]:
         del period, pi
@@ -347,7 +347,7 @@ class Differentiator(Rational):
 
     @property
     def toml(self) -> dict[str, Any]:
-        numerator = [number * self.period for number in self.numerator]
+        numerator = [c * self.period for c in self.numerator]
         return {"numerator": numerator, "denominator": list(self.denominator)}
 
 
@@ -363,12 +363,12 @@ def _quadratic(warped: Array, sine: float) -> Transfer:
     """Return w^2 / (s^2 + 2 w sine s + w^2) at s = (z - 1) / (z + 1)."""
     square = DoubleDouble.of(warped) * warped
     damping = (DoubleDouble.of(warped) * sine).scaled(2.0)
-    first = square + 1.0 + damping
-    gain = square / first
-    middle = (square - 1.0).scaled(2.0) / first
-    return Transfer.of(
+    leading = square + 1.0 + damping
+    gain = square / leading
+    middle = (square - 1.0).scaled(2.0) / leading
+    return Transfer.with_sizes(
         (gain, gain.scaled(2.0), gain),
-        (DoubleDouble.of(1.0), middle, (square + 1.0 - damping) / first),
+        (DoubleDouble.of(1.0), middle, (square + 1.0 - damping) / leading),
         0,
     )
 
@@ -381,18 +381,18 @@ def butterworth_sine(k: int, order: int) -> float:
 def _bilinear_lag(warped: Array) -> Transfer:
     """Return w / (s + w) at s = (z - 1) / (z + 1)."""
     width = DoubleDouble.of(warped)
-    gain = width / (width + 1.0)
-    return Transfer.of((gain, gain), (DoubleDouble.of(1.0), (width - 1.0) / (width + 1.0)), 0)
+    gain, last = width / (width + 1.0), (width - 1.0) / (width + 1.0)
+    return Transfer.with_sizes((gain, gain), (DoubleDouble.of(1.0), last), 0)
 
 
 def _monic(numerator: Polynomial, denominator: tuple[float, ...]) -> Transfer:
     """Return a quotient of polynomials, powers of z taken out of both."""
-    zeros = next(k for k, one in enumerate(reversed(numerator)) if one.hi != 0.0)
-    poles = next(k for k, one in enumerate(reversed(denominator)) if one != 0.0)
-    first = denominator[0]
-    above = tuple(one / first for one in numerator[: len(numerator) - zeros])
-    below = tuple(DoubleDouble.of(one) / first for one in denominator[: len(denominator) - poles])
-    return Transfer.of(above, below, poles - zeros)
+    zeros = next(k for k, c in enumerate(reversed(numerator)) if c.hi != 0.0)
+    poles = next(k for k, c in enumerate(reversed(denominator)) if c != 0.0)
+    leading = denominator[0]
+    above = tuple(c / leading for c in numerator[: len(numerator) - zeros])
+    below = tuple(DoubleDouble.of(c) / leading for c in denominator[: len(denominator) - poles])
+    return Transfer.with_sizes(above, below, poles - zeros)
 
 
 def _float(value: Numbers) -> Array:

@@ -67,7 +67,7 @@ class Runs(NamedTuple):
 
 
 class Summary(NamedTuple):
-    """What is kept of runs; times are in samples.
+    """The results of runs; times are in samples.
 
     low, high: extremes of the position in the last quarter; ``earlier``: in the one before.
     since: from when on the position was within the tolerance of ``place``.
@@ -101,16 +101,16 @@ class Seen(NamedTuple):
     last_maximum: Array
     energy: Array
 
-    def at(self, x: Array, xp: Any) -> "Seen":
+    def with_position(self, x: Array, xp: Any) -> "Seen":
         """Note a position that may be an extreme."""
         return self._replace(low=xp.minimum(self.low, x), high=xp.maximum(self.high, x))
 
     def with_maximum(self, is_maximum: Array, time: Array, xp: Any) -> "Seen":
         """Note at what time a maximum was, where there was one."""
         last = xp.where(is_maximum, time, self.last_maximum)
-        first = xp.where(is_maximum & (self.maxima == 0.0), last, self.first_maximum)
+        earliest = xp.where(is_maximum & (self.maxima == 0.0), last, self.first_maximum)
         return self._replace(
-            maxima=self.maxima + is_maximum, first_maximum=first, last_maximum=last
+            maxima=self.maxima + is_maximum, first_maximum=earliest, last_maximum=last
         )
 
 
@@ -143,7 +143,7 @@ class Plant(NamedTuple):
     oldest: int
 
     @classmethod
-    def of(cls, gamma: float, delta: float, delays: tuple[float, ...]) -> "Plant":
+    def from_delays(cls, gamma: float, delta: float, delays: tuple[float, ...]) -> "Plant":
         """Return the plant; delays in samples, in turn, infinite for a lost sample."""
         fastest = max(delta, sqrt(gamma))
         ages, lengths = pieces(delays, fastest)
@@ -179,17 +179,17 @@ class Plant(NamedTuple):
             turns = sign * speed < 0.0
             if is_jax(turns) or xp.any(turns):
                 time = xp.minimum(self._time_to_turn(turns, v, b), flow.length)
-                rest = flow.length - time
+                remaining = flow.length - time
                 there = time * (v * series_at(self.impulse, time))
                 there = there + time * time * (b * series_at(self.step, time))
                 _, b = _pushed(runs, 0.0 * v, others - self.gamma * there)
-                back = rest * rest * (b * series_at(self.step, rest))
+                back = remaining * remaining * (b * series_at(self.step, remaining))
                 way = xp.where(turns, there + back, way)
-                speed = xp.where(turns, rest * (b * series_at(self.impulse, rest)), speed)
-                seen = seen.at(xp.where(turns, x + there, x), xp)
+                speed = xp.where(turns, remaining * (b * series_at(self.impulse, remaining)), speed)
+                seen = seen.with_position(xp.where(turns, x + there, x), xp)
                 seen = seen.with_maximum(turns & (sign > 0.0), begin + time, xp)
             x, v, begin = x + way, speed, begin + flow.length
-            seen = seen.at(x, xp)._replace(energy=seen.energy + acting * way)
+            seen = seen.with_position(x, xp)._replace(energy=seen.energy + acting * way)
         return (x, v), seen
 
     def _time_to_turn(self, turns: Array, v: Array, b: Array) -> Array:
@@ -255,8 +255,8 @@ class _PlainNumbers:
     minimum, maximum, sqrt, any = min, max, sqrt, bool
 
     @staticmethod
-    def where(condition: bool, one: float, other: float) -> float:
-        return one if condition else other
+    def where(condition: bool, value: float, other: float) -> float:
+        return value if condition else other
 
     @staticmethod
     def rint(value: float) -> float:
@@ -294,10 +294,10 @@ def contacts(
     sides = {"one_sided": one_sided, "pulls": pulls}
 
     def of_tile(tile: tuple[np.ndarray, np.ndarray]) -> Summary:
-        part, padded = tile
+        members, padded = tile
         own = Runs(*(column[padded] for column in runs))
         summary = _of_tile(arrays, controller, own, samples, oldest=plant.oldest, **sides)
-        return Summary(*(column[: part.size] for column in summary))
+        return Summary(*(column[: members.size] for column in summary))
 
     tile = TILE if isinstance(plant, Plant) else TILE // 32  # of any device, with its series
     tiles = on_cores(of_tile, list(lists(np.arange(count), tile, TILE // 64)))
@@ -377,7 +377,7 @@ def _motion(
         sample, body, memory, line, was = state
         x, v, *_ = body
         force, memory = force_at(x, memory)
-        first = x, v, force
+        before = x, v, force
         line = _after(force, line)
         is_new = (sample == middle) | (sample == last)  # a quarter of the run
         earlier_low = xp.where(is_new, was.low, was.earlier_low)
@@ -386,7 +386,7 @@ def _motion(
         seen = Seen(x, x, maxima, was.first_maximum, was.last_maximum, was.energy)
         body, seen = plant.moved(runs, body, seen, line, sample)
         is_near = (abs(body[0]) < LIMIT) & (abs(body[1]) < LIMIT)
-        x, *others = (xp.where(is_near, one, 0.0) for one in body)
+        x, *others = (xp.where(is_near, value, 0.0) for value in body)
         x = xp.where(is_near, x, LIMIT)
         low, high = xp.where(is_near, seen.low, LIMIT), xp.where(is_near, seen.high, LIMIT)
         moved = xp.maximum(high - was.place, was.place - low) > runs.tolerance
@@ -404,12 +404,12 @@ def _motion(
             strongest=xp.maximum(was.strongest, abs(force)),
             energy=seen.energy,
         )
-        return (sample + 1, (x, *others), memory, line, now), first
+        return (sample + 1, (x, *others), memory, line, now), before
 
     x = runs.position
-    rest = 0.0 * x
-    start = Summary(x, x, x, x, x, rest, rest, rest, rest, x, rest, rest)
-    forces: Any = (rest,) * (plant.oldest + 1)
+    zero = 0.0 * x
+    start = Summary(x, x, x, x, x, zero, zero, zero, zero, x, zero, zero)
+    forces: Any = (zero,) * (plant.oldest + 1)
     if type(x) is not float:
         forces = xp.stack(forces)
     body = plant.start(x, runs.velocity)

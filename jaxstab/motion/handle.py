@@ -54,7 +54,7 @@ class Handle(NamedTuple):
     oldest: int
 
     @classmethod
-    def of(cls, device: Device, sample_time: float, delays: tuple[float, ...]) -> "Handle":
+    def from_device(cls, device: Device, sample_time: float, delays: tuple[float, ...]) -> "Handle":
         """Return a device; delays in samples, in turn. ValueError if no mass is at its handle."""
         matrix, pull, at_rest, ticks = handle_equations(device, sample_time)
         size, columns = matrix.shape
@@ -114,7 +114,7 @@ class Handle(NamedTuple):
         acting: Array,
         end: Array,
         count: Array,
-        left: Array,
+        remaining: Array,
         loose: Array,
         states: Array,
         seen: Seen,
@@ -123,7 +123,7 @@ class Handle(NamedTuple):
 
         The time left is in ticks; ``loose`` is the direction in which the handle broke loose.
         """
-        xp, static = functions(left), runs.static_friction
+        xp, static = functions(remaining), runs.static_friction
         v = states[1]
         load = xp.tensordot(self.load, _with(states, acting, runs.push), 1)
         slips = xp.where(abs(load) > static, xp.sign(load), loose)
@@ -136,23 +136,23 @@ class Handle(NamedTuple):
         low = xp.where(sticks, -static, xp.where(sign > 0.0, 0.0, -np.inf))
         high = xp.where(sticks, static, xp.where(sign < 0.0, 0.0, np.inf))
 
-        time, value, ends = _exit(watched, low, high, left, sticks | (v != 0.0))
+        time, value, ends = _exit(watched, low, high, remaining, sticks | (v != 0.0))
         ends = ends & (count < _MOST_LEGS - 1)
-        time = xp.where(ends, time, left)
+        time = xp.where(ends, time, remaining)
 
         moved = _value(terms, time)
         work = _product(pull, terms[:, 1], time)
         stops, breaks = ends & ~sticks, ends & sticks
         moved = xp.concatenate([moved[:1], xp.where(stops, 0.0, moved[1])[None], moved[2:]])
-        left = left - time
-        seen = seen.at(moved[0], xp)._replace(energy=seen.energy + work)
-        seen = seen.with_maximum(stops & (sign > 0.0), end - left / self.ticks, xp)
-        return count + 1, left, xp.where(breaks, xp.sign(value), 0.0), moved, seen
+        remaining = remaining - time
+        seen = seen.with_position(moved[0], xp)._replace(energy=seen.energy + work)
+        seen = seen.with_maximum(stops & (sign > 0.0), end - remaining / self.ticks, xp)
+        return count + 1, remaining, xp.where(breaks, xp.sign(value), 0.0), moved, seen
 
 
 def _is_moving(moving: Any) -> Array:
-    count, left, *_ = moving
-    return (count < _MOST_LEGS) & functions(left).any(left > 0.0)
+    count, remaining, *_ = moving
+    return (count < _MOST_LEGS) & functions(remaining).any(remaining > 0.0)
 
 
 def _with(states: Array, acting: Array, force: Array) -> Array:
@@ -209,12 +209,12 @@ def _slope(terms: Array) -> Array:
     return terms[:-1] * _exponents(len(terms), terms.ndim - 1)[:-1]
 
 
-def _product(one: Array, other: Array, time: Array) -> Array:
+def _product(factor: Array, other: Array, time: Array) -> Array:
     """Return the integral of the product of two polynomials up to a time."""
-    exponents, powers = _exponents(len(one), 1), _powers(time, len(one))
+    exponents, powers = _exponents(len(factor), 1), _powers(time, len(factor))
     shares = 1.0 / (exponents + exponents[:, 0] + 1.0)
-    inner = functions(one).tensordot(shares, other * powers, 1)
-    return time * (one * powers * inner).sum(axis=0)
+    inner = functions(factor).tensordot(shares, other * powers, 1)
+    return time * (factor * powers * inner).sum(axis=0)
 
 
 def _time_of(terms: Array, target: Array, low: Array, high: Array, is_open: Array) -> Array:

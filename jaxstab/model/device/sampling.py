@@ -129,8 +129,8 @@ def _balls(compliance: Rational, sample_time: float, fraction: float) -> _Balls:
     import flint
 
     above, below = in_samples(compliance, sample_time)
-    part = flint.arb(exact(fraction)) if fraction else None
-    numerator, denominator = of_samples(above, below, part)
+    late = flint.arb(exact(fraction)) if fraction else None
+    numerator, denominator = of_samples(above, below, late)
     zeros = next(power for power in range(len(below)) if below[power] != 0)
     zeros_above = 1 if above[0] == 0 else 0
     plus, minus = flint.arb_poly([1, 1]), flint.arb_poly([-1, 1])
@@ -146,7 +146,7 @@ def in_samples(compliance: Rational, sample_time: float) -> tuple[list["arb"], l
 
     A coefficient that is 0 is the exact 0. ValueError: a pole vanishes within a sampling period.
     """
-    above, below = (balls_of(part) for part in compliance)
+    above, below = (balls_of(polynomial) for polynomial in compliance)
     above, below = _monic(above, below, sample_time)
     if _speed(below) > _FASTEST:
         raise ValueError(
@@ -162,7 +162,7 @@ def in_samples_over(
     """The same for numbers in their spans, for a ball of places; None if a pole may be too fast."""
     import flint
 
-    above, below = (list(map(flint.acb, balls_of(part, t))) for part in compliance)
+    above, below = (list(map(flint.acb, balls_of(polynomial, t))) for polynomial in compliance)
     if below[-1].contains(0):
         return None
     above, below = _monic(above, below, sample_time)
@@ -175,20 +175,20 @@ def _monic(
     import flint
 
     period = flint.arb(exact(sample_time))
-    degree, first = len(below) - 1, below[-1]
-    below = [value / first * period ** (degree - k) for k, value in enumerate(below)]
-    above = [value / first * period ** (degree - k) for k, value in enumerate(above)]
+    degree, leading = len(below) - 1, below[-1]
+    below = [value / leading * period ** (degree - k) for k, value in enumerate(below)]
+    above = [value / leading * period ** (degree - k) for k, value in enumerate(above)]
     return above + [flint.arb(0)] * (degree - len(above)), [*below[:-1], flint.arb(1)]
 
 
 def _speed(below: list[Ball]) -> int:
     """Return the exponent of a power of two next to the largest root, but for a factor of 2."""
     degree = len(below) - 1
-    sizes = [(degree - k, one) for k, one in enumerate(below[:-1]) if one != 0]
-    return max((_binary_digits(one) // root for root, one in sizes), default=0)
+    sizes = [(degree - k, c) for k, c in enumerate(below[:-1]) if c != 0]
+    return max((_binary_digits(c) // root for root, c in sizes), default=0)
 
 
-def of_samples(above: list[Ball], below: list[Ball], part: Ball | None) -> tuple[Any, Any]:
+def of_samples(above: list[Ball], below: list[Ball], fraction: Ball | None) -> tuple[Any, Any]:
     """Return N(z) and D(z), for a fraction of a sample with one sample of delay more (B14)."""
     import flint
 
@@ -196,16 +196,16 @@ def of_samples(above: list[Ball], below: list[Ball], part: Ball | None) -> tuple
     sample = held(below, speed)
     transition = without_force(sample)
     denominator = transition.charpoly()
-    has_complex = any(isinstance(one, flint.acb) for one in below)
+    has_complex = any(isinstance(value, flint.acb) for value in below)
     polynomial = flint.acb_poly if has_complex else flint.arb_poly
 
     def moved(column: Matrix) -> Any:
         return polynomial(position_after(above, transition, denominator, column))
 
     whole = moved(force_of(sample))
-    if part is None:
+    if fraction is None:
         return whole, denominator
-    later = moved(force_of(held(below, (1 - part) * speed)))
+    later = moved(force_of(held(below, (1 - fraction) * speed)))
     return polynomial([-1, 1]) * later + whole, denominator
 
 
@@ -218,8 +218,8 @@ def in_fastest_time(above: list[Ball], below: list[Ball]) -> "tuple[list[Ball], 
 
     order, speed = len(below) - 1, _speed(below)
     above, below = (
-        [value * flint.arb(2) ** (speed * (power - order)) for power, value in enumerate(one)]
-        for one in (above, below)
+        [value * flint.arb(2) ** (speed * (power - order)) for power, value in enumerate(row)]
+        for row in (above, below)
     )
     return above, below, flint.arb(2) ** speed
 
@@ -274,7 +274,7 @@ def force_of(matrix: Matrix) -> Matrix:
 def _matrix(rows: list[list[Any]]) -> Any:
     import flint
 
-    has_complex = any(isinstance(one, flint.acb) for row in rows for one in row)
+    has_complex = any(isinstance(value, flint.acb) for row in rows for value in row)
     return (flint.acb_mat if has_complex else flint.arb_mat)(rows)
 
 
@@ -292,8 +292,8 @@ def is_known(polynomial: "arb_poly") -> bool:
 
 def are_known(balls: "list[arb]", bits: int, nothing: float) -> bool:
     """Return whether balls are known to some bits, or next to 0 beside the largest of them."""
-    least = max((one.abs_lower() for one in balls), key=float, default=0.0) * nothing
-    return all(one.rel_accuracy_bits() >= bits or one.abs_upper() <= least for one in balls)
+    least = max((ball.abs_lower() for ball in balls), key=float, default=0.0) * nothing
+    return all(ball.rel_accuracy_bits() >= bits or ball.abs_upper() <= least for ball in balls)
 
 
 def _binary_digits(ball: Ball) -> int:
@@ -309,7 +309,7 @@ def _rounded(balls: _Balls, unit: int, lag: int) -> SampledPlant:
     import flint
 
     scale = flint.arb(2) ** -unit
-    straight, one, minus_one = (
+    straight, about_one, about_minus_one = (
         ([bounded(c * scale) for c in _falling(n)], [bounded(c) for c in _falling(d)])
         for n, d in balls
     )
@@ -318,13 +318,13 @@ def _rounded(balls: _Balls, unit: int, lag: int) -> SampledPlant:
         denominator=_values(straight[1]),
         lag=lag,
         errors=(_errors(straight[0]), _errors(straight[1])),
-        at_one=(one[0][-1], one[1][-1]),
-        at_minus_one=(minus_one[0][-1], minus_one[1][-1]),
+        at_one=(about_one[0][-1], about_one[1][-1]),
+        at_minus_one=(about_minus_one[0][-1], about_minus_one[1][-1]),
         shifted=(
-            _values(one[0]),
-            _values(one[1]),
-            _turned(_values(minus_one[0])),
-            _turned(_values(minus_one[1])),
+            _values(about_one[0]),
+            _values(about_one[1]),
+            _turned(_values(about_minus_one[0])),
+            _turned(_values(about_minus_one[1])),
         ),
     )
 
@@ -357,5 +357,5 @@ def _turned(falling: Polynomial) -> Polynomial:
 
 
 def _is_finite(plant: SampledPlant) -> bool:
-    numbers = [*plant.numerator, *plant.denominator]
-    return all(isfinite(number.hi) for number in numbers) and all(map(isfinite, plant.errors))
+    pairs = [*plant.numerator, *plant.denominator]
+    return all(isfinite(pair.hi) for pair in pairs) and all(map(isfinite, plant.errors))
