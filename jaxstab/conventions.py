@@ -53,10 +53,10 @@ class Status(IntEnum):
 
     words: str
 
-    def __new__(cls, number: int, words: str = "") -> "Status":
+    def __new__(cls, code: int, words: str = "") -> "Status":
         """Make a member of its number; the words go with it."""
-        member = int.__new__(cls, number)
-        member._value_ = number
+        member = int.__new__(cls, code)
+        member._value_ = code
         member.words = words
         return member
 
