@@ -396,10 +396,10 @@ class HapticLoop(LoopParameters):
         device = self.held_device
         if not moves:
             return LoopsWithHands(self, device, hands, mass)
-        first = MovingLoop.of(self, delays, lost).loop
+        moving = MovingLoop.of(self, delays, lost).loop
         loop = HapticLoop(
-            sample_time=first.sample_time,
-            delay=first.delay,
+            sample_time=moving.sample_time,
+            delay=moving.delay,
             device=device,
             velocity=self.velocity,
             position=self.position,

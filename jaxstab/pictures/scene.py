@@ -214,17 +214,17 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
     checked = answer if isinstance(answer, Check) else None
     tuned = answer if isinstance(answer, Tuned) else None
     region = reachable(everything)
-    islands = [one for one in everything.islands if isfinite(one.stiffest.stiffness)]
-    parts = [] if tuned else [_common(scene, answer)]
+    islands = [island for island in everything.islands if isfinite(island.stiffest.stiffness)]
+    areas = [] if tuned else [_common(scene, answer)]
     if not (tuned or checked):
-        parts.append(_passive(scene, loop))
-    parts = [part for part in parts if len(part.outline)]
-    is_small = [(np.ptp(part.outline, axis=0) < _SEEN * np.array(region.extent)) for part in parts]
-    small = [part.outline for part, axes in zip(parts, is_small, strict=True) if axes.any()]
+        areas.append(_passive(scene, loop))
+    areas = [area for area in areas if len(area.outline)]
+    is_small = [(np.ptp(area.outline, axis=0) < _SEEN * np.array(region.extent)) for area in areas]
+    small = [area.outline for area, axes in zip(areas, is_small, strict=True) if axes.any()]
 
     beside = [("enlarged", np.concatenate(small))] if small else []
     if islands and not (small or tuned or checked):
-        outlines = [one.outline for one in (region, *islands)]
+        outlines = [each.outline for each in (region, *islands)]
         beside.append(("with islands", np.maximum(np.concatenate(outlines), 0.0)))
     widths = [_WIDTH] + [_ZOOM_WIDTH] * len(beside) + [_RESPONSE_WIDTH] * (checked is not None)
     figure = Figure(figsize=(sum(widths), _HEIGHT), layout="constrained")
@@ -242,7 +242,7 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
         panel.set_xlabel(f"stiffness K ({scene.units.stiffness})")
         panel.set_ylabel(f"damping B ({scene.units.damping})")
         draw_stable(panel, region)
-        _draw_parts(panel, parts)
+        _draw_areas(panel, areas)
         if not (tuned or checked):
             draw_islands(panel, islands)
             draw_linear_rule(panel, loop)
@@ -275,12 +275,12 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
 
 
 def _write_basis(figure: Figure, scene: Scene, more: str = "") -> None:
-    """Write above a picture what it holds for: the estimator, the device, the delay, the hand."""
+    """Write the assumptions above a picture: the estimator, the device, the delay, the hand."""
     basis, hand = basis_of(scene), at_lowest(scene, "")
     delay = basis.range_of_delays
     remarks = [f"velocity: {basis.velocity}"]
     remarks += [f"delay {delay}" if delay else f"delay: {basis.delay_in_words}"]
-    remarks += [one for one in (basis.mechanics, basis.postures) if one]
+    remarks += [remark for remark in (basis.mechanics, basis.postures) if remark]
     remarks += [f"hand {hand}{more}"] if hand else []
     width = int(_LETTERS * figure.get_figwidth())
     figure.suptitle("\n".join(fill(remark, width) for remark in remarks), fontsize=9)
@@ -362,15 +362,15 @@ def _draw_legend(figure: Figure, panel: Axes, most: int) -> None:
         legend.remove()
 
 
-class _Part(NamedTuple):
-    """A part of the stable walls, and how it is drawn."""
+class _Area(NamedTuple):
+    """A set of stable walls, and how it is drawn."""
 
     outline: Floats  # (K, B)
     look: dict[str, Any]
 
 
-def _common(scene: Scene, answer: Answer | None) -> _Part:
-    """Return the walls that are stable for the hands at all corners of the range, if it is one."""
+def _common(scene: Scene, answer: Answer | None) -> _Area:
+    """The walls that are stable for the hands at all corners; empty without a range of hands."""
     outline = common_outline(corner_loops(scene)) if hands_of(scene) else np.zeros((0, 2))
     label = "stable for the hands at all corners of the range"
     all_hands = getattr(answer, "all_hands", None)
@@ -378,10 +378,10 @@ def _common(scene: Scene, answer: Answer | None) -> _Part:
         bound = _BOUND.words(all_hands.none_is_stiffer_than, scene.units)
         label += f"; for all hands at most {bound}"
     look = {"facecolor": _FOR_ALL, "lw": 0.0, "label": label}
-    return _Part(outline, look)
+    return _Area(outline, look)
 
 
-def _passive(scene: Scene, loop: HapticLoop) -> _Part:
+def _passive(scene: Scene, loop: HapticLoop) -> _Area:
     outline = np.zeros((0, 2))
     if is_plain(loop):  # the theorem is of one mass and one difference
         own = loop.device_damping * loop.sample_time / loop.mass
@@ -389,7 +389,7 @@ def _passive(scene: Scene, loop: HapticLoop) -> _Part:
         outline = np.column_stack([loop.stiffness(corners[:, 0]), loop.damping(corners[:, 1])])
     largest = _LARGEST.words(np.max(outline[:, 0], initial=0.0), scene.units)
     label = f"passive: up to {largest}"
-    return _Part(outline, {"facecolor": GREEN, "edgecolor": GREEN, "alpha": 0.6, "label": label})
+    return _Area(outline, {"facecolor": GREEN, "edgecolor": GREEN, "alpha": 0.6, "label": label})
 
 
 def _set_window(panel: Axes, points: Floats) -> None:
@@ -402,9 +402,9 @@ def _set_window(panel: Axes, points: Floats) -> None:
     panel.set(xlim=(left, right), ylim=(bottom, top))
 
 
-def _draw_parts(panel: Axes, parts: list[_Part]) -> None:
-    for part in parts:
-        panel.fill(*part.outline.T, **part.look)
+def _draw_areas(panel: Axes, areas: list[_Area]) -> None:
+    for area in areas:
+        panel.fill(*area.outline.T, **area.look)
 
 
 def _draw_tuned(panel: Axes, tuned: Tuned, units: Units) -> None:
@@ -413,7 +413,7 @@ def _draw_tuned(panel: Axes, tuned: Tuned, units: Units) -> None:
     for label, walls, mark, colour in (
         ("fastest", [tuned.least_settling.rounded], "*", ORANGE),
         ("smallest radius", [tuned.least_radius.rounded], "D", GREEN),
-        ("best damping at a given stiffness", [one.rounded for one in given], "P", SKY),
+        ("best damping at a given stiffness", [wall.rounded for wall in given], "P", SKY),
         ("fastest at worst over the ranges", [tuned.over_ranges], "p", PURPLE),
     ):
         pairs = [(wall.stiffness, wall.damping) for wall in walls if wall]
@@ -437,7 +437,7 @@ def _gains_text(
 def _draw_chatter(
     panel: Axes, loop: HapticLoop, region: WallRegion, encoder: Encoder, units: Units
 ) -> None:
-    """Draw lines of equal bounds of what the encoder's rounding does to the position."""
+    """Draw lines of equal bounds of the chatter that the encoder's resolution causes."""
     resolution = encoder.resolution
     stiffness, damping = _columns_and_rows(region, _CALM_COLUMNS)
     amplitude = loop.amplitude(stiffness[None, :], damping[:, None], encoder=resolution)
@@ -547,12 +547,12 @@ def guard_figure(guard: Guard, units: Units = Units.LINE) -> Figure:
     title = f"a delay that moves between {low} and {high} ms"
     if guard.is_delay_constant:
         delay = float(np.mean(guard.delay))
-        for one, colour in _coloured(guard.delay):
-            _draw(left, guard, (mass, one), colour, f"{1e3 * one:.3g} ms")
+        for value, colour in _coloured(guard.delay):
+            _draw(left, guard, (mass, value), colour, f"{1e3 * value:.3g} ms")
         left.set_title(f"delays, at {mass:.3g} {units.kilogram}")
         title = f"{1e3 * delay:.3g} ms"
-    for one, colour in _coloured(guard.mass):
-        _draw(right, guard, (one, delay), colour, f"{one:.3g} {units.kilogram}")
+    for value, colour in _coloured(guard.mass):
+        _draw(right, guard, (value, delay), colour, f"{value:.3g} {units.kilogram}")
     right.set_title(f"{units.moved} of the device, at {title}")
     left.set_ylabel(f"largest stiffness K ({units.stiffness}), for all hands")
     edge = "where a hand becomes unstable" + ("" if delay else " at a constant delay")

@@ -117,7 +117,7 @@ UnstableStiffness = Annotated[float, Quantity("N/m", infinite="no unstable wall 
 
 @dataclass(frozen=True)
 class ProvedWall(StiffestWall):
-    """The stiffest wall found that is proved, and the stiffness there from which one is not."""
+    """The stiffest proved wall of the search, and a stiffness at its damping proved unstable."""
 
     certainty: str
     proved_unstable_at: UnstableStiffness | None
@@ -199,7 +199,7 @@ def brief(answer: Limits | LimitsOverDelays, *, islands: bool = False) -> str:
             limits = said[f"{key}.{gain}_limits_low"]
             lines[f"stable {gain}"] = f"{limits} at {said[f'{key}.at_{fixed}']}"
     for name, wall in answer.walls.items():
-        lines[f"wall {name}"] = _wall_in_words(wall, f"walls.{name}", said)
+        lines[f"wall {name}"] = _wall_text(wall, f"walls.{name}", said)
     for name, island in answer.islands.items() if isinstance(answer, Limits) else ():
         if islands:
             lines[f"island {name}"] = limit(f"islands.{name}", island.reached)
@@ -209,7 +209,7 @@ def brief(answer: Limits | LimitsOverDelays, *, islands: bool = False) -> str:
     return "\n".join(f"{name:{column}}{words}" for name, words in lines.items())
 
 
-def _wall_in_words(wall: WallCheck | AroundWall, key: str, said: dict[str, str]) -> str:
+def _wall_text(wall: WallCheck | AroundWall, key: str, said: dict[str, str]) -> str:
     """Return the gains of a wall, and its verdict or the stiffness limits at its damping."""
     if isinstance(wall, WallCheck):
         names = (f"{key}.{name}" for name in ("verdict", "worst_delays"))
@@ -276,8 +276,8 @@ def _over_delays(scene: Scene) -> LimitsOverDelays:
         judge: Any = partial(loops[0].verdict, **moving_delays(scene))
     else:
         between = LoopsBetween(*loops)
-        found, judge = between.robust_limit(), between.verdict
-        best, is_proved = Gains(found.stiffness, found.damping), found.is_proved
+        robust, judge = between.robust_limit(), between.verdict
+        best, is_proved = Gains(robust.stiffness, robust.damping), robust.is_proved
     if is_proved and wanted.safety:
         best = best._replace(stiffness=wanted.safety * best.stiffness)
         is_proved = bool(judge(*best) == Verdict.STABLE)
@@ -356,10 +356,7 @@ def inwards(low: float, high: float, safety: float) -> tuple[float, float]:
 
 
 def _islands(limits: WallLimits) -> dict[str, Island]:
-    return {
-        str(number): Island(*island[:4], _ISOLATED)
-        for number, island in enumerate(limits.islands, 1)
-    }
+    return {str(k): Island(*island[:4], _ISOLATED) for k, island in enumerate(limits.islands, 1)}
 
 
 def _linear_rule(rows: "_Rows", limits: WallLimits, safety: float) -> LinearRule:
@@ -377,7 +374,7 @@ def _passive(loop: HapticLoop, safety: float) -> StiffestWall:
 
 
 def _other_windows(loop: HapticLoop, safety: float) -> dict[str, OtherWindow]:
-    """Return what windows that software has would leave of the largest stiffness."""
+    """The largest stiffness with the windows that haptics software uses."""
     answers = {}
     for samples in _WINDOWS:
         limits = replace(loop, velocity=Velocity.difference(samples)).limits()
