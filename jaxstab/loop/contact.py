@@ -101,7 +101,7 @@ class Contact(NamedTuple):
             >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
             >>> axes = loop.contact(1000.0, 2.0, push=1.0).plot()
         """
-        from jaxstab.pictures.contact import plot_contact
+        from jaxstab.pictures.style import plot_contact
 
         return plot_contact(self, ax)
 
