@@ -22,8 +22,17 @@ from jaxstab.loop.jitter import turn_of
 from jaxstab.model import LoopParameters, checked_gain, require_x64
 from jaxstab.model.device.mechanics import handle_equations
 from jaxstab.model.filters import Filter, Velocity, given_filters
-from jaxstab.motion.contact import FASTEST, LIMIT, Mechanism, Plant, Runs, Summary, contacts, paths
-from jaxstab.motion.handle import Handle
+from jaxstab.motion.contact import (
+    FASTEST,
+    LIMIT,
+    Handle,
+    Mechanism,
+    Plant,
+    Runs,
+    Summary,
+    contacts,
+    paths,
+)
 from jaxstab.motion.response import Column, Controller, Response, answer_text
 from jaxstab.numbers import checked, checked_number
 from jaxstab.shown import shortened
