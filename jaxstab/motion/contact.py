@@ -446,19 +446,21 @@ def series_at(coefficients: Any, time: Array) -> Array:
 # general devices what ``Plant`` is to one mass.
 #
 # While a force f of the wall is held, the states z obey z' = A z + w f + h (push - s f_c). The
-# handle's velocity v is one of them, s is its sign; its entry of h is 1/m, m the mass at the handle.
+# handle's velocity v is one of them, s is its sign; its entry of h is 1/m, m the mass at the
+# handle.
 #
-# Where v is 0, the force F on the handle beside friction is m times the velocity's row of A z + w f,
-# plus the push. The handle sticks while |F| is at most the static friction. Friction then is -F, and
-# the other states obey z' = A z + w f + h (push - F), which is linear, too. Modes and actuators go on
-# moving meanwhile, so F changes and the handle may break loose between two samples. A sample
-# therefore has several legs, in each of which v has one sign or the handle sticks; a piece of it has
-# at most 32, and the last of these goes to the end of the piece.
+# Where v is 0, the force F on the handle beside friction is m times the velocity's row of A z + w
+# f, plus the push. The handle sticks while |F| is at most the static friction. Friction then is -F,
+# and the other states obey z' = A z + w f + h (push - F), which is linear, too. Modes and actuators
+# go on moving meanwhile, so F changes and the handle may break loose between two samples. A sample
+# therefore has several legs, in each of which v has one sign or the handle sticks; a piece of it
+# has at most 32, and the last of these goes to the end of the piece.
 #
-# Pieces of samples are so short that exp(A t) is a power series of few terms, and the states of a leg
-# are polynomials in time. A leg ends where v leaves its side of 0, or F the interval of static
-# friction; Newton's method in a bracket finds when. It may also leave and return within a leg, so one
-# extreme within the leg is checked as well; a second one in a piece of at most 2 rad would be missed.
+# Pieces of samples are so short that exp(A t) is a power series of few terms, and the states of a
+# leg are polynomials in time. A leg ends where v leaves its side of 0, or F the interval of static
+# friction; Newton's method in a bracket finds when. It may also leave and return within a leg, so
+# one extreme within the leg is checked as well; a second one in a piece of at most 2 rad would be
+# missed.
 
 _MOST_MOTION = 2.0  # of a piece, in rad
 _MOST_LEGS, _MOST_STEPS = 32, 64  # of a piece; of a search for a time
