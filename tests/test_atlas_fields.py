@@ -19,7 +19,7 @@ import jaxstab
 from benchmarks import truth
 from benchmarks.truth import filtered
 from jaxstab import Atlas, AtlasSpec, FittedAxis, Velocity, build_atlas
-from jaxstab.atlas.format import schema as footer
+from jaxstab.atlas import schema as footer
 from jaxstab.atlas.write.build import write_atlas
 from jaxstab.atlas.write.verify import verify_atlas
 from jaxstab.cli.main import main

@@ -24,7 +24,7 @@ import jaxstab
 from benchmarks.truth import filtered as truth
 from benchmarks.truth.random_loops import DeviceLoop, Filters, MassLoop, hostile_walls
 from jaxstab import Filter, Velocity, Verdict
-from jaxstab.atlas.format.spec import position_of, toml_of, velocity_of
+from jaxstab.atlas.spec import position_of, toml_of, velocity_of
 from jaxstab.model import by_name, sections
 from jaxstab.model.filters import given_filters
 from jaxstab.model.linear_loop import _values, filtered_loop

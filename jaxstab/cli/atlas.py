@@ -45,7 +45,7 @@ def build(spec: Path | None, output: Path, **where: Any) -> None:
     An interrupted build continues where it stopped when the command is repeated.
     """
     from jaxstab.atlas import AtlasSpec
-    from jaxstab.atlas.read.file import node_count
+    from jaxstab.atlas.file import node_count
     from jaxstab.atlas.write.build import write_atlas
 
     keep_programs()

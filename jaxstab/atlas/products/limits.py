@@ -8,7 +8,7 @@ above upper + error it is unstable, between lower + error and upper - error stab
 atlas leaves it undecided. Many points are answered by one of the two surfaces, where that one alone
 decides (``_deciding``).
 
-Some axes hold the whole stable set: ``compute.verdicts`` proves of which cells of delays, and a
+Some axes hold the whole stable set: ``atlas.proved`` proves of which cells of delays, and a
 wall beyond such an axis is unstable.
 """
 
@@ -22,14 +22,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxstab.atlas.format.variables import Variable, numbers
 from jaxstab.atlas.products.product import Array, Floats, Product
+from jaxstab.atlas.variables import Variable, numbers
 from jaxstab.conventions import Verdict
 from jaxstab.rounding import PLANES
 
 if TYPE_CHECKING:
-    from jaxstab.atlas.compute.layout import Grid, Reach
-    from jaxstab.atlas.compute.plan import Plan, Tile
+    from jaxstab.atlas.plan import Grid, Plan, Reach, Tile
     from jaxstab.model.filters import Filters
 
 ALPHA_LIMITS = "alpha_limits"
@@ -121,7 +120,7 @@ class Limits(Product):
         return {ALPHA_LIMITS: limits.reshape(shape)}
 
     def known_before(self, grid: "Grid", filters: "Filters | None") -> dict[str, Array]:
-        from jaxstab.atlas.compute.verdicts import whole_axes
+        from jaxstab.atlas.proved import whole_axes
 
         return {LIMIT_RANGE: grid.limit_range, LIMIT_WHOLE: whole_axes(grid, filters)}
 

@@ -7,9 +7,9 @@ from os import PathLike
 from pathlib import Path
 
 import jaxstab
-from jaxstab.atlas.compute.plan import Plan, Tile, compute_tile, plan_atlas
-from jaxstab.atlas.format.spec import AtlasSpec
-from jaxstab.atlas.read.atlas import Atlas, open_atlas
+from jaxstab.atlas.atlas import Atlas, open_atlas
+from jaxstab.atlas.plan import Plan, Tile, compute_tile, plan_atlas
+from jaxstab.atlas.spec import AtlasSpec
 from jaxstab.atlas.write.tiles import (
     build_key,
     encode_tile,

@@ -12,14 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxstab.atlas.format.schema import content_digest, digest_of
-from jaxstab.atlas.format.spec import filters_of
-from jaxstab.atlas.format.variables import SPEC
+from jaxstab.atlas.atlas import Atlas, open_atlas
+from jaxstab.atlas.file import TooLargeError, table_of
 from jaxstab.atlas.products.product import Check, Stored
 from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.products.verdicts import wrong_codes
-from jaxstab.atlas.read.atlas import Atlas, open_atlas
-from jaxstab.atlas.read.file import TooLargeError, table_of
+from jaxstab.atlas.schema import content_digest, digest_of
+from jaxstab.atlas.spec import filters_of
+from jaxstab.atlas.variables import SPEC
 from jaxstab.atlas.write.variables import checked_datasets, opened, text_of
 from jaxstab.conventions import AXES, Verdict
 from jaxstab.model import by_name

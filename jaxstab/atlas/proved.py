@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int32, Int64
 
-from jaxstab.atlas.compute.layout import Grid
+from jaxstab.atlas.plan import Grid
 from jaxstab.atlas.products.limits import WHOLE_ALPHA, WHOLE_BOTH, surface
 from jaxstab.conventions import Verdict
 from jaxstab.model import by_name
