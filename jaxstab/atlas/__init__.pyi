@@ -4,10 +4,10 @@ from .atlas import LargestStiffness as LargestStiffness
 from .atlas import LoopAtlas as LoopAtlas
 from .atlas import QueryStatus as QueryStatus
 from .atlas import open_atlas as open_atlas
+from .lookup import AlphaLimits as AlphaLimits
+from .lookup import MaxAlpha as MaxAlpha
 from .plan import Plan as Plan
 from .plan import plan_atlas as plan_atlas
-from .products.limits import AlphaLimits as AlphaLimits
-from .products.limits import MaxAlpha as MaxAlpha
 from .products.slices import AtlasOutline as AtlasOutline
 from .spec import AtlasSpec as AtlasSpec
 from .spec import FittedAxis as FittedAxis

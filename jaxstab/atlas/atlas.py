@@ -24,15 +24,8 @@ from numpy.typing import ArrayLike, NDArray
 from jaxstab.arrays import tree_map
 from jaxstab.atlas import file
 from jaxstab.atlas.file import Integers, Mask, PackedArrays, Place
-from jaxstab.atlas.products.limits import (
-    ALPHA_LIMITS,
-    LIMIT_RANGE,
-    LIMIT_WHOLE,
-    AlphaLimits,
-    LimitTable,
-    MaxAlpha,
-    OutsideError,
-)
+from jaxstab.atlas.lookup import AlphaLimits, LimitTable, MaxAlpha, OutsideError
+from jaxstab.atlas.products.limits import ALPHA_LIMITS, LIMIT_RANGE, LIMIT_WHOLE
 from jaxstab.atlas.products.slices import AtlasOutline, outline_at
 from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.products.verdicts import CELL_VERDICT, VERDICT, decided_share
