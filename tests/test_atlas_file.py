@@ -31,7 +31,7 @@ from jaxstab.atlas import schema as footer
 from jaxstab.atlas.plan import compute_tile
 from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.variables import NODE
-from jaxstab.atlas.write.verify import verify_atlas
+from jaxstab.atlas.write.build import verify_atlas
 from jaxstab.model import by_name
 
 FOREIGN = {

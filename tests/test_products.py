@@ -43,7 +43,7 @@ class EndOfBeta(product.Product):
 table.PRODUCTS[EndOfBeta.name] = EndOfBeta()
 import jaxstab
 from jaxstab.atlas.write.resolution import estimate_build
-from jaxstab.atlas.write.verify import verify_atlas
+from jaxstab.atlas.write.build import verify_atlas
 
 spec = jaxstab.AtlasSpec(gamma=[0.0], delta=[0.0, 0.01], delay=[0.0], products=[EndOfBeta.name])
 plan = jaxstab.plan_atlas(spec)

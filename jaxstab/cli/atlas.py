@@ -96,7 +96,7 @@ def info(file: Path) -> None:
 )
 def verify(file: Path, sample: int) -> None:
     """Check that an atlas is whole, and right at a random sample of points."""
-    from jaxstab.atlas.write.verify import verify_atlas
+    from jaxstab.atlas.write.build import verify_atlas
 
     keep_programs()
     passed = True

@@ -186,7 +186,9 @@ def _draw_radii(panel: Axes, alpha: Floats, beta: Floats, radius: Floats) -> Qua
     return filled
 
 
-def _nodes_of(atlas: "Atlas", name: str, number: int, *hand: float) -> tuple[Floats, Floats, Floats]:
+def _nodes_of(
+    atlas: "Atlas", name: str, number: int, *hand: float
+) -> tuple[Floats, Floats, Floats]:
     """Return alpha, beta and a field at the nodes of gamma and delta that are nearest."""
     alpha, beta, *axes = atlas.nodes(number).values()
     i, j = (int(np.argmin(np.abs(axis - value))) for axis, value in zip(axes, hand, strict=True))
