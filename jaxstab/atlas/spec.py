@@ -25,11 +25,11 @@ from jaxstab.model.filters import (
     Filter,
     Filters,
     SampledTable,
+    Section,
     Velocity,
     as_keywords,
     known_filters,
 )
-from jaxstab.model.sections import Section
 from jaxstab.numbers import checked_count, checked_number, checked_word
 from jaxstab.tables import check_keys, parsed, read_table
 

@@ -14,9 +14,8 @@ from typing import NamedTuple
 
 from jaxstab.arrays import Array, namespace
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import Filters
+from jaxstab.model.filters import Filters, Polynomial, Transfer, product, size_of
 from jaxstab.model.plant import may_cancel, pairs_error, plant_pairs
-from jaxstab.model.sections import Polynomial, Transfer, product, size_of
 from jaxstab.rounding import FILTERS, PAIR_PRODUCT
 
 _DIFFERENCE = (DoubleDouble(1.0, 0.0), DoubleDouble(-1.0, 0.0))  # z - 1

@@ -29,8 +29,7 @@ from jaxstab.conventions import Verdict
 from jaxstab.model.device import SampledDevice
 from jaxstab.model.device.sampling import late_response
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import Filter, Filters, Velocity
-from jaxstab.model.sections import ONE, Polynomial
+from jaxstab.model.filters import ONE, Filter, Filters, Polynomial, Velocity
 from jaxstab.point.verdicts import linear_verdict
 from jaxstab.proofs.enclosures import LinearModel, conjugate, phasor, variable
 from jaxstab.proofs.filters import (

@@ -23,10 +23,9 @@ from jaxtyping import Float64
 from jaxstab.model.device.device import Device
 from jaxstab.model.device.parts import Rational, balls_of, exact, working_precision
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import Filter, Filters, Velocity
+from jaxstab.model.filters import Filter, Filters, Polynomial, Transfer, Velocity
 from jaxstab.model.linear_loop import Bounded, LinearLoop, SampledPlant, linear_loop
 from jaxstab.model.parameters import LONGEST_DELAY
-from jaxstab.model.sections import Polynomial, Transfer
 from jaxstab.numbers import checked_number
 from jaxstab.rounding import RAISED_FEW
 
