@@ -18,7 +18,7 @@ from benchmarks import truth
 from benchmarks.record import Row
 from benchmarks.timing import interleaved
 from jaxstab import verdict
-from jaxstab.atlas.compute.verdicts import node_verdicts, undecided_nodes
+from jaxstab.atlas.proved import node_verdicts, undecided_nodes
 from jaxstab.conventions import Verdict
 from jaxstab.model import by_name
 

@@ -5,7 +5,7 @@ import pytest
 from atlases import moving_atlas, small_atlas
 
 from jaxstab import Atlas
-from jaxstab.atlas.products.limits import DelayCells, LimitTable, in_parts
+from jaxstab.atlas.lookup import DelayCells, LimitTable, in_parts
 from jaxstab.model import by_name
 
 

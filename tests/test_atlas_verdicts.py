@@ -10,8 +10,8 @@ import pytest
 
 from benchmarks import truth
 from jaxstab import Verdict, characteristic_polynomial, verdict
-from jaxstab.atlas.compute import verdicts
-from jaxstab.atlas.compute.verdicts import cell_verdicts, node_verdicts, undecided_nodes
+from jaxstab.atlas import proved as verdicts
+from jaxstab.atlas.proved import cell_verdicts, node_verdicts, undecided_nodes
 from jaxstab.proofs.columns import ColumnGaps, column_gaps
 from jaxstab.proofs.plant import HandBoxes
 

@@ -15,8 +15,8 @@ from jaxstab import Device, Filter, Hand, HandRange, HapticLoop, Mode, Velocity,
 from jaxstab.loop.between import LoopsWithHands
 from jaxstab.loop.jitter import MovingLoop, MovingRegion, _Search
 from jaxstab.model.device import SampledDevice, sampled_device
-from jaxstab.model.device.late_forces import late_response
 from jaxstab.model.device.periodic import segments_of
+from jaxstab.model.device.sampling import late_response
 from jaxstab.motion.moving_delays import Range
 from jaxstab.proofs import jitter
 

@@ -7,18 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxstab.atlas.compute.layout import reach_of
-from jaxstab.atlas.compute.plan import Plan, compute_tile, plan_atlas
-from jaxstab.atlas.format.schema import VARIABLES
-from jaxstab.atlas.format.spec import AtlasSpec
+from jaxstab.atlas.plan import Plan, compute_tile, plan_atlas, reach_of
 from jaxstab.atlas.products.limits import upper_errors
 from jaxstab.atlas.products.table import PRODUCTS
+from jaxstab.atlas.schema import VARIABLES
+from jaxstab.atlas.spec import AtlasSpec
 
 # A product that jaxstab does not have: the largest stable beta of each slice.
 NEW_PRODUCT = """
 import sys
 import numpy as np
-from jaxstab.atlas.format.variables import SLICE, Variable
+from jaxstab.atlas.variables import SLICE, Variable
 from jaxstab.atlas.products import product, table
 
 
@@ -44,7 +43,7 @@ class EndOfBeta(product.Product):
 table.PRODUCTS[EndOfBeta.name] = EndOfBeta()
 import jaxstab
 from jaxstab.atlas.write.resolution import estimate_build
-from jaxstab.atlas.write.verify import verify_atlas
+from jaxstab.atlas.write.build import verify_atlas
 
 spec = jaxstab.AtlasSpec(gamma=[0.0], delta=[0.0, 0.01], delay=[0.0], products=[EndOfBeta.name])
 plan = jaxstab.plan_atlas(spec)

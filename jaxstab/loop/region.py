@@ -13,7 +13,7 @@ from jaxstab.model.filters import given_filters
 from jaxstab.numbers import without_noise
 from jaxstab.region import RegionStatus, StableRegion, measures, region_outline, stable_region
 from jaxstab.region.region import linear_region
-from jaxstab.region.shown import GainNames, ShownRegion, limits_text
+from jaxstab.region.stable_set import GainNames, ShownRegion, limits_text
 
 TOLERANCE = 1e-6  # of the outline, by default
 _REMEMBERED = 64  # regions

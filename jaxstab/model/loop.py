@@ -10,10 +10,9 @@ import numpy as np
 
 from jaxstab.arrays import Numbers, constant, is_any_traced, is_jax, is_traced, leaves, namespace
 from jaxstab.model.device import Device, Hand, SampledDevice, sampled_device
-from jaxstab.model.filters import Filter, Velocity, given_filters
+from jaxstab.model.filters import Average, Filter, Velocity, given_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.model.parameters import LONGEST_DELAY, TracedDelay, by_name
-from jaxstab.model.sections import Average
 from jaxstab.numbers import checked_number
 from jaxstab.shown import call_text
 

@@ -43,8 +43,7 @@ from jaxstab.model import LoopParameters, by_name, checked_gain, plant_transitio
 from jaxstab.model.device import Device
 from jaxstab.model.device.mechanics import Mechanics, mechanics
 from jaxstab.model.device.periodic import Segments, segments_of
-from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
-from jaxstab.model.sections import Polynomial, Transfer
+from jaxstab.model.filters import Filter, Filters, Polynomial, Transfer, Velocity, given_filters
 from jaxstab.motion.contraction import Matrices, Systems
 from jaxstab.numbers import checked, checked_count
 from jaxstab.point.poles import closed_loop_poles

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from textwrap import fill
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,7 +13,6 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from jaxstab.atlas import Atlas, LoopAtlas
 from jaxstab.atlas.products.fields import FIELDS
 from jaxstab.conventions import Verdict
 from jaxstab.model import by_name
@@ -27,6 +27,9 @@ from jaxstab.pictures.style import (
     picture,
     plain,
 )
+
+if TYPE_CHECKING:
+    from jaxstab.atlas import Atlas, LoopAtlas
 
 _RASTER = 400  # points along each side of a plane
 _WIDTH, _HEIGHT = 3.3, 2.9  # inches of a panel
@@ -60,7 +63,7 @@ Floats = NDArray[np.float64]
 
 
 def draw_atlas(
-    atlas: Atlas, gamma: float, delta: float, delays: Sequence[float] | None = None
+    atlas: "Atlas", gamma: float, delta: float, delays: Sequence[float] | None = None
 ) -> bytes:
     """A PNG of an atlas in planes of (alpha, beta), one for each of at most 6 of its delays.
 
@@ -107,7 +110,7 @@ def draw_atlas(
 
 
 def plot_atlas(
-    atlas: Atlas, ax: Axes | None, gamma: float | None, delta: float | None, delay: float | None
+    atlas: "Atlas", ax: Axes | None, gamma: float | None, delta: float | None, delay: float | None
 ) -> Axes:
     """Draw the verdicts of an atlas in one plane on axes, or on new ones: ``Atlas.plot``."""
     if _ANSWERED_BY["verdict"].isdisjoint(atlas.products):
@@ -129,7 +132,7 @@ def plot_atlas(
     return panel
 
 
-def plot_walls(walls: LoopAtlas, ax: Axes | None) -> Axes:
+def plot_walls(walls: "LoopAtlas", ax: Axes | None) -> Axes:
     """Draw the verdicts of an atlas for the walls of one loop, in SI units: ``LoopAtlas.plot``."""
     atlas, loop = walls.atlas, walls.loop
     nearest = int(np.argmin(np.abs(atlas.delays - loop.delay_samples)))
@@ -146,7 +149,7 @@ def plot_walls(walls: LoopAtlas, ax: Axes | None) -> Axes:
     return panel
 
 
-def _raster(atlas: Atlas, index: int) -> tuple[Floats, Floats]:
+def _raster(atlas: "Atlas", index: int) -> tuple[Floats, Floats]:
     nodes = atlas.nodes(index)
     alpha, beta = (
         np.linspace(nodes[name][0], nodes[name][-1], _RASTER) for name in ("alpha", "beta")
@@ -154,7 +157,7 @@ def _raster(atlas: Atlas, index: int) -> tuple[Floats, Floats]:
     return alpha, beta
 
 
-def _indices_of(atlas: Atlas, delays: Sequence[float] | None) -> list[int]:
+def _indices_of(atlas: "Atlas", delays: Sequence[float] | None) -> list[int]:
     nodes = atlas.delays.tolist()
     chosen = nodes if delays is None else list(delays)
     for delay in chosen:
@@ -183,7 +186,7 @@ def _draw_radii(panel: Axes, alpha: Floats, beta: Floats, radius: Floats) -> Qua
     return filled
 
 
-def _nodes_of(atlas: Atlas, name: str, index: int, *hand: float) -> tuple[Floats, Floats, Floats]:
+def _nodes_of(atlas: "Atlas", name: str, index: int, *hand: float) -> tuple[Floats, Floats, Floats]:
     """Return alpha, beta and a field at the nodes of gamma and delta that are nearest."""
     alpha, beta, *axes = atlas.nodes(index).values()
     i, j = (int(np.argmin(np.abs(axis - value))) for axis, value in zip(axes, hand, strict=True))

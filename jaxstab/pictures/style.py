@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import AbstractPathEffect, withStroke
 from numpy.typing import NDArray
 
-from jaxstab.loop import HapticLoop, MovingRegion, WallRegion
+from jaxstab.loop import Contact, ContactKind, HapticLoop, MovingRegion, WallRegion
 from jaxstab.model.filters import given_filters
 from jaxstab.region import StableRegion
 
@@ -192,6 +192,25 @@ def draw_linear_rule(panel: Axes, loop: HapticLoop) -> None:
     linear = (damping + loop.body.damping) / (loop.delay + 0.5 * loop.sample_time)
     panel.plot(linear, damping, "--", color=RED, lw=1.4, label="linear rule")
     panel.set(xlim=window[0], ylim=window[1])
+
+
+def plot_contact(contact: Contact, ax: Axes | None = None) -> Axes:
+    """Draw a simulated contact over time; ValueError if it is not one run with its path."""
+    path = contact.path
+    if path is None or path.position.ndim != 1:
+        raise ValueError(
+            f"there is no single path to draw: {contact!r}; call loop.contact with one wall."
+        )
+    panel = new_axes() if ax is None else ax
+    panel.axhline(0.0, color=BLACK, lw=0.6)
+    panel.plot(path.time, 1000.0 * path.position, color=BLUE, lw=1.0)
+    panel.set_xlabel("time (s)")
+    panel.set_ylabel("position (mm), positive inside the wall", color=BLUE)
+    beside = panel.twinx()
+    beside.plot(path.time, path.force, color=ORANGE, lw=0.6)
+    beside.set_ylabel("force of the wall (N)", color=ORANGE)
+    panel.set_title(f"simulated: {ContactKind(int(contact.kind)).words}", fontsize=9)
+    return panel
 
 
 def new_axes() -> Axes:

@@ -3,7 +3,7 @@
 Let the delay of each sample lie between L and L + J, in samples, and let the newest sample that has
 arrived set the force. The force then differs from that of the loop with the delay L by the last
 changes of the computed force, and that difference comes back through the device
-(``model.device.late_forces``). With x = 1/z, g the polynomial of the loop of delay L (as in
+(``model.device.sampling``). With x = 1/z, g the polynomial of the loop of delay L (as in
 ``linear_circle``), H = alpha P + beta V the wall and Q the response of the device to changes that
 come up to J late, the way round is a contraction if on the whole unit circle
 
@@ -27,10 +27,9 @@ from jaxtyping import Bool, Float64, Int64
 from jaxstab.arrays import PI_REST
 from jaxstab.conventions import Verdict
 from jaxstab.model.device import SampledDevice
-from jaxstab.model.device.late_forces import late_response
+from jaxstab.model.device.sampling import late_response
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import Filter, Filters, Velocity
-from jaxstab.model.sections import ONE, Polynomial
+from jaxstab.model.filters import ONE, Filter, Filters, Polynomial, Velocity
 from jaxstab.point.verdicts import linear_verdict
 from jaxstab.proofs.enclosures import LinearModel, conjugate, phasor, variable
 from jaxstab.proofs.filters import (

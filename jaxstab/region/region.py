@@ -10,11 +10,10 @@ from jaxstab.batches import compiled
 from jaxstab.conventions import Verdict
 from jaxstab.model import require_x64
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import Filter, Filters, Velocity, known_filters
+from jaxstab.model.filters import Filter, Filters, Transfer, Velocity, known_filters
 from jaxstab.model.linear_loop import LinearLoop, SampledPlant
 from jaxstab.model.loop import refuses_loops
 from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT, LONGEST_DELAY, whole_and_fraction
-from jaxstab.model.sections import Transfer
 from jaxstab.numbers import checked_count, checked_number
 from jaxstab.point.verdicts import linear_verdict
 from jaxstab.region import measures

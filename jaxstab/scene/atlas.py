@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxstab.atlas import Atlas, AtlasAnswer, AtlasSpec, FittedAxis
-from jaxstab.atlas.compute.layout import reach_of
+from jaxstab.atlas.plan import reach_of
 from jaxstab.loop import Gains, HapticLoop
 from jaxstab.scene.answers import basis_of
 from jaxstab.scene.loops import Member, corners_of, loop_of_member, ranges_of, walls_of

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from jaxstab.conventions import Status
 from jaxstab.loop import Gains, HapticLoop
-from jaxstab.model.sections import LONGEST_WINDOW
+from jaxstab.model.filters import LONGEST_WINDOW
 from jaxstab.scene.answers import (
     Answer,
     Basis,

@@ -23,12 +23,11 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxstab.atlas.format.variables import SLICE, Variable
+from jaxstab.atlas.variables import SLICE, Variable
 
 if TYPE_CHECKING:
-    from jaxstab.atlas.compute.layout import Grid
-    from jaxstab.atlas.compute.plan import Plan, Tile
-    from jaxstab.atlas.read.atlas import Atlas
+    from jaxstab.atlas.atlas import Atlas
+    from jaxstab.atlas.plan import Grid, Plan, Tile
     from jaxstab.model.filters import Filters
 
 Array = NDArray[Any]

@@ -33,9 +33,8 @@ from jaxstab.model.device.sampling import (
     sampled_device,
     without_force,
 )
-from jaxstab.model.filters import Filter, Filters, Velocity
+from jaxstab.model.filters import Filter, Filters, Section, Velocity
 from jaxstab.model.loop import LoopParameters
-from jaxstab.model.sections import Section
 from jaxstab.rounding import RAISED_FEW
 
 # Two values of one kind merged into one, whose numbers run from the one to the other.

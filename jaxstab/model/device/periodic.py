@@ -30,8 +30,7 @@ from jaxstab.model.device.sampling import (
     in_samples,
     without_force,
 )
-from jaxstab.model.filters import Filters
-from jaxstab.model.sections import Polynomial, Transfer
+from jaxstab.model.filters import Filters, Polynomial, Transfer
 from jaxstab.rounding import FILTERS
 
 if TYPE_CHECKING:

@@ -20,10 +20,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxstab.atlas.format import schema
-from jaxstab.atlas.format.schema import FOOTER, VARIABLES, image_size, values_digest
-from jaxstab.atlas.format.table import RefusalError, Stored, Table, check, read_table
-from jaxstab.atlas.format.variables import (
+from jaxstab.atlas import schema
+from jaxstab.atlas.products.table import PRODUCTS
+from jaxstab.atlas.schema import (
+    FOOTER,
+    VARIABLES,
+    RefusalError,
+    Stored,
+    Table,
+    check,
+    image_size,
+    read_table,
+    values_digest,
+)
+from jaxstab.atlas.variables import (
     LARGEST_ARRAY,
     LARGEST_UNASKED,
     LEAST_SHARE,
@@ -32,7 +42,6 @@ from jaxstab.atlas.format.variables import (
     SPEC,
     Variable,
 )
-from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.conventions import AXES
 from jaxstab.durable import named_errors, target_of
 

@@ -8,13 +8,12 @@ The few nodes in no gap are computed one by one.
 
 from itertools import product
 from math import exp, floor
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int32, Int64
 
-from jaxstab.atlas.compute.layout import Grid
-from jaxstab.atlas.products.limits import WHOLE_ALPHA, WHOLE_BOTH, surface
+from jaxstab.atlas.lookup import WHOLE_ALPHA, WHOLE_BOTH, surface
 from jaxstab.conventions import Verdict
 from jaxstab.model import by_name
 from jaxstab.model.filters import Filters, as_keywords
@@ -23,6 +22,9 @@ from jaxstab.proofs.columns import StableColumns, column_gaps, stable_columns
 from jaxstab.proofs.curve_patches import Domain
 from jaxstab.proofs.plant import NUMERATOR_SLOPES, HandBoxes
 from jaxstab.rounding import RAISED_MUCH
+
+if TYPE_CHECKING:
+    from jaxstab.atlas.plan import Grid
 
 AlphaNodes = Float64[np.ndarray, " alpha_node"]
 BetaNodes = Float64[np.ndarray, " beta_node"]
@@ -143,12 +145,12 @@ class Bounds(NamedTuple):
     beta: float
 
 
-def whole_axes(grid: Grid, filters: Filters | None) -> Int32[np.ndarray, " delay_cell"]:
+def whole_axes(grid: "Grid", filters: Filters | None) -> Int32[np.ndarray, " delay_cell"]:
     """Which axes hold the whole stable set, by ``LIMIT_WHOLE``, per cell of delays (lemma B22)."""
     return np.array([_whole(grid, row, filters) for row in grid.limit_range.tolist()], np.int32)
 
 
-def _whole(grid: Grid, row: list[float], filters: Filters | None) -> int:
+def _whole(grid: "Grid", row: list[float], filters: Filters | None) -> int:
     early, late, least, most, low, high = row
     samples = _window(filters)
     if samples is None or least > -grid.gamma[-1]:
@@ -179,7 +181,7 @@ def _window(filters: Filters | None) -> int | None:
     return None if stages or position.stages() else samples
 
 
-def _bounds(grid: Grid, samples_late: int, window: int) -> Bounds:
+def _bounds(grid: "Grid", samples_late: int, window: int) -> Bounds:
     """Return the bounds of lemma B22, for all hands and a delay within one sample."""
     gamma, delta = float(grid.gamma[-1]), float(grid.delta[-1])
     per_gamma, per_delta, _ = NUMERATOR_SLOPES
@@ -196,7 +198,7 @@ def _bounds(grid: Grid, samples_late: int, window: int) -> Bounds:
 
 
 def _proved(
-    grid: Grid,
+    grid: "Grid",
     delays: Ends,
     edges: Floats,
     alpha: Ends,
@@ -223,7 +225,7 @@ def _proved(
     return all(_proved(grid, ends, edges, alpha, filters, halvings - 1) for ends in halves)
 
 
-def _boxes(grid: Grid, *, cells: bool) -> HandBoxes:
+def _boxes(grid: "Grid", *, cells: bool) -> HandBoxes:
     sides = [grid.sides(name) for name in ("gamma", "delta")]
     if not cells:
         sides = [np.array([[along[0, 0], along[-1, 1]]]) for along in sides]

@@ -1,6 +1,6 @@
 """What a variable of an atlas file is, and the variables that every atlas has.
 
-A file holds one HDF5 image, a table of its chunks (``format.table``) and a footer. The image holds
+A file holds one HDF5 image, a table of its chunks (``atlas.schema``) and a footer. The image holds
 its variables in the root group, with dimension scales. All numbers are dimensionless. Each variable
 says here what its numbers mean, of which type they are and which values are allowed; readers refuse
 anything else. The variables of a product are with the product (``atlas.products``), those of all

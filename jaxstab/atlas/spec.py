@@ -11,25 +11,25 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxstab.atlas.format.variables import (
+from jaxstab.atlas.products.fields import FIELDS
+from jaxstab.atlas.products.table import PRODUCTS
+from jaxstab.atlas.variables import (
     LARGEST_ATLAS,
     LARGEST_DELAY,
     LARGEST_SLICE,
     LEAST_SHARE,
     LEAST_SPAN,
 )
-from jaxstab.atlas.products.fields import FIELDS
-from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.conventions import AXES
 from jaxstab.model.filters import (
     Filter,
     Filters,
     SampledTable,
+    Section,
     Velocity,
     as_keywords,
     known_filters,
 )
-from jaxstab.model.sections import Section
 from jaxstab.numbers import checked_count, checked_number, checked_word
 from jaxstab.tables import check_keys, parsed, read_table
 
@@ -221,7 +221,7 @@ class AtlasSpec:
         An axis is a list of nodes, or a table with ``values``, or one with ``start``, ``stop``,
         ``count`` and perhaps ``spacing`` ("linear" or "geometric"). For alpha and beta it may have
         ``fitted``, a count, and perhaps ``least`` and ``most``. The tables ``velocity`` and
-        ``position`` are of ``jaxstab.atlas.format.spec``.
+        ``position`` are of ``jaxstab.atlas.spec``.
 
         Raises: see ``jaxstab.conventions``; ValueError also if it is no TOML, or has an unknown
         name.
