@@ -72,7 +72,7 @@ def test_the_response_to_late_forces_is_that_of_the_device_in_continuous_time(
         for powers, at in ((known.about_one, h), (known.about_minus_one, 2.0 - h)):
             value = sum(float(c.rounded()) * at**k for k, c in enumerate(powers))
             assert value == pytest.approx(true, rel=1e-6, abs=1e-13)
-        assert known.at(np.array([theta]))[0] == pytest.approx(true, rel=1e-6, abs=1e-13)
+        assert known.values_at(np.array([theta]))[0] == pytest.approx(true, rel=1e-6, abs=1e-13)
 
 
 def _floats(device: Device, is_above: bool = False) -> list[float]:

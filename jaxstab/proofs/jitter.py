@@ -141,7 +141,7 @@ def largest_jitters(
         low, high = 0.0, most
         while high - low > _CLOSE * high and high > _SMALLEST:
             tried = 0.5 * (low + high) if low > 0.0 else high / 16.0
-            response = late_response(device, tried).at(_THETA)
+            response = late_response(device, tried).values_at(_THETA)
             is_more = bool(np.all(squares[number] > response))
             low, high = (tried, high) if is_more else (low, tried)
         for share in _SHARES:

@@ -380,9 +380,9 @@ def _is_finite(plant: SampledPlant) -> bool:
 #     Q = c(z) M c(1/z)',     M = J times the integral of N b b',     |z| = 1,
 #
 # a cosine sum of as many terms as the device has states. The integral over a whole sample is the
-# Gramian of one sample; that over s < f has the part of a sample in which an (n + 1)-th change may
-# still be missing. Q is finite where D vanishes, and known in powers of 1 - cos(theta) and of
-# 1 + cos(theta), in balls until each coefficient has more digits than pairs of float64.
+# Gramian of one sample; that over s < f covers the time in which an (n + 1)-th change may still be
+# missing. Q is finite where D vanishes. It is computed in powers of 1 - cos(theta) and of
+# 1 + cos(theta), in balls, until each coefficient has more digits than pairs of float64.
 
 
 class CosineSum(NamedTuple):
@@ -397,7 +397,7 @@ class CosineSum(NamedTuple):
     about_minus_one: Polynomial
     errors: tuple[float, float]
 
-    def at(self, theta: Float64[np.ndarray, " angle"]) -> Float64[np.ndarray, " angle"]:
+    def values_at(self, theta: Float64[np.ndarray, " angle"]) -> Float64[np.ndarray, " angle"]:
         """Return Q at angles, without a bound."""
         powers = 1.0 - np.cos(theta), 1.0 + np.cos(theta)
         values = [
@@ -420,9 +420,9 @@ def late_response(device: SampledDevice, jitter: float) -> CosineSum:
             if all(map(is_known, both)) or bits >= _MOST_BITS:
                 unit = flint.arb(exact(device.stiffness_unit))
                 balls = [each.coeffs() or [flint.arb(0)] for each in both]
-                known = [[bounded(c / unit**2) for c in each] for each in balls]
-                values = [tuple(one.value for one in each) for each in known]
-                errors = [float(sum(one.error for one in each)) * RAISED_FEW for each in known]
+                coefficients = [[bounded(c / unit**2) for c in each] for each in balls]
+                values = [tuple(c.value for c in each) for each in coefficients]
+                errors = [float(sum(c.error for c in each)) * RAISED_FEW for each in coefficients]
                 return CosineSum(values[0], values[1], (errors[0], errors[1]))
         bits *= 2
 
@@ -436,10 +436,10 @@ def _cosine_sum(device: SampledDevice, jitter: float) -> list["arb"]:
     order = len(below) - 1
     transition, whole = _after(below, speed)
     gramian = whole * floor(jitter)
-    for first, last in _windows(device.delay % 1.0, jitter % 1.0):
-        rest, _ = _after(below, (1 - last) * speed)
-        _, part = _after(below, (last - first) * speed)
-        gramian += rest * part * rest.transpose()
+    for start, end in _windows(device.delay % 1.0, jitter % 1.0):
+        onward, _ = _after(below, (1 - end) * speed)
+        _, window = _after(below, (end - start) * speed)
+        gramian += onward * window * onward.transpose()
     weights = (gramian * (speed * flint.arb(exact(jitter)))).tolist()
     denominator = transition.charpoly()
     units = [[int(i == j) for i in range(order)] for j in range(order)]
@@ -450,17 +450,17 @@ def _cosine_sum(device: SampledDevice, jitter: float) -> list["arb"]:
     zero = flint.arb_poly([])
     total = zero
     for row, weighted in zip(rows, weights, strict=True):
-        other = sum((one * w for one, w in zip(rows, weighted, strict=True)), zero)
+        other = sum((p * w for p, w in zip(rows, weighted, strict=True)), zero)
         reverse = [other[order - 1 - power] for power in range(order)]
         total += row * flint.arb_poly(reverse)
     return [total[order - 1 + lag] for lag in range(order)]
 
 
 def _windows(start: float, length: float) -> list[tuple["fmpq", "fmpq"]]:
-    """Return the parts of a sample in which a window lies that may go on in the next one."""
-    first, last = exact(start), exact(start) + exact(length)
-    parts = [(first, min(last, exact(1.0))), (exact(0.0), last - 1)]
-    return [part for part in parts if part[0] < part[1]]
+    """The intervals of a sample that a window covers, which may continue in the next sample."""
+    begin, end = exact(start), exact(start) + exact(length)
+    pieces = [(begin, min(end, exact(1.0))), (exact(0.0), end - 1)]
+    return [piece for piece in pieces if piece[0] < piece[1]]
 
 
 def _after(below: list[Ball], time: "arb") -> "tuple[Matrix, Matrix]":
