@@ -16,10 +16,10 @@ import numpy as np
 from jaxstab.atlas import schema
 from jaxstab.atlas import schema as footer
 from jaxstab.atlas.file import Array
+from jaxstab.atlas.product import SLICE
 from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.schema import Chunked, Place, table_text, values_digest
 from jaxstab.atlas.spec import words_of
-from jaxstab.atlas.variables import SLICE
 
 Arrays = dict[str, Array]
 _FILTERS = words_of(None)

@@ -29,8 +29,8 @@ from jaxstab import open_atlas, plan_atlas
 from jaxstab.atlas import file, schema
 from jaxstab.atlas import schema as footer
 from jaxstab.atlas.plan import compute_tile
+from jaxstab.atlas.product import NODE
 from jaxstab.atlas.products.table import PRODUCTS
-from jaxstab.atlas.variables import NODE
 from jaxstab.atlas.write.build import verify_atlas
 from jaxstab.model import by_name
 

@@ -17,8 +17,9 @@ from jaxstab.atlas.spec import AtlasSpec
 NEW_PRODUCT = """
 import sys
 import numpy as np
-from jaxstab.atlas.variables import SLICE, Variable
-from jaxstab.atlas.products import product, table
+from jaxstab.atlas import product
+from jaxstab.atlas.product import SLICE, Variable
+from jaxstab.atlas.products import table
 
 
 class EndOfBeta(product.Product):

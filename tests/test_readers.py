@@ -19,6 +19,7 @@ from benchmarks.truth.filtered import FilteredLoop, average, difference
 from jaxstab import Atlas, AtlasSpec, Verdict, open_atlas
 from jaxstab.atlas import schema as footer
 from jaxstab.atlas.file import table_of
+from jaxstab.atlas.product import SLICE
 from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.schema import (
     SCHEMA_VERSION,
@@ -26,7 +27,6 @@ from jaxstab.atlas.schema import (
     content_digest,
     digest_of,
 )
-from jaxstab.atlas.variables import SLICE
 from jaxstab.atlas.write.variables import checked_datasets, opened, text_of
 from jaxstab.model import by_name
 from jaxstab.results import QueryStatus

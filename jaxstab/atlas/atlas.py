@@ -25,11 +25,11 @@ from jaxstab.arrays import tree_map
 from jaxstab.atlas import file
 from jaxstab.atlas.file import Integers, Mask, PackedArrays, Place
 from jaxstab.atlas.lookup import AlphaLimits, LimitTable, MaxAlpha, OutsideError
+from jaxstab.atlas.product import SPEC
 from jaxstab.atlas.products.limits import ALPHA_LIMITS, LIMIT_RANGE, LIMIT_WHOLE
 from jaxstab.atlas.products.slices import AtlasOutline, outline_at
 from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.products.verdicts import CELL_VERDICT, VERDICT, decided_share
-from jaxstab.atlas.variables import SPEC
 from jaxstab.conventions import AXES, Status, Verdict
 from jaxstab.numbers import checked, checked_number, checked_word, real_numbers
 from jaxstab.rounding import EPS

@@ -21,6 +21,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxstab.atlas import schema
+from jaxstab.atlas.product import (
+    LARGEST_ARRAY,
+    LARGEST_UNASKED,
+    LEAST_SHARE,
+    LEAST_SPAN,
+    NODE,
+    SPEC,
+    Variable,
+)
 from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.schema import (
     FOOTER,
@@ -32,15 +41,6 @@ from jaxstab.atlas.schema import (
     image_size,
     read_table,
     values_digest,
-)
-from jaxstab.atlas.variables import (
-    LARGEST_ARRAY,
-    LARGEST_UNASKED,
-    LEAST_SHARE,
-    LEAST_SPAN,
-    NODE,
-    SPEC,
-    Variable,
 )
 from jaxstab.conventions import AXES
 from jaxstab.durable import named_errors, target_of

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxstab.atlas.products.product import Array, Floats
+from jaxstab.atlas.product import Array, Floats
 from jaxstab.conventions import Verdict
 
 LIMIT_TERMS = 10  # of each of the two limits

@@ -19,11 +19,11 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import NDArray
 
+from jaxstab.atlas.product import CELL, LARGEST_ARRAY, NODE
 from jaxstab.atlas.products.limits import ALPHA_LIMITS
 from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.schema import VARIABLES
 from jaxstab.atlas.spec import AtlasSpec, FittedAxis, check_size
-from jaxstab.atlas.variables import CELL, LARGEST_ARRAY, NODE
 from jaxstab.model import by_name, characteristic_polynomial
 from jaxstab.model.filters import Filters, as_keywords
 from jaxstab.proofs.plant import HandBoxes

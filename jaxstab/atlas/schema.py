@@ -19,8 +19,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxstab.atlas.products.table import PRODUCTS
-from jaxstab.atlas.variables import (
+from jaxstab.atlas.product import (
     AXIS_VARIABLES,
     CELL,
     FLAG_MEANINGS,
@@ -30,6 +29,7 @@ from jaxstab.atlas.variables import (
     SPEC_VARIABLES,
     Variable,
 )
+from jaxstab.atlas.products.table import PRODUCTS
 
 FORMAT: Final = "jaxstab atlas"
 SCHEMA_VERSION: Final = 3

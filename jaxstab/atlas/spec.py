@@ -11,15 +11,15 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxstab.atlas.products.fields import FIELDS
-from jaxstab.atlas.products.table import PRODUCTS
-from jaxstab.atlas.variables import (
+from jaxstab.atlas.product import (
     LARGEST_ATLAS,
     LARGEST_DELAY,
     LARGEST_SLICE,
     LEAST_SHARE,
     LEAST_SPAN,
 )
+from jaxstab.atlas.products.fields import FIELDS
+from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.conventions import AXES
 from jaxstab.model.filters import (
     Filter,

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxstab.atlas.products.product import Array, Check, Product, Stored
-from jaxstab.atlas.variables import NODE, SLICE, Variable
+from jaxstab.atlas.product import NODE, SLICE, Array, Check, Product, Stored, Variable
 
 if TYPE_CHECKING:
     from jaxstab.atlas.plan import Plan, Tile

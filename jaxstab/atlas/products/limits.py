@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxstab.atlas.lookup import LIMIT_TERMS, WHOLE_BOTH, limits_at
-from jaxstab.atlas.products.product import Array, Floats, Product
-from jaxstab.atlas.variables import Variable, numbers
+from jaxstab.atlas.product import Array, Floats, Product, Variable, numbers
 from jaxstab.rounding import PLANES
 
 if TYPE_CHECKING:

@@ -16,8 +16,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxstab.atlas.products.product import Array, Check, Floats, Place, Product, Stored
-from jaxstab.atlas.variables import SLICE, Variable, numbers
+from jaxstab.atlas.product import (
+    SLICE,
+    Array,
+    Check,
+    Floats,
+    Place,
+    Product,
+    Stored,
+    Variable,
+    numbers,
+)
 
 if TYPE_CHECKING:
     from jaxstab.atlas.plan import Plan, Tile

@@ -10,8 +10,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxstab.atlas.products.product import Array, Check, Floats, Place, Product, Stored
-from jaxstab.atlas.variables import CELL, CODES, NODE, SLICE, Variable
+from jaxstab.atlas.product import (
+    CELL,
+    CODES,
+    NODE,
+    SLICE,
+    Array,
+    Check,
+    Floats,
+    Place,
+    Product,
+    Stored,
+    Variable,
+)
 from jaxstab.conventions import Verdict
 
 if TYPE_CHECKING:

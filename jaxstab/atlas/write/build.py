@@ -13,12 +13,11 @@ import jaxstab
 from jaxstab.atlas.atlas import Atlas, open_atlas
 from jaxstab.atlas.file import TooLargeError, table_of
 from jaxstab.atlas.plan import Plan, Tile, compute_tile, plan_atlas
-from jaxstab.atlas.products.product import Check, Stored
+from jaxstab.atlas.product import SPEC, Check, Stored
 from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.products.verdicts import wrong_codes
 from jaxstab.atlas.schema import content_digest, digest_of
 from jaxstab.atlas.spec import AtlasSpec, filters_of
-from jaxstab.atlas.variables import SPEC
 from jaxstab.atlas.write.tiles import (
     build_key,
     encode_tile,

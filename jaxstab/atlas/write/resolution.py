@@ -27,12 +27,12 @@ from jaxtyping import Float64
 from numpy.typing import NDArray
 
 from jaxstab.atlas.plan import Grid, Plan, Reach, compute_tile, lay_out, reach_of
+from jaxstab.atlas.product import LARGEST_ARRAY
 from jaxstab.atlas.products.limits import ALPHA_LIMITS, upper_errors
 from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.products.verdicts import VERDICT
 from jaxstab.atlas.schema import image_of
 from jaxstab.atlas.spec import FEWEST_FITTED, AtlasSpec, FittedAxis
-from jaxstab.atlas.variables import LARGEST_ARRAY
 from jaxstab.atlas.write.tiles import encode_tile
 from jaxstab.numbers import checked_number
 from jaxstab.shown import table_text

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from jaxstab.atlas.file import TooLargeError, check_values, contents_of, table_in
 from jaxstab.atlas.plan import Plan, Tile
+from jaxstab.atlas.product import LARGEST_UNASKED, SPEC
 from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.schema import (
     ALWAYS,
@@ -44,7 +45,6 @@ from jaxstab.atlas.schema import (
     values_digest,
 )
 from jaxstab.atlas.spec import AtlasSpec, words_of
-from jaxstab.atlas.variables import LARGEST_UNASKED, SPEC
 from jaxstab.atlas.write.variables import (
     TROUBLES,
     checked_layout,

@@ -10,8 +10,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxstab.atlas.product import Variable
 from jaxstab.atlas.schema import DAMAGED, Place, RefusalError, Table, attributes_of, check
-from jaxstab.atlas.variables import Variable
 from jaxstab.datasets import write_attributes
 
 _PACKED: Final = {"shuffle": True, "compression": "gzip", "compression_opts": 6}
