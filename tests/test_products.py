@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxstab.atlas.plan import Plan, compute_tile, plan_atlas, reach_of
+from jaxstab.atlas.plan import Plan, compute_tile, extents_of, plan_atlas
 from jaxstab.atlas.products.limits import upper_errors
 from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.schema import VARIABLES
@@ -84,6 +84,6 @@ def test_a_part_of_a_product_is_what_its_variables_say(name: str) -> None:
         known = values[~np.isnan(values)] if variable.has_nan else values
         assert np.all((known >= variable.lowest) & (known <= variable.highest))
     if name == "alpha_limits":
-        errors = upper_errors(grid, arrays[name], reach_of(spec), np.random.default_rng(1))
+        errors = upper_errors(grid, arrays[name], extents_of(spec), np.random.default_rng(1))
         assert 0.0 <= np.median(errors) < 0.2  # one wide box of hands
         assert np.all(errors >= 0.0)

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-# What the arrays of an atlas say about points: at nodes, in cells, and outside. NumPy alone.
+# The answers of the arrays of an atlas about points: at nodes, in cells, outside. NumPy alone.
 #
 # A query fills in one ``AtlasAnswer``. ``find_outside`` marks points beyond the atlas; axes that
 # hold the whole stable set have no end. ``answer_by_limits`` gives the verdicts of columns,
@@ -105,12 +105,12 @@ def check_inside(
     """Raise ValueError for the first value beyond the ends of an atlas, perhaps at some delays."""
     beyond = np.flatnonzero(~((values >= low) & (values <= high)))
     if beyond.size:
-        first, least, most = (
+        value, least, most = (
             float(np.broadcast_to(v, values.shape).flat[beyond[0]]) for v in (values, low, high)
         )
         where = "" if at is None else f" at delay {float(at.flat[beyond[0]]):g}"
         raise ValueError(
-            f"{name} is {first!r}, and this atlas covers {least!r} to {most!r}{where}; "
+            f"{name} is {value!r}, and this atlas covers {least!r} to {most!r}{where}; "
             "give a value in this range, or set outside to 'undecided'."
         )
 
@@ -128,13 +128,13 @@ def checked_range(name: str, ends: Any) -> Floats:
 def settle(where: Mapping[str, Floats], answer: AtlasAnswer, filters: Mapping[str, Any]) -> None:
     """Compute what the atlas left open inside of it; the filters are keywords of ``verdict``."""
     is_open = (answer.verdict == Verdict.UNDECIDED) & (answer.status != QueryStatus.OUTSIDE)
-    left = np.flatnonzero(is_open)
-    if left.size:
+    pending = np.flatnonzero(is_open)
+    if pending.size:
         from jaxstab.point import verdict
 
-        points: dict[str, Any] = {name: where[name][left] for name in AXES}
-        answer.verdict[left] = np.asarray(verdict(**points, resolve="exact", **filters))
-        answer.status[left] = QueryStatus.EXACT
+        points: dict[str, Any] = {name: where[name][pending] for name in AXES}
+        answer.verdict[pending] = np.asarray(verdict(**points, resolve="exact", **filters))
+        answer.status[pending] = QueryStatus.EXACT
 
 
 Arrays = Mapping[str, NDArray[Any]]
@@ -169,8 +169,8 @@ def find_outside(
     def check(name: str, low: Floats | float, high: Floats | float, members: Integers) -> None:
         values = where[name][members]
         if refuse:
-            at = where["delay"][members] if name in ("alpha", "beta") else None
-            check_inside(name, values, low, high, at)
+            delays = where["delay"][members] if name in ("alpha", "beta") else None
+            check_inside(name, values, low, high, delays)
         outside = ~((values >= low) & (values <= high))
         status[members[outside]] = QueryStatus.OUTSIDE
 
@@ -180,15 +180,15 @@ def find_outside(
     if table is not None:
         covered = np.flatnonzero(table.delays.covers(where["delay"]))
         cell = table.delays.cells_at(where["delay"][covered])
-        known = ~table.delays.beyond(cell, where["alpha"][covered], where["beta"][covered])
-        covered, cell = covered[known], cell[known]
+        is_inside = ~table.delays.beyond(cell, where["alpha"][covered], where["beta"][covered])
+        covered, cell = covered[is_inside], cell[is_inside]
         for name in ("alpha", "beta"):
             check(name, *table.delays.walls(name, cell), covered)
         return
-    for number, delay in enumerate(arrays["delay"].tolist()):
+    for index, delay in enumerate(arrays["delay"].tolist()):
         here = np.flatnonzero(where["delay"] == delay)
         for name in ("alpha", "beta"):
-            nodes = arrays[name][:, number]
+            nodes = arrays[name][:, index]
             check(name, nodes[0], nodes[-1], here)
 
 
@@ -205,13 +205,13 @@ def answer_by_limits(table: LimitTable, where: Points, inside: Mask, answer: Atl
 
 
 def answer_at_delay(
-    arrays: Arrays, number: int, where: Points, here: Integers, answer: AtlasAnswer
+    arrays: Arrays, index: int, where: Points, here: Integers, answer: AtlasAnswer
 ) -> None:
     """Fill in what nodes and their cells know of the points ``here``, all at one delay.
 
     Limits of alpha have given the verdicts of ``answer`` that they know.
     """
-    nodes = nodes_of(arrays, number)
+    nodes = nodes_of(arrays, index)
     for name in ("alpha", "beta"):  # limits of alpha may reach beyond the nodes
         values = where[name][here]
         here = here[(values >= nodes[name][0]) & (values <= nodes[name][-1])]
@@ -223,12 +223,12 @@ def answer_at_delay(
     if ALPHA_LIMITS not in arrays:
         status = np.full(here.size, QueryStatus.UNDECIDED_CELL, np.int8)
         if CELL_VERDICT in arrays:
-            codes = _codes_at(arrays, CELL_VERDICT, place.cell, number)
+            codes = _codes_at(arrays, CELL_VERDICT, place.cell, index)
             status[(codes == Verdict.STABLE) | (codes == Verdict.UNSTABLE)] = QueryStatus.CELL
-    left = place.at_node & (codes == Verdict.UNDECIDED)
-    if VERDICT in arrays and left.any():
-        nodes_left = [along[left] for along in place.node]
-        codes[left] = _codes_at(arrays, VERDICT, nodes_left, number)
+    pending = place.at_node & (codes == Verdict.UNDECIDED)
+    if VERDICT in arrays and pending.any():
+        nodes_pending = [along[pending] for along in place.node]
+        codes[pending] = _codes_at(arrays, VERDICT, nodes_pending, index)
     status[place.at_node] = QueryStatus.NODE
     answer.verdict[here], answer.status[here] = codes, status
 
@@ -551,7 +551,7 @@ class Atlas:
     @property
     def products(self) -> tuple[str, ...]:
         """The products that were computed, of ``jaxstab.atlas.schema.PRODUCTS``."""
-        return tuple(name for name, one in PRODUCTS.items() if one.names[0] in self.arrays)
+        return tuple(name for name, product in PRODUCTS.items() if product.names[0] in self.arrays)
 
     @property
     def delays(self) -> Floats:
@@ -620,10 +620,10 @@ class Atlas:
         inside = answer.status != QueryStatus.OUTSIDE
         if self._table is not None:
             answer_by_limits(self._table, where, inside, answer)
-        for number, node in enumerate(self.delays.tolist()):
+        for index, node in enumerate(self.delays.tolist()):
             here = np.flatnonzero(inside & (where["delay"] == node))
             if here.size:
-                answer_at_delay(self.arrays, number, where, here, answer)
+                answer_at_delay(self.arrays, index, where, here, answer)
         if exact:
             own = self.filters or (None, None)
             settle(where, answer, dict(zip(("velocity", "position"), own, strict=True)))
@@ -665,10 +665,10 @@ class Atlas:
         """
         table, points = self._table_and_points(delay, gamma=gamma, delta=delta, beta=beta)
         gamma, delta, beta, delay = points
-        known = table.known_limits(*(p.reshape(-1) for p in (beta, gamma, delta, delay)))
-        is_empty = known.lower == np.inf
-        limits = (np.where(is_empty, np.nan, limit) for limit in (known.lower, known.upper))
-        errors = (error.astype(float) for error in (known.lower_error, known.upper_error))
+        inner = table.limits_within(*(p.reshape(-1) for p in (beta, gamma, delta, delay)))
+        is_empty = inner.lower == np.inf
+        limits = (np.where(is_empty, np.nan, limit) for limit in (inner.lower, inner.upper))
+        errors = (error.astype(float) for error in (inner.lower_error, inner.upper_error))
         parts = zip(limits, errors, strict=True)
         return AlphaLimits(*(v.reshape(beta.shape) for pair in parts for v in pair))
 
@@ -704,7 +704,7 @@ class Atlas:
         return table.common_limits(beta, gamma, delta, delay)
 
     def _verdict_by_limits(self, given: Sequence[Numbers]) -> NDArray[np.int8] | None:
-        """Return what the limits of alpha say; None where they are missing or do not reach."""
+        """The verdicts by the limits of alpha; None where they are missing or do not extend."""
         table = self._table
         if table is None:
             return None
@@ -797,12 +797,12 @@ class Atlas:
     def __repr__(self) -> str:
         atlas: Any = self
         delays = ", ".join(f"{delay:g}" for delay in atlas.delays)
-        first, last = atlas.nodes(0), atlas.nodes(len(atlas.delays) - 1)
+        early, late = atlas.nodes(0), atlas.nodes(len(atlas.delays) - 1)
         ends = {
             name: (f"{axis.size} nodes", f"{axis[0]:.4g} to {axis[-1]:.4g}")
-            for name, axis in first.items()
+            for name, axis in early.items()
         }
-        later = [f"{axis[0]:.4g} to {axis[-1]:.4g}" for axis in list(last.values())[:2]]
+        later = [f"{axis[0]:.4g} to {axis[-1]:.4g}" for axis in list(late.values())[:2]]
         one_plane = len(atlas.delays) == 1
         rows = [
             (f"  {name}", *ends[name], "" if one_plane else f"at the last delay {span}")

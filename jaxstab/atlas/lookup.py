@@ -106,18 +106,18 @@ def _steps(early: Floats) -> tuple[float, Integers]:
     return float(count / width), np.searchsorted(early, begins, "right")
 
 
-# Questions about many points, answered part by part. NumPy alone.
+# Queries of many points, answered block by block. NumPy alone.
 
-_PART = 2**16  # points: enough for what a call of NumPy costs, and few for the memory
+_BLOCK = 2**16  # points: enough for what a call of NumPy costs, and few for the memory
 
 
-def in_parts(
+def in_blocks(
     answers: Callable[..., Sequence[Array]], points: Sequence[Array], *dtypes: type
 ) -> list[Array]:
-    """Values of a function at points of any broadcast shape, computed part by part.
+    """Values of a function at points of any broadcast shape, computed block by block.
 
     ``answers`` takes as many float64 arrays of one length as there are ``points``, and returns an
-    array for each of ``dtypes``. Conversion and broadcasting are done part by part as well.
+    array for each of ``dtypes``. Conversion and broadcasting are done block by block as well.
     """
     count = len(points)
     operands: Any = [*points, *(None for _ in dtypes)]
@@ -129,12 +129,12 @@ def in_parts(
         op_dtypes=[*(np.float64 for _ in points), *dtypes],
         order="C",
         casting="same_kind",
-        buffersize=_PART,
-    ) as parts:
-        for part in parts:
-            for place, values in zip(part[count:], answers(*part[:count]), strict=True):
+        buffersize=_BLOCK,
+    ) as blocks:
+        for block in blocks:
+            for place, values in zip(block[count:], answers(*block[:count]), strict=True):
                 place[...] = values
-        return list(parts.operands[count:])
+        return list(blocks.operands[count:])
 
 
 # What the limits of a column say about an alpha, and which of the two says it. NumPy alone.
@@ -194,13 +194,13 @@ def _deciding(
 ) -> tuple[Floats, Floats]:
     terms = columns.take(numbers.astype(np.intp), axis=0).T.astype(np.float64, order="C")
     lower, upper = terms[:LIMIT_TERMS], terms[LIMIT_TERMS:]
-    (lowest, reach), (highest, room) = (_range(of_limit, *boxes) for of_limit in (lower, upper))
+    (low, low_width), (high, high_width) = (_range(limit, *boxes) for limit in (lower, upper))
     is_empty = lower[0] - lower[-1] == np.inf
-    return lowest + reach, np.where(is_empty, np.inf, highest - room)
+    return low + low_width, np.where(is_empty, np.inf, high - high_width)
 
 
 def _range(terms: Floats, *boxes: Floats) -> tuple[Floats, Floats]:
-    """Return a limit at the middle of its column, and how far it and its error reach from there."""
+    """A limit at the middle of its column, and the half-width of its values there with errors."""
     beta, gamma, delta, delay, *halves = boxes
     _, per_beta, per_gamma, per_delta, per_delay, bend, *mixed, error = terms
     by_beta, by_gamma, by_delta = mixed
@@ -212,10 +212,10 @@ def _range(terms: Floats, *boxes: Floats) -> tuple[Floats, Floats]:
     )
     half_delay = halves[-1]
     bends = zip((*mixed, bend), halves, strict=True)
-    reach = error + half_delay * sum(np.abs(term) * half for term, half in bends)
-    reach += sum(np.abs(slope) * half for slope, half in zip(slopes, halves, strict=True))
+    half_width = error + half_delay * sum(np.abs(term) * half for term, half in bends)
+    half_width += sum(np.abs(slope) * half for slope, half in zip(slopes, halves, strict=True))
     farthest = (np.abs(middle) + half for middle, half in zip(boxes[:4], halves, strict=True))
-    return surface(terms, *boxes[:4]), reach + _ROUNDING * surface(np.abs(terms), *farthest)
+    return surface(terms, *boxes[:4]), half_width + _ROUNDING * surface(np.abs(terms), *farthest)
 
 
 _FEW = 16  # nodes
@@ -302,10 +302,10 @@ class LimitTable:
         self.plants: tuple[Range, ...] = *hands, self.delays.span
         """The lowest and the highest gamma, delta and delay."""
 
-    def beta_cell(self, number: Integers, beta: Floats) -> Integers:
+    def beta_cell(self, delay_cell: Integers, beta: Floats) -> Integers:
         """Return the cells along beta that hold values, in cells of delays."""
-        cell = ((beta - self._beta.take(number)) * self._per_beta.take(number)).astype(np.intp)
-        return np.asarray(np.minimum(cell, self._cells - 1))
+        widths = (beta - self._beta.take(delay_cell)) * self._per_beta.take(delay_cell)
+        return np.asarray(np.minimum(widths.astype(np.intp), self._cells - 1))
 
     def holds(self, alpha: float, beta: float, gamma: float, delta: float, delay: float) -> bool:
         """Whether a point is inside of the table."""
@@ -326,7 +326,7 @@ class LimitTable:
         """The codes of points of any broadcast shape; OutsideError for a point outside, or NaN."""
         is_large = np.broadcast(*points).size >= len(self._columns)
         deciding = self._deciding if is_large else None  # for few it takes longer than they do
-        return in_parts(partial(self._verdicts, deciding), points, np.int8)[0]
+        return in_blocks(partial(self._verdicts, deciding), points, np.int8)[0]
 
     def _verdicts(
         self, deciding: Floats | None, alpha: Floats, beta: Floats, *plant: Floats
@@ -358,8 +358,8 @@ class LimitTable:
         codes = codes_by_one(alpha, by_upper, each.T, *point)
         both = np.flatnonzero(~(by_upper | by_lower))
         if both.size:
-            some = [np.broadcast_to(v, alpha.shape)[both] for v in (rows, alpha, *point)]
-            codes[both] = codes_by_limits(some[1], *self._limits(some[0], *some[2:]))
+            undecided = [np.broadcast_to(v, alpha.shape)[both] for v in (rows, alpha, *point)]
+            codes[both] = codes_by_limits(undecided[1], *self._limits(undecided[0], *undecided[2:]))
         return codes
 
     @cached_property
@@ -372,7 +372,7 @@ class LimitTable:
         middles, halves = self._boxes
         shape = np.broadcast_shapes(*(middle.shape for middle in middles))
         rows = np.arange(len(self._columns), dtype=np.float64).reshape(shape)
-        alphas = in_parts(
+        alphas = in_blocks(
             partial(_deciding, self._columns), [rows, *middles, *halves], float, float
         )
         return np.stack(alphas, axis=-1).reshape(-1, 2)
@@ -380,8 +380,8 @@ class LimitTable:
     @cached_property
     def _boxes(self) -> tuple[list[Floats], list[Floats]]:
         """Middles, and half widths, of the cells of beta, gamma, delta and delay, as a grid."""
-        number = np.arange(self._cells).reshape(-1, 1, 1, 1) + 0.5
-        middles, halves = [number / self._per_beta + self._beta], [0.5 / self._per_beta]
+        middle = np.arange(self._cells).reshape(-1, 1, 1, 1) + 0.5
+        middles, halves = [middle / self._per_beta + self._beta], [0.5 / self._per_beta]
         for shape, nodes in zip(((-1, 1, 1), (-1, 1)), self._nodes, strict=True):
             low, high = (nodes[:-1], nodes[1:]) if nodes.size > 1 else (nodes, nodes)
             middles.append(0.5 * (high + low).reshape(shape))
@@ -391,11 +391,11 @@ class LimitTable:
 
     def verdict(self, alpha: float, beta: float, gamma: float, delta: float, delay: float) -> int:
         """Return the code of one point, without the cost of arrays."""
-        number = self.delays.cell_at(delay)
-        lowest, _, per_beta = self._rows[number][4:]
+        delay_cell = self.delays.cell_at(delay)
+        lowest, _, per_beta = self._rows[delay_cell][4:]
         cell = min(int((beta - lowest) * per_beta), self._cells - 1)
         row = cell * self._steps[0] + bisect_right(self._inner_lists[0], gamma) * self._steps[1]
-        row += bisect_right(self._inner_lists[1], delta) * self._steps[2] + number
+        row += bisect_right(self._inner_lists[1], delta) * self._steps[2] + delay_cell
         column = self._columns[row].tolist()
         low, high = column[:LIMIT_TERMS], column[LIMIT_TERMS:]
         error, upper_error = low[-1], high[-1]
@@ -406,7 +406,7 @@ class LimitTable:
             Verdict.STABLE if lower + error < alpha < upper - upper_error else Verdict.UNDECIDED
         )
 
-    def known_limits(
+    def limits_within(
         self, beta: Floats, gamma: Floats, delta: Floats, delay: Floats
     ) -> AlphaLimits:
         """Return the limits at points inside of the table, as far as they are within its alphas."""
@@ -415,7 +415,7 @@ class LimitTable:
 
     def limits(self, beta: Floats, gamma: Floats, delta: Floats, delay: Floats) -> AlphaLimits:
         """The limits at points of the table, for its alphas; infinite where none is stable."""
-        return AlphaLimits(*in_parts(self._limits_of, (beta, gamma, delta, delay), *[float] * 4))
+        return AlphaLimits(*in_blocks(self._limits_of, (beta, gamma, delta, delay), *[float] * 4))
 
     def _limits_of(self, *point: Floats) -> Sequence[Floats]:
         return self._limits(self._rows_of(self.delays.cells_at(point[-1]), *point[:-1]), *point)
@@ -423,8 +423,8 @@ class LimitTable:
     def _limits(self, rows: Integers, *point: Floats) -> Sequence[Floats]:
         return surfaces(self._columns.take(rows, axis=0).T, *point)
 
-    def _rows_of(self, number: Integers, beta: Floats, gamma: Floats, delta: Floats) -> Integers:
-        rows = self.beta_cell(number, beta) * self._steps[0] + self._hands(gamma, delta) + number
+    def _rows_of(self, cell: Integers, beta: Floats, gamma: Floats, delta: Floats) -> Integers:
+        rows = self.beta_cell(cell, beta) * self._steps[0] + self._hands(gamma, delta) + cell
         return np.asarray(rows)
 
     def _hands(self, gamma: Floats, delta: Floats) -> Integers:
@@ -442,20 +442,20 @@ class LimitTable:
         numbers = self.delays.cells_at(delay)
         largest = np.full((3, gamma.size), np.nan)
         for point, row in enumerate(self._hands(gamma, delta) + numbers):
-            number = numbers[point]
-            edges = np.arange(self._cells + 1) / self._per_beta[number] + self._beta[number]
+            delay_cell = numbers[point]
+            edges = np.arange(self._cells + 1) / self._per_beta[delay_cell] + self._beta[delay_cell]
             sides = np.stack([edges[:-1], edges[1:]])  # planes are highest at their sides
             here = slice(point, point + 1)
-            least, most = (end[number] for end in self.delays.ends["alpha"])
-            found_at = limits_at(columns[:, row].T, sides, gamma[here], delta[here], delay[here])
-            at = within(found_at, least, most)
-            top = np.minimum(at.upper - at.upper_error, most)
-            holds = at.lower + at.lower_error < top
+            least, most = (end[delay_cell] for end in self.delays.ends["alpha"])
+            unbounded = limits_at(columns[:, row].T, sides, gamma[here], delta[here], delay[here])
+            limits = within(unbounded, least, most)
+            top = np.minimum(limits.upper - limits.upper_error, most)
+            holds = limits.lower + limits.lower_error < top
             if holds.any():
                 best = np.argmax(np.where(holds, top, -np.inf))
-                ends = at.upper + at.upper_error
-                bound = float(np.max(ends, where=at.lower < np.inf, initial=-np.inf))
-                may_hold = ~(at.lower - at.lower_error >= ends)
+                ends = limits.upper + limits.upper_error
+                bound = float(np.max(ends, where=limits.lower < np.inf, initial=-np.inf))
+                may_hold = ~(limits.lower - limits.lower_error >= ends)
                 if may_hold[0, 0] or may_hold[1, -1]:  # the stable set crosses an end of beta
                     bound = np.inf
                 largest[:, point] = top.flat[best], sides.flat[best], bound
@@ -464,17 +464,17 @@ class LimitTable:
     @ignoring
     def decided_share(self, delay: float) -> float:
         """Return the share of the volume at a delay that is decided, by the middles of columns."""
-        number = self.delays.cell_at(delay)
+        delay_cell = self.delays.cell_at(delay)
         spans = [  # shares, for products of tiny spans are 0
             np.diff(nodes) / np.ptp(nodes) if nodes.size > 1 else np.ones(1)
             for nodes in self._nodes
         ]
         beta, gamma, delta, _ = np.broadcast_arrays(*self._boxes[0])
-        point = (middle[..., number].ravel() for middle in (beta, gamma, delta))
-        columns = self._columns[number :: self._steps[2]].T
-        at = limits_at(columns, *point, np.array(delay))
+        point = (middle[..., delay_cell].ravel() for middle in (beta, gamma, delta))
+        columns = self._columns[delay_cell :: self._steps[2]].T
+        limits = limits_at(columns, *point, np.array(delay))
         weights = np.multiply.outer(np.ones(self._cells), np.multiply.outer(*spans)).ravel()
-        undecided = undecided_share(at, *self._rows[number][2:4])
+        undecided = undecided_share(limits, *self._rows[delay_cell][2:4])
         return float(1.0 - np.average(undecided, weights=weights))
 
     @ignoring
@@ -482,9 +482,10 @@ class LimitTable:
         self, beta: float, gamma: Range, delta: Range, delay: float
     ) -> tuple[float, float]:
         """The alphas between which a whole box of (gamma, delta) is proved stable; may be empty."""
-        at = self._limits_over(beta, gamma, delta, delay)
+        limits = self._limits_over(beta, gamma, delta, delay)
         least, most = self._rows[self.delays.cell_at(delay)][2:4]
-        lowest, highest = np.max(at.lower + at.lower_error), np.min(at.upper - at.upper_error)
+        lowest = np.max(limits.lower + limits.lower_error)
+        highest = np.min(limits.upper - limits.upper_error)
         return float(np.maximum(lowest, least)), float(np.minimum(highest, most))
 
     def worst_verdict(
@@ -497,7 +498,7 @@ class LimitTable:
         return int(Verdict.STABLE if np.all(codes == Verdict.STABLE) else Verdict.UNDECIDED)
 
     def _limits_over(self, beta: float, gamma: Range, delta: Range, delay: float) -> AlphaLimits:
-        """Return the limits at the corners of all cells of a box of hands: planes bend nowhere."""
+        """The limits at the corners of all cells of a box of hands, where planes are extreme."""
         corners = []
         for inner, (low, high) in zip(self._inner, (gamma, delta), strict=True):
             edges = inner[(inner > low) & (inner < high)]
@@ -506,10 +507,10 @@ class LimitTable:
         # A corner belongs to a cell by the middle of its part of the box.
         middles = np.meshgrid(*(ends.mean(axis=0) for ends in corners), indexing="ij")
         gammas, deltas = (middle.ravel() for middle in middles)
-        number = self.delays.cell_at(delay)
-        lowest, _, per_beta = self._rows[number][4:]
+        delay_cell = self.delays.cell_at(delay)
+        lowest, _, per_beta = self._rows[delay_cell][4:]
         cell = min(int((beta - lowest) * per_beta), self._cells - 1)
-        columns = self._columns[cell * self._steps[0] + self._hands(gammas, deltas) + number]
+        columns = self._columns[cell * self._steps[0] + self._hands(gammas, deltas) + delay_cell]
         sides = [
             np.meshgrid(corners[0][i], corners[1][j], indexing="ij") for i in (0, 1) for j in (0, 1)
         ]
@@ -546,13 +547,13 @@ def limits_at(columns: NDArray[np.float32], *point: Floats) -> AlphaLimits:
 
 
 @ignoring
-def within(at: AlphaLimits, least: Floats | float, most: Floats | float) -> AlphaLimits:
-    """Return limits between two alphas: one that is not there is infinite, for it says nothing."""
-    is_below = at.lower + at.lower_error <= least
-    is_above = at.upper - at.upper_error >= most
+def within(limits: AlphaLimits, least: Floats | float, most: Floats | float) -> AlphaLimits:
+    """The limits between two alphas: one beyond them is infinite, as nothing is known of it."""
+    is_below = limits.lower + limits.lower_error <= least
+    is_above = limits.upper - limits.upper_error >= most
     return AlphaLimits(
-        np.where(is_below, -np.inf, at.lower),
-        np.where(is_below, 0.0, at.lower_error),
-        np.where(is_above, np.inf, at.upper),
-        np.where(is_above, 0.0, at.upper_error),
+        np.where(is_below, -np.inf, limits.lower),
+        np.where(is_below, 0.0, limits.lower_error),
+        np.where(is_above, np.inf, limits.upper),
+        np.where(is_above, 0.0, limits.upper_error),
     )

@@ -89,8 +89,8 @@ class Grid:
         """Return which cells of delays begin from the delay of this index to the next one."""
         last = self.delay.size - 1
         ends = self.delay[delay], self.delay[delay + 1] if delay < last else np.inf
-        first, stop = np.searchsorted(self.limit_range[:, 0], ends)
-        return range(int(first), int(stop))
+        start, stop = np.searchsorted(self.limit_range[:, 0], ends)
+        return range(int(start), int(stop))
 
     def walls(
         self, delay: int
@@ -108,7 +108,7 @@ class Grid:
 
         ``delay``, ``gamma`` and ``delta`` say where the part is along the axes, from 0 to 1.
         """
-        first, second = (
+        i, j = (
             _index(np.diff(nodes), share)
             for nodes, share in ((self.gamma, gamma), (self.delta, delta))
         )
@@ -117,8 +117,8 @@ class Grid:
             self,
             alpha=self.alpha[:, at_delay],
             beta=self.beta[:, at_delay],
-            gamma=self.gamma[first : first + 1 + boxes],
-            delta=self.delta[second : second + 1 + boxes],
+            gamma=self.gamma[i : i + 1 + boxes],
+            delta=self.delta[j : j + 1 + boxes],
             delay=self.delay[at_delay],
         )
 
@@ -153,37 +153,37 @@ def _index(widths: Float64[np.ndarray, " cell"], share: float) -> int:
 
 
 @dataclass(frozen=True)
-class Reach:
+class Extents:
     """The largest alpha, the lowest and highest beta (``ends``) of the regions, by delay."""
 
     delay: Float64[np.ndarray, " delay"]
     ends: Float64[np.ndarray, "delay 3"]
 
     def along(self, delay: Float64[np.ndarray, "*point"]) -> Float64[np.ndarray, "*point 3"]:
-        """Return the ends at other delays, by straight lines."""
+        """The ends at other delays, by linear interpolation."""
         return np.stack([np.interp(delay, self.delay, end) for end in self.ends.T], axis=-1)
 
 
-def reach_of(spec: AtlasSpec) -> Reach:
-    """The reach of the regions at the corners of gamma and delta: fewer than an axis needs."""
+def extents_of(spec: AtlasSpec) -> Extents:
+    """The extents of the regions at the corners of gamma and delta: fewer than an axis needs."""
     gamma, delta = (np.unique(np.array(axis)[[0, -1]]) for axis in (spec.gamma, spec.delta))
     delays = np.array(spec.delay)
     stations = _stations(_delay_edges(delays, _COARSE) if spec.delay_cells else [], delays)
     boxes = [_stable_box(gamma, delta, delay, spec.filters) for delay in stations]
-    return Reach(np.array(stations), np.array([[highest, *beta] for highest, beta in boxes]))
+    return Extents(np.array(stations), np.array([[highest, *beta] for highest, beta in boxes]))
 
 
-def lay_out(spec: AtlasSpec, reach: Reach | None = None) -> Grid:
+def lay_out(spec: AtlasSpec, extents: Extents | None = None) -> Grid:
     """The nodes of a specification, with the fitted axes laid around each stable region.
 
-    With a ``reach`` no region is computed. ValueError: an axis is fitted to a stable region that is
+    With ``extents`` no region is computed. ValueError: an axis is fitted to a stable region that is
     empty or unresolved; or the grid is too large.
     """
     gamma, delta, delay = map(np.array, (spec.gamma, spec.delta, spec.delay))
-    walls = [_wall_axes(spec, gamma, delta, samples, reach) for samples in delay.tolist()]
+    walls = [_wall_axes(spec, gamma, delta, samples, extents) for samples in delay.tolist()]
     alpha, beta = (np.stack(columns, axis=1) for columns in zip(*walls, strict=True))
     fineness = int(spec.delay_cells or 0) if ALPHA_LIMITS in spec.products else 0
-    limit_range = _delay_cells(spec, (gamma, delta), delay, walls, reach, fineness)
+    limit_range = _delay_cells(spec, (gamma, delta), delay, walls, extents, fineness)
     grid = Grid(alpha, beta, gamma, delta, delay, spec.limit_cells, limit_range)
     check_size(grid.shape)
     return grid
@@ -194,10 +194,10 @@ def _delay_cells(
     hands: tuple[Float64[np.ndarray, " gamma"], Float64[np.ndarray, " delta"]],
     delay: Float64[np.ndarray, " delay"],
     walls: list[tuple[Float64[np.ndarray, " alpha_node"], Float64[np.ndarray, " beta_node"]]],
-    reach: Reach | None,
+    extents: Extents | None,
     fineness: int,
 ) -> Float64[np.ndarray, "delay_cell 6"]:
-    """Return cells of delays and how far each reaches; without any the delays of the atlas."""
+    """The cells of delays with their ends of alpha and beta; without any, the delays alone."""
     # Whole samples and the delays of the atlas are edges of cells. The ends of alpha and beta are
     # laid around the stable regions at some edges; between these they follow straight lines, above
     # which no region is, as it shrinks ever more slowly with the delay.
@@ -208,7 +208,7 @@ def _delay_cells(
     ends_at = dict(zip(delay.tolist(), at_nodes, strict=True))
     stations = _stations(edges, delay)
     for edge in (edge for edge in stations if edge not in ends_at):
-        alpha, beta = _wall_axes(spec, *hands, edge, reach)
+        alpha, beta = _wall_axes(spec, *hands, edge, extents)
         ends_at[edge] = alpha[0], alpha[-1], beta[0], beta[-1]
     ends = np.array([ends_at[station] for station in stations])
     along = np.stack([np.interp(edges, stations, column) for column in ends.T], axis=-1)
@@ -251,32 +251,32 @@ def _wall_axes(
     gamma: Float64[np.ndarray, " gamma"],
     delta: Float64[np.ndarray, " delta"],
     delay: float,
-    reach: Reach | None = None,
+    extents: Extents | None = None,
 ) -> tuple[Float64[np.ndarray, " alpha_node"], Float64[np.ndarray, " beta_node"]]:
     if not isinstance(spec.alpha, FittedAxis) and not isinstance(spec.beta, FittedAxis):
         return np.array(spec.alpha), np.array(spec.beta)
-    if reach is None:
+    if extents is None:
         highest_alpha, beta_ends = _stable_box(gamma, delta, delay, spec.filters)
     else:
-        highest_alpha, *both = reach.along(np.array(delay)).tolist()
+        highest_alpha, *both = extents.along(np.array(delay)).tolist()
         beta_ends = both[0], both[1]
     alpha = (
-        _reaching(spec.alpha, _fitted_alpha(spec.alpha.count, gamma, highest_alpha))
+        _extended(spec.alpha, _fitted_alpha(spec.alpha.count, gamma, highest_alpha))
         if isinstance(spec.alpha, FittedAxis)
         else np.array(spec.alpha)
     )
     beta = (
-        _reaching(spec.beta, _fitted_beta(spec.beta.count, *beta_ends))
+        _extended(spec.beta, _fitted_beta(spec.beta.count, *beta_ends))
         if isinstance(spec.beta, FittedAxis)
         else np.array(spec.beta)
     )
     return alpha, beta
 
 
-def _reaching(
+def _extended(
     axis: FittedAxis, nodes: Float64[np.ndarray, " count"]
 ) -> Float64[np.ndarray, " count"]:
-    """Return fitted nodes of which the first and the last are as far out as the axis asks for."""
+    """Fitted nodes whose first and last are moved out to the ends that the axis requires."""
     low = nodes[0] if axis.least is None else min(nodes[0], axis.least)
     high = nodes[-1] if axis.most is None else max(nodes[-1], axis.most)
     return np.array([low, *nodes[1:-1], high])
@@ -289,8 +289,8 @@ def _stable_box(
     filters: Filters | None,
 ) -> tuple[float, tuple[float, float]]:
     """Return the largest alpha and the range of beta of the stable regions of some hands."""
-    # Where turning gains up from 0 leads to a part of the region, islands do not count. Between
-    # these hands a region may reach further; the margin of the axes covers that.
+    # Islands do not count where there is a component that contains small gains. Between these hands
+    # a region may extend further; the margin of the axes covers that.
     hands = product(_thinned(gamma), _thinned(delta))
     regions = [known_region(*hand, delay, filters) for hand in hands]
     points = np.concatenate([(region.main or region).points for region in regions])
@@ -389,10 +389,10 @@ class Plan:
         *_, gammas, deltas, delays = self.grid.shape
         step = self.deltas_of_a_tile
         return [
-            Tile(gamma, range(first, min(first + step, deltas)), delay)
+            Tile(gamma, range(start, min(start + step, deltas)), delay)
             for delay in range(delays)
             for gamma in range(gammas)
-            for first in range(0, deltas, step)
+            for start in range(0, deltas, step)
         ]
 
     def numbers(self, dimension: str, tile: Tile) -> range:

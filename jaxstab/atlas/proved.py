@@ -103,10 +103,10 @@ def _codes(
     """Return a code for each run of ``nodes`` neighbours along alpha that is in one gap."""
     domain = Domain((float(alpha[0]), float(alpha[-1])), (float(beta[0]), float(beta[-1])))
     gaps = column_gaps(beta, hands, delay, domain, filters)
-    first = np.searchsorted(alpha, gaps.low, "right")
+    start = np.searchsorted(alpha, gaps.low, "right")
     stop = np.searchsorted(alpha, gaps.high, "left") + 1 - nodes
-    is_decided = (first < stop) & np.isin(gaps.verdict, (Verdict.STABLE, Verdict.UNSTABLE))
-    ends = np.stack([first, stop], axis=-1) * is_decided[..., None]
+    is_decided = (start < stop) & np.isin(gaps.verdict, (Verdict.STABLE, Verdict.UNSTABLE))
+    ends = np.stack([start, stop], axis=-1) * is_decided[..., None]
     shape = hands.gamma.size, beta.size - 1, alpha.size + 1 - nodes
     return _filled(ends.reshape(*shape[:2], -1), gaps.verdict, shape[-1])
 

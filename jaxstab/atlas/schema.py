@@ -1,8 +1,7 @@
 """The format of an atlas file, version 3: its variables, attributes, digest, footer and table.
 
-A file is an HDF5 image, a table of its chunks and a footer by which a reader knows that all of it
-is there. Every atlas has axes and its specification; what else it has are the
-variables of the products that were chosen. NumPy alone.
+A file is an HDF5 image, a table of its chunks and a footer that proves it complete. Every atlas has
+axes and its specification, and the variables of the chosen products. NumPy alone.
 """
 
 import errno
@@ -91,7 +90,7 @@ def attributes_of(variable: Variable) -> dict[str, Any]:
     return attributes | dict(variable.attributes)
 
 
-# A digest of what an atlas holds, the same for equal values on any machine. No JAX.
+# A digest of the values of an atlas, the same for equal values on any machine. No JAX.
 #
 # The bytes of a file depend on the libraries that compressed it; its values do not. The digest is
 # the SHA-256 of a line for each variable, in the order of the schema:
@@ -144,7 +143,7 @@ def digest_of(name: str, dataset: Any) -> Chunked:
     return Chunked(name, dataset.dtype, dataset.shape, dataset.chunks, chunk_digests(dataset))
 
 
-# The footer of a file, by which a reader knows that all of it is there. No JAX.
+# The footer of a file, which shows that the file is complete. No JAX.
 
 FOOTER = struct.Struct(f"<{len(FOOTER_MAGIC)}sQ32s")
 _BLOCK = 2**18  # bytes, which stay in the cache
@@ -153,13 +152,13 @@ _BLOCK = 2**18  # bytes, which stay in the cache
 def footer_of(stream: io.FileIO | io.BytesIO, length: int, image_size: int) -> bytes:
     """The footer of the first ``length`` bytes of a stream; OSError if the stream is shorter."""
     stream.seek(0)
-    digest, rest, block = hashlib.sha256(), length, memoryview(bytearray(_BLOCK))
-    while rest:
-        count = stream.readinto(block[:rest])
+    digest, remaining, block = hashlib.sha256(), length, memoryview(bytearray(_BLOCK))
+    while remaining:
+        count = stream.readinto(block[:remaining])
         if not count:
-            raise OSError(errno.EIO, f"the file ends {rest} bytes early")
+            raise OSError(errno.EIO, f"the file ends {remaining} bytes early")
         digest.update(block[:count])
-        rest -= count
+        remaining -= count
     return FOOTER.pack(FOOTER_MAGIC, image_size, digest.digest())
 
 
@@ -258,7 +257,7 @@ class Stored:
 
 @dataclass(frozen=True)
 class Table:
-    """The contents of a file: its variables by name, and what its head says."""
+    """The contents of a file: its variables by name, and its head."""
 
     variables: Mapping[str, Stored]
     created_by: str
@@ -303,7 +302,7 @@ def read_table(text: bytes, image_size: int) -> Table:
     check(len(lines) == len(where) and content_digest(lines) == head[3])
     stored = [_stored(*pair) for pair in zip(lines, where, strict=True)]
     _check_together(stored, image_size)
-    return Table({one.variable.name: one for one in stored}, *head.groups())
+    return Table({entry.variable.name: entry for entry in stored}, *head.groups())
 
 
 def _check_version(text: bytes) -> None:
@@ -329,8 +328,8 @@ def _stored(line: str, where: str) -> Stored:
     check(name == places[1] and name in VARIABLES)
     variable = VARIABLES[name]
     check(len(shape) == len(chunk) == len(variable.dimensions))
-    check(all(part <= whole for part, whole in zip(chunk, shape, strict=True)))
-    chunks = prod(-(-whole // part) for part, whole in zip(chunk, shape, strict=True))
+    check(all(step <= n for step, n in zip(chunk, shape, strict=True)))
+    chunks = prod(-(-n // step) for step, n in zip(chunk, shape, strict=True))
     check(chunks - 1 == fields[5].count(" ") == places[2].count(" "))
     digests = fields[5].split(" ")
     check(all(len(digest) == _DIGITS for digest in digests))
@@ -371,15 +370,15 @@ def _places(text: str) -> list[Place]:
 
 def _check_together(variables: Sequence[Stored], image_size: int) -> None:
     """Refuse variables that are not those of some products, or do not fit together or the file."""
-    names = [one.variable.name for one in variables]
+    names = [entry.variable.name for entry in variables]
     chosen = [p for p in PRODUCTS.values() if not set(p.names).isdisjoint(names)]
-    known = ALWAYS.union(*(product.names for product in chosen))
-    check(chosen and names == [name for name in VARIABLES if name in known])
-    check(all(offset + size <= image_size for one in variables for offset, size in one.places))
-    check(sum(one.stored_size for one in variables) <= image_size)
+    allowed = ALWAYS.union(*(product.names for product in chosen))
+    check(chosen and names == [name for name in VARIABLES if name in allowed])
+    check(all(offset + size <= image_size for entry in variables for offset, size in entry.places))
+    check(sum(entry.stored_size for entry in variables) <= image_size)
     lengths: dict[str, int] = {}
-    for one in variables:
-        for dimension, length in zip(one.variable.dimensions, one.shape, strict=True):
+    for entry in variables:
+        for dimension, length in zip(entry.variable.dimensions, entry.shape, strict=True):
             check(lengths.setdefault(dimension, length) == length)
     for nodes, cells in zip(NODE[:4], CELL[:4], strict=True):
         check(lengths[cells] == max(lengths[nodes] - 1, 1))

@@ -861,7 +861,7 @@ class HapticLoop(LoopParameters):
 
         The motion between samples is exact, friction included. The answer is simulated, not proved:
         it is that of this start and this duration. Before time 0 the device was at rest where it
-        starts, and no force was on its way. All paths are kept; ``jaxstab.contact_map`` simulates
+        starts, and no force was on its way. Paths are stored; ``jaxstab.contact_map`` simulates
         many walls without them. The numbers may be arrays that broadcast.
 
         Args:

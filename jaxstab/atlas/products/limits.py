@@ -20,7 +20,7 @@ from jaxstab.atlas.product import Array, Floats, Product, Variable, numbers
 from jaxstab.rounding import PLANES
 
 if TYPE_CHECKING:
-    from jaxstab.atlas.plan import Grid, Plan, Reach, Tile
+    from jaxstab.atlas.plan import Extents, Grid, Plan, Tile
     from jaxstab.model.filters import Filters
 
 ALPHA_LIMITS = "alpha_limits"
@@ -130,7 +130,7 @@ _COLUMNS, _PER_COLUMN = 64, 4  # of a part, and points in each at which it is ju
 
 
 def upper_errors(
-    grid: "Grid", limits: Array, reach: "Reach", chance: np.random.Generator
+    grid: "Grid", limits: Array, extents: "Extents", chance: np.random.Generator
 ) -> Floats:
     """Return errors of the upper limits of a part, over the largest stable alpha at their delay."""
     early, late, _, _, low, high = grid.limit_range[0].tolist()
@@ -141,7 +141,7 @@ def upper_errors(
     others = [chance.uniform(*pair, column.size) for pair in ends]
     at = limits_at(terms[column].T, beta, *others)
     stable = (at.lower < inf) & ((at.upper < inf) | (at.upper_error == inf))
-    errors: Floats = at.upper_error[stable] / reach.along(others[-1][stable])[:, 0]
+    errors: Floats = at.upper_error[stable] / extents.along(others[-1][stable])[:, 0]
     return errors
 
 
