@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxstab.atlas import Atlas, AtlasAnswer, AtlasSpec, FittedAxis
-from jaxstab.atlas.plan import reach_of
+from jaxstab.atlas.plan import extents_of
 from jaxstab.loop import Gains, HapticLoop
 from jaxstab.scene.answers import basis_of
 from jaxstab.scene.loops import Member, corners_of, loop_of_member, ranges_of, walls_of
@@ -57,7 +57,7 @@ def _around(spec: AtlasSpec, loops: list[HapticLoop], walls: list[Gains]) -> Atl
     stiffness, damping = (np.array(gains) for gains in zip(*walls, strict=True))
     alpha = np.array([loop.alpha(stiffness) for loop in loops])
     beta = np.array([loop.beta(damping) for loop in loops])
-    ends = reach_of(spec).ends
+    ends = extents_of(spec).ends
     highest, lowest_beta, highest_beta = (
         float(end) for end in (ends[:, 0].min(), ends[:, 1].max(), ends[:, 2].min())
     )
