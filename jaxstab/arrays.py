@@ -22,7 +22,7 @@ PI_REST = 1.2246467991473532e-16
 """pi minus the float64 next to it."""
 
 Numbers: TypeAlias = Any
-"""What a public function takes for an array: a number, a list, a NumPy or JAX array, a tracer."""
+"""Array-like arguments of public functions: numbers, lists, NumPy or JAX arrays, tracers."""
 
 Tree = TypeVar("Tree")
 Kept = TypeVar("Kept")
@@ -63,7 +63,7 @@ _unregistered: list[type] = []
 
 
 def is_jax(value: object) -> bool:
-    """Return whether a value is a JAX array or a tracer; JAX is not imported for the question."""
+    """Whether a value is a JAX array or a tracer; this does not import JAX."""
     if type(value) in _PLAIN:  # most values, at once
         return False
     jax = sys.modules.get("jax")
@@ -71,23 +71,23 @@ def is_jax(value: object) -> bool:
 
 
 def is_any_jax(*trees: object) -> bool:
-    """Return whether a leaf of nested values is a JAX array or a tracer."""
+    """Whether a leaf of nested values is a JAX array or a tracer."""
     return "jax" in sys.modules and any(map(is_jax, leaves(trees, plain=False)))
 
 
 def is_traced(value: object) -> bool:
-    """Return whether JAX traces a value, so that only jit, vmap or grad know it."""
+    """Whether JAX traces a value, so that only jit, vmap or grad know it."""
     return is_jax(value) and isinstance(value, sys.modules["jax"].core.Tracer)
 
 
 def is_any_traced(*trees: object) -> bool:
-    """Return whether JAX traces a leaf of nested values."""
+    """Whether JAX traces a leaf of nested values."""
     _register_once()
     return "jax" in sys.modules and any(map(is_traced, leaves(trees, plain=False)))
 
 
 def are_numbers(*trees: object) -> bool:
-    """Return whether all leaves of nested values are known real numbers, as a repr needs."""
+    """Whether all leaves of nested values are concrete real numbers, as a repr needs."""
     if is_any_traced(*trees):
         return False
     return all(np.asarray(leaf).dtype.kind in "biuf" for tree in trees for leaf in leaves(tree))
@@ -190,7 +190,7 @@ def _register_once() -> None:
 
 
 def filled(like: Array, value: float) -> Array:
-    """Return one number in the shape of an array; for a float return a float, which is faster."""
+    """An array of one value in the shape of another; a float for a float, which is faster."""
     return value if type(like) is float else namespace(like).full_like(like, value)
 
 

@@ -149,14 +149,14 @@ def on_cores(function: Callable[[Item], Result], items: Sequence[Item]) -> list[
 
 
 def is_on_cpu() -> bool:
-    """Return whether JAX computes on the CPU."""
+    """Whether JAX computes on the CPU."""
     import jax
 
     return jax.default_backend() == "cpu"
 
 
 def _cores() -> int:
-    """Return how many cores of the CPU this process has, if JAX computes there."""
+    """The number of CPU cores of this process if JAX computes there, else 1."""
     if not is_on_cpu():
         return 1
     affinity = getattr(os, "sched_getaffinity", None)  # of Linux
@@ -268,7 +268,7 @@ def lists(
 
 
 def alike(kinds: Iterable[Hashable]) -> list[list[int]]:
-    """Return the indices of items of one kind, which may be evaluated together."""
+    """The indices of the items of each kind, which may be evaluated together."""
     indices: dict[Hashable, list[int]] = defaultdict(list)
     for index, kind in enumerate(kinds):
         indices[kind].append(index)

@@ -28,7 +28,7 @@ AXES: Final = ("alpha", "beta", "gamma", "delta", "delay")
 
 
 class Verdict(IntEnum):
-    """What is known about the stability of one point; a small integer, so that arrays store int8.
+    """A verdict on the stability of one point; a small integer, so that arrays store int8.
 
     A loop is stable when every root of its characteristic polynomial (paper, eq. (9)) lies inside
     the unit circle. Zero means that nothing was computed, so a block of a file that was wiped or

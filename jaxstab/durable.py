@@ -155,7 +155,7 @@ def _replacing(folder: Folder, name: str, target: Path | str, mode: int | None) 
 
 
 def target_of(path: Path) -> tuple[Path, int | None]:
-    """Where a file is written, behind symbolic links, and the mode of the one there, if any."""
+    """The target of a path, behind symbolic links, and the mode of the file there, if any."""
     target = Path(os.path.realpath(path))
     try:
         status = target.stat()

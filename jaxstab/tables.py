@@ -104,7 +104,7 @@ def key(check: Check, default: Any = MISSING) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """What a table of a file becomes; ValueError on the first value that is not allowed."""
+    """A checked table of a file; ValueError on the first value that is not allowed."""
 
     def __post_init__(self) -> None:
         _checked_values(type(self), vars(self))
@@ -191,7 +191,7 @@ def interval(unit: str, *, is_positive: bool = False) -> Check:
 
 
 def one_of(names: Iterable[str]) -> Check:
-    """Return the check of one of some names."""
+    """Return the check of a name that is one of these."""
     allowed = list(names)
 
     def check(value: Any) -> str:
@@ -305,7 +305,7 @@ def _path(place: str, name: str) -> str:
 
 
 def _finite(value: Any) -> float:
-    """Return a number as a float; infinite whatever is none or too large."""
+    """A number as a float; infinite for anything else and for too large ones."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return inf
     try:

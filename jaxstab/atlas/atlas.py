@@ -51,7 +51,7 @@ Numbers = ArrayLike | float | int
 
 
 class QueryStatus(Status):
-    """How an atlas knows what it answers for a point.
+    """The origin of an atlas's answer for a point.
 
     Example:
         >>> [status.name for status in jaxstab.results.QueryStatus]
@@ -68,7 +68,7 @@ class QueryStatus(Status):
 
 @dataclass(frozen=True)
 class AtlasAnswer:
-    """What an atlas says about points; two arrays of the broadcast shape of the query.
+    """The answer of an atlas about points; two arrays of the broadcast shape of the query.
 
     Attributes:
         verdict: int8 codes of ``jaxstab.Verdict``, proved or UNDECIDED; NOT_COMPUTED if the atlas

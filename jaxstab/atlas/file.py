@@ -179,7 +179,7 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Place:
-    """Where points are in a grid: index arrays, one for each axis."""
+    """The places of points in a grid: index arrays, one for each axis."""
 
     cell: tuple[Integers, ...]  # nodes[cell] <= point <= nodes[cell + 1]
     node: tuple[Integers, ...]  # the node, where the point is one
@@ -201,7 +201,7 @@ class Place:
 
 @dataclass(frozen=True)
 class Contents:
-    """What an atlas file holds: arrays by the names of the schema, who made it, for which loop."""
+    """The contents of an atlas file: arrays by the names of the schema, program and filters."""
 
     arrays: Mapping[str, Array]
     created_by: str
@@ -254,7 +254,7 @@ class PackedArrays(Mapping[str, Array]):
                 yield self._block(name, index)
 
     def _block(self, name: str, index: int) -> tuple[tuple[int, ...], Array]:
-        """Where a chunk begins, and its values inside of the array."""
+        """The start of a chunk, and its values inside of the array."""
         with _told_of(self._path):
             stored = self._table.variables[name]
             start = next(islice(stored.starts(), index, None))

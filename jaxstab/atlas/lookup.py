@@ -47,7 +47,7 @@ class DelayCells:
         self.span: Range = float(self._early[0]), float(self._late[-1])
 
     def cells_at(self, delay: Floats) -> Integers:
-        """Return the numbers of the last cells that begin at delays or before; -1 for none."""
+        """The indices of the last cells that begin at delays or before; -1 for none."""
         if not self._counts.size:
             return np.asarray(np.searchsorted(self._early, delay, "right") - 1)
         place = np.clip((delay - self.span[0]) * self._per_delay, 0.0, self._counts.size - 1.0)
@@ -57,11 +57,11 @@ class DelayCells:
         return np.asarray(count)
 
     def cell_at(self, delay: float) -> int:
-        """Return the number of the last cell that begins at a delay or before; -1 for none."""
+        """The index of the last cell that begins at a delay or before; -1 for none."""
         return bisect_right(self._early_list, delay) - 1
 
     def covers(self, delay: Floats) -> NDArray[np.bool_]:
-        """Say which delays are in a cell."""
+        """Whether delays are in a cell."""
         cell = self.cells_at(delay)
         return np.asarray((cell >= 0) & (delay <= self._late.take(cell)))
 
@@ -71,7 +71,7 @@ class DelayCells:
         return np.asarray(least.take(cell)), np.asarray(most.take(cell))
 
     def beyond(self, cell: Integers, alpha: Floats, beta: Floats) -> NDArray[np.bool_]:
-        """Say which walls are beyond axes of cells that hold the whole stable set: unstable."""
+        """Whether walls are beyond axes of cells that hold the whole stable set: unstable."""
         inside = []
         for name, values in (("alpha", alpha), ("beta", beta)):
             least, most = self.walls(name, cell)
@@ -137,7 +137,7 @@ def in_blocks(
         return list(blocks.operands[count:])
 
 
-# What the limits of a column say about an alpha, and which of the two says it. NumPy alone.
+# The verdicts of the limits of a column on an alpha, and which of the two decides. NumPy alone.
 
 Codes = NDArray[np.int8]
 Mask = NDArray[np.bool_]
@@ -428,7 +428,7 @@ class LimitTable:
         return np.asarray(rows)
 
     def _hands(self, gamma: Floats, delta: Floats) -> Integers:
-        """Return the numbers of the cells of hands within a cell along beta."""
+        """The indices of the cells of hands within a cell along beta."""
         along_gamma, along_delta = (
             _rank(inner, values) for inner, values in zip(self._inner, (gamma, delta), strict=True)
         )
@@ -521,7 +521,7 @@ class LimitTable:
 
 
 def _rank(inner: Floats, values: Floats) -> Integers:
-    """Return how many of some ascending nodes are not above each of some values."""
+    """The number of ascending nodes that are not above each of the values."""
     if inner.size > _FEW:
         return np.asarray(np.searchsorted(inner, values, "right"))
     count = np.zeros(values.shape, np.int8)
@@ -532,7 +532,7 @@ def _rank(inner: Floats, values: Floats) -> Integers:
 
 @ignoring
 def undecided_share(limits: AlphaLimits, low: Floats | float, high: Floats | float) -> Floats:
-    """Return which share of the alphas from the lowest to the highest the limits leave open."""
+    """The share of the alphas from the lowest to the highest that the limits leave open."""
     lower, lower_error, upper, upper_error = limits
     ends = [lower - lower_error, lower + lower_error, upper - upper_error, upper + upper_error]
     a, b, c, d = (np.clip(end, low, high) for end in ends)

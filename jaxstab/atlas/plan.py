@@ -86,7 +86,7 @@ class Grid:
         return lengths | dict(fixed)
 
     def delay_cells(self, delay: int) -> range:
-        """Return which cells of delays begin from the delay of this index to the next one."""
+        """The indices of the cells that begin between the delay of this index and the next one."""
         last = self.delay.size - 1
         ends = self.delay[delay], self.delay[delay + 1] if delay < last else np.inf
         start, stop = np.searchsorted(self.limit_range[:, 0], ends)
@@ -130,7 +130,7 @@ class Grid:
         most: int,
         beta: float,
     ) -> tuple[int, Float64[np.ndarray, "1 6"]]:
-        """Return how many cells along beta a part has, and its row of delays, alpha and beta.
+        """The number of cells along beta of a part, and its row of delays, alpha and beta.
 
         ``delay`` and ``beta`` say where the part is, from 0 to 1; ``most`` limits its cells.
         """
@@ -396,7 +396,7 @@ class Plan:
         ]
 
     def numbers(self, dimension: str, tile: Tile) -> range:
-        """Return which indices along a dimension of the schema are in a tile."""
+        """The indices along a dimension of the schema that are in a tile."""
         if dimension == "delay_cell":
             return self.grid.delay_cells(tile.delay)
         count = self.grid.lengths[dimension]
@@ -480,7 +480,7 @@ def plan_atlas(spec: AtlasSpec) -> Plan:
 
 
 def compute_tile(plan: Plan, tile: Tile) -> dict[str, NDArray[Any]]:
-    """What the chosen products hold in a tile, each array of the shape ``plan.shape``."""
+    """The arrays of the chosen products in a tile, each of the shape ``plan.shape``."""
     arrays: dict[str, NDArray[Any]] = {}
     for name in plan.spec.products:
         arrays |= PRODUCTS[name].compute(plan, tile)

@@ -239,7 +239,7 @@ def _boxes(grid: "Grid", *, cells: bool) -> HandBoxes:
 def _is_empty(
     columns: StableColumns, edges: Floats, hands: HandBoxes, delays: Ends, least: float
 ) -> Bool[np.ndarray, "box column"]:
-    """Say of which columns no alpha from the least one of their domain on is stable."""
+    """Whether no alpha from the least one of the domain on is stable, for each column."""
     lower, upper = columns.lower, np.moveaxis(columns.upper, -1, 0)
     middle, half = delays
     sides: list[list[Any]] = [

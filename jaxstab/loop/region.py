@@ -252,7 +252,7 @@ class WallRegion(ShownRegion):
         return self.loop.damping(self._intervals(columns, axis=0))
 
     def contains(self, stiffness: Numbers, damping: Numbers) -> Bool[Array, "*grid"]:
-        """Return whether walls (K, B) lie inside the exact boundary; all False if UNRESOLVED."""
+        """Whether walls (K, B) lie inside the exact boundary; all False if UNRESOLVED."""
         return self.region.contains(*self._points(stiffness, damping))
 
     def distance(self, stiffness: Numbers, damping: Numbers) -> Float64[Array, "*grid"]:

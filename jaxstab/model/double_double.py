@@ -125,7 +125,7 @@ def _are_floats(pair: DoubleDouble, other: Factor) -> bool:
 
 
 def _sum_of_floats(pair: DoubleDouble, other: Any) -> DoubleDouble:
-    """Return what ``_sum`` does, bit by bit: several times faster."""
+    """The result of ``_sum``, bit for bit, several times faster."""
     a, low = pair.hi, pair.lo
     if type(other) is float:
         high = a + other
@@ -148,7 +148,7 @@ def _sum_of_floats(pair: DoubleDouble, other: Any) -> DoubleDouble:
 
 
 def _product_of_floats(pair: DoubleDouble, other: Any) -> DoubleDouble:
-    """Return what ``_product`` does, bit by bit: several times faster."""
+    """The result of ``_product``, bit for bit, several times faster."""
     a, b = pair.hi, other if type(other) is float else other.hi
     bits = int.from_bytes(_TWO_FLOATS.pack(a, b), "little") & _TWO_UPPER_HALVES
     a_high, b_high = _TWO_FLOATS.unpack(bits.to_bytes(16, "little"))

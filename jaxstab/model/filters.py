@@ -764,7 +764,7 @@ def _coefficients(name: str, values: Sequence[float]) -> tuple[float, ...]:
 
 
 def _has_roots_inside(denominator: tuple[float, ...]) -> bool:
-    """Tell exactly whether all roots are inside the unit circle (Schur 1917, Cohn 1922)."""
+    """Whether all roots are inside the unit circle, decided exactly (Schur 1917, Cohn 1922)."""
     falling = list(map(Fraction, denominator))
     while len(falling) > 1:
         ratio = falling[-1] / falling[0]
@@ -855,7 +855,7 @@ class FilterTable(Table):
 
     @property
     def _smoothing(self) -> Filter:
-        """What follows after the window."""
+        """The filter after the window."""
         chain = Filter()
         if self.cutoff is not None:
             chain *= _LOW_PASSES[self.kind or LowPass.kind](self.cutoff, order=self.order or 1)

@@ -151,9 +151,9 @@ def filtered_loop(
 
 
 class LoopFilters(NamedTuple):
-    """What estimator and position filter make of the loops of all plants.
+    """The effect of estimator and position filter on the loop of any plant.
 
-    products: what base (beside D), stiffness and damping (beside N) are products with.
+    products: the factors of base (beside D), stiffness and damping (beside N).
     sizes: bounds of the sums of the moduli of their coefficients.
     lags: powers of 1/z before stiffness and damping.
     at_one: numerator and denominator of P at z = 1.
@@ -213,7 +213,7 @@ def loop_of(plant: SampledPlant, filters: LoopFilters) -> LinearLoop:
 def loop_factors(
     lag: int, velocity: Transfer, position: Transfer
 ) -> tuple[list[int], tuple[tuple[Polynomial, ...], ...]]:
-    """Return what base (beside D), stiffness and damping (beside N) are made of.
+    """The factors of base (beside D), stiffness and damping (beside N).
 
     First the powers of z before the three, then the factors of each.
     """

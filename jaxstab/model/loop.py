@@ -91,7 +91,9 @@ class LoopParameters:
         given_filters(self.velocity, self.position)
         for chain in (self.velocity.filter if self.velocity else None, self.position):
             if chain is not None:
-                chain.transfer(self.sample_time)  # refuses what does not go with the period
+                chain.transfer(
+                    self.sample_time
+                )  # refuses a filter that is incompatible with the period
 
     def __repr__(self) -> str:
         given = {field.name: getattr(self, field.name) for field in fields(self)}
@@ -263,7 +265,7 @@ class LoopParameters:
 
     @property
     def _units(self) -> tuple[Numbers, Numbers]:
-        """What stiffness and damping are multiplied with: powers of two for general devices."""
+        """The units of stiffness and damping, as factors: powers of two for general devices."""
         sampled = self.sampled
         if sampled is not None:
             return sampled.stiffness_unit, sampled.damping_unit

@@ -145,7 +145,7 @@ class _Family(NamedTuple):
         return cls(vectors, columns(vectors), error)
 
     def doubled(self, power: Matrices, error: PerLoop) -> "_Family":
-        """Return as many again, by a power and a bound of its error (lemma M5)."""
+        """The family with twice as many vectors, by a power and a bound of its error (lemma M5)."""
         further = power @ self.vectors
         shape = (*further.shape[:2], -1, self.size.shape[1])
         size = self.size + np.sum(columns(further).reshape(shape[0], *shape[2:]), axis=1)
@@ -168,7 +168,7 @@ def _sum_of_moduli(
     return total
 
 
-# Disturbed loops: what errors of the encoder and of the force, and friction, do at all times.
+# Disturbed loops: the effects of errors of encoder and force, and of friction, at all times.
 #
 # What a unit of each does at the samples is a sum of moduli of an impulse response (lemma M6).
 # Position and velocity between samples are bounded from the ends of pieces of the sample, with
@@ -176,7 +176,7 @@ def _sum_of_moduli(
 
 _NUMBERS = 1 << 18  # of the matrices of all loops in one batch
 _ERROR = 16 * UNIT  # of the entries of a transition, beside that of filters
-_SMALLEST = 2.0**-100  # of the largest entry: what entries next to 0 may be wrong by, and more
+_SMALLEST = 2.0**-100  # of the largest entry: more than the error of entries next to 0
 
 
 class Bounds(NamedTuple):
@@ -212,7 +212,7 @@ class _Plant(NamedTuple):
 
     @property
     def places(self) -> np.ndarray:
-        """Which entries of a loop's state are those of the device; the acting force is the last."""
+        """The indices of the device's states in a loop's state, then that of the acting force."""
         states = len(self.rows)
         return np.array([POSITION, *range(DIFFERENCE + 1, states + 1), states + 1])
 
@@ -232,7 +232,7 @@ Kind = TypeVar("Kind", bound="Amplitude")
 
 
 class AmplitudeStatus(Status):
-    """What is known about amplitudes; small integers, so that arrays store int8.
+    """The status of amplitudes; small integers, so that arrays store int8.
 
     Example:
         >>> jaxstab.results.AmplitudeStatus(1).words
@@ -389,7 +389,7 @@ def _checked_disturbances(
 
 
 def _causes(sizes: _Sizes) -> Causes:
-    """Which causes there are."""
+    """Whether each cause is present."""
     position, force, friction = (is_traced(x) or bool(np.any(x)) for x in sizes.causes)
     return position, force, friction
 
@@ -562,7 +562,7 @@ def _outputs(
 
 
 def _blows(plant: _Plant, count: int, size: int) -> np.ndarray:
-    """Return what unit impulses at the handle do to the state, and each state alone."""
+    """The states after unit impulses at the handle, and each state alone."""
     columns = np.concatenate([*plant.between.blows, np.eye(len(plant.rows))]).T
     blows = np.zeros((count, size, columns.shape[1]))
     blows[:, plant.places[:-1]] = columns

@@ -57,7 +57,7 @@ _MANY = 1 << 19  # runs times samples from which on a program of XLA pays
 
 
 class Runs(NamedTuple):
-    """What may differ from run to run, for T = m = 1; arrays of one shape, or plain numbers.
+    """The parameters of runs, for T = m = 1; arrays of one shape, or plain numbers.
 
     A resolution of 0 is none. The phase of the encoder is a share of its resolution. A run rests
     while it stays within the tolerance of one place.
@@ -103,7 +103,7 @@ class Summary(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What is noted between two samples: extremes and maxima of the position, the wall's work."""
+    """The record between two samples: extremes and maxima of the position, the wall's work."""
 
     low: Array
     high: Array
@@ -284,7 +284,7 @@ def functions(value: Array) -> Any:
 
 
 Mechanism: TypeAlias = Any
-"""What moves between samples: a ``Plant``, or a ``Handle``, whose methods have the same meaning."""
+"""The moving device: a ``Plant``, or a ``Handle``, whose methods have the same meaning."""
 
 
 def contacts(
@@ -596,7 +596,7 @@ def _with(states: Array, acting: Array, force: Array) -> Array:
 
 
 def _value(terms: Array, time: Array) -> Array:
-    """Return what ``series_at`` returns; without JAX the terms are added in one call."""
+    """The value of ``series_at``; without JAX the terms are added in one call."""
     if is_jax(terms):
         return series_at(terms, time)
     powers = _powers(time, len(terms))
@@ -616,7 +616,7 @@ def _powers(time: Array, count: int) -> Array:
 def _exit(
     terms: Array, low: Array, high: Array, length: Array, is_within: Array
 ) -> tuple[Array, Array, Array]:
-    """Return when a polynomial leaves an interval, its value then or soon after, and if it does.
+    """The time when a polynomial leaves an interval, its value then or soon after, and if it does.
 
     Where it begins at an end of the interval (not ``is_within``), it moves inwards at first.
     """
@@ -653,7 +653,7 @@ def _product(factor: Array, other: Array, time: Array) -> Array:
 
 
 def _time_of(terms: Array, target: Array, low: Array, high: Array, is_open: Array) -> Array:
-    """Return when a polynomial passes a target between two times, where the search is open.
+    """The time when a polynomial passes a target between two times, where the search is open.
 
     Newton's method, within a bracket that shrinks; a step that leaves it is to its middle.
     """

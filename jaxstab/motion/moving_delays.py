@@ -53,7 +53,7 @@ class Range(NamedTuple):
 
     @property
     def jitter(self) -> float:
-        """How far the delay moves, rounded up; a lost sample is one sample more."""
+        """The range of the delay, rounded up; a lost sample is one sample more."""
         return ((self.high - self.low) * (1.0 + 4.0 * EPS) + self.lost) * (1.0 + EPS)
 
     def allows(self, turn: Turn) -> bool:
@@ -115,7 +115,7 @@ class _Search:
         return sorted(self.growths(_patterns(self.delays, longest)), key=_fastest_first)
 
     def climbed(self, best: list[Growth]) -> list[Growth]:
-        """Return what hill climbing makes of the fastest turns."""
+        """The fastest turns after hill climbing."""
         random = np.random.default_rng(0)
         low, high, lost = self.delays
         letters = [*np.linspace(low, high, _LEVELS).tolist(), *[inf] * (lost > 0)]

@@ -299,7 +299,7 @@ def answer_text(
 
 
 def _range_text(value: Numbers, column: Column) -> str:
-    """Return a number with label and unit, the range of several, "" where none is finite."""
+    """A number with label and unit, the range of several, "" where none is finite."""
     flat = np.ravel(value)
     finite = flat[np.isfinite(flat)]
     if not finite.size:
@@ -521,9 +521,9 @@ def _simulate(
         walls, start = [wall.item() for wall in walls], [state.item() for state in start]
     alpha, beta, push = walls
 
-    # The state: that of the plant, what the controller remembers (the position at the last sample,
-    # or what filters do), the force at the end of the last hold, and the forces on their way, the
-    # next one to arrive first. NumPy and Python are quick with plain tuples.
+    # The state: that of the plant, the memory of the controller (the last position, or the memory
+    # of the filters), the force at the end of the last hold, and the forces on their way, the next
+    # one to arrive first. NumPy and Python are quick with plain tuples.
     def step(state: Any) -> tuple[tuple[Any, ...], tuple[Array, ...]]:
         plant, memory, acting, waiting = state
         x = plant[0]

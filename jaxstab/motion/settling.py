@@ -85,7 +85,7 @@ class Motion(NamedTuple):
 
     @property
     def samples(self) -> int:
-        """How many samples of each loop are known."""
+        """The number of computed samples of each loop."""
         return self.states.shape[1] * STRETCH
 
     def latest(self) -> Float64[np.ndarray, "loop sample"]:
@@ -115,7 +115,7 @@ _NUMBERS = 1 << 20  # of an array that loops side by side fill, about
 
 
 class SettlingStatus(Status):
-    """What is known about the settling of a loop; small integers, so that arrays store int8.
+    """The status of the settling of a loop; small integers, so that arrays store int8.
 
     Example:
         >>> jaxstab.results.SettlingStatus(1).words
@@ -322,7 +322,7 @@ class _Search(NamedTuple):
     gain: PerLoop  # no less than a position for a state of length 1
     power_error: PerLoop  # of the motion's power
     state_error: PerLoop  # of the last state
-    peak: PerLoop  # of the positions, or what the tolerance refers to
+    peak: PerLoop  # of the positions: the reference of the tolerance
     since: PerLoop  # the sample from which on all were inside the tolerance
 
     @classmethod

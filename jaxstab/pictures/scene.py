@@ -77,7 +77,7 @@ _LIFTS = (0, 10, -10, 20, -20, 32, -32, 44, -44)  # points: how far names are mo
 
 
 class _Look(NamedTuple):
-    """How a wall of a verdict is drawn: told apart by colour and by form."""
+    """The look of a wall by its verdict: colour, mark and line."""
 
     colour: str
     marker: str

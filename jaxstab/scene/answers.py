@@ -77,7 +77,7 @@ class Quantity:
 
 
 class IntervalQuantity(Quantity):
-    """How an interval is printed: its ends inwards, with enough digits that they stay in order."""
+    """Format of an interval: its ends inwards, with enough digits that they stay in order."""
 
     def words(self, value: Any, units: Units = Units.LINE) -> str:
         """Return the two ends with their unit; one number as any other."""
@@ -245,7 +245,7 @@ class Basis(Answer):
 
     @property
     def range_of_delays(self) -> str | None:
-        """What is said of a range of delays; None for one delay."""
+        """The description of a range of delays; None for one delay."""
         return None if self.delay_is == _NO_DELAY else self.delay_is
 
     @property
@@ -341,7 +341,7 @@ def _delay_is(controller: Controller) -> str | None:
 
 
 def basis_of(scene: Scene) -> Basis:
-    """Return what the answers hold for: estimator, filter, delay, device, hand, and what moves."""
+    """The inputs that the answers hold for: estimator, filter, delay, device, hand, motion."""
     controller, device, hand = scene.controller, scene.device, scene.hand
     low, high = controller.delays
     samples = low / controller.sample_time, controller.samples

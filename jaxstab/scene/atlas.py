@@ -85,7 +85,7 @@ def _beyond(
 
 
 class AskedWall(NamedTuple):
-    """What an atlas says about a wall at a corner of a scene's ranges."""
+    """The answer of an atlas about a wall at a corner of a scene's ranges."""
 
     name: str
     gains: Gains

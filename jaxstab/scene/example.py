@@ -139,7 +139,7 @@ def _range(ends: tuple[float, float], unit: str, units: Units) -> str:
 
 
 def _not_modelled(scene: Scene) -> list[str]:
-    """Return what the scene leaves out of what it might say of device and hand."""
+    """The aspects of device and hand that the scene could describe but does not."""
     device, hand = scene.device, scene.hand
     return [
         "vibration modes other than these" if device.modes else "vibration modes",

@@ -71,7 +71,7 @@ class OtherWindow(StiffestWall):
 
 @dataclass(frozen=True)
 class LinearRule(StiffestWall):
-    """What the linear rule allows at the damping of the stiffest wall: it is no limit."""
+    """The linear rule's stiffness at the damping of the stiffest wall: it is no limit."""
 
     linear_rule_is: str
 

@@ -148,7 +148,7 @@ _NO_MASS = "mass is missing; give it a value."
 
 @dataclass(frozen=True, kw_only=True)
 class Encoder(Table):
-    """What the position is rounded to: the resolution at the handle."""
+    """The encoder, by its resolution at the handle."""
 
     resolution: float = key(quantity(LENGTH, is_positive=True))
 
@@ -260,7 +260,7 @@ class Device(Table):
 
 @dataclass(frozen=True, kw_only=True)
 class Grip(Table):
-    """What is between the device and the arm: a spring and a damper side by side."""
+    """The grip between device and arm: a spring and a damper in parallel."""
 
     stiffness: float = key(quantity("N/m"))
     damping: float = key(quantity("N s/m"), 0.0)
@@ -495,7 +495,7 @@ class Wall(Table):
 
 @dataclass(frozen=True, kw_only=True)
 class Contact(Table):
-    """How the device meets a wall: contacts are simulated from this start."""
+    """The start of simulated contacts: how the device meets a wall."""
 
     push: float = key(quantity(FORCE), 0.0)
     speed: float = key(quantity(SPEED), 0.0)

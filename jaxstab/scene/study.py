@@ -577,7 +577,7 @@ def study_dataset(
 
 
 def plan_of(dataset: "Dataset") -> str:
-    """Say how many loops a study has, what they cost and how large its file may be."""
+    """The number of loops of a study, their cost and the largest size of its file, as text."""
     blocks = dataset.compute
     assert isinstance(blocks, _Blocks)
     share = len(dataset.items) / len(dataset.blocks)
@@ -727,7 +727,7 @@ def _table_of(source: Any) -> Any:
 
 @dataclass(frozen=True)
 class _Source:
-    """Where loops come from: a loop, or the tables of a scene."""
+    """The source of loops: a loop, or the tables of a scene."""
 
     table: Any
 

@@ -94,7 +94,7 @@ def value_at(value: Any, share: float) -> Any:
 
 
 def has_spans(value: Any) -> bool:
-    """Return whether a number of a value is a span."""
+    """Whether a number of a value is a span."""
     if isinstance(value, Span):
         return True
     if is_dataclass(value) and not isinstance(value, type):
@@ -279,7 +279,7 @@ _BITS = (256, 1024)
 _NODES = 22  # of a piece
 _DISC = 6.0  # half-widths: the radius of the disc in which coefficients are bounded
 _ARCS = 8  # of half the circle around it
-_MISSED_BY = 6e-22  # of their bound there: what polynomials through the nodes miss
+_MISSED_BY = 6e-22  # of their bound there: the interpolation error
 _DROPPED, _MOST_MISSED = 2.0**-63, 2.0**-60  # of the size of a polynomial in z
 _SMALLEST, _MOST_PIECES = 2.0**-12, 128
 _BEYOND = 1e-9, 2.0**-50  # of a half-width, and of t, so that pieces meet
@@ -298,7 +298,7 @@ class LoopPiece(NamedTuple):
 
     @property
     def ends(self) -> tuple[float, float]:
-        """Where the piece begins and ends, a little apart so that pieces meet."""
+        """The ends of the piece, a little beyond it so that pieces meet."""
         middle, half = self.free.middle, self.free.half
         half = half * (1.0 + _BEYOND[0]) + _BEYOND[1]
         return max(0.0, middle - half), min(1.0, middle + half)
@@ -343,12 +343,12 @@ class LoopFamily:
 
     @property
     def shared_filters(self) -> Filters:
-        """What estimator and position filter have in all loops."""
+        """The sections of estimator and position filter that all loops share."""
         velocity, position = self.filters
         return Velocity(_shared(velocity.filter)), _shared(position)
 
     def is_analytic_within(self, t: "acb") -> bool:
-        """Return whether the coefficients are proved analytic in a ball of t."""
+        """Whether the coefficients are proved analytic in a ball of t."""
         period = self.first.sample_time
         if in_samples_over(self.device.compliance(), period, t) is None:
             return False
@@ -515,7 +515,7 @@ def _section(section: Section, t: "acb", period: float) -> "tuple[acb_poly, acb_
 
 
 def _value(span: float | Span, t: "acb") -> "acb":
-    """Return a number that may be a span for a ball of t."""
+    """The value of a number, which may be a span, for a ball of t."""
     import flint
 
     if not isinstance(span, Span):

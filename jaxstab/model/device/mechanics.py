@@ -116,7 +116,7 @@ def equations(
     order, actuators = len(below) - 1, len(device.bandwidths)
     size = order + actuators
     wall, hand = size, size + 1
-    pull = size - 1 if actuators else wall  # what pulls at the handle, beside the hand
+    pull = size - 1 if actuators else wall  # the force at the handle beside the hand's
     matrix = flint.arb_mat(size + 2, size + 2)
     for state in range(order):
         matrix[state, 0] = -below[order - 1 - state]
@@ -246,7 +246,7 @@ class Between(NamedTuple):
 
 @lru_cache(maxsize=32)
 def between_samples(device: Device, sample_time: float, fraction: float) -> Between:
-    """Return how a device moves within a sample, for a fraction of the delay."""
+    """The motion of a device within a sample, for a fraction of the delay."""
     bits = _FIRST_BITS
     while True:
         with working_precision(bits):

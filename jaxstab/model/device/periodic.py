@@ -43,11 +43,11 @@ Held = tuple[np.ndarray, np.ndarray, np.ndarray]
 Delays = Sequence[float]  # in samples; infinite for a sample that is lost
 Segments = tuple[tuple[int, float, float], ...]
 
-"""Which forces act in a sample: how many samples old, from when, and until when."""
+"""The forces that act in a sample: age in samples, start and end of each."""
 
 
 def segments_of(delays: Delays) -> list[Segments]:
-    """Return which forces act in each sample of a turn; ValueError if all samples are lost."""
+    """The forces that act in each sample of a turn; ValueError if all samples are lost."""
     period = len(delays)
     finite = [delay for delay in delays if isfinite(delay)]
     if not finite:
@@ -108,7 +108,7 @@ class PeriodicLoop:
         states, memory = len(position), len(self.above) - 1
         forces = states + memory
         step = np.zeros((forces + oldest, forces + oldest), position.dtype)
-        force = np.zeros(len(step), position.dtype)  # less what the controller says
+        force = np.zeros(len(step), position.dtype)  # the negative of the controller's output
         force[:states], force[states : states + min(memory, 1)] = -self.above[0] * position, -1
         step[:states, :states] = transition
         for age, start, end in segments:

@@ -266,12 +266,12 @@ def generator(below: list[Ball]) -> Matrix:
 
 
 def without_force(matrix: Matrix) -> Matrix:
-    """Return how the states move, of what ``held`` returns."""
+    """The transition of the states, from the result of ``held``."""
     return _matrix([row[:-1] for row in matrix.tolist()[:-1]])
 
 
 def force_of(matrix: Matrix) -> Matrix:
-    """Return what a force adds to the states, of what ``held`` returns."""
+    """The effect of a force on the states, from the result of ``held``."""
     return _matrix([row[-1:] for row in matrix.tolist()[:-1]])
 
 
@@ -295,7 +295,7 @@ def is_known(polynomial: "arb_poly") -> bool:
 
 
 def are_known(balls: "list[arb]", bits: int, nothing: float) -> bool:
-    """Return whether balls are known to some bits, or next to 0 beside the largest of them."""
+    """Whether balls have this many bits, or are next to 0 compared with the largest of them."""
     least = max((ball.abs_lower() for ball in balls), key=float, default=0.0) * nothing
     return all(ball.rel_accuracy_bits() >= bits or ball.abs_upper() <= least for ball in balls)
 
