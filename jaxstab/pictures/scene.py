@@ -47,7 +47,6 @@ from jaxstab.scene.check import (
     loops_over_delays,
 )
 from jaxstab.scene.contact import MAP_COUNT, Contacts, contact_loop, simulated_map, walls_around
-from jaxstab.scene.design import Design, stiffness_over_delays, stiffness_over_sample_times
 from jaxstab.scene.limits import LimitsOverDelays
 from jaxstab.scene.loops import (
     OneHand,
@@ -60,7 +59,7 @@ from jaxstab.scene.loops import (
     walls_of,
 )
 from jaxstab.scene.scene import Encoder, Scene, Units
-from jaxstab.scene.tune import Tuned
+from jaxstab.scene.tune import Design, Tuned, stiffness_over_delays, stiffness_over_sample_times
 
 if TYPE_CHECKING:
     from jaxstab.scene.identify import Identified

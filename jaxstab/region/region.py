@@ -17,7 +17,6 @@ from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT, LONGEST_DELAY, wh
 from jaxstab.numbers import checked_count, checked_number
 from jaxstab.point.verdicts import linear_verdict
 from jaxstab.region import measures
-from jaxstab.region.corners import Branch
 from jaxstab.region.crossings import refined_pieces
 from jaxstab.region.curve import Curve, curve_and_lift, slice_coefficients
 from jaxstab.region.exact import Pairs, exact_gains, in_pairs
@@ -32,6 +31,7 @@ from jaxstab.region.filtered_curve import (
 from jaxstab.region.outline import Outline, extra_vertices, polygon
 from jaxstab.region.pieces import (
     NO_BRANCH,
+    Branch,
     Pieces,
     are_inside,
     edges_of,
