@@ -324,7 +324,7 @@ class Design(Answer):
 
 def design_loop(scene: Scene) -> Design:
     """The largest sample time, and the largest delay, that allow the wanted stiffness."""
-    # A delay given in samples grows with the sample time. The damping is the one that allows most.
+    # A delay given in samples grows with the sample time. The damping is that of the stiffest wall.
     # The stiffness is taken to fall as the sample time or the delay grows. Where the velocity is
     # taken over a window in s, only sample times that divide it are tried.
     wanted = scene.wanted.stiffness
@@ -342,7 +342,7 @@ def design_loop(scene: Scene) -> Design:
         largest_period = _largest(sampled, required, period, shortest, longest)
     else:
         periods = [window / n for n in range(1, LONGEST_WINDOW + 1)]
-        largest_period = _largest_of(sampled, required, [one for one in periods if one >= shortest])
+        largest_period = _largest_of(sampled, required, [p for p in periods if p >= shortest])
     return Design(
         inputs=basis_of(scene),
         stiffness=wanted,
@@ -418,7 +418,7 @@ def _largest(
 def _largest_of(
     loop_at: Callable[[float], HapticLoop], wanted: float, values: list[float]
 ) -> tuple[float, float | None, DesignStatus]:
-    """Return the same of some values, the largest first, by halving."""
+    """The same for a list of values, the largest first, by bisection."""
 
     def allows(value: float) -> bool:
         return _stiffest(loop_at(value)).stiffness >= wanted
@@ -435,7 +435,7 @@ def _stiffest(loop: HapticLoop) -> Gains:
 
 
 class _Trial(NamedTuple):
-    """A value of a quantity, and what it has to spare of the wanted stiffness."""
+    """A value of a quantity, and the relative excess over the wanted stiffness."""
 
     value: float
     spare: float
