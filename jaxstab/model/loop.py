@@ -91,7 +91,7 @@ class LoopParameters:
         given_filters(self.velocity, self.position)
         for chain in (self.velocity.filter if self.velocity else None, self.position):
             if chain is not None:
-                chain.transfer(self.sample_time)  # refuses a filter for another period
+                chain.transfer(self.sample_time)  # refuses an incompatible filter
 
     def __repr__(self) -> str:
         given = {field.name: getattr(self, field.name) for field in fields(self)}
