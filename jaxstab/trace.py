@@ -639,7 +639,7 @@ class _Tracer:
 
     def __init__(self, scene: Monomials, filters: Filters | None, resolution: float) -> None:
         self.scene = scene
-        self.filters, self.responses = filters, Responses.of(filters)
+        self.filters, self.responses = filters, Responses.from_filters(filters)
         self.resolution = resolution
         self.paths: list[list[tuple[Branch, Path]]] = [[] for _ in scene.factor.T]
         self.unresolved: list[ParameterBox] = []

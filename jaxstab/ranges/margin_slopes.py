@@ -72,7 +72,7 @@ def _moving_jvp(
 @lru_cache(maxsize=16)
 def _slopes(filters: Filters | None) -> Callable[..., Array]:
     """A function for the derivatives of a step by the point, from p(z) = 0 at the crossing."""
-    responses = Responses.of(filters)
+    responses = Responses.from_filters(filters)
 
     def slopes(point: Array, step: Array, angle: Array, axis: Array) -> Array:
         end = jnp.round(angle)
