@@ -602,7 +602,7 @@ def _failures_on_edges(family: LoopFamily, outline: Walls) -> Float64[np.ndarray
         part.ravel() for part in np.indices((len(outline) * len(cells.pieces), _ANGLES // 4))
     )
     ends = cells.ends[index % len(cells.pieces)].T
-    boxes = ParameterBox.of(
+    boxes = ParameterBox.from_axes(
         index,
         shift=(0.0, 1.0),
         t=(0.5 * (ends[0] + ends[1]), 0.5 * (ends[1] - ends[0])),

@@ -110,16 +110,16 @@ def _combined(
     weights: np.ndarray, basis: np.ndarray, owner: np.ndarray, center: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return values and slopes of series at their centers, of which many have the same."""
-    angles, number = np.unique(center, return_inverse=True)
+    angles, index = np.unique(center, return_inverse=True)
     rows = max(1, _AT_ONCE // basis.shape[1])
     order = np.arange(basis.shape[1])
     table = np.empty((2, len(angles), len(basis)))
     for start in range(0, len(angles), rows):
-        part = slice(start, start + rows)
-        phase = angles[part, None] * order
-        table[0, part] = np.cos(phase) @ basis.T
-        table[1, part] = np.sin(phase) @ (-order * basis).T
-    value, slope = np.einsum("kij,ij->ki", table[:, number], weights[owner])
+        block = slice(start, start + rows)
+        phase = angles[block, None] * order
+        table[0, block] = np.cos(phase) @ basis.T
+        table[1, block] = np.sin(phase) @ (-order * basis).T
+    value, slope = np.einsum("kij,ij->ki", table[:, index], weights[owner])
     return value, slope
 
 
@@ -206,8 +206,8 @@ def sign_changes(series: Series) -> SignChanges:
         is_lost = ~(is_clear | is_monotone) & (is_lost | many[owner])
         is_open &= ~is_lost
         direction = np.sign(sample.slope)
-        one = is_monotone & ~is_clear
-        kept.append(_changes(series, bounds, owner[one], low[one], high[one], direction[one]))
+        here = is_monotone & ~is_clear
+        kept.append(_changes(series, bounds, owner[here], low[here], high[here], direction[here]))
         kept.append(_unproved(owner[is_lost], low[is_lost], high[is_lost]))
         owner = np.repeat(owner[is_open], 2)
         low, middle, high = low[is_open], middle[is_open], high[is_open]
@@ -280,11 +280,11 @@ def _changes(
     direction: Column,
 ) -> SignChanges:
     """Return the monotone cells whose ends differ in sign, or may do so."""
-    first, last = (_sample(series, bounds, owner, theta) for theta in (low, high))
-    starts, ends = direction * first.value, direction * last.value
-    is_known = (starts < -first.value_error) & (ends > last.value_error)
+    at_low, at_high = (_sample(series, bounds, owner, theta) for theta in (low, high))
+    starts, ends = direction * at_low.value, direction * at_high.value
+    is_known = (starts < -at_low.value_error) & (ends > at_high.value_error)
     from_zero = (low == 0.0) & (series.start[owner] == 0.0) & (series.start_error[owner] == 0.0)
-    kept = (starts <= first.value_error) & (ends >= -last.value_error) & ~from_zero
+    kept = (starts <= at_low.value_error) & (ends >= -at_high.value_error) & ~from_zero
     return SignChanges(owner[kept], low[kept], high[kept], direction[kept], is_known[kept])
 
 
@@ -401,7 +401,7 @@ def _answers(question: _Question) -> LinearValidity:
     owners = at(question, changes.owner)
     curve = _Curve(
         owners,
-        SliceCoefficients(*(np.asarray(part)[changes.owner] for part in slices)),
+        SliceCoefficients(*(np.asarray(column)[changes.owner] for column in slices)),
     )
     ends = -changes.direction, changes.direction
     with np.errstate(divide="ignore", invalid="ignore"):  # of steps, which are bisected then
@@ -409,16 +409,16 @@ def _answers(question: _Question) -> LinearValidity:
     alpha, beta, height = curve.point(theta)
     # Left of the line z = 1 the error rises where its numerator falls.
     rises = (changes.direction * height > 0) | (changes.direction == 0)
-    owner, first = np.unique(changes.owner[rises], return_index=True)
-    first = np.flatnonzero(rises)[first]
-    proved = changes.is_proved[first]
+    owner, lowest = np.unique(changes.owner[rises], return_index=True)
+    lowest = np.flatnonzero(rises)[lowest]
+    proved = changes.is_proved[lowest]
     status = np.full(len(question.level), ValidityStatus.NEVER, np.int8)
     status[owner[~proved]] = ValidityStatus.NOT_PROVED
-    owner, first = owner[proved], first[proved]
+    owner, lowest = owner[proved], lowest[proved]
     point = np.full((3, len(question.level)), np.nan)
-    point[:, owner] = alpha[first], beta[first], theta[first]
+    point[:, owner] = alpha[lowest], beta[lowest], theta[lowest]
     slice_ = (values[owner] for values in question[1:])
-    inner = verdict(alpha[first] - _STEP_BACK * height[first], beta[first], **by_name(*slice_))
+    inner = verdict(alpha[lowest] - _STEP_BACK * height[lowest], beta[lowest], **by_name(*slice_))
     is_edge = np.asarray(inner) == Verdict.STABLE
     status[owner] = np.where(is_edge, ValidityStatus.FOUND, ValidityStatus.OFF_THE_EDGE)
     return LinearValidity(point[0], point[1], point[2], status)
@@ -432,7 +432,7 @@ class _Curve(NamedTuple):
 
     def point(self, theta: Values) -> tuple[Values, Values, Values]:
         """Return alpha, beta and alpha + gamma, to full relative accuracy."""
-        alpha, beta, lift = (np.asarray(part) for part in curve_and_lift(self.slices, theta))
+        alpha, beta, lift = (np.asarray(values) for values in curve_and_lift(self.slices, theta))
         return alpha, beta, 2.0 * np.sin(0.5 * theta) ** 2 * lift
 
     def excess(self, theta: Values) -> Values:
@@ -507,9 +507,9 @@ def _excess_at_corner(
 ) -> tuple[Values, Values]:
     """Return E(0) and a bound of its error."""
     # At the corner beta is the slope of w = -z^m D/N at z = 1, where D(1) = gamma N(1).
-    rest = plant.n2.scaled(2.0) + plant.n1  # N'(1)
+    slope = plant.n2.scaled(2.0) + plant.n1  # N'(1)
     bracket = plant.sum * (DoubleDouble.of(gamma) * (fraction - 0.5) + delta)
-    bracket = bracket - (plant.d1 + 2.0) + rest * gamma
+    bracket = bracket - (plant.d1 + 2.0) + slope * gamma
     value = (plant.sum * bracket).rounded()
     terms = size * (size * (3 * gamma + delta) + 4.0)
     error = 16 * (pairs_error(gamma, delta) + 2.0**-98) * terms + 4 * EPS * np.abs(value)

@@ -95,11 +95,12 @@ def _critical_angles(
         enclosure, apart = models(device, over)
         return Proof(apart > 0.0, enclosure.bends.T)
 
-    angles = (np.arange(_DELAY_ANGLES) + 0.5) / _DELAY_ANGLES
-    grid = np.meshgrid(numbers, np.arange(len(device.pieces)), angles, indexing="ij")
-    wall, number, angle = (part.ravel() for part in grid)
-    middle, half = np.array([[piece.middle, piece.half] for piece in device.pieces]).T[:, number]
-    boxes = ParameterBox.of(wall, fraction=(middle, half), angle=(angle, 0.5 / _DELAY_ANGLES))
+    middles = (np.arange(_DELAY_ANGLES) + 0.5) / _DELAY_ANGLES
+    grid = np.meshgrid(numbers, np.arange(len(device.pieces)), middles, indexing="ij")
+    wall, piece, angle = (column.ravel() for column in grid)
+    middle, half = np.array([[piece.middle, piece.half] for piece in device.pieces]).T[:, piece]
+    fractions, angles = (middle, half), (angle, 0.5 / _DELAY_ANGLES)
+    boxes = ParameterBox.from_axes(wall, fraction=fractions, angle=angles)
     most = _MOST_ANGLES * len(device.pieces)
     return joined_angles(boxes.paved(prove, smallest, most_each=most).boxes)
 
@@ -110,18 +111,16 @@ def _in_pieces(
     """Divide lines along the delay into the pieces of each sample."""
     parts = []
     for wall in np.unique(angles.line):
-        first, last = start[wall], start[wall] + length[wall]
-        whole = np.arange(np.floor(first), np.floor(last) + 1.0)
+        begin, end = start[wall], start[wall] + length[wall]
+        whole = np.arange(np.floor(begin), np.floor(end) + 1.0)
         ends = np.unique(whole[:, None] + device.ends)
-        ends = ends[(ends > first) & (ends < last)]
-        t = np.clip([0.0, *((ends - first) / length[wall]), 1.0], 0.0, 1.0)
+        ends = ends[(ends > begin) & (ends < end)]
+        t = np.clip([0.0, *((ends - begin) / length[wall]), 1.0], 0.0, 1.0)
         which = np.flatnonzero(angles.line == wall)
-        number, piece = (
-            x.ravel() for x in np.meshgrid(which, np.arange(len(t) - 1), indexing="ij")
-        )
-        low = np.stack([t[piece], angles.low[1, number]])
-        high = np.stack([t[piece + 1], angles.high[1, number]])
-        parts.append(Parts(angles.line[number], low, high))
+        angle, piece = (x.ravel() for x in np.meshgrid(which, np.arange(len(t) - 1), indexing="ij"))
+        low = np.stack([t[piece], angles.low[1, angle]])
+        high = np.stack([t[piece + 1], angles.high[1, angle]])
+        parts.append(Parts(angles.line[angle], low, high))
     return joined(parts, -1)
 
 
@@ -167,10 +166,10 @@ def device_margins(
     walls = np.stack(grid, axis=-1).reshape(-1, 2) * units
     codes = np.empty(len(walls), np.int8)
     ends, later = np.full((len(walls), 4), nan), np.full(len(walls), nan)
-    for first in range(0, len(walls), _AT_ONCE):
-        block = slice(first, first + _AT_ONCE)
+    for start in range(0, len(walls), _AT_ONCE):
+        block = slice(start, start + _AT_ONCE)
         codes[block], ends[block] = device_ends(device, walls[block], filters)
-        stable = first + np.flatnonzero(codes[block] == Verdict.STABLE)
+        stable = start + np.flatnonzero(codes[block] == Verdict.STABLE)
         if stable.size:
             later[stable] = extra_delays(device, walls[stable], filters)
     shape = grid[0].shape
@@ -194,12 +193,12 @@ def is_stable_along(
     """
     filters = known_filters(velocity, position)
     proved = np.zeros(len(devices), bool)
-    for number, device in enumerate(devices):
+    for index, device in enumerate(devices):
         start = (outline * [device.stiffness_unit, device.damping_unit]).T
         lines = GainLines(start, np.roll(start, -1, axis=1) - start)
         roots = _first_roots(device, lines, filters)
         code = linear_verdict(start[0, :1], start[1, :1], device.loop(filters))
-        proved[number] = np.all(roots.low == inf) and code.item() == Verdict.STABLE
+        proved[index] = np.all(roots.low == inf) and code.item() == Verdict.STABLE
     return proved
 
 
@@ -221,9 +220,9 @@ def device_ends(
         return _first_roots(device, GainLines(start, change), filters)
 
     ways = along_gains(stable.T, (_FIRST_STEP, _DOUBLINGS), verdicts, roots)
-    for number, ((axis, _), (step, _)) in enumerate(zip(GAIN_WAYS, ways, strict=True)):
+    for column, ((axis, _), (step, _)) in enumerate(zip(GAIN_WAYS, ways, strict=True)):
         gain = stable[:, axis] + step
-        ends[codes == Verdict.STABLE, number] = gain - np.sign(step) * 2.0**-50 * np.abs(gain)
+        ends[codes == Verdict.STABLE, column] = gain - np.sign(step) * 2.0**-50 * np.abs(gain)
     return codes, ends
 
 
@@ -232,8 +231,8 @@ def _first_roots(device: SampledDevice, lines: GainLines, filters: Filters | Non
     count = _ANGLES + _PER_POLE * len(device.loop(filters).base)
     theta = np.pi * (np.arange(count + 2) - 0.5) / count
     t = np.linspace(0.0, 1.0, _PIECES + 1)
-    number = lines.start.shape[1]
-    grid = np.meshgrid(np.arange(number), t[:-1], theta[:-1], indexing="ij")
-    line, low = grid[0].ravel(), np.stack([part.ravel() for part in grid[1:]])
+    line_count = lines.start.shape[1]
+    grid = np.meshgrid(np.arange(line_count), t[:-1], theta[:-1], indexing="ij")
+    line, low = grid[0].ravel(), np.stack([column.ravel() for column in grid[1:]])
     parts = Parts(line, low, low + np.array([[t[1]], [theta[1] - theta[0]]]))
-    return search(number, parts, partial(line_models, cells, lines))
+    return search(line_count, parts, partial(line_models, cells, lines))
