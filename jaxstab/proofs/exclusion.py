@@ -225,8 +225,8 @@ class Lines(NamedTuple):
     change: Float64[np.ndarray, "5 line"]
 
 
-class Parts(NamedTuple):
-    """Boxes of (t, theta): the number of the line, and the ends of both."""
+class LineBoxes(NamedTuple):
+    """Boxes of (t, theta) along lines: the index of the line, and the ends of both."""
 
     line: Int64[np.ndarray, " box"]
     low: Ends
@@ -255,26 +255,26 @@ class Models(NamedTuple):
     rounding: np.ndarray
 
 
-def first_roots(lines: Lines, parts: Parts, filters: Filters | None = None) -> FirstRoots:
+def first_roots(lines: Lines, boxes: LineBoxes, filters: Filters | None = None) -> FirstRoots:
     """The first roots on the unit circle along lines, within boxes of (t, theta)."""
     with np.errstate(all="ignore"):
         plants = accurate_plant(*lines.start[2:])
-    return search(lines.start.shape[1], parts, lambda boxes: _models(lines, plants, boxes, filters))
+    return search(lines.start.shape[1], boxes, lambda these: _models(lines, plants, these, filters))
 
 
-def search(count: int, parts: Parts, models_of: Callable[[Parts], Models]) -> FirstRoots:
+def search(count: int, boxes: LineBoxes, models_of: Callable[[LineBoxes], Models]) -> FirstRoots:
     """Return the first roots on some lines, by models of g over boxes."""
     roots = FirstRoots(*(np.full(count, end) for end in (np.inf, np.inf, np.nan)))
     with np.errstate(all="ignore"):
-        while parts.line.size:
-            models = models_of(parts)
+        while boxes.line.size:
+            models = models_of(boxes)
             is_open = ~is_free(*models[:3])
-            parts, models = at((parts, models), (..., is_open))
-            shrunk, is_proved = _shrunk(parts, models)
+            boxes, models = at((boxes, models), (..., is_open))
+            shrunk, is_proved = _shrunk(boxes, models)
             np.minimum.at(roots.high, shrunk.line[is_proved], shrunk.high[0, is_proved])
             is_open = np.all(shrunk.low <= shrunk.high, axis=0)
             is_open &= shrunk.low[0] <= roots.high[shrunk.line]
-            size, before = shrunk.high - shrunk.low, parts.high - parts.low
+            size, before = shrunk.high - shrunk.low, boxes.high - boxes.low
             has_shrunk = np.any(size < _PROGRESS * before, axis=0)
             is_narrow = size[0] <= _NARROW * shrunk.high[0]
             is_rounded = models.rest <= 2.0 * models.rounding
@@ -286,19 +286,19 @@ def search(count: int, parts: Parts, models_of: Callable[[Parts], Models]) -> Fi
             is_open &= ~is_done
             bends = np.where(size > _FINEST, models.bends * (size / before), -1.0)
             wide = is_open & ~has_shrunk
-            halves = _halved_parts(at(shrunk, (..., wide)), bends[:, wide])
-            parts = joined([at(shrunk, (..., is_open & has_shrunk)), halves], -1)
+            halves = _halved(at(shrunk, (..., wide)), bends[:, wide])
+            boxes = joined([at(shrunk, (..., is_open & has_shrunk)), halves], -1)
     return roots
 
 
-def _models(lines: Lines, plants: QuickPlant, parts: Parts, filters: Filters | None) -> Models:
-    t, theta = 0.5 * (parts.low + parts.high)
-    half = 0.5 * (parts.high - parts.low) * (1.0 + 4.0 * EPS)
-    change = lines.change[:, parts.line]
-    middle = lines.start[:, parts.line] + change * t
+def _models(lines: Lines, plants: QuickPlant, boxes: LineBoxes, filters: Filters | None) -> Models:
+    t, theta = 0.5 * (boxes.low + boxes.high)
+    half = 0.5 * (boxes.high - boxes.low) * (1.0 + 4.0 * EPS)
+    change = lines.change[:, boxes.line]
+    middle = lines.start[:, boxes.line] + change * t
     center = Loops(*np.concatenate([middle, theta[None]]))
     moved = np.abs(change) * half[0]
-    plant = at(plants, parts.line)
+    plant = at(plants, boxes.line)
     is_other = np.any(change[2:] != 0.0, axis=0)
     if np.any(is_other):
         others = quick_plant(*(np.maximum(value[is_other], 0.0) for value in center[2:5]))
@@ -310,7 +310,7 @@ def _models(lines: Lines, plants: QuickPlant, parts: Parts, filters: Filters | N
     return Models(g.value, moves, g.rest, bends + np.abs(moves), g.rounding)
 
 
-def _shrunk(parts: Parts, models: Models) -> tuple[Parts, Bool[np.ndarray, " box"]]:
+def _shrunk(boxes: LineBoxes, models: Models) -> tuple[LineBoxes, Bool[np.ndarray, " box"]]:
     """Shrink boxes to where g can vanish, and say which of them are proved to hold a zero."""
     value, (by_t, by_theta), rest, *_ = models
     determinant = _cross(by_t, by_theta)
@@ -323,11 +323,11 @@ def _shrunk(parts: Parts, models: Models) -> tuple[Parts, Bool[np.ndarray, " box
     # In units of the half-widths
     low, high = middle - spread, middle + spread
     is_proved = np.all((low > -1.0) & (high < 1.0), axis=0)
-    center, half = 0.5 * (parts.low + parts.high), 0.5 * (parts.high - parts.low)
+    center, half = 0.5 * (boxes.low + boxes.high), 0.5 * (boxes.high - boxes.low)
     slack = 2.0 * EPS * np.abs(center)
-    low = np.where(low > -1.0, center + half * low - slack, parts.low)
-    high = np.where(high < 1.0, center + half * high + slack, parts.high)
-    return Parts(parts.line, np.maximum(low, parts.low), np.minimum(high, parts.high)), is_proved
+    low = np.maximum(np.where(low > -1.0, center + half * low - slack, boxes.low), boxes.low)
+    high = np.minimum(np.where(high < 1.0, center + half * high + slack, boxes.high), boxes.high)
+    return LineBoxes(boxes.line, low, high), is_proved
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -336,7 +336,7 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return cross
 
 
-def _record(roots: FirstRoots, done: Parts) -> None:
+def _record(roots: FirstRoots, done: LineBoxes) -> None:
     """Record, of each line, the box that starts first among those that are done."""
     order = np.argsort(-done.low[0], kind="stable")  # the first box is written last
     line, low = done.line[order], done.low[0, order]
@@ -346,10 +346,10 @@ def _record(roots: FirstRoots, done: Parts) -> None:
     roots.theta[line[is_first]] = theta[is_first]
 
 
-def _halved_parts(parts: Parts, bends: np.ndarray) -> Parts:
+def _halved(boxes: LineBoxes, bends: np.ndarray) -> LineBoxes:
     """Halve boxes along the axis that moves g most."""
-    axis, box = np.argmax(bends, axis=0), np.arange(parts.line.size)
-    middle = 0.5 * (parts.low[axis, box] + parts.high[axis, box])
-    low, high = parts.low.copy(), parts.high.copy()
+    axis, box = np.argmax(bends, axis=0), np.arange(boxes.line.size)
+    middle = 0.5 * (boxes.low[axis, box] + boxes.high[axis, box])
+    low, high = boxes.low.copy(), boxes.high.copy()
     low[axis, box] = high[axis, box] = middle
-    return joined([Parts(parts.line, parts.low, high), Parts(parts.line, low, parts.high)], -1)
+    return joined([boxes._replace(high=high), boxes._replace(low=low)], -1)

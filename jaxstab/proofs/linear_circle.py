@@ -26,7 +26,7 @@ from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import Filter, Filters, Velocity
 from jaxstab.model.sections import ONE, Polynomial
 from jaxstab.proofs.enclosures import LinearModel, phasor, variable
-from jaxstab.proofs.exclusion import Models, Parts
+from jaxstab.proofs.exclusion import LineBoxes, Models
 from jaxstab.proofs.filters import (
     ORDERS,
     Cells,
@@ -141,12 +141,12 @@ def spoilt(series: Series, falling: Polynomial, error: float) -> Series:
     return Series(series.value, series.error + np.array(errors)[:, None])
 
 
-def line_models(cells: FilterCells, lines: GainLines, parts: Parts) -> Models:
+def line_models(cells: FilterCells, lines: GainLines, boxes: LineBoxes) -> Models:
     """Return g over boxes of lines and angles."""
-    t, theta = 0.5 * (parts.low + parts.high)
-    half = 0.5 * (parts.high - parts.low) * (1.0 + 4.0 * EPS)
-    change = lines.change[:, parts.line]
-    gains = lines.start[:, parts.line] + change * t
+    t, theta = 0.5 * (boxes.low + boxes.high)
+    half = 0.5 * (boxes.high - boxes.low) * (1.0 + 4.0 * EPS)
+    change = lines.change[:, boxes.line]
+    gains = lines.start[:, boxes.line] + change * t
     over = OverCells.from_cells(cells, theta, half[1])
     free, *forces = over.values_along(2)
     alpha, beta = (variable(_EDGE, 2, *ends) for ends in zip(gains, change * half[0], strict=True))

@@ -17,7 +17,7 @@ from jaxstab.model import checked_gain
 from jaxstab.model.device import SampledDevice
 from jaxstab.model.filters import Filter, Filters, Velocity, known_filters
 from jaxstab.point.verdicts import linear_verdict
-from jaxstab.proofs.exclusion import FirstRoots, Models, Parts, search
+from jaxstab.proofs.exclusion import FirstRoots, LineBoxes, Models, search
 from jaxstab.proofs.linear_circle import (
     DelayBoxes,
     DelayedDevice,
@@ -64,15 +64,15 @@ def extra_delays(
     if delayed is None:
         return np.full(len(walls), nan)
 
-    def critical(numbers: np.ndarray, is_fine: bool) -> Parts:
+    def critical(numbers: np.ndarray, is_fine: bool) -> LineBoxes:
         return _critical_angles(delayed, walls, numbers, _FINE if is_fine else _COARSE)
 
-    def roots(angles: Parts, begin: np.ndarray, length: np.ndarray) -> FirstRoots:
+    def roots(angles: LineBoxes, begin: np.ndarray, length: np.ndarray) -> FirstRoots:
         start = device.delay + begin
-        parts = _in_pieces(delayed, angles, start, length)
-        return search(len(walls), parts, partial(_models, delayed, walls, start, length))
+        boxes = _in_pieces(delayed, angles, start, length)
+        return search(len(walls), boxes, partial(_models, delayed, walls, start, length))
 
-    def longest(angles: Parts) -> np.ndarray:
+    def longest(angles: LineBoxes) -> np.ndarray:
         """The longest stretches that are not cut into more parts than are evaluated together."""
         parts = np.bincount(angles.line, minlength=len(walls)) * len(delayed.pieces)
         return np.maximum(1.0, _MOST_PARTS / np.maximum(parts, 1))
@@ -85,7 +85,7 @@ def _critical_angles(
     walls: Walls,
     numbers: np.ndarray,
     smallest: Float64[np.ndarray, "2"],
-) -> Parts:
+) -> LineBoxes:
     """The angles at which some delay may put a root of some walls on the circle."""
 
     def prove(boxes: ParameterBox) -> Proof:
@@ -106,10 +106,10 @@ def _critical_angles(
 
 
 def _in_pieces(
-    device: DelayedDevice, angles: Parts, start: np.ndarray, length: np.ndarray
-) -> Parts:
+    device: DelayedDevice, angles: LineBoxes, start: np.ndarray, length: np.ndarray
+) -> LineBoxes:
     """Divide lines along the delay into the pieces of each sample."""
-    parts = []
+    boxes = []
     for wall in np.unique(angles.line):
         begin, end = start[wall], start[wall] + length[wall]
         whole = np.arange(np.floor(begin), np.floor(end) + 1.0)
@@ -120,20 +120,20 @@ def _in_pieces(
         angle, piece = (x.ravel() for x in np.meshgrid(which, np.arange(len(t) - 1), indexing="ij"))
         low = np.stack([t[piece], angles.low[1, angle]])
         high = np.stack([t[piece + 1], angles.high[1, angle]])
-        parts.append(Parts(angles.line[angle], low, high))
-    return joined(parts, -1)
+        boxes.append(LineBoxes(angles.line[angle], low, high))
+    return joined(boxes, -1)
 
 
 def _models(
-    device: DelayedDevice, walls: Walls, start: np.ndarray, length: np.ndarray, parts: Parts
+    device: DelayedDevice, walls: Walls, start: np.ndarray, length: np.ndarray, boxes: LineBoxes
 ) -> Models:
-    t, theta = 0.5 * (parts.low + parts.high)
-    by_t, by_theta = 0.5 * (parts.high - parts.low) * (1.0 + 2.0**-50)
-    long = length[parts.line]
-    boxes = DelayBoxes(
-        walls[parts.line].T, start[parts.line] + long * t, theta, long * by_t, by_theta
+    t, theta = 0.5 * (boxes.low + boxes.high)
+    by_t, by_theta = 0.5 * (boxes.high - boxes.low) * (1.0 + 2.0**-50)
+    long = length[boxes.line]
+    delays = DelayBoxes(
+        walls[boxes.line].T, start[boxes.line] + long * t, theta, long * by_t, by_theta
     )
-    return models(device, boxes)[0]
+    return models(device, delays)[0]
 
 
 _AT_ONCE = 32  # walls
@@ -234,5 +234,5 @@ def _first_roots(device: SampledDevice, lines: GainLines, filters: Filters | Non
     line_count = lines.start.shape[1]
     grid = np.meshgrid(np.arange(line_count), t[:-1], theta[:-1], indexing="ij")
     line, low = grid[0].ravel(), np.stack([column.ravel() for column in grid[1:]])
-    parts = Parts(line, low, low + np.array([[t[1]], [theta[1] - theta[0]]]))
-    return search(line_count, parts, partial(line_models, cells, lines))
+    boxes = LineBoxes(line, low, low + np.array([[t[1]], [theta[1] - theta[0]]]))
+    return search(line_count, boxes, partial(line_models, cells, lines))

@@ -31,9 +31,9 @@ from jaxstab.point import verdict
 from jaxstab.proofs.exclusion import (
     Exclusion,
     FirstRoots,
+    LineBoxes,
     Lines,
     Loops,
-    Parts,
     exclude_any_delay,
     first_roots,
 )
@@ -157,14 +157,14 @@ def along_gains(
     return [Crossings(*way) for way in zip(step, angle, strict=True)]
 
 
-def _all_angles(walls: Walls, ways: int) -> Parts:
+def _all_angles(walls: Walls, ways: int) -> LineBoxes:
     """Boxes of all angles of lines, the real roots in the middle of the first and last."""
     count = np.tile(_angle_counts(walls), ways)
     line = np.repeat(np.arange(count.size), count + 1)
     index = np.arange(line.size) - np.repeat(np.cumsum(count + 1) - count - 1, count + 1)
     ends = pi * (index + np.array([[-0.5], [0.5]])) / count[line]
     low, high = np.stack(np.broadcast_arrays([[0.0], [1.0]], ends), axis=1)
-    return Parts(line, low, high)
+    return LineBoxes(line, low, high)
 
 
 def _angle_counts(walls: Walls) -> Int64[np.ndarray, " wall"]:
@@ -172,14 +172,14 @@ def _angle_counts(walls: Walls) -> Int64[np.ndarray, " wall"]:
 
 
 def _along_delay(walls: Walls, filters: Filters | None) -> Crossings:
-    def roots(angles: Parts, begin: Column, length: Column) -> FirstRoots:
+    def roots(angles: LineBoxes, begin: Column, length: Column) -> FirstRoots:
         change = np.zeros((len(AXES), len(walls)))
         change[_DELAY] = length
         start = walls.T.copy()
         start[_DELAY] += begin
         return first_roots(Lines(start, change), _in_pieces(angles, length), filters)
 
-    def critical(numbers: Int64[np.ndarray, " chosen"], is_fine: bool) -> Parts:
+    def critical(numbers: Int64[np.ndarray, " chosen"], is_fine: bool) -> LineBoxes:
         return _critical_angles(walls, numbers, _FINE if is_fine else _COARSE, filters)
 
     return first_delays(len(walls), critical, roots)
@@ -187,9 +187,9 @@ def _along_delay(walls: Walls, filters: Filters | None) -> Crossings:
 
 def first_delays(
     count: int,
-    critical: Callable[[Int64[np.ndarray, " chosen"], bool], Parts],
-    roots: Callable[[Parts, Column, Column], FirstRoots],
-    longest: Callable[[Parts], Column | float] = lambda angles: inf,
+    critical: Callable[[Int64[np.ndarray, " chosen"], bool], LineBoxes],
+    roots: Callable[[LineBoxes, Column, Column], FirstRoots],
+    longest: Callable[[LineBoxes], Column | float] = lambda angles: inf,
 ) -> Crossings:
     """How much longer the delay of ``count`` stable walls may become, up to ``MOST_DELAY``.
 
@@ -226,7 +226,7 @@ def _critical_angles(
     numbers: Int64[np.ndarray, " chosen"],
     smallest: Float64[np.ndarray, "2"],
     filters: Filters | None,
-) -> Parts:
+) -> LineBoxes:
     """The angles at which some delay may put a root of some walls on the circle."""
     prove = partial(_proof, walls, partial(exclude_any_delay, filters=filters))
     boxes = _angles_and_fractions(numbers)
@@ -234,7 +234,7 @@ def _critical_angles(
     return joined_angles(boxes.paved(prove, smallest, most_each=_MOST_ANGLES).boxes)
 
 
-def joined_angles(boxes: ParameterBox) -> Parts:
+def joined_angles(boxes: ParameterBox) -> LineBoxes:
     """The angles of boxes of fractions of the delay and theta / pi, indexed by walls."""
     wall = boxes.index
     middle, half = (pi * angle for angle in boxes["angle"])
@@ -249,7 +249,7 @@ def joined_angles(boxes: ParameterBox) -> Parts:
     is_end = np.append(is_apart, True)[: wall.size]
     ends = np.stack([low[is_start] - _TOUCHING, high[is_end] + _TOUCHING])
     whole = np.repeat([[0.0], [1.0]], is_start.sum(), axis=1)
-    return Parts(wall[is_start], *np.stack([whole, ends], axis=1))
+    return LineBoxes(wall[is_start], *np.stack([whole, ends], axis=1))
 
 
 def _angles_and_fractions(numbers: Int64[np.ndarray, " chosen"]) -> ParameterBox:
@@ -279,14 +279,14 @@ def _proof(walls: Walls, test: Callable[[Loops, Loops], Exclusion], boxes: Param
     return excluded(test, center, boxes.moved(moves))
 
 
-def _in_pieces(angles: Parts, length: Column) -> Parts:
+def _in_pieces(angles: LineBoxes, length: Column) -> LineBoxes:
     """Divide lines along the delay, so that the phase turns little in each box."""
     pieces = np.ceil(length[angles.line] * np.maximum(angles.high[1], 0.0)).astype(np.int64) + 1
     box = np.repeat(np.arange(pieces.size), pieces)
     index = np.arange(box.size) - np.repeat(np.cumsum(pieces) - pieces, pieces)
     low, high = angles.low[:, box], angles.high[:, box]
     low[0], high[0] = index / pieces[box], (index + 1.0) / pieces[box]
-    return Parts(angles.line[box], low, high)
+    return LineBoxes(angles.line[box], low, high)
 
 
 # Margins as a table for people: limits rounded inwards, and 0 if they are 0 but for rounding.
