@@ -25,7 +25,6 @@ from jaxstab.loop.jitter import (
     worst_delays,
 )
 from jaxstab.loop.region import TOLERANCE, WallLimits, WallRegion, traced_region, wall_region
-from jaxstab.loop.tune import OptimalWall, checked_chatter, optimal_wall
 from jaxstab.model import LoopParameters, by_name, checked_gain, require_x64
 from jaxstab.model.device import Device
 from jaxstab.model.filters import Filters, given_filters
@@ -45,6 +44,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from jaxstab.loop.between import LoopsWithHands
+    from jaxstab.loop.tune import OptimalWall
 
 
 @pytree
@@ -259,7 +259,7 @@ class HapticLoop(LoopParameters):
         excitation: Excitation = "force",
         encoder: float | None = None,
         chatter: float | None = None,
-    ) -> OptimalWall:
+    ) -> "OptimalWall":
         """The wall (K, B) that comes to rest fastest, or the best B for a given K.
 
         This is a search for one loop, without vmap or derivatives; ``jaxstab.minimize_radius`` has
@@ -297,6 +297,8 @@ class HapticLoop(LoopParameters):
             settles in 6 ms
         """
         self._refuse_tracers("tune")
+        from jaxstab.loop.tune import checked_chatter, optimal_wall
+
         disturbed = checked_chatter(encoder, chatter)
         return optimal_wall(self, goal, stiffness, level, excitation, disturbed)
 

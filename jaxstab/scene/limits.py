@@ -7,11 +7,11 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from jaxstab import paper
 from jaxstab.conventions import Verdict
 from jaxstab.loop import Gains, HapticLoop, WallLimits, WallRegion
 from jaxstab.loop.between import LoopsBetween
 from jaxstab.model import Velocity
-from jaxstab.paper import linear_alpha_limit, passive_region
 from jaxstab.scene.answers import (
     Answer,
     Basis,
@@ -333,7 +333,9 @@ class _Rows:
     def linear_rule(self, damping: float) -> float:
         """Return the largest stiffness of the linear rule at a damping."""
         loop = self.loop
-        limit = linear_alpha_limit(loop.beta(damping), delta=loop.delta, delay=loop.delay_samples)
+        limit = paper.linear_alpha_limit(
+            loop.beta(damping), delta=loop.delta, delay=loop.delay_samples
+        )
         return self.safety * loop.stiffness(float(limit))
 
 
@@ -369,7 +371,7 @@ def _linear_rule(rows: "_Rows", limits: WallLimits, safety: float) -> LinearRule
 
 def _passive(loop: HapticLoop, safety: float) -> StiffestWall:
     own = loop.device_damping * loop.sample_time / loop.mass
-    alpha, beta = passive_region(delta=own, delay=loop.delay_samples).max_alpha
+    alpha, beta = paper.passive_region(delta=own, delay=loop.delay_samples).max_alpha
     return StiffestWall(safety * float(loop.stiffness(alpha)), float(loop.damping(beta)))
 
 
