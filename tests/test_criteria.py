@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from jaxstab.paper.rules import largest_value
 from mpmath import mp, mpf
 
 from benchmarks import truth
@@ -23,6 +22,7 @@ from jaxstab.paper import (
     routh_hurwitz_condition,
     validity,
 )
+from jaxstab.paper.rules import largest_value
 from jaxstab.region import boundary_curve
 
 ANCHORS = Path(__file__).parents[1] / "data" / "reference" / "anchors.tsv"
