@@ -70,7 +70,7 @@ def compiled(
         @wraps(kernel)
         def call(*arguments: Arguments.args, **options: Arguments.kwargs) -> Result:
             given = list(leaves((arguments, {k: v for k, v in options.items() if k not in static})))
-            if any(is_jax(leaf) for leaf in given):
+            if any(map(is_jax, given)):
                 namespace(given)  # tells JAX of our pytrees
                 # Within another compilation an option cannot be given.
                 is_outer = not any(map(is_traced, given))

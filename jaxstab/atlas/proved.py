@@ -40,7 +40,7 @@ def node_verdicts(
     filters: Filters | None = None,
 ) -> Int8[np.ndarray, "hand alpha_node beta_node"]:
     """The verdicts of all (alpha, beta) for each pair (gamma, delta); two or more nodes of beta."""
-    codes = _proved_nodes(alpha, beta, gamma, delta, delay, filters)
+    codes = proved_nodes(alpha, beta, gamma, delta, delay, filters)
     hand, j, i = np.nonzero(codes == Verdict.UNDECIDED)
     if hand.size:
         point = alpha[i], beta[j], gamma[hand], delta[hand]
@@ -48,20 +48,6 @@ def node_verdicts(
             **by_name(*point, delay), resolve="exact", **as_keywords(filters)
         )
     return codes.swapaxes(1, 2)
-
-
-def undecided_nodes(
-    alpha: AlphaNodes,
-    beta: BetaNodes,
-    gamma: Hands,
-    delta: Hands,
-    delay: float,
-    filters: Filters | None = None,
-) -> Int64[np.ndarray, " hand"]:
-    """Count for each hand the nodes that are in no gap; arguments and errors of node_verdicts."""
-    codes = _proved_nodes(alpha, beta, gamma, delta, delay, filters)
-    counts: np.ndarray = np.sum(codes == Verdict.UNDECIDED, axis=(1, 2))
-    return counts
 
 
 def cell_verdicts(
@@ -76,14 +62,15 @@ def cell_verdicts(
     return codes.swapaxes(1, 2)
 
 
-def _proved_nodes(
+def proved_nodes(
     alpha: AlphaNodes,
     beta: BetaNodes,
     gamma: Hands,
     delta: Hands,
     delay: float,
-    filters: Filters | None,
+    filters: Filters | None = None,
 ) -> Int8[np.ndarray, "hand beta_node alpha_node"]:
+    """The verdicts of the nodes that are in a gap, the others UNDECIDED, for each pair."""
     still = np.zeros_like(gamma)
     hands = HandBoxes(gamma, delta, still, still)
     beside = _codes(alpha, beta, hands, delay, filters, nodes=1)

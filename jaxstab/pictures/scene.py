@@ -1,4 +1,8 @@
-"""A picture of a scene: the stable set in the plane of K and B, its walls and their responses."""
+"""Pictures of a scene: the stable set in the plane of K and B, its walls and their responses.
+
+Below that several scenes in one picture, a guard, simulated contacts, and the log that a device was
+identified from.
+"""
 
 from collections.abc import Mapping
 from dataclasses import replace

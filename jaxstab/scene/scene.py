@@ -228,7 +228,7 @@ class Device(Table):
     @classmethod
     def filled_in(cls, table: Mapping[str, Any]) -> Mapping[str, Any]:
         """Take the values that are missing in the table from its preset."""
-        preset = device_presets().get(str(table.get("preset")))
+        preset = device_presets().get(str(table["preset"])) if "preset" in table else None
         if preset is None:
             if not {"preset", "mass", "inertia"} & {*table}:
                 raise ValueError(_NO_MASS)
@@ -339,7 +339,7 @@ class VelocityTable(_TimedTable):
     @classmethod
     def filled_in(cls, table: Mapping[str, Any]) -> Mapping[str, Any]:
         """Take the values that are missing in the table from its preset."""
-        preset = software_presets().get(str(table.get("preset")))
+        preset = software_presets().get(str(table["preset"])) if "preset" in table else None
         if preset is None:
             return table
         defaults = preset.values(tuple(entry.name for entry in fields(cls)))
