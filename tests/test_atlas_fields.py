@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable
 from fractions import Fraction
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -104,20 +103,6 @@ def test_what_is_compiled_for_many_points_is_right_too(
         assert np.nanmax(abs(one - other)) < 2e-6
     for column in (*fast[:2], *slow[:2]):
         assert np.isfinite(column).all()
-
-
-@pytest.mark.parametrize("method", ["fast", "companion"])
-def test_points_that_are_not_wanted_are_skipped_and_change_no_other(method: str) -> None:
-    alpha, beta = np.linspace(0.0, 0.3, 200), np.linspace(0.0, 1.0, 180)
-    hands = np.array([0.0005, 0.001]), np.array([0.0, 0.01])
-    compute = partial(fields_of_grid, alpha, beta, *hands, 1.0, None, longest=1.0, method=method)
-    whole, part = compute(), compute(wanted=lambda outside: outside == 0)
-    stable = whole.outside == 0
-    np.testing.assert_array_equal(part.outside, whole.outside)
-    for some, all_of_them in zip(part[:-1], whole[:-1], strict=True):
-        np.testing.assert_array_equal(some[stable], all_of_them[stable])
-    assert np.mean(np.isnan(part.radius)) > 0.3
-    assert not np.isnan(part.radius[stable]).any()
 
 
 @pytest.mark.parametrize("count", [1, 200])

@@ -17,12 +17,12 @@ verdicts (lemma R3), and frequency and damping ratio are NaN.
 
 from collections.abc import Callable
 from functools import partial
-from math import ceil
+from math import ceil, prod
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from jaxstab.arrays import Array, namespace, repeat, tree_map
+from jaxstab.arrays import Array, namespace, repeat
 from jaxstab.batches import MANY, compiled, over_rows
 from jaxstab.model.filters import Filter, Filters, Velocity
 from jaxstab.model.linear_loop import LinearLoop
@@ -45,8 +45,7 @@ UNKNOWN = -1  # poles outside of the circle, where one is too close to it to tel
 _DOUBLINGS = 16  # of the power of the companion matrix, which is degree 2^16
 _LONGEST = 9  # degree up to which these doublings and the proof are compiled without loops
 _NEWTON_STEPS = 1
-_BLOCK = 2**19  # points of a part of a grid, which bound the memory
-_COLUMNS = 2**9  # at most, along beta: tiles nearly square are more often without a wanted point
+_BLOCK = 2**18  # points of a part of a grid, which bound the memory
 _CLOSE = 2.0**-22  # relative distance of a pole that is resolved from its approximation
 _QUANTUM = 2.0**-20  # of frequencies and damping ratios: what has fewer digits deflates better
 _LAST_OF_FLOAT32, _LAST_OF_POWER = 1 << 29, 1 << 52  # bits of a float64 that they leave
@@ -92,15 +91,13 @@ def fields_of_grid(
     *,
     longest: float,
     method: str,
-    wanted: Callable[[Array], Array] | None = None,
 ) -> PoleFields:
     """Return the fields at all alpha and beta for each pair (gamma, delta), in NumPy.
 
     The arrays have the shape (alpha, beta, hand). ``longest`` is the longest delay for which others
     will be computed: low degrees are raised to that of the longest delay, by poles at 0, so that
     one program serves all. ``method`` is "fast" for powers of the companion matrix, "companion" for
-    its eigenvalues; grids of few points always take eigenvalues. ``wanted`` returns, from
-    ``outside``, which points need the other fields; elsewhere they may be NaN.
+    its eigenvalues; grids of few points always take eigenvalues.
     """
     hand = gamma[:, None, None], delta[:, None, None]
     points = Points(alpha[:, None], beta, *hand, np.asarray(delay))
@@ -113,84 +110,31 @@ def fields_of_grid(
         loop = loop._replace(base=base, stiffness=stiffness, damping=damping)
     shape = alpha.size, beta.size, gamma.size
     fields = PoleFields(*(np.empty(shape, kind) for kind in (*4 * [np.float32], np.int16)))
-    of_hands = PoleFields(*(np.moveaxis(field, -1, 0) for field in fields))
-    columns = _parts(beta.size, _COLUMNS)
-    rows = _parts(alpha.size, max(1, _BLOCK // (gamma.size * min(beta.size, _COLUMNS))))
-    blocks = [np.index_exp[:, row, column] for row in rows for column in columns]
-    walls = [(points.alpha[row], beta[column], loop) for _, row, column in blocks]
-    for block, own in zip(blocks, walls, strict=True):
-        of_hands.outside[block] = _outside(*own)
-    is_wanted = np.ones(shape, bool) if wanted is None else wanted(fields.outside)
-    is_wanted = np.moveaxis(is_wanted, -1, 0)
-    for block, own in zip(blocks, walls, strict=True):
-        computed = _dominant(*own, is_wanted[block], method=method)
-        for whole, part in zip(of_hands[:-1], computed, strict=True):
-            whole[block] = part
-    _set_by_ladder(of_hands, is_wanted, points.alpha, beta, loop)
+    for rows in np.array_split(np.arange(alpha.size), -(-prod(shape) // _BLOCK)):
+        stiffness = points.alpha[rows]
+        computed = _fields(stiffness, beta, loop, method=method)
+        for whole, own in zip(fields, _with_ladder(computed, stiffness, beta, loop), strict=True):
+            whole[rows] = np.moveaxis(own, 0, -1)
     return fields
 
 
-def _parts(length: int, most: int) -> list[slice]:
-    """Cut an axis into parts of nearly one length."""
-    count = -(-length // most)
-    return [slice(length * i // count, length * (i + 1) // count) for i in range(count)]
-
-
-@compiled(many=MANY, wide=True, pointwise=True)
-def _outside(alpha: Array, beta: Array, loop: LinearLoop) -> Array:
-    """Return the number of poles outside of the circle at each point (hand, alpha, beta)."""
-
-    def of_rows(loop: LinearLoop, alpha: Array) -> Array:
-        coefficients, error = loop_coefficients(alpha, beta, loop, UNIT)
-        return poles_outside(list(coefficients), error)
-
-    return over_rows(of_rows, loop, alpha, width=beta.size)
-
-
 @compiled(static=["method"], many=MANY, wide=True, pointwise=True)
-def _dominant(
-    alpha: Array, beta: Array, loop: LinearLoop, wanted: Array, *, method: str
-) -> tuple[Array, ...]:
-    """Return all fields but ``outside``, which may be NaN in tiles without a wanted point."""
-    # Stages are computed under a condition each, which skips such tiles; and XLA, which fuses
-    # nothing across it, does not compute what several results share anew. The coefficients are
-    # computed in each stage: that takes less time than to read them from memory.
+def _fields(alpha: Array, beta: Array, loop: LinearLoop, *, method: str) -> PoleFields:
+    # Each stage is a loop over tiles of its own: XLA computes what several results share anew. The
+    # coefficients, too, are computed in each: that takes less time than to read them from memory.
     xp = namespace(alpha, beta, loop)
 
-    def of_rows(loop: LinearLoop, alpha: Array, wanted: Array) -> tuple[Array, ...]:
-        def stage(kernel: Callable[..., Result], *before: Array) -> Result:
-            def computed(*before: Array) -> Result:
-                coefficients, error = loop_coefficients(alpha, beta, loop, UNIT)
-                return kernel(list(coefficients), error, *before)
+    def stage(kernel: Callable[..., Result], *more: Array) -> Result:
+        def of_rows(loop: LinearLoop, alpha: Array, *more: Array) -> Result:
+            coefficients, error = loop_coefficients(alpha, beta, loop, UNIT)
+            return kernel(list(coefficients), error, *more)
 
-            return _if_any(wanted, computed, *before)
+        return over_rows(of_rows, loop, alpha, *more, width=beta.size)
 
-        pole = stage(partial(_pole, is_guessed=method == "fast" and xp is not np))
-        bound = stage(_bound, pole)
-        return stage(_shown, pole, bound)
-
-    return over_rows(of_rows, loop, alpha, wanted, width=beta.size)
-
-
-def _if_any(wanted: Array, kernel: Callable[..., Result], *arrays: Array) -> Result:
-    """Return what a kernel does; from XLA, NaN where no point of the arrays is wanted."""
-    xp = namespace(wanted)
-    if xp is np:
-        return kernel(*arrays)
-    from jax import eval_shape, lax
-
-    def skipped(*arrays: Array) -> Result:
-        shapes = eval_shape(kernel, *arrays)
-        return tree_map(lambda leaf: xp.full(leaf.shape, np.nan, leaf.dtype), shapes)
-
-    result: Result = lax.cond(wanted.any(), kernel, skipped, *arrays)
-    return result
-
-
-def _shown(columns: list[Array], error: Array, pole: Array, bound: Array) -> tuple[Array, ...]:
-    """Return radius, error, frequency and damping ratio, in float32."""
-    radius = abs(pole)
-    return *_outwards(radius, bound), *_mode(pole, radius, bound)
+    pole = stage(partial(_pole, is_guessed=method == "fast" and xp is not np))
+    bound, radius = stage(_bound, pole), abs(pole)
+    shown = _mode(pole, radius, bound)
+    return PoleFields(*_outwards(radius, bound), *shown, stage(poles_outside))
 
 
 def _pole(columns: list[Array], error: Array, *, is_guessed: bool) -> Array:
@@ -328,17 +272,16 @@ def _rounded_up(x: Array, last: int) -> Array:
     return floats((bits(x) + (last - 1)) & -last)
 
 
-def _set_by_ladder(
-    fields: PoleFields, wanted: Array, alpha: Array, beta: Array, loop: LinearLoop
-) -> None:
-    """Set the radii of the few points of which the dominant pole is not known, by the ladder."""
-    still_open = np.flatnonzero(np.isnan(fields.radius) & wanted)
+def _with_ladder(fields: PoleFields, alpha: Array, beta: Array, loop: LinearLoop) -> PoleFields:
+    """Return fields with the radii of the few points of which the dominant pole is not known."""
+    still_open = np.flatnonzero(np.isnan(np.asarray(fields.radius)))
     if not still_open.size:
-        return
-    stiff, damp, listed = gathered((alpha, beta, loop), wanted.shape, still_open)
+        return fields
+    radius, error = (np.array(column) for column in fields[:2])
+    stiff, damp, listed = gathered((alpha, beta, loop), radius.shape, still_open)
     with np.errstate(all="ignore"):
         coefficients, rounding = loop_coefficients(stiff, damp, listed, UNIT)
         value = abs(companion_poles(np.moveaxis(coefficients, 0, -1))[..., 0])
         bound = dense_radius_error(coefficients, rounding, value, unit=UNIT)
-        radius, error = _outwards(value, bound)
-    fields.radius.flat[still_open], fields.error.flat[still_open] = radius, error
+        radius.flat[still_open], error.flat[still_open] = _outwards(value, bound)
+    return fields._replace(radius=radius, error=error)

@@ -97,17 +97,15 @@ class Fields(Product):
 
         alpha, beta, delay = plan.grid.walls(tile.delay)
         gamma, delta = plan.hands(tile).T
-        spec = plan.spec
-        choose = _near if spec.where == "near" else np.ones_like
+        spec, longest = plan.spec, float(plan.grid.delay[-1])
         fields = fields_of_grid(
-            *(alpha, beta, gamma, delta, delay, spec.filters),
-            longest=float(plan.grid.delay[-1]),
-            method=spec.method,
-            wanted=lambda outside: choose(outside <= 0),
+            alpha, beta, gamma, delta, delay, spec.filters, longest=longest, method=spec.method
         )
-        # Where a pole is on the circle, or too close to it to tell, the radius decides.
-        least = fields.radius - fields.error
-        near = choose((fields.outside == 0) | ((fields.outside < 0) & (least <= 1.0)))
+        near = np.full(fields.outside.shape, spec.where == "all")
+        if spec.where == "near":
+            # Where a pole is on the circle, or too close to it to tell, the radius decides.
+            least = fields.radius - fields.error
+            near = _near((fields.outside == 0) | ((fields.outside < 0) & (least <= 1.0)))
         for values in fields[:-1]:
             np.copyto(values, np.nan, where=~near)
         count = np.sum(near, axis=(0, 1), dtype=np.int32)

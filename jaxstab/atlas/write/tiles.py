@@ -48,6 +48,7 @@ from jaxstab.atlas.write.variables import (
     checked_layout,
     create_variable,
     filters_of,
+    packed,
     places_of,
     write_variable,
 )
@@ -197,8 +198,12 @@ def _write(file: h5py.File, name: str, values: NDArray[Any], chunk: Sequence[int
     if shape != values.shape:
         whole = np.zeros(shape, dtype)
         whole[tuple(map(slice, values.shape))] = values
-    filters = filters_of(VARIABLES[name])
-    dataset = file.create_dataset(name, data=whole, chunks=tuple(chunk), **filters)
+    variable, layout = VARIABLES[name], {"chunks": tuple(chunk), "dtype": dtype}
+    dataset = file.create_dataset(name, shape, **layout, **filters_of(variable))
+    if variable.is_packed and not variable.holds_verdicts:  # codes deflate better by zlib
+        dataset.id.write_direct_chunk((0,) * whole.ndim, packed(whole))
+    else:
+        dataset[...] = whole
     dataset.attrs[VALUES_DIGEST] = np.bytes_(" ".join(map(values_digest, _parts(values, chunk))))
 
 
