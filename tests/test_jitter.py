@@ -118,7 +118,7 @@ def test_boxes_enclose_both_sides_of_the_inequality(name: str) -> None:
     )
     wall = 800.0, 3.0
     gains = np.array([[wall[0] * device.stiffness_unit, wall[1] * device.damping_unit]])
-    cells = jitter.MovingCells.of(device, filters, most)
+    cells = jitter.MovingCells.from_loop(device, filters, most)
     above, below = _floats(DEVICES[name], True), _floats(DEVICES[name])
     turns = np.arange(-20000, 20001)
     base = [float(c.rounded()) for c in loop.linear.base]

@@ -27,12 +27,12 @@ def moving_steps(
     point: Float64[Array, "*grid 5"], filters: Filters | None = None
 ) -> tuple[Float64[Array, "*grid"], Float64[Array, "*grid way"]]:
     """Codes of verdicts, and the steps to the first crossings with their derivatives."""
-    found = _called_back(jax.lax.stop_gradient(point), filters)
+    table = _called_back(jax.lax.stop_gradient(point), filters)
     steps = [
-        _moving(point, found[..., 1 + 2 * way], found[..., 2 + 2 * way], axis, filters)
+        _moving(point, table[..., 1 + 2 * way], table[..., 2 + 2 * way], axis, filters)
         for way, (axis, _) in enumerate(WAYS)
     ]
-    return found[..., 0], jnp.stack(steps, axis=-1)
+    return table[..., 0], jnp.stack(steps, axis=-1)
 
 
 def _called_back(point: Array, filters: Filters | None) -> Array:
@@ -41,14 +41,14 @@ def _called_back(point: Array, filters: Filters | None) -> Array:
         return jnp.asarray(search(point))
     shape = (*point.shape[:-1], 1 + 2 * len(WAYS))
     result = jax.ShapeDtypeStruct(shape, jnp.float64)
-    found: Array = jax.pure_callback(search, result, point, vmap_method="broadcast_all")
-    return found
+    table: Array = jax.pure_callback(search, result, point, vmap_method="broadcast_all")
+    return table
 
 
-def _search(filters: Filters | None, point: Array) -> Float64[np.ndarray, "*grid found"]:
+def _search(filters: Filters | None, point: Array) -> Float64[np.ndarray, "*grid column"]:
     walls = np.asarray(point)
-    found = first_crossings(walls.reshape(-1, walls.shape[-1]), filters)
-    return found.reshape(*walls.shape[:-1], found.shape[-1])
+    table = first_crossings(walls.reshape(-1, walls.shape[-1]), filters)
+    return table.reshape(*walls.shape[:-1], table.shape[-1])
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(3, 4))
@@ -72,7 +72,7 @@ def _moving_jvp(
 @lru_cache(maxsize=16)
 def _slopes(filters: Filters | None) -> Callable[..., Array]:
     """A function for the derivatives of a step by the point, from p(z) = 0 at the crossing."""
-    responses = Responses.of(filters)
+    responses = Responses.from_filters(filters)
 
     def slopes(point: Array, step: Array, angle: Array, axis: Array) -> Array:
         end = jnp.round(angle)

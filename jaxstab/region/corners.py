@@ -1,4 +1,13 @@
-"""Corners of the boundary, where the curve meets a line or itself, by Newton's method."""
+"""Corners of the boundary, where the curve meets a line or itself, by Newton's method.
+
+A piece ends where the curve meets the line z = r (the lift is 0), the line z = -r (the margin is 0)
+or itself (two angles have one point). Newton's steps of all three kinds follow from the values and
+slopes of the curve at one or two angles; the nearest corner tells which kind it is
+(``nearest_branch``), and its steps are then repeated, all lanes at once, until they are below
+rounding (``solved_corners``). One more step, of which only the derivative counts, makes the result
+differentiable in the slice. What rounding takes from an angle is returned beside it: next to pi it
+holds digits of the corner.
+"""
 
 from enum import IntEnum
 from typing import NamedTuple
@@ -100,12 +109,12 @@ def solved_corners(
     def step(state: tuple[Array, ...]) -> tuple[Array, ...]:
         count, _, here, *_ = state
         near = abs(here[0] - angles[0]) <= half_width
-        steps, gap = newton(known, here)
+        steps, gap = newton(fixed, here)
         taken = xp.where(near, steps, 0.0)
         moved = abs(taken) > _TOLERANCE * (1.0 + abs(here))
         return count + 1, here, here - taken, steps, gap, moved
 
-    known = constant(c)
+    fixed = constant(c)
     is_of = [branch == each for each in Branch]
     nothing = xp.zeros_like(angles)
     start = (xp.asarray(0), angles, angles, nothing, nothing[0], xp.ones(angles.shape, bool))
@@ -134,9 +143,9 @@ def steps_to_meeting(
     across, along = alpha[0] - alpha[1], beta[0] - beta[1]
     determinant = beta_slope[0] * alpha_slope[1] - alpha_slope[0] * beta_slope[1]
     determinant = nonzero(determinant, np.inf)
-    first = (alpha_slope[1] * along - beta_slope[1] * across) / determinant
-    second = (alpha_slope[0] * along - beta_slope[0] * across) / determinant
-    return first, second
+    step = (alpha_slope[1] * along - beta_slope[1] * across) / determinant
+    other = (alpha_slope[0] * along - beta_slope[0] * across) / determinant
+    return step, other
 
 
 def _newton_steps(c: Curve, angles: Array, scale: Scales) -> _Steps:
@@ -155,14 +164,14 @@ def _newton_steps(c: Curve, angles: Array, scale: Scales) -> _Steps:
 
     (alpha, beta, lift, margin), slopes = with_slope(values, angles)
     alpha_slope, beta_slope, lift_slope, margin_slope = constant(slopes)
-    first, second = steps_to_meeting(alpha, beta, alpha_slope, beta_slope)
+    step, partner = steps_to_meeting(alpha, beta, alpha_slope, beta_slope)
     gap = xp.maximum(abs(alpha[0] - alpha[1]), abs(beta[0] - beta[1]))
     if c.lines:  # straight: a line never meets itself
         lengths = np.hypot(alpha_slope, beta_slope)
         turn = beta_slope[0] * alpha_slope[1] - alpha_slope[0] * beta_slope[1]
-        first = np.where(abs(turn) < _PARALLEL * lengths[0] * lengths[1], np.inf, first)
+        step = np.where(abs(turn) < _PARALLEL * lengths[0] * lengths[1], np.inf, step)
     return _Steps(  # in the order of Branch
-        steps=(first, lift / nonzero(lift_slope, np.inf), margin / nonzero(margin_slope, np.inf)),
-        partner=second,
+        steps=(step, lift / nonzero(lift_slope, np.inf), margin / nonzero(margin_slope, np.inf)),
+        partner=partner,
         mismatches=(gap, abs(lift), abs(margin)),
     )

@@ -7,6 +7,13 @@ z -> (alpha, beta) preserves orientation. A piece ends where another root reache
 one (a corner with one of the two lines) or a pair (a corner with another piece, which begins
 there). The stable set is bounded and two lines bound nothing, so each component has a piece (lemma
 G1): a scan of th can miss components none of whose pieces it meets (docs/proofs.md, G3).
+
+``find_pieces`` tests the angles of a scan, by the Schur-Cohn recursion of p without its pair
+(``others_inside``), narrows each change of the answer to a short interval, and solves for the
+corner in it by Newton's method. A piece that ends on the curve goes on at the begin of the piece
+that is nearest; one that ends on a line goes along it, to the next begin on it or via the crossing
+of both lines (``_linked``). If every piece follows exactly one, the boundary is closed: it is
+``resolved``.
 """
 
 from collections.abc import Callable
@@ -39,7 +46,7 @@ from jaxstab.region.curve import (
     polynomial,
 )
 from jaxstab.region.exact import all_inside, angles_on_circle, lines_crossing_of
-from jaxstab.region.filtered_curve import FilteredCurve, PoleLine, standing_for
+from jaxstab.region.filtered_curve import FilteredCurve, PoleLine, to_rescaled
 from jaxstab.region.filtered_points import (
     exact_walls,
     is_oriented,
@@ -68,8 +75,8 @@ def others_inside(c: Curve, theta: Array, length: int, within: float = 1.0) -> A
         return all_inside(c, *exact_walls(c, theta), within)
     xp = namespace(c, theta)
     if xp is np and theta.size * length > _AT_ONCE and theta.size > 1:
-        parts = np.array_split(theta.ravel(), -(-theta.size * length // _AT_ONCE))
-        each = [others_inside(c, part, length, within) for part in parts]
+        chunks = np.array_split(theta.ravel(), -(-theta.size * length // _AT_ONCE))
+        each = [others_inside(c, chunk, length, within) for chunk in chunks]
         return np.concatenate(each).reshape(theta.shape)
     falling = polynomial(c, stored(curve_and_lift(c, theta)[:2]), length)
     if xp is not np:
@@ -118,7 +125,7 @@ def _binomials(degree: int) -> Float64[np.ndarray, " coefficient"]:
 
 
 def _shrunk(falling: Array, within: float) -> Array:
-    """Return the polynomials of the roots over a number."""
+    """Return the polynomials whose roots are divided by a number."""
     powers = namespace(falling).arange(float(len(falling)))
     return falling * (within**-powers).reshape(-1, *(1 for _ in falling.shape[1:]))
 
@@ -242,11 +249,11 @@ def find_pieces(c: Curve, angles: Array, *, length: int, slots: int | None = Non
     Cohn for the other roots. Differentiable in the slice by the theorem of the implicit function.
     """
     xp = namespace(c, angles)
-    known = constant(c)
-    ends, fits = _found_ends(known, angles, length, slots)
+    fixed = constant(c)
+    ends, fits = _piece_ends(fixed, angles, length, slots)
     slots = len(ends.exists) // 2
     to_join, _, _ = _joined(ends, ends.exists & ~ends.pinned)
-    met = nearest_branch(known, to_join, ends.scale)
+    met = nearest_branch(fixed, to_join, ends.scale)
     branch = xp.where(ends.exists, xp.where(ends.pinned, ends.line, met), NO_BRANCH)
     to_join, following, preceding = _joined(ends, branch == Branch.CURVE)
     if c.lines:
@@ -258,18 +265,18 @@ def find_pieces(c: Curve, angles: Array, *, length: int, slots: int | None = Non
     )
     begin_branch, end_branch = branch[:slots], branch[slots:]
     exists = ends.exists[:slots]
-    walls = kept(xp.stack(curve_and_lift(known, xp.stack([begin, end]))[:2]))
-    links = _linked(known, exists, walls, begin_branch, end_branch, following)
-    number = xp.arange(slots)
-    is_mutual = (begin_branch[following] == Branch.CURVE) & (preceding[following] == number)
-    follows = exists[:, None] & (links.successor[:, None] == number)
+    walls = kept(xp.stack(curve_and_lift(fixed, xp.stack([begin, end]))[:2]))
+    links = _linked(fixed, exists, walls, begin_branch, end_branch, following)
+    index = xp.arange(slots)
+    is_mutual = (begin_branch[following] == Branch.CURVE) & (preceding[following] == index)
+    follows = exists[:, None] & (links.successor[:, None] == index)
     is_closed = (
         xp.all(xp.isfinite(walls[1]), axis=0)
         & ((end_branch != Branch.CURVE) | is_mutual)
         & links.exists
         & (xp.sum(follows, axis=0) == 1)
         & xp.all(is_solved, axis=0)
-        & (~links.via | _may_turn(known, links.via, length))
+        & (~links.via | _may_turn(fixed, links.via, length))
         & (begin < end)
     )
     return Pieces(
@@ -287,7 +294,7 @@ def find_pieces(c: Curve, angles: Array, *, length: int, slots: int | None = Non
 
 
 # ---------------------------------------------------------------------------- where pieces end
-def _found_ends(c: Curve, angles: Array, length: int, slots: int | None) -> tuple[_Ends, Array]:
+def _piece_ends(c: Curve, angles: Array, length: int, slots: int | None) -> tuple[_Ends, Array]:
     """Return the ends of the pieces between two angles each, and whether all fit into the slots."""
     xp = namespace(c, angles)
     inside = partial(others_inside, c, length=length)
@@ -301,8 +308,8 @@ def _found_ends(c: Curve, angles: Array, length: int, slots: int | None) -> tupl
     slots = max(int(count), 1) if slots is None else slots
     begins, ends = first_indices(is_begin, slots), first_indices(is_end, slots)
     exists = xp.tile(begins < len(angles), 2)
-    first = xp.sum(angles < 0.0)  # negative angles, of filters, begin at -pi
-    at_zero = begins == first
+    zero = xp.sum(angles < 0.0)  # negative angles, of filters, begin at -pi
+    at_zero = begins == zero
     pinned = xp.concatenate([at_zero | (begins == 0), ends == len(angles) - 1])
     limit = xp.concatenate([xp.where(at_zero, 0.0, -xp.pi), xp.full(slots, xp.pi)])
     line = xp.where(limit == 0.0, Branch.Z_PLUS_ONE, Branch.Z_MINUS_ONE)
@@ -310,8 +317,8 @@ def _found_ends(c: Curve, angles: Array, length: int, slots: int | None) -> tupl
         at_knot = (
             np.concatenate(
                 [
-                    part[np.minimum(k, len(angles) - 1)]
-                    for part, k in zip(is_knot, (begins, ends), strict=True)
+                    knots[np.minimum(k, len(angles) - 1)]
+                    for knots, k in zip(is_knot, (begins, ends), strict=True)
                 ]
             )
             & exists
@@ -352,9 +359,9 @@ def _across_knots(ends: _Ends, following: Array, preceding: Array) -> tuple[Arra
     """Join the pieces that end at a knot and the next ones, which begin there."""
     count = len(following)
     at_knot = ends.exists & ends.pinned & (ends.line == Branch.CURVE)
-    number = np.arange(count)
-    following = np.where(at_knot[count:], number + 1, following)
-    return following, np.where(at_knot[:count], number - 1, preceding)
+    index = np.arange(count)
+    following = np.where(at_knot[count:], index + 1, following)
+    return following, np.where(at_knot[:count], index - 1, preceding)
 
 
 def _narrowed(
@@ -385,7 +392,7 @@ def _narrowed(
 
 
 def _joined(ends: _Ends, is_open: Array) -> tuple[Array, Array, Array]:
-    """Return for open ends their angles and those next to them, and which is next to which."""
+    """Return the angles of open ends with those of the nearest ones, and which these are."""
     xp = namespace(ends)
     slots = len(is_open) // 2
     begins, lasts = ends.points[:, None, :slots], ends.points[:, slots:, None]
@@ -479,8 +486,8 @@ def scan_angles(length: int, fineness: int) -> Angles:
     count = fineness * (24 + 8 * length)
     even = (np.arange(count) + 0.5) * (np.pi / count)
     start, end = (
-        np.geomspace(first, even[0], 12 * fineness, endpoint=False)
-        for first in (_FIRST, _PI_MINUS_LAST)
+        np.geomspace(closest, even[0], 12 * fineness, endpoint=False)
+        for closest in (_FIRST, _PI_MINUS_LAST)
     )
     angles = np.concatenate([start, even, np.pi - end[::-1]])
     angles.flags.writeable = False
@@ -499,7 +506,7 @@ def slice_angles(c: Curve, length: int, fineness: int) -> Angles:
     centers = np.concatenate([c.poles[0], c.steep])
     around = centers[:, None] + np.concatenate([-offsets, offsets])
     lines = [_around_line(line, fineness) for line in c.lines]
-    drawn = [one.scan for one in c.stretches]
+    drawn = [stretch.scan for stretch in c.stretches]
     around = np.concatenate([around.ravel(), _around_resonances(c, fineness), *lines, *drawn])
     inner = around[(around > angles[0]) & (around < angles[-1])]
     angles = np.sort(np.concatenate([angles, inner]))
@@ -509,9 +516,9 @@ def slice_angles(c: Curve, length: int, fineness: int) -> Angles:
 def _around_resonances(curve: FilteredCurve, fineness: int) -> Angles:
     """Return angles around zeros and poles of a device, in steps that grow with the distance."""
     angle, width = curve.resonances[:, :, None]
-    reach = np.maximum(angle, _WIDTHS * width)
+    extent = np.maximum(angle, _WIDTHS * width)
     growth = np.linspace(0.0, 1.0, _STEPS_AROUND * fineness)
-    offsets = width / _WIDTHS * (reach / (width / _WIDTHS)) ** growth
+    offsets = width / _WIDTHS * (extent / (width / _WIDTHS)) ** growth
     around: Angles = (angle + np.concatenate([-offsets, offsets], axis=1)).ravel()
     return around
 
@@ -537,7 +544,7 @@ def closer_angles(c: Curve, angles: Angles, centers: Angles) -> Angles:
     return np.sort(np.concatenate([angles, closer]))
 
 
-def suspects(c: Curve, pieces: Pieces, known: Angles, outside: float, *, length: int) -> Angles:
+def suspects(c: Curve, pieces: Pieces, searched: Angles, outside: float, *, length: int) -> Angles:
     """Return further angles around which a piece may hide between two angles of the scan.
 
     They are the corners that the pieces have and the angles of the roots that are on the circle
@@ -547,19 +554,19 @@ def suspects(c: Curve, pieces: Pieces, known: Angles, outside: float, *, length:
     size = np.abs(ends)
     corners = ends[np.tile(pieces.exists, 2) & (size > 0.0) & (size < np.pi)]
     if isinstance(c, FilteredCurve) and c.is_exact:
-        partners = standing_for(c.stretches, angles_on_circle(c, *exact_walls(c, corners)))
+        partners = to_rescaled(c.stretches, angles_on_circle(c, *exact_walls(c, corners)))
     else:
         others = _others(c, polynomial(c, curve_and_lift(c, corners)[:2], length), corners)
         partners = _angles_near_circle(others[:, np.all(np.isfinite(others), axis=0)].T)
     if isinstance(c, FilteredCurve):
         partners = np.where(is_oriented(c, partners), partners, -partners)
     every = np.concatenate([corners, partners])
-    away = np.min(np.abs(every[:, None] - known), axis=1, initial=np.inf)
+    away = np.min(np.abs(every[:, None] - searched), axis=1, initial=np.inf)
     return nearly_stable(c, every[away >= _SAME], outside, length=length)
 
 
 def lone_partners(curve: FilteredCurve, pieces: Pieces) -> DoubleDouble:
-    """Return the angles at which a piece would have to begin or end for others, but none does.
+    """Return the angles of roots on the circle at ends of pieces, where no piece begins or ends.
 
     The curve is evaluated in double-double.
     """
@@ -567,12 +574,12 @@ def lone_partners(curve: FilteredCurve, pieces: Pieces) -> DoubleDouble:
     ends = ends[np.tile(pieces.exists, 2)]
     open_ends = ends[(ends != 0.0) & (np.abs(ends) < np.pi)]
     angles = angles_on_circle(curve, *exact_walls(curve, open_ends), within=_ON_CIRCLE)
-    size = standing_for(curve.stretches, angles)
+    size = to_rescaled(curve.stretches, angles)
     away = np.min(np.abs(size[:, None] - np.abs(ends)), axis=1, initial=np.inf)
-    known = [one.angle for one in curve.stretches]
-    near = np.min(np.abs(angles.hi[:, None] - known), axis=1, initial=np.inf)
-    _, first = np.unique(np.round(angles.hi / _APART), return_index=True)
-    chosen = first[(away[first] > _APART) & (near[first] > _APART)][:_MOST_CENTERS]
+    centers = [stretch.angle for stretch in curve.stretches]
+    near = np.min(np.abs(angles.hi[:, None] - centers), axis=1, initial=np.inf)
+    _, unique = np.unique(np.round(angles.hi / _APART), return_index=True)
+    chosen = unique[(away[unique] > _APART) & (near[unique] > _APART)][:_MOST_CENTERS]
     return angles[chosen]
 
 

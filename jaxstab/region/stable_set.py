@@ -52,7 +52,7 @@ def components_of(c: Curve, outline: Outline) -> list[Outline]:
     if len(parts) == 1:
         return parts
     loops = [(loop, float(measures.area(c, loop))) for loop in parts]
-    holes = [one for one in loops if one[1] <= 0.0]
+    holes = [pair for pair in loops if pair[1] <= 0.0]
     groups = [
         [outer, *(hole for hole in holes if _holds(c, outer[0], hole[0]))]
         for outer in loops
@@ -61,7 +61,7 @@ def components_of(c: Curve, outline: Outline) -> list[Outline]:
     whole = [
         (_joined([loop for loop, _ in group]), sum(area for _, area in group)) for group in groups
     ]
-    whole.sort(key=lambda one: (not holds_small_gains(c, one[0]), -one[1]))
+    whole.sort(key=lambda pair: (not holds_small_gains(c, pair[0]), -pair[1]))
     return [component for component, _ in whole]
 
 
@@ -76,19 +76,19 @@ def holds_small_gains(c: Curve, outline: Outline) -> bool:
 def _loops(outline: Outline) -> list[Outline]:
     size = int(outline.size)
     breaks = np.flatnonzero(outline.branches[: size - 1] == NO_BRANCH).tolist()
-    ends = zip([0, *(last + 1 for last in breaks)], [*breaks, size - 1], strict=True)
-    return [_part(outline, first, last) for first, last in ends]
+    ends = zip([0, *(end + 1 for end in breaks)], [*breaks, size - 1], strict=True)
+    return [_loop(outline, start, end) for start, end in ends]
 
 
-def _part(outline: Outline, first: int, last: int) -> Outline:
-    """Return one loop, from its first vertex to its last, which are the same."""
-    vertices = outline.vertices[first : last + 1]
+def _loop(outline: Outline, start: int, end: int) -> Outline:
+    """Return one loop, from its start to its end, which are the same point."""
+    vertices = outline.vertices[start : end + 1]
     is_own = np.any(np.all(outline.corners[:, None] == vertices, axis=-1), axis=1)
     return outline._replace(
         vertices=vertices,
-        branches=outline.branches[first:last],
-        angles=outline.angles[first:last],
-        size=np.asarray(last + 1 - first),
+        branches=outline.branches[start:end],
+        angles=outline.angles[start:end],
+        size=np.asarray(end + 1 - start),
         loops=np.asarray(1),
         corners=outline.corners[is_own],
     )
@@ -97,8 +97,8 @@ def _part(outline: Outline, first: int, last: int) -> Outline:
 def _joined(loops: list[Outline]) -> Outline:
     """Return loops as one outline, with an edge of no branch between them."""
     gap = np.array([NO_BRANCH]), np.zeros((1, 2))
-    branches = [part for loop in loops for part in (gap[0], loop.branches)][1:]
-    angles = [part for loop in loops for part in (gap[1], loop.angles)][1:]
+    branches = [edges for loop in loops for edges in (gap[0], loop.branches)][1:]
+    angles = [edges for loop in loops for edges in (gap[1], loop.angles)][1:]
     return loops[0]._replace(
         vertices=np.concatenate([loop.vertices for loop in loops]),
         branches=np.concatenate(branches),
@@ -237,8 +237,8 @@ class StableRegion(ShownRegion):
         return self._are_intervals(axis=0)
 
     def _are_intervals(self, axis: int) -> bool:
-        known = int(self.status) != RegionStatus.UNRESOLVED
-        return known and self.loops <= 1 and measures.turns(self.points[:, axis]) <= 2
+        is_resolved = int(self.status) != RegionStatus.UNRESOLVED
+        return is_resolved and self.loops <= 1 and measures.turns(self.points[:, axis]) <= 2
 
     @property
     def area(self) -> Float64[Array, ""]:
@@ -289,8 +289,8 @@ def region_within(c: Curve, outline: Outline) -> StableRegion:
     """Return the region of an outline, in the namespace of its arrays."""
     xp = namespace(c, outline)
     largest = xp.argmax(xp.nan_to_num(outline.vertices, nan=-xp.inf), axis=0)
-    known = xp.where(outline.size > 0, RegionStatus.COMPLETE, RegionStatus.EMPTY)
-    status = xp.where(outline.resolved, known, RegionStatus.UNRESOLVED)
+    closed = xp.where(outline.size > 0, RegionStatus.COMPLETE, RegionStatus.EMPTY)
+    status = xp.where(outline.resolved, closed, RegionStatus.UNRESOLVED)
     return StableRegion(
         coefficients=c,
         outline=outline,
