@@ -141,7 +141,7 @@ def _near(stable: Array) -> Array:
     near = stable.copy()
     for axis in (0, 1):
         along = near.swapaxes(0, axis)
-        before = along.copy()
+        before = along.copy("K")
         along[1:] |= before[:-1]
         along[:-1] |= before[1:]
     return near
