@@ -12,6 +12,8 @@ import mpmath
 import numpy as np
 import pytest
 
+from benchmarks.truth import filtered
+from jaxstab import Filter, Velocity
 from jaxstab.proofs import filters
 from jaxstab.proofs.enclosures import LinearModel, phasor, sinc, sine, variable
 from jaxstab.rounding import ELEMENTARY, LINEAR_MODEL
@@ -275,3 +277,80 @@ def test_series_of_sums_of_turns_hold_in_all_of_their_cell(middle: float, half: 
                 assert errors[0] <= narrow.error[m, 0] <= 1e-13
                 assert max(errors) <= wide.error[m, 0] * ROUNDED
                 assert wide.error[m, 0] <= SHARP * max(errors) or half > 0.01
+
+
+# ------------------------------------------------------- filters on the circle (lemmas B10 and B12)
+
+
+def response(rational: filtered.Rational, theta: mpmath.mpf) -> mpmath.mpc:
+    """A transfer function at z = e^(i theta)."""
+    z = mpmath.expj(theta)
+    above, below = (
+        mpmath.polyval([mpmath.mpf(int(c.p)) / int(c.q) for c in part], z, asc=True)
+        for part in rational
+    )
+    return above / below
+
+
+def real_parts(rational: filtered.Rational, theta: mpmath.mpf) -> tuple[mpmath.mpf, mpmath.mpf]:
+    """Rise and slope of F = F(1) + h rise + s slope, s = 1 - 1/z, h = 1 - cos(theta)."""
+    value = response(rational, theta)
+    slope, h = value.imag / mpmath.sin(theta), 1 - mpmath.cos(theta)
+    return (value.real - response(rational, mpmath.mpf(0)).real - h * slope) / h, slope
+
+
+CHAINS = {
+    "low pass and Butterworth": (
+        (Velocity.low_pass(0.1), Filter.butterworth(0.2, order=2)),
+        (
+            filtered.times(filtered.difference(1), filtered.low_pass(0.1, order=1)),
+            filtered.butterworth(0.2, order=2),
+        ),
+    ),
+    "a window and an average": (
+        (Velocity.difference(samples=5), Filter.average(samples=3)),
+        (filtered.difference(5), filtered.average(3)),
+    ),
+}
+PATCHES = [0.01, 0.2, 0.6, 1.3, 2.2, 2.95, 3.12]
+
+
+@pytest.mark.parametrize("name", CHAINS)
+def test_models_of_filters_hold_at_the_ends_of_patches(name: str) -> None:
+    given, (velocity, position) = CHAINS[name]
+    theta, half = np.array(PATCHES), np.full(len(PATCHES), 1e-3)
+    models = filters.filter_models(given, theta, np.stack([half, 0.0 * half]))
+    made = [
+        (models.position_rise, models.position_slope),
+        (models.velocity_rise, models.velocity_slope),
+    ]
+    with mpmath.workdps(50):
+        for rational, parts in zip((position, velocity), made, strict=True):
+            for k, middle in enumerate(PATCHES):
+                for which, part in enumerate(parts):
+
+                    def true(x: mpmath.mpf, rational=rational, which=which) -> mpmath.mpf:
+                        return real_parts(rational, x)[which]
+
+                    for kind, order in ((part.value, 0), (part.rate, 1)):
+                        errors = []
+                        for move in (-1e-3, 0.0, 1e-3):
+                            linear = mpmath.mpf(float(kind.centre[k])) + mpmath.mpf(
+                                float(kind.slope[0, k])
+                            ) * mpmath.mpf(move)
+                            at_end = mpmath.mpf(middle) + mpmath.mpf(move)
+                            errors.append(abs(mpmath.diff(true, at_end, order) - linear))
+                        assert max(errors) <= kind.rest[k] + 1e-40
+                        if order == 0 and not 0.25 < middle < np.pi - 0.25 and max(errors) > 1e-12:
+                            assert kind.rest[k] <= SHARP * max(errors)
+
+
+def test_values_of_filters_at_the_ends_of_the_circle() -> None:
+    for given, (velocity, position) in CHAINS.values():
+        ends = filters.filter_ends(given)
+        with mpmath.workdps(50):
+            assert ends.position_at_one == pytest.approx(1.0, abs=1e-15)
+            exact = [response(one, mpmath.pi).real for one in (position, velocity)]
+            for value, true in zip(ends.at_minus_one, exact, strict=True):
+                assert abs(value - true) <= ends.lost * abs(true) + 1e-30
+        assert ends.lost < 1e-12
