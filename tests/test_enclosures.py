@@ -15,6 +15,7 @@ import pytest
 from benchmarks.truth import filtered
 from jaxstab import Filter, Velocity
 from jaxstab.proofs import filters
+from jaxstab.proofs.curve_patches import _waves
 from jaxstab.proofs.enclosures import LinearModel, phasor, sinc, sine, variable
 from jaxstab.rounding import ELEMENTARY, LINEAR_MODEL
 
@@ -354,3 +355,43 @@ def test_values_of_filters_at_the_ends_of_the_circle() -> None:
             for value, true in zip(ends.at_minus_one, exact, strict=True):
                 assert abs(value - true) <= ends.lost * abs(true) + 1e-30
         assert ends.lost < 1e-12
+
+
+# ------------------------------------------------------------- functions of the angle alone (B12)
+
+WAVES = {
+    "h": lambda x, m: 1 - mpmath.cos(x),
+    "cos_turns": lambda x, m: mpmath.cos(m * x),
+    "sine_ratio": lambda x, m: mpmath.fsum(mpmath.cos(k * x) for k in range(m - 1, -m, -2)),
+    "lag_ratio": lambda x, m: mpmath.fsum(
+        (2 if k else 1) * (m - k) * mpmath.cos(k * x) for k in range(m)
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WAVES)
+@pytest.mark.parametrize("turns", [1, 2, 5])
+def test_waves_and_their_derivatives_hold_over_patches(name: str, turns: int) -> None:
+    """The largest second and third derivatives are those at 0, and at pi/2 for one turn."""
+    theta, by = np.array([0.0, 0.4, 0.5 * np.pi, 2.3, np.pi]), 1e-3
+    half = np.stack([np.full(theta.size, by), np.zeros(theta.size)])
+    made = getattr(_waves(theta, turns, half), name)
+    attained = {0: 0.0, 1: 0.0}
+    with mpmath.workdps(40):
+        for order, kind in enumerate((made.value, made.rate)):
+            for k, middle in enumerate(theta.tolist()):
+                for move in (-by, 0.0, by):
+                    x = mpmath.mpf(middle) + mpmath.mpf(move)
+                    true = mpmath.diff(lambda y: WAVES[name](y, turns), x, order)
+                    linear = mpmath.mpf(float(kind.centre[k])) + mpmath.mpf(
+                        float(kind.slope[0, k])
+                    ) * mpmath.mpf(move)
+                    assert abs(true - linear) <= kind.rest[k] + 1e-30
+                    attained[order] = max(attained[order], abs(true - linear) / kind.rest[k])
+    if name in ("h", "cos_turns") or turns > 2:
+        assert attained[0] > 0.5
+    x = mpmath.mpf("0.7")  # the two ratios are those of the sines
+    ratio = mpmath.sin(turns * x) / mpmath.sin(x)
+    assert WAVES["sine_ratio"](x, turns) == pytest.approx(ratio)
+    ratio = (1 - mpmath.cos(turns * x)) / (1 - mpmath.cos(x))
+    assert WAVES["lag_ratio"](x, turns) == pytest.approx(ratio)
