@@ -12,6 +12,7 @@ from benchmarks.truth.balls import BallLoop
 from benchmarks.truth.random_loops import MassLoop
 from jaxstab.region.curve import curve_and_lift, minus_offset, minus_slope, plus_offset
 from jaxstab.region.filtered_curve import FilteredCurve, filtered_curve, mass_system
+from jaxstab.region.pieces import slice_angles
 
 ANGLES = np.concatenate([np.linspace(0.05, 1.5, 7), np.linspace(1.65, 3.05, 7)])
 LOOPS = range(1, 25)
@@ -70,3 +71,18 @@ def test_the_line_of_a_root_at_minus_one_is_that_of_the_polynomial(number: int) 
     if abs(stiffness) > 1e-9 * abs(damping):
         assert minus_offset(c) == pytest.approx(-base / stiffness, rel=1e-9)
         assert minus_slope(c) == pytest.approx(damping / stiffness, rel=1e-9)
+
+
+def test_a_scan_looks_on_either_side_of_poles_and_where_beta_is_steep() -> None:
+    """The curve changes within the distance of a pole from the circle, on both of its sides."""
+    looked = 0
+    for number in LOOPS:
+        c, _ = drawn(number)
+        angles = np.sort(np.abs(slice_angles(c, c.parts.shape[1] - 2, 1)))
+        for place in np.concatenate([c.poles[0], c.steep]):
+            if angles[0] + 1e-3 < place < angles[-1] - 1e-3:
+                away = angles - place
+                assert np.min(away[away > 0.0]) < 1e-6
+                assert np.max(away[away < 0.0]) > -1e-6
+                looked += 1
+    assert looked > 5
