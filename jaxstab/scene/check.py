@@ -52,7 +52,7 @@ from jaxstab.scene.answers import (
     Time,
     basis_of,
 )
-from jaxstab.scene.contact import Simulated, contacts_of
+from jaxstab.scene.contact import NotSimulated, Simulated, contacts_or_reasons
 from jaxstab.scene.loops import (
     corner_loops,
     hands_of,
@@ -351,7 +351,7 @@ class WallCheck(Answer):
     oscillation: Oscillation | None = None
     chatter: Chatter | None = None
     jitter: Jitter | None = None
-    simulated: Simulated | None = None
+    simulated: Simulated | NotSimulated | None = None
 
 
 @dataclass(frozen=True)
@@ -394,7 +394,7 @@ def check_walls(scene: Scene) -> Check:
                 measured, walls, *_over_hands(walls, ask), strict=True
             ):
                 own[name] = summarise(wall, loops, answer)
-    felt = contacts_of(scene)
+    felt = contacts_or_reasons(scene) if scene.wanted.measures else {}
     checked = {
         name: WallCheck(
             *wall.gains,
