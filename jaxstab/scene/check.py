@@ -91,7 +91,10 @@ class HeldBy(Answer):
 
 @dataclass(frozen=True)
 class AllHands(Answer):
-    """A wall for all hands of a range, nearly the stiffest, and a proved bound if there is one."""
+    """A wall for all hands of a range, nearly the stiffest, and a proved bound if there is one.
+
+    Both times the safety, if one is wanted: they enclose the limit that it leaves.
+    """
 
     largest_stiffness: LargestStiffness
     at_damping: Damping
@@ -191,7 +194,7 @@ def limit_for_all(scene: Scene, safety: float) -> AllHands | None:
         largest_stiffness=stiffness,
         at_damping=robust.damping,
         certainty=proved if is_proved else tried,
-        none_is_stiffer_than=robust.limit if is_one_mass(scene) and not moving else None,
+        none_is_stiffer_than=safety * robust.limit if is_one_mass(scene) and not moving else None,
         worst_hand=held_by(robust.loop, scene),
     )
 
