@@ -168,7 +168,8 @@ def test_the_safe_wall_for_all_hands_is_proved_anew() -> None:
         scene_limits(Scene.from_table(scene | {"wanted": wanted})).all_hands
         for wanted in ({}, {"safety": 0.8})
     )
-    assert plain is not None and safe is not None
+    assert plain is not None
+    assert safe is not None
     assert safe.certainty == "proved for every hand"
     assert safe.largest_stiffness == 0.8 * plain.largest_stiffness
     assert safe.none_is_stiffer_than == 0.8 * plain.none_is_stiffer_than
