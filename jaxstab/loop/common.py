@@ -224,9 +224,10 @@ def tune_for_all(
     """The wall whose longest settling time over several loops is the shortest one found.
 
     The answer holds for these loops alone: give the corners of your ranges of hands, masses and
-    delays, and some loops between. Walls have K >= 0 and B >= 0. The search covers the stable component of the first loop that
-    contains small gains. Among walls that are equally fast at worst, the one that is fastest on
-    average is returned. That no other wall is faster is not proved.
+    delays, and some loops between. Walls have K >= 0 and B >= 0. The search covers the stable
+    component of the first loop that contains small gains. Among walls that are equally fast at
+    worst, the one that is fastest on average is returned. That no other wall is faster is not
+    proved.
 
     Args:
         loops: at least one.

@@ -262,7 +262,7 @@ class HapticLoop(LoopParameters):
     ) -> OptimalWall:
         """The wall (K, B) that comes to rest fastest, or the best B for a given K.
 
-        Walls have K >= 0 and B >= 0. Where the gains of ``jaxstab.minimize_radius`` are negative, as
+        Walls have K >= 0 and B >= 0. Where a gain of ``jaxstab.minimize_radius`` is negative, as
         with stiff or strongly damped hands, the best wall often has K = 0 or B = 0.
 
         This is a search for one loop, without vmap or derivatives; ``jaxstab.minimize_radius`` has
