@@ -262,6 +262,9 @@ class HapticLoop(LoopParameters):
     ) -> "OptimalWall":
         """The wall (K, B) that comes to rest fastest, or the best B for a given K.
 
+        Walls have K >= 0 and B >= 0. Where a gain of ``jaxstab.minimize_radius`` is negative, as
+        with stiff or strongly damped hands, the best wall often has K = 0 or B = 0.
+
         This is a search for one loop, without vmap or derivatives; ``jaxstab.minimize_radius`` has
         both over gamma and delta. The best gains for the radius are sensitive: next to a triple
         pole the radius grows with the cube root of a change, so gains of six digits may miss the

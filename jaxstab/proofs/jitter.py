@@ -60,6 +60,7 @@ _EVEN = np.pi * (np.arange(4096) + 0.5) / 4096
 _THETA = np.concatenate([np.geomspace(1e-6, _EVEN[0], 512), _EVEN])  # angles of a search
 _CLOSE, _SMALLEST = 1e-4, 1e-9  # of the jitter, and in samples
 _SHARES = (1e-3, 1e-2, 0.05, 0.2, 0.5)  # by which it is lowered until it is proved
+_DEVICES = 256  # that are remembered: 81 sampled hands and masses for each wall that is tried
 _DIFFERENCE = (DoubleDouble(1.0, 0.0), DoubleDouble(-1.0, 0.0))  # 1 - x
 
 
@@ -246,7 +247,7 @@ class OverBoxes(NamedTuple):
         return self.free + self.force * wall, wall
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=_DEVICES)
 def _device_cells(device: SampledDevice, jitter: float) -> FilterCells:
     plant, late = device.plant, late_response(device, jitter)
     shifted = plant.shifted or (None,) * 4

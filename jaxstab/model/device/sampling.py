@@ -105,7 +105,7 @@ class _Balls(NamedTuple):
         return all(is_known(polynomial) for pair in self for polynomial in pair)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=512)
 def _sampled(device: Device, sample_time: float, delay: float) -> SampledDevice:
     import flint
 
