@@ -37,7 +37,7 @@ _FORMED = 1024  # loops whose coefficients are held in memory
 _FEWEST_COMPILED = 4  # the same for a program that is compiled
 _SCANS = 3  # of a loop, at most
 _MISSED = np.array([1e-5, 3e-5])  # distances of the first angles from where a piece was missed
-_MOST_LOST = 1e8  # digits, to poles of filters that are next to each other: see ``filtered_curve``
+_ILL_CONDITIONED = 1e8  # denominators of filters, as in ``filtered_curve``, where it is 1e5
 _DEGREES = (5, 9, 13, 17, 25, 33, 49, 65)  # up to which p(z) are filled
 _FIRST, _CLOSEST = 1e-6, 1e-7  # angles of a scan, and their distances from poles
 _TO_ENDS, _TO_POLES, _TO_ROOTS = 12, 6, 8  # angles that come closer and closer
@@ -382,7 +382,7 @@ def _formed(many: "list[HapticLoop]") -> Iterator[_Formed]:
             linear = filtered_loop(gamma, delta, whole, fraction, (velocity, position))
             roots = _resonances(gamma, delta)
         known = of_filters(*transfers)
-        if known.lost < _MOST_LOST:
+        if known.condition < _ILL_CONDITIONED:
             own, ends = _parts(linear, len(members)), _ends(linear, len(members))
             yield _Formed(np.array(members), own, ends, np.sort(known.real_angles), roots)
 

@@ -675,9 +675,8 @@ def _largest(
     ends = _wall(loop, jnp.stack([lower, upper]))[axis]
     start = _vertex(jnp.stack([lower, angles[at], upper]), values[at], ends)
     start = jnp.where(number < count, start, 0.5 * (lower + upper))
-    start = jnp.where(exists, start, start[0])  # all wait for the slowest
-
-    limits = lower - _SLACK, upper + _SLACK
+    places = jnp.stack([start, lower - _SLACK, upper + _SLACK])
+    start, *limits = jnp.where(exists, places, places[:, :1])  # all wait for the slowest
 
     def rise(theta: Array) -> tuple[Array, Array]:
         slopes = partial(_with_slopes, loop)
