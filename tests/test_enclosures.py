@@ -347,6 +347,20 @@ def test_models_of_filters_hold_at_the_ends_of_patches(name: str) -> None:
                             assert kind.rest[k] <= SHARP * max(errors)
 
 
+@pytest.mark.parametrize("name", CHAINS)
+def test_responses_of_filters_are_right_to_what_they_say_they_lost(name: str) -> None:
+    given, rationals = CHAINS[name]
+    theta = np.array([0.0, *PATCHES, 0.5 * np.pi, np.pi])
+    value, slope, lost = filters.responses(filters.filter_cells(given), theta)
+    with mpmath.workdps(50):
+        for which, rational in enumerate(rationals[::-1]):
+            for k, x in enumerate(theta.tolist()):
+                for order, made in ((0, value), (1, slope)):
+                    true = mpmath.diff(lambda y, of=rational: response(of, y), mpmath.mpf(x), order)
+                    away = abs(true - mpmath.mpmathify(complex(made[which, k])))
+                    assert away <= lost[2 * order + which, k] <= 1e-12
+
+
 def test_values_of_filters_at_the_ends_of_the_circle() -> None:
     for given, (velocity, position) in CHAINS.values():
         ends = filters.filter_ends(given)
@@ -401,12 +415,14 @@ def test_waves_and_their_derivatives_hold_over_patches(name: str, turns: int) ->
 # ------------------------------------------------------- aliases of a held device (lemmas B20, J3)
 
 
-@pytest.mark.parametrize("grip", [None, (0.3, 0.05)])
+@pytest.mark.parametrize(
+    ("grip", "modes"), [(None, ()), ((0.3, 0.05), ()), (None, ((0.8, 0.02, 0.6),))]
+)
 def test_the_compliance_at_high_frequencies_is_nearly_attained(
-    grip: tuple[float, float] | None,
+    grip: tuple[float, float] | None, modes: tuple[tuple[float, float, float], ...]
 ) -> None:
     """w^2 |N/D| of a mass with a spring and a damper, held by an arm whose mass is 0 at least."""
-    device = HeldDevice(0.01, 0.02, (), (), grip)
+    device = HeldDevice(0.01, 0.02, modes, (), grip)
     stiffest, least_damping = 0.05, 0.02
     for beyond in (3.0, 10.0):
         bound = device.largest_compliance((0.5, 0.5), (stiffest, least_damping), beyond)
