@@ -15,8 +15,8 @@ from jaxstab import Device, Filter, Hand, HandRange, HapticLoop, Mode, Velocity,
 from jaxstab.loop.between import LoopsWithHands
 from jaxstab.loop.jitter import MovingLoop, MovingRegion, _Search
 from jaxstab.model.device import SampledDevice, sampled_device
-from jaxstab.model.device.late_forces import late_response
 from jaxstab.model.device.periodic import segments_of
+from jaxstab.model.device.sampling import late_response
 from jaxstab.motion.moving_delays import Range
 from jaxstab.proofs import jitter
 
@@ -72,7 +72,7 @@ def test_the_response_to_late_forces_is_that_of_the_device_in_continuous_time(
         for powers, at in ((known.about_one, h), (known.about_minus_one, 2.0 - h)):
             value = sum(float(c.rounded()) * at**k for k, c in enumerate(powers))
             assert value == pytest.approx(true, rel=1e-6, abs=1e-13)
-        assert known.at(np.array([theta]))[0] == pytest.approx(true, rel=1e-6, abs=1e-13)
+        assert known.values_at(np.array([theta]))[0] == pytest.approx(true, rel=1e-6, abs=1e-13)
 
 
 def _floats(device: Device, is_above: bool = False) -> list[float]:
@@ -118,7 +118,7 @@ def test_boxes_enclose_both_sides_of_the_inequality(name: str) -> None:
     )
     wall = 800.0, 3.0
     gains = np.array([[wall[0] * device.stiffness_unit, wall[1] * device.damping_unit]])
-    cells = jitter.MovingCells.of(device, filters, most)
+    cells = jitter.MovingCells.from_loop(device, filters, most)
     above, below = _floats(DEVICES[name], True), _floats(DEVICES[name])
     turns = np.arange(-20000, 20001)
     base = [float(c.rounded()) for c in loop.linear.base]

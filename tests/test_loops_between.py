@@ -25,7 +25,7 @@ from jaxstab import (
     common_region,
 )
 from jaxstab.model.filters import known_filters
-from jaxstab.proofs.exclusion import Models, Parts
+from jaxstab.proofs.exclusion import LineBoxes, Models
 from jaxstab.proofs.linear_circle import (
     DelayBoxes,
     FamilyBoxes,
@@ -203,7 +203,7 @@ def test_boxes_of_lines_hold_the_polynomial(rng: np.random.Generator) -> None:
     by_t = 0.5 * 10.0 ** rng.uniform(-6, 0, count)
     t = by_t + (1.0 - 2.0 * by_t) * rng.random(count)
     ends = np.stack([t - by_t, theta - by_theta]), np.stack([t + by_t, theta + by_theta])
-    found = line_models(cells, GainLines(start, change), Parts(np.arange(count), *ends))
+    found = line_models(cells, GainLines(start, change), LineBoxes(np.arange(count), *ends))
     gains = start[:, None] + change[:, None] * (t + by_t * sides[0])
     delay = np.full(sides.shape[1:], DRAWN.delay)
     check_boxes(found, delay, gains, theta + by_theta * sides[1], sides)
