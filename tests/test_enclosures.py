@@ -368,8 +368,8 @@ def test_values_of_filters_at_the_ends_of_the_circle() -> None:
             assert ends.position_at_one == pytest.approx(1.0, abs=1e-15)
             exact = [response(one, mpmath.pi).real for one in (position, velocity)]
             for value, true in zip(ends.at_minus_one, exact, strict=True):
-                assert abs(value - true) <= ends.lost * abs(true) + 1e-30
-        assert ends.lost < 1e-12
+                assert abs(value - true) <= ends.error * abs(true) + 1e-30
+        assert ends.error < 1e-12
 
 
 # ------------------------------------------------------------- functions of the angle alone (B12)
@@ -438,7 +438,7 @@ def test_the_compliance_at_high_frequencies_is_nearly_attained(
 def test_aliases_that_are_not_followed_are_bounded_by_their_sum() -> None:
     """Of a free mass: 1/(m |theta + 2 pi k|^3), and squares for the moduli, |k| above 2."""
     device, mass, last = HeldDevice(0.0, 0.0, (), (), None), 0.5, 3.0
-    aliases = _Aliases.of(device, (mass, mass), (0.0, 0.0), 2, last)
+    aliases = _Aliases.from_device(device, (mass, mass), (0.0, 0.0), 2, last)
     assert sorted(turns for turns, _, _ in aliases.followed) == [-2, -1, 1, 2]
     for turns, nearest, most in aliases.followed:
         angles = np.abs(np.linspace(0.0, last, 101) + 2.0 * np.pi * turns)
