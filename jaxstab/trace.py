@@ -39,8 +39,8 @@ from jaxstab.proofs.exclusion import Loops, exclude
 from jaxstab.proofs.filters import Responses
 from jaxstab.proofs.plant import circle_equations, quick_slice
 from jaxstab.ranges.box import ParameterBox, Proof, excluded, joined
-from jaxstab.region.corners import Branch
 from jaxstab.region.curve import SliceCoefficients, slice_coefficients
+from jaxstab.region.pieces import Branch
 
 # Planes of two quantities: how the five dimensionless parameters follow from them (Table I).
 #
@@ -73,7 +73,7 @@ class Monomials(NamedTuple):
     width: Float64[Array, " 2"]
 
     def select(self, chosen: Int64[np.ndarray, " points"]) -> "Monomials":
-        """Return those of some loops."""
+        """Return the maps of chosen loops."""
         return self._replace(factor=self.factor[:, chosen])
 
     def parameters(self, position: Float64[Array, "points 2"]) -> Float64[Array, "5 points"]:
@@ -159,15 +159,15 @@ def _filters_of(
         return None
     ranges = {**fixed, **dict(zip(plane, window, strict=True))}
     periods = np.unique(ranges.get("sample_time", 1.0)).tolist()
-    first, *others = [(given[0].per_sample(each), given[1].per_sample(each)) for each in periods]
-    if any(other != first for other in others):
+    filters, *others = [(given[0].per_sample(each), given[1].per_sample(each)) for each in periods]
+    if any(other != filters for other in others):
         raise ValueError(
             f"velocity is {given[0]} and position {given[1]}, which change with sample_time; fix "
             "sample_time, or give windows in samples and factors in place of cut-offs."
         )
-    for part in (first[0].filter, first[1]):
-        part.transfer()  # refuses what is too long
-    return first
+    for chain in (filters[0].filter, filters[1]):
+        chain.transfer()  # refuses what is too long
+    return filters
 
 
 def _check_names(plane: tuple[str, str], fixed: Mapping[str, Numbers]) -> None:
@@ -225,7 +225,7 @@ def corner_ranges(
 # Unknown is u = (x, y, theta / pi) in the unit cube. On a branch of a pair of roots two equations
 # hold (``circle_equations``), on the branch of a real root Re g = 0 and theta = 0 or pi. A step
 # along the tangent is corrected in the plane across it, so folds in x or y are nothing special.
-# Each branch is followed in a lane of its own, and a step of all lanes is one call of a program
+# Each branch is followed in one lane, and a step of all lanes is one call of a program
 # that is compiled once: the plane, its window and the fixed quantities are arguments of it.
 
 Points = Float64[np.ndarray, "points 3"]
@@ -251,7 +251,7 @@ class Lanes(NamedTuple):
     responses: Responses
 
     def select(self, chosen: Int64[np.ndarray, " chosen"]) -> "Lanes":
-        """Return some of them."""
+        """Return chosen lanes."""
         return Lanes(self.scene.select(chosen), self.branch[chosen], self.responses)
 
 
@@ -308,15 +308,15 @@ def _corrector() -> Callable[..., tuple[Array, Array, Array]]:
         def residual(u: Array, _: None) -> tuple[Array, Array]:
             here = jax.lax.stop_gradient(u)
             value, rows = equations(here, lanes)
-            first, second = rows
-            along = jnp.cross(first, second)
+            row, other = rows
+            along = jnp.cross(row, other)
             across = jnp.where(jnp.any(normal != 0.0), normal, along)
-            sides = jnp.stack([jnp.cross(second, across), jnp.cross(across, first), along])
+            sides = jnp.stack([jnp.cross(other, across), jnp.cross(across, row), along])
             distance = jnp.append(value, normal @ (here - guess))
             # The derivatives are at hand: solved for, the equations have those of u itself.
             return (u - here) + distance @ sides / (across @ along), rows
 
-        found: Any = optimistix.root_find(
+        solution: Any = optimistix.root_find(
             residual,
             newton,
             guess,
@@ -325,7 +325,7 @@ def _corrector() -> Callable[..., tuple[Array, Array, Array]]:
             throw=False,
             tags=frozenset({lineax.diagonal_tag}),
         )
-        return found.value, found.aux, found.result == optimistix.RESULTS.successful
+        return solution.value, solution.aux, solution.result == optimistix.RESULTS.successful
 
     # What is not of each lane is of the plane.
     of_lane: Any = Lanes(Monomials(1, None, None, None), 0, None)  # type: ignore[arg-type]
@@ -345,9 +345,9 @@ def correct(guess: Points, normal: Points, lanes: Lanes) -> Corrected:
     Where the normal is 0, each step goes to the nearest point of the linearised equations.
     """
     parts = []
-    for part, filled in lists(np.arange(len(guess)), _MOST_LANES, _FEWEST_LANES):
+    for chunk, filled in lists(np.arange(len(guess)), _MOST_LANES, _FEWEST_LANES):
         answer = _corrector()(guess[filled], normal[filled], lanes.select(filled))
-        parts.append([column[: part.size] for column in answer])
+        parts.append([column[: chunk.size] for column in answer])
     return Corrected(*map(np.concatenate, zip(*parts, strict=True)))
 
 
@@ -398,34 +398,34 @@ class _Walk(NamedTuple):
     closed: bool
 
 
-def _walk(first: Points, first_tangent: Points, lanes: Lanes, longest: float) -> list[_Walk]:
+def _walk(start: Points, start_tangent: Points, lanes: Lanes, longest: float) -> list[_Walk]:
     """Follow branches from points on them, one way, all a step at a time."""
-    count = len(first)
-    here, tangent, normal = first.copy(), first_tangent.copy(), first_tangent.copy()
+    count = len(start)
+    here, tangent, normal = start.copy(), start_tangent.copy(), start_tangent.copy()
     step = np.full(count, longest / 4)
     guess, farthest = here + step[:, None] * tangent, 2 * step
-    lands, left, closed, stalled = np.zeros((4, count), bool)
+    lands, exited, closed, stalled = np.zeros((4, count), bool)
     steps = np.zeros(count, int)
     history: list[tuple[Int64[np.ndarray, " lanes"], Points, Rows]] = []
     while True:
-        i = np.flatnonzero(~left & ~closed & ~stalled & (steps < _MOST_POINTS))
+        i = np.flatnonzero(~exited & ~closed & ~stalled & (steps < _MOST_POINTS))
         if not i.size:
             break
-        found = correct(guess[i], normal[i], lanes.select(i))
-        there, move = found.position, found.position - here[i]
+        solved = correct(guess[i], normal[i], lanes.select(i))
+        there, move = solved.position, solved.position - here[i]
         length = np.linalg.norm(move, axis=1)
-        cosine = np.sum(found.tangent * tangent[i], axis=1)
-        usable = found.converged & (length < farthest[i]) & (lands[i] | (np.abs(cosine) >= _BENT))
+        cosine = np.sum(solved.tangent * tangent[i], axis=1)
+        usable = solved.converged & (length < farthest[i]) & (lands[i] | (np.abs(cosine) >= _BENT))
         face, landing = _first_face(here[i], there)
         crosses = usable & ~lands[i] & (face >= 0)
         is_new = usable & ~crosses
         again = is_new & ~lands[i] & (steps[i] > 1)
-        again &= _passes(first[i], first_tangent[i], here[i], there)
-        left[i], closed[i], steps[i] = is_new & lands[i], again, steps[i] + is_new
+        again &= _passes(start[i], start_tangent[i], here[i], there)
+        exited[i], closed[i], steps[i] = is_new & lands[i], again, steps[i] + is_new
         new = i[is_new]
-        history.append((new, there[is_new], found.rows[is_new]))
+        history.append((new, there[is_new], solved.rows[is_new]))
         here[new] = there[is_new]
-        tangent[new] = (np.copysign(1.0, cosine)[:, None] * found.tangent)[is_new]
+        tangent[new] = (np.copysign(1.0, cosine)[:, None] * solved.tangent)[is_new]
         grows = is_new & (np.abs(cosine) > _STRAIGHT)
         step[i] = np.where(grows, np.minimum(longest, 1.5 * step[i]), step[i])
         step[i[~usable]] /= 2
@@ -447,23 +447,23 @@ def _first_face(here: Points, there: Points) -> tuple[Int64[np.ndarray, " points
     """Return the axis of the first face of the unit cube between points, or -1, and where it is."""
     beyond = (there < -_ON_FACE) | (there > 1.0 + _ON_FACE)
     value = np.where(there > 0.5, 1.0, 0.0)
-    part = np.where(beyond, (value - here) / np.where(beyond, there - here, 1.0), np.inf)
-    axis = np.argmin(part, axis=1)
+    share = np.where(beyond, (value - here) / np.where(beyond, there - here, 1.0), np.inf)
+    axis = np.argmin(share, axis=1)
     rows = np.arange(len(axis))
-    landing = here + part[rows, axis][:, None] * (there - here)
+    landing = here + share[rows, axis][:, None] * (there - here)
     landing[rows, axis] = value[rows, axis]
     return np.where(beyond.any(axis=1), axis, -1), landing
 
 
 def _passes(
-    first: Points, first_tangent: Points, here: Points, there: Points
+    start: Points, start_tangent: Points, here: Points, there: Points
 ) -> Bool[np.ndarray, " points"]:
     """Tell whether the start of a path lies on this step of it, in the same direction."""
-    step, back = there - here, first - here
+    step, back = there - here, start - here
     length = np.linalg.norm(step, axis=1)
     along = np.sum(back * step, axis=1) / length**2
     aside = np.linalg.norm(back - along[:, None] * step, axis=1)
-    aligned = np.sum(step * first_tangent, axis=1) > _BENT * length
+    aligned = np.sum(step * start_tangent, axis=1) > _BENT * length
     passes: Bool[np.ndarray, " points"]
     passes = (along > 0.0) & (along <= 1.0) & (aside < 0.2 * length) & aligned
     return passes
@@ -622,8 +622,8 @@ def trace_boundary(
     filters = _filters_of(plane, window, fixed, velocity, position)
     count = scene.factor.shape[1]
     traces: list[BoundaryTrace] = []
-    for part in np.array_split(np.arange(count), -(-count // _AT_ONCE)):
-        tracer = _Tracer(scene.select(part), filters, resolution)
+    for chunk in np.array_split(np.arange(count), -(-count // _AT_ONCE)):
+        tracer = _Tracer(scene.select(chunk), filters, resolution)
         with np.errstate(all="ignore"):  # what diverges is infinite or NaN
             tracer.search()
         traces += _gathered(plane, tracer)
@@ -633,13 +633,13 @@ def trace_boundary(
 class _Tracer:
     """The branches of some traces found so far, and the boxes that none of them explains.
 
-    A search is for the branches of one kind in one trace. Its number is the index of its boxes:
-    three times that of the trace, and that of the kind.
+    A search is for the branches of one kind in one trace. Boxes have its index: three times that of
+    the trace, plus that of the kind.
     """
 
     def __init__(self, scene: Monomials, filters: Filters | None, resolution: float) -> None:
         self.scene = scene
-        self.filters, self.responses = filters, Responses.of(filters)
+        self.filters, self.responses = filters, Responses.from_filters(filters)
         self.resolution = resolution
         self.paths: list[list[tuple[Branch, Path]]] = [[] for _ in scene.factor.T]
         self.unresolved: list[ParameterBox] = []
@@ -647,9 +647,9 @@ class _Tracer:
     def search(self) -> None:
         """Find all branches."""
         turns = np.tile([[0.0, 1.0, 0.5], [0.0, 0.0, 0.5]], len(self.paths))
-        number = np.arange(3 * len(self.paths))
+        index = np.arange(3 * len(self.paths))
         angle = turns[0], turns[1]
-        boxes = ParameterBox.of(number, u=(0.5, 0.5), v=(0.5, 0.5), angle=angle)
+        boxes = ParameterBox.from_axes(index, u=(0.5, 0.5), v=(0.5, 0.5), angle=angle)
         smallest = 0.25 * self.resolution
         for _ in range(_REFINEMENTS + 1):
             boxes = boxes.paved(self._proof, smallest, most_each=_MOST_BOXES).boxes
@@ -662,9 +662,9 @@ class _Tracer:
 
     def _followed(self, boxes: ParameterBox) -> ParameterBox:
         """Follow the branches that start in boxes; return the boxes that none explains."""
-        number, centers = boxes.index, boxes.center
-        members = {search: np.flatnonzero(number == search) for search in set(number.tolist())}
-        is_open = np.ones(len(number), bool)
+        index, centers = boxes.index, boxes.center
+        members = {search: np.flatnonzero(index == search) for search in set(index.tolist())}
+        is_open = np.ones(len(index), bool)
         for search, own in members.items():
             for _, path in self.paths[search // 3]:
                 is_open[own] &= ~self._are_near(centers[own], path.points)
@@ -674,22 +674,22 @@ class _Tracer:
             active = sum(len(own) > 0 for own in searches)
             most = max(1, (_FEWEST_LANES if active <= 8 else 8 * _MOST_LANES) // active)
             chosen = np.concatenate([own[:: -(-len(own) // most) or 1] for own in searches])
-            lanes = self._lanes(number[chosen])
+            lanes = self._lanes(index[chosen])
             starts = correct(centers[chosen], np.zeros((len(chosen), 3)), lanes)
             is_start = starts.converged & np.all(np.abs(starts.position - 0.5) <= 0.5, axis=1)
             for search, own in members.items():
-                tried = np.flatnonzero(is_start & (number[chosen] == search))
+                tried = np.flatnonzero(is_start & (index[chosen] == search))
                 here = starts.position[tried]
                 is_start[tried] = self._are_near(here, centers[own])
                 for _, path in self.paths[search // 3]:
                     is_start[tried] &= ~self._are_near(here, path.points)
             is_candidate[chosen[~is_start]] = False
             if is_start.any():
-                _, first = np.unique(number[chosen[is_start]], return_index=True)
-                first = np.flatnonzero(is_start)[first]
-                begins = at(starts, first)
-                followed = follow(begins, lanes.select(first), self.resolution)
-                for search, path in zip(number[chosen[first]].tolist(), followed, strict=True):
+                _, unique = np.unique(index[chosen[is_start]], return_index=True)
+                unique = np.flatnonzero(is_start)[unique]
+                begins = at(starts, unique)
+                followed = follow(begins, lanes.select(unique), self.resolution)
+                for search, path in zip(index[chosen[unique]].tolist(), followed, strict=True):
                     self.paths[search // 3].append((_KINDS[search % 3], path))
                     for other, own in members.items():
                         if other // 3 == search // 3:
@@ -707,27 +707,27 @@ class _Tracer:
             is_near |= np.any(away < (_COVER * self.resolution) ** 2, axis=1)
         return is_near
 
-    def _lanes(self, number: Int64[np.ndarray, " points"]) -> Lanes:
-        kinds = np.array(_KINDS, np.int8)[number % 3]
-        return Lanes(self.scene.select(number // 3), kinds, self.responses)
+    def _lanes(self, index: Int64[np.ndarray, " points"]) -> Lanes:
+        kinds = np.array(_KINDS, np.int8)[index % 3]
+        return Lanes(self.scene.select(index // 3), kinds, self.responses)
 
     def _proof(self, boxes: ParameterBox) -> Proof:
         scene = self.scene.select(boxes.index // 3)
         middle, radius, by_axis = corner_ranges(scene, boxes.center[:, :2], boxes.half[:, :2])
         theta, turn = pi * boxes.center[:, 2:].T, pi * boxes.half[:, 2:].T
-        parts = np.zeros((3, 6, turn.size))
-        parts[:2, :5], parts[2, 5] = by_axis, turn
-        center, radius = (np.concatenate(part) for part in ((middle, theta), (radius, turn)))
+        moves = np.zeros((3, 6, turn.size))
+        moves[:2, :5], moves[2, 5] = by_axis, turn
+        center, radius = (np.concatenate(columns) for columns in ((middle, theta), (radius, turn)))
         test = partial(exclude, filters=self.filters)
-        return excluded(test, Loops(*center), parts, Loops(*radius))
+        return excluded(test, Loops(*center), moves, Loops(*radius))
 
 
 def _gathered(plane: tuple[str, str], tracer: _Tracer) -> list[BoundaryTrace]:
     """Return the traces, their points polished and judged all at once."""
     scene, resolution = tracer.scene, tracer.resolution
-    paths = [path for found in tracer.paths for path in found]
+    paths = [path for of_trace in tracer.paths for path in of_trace]
     sizes = [len(path.points) for _, path in paths]
-    counts = [len(found) for found in tracer.paths]
+    counts = [len(of_trace) for of_trace in tracer.paths]
     trace = np.repeat(np.repeat(np.arange(len(counts)), counts), sizes)
     piece = np.repeat(np.concatenate([np.arange(count) for count in counts]), sizes)
     branch = np.repeat(np.array([kind for kind, _ in paths], np.int8), sizes)
@@ -752,9 +752,9 @@ def _gathered(plane: tuple[str, str], tracer: _Tracer) -> list[BoundaryTrace]:
     }
     boxes = joined(tracer.unresolved)
     traces = []
-    for number in range(len(counts)):
-        merged = _merged(boxes.select(boxes.index // 3 == number), resolution)
-        own = {name: column[trace == number] for name, column in columns.items()}
+    for index in range(len(counts)):
+        merged = _merged(boxes.select(boxes.index // 3 == index), resolution)
+        own = {name: column[trace == index] for name, column in columns.items()}
         unresolved = scene.lower + scene.width * merged
         traces.append(BoundaryTrace(plane, resolution, unresolved=unresolved, **own))
     return traces
@@ -780,7 +780,7 @@ def _no_root_outside(
     polynomials = characteristic_polynomial(
         alpha, beta, **by_name(*np.maximum(plant, 0.0)), **as_keywords(filters)
     )
-    for some in np.array_split(np.arange(len(edge)), 1 + len(edge) // _MATRICES):
-        roots = np.linalg.eigvals(companion_matrix(polynomials[some]))
-        edge[some] = np.abs(roots).max(axis=1) <= 1.0 + _ON_CIRCLE
+    for chunk in np.array_split(np.arange(len(edge)), 1 + len(edge) // _MATRICES):
+        roots = np.linalg.eigvals(companion_matrix(polynomials[chunk]))
+        edge[chunk] = np.abs(roots).max(axis=1) <= 1.0 + _ON_CIRCLE
     return edge

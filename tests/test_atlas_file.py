@@ -26,13 +26,13 @@ from hostile_images import IMAGES, with_another_image
 
 import jaxstab
 from jaxstab import open_atlas, plan_atlas
-from jaxstab.atlas.compute.plan import compute_tile
-from jaxstab.atlas.format import schema
-from jaxstab.atlas.format import schema as footer
-from jaxstab.atlas.format.variables import NODE
+from jaxstab.atlas import file, schema
+from jaxstab.atlas import schema as footer
+from jaxstab.atlas.plan import compute_tile
+from jaxstab.atlas.product import NODE
 from jaxstab.atlas.products.table import PRODUCTS
-from jaxstab.atlas.read import file
-from jaxstab.atlas.write.verify import verify_atlas
+from jaxstab.atlas.write.build import verify_atlas
+from jaxstab.atlas.write.variables import filters_of, packed
 from jaxstab.model import by_name
 
 FOREIGN = {
@@ -96,6 +96,22 @@ def test_every_dataset_is_checksummed_and_has_units_words_and_dimensions(tmp_pat
         meanings = opened["verdict"].attrs["flag_meanings"].decode().split()
         flags = dict(zip(opened["verdict"].attrs["flag_values"], meanings, strict=True))
         assert flags == {0: "not_computed", 1: "stable", 2: "unstable", 3: "undecided"}
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 1000, 100_003, 1_000_000])
+@pytest.mark.parametrize("dtype", ["<f4", "<i2", "<i4"])
+def test_hdf5_reads_packed_chunks_and_has_the_same_checksum_of_them(
+    dtype: str, size: int, rng: np.random.Generator
+) -> None:
+    for values in (rng.normal(0.0, 1e4, size).astype(dtype), np.ones(size, dtype)):
+        chunk = packed(values)
+        with h5py.File.in_memory() as opened:
+            options = {"chunks": (size,), "dtype": dtype, **filters_of(schema.VARIABLES["outside"])}
+            opened.create_dataset("x", (size,), **options).id.write_direct_chunk((0,), chunk)
+            np.testing.assert_array_equal(opened["x"][()], values)
+            deflated = np.frombuffer(chunk[: -schema.CHECKSUM_SIZE], np.uint8)
+            opened.create_dataset("y", data=deflated, chunks=deflated.shape, fletcher32=True)
+            assert opened["y"].id.read_direct_chunk((0,)) == (0, chunk)
 
 
 @pytest.mark.parametrize("version", [1, 2, 99])

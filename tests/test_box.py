@@ -29,7 +29,7 @@ def circle(boxes: ParameterBox) -> Proof:
 
 
 def squares(count: int) -> ParameterBox:
-    return ParameterBox.of(np.arange(count), x=(0.0, 1.0), y=(0.0, 1.0))
+    return ParameterBox.from_axes(np.arange(count), x=(0.0, 1.0), y=(0.0, 1.0))
 
 
 def test_what_paving_leaves_covers_a_curve_and_is_next_to_it() -> None:
@@ -49,7 +49,7 @@ def test_what_paving_leaves_covers_a_curve_and_is_next_to_it() -> None:
 
 
 def test_axes_without_a_width_are_not_halved() -> None:
-    boxes = ParameterBox.of(np.zeros(1, int), x=(0.6, 0.0), y=(0.0, 1.0))
+    boxes = ParameterBox.from_axes(np.zeros(1, int), x=(0.6, 0.0), y=(0.0, 1.0))
     left = boxes.paved(circle, 2.0**-20).boxes
     assert np.all(left["x"][0] == 0.6)
     assert np.all(left["x"][1] == 0.0)
@@ -58,7 +58,7 @@ def test_axes_without_a_width_are_not_halved() -> None:
 
 @pytest.mark.parametrize("limit", ["most_each", "effort"])
 def test_what_becomes_of_an_index_does_not_depend_on_the_others(limit: str) -> None:
-    alone = [ParameterBox.of(np.array([i]), x=(0.0, 1.0), y=(0.0, 1.0)) for i in range(3)]
+    alone = [ParameterBox.from_axes(np.array([i]), x=(0.0, 1.0), y=(0.0, 1.0)) for i in range(3)]
     needed = [box.paved(circle, 2.0**-5).judged[i] for i, box in enumerate(alone)]
     for most in (1, 20, 60, min(needed), max(needed)):
         together = squares(3).paved(circle, 2.0**-5, **{limit: int(most)})

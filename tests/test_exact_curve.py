@@ -17,7 +17,7 @@ from jaxstab.model.double_double import DoubleDouble
 from jaxstab.region import RegionStatus
 from jaxstab.region.curve import curve_and_lift
 from jaxstab.region.exact import _about
-from jaxstab.region.filtered_curve import standing_for, stretches_around, true_angles
+from jaxstab.region.filtered_curve import stretches_around, to_rescaled, true_angles
 from jaxstab.region.pieces import slice_angles
 
 SLOW = [1646, 2638, 2649]  # low passes and Butterworth filters of order 6 to 8, below 0.016
@@ -95,12 +95,12 @@ def test_stretches_stand_for_angles():
     size = np.array([0.1, 0.3, 0.301, 0.3499, 2.46, 2.5 + 1e-9, 2.6])
     nothing = np.zeros_like(size)
     angles, speed = true_angles(stretches, size, nothing)
-    np.testing.assert_allclose(standing_for(stretches, angles), size, rtol=1e-11)
+    np.testing.assert_allclose(to_rescaled(stretches, angles), size, rtol=1e-11)
     for k, one in ((2, stretches[0]), (5, stretches[1])):
         growth = mp.log(2 * mpf(one.half_width) / mpf(10) ** -24)
         share = (mpf(size[k]) - mpf(one.angle)) / mpf(one.half_width)
         offset = mpf(one.half_width) * mp.sinh(growth * share) / mp.sinh(growth)
-        truth = mpf(one.angle) + mpf(one.rest) + offset
+        truth = mpf(one.angle) + mpf(one.low) + offset
         gap = mpf(angles.hi[k]) + mpf(angles.lo[k]) - truth
         assert abs(gap) < 1e-11 * abs(offset) + mpf(10) ** -30
         slope = growth * mp.cosh(growth * share) / mp.sinh(growth)

@@ -21,7 +21,7 @@ from jaxstab.model.device.parts import MassSpringDamper, Modes
 from jaxstab.numbers import checked_number
 from jaxstab.point.verdicts import linear_verdict
 from jaxstab.proofs.device_boxes import BEYOND, DELAY, MASS, Boxes, DeviceBoxes, Extent, along
-from jaxstab.proofs.exclusion import FirstRoots, Models, Parts, is_free
+from jaxstab.proofs.exclusion import FirstRoots, LineBoxes, Models, is_free
 from jaxstab.proofs.exclusion import search as search_roots
 from jaxstab.proofs.linear_circle import (
     FamilyBoxes,
@@ -522,17 +522,17 @@ def _first_roots(cells: FamilyCells, walls: Walls) -> FirstRoots:
     edges = np.pi * (np.arange(_ANGLES + 2) - 0.5) / _ANGLES
     line, angle = (one.ravel() for one in np.indices((len(walls) * pieces, _ANGLES + 1)))
     ends = cells.ends[line % pieces].T
-    parts = Parts(line, np.stack([ends[0], edges[angle]]), np.stack([ends[1], edges[angle + 1]]))
-    roots = search_roots(len(walls) * pieces, parts, partial(_wall_models, cells, walls))
+    boxes = LineBoxes(line, *(np.stack([ends[k], edges[angle + k]]) for k in (0, 1)))
+    roots = search_roots(len(walls) * pieces, boxes, partial(_wall_models, cells, walls))
     low, high, theta = (one.reshape(len(walls), pieces) for one in roots)
     first = np.argmin(low, axis=1)
     rows = np.arange(len(walls))
     return FirstRoots(low[rows, first], high.min(axis=1), theta[rows, first])
 
 
-def _wall_models(cells: FamilyCells, walls: Walls, parts: Parts) -> Models:
-    wall, piece = np.divmod(parts.line, len(cells.pieces))
-    middle, half = 0.5 * (parts.low + parts.high), 0.5 * (parts.high - parts.low) * _SAFE
+def _wall_models(cells: FamilyCells, walls: Walls, boxes: LineBoxes) -> Models:
+    wall, piece = np.divmod(boxes.line, len(cells.pieces))
+    middle, half = 0.5 * (boxes.low + boxes.high), 0.5 * (boxes.high - boxes.low) * _SAFE
     place = PieceBoxes(piece, *middle, *half)
     gains = walls[wall].T
     over = family_models(cells, FamilyBoxes(gains, np.zeros_like(gains), place))
@@ -602,7 +602,7 @@ def _failures_on_edges(family: LoopFamily, outline: Walls) -> Float64[np.ndarray
         part.ravel() for part in np.indices((len(outline) * len(cells.pieces), _ANGLES // 4))
     )
     ends = cells.ends[index % len(cells.pieces)].T
-    boxes = ParameterBox.of(
+    boxes = ParameterBox.from_axes(
         index,
         shift=(0.0, 1.0),
         t=(0.5 * (ends[0] + ends[1]), 0.5 * (ends[1] - ends[0])),

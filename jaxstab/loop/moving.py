@@ -139,7 +139,7 @@ def _extremes(region: WallRegion) -> Float64[np.ndarray, "2 field"]:
 def _moved(loop: LoopParameters, extremes: _Extreme) -> ManyLimits:
     """Return both extreme walls, with their derivatives by the numbers of the loop."""
     plant = loop.gamma, loop.delta, loop.delay / loop.sample_time
-    numbers = plant, Responses.of(given_filters(**loop.filters))
+    numbers = plant, Responses.from_filters(given_filters(**loop.filters))
     fixed = jax.lax.stop_gradient(numbers)
 
     def moved(extreme: _Extreme, axis: Array) -> Array:

@@ -21,8 +21,7 @@ from jaxstab.model import (
     require_x64,
 )
 from jaxstab.model.filters import Filter, Velocity
-from jaxstab.model.linear_loop import LinearLoop
-from jaxstab.model.polynomial import loop_polynomial
+from jaxstab.model.linear_loop import LinearLoop, loop_polynomial
 from jaxstab.numbers import checked_count
 
 # Broadcast grids of points in chunks of one shape, each point at the degree of p for its delay.
@@ -106,14 +105,14 @@ def over_grid(
     shape = np.broadcast_shapes(*(argument.shape for argument in arguments))
     degrees = np.broadcast_to(np.ceil(delay), shape)
     members = [np.flatnonzero(degrees == degree) for degree in np.unique(degrees)]
-    parts, results = [], []
-    for part, padded in (pair for some in members for pair in lists(some, CHUNK, fewest=MANY)):
+    chunks, results = [], []
+    for chunk, padded in (pair for same in members for pair in lists(same, CHUNK, fewest=MANY)):
         listed = looked_up(arguments, shape, padded)
         whole = kernel(polynomial(**by_name(*listed)))
-        parts.append(part)
-        results.append(tree_map(lambda array, count=part.size: array[:count], whole))
+        chunks.append(chunk)
+        results.append(tree_map(lambda array, count=chunk.size: array[:count], whole))
     xp = namespace(parameters)
-    return tree_map(lambda *arrays: xp.asarray(_scattered(parts, arrays, shape)), *results)
+    return tree_map(lambda *arrays: xp.asarray(_scattered(chunks, arrays, shape)), *results)
 
 
 def looked_up(
@@ -134,14 +133,14 @@ def looked_up(
 
 def _scattered(
     points: list[Int64[np.ndarray, "_"]],
-    parts: tuple[Any, ...],
+    results: tuple[Any, ...],
     shape: tuple[int, ...],
 ) -> np.ndarray:
-    longest = max((part.shape[1:] for part in parts), default=())
-    result = np.zeros((math.prod(shape), *longest), parts[0].dtype)
-    for index, part in zip(points, parts, strict=True):
-        missing = [(0, full - length) for full, length in zip(longest, part.shape[1:], strict=True)]
-        result[index] = np.pad(part, [(0, 0), *missing])
+    longest = max((values.shape[1:] for values in results), default=())
+    result = np.zeros((math.prod(shape), *longest), results[0].dtype)
+    for index, values in zip(points, results, strict=True):
+        missing = [(0, full - own) for full, own in zip(longest, values.shape[1:], strict=True)]
+        result[index] = np.pad(values, [(0, 0), *missing])
     return result.reshape((*shape, *longest))
 
 

@@ -1,10 +1,23 @@
 """Limits of alpha over columns: boxes of beta, gamma, delta and delay with known stable alphas.
 
-In a column the boundary is a few strips, each within an error of a plane over its parameters:
-the line of a root at 1, the parts of the curve (``enclosure``), and the line of a root at -1.
-Between two strips, and below and above them all, no root crosses the unit circle, so one certified
-verdict holds for the whole gap. The shape of the stable set may be arbitrary. Where strips meet, or
-more than one gap is stable, the alphas between them stay undecided.
+An atlas states for each column the alphas between which the loop is stable. In a column the walls
+with a root on the unit circle lie in a few strips of alpha, each within an error of a plane over
+the column's parameters: the line of a root at 1, the patches of the curve (``curve_patches``), and
+the line of a root at -1. Between two strips, and below and above them all, no root crosses the
+circle, so one certified verdict holds for the whole gap (lemma B8 of docs/proofs.md). It takes four
+steps:
+
+1. Patches that follow each other along the curve through a column form a run (``runs_of``).
+2. A plane is laid along each run (``surfaces``). Any plane is correct: the error of the strip is
+   the largest distance of the run's patches from it (``distances``).
+3. Strips that touch anywhere in the column are merged into one flat strip (``apart``,
+   ``above_line``), so that the others are in one order from below in the whole column.
+4. One wall of each gap gets a certified verdict (``_gap_verdicts``). If one gap is stable, the
+   strips beside it are the limits, planes with errors (``_limits``).
+
+The shape of the stable set may be arbitrary. Where strips meet, or more than one gap is stable, the
+alphas between them stay undecided. If the delay is an interval, planes get terms in its square and
+its products with the other variables, for the curve turns with the delay (lemma B16).
 """
 
 from collections.abc import Callable
@@ -59,8 +72,8 @@ class Columns:
         signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * count), axis=-1).reshape(-1, 1, count)
         return with_products(self.half[:, :count] * signs)
 
-    def some(self, which: np.ndarray) -> "Columns":
-        """Return some of the columns."""
+    def take(self, which: np.ndarray) -> "Columns":
+        """Return chosen columns."""
         return replace(self, centre=self.centre[which], half=self.half[which])
 
 
@@ -81,14 +94,14 @@ def columns_of(
     cells, boxes = beta.size - 1, hands.gamma.size
     middle, half = 0.5 * (beta[1:] + beta[:-1]), (0.5 + OVERLAP) * np.diff(beta)
     along_beta = np.tile(middle, boxes), np.tile(half, boxes)
-    of_hands = [np.repeat(part, cells) for part in hands]
+    of_hands = [np.repeat(values, cells) for values in hands]
     centre = np.stack([along_beta[0], *of_hands[:2]], axis=-1)
-    reach = np.stack([along_beta[1], *of_hands[2:]], axis=-1)
+    half_widths = np.stack([along_beta[1], *of_hands[2:]], axis=-1)
     if half_delay:
         widths = np.broadcast_to([half_delay, 0.5 * half_delay**2], (cells * boxes, 2))
-        reach = np.concatenate([reach, widths, half_delay * reach], axis=-1)
+        half_widths = np.concatenate([half_widths, widths, half_delay * half_widths], axis=-1)
         centre = np.concatenate([centre, np.zeros((cells * boxes, T + 2))], axis=-1)
-    return Columns(centre, reach, delay, half_delay)
+    return Columns(centre, half_widths, delay, half_delay)
 
 
 class Runs(NamedTuple):
@@ -96,7 +109,7 @@ class Runs(NamedTuple):
 
     patch: Int64[np.ndarray, " entry"]
     column: Int64[np.ndarray, " entry"]
-    number: Int64[np.ndarray, " entry"]  # of the run
+    run: Int64[np.ndarray, " entry"]  # its number
     start: Int64[np.ndarray, " run"]  # its first entry
 
 
@@ -105,16 +118,16 @@ def runs_of(patches: Patches, beta: Float64[np.ndarray, " edge"]) -> Runs:
     cells = beta.size - 1
     beyond = 2.0 * OVERLAP * np.max(np.diff(beta))
     low, high = patches.beta.low - beyond, patches.beta.high + beyond
-    first = np.searchsorted(beta[1:], np.where(np.isnan(low), -np.inf, low))
-    last = np.searchsorted(beta[:-1], np.where(np.isnan(high), np.inf, high), "right") - 1
-    counts = np.maximum(last - first + 1, 0)
+    start = np.searchsorted(beta[1:], np.where(np.isnan(low), -np.inf, low))
+    end = np.searchsorted(beta[:-1], np.where(np.isnan(high), np.inf, high), "right") - 1
+    counts = np.maximum(end - start + 1, 0)
     patch = np.repeat(np.arange(counts.size), counts)
     column = np.arange(patch.size) - np.repeat(np.cumsum(counts) - counts, counts)
-    column += (patches.box * cells + first)[patch]
+    column += (patches.box * cells + start)[patch]
     order = np.lexsort((patch, column))
     patch, column = patch[order], column[order]
     follows = (patch[1:] == patch[:-1] + 1) & (column[1:] == column[:-1])
-    follows &= patches.first[patch[1:]] == patches.last[patch[:-1]]
+    follows &= patches.start[patch[1:]] == patches.end[patch[:-1]]
     begins = np.append(True, ~follows)[: patch.size]
     return Runs(patch, column, np.cumsum(begins) - 1, np.flatnonzero(begins))
 
@@ -133,9 +146,7 @@ def distances(
         _distances_of(
             patches,
             columns,
-            runs._replace(
-                patch=runs.patch[block], column=runs.column[block], number=runs.number[block]
-            ),
+            runs._replace(patch=runs.patch[block], column=runs.column[block], run=runs.run[block]),
             middle,
             slope,
         )
@@ -159,9 +170,9 @@ def _distances_of(
     own, of_beta = alpha.slope[:, patch], gain.slope[:, patch]
     goal, rest, moved = _surface_in_patches(patches, columns, runs, slope)
     away = gain.centre[patch] - columns.centre[runs.column, 0]
-    above = alpha.centre[patch] - middle[runs.number] - moved
+    above = alpha.centre[patch] - middle[runs.run] - moved
     rest += alpha.rest[patch]
-    chosen = slope[runs.number, 0]
+    chosen = slope[runs.run, 0]
     low, high = np.full((2, patch.size), [[-np.inf], [np.inf]])
     for level in (None, _THETA, _T) if columns.half_delay else (None, _THETA):
         per_beta = chosen
@@ -200,22 +211,22 @@ def _surface_in_patches(
     goal = np.zeros_like(of_beta)
     moved = np.zeros(patch.size)
     if not columns.half_delay:
-        goal[_HANDS] = slope[runs.number, 1:].T
+        goal[_HANDS] = slope[runs.run, 1:].T
         return goal, moved.copy(), moved
-    terms = slope[runs.number].T
+    terms = slope[runs.run].T
     goal[_HANDS] = terms[1:T]
     goal[_T : _T + 2] = terms[T : SQUARE + 1]
     turn, most = terms[SQUARE + 1], columns.half_delay
-    first, last = _T + 2, 2 * _T + 2
-    goal[first + 1 : last] = terms[SQUARE + 2 :]
-    goal[first:last] += turn * of_beta[:_T]
+    start, end = _T + 2, 2 * _T + 2
+    goal[start + 1 : end] = terms[SQUARE + 2 :]
+    goal[start:end] += turn * of_beta[:_T]
     goal[_T] += turn * (gain.centre[patch] - columns.centre[runs.column, 0])
     goal[_T + 1] += turn * of_beta[_T]
     moved += turn * of_beta[_T] * half[_T + 1]
-    left = np.abs(of_beta[_T + 1]) * half[_T + 1] + gain.rest[patch]
-    left += np.sum(np.abs(of_beta[first:last]) * half[first:last], axis=0)
+    remainder = np.abs(of_beta[_T + 1]) * half[_T + 1] + gain.rest[patch]
+    remainder += np.sum(np.abs(of_beta[start:end]) * half[start:end], axis=0)
     with np.errstate(invalid="ignore"):
-        rest = np.where(turn == 0.0, 0.0, np.abs(turn) * most * left) * (1.0 + OVERLAP)
+        rest = np.where(turn == 0.0, 0.0, np.abs(turn) * most * remainder) * (1.0 + OVERLAP)
     return goal, rest + COSINES * np.abs(moved), moved
 
 
@@ -230,9 +241,9 @@ def _tilted_inside(
     gain, patch = patches.beta, runs.patch
     half, slope = gain.half[:, patch], gain.slope[:, patch]
     others = np.arange(len(slope)) != _T
-    reach = np.sum(np.abs(slope[others]) * half[others], axis=0)
+    swing = np.sum(np.abs(slope[others]) * half[others], axis=0)
     rate = slope[_T]
-    room = (columns.half[runs.column, 0] + reach + gain.rest[patch]) * (1.0 + OVERLAP)
+    room = (columns.half[runs.column, 0] + swing + gain.rest[patch]) * (1.0 + OVERLAP)
     away = gain.centre[patch] - columns.centre[runs.column, 0]
     most = half[_T]
     moves = np.abs(rate) * most > room
@@ -260,11 +271,11 @@ def surfaces(
     steep = np.abs(of_alpha[0]) * columns.half[column, 0] > height * np.abs(of_beta[0])
     per_theta = np.where(steep, 1.0, of_beta[0])
     per_beta = np.where(steep, 0.0, of_alpha[0] / per_theta)
-    left = of_alpha - per_beta * of_beta
-    slope = np.stack([per_beta, *left[_HANDS]], axis=-1)
+    tilt = of_alpha - per_beta * of_beta
+    slope = np.stack([per_beta, *tilt[_HANDS]], axis=-1)
     middle = _at_delay(patches.alpha, typical, columns, 0.0) - per_beta * away
     if half_delay:
-        by_theta, *by_hands = left[_T + 2 :]
+        by_theta, *by_hands = tilt[_T + 2 :]
         turn = np.where(steep, 0.0, by_theta / per_theta)
         turns = [turn, *(by_hands - turn * of_beta[_HANDS])]
         early, late = (
@@ -276,27 +287,27 @@ def surfaces(
         bend = (0.5 * (early + late) - middle) / half_delay**2
         slope = np.stack([*slope.T, rate, bend, *turns], axis=-1)
         middle += bend * columns.half[column, SQUARE]
-    known = np.isfinite(middle) & np.all(np.isfinite(slope), axis=1)
-    return np.where(known, middle, 0.0), np.where(known[:, None], slope, 0.0)
+    is_finite = np.isfinite(middle) & np.all(np.isfinite(slope), axis=1)
+    return np.where(is_finite, middle, 0.0), np.where(is_finite[:, None], slope, 0.0)
 
 
 def _in_the_middle(
     patches: Patches, columns: Columns, runs: Runs, t: float
 ) -> tuple[Int64[np.ndarray, " run"], Float64[np.ndarray, " run"]]:
-    """Return for each run its patch next to the middle of the column at a delay, and how far."""
+    """The patch of each run nearest to the middle of its column at a delay, and its distance."""
     away = _at_delay(patches.beta, runs.patch, columns, t) - columns.centre[runs.column, 0]
     away = np.where(np.isnan(away), np.inf, away)
     nearest = np.minimum.reduceat(np.abs(away), runs.start)
-    entry = np.flatnonzero(np.abs(away) == nearest[runs.number])[::-1]
+    entry = np.flatnonzero(np.abs(away) == nearest[runs.run])[::-1]
     chosen = np.zeros(runs.start.size, np.intp)
-    chosen[runs.number[entry]] = entry
+    chosen[runs.run[entry]] = entry
     return runs.patch[chosen], away[chosen]
 
 
 def _at_delay(
     gain: LinearModel, patch: Int64[np.ndarray, " entry"], columns: Columns, t: float
 ) -> Float64[np.ndarray, " entry"]:
-    """Return a gain in the middle of patches, at a delay that is so far from the middle."""
+    """A gain in the middle of patches, for a delay that is t from the middle of the interval."""
     value: np.ndarray = gain.centre[patch]
     if columns.half_delay:
         rate, bend = gain.slope[_T : _T + 2, patch]
@@ -314,7 +325,7 @@ def _at_delay(
 _PATCHES_PER_CELL = 2.0
 _PATCHES_PER_MOVING_CELL = 3.0  # of which the delay is an interval
 _PATCHES_PER_DOMAIN = 256.0  # along alpha
-_MARGIN = 0.1  # of the domain along alpha: a strip that leaves it leaves it for good
+_MARGIN = 0.1  # of the domain along alpha, by which strips are followed beyond it
 
 
 class Strips(NamedTuple):
@@ -384,8 +395,8 @@ def above_line(strips: Strips, columns: Columns) -> Strips:
     is_below = np.all(high < low[..., :1], axis=0)
     centre = np.where(is_below, np.nan, strips.centre)
     line, others = (
-        Strips(*(part[:, some] for part in strips._replace(centre=centre)))
-        for some in (slice(0, 1), slice(1, None))
+        Strips(*(values[:, chosen] for values in strips._replace(centre=centre)))
+        for chosen in (slice(0, 1), slice(1, None))
     )
     return joined([line, _merged(others, columns, high[..., :1])], 1)
 
@@ -419,12 +430,12 @@ def _line_strips(columns: Columns, hands: HandBoxes, domain: Domain, ends: Ends)
     per_gamma = -1.0 / ends.position_at_one
     at_one = np.zeros_like(columns.centre)
     at_one[:, 1] = per_gamma
-    lost_at_one = ends.lost * np.abs(per_gamma) * (gamma + columns.half[:, 1])
+    error_at_one = ends.error * np.abs(per_gamma) * (gamma + columns.half[:, 1])
     value, weight = minus_line_models(hands, columns.delay, columns.half_delay)
     line, per_beta, error = _minus_line(value, weight, columns, domain, ends)
     centre, *slope = (
-        np.where(np.isnan(error), np.nan, np.repeat(part, cells))
-        for part in (line.centre, *line.slope)
+        np.where(np.isnan(error), np.nan, np.repeat(values, cells))
+        for values in (line.centre, *line.slope)
     )
     if columns.half_delay:  # with the delay the line does not turn along beta
         slope.insert(SQUARE, np.zeros_like(beta))
@@ -432,7 +443,7 @@ def _line_strips(columns: Columns, hands: HandBoxes, domain: Domain, ends: Ends)
     return Strips(
         np.stack([per_gamma * gamma, centre + per_beta * beta], axis=-1),
         np.stack([at_one, at_minus_one], axis=1),
-        np.stack([lost_at_one, error], axis=-1),
+        np.stack([error_at_one, error], axis=-1),
         np.stack([np.zeros_like(gamma, bool), error == np.inf], axis=-1),
     )
 
@@ -450,21 +461,21 @@ def _minus_line(
     farthest = np.max(np.abs(domain.alpha)), np.max(np.abs(domain.beta))
     if per_alpha == 0.0:  # where a wall is on the line depends on its damping alone
         gains = np.abs(per_damping) * np.array([np.abs(beta) + half, half])
-        gains[0] *= 1.0 + ends.lost
+        gains[0] *= 1.0 + ends.error
         middle = np.repeat(value.centre, cells) - np.repeat(weight.centre, cells) * (
             per_damping * beta
         )
-        reach = np.repeat(value.swing, cells) + np.repeat(weight.swing, cells) * gains[0]
-        reach += np.repeat(np.abs(weight.centre), cells) * (gains[1] + ends.lost * gains[0])
-        off = np.abs(middle) > reach * (1.0 + ends.lost) + COSINES * np.abs(middle)
+        swing = np.repeat(value.swing, cells) + np.repeat(weight.swing, cells) * gains[0]
+        swing += np.repeat(np.abs(weight.centre), cells) * (gains[1] + ends.error * gains[0])
+        off = np.abs(middle) > swing * (1.0 + ends.error) + COSINES * np.abs(middle)
         return value * 0.0, 0.0, np.where(off, np.nan, np.inf)
-    lost = ends.lost * (np.abs(per_alpha) * farthest[0] + np.abs(per_damping) * farthest[1])
-    reach = np.abs(per_alpha) * farthest[0] + np.abs(per_damping) * farthest[1] + lost
-    off = (value.low > reach * weight.size) | (value.high < -reach * weight.size)
+    rounding = ends.error * (np.abs(per_alpha) * farthest[0] + np.abs(per_damping) * farthest[1])
+    largest = np.abs(per_alpha) * farthest[0] + np.abs(per_damping) * farthest[1] + rounding
+    off = (value.low > largest * weight.size) | (value.high < -largest * weight.size)
     line = value * weight.reciprocal()
     if per_alpha != 1.0:
         line = line * (1.0 / per_alpha)
-    error = np.where(off, np.nan, line.rest + lost / np.abs(per_alpha))
+    error = np.where(off, np.nan, line.rest + rounding / np.abs(per_alpha))
     return line, -per_damping / per_alpha, np.repeat(error, cells)
 
 
@@ -482,19 +493,19 @@ def _curve_strips(
 
     rank = np.arange(column.size) - np.searchsorted(column, column)
     strips = _no_strips(columns, int(rank.max()) + 1)
-    known = np.isfinite(low) & np.isfinite(high)
-    low, high = np.where(known, low, 0.0), np.where(known, high, 0.0)
-    strips.centre[column, rank] = np.where(known, middle, 0.0) + 0.5 * (low + high)
-    strips.slope[column, rank] = np.where(known[:, None], slope, 0.0)
-    strips.error[column, rank] = np.where(known, 0.5 * (high - low), np.inf)
+    is_finite = np.isfinite(low) & np.isfinite(high)
+    low, high = np.where(is_finite, low, 0.0), np.where(is_finite, high, 0.0)
+    strips.centre[column, rank] = np.where(is_finite, middle, 0.0) + 0.5 * (low + high)
+    strips.slope[column, rank] = np.where(is_finite[:, None], slope, 0.0)
+    strips.error[column, rank] = np.where(is_finite, 0.5 * (high - low), np.inf)
     may_turn = np.logical_or.reduceat(patches.may_turn[runs.patch], runs.start)
-    strips.folds[column, rank] = ~known | may_turn
+    strips.folds[column, rank] = ~is_finite | may_turn
     return strips
 
 
 def _no_strips(columns: Columns, count: int) -> Strips:
-    number, variables = columns.centre.shape
-    shape = (number, count)
+    rows, variables = columns.centre.shape
+    shape = (rows, count)
     nothing = np.full(shape, np.nan)
     return Strips(
         nothing, np.full((*shape, variables), np.nan), nothing.copy(), np.zeros(shape, bool)
@@ -510,8 +521,8 @@ def _merged(strips: Strips, columns: Columns, line: np.ndarray | float = -np.inf
         order = np.argsort(strips.centre, axis=1)
         slope = np.take_along_axis(strips.slope, order[..., None], 1)
         centre, error, folds = (
-            np.take_along_axis(part, order, 1)
-            for part in (strips.centre, strips.error, strips.folds)
+            np.take_along_axis(values, order, 1)
+            for values in (strips.centre, strips.error, strips.folds)
         )
         strips = Strips(centre, slope, error, folds)
         low, high = strips.ends(columns)
@@ -532,10 +543,10 @@ def _set_flat(
     strips: Strips, where: tuple[np.ndarray, int | np.ndarray], low: np.ndarray, high: np.ndarray
 ) -> None:
     """Put a strip between two alphas in place of another."""
-    known = np.isfinite(low) & np.isfinite(high)
-    low, high = np.where(known, low, 0.0), np.where(known, high, 0.0)
+    is_finite = np.isfinite(low) & np.isfinite(high)
+    low, high = np.where(is_finite, low, 0.0), np.where(is_finite, high, 0.0)
     strips.centre[where] = 0.5 * (low + high)
-    strips.error[where] = np.where(known, 0.5 * (high - low), np.inf)
+    strips.error[where] = np.where(is_finite, 0.5 * (high - low), np.inf)
     strips.slope[where] = 0.0
     strips.folds[where] = True
 
@@ -610,14 +621,14 @@ def stable_columns(
     columns = columns_of(beta, hands, delay, half_delay)
     strips = strips_of(beta, columns, hands, domain, filters)
     lower, upper = (np.empty((columns.centre.shape[0], len(TERMS))) for _ in range(2))
-    rest = np.arange(columns.centre.shape[0])
+    pending = np.arange(columns.centre.shape[0])
     for ordered in (above_line, apart) if holds_line(filters) else (apart,):
-        some, there = at(strips, rest), columns.some(rest)
-        some = _straight_where_partial(ordered, some, there, domain)
-        codes = _gap_verdicts(some, there, domain, filters)
-        lower[rest], upper[rest] = _limits(some, codes, there, domain)
-        rest = rest[upper[rest, -1] == np.inf]
-        if not rest.size:
+        chosen, there = at(strips, pending), columns.take(pending)
+        chosen = _straight_where_partial(ordered, chosen, there, domain)
+        codes = _gap_verdicts(chosen, there, domain, filters)
+        lower[pending], upper[pending] = _limits(chosen, codes, there, domain)
+        pending = pending[upper[pending, -1] == np.inf]
+        if not pending.size:
             break
     shape = (hands.gamma.size, beta.size - 1, len(TERMS))
     return StableColumns(lower.reshape(shape), upper.reshape(shape))
@@ -669,15 +680,15 @@ def _gap_verdicts(
     beta, gamma, delta = (columns.centre[column] + deviation)[:, :3].T
     codes = np.full(exists.shape, Verdict.NOT_COMPUTED, np.int8)
     resolve = "exact" if filters is None else None
-    some = np.empty(alpha.size, np.int8)
+    verdicts = np.empty(alpha.size, np.int8)
     shares = np.sign(deviation[:, T]) if columns.half_delay else np.zeros_like(alpha)
     for share in np.unique(shares).tolist():
         here = shares == share
         delay = columns.delay + share * _INSIDE * columns.half_delay
         walls = alpha[here], beta[here], np.maximum(gamma[here], 0.0), np.maximum(delta[here], 0.0)
-        some[here] = verdict(**by_name(*walls, delay), resolve=resolve, **as_keywords(filters))
-    codes[exists] = some
-    codes[(codes == Verdict.NOT_COMPUTED) & _may_be(strips, columns, domain)] = Verdict.UNDECIDED
+        verdicts[here] = verdict(**by_name(*walls, delay), resolve=resolve, **as_keywords(filters))
+    codes[exists] = verdicts
+    codes[(codes == Verdict.NOT_COMPUTED) & _meets(strips, columns, domain)] = Verdict.UNDECIDED
     low, high = strips.ends(columns)
     crosses = np.any(low[..., 1:] <= high[..., :1], axis=0)
     codes[:, 2:][crosses & (codes[:, 2:] == Verdict.STABLE)] = (
@@ -686,22 +697,22 @@ def _gap_verdicts(
     return codes
 
 
-def _may_be(strips: Strips, columns: Columns, domain: Domain) -> Bool[np.ndarray, "column gap"]:
-    """Say which gaps may reach into a domain somewhere in their columns."""
+def _meets(strips: Strips, columns: Columns, domain: Domain) -> Bool[np.ndarray, "column gap"]:
+    """Say which gaps may meet a domain somewhere in their columns."""
     begins, ends = _gaps(*strips.ends(columns), _EVERYWHERE)
-    reach: np.ndarray = np.any(begins < ends, axis=0)
-    reach &= np.any(ends > domain.alpha[0], axis=0) & np.any(begins < domain.alpha[1], axis=0)
-    return reach
+    meets: np.ndarray = np.any(begins < ends, axis=0)
+    meets &= np.any(ends > domain.alpha[0], axis=0) & np.any(begins < domain.alpha[1], axis=0)
+    return meets
 
 
 def _straight_where_partial(
     ordered: Callable[[Strips, Columns], Strips], strips: Strips, columns: Columns, domain: Domain
 ) -> Strips:
-    """Order strips, straight ones in columns that hold a part of a gap alone."""
-    first = ordered(strips, columns)
+    """Order strips, straightened in the columns that some gap does not span."""
+    whole = ordered(strips, columns)
     if not columns.half_delay:
-        return first
-    begins, ends = _gaps(*first.ends(columns), widened(domain))
+        return whole
+    begins, ends = _gaps(*whole.ends(columns), widened(domain))
     exists = begins < ends
     partial = np.any(np.any(exists, axis=0) & ~np.all(exists, axis=0), axis=1)
     straight = strips.straightened(columns)
@@ -718,11 +729,11 @@ def _straight_where_partial(
 def _gaps(
     low: Float64[np.ndarray, "*column strip"],
     high: Float64[np.ndarray, "*column strip"],
-    of: Domain,
+    domain: Domain,
 ) -> tuple[Float64[np.ndarray, "*column gap"], Float64[np.ndarray, "*column gap"]]:
     """Return the ends of gaps; NaN where a column has fewer."""
     *shape, _ = low.shape
-    lowest, highest = (np.full((*shape, 1), end) for end in of.alpha)
+    lowest, highest = (np.full((*shape, 1), end) for end in domain.alpha)
     begins = np.concatenate([lowest, np.maximum(high, high[..., :1])], axis=-1)
     ends = np.concatenate([low, np.full_like(highest, np.nan)], axis=-1)
     ends = np.where(np.isnan(ends) & ~np.isnan(begins), highest, ends)
@@ -744,32 +755,32 @@ def _limits(
     they are infinite.
     """
     is_stable = codes == Verdict.STABLE
-    first, count = np.argmax(is_stable, axis=1), is_stable.sum(axis=1)
-    last = is_stable.shape[1] - 1 - np.argmax(is_stable[:, ::-1], axis=1)
+    lowest, count = np.argmax(is_stable, axis=1), is_stable.sum(axis=1)
+    highest = is_stable.shape[1] - 1 - np.argmax(is_stable[:, ::-1], axis=1)
     low, high = strips.ends(columns)
     is_seen = np.any((high >= requested.alpha[0]) & (low <= requested.alpha[1]), axis=0)
     # Strips between unstable gaps that do not fold hide no stable alphas.
     between_unstable = (codes[:, :-1] == Verdict.UNSTABLE) & (codes[:, 1:] == Verdict.UNSTABLE)
     hiding = is_seen & (strips.folds | ~between_unstable)
-    number = np.arange(strips.centre.shape[1])
-    beside = (number == first[:, None]) | (number == first[:, None] - 1)
+    index = np.arange(strips.centre.shape[1])
+    beside = (index == lowest[:, None]) | (index == lowest[:, None] - 1)
     hiding &= ~((count == 1)[:, None] & beside)
     hides = hiding.any(axis=1) | (count > 1)
-    spanned = (number >= first[:, None] - 1) & (number <= last[:, None]) & (count > 0)[:, None]
-    some = (spanned | hiding) & hides[:, None]
-    low = np.min(low, axis=(0, 2), where=some, initial=np.inf)
-    high = np.max(high, axis=(0, 2), where=some, initial=-np.inf)
-    is_open = (count > 0) & ((first == 0) | np.isnan(_of_strip(strips.centre, last)))
-    lost = np.any(codes == Verdict.UNDECIDED, axis=1) | np.any(strips.error == np.inf, axis=1)
-    lost |= hides & is_open
-    low, high = (np.where(hides & ~lost, end, 0.0) for end in (low, high))
+    spanned = (index >= lowest[:, None] - 1) & (index <= highest[:, None]) & (count > 0)[:, None]
+    merged = (spanned | hiding) & hides[:, None]
+    low = np.min(low, axis=(0, 2), where=merged, initial=np.inf)
+    high = np.max(high, axis=(0, 2), where=merged, initial=-np.inf)
+    is_open = (count > 0) & ((lowest == 0) | np.isnan(_of_strip(strips.centre, highest)))
+    is_unknown = np.any(codes == Verdict.UNDECIDED, axis=1) | np.any(strips.error == np.inf, axis=1)
+    is_unknown |= hides & is_open
+    low, high = (np.where(hides & ~is_unknown, end, 0.0) for end in (low, high))
     variables = columns.centre.shape[1]
     span = _flat(0.5 * (low + high), 0.5 * (high - low), variables)
     unknown = _flat(np.zeros_like(low), np.full_like(low, np.inf), variables)
     limits = []
-    for strip, outermost in ((first - 1, -np.inf), (first, np.inf)):
+    for strip, outermost in ((lowest - 1, -np.inf), (lowest, np.inf)):
         limit = _ends_at(strips, strip, outermost, count > 0)
-        limit = limit.replaced(hides, span).replaced(lost, unknown)
+        limit = limit.replaced(hides, span).replaced(is_unknown, unknown)
         limits.append(_planes(limit, columns))
     return limits[0], limits[1]
 
@@ -804,19 +815,19 @@ def _ends_at(
     is_known: Bool[np.ndarray, " column"],
 ) -> _Limits:
     """Return one strip of each column, infinite where there is none or nothing is stable."""
-    centre, slope, error = (_of_strip(part, strip) for part in strips[:3])
+    centre, slope, error = (_of_strip(values, strip) for values in strips[:3])
     open_end = np.isnan(centre) | ~is_known
     centre = np.where(open_end, np.where(is_known, outermost, np.inf), centre)
     slope, error = np.where(open_end[:, None], 0.0, slope), np.where(open_end, 0.0, error)
     return _Limits(centre, slope, error)
 
 
-def _of_strip(part: np.ndarray, strip: Int64[np.ndarray, " column"]) -> np.ndarray:
+def _of_strip(values: np.ndarray, strip: Int64[np.ndarray, " column"]) -> np.ndarray:
     """Return the limits by one strip of each column; NaN where there is no such strip."""
-    count = part.shape[1]
-    some = part[np.arange(strip.size), np.clip(strip, 0, count - 1)]
+    count = values.shape[1]
+    chosen = values[np.arange(strip.size), np.clip(strip, 0, count - 1)]
     outside = (strip < 0) | (strip >= count)
-    value: np.ndarray = np.where(outside.reshape(-1, *[1] * (some.ndim - 1)), np.nan, some)
+    value: np.ndarray = np.where(outside.reshape(-1, *[1] * (chosen.ndim - 1)), np.nan, chosen)
     return value
 
 
@@ -828,15 +839,15 @@ def _planes(limits: _Limits, columns: Columns) -> Planes:
     of_delay = np.zeros((constant.size, len(TERMS) - 1 - T - 1))
     plane = slope[:, :T]
     if columns.half_delay:
-        # t = d - d0 in rate t + bend (t^2 - half) + turns t (x - x0), where centres are 0
-        middle, known = columns.delay, columns.centre[:, :T]
+        # t = d - d0 in rate t + bend (t^2 - half) + turns t (x - x0), with the other centres 0
+        middle, x0 = columns.delay, columns.centre[:, :T]
         rate, bend, turns = slope[:, T], slope[:, SQUARE], slope[:, SQUARE + 1 :]
-        level = np.sum(turns * known, axis=1)
+        level = np.sum(turns * x0, axis=1)
         constant += (level - rate) * middle + bend * (middle**2 - columns.half[:, SQUARE])
         plane = plane - turns * middle
         of_delay = np.column_stack([rate - 2.0 * middle * bend - level, bend, turns])
         latest = middle + columns.half_delay
         size += 4.0 * (np.abs(rate) + 2.0 * latest * np.abs(bend)) * latest
-        size += 8.0 * latest * np.sum(np.abs(turns) * (np.abs(known) + columns.half[:, :T]), axis=1)
+        size += 8.0 * latest * np.sum(np.abs(turns) * (np.abs(x0) + columns.half[:, :T]), axis=1)
     error = error + PLANES * np.where(np.isfinite(size), size, 0.0)
     return np.column_stack([constant, plane, of_delay, error])

@@ -1,12 +1,20 @@
 """The boundary over boxes of (gamma, delta), enclosed: where roots can lie on the unit circle.
 
-The closed form (``curve``), evaluated in linear models of theta, gamma and delta, gives patches of
-the curve with a proved error. Patches that meet a domain of (alpha, beta) are halved in theta until
-they are short. With h = 1 - cos(theta) and the line of a root at 1 written explicitly,
+The closed form (``region.curve``), evaluated in linear models of theta, gamma, delta and perhaps
+the delay, gives patches of the curve with a proved error: as N alpha + N (1 - 1/z) beta = -z^m D on
+the circle is two real equations, alpha and beta are quotients of real functions over |N|^2. With
+h = 1 - cos(theta) and the line of a root at 1 written explicitly,
 
     alpha = -gamma + h lift,
 
-so that curve and line stay apart wherever h does.
+so that curve and line stay apart wherever h does. With filters alpha and beta are a linear map of
+those without, whose determinant takes part in the divisor (lemma B12 of docs/proofs.md).
+
+Patches start at equal steps, finer next to theta = 0, and are halved until theta moves them by less
+than a width, or until halving no longer helps. A patch is dropped when it is proved to be outside
+of the domain of gains: by its own bounds; by those of the gains times the divisor, which may
+vanish; by the line of a root at 1; or because |alpha P N| + |beta V N| < |D|, so that no wall of
+the domain can hold a root. What is dropped holds no wall of the domain with a root at these angles.
 """
 
 from collections.abc import Callable
@@ -41,31 +49,31 @@ class Intervals(NamedTuple):
     """Intervals of theta, each for a box of hands."""
 
     box: Box
-    first: Patch
-    last: Patch
+    start: Patch
+    end: Patch
 
     def parts(self, halvings: Box) -> tuple[Box, "Intervals"]:
-        """Return the equal parts after so many halvings, but none for 0, and whose part each is."""
+        """Equal parts of intervals after their halvings (none for 0), and the interval of each."""
         count = np.where(halvings > 0, 1 << halvings, 0)
         owner = np.repeat(np.arange(count.size), count)
-        number = np.arange(owner.size) - np.repeat(np.cumsum(count) - count, count)
+        index = np.arange(owner.size) - np.repeat(np.cumsum(count) - count, count)
         whole, counts = at(self, owner), count[owner]
 
-        def edge(number: Box) -> Patch:  # neighbours have the same one
-            inside = whole.first + (whole.last - whole.first) * (number / counts)
-            return np.where(number == counts, whole.last, inside)
+        def edge(index: Box) -> Patch:  # neighbours have the same one
+            inside = whole.start + (whole.end - whole.start) * (index / counts)
+            return np.where(index == counts, whole.end, inside)
 
-        return owner, Intervals(whole.box, edge(number), edge(number + 1))
+        return owner, Intervals(whole.box, edge(index), edge(index + 1))
 
 
 _FIRST_PATCHES = 64
 _PER_TURN = 8  # of z^(delay + 1)
 _MOST_HALVINGS = 10
-_AT_ONCE = 4  # of them: where most of a patch is outside, its parts are better looked at before
+_AT_ONCE = 4  # of them: parts that are outside are dropped before they are halved on
 _BLOCK = 2**13  # intervals whose models are in memory at once
-_TOLERATED = 8.0  # widths of what is not known of a patch, if halving it helps
-_CLEAR = 0.25  # of what the gains are divided by: how far from 0 it is
-_HELPS = 0.5  # times what was not known of the whole
+_TOLERATED = 8.0  # times the width: patches with a larger rest are halved, if that helps
+_CLEAR = 0.25  # of the divisor of the gains: if its swing is larger, a pole may be near
+_HELPS = 0.5  # of the rest before the last halvings: a larger one shows that they did not help
 
 Model = TypeVar("Model", LinearModel, Moving)
 
@@ -85,27 +93,27 @@ class Patches(NamedTuple):
     """
 
     box: Box
-    first: Patch  # theta
-    last: Patch
+    start: Patch  # of theta
+    end: Patch
     alpha: LinearModel
     beta: LinearModel
     may_turn: Bool[np.ndarray, " patch"]  # for one hand, beta is not proved monotonic in theta
 
-    def some(self, which: Bool[np.ndarray, " patch"] | Int64[np.ndarray, " some"]) -> "Patches":
+    def take(self, which: Bool[np.ndarray, " patch"] | Int64[np.ndarray, " chosen"]) -> "Patches":
         """Return chosen patches."""
-        box, first, last, may_turn = (
-            part[which] for part in (self.box, self.first, self.last, self.may_turn)
+        box, start, end, may_turn = (
+            values[which] for values in (self.box, self.start, self.end, self.may_turn)
         )
-        return Patches(box, first, last, self.alpha.some(which), self.beta.some(which), may_turn)
+        return Patches(box, start, end, self.alpha.take(which), self.beta.take(which), may_turn)
 
     @staticmethod
     def joined(parts: "list[Patches]") -> "Patches":
         """Return all patches of some lists, in order."""
         *intervals, alphas, betas, may_turn = zip(*parts, strict=True)
-        box, first, last = map(np.concatenate, intervals)
+        box, start, end = map(np.concatenate, intervals)
         alpha, beta = (LinearModel.joined(list(models)) for models in (alphas, betas))
-        every = Patches(box, first, last, alpha, beta, np.concatenate(may_turn))
-        return every.some(np.lexsort((first, box)))
+        every = Patches(box, start, end, alpha, beta, np.concatenate(may_turn))
+        return every.take(np.lexsort((start, box)))
 
 
 def curve_patches(
@@ -122,7 +130,7 @@ def curve_patches(
     Patches are halved until theta moves alpha and beta by no more than ``width``. ``half_delay`` is
     the largest distance of the delay from this one, between whole samples.
     """
-    parts = CurveParts.of(plant_models(hands, delay, half_delay))
+    parts = CurveParts.from_plant(plant_models(hands, delay, half_delay))
     turns = int(np.floor(delay)) + 1
     count = max(_FIRST_PATCHES, _PER_TURN * (turns + _order_of(filters)))
     angles = pi * (np.arange(count + 1) / count) ** 1.5
@@ -131,24 +139,24 @@ def curve_patches(
         np.repeat(boxes, count), np.tile(angles[:-1], boxes.size), np.tile(angles[1:], boxes.size)
     )
     curve_of = partial(_curve, parts, turns, filters)
-    left = np.full(intervals.box.size, _MOST_HALVINGS)
+    remaining = np.full(intervals.box.size, _MOST_HALVINGS)
     rests = np.full((2, intervals.box.size), np.inf)  # of what the intervals are parts of
-    found: list[Patches] = []
-    while intervals.box.size or not found:
-        halvings = np.zeros_like(left)
+    patches: list[Patches] = []
+    while intervals.box.size or not patches:
+        halvings = np.zeros_like(remaining)
         for start in range(0, max(intervals.box.size, 1), _BLOCK):
             block = slice(start, start + _BLOCK)
-            some = at(intervals, block)
-            curve = curve_of(some)
-            most = np.minimum(left[block], _AT_ONCE)
+            chunk = at(intervals, block)
+            curve = curve_of(chunk)
+            most = np.minimum(remaining[block], _AT_ONCE)
             wanted = np.minimum(curve.halvings(width, rests[:, block]), most)
             is_inside = ~curve.is_outside(domain)
-            found.append(curve.patches(some).some(is_inside & (wanted == 0)))
+            patches.append(curve.patches(chunk).take(is_inside & (wanted == 0)))
             halvings[block] = np.where(is_inside, wanted, 0)
             rests[:, block] = curve.rests
         whole, intervals = intervals.parts(halvings)
-        rests, left = rests[:, whole], (left - halvings)[whole]
-    return _with_unknown_joined(Patches.joined(found), angles, curve_of)
+        rests, remaining = rests[:, whole], (remaining - halvings)[whole]
+    return _with_unknown_joined(Patches.joined(patches), angles, curve_of)
 
 
 def _with_unknown_joined(
@@ -156,18 +164,18 @@ def _with_unknown_joined(
     angles: Float64[np.ndarray, " angle"],
     curve_of: Callable[["Intervals"], "_Curve"],
 ) -> Patches:
-    """Join neighbours between two angles of which nothing is known: they say no more apart."""
-    box, first, last = patches[:3]
+    """Join neighbours without bounds between two angles: apart they say no more."""
+    box, start, end = patches[:3]
     is_known = np.all(np.isfinite([patches.alpha.rest, patches.beta.rest]), axis=0)
-    between = np.searchsorted(angles, first, side="right")
-    follows = ~(is_known[1:] | is_known[:-1]) & (first[1:] == last[:-1])
+    between = np.searchsorted(angles, start, side="right")
+    follows = ~(is_known[1:] | is_known[:-1]) & (start[1:] == end[:-1])
     follows &= (box[1:] == box[:-1]) & (between[1:] == between[:-1])
     if not follows.any():
         return patches
     follows_one, has_one_behind = np.append(False, follows), np.append(follows, False)
     begins, ends = has_one_behind & ~follows_one, follows_one & ~has_one_behind
-    wide = Intervals(box[begins], first[begins], last[ends])
-    alone = patches.some(~(follows_one | has_one_behind))
+    wide = Intervals(box[begins], start[begins], end[ends])
+    alone = patches.take(~(follows_one | has_one_behind))
     return Patches.joined([alone, curve_of(wide).patches(wide)])
 
 
@@ -184,7 +192,7 @@ def minus_line_models(
 
 
 def _order_of(filters: Filters | None) -> int:
-    """Return how many samples back filters reach at most, or how many poles they have."""
+    """Return the largest order of the filters: samples that they look back, or poles."""
     if filters is None:
         return 0
     return max(filters[0].filter.transfer().order, filters[1].transfer().order)
@@ -207,11 +215,11 @@ class _Curve(NamedTuple):
 
     @property
     def rests(self) -> Float64[np.ndarray, "2 patch"]:
-        """The bounds of what the models leave unknown of alpha and beta."""
+        """The rests of alpha and beta."""
         return np.stack([self.alpha.rest, self.beta.value.rest])
 
     def patches(self, intervals: Intervals) -> Patches:
-        """Return what is kept of the curve over these intervals."""
+        """Return the patches of the curve over these intervals."""
         rate = self.beta.rate
         may_turn = ~((rate.low > 0.0) | (rate.high < 0.0))
         return Patches(*intervals, self.alpha, self.beta.value, may_turn)
@@ -258,31 +266,31 @@ def _curve(
     of_boxes: CurveParts, turns: int, filters: Filters | None, intervals: Intervals
 ) -> _Curve:
     """Evaluate the closed form, as in ``jaxstab.region.curve`` for radius 1."""
-    first, last = intervals.first, intervals.last
-    theta, half_theta = 0.5 * (first + last), 0.5 * (last - first) * (1.0 + COSINES)
+    start, end = intervals.start, intervals.end
+    theta, half_theta = 0.5 * (start + end), 0.5 * (end - start) * (1.0 + COSINES)
     plant = of_boxes.over_patches(intervals.box, half_theta)
     waves = _waves(theta, turns, plant.gamma.half)
     eps, nu = plant.eps, plant.nu
-    h, rest = waves.h, 2.0 - waves.h
+    h, mirror_h = waves.h, 2.0 - waves.h  # of theta, and of pi - theta
     d, q = h * -plant.kappa + plant.gamma_sum, h * -plant.sigma + plant.sum
-    sine_square = h * rest
+    sine_square = h * mirror_h
     real, slope = d * q + sine_square * plant.eps_nu, q * eps - d * nu
     square = q * q + sine_square * plant.nu_square
     square_beta = -(waves.sine_ratio * real + waves.cos_turns * slope)
     sizes = _least(d.value), np.sin(theta) * _least(eps), np.sqrt(square.value.high)
     forces = _forces(filters, theta, half_theta, sizes)
 
-    moving = q, rest, real, slope, waves.sine_ratio, waves.lag_ratio
+    moving = q, mirror_h, real, slope, waves.sine_ratio, waves.lag_ratio
 
-    def rise(q: Model, rest: Model, real: Model, slope: Model, sine: Model, lag: Model) -> Model:
-        return q * plant.by_q + rest * (sine * slope + plant.by_rest) + lag * real
+    def rise(q: Model, mirror: Model, real: Model, slope: Model, sine: Model, lag: Model) -> Model:
+        return q * plant.by_q + mirror * (sine * slope + plant.by_mirror_h) + lag * real
 
     if filters is not None:
         plain = _Plain(h, plant.gamma, square, square_beta, rise(*moving) - square_beta)
         return _filtered(plain, theta, filters, forces)
     over_square = square.reciprocal()
     beta = square_beta * over_square
-    lift = over_square.value * rise(*(part.value for part in moving)) - beta.value
+    lift = over_square.value * rise(*(model.value for model in moving)) - beta.value
     alpha = h.value * lift - plant.gamma
     return _Curve(alpha, beta, (square_beta.value,), square.value, lift, forces)
 
@@ -322,7 +330,7 @@ def _filtered(
 def _alpha_and_lift(
     parts: list[LinearModel], gamma: LinearModel, over_one: float
 ) -> tuple[LinearModel, LinearModel]:
-    """Return both of the curve with filters, times the determinant and |N|^2."""
+    """Return alpha and lift of the curve with filters, times the determinant and |N|^2."""
     p_rise, p_slope, v_rise, v_slope, h, square, square_alpha, square_beta, square_lift = parts
     alpha = v_slope * square_alpha - h * (v_rise * square_beta)
     tilt = (v_slope * p_rise - p_slope * v_rise) * (square * gamma)
@@ -338,9 +346,9 @@ def _forces(
         most = np.stack([np.ones_like(theta), 2.0 * np.sin(0.5 * theta) + half])
     else:
         cells = filter_cells(filters)
-        values, _, lost = responses(cells, theta)
+        values, _, errors = responses(cells, theta)
         steep = largest_within(cells.steepness, cells, theta, half)
-        most = np.abs(values) + lost[:2] + half * steep[:2]
+        most = np.abs(values) + errors[:2] + half * steep[:2]
     most = most * (1.0 + COSINES)
     least = np.hypot(real, np.maximum(imaginary - 2.0 * half, 0.0))  # |eps| <= 1
     return np.stack([*(most * numerator), least])
@@ -387,10 +395,10 @@ def _cosines(
     cosine, sine = np.cos(phase), np.sin(phase)
     value, slope, bend = cosine @ factor, sine @ (factor * order), cosine @ (factor * order**2)
     bends = [float(np.sum(np.abs(factor) * np.abs(order) ** k)) for k in range(4)]
-    lost = pi * (bends[0] + bends[1] + bends[2])
+    rounding = pi * (bends[0] + bends[1] + bends[2])
     return Moving(
-        _of_theta(value, -slope, bends[2], lost, half),
-        _of_theta(-slope, -bend, bends[3], lost, half),
+        _of_theta(value, -slope, bends[2], rounding, half),
+        _of_theta(-slope, -bend, bends[3], rounding, half),
     )
 
 

@@ -126,16 +126,16 @@ class HeldDevice(NamedTuple):
 
     @property
     def is_passive(self) -> bool:
-        """Whether device and arm, without actuators, give no energy."""
+        """Whether device and arm, without actuators, are passive."""
         return all(moved > 0.0 for _, _, moved in self.modes)
 
     def _vibrations(self, s: Function) -> tuple[Function, Function]:
         """Return numerator and denominator of the sum of the modes' displacements over force."""
         give, whole = 0.0, 1.0
         for frequency, damping_ratio, moved in self.modes:
-            part = s * (1.0 / frequency)
-            one = part * (part + 2.0 * damping_ratio) + 1.0
-            give, whole = one * give + whole * (1.0 / (moved * frequency**2)), one * whole
+            ratio = s * (1.0 / frequency)
+            below = ratio * (ratio + 2.0 * damping_ratio) + 1.0
+            give, whole = below * give + whole * (1.0 / (moved * frequency**2)), below * whole
         return give, whole
 
     def response(
@@ -147,7 +147,7 @@ class HeldDevice(NamedTuple):
     ) -> Complex128[np.ndarray, "delay arm angle"]:
         """Sampled position over force on the unit circle, to about 1e-3 (lemma B20)."""
         turns = theta + 2.0 * pi * np.arange(-_ALIASES, _ALIASES + 1)[:, None]
-        arms = Arms(*(np.reshape(part, (-1, 1, 1)) for part in arm))
+        arms = Arms(*(np.reshape(values, (-1, 1, 1)) for values in arm))
         above, below = self.parts(1j * turns, mass, arms)
         terms = above / below * (2.0 * np.sin(0.5 * theta) / turns)
         phases = np.exp(-1j * (turns * delay[:, None, None] + 0.5 * theta))
@@ -179,7 +179,7 @@ class HeldDevice(NamedTuple):
         return 1.0 / (clear * weaker) if is_known else inf
 
     def _bodies(self, mass: float, beyond: float) -> list[tuple[float, float, float]]:
-        """Return masses that move, and how much damper and spring do beside them at most."""
+        """Return moving masses, each with bounds of its damping and spring forces over inertia."""
         own = mass, self.damping / (mass * beyond), self.stiffness / (mass * beyond**2)
         ratios = [frequency / beyond for frequency, _, _ in self.modes]
         return [own] + [
@@ -198,12 +198,10 @@ def with_parts(device: Device, mass: float, arm: Arms) -> Device:
 
 def _body_of(device: Device) -> MassSpringDamper | Modes:
     body, hands = device.mechanism, device.hands
-    known = isinstance(body, MassSpringDamper) or (
-        isinstance(body, Modes) and body.mass is not None
-    )
-    known &= len(hands) <= 1 and all(isinstance(hand.dynamics, MassSpringDamper) for hand in hands)
-    known &= all(hand.grip is None or hand.grip.stiffness > 0.0 for hand in hands)
-    if not known or not isinstance(body, MassSpringDamper | Modes):
+    fits = isinstance(body, MassSpringDamper) or (isinstance(body, Modes) and body.mass is not None)
+    fits &= len(hands) <= 1 and all(isinstance(hand.dynamics, MassSpringDamper) for hand in hands)
+    fits &= all(hand.grip is None or hand.grip.stiffness > 0.0 for hand in hands)
+    if not fits or not isinstance(body, MassSpringDamper | Modes):
         raise NotImplementedError(
             "a guard is proved for a mass with vibration modes, actuators and one hand of mass, "
             f"spring and damper, behind a grip with a spring or rigidly attached; this is {device}."
@@ -218,7 +216,7 @@ Boxes = Float64[np.ndarray, "axis box"]
 NAMES = "mass", "delay", "damping", "hand_mass", "hand_stiffness", "hand_damping", "theta"
 AXES = len(NAMES)
 _HAND = slice(3, 6)
-BEYOND = 1e-9  # of the angles and of a hand: boxes go so far beyond
+BEYOND = 1e-9  # boxes extend the angles and a hand's values by this share
 _ANY_WAY = 0.05  # of how far an axis moves g: halving it may help in another direction
 
 
@@ -238,17 +236,17 @@ def parted(none: LinearModel, most: LinearModel) -> tuple[Bool[np.ndarray, " box
     shares = np.zeros(none.slope.shape)
     for normal in normals:
         normal = normal / np.maximum(np.abs(normal), 1e-300)
-        far = [np.real(normal.conj() * one.centre) for one in (none, most)]
+        far = [np.real(normal.conj() * model.centre) for model in (none, most)]
         side = np.where(far[0] + far[1] < 0.0, -1.0, 1.0)
-        moves = [np.abs(np.real(normal.conj() * one.slope)) for one in (none, most)]
+        moves = [np.abs(np.real(normal.conj() * model.slope)) for model in (none, most)]
         distances = [
-            side * one_far - one_moves.sum(axis=0) - one.rest
-            for one, one_far, one_moves in zip((none, most), far, moves, strict=True)
+            side * distance - by.sum(axis=0) - model.rest
+            for model, distance, by in zip((none, most), far, moves, strict=True)
         ]
         nearest = np.minimum(*distances)
         better = nearest > clear
         clear = np.where(better, nearest, clear)
-        parts = [taken(one, by) for one, by in zip((none, most), moves, strict=True)]
+        parts = [taken(model, by) for model, by in zip((none, most), moves, strict=True)]
         shares = np.where(better, np.where(distances[0] < distances[1], *parts), shares)
     return clear > 0.0, shares + _ANY_WAY * np.abs(most.slope)
 
@@ -275,7 +273,7 @@ _AT_ONCE = 2048
 _FAST = 1.0  # up to this angle all aliases are small
 _FEWEST, _MOST = 2, 32  # aliases on either side that are followed, beyond that angle
 _LAST = pi * (1.0 + 2.0 * BEYOND)  # no angle is larger
-_FAR = 2.0  # times how far it moves: a value that is far from 0
+_FAR = 2.0  # times its swing: a larger value is far from 0
 _ROUNDED_UP = 1.0 + 1e-9
 _ROUNDING = 1e-14  # of a number
 
@@ -353,11 +351,11 @@ class DeviceBoxes:
         self._extent, self._first_row = extent, first_row
         filters = known_filters(**loop.filters)
         self._cells = None if filters is None else filter_cells(filters)
-        resting = self._filters(_known(np.zeros(1)))[0].value
+        resting = self._filters(_constant(np.zeros(1)))[0].value
         self._passes_rest = bool(resting.centre.real[0] > resting.rest[0])  # P(1) > 0
-        units = self._period**2, self._period
+        arm = arm[0] * self._period**2, arm[1] * self._period
         self._slow, self._fast = (
-            _Aliases.of(self._device, mass, (arm[0] * units[0], arm[1] * units[1]), fewest, last)
+            _Aliases.from_device(self._device, mass, arm, fewest, last)
             for fewest, last in ((0, _FAST), (_FEWEST, _LAST))
         )
 
@@ -368,10 +366,10 @@ class DeviceBoxes:
         free, shares = np.zeros(is_fast.shape, bool), np.zeros(center.shape)
         for aliases, which in ((self._slow, ~is_fast), (self._fast, is_fast)):
             boxes = np.flatnonzero(which)
-            for first in range(0, boxes.size, _AT_ONCE):
-                some = boxes[first : first + _AT_ONCE]
-                parts = self.over(center[:, some], half[:, some], aliases)
-                free[some], shares[:, some] = parted(*parts)
+            for start in range(0, boxes.size, _AT_ONCE):
+                chunk = boxes[start : start + _AT_ONCE]
+                parts = self.over(center[:, chunk], half[:, chunk], aliases)
+                free[chunk], shares[:, chunk] = parted(*parts)
         is_near = (center[_THETA] <= half[_THETA]) & ~is_fast & self._passes_rest
         begins = self._begin_without_wall(center) & ~is_fast
         for among, method in (
@@ -379,12 +377,12 @@ class DeviceBoxes:
             (is_near & begins, self._grow_slowly),
             (begins & (center[_THETA] > half[_THETA]), self._grow),
         ):
-            some = np.flatnonzero(among & ~free)
-            if some.size:
-                clear, taken_there = method(center[:, some], half[:, some])
-                free[some] = clear
+            chosen = np.flatnonzero(among & ~free)
+            if chosen.size:
+                clear, taken_there = method(center[:, chosen], half[:, chosen])
+                free[chosen] = clear
                 hopeful = taken_there.any(axis=0)
-                shares[:, some[hopeful]] = taken_there[:, hopeful]
+                shares[:, chosen[hopeful]] = taken_there[:, hopeful]
         return free, shares
 
     def over(
@@ -425,25 +423,25 @@ class DeviceBoxes:
         return self._first_row.holds(center)
 
     def _grow(self, center: Boxes, half: Boxes) -> tuple[Bool[np.ndarray, " box"], Boxes]:
-        """Say in which boxes of a first row all walls take energy (lemma B20)."""
+        """Say in which boxes of a first row all walls dissipate energy (lemma B20)."""
         place, aliases = self._parts(center, half)[0], self._slow
         above, below = self._device.parts(place.theta * 1j, place.mass, place.arm)
-        one = _known(np.ones_like(center[0]))
-        turned = conjugate(one * above * self._device.lag(place.theta * 1j))
+        ones = _constant(np.ones_like(center[0]))
+        turned = conjugate(ones * above * self._device.lag(place.theta * 1j))
         others = self._others(place, aliases)
         force = sinc(place.theta).value * above + sine(place.theta) * below * others.total
         force = phasor(place.theta * (place.delay + 0.5)) * force * turned
         late = sine(place.theta).size * self._late(above, below, others) * turned.size
         walls = self._walls(place.theta, *self._wall_of_first_row(center, half))
-        return _rising([(one.value * force, one.value.size * late) for one in walls], below)
+        return _rising([(wall.value * force, wall.value.size * late) for wall in walls], below)
 
     def _grow_slowly(self, center: Boxes, half: Boxes) -> tuple[Bool[np.ndarray, " box"], Boxes]:
         """Say the same next to theta = 0, by the derivative."""
         place = self._parts(center, half)[0]
         s = _moving_s(place.theta)
         above, below = self._device.parts(s, place.mass, place.arm)
-        one = Moving(_known(np.ones_like(center[0])), _known(np.zeros_like(center[0])))
-        turned = one * above * self._device.lag(s)
+        ones = Moving(_constant(np.ones_like(center[0])), _constant(np.zeros_like(center[0])))
+        turned = ones * above * self._device.lag(s)
         turned = Moving(conjugate(turned.value), conjugate(turned.rate))
         force = self._force(place, above) * turned
         others = self._others(place, self._slow)
@@ -494,30 +492,30 @@ class DeviceBoxes:
 
     def _filters(self, theta: LinearModel) -> tuple[Moving, Moving]:
         """Return P and V in units of one sample, with their derivatives by theta."""
-        at, by = theta.centre, theta.slope[_THETA]
+        angle, half = theta.centre, theta.slope[_THETA]
         if self._cells is not None:
-            over = OverCells.of(self._cells, at, by)
+            over = OverCells.from_cells(self._cells, angle, half)
             position, velocity = map(Moving, over.values_along(AXES), over.rates_along(AXES))
             return position, velocity
-        one, none = _known(np.ones_like(at)), _known(np.zeros_like(at))
+        ones, zeros = _constant(np.ones_like(angle)), _constant(np.zeros_like(angle))
         back = phasor(theta)
-        return Moving(one, none), Moving(1.0 - back, back * 1j)
+        return Moving(ones, zeros), Moving(1.0 - back, back * 1j)
 
     def _others(self, place: _Place, aliases: "_Aliases") -> "_Others":
         """Return R and R'."""
         discs = place.as_discs()
-        total = _widened(_known(np.zeros(place.theta.centre.shape, complex)), aliases.tail)
+        total = _widened(_constant(np.zeros(place.theta.centre.shape, complex)), aliases.tail)
         moduli = np.full(place.theta.centre.shape, aliases.tail_of_moduli)
         for turns, nearest, most in aliases.followed:
             # The nearest one is followed along the axes.
-            one = self._alias(place if turns == -1 else discs, turns)
+            alias = self._alias(place if turns == -1 else discs, turns)
             angle = place.theta + 2.0 * pi * turns
-            moduli = moduli + np.minimum(one.size * angle.size, most * nearest)
-            is_known = one.swing < most
-            centre = np.where(is_known, one.centre, 0.0)
-            slope = np.where(is_known, one.slope, 0.0)
-            one = LinearModel(centre, slope, np.where(is_known, one.rest, most), one.half)
-            total = total + on_axes_of(one, total)
+            moduli = moduli + np.minimum(alias.size * angle.size, most * nearest)
+            is_known = alias.swing < most
+            centre = np.where(is_known, alias.centre, 0.0)
+            slope = np.where(is_known, alias.slope, 0.0)
+            alias = LinearModel(centre, slope, np.where(is_known, alias.rest, most), alias.half)
+            total = total + on_axes_of(alias, total)
         return _Others(total, moduli * _ROUNDED_UP)
 
     def _alias(self, place: _Place, turns: int) -> LinearModel:
@@ -547,7 +545,7 @@ class _Aliases(NamedTuple):
     tail_of_moduli: float
 
     @classmethod
-    def of(
+    def from_device(
         cls,
         device: HeldDevice,
         mass: tuple[float, float],
@@ -555,7 +553,7 @@ class _Aliases(NamedTuple):
         fewest: int,
         last: float,
     ) -> "_Aliases":
-        """Return aliases of angles up to a last one, so many that the others are known."""
+        """Return aliases for angles up to ``last``, enough that those left out are bounded."""
         for count in range(fewest, _MOST + 1):
             near, far = 2.0 * pi * (count + 1) - last, 2.0 * pi * (count + 1)
             most = device.largest_compliance(mass, arm, near)
@@ -581,9 +579,9 @@ class _Aliases(NamedTuple):
 def _rising(
     rates: list[tuple[LinearModel, Any]], below: LinearModel | None = None
 ) -> tuple[Bool[np.ndarray, " box"], Boxes]:
-    """Say where all imaginary parts are more than what else there is; and what each axis takes.
+    """Say where all imaginary parts exceed the other terms, and what each axis takes.
 
-    No axis takes any of what halving cannot free, or need not, where ``below`` is far from 0.
+    That is 0 where halving cannot help, or need not because ``below`` is far from 0.
     """
     clear, shares, most = [], [], []
     for rate, others in rates:
@@ -599,19 +597,19 @@ def _rising(
 
 
 def _widened(model: LinearModel, by: Any) -> LinearModel:
-    """Return all functions that are so close to those of a model."""
+    """Return a model with a larger rest."""
     return replace(model, rest=model.rest + by)
 
 
-def _size(part: Any) -> Any:
+def _size(function: Any) -> Any:
     """Return a bound of the modulus of a function, with its derivative or without, or a number."""
-    part = part.value if isinstance(part, Moving) else part
-    return part.size if isinstance(part, LinearModel) else abs(part)
+    function = function.value if isinstance(function, Moving) else function
+    return function.size if isinstance(function, LinearModel) else abs(function)
 
 
 def _moving_s(theta: LinearModel) -> Moving:
     """Return i theta, with its derivative."""
-    return Moving(theta * 1j, _known(1j * np.ones_like(theta.centre)))
+    return Moving(theta * 1j, _constant(1j * np.ones_like(theta.centre)))
 
 
 def along(axis: int, centre: np.ndarray, half: np.ndarray) -> LinearModel:
@@ -620,7 +618,7 @@ def along(axis: int, centre: np.ndarray, half: np.ndarray) -> LinearModel:
     return replace(exact, rest=_ROUNDING * np.abs(centre))
 
 
-def _known(centre: np.ndarray) -> LinearModel:
-    """Return numbers as functions."""
+def _constant(centre: np.ndarray) -> LinearModel:
+    """Return functions that are constant in each box."""
     slope = np.zeros((AXES, centre.size))
     return LinearModel(centre, slope, np.zeros(centre.size), np.ones((AXES, 1)))

@@ -31,14 +31,14 @@ Floats = Any  # real or complex arrays
 
 Number = Any  # the same, or one number
 
-_HINT = 0.1  # of the size of a function of which nothing else is known
+_HINT = 0.1  # of slopes that only show which axis to halve (``phasor``)
 
 
 @dataclass(frozen=True)
 class LinearModel:
     """A function over boxes of half-widths ``half``; where no bound is known, ``rest`` is infinite.
 
-    It stands for every function f with
+    It holds every function f with
 
         |f(x) - centre - sum_k slope_k dx_k| <= rest        for all |dx_k| <= half_k.
 
@@ -78,7 +78,7 @@ class LinearModel:
         """An upper bound of a real function."""
         return self.centre + self.swing
 
-    def some(self, boxes: Any) -> "LinearModel":
+    def take(self, boxes: Any) -> "LinearModel":
         """Return the models of chosen boxes: an index of numbers, of truth values, or a slice."""
         parts = self.centre[boxes], self.slope[:, boxes], self.rest[boxes], self.half[:, boxes]
         return LinearModel(*parts, self.has_products)
@@ -99,7 +99,7 @@ class LinearModel:
         return self._like(other)._with(self.centre + other.centre, self.slope + other.slope, rest)
 
     def __neg__(self) -> "LinearModel":
-        return self._of(-self.centre, -self.slope, self.rest)
+        return self._model(-self.centre, -self.slope, self.rest)
 
     def __sub__(self, other: "LinearModel | Number") -> "LinearModel":
         return self.__add__(-other)
@@ -132,14 +132,14 @@ class LinearModel:
         square, size = centre**2, abs(centre) ** 2
         inverse, slope = 1.0 / centre, -self.slope / square
         if self.has_products:
-            products = (part * inverse**3 for part in _products(self.slope, self.slope))
+            products = (product * inverse**3 for product in _products(self.slope, self.slope))
             rest = self.swing**2 / (size * abs(centre))
             inverse, slope, rest = self._with_products(tuple(products), inverse, slope, rest)
             rest = rest + self.swing**3 / (size * abs(centre) * clear)
         else:
             rest = self.swing**2 / (size * clear)
-        known = self._with(inverse, slope, rest + self.rest / size)
-        return self._of(known.centre, known.slope, np.where(is_known, known.rest, np.inf))
+        bounded = self._with(inverse, slope, rest + self.rest / size)
+        return self._model(bounded.centre, bounded.slope, np.where(is_known, bounded.rest, np.inf))
 
     def is_off(self, low: Number, high: Number) -> Floats:
         """Return where a real function is proved to be outside an interval."""
@@ -151,12 +151,12 @@ class LinearModel:
 
     def _with(self, centre: Floats, slope: Floats, rest: Floats) -> "LinearModel":
         """Return a result of arithmetic on the same boxes, with its rounding."""
-        exact = self._of(centre, slope, rest)
-        rounded = self._of(centre, slope, rest + LINEAR_MODEL * exact.size)
+        exact = self._model(centre, slope, rest)
+        rounded = self._model(centre, slope, rest + LINEAR_MODEL * exact.size)
         vars(rounded)["_sloped"] = exact._sloped  # the slopes are the same
         return rounded
 
-    def _of(self, centre: Floats, slope: Floats, rest: Floats) -> "LinearModel":
+    def _model(self, centre: Floats, slope: Floats, rest: Floats) -> "LinearModel":
         return LinearModel(centre, slope, rest, self.half, self.has_products)
 
     def _like(self, other: "LinearModel") -> "LinearModel":
@@ -166,25 +166,25 @@ class LinearModel:
     def _with_products(
         self, products: tuple[Floats, Floats, Floats], centre: Floats, slope: Floats, rest: Floats
     ) -> tuple[Floats, Floats, Floats]:
-        """Put products of t with the variables from what is left into their own variables.
+        """Move products of t with the variables from the rest into their own variables.
 
         The slope is changed in place.
         """
-        square, *parts = products
+        square, *mixed = products
         t = len(self.half) // 2 - 1
         half, halves = self.half[t + 1], self.half[t + 2 :]
         slope[t + 1] += square
-        for part in parts:
-            slope[t + 2 :] += part
-        taken = 2.0 * abs(square) * half + ((abs(parts[0]) + abs(parts[1])) * halves).sum(axis=0)
+        for term in mixed:
+            slope[t + 2 :] += term
+        taken = 2.0 * abs(square) * half + ((abs(mixed[0]) + abs(mixed[1])) * halves).sum(axis=0)
         rest = rest * (1.0 + LINEAR_MODEL) - taken
         return centre + square * half, slope, rest
 
 
-def _products(one: Floats, other: Floats) -> tuple[Floats, Floats, Floats]:
+def _products(slope: Floats, other: Floats) -> tuple[Floats, Floats, Floats]:
     """Return coefficients of the square of t in a product, and twice those of t and the others."""
-    t = len(one) // 2 - 1
-    return one[t] * other[t], one[t] * other[:t], one[:t] * other[t]
+    t = len(slope) // 2 - 1
+    return slope[t] * other[t], slope[t] * other[:t], slope[:t] * other[t]
 
 
 @dataclass(frozen=True)
@@ -246,9 +246,10 @@ def on_axes_of(model: LinearModel, other: LinearModel) -> LinearModel:
 
 
 def phasor(phase: LinearModel) -> LinearModel:
-    """Return e^(-i phase); where the phase is hardly known, its size, and what would tell it.
+    """Return e^(-i phase), and the unit disc where the phase moves by 1 or more.
 
-    The slopes there are none of the function's: they say what to halve, and the rest pays for them.
+    The slopes of a disc are no derivatives: they show which axis to halve, and its rest covers
+    them.
     """
     centre = np.exp(-1j * phase.centre)
     rest = (
@@ -272,13 +273,12 @@ def sine(theta: LinearModel) -> LinearModel:
 
 
 def sinc(theta: LinearModel) -> Moving:
-    """Return sin(theta/2)/(theta/2) and its derivative, which has one of at most 1/12."""
-    at = theta.centre
-    value, is_small = np.sinc(at / (2.0 * pi)), np.abs(at) < 1e-3
-    slope = np.where(is_small, -at / 12.0, (np.cos(0.5 * at) - value) / np.where(is_small, 1.0, at))
-    by = theta.swing
-    still = np.zeros_like(theta.slope)
+    """Return sin(theta/2)/(theta/2) and its derivative, whose own is at most 1/12."""
+    x, swing = theta.centre, theta.swing
+    value, is_small = np.sinc(x / (2.0 * pi)), np.abs(x) < 1e-3
+    slope = np.where(is_small, -x / 12.0, (np.cos(0.5 * x) - value) / np.where(is_small, 1.0, x))
+    rest = swing**2 / 24.0 + 1e-11 * swing + ELEMENTARY
     return Moving(
-        LinearModel(value, slope * theta.slope, by**2 / 24.0 + 1e-11 * by + ELEMENTARY, theta.half),
-        LinearModel(slope, still, by / 12.0 + 1e-11, theta.half),
+        LinearModel(value, slope * theta.slope, rest, theta.half),
+        LinearModel(slope, np.zeros_like(theta.slope), swing / 12.0 + 1e-11, theta.half),
     )

@@ -1,8 +1,22 @@
 """Proof that a box of loops and angles has no root on the unit circle (lemma B3 of docs/proofs.md).
 
-g of ``jaxstab.proofs.plant`` is expanded at the centre of the box; lemma B2 bounds how far the
-plant's second derivatives can bend it. If the enclosed values of g all lie in one open half-plane,
-the box is free of roots.
+g of ``jaxstab.proofs.plant`` vanishes where the loop has a root at e^(i theta). It is expanded at
+the centre of a box of alpha, beta, gamma, delta, delay and theta:
+
+    |g - value - sum_k linear_k (x_k - centre_k)| <= rest,
+
+where lemma B2 bounds how far the plant's second derivatives can bend g. So the values of g in the
+box lie in a sum of segments, widened by a disc of radius ``rest``. If a straight line through 0
+parts that set from 0, the box is free of roots (``is_free``); otherwise the caller halves it, along
+the axis in which g is steepest. A connected set of loops that free boxes cover, at all angles, is
+stable as soon as one of its loops is (lemma B6): every claim about a range rests on this.
+
+Along lines through the space of loops, ``search`` brackets the first root: boxes of (t, theta) that
+are not free are shrunk to where both real parts of g can vanish. If the shrunk box lies inside of
+the box, it is proved to hold a root (lemma B4).
+
+These products are written out here for one mass in closed form, for speed; models of any other loop
+(``jaxstab.proofs.linear_circle``) go into the same search.
 """
 
 from collections.abc import Callable
@@ -133,7 +147,7 @@ def expansion(
             force * wall.per_alpha,
             force * wall.per_beta,
             plant.impulse + 0j,
-            plant.kept - plant.d0 * back,
+            plant.impulse_rate - plant.d0 * back,
             behind * lag * -(plant.late + plant.early * z) * wall.value,
             free_theta + force_theta * wall.value + turned,
         ]
@@ -146,7 +160,7 @@ def expansion(
 def _rest(
     center: Loops, radius: Loops, plant: QuickPlant, parts: tuple[Reals, Reals, Wall]
 ) -> tuple[Reals, Float64[np.ndarray, "6 boxes"], Reals]:
-    """Bound what the expansion leaves, say how steep that is, and bound the rounding."""
+    """Return the rest of the expansion, how steep it is in each variable, and the rounding."""
     turns, lag_here, wall = parts
     total = np.abs(plant.n2) + np.abs(plant.n1) + np.abs(plant.n0)
     steps = np.floor(center.delay + radius.delay) + 2.0  # the largest m + 1
@@ -172,7 +186,7 @@ def _rest(
     )
     most_force = total + force_change + per_delay * radius.delay
     rounding = 4 * EPS * (turns + 8) * (4.0 + most_force * wall.terms)
-    rounding += plant.d_error + plant.n_error * wall.size + most_force * wall.lost
+    rounding += plant.d_error + plant.n_error * wall.size + most_force * wall.error
     d_error, n_error = quick_errors(center.gamma)  # of the slopes, which are those of a quick plant
     rounding += d_error * (radius.gamma + radius.delta + radius.theta)
     rounding += n_error * wall.size * (radius.delay + steps * radius.theta)
@@ -185,8 +199,8 @@ def _rest(
 
 def _along(direction: np.ndarray, value: np.ndarray) -> np.ndarray:
     """Return the part of complex numbers along a direction, times its length."""
-    part: np.ndarray = direction.real * value.real + direction.imag * value.imag
-    return part
+    projection: np.ndarray = direction.real * value.real + direction.imag * value.imag
+    return projection
 
 
 # The first root on the unit circle along straight lines through the space of loops, bracketed.
@@ -211,8 +225,8 @@ class Lines(NamedTuple):
     change: Float64[np.ndarray, "5 line"]
 
 
-class Parts(NamedTuple):
-    """Boxes of (t, theta): the number of the line, and the ends of both."""
+class LineBoxes(NamedTuple):
+    """Boxes of (t, theta) along lines: the index of the line, and the ends of both."""
 
     line: Int64[np.ndarray, " box"]
     low: Ends
@@ -241,26 +255,26 @@ class Models(NamedTuple):
     rounding: np.ndarray
 
 
-def first_roots(lines: Lines, parts: Parts, filters: Filters | None = None) -> FirstRoots:
-    """Where, within boxes of lines, a root is on the unit circle for the first time."""
+def first_roots(lines: Lines, boxes: LineBoxes, filters: Filters | None = None) -> FirstRoots:
+    """The first roots on the unit circle along lines, within boxes of (t, theta)."""
     with np.errstate(all="ignore"):
         plants = accurate_plant(*lines.start[2:])
-    return search(lines.start.shape[1], parts, lambda some: _models(lines, plants, some, filters))
+    return search(lines.start.shape[1], boxes, lambda these: _models(lines, plants, these, filters))
 
 
-def search(count: int, parts: Parts, models_of: Callable[[Parts], Models]) -> FirstRoots:
+def search(count: int, boxes: LineBoxes, models_of: Callable[[LineBoxes], Models]) -> FirstRoots:
     """Return the first roots on some lines, by models of g over boxes."""
-    found = FirstRoots(*(np.full(count, end) for end in (np.inf, np.inf, np.nan)))
+    roots = FirstRoots(*(np.full(count, end) for end in (np.inf, np.inf, np.nan)))
     with np.errstate(all="ignore"):
-        while parts.line.size:
-            models = models_of(parts)
+        while boxes.line.size:
+            models = models_of(boxes)
             is_open = ~is_free(*models[:3])
-            parts, models = at((parts, models), (..., is_open))
-            shrunk, is_proved = _shrunk(parts, models)
-            np.minimum.at(found.high, shrunk.line[is_proved], shrunk.high[0, is_proved])
+            boxes, models = at((boxes, models), (..., is_open))
+            shrunk, is_proved = _shrunk(boxes, models)
+            np.minimum.at(roots.high, shrunk.line[is_proved], shrunk.high[0, is_proved])
             is_open = np.all(shrunk.low <= shrunk.high, axis=0)
-            is_open &= shrunk.low[0] <= found.high[shrunk.line]
-            size, before = shrunk.high - shrunk.low, parts.high - parts.low
+            is_open &= shrunk.low[0] <= roots.high[shrunk.line]
+            size, before = shrunk.high - shrunk.low, boxes.high - boxes.low
             has_shrunk = np.any(size < _PROGRESS * before, axis=0)
             is_narrow = size[0] <= _NARROW * shrunk.high[0]
             is_rounded = models.rest <= 2.0 * models.rounding
@@ -268,74 +282,74 @@ def search(count: int, parts: Parts, models_of: Callable[[Parts], Models]) -> Fi
             is_done = is_proved & is_narrow | is_rounded & (is_proved | is_flat)
             is_done |= np.all(size <= _FINEST, axis=0)
             is_done |= np.sum(is_open) > _MOST
-            _keep(found, at(shrunk, (..., is_open & is_done)))
+            _record(roots, at(shrunk, (..., is_open & is_done)))
             is_open &= ~is_done
             bends = np.where(size > _FINEST, models.bends * (size / before), -1.0)
             wide = is_open & ~has_shrunk
-            halves = _halved_parts(at(shrunk, (..., wide)), bends[:, wide])
-            parts = joined([at(shrunk, (..., is_open & has_shrunk)), halves], -1)
-    return found
+            halves = _halved(at(shrunk, (..., wide)), bends[:, wide])
+            boxes = joined([at(shrunk, (..., is_open & has_shrunk)), halves], -1)
+    return roots
 
 
-def _models(lines: Lines, plants: QuickPlant, parts: Parts, filters: Filters | None) -> Models:
-    t, theta = 0.5 * (parts.low + parts.high)
-    half = 0.5 * (parts.high - parts.low) * (1.0 + 4.0 * EPS)
-    change = lines.change[:, parts.line]
-    middle = lines.start[:, parts.line] + change * t
+def _models(lines: Lines, plants: QuickPlant, boxes: LineBoxes, filters: Filters | None) -> Models:
+    t, theta = 0.5 * (boxes.low + boxes.high)
+    half = 0.5 * (boxes.high - boxes.low) * (1.0 + 4.0 * EPS)
+    change = lines.change[:, boxes.line]
+    middle = lines.start[:, boxes.line] + change * t
     center = Loops(*np.concatenate([middle, theta[None]]))
     moved = np.abs(change) * half[0]
-    plant = at(plants, parts.line)
+    plant = at(plants, boxes.line)
     is_other = np.any(change[2:] != 0.0, axis=0)
     if np.any(is_other):
         others = quick_plant(*(np.maximum(value[is_other], 0.0) for value in center[2:5]))
-        for part, other in zip(plant, others, strict=True):
-            part[is_other] = other
+        for coefficient, other in zip(plant, others, strict=True):
+            coefficient[is_other] = other
     g = expansion(center, Loops(*np.concatenate([moved, half[1:]])), plant, filters)
     moves = np.stack([np.sum(g.linear[:5] * change, axis=0), g.linear[5]]) * half
     bends = np.stack([np.sum(g.rest_slopes[:5] * moved, axis=0), g.rest_slopes[5] * half[1]])
     return Models(g.value, moves, g.rest, bends + np.abs(moves), g.rounding)
 
 
-def _shrunk(parts: Parts, models: Models) -> tuple[Parts, Bool[np.ndarray, " box"]]:
+def _shrunk(boxes: LineBoxes, models: Models) -> tuple[LineBoxes, Bool[np.ndarray, " box"]]:
     """Shrink boxes to where g can vanish, and say which of them are proved to hold a zero."""
     value, (by_t, by_theta), rest, *_ = models
-    determinant = _turned(by_t, by_theta)
+    determinant = _cross(by_t, by_theta)
     is_regular = determinant != 0.0
     determinant = np.where(is_regular, determinant, 1.0)
-    middle = np.stack([_turned(by_theta, value), -_turned(by_t, value)]) / determinant
+    middle = np.stack([_cross(by_theta, value), -_cross(by_t, value)]) / determinant
     spread = np.stack([np.abs(by_theta), np.abs(by_t)]) * (rest / np.abs(determinant))
     spread = np.where(is_regular, spread, np.inf) * (1.0 + 64.0 * EPS)
     spread += 64.0 * EPS * np.abs(middle)
     # In units of the half-widths
     low, high = middle - spread, middle + spread
     is_proved = np.all((low > -1.0) & (high < 1.0), axis=0)
-    center, half = 0.5 * (parts.low + parts.high), 0.5 * (parts.high - parts.low)
+    center, half = 0.5 * (boxes.low + boxes.high), 0.5 * (boxes.high - boxes.low)
     slack = 2.0 * EPS * np.abs(center)
-    low = np.where(low > -1.0, center + half * low - slack, parts.low)
-    high = np.where(high < 1.0, center + half * high + slack, parts.high)
-    return Parts(parts.line, np.maximum(low, parts.low), np.minimum(high, parts.high)), is_proved
+    low = np.maximum(np.where(low > -1.0, center + half * low - slack, boxes.low), boxes.low)
+    high = np.minimum(np.where(high < 1.0, center + half * high + slack, boxes.high), boxes.high)
+    return LineBoxes(boxes.line, low, high), is_proved
 
 
-def _turned(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Return the imaginary part of conj(one) other."""
-    part: np.ndarray = one.real * other.imag - one.imag * other.real
-    return part
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the imaginary part of conj(a) b."""
+    cross: np.ndarray = a.real * b.imag - a.imag * b.real
+    return cross
 
 
-def _keep(found: FirstRoots, done: Parts) -> None:
-    """Note the first of the boxes that are left of each line."""
-    order = np.argsort(-done.low[0], kind="stable")  # the first one is written last
+def _record(roots: FirstRoots, done: LineBoxes) -> None:
+    """Record, of each line, the box that starts first among those that are done."""
+    order = np.argsort(-done.low[0], kind="stable")  # the first box is written last
     line, low = done.line[order], done.low[0, order]
     theta = 0.5 * (done.low[1] + done.high[1])[order]
-    is_first = low < found.low[line]
-    found.low[line[is_first]] = low[is_first]
-    found.theta[line[is_first]] = theta[is_first]
+    is_first = low < roots.low[line]
+    roots.low[line[is_first]] = low[is_first]
+    roots.theta[line[is_first]] = theta[is_first]
 
 
-def _halved_parts(parts: Parts, bends: np.ndarray) -> Parts:
+def _halved(boxes: LineBoxes, bends: np.ndarray) -> LineBoxes:
     """Halve boxes along the axis that moves g most."""
-    axis, box = np.argmax(bends, axis=0), np.arange(parts.line.size)
-    middle = 0.5 * (parts.low[axis, box] + parts.high[axis, box])
-    low, high = parts.low.copy(), parts.high.copy()
+    axis, box = np.argmax(bends, axis=0), np.arange(boxes.line.size)
+    middle = 0.5 * (boxes.low[axis, box] + boxes.high[axis, box])
+    low, high = boxes.low.copy(), boxes.high.copy()
     low[axis, box] = high[axis, box] = middle
-    return joined([Parts(parts.line, parts.low, high), Parts(parts.line, low, parts.high)], -1)
+    return joined([boxes._replace(high=high), boxes._replace(low=low)], -1)

@@ -1,10 +1,18 @@
 """The responses of velocity estimator and position filter on the unit circle, cell by cell.
 
-A filter is a chain of short factors. Taylor series of all factors over cells of theta give series
-of the whole, with bounds of their remainders and of the derivatives (lemma B10 of docs/proofs.md).
-To lose no digits, factors of first and second order are written in powers of 1 - 1/z next to z = 1,
-and of 1 + 1/z next to z = -1, where poles and zeros are. Cells are halved until the series are good
-to rounding.
+Proofs over boxes evaluate P and V in thousands of intervals of theta, with their first derivatives
+and bounds of the second. So they are expanded once: a filter is a chain of short factors, and
+Taylor series of all factors over cells of theta give series of the whole, with bounds of their
+remainders and of the derivatives (``Series``, ``cells_of``; lemma B10 of docs/proofs.md). Factors
+of first and second order are written in powers of 1 - 1/z next to z = 1, and of 1 + 1/z next to -1,
+where poles and zeros are and a sum of powers of 1/z would cancel. Cells are halved until the
+series are good to rounding; an interval then takes the series of the cell that holds its middle,
+and the largest bounds of all cells that it meets, from a table by powers of two
+(``largest_within``).
+
+Three forms of the result follow: the wall H = alpha P + beta V over boxes (``wall_over``), linear
+models of any functions in cells (``OverCells``), and the real parts of P and V that the closed form
+of the curve takes (``filter_models``, lemma B12).
 """
 
 from collections.abc import Callable, Sequence
@@ -19,8 +27,7 @@ from jaxtyping import Complex128, Float64
 
 from jaxstab.arrays import PI_REST, Array, at, joined, namespace
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import Filters
-from jaxstab.model.sections import ONE, Polynomial, Transfer, size_of
+from jaxstab.model.filters import ONE, Filters, Polynomial, Transfer, size_of
 from jaxstab.proofs.enclosures import LinearModel, Moving
 from jaxstab.rounding import EPS, OVERLAP, RAISED_SERIES, SHIFTED
 
@@ -36,7 +43,7 @@ Cells = Float64[np.ndarray, " cell"]
 Numbers = Float64[np.ndarray, "order cell"] | Complex128[np.ndarray, "order cell"]
 
 ORDERS = 9  # coefficients that a series has
-_BEYOND = 16  # orders by which the change of those of a cosine sum is known
+_BEYOND = 16  # further derivatives of a cosine sum, which bound its change in a cell
 _ROUNDING = (ORDERS + 4) * EPS  # of a sum of ORDERS products, complex ones too
 
 
@@ -62,29 +69,29 @@ class Series:
         size = abs(self.value[0])
         clear = size - self.error[0]
         is_known = clear > 0.0
-        first = 1.0 / np.where(is_known, self.value[0], 1.0)
+        leading = 1.0 / np.where(is_known, self.value[0], 1.0)
         value, error = np.zeros_like(self.value), np.zeros_like(self.error)
-        value[0] = first
-        lost = self.error[0] / np.where(is_known, clear, 1.0) + _ROUNDING
-        error[0] = np.where(is_known, abs(first) * lost, np.inf)
+        value[0] = leading
+        relative = self.error[0] / np.where(is_known, clear, 1.0) + _ROUNDING
+        error[0] = np.where(is_known, abs(leading) * relative, np.inf)
         for k in range(1, len(value)):  # the sum of self_i over_(k - i), i from 1 on, is 0
             after, after_error = self.value[1 : k + 1], self.error[1 : k + 1]
             before, before_error = value[:k][::-1], error[:k][::-1]
             total = np.sum(after * before, axis=0)
-            lost = after_error * (abs(before) + before_error)
-            lost = lost + abs(after) * (before_error + _ROUNDING * abs(before))
-            total_error = np.sum(lost, axis=0)
-            value[k] = -first * total
-            error[k] = error[0] * (abs(total) + total_error) + abs(first) * total_error
+            errors = after_error * (abs(before) + before_error)
+            errors = errors + abs(after) * (before_error + _ROUNDING * abs(before))
+            total_error = np.sum(errors, axis=0)
+            value[k] = -leading * total
+            error[k] = error[0] * (abs(total) + total_error) + abs(leading) * total_error
             error[k] = RAISED_SERIES * (error[k] + _ROUNDING * abs(value[k]))
         return Series(value, np.where(is_known, error, np.inf))
 
 
-def constant(number: float, cells: int) -> Series:
+def constant(value: float, cells: int) -> Series:
     """Return the series of a number."""
-    value = np.zeros((ORDERS, cells))
-    value[0] = number
-    return Series(value, np.zeros((ORDERS, cells)))
+    coefficients = np.zeros((ORDERS, cells))
+    coefficients[0] = value
+    return Series(coefficients, np.zeros((ORDERS, cells)))
 
 
 def power_sum(weights: Sequence[float], middle: Cells, half: Cells) -> tuple[Series, Series]:
@@ -98,8 +105,8 @@ def power_sum(weights: Sequence[float], middle: Cells, half: Cells) -> tuple[Ser
     terms = powers * np.asarray(weights)
     turns = np.array([(-1j) ** m for m in range(derivatives)])[:, None]
     value = turns * (terms @ np.exp(-1j * np.multiply.outer(order, middle)))
-    lost = EPS * (abs(terms) @ (len(weights) + 8.0 + 8.0 * order))
-    error = np.broadcast_to(lost[:, None], value.shape)
+    rounding = EPS * (abs(terms) @ (len(weights) + 8.0 + 8.0 * order))
+    error = np.broadcast_to(rounding[:, None], value.shape)
     sizes = abs(value) + error
     wide = np.zeros((ORDERS, len(middle)))
     for m in range(ORDERS):
@@ -121,19 +128,19 @@ def difference(middle: Cells, half: Cells) -> tuple[Series, Series]:
     return Series(value, error), Series(value, RAISED_SERIES * (error + sizes * half))
 
 
-def _convolved(one: Numbers, other: Numbers) -> Numbers:
-    total = one[0] * other
-    for k in range(1, len(one)):
-        total[k:] += one[k] * other[: len(one) - k]
+def _convolved(a: Numbers, b: Numbers) -> Numbers:
+    total = a[0] * b
+    for k in range(1, len(a)):
+        total[k:] += a[k] * b[: len(a) - k]
     return total
 
 
-_MARGIN = 0.125  # cells reach so far beyond 0 and pi
+_MARGIN = 0.125  # cells extend by this beyond 0 and pi
 _FIRST_CELLS = 128
 _MOST_HALVINGS = 24
 _MOST_CELLS = 1 << 14
-_REMAINDER = 2.0**-52  # of the values of a cell, by which the series may miss them
-_SMALL = 2.0**-20  # of the largest value: a filter's smaller ones need no digits of their own
+_REMAINDER = 2.0**-52  # of the values of a cell: largest error of the series
+_SMALL = 2.0**-20  # of the largest value: smaller values of a filter are right relative to this
 _ZERO, _ONE = DoubleDouble(0.0, 0.0), DoubleDouble(1.0, 0.0)
 
 Factor = tuple[Polynomial, Polynomial]  # numerator and denominator in 1/z, lowest power first
@@ -142,16 +149,16 @@ Factor = tuple[Polynomial, Polynomial]  # numerator and denominator in 1/z, lowe
 class FilterCells(NamedTuple):
     """Cells of theta from below 0 to beyond pi, ascending: middles, half widths and lower ends.
 
-    ``series`` are the Taylor coefficients of P and V, lowest order first, ``lost`` bounds of the
+    ``series`` are the Taylor coefficients of P and V, lowest order first, ``error`` bounds of the
     errors of their sums, then of their derivatives; ``steepness`` bounds |P'|, |V'|, |P''| and
     |V''| in 2^k cells from each one on.
     """
 
     middle: Cells
     half: Cells
-    first: Cells
+    low: Cells
     series: Complex128[np.ndarray, "cell function order"]
-    lost: Float64[np.ndarray, "cell bound"]
+    error: Float64[np.ndarray, "cell bound"]
     steepness: Float64[np.ndarray, "k cell bound"]
 
 
@@ -176,21 +183,21 @@ def filter_cells(filters: Filters) -> FilterCells:
 
 
 def cells_of(functions: Functions) -> FilterCells:
-    """Return functions on the circle."""
+    """Return functions on the circle over cells, halved until the series are good to rounding."""
     edges = np.linspace(-_MARGIN, np.pi + _MARGIN, _FIRST_CELLS + 1)
     middle, half = 0.5 * (edges[1:] + edges[:-1]), 0.5 * np.diff(edges)
     largest: np.ndarray | float = 0.0
-    done: list[_Known] = []
+    done: list[_CellSeries] = []
     for halving in range(_MOST_HALVINGS + 1):
         with np.errstate(invalid="ignore"):  # 0 times what has no bound
-            known = _known_of(functions, middle, half)
-        largest = np.fmax(largest, np.nanmax(abs(known.series[:, :, 0]), axis=0))
-        enough = np.all(known.remainder <= _REMAINDER * (known.size + _SMALL * largest), axis=1)
+            batch = _cell_series(functions, middle, half)
+        largest = np.fmax(largest, np.nanmax(abs(batch.series[:, :, 0]), axis=0))
+        enough = np.all(batch.remainder <= _REMAINDER * (batch.size + _SMALL * largest), axis=1)
         enough |= (halving == _MOST_HALVINGS) or (len(middle) > _MOST_CELLS)
-        done.append(at(known, enough))
+        done.append(at(batch, enough))
         if enough.all():
             break
-        middle, half = known.middle[~enough], 0.5 * known.half[~enough]
+        middle, half = batch.middle[~enough], 0.5 * batch.half[~enough]
         middle, half = np.concatenate([middle - half, middle + half]), np.tile(half, 2)
     whole = joined(done)
     whole = at(whole, np.argsort(whole.middle))
@@ -198,9 +205,9 @@ def cells_of(functions: Functions) -> FilterCells:
     return FilterCells(
         middle=whole.middle,
         half=whole.half,
-        first=np.append(-_MARGIN, 0.5 * (ends[:-1] + (whole.middle - whole.half)[1:])),
+        low=np.append(-_MARGIN, 0.5 * (ends[:-1] + (whole.middle - whole.half)[1:])),
         series=whole.series,
-        lost=whole.lost,
+        error=whole.error,
         steepness=largest_from(whole.steepness),
     )
 
@@ -218,23 +225,23 @@ class Responses(NamedTuple):
     chains: Float64[Array, "2 stage 2 power"]
 
     @classmethod
-    def of(cls, filters: Filters | None) -> "Responses":
-        """Return those of filters in units of one sample; without any, no stages."""
+    def from_filters(cls, filters: Filters | None) -> "Responses":
+        """Return the responses of filters in units of one sample; None has no stages."""
         if filters is None:
             return cls(np.array(1.0), np.zeros((2, 0, 2, 1)))
         velocity, position = filters
         samples, stages = velocity.stages()
         both = [[_in_lags(stage) for stage in each] for each in (position.stages(), stages)]
-        longest = max([4, *(len(part) for chain in both for one in chain for part in one)])
+        longest = max([4, *(len(side) for chain in both for stage in chain for side in stage)])
         count = _power_of_two(max(2, *map(len, both))) if any(both) else 0
         power = _power_of_two(longest)
 
-        def filled(part: Polynomial) -> list[Array]:
-            return [*(one.rounded() for one in part), *[0.0] * (power - len(part))]
+        def filled(polynomial: Polynomial) -> list[Array]:
+            return [*(c.rounded() for c in polynomial), *[0.0] * (power - len(polynomial))]
 
         unit = ONE, ONE
         rows = [
-            [[filled(part) for part in stage] for stage in (*chain, *[unit] * (count - len(chain)))]
+            [[filled(side) for side in stage] for stage in (*chain, *[unit] * (count - len(chain)))]
             for chain in both
         ]
         chains = namespace(filters).asarray(rows).reshape(2, count, 2, power)
@@ -254,9 +261,10 @@ class Responses(NamedTuple):
 
         def through(value: OverSine, chain: Array) -> OverSine:
             for above, below in chain:
-                one, other = ((cosines @ part, -(ratios @ part)) for part in (above, below))
-                size = other[0] ** 2 + square * other[1] ** 2
-                value = _product(_product(value, one, square), (other[0], -other[1]), square)
+                numerator, denominator = ((cosines @ p, -(ratios @ p)) for p in (above, below))
+                size = denominator[0] ** 2 + square * denominator[1] ** 2
+                conjugate = denominator[0], -denominator[1]
+                value = _product(_product(value, numerator, square), conjugate, square)
                 value = value[0] / size, value[1] / size
             return value
 
@@ -274,9 +282,9 @@ def turns_over_sine(count: Array, theta: Array) -> OverSine:
     return sign * xp.cos(count * folded), xp.where(upper, -sign, 1.0) * ratio
 
 
-def _product(one: OverSine, other: OverSine, square: Array) -> OverSine:
-    real = one[0] * other[0] - square * one[1] * other[1]
-    return real, one[0] * other[1] + one[1] * other[0]
+def _product(a: OverSine, b: OverSine, square: Array) -> OverSine:
+    real = a[0] * b[0] - square * a[1] * b[1]
+    return real, a[0] * b[1] + a[1] * b[0]
 
 
 def _power_of_two(count: int) -> int:
@@ -289,13 +297,12 @@ def responses_at(filters: Filters, z: Array) -> tuple[Array, Array]:
     for chain in factors_of(filters):
         value = 1.0 + 0.0 * z
         for above, below in chain:
-            one, other = (_at(part, 1.0 / z) for part in (above, below))
-            value = value * one / other
+            value = value * _evaluated(above, 1.0 / z) / _evaluated(below, 1.0 / z)
         values.append(value)
     return values[0], values[1]
 
 
-def _at(ascending: Polynomial, back: Array) -> Array:
+def _evaluated(ascending: Polynomial, back: Array) -> Array:
     return reduce(lambda value, c: value * back + float(c.rounded()), ascending[::-1], 0.0 * back)
 
 
@@ -303,8 +310,8 @@ def factors_of(filters: Filters, sample_time: float = 1.0) -> tuple[list[Factor]
     """Return short factors of P and of T V, whose first one is (1 - z^-n) / n."""
     velocity, position = filters
     samples, stages = velocity.stages(sample_time)
-    part = DoubleDouble.of(1.0) / float(samples)
-    over_window = (part, *(_ZERO,) * (samples - 1), -part)
+    weight = DoubleDouble.of(1.0) / float(samples)
+    over_window = (weight, *(_ZERO,) * (samples - 1), -weight)
     of_velocity = [(over_window, ONE), *map(_in_lags, stages)]
     return [_in_lags(stage) for stage in position.stages(sample_time)], of_velocity
 
@@ -316,15 +323,15 @@ def _in_lags(transfer: Transfer) -> Factor:
 
 
 # --------------------------------------------------------------------------------------- series
-class _Known(NamedTuple):
-    """What is known of some cells, the cell on the first axis, P and V on the next."""
+class _CellSeries(NamedTuple):
+    """Series and bounds of cells: the cell on the first axis, P and V on the next."""
 
     middle: Cells
     half: Cells
     remainder: np.ndarray  # what the series leave
     size: np.ndarray  # of the functions
     series: np.ndarray
-    lost: np.ndarray
+    error: np.ndarray
     steepness: np.ndarray
 
 
@@ -337,7 +344,7 @@ class Circle(NamedTuple):
     step: Series
 
     @classmethod
-    def of(cls, middle: Cells, half: Cells, is_wide: bool) -> "Circle":
+    def over(cls, middle: Cells, half: Cells, is_wide: bool) -> "Circle":
         """Return cells with the step in them."""
         return cls(middle, half, is_wide, difference(middle, half)[is_wide])
 
@@ -353,34 +360,34 @@ class Circle(NamedTuple):
     def polynomial(self, ascending: Polynomial) -> Series:
         """Return a polynomial in e^(-i theta), lowest power first."""
         if len(ascending) > 3:
-            weights = [float(one.rounded()) for one in ascending]
+            weights = [float(c.rounded()) for c in ascending]
             return power_sum(weights, self.middle, self.half)[self.is_wide]
-        one, first, second = (*ascending, _ZERO, _ZERO)[:3]
+        c0, c1, c2 = (*ascending, _ZERO, _ZERO)[:3]
         constant_, linear, square = (
-            self.known(number, ascending)
-            for number in (one + first + second, -(first + second.scaled(2.0)), second)
+            self.coefficient(value, ascending)
+            for value in (c0 + c1 + c2, -(c1 + c2.scaled(2.0)), c2)
         )
         return constant_ + self.step * (linear + self.step * square)
 
-    def known(self, number: DoubleDouble, of: Polynomial) -> Series:
-        """Return the series of a number that was formed from some coefficients in pairs."""
-        exact = constant(float(number.rounded()), len(self.middle))
-        exact.error[0] = SHIFTED * float(size_of(of)) + EPS * abs(exact.value[0])
+    def coefficient(self, value: DoubleDouble, polynomial: Polynomial) -> Series:
+        """Return the series of a number formed, in pairs, from coefficients of a polynomial."""
+        exact = constant(float(value.rounded()), len(self.middle))
+        exact.error[0] = SHIFTED * float(size_of(polynomial)) + EPS * abs(exact.value[0])
         return exact
 
 
-def _known_of(functions: Functions, middle: Cells, size: Cells) -> _Known:
+def _cell_series(functions: Functions, middle: Cells, size: Cells) -> _CellSeries:
     half = size * (1.0 + OVERLAP)
     narrow, wide = (functions(middle, half, is_wide) for is_wide in (False, True))
-    lost = [lost_of(*both, half, k) for k in range(2) for both in zip(narrow, wide, strict=True)]
-    return _Known(
+    errors = [error_of(*both, half, k) for k in range(2) for both in zip(narrow, wide, strict=True)]
+    return _CellSeries(
         middle=middle,
         half=size,
         remainder=np.stack([bound_of(of_cell, ORDERS - 1) for of_cell in wide], axis=-1)
         * half[:, None] ** (ORDERS - 1),
         size=np.stack([abs(f.value[0]) + abs(f.value[1]) * half for f in wide], axis=-1),
         series=np.stack([f.value[:-1].T for f in narrow], axis=1).astype(np.complex128),
-        lost=np.stack(lost, axis=-1),
+        error=np.stack(errors, axis=-1),
         steepness=np.stack([factorial(k) * bound_of(f, k) for k in (1, 2) for f in wide], axis=-1),
     )
 
@@ -388,10 +395,10 @@ def _known_of(functions: Functions, middle: Cells, size: Cells) -> _Known:
 def over_halves(chain: list[Factor], middle: Cells, half: Cells, is_wide: bool) -> Series:
     """Return a function of theta; next to pi it is that of -z and of pi - theta, conjugated."""
     is_near = middle < 0.5 * np.pi
-    near = Circle.of(middle[is_near], half[is_near], is_wide).product(chain)
+    near = Circle.over(middle[is_near], half[is_near], is_wide).product(chain)
     folded = (np.pi - middle[~is_near]) + PI_REST
     mirrored = [(turned(above), turned(below)) for above, below in chain]
-    far = Circle.of(folded, half[~is_near], is_wide).product(mirrored)
+    far = Circle.over(folded, half[~is_near], is_wide).product(mirrored)
     value = np.empty((ORDERS, len(middle)), complex)
     error = np.empty((ORDERS, len(middle)))
     signs = np.where(np.arange(ORDERS) % 2, -1.0, 1.0)[:, None]
@@ -402,7 +409,7 @@ def over_halves(chain: list[Factor], middle: Cells, half: Cells, is_wide: bool) 
 
 def turned(ascending: Polynomial) -> Polynomial:
     """Return the polynomial of -z."""
-    return tuple(-one if power % 2 else one for power, one in enumerate(ascending))
+    return tuple(-c if power % 2 else c for power, c in enumerate(ascending))
 
 
 def bound_of(wide: Series, order: int) -> Cells:
@@ -411,7 +418,7 @@ def bound_of(wide: Series, order: int) -> Cells:
     return np.where(bound >= 0.0, bound, np.inf)
 
 
-def lost_of(narrow: Series, wide: Series, half: Cells, derivative: int) -> Cells:
+def error_of(narrow: Series, wide: Series, half: Cells, derivative: int) -> Cells:
     """Bound the error of the sum of a series, or of its derivative."""
     total = 4.0 * EPS * factorial(derivative + 1) * bound_of(wide, derivative + 1)  # of theta
     for k in range(derivative, ORDERS - 1):
@@ -469,7 +476,7 @@ class Wall(NamedTuple):
     bend: a bound of |d^2H/dtheta^2| in the box; None where ``slope`` is one.
     turned_change: a bound of how far alpha and beta move dH/dtheta in the box.
     terms: a bound of the terms whose sum is H.
-    lost: a bound of the error of H beyond roundings of its terms.
+    error: a bound of the error of H beyond roundings of its terms.
     """
 
     value: Complexes
@@ -482,7 +489,7 @@ class Wall(NamedTuple):
     bend: Reals | None
     turned_change: Reals
     terms: Reals
-    lost: Reals | float
+    error: Reals | float
 
 
 def wall_over(gains: Gains, back: Complexes, filters: Filters | None) -> Wall:
@@ -509,13 +516,13 @@ def _plain_wall(gains: Gains, back: Complexes) -> Wall:
         bend=None,
         turned_change=gains.by_beta,
         terms=size + np.abs(gains.alpha) + np.abs(gains.beta),
-        lost=0.0,
+        error=0.0,
     )
 
 
 def _filtered_wall(gains: Gains, cells: FilterCells) -> Wall:
     alpha, beta, by_alpha, by_beta, theta, by_theta = gains
-    (position, velocity), (position_theta, velocity_theta), lost = responses(cells, theta)
+    (position, velocity), (position_theta, velocity_theta), errors = responses(cells, theta)
     steep = largest_within(cells.steepness, cells, theta, by_theta)
     most_alpha, most_beta = np.abs(alpha) + by_alpha, np.abs(beta) + by_beta
     value = alpha * position + beta * velocity
@@ -533,27 +540,27 @@ def _filtered_wall(gains: Gains, cells: FilterCells) -> Wall:
         bend=most_alpha * steep[2] + most_beta * steep[3],
         turned_change=by_alpha * steep[0] + by_beta * steep[1],
         terms=size + np.abs(alpha * position) + np.abs(beta * velocity),
-        lost=most_alpha * (lost[0] + by_theta * lost[2])
-        + most_beta * (lost[1] + by_theta * lost[3]),
+        error=most_alpha * (errors[0] + by_theta * errors[2])
+        + most_beta * (errors[1] + by_theta * errors[3]),
     )
 
 
-def cell_numbers(cells: FilterCells, theta: Reals) -> np.ndarray:
-    """Return the cells in which angles lie."""
-    return np.maximum(np.searchsorted(cells.first, theta, "right") - 1, 0)
+def cell_index(cells: FilterCells, theta: Reals) -> np.ndarray:
+    """Return the numbers of the cells in which angles lie."""
+    return np.maximum(np.searchsorted(cells.low, theta, "right") - 1, 0)
 
 
 def responses(cells: FilterCells, theta: Reals) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return P and V at angles, (2, box), their derivatives, and bounds of what these lost."""
-    number = cell_numbers(cells, theta)
-    offset = theta - cells.middle[number]
-    series = cells.series[number].T  # (order, 2, box)
+    """Return P and V at angles, (2, box), their derivatives, and bounds of the errors of both."""
+    index = cell_index(cells, theta)
+    offset = theta - cells.middle[index]
+    series = cells.series[index].T  # (order, 2, box)
     value, slope = series[-1], np.zeros_like(series[0])
     for coefficient in series[-2::-1]:
         slope = slope * offset + value
         value = value * offset + coefficient
-    is_inside = np.abs(offset) <= cells.half[number] * (1.0 + OVERLAP)
-    return value, slope, np.where(is_inside, cells.lost[number].T, np.inf)
+    is_inside = np.abs(offset) <= cells.half[index] * (1.0 + OVERLAP)
+    return value, slope, np.where(is_inside, cells.error[index].T, np.inf)
 
 
 def largest_within(
@@ -561,10 +568,10 @@ def largest_within(
 ) -> np.ndarray:
     """Return the largest of bounds of cells in theta +- by_theta; infinite beyond the cells."""
     low, high = theta - by_theta, theta + by_theta
-    first, last = cell_numbers(cells, low), cell_numbers(cells, high)
-    level = np.frexp(last - first + 1)[1] - 1
-    largest = np.maximum(steepness[level, first], steepness[level, last + 1 - (1 << level)])
-    is_inside = (low >= cells.first[0]) & (high <= cells.middle[-1] + cells.half[-1])
+    start, end = cell_index(cells, low), cell_index(cells, high)
+    level = np.frexp(end - start + 1)[1] - 1
+    largest = np.maximum(steepness[level, start], steepness[level, end + 1 - (1 << level)])
+    is_inside = (low >= cells.low[0]) & (high <= cells.middle[-1] + cells.half[-1])
     bounds: np.ndarray = np.where(is_inside, largest.T, np.inf)
     return bounds
 
@@ -575,20 +582,20 @@ class OverCells(NamedTuple):
     values: np.ndarray
     slopes: np.ndarray
     bends: np.ndarray  # of the second derivatives in the boxes
-    lost: np.ndarray  # of the values, then of the derivatives
+    error: np.ndarray  # of the values, then of the derivatives
     by_theta: Reals
 
     @classmethod
-    def of(cls, cells: FilterCells, theta: Reals, by_theta: Reals) -> "OverCells":
+    def from_cells(cls, cells: FilterCells, theta: Reals, by_theta: Reals) -> "OverCells":
         """Return the functions of cells over boxes."""
-        values, slopes, lost = responses(cells, theta)
+        values, slopes, errors = responses(cells, theta)
         steep = largest_within(cells.steepness, cells, theta, by_theta)
-        return cls(values, slopes, steep[len(values) :], lost, by_theta)
+        return cls(values, slopes, steep[len(values) :], errors, by_theta)
 
     def values_along(self, axes: int) -> list[LinearModel]:
         """Return models of the functions; the angle is the last of some axes."""
-        lost, slopes_lost = np.split(self.lost, 2)
-        rests = 0.5 * self.bends * self.by_theta**2 + lost + self.by_theta * slopes_lost
+        errors, slope_errors = np.split(self.error, 2)
+        rests = 0.5 * self.bends * self.by_theta**2 + errors + self.by_theta * slope_errors
         return [
             LinearModel(value, self._along(axes, slope * self.by_theta), rest, np.ones((axes, 1)))
             for value, slope, rest in zip(self.values, self.slopes, rests, strict=True)
@@ -596,7 +603,7 @@ class OverCells(NamedTuple):
 
     def rates_along(self, axes: int) -> list[LinearModel]:
         """Return models of the derivatives by the angle, without slopes."""
-        rests = self.bends * self.by_theta + np.split(self.lost, 2)[1]
+        rests = self.bends * self.by_theta + np.split(self.error, 2)[1]
         return [
             LinearModel(slope, self._along(axes, 0.0 * slope), rest, np.ones((axes, 1)))
             for slope, rest in zip(self.slopes, rests, strict=True)
@@ -614,21 +621,21 @@ class OverCells(NamedTuple):
 # With s = 1 - 1/z and h = 1 - cos(theta), s^2 = 2 h s - 2 h, so that on the circle every rational
 # function of z with real coefficients is
 #
-#     one + h rise + slope s,        one = its value at z = 1,
+#     at_one + h rise + slope s,
 #
-# with real functions rise and slope of h. Products and quotients of these parts lose no digits next
-# to z = 1; next to z = -1 the parts of the function of -z take their place, and in between the
-# parts follow from the function itself (lemma B12 of docs/proofs.md).
+# at_one the value at z = 1, rise and slope real functions of h. Products and quotients of these
+# parts lose no digits next to z = 1; next to z = -1 the parts of the function of -z take their
+# place, and in between the parts follow from the function itself (lemma B12 of docs/proofs.md).
 
 _NEAR = 0.25  # of 0 or pi: there products of parts lose no digits
 
 
 class Ends(NamedTuple):
-    """P and V at z = 1 and -1; ``lost`` bounds the relative error of the values at -1."""
+    """P and V at z = 1 and -1; ``error`` bounds the relative error of the values at -1."""
 
     position_at_one: float
     at_minus_one: tuple[float, float]
-    lost: float
+    error: float
 
 
 class FilterModels(NamedTuple):
@@ -644,14 +651,14 @@ class _PartCells(NamedTuple):
     """Taylor coefficients of the four in the cells of ``filter_cells``, and bounds."""
 
     series: Float64[np.ndarray, "cell 4 order"]
-    lost: Float64[np.ndarray, "cell 12"]  # of the sums, then of two derivatives
+    error: Float64[np.ndarray, "cell 12"]  # of the sums, then of two derivatives
     steepness: Float64[np.ndarray, "k cell 8"]  # second, then third derivatives
 
 
 class _Parts(NamedTuple):
-    """A function one + h rise + slope s in cells."""
+    """A function at_one + h rise + slope s in cells."""
 
-    one: DoubleDouble
+    at_one: DoubleDouble
     rise: Series
     slope: Series
 
@@ -664,13 +671,13 @@ def filter_ends(filters: Filters) -> Ends:
         _value([(turned(above), turned(below)) for above, below in chain])
         for chain in (position, velocity)
     ]
-    lost = 2.0**-49
+    error = 2.0**-49
     for above, below in (*position, *velocity):
-        for part in (above, below, turned(above), turned(below)):
-            value = float(abs(reduce(DoubleDouble.__add__, part).hi))
+        for polynomial in (above, below, turned(above), turned(below)):
+            value = float(abs(reduce(DoubleDouble.__add__, polynomial).hi))
             # A value of exactly 0 is one of coefficients that cancel exactly.
-            lost += 2.0**-50 + (SHIFTED * float(size_of(part)) / value if value else 0.0)
-    return Ends(_value(position), (at_minus_one[0], at_minus_one[1]), lost)
+            error += 2.0**-50 + (SHIFTED * float(size_of(polynomial)) / value if value else 0.0)
+    return Ends(_value(position), (at_minus_one[0], at_minus_one[1]), error)
 
 
 def filter_models(
@@ -678,25 +685,25 @@ def filter_models(
 ) -> FilterModels:
     """Return models over patches of theta, which is the first of their variables."""
     cells, parts = filter_cells(filters), _part_cells(filters)
-    number = cell_numbers(cells, theta)
-    offset = theta - cells.middle[number]
-    series = parts.series[number].T  # (order, 4, patch)
+    index = cell_index(cells, theta)
+    offset = theta - cells.middle[index]
+    series = parts.series[index].T  # (order, 4, patch)
     derivatives = []
     for k in range(3):
         total = np.zeros_like(series[0])
         for order in range(len(series) - 1, k - 1, -1):
             total = total * offset + factorial(order) / factorial(order - k) * series[order]
         derivatives.append(total)
-    lost = parts.lost[number].T.reshape(3, 4, -1)
+    errors = parts.error[index].T.reshape(3, 4, -1)
     steep = largest_within(parts.steepness, cells, theta, half[0]).reshape(2, 4, -1)
     still = np.zeros((len(half) - 1, len(theta)))
 
-    def model(part: int, k: int) -> LinearModel:
-        rest = 0.5 * steep[k, part] * half[0] ** 2 + lost[k, part] + half[0] * lost[k + 1, part]
-        slope = np.concatenate([derivatives[k + 1][None, part], still])
-        return LinearModel(derivatives[k][part], slope, rest, half)
+    def model(row: int, k: int) -> LinearModel:
+        rest = 0.5 * steep[k, row] * half[0] ** 2 + errors[k, row] + half[0] * errors[k + 1, row]
+        slope = np.concatenate([derivatives[k + 1][None, row], still])
+        return LinearModel(derivatives[k][row], slope, rest, half)
 
-    return FilterModels(*(Moving(model(part, 0), model(part, 1)) for part in range(4)))
+    return FilterModels(*(Moving(model(row, 0), model(row, 1)) for row in range(4)))
 
 
 def _value(chain: list[Factor]) -> float:
@@ -713,13 +720,13 @@ def _part_cells(filters: Filters) -> _PartCells:
     cells = filter_cells(filters)
     half = cells.half * (1.0 + OVERLAP)
     narrow, wide = (
-        [part for chain in factors_of(filters) for part in _parts(chain, cells.middle, half, whole)]
+        [f for chain in factors_of(filters) for f in _parts(chain, cells.middle, half, whole)]
         for whole in (False, True)
     )
-    lost = [lost_of(*both, half, k) for k in range(3) for both in zip(narrow, wide, strict=True)]
+    errors = [error_of(*both, half, k) for k in range(3) for both in zip(narrow, wide, strict=True)]
     return _PartCells(
-        series=np.stack([part.value[:-1].T for part in narrow], axis=1),
-        lost=np.stack(lost, axis=-1),
+        series=np.stack([f.value[:-1].T for f in narrow], axis=1),
+        error=np.stack(errors, axis=-1),
         steepness=largest_from(
             np.stack([factorial(k) * bound_of(f, k) for k in (2, 3) for f in wide], axis=-1)
         ),
@@ -736,9 +743,9 @@ def _parts(chain: list[Factor], middle: Cells, half: Cells, is_wide: bool) -> tu
         (_next_to_minus_one, is_last),
     ):
         with np.errstate(invalid="ignore"):
-            some = function(chain, middle[which], half[which], is_wide)
-        for part, series in zip(rows, some, strict=True):
-            part[0][:, which], part[1][:, which] = series.value, series.error
+            both = function(chain, middle[which], half[which], is_wide)
+        for row, series in zip(rows, both, strict=True):
+            row[0][:, which], row[1][:, which] = series.value, series.error
     return Series(*rows[0]), Series(*rows[1])
 
 
@@ -762,7 +769,7 @@ def _real_and_imaginary(
     chain: list[Factor], middle: Cells, half: Cells, is_wide: bool
 ) -> tuple[Series, Series, tuple[Series, Series]]:
     """Return h, the sine, and both parts of the function."""
-    circle = Circle.of(middle, half, is_wide)
+    circle = Circle.over(middle, half, is_wide)
     step, whole = circle.step, circle.product(chain)
     value = whole.value.astype(np.complex128)
     parts = Series(value.real, whole.error), Series(value.imag, whole.error)
@@ -778,7 +785,7 @@ def _next_to_minus_one(
     parts = mirror.product([(turned(above), turned(below)) for above, below in chain])
     count = len(middle)
     zero = _backwards(mirror.zero(parts) + parts.slope * constant(2.0, count))
-    step = Circle.of(middle, half, is_wide).step
+    step = Circle.over(middle, half, is_wide).step
     h = Series(step.value.real, step.error)
     rise = (zero + constant(-_value(chain), count)) * h.reciprocal()
     return rise, _backwards(_negative(parts.slope))
@@ -792,7 +799,7 @@ class _Algebra(NamedTuple):
 
     @classmethod
     def over(cls, middle: Cells, half: Cells, is_wide: bool) -> "_Algebra":
-        circle = Circle.of(middle, half, is_wide)
+        circle = Circle.over(middle, half, is_wide)
         return cls(circle, Series(circle.step.value.real, circle.step.error))
 
     def product(self, chain: list[Factor]) -> _Parts:
@@ -807,47 +814,47 @@ class _Algebra(NamedTuple):
 
     def polynomial(self, ascending: Polynomial) -> _Parts:
         """Return the parts of a polynomial in 1/z, lowest power first."""
-        one = reduce(DoubleDouble.__add__, ascending)
+        at_one = reduce(DoubleDouble.__add__, ascending)
         if len(ascending) > 3:
             middle, half = self.circle.middle, self.circle.half
             sums = (
                 power_sum(weights, middle, half)[self.circle.is_wide]
                 for weights in _cosines(ascending)
             )
-            return _Parts(one, *(Series(each.value.real, each.error) for each in sums))
+            return _Parts(at_one, *(Series(each.value.real, each.error) for each in sums))
         zero = DoubleDouble(0.0, 0.0)
-        _, first, second = (*ascending, zero, zero)[:3]
-        bend = self.circle.known(second.scaled(2.0), ascending)
-        straight = self.circle.known(-(first + second.scaled(2.0)), ascending)
-        return _Parts(one, _negative(bend), straight + bend * self.h)
+        _, c1, c2 = (*ascending, zero, zero)[:3]
+        bend = self.circle.coefficient(c2.scaled(2.0), ascending)
+        straight = self.circle.coefficient(-(c1 + c2.scaled(2.0)), ascending)
+        return _Parts(at_one, _negative(bend), straight + bend * self.h)
 
     def inverse(self, below: Polynomial) -> _Parts:
         """Return the parts of the reciprocal of a polynomial."""
-        one, rise, slope = self.polynomial(below)
+        at_one, rise, slope = self.polynomial(below)
         whole = self.circle.polynomial(below)
         conjugate = Series(whole.value.conj(), whole.error)
         norm = whole * conjugate
         over_norm = Series(norm.value.real, norm.error).reciprocal()
         double = self.number(2.0)
-        fall = rise * (self.zero(_Parts(one, rise, slope)) + double * self.h * slope)
+        fall = rise * (self.zero(_Parts(at_one, rise, slope)) + double * self.h * slope)
         fall = fall + double * slope * slope
-        inverse = _ONE / one
-        over_one = self.circle.known(-inverse, (inverse,))
+        inverse = _ONE / at_one
+        over_one = self.circle.coefficient(-inverse, (inverse,))
         return _Parts(inverse, fall * over_norm * over_one, _negative(slope * over_norm))
 
-    def times(self, one: _Parts, other: _Parts) -> _Parts:
+    def times(self, parts: _Parts, other: _Parts) -> _Parts:
         """Return the parts of a product."""
-        a, b = (self.circle.known(each.one, (each.one,)) for each in (one, other))
-        both = one.slope * other.slope
-        rise = one.rise * b + other.rise * a + self.h * one.rise * other.rise
+        a, b = (self.circle.coefficient(each.at_one, (each.at_one,)) for each in (parts, other))
+        both = parts.slope * other.slope
+        rise = parts.rise * b + other.rise * a + self.h * parts.rise * other.rise
         rise = rise + both * self.number(-2.0)
-        slope = self.zero(one) * other.slope + self.zero(other) * one.slope
+        slope = self.zero(parts) * other.slope + self.zero(other) * parts.slope
         slope = slope + self.number(2.0) * self.h * both
-        return _Parts(one.one * other.one, rise, slope)
+        return _Parts(parts.at_one * other.at_one, rise, slope)
 
     def zero(self, parts: _Parts) -> Series:
-        """Return one + h rise."""
-        return self.circle.known(parts.one, (parts.one,)) + self.h * parts.rise
+        """Return at_one + h rise."""
+        return self.circle.coefficient(parts.at_one, (parts.at_one,)) + self.h * parts.rise
 
     def number(self, value: float) -> Series:
         """Return the series of an exact number."""

@@ -3,7 +3,7 @@
 Let the delay of each sample lie between L and L + J, in samples, and let the newest sample that has
 arrived set the force. The force then differs from that of the loop with the delay L by the last
 changes of the computed force, and that difference comes back through the device
-(``model.device.late_forces``). With x = 1/z, g the polynomial of the loop of delay L (as in
+(``model.device.sampling``). With x = 1/z, g the polynomial of the loop of delay L (as in
 ``linear_circle``), H = alpha P + beta V the wall and Q the response of the device to changes that
 come up to J late, the way round is a contraction if on the whole unit circle
 
@@ -27,10 +27,9 @@ from jaxtyping import Bool, Float64, Int64
 from jaxstab.arrays import PI_REST
 from jaxstab.conventions import Verdict
 from jaxstab.model.device import SampledDevice
-from jaxstab.model.device.late_forces import late_response
+from jaxstab.model.device.sampling import late_response
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import Filter, Filters, Velocity
-from jaxstab.model.sections import ONE, Polynomial
+from jaxstab.model.filters import ONE, Filter, Filters, Polynomial, Velocity
 from jaxstab.point.verdicts import linear_verdict
 from jaxstab.proofs.enclosures import LinearModel, conjugate, phasor, variable
 from jaxstab.proofs.filters import (
@@ -56,11 +55,12 @@ _FIRST_BOXES = 64  # of half a turn
 _HALVINGS = 24
 _MOST_BOXES = 4096  # of a wall at once, beyond which it is given up
 _AT_ONCE = 1 << 16  # boxes, of all walls
-_TINY, _LOST = 1e-300, 16.0 * EPS
+_TINY, _ROUNDING = 1e-300, 16.0 * EPS
 _EVEN = np.pi * (np.arange(4096) + 0.5) / 4096
 _THETA = np.concatenate([np.geomspace(1e-6, _EVEN[0], 512), _EVEN])  # angles of a search
 _CLOSE, _SMALLEST = 1e-4, 1e-9  # of the jitter, and in samples
 _SHARES = (1e-3, 1e-2, 0.05, 0.2, 0.5)  # by which it is lowered until it is proved
+_DEVICES = 256  # that are remembered: 81 sampled hands and masses for each wall that is tried
 _DIFFERENCE = (DoubleDouble(1.0, 0.0), DoubleDouble(-1.0, 0.0))  # 1 - x
 
 
@@ -74,7 +74,7 @@ def is_stable_for_all(
     codes = np.asarray(linear_verdict(walls[:, 0], walls[:, 1], device.loop(filters)))
     proved = np.asarray(codes == Verdict.STABLE)
     if jitter > 0.0 and proved.any():
-        cells = MovingCells.of(device, filters, jitter)
+        cells = MovingCells.from_loop(device, filters, jitter)
         chosen = walls[proved]
 
         def judge(wall: Numbered, box: Numbered, boxes: int) -> tuple[np.ndarray, np.ndarray]:
@@ -99,7 +99,7 @@ def are_polygons_stable(
     alpha, beta = corners[:, 0].T
     codes = np.asarray(linear_verdict(alpha, beta, device.loop(filters)))
     proved = np.asarray(codes == Verdict.STABLE)
-    cells, chosen = MovingCells.of(device, filters, jitter), corners[proved]
+    cells, chosen = MovingCells.from_loop(device, filters, jitter), corners[proved]
 
     def judge(polygon: Numbered, box: Numbered, boxes: int) -> tuple[np.ndarray, np.ndarray]:
         return _are_parted(cells, chosen, (polygon, box), boxes), np.zeros(box.shape, bool)
@@ -115,16 +115,16 @@ def stiffest_for_all(
     most: Float64[np.ndarray, " damping"],
     jitter: float,
 ) -> Float64[np.ndarray, " damping"]:
-    """Return up to which alpha the inequality holds at the angles of a search, without a proof.
+    """The alpha up to which the inequality holds at the angles of a search, without a proof.
 
     It is at most ``most``, and 0 if there is none. Where the inequality does not hold at 0, it is
     the end of the first alphas beyond those that an angle excludes there.
     """
-    low, high = MovingCells.of(device, filters, jitter).excluded(beta)
-    first = np.max(np.where(low < 0.0, high, 0.0), axis=1)
-    beyond = np.maximum(np.where(high > first[:, None], low, inf), first[:, None])
-    last = np.minimum(np.min(beyond, axis=1), most)
-    return np.where(last > first, last, 0.0)
+    low, high = MovingCells.from_loop(device, filters, jitter).excluded(beta)
+    start = np.max(np.where(low < 0.0, high, 0.0), axis=1)
+    beyond = np.maximum(np.where(high > start[:, None], low, inf), start[:, None])
+    end = np.minimum(np.min(beyond, axis=1), most)
+    return np.where(end > start, end, 0.0)
 
 
 def largest_jitters(
@@ -137,18 +137,18 @@ def largest_jitters(
     """
     largest = np.where(np.any(walls, axis=1), 0.0, inf)
     stable = is_stable_for_all(device, filters, walls, 0.0)
-    squares = MovingCells.of(device, filters, 1.0).squares(walls)
-    for number in np.flatnonzero(stable & (largest == 0.0)):
+    squares = MovingCells.from_loop(device, filters, 1.0).squares(walls)
+    for wall in np.flatnonzero(stable & (largest == 0.0)):
         low, high = 0.0, most
         while high - low > _CLOSE * high and high > _SMALLEST:
             tried = 0.5 * (low + high) if low > 0.0 else high / 16.0
-            response = late_response(device, tried).at(_THETA)
-            is_more = bool(np.all(squares[number] > response))
+            response = late_response(device, tried).values_at(_THETA)
+            is_more = bool(np.all(squares[wall] > response))
             low, high = (tried, high) if is_more else (low, tried)
         for share in _SHARES:
             tried = low * (1.0 - share)
-            if is_stable_for_all(device, filters, walls[number, None], tried)[0]:
-                largest[number] = tried
+            if is_stable_for_all(device, filters, walls[wall, None], tried)[0]:
+                largest[wall] = tried
                 break
     return np.where(stable, largest, 0.0)
 
@@ -165,7 +165,9 @@ class MovingCells(NamedTuple):
     per_velocity: float
 
     @classmethod
-    def of(cls, device: SampledDevice, filters: Filters | None, jitter: float) -> "MovingCells":
+    def from_loop(
+        cls, device: SampledDevice, filters: Filters | None, jitter: float
+    ) -> "MovingCells":
         """Return a loop whose delay moves by ``jitter`` samples; its parts are remembered."""
         plant, period = device.plant, device.sample_time
         lag = float(plant.lag + len(plant.denominator) - len(plant.numerator))
@@ -175,19 +177,19 @@ class MovingCells(NamedTuple):
         return cls(_device_cells(device, jitter), chains, lag, per_velocity)
 
     def gains(self, walls: Walls) -> Walls:
-        """Return what P and T V are multiplied with."""
+        """Return the factors of P and of T V."""
         return walls * [1.0, self.per_velocity]
 
     def over(self, box: Numbered, boxes: int) -> "OverBoxes":
-        """Return the loop over boxes of so many of half a turn."""
-        known, index = np.unique(box, return_inverse=True)
-        theta = np.pi * (known + 0.5) / boxes
+        """Return the loop over boxes of the angle, each pi / ``boxes`` wide."""
+        distinct, index = np.unique(box, return_inverse=True)
+        theta = np.pi * (distinct + 0.5) / boxes
         half = np.full(theta.shape, 0.5 * np.pi / boxes) + 8.0 * EPS
         index = np.ravel(index)
         models = [
-            LinearModel(one.centre[index], one.slope[:, index], one.rest[index], one.half)
-            for part in (self.device, self.filters)
-            for one in OverCells.of(part, theta, half).values_along(1)
+            LinearModel(model.centre[index], model.slope[:, index], model.rest[index], model.half)
+            for cells in (self.device, self.filters)
+            for model in OverCells.from_cells(cells, theta, half).values_along(1)
         ]
         late = variable(0, 1, theta[index], half[index]) * self.lag
         free, force, *others = models
@@ -203,16 +205,16 @@ class MovingCells(NamedTuple):
         return squares
 
     def excluded(self, beta: Float64[np.ndarray, " damping"]) -> tuple[Excluded, Excluded]:
-        """Return from where to where |g|^2 <= Q |(1 - x) H|^2 in alpha, at the angles of a search.
+        """Return the interval of alpha with |g|^2 <= Q |(1 - x) H|^2, at the angles of a search.
 
         The difference is quadratic in alpha. An interval from inf is empty.
         """
         free, force, change, response, position, velocity = self._at_angles()
         there = velocity * (self.per_velocity * beta[:, None])
-        late, rest = response.real * np.abs(change) ** 2, free + force * there
-        square = np.abs(position) ** 2 * (np.abs(force) ** 2 - late) + np.zeros_like(rest.real)
-        middle = np.real((np.conj(rest) * force - late * np.conj(there)) * position)
-        constant = np.abs(rest) ** 2 - late * np.abs(there) ** 2
+        late, g_at_0 = response.real * np.abs(change) ** 2, free + force * there
+        square = np.abs(position) ** 2 * (np.abs(force) ** 2 - late) + np.zeros_like(g_at_0.real)
+        middle = np.real((np.conj(g_at_0) * force - late * np.conj(there)) * position)
+        constant = np.abs(g_at_0) ** 2 - late * np.abs(there) ** 2
         root = middle**2 - square * constant
         with np.errstate(all="ignore"):
             outer = -(middle + np.copysign(np.sqrt(np.maximum(root, 0.0)), middle))
@@ -245,16 +247,16 @@ class OverBoxes(NamedTuple):
         return self.free + self.force * wall, wall
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=_DEVICES)
 def _device_cells(device: SampledDevice, jitter: float) -> FilterCells:
-    plant, known = device.plant, late_response(device, jitter)
+    plant, late = device.plant, late_response(device, jitter)
     shifted = plant.shifted or (None,) * 4
 
     def functions(middle: Cells, half: Cells, is_wide: bool) -> list[Series]:
         place = Place(middle, half, is_wide)
-        near = _in_cosines(middle, half, is_wide, known.about_one, known.errors[0])
+        near = _in_cosines(middle, half, is_wide, late.about_one, late.errors[0])
         mirror = (np.pi - middle) + PI_REST
-        far = _in_cosines(mirror, half, is_wide, known.about_minus_one, known.errors[1])
+        far = _in_cosines(mirror, half, is_wide, late.about_minus_one, late.errors[1])
         signs = np.where(np.arange(ORDERS) % 2, -1.0, 1.0)[:, None]
         is_better = near.error[0] <= far.error[0]
         response = Series(
@@ -272,35 +274,35 @@ def _in_cosines(
     middle: Cells, half: Cells, is_wide: bool, rising: Polynomial, error: float
 ) -> Series:
     """Return a polynomial in 1 - cos(theta); its coefficients err by ``error`` in all."""
-    circle = Circle.of(middle, half, is_wide)
+    circle = Circle.over(middle, half, is_wide)
     h = Series(circle.step.value.real, circle.step.error)
     total = constant(0.0, len(middle))
-    for coefficient in rising[::-1]:
-        total = total * h + circle.known(coefficient, rising)
+    for c in rising[::-1]:
+        total = total * h + circle.coefficient(c, rising)
     return spoilt(total, rising, error * 2.0 ** len(rising))  # h^k has terms of 2^k in all
 
 
 def _covered(
     count: int, judge: Callable[[Numbered, Numbered, int], tuple[np.ndarray, np.ndarray]]
 ) -> Bool[np.ndarray, " item"]:
-    """For which items something is proved on the whole circle, over boxes that are halved.
+    """Which items are proved on the whole circle, over boxes that are halved.
 
-    ``judge`` takes numbers of items, and of boxes of so many of half a turn; it returns in which of
-    them the item is proved, and in which it is refuted.
+    ``judge`` takes the numbers of items and of boxes, and how many boxes make half a turn; it
+    returns in which of them the item is proved, and in which it is refuted.
     """
     is_open = np.ones(count, bool)
     item, box = (
-        part.ravel()
-        for part in np.meshgrid(np.arange(count), np.arange(_FIRST_BOXES), indexing="ij")
+        numbers.ravel()
+        for numbers in np.meshgrid(np.arange(count), np.arange(_FIRST_BOXES), indexing="ij")
     )
     for halving in range(_HALVINGS + 1):
-        left = []
-        for first in range(0, item.size, _AT_ONCE):
-            some = item[first : first + _AT_ONCE], box[first : first + _AT_ONCE]
-            is_proved, is_refuted = judge(*some, _FIRST_BOXES << halving)
-            is_open[some[0][is_refuted]] = False
-            left.append(~is_proved)
-        unsure = np.concatenate(left) & is_open[item] if left else np.zeros(0, bool)
+        is_unproved = []
+        for start in range(0, item.size, _AT_ONCE):
+            chunk = item[start : start + _AT_ONCE], box[start : start + _AT_ONCE]
+            is_proved, is_refuted = judge(*chunk, _FIRST_BOXES << halving)
+            is_open[chunk[0][is_refuted]] = False
+            is_unproved.append(~is_proved)
+        unsure = np.concatenate(is_unproved) & is_open[item] if is_unproved else np.zeros(0, bool)
         item, box = item[unsure], box[unsure]
         if not item.size:
             return is_open
@@ -312,12 +314,12 @@ def _covered(
 
 
 def excess(
-    cells: MovingCells, walls: Walls, some: tuple[Numbered, Numbered], boxes: int
+    cells: MovingCells, walls: Walls, chosen: tuple[Numbered, Numbered], boxes: int
 ) -> LinearModel:
-    """Return |g|^2 - Q |(1 - x) H|^2 of walls over boxes of so many of half a turn."""
-    number, box = some
+    """Return |g|^2 - Q |(1 - x) H|^2 of chosen walls over boxes, each pi / ``boxes`` wide."""
+    index, box = chosen
     over = cells.over(box, boxes)
-    g, wall = over.g(cells.gains(walls)[number])
+    g, wall = over.g(cells.gains(walls)[index])
     more: LinearModel = _square(g) - _real(over.response) * _square(over.change * wall)
     return more
 
@@ -325,14 +327,14 @@ def excess(
 def _are_parted(
     cells: MovingCells,
     corners: Float64[np.ndarray, "polygon corner 2"],
-    some: tuple[Numbered, Numbered],
+    chosen: tuple[Numbered, Numbered],
     boxes: int,
 ) -> Bool[np.ndarray, " box"]:
     """Where one of some straight lines parts the discs of all corners from 0."""
-    number, box = some
+    polygon, box = chosen
     over = cells.over(box, boxes)
     late = np.sqrt(np.maximum(_real(over.response).high, 0.0))
-    pairs = [over.g(cells.gains(walls)[number]) for walls in np.moveaxis(corners, 1, 0)]
+    pairs = [over.g(cells.gains(walls)[polygon]) for walls in np.moveaxis(corners, 1, 0)]
     centres = [g.centre for g, _ in pairs]
     around = [g.rest + late * (over.change * wall).size * RAISED for g, wall in pairs]
     nearest = np.full(box.shape, -inf)
@@ -342,11 +344,11 @@ def _are_parted(
         far = [np.real(np.conj(normal) * centre) for centre in centres]
         sign = np.where(sum(far) < 0.0, -1.0, 1.0)
         distances = [
-            sign * one - np.sum(np.abs(np.real(np.conj(normal) * g.slope)) * g.half, axis=0) - rest
-            for one, (g, _), rest in zip(far, pairs, around, strict=True)
+            sign * away - np.sum(np.abs(np.real(np.conj(normal) * g.slope)) * g.half, axis=0) - disc
+            for away, (g, _), disc in zip(far, pairs, around, strict=True)
         ]
         nearest = np.maximum(nearest, np.minimum.reduce(distances))
-    return nearest > _LOST * np.max(np.abs(centres), axis=0)
+    return nearest > _ROUNDING * np.max(np.abs(centres), axis=0)
 
 
 def _square(model: LinearModel) -> LinearModel:

@@ -6,8 +6,8 @@ With x = 1/z the polynomial of a loop, divided by a power of z and by the filter
 
 three functions of the angle alone. Taylor series of each over cells of it, with bounds (lemma B10
 of docs/proofs.md), give models of them over boxes, whose sums and products give a model of g
-(``jaxstab.proofs.enclosures``, lemma B13). Below follow plants that depend on one more number: for
-any delay, and for all loops between two (lemmas B14, B17).
+(``jaxstab.proofs.enclosures``, lemma B13). Below follow plants that depend on one more parameter:
+for any delay, and for all loops between two (lemmas B14, B17).
 """
 
 from collections.abc import Sequence
@@ -23,10 +23,9 @@ from jaxstab.arrays import PI_REST, at, joined
 from jaxstab.model.device import SampledDevice
 from jaxstab.model.device.family import LoopFamily, LoopPiece, Piece, pieces_of, pieces_of_delay
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import Filter, Filters, Velocity
-from jaxstab.model.sections import ONE, Polynomial
+from jaxstab.model.filters import ONE, Filter, Filters, Polynomial, Velocity
 from jaxstab.proofs.enclosures import LinearModel, phasor, variable
-from jaxstab.proofs.exclusion import Models, Parts
+from jaxstab.proofs.exclusion import LineBoxes, Models
 from jaxstab.proofs.filters import (
     ORDERS,
     Cells,
@@ -46,7 +45,7 @@ Reals = Float64[np.ndarray, " box"]
 
 _SUMS = 16 * EPS  # of a delay
 _FLOOR = 256 * EPS  # of the terms of g, and of turns: about what the arithmetic of models adds
-_EDGE, _NUMBER, _THETA = 0, -2, -1
+_EDGE, _PARAMETER, _THETA = 0, -2, -1
 
 """The axes: along a line of gains, if any; along t or the delay, if any; along the angle."""
 
@@ -100,7 +99,7 @@ class Place(NamedTuple):
         about_minus_one: Polynomial | None,
         error: float,
     ) -> Series:
-        """Return Q(z)/z^degree, from the coefficients that say most in each cell.
+        """Return Q(z)/z^degree, from the coefficients that are most accurate in each cell.
 
         ``about_one`` are those of Q(z) in powers of z - 1, ``about_minus_one`` those of Q(-z).
         """
@@ -108,8 +107,8 @@ class Place(NamedTuple):
         if about_one is None or about_minus_one is None:
             return spoilt(best, falling, error)
         degree = len(falling) - 1
-        near = _in_steps(Circle.of(self.middle, self.half, self.is_wide), about_one)
-        mirror = Circle.of((np.pi - self.middle) + PI_REST, self.half, self.is_wide)
+        near = _in_steps(Circle.over(self.middle, self.half, self.is_wide), about_one)
+        mirror = Circle.over((np.pi - self.middle) + PI_REST, self.half, self.is_wide)
         far = _in_steps(mirror, about_minus_one)
         signs = np.where(np.arange(ORDERS) % 2, -1.0, 1.0)[:, None] * (-1.0) ** degree
         far = Series(far.value.conj() * signs, far.error)
@@ -126,10 +125,10 @@ def _in_steps(circle: Circle, falling: Polynomial) -> Series:
     """Return Q(z)/z^degree from its coefficients in powers of z - 1 = (1 - 1/z) z."""
     count = len(circle.middle)
     back = constant(1.0, count) + Series(-circle.step.value, circle.step.error)
-    total = circle.known(falling[0], falling)
+    total = circle.coefficient(falling[0], falling)
     turn = back
-    for coefficient in falling[1:]:
-        total = total * circle.step + circle.known(coefficient, falling) * turn
+    for c in falling[1:]:
+        total = total * circle.step + circle.coefficient(c, falling) * turn
         turn = turn * back
     return total
 
@@ -137,80 +136,80 @@ def _in_steps(circle: Circle, falling: Polynomial) -> Series:
 def spoilt(series: Series, falling: Polynomial, error: float) -> Series:
     """Return a polynomial whose coefficients have errors that sum up to ``error`` at most."""
     degree = len(falling)
-    lost = [float(error) * degree**k / factorial(k) for k in range(ORDERS)]
-    return Series(series.value, series.error + np.array(lost)[:, None])
+    errors = [float(error) * degree**k / factorial(k) for k in range(ORDERS)]
+    return Series(series.value, series.error + np.array(errors)[:, None])
 
 
-def line_models(cells: FilterCells, lines: GainLines, parts: Parts) -> Models:
+def line_models(cells: FilterCells, lines: GainLines, boxes: LineBoxes) -> Models:
     """Return g over boxes of lines and angles."""
-    t, theta = 0.5 * (parts.low + parts.high)
-    half = 0.5 * (parts.high - parts.low) * (1.0 + 4.0 * EPS)
-    change = lines.change[:, parts.line]
-    gains = lines.start[:, parts.line] + change * t
-    over = OverCells.of(cells, theta, half[1])
+    t, theta = 0.5 * (boxes.low + boxes.high)
+    half = 0.5 * (boxes.high - boxes.low) * (1.0 + 4.0 * EPS)
+    change = lines.change[:, boxes.line]
+    gains = lines.start[:, boxes.line] + change * t
+    over = OverCells.from_cells(cells, theta, half[1])
     free, *forces = over.values_along(2)
     alpha, beta = (variable(_EDGE, 2, *ends) for ends in zip(gains, change * half[0], strict=True))
-    rounding = over.lost[0] + np.sum(np.abs(gains) * over.lost[1:3], axis=0)
+    rounding = over.error[0] + np.sum(np.abs(gains) * over.error[1:3], axis=0)
     return _expanded(free, alpha * forces[0] + beta * forces[1], rounding)
 
 
 def _expanded(
-    free: LinearModel, force: LinearModel, lost: Reals, turns: Reals | float = 0.0
+    free: LinearModel, force: LinearModel, rounding: Reals, turns: Reals | float = 0.0
 ) -> Models:
     """The sum g = D + F (alpha P + beta V) of two models, the second behind a number of turns.
 
-    The moves of g by each axis, with its part of the rest, say which axis to halve. ``lost`` bounds
-    the rounding of values: where the rest is little more, halving is in vain.
+    The moves of g by each axis, with its part of the rest, say which axis to halve. ``rounding``
+    bounds that of values: where the rest is little more, halving is in vain.
     """
     g = free + force
-    reach = np.abs(free.slope) + np.abs(force.slope)
-    share = reach / np.maximum(reach.sum(axis=0), 1e-300)
-    floor = lost + _FLOOR * (np.abs(free.centre) + (1.0 + turns) * np.abs(force.centre))
+    moves = np.abs(free.slope) + np.abs(force.slope)
+    share = moves / np.maximum(moves.sum(axis=0), 1e-300)
+    floor = rounding + _FLOOR * (np.abs(free.centre) + (1.0 + turns) * np.abs(force.centre))
     return Models(g.centre, g.slope, g.rest, np.abs(g.slope) + 2.0 * g.rest * share, floor)
 
 
-# Polynomials in z whose coefficients are polynomials in one more number, over boxes of angles.
+# Polynomials in z whose coefficients are polynomials in one parameter, over boxes of angles.
 #
 # They are known by pieces (``jaxstab.model.device.family.Piece``), over a power of z; what lemma
-# B14 of docs/proofs.md says of one bounds it in boxes of the number and the angle.
+# B14 of docs/proofs.md says of one bounds it in boxes of the parameter and the angle.
 
 _BEYOND = 1e-7  # of a piece, beyond which its polynomial may not hold
 
 
 class PieceBoxes(NamedTuple):
-    """Boxes, each within a piece: its number, the middles and the half-widths."""
+    """Boxes of a parameter and the angle, each within a numbered piece: middles and half-widths."""
 
     piece: Int64[np.ndarray, " box"]
-    number: Reals
+    parameter: Reals
     theta: Reals
-    by_number: Reals
+    by_parameter: Reals
     by_theta: Reals
 
 
 def over_pieces(pieces: Sequence[Piece], boxes: PieceBoxes, axes: int) -> tuple[LinearModel, Reals]:
     """N of pieces over boxes, and the rounding in its rest.
 
-    The number and the angle are the last two of ``axes`` axes.
+    The parameter and the angle are the last two of ``axes`` axes.
     """
     is_far = boxes.theta > 0.5 * np.pi
     columns = np.empty((5, boxes.theta.size), complex)
     keys = 2 * boxes.piece + is_far
     for key in np.unique(keys):
-        some = np.flatnonzero(keys == key)
+        chosen = np.flatnonzero(keys == key)
         piece = pieces[key // 2]
-        offset, theta = boxes.number[some] - piece.middle, boxes.theta[some]
-        sides = boxes.by_number[some], boxes.by_theta[some]
+        offset, theta = boxes.parameter[chosen] - piece.middle, boxes.theta[chosen]
+        sides = boxes.by_parameter[chosen], boxes.by_theta[chosen]
         if key % 2:
             rows = _in_piece(piece, piece.far, offset, (np.pi - theta) + PI_REST, *sides)
             rows[:3] = rows[:3].conj() * (-1.0) ** (piece.far.shape[1] - 1)
             rows[2] *= -1.0
         else:
             rows = _in_piece(piece, piece.near, offset, theta, *sides)
-        columns[:, some] = rows
+        columns[:, chosen] = rows
     slope = np.zeros((axes, boxes.theta.size), complex)
-    slope[_NUMBER], slope[_THETA] = columns[1:3]
-    rest, lost = columns[3:].real
-    return LinearModel(columns[0], slope, rest, np.ones((axes, 1))), lost
+    slope[_PARAMETER], slope[_THETA] = columns[1:3]
+    rest, rounding = columns[3:].real
+    return LinearModel(columns[0], slope, rest, np.ones((axes, 1))), rounding
 
 
 def _in_piece(
@@ -218,12 +217,12 @@ def _in_piece(
     coefficients: Float64[np.ndarray, "power coefficient"],
     offset: Reals,
     theta: Reals,
-    by_number: Reals,
+    by_parameter: Reals,
     by_theta: Reals,
 ) -> np.ndarray:
-    """Return N, its moves along the number and the angle, the rest and the rounding, as rows.
+    """Return N, its moves along the parameter and the angle, the rest and the rounding, as rows.
 
-    With u the number less the middle of the piece, x = 1/z, s = 1 - x and order n,
+    With u the parameter less the middle of the piece, x = 1/z, s = 1 - x and order n,
 
         N = sum_i sum_k c_ik u^i s^k x^(n - k),
 
@@ -233,11 +232,11 @@ def _in_piece(
     and their first two derivatives in the box, for all derivatives of s but itself are at most 1
     (lemma B14).
     """
-    reach = np.abs(offset) + by_number
+    farthest = np.abs(offset) + by_parameter
     count, size = coefficients.shape
     here, bounds = (
         [_derivative(value, count, order) @ table for order in range(3)]
-        for value, table in ((offset, coefficients), (reach, np.abs(coefficients)))
+        for value, table in ((offset, coefficients), (farthest, np.abs(coefficients)))
     )
     back = np.exp(-1j * theta)
     step = 2.0 * np.sin(0.5 * theta) ** 2 + 1j * np.sin(theta)
@@ -252,19 +251,18 @@ def _in_piece(
     slopes = k * once + late * most
     bends = k * (k - 1.0) * twice + k * (1.0 + 2.0 * late) * once + late**2 * most
     value, by_angle, by_offset = (
-        np.sum(one * other, axis=1)
-        for one, other in ((here[0], waves), (here[0], turned), (here[1], waves))
+        np.sum(a * b, axis=1) for a, b in ((here[0], waves), (here[0], turned), (here[1], waves))
     )
     bend, curve, twist = (
-        np.sum(one * other, axis=1)
-        for one, other in ((bounds[0], bends), (bounds[2], most), (bounds[1], slopes))
+        np.sum(a * b, axis=1)
+        for a, b in ((bounds[0], bends), (bounds[2], most), (bounds[1], slopes))
     )
-    rest = 0.5 * (by_theta**2 * bend + by_number**2 * curve) + by_number * by_theta * twist
-    lost = (bounds[0] + by_number[:, None] * bounds[1]) * most
-    lost = np.sum(lost + by_theta[:, None] * bounds[0] * slopes, axis=1)
-    lost = piece.remainder + (size + count + 8) * EPS * lost
-    rest = np.where(reach <= piece.half * (1.0 + _BEYOND), rest + lost, np.inf)
-    return np.stack([value, by_offset * by_number, by_angle * by_theta, rest, lost])
+    rest = 0.5 * (by_theta**2 * bend + by_parameter**2 * curve) + by_parameter * by_theta * twist
+    rounding = (bounds[0] + by_parameter[:, None] * bounds[1]) * most
+    rounding = np.sum(rounding + by_theta[:, None] * bounds[0] * slopes, axis=1)
+    rounding = piece.remainder + (size + count + 8) * EPS * rounding
+    rest = np.where(farthest <= piece.half * (1.0 + _BEYOND), rest + rounding, np.inf)
+    return np.stack([value, by_offset * by_parameter, by_angle * by_theta, rest, rounding])
 
 
 def _derivative(value: Reals, count: int, order: int) -> Float64[np.ndarray, "box power"]:
@@ -277,7 +275,7 @@ def _derivative(value: Reals, count: int, order: int) -> Float64[np.ndarray, "bo
 
 
 def _shifted(powers: Float64[np.ndarray, "box power"], by: int) -> Float64[np.ndarray, "box power"]:
-    """Return the powers that are so many lower, 0 for those below 0."""
+    """Return the powers that are lower by some number, 0 for those below 0."""
     shifted = np.zeros_like(powers)
     shifted[:, by:] = powers[:, :-by]
     return shifted
@@ -345,21 +343,21 @@ def delay_models(device: DelayedDevice, boxes: DelayBoxes) -> tuple[Models, Real
     numbers = np.searchsorted(device.ends, delay - whole, "right") - 1
     numbers = np.clip(numbers, 0, len(device.pieces) - 1)
     # The delay of a box is rounded: it may be farther away.
-    reach = by_delay + _SUMS * (1.0 + delay)
-    sides = PieceBoxes(numbers, delay - whole, theta, reach, by_theta)
-    over = OverCells.of(device.plain, theta, by_theta)
+    half_width = by_delay + _SUMS * (1.0 + delay)
+    sides = PieceBoxes(numbers, delay - whole, theta, half_width, by_theta)
+    over = OverCells.from_cells(device.plain, theta, by_theta)
     free, *filters = over.values_along(2)
-    numerator, lost = over_pieces(device.pieces, sides, 2)
+    numerator, rounding = over_pieces(device.pieces, sides, 2)
     wall = filters[0] * gains[0] + filters[1] * gains[1]
     force = numerator * wall
-    beyond = (reach - by_delay) / reach * np.abs(force.slope[_NUMBER])
-    slope = force.slope * np.stack([by_delay / reach, np.ones_like(reach)])
+    beyond = (half_width - by_delay) / half_width * np.abs(force.slope[_PARAMETER])
+    slope = force.slope * np.stack([by_delay / half_width, np.ones_like(half_width)])
     force = replace(force, slope=slope, rest=force.rest + beyond)
     apart = np.abs(np.abs(free.centre) - np.abs(force.centre)) - free.swing - force.swing
     turns = whole + 1.0
     behind = phasor(variable(_THETA, 2, theta, by_theta) * turns)
-    lost = over.lost[0] + lost * np.abs(wall.centre)
-    return _expanded(free, behind * force, lost, turns), apart
+    rounding = over.error[0] + rounding * np.abs(wall.centre)
+    return _expanded(free, behind * force, rounding, turns), apart
 
 
 # Roots on the unit circle of all loops between two, for walls along edges.
@@ -422,27 +420,29 @@ def family_models(cells: FamilyCells, boxes: FamilyBoxes) -> Models:
     order = np.lexsort((boxes.place.theta, boxes.place.piece))  # few pieces at once
     places = np.empty(count, np.int64)
     places[order] = np.arange(count)
-    some = [
-        _models(cells, at(boxes, (..., order[first : first + _IN_CACHE])))
-        for first in range(0, count, _IN_CACHE)
+    chunks = [
+        _models(cells, at(boxes, (..., order[start : start + _IN_CACHE])))
+        for start in range(0, count, _IN_CACHE)
     ]
-    return at(joined(some, -1), (..., places))
+    return at(joined(chunks, -1), (..., places))
 
 
 def _models(cells: FamilyCells, boxes: FamilyBoxes) -> Models:
     place = boxes.place
-    (free, lost), stiffness = (
+    (free, rounding), stiffness = (
         over_pieces([getattr(piece, name) for piece in cells.pieces], place, 3)
         for name in ("free", "stiffness")
     )
     damping = stiffness
     if any(piece.damping is not piece.stiffness for piece in cells.pieces):
         damping = over_pieces([piece.damping for piece in cells.pieces], place, 3)
-    filters = OverCells.of(cells.filters, place.theta, place.by_theta).values_along(3)
+    filters = OverCells.from_cells(cells.filters, place.theta, place.by_theta).values_along(3)
     forces, gains = [], zip(boxes.gains, boxes.edge, strict=True)
-    for (numerator, of_it), one, gain in zip((stiffness, damping), filters, gains, strict=True):
-        forces.append(variable(_EDGE, 3, *gain) * (numerator * one))
-        lost = lost + np.abs(gain[0] * one.centre) * of_it
+    for (numerator, error), response, gain in zip(
+        (stiffness, damping), filters, gains, strict=True
+    ):
+        forces.append(variable(_EDGE, 3, *gain) * (numerator * response))
+        rounding = rounding + np.abs(gain[0] * response.centre) * error
     lag = cells.lags[place.piece].astype(np.float64)
     behind = phasor(variable(_THETA, 3, place.theta, place.by_theta) * lag)
-    return _expanded(free, behind * (forces[0] + forces[1]), lost, lag)
+    return _expanded(free, behind * (forces[0] + forces[1]), rounding, lag)

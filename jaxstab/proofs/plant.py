@@ -1,8 +1,16 @@
 """The plant's coefficients over boxes of (gamma, delta), enclosed.
 
-Bounds of their second derivatives follow from lemmas B1 and B2 of docs/proofs.md: the plant's
-response to an impulse stays below t, its velocity below 1, and derivatives by gamma and delta are
-convolutions.
+D and N of one mass are smooth functions of gamma, delta and, between whole samples, the delay.
+Bounds of the second derivatives follow from the plant's energy (lemmas B1 and B2 of
+docs/proofs.md): its response to an impulse stays below t, its velocity below 1, and derivatives by
+gamma and delta are convolutions of these. With the bounds (``BENDS``), accurate values in the
+middle and at the ends of a box give linear models over the box: secants are the slopes, and the
+bounds are what they leave (``plant_models``). The delay is a further variable, whose derivatives
+are closed (lemma B16).
+
+For search and for boxes in large numbers, ``quick_plant`` computes D, N and their slopes in plain
+float64 by a Taylor series of the step response and doublings of its time (lemma B23), and
+``circle_equations`` gives the two real equations of a root on the circle.
 """
 
 from functools import partial
@@ -85,9 +93,10 @@ def _doublings(gamma: Array, delta: Array) -> Array:
 class QuickPlant(NamedTuple):
     """D(z) = z^2 + d1 z + d0 and N(z) = n2 z^2 + n1 z + n0, with some slopes, in plain float64.
 
-    ``impulse`` and ``kept`` are position and velocity one sample after an impulse, ``early`` and
-    ``late`` the slopes by the delay: n2 loses early, n0 gains late, n1 the rest. ``d_error`` and
-    ``n_error`` bound the errors of D and N on the circle, beyond a few roundings of their terms.
+    ``impulse`` and ``impulse_rate`` are position and velocity one sample after an impulse. The
+    slopes by the delay are -``early`` of n2, ``late`` of n0 and their difference of n1. ``d_error``
+    and ``n_error`` bound the errors of D and N on the circle, beyond a few roundings of their
+    terms.
     """
 
     d1: Float64[Array, "*grid"]
@@ -97,7 +106,7 @@ class QuickPlant(NamedTuple):
     n0: Float64[Array, "*grid"]
     sum: Float64[Array, "*grid"]
     impulse: Float64[Array, "*grid"]
-    kept: Float64[Array, "*grid"]
+    impulse_rate: Float64[Array, "*grid"]
     early: Float64[Array, "*grid"]
     late: Float64[Array, "*grid"]
     d_error: Float64[Array, "*grid"]
@@ -111,7 +120,7 @@ def accurate_plant(
 ) -> QuickPlant:
     """Return the sampled plants of loops to full precision; equal plants are computed once."""
     hands = np.stack([gamma, delta, delay - np.floor(delay)], axis=-1)
-    hands, number = np.unique(hands, axis=0, return_inverse=True)
+    hands, index = np.unique(hands, axis=0, return_inverse=True)
     alone = len(hands) == 1
     # Single ones are remembered.
     exact = plant_coefficients(**by_name(*hands[0] if alone else hands.T))
@@ -120,7 +129,7 @@ def accurate_plant(
     )
     zero = np.zeros(len(hands))
     plant = plant._replace(d_error=zero, n_error=zero)
-    return QuickPlant(*(np.broadcast_to(part, len(hands))[number.ravel()] for part in plant))
+    return QuickPlant(*(np.broadcast_to(c, len(hands))[index.ravel()] for c in plant))
 
 
 def quick_plant(gamma: Array, delta: Array, delay: Array) -> QuickPlant:
@@ -129,15 +138,15 @@ def quick_plant(gamma: Array, delta: Array, delay: Array) -> QuickPlant:
     rest_of_sample = xp.floor(delay) + 1.0 - delay
     times = xp.stack(xp.broadcast_arrays(xp.ones_like(gamma + delta), rest_of_sample))
     full, held = map(Motion, *motion(gamma, delta, times))
-    kept = 1.0 - delta * full.velocity - gamma * full.position
-    total = full.position + full.velocity**2 - kept * full.position
+    impulse_rate = 1.0 - delta * full.velocity - gamma * full.position
+    total = full.position + full.velocity**2 - impulse_rate * full.position
     later = full.position - held.position
     n2, early = held
-    n1 = later + full.velocity * early - kept * n2
-    n0 = full.velocity * (full.velocity - early) - kept * later
+    n1 = later + full.velocity * early - impulse_rate * n2
+    n0 = full.velocity * (full.velocity - early) - impulse_rate * later
     late = full.velocity * (1.0 - gamma * n2) - early * (1.0 - gamma * full.position)
-    d1, d0 = gamma * full.position - 1.0 - kept, xp.exp(-delta)
-    slopes = (full.velocity, kept, early, late)
+    d1, d0 = gamma * full.position - 1.0 - impulse_rate, xp.exp(-delta)
+    slopes = (full.velocity, impulse_rate, early, late)
     return QuickPlant(d1, d0, n2, n1, n0, total, *slopes, *quick_errors(gamma))
 
 
@@ -155,11 +164,11 @@ def quick_slice(gamma: Array, delta: Array, delay: Array) -> SliceCoefficients:
     """
     xp = namespace(gamma, delta, delay)
     plant = quick_plant(gamma, delta, delay)
-    one = xp.ones_like(plant.d0)
+    ones = xp.ones_like(plant.d0)
     return SliceCoefficients(
-        radius=one,
+        radius=ones,
         turns=xp.floor(delay) + 1.0,
-        gain=one,
+        gain=ones,
         ratio=gamma,
         kappa=1.0 + plant.d0,
         eps=-xp.expm1(-delta),
@@ -182,9 +191,9 @@ def circle_equations(
     square = xp.sin(folded) ** 2
     cosine_m, ratio_m = turns_over_sine(c.turns, theta)
     near, far = 2.0 * xp.sin(0.5 * folded) ** 2, 2.0 * xp.cos(0.5 * folded) ** 2
-    h, rest = xp.where(upper, far, near), xp.where(upper, near, far)  # 1 -+ cos(theta)
-    d = xp.where(upper, c.kappa * rest - c.den_minus, c.den_plus - c.kappa * h)
-    q = xp.where(upper, c.sigma * rest - c.num_minus, c.num_plus - c.sigma * h)
+    h, mirror_h = xp.where(upper, far, near), xp.where(upper, near, far)  # 1 -+ cos(theta)
+    d = xp.where(upper, c.kappa * mirror_h - c.den_minus, c.den_plus - c.kappa * h)
+    q = xp.where(upper, c.sigma * mirror_h - c.num_minus, c.num_plus - c.sigma * h)
     position, velocity = responses.over_sine(theta)
     wall, wall_turned = (alpha * p + beta * v for p, v in zip(position, velocity, strict=True))
     # (N/z) H = push + i sin(theta) turned
@@ -195,7 +204,7 @@ def circle_equations(
     return real, imaginary
 
 
-# How far the plant's coefficients bend, and what of them is lost.
+# Bounds of the second derivatives of the plant's coefficients, and models of these over boxes.
 
 Floats = Any  # real or complex arrays
 
@@ -264,7 +273,7 @@ class PlantModels(NamedTuple):
 
 
 class CurveParts(NamedTuple):
-    """What the curve takes of the plant alone, as linear models over boxes of hands."""
+    """The terms of the plant alone in the curve, as linear models over boxes of hands."""
 
     gamma: LinearModel
     sum: LinearModel
@@ -276,17 +285,17 @@ class CurveParts(NamedTuple):
     eps_nu: LinearModel
     nu_square: LinearModel
     by_q: LinearModel  # kappa - gamma sigma
-    by_rest: LinearModel  # nu (gamma nu - eps)
+    by_mirror_h: LinearModel  # nu (gamma nu - eps)
 
     @staticmethod
-    def of(plant: PlantModels) -> "CurveParts":
-        """Return them over the boxes of a plant."""
+    def from_plant(plant: PlantModels) -> "CurveParts":
+        """Return the terms over the boxes of a plant."""
         gamma, total = plant.gamma, plant.sum
         kappa, eps = plant.d0 + 1.0, 1.0 - plant.d0
         sigma, nu = plant.n2 + plant.n0, plant.n2 - plant.n0
         products = gamma * total, eps * nu, nu * nu
-        by_q, by_rest = kappa - gamma * sigma, nu * (gamma * nu - eps)
-        return CurveParts(gamma, total, kappa, eps, sigma, nu, *products, by_q, by_rest)
+        by_q, by_mirror_h = kappa - gamma * sigma, nu * (gamma * nu - eps)
+        return CurveParts(gamma, total, kappa, eps, sigma, nu, *products, by_q, by_mirror_h)
 
     def over_patches(
         self, box: Int64[np.ndarray, " patch"], half_theta: Float64[np.ndarray, " patch"]
@@ -304,13 +313,13 @@ class CurveParts(NamedTuple):
         return CurveParts(
             *(
                 LinearModel(
-                    part.centre[box],
-                    joined(still, still, part.slope[:, box]),
-                    part.rest[box],
+                    model.centre[box],
+                    joined(still, still, model.slope[:, box]),
+                    model.rest[box],
                     half,
                     has_products,
                 )
-                for part in self
+                for model in self
             )
         )
 
@@ -323,7 +332,7 @@ def plant_models(hands: HandBoxes, delay: float, half_delay: float = 0.0) -> Pla
     delay is a variable of the models, with its products.
     """
     h_gamma, h_delta = hands.half_gamma, hands.half_delta
-    gamma, delta, values, lost = stencil(hands, delay)
+    gamma, delta, values, errors = stencil(hands, delay)
     half, still = np.stack([h_gamma, h_delta]), np.zeros_like(h_gamma)
     moves = delay_moves(hands.gamma, hands.delta, delay) if half_delay else {}
     if half_delay:
@@ -333,19 +342,19 @@ def plant_models(hands: HandBoxes, delay: float, half_delay: float = 0.0) -> Pla
     widths = gamma[2] - gamma[1], delta[4] - delta[3]
 
     def model(name: str) -> LinearModel:
-        at = values[name]
-        slope = [_secant(at[1], at[2], widths[0]), _secant(at[3], at[4], widths[1])]
+        points = values[name]
+        slope = [_secant(points[1], points[2], widths[0]), _secant(points[3], points[4], widths[1])]
         # A secant differs from the tangent by as much as the function from its tangent.
         bend = BENDS[name]
         secant = bend.rest(h_gamma, 0.0) + bend.rest(0.0, h_delta)
         rest = bend.rest(h_gamma, h_delta, half_delay) + bend.delay_thrice * third + secant
-        rest += PLANT_MODEL * (np.max(np.abs(at), axis=0) + half_delay)
-        centre = at[0]
+        rest += PLANT_MODEL * (np.max(np.abs(points), axis=0) + half_delay)
+        centre = points[0]
         if half_delay:
             rate, twice = moves.get(name, (still, still))
             slope += [rate, twice, still, still]
             centre = centre + twice * half[3]
-        rest += lost[name]
+        rest += errors[name]
         return LinearModel(centre, np.stack(slope), rest, half, bool(half_delay))
 
     along_gamma = np.stack([np.ones_like(still), *[still] * (len(half) - 1)])
@@ -366,22 +375,22 @@ def stencil(
     delta = np.maximum(hands.delta + np.stack([still, still, still, -h_delta, h_delta]), 0.0)
     plant = plant_coefficients(gamma=gamma, delta=delta, delay=delay)
     values = {name: np.asarray(value) for name, value in plant._asdict().items()}
-    # More than a rounding is lost of N where it nearly vanishes, and of D where it decays.
-    lost = 8.0 * np.asarray(pairs_error(gamma.max(axis=0), delta.max(axis=0)))
+    # N is wrong by more than a rounding where it nearly vanishes, and D where it decays.
+    error = 8.0 * np.asarray(pairs_error(gamma.max(axis=0), delta.max(axis=0)))
     size_n = np.sqrt(np.max(values["sum"], axis=0))
-    of_n = dict.fromkeys(values, lost * size_n + UNDERFLOW)
-    return gamma, delta, values, of_n | dict.fromkeys(("d1", "d0"), lost + UNDERFLOW)
+    of_n = dict.fromkeys(values, error * size_n + UNDERFLOW)
+    return gamma, delta, values, of_n | dict.fromkeys(("d1", "d0"), error + UNDERFLOW)
 
 
 def delay_moves(
     gamma: Floats, delta: Floats, delay: float
 ) -> dict[str, Float64[np.ndarray, "order *box"]]:
     """The first and half of the second derivatives of N by the delay; others are 0 (lemma B16)."""
-    part = delay - np.floor(delay)
+    fraction = delay - np.floor(delay)
     (went, early), (gone, velocity) = (
-        motion(gamma, delta, np.full_like(gamma, time)) for time in (1.0 - part, part)
+        motion(gamma, delta, np.full_like(gamma, time)) for time in (1.0 - fraction, fraction)
     )
-    fading = np.exp(-delta * (1.0 - part))
+    fading = np.exp(-delta * (1.0 - fraction))
     n2 = np.stack([-early, 0.5 * (1.0 - delta * early - gamma * went)])
     n0 = fading * np.stack([velocity, 0.5 * (1.0 - gamma * gone)])
     return {"n2": n2, "n1": -n2 - n0, "n0": n0, "difference": 2.0 * (n2 + n0)}

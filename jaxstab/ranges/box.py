@@ -71,7 +71,7 @@ class ParameterBox:
     index: Int64[np.ndarray, " box"]
 
     @classmethod
-    def of(cls, index: Int64[np.ndarray, " box"], **axes: tuple[Any, Any]) -> "ParameterBox":
+    def from_axes(cls, index: Int64[np.ndarray, " box"], **axes: tuple[Any, Any]) -> "ParameterBox":
         """One box for each index, from the middle and the half-width of each named axis."""
         center, half = (
             np.stack([np.broadcast_to(np.float64(v), index.shape) for v in values], axis=-1)
@@ -90,7 +90,7 @@ class ParameterBox:
         return len(self.index)
 
     def select(self, chosen: np.ndarray | slice) -> "ParameterBox":
-        """Return some of the boxes."""
+        """Return chosen boxes."""
         return ParameterBox(self.axes, *(x[chosen] for x in (self.center, self.half, self.index)))
 
     def paved(
@@ -109,25 +109,25 @@ class ParameterBox:
         index, where ``most_each`` are, or ``effort`` were judged in all. These two make the result
         for an index independent of the others.
         """
-        boxes, left = self, [self.select(slice(0))]
+        boxes, unproved = self, [self.select(slice(0))]
         finished, judged = True, np.zeros(int(self.index.max(initial=-1)) + 1, np.int64)
         while boxes.count:
             open_boxes = np.bincount(boxes.index, minlength=judged.size)
             is_over = (open_boxes > most_each) | (judged + open_boxes > effort)
             given_up = is_over[boxes.index] | (boxes.count > most)
             if given_up.any():
-                left.append(boxes.select(given_up))
+                unproved.append(boxes.select(given_up))
                 boxes, finished = boxes.select(~given_up), False
                 open_boxes = np.bincount(boxes.index, minlength=judged.size)
             judged += open_boxes
             free, share = boxes._proof(prove)
             divisible = boxes.half > smallest
             is_divisible = divisible.any(axis=1)
-            left.append(boxes.select(~free & ~is_divisible))
+            unproved.append(boxes.select(~free & ~is_divisible))
             going = ~free & is_divisible
             axis = np.argmax(np.where(divisible, share, -1.0), axis=1)[going]
             boxes = boxes.select(going)._halved(axis)
-        return Paving(joined(left), finished, judged)
+        return Paving(joined(unproved), finished, judged)
 
     def _proof(self, prove: Callable[["ParameterBox"], Proof]) -> Proof:
         """The proof of the boxes in blocks: each box needs about 100 numbers."""
@@ -165,7 +165,7 @@ class Paving(NamedTuple):
 
 def joined(parts: Sequence[ParameterBox]) -> ParameterBox:
     """The boxes of one, then of the next, all with the same axes."""
-    columns = zip(*((part.center, part.half, part.index) for part in parts), strict=True)
+    columns = zip(*((boxes.center, boxes.half, boxes.index) for boxes in parts), strict=True)
     return ParameterBox(parts[0].axes, *map(np.concatenate, columns))
 
 
@@ -198,7 +198,7 @@ def paved_device(
     """
     pairs = [(low, 0.5 * (high - low)) for low, high in ends]
     axes = {n: (low + half, half) for n, (low, half) in zip(NAMES, pairs, strict=True)}
-    boxes = ParameterBox.of(index, **axes)
+    boxes = ParameterBox.from_axes(index, **axes)
 
     def prove(boxes: ParameterBox) -> Proof:
         free, shares = loops.judged(boxes.center.T, boxes.half.T)
@@ -244,14 +244,14 @@ def worst_of_range(
     """
     answers = list(sampled)
     hopeful = [n for n, answer in enumerate(answers) if answer.verdict == Verdict.STABLE]
-    for number, failed in unproved(hopeful).items():
-        worst, count = answers[number], min(len(failed), most)
+    for wall, failed in unproved(hopeful).items():
+        worst, count = answers[wall], min(len(failed), most)
         if count:
-            other = judge(number, failed[np.arange(count) * len(failed) // count])
+            other = judge(wall, failed[np.arange(count) * len(failed) // count])
             is_worse = other.verdict == Verdict.UNSTABLE or other.radius > worst.radius
             worst = other if is_worse else worst
         is_refuted = worst.verdict == Verdict.UNSTABLE
-        answers[number] = worst if is_refuted else worst._replace(verdict=Verdict.UNDECIDED)
+        answers[wall] = worst if is_refuted else worst._replace(verdict=Verdict.UNDECIDED)
     return answers
 
 
@@ -315,7 +315,7 @@ class Guess(NamedTuple):
 NOTHING = Guess(np.zeros((0, 2)))
 
 
-class Found(NamedTuple):
+class SearchResult(NamedTuple):
     """The last guess of a search, by how much it was pulled in, and whether it is proved."""
 
     guess: Guess | None
@@ -339,7 +339,7 @@ def search(
     unproved: Unproved,
     add: Callable[[Any], bool],
     pulls: Sequence[float],
-) -> Found:
+) -> SearchResult:
     """Walls that sampled loops allow, and whether they are proved for the whole range.
 
     ``guess`` returns the walls that the sampled loops allow, pulled in by a share; None if unknown.
@@ -347,21 +347,21 @@ def search(
     none is a proof, and None says that nothing can be proved. ``add`` adds such loops to the sample
     and says whether one is new; where none is, the next one of the ``pulls`` is tried.
     """
-    number = 0
+    index = 0
     for _ in range(_ATTEMPTS):
-        current = guess(pulls[number])
+        current = guess(pulls[index])
         if current is None or not len(current.walls):
             break
         failed = unproved(current.walls)
         if failed is not None and not len(failed):
-            return Found(current, pulls[number], True)
+            return SearchResult(current, pulls[index], True)
         if failed is None:
             break
         if not add(failed):
-            if number + 1 == len(pulls):
+            if index + 1 == len(pulls):
                 break
-            number += 1
-    return Found(current, pulls[number], False)
+            index += 1
+    return SearchResult(current, pulls[index], False)
 
 
 def limit_for_hands(
@@ -389,8 +389,8 @@ def limit_for_hands(
     return limit_of(search(partial(guess, loops), unproved, add, PULLS), loops[0])
 
 
-def limit_of(found: Found, loop: Any) -> RobustLimit:
+def limit_of(result: SearchResult, loop: Any) -> RobustLimit:
     """The limit from the result of a search; ``loop`` is returned where no loop sets it."""
-    guess = found.guess or NOTHING
+    guess = result.guess or NOTHING
     stiffness, damping = guess.walls[0].tolist() if len(guess.walls) else (nan, nan)
-    return RobustLimit(stiffness, damping, found.is_proved, guess.limit, guess.loop or loop)
+    return RobustLimit(stiffness, damping, result.is_proved, guess.limit, guess.loop or loop)

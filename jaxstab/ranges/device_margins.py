@@ -17,7 +17,7 @@ from jaxstab.model import checked_gain
 from jaxstab.model.device import SampledDevice
 from jaxstab.model.filters import Filter, Filters, Velocity, known_filters
 from jaxstab.point.verdicts import linear_verdict
-from jaxstab.proofs.exclusion import FirstRoots, Models, Parts, search
+from jaxstab.proofs.exclusion import FirstRoots, LineBoxes, Models, search
 from jaxstab.proofs.linear_circle import (
     DelayBoxes,
     DelayedDevice,
@@ -64,15 +64,15 @@ def extra_delays(
     if delayed is None:
         return np.full(len(walls), nan)
 
-    def critical(numbers: np.ndarray, is_fine: bool) -> Parts:
+    def critical(numbers: np.ndarray, is_fine: bool) -> LineBoxes:
         return _critical_angles(delayed, walls, numbers, _FINE if is_fine else _COARSE)
 
-    def roots(angles: Parts, begin: np.ndarray, length: np.ndarray) -> FirstRoots:
+    def roots(angles: LineBoxes, begin: np.ndarray, length: np.ndarray) -> FirstRoots:
         start = device.delay + begin
-        parts = _in_pieces(delayed, angles, start, length)
-        return search(len(walls), parts, partial(_models, delayed, walls, start, length))
+        boxes = _in_pieces(delayed, angles, start, length)
+        return search(len(walls), boxes, partial(_models, delayed, walls, start, length))
 
-    def longest(angles: Parts) -> np.ndarray:
+    def longest(angles: LineBoxes) -> np.ndarray:
         """The longest stretches that are not cut into more parts than are evaluated together."""
         parts = np.bincount(angles.line, minlength=len(walls)) * len(delayed.pieces)
         return np.maximum(1.0, _MOST_PARTS / np.maximum(parts, 1))
@@ -85,7 +85,7 @@ def _critical_angles(
     walls: Walls,
     numbers: np.ndarray,
     smallest: Float64[np.ndarray, "2"],
-) -> Parts:
+) -> LineBoxes:
     """The angles at which some delay may put a root of some walls on the circle."""
 
     def prove(boxes: ParameterBox) -> Proof:
@@ -95,46 +95,45 @@ def _critical_angles(
         enclosure, apart = models(device, over)
         return Proof(apart > 0.0, enclosure.bends.T)
 
-    angles = (np.arange(_DELAY_ANGLES) + 0.5) / _DELAY_ANGLES
-    grid = np.meshgrid(numbers, np.arange(len(device.pieces)), angles, indexing="ij")
-    wall, number, angle = (part.ravel() for part in grid)
-    middle, half = np.array([[piece.middle, piece.half] for piece in device.pieces]).T[:, number]
-    boxes = ParameterBox.of(wall, fraction=(middle, half), angle=(angle, 0.5 / _DELAY_ANGLES))
+    middles = (np.arange(_DELAY_ANGLES) + 0.5) / _DELAY_ANGLES
+    grid = np.meshgrid(numbers, np.arange(len(device.pieces)), middles, indexing="ij")
+    wall, piece, angle = (column.ravel() for column in grid)
+    middle, half = np.array([[piece.middle, piece.half] for piece in device.pieces]).T[:, piece]
+    fractions, angles = (middle, half), (angle, 0.5 / _DELAY_ANGLES)
+    boxes = ParameterBox.from_axes(wall, fraction=fractions, angle=angles)
     most = _MOST_ANGLES * len(device.pieces)
     return joined_angles(boxes.paved(prove, smallest, most_each=most).boxes)
 
 
 def _in_pieces(
-    device: DelayedDevice, angles: Parts, start: np.ndarray, length: np.ndarray
-) -> Parts:
+    device: DelayedDevice, angles: LineBoxes, start: np.ndarray, length: np.ndarray
+) -> LineBoxes:
     """Divide lines along the delay into the pieces of each sample."""
-    parts = []
+    boxes = []
     for wall in np.unique(angles.line):
-        first, last = start[wall], start[wall] + length[wall]
-        whole = np.arange(np.floor(first), np.floor(last) + 1.0)
+        begin, end = start[wall], start[wall] + length[wall]
+        whole = np.arange(np.floor(begin), np.floor(end) + 1.0)
         ends = np.unique(whole[:, None] + device.ends)
-        ends = ends[(ends > first) & (ends < last)]
-        t = np.clip([0.0, *((ends - first) / length[wall]), 1.0], 0.0, 1.0)
+        ends = ends[(ends > begin) & (ends < end)]
+        t = np.clip([0.0, *((ends - begin) / length[wall]), 1.0], 0.0, 1.0)
         which = np.flatnonzero(angles.line == wall)
-        number, piece = (
-            x.ravel() for x in np.meshgrid(which, np.arange(len(t) - 1), indexing="ij")
-        )
-        low = np.stack([t[piece], angles.low[1, number]])
-        high = np.stack([t[piece + 1], angles.high[1, number]])
-        parts.append(Parts(angles.line[number], low, high))
-    return joined(parts, -1)
+        angle, piece = (x.ravel() for x in np.meshgrid(which, np.arange(len(t) - 1), indexing="ij"))
+        low = np.stack([t[piece], angles.low[1, angle]])
+        high = np.stack([t[piece + 1], angles.high[1, angle]])
+        boxes.append(LineBoxes(angles.line[angle], low, high))
+    return joined(boxes, -1)
 
 
 def _models(
-    device: DelayedDevice, walls: Walls, start: np.ndarray, length: np.ndarray, parts: Parts
+    device: DelayedDevice, walls: Walls, start: np.ndarray, length: np.ndarray, boxes: LineBoxes
 ) -> Models:
-    t, theta = 0.5 * (parts.low + parts.high)
-    by_t, by_theta = 0.5 * (parts.high - parts.low) * (1.0 + 2.0**-50)
-    long = length[parts.line]
-    boxes = DelayBoxes(
-        walls[parts.line].T, start[parts.line] + long * t, theta, long * by_t, by_theta
+    t, theta = 0.5 * (boxes.low + boxes.high)
+    by_t, by_theta = 0.5 * (boxes.high - boxes.low) * (1.0 + 2.0**-50)
+    long = length[boxes.line]
+    delays = DelayBoxes(
+        walls[boxes.line].T, start[boxes.line] + long * t, theta, long * by_t, by_theta
     )
-    return models(device, boxes)[0]
+    return models(device, delays)[0]
 
 
 _AT_ONCE = 32  # walls
@@ -167,10 +166,10 @@ def device_margins(
     walls = np.stack(grid, axis=-1).reshape(-1, 2) * units
     codes = np.empty(len(walls), np.int8)
     ends, later = np.full((len(walls), 4), nan), np.full(len(walls), nan)
-    for first in range(0, len(walls), _AT_ONCE):
-        block = slice(first, first + _AT_ONCE)
+    for start in range(0, len(walls), _AT_ONCE):
+        block = slice(start, start + _AT_ONCE)
         codes[block], ends[block] = device_ends(device, walls[block], filters)
-        stable = first + np.flatnonzero(codes[block] == Verdict.STABLE)
+        stable = start + np.flatnonzero(codes[block] == Verdict.STABLE)
         if stable.size:
             later[stable] = extra_delays(device, walls[stable], filters)
     shape = grid[0].shape
@@ -194,12 +193,12 @@ def is_stable_along(
     """
     filters = known_filters(velocity, position)
     proved = np.zeros(len(devices), bool)
-    for number, device in enumerate(devices):
+    for index, device in enumerate(devices):
         start = (outline * [device.stiffness_unit, device.damping_unit]).T
         lines = GainLines(start, np.roll(start, -1, axis=1) - start)
         roots = _first_roots(device, lines, filters)
         code = linear_verdict(start[0, :1], start[1, :1], device.loop(filters))
-        proved[number] = np.all(roots.low == inf) and code.item() == Verdict.STABLE
+        proved[index] = np.all(roots.low == inf) and code.item() == Verdict.STABLE
     return proved
 
 
@@ -221,9 +220,9 @@ def device_ends(
         return _first_roots(device, GainLines(start, change), filters)
 
     ways = along_gains(stable.T, (_FIRST_STEP, _DOUBLINGS), verdicts, roots)
-    for number, ((axis, _), (step, _)) in enumerate(zip(GAIN_WAYS, ways, strict=True)):
+    for column, ((axis, _), (step, _)) in enumerate(zip(GAIN_WAYS, ways, strict=True)):
         gain = stable[:, axis] + step
-        ends[codes == Verdict.STABLE, number] = gain - np.sign(step) * 2.0**-50 * np.abs(gain)
+        ends[codes == Verdict.STABLE, column] = gain - np.sign(step) * 2.0**-50 * np.abs(gain)
     return codes, ends
 
 
@@ -232,8 +231,8 @@ def _first_roots(device: SampledDevice, lines: GainLines, filters: Filters | Non
     count = _ANGLES + _PER_POLE * len(device.loop(filters).base)
     theta = np.pi * (np.arange(count + 2) - 0.5) / count
     t = np.linspace(0.0, 1.0, _PIECES + 1)
-    number = lines.start.shape[1]
-    grid = np.meshgrid(np.arange(number), t[:-1], theta[:-1], indexing="ij")
-    line, low = grid[0].ravel(), np.stack([part.ravel() for part in grid[1:]])
-    parts = Parts(line, low, low + np.array([[t[1]], [theta[1] - theta[0]]]))
-    return search(number, parts, partial(line_models, cells, lines))
+    line_count = lines.start.shape[1]
+    grid = np.meshgrid(np.arange(line_count), t[:-1], theta[:-1], indexing="ij")
+    line, low = grid[0].ravel(), np.stack([column.ravel() for column in grid[1:]])
+    boxes = LineBoxes(line, low, low + np.array([[t[1]], [theta[1] - theta[0]]]))
+    return search(line_count, boxes, partial(line_models, cells, lines))

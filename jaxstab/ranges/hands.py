@@ -129,13 +129,13 @@ def worst_hands(
 
 def _worst_at_once(given: HeldLoop, walls: Walls) -> list[WorstHand]:
     def unproved(numbers: list[int]) -> dict[int, Hands]:
-        # Nearly all walls need few boxes; those that need more are proved one by one.
-        hard = [numbers[n] for n in _left(given, walls[numbers], _FEW_BOXES)]
-        alone = {number: _left(given, walls[[number]], _MOST_BOXES) for number in hard}
-        return {number: left[0] for number, left in alone.items() if left}
+        # Nearly all walls need few boxes; those that need more are proved singly.
+        hard = [numbers[n] for n in _unproved_hands(given, walls[numbers], _FEW_BOXES)]
+        alone = {wall: _unproved_hands(given, walls[[wall]], _MOST_BOXES) for wall in hard}
+        return {wall: hands[0] for wall, hands in alone.items() if hands}
 
-    def judge(number: int, hands: Hands) -> WorstHand:
-        return _worst_of(given.loop, walls[[number]], hands)[0]
+    def judge(wall: int, hands: Hands) -> WorstHand:
+        return _worst_of(given.loop, walls[[wall]], hands)[0]
 
     hands = spread_bodies(given.hands, given.masses, _SAMPLES)
     return worst_of_range(_worst_of(given.loop, walls, hands), unproved, judge, _MOST)
@@ -154,8 +154,8 @@ def _worst_of(loop: LoopParameters, walls: Walls, hands: Hands) -> list[WorstHan
     answers = []
     for of_wall in map(slice, ends[:-1], ends[1:]):
         unstable = codes[of_wall] == Verdict.UNSTABLE
-        place = np.argmax(np.where(unstable | ~unstable.any(), radii[of_wall], -1.0))
-        worst = of_wall.start + int(place)
+        index = np.argmax(np.where(unstable | ~unstable.any(), radii[of_wall], -1.0))
+        worst = of_wall.start + int(index)
         hand = plants.hand[rows.plant[worst]]
         code, radius = Verdict(int(codes[worst])), float(radii[worst])
         answers.append(WorstHand(code, held(loop, hand), radius))
@@ -178,10 +178,10 @@ def _plants_of(loop: LoopParameters, hands: Hands) -> Plants:
 def _are_outermost(hands: Hands) -> Bool[np.ndarray, " hand"]:
     """Which hands are farthest towards a corner of their range."""
     low, span = hands.min(axis=0), np.ptp(hands, axis=0)
-    places = (hands - low) / np.where(span > 0.0, span, 1.0)
+    shares = (hands - low) / np.where(span > 0.0, span, 1.0)
     towards = np.array(list(product((-1.0, 1.0), repeat=hands.shape[1])))
     outermost = np.full(len(hands), len(hands) <= len(towards))
-    outermost[np.argmax(places @ towards.T, axis=0)] = True
+    outermost[np.argmax(shares @ towards.T, axis=0)] = True
     return outermost
 
 
@@ -213,16 +213,16 @@ def _rough_polynomials(
     filters = known_filters(**loop.filters)
     if filters is not None:
         linear = filtered_loop(plants.gamma, plants.delta, int(whole), fraction, filters)
-        rounded = [[coefficient.rounded() for coefficient in part] for part in linear[:3]]
+        rounded = [[c.rounded() for c in polynomial] for polynomial in linear[:3]]
         return np.array([[np.broadcast_to(c, len(plants.gamma)) for c in p] for p in rounded])
     plant = quick_plant(plants.gamma, plants.delta, np.float64(loop.delay_samples))
     parts = np.zeros((3, int(whole) + 5, len(plants.gamma)))
     parts[0, 0], parts[0, 1], parts[0, 2] = 1.0, plant.d1, plant.d0
-    for number, numerator in enumerate((plant.n2, plant.n1, plant.n0)):
-        first = int(whole) + 1 + number
-        parts[1, first] += numerator
-        parts[2, first] += numerator
-        parts[2, first + 1] -= numerator
+    for k, numerator in enumerate((plant.n2, plant.n1, plant.n0)):
+        start = int(whole) + 1 + k
+        parts[1, start] += numerator
+        parts[2, start] += numerator
+        parts[2, start + 1] -= numerator
     return parts
 
 
@@ -234,8 +234,8 @@ def _points(loop: LoopParameters, plants: Plants, rows: Rows) -> dict[str, Any]:
     return by_name(alpha, beta, gamma, delta, float(loop.delay_samples))
 
 
-def _left(given: HeldLoop, walls: Walls, most: int) -> dict[int, Hands]:
-    """Hands at which a root on the circle could not be excluded, by the number of the wall.
+def _unproved_hands(given: HeldLoop, walls: Walls, most: int) -> dict[int, Hands]:
+    """Hands at which a root on the circle could not be excluded, by the index of the wall.
 
     The axes of the boxes are shares of the intervals of 1/m, of k and b of the hand, and of theta
     from 0 to pi; ``most`` boxes of each wall are open at once.
@@ -273,15 +273,15 @@ def _left(given: HeldLoop, walls: Walls, most: int) -> dict[int, Hands]:
 
     test = partial(exclude, filters=known_filters(**loop.filters))
     light, spring, damper = ((0.5, half) for half in varies)
-    boxes = ParameterBox.of(
+    boxes = ParameterBox.from_axes(
         np.arange(len(walls)), light=light, spring=spring, damper=damper, theta=(0.5, 0.5)
     )
-    left = boxes.paved(prove, _SMALLEST, most_each=most).boxes
-    light, spring, damper = low + span * left.center.T[:3]
+    remaining = boxes.paved(prove, _SMALLEST, most_each=most).boxes
+    light, spring, damper = low + span * remaining.center.T[:3]
     share = np.clip((1.0 / light - lightest) / max(heaviest - lightest, 1e-300), 0.0, 1.0)
     of_hand, of_device = (np.interp(share, (0.0, 1.0), pair) for pair in (hands.mass, masses))
     rows = np.column_stack([of_hand, spring, damper, of_device])
-    return {number: rows[left.index == number] for number in np.unique(left.index).tolist()}
+    return {wall: rows[remaining.index == wall] for wall in np.unique(remaining.index).tolist()}
 
 
 def spread_hands(hands: HandRange, count: int) -> Float64[np.ndarray, "hand 3"]:

@@ -3,6 +3,12 @@
 One quantity is changed, starting from a wall that is proved stable. Until the first root reaches
 the unit circle no root can have crossed it, so the loop is proved stable that far (lemma B5 of
 docs/proofs.md). The delay is changed continuously, through all fractions of a sample.
+
+A gain is doubled until the wall is proved unstable; the first root on the circle along that line is
+then bracketed (``proofs.exclusion.search``). A delay has no such end, but only the angles at which
+|D| = |N| |H| for some fraction of a sample matter: at other angles no delay, however long, brings a
+root onto the circle. These angles are enclosed first (``exclude_any_delay``), and stretches of more
+delay are searched at them alone.
 """
 
 from collections.abc import Callable
@@ -25,9 +31,9 @@ from jaxstab.point import verdict
 from jaxstab.proofs.exclusion import (
     Exclusion,
     FirstRoots,
+    LineBoxes,
     Lines,
     Loops,
-    Parts,
     exclude_any_delay,
     first_roots,
 )
@@ -35,10 +41,6 @@ from jaxstab.ranges.box import ParameterBox, Proof, excluded
 from jaxstab.shown import number_text, table_text
 
 # From stable walls to the first root on the unit circle, when one quantity is changed.
-#
-# A gain is changed until the wall is proved unstable. A delay has no such end, but only the angles
-# at which |D| = |N| |H| for some fraction of a sample matter: at other angles no delay, however
-# long, brings a root onto the circle.
 
 Walls = Float64[np.ndarray, "wall 5"]
 
@@ -74,7 +76,7 @@ class Crossings(NamedTuple):
 
 def first_crossings(
     walls: Walls, filters: Filters | None = None
-) -> Float64[np.ndarray, "wall found"]:
+) -> Float64[np.ndarray, "wall column"]:
     """The verdict on each wall and then, each way of ``WAYS``, a step and an angle.
 
     Within the signed step no root reaches the circle; the step of the delay is infinite if no root
@@ -123,46 +125,46 @@ def _along_gains(walls: Walls, filters: Filters | None) -> list[Crossings]:
 
 def along_gains(
     gains: Float64[np.ndarray, "2 wall"],
-    first: tuple[float, int],
+    doubling: tuple[float, int],
     verdicts: Callable[[np.ndarray, np.ndarray], np.ndarray],
     roots: Callable[[np.ndarray, np.ndarray], FirstRoots],
 ) -> list[Crossings]:
     """How far stable walls (alpha, beta) may go each way of the gains.
 
-    ``first`` is the least first step, and the number of steps, each twice as long as the one
-    before. ``verdicts`` returns the codes of other gains of walls, given by their numbers,
+    ``doubling`` is the least first step, and the number of steps, each twice as long as the one
+    before. ``verdicts`` returns the codes of other gains of walls, given by their indices,
     ``roots`` the first roots on lines from walls, by their starts and changes.
     """
     axes, signs = (np.array(column) for column in zip(*GAIN_WAYS, strict=True))
-    least, count = first
+    least, count = doubling
     start = np.maximum(least, 0.5 * np.abs(gains[axes]))
-    reach = np.full(start.shape, inf)
+    length = np.full(start.shape, inf)
     for doubled in range(0, count, _DOUBLINGS_AT_ONCE):
-        way, wall = np.nonzero(reach == inf)
+        way, wall = np.nonzero(length == inf)
         if not way.size:
             break
         steps = np.outer(2.0 ** np.arange(doubled, doubled + _DOUBLINGS_AT_ONCE), start[way, wall])
         others = np.repeat(gains[:, None, wall], _DOUBLINGS_AT_ONCE, axis=1)
         others[axes[way], :, np.arange(way.size)] += (signs[way] * steps).T
         is_unstable = verdicts(others, wall) == Verdict.UNSTABLE
-        reach[way, wall] = np.min(np.where(is_unstable, steps, inf), axis=0)
-    reach = np.minimum(reach, 2.0 ** (count - 1) * start)
-    change = np.zeros((2, *reach.shape))
-    change[axes, np.arange(len(axes))] = signs[:, None] * reach
+        length[way, wall] = np.min(np.where(is_unstable, steps, inf), axis=0)
+    length = np.minimum(length, 2.0 ** (count - 1) * start)
+    change = np.zeros((2, *length.shape))
+    change[axes, np.arange(len(axes))] = signs[:, None] * length
     crossing = roots(np.tile(gains, len(axes)), change.reshape(2, -1))
-    low, angle = (x.reshape(reach.shape) for x in (crossing.low, crossing.theta / pi))
-    step = signs[:, None] * (np.minimum(low, 1.0) * reach * SAFE)
+    low, angle = (x.reshape(length.shape) for x in (crossing.low, crossing.theta / pi))
+    step = signs[:, None] * (np.minimum(low, 1.0) * length * SAFE)
     return [Crossings(*way) for way in zip(step, angle, strict=True)]
 
 
-def _all_angles(walls: Walls, ways: int) -> Parts:
+def _all_angles(walls: Walls, ways: int) -> LineBoxes:
     """Boxes of all angles of lines, the real roots in the middle of the first and last."""
     count = np.tile(_angle_counts(walls), ways)
     line = np.repeat(np.arange(count.size), count + 1)
-    number = np.arange(line.size) - np.repeat(np.cumsum(count + 1) - count - 1, count + 1)
-    ends = pi * (number + np.array([[-0.5], [0.5]])) / count[line]
+    index = np.arange(line.size) - np.repeat(np.cumsum(count + 1) - count - 1, count + 1)
+    ends = pi * (index + np.array([[-0.5], [0.5]])) / count[line]
     low, high = np.stack(np.broadcast_arrays([[0.0], [1.0]], ends), axis=1)
-    return Parts(line, low, high)
+    return LineBoxes(line, low, high)
 
 
 def _angle_counts(walls: Walls) -> Int64[np.ndarray, " wall"]:
@@ -170,14 +172,14 @@ def _angle_counts(walls: Walls) -> Int64[np.ndarray, " wall"]:
 
 
 def _along_delay(walls: Walls, filters: Filters | None) -> Crossings:
-    def roots(angles: Parts, begin: Column, length: Column) -> FirstRoots:
+    def roots(angles: LineBoxes, begin: Column, length: Column) -> FirstRoots:
         change = np.zeros((len(AXES), len(walls)))
         change[_DELAY] = length
         start = walls.T.copy()
         start[_DELAY] += begin
         return first_roots(Lines(start, change), _in_pieces(angles, length), filters)
 
-    def critical(numbers: Int64[np.ndarray, " some"], is_fine: bool) -> Parts:
+    def critical(numbers: Int64[np.ndarray, " chosen"], is_fine: bool) -> LineBoxes:
         return _critical_angles(walls, numbers, _FINE if is_fine else _COARSE, filters)
 
     return first_delays(len(walls), critical, roots)
@@ -185,9 +187,9 @@ def _along_delay(walls: Walls, filters: Filters | None) -> Crossings:
 
 def first_delays(
     count: int,
-    critical: Callable[[Int64[np.ndarray, " some"], bool], Parts],
-    roots: Callable[[Parts, Column, Column], FirstRoots],
-    longest: Callable[[Parts], Column | float] = lambda angles: inf,
+    critical: Callable[[Int64[np.ndarray, " chosen"], bool], LineBoxes],
+    roots: Callable[[LineBoxes, Column, Column], FirstRoots],
+    longest: Callable[[LineBoxes], Column | float] = lambda angles: inf,
 ) -> Crossings:
     """How much longer the delay of ``count`` stable walls may become, up to ``MOST_DELAY``.
 
@@ -221,10 +223,10 @@ def first_delays(
 
 def _critical_angles(
     walls: Walls,
-    numbers: Int64[np.ndarray, " some"],
+    numbers: Int64[np.ndarray, " chosen"],
     smallest: Float64[np.ndarray, "2"],
     filters: Filters | None,
-) -> Parts:
+) -> LineBoxes:
     """The angles at which some delay may put a root of some walls on the circle."""
     prove = partial(_proof, walls, partial(exclude_any_delay, filters=filters))
     boxes = _angles_and_fractions(numbers)
@@ -232,7 +234,7 @@ def _critical_angles(
     return joined_angles(boxes.paved(prove, smallest, most_each=_MOST_ANGLES).boxes)
 
 
-def joined_angles(boxes: ParameterBox) -> Parts:
+def joined_angles(boxes: ParameterBox) -> LineBoxes:
     """The angles of boxes of fractions of the delay and theta / pi, indexed by walls."""
     wall = boxes.index
     middle, half = (pi * angle for angle in boxes["angle"])
@@ -240,24 +242,24 @@ def joined_angles(boxes: ParameterBox) -> Parts:
     order = np.lexsort((low, wall))
     wall, low, high = wall[order], low[order], high[order]
     # Intervals that touch are joined.
-    ends, number = np.unique(high, return_inverse=True)
-    high = ends[np.maximum.accumulate(number + ends.size * wall) - ends.size * wall]
+    ends, rank = np.unique(high, return_inverse=True)
+    high = ends[np.maximum.accumulate(rank + ends.size * wall) - ends.size * wall]
     is_apart = (np.diff(wall) > 0) | (low[1:] > high[:-1] + _TOUCHING)
     is_start = np.append(True, is_apart)[: wall.size]
     is_end = np.append(is_apart, True)[: wall.size]
     ends = np.stack([low[is_start] - _TOUCHING, high[is_end] + _TOUCHING])
     whole = np.repeat([[0.0], [1.0]], is_start.sum(), axis=1)
-    return Parts(wall[is_start], *np.stack([whole, ends], axis=1))
+    return LineBoxes(wall[is_start], *np.stack([whole, ends], axis=1))
 
 
-def _angles_and_fractions(numbers: Int64[np.ndarray, " some"]) -> ParameterBox:
+def _angles_and_fractions(numbers: Int64[np.ndarray, " chosen"]) -> ParameterBox:
     """Boxes of the fraction of the delay and theta / pi, indexed by walls."""
     fractions, angles = ((np.arange(n) + 0.5) / n for n in (_FRACTIONS, _DELAY_ANGLES))
     wall, fraction, angle = (
-        part.ravel() for part in np.meshgrid(numbers, fractions, angles, indexing="ij")
+        column.ravel() for column in np.meshgrid(numbers, fractions, angles, indexing="ij")
     )
     halves = 0.5 / _FRACTIONS, 0.5 / _DELAY_ANGLES
-    return ParameterBox.of(wall, fraction=(fraction, halves[0]), angle=(angle, halves[1]))
+    return ParameterBox.from_axes(wall, fraction=(fraction, halves[0]), angle=(angle, halves[1]))
 
 
 def _finer_angles(boxes: ParameterBox) -> ParameterBox:
@@ -266,7 +268,7 @@ def _finer_angles(boxes: ParameterBox) -> ParameterBox:
     angle, half = finer["angle"]
     half = half / _FINER
     angle = angle + np.tile(2.0 * np.arange(_FINER) + 1.0 - _FINER, boxes.count) * half
-    return ParameterBox.of(finer.index, fraction=finer["fraction"], angle=(angle, half))
+    return ParameterBox.from_axes(finer.index, fraction=finer["fraction"], angle=(angle, half))
 
 
 def _proof(walls: Walls, test: Callable[[Loops, Loops], Exclusion], boxes: ParameterBox) -> Proof:
@@ -277,14 +279,14 @@ def _proof(walls: Walls, test: Callable[[Loops, Loops], Exclusion], boxes: Param
     return excluded(test, center, boxes.moved(moves))
 
 
-def _in_pieces(angles: Parts, length: Column) -> Parts:
+def _in_pieces(angles: LineBoxes, length: Column) -> LineBoxes:
     """Divide lines along the delay, so that the phase turns little in each box."""
     pieces = np.ceil(length[angles.line] * np.maximum(angles.high[1], 0.0)).astype(np.int64) + 1
-    part = np.repeat(np.arange(pieces.size), pieces)
-    number = np.arange(part.size) - np.repeat(np.cumsum(pieces) - pieces, pieces)
-    low, high = angles.low[:, part], angles.high[:, part]
-    low[0], high[0] = number / pieces[part], (number + 1.0) / pieces[part]
-    return Parts(angles.line[part], low, high)
+    box = np.repeat(np.arange(pieces.size), pieces)
+    index = np.arange(box.size) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    low, high = angles.low[:, box], angles.high[:, box]
+    low[0], high[0] = index / pieces[box], (index + 1.0) / pieces[box]
+    return LineBoxes(angles.line[box], low, high)
 
 
 # Margins as a table for people: limits rounded inwards, and 0 if they are 0 but for rounding.
@@ -333,7 +335,7 @@ def margins_text(margins: tuple[Numbers, ...], names: MarginNames) -> str:
     heads = [(name, "to", "factor") for name in (names.stiffness, names.damping)]
     table = [("verdict", *heads[0], *heads[1], names.delay)]
     walls = zip(codes, *limits, delays, strict=True)
-    table += [(code, *first, *second, delay) for code, first, second, delay in walls]
+    table += [(code, *stiff, *damp, delay) for code, stiff, damp, delay in walls]
     more = f"\n... and {len(codes) - _MOST_ROWS} more" if len(codes) > _MOST_ROWS else ""
     return f"Margins of {len(codes)} walls\n{table_text(table[: 1 + _MOST_ROWS])}{more}"
 
@@ -451,11 +453,12 @@ def margins(
     if is_jax(point):
         from jaxstab.ranges.margin_slopes import moving_steps
 
-        code, steps = moving_steps(point, filters)
+        axes = [axis for axis, _ in WAYS]
+        code, steps = moving_steps(first_crossings, axes, point, filters)
     else:
         rows: Array = first_crossings(point.reshape(-1, len(values)), filters)
-        found = rows.reshape(*point.shape[:-1], rows.shape[-1])
-        code, steps = found[..., 0], found[..., 1::2]
+        table = rows.reshape(*point.shape[:-1], rows.shape[-1])
+        code, steps = table[..., 0], table[..., 1::2]
     return _margins(point, code.astype(xp.int8), steps)
 
 
@@ -474,13 +477,13 @@ def _margins(point: Array, code: Array, steps: Array) -> Margins:
 
 
 def _end(xp: Any, gain: Array, step: Array) -> Array:
-    """The gain after a step, but not a rounding error farther."""
+    """The gain after a step, less a rounding error."""
     end = gain + step
     return xp.where(xp.isfinite(end), end - xp.sign(step) * _ROUNDING * abs(end), end)
 
 
 def factor(xp: Any, most: Array, gain: Array) -> Array:
-    """By what a gain may be multiplied; NaN where nothing is known of it."""
+    """The factor by which a gain may be multiplied; NaN where it is not known."""
     without = xp.where(xp.isnan(most), most, inf)
     is_positive = gain > 0.0
     return xp.where(is_positive, most / xp.where(is_positive, gain, 1.0), without)

@@ -127,8 +127,8 @@ class RobustRegion:
 
         def prove(likely: Int64[np.ndarray, " likely"]) -> Int8[np.ndarray, " likely"]:
             range_of_hands = self.gamma, self.delta, self.delay
-            left = [failures(walls[[n]], *range_of_hands, filters=self.filters) for n in likely]
-            codes = [Verdict.UNDECIDED if len(hands) else Verdict.STABLE for hands in left]
+            failed = [failures(walls[[n]], *range_of_hands, filters=self.filters) for n in likely]
+            codes = [Verdict.UNDECIDED if len(hands) else Verdict.STABLE for hands in failed]
             return np.array(codes, np.int8)
 
         sampled = _verdicts(walls, self.hands, self.delay, self.filters)
@@ -176,10 +176,10 @@ def robust_region(
     checked_delay(delay)
     checked_number("tolerance", tolerance, 1e-3, 0.5)
     sample = _Sample(gamma, delta, delay, filters)
-    found = search(sample.polygon, sample.unproved, sample.add, [tolerance])
-    outline = (found.guess or NOTHING).walls
+    result = search(sample.polygon, sample.unproved, sample.add, [tolerance])
+    outline = (result.guess or NOTHING).walls
     return RobustRegion(
-        gamma, delta, delay, tolerance, found.status, outline, sample.hands, filters
+        gamma, delta, delay, tolerance, result.status, outline, sample.hands, filters
     )
 
 
@@ -229,9 +229,9 @@ class _Sample:
 
     def unproved(self, walls: Points) -> Hands:
         """Hands at which walls of the polygon are not proved."""
-        left = failures(walls, *self.range, filters=self.filters)
+        failed = failures(walls, *self.range, filters=self.filters)
         code = _verdicts(walls[:1], self.hands[:1], self.range[2], self.filters)
-        return left if len(left) or np.all(code == Verdict.STABLE) else self.hands[:1]
+        return failed if len(failed) or np.all(code == Verdict.STABLE) else self.hands[:1]
 
     def _limits(self, rows: Rows) -> tuple[Rows, Rows]:
         limits = np.stack([np.asarray(region.alpha_limits(rows)) for region in self.regions])
@@ -286,12 +286,12 @@ def failures(
     The axes of the boxes are the way along an edge, from -1 to 1, gamma, delta and theta.
     """
     following = np.roll(outline, -1, axis=0)
-    middle, reach = 0.5 * (outline + following), 0.5 * (following - outline)
+    middle, half_edge = 0.5 * (outline + following), 0.5 * (following - outline)
     ranges = np.array([(-1.0, 1.0), gamma, delta, (0.0, pi)])
     middles, halves = ranges.mean(axis=1), 0.5 * np.ptp(ranges, axis=1)
-    boxes = ParameterBox.of(
+    boxes = ParameterBox.from_axes(
         np.arange(len(outline)),
-        shift=(middles[0], np.where(np.all(reach == 0.0, axis=1), 0.0, halves[0])),
+        shift=(middles[0], np.where(np.all(half_edge == 0.0, axis=1), 0.0, halves[0])),
         gamma=(middles[1], halves[1]),
         delta=(middles[2], halves[2]),
         theta=(middles[3], halves[3]),
@@ -300,7 +300,7 @@ def failures(
     def prove(boxes: ParameterBox) -> Proof:
         shift, stiffness, damping, theta = boxes.center.T
         by_shift, by_gamma, by_delta, by_theta = boxes.half.T
-        (alpha, beta), (along, up) = middle[boxes.index].T, reach[boxes.index].T
+        (alpha, beta), (along, up) = middle[boxes.index].T, half_edge[boxes.index].T
         moves = {
             ("shift", "alpha"): np.abs(along) * by_shift,
             ("shift", "beta"): np.abs(up) * by_shift,
@@ -312,10 +312,10 @@ def failures(
         center = Loops(*walls, stiffness, damping, np.full_like(theta, delay), theta)
         return excluded(partial(exclude, filters=filters), center, boxes.moved(moves))
 
-    left = boxes.paved(prove, _SMALLEST * np.ptp(ranges, axis=1), most=_MOST_BOXES).boxes
-    if not left.count:
+    remaining = boxes.paved(prove, _SMALLEST * np.ptp(ranges, axis=1), most=_MOST_BOXES).boxes
+    if not remaining.count:
         return np.zeros((0, 2))
-    hands = left.center[:, 1:3]
+    hands = remaining.center[:, 1:3]
     extremes: Hands = hands[[*np.argmin(hands, axis=0), *np.argmax(hands, axis=0)]]
     return np.unique(extremes, axis=0)
 
@@ -386,18 +386,18 @@ def _common_limit(loops: list[Loop], pull: float) -> Guess:
         if not hopeful.any():
             break
         order = np.argsort(np.where(hopeful, columns.most, -np.inf))
-        first = np.zeros_like(hopeful)
-        first[order[-_AT_ONCE:]] = True
-        first &= hopeful
-        parts = _judged(loops, _divided(columns.begin[first], columns.end[first]), span)
+        chosen = np.zeros_like(hopeful)
+        chosen[order[-_AT_ONCE:]] = True
+        chosen &= hopeful
+        parts = _judged(loops, _divided(columns.begin[chosen], columns.end[chosen]), span)
         inside = np.any(
-            (parts.begin[:, None] >= columns.begin[first])
-            & (parts.end[:, None] <= columns.end[first]),
+            (parts.begin[:, None] >= columns.begin[chosen])
+            & (parts.end[:, None] <= columns.end[chosen]),
             axis=1,
         )
         columns = _Columns(
             *(
-                np.concatenate([old[~first], new[inside]])
+                np.concatenate([old[~chosen], new[inside]])
                 for old, new in zip(columns, parts, strict=True)
             )
         )
@@ -416,7 +416,7 @@ def _common_limit(loops: list[Loop], pull: float) -> Guess:
 def _common_span(loops: list[Loop]) -> _Span | None:
     """The span of stiffness and damping >= 0 that all stable regions share, in SI units."""
     low, high, setter = np.array([-np.inf, 0.0]), np.full(2, np.inf), 0
-    for number, loop in enumerate(loops):
+    for index, loop in enumerate(loops):
         region = stable_region(
             gamma=loop.gamma, delta=loop.delta, delay=loop.delay_samples, **loop.filters
         )
@@ -428,7 +428,7 @@ def _common_span(loops: list[Loop]) -> _Span | None:
         points = np.nan_to_num(region.points) * [loop.stiffness(1.0), loop.damping(1.0)]
         beyond = _BEYOND * np.ptp(points, axis=0)
         low, ends = np.maximum(low, points.min(axis=0) - beyond), points.max(axis=0) + beyond
-        setter = number if ends[0] < high[0] else setter
+        setter = index if ends[0] < high[0] else setter
         high = np.minimum(high, ends)
     if not np.all((low < high) & np.isfinite(high - low)):
         return None
@@ -452,10 +452,10 @@ def _gaps(loops: list[Loop], edges: Float64[np.ndarray, " edge"], domain: Domain
         filters = known_filters(**loop.filters)
         gaps = column_gaps(loop.beta(edges), hand, loop.delay_samples, scaled, filters)
         parts.append([loop.stiffness(gaps.low[0]), loop.stiffness(gaps.high[0]), gaps.verdict[0]])
-    low, high, verdict = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
+    low, high, verdict = (np.concatenate(ends, axis=1) for ends in zip(*parts, strict=True))
     # All hands end at the same stiffness, which rounding must not take apart.
     low, high = np.maximum(low, domain.alpha[0]), np.minimum(high, domain.alpha[1])
-    counts = [part[0].shape[1] for part in parts]
+    counts = [of_loop[0].shape[1] for of_loop in parts]
     verdict = np.where(low < high, verdict, Verdict.NOT_COMPUTED)
     return _Gaps(low, high, verdict, np.repeat(np.arange(len(loops)), counts))
 
@@ -471,8 +471,8 @@ def _not_unstable(gaps: _Gaps, span: _Span) -> tuple[np.ndarray, np.ndarray]:
     covered = np.any((low[:, None] < ends) & (ends < high[:, None]), axis=2)
     covered[:, -1] |= np.any(high >= top, axis=1)
     open_ends = np.where(covered | np.isnan(ends[..., 0]), -np.inf, ends[..., 0])
-    first = np.argmax(open_ends, axis=1)
-    return np.max(open_ends, axis=1), np.append(gaps.hand, span.setter)[first]
+    highest = np.argmax(open_ends, axis=1)
+    return np.max(open_ends, axis=1), np.append(gaps.hand, span.setter)[highest]
 
 
 def _stable(gaps: _Gaps, hands: int) -> tuple[np.ndarray, np.ndarray]:
@@ -491,5 +491,5 @@ def _stable(gaps: _Gaps, hands: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _divided(begin: np.ndarray, end: np.ndarray) -> np.ndarray:
     """Edges that divide columns; other columns may lie between."""
-    part = np.arange(_FINER + 1) / _FINER
-    return np.unique(np.concatenate([np.outer(begin, 1.0 - part) + np.outer(end, part)]))
+    share = np.arange(_FINER + 1) / _FINER
+    return np.unique(np.concatenate([np.outer(begin, 1.0 - share) + np.outer(end, share)]))

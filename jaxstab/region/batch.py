@@ -45,8 +45,7 @@ from jaxtyping import Bool, Float64
 
 from jaxstab.arrays import Array, repeat
 from jaxstab.batches import LEAN, is_on_cpu
-from jaxstab.region.corners import Branch
-from jaxstab.region.pieces import reflected
+from jaxstab.region.pieces import Branch, reflected
 from jaxstab.rounding import UNIT
 
 SLOTS = 6  # pieces of one loop

@@ -1,9 +1,15 @@
 """Where the curve crosses itself or one of the lines: any corner of the stable set is there.
 
-Between two angles of a scan the curve is replaced by the cubic with the same ends and tangents. A
-cubic stays in the hull of its control points, so two parts whose hulls are apart do not meet, and
-few parts are left to try. Pairs of crossings between two angles are found too, though the side does
-not change from one angle to the other. NumPy only.
+A piece of the boundary may be shorter than the steps of a scan, but it ends at crossings; so these
+are searched for, and the scan is refined around them. Between two angles of the scan the curve is
+replaced by the cubic with the same ends and tangents. A cubic stays in the hull of its control
+points, so two parts whose hulls are apart do not meet. For the few pairs that remain Newton's
+method runs on the cubics, from four starts, and then on the curve itself. Pairs of crossings
+between two angles are found too, though the side does not change from one angle to the other.
+
+``refined_pieces`` looks for pieces with these angles, adds the angles of other roots that are next
+to the circle at the ends of the pieces, and repeats this, on finer scans if need be, until nothing
+new shows and the pieces join up to loops. NumPy only.
 """
 
 from collections.abc import Iterator
@@ -13,7 +19,6 @@ import numpy as np
 from jaxtyping import Float64, Int
 
 from jaxstab.arrays import tree_map
-from jaxstab.region.corners import steps_to_meeting
 from jaxstab.region.curve import Curve, curve_and_lift, minus_margin
 from jaxstab.region.filtered_curve import FilteredCurve
 from jaxstab.region.pieces import (
@@ -24,6 +29,7 @@ from jaxstab.region.pieces import (
     nearly_stable,
     others_inside,
     slice_angles,
+    steps_to_meeting,
     suspects,
 )
 from jaxstab.region.roots import bracketed_root, with_slope
@@ -31,12 +37,12 @@ from jaxstab.region.roots import bracketed_root, with_slope
 _AT_ONCE = 1 << 20  # pairs of boxes that are held in memory
 _CUBIC_STEPS = 12  # of Newton's method on the cubics
 _NEWTON_STEPS = 6  # on the curve; where two parts nearly touch, each step halves the rest
-_BEYOND = 0.5  # how far Newton's method may leave a part, as a share of it
-_ARRIVED = 1e-3  # the last step, and the least distance of two angles that meet; likewise
-_SAME = 1e-4  # starts closer to each other are one; likewise
-_MISS = 0.05  # how far from each other cubics are where the curve may meet, beside their lengths
+_BEYOND = 0.5  # share of a part by which Newton's method may leave it
+_ARRIVED = 1e-3  # share of a part: largest last step, and least distance of two angles that meet
+_SAME = 1e-4  # share of a part: closer starts are one
+_MISS = 0.05  # distance of cubics beside their sizes, up to which the curve may meet
 _NEARLY_STABLE = 1.1  # of the circle: with filters parts with roots farther out bound nothing
-_SETTLED = 1e-9  # a step that small is the last one; likewise
+_SETTLED = 1e-9  # share of a part: a smaller step is the last one
 _CLOSE = 1e-6  # crossings closer to each other are one
 _STARTS = np.array([[0.0, 0.0, 1.0, 1.0], [0.0, 1.0, 0.0, 1.0]])  # of two parts: one end of each
 _POWERS = np.array([[1, 0, 0, 0], [-3, 3, 0, 0], [3, -6, 3, 0], [-1, 3, -3, 1]])  # by controls
@@ -52,7 +58,7 @@ class _Cubics(NamedTuple):
     Points and slopes are alpha, beta and the margins to the lines z = r and z = -r.
     """
 
-    number: Parts  # of the interval between two angles of the scan
+    interval: Parts
     begin: Angles
     end: Angles
     controls: Float64[np.ndarray, "4 4 part"]  # the control points: (control, value, part)
@@ -65,29 +71,29 @@ class _Cubics(NamedTuple):
 def crossings(c: Curve, angles: Angles, length: int) -> Angles:
     """Return the angles, in order, at which the curve of a scan meets itself or a line."""
     cubics = _cubics(c, angles, length)
-    if not cubics.number.size:
+    if not cubics.interval.size:
         return np.empty(0)
     every = np.sort(np.concatenate([_self_crossings(c, cubics), _line_crossings(c, cubics)]))
     return every[np.diff(every, prepend=-np.inf) > _CLOSE]
 
 
 def _cubics(c: Curve, angles: Angles, length: int) -> _Cubics:
-    """Return the parts that are worth it, with the slopes at their ends."""
-    number, line = np.arange(len(angles) - 1), np.zeros(len(angles) - 1, int)
+    """Return the parts of the scan near the stable set, as cubics with slopes at their ends."""
+    interval, line = np.arange(len(angles) - 1), np.zeros(len(angles) - 1, int)
     if isinstance(c, FilteredCurve):
         line = _lines_of_parts(c, angles)
         is_near = others_inside(c, angles, length, within=_NEARLY_STABLE)
         is_near = is_near[1:] | is_near[:-1] | (line != 0)  # those of lines may be long
-        number = np.flatnonzero(is_near & ~_spans_a_pole(c, angles))
-    ends = np.unique(np.concatenate([number, number + 1]))
+        interval = np.flatnonzero(is_near & ~_spans_a_pole(c, angles))
+    ends = np.unique(np.concatenate([interval, interval + 1]))
     values, slopes = with_slope(lambda theta: _values(c, theta), angles[ends])
-    first = np.searchsorted(ends, number)
-    begin, end = angles[number], angles[number + 1]
-    here, there = values[:, first], values[:, first + 1]
-    begin_slopes, end_slopes = slopes[:, first], slopes[:, first + 1]
+    start = np.searchsorted(ends, interval)
+    begin, end = angles[interval], angles[interval + 1]
+    here, there = values[:, start], values[:, start + 1]
+    begin_slopes, end_slopes = slopes[:, start], slopes[:, start + 1]
     third = (end - begin) / 3.0
     controls = np.stack([here, here + third * begin_slopes, there - third * end_slopes, there])
-    return _Cubics(number, begin, end, controls, begin_slopes, end_slopes, line[number])
+    return _Cubics(interval, begin, end, controls, begin_slopes, end_slopes, line[interval])
 
 
 def _values(c: Curve, theta: np.ndarray) -> np.ndarray:
@@ -99,23 +105,23 @@ def _values(c: Curve, theta: np.ndarray) -> np.ndarray:
 def _spans_a_pole(curve: FilteredCurve, angles: Angles) -> np.ndarray:
     """Return which parts have a pole between their ends, or angles of the other orientation."""
     poles = np.sort(curve.poles[0])
-    number = np.searchsorted(poles, np.abs(angles)) * np.sign(angles)
-    spans: np.ndarray = (np.diff(number) != 0) | (np.diff(np.sign(angles)) != 0)
+    count = np.searchsorted(poles, np.abs(angles)) * np.sign(angles)
+    spans: np.ndarray = (np.diff(count) != 0) | (np.diff(np.sign(angles)) != 0)
     return spans
 
 
 def _lines_of_parts(curve: FilteredCurve, angles: Angles) -> Parts:
     """Return the number of the line at a pole on which a part lies, which does not meet itself."""
-    number = np.zeros(len(angles), int)
+    lines = np.zeros(len(angles), int)
     for index, line in enumerate(curve.lines):
-        number[line.is_straight(np.abs(angles))] = index + 1
-    return np.where(number[1:] == number[:-1], number[1:], 0)
+        lines[line.is_straight(np.abs(angles))] = index + 1
+    return np.where(lines[1:] == lines[:-1], lines[1:], 0)
 
 
 # ---------------------------------------------------------------------------- of two parts
 def _self_crossings(c: Curve, cubics: _Cubics) -> Angles:
     controls = cubics.controls[:, :2]
-    pairs = np.concatenate([_touching_parts(cubics.number, controls), _loops(cubics)], axis=1)
+    pairs = np.concatenate([_touching_parts(cubics.interval, controls), _loops(cubics)], axis=1)
     line = cubics.line[pairs]
     pairs = pairs[:, (line[0] != line[1]) | (line[0] == 0)]
     if not pairs.size:
@@ -125,40 +131,40 @@ def _self_crossings(c: Curve, cubics: _Cubics) -> Angles:
     return _meetings(c, begin + shares * width, begin, width)
 
 
-def _touching_parts(number: Parts, controls: Controls) -> Int[np.ndarray, "2 pair"]:
+def _touching_parts(interval: Parts, controls: Controls) -> Int[np.ndarray, "2 pair"]:
     """Return the pairs of parts, neighbours excepted, whose hulls may touch."""
     touching = [
-        np.stack([first, second])[
-            :, _hulls_overlap(controls, first, second) & _hulls_overlap(controls, second, first)
+        np.stack([here, there])[
+            :, _hulls_overlap(controls, here, there) & _hulls_overlap(controls, there, here)
         ]
-        for first, second in _overlapping_boxes(number, controls.min(axis=0), controls.max(axis=0))
+        for here, there in _overlapping_boxes(interval, controls.min(axis=0), controls.max(axis=0))
     ]
     return np.concatenate(touching, axis=1)
 
 
 def _overlapping_boxes(
-    number: Parts, low: Float64[np.ndarray, "2 part"], high: Float64[np.ndarray, "2 part"]
+    interval: Parts, low: Float64[np.ndarray, "2 part"], high: Float64[np.ndarray, "2 part"]
 ) -> Iterator[tuple[Parts, Parts]]:
     """Yield pairs of parts, neighbours excepted, whose boxes overlap."""
-    count = len(number)
+    count = len(interval)
     rows = max(1, _AT_ONCE // count)
     for start in range(0, count, rows):
-        part = slice(start, start + rows)
-        overlap = number[part, None] + 1 < number[start:]
+        block = slice(start, start + rows)
+        overlap = interval[block, None] + 1 < interval[start:]
         for lower, upper in zip(low, high, strict=True):
-            overlap &= lower[part, None] <= upper[start:]
-            overlap &= lower[start:] <= upper[part, None]
-        first, second = np.nonzero(overlap)
-        yield first + start, second + start
+            overlap &= lower[block, None] <= upper[start:]
+            overlap &= lower[start:] <= upper[block, None]
+        here, there = np.nonzero(overlap)
+        yield here + start, there + start
 
 
-def _hulls_overlap(controls: Controls, one: Parts, other: Parts) -> np.ndarray:
+def _hulls_overlap(controls: Controls, base: Parts, other: Parts) -> np.ndarray:
     """Return where the hulls of two parts overlap, seen along the chord of the first."""
-    start = controls[0][:, one]
-    along = controls[3][:, one] - start
-    low, high = np.empty((2, 2, len(one)))
-    for row, part in enumerate((one, other)):
-        away = controls[:, :, part] - start
+    start = controls[0][:, base]
+    along = controls[3][:, base] - start
+    low, high = np.empty((2, 2, len(base)))
+    for row, hull in enumerate((base, other)):
+        away = controls[:, :, hull] - start
         height = along[0] * away[:, 1] - along[1] * away[:, 0]
         low[row], high[row] = height.min(axis=0), height.max(axis=0)
     overlap: np.ndarray = (low[0] <= high[1]) & (low[1] <= high[0])
@@ -173,11 +179,11 @@ def _loops(cubics: _Cubics) -> Int[np.ndarray, "2 pair"]:
     begin, end = cubics.begin_slopes[:2], cubics.end_slopes[:2]
     turns = np.sum(begin * end, axis=0) < 0.0
     both_turn = np.sum(begin[:, :-1] * end[:, 1:], axis=0) < 0.0
-    is_next = np.diff(cubics.number) == 1
+    is_next = np.diff(cubics.interval) == 1
     is_loop = turns.copy()
     is_loop[:-1] |= is_next & (turns[1:] | both_turn)
-    alone, first = np.flatnonzero(is_loop), np.flatnonzero(is_loop[:-1] & is_next)
-    return np.stack([np.append(alone, first), np.append(alone, first + 1)])
+    alone, with_next = np.flatnonzero(is_loop), np.flatnonzero(is_loop[:-1] & is_next)
+    return np.stack([np.append(alone, with_next), np.append(alone, with_next + 1)])
 
 
 def _starts(
@@ -198,8 +204,8 @@ def _starts(
     size = np.max(np.ptp(controls, axis=0)[:, parts], axis=(0, 1)) ** 2
     chosen = np.flatnonzero(away < _MISS**2 * size)
     rounded = np.concatenate([parts, np.round(shares / _SAME)])[:, chosen]
-    _, first = np.unique(rounded, axis=1, return_index=True)
-    return parts[:, chosen[first]], shares[:, chosen[first]]
+    _, unique = np.unique(rounded, axis=1, return_index=True)
+    return parts[:, chosen[unique]], shares[:, chosen[unique]]
 
 
 def _meetings(
@@ -245,8 +251,8 @@ def _line_crossings(c: Curve, cubics: _Cubics) -> Angles:
     return np.append(across, bracketed_root(_margin, (c, np.tile(near_line, 2)), begins, ends))
 
 
-def _unlike(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    unlike: np.ndarray = (one > 0.0) != (other > 0.0)
+def _unlike(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    unlike: np.ndarray = (a > 0.0) != (b > 0.0)
     return unlike
 
 
@@ -266,7 +272,7 @@ def _margin_slope(parameters: tuple[Curve, Parts], theta: np.ndarray) -> np.ndar
 # Fineness of the scan, the most angles to look closer at, and how far other roots may be outside of
 # the circle there. The last ones take the angles of the best chances only.
 _SCANS = ((1, 24, 1e-4), (4, 192, 1e-4), (16, 768, 1e-4), (64, 1536, 1e-7))
-_FILTERED_SCANS = 2  # with filters: what these leave open the others do, too, in minutes
+_FILTERED_SCANS = 2  # with filters: finer ones take minutes and resolve no more
 _EMPTY_FINENESS = 4
 _ROUNDS = 8
 _KEPT = 32  # pieces that do not close
@@ -279,19 +285,19 @@ def refined_pieces(c: Curve, *, may_be_empty: bool) -> Pieces:
     coarse. Where even the finest scan is not enough, the pieces' ``resolved`` is False.
     """
     length = c.parts.shape[1] - 2 if isinstance(c, FilteredCurve) else int(c.turns) + 2
-    first = slice_angles(c, length, 1)
-    closer = crossings(c, first, length)
+    coarsest = slice_angles(c, length, 1)
+    closer = crossings(c, coarsest, length)
     scans = _SCANS[: _FILTERED_SCANS if isinstance(c, FilteredCurve) else None]
     for fineness, most, outside in scans:
-        scan = first if fineness == 1 else slice_angles(c, length, fineness)
+        scan = coarsest if fineness == 1 else slice_angles(c, length, fineness)
         pieces, closer, is_settled = _settled_pieces(c, scan, closer, most, outside, length)
         if is_settled:
             return pieces
         if may_be_empty and fineness >= _EMPTY_FINENESS and not pieces.exists[0]:
             return pieces
-    some = tree_map(lambda x: x[:_KEPT] if x.ndim else x, pieces)  # there may be 1e5 of them
-    nowhere = np.zeros(len(some.exists), int)
-    return some._replace(successor=nowhere, resolved=np.bool_(False))
+    truncated = tree_map(lambda x: x[:_KEPT] if x.ndim else x, pieces)  # there may be 1e5 of them
+    nowhere = np.zeros(len(truncated.exists), int)
+    return truncated._replace(successor=nowhere, resolved=np.bool_(False))
 
 
 def _settled_pieces(

@@ -80,16 +80,16 @@ def _sines_of_vectors(x: Array) -> tuple[Array, Array, Array]:
     """
     xp = namespace(x)
     quarters = constant(xp.round(x * (2.0 / pi)))
-    rest = x
-    for part in _QUARTER_TURN:
-        rest = rest - quarters * part
-    sine, cosine, sinc = _sines_of_small(rest)
+    reduced = x
+    for digits in _QUARTER_TURN:
+        reduced = reduced - quarters * digits
+    sine, cosine, sinc = _sines_of_small(reduced)
     odd = quarters % 2.0 == 1.0
     sine, cosine = xp.where(odd, cosine, sine), xp.where(odd, -sine, cosine)
     sign = xp.where(quarters % 4.0 >= 2.0, -1.0, 1.0)
     sine, cosine = sign * sine, sign * cosine
-    first = quarters == 0.0
-    return sine, cosine, xp.where(first, sinc, sine / xp.where(first, 1.0, x))
+    is_small = quarters == 0.0
+    return sine, cosine, xp.where(is_small, sinc, sine / xp.where(is_small, 1.0, x))
 
 
 def _sines_of_small(x: Array) -> tuple[Array, Array, Array]:
@@ -106,7 +106,7 @@ def _series(coefficients: tuple[float, ...], x: Array) -> Array:
 
 
 _CLOSE, _FAR = 1e-9, 4.0  # between these the distances of poles from the circle are clipped
-_VANISHING = 1e-3  # N(r) this small beside its terms: the line z = r is no anchor any more
+_VANISHING = 1e-3  # of the terms of N(r): below, alpha is not computed from the line z = r
 
 
 class SliceCoefficients(NamedTuple):
@@ -206,7 +206,7 @@ def _slice_coefficients(
     xp = namespace(gamma, radius, turns, plant)
     r = DoubleDouble.of(radius)
     inner = r - 1.0
-    # Around z = 1 and z = -1, where the plant coefficients have digits of their own.
+    # Around z = 1 and z = -1, where the plant's values are known to all digits.
     den_plus = inner * inner + inner * (plant.d1 + 2.0) + plant.den_at_one
     num_plus = inner * inner * plant.n2 + inner * (plant.n2.scaled(2.0) + plant.n1) + plant.sum
     den_minus = r * r - r * plant.d1 + plant.d0
@@ -251,7 +251,7 @@ def minus_offset(c: Curve) -> Array:
 
 @np.errstate(all="ignore")
 def minus_slope(c: Curve) -> Array:
-    """Return 1 + 1/r, or what the estimator makes of it."""
+    """Return 1 + 1/r, or its value with an estimator."""
     if isinstance(c, FilteredCurve):
         return c.at_minus_one[2] / c.at_minus_one[1]
     return (c.radius + 1.0) / c.radius
@@ -272,15 +272,15 @@ def poles(c: Curve) -> tuple[Array, Array]:
         angles, distances = c.poles
         return np.concatenate([angles, -angles]), np.tile(distances, 2)
     xp = namespace(c)
-    first, last = 0.5 * (c.sigma + c.nu), 0.5 * (c.sigma - c.nu)
+    leading, trailing = 0.5 * (c.sigma + c.nu), 0.5 * (c.sigma - c.nu)
     middle = c.num_plus - c.sigma
-    square = middle**2 - 4.0 * first * last
+    square = middle**2 - 4.0 * leading * trailing
     root = xp.sqrt(abs(square))
     larger = -0.5 * (middle + xp.where(middle < 0.0, -root, root))
-    real = xp.stack([larger / first, last / larger])
-    turned = xp.arctan2(root, -middle * xp.sign(first))
+    real = xp.stack([larger / leading, trailing / larger])
+    turned = xp.arctan2(root, -middle * xp.sign(leading))
     angles = xp.where(square < 0.0, turned, xp.where(real < 0.0, pi, 0.0))
-    modulus = xp.where(square < 0.0, xp.sqrt(abs(last / first)), abs(real))
+    modulus = xp.where(square < 0.0, xp.sqrt(abs(trailing / leading)), abs(real))
     distance = abs(xp.log(modulus))
     return angles, xp.clip(xp.nan_to_num(distance, nan=_FAR), _CLOSE, _FAR)
 
@@ -323,8 +323,8 @@ def curve_and_lift(c: Curve, theta: Array, low: Array | float = 0.0) -> tuple[Ar
         - circle.far * (c.nu * (c.eps - c.ratio * c.nu) + circle.sine_ratio * slope)
         - (c.num_plus - c.sigma * circle.near) * (c.ratio * c.sigma - c.kappa)
     )
-    lost = abs(c.num_plus) < _VANISHING * (abs(c.sigma) + abs(c.nu))
-    direct_only = upper | lost
+    vanishes = abs(c.num_plus) < _VANISHING * (abs(c.sigma) + abs(c.nu))
+    direct_only = upper | vanishes
     alpha = xp.where(direct_only, direct, line + h * lift)
     return alpha, beta, xp.where(direct_only, (direct - line) / xp.where(direct_only, h, 1.0), lift)
 
@@ -418,12 +418,12 @@ def polynomial(c: Curve, wall: tuple[Array, Array], length: int) -> Array:
     else:
         power, unit = xp.arange(length), c.gain * c.radius
         leading, middle = 0.5 * (c.sigma + c.nu) / unit, (c.num_plus - c.sigma) / unit
-        first, second = (c.den_plus - c.kappa) / c.radius, 0.5 * (c.kappa - c.eps) / c.radius
-        base = xp.where(power == 0, 1.0, xp.where(power == 1, first, 0.0))
-        base = base + xp.where(power == 2, second, 0.0)
+        d1, d0 = (c.den_plus - c.kappa) / c.radius, 0.5 * (c.kappa - c.eps) / c.radius
+        base = xp.where(power == 0, 1.0, xp.where(power == 1, d1, 0.0))
+        base = base + xp.where(power == 2, d0, 0.0)
         is_leading, is_next = power == c.turns, power == c.turns + 1.0
         stiffness = xp.where(is_leading, leading, xp.where(is_next, middle, 0.0))
         damping = stiffness - xp.where(is_next, leading / c.radius, 0.0)
     columns = (len(base), *(1 for _ in wall[0].shape))
-    base, stiffness, damping = (part.reshape(columns) for part in (base, stiffness, damping))
+    base, stiffness, damping = (row.reshape(columns) for row in (base, stiffness, damping))
     return base + (stiffness * wall[0] + damping * wall[1])

@@ -1,4 +1,18 @@
-"""The curve that is evaluated in double-double, with the angles that float64 misses. NumPy only."""
+"""The boundary of loops with filters in double-double, where float64 loses all digits. NumPy only.
+
+Filters with many slow poles have these next to each other: at z next to 1 their polynomials are
+1e-5 to 1e-30 of their coefficients. So p(z) = base + alpha S + beta R itself is taken in powers of
+z -+ 1 there, and in powers of z elsewhere, in pairs of float64; with Cramer's rule
+
+    alpha = Im(conj(R) base) / Im(conj(S) R),     beta = -Im(conj(S) base) / Im(conj(S) R).
+
+Powers of zeta - 1 have real and imaginary parts with all of their digits, so nothing is divided by
+hand, as it is in ``filtered_points``: enough of the 106 bits remain.
+
+Three things are computed so: points and slopes of the curve (``exact_gains``); the angles of its
+poles and of beta = 0, which float64 misses (``in_pairs``); and whether the other roots of walls are
+inside the circle (``all_inside``), by Routh's criterion in a variable that keeps slow roots apart.
+"""
 
 from fractions import Fraction
 from functools import cache, lru_cache
@@ -10,19 +24,8 @@ from jaxtyping import Bool, Complex128, Float64
 
 from jaxstab.arrays import PI_REST, Array, joined, tree_map
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.region.filtered_curve import FilteredCurve, standing_for, stretches_around, true_angles
+from jaxstab.region.filtered_curve import FilteredCurve, stretches_around, to_rescaled, true_angles
 from jaxstab.region.roots import bracketed_root
-
-# Points and slopes of the boundary in double-double, where float64 loses all digits.
-#
-# Filters with many slow poles have these next to each other: at z next to 1 their polynomials are
-# 1e-5 to 1e-30 of their coefficients. So p(z) = base + alpha S + beta R itself is taken in powers
-# of z -+ 1 there, and in powers of z elsewhere, in pairs of float64; with Cramer's rule
-#
-#     alpha = Im(conj(R) base) / Im(conj(S) R),     beta = -Im(conj(S) base) / Im(conj(S) R).
-#
-# Powers of zeta - 1 have real and imaginary parts of all their digits, so nothing is divided by
-# hand, as it is in ``filtered_points``: there is enough left of 106 bits. NumPy only.
 
 _CLOSE = 0.5  # of zeta - 1: up to there its powers are taken
 _LEAST = 1e-11  # in place of the angle 0: there the curve has a limit, and even in the angle
@@ -52,8 +55,8 @@ class _Complex(NamedTuple):
         """The imaginary part of other times the conjugate of these."""
         return self.real * other.imag - self.imag * other.real
 
-    def part(self, *index: slice | None) -> "_Complex":
-        """Return what an index of arrays gives."""
+    def indexed(self, *index: slice | None) -> "_Complex":
+        """Return both parts at an index of their arrays."""
         return _Complex(self.real[index], self.imag[index])
 
 
@@ -82,7 +85,7 @@ def determinants(pairs: Pairs, theta: DoubleDouble) -> Array:
     (base, stiffness, damping), _ = _rows(pairs, upper, zeta, sine, with_slopes=False)
     both = (stiffness, damping), (base, stiffness)
     turned = np.where(upper, -1.0, 1.0)
-    return turned * np.stack([one.cross(two).rounded() for one, two in both])
+    return turned * np.stack([a.cross(b).rounded() for a, b in both])
 
 
 def lines_crossing_of(pairs: Pairs) -> tuple[DoubleDouble, DoubleDouble]:
@@ -104,14 +107,14 @@ def polished_angles(
         step = step - np.where(np.abs(change) < _POLISHED * np.abs(step), change, 0.0)
         straight = (abs(step) > _CLOSE).astype(int)
         coefficients = DoubleDouble(*np.moveaxis(pairs, 2, 0)[:, 0, 1 - straight])
-        number = _Complex(DoubleDouble.of(step.real) + 1.0 * straight, DoubleDouble.of(step.imag))
-        value, slope = (_wall_value(rows, alpha, beta) for rows in _rows_at(coefficients, number))
+        point = _Complex(DoubleDouble.of(step.real) + 1.0 * straight, DoubleDouble.of(step.imag))
+        value, slope = (_wall_value(rows, alpha, beta) for rows in _rows_at(coefficients, point))
         change = value / slope
     root = _Complex(DoubleDouble.of(step.real) + 1.0, DoubleDouble.of(step.imag))
     rough = np.angle(1.0 + step)
     upper, u = _folded(DoubleDouble.of(rough))
     zeta, _, _ = _on_circle(u)
-    real = DoubleDouble(*(np.where(upper, -part, part) for part in (zeta.real.hi, zeta.real.lo)))
+    real = DoubleDouble(*(np.where(upper, -x, x) for x in (zeta.real.hi, zeta.real.lo)))
     modulus = np.abs(1.0 + step)
     turn = _Complex(real, zeta.imag).cross(root).rounded() / modulus
     moved = change / (1.0 + step)
@@ -123,12 +126,12 @@ def polished_angles(
 def _wall_value(rows: list[_Complex], alpha: DoubleDouble, beta: DoubleDouble) -> Array:
     """Return base + alpha stiffness + beta damping as complex numbers."""
     parts = zip(*rows, strict=True)
-    real, imag = ((base + one * alpha + two * beta).rounded() for base, one, two in parts)
+    real, imag = ((base + s * alpha + r * beta).rounded() for base, s, r in parts)
     return real + 1j * imag
 
 
-def _where(condition: Array, one: DoubleDouble, other: DoubleDouble) -> DoubleDouble:
-    return tree_map(lambda a, b: np.where(condition, a, b), one, other)
+def _where(condition: Array, value: DoubleDouble, other: DoubleDouble) -> DoubleDouble:
+    return tree_map(lambda a, b: np.where(condition, a, b), value, other)
 
 
 def _numbers(columns: Float64[np.ndarray, "2 part"]) -> list[DoubleDouble]:
@@ -165,7 +168,7 @@ def _gains(pairs: Pairs, theta: DoubleDouble, with_slopes: bool) -> ExactGains:
     turned = np.where(upper, -1.0, 1.0)
     swing = (sine * cosine).scaled(2.0) * turned
     lift_slope = (alpha_slope - lift * swing) / height
-    every = [turned * one.rounded() for one in (alpha_slope, beta_slope, lift_slope)]
+    every = [turned * slope.rounded() for slope in (alpha_slope, beta_slope, lift_slope)]
     return ExactGains((alpha, beta, lift), (every[0], every[1], every[2]))
 
 
@@ -177,28 +180,28 @@ def _rows(
     count = pairs.shape[-1]
     chosen = np.moveaxis(pairs, 2, 0)[:, upper.astype(int), is_close.astype(int)]
     coefficients = DoubleDouble(*chosen)
-    number = _Complex(_where(is_close, (sine * sine).scaled(-2.0), zeta.real), zeta.imag)
+    point = _Complex(_where(is_close, (sine * sine).scaled(-2.0), zeta.real), zeta.imag)
     if not with_slopes:
-        return _sums(coefficients, _powers(number, count)), []
-    rows, slopes = _rows_at(coefficients, number)
+        return _sums(coefficients, _powers(point, count)), []
+    rows, slopes = _rows_at(coefficients, point)
     turn = _Complex(-zeta.imag, zeta.real)  # i zeta
     return rows, [row.times(turn) for row in slopes]
 
 
-def _rows_at(coefficients: DoubleDouble, number: _Complex) -> tuple[list[_Complex], list[_Complex]]:
+def _rows_at(coefficients: DoubleDouble, point: _Complex) -> tuple[list[_Complex], list[_Complex]]:
     """Return polynomials and their derivatives at complex numbers."""
     count = coefficients.hi.shape[-1]
-    powers = _powers(number, count)
+    powers = _powers(point, count)
     order = np.arange(1.0, count)
     higher = coefficients[..., 1:] * order
-    lower = powers.part(slice(None), slice(count - 1))
+    lower = powers.indexed(slice(None), slice(count - 1))
     return _sums(coefficients, powers), _sums(higher, lower)
 
 
 def _sums(coefficients: DoubleDouble, powers: _Complex) -> list[_Complex]:
     """Return sums of coefficients (angle, part, power) times powers (angle, power)."""
-    columns = powers.part(slice(None), None)
-    real, imag = (_total(coefficients * part) for part in columns)
+    columns = powers.indexed(slice(None), None)
+    real, imag = (_total(coefficients * column) for column in columns)
     return [_Complex(real[:, k], imag[:, k]) for k in range(real.hi.shape[1])]
 
 
@@ -211,15 +214,15 @@ def _total(terms: DoubleDouble) -> DoubleDouble:
     return terms[..., 0]
 
 
-def _powers(number: _Complex, count: int) -> _Complex:
+def _powers(base: _Complex, count: int) -> _Complex:
     """Return the powers 0 ... count - 1 on a second axis."""
-    number = number.part(slice(None), None)
-    one = DoubleDouble.of(np.ones_like(number.real.hi))
-    powers, next_power = _Complex(one, DoubleDouble.of(np.zeros_like(one.hi))), number
+    base = base.indexed(slice(None), None)
+    ones = DoubleDouble.of(np.ones_like(base.real.hi))
+    powers, next_power = _Complex(ones, DoubleDouble.of(np.zeros_like(ones.hi))), base
     while powers.real.hi.shape[1] < count:
         powers = joined([powers, powers.times(next_power)], 1)
         next_power = next_power.times(next_power)
-    return powers.part(slice(None), slice(count))
+    return powers.indexed(slice(None), slice(count))
 
 
 def _on_circle(u: DoubleDouble) -> tuple[_Complex, DoubleDouble, DoubleDouble]:
@@ -253,8 +256,8 @@ def _terms() -> list[DoubleDouble]:
     terms = []
     for k in range(_TERMS, -1, -1):
         exact = [Fraction((-1) ** k, factorial(2 * k + start)) for start in (1, 0)]
-        high = [float(one) for one in exact]
-        low = [float(one - Fraction(part)) for one, part in zip(exact, high, strict=True)]
+        high = [float(value) for value in exact]
+        low = [float(value - Fraction(head)) for value, head in zip(exact, high, strict=True)]
         terms.append(DoubleDouble(np.array(high)[:, None], np.array(low)[:, None]))
     return terms
 
@@ -267,31 +270,31 @@ _CLOSEST = 1e-9  # what counts as the distance of a pole on the circle
 
 
 def in_pairs(curve: FilteredCurve, pairs: Pairs, centers: DoubleDouble) -> FilteredCurve:
-    """Return a curve as it is evaluated in double-double, drawn out around the angles ``centers``.
+    """Return a curve as it is evaluated in double-double, rescaled around the angles ``centers``.
 
     ``pairs`` are the parts of p(z), as ``exact_gains`` takes them.
     """
     lines = [line.angle + side * line.half_width for line in curve.lines for side in (-1.0, 1.0)]
     stretches = stretches_around(centers, np.array(lines))
     even = np.concatenate([_SEARCHED, np.pi - _SEARCHED])
-    outside = ~np.any([one.holds(even) for one in stretches], axis=0) if stretches else slice(None)
-    angles = np.unique(np.concatenate([even[outside], *(one.scan for one in stretches)]))
+    outside = ~np.any([s.holds(even) for s in stretches], axis=0) if stretches else slice(None)
+    angles = np.unique(np.concatenate([even[outside], *(s.scan for s in stretches)]))
 
     def both(theta: Angles) -> Float64[np.ndarray, "2 angle"]:
         return determinants(pairs, true_angles(stretches, theta, np.zeros_like(theta))[0])
 
-    def value(number: np.ndarray, theta: Angles) -> Angles:
-        chosen: Angles = np.choose(number, both(theta))
+    def value(which: np.ndarray, theta: Angles) -> Angles:
+        chosen: Angles = np.choose(which, both(theta))
         return chosen
 
     values = both(angles)
-    number, index = np.nonzero(np.diff(np.sign(values), axis=1))
-    ends = values[number, index], values[number, index + 1]
-    roots = bracketed_root(value, number, angles[index], angles[index + 1], ends)
-    real, steep = (roots[number == k] for k in range(2))
+    which, index = np.nonzero(np.diff(np.sign(values), axis=1))
+    ends = values[which, index], values[which, index + 1]
+    roots = bracketed_root(value, which, angles[index], angles[index + 1], ends)
+    real, steep = (roots[which == k] for k in range(2))
     poles, lone, resonances = (
-        standing_for(stretches, DoubleDouble.of(one))
-        for one in (curve.poles[0], curve.steep, curve.resonances[0])
+        to_rescaled(stretches, DoubleDouble.of(a))
+        for a in (curve.poles[0], curve.steep, curve.resonances[0])
     )
     is_pole, is_steep = _are_apart(poles, real), _are_apart(lone, steep)
     distances = np.concatenate([curve.poles[1, is_pole], np.full(len(real), _CLOSEST)])
@@ -306,7 +309,7 @@ def in_pairs(curve: FilteredCurve, pairs: Pairs, centers: DoubleDouble) -> Filte
 
 
 def _are_apart(angles: Angles, others: Angles) -> Bool[np.ndarray, " _"]:
-    """Return which angles are no others that rounding has moved."""
+    """Return which angles differ from others by more than rounding."""
     gaps = np.abs(angles[:, None] - others)
     apart: np.ndarray = np.all(gaps > _SAME * angles[:, None], axis=1)
     return apart
@@ -339,21 +342,21 @@ def all_inside(
     walls = [tree_map(np.ravel, wall) for wall in (alpha, beta)]
     falling = np.ascontiguousarray(curve.pairs[0, 1, :, :, ::-1])  # in powers of z - 1
     outside = np.maximum(within - 1.0, _power_on_circle(curve, *walls))
-    for one in np.unique(outside).tolist():
-        parts = _parts_in_half_plane(falling.tobytes(), falling.shape[-1], one)
+    for distance in np.unique(outside).tolist():
+        parts = _parts_in_half_plane(falling.tobytes(), falling.shape[-1], distance)
         base, stiffness, damping = (parts[:, k, None] for k in range(3))
-        chosen = np.flatnonzero(outside == one)
+        chosen = np.flatnonzero(outside == distance)
         for start in range(0, chosen.size, _COEFFICIENTS):
-            some = chosen[start : start + _COEFFICIENTS]
-            alpha, beta = (wall[some] for wall in walls)
-            inside.flat[some] = _are_left(base + (stiffness * alpha + damping * beta))
+            chunk = chosen[start : start + _COEFFICIENTS]
+            alpha, beta = (wall[chunk] for wall in walls)
+            inside.flat[chunk] = _are_hurwitz(base + (stiffness * alpha + damping * beta))
     return inside
 
 
 def _power_on_circle(
     curve: FilteredCurve, alpha: DoubleDouble, beta: DoubleDouble
 ) -> Float64[np.ndarray, " wall"]:
-    """Return how far outside a root is on the circle: in steps, by what gains count for in p(z)."""
+    """Return how far outside a root counts as on the circle, by the gains' share in p(z)."""
     base, stiffness, damping = np.sum(np.abs(curve.pairs[0, 0, 0]), axis=-1)
     share = (np.abs(alpha.hi) * stiffness + np.abs(beta.hi) * damping) / base
     share = np.clip(np.nan_to_num(share, nan=1.0), _SMALLEST_ANGLE, 1.0)
@@ -365,8 +368,8 @@ def _power_on_circle(
 def _parts_in_half_plane(falling: bytes, count: int, outside: float) -> DoubleDouble:
     """Return base, stiffness and damping (coefficient, part) in powers of w, highest first.
 
-    They are given in powers of z - 1, (pair, part, coefficient); r = 1 + outside. Many walls are
-    asked of one curve.
+    They are given in powers of z - 1, (pair, part, coefficient); r = 1 + outside. They are
+    remembered, for one curve serves many walls.
     """
     pairs = np.frombuffer(falling).reshape(2, 3, count).transpose(0, 2, 1)
     return _to_half_plane(_about(DoubleDouble(*pairs), outside), DoubleDouble.of(outside) + 1.0)
@@ -403,7 +406,7 @@ def _about(falling: DoubleDouble, move: float) -> DoubleDouble:
         power = power * move
         ways = np.array([float(comb(k, more)) for k in range(degree, more - 1, -1)])[:, None]
         higher = falling[:-more] * power * ways
-        total = total + tree_map(lambda part, by=more: np.pad(part, ((by, 0), (0, 0))), higher)
+        total = total + tree_map(lambda x, by=more: np.pad(x, ((by, 0), (0, 0))), higher)
     return total
 
 
@@ -412,26 +415,26 @@ def _to_half_plane(falling: DoubleDouble, radius: DoubleDouble) -> DoubleDouble:
     degree = len(falling.hi) - 1
     total, factor = DoubleDouble.of(np.zeros_like(falling.hi)), DoubleDouble.of(1.0)
     for power in range(degree + 1):
-        one = falling[degree - power] * factor
-        total = total + one[None] * _binomials(degree, power)
+        term = falling[degree - power] * factor
+        total = total + term[None] * _binomials(degree, power)
         factor = factor * radius.scaled(2.0)
     return total
 
 
 def _binomials(degree: int, power: int) -> Float64[np.ndarray, "coefficient 1"]:
     """Return the coefficients of w^power (1 - w)^(degree - power), highest first."""
-    rest = degree - power
-    signed = [float((-1) ** k * comb(rest, k)) for k in range(rest, -1, -1)]
+    order = degree - power
+    signed = [float((-1) ** k * comb(order, k)) for k in range(order, -1, -1)]
     return np.array(signed + [0.0] * power)[:, None]
 
 
-def _are_left(falling: DoubleDouble) -> Bool[np.ndarray, " wall"]:
+def _are_hurwitz(falling: DoubleDouble) -> Bool[np.ndarray, " wall"]:
     """Return where all roots have negative real parts (Routh 1877)."""
     even, odd = falling[::2], falling[1::2]
-    is_left = np.ones(falling.hi.shape[1], bool)
+    is_hurwitz = np.ones(falling.hi.shape[1], bool)
     while len(odd.hi):
-        is_left = is_left & (odd.hi[0] * even.hi[0] > 0.0)
+        is_hurwitz = is_hurwitz & (odd.hi[0] * even.hi[0] > 0.0)
         ratio, missing = even[0] / odd[0], len(even.hi) - len(odd.hi)
-        above = tree_map(lambda part, by=missing: np.pad(part, ((0, by), (0, 0))), odd[1:])
+        above = tree_map(lambda x, by=missing: np.pad(x, ((0, by), (0, 0))), odd[1:])
         even, odd = odd, even[1:] - above * ratio
-    return is_left
+    return is_hurwitz

@@ -27,7 +27,7 @@ from jaxtyping import Bool, Complex128, Float64
 
 from jaxstab.arrays import Array, tree_map
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import Filters
+from jaxstab.model.filters import Filters, Polynomial, Transfer, product, size_of
 from jaxstab.model.linear_loop import (
     LinearLoop,
     LoopFilters,
@@ -37,7 +37,6 @@ from jaxstab.model.linear_loop import (
     loop_of,
     sampled_mass,
 )
-from jaxstab.model.sections import Polynomial, Transfer, product, size_of
 
 # Polynomials in powers of zeta and of zeta - 1, in double-double and as rows of numbers.
 
@@ -57,7 +56,7 @@ class Around(NamedTuple):
     shifted: Polynomial
 
     @classmethod
-    def of(cls, polynomial: Polynomial) -> "Around":
+    def from_polynomial(cls, polynomial: Polynomial) -> "Around":
         """Return a polynomial with its powers of s; rounding errors count as 0."""
         nothing = _NOTHING * size_of(polynomial)
         shifted = (c if abs(c.hi) >= nothing else _VANISHING for c in about_one(polynomial))
@@ -66,7 +65,7 @@ class Around(NamedTuple):
     def times(self, other: "Around") -> "Around":
         """Return the product."""
         both = zip(self, other, strict=True)
-        return Around(*(product(one, two) for one, two in both))
+        return Around(*(product(a, b) for a, b in both))
 
     @property
     def value(self) -> DoubleDouble:
@@ -86,15 +85,13 @@ class Around(NamedTuple):
 
 def around(polynomial: Polynomial, sign: int) -> Around:
     """Return a polynomial of sign zeta."""
-    return Around.of(polynomial if sign > 0 else turned(polynomial))
+    return Around.from_polynomial(polynomial if sign > 0 else turned(polynomial))
 
 
-def minor(one: Around, other: Around) -> Around:
+def minor(p: Around, q: Around) -> Around:
     """Return (Q(1) P - P(1) Q) / (zeta - 1) of two polynomials."""
-    pairs = zip(one.quotient, other.quotient, strict=True)
-    return Around(
-        *(_crossed_products(above, below, one.value, other.value) for above, below in pairs)
-    )
+    pairs = zip(p.quotient, q.quotient, strict=True)
+    return Around(*(_crossed_products(above, below, p.value, q.value) for above, below in pairs))
 
 
 def _crossed_products(
@@ -102,7 +99,7 @@ def _crossed_products(
 ) -> Polynomial:
     """Return other above - value below, with 0 for what is rounding of the two."""
     length = max(len(above), len(below))
-    above, below = ((_VANISHING,) * (length - len(one)) + one for one in (above, below))
+    above, below = ((_VANISHING,) * (length - len(p)) + p for p in (above, below))
     terms = [(a * other, b * -value) for a, b in zip(above, below, strict=True)]
     sums = ((a + b, _NOTHING * (abs(a.hi) + abs(b.hi))) for a, b in terms)
     return tuple(total if abs(total.hi) >= nothing else _VANISHING for total, nothing in sums)
@@ -121,12 +118,12 @@ def power(degree: int) -> Polynomial:
 
 def about_one(polynomial: Polynomial) -> Polynomial:
     """Return the coefficients in powers of z - 1, by one division after the other."""
-    rest, coefficients = polynomial, []
-    while len(rest) > 1:
-        *sums, value = accumulate(rest, DoubleDouble.__add__)
+    quotient, coefficients = polynomial, []
+    while len(quotient) > 1:
+        *sums, value = accumulate(quotient, DoubleDouble.__add__)
         coefficients.append(value)
-        rest = tuple(sums)
-    return (*rest, *coefficients[::-1])
+        quotient = tuple(sums)
+    return (*quotient, *coefficients[::-1])
 
 
 def rounded(polynomial: Polynomial) -> ComplexCoefficients:
@@ -146,12 +143,12 @@ class Rows(NamedTuple):
     close: Float64[np.ndarray, " row"]
 
     @classmethod
-    def of(cls, polynomials: Sequence[Around]) -> "Rows":
+    def from_polynomials(cls, polynomials: Sequence[Around]) -> "Rows":
         """Return the rows of some polynomials."""
-        length = max(len(one.straight) for one in polynomials)
+        length = max(len(p.straight) for p in polynomials)
         both = np.zeros((2, 2, len(polynomials), length))
-        for row, one in enumerate(polynomials):
-            for form, falling in enumerate(one):
+        for row, polynomial in enumerate(polynomials):
+            for form, falling in enumerate(polynomial):
                 both[form, 0, row, : len(falling)] = rounded(falling)[::-1]
         order = np.arange(float(length))
         both[0, 1] = both[0, 0] * order
@@ -236,19 +233,19 @@ class PoleLine(NamedTuple):
         g, g_slope, q, q_slope = self._parts(size)
         offset = 2.0 * np.arcsin(0.5 * g)
         turn = g_slope / np.sqrt(1.0 - 0.25 * g * g)
-        (one, one_slope), (two, two_slope) = self._quotients(offset)
-        one_slope, two_slope = one_slope * turn, two_slope * turn
+        (rise, rise_slope), (run, run_slope) = self._quotients(offset)
+        rise_slope, run_slope = rise_slope * turn, run_slope * turn
         if self.is_double:
             on_line = np.abs(size - self.angle) < _MIDDLE * self.half_width
-            b = np.where(on_line, q, two.real / one.real)
-            slope = (two_slope.real - b * one_slope.real) / one.real
+            b = np.where(on_line, q, run.real / rise.real)
+            slope = (run_slope.real - b * rise_slope.real) / rise.real
             b_slope = np.where(on_line, q_slope, slope)
         else:
-            b = (two.real + q) / one.real
-            b_slope = (two_slope.real + q_slope - b * one_slope.real) / one.real
-        a = self.level + g * (b * one.imag - two.imag)
-        swing = b_slope * one.imag + b * one_slope.imag - two_slope.imag
-        a_slope = g_slope * (b * one.imag - two.imag) + g * swing
+            b = (run.real + q) / rise.real
+            b_slope = (run_slope.real + q_slope - b * rise_slope.real) / rise.real
+        a = self.level + g * (b * rise.imag - run.imag)
+        swing = b_slope * rise.imag + b * rise_slope.imag - run_slope.imag
+        a_slope = g_slope * (b * rise.imag - run.imag) + g * swing
         s, r = self.normal
         values = [s * a - r * b, r * a + s * b, self.angle + offset]
         return values, [s * a_slope - r * b_slope, r * a_slope + s * b_slope, turn]
@@ -274,8 +271,8 @@ class PoleLine(NamedTuple):
         nothing = np.zeros_like(share)
         if self.is_double:
             beyond = np.maximum(share - _MIDDLE, 0.0)
-            first, second = 4.0 * last - steep, 2.0 * steep - 4.0 * last
-            g, slope = beyond * (first + second * beyond), first + 2.0 * second * beyond
+            linear, square = 4.0 * last - steep, 2.0 * steep - 4.0 * last
+            g, slope = beyond * (linear + square * beyond), linear + 2.0 * square * beyond
             g_slope = np.where(share > _MIDDLE, slope, 0.0) / self.half_width
             turned = np.pi * np.clip((size - self.angle) / self.half_width, -_MIDDLE, _MIDDLE)
             q = self.unit * np.tan(turned)
@@ -313,12 +310,12 @@ def pole_lines(
     loop: tuple[Polynomial, Polynomial, Polynomial], poles: Angles
 ) -> tuple[PoleLine, ...]:
     """Return the lines of a loop, base + alpha stiffness + beta damping, at angles of real V."""
-    floats = [np.array([float(c.rounded()) for c in part]) for part in loop]
-    sizes = [float(np.sum(np.abs(part))) for part in floats]
-    candidates = _candidates([part / size for part, size in zip(floats, sizes, strict=True)], poles)
+    floats = [np.array([float(c.rounded()) for c in polynomial]) for polynomial in loop]
+    sizes = [float(np.sum(np.abs(polynomial))) for polynomial in floats]
+    candidates = _candidates([p / size for p, size in zip(floats, sizes, strict=True)], poles)
     if not len(candidates):
         return ()
-    fixed = [_fixed(part, size) for part, size in zip(loop, sizes, strict=True)]
+    fixed = [_fixed(polynomial, size) for polynomial, size in zip(loop, sizes, strict=True)]
     lines: list[PoleLine] = []
     for candidate in candidates.tolist():
         angle = _refined(fixed, candidate)
@@ -335,8 +332,8 @@ def pole_lines(
 def _candidates(parts: list[Angles], poles: Angles) -> Angles:
     """Return the angles at which all of p is real but for a factor, and gains count at all."""
     circle = np.exp(1j * poles)
-    base, stiffness, damping = (np.polyval(part, circle) for part in parts)
-    crosses = np.abs([(np.conj(one) * base).imag for one in (stiffness, damping)])
+    base, stiffness, damping = (np.polyval(polynomial, circle) for polynomial in parts)
+    crosses = np.abs([(np.conj(gain) * base).imag for gain in (stiffness, damping)])
     counts = np.maximum(np.abs(stiffness), np.abs(damping)) > _SAME
     chosen: Angles = np.sort(poles[(np.max(crosses, axis=0) < _MAYBE) & counts])
     return chosen
@@ -345,7 +342,7 @@ def _candidates(parts: list[Angles], poles: Angles) -> Angles:
 def _line(parts: list[Angles], angle: float, half_width: float) -> PoleLine | None:
     base, stiffness, damping = parts
     zero = np.exp(1j * angle)
-    values = [np.polyval(part, zero) for part in (stiffness, damping)]
+    values = [np.polyval(polynomial, zero) for polynomial in (stiffness, damping)]
     unit = max(values, key=abs)
     s, r = ((np.conj(unit) * value).real for value in values)
     s, r = s / np.hypot(s, r), r / np.hypot(s, r)
@@ -362,11 +359,11 @@ def _line(parts: list[Angles], angle: float, half_width: float) -> PoleLine | No
         run=_divided(-base - level * divisor, zero),
         divisor=divisor.astype(complex),
     )
-    (one, one_slope), (two, _) = line._quotients(np.zeros(1))
-    swing, level_swing = float(one.real[0]), float(two.real[0])
-    if abs(swing) > _DOUBLE * abs(one[0]):
-        return line._replace(unit=float(abs(two[0])) / half_width)
-    second = float(one_slope.real[0])
+    (rise, rise_slope), (run, _) = line._quotients(np.zeros(1))
+    swing, level_swing = float(rise.real[0]), float(run.real[0])
+    if abs(swing) > _DOUBLE * abs(rise[0]):
+        return line._replace(unit=float(abs(run[0])) / half_width)
+    second = float(rise_slope.real[0])
     if second == 0.0 or level_swing == 0.0:
         return None
     return line._replace(is_double=True, unit=level_swing / second)
@@ -397,7 +394,7 @@ def _refined(parts: list[list[int]], angle: float) -> float | None:
     z = _on_circle((_to_fixed(np.cos(angle)), _to_fixed(np.sin(angle))))
     turned = 0.0
     for _ in range(_NEWTON_STEPS):
-        rows = [_derivatives(part, z) for part in parts]
+        rows = [_derivatives(polynomial, z) for polynomial in parts]
         f = [_crossed(rows[1], rows[2], order) for order in range(3)]
         is_double = abs(f[1]) < _SAME * abs(f[2])
         step = -f[1] / f[2] if is_double else (-f[0] / f[1] if f[1] else 0.0)
@@ -405,16 +402,16 @@ def _refined(parts: list[list[int]], angle: float) -> float | None:
             return None
         turned += step
         z = _turned(z, step)
-    rows = [_derivatives(part, z) for part in parts]
+    rows = [_derivatives(polynomial, z) for polynomial in parts]
     crosses = [_crossed(rows[i], rows[k], 0) for i, k in ((1, 2), (1, 0), (2, 0))]
     return angle + turned if max(map(abs, crosses)) < _ZERO else None
 
 
-def _derivatives(part: list[int], z: Point) -> list[Point]:
+def _derivatives(polynomial: list[int], z: Point) -> list[Point]:
     """Return the value of a polynomial on the circle and its first two slopes in the angle."""
     sums = [[0, 0] for _ in range(3)]
     power: Point = (1 << _BITS, 0)
-    for k, coefficient in enumerate(part):
+    for k, coefficient in enumerate(polynomial):
         term = coefficient * power[0] >> _BITS, coefficient * power[1] >> _BITS
         for order in range(3):
             factor = k**order
@@ -425,12 +422,12 @@ def _derivatives(part: list[int], z: Point) -> list[Point]:
     return [(a, b), (-d, c), (-e, -f)]
 
 
-def _crossed(one: list[Point], other: list[Point], order: int) -> float:
-    """Return a slope of Im(conj(one) other) in the angle."""
+def _crossed(p: list[Point], q: list[Point], order: int) -> float:
+    """Return a slope of Im(conj(p) q) in the angle."""
     weights = ((1,), (1, 1), (1, 2, 1))[order]
     total = 0
     for k, weight in enumerate(weights):
-        (a, b), (c, d) = one[k], other[order - k]
+        (a, b), (c, d) = p[k], q[order - k]
         total += weight * (a * d - b * c)
     return total / (1 << 2 * _BITS)
 
@@ -451,8 +448,8 @@ def _on_circle(z: Point) -> Point:
     return z
 
 
-def _times(one: Point, other: Point) -> Point:
-    (a, b), (c, d) = one, other
+def _times(w: Point, z: Point) -> Point:
+    (a, b), (c, d) = w, z
     return (a * c - b * d) >> _BITS, (a * d + b * c) >> _BITS
 
 
@@ -467,7 +464,7 @@ def _to_fixed(value: float) -> int:
 # need lie on such an arc. So around its angle c, known in double-double, an angle t within h of it
 # is mapped to c + h sinh(L (t - c)/h) / sinh(L): all distances from 1e-24 on have digits.
 
-_LEAST = 1e-24  # the distance that is drawn out to a share of 1 / L
+_LEAST = 1e-24  # the distance that is rescaled to a share of 1 / L
 _WIDEST_STRETCH, _STRETCH_SHARE = (
     0.05,
     0.45,
@@ -476,10 +473,10 @@ _SCAN_STEPS = 120  # of a scan, to each side
 
 
 class Stretch(NamedTuple):
-    """The part of the angles around one."""
+    """An interval of angles around one, rescaled."""
 
     angle: float
-    rest: float  # what rounding took from it
+    low: float  # what rounding took from it
     half_width: float
 
     @property
@@ -489,11 +486,11 @@ class Stretch(NamedTuple):
 
     @property
     def scan(self) -> Angles:
-        """Angles that look at all distances."""
+        """Angles of a scan, at all distances from the middle."""
         return self.angle + self.half_width * np.linspace(-1.0, 1.0, 2 * _SCAN_STEPS + 1)[1:-1]
 
     def holds(self, size: Angles) -> Bool[np.ndarray, " _"]:
-        """Whether angles between 0 and pi are drawn out."""
+        """Whether angles between 0 and pi are rescaled."""
         held: np.ndarray = np.abs(size - self.angle) < self.half_width
         return held
 
@@ -502,42 +499,43 @@ def stretches_around(centers: DoubleDouble, others: Angles) -> tuple[Stretch, ..
     """Return disjoint stretches around angles in (0, pi)."""
     limits = np.concatenate([centers.hi, others, [0.0, np.pi]])
     stretches = []
-    for angle, rest in zip(centers.hi.tolist(), centers.lo.tolist(), strict=True):
+    for angle, low in zip(centers.hi.tolist(), centers.lo.tolist(), strict=True):
         away = np.abs(limits - angle)
         half_width = min(_WIDEST_STRETCH, _STRETCH_SHARE * float(np.min(away[away > 0.0])))
-        stretches.append(Stretch(angle, rest, half_width))
+        stretches.append(Stretch(angle, low, half_width))
     return tuple(stretches)
 
 
 def true_angles(
-    stretches: Sequence[Stretch], size: Angles, rest: Angles
+    stretches: Sequence[Stretch], size: Angles, low: Angles
 ) -> tuple[DoubleDouble, Angles]:
     """Return the true angles of rescaled ones between 0 and pi, and the derivatives."""
-    angles, speed = DoubleDouble.of(size) + rest, np.ones_like(size)
-    for one in stretches:
-        held = one.holds(size)
-        share = one.growth * ((size[held] - one.angle) + rest[held]) / one.half_width
-        unit = one.half_width / np.sinh(one.growth)
-        moved = DoubleDouble.of(unit * np.sinh(share)) + DoubleDouble.of(one.rest) + one.angle
+    angles, speed = DoubleDouble.of(size) + low, np.ones_like(size)
+    for stretch in stretches:
+        held, growth, half_width = stretch.holds(size), stretch.growth, stretch.half_width
+        share = growth * ((size[held] - stretch.angle) + low[held]) / half_width
+        unit = half_width / np.sinh(growth)
+        moved = DoubleDouble.of(unit * np.sinh(share)) + DoubleDouble.of(stretch.low)
+        moved = moved + stretch.angle
         angles.hi[held], angles.lo[held] = moved.hi, moved.lo
-        speed[held] = unit * np.cosh(share) * one.growth / one.half_width
+        speed[held] = unit * np.cosh(share) * growth / half_width
     return angles, speed
 
 
-def standing_for(stretches: Sequence[Stretch], angles: DoubleDouble) -> Angles:
+def to_rescaled(stretches: Sequence[Stretch], angles: DoubleDouble) -> Angles:
     """Return the rescaled angles of true ones."""
     size = angles.hi + 0.0
-    for one in stretches:
-        held = one.holds(size)
-        gap = (angles[held] - one.angle) - one.rest
-        share = np.arcsinh(gap.rounded() * np.sinh(one.growth) / one.half_width) / one.growth
-        size[held] = one.angle + one.half_width * share
+    for stretch in stretches:
+        held, growth, half_width = stretch.holds(size), stretch.growth, stretch.half_width
+        gap = (angles[held] - stretch.angle) - stretch.low
+        share = np.arcsinh(gap.rounded() * np.sinh(growth) / half_width) / growth
+        size[held] = stretch.angle + half_width * share
     return size
 
 
 _DIFFERENCE = (DoubleDouble(1.0, 0.0), DoubleDouble(-1.0, 0.0))  # z - 1
-_MOST_LOST = 1e5  # the sum of a denominator's coefficients beside its least size on the circle
-_SOME_LOST = 30.0  # the same, for loops of which the digits are looked at
+_ILL_CONDITIONED = 1e5  # sum of a denominator's coefficients over its least size on the circle
+_DOUBTFUL = 30.0  # the same: above this, points are compared with double-double
 _CLOSEST, _FARTHEST = 1e-9, 4.0  # of the distances of poles that are told apart
 _ON_CIRCLE = 1e-6  # a root of Im V this close to the circle is on it
 _REMEMBERED = 64  # pairs of filters, and curves
@@ -549,7 +547,7 @@ _NO_PAIRS = np.empty((2, 2, 2, 3, 0))
 
 
 class Form(IntEnum):
-    """How the imaginary part of V or of W is had near zeta = 1 without a loss of digits.
+    """How the imaginary part of V or of W is computed near zeta = 1 without cancellation.
 
     DIRECT is the form above. Where the value at zeta = 1 is large it takes the digits, and the same
     is done with 1/V, or with -z^w/W = N/D: INVERSE. WHOLE divides nothing by s: 0/0 at zeta = 1.
@@ -598,7 +596,7 @@ class FilteredCurve(NamedTuple):
     lines: tuple[PoleLine, ...]  # whole lines at poles
     loses_digits: bool  # in float64
     may_lose_some: bool
-    stretches: tuple[Stretch, ...] = ()  # parts of the angles that are drawn out
+    stretches: tuple[Stretch, ...] = ()  # rescaled intervals of angles
     pairs: Float64[np.ndarray, "half form pair part coefficient"] = _NO_PAIRS  # if it is exact
     is_exact: bool = False  # whether all of it is evaluated in double-double
 
@@ -623,7 +621,7 @@ def _transfers(filters: Filters) -> tuple[Transfer, Transfer]:
 
 
 class _HalfOfFilters(NamedTuple):
-    """What estimator and position filter make of one half of the circle, whatever the plant is."""
+    """The share of estimator and position filter in one half of the circle, for any plant."""
 
     of_d: Around  # the factors of D and N
     of_n: Around
@@ -633,49 +631,49 @@ class _HalfOfFilters(NamedTuple):
 
 
 class _OfFilters(NamedTuple):
-    """What estimator and position filter make of the curve, whatever the plant is."""
+    """The share of estimator and position filter in the curve, for any plant."""
 
     plus: _HalfOfFilters
     minus: _HalfOfFilters
     of_loop: LoopFilters
     real_angles: Angles  # of V
-    lost: float
+    condition: float
 
     @property
     def loses_digits(self) -> bool:
         """Whether float64 does not tell the poles of the filters apart."""
-        return self.lost > _MOST_LOST
+        return self.condition > _ILL_CONDITIONED
 
 
 @lru_cache(_REMEMBERED)
 def filtered_curve(plant: SampledPlant, velocity: Transfer, position: Transfer) -> FilteredCurve:
     """Return the curve of a plant, with T V(z) less its factor (1 - 1/z), and with P(z)."""
     whole = plant.lag + position.lag
-    known = of_filters(velocity, position)
+    filters = of_filters(velocity, position)
     above, below = _plants_around(plant)
-    loop = loop_of(plant, known.of_loop)
-    real_angles, loses_digits = known.real_angles, known.loses_digits
+    loop = loop_of(plant, filters.of_loop)
+    real_angles, loses_digits = filters.real_angles, filters.loses_digits
     lines = () if loses_digits else pole_lines(loop[:3], real_angles)
     zeros = rounded(product(plant.numerator, position.numerator))
     poles = plant.denominator, position.denominator
     return FilteredCurve(
-        plus=_half(*above, known.plus, sign=1.0, is_plus=True),
-        minus=_half(*below, known.minus, sign=float((-1) ** whole), is_plus=False),
+        plus=_half(*above, filters.plus, sign=1.0, is_plus=True),
+        minus=_half(*below, filters.minus, sign=float((-1) ** whole), is_plus=False),
         lag=float(whole),
-        parts=np.array([rounded(part) for part in loop[:3]]),
-        at_minus_one=rounded(tuple(part.value for part in loop.at_minus_one)),
+        parts=np.array([rounded(polynomial) for polynomial in loop[:3]]),
+        at_minus_one=rounded(tuple(end.value for end in loop.at_minus_one)),
         poles=_poles(real_angles, zeros, lines),
         resonances=resonances_of(plant),
         steep=_real_angles(rounded(product(reduce(product, poles), power(whole))), zeros),
         lines=lines,
         loses_digits=loses_digits,
-        may_lose_some=known.lost > _SOME_LOST or plant.shifted is not None,
+        may_lose_some=filters.condition > _DOUBTFUL or plant.shifted is not None,
     )
 
 
 @lru_cache(_REMEMBERED)
 def of_filters(velocity: Transfer, position: Transfer) -> _OfFilters:
-    """Return what two filters make of the curve.
+    """Return the share of two filters in the curve.
 
     Raises:
         ValueError: P(1) = 0, or a filter is so slow that pairs of float64 take its pole for 1.
@@ -700,14 +698,14 @@ def of_filters(velocity: Transfer, position: Transfer) -> _OfFilters:
         minus,
         of_loop=loop_filters(velocity, position),
         real_angles=_real_angles(*(rounded(reduce(product, each)) for each in (above, below))),
-        lost=_lost_digits((velocity.denominator, position.denominator)),
+        condition=_condition((velocity.denominator, position.denominator)),
     )
 
 
 def _half_of_filters(
     above: Sequence[Polynomial], below: Sequence[Polynomial], position: Transfer, sign: int
 ) -> _HalfOfFilters:
-    """Return it by the factors of X and Y."""
+    """Return one half from the factors of X and Y."""
     x, y = (
         reduce(Around.times, (around(factor, sign) for factor in factors))
         for factors in (above, below)
@@ -716,7 +714,7 @@ def _half_of_filters(
         of_d=around(position.denominator, sign),
         of_n=around(position.numerator, sign),
         at_one=(y.value.rounded(), x.value.rounded()),
-        rows=Rows.of([y, x, minor(x, y)]),
+        rows=Rows.from_polynomials([y, x, minor(x, y)]),
         form=Form.DIRECT if sign > 0 else _form(x, y),
     )
 
@@ -724,7 +722,7 @@ def _half_of_filters(
 def _half(d: Around, n: Around, filters: _HalfOfFilters, *, sign: float, is_plus: bool) -> Half:
     d, n = d.times(filters.of_d), n.times(filters.of_n)
     return Half(
-        of_plant=Rows.of([n, d, minor(d, n)]),
+        of_plant=Rows.from_polynomials([n, d, minor(d, n)]),
         of_estimate=filters.rows,
         at_one=(n.value.rounded(), d.value.rounded(), *filters.at_one),
         sign=sign,
@@ -738,8 +736,8 @@ def loop_of_system(system: System) -> LinearLoop:
     return loop_of(plant, of_filters(velocity, position).of_loop)
 
 
-def _lost_digits(denominators: Sequence[Polynomial]) -> float:
-    """Return what poles of filters that are close to each other take from float64."""
+def _condition(denominators: Sequence[Polynomial]) -> float:
+    """Return by how much rounding may be amplified where poles are close to each other."""
     coefficients = rounded(reduce(product, denominators))
     circle = np.exp(1j * np.geomspace(1e-3, np.pi, 64))
     least = np.min(np.abs(np.prod(circle[:, None] - np.roots(coefficients), axis=1)))
@@ -757,10 +755,10 @@ def parts_in_pairs(system: System) -> Float64[np.ndarray, "2 2 2 3 coefficient"]
     halves = []
     for (d, n), sign in zip(_plants_around(plant), (1, -1), strict=True):
         shifted = []
-        for one, count, others in zip((d, n, n), powers, factors, strict=True):
+        for polynomial, count, others in zip((d, n, n), powers, factors, strict=True):
             parts = [around(factor, sign).shifted for factor in (power(count), *others)]
-            shifted.append(reduce(product, parts, one.shifted))
-        straight = loop if sign > 0 else [turned(part) for part in loop]
+            shifted.append(reduce(product, parts, polynomial.shifted))
+        straight = loop if sign > 0 else [turned(p) for p in loop]
         halves.append([_as_array(each, len(loop[0])) for each in (straight, shifted)])
     return np.array(halves)
 
@@ -769,9 +767,7 @@ def _as_array(
     parts: Sequence[Polynomial], length: int
 ) -> Float64[np.ndarray, "2 part coefficient"]:
     """Return coefficients, lowest power first, with zeros up to a length."""
-    rows = [
-        [(c.hi, c.lo) for c in part[::-1]] + [(0.0, 0.0)] * (length - len(part)) for part in parts
-    ]
+    rows = [[(c.hi, c.lo) for c in p[::-1]] + [(0.0, 0.0)] * (length - len(p)) for p in parts]
     return np.array(rows, float).transpose(2, 0, 1)
 
 
@@ -796,7 +792,7 @@ def _plants_around(plant: SampledPlant) -> list[tuple[Around, Around]]:
 
 def _form(above: Around, below: Around) -> Form:
     """Return the form for the quotient of two polynomials."""
-    sizes = (abs(one.value.hi) / size_of(one.straight) for one in (above, below))
+    sizes = (abs(p.value.hi) / size_of(p.straight) for p in (above, below))
     of_above, of_below = sizes
     if of_above == of_below == 0.0:
         return Form.WHOLE
@@ -825,7 +821,7 @@ def _real_angles(above: Angles, below: Angles) -> Angles:
     Its imaginary part, times |below|^2, is a series of sines: the odd part of above(z) below(1/z).
     """
     length = max(len(above), len(below))
-    above, below = (np.append(np.zeros(length - len(one)), one) for one in (above, below))
+    above, below = (np.append(np.zeros(length - len(p)), p) for p in (above, below))
     series = np.convolve(above, below[::-1])
     roots = np.roots(series - series[::-1])
     roots = roots[np.abs(np.log(np.maximum(np.abs(roots), 1e-300))) < _ON_CIRCLE]

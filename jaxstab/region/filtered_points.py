@@ -1,7 +1,10 @@
-"""Points and slopes of the boundary of a loop with filters, and the other roots there. NumPy only.
+"""Points and slopes of the boundary of a loop with filters. NumPy only.
 
-See ``filtered_curve`` for the form that is evaluated. Formulas are written once, for arrays and for
-arrays with slopes.
+The form that is evaluated is that of ``filtered_curve``: polynomials on one half of the circle, in
+powers of zeta or of zeta - 1, whichever has the smaller terms, and their quotients by zeta - 1.
+Their real and imaginary parts give beta, and then alpha and the distance from the line of a real
+root. Formulas are written once, for arrays and for arrays with slopes (``Dual``). Next to a line at
+a pole the curve is that of ``PoleLine``; curves that need more digits are evaluated by ``exact``.
 """
 
 from collections.abc import Sequence
@@ -74,7 +77,7 @@ class _Circle(NamedTuple):
     size: Angles
 
     @classmethod
-    def of(cls, u: Angles) -> "_Circle":
+    def at_angles(cls, u: Angles) -> "_Circle":
         """Return the points at angles."""
         size = 2.0 * np.sin(0.5 * u)
         return cls(np.exp(1j * u), 1j * size * np.exp(0.5j * u), size)
@@ -89,23 +92,23 @@ def filtered_point(
     slopes.
     """
     theta = np.asarray(theta)
-    flat, rest = theta.ravel(), np.broadcast_to(low, theta.shape).ravel()
+    flat, low = theta.ravel(), np.broadcast_to(low, theta.shape).ravel()
     turned = np.where(flat.real < 0.0, -1.0, 1.0)
-    size, rest = flat.real * turned, rest.real * turned
+    size, low = flat.real * turned, low.real * turned
     moves = flat.imag * turned if np.iscomplexobj(theta) else None
     evaluated = _exact_values if curve.is_exact else _float_values
-    values = evaluated(curve, size, rest, moves)
+    values = evaluated(curve, size, low, moves)
     for line in curve.lines:
         held = line.holds(size)
-        real, slopes = _on_line(curve, line, size[held] + rest[held])
+        real, slopes = _on_line(curve, line, size[held] + low[held])
         values[:, held] = real if moves is None else real + 1j * moves[held] * slopes
     alpha, beta, lift = values.reshape(3, *theta.shape)
     return alpha, beta, lift
 
 
-def _float_values(curve: FilteredCurve, size: Angles, rest: Angles, moves: Angles | None) -> Array:
-    """Return alpha, beta and the lift in float64, and how they move as their imaginary part."""
-    upper, u = _folded(size, rest)
+def _float_values(curve: FilteredCurve, size: Angles, low: Angles, moves: Angles | None) -> Array:
+    """Return alpha, beta and the lift in float64, with slopes times ``moves`` as imaginary part."""
+    upper, u = _folded(size, low)
     values = np.empty((3, len(u)), float if moves is None else complex)
     for half, sign, chosen in ((curve.plus, 1.0, ~upper), (curve.minus, -1.0, upper)):
         if not np.any(chosen):
@@ -115,22 +118,22 @@ def _float_values(curve: FilteredCurve, size: Angles, rest: Angles, moves: Angle
             values[:, chosen] = gains
         else:
             step = 1j * (sign * moves[chosen])
-            values[:, chosen] = [one.value + step * one.slope for one in gains]
+            values[:, chosen] = [gain.value + step * gain.slope for gain in gains]
     return values
 
 
-def _exact_values(curve: FilteredCurve, size: Angles, rest: Angles, moves: Angles | None) -> Array:
+def _exact_values(curve: FilteredCurve, size: Angles, low: Angles, moves: Angles | None) -> Array:
     """Return the same in double-double, rounded."""
-    angles, speed = true_angles(curve.stretches, size, rest)
+    angles, speed = true_angles(curve.stretches, size, low)
     exact = exact_gains(curve.pairs, angles, with_slopes=moves is not None)
-    values = np.stack([one.rounded() for one in exact.values])
+    values = np.stack([value.rounded() for value in exact.values])
     return values if moves is None else values + 1j * moves * speed * np.stack(exact.slopes)
 
 
-def _folded(size: Angles, rest: Array | float) -> tuple[Bool[np.ndarray, " _"], Angles]:
+def _folded(size: Angles, low: Array | float) -> tuple[Bool[np.ndarray, " _"], Angles]:
     """Return which angles between 0 and pi are in the upper half, and those of zeta."""
     upper = size > np.pi / 2
-    u = np.where(upper, (np.pi - size) + (PI_REST - rest), size + rest)
+    u = np.where(upper, (np.pi - size) + (PI_REST - low), size + low)
     return upper, np.where(u == 0.0, _TINY, u)
 
 
@@ -141,8 +144,8 @@ def exact_walls(curve: FilteredCurve, theta: Array) -> tuple[DoubleDouble, Doubl
     values = exact_gains(curve.pairs, angles, with_slopes=False).values[:2]
     for line in curve.lines:
         held = line.holds(size)
-        for one, wall in zip(values, _on_line(curve, line, size[held])[0], strict=False):
-            one.hi[held], one.lo[held] = wall, 0.0
+        for gain, wall in zip(values, _on_line(curve, line, size[held])[0], strict=False):
+            gain.hi[held], gain.lo[held] = wall, 0.0
     alpha, beta = (tree_map(lambda x: x.reshape(theta.shape), value) for value in values)
     return alpha, beta
 
@@ -172,7 +175,7 @@ def _gains(
     curve: FilteredCurve, half: Half, u: Angles, *, with_slopes: bool
 ) -> tuple[Values, Values, Values]:
     """Return alpha, beta and the lift, by the angles u of zeta on one half of the circle."""
-    circle = _Circle.of(u)
+    circle = _Circle.at_angles(u)
     n, d, fall = _rows(half.of_plant, circle, with_slopes=with_slopes)
     y, x, rise = _rows(half.of_estimate, circle, with_slopes=with_slopes)
     n_one, d_one, y_one, x_one = map(_divisor, half.at_one)
@@ -214,13 +217,13 @@ def _swing(quotient: Values, tangent: Values) -> Values:
     return quotient.real - tangent * quotient.imag
 
 
-def _square(one: Values) -> Values:
-    return one.real * one.real + one.imag * one.imag
+def _square(z: Values) -> Values:
+    return z.real * z.real + z.imag * z.imag
 
 
-def _divisor(number: float) -> float:
-    """Return a number, but 1 for 0: what is divided by it is not used."""
-    return number or 1.0
+def _divisor(value: float) -> float:
+    """Return a divisor, 1 in place of 0: the quotient is not used then."""
+    return value or 1.0
 
 
 def _rows(rows: Rows, circle: _Circle, *, with_slopes: bool) -> list[Values]:
@@ -239,20 +242,20 @@ def _rows(rows: Rows, circle: _Circle, *, with_slopes: bool) -> list[Values]:
 
 
 def _product(rows: Array, columns: Complex128[np.ndarray, "power angle"]) -> Array:
-    """Return real matrices times a complex one, which NumPy would make of complex ones."""
+    """Return real matrices times a complex one; NumPy would make them complex first."""
     product = rows.reshape(-1, len(columns)) @ columns.view(float)
     return product.view(complex).reshape(*rows.shape[:2], -1)
 
 
-def _powers(number: Array, count: int) -> Complex128[np.ndarray, "power angle"]:
+def _powers(base: Array, count: int) -> Complex128[np.ndarray, "power angle"]:
     """Return the powers 0 ... count - 1, by a few products of many of them."""
-    powers = np.empty((count, len(number)), complex)
-    powers[0], powers[1:2] = 1.0, number
-    known = 2
-    while known < count:
-        more = min(known - 1, count - known)
-        np.multiply(powers[1 : 1 + more], powers[known - 1], out=powers[known : known + more])
-        known += more
+    powers = np.empty((count, len(base)), complex)
+    powers[0], powers[1:2] = 1.0, base
+    filled = 2
+    while filled < count:
+        more = min(filled - 1, count - filled)
+        np.multiply(powers[1 : 1 + more], powers[filled - 1], out=powers[filled : filled + more])
+        filled += more
     return powers
 
 
@@ -276,9 +279,9 @@ def _geometric(count: float, u: Array, sine: Values, *, with_slopes: bool) -> Va
     return _turn(0.5 * (count - 1.0), u, with_slopes=with_slopes) * (whole / sine)
 
 
-def _cross(one: Values, other: Values) -> Values:
-    """Return the imaginary part of other times the conjugate of one."""
-    return one.real * other.imag - one.imag * other.real
+def _cross(a: Values, b: Values) -> Values:
+    """Return the imaginary part of conj(a) b."""
+    return a.real * b.imag - a.imag * b.real
 
 
 def is_oriented(curve: FilteredCurve, theta: Angles) -> Bool[np.ndarray, " angle"]:
@@ -301,7 +304,7 @@ def is_oriented(curve: FilteredCurve, theta: Angles) -> Bool[np.ndarray, " angle
 
 def _swing_of_estimate(half: Half, u: Angles) -> Angles:
     """Return a number of the sign of Im V at zeta = e^(iu)."""
-    y, x, rise = _rows(half.of_estimate, _Circle.of(u), with_slopes=False)
+    y, x, rise = _rows(half.of_estimate, _Circle.at_angles(u), with_slopes=False)
     _, _, y_one, x_one = map(_divisor, half.at_one)
     swing: Angles
     if half.forms[1] == Form.WHOLE:

@@ -1,7 +1,14 @@
 """Limits, membership, distance and area of a region, measured on the exact boundary.
 
 Between two vertices of an outline alpha and beta are monotone. So a line of constant alpha or beta
-meets an edge where it passes between its ends, and a part of an edge lies in the box of its ends.
+meets an edge, once, where it passes between its ends, and a part of an edge lies in the box of its
+ends. The polygon only brackets; the numbers are those of the closed form:
+
+- limits are roots of the curve's coordinate on the edges that a row passes;
+- a point is inside if an odd number of these crossings lies beyond it;
+- distances are to the nearest point of the edges, taken in the order of the distances of their
+  boxes, up to where a box is farther than the nearest point so far;
+- the area is the integral of alpha d(beta), by Gauss' rule on each edge.
 """
 
 from collections.abc import Callable
@@ -12,12 +19,12 @@ from jaxtyping import Float64
 
 from jaxstab.arrays import Array, constant, first_indices, namespace, repeat, repeat_while
 from jaxstab.batches import compiled
-from jaxstab.region.corners import Branch
 from jaxstab.region.curve import Curve, curve_and_lift
 from jaxstab.region.outline import Outline
+from jaxstab.region.pieces import Branch
 from jaxstab.region.roots import bracketed_root, nonzero, root_between, with_slope
 
-_CROSSINGS = 8  # of a row with the boundary in JAX; rows with more are answered by NaN
+_CROSSINGS = 8  # of a row with the boundary in JAX; rows with more give NaN
 _AT_ONCE = 1 << 20  # pairs of a point and an edge that are held in memory
 _LAST_STEP = 1e-10  # radians
 _STILL = 1e-13  # of the range: steps that are rounding
@@ -157,10 +164,10 @@ def _in_batches(function: Callable[..., Array], outline: Outline, *columns: Arra
         return np.concatenate([function(*(x[i : i + size] for x in flat)) for i in parts])
     import jax
 
-    def one(point: tuple[Array, ...]) -> Array:
+    def single(point: tuple[Array, ...]) -> Array:
         return function(*(value[None] for value in point))[0]
 
-    return jax.lax.map(one, tuple(flat), batch_size=size)
+    return jax.lax.map(single, tuple(flat), batch_size=size)
 
 
 # ------------------------------------------------------------------------ crossings of a row
@@ -171,10 +178,10 @@ def _crossings(
 ) -> tuple[Array, Array]:
     """Return the other coordinate (row, crossing) where rows meet edges, and which exist."""
     xp = namespace(c, outline, values)
-    known = constant(outline)
+    fixed = constant(outline)
     count = xp.sum(met, axis=-1)
     edges = first_indices(met, int(np.max(count, initial=1)) if xp is np else _CROSSINGS)
-    exist = edges < len(known.branches)
+    exist = edges < len(fixed.branches)
     edges = xp.where(exist, edges, 0)
     values = xp.broadcast_to(values[:, None], edges.shape)
 
@@ -182,7 +189,7 @@ def _crossings(
         slice_, goal = parameters
         return _point(slice_, theta)[axis] - goal
 
-    angles = known.angles[edges]
+    angles = fixed.angles[edges]
     theta = bracketed_root(excess, (c, values), angles[..., 0], angles[..., 1])
     here, there = outline.vertices[edges], outline.vertices[edges + 1]
     run = nonzero(there[..., axis] - here[..., axis], 1.0)
@@ -190,7 +197,7 @@ def _crossings(
     on_line = here[..., 1 - axis] + share * (there[..., 1 - axis] - here[..., 1 - axis])
     low = _last_steps(c, theta, values, axis)
     on_curve = curve_and_lift(c, theta, low)[1 - axis]
-    coordinates = xp.where(known.branches[edges] == Branch.CURVE, on_curve, on_line)
+    coordinates = xp.where(fixed.branches[edges] == Branch.CURVE, on_curve, on_line)
     return xp.where((count <= edges.shape[-1])[:, None], coordinates, xp.nan), exist
 
 
@@ -202,11 +209,11 @@ def _met(outline: Outline, values: Array, axis: int) -> Array:
 
 def _last_steps(c: Curve, theta: Array, values: Array, axis: int) -> Array:
     """Return Newton's steps from a crossing's angle: close to pi, what rounding took from it."""
-    known, theta, values = constant((c, theta, values))
-    xp = namespace(known, theta)
+    fixed, theta, values = constant((c, theta, values))
+    xp = namespace(fixed, theta)
 
     def stepped(low: Array) -> Array:
-        here, tangent = with_slope(partial(_point, known, low=low), theta)
+        here, tangent = with_slope(partial(_point, fixed, low=low), theta)
         step = (values - here[axis]) / nonzero(tangent[axis], 1.0)
         return xp.clip(low + step, -_LAST_STEP, _LAST_STEP)
 
@@ -225,10 +232,10 @@ def _nearest(c: Curve, outline: Outline, points: Array) -> Array:
     point: to first order the distance is the same.
     """
     xp = namespace(c, outline, points)
-    known, slice_, fixed = constant((outline, c, points))
-    here, there = known.vertices[:-1], known.vertices[1:]
+    polygon, slice_, fixed = constant((outline, c, points))
+    here, there = polygon.vertices[:-1], polygon.vertices[1:]
     far = _box_distances(here, there, fixed[:, None])
-    far = xp.where(known.branches >= 0, far, xp.inf)
+    far = xp.where(polygon.branches >= 0, far, xp.inf)
     order = xp.argsort(far, axis=-1)[:, : len(here)]
     bounds = xp.take_along_axis(far, order, axis=-1)
     rows = xp.arange(len(points))
@@ -242,7 +249,7 @@ def _nearest(c: Curve, outline: Outline, points: Array) -> Array:
         count, best, edge, theta = state
         columns = xp.minimum(count + xp.arange(_EDGES), len(here) - 1)
         edges = order[:, columns]
-        away, feet = _feet(slice_, known, edges, fixed)
+        away, feet = _feet(slice_, polygon, edges, fixed)
         away = xp.where(bounds[:, columns] < xp.inf, away, xp.inf)
         nearest = xp.argmin(away, axis=-1)
         least = away[rows, nearest]
@@ -263,7 +270,7 @@ def _nearest(c: Curve, outline: Outline, points: Array) -> Array:
     _, _, edge, theta = constant(repeat_while(is_open, step, start))
     on_curve = xp.stack(curve_and_lift(c, theta)[:2], axis=-1)
     on_line = _foot_on_chord(outline.vertices[edge], outline.vertices[edge + 1], fixed)
-    return xp.where((known.branches[edge] == Branch.CURVE)[:, None], on_curve, on_line)
+    return xp.where((polygon.branches[edge] == Branch.CURVE)[:, None], on_curve, on_line)
 
 
 def _box_distances(here: Array, there: Array, points: Array) -> Array:
@@ -296,8 +303,8 @@ def _feet(c: Curve, outline: Outline, edges: Array, points: Array) -> tuple[Arra
         low, high = ends
         parts = low[..., None] + (high - low)[..., None] * shares
         nearest = xp.argmin(gap(parts), axis=-1)[..., None]
-        first, last = xp.maximum(nearest - 1, 0), xp.minimum(nearest + 1, _SUBDIVISIONS)
-        low, high = (xp.take_along_axis(parts, part, axis=-1)[..., 0] for part in (first, last))
+        before, after = xp.maximum(nearest - 1, 0), xp.minimum(nearest + 1, _SUBDIVISIONS)
+        low, high = (xp.take_along_axis(parts, index, axis=-1)[..., 0] for index in (before, after))
         return low, high
 
     def along(theta: Array) -> Array:

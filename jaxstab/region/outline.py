@@ -4,6 +4,12 @@ Pieces are followed from end to end: a piece ends where its partner begins, so e
 bounded by closed loops. Vertices are spread over a piece by how much it bends; straight parts get
 few. Between two vertices alpha and beta are monotone, because turning points of either are vertices
 as well. Every vertex is a point of the closed form, exact to rounding.
+
+All arrays have fixed sizes, so the steps are those of a program without branches: the order of the
+pieces along the boundary (``_sequence``), a survey of slopes on each (``_survey``), its turning
+points, vertices between which the boundary leaves its chord alike (``_spread``), and all of these
+sorted along the boundary by one key (``_keys``). Derivatives in the slice follow: a vertex between
+corners keeps its share of the piece.
 """
 
 from functools import partial
@@ -23,7 +29,6 @@ from jaxstab.arrays import (
     stored,
     tree_map,
 )
-from jaxstab.region.corners import Branch
 from jaxstab.region.curve import (
     Curve,
     curve_and_lift,
@@ -32,7 +37,7 @@ from jaxstab.region.curve import (
     plus_slope,
     poles,
 )
-from jaxstab.region.pieces import NO_BRANCH, Pieces, others_inside
+from jaxstab.region.pieces import NO_BRANCH, Branch, Pieces, others_inside
 from jaxstab.region.roots import bracketed_root, with_slope
 
 _FEWEST_NODES, _MOST_NODES = 33, 129  # per piece, to see where it bends and turns
@@ -109,8 +114,8 @@ def polygon(c: Curve, pieces: Pieces, points: int, length: int | None = None) ->
     marks = joined([spread, extra])
     resolved = pieces.resolved & fits
     if length is not None:
-        known, tested = constant((c, spread.theta[_TESTED]))
-        sound = others_inside(known, tested, length, within=1.0 + _ROUNDED)
+        fixed, tested = constant((c, spread.theta[_TESTED]))
+        sound = others_inside(fixed, tested, length, within=1.0 + _ROUNDED)
         resolved = resolved & xp.all(sound | ~spread.exists[_TESTED])
     count = xp.where(resolved, xp.sum(marks.exists), 0)
     chosen = chosen[xp.clip(xp.arange(points), 0, xp.maximum(count - 1, 0))]
@@ -132,21 +137,21 @@ def polygon(c: Curve, pieces: Pieces, points: int, length: int | None = None) ->
 def _ends(pieces: Pieces, loop: Array) -> tuple[list[_Marks], Array]:
     """Return marks of begins, ends, vias and ends of loops, and which pieces end a loop."""
     xp = namespace(pieces, loop)
-    number = xp.arange(len(loop))
-    first = xp.sum(loop[:, None] > loop, axis=1)
+    index = xp.arange(len(loop))
+    starts = xp.sum(loop[:, None] > loop, axis=1)
     closes = pieces.exists & (xp.append(loop[1:], -1) != loop)
     begin = partial(
-        _marks, theta=pieces.begin, low=pieces.begin_low, branch=pieces.begin_branch, piece=number
+        _marks, theta=pieces.begin, low=pieces.begin_low, branch=pieces.begin_branch, piece=index
     )
     end = partial(
-        _marks, theta=pieces.end, low=pieces.end_low, branch=pieces.end_branch, piece=number
+        _marks, theta=pieces.end, low=pieces.end_low, branch=pieces.end_branch, piece=index
     )
-    closing = at(begin(_ON_PIECE, exists=pieces.exists), first)
+    closing = at(begin(_ON_PIECE, exists=pieces.exists), starts)
     return [
         begin(_ON_PIECE, exists=pieces.exists),
         end(_ON_PIECE, exists=pieces.exists),
         end(_VIA, exists=pieces.via),
-        closing._replace(piece=number, exists=closes, stage=xp.full(len(loop), _CLOSING)),
+        closing._replace(piece=index, exists=closes, stage=xp.full(len(loop), _CLOSING)),
     ], closes
 
 
@@ -182,32 +187,32 @@ def _merged(many: Array, few: Array) -> Array:
     xp = namespace(many, few)
     order = xp.argsort(few, stable=True)
     rank = xp.arange(len(few)) + xp.searchsorted(many, few[order])
-    number = xp.arange(len(many) + len(few))
-    passed = xp.sum(rank[:, None] <= number, axis=0)
+    index = xp.arange(len(many) + len(few))
+    passed = xp.sum(rank[:, None] <= index, axis=0)
     latest = xp.maximum(passed - 1, 0)
-    return xp.where(rank[latest] == number, len(many) + order[latest], number - passed)
+    return xp.where(rank[latest] == index, len(many) + order[latest], index - passed)
 
 
 def extra_vertices(slots: int) -> int:
-    """Return how many vertices are kept for corners and turning points."""
+    """Return how many vertices corners and turning points may take."""
     return 4 * slots + _TURNS * max(1, slots // 8)
 
 
 def _sequence(pieces: Pieces) -> tuple[Array, Array]:
     """Return the pieces in the order of the boundary, loop by loop, and the number of the loop."""
     xp = namespace(pieces)
-    number = xp.arange(len(pieces.exists))
+    index = xp.arange(len(pieces.exists))
 
     def step(state: tuple[Array, Array]) -> tuple[tuple[Array, Array], Array]:
         visited, current = state
-        visited = visited | (number == current)
+        visited = visited | (index == current)
         following = pieces.successor[current]
         closed = visited[following] | ~pieces.exists[current]
         fresh = xp.argmin(2 * visited + ~pieces.exists)
         return (visited, xp.where(closed, fresh, following)), xp.stack([current, closed])
 
-    start = (xp.zeros(len(number), bool), xp.argmin(~pieces.exists))
-    order, closed = repeat_and_keep(len(number), step, start)[1].T
+    start = (xp.zeros(len(index), bool), xp.argmin(~pieces.exists))
+    order, closed = repeat_and_keep(len(index), step, start)[1].T
     return order, xp.cumsum(closed) - closed
 
 
@@ -222,8 +227,8 @@ def _survey(c: Curve, pieces: Pieces, count: int) -> tuple[Array, Array]:
     # Half of them close in on the angles at which the curve flies off.
     shares = (np.arange(count // 4) + 0.5) / (count // 4)
     for pole, apart in zip(*poles(constant(c)), strict=True):
-        first, last = (xp.arcsinh((limit - pole) / apart) for limit in (begin, end))
-        nodes.append(xp.clip(pole + apart * xp.sinh(first + (last - first) * shares), begin, end))
+        low, high = (xp.arcsinh((limit - pole) / apart) for limit in (begin, end))
+        nodes.append(xp.clip(pole + apart * xp.sinh(low + (high - low) * shares), begin, end))
     ordered = xp.sort(xp.concatenate(nodes, axis=1), axis=1)
     return ordered, _tangent(c, ordered)
 
@@ -274,9 +279,9 @@ def _spread(pieces: Pieces, nodes: Array, tangents: Array, count: int) -> _Marks
     goal = total[-1] * (np.arange(count) + 0.5) / count
     step = xp.minimum(xp.searchsorted(total, goal), total.size - 1)
     width = bend.ravel()[step]
-    rest = xp.where(width > 0.0, (goal - total[step]) / xp.where(width > 0.0, width, 1.0), 0.0)
+    share = xp.where(width > 0.0, (goal - total[step]) / xp.where(width > 0.0, width, 1.0), 0.0)
     piece, node = xp.unravel_index(step, bend.shape)
-    theta = nodes[piece, node + 1] + steps[piece, node] * rest
+    theta = nodes[piece, node + 1] + steps[piece, node] * share
     exists = xp.broadcast_to(xp.any(pieces.exists), piece.shape)
     return _on_curve(pieces, piece, theta, exists)
 
@@ -295,11 +300,11 @@ def _points(c: Curve, marks: _Marks) -> Array:
 def _edges(pieces: Pieces, marks: _Marks) -> tuple[Array, Array]:
     """Return for the edge after each vertex its branch and the angles at its ends."""
     xp = namespace(pieces, marks)
-    here, there = (at(marks, part) for part in (_HERE, _THERE))
+    here, there = (at(marks, rows) for rows in (_HERE, _THERE))
     same_piece = (here.piece == there.piece) & (there.stage == _ON_PIECE)
-    left = pieces.end_branch[here.piece]
-    other_line = Branch.Z_PLUS_ONE + Branch.Z_MINUS_ONE - left
-    branches = xp.where(here.stage == _VIA, other_line, left)
+    end_branch = pieces.end_branch[here.piece]
+    other_line = Branch.Z_PLUS_ONE + Branch.Z_MINUS_ONE - end_branch
+    branches = xp.where(here.stage == _VIA, other_line, end_branch)
     branches = xp.where(here.stage == _CLOSING, NO_BRANCH, branches)
     branches = xp.where(same_piece, Branch.CURVE, branches)
     end = xp.where(same_piece, there.theta, here.theta)

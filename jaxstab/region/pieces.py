@@ -7,9 +7,17 @@ z -> (alpha, beta) preserves orientation. A piece ends where another root reache
 one (a corner with one of the two lines) or a pair (a corner with another piece, which begins
 there). The stable set is bounded and two lines bound nothing, so each component has a piece (lemma
 G1): a scan of th can miss components none of whose pieces it meets (docs/proofs.md, G3).
+
+``find_pieces`` tests the angles of a scan, by the Schur-Cohn recursion of p without its pair
+(``others_inside``), narrows each change of the answer to a short interval, and solves for the
+corner in it by Newton's method. A piece that ends on the curve goes on at the begin of the piece
+that is nearest; one that ends on a line goes along it, to the next begin on it or via the crossing
+of both lines (``_linked``). If every piece follows exactly one, the boundary is closed: it is
+``resolved``.
 """
 
 from collections.abc import Callable
+from enum import IntEnum
 from functools import cache, partial
 from math import comb
 from typing import NamedTuple
@@ -25,26 +33,197 @@ from jaxstab.arrays import (
     namespace,
     repeat,
     repeat_and_keep,
+    repeat_while,
     stored,
 )
 from jaxstab.model import companion_matrix
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.region.corners import Branch, Scales, nearest_branch, scales, solved_corners
 from jaxstab.region.curve import (
     Curve,
     along_lines,
     curve_and_lift,
     lines_crossing,
     lines_turn,
+    minus_margin,
+    plus_offset,
     polynomial,
 )
 from jaxstab.region.exact import all_inside, angles_on_circle, lines_crossing_of
-from jaxstab.region.filtered_curve import FilteredCurve, PoleLine, standing_for
+from jaxstab.region.filtered_curve import FilteredCurve, PoleLine, to_rescaled
 from jaxstab.region.filtered_points import (
     exact_walls,
     is_oriented,
     root_angles,
 )
+from jaxstab.region.roots import nonzero, with_slope
+from jaxstab.rounding import UNIT
+
+# Corners of the boundary, where the curve meets a line or itself, by Newton's method.
+#
+# A piece ends where the curve meets the line z = r (the lift is 0), the line z = -r (the margin is
+# 0) or itself (two angles have one point). Newton's steps of all three kinds follow from the values
+# and slopes of the curve at one or two angles; the nearest corner tells which kind it is
+# (``nearest_branch``), and its steps are then repeated, all lanes at once, until they are below
+# rounding (``solved_corners``). One more step, of which only the derivative counts, makes the
+# result differentiable in the slice. What rounding takes from an angle is returned beside it: next
+# to pi it holds digits of the corner.
+
+_STEPS = 16
+_SMALLEST = 0.1  # of the largest corner: the size of those at 0
+_ROUGH = 1e-8  # the same mismatch next to a zero of N, where float64 coefficients resolve less
+_TOLERANCE = 1e-10  # of the last step: its square is below rounding
+_PARALLEL = 1e-12  # the sine of the angle between two tangents that are
+_ROUNDING = 4.0 * UNIT  # of angles
+
+
+class Branch(IntEnum):
+    """Which root lies on the circle along a piece of the boundary.
+
+    Example:
+        >>> [branch.name for branch in jaxstab.results.Branch]
+        ['CURVE', 'Z_PLUS_ONE', 'Z_MINUS_ONE']
+    """
+
+    CURVE = 0
+    Z_PLUS_ONE = 1
+    Z_MINUS_ONE = 2
+
+
+class Scales(NamedTuple):
+    """Factors that bring the mismatches of points, lifts and margins to the order of 1."""
+
+    points: Array
+    lift: Array
+    margin: Array
+
+
+class _Steps(NamedTuple):
+    """Newton's steps of angles to corners, and the mismatches there, one array for each Branch.
+
+    ``partner`` is the step of the second angle, at which the curve meets itself.
+    """
+
+    steps: tuple[Array, ...]
+    partner: Array
+    mismatches: tuple[Array, ...]
+
+
+def scales(c: Curve, alpha: Array, beta: Array, theta: Array) -> Scales:
+    """Return the scales of the mismatches at points of the curve."""
+    cosine = namespace(theta).cos(theta)
+    size = abs(alpha) + abs(beta) + abs(plus_offset(c))
+    base, slope, damping = map(abs, c.at_minus_one)
+    if isinstance(c, FilteredCurve):  # undamped modes put corners at 0
+        size = size + _SMALLEST * np.max(size, initial=0.0, where=np.isfinite(size))
+        slope = slope + damping
+    margin = base + slope * size
+    return Scales(1.0 / size, (1.0 - cosine) / size, (1.0 + cosine) / margin)
+
+
+def nearest_branch(c: Curve, angles: Array, scale: Scales) -> Array:
+    """Return for ends at angles[0] which Branch the curve meets there, next to angles[1] or not.
+
+    For each kind of corner Newton's method says how far off it is; the nearest one is taken.
+    """
+    xp = namespace(c, angles)
+    steps = xp.stack(_newton_steps(c, angles, scale).steps)
+    return xp.argmin(xp.nan_to_num(abs(steps), nan=xp.inf), axis=0)
+
+
+def solved_corners(
+    c: Curve, branch: Array, angles: Array, scale: Scales, half_width: Array
+) -> tuple[Array, Array, Array]:
+    """Return the angles near ``angles[0]`` where the curve meets a branch, and which are solved.
+
+    The second of the three results is what rounding took from the angles. Where the curve meets
+    itself, ``angles[1]`` is near the other angle. A search that strays farther than ``half_width``
+    is given up, because all searches wait for the slowest. In JAX the result is differentiable in
+    the slice, by the implicit function theorem.
+    """
+    xp = namespace(c, angles)
+
+    def newton(slice_: Curve, angles: Array) -> tuple[Array, Array]:
+        """Return the steps of pairs of angles to a corner, and how far they are from it."""
+        every = _newton_steps(slice_, angles, scale)
+        step, gap, partner = 0.0, 0.0, xp.where(is_of[0], every.partner, 0.0)
+        for is_it, its_step, its_gap in zip(is_of, every.steps, every.mismatches, strict=True):
+            step, gap = xp.where(is_it, its_step, step), xp.where(is_it, its_gap, gap)
+        return xp.stack([step, partner]), gap
+
+    def is_open(state: tuple[Array, ...]) -> Array:
+        count, *_, moved = state
+        return (count < _STEPS) & xp.any(moved)
+
+    def step(state: tuple[Array, ...]) -> tuple[Array, ...]:
+        count, _, here, *_ = state
+        near = abs(here[0] - angles[0]) <= half_width
+        steps, gap = newton(fixed, here)
+        taken = xp.where(near, steps, 0.0)
+        moved = abs(taken) > _TOLERANCE * (1.0 + abs(here))
+        return count + 1, here, here - taken, steps, gap, moved
+
+    fixed = constant(c)
+    is_of = [branch == each for each in Branch]
+    nothing = xp.zeros_like(angles)
+    start = (xp.asarray(0), angles, angles, nothing, nothing[0], xp.ones(angles.shape, bool))
+    _, last, here, steps, mismatch, _ = constant(repeat_while(is_open, step, start))
+    if xp is np and np.all(mismatch < _TOLERANCE):
+        here = last  # the last step has all that one more would tell
+    else:
+        steps, mismatch = newton(c, here)  # one more has the derivative in the slice
+    solved = here - steps
+    low = constant((here - kept(solved)) - steps)
+    if not isinstance(c, FilteredCurve):
+        return solved[0], low[0], mismatch < _TOLERANCE
+    # Where the curve flies from one point to another, angles round to points that are apart.
+    is_last = np.max(np.abs(steps) - _ROUNDING * (1.0 + np.abs(here)), axis=0) < 0.0
+    tolerance = _ROUGH if c.is_exact else _TOLERANCE
+    return solved[0], low[0], (mismatch < tolerance) | is_last
+
+
+def steps_to_meeting(
+    alpha: Array, beta: Array, alpha_slope: Array, beta_slope: Array
+) -> tuple[Array, Array]:
+    """Return Newton's steps, to be taken off two angles, to where the curve meets itself.
+
+    The first row of each argument is of the first angle, the second row of the second angle.
+    """
+    across, along = alpha[0] - alpha[1], beta[0] - beta[1]
+    determinant = beta_slope[0] * alpha_slope[1] - alpha_slope[0] * beta_slope[1]
+    determinant = nonzero(determinant, np.inf)
+    step = (alpha_slope[1] * along - beta_slope[1] * across) / determinant
+    other = (alpha_slope[0] * along - beta_slope[0] * across) / determinant
+    return step, other
+
+
+def _newton_steps(c: Curve, angles: Array, scale: Scales) -> _Steps:
+    """Return the steps from angles (2, end) to corners: the second row is for curve with curve."""
+    xp = namespace(c, angles)
+
+    def values(angles: Array) -> tuple[Array, ...]:
+        alpha, beta, lift = curve_and_lift(c, angles)
+        margin = minus_margin(c, alpha[0], beta[0]) / (1.0 + xp.cos(angles[0]))
+        return (
+            alpha * scale.points,
+            beta * scale.points,
+            lift[0] * scale.lift,
+            margin * scale.margin,
+        )
+
+    (alpha, beta, lift, margin), slopes = with_slope(values, angles)
+    alpha_slope, beta_slope, lift_slope, margin_slope = constant(slopes)
+    step, partner = steps_to_meeting(alpha, beta, alpha_slope, beta_slope)
+    gap = xp.maximum(abs(alpha[0] - alpha[1]), abs(beta[0] - beta[1]))
+    if c.lines:  # straight: a line never meets itself
+        lengths = np.hypot(alpha_slope, beta_slope)
+        turn = beta_slope[0] * alpha_slope[1] - alpha_slope[0] * beta_slope[1]
+        step = np.where(abs(turn) < _PARALLEL * lengths[0] * lengths[1], np.inf, step)
+    return _Steps(  # in the order of Branch
+        steps=(step, lift / nonzero(lift_slope, np.inf), margin / nonzero(margin_slope, np.inf)),
+        partner=partner,
+        mismatches=(gap, abs(lift), abs(margin)),
+    )
+
 
 # Whether the other roots of p lie inside the circle, where a pair of roots is known.
 #
@@ -68,8 +247,8 @@ def others_inside(c: Curve, theta: Array, length: int, within: float = 1.0) -> A
         return all_inside(c, *exact_walls(c, theta), within)
     xp = namespace(c, theta)
     if xp is np and theta.size * length > _AT_ONCE and theta.size > 1:
-        parts = np.array_split(theta.ravel(), -(-theta.size * length // _AT_ONCE))
-        each = [others_inside(c, part, length, within) for part in parts]
+        chunks = np.array_split(theta.ravel(), -(-theta.size * length // _AT_ONCE))
+        each = [others_inside(c, chunk, length, within) for chunk in chunks]
         return np.concatenate(each).reshape(theta.shape)
     falling = polynomial(c, stored(curve_and_lift(c, theta)[:2]), length)
     if xp is not np:
@@ -118,7 +297,7 @@ def _binomials(degree: int) -> Float64[np.ndarray, " coefficient"]:
 
 
 def _shrunk(falling: Array, within: float) -> Array:
-    """Return the polynomials of the roots over a number."""
+    """Return the polynomials whose roots are divided by a number."""
     powers = namespace(falling).arange(float(len(falling)))
     return falling * (within**-powers).reshape(-1, *(1 for _ in falling.shape[1:]))
 
@@ -242,11 +421,11 @@ def find_pieces(c: Curve, angles: Array, *, length: int, slots: int | None = Non
     Cohn for the other roots. Differentiable in the slice by the theorem of the implicit function.
     """
     xp = namespace(c, angles)
-    known = constant(c)
-    ends, fits = _found_ends(known, angles, length, slots)
+    fixed = constant(c)
+    ends, fits = _piece_ends(fixed, angles, length, slots)
     slots = len(ends.exists) // 2
     to_join, _, _ = _joined(ends, ends.exists & ~ends.pinned)
-    met = nearest_branch(known, to_join, ends.scale)
+    met = nearest_branch(fixed, to_join, ends.scale)
     branch = xp.where(ends.exists, xp.where(ends.pinned, ends.line, met), NO_BRANCH)
     to_join, following, preceding = _joined(ends, branch == Branch.CURVE)
     if c.lines:
@@ -258,18 +437,18 @@ def find_pieces(c: Curve, angles: Array, *, length: int, slots: int | None = Non
     )
     begin_branch, end_branch = branch[:slots], branch[slots:]
     exists = ends.exists[:slots]
-    walls = kept(xp.stack(curve_and_lift(known, xp.stack([begin, end]))[:2]))
-    links = _linked(known, exists, walls, begin_branch, end_branch, following)
-    number = xp.arange(slots)
-    is_mutual = (begin_branch[following] == Branch.CURVE) & (preceding[following] == number)
-    follows = exists[:, None] & (links.successor[:, None] == number)
+    walls = kept(xp.stack(curve_and_lift(fixed, xp.stack([begin, end]))[:2]))
+    links = _linked(fixed, exists, walls, begin_branch, end_branch, following)
+    index = xp.arange(slots)
+    is_mutual = (begin_branch[following] == Branch.CURVE) & (preceding[following] == index)
+    follows = exists[:, None] & (links.successor[:, None] == index)
     is_closed = (
         xp.all(xp.isfinite(walls[1]), axis=0)
         & ((end_branch != Branch.CURVE) | is_mutual)
         & links.exists
         & (xp.sum(follows, axis=0) == 1)
         & xp.all(is_solved, axis=0)
-        & (~links.via | _may_turn(known, links.via, length))
+        & (~links.via | _may_turn(fixed, links.via, length))
         & (begin < end)
     )
     return Pieces(
@@ -287,7 +466,7 @@ def find_pieces(c: Curve, angles: Array, *, length: int, slots: int | None = Non
 
 
 # ---------------------------------------------------------------------------- where pieces end
-def _found_ends(c: Curve, angles: Array, length: int, slots: int | None) -> tuple[_Ends, Array]:
+def _piece_ends(c: Curve, angles: Array, length: int, slots: int | None) -> tuple[_Ends, Array]:
     """Return the ends of the pieces between two angles each, and whether all fit into the slots."""
     xp = namespace(c, angles)
     inside = partial(others_inside, c, length=length)
@@ -301,8 +480,8 @@ def _found_ends(c: Curve, angles: Array, length: int, slots: int | None) -> tupl
     slots = max(int(count), 1) if slots is None else slots
     begins, ends = first_indices(is_begin, slots), first_indices(is_end, slots)
     exists = xp.tile(begins < len(angles), 2)
-    first = xp.sum(angles < 0.0)  # negative angles, of filters, begin at -pi
-    at_zero = begins == first
+    zero = xp.sum(angles < 0.0)  # negative angles, of filters, begin at -pi
+    at_zero = begins == zero
     pinned = xp.concatenate([at_zero | (begins == 0), ends == len(angles) - 1])
     limit = xp.concatenate([xp.where(at_zero, 0.0, -xp.pi), xp.full(slots, xp.pi)])
     line = xp.where(limit == 0.0, Branch.Z_PLUS_ONE, Branch.Z_MINUS_ONE)
@@ -310,8 +489,8 @@ def _found_ends(c: Curve, angles: Array, length: int, slots: int | None) -> tupl
         at_knot = (
             np.concatenate(
                 [
-                    part[np.minimum(k, len(angles) - 1)]
-                    for part, k in zip(is_knot, (begins, ends), strict=True)
+                    knots[np.minimum(k, len(angles) - 1)]
+                    for knots, k in zip(is_knot, (begins, ends), strict=True)
                 ]
             )
             & exists
@@ -352,9 +531,9 @@ def _across_knots(ends: _Ends, following: Array, preceding: Array) -> tuple[Arra
     """Join the pieces that end at a knot and the next ones, which begin there."""
     count = len(following)
     at_knot = ends.exists & ends.pinned & (ends.line == Branch.CURVE)
-    number = np.arange(count)
-    following = np.where(at_knot[count:], number + 1, following)
-    return following, np.where(at_knot[:count], number - 1, preceding)
+    index = np.arange(count)
+    following = np.where(at_knot[count:], index + 1, following)
+    return following, np.where(at_knot[:count], index - 1, preceding)
 
 
 def _narrowed(
@@ -385,7 +564,7 @@ def _narrowed(
 
 
 def _joined(ends: _Ends, is_open: Array) -> tuple[Array, Array, Array]:
-    """Return for open ends their angles and those next to them, and which is next to which."""
+    """Return the angles of open ends with those of the nearest ones, and which these are."""
     xp = namespace(ends)
     slots = len(is_open) // 2
     begins, lasts = ends.points[:, None, :slots], ends.points[:, slots:, None]
@@ -479,8 +658,8 @@ def scan_angles(length: int, fineness: int) -> Angles:
     count = fineness * (24 + 8 * length)
     even = (np.arange(count) + 0.5) * (np.pi / count)
     start, end = (
-        np.geomspace(first, even[0], 12 * fineness, endpoint=False)
-        for first in (_FIRST, _PI_MINUS_LAST)
+        np.geomspace(closest, even[0], 12 * fineness, endpoint=False)
+        for closest in (_FIRST, _PI_MINUS_LAST)
     )
     angles = np.concatenate([start, even, np.pi - end[::-1]])
     angles.flags.writeable = False
@@ -499,7 +678,7 @@ def slice_angles(c: Curve, length: int, fineness: int) -> Angles:
     centers = np.concatenate([c.poles[0], c.steep])
     around = centers[:, None] + np.concatenate([-offsets, offsets])
     lines = [_around_line(line, fineness) for line in c.lines]
-    drawn = [one.scan for one in c.stretches]
+    drawn = [stretch.scan for stretch in c.stretches]
     around = np.concatenate([around.ravel(), _around_resonances(c, fineness), *lines, *drawn])
     inner = around[(around > angles[0]) & (around < angles[-1])]
     angles = np.sort(np.concatenate([angles, inner]))
@@ -509,9 +688,9 @@ def slice_angles(c: Curve, length: int, fineness: int) -> Angles:
 def _around_resonances(curve: FilteredCurve, fineness: int) -> Angles:
     """Return angles around zeros and poles of a device, in steps that grow with the distance."""
     angle, width = curve.resonances[:, :, None]
-    reach = np.maximum(angle, _WIDTHS * width)
+    extent = np.maximum(angle, _WIDTHS * width)
     growth = np.linspace(0.0, 1.0, _STEPS_AROUND * fineness)
-    offsets = width / _WIDTHS * (reach / (width / _WIDTHS)) ** growth
+    offsets = width / _WIDTHS * (extent / (width / _WIDTHS)) ** growth
     around: Angles = (angle + np.concatenate([-offsets, offsets], axis=1)).ravel()
     return around
 
@@ -537,7 +716,7 @@ def closer_angles(c: Curve, angles: Angles, centers: Angles) -> Angles:
     return np.sort(np.concatenate([angles, closer]))
 
 
-def suspects(c: Curve, pieces: Pieces, known: Angles, outside: float, *, length: int) -> Angles:
+def suspects(c: Curve, pieces: Pieces, searched: Angles, outside: float, *, length: int) -> Angles:
     """Return further angles around which a piece may hide between two angles of the scan.
 
     They are the corners that the pieces have and the angles of the roots that are on the circle
@@ -547,19 +726,19 @@ def suspects(c: Curve, pieces: Pieces, known: Angles, outside: float, *, length:
     size = np.abs(ends)
     corners = ends[np.tile(pieces.exists, 2) & (size > 0.0) & (size < np.pi)]
     if isinstance(c, FilteredCurve) and c.is_exact:
-        partners = standing_for(c.stretches, angles_on_circle(c, *exact_walls(c, corners)))
+        partners = to_rescaled(c.stretches, angles_on_circle(c, *exact_walls(c, corners)))
     else:
         others = _others(c, polynomial(c, curve_and_lift(c, corners)[:2], length), corners)
         partners = _angles_near_circle(others[:, np.all(np.isfinite(others), axis=0)].T)
     if isinstance(c, FilteredCurve):
         partners = np.where(is_oriented(c, partners), partners, -partners)
     every = np.concatenate([corners, partners])
-    away = np.min(np.abs(every[:, None] - known), axis=1, initial=np.inf)
+    away = np.min(np.abs(every[:, None] - searched), axis=1, initial=np.inf)
     return nearly_stable(c, every[away >= _SAME], outside, length=length)
 
 
 def lone_partners(curve: FilteredCurve, pieces: Pieces) -> DoubleDouble:
-    """Return the angles at which a piece would have to begin or end for others, but none does.
+    """Return the angles of roots on the circle at ends of pieces, where no piece begins or ends.
 
     The curve is evaluated in double-double.
     """
@@ -567,12 +746,12 @@ def lone_partners(curve: FilteredCurve, pieces: Pieces) -> DoubleDouble:
     ends = ends[np.tile(pieces.exists, 2)]
     open_ends = ends[(ends != 0.0) & (np.abs(ends) < np.pi)]
     angles = angles_on_circle(curve, *exact_walls(curve, open_ends), within=_ON_CIRCLE)
-    size = standing_for(curve.stretches, angles)
+    size = to_rescaled(curve.stretches, angles)
     away = np.min(np.abs(size[:, None] - np.abs(ends)), axis=1, initial=np.inf)
-    known = [one.angle for one in curve.stretches]
-    near = np.min(np.abs(angles.hi[:, None] - known), axis=1, initial=np.inf)
-    _, first = np.unique(np.round(angles.hi / _APART), return_index=True)
-    chosen = first[(away[first] > _APART) & (near[first] > _APART)][:_MOST_CENTERS]
+    centers = [stretch.angle for stretch in curve.stretches]
+    near = np.min(np.abs(angles.hi[:, None] - centers), axis=1, initial=np.inf)
+    _, unique = np.unique(np.round(angles.hi / _APART), return_index=True)
+    chosen = unique[(away[unique] > _APART) & (near[unique] > _APART)][:_MOST_CENTERS]
     return angles[chosen]
 
 

@@ -1,4 +1,19 @@
-"""Stable regions of slices: found by a search, or in arrays of fixed sizes for JAX."""
+"""Stable regions of slices: found by a search, or in arrays of fixed sizes for JAX.
+
+A region is computed in three steps: the pieces of the curve that bound the stable set, refined
+until they join up to loops (``crossings.refined_pieces``); a polygon with its corners on them, with
+as many points as the tolerance requires (``outline.polygon``); and a value with limits, membership
+and distances on the exact boundary (``stable_set``). Each point of the boundary is right to
+rounding, but no step proves that every component was found (docs/proofs.md, G1 to G3).
+
+With estimators, filters and devices the curve may lose digits without a sign of it. So walls on
+both sides of the outline get certified verdicts (``fails_audit``), and where poles are close to
+each other, points of the outline are compared with double-double (``_strays``). If either fails,
+all is computed again in double-double, with angles rescaled where resonances turn out to need it. A
+region that fails then, too, is UNRESOLVED and claims nothing.
+
+``region_outline`` has arrays of fixed sizes and no search, for jit, vmap and derivatives.
+"""
 
 from math import ceil, sqrt
 
@@ -10,15 +25,13 @@ from jaxstab.batches import compiled
 from jaxstab.conventions import Verdict
 from jaxstab.model import require_x64
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import Filter, Filters, Velocity, known_filters
+from jaxstab.model.filters import Filter, Filters, Transfer, Velocity, known_filters
 from jaxstab.model.linear_loop import LinearLoop, SampledPlant
 from jaxstab.model.loop import refuses_loops
 from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT, LONGEST_DELAY, whole_and_fraction
-from jaxstab.model.sections import Transfer
 from jaxstab.numbers import checked_count, checked_number
 from jaxstab.point.verdicts import linear_verdict
 from jaxstab.region import measures
-from jaxstab.region.corners import Branch
 from jaxstab.region.crossings import refined_pieces
 from jaxstab.region.curve import Curve, curve_and_lift, slice_coefficients
 from jaxstab.region.exact import Pairs, exact_gains, in_pairs
@@ -33,6 +46,7 @@ from jaxstab.region.filtered_curve import (
 from jaxstab.region.outline import Outline, extra_vertices, polygon
 from jaxstab.region.pieces import (
     NO_BRANCH,
+    Branch,
     Pieces,
     are_inside,
     edges_of,
@@ -121,11 +135,11 @@ def _near_corners(c: Curve, outline: Outline) -> Edges:
     vertices = outline.vertices[:size]
     is_corner = np.any(np.all(outline.corners[:, None] == vertices, axis=-1), axis=0)
     is_edge = (outline.branches[: size - 1] != NO_BRANCH) & np.any(np.diff(vertices, axis=0), 1)
-    begins, ends = (np.flatnonzero(is_edge & one) for one in (is_corner[:-1], is_corner[1:]))
+    begins, ends = (np.flatnonzero(is_edge & is_end) for is_end in (is_corner[:-1], is_corner[1:]))
     edges = np.repeat(np.append(begins, ends), len(_FROM_CORNER))
     close, far = (
-        np.append(np.tile(part, len(begins)), 1.0 - np.tile(part, len(ends)))
-        for part in (_FROM_CORNER, 2.0 * _FROM_CORNER)
+        np.append(np.tile(shares, len(begins)), 1.0 - np.tile(shares, len(ends)))
+        for shares in (_FROM_CORNER, 2.0 * _FROM_CORNER)
     )
     both = (_on_edges(c, outline, edges, shares) for shares in (close, far))
     return np.concatenate(list(both), axis=1)
@@ -140,8 +154,8 @@ def _on_edges(
     """Return points of the boundary at shares of edges."""
     here, there = outline.vertices[edges], outline.vertices[edges + 1]
     straight = here + (there - here) * shares[:, None]
-    first, last = outline.angles[edges].T
-    curved = np.stack(curve_and_lift(c, first + (last - first) * shares)[:2], axis=1)
+    start, end = outline.angles[edges].T
+    curved = np.stack(curve_and_lift(c, start + (end - start) * shares)[:2], axis=1)
     return np.where((outline.branches[edges] == Branch.CURVE)[:, None], curved, straight)
 
 
@@ -149,7 +163,7 @@ def _on_edges(
 
 _FEWEST_POINTS, _MOST_POINTS = 256, 65536
 _STRETCHINGS = 3  # rounds
-_ASKED, _STRAYED = 32, 1e-12  # points, and how far aside they may be beside the outline's size
+_TESTED, _STRAYED = 32, 1e-12  # points, and how far aside they may be beside the outline's size
 _NOTHING = 2.0**-86  # of the coefficients of p(z): pairs know that much
 _BULGE = 0.35  # times points^-2 is at most about how far the boundary leaves the polygon
 
@@ -186,16 +200,16 @@ def region_of_system(system: System, tolerance: float, *, may_be_empty: bool) ->
 
 
 def _strays(c: FilteredCurve, outline: Outline, system: System) -> bool:
-    """Return whether some points of an outline in float64 are beside the curve in double-double."""
+    """Return whether some points of an outline in float64 are off the curve in double-double."""
     size = np.abs(outline.angles)
     straight = np.any([line.holds(size[:, 0]) for line in c.lines], axis=0)
     edges = np.flatnonzero((outline.branches == Branch.CURVE) & ~straight)
-    edges = edges[np.linspace(0, len(edges) - 1, min(_ASKED, len(edges))).round().astype(int)]
+    edges = edges[np.linspace(0, len(edges) - 1, min(_TESTED, len(edges))).round().astype(int)]
     extent = np.ptp(outline.vertices, axis=0)
     points = np.stack(curve_and_lift(c, outline.angles[edges, 0])[:2], axis=1)
     angles = DoubleDouble.of(size[edges, 0])
     exact = exact_gains(parts_in_pairs(system), angles, with_slopes=False).values[:2]
-    away = (points - np.stack([one.rounded() for one in exact], axis=1)) / extent
+    away = (points - np.stack([gain.rounded() for gain in exact], axis=1)) / extent
     along = (outline.vertices[edges + 1] - outline.vertices[edges]) / extent
     length = np.hypot(*along.T)
     aside = np.abs(away[:, 0] * along[:, 1] - away[:, 1] * along[:, 0])
@@ -203,7 +217,7 @@ def _strays(c: FilteredCurve, outline: Outline, system: System) -> bool:
 
 
 def _keeps_a_root(pairs: Pairs) -> bool:
-    """Return whether all walls leave a root at z = -1, as far as pairs tell."""
+    """Return whether all walls leave a root at z = -1, to the precision of pairs."""
     values, sizes = np.abs(pairs[1, 1, 0, :, 0]), np.sum(np.abs(pairs[1, 0, 0]), axis=1)
     return bool(np.all(values <= _NOTHING * sizes))
 

@@ -132,7 +132,7 @@ def guard_about(scene: Scene, guard: Guard) -> str:
 def _delay_of(guard: Guard) -> str:
     if guard.is_delay_constant:
         return "delay, constant during contact"
-    lost = f", up to {guard.lost} samples lost in a row" if guard.lost else ""
+    lost = f", up to {guard.lost} in a row lost" if guard.lost else ""
     return f"delay, moving from sample to sample{lost}"
 
 

@@ -14,11 +14,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxstab.atlas.format.variables import NODE, SLICE, Variable
-from jaxstab.atlas.products.product import Array, Check, Product, Stored
+from jaxstab.atlas.product import NODE, SLICE, Array, Check, Product, Stored, Variable
 
 if TYPE_CHECKING:
-    from jaxstab.atlas.compute.plan import Plan, Tile
+    from jaxstab.atlas.plan import Plan, Tile
 
 FIELDS = "fields"
 RADIUS_FIELD, RADIUS_ERROR = "spectral_radius", "spectral_radius_error"
@@ -142,7 +141,7 @@ def _near(stable: Array) -> Array:
     near = stable.copy()
     for axis in (0, 1):
         along = near.swapaxes(0, axis)
-        before = along.copy()
+        before = along.copy("K")
         along[1:] |= before[:-1]
         along[:-1] |= before[1:]
     return near

