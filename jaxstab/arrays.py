@@ -212,6 +212,47 @@ def stored(tree: Tree) -> Tree:
     return tree if xp is np else tree_map(lambda x: x / xp.where(x == x, 1.0, 2.0), tree)
 
 
+_RECIPROCAL = 0x7FDE_6238_22FC_16E6  # minus the bits of x: 1/x within 13 %
+
+
+def reciprocal(x: Array) -> Array:
+    """Return 1/x for x > 0, to eight digits in JAX."""
+    # XLA does not fuse a division whose result is used more than once with the arithmetic around
+    # it. This starts from the bits of the number and takes steps of Newton's method.
+    if not is_jax(x):
+        return 1.0 / x
+    y = floats(_RECIPROCAL - bits(x))
+    for _ in range(3):
+        y = y * (2.0 - x * y)
+    return y
+
+
+def rounded_reciprocal(x: Array) -> Array:
+    """Return 1/x for x > 0 within two roundings in JAX; NaN unless x is in 2^-960 to 2^960."""
+    y = reciprocal(x)
+    for _ in range(2):
+        y = y + y * (1.0 - x * y)
+    return namespace(x).where((x > 2.0**-960) & (x < 2.0**960), y, np.nan)
+
+
+def bits(x: Array) -> Array:
+    """Return the bits of float64 numbers, as integers."""
+    if is_jax(x):
+        from jax import lax
+
+        return lax.bitcast_convert_type(x, np.int64)
+    return np.asarray(x, np.float64).view(np.int64)
+
+
+def floats(integers: Array) -> Array:
+    """Return the float64 numbers that have these bits."""
+    if is_jax(integers):
+        from jax import lax
+
+        return lax.bitcast_convert_type(integers, np.float64)
+    return np.asarray(integers, np.int64).view(np.float64)
+
+
 def constant(tree: Tree) -> Tree:
     """Return the values without their derivatives."""
     if namespace(tree) is np:
@@ -221,9 +262,11 @@ def constant(tree: Tree) -> Tree:
     return lax.stop_gradient(tree)
 
 
-def repeat(count: int | Array, step: Callable[[Tree], Tree], start: Tree) -> Tree:
-    """Apply a step a number of times; in JAX one compiled loop, the number traced or not."""
-    if namespace(count, start) is np:
+def repeat(
+    count: int | Array, step: Callable[[Tree], Tree], start: Tree, *, is_unrolled: bool = False
+) -> Tree:
+    """Apply a step a number of times, in JAX as one compiled loop, the number traced or not."""
+    if is_unrolled or namespace(count, start) is np:
         for _ in range(int(count)):
             start = step(start)
         return start

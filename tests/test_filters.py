@@ -211,6 +211,28 @@ def test_hostile_walls_of_random_loops_against_balls(kind: type[MassLoop | Devic
                 assert is_stable == (code == Verdict.STABLE), (loop, wall)
 
 
+@pytest.mark.parametrize(
+    ("velocity", "transfer"),
+    [
+        (Velocity.difference(samples=20), truth.difference(20)),  # steps on both ends, unrolled
+        (Velocity.difference(samples=40), truth.difference(40)),  # the same in a loop
+        ESTIMATORS["Butterworth"],  # on all coefficients, unrolled
+    ],
+)
+def test_compiled_verdicts_against_balls_however_close_to_the_boundary(
+    velocity: Velocity, transfer: truth.Rational
+) -> None:
+    plant = (1e-3, 1e-2, 1.0)
+    balls = truth.FilteredLoop(*plant, transfer, truth.average(1)).balls()
+    walls = hostile_walls(np.random.default_rng(5), balls, 100)
+    compiled = jax.jit(lambda *gains: jaxstab.verdict(*gains, **by_name(*plant), velocity=velocity))
+    codes = np.asarray(compiled(*jnp.asarray(walls.T)))
+    truths = np.array([balls.is_stable(*wall) for wall in walls.tolist()])
+    is_decided = (codes != Verdict.UNDECIDED) & (truths != None)  # noqa: E711
+    np.testing.assert_array_equal(codes[is_decided] == Verdict.STABLE, truths[is_decided])
+    assert {Verdict.STABLE, Verdict.UNSTABLE} <= set(codes.tolist())
+
+
 @pytest.mark.parametrize(("samples", "delay"), [(20, 1.0), (12, 2.5), (2, 12.0), (30, 0.0)])
 def test_zeros_left_out_change_no_verdict(samples: int, delay: float) -> None:
     filters = given_filters(Velocity.difference(samples=samples), None)
