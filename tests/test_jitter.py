@@ -157,7 +157,7 @@ def test_the_stiffnesses_that_an_angle_excludes_end_where_the_inequality_does(
     """K up to 10 kN/m, without filters: below, within and above each interval."""
     delay, most = 0.3, 0.7
     device = sampled_device(DEVICES[name], T, delay)
-    cells = jitter.MovingCells.of(device, None, most)
+    cells = jitter.MovingCells.from_loop(device, None, most)
     ends = cells.excluded(np.array([damping * device.damping_unit]))
     low, high = (end[0] / device.stiffness_unit for end in ends)
     above, below = _floats(DEVICES[name], True), _floats(DEVICES[name])
