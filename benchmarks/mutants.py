@@ -1,28 +1,28 @@
-"""Single-token mutants of point, proofs, region and ranges: do the default tests notice them?
+r"""Single-token mutants of point, proofs, region and ranges: do the default tests notice them?
 
-    python -m pytest -o addopts= -m "not campaign" --cov=jaxstab --cov-context=test --cov-report= \\
-        --junitxml=seconds.xml
+    python -m pytest -o addopts= -m "not campaign" --cov=jaxstab --cov-context=test \
+        --cov-report= --junitxml=seconds.xml
     python -m benchmarks mutants --points 500
 
-The first command (with pytest-cov) records in ``.coverage`` which tests execute which line, and in
-``seconds.xml`` how long they take; several such pairs of files may lie in the folder that
-``JAXSTAB_MUTANTS`` names (here otherwise). Of all operators, numbers, booleans and names like
-``min`` in the code, without annotations, imports and docstrings, a seeded sample is changed, one at
-a time. The tests that execute the changed line run on it, the quickest first, until a test fails;
-then those that execute anything in its file, for such lines run while JAX traces or when a module
-is imported. A mutant survives if the first ``_RECORDED`` seconds of these tests pass.
+The first command (it needs pytest-cov) records in ``.coverage`` which tests execute which line, and
+in ``seconds.xml`` how long they take; several such pairs of files, of parts of the tests, may lie
+in the folder that ``JAXSTAB_MUTANTS`` names (here otherwise). Of all operators, numbers, booleans
+and names like ``min`` in the code, without annotations, imports and docstrings, a seeded sample is
+changed, one at a time. The tests that execute the changed line run on it, the quickest first, until
+one fails. Lines that few tests execute, for they run while a module is imported or JAX traces, are
+tried with all tests of their file. A mutant survives if ``_BUDGET`` seconds of tests pass.
 
-No file is changed: each mutant is a fork of a process that has imported everything but jaxstab, and
-there the import system is given the changed source. Processes that tests start run the code as it
-is. Results go to ``mutants.jsonl`` in the same folder, and a later call goes on from there; a
-survivor is tried again when its tests have changed.
+No file is changed. A process imports jaxstab and the tests once. Each mutant is a fork of it in
+which functions are given the changed code, or constants the changed value. What is neither, such as
+a default argument, is left out, and so is ``region/batch.py``, for JAX starts when it is imported.
+Processes that tests start run the code as it is. Results are appended to ``mutants.jsonl`` in the
+same folder; a later call goes on from there, and tries a survivor again if its tests have changed.
 """
 
 import ast
 import gc
 import io
 import json
-import multiprocessing
 import os
 import random
 import resource
@@ -36,10 +36,9 @@ from bisect import bisect_left
 from collections import Counter, defaultdict
 from collections.abc import Iterator
 from contextlib import suppress
-from importlib.machinery import SourceFileLoader
 from itertools import islice, pairwise, permutations
 from pathlib import Path
-from types import CodeType, FunctionType
+from types import CodeType, FunctionType, ModuleType
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
@@ -50,50 +49,24 @@ ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("point", "proofs", "region", "ranges")
 FOLDER = Path(os.environ.get("JAXSTAB_MUTANTS", "."))
 
-_RECORDED = 12.0  # seconds that the tests of one mutant took when they were recorded
+_RECORDED = 30.0  # seconds that the tests of one mutant took when they were recorded
+_BUDGET = 4.0  # processor seconds after which a mutant has survived
 _ENOUGH = 5  # tests of a line, so that those of its file are not needed
-_START = 10.0  # processor seconds beyond its recorded ones after which a test hangs
+_START = 8.0  # processor seconds beyond its recorded ones after which a test hangs
 _LONGEST = 300.0  # seconds of a mutant, by the clock
 _MEMORY = 1 << 34  # bytes of address space
-_STARTS_JAX = ("tests/test_batch.py",)  # when it is imported: threads do not survive a fork
-_ANEW = 77  # exit code of a process that has to begin anew
+_STARTS_JAX = {"tests/test_batch.py"}  # when it is imported; threads do not survive a fork
+_LEFT_OUT = 77  # exit code where a change is neither in a function nor in a constant
 _OPTIONS = [
     *["-s", "-q", "--tb=no", "-o", "addopts=", "-m", "not campaign"],
     *["-p", "no:cacheprovider", "-p", "no:xdist", "-p", "no:cov", "-p", "no:benchmark"],
 ]
-_OPERATORS = {
-    "+": ["-"],
-    "-": ["+"],
-    "*": ["/"],
-    "/": ["*"],
-    "//": ["/"],
-    "%": ["*"],
-    "**": ["*"],
-    "@": ["*"],
-    "&": ["|"],
-    "|": ["&"],
-    "^": ["&"],
-    "<<": [">>"],
-    ">>": ["<<"],
-    "~": [""],
-    "+=": ["-="],
-    "-=": ["+="],
-    "*=": ["/="],
-    "/=": ["*="],
-    "&=": ["|="],
-    "|=": ["&="],
-    "<": ["<=", ">="],
-    "<=": ["<", ">"],
-    ">": [">=", "<="],
-    ">=": [">", "<"],
-    "==": ["!="],
-    "!=": ["=="],
-    "is": ["is not"],
-    "in": ["not in"],
-    "not": [""],
-    "and": ["or"],
-    "or": ["and"],
-}
+_CHANGES = (
+    "+ -, - +, * /, / *, // /, % *, ** *, @ *, & |, | &, ^ &, << >>, >> <<, ~, not, and or, or and"
+    ", += -=, -= +=, *= /=, /= *=, &= |=, |= &=, < <= >=, <= < >, > >= <=, >= > <, == !=, != =="
+)
+_OPERATORS = {one: others or [""] for one, *others in map(str.split, _CHANGES.split(","))}
+_OPERATORS |= {"is": ["is not"], "in": ["not in"]}
 _PAIRS = ("min max", "minimum maximum", "any all", "floor ceil", "argmin argmax", "cos sin")
 _NAMES = {one: [other] for pair in _PAIRS for one, other in permutations(pair.split())}
 
@@ -118,6 +91,7 @@ class Mutant(NamedTuple):
         return True
 
     def source(self) -> str:
+        """The changed file."""
         lines = (ROOT / self.path).read_text(encoding="utf-8").splitlines(keepends=True)
         text = lines[self.line - 1]
         end = self.column + len(self.old)
@@ -238,10 +212,14 @@ class Watch:
         self.has_failed = False
 
     def pytest_runtest_logstart(self, nodeid: str) -> None:
+        """End after the budget; bound the processor time of each test."""
+        if time.process_time() > _BUDGET:
+            os._exit(0)
         limit = int(time.process_time() + _START + self.seconds[nodeid])
         resource.setrlimit(resource.RLIMIT_CPU, (limit, resource.RLIM_INFINITY))
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Remember failures."""
         self.has_failed |= report.failed
 
 
@@ -250,16 +228,19 @@ class Mutating:
 
     def __init__(self, points: int, known: Map, watch: Watch) -> None:
         self.points, self.known, self.watch = points, known, watch
-        self.clean = multiprocessing.get_context("forkserver")
-        self.clean.set_forkserver_preload(["jax", "scipy.optimize", "mpmath", "flint", "pytest"])
 
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
+        """Try mutants, and say which of them survive."""
         rng = random.Random(20120412)
         paths = sorted(path for room in ROOMS for path in (ROOT / "jaxstab" / room).glob("*.py"))
         places = [mutant for path in paths for mutant in mutants(path, rng)]
         rng.shuffle(places)
         print(f"{len(places)} tokens in {len(paths)} files", flush=True)
         items = {item.nodeid: item for item in session.items}
+        self.functions = defaultdict(list)
+        for thing in gc.get_objects():
+            if isinstance(thing, FunctionType):
+                self.functions[thing.__code__.co_filename].append(thing)
         results = FOLDER / "mutants.jsonl"
         earlier: dict[str, Any] = {}
         if results.exists():
@@ -271,12 +252,11 @@ class Mutating:
             tests = self.known.tests(mutant)
             row = earlier.get(str(mutant), {"said": "survived", "tests": None})
             if row["said"] == "survived" and row["tests"] != tests:
-                begun = time.monotonic()
-                said = self.fate(mutant, tests, [items[test] for test in tests if test in items])
+                said = self.fate(mutant, [items[test] for test in tests if test in items])
                 row = {"mutant": str(mutant), "said": said, "tests": tests}
                 with results.open("a", encoding="utf-8") as file:
                     file.write(json.dumps(row) + "\n")
-                print(f"{said}, {time.monotonic() - begun:.1f} s: {mutant}", flush=True)
+                print(f"{said}: {mutant}", flush=True)
             counts[mutant.path.split("/")[1], row["said"]] += 1
             survivors += [str(mutant)] if row["said"] == "survived" else []
         for room in ROOMS:
@@ -284,38 +264,28 @@ class Mutating:
         print(*survivors, sep="\n")
         return True
 
-    def fate(self, mutant: Mutant, tests: list[str], items: list[pytest.Item]) -> str:
-        """What tests say of a mutant, by those of them that are imported here if possible."""
-        if not tests:
-            return "survived"
-        code = self.forked(mutant, items) if items else _ANEW
-        if code == _ANEW:
-            seconds = {test: self.watch.seconds[test] for test in tests}
-            process = self.clean.Process(target=run_anew, args=(mutant, seconds))
-            process.start()
-            process.join(_LONGEST)
-            process.kill()
-            process.join()
-            code = process.exitcode
-        said = {0: "survived", -signal.SIGXCPU: "timeout", -signal.SIGKILL: "timeout"}
-        return said.get(code, "killed")
-
-    def forked(self, mutant: Mutant, items: list[pytest.Item]) -> int:
-        """The exit code of a copy of this process that runs tests on a mutant."""
+    def fate(self, mutant: Mutant, items: list[pytest.Item]) -> str:
+        """What tests say of a mutant, in a copy of this process."""
         begun = time.monotonic()
         with warnings.catch_warnings(action="ignore"):  # JAX has no threads yet
             child = os.fork()
         if child == 0:
-            confine()
+            resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
+            null = os.open(os.devnull, os.O_RDWR)
+            for stream in range(3):
+                os.dup2(null, stream)
             code = 1  # what raises here is the mutant
             with suppress(BaseException):
-                code = self.run(items) if is_put_in(mutant) else _ANEW
+                functions = self.functions[str(ROOT / mutant.path)]
+                code = self.run(items) if is_put_in(mutant, functions) else _LEFT_OUT
             os._exit(code)
         while not (ended := os.waitpid(child, os.WNOHANG))[0]:
             time.sleep(0.02)
             if time.monotonic() - begun > _LONGEST:  # it waits for something
                 os.kill(child, signal.SIGKILL)
-        return os.waitstatus_to_exitcode(ended[1])
+        said = {0: "survived", _LEFT_OUT: "left out"}
+        said |= dict.fromkeys((-signal.SIGXCPU, -signal.SIGKILL), "timeout")
+        return said.get(os.waitstatus_to_exitcode(ended[1]), "killed")
 
     def run(self, items: list[pytest.Item]) -> int:
         """Run tests until one fails; 1 if one does."""
@@ -327,38 +297,15 @@ class Mutating:
         return 0
 
 
-def run_anew(mutant: Mutant, seconds: dict[str, float]) -> None:
-    """Run tests where no module is imported yet, and exit as pytest does."""
-    changed, source = str(ROOT / mutant.path), mutant.source().encode()
-    read = SourceFileLoader.get_code
-
-    def get_code(loader: Any, fullname: str) -> Any:
-        path = loader.get_filename(fullname)
-        return loader.source_to_code(source, path) if path == changed else read(loader, fullname)
-
-    SourceFileLoader.get_code = get_code
-    confine()
-    os._exit(int(pytest.main(["-x", *_OPTIONS, *seconds], plugins=[Watch(seconds)])))
-
-
-def confine() -> None:
-    """Bound this process's memory, and let it print nothing."""
-    resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
-    null = os.open(os.devnull, os.O_RDWR)
-    for stream in range(3):
-        os.dup2(null, stream)
-
-
-def is_put_in(mutant: Mutant) -> bool:
+def is_put_in(mutant: Mutant, of_file: list[FunctionType]) -> bool:
     """Give the functions of a module the code of a mutant, if nothing else of it differs."""
     path = ROOT / mutant.path
     module = next((m for m in sys.modules.values() if getattr(m, "__file__", 0) == str(path)), None)
     if module is None:
         return False
     functions = defaultdict(list)
-    for thing in gc.get_objects():
-        if isinstance(thing, FunctionType) and thing.__code__.co_filename == str(path):
-            functions[thing.__code__.co_qualname, thing.__code__.co_firstlineno].append(thing)
+    for function in of_file:
+        functions[function.__code__.co_qualname, function.__code__.co_firstlineno].append(function)
 
     def put(old: CodeType, new: CodeType) -> bool:
         here = functions[old.co_qualname, old.co_firstlineno]
@@ -373,9 +320,30 @@ def is_put_in(mutant: Mutant) -> bool:
         return old.co_code == new.co_code and others[0] == others[1] and all(map(put, *codes))
 
     compiled = module.__loader__.source_to_code
-    return put(
-        compiled(path.read_bytes(), str(path)), compiled(mutant.source().encode(), str(path))
-    )
+    codes = compiled(path.read_bytes(), str(path)), compiled(mutant.source().encode(), str(path))
+    return put(*codes) or is_set(mutant, module)
+
+
+def is_set(mutant: Mutant, module: ModuleType) -> bool:
+    """Give the constants of a module the values of a mutant, if it is in one of them.
+
+    Those that follow from it are set, too, and the names under which other modules import them.
+    """
+    changed: set[str] = set()
+    for node in ast.parse(mutant.source()).body:
+        if not isinstance(node, ast.Assign):
+            continue
+        names = [name for name in ast.walk(node) if isinstance(name, ast.Name)]
+        if node.lineno <= mutant.line <= node.end_lineno or changed & {n.id for n in names}:
+            mine = {name.id for name in names if isinstance(name.ctx, ast.Store)}
+            before = {name: vars(module)[name] for name in mine}
+            exec(compile(ast.Module([node], []), mutant.path, "exec"), vars(module))
+            for other in list(sys.modules.values()):
+                for name, value in before.items():
+                    if vars(other).get(name) is value:
+                        setattr(other, name, vars(module)[name])
+            changed |= mine
+    return bool(changed)
 
 
 def main(small: bool, points: int | None) -> int:
@@ -386,7 +354,7 @@ def main(small: bool, points: int | None) -> int:
 
 if __name__ == "__main__":
     known = Map(FOLDER)
-    files = sorted({test.split("::")[0] for test in known.seconds} - set(_STARTS_JAX))
+    files = sorted({test.split("::")[0] for test in known.seconds} - _STARTS_JAX)
     watch = Watch(known.seconds)
     plugins = [watch, Mutating(int(sys.argv[1]), known, watch)]
     sys.exit(pytest.main([*_OPTIONS, *files], plugins=plugins))

@@ -10,9 +10,11 @@ from itertools import combinations
 from typing import Any
 
 import jax.numpy as jnp
+import mpmath
 import numpy as np
 import pytest
 
+from benchmarks import truth
 from jaxstab.point import dominance, schur_cohn
 from jaxstab.point.fields import _bound, poles_outside
 from jaxstab.point.schur_cohn import Chain, _State, _step
@@ -214,3 +216,26 @@ def test_subsets_of_roots_are_told_apart() -> None:
     for chosen in combinations(roots, 3):
         columns = [np.array([c]) for c in np.poly(chosen)]
         assert poles_outside(columns, np.array([1e-12]))[0] == sum(abs(r) > 1.0 for r in chosen)
+
+
+@pytest.mark.parametrize("delay", [0.0, 1.0])
+@pytest.mark.parametrize("off", [1e-4, -1e-6])
+def test_the_distance_of_a_dominant_root_is_n_times_what_newton_corrects(
+    delay: float, off: float
+) -> None:
+    """Lemma R1 next to a simple root, of the loop of the paper, by roots of its polynomial."""
+    gamma, delta, alpha, beta = 0.02, 0.3, 0.05, 0.1
+    with mpmath.workdps(40):
+        plant = truth.plant(gamma, delta, 0.0)
+        n2, n1 = plant.n2, plant.n1
+        d = [1, plant.d1, plant.d0]
+        wall = [n2 * (alpha + beta), n1 * (alpha + beta) - n2 * beta, -n1 * beta]
+        falling = [*d, *[0] * (1 + int(delay))]
+        falling[-3:] = [a + b for a, b in zip(falling[-3:], wall, strict=True)]
+        roots = mpmath.polyroots(falling[::-1], maxsteps=200, extraprec=200, asc=True)
+        largest = max((r for r in roots if r.imag >= 0), key=abs)
+    root = complex(largest) - 1.0 + off
+    loop = dominance._loop([np.array([x]) for x in (alpha, beta, gamma, delta)], delay)
+    degree = 3 + int(delay)
+    bound = dominance.distance_of_dominant(np.array([root]), loop, degree=degree)[0]
+    assert abs(off) <= bound == pytest.approx(degree * abs(off), rel=0.02)

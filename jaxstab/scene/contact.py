@@ -88,7 +88,10 @@ def simulate_contacts(scene: Scene) -> Contacts:
 
 def _require_contact(scene: Scene) -> None:
     if scene.contact is None:
-        raise ValueError("contact is missing; give contact.push in N, or contact.speed in m/s.")
+        raise ValueError(
+            "contact is missing; give contact.push in N, or contact.speed in m/s (on the command "
+            "line --push or --speed)."
+        )
 
 
 def contacts_of(scene: Scene) -> dict[str, Simulated]:
