@@ -542,7 +542,7 @@ def _radius(loop: Loop, *, degree: int, effort: _Try) -> Answer:
 
 def _tries(delay: float) -> tuple[_Try, ...]:
     if delay <= 10.0:
-        return _Try(8, 2, 2**15) if delay else _Try(0, 1, 2**15), _Try(24, 8, 2**15)
+        return _Try(8, 2, 2**15) if delay else _Try(0, 1, 2**15), _Try(16, 8, 2**15)
     if delay <= 21.0:
         return _Try(4, 4, 2**15), _Try(8, 4, 2**12), _Try(14, 8, 2**10)
     return _Try(5 if delay <= 50.0 else 7, 4, 2**12), _Try(14, 8, 2**10)

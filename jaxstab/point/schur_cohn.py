@@ -223,8 +223,8 @@ class _State:
     The ends are either as long as the polynomial, each of them all of it, or too short to meet.
     """
 
-    # An array with the coefficients on its first axis, or a tuple of them where XLA compiles steps
-    # without a loop. In an array, noise that is not read fills the places beyond the degree.
+    # A tuple where XLA compiles steps without a loop, else an array, which has noise that is not
+    # read in the places beyond the degree.
     falling: Any  # highest power first
     rising: Any  # lowest power first
     error: Array  # l1 norm of all errors of the coefficients
@@ -291,9 +291,9 @@ def polynomial_codes(
     given = len(leading(coefficients))
     width = given if given > degree else (given + 1) // 2
     is_unrolled = xp is not np and degree <= _HIGHEST_UNROLLED
-    columns: Any = coefficients
-    if is_unrolled:
-        columns = tuple(coefficients[index] for index in range(given))
+    columns: Any = (
+        tuple(map(coefficients.__getitem__, range(given))) if is_unrolled else coefficients
+    )
     state = _State(
         *_ends(columns, width),
         error,
@@ -367,17 +367,12 @@ def _affine(parts: Affine, alpha: Number, beta: Number, unit: float) -> tuple[Ar
 def _ends(coefficients: Any, width: int) -> tuple[Any, Any]:
     """Return the first coefficients, and the last ones from the last on, then a 0 for arrays."""
     if isinstance(coefficients, tuple):
-        is_all = width == len(coefficients)
-        return coefficients[:width], coefficients[::-1] if is_all else coefficients[
-            : width - 1 : -1
-        ]
+        return coefficients[:width], coefficients[::-1][: len(coefficients) - width or None]
     xp = namespace(coefficients)
 
     def rising(values: Array) -> Array:
-        last = values[::-1][:width]
-        return (
-            last if width == len(values) else xp.concatenate([last[:-1], xp.zeros_like(last[:1])])
-        )
+        end = values[::-1][:width]
+        return end if width == len(values) else xp.concatenate([end[:-1], xp.zeros_like(end[:1])])
 
     return coefficients[:width], tree_map(rising, coefficients)
 
@@ -386,9 +381,8 @@ def _joined(state: _State, unit: float) -> _State:
     """Return the polynomial of a degree so low that its two ends overlap (lemma V9)."""
     falling, rising = state.falling, state.rising
     rounded = unit * _sum(falling, rising)
-    both: Any
     if isinstance(falling, tuple):
-        both = (falling[0], *map(add, falling[1:], rising[::-1]))
+        both: Any = (falling[0], *map(add, falling[1:], rising[::-1]))
     else:
         both = joined([falling[:1], falling[1:] + rising[-2::-1]])
     return replace(
@@ -402,10 +396,7 @@ def _joined(state: _State, unit: float) -> _State:
 
 def _sum(*numbers: Number | tuple[Number, ...]) -> Array:
     xp = namespace(numbers)
-    return sum(
-        size_sum(number) if isinstance(number, tuple) else xp.sum(size(number), axis=0)
-        for number in numbers
-    )
+    return sum(size_sum(n) if isinstance(n, tuple) else xp.sum(size(n), axis=0) for n in numbers)
 
 
 def _dense_step(state: _State, unit: float, *, is_apart: bool = False) -> _State:
@@ -413,13 +404,11 @@ def _dense_step(state: _State, unit: float, *, is_apart: bool = False) -> _State
     falling, rising = state.falling, state.rising
     first, last = falling[0], rising[0]
     ratio, inverse = _quotient(last, first, is_rolled=not isinstance(falling, tuple))
-    modulus = size(ratio)
+    modulus, lowered = size(ratio), _lowered(falling, rising, ratio, is_apart=is_apart)
     total = _sum(falling, rising) if is_apart else _sum(falling)
     outside = state.outside | (size(last) - size(first) > 4.0 * state.drift)
-    lowered, turned = _lowered(falling, rising, ratio, is_apart=is_apart)
     return _State(
-        falling=lowered,
-        rising=turned,
+        *lowered,
         error=state.error * (1.0 + modulus) + unit * total * (1.0 + 2.0 * modulus),
         inside=state.inside & (modulus < 1.0),
         regular=state.regular & (modulus != 1.0),
