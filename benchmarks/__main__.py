@@ -49,6 +49,7 @@ def main() -> int:
             "jitter",
             "lemmas",
             "limits_of",
+            "mutants",
             "papers",
             "plot",
             "studies",
@@ -60,7 +61,8 @@ def main() -> int:
         "or jitter: attack proofs for delays that move, "
         "or contact: simulate contacts beside what is proved, "
         "or lemmas: check the lemmas that proofs rest on, or limits_of: print the limits of many "
-        "loops beside single ones, or papers: compare published numbers, "
+        "loops beside single ones, or mutants: change single tokens and run the tests, "
+        "or papers: compare published numbers, "
         "or studies: time a study on two workers of a dask cluster beside one, "
         "or traces: compare boundaries over delays with limits, and draw them; "
         "without a name all benchmarks",
@@ -84,7 +86,7 @@ def main() -> int:
         return golden.take(path) if choice.record else golden.compare(choice.small, path)
     if choice.name == "lemmas":
         return import_module("benchmarks.lemmas").main(choice.small)
-    if choice.name in ("contact", "jitter", "studies"):
+    if choice.name in ("contact", "jitter", "mutants", "studies"):
         return import_module(f"benchmarks.{choice.name}").main(choice.small, choice.points)
     if choice.name == "traces":
         return import_module("benchmarks.traces").main(choice.small)

@@ -19,7 +19,7 @@ import numpy as np
 import jaxstab
 from benchmarks.record import Row
 from benchmarks.timing import Timing, interleaved
-from jaxstab.atlas.products.limits import undecided_share
+from jaxstab.atlas.lookup import undecided_share
 from jaxstab.conventions import AXES, Verdict
 from jaxstab.model import by_name
 

@@ -13,7 +13,6 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 import jaxstab
@@ -32,6 +31,7 @@ from benchmarks.truth.filtered import (
     times,
 )
 from jaxstab import Velocity
+from jaxstab.arrays import namespace
 from jaxstab.batches import MANY, compiled, over_tiles
 from jaxstab.conventions import Verdict
 
@@ -163,6 +163,7 @@ def _plain_verdict(family: LoopFamily) -> Callable[..., np.ndarray]:
         falling = [
             b + s * alpha + d * beta if s or d else b for b, s, d in zip(*parts, strict=True)
         ]
+        xp = namespace(alpha, beta)
         inside = alpha + beta < np.inf
         while len(falling) > 1:
             ratio = falling[-1] / falling[0]
@@ -172,13 +173,13 @@ def _plain_verdict(family: LoopFamily) -> Callable[..., np.ndarray]:
                 one if isinstance(other, float) and other == 0.0 else one - ratio * other
                 for one, other in pairs
             ][:-1]
-        return jnp.where(inside, Verdict.STABLE, Verdict.UNSTABLE).astype(np.int8)
+        return xp.where(inside, Verdict.STABLE, Verdict.UNSTABLE).astype(np.int8)
 
     @compiled(many=MANY, wide=True, pointwise=True)
     def in_tiles(alpha: Any, beta: Any) -> Any:
         return over_tiles(codes, (alpha, beta), _PLAIN_TILE)
 
-    return lambda alpha, beta: np.asarray(in_tiles(*map(jnp.asarray, (alpha, beta))))
+    return lambda alpha, beta: np.asarray(in_tiles(alpha, beta))
 
 
 def _verdict(velocity: Velocity, alpha: np.ndarray, beta: np.ndarray) -> Any:

@@ -18,7 +18,7 @@ from benchmarks import truth
 from benchmarks.record import Row
 from benchmarks.timing import interleaved
 from jaxstab import verdict
-from jaxstab.atlas.compute.verdicts import node_verdicts, undecided_nodes
+from jaxstab.atlas.proved import node_verdicts, proved_nodes
 from jaxstab.conventions import Verdict
 from jaxstab.model import by_name
 
@@ -88,11 +88,15 @@ def _slice_rows(section: str, of: Slice, small: bool) -> Iterator[Row]:
             **timing.columns(),
             "error": float(np.mean([codes[node] != code for node, code in judged.items()])),
             "error_measure": MEASURE,
-            "evaluated": int(undecided_nodes(*of.arguments)[0]) if method == "filled" else of.size,
+            "evaluated": _open_nodes(of) if method == "filled" else of.size,
             "differing": int(np.sum(codes != dense)),
             "times_write": timing.median / timings["write"].median,
             "times_new_write": timing.median / timings["write, new memory"].median,
         }
+
+
+def _open_nodes(of: Slice) -> int:
+    return int(np.sum(proved_nodes(*of.arguments) == Verdict.UNDECIDED))
 
 
 def _filled(of: Slice) -> np.ndarray:

@@ -4,8 +4,11 @@ Scheduler and workers are processes of this machine, each with one thread. A stu
 work, which is NumPy's: blocks of 8,192 loops, a few seconds each. All files must have the same
 bytes. The times are the client's, from the first block submitted to the file published; the CPU
 time of the workers is printed beside them, as a busy machine gives each worker less than a core.
+Ctrl-C, SIGTERM and SIGHUP end scheduler and workers, too; if this process is killed, the scheduler
+ends when it has been idle for a minute, and the workers with it.
 """
 
+import signal
 import subprocess
 import sys
 import time
@@ -22,6 +25,8 @@ _LOOPS, _SMALL_LOOPS = 65_536, 16_384
 
 def main(small: bool, points: int | None = None) -> int:
     """Print the times; whether files differ."""
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda number, _: sys.exit(128 + number))
     count = points or (_SMALL_LOOPS if small else _LOOPS)
     with TemporaryDirectory() as name:
         folder = Path(name)
@@ -77,7 +82,8 @@ def _cluster(folder: Path, workers: int) -> Iterator[tuple[Path, list[subprocess
         running.append(subprocess.Popen(command, stderr=subprocess.DEVNULL))
 
     try:
-        start("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file))
+        start("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file),
+              "--idle-timeout", "60 s")  # fmt: skip
         while not file.exists():
             time.sleep(0.05)
         for _ in range(workers):

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from jaxstab import HapticLoop, Velocity, trace_boundary
 from jaxstab.pictures.style import BLACK, BLUE, ORANGE
-from jaxstab.region.corners import Branch
+from jaxstab.region.pieces import Branch
 from jaxstab.results import BoundaryTrace
 
 PICTURE = Path(__file__).resolve().parents[1] / "docs" / "traces.png"

@@ -70,7 +70,7 @@ def compiled(
         @wraps(kernel)
         def call(*arguments: Arguments.args, **options: Arguments.kwargs) -> Result:
             given = list(leaves((arguments, {k: v for k, v in options.items() if k not in static})))
-            if any(is_jax(leaf) for leaf in given):
+            if any(map(is_jax, given)):
                 namespace(given)  # tells JAX of our pytrees
                 # Within another compilation an option cannot be given.
                 is_outer = not any(map(is_traced, given))
@@ -121,7 +121,7 @@ def on_few_sizes(function: Callable[..., Result], *arguments: Any) -> Result:
     if count < 2:
         return _on_few_sizes(function, shape, arguments)
     axis = int(np.argmax(shape)) - len(shape)
-    ends = [shape[axis] * part // count for part in range(count + 1)]
+    ends = [shape[axis] * k // count for k in range(count + 1)]
 
     def of_core(start_and_stop: tuple[int, int]) -> Result:
         start, stop = start_and_stop
@@ -149,14 +149,14 @@ def on_cores(function: Callable[[Item], Result], items: Sequence[Item]) -> list[
 
 
 def is_on_cpu() -> bool:
-    """Return whether JAX computes on the CPU."""
+    """Whether JAX computes on the CPU."""
     import jax
 
     return jax.default_backend() == "cpu"
 
 
 def _cores() -> int:
-    """Return how many cores of the CPU this process has, if JAX computes there."""
+    """The number of CPU cores of this process if JAX computes there, else 1."""
     if not is_on_cpu():
         return 1
     affinity = getattr(os, "sched_getaffinity", None)  # of Linux
@@ -173,8 +173,8 @@ def _on_few_sizes(
     def fill(leaf: Any) -> Any:
         for axis, length in enumerate(np.shape(leaf), start=-np.ndim(leaf)):
             if 1 < length < filled[axis]:
-                rest = leaf.take(range(2 * length - filled[axis], length), axis)
-                leaf = np.concatenate([leaf, rest], axis)
+                padding = leaf.take(range(2 * length - filled[axis], length), axis)
+                leaf = np.concatenate([leaf, padding], axis)
         return leaf
 
     def cut(leaf: np.ndarray) -> np.ndarray:
@@ -211,7 +211,7 @@ def over_tiles(kernel: Callable[..., Result], arguments: Any, tile: int = TILE) 
 
     def of_tile(columns: list[Array]) -> Array:
         parts = iter(columns)
-        mixed = [next(parts) if one is None else one for one in shared]
+        mixed = [next(parts) if value is None else value for value in shared]
         return kernel(*jax.tree.unflatten(structure, mixed))
 
     return tree_map(lambda row: row.ravel()[:size].reshape(shape), jax.lax.map(of_tile, tiles))
@@ -235,7 +235,7 @@ def over_rows(
 
     def of_loop(arguments: tuple[Any, ...]) -> Result:
         loop, *own = arguments
-        tiles = [xp.resize(one, (count, rows, one.shape[-1])) for one in (alpha, *own)]
+        tiles = [xp.resize(array, (count, rows, array.shape[-1])) for array in (alpha, *own)]
         answer = lax.map(lambda arrays: kernel(loop, *arrays), tiles)
         return tree_map(lambda row: row.reshape(-1, width)[: len(alpha)], answer)
 
@@ -249,30 +249,30 @@ def lists(
     longest: int,
     shortest: int | None = None,
     fewest: int = 0,
-) -> Iterator[tuple[Int64[np.ndarray, " part"], Int64[np.ndarray, " list"]]]:
-    """Cut a list of points into parts, and repeat points to fill each to a length compiled before.
+) -> Iterator[tuple[Int64[np.ndarray, " block"], Int64[np.ndarray, " list"]]]:
+    """Cut a list of points into blocks, and repeat points to fill each to a length compiled before.
 
     The lengths are ``longest`` / 8^k down to ``shortest`` (by default ``longest``): a few points do
-    not pay for many. Parts of less than ``fewest`` points, which NumPy computes, stay as they are.
-    Yields each part and the padded list to compute, which begins with the part.
+    not pay for many. Blocks of less than ``fewest`` points, which NumPy computes, are not padded.
+    Yields each block and the padded list to compute, which begins with the block.
     """
     for start in range(0, indices.size, longest):
-        part = indices[start : start + longest]
-        if part.size < fewest:
-            yield part, part
+        block = indices[start : start + longest]
+        if block.size < fewest:
+            yield block, block
             continue
         length = longest
-        while length // 8 >= max(part.size, longest if shortest is None else shortest):
+        while length // 8 >= max(block.size, longest if shortest is None else shortest):
             length //= 8
-        yield part, np.resize(part, length)
+        yield block, np.resize(block, length)
 
 
 def alike(kinds: Iterable[Hashable]) -> list[list[int]]:
-    """Return the indices of items of one kind, which may be evaluated together."""
-    numbers: dict[Hashable, list[int]] = defaultdict(list)
-    for number, kind in enumerate(kinds):
-        numbers[kind].append(number)
-    return list(numbers.values())
+    """The indices of the items of each kind, which may be evaluated together."""
+    indices: dict[Hashable, list[int]] = defaultdict(list)
+    for index, kind in enumerate(kinds):
+        indices[kind].append(index)
+    return list(indices.values())
 
 
 def use_compilation_cache(folder: str | os.PathLike[str] | None = None) -> Path:
@@ -305,7 +305,7 @@ def use_compilation_cache(folder: str | os.PathLike[str] | None = None) -> Path:
         import jax
         from jax.experimental.compilation_cache import compilation_cache
 
-        compilation_cache.reset_cache()  # it keeps to the folder of the first program, or to none
+        compilation_cache.reset_cache()  # else the first program's folder, or none, remains
         for name, value in options.items():
             jax.config.update(name, value)
     return path

@@ -28,7 +28,7 @@ AXES: Final = ("alpha", "beta", "gamma", "delta", "delay")
 
 
 class Verdict(IntEnum):
-    """What is known about the stability of one point; a small integer, so that arrays store int8.
+    """A verdict on the stability of one point; a small integer, so that arrays store int8.
 
     A loop is stable when every root of its characteristic polynomial (paper, eq. (9)) lies inside
     the unit circle. Zero means that nothing was computed, so a block of a file that was wiped or
@@ -53,10 +53,10 @@ class Status(IntEnum):
 
     words: str
 
-    def __new__(cls, number: int, words: str = "") -> "Status":
+    def __new__(cls, code: int, words: str = "") -> "Status":
         """Make a member of its number; the words go with it."""
-        member = int.__new__(cls, number)
-        member._value_ = number
+        member = int.__new__(cls, code)
+        member._value_ = code
         member.words = words
         return member
 

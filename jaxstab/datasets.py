@@ -41,13 +41,13 @@ FORMAT_VERSIONS: Final = ("v110", "v110")
 
 _FILTERS = {"shuffle": True, "compression": "gzip", "compression_opts": 1, "fletcher32": True}
 _KEY, _MAKER, _PART = "key", "computed_by", "part"
-_AT_ONCE = 256  # blocks in flight; more workers than that are not kept busy
+_AT_ONCE = 256  # blocks in flight, and so the most workers that are busy
 
 
 class Variable(NamedTuple):
-    """A variable, or the coordinate of a dimension: its type, its name in words and its unit.
+    """A variable, or the coordinate of a dimension: its type, its description and its unit.
 
-    flags: the words of codes, by their numbers; without: dimensions that the variable lacks.
+    flags: the names of codes; without: dimensions that the variable lacks.
     """
 
     dtype: str
@@ -80,7 +80,7 @@ class Dataset(Job[Block]):
         coordinates: the dimensions in order, with the values along each.
         variables: those over all dimensions, and what coordinates are, by their names.
         attributes: of the file, as text.
-        identity: what tells it from other datasets, all that is computed from, to the last digit.
+        identity: everything that the values depend on, to the last digit.
         compute: the variables in a block, by name; it and its arguments can be pickled.
         size: values in a block, at most.
         labels: further coordinates along one dimension each, by name: the dimension, the values.
@@ -124,10 +124,10 @@ class Dataset(Job[Block]):
     @property
     def chunk(self) -> tuple[int, ...]:
         """The shape of a block: whole dimensions from the last one on, as many as it may hold."""
-        left, lengths = self.size, list[int]()
+        room, lengths = self.size, list[int]()
         for length in reversed(self.shape):
-            lengths.append(max(1, min(length, left)))
-            left //= lengths[-1]
+            lengths.append(max(1, min(length, room)))
+            room //= lengths[-1]
         return tuple(reversed(lengths))
 
     @property
@@ -137,15 +137,15 @@ class Dataset(Job[Block]):
         return {name: v for name, v in self.variables.items() if name not in others}
 
     def own(self, variable: Variable, along: Sequence[Item]) -> tuple[Item, ...]:
-        """Return what belongs to the dimensions that a variable has, of something for each."""
+        """The items of the dimensions that a variable has, from one item for each dimension."""
         pairs = zip(self.coordinates, along, strict=True)
-        return tuple(one for name, one in pairs if name not in variable.without)
+        return tuple(item for name, item in pairs if name not in variable.without)
 
     @property
     def items(self) -> list[Block]:
         """The blocks of the part."""
-        number, count = self.part
-        return self.blocks[number - 1 :: count]
+        index, count = self.part
+        return self.blocks[index - 1 :: count]
 
     @property
     def blocks(self) -> list[Block]:
@@ -153,15 +153,15 @@ class Dataset(Job[Block]):
         starts = (range(0, n, step) for n, step in zip(self.shape, self.chunk, strict=True))
         return [
             tuple(
-                slice(first, min(first + step, n))
-                for first, step, n in zip(place, self.chunk, self.shape, strict=True)
+                slice(start, min(start + step, n))
+                for start, step, n in zip(place, self.chunk, self.shape, strict=True)
             )
             for place in product(*starts)
         ]
 
     def name(self, item: Block) -> str:
         """The name of a block: where it begins."""
-        return "-".join(str(part.start) for part in item)
+        return "-".join(str(span.start) for span in item)
 
     def image(self, item: Block) -> bytes:
         """The block, computed, as an archive of arrays."""
@@ -189,7 +189,7 @@ class Dataset(Job[Block]):
         return self._is_own(item, _arrays(image))
 
     def _is_own(self, item: Block, arrays: Arrays) -> bool:
-        lengths = tuple(part.stop - part.start for part in item)
+        lengths = tuple(span.stop - span.start for span in item)
         return str(arrays.get(_KEY)) == self.key and all(
             name in arrays
             and arrays[name].shape == self.own(variable, lengths)
@@ -234,8 +234,8 @@ class Dataset(Job[Block]):
             labelled = [label for label, (along, _) in self.labels.items() if along in own]
             coordinates = {"coordinates": " ".join(labelled)} if labelled else {}
             write_attributes(created, {**variable.attributes, **coordinates})
-            for number, dimension in enumerate(own):
-                created.dims[number].attach_scale(file[dimension])
+            for axis, dimension in enumerate(own):
+                created.dims[axis].attach_scale(file[dimension])
             datasets[name] = created
         return datasets
 
@@ -298,7 +298,7 @@ def _opened(path: Path) -> Iterator[h5py.File]:
             yield file
 
 
-class Kept(NamedTuple):
+class Header(NamedTuple):
     """Attributes and coordinates of a file; dimensions, units and long names by variable."""
 
     attributes: dict[str, str]
@@ -308,8 +308,8 @@ class Kept(NamedTuple):
     long_names: dict[str, str]
 
 
-def kept(path: Path) -> Kept:
-    """Return what the file of a dataset holds, without the values of its variables.
+def header_of(path: Path) -> Header:
+    """The contents of the file of a dataset, without the values of its variables.
 
     OSError: it cannot be read; ValueError: it is no file of a dataset.
     """
@@ -317,7 +317,7 @@ def kept(path: Path) -> Kept:
         if _KEY not in file.attrs:
             raise ValueError(f"{path} is not a jaxstab dataset.")
         scales = {name for name in file if file[name].is_scale}
-        return Kept(
+        return Header(
             {name: _text(file, name) for name in file.attrs},
             {name: _decoded(file[name][()]) for name in sorted(scales)},
             {
@@ -331,7 +331,7 @@ def kept(path: Path) -> Kept:
 
 
 def chunks(path: Path, name: str) -> Iterator[tuple[Block, NDArray[Any]]]:
-    """Yield the values of a variable, a chunk at a time, each with its place."""
+    """Yield the values of a variable, a chunk at a time, each with its block."""
     with _opened(path) as file:
         for block in file[name].iter_chunks():
             yield tuple(block), file[name][block]
@@ -353,30 +353,30 @@ def merged(parts: Sequence[Path], path: Path) -> None:
         raise FileExistsError(f"{path} exists; remove it, or give another name.")
     own: dict[tuple[int, int], Path] = {}
     keys = dict[str, Path]()
-    for one in parts:
-        with _opened(one) as file:
+    for each in parts:
+        with _opened(each) as file:
             if _PART not in file.attrs or _KEY not in file.attrs:
-                raise ValueError(f"{one} is no part of a study; give the files that --part wrote.")
+                raise ValueError(f"{each} is no part of a study; give the files that --part wrote.")
             key, part = _text(file, _KEY), _part(file)
-        keys.setdefault(key, one)
+        keys.setdefault(key, each)
         if len(keys) > 1:
-            first, second = keys.values()
+            base, other = keys.values()
             raise ValueError(
-                f"{second} and {first} are parts of different studies, or of different versions of "
+                f"{other} and {base} are parts of different studies, or of different versions of "
                 "jaxstab; give those of one."
             )
         if part in own:
-            raise ValueError(f"{one} and {own[part]} are the same part; give each once.")
-        own[part] = one
+            raise ValueError(f"{each} and {own[part]} are the same part; give each once.")
+        own[part] = each
     count = max((count for _, count in own), default=0)
-    missing = [number for number in range(1, count + 1) if (number, count) not in own]
+    missing = [k for k in range(1, count + 1) if (k, count) not in own]
     if missing or not own:
         words = f"part {missing[0]} of {count} is missing" if own else "no part is given"
         raise ValueError(f"{words}; give the files of all parts.")
     with replacing(path) as descriptor:
         stream = PatientStream(descriptor)
-        first, *others = (one for _, one in sorted(own.items()))
-        with first.open("rb") as source:
+        base, *others = (own[part] for part in sorted(own))
+        with base.open("rb") as source:
             shutil.copyfileobj(source, stream)
         stream.check()
         with h5py.File(stream, "r+", libver=FORMAT_VERSIONS) as file:
@@ -394,19 +394,19 @@ def _copy_chunks(source: h5py.File, target: h5py.File) -> None:
         if source[name].chunks is None:  # a coordinate
             continue
         chunks = source[name].id
-        for number in range(chunks.get_num_chunks()):
-            place = chunks.get_chunk_info(number).chunk_offset
+        for index in range(chunks.get_num_chunks()):
+            place = chunks.get_chunk_info(index).chunk_offset
             mask, raw = chunks.read_direct_chunk(place)
             target[name].id.write_direct_chunk(place, raw, mask)
 
 
 def _part(file: h5py.File) -> tuple[int, int]:
-    number, _, count = _text(file, _PART).partition(" of ")
-    return int(number), int(count)
+    index, _, count = _text(file, _PART).partition(" of ")
+    return int(index), int(count)
 
 
-def _text(of: h5py.File | h5py.Dataset, name: str) -> str:
-    value = of.attrs.get(name, b"")
+def _text(holder: h5py.File | h5py.Dataset, name: str) -> str:
+    value = holder.attrs.get(name, b"")
     return value.decode() if isinstance(value, bytes) else str(value)
 
 
@@ -426,8 +426,8 @@ def mesh_of(values: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
         axes = [rank - array.ndim + k for k, length in enumerate(array.shape) if length > 1]
         if len(axes) > 1 or owners.get(axes[0] if axes else -1, name) != name:
             raise ValueError(
-                f"{name} has the shape {array.shape}; for a file each array varies along an axis "
-                "of its own: give those of np.ix_(...)."
+                f"{name} has the shape {array.shape}; for a file each array varies along a "
+                "different axis: give those of np.ix_(...)."
             )
         owners |= dict.fromkeys(axes, name)
     return {owners[axis]: arrays[owners[axis]].ravel() for axis in sorted(owners)}

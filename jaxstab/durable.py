@@ -155,7 +155,7 @@ def _replacing(folder: Folder, name: str, target: Path | str, mode: int | None) 
 
 
 def target_of(path: Path) -> tuple[Path, int | None]:
-    """Where a file is written, behind symbolic links, and the mode of the one there, if any."""
+    """The target of a path, behind symbolic links, and the mode of the file there, if any."""
     target = Path(os.path.realpath(path))
     try:
         status = target.stat()
@@ -180,9 +180,9 @@ def named_errors(deed: str, path: Path) -> Iterator[None]:
 
 def write_all(descriptor: int, data: bytes) -> None:
     """Write all of the data, however little the system takes at once."""
-    rest = memoryview(data)
-    while rest:
-        rest = rest[os.write(descriptor, rest) :]
+    remaining = memoryview(data)
+    while remaining:
+        remaining = remaining[os.write(descriptor, remaining) :]
 
 
 class PatientStream(io.RawIOBase):
@@ -197,7 +197,7 @@ class PatientStream(io.RawIOBase):
         self._place = 0
         self._size = 0
         self._error: OSError | None = None
-        self._kept: list[tuple[int, bytes]] = []
+        self._unwritten: list[tuple[int, bytes]] = []
 
     def check(self) -> None:
         """Raise the error that came up, if any."""
@@ -232,7 +232,7 @@ class PatientStream(io.RawIOBase):
             write_all(self._descriptor, written)
         except OSError as error:
             self._error = self._error or error
-            self._kept.append((self._place, written))
+            self._unwritten.append((self._place, written))
         self._place += len(written)
         self._size = max(self._size, self._place)
         return len(written)
@@ -249,9 +249,9 @@ class PatientStream(io.RawIOBase):
             self._error = self._error or error
             on_disk = b""
         target[: len(on_disk)] = on_disk
-        for place, kept in self._kept:
-            first, last = max(place, start), min(place + len(kept), stop)
-            if first < last:
-                target[first - start : last - start] = kept[first - place : last - place]
+        for place, data in self._unwritten:
+            begin, end = max(place, start), min(place + len(data), stop)
+            if begin < end:
+                target[begin - start : end - start] = data[begin - place : end - place]
         self._place = stop
         return len(target)

@@ -104,7 +104,7 @@ def key(check: Check, default: Any = MISSING) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """What a table of a file becomes; ValueError on the first value that is not allowed."""
+    """A checked table of a file; ValueError on the first value that is not allowed."""
 
     def __post_init__(self) -> None:
         _checked_values(type(self), vars(self))
@@ -130,12 +130,12 @@ class Table:
         return table
 
 
-def check_keys(place: str, keys: Iterable[str], known: list[str]) -> None:
-    """Refuse a key that is not known, with the most similar one in the sentence."""
+def check_keys(place: str, keys: Iterable[str], allowed: list[str]) -> None:
+    """Refuse a key that is not allowed, and suggest the most similar one."""
     for name in keys:
-        if name not in known:
-            near = _similar(name, known)
-            hint = f"did you mean {near!r}?" if near else f"known are {', '.join(known)}."
+        if name not in allowed:
+            near = _similar(name, allowed)
+            hint = f"did you mean {near!r}?" if near else f"known are {', '.join(allowed)}."
             unknown = shortened(name) if len(name) > MOST_LETTERS else printable(name)
             raise ValueError(f"{_path(place, unknown)} is unknown; {hint}")
 
@@ -179,8 +179,8 @@ def interval(unit: str, *, is_positive: bool = False) -> Check:
     def check(value: Any) -> tuple[float, float]:
         ends = value if isinstance(value, list | tuple) else (value, value)
         numbers = [_finite(end) for end in ends]
-        are_known = all(0.0 <= number < inf for number in numbers)
-        if len(numbers) != 2 or not are_known or (is_positive and 0.0 in numbers):
+        are_allowed = all(0.0 <= end < inf for end in numbers)
+        if len(numbers) != 2 or not are_allowed or (is_positive and 0.0 in numbers):
             raise ValueError(f"give {allowed}")
         low, high = numbers
         if low > high:
@@ -191,22 +191,22 @@ def interval(unit: str, *, is_positive: bool = False) -> Check:
 
 
 def one_of(names: Iterable[str]) -> Check:
-    """Return the check of one of some names."""
-    known = list(names)
+    """Return the check of a name that is one of these."""
+    allowed = list(names)
 
     def check(value: Any) -> str:
-        if value not in known:
-            near = _similar(str(value), known)
-            raise ValueError(f"did you mean {near!r}?" if near else f"give {', '.join(known)}")
+        if value not in allowed:
+            near = _similar(str(value), allowed)
+            raise ValueError(f"did you mean {near!r}?" if near else f"give {', '.join(allowed)}")
         return str(value)
 
     return check
 
 
-def _similar(name: str, known: list[str]) -> str | None:
-    """Return the known name that is most similar, whatever its case; one that it begins with."""
-    small = {one.lower(): one for one in known}
-    begins = [one for one in known if name.lower().startswith(one.lower())]
+def _similar(name: str, names: list[str]) -> str | None:
+    """The name that is most similar, whatever its case; a name that it begins with goes first."""
+    small = {n.lower(): n for n in names}
+    begins = [n for n in names if name.lower().startswith(n.lower())]
     near = get_close_matches(name.lower(), small, n=1)
     return max(begins, key=len) if begins else small[near[0]] if near else None
 
@@ -271,17 +271,17 @@ def each(check: Check) -> Check:
     def check_list(value: Any) -> tuple[Any, ...]:
         if not isinstance(value, list | tuple):
             raise ValueError("give a list")
-        return tuple(_checked(str(number), entry, check) for number, entry in enumerate(value))
+        return tuple(_checked(str(index), entry, check) for index, entry in enumerate(value))
 
     return check_list
 
 
 def _checked_values(kind: type[Table], values: Mapping[str, Any]) -> dict[str, Any]:
-    known = {entry.name: entry for entry in fields(kind)}
+    entries = {entry.name: entry for entry in fields(kind)}
     return {
         name: value
-        if value is known[name].default
-        else _checked(name, value, known[name].metadata["check"])
+        if value is entries[name].default
+        else _checked(name, value, entries[name].metadata["check"])
         for name, value in values.items()
     }
 
@@ -305,7 +305,7 @@ def _path(place: str, name: str) -> str:
 
 
 def _finite(value: Any) -> float:
-    """Return a number as a float; infinite whatever is none or too large."""
+    """A number as a float; infinite for anything else and for too large ones."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return inf
     try:

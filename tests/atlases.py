@@ -7,11 +7,9 @@ from pathlib import Path
 
 import h5py
 
-from jaxstab.atlas import Atlas, AtlasSpec, FittedAxis, build_atlas
-from jaxstab.atlas.format import schema as footer
-from jaxstab.atlas.format.schema import VARIABLES, digest_of
-from jaxstab.atlas.format.table import table_text
-from jaxstab.atlas.read import file
+from jaxstab.atlas import Atlas, AtlasSpec, FittedAxis, build_atlas, file
+from jaxstab.atlas import schema as footer
+from jaxstab.atlas.schema import VARIABLES, digest_of, table_text
 from jaxstab.atlas.write.variables import places_of
 
 SMALL = AtlasSpec(

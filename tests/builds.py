@@ -4,7 +4,7 @@ from functools import cache
 from pathlib import Path
 
 from jaxstab import AtlasSpec, plan_atlas
-from jaxstab.atlas.compute.plan import Plan, Tile
+from jaxstab.atlas.plan import Plan, Tile
 from jaxstab.atlas.write.build import Build
 
 KEY = "0" * 64

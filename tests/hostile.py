@@ -13,14 +13,13 @@ from itertools import product
 
 import numpy as np
 
-from jaxstab.atlas.format import schema
-from jaxstab.atlas.format import schema as footer
-from jaxstab.atlas.format.schema import Chunked, values_digest
-from jaxstab.atlas.format.spec import words_of
-from jaxstab.atlas.format.table import Place, table_text
-from jaxstab.atlas.format.variables import SLICE
+from jaxstab.atlas import schema
+from jaxstab.atlas import schema as footer
+from jaxstab.atlas.file import Array
+from jaxstab.atlas.product import SLICE
 from jaxstab.atlas.products.table import PRODUCTS
-from jaxstab.atlas.read.file import Array
+from jaxstab.atlas.schema import Chunked, Place, table_text, values_digest
+from jaxstab.atlas.spec import words_of
 
 Arrays = dict[str, Array]
 _FILTERS = words_of(None)

@@ -6,7 +6,7 @@ import h5py
 import numpy as np
 from hostile import parted
 
-from jaxstab.atlas.format import schema as footer
+from jaxstab.atlas import schema as footer
 
 
 def with_another_image(data: bytes, edit: Callable[[h5py.File], None]) -> bytes:

@@ -11,7 +11,7 @@ from atlases import SMALL, small_atlas, write_small
 
 from benchmarks import truth
 from jaxstab import Atlas, AtlasSpec, FittedAxis, Verdict, build_atlas, open_atlas
-from jaxstab.atlas.compute.layout import Grid, lay_out
+from jaxstab.atlas.plan import Grid, lay_out
 from jaxstab.conventions import AXES
 from jaxstab.results import QueryStatus
 

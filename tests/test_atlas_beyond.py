@@ -20,7 +20,7 @@ from jaxstab import (
     plan_atlas,
     verdict,
 )
-from jaxstab.atlas.compute.verdicts import _bounds
+from jaxstab.atlas.proved import _bounds
 from jaxstab.model import by_name
 
 SCENE = """

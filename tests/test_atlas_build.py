@@ -25,9 +25,9 @@ from hostile import retold, sub
 
 import jaxstab
 from jaxstab import build_atlas, durable, open_atlas
-from jaxstab.atlas.compute.plan import Plan, Tile
-from jaxstab.atlas.format.schema import VARIABLES
+from jaxstab.atlas.plan import Plan, Tile
 from jaxstab.atlas.products.table import PRODUCTS
+from jaxstab.atlas.schema import VARIABLES
 from jaxstab.atlas.write import build
 from jaxstab.atlas.write.tiles import name_of
 from jaxstab.tiles import shards_of

@@ -19,9 +19,8 @@ import jaxstab
 from benchmarks import truth
 from benchmarks.truth import filtered
 from jaxstab import Atlas, AtlasSpec, FittedAxis, Velocity, build_atlas
-from jaxstab.atlas.format import schema as footer
-from jaxstab.atlas.write.build import write_atlas
-from jaxstab.atlas.write.verify import verify_atlas
+from jaxstab.atlas import schema as footer
+from jaxstab.atlas.write.build import verify_atlas, write_atlas
 from jaxstab.cli.main import main
 from jaxstab.point.fields import UNKNOWN, _outwards, fields_of_grid, poles_outside
 from jaxstab.tiles import processes

@@ -26,14 +26,13 @@ from hostile_images import IMAGES, with_another_image
 
 import jaxstab
 from jaxstab import open_atlas, plan_atlas
-from jaxstab.atlas.compute.plan import compute_tile
-from jaxstab.atlas.format import schema
-from jaxstab.atlas.format import schema as footer
-from jaxstab.atlas.format.variables import NODE
+from jaxstab.atlas import file, schema
+from jaxstab.atlas import schema as footer
+from jaxstab.atlas.plan import compute_tile
+from jaxstab.atlas.product import NODE
 from jaxstab.atlas.products.table import PRODUCTS
-from jaxstab.atlas.read import file
+from jaxstab.atlas.write.build import verify_atlas
 from jaxstab.atlas.write.variables import filters_of, packed
-from jaxstab.atlas.write.verify import verify_atlas
 from jaxstab.model import by_name
 
 FOREIGN = {

@@ -18,9 +18,9 @@ from jaxstab import (
     stable_region,
     verdict,
 )
+from jaxstab.atlas import file
+from jaxstab.atlas.atlas import checked_range
 from jaxstab.atlas.products.table import PRODUCTS
-from jaxstab.atlas.read import file
-from jaxstab.atlas.read.points import checked_range
 from jaxstab.conventions import AXES
 from jaxstab.model import by_name
 from jaxstab.results import QueryStatus

@@ -5,7 +5,7 @@ import pytest
 from atlases import moving_atlas, small_atlas
 
 from jaxstab import Atlas
-from jaxstab.atlas.products.limits import DelayCells, LimitTable, in_parts
+from jaxstab.atlas.lookup import DelayCells, LimitTable, in_blocks
 from jaxstab.model import by_name
 
 
@@ -125,11 +125,11 @@ def test_parts_are_of_floats_and_of_bounded_length(dtype: str) -> None:
         return [0.5 * (one + other), one > other]
 
     one, other = np.arange(1000).astype(dtype)[:, None], np.arange(0, 600, 2).astype(dtype)
-    half, is_more = in_parts(halved_sum, [one, other.T[::-1]], np.float64, np.bool_)
+    half, is_more = in_blocks(halved_sum, [one, other.T[::-1]], np.float64, np.bool_)
     expected = one.astype(float), other[::-1].astype(float)
     np.testing.assert_array_equal(half, 0.5 * (expected[0] + expected[1]))
     np.testing.assert_array_equal(is_more, expected[0] > expected[1])
     assert sum(sizes) == 300_000
     assert max(sizes) <= 65_536
-    empty, _ = in_parts(halved_sum, [one[:0], other], np.float64, np.bool_)
+    empty, _ = in_blocks(halved_sum, [one[:0], other], np.float64, np.bool_)
     assert empty.shape == (0, 300)

@@ -10,8 +10,8 @@ import pytest
 
 from benchmarks import truth
 from jaxstab import Verdict, characteristic_polynomial, verdict
-from jaxstab.atlas.compute import verdicts
-from jaxstab.atlas.compute.verdicts import cell_verdicts, node_verdicts, undecided_nodes
+from jaxstab.atlas import proved as verdicts
+from jaxstab.atlas.proved import cell_verdicts, node_verdicts, proved_nodes
 from jaxstab.proofs.columns import ColumnGaps, column_gaps
 from jaxstab.proofs.plant import HandBoxes
 
@@ -41,7 +41,8 @@ class Slice(NamedTuple):
         return node_verdicts(self.alpha, self.beta, *self.hand, self.delay)[0]
 
     def undecided(self) -> int:
-        return int(undecided_nodes(self.alpha, self.beta, *self.hand, self.delay)[0])
+        codes = proved_nodes(self.alpha, self.beta, *self.hand, self.delay)
+        return int(np.sum(codes == Verdict.UNDECIDED))
 
     @property
     def hand(self) -> tuple[np.ndarray, np.ndarray]:

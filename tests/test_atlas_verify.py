@@ -12,8 +12,8 @@ from click.testing import CliRunner
 from hostile import parted, retold, sub
 
 from jaxstab import AtlasSpec, FittedAxis, build_atlas, open_atlas, spectral_radius
-from jaxstab.atlas.format import schema as footer
-from jaxstab.atlas.format.schema import VARIABLES, content_digest, digest_of
+from jaxstab.atlas import schema as footer
+from jaxstab.atlas.schema import VARIABLES, content_digest, digest_of
 from jaxstab.cli.main import main
 
 SPEC = AtlasSpec(

@@ -2,6 +2,7 @@
 
 import gc
 from dataclasses import replace
+from typing import Any
 from weakref import ref
 
 import numpy as np
@@ -179,6 +180,59 @@ def test_a_turn_of_the_boundary_next_to_an_axis_is_not_passed_over() -> None:
         wall = limits.stiffness[index], limits.at_damping[index]
         assert own.verdict(wall[0] * (1.0 - 1e-7), wall[1]) == Verdict.STABLE
         assert own.verdict(wall[0] * (1.0 + 1e-7), wall[1]) == Verdict.UNSTABLE
+
+
+def families() -> list[list[HapticLoop]]:
+    """Loops of degree 9 of three kinds: what their programs have to solve is next to corners."""
+    masses = np.linspace(0.04, 0.042, COUNT).tolist()
+    slow = Velocity.butterworth(17.0, order=4)  # four poles next to each other
+    slower = Velocity.butterworth(16.5521, order=3)  # the stiffest wall has B = 0
+    mode = Mode(frequency=165.371, damping_ratio=0.006, modal_mass=0.05)
+    shared: dict[str, Any] = {"sample_time": PERIOD}
+    return [
+        [HapticLoop(device_mass=m, device_damping=1.5, velocity=slow, **shared) for m in masses],
+        [
+            HapticLoop(
+                device_mass=17.0 * m,
+                device_damping=11.904,
+                delay=2.397e-3,
+                velocity=slower,
+                **shared,
+            )
+            for m in masses
+        ],
+        [
+            HapticLoop(
+                device=Device.modes([mode], mass=m, damping=0.2431),
+                delay=0.4273e-3,
+                velocity=Velocity.butterworth(87.8974, order=2),
+                **shared,
+            )
+            for m in masses
+        ],
+    ]
+
+
+def test_slow_filters_and_crossings_next_to_corners_are_resolved_by_the_program() -> None:
+    kinds = families()
+    limits = limits_of([loop for kind in kinds for loop in kind])
+    assert np.all(limits.is_single.reshape(3, COUNT).mean(axis=1) < 0.05)
+    for start, kind in zip(range(0, 3 * COUNT, COUNT), kinds, strict=True):
+        for number in range(0, COUNT, 24):
+            loop, index = kind[number], start + number
+            assert not is_wrong(limits, index, loop.limits())
+            stiffness, damping = limits.stiffness[index], limits.at_damping[index]
+            beside = damping * (1.0 + np.linspace(-1e-5, 1e-5, 41))
+            assert np.any(loop.verdict(stiffness * (1.0 - 1e-6), beside) == Verdict.STABLE)
+            assert np.all(loop.verdict(stiffness * (1.0 + 1e-7), beside) == Verdict.UNSTABLE)
+
+
+def test_no_two_angles_of_a_scan_are_the_same() -> None:
+    """Sampled modes have real zeros, around which angles would be mirrored onto each other."""
+    for formed in loops_together._formed(families()[2]):
+        angles = loops_together._scans(formed, 9)
+        inner = angles[0][angles[0] > 1e-5]
+        assert np.min(np.diff(inner)) > 1e-9
 
 
 def test_a_program_is_kept_until_eight_others_are_needed() -> None:

@@ -54,6 +54,27 @@ def test_the_polygon_leaves_out_little_more_than_the_tolerance(rng: np.random.Ge
     np.testing.assert_array_equal(common.contains(*walls.T), stable)
 
 
+def test_the_stiffest_common_wall_has_a_damping_of_at_least_0() -> None:
+    """Two damped hands: the polygon is stiffest at B < 0, the answer where it crosses B = 0."""
+    loops = [
+        HapticLoop(
+            device_mass=0.1, device_damping=0.1, hand_damping=damping, hand_stiffness=200.0,
+            sample_time=1e-3, delay=1e-3, velocity=Velocity.difference(samples=20),
+        )
+        for damping in (9.0, 9.5)
+    ]  # fmt: skip
+    common = common_region(loops)
+    stiffness, damping = common.stiffest
+    highest = common.outline[np.argmax(common.outline[:, 0])]
+    assert highest[0] > stiffness
+    assert highest[1] < 0.0
+    assert damping == 0.0
+    assert stiffness == pytest.approx(min(loop.limits().stiffness for loop in loops), rel=0.03)
+    walls = np.linspace(0.0, 2.0 * stiffness, 4001)
+    inside = Path(common.outline).contains_points(np.stack([walls, 0.0 * walls], axis=-1))
+    assert abs(walls[inside].max() - stiffness) <= 1e-3 * stiffness
+
+
 def test_one_loop_of_one_mass_has_its_own_region() -> None:
     loop = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3, delay=0.5e-3)
     common = common_region([loop], tolerance=1e-3)

@@ -3,6 +3,7 @@
 import re
 import tomllib
 from collections.abc import Callable
+from dataclasses import replace
 from math import inf, pi
 from typing import Any
 
@@ -603,6 +604,47 @@ def test_friction_without_a_start_meets_the_push_of_a_finger() -> None:
     del table["device"]["friction"]
     with pytest.raises(ValueError, match=r"contact is missing; give contact\.push"):
         simulate_contacts(Scene.from_table(table))
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        (
+            {"device": {"mass": 0.02, "damping": 2000.0}},
+            "the device without a wall moves at 100 rad per sample",
+        ),
+        (
+            {"device": {"modes": [{"frequency": 3e4, "damping_ratio": 0.02, "modal_mass": 0.5}]}},
+            "the device without a wall moves at",
+        ),
+        (
+            {"device": {"modes": [{"frequency": 300.0, "damping_ratio": 0.02,
+                                   "modal_mass": -0.1}]}},
+            "has no mass at its handle, or a negative one",
+        ),
+    ],
+)  # fmt: skip
+def test_check_proves_what_it_cannot_simulate(changes: dict[str, Any], reason: str) -> None:
+    """The proofs do not depend on friction: they are those of the scene without it."""
+    check = check_walls(scene_with(**changes))
+    table = tomllib.loads(SCENE)
+    table["device"] |= changes["device"]
+    del table["contact"], table["device"]["friction"]
+    proved = check_walls(Scene.from_table(table))
+    for name, wall in check.walls.items():
+        assert reason in wall.simulated.contact
+        assert wall.simulated.contact.startswith("not simulated: ")
+        assert str(replace(wall, simulated=None)) == str(proved.walls[name])
+
+
+def test_a_wall_that_cannot_be_simulated_leaves_the_others() -> None:
+    table = tomllib.loads(SCENE)
+    walls = table.pop("walls")
+    whole = check_walls(Scene.from_table(table | {"walls": walls}))
+    walls["damper"] = {"stiffness": 0.0, "damping": 5.0}
+    check = check_walls(Scene.from_table(table | {"walls": walls}))
+    assert "nothing holds the device" in check.walls.pop("damper").simulated.contact
+    assert str(check) == str(whole)
 
 
 def test_the_map_of_a_scene_names_its_walls() -> None:

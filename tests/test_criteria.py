@@ -22,7 +22,7 @@ from jaxstab.paper import (
     routh_hurwitz_condition,
     validity,
 )
-from jaxstab.paper.passive import largest_value
+from jaxstab.paper.rules import largest_value
 from jaxstab.region import boundary_curve
 
 ANCHORS = Path(__file__).parents[1] / "data" / "reference" / "anchors.tsv"

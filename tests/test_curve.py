@@ -219,3 +219,22 @@ def test_the_limits_have_finite_derivatives(delay: float) -> None:
 def test_bad_input_is_refused_by_name(arguments: dict[str, float], name: str) -> None:
     with pytest.raises(ValueError, match=rf"^{name} is [^\n]*; [^\n]*\.$"):
         boundary_curve(**{"theta": 0.5, "gamma": 0.0, "delta": 0.0, "delay": 0.0} | arguments)
+
+
+@pytest.mark.parametrize("delay", [0.3, 2.75])
+@pytest.mark.parametrize(("gamma", "delta"), [(0.1, 0.2), (30.0, 0.1), (60.0, 3.0), (2.0, 5.0)])
+def test_poles_of_the_curve_are_the_zeros_of_the_numerator(
+    gamma: float, delta: float, delay: float
+) -> None:
+    """Their angles, and how far they are from the circle, by numpy's roots of the exact N."""
+    c = slice_coefficients(**by_name(gamma, delta, delay))
+    plant = truth.plant(gamma, delta, delay % 1.0)
+    zeros = np.roots([float(n) for n in (plant.n2, plant.n1, plant.n0)])
+    zeros = zeros[zeros != 0.0]
+    angles, distances = map(np.asarray, poles(c))
+    for zero in zeros:
+        away = np.abs(np.log(np.abs(zero)))
+        k = np.argmin(np.abs(angles - np.abs(np.angle(zero))) + np.abs(distances - away))
+        assert angles[k] == pytest.approx(np.abs(np.angle(zero)), abs=1e-9)
+        if 1e-6 < away < 1.0:
+            assert distances[k] == pytest.approx(away, rel=1e-6)

@@ -24,11 +24,10 @@ import jaxstab
 from benchmarks.truth import filtered as truth
 from benchmarks.truth.random_loops import DeviceLoop, Filters, MassLoop, hostile_walls
 from jaxstab import Filter, Velocity, Verdict
-from jaxstab.atlas.format.spec import position_of, toml_of, velocity_of
-from jaxstab.model import by_name, sections
-from jaxstab.model.filters import given_filters
+from jaxstab.atlas.spec import position_of, toml_of, velocity_of
+from jaxstab.model import by_name, filters
+from jaxstab.model.filters import Section, given_filters
 from jaxstab.model.linear_loop import _values, filtered_loop
-from jaxstab.model.sections import Section
 from jaxstab.point.schur_cohn import dense_codes, rounded_loop, without_zeros
 from jaxstab.region.curve import curve_and_lift, minus_offset, minus_slope
 from jaxstab.region.filtered_curve import filtered_curve, mass_system
@@ -210,6 +209,28 @@ def test_hostile_walls_of_random_loops_against_balls(kind: type[MassLoop | Devic
             is_stable = loop.balls.is_stable(*wall)
             if is_stable is not None and code != Verdict.UNDECIDED:
                 assert is_stable == (code == Verdict.STABLE), (loop, wall)
+
+
+@pytest.mark.parametrize(
+    ("velocity", "transfer"),
+    [
+        (Velocity.difference(samples=20), truth.difference(20)),  # steps on both ends, unrolled
+        (Velocity.difference(samples=40), truth.difference(40)),  # the same in a loop
+        ESTIMATORS["Butterworth"],  # on all coefficients, unrolled
+    ],
+)
+def test_compiled_verdicts_against_balls_however_close_to_the_boundary(
+    velocity: Velocity, transfer: truth.Rational
+) -> None:
+    plant = (1e-3, 1e-2, 1.0)
+    balls = truth.FilteredLoop(*plant, transfer, truth.average(1)).balls()
+    walls = hostile_walls(np.random.default_rng(5), balls, 100)
+    compiled = jax.jit(lambda *gains: jaxstab.verdict(*gains, **by_name(*plant), velocity=velocity))
+    codes = np.asarray(compiled(*jnp.asarray(walls.T)))
+    truths = np.array([balls.is_stable(*wall) for wall in walls.tolist()])
+    is_decided = (codes != Verdict.UNDECIDED) & (truths != None)  # noqa: E711
+    np.testing.assert_array_equal(codes[is_decided] == Verdict.STABLE, truths[is_decided])
+    assert {Verdict.STABLE, Verdict.UNSTABLE} <= set(codes.tolist())
 
 
 @pytest.mark.parametrize(("samples", "delay"), [(20, 1.0), (12, 2.5), (2, 12.0), (30, 0.0)])
@@ -722,12 +743,12 @@ def test_long_windows_are_answered(count: int) -> None:
         assert balls.is_stable(factor * alpha, beta) == (code == Verdict.STABLE)
 
 
-KINDS = [kind for kind in vars(sections).values() if isclass(kind) and issubclass(kind, Section)]
+KINDS = [kind for kind in vars(filters).values() if isclass(kind) and issubclass(kind, Section)]
 
 
-def test_files_outside_of_two_do_not_name_a_kind_of_filter() -> None:
+def test_files_outside_of_one_do_not_name_a_kind_of_filter() -> None:
     names = {kind.__name__ for kind in KINDS} - {"Section", "Rational"}  # a device has a Rational
-    words = {repr(kind.kind).replace("'", '"') for kind in sections.LOW_PASSES}
+    words = {repr(kind.kind).replace("'", '"') for kind in filters.LOW_PASSES}
     pattern = re.compile("|".join([*(rf"\b{name}\b" for name in sorted(names)), *sorted(words)]))
     package = Path(jaxstab.__file__).parent
     naming = {
@@ -738,7 +759,7 @@ def test_files_outside_of_two_do_not_name_a_kind_of_filter() -> None:
             for line in path.read_text(encoding="utf-8").splitlines()
         )
     }
-    assert naming == {"model/filters.py", "model/sections.py", "model/loop.py"}  # counts windows
+    assert naming == {"model/filters.py", "model/loop.py"}  # counts windows
 
 
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind is not Section])
@@ -756,6 +777,6 @@ def test_every_kind_of_section_has_makers_a_text_and_keys(kind: type[Section]) -
         assert callable(getattr(Velocity, section.estimator))
         assert eval(repr(velocity), {"Velocity": Velocity, "Filter": Filter}) == velocity
         assert velocity_of(parsed(f"velocity = {toml_of(velocity)}")["velocity"]) == velocity
-    if kind is not sections.Differentiator:
+    if kind is not filters.Differentiator:
         assert eval(repr(chain), {"Filter": Filter}) == chain
         assert position_of(parsed(f"position = {toml_of(chain)}")["position"]) == chain

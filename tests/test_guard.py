@@ -370,7 +370,7 @@ def test_the_command_writes_a_header_and_a_picture(tmp_path: Path) -> None:
     ]  # fmt: skip
     for kind, said, parameters in (
         ([], "delay, moving from sample to sample: 0.0009 to 0.0011 s", "double mass)"),
-        (["--lost-samples", "1"], "up to 1 samples lost in a row", "double mass)"),
+        (["--lost-samples", "1"], "up to 1 in a row lost", "double mass)"),
         (["--constant-delay"], "delay, constant during contact: 0.0009", "mass, double delay)"),
     ):
         answer = run(*words, *kind)

@@ -477,7 +477,7 @@ def test_what_is_not_proved_within_the_boxes_is_not_granted(
     assert not limits[~inside].any()
     assert limits[inside][1:-1].all()
     monkeypatch.setattr(jaxstab.guard.build, "_OF_DEVICE", work._replace(most=1))
-    with pytest.raises(RuntimeError, match="no wall is proved stable for every hand"):
+    with pytest.raises(RuntimeError, match="no wall was proved stable for every hand"):
         build_guard(LOOP, HANDS, mass=MASSES, delay=DELAYS, cells=(1, 1, 8), constant_delay=True)
 
 

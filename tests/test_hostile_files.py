@@ -19,9 +19,9 @@ from hostile_images import IMAGES, with_another_image
 from programs_in_c import compiled
 
 from jaxstab import Atlas, AtlasSpec, FittedAxis, build_atlas, open_atlas
-from jaxstab.atlas.format.variables import NODE
+from jaxstab.atlas import file
+from jaxstab.atlas.product import NODE
 from jaxstab.atlas.products.table import PRODUCTS
-from jaxstab.atlas.read import file
 from jaxstab.model import by_name
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -15,8 +15,8 @@ from jaxstab import Device, Filter, Hand, HandRange, HapticLoop, Mode, Velocity,
 from jaxstab.loop.between import LoopsWithHands
 from jaxstab.loop.jitter import MovingLoop, MovingRegion, _Search
 from jaxstab.model.device import SampledDevice, sampled_device
-from jaxstab.model.device.late_forces import late_response
 from jaxstab.model.device.periodic import segments_of
+from jaxstab.model.device.sampling import late_response
 from jaxstab.motion.moving_delays import Range
 from jaxstab.proofs import jitter
 
@@ -72,7 +72,7 @@ def test_the_response_to_late_forces_is_that_of_the_device_in_continuous_time(
         for powers, at in ((known.about_one, h), (known.about_minus_one, 2.0 - h)):
             value = sum(float(c.rounded()) * at**k for k, c in enumerate(powers))
             assert value == pytest.approx(true, rel=1e-6, abs=1e-13)
-        assert known.at(np.array([theta]))[0] == pytest.approx(true, rel=1e-6, abs=1e-13)
+        assert known.values_at(np.array([theta]))[0] == pytest.approx(true, rel=1e-6, abs=1e-13)
 
 
 def _floats(device: Device, is_above: bool = False) -> list[float]:
@@ -147,6 +147,40 @@ def test_boxes_enclose_both_sides_of_the_inequality(name: str) -> None:
 
 def _denominator(device: SampledDevice) -> list[float]:
     return [float(c.rounded()) for c in device.plant.denominator]
+
+
+@pytest.mark.parametrize("name", ["free mass", "mass on a spring"])
+@pytest.mark.parametrize("damping", [0.5, 8.0])
+def test_the_stiffnesses_that_an_angle_excludes_end_where_the_inequality_does(
+    name: str, damping: float
+) -> None:
+    """K up to 10 kN/m, without filters: below, within and above each interval."""
+    delay, most = 0.3, 0.7
+    device = sampled_device(DEVICES[name], T, delay)
+    cells = jitter.MovingCells.of(device, None, most)
+    ends = cells.excluded(np.array([damping * device.damping_unit]))
+    low, high = (end[0] / device.stiffness_unit for end in ends)
+    above, below = _floats(DEVICES[name], True), _floats(DEVICES[name])
+    tried = 0
+    for k in range(40, jitter._THETA.size, 271):
+        theta = float(jitter._THETA[k])
+        z = np.exp(1j * theta)
+        s = 1j * (theta + 2.0 * np.pi * np.arange(-20000, 20001)) / T
+        hold = (1.0 - np.exp(-s * T)) / (s * T) * np.exp(-s * delay * T)
+        response = np.sum(np.polyval(above, s) / np.polyval(below, s) * hold)
+        late = true_response(name, theta, delay, most)
+
+        def holds(stiffness: float, z=z, response=response, late=late) -> bool:
+            wall = stiffness + damping * (1.0 - 1.0 / z) / T
+            return abs(1.0 + response * wall) ** 2 > late * abs((z - 1.0) * wall) ** 2
+
+        inside = [low[k], high[k]] if low[k] < high[k] else []
+        stiffnesses = {-1e4, 1e4, *(end * (1.0 + d) for end in inside for d in (-0.01, 0.01))}
+        for stiffness in stiffnesses - {inf, -inf}:
+            if all(abs(stiffness - end) > 5e-3 * abs(end) for end in inside if abs(end) < inf):
+                assert holds(stiffness) != (low[k] < stiffness < high[k]), (theta, stiffness)
+                tried += 1
+    assert tried > 40
 
 
 # -------------------------------------------------------------------------- verdicts, from outside

@@ -44,6 +44,7 @@ PERIOD = 2.0**-10
 DRAWN = devices.Drawn(
     0.25, 0.1, [(80.0, 0.02, 0.5)], (1.0, 5.0, 300.0, (4.0, 2000.0)), 400.0, PERIOD, 1.0
 )
+HALF_OF_A_BOUND = 0.5  # at a corner of some box more than that is attained
 CUTOFF = 0.1  # per sample
 
 
@@ -129,7 +130,7 @@ def test_boxes_hold_the_polynomials_of_all_loops(name: str, rng: np.random.Gener
     shared = flint.arb(np.exp(-2.0 * np.pi * CUTOFF))
     unit = family.first.stiffness_unit / family.first.damping_unit / PERIOD
     for number in range(count):
-        for x in rng.uniform(-1.0, 1.0, (3, 3)):
+        for x in (*rng.uniform(-1.0, 1.0, (2, 3)), rng.choice([-1.0, 1.0], 3)):
             with flint.ctx.workprec(300):
                 place = flint.acb(flint.arb(t[number] + by_t[number] * x[1]))
                 whole = int(cells.lags[piece[number]]) - 1
@@ -155,6 +156,8 @@ def check_boxes(
 ) -> None:
     """Compare g over boxes of one loop with its equations of motion, at points of the boxes.
 
+    Halved, the bounds would be smaller than what they bound at a corner of some box.
+
     ``gains`` are alpha, beta; all have shape (..., point, box), ``sides`` the place in the box.
     """
     sampled = loop_of().sampled
@@ -162,6 +165,7 @@ def check_boxes(
     units = sampled.stiffness_unit, sampled.damping_unit
     velocity = filtered.times(filtered.difference(1), filtered.low_pass(CUTOFF, order=1))
     system = DRAWN.mechanism.system()
+    shares = []
     for point, box in np.ndindex(theta.shape):
         late = float(delay[point, box])
         balls = devices.DeviceLoop(system, PERIOD, late, velocity, filtered.average(1)).balls()
@@ -175,19 +179,18 @@ def check_boxes(
             # Over the power of z and the filter's denominator, as g.
             g = p(z) / z ** p.degree() / (1 - flint.arb(-2.0 * np.pi * CUTOFF).exp() / z)
         linear = found.value[box] + found.moves[:, box] @ sides[:, point, box]
-        assert abs(complex(g) - linear) <= found.rest[box]
+        shares.append(abs(complex(g) - linear) / found.rest[box])
+    assert HALF_OF_A_BOUND < max(shares) <= 1.0
 
 
 def random_boxes(rng: np.random.Generator, count: int) -> tuple[np.ndarray, ...]:
-    """Angles, their half-widths, gains, and places in boxes of two axes."""
+    """Angles, their half-widths, gains, and places in boxes of two axes, some of them corners."""
     by_theta = 0.5 * np.pi * 10.0 ** rng.uniform(-7, -0.5, count)
     theta = by_theta + (np.pi - 2.0 * by_theta) * rng.random(count)
-    return (
-        theta,
-        by_theta,
-        10.0 ** rng.uniform(-4, 0, (2, count)),
-        rng.uniform(-1, 1, (2, 3, count)),
-    )
+    gains = 10.0 ** rng.uniform(-4, 0, (2, count))
+    corners = rng.choice([-1.0, 1.0], (2, 1, count))
+    sides = np.concatenate([rng.uniform(-1, 1, (2, 2, count)), corners], axis=1)
+    return theta, by_theta, gains, sides
 
 
 def test_boxes_of_lines_hold_the_polynomial(rng: np.random.Generator) -> None:

@@ -178,7 +178,7 @@ def test_what_takes_long_is_shown_on_a_terminal(tmp_path: Path) -> None:
 
 MEMORY = """
 import resource, sys
-from jaxstab.atlas.write.verify import verify_atlas
+from jaxstab.atlas.write.build import verify_atlas
 
 def checks():
     return [check.passed for check in verify_atlas(sys.argv[1], 16)]

@@ -20,10 +20,10 @@ from jaxstab import (
     stable_region,
     verdict,
 )
-from jaxstab.atlas.compute import layout
-from jaxstab.atlas.compute.plan import compute_tile
-from jaxstab.atlas.format.schema import VARIABLES
+from jaxstab.atlas import plan as plans
+from jaxstab.atlas.plan import compute_tile
 from jaxstab.atlas.products.table import PRODUCTS
+from jaxstab.atlas.schema import VARIABLES
 from jaxstab.atlas.write.resolution import estimate_build
 from jaxstab.results import QueryStatus, RegionStatus
 
@@ -59,7 +59,7 @@ def test_a_tile_is_the_same_alone_and_in_an_atlas_of_any_tiles(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     plan, whole = plan_atlas(SMALL), small_contents().arrays
-    monkeypatch.setattr("jaxstab.atlas.compute.plan.TILE_NODES", 1)
+    monkeypatch.setattr("jaxstab.atlas.plan.TILE_NODES", 1)
     assert len(plan.tiles) == 2 * 3 * 2
     for tile in plan.tiles[::-1]:
         for name, values in compute_tile(plan, tile).items():
@@ -122,7 +122,7 @@ def test_an_axis_is_laid_around_a_region_that_is_known(
 ) -> None:
     empty = replace(stable_region(gamma=np.pi**2, delta=0.0, delay=1.0), status=np.array(status))
     assert stable_region(gamma=np.pi**2, delta=0.0, delay=1.0).is_empty
-    monkeypatch.setattr(layout, "stable_region", lambda *_, **__: empty)
+    monkeypatch.setattr(plans, "stable_region", lambda *_, **__: empty)
     with pytest.raises(ValueError, match=re.escape(says)) as caught:
         plan_atlas(AtlasSpec(gamma=[1.0], delta=[0.0], delay=[1.0]))
     assert "\n" not in str(caught.value)

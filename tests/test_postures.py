@@ -13,10 +13,9 @@ from jaxstab import Verdict
 from jaxstab.scene import Scene
 from jaxstab.scene.atlas import atlas_spec
 from jaxstab.scene.check import check_walls
-from jaxstab.scene.design import design_loop
 from jaxstab.scene.limits import scene_limits
 from jaxstab.scene.loops import hands_among, ranges_of
-from jaxstab.scene.tune import tune_walls
+from jaxstab.scene.tune import design_loop, tune_walls
 from tests.commands import run
 
 MASSES = 0.15, 0.25

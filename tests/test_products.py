@@ -7,19 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxstab.atlas.compute.layout import reach_of
-from jaxstab.atlas.compute.plan import Plan, compute_tile, plan_atlas
-from jaxstab.atlas.format.schema import VARIABLES
-from jaxstab.atlas.format.spec import AtlasSpec
+from jaxstab.atlas.plan import Plan, compute_tile, extents_of, plan_atlas
 from jaxstab.atlas.products.limits import upper_errors
 from jaxstab.atlas.products.table import PRODUCTS
+from jaxstab.atlas.schema import VARIABLES
+from jaxstab.atlas.spec import AtlasSpec
 
 # A product that jaxstab does not have: the largest stable beta of each slice.
 NEW_PRODUCT = """
 import sys
 import numpy as np
-from jaxstab.atlas.format.variables import SLICE, Variable
-from jaxstab.atlas.products import product, table
+from jaxstab.atlas import product
+from jaxstab.atlas.product import SLICE, Variable
+from jaxstab.atlas.products import table
 
 
 class EndOfBeta(product.Product):
@@ -44,7 +44,7 @@ class EndOfBeta(product.Product):
 table.PRODUCTS[EndOfBeta.name] = EndOfBeta()
 import jaxstab
 from jaxstab.atlas.write.resolution import estimate_build
-from jaxstab.atlas.write.verify import verify_atlas
+from jaxstab.atlas.write.build import verify_atlas
 
 spec = jaxstab.AtlasSpec(gamma=[0.0], delta=[0.0, 0.01], delay=[0.0], products=[EndOfBeta.name])
 plan = jaxstab.plan_atlas(spec)
@@ -84,6 +84,6 @@ def test_a_part_of_a_product_is_what_its_variables_say(name: str) -> None:
         known = values[~np.isnan(values)] if variable.has_nan else values
         assert np.all((known >= variable.lowest) & (known <= variable.highest))
     if name == "alpha_limits":
-        errors = upper_errors(grid, arrays[name], reach_of(spec), np.random.default_rng(1))
+        errors = upper_errors(grid, arrays[name], extents_of(spec), np.random.default_rng(1))
         assert 0.0 <= np.median(errors) < 0.2  # one wide box of hands
         assert np.all(errors >= 0.0)

@@ -17,16 +17,16 @@ from programs_in_c import READER, compiled
 from benchmarks import truth
 from benchmarks.truth.filtered import FilteredLoop, average, difference
 from jaxstab import Atlas, AtlasSpec, Verdict, open_atlas
-from jaxstab.atlas.format import schema as footer
-from jaxstab.atlas.format.schema import (
+from jaxstab.atlas import schema as footer
+from jaxstab.atlas.file import table_of
+from jaxstab.atlas.product import SLICE
+from jaxstab.atlas.products.table import PRODUCTS
+from jaxstab.atlas.schema import (
     SCHEMA_VERSION,
     VARIABLES,
     content_digest,
     digest_of,
 )
-from jaxstab.atlas.format.variables import SLICE
-from jaxstab.atlas.products.table import PRODUCTS
-from jaxstab.atlas.read.file import table_of
 from jaxstab.atlas.write.variables import checked_datasets, opened, text_of
 from jaxstab.model import by_name
 from jaxstab.results import QueryStatus

@@ -19,8 +19,8 @@ from jaxstab import (
     plan_resolution,
     stable_region,
 )
-from jaxstab.atlas.compute.plan import Plan, Tile, compute_tile
-from jaxstab.atlas.format.schema import VARIABLES
+from jaxstab.atlas.plan import Plan, Tile, compute_tile
+from jaxstab.atlas.schema import VARIABLES
 from jaxstab.atlas.write import resolution
 from jaxstab.cli.main import main
 from jaxstab.model import by_name

@@ -442,7 +442,7 @@ def test_a_guard_takes_the_range_of_its_scene(
     file = tmp_path / "scene.toml"
     for keys, options, words in (
         ("", [], "delay, moving from sample to sample: 0.0009 to 0.0011 s"),
-        ("lost_samples = 1", [], "moving from sample to sample, up to 1 samples lost in a row: "),
+        ("lost_samples = 1", [], "moving from sample to sample, up to 1 in a row lost: "),
         ("delay_is = 'constant'", [], "delay, constant during contact: 0.0009 to 0.0011 s"),
         ("", ["--constant-delay"], "delay, constant during contact: 0.0009 to 0.0011 s"),
         ("", ["--delay", "1e-3", "--lost-samples", "1"], "row: 0.001 to 0.002 s"),

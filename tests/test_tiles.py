@@ -14,7 +14,7 @@ import pytest
 from builds import FORMER, KEY, TINY, entries, tiny_build, tiny_images, tiny_plan
 
 from jaxstab import build_atlas
-from jaxstab.atlas.format.schema import image_of, sealed
+from jaxstab.atlas.schema import image_of, sealed
 from jaxstab.atlas.write import build, tiles
 from jaxstab.atlas.write.tiles import VALUES_DIGEST, build_key, name_of
 from jaxstab.tiles import shards_of

@@ -13,7 +13,7 @@ from jaxstab import Device, Filter, HapticLoop, Mode, Velocity
 from jaxstab.paper import minus_line
 from jaxstab.proofs.exclusion import Loops, exclude
 from jaxstab.region import boundary_curve
-from jaxstab.region.corners import Branch
+from jaxstab.region.pieces import Branch
 from jaxstab.trace import TraceStatus, trace_boundary
 
 LOOP = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)

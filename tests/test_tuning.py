@@ -250,16 +250,25 @@ class TestMinimizeRadiusDamping:
         assert float(best.value) > 1
 
 
-def settled_mass(alpha: np.ndarray, beta: np.ndarray, delay: int, length: int) -> np.ndarray:
-    """2 % settling of a pushed, undamped mass (gamma = delta = 0) after ``length`` samples."""
+def settled_mass(
+    alpha: np.ndarray,
+    beta: np.ndarray,
+    delay: int,
+    length: int,
+    hand: tuple[float, float] = (0.0, 0.0),
+) -> np.ndarray:
+    """2 % settling of a pushed mass, held by a hand (gamma, delta), after ``length`` samples."""
     alpha, beta = np.broadcast_arrays(alpha, beta)
+    rates = np.zeros((3, 3))
+    rates[0, 1], rates[1] = 1.0, [-hand[0], -hand[1], 1.0]
+    (xx, xv, xf), (vx, vv, vf), _ = scipy.linalg.expm(rates)
     x, v = -np.ones(alpha.shape), np.zeros(alpha.shape)
     previous, waiting, first = x, [alpha] * delay, np.zeros(alpha.shape)
     for sample in range(length):
         first = np.where(np.abs(x) <= 0.02, first, sample + 1)
         waiting = [*waiting, -(alpha * x + beta * (x - previous))]
         force = waiting.pop(0)
-        x, v, previous = x + v + force / 2, v + force, x
+        x, v, previous = xx * x + xv * v + xf * force, vx * x + vv * v + vf * force, x
     return first
 
 
@@ -362,6 +371,55 @@ class TestOptimalGains:
         low, _ = truth.spectral_radius(alpha, beta, PHANTOM.gamma, PHANTOM.delta, 0.0)
         assert wall.radius + 1e-3 < low < wall.radius + 1e-2
 
+    @pytest.mark.parametrize(
+        ("mechanics", "stiffness", "is_negative"),
+        [
+            ({"device_damping": 1.0, "hand_stiffness": 20000.0}, None, "alpha"),
+            ({"device_damping": 1.0, "hand_stiffness": 5000.0, "hand_damping": 9.0}, None, "alpha"),
+            ({"device_damping": 30.0}, 500.0, "beta"),
+            ({"device_damping": 9.0, "hand_damping": 50.0, "hand_stiffness": 200.0}, 2e3, "beta"),
+        ],
+    )
+    def test_are_those_of_a_wall(
+        self, mechanics: dict[str, float], stiffness: float | None, is_negative: str
+    ) -> None:
+        """The paper's best gains are negative here; no wall of a fine grid beats these."""
+        loop = jaxstab.HapticLoop(device_mass=0.1, sample_time=1e-3, delay=1e-3, **mechanics)
+        alpha = None if stiffness is None else loop.alpha(stiffness)
+        if alpha is None:
+            free = jaxstab.minimize_radius(**loop.slice)
+        else:
+            free = jaxstab.minimize_radius_damping(alpha, **loop.slice)
+        assert getattr(free, is_negative) < 0.0
+        calm, quick = (loop.tune(goal, stiffness=stiffness) for goal in ("radius", "settling"))
+        limits = loop.limits()
+        shares = np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 80), np.linspace(0.01, 1.0, 80)])
+        alphas = loop.alpha(limits.stiffness) * shares if alpha is None else np.array([alpha])
+        betas = loop.beta(limits.damping) * shares
+        plant = (loop.gamma, loop.delta, 1.0)
+        grid = alphas[:, None], betas[None, :]
+        assert float(free.value) < calm.radius <= radii(plant, *grid).min() + 1e-6
+        samples = round(quick.settling_time / loop.sample_time)
+        assert settled_mass(*grid, 1, samples + 40, plant[:2]).min() >= samples
+        wall = np.array(loop.alpha(quick.stiffness)), np.array(loop.beta(quick.damping))
+        assert settled_mass(*wall, 1, samples + 40, plant[:2]) == samples
+        for gains in (calm, quick):
+            assert gains.stiffness >= 0.0
+            assert gains.damping >= 0.0
+            assert stiffness is None or gains.stiffness == pytest.approx(stiffness, rel=1e-14)
+
+    def test_of_several_loops_are_those_of_a_wall(self) -> None:
+        """The only loop has its fastest wall at K = 0, where the hand's own spring is stiff."""
+        stiff = jaxstab.HapticLoop(
+            device_mass=0.1, device_damping=1.0, hand_stiffness=2e4, sample_time=1e-3, delay=1e-3
+        )
+        wall, own = jaxstab.tune_for_all([stiff]), stiff.tune()
+        assert wall.stiffness >= 0.0
+        assert wall.damping >= 0.0
+        assert own.settling_time <= wall.settling_time <= own.settling_time + 1e-3
+
     def test_refuse_an_unknown_goal(self) -> None:
+        with pytest.raises(ValueError, match="stiffness is -1"):
+            PHANTOM.tune(stiffness=-1.0)
         with pytest.raises((ValueError, TypeError), match="goal"):
             PHANTOM.tune("beauty")

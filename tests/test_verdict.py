@@ -13,9 +13,11 @@ from benchmarks import truth
 from benchmarks.truth.balls import ExactPlant, moduli, true_code
 from benchmarks.truth.near_boundary import points_near_the_boundary, random_plants
 from jaxstab import Verdict, characteristic_polynomial, verdict
+from jaxstab.arrays import rounded_reciprocal
 from jaxstab.batches import compiled
 from jaxstab.point import verdicts
 from jaxstab.point.radius import radius_error
+from jaxstab.rounding import UNIT
 
 DELAYS = (0.0, 0.25, 1.0, 1.5, 2.0, 2.75, 5.0, 7.3, 8.0, 20.0, 33.0, 59.5, 60.0)
 POINTS = {True: 2000, False: 200}  # of short delays, of long ones
@@ -41,6 +43,17 @@ def test_no_verdict_is_wrong_however_close_to_the_boundary(
         for a, b, *codes in zip(alpha, beta, quick, exact, strict=True):
             true = true_code(plant.polynomial(a, b, delay))
             assert set(codes) <= {true, Verdict.UNDECIDED}, (a, b, gamma, delta, delay, codes, true)
+
+
+def test_reciprocals_are_right_to_two_roundings(rng: np.random.Generator) -> None:
+    x = 2.0 ** rng.uniform(-960.0, 960.0, 3000)
+    for number, inverse in zip(x.tolist(), rounded_reciprocal(jnp.array(x)).tolist(), strict=True):
+        assert abs(Fraction(number) * Fraction(inverse) - 1) <= 2.000001 * Fraction(UNIT)
+
+
+def test_the_reciprocal_of_what_is_out_of_range_is_nan_in_jax() -> None:
+    out_of_range = jnp.array([0.0, 5e-324, 2.0**-961, 2.0**961, 1.7e308, np.inf, np.nan])
+    assert jnp.all(jnp.isnan(rounded_reciprocal(out_of_range)))
 
 
 @pytest.mark.parametrize(("delay", "band"), [(0.0, 1e-13), (1.0, 1e-12), (5.0, 1e-11)])

@@ -45,7 +45,7 @@ def build(spec: Path | None, output: Path, **where: Any) -> None:
     An interrupted build continues where it stopped when the command is repeated.
     """
     from jaxstab.atlas import AtlasSpec
-    from jaxstab.atlas.read.file import node_count
+    from jaxstab.atlas.file import node_count
     from jaxstab.atlas.write.build import write_atlas
 
     keep_programs()
@@ -96,7 +96,7 @@ def info(file: Path) -> None:
 )
 def verify(file: Path, sample: int) -> None:
     """Check that an atlas is whole, and right at a random sample of points."""
-    from jaxstab.atlas.write.verify import verify_atlas
+    from jaxstab.atlas.write.build import verify_atlas
 
     keep_programs()
     passed = True

@@ -64,7 +64,7 @@ def identify(
     warn(*filter(None, [device.warning]))
     units = Units.ROTATION if turns else Units.LINE
     if plot:
-        from jaxstab.pictures.identify import identified_figure
+        from jaxstab.pictures.scene import identified_figure
 
         draw(identified_figure(device, units), plot)
     scene = identified_scene(device, units, log.name)

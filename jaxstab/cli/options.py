@@ -100,13 +100,16 @@ def keep_programs() -> None:
 
 @contextmanager
 def at_work(words: str) -> Iterator[None]:
-    """Show on a terminal the running computation, until it is done."""
+    """Show on a terminal the running computation and how long it has taken, until it is done."""
     if not sys.stderr.isatty():
         yield
         return
     from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    with Console(stderr=True).status(words):
+    columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
+    with Progress(*columns, console=Console(stderr=True), transient=True) as shown:
+        shown.add_task(words, total=None)
         yield
 
 

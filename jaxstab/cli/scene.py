@@ -530,7 +530,8 @@ FUNCTIONS = {
 def _computed(scene: "Scene", name: str) -> Any:
     import jaxstab.scene
 
-    with at_work(f"{name} of a loop with {scene.controller.samples:g} samples of delay"):
+    every = ", proved for every sequence of delays" if scene.controller.moves else ""
+    with at_work(f"{name} of a loop with {scene.controller.samples:g} samples of delay{every}"):
         return getattr(jaxstab.scene, FUNCTIONS[name])(scene)
 
 

@@ -3,7 +3,7 @@
 // Everything is dimensionless (Table I of Hulin, Preusche, Hirzinger 2008): gamma = k T^2/m,
 // delta = b T/m, the delay in samples. Coefficients of polynomials stand with the highest power of
 // z first, as everywhere in jaxstab. The formulas are those of jaxstab/model/plant.py and
-// jaxstab/model/sections.py, in float64.
+// jaxstab/model/filters.py, in float64.
 "use strict";
 
 const TAYLOR_TERMS = 12;

@@ -115,7 +115,7 @@ _LOWER_ALL = 0.08  # of the largest limit of the same mass and delay, added to t
 _LITTLE = 0.05  # of the largest limit: no less is granted without damping, or at the largest one
 _ATTEMPTS = 12
 _FINER = 4  # parts of a cell, in which largest dampings are computed
-_FEWEST, _ROUNDS = 2000, 8  # boxes of a cell in the first round, or a part of all boxes
+_FEWEST = 2000  # boxes of a cell in the first round, or a part of all boxes
 _MORE = 1.5  # times as many boxes, and as much to take from the limits, in the next round
 _SQUARE = (0, 0), (0, 1), (1, 0), (1, 1)
 _CODES = 0xFFFF
@@ -126,15 +126,16 @@ _ENOUGH = 0.99  # of the stiffness at which a hand becomes unstable
 
 
 class _Work(NamedTuple):
-    """The largest number of boxes, the usual number per cell, and the seconds per box."""
+    """The largest number of boxes, its parts for rounds, the usual number per cell, s per box."""
 
     most: int
+    rounds: int
     usual: int
     seconds: float
 
 
-_OF_MASS = _Work(2_000_000, 500, 1e-5)
-_OF_DEVICE = _Work(1_000_000, 5000, 4e-5)
+_OF_MASS = _Work(2_000_000, 8, 500, 1e-5)
+_OF_DEVICE = _Work(4_000_000, 32, 20_000, 1e-5)
 _SECONDS = 2.0  # that boundaries take
 
 
@@ -156,7 +157,7 @@ def build_guard(
     every delay that does not change while the wall is touched, which grants more, and the guard
     takes the delay. Mass, hand and both gains are constant while the wall is touched.
 
-    Where nothing could be proved within 2 million boxes of loops, about 20 s of CPU time (1
+    Where nothing could be proved within 2 million boxes of loops, about 20 s of CPU time (4
     million and 40 s with modes, actuators or a grip), the guard grants no wall.
 
     Args:
@@ -208,8 +209,9 @@ def build_guard(
     rows = _granted_rows(loop, hands, grid, is_proved)
     if not np.any(rows[..., 0] < rows[..., 1]):
         raise RuntimeError(
-            "no wall is proved stable for every hand at any mass and delay of the ranges; narrow "
-            "them, or give the hand more damping."
+            "no wall was proved stable for every hand at any mass and delay of the ranges within "
+            f"{_work_of(loop).most:,} boxes of loops, though some may be; narrow the ranges, that "
+            "of the mass first, or give the hand more damping."
         )
     return Guard(loop, hands, mass, delay, grid, units, rows, lost)
 
@@ -300,8 +302,9 @@ def _proved(
     """A grid whose limits are lowered until they are proved, and the cells that are."""
     # Each round may take more boxes for a cell than the one before, of limits that are lower by
     # more. A cell keeps the limits with which it was proved, even if its neighbours are lowered.
-    left, is_proved = _work_of(loop).most, np.zeros(grid.cells, bool)
-    each, share = float(max(_FEWEST, left // (_ROUNDS * is_proved.size))), _LOWER
+    work, is_proved = _work_of(loop), np.zeros(grid.cells, bool)
+    left, each = work.most, float(max(_FEWEST, work.most // (work.rounds * is_proved.size)))
+    share = _LOWER
     hopeful, limit = ~is_proved, np.full(grid.limit.shape, np.inf)
     while left > 0 and hopeful.any():
         tell = partial(_tell, progress, int(is_proved.sum()), is_proved.size)

@@ -64,11 +64,18 @@ class CommonRegion:
 
     @property
     def stiffest(self) -> Gains:
-        """The vertex of the largest stiffness; NaN without an outline."""
-        if not len(self.outline):
-            return Gains(np.nan, np.nan)
-        stiffness, damping = self.outline[np.argmax(self.outline[:, 0])].tolist()
-        return Gains(stiffness, damping)
+        """The wall of the outline with the largest K and B >= 0; NaN where no such K is positive.
+
+        It is a vertex, or where an edge crosses B = 0.
+        """
+        vertices = self.outline
+        low, high = vertices, np.roll(vertices, -1, axis=0)
+        crosses = (low[:, 1] < 0.0) != (high[:, 1] < 0.0)
+        (k, b), (more, rise) = low[crosses].T, (high - low)[crosses].T
+        crossings = np.stack([k - more * b / rise, np.zeros_like(b)], axis=-1)
+        walls = np.concatenate([vertices[vertices[:, 1] >= 0.0], crossings, [(0.0, np.nan)]])
+        stiffness, damping = walls[np.argmax(walls[:, 0])].tolist()
+        return Gains(stiffness if stiffness > 0.0 else np.nan, damping)
 
     def verdict(self, stiffness: Numbers, damping: Numbers) -> Int8[np.ndarray, "*grid"]:
         """Proved codes of ``Verdict`` for walls in all of the loops together.
@@ -217,9 +224,10 @@ def tune_for_all(
     """The wall whose longest settling time over several loops is the shortest one found.
 
     The answer holds for these loops alone: give the corners of your ranges of hands, masses and
-    delays, and some loops between. The search covers the stable component of the first loop that
-    contains small gains. Among walls that are equally fast at worst, the one that is fastest on
-    average is returned. That no other wall is faster is not proved.
+    delays, and some loops between. Walls have K >= 0 and B >= 0. The search covers the stable
+    component of the first loop that contains small gains. Among walls that are equally fast at
+    worst, the one that is fastest on average is returned. That no other wall is faster is not
+    proved.
 
     Args:
         loops: at least one.
@@ -305,16 +313,17 @@ def settling_times(
 
 
 def _first_grid(loop: "HapticLoop", stiffness: float | None) -> Grid | None:
-    """A grid that spans the stable component that contains small gains."""
+    """A grid that spans the walls of the stable component that contains small gains."""
     region = loop.region()
     outline = (region.main or region).outline
     if not len(outline):
         return None
-    (left, low), (right, high) = outline.min(axis=0).tolist(), outline.max(axis=0).tolist()
+    ends = np.maximum([outline.min(axis=0), outline.max(axis=0)], 0.0)  # those of walls
+    (left, low), (right, high) = ends.tolist()
     if stiffness is None:
-        return Grid((left, right), (low, high), _POINTS)
-    stiffness = checked_number("stiffness", stiffness)
-    return Grid((stiffness, stiffness), (low, high), _POINTS**2)
+        return Grid((left, right), (low, high), _POINTS, 0.0)
+    stiffness = checked_number("stiffness", stiffness, 0.0)
+    return Grid((stiffness, stiffness), (low, high), _POINTS**2, 0.0)
 
 
 def _times(

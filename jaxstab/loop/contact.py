@@ -22,8 +22,17 @@ from jaxstab.loop.jitter import turn_of
 from jaxstab.model import LoopParameters, checked_gain, require_x64
 from jaxstab.model.device.mechanics import handle_equations
 from jaxstab.model.filters import Filter, Velocity, given_filters
-from jaxstab.motion.contact import FASTEST, LIMIT, Mechanism, Plant, Runs, Summary, contacts, paths
-from jaxstab.motion.handle import Handle
+from jaxstab.motion.contact import (
+    FASTEST,
+    LIMIT,
+    Handle,
+    Mechanism,
+    Plant,
+    Runs,
+    Summary,
+    contacts,
+    paths,
+)
 from jaxstab.motion.response import Column, Controller, Response, answer_text
 from jaxstab.numbers import checked, checked_number
 from jaxstab.shown import shortened
@@ -101,7 +110,7 @@ class Contact(NamedTuple):
             >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
             >>> axes = loop.contact(1000.0, 2.0, push=1.0).plot()
         """
-        from jaxstab.pictures.contact import plot_contact
+        from jaxstab.pictures.style import plot_contact
 
         return plot_contact(self, ax)
 
@@ -411,10 +420,10 @@ def _mechanism(
     device = loop.device
     if loop.body is None and device is not None:
         _refuse_fast(handle_equations(device, period).ticks)
-        return Handle.of(device, period, turn), 1.0, device.static_stiffness()
+        return Handle.from_device(device, period, turn), 1.0, device.static_stiffness()
     gamma, delta = float(loop.gamma), float(loop.delta)
     _refuse_fast(max(delta, gamma**0.5))
-    return Plant.of(gamma, delta, turn), float(loop.mass) / period**2, gamma
+    return Plant.from_delays(gamma, delta, turn), float(loop.mass) / period**2, gamma
 
 
 def _refuse_fast(speed: float) -> None:

@@ -25,7 +25,6 @@ from jaxstab.loop.jitter import (
     worst_delays,
 )
 from jaxstab.loop.region import TOLERANCE, WallLimits, WallRegion, traced_region, wall_region
-from jaxstab.loop.tune import OptimalWall, checked_chatter, optimal_wall
 from jaxstab.model import LoopParameters, by_name, checked_gain, require_x64
 from jaxstab.model.device import Device
 from jaxstab.model.filters import Filters, given_filters
@@ -45,6 +44,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from jaxstab.loop.between import LoopsWithHands
+    from jaxstab.loop.tune import OptimalWall
 
 
 @pytree
@@ -259,8 +259,11 @@ class HapticLoop(LoopParameters):
         excitation: Excitation = "force",
         encoder: float | None = None,
         chatter: float | None = None,
-    ) -> OptimalWall:
+    ) -> "OptimalWall":
         """The wall (K, B) that comes to rest fastest, or the best B for a given K.
+
+        Walls have K >= 0 and B >= 0. Where a gain of ``jaxstab.minimize_radius`` is negative, as
+        with stiff or strongly damped hands, the best wall often has K = 0 or B = 0.
 
         This is a search for one loop, without vmap or derivatives; ``jaxstab.minimize_radius`` has
         both over gamma and delta. The best gains for the radius are sensitive: next to a triple
@@ -297,6 +300,8 @@ class HapticLoop(LoopParameters):
             settles in 6 ms
         """
         self._refuse_tracers("tune")
+        from jaxstab.loop.tune import checked_chatter, optimal_wall
+
         disturbed = checked_chatter(encoder, chatter)
         return optimal_wall(self, goal, stiffness, level, excitation, disturbed)
 
@@ -396,10 +401,10 @@ class HapticLoop(LoopParameters):
         device = self.held_device
         if not moves:
             return LoopsWithHands(self, device, hands, mass)
-        first = MovingLoop.of(self, delays, lost).loop
+        moving = MovingLoop.of(self, delays, lost).loop
         loop = HapticLoop(
-            sample_time=first.sample_time,
-            delay=first.delay,
+            sample_time=moving.sample_time,
+            delay=moving.delay,
             device=device,
             velocity=self.velocity,
             position=self.position,
@@ -861,7 +866,7 @@ class HapticLoop(LoopParameters):
 
         The motion between samples is exact, friction included. The answer is simulated, not proved:
         it is that of this start and this duration. Before time 0 the device was at rest where it
-        starts, and no force was on its way. All paths are kept; ``jaxstab.contact_map`` simulates
+        starts, and no force was on its way. Paths are stored; ``jaxstab.contact_map`` simulates
         many walls without them. The numbers may be arrays that broadcast.
 
         Args:

@@ -37,6 +37,7 @@ _FORMED = 1024  # loops whose coefficients are held in memory
 _FEWEST_COMPILED = 4  # the same for a program that is compiled
 _SCANS = 3  # of a loop, at most
 _MISSED = np.array([1e-5, 3e-5])  # distances of the first angles from where a piece was missed
+_ILL_CONDITIONED = 1e8  # denominators of filters, as in ``filtered_curve``, where it is 1e5
 _DEGREES = (5, 9, 13, 17, 25, 33, 49, 65)  # up to which p(z) are filled
 _FIRST, _CLOSEST = 1e-6, 1e-7  # angles of a scan, and their distances from poles
 _TO_ENDS, _TO_POLES, _TO_ROOTS = 12, 6, 8  # angles that come closer and closer
@@ -361,7 +362,7 @@ def _rescanned(
 def _formed(many: "list[HapticLoop]") -> Iterator[_Formed]:
     """Yield loops that differ in mass, damping, stiffness and fraction of the delay alone.
 
-    Those whose filters float64 does not resolve are left out.
+    Those with filters that leave float64 few digits are left out.
     """
     groups = alike(map(_kind, many))
     parts = (group[k : k + _FORMED] for group in groups for k in range(0, len(group), _FORMED))
@@ -381,7 +382,7 @@ def _formed(many: "list[HapticLoop]") -> Iterator[_Formed]:
             linear = filtered_loop(gamma, delta, whole, fraction, (velocity, position))
             roots = _resonances(gamma, delta)
         known = of_filters(*transfers)
-        if not known.loses_digits:
+        if known.condition < _ILL_CONDITIONED:
             own, ends = _parts(linear, len(members)), _ends(linear, len(members))
             yield _Formed(np.array(members), own, ends, np.sort(known.real_angles), roots)
 
@@ -475,6 +476,7 @@ def _scans(formed: _Formed, degree: int) -> Float64[np.ndarray, "loop angle"]:
     reach = np.maximum(angle, 2.0 * step) * (1.0 + 0.01 * np.arange(roots))[:, None]
     farthest = np.maximum(np.arcsinh(reach / width), 1.0)  # no two angles are the same
     around = angle + width * np.sinh(farthest * growth)
-    mirrored = np.pi - abs(np.pi - np.where(around < 0.0, -_MIRRORED * around, around))
+    mirrored = np.where(around < 0.0, -_MIRRORED * around, around)
+    mirrored = np.where(around > np.pi, np.pi - _MIRRORED * (around - np.pi), mirrored)
     own = np.clip(mirrored, 2.0 * _FIRST, np.pi - 2.0 * _FIRST).reshape(len(angle), -1)
     return np.sort(np.concatenate([np.tile(shared, (len(own), 1)), own], axis=1))

@@ -13,7 +13,7 @@ from jaxstab.model.filters import given_filters
 from jaxstab.numbers import without_noise
 from jaxstab.region import RegionStatus, StableRegion, measures, region_outline, stable_region
 from jaxstab.region.region import linear_region
-from jaxstab.region.shown import GainNames, ShownRegion, limits_text
+from jaxstab.region.stable_set import GainNames, ShownRegion, limits_text
 
 TOLERANCE = 1e-6  # of the outline, by default
 _REMEMBERED = 64  # regions
@@ -136,7 +136,7 @@ class WallRegion(ShownRegion):
 
     @property
     def status(self) -> RegionStatus:
-        """What is known of the region."""
+        """The status of the region."""
         return RegionStatus(int(self.region.status))
 
     @property
@@ -156,7 +156,7 @@ class WallRegion(ShownRegion):
 
     @cached_property
     def extent(self) -> Gains:
-        """How far the region reaches from end to end, in K and in B."""
+        """The extent of the region from end to end, in K and in B."""
         if not len(self.outline):
             return Gains(np.nan, np.nan)
         return Gains(*(float(size) for size in np.ptp(self.outline, axis=0)))
@@ -191,7 +191,7 @@ class WallRegion(ShownRegion):
 
     @cached_property
     def components(self) -> list["WallRegion"]:
-        """The connected parts: first the one that holds small gains, then islands by their area."""
+        """The connected components: the one with small gains, then islands by their area."""
         if self.region.loops <= 1:
             return [self] * self.region.loops
         return [WallRegion(self.loop, component) for component in self.region.components]
@@ -199,7 +199,7 @@ class WallRegion(ShownRegion):
     @cached_property
     def main(self) -> "WallRegion | None":
         """The walls reached by turning gains up from 0; None where small gains are not stable."""
-        return next((part for part in self.components[:1] if part._holds_small_gains), None)
+        return next((each for each in self.components[:1] if each._holds_small_gains), None)
 
     @property
     def islands(self) -> list["WallRegion"]:
@@ -212,7 +212,7 @@ class WallRegion(ShownRegion):
 
     def limits(self) -> WallLimits:
         """Return the stiffest and the most damped wall, and those of each island."""
-        limits = tuple(_limits_of(*one.extremes, one.status) for one in self.islands)
+        limits = tuple(_limits_of(*island.extremes, island.status) for island in self.islands)
         main = self.main or self
         own = _limits_of(main.stiffest, main.most_damped, self.status)
         return own._replace(is_reachable=self.main is not None, islands=limits)
@@ -252,7 +252,7 @@ class WallRegion(ShownRegion):
         return self.loop.damping(self._intervals(columns, axis=0))
 
     def contains(self, stiffness: Numbers, damping: Numbers) -> Bool[Array, "*grid"]:
-        """Return whether walls (K, B) lie inside the exact boundary; all False if UNRESOLVED."""
+        """Whether walls (K, B) lie inside the exact boundary; all False if UNRESOLVED."""
         return self.region.contains(*self._points(stiffness, damping))
 
     def distance(self, stiffness: Numbers, damping: Numbers) -> Float64[Array, "*grid"]:

@@ -132,9 +132,9 @@ def _batched(
         for loop, _ in walls
     )
     answers = []
-    for numbers in groups:
-        group = [walls[number] for number in numbers]
-        values = {name: column[numbers] for name, column in columns.items()}
+    for indices in groups:
+        group = [walls[index] for index in indices]
+        values = {name: column[indices] for name, column in columns.items()}
         loop, gains = group[0].loop, np.array([gains for _, gains in group]).T
         if of_points is None or loop.body is None:
             answers.append(of_loop(loop, *gains, **values))

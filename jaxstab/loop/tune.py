@@ -13,14 +13,22 @@ from jaxstab.motion import amplitude
 from jaxstab.motion.amplitude import device_amplitude
 from jaxstab.motion.settling import Excitation, checked_level
 from jaxstab.numbers import checked_number, checked_word
-from jaxstab.tuning import TuningStatus
-from jaxstab.tuning.gains import Grid, shortest_settling, smallest_radius_damping
+from jaxstab.region import StableRegion
+from jaxstab.tuning import OptimalGains, TuningStatus
+from jaxstab.tuning.gains import (
+    Grid,
+    shortest_settling,
+    smallest_radius_around,
+    smallest_radius_damping,
+)
 from jaxstab.tuning.loops import DeviceLoop, MassLoop, TunedLoop
 
-# The fastest wall that an encoder drives no further than a limit: a search on grids.
+# The fastest wall that an encoder drives no further than a limit, or with the smallest radius where
+# the best gains are no wall, one being negative: searches on grids.
 
 _POINTS = 25  # on an axis
 _ZOOMS = 4
+_RADIUS_POINTS = 65  # on an axis: radii have narrow valleys
 
 Objective = Callable[[np.ndarray, np.ndarray], Any]  # of alpha and beta; infinite, NaN: no wall
 
@@ -46,6 +54,12 @@ class Chatter(NamedTuple):
         return np.asarray(driven.position)
 
 
+def _quadrant(region: StableRegion) -> np.ndarray:
+    """Return the lowest and the highest alpha and beta of a region, as far as they are >= 0."""
+    points = region.points.reshape(-1, 2)
+    return np.maximum([points.min(axis=0, initial=np.inf), points.max(axis=0, initial=0.0)], 0.0)
+
+
 class CalmWall(NamedTuple):
     """Gains alpha and beta, their amplitude in m, and how they were found."""
 
@@ -65,11 +79,11 @@ def fastest_calm_wall(
     region = whole.main or whole  # the component that contains small gains, if there is one
     if not len(region.points):
         return CalmWall(best, np.inf, TuningStatus.NO_STABLE_GAINS)
-    (left, low), (right, high) = region.points.min(axis=0), region.points.max(axis=0)
+    (left, low), (right, high) = _quadrant(region)
     if alpha is None:
-        grid = Grid((left, right), (low, high), _POINTS)
+        grid = Grid((left, right), (low, high), _POINTS, 0.0)
     else:
-        grid = Grid((alpha, alpha), (low, high), _POINTS**2)
+        grid = Grid((alpha, alpha), (low, high), _POINTS**2, 0.0)
     for _ in range(_ZOOMS):
         alphas, betas = (np.ravel(gains) for gains in np.broadcast_arrays(*grid.points))
         inside = np.asarray(region.contains(alphas, betas))
@@ -88,6 +102,19 @@ def fastest_calm_wall(
             break
         grid = grid.around(best)
     return CalmWall(best, least[1], status)
+
+
+def _smallest_radius(loop: LoopParameters, tuned: TunedLoop) -> OptimalGains:
+    """Return the gains >= 0 with the smallest radius."""
+    best = tuned.smallest_radius()
+    if min(best.alpha, best.beta) >= 0.0:
+        return best
+    region = wall_region(loop.in_floats(), TOLERANCE).region
+    (left, low), (right, high) = _quadrant(region.main or region)
+    if not (left < right and low < high):
+        return best._replace(status=np.array(TuningStatus.NO_STABLE_GAINS, np.int8))
+    grid = Grid((left, right), (low, high), _RADIUS_POINTS, 0.0)
+    return smallest_radius_around(tuned, grid)
 
 
 class OptimalWall(NamedTuple):
@@ -123,14 +150,12 @@ def optimal_wall(
     """Return the wall that comes to rest fastest: ``HapticLoop.tune``."""
     checked_word("goal", goal, ("radius", "settling"))
     level = checked_level(level, excitation)
-    alpha = None if stiffness is None else loop.alpha(checked_number("stiffness", stiffness))
+    alpha = None if stiffness is None else loop.alpha(checked_number("stiffness", stiffness, 0.0))
     tuned = _tuned(loop)
+    tuned = tuned._replace(component=tuned.component._replace(lowest=0.0))
+    best = _smallest_radius(loop, tuned) if alpha is None else smallest_radius_damping(tuned, alpha)
     if goal == "settling":
-        best = shortest_settling(tuned, alpha, level, excitation)
-    elif alpha is None:
-        best = tuned.smallest_radius()
-    else:
-        best = smallest_radius_damping(tuned, alpha)
+        best = shortest_settling(tuned, best, alpha is not None, level, excitation)
     wall, status = (float(best.alpha), float(best.beta)), TuningStatus(int(best.status))
 
     def radii(alphas: Numbers, betas: Numbers) -> np.ndarray:
@@ -144,7 +169,7 @@ def optimal_wall(
     if chatter is not None and is_stable and not reached <= chatter.limit:
         objective = radii if goal == "radius" else settling
         wall, reached, status = fastest_calm_wall(loop, objective, chatter, alpha)
-    if status == TuningStatus.NOT_CALM:
+    if status == TuningStatus.NOT_CALM or np.isnan(wall[0]):
         return OptimalWall(np.nan, np.nan, np.nan, np.inf, np.inf, status)
     radius = tuned.spectral_radius(*wall)
     return OptimalWall(

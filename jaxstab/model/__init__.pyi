@@ -4,6 +4,9 @@ from .device import Mode as Mode
 from .double_double import DoubleDouble as DoubleDouble
 from .filters import Filter as Filter
 from .filters import Velocity as Velocity
+from .linear_loop import characteristic_polynomial as characteristic_polynomial
+from .linear_loop import companion_matrix as companion_matrix
+from .linear_loop import polynomial_degree as polynomial_degree
 from .loop import LoopParameters as LoopParameters
 from .parameters import TracedDelay as TracedDelay
 from .parameters import by_name as by_name
@@ -17,8 +20,5 @@ from .plant import PlantPairs as PlantPairs
 from .plant import plant_coefficients as plant_coefficients
 from .plant import plant_pairs as plant_pairs
 from .plant import plant_transition as plant_transition
-from .polynomial import characteristic_polynomial as characteristic_polynomial
-from .polynomial import companion_matrix as companion_matrix
-from .polynomial import polynomial_degree as polynomial_degree
 
 __all__: list[str]

@@ -3,9 +3,15 @@
 The plant coefficients and the coefficients of p(z) are sums that can cancel for any gains a user
 may choose; computed in pairs and rounded once, each is right to the last digit.
 
-Algorithms: Dekker (1971) and Knuth (TAOCP 4.2.2), in the accurate variants of Joldes, Muller and
-Popescu (2017). JAX is told the derivatives of the operations, in float64: those of each of their
-steps would tell no more, and take four times as long to compile.
+The rounding error of a float64 sum is itself a float64 number, and five more additions compute it
+(Knuth, TAOCP 4.2.2). That of a product follows from the four products of the factors' upper and
+lower halves (Dekker 1971). An operation on pairs applies these to the high numbers, adds what the
+low numbers contribute, and renormalises the result (the accurate variants of Joldes, Muller and
+Popescu 2017). XLA rewrites sums, which ``jaxstab.arrays.kept`` prevents, and fuses a product with a
+sum, which changes nothing where the products are exact, as those of halves are.
+
+JAX is given the derivatives of the whole operations, in float64: those of each step say no more
+and take four times as long to compile.
 """
 
 from collections.abc import Callable
@@ -84,43 +90,43 @@ Factor = Array | float | DoubleDouble
 Operation = Callable[[DoubleDouble, Factor], DoubleDouble]
 
 
-def _sum(one: DoubleDouble, other: Factor) -> DoubleDouble:
+def _sum(pair: DoubleDouble, other: Factor) -> DoubleDouble:
     if not isinstance(other, DoubleDouble):
-        high, high_error = two_sum(one.hi, other)
-        return DoubleDouble(*_quick_two_sum(high, high_error + one.lo))
-    high, high_error = two_sum(one.hi, other.hi)
-    low, low_error = two_sum(one.lo, other.lo)
+        high, high_error = two_sum(pair.hi, other)
+        return DoubleDouble(*_quick_two_sum(high, high_error + pair.lo))
+    high, high_error = two_sum(pair.hi, other.hi)
+    low, low_error = two_sum(pair.lo, other.lo)
     high, high_error = _quick_two_sum(high, high_error + low)
     return DoubleDouble(*_quick_two_sum(high, high_error + low_error))
 
 
-def _product(one: DoubleDouble, other: Factor) -> DoubleDouble:
+def _product(pair: DoubleDouble, other: Factor) -> DoubleDouble:
     if not isinstance(other, DoubleDouble):
-        high, error = two_product(one.hi, other)
-        return DoubleDouble(*_quick_two_sum(high, error + one.lo * other))
-    high, error = two_product(one.hi, other.hi)
-    return DoubleDouble(*_quick_two_sum(high, error + (one.hi * other.lo + one.lo * other.hi)))
+        high, error = two_product(pair.hi, other)
+        return DoubleDouble(*_quick_two_sum(high, error + pair.lo * other))
+    high, error = two_product(pair.hi, other.hi)
+    return DoubleDouble(*_quick_two_sum(high, error + (pair.hi * other.lo + pair.lo * other.hi)))
 
 
-def _quotient(one: DoubleDouble, other: Factor) -> DoubleDouble:
+def _quotient(pair: DoubleDouble, other: Factor) -> DoubleDouble:
     other = DoubleDouble.of(other)
-    first = one.hi / other.hi
-    remainder = _sum(one, -_product(other, first))
-    second = remainder.hi / other.hi
-    third = _sum(remainder, -_product(other, second)).hi / other.hi
-    return _sum(DoubleDouble(*_quick_two_sum(first, second)), third)
+    quotient = pair.hi / other.hi
+    remainder = _sum(pair, -_product(other, quotient))
+    correction = remainder.hi / other.hi
+    second_correction = _sum(remainder, -_product(other, correction)).hi / other.hi
+    return _sum(DoubleDouble(*_quick_two_sum(quotient, correction)), second_correction)
 
 
-def _are_floats(one: DoubleDouble, other: Factor) -> bool:
-    """Return whether two numbers are Python floats, for which one call does all steps at once."""
-    if type(one.hi) is not float:
+def _are_floats(pair: DoubleDouble, other: Factor) -> bool:
+    """Whether both operands are Python floats, for which one call does all steps at once."""
+    if type(pair.hi) is not float:
         return False
     return type(other.hi if type(other) is DoubleDouble else other) is float
 
 
-def _sum_of_floats(one: DoubleDouble, other: Any) -> DoubleDouble:
-    """Return what ``_sum`` does, bit by bit: several times faster."""
-    a, low = one.hi, one.lo
+def _sum_of_floats(pair: DoubleDouble, other: Any) -> DoubleDouble:
+    """The result of ``_sum``, bit for bit, several times faster."""
+    a, low = pair.hi, pair.lo
     if type(other) is float:
         high = a + other
         seen = high - a
@@ -141,59 +147,59 @@ def _sum_of_floats(one: DoubleDouble, other: Any) -> DoubleDouble:
     return DoubleDouble(total, error - (total - middle))
 
 
-def _product_of_floats(one: DoubleDouble, other: Any) -> DoubleDouble:
-    """Return what ``_product`` does, bit by bit: several times faster."""
-    a, b = one.hi, other if type(other) is float else other.hi
+def _product_of_floats(pair: DoubleDouble, other: Any) -> DoubleDouble:
+    """The result of ``_product``, bit for bit, several times faster."""
+    a, b = pair.hi, other if type(other) is float else other.hi
     bits = int.from_bytes(_TWO_FLOATS.pack(a, b), "little") & _TWO_UPPER_HALVES
     a_high, b_high = _TWO_FLOATS.unpack(bits.to_bytes(16, "little"))
     a_low, b_low = a - a_high, b - b_high
-    left, right = a_high * b_low, a_low * b_high
-    middle = left + right
-    seen = middle - left
-    middle_error = (left - (middle - seen)) + (right - seen)
+    cross_a, cross_b = a_high * b_low, a_low * b_high
+    middle = cross_a + cross_b
+    seen = middle - cross_a
+    middle_error = (cross_a - (middle - seen)) + (cross_b - seen)
     high = a_high * b_high
     product = high + middle
     error = (middle - (product - high)) + (middle_error + a_low * b_low)
     if abs(product) < _HALVES_UNDERFLOW:
         product, error = a * b, 0.0
-    rest = one.lo * b if type(other) is float else a * other.lo + one.lo * b
-    error = error + rest
+    lows = pair.lo * b if type(other) is float else a * other.lo + pair.lo * b
+    error = error + lows
     total = product + error
     return DoubleDouble(total, error - (total - product))
 
 
 _SLOPES: dict[Operation, Callable[..., Array]] = {  # of result, numbers and how these move
-    _sum: lambda result, one, other, move, other_move: move + other_move,
-    _product: lambda result, one, other, move, other_move: move * other + one * other_move,
-    _quotient: lambda result, one, other, move, other_move: (move - result * other_move) / other,
+    _sum: lambda result, pair, other, move, other_move: move + other_move,
+    _product: lambda result, pair, other, move, other_move: move * other + pair * other_move,
+    _quotient: lambda result, pair, other, move, other_move: (move - result * other_move) / other,
 }
 
 
-def _of_namespace(operation: Operation, one: DoubleDouble, other: Factor) -> DoubleDouble:
-    if not is_jax(one.hi) and not is_jax(_high(other)):
-        return operation(one, other)
-    return _differentiable(operation)(*tree_map(namespace(one, other).asarray, (one, other)))
+def _of_namespace(operation: Operation, pair: DoubleDouble, other: Factor) -> DoubleDouble:
+    if not is_jax(pair.hi) and not is_jax(_high(other)):
+        return operation(pair, other)
+    return _differentiable(operation)(*tree_map(namespace(pair, other).asarray, (pair, other)))
 
 
-def _high(number: Factor) -> Array | float:
-    return number.hi if isinstance(number, DoubleDouble) else number
+def _high(value: Factor) -> Array | float:
+    return value.hi if isinstance(value, DoubleDouble) else value
 
 
 @cache
 def _differentiable(operation: Operation) -> Operation:
     import jax
 
-    known: Any = jax.custom_jvp(operation)
+    with_slopes: Any = jax.custom_jvp(operation)
 
     def moved(numbers: tuple[Any, ...], moves: tuple[Any, ...]) -> tuple[DoubleDouble, ...]:
-        result = known(*numbers)
-        steps = [part.rounded() if isinstance(part, DoubleDouble) else part for part in moves]
+        result = with_slopes(*numbers)
+        steps = [move.rounded() if isinstance(move, DoubleDouble) else move for move in moves]
         step = _SLOPES[operation](result.hi, *map(_high, numbers), *steps)
         step = namespace(result).broadcast_to(step, result.hi.shape)
         return result, DoubleDouble.of(step)
 
-    known.defjvp(moved)
-    return known
+    with_slopes.defjvp(moved)
+    return with_slopes
 
 
 def two_sum(a: Array, b: Array) -> tuple[Array, Array]:

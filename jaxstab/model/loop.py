@@ -10,10 +10,9 @@ import numpy as np
 
 from jaxstab.arrays import Numbers, constant, is_any_traced, is_jax, is_traced, leaves, namespace
 from jaxstab.model.device import Device, Hand, SampledDevice, sampled_device
-from jaxstab.model.filters import Filter, Velocity, given_filters
+from jaxstab.model.filters import Average, Filter, Velocity, given_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.model.parameters import LONGEST_DELAY, TracedDelay, by_name
-from jaxstab.model.sections import Average
 from jaxstab.numbers import checked_number
 from jaxstab.shown import call_text
 
@@ -79,8 +78,8 @@ class LoopParameters:
         for name, (least, is_open) in _LEAST.items():
             value = getattr(self, name)
             if not (value is None or is_traced(value)):
-                number = checked_number(name, value, least, is_open=is_open)
-                object.__setattr__(self, name, value if is_jax(value) else number)
+                checked = checked_number(name, value, least, is_open=is_open)
+                object.__setattr__(self, name, value if is_jax(value) else checked)
         is_known = not is_any_traced(self.delay, self.sample_time)
         object.__setattr__(self, "_whole_delay", int(self.delay_samples) if is_known else None)
         if is_known and self.delay_samples > LONGEST_DELAY:
@@ -92,7 +91,7 @@ class LoopParameters:
         given_filters(self.velocity, self.position)
         for chain in (self.velocity.filter if self.velocity else None, self.position):
             if chain is not None:
-                chain.transfer(self.sample_time)  # refuses what does not go with the period
+                chain.transfer(self.sample_time)  # refuses an incompatible filter
 
     def __repr__(self) -> str:
         given = {field.name: getattr(self, field.name) for field in fields(self)}
@@ -126,8 +125,8 @@ class LoopParameters:
     def body(self) -> Body | None:
         """Device and hand as one mass on a spring and a damper; None for any other device."""
         if self.device is not None:
-            one = self.device.one_mass()
-            return None if one is None else Body(one.mass, one.damping, one.stiffness)
+            body = self.device.one_mass()
+            return None if body is None else Body(body.mass, body.damping, body.stiffness)
         damping = self.device_damping + self.hand_damping
         return Body(self.device_mass + self.hand_mass, damping, self.hand_stiffness)
 
@@ -228,10 +227,10 @@ class LoopParameters:
                 "the delay in samples is traced, but its whole part sets the degree of p(z): make "
                 "the loop outside of jit, vmap and grad and give it to the function as an argument."
             )
-        part = self.delay / self.sample_time - whole
+        fraction = self.delay / self.sample_time - whole
         # A whole delay stays so up to the rounding of the division, its derivative unchanged.
-        is_less = part <= 4.0 * ulp(whole)
-        return TracedDelay(whole, part - namespace(part).where(is_less, constant(part), 0.0))
+        is_less, xp = fraction <= 4.0 * ulp(whole), namespace(fraction)
+        return TracedDelay(whole, fraction - xp.where(is_less, constant(fraction), 0.0))
 
     def tree_flatten(self) -> tuple[tuple[Any, ...], tuple[int | None, Device | None]]:
         """Return the parts that JAX traces, and the others: whole samples of delay, a device.
@@ -239,7 +238,7 @@ class LoopParameters:
         Windows in s become whole numbers of samples, which are not traced.
         """
         numbers = (getattr(self, name) for name in _LEAST)
-        filters = (_counted(part, self.sample_time) for part in (self.velocity, self.position))
+        filters = (_counted(chain, self.sample_time) for chain in (self.velocity, self.position))
         return (*numbers, *filters), (self._whole_delay, self.device)
 
     @classmethod
@@ -264,7 +263,7 @@ class LoopParameters:
 
     @property
     def _units(self) -> tuple[Numbers, Numbers]:
-        """What stiffness and damping are multiplied with: powers of two for general devices."""
+        """The units of stiffness and damping, as factors: powers of two for general devices."""
         sampled = self.sampled
         if sampled is not None:
             return sampled.stiffness_unit, sampled.damping_unit
@@ -313,14 +312,14 @@ def _linear_loop(loop: LoopParameters) -> LinearLoop:
     return filtered_loop(loop.gamma, loop.delta, int(whole), fraction, filters)
 
 
-def _counted(part: Any, sample_time: Numbers) -> Any:
+def _counted(chain: Any, sample_time: Numbers) -> Any:
     """Return an estimator or filter with its windows in samples."""
-    if isinstance(part, Velocity):
-        return Velocity(_counted(part.filter, sample_time))
-    if not isinstance(part, Filter):
-        return part
+    if isinstance(chain, Velocity):
+        return Velocity(_counted(chain.filter, sample_time))
+    if not isinstance(chain, Filter):
+        return chain
     return Filter(
-        tuple(s.per_sample(sample_time) if isinstance(s, Average) else s for s in part.sections)
+        tuple(s.per_sample(sample_time) if isinstance(s, Average) else s for s in chain.sections)
     )
 
 

@@ -163,24 +163,24 @@ class _Memory:
 
     def __init__(self) -> None:
         self._lock = Lock()
-        self._numbers: dict[tuple[float, float, float], int] = {}
+        self._index: dict[tuple[float, float, float], int] = {}
         self._table = np.empty((_REMEMBERED, 2 * len(PlantPairs._fields)))
 
     def plants(self, gamma: np.ndarray, delta: np.ndarray, fraction: np.ndarray) -> PlantPairs:
         """Return plants of one shape, of at most as many as there is room for."""
         rows = list(zip(*(v.ravel().tolist() for v in (gamma, delta, fraction)), strict=True))
         with self._lock:
-            unknown = [row for row in dict.fromkeys(rows) if row not in self._numbers]
-            if len(self._numbers) + len(unknown) > _REMEMBERED:
-                self._numbers.clear()
+            unknown = [row for row in dict.fromkeys(rows) if row not in self._index]
+            if len(self._index) + len(unknown) > _REMEMBERED:
+                self._index.clear()
                 unknown = list(dict.fromkeys(rows))
             for whole in (False, True):
-                some = [row for row in unknown if (row[2] == 0.0) == whole]
-                if some:
-                    first = len(self._numbers)
-                    self._table[first : first + len(some)] = _computed(some, whole=whole)
-                    self._numbers.update(zip(some, range(first, first + len(some)), strict=True))
-            values = self._table[[self._numbers[row] for row in rows]]
+                group = [row for row in unknown if (row[2] == 0.0) == whole]
+                if group:
+                    start = len(self._index)
+                    self._table[start : start + len(group)] = _computed(group, whole=whole)
+                    self._index.update(zip(group, range(start, start + len(group)), strict=True))
+            values = self._table[[self._index[row] for row in rows]]
         columns = np.ascontiguousarray(values.T).reshape(-1, *gamma.shape)
         return PlantPairs(*map(DoubleDouble, columns[::2], columns[1::2]))
 
@@ -192,7 +192,7 @@ def _computed(rows: list[tuple[float, float, float]], *, whole: bool) -> np.ndar
     """Return the numbers of plants (plant, high and low of each field)."""
     single = len(rows) == 1  # plain numbers are many times faster than arrays of one
     pairs = _plant_pairs(*(rows[0] if single else np.array(rows).T), whole=whole)
-    columns = [part for pair in pairs for part in (pair.hi, pair.lo)]
+    columns = [values for pair in pairs for values in (pair.hi, pair.lo)]
     return np.stack(np.broadcast_arrays(*columns), axis=-1)
 
 
@@ -222,7 +222,7 @@ def _plant_pairs(gamma: Array, delta: Array, fraction: Array, *, whole: bool) ->
             step, after, before = (_hold(gamma, delta, length) for length in lengths)
         else:  # one batch: three times less to compile
             holds = _hold(gamma, delta, tree_map(lambda *t: xp.stack(t), *lengths))
-            step, after, before = (at(holds, part) for part in range(3))
+            step, after, before = (at(holds, k) for k in range(3))
         n2, n0 = after.response(), after.decay * after.decay * before.reversed_response()
     d1 = (step.decay * step.kappa).scaled(-2.0)
     d0 = step.decay * step.decay
@@ -318,6 +318,6 @@ def _series(coefficients: tuple[Fraction, ...], x: DoubleDouble, y: DoubleDouble
     return values
 
 
-def _pair(number: Fraction) -> DoubleDouble:
-    hi = float(number)
-    return DoubleDouble(hi, float(number - Fraction(hi)))
+def _pair(value: Fraction) -> DoubleDouble:
+    hi = float(value)
+    return DoubleDouble(hi, float(value - Fraction(hi)))

@@ -71,13 +71,13 @@ def impulse_sums(systems: Systems) -> Float64[np.ndarray, "loop output input"]:
     sums = np.full((len(new.doublings), new.outputs.shape[1], new.inputs.shape[2]), np.inf)
     with np.errstate(all="ignore"):
         for doublings in np.unique(new.doublings[new.doublings >= 0]).tolist():
-            for loops in _parts(new, doublings):
+            for loops in _blocks(new, doublings):
                 sums[loops] = _sums(at(new, loops), doublings)
     return sums
 
 
-def _parts(new: Contraction, doublings: int) -> list[np.ndarray]:
-    """Cut loops so that the vectors of each part fill no more memory than they may."""
+def _blocks(new: Contraction, doublings: int) -> list[np.ndarray]:
+    """The loops, cut into blocks whose vectors fill no more memory than they may."""
     alike = np.flatnonzero(new.doublings == doublings)
     longest = 2.0 ** (0.5 * min(doublings + _FURTHER, _SUMMED))
     width = longest * (new.inputs.shape[2] + new.outputs.shape[1])
@@ -102,16 +102,17 @@ def _sums(new: Contraction, doublings: int) -> Float64[np.ndarray, "loop output 
         early = early.doubled(*level)
     sums = _sum_of_moduli(late.vectors, early.vectors, new.outputs.shape[1], new.inputs.shape[2])
     sums *= 1.0 + 2.0 ** (len(levels) + 1) * UNIT
-    one, two = late.size[:, :, None], early.size[:, None, :]
-    one_error, two_error = late.error[:, :, None], early.error[:, None, :]
-    wrong = one_error * (two + two_error) + one * two_error + rounding[:, None, None] * one * two
+    late_size, early_size = late.size[:, :, None], early.size[:, None, :]
+    late_error, early_error = late.error[:, :, None], early.error[:, None, :]
+    wrong = late_error * (early_size + early_error) + late_size * early_error
+    wrong = wrong + rounding[:, None, None] * late_size * early_size
     behind = np.minimum(new.norms, _sum_of_norms(power, error, 2.0 ** len(levels)))
     return sums + RAISED_MANY * (wrong + _tail(new, *levels[-1]) * behind[:, None, None])
 
 
 def _tail(new: Contraction, power: Matrices, error: PerLoop) -> Float64[np.ndarray, "_ _ _"]:
     """Return bounds of |c A^h| |A^h b| for a power A^h."""
-    # The power is applied from either side, so that only slow parts of rows and columns are left.
+    # Applied from either side, the power leaves only the slow modes of rows and columns.
     norms, error = decay(power, error)[:, None], error[:, None]
     late = rows(new.outputs @ power) + norms * new.outputs_error
     late += error * (rows(new.outputs) + new.outputs_error)
@@ -144,7 +145,7 @@ class _Family(NamedTuple):
         return cls(vectors, columns(vectors), error)
 
     def doubled(self, power: Matrices, error: PerLoop) -> "_Family":
-        """Return as many again, by a power and a bound of its error (lemma M5)."""
+        """The family with twice as many vectors, by a power and a bound of its error (lemma M5)."""
         further = power @ self.vectors
         shape = (*further.shape[:2], -1, self.size.shape[1])
         size = self.size + np.sum(columns(further).reshape(shape[0], *shape[2:]), axis=1)
@@ -161,13 +162,13 @@ def _sum_of_moduli(
     late = transposed(late)
     total = np.zeros((loops, outputs, inputs))
     length = inputs * max(1, _MATRIX_NUMBERS // (loops * width * inputs))
-    for part in range(0, states.shape[2], length):
-        terms = np.abs(late @ states[:, :, part : part + length])
+    for start in range(0, states.shape[2], length):
+        terms = np.abs(late @ states[:, :, start : start + length])
         total += terms.reshape(loops, width // outputs, outputs, -1, inputs).sum(axis=(1, 3))
     return total
 
 
-# Disturbed loops: what errors of the encoder and of the force, and friction, do at all times.
+# Disturbed loops: the effects of errors of encoder and force, and of friction, at all times.
 #
 # What a unit of each does at the samples is a sum of moduli of an impulse response (lemma M6).
 # Position and velocity between samples are bounded from the ends of pieces of the sample, with
@@ -175,7 +176,7 @@ def _sum_of_moduli(
 
 _NUMBERS = 1 << 18  # of the matrices of all loops in one batch
 _ERROR = 16 * UNIT  # of the entries of a transition, beside that of filters
-_SMALLEST = 2.0**-100  # of the largest entry: what entries next to 0 may be wrong by, and more
+_SMALLEST = 2.0**-100  # of the largest entry: more than the error of entries next to 0
 
 
 class Bounds(NamedTuple):
@@ -203,7 +204,7 @@ class _Plant(NamedTuple):
     bank: Bank
 
     @classmethod
-    def of(cls, device: Device, sample_time: float, delay: float, bank: Bank) -> "_Plant":
+    def from_device(cls, device: Device, sample_time: float, delay: float, bank: Bank) -> "_Plant":
         """Return a device behind a delay in samples."""
         fraction = delay % 1.0
         rows = mechanics(device, sample_time, fraction, (1.0,)).rows[-1, :, :-1]
@@ -211,7 +212,7 @@ class _Plant(NamedTuple):
 
     @property
     def places(self) -> np.ndarray:
-        """Which entries of a loop's state are those of the device; the acting force is the last."""
+        """The indices of the device's states in a loop's state, then that of the acting force."""
         states = len(self.rows)
         return np.array([POSITION, *range(DIFFERENCE + 1, states + 1), states + 1])
 
@@ -231,7 +232,7 @@ Kind = TypeVar("Kind", bound="Amplitude")
 
 
 class AmplitudeStatus(Status):
-    """What is known about amplitudes; small integers, so that arrays store int8.
+    """The status of amplitudes; small integers, so that arrays store int8.
 
     Example:
         >>> jaxstab.results.AmplitudeStatus(1).words
@@ -250,8 +251,8 @@ class Amplitude(NamedTuple):
     times; ``force_per_count`` is the jump of the computed force at one count of the encoder.
 
     Example:
-        >>> found = jaxstab.amplitude(0.1, 0.4, gamma=0.0, delta=0.001, delay=0.0, encoder=1.0)
-        >>> round(float(found.position), 2), found.status
+        >>> bounds = jaxstab.amplitude(0.1, 0.4, gamma=0.0, delta=0.001, delay=0.0, encoder=1.0)
+        >>> round(float(bounds.position), 2), bounds.status
         (1.03, <AmplitudeStatus.PROVED: 1>)
     """
 
@@ -331,8 +332,8 @@ def amplitude(
     to M9 of docs/proofs.md.
 
     Example:
-        >>> found = jaxstab.amplitude(0.1, 0.4, gamma=0.0, delta=0.001, delay=0.0, encoder=1.0)
-        >>> round(float(found.position), 2)
+        >>> bounds = jaxstab.amplitude(0.1, 0.4, gamma=0.0, delta=0.001, delay=0.0, encoder=1.0)
+        >>> round(float(bounds.position), 2)
         1.03
     """
     require_x64(alpha, beta, gamma, delta)
@@ -355,7 +356,7 @@ def _of_masses(*lanes: np.ndarray, bank: Bank, causes: Causes) -> tuple[Bounds, 
         gamma, delta, delay = columns[2:, members[0]].tolist()
         device = Device.mass_spring_damper(1.0, damping=delta, stiffness=gamma)
         alpha, beta = columns[:2, members]
-        plant = _Plant.of(device, 1.0, delay, bank)
+        plant = _Plant.from_device(device, 1.0, delay, bank)
         bounds[..., members] = plant.bounds(alpha, beta, causes)
     return _in_shape(bounds, lanes[0].shape)
 
@@ -388,7 +389,7 @@ def _checked_disturbances(
 
 
 def _causes(sizes: _Sizes) -> Causes:
-    """Which causes there are."""
+    """Whether each cause is present."""
     position, force, friction = (is_traced(x) or bool(np.any(x)) for x in sizes.causes)
     return position, force, friction
 
@@ -437,7 +438,7 @@ def device_amplitude(
     sizes = _checked_disturbances(encoder, force_step, friction, noise)
     gains = float_arrays(checked_gain("stiffness", stiffness), checked_gain("damping", damping))
     bank = bank_for(filters, sample_time)
-    plant, causes = _Plant.of(device, sample_time, delay, bank), _causes(sizes)
+    plant, causes = _Plant.from_device(device, sample_time, delay, bank), _causes(sizes)
 
     def search(stiffness: np.ndarray, damping: np.ndarray) -> tuple[Bounds, Bounds, Bounds]:
         bounds = plant.bounds(np.ravel(stiffness), np.ravel(damping) / sample_time, causes)
@@ -458,11 +459,11 @@ def _bounds(
     is_proved = np.isfinite(sums).all(axis=(1, 2))
     sums = np.where(is_proved[:, None, None], sums, 0.0)
     bounds = np.zeros((3, 3, len(stiffness)))
-    numbers = [number for number, cause in enumerate(causes[:2]) if cause]
-    for place, number in enumerate(numbers):
-        bounds[number] = _at_all_times(sums[:, :, place] + direct[:, :, number], plant.between)
+    present = [k for k, cause in enumerate(causes[:2]) if cause]
+    for column, k in enumerate(present):
+        bounds[k] = _at_all_times(sums[:, :, column] + direct[:, :, k], plant.between)
     if causes[2]:
-        totals = _of_friction(sums[:, :, len(numbers) :], plant.between)
+        totals = _of_friction(sums[:, :, len(present) :], plant.between)
         within = np.array([*plant.between.path, 0.0])[:, None]
         bounds[2] = _at_all_times(totals, plant.between) + within
     return np.where(is_proved, bounds, np.inf)
@@ -477,9 +478,9 @@ def _at_all_times(
     states = totals[:, between.states]  # and the acting force, which the arriving one does not pass
     states = np.concatenate([states, states[:, -1:]], axis=1)
     bent = 0.5 * between.half**2
-    rest = np.einsum("pwc,lc->lpw", between.rest, states)
+    fourth = np.einsum("pwc,lc->lpw", between.remainder, states)
     most = ends.max(axis=2)
-    curved = most[:, :, 1] + bent[:, None] * rest
+    curved = most[:, :, 1] + bent[:, None] * fourth
     bounds = (most[:, :, 0] + bent[:, None] * curved).max(axis=1)
     return RAISED * np.stack([*bounds.T, states[:, -1]])
 
@@ -490,11 +491,11 @@ def _of_friction(
     """Return the integrals over all times of what unit blows do, at most."""
     ends = between.blows.shape[1]
     half = between.blow_half
-    values, curves, rest = sums[..., :ends], sums[..., ends : 2 * ends], sums[..., 2 * ends :]
+    values, curves, states = sums[..., :ends], sums[..., ends : 2 * ends], sums[..., 2 * ends :]
     bent = (2.0 * half) ** 3 / 12.0
     total = half * (values[..., :-1] + values[..., 1:]).sum(axis=-1)
     total = total + bent * (curves[..., :-1] + curves[..., 1:]).sum(axis=-1)
-    total = total + bent * 0.5 * half**2 * (rest * between.blow_rest).sum(axis=-1)
+    total = total + bent * 0.5 * half**2 * (states * between.blow_remainder).sum(axis=-1)
     return np.asarray(RAISED * total)
 
 
@@ -548,20 +549,20 @@ def _with_inputs(
 
 
 def _outputs(
-    step: np.ndarray, plant: _Plant, part: Callable[[np.ndarray], np.ndarray] = np.asarray
+    step: np.ndarray, plant: _Plant, function: Callable[[np.ndarray], np.ndarray] = np.asarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return rows of the state, and of the two inputs that act at once."""
     size, places = step.shape[1], plant.places
-    first = places[-1]
-    between = part(plant.between.rows)
+    acting = places[-1]
+    between = function(plant.between.rows)
     rows = np.zeros((len(step), len(between), size))
     rows[:, :, places] = between[:, :-1]
-    rows += between[:, -1:] * step[:, [first], :size]
-    return rows, between[:, -1:] * step[:, [first], size : size + 2]
+    rows += between[:, -1:] * step[:, [acting], :size]
+    return rows, between[:, -1:] * step[:, [acting], size : size + 2]
 
 
 def _blows(plant: _Plant, count: int, size: int) -> np.ndarray:
-    """Return what unit impulses at the handle do to the state, and each state alone."""
+    """The states after unit impulses at the handle, and each state alone."""
     columns = np.concatenate([*plant.between.blows, np.eye(len(plant.rows))]).T
     blows = np.zeros((count, size, columns.shape[1]))
     blows[:, plant.places[:-1]] = columns

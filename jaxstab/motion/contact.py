@@ -20,7 +20,8 @@ series of few terms without cancellation. So is t, after the angle is halved twi
 period, the velocity passes through 0 at most once: two legs are enough, in every run. So one
 formulation serves plain numbers, NumPy and XLA, without a loop for each run.
 
-A run is summed up while it is computed: a million runs need the memory of a few tiles.
+A run is summed up while it is computed: a million runs need the memory of a few tiles. Devices with
+more states than one mass are at the end (``Handle``).
 """
 
 from collections.abc import Callable
@@ -30,8 +31,18 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.arrays import Array, is_jax, is_traced, namespace, repeat, repeat_and_keep
+from jaxstab.arrays import (
+    Array,
+    is_jax,
+    is_traced,
+    namespace,
+    repeat,
+    repeat_and_keep,
+    repeat_while,
+)
 from jaxstab.batches import TILE, compiled, lists, on_cores
+from jaxstab.model.device import Device
+from jaxstab.model.device.mechanics import handle_equations
 from jaxstab.model.device.periodic import segments_of
 from jaxstab.model.plant import plant_transition
 from jaxstab.motion.response import Controller
@@ -46,7 +57,7 @@ _MANY = 1 << 19  # runs times samples from which on a program of XLA pays
 
 
 class Runs(NamedTuple):
-    """What may differ from run to run, for T = m = 1; arrays of one shape, or plain numbers.
+    """The parameters of runs, for T = m = 1; arrays of one shape, or plain numbers.
 
     A resolution of 0 is none. The phase of the encoder is a share of its resolution. A run rests
     while it stays within the tolerance of one place.
@@ -67,7 +78,7 @@ class Runs(NamedTuple):
 
 
 class Summary(NamedTuple):
-    """What is kept of runs; times are in samples.
+    """The results of runs; times are in samples.
 
     low, high: extremes of the position in the last quarter; ``earlier``: in the one before.
     since: from when on the position was within the tolerance of ``place``.
@@ -92,7 +103,7 @@ class Summary(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What is noted between two samples: extremes and maxima of the position, the wall's work."""
+    """The record between two samples: extremes and maxima of the position, the wall's work."""
 
     low: Array
     high: Array
@@ -101,16 +112,16 @@ class Seen(NamedTuple):
     last_maximum: Array
     energy: Array
 
-    def at(self, x: Array, xp: Any) -> "Seen":
+    def with_position(self, x: Array, xp: Any) -> "Seen":
         """Note a position that may be an extreme."""
         return self._replace(low=xp.minimum(self.low, x), high=xp.maximum(self.high, x))
 
     def with_maximum(self, is_maximum: Array, time: Array, xp: Any) -> "Seen":
         """Note at what time a maximum was, where there was one."""
         last = xp.where(is_maximum, time, self.last_maximum)
-        first = xp.where(is_maximum & (self.maxima == 0.0), last, self.first_maximum)
+        earliest = xp.where(is_maximum & (self.maxima == 0.0), last, self.first_maximum)
         return self._replace(
-            maxima=self.maxima + is_maximum, first_maximum=first, last_maximum=last
+            maxima=self.maxima + is_maximum, first_maximum=earliest, last_maximum=last
         )
 
 
@@ -143,7 +154,7 @@ class Plant(NamedTuple):
     oldest: int
 
     @classmethod
-    def of(cls, gamma: float, delta: float, delays: tuple[float, ...]) -> "Plant":
+    def from_delays(cls, gamma: float, delta: float, delays: tuple[float, ...]) -> "Plant":
         """Return the plant; delays in samples, in turn, infinite for a lost sample."""
         fastest = max(delta, sqrt(gamma))
         ages, lengths = pieces(delays, fastest)
@@ -179,17 +190,17 @@ class Plant(NamedTuple):
             turns = sign * speed < 0.0
             if is_jax(turns) or xp.any(turns):
                 time = xp.minimum(self._time_to_turn(turns, v, b), flow.length)
-                rest = flow.length - time
+                remaining = flow.length - time
                 there = time * (v * series_at(self.impulse, time))
                 there = there + time * time * (b * series_at(self.step, time))
                 _, b = _pushed(runs, 0.0 * v, others - self.gamma * there)
-                back = rest * rest * (b * series_at(self.step, rest))
+                back = remaining * remaining * (b * series_at(self.step, remaining))
                 way = xp.where(turns, there + back, way)
-                speed = xp.where(turns, rest * (b * series_at(self.impulse, rest)), speed)
-                seen = seen.at(xp.where(turns, x + there, x), xp)
+                speed = xp.where(turns, remaining * (b * series_at(self.impulse, remaining)), speed)
+                seen = seen.with_position(xp.where(turns, x + there, x), xp)
                 seen = seen.with_maximum(turns & (sign > 0.0), begin + time, xp)
             x, v, begin = x + way, speed, begin + flow.length
-            seen = seen.at(x, xp)._replace(energy=seen.energy + acting * way)
+            seen = seen.with_position(x, xp)._replace(energy=seen.energy + acting * way)
         return (x, v), seen
 
     def _time_to_turn(self, turns: Array, v: Array, b: Array) -> Array:
@@ -255,8 +266,8 @@ class _PlainNumbers:
     minimum, maximum, sqrt, any = min, max, sqrt, bool
 
     @staticmethod
-    def where(condition: bool, one: float, other: float) -> float:
-        return one if condition else other
+    def where(condition: bool, value: float, other: float) -> float:
+        return value if condition else other
 
     @staticmethod
     def rint(value: float) -> float:
@@ -273,7 +284,7 @@ def functions(value: Array) -> Any:
 
 
 Mechanism: TypeAlias = Any
-"""What moves between samples: a ``Plant``, or a ``Handle``, whose methods have the same meaning."""
+"""The moving device: a ``Plant``, or a ``Handle``, whose methods have the same meaning."""
 
 
 def contacts(
@@ -294,10 +305,10 @@ def contacts(
     sides = {"one_sided": one_sided, "pulls": pulls}
 
     def of_tile(tile: tuple[np.ndarray, np.ndarray]) -> Summary:
-        part, padded = tile
+        members, padded = tile
         own = Runs(*(column[padded] for column in runs))
         summary = _of_tile(arrays, controller, own, samples, oldest=plant.oldest, **sides)
-        return Summary(*(column[: part.size] for column in summary))
+        return Summary(*(column[: members.size] for column in summary))
 
     tile = TILE if isinstance(plant, Plant) else TILE // 32  # of any device, with its series
     tiles = on_cores(of_tile, list(lists(np.arange(count), tile, TILE // 64)))
@@ -377,7 +388,7 @@ def _motion(
         sample, body, memory, line, was = state
         x, v, *_ = body
         force, memory = force_at(x, memory)
-        first = x, v, force
+        before = x, v, force
         line = _after(force, line)
         is_new = (sample == middle) | (sample == last)  # a quarter of the run
         earlier_low = xp.where(is_new, was.low, was.earlier_low)
@@ -386,7 +397,7 @@ def _motion(
         seen = Seen(x, x, maxima, was.first_maximum, was.last_maximum, was.energy)
         body, seen = plant.moved(runs, body, seen, line, sample)
         is_near = (abs(body[0]) < LIMIT) & (abs(body[1]) < LIMIT)
-        x, *others = (xp.where(is_near, one, 0.0) for one in body)
+        x, *others = (xp.where(is_near, value, 0.0) for value in body)
         x = xp.where(is_near, x, LIMIT)
         low, high = xp.where(is_near, seen.low, LIMIT), xp.where(is_near, seen.high, LIMIT)
         moved = xp.maximum(high - was.place, was.place - low) > runs.tolerance
@@ -404,12 +415,12 @@ def _motion(
             strongest=xp.maximum(was.strongest, abs(force)),
             energy=seen.energy,
         )
-        return (sample + 1, (x, *others), memory, line, now), first
+        return (sample + 1, (x, *others), memory, line, now), before
 
     x = runs.position
-    rest = 0.0 * x
-    start = Summary(x, x, x, x, x, rest, rest, rest, rest, x, rest, rest)
-    forces: Any = (rest,) * (plant.oldest + 1)
+    zero = 0.0 * x
+    start = Summary(x, x, x, x, x, zero, zero, zero, zero, x, zero, zero)
+    forces: Any = (zero,) * (plant.oldest + 1)
     if type(x) is not float:
         forces = xp.stack(forces)
     body = plant.start(x, runs.velocity)
@@ -429,3 +440,237 @@ def series_at(coefficients: Any, time: Array) -> Array:
     for coefficient in coefficients[1:]:
         total = total * time + coefficient
     return total
+
+
+# Contacts of any linear device with a mass at its handle, and friction there: ``Handle`` is to
+# general devices what ``Plant`` is to one mass.
+#
+# While a force f of the wall is held, the states z obey z' = A z + w f + h (push - s f_c). The
+# handle's velocity v is one of them, s is its sign; its entry of h is 1/m, m the mass at the
+# handle.
+#
+# Where v is 0, the force F on the handle beside friction is m times the velocity's row of A z + w
+# f, plus the push. The handle sticks while |F| is at most the static friction. Friction then is -F,
+# and the other states obey z' = A z + w f + h (push - F), which is linear, too. Modes and actuators
+# go on moving meanwhile, so F changes and the handle may break loose between two samples. A sample
+# therefore has several legs, in each of which v has one sign or the handle sticks; a piece of it
+# has at most 32, and the last of these goes to the end of the piece.
+#
+# Pieces of samples are so short that exp(A t) is a power series of few terms, and the states of a
+# leg are polynomials in time. A leg ends where v leaves its side of 0, or F the interval of static
+# friction; Newton's method in a bracket finds when. It may also leave and return within a leg, so
+# one extreme within the leg is checked as well; a second one in a piece of at most 2 rad would be
+# missed.
+
+_MOST_MOTION = 2.0  # of a piece, in rad
+_MOST_LEGS, _MOST_STEPS = 32, 64  # of a piece; of a search for a time
+_CLOSE = 2.0**-50  # of a piece: the accuracy of times
+
+
+class Handle(NamedTuple):
+    """A device whose force changes in turn; its unit of time is a tick.
+
+    series: coefficients of powers of time, the highest first, of the states, of what is watched
+        and of the force that pulls beside hand and friction. The columns: states, force of the wall
+        and force at the handle, where it slips, and the same once more where it sticks.
+    load: the force on the handle beside friction, from such columns.
+    at_rest, thrown: states at rest at position 1, and at velocity 1.
+    ticks: how many make a sample.
+    ages, flows, oldest: as of ``Plant``; flows are lengths in ticks.
+    """
+
+    series: Array
+    load: Array
+    at_rest: Array
+    thrown: Array
+    ticks: float
+    ages: Any
+    flows: Any
+    oldest: int
+
+    @classmethod
+    def from_device(cls, device: Device, sample_time: float, delays: tuple[float, ...]) -> "Handle":
+        """Return a device; delays in samples, in turn. ValueError if no mass is at its handle."""
+        matrix, pull, at_rest, ticks = handle_equations(device, sample_time)
+        size, columns = matrix.shape
+        load, thrown = matrix[1] / matrix[1, -1], matrix[:, -1] / matrix[1, -1]
+        rates, whole = np.zeros((2, columns, columns)), np.eye(columns)
+        rates[:, :size] = matrix, matrix - np.outer(thrown, matrix[1])
+        rates[1, :2] = 0.0  # exactly
+        rows = np.stack([np.vstack([whole[:size], row, whole[pull]]) for row in (whole[1], load)])
+        fastest = ticks * float(np.abs(rates[:, :size, :size]).sum(axis=2).max())  # at most
+        ages, lengths = pieces(delays, fastest / _MOST_MOTION)
+        series, term, motion = [rows], 1.0, fastest * lengths.max()
+        while term > SMALLEST_TERM:
+            series.append(series[-1] @ rates / len(series))
+            term *= motion / len(series)
+        return cls(
+            np.concatenate(np.moveaxis(np.array(series[::-1]), 1, 0), axis=-1),
+            load,
+            at_rest,
+            thrown,
+            ticks,
+            ages,
+            (ticks * lengths).tolist(),
+            max(map(max, ages)),
+        )
+
+    def start(self, position: Array, velocity: Array) -> tuple[Array, ...]:
+        """Return the states of a device at rest that is thrown; the velocity is per sample."""
+        speed = velocity / self.ticks
+        x, v, *others = (
+            a * position + b * speed for a, b in zip(self.at_rest, self.thrown, strict=True)
+        )
+        return x, v * self.ticks, *others
+
+    def moved(
+        self, runs: Runs, state: tuple[Array, ...], seen: Seen, forces: Any, sample: Any
+    ) -> tuple[tuple[Array, ...], Seen]:
+        """Return the states at the next sample."""
+        x, v, *others = state
+        xp, turn = functions(x), sample % len(self.ages)
+        states = xp.stack([x, v / self.ticks, *others])
+        ages, flows, end = self.ages[turn], self.flows[turn], sample
+        for piece in range(len(flows)):
+            acting, length = forces[ages[piece]], flows[piece]
+            end = end + length / self.ticks
+
+            def leg(moving: Any, acting: Array = acting, end: Any = end) -> Any:
+                return self._leg(runs, acting, end, *moving)
+
+            start = (0, length + 0.0 * x, 0.0 * x, states, seen)
+            *_, states, seen = repeat_while(_is_moving, leg, start)
+        x, v, *others = states
+        return (x, v * self.ticks, *others), seen
+
+    def _leg(
+        self,
+        runs: Runs,
+        acting: Array,
+        end: Array,
+        count: Array,
+        remaining: Array,
+        loose: Array,
+        states: Array,
+        seen: Seen,
+    ) -> Any:
+        """Move until the velocity passes 0, a handle that sticks breaks loose, or the piece ends.
+
+        The time left is in ticks; ``loose`` is the direction in which the handle broke loose.
+        """
+        xp, static = functions(remaining), runs.static_friction
+        v = states[1]
+        load = xp.tensordot(self.load, _with(states, acting, runs.push), 1)
+        slips = xp.where(abs(load) > static, xp.sign(load), loose)
+        sign = xp.where(v == 0.0, slips, xp.sign(v))
+        sticks = sign == 0.0
+        causes = _with(states, acting, runs.push - sign * runs.friction)
+        causes = xp.concatenate([xp.where(sticks, 0.0, causes), xp.where(sticks, causes, 0.0)])
+        terms = xp.tensordot(self.series, causes, 1)  # (power, state, *run), and two more
+        terms, watched, pull = terms[:, :-2], terms[:, -2], terms[:, -1]
+        low = xp.where(sticks, -static, xp.where(sign > 0.0, 0.0, -np.inf))
+        high = xp.where(sticks, static, xp.where(sign < 0.0, 0.0, np.inf))
+
+        time, value, ends = _exit(watched, low, high, remaining, sticks | (v != 0.0))
+        ends = ends & (count < _MOST_LEGS - 1)
+        time = xp.where(ends, time, remaining)
+
+        moved = _value(terms, time)
+        work = _product(pull, terms[:, 1], time)
+        stops, breaks = ends & ~sticks, ends & sticks
+        moved = xp.concatenate([moved[:1], xp.where(stops, 0.0, moved[1])[None], moved[2:]])
+        remaining = remaining - time
+        seen = seen.with_position(moved[0], xp)._replace(energy=seen.energy + work)
+        seen = seen.with_maximum(stops & (sign > 0.0), end - remaining / self.ticks, xp)
+        return count + 1, remaining, xp.where(breaks, xp.sign(value), 0.0), moved, seen
+
+
+def _is_moving(moving: Any) -> Array:
+    count, remaining, *_ = moving
+    return (count < _MOST_LEGS) & functions(remaining).any(remaining > 0.0)
+
+
+def _with(states: Array, acting: Array, force: Array) -> Array:
+    """Return causes: states, the wall's force, a force at the handle."""
+    return functions(force).concatenate([states, acting[None], force[None]])
+
+
+def _value(terms: Array, time: Array) -> Array:
+    """The value of ``series_at``; without JAX the terms are added in one call."""
+    if is_jax(terms):
+        return series_at(terms, time)
+    powers = _powers(time, len(terms))
+    return (terms * (powers if terms.ndim == powers.ndim else powers[:, None])).sum(axis=0)
+
+
+def _exponents(count: int, ndim: int) -> Array:
+    """Return the exponents of a polynomial's terms, with axes for runs behind."""
+    return np.arange(count - 1.0, -1.0, -1.0).reshape(-1, *(1,) * ndim)
+
+
+def _powers(time: Array, count: int) -> Array:
+    """Return the powers of a time that a polynomial's terms multiply."""
+    return time ** _exponents(count, time.ndim)
+
+
+def _exit(
+    terms: Array, low: Array, high: Array, length: Array, is_within: Array
+) -> tuple[Array, Array, Array]:
+    """The time when a polynomial leaves an interval, its value then or soon after, and if it does.
+
+    Where it begins at an end of the interval (not ``is_within``), it moves inwards at first.
+    """
+    xp = functions(length)
+
+    def is_out(value: Array) -> Array:
+        return (value < low) | (value > high)
+
+    slope, end = _slope(terms), _value(terms, length)
+    bends = slope[-1] * _value(slope, length) < 0.0
+    if not (is_jax(end) or np.any(bends | is_out(end))):
+        return length, end, bends
+    none = 0.0 * length
+    middle = _time_of(slope, none, none, length, bends)
+    returns = bends & is_out(_value(terms, middle)) & is_within
+    begin, last = xp.where(bends & ~returns, middle, none), xp.where(returns, middle, length)
+    value = _value(terms, last)
+    leaves = is_out(value)
+    limit = xp.where(leaves, xp.where(value > high, high, low), 0.0)
+    return _time_of(terms, limit, begin, last, leaves), value, leaves
+
+
+def _slope(terms: Array) -> Array:
+    """Return the derivative of a polynomial."""
+    return terms[:-1] * _exponents(len(terms), terms.ndim - 1)[:-1]
+
+
+def _product(factor: Array, other: Array, time: Array) -> Array:
+    """Return the integral of the product of two polynomials up to a time."""
+    exponents, powers = _exponents(len(factor), 1), _powers(time, len(factor))
+    shares = 1.0 / (exponents + exponents[:, 0] + 1.0)
+    inner = functions(factor).tensordot(shares, other * powers, 1)
+    return time * (factor * powers * inner).sum(axis=0)
+
+
+def _time_of(terms: Array, target: Array, low: Array, high: Array, is_open: Array) -> Array:
+    """The time when a polynomial passes a target between two times, where the search is open.
+
+    Newton's method, within a bracket that shrinks; a step that leaves it is to its middle.
+    """
+    xp = functions(target)
+    slope, rises, length = _slope(terms), _value(terms, high) > target, high - low
+
+    def step(search: Any) -> Any:
+        count, low, high, time, is_open = search
+        value = _value(terms, time) - target
+        is_past = (value > 0.0) == rises
+        low, high = xp.where(is_past, low, time), xp.where(is_past, time, high)
+        after = time - value / _value(slope, time)
+        after = xp.where((after >= low) & (after <= high), after, 0.5 * (low + high))
+        after = xp.where(is_open, after, time)
+        return count + 1, low, high, after, is_open & (abs(after - time) > _CLOSE * length)
+
+    def is_on(search: Any) -> Array:
+        return (search[0] < _MOST_STEPS) & xp.any(search[-1])
+
+    return repeat_while(is_on, step, (0, low, high, 0.5 * (low + high), is_open))[3]

@@ -1,8 +1,10 @@
 """Coordinates in which no sample of a stable loop lengthens its state (lemma M3 of docs/proofs.md).
 
-Sums and tails can be bounded there even next to the boundary of stability, for the errors of
-products do not grow. The coordinates are found without proof, from the sum of all (A^k)^T A^k,
-which is doubled with each square of A. That they do what they should is proved afterwards.
+With P = 1 + A^T A + (A^2)^T A^2 + ... = L^T L, the length |L s| shrinks with every sample, as
+|L A s|^2 = |L s|^2 - |s|^2. Sums and tails can be bounded in the coordinates L s even next to the
+boundary of stability, for the errors of products do not grow. P is summed without a bound of its
+error, twice as many terms with each square of A. That L is good enough is proved afterwards, from
+the norm of L^T L - (L A)^T L A - 1, which may be up to 1/2.
 """
 
 from typing import NamedTuple
@@ -117,11 +119,11 @@ def _coordinates(step: Matrices) -> tuple[Matrices, Int[np.ndarray, " loop"]]:
     upper = np.broadcast_to(np.eye(size), step.shape).copy()
     doublings = np.full(count, -1)
     lanes, power, square = np.arange(count), step, upper.copy()
-    for number in range(_DOUBLINGS + 1):
+    for doubling in range(_DOUBLINGS + 1):
         length = norm(power)
         is_small = (length <= _SMALL) & (norm(square) < _LARGEST)
         upper[lanes[is_small]] = transposed(np.linalg.cholesky(square[is_small]))
-        doublings[lanes[is_small]] = number
+        doublings[lanes[is_small]] = doubling
         is_open = (length < _HOPELESS) & ~(length <= _SMALL)
         if not np.any(is_open):
             break
@@ -143,7 +145,7 @@ def decay(power: Matrices, error: PerLoop) -> PerLoop:
 
 
 def rounding_in(matrices: Matrices) -> PerLoop:
-    """Return what a product with such matrices may lose, as a share of the product of norms."""
+    """A bound of the rounding error of a product with such matrices, relative to its norms."""
     return np.full(len(matrices), (matrices.shape[1] + 8) * UNIT)
 
 

@@ -34,7 +34,7 @@ _GAIN = 1e-9  # of the growth, that a change must bring
 
 
 class Range(NamedTuple):
-    """Delays between two, in samples, with at most so many samples in a row that are lost."""
+    """Delays between two, in samples, with at most ``lost`` lost samples in a row."""
 
     low: float
     high: float
@@ -53,7 +53,7 @@ class Range(NamedTuple):
 
     @property
     def jitter(self) -> float:
-        """How far the delay moves, rounded up; a lost sample is one sample more."""
+        """The range of the delay, rounded up; a lost sample is one sample more."""
         return ((self.high - self.low) * (1.0 + 4.0 * EPS) + self.lost) * (1.0 + EPS)
 
     def allows(self, turn: Turn) -> bool:
@@ -80,7 +80,7 @@ def growing_turn(
     is_thorough: bool,
 ) -> tuple[Growth, bool]:
     """The turn of the fastest growth that a search found, and whether it is proved to grow."""
-    exact = PeriodicLoop.of(device, filters, *wall)
+    exact = PeriodicLoop.from_device(device, filters, *wall)
     search = _Search(exact.rounded(), delays)
     best = search.patterns(_THOROUGH if is_thorough else _QUICK)
     if is_thorough:
@@ -108,28 +108,28 @@ class _Search:
             matrices = np.where(np.isfinite(matrices), matrices, 0.0)
             radii = np.abs(np.linalg.eigvals(matrices)).max(axis=-1)
         each = radii ** (1.0 / np.array([*map(len, turns)]))
-        return [Growth(turn, float(one)) for turn, one in zip(turns, each, strict=True)]
+        return [Growth(turn, float(rate)) for turn, rate in zip(turns, each, strict=True)]
 
     def patterns(self, longest: int) -> list[Growth]:
         """Return the growth of all patterns of the ends of the range, the fastest first."""
         return sorted(self.growths(_patterns(self.delays, longest)), key=_fastest_first)
 
     def climbed(self, best: list[Growth]) -> list[Growth]:
-        """Return what hill climbing makes of the fastest turns."""
+        """The fastest turns after hill climbing."""
         random = np.random.default_rng(0)
         low, high, lost = self.delays
         letters = [*np.linspace(low, high, _LEVELS).tolist(), *[inf] * (lost > 0)]
-        found, states = best[:1], len(self._matrix(best[0].turn))
-        for length in range(2, len(max((one.turn for one in best), key=len)) + 1):
-            growth = next(one for one in best if len(one.turn) == length)
+        turns, states = best[:1], len(self._matrix(best[0].turn))
+        for length in range(2, len(max((growth.turn for growth in best), key=len)) + 1):
+            growth = next(g for g in best if len(g.turn) == length)
             for _ in range(min(_TRIES, _EFFORT // states**3)):
                 turn = _changed(growth.turn, letters, random)
                 if len(turn) <= _LONGEST and self.delays.allows(turn):
                     other = self.growths([turn])[0]
                     is_better = other.per_sample > growth.per_sample * (1.0 + _GAIN)
                     growth = other if is_better else growth
-            found.append(growth)
-        return sorted(found, key=_fastest_first)
+            turns.append(growth)
+        return sorted(turns, key=_fastest_first)
 
     def _matrix(self, turn: Turn) -> np.ndarray:
         steps = map(self._step, _segments(turn))

@@ -2,6 +2,13 @@
 
 Between two events (a sample, the arrival of a delayed force) the force is constant, so the plant's
 transition is exact there. This route shares the plant with p(z), but neither z nor polynomials.
+
+A simulation is a recursion from sample to sample. Its state is that of the plant, the memory of the
+controller, the force that acts and the forces on their way; the estimator and the filters run as
+difference equations. The motion between two samples is linear in the state at the first of them and
+follows for all samples at once. For proofs the same recursion without a hand's push is one matrix
+A: the deviation from rest moves by s -> A s (``steps_of``), the controller's share of A being read
+off its difference equations, entry by entry, from unit memories.
 """
 
 from bisect import bisect_right
@@ -36,8 +43,7 @@ from jaxstab.model import LoopParameters, by_name, checked_gain, plant_transitio
 from jaxstab.model.device import Device
 from jaxstab.model.device.mechanics import Mechanics, mechanics
 from jaxstab.model.device.periodic import Segments, segments_of
-from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
-from jaxstab.model.sections import Polynomial, Transfer
+from jaxstab.model.filters import Filter, Filters, Polynomial, Transfer, Velocity, given_filters
 from jaxstab.motion.contraction import Matrices, Systems
 from jaxstab.numbers import checked, checked_count
 from jaxstab.point.poles import closed_loop_poles
@@ -92,8 +98,8 @@ class Equation(NamedTuple):
     def moduli(self) -> "Equation":
         """Return the equation with the moduli of its coefficients, in which nothing cancels."""
         return Equation(
-            tuple(one if one is None else abs(one) for one in self.inputs),
-            tuple(one if one is None else -abs(one) for one in self.outputs),
+            tuple(c if c is None else abs(c) for c in self.inputs),
+            tuple(c if c is None else -abs(c) for c in self.outputs),
         )
 
     def _sums(self, value: Array, output: Array, waiting: Memory) -> Memory:
@@ -171,9 +177,9 @@ PLAIN = Bank(
 
 def bank_of(controller: Controller) -> Bank:
     """Return the matrices of a controller, column by column from its difference equations."""
-    one, zero = np.ones(()), np.zeros(())
+    unit, zero = np.ones(()), np.zeros(())
     chains = controller.velocity, controller.position
-    rests = [_rest_of_chain(chain, at) for chain, at in zip(chains, (zero, one), strict=True)]
+    rests = [_rest_of_chain(chain, x) for chain, x in zip(chains, (zero, unit), strict=True)]
     earlier = controller.window - 1
     memories = rests[0][1], rests[1][1]
     outputs, steps = _rows(controller.window, chains, memories)
@@ -193,7 +199,7 @@ def bank_of(controller: Controller) -> Bank:
 def _rows(
     window: int, chains: tuple[Chain, Chain], memories: tuple[Any, Any]
 ) -> tuple[Float64[np.ndarray, "2 column"], Float64[np.ndarray, "memory column"]]:
-    """Return the outputs and the steps of a bank; the memories tell how much is remembered."""
+    """The outputs and the steps of a bank for memories of these lengths."""
     lengths = [window - 1, *(sum(map(len, memory)) for memory in memories)]
     units = np.eye(2 + sum(lengths))
     splits = np.split(units[2:], np.cumsum(lengths)[:2])
@@ -203,7 +209,7 @@ def _rows(
         run(chain, value, _like(memory, split))
         for chain, value, memory, split in zip(chains, inputs, memories, splits[1:], strict=True)
     ]
-    steps = [*units[1:window], *(row for _, memory in runs for one in memory for row in one)]
+    steps = [*units[1:window], *(row for _, memory in runs for sums in memory for row in sums)]
     return np.array([runs[1][0], runs[0][0]]), np.array(steps).reshape(-1, len(units))
 
 
@@ -213,8 +219,8 @@ def run(
     """Return the output of a chain for an input, and its new memory."""
     after = []
     for equation, memory in zip(chain, memories, strict=True):
-        value, kept = equation.step(value, memory)
-        after.append(kept)
+        value, memory = equation.step(value, memory)
+        after.append(memory)
     return value, tuple(after)
 
 
@@ -227,8 +233,8 @@ def _rest_of_chain(chain: Chain, value: Array) -> tuple[Array, tuple[Memory, ...
 
 
 def _like(memories: tuple[Memory, ...], rows: np.ndarray) -> tuple[Memory, ...]:
-    rest = iter(rows)
-    return tuple(tuple(next(rest) for _ in memory) for memory in memories)
+    remaining = iter(rows)
+    return tuple(tuple(next(remaining) for _ in memory) for memory in memories)
 
 
 def _rounded(polynomial: Polynomial) -> tuple[Array | None, ...]:
@@ -245,7 +251,7 @@ def _less(total: Array, coefficient: Array | None, value: Array) -> Array:
 
 
 def _sum(coefficients: tuple[Array | None, ...]) -> Array:
-    return sum((one for one in coefficients if one is not None), 0.0)
+    return sum((c for c in coefficients if c is not None), 0.0)
 
 
 # How answers about motions print themselves: the numbers of one loop, the ranges of many.
@@ -280,11 +286,11 @@ def answer_text(
     words = ", ".join(filter(None, map(_range_text, values, columns)))
     if kind is not None:
         flat = np.ravel(codes)
-        of_kind = {one: np.count_nonzero(flat == one) for one in kind}
+        counts = {code: np.count_nonzero(flat == code) for code in kind}
         names = (
-            f"{'' if is_one else f'{number} '}{one.name.lower().replace('_', ' ')}"
-            for one, number in of_kind.items()
-            if number
+            f"{'' if is_one else f'{loops} '}{code.name.lower().replace('_', ' ')}"
+            for code, loops in counts.items()
+            if loops
         )
         status = ", ".join(names) if words or not is_one else kind(int(flat[0])).words
         words = f"{words} ({status})" if words else status
@@ -293,7 +299,7 @@ def answer_text(
 
 
 def _range_text(value: Numbers, column: Column) -> str:
-    """Return a number with label and unit, the range of several, "" where none is finite."""
+    """A number with label and unit, the range of several, "" where none is finite."""
     flat = np.ravel(value)
     finite = flat[np.isfinite(flat)]
     if not finite.size:
@@ -423,14 +429,14 @@ def simulate_device(
     offsets = np.arange(between + 2) / (between + 1)
     moves = mechanics(device, sample_time, fraction, tuple(offsets.tolist()))
     *walls, position, velocity = namespace(values).broadcast_arrays(*values)
-    start = [one * position for one in moves.at_rest]
+    start = [entry * position for entry in moves.at_rest]
     if is_traced(velocity) or np.any(velocity):
         if moves.thrown is None:
             raise ValueError(
                 "initial_velocity is given, but a blow does not throw this device: its compliance "
                 "has not two degrees more in the denominator; give force or initial_position."
             )
-        start = [one + k * velocity for one, k in zip(start, moves.thrown, strict=True)]
+        start = [entry + k * velocity for entry, k in zip(start, moves.thrown, strict=True)]
     controller = None if filters is None else Controller.from_filters(filters, sample_time)
     if delays is None:
         x, v, f = _simulate(
@@ -474,8 +480,8 @@ def _propagator(gamma: Array, delta: Array, fraction: Array, offsets: Array) -> 
     gamma, delta, fraction = (value[..., None] for value in (gamma, delta, fraction))
     late = xp.maximum(offsets - fraction, 0.0)
     times = xp.stack(xp.broadcast_arrays(offsets, late, gamma, delta)[:2])  # one batch is faster
-    whole, rest = plant_transition(gamma, delta, times)
-    pushed, late = whole[..., 2:], rest[..., 2:]
+    whole, after = plant_transition(gamma, delta, times)
+    pushed, late = whole[..., 2:], after[..., 2:]
     return xp.concatenate([whole[..., :2], pushed - late, late, pushed], axis=-1)
 
 
@@ -515,9 +521,9 @@ def _simulate(
         walls, start = [wall.item() for wall in walls], [state.item() for state in start]
     alpha, beta, push = walls
 
-    # The state: that of the plant, what the controller remembers (the position at the last sample,
-    # or what filters do), the force at the end of the last hold, and the forces on their way, the
-    # next one to arrive first. NumPy and Python are quick with plain tuples.
+    # The state: that of the plant, the memory of the controller (the last position, or the memory
+    # of the filters), the force at the end of the last hold, and the forces on their way, the next
+    # one to arrive first. NumPy and Python are quick with plain tuples.
     def step(state: Any) -> tuple[tuple[Any, ...], tuple[Array, ...]]:
         plant, memory, acting, waiting = state
         x = plant[0]
@@ -535,10 +541,10 @@ def _simulate(
         return (_moved(rows, causes), memory, arriving, line[1:]), causes
 
     position = start[0]
-    rest = 0.0 * position
+    zero = 0.0 * position
     memory = position if controller is None else controller.at_rest(position)
-    first = (tuple(start), memory, rest, (rest,) * whole_delay)
-    _, history = repeat_and_keep(samples, step, first)
+    initial = (tuple(start), memory, zero, (zero,) * whole_delay)
+    _, history = repeat_and_keep(samples, step, initial)
     causes = xp.stack([xp.moveaxis(xp.asarray(cause), 0, -1) for cause in history])
     paths = xp.einsum("ork,k...s->r...so", seen, causes)
     held = xp.where(early, causes[-3][..., None], causes[-2][..., None])
@@ -562,9 +568,9 @@ def _simulate_in_turn(
     for segments in turns:
         begins = [begin for _, begin, _ in segments]
         ends = pairwise(sorted({*begins, *offsets}))
-        ages = [(segments[bisect_right(begins, one) - 1][0], one, other) for one, other in ends]
-        pieces.append([(age, other - one, one in offsets) for age, one, other in ages])
-    lengths = tuple(sorted({length for some in pieces for _, length, _ in some}))
+        ages = [(segments[bisect_right(begins, begin) - 1][0], begin, end) for begin, end in ends]
+        pieces.append([(age, end - begin, begin in offsets) for age, begin, end in ages])
+    lengths = tuple(sorted({length for turn in pieces for _, length, _ in turn}))
     moves = mechanics(device, period, 0.0, (0.0, *lengths))
     seen = np.delete(moves.seen[0], -3, axis=1)  # the force acts from the sample on
     rows = dict(zip(lengths, np.delete(moves.rows[1:], -3, axis=2), strict=True))
@@ -605,9 +611,9 @@ def _require_excitation(*causes: Array) -> None:
 
 # Sampled loops as state spaces, many side by side: the state moves by one matrix per sample.
 #
-# The state: position, its difference to the last one that was read, velocity (or what other states
-# a plant has), the acting force, those on their way, the next one to arrive first, and what the
-# filters remember.
+# The state: position, its difference to the previous sample's, velocity (or the other states of the
+# plant), the acting force, the forces on their way, the next one to arrive first, and the memory of
+# the filters.
 
 POSITION, DIFFERENCE, VELOCITY, FORCE = range(4)  # the first entries of the state, of one mass
 
@@ -646,19 +652,19 @@ def steps_of(
     """
     states = rows.shape[1]
     plant = [POSITION, *range(VELOCITY, states + 1)]
-    first, last = states + 1, states + 1 + whole_delay  # of the forces
-    size = last + 1 + len(remembered)
+    acting, newest = states + 1, states + 1 + whole_delay  # of the forces
+    size = newest + 1 + len(remembered)
     inputs = wall.shape[1] - 2 - len(remembered)
-    known = [POSITION, DIFFERENCE, *range(last + 1, size + inputs)]
+    columns = [POSITION, DIFFERENCE, *range(newest + 1, size + inputs)]
     step = np.zeros((len(wall), size, size + inputs))
-    step[:, range(first, last), range(first + 1, last + 1)] = 1.0
-    step[:, last, known] = wall
-    motion = rows[:, :, -1:] * step[:, [first]]  # the force that arrives is the next one to act
-    motion[:, :, [*plant, first]] += rows[:, :, :-1]
+    step[:, range(acting, newest), range(acting + 1, newest + 1)] = 1.0
+    step[:, newest, columns] = wall
+    motion = rows[:, :, -1:] * step[:, [acting]]  # the force that arrives is the next one to act
+    motion[:, :, [*plant, acting]] += rows[:, :, :-1]
     step[:, plant] = motion
     step[:, DIFFERENCE] = motion[:, 0]
     step[:, DIFFERENCE, POSITION] -= 1.0
-    step[:, last + 1 :, known] = remembered
+    step[:, newest + 1 :, columns] = remembered
     return step
 
 
@@ -726,7 +732,7 @@ def device_loops(
 ) -> Loops:
     """Return the loops of gains, K in N/m and B/T in N/m, at a general device, in SI units."""
     states = len(moves.at_rest)
-    first, last = states + 1, states + 1 + whole_delay  # of the forces
+    acting, newest = states + 1, states + 1 + whole_delay  # of the forces
     plant = [0, *range(2, states + 1)]
     rows = np.broadcast_to(moves.rows[-1, :, :-1], (stiffness.size, states, states + 2))
     step = steps_of(_wall(stiffness, damping, bank), rows, bank.steps, whole_delay)
@@ -737,13 +743,13 @@ def device_loops(
     else:
         wall = _gain(bank) * stiffness[:, None]  # less the force at rest
         start[:, plant] = np.where(moves.follows, wall, -moves.at_rest)
-        start[:, first : last + 1] = wall
-        start[:, last + 1 :] = -bank.at_rest
+        start[:, acting : newest + 1] = wall
+        start[:, newest + 1 :] = -bank.at_rest
     return Loops(step, start[..., None])
 
 
 def _wall(stiffness: Lanes, damping: Lanes, bank: Bank) -> Float64[np.ndarray, "loop known"]:
-    """Return the force of walls, of position, difference and what the filters remember."""
+    """The force of walls, as a row for position, difference and the memory of the filters."""
     felt, estimated = bank.outputs
     return -(stiffness[:, None] * felt + damping[:, None] * estimated)
 

@@ -58,12 +58,12 @@ def positions(loops: Loops, samples: int) -> Float64[np.ndarray, "loop sample"]:
     outputs[:, 0, 0] = 1.0
     motion = Motion.begun(outputs, *loops)
     stretches = [motion.latest()]
-    known = motion.samples
-    while known < samples:
-        blocks = ceil((samples - known) / (STRETCH * _BLOCK))
+    computed = motion.samples
+    while computed < samples:
+        blocks = ceil((samples - computed) / (STRETCH * _BLOCK))
         motion = motion._replace(states=motion.states[:, : blocks * _BLOCK]).doubled()
         stretches.append(motion.latest())
-        known += stretches[-1].shape[1]
+        computed += stretches[-1].shape[1]
     return np.concatenate(stretches, axis=1)
 
 
@@ -85,7 +85,7 @@ class Motion(NamedTuple):
 
     @property
     def samples(self) -> int:
-        """How many samples of each loop are known."""
+        """The number of computed samples of each loop."""
         return self.states.shape[1] * STRETCH
 
     def latest(self) -> Float64[np.ndarray, "loop sample"]:
@@ -115,7 +115,7 @@ _NUMBERS = 1 << 20  # of an array that loops side by side fill, about
 
 
 class SettlingStatus(Status):
-    """What is known about the settling of a loop; small integers, so that arrays store int8.
+    """The status of the settling of a loop; small integers, so that arrays store int8.
 
     Example:
         >>> jaxstab.results.SettlingStatus(1).words
@@ -244,11 +244,11 @@ def settling_at_levels(
     )
     is_unstable = xp.asarray(codes == Verdict.UNSTABLE)
     lanes = *gains, *entries, np.floor(delay), ~is_unstable
-    firsts = [
+    times = [
         on_host(partial(search, level=level), *lanes, shape=grid, like=np.float64)
         for level in levels
     ]
-    return [_settled(first, is_unstable) for first in firsts]
+    return [_settled(samples, is_unstable) for samples in times]
 
 
 def device_settling_samples(
@@ -283,26 +283,26 @@ def device_settling_samples(
     memory = len(moves.at_rest) - 2 + len(bank.steps)
 
     def search(stiff: np.ndarray, damp: np.ndarray, is_hopeful: np.ndarray) -> np.ndarray:
-        first = np.full(stiff.size, np.nan)
+        samples = np.full(stiff.size, np.nan)
         wholes = np.full(stiff.size, int(delay))
-        for _, some in groups(wholes, np.ravel(is_hopeful), memory, _NUMBERS // STRETCH):
-            walls = np.ravel(stiff)[some], np.ravel(damp)[some] / sample_time
+        for _, members in groups(wholes, np.ravel(is_hopeful), memory, _NUMBERS // STRETCH):
+            walls = np.ravel(stiff)[members], np.ravel(damp)[members] / sample_time
             loops = device_loops(*walls, moves, int(delay), excitation, bank)
-            first[some] = _first_samples(loops, level, horizon, excitation == "impact")
-        return first.reshape(stiff.shape)
+            samples[members] = _first_samples(loops, level, horizon, excitation == "impact")
+        return samples.reshape(stiff.shape)
 
     shape = xp.broadcast_shapes(*map(np.shape, gains))
-    first = on_host(search, *gains, ~is_unstable, shape=shape, like=np.float64)
-    return _settled(first, is_unstable)
+    samples = on_host(search, *gains, ~is_unstable, shape=shape, like=np.float64)
+    return _settled(samples, is_unstable)
 
 
-def _settled(first: Array, is_unstable: Array) -> Settling:
-    """Return the settling of loops by the samples that were proved, NaN where none was."""
-    xp = namespace(first, is_unstable)
+def _settled(samples: Array, is_unstable: Array) -> Settling:
+    """The settling of loops by the proved numbers of samples, NaN where none is proved."""
+    xp = namespace(samples, is_unstable)
     unsettled = xp.where(is_unstable, SettlingStatus.UNSTABLE, SettlingStatus.NOT_SETTLED)
-    status = xp.where(xp.isfinite(first), SettlingStatus.SETTLED, unsettled)
+    status = xp.where(xp.isfinite(samples), SettlingStatus.SETTLED, unsettled)
     codes = named(status.astype(np.int8), SettlingStatus)
-    return Settling(xp.where(is_unstable, np.inf, first), codes)
+    return Settling(xp.where(is_unstable, np.inf, samples), codes)
 
 
 def checked_level(level: Any, excitation: str) -> float:
@@ -315,24 +315,24 @@ def checked_level(level: Any, excitation: str) -> float:
 
 
 class _Search(NamedTuple):
-    """What is known of loops in coordinates in which no sample lengthens their states."""
+    """A search of several loops, in coordinates in which no sample lengthens their states."""
 
-    number: Int[np.ndarray, " loop"]
+    loops: Int[np.ndarray, " loop"]
     motion: Motion
     gain: PerLoop  # no less than a position for a state of length 1
     power_error: PerLoop  # of the motion's power
     state_error: PerLoop  # of the last state
-    peak: PerLoop  # of the positions, or what the tolerance refers to
-    first: PerLoop  # the sample since when all were inside the tolerance
+    peak: PerLoop  # of the positions: the reference of the tolerance
+    since: PerLoop  # the sample from which on all were inside the tolerance
 
     @classmethod
-    def begun(cls, number: Int[np.ndarray, " loop"], new: Contraction) -> "_Search":
-        power, error, zero = new.transition, new.transition_error, np.zeros(len(number))
+    def begun(cls, loops: Int[np.ndarray, " loop"], new: Contraction) -> "_Search":
+        power, error, zero = new.transition, new.transition_error, np.zeros(len(loops))
         for _ in range(int(log2(STRETCH))):
             power, error = power @ power, error_of_square(power, error)
         motion = Motion.begun(new.outputs, new.transition, new.inputs)
         gain = RAISED_MANY * (norm(new.outputs) + new.outputs_error[:, 0])
-        return cls(number, motion, gain, error, new.inputs_error[:, 0], zero, zero)
+        return cls(loops, motion, gain, error, new.inputs_error[:, 0], zero, zero)
 
     def doubled(self) -> "_Search":
         """The search with twice as many stretches, but for the positions."""
@@ -353,8 +353,8 @@ class _Search(NamedTuple):
         peak = np.maximum(self.peak, np.max(size, axis=1)) if is_impact else np.ones(len(size))
         outside = size[:, ::-1] > level * peak[:, None]
         last = self.motion.samples - np.argmax(outside, axis=1)
-        first = np.where(np.any(outside, axis=1), last, self.first)
-        return self._replace(peak=peak, first=first)
+        since = np.where(np.any(outside, axis=1), last, self.since)
+        return self._replace(peak=peak, since=since)
 
     def bound(self) -> PerLoop:
         """Return a bound of all positions from the last stretch on (lemma M1)."""
@@ -368,29 +368,29 @@ def _settle(
     # The lanes: the gains, the entries of the propagator, the whole delay, and whether to search.
     alpha, beta, *propagators, whole_delay, is_hopeful = (np.ravel(lane) for lane in lanes)
     entries = np.array(propagators)
-    first = np.full(alpha.shape, np.nan)
-    for whole, some in groups(whole_delay, is_hopeful, len(bank.steps), _NUMBERS // STRETCH):
-        gains = alpha[some], beta[some]
-        loops = loops_of(*gains, entries[:, some], whole, excitation, bank)
-        first[some] = _first_samples(loops, level, horizon, excitation == "impact")
-    return first.reshape(lanes[0].shape)
+    samples = np.full(alpha.shape, np.nan)
+    for whole, members in groups(whole_delay, is_hopeful, len(bank.steps), _NUMBERS // STRETCH):
+        gains = alpha[members], beta[members]
+        loops = loops_of(*gains, entries[:, members], whole, excitation, bank)
+        samples[members] = _first_samples(loops, level, horizon, excitation == "impact")
+    return samples.reshape(lanes[0].shape)
 
 
 def _first_samples(
     loops: Loops, level: float, horizon: int, is_impact: bool
 ) -> Float64[np.ndarray, " loop"]:
-    first = np.full(len(loops.start), np.nan)
+    samples = np.full(len(loops.start), np.nan)
     new = contraction(loops.systems())
     stable = np.flatnonzero(new.doublings >= 0)
     searches = [_Search.begun(stable, at(new, stable))] if stable.size else []
     while searches:
         search = searches.pop().searched(level, is_impact)
         proved = search.bound() <= level * search.peak
-        first[search.number[proved]] = search.first[proved]
+        samples[search.loops[proved]] = search.since[proved]
         if search.motion.samples >= horizon or np.all(proved):
             continue
         search = at(search, ~proved)
-        parts = ceil(len(search.number) * search.motion.samples / _NUMBERS)
-        lanes = np.array_split(np.arange(len(search.number)), parts)
-        searches += [at(search, part).doubled() for part in lanes if part.size]
-    return first
+        blocks = ceil(len(search.loops) * search.motion.samples / _NUMBERS)
+        lanes = np.array_split(np.arange(len(search.loops)), blocks)
+        searches += [at(search, block).doubled() for block in lanes if block.size]
+    return samples

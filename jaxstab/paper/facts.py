@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from jaxstab.numbers import require_x64, without_noise
-from jaxstab.paper.passive import passive_region
+from jaxstab.paper.rules import passive_region
 from jaxstab.paper.validity import ValidityStatus, linear_validity
 from jaxstab.region.region import stable_region
 from jaxstab.region.stable_set import RegionStatus, StableRegion

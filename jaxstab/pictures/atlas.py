@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from textwrap import fill
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,7 +13,6 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from jaxstab.atlas import Atlas, LoopAtlas
 from jaxstab.atlas.products.fields import FIELDS
 from jaxstab.conventions import Verdict
 from jaxstab.model import by_name
@@ -28,6 +28,9 @@ from jaxstab.pictures.style import (
     plain,
 )
 
+if TYPE_CHECKING:
+    from jaxstab.atlas import Atlas, LoopAtlas
+
 _RASTER = 400  # points along each side of a plane
 _WIDTH, _HEIGHT = 3.3, 2.9  # inches of a panel
 _MOST_PLANES = 6
@@ -41,13 +44,13 @@ _ANSWERED_BY = {
     "damping_ratio": {FIELDS},
 }
 
-# Fields at nodes: the words beside their colours, and which number has which.
+# Fields at nodes: the label of their colours, and the map from values to colours.
 _FIELDS = {
     "frequency": ("frequency of the dominant pole\n(rad per sample)", PowerNorm(0.5, 0.0, np.pi)),
     "damping_ratio": ("damping ratio of the dominant pole", Normalize(0.0, 1.0)),
 }
 
-# Told apart with any colour vision, and in grey.
+# Distinguishable with any colour vision, and in grey.
 _COLOURS = {
     Verdict.NOT_COMPUTED: "#ffffff",
     Verdict.STABLE: SKY,
@@ -60,37 +63,37 @@ Floats = NDArray[np.float64]
 
 
 def draw_atlas(
-    atlas: Atlas, gamma: float, delta: float, delays: Sequence[float] | None = None
+    atlas: "Atlas", gamma: float, delta: float, delays: Sequence[float] | None = None
 ) -> bytes:
     """A PNG of an atlas in planes of (alpha, beta), one for each of at most 6 of its delays.
 
     Fields are drawn at the nodes of gamma and delta that are nearest. ValueError: gamma or delta is
     outside of the atlas, a delay is not one of the atlas, or the atlas has nothing to draw.
     """
-    numbers = _numbers_of(atlas, delays)
-    rows = [answer for answer, of in _ANSWERED_BY.items() if not of.isdisjoint(atlas.products)]
+    indices = _indices_of(atlas, delays)
+    rows = [answer for answer, own in _ANSWERED_BY.items() if not own.isdisjoint(atlas.products)]
     if not rows:
         raise ValueError(
             f"this atlas holds {', '.join(atlas.products)}; a picture needs one of "
             f"{', '.join(sorted(set().union(*_ANSWERED_BY.values())))}."
         )
-    size = _WIDTH * len(numbers) + 0.9, _HEIGHT * len(rows) + 1.0
+    size = _WIDTH * len(indices) + 0.9, _HEIGHT * len(rows) + 1.0
     figure = Figure(figsize=size, layout="constrained")
-    panels = figure.subplots(len(rows), len(numbers), squeeze=False)
+    panels = figure.subplots(len(rows), len(indices), squeeze=False)
     filled: dict[str, ScalarMappable] = {}
-    for column, number in zip(panels.T, numbers, strict=True):
+    for column, index in zip(panels.T, indices, strict=True):
         for panel, row in zip(column, rows, strict=True):
             if row == "verdict":
-                alpha, beta = _raster(atlas, number)
-                hand = by_name(gamma, delta, atlas.delays[number])
+                alpha, beta = _raster(atlas, index)
+                hand = by_name(gamma, delta, atlas.delays[index])
                 _draw_verdicts(panel, alpha, beta, atlas.verdict(alpha, beta[:, None], **hand))
             elif row in _FIELDS:
-                plane = _nodes_of(atlas, row, number, gamma, delta)
+                plane = _nodes_of(atlas, row, index, gamma, delta)
                 filled[row] = panel.pcolormesh(*plane, norm=_FIELDS[row][1])
             else:
-                filled[row] = _draw_radii(panel, *_nodes_of(atlas, row, number, gamma, delta))
+                filled[row] = _draw_radii(panel, *_nodes_of(atlas, row, index, gamma, delta))
             panel.tick_params(labelsize=8)
-        column[0].set_title(f"delay {atlas.delays[number]:g} T", fontsize=10)
+        column[0].set_title(f"delay {atlas.delays[index]:g} T", fontsize=10)
         column[-1].set_xlabel(ALPHA_LABEL)
     for panel in panels[:, 0]:
         panel.set_ylabel(BETA_LABEL)
@@ -107,19 +110,19 @@ def draw_atlas(
 
 
 def plot_atlas(
-    atlas: Atlas, ax: Axes | None, gamma: float | None, delta: float | None, delay: float | None
+    atlas: "Atlas", ax: Axes | None, gamma: float | None, delta: float | None, delay: float | None
 ) -> Axes:
     """Draw the verdicts of an atlas in one plane on axes, or on new ones: ``Atlas.plot``."""
     if _ANSWERED_BY["verdict"].isdisjoint(atlas.products):
         raise ValueError(f"this atlas holds {', '.join(atlas.products)}, and no verdicts to draw.")
-    (number,) = _numbers_of(atlas, [float(atlas.delays[0]) if delay is None else delay])
-    middle = {name: float(axis[len(axis) // 2]) for name, axis in atlas.nodes(number).items()}
+    (index,) = _indices_of(atlas, [float(atlas.delays[0]) if delay is None else delay])
+    middle = {name: float(axis[len(axis) // 2]) for name, axis in atlas.nodes(index).items()}
     hand = (
         middle["gamma"] if gamma is None else gamma,
         middle["delta"] if delta is None else delta,
-        float(atlas.delays[number]),
+        float(atlas.delays[index]),
     )
-    alpha, beta = _raster(atlas, number)
+    alpha, beta = _raster(atlas, index)
     panel = new_axes() if ax is None else ax
     _draw_verdicts(panel, alpha, beta, atlas.verdict(alpha, beta[:, None], **by_name(*hand)))
     panel.set(xlabel=ALPHA_LABEL, ylabel=BETA_LABEL)
@@ -129,7 +132,7 @@ def plot_atlas(
     return panel
 
 
-def plot_walls(walls: LoopAtlas, ax: Axes | None) -> Axes:
+def plot_walls(walls: "LoopAtlas", ax: Axes | None) -> Axes:
     """Draw the verdicts of an atlas for the walls of one loop, in SI units: ``LoopAtlas.plot``."""
     atlas, loop = walls.atlas, walls.loop
     nearest = int(np.argmin(np.abs(atlas.delays - loop.delay_samples)))
@@ -146,22 +149,22 @@ def plot_walls(walls: LoopAtlas, ax: Axes | None) -> Axes:
     return panel
 
 
-def _raster(atlas: Atlas, number: int) -> tuple[Floats, Floats]:
-    nodes = atlas.nodes(number)
+def _raster(atlas: "Atlas", index: int) -> tuple[Floats, Floats]:
+    nodes = atlas.nodes(index)
     alpha, beta = (
         np.linspace(nodes[name][0], nodes[name][-1], _RASTER) for name in ("alpha", "beta")
     )
     return alpha, beta
 
 
-def _numbers_of(atlas: Atlas, delays: Sequence[float] | None) -> list[int]:
-    known = atlas.delays.tolist()
-    chosen = known if delays is None else list(delays)
+def _indices_of(atlas: "Atlas", delays: Sequence[float] | None) -> list[int]:
+    nodes = atlas.delays.tolist()
+    chosen = nodes if delays is None else list(delays)
     for delay in chosen:
-        if delay not in known:
-            of_the_atlas = ", ".join(f"{one:g}" for one in known)
+        if delay not in nodes:
+            of_the_atlas = ", ".join(f"{node:g}" for node in nodes)
             raise ValueError(f"delay {delay:g} is not in this atlas; give some of {of_the_atlas}.")
-    return [known.index(delay) for delay in chosen[:_MOST_PLANES]]
+    return [nodes.index(delay) for delay in chosen[:_MOST_PLANES]]
 
 
 def _draw_verdicts(panel: Axes, alpha: Floats, beta: Floats, verdict: NDArray[np.int8]) -> None:
@@ -183,11 +186,11 @@ def _draw_radii(panel: Axes, alpha: Floats, beta: Floats, radius: Floats) -> Qua
     return filled
 
 
-def _nodes_of(atlas: Atlas, name: str, number: int, *hand: float) -> tuple[Floats, Floats, Floats]:
+def _nodes_of(atlas: "Atlas", name: str, index: int, *hand: float) -> tuple[Floats, Floats, Floats]:
     """Return alpha, beta and a field at the nodes of gamma and delta that are nearest."""
-    alpha, beta, *axes = atlas.nodes(number).values()
+    alpha, beta, *axes = atlas.nodes(index).values()
     i, j = (int(np.argmin(np.abs(axis - value))) for axis, value in zip(axes, hand, strict=True))
-    return alpha, beta, atlas.arrays[name][:, :, i, j, number].T.astype(float)
+    return alpha, beta, atlas.arrays[name][:, :, i, j, index].T.astype(float)
 
 
 def _legend() -> list[Patch]:

@@ -183,27 +183,27 @@ def _up_to_nyquist(rows: Sequence[tuple[float, float]]) -> Figure:
 def _frequencies(share: float, delta: float, delay: float) -> list[_Slice]:
     """Evenly spaced oscillation frequencies up to a share of Nyquist's, eq. (26)."""
     slices = []
-    for number, omega in enumerate(np.linspace(0.0, share * pi, _NYQUIST_STEPS)):
+    for index, omega in enumerate(np.linspace(0.0, share * pi, _NYQUIST_STEPS)):
         # Without damping a root stays at z = -1 at Nyquist frequency: the limit from below.
         limit = delta == 0.0 and omega == pi
         gamma = (omega * _BELOW_NYQUIST) ** 2 if limit else omega**2 + delta**2 / 4
-        colour = colormaps["viridis"](0.9 * number / (_NYQUIST_STEPS - 1))
+        colour = colormaps["viridis"](0.9 * index / (_NYQUIST_STEPS - 1))
         style: _Style = "--" if limit else "-"
         remark = " (limit stable)" if limit else ""
-        gamma = gamma if number else 0.0
+        gamma = gamma if index else 0.0
         slices.append(_Slice(gamma, delta, delay, colour, style, f"{gamma:.3g}{remark}"))
     return slices
 
 
 def _draw(panel: Axes, slices: Iterable[_Slice]) -> None:
-    for part in slices:
-        region = resolved_region(gamma=part.gamma, delta=part.delta, delay=part.delay)
+    for slice_ in slices:
+        region = resolved_region(gamma=slice_.gamma, delta=slice_.delta, delay=slice_.delay)
         panel.plot(
             *closed_outline(region).T,
-            part.style,
-            color=part.colour,
-            label=part.label,
-            lw=part.width,
+            slice_.style,
+            color=slice_.colour,
+            label=slice_.label,
+            lw=slice_.width,
         )
 
 

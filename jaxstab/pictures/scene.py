@@ -1,4 +1,8 @@
-"""A picture of a scene: the stable set in the plane of K and B, its walls and their responses."""
+"""Pictures of a scene: the stable set in the plane of K and B, its walls and their responses.
+
+Below that several scenes in one picture, a guard, simulated contacts, and the log that a device was
+identified from.
+"""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -6,20 +10,21 @@ from decimal import ROUND_CEILING, ROUND_FLOOR
 from itertools import product
 from math import isfinite
 from textwrap import fill
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.collections import QuadMesh
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
 from jaxstab.conventions import Verdict
 from jaxstab.guard import Guard
-from jaxstab.loop import HapticLoop, WallRegion
+from jaxstab.loop import Contact, ContactKind, HapticLoop, WallRegion
 from jaxstab.paper import passive_region
-from jaxstab.pictures.contact import scene_contacts
 from jaxstab.pictures.style import (
     BLACK,
     BLUE,
@@ -45,8 +50,7 @@ from jaxstab.scene.check import (
     common_outline,
     loops_over_delays,
 )
-from jaxstab.scene.contact import Contacts
-from jaxstab.scene.design import Design, stiffness_over_delays, stiffness_over_sample_times
+from jaxstab.scene.contact import MAP_COUNT, Contacts, contact_loop, simulated_map, walls_around
 from jaxstab.scene.limits import LimitsOverDelays
 from jaxstab.scene.loops import (
     OneHand,
@@ -56,9 +60,13 @@ from jaxstab.scene.loops import (
     loop_of,
     reachable,
     wall_region,
+    walls_of,
 )
 from jaxstab.scene.scene import Encoder, Scene, Units
-from jaxstab.scene.tune import Tuned
+from jaxstab.scene.tune import Design, Tuned, stiffness_over_delays, stiffness_over_sample_times
+
+if TYPE_CHECKING:
+    from jaxstab.scene.identify import Identified
 
 # The walls of a scene in its picture: marks by their verdicts, names, and responses.
 
@@ -72,7 +80,7 @@ _LIFTS = (0, 10, -10, 20, -20, 32, -32, 44, -44)  # points: how far names are mo
 
 
 class _Look(NamedTuple):
-    """How a wall of a verdict is drawn: told apart by colour and by form."""
+    """The look of a wall by its verdict: colour, mark and line."""
 
     colour: str
     marker: str
@@ -214,17 +222,17 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
     checked = answer if isinstance(answer, Check) else None
     tuned = answer if isinstance(answer, Tuned) else None
     region = reachable(everything)
-    islands = [one for one in everything.islands if isfinite(one.stiffest.stiffness)]
-    parts = [] if tuned else [_common(scene, answer)]
+    islands = [island for island in everything.islands if isfinite(island.stiffest.stiffness)]
+    areas = [] if tuned else [_common(scene, answer)]
     if not (tuned or checked):
-        parts.append(_passive(scene, loop))
-    parts = [part for part in parts if len(part.outline)]
-    is_small = [(np.ptp(part.outline, axis=0) < _SEEN * np.array(region.extent)) for part in parts]
-    small = [part.outline for part, axes in zip(parts, is_small, strict=True) if axes.any()]
+        areas.append(_passive(scene, loop))
+    areas = [area for area in areas if len(area.outline)]
+    is_small = [(np.ptp(area.outline, axis=0) < _SEEN * np.array(region.extent)) for area in areas]
+    small = [area.outline for area, axes in zip(areas, is_small, strict=True) if axes.any()]
 
     beside = [("enlarged", np.concatenate(small))] if small else []
     if islands and not (small or tuned or checked):
-        outlines = [one.outline for one in (region, *islands)]
+        outlines = [each.outline for each in (region, *islands)]
         beside.append(("with islands", np.maximum(np.concatenate(outlines), 0.0)))
     widths = [_WIDTH] + [_ZOOM_WIDTH] * len(beside) + [_RESPONSE_WIDTH] * (checked is not None)
     figure = Figure(figsize=(sum(widths), _HEIGHT), layout="constrained")
@@ -242,7 +250,7 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
         panel.set_xlabel(f"stiffness K ({scene.units.stiffness})")
         panel.set_ylabel(f"damping B ({scene.units.damping})")
         draw_stable(panel, region)
-        _draw_parts(panel, parts)
+        _draw_areas(panel, areas)
         if not (tuned or checked):
             draw_islands(panel, islands)
             draw_linear_rule(panel, loop)
@@ -275,12 +283,12 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
 
 
 def _write_basis(figure: Figure, scene: Scene, more: str = "") -> None:
-    """Write above a picture what it holds for: the estimator, the device, the delay, the hand."""
+    """Write the assumptions above a picture: the estimator, the device, the delay, the hand."""
     basis, hand = basis_of(scene), at_lowest(scene, "")
     delay = basis.range_of_delays
     remarks = [f"velocity: {basis.velocity}"]
     remarks += [f"delay {delay}" if delay else f"delay: {basis.delay_in_words}"]
-    remarks += [one for one in (basis.mechanics, basis.postures) if one]
+    remarks += [remark for remark in (basis.mechanics, basis.postures) if remark]
     remarks += [f"hand {hand}{more}"] if hand else []
     width = int(_LETTERS * figure.get_figwidth())
     figure.suptitle("\n".join(fill(remark, width) for remark in remarks), fontsize=9)
@@ -362,15 +370,15 @@ def _draw_legend(figure: Figure, panel: Axes, most: int) -> None:
         legend.remove()
 
 
-class _Part(NamedTuple):
-    """A part of the stable walls, and how it is drawn."""
+class _Area(NamedTuple):
+    """A set of stable walls, and how it is drawn."""
 
     outline: Floats  # (K, B)
     look: dict[str, Any]
 
 
-def _common(scene: Scene, answer: Answer | None) -> _Part:
-    """Return the walls that are stable for the hands at all corners of the range, if it is one."""
+def _common(scene: Scene, answer: Answer | None) -> _Area:
+    """The walls that are stable for the hands at all corners; empty without a range of hands."""
     outline = common_outline(corner_loops(scene)) if hands_of(scene) else np.zeros((0, 2))
     label = "stable for the hands at all corners of the range"
     all_hands = getattr(answer, "all_hands", None)
@@ -378,10 +386,10 @@ def _common(scene: Scene, answer: Answer | None) -> _Part:
         bound = _BOUND.words(all_hands.none_is_stiffer_than, scene.units)
         label += f"; for all hands at most {bound}"
     look = {"facecolor": _FOR_ALL, "lw": 0.0, "label": label}
-    return _Part(outline, look)
+    return _Area(outline, look)
 
 
-def _passive(scene: Scene, loop: HapticLoop) -> _Part:
+def _passive(scene: Scene, loop: HapticLoop) -> _Area:
     outline = np.zeros((0, 2))
     if is_plain(loop):  # the theorem is of one mass and one difference
         own = loop.device_damping * loop.sample_time / loop.mass
@@ -389,7 +397,7 @@ def _passive(scene: Scene, loop: HapticLoop) -> _Part:
         outline = np.column_stack([loop.stiffness(corners[:, 0]), loop.damping(corners[:, 1])])
     largest = _LARGEST.words(np.max(outline[:, 0], initial=0.0), scene.units)
     label = f"passive: up to {largest}"
-    return _Part(outline, {"facecolor": GREEN, "edgecolor": GREEN, "alpha": 0.6, "label": label})
+    return _Area(outline, {"facecolor": GREEN, "edgecolor": GREEN, "alpha": 0.6, "label": label})
 
 
 def _set_window(panel: Axes, points: Floats) -> None:
@@ -402,9 +410,9 @@ def _set_window(panel: Axes, points: Floats) -> None:
     panel.set(xlim=(left, right), ylim=(bottom, top))
 
 
-def _draw_parts(panel: Axes, parts: list[_Part]) -> None:
-    for part in parts:
-        panel.fill(*part.outline.T, **part.look)
+def _draw_areas(panel: Axes, areas: list[_Area]) -> None:
+    for area in areas:
+        panel.fill(*area.outline.T, **area.look)
 
 
 def _draw_tuned(panel: Axes, tuned: Tuned, units: Units) -> None:
@@ -413,7 +421,7 @@ def _draw_tuned(panel: Axes, tuned: Tuned, units: Units) -> None:
     for label, walls, mark, colour in (
         ("fastest", [tuned.least_settling.rounded], "*", ORANGE),
         ("smallest radius", [tuned.least_radius.rounded], "D", GREEN),
-        ("best damping at a given stiffness", [one.rounded for one in given], "P", SKY),
+        ("best damping at a given stiffness", [wall.rounded for wall in given], "P", SKY),
         ("fastest at worst over the ranges", [tuned.over_ranges], "p", PURPLE),
     ):
         pairs = [(wall.stiffness, wall.damping) for wall in walls if wall]
@@ -437,7 +445,7 @@ def _gains_text(
 def _draw_chatter(
     panel: Axes, loop: HapticLoop, region: WallRegion, encoder: Encoder, units: Units
 ) -> None:
-    """Draw lines of equal bounds of what the encoder's rounding does to the position."""
+    """Draw lines of equal bounds of the chatter that the encoder's resolution causes."""
     resolution = encoder.resolution
     stiffness, damping = _columns_and_rows(region, _CALM_COLUMNS)
     amplitude = loop.amplitude(stiffness[None, :], damping[:, None], encoder=resolution)
@@ -547,12 +555,12 @@ def guard_figure(guard: Guard, units: Units = Units.LINE) -> Figure:
     title = f"a delay that moves between {low} and {high} ms"
     if guard.is_delay_constant:
         delay = float(np.mean(guard.delay))
-        for one, colour in _coloured(guard.delay):
-            _draw(left, guard, (mass, one), colour, f"{1e3 * one:.3g} ms")
+        for value, colour in _coloured(guard.delay):
+            _draw(left, guard, (mass, value), colour, f"{1e3 * value:.3g} ms")
         left.set_title(f"delays, at {mass:.3g} {units.kilogram}")
         title = f"{1e3 * delay:.3g} ms"
-    for one, colour in _coloured(guard.mass):
-        _draw(right, guard, (one, delay), colour, f"{one:.3g} {units.kilogram}")
+    for value, colour in _coloured(guard.mass):
+        _draw(right, guard, (value, delay), colour, f"{value:.3g} {units.kilogram}")
     right.set_title(f"{units.moved} of the device, at {title}")
     left.set_ylabel(f"largest stiffness K ({units.stiffness}), for all hands")
     edge = "where a hand becomes unstable" + ("" if delay else " at a constant delay")
@@ -581,3 +589,105 @@ def _draw(
     panel.plot(damping, np.where(exact > 0.0, exact, np.nan), color=colour, lw=0.8, ls="--")
     granted = guard.largest_stiffness(damping, mass=mass, delay=delay)
     panel.plot(damping, np.where(granted > 0.0, granted, np.nan), color=colour, lw=1.6, label=label)
+
+
+# Simulated contacts: where in (K, B) a device rests.
+
+_PANEL = (4.6, 3.6)  # inches
+_FAINTEST, _STRONGEST = 1e-3, 100.0  # mm, of the colours
+
+
+def scene_contacts(scene: Scene) -> Figure:
+    """Return the map of simulated contacts of a scene, from its own start, and its walls."""
+    loop, gains, units = contact_loop(scene), walls_of(scene), scene.units
+    walls = walls_around(loop, MAP_COUNT, gains.values())
+    friction = Quantity("N").words(scene.device.friction, units)
+    contact = simulated_map(scene, *walls)
+    return contact_figure(loop, walls, {f"friction {friction}": contact}, gains, units)
+
+
+def contact_figure(
+    loop: HapticLoop,
+    walls: tuple[Floats, Floats],
+    maps: Mapping[str, Contact],
+    marked: Mapping[str, tuple[float, float]] | None = None,
+    units: Units = Units.LINE,
+) -> Figure:
+    """Return a figure with a panel for each map of walls, by its title; some walls are named."""
+    size = _PANEL[0] * len(maps), _PANEL[1]
+    figure = Figure(figsize=size, layout="constrained")
+    panels = np.atleast_1d(figure.subplots(1, len(maps), sharey=True))
+    for panel, (title, contact) in zip(panels, maps.items(), strict=True):
+        mesh = _draw_map(panel, loop, walls, contact)
+        panel.set_title(title, fontsize=9)
+        panel.set_xlabel(f"stiffness K ({units.stiffness})")
+        for name, gains in (marked or {}).items():
+            panel.plot(*gains, "o", color=BLACK, mfc="white", ms=5)
+            text = panel.annotate(
+                plain(name), gains, xytext=(5, 4), textcoords="offset points", fontsize=8
+            )
+            text.set_path_effects(HALO)
+    length = "mm" if units is Units.LINE else "mrad"
+    bar = figure.colorbar(
+        mesh, ax=list(panels), label=f"amplitude at the end ({length}), simulated"
+    )
+    bar.ax.tick_params(labelsize=7)
+    panels[0].set_ylabel(f"damping B ({units.damping})")
+    panels[0].legend(fontsize=7, loc="upper right")
+    return figure
+
+
+def _draw_map(
+    panel: Axes, loop: HapticLoop, walls: tuple[Floats, Floats], contact: Contact
+) -> QuadMesh:
+    """Draw where contacts rest, how far others move, and the edge of the stable set."""
+    stiffness, damping = (np.ravel(gains) for gains in walls)
+    does_rest = contact.kind == ContactKind.RESTS
+    size = np.clip(1000.0 * contact.amplitude, _FAINTEST, _STRONGEST)
+    panel.pcolormesh(
+        stiffness, damping, np.where(does_rest, 1.0, np.nan),
+        cmap="Greens", vmin=0.0, vmax=2.5, shading="nearest", rasterized=True,
+    )  # fmt: skip
+    mesh = panel.pcolormesh(
+        stiffness, damping, np.where(does_rest, np.nan, size),
+        cmap="inferno_r", norm=LogNorm(_FAINTEST, _STRONGEST), shading="nearest", rasterized=True,
+    )  # fmt: skip
+    panel.fill([], [], color=GREEN, alpha=0.4, label="rests, simulated")
+    panel.plot(*closed_outline(loop.region()).T, color=BLUE, lw=1.6, label="edge of stability")
+    panel.set(xlim=(0.0, stiffness[-1]), ylim=(0.0, damping[-1]))
+    panel.tick_params(labelsize=8)
+    return mesh
+
+
+# A fitted log: measured and fitted positions, and the residual over time.
+
+_FIT_SIZE = (7.0, 4.6)  # inches
+
+
+def identified_figure(device: "Identified", units: Units) -> Figure:
+    """Return the first two segments, and the residual of the whole log."""
+    from jaxstab.scene.identify import HISTORY
+
+    figure = Figure(figsize=_FIT_SIZE, layout="constrained")
+    above, below = figure.subplots(2, 1, height_ratios=[3, 2])
+    milli, micro = f"m{units.length}", f"u{units.length}"
+    times = device.sample_time * (HISTORY + np.arange(device.measured.size))
+    shown = slice(2 * device.measured.shape[1])
+    measured, fitted = np.ravel(device.measured), np.ravel(device.fitted)
+    above.plot(times[shown], 1e3 * measured[shown], color=ORANGE, lw=3.5, label="measured")
+    above.plot(times[shown], 1e3 * fitted[shown], "--", color=BLUE, lw=1.4, label="fitted")
+    for begin in times[: shown.stop : device.measured.shape[1]]:
+        above.axvline(begin, color="0.75", lw=0.8, zorder=0)
+    above.set(xlabel="time (s)", ylabel=f"position ({milli})")
+    above.set_title("first two segments, each with a fitted initial position and velocity")
+    above.title.set_fontsize(9)
+    above.legend(fontsize=8, loc="upper right", framealpha=0.9)
+    below.plot(times, 1e6 * (measured - fitted), ".", color=RED, ms=1.0, rasterized=True)
+    if device.resolution:
+        for side in (-0.5, 0.5):
+            label = "half a step of the encoder" if side > 0.0 else ""
+            below.axhline(side * 1e6 * device.resolution, color=BLUE, lw=1.0, label=label)
+        below.legend(fontsize=8, loc="upper right", framealpha=0.9)
+    top = 1.7 * float(abs(measured - fitted).max()) * 1e6  # room for the legend
+    below.set(ylim=(-top / 1.5, top), xlabel="time (s)", ylabel=f"residual ({micro})")
+    return figure

@@ -54,7 +54,7 @@ def _label(made: "Study", name: str) -> str:
 
 
 def _draw_distribution(panel: Axes, made: "Study") -> None:
-    """Draw for which share of the draws a stiffness is stable."""
+    """Draw the share of the draws that allow a stiffness."""
     below = np.linspace(0.0, 1.0, _POINTS)
     panel.plot(made.quantiles(at=below.tolist()), 100.0 * (1.0 - below), color=BLUE, lw=1.5)
     panel.set_xlabel(_label(made, "largest_stiffness"))
@@ -115,12 +115,12 @@ def _value_text(made: "Study", name: str, value: Any) -> str:
 
 
 def _draw_map(panel: Axes, made: "Study", grid: list[str], values: Floats, label: str) -> None:
-    first, second = (made.dimensions[name] for name in grid)
-    if first.dtype.kind not in "fi" or second.dtype.kind not in "fi":
+    x, y = (made.dimensions[name] for name in grid)
+    if x.dtype.kind not in "fi" or y.dtype.kind not in "fi":
         raise ValueError(f"{grid[0]} and {grid[1]} are not both numbers; draw fewer words.")
-    mesh = panel.pcolormesh(first, second, values.T, shading="nearest", cmap="viridis")
+    mesh = panel.pcolormesh(x, y, values.T, shading="nearest", cmap="viridis")
     if min(values.shape) >= 2 and np.nanmin(values) < np.nanmax(values):
-        lines = panel.contour(first, second, values.T, levels=3, colors="white", linewidths=0.8)
+        lines = panel.contour(x, y, values.T, levels=3, colors="white", linewidths=0.8)
         panel.clabel(lines, fontsize=7)
     figure: Any = panel.figure
     figure.colorbar(mesh, label=label)
@@ -129,7 +129,7 @@ def _draw_map(panel: Axes, made: "Study", grid: list[str], values: Floats, label
 
 
 def _draw_shares(panel: Axes, made: "Study", grid: list[str]) -> None:
-    """Draw for which share of the draws each wall is stable, with the confidence interval."""
+    """Draw the share of the draws for which each wall is stable, with its confidence interval."""
     if len(grid) != 1 or "verdict" not in made.units:
         raise ValueError(
             "the study has nothing to draw: give limits among answers, or verdict over one list."

@@ -11,11 +11,11 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import AbstractPathEffect, withStroke
 from numpy.typing import NDArray
 
-from jaxstab.loop import HapticLoop, MovingRegion, WallRegion
+from jaxstab.loop import Contact, ContactKind, HapticLoop, MovingRegion, WallRegion
 from jaxstab.model.filters import given_filters
 from jaxstab.region import StableRegion
 
-# Okabe and Ito's colours, told apart with any colour vision.
+# Okabe and Ito's colours, distinguishable with any colour vision.
 BLACK, ORANGE, SKY, GREEN, BLUE, RED, PURPLE = (
     "#000000",
     "#e69f00",
@@ -106,9 +106,9 @@ def draw_stable(panel: Axes, region: Region) -> None:
 def draw_islands(panel: Axes, islands: Sequence[Region]) -> None:
     """Fill islands: stable sets that are not connected to small gains."""
     label = "stable, not connected to zero gains"
-    for number, island in enumerate(islands):
+    for k, island in enumerate(islands):
         outline = closed_outline(island).T
-        panel.fill(*outline, color=PURPLE, alpha=0.35, lw=0, label="" if number else label)
+        panel.fill(*outline, color=PURPLE, alpha=0.35, lw=0, label="" if k else label)
         panel.plot(*outline, color=PURPLE, lw=1.2)
 
 
@@ -138,8 +138,8 @@ def plot_moving_region(region: MovingRegion, ax: Axes | None = None) -> Axes:
     outline = np.concatenate([region.outline, region.outline[:1]]).T
     panel.fill(*outline, color=SKY, alpha=0.35, lw=0, label="stable for every sequence, proved")
     panel.plot(*outline, color=BLUE, lw=1.2)
-    known = region.unstable[np.isfinite(region.unstable[:, 0])]
-    panel.plot(*known.T, "x", color=RED, ms=6, label="unstable for some sequence, proved")
+    unstable = region.unstable[np.isfinite(region.unstable[:, 0])]
+    panel.plot(*unstable.T, "x", color=RED, ms=6, label="unstable for some sequence, proved")
     top = 1.25 * float(region.outline[:, 1].max())  # room for the legend
     panel.set(xlim=(0.0, None), ylim=(0.0, top), xlabel=STIFFNESS_LABEL, ylabel=DAMPING_LABEL)
     panel.legend(fontsize=8, frameon=False, loc="upper right")
@@ -184,7 +184,7 @@ def plot_loop(loop: HapticLoop, ax: Axes | None = None) -> Axes:
 
 
 def draw_linear_rule(panel: Axes, loop: HapticLoop) -> None:
-    """Draw the linear rule where it is one: it knows of no estimator, filter or mode."""
+    """Draw the linear rule where it applies: without estimator, filter and mode."""
     if loop.body is None or given_filters(**loop.filters):
         return
     window = panel.get_xlim(), panel.get_ylim()
@@ -192,6 +192,25 @@ def draw_linear_rule(panel: Axes, loop: HapticLoop) -> None:
     linear = (damping + loop.body.damping) / (loop.delay + 0.5 * loop.sample_time)
     panel.plot(linear, damping, "--", color=RED, lw=1.4, label="linear rule")
     panel.set(xlim=window[0], ylim=window[1])
+
+
+def plot_contact(contact: Contact, ax: Axes | None = None) -> Axes:
+    """Draw a simulated contact over time; ValueError if it is not one run with its path."""
+    path = contact.path
+    if path is None or path.position.ndim != 1:
+        raise ValueError(
+            f"there is no single path to draw: {contact!r}; call loop.contact with one wall."
+        )
+    panel = new_axes() if ax is None else ax
+    panel.axhline(0.0, color=BLACK, lw=0.6)
+    panel.plot(path.time, 1000.0 * path.position, color=BLUE, lw=1.0)
+    panel.set_xlabel("time (s)")
+    panel.set_ylabel("position (mm), positive inside the wall", color=BLUE)
+    beside = panel.twinx()
+    beside.plot(path.time, path.force, color=ORANGE, lw=0.6)
+    beside.set_ylabel("force of the wall (N)", color=ORANGE)
+    panel.set_title(f"simulated: {ContactKind(int(contact.kind)).words}", fontsize=9)
+    return panel
 
 
 def new_axes() -> Axes:
@@ -204,7 +223,7 @@ def new_axes() -> Axes:
 def html_of(
     thing: object, draw: Callable[[Axes], object], size: tuple[float, float] = _SIZE
 ) -> str:
-    """Return HTML of the words of a thing and, above them, its picture if it can be drawn."""
+    """Return HTML of the text of a thing and, above it, its picture if it can be drawn."""
     words, figure = repr(thing), Figure(figsize=size, layout="constrained")
     try:
         draw(figure.subplots())

@@ -21,10 +21,13 @@ from jaxtyping import Int64
 from jaxstab.arrays import (
     Array,
     at,
+    bits,
+    floats,
     is_any_jax,
     is_jax,
     joined,
     namespace,
+    reciprocal,
     repeat,
     tree_map,
     true_indices,
@@ -36,25 +39,11 @@ from jaxstab.point.poles import looked_up
 from jaxstab.point.verdicts import Plant, float_plant
 from jaxstab.rounding import UNIT
 
-# Reciprocals, roots and powers of two that XLA fuses with the arithmetic around them.
-#
-# XLA does not fuse divisions and square roots whose results are used more than once. There they
-# start from the bits of the number and are refined by Newton's method; NumPy divides.
+# Roots and powers of two that XLA fuses with the arithmetic around them (``arrays.reciprocal``).
 
 _EXPONENT = 0x7FF0_0000_0000_0000
 _LARGEST_EXPONENT = 0x7FE0_0000_0000_0000
-_RECIPROCAL = 0x7FDE_6238_22FC_16E6  # minus the bits of x: 1/x within 13 %
 _INVERSE_ROOT = 0x5FE6_EB50_C7B5_37A9  # minus half the bits of x: 1/sqrt(x) within 4 %
-
-
-def reciprocal(x: Array) -> Array:
-    """Return 1/x for x > 0 to eight digits."""
-    if not is_jax(x):
-        return 1.0 / x
-    y = floats(_RECIPROCAL - bits(x))
-    for _ in range(3):
-        y = y * (2.0 - x * y)
-    return y
 
 
 def square_root(x: Array) -> Array:
@@ -70,24 +59,6 @@ def square_root(x: Array) -> Array:
 def power_of_two_below_inverse(x: Array) -> Array:
     """Return the power of two that brings x > 0 to [1, 2)."""
     return floats(_LARGEST_EXPONENT - (bits(x) & _EXPONENT))
-
-
-def bits(x: Array) -> Array:
-    """Return the bits of float64 numbers, as integers."""
-    if is_jax(x):
-        from jax import lax
-
-        return lax.bitcast_convert_type(x, np.int64)
-    return np.asarray(x, np.float64).view(np.int64)
-
-
-def floats(integers: Array) -> Array:
-    """Return the float64 numbers that have these bits."""
-    if is_jax(integers):
-        from jax import lax
-
-        return lax.bitcast_convert_type(integers, np.float64)
-    return np.asarray(integers, np.int64).view(np.float64)
 
 
 # The dominant root of p(z) without eigenvalues, point by point.
@@ -570,16 +541,10 @@ def _radius(loop: Loop, *, degree: int, effort: _Try) -> Answer:
 
 
 def _tries(delay: float) -> tuple[_Try, ...]:
-    if delay == 0.0:
-        return _Try(0, 1, 2**15), _Try(16, 8, 2**15)
-    if delay <= 1.0:
-        return _Try(8, 2, 2**15), _Try(16, 8, 2**15)
-    if delay <= 5.0:
-        return _Try(6, 2, 2**15), _Try(16, 8, 2**15)
     if delay <= 10.0:
-        return _Try(6, 2, 2**15), _Try(10, 4, 2**12), _Try(14, 8, 2**10)
+        return _Try(8, 2, 2**15) if delay else _Try(0, 1, 2**15), _Try(24, 8, 2**15)
     if delay <= 21.0:
-        return _Try(4, 4, 2**15), _Try(14, 8, 2**10)
+        return _Try(4, 4, 2**15), _Try(8, 4, 2**12), _Try(14, 8, 2**10)
     return _Try(5 if delay <= 50.0 else 7, 4, 2**12), _Try(14, 8, 2**10)
 
 

@@ -22,18 +22,15 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from jaxstab.arrays import Array, namespace, repeat
+from jaxstab.arrays import Array, bits, floats, namespace, reciprocal, repeat
 from jaxstab.batches import MANY, compiled, over_rows
 from jaxstab.model.filters import Filter, Filters, Velocity
 from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.point.dominance import (
     Complex,
     are_all_inside,
-    bits,
     divided,
-    floats,
     power_of_two_below_inverse,
-    reciprocal,
 )
 from jaxstab.point.poles import companion_poles
 from jaxstab.point.radius import dense_radius_error

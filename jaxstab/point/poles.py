@@ -21,8 +21,7 @@ from jaxstab.model import (
     require_x64,
 )
 from jaxstab.model.filters import Filter, Velocity
-from jaxstab.model.linear_loop import LinearLoop
-from jaxstab.model.polynomial import loop_polynomial
+from jaxstab.model.linear_loop import LinearLoop, loop_polynomial
 from jaxstab.numbers import checked_count
 
 # Broadcast grids of points in chunks of one shape, each point at the degree of p for its delay.

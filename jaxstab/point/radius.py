@@ -52,8 +52,7 @@ from jaxstab.model import (
     require_x64,
 )
 from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
-from jaxstab.model.linear_loop import LinearLoop
-from jaxstab.model.polynomial import loop_polynomial
+from jaxstab.model.linear_loop import LinearLoop, loop_polynomial
 from jaxstab.numbers import checked_word
 from jaxstab.point.dominance import (
     LONGEST_DELAY,

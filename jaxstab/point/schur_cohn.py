@@ -22,11 +22,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import zip_longest
+from operator import add
 from typing import Any, Generic, NamedTuple, TypeVar, cast
 
 import numpy as np
 
-from jaxstab.arrays import Array, at, is_any_traced, kept, namespace, pytree, repeat, tree_map
+from jaxstab.arrays import (
+    Array,
+    is_any_traced,
+    is_jax,
+    joined,
+    kept,
+    namespace,
+    pytree,
+    repeat,
+    rounded_reciprocal,
+    tree_map,
+)
 from jaxstab.conventions import Verdict
 from jaxstab.model import DoubleDouble
 from jaxstab.model.linear_loop import Affine, LinearLoop
@@ -94,7 +106,7 @@ def _last_gap(chain: Chain[Number], unit: float, *, is_monic: bool) -> tuple[Num
     b0 = chain.gap + head[1]
     b1 = head[0] + tail[2] if len(tail) > 2 else head[0]
     b3 = tail[0] + head[2] if len(head) > 2 else tail[0]
-    ratio = b3 if is_monic else b3 / b0
+    ratio = b3 if is_monic else _quotient(b3, b0)[0]
     modulus = size(ratio)
     gap = (chain.gap - tail[1] if len(tail) > 1 else chain.gap) + ratio * (b1 - b3)
     sizes = size(b0) + size(b1) + 2.0 * size(b3) + size_sum(head) + size_sum(tail)
@@ -105,17 +117,19 @@ def _last_gap(chain: Chain[Number], unit: float, *, is_monic: bool) -> tuple[Num
 def _steps(chain: Chain[Number], unit: float, count: Array) -> Chain[Number]:
     xp = namespace(chain, count)
     start = tree_map(lambda value: xp.broadcast_to(value, xp.shape(chain.error)), chain)
-    return repeat(count, lambda state: _step(state, unit), start)
+    return repeat(count, lambda state: _step(state, unit, is_rolled=True), start)
 
 
-def _step(chain: Chain[Number], unit: float, is_monic: bool = False) -> Chain[Number]:
+def _step(
+    chain: Chain[Number], unit: float, *, is_monic: bool = False, is_rolled: bool = False
+) -> Chain[Number]:
     head, tail = chain.head, chain.tail
     first = chain.gap + head[1]
-    ratio = tail[0] if is_monic else tree_map(kept, tail[0] / first)
+    ratio, inverse = (tail[0], 1.0) if is_monic else _quotient(tail[0], first, is_rolled=is_rolled)
     modulus = size(ratio)
     lowered = tail[0] - tail[2] if len(tail) > 2 else tail[0]
     pairs = list(zip_longest(head, tail[1:]))
-    bounds = _bounds_after(chain, first, modulus, unit)
+    bounds = _bounds_after(chain, first, inverse, modulus, unit)
     return Chain(
         gap=chain.gap - ratio * lowered,
         head=tuple(_minus(u, ratio, v) for u, v in pairs),
@@ -126,8 +140,18 @@ def _step(chain: Chain[Number], unit: float, is_monic: bool = False) -> Chain[Nu
     )
 
 
+def _quotient(last: Number, first: Number, *, is_rolled: bool = False) -> tuple[Number, Array]:
+    """Return last / first, right to three roundings, and 1 / |first|."""
+    if isinstance(first, DoubleDouble) or not is_jax(first):
+        return last / first, 1.0 / size(first)
+    # A loop that writes its state to memory needs what XLA computes once, so it divides.
+    inverse = 1.0 / size(first) if is_rolled else rounded_reciprocal(size(first))
+    signed = namespace(first).where(first < 0.0, -inverse, inverse)
+    return kept(last * signed), inverse
+
+
 def _bounds_after(
-    chain: Chain[Number], first: Number, modulus: Array, unit: float
+    chain: Chain[Number], first: Number, inverse: Array, modulus: Array, unit: float
 ) -> dict[str, Any]:
     """Bound the deviation from exact steps after one more: with the same K, and the exact K."""
     # Lemma V3 has the terms of the errors, lemma V6 those of the drift.
@@ -141,7 +165,7 @@ def _bounds_after(
     outside, drift = chain.outside, chain.drift
     if drift is not None:
         outside = outside | (size(tail[0]) - size(first) > 4.0 * drift)
-        drift = drifted(drift, modulus, size(first), sizes + small, unit)
+        drift = drifted(drift, modulus, inverse, sizes + small, unit)
     return {
         "head_error": chain.head_error + 2.0 * modulus * chain.error + unit * rounded,
         "error": chain.error + modulus * carried + unit * small,
@@ -150,12 +174,12 @@ def _bounds_after(
     }
 
 
-def drifted(drift: Array, modulus: Array, first: Array, total: Array, unit: float) -> Array:
+def drifted(drift: Array, modulus: Array, inverse: Array, total: Array, unit: float) -> Array:
     """Bound the distance to exact steps after one more, while u0 is large beside its error."""
-    ratio_error = 3.0 * drift * (1.0 + modulus) / first + 3.0 * unit * modulus
+    ratio_error = 3.0 * drift * inverse * (1.0 + modulus) + 3.0 * unit * modulus
     grown = drift * (1.0 + 2.0 * modulus) + 2.0 * ratio_error * total
     grown = grown + 5.0 * unit * total * (1.0 + modulus)
-    return namespace(drift, grown).where(first >= 6.0 * drift, grown, np.inf)
+    return namespace(drift, grown).where(6.0 * drift * inverse <= 1.0, grown, np.inf)
 
 
 def _minus(a: Number | None, ratio: Number, b: Number | None) -> Number:
@@ -187,19 +211,22 @@ def size_sum(numbers: tuple[Number, ...]) -> Array:
 # docs/proofs.md). The proof uses the same lemmas as for the loop of the paper, V2 to V6, and V8 for
 # the error of forming p(z).
 
+_HIGHEST_UNROLLED = 32  # degree; unrolled steps of 36 took XLA minutes to compile
 _PAYS = 2.5  # degree over the length of an end from which on steps on the ends are less work
 
 
 @pytree
 @dataclass(frozen=True)
-class _State(Generic[Number]):
+class _State:
     """Both ends of a polynomial, coefficients first, with bounds from the steps so far.
 
     The ends are either as long as the polynomial, each of them all of it, or too short to meet.
     """
 
-    falling: Number  # highest power first; beyond the degree there is noise that is not read
-    rising: Number  # lowest power first
+    # An array with the coefficients on its first axis, or a tuple of them where XLA compiles steps
+    # without a loop. In an array, noise that is not read fills the places beyond the degree.
+    falling: Any  # highest power first
+    rising: Any  # lowest power first
     error: Array  # l1 norm of all errors of the coefficients
     inside: Array  # every |K| < 1 so far
     regular: Array  # no |K| = 1 so far
@@ -263,8 +290,12 @@ def polynomial_codes(
     shape = error.shape
     given = len(leading(coefficients))
     width = given if given > degree else (given + 1) // 2
+    is_unrolled = xp is not np and degree <= _HIGHEST_UNROLLED
+    columns: Any = coefficients
+    if is_unrolled:
+        columns = tuple(coefficients[index] for index in range(given))
     state = _State(
-        *_ends(coefficients, width),
+        *_ends(columns, width),
         error,
         inside=xp.ones(shape, bool),
         regular=xp.ones(shape, bool),
@@ -272,12 +303,13 @@ def polynomial_codes(
         drift=error + 4.0 * unit,
     )
     # A coefficient of a stable polynomial is at most binomial(n, i). Numbers stay finite so.
-    large = _sum(coefficients) - error > 8.0 * 2.0**degree
+    large = _sum(columns) - error > 8.0 * 2.0**degree
+    repeated = partial(repeat, is_unrolled=is_unrolled)
     if width < given:
         apart = partial(_dense_step, unit=unit, is_apart=True)
-        state = _joined(repeat(degree + 1 - width, apart, state), unit)
-    state = repeat(width - 3, partial(_dense_step, unit=unit), state)
-    gap = leading(at(state.falling, 0) - at(state.falling, 2))
+        state = _joined(repeated(degree + 1 - width, apart, state), unit)
+    state = repeated(width - 3, partial(_dense_step, unit=unit), state)
+    gap = leading(state.falling[0] - state.falling[2])
     is_clear = (abs(gap) > (SAFETY * (degree - 1)) * state.error) & state.regular
     real_outside, no_real = large, is_clear
     for value, bound in ends:
@@ -332,8 +364,13 @@ def _affine(parts: Affine, alpha: Number, beta: Number, unit: float) -> tuple[Ar
     return leading(value), SAFETY * (errors + 4.0 * unit * sizes + underflow)
 
 
-def _ends(coefficients: Number, width: int) -> tuple[Number, Number]:
-    """Return the first coefficients, and the last ones from the last on, then zeros."""
+def _ends(coefficients: Any, width: int) -> tuple[Any, Any]:
+    """Return the first coefficients, and the last ones from the last on, then a 0 for arrays."""
+    if isinstance(coefficients, tuple):
+        is_all = width == len(coefficients)
+        return coefficients[:width], coefficients[::-1] if is_all else coefficients[
+            : width - 1 : -1
+        ]
     xp = namespace(coefficients)
 
     def rising(values: Array) -> Array:
@@ -342,49 +379,61 @@ def _ends(coefficients: Number, width: int) -> tuple[Number, Number]:
             last if width == len(values) else xp.concatenate([last[:-1], xp.zeros_like(last[:1])])
         )
 
-    return at(coefficients, np.s_[:width]), tree_map(rising, coefficients)
+    return coefficients[:width], tree_map(rising, coefficients)
 
 
-def _joined(state: _State[Number], unit: float) -> _State[Number]:
+def _joined(state: _State, unit: float) -> _State:
     """Return the polynomial of a degree so low that its two ends overlap (lemma V9)."""
-    xp = namespace(state)
-    rest = at(state.rising, np.s_[-2::-1])
-    sums = at(state.falling, np.s_[1:]) + rest
-    falling = tree_map(
-        lambda first, others: xp.concatenate([first[:1], others]), state.falling, sums
-    )
-    rounded = unit * _sum(state.falling, state.rising)
+    falling, rising = state.falling, state.rising
+    rounded = unit * _sum(falling, rising)
+    both: Any
+    if isinstance(falling, tuple):
+        both = (falling[0], *map(add, falling[1:], rising[::-1]))
+    else:
+        both = joined([falling[:1], falling[1:] + rising[-2::-1]])
     return replace(
         state,
-        falling=falling,
-        rising=at(falling, np.s_[::-1]),
+        falling=both,
+        rising=both[::-1],
         error=state.error + rounded,
         drift=2.0 * state.drift + rounded,
     )
 
 
-def _sum(*numbers: Number) -> Array:
+def _sum(*numbers: Number | tuple[Number, ...]) -> Array:
     xp = namespace(numbers)
-    return sum(xp.sum(size(number), axis=0) for number in numbers)
+    return sum(
+        size_sum(number) if isinstance(number, tuple) else xp.sum(size(number), axis=0)
+        for number in numbers
+    )
 
 
-def _dense_step(state: _State[Number], unit: float, *, is_apart: bool = False) -> _State[Number]:
+def _dense_step(state: _State, unit: float, *, is_apart: bool = False) -> _State:
     """Lower the degree by one, and bound what exact steps with the same K could differ by."""
     falling, rising = state.falling, state.rising
-    first, last = at(falling, 0), at(rising, 0)
-    ratio = tree_map(kept, last / first)
+    first, last = falling[0], rising[0]
+    ratio, inverse = _quotient(last, first, is_rolled=not isinstance(falling, tuple))
     modulus = size(ratio)
     total = _sum(falling, rising) if is_apart else _sum(falling)
     outside = state.outside | (size(last) - size(first) > 4.0 * state.drift)
+    lowered, turned = _lowered(falling, rising, ratio, is_apart=is_apart)
     return _State(
-        falling=falling - rising * ratio,
-        rising=tree_map(_shifted, rising - falling * ratio),
+        falling=lowered,
+        rising=turned,
         error=state.error * (1.0 + modulus) + unit * total * (1.0 + 2.0 * modulus),
         inside=state.inside & (modulus < 1.0),
         regular=state.regular & (modulus != 1.0),
         outside=outside,
-        drift=drifted(state.drift, modulus, size(first), total, unit),
+        drift=drifted(state.drift, modulus, inverse, total, unit),
     )
+
+
+def _lowered(falling: Any, rising: Any, ratio: Number, *, is_apart: bool) -> tuple[Any, Any]:
+    if not isinstance(falling, tuple):
+        return falling - rising * ratio, tree_map(_shifted, rising - falling * ratio)
+    lowered = tuple(_minus(a, ratio, b) for a, b in zip_longest(falling, rising))
+    turned = tuple(_minus(a, ratio, b) for a, b in zip_longest(rising, falling))
+    return lowered if is_apart else lowered[:-1], turned[1:]
 
 
 def _shifted(values: Array) -> Array:

@@ -168,7 +168,7 @@ def filtered_loops(points: Points, form: Form, filters: Filters) -> LinearLoop:
     return filtered_loop(points.gamma, points.delta, form.whole_delay, fraction, filters)
 
 
-@compiled(static=["degree"], many=MANY, wide=True)
+@compiled(static=["degree"], many=MANY, wide=True, pointwise=True)
 def _loop_float_codes(alpha: Array, beta: Array, loop: LinearLoop, *, degree: int) -> Array:
     loop = tree_map(namespace(alpha, beta, loop).asarray, loop)
     codes = partial(dense_codes, unit=UNIT, degree=degree)

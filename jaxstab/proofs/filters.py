@@ -27,8 +27,7 @@ from jaxtyping import Complex128, Float64
 
 from jaxstab.arrays import PI_REST, Array, at, joined, namespace
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import Filters
-from jaxstab.model.sections import ONE, Polynomial, Transfer, size_of
+from jaxstab.model.filters import ONE, Filters, Polynomial, Transfer, size_of
 from jaxstab.proofs.enclosures import LinearModel, Moving
 from jaxstab.rounding import EPS, OVERLAP, RAISED_SERIES, SHIFTED
 

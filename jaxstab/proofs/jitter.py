@@ -3,7 +3,7 @@
 Let the delay of each sample lie between L and L + J, in samples, and let the newest sample that has
 arrived set the force. The force then differs from that of the loop with the delay L by the last
 changes of the computed force, and that difference comes back through the device
-(``model.device.late_forces``). With x = 1/z, g the polynomial of the loop of delay L (as in
+(``model.device.sampling``). With x = 1/z, g the polynomial of the loop of delay L (as in
 ``linear_circle``), H = alpha P + beta V the wall and Q the response of the device to changes that
 come up to J late, the way round is a contraction if on the whole unit circle
 
@@ -27,10 +27,9 @@ from jaxtyping import Bool, Float64, Int64
 from jaxstab.arrays import PI_REST
 from jaxstab.conventions import Verdict
 from jaxstab.model.device import SampledDevice
-from jaxstab.model.device.late_forces import late_response
+from jaxstab.model.device.sampling import late_response
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import Filter, Filters, Velocity
-from jaxstab.model.sections import ONE, Polynomial
+from jaxstab.model.filters import ONE, Filter, Filters, Polynomial, Velocity
 from jaxstab.point.verdicts import linear_verdict
 from jaxstab.proofs.enclosures import LinearModel, conjugate, phasor, variable
 from jaxstab.proofs.filters import (
@@ -61,6 +60,7 @@ _EVEN = np.pi * (np.arange(4096) + 0.5) / 4096
 _THETA = np.concatenate([np.geomspace(1e-6, _EVEN[0], 512), _EVEN])  # angles of a search
 _CLOSE, _SMALLEST = 1e-4, 1e-9  # of the jitter, and in samples
 _SHARES = (1e-3, 1e-2, 0.05, 0.2, 0.5)  # by which it is lowered until it is proved
+_DEVICES = 256  # that are remembered: 81 sampled hands and masses for each wall that is tried
 _DIFFERENCE = (DoubleDouble(1.0, 0.0), DoubleDouble(-1.0, 0.0))  # 1 - x
 
 
@@ -142,7 +142,7 @@ def largest_jitters(
         low, high = 0.0, most
         while high - low > _CLOSE * high and high > _SMALLEST:
             tried = 0.5 * (low + high) if low > 0.0 else high / 16.0
-            response = late_response(device, tried).at(_THETA)
+            response = late_response(device, tried).values_at(_THETA)
             is_more = bool(np.all(squares[wall] > response))
             low, high = (tried, high) if is_more else (low, tried)
         for share in _SHARES:
@@ -247,7 +247,7 @@ class OverBoxes(NamedTuple):
         return self.free + self.force * wall, wall
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=_DEVICES)
 def _device_cells(device: SampledDevice, jitter: float) -> FilterCells:
     plant, late = device.plant, late_response(device, jitter)
     shifted = plant.shifted or (None,) * 4

@@ -23,8 +23,7 @@ from jaxstab.arrays import PI_REST, at, joined
 from jaxstab.model.device import SampledDevice
 from jaxstab.model.device.family import LoopFamily, LoopPiece, Piece, pieces_of, pieces_of_delay
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import Filter, Filters, Velocity
-from jaxstab.model.sections import ONE, Polynomial
+from jaxstab.model.filters import ONE, Filter, Filters, Polynomial, Velocity
 from jaxstab.proofs.enclosures import LinearModel, phasor, variable
 from jaxstab.proofs.exclusion import LineBoxes, Models
 from jaxstab.proofs.filters import (

@@ -4,7 +4,7 @@ The derivatives of a crossing follow from the two equations for a root on the ci
 implicit function theorem.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 from math import pi
 
@@ -18,36 +18,45 @@ from jaxstab.arrays import is_traced
 from jaxstab.model.filters import Filters
 from jaxstab.proofs.filters import Responses
 from jaxstab.proofs.plant import circle_equations, quick_slice
-from jaxstab.ranges.margins import WAYS, first_crossings
+
+Search = Callable[..., Float64[np.ndarray, "wall column"]]
 
 _REAL = 2.0**-29  # of pi: a root this near to the real axis is taken for real
 
 
 def moving_steps(
-    point: Float64[Array, "*grid 5"], filters: Filters | None = None
+    search: Search,
+    axes: Sequence[int],
+    point: Float64[Array, "*grid 5"],
+    filters: Filters | None = None,
 ) -> tuple[Float64[Array, "*grid"], Float64[Array, "*grid way"]]:
-    """Codes of verdicts, and the steps to the first crossings with their derivatives."""
-    table = _called_back(jax.lax.stop_gradient(point), filters)
+    """Codes of verdicts, and the steps to the first crossings with their derivatives.
+
+    ``search`` is ``first_crossings``; ``axes`` are those along which it goes.
+    """
+    table = _called_back(search, len(axes), jax.lax.stop_gradient(point), filters)
     steps = [
         _moving(point, table[..., 1 + 2 * way], table[..., 2 + 2 * way], axis, filters)
-        for way, (axis, _) in enumerate(WAYS)
+        for way, axis in enumerate(axes)
     ]
     return table[..., 0], jnp.stack(steps, axis=-1)
 
 
-def _called_back(point: Array, filters: Filters | None) -> Array:
-    search = partial(_search, filters)
+def _called_back(search: Search, ways: int, point: Array, filters: Filters | None) -> Array:
+    of_grid = partial(_of_grid, search, filters)
     if not is_traced(point):
-        return jnp.asarray(search(point))
-    shape = (*point.shape[:-1], 1 + 2 * len(WAYS))
+        return jnp.asarray(of_grid(point))
+    shape = (*point.shape[:-1], 1 + 2 * ways)
     result = jax.ShapeDtypeStruct(shape, jnp.float64)
-    table: Array = jax.pure_callback(search, result, point, vmap_method="broadcast_all")
+    table: Array = jax.pure_callback(of_grid, result, point, vmap_method="broadcast_all")
     return table
 
 
-def _search(filters: Filters | None, point: Array) -> Float64[np.ndarray, "*grid column"]:
+def _of_grid(
+    search: Search, filters: Filters | None, point: Array
+) -> Float64[np.ndarray, "*grid column"]:
     walls = np.asarray(point)
-    table = first_crossings(walls.reshape(-1, walls.shape[-1]), filters)
+    table = search(walls.reshape(-1, walls.shape[-1]), filters)
     return table.reshape(*walls.shape[:-1], table.shape[-1])
 
 

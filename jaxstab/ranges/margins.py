@@ -453,7 +453,8 @@ def margins(
     if is_jax(point):
         from jaxstab.ranges.margin_slopes import moving_steps
 
-        code, steps = moving_steps(point, filters)
+        axes = [axis for axis, _ in WAYS]
+        code, steps = moving_steps(first_crossings, axes, point, filters)
     else:
         rows: Array = first_crossings(point.reshape(-1, len(values)), filters)
         table = rows.reshape(*point.shape[:-1], rows.shape[-1])

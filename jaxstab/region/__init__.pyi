@@ -1,5 +1,5 @@
-from .corners import Branch as Branch
 from .curve import boundary_curve as boundary_curve
+from .pieces import Branch as Branch
 from .region import region_outline as region_outline
 from .region import stable_region as stable_region
 from .stable_set import RegionStatus as RegionStatus

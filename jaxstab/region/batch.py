@@ -45,8 +45,7 @@ from jaxtyping import Bool, Float64
 
 from jaxstab.arrays import Array, repeat
 from jaxstab.batches import LEAN, is_on_cpu
-from jaxstab.region.corners import Branch
-from jaxstab.region.pieces import reflected
+from jaxstab.region.pieces import Branch, reflected
 from jaxstab.rounding import UNIT
 
 SLOTS = 6  # pieces of one loop
@@ -57,7 +56,7 @@ _TILE = 64  # angles of a scan at once
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 _LOWERED = 8  # steps of the recursion between which its arrays get shorter
 _HALVINGS = 8  # of the brackets of ends
-_NEWTON_STEPS = 16
+_NEWTON_STEPS = 24
 _TOLERANCE = 1e-10  # of Newton's steps, in radians
 _SLACK = 1e-6  # of angles beside their brackets
 _CANDIDATES = 3  # places where the curve turns that are refined
@@ -403,13 +402,32 @@ def _missed(loop: Triples, ends: _Ends) -> Array:
     return jnp.where(distance[0] > _APART, angles, jnp.nan)
 
 
-def _root(newton: Any, start: Array, known: Any) -> tuple[Array, Array]:
+def _root(newton: Any, start: Any, known: Any) -> tuple[Any, Array]:
     """Return the fixed point of Newton's step, and whether it was reached."""
     solver: Any = optx.FixedPointIteration(rtol=_TOLERANCE, atol=_TOLERANCE)
     found: Any = optx.fixed_point(
         newton, solver, start, args=known, max_steps=_NEWTON_STEPS, throw=False
     )
     return found.value, found.result == optx.RESULTS.successful
+
+
+def _fall(values: Any, start: Array, low: Array, high: Array) -> tuple[Array, Array]:
+    """Return where a function falls through 0, and whether it was reached.
+
+    ``values`` gives it and its slope. It is > 0 at ``low`` and < 0 at ``high``: steps of Newton's
+    method that lead elsewhere are halvings instead.
+    """
+
+    def step(place: tuple[Array, Array, Array], _: None) -> tuple[Array, Array, Array]:
+        theta, low, high = place
+        value, slope = values(theta)
+        low, high = jnp.where(value > 0.0, theta, low), jnp.where(value > 0.0, high, theta)
+        newton = theta - value / slope
+        theta = jnp.where((newton >= low) & (newton <= high), newton, 0.5 * (low + high))
+        return theta, low, high
+
+    (theta, _, _), is_reached = _root(step, (start, low, high), None)
+    return theta, is_reached
 
 
 class _Links(NamedTuple):
@@ -657,16 +675,15 @@ def _largest(
     ends = _wall(loop, jnp.stack([lower, upper]))[axis]
     start = _vertex(jnp.stack([lower, angles[at], upper]), values[at], ends)
     start = jnp.where(number < count, start, 0.5 * (lower + upper))
-    start = jnp.where(exists, start, start[0])  # all wait for the slowest
+    places = jnp.stack([start, lower - _SLACK, upper + _SLACK])
+    start, *limits = jnp.where(exists, places, places[:, :1])  # all wait for the slowest
 
-    limits = lower - _SLACK, upper + _SLACK
-
-    def newton(theta: Array, limits: tuple[Array, Array]) -> Array:
+    def rise(theta: Array) -> tuple[Array, Array]:
         slopes = partial(_with_slopes, loop)
         (_, slope), (_, bend) = jax.jvp(slopes, (theta,), (jnp.ones_like(theta),))
-        return jnp.clip(theta - slope[axis] / bend[axis], *limits)
+        return slope[axis], bend[axis]
 
-    theta, solved = jax.vmap(partial(_root, newton))(start, limits)
+    theta, solved = jax.vmap(partial(_fall, rise))(start, *limits)
     solved = exists & solved & (theta > limits[0]) & (theta < limits[1])
     smooth = _wall(loop, jnp.where(solved, theta, angles[at]))
     solved = solved & (smooth[axis] >= best - _TOLERANCE * unit)
@@ -766,14 +783,17 @@ def _on_axis(
     most = jnp.where(crosses, jnp.maximum(here[axis], there[axis]), -jnp.inf)
     best = jnp.argmax(gains)
     low, high = jnp.minimum(starts, stops)[best], jnp.maximum(starts, stops)[best]
+    limits = low - _SLACK, high + _SLACK
+    falls = jnp.sign(run[best]) * jnp.sign(starts[best] - stops[best])
 
-    def newton(theta: Array, _: None) -> Array:
+    def height(theta: Array) -> tuple[Array, Array]:
         walls, slopes = _with_slopes(loop, theta)
-        return theta - walls[1 - axis] / slopes[1 - axis]
+        return falls * walls[1 - axis], falls * slopes[1 - axis]
 
     start = starts[best] + share[best] * (stops[best] - starts[best])
-    theta, is_solved = _root(newton, jnp.where(crosses[best], start, starts[best]), None)
-    is_solved = crosses[best] & is_solved & (theta >= low - _SLACK) & (theta <= high + _SLACK)
+    start = jnp.where(crosses[best], start, starts[best])
+    theta, is_solved = _fall(height, start, *limits)
+    is_solved = crosses[best] & is_solved & (theta > limits[0]) & (theta < limits[1])
     on_curve = jnp.where(is_solved, _wall(loop, theta)[axis], -jnp.inf)
     rest = jnp.max(jnp.where(is_solved & (jnp.arange(len(most)) == best), -jnp.inf, most))
     is_on_line = on_line[best_line] > on_curve

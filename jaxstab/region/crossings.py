@@ -19,7 +19,6 @@ import numpy as np
 from jaxtyping import Float64, Int
 
 from jaxstab.arrays import tree_map
-from jaxstab.region.corners import steps_to_meeting
 from jaxstab.region.curve import Curve, curve_and_lift, minus_margin
 from jaxstab.region.filtered_curve import FilteredCurve
 from jaxstab.region.pieces import (
@@ -30,6 +29,7 @@ from jaxstab.region.pieces import (
     nearly_stable,
     others_inside,
     slice_angles,
+    steps_to_meeting,
     suspects,
 )
 from jaxstab.region.roots import bracketed_root, with_slope

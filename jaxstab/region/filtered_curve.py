@@ -27,7 +27,7 @@ from jaxtyping import Bool, Complex128, Float64
 
 from jaxstab.arrays import Array, tree_map
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import Filters
+from jaxstab.model.filters import Filters, Polynomial, Transfer, product, size_of
 from jaxstab.model.linear_loop import (
     LinearLoop,
     LoopFilters,
@@ -37,7 +37,6 @@ from jaxstab.model.linear_loop import (
     loop_of,
     sampled_mass,
 )
-from jaxstab.model.sections import Polynomial, Transfer, product, size_of
 
 # Polynomials in powers of zeta and of zeta - 1, in double-double and as rows of numbers.
 

@@ -19,9 +19,9 @@ from jaxtyping import Float64
 
 from jaxstab.arrays import Array, constant, first_indices, namespace, repeat, repeat_while
 from jaxstab.batches import compiled
-from jaxstab.region.corners import Branch
 from jaxstab.region.curve import Curve, curve_and_lift
 from jaxstab.region.outline import Outline
+from jaxstab.region.pieces import Branch
 from jaxstab.region.roots import bracketed_root, nonzero, root_between, with_slope
 
 _CROSSINGS = 8  # of a row with the boundary in JAX; rows with more give NaN

@@ -29,7 +29,6 @@ from jaxstab.arrays import (
     stored,
     tree_map,
 )
-from jaxstab.region.corners import Branch
 from jaxstab.region.curve import (
     Curve,
     curve_and_lift,
@@ -38,7 +37,7 @@ from jaxstab.region.curve import (
     plus_slope,
     poles,
 )
-from jaxstab.region.pieces import NO_BRANCH, Pieces, others_inside
+from jaxstab.region.pieces import NO_BRANCH, Branch, Pieces, others_inside
 from jaxstab.region.roots import bracketed_root, with_slope
 
 _FEWEST_NODES, _MOST_NODES = 33, 129  # per piece, to see where it bends and turns

@@ -25,15 +25,13 @@ from jaxstab.batches import compiled
 from jaxstab.conventions import Verdict
 from jaxstab.model import require_x64
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import Filter, Filters, Velocity, known_filters
+from jaxstab.model.filters import Filter, Filters, Transfer, Velocity, known_filters
 from jaxstab.model.linear_loop import LinearLoop, SampledPlant
 from jaxstab.model.loop import refuses_loops
 from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT, LONGEST_DELAY, whole_and_fraction
-from jaxstab.model.sections import Transfer
 from jaxstab.numbers import checked_count, checked_number
 from jaxstab.point.verdicts import linear_verdict
 from jaxstab.region import measures
-from jaxstab.region.corners import Branch
 from jaxstab.region.crossings import refined_pieces
 from jaxstab.region.curve import Curve, curve_and_lift, slice_coefficients
 from jaxstab.region.exact import Pairs, exact_gains, in_pairs
@@ -48,6 +46,7 @@ from jaxstab.region.filtered_curve import (
 from jaxstab.region.outline import Outline, extra_vertices, polygon
 from jaxstab.region.pieces import (
     NO_BRANCH,
+    Branch,
     Pieces,
     are_inside,
     edges_of,

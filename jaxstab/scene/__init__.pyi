@@ -6,9 +6,6 @@ from .check import WallCheck as WallCheck
 from .check import check_walls as check_walls
 from .contact import Contacts as Contacts
 from .contact import simulate_contacts as simulate_contacts
-from .design import Design as Design
-from .design import DesignStatus as DesignStatus
-from .design import design_loop as design_loop
 from .example import EXAMPLE as EXAMPLE
 from .example import explain_model as explain_model
 from .limits import Limits as Limits
@@ -20,7 +17,10 @@ from .loops import loop_of as loop_of
 from .loops import wall_region as wall_region
 from .scene import Scene as Scene
 from .tune import BestWall as BestWall
+from .tune import Design as Design
+from .tune import DesignStatus as DesignStatus
 from .tune import Tuned as Tuned
+from .tune import design_loop as design_loop
 from .tune import tune_walls as tune_walls
 
 __all__: list[str]

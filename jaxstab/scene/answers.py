@@ -77,7 +77,7 @@ class Quantity:
 
 
 class IntervalQuantity(Quantity):
-    """How an interval is printed: its ends inwards, with enough digits that they stay in order."""
+    """Format of an interval: its ends inwards, with enough digits that they stay in order."""
 
     def words(self, value: Any, units: Units = Units.LINE) -> str:
         """Return the two ends with their unit; one number as any other."""
@@ -178,8 +178,8 @@ class Answer:
             words = self._words(name, value, units)
             ends = ("_low", "_high") if isinstance(value, tuple) else ("",)
             values = value if isinstance(value, tuple) else (value,)
-            for end, number in zip(ends, values, strict=True):
-                yield path + end, _for_json(number), words
+            for end, entry in zip(ends, values, strict=True):
+                yield path + end, _for_json(entry), words
 
     def __str__(self) -> str:
         return "\n".join(self.lines())
@@ -193,7 +193,7 @@ class Answer:
         for field in fields(self):  # type: ignore[arg-type]
             value = getattr(self, field.name)
             if isinstance(value, dict):
-                yield from (((field.name, name), one) for name, one in value.items())
+                yield from (((field.name, name), entry) for name, entry in value.items())
             elif value is not None:
                 yield (field.name,), value
 
@@ -245,7 +245,7 @@ class Basis(Answer):
 
     @property
     def range_of_delays(self) -> str | None:
-        """What is said of a range of delays; None for one delay."""
+        """The description of a range of delays; None for one delay."""
         return None if self.delay_is == _NO_DELAY else self.delay_is
 
     @property
@@ -303,7 +303,7 @@ def _for_json(value: Any) -> Any:
     if isinstance(value, str | IntEnum):
         return in_words(value)
     if isinstance(value, tuple):
-        return [_for_json(part) for part in value]
+        return [_for_json(entry) for entry in value]
     return value if isfinite(value) else None
 
 
@@ -313,8 +313,8 @@ def _quantities(kind: Any) -> dict[str, Quantity]:
     hints = get_type_hints(kind, include_extras=True)
     quantities = {}
     for name, hint in hints.items():
-        for part in (hint, *get_args(hint)):  # of "quantity | None", too
-            for note in getattr(part, "__metadata__", ()):
+        for annotation in (hint, *get_args(hint)):  # of "quantity | None", too
+            for note in getattr(annotation, "__metadata__", ()):
                 if isinstance(note, Quantity):
                     quantities[name] = note
     return quantities
@@ -335,13 +335,13 @@ def _delay_is(controller: Controller) -> str | None:
     ends = IntervalQuantity("s").words((low, high)).replace(" to ", " and ")
     if not controller.moves:
         return f"constant, somewhere between {ends}: proofs hold for every constant delay"
-    lost = f", up to {controller.lost_samples} in a row lost" if controller.lost_samples else ""
+    losses = f", up to {controller.lost_samples} in a row lost" if controller.lost_samples else ""
     motion = f"moves between {ends}" if low < high else f"is {Quantity('s').words(low)}"
-    return f"{motion}, newest sample wins{lost}: proofs hold for every sequence"
+    return f"{motion}, newest sample wins{losses}: proofs hold for every sequence"
 
 
 def basis_of(scene: Scene) -> Basis:
-    """Return what the answers hold for: estimator, filter, delay, device, hand, and what moves."""
+    """The inputs that the answers hold for: estimator, filter, delay, device, hand, motion."""
     controller, device, hand = scene.controller, scene.device, scene.hand
     low, high = controller.delays
     samples = low / controller.sample_time, controller.samples

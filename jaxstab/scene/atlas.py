@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxstab.atlas import Atlas, AtlasAnswer, AtlasSpec, FittedAxis
-from jaxstab.atlas.compute.layout import reach_of
+from jaxstab.atlas.plan import extents_of
 from jaxstab.loop import Gains, HapticLoop
 from jaxstab.scene.answers import basis_of
 from jaxstab.scene.loops import Member, corners_of, loop_of_member, ranges_of, walls_of
@@ -37,13 +37,13 @@ def atlas_spec(scene: Scene) -> AtlasSpec:
             "device.actuator and hand.grip."
         )
     delays = sorted({float(loop.delay_samples) for loop in loops})
-    first, last = delays[0], delays[-1]
-    whole = map(float, range(floor(first) + 1, ceil(last)))
+    shortest, longest = delays[0], delays[-1]
+    whole = map(float, range(floor(shortest) + 1, ceil(longest)))
     spec = AtlasSpec(
         gamma=_nodes("gamma", [loop.gamma for loop in loops]),
         delta=_nodes("delta", [loop.delta for loop in loops]),
-        delay=sorted({first, last, *whole}),
-        delay_cells=_DELAY_CELLS if first < last else 0,
+        delay=sorted({shortest, longest, *whole}),
+        delay_cells=_DELAY_CELLS if shortest < longest else 0,
         products=("verdict", "alpha_limits"),
         **loops[0].filters,
     )
@@ -51,15 +51,15 @@ def atlas_spec(scene: Scene) -> AtlasSpec:
 
 
 def _around(spec: AtlasSpec, loops: list[HapticLoop], walls: list[Gains]) -> AtlasSpec:
-    """Return a specification whose axes reach beyond walls, with cells as fine as before."""
+    """A specification whose axes extend beyond walls, with cells as fine as before."""
     if not walls:
         return spec
     stiffness, damping = (np.array(gains) for gains in zip(*walls, strict=True))
     alpha = np.array([loop.alpha(stiffness) for loop in loops])
     beta = np.array([loop.beta(damping) for loop in loops])
-    reach = reach_of(spec).ends
+    ends = extents_of(spec).ends
     highest, lowest_beta, highest_beta = (
-        float(end) for end in (reach[:, 0].min(), reach[:, 1].max(), reach[:, 2].min())
+        float(end) for end in (ends[:, 0].min(), ends[:, 1].max(), ends[:, 2].min())
     )
     axes = (
         _beyond("alpha", spec, alpha, (-min(loop.gamma for loop in loops), highest)),
@@ -85,7 +85,7 @@ def _beyond(
 
 
 class AskedWall(NamedTuple):
-    """What an atlas says about a wall at a corner of a scene's ranges."""
+    """The answer of an atlas about a wall at a corner of a scene's ranges."""
 
     name: str
     gains: Gains

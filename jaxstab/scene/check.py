@@ -52,7 +52,7 @@ from jaxstab.scene.answers import (
     Time,
     basis_of,
 )
-from jaxstab.scene.contact import Simulated, contacts_of
+from jaxstab.scene.contact import NotSimulated, Simulated, contacts_or_reasons
 from jaxstab.scene.loops import (
     corner_loops,
     hands_of,
@@ -91,7 +91,10 @@ class HeldBy(Answer):
 
 @dataclass(frozen=True)
 class AllHands(Answer):
-    """A wall for all hands of a range, nearly the stiffest, and a proved bound if there is one."""
+    """A wall for all hands of a range, nearly the stiffest, and a proved bound if there is one.
+
+    Both times the safety, if one is wanted: they enclose the limit that it leaves.
+    """
 
     largest_stiffness: LargestStiffness
     at_damping: Damping
@@ -191,7 +194,7 @@ def limit_for_all(scene: Scene, safety: float) -> AllHands | None:
         largest_stiffness=stiffness,
         at_damping=robust.damping,
         certainty=proved if is_proved else tried,
-        none_is_stiffer_than=robust.limit if is_one_mass(scene) and not moving else None,
+        none_is_stiffer_than=safety * robust.limit if is_one_mass(scene) and not moving else None,
         worst_hand=held_by(robust.loop, scene),
     )
 
@@ -351,7 +354,7 @@ class WallCheck(Answer):
     oscillation: Oscillation | None = None
     chatter: Chatter | None = None
     jitter: Jitter | None = None
-    simulated: Simulated | None = None
+    simulated: Simulated | NotSimulated | None = None
 
 
 @dataclass(frozen=True)
@@ -394,7 +397,7 @@ def check_walls(scene: Scene) -> Check:
                 measured, walls, *_over_hands(walls, ask), strict=True
             ):
                 own[name] = summarise(wall, loops, answer)
-    felt = contacts_of(scene)
+    felt = contacts_or_reasons(scene) if scene.wanted.measures else {}
     checked = {
         name: WallCheck(
             *wall.gains,

@@ -6,8 +6,8 @@ lowest ends of their ranges, the delay is constant and the longest one. The answ
 worst start, which it names.
 """
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
 from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -59,6 +59,13 @@ class Simulated(Answer):
 
 
 @dataclass(frozen=True)
+class NotSimulated(Answer):
+    """Why the contact with a wall is not simulated: proofs do not need it."""
+
+    contact: str
+
+
+@dataclass(frozen=True)
 class Contacts(Answer):
     """The simulated contact of each wall, by its name."""
 
@@ -81,7 +88,10 @@ def simulate_contacts(scene: Scene) -> Contacts:
 
 def _require_contact(scene: Scene) -> None:
     if scene.contact is None:
-        raise ValueError("contact is missing; give contact.push in N, or contact.speed in m/s.")
+        raise ValueError(
+            "contact is missing; give contact.push in N, or contact.speed in m/s (on the command "
+            "line --push or --speed)."
+        )
 
 
 def contacts_of(scene: Scene) -> dict[str, Simulated]:
@@ -99,6 +109,17 @@ def contacts_of(scene: Scene) -> dict[str, Simulated]:
         name: _simulated(scene, Contact(*(one[k, start] for one in contact[:-1])), starts[start])
         for k, (name, start) in enumerate(zip(scene.walls, worst, strict=True))
     }
+
+
+def contacts_or_reasons(scene: Scene) -> Mapping[str, Simulated | NotSimulated]:
+    """Return ``contacts_of``; for a wall whose contact cannot be simulated, the reason."""
+    try:
+        return contacts_of(scene)
+    except ValueError as error:
+        if len(scene.walls) == 1:
+            return dict.fromkeys(scene.walls, NotSimulated(f"not simulated: {error}"))
+    alone = (replace(scene, walls={name: wall}) for name, wall in scene.walls.items())
+    return {name: answer for one in alone for name, answer in contacts_or_reasons(one).items()}
 
 
 def simulated_map(scene: Scene, stiffness: Any, damping: Any, **start: Any) -> Contact:

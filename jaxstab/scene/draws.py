@@ -1,8 +1,8 @@
-"""What a study varies: lists of values, and distributions that are drawn from.
+"""The values of a study: lists, and draws from distributions.
 
-The draws of a quantity have a stream of random numbers of their own, told by the seed and the name
-of the quantity, so that they do not depend on what else varies or on how the work is divided.
-Columns of one CSV file are drawn row by row: mass and stiffness of a hand stay together.
+Each quantity is drawn from a separate stream of random numbers, set by the seed and the name of the
+quantity, so its draws do not depend on what else varies or on how the work is divided. Columns of
+one CSV file are drawn row by row: mass and stiffness of a hand stay together.
 """
 
 import csv
@@ -35,7 +35,7 @@ class Distribution(ABC):
 
     @property
     def _stream(self) -> str:
-        """What tells the stream of random numbers from others; empty: the quantity does."""
+        """The name of the stream of random numbers; empty for that of the quantity."""
         return ""
 
 
@@ -155,7 +155,7 @@ class Measured(Distribution):
 
     @property
     def _stream(self) -> str:
-        """The source, which makes its columns go together."""
+        """The source, so that its columns are drawn together."""
         return self.source and f"{self.source} of {len(self.values)}"
 
 
@@ -171,10 +171,10 @@ def distribution_of(text: str) -> Distribution | None:
     if not parts or isinstance(_number_or_text(kind), float):
         return None
     try:
-        make, (first, second) = kinds[kind], map(float, parts)
+        make, (a, b) = kinds[kind], map(float, parts)
     except (KeyError, ValueError):
         raise ValueError(f"{shortened(text)} is no distribution; give {_FORMS}.") from None
-    made: Distribution = make(first, second)
+    made: Distribution = make(a, b)
     return made
 
 
@@ -243,8 +243,8 @@ def columns_of(
     names = reader.fieldnames or []
     for column in columns:
         if column not in names:
-            known = shortened(", ".join(names))
-            raise ValueError(f"{file} has no column {column!r}; its columns are {known}.")
+            listed = shortened(", ".join(names))
+            raise ValueError(f"{file} has no column {column!r}; its columns are {listed}.")
     numbers: dict[str, list[float]] = {
         column: [] for column in (*columns, *optional) if column in names
     }

@@ -104,7 +104,7 @@ def explain_model(scene: Scene) -> str:
     counted = [f"{'':{_NAME}}{words}" for words in _COUNTED]
     delay = "" if scene.controller.moves else ", delay"
     every = [", ".join(_not_modelled(scene)), *(words.format(delay) for words in _OUTSIDE)]
-    outside = [f"{'' if number else 'outside':{_NAME}}{w}" for number, w in enumerate(every)]
+    outside = [f"{'' if k else 'outside':{_NAME}}{w}" for k, w in enumerate(every)]
     return "\n".join([DIAGRAM, *blocks, *counted, *outside])
 
 
@@ -115,13 +115,13 @@ def _blocks(scene: Scene) -> dict[str, str]:
     turning = "" if units is Units.LINE else ", which turns"
     own = _range(device.effective_mass, "kg", units)
     blocks = {"device": f"{own}, {Quantity('N s/m').words(device.damping, units)}{turning}"}
-    for number, mode in enumerate(device.modes, 1):
+    for index, mode in enumerate(device.modes, 1):
         mass = Quantity("kg").words(mode.effective_mass, units)
         words = f"{mode.frequency:g} Hz, damping ratio {mode.damping_ratio:g}, {mass}"
-        blocks[f"mode {number}"] = words
+        blocks[f"mode {index}"] = words
     if device.actuator is not None:
         blocks["actuator"] = f"a first-order lag of {device.actuator.bandwidth:g} Hz of the force"
-    blocks["hand"] = ", ".join(_range(*one, units) for one in held) if scene.hand else "none"
+    blocks["hand"] = ", ".join(_range(*pair, units) for pair in held) if scene.hand else "none"
     if hand.grip is not None:
         blocks["grip"] = f"{grip_in_words(hand.grip, units)}, between device and hand"
     return blocks | {
@@ -139,7 +139,7 @@ def _range(ends: tuple[float, float], unit: str, units: Units) -> str:
 
 
 def _not_modelled(scene: Scene) -> list[str]:
-    """Return what the scene leaves out of what it might say of device and hand."""
+    """The aspects of device and hand that the scene could describe but does not."""
     device, hand = scene.device, scene.hand
     return [
         "vibration modes other than these" if device.modes else "vibration modes",

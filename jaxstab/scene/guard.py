@@ -13,7 +13,7 @@ from jaxstab.loop import HapticLoop
 from jaxstab.model.parameters import LONGEST_DELAY
 from jaxstab.scene.answers import basis_of
 from jaxstab.scene.loops import is_one_mass, loop_of, masses_of, range_of_hands, with_delay
-from jaxstab.scene.scene import Scene
+from jaxstab.scene.scene import Scene, range_in_words
 
 Range = tuple[float, float]
 
@@ -132,7 +132,7 @@ def guard_about(scene: Scene, guard: Guard) -> str:
 def _delay_of(guard: Guard) -> str:
     if guard.is_delay_constant:
         return "delay, constant during contact"
-    lost = f", up to {guard.lost} samples lost in a row" if guard.lost else ""
+    lost = f", up to {guard.lost} in a row lost" if guard.lost else ""
     return f"delay, moving from sample to sample{lost}"
 
 
@@ -180,4 +180,4 @@ def _beside_a_mass(scene: Scene) -> list[str]:
 
 
 def _line(name: str, ends: Range, unit: str) -> str:
-    return f"{name}: {ends[0]:g} to {ends[1]:g} {unit}"
+    return f"{name}: {range_in_words(ends)} {unit}"

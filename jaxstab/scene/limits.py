@@ -7,11 +7,11 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from jaxstab import paper
 from jaxstab.conventions import Verdict
 from jaxstab.loop import Gains, HapticLoop, WallLimits, WallRegion
 from jaxstab.loop.between import LoopsBetween
 from jaxstab.model import Velocity
-from jaxstab.paper import linear_alpha_limit, passive_region
 from jaxstab.scene.answers import (
     Answer,
     Basis,
@@ -71,7 +71,7 @@ class OtherWindow(StiffestWall):
 
 @dataclass(frozen=True)
 class LinearRule(StiffestWall):
-    """What the linear rule allows at the damping of the stiffest wall: it is no limit."""
+    """The linear rule's stiffness at the damping of the stiffest wall: it is no limit."""
 
     linear_rule_is: str
 
@@ -117,7 +117,7 @@ UnstableStiffness = Annotated[float, Quantity("N/m", infinite="no unstable wall 
 
 @dataclass(frozen=True)
 class ProvedWall(StiffestWall):
-    """The stiffest wall found that is proved, and the stiffness there from which one is not."""
+    """The stiffest proved wall of the search, and a stiffness at its damping proved unstable."""
 
     certainty: str
     proved_unstable_at: UnstableStiffness | None
@@ -199,7 +199,7 @@ def brief(answer: Limits | LimitsOverDelays, *, islands: bool = False) -> str:
             limits = said[f"{key}.{gain}_limits_low"]
             lines[f"stable {gain}"] = f"{limits} at {said[f'{key}.at_{fixed}']}"
     for name, wall in answer.walls.items():
-        lines[f"wall {name}"] = _wall_in_words(wall, f"walls.{name}", said)
+        lines[f"wall {name}"] = _wall_text(wall, f"walls.{name}", said)
     for name, island in answer.islands.items() if isinstance(answer, Limits) else ():
         if islands:
             lines[f"island {name}"] = limit(f"islands.{name}", island.reached)
@@ -209,7 +209,7 @@ def brief(answer: Limits | LimitsOverDelays, *, islands: bool = False) -> str:
     return "\n".join(f"{name:{column}}{words}" for name, words in lines.items())
 
 
-def _wall_in_words(wall: WallCheck | AroundWall, key: str, said: dict[str, str]) -> str:
+def _wall_text(wall: WallCheck | AroundWall, key: str, said: dict[str, str]) -> str:
     """Return the gains of a wall, and its verdict or the stiffness limits at its damping."""
     if isinstance(wall, WallCheck):
         names = (f"{key}.{name}" for name in ("verdict", "worst_delays"))
@@ -276,8 +276,8 @@ def _over_delays(scene: Scene) -> LimitsOverDelays:
         judge: Any = partial(loops[0].verdict, **moving_delays(scene))
     else:
         between = LoopsBetween(*loops)
-        found, judge = between.robust_limit(), between.verdict
-        best, is_proved = Gains(found.stiffness, found.damping), found.is_proved
+        robust, judge = between.robust_limit(), between.verdict
+        best, is_proved = Gains(robust.stiffness, robust.damping), robust.is_proved
     if is_proved and wanted.safety:
         best = best._replace(stiffness=wanted.safety * best.stiffness)
         is_proved = bool(judge(*best) == Verdict.STABLE)
@@ -333,7 +333,9 @@ class _Rows:
     def linear_rule(self, damping: float) -> float:
         """Return the largest stiffness of the linear rule at a damping."""
         loop = self.loop
-        limit = linear_alpha_limit(loop.beta(damping), delta=loop.delta, delay=loop.delay_samples)
+        limit = paper.linear_alpha_limit(
+            loop.beta(damping), delta=loop.delta, delay=loop.delay_samples
+        )
         return self.safety * loop.stiffness(float(limit))
 
 
@@ -356,10 +358,7 @@ def inwards(low: float, high: float, safety: float) -> tuple[float, float]:
 
 
 def _islands(limits: WallLimits) -> dict[str, Island]:
-    return {
-        str(number): Island(*island[:4], _ISOLATED)
-        for number, island in enumerate(limits.islands, 1)
-    }
+    return {str(k): Island(*island[:4], _ISOLATED) for k, island in enumerate(limits.islands, 1)}
 
 
 def _linear_rule(rows: "_Rows", limits: WallLimits, safety: float) -> LinearRule:
@@ -372,12 +371,12 @@ def _linear_rule(rows: "_Rows", limits: WallLimits, safety: float) -> LinearRule
 
 def _passive(loop: HapticLoop, safety: float) -> StiffestWall:
     own = loop.device_damping * loop.sample_time / loop.mass
-    alpha, beta = passive_region(delta=own, delay=loop.delay_samples).max_alpha
+    alpha, beta = paper.passive_region(delta=own, delay=loop.delay_samples).max_alpha
     return StiffestWall(safety * float(loop.stiffness(alpha)), float(loop.damping(beta)))
 
 
 def _other_windows(loop: HapticLoop, safety: float) -> dict[str, OtherWindow]:
-    """Return what windows that software has would leave of the largest stiffness."""
+    """The largest stiffness with the windows that haptics software uses."""
     answers = {}
     for samples in _WINDOWS:
         limits = replace(loop, velocity=Velocity.difference(samples)).limits()

@@ -34,7 +34,7 @@ def wall_region(loop: HapticLoop) -> WallRegion:
     region = loop.region()
     if region.status == RegionStatus.UNRESOLVED:
         raise ValueError(
-            f"the stable region of {_in_words(loop)} was not resolved; change one value a little."
+            f"the stable region of {_inputs(loop)} was not resolved; change one value a little."
         )
     return region
 
@@ -56,7 +56,7 @@ def loop_of(scene: Scene, hand: OneHand | None = None) -> HapticLoop:
 
 
 def is_one_mass(scene: Scene) -> bool:
-    """Return whether the device and the hand that is glued to it are one mass."""
+    """Whether the device and a hand rigidly attached to it are one mass."""
     device, hand = scene.device, scene.hand or Hand()
     return not device.modes and device.actuator is None and hand.grip is None
 
@@ -157,8 +157,8 @@ def _check_scale(scene: Scene) -> None:
             )
 
 
-def _in_words(loop: HapticLoop) -> str:
-    """Return what decides about the region of a loop."""
+def _inputs(loop: HapticLoop) -> str:
+    """The parameters that determine the region of a loop."""
     velocity = loop.velocity or Velocity()
     filters = "" if given_filters(**loop.filters) is None else f", {velocity}"
     if loop.body is None:
@@ -214,5 +214,5 @@ def loop_of_member(scene: Scene, member: Member) -> HapticLoop:
 
 def with_delay(scene: Scene, delay: float) -> Scene:
     """Return a scene with one constant delay in s."""
-    one: Any = {"delay_samples": None, "delay_is": None, "lost_samples": 0}
-    return replace(scene, controller=replace(scene.controller, delay=(delay, delay), **one))
+    constant: Any = {"delay_samples": None, "delay_is": None, "lost_samples": 0}
+    return replace(scene, controller=replace(scene.controller, delay=(delay, delay), **constant))

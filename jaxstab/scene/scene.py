@@ -1,4 +1,4 @@
-"""A haptic scene in SI units: what a TOML file or the command line says, checked; no JAX here."""
+"""A haptic scene in SI units: the tables of a TOML file or of options, checked; no JAX here."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -69,7 +69,7 @@ def _words(value: Any) -> str:
 
 def _number_or_list(value: Any) -> Any:
     numbers = value if isinstance(value, list) else [value]
-    if not all(isinstance(number, float) for number in numbers):
+    if not all(isinstance(entry, float) for entry in numbers):
         raise ValueError("give a number with a decimal point, or a list of such")
     return value
 
@@ -84,8 +84,8 @@ class Sourced(Table):
     date: str = key(_words)
 
     def __str__(self) -> str:
-        number = self.value if isinstance(self.value, list) else f"{self.value:g}"
-        return f"{number} {self.unit}  ({self.source}; {self.date})"
+        value = self.value if isinstance(self.value, list) else f"{self.value:g}"
+        return f"{value} {self.unit}  ({self.source}; {self.date})"
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class Preset:
     numbers: dict[str, Sourced]
 
     def values(self, keys: tuple[str, ...]) -> dict[str, Any]:
-        """Return the numbers of those of some keys that are known."""
+        """The numbers of those keys that the preset has."""
         return {name: self.numbers[name].value for name in keys if name in self.numbers}
 
     def lines(self) -> list[str]:
@@ -148,7 +148,7 @@ _NO_MASS = "mass is missing; give it a value."
 
 @dataclass(frozen=True, kw_only=True)
 class Encoder(Table):
-    """What the position is rounded to: the resolution at the handle."""
+    """The encoder, by its resolution at the handle."""
 
     resolution: float = key(quantity(LENGTH, is_positive=True))
 
@@ -217,30 +217,30 @@ class Device(Table):
             )
         if self.mass is None and self.inertia is None:
             raise ValueError(_NO_MASS)
-        for number, mode in enumerate(self.modes):
+        for index, mode in enumerate(self.modes):
             if (mode.modal_inertia is None) != (self.inertia is None):
                 own, other = ("mass", "inertia") if self.inertia is None else ("inertia", "mass")
                 raise ValueError(
-                    f"modes.{number}.modal_{other} is {mode.effective_mass:g} beside {own}; give "
+                    f"modes.{index}.modal_{other} is {mode.effective_mass:g} beside {own}; give "
                     f"modal_{own}."
                 )
 
     @classmethod
     def filled_in(cls, table: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Let a preset give what the table does not."""
-        preset = device_presets().get(str(table.get("preset")))
+        """Take the values that are missing in the table from its preset."""
+        preset = device_presets().get(str(table["preset"])) if "preset" in table else None
         if preset is None:
             if not {"preset", "mass", "inertia"} & {*table}:
                 raise ValueError(_NO_MASS)
             return table  # a preset that is not known is refused
-        known = preset.values(("mass", "damping"))
+        defaults = preset.values(("mass", "damping"))
         for name in ("mass", "damping"):
-            if name not in known and name not in table:
+            if name not in defaults and name not in table:
                 raise ValueError(
                     f"{name} is missing; no source has that of the preset {table['preset']!r}, so "
                     "give it a value."
                 )
-        return {**known, **table}
+        return {**defaults, **table}
 
     @property
     def units(self) -> Units:
@@ -260,7 +260,7 @@ class Device(Table):
 
 @dataclass(frozen=True, kw_only=True)
 class Grip(Table):
-    """What is between the device and the arm: a spring and a damper side by side."""
+    """The grip between device and arm: a spring and a damper in parallel."""
 
     stiffness: float = key(quantity("N/m"))
     damping: float = key(quantity("N s/m"), 0.0)
@@ -338,19 +338,19 @@ class VelocityTable(_TimedTable):
 
     @classmethod
     def filled_in(cls, table: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Let a preset give what the table does not."""
-        preset = software_presets().get(str(table.get("preset")))
+        """Take the values that are missing in the table from its preset."""
+        preset = software_presets().get(str(table["preset"])) if "preset" in table else None
         if preset is None:
             return table
-        known = preset.values(tuple(entry.name for entry in fields(cls)))
+        defaults = preset.values(tuple(entry.name for entry in fields(cls)))
         if "window_samples" in table:
-            known.pop("window", None)
-        if len(table) == 1 and not known:
+            defaults.pop("window", None)
+        if len(table) == 1 and not defaults:
             raise ValueError(
                 f"preset is {table['preset']!r}, whose estimator its maker does not document; "
                 "give window, cutoff or coefficients that you have measured."
             )
-        return {**known, **table}
+        return {**defaults, **table}
 
     @property
     def longest_sample_time(self) -> float:
@@ -367,7 +367,7 @@ class VelocityTable(_TimedTable):
     @property
     def is_assumed(self) -> bool:
         """Whether a number of the preset is assumed, in whole or in part."""
-        return any(ASSUMED in number.source for number in self._preset_numbers.values())
+        return any(ASSUMED in entry.source for entry in self._preset_numbers.values())
 
     @property
     def _preset_numbers(self) -> Mapping[str, Sourced]:
@@ -422,9 +422,9 @@ class Controller(Table):
                 '= [shortest, longest], or delay_is = "moving" if only samples are lost.'
             )
         if self.samples + self.lost_samples > LONGEST_DELAY:
-            lost = f" and {self.lost_samples} are lost" if self.lost_samples else ""
+            loss = f" and {self.lost_samples} are lost" if self.lost_samples else ""
             raise ValueError(
-                f"delay is {self.samples:g} samples of {self.sample_time:g} s{lost}; give at most "
+                f"delay is {self.samples:g} samples of {self.sample_time:g} s{loss}; give at most "
                 f"{LONGEST_DELAY:g} samples, or a longer sample_time; one in samples is given as "
                 "delay_samples."
             )
@@ -455,18 +455,18 @@ class Controller(Table):
 
     @property
     def time_delay(self) -> float:
-        """The delay t_d in s; ValueError where it is not one that is known and constant."""
+        """The delay t_d in s; ValueError unless it is known and constant."""
         self.require_one_delay("this answer")
         return self.delays[0]
 
     def require_one_delay(self, what: str) -> None:
-        """Refuse a delay that is not one that is known and constant."""
+        """Refuse a delay that is not known or not constant."""
         if not self.has_one_delay:
-            lost = " --lost-samples 0" if self.lost_samples else ""
+            option = " --lost-samples 0" if self.lost_samples else ""
             raise ValueError(
                 f"the delay is {range_in_words(self.delays)} s{' and moves' if self.moves else ''},"
                 f" but {what} is for one constant delay; give one, such as --delay "
-                f"{self.delays[1]:g}{lost}."
+                f"{self.delays[1]:g}{option}."
             )
 
     @property
@@ -495,7 +495,7 @@ class Wall(Table):
 
 @dataclass(frozen=True, kw_only=True)
 class Contact(Table):
-    """How the device meets a wall: contacts are simulated from this start."""
+    """The start of simulated contacts: how the device meets a wall."""
 
     push: float = key(quantity(FORCE), 0.0)
     speed: float = key(quantity(SPEED), 0.0)
@@ -513,7 +513,7 @@ FINGER_PUSH = {Units.LINE: 1.0, Units.ROTATION: 0.05}  # N, N m: what starts a c
 
 @dataclass(frozen=True, kw_only=True)
 class Wanted(Table):
-    """The measures of a wall beside its verdict, and what is given of answers."""
+    """The measures of a wall beside its verdict, and requirements on the answers."""
 
     measures: tuple[str, ...] = key(each(one_of(MEASURES)), MEASURES)
     at_damping: float | None = key(quantity("N s/m"), None)
@@ -578,7 +578,7 @@ class Scene:
     def from_table(cls, table: Mapping[str, Any], source: str = "") -> "Scene":
         """Check a table of tables; ValueError on the first key that is unknown, missing or bad."""
         try:
-            return cls(**_parts(table))
+            return cls(**_tables(table))
         except ValueError as error:
             words = _units_of(table).translated(str(error))
             raise ValueError(f"{source}: {words}" if source else words) from None
@@ -645,7 +645,7 @@ class _Usual(NamedTuple):
 _USUAL = _Usual((1e-3, 50.0), (0.0, 100.0), (0.0, 20.0), (0.0, 1e3), (0.0, 1e6), (0.0, 1e4))
 _USUAL_TURNING = _Usual((1e-8, 1.0), (0.0, 10.0), (0.0, 1.0), (0.0, 100.0), (0.0, 1e5), (0.0, 1e3))
 
-_PARTS: Mapping[str, type[Table]] = {
+_TABLES: Mapping[str, type[Table]] = {
     "device": Device,
     "controller": Controller,
     "hand": Hand,
@@ -654,13 +654,13 @@ _PARTS: Mapping[str, type[Table]] = {
 }
 
 
-def _parts(table: Mapping[str, Any]) -> dict[str, Any]:
-    check_keys("", table, [*_PARTS, "walls"])
+def _tables(table: Mapping[str, Any]) -> dict[str, Any]:
+    check_keys("", table, [*_TABLES, "walls"])
     given = {"device": {}, "controller": {}, **table}  # which must not be left out
-    parts: dict[str, Any] = {
-        name: part.from_table(given[name], name) for name, part in _PARTS.items() if name in given
+    tables: dict[str, Any] = {
+        name: kind.from_table(given[name], name) for name, kind in _TABLES.items() if name in given
     }
-    return parts | {"walls": _walls(table.get("walls", {}))}
+    return tables | {"walls": _walls(table.get("walls", {}))}
 
 
 def _walls(table: Any) -> dict[str, Wall]:
@@ -690,8 +690,8 @@ def _unusual_mechanics(device: Device, hand: Hand, usual: _Usual) -> Iterator[st
     if device.encoder is not None:
         resolution = device.encoder.resolution
         yield _outside("device.encoder.resolution", resolution, 1e-9, 1e-3, units.length)
-    for number, mode in enumerate(device.modes):
-        name = f"device.modes.{number}"
+    for index, mode in enumerate(device.modes):
+        name = f"device.modes.{index}"
         yield _outside(f"{name}.frequency", mode.frequency, 0.1, 1e4, "Hz")
         yield _outside(f"{name}.damping_ratio", mode.damping_ratio, 0.0, 1.0, "")
         low, high = usual.device_mass

@@ -1,12 +1,12 @@
 """Studies: the answers of many devices, people and controllers as one labelled table.
 
-A study varies keys of a scene, or fields of a loop. Each list is a dimension of its own; what is
-drawn from distributions shares the dimension ``sample``, so a study with three lists and two
-distributions has four dimensions, and walls are one more. The table is a ``Dataset``: computed in
-blocks by any executor, resumed, in parts, and read by xarray.
+A study varies keys of a scene, or fields of a loop. Each list is a separate dimension, and all
+distributions share the dimension ``sample``: a study with three lists and two distributions has
+four dimensions, and walls are one more. The table is a ``Dataset``: computed in blocks by any
+executor, resumed, in parts, and read by xarray.
 
-Within a block, what decides the filters and the sampling period is put into the scene, once for
-each combination. Masses, dampings, stiffnesses and delays are arrays beside the loop that results:
+Within a block, a scene is made for each combination of the values that decide the filters and the
+sampling period. Masses, dampings, stiffnesses and delays are arrays beside the resulting loop:
 verdicts, radii, margins and settling times are computed for all of them at once. Limits are
 computed for all loops of the block together, whatever their filters. If every distribution is
 measured data, equal rows are drawn repeatedly, and each is computed once in a block. Walls on
@@ -48,7 +48,7 @@ from jaxstab.tables import check_keys, checked_label, interval, one_of, read_tab
 if TYPE_CHECKING:
     from xarray import Dataset as XarrayDataset
 
-    from jaxstab.datasets import Block, Dataset, Kept
+    from jaxstab.datasets import Block, Dataset, Header
     from jaxstab.tiles import Progress
 
 Floats = NDArray[np.float64]
@@ -77,7 +77,7 @@ _OF_LOOPS = {field: (field, words, unit) for field, words, unit in _NUMBERS.valu
 }
 _OTHER_UNITS = {"sample_time": "s", "window": "s", "cutoff": "Hz", "frequency": "Hz"}
 
-_LIMITS = {-1: "not_computed"} | {one.value: one.name.lower() for one in RegionStatus}
+_LIMITS = {-1: "not_computed"} | {status.value: status.name.lower() for status in RegionStatus}
 _VERDICTS = {verdict.value: verdict.name.lower() for verdict in Verdict}
 _SETTLING = {status.value: status.name.lower() for status in SettlingStatus}
 
@@ -177,10 +177,10 @@ class Study:
             return opened.load()
 
     @cached_property
-    def _said(self) -> "Kept":
-        from jaxstab.datasets import kept
+    def _header(self) -> "Header":
+        from jaxstab.datasets import header_of
 
-        return kept(self.path)
+        return header_of(self.path)
 
     @property
     def dimensions(self) -> dict[str, NDArray[Any]]:
@@ -191,8 +191,8 @@ class Study:
             >>> jaxstab.study(loop, over={"delay": [0.0, 1e-3]}).dimensions
             {'delay': array([0.   , 0.001])}
         """
-        names = dict.fromkeys(name for own in self._said.dimensions.values() for name in own)
-        return {name: self._said.coordinates[name] for name in names}
+        names = dict.fromkeys(name for own in self._header.dimensions.values() for name in own)
+        return {name: self._header.coordinates[name] for name in names}
 
     @property
     def lists(self) -> list[str]:
@@ -208,25 +208,25 @@ class Study:
 
     @property
     def units(self) -> dict[str, str]:
-        """The units of what the study has, by name.
+        """The units of the variables and coordinates, by name.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
             >>> jaxstab.study(loop, over={"delay": [0.0, 1e-3]}).units["largest_stiffness"]
             'N/m'
         """
-        return self._said.units
+        return self._header.units
 
     @property
     def long_names(self) -> dict[str, str]:
-        """What the study has, in words, by name.
+        """The descriptions of the variables and coordinates, by name.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
             >>> jaxstab.study(loop, over={"delay": [0.0, 1e-3]}).long_names["at_damping"]
             'damping at the largest stiffness'
         """
-        return self._said.long_names
+        return self._header.long_names
 
     def values(self, name: str) -> NDArray[Any]:
         """Return the values of a variable or of what was drawn, whole.
@@ -258,13 +258,13 @@ class Study:
             >>> columns["delay"].tolist(), columns["verdict"].tolist()
             ([[0.0], [0.001]], [['stable'], ['unstable']])
         """
-        grid, known = self.dimensions, self._said.dimensions
+        grid, variables = self.dimensions, self._header.dimensions
         order = [*self.lists, *(name for name in (SAMPLE, WALL) if name in grid)]
         coded = {name: own for answer in ANSWERS.values() for name, own in answer.items()}
-        labels = (name for name in known if name not in coded)
+        labels = (name for name in variables if name not in coded)
         columns = {}
-        for name in [*order, *labels, *(name for name in coded if name in known)]:
-            own, values = known.get(name, (name,)), self.values(name)
+        for name in [*order, *labels, *(name for name in coded if name in variables)]:
+            own, values = variables.get(name, (name,)), self.values(name)
             if len(coded.get(name, ())) > 3:
                 words = coded[name][3]
                 values = np.array([words.get(code, "") for code in range(max(words) + 1)])[values]
@@ -348,22 +348,22 @@ class Study:
         numbers = self.values(variable).astype(np.float64)
         if variable in ("largest_stiffness", "largest_damping"):
             numbers[self.values("limits_status") == RegionStatus.EMPTY] = 0.0
-        found = np.nanquantile(numbers, chosen, axis=axis, method="inverted_cdf")
-        return np.asarray(found, np.float64)
+        quantiles = np.nanquantile(numbers, chosen, axis=axis, method="inverted_cdf")
+        return np.asarray(quantiles, np.float64)
 
     def _require(self, name: str) -> None:
-        known = [*self._said.dimensions, *self._said.coordinates]
-        if name not in known:
-            raise KeyError(f"{name} is no variable of the study; it has {', '.join(known)}.")
+        names = [*self._header.dimensions, *self._header.coordinates]
+        if name not in names:
+            raise KeyError(f"{name} is no variable of the study; it has {', '.join(names)}.")
 
     def _drawn(self, variable: str) -> tuple[tuple[str, ...], int]:
         """Return the dimensions of a variable, and which of them are the draws."""
-        if "part" in self._said.attributes:
+        if "part" in self._header.attributes:
             raise ValueError(f"{self.path} is a part of a study; merge all parts first.")
-        if variable == "verdict" and variable not in self._said.dimensions:
+        if variable == "verdict" and variable not in self._header.dimensions:
             raise ValueError("the study has no verdicts; give walls, and verdict among answers.")
         self._require(variable)
-        dimensions = self._said.dimensions.get(variable, ())
+        dimensions = self._header.dimensions.get(variable, ())
         if SAMPLE not in dimensions:
             raise ValueError(
                 f"{variable} has no draws; let a quantity have a distribution, such as "
@@ -392,7 +392,7 @@ def open_study(path: str | PathLike[str]) -> Study:
         FileNotFoundError: [Errno 2] cannot read nothing.h5: No such file or directory.
     """
     made = Study(Path(path))
-    if "over" not in made._said.attributes:
+    if "over" not in made._header.attributes:
         raise ValueError(f"{path} is no study.")
     return made
 
@@ -488,7 +488,7 @@ def merge_studies(parts: Sequence[str | PathLike[str]], store: str | PathLike[st
     """
     from jaxstab.datasets import merged
 
-    merged([Path(one) for one in parts], Path(store))
+    merged([Path(part) for part in parts], Path(store))
     return Study(Path(store))
 
 
@@ -506,9 +506,9 @@ def study_dataset(
     """Return the dataset of a study; arguments and errors as ``study``."""
     from jaxstab.datasets import Dataset, Variable
 
-    number, count = part
-    if not 1 <= number <= count:
-        raise ValueError(f"part is {number}/{count}; give 1/{count} to {count}/{count}.")
+    index, count = part
+    if not 1 <= index <= count:
+        raise ValueError(f"part is {index}/{count}; give 1/{count} to {count}/{count}.")
     if not over:
         raise ValueError("over is empty; give at least one key that varies.")
     source = _Source(_table_of(of))
@@ -542,19 +542,19 @@ def study_dataset(
     labels = {c.name: (SAMPLE, np.asarray(c.values)) for c in drawn}
     if has_walls:
         variables[WALL] = Variable("", "name of the wall", "1")
-        for k, (name, words, one) in enumerate(
+        for k, (name, words, symbol) in enumerate(
             (
                 ("wall_stiffness", "stiffness of the wall", "N/m"),
                 ("wall_damping", "damping of the wall", "N s/m"),
             )
         ):
             labels[name] = (WALL, np.array([pair[k] for pair in gains.values()]))
-            variables[name] = Variable("", words, unit(one))
+            variables[name] = Variable("", words, unit(symbol))
     for name in wanted:
         lacks = (WALL,) if name == "limits" and has_walls else ()
-        for variable, (kind, words, one, *codes) in ANSWERS[name].items():
+        for variable, (kind, words, symbol, *codes) in ANSWERS[name].items():
             flags = codes[0] if codes else {}
-            variables[variable] = Variable(kind, words, unit(one), flags, lacks)
+            variables[variable] = Variable(kind, words, unit(symbol), flags, lacks)
     said = json.dumps({k: shortened(v) if np.ndim(v) else str(v) for k, v in over.items()})
     return Dataset(
         path=path,
@@ -577,7 +577,7 @@ def study_dataset(
 
 
 def plan_of(dataset: "Dataset") -> str:
-    """Say how many loops a study has, what they cost and how large its file may be."""
+    """The number of loops of a study, their cost and the largest size of its file, as text."""
     blocks = dataset.compute
     assert isinstance(blocks, _Blocks)
     share = len(dataset.items) / len(dataset.blocks)
@@ -597,10 +597,10 @@ def plan_of(dataset: "Dataset") -> str:
         for variable in dataset.computed.values()
     )
     axes = " x ".join(f"{len(values)} {name}" for name, values in dataset.coordinates.items())
-    one = "" if share == 1.0 else f", part {dataset.part[0]} of {dataset.part[1]} of them"
+    split = "" if share == 1.0 else f", part {dataset.part[0]} of {dataset.part[1]} of them"
     return (
-        f"{axes}: {loops:,} loops{words}{one}, about {_time(seconds)} of CPU time for devices of "
-        f"one mass, at most {bytes_ / 1e6:.3g} MB"
+        f"{axes}: {loops:,} loops{words}{split}, about {_time(seconds)} of CPU time for devices of "
+        f"one mass (others take 20 to 40 times as long), at most {max(bytes_ / 1e6, 1e-3):.3g} MB"
     )
 
 
@@ -635,7 +635,7 @@ class _Column(NamedTuple):
 def _columns(
     source: "_Source", over: Mapping[str, Any], samples: int, seed: int
 ) -> tuple[list[_Column], list[str]]:
-    """Return what varies, and what is to be said about the draws."""
+    """The columns that vary, and notes on the draws."""
     columns, notes = list[_Column](), list[str]()
     for key, given in over.items():
         source.check_key(key)
@@ -714,20 +714,20 @@ def _checked_answer(name: str) -> None:
         raise ValueError(f"answers has {shortened(name)}; {error}") from None
 
 
-def _table_of(of: Any) -> Any:
-    """Return a loop, or the tables of a scene."""
-    if isinstance(of, HapticLoop):
-        return of.in_floats()
-    if isinstance(of, Mapping):
-        return {name: of[name] for name in of}
-    if isinstance(of, str | PathLike):
-        return read_table(of, "scene")
-    raise TypeError(f"of is {shortened(of)}; give a scene (a file, or its tables) or a HapticLoop.")
+def _table_of(source: Any) -> Any:
+    """A loop, or the tables of a scene."""
+    if isinstance(source, HapticLoop):
+        return source.in_floats()
+    if isinstance(source, Mapping):
+        return {name: source[name] for name in source}
+    if isinstance(source, str | PathLike):
+        return read_table(source, "scene")
+    raise TypeError(f"of is {shortened(source)}; give a scene (file or tables) or a HapticLoop.")
 
 
 @dataclass(frozen=True)
 class _Source:
-    """Where loops come from: a loop, or the tables of a scene."""
+    """The source of loops: a loop, or the tables of a scene."""
 
     table: Any
 
@@ -766,13 +766,13 @@ class _Source:
 
     def check_key(self, key: str) -> None:
         if self.is_loop:
-            known = [*self.numbers, *(f.name for f in fields(HapticLoop) if f.name != "delay")]
-            check_keys("", [key], list(dict.fromkeys(known)))
+            names = [*self.numbers, *(f.name for f in fields(HapticLoop) if f.name != "delay")]
+            check_keys("", [key], list(dict.fromkeys(names)))
         elif key.partition(".")[0] in ("walls", "wanted", "contact"):
             raise ValueError(f"{key} cannot vary in a study; give a wall for each value.")
 
     def made(self, values: Mapping[str, Any]) -> HapticLoop:
-        """Return the loop with values in place of its own."""
+        """The loop with these values in place of those of the source."""
         if self.is_loop:
             given = {key: value for key, value in values.items() if key != "delay_samples"}
             if "delay_samples" in values:
@@ -785,8 +785,8 @@ class _Source:
         table: Any = self.table
         if any(key in _DELAYS for key in values):  # in place of one in either unit
             own = table.get("controller", {}).items()
-            kept = {name: value for name, value in own if f"controller.{name}" not in _DELAYS}
-            table = {**table, "controller": kept}
+            others = {name: value for name, value in own if f"controller.{name}" not in _DELAYS}
+            table = {**table, "controller": others}
         for key, value in values.items():
             is_whole = isinstance(value, float) and value.is_integer()  # as a window in samples
             table = _with_value(table, key, int(value) if is_whole else value, key.split("."))
@@ -808,22 +808,22 @@ class _Source:
             return []
         outer = [self._scene(dict(zip(keys, [v[k] for v in ends], strict=True))) for k in (0, -1)]
         words = dict.fromkeys(words for scene in outer for words in scene.unusual())
-        return [f"warning: {one}{'' if one.endswith('?') else '.'}" for one in words]
+        return [f"warning: {sentence}{'' if sentence.endswith('?') else '.'}" for sentence in words]
 
 
 def _with_value(table: Any, key: str, value: Any, path: Sequence[str]) -> Any:
     """Return a table with the value of a key; ``path`` leads there, by numbers through lists."""
-    first, *inner = path
+    name, *inner = path
     if isinstance(table, list):
-        if not (first.isdigit() and int(first) < len(table)):
+        if not (name.isdigit() and int(name) < len(table)):
             raise ValueError(f"{key} is not in the scene; that list has {len(table)} entries.")
         changed = [*table]
-        changed[int(first)] = _with_value(table[int(first)], key, value, inner) if inner else value
+        changed[int(name)] = _with_value(table[int(name)], key, value, inner) if inner else value
         return changed
     if not isinstance(table, Mapping):
         raise ValueError(f"{key} is not in the scene, which has {shortened(table)} in its place.")
-    own = _with_value(table.get(first, {}), key, value, inner) if inner else value
-    return {**table, first: own}
+    own = _with_value(table.get(name, {}), key, value, inner) if inner else value
+    return {**table, name: own}
 
 
 def _few(values: Values, most: int) -> list[Any]:
@@ -852,8 +852,8 @@ class _Blocks:
         spans = dict(zip(self.dimensions, block, strict=False))
         indices = {name: np.arange(span.start, span.stop) for name, span in spans.items()}
         if self.repeats:
-            first, again = self.different(spans[SAMPLE])
-            indices[SAMPLE] = indices[SAMPLE][first]
+            unique, again = self.different(spans[SAMPLE])
+            indices[SAMPLE] = indices[SAMPLE][unique]
         answers = self._computed(indices)
         if self.repeats:
             axis = self.dimensions.index(SAMPLE)
@@ -863,8 +863,8 @@ class _Blocks:
     def different(self, span: slice) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return the indices of draws that differ, and for each draw which of them it equals."""
         draws = np.stack([column.values[span] for column in self.columns if column.is_drawn])
-        _, first, again = np.unique(draws, axis=1, return_index=True, return_inverse=True)
-        return first, again.ravel()
+        _, unique, again = np.unique(draws, axis=1, return_index=True, return_inverse=True)
+        return unique, again.ravel()
 
     def _computed(self, indices: Mapping[str, NDArray[np.int64]]) -> dict[str, NDArray[Any]]:
         """Return the answers at the points of a grid of indices along the dimensions."""
@@ -877,7 +877,7 @@ class _Blocks:
                 numbers[column.key] = np.asarray(own)[place]
             else:
                 others[column.key] = own, place
-        found = {
+        answers = {
             name: np.zeros(
                 (prod(shape), *((len(self.walls),) if answer != "limits" else ())), variable[0]
             )
@@ -886,17 +886,17 @@ class _Blocks:
         }
         keys = np.array([place for _, place in others.values()], np.int64)
         keys = keys.reshape(len(others), prod(shape))
-        _, first, group = np.unique(keys, axis=1, return_index=True, return_inverse=True)
+        _, unique, group = np.unique(keys, axis=1, return_index=True, return_inverse=True)
         loops = np.empty(prod(shape), object)
-        for number, row in enumerate(first.tolist()):
-            members = np.flatnonzero(group.ravel() == number)
-            fixed = {key: _one(own, place[row]) for key, (own, place) in others.items()}
+        for k, row in enumerate(unique.tolist()):
+            members = np.flatnonzero(group.ravel() == k)
+            fixed = {key: _item(own, place[row]) for key, (own, place) in others.items()}
             given = {key: values[members] for key, values in numbers.items()}
             for name, values in self._answered(fixed, given, members, loops).items():
-                found[name][members] = values
+                answers[name][members] = values
         if "limits" in self.answers:
-            found |= _limits(limits_of(list(loops)))  # batches are of loops with any filters
-        return {name: values.reshape(*shape, *values.shape[1:]) for name, values in found.items()}
+            answers |= _limits(limits_of(list(loops)))  # batches are of loops with any filters
+        return {name: values.reshape(*shape, *values.shape[1:]) for name, values in answers.items()}
 
     def _answered(
         self,
@@ -917,7 +917,7 @@ class _Blocks:
             own = [base, *(self.source.made({**fixed, **row}) for row in rows[1:])]
             loops[members] = own
             answers = [_about_walls(loop, gains, self.answers) for loop in own]
-            return {name: np.array([one[name] for one in answers]) for name in answers[0]}
+            return {name: np.array([answer[name] for answer in answers]) for name in answers[0]}
         named = {self.source.numbers[key][0]: values for key, values in numbers.items()}
         if "delay_samples" in named:
             named["delay"] = named.pop("delay_samples") * base.sample_time
@@ -934,7 +934,7 @@ def _rows(numbers: Mapping[str, Floats], count: int) -> Any:
     return zip(*(values.tolist() for values in numbers.values()), strict=True)
 
 
-def _one(values: Values, place: Any) -> Any:
+def _item(values: Values, place: Any) -> Any:
     value = values[place]
     return value if isinstance(value, str) else value.item()
 
@@ -943,19 +943,19 @@ def _about_walls(
     loop: HapticLoop, gains: Floats, answers: Sequence[str]
 ) -> dict[str, NDArray[Any]]:
     """Return the answers of a loop, or of many as one, about walls."""
-    found: dict[str, NDArray[Any]] = {}
+    values: dict[str, NDArray[Any]] = {}
     if "verdict" in answers:
-        found["verdict"] = np.asarray(loop.verdict(*gains))
+        values["verdict"] = np.asarray(loop.verdict(*gains))
     if "spectral_radius" in answers:
         radius = loop.spectral_radius(*gains)
-        found |= {"spectral_radius": radius.value, "spectral_radius_error": radius.error}
+        values |= {"spectral_radius": radius.value, "spectral_radius_error": radius.error}
     if "margins" in answers:
         margins = loop.margins(*gains)
-        found |= {name: getattr(margins, name) for name in ANSWERS["margins"]}
+        values |= {name: getattr(margins, name) for name in ANSWERS["margins"]}
     if "settling_time" in answers:
         settling = loop.settling_time(*gains)
-        found |= {"settling_time": settling.value, "settling_status": settling.status}
-    return found
+        values |= {"settling_time": settling.value, "settling_status": settling.status}
+    return values
 
 
 def _limits(limits: Any) -> dict[str, NDArray[Any]]:

@@ -22,7 +22,7 @@ from jaxstab.model.filters import Filter, Velocity, given_filters
 from jaxstab.motion.settling import STRETCH, Excitation, checked_level, positions
 from jaxstab.numbers import checked_number
 from jaxstab.tuning.loops import MassLoop, TunedLoop
-from jaxstab.tuning.radius import ALL_GAINS, OptimalGains, TuningStatus
+from jaxstab.tuning.radius import Component, OptimalGains, TuningStatus
 
 # Grids of gains that zoom in on their best point.
 
@@ -33,11 +33,15 @@ _ZOOMS = 12
 
 @dataclass(frozen=True)
 class Grid:
-    """Gains between two ends on each axis; a single value where the ends are equal."""
+    """Gains between two ends on each axis; a single value where the ends are equal.
+
+    Those of grids around a point are at least ``lowest``.
+    """
 
     alphas: tuple[float, float]
     betas: tuple[float, float]
     size: int
+    lowest: float = -np.inf
 
     @property
     def axes(self) -> list[Float64[np.ndarray, " gain"]]:
@@ -60,8 +64,10 @@ class Grid:
         """Zoom in on a few steps to each side of a point."""
         widths = (b - a for a, b in (self.alphas, self.betas))
         halves = (_NEIGHBOURS * width / (self.size - 1) for width in widths)
-        alphas, betas = ((x - half, x + half) for x, half in zip(point, halves, strict=True))
-        return Grid(alphas, betas, FINE)
+        alphas, betas = (
+            (max(x - half, self.lowest), x + half) for x, half in zip(point, halves, strict=True)
+        )
+        return Grid(alphas, betas, FINE, self.lowest)
 
 
 def zoomed(
@@ -69,14 +75,14 @@ def zoomed(
 ) -> tuple[tuple[float, float], float]:
     """Minimise over the gains; ``least`` returns the smallest value on a grid, and its place.
 
-    The search ends early once ``enough`` is reached.
+    The search ends early once ``enough`` is reached, and where no value is finite.
     """
     best, value = (np.nan, np.nan), np.inf
     for _ in range(_ZOOMS):
         lowest, place = least(grid)
         if lowest < value:
             best, value = grid[place], lowest
-        if value <= enough:
+        if not enough < value < np.inf:
             break
         grid = grid.around(best)
     return best, value
@@ -106,6 +112,8 @@ def minimize_radius_damping(
     gains; if that has no gains of this stiffness, the best one of an island, and the status says
     so. Source: eq. (9).
 
+    beta may be negative, as of a strongly damped hand; ``HapticLoop.tune`` gives walls of B >= 0.
+
     Args and Raises: see ``jaxstab.conventions``; all are single numbers.
 
     Example:
@@ -120,22 +128,29 @@ def minimize_radius_damping(
 
 def smallest_radius_damping(loop: TunedLoop, alpha: float) -> OptimalGains:
     """Return the damping with the smallest radius for a stiffness: ``minimize_radius_damping``."""
+    lowest = loop.component.lowest
     betas = np.concatenate([-_DAMPINGS[::-1], [0.0], _DAMPINGS])
+    betas = betas[betas >= lowest]
     radii = loop.radii(alpha, betas)
     if not radii.min() < 1.0:
-        loop = loop._replace(component=ALL_GAINS._replace(status=TuningStatus.ISLAND))
+        loop = loop._replace(component=Component(None, TuningStatus.ISLAND, lowest))
         radii = loop.radii(alpha, betas)
     middle = int(radii.argmin())
     around = betas[max(middle - 2, 0)], betas[min(middle + 2, betas.size - 1)]
+    return smallest_radius_around(loop, Grid((alpha, alpha), around, FINE, lowest))
+
+
+def smallest_radius_around(loop: TunedLoop, grid: Grid) -> OptimalGains:
+    """Return the gains of the smallest radius that grids find which zoom in, from a first one."""
 
     def least(at: Grid) -> tuple[float, int]:
         values = loop.radii(*at.points)
         return float(values.min()), int(values.argmin())
 
-    (_, beta), radius = zoomed(least, Grid((alpha, alpha), around, FINE))
+    wall, radius = zoomed(least, grid)
     known = loop.component.status or TuningStatus.SCANNED
     status = known if radius < 1.0 else TuningStatus.NO_STABLE_GAINS
-    return _as_gains(alpha, beta, radius, status)
+    return _as_gains(*wall, radius, status)
 
 
 def minimize_settling(
@@ -151,7 +166,8 @@ def minimize_settling(
 ) -> OptimalGains:
     """The gains that settle after the fewest samples, for one slice.
 
-    Many gains settle equally fast; those with the smallest deviation from then on are returned. The
+    Both gains may be negative; ``HapticLoop.tune`` gives walls of K >= 0 and B >= 0. Many gains
+    settle equally fast; those with the smallest deviation from then on are returned. The
     search covers all stable gains around those of the smallest radius with a grid and zooms in;
     with an estimator or a filter it stays in the component in which that radius was found.
 
@@ -178,14 +194,18 @@ def minimize_settling(
     loop = _one_loop(gamma, delta, delay, velocity, position)
     if alpha is not None:
         alpha = checked_number("alpha", checked_gain("alpha", alpha))
-    return shortest_settling(loop, alpha, level, excitation)
+    start = loop.smallest_radius() if alpha is None else smallest_radius_damping(loop, alpha)
+    return shortest_settling(loop, start, alpha is not None, level, excitation)
 
 
 def shortest_settling(
-    loop: TunedLoop, alpha: float | None, level: float, excitation: Excitation
+    loop: TunedLoop,
+    start: OptimalGains,
+    is_stiffness_given: bool,
+    level: float,
+    excitation: Excitation,
 ) -> OptimalGains:
-    """Return the gains that settle after the fewest samples: ``minimize_settling``."""
-    start = loop.smallest_radius() if alpha is None else smallest_radius_damping(loop, alpha)
+    """Return the gains that settle after the fewest samples, from those of the smallest radius."""
     samples = float(loop.settling(start.alpha, start.beta, level, excitation).value)
     status = TuningStatus(int(start.status))
     if status == TuningStatus.NO_STABLE_GAINS or not isfinite(samples):
@@ -194,7 +214,7 @@ def shortest_settling(
         loop = loop.anywhere()
     else:
         status = TuningStatus.SCANNED
-    best = _fewest_samples(start, loop, level, excitation, int(samples), alpha is not None)
+    best = _fewest_samples(start, loop, level, excitation, int(samples), is_stiffness_given)
     reached = float(loop.settling(*best, level, excitation).value)
     if not reached <= samples:  # a mode of the best wall leaves the level after what was seen
         return start._replace(value=np.array(samples), status=np.array(status, np.int8))
@@ -246,10 +266,12 @@ def _stable_box(start: OptimalGains, loop: TunedLoop, is_stiffness_given: bool) 
         outside = np.flatnonzero(codes != Verdict.STABLE)
         return float(_STEPS[outside[0] if outside.size else -1])
 
-    betas = (beta - reach(0.0, -1.0), beta + reach(0.0, 1.0))
+    lowest = loop.component.lowest
+    betas = (max(beta - reach(0.0, -1.0), lowest), beta + reach(0.0, 1.0))
     if is_stiffness_given:
-        return Grid((alpha, alpha), betas, _COARSE**2)
-    return Grid((alpha - reach(-1.0, 0.0), alpha + reach(1.0, 0.0)), betas, _COARSE)
+        return Grid((alpha, alpha), betas, _COARSE**2, lowest)
+    alphas = (max(alpha - reach(-1.0, 0.0), lowest), alpha + reach(1.0, 0.0))
+    return Grid(alphas, betas, _COARSE, lowest)
 
 
 class _Settled(NamedTuple):

@@ -18,7 +18,6 @@ from jaxstab.point.radius import linear_spectral_radius
 from jaxstab.point.verdicts import linear_verdict, verdict
 from jaxstab.region.region import linear_region
 from jaxstab.tuning.radius import (
-    ALL_GAINS,
     Component,
     OptimalGains,
     Walls,
@@ -49,7 +48,7 @@ class MassLoop(NamedTuple):
 
     def anywhere(self) -> "MassLoop":
         """Return the same loop with a search that covers all gains."""
-        return self._replace(component=ALL_GAINS)
+        return self._replace(component=Component(lowest=self.component.lowest))
 
     def verdicts(self, alpha: Any, beta: Any) -> np.ndarray:
         """Return the codes of walls."""
@@ -102,7 +101,7 @@ class DeviceLoop(NamedTuple):
         return cls(device, filters, _device_walls(device, filters).component)
 
     def anywhere(self) -> "DeviceLoop":
-        return self._replace(component=ALL_GAINS)
+        return self._replace(component=Component(lowest=self.component.lowest))
 
     def verdicts(self, alpha: Any, beta: Any) -> np.ndarray:
         return np.asarray(linear_verdict(*_as_arrays(alpha, beta), self._linear))

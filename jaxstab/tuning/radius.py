@@ -82,10 +82,12 @@ class Component(NamedTuple):
 
     edges: of its outline, from (alpha, beta) to (alpha, beta); None for all gains.
     status: of gains that are found there; NOT_COMPUTED leaves it to the search.
+    lowest: alpha and beta of searches on grids; 0 where gains must be those of walls.
     """
 
     edges: Float64[np.ndarray, "edge 4"] | None = None
     status: TuningStatus = TuningStatus.NOT_COMPUTED
+    lowest: float = -np.inf
 
     def holds(self, alpha: np.ndarray, beta: np.ndarray) -> Bool[np.ndarray, "*grid"]:
         """Return which stable gains are in the component: those that its outline encloses."""
@@ -561,8 +563,9 @@ def minimize_radius(
 
     In the haptic range the best gains make a triple real pole; with a stiff hand and a delay, a
     double complex pair. Both are solved for to full precision. The best alpha may be negative if
-    the hand is stiff. It is not proved that no other gains are better: the search looks for a
-    smaller radius at every angle of the dominant pair, to the resolution of its scan.
+    the hand is stiff, beta if it is damped; ``HapticLoop.tune`` gives walls of K >= 0 and B >= 0.
+    It is not proved that no other gains are better: the search looks for a smaller radius at every
+    angle of the dominant pair, to the resolution of its scan.
 
     With an estimator or a filter the stable set may have several components. The best gains are
     then those of the component that holds small positive gains; if there is none, those of the

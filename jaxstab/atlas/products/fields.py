@@ -14,11 +14,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxstab.atlas.format.variables import NODE, SLICE, Variable
-from jaxstab.atlas.products.product import Array, Check, Product, Stored
+from jaxstab.atlas.product import NODE, SLICE, Array, Check, Product, Stored, Variable
 
 if TYPE_CHECKING:
-    from jaxstab.atlas.compute.plan import Plan, Tile
+    from jaxstab.atlas.plan import Plan, Tile
 
 FIELDS = "fields"
 RADIUS_FIELD, RADIUS_ERROR = "spectral_radius", "spectral_radius_error"

@@ -16,11 +16,20 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxstab.atlas.format.variables import SLICE, Variable, numbers
-from jaxstab.atlas.products.product import Array, Check, Floats, Place, Product, Stored
+from jaxstab.atlas.product import (
+    SLICE,
+    Array,
+    Check,
+    Floats,
+    Place,
+    Product,
+    Stored,
+    Variable,
+    numbers,
+)
 
 if TYPE_CHECKING:
-    from jaxstab.atlas.compute.plan import Plan, Tile
+    from jaxstab.atlas.plan import Plan, Tile
     from jaxstab.model.filters import Filters
     from jaxstab.region import StableRegion
 

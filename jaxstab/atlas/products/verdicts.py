@@ -1,7 +1,7 @@
 """Verdicts at nodes and of whole cells.
 
 A node has the verdict of its point, a cell the verdict that is proved for all of its points, or
-none. ``compute.verdicts`` proves both column by column; a reader looks them up (``read.points``).
+none. ``atlas.proved`` proves both column by column; a reader looks them up (``atlas.atlas``).
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -10,13 +10,23 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxstab.atlas.format.variables import CELL, CODES, NODE, SLICE, Variable
-from jaxstab.atlas.products.product import Array, Check, Floats, Place, Product, Stored
+from jaxstab.atlas.product import (
+    CELL,
+    CODES,
+    NODE,
+    SLICE,
+    Array,
+    Check,
+    Floats,
+    Place,
+    Product,
+    Stored,
+    Variable,
+)
 from jaxstab.conventions import Verdict
 
 if TYPE_CHECKING:
-    from jaxstab.atlas.compute.layout import Grid
-    from jaxstab.atlas.compute.plan import Plan, Tile
+    from jaxstab.atlas.plan import Grid, Plan, Tile
 
 VERDICT = "verdict"
 CELL_VERDICT = "cell_verdict"
@@ -52,7 +62,7 @@ class Verdicts(Product):
     unit = ("beta_node", *SLICE)
 
     def compute(self, plan: "Plan", tile: "Tile") -> dict[str, Array]:
-        from jaxstab.atlas.compute.verdicts import cell_verdicts, node_verdicts
+        from jaxstab.atlas.proved import cell_verdicts, node_verdicts
 
         alpha, beta, delay = plan.grid.walls(tile.delay)
         hands, boxes = plan.hands(tile), plan.boxes(tile)

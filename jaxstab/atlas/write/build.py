@@ -1,15 +1,23 @@
-"""Build an atlas: the tiles of the plan as a job, whose file is the atlas."""
+"""Build an atlas, the tiles of its plan as a job whose file is the atlas; and verify one."""
 
+from collections.abc import Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
 
+import numpy as np
+
 import jaxstab
-from jaxstab.atlas.compute.plan import Plan, Tile, compute_tile, plan_atlas
-from jaxstab.atlas.format.spec import AtlasSpec
-from jaxstab.atlas.read.atlas import Atlas, open_atlas
+from jaxstab.atlas.atlas import Atlas, open_atlas
+from jaxstab.atlas.file import TooLargeError, table_of
+from jaxstab.atlas.plan import Plan, Tile, compute_tile, plan_atlas
+from jaxstab.atlas.product import SPEC, Check, Stored
+from jaxstab.atlas.products.table import PRODUCTS
+from jaxstab.atlas.products.verdicts import wrong_codes
+from jaxstab.atlas.schema import content_digest, digest_of
+from jaxstab.atlas.spec import AtlasSpec, filters_of
 from jaxstab.atlas.write.tiles import (
     build_key,
     encode_tile,
@@ -18,6 +26,10 @@ from jaxstab.atlas.write.tiles import (
     name_of,
     opened_tile,
 )
+from jaxstab.atlas.write.variables import checked_datasets, opened, text_of
+from jaxstab.conventions import AXES, Verdict
+from jaxstab.model import by_name
+from jaxstab.model.filters import as_keywords
 from jaxstab.tiles import Job, Progress, Shards, complete
 
 _NODES_IN_FLIGHT = 2**26
@@ -104,3 +116,62 @@ def write_atlas(
 ) -> None:
     """Build an atlas of any size; see ``build_atlas``, which opens it."""
     complete(Build(spec, build_key(spec), path), path, progress, executor)
+
+
+# Verification of a file: that it is whole, as the schema says, and right at a sample of points.
+#
+# One slice is in memory at a time, however large the atlas is. Each product compares a sample of
+# its contents with a new computation (``Product.checks``); half of the sample of verdicts is next
+# to where the verdict changes, where a wrong one would be. At the end the atlas is opened and
+# queried at random points, as its users do.
+
+
+def verify_atlas(path: str | PathLike[str], sample: int = 1000, seed: int = 0) -> Iterator[Check]:
+    """Yield one check after the other; the first that fails may be the last.
+
+    About ``sample`` nodes, and as many points in cells, are computed again, by ``jaxstab.verdict``
+    with resolve="exact" and ``jaxstab.spectral_radius``; of outlines and summaries those of at most
+    16 slices. OSError: the file is missing or unreadable.
+    """
+    chance = np.random.default_rng(seed)
+    path = Path(path)
+    try:
+        table = table_of(path)
+        yield Check("file", True, "whole by its SHA-256, of this version of the schema")
+        with opened(path) as file:
+            datasets = checked_datasets(file, table)
+            yield Check("schema", True, f"{len(datasets)} variables as it says")
+            digest = content_digest(digest_of(*pair) for pair in datasets.items())
+            said = text_of(file, "content_sha256")
+            is_right = said == table.content_digest == digest
+            yield Check("content", is_right, f"its digest is {digest}")
+            filters = as_keywords(filters_of(b"\n".join(datasets[SPEC][()]).decode()))
+            axes = {name: datasets[name][()] for name in AXES}
+            stored = Stored({**datasets, **axes}, filters, sample, chance)
+            for product in PRODUCTS.values():
+                if product.names[0] in datasets:
+                    yield from product.checks(stored)
+        atlas = open_atlas(path)
+        for name in atlas.products:
+            yield from PRODUCTS[name].checks_of_answers(atlas, sample, chance)
+        yield _answers(atlas, sample, chance)
+    except TooLargeError:
+        return
+    except ValueError as error:
+        yield Check("file", False, str(error))
+
+
+def _answers(atlas: Atlas, sample: int, chance: np.random.Generator) -> Check:
+    """Ask the atlas about random points of each delay, as its users do."""
+    each, wrong = -(-sample // atlas.delays.size), 0
+    filters = as_keywords(atlas.filters)
+    for number, delay in enumerate(atlas.delays):
+        ends = [(nodes[0], nodes[-1]) for nodes in atlas.nodes(number).values()]
+        point = (*(chance.uniform(*side, each) for side in ends), delay)
+        answer = atlas.query(**by_name(*point))
+        codes = np.where(
+            answer.verdict == Verdict.NOT_COMPUTED, np.int8(Verdict.UNDECIDED), answer.verdict
+        )
+        wrong += wrong_codes(codes, point, filters)
+    points = each * atlas.delays.size
+    return Check("answers", wrong == 0, f"{wrong} of {points} points are wrong")

@@ -26,14 +26,13 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import NDArray
 
-from jaxstab.atlas.compute.layout import Grid, Reach, lay_out, reach_of
-from jaxstab.atlas.compute.plan import Plan, compute_tile
-from jaxstab.atlas.format.schema import image_of
-from jaxstab.atlas.format.spec import FEWEST_FITTED, AtlasSpec, FittedAxis
-from jaxstab.atlas.format.variables import LARGEST_ARRAY
+from jaxstab.atlas.plan import Extents, Grid, Plan, compute_tile, extents_of, lay_out
+from jaxstab.atlas.product import LARGEST_ARRAY
 from jaxstab.atlas.products.limits import ALPHA_LIMITS, upper_errors
 from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.products.verdicts import VERDICT
+from jaxstab.atlas.schema import image_of
+from jaxstab.atlas.spec import FEWEST_FITTED, AtlasSpec, FittedAxis
 from jaxstab.atlas.write.tiles import encode_tile
 from jaxstab.numbers import checked_number
 from jaxstab.shown import table_text
@@ -110,18 +109,18 @@ def _calls(plan: Plan) -> int:
     return len(plan.tiles) * len(plan.grid.limit_range) // plan.grid.delay.size
 
 
-def _measured(plan: Plan, product: str, reach: Reach | None) -> tuple[_Cost, list[Floats]]:
-    """Return the cost of a unit of a product and, with a ``reach``, errors of limits by parts."""
+def _measured(plan: Plan, product: str, extents: Extents | None) -> tuple[_Cost, list[Floats]]:
+    """Return the cost of a unit of a product and, with ``extents``, errors of limits by parts."""
     seconds, size, units, errors = 0.0, 0, 0, list[Floats]()
-    has_errors = reach is not None and product == ALPHA_LIMITS
+    has_errors = extents is not None and product == ALPHA_LIMITS
     rng = np.random.default_rng(_MOST)
     grids = _parts(plan, product, _MOST if has_errors else _FEWEST)
     for grid in grids:
         of_part, bytes_of_part, arrays = _computed(plan, product, grid)
         seconds, size = seconds + of_part, size + bytes_of_part
         units += _units(grid, product)
-        if reach is not None and has_errors:
-            errors.append(upper_errors(grid, arrays[ALPHA_LIMITS], reach, rng))
+        if extents is not None and has_errors:
+            errors.append(upper_errors(grid, arrays[ALPHA_LIMITS], extents, rng))
     call = 0.0
     if product == ALPHA_LIMITS:  # parts have fewer units to a call than builds
         column = PRODUCTS[product].part(replace(plan.grid, limit_cells=1), np.full(4, 0.5))
@@ -295,7 +294,7 @@ class _Range:
 
     def __init__(self, spec: AtlasSpec) -> None:
         self._spec = spec
-        self._reach = reach_of(spec)
+        self._extents = extents_of(spec)
         begin = process_time()
         plan = Plan(spec, lay_out(spec))
         self._layout_seconds = process_time() - begin
@@ -307,7 +306,7 @@ class _Range:
         error = Measured(np.nan, np.nan)
         for product in plan.spec.products:
             if product == ALPHA_LIMITS or product not in self._costs:
-                self._costs[product], errors = _measured(plan, product, self._reach)
+                self._costs[product], errors = _measured(plan, product, self._extents)
                 error = _quantile(errors) if product == ALPHA_LIMITS else error
         estimate = _estimate(plan, self._costs, self._layout_seconds)
         return Resolution(plan.spec, counts_of(plan.spec), error, *estimate)
@@ -316,7 +315,7 @@ class _Range:
         """Return the plan of a resolution, None where its file could not be opened."""
         try:
             spec = scaled(self._spec, scale)
-            plan = Plan(spec, lay_out(spec, self._reach))
+            plan = Plan(spec, lay_out(spec, self._extents))
         except ValueError:
             return None
         return plan if _estimate(plan, self._costs, 0.0).size <= LARGEST_ARRAY else None

@@ -24,25 +24,27 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxstab.atlas.compute.plan import Plan, Tile
-from jaxstab.atlas.format.schema import (
+from jaxstab.atlas.file import TooLargeError, check_values, contents_of, table_in, unpacked
+from jaxstab.atlas.plan import Plan, Tile
+from jaxstab.atlas.product import LARGEST_UNASKED, SPEC
+from jaxstab.atlas.products.table import PRODUCTS
+from jaxstab.atlas.schema import (
     ALWAYS,
     SCHEMA_VERSION,
     VARIABLES,
     Chunked,
+    RefusalError,
+    check,
     content_digest,
     digest_of,
     footer_of,
     head_attributes,
     image_of,
     sealed,
+    table_text,
     values_digest,
 )
-from jaxstab.atlas.format.spec import AtlasSpec, words_of
-from jaxstab.atlas.format.table import RefusalError, check, table_text
-from jaxstab.atlas.format.variables import LARGEST_UNASKED, SPEC
-from jaxstab.atlas.products.table import PRODUCTS
-from jaxstab.atlas.read.file import TooLargeError, check_values, contents_of, table_in, unpacked
+from jaxstab.atlas.spec import AtlasSpec, words_of
 from jaxstab.atlas.write.variables import (
     TROUBLES,
     checked_layout,

@@ -12,9 +12,8 @@ import numpy as np
 from isal import isal_zlib
 from numpy.typing import NDArray
 
-from jaxstab.atlas.format.schema import attributes_of
-from jaxstab.atlas.format.table import DAMAGED, Place, RefusalError, Table, check
-from jaxstab.atlas.format.variables import Variable
+from jaxstab.atlas.product import Variable
+from jaxstab.atlas.schema import DAMAGED, Place, RefusalError, Table, attributes_of, check
 from jaxstab.datasets import write_attributes
 
 _PACKED: Final = {"shuffle": True, "compression": "gzip", "compression_opts": 6}
@@ -90,7 +89,7 @@ def places_of(dataset: h5py.Dataset) -> list[Place]:
 
 # The HDF5 image of an atlas as HDF5 sees it, for those who verify that it is what the table says.
 #
-# libhdf5 was not made for hostile files: a reader that only asks uses ``read.file``.
+# libhdf5 was not made for hostile files: a reader that only asks uses ``atlas.file``.
 
 _FILTERS = {h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_FLETCHER32}
 _LONGEST_ATTRIBUTE = 2**16  # bytes

@@ -1,4 +1,14 @@
-"""General linear devices, from the wall's force to the position that the encoder shows."""
+"""General linear devices, from the wall's force to the position that the encoder shows.
+
+A device G, hands Z_i and actuators w_j / (s + w_j) make one compliance, position over force:
+
+    H(s) = G / (1 + G (Z_1 + Z_2 + ...))  *  product of the w_j / (s + w_j)
+
+It is a quotient of polynomials whose coefficients are exact (``parts``), with the common factors
+removed. A common factor is a state that the force does not move or the position does not show; the
+device is refused if such a state is unstable. Poles are certified: the denominator is divided into
+squarefree factors, so that all of their roots are simple, and these are isolated in balls.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -328,7 +338,7 @@ class Device:
         It is 0 for a free mass, and infinite where a constant force moves nothing.
         """
         with working_precision(_BITS):
-            above, below = (balls_of(part)[0] for part in self.handle_compliance())
+            above, below = (balls_of(side)[0] for side in self.handle_compliance())
             return inf if above == 0 else float((below / above).mid())
 
     def poles(self) -> Complex128[np.ndarray, " pole"]:
@@ -346,18 +356,18 @@ class Device:
 
         A free mass is marginal. Poles within 1e-60 rad/s of the imaginary axis count as on it.
         """
-        parts = [ball.real for ball, _ in _pole_balls(self)]
-        if any(part > 0 for part in parts):
+        reals = [ball.real for ball, _ in _pole_balls(self)]
+        if any(real > 0 for real in reals):
             return "unstable"
-        return "stable" if all(part < 0 for part in parts) else "marginal"
+        return "stable" if all(real < 0 for real in reals) else "marginal"
 
     def one_mass(self) -> MassSpringDamper | None:
         """Device and hands as one mass if rigidly attached and without actuators, else None."""
-        parts: list[Any] = [self.mechanism]
+        systems: list[Any] = [self.mechanism]
         for hand in self.hands:
-            parts.append(hand.dynamics if hand.grip is None else None)
-        bodies = [part for part in parts if isinstance(part, MassSpringDamper)]
-        if self.bandwidths or len(bodies) < len(parts):
+            systems.append(hand.dynamics if hand.grip is None else None)
+        bodies = [system for system in systems if isinstance(system, MassSpringDamper)]
+        if self.bandwidths or len(bodies) < len(systems):
             return None
         return MassSpringDamper(
             sum(body.mass for body in bodies),

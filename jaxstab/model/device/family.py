@@ -33,9 +33,8 @@ from jaxstab.model.device.sampling import (
     sampled_device,
     without_force,
 )
-from jaxstab.model.filters import Filter, Filters, Velocity
+from jaxstab.model.filters import Filter, Filters, Section, Velocity
 from jaxstab.model.loop import LoopParameters
-from jaxstab.model.sections import Section
 from jaxstab.rounding import RAISED_FEW
 
 # Two values of one kind merged into one, whose numbers run from the one to the other.
@@ -43,38 +42,38 @@ from jaxstab.rounding import RAISED_FEW
 _REMEDY = "give two loops that differ in numbers alone: masses, springs, cut-offs, the delay"
 
 
-def merged(first: Any, last: Any) -> Any:
+def merged(value: Any, other: Any) -> Any:
     """A value in which each number that differs is a span; ValueError if more differs."""
-    if type(first) is not type(last) or (_is_whole(first) and first != last):
+    if type(value) is not type(other) or (_is_whole(value) and value != other):
         raise ValueError(
-            f"one loop has {first}, the other {last}: nothing can be proved between them; "
+            f"one loop has {value}, the other {other}: nothing can be proved between them; "
             f"{_REMEDY}."
         )
-    if isinstance(first, float) and first != last:
-        return Span(first, last)
-    if isinstance(first, tuple):
-        if len(first) != len(last):
+    if isinstance(value, float) and value != other:
+        return Span(value, other)
+    if isinstance(value, tuple):
+        if len(value) != len(other):
             raise ValueError(
-                f"one loop has {len(first)} and the other {len(last)} parts where only numbers "
+                f"one loop has {len(value)} and the other {len(other)} parts where only numbers "
                 f"may differ; {_REMEDY}."
             )
-        return tuple(map(merged, first, last))
-    if is_dataclass(first) and not isinstance(first, type) and first != last:
-        whole = object.__new__(type(first))  # spans are no numbers to be checked
-        for field in fields(first):
-            pair = getattr(first, field.name), getattr(last, field.name)
+        return tuple(map(merged, value, other))
+    if is_dataclass(value) and not isinstance(value, type) and value != other:
+        whole = object.__new__(type(value))  # spans are no numbers to be checked
+        for field in fields(value):
+            pair = getattr(value, field.name), getattr(other, field.name)
             object.__setattr__(whole, field.name, merged(*pair))
         return whole
-    if first != last:
+    if value != other:
         raise ValueError(
-            f"one loop has {first!r}, the other {last!r}: nothing can be proved between them; "
+            f"one loop has {value!r}, the other {other!r}: nothing can be proved between them; "
             f"{_REMEDY}."
         )
-    return first
+    return value
 
 
 def _is_whole(value: Any) -> bool:
-    """Whether nothing is known between this value and another one of its kind."""
+    """Whether there is no path of loops between this value and another one of its kind."""
     return isinstance(value, StateSpace) or (isinstance(value, Section) and not value.varies)
 
 
@@ -82,10 +81,10 @@ def value_at(value: Any, share: float) -> Any:
     """Return a value whose spans are numbers, that share of the way from the first to the last."""
     if isinstance(value, Span):
         ends = sorted((value.first, value.last))
-        number = value.first + share * (value.last - value.first)
-        return value.last if share == 1.0 else min(max(number, ends[0]), ends[1])
+        linear = value.first + share * (value.last - value.first)
+        return value.last if share == 1.0 else min(max(linear, ends[0]), ends[1])
     if isinstance(value, tuple):
-        return tuple(value_at(part, share) for part in value)
+        return tuple(value_at(item, share) for item in value)
     if not has_spans(value):
         return value
     whole = object.__new__(type(value))
@@ -95,7 +94,7 @@ def value_at(value: Any, share: float) -> Any:
 
 
 def has_spans(value: Any) -> bool:
-    """Return whether a number of a value is a span."""
+    """Whether a number of a value is a span."""
     if isinstance(value, Span):
         return True
     if is_dataclass(value) and not isinstance(value, type):
@@ -116,7 +115,7 @@ if TYPE_CHECKING:
 
 _FIRST_BITS, _MOST_BITS = 512, 1 << 12
 _ORDER = 14  # of the polynomials, at most
-_LEFT_IN_Z = 2.0**-66  # of the size of N, by which a polynomial may miss it
+_MISS_IN_Z = 2.0**-66  # of the size of N, by which a polynomial may miss it
 _OVERLAP = 1e-6  # of a piece, beyond its ends
 _MOST_DELAY_PIECES = 128
 
@@ -164,7 +163,7 @@ def _pieces(family: "_Family", scale: "arb") -> tuple[Piece, ...] | None:
         if piece is not None:
             done.append(piece)
             continue
-        # What decays has the longest piece first, what does not decay has them all alike.
+        # The first piece is the longest, at the end of a decay; without a decay all are alike.
         is_hopeless = not done and half * _MOST_DELAY_PIECES < 1.0
         if is_hopeless or len(done) + len(waiting) >= _MOST_DELAY_PIECES:
             return None
@@ -196,22 +195,22 @@ class _Family(NamedTuple):
 
     @property
     def is_known(self) -> bool:
-        return float(size_on_circle(self.whole) * _LEFT_IN_Z**2) > float(_lost(self.whole))
+        return float(size_on_circle(self.whole) * _MISS_IN_Z**2) > float(_radius(self.whole))
 
     def piece(self, middle: float, half: float, scale: "arb") -> Piece | None:
         import flint
 
-        rest = held(self.below, (1 - flint.arb(exact(middle))) * self.speed)
+        after = held(self.below, (1 - flint.arb(exact(middle))) * self.speed)
         matrix = generator(self.below)
-        reach = flint.arb(half) * (1 + _OVERLAP)
+        half_width = flint.arb(half) * (1 + _OVERLAP)
         # For all times of the piece: e^(A t) times what it is in the middle.
-        around = without_force(held(self.below, flint.arb(0, reach) * self.speed))
-        terms = [self._steps(force_of(rest)) + self.whole]
-        allowed = size_on_circle(terms[0]) * _LEFT_IN_Z
-        moved = without_force(rest) * force_of(matrix)
+        around = without_force(held(self.below, flint.arb(0, half_width) * self.speed))
+        terms = [self._steps(force_of(after)) + self.whole]
+        allowed = size_on_circle(terms[0]) * _MISS_IN_Z
+        moved = without_force(after) * force_of(matrix)
         for order in range(1, _ORDER + 2):
             weight = (-self.speed) ** order / factorial(order)
-            missed = size_on_circle(self._steps(around * moved) * weight * reach**order)
+            missed = size_on_circle(self._steps(around * moved) * weight * half_width**order)
             if missed < allowed:
                 scaled, degree = [term * scale for term in terms], len(self.above)
                 return rounded_piece(middle, half, scaled, missed * scale, degree)
@@ -241,24 +240,24 @@ def rounded_piece(
         [[term(about)[k] for k in range(degree + 1)] for term in terms] for about in (plus, minus)
     ]
     # |z - 1| <= 2
-    reach = flint.arb(half * (1.0 + _OVERLAP))
-    weights = [[2**k * reach**j for k in range(degree + 1)] for j in range(len(terms))]
+    half_width = flint.arb(half * (1.0 + _OVERLAP))
+    weights = [[2**k * half_width**j for k in range(degree + 1)] for j in range(len(terms))]
     worst = max(
         float(
             sum(
                 (
-                    weight * one.rad()
+                    weight * ball.rad()
                     for pair in zip(weights, form, strict=True)
-                    for weight, one in zip(*pair, strict=True)
+                    for weight, ball in zip(*pair, strict=True)
                 ),
                 flint.arb(0),
             ).upper()
         )
         for form in forms
     )
-    if not worst <= float(size_on_circle(terms[0])) * _LEFT_IN_Z:
+    if not worst <= float(size_on_circle(terms[0])) * _MISS_IN_Z:
         return None
-    near, far = (np.array([[float(one.mid()) for one in row] for row in form]) for form in forms)
+    near, far = (np.array([[float(ball.mid()) for ball in row] for row in form]) for form in forms)
     return Piece(middle, half, near, far, (worst + float(missed.upper())) * RAISED_FEW)
 
 
@@ -266,22 +265,22 @@ def size_on_circle(polynomial: "arb_poly | acb_poly") -> "arb":
     """Return a bound of |Q(z)| on the unit circle."""
     import flint
 
-    return sum((abs(one).upper() for one in polynomial.coeffs()), flint.arb(0))
+    return sum((abs(c).upper() for c in polynomial.coeffs()), flint.arb(0))
 
 
-def _lost(polynomial: "arb_poly") -> "arb":
+def _radius(polynomial: "arb_poly") -> "arb":
     """Return the sum of the radii of the coefficients."""
     import flint
 
-    return sum((one.rad() for one in polynomial.coeffs()), flint.arb(0))
+    return sum((c.rad() for c in polynomial.coeffs()), flint.arb(0))
 
 
 _BITS = (256, 1024)
 _NODES = 22  # of a piece
 _DISC = 6.0  # half-widths: the radius of the disc in which coefficients are bounded
 _ARCS = 8  # of half the circle around it
-_MISSED_BY = 6e-22  # of their bound there: what polynomials through the nodes miss
-_LEFT, _MOST_MISSED = 2.0**-63, 2.0**-60  # of the size of a polynomial in z
+_MISSED_BY = 6e-22  # of their bound there: the interpolation error
+_DROPPED, _MOST_MISSED = 2.0**-63, 2.0**-60  # of the size of a polynomial in z
 _SMALLEST, _MOST_PIECES = 2.0**-12, 128
 _BEYOND = 1e-9, 2.0**-50  # of a half-width, and of t, so that pieces meet
 
@@ -299,7 +298,7 @@ class LoopPiece(NamedTuple):
 
     @property
     def ends(self) -> tuple[float, float]:
-        """Where the piece begins and ends, a little apart so that pieces meet."""
+        """The ends of the piece, a little beyond it so that pieces meet."""
         middle, half = self.free.middle, self.free.half
         half = half * (1.0 + _BEYOND[0]) + _BEYOND[1]
         return max(0.0, middle - half), min(1.0, middle + half)
@@ -320,21 +319,22 @@ class LoopFamily:
     last: SampledDevice
 
     @classmethod
-    def between(cls, first: LoopParameters, last: LoopParameters) -> "LoopFamily":
+    def between(cls, start: LoopParameters, end: LoopParameters) -> "LoopFamily":
         """All loops between two of one sampling period; ValueError if other than numbers differ."""
-        period = first.sample_time
-        if period != last.sample_time:
+        period = start.sample_time
+        if period != end.sample_time:
             raise ValueError(
-                f"sample_time is {period:g} s in one loop and {last.sample_time:g} s in the other; "
+                f"sample_time is {period:g} s in one loop and {end.sample_time:g} s in the other; "
                 "give two loops of one sampling period."
             )
-        loops = first.in_floats(), last.in_floats()
+        loops = start.in_floats(), end.in_floats()
         devices = [loop.held_device for loop in loops]
         delays = [float(loop.delay_samples) for loop in loops]
         filters = [(loop.velocity or Velocity(), loop.position or Filter()) for loop in loops]
         whole: Device = merged(*devices)
         whole.compliance()
-        ends = [sampled_device(*one) for one in zip(devices, (period, period), delays, strict=True)]
+        pairs = zip(devices, delays, strict=True)
+        ends = [sampled_device(device, period, delay) for device, delay in pairs]
         return cls(whole, Span(delays[0], delays[1]), merged(*filters), ends[0], ends[1])
 
     def end(self, share: int) -> tuple[SampledDevice, Filters]:
@@ -343,18 +343,18 @@ class LoopFamily:
 
     @property
     def shared_filters(self) -> Filters:
-        """What estimator and position filter have in all loops."""
+        """The sections of estimator and position filter that all loops share."""
         velocity, position = self.filters
         return Velocity(_shared(velocity.filter)), _shared(position)
 
     def is_analytic_within(self, t: "acb") -> bool:
-        """Return whether the coefficients are proved analytic in a ball of t."""
+        """Whether the coefficients are proved analytic in a ball of t."""
         period = self.first.sample_time
         if in_samples_over(self.device.compliance(), period, t) is None:
             return False
         velocity, position = self.filters
-        parts = [*_changing(position, t, period), *_changing(velocity.filter, t, period)]
-        return all(one.is_finite() for part in parts for one in part.coeffs())
+        polynomials = [*_changing(position, t, period), *_changing(velocity.filter, t, period)]
+        return all(c.is_finite() for p in polynomials for c in p.coeffs())
 
     def polynomials(self, t: "acb", whole: int) -> "list[acb_poly] | None":
         """D, S and R for a ball of t; None where no such loop, or one too fast, may be.
@@ -365,12 +365,12 @@ class LoopFamily:
         import flint
 
         period = self.first.sample_time
-        parts = in_samples_over(self.device.compliance(), period, t)
-        if parts is None:
+        compliance = in_samples_over(self.device.compliance(), period, t)
+        if compliance is None:
             return None
         has_fraction = self.delay.first != self.delay.last or self.delay.first % 1.0 != 0.0
-        part = _value(self.delay, t) - whole if has_fraction else None
-        force, free = of_samples(*parts, part)
+        fraction = _value(self.delay, t) - whole if has_fraction else None
+        force, free = of_samples(*compliance, fraction)
         velocity, position = self.filters
         above_k, below_k = _changing(position, t, period)
         above_b, below_b = _changing(velocity.filter, t, period)
@@ -380,8 +380,8 @@ class LoopFamily:
         return [free * below_k * below_b, force * above_k * below_b, force * above_b * below_k]
 
     def samples(self) -> list[tuple[float, float, int]]:
-        """Return parts of t in which the delay is between two whole samples, and the lower one."""
-        # They are rounded apart: together they are all of t.
+        """Intervals of t in which the delay is between two whole samples, and the lower one."""
+        # Rounded outwards, so that together they cover all of t.
         low, high = self.delay.first, self.delay.last
         if low == high:
             return [(0.0, 1.0, floor(low))]
@@ -408,8 +408,8 @@ def pieces_of(family: LoopFamily) -> tuple[LoopPiece, ...] | None:
         elif half < _SMALLEST or len(done) + len(waiting) >= _MOST_PIECES:
             return None
         else:
-            part = 0.5 * half
-            waiting += [(middle + part, part, whole), (middle - part, part, whole)]
+            quarter = 0.5 * half
+            waiting += [(middle + quarter, quarter, whole), (middle - quarter, quarter, whole)]
     return tuple(done)
 
 
@@ -429,37 +429,36 @@ def _piece(family: LoopFamily, middle: float, half: float, whole: int) -> LoopPi
                 values.append(family.polynomials(place, whole) or [])
             if not all(values):
                 return None
-            parts = [
-                _through(
-                    inverse, [[c.real for c in one.coeffs()] for one in column], middle, half, bound
-                )
-                for column, bound in zip(zip(*values, strict=True), missed, strict=True)
+            columns = [[[c.real for c in p.coeffs()] for p in q] for q in zip(*values, strict=True)]
+            candidates = [
+                _through(inverse, column, middle, half, bound)
+                for column, bound in zip(columns, missed, strict=True)
             ]
-            pieces = [part for part in parts if part is not None]
-            if len(pieces) == len(parts):
+            pieces = [piece for piece in candidates if piece is not None]
+            if len(pieces) == len(candidates):
                 return LoopPiece(whole + 1, pieces[0], pieces[1], pieces[-1])
     return None
 
 
 def _missed(family: LoopFamily, middle: float, half: float, whole: int) -> "list[arb] | None":
-    """Return bounds of what polynomials through the nodes miss of D, S and R, if any."""
+    """Bounds of the interpolation errors of D, S and R; None where they may not be analytic."""
     import flint
 
     disc = flint.arb(0, _DISC * half)
     if not family.is_analytic_within(flint.acb(middle + disc, disc)):
         return None
-    # What is real on the real axis is conjugated below it.
+    # Real functions take conjugate values in the lower half of the disc.
     most: list[arb] = []
     for k in range(_ARCS):
         place = (
             _DISC * half * flint.acb(0, (k + flint.arb(0.5, 0.5)) * flint.arb.pi() / _ARCS).exp()
         )
         wide = family.polynomials(middle + place, whole)
-        if wide is None or not all(one.is_finite() for part in wide for one in part.coeffs()):
+        if wide is None or not all(c.is_finite() for p in wide for c in p.coeffs()):
             return None
-        sizes = [size_on_circle(one) for one in wide]
+        sizes = [size_on_circle(p) for p in wide]
         most = [max(pair) for pair in zip(sizes, most or sizes, strict=True)]
-    return [one * _MISSED_BY for one in most]
+    return [bound * _MISSED_BY for bound in most]
 
 
 def _through(
@@ -472,7 +471,7 @@ def _through(
     powers = (inverse * flint.arb_mat(rows)).tolist()
     terms = [flint.arb_poly([c / size**j for c in row]) for j, row in enumerate(powers)]
     sizes = [sum(map(abs, row), flint.arb(0)).upper() for row in powers]
-    while len(terms) > 1 and sizes[-1] < sizes[0] * _LEFT:
+    while len(terms) > 1 and sizes[-1] < sizes[0] * _DROPPED:
         missed += sizes.pop()
         terms.pop()
     if not missed < sizes[0] * _MOST_MISSED:
@@ -482,7 +481,7 @@ def _through(
 
 @lru_cache
 def _interpolation(bits: int) -> "tuple[list[arb], arb_mat]":
-    """Return Chebyshev's points, rounded, and what makes coefficients of the values there."""
+    """Chebyshev's points, rounded, and the matrix from values there to coefficients."""
     import flint
 
     with working_precision(bits):
@@ -499,10 +498,10 @@ def _changing(chain: Filter, t: "acb", period: float) -> "tuple[acb_poly, acb_po
     """Return numerator and denominator of the sections that change, polynomials of one degree."""
     import flint
 
-    one = flint.acb_poly([1])
-    parts = [_section(part, t, period) for part in chain.sections if has_spans(part)]
-    above, below = zip(*parts, strict=True) if parts else ((), ())
-    return reduce(mul, above, one), reduce(mul, below, one)
+    unit = flint.acb_poly([1])
+    factors = [_section(section, t, period) for section in chain.sections if has_spans(section)]
+    above, below = zip(*factors, strict=True) if factors else ((), ())
+    return reduce(mul, above, unit), reduce(mul, below, unit)
 
 
 def _section(section: Section, t: "acb", period: float) -> "tuple[acb_poly, acb_poly]":
@@ -516,10 +515,10 @@ def _section(section: Section, t: "acb", period: float) -> "tuple[acb_poly, acb_
 
 
 def _value(span: float | Span, t: "acb") -> "acb":
-    """Return a number that may be a span for a ball of t."""
+    """The value of a number, which may be a span, for a ball of t."""
     import flint
 
     if not isinstance(span, Span):
         return flint.acb(flint.arb(exact(span)))
-    first, last = exact(span.first), exact(span.last)
-    return flint.arb(first) + flint.arb(last - first) * t
+    start, end = exact(span.first), exact(span.last)
+    return flint.arb(start) + flint.arb(end - start) * t

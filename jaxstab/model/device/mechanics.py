@@ -1,8 +1,15 @@
 """How a general device moves while forces are held, exact up to the rounding of coefficients.
 
-The handle's compliance n(s)/d(s) is realised with the position as its first state (the observer's
-canonical form, in units of one sample), each actuator with its force. The exponentials are those of
-balls, rounded once.
+The handle's compliance (b_1 s^(n-1) + ... + b_n)/(s^n + a_1 s^(n-1) + ... + a_n) is realised in the
+observer's canonical form, in units of one sample, with the position as its first state:
+
+    x_i' = -a_i x_1 + x_(i+1) + b_i f,     x_(n+1) = 0,     f the sum of the forces at the handle
+
+and each actuator adds its force as a state, u' = w (input - u). With A of all states and B of the
+wall's and the hand's force, exp(t [[A, B], [0, 0]]) is the motion for a time t while both are held.
+The wall's force changes within the sample, at the fraction of the delay: what the new force adds by
+time t is the exponential over t - fraction, and the old force has the rest. The exponentials are
+computed in balls, at a precision that is doubled until every entry is known, and rounded once.
 """
 
 from functools import lru_cache
@@ -76,13 +83,13 @@ def mechanics(
             )
         order, size = len(below) - 1, matrix.ncols() - 2
         give = below[0] / above[0]
-        rest = [flint.arb(1)]
+        resting = [flint.arb(1)]
         for power in range(order - 1, 0, -1):
-            rest.append(below[power] - give * above[power])
-        at_rest = np.array([*map(_float, rest), *[0.0] * (size - order)])
-        blow = np.array([*(_float(one) for one in above[::-1]), *[0.0] * (size - order)])
+            resting.append(below[power] - give * above[power])
+        at_rest = np.array([*map(_float, resting), *[0.0] * (size - order)])
+        blow = np.array([*map(_float, above[::-1]), *[0.0] * (size - order)])
         velocity = np.array([_float(matrix[0, column]) for column in range(size + 2)])
-    values = np.array([[[_float(one) for one in row] for row in part.tolist()] for part in rows])
+    values = np.array(list(map(_floats, rows)))
     early = (np.array(offsets) < fraction)[:, None]
     acting = velocity[size] * np.where(early, [1.0, 0.0], [0.0, 1.0])
     direct = np.concatenate(
@@ -103,25 +110,25 @@ def mechanics(
 def equations(
     device: Device, above: list["arb"], below: list["arb"], sample_time: float
 ) -> "arb_mat":
-    """Return [[A, B], [0, 0]] of states, the wall's force and the hand's."""
+    """[[A, B], [0, 0]] for the states, the wall's force and the hand's."""
     import flint
 
     order, actuators = len(below) - 1, len(device.bandwidths)
     size = order + actuators
     wall, hand = size, size + 1
-    pull = size - 1 if actuators else wall  # what pulls at the handle, beside the hand
+    pull = size - 1 if actuators else wall  # the force at the handle beside the hand's
     matrix = flint.arb_mat(size + 2, size + 2)
     for state in range(order):
         matrix[state, 0] = -below[order - 1 - state]
         if state + 1 < order:
             matrix[state, state + 1] = flint.arb(1)
         matrix[state, pull] = matrix[state, hand] = above[order - 1 - state]
-    for number, bandwidth in enumerate(device.bandwidths):
+    for index, bandwidth in enumerate(device.bandwidths):
         (rate,) = balls_of(turn(bandwidth))
         rate = rate * flint.arb(exact(sample_time))
-        state = order + number
+        state = order + index
         matrix[state, state] = -rate
-        matrix[state, state - 1 if number else wall] = rate
+        matrix[state, state - 1 if index else wall] = rate
     return matrix
 
 
@@ -196,7 +203,7 @@ def _float(ball: "arb") -> float:
     return float(ball.mid())
 
 
-# How a general device moves between two samples, as far as lemma M9 of docs/proofs.md needs it.
+# The motion of a general device between two samples, for lemma M9 of docs/proofs.md.
 #
 # Position and velocity are linear in the states at a sample and in the forces. These functionals
 # and their second derivatives are known at the ends of pieces of the sample, and their fourth
@@ -212,16 +219,16 @@ class Between(NamedTuple):
     Columns: the states, the force that acts up to the fraction of the delay, the one from then on.
 
     Attributes:
-        rows: all requested rows, once each.
-        ends: which of it are position, velocity and their second derivatives at both ends of each
-            piece; what it is at the next sample, it is at this one.
-        states: which of it are the states, and then the acting force.
+        rows: the distinct rows.
+        ends: indices of the rows of position, velocity and their second derivatives at both ends of
+            each piece; the next sample's are those of this one.
+        states: indices of the rows of the states and of the acting force.
         half: half the lengths of the pieces.
-        rest: bounds of the fourth derivatives in each piece, of position and velocity.
+        remainder: bounds of the fourth derivatives in each piece, of position and velocity.
         blows: the states a time after a unit impulse at the handle, and their second derivatives,
             at the ends of pieces that are all alike.
         blow_half: half the length of these.
-        blow_rest: bounds of the fourth derivatives of the states, summed over the pieces.
+        blow_remainder: bounds of the fourth derivatives of the states, summed over the pieces.
         path: what a force at the handle, never larger than 1, does to position and velocity within
             a sample, at most.
     """
@@ -230,16 +237,16 @@ class Between(NamedTuple):
     ends: Int64[np.ndarray, "piece 2 4"]
     states: Int64[np.ndarray, " state"]
     half: Float64[np.ndarray, " piece"]
-    rest: Float64[np.ndarray, "piece 2 column"]
+    remainder: Float64[np.ndarray, "piece 2 column"]
     blows: Float64[np.ndarray, "2 end state"]
     blow_half: float
-    blow_rest: Float64[np.ndarray, " state"]
+    blow_remainder: Float64[np.ndarray, " state"]
     path: tuple[float, float]
 
 
 @lru_cache(maxsize=32)
 def between_samples(device: Device, sample_time: float, fraction: float) -> Between:
-    """Return how a device moves within a sample, for a fraction of the delay."""
+    """The motion of a device within a sample, for a fraction of the delay."""
     bits = _FIRST_BITS
     while True:
         with working_precision(bits):
@@ -252,10 +259,10 @@ def between_samples(device: Device, sample_time: float, fraction: float) -> Betw
             motion = _Motion(matrix, fraction)
             pieces = motion.pieces(max(map(float, rates)))
             rows = [
-                [motion.rows(first, is_late), motion.rows(last % 1.0, is_late and last < 1.0)]
-                for first, last, is_late in pieces
+                [motion.rows(start, is_late), motion.rows(end % 1.0, is_late and end < 1.0)]
+                for start, end, is_late in pieces
             ]
-            if all(_are_known(one) for pair in rows for one in pair) or bits >= _MOST_BITS:
+            if all(_are_known(block) for pair in rows for block in pair) or bits >= _MOST_BITS:
                 return _rounded(motion, pieces, rows)
         bits *= 2
 
@@ -275,10 +282,10 @@ class _Motion(NamedTuple):
         count = min(speed, _MOST_PIECES)
         parts = [(0.0, self.fraction, False), (self.fraction, 1.0, True)]
         pieces = []
-        for first, last, is_late in parts:
-            if first == last:
+        for start, end, is_late in parts:
+            if start == end:
                 continue
-            ends = np.linspace(first, last, max(1, ceil(count * (last - first))) + 1).tolist()
+            ends = np.linspace(start, end, max(1, ceil(count * (end - start))) + 1).tolist()
             pieces += [(a, b, is_late) for a, b in pairwise(ends)]
         return pieces
 
@@ -324,24 +331,24 @@ def _rounded(
 ) -> Between:
     import flint
 
-    ends = np.array([[_floats(one)[:4] for one in pair] for pair in rows])
+    ends = np.array([[_floats(matrix)[:4] for matrix in pair] for pair in rows])
     columns, states = ends.shape[-1], motion.states + 1
-    known, number = np.unique(
+    unique, index = np.unique(
         np.concatenate([ends.reshape(-1, columns), np.eye(states, columns)]),
         axis=0,
         return_inverse=True,
     )
-    number = np.ravel(number)
-    half = np.array([0.5 * (last - first) for first, last, _ in pieces]) * RAISED
-    rest = np.array([_sizes(motion.rows(_over(*piece[:2]), piece[2]))[4:] for piece in pieces])
+    index = np.ravel(index)
+    half = np.array([0.5 * (end - start) for start, end, _ in pieces]) * RAISED
+    remainder = np.array([_sizes(motion.rows(_over(*piece[:2]), piece[2]))[4:] for piece in pieces])
     count = len(pieces)
     times = [k / count for k in range(count + 1)]
     blows = np.array(
-        [np.array([[float(x.mid()) for x in one] for one in motion.blows(t)]) for t in times]
+        [np.array([[float(x.mid()) for x in column] for column in motion.blows(t)]) for t in times]
     )
     widest = np.array(
         [
-            [[float(abs(x).upper()) for x in one] for one in motion.blows(_over(a, b))]
+            [[float(abs(x).upper()) for x in column] for column in motion.blows(_over(a, b))]
             for a, b in pairwise(times)
         ]
     )
@@ -359,28 +366,28 @@ def _rounded(
     ]
     direct = float(abs(motion.blows(flint.arb(0))[0][0]).upper())
     return Between(
-        rows=known,
-        ends=number[:-states].reshape(ends.shape[:-1]),
-        states=number[-states:],
+        rows=unique,
+        ends=index[:-states].reshape(ends.shape[:-1]),
+        states=index[-states:],
         half=half,
-        rest=rest,
+        remainder=remainder,
         blows=np.moveaxis(blows[:, [0, 2]], 1, 0),
         blow_half=size,
-        blow_rest=widest[:, 4].sum(axis=0) * RAISED,
+        blow_remainder=widest[:, 4].sum(axis=0) * RAISED,
         path=(path[0] * RAISED, (path[1] + direct) * RAISED),
     )
 
 
-def _over(first: float, last: float) -> "arb":
+def _over(start: float, end: float) -> "arb":
     """Return a ball of all times of a piece."""
     import flint
 
-    return flint.arb(0.5 * (first + last), 0.5 * (last - first) * RAISED + 2.0**-60)
+    return flint.arb(0.5 * (start + end), 0.5 * (end - start) * RAISED + 2.0**-60)
 
 
 def _floats(matrix: "arb_mat") -> np.ndarray:
-    return np.array([[float(one.mid()) for one in row] for row in matrix.tolist()])
+    return np.array([[float(ball.mid()) for ball in row] for row in matrix.tolist()])
 
 
 def _sizes(matrix: "arb_mat") -> np.ndarray:
-    return np.array([[float(abs(one).upper()) for one in row] for row in matrix.tolist()])
+    return np.array([[float(abs(ball).upper()) for ball in row] for row in matrix.tolist()])

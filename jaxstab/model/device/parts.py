@@ -1,4 +1,12 @@
-"""The linear systems that devices and hands are described by, each as an exact function of s."""
+"""The linear systems that describe devices and hands, each as an exact rational function of s.
+
+Numbers that users give are float64 and therefore rational; a frequency in Hz brings a factor pi.
+As pi is no root of a polynomial with rational coefficients, it is a second variable of the
+polynomials, and common factors are found exactly: a state that cancels is removed, and refused if
+it is unstable. A number that represents a whole interval (``Span``) is linear in a third variable,
+t. ``balls_of`` evaluates the coefficients of such a polynomial in s, for the given t, in balls of
+any precision. python-flint is imported only where such polynomials are needed.
+"""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -11,13 +19,6 @@ import numpy as np
 
 from jaxstab.numbers import checked, checked_number
 from jaxstab.shown import call_text
-
-# Exact rational functions of s, whose coefficients are rational numbers times powers of pi.
-#
-# Numbers that users give are float64, rational numbers therefore; a frequency in Hz brings a factor
-# pi. As pi is no root of a polynomial with rational coefficients, it is a second variable here, and
-# what cancels is found exactly. Numbers that represent a whole interval are polynomials in a
-# third variable. python-flint is imported only where such numbers are needed.
 
 if TYPE_CHECKING:
     from flint import arb, fmpq, fmpq_mpoly, fmpq_mpoly_ctx
@@ -84,8 +85,8 @@ class Rational(NamedTuple):
         """Return the function without its common factor, and that factor; equals are equal then."""
         common = self.numerator.gcd(self.denominator)
         above, below = self.numerator / common, self.denominator / common
-        first = below.leading_coefficient()
-        return Rational(above / first, below / first), common
+        leading = below.leading_coefficient()
+        return Rational(above / leading, below / leading), common
 
     @property
     def degrees(self) -> tuple[int, int]:
@@ -120,8 +121,8 @@ def exact(value: "Number | fmpq") -> Any:
     from flint import fmpq
 
     if isinstance(value, Span):
-        first, last = exact(value.first), exact(value.last)
-        return first + (last - first) * _ring().gen(2)
+        start, end = exact(value.first), exact(value.last)
+        return start + (end - start) * _ring().gen(2)
     return fmpq(*value.as_integer_ratio()) if isinstance(value, float) else value
 
 
@@ -181,8 +182,8 @@ class Mode:
             "damping_ratio": checked_number("damping_ratio", self.damping_ratio, 0.0),
             "modal_mass": checked_number("modal_mass", self.modal_mass),
         }
-        for name, number in numbers.items():
-            object.__setattr__(self, name, number)
+        for name, value in numbers.items():
+            object.__setattr__(self, name, value)
         if self.modal_mass == 0.0:
             raise ValueError("modal_mass is 0.0; give the mass in kg that the mode moves.")
 
@@ -215,7 +216,7 @@ class MassSpringDamper(Part):
     stiffness: float
 
     def __str__(self) -> str:
-        return _in_words(self.mass, self.damping, self.stiffness)
+        return _description(self.mass, self.damping, self.stiffness)
 
     def dynamic_stiffness(self) -> Rational:
         """Return force over displacement."""
@@ -237,7 +238,7 @@ class Modes(Part):
     modes: tuple[Mode, ...]
 
     def __str__(self) -> str:
-        body = [] if self.mass is None else [_in_words(self.mass, self.damping, 0.0)]
+        body = [] if self.mass is None else [_description(self.mass, self.damping, 0.0)]
         return " with ".join(
             [*body, f"modes at {', '.join(f'{m.frequency:g}' for m in self.modes)} Hz"]
         )
@@ -296,7 +297,7 @@ class StateSpace(Part):
         from flint import fmpq_mat
 
         a = [[exact(value) for value in row] for row in self.a]
-        b, c = ([exact(value) for value in one] for one in (self.b, self.c))
+        b, c = ([exact(value) for value in vector] for vector in (self.b, self.c))
         closed = [
             [x - y * z for x, z in zip(row, c, strict=True)] for row, y in zip(a, b, strict=True)
         ]
@@ -306,9 +307,9 @@ class StateSpace(Part):
         return Rational(within - without, without)
 
 
-def _in_words(mass: Number, damping: Number, stiffness: Number) -> str:
-    parts = [f"{mass:g} kg", f"{damping:g} N s/m", f"{stiffness:g} N/m"]
-    return ", ".join(part for part in parts if not part.startswith("0 ")) or "nothing"
+def _description(mass: Number, damping: Number, stiffness: Number) -> str:
+    terms = [f"{mass:g} kg", f"{damping:g} N s/m", f"{stiffness:g} N/m"]
+    return ", ".join(term for term in terms if not term.startswith("0 ")) or "nothing"
 
 
 # --------------------------------------------------------------------------------------- checks
@@ -349,7 +350,7 @@ def _row(name: str, values: Coefficients) -> list[Any]:
 
 def checked_state_space(a: Any, b: Any, c: Any) -> StateSpace:
     """A state space of one force and one position."""
-    matrices = [np.asarray(checked(name, one)) for name, one in zip("ABC", (a, b, c), strict=True)]
+    matrices = [np.asarray(checked(name, m)) for name, m in zip("ABC", (a, b, c), strict=True)]
     order = matrices[0].shape[0] if matrices[0].ndim == 2 else 0
     shapes = ((order, order),), ((order,), (order, 1)), ((order,), (1, order))
     for name, matrix, allowed in zip("ABC", matrices, shapes, strict=True):
@@ -361,8 +362,8 @@ def checked_state_space(a: Any, b: Any, c: Any) -> StateSpace:
     if order > HIGHEST_ORDER:
         raise ValueError(f"A has {order} states; give {HIGHEST_ORDER} at most.")
     rows = [[float(value) for value in matrix.reshape(order, -1).ravel()] for matrix in matrices]
-    first = tuple(tuple(rows[0][k : k + order]) for k in range(0, order * order, order))
-    return StateSpace(first, tuple(rows[1]), tuple(rows[2]))
+    square = tuple(tuple(rows[0][k : k + order]) for k in range(0, order * order, order))
+    return StateSpace(square, tuple(rows[1]), tuple(rows[2]))
 
 
 def checked_compliance(function: Rational, what: str) -> Rational:
@@ -390,8 +391,7 @@ def checked_compliance(function: Rational, what: str) -> Rational:
 
 
 def _grows(common: "fmpq_mpoly") -> bool:
-    """Return whether a factor has a root in the right half plane; one with pi never has."""
-    # One that changes along spans may have.
+    """Whether a factor may have a root in the right half plane: with t it may, with pi never."""
     from flint import fmpq_poly
 
     if degree_of(common) < 1 or any(power_of_pi for _, power_of_pi, _ in common.monoms()):
@@ -399,5 +399,5 @@ def _grows(common: "fmpq_mpoly") -> bool:
     if any(power_of_t for _, _, power_of_t in common.monoms()):
         return True
     rising = [common[power, 0, 0] for power in range(degree_of(common) + 1)]
-    roots: list[Any] = fmpq_poly(rising).complex_roots()  # each with how often it counts
+    roots: list[Any] = fmpq_poly(rising).complex_roots()  # each with its multiplicity
     return any(root.real > 0 for root, _ in roots)

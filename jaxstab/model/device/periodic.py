@@ -30,8 +30,7 @@ from jaxstab.model.device.sampling import (
     in_samples,
     without_force,
 )
-from jaxstab.model.filters import Filters
-from jaxstab.model.sections import Polynomial, Transfer
+from jaxstab.model.filters import Filters, Polynomial, Transfer
 from jaxstab.rounding import FILTERS
 
 if TYPE_CHECKING:
@@ -44,16 +43,16 @@ Held = tuple[np.ndarray, np.ndarray, np.ndarray]
 Delays = Sequence[float]  # in samples; infinite for a sample that is lost
 Segments = tuple[tuple[int, float, float], ...]
 
-"""Which forces act in a sample: how many samples old, from when, and until when."""
+"""The forces that act in a sample: age in samples, start and end of each."""
 
 
 def segments_of(delays: Delays) -> list[Segments]:
-    """Return which forces act in each sample of a turn; ValueError if all samples are lost."""
+    """The forces that act in each sample of a turn; ValueError if all samples are lost."""
     period = len(delays)
-    known = [delay for delay in delays if isfinite(delay)]
-    if not known:
+    finite = [delay for delay in delays if isfinite(delay)]
+    if not finite:
         raise ValueError("every sample is lost; give at least one delay that is finite.")
-    oldest = period + ceil(max(known))
+    oldest = period + ceil(max(finite))
     turns = []
     for k in range(period):
         arrivals = [delays[(k - age) % period] - age for age in range(oldest + 1)]
@@ -83,7 +82,7 @@ class PeriodicLoop:
     below: np.ndarray
 
     @classmethod
-    def of(
+    def from_device(
         cls, device: SampledDevice, filters: Filters | None, alpha: float, beta: float
     ) -> "PeriodicLoop":
         """Return the loop in balls; its controller is alpha P + beta V."""
@@ -109,7 +108,7 @@ class PeriodicLoop:
         states, memory = len(position), len(self.above) - 1
         forces = states + memory
         step = np.zeros((forces + oldest, forces + oldest), position.dtype)
-        force = np.zeros(len(step), position.dtype)  # less what the controller says
+        force = np.zeros(len(step), position.dtype)  # the negative of the controller's output
         force[:states], force[states : states + min(memory, 1)] = -self.above[0] * position, -1
         step[:states, :states] = transition
         for age, start, end in segments:
@@ -183,10 +182,10 @@ def _controller(
     (above, below), (above_p, below_p) = map(_in_lags, device.transfers(filters))
     stiffness = above_p * below * exact(alpha)
     damping = flint.arb_poly([1, -1]) * above * below_p * exact(beta)
-    parts = stiffness + damping, below * below_p
-    size = max(map(len, parts))
-    first = parts[1][0]
-    numerator, denominator = (np.array([part[k] / first for k in range(size)]) for part in parts)
+    polynomials = stiffness + damping, below * below_p
+    size = max(map(len, polynomials))
+    leading = polynomials[1][0]
+    numerator, denominator = (np.array([p[k] / leading for k in range(size)]) for p in polynomials)
     return numerator, denominator
 
 
@@ -199,7 +198,7 @@ def _in_lags(transfer: Transfer) -> "tuple[arb_poly, arb_poly]":
         return [flint.arb(c.hi) + flint.arb(c.lo) + error for c in falling]
 
     above, below = (
-        balls(part, size) for part, size in zip(transfer[:2], transfer.sizes, strict=True)
+        balls(falling, size) for falling, size in zip(transfer[:2], transfer.sizes, strict=True)
     )
     late = transfer.lag + len(below) - len(above)
     return flint.arb_poly([0] * late + above), flint.arb_poly(below)

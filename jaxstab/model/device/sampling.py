@@ -8,25 +8,29 @@ state moves and what a held force adds to it, and so
 
 (lemma V10 of docs/proofs.md). The precision is raised until all coefficients, in powers of z, of
 z - 1 and of z + 1, are known to more digits than pairs of float64 have.
+
+The last section bounds what forces do that arrive late (``late_response``).
 """
 
 from dataclasses import dataclass
 from functools import lru_cache
-from math import inf, isfinite, ldexp, nextafter
+from math import ceil, floor, inf, isfinite, ldexp, log2, nextafter
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float64
 
 from jaxstab.model.device.device import Device
 from jaxstab.model.device.parts import Rational, balls_of, exact, working_precision
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import Filter, Filters, Velocity
+from jaxstab.model.filters import Filter, Filters, Polynomial, Transfer, Velocity
 from jaxstab.model.linear_loop import Bounded, LinearLoop, SampledPlant, linear_loop
 from jaxstab.model.parameters import LONGEST_DELAY
-from jaxstab.model.sections import Polynomial, Transfer
 from jaxstab.numbers import checked_number
 from jaxstab.rounding import RAISED_FEW
 
 if TYPE_CHECKING:
-    from flint import acb, acb_poly, arb, arb_poly
+    from flint import acb, acb_poly, arb, arb_poly, fmpq
 
 Ball = Any  # of python-flint, real or complex
 Matrix = Any  # of such balls
@@ -101,7 +105,7 @@ class _Balls(NamedTuple):
         return all(is_known(polynomial) for pair in self for polynomial in pair)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=512)
 def _sampled(device: Device, sample_time: float, delay: float) -> SampledDevice:
     import flint
 
@@ -129,8 +133,8 @@ def _balls(compliance: Rational, sample_time: float, fraction: float) -> _Balls:
     import flint
 
     above, below = in_samples(compliance, sample_time)
-    part = flint.arb(exact(fraction)) if fraction else None
-    numerator, denominator = of_samples(above, below, part)
+    late = flint.arb(exact(fraction)) if fraction else None
+    numerator, denominator = of_samples(above, below, late)
     zeros = next(power for power in range(len(below)) if below[power] != 0)
     zeros_above = 1 if above[0] == 0 else 0
     plus, minus = flint.arb_poly([1, 1]), flint.arb_poly([-1, 1])
@@ -146,7 +150,7 @@ def in_samples(compliance: Rational, sample_time: float) -> tuple[list["arb"], l
 
     A coefficient that is 0 is the exact 0. ValueError: a pole vanishes within a sampling period.
     """
-    above, below = (balls_of(part) for part in compliance)
+    above, below = (balls_of(polynomial) for polynomial in compliance)
     above, below = _monic(above, below, sample_time)
     if _speed(below) > _FASTEST:
         raise ValueError(
@@ -162,7 +166,7 @@ def in_samples_over(
     """The same for numbers in their spans, for a ball of places; None if a pole may be too fast."""
     import flint
 
-    above, below = (list(map(flint.acb, balls_of(part, t))) for part in compliance)
+    above, below = (list(map(flint.acb, balls_of(polynomial, t))) for polynomial in compliance)
     if below[-1].contains(0):
         return None
     above, below = _monic(above, below, sample_time)
@@ -175,20 +179,20 @@ def _monic(
     import flint
 
     period = flint.arb(exact(sample_time))
-    degree, first = len(below) - 1, below[-1]
-    below = [value / first * period ** (degree - k) for k, value in enumerate(below)]
-    above = [value / first * period ** (degree - k) for k, value in enumerate(above)]
+    degree, leading = len(below) - 1, below[-1]
+    below = [value / leading * period ** (degree - k) for k, value in enumerate(below)]
+    above = [value / leading * period ** (degree - k) for k, value in enumerate(above)]
     return above + [flint.arb(0)] * (degree - len(above)), [*below[:-1], flint.arb(1)]
 
 
 def _speed(below: list[Ball]) -> int:
     """Return the exponent of a power of two next to the largest root, but for a factor of 2."""
     degree = len(below) - 1
-    sizes = [(degree - k, one) for k, one in enumerate(below[:-1]) if one != 0]
-    return max((_binary_digits(one) // root for root, one in sizes), default=0)
+    sizes = [(degree - k, c) for k, c in enumerate(below[:-1]) if c != 0]
+    return max((_binary_digits(c) // root for root, c in sizes), default=0)
 
 
-def of_samples(above: list[Ball], below: list[Ball], part: Ball | None) -> tuple[Any, Any]:
+def of_samples(above: list[Ball], below: list[Ball], fraction: Ball | None) -> tuple[Any, Any]:
     """Return N(z) and D(z), for a fraction of a sample with one sample of delay more (B14)."""
     import flint
 
@@ -196,16 +200,16 @@ def of_samples(above: list[Ball], below: list[Ball], part: Ball | None) -> tuple
     sample = held(below, speed)
     transition = without_force(sample)
     denominator = transition.charpoly()
-    has_complex = any(isinstance(one, flint.acb) for one in below)
+    has_complex = any(isinstance(value, flint.acb) for value in below)
     polynomial = flint.acb_poly if has_complex else flint.arb_poly
 
     def moved(column: Matrix) -> Any:
         return polynomial(position_after(above, transition, denominator, column))
 
     whole = moved(force_of(sample))
-    if part is None:
+    if fraction is None:
         return whole, denominator
-    later = moved(force_of(held(below, (1 - part) * speed)))
+    later = moved(force_of(held(below, (1 - fraction) * speed)))
     return polynomial([-1, 1]) * later + whole, denominator
 
 
@@ -218,8 +222,8 @@ def in_fastest_time(above: list[Ball], below: list[Ball]) -> "tuple[list[Ball], 
 
     order, speed = len(below) - 1, _speed(below)
     above, below = (
-        [value * flint.arb(2) ** (speed * (power - order)) for power, value in enumerate(one)]
-        for one in (above, below)
+        [value * flint.arb(2) ** (speed * (power - order)) for power, value in enumerate(row)]
+        for row in (above, below)
     )
     return above, below, flint.arb(2) ** speed
 
@@ -262,19 +266,19 @@ def generator(below: list[Ball]) -> Matrix:
 
 
 def without_force(matrix: Matrix) -> Matrix:
-    """Return how the states move, of what ``held`` returns."""
+    """The transition of the states, from the result of ``held``."""
     return _matrix([row[:-1] for row in matrix.tolist()[:-1]])
 
 
 def force_of(matrix: Matrix) -> Matrix:
-    """Return what a force adds to the states, of what ``held`` returns."""
+    """The effect of a force on the states, from the result of ``held``."""
     return _matrix([row[-1:] for row in matrix.tolist()[:-1]])
 
 
 def _matrix(rows: list[list[Any]]) -> Any:
     import flint
 
-    has_complex = any(isinstance(one, flint.acb) for row in rows for one in row)
+    has_complex = any(isinstance(value, flint.acb) for row in rows for value in row)
     return (flint.acb_mat if has_complex else flint.arb_mat)(rows)
 
 
@@ -291,9 +295,9 @@ def is_known(polynomial: "arb_poly") -> bool:
 
 
 def are_known(balls: "list[arb]", bits: int, nothing: float) -> bool:
-    """Return whether balls are known to some bits, or next to 0 beside the largest of them."""
-    least = max((one.abs_lower() for one in balls), key=float, default=0.0) * nothing
-    return all(one.rel_accuracy_bits() >= bits or one.abs_upper() <= least for one in balls)
+    """Whether balls have this many bits, or are next to 0 compared with the largest of them."""
+    least = max((ball.abs_lower() for ball in balls), key=float, default=0.0) * nothing
+    return all(ball.rel_accuracy_bits() >= bits or ball.abs_upper() <= least for ball in balls)
 
 
 def _binary_digits(ball: Ball) -> int:
@@ -309,7 +313,7 @@ def _rounded(balls: _Balls, unit: int, lag: int) -> SampledPlant:
     import flint
 
     scale = flint.arb(2) ** -unit
-    straight, one, minus_one = (
+    straight, about_one, about_minus_one = (
         ([bounded(c * scale) for c in _falling(n)], [bounded(c) for c in _falling(d)])
         for n, d in balls
     )
@@ -318,13 +322,13 @@ def _rounded(balls: _Balls, unit: int, lag: int) -> SampledPlant:
         denominator=_values(straight[1]),
         lag=lag,
         errors=(_errors(straight[0]), _errors(straight[1])),
-        at_one=(one[0][-1], one[1][-1]),
-        at_minus_one=(minus_one[0][-1], minus_one[1][-1]),
+        at_one=(about_one[0][-1], about_one[1][-1]),
+        at_minus_one=(about_minus_one[0][-1], about_minus_one[1][-1]),
         shifted=(
-            _values(one[0]),
-            _values(one[1]),
-            _turned(_values(minus_one[0])),
-            _turned(_values(minus_one[1])),
+            _values(about_one[0]),
+            _values(about_one[1]),
+            _turned(_values(about_minus_one[0])),
+            _turned(_values(about_minus_one[1])),
         ),
     )
 
@@ -357,5 +361,141 @@ def _turned(falling: Polynomial) -> Polynomial:
 
 
 def _is_finite(plant: SampledPlant) -> bool:
-    numbers = [*plant.numerator, *plant.denominator]
-    return all(isfinite(number.hi) for number in numbers) and all(map(isfinite, plant.errors))
+    pairs = [*plant.numerator, *plant.denominator]
+    return all(isfinite(pair.hi) for pair in pairs) and all(map(isfinite, plant.errors))
+
+
+# How strongly a force whose changes arrive late moves the samples of a device.
+#
+# Each change of the computed force should act after the delay L, and acts up to J samples later. So
+# the force is wrong by the last changes, at most N(s) of them at the time s after L, T = 1:
+#
+#     N(s) = n + 1 for s < f,   N(s) = n from there on,      n = floor(J),  f = J - n,   0 <= s < 1.
+#
+# From sample to sample the states of (A, B, C) move by x -> F x + what the force adds. With b(s)
+# what an impulse at the time s after L adds at the next sample, c(z) = C adj(z - F) and D(z) as
+# above, errors of this kind move the samples of the position at the angle theta by no more
+# than sqrt(Q)/|D| times the changes (lemma J1 of docs/proofs.md),
+#
+#     Q = c(z) M c(1/z)',     M = J times the integral of N b b',     |z| = 1,
+#
+# a cosine sum of as many terms as the device has states. The integral over a whole sample is the
+# Gramian of one sample; that over s < f covers the time in which an (n + 1)-th change may still be
+# missing. Q is finite where D vanishes. It is computed in powers of 1 - cos(theta) and of
+# 1 + cos(theta), in balls, until each coefficient has more digits than pairs of float64.
+
+
+class CosineSum(NamedTuple):
+    """Q of a device, in the unit of force of its plant; lowest power first.
+
+    about_one: coefficients in powers of 1 - cos(theta).
+    about_minus_one: those in powers of 1 + cos(theta).
+    errors: bounds of the sums of the errors of both.
+    """
+
+    about_one: Polynomial
+    about_minus_one: Polynomial
+    errors: tuple[float, float]
+
+    def values_at(self, theta: Float64[np.ndarray, " angle"]) -> Float64[np.ndarray, " angle"]:
+        """Return Q at angles, without a bound."""
+        powers = 1.0 - np.cos(theta), 1.0 + np.cos(theta)
+        values = [
+            np.polynomial.polynomial.polyval(h, [float(c.rounded()) for c in rising])
+            for h, rising in zip(powers, (self.about_one, self.about_minus_one), strict=True)
+        ]
+        return np.where(theta < 0.5 * np.pi, *values)
+
+
+@lru_cache(maxsize=256)
+def late_response(device: SampledDevice, jitter: float) -> CosineSum:
+    """Return Q; L is the delay of the device, ``jitter`` is J in samples."""
+    import flint
+
+    bits = _FIRST_BITS
+    while True:
+        with working_precision(bits):
+            cosines = _cosine_sum(device, jitter)
+            both = [_in_powers(cosines, sign) for sign in (-1, 1)]
+            if all(map(is_known, both)) or bits >= _MOST_BITS:
+                unit = flint.arb(exact(device.stiffness_unit))
+                balls = [each.coeffs() or [flint.arb(0)] for each in both]
+                coefficients = [[bounded(c / unit**2) for c in each] for each in balls]
+                values = [tuple(c.value for c in each) for each in coefficients]
+                errors = [float(sum(c.error for c in each)) * RAISED_FEW for each in coefficients]
+                return CosineSum(values[0], values[1], (errors[0], errors[1]))
+        bits *= 2
+
+
+def _cosine_sum(device: SampledDevice, jitter: float) -> list["arb"]:
+    """Return q of Q = q_0 + 2 q_1 cos(theta) + 2 q_2 cos(2 theta) + ..., in SI units."""
+    import flint
+
+    given = in_samples(device.device.compliance(), device.sample_time)
+    above, below, speed = in_fastest_time(*given)
+    order = len(below) - 1
+    transition, whole = _after(below, speed)
+    gramian = whole * floor(jitter)
+    for start, end in _windows(device.delay % 1.0, jitter % 1.0):
+        onward, _ = _after(below, (1 - end) * speed)
+        _, window = _after(below, (end - start) * speed)
+        gramian += onward * window * onward.transpose()
+    weights = (gramian * (speed * flint.arb(exact(jitter)))).tolist()
+    denominator = transition.charpoly()
+    units = [[int(i == j) for i in range(order)] for j in range(order)]
+    columns = [flint.arb_mat([unit]).transpose() for unit in units]
+    rows = [
+        flint.arb_poly(position_after(above, transition, denominator, column)) for column in columns
+    ]
+    zero = flint.arb_poly([])
+    total = zero
+    for row, weighted in zip(rows, weights, strict=True):
+        other = sum((p * w for p, w in zip(rows, weighted, strict=True)), zero)
+        reverse = [other[order - 1 - power] for power in range(order)]
+        total += row * flint.arb_poly(reverse)
+    return [total[order - 1 + lag] for lag in range(order)]
+
+
+def _windows(start: float, length: float) -> list[tuple["fmpq", "fmpq"]]:
+    """The intervals of a sample that a window covers, which may continue in the next sample."""
+    begin, end = exact(start), exact(start) + exact(length)
+    pieces = [(begin, min(end, exact(1.0))), (exact(0.0), end - 1)]
+    return [piece for piece in pieces if piece[0] < piece[1]]
+
+
+def _after(below: list[Ball], time: "arb") -> "tuple[Matrix, Matrix]":
+    """Return F, and the Gramian, over a time: the integral of exp(A t) B B' exp(A' t) (Van Loan).
+
+    They are formed over a time in which the device's numbers are of size 1, then doubled.
+    """
+    import flint
+
+    order, doublings = len(below) - 1, max(0, ceil(log2(float(time)))) if time > 0 else 0
+    rows = [[flint.arb(0)] * (2 * order) for _ in range(2 * order)]
+    for row in range(order - 1):
+        rows[row][row + 1], rows[order + row + 1][order + row] = flint.arb(-1), flint.arb(1)
+    for column in range(order):
+        rows[order - 1][column] = below[column]
+        rows[order + column][2 * order - 1] = -below[column]
+    rows[order - 1][2 * order - 1] = flint.arb(1)
+    blocks = (flint.arb_mat(rows) * (flint.arb(time) / flint.arb(2) ** doublings)).exp().tolist()
+    turned = flint.arb_mat([row[order:] for row in blocks[order:]])
+    transition = turned.transpose()
+    gramian = transition * flint.arb_mat([row[order:] for row in blocks[:order]])
+    for _ in range(doublings):
+        gramian = gramian + transition * gramian * transition.transpose()
+        transition = transition * transition
+    return transition, gramian
+
+
+def _in_powers(cosines: list["arb"], sign: int) -> "arb_poly":
+    """Return the sum as a polynomial in h, cos(theta) being 1 - h or, for sign 1, h - 1."""
+    import flint
+
+    cosine = flint.arb_poly([-sign, sign])
+    last, this = flint.arb_poly([1]), cosine
+    total = flint.arb_poly([cosines[0]])
+    for value in cosines[1:]:
+        total += this * (2 * value)
+        last, this = this, 2 * cosine * this - last
+    return total

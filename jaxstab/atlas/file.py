@@ -1,10 +1,10 @@
 """Atlas files are read here, and nowhere else. No JAX, and no HDF5.
 
-A file is checked against its footer before anything in it is read, its table against the
-schema before memory is allocated, and its values against their digests and ranges before a question
-sees them. It was published by an atomic rename. So a reader meets the old file, the new file or a
-refusal in one sentence, whatever happened to writer and disk. The bytes that were checked stay in
-memory, and the arrays are unpacked from them: what becomes of the file later changes no answer.
+A file is checked against its footer before anything in it is read, its table against the schema
+before memory is allocated, and its values against their digests and ranges before a query uses
+them. It was published by an atomic rename. So a reader finds the old file, the new file or a
+refusal in one sentence, whatever happened to the writer and the disk. The checked bytes stay in
+memory, and the arrays are unpacked from them: later changes of the file change no answer.
 """
 
 import io
@@ -20,10 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxstab.atlas.format import schema
-from jaxstab.atlas.format.schema import FOOTER, VARIABLES, image_size, values_digest
-from jaxstab.atlas.format.table import RefusalError, Stored, Table, check, read_table
-from jaxstab.atlas.format.variables import (
+from jaxstab.atlas import schema
+from jaxstab.atlas.product import (
     LARGEST_ARRAY,
     LARGEST_UNASKED,
     LEAST_SHARE,
@@ -33,6 +31,17 @@ from jaxstab.atlas.format.variables import (
     Variable,
 )
 from jaxstab.atlas.products.table import PRODUCTS
+from jaxstab.atlas.schema import (
+    FOOTER,
+    VARIABLES,
+    RefusalError,
+    Stored,
+    Table,
+    check,
+    image_size,
+    read_table,
+    values_digest,
+)
 from jaxstab.conventions import AXES
 from jaxstab.durable import named_errors, target_of
 
@@ -49,20 +58,20 @@ def unpacked(data: bytes, stored: Stored) -> Array:
     """An array, read-only, checked; memory is allocated only as far as the file has values."""
     _check_size(stored)
     values = np.empty(stored.shape, stored.dtype)
-    for number, start in enumerate(stored.starts()):
+    for index, start in enumerate(stored.starts()):
         place = tuple(slice(i, i + n) for i, n in zip(start, stored.chunk, strict=True))
-        values[place] = _inside(data, stored, number, start)
+        values[place] = _inside(data, stored, index, start)
     check_values(stored.variable, values)
     values.flags.writeable = False
     return values
 
 
-def _inside(data: bytes, stored: Stored, number: int, start: tuple[int, ...]) -> Array:
-    """Return the values of a chunk inside of the array, which are what their digest says."""
-    offset, size = stored.places[number]
+def _inside(data: bytes, stored: Stored, index: int, start: tuple[int, ...]) -> Array:
+    """The values of a chunk inside of the array, checked by their digest."""
+    offset, size = stored.places[index]
     chunk = _chunk(memoryview(data)[offset : offset + size - schema.CHECKSUM_SIZE], stored)
     inside = chunk[tuple(slice(n - i) for i, n in zip(start, stored.shape, strict=True))]
-    check(values_digest(inside) == stored.digests[number])
+    check(values_digest(inside) == stored.digests[index])
     return inside
 
 
@@ -85,7 +94,7 @@ def too_large(size: int, what: str, most: int) -> str:
 
 
 def _chunk(stored_bytes: memoryview, stored: Stored) -> Array:
-    """Return the values of a chunk; one that has more or fewer than it promised is refused."""
+    """The values of a chunk; one with more or fewer than its table says is refused."""
     dtype, count = stored.dtype, prod(stored.chunk)
     if not stored.variable.is_packed:
         return np.frombuffer(stored_bytes, dtype).reshape(stored.chunk)
@@ -170,7 +179,7 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Place:
-    """Where points are in a grid: index arrays, one for each axis."""
+    """The places of points in a grid: index arrays, one for each axis."""
 
     cell: tuple[Integers, ...]  # nodes[cell] <= point <= nodes[cell + 1]
     node: tuple[Integers, ...]  # the node, where the point is one
@@ -192,7 +201,7 @@ class Place:
 
 @dataclass(frozen=True)
 class Contents:
-    """What an atlas file holds: arrays by the names of the schema, who made it, for which loop."""
+    """The contents of an atlas file: arrays by the names of the schema, program and filters."""
 
     arrays: Mapping[str, Array]
     created_by: str
@@ -231,25 +240,25 @@ class PackedArrays(Mapping[str, Array]):
         counts = [-(-n // step) for n, step in zip(stored.shape, stored.chunk, strict=True)]
         chunk = np.ravel_multi_index(tuple(along), counts)
         codes = np.empty(chunk.shape, stored.dtype)
-        for number in np.unique(chunk).tolist():
-            here = np.flatnonzero(chunk == number)
-            start, values = self._block(name, number)
-            inside = (index[here] - first for index, first in zip(place, start, strict=True))
+        for k in np.unique(chunk).tolist():
+            here = np.flatnonzero(chunk == k)
+            start, values = self._block(name, k)
+            inside = (index[here] - begin for index, begin in zip(place, start, strict=True))
             codes[here] = values[tuple(inside)]
         return codes
 
     def blocks(self, name: str, delay: int) -> Iterator[tuple[tuple[int, ...], Array]]:
         """Yield where the chunks of verdict codes at one delay begin, and their codes."""
-        for number, start in enumerate(self._table.variables[name].starts()):
+        for index, start in enumerate(self._table.variables[name].starts()):
             if start[-1] == delay:
-                yield self._block(name, number)
+                yield self._block(name, index)
 
-    def _block(self, name: str, number: int) -> tuple[tuple[int, ...], Array]:
-        """Where a chunk begins, and its values inside of the array."""
+    def _block(self, name: str, index: int) -> tuple[tuple[int, ...], Array]:
+        """The start of a chunk, and its values inside of the array."""
         with _told_of(self._path):
             stored = self._table.variables[name]
-            start = next(islice(stored.starts(), number, None))
-            values = _inside(self._data, stored, number, start)
+            start = next(islice(stored.starts(), index, None))
+            values = _inside(self._data, stored, index, start)
             check_values(stored.variable, values)
             return start, values
 
@@ -330,7 +339,7 @@ def table_in(stream: io.FileIO | io.BytesIO) -> Table:
 
 @contextmanager
 def _told_of(path: Path) -> Iterator[None]:
-    """Tell of a refusal as of this file."""
+    """Put the name of the file in front of a refusal."""
     try:
         yield
     except TooLargeError as refusal:

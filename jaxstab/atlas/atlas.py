@@ -2,7 +2,7 @@
 
 ``Atlas`` answers in dimensionless numbers, ``LoopAtlas`` in SI units for the walls of one loop. A
 query marks the points outside first. Inside, the limits of alpha decide most points, then nodes and
-their cells (``read.points``); functions of cells bound the spectral radius. What is left undecided
+their cells; functions of cells bound the spectral radius. What is left undecided
 stays so, or is computed on request (``exact``).
 
 A verdict alone goes the short way: if all points are inside of the limits of alpha, one lookup in
@@ -11,6 +11,7 @@ that takes time to import.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from math import ulp
 from os import PathLike
@@ -18,45 +19,226 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from jaxstab.arrays import tree_map
-from jaxstab.atlas.format.variables import SPEC
-from jaxstab.atlas.products.limits import (
-    ALPHA_LIMITS,
-    LIMIT_RANGE,
-    LIMIT_WHOLE,
-    AlphaLimits,
-    LimitTable,
-    MaxAlpha,
-    OutsideError,
-)
+from jaxstab.atlas import file
+from jaxstab.atlas.file import Integers, Mask, PackedArrays, Place
+from jaxstab.atlas.lookup import AlphaLimits, LimitTable, MaxAlpha, OutsideError
+from jaxstab.atlas.product import SPEC
+from jaxstab.atlas.products.limits import ALPHA_LIMITS, LIMIT_RANGE, LIMIT_WHOLE
 from jaxstab.atlas.products.slices import AtlasOutline, outline_at
 from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.products.verdicts import CELL_VERDICT, VERDICT, decided_share
-from jaxstab.atlas.read import file
-from jaxstab.atlas.read.points import (
-    AtlasAnswer,
-    Floats,
-    Numbers,
-    QueryStatus,
-    all_checked,
-    answer_at_delay,
-    answer_by_limits,
-    check_inside,
-    checked_range,
-    find_outside,
-    no_answer,
-    nodes_of,
-    settle,
-)
-from jaxstab.conventions import AXES, Verdict
-from jaxstab.numbers import checked_number, checked_word, real_numbers
+from jaxstab.conventions import AXES, Status, Verdict
+from jaxstab.numbers import checked, checked_number, checked_word, real_numbers
 from jaxstab.rounding import EPS
 from jaxstab.shown import table_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+
+# The answers of the arrays of an atlas about points: at nodes, in cells, outside. NumPy alone.
+#
+# A query fills in one ``AtlasAnswer``. ``find_outside`` marks points beyond the atlas; axes that
+# hold the whole stable set have no end. ``answer_by_limits`` gives the verdicts of columns,
+# ``answer_at_delay`` those of nodes and their cells at the delays of the atlas; ``settle`` computes
+# the rest.
+
+Floats = NDArray[np.float64]
+Numbers = ArrayLike | float | int
+
+
+class QueryStatus(Status):
+    """The origin of an atlas's answer for a point.
+
+    Example:
+        >>> [status.name for status in jaxstab.results.QueryStatus]
+        ['NODE', 'CELL', 'UNDECIDED_CELL', 'BETWEEN_DELAYS', 'OUTSIDE', 'EXACT']
+    """
+
+    NODE = 1, "a node: the verdict, if any, is that of this very point"
+    CELL = 2, "between nodes: the verdict is proved for a cell or column around the point"
+    UNDECIDED_CELL = 3, "between nodes: no verdict is proved"
+    BETWEEN_DELAYS = 4, "between two delays of an atlas that says nothing there"
+    OUTSIDE = 5, "outside of the atlas: it says nothing here"
+    EXACT = 6, "not decided by the atlas: the verdict was computed for this very point"
+
+
+@dataclass(frozen=True)
+class AtlasAnswer:
+    """The answer of an atlas about points; two arrays of the broadcast shape of the query.
+
+    Attributes:
+        verdict: int8 codes of ``jaxstab.Verdict``, proved or UNDECIDED; NOT_COMPUTED if the atlas
+            holds no verdicts.
+        status: int8 codes of ``QueryStatus``: how this is known.
+
+    Example:
+        >>> atlas = jaxstab.open_atlas("data/golden/atlas-v3.h5")
+        >>> answer = atlas.query([0.05, 0.18], 0.3, gamma=0.0005, delta=0.01, delay=1.0)
+        >>> [jaxstab.results.QueryStatus(int(code)).name for code in answer.status]
+        ['CELL', 'CELL']
+    """
+
+    verdict: NDArray[np.int8]
+    status: NDArray[np.int8]
+
+
+def no_answer(size: int, *, has_verdicts: bool) -> AtlasAnswer:
+    """Return an answer that says nothing yet."""
+    return AtlasAnswer(
+        verdict=np.full(size, Verdict.UNDECIDED if has_verdicts else Verdict.NOT_COMPUTED, np.int8),
+        status=np.full(size, QueryStatus.BETWEEN_DELAYS, np.int8),
+    )
+
+
+def all_checked(values: Sequence[Numbers], names: Sequence[str] = AXES) -> list[Floats]:
+    """Return real, finite numbers, or raise TypeError or ValueError for the first others."""
+    return [np.asarray(checked(*pair), np.float64) for pair in zip(names, values, strict=False)]
+
+
+def check_inside(
+    name: str, values: Floats, low: Floats | float, high: Floats | float, at: Floats | None = None
+) -> None:
+    """Raise ValueError for the first value beyond the ends of an atlas, perhaps at some delays."""
+    beyond = np.flatnonzero(~((values >= low) & (values <= high)))
+    if beyond.size:
+        value, least, most = (
+            float(np.broadcast_to(v, values.shape).flat[beyond[0]]) for v in (values, low, high)
+        )
+        where = "" if at is None else f" at delay {float(at.flat[beyond[0]]):g}"
+        raise ValueError(
+            f"{name} is {value!r}, and this atlas covers {least!r} to {most!r}{where}; "
+            "give a value in this range, or set outside to 'undecided'."
+        )
+
+
+def checked_range(name: str, ends: Any) -> Floats:
+    """Return the lowest and the highest value of a range, or raise TypeError or ValueError."""
+    values = np.asarray(checked(name, ends), np.float64)
+    if values.shape != (2,):
+        raise TypeError(f"{name} is {ends!r}; give its lowest and its highest value.")
+    if values[0] > values[1]:
+        raise ValueError(f"{name} is {ends!r}; give its lowest and its highest value.")
+    return values
+
+
+def settle(where: Mapping[str, Floats], answer: AtlasAnswer, filters: Mapping[str, Any]) -> None:
+    """Compute what the atlas left open inside of it; the filters are keywords of ``verdict``."""
+    is_open = (answer.verdict == Verdict.UNDECIDED) & (answer.status != QueryStatus.OUTSIDE)
+    pending = np.flatnonzero(is_open)
+    if pending.size:
+        from jaxstab.point import verdict
+
+        points: dict[str, Any] = {name: where[name][pending] for name in AXES}
+        answer.verdict[pending] = np.asarray(verdict(**points, resolve="exact", **filters))
+        answer.status[pending] = QueryStatus.EXACT
+
+
+Arrays = Mapping[str, NDArray[Any]]
+Points = Mapping[str, Floats]
+_WALLS = ("alpha", "beta", "gamma", "delta")
+
+
+def nodes_of(arrays: Arrays, delay_number: int) -> dict[str, Floats]:
+    """Return the nodes along alpha, beta, gamma and delta at one delay."""
+    return {
+        "alpha": arrays["alpha"][:, delay_number],
+        "beta": arrays["beta"][:, delay_number],
+        "gamma": arrays["gamma"],
+        "delta": arrays["delta"],
+    }
+
+
+def find_outside(
+    arrays: Arrays,
+    table: LimitTable | None,
+    where: Points,
+    status: NDArray[np.int8],
+    *,
+    refuse: bool,
+) -> None:
+    """Mark points outside of the atlas, or raise ValueError for the first.
+
+    Alpha and beta end where the limits of alpha do, or else where the nodes of a delay do; axes
+    that hold the whole stable set have no end.
+    """
+
+    def check(name: str, low: Floats | float, high: Floats | float, members: Integers) -> None:
+        values = where[name][members]
+        if refuse:
+            delays = where["delay"][members] if name in ("alpha", "beta") else None
+            check_inside(name, values, low, high, delays)
+        outside = ~((values >= low) & (values <= high))
+        status[members[outside]] = QueryStatus.OUTSIDE
+
+    everywhere = np.arange(status.size)
+    for name in ("gamma", "delta", "delay"):
+        check(name, arrays[name][0], arrays[name][-1], everywhere)
+    if table is not None:
+        covered = np.flatnonzero(table.delays.covers(where["delay"]))
+        cell = table.delays.cells_at(where["delay"][covered])
+        is_inside = ~table.delays.beyond(cell, where["alpha"][covered], where["beta"][covered])
+        covered, cell = covered[is_inside], cell[is_inside]
+        for name in ("alpha", "beta"):
+            check(name, *table.delays.walls(name, cell), covered)
+        return
+    for index, delay in enumerate(arrays["delay"].tolist()):
+        here = np.flatnonzero(where["delay"] == delay)
+        for name in ("alpha", "beta"):
+            nodes = arrays[name][:, index]
+            check(name, nodes[0], nodes[-1], here)
+
+
+def answer_by_limits(table: LimitTable, where: Points, inside: Mask, answer: AtlasAnswer) -> None:
+    """Fill in the verdicts of points inside of an atlas, where there are limits of alpha."""
+    here = np.flatnonzero(inside & table.delays.covers(where["delay"]))
+    walls = (where[name][here] for name in ("alpha", "beta"))
+    beyond = table.delays.beyond(table.delays.cells_at(where["delay"][here]), *walls)
+    codes = np.full(here.size, Verdict.UNSTABLE, np.int8)
+    codes[~beyond] = table.verdicts([where[name][here[~beyond]] for name in AXES])
+    answer.verdict[here] = codes
+    proved = (codes == Verdict.STABLE) | (codes == Verdict.UNSTABLE)
+    answer.status[here] = np.where(proved, QueryStatus.CELL, QueryStatus.UNDECIDED_CELL)
+
+
+def answer_at_delay(
+    arrays: Arrays, index: int, where: Points, here: Integers, answer: AtlasAnswer
+) -> None:
+    """Fill in what nodes and their cells know of the points ``here``, all at one delay.
+
+    Limits of alpha have given the verdicts of ``answer`` that they know.
+    """
+    nodes = nodes_of(arrays, index)
+    for name in ("alpha", "beta"):  # limits of alpha may reach beyond the nodes
+        values = where[name][here]
+        here = here[(values >= nodes[name][0]) & (values <= nodes[name][-1])]
+    if not here.size:
+        return
+    points = {name: where[name][here] for name in _WALLS}
+    place = Place.from_axes([(along, points[name]) for name, along in nodes.items()])
+    codes, status = answer.verdict[here], answer.status[here]
+    if ALPHA_LIMITS not in arrays:
+        status = np.full(here.size, QueryStatus.UNDECIDED_CELL, np.int8)
+        if CELL_VERDICT in arrays:
+            codes = _codes_at(arrays, CELL_VERDICT, place.cell, index)
+            status[(codes == Verdict.STABLE) | (codes == Verdict.UNSTABLE)] = QueryStatus.CELL
+    pending = place.at_node & (codes == Verdict.UNDECIDED)
+    if VERDICT in arrays and pending.any():
+        nodes_pending = [along[pending] for along in place.node]
+        codes[pending] = _codes_at(arrays, VERDICT, nodes_pending, index)
+    status[place.at_node] = QueryStatus.NODE
+    answer.verdict[here], answer.status[here] = codes, status
+
+
+def _codes_at(arrays: Arrays, name: str, place: Sequence[Integers], delay: int) -> NDArray[np.int8]:
+    index = (*place, np.full(place[0].shape, delay))
+    codes: NDArray[np.int8] = (
+        arrays.codes_at(name, index) if isinstance(arrays, PackedArrays) else arrays[name][index]
+    )
+    return codes
 
 
 Outside = Literal["error", "undecided"]
@@ -284,7 +466,7 @@ def _node_or(nodes: Floats, value: float) -> float:
 
 def _check_filters(atlas: "Atlas", loop: Any) -> None:
     """Refuse a loop of another estimator or filter, written per sample as an atlas writes it."""
-    from jaxstab.atlas.format.spec import AtlasSpec, words_of
+    from jaxstab.atlas.spec import AtlasSpec, words_of
 
     own = AtlasSpec(**loop.filters).filters
     if own != atlas.filters:
@@ -321,7 +503,7 @@ class Atlas:
     """An atlas in memory; ``open_atlas`` makes it.
 
     Attributes:
-        arrays: the variables of the file by name (``jaxstab.atlas.format.schema`` describes them),
+        arrays: the variables of the file by name (``jaxstab.atlas.schema`` describes them),
             each unpacked at its first use; one of more than 2 GiB is refused then.
         spec: the TOML text from which the atlas was built.
         created_by: the program and version that built it.
@@ -368,8 +550,8 @@ class Atlas:
 
     @property
     def products(self) -> tuple[str, ...]:
-        """The products that were computed, of ``jaxstab.atlas.format.schema.PRODUCTS``."""
-        return tuple(name for name, one in PRODUCTS.items() if one.names[0] in self.arrays)
+        """The products that were computed, of ``jaxstab.atlas.schema.PRODUCTS``."""
+        return tuple(name for name, product in PRODUCTS.items() if product.names[0] in self.arrays)
 
     @property
     def delays(self) -> Floats:
@@ -379,7 +561,7 @@ class Atlas:
     @cached_property
     def filters(self) -> tuple[Any, Any] | None:
         """The Velocity and the Filter, per sample; None for the one-sample difference alone."""
-        from jaxstab.atlas.format.spec import filters_of
+        from jaxstab.atlas.spec import filters_of
 
         return filters_of(self.spec)
 
@@ -438,10 +620,10 @@ class Atlas:
         inside = answer.status != QueryStatus.OUTSIDE
         if self._table is not None:
             answer_by_limits(self._table, where, inside, answer)
-        for number, node in enumerate(self.delays.tolist()):
+        for index, node in enumerate(self.delays.tolist()):
             here = np.flatnonzero(inside & (where["delay"] == node))
             if here.size:
-                answer_at_delay(self.arrays, number, where, here, answer)
+                answer_at_delay(self.arrays, index, where, here, answer)
         if exact:
             own = self.filters or (None, None)
             settle(where, answer, dict(zip(("velocity", "position"), own, strict=True)))
@@ -483,10 +665,10 @@ class Atlas:
         """
         table, points = self._table_and_points(delay, gamma=gamma, delta=delta, beta=beta)
         gamma, delta, beta, delay = points
-        known = table.known_limits(*(p.reshape(-1) for p in (beta, gamma, delta, delay)))
-        is_empty = known.lower == np.inf
-        limits = (np.where(is_empty, np.nan, limit) for limit in (known.lower, known.upper))
-        errors = (error.astype(float) for error in (known.lower_error, known.upper_error))
+        inner = table.limits_within(*(p.reshape(-1) for p in (beta, gamma, delta, delay)))
+        is_empty = inner.lower == np.inf
+        limits = (np.where(is_empty, np.nan, limit) for limit in (inner.lower, inner.upper))
+        errors = (error.astype(float) for error in (inner.lower_error, inner.upper_error))
         parts = zip(limits, errors, strict=True)
         return AlphaLimits(*(v.reshape(beta.shape) for pair in parts for v in pair))
 
@@ -522,7 +704,7 @@ class Atlas:
         return table.common_limits(beta, gamma, delta, delay)
 
     def _verdict_by_limits(self, given: Sequence[Numbers]) -> NDArray[np.int8] | None:
-        """Return what the limits of alpha say; None where they are missing or do not reach."""
+        """The verdicts by the limits of alpha; None where they are missing or do not extend."""
         table = self._table
         if table is None:
             return None
@@ -615,12 +797,12 @@ class Atlas:
     def __repr__(self) -> str:
         atlas: Any = self
         delays = ", ".join(f"{delay:g}" for delay in atlas.delays)
-        first, last = atlas.nodes(0), atlas.nodes(len(atlas.delays) - 1)
+        early, late = atlas.nodes(0), atlas.nodes(len(atlas.delays) - 1)
         ends = {
             name: (f"{axis.size} nodes", f"{axis[0]:.4g} to {axis[-1]:.4g}")
-            for name, axis in first.items()
+            for name, axis in early.items()
         }
-        later = [f"{axis[0]:.4g} to {axis[-1]:.4g}" for axis in list(last.values())[:2]]
+        later = [f"{axis[0]:.4g} to {axis[-1]:.4g}" for axis in list(late.values())[:2]]
         one_plane = len(atlas.delays) == 1
         rows = [
             (f"  {name}", *ends[name], "" if one_plane else f"at the last delay {span}")

@@ -1,4 +1,4 @@
-"""Where the nodes and cells of an atlas lie: the specification in numbers.
+"""The work that a specification needs: nodes and cells, laid out, and tiles of them.
 
 Axes of gamma, delta and delay are given as nodes. Axes of alpha and beta may be fitted: laid around
 the stable regions of the atlas's hands at each delay, with a margin, and with nodes close to the
@@ -12,21 +12,23 @@ boundary bends less. The ends of alpha and beta of a cell follow from the region
 
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
-from math import ceil, floor
+from math import ceil, floor, prod
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
+from numpy.typing import NDArray
 
-from jaxstab.atlas.format.spec import (
-    AtlasSpec,
-    FittedAxis,
-    check_size,
-)
-from jaxstab.atlas.format.variables import CELL, NODE
+from jaxstab.atlas.product import CELL, LARGEST_ARRAY, NODE
 from jaxstab.atlas.products.limits import ALPHA_LIMITS
 from jaxstab.atlas.products.table import PRODUCTS
+from jaxstab.atlas.schema import VARIABLES
+from jaxstab.atlas.spec import AtlasSpec, FittedAxis, check_size
+from jaxstab.model import by_name, characteristic_polynomial
 from jaxstab.model.filters import Filters, as_keywords
+from jaxstab.proofs.plant import HandBoxes
 from jaxstab.region import RegionStatus, StableRegion, stable_region
+from jaxstab.rounding import OVERLAP
 
 _FINENESS = 1e-3  # of outlines, whose extremes are exact
 
@@ -84,11 +86,11 @@ class Grid:
         return lengths | dict(fixed)
 
     def delay_cells(self, delay: int) -> range:
-        """Return which cells of delays begin from the delay of this index to the next one."""
+        """The indices of the cells that begin between the delay of this index and the next one."""
         last = self.delay.size - 1
         ends = self.delay[delay], self.delay[delay + 1] if delay < last else np.inf
-        first, stop = np.searchsorted(self.limit_range[:, 0], ends)
-        return range(int(first), int(stop))
+        start, stop = np.searchsorted(self.limit_range[:, 0], ends)
+        return range(int(start), int(stop))
 
     def walls(
         self, delay: int
@@ -106,7 +108,7 @@ class Grid:
 
         ``delay``, ``gamma`` and ``delta`` say where the part is along the axes, from 0 to 1.
         """
-        first, second = (
+        i, j = (
             _index(np.diff(nodes), share)
             for nodes, share in ((self.gamma, gamma), (self.delta, delta))
         )
@@ -115,8 +117,8 @@ class Grid:
             self,
             alpha=self.alpha[:, at_delay],
             beta=self.beta[:, at_delay],
-            gamma=self.gamma[first : first + 1 + boxes],
-            delta=self.delta[second : second + 1 + boxes],
+            gamma=self.gamma[i : i + 1 + boxes],
+            delta=self.delta[j : j + 1 + boxes],
             delay=self.delay[at_delay],
         )
 
@@ -128,7 +130,7 @@ class Grid:
         most: int,
         beta: float,
     ) -> tuple[int, Float64[np.ndarray, "1 6"]]:
-        """Return how many cells along beta a part has, and its row of delays, alpha and beta.
+        """The number of cells along beta of a part, and its row of delays, alpha and beta.
 
         ``delay`` and ``beta`` say where the part is, from 0 to 1; ``most`` limits its cells.
         """
@@ -151,37 +153,37 @@ def _index(widths: Float64[np.ndarray, " cell"], share: float) -> int:
 
 
 @dataclass(frozen=True)
-class Reach:
+class Extents:
     """The largest alpha, the lowest and highest beta (``ends``) of the regions, by delay."""
 
     delay: Float64[np.ndarray, " delay"]
     ends: Float64[np.ndarray, "delay 3"]
 
     def along(self, delay: Float64[np.ndarray, "*point"]) -> Float64[np.ndarray, "*point 3"]:
-        """Return the ends at other delays, by straight lines."""
+        """The ends at other delays, by linear interpolation."""
         return np.stack([np.interp(delay, self.delay, end) for end in self.ends.T], axis=-1)
 
 
-def reach_of(spec: AtlasSpec) -> Reach:
-    """The reach of the regions at the corners of gamma and delta: fewer than an axis needs."""
+def extents_of(spec: AtlasSpec) -> Extents:
+    """The extents of the regions at the corners of gamma and delta: fewer than an axis needs."""
     gamma, delta = (np.unique(np.array(axis)[[0, -1]]) for axis in (spec.gamma, spec.delta))
     delays = np.array(spec.delay)
     stations = _stations(_delay_edges(delays, _COARSE) if spec.delay_cells else [], delays)
     boxes = [_stable_box(gamma, delta, delay, spec.filters) for delay in stations]
-    return Reach(np.array(stations), np.array([[highest, *beta] for highest, beta in boxes]))
+    return Extents(np.array(stations), np.array([[highest, *beta] for highest, beta in boxes]))
 
 
-def lay_out(spec: AtlasSpec, reach: Reach | None = None) -> Grid:
+def lay_out(spec: AtlasSpec, extents: Extents | None = None) -> Grid:
     """The nodes of a specification, with the fitted axes laid around each stable region.
 
-    With a ``reach`` no region is computed. ValueError: an axis is fitted to a stable region that is
+    With ``extents`` no region is computed. ValueError: an axis is fitted to a stable region that is
     empty or unresolved; or the grid is too large.
     """
     gamma, delta, delay = map(np.array, (spec.gamma, spec.delta, spec.delay))
-    walls = [_wall_axes(spec, gamma, delta, samples, reach) for samples in delay.tolist()]
+    walls = [_wall_axes(spec, gamma, delta, samples, extents) for samples in delay.tolist()]
     alpha, beta = (np.stack(columns, axis=1) for columns in zip(*walls, strict=True))
     fineness = int(spec.delay_cells or 0) if ALPHA_LIMITS in spec.products else 0
-    limit_range = _delay_cells(spec, (gamma, delta), delay, walls, reach, fineness)
+    limit_range = _delay_cells(spec, (gamma, delta), delay, walls, extents, fineness)
     grid = Grid(alpha, beta, gamma, delta, delay, spec.limit_cells, limit_range)
     check_size(grid.shape)
     return grid
@@ -192,10 +194,10 @@ def _delay_cells(
     hands: tuple[Float64[np.ndarray, " gamma"], Float64[np.ndarray, " delta"]],
     delay: Float64[np.ndarray, " delay"],
     walls: list[tuple[Float64[np.ndarray, " alpha_node"], Float64[np.ndarray, " beta_node"]]],
-    reach: Reach | None,
+    extents: Extents | None,
     fineness: int,
 ) -> Float64[np.ndarray, "delay_cell 6"]:
-    """Return cells of delays and how far each reaches; without any the delays of the atlas."""
+    """The cells of delays with their ends of alpha and beta; without any, the delays alone."""
     # Whole samples and the delays of the atlas are edges of cells. The ends of alpha and beta are
     # laid around the stable regions at some edges; between these they follow straight lines, above
     # which no region is, as it shrinks ever more slowly with the delay.
@@ -206,7 +208,7 @@ def _delay_cells(
     ends_at = dict(zip(delay.tolist(), at_nodes, strict=True))
     stations = _stations(edges, delay)
     for edge in (edge for edge in stations if edge not in ends_at):
-        alpha, beta = _wall_axes(spec, *hands, edge, reach)
+        alpha, beta = _wall_axes(spec, *hands, edge, extents)
         ends_at[edge] = alpha[0], alpha[-1], beta[0], beta[-1]
     ends = np.array([ends_at[station] for station in stations])
     along = np.stack([np.interp(edges, stations, column) for column in ends.T], axis=-1)
@@ -249,32 +251,32 @@ def _wall_axes(
     gamma: Float64[np.ndarray, " gamma"],
     delta: Float64[np.ndarray, " delta"],
     delay: float,
-    reach: Reach | None = None,
+    extents: Extents | None = None,
 ) -> tuple[Float64[np.ndarray, " alpha_node"], Float64[np.ndarray, " beta_node"]]:
     if not isinstance(spec.alpha, FittedAxis) and not isinstance(spec.beta, FittedAxis):
         return np.array(spec.alpha), np.array(spec.beta)
-    if reach is None:
+    if extents is None:
         highest_alpha, beta_ends = _stable_box(gamma, delta, delay, spec.filters)
     else:
-        highest_alpha, *both = reach.along(np.array(delay)).tolist()
+        highest_alpha, *both = extents.along(np.array(delay)).tolist()
         beta_ends = both[0], both[1]
     alpha = (
-        _reaching(spec.alpha, _fitted_alpha(spec.alpha.count, gamma, highest_alpha))
+        _extended(spec.alpha, _fitted_alpha(spec.alpha.count, gamma, highest_alpha))
         if isinstance(spec.alpha, FittedAxis)
         else np.array(spec.alpha)
     )
     beta = (
-        _reaching(spec.beta, _fitted_beta(spec.beta.count, *beta_ends))
+        _extended(spec.beta, _fitted_beta(spec.beta.count, *beta_ends))
         if isinstance(spec.beta, FittedAxis)
         else np.array(spec.beta)
     )
     return alpha, beta
 
 
-def _reaching(
+def _extended(
     axis: FittedAxis, nodes: Float64[np.ndarray, " count"]
 ) -> Float64[np.ndarray, " count"]:
-    """Return fitted nodes of which the first and the last are as far out as the axis asks for."""
+    """Fitted nodes whose first and last are moved out to the ends that the axis requires."""
     low = nodes[0] if axis.least is None else min(nodes[0], axis.least)
     high = nodes[-1] if axis.most is None else max(nodes[-1], axis.most)
     return np.array([low, *nodes[1:-1], high])
@@ -287,8 +289,8 @@ def _stable_box(
     filters: Filters | None,
 ) -> tuple[float, tuple[float, float]]:
     """Return the largest alpha and the range of beta of the stable regions of some hands."""
-    # Where turning gains up from 0 leads to a part of the region, islands do not count. Between
-    # these hands a region may reach further; the margin of the axes covers that.
+    # Islands do not count where there is a component that contains small gains. Between these hands
+    # a region may extend further; the margin of the axes covers that.
     hands = product(_thinned(gamma), _thinned(delta))
     regions = [known_region(*hand, delay, filters) for hand in hands]
     points = np.concatenate([(region.main or region).points for region in regions])
@@ -331,3 +333,179 @@ def _fitted_alpha(
 def _fitted_beta(count: int, lowest: float, highest: float) -> Float64[np.ndarray, " count"]:
     margin = _MARGIN * (highest - lowest)
     return np.linspace(lowest - margin, highest + margin, count)
+
+
+# The tiles of the work.
+
+TILE_NODES = 2**18  # at most, where a tile holds more than one slice
+
+
+class Tile(NamedTuple):
+    """A unit of work: all alpha and beta at one gamma, some neighbouring delta and one delay.
+
+    These are the numbers of nodes, and of the cells that begin at them.
+    """
+
+    gamma: int
+    delta: range
+    delay: int
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The work that a specification needs; printed, it gives the amount, and what is left out.
+
+    ``plan_atlas`` makes one. A product is computed variable by variable, on the nodes of the grid
+    or in its cells; nothing is computed for a product that was not chosen.
+
+    Attributes:
+        spec: the specification.
+        grid: the nodes.
+
+    Example:
+        >>> plan = jaxstab.plan_atlas(jaxstab.AtlasSpec(delay=(1.0,), products=("alpha_limits",)))
+        >>> len(plan.tiles), plan.variables
+        (3, ('alpha_limits',))
+    """
+
+    spec: AtlasSpec
+    grid: Grid
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """The variables of which each value is requested in a grid; errors come with values."""
+        chosen = (PRODUCTS[product] for product in self.spec.products)
+        return tuple(name for product in chosen for name in product.gridded)
+
+    @property
+    def deltas_of_a_tile(self) -> int:
+        """The largest number of nodes along delta that are in one tile."""
+        alphas, betas, _, deltas, _ = self.grid.shape
+        return min(max(1, TILE_NODES // (alphas * betas)), deltas)
+
+    @property
+    def tiles(self) -> list[Tile]:
+        """The units of work; none needs another."""
+        *_, gammas, deltas, delays = self.grid.shape
+        step = self.deltas_of_a_tile
+        return [
+            Tile(gamma, range(start, min(start + step, deltas)), delay)
+            for delay in range(delays)
+            for gamma in range(gammas)
+            for start in range(0, deltas, step)
+        ]
+
+    def numbers(self, dimension: str, tile: Tile) -> range:
+        """The indices along a dimension of the schema that are in a tile."""
+        if dimension == "delay_cell":
+            return self.grid.delay_cells(tile.delay)
+        count = self.grid.lengths[dimension]
+        gamma, delay = (range(index, index + 1) for index in (tile.gamma, tile.delay))
+        inside = {"gamma": gamma, "delta": tile.delta, "delay": delay}
+        indices = inside.get(dimension.removesuffix("_cell"), range(count))
+        return range(indices.start, max(indices.start, min(indices.stop, count)))
+
+    def shape(self, variable: str, tile: Tile) -> tuple[int, ...]:
+        """Return the shape of the part of a variable that is in a tile."""
+        dimensions = VARIABLES[variable].dimensions
+        return tuple(len(self.numbers(dimension, tile)) for dimension in dimensions)
+
+    def is_gridded(self, variable: str) -> bool:
+        """Whether each value of a variable has its place in the grid, and is not one of a list."""
+        return set(VARIABLES[variable].dimensions) <= set(self.grid.lengths)
+
+    def chunk(self, variable: str) -> tuple[int, ...]:
+        """Return the shape of the part of a gridded variable that is in a whole tile."""
+        lengths = {name: self.grid.lengths[name] for name in VARIABLES[variable].dimensions}
+        most = {"gamma": 1, "delta": self.deltas_of_a_tile, "delay": 1}
+        return tuple(
+            min(most.get(name.removesuffix("_cell"), length), length)
+            for name, length in lengths.items()
+        )
+
+    def hands(self, tile: Tile) -> Float64[np.ndarray, "hand 2"]:
+        """Return gamma and delta of the slices in a tile."""
+        deltas = self.grid.delta[tile.delta.start : tile.delta.stop]
+        return np.stack([np.full_like(deltas, self.grid.gamma[tile.gamma]), deltas], axis=-1)
+
+    def boxes(self, tile: Tile) -> HandBoxes:
+        """Return the cells of hands that begin in a tile."""
+        sides = [
+            (self.grid.sides("gamma")[gamma], self.grid.sides("delta")[delta])
+            for gamma in self.numbers("gamma_cell", tile)
+            for delta in self.numbers("delta_cell", tile)
+        ]
+        ends = np.array(sides).reshape(-1, 2, 2)
+        half = 0.5 * np.diff(ends, axis=-1)[..., 0] * (1.0 + OVERLAP)
+        return HandBoxes(*ends.mean(axis=-1).T, *half.T)
+
+    def __str__(self) -> str:
+        lines = [_axis_line(self, name) for name in ("gamma", "delta")]
+        degrees = (f"{d:g} (degree {_degree(d, self.spec)})" for d in self.grid.delay.tolist())
+        lines.append(f"delay: {', '.join(degrees)}; each computed at its own degree")
+        if ALPHA_LIMITS in self.variables:
+            lines.append(_delay_cells_line(self))
+        for name in self.variables:
+            count = prod(self.grid.lengths[axis] for axis in VARIABLES[name].dimensions)
+            lines.append(f"{name}: {count} values")
+        slices = prod(self.grid.shape[2:])
+        lines += [
+            f"{name}: {slices} slices, each from the closed form, without a grid"
+            for name in self.spec.products
+            if not PRODUCTS[name].gridded
+        ]
+        left_out = [product for product in PRODUCTS if product not in self.spec.products]
+        lines += [f"{product}: not requested, nothing evaluated" for product in left_out]
+        return "\n".join(lines)
+
+
+def plan_atlas(spec: AtlasSpec) -> Plan:
+    """The work that a specification needs; ``print`` it to see.
+
+    Raises:
+        ValueError: a parameter is too large for the model, an axis cannot be fitted, or the grid or
+            the limits of alpha in a tile are too large.
+
+    Example:
+        >>> plan = jaxstab.plan_atlas(jaxstab.AtlasSpec(delay=(1.0,)))
+        >>> plan.grid.shape  # alpha, beta, gamma, delta, delay
+        (128, 112, 3, 9, 1)
+    """
+    plan = Plan(spec, lay_out(spec))
+    for name in plan.variables:
+        size = prod(plan.chunk(name)) * np.dtype(VARIABLES[name].dtype).itemsize
+        if size > LARGEST_ARRAY:
+            raise ValueError(f"{name} takes {size} bytes in a tile; give fewer limit_cells.")
+    return plan
+
+
+def compute_tile(plan: Plan, tile: Tile) -> dict[str, NDArray[Any]]:
+    """The arrays of the chosen products in a tile, each of the shape ``plan.shape``."""
+    arrays: dict[str, NDArray[Any]] = {}
+    for name in plan.spec.products:
+        arrays |= PRODUCTS[name].compute(plan, tile)
+    return arrays
+
+
+def _degree(delay: float, spec: AtlasSpec) -> int:
+    """Return the degree of the polynomials at a delay; no gain and no hand changes it."""
+    zeros = (0.0, 0.0, 0.0, 0.0)
+    coefficients = characteristic_polynomial(**by_name(*zeros, delay), **as_keywords(spec.filters))
+    return int(coefficients.shape[-1]) - 1
+
+
+def _axis_line(plan: Plan, name: str) -> str:
+    nodes = getattr(plan.grid, name)
+    if nodes.size == 1:
+        return f"{name}: fixed at {nodes[0]:g}, not gridded"
+    return f"{name}: {nodes.size} nodes from {nodes[0]:g} to {nodes[-1]:g}"
+
+
+def _delay_cells_line(plan: Plan) -> str:
+    cells = plan.grid.limit_range
+    if np.all(cells[:, 0] == cells[:, 1]):
+        return "limits of alpha: at these delays alone, and not between them"
+    return (
+        f"limits of alpha: {len(cells)} cells of delays from {cells[0, 0]:g} to {cells[-1, 1]:g}, "
+        "whole samples on their edges"
+    )

@@ -8,13 +8,12 @@ The few nodes in no gap are computed one by one.
 
 from itertools import product
 from math import exp, floor
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int32, Int64
 
-from jaxstab.atlas.compute.layout import Grid
-from jaxstab.atlas.products.limits import WHOLE_ALPHA, WHOLE_BOTH, surface
+from jaxstab.atlas.lookup import WHOLE_ALPHA, WHOLE_BOTH, surface
 from jaxstab.conventions import Verdict
 from jaxstab.model import by_name
 from jaxstab.model.filters import Filters, as_keywords
@@ -23,6 +22,9 @@ from jaxstab.proofs.columns import StableColumns, column_gaps, stable_columns
 from jaxstab.proofs.curve_patches import Domain
 from jaxstab.proofs.plant import NUMERATOR_SLOPES, HandBoxes
 from jaxstab.rounding import RAISED_MUCH
+
+if TYPE_CHECKING:
+    from jaxstab.atlas.plan import Grid
 
 AlphaNodes = Float64[np.ndarray, " alpha_node"]
 BetaNodes = Float64[np.ndarray, " beta_node"]
@@ -38,7 +40,7 @@ def node_verdicts(
     filters: Filters | None = None,
 ) -> Int8[np.ndarray, "hand alpha_node beta_node"]:
     """The verdicts of all (alpha, beta) for each pair (gamma, delta); two or more nodes of beta."""
-    codes = _proved_nodes(alpha, beta, gamma, delta, delay, filters)
+    codes = proved_nodes(alpha, beta, gamma, delta, delay, filters)
     hand, j, i = np.nonzero(codes == Verdict.UNDECIDED)
     if hand.size:
         point = alpha[i], beta[j], gamma[hand], delta[hand]
@@ -46,20 +48,6 @@ def node_verdicts(
             **by_name(*point, delay), resolve="exact", **as_keywords(filters)
         )
     return codes.swapaxes(1, 2)
-
-
-def undecided_nodes(
-    alpha: AlphaNodes,
-    beta: BetaNodes,
-    gamma: Hands,
-    delta: Hands,
-    delay: float,
-    filters: Filters | None = None,
-) -> Int64[np.ndarray, " hand"]:
-    """Count for each hand the nodes that are in no gap; arguments and errors of node_verdicts."""
-    codes = _proved_nodes(alpha, beta, gamma, delta, delay, filters)
-    counts: np.ndarray = np.sum(codes == Verdict.UNDECIDED, axis=(1, 2))
-    return counts
 
 
 def cell_verdicts(
@@ -74,14 +62,15 @@ def cell_verdicts(
     return codes.swapaxes(1, 2)
 
 
-def _proved_nodes(
+def proved_nodes(
     alpha: AlphaNodes,
     beta: BetaNodes,
     gamma: Hands,
     delta: Hands,
     delay: float,
-    filters: Filters | None,
+    filters: Filters | None = None,
 ) -> Int8[np.ndarray, "hand beta_node alpha_node"]:
+    """The verdicts of the nodes that are in a gap, the others UNDECIDED, for each pair."""
     still = np.zeros_like(gamma)
     hands = HandBoxes(gamma, delta, still, still)
     beside = _codes(alpha, beta, hands, delay, filters, nodes=1)
@@ -101,10 +90,10 @@ def _codes(
     """Return a code for each run of ``nodes`` neighbours along alpha that is in one gap."""
     domain = Domain((float(alpha[0]), float(alpha[-1])), (float(beta[0]), float(beta[-1])))
     gaps = column_gaps(beta, hands, delay, domain, filters)
-    first = np.searchsorted(alpha, gaps.low, "right")
+    start = np.searchsorted(alpha, gaps.low, "right")
     stop = np.searchsorted(alpha, gaps.high, "left") + 1 - nodes
-    is_decided = (first < stop) & np.isin(gaps.verdict, (Verdict.STABLE, Verdict.UNSTABLE))
-    ends = np.stack([first, stop], axis=-1) * is_decided[..., None]
+    is_decided = (start < stop) & np.isin(gaps.verdict, (Verdict.STABLE, Verdict.UNSTABLE))
+    ends = np.stack([start, stop], axis=-1) * is_decided[..., None]
     shape = hands.gamma.size, beta.size - 1, alpha.size + 1 - nodes
     return _filled(ends.reshape(*shape[:2], -1), gaps.verdict, shape[-1])
 
@@ -143,12 +132,12 @@ class Bounds(NamedTuple):
     beta: float
 
 
-def whole_axes(grid: Grid, filters: Filters | None) -> Int32[np.ndarray, " delay_cell"]:
+def whole_axes(grid: "Grid", filters: Filters | None) -> Int32[np.ndarray, " delay_cell"]:
     """Which axes hold the whole stable set, by ``LIMIT_WHOLE``, per cell of delays (lemma B22)."""
     return np.array([_whole(grid, row, filters) for row in grid.limit_range.tolist()], np.int32)
 
 
-def _whole(grid: Grid, row: list[float], filters: Filters | None) -> int:
+def _whole(grid: "Grid", row: list[float], filters: Filters | None) -> int:
     early, late, least, most, low, high = row
     samples = _window(filters)
     if samples is None or least > -grid.gamma[-1]:
@@ -179,7 +168,7 @@ def _window(filters: Filters | None) -> int | None:
     return None if stages or position.stages() else samples
 
 
-def _bounds(grid: Grid, samples_late: int, window: int) -> Bounds:
+def _bounds(grid: "Grid", samples_late: int, window: int) -> Bounds:
     """Return the bounds of lemma B22, for all hands and a delay within one sample."""
     gamma, delta = float(grid.gamma[-1]), float(grid.delta[-1])
     per_gamma, per_delta, _ = NUMERATOR_SLOPES
@@ -196,7 +185,7 @@ def _bounds(grid: Grid, samples_late: int, window: int) -> Bounds:
 
 
 def _proved(
-    grid: Grid,
+    grid: "Grid",
     delays: Ends,
     edges: Floats,
     alpha: Ends,
@@ -223,7 +212,7 @@ def _proved(
     return all(_proved(grid, ends, edges, alpha, filters, halvings - 1) for ends in halves)
 
 
-def _boxes(grid: Grid, *, cells: bool) -> HandBoxes:
+def _boxes(grid: "Grid", *, cells: bool) -> HandBoxes:
     sides = [grid.sides(name) for name in ("gamma", "delta")]
     if not cells:
         sides = [np.array([[along[0, 0], along[-1, 1]]]) for along in sides]
@@ -237,7 +226,7 @@ def _boxes(grid: Grid, *, cells: bool) -> HandBoxes:
 def _is_empty(
     columns: StableColumns, edges: Floats, hands: HandBoxes, delays: Ends, least: float
 ) -> Bool[np.ndarray, "box column"]:
-    """Say of which columns no alpha from the least one of their domain on is stable."""
+    """Whether no alpha from the least one of the domain on is stable, for each column."""
     lower, upper = columns.lower, np.moveaxis(columns.upper, -1, 0)
     middle, half = delays
     sides: list[list[Any]] = [

@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxstab.atlas.format.variables import (
+from jaxstab.atlas.product import (
     LARGEST_ATLAS,
     LARGEST_DELAY,
     LARGEST_SLICE,
@@ -25,11 +25,11 @@ from jaxstab.model.filters import (
     Filter,
     Filters,
     SampledTable,
+    Section,
     Velocity,
     as_keywords,
     known_filters,
 )
-from jaxstab.model.sections import Section
 from jaxstab.numbers import checked_count, checked_number, checked_word
 from jaxstab.tables import check_keys, parsed, read_table
 
@@ -44,8 +44,8 @@ from jaxstab.tables import check_keys, parsed, read_table
 
 def velocity_of(entry: Any) -> Velocity:
     """The estimator of a specification's entry ``velocity``; ValueError or TypeError if bad."""
-    first, *others = _tables("velocity", entry)
-    return first.as_velocity() * _chain(others)
+    table, *others = _tables("velocity", entry)
+    return table.as_velocity() * _chain(others)
 
 
 def position_of(entry: Any) -> Filter:
@@ -101,7 +101,7 @@ _LIMIT_CELLS = 256, 128  # at delays alone, and between them
 _SPACINGS: Mapping[str, Callable[..., Any]] = {"linear": np.linspace, "geometric": np.geomspace}
 _OF_FIELDS = {"where": ("near", "all"), "method": ("fast", "companion")}
 _RANGE = ("start", "stop", "count", "spacing")
-_REACH = ("least", "most")
+_ENDS = ("least", "most")
 _FITTED = ("alpha", "beta")
 _LINE_LENGTH = 90
 
@@ -128,10 +128,10 @@ class FittedAxis:
 
     def __post_init__(self) -> None:
         checked_count("fitted", self.count, FEWEST_FITTED, LARGEST_SLICE)
-        for name in _REACH:
+        for name in _ENDS:
             if getattr(self, name) is not None:
-                number = checked_number(f"{name} of a fitted axis", getattr(self, name))
-                object.__setattr__(self, name, number)
+                value = checked_number(f"{name} of a fitted axis", getattr(self, name))
+                object.__setattr__(self, name, value)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -221,7 +221,7 @@ class AtlasSpec:
         An axis is a list of nodes, or a table with ``values``, or one with ``start``, ``stop``,
         ``count`` and perhaps ``spacing`` ("linear" or "geometric"). For alpha and beta it may have
         ``fitted``, a count, and perhaps ``least`` and ``most``. The tables ``velocity`` and
-        ``position`` are of ``jaxstab.atlas.format.spec``.
+        ``position`` are of ``jaxstab.atlas.spec``.
 
         Raises: see ``jaxstab.conventions``; ValueError also if it is no TOML, or has an unknown
         name.
@@ -281,8 +281,8 @@ def _axis_of(name: str, entry: Any) -> Any:
     if not isinstance(entry, Mapping):
         return entry
     is_fitted = name in _FITTED
-    check_keys(name, entry, ["values", *_RANGE, *((*_REACH, "fitted") if is_fitted else ())])
-    if "fitted" in entry and set(entry) <= {"fitted", *_REACH}:
+    check_keys(name, entry, ["values", *_RANGE, *((*_ENDS, "fitted") if is_fitted else ())])
+    if "fitted" in entry and set(entry) <= {"fitted", *_ENDS}:
         return FittedAxis(entry["fitted"], entry.get("least"), entry.get("most"))
     if set(entry) == {"values"}:
         return entry["values"]
@@ -315,10 +315,10 @@ def _checked_nodes(name: str, values: Any) -> tuple[float, ...]:
     if len(nodes) < (2 if name in limits else 1):
         fewest = "two" if name in limits else "one"
         raise ValueError(f"axis {name} has {len(nodes)} node(s); give at least {fewest}.")
-    for left, right in pairwise(nodes):
-        if not left < right:
+    for node, following in pairwise(nodes):
+        if not node < following:
             raise ValueError(
-                f"axis {name} has {right} after {left}; give ascending values, each once."
+                f"axis {name} has {following} after {node}; give ascending values, each once."
             )
     least = max(LEAST_SPAN, LEAST_SHARE * max(abs(nodes[0]), abs(nodes[-1])))
     if name in limits and nodes[-1] - nodes[0] < least:
@@ -339,7 +339,7 @@ def _checked_products(products: Any) -> tuple[str, ...]:
 
 def _toml(value: Any) -> str:
     if isinstance(value, FittedAxis):
-        ends = {name: getattr(value, name) for name in _REACH}
+        ends = {name: getattr(value, name) for name in _ENDS}
         given = [f", {name} = {end!r}" for name, end in ends.items() if end is not None]
         return f"{{ fitted = {value.count}{''.join(given)} }}"
     if isinstance(value, Velocity | Filter):

@@ -1,7 +1,11 @@
-"""The passive region: walls that any passive hand may touch, whatever the mass and stiffness.
+"""The simple rules beside the exact boundary: the linear condition, and passive walls.
 
-A wall behind a sampler, a delay d = n + f and a zero-order hold is passive together with the
-physical damping delta when, for every theta in [0, pi],
+The linear condition replaces sampling and hold by a delay of half a sample, so the loop has the
+effective delay t_r = t_d + T/2, in samples 1/2 + delay.
+
+A passive wall may be touched by any passive hand, whatever the mass and stiffness. A wall behind
+a sampler, a delay d = n + f and a zero-order hold is passive together with the physical damping
+delta when, for every theta in [0, pi],
 
     delta > R + f (1 - f) |H|^2 / (4 delta),            H = alpha + beta (1 - e^(-i theta))
     R = (1 - f) R_n + f R_(n+1),        R_k = alpha sin((k + 1/2) theta) / (2 sin(theta/2))
@@ -24,10 +28,165 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from jaxstab.arrays import Numbers, joined
-from jaxstab.model import checked_delay, checked_delta, checked_gain, require_x64
+from jaxstab.arrays import Array, Numbers, float_arrays, joined
+from jaxstab.model import checked_delay, checked_delta, checked_gain, checked_gamma, require_x64
 from jaxstab.numbers import checked_number
+from jaxstab.region.curve import (
+    minus_offset,
+    minus_slope,
+    plus_offset,
+    plus_slope,
+    slice_coefficients,
+)
 from jaxstab.rounding import EPS
+
+
+def linear_alpha_limit(beta: Numbers, *, delta: Numbers, delay: Numbers) -> Float64[Array, "*grid"]:
+    """Largest alpha for which the linear condition promises stability.
+
+    Args and Raises: see ``jaxstab.conventions``.
+
+    Source: eqs. (22) and (23) of Hulin, Preusche, Hirzinger (2008).
+
+    Example:
+        >>> round(float(jaxstab.paper.linear_alpha_limit(0.2, delta=0.015, delay=1.0)), 9)
+        0.143333333
+    """
+    _, beta, _, delta, lag = checked_loop(0.0, beta, 0.0, delta, delay)
+    return (beta + delta) / lag
+
+
+def linear_condition(
+    alpha: Numbers, beta: Numbers, *, gamma: Numbers, delta: Numbers, delay: Numbers
+) -> Bool[Array, "*grid"]:
+    """True where the linear condition holds: alpha > -gamma and beta + delta > alpha t_r.
+
+    t_r = 1/2 + delay. The condition neither implies stability nor follows from it;
+    ``linear_validity`` says up to which stiffness it is close to the exact boundary.
+
+    Args and Raises: see ``jaxstab.conventions``.
+
+    Source: eqs. (19), (22) and (23) of Hulin, Preusche, Hirzinger (2008).
+
+    Example:
+        >>> bool(jaxstab.paper.linear_condition(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0))
+        True
+    """
+    alpha, beta, gamma, delta, lag = checked_loop(alpha, beta, gamma, delta, delay)
+    return (alpha > -gamma) & (beta + delta > alpha * lag)
+
+
+def linear_error(
+    alpha: Numbers, beta: Numbers, *, gamma: Numbers, delta: Numbers, delay: Numbers
+) -> Float64[Array, "*grid"]:
+    """Signed error (alpha_lin - alpha) / (alpha + gamma) at a point of the exact boundary.
+
+    Eq. (24) is its absolute value. It is positive where the linear condition promises more
+    stiffness than is stable, negative where it promises less, infinite or NaN at alpha = -gamma.
+
+    Args and Raises: see ``jaxstab.conventions``.
+
+    Source: eq. (24) of Hulin, Preusche, Hirzinger (2008).
+
+    Example:
+        >>> alpha, beta = jaxstab.boundary_curve(0.2, gamma=0.0, delta=0.0, delay=0.0)
+        >>> error = jaxstab.paper.linear_error(alpha, beta, gamma=0.0, delta=0.0, delay=0.0)
+        >>> round(float(error), 4)
+        0.0203
+    """
+    alpha, beta, gamma, delta, lag = checked_loop(alpha, beta, gamma, delta, delay)
+    with np.errstate(all="ignore"):
+        return ((beta + delta) / lag - alpha) / (alpha + gamma)
+
+
+def checked_loop(
+    alpha: Numbers, beta: Numbers, gamma: Numbers, delta: Numbers, delay: Numbers
+) -> list[Array]:
+    """Return the checked parameters as float64 arrays, with the effective delay for the delay."""
+    require_x64(alpha, beta, gamma, delta, delay)
+    return float_arrays(
+        checked_gain("alpha", alpha),
+        checked_gain("beta", beta),
+        checked_gamma(gamma),
+        checked_delta(delta),
+        checked_delay(delay) + 0.5,
+    )
+
+
+# The loop as a third-order model in continuous time, and its condition of Routh and Hurwitz.
+def routh_hurwitz_condition(
+    alpha: Numbers, beta: Numbers, *, gamma: Numbers, delta: Numbers, delay: Numbers
+) -> Bool[Array, "*grid"]:
+    """True where the third-order model of the loop is stable.
+
+    The model is continuous in time, with the effective delay t_r = 1/2 + delay as a first-order
+    lag. The linear condition is this one without the term delta t_r (beta + delta + gamma t_r).
+
+    Args and Raises: see ``jaxstab.conventions``.
+
+    Source: eqs. (17)-(21) of Hulin, Preusche, Hirzinger (2008).
+
+    Example:
+        >>> bool(jaxstab.paper.routh_hurwitz_condition(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0))
+        True
+    """
+    alpha, beta, gamma, delta, lag = checked_loop(alpha, beta, gamma, delta, delay)
+    damped = beta + delta + gamma * lag > 0
+    stiff = alpha + gamma > 0
+    fast = delta * lag * (beta + delta + gamma * lag) + (beta + delta - alpha * lag) > 0
+    return damped & stiff & fast
+
+
+# The straight lines of the plane (alpha, beta) on which a real root lies at z = 1 or z = -1.
+
+
+def plus_line(
+    beta: Numbers, *, gamma: Numbers, delta: Numbers, delay: Numbers, radius: Numbers = 1.0
+) -> Float64[Array, "*grid"]:
+    """The alpha that puts a real root at z = +radius; for radius 1 it is -gamma.
+
+    Args:
+        beta, gamma, delta, delay: see ``jaxstab.conventions``.
+        radius: modulus of the root in (0, 1].
+
+    Returns:
+        alpha of the broadcast shape; infinite where N(radius) = 0.
+
+    Raises: see ``jaxstab.conventions``.
+
+    Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) at z = radius.
+
+    Example:
+        >>> float(jaxstab.paper.plus_line(0.5, gamma=0.001, delta=0.015, delay=0.0))
+        -0.001
+    """
+    require_x64(beta, gamma, delta, radius)
+    coefficients = slice_coefficients(gamma, delta, delay, radius)
+    return _line(beta, plus_offset(coefficients), plus_slope(coefficients))
+
+
+def minus_line(
+    beta: Numbers, *, gamma: Numbers, delta: Numbers, delay: Numbers, radius: Numbers = 1.0
+) -> Float64[Array, "*grid"]:
+    """The alpha that puts a real root at z = -radius.
+
+    Infinite where N(-radius) = 0 (delta = 0 and a whole delay); arguments, errors and source as
+    ``plus_line``. Raises: see there.
+
+    Example:
+        >>> round(float(jaxstab.paper.minus_line(0.5, gamma=0.0, delta=0.015, delay=0.0)), 4)
+        1599.036
+    """
+    require_x64(beta, gamma, delta, radius)
+    coefficients = slice_coefficients(gamma, delta, delay, radius)
+    return _line(beta, minus_offset(coefficients), minus_slope(coefficients))
+
+
+def _line(beta: Numbers, offset: Array, slope: Array) -> Array:
+    (damping,) = float_arrays(checked_gain("beta", beta))
+    with np.errstate(all="ignore"):
+        return offset - damping * slope
+
 
 # Proved facts about cosine series f(theta) = sum_k c_k cos(k theta) on [0, pi].
 #

@@ -1,1 +1,0 @@
-"""The computations of an atlas, and their plan."""

@@ -1,1 +1,0 @@
-"""What an atlas file is: schema, specification, footer, digest."""

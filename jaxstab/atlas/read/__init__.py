@@ -1,1 +1,0 @@
-"""Reading and querying an atlas, without JAX."""

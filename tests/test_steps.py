@@ -1,0 +1,241 @@
+"""Bounds of errors in the steps of Schur and Cohn, and in dividing by a root: each is attained.
+
+Lemmas V3, V5, R1, R2 and R4 of docs/proofs.md. A polynomial is moved by as much as a bound allows,
+in the direction that is worst for it; half of the bound would then be wrong.
+"""
+
+from collections.abc import Callable
+from fractions import Fraction
+from itertools import combinations
+from typing import Any
+
+import jax.numpy as jnp
+import mpmath
+import numpy as np
+import pytest
+
+from benchmarks import truth
+from jaxstab.point import dominance, schur_cohn
+from jaxstab.point.fields import _bound, poles_outside
+from jaxstab.point.schur_cohn import Chain, _State, _step
+from jaxstab.point.verdicts import have_outer_root
+from jaxstab.rounding import UNIT
+
+MOVE = 2.0**-20
+FORMS = [dominance._all_inside, dominance._rolled_all_inside]
+
+
+def state(falling: list[float], error: float) -> _State[Any]:
+    falling = np.array(falling)
+    truth = np.array(True)
+    return _State(
+        falling, falling[::-1].copy(), np.array(error), truth, truth, ~truth, np.array(error)
+    )
+
+
+@pytest.mark.parametrize("place", range(4))
+@pytest.mark.parametrize("last", [0.5, -0.75, 1.5])
+def test_an_error_of_a_coefficient_grows_by_one_and_the_ratio(place: int, last: float) -> None:
+    """Lemma V3, of polynomials without a special form."""
+    falling = [1.0, 0.25, -0.5, 0.125, last]
+    after = schur_cohn._dense_step(state(falling, MOVE), unit=UNIT)
+    moved = [Fraction(c) for c in falling]
+    moved[place + 1 if place == 3 else place] += Fraction(MOVE)
+    ratio = Fraction(last)
+    exact = [a - ratio * b for a, b in zip(moved, moved[::-1], strict=True)]
+    error = sum(abs(a - Fraction(float(b))) for a, b in zip(exact, after.falling, strict=True))
+    assert error <= after.error
+    if place != 2:  # the middle one meets itself
+        assert after.error <= error * (1 + Fraction(1, 10**6))
+    assert after.inside == (abs(last) < 1.0)
+
+
+def chain(moves: dict[str, float]) -> Chain[Any]:
+    """u = 1, 0.25, 0.5 and v = 0.75, -0.5, 0.25, moved."""
+    u = [1.0 + moves.get("u2", 0.0) + moves.get("gap", 0.0), 0.25, 0.5]
+    return Chain(
+        gap=0.5 + moves.get("gap", 0.0),
+        head=(u[1] + moves.get("u1", 0.0), u[2] + moves.get("u2", 0.0)),
+        tail=(0.75, -0.5, 0.25 + moves.get("v2", 0.0)),
+        head_error=np.array(abs(moves.get("u1", 0.0)) + 2.0 * abs(moves.get("u2", 0.0))),
+        error=np.array(abs(moves.get("gap", 0.0)) + abs(moves.get("v2", 0.0))),
+    )
+
+
+@pytest.mark.parametrize("name", ["gap", "u1", "u2", "v2"])
+def test_an_error_of_head_or_tail_grows_as_lemma_v3_says(name: str) -> None:
+    """The same K is used; the error of u2 is counted twice, that of u0 - u2 with the tail."""
+    start, ratio = chain({}), Fraction(0.75)
+    moved = chain({name: MOVE})
+    bound = _step(moved, UNIT)
+
+    def exact(given: Chain[Any]) -> tuple[list[Fraction], list[Fraction]]:
+        gap, (u1, u2) = Fraction(given.gap), map(Fraction, given.head)
+        v0, v1, v2 = map(Fraction, given.tail)
+        tail = [v1 - ratio * u1, v2 - ratio * u2, Fraction(0)]
+        return [u1 - ratio * v1, 2 * (u2 - ratio * v2)], [gap - ratio * (v0 - v2), *tail]
+
+    changes = [
+        sum(abs(a - b) for a, b in zip(before, after, strict=True))
+        for before, after in zip(exact(start), exact(moved), strict=True)
+    ]
+    bounds = bound.head_error, bound.error
+    for change, most in zip(changes, bounds, strict=True):
+        assert change <= most
+    attained = [change for change, most in zip(changes, bounds, strict=True) if change > most / 2]
+    assert attained
+
+
+def test_a_step_is_that_of_schur_and_cohn_in_fractions() -> None:
+    """p -> (p - K z^m p*) / z, for a degree at which head and tail are apart."""
+    start = chain({})
+    after = _step(start, UNIT)
+    head, tail = [1.0, *start.head], list(start.tail)
+    m = 12
+    falling = [*map(Fraction, head), *[Fraction(0)] * (m + 1 - 6), *map(Fraction, tail[::-1])]
+    ratio = falling[-1] / falling[0]
+    lowered = [a - ratio * b for a, b in zip(falling, falling[::-1], strict=True)]
+    assert lowered.pop() == 0
+    assert [lowered[1], lowered[2]] == [Fraction(float(x)) for x in after.head[:2]]
+    assert lowered[0] - lowered[2] == Fraction(float(after.gap))
+    assert lowered[::-1][:3] == [*(Fraction(float(x)) for x in after.tail), Fraction(0)]
+
+
+# ----------------------------------------------------------------------------- dominance (lemma R2)
+
+
+def polynomials(seed: int, degree: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Monic polynomials, highest power first, (coefficient, polynomial); and their largest root."""
+    rng = np.random.default_rng(seed)
+    pairs = rng.uniform(0.2, 1.25, (degree // 2, count)) * np.exp(
+        1j * rng.uniform(0.0, np.pi, (degree // 2, count))
+    )
+    roots = np.concatenate([pairs, pairs.conj(), rng.uniform(-1.25, 1.25, (degree % 2, count))])
+    return np.stack([np.poly(column).real for column in roots.T], axis=1), np.abs(roots).max(axis=0)
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("array", [np.asarray, jnp.asarray])
+@pytest.mark.parametrize("degree", [2, 3, 5, 6])
+def test_roots_inside_are_those_that_were_put_there(
+    form: Callable[..., Any], array: Callable[..., Any], degree: int
+) -> None:
+    falling, largest = polynomials(degree, degree, 300)
+    proved = np.asarray(form([array(row) for row in falling], array(np.full(300, 1e-15))))
+    clear = np.abs(largest - 1.0) > 1e-3
+    assert np.array_equal(proved[clear], largest[clear] < 1.0)
+    assert 20 < proved.sum() < 280
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize(
+    ("rest", "least"),
+    [
+        ([-0.75], 0.25),
+        ([0.5], 0.5),
+        ([0.0, -0.5], 0.5),
+        ([0.25, -0.25], 0.5),
+        ([-0.5, -0.25], 0.25),
+    ],
+)
+def test_an_error_may_be_as_large_as_the_least_value_on_the_circle(
+    form: Callable[..., Any], rest: list[float], least: float
+) -> None:
+    """A larger error could move a root onto the circle: z + b, and z^2 + a z + b with b <= 0."""
+    ends = np.abs([np.polyval([1.0, *rest], z) for z in (1.0, -1.0)])
+    assert ends.min() == least
+    error = least * np.array([0.999, 0.9999, 1.0001, 1.001])
+    polynomial = [np.full(4, c) for c in [1.0, *rest]]
+    assert form(polynomial, error).tolist() == [True, True, False, False]
+
+
+@pytest.mark.parametrize(("outside", "inside"), [(0, 3), (1, 3), (2, 2), (3, 1), (5, 0)])
+def test_poles_outside_are_counted_up_to_the_error_that_moves_one(
+    outside: int, inside: int
+) -> None:
+    """Lemma R4 by the roots that were put there; with an error of min |p| nothing is counted."""
+    roots = [*np.linspace(1.3, 2.0, outside), *np.linspace(-0.6, 0.45, inside)]
+    falling = np.poly(roots)
+    circle = np.exp(1j * np.linspace(0.0, np.pi, 2001))
+    least = np.abs(np.polyval(falling, circle)).min()
+    counts = poles_outside([np.full(3, c) for c in falling], least * np.array([1e-9, 0.01, 1.001]))
+    assert counts[0] == outside
+    assert counts[1] in (outside, -1)
+    assert counts[2] == -1
+
+
+@pytest.mark.parametrize(("root", "first"), [(0.5, 0), (-0.75, 0), (2.0, 1), (-1.5, 1)])
+def test_the_error_of_a_single_pole_may_be_its_distance_from_the_circle(
+    root: float, first: int
+) -> None:
+    distance = abs(abs(root) - 1.0)
+    error = distance * np.array([0.999, 1.01])
+    assert poles_outside([np.ones(2), np.full(2, -root)], error).tolist() == [first, -1]
+
+
+# --------------------------------------------------------------- distances to roots (lemmas V5, R1)
+
+
+@pytest.mark.parametrize("degree", [2, 3, 5])
+def test_of_a_multiple_pole_nothing_is_said(degree: int) -> None:
+    columns = [np.array([c]) for c in np.poly([0.5] * degree)]
+    assert np.isinf(_bound(columns, np.array([1e-15]), np.array([0.5 + 2.0**-6 + 0j])))[0]
+
+
+@pytest.mark.parametrize("others", [[0.1], [0.1, -0.2], [0.3, 0.2, -0.1]])
+@pytest.mark.parametrize("off", [1e-4, -1e-5, 1e-7])
+def test_the_bound_of_a_dominant_pole_holds_its_distance(others: list[float], off: float) -> None:
+    """n |p/p'| next to a simple root is n times its distance, and no less."""
+    columns = [np.array([c]) for c in np.poly([0.75, *others])]
+    bound = _bound(columns, np.array([1e-15]), np.array([0.75 + off + 0j]))[0]
+    degree = 1 + len(others)
+    assert abs(off) <= bound
+    assert bound == pytest.approx(degree * abs(off), rel=0.02, abs=1e-12)
+
+
+def test_an_error_of_the_coefficients_widens_the_bound_of_a_pole() -> None:
+    """The root of z - 0.75 moves by the error."""
+    error = np.array([1e-6])
+    assert _bound([np.ones(1), np.array([-0.75])], error, np.array([0.75 + 0j]))[
+        0
+    ] == pytest.approx(1e-6, rel=2e-3)
+
+
+@pytest.mark.parametrize("repeats", [1, 2, 3, 4])
+def test_an_outer_root_is_proved_beyond_its_rounding_and_not_before(repeats: int) -> None:
+    """k equal roots are computed to the k-th root of the roundoff; all are inside, or outside."""
+    far = np.array([np.poly([sign * 1.5] * repeats + [0.25]) for sign in (1.0, -1.0)])
+    near = np.array([np.poly([sign * 0.999999] * repeats + [0.25]) for sign in (1.0, -1.0)])
+    assert have_outer_root(far).all()
+    assert not have_outer_root(near).any()
+
+
+def test_subsets_of_roots_are_told_apart() -> None:
+    """Every choice of three of six roots has as many poles outside as were chosen there."""
+    roots = [0.2, -0.6, 0.85, 1.2, -1.4, 2.5]
+    for chosen in combinations(roots, 3):
+        columns = [np.array([c]) for c in np.poly(chosen)]
+        assert poles_outside(columns, np.array([1e-12]))[0] == sum(abs(r) > 1.0 for r in chosen)
+
+
+@pytest.mark.parametrize("delay", [0.0, 1.0])
+@pytest.mark.parametrize("off", [1e-4, -1e-6])
+def test_the_distance_of_a_dominant_root_is_n_times_what_newton_corrects(
+    delay: float, off: float
+) -> None:
+    """Lemma R1 next to a simple root, of the loop of the paper, by roots of its polynomial."""
+    gamma, delta, alpha, beta = 0.02, 0.3, 0.05, 0.1
+    with mpmath.workdps(40):
+        plant = truth.plant(gamma, delta, 0.0)
+        n2, n1 = plant.n2, plant.n1
+        d = [1, plant.d1, plant.d0]
+        wall = [n2 * (alpha + beta), n1 * (alpha + beta) - n2 * beta, -n1 * beta]
+        falling = [*d, *[0] * (1 + int(delay))]
+        falling[-3:] = [a + b for a, b in zip(falling[-3:], wall, strict=True)]
+        roots = mpmath.polyroots(falling[::-1], maxsteps=200, extraprec=200, asc=True)
+        largest = max((r for r in roots if r.imag >= 0), key=abs)
+    root = complex(largest) - 1.0 + off
+    loop = dominance._loop([np.array([x]) for x in (alpha, beta, gamma, delta)], delay)
+    degree = 3 + int(delay)
+    bound = dominance.distance_of_dominant(np.array([root]), loop, degree=degree)[0]
+    assert abs(off) <= bound == pytest.approx(degree * abs(off), rel=0.02)
