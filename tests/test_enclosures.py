@@ -16,7 +16,14 @@ from benchmarks.truth import filtered
 from jaxstab import Filter, Velocity
 from jaxstab.proofs import filters
 from jaxstab.proofs.curve_patches import _waves
-from jaxstab.proofs.device_boxes import Arms, HeldDevice, _Aliases
+from jaxstab.proofs.device_boxes import (
+    Arms,
+    DeviceBoxes,
+    HeldDevice,
+    _Aliases,
+    _constant,
+    _Place,
+)
 from jaxstab.proofs.enclosures import LinearModel, phasor, sinc, sine, variable
 from jaxstab.rounding import ELEMENTARY, LINEAR_MODEL
 
@@ -452,3 +459,28 @@ def test_aliases_that_are_not_followed_are_bounded_by_their_sum() -> None:
             [3, mpmath.inf],
         )
         assert exact / mass <= bound <= SHARP * exact / mass
+
+
+def test_the_sums_over_all_aliases_hold_the_true_ones() -> None:
+    """Of a free mass, -e^(-2 pi i k d)/(m (theta + 2 pi k)^3), and their moduli times angles."""
+    mass, delay, theta = 0.5, 0.3, np.array([0.05, 1.0, 3.0])
+    boxes = object.__new__(DeviceBoxes)
+    boxes._device = HeldDevice(0.0, 0.0, (), (), None)
+    aliases = _Aliases.from_device(boxes._device, (mass, mass), (0.0, 0.0), 4, 3.0)
+    arms = Arms(*[_constant(np.zeros(3))] * 3)
+    constants = (_constant(np.full(3, value)) for value in (mass, delay))
+    others = boxes._others(_Place(*constants, arms, _constant(theta)), aliases)
+    for k, angle in enumerate(theta.tolist()):
+
+        def alias(turns: float, sign: int, power: int, angle: float = angle) -> mpmath.mpf:
+            turned = angle + 2 * mpmath.pi * sign * turns
+            wave = mpmath.expj(-2 * mpmath.pi * sign * turns * delay) if power == 3 else 1
+            return wave / (mass * turned**power)
+
+        moduli, total = (
+            sum(alias(turns, sign, power) for turns in range(1, 1000) for sign in (-1, 1))
+            for power in (2, 3)
+        )
+        beyond = 1.0 / (mass * (2.0 * np.pi) ** 2 * 1000)
+        assert moduli <= others.moduli[k] <= SHARP * (moduli + 2.0 * beyond)
+        assert abs(others.total.centre[k] + complex(total)) <= others.total.rest[k] + beyond**2
