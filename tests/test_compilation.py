@@ -29,8 +29,8 @@ WITHOUT_ARRAYS = {
     *(f"HapticLoop.{method}" for method in ("region", "limits", "tune", "robust_limit")),
 }
 
-WITH_FLINT = {  # their devices are discretised in balls
-    *("HapticLoop.amplitude", "amplitude"),
+WITH_FLINT = {  # devices are discretised in balls, and roots isolated
+    *("HapticLoop.amplitude", "amplitude", "paper.linear_validity"),
     *("HapticLoop.jitter_margin", "HapticLoop.worst_delays"),
 }
 
@@ -74,7 +74,7 @@ def printed_by(script: str, *words: str, **environment: str) -> Any:
 
 @cache
 def without_jax() -> dict[str, str]:
-    plain = sorted(COMPUTING_CALLS.keys() - WITH_FLINT)  # flint is for general devices
+    plain = sorted(COMPUTING_CALLS.keys() - WITH_FLINT)  # flint is for few
     answers: dict[str, str] = printed_by(WITHOUT_JAX, "flint", *plain)
     return answers | printed_by(WITHOUT_JAX, "", *sorted(WITH_FLINT))
 

@@ -445,7 +445,7 @@ def test_a_guard_takes_the_range_of_its_scene(
         ("lost_samples = 1", [], "moving from sample to sample, up to 1 in a row lost: "),
         ("delay_is = 'constant'", [], "delay, constant during contact: 0.0009 to 0.0011 s"),
         ("", ["--constant-delay"], "delay, constant during contact: 0.0009 to 0.0011 s"),
-        ("", ["--delay", "1e-3", "--lost-samples", "1"], "row: 0.001 to 0.002 s"),
+        ("", ["--delay", "1e-3", "--lost-samples", "1"], "in a row lost: 0.001 to 0.002 s"),
     ):
         file.write_text(f"{text}sample_time = 0.001\ndelay = [0.9e-3, 1.1e-3]\n{keys}\n", "utf-8")
         narrow = ["--masses", "0.0999:0.1", "--cells", "1,1,16", "-o", header]

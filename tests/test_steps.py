@@ -25,7 +25,7 @@ MOVE = 2.0**-20
 FORMS = [dominance._all_inside, dominance._rolled_all_inside]
 
 
-def state(falling: list[float], error: float) -> _State[Any]:
+def state(falling: list[float], error: float) -> _State:
     falling = np.array(falling)
     truth = np.array(True)
     return _State(
