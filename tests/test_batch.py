@@ -279,3 +279,21 @@ def test_what_is_no_loop_is_refused() -> None:
     spring = Device.transfer_function([1.0, 0.0], [0.1, 1.0, 10.0])
     with pytest.raises(ValueError, match="zero DC gain"):
         limits_of([HapticLoop(device=spring, sample_time=PERIOD)])
+
+
+def test_a_limit_that_is_small_beside_its_component_is_right_to_1e_9() -> None:
+    """A stiff hand, hardly damped: the stable set extends to K = -2,000 N/m, and to 0.2 N/m."""
+    loop = HapticLoop(
+        sample_time=0.001,
+        device_mass=0.08803426979152712,
+        device_damping=0.0010136982565741267,
+        delay=0.013968140957988793,
+        velocity=Velocity.difference(samples=20),
+    )
+    hands = 2214.0404342545435 * (1.0 + np.linspace(-1e-4, 1e-4, 128))
+    limits = limits_of(loop, hand_stiffness=hands)
+    assert np.all(limits.stiffness < 0.22)
+    for hand, limit in zip(hands.tolist(), limits.stiffness, strict=True):
+        held = replace(loop, hand_stiffness=hand)
+        codes = held.verdict(limit * np.array([1.0 - 1e-9, 1.0 + 1e-9]), 0.0)
+        assert codes.tolist() == [Verdict.STABLE, Verdict.UNSTABLE]

@@ -723,7 +723,8 @@ def _largest(
     direction = jnp.where(is_smooth, straight, _bisector(loop, corners, links, corner, size))
     away = _ASIDE * size * direction
     beside = _are_stable(loop, jnp.stack([wall + away, wall - away], axis=1))
-    is_exact = (lost < _LOST) & jnp.isfinite(value)
+    # A component far beyond the quadrant may leave a limit that is small beside its size.
+    is_exact = (lost * unit < _LOST * jnp.minimum(unit, abs(value))) & jnp.isfinite(value)
     branch, at_corner = corners.branch[jnp.minimum(row, 1), own], corners.theta.ravel()
     on_line = jnp.where(branch == Branch.Z_MINUS_ONE, jnp.pi, 0.0)
     other = jnp.where(branch == Branch.CURVE, at_corner[twin % (2 * SLOTS)], on_line)
