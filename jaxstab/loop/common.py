@@ -318,12 +318,9 @@ def _first_grid(loop: "HapticLoop", stiffness: float | None) -> Grid | None:
     outline = (region.main or region).outline
     if not len(outline):
         return None
-    ends = np.maximum([outline.min(axis=0), outline.max(axis=0)], 0.0)  # those of walls
-    (left, low), (right, high) = ends.tolist()
-    if stiffness is None:
-        return Grid((left, right), (low, high), _POINTS, 0.0)
-    stiffness = checked_number("stiffness", stiffness, 0.0)
-    return Grid((stiffness, stiffness), (low, high), _POINTS**2, 0.0)
+    if stiffness is not None:
+        stiffness = float(checked_number("stiffness", stiffness, 0.0))
+    return Grid.over_walls(outline, _POINTS, stiffness)
 
 
 def _times(

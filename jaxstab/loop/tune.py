@@ -13,7 +13,6 @@ from jaxstab.motion import amplitude
 from jaxstab.motion.amplitude import device_amplitude
 from jaxstab.motion.settling import Excitation, checked_level
 from jaxstab.numbers import checked_number, checked_word
-from jaxstab.region import StableRegion
 from jaxstab.tuning import OptimalGains, TuningStatus
 from jaxstab.tuning.gains import (
     Grid,
@@ -54,12 +53,6 @@ class Chatter(NamedTuple):
         return np.asarray(driven.position)
 
 
-def _quadrant(region: StableRegion) -> np.ndarray:
-    """Return the lowest and the highest alpha and beta of a region, as far as they are >= 0."""
-    points = region.points.reshape(-1, 2)
-    return np.maximum([points.min(axis=0, initial=np.inf), points.max(axis=0, initial=0.0)], 0.0)
-
-
 class CalmWall(NamedTuple):
     """Gains alpha and beta, their amplitude in m, and how they were found."""
 
@@ -79,11 +72,7 @@ def fastest_calm_wall(
     region = whole.main or whole  # the component that contains small gains, if there is one
     if not len(region.points):
         return CalmWall(best, np.inf, TuningStatus.NO_STABLE_GAINS)
-    (left, low), (right, high) = _quadrant(region)
-    if alpha is None:
-        grid = Grid((left, right), (low, high), _POINTS, 0.0)
-    else:
-        grid = Grid((alpha, alpha), (low, high), _POINTS**2, 0.0)
+    grid = Grid.over_walls(region.points, _POINTS, alpha)
     for _ in range(_ZOOMS):
         alphas, betas = (np.ravel(gains) for gains in np.broadcast_arrays(*grid.points))
         inside = np.asarray(region.contains(alphas, betas))
@@ -110,10 +99,9 @@ def _smallest_radius(loop: LoopParameters, tuned: TunedLoop) -> OptimalGains:
     if min(best.alpha, best.beta) >= 0.0:
         return best
     region = wall_region(loop.in_floats(), TOLERANCE).region
-    (left, low), (right, high) = _quadrant(region.main or region)
-    if not (left < right and low < high):
+    grid = Grid.over_walls((region.main or region).points, _RADIUS_POINTS)
+    if not all(low < high for low, high in (grid.alphas, grid.betas)):
         return best._replace(status=np.array(TuningStatus.NO_STABLE_GAINS, np.int8))
-    grid = Grid((left, right), (low, high), _RADIUS_POINTS, 0.0)
     return smallest_radius_around(tuned, grid)
 
 

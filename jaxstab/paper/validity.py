@@ -154,13 +154,14 @@ def _first_rise(level: float, gamma: float, delta: float, delay: float) -> _Rise
 
 def _largest_root(curve: _Curve, gamma: float, digits: int) -> _Rise:
     """Return the largest root x in (-1, 1) where the error rises, that is the smallest theta."""
+    slope = curve.excess.derivative()
     for x in _real_roots(curve.excess, digits):
         if x > 1 or x < -1:
             continue
         square = curve.square(x)
         beta = curve.damping(x) / square
         alpha = curve.real(x) / square - beta * (1 - x)
-        rising = -curve.excess.derivative()(x) * (alpha + gamma)  # of the sign of d error/d theta
+        rising = -slope(x) * (alpha + gamma)  # of the sign of d error/d theta
         if not (-1 < x < 1 and (rising > 0 or rising < 0)):
             raise _TooWideError
         if rising > 0:

@@ -43,6 +43,19 @@ class Grid:
     size: int
     lowest: float = -np.inf
 
+    @classmethod
+    def over_walls(cls, gains: np.ndarray, size: int, alpha: float | None = None) -> "Grid":
+        """A grid over the walls, alpha and beta >= 0, among some gains; or over those of one alpha.
+
+        Ends are out of order where there is none.
+        """
+        lowest = gains.min(axis=0, initial=np.inf)
+        ends = np.maximum([lowest, gains.max(axis=0, initial=0.0)], 0.0)
+        (left, low), (right, high) = ends.tolist()
+        if alpha is None:
+            return cls((left, right), (low, high), size, 0.0)
+        return cls((alpha, alpha), (low, high), size**2, 0.0)
+
     @property
     def axes(self) -> list[Float64[np.ndarray, " gain"]]:
         """The gains on each axis."""

@@ -37,7 +37,7 @@ def filters_of(variable: Variable) -> dict[str, Any]:
 def packed(values: NDArray[Any]) -> bytes:
     """Return a chunk of numbers as these filters would store it, but deflated by ISA-L.
 
-    That takes a sixth of the time of zlib at its lowest level, and less space.
+    That takes a sixth of the time of zlib at its lowest level, and about as much space.
     """
     engine = isal_zlib.compressobj(2)
     planes = values.reshape(-1).view(np.uint8).reshape(-1, values.itemsize).T
