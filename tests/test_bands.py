@@ -145,6 +145,17 @@ def test_the_haptic_range_leaves_less_than_a_thousandth_undecided(rng: np.random
     assert 2 * spread.mean() / 0.72 < 1e-3
 
 
+@pytest.mark.parametrize(("delay", "first", "width", "domain"), SCENES)
+def test_every_column_has_limits(
+    delay: float, first: tuple[float, float], width: tuple[float, float], domain: Domain
+) -> None:
+    """Where patches above the line alpha = -gamma leave a gap undecided, those apart from it do."""
+    columns = stable_columns(
+        np.linspace(*domain.beta, CELLS + 1), boxes(first, width), delay, domain
+    )
+    assert np.all(np.isfinite(columns.lower[..., -1]) & np.isfinite(columns.upper[..., -1]))
+
+
 def test_where_no_hand_is_stable_all_alphas_are_unstable() -> None:
     hands = boxes(HAPTIC, (1e-4, 1e-4))
     columns = stable_columns(np.linspace(5, 6, 9), hands, 0.0, Domain((-1.0, 1.0), (5.0, 6.0)))

@@ -8,11 +8,16 @@ import flint
 import numpy as np
 import pytest
 
+from benchmarks.truth import filtered
 from benchmarks.truth.balls import BallLoop
 from benchmarks.truth.random_loops import MassLoop
+from jaxstab.conventions import Verdict
+from jaxstab.model import Filter, Velocity, by_name
+from jaxstab.model.filters import known_filters
+from jaxstab.region import RegionStatus, stable_region
 from jaxstab.region.curve import curve_and_lift, minus_offset, minus_slope, plus_offset
 from jaxstab.region.filtered_curve import FilteredCurve, filtered_curve, mass_system
-from jaxstab.region.pieces import slice_angles
+from jaxstab.region.pieces import find_pieces, slice_angles
 
 ANGLES = np.concatenate([np.linspace(0.05, 1.5, 7), np.linspace(1.65, 3.05, 7)])
 LOOPS = range(1, 25)
@@ -86,3 +91,85 @@ def test_a_scan_looks_on_either_side_of_poles_and_where_beta_is_steep() -> None:
                 assert np.max(away[away < 0.0]) > -1e-6
                 looked += 1
     assert looked > 5
+
+
+@pytest.mark.parametrize(
+    ("samples", "average", "delay"),
+    [(3, 1, 1.0), (5, 1, 2.0), (8, 1, 1.5), (4, 3, 0.5), (6, 4, 1.0)],
+)
+def test_walls_of_a_line_and_of_the_curve_beside_it_have_roots_at_its_angles(
+    samples: int, average: int, delay: float
+) -> None:
+    """Undamped, behind windows: whole lines of walls have one pair of roots on the circle.
+
+    The slopes are central differences. A simple pole's line begins where its curve ends; at a
+    double one both are infinite.
+    """
+    position = Filter.average(samples=average) if average > 1 else None
+    filters = known_filters(Velocity.difference(samples=samples), position)
+    c = filtered_curve(*mass_system(0.5, 0.0, delay, filters))
+    windows = filtered.difference(samples), filtered.average(average)
+    loop = filtered.FilteredLoop(0.5, 0.0, delay, *windows)
+    assert len(c.lines)
+    for line in c.lines:
+        share = np.concatenate([np.linspace(0.03, 0.47, 12), np.linspace(0.53, 0.97, 12)])
+        size = line.angle + line.half_width * np.concatenate([-share, share])
+        (alpha, beta, angle), slopes = line.gains(size)
+        for wall in zip(alpha, beta, angle, strict=True):
+            falling = [float(c.mid()) for c in loop.polynomial(*wall[:2])]
+            assert abs(np.polyval(falling, np.exp(1j * wall[2]))) < 1e-13 * np.abs(falling).sum()
+        straight = line.is_straight(size)
+        assert np.all(angle[straight] == line.angle)
+        assert np.all(abs(angle[~straight] - line.angle) > 0.0)
+        step = 1e-5 * line.half_width
+        ahead, behind = (np.stack(line.gains(size + k * step)[0]) for k in (1.0, -1.0))
+        expected, scale = (ahead - behind) / (2.0 * step), np.abs(ahead) + np.abs(behind)
+        assert np.all(abs(np.stack(slopes) - expected) < 1e-6 * (abs(expected) + scale))
+        for knot in line.knots:
+            before, after = (np.stack(line.gains(np.array([knot + k]))[0]) for k in (-1e-9, 1e-9))
+            assert after == pytest.approx(before, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("samples", "average", "gamma", "delay"),
+    [(4, 1, 2.0, 1.5), (5, 4, 2.0, 0.5), (7, 1, 0.5, 3.0), (8, 4, 0.5, 2.0)],
+)
+def test_regions_between_lines_are_resolved_and_hold_the_walls_that_certified_roots_hold(
+    samples: int, average: int, gamma: float, delay: float
+) -> None:
+    """Their boundaries turn from the curve into whole lines and back."""
+    named = {"velocity": Velocity.difference(samples=samples)}
+    if average > 1:
+        named["position"] = Filter.average(samples=average)
+    region = stable_region(**by_name(gamma, 0.0, delay), **named)
+    assert region.status == RegionStatus.COMPLETE
+    windows = filtered.difference(samples), filtered.average(average)
+    loop = filtered.FilteredLoop(gamma, 0.0, delay, *windows)
+    outline = region.points
+    low, high = outline.min(axis=0), outline.max(axis=0)
+    rng = np.random.default_rng(samples)
+    walls = rng.uniform(low - 0.1 * (high - low), high + 0.1 * (high - low), (60, 2))
+    inside = [loop.code(*wall) == Verdict.STABLE for wall in walls.tolist()]
+    assert 5 < sum(inside) < 55
+    assert np.asarray(region.contains(*walls.T)).tolist() == inside
+
+
+@pytest.mark.parametrize("number", [18, 20, 30])
+def test_pieces_do_not_close_to_a_loop_if_the_scan_misses_one_of_them(number: int) -> None:
+    c, balls = drawn(number)
+    length = c.parts.shape[1] - 2
+    angles = slice_angles(c, length, 1)
+    pieces = find_pieces(c, angles, length=length)
+    assert pieces.resolved
+    assert sorted(pieces.successor.tolist()) == list(range(len(pieces.begin))) != [0]
+    for begin, end, low, high in zip(*pieces[1:5], strict=True):
+        for theta in (begin + low, end + high):  # a third root comes to the circle
+            if 0.0 < abs(theta) < np.pi:
+                assert np.sum(np.abs(np.abs(roots_at(balls, theta)) - 1.0) < 1e-5) >= 3
+        others = angles[(angles < begin) | (angles > end)]
+        assert not find_pieces(c, others, length=length).resolved
+
+
+def roots_at(balls: BallLoop, theta: float) -> np.ndarray:
+    falling = balls.polynomial(*balls.wall_with_roots_at(theta))
+    return np.roots([float(c.mid()) for c in falling])
