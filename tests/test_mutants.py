@@ -10,6 +10,7 @@ import pytest
 import jaxstab
 from benchmarks import truth
 from jaxstab import Filter, Velocity
+from jaxstab.model.device.family import Piece
 from jaxstab.model.filters import known_filters
 from jaxstab.point.dominance import _all_inside as all_inside
 from jaxstab.point.dominance import _rolled_all_inside as rolled_all_inside
@@ -18,6 +19,7 @@ from jaxstab.point.traced_radius import _fitted
 from jaxstab.proofs.columns import _line_strips, columns_of
 from jaxstab.proofs.curve_patches import Domain
 from jaxstab.proofs.filters import Ends, filter_cells, filter_ends, largest_within
+from jaxstab.proofs.linear_circle import _in_piece
 from jaxstab.proofs.plant import HandBoxes, delay_moves
 from jaxstab.region.filtered_curve import PoleLine
 from jaxstab.region.pieces import _all_inside
@@ -157,10 +159,8 @@ def test_bounds_over_cells_hold_within_them_alone() -> None:
     """filters: at angles beyond the first or the last cell nothing is known."""
     cells = filter_cells(known_filters(Velocity.difference(samples=3), None))
     steepness = cells.steepness
-    theta, away = (
-        np.array([0.1, 1.5, 3.0, 0.1, 3.0, 1.5]),
-        np.array([0.05, 0.5, 0.1, 0.5, 0.5, 4.0]),
-    )
+    theta = np.array([0.1, 1.5, 3.1, 0.1, 3.0, 1.5])
+    away = np.array([0.05, 0.5, 0.0415, 0.5, 0.5, 4.0])
     bounds = largest_within(steepness, cells, theta, away)
     assert np.isfinite(bounds).all(axis=0).tolist() == [True, True, True, False, False, False]
 
@@ -198,3 +198,51 @@ def test_a_wall_with_a_root_at_minus_one_is_in_the_strip_of_its_column(
                 assert abs(alpha - centre) <= strips.error[column, 1]
                 tried += 1
     assert tried > 100
+
+
+@pytest.mark.parametrize("power", [0, 1, 2, 3])
+def test_a_polynomial_of_a_piece_holds_in_all_of_its_box(power: int) -> None:
+    """linear_circle: (z - 1)^power, of which one power is left near z = 1, and sums of all."""
+    rng = np.random.default_rng(power)
+    count = 200
+    theta, by_theta = rng.choice([0.0, 0.02, 0.5, 1.4], count), rng.uniform(0.01, 0.3, count)
+    offset, by_offset = rng.uniform(-0.2, 0.2, count), rng.uniform(0.0, 0.3, count)
+    single = np.zeros((3, 4))
+    single[:2, power] = 1.0, 0.3
+    for coefficients in (single, rng.normal(size=(3, 4))):
+        piece = Piece(0.0, 1.0, coefficients, coefficients, 0.0)
+        model = _in_piece(piece, coefficients, offset, theta, by_offset, by_theta)
+        value, along, around, rest, _ = model
+        nearest = np.full(count, np.inf)
+        for u in (-1.0, -0.3, 0.5, 1.0):
+            for v in (-1.0, -0.6, 0.4, 1.0):
+                z = np.exp(1j * (theta + v * by_theta))
+                powers = (offset + u * by_offset)[:, None] ** np.arange(3)
+                steps = (z - 1.0)[:, None] ** np.arange(4)
+                true = np.sum((powers @ coefficients) * steps, axis=1) / z**3
+                gap = rest.real - np.abs(true - (value + u * along + v * around))
+                nearest = np.minimum(nearest, gap / rest.real)
+        assert np.all(nearest >= -1e-9)
+        assert np.min(nearest) < 0.8
+
+
+def test_distances_of_many_walls_are_those_to_the_nearest_points() -> None:
+    """measures: until the nearest point of each wall is found; to a polygon of many points."""
+    region = jaxstab.stable_region(gamma=0.2, delta=0.1, delay=1.0, tolerance=1e-7)
+    low, high = region.points.min(axis=0), region.points.max(axis=0)
+    walls = np.random.default_rng(11).uniform(
+        1.5 * low - 0.5 * high, 1.5 * high - 0.5 * low, (60, 2)
+    )
+    here, there = region.points[:-1], region.points[1:]
+    chord = there - here
+    square = np.maximum(np.sum(chord**2, axis=1), 1e-300)
+    share = np.clip(np.sum((walls[:, None] - here) * chord, axis=2) / square, 0.0, 1.0)
+    feet = here + share[..., None] * chord
+    nearest = np.min(np.hypot(*np.moveaxis(walls[:, None] - feet, -1, 0)), axis=1)
+    assert np.abs(region.distance(*walls.T)) == pytest.approx(nearest, abs=1e-6)
+
+
+def test_a_circle_without_a_radius_is_refused() -> None:
+    """region: 0 itself is no radius."""
+    with pytest.raises(ValueError, match="radius is 0"):
+        jaxstab.stable_region(gamma=0.2, delta=0.1, delay=1.0, radius=0.0)

@@ -258,4 +258,10 @@ def test_a_wall_that_few_hands_make_unstable_is_not_proved(axis: str, end: str) 
             ranges = {name: (x, x) for name, x in zip(names, drawn[2:, k[n]], strict=True)}
             ranges[axis] = tuple(sorted([far[n], inner[n] + beyond * (inner[n] - far[n])]))
             given = HeldLoop(loop, HandRange(**ranges), (1.0, 1.0))
-            assert (not _unproved_hands(given, drawn[:2, k[n]][None], 4096)) == is_proved
+            unproved = _unproved_hands(given, drawn[:2, k[n]][None], 4096)
+            assert (not unproved) == is_proved
+            for left in unproved.values():  # they are within the range
+                values = left[:, names.index(axis)]
+                low, high = (1.0 + sign * 1e-9 for sign in (-1, 1))
+                assert np.all(values >= low * ranges[axis][0])
+                assert np.all(values <= high * ranges[axis][1])
