@@ -14,6 +14,7 @@ from jaxstab.model.device.family import Piece
 from jaxstab.model.filters import known_filters
 from jaxstab.point.dominance import _all_inside as all_inside
 from jaxstab.point.dominance import _rolled_all_inside as rolled_all_inside
+from jaxstab.point.fields import _rounded_up
 from jaxstab.point.radius import are_inside, traced_radius_error
 from jaxstab.point.traced_radius import _fitted
 from jaxstab.proofs.columns import _line_strips, columns_of
@@ -159,8 +160,9 @@ def test_bounds_over_cells_hold_within_them_alone() -> None:
     """filters: at angles beyond the first or the last cell nothing is known."""
     cells = filter_cells(known_filters(Velocity.difference(samples=3), None))
     steepness = cells.steepness
-    theta = np.array([0.1, 1.5, 3.1, 0.1, 3.0, 1.5])
-    away = np.array([0.05, 0.5, 0.0415, 0.5, 0.5, 4.0])
+    last, half = cells.middle[-1], cells.half[-1]
+    theta = np.array([0.1, 1.5, last, 0.1, last, 1.5])
+    away = np.array([0.05, 0.5, 0.9 * half, 0.5, 1.1 * half, 4.0])
     bounds = largest_within(steepness, cells, theta, away)
     assert np.isfinite(bounds).all(axis=0).tolist() == [True, True, True, False, False, False]
 
@@ -246,3 +248,13 @@ def test_a_circle_without_a_radius_is_refused() -> None:
     """region: 0 itself is no radius."""
     with pytest.raises(ValueError, match="radius is 0"):
         jaxstab.stable_region(gamma=0.2, delta=0.1, delay=1.0, radius=0.0)
+
+
+def test_numbers_are_rounded_up_to_fewer_bits() -> None:
+    """fields: those with a single low bit, too, and no number that has no low bits."""
+    low = np.array([0, 1, 2, (1 << 29) - 1])
+    for last, count in ((1 << 29, 24), (1 << 52, 1)):
+        numbers = (np.float64(1.5).view(np.int64) + low).view(np.float64)
+        rounded = np.asarray(_rounded_up(numbers, last))
+        step = 2.0 ** (1 - count)
+        assert rounded.tolist() == [float(np.ceil(x / step) * step) for x in numbers]
