@@ -5,12 +5,14 @@ import pytest
 from campaign import many
 
 import jaxstab
-from benchmarks import filtered_ranges
+from benchmarks import filtered_ranges, truth
 from benchmarks.truth import devices, filtered
 from benchmarks.truth.random_loops import device_of
 from jaxstab import Filter, HapticLoop, Velocity, Verdict
 from jaxstab.model.device import Device, Hand, Mode, sampled_device
+from jaxstab.proofs.linear_circle import delayed_device
 from jaxstab.ranges import device_margins, is_stable_along
+from jaxstab.ranges.device_margins import _critical_angles
 
 PERIOD = 1e-3
 
@@ -114,3 +116,18 @@ def test_margins_of_devices_refuse_what_is_no_filter() -> None:
         device_margins(device, 1.0, 1.0, velocity=Filter())
     with pytest.raises(ValueError, match="stiffness"):
         device_margins(device, np.nan, 1.0)
+
+
+@pytest.mark.parametrize("theta", [0.004, 0.3, 2.0, np.pi - 0.004])
+def test_angles_at_which_a_delay_can_bring_a_root_to_the_circle_are_found(theta: float) -> None:
+    """Next to 0 and pi, too: those of walls with |D| = |N H| there, at a fraction of 0.3."""
+    device = sampled_device(Device.mass_spring_damper(1.0, damping=0.1), 1.0, 0.0)
+    plant, z = truth.plant(0.0, 0.1, 0.3), np.exp(1j * theta)
+    force = abs(np.polyval([float(plant.n2), float(plant.n1), float(plant.n0)], z))
+    free = abs(np.polyval([1.0, float(plant.d1), float(plant.d0)], z))
+    damping = free / (force * abs(0.3 + 1.0 - 1.0 / z))
+    walls = np.array([[0.3 * damping * device.stiffness_unit, damping * device.damping_unit]])
+    delayed = delayed_device(device, None)
+    angles = _critical_angles(delayed, walls, np.array([0]), np.array([2.0**-7, 2.0**-13]))
+    assert np.any((angles.low[1] <= theta) & (theta <= angles.high[1]))
+    assert np.sum(angles.high[1] - angles.low[1]) < 1.0
