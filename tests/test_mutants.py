@@ -244,6 +244,14 @@ def test_distances_of_many_walls_are_those_to_the_nearest_points() -> None:
     assert np.abs(region.distance(*walls.T)) == pytest.approx(nearest, abs=1e-6)
 
 
+def test_a_set_without_holes_is_one_component_of_one_loop() -> None:
+    """stable_set: so lines of constant alpha may be said to meet it in one interval."""
+    region = jaxstab.stable_region(gamma=0.001, delta=0.015, delay=1.0)
+    (component,) = region.components
+    assert component.loops == region.loops == 1
+    assert component.columns_are_intervals
+
+
 def test_a_circle_without_a_radius_is_refused() -> None:
     """region: 0 itself is no radius."""
     with pytest.raises(ValueError, match="radius is 0"):
