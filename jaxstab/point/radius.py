@@ -5,8 +5,8 @@ elementwise operations alone (``dominance``), otherwise as the largest eigenvalu
 matrix, refined by Newton's method. The bound is a proof that uses nothing of how the value was
 found:
 
-- lemma R2: divided by the dominant root, all other roots are proved to be inside the circle through
-  it, and lemma R1 bounds the distance of that root from its approximation; or
+- lemma R5: no other root is outside of a circle a little smaller than that through the dominant
+  root, and lemma R1 bounds the distance of that root from its approximation; or
 - lemma R3: all roots are inside the circle of radius value + error, and not all inside that of
   value - error. Both are verdicts on p(r z), tried for a ladder of errors.
 

@@ -47,6 +47,34 @@ Number = TypeVar("Number", Array, DoubleDouble)
 
 UNDERFLOW = 1e-260  # more than the error of numbers flushed to zero
 SAFETY = 1.001  # the bounds themselves are rounded (lemma V3)
+HIGHEST_COUNTED = 28  # degree up to which XLA compiles the steps of a count without a loop
+
+
+@pytree
+@dataclass(frozen=True)
+class Balance:
+    """How many zeros are inside, less those outside: of p, ``total`` and ``sign`` times a step's.
+
+    A step with |K| < 1 leaves one zero less inside; one with |K| > 1 exchanges the sides (lemma V2
+    of docs/proofs.md). Of all fields but ``total`` the signs alone count.
+    """
+
+    total: Array
+    sign: Array
+    at_one: Array  # of the present polynomial
+    at_minus_one: Array  # of the present polynomial times (-1)^degree
+    parity: Array | float  # (-1)^degree
+
+    def after(self, ratio: Array, modulus: Array) -> "Balance":
+        """Return the balance after a step with a ratio K."""
+        sign = self.sign * (1.0 - modulus)
+        return Balance(
+            self.total + namespace(sign).copysign(1.0, sign),
+            sign,
+            self.at_one * (1.0 - ratio),
+            self.at_minus_one * (1.0 - self.parity * ratio),
+            -self.parity,
+        )
 
 
 @pytree
@@ -63,6 +91,7 @@ class Chain(Generic[Number]):
     regular: Array | bool = True  # no |K| = 1 so far
     outside: Array | bool = False  # an exact |K| > 1
     drift: Array | None = None  # of each coefficient from exact steps; None: not followed
+    balance: Balance | None = None  # of zeros; None: not followed
 
 
 class Ends(NamedTuple):
@@ -76,20 +105,9 @@ class Ends(NamedTuple):
 
 def decide(chain: Chain[Number], ends: Ends, unit: float, degree: int | Array) -> Array:
     """Return the codes of monic polynomials of a degree >= 3, computed with a unit roundoff."""
-    # A degree that is an array sets the length of a loop, one compilation serving all above 3.
     xp = namespace(chain, degree)
-    is_cubic = isinstance(degree, int) and degree == 3
-    if not is_cubic:
-        chain = _step(chain, unit, is_monic=True)
-    if isinstance(degree, int):
-        for _ in range(degree - 4):
-            chain = _step(chain, unit)
-    else:
-        chain = _steps(chain, unit, degree - 4)
-    gap, error, modulus = _last_gap(chain, unit, is_monic=is_cubic)
-    is_clear = size(gap) > (SAFETY * (degree - 1)) * error
-    is_clear = is_clear & chain.regular & (modulus != 1.0)
-    is_inside = chain.inside & (modulus < 1.0) & (leading(gap) > 0.0)
+    chain, gap, ratio, is_clear = _at_the_end(chain, unit, degree)
+    is_inside = chain.inside & (size(ratio) < 1.0) & (leading(gap) > 0.0)
     real_outside = (ends.at_one < -ends.at_one_error) | (
         ends.at_minus_one < -ends.at_minus_one_error
     )
@@ -99,8 +117,44 @@ def decide(chain: Chain[Number], ends: Ends, unit: float, degree: int | Array) -
     return xp.where(real_outside | chain.outside, Verdict.UNSTABLE, codes).astype(np.int8)
 
 
-def _last_gap(chain: Chain[Number], unit: float, *, is_monic: bool) -> tuple[Number, Array, Array]:
-    """Return u0 - u2 of the quadratic, a bound of all errors there, and the last |K|."""
+def zeros_outside(chain: Chain[Array], ends: Ends, unit: float, degree: int) -> Array:
+    """Return how many zeros of polynomials are outside the circle, NaN where it is not proved."""
+    xp = namespace(chain)
+    one, length, parity = xp.ones_like(chain.error), degree, (-1.0) ** degree
+    if xp is not np and degree > HIGHEST_COUNTED:
+        length, parity = xp.asarray(degree), parity * one
+    balance = Balance(0.0 * one, one, ends.at_one, ends.at_minus_one, parity)
+    chain, gap, ratio, is_clear = _at_the_end(replace(chain, balance=balance), unit, length)
+    assert chain.balance is not None
+    last = chain.balance.after(ratio, size(ratio))
+    sign, at_one, at_minus_one = map(xp.sign, (last.sign, last.at_one, last.at_minus_one))
+    inside = last.total + sign * xp.sign(gap) * (at_one + at_minus_one)
+    is_clear = is_clear & (sign * at_one * at_minus_one != 0.0)  # products may underflow
+    is_clear = is_clear & (abs(ends.at_one) > ends.at_one_error)
+    is_clear = is_clear & (abs(ends.at_minus_one) > ends.at_minus_one_error)
+    return xp.where(is_clear, 0.5 * (degree - inside), xp.nan)
+
+
+def _at_the_end(
+    chain: Chain[Number], unit: float, degree: int | Array
+) -> tuple[Chain[Number], Number, Number, Array]:
+    """Return the cubic, u0 - u2 of the quadratic and the last K, and whether their signs count."""
+    # A degree that is an array sets the length of a loop, one compilation serving all above 3.
+    is_cubic = isinstance(degree, int) and degree == 3
+    if not is_cubic:
+        chain = _step(chain, unit, is_monic=True)
+    if isinstance(degree, int):
+        for _ in range(degree - 4):
+            chain = _step(chain, unit)
+    else:
+        chain = _steps(chain, unit, degree - 4)
+    gap, error, ratio = _last_gap(chain, unit, is_monic=is_cubic)
+    is_clear = size(gap) > (SAFETY * (degree - 1)) * error
+    return chain, gap, ratio, is_clear & chain.regular & (size(ratio) != 1.0)
+
+
+def _last_gap(chain: Chain[Number], unit: float, *, is_monic: bool) -> tuple[Number, Array, Number]:
+    """Return u0 - u2 of the quadratic, a bound of all errors there, and the last K."""
     # The step from a cubic b0 z^3 + b1 z^2 + b2 z + b3.
     head, tail = chain.head, chain.tail
     b0 = chain.gap + head[1]
@@ -111,7 +165,7 @@ def _last_gap(chain: Chain[Number], unit: float, *, is_monic: bool) -> tuple[Num
     gap = (chain.gap - tail[1] if len(tail) > 1 else chain.gap) + ratio * (b1 - b3)
     sizes = size(b0) + size(b1) + 2.0 * size(b3) + size_sum(head) + size_sum(tail)
     error = chain.error + modulus * (chain.error + chain.head_error + 4.0 * unit * sizes)
-    return gap, error + 2.0 * unit * (size(chain.gap) + size_sum(tail[1:2])), modulus
+    return gap, error + 2.0 * unit * (size(chain.gap) + size_sum(tail[1:2])), ratio
 
 
 def _steps(chain: Chain[Number], unit: float, count: Array) -> Chain[Number]:
@@ -136,6 +190,7 @@ def _step(
         tail=tuple(_minus(v, ratio, u) for u, v in pairs),
         inside=chain.inside & (modulus < 1.0),
         regular=chain.regular & (modulus != 1.0),
+        balance=chain.balance and chain.balance.after(leading(ratio), modulus),
         **bounds,
     )
 

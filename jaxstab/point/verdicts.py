@@ -233,7 +233,7 @@ HIGHEST_UNROLLED = 12  # degree up to which XLA compiles the recursion without a
 # A loop writes all of its state to memory in each step. Without it a point takes a half to a third
 # of the time at delays of 10 and 20, but each degree compiles for about a second.
 _HIGHEST_OF_MANY = 26
-_PAYS_FROM = 1 << 20  # points
+_PAYS_FROM = 1 << 19  # points
 _LOST = 2.0**-25  # of N(1): the error of a stiff plant times its root is an ulp there
 
 
@@ -346,17 +346,22 @@ def _closed_loop(alpha: Number, beta: Number, plant: Plant[Number], unit: float)
     tail = tuple(
         stiff * alpha - damp * beta for stiff, damp in zip(plant.stiff, plant.damp, strict=True)
     )
-    # Three roundings: of the plant's coefficient, of the product, of the difference.
-    per_alpha = 3.0 * unit * size_sum(plant.stiff) + 4.0 * plant.error * plant.size
-    per_beta = 3.0 * unit * size_sum(plant.damp) + 8.0 * plant.error * plant.size
     error = unit * size(plant.gap) + plant.error + UNDERFLOW
     return Chain(
         gap=plant.gap,
         head=(plant.d1, plant.d0),
         tail=tail,
         head_error=unit * (size(plant.d1) + 2.0 * size(plant.d0)) + 4.0 * plant.error,
-        error=error + (per_alpha * size(alpha) + per_beta * size(beta)),
+        error=error + tail_error(alpha, beta, plant, unit),
     )
+
+
+def tail_error(alpha: Number, beta: Number, plant: Plant[Number], unit: float) -> Array:
+    """Return the sum of the rounding errors of the last coefficients of p(z)."""
+    # Three roundings: of the plant's coefficient, of the product, of the difference.
+    per_alpha = 3.0 * unit * size_sum(plant.stiff) + 4.0 * plant.error * plant.size
+    per_beta = 3.0 * unit * size_sum(plant.damp) + 8.0 * plant.error * plant.size
+    return per_alpha * size(alpha) + per_beta * size(beta)
 
 
 def _ends(
