@@ -21,12 +21,10 @@ from jaxtyping import Int64
 from jaxstab.arrays import (
     Array,
     at,
-    bits,
-    floats,
     is_any_jax,
-    is_jax,
     joined,
     namespace,
+    power_of_two_below_inverse,
     reciprocal,
     repeat,
     tree_map,
@@ -38,28 +36,6 @@ from jaxstab.model import polynomial_degree
 from jaxstab.point.poles import looked_up
 from jaxstab.point.verdicts import Plant, float_plant
 from jaxstab.rounding import UNIT
-
-# Roots and powers of two that XLA fuses with the arithmetic around them (``arrays.reciprocal``).
-
-_EXPONENT = 0x7FF0_0000_0000_0000
-_LARGEST_EXPONENT = 0x7FE0_0000_0000_0000
-_INVERSE_ROOT = 0x5FE6_EB50_C7B5_37A9  # minus half the bits of x: 1/sqrt(x) within 4 %
-
-
-def square_root(x: Array) -> Array:
-    """Return the root of x >= 0 to eight digits."""
-    if not is_jax(x):
-        return np.sqrt(x)
-    y = floats(_INVERSE_ROOT - (bits(x) >> 1))
-    for _ in range(3):
-        y = y * (1.5 - 0.5 * x * y * y)
-    return x * y
-
-
-def power_of_two_below_inverse(x: Array) -> Array:
-    """Return the power of two that brings x > 0 to [1, 2)."""
-    return floats(_LARGEST_EXPONENT - (bits(x) & _EXPONENT))
-
 
 # The dominant root of p(z) without eigenvalues, point by point.
 #

@@ -22,16 +22,19 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from jaxstab.arrays import Array, bits, floats, namespace, reciprocal, repeat
+from jaxstab.arrays import (
+    Array,
+    bits,
+    floats,
+    namespace,
+    power_of_two_below_inverse,
+    reciprocal,
+    repeat,
+)
 from jaxstab.batches import MANY, compiled, over_rows
 from jaxstab.model.filters import Filter, Filters, Velocity
 from jaxstab.model.linear_loop import LinearLoop
-from jaxstab.point.dominance import (
-    Complex,
-    are_all_inside,
-    divided,
-    power_of_two_below_inverse,
-)
+from jaxstab.point.dominance import Complex, are_all_inside, divided
 from jaxstab.point.poles import companion_poles
 from jaxstab.point.radius import dense_radius_error
 from jaxstab.point.schur_cohn import SAFETY, UNDERFLOW, loop_coefficients, rounded_loop
