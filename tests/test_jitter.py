@@ -17,7 +17,7 @@ from jaxstab.loop.jitter import MovingLoop, MovingRegion, _Search
 from jaxstab.model.device import SampledDevice, sampled_device
 from jaxstab.model.device.periodic import segments_of
 from jaxstab.model.device.sampling import late_response
-from jaxstab.motion.moving_delays import Range
+from jaxstab.motion.moving_delays import Delays
 from jaxstab.proofs import jitter
 
 T = 1e-3
@@ -269,7 +269,7 @@ def test_attacks_notice_a_jitter_that_is_too_small(monkeypatch: pytest.MonkeyPat
     wall = 6669.1, 71.60
     attack = campaign.attacked(case, wall, np.random.default_rng(0))
     assert attack[0] > 1.005
-    monkeypatch.setattr(Range, "jitter", 0.1)
+    monkeypatch.setattr(Delays, "jitter", 0.1)
     assert case.loop.verdict(*wall, delays=(0.0, T)) == Verdict.STABLE  # as it must not be
 
 

@@ -30,7 +30,7 @@ from jaxstab.atlas.products.limits import ALPHA_LIMITS, LIMIT_RANGE, LIMIT_WHOLE
 from jaxstab.atlas.products.slices import AtlasOutline, outline_at
 from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.products.verdicts import CELL_VERDICT, VERDICT, decided_share
-from jaxstab.conventions import AXES, Status, Verdict
+from jaxstab.conventions import AXES, Range, Status, Verdict
 from jaxstab.numbers import checked, checked_number, checked_word, real_numbers
 from jaxstab.rounding import EPS
 from jaxstab.shown import table_text
@@ -495,7 +495,6 @@ def _ends(atlas: "Atlas", delay: float) -> tuple[tuple[float, float], tuple[floa
     )
 
 
-Range = tuple[float, float]
 _MOST = 1e300  # of numbers that are answered without a check: floats hold them
 
 

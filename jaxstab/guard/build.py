@@ -11,13 +11,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from jaxstab.conventions import Verdict
+from jaxstab.conventions import Range, Verdict
 from jaxstab.guard.grid import Grid, grid_boxes, interpolated, step_of
-from jaxstab.guard.guard import Guard, Range
+from jaxstab.guard.guard import Guard
 from jaxstab.guard.limits import boundary_of
 from jaxstab.model import LoopParameters
 from jaxstab.model.filters import known_filters
-from jaxstab.motion.moving_delays import Range as Delays
+from jaxstab.motion.moving_delays import Delays
 from jaxstab.numbers import checked_count, checked_number
 from jaxstab.point.verdicts import linear_verdict
 from jaxstab.proofs.device_boxes import BEYOND, Arms, with_parts
@@ -227,7 +227,7 @@ def _checked_jitter(
     if cells[1] != 1:
         raise ValueError(f"cells are {cells}; give 1 of delay, or constant_delay.")
     low, high = (end / loop.sample_time for end in delay)
-    return Delays.of(low, high, lost).jitter
+    return Delays.between(low, high, lost).jitter
 
 
 class GuardPlan(NamedTuple):

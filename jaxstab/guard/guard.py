@@ -10,13 +10,12 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from jaxstab.arrays import Numbers
+from jaxstab.conventions import Range
 from jaxstab.guard.grid import Grid, interpolated
 from jaxstab.guard.limits import Boundary, boundary_of
 from jaxstab.model import LoopParameters
 from jaxstab.ranges import HandRange
 from jaxstab.shown import printable, shortened
-
-Range = tuple[float, float]
 
 _SAMPLES = 9  # of mass and of delay
 _DAMPINGS = 64

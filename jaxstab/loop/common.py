@@ -9,13 +9,13 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int8
 
 from jaxstab.arrays import Numbers
-from jaxstab.conventions import Verdict
+from jaxstab.conventions import Excitation, Verdict
 from jaxstab.loop.between import LoopsBetween, TriedLoops, common_polygon
 from jaxstab.loop.many import in_floats
 from jaxstab.loop.region import Gains
 from jaxstab.model import LoopParameters
 from jaxstab.model.filters import given_filters
-from jaxstab.motion.settling import Excitation, checked_level, settling_samples
+from jaxstab.motion.settling import checked_level, settling_samples
 from jaxstab.numbers import checked_number
 from jaxstab.point import verdict
 from jaxstab.ranges.box import NOTHING, Points, RobustStatus, Unproved, search

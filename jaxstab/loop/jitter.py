@@ -13,13 +13,13 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int8
 
 from jaxstab.arrays import Array, Numbers, is_any_traced, named
-from jaxstab.conventions import Verdict
+from jaxstab.conventions import Range, Verdict
 from jaxstab.loop.region import TOLERANCE, WallRegion, wall_region
 from jaxstab.model import LoopParameters, checked_gain, require_x64
 from jaxstab.model.device import SampledDevice, sampled_device
 from jaxstab.model.filters import Filters, given_filters
 from jaxstab.model.parameters import LONGEST_DELAY
-from jaxstab.motion.moving_delays import Growth, Range, growing_turn
+from jaxstab.motion.moving_delays import Delays, Growth, growing_turn
 from jaxstab.motion.response import Response, simulate_device
 from jaxstab.numbers import checked_number
 from jaxstab.point.verdicts import linear_verdict
@@ -36,7 +36,6 @@ from jaxstab.shown import shortened
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-DelayRange = tuple[float, float]  # in s
 _CONSTANT = 5  # constant delays of a range that are tried
 _GRID, _ZOOMS = 16, 3  # gains tried at once, and how often around the best damping
 _PROOFS = 3  # rounds of walls that are proved at the best damping
@@ -174,7 +173,7 @@ class MovingLoop(NamedTuple):
     loop: LoopParameters
     device: SampledDevice
     filters: Filters | None
-    delays: Range
+    delays: Delays
 
     @classmethod
     def of(cls, loop: LoopParameters, delays: Any, lost: Any = 0) -> "MovingLoop":
@@ -182,7 +181,7 @@ class MovingLoop(NamedTuple):
         loop = loop.in_floats()
         low, high = _checked_range(delays)
         first, last = (replace(loop, delay=delay) for delay in (low, high))
-        samples = Range.of(float(first.delay_samples), float(last.delay_samples), lost)
+        samples = Delays.between(float(first.delay_samples), float(last.delay_samples), lost)
         filters = given_filters(loop.velocity, loop.position)
         return cls(first, _sampled(first), filters, samples)
 
@@ -393,7 +392,7 @@ def _refuse_traced(*values: Any) -> None:
         raise TypeError("a value is traced; with delays give numbers, outside of jit and grad.")
 
 
-def _checked_range(delays: Any) -> DelayRange:
+def _checked_range(delays: Any) -> Range:
     if np.shape(delays) != (2,):
         raise TypeError(
             f"delays is {shortened(delays)}; give the shortest and the longest delay in s, "

@@ -6,12 +6,13 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from jaxstab.arrays import Numbers
+from jaxstab.conventions import Excitation
 from jaxstab.loop.region import TOLERANCE, wall_region
 from jaxstab.model import LoopParameters
 from jaxstab.model.filters import given_filters
 from jaxstab.motion import amplitude
 from jaxstab.motion.amplitude import device_amplitude
-from jaxstab.motion.settling import Excitation, checked_level
+from jaxstab.motion.settling import checked_level
 from jaxstab.numbers import checked_number, checked_word
 from jaxstab.tuning import OptimalGains, TuningStatus
 from jaxstab.tuning.gains import (

@@ -9,14 +9,14 @@ doubles the states, one squares the power; no eigenvalue is needed, and multiple
 from collections.abc import Sequence
 from functools import partial
 from math import ceil, log2
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 from jaxtyping import Float64, Int, Int8
 
 from jaxstab.arrays import Array, Numbers, at, float_arrays, named, namespace
 from jaxstab.batches import on_host
-from jaxstab.conventions import Status, Verdict
+from jaxstab.conventions import HORIZON, Excitation, Status, Verdict
 from jaxstab.model import checked_delay, checked_gain, require_x64
 from jaxstab.model.device import Device, sampled_device
 from jaxstab.model.device.mechanics import mechanics
@@ -108,9 +108,6 @@ def _mapped(matrices: Matrices, states: np.ndarray) -> Float64[np.ndarray, "loop
     return (blocks @ np.swapaxes(matrices, 1, 2)[:, None]).reshape(loops, stretches, -1)
 
 
-Excitation = Literal["force", "impact"]
-
-HORIZON = 1 << 18
 _NUMBERS = 1 << 20  # of an array that loops side by side fill, about
 
 

@@ -42,15 +42,9 @@ from jaxstab.pictures.style import (
     plot_moving_region,
 )
 from jaxstab.scene.answers import Answer, Quantity, basis_of, in_words
-from jaxstab.scene.check import (
-    Check,
-    WallCheck,
-    at_lowest,
-    check_walls,
-    common_outline,
-    loops_over_delays,
-)
+from jaxstab.scene.check import Check, WallCheck, check_walls
 from jaxstab.scene.contact import MAP_COUNT, Contacts, contact_loop, simulated_map, walls_around
+from jaxstab.scene.hands import WallVerdict, at_lowest, common_outline, loops_over_delays
 from jaxstab.scene.limits import LimitsOverDelays
 from jaxstab.scene.loops import (
     OneHand,
@@ -70,7 +64,7 @@ if TYPE_CHECKING:
 
 # The walls of a scene in its picture: marks by their verdicts, names, and responses.
 
-Walls = Mapping[str, WallCheck]
+Walls = Mapping[str, WallVerdict]
 
 _FEWEST, _MOST = 100, 2000  # samples of a response
 _LEVEL = 0.02
@@ -141,7 +135,7 @@ def name_walls(panel: Axes, checked: Walls) -> None:
         taken.append(box)
 
 
-def draw_margins(panel: Axes, checked: Walls) -> None:
+def draw_margins(panel: Axes, checked: dict[str, WallCheck]) -> None:
     """Draw from each stable wall how far K alone, and B alone, may go."""
     label = "K alone, or B alone, may go this far"
     for wall in checked.values():
@@ -152,7 +146,7 @@ def draw_margins(panel: Axes, checked: Walls) -> None:
             label = ""
 
 
-def draw_responses(panel: Axes, scene: Scene, checked: Walls) -> None:
+def draw_responses(panel: Axes, scene: Scene, checked: dict[str, WallCheck]) -> None:
     """Draw the response to a step of force, relative to the final displacement."""
     period = scene.controller.sample_time
     times = [wall.settling.settling_time_2_percent for wall in checked.values() if wall.settling]
@@ -267,8 +261,8 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
             *region.stiffest, ">", color=ORANGE, ms=9, mec=BLACK, label=f"stiffest: {wall}"
         )
     if checked is not None:
-        draw_margins(panels[0], walls)
-        draw_responses(panels[-1], scene, walls)
+        draw_margins(panels[0], checked.walls)
+        draw_responses(panels[-1], scene, checked.walls)
         panels[-1].set_title("Response to a constant push")
     for panel in planes:
         draw_walls(panel, walls)

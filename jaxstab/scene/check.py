@@ -3,17 +3,15 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from decimal import ROUND_CEILING, ROUND_FLOOR
-from math import inf, isfinite, isinf, isnan, nan
-from typing import Annotated, Any, NamedTuple
+from math import inf, isinf, nan
+from typing import Annotated, Any
 
 import numpy as np
 from jaxtyping import Float64
-from numpy.typing import NDArray
 
 from jaxstab.arrays import tree_map
 from jaxstab.conventions import Verdict
 from jaxstab.loop import Gains, HapticLoop
-from jaxstab.loop.between import LoopsBetween, common_walls
 from jaxstab.loop.together import (
     Rendered,
     amplitudes,
@@ -24,7 +22,6 @@ from jaxstab.loop.together import (
     verdicts,
     wall_margins,
 )
-from jaxstab.model.device.parts import MassSpringDamper, Modes
 from jaxstab.motion import Amplitude as Amplitudes
 from jaxstab.motion import Oscillation as Mode
 from jaxstab.motion import Settling as MotionSettling
@@ -32,199 +29,33 @@ from jaxstab.motion import SettlingStatus
 from jaxstab.numbers import without_noise
 from jaxstab.point import SpectralRadius
 from jaxstab.ranges import Margins as LoopMargins
-from jaxstab.ranges.hands import worst_hands
 from jaxstab.ranges.margins import MOST_DELAY
 from jaxstab.rounding import EPS
 from jaxstab.scene.answers import (
     Answer,
     Basis,
     Bound,
-    Damping,
     DampingLimits,
     Frequency,
-    LargestStiffness,
-    Mass,
     Number,
     Quantity,
-    Stiffness,
-    StiffnessBound,
     StiffnessLimits,
     Time,
     basis_of,
 )
 from jaxstab.scene.contact import NotSimulated, Simulated, contacts_or_reasons
-from jaxstab.scene.loops import (
-    corner_loops,
-    hands_of,
-    is_one_mass,
-    loop_of,
-    masses_of,
-    range_of_hands,
-    reachable,
-    wall_region,
-    walls_of,
-    with_delay,
+from jaxstab.scene.hands import (
+    Floats,
+    HeldBy,
+    WallVerdict,
+    WorstHeld,
+    held_by,
+    loops_over_delays,
+    worst_held,
+    worst_over_delays,
 )
+from jaxstab.scene.loops import corner_loops, hands_of, walls_of, with_delay
 from jaxstab.scene.scene import Scene
-
-# All hands of a scene, and all masses of its device: the worst for a wall, the stiffest wall.
-#
-# Hands are tried: what one of them contradicts is proved. For all others a proof is looked for.
-
-_PROVED = "proved for every hand"
-_TRIED = "no hand that was tried is unstable, but not all others are proved"
-NOT_FOR_OTHERS = ": others are not proved together with a range of delays"
-_ROWS = 400  # of B, in which walls are stable for all hands
-
-Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class HeldBy(Answer):
-    """A hand, and the mass of the device if that varies."""
-
-    mass: Mass
-    stiffness: Stiffness
-    damping: Damping
-    device_mass: Mass | None = None
-
-
-@dataclass(frozen=True)
-class AllHands(Answer):
-    """A wall for all hands of a range, nearly the stiffest, and a proved bound if there is one.
-
-    Both times the safety, if one is wanted: they enclose the limit that it leaves.
-    """
-
-    largest_stiffness: LargestStiffness
-    at_damping: Damping
-    certainty: str
-    none_is_stiffer_than: StiffnessBound | None
-    worst_hand: HeldBy
-
-    @property
-    def all_stable(self) -> bool:
-        """Whether the wall is proved stable for every hand."""
-        return self.certainty.startswith(_PROVED) and isfinite(self.largest_stiffness)
-
-
-class WorstHeld(NamedTuple):
-    """The verdict on a wall for all hands, the worst of them, and the loop that it holds.
-
-    ``hand`` is None where neither a hand nor the mass varies; ``tried`` describes the search where
-    the verdict is UNDECIDED, and ``delays`` those of a range with which a motion grows.
-    """
-
-    verdict: Verdict
-    loop: HapticLoop
-    hand: HeldBy | None
-    tried: str | None
-    delays: str | None = None
-
-
-def worst_held(scene: Scene, walls: Sequence[Gains]) -> list[WorstHeld]:
-    """Verdicts on walls for all hands of a scene's range, and the worst hands."""
-    loop, hands, mass = loop_of(scene), range_of_hands(scene), masses_of(scene)
-    if is_one_mass(scene):
-        worsts = worst_hands(loop, hands, walls, mass)
-    else:
-        worsts = [loop.worst_hand(hands, *gains, mass=mass) for gains in walls]
-    return [
-        WorstHeld(
-            worst.verdict,
-            worst.loop,
-            held_by(worst.loop, scene),
-            _TRIED if worst.verdict == Verdict.UNDECIDED else None,
-        )
-        for worst in worsts
-    ]
-
-
-def worst_over_delays(scene: Scene, gains: Gains) -> WorstHeld:
-    """Return the verdict on a wall for a range of delays, and the worst hand or delay.
-
-    Of a delay that moves it is for every sequence and hand, of one that is constant for each
-    constant one, with the hand at its lowest values.
-    """
-    loops, hands, moving = loops_over_delays(scene), hands_of(scene), moving_delays(scene)
-    if moving:
-        loop, hand, tried, words = loops[0], None, None, None
-        if hands is None:
-            code = Verdict(int(loop.verdict(*gains, **moving)))
-        else:
-            code, loop, _ = loop.worst_hand(hands, *gains, mass=masses_of(scene), **moving)
-            hand, tried = held_by(loop, scene), _TRIED if code == Verdict.UNDECIDED else None
-        if code == Verdict.UNSTABLE:
-            words = str(loop.worst_delays(*gains, **moving))
-        return WorstHeld(code, loop, hand, tried, words)
-    tried = at_lowest(scene, NOT_FOR_OTHERS)
-    worst = LoopsBetween(*loops).worst_loop(*gains)
-    delay = Quantity("s").words(worst.loop.delay)
-    words = f"a constant delay of {delay}: a factor of {worst.radius:.6g} per sample"
-    is_unstable = worst.verdict == Verdict.UNSTABLE
-    return WorstHeld(worst.verdict, worst.loop, None, tried, words if is_unstable else None)
-
-
-def loops_over_delays(scene: Scene) -> list[HapticLoop]:
-    """Return the loops of the shortest and the longest delay; one where these are the same."""
-    return [loop_of(with_delay(scene, delay)) for delay in dict.fromkeys(scene.controller.delays)]
-
-
-def moving_delays(scene: Scene) -> dict[str, Any]:
-    """Return the arguments ``delays`` and ``lost`` for a delay that moves; none for another."""
-    moves, delays = scene.controller.moves, scene.controller.delays
-    return {"delays": delays, "lost": scene.controller.lost_samples} if moves else {}
-
-
-def limit_for_all(scene: Scene, safety: float) -> AllHands | None:
-    """Return what all hands of a scene allow; None where neither the hand nor the mass varies."""
-    hands = hands_of(scene)
-    if hands is None:
-        return None
-    loop, mass, moving = loops_over_delays(scene)[0], masses_of(scene), moving_delays(scene)
-    robust = loop.robust_limit(hands, mass=mass, **moving)
-    is_proved, stiffness = robust.is_proved, safety * robust.stiffness
-    if safety < 1.0 and not isnan(stiffness):
-        worst = loop.worst_hand(hands, stiffness, robust.damping, mass=mass, **moving)
-        is_proved = worst.verdict == Verdict.STABLE
-    proved = _PROVED + ("" if mass is None else f" and {scene.units.moved}")
-    proved += " and every sequence of delays" if moving else ""
-    tried = "no wall was found" if isnan(stiffness) else "not proved"
-    return AllHands(
-        largest_stiffness=stiffness,
-        at_damping=robust.damping,
-        certainty=proved if is_proved else tried,
-        none_is_stiffer_than=safety * robust.limit if is_one_mass(scene) and not moving else None,
-        worst_hand=held_by(robust.loop, scene),
-    )
-
-
-def at_lowest(scene: Scene, rest: str = " unless stated otherwise") -> str | None:
-    """Return for which hand answers hold that name none, and the rest; None where none varies."""
-    if hands_of(scene) is None:
-        return None
-    mass = f", the device at its lowest {scene.units.moved}" if scene.device.varies else ""
-    return f"at its lowest values{mass}{rest}"
-
-
-def held_by(loop: HapticLoop, scene: Scene) -> HeldBy:
-    """Return the hand of a loop of a scene, and the device's mass if that varies."""
-    hand, own = (loop.hand_mass, loop.hand_stiffness, loop.hand_damping), loop.device_mass
-    if loop.device is not None:
-        arm, body = loop.device.hands[0].dynamics, loop.device.mechanism
-        assert isinstance(arm, MassSpringDamper)  # as scenes make hands
-        assert isinstance(body, MassSpringDamper | Modes)  # and devices
-        hand, own = (arm.mass, arm.stiffness, arm.damping), body.mass
-    return HeldBy(*hand, own if scene.device.varies else None)
-
-
-def common_outline(loops: list[HapticLoop]) -> Floats:
-    """Return walls (K, B) that are stable for each of some loops: ``common_walls``, not proved."""
-    regions = [reachable(wall_region(loop)) for loop in loops]
-    if any(region.is_empty for region in regions):
-        return np.zeros((0, 2))
-    return common_walls(regions, _ROWS)
-
 
 _HORIZON = 2**17  # samples within which settling is looked for
 _LEVELS = 0.02, 0.05
@@ -333,19 +164,13 @@ class Jitter(Answer):
 
 
 @dataclass(frozen=True)
-class WallCheck(Answer):
-    """The answers about a wall: the requested measures.
+class WallCheck(WallVerdict):
+    """The verdict on a wall, and the requested measures.
 
     The worst hand is that of the largest radius, which is given for it; every other measure is the
     worst over the hands that are tried.
     """
 
-    stiffness: Stiffness
-    damping: Damping
-    verdict: Verdict
-    hands_are: str | None
-    worst_hand: HeldBy | None
-    worst_delays: str | None
     measures_are: str | None
     margins: Margins | None = None
     distance: Distance | None = None
@@ -400,12 +225,8 @@ def check_walls(scene: Scene) -> Check:
     felt = contacts_or_reasons(scene) if scene.wanted.measures else {}
     checked = {
         name: WallCheck(
-            *wall.gains,
-            wall.known.verdict,
-            wall.known.tried,
-            wall.known.hand,
-            wall.known.delays,
-            _measures_are(wall) if answers else None,
+            **vars(wall.known.on(wall.gains)),
+            measures_are=_measures_are(wall) if answers else None,
             **answers,
             simulated=felt.get(name),
         )

@@ -6,6 +6,7 @@ from math import prod
 
 import numpy as np
 
+from jaxstab.conventions import Range
 from jaxstab.guard import Guard, build_guard
 from jaxstab.guard.build import CELLS, CONSTANT_CELLS, plan_guard
 from jaxstab.guard.guard import LARGEST_HEADER
@@ -14,8 +15,6 @@ from jaxstab.model.parameters import LONGEST_DELAY
 from jaxstab.scene.answers import basis_of
 from jaxstab.scene.loops import is_one_mass, loop_of, masses_of, range_of_hands, with_delay
 from jaxstab.scene.scene import Scene, range_in_words
-
-Range = tuple[float, float]
 
 _MASSES = 0.8, 1.25  # of the scene's: what postures may make of it
 _DELAYS = 1.0  # samples beside the scene's if it is constant, and beyond it if it moves

@@ -33,7 +33,8 @@ from jaxstab.scene.answers import (
     basis_of,
     rounded_gain,
 )
-from jaxstab.scene.check import Amplitude, HeldBy, SettlingTime, at_lowest, settled, worst_held
+from jaxstab.scene.check import Amplitude, SettlingTime, settled
+from jaxstab.scene.hands import HeldBy, at_lowest, worst_held
 from jaxstab.scene.loops import (
     Member,
     corners_of,

@@ -16,10 +16,10 @@ import numpy as np
 from jaxtyping import Float64
 
 from jaxstab.arrays import Numbers
-from jaxstab.conventions import Verdict
+from jaxstab.conventions import Excitation, Verdict
 from jaxstab.model import checked_delta, checked_gain, checked_gamma, require_x64
 from jaxstab.model.filters import Filter, Velocity, given_filters
-from jaxstab.motion.settling import STRETCH, Excitation, checked_level, positions
+from jaxstab.motion.settling import STRETCH, checked_level, positions
 from jaxstab.numbers import checked_number
 from jaxstab.tuning.loops import MassLoop, TunedLoop
 from jaxstab.tuning.radius import Component, OptimalGains, TuningStatus

@@ -5,14 +5,14 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from jaxstab.conventions import Verdict
+from jaxstab.conventions import Excitation, Verdict
 from jaxstab.model import by_name
 from jaxstab.model.device import SampledDevice
 from jaxstab.model.device.mechanics import mechanics
 from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords
 from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.motion.response import Loops, bank_for, device_loops, loops_of, propagator
-from jaxstab.motion.settling import Excitation, Settling, device_settling_samples, settling_samples
+from jaxstab.motion.settling import Settling, device_settling_samples, settling_samples
 from jaxstab.point import SpectralRadius, spectral_radius
 from jaxstab.point.radius import linear_spectral_radius
 from jaxstab.point.verdicts import linear_verdict, verdict
