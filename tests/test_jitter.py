@@ -245,7 +245,7 @@ def test_limits_of_general_devices_survive_attacks_and_what_is_unstable_grows(na
 def test_the_search_ends_where_the_proof_does(window: int) -> None:
     velocity = Velocity.difference(samples=window)
     loop = HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=T, velocity=velocity)
-    moving = MovingLoop.of(loop, (0.8 * T, 1.2 * T))
+    moving = MovingLoop.from_loop(loop, (0.8 * T, 1.2 * T))
     search = _Search.of(moving)
     dampings = search.corner[1] * np.array([0.1, 0.3, 0.5, 0.7, 0.9])
     tops = search.stiffest(dampings)
@@ -542,7 +542,7 @@ def test_ranges_that_are_none_are_refused(
     delays: object, lost: object, error: type[Exception], words: str
 ) -> None:
     with pytest.raises(error, match=words):
-        MovingLoop.of(window(5), delays, lost)
+        MovingLoop.from_loop(window(5), delays, lost)
 
 
 def test_traced_gains_are_refused() -> None:

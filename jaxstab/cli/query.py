@@ -170,8 +170,8 @@ def _cell(row: list[str], column: int, name: str, where: str) -> float:
         raise ValueError(f"{name} is {text[:200]!r} in {where}; give a number.") from None
 
 
-def _check_complete(known: Iterable[str], remedy: str) -> None:
-    missing = [name for name in AXES if name not in known]
+def _check_complete(names: Iterable[str], remedy: str) -> None:
+    missing = [name for name in AXES if name not in names]
     if missing:
         raise ValueError(f"{missing[0]} is missing; {remedy}.")
 

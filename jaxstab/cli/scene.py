@@ -302,10 +302,10 @@ def _paths(rows: list[_Row]) -> list[str]:
 def _refuse_some(rows: list[_Row]) -> None:
     wrong = [row for row in rows if row.refusal]
     if wrong:
-        first = wrong[0]
+        worst = wrong[0]
         raise click.UsageError(
-            f"{len(wrong)} of {len(rows)} scenes were refused; the first, {first.source}: "
-            f"{first.refusal}"
+            f"{len(wrong)} of {len(rows)} scenes were refused; the first, {worst.source}: "
+            f"{worst.refusal}"
         )
 
 
@@ -469,11 +469,11 @@ def presets() -> None:
     """List devices and velocity estimators by name: their numbers, and where these are from."""
     from jaxstab.scene.scene import device_presets, software_presets
 
-    for heading, known in (
+    for heading, by_name in (
         ("[device] preset =", device_presets()),
         ("[controller.velocity] preset =", software_presets()),
     ):
-        for name, preset in known.items():
+        for name, preset in by_name.items():
             title, *lines = preset.lines()
             click.echo("\n".join([f'{heading} "{name}"', f"  {title}", *lines, ""]))
 
@@ -494,7 +494,7 @@ def _answer(
     given: dict[str, Any], name: str, as_json: bool, shown: Callable[[Any], str] = str
 ) -> int:
     if len(given["files"]) > 1:
-        return 0 if all(one.all_stable for one in answer_many(given, name, as_json)) else 1
+        return 0 if all(each.all_stable for each in answer_many(given, name, as_json)) else 1
     scene, plot = scene_of(given), given.get("plot")
     _require_picture(scene, plot)
     answer = _computed(scene, name)
@@ -590,7 +590,7 @@ def _cells(_: click.Context, option: click.Parameter, text: str | None) -> Any:
     if text is None:
         return None
     try:
-        counts = tuple(int(part) for part in text.split(","))
+        counts = tuple(int(count) for count in text.split(","))
     except ValueError:
         counts = ()
     if len(counts) != 3:

@@ -34,12 +34,12 @@ _PROBABILITIES = (0.05, 0.5, 0.95)
 def _part(_: click.Context, option: click.Parameter, text: str | None) -> tuple[int, int]:
     if text is None:
         return 1, 1
-    number, slash, count = text.partition("/")
-    if not (slash and number.isdigit() and count.isdigit() and 1 <= int(number) <= int(count)):
+    index, slash, count = text.partition("/")
+    if not (slash and index.isdigit() and count.isdigit() and 1 <= int(index) <= int(count)):
         raise click.BadParameter(
             f"{text!r} is no part; give NUMBER/COUNT, such as 3/64.", param=option
         )
-    return int(number), int(count)
+    return int(index), int(count)
 
 
 def _over(_: click.Context, option: click.Parameter, texts: tuple[str, ...]) -> dict[str, Any]:

@@ -336,8 +336,8 @@ def _table(values: np.ndarray) -> str:
     if values.ndim > 1:
         return ",\n".join("{" + _table(row) + "}" for row in values)
     lines, line = [], ""
-    for number in values:
-        word = f"{int(number)},"
+    for value in values:
+        word = f"{int(value)},"
         if len(line) + len(word) > _WIDTH:
             lines.append(line)
             line = ""

@@ -469,7 +469,7 @@ class LoopsWithHands:
             return Extent(along(MASS, own, by_own), *numbers)
 
         arm = hands.stiffness[1], hands.damping[0]
-        jitter = MovingLoop.of(loop, **self.moving).delays.jitter if self.moving else 0.0
+        jitter = MovingLoop.from_loop(loop, **self.moving).delays.jitter if self.moving else 0.0
         loops = DeviceBoxes(device, loop, mass, arm, extent, jitter=jitter)
         fixed = (0.0, 0.0)  # the delay and the damping of the wall
         ends = mass, fixed, fixed, *vars(hands).values(), (0.0, pi * (1.0 + BEYOND))

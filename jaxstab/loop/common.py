@@ -157,10 +157,10 @@ def _proved_region(
 ) -> CommonRegion:
     """The region that a search finds from sampled loops, to which it may add others."""
     pulls = [times * tolerance for times in _WIDER]
-    found = search(partial(common_polygon, loops), unproved, add, pulls)
-    if found.guess is None or not found.is_proved:
-        return CommonRegion(tuple(loops), found.status, NOTHING.walls, tolerance, between)
-    return CommonRegion(tuple(loops), found.status, found.guess.walls, found.pull, between)
+    searched = search(partial(common_polygon, loops), unproved, add, pulls)
+    if searched.guess is None or not searched.is_proved:
+        return CommonRegion(tuple(loops), searched.status, NOTHING.walls, tolerance, between)
+    return CommonRegion(tuple(loops), searched.status, searched.guess.walls, searched.pull, between)
 
 
 def _is_proved(loop: LoopParameters, outline: Points) -> bool:
@@ -268,10 +268,10 @@ def tune_for_all(
             horizon *= _LONGER
             settling = _times(loops, walls, times.max(), level, excitation, horizon)
         if settling.shape[1]:
-            first = int(np.lexsort((settling.mean(axis=0), settling.max(axis=0)))[0])
-            value = settling[:, first]
+            index = int(np.lexsort((settling.mean(axis=0), settling.max(axis=0)))[0])
+            value = settling[:, index]
             if (value.max(), value.mean()) < (times.max(), times.mean()):
-                times, best = value, (float(walls[0][first]), float(walls[1][first]))
+                times, best = value, (float(walls[0][index]), float(walls[1][index]))
         if not np.isfinite(times.max()):
             return nothing
         grid = grid.around(best)
@@ -287,8 +287,8 @@ def settling_times(
     excitation: Excitation = "force",
 ) -> Float64[np.ndarray, " loop"]:
     """Return the settling time of one wall in s for each loop; infinite where none is proved."""
-    first = loops[0]
-    controller = first.sample_time, first.filters  # but for the delay
+    base = loops[0]
+    controller = base.sample_time, base.filters  # but for the delay
     if any(loop.body is None or (loop.sample_time, loop.filters) != controller for loop in loops):
         wall = [np.array([stiffness]), np.array([damping])]
         single = [_times([loop], wall, np.inf, level, excitation, _MOST) for loop in loops]
@@ -306,10 +306,10 @@ def settling_times(
         level=level,
         excitation=excitation,
         horizon=_MOST,
-        **first.filters,
+        **base.filters,
     )
     samples = np.asarray(settling.value)
-    return np.where(np.isnan(samples), np.inf, samples * first.sample_time)
+    return np.where(np.isnan(samples), np.inf, samples * base.sample_time)
 
 
 def _first_grid(loop: "HapticLoop", stiffness: float | None) -> Grid | None:
@@ -334,17 +334,17 @@ def _times(
     """Settling times in s; infinite where none is proved, or one is longer than allowed."""
     times = np.full((len(loops), len(walls[0])), np.inf)
     hopeful = np.arange(len(walls[0]))
-    for number, loop in enumerate(loops):
+    for index, loop in enumerate(loops):
         stiffness, damping = (gains[hopeful] for gains in walls)
         settling = loop.settling_time(
             stiffness, damping, level=level, excitation=excitation, horizon=horizon
         )
         value = np.asarray(settling.value)
         value = np.where(value <= longest, value, np.inf)  # NaN is not proved
-        times[number, hopeful] = value
+        times[index, hopeful] = value
         hopeful = hopeful[np.isfinite(value)]
         if not len(hopeful):
-            times[number:] = np.inf
+            times[index:] = np.inf
             break
     times[:, ~np.isfinite(times.max(axis=0))] = np.inf
     return times

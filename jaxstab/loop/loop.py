@@ -382,7 +382,7 @@ class HapticLoop(LoopParameters):
         device = self.held_device
         if not moves:
             return LoopsWithHands(self, device, hands, mass)
-        moving = MovingLoop.of(self, delays, lost).loop
+        moving = MovingLoop.from_loop(self, delays, lost).loop
         loop = HapticLoop(
             sample_time=moving.sample_time,
             delay=moving.delay,

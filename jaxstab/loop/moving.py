@@ -56,7 +56,7 @@ def moving_limits_of(loops: list[Any]) -> ManyLimits:
     loops = [loop.tree_unflatten((None, loop.device), loop.tree_flatten()[0]) for loop in loops]
     groups = alike(map(jax.tree.structure, loops))
     stacks = (
-        jax.tree.map(lambda *leaves: jnp.stack(leaves), *(loops[number] for number in members))
+        jax.tree.map(lambda *leaves: jnp.stack(leaves), *(loops[index] for index in members))
         for members in groups
     )
     answers = [jax.vmap(moving_limits)(loops) for loops in stacks]
@@ -110,8 +110,8 @@ def _extremes_of(loops: list[Any]) -> Float64[np.ndarray, "loop 2 field"]:
     for members, (extremes, _) in resolved(loops):
         rows[members, :, :2], rows[members, :, 2:4] = extremes.walls, extremes.angles
         rows[members, :, 4:] = RegionStatus.COMPLETE, True, False
-    for number in np.flatnonzero(rows[:, 0, -1]):
-        rows[number] = _extremes(wall_region(loops[number], TOLERANCE))
+    for row in np.flatnonzero(rows[:, 0, -1]):
+        rows[row] = _extremes(wall_region(loops[row], TOLERANCE))
     return rows
 
 

@@ -82,10 +82,10 @@ def fastest_calm_wall(
         calm = np.flatnonzero(reached <= chatter.limit)
         if calm.size:
             values = np.nan_to_num(np.asarray(objective(alphas[calm], betas[calm])), nan=np.inf)
-            first = np.lexsort((reached[calm], values))[0]
-            value = float(values[first]), float(reached[calm[first]])
+            calmest = np.lexsort((reached[calm], values))[0]
+            value = float(values[calmest]), float(reached[calm[calmest]])
             if value < least:
-                place = int(calm[first])
+                place = int(calm[calmest])
                 least, best = value, (float(alphas[place]), float(betas[place]))
                 status = TuningStatus.SCANNED
         if not np.isfinite(least[0]):

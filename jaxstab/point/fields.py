@@ -106,7 +106,7 @@ def fields_of_grid(
     missing = ceil(longest) - ceil(delay)
     if loop.degree + missing <= _LONGEST:
         zeros = (0.0 * loop.base[0],) * missing
-        base, stiffness, damping = (part + zeros for part in loop[:3])
+        base, stiffness, damping = (row + zeros for row in loop[:3])
         loop = loop._replace(base=base, stiffness=stiffness, damping=damping)
     shape = alpha.size, beta.size, gamma.size
     fields = PoleFields(*(np.empty(shape, kind) for kind in (*4 * [np.float32], np.int16)))
@@ -188,13 +188,13 @@ def _is_dominant(
     for _ in range(degree - 1):
         powers.append(powers[-1] * powers[0])
     is_real = z.im == 0.0
-    rest = divided(z.re, is_real, powers, columns[1:])
+    quotient = divided(z.re, is_real, powers, columns[1:])
     terms = sum(map(abs, [x * y for x, y in zip(columns[1:], powers, strict=True)]), 1.0)
     moved = distance * powers[0] + 8.0 * UNIT
     once = (2.0 * degree + 16.0) * UNIT * terms + error * xp.maximum(1.0, powers[-1])
-    once = once + 4.0 * moved * sum(map(abs, rest))
+    once = once + 4.0 * moved * sum(map(abs, quotient))
     lost = xp.where(degree * moved < 0.5, degree * (degree + 1.0) * once, xp.inf)
-    return are_all_inside(rest, lost, _LONGEST) & (is_real | (z.im > distance))
+    return are_all_inside(quotient, lost, _LONGEST) & (is_real | (z.im > distance))
 
 
 def poles_outside(columns: list[Array], error: Array) -> Array:
@@ -204,7 +204,7 @@ def poles_outside(columns: list[Array], error: Array) -> Array:
     Source: Schur (1917), Cohn (1922); lemma R4 of docs/proofs.md.
     """
     xp, degree = namespace(columns, error), len(columns) - 1
-    one, zero = xp.ones_like(error), xp.zeros_like(error)
+    ones, zero = xp.ones_like(error), xp.zeros_like(error)
 
     def lowered(rows: Array, turned: Array, state: _Count) -> tuple[Array, Array, _Count]:
         size, sizes = abs(rows[0]) + abs(turned[0]), sum(map(abs, rows))
@@ -224,21 +224,21 @@ def poles_outside(columns: list[Array], error: Array) -> Array:
         )
 
     def step(state: tuple[Array, Array, _Count]) -> tuple[Array, Array, _Count]:
-        rows, turned, known = state
-        first, last, known = lowered(rows, turned, known)
+        rows, turned, counted = state
+        first, last, counted = lowered(rows, turned, counted)
         after = xp.concatenate([(first * turned - last * rows)[1:], zero[None]])
-        return first * rows - last * turned, after, known
+        return first * rows - last * turned, after, counted
 
-    known = _Count(error, degree * one, zero, one)
+    counted = _Count(error, degree * ones, zero, ones)
     if degree <= _LONGEST:
         rows = columns
         while len(rows) > 1:
-            first, last, known = lowered(rows, rows[::-1], known)
+            first, last, counted = lowered(rows, rows[::-1], counted)
             rows = [first * a - last * b for a, b in zip(rows[:-1], rows[:0:-1], strict=True)]
     else:
         rows = xp.stack(columns)
-        rows, _, known = repeat(degree, step, (rows, rows[::-1], known))
-    return xp.where(abs(rows[0]) > SAFETY * known.lost, known.count, UNKNOWN).astype(np.int16)
+        rows, _, counted = repeat(degree, step, (rows, rows[::-1], counted))
+    return xp.where(abs(rows[0]) > SAFETY * counted.lost, counted.count, UNKNOWN).astype(np.int16)
 
 
 def _mode(pole: Array, radius: Array, bound: Array) -> tuple[Array, Array]:

@@ -124,12 +124,12 @@ def _step(
     chain: Chain[Number], unit: float, *, is_monic: bool = False, is_rolled: bool = False
 ) -> Chain[Number]:
     head, tail = chain.head, chain.tail
-    first = chain.gap + head[1]
-    ratio, inverse = (tail[0], 1.0) if is_monic else _quotient(tail[0], first, is_rolled=is_rolled)
+    lead = chain.gap + head[1]
+    ratio, inverse = (tail[0], 1.0) if is_monic else _quotient(tail[0], lead, is_rolled=is_rolled)
     modulus = size(ratio)
     lowered = tail[0] - tail[2] if len(tail) > 2 else tail[0]
     pairs = list(zip_longest(head, tail[1:]))
-    bounds = _bounds_after(chain, first, inverse, modulus, unit)
+    bounds = _bounds_after(chain, lead, inverse, modulus, unit)
     return Chain(
         gap=chain.gap - ratio * lowered,
         head=tuple(_minus(u, ratio, v) for u, v in pairs),
@@ -255,12 +255,12 @@ def without_zeros(loop: LinearLoop) -> LinearLoop:
     last = loop.degree
     width = (last + 3) // 2
     while width > 3 and all(
-        _is_zero(part[index].hi) for part in loop[:3] for index in (width - 1, last + 2 - width)
+        _is_zero(row[index].hi) for row in loop[:3] for index in (width - 1, last + 2 - width)
     ):
         width -= 1
     if _PAYS * width > last:
         return loop
-    base, stiffness, damping = (part[:width] + part[last + 2 - width :] for part in loop[:3])
+    base, stiffness, damping = (row[:width] + row[last + 2 - width :] for row in loop[:3])
     return loop._replace(base=base, stiffness=stiffness, damping=damping)
 
 
@@ -344,7 +344,7 @@ def loop_coefficients(
         lambda *values: xp.stack([xp.broadcast_to(value, grid) for value in values]), *columns
     )
     stiffness, damping = size(alpha), size(beta)
-    sizes = [sum(map(size, part)) for part in loop[:3]]
+    sizes = [sum(map(size, row)) for row in loop[:3]]
     # A rounding of each number of the loop, of each product and of each of two sums.
     rounding = 4.0 * unit * (sizes[0] + stiffness * sizes[1] + damping * sizes[2])
     inherited = loop.errors[0] + stiffness * loop.errors[1] + damping * loop.errors[2]
@@ -354,7 +354,7 @@ def loop_coefficients(
 
 def _affine(parts: Affine, alpha: Number, beta: Number, unit: float) -> tuple[Array, Array]:
     """Return base + alpha stiffness + beta damping, and a bound of its error."""
-    base, stiff, damp = (part.value for part in parts)
+    base, stiff, damp = (row.value for row in parts)
     value = base + (stiff * alpha + damp * beta)
     sizes = size(base) + size(stiff) * size(alpha) + size(damp) * size(beta)
     errors = (

@@ -205,7 +205,7 @@ class _Wall:
     scene: Scene
     gains: Gains
     loops: list[HapticLoop]
-    known: WorstHeld
+    worst: WorstHeld
 
     def wants(self, measure: str) -> bool:
         wanted = measure in self.scene.wanted.measures
@@ -225,7 +225,7 @@ def check_walls(scene: Scene) -> Check:
     felt = contacts_or_reasons(scene) if scene.wanted.measures else {}
     checked = {
         name: WallCheck(
-            **vars(wall.known.on(wall.gains)),
+            **vars(wall.worst.on(wall.gains)),
             measures_are=_measures_are(wall) if answers else None,
             **answers,
             simulated=felt.get(name),
@@ -240,15 +240,15 @@ def _walls_of(scene: Scene) -> list[_Wall]:
     loops = loops_over_delays(scene)
     if hands_of(scene) and (scene.controller.has_one_delay or scene.controller.moves):
         every = (corner_loops(with_delay(scene, loop.delay)) for loop in loops)
-        loops = list(dict.fromkeys([*loops, *(loop for some in every for loop in some)]))
+        loops = list(dict.fromkeys([*loops, *(loop for corners in every for loop in corners)]))
     gains = list(walls_of(scene).values())
     return [
         _Wall(scene, pair, list(dict.fromkeys([*loops, held.loop])), held)
-        for pair, held in zip(gains, _known(scene, gains, loops[0]), strict=True)
+        for pair, held in zip(gains, _verdicts_on(scene, gains, loops[0]), strict=True)
     ]
 
 
-def _known(scene: Scene, walls: list[Gains], loop: HapticLoop) -> list[WorstHeld]:
+def _verdicts_on(scene: Scene, walls: list[Gains], loop: HapticLoop) -> list[WorstHeld]:
     """The verdict on each wall at the worst hand or delay, or in the loop if none varies."""
     if not scene.controller.has_one_delay:
         return [worst_over_delays(scene, gains) for gains in walls]
@@ -270,7 +270,7 @@ def _over_hands(
     answers = ask(rendered, np.repeat(steps, counts))
     ends = np.cumsum(counts)
     parts = [
-        tree_map(lambda one, own=slice(end - count, end): one[own], answers)
+        tree_map(lambda values, own=slice(end - count, end): values[own], answers)
         for count, end in zip(counts, ends, strict=True)
     ]
     return held, parts
@@ -279,9 +279,9 @@ def _over_hands(
 def _loops_for(wall: _Wall, ask: Any) -> list[HapticLoop]:
     """Return the loops of a wall that a measure is for: all of them, or the worst alone."""
     if ask is _jitter_margins and wall.scene.controller.moves:
-        return [replace(wall.known.loop, delay=wall.scene.controller.delays[0])]
+        return [replace(wall.worst.loop, delay=wall.scene.controller.delays[0])]
     is_of_worst = ask in (_radii, _jitter_margins) and not wall.scene.controller.moves
-    return [wall.known.loop] if is_of_worst else wall.loops
+    return [wall.worst.loop] if is_of_worst else wall.loops
 
 
 def _among(words: str, loops: list[HapticLoop]) -> str | None:
@@ -302,7 +302,7 @@ def _measures_are(wall: _Wall) -> str | None:
 
 
 def _hand_of(wall: _Wall, loop: HapticLoop) -> HeldBy | None:
-    return None if wall.known.hand is None else held_by(loop, wall.scene)
+    return None if wall.worst.hand is None else held_by(loop, wall.scene)
 
 
 def _least_margins(wall: _Wall, loops: list[HapticLoop], margins: LoopMargins) -> Margins:
@@ -311,7 +311,7 @@ def _least_margins(wall: _Wall, loops: list[HapticLoop], margins: LoopMargins) -
     stiffer, damper, extra_delay = spare.min(axis=1).tolist()
     searched = MOST_DELAY * wall.loops[0].sample_time if isinf(extra_delay) else None
     limits = _common(margins.stiffness), _common(margins.damping)
-    kind = NoMargins if wall.known.verdict == Verdict.UNSTABLE else Margins
+    kind = NoMargins if wall.worst.verdict == Verdict.UNSTABLE else Margins
     words = _among("smallest", loops)
     return kind(stiffer, damper, *limits, extra_delay, searched, words)
 
@@ -339,8 +339,8 @@ def _radius(_: _Wall, __: list[HapticLoop], radius: SpectralRadius) -> Radius:
 def _longest(wall: _Wall, loops: list[HapticLoop], settlings: list[MotionSettling]) -> Settling:
     numbers = [_slowest(settling) for settling in settlings]
     two, five = (
-        MotionSettling(settling.value[number], settling.status[number])
-        for number, settling in zip(numbers, settlings, strict=True)
+        MotionSettling(settling.value[index], settling.status[index])
+        for index, settling in zip(numbers, settlings, strict=True)
     )
     status, hand = SettlingStatus(int(two.status)), _hand_of(wall, loops[numbers[0]])
     return Settling(settled(two), settled(five), status, _among("longest", loops), hand)
@@ -380,7 +380,7 @@ def _chatter(_: _Wall, loops: list[HapticLoop], amplitude: Amplitudes) -> Chatte
 
 
 def _jitter_margins(rendered: Sequence[Rendered], _: Floats) -> Floats:
-    return np.array([float(one.loop.jitter_margin(*one.gains)) for one in rendered])
+    return np.array([float(wall.loop.jitter_margin(*wall.gains)) for wall in rendered])
 
 
 def _jitter(wall: _Wall, _: list[HapticLoop], margin: Floats) -> Jitter:
@@ -391,7 +391,7 @@ def _jitter(wall: _Wall, _: list[HapticLoop], margin: Floats) -> Jitter:
         spent = high - low + controller.lost_samples * controller.sample_time
         extra = max(extra * (1.0 - 8.0 * EPS) - spent * (1.0 + 8.0 * EPS), 0.0)
     words = ["beyond the range"] * controller.moves
-    words += ["for the worst hand"] * (wall.known.hand is not None)
+    words += ["for the worst hand"] * (wall.worst.hand is not None)
     return Jitter(extra or nan, ", ".join(words) or None)
 
 

@@ -106,7 +106,9 @@ def contacts_of(scene: Scene) -> dict[str, Simulated]:
     order = (contact.time_to_rest, contact.amplitude, rank)
     worst = np.lexsort(np.nan_to_num(order, posinf=np.finfo(float).max), axis=-1)[:, -1]
     return {
-        name: _simulated(scene, Contact(*(one[k, start] for one in contact[:-1])), starts[start])
+        name: _simulated(
+            scene, Contact(*(values[k, start] for values in contact[:-1])), starts[start]
+        )
         for k, (name, start) in enumerate(zip(scene.walls, worst, strict=True))
     }
 
@@ -119,7 +121,9 @@ def contacts_or_reasons(scene: Scene) -> Mapping[str, Simulated | NotSimulated]:
         if len(scene.walls) == 1:
             return dict.fromkeys(scene.walls, NotSimulated(f"not simulated: {error}"))
     alone = (replace(scene, walls={name: wall}) for name, wall in scene.walls.items())
-    return {name: answer for one in alone for name, answer in contacts_or_reasons(one).items()}
+    return {
+        name: answer for single in alone for name, answer in contacts_or_reasons(single).items()
+    }
 
 
 def simulated_map(scene: Scene, stiffness: Any, damping: Any, **start: Any) -> Contact:
@@ -174,8 +178,8 @@ def walls_around(
 ) -> tuple[Floats, Float64[np.ndarray, "_ 1"]]:
     """Return a grid of walls beyond the stable ones and others, (count,) and (count, 1)."""
     limits = loop.limits()
-    known = np.array([(limits.stiffness, limits.damping), *others])
-    stiffness, damping = _WIDER * np.nanmax(known, axis=0)
+    gains = np.array([(limits.stiffness, limits.damping), *others])
+    stiffness, damping = _WIDER * np.nanmax(gains, axis=0)
     return np.linspace(0.0, stiffness, count + 1)[1:], np.linspace(0.0, damping, count)[:, None]
 
 

@@ -183,12 +183,12 @@ def limit_for_all(scene: Scene, safety: float) -> AllHands | None:
     )
 
 
-def at_lowest(scene: Scene, rest: str = " unless stated otherwise") -> str | None:
-    """Return for which hand answers hold that name none, and the rest; None where none varies."""
+def at_lowest(scene: Scene, others: str = " unless stated otherwise") -> str | None:
+    """Return for which hand answers hold that name none, and of others; None where none varies."""
     if hands_of(scene) is None:
         return None
     mass = f", the device at its lowest {scene.units.moved}" if scene.device.varies else ""
-    return f"at its lowest values{mass}{rest}"
+    return f"at its lowest values{mass}{others}"
 
 
 def held_by(loop: HapticLoop, scene: Scene) -> HeldBy:

@@ -488,7 +488,7 @@ def merge_studies(parts: Sequence[str | PathLike[str]], store: str | PathLike[st
     """
     from jaxstab.datasets import merged
 
-    merged([Path(part) for part in parts], Path(store))
+    merged([Path(file) for file in parts], Path(store))
     return Study(Path(store))
 
 
