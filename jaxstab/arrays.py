@@ -148,7 +148,7 @@ def tree_map(function: Callable[..., Any], tree: Tree, *others: Tree) -> Tree:
     return result
 
 
-def at(tree: Tree, index: Any) -> Tree:
+def take(tree: Tree, index: Any) -> Tree:
     """Return a tree of the values at an index of each array: ``(..., i)`` for the last axis."""
     return tree_map(lambda values: values[index], tree)
 

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple, overload
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
-from jaxstab.arrays import Array, Numbers, at, is_traced, namespace
+from jaxstab.arrays import Array, Numbers, is_traced, namespace, take
 from jaxstab.batches import lists
 from jaxstab.conventions import AXES, Status
 from jaxstab.model import (
@@ -687,7 +687,7 @@ class _Tracer:
             if is_start.any():
                 _, unique = np.unique(index[chosen[is_start]], return_index=True)
                 unique = np.flatnonzero(is_start)[unique]
-                begins = at(starts, unique)
+                begins = take(starts, unique)
                 followed = follow(begins, lanes.select(unique), self.resolution)
                 for search, path in zip(index[chosen[unique]].tolist(), followed, strict=True):
                     self.paths[search // 3].append((_KINDS[search % 3], path))

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, get_args
 import numpy as np
 from jaxtyping import Float64, Int, Int8
 
-from jaxstab.arrays import Array, Numbers, at, float_arrays, named, namespace
+from jaxstab.arrays import Array, Numbers, float_arrays, named, namespace, take
 from jaxstab.batches import on_host
 from jaxstab.conventions import HORIZON, Excitation, Status, Verdict
 from jaxstab.model import checked_delay, checked_gain, require_x64
@@ -379,15 +379,15 @@ def _first_samples(
     samples = np.full(len(loops.start), np.nan)
     new = contraction(loops.systems())
     stable = np.flatnonzero(new.doublings >= 0)
-    searches = [_Search.begun(stable, at(new, stable))] if stable.size else []
+    searches = [_Search.begun(stable, take(new, stable))] if stable.size else []
     while searches:
         search = searches.pop().searched(level, is_impact)
         proved = search.bound() <= level * search.peak
         samples[search.loops[proved]] = search.since[proved]
         if search.motion.samples >= horizon or np.all(proved):
             continue
-        search = at(search, ~proved)
+        search = take(search, ~proved)
         blocks = ceil(len(search.loops) * search.motion.samples / _NUMBERS)
         lanes = np.array_split(np.arange(len(search.loops)), blocks)
-        searches += [at(search, block).doubled() for block in lanes if block.size]
+        searches += [take(search, block).doubled() for block in lanes if block.size]
     return samples

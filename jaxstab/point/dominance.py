@@ -20,13 +20,13 @@ from jaxtyping import Int64
 
 from jaxstab.arrays import (
     Array,
-    at,
     is_any_jax,
     joined,
     namespace,
     power_of_two_below_inverse,
     reciprocal,
     repeat,
+    take,
     tree_map,
     true_indices,
     with_values,
@@ -490,7 +490,7 @@ def _try_list(
             loop = Loop(*looked_up(shared, shape, padded))
         else:
             loop = _loop(looked_up(parameters, shape, padded), delay)
-        columns.append(at(_tried(loop, delay, effort), slice(part.size)))
+        columns.append(take(_tried(loop, delay, effort), slice(part.size)))
     if not columns:
         return answer
     return tree_map(lambda old, new: with_values(old, indices, new), answer, joined(columns))

@@ -132,7 +132,7 @@ def linear_verdict(alpha: Array, beta: Array, loop: LinearLoop) -> Int8[Array, "
     for start in range(0, still_open.size, _LOOP_PAIRS):
         block = still_open[start : start + _LOOP_PAIRS]
         *gains, chosen = gathered((alpha, beta, loop), codes.shape, block)
-        pairs = DoubleDouble.of(gains[0]), DoubleDouble.of(gains[1])
+        pairs = DoubleDouble.from_value(gains[0]), DoubleDouble.from_value(gains[1])
         with np.errstate(all="ignore"):
             codes.flat[block] = dense_codes(*pairs, chosen, unit=PAIR_UNIT, degree=degree)
     return xp.asarray(codes)
@@ -291,7 +291,7 @@ def _plant_of(
     gamma: Array, delta: Array, pairs: PlantPairs, *, is_fractional: bool
 ) -> Plant[DoubleDouble]:
     xp = namespace(gamma, delta, pairs)
-    unit = DoubleDouble.of(xp.ones_like(pairs.d0.hi))
+    unit = DoubleDouble.from_value(xp.ones_like(pairs.d0.hi))
     zero = unit - unit
     stiff = (zero, pairs.n0, pairs.n1, pairs.n2)
     # n2 - n1 vanishes with delta for a whole delay; N(-1) knows it to all of its digits.
@@ -502,6 +502,6 @@ def _resolved(codes: Int8[np.ndarray, "*grid"], points: Points) -> Int8[np.ndarr
 def _pair_codes(points: Points, form: Form) -> Int8[np.ndarray, " point"]:
     alpha, beta, gamma, delta, delay = points
     plant = pair_plant(gamma, delta, delay % 1.0, is_fractional=form.is_fractional)
-    gains = DoubleDouble.of(alpha), DoubleDouble.of(beta)
+    gains = DoubleDouble.from_value(alpha), DoubleDouble.from_value(beta)
     with np.errstate(all="ignore"):
         return loop_codes(*gains, gamma, plant, unit=PAIR_UNIT, degree=form.degree)

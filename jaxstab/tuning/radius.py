@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Complex128, Float64, Int8
 
-from jaxstab.arrays import Array, Numbers, at, constant, float_arrays, is_any_traced, namespace
+from jaxstab.arrays import Array, Numbers, constant, float_arrays, is_any_traced, namespace, take
 from jaxstab.batches import on_host
 from jaxstab.conventions import Status, Verdict
 from jaxstab.model import (
@@ -398,7 +398,7 @@ def _triple_root(walls: Walls) -> tuple[Pair, int]:
     sizes, largest = abs(roots.x), walls.largest_pole(roots.alpha, roots.beta)
     is_real = (sizes > _SMALLEST) & (largest <= sizes * (1.0 + _MOST_NOISE))
     for index in np.argsort(np.where(is_real, sizes, np.inf))[: np.sum(is_real)]:
-        pair = multiple_root(walls.family, at(roots, index), is_triple=True)
+        pair = multiple_root(walls.family, take(roots, index), is_triple=True)
         is_same = abs(abs(pair.x) - sizes[index]) <= _AGREEMENT * sizes[index]
         if is_same and _holds(walls, pair):
             return pair, TuningStatus.TRIPLE_ROOT
@@ -478,7 +478,7 @@ def _local(walls: Walls, low: float, high: float, point: _Point) -> tuple[Pair, 
 
 def _pair_at(walls: Walls, point: _Point) -> Pair:
     radius, angle = np.array([point.radius]), np.array([point.angle])
-    return at(_family_pairs(walls, radius, angle), 0)
+    return take(_family_pairs(walls, radius, angle), 0)
 
 
 def _zoomed(walls: Walls, low: float, high: float, angle: float) -> Pair:
@@ -503,7 +503,7 @@ def _zoomed(walls: Walls, low: float, high: float, angle: float) -> Pair:
         inner, outer = int(inside[0]), int(inside[-1])
         middle = 0 if inner == 0 else outer if outer == len(columns) - 1 else (inner + outer) // 2
         middle = int(inside[np.argmin(np.abs(inside - middle))])
-        best = at(pairs, (row, middle))
+        best = take(pairs, (row, middle))
         angle = float(columns[middle])
         height, step = (box[1] - box[0]) / (_ROWS - 1), (right - left) / (_COLUMNS - 1)
         bottom = float(np.log(radii[row, 0]))

@@ -68,7 +68,7 @@ class SampledDevice:
         """
         velocity, position = filters or (Velocity(), Filter())
         estimator = velocity.filter.transfer(self.sample_time)
-        unit = DoubleDouble.of(
+        unit = DoubleDouble.from_value(
             self.stiffness_unit / self.damping_unit
         )  # the power of two next to T
         return estimator.scaled(unit / self.sample_time), position.transfer(self.sample_time)
