@@ -86,14 +86,6 @@ class AtlasAnswer:
     status: NDArray[np.int8]
 
 
-def no_answer(size: int, *, has_verdicts: bool) -> AtlasAnswer:
-    """Return an answer that says nothing yet."""
-    return AtlasAnswer(
-        verdict=np.full(size, Verdict.UNDECIDED if has_verdicts else Verdict.NOT_COMPUTED, np.int8),
-        status=np.full(size, QueryStatus.BETWEEN_DELAYS, np.int8),
-    )
-
-
 def all_checked(values: Sequence[Numbers], names: Sequence[str] = AXES) -> list[Floats]:
     """Return real, finite numbers, or raise TypeError or ValueError for the first others."""
     return [np.asarray(checked(*pair), np.float64) for pair in zip(names, values, strict=False)]
@@ -613,7 +605,11 @@ class Atlas:
         points = np.broadcast_arrays(*all_checked((alpha, beta, gamma, delta, delay)))
         shape = points[0].shape
         has_verdicts = VERDICT in self.arrays or ALPHA_LIMITS in self.arrays
-        answer = no_answer(points[0].size, has_verdicts=has_verdicts)
+        unknown = Verdict.UNDECIDED if has_verdicts else Verdict.NOT_COMPUTED
+        answer = AtlasAnswer(
+            verdict=np.full(points[0].size, unknown, np.int8),
+            status=np.full(points[0].size, QueryStatus.BETWEEN_DELAYS, np.int8),
+        )
         where = dict(zip(AXES, (point.reshape(-1) for point in points), strict=True))
         find_outside(self.arrays, self._table, where, answer.status, refuse=outside == "error")
         inside = answer.status != QueryStatus.OUTSIDE

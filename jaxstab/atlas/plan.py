@@ -140,10 +140,6 @@ class Grid:
         low, high = row[4] + (row[5] - row[4]) * ends / cells
         return int(ends[1] - ends[0]), np.array([[*row[:4], low, high]])
 
-    def without_walls(self, row: Float64[np.ndarray, "1 6"]) -> "Grid":
-        """Return this grid with one node of alpha and of beta, at the delay where a row begins."""
-        return replace(self, alpha=self.alpha[:1, :1], beta=self.beta[:1, :1], delay=row[0, :1])
-
 
 def _index(widths: Float64[np.ndarray, " cell"], share: float) -> int:
     if not widths.any():
@@ -441,7 +437,11 @@ class Plan:
 
     def __str__(self) -> str:
         lines = [_axis_line(self, name) for name in ("gamma", "delta")]
-        degrees = (f"{d:g} (degree {_degree(d, self.spec)})" for d in self.grid.delay.tolist())
+        degrees = []  # no gain and no hand changes one
+        for delay in self.grid.delay.tolist():
+            point = by_name(0.0, 0.0, 0.0, 0.0, delay)
+            coefficients = characteristic_polynomial(**point, **as_keywords(self.spec.filters))
+            degrees.append(f"{delay:g} (degree {coefficients.shape[-1] - 1})")
         lines.append(f"delay: {', '.join(degrees)}; each computed at its own degree")
         if ALPHA_LIMITS in self.variables:
             lines.append(_delay_cells_line(self))
@@ -485,13 +485,6 @@ def compute_tile(plan: Plan, tile: Tile) -> dict[str, NDArray[Any]]:
     for name in plan.spec.products:
         arrays |= PRODUCTS[name].compute(plan, tile)
     return arrays
-
-
-def _degree(delay: float, spec: AtlasSpec) -> int:
-    """Return the degree of the polynomials at a delay; no gain and no hand changes it."""
-    zeros = (0.0, 0.0, 0.0, 0.0)
-    coefficients = characteristic_polynomial(**by_name(*zeros, delay), **as_keywords(spec.filters))
-    return int(coefficients.shape[-1]) - 1
 
 
 def _axis_line(plan: Plan, name: str) -> str:

@@ -496,7 +496,8 @@ def _answer(
     if len(given["files"]) > 1:
         return 0 if all(each.all_stable for each in answer_many(given, name, as_json)) else 1
     scene, plot = scene_of(given), given.get("plot")
-    _require_picture(scene, plot)
+    if plot and not scene.controller.moves:
+        scene.controller.require_one_delay("a picture")
     answer = _computed(scene, name)
     if plot:
         _draw(scene, answer, plot)
@@ -505,11 +506,6 @@ def _answer(
     source = "".join(map(str, given["files"]))
     print_with_csv(words, _csv([_Row(source, scene, answer)]), given["csv_file"])
     return 0 if answer.all_stable else 1
-
-
-def _require_picture(scene: "Scene", plot: Path | None) -> None:
-    if plot and not scene.controller.moves:
-        scene.controller.require_one_delay("a picture")
 
 
 def _draw(scene: "Scene", answer: Any, file: Path) -> None:

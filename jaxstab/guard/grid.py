@@ -62,7 +62,8 @@ def grid_boxes(device: Device, loop: LoopParameters, hands: HandRange, grid: Gri
 
     def limits(center: Boxes, half: Boxes) -> tuple[LinearModel, LinearModel]:
         low, high = (center - half)[:3], (center + half)[:3]
-        return _limits_over(grid, low, high), _tops_over(grid, low[:2], high[:2])
+        top = _model(grid.top, low[:2], high[:2])
+        return _limits_over(grid, low, high), replace(top, rest=top.rest + _SLACK * top.centre)
 
     def extent(center: Boxes, half: Boxes) -> Extent:
         mass, delay = (
@@ -96,12 +97,6 @@ def _limits_over(grid: Grid, low: Ends, high: Ends) -> LinearModel:
     model = _model(grid.limit, low, high)
     slack = _SLACK * float(np.max(grid.limit))
     return replace(model, centre=model.centre + model.rest + slack, rest=np.zeros_like(model.rest))
-
-
-def _tops_over(grid: Grid, low: Ends, high: Ends) -> LinearModel:
-    """Enclose the largest damping over boxes of mass and delay within a cell."""
-    model = _model(grid.top, low, high)
-    return replace(model, rest=model.rest + _SLACK * model.centre)
 
 
 def step_of(nodes: Float64[np.ndarray, " node"]) -> float:

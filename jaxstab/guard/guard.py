@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64, Int64
 
+import jaxstab
 from jaxstab.arrays import Numbers
 from jaxstab.conventions import Range
 from jaxstab.guard.grid import Grid, interpolated
@@ -271,7 +272,7 @@ class Guard:
         values = {
             "NAME": name,
             "MACRO": name.upper(),
-            "VERSION": _version(),
+            "VERSION": jaxstab.__version__,
             "ABOUT": "\n".join(f" * {line}".rstrip() for line in about.splitlines()),
             "KG": units[0],
             "STIFFNESS_UNIT": units[1],
@@ -323,12 +324,6 @@ def checked_name(name: str) -> str:
             "first."
         )
     return name
-
-
-def _version() -> str:
-    import jaxstab
-
-    return jaxstab.__version__
 
 
 def _table(values: np.ndarray) -> str:

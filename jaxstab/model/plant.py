@@ -309,15 +309,11 @@ def _series(coefficients: tuple[Fraction, ...], x: DoubleDouble, y: DoubleDouble
         between = at_x + y.hi * between
         at_x, at_y = float(coefficient) + x.hi * at_x, float(coefficient) + y.hi * at_y
     values = _Values(*map(DoubleDouble.from_value, (at_x, at_y, between)))
-    for pair in map(_pair, reversed(coefficients[:_PAIR_TERMS])):
+    for exact in reversed(coefficients[:_PAIR_TERMS]):
+        pair = DoubleDouble(float(exact), float(exact - Fraction(float(exact))))
         values = _Values(
             x=x * values.x + pair,
             y=y * values.y + pair,
             xy=y * values.xy + values.x,
         )
     return values
-
-
-def _pair(value: Fraction) -> DoubleDouble:
-    hi = float(value)
-    return DoubleDouble(hi, float(value - Fraction(hi)))

@@ -244,7 +244,8 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
         panel.set_xlabel(f"stiffness K ({scene.units.stiffness})")
         panel.set_ylabel(f"damping B ({scene.units.damping})")
         draw_stable(panel, region)
-        _draw_areas(panel, areas)
+        for area in areas:
+            panel.fill(*area.outline.T, **area.look)
         if not (tuned or checked):
             draw_islands(panel, islands)
             draw_linear_rule(panel, loop)
@@ -402,11 +403,6 @@ def _set_window(panel: Axes, points: Floats) -> None:
         high + (0.12, 0.06) * (high - low),
     )
     panel.set(xlim=(left, right), ylim=(bottom, top))
-
-
-def _draw_areas(panel: Axes, areas: list[_Area]) -> None:
-    for area in areas:
-        panel.fill(*area.outline.T, **area.look)
 
 
 def _draw_tuned(panel: Axes, tuned: Tuned, units: Units) -> None:

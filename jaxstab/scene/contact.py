@@ -6,7 +6,7 @@ lowest ends of their ranges, the delay is constant and the longest one. The answ
 worst start, which it names.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from math import isnan
 from pathlib import Path
@@ -19,7 +19,7 @@ from jaxstab.loop import Contact, ContactKind, HapticLoop, contact_map
 from jaxstab.loop.contact import contact_dataset
 from jaxstab.scene.answers import Answer, Basis, Frequency, Quantity, basis_of
 from jaxstab.scene.loops import hands_of, loop_of, walls_of, with_delay
-from jaxstab.scene.scene import Scene, Units
+from jaxstab.scene.scene import Scene
 
 if TYPE_CHECKING:
     from jaxstab.datasets import Dataset
@@ -149,11 +149,12 @@ def map_contacts(
                 "then equal to friction."
             )
         given["friction"] = friction[:, None, None]
-    return contact_dataset(loop, given, path, _in_units(scene.units))
+    units = scene.units
 
+    def in_units(unit: str) -> str:
+        return f"{units.length}/s" if unit == "m/s" else units.unit(unit)
 
-def _in_units(units: Units) -> Callable[[str], str]:
-    return lambda unit: f"{units.length}/s" if unit == "m/s" else units.unit(unit)
+    return contact_dataset(loop, given, path, in_units)
 
 
 def _conditions(scene: Scene) -> dict[str, Any]:

@@ -237,7 +237,7 @@ def scene_limits(scene: Scene) -> Limits | LimitsOverDelays:
     limits = region.limits()
     damping, stiffness = wanted.at_damping, wanted.at_stiffness
     rows = _Rows(loop, reachable(region), safety)
-    has_rules = is_plain(loop)
+    has_rules, islands = is_plain(loop), () if wanted.safety else limits.islands
     return Limits(
         inputs=basis_of(scene),
         safety=wanted.safety,
@@ -245,7 +245,7 @@ def scene_limits(scene: Scene) -> Limits | LimitsOverDelays:
         best=StiffestWall(*rows.scaled_stiffness(limits.stiffness, limits.at_damping)),
         most_damped=MostDampedWall(*rows.scaled_damping(limits.damping, limits.at_stiffness)),
         reached=None if limits.is_reachable or region.is_empty else _UNSTABLE_AT_0,
-        islands={} if wanted.safety else _islands(limits),
+        islands={str(k): Island(*own[:4], _ISOLATED) for k, own in enumerate(islands, 1)},
         passive=_passive(loop, safety) if has_rules else None,
         linear_rule=(
             _linear_rule(rows, limits, safety) if has_rules and not region.is_empty else None
@@ -358,10 +358,6 @@ def inwards(low: float, high: float, safety: float) -> tuple[float, float]:
     low = low * safety if low < 0.0 else low / safety
     high = high * safety if high > 0.0 else high / safety
     return (low, high) if low <= high else (nan, nan)
-
-
-def _islands(limits: WallLimits) -> dict[str, Island]:
-    return {str(k): Island(*island[:4], _ISOLATED) for k, island in enumerate(limits.islands, 1)}
 
 
 def _linear_rule(rows: "_Rows", limits: WallLimits, safety: float) -> LinearRule:

@@ -639,7 +639,8 @@ def _columns(
     columns, notes = list[_Column](), list[str]()
     for key, given in over.items():
         source.check_key(key)
-        _, words, unit = source.numbers.get(key, ("", key, _other_unit(key)))
+        other_unit = _OTHER_UNITS.get(key.rpartition(".")[2], "1")
+        _, words, unit = source.numbers.get(key, ("", key, other_unit))
         if isinstance(given, Distribution):
             least = 0.0 if key in source.numbers else -np.inf
             values, again = draws_of(key, given, samples, seed, least)
@@ -685,10 +686,6 @@ def _listed(key: str, given: Any) -> Values:
         raise ValueError(
             f"{key} is {shortened(values)}; give numbers, or texts, not both."
         ) from None
-
-
-def _other_unit(key: str) -> str:
-    return _OTHER_UNITS.get(key.rpartition(".")[2], "1")
 
 
 def _checked_samples(samples: int) -> int:

@@ -440,7 +440,9 @@ def _scanned(walls: Walls, radius: float) -> _Point:
         if best.reached <= radius * (1.0 + _NOISE) or not left.size:
             break
         closer = left[:, None] + (right - left)[:, None] * np.linspace(0.0, 1.0, _POINTS)
-        values = _reached(walls, radius, closer.ravel()).reshape(closer.shape)
+        # All poles are those of the gains as float64 has them: each value is one that gains reach.
+        pairs = _family_pairs(walls, np.full(closer.size, radius), closer.ravel())
+        values = walls.largest_pole(pairs.alpha, pairs.beta).reshape(closer.shape)
         least = np.argmin(values, axis=1)
         rows = np.arange(least.size)
         lowest = values[rows, least]
@@ -451,13 +453,6 @@ def _scanned(walls: Walls, radius: float) -> _Point:
         left, right = (closer[rows, np.clip(least + side, 0, _POINTS - 1)] for side in (-1, 1))
         left, right, former = left[is_open], right[is_open], lowest[is_open]
     return best
-
-
-def _reached(walls: Walls, radius: float, angles: Angles) -> Angles:
-    """The largest modulus of the poles where pairs are on a circle; infinite for no gains."""
-    # All poles are those of the gains as float64 has them, so each value is one that gains reach.
-    pairs = _family_pairs(walls, np.full(angles.shape, radius), angles)
-    return walls.largest_pole(pairs.alpha, pairs.beta)
 
 
 def _local(walls: Walls, low: float, high: float, point: _Point) -> tuple[Pair, int]:

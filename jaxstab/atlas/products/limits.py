@@ -122,8 +122,10 @@ class Limits(Product):
     def small_grid(self, grid: "Grid", place: Floats) -> "Grid":
         delay, gamma, delta, beta = place
         columns, ends = grid.row_at(grid.limit_range, delay, grid.limit_cells, _COLUMNS, beta)
-        plants = grid.slice_at(0.0, gamma, delta).without_walls(ends)
-        return replace(plants, limit_cells=columns, limit_range=ends)
+        plants = grid.slice_at(0.0, gamma, delta)
+        wall = {"alpha": plants.alpha[:1, :1], "beta": plants.beta[:1, :1]}  # one of no interest
+        delay = ends[0, :1]  # where the row begins
+        return replace(plants, **wall, delay=delay, limit_cells=columns, limit_range=ends)
 
 
 _COLUMNS, _PER_COLUMN = 64, 4  # of a part, and points in each at which it is judged
