@@ -13,11 +13,10 @@ from jaxstab.conventions import Excitation, Verdict
 from jaxstab.loop.between import LoopsBetween, TriedLoops, common_polygon
 from jaxstab.loop.many import in_floats
 from jaxstab.loop.region import Gains
-from jaxstab.model import LoopParameters
 from jaxstab.model.filters import given_filters
-from jaxstab.motion.settling import checked_level, settling_samples
+from jaxstab.model.loop import as_one
+from jaxstab.motion.settling import checked_level
 from jaxstab.numbers import checked_number
-from jaxstab.point import verdict
 from jaxstab.ranges.box import NOTHING, Points, RobustStatus, Unproved, search
 from jaxstab.ranges.device_margins import is_stable_along
 from jaxstab.ranges.robust import failures
@@ -163,7 +162,7 @@ def _proved_region(
     return CommonRegion(tuple(loops), searched.status, searched.guess.walls, searched.pull, between)
 
 
-def _is_proved(loop: LoopParameters, outline: Points) -> bool:
+def _is_proved(loop: "HapticLoop", outline: Points) -> bool:
     if loop.sampled is not None:
         (proved,) = is_stable_along(
             [loop.sampled], outline, velocity=loop.velocity, position=loop.position
@@ -173,9 +172,7 @@ def _is_proved(loop: LoopParameters, outline: Points) -> bool:
     walls = np.stack([loop.alpha(outline[:, 0]), loop.beta(outline[:, 1])], axis=-1)
     hand, filters = ((gamma, gamma), (delta, delta)), given_filters(**loop.filters)
     is_free = not len(failures(walls, *hand, delay, filters=filters))
-    alpha, beta = walls[0]
-    code = verdict(alpha, beta, gamma=gamma, delta=delta, delay=delay, **loop.filters)
-    return is_free and int(code) == Verdict.STABLE
+    return is_free and bool(loop.verdict(*outline[0]) == Verdict.STABLE)
 
 
 # The wall with the smallest worst settling time over several loops: a search on grids.
@@ -287,29 +284,12 @@ def settling_times(
     excitation: Excitation = "force",
 ) -> Float64[np.ndarray, " loop"]:
     """Return the settling time of one wall in s for each loop; infinite where none is proved."""
-    base = loops[0]
-    controller = base.sample_time, base.filters  # but for the delay
-    if any(loop.body is None or (loop.sample_time, loop.filters) != controller for loop in loops):
-        wall = [np.array([stiffness]), np.array([damping])]
-        single = [_times([loop], wall, np.inf, level, excitation, _MOST) for loop in loops]
-        return np.concatenate(single)[:, 0]
-    points = np.array(
-        [(loop.alpha(stiffness), loop.beta(damping), *loop.slice.values()) for loop in loops]
-    )
-    alpha, beta, gamma, delta, delay = points.T
-    settling = settling_samples(
-        alpha,
-        beta,
-        gamma=gamma,
-        delta=delta,
-        delay=delay,
-        level=level,
-        excitation=excitation,
-        horizon=_MOST,
-        **base.filters,
-    )
-    samples = np.asarray(settling.value)
-    return np.where(np.isnan(samples), np.inf, samples * base.sample_time)
+    controllers = {(loop.sample_time, loop.velocity, loop.position) for loop in loops}
+    options: dict[str, Any] = {"level": level, "excitation": excitation, "horizon": _MOST}
+    if len(controllers) == 1 and all(loop.body is not None for loop in loops):
+        loops = [as_one(loops)]
+    settling = [loop.settling_time(stiffness, damping, **options).value for loop in loops]
+    return np.nan_to_num(np.hstack(settling), nan=np.inf, posinf=np.inf)
 
 
 def _first_grid(loop: "HapticLoop", stiffness: float | None) -> Grid | None:

@@ -6,7 +6,6 @@ short that no later position leaves the tolerance (lemmas M1 and M2). One produc
 doubles the states, one squares the power; no eigenvalue is needed, and multiple roots do no harm.
 """
 
-from collections.abc import Sequence
 from functools import partial
 from math import ceil, log2
 from typing import Any, NamedTuple, get_args
@@ -205,28 +204,8 @@ def settling_samples(
         >>> int(jaxstab.settling_samples(0.1, 0.5, gamma=0.0, delta=0.015, delay=0.0).value)
         15
     """
-    options: dict[str, Any] = {"excitation": excitation, "horizon": horizon}
-    point = alpha, beta, gamma, delta, delay
-    levels = [level]
-    return settling_at_levels(*point, levels, **options, velocity=velocity, position=position)[0]
-
-
-def settling_at_levels(
-    alpha: Numbers,
-    beta: Numbers,
-    gamma: Numbers,
-    delta: Numbers,
-    delay: Numbers,
-    levels: Sequence[float],
-    *,
-    excitation: Excitation = "force",
-    horizon: int = HORIZON,
-    velocity: Velocity | None = None,
-    position: Filter | None = None,
-) -> list[Settling]:
-    """Count the samples for several tolerances of the same loops: ``settling_samples``."""
     require_x64(alpha, beta, gamma, delta)
-    levels = [checked_level(level, excitation) for level in levels]
+    level = checked_level(level, excitation)
     checked_count("horizon", horizon, 1)
     delay = checked_delay(delay)
     filters = given_filters(velocity, position)
@@ -235,17 +214,14 @@ def settling_at_levels(
     xp = namespace(gains, propagate)
     grid = xp.broadcast_shapes(*map(np.shape, gains), propagate.shape[:-2], delay.shape)
     entries = [propagate[..., row, column] for row in (0, 1) for column in range(4)]
-    search = partial(_settle, bank=bank_for(filters), excitation=excitation, horizon=horizon)
+    options: dict[str, Any] = {"excitation": excitation, "horizon": horizon, "level": level}
+    search = partial(_settle, bank=bank_for(filters), **options)
     codes = verdict(
         alpha, beta, gamma=gamma, delta=delta, delay=delay, velocity=velocity, position=position
     )
     is_unstable = xp.asarray(codes == Verdict.UNSTABLE)
     lanes = *gains, *entries, np.floor(delay), ~is_unstable
-    times = [
-        on_host(partial(search, level=level), *lanes, shape=grid, like=np.float64)
-        for level in levels
-    ]
-    return [_settled(samples, is_unstable) for samples in times]
+    return _settled(on_host(search, *lanes, shape=grid, like=np.float64), is_unstable)
 
 
 def device_settling_samples(

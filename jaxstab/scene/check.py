@@ -4,24 +4,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from decimal import ROUND_CEILING, ROUND_FLOOR
 from math import inf, isinf, nan
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
 
 from jaxstab.arrays import tree_map
+from jaxstab.batches import alike
 from jaxstab.conventions import Verdict
 from jaxstab.loop import Gains, HapticLoop
-from jaxstab.loop.together import (
-    Rendered,
-    amplitudes,
-    boundary_distances,
-    oscillations,
-    settling_times,
-    spectral_radii,
-    verdicts,
-    wall_margins,
-)
+from jaxstab.model.loop import as_one
 from jaxstab.motion import Amplitude as Amplitudes
 from jaxstab.motion import Oscillation as Mode
 from jaxstab.motion import Settling as MotionSettling
@@ -198,6 +190,43 @@ class Check(Answer):
         )
 
 
+# Many walls at once: loops of one mass with the same estimator, filter and sampling period are one
+# loop with arrays. Any other loop is evaluated by itself, at all of its walls.
+
+
+class _Rendered(NamedTuple):
+    """A wall, and the loop that renders it."""
+
+    loop: HapticLoop
+    gains: Gains
+
+
+def _evaluated(
+    method: Callable[..., Any],
+    walls: Sequence[_Rendered],
+    *,
+    apart: bool = False,
+    **columns: Floats,
+) -> Any:
+    """Return what a method of loops answers about walls, as arrays over them.
+
+    ``apart`` is for methods of a single loop; ``columns`` are arguments, one for each wall.
+    """
+    groups = alike(
+        loop if apart or loop.body is None else (loop.sample_time, loop.velocity, loop.position)
+        for loop, _ in walls
+    )
+    answers = []
+    for indices in groups:
+        loops = [walls[index].loop for index in indices]
+        gains = np.array([walls[index].gains for index in indices]).T
+        own = {name: column[indices] for name, column in columns.items()}
+        is_one = apart or loops[0].body is None
+        answers.append(method(loops[0] if is_one else as_one(loops), *gains, **own))
+    order = np.argsort(np.concatenate(groups))
+    return tree_map(lambda *parts: np.concatenate(parts)[order], *answers)
+
+
 @dataclass(frozen=True)
 class _Wall:
     """A wall of a scene, the loops with the hands at the corners of its range and the worst."""
@@ -254,19 +283,19 @@ def _verdicts_on(scene: Scene, walls: list[Gains], loop: HapticLoop) -> list[Wor
         return [worst_over_delays(scene, gains) for gains in walls]
     if hands_of(scene):
         return worst_held(scene, walls)
-    codes = verdicts([Rendered(loop, gains) for gains in walls])
+    codes = _evaluated(HapticLoop.verdict, [_Rendered(loop, gains) for gains in walls])
     return [WorstHeld(Verdict(int(code)), loop, None, None) for code in codes]
 
 
 def _over_hands(
-    walls: Sequence[_Wall], ask: Callable[[Sequence[Rendered], Floats], Any]
+    walls: Sequence[_Wall], ask: Callable[[Sequence[_Rendered], Floats], Any]
 ) -> tuple[list[list[HapticLoop]], list[Any]]:
     """Return the loops of each wall, and what all of them answer, evaluated together."""
     held = [_loops_for(wall, ask) for wall in walls]
     counts = [len(loops) for loops in held]
     encoders = [wall.scene.device.encoder for wall in walls]
     steps = [encoder.resolution if encoder else nan for encoder in encoders]
-    rendered = [Rendered(x, w.gains) for w, loops in zip(walls, held, strict=True) for x in loops]
+    rendered = [_Rendered(x, w.gains) for w, loops in zip(walls, held, strict=True) for x in loops]
     answers = ask(rendered, np.repeat(steps, counts))
     ends = np.cumsum(counts)
     parts = [
@@ -327,8 +356,9 @@ def _least_distance(_: _Wall, loops: list[HapticLoop], distances: Floats) -> Dis
     return Distance(float(np.min(distances)), _among("smallest", loops))
 
 
-def _radii(rendered: Sequence[Rendered], _: Floats) -> SpectralRadius:
-    return spectral_radii(rendered)
+def _radii(rendered: Sequence[_Rendered], _: Floats) -> SpectralRadius:
+    radii: SpectralRadius = _evaluated(HapticLoop.spectral_radius, rendered)
+    return radii
 
 
 def _radius(_: _Wall, __: list[HapticLoop], radius: SpectralRadius) -> Radius:
@@ -379,7 +409,7 @@ def _chatter(_: _Wall, loops: list[HapticLoop], amplitude: Amplitudes) -> Chatte
     return Chatter(most, force, float(amplitude.force_per_count[0]), words)
 
 
-def _jitter_margins(rendered: Sequence[Rendered], _: Floats) -> Floats:
+def _jitter_margins(rendered: Sequence[_Rendered], _: Floats) -> Floats:
     return np.array([float(wall.loop.jitter_margin(*wall.gains)) for wall in rendered])
 
 
@@ -395,13 +425,24 @@ def _jitter(wall: _Wall, _: list[HapticLoop], margin: Floats) -> Jitter:
     return Jitter(extra or nan, ", ".join(words) or None)
 
 
+def _settlings(loop: HapticLoop, *gains: Floats) -> list[MotionSettling]:
+    """Return the settling times of walls to each level."""
+    return [loop.settling_time(*gains, level=level, horizon=_HORIZON) for level in _LEVELS]
+
+
 _MEASURES: dict[str, tuple[Callable[..., Any], Callable[..., Answer]]] = {
-    "margins": (lambda walls, _: wall_margins(walls), _least_margins),
-    "distance": (lambda walls, _: boundary_distances(walls), _least_distance),
+    "margins": (lambda walls, _: _evaluated(HapticLoop.margins, walls), _least_margins),
+    "distance": (
+        lambda walls, _: _evaluated(HapticLoop.boundary_distance, walls, apart=True),
+        _least_distance,
+    ),
     "radius": (_radii, _radius),
-    "settling": (lambda walls, _: settling_times(walls, _LEVELS, _HORIZON), _longest),
-    "oscillation": (lambda walls, _: oscillations(walls), _least_damped),
-    "chatter": (amplitudes, _chatter),
+    "settling": (lambda walls, _: _evaluated(_settlings, walls), _longest),
+    "oscillation": (lambda walls, _: _evaluated(HapticLoop.oscillation, walls), _least_damped),
+    "chatter": (
+        lambda walls, steps: _evaluated(HapticLoop.amplitude, walls, encoder=steps),
+        _chatter,
+    ),
     "jitter": (_jitter_margins, _jitter),
 }
 """What a measure evaluates, from walls and resolutions, and how it is summarised over the hands."""
