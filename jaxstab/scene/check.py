@@ -3,13 +3,14 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from decimal import ROUND_CEILING, ROUND_FLOOR
+from functools import partial
 from math import inf, isinf, nan
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.arrays import tree_map
+from jaxstab.arrays import take, tree_map
 from jaxstab.batches import alike
 from jaxstab.conventions import Verdict
 from jaxstab.loop import Gains, HapticLoop
@@ -194,35 +195,20 @@ class Check(Answer):
 # loop with arrays. Any other loop is evaluated by itself, at all of its walls.
 
 
-class _Rendered(NamedTuple):
-    """A wall, and the loop that renders it."""
-
-    loop: HapticLoop
-    gains: Gains
-
-
 def _evaluated(
-    method: Callable[..., Any],
-    walls: Sequence[_Rendered],
-    *,
-    apart: bool = False,
-    **columns: Floats,
+    method: Callable[..., Any], walls: Sequence[tuple[HapticLoop, Gains]], *, apart: bool = False
 ) -> Any:
-    """Return what a method of loops answers about walls, as arrays over them.
-
-    ``apart`` is for methods of a single loop; ``columns`` are arguments, one for each wall.
-    """
+    """Return what a method of loops answers about walls, as arrays; ``apart``: loop by loop."""
     groups = alike(
         loop if apart or loop.body is None else (loop.sample_time, loop.velocity, loop.position)
         for loop, _ in walls
     )
     answers = []
     for indices in groups:
-        loops = [walls[index].loop for index in indices]
-        gains = np.array([walls[index].gains for index in indices]).T
-        own = {name: column[indices] for name, column in columns.items()}
+        loops = [walls[index][0] for index in indices]
+        gains = np.array([walls[index][1] for index in indices]).T
         is_one = apart or loops[0].body is None
-        answers.append(method(loops[0] if is_one else as_one(loops), *gains, **own))
+        answers.append(method(loops[0] if is_one else as_one(loops), *gains))
     order = np.argsort(np.concatenate(groups))
     return tree_map(lambda *parts: np.concatenate(parts)[order], *answers)
 
@@ -236,21 +222,24 @@ class _Wall:
     loops: list[HapticLoop]
     worst: WorstHeld
 
-    def wants(self, measure: str) -> bool:
-        wanted = measure in self.scene.wanted.measures
-        return wanted and (measure != "chatter" or self.scene.device.encoder is not None)
-
 
 def check_walls(scene: Scene) -> Check:
     """The verdict on each wall and the requested measures, at their worst; at least one wall."""
-    walls = _walls_of(scene)
+    walls, encoder = _walls_of(scene), scene.device.encoder
     measured: list[dict[str, Any]] = [{} for _ in walls]
-    for name, (ask, summarise) in _MEASURES.items():
-        if walls[0].wants(name):
-            for own, wall, loops, answer in zip(
-                measured, walls, *_over_hands(walls, ask), strict=True
-            ):
-                own[name] = summarise(wall, loops, answer)
+    for name, (method, summarise) in _MEASURES.items():
+        if name not in scene.wanted.measures:
+            continue
+        if name == "chatter":
+            if encoder is None:
+                continue
+            method = partial(method, encoder=encoder.resolution)
+        held = [_loops_for(wall, name) for wall in walls]
+        pairs = [(x, wall.gains) for wall, loops in zip(walls, held, strict=True) for x in loops]
+        answers, end = _evaluated(method, pairs, apart=name in _APART), 0
+        for own, wall, loops in zip(measured, walls, held, strict=True):
+            begin, end = end, end + len(loops)
+            own[name] = summarise(wall, loops, take(answers, np.s_[begin:end]))
     felt = contacts_or_reasons(scene) if scene.wanted.measures else {}
     checked = {
         name: WallCheck(
@@ -283,34 +272,16 @@ def _verdicts_on(scene: Scene, walls: list[Gains], loop: HapticLoop) -> list[Wor
         return [worst_over_delays(scene, gains) for gains in walls]
     if hands_of(scene):
         return worst_held(scene, walls)
-    codes = _evaluated(HapticLoop.verdict, [_Rendered(loop, gains) for gains in walls])
+    codes = _evaluated(HapticLoop.verdict, [(loop, gains) for gains in walls])
     return [WorstHeld(Verdict(int(code)), loop, None, None) for code in codes]
 
 
-def _over_hands(
-    walls: Sequence[_Wall], ask: Callable[[Sequence[_Rendered], Floats], Any]
-) -> tuple[list[list[HapticLoop]], list[Any]]:
-    """Return the loops of each wall, and what all of them answer, evaluated together."""
-    held = [_loops_for(wall, ask) for wall in walls]
-    counts = [len(loops) for loops in held]
-    encoders = [wall.scene.device.encoder for wall in walls]
-    steps = [encoder.resolution if encoder else nan for encoder in encoders]
-    rendered = [_Rendered(x, w.gains) for w, loops in zip(walls, held, strict=True) for x in loops]
-    answers = ask(rendered, np.repeat(steps, counts))
-    ends = np.cumsum(counts)
-    parts = [
-        tree_map(lambda values, own=slice(end - count, end): values[own], answers)
-        for count, end in zip(counts, ends, strict=True)
-    ]
-    return held, parts
-
-
-def _loops_for(wall: _Wall, ask: Any) -> list[HapticLoop]:
+def _loops_for(wall: _Wall, measure: str) -> list[HapticLoop]:
     """Return the loops of a wall that a measure is for: all of them, or the worst alone."""
-    if ask is _jitter_margins and wall.scene.controller.moves:
+    moves = wall.scene.controller.moves
+    if measure == "jitter" and moves:
         return [replace(wall.worst.loop, delay=wall.scene.controller.delays[0])]
-    is_of_worst = ask in (_radii, _jitter_margins) and not wall.scene.controller.moves
-    return [wall.worst.loop] if is_of_worst else wall.loops
+    return [wall.worst.loop] if measure in _OF_WORST and not moves else wall.loops
 
 
 def _among(words: str, loops: list[HapticLoop]) -> str | None:
@@ -354,11 +325,6 @@ def _common(limits: Float64[np.ndarray, "hand 2"]) -> tuple[float, float]:
 def _least_distance(_: _Wall, loops: list[HapticLoop], distances: Floats) -> Distance:
     """Return the least distance; NaN if a loop has no region."""
     return Distance(float(np.min(distances)), _among("smallest", loops))
-
-
-def _radii(rendered: Sequence[_Rendered], _: Floats) -> SpectralRadius:
-    radii: SpectralRadius = _evaluated(HapticLoop.spectral_radius, rendered)
-    return radii
 
 
 def _radius(_: _Wall, __: list[HapticLoop], radius: SpectralRadius) -> Radius:
@@ -409,10 +375,6 @@ def _chatter(_: _Wall, loops: list[HapticLoop], amplitude: Amplitudes) -> Chatte
     return Chatter(most, force, float(amplitude.force_per_count[0]), words)
 
 
-def _jitter_margins(rendered: Sequence[_Rendered], _: Floats) -> Floats:
-    return np.array([float(wall.loop.jitter_margin(*wall.gains)) for wall in rendered])
-
-
 def _jitter(wall: _Wall, _: list[HapticLoop], margin: Floats) -> Jitter:
     """Return how far the delay may move above that of the scene, with the worst hand alone."""
     controller, extra = wall.scene.controller, float(margin[0])
@@ -431,18 +393,15 @@ def _settlings(loop: HapticLoop, *gains: Floats) -> list[MotionSettling]:
 
 
 _MEASURES: dict[str, tuple[Callable[..., Any], Callable[..., Answer]]] = {
-    "margins": (lambda walls, _: _evaluated(HapticLoop.margins, walls), _least_margins),
-    "distance": (
-        lambda walls, _: _evaluated(HapticLoop.boundary_distance, walls, apart=True),
-        _least_distance,
-    ),
-    "radius": (_radii, _radius),
-    "settling": (lambda walls, _: _evaluated(_settlings, walls), _longest),
-    "oscillation": (lambda walls, _: _evaluated(HapticLoop.oscillation, walls), _least_damped),
-    "chatter": (
-        lambda walls, steps: _evaluated(HapticLoop.amplitude, walls, encoder=steps),
-        _chatter,
-    ),
-    "jitter": (_jitter_margins, _jitter),
+    "margins": (HapticLoop.margins, _least_margins),
+    "distance": (HapticLoop.boundary_distance, _least_distance),
+    "radius": (HapticLoop.spectral_radius, _radius),
+    "settling": (_settlings, _longest),
+    "oscillation": (HapticLoop.oscillation, _least_damped),
+    "chatter": (HapticLoop.amplitude, _chatter),
+    "jitter": (HapticLoop.jitter_margin, _jitter),
 }
-"""What a measure evaluates, from walls and resolutions, and how it is summarised over the hands."""
+"""The method of a loop that gives a measure, and how it is summarised over the hands."""
+
+_APART = "distance", "jitter"  # of methods that take no loop with arrays
+_OF_WORST = "radius", "jitter"  # with the worst hand alone
