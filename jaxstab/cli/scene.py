@@ -234,7 +234,12 @@ def answer_many(given: dict[str, Any], name: str, as_json: bool) -> list[Any]:
 
         answered = {row.source: row.scene for row in rows if row.scene and row.answer}
         draw(comparison_figure(answered), given["plot"])
-    _refuse_some(rows)
+    refused = [row for row in rows if row.refusal]
+    if refused:
+        raise click.UsageError(
+            f"{len(refused)} of {len(rows)} scenes were refused; the first, {refused[0].source}: "
+            f"{refused[0].refusal}"
+        )
     return [row.answer for row in rows if row.answer]
 
 
@@ -297,16 +302,6 @@ def _is_of_wall(path: str) -> bool:
 
 def _paths(rows: list[_Row]) -> list[str]:
     return list(dict.fromkeys(path for row in rows for path, *_ in row.leaves))
-
-
-def _refuse_some(rows: list[_Row]) -> None:
-    wrong = [row for row in rows if row.refusal]
-    if wrong:
-        worst = wrong[0]
-        raise click.UsageError(
-            f"{len(wrong)} of {len(rows)} scenes were refused; the first, {worst.source}: "
-            f"{worst.refusal}"
-        )
 
 
 _plot_option = click.option(

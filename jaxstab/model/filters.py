@@ -230,9 +230,7 @@ class LowPass(Section):
     def stages(self) -> list[Transfer]:
         pole = self.pole
         gain = DoubleDouble.from_value(1.0) - pole
-        stage = Transfer.with_sizes(
-            (gain,), (DoubleDouble.from_value(1.0), -DoubleDouble.from_value(pole)), -1
-        )
+        stage = Transfer.with_sizes((gain,), (*ONE, -DoubleDouble.from_value(pole)), -1)
         return [stage] * self.order
 
     @property
@@ -260,7 +258,7 @@ class Exponential(Section):
     def stages(self) -> list[Transfer]:
         factor = DoubleDouble.from_value(_float(self.factor))
         pole = DoubleDouble.from_value(1.0) - factor
-        return [Transfer.with_sizes((factor,), (DoubleDouble.from_value(1.0), -pole), -1)]
+        return [Transfer.with_sizes((factor,), (*ONE, -pole), -1)]
 
     def ball_factors(self, ball: Callable[[Any], Any], period: Any, pi: Any) -> list[Factor]:
         del period, pi
@@ -297,8 +295,10 @@ class Butterworth(Section):
         sections = [
             _quadratic(warped, butterworth_sine(k, self.order)) for k in range(self.order // 2)
         ]
-        if self.order % 2:
-            sections.append(_bilinear_lag(warped))
+        if self.order % 2:  # w / (s + w) at s = (z - 1) / (z + 1)
+            width = DoubleDouble.from_value(warped)
+            gain, last = width / (width + 1.0), (width - 1.0) / (width + 1.0)
+            sections.append(Transfer.with_sizes((gain, gain), (*ONE, last), 0))
         return sections
 
     @property
@@ -384,7 +384,7 @@ def _quadratic(warped: Array, sine: float) -> Transfer:
     middle = (square - 1.0).scaled(2.0) / leading
     return Transfer.with_sizes(
         (gain, gain.scaled(2.0), gain),
-        (DoubleDouble.from_value(1.0), middle, (square + 1.0 - damping) / leading),
+        (*ONE, middle, (square + 1.0 - damping) / leading),
         0,
     )
 
@@ -392,13 +392,6 @@ def _quadratic(warped: Array, sine: float) -> Transfer:
 def butterworth_sine(k: int, order: int) -> float:
     """Return the sine of the angle of a pair of poles of Butterworth's filter, rounded."""
     return float(np.sin(pi * (2 * k + 1) / (2 * order)))
-
-
-def _bilinear_lag(warped: Array) -> Transfer:
-    """Return w / (s + w) at s = (z - 1) / (z + 1)."""
-    width = DoubleDouble.from_value(warped)
-    gain, last = width / (width + 1.0), (width - 1.0) / (width + 1.0)
-    return Transfer.with_sizes((gain, gain), (DoubleDouble.from_value(1.0), last), 0)
 
 
 def _monic(numerator: Polynomial, denominator: tuple[float, ...]) -> Transfer:

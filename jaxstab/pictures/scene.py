@@ -73,31 +73,23 @@ _MARK = 14.0  # pixels: a wall's mark
 _LIFTS = (0, 10, -10, 20, -20, 32, -32, 44, -44)  # points: how far names are moved up
 
 
-class _Look(NamedTuple):
-    """The look of a wall by its verdict: colour, mark and line."""
-
-    colour: str
-    marker: str
-    line: str
-
-
-_LOOKS = {
-    Verdict.STABLE: _Look(BLUE, "o", "-"),
-    Verdict.UNSTABLE: _Look(RED, "X", ":"),
-    Verdict.UNDECIDED: _Look(BLACK, "s", "--"),
+_LOOKS = {  # colour, mark and line of a wall
+    Verdict.STABLE: (BLUE, "o", "-"),
+    Verdict.UNSTABLE: (RED, "X", ":"),
+    Verdict.UNDECIDED: (BLACK, "s", "--"),
 }
 
 
 def draw_walls(panel: Axes, checked: Walls) -> None:
     """Draw a mark for each wall, by its verdict."""
-    for verdict, look in _LOOKS.items():
+    for verdict, (colour, mark, _) in _LOOKS.items():
         walls = [wall for wall in checked.values() if wall.verdict == verdict]
         if walls:
             panel.plot(
                 [wall.stiffness for wall in walls],
                 [wall.damping for wall in walls],
-                look.marker,
-                color=look.colour,
+                mark,
+                color=colour,
                 ms=9,
                 mec=BLACK,
                 ls="",
@@ -164,7 +156,7 @@ def draw_responses(panel: Axes, scene: Scene, checked: dict[str, WallCheck]) -> 
         relative = np.asarray(response.position) * (wall.stiffness + spring)
         gone = np.logical_or.accumulate(np.abs(relative) > _GONE)
         shown = np.where(gone, np.nan, relative)
-        panel.plot(np.asarray(response.time), shown, _LOOKS[wall.verdict].line, label=plain(name))
+        panel.plot(np.asarray(response.time), shown, _LOOKS[wall.verdict][2], label=plain(name))
     panel.axhspan(1.0 - _LEVEL, 1.0 + _LEVEL, color=BLACK, alpha=0.12, lw=0)
     panel.set(xlim=(0.0, samples * period), ylim=(-0.3, 2.3))
     panel.set(xlabel="time (s)", ylabel="position / final position")

@@ -38,6 +38,7 @@ from jaxstab.conventions import Verdict
 from jaxstab.loop import HapticLoop, limits_of
 from jaxstab.model.loop import with_columns
 from jaxstab.motion.settling import SettlingStatus
+from jaxstab.numbers import checked_count
 from jaxstab.region import RegionStatus
 from jaxstab.scene.draws import Distribution, Measured, Uniform, draws_of
 from jaxstab.scene.loops import loop_of
@@ -514,7 +515,8 @@ def study_dataset(
     source = _Source(_table_of(of))
     drawn_ranges = {key: own for key, own in source.ranges.items() if key not in over}
     over = {**over, **drawn_ranges}
-    columns, notes = _columns(source, over, _checked_samples(samples), seed)
+    samples = checked_count("samples", samples, 1, MOST_SAMPLES)
+    columns, notes = _columns(source, over, samples, seed)
     notes += [
         f"{key}: drawn uniformly from the range of the scene, {own.low:g} to {own.high:g}."
         for key, own in drawn_ranges.items()
@@ -686,14 +688,6 @@ def _listed(key: str, given: Any) -> Values:
         raise ValueError(
             f"{key} is {shortened(values)}; give numbers, or texts, not both."
         ) from None
-
-
-def _checked_samples(samples: int) -> int:
-    if isinstance(samples, bool) or not isinstance(samples, int | np.integer):
-        raise ValueError(f"samples is {samples!r}; give a whole number.")
-    if not 1 <= samples <= MOST_SAMPLES:
-        raise ValueError(f"samples is {samples}; give 1 to {MOST_SAMPLES:,}.")
-    return int(samples)
 
 
 def _checked_wall(name: str, stiffness: float, damping: float) -> tuple[float, float]:

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from math import inf, nan, sqrt
-from typing import Literal, NamedTuple, TypeVar
+from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -198,25 +198,10 @@ class Tuned(Answer):
         return self.over_ranges is None and all(wall.is_stable for wall in walls)
 
 
-class _Encoder(NamedTuple):
-    """The resolution of an encoder, and how far it may drive a wall; None where not given."""
-
-    resolution: float | None
-    limit: float | None
-
-    @classmethod
-    def from_scene(cls, scene: Scene) -> "_Encoder":
-        encoder, limit = scene.device.encoder, scene.wanted.chatter
-        return cls(
-            None if encoder is None else encoder.resolution,
-            None if limit is None else limit * (1.0 - _ROUNDED),
-        )
-
-
 def tune_walls(scene: Scene) -> Tuned:
     """The walls that settle fastest, and the best damping at the stiffnesses given."""
     loop, hands = loop_of(scene), hands_of(scene)
-    best = partial(_best, scene, loop, hands, _Encoder.from_scene(scene))
+    best = partial(_best, scene, loop, hands)
     given, fastest = scene.wanted.at_stiffness, best("settling")
     gains = Gains(fastest.rounded.stiffness, fastest.rounded.damping) if fastest.rounded else None
     return Tuned(
@@ -234,12 +219,13 @@ def _best(
     scene: Scene,
     loop: HapticLoop,
     hands: HandRange | None,
-    encoder: _Encoder,
     goal: Literal["radius", "settling"],
     stiffness: float | None = None,
 ) -> BestWall:
-    limit = encoder.limit
-    best = loop.tune(goal, stiffness=stiffness, encoder=encoder.resolution, chatter=limit)
+    chatter = scene.wanted.chatter
+    limit = None if chatter is None else chatter * (1.0 - _ROUNDED)
+    encoder = None if scene.device.encoder is None else scene.device.encoder.resolution
+    best = loop.tune(goal, stiffness=stiffness, encoder=encoder, chatter=limit)
     if best.status in (TuningStatus.NO_STABLE_GAINS, TuningStatus.NOT_CALM):
         return BestWall(None, None, None, best.status, None)
     gains = Gains(best.stiffness, best.damping)
@@ -254,11 +240,10 @@ def _best(
     )
 
 
-def _tuned(kind: type[Tuning], loop: HapticLoop, gains: Gains, encoder: _Encoder) -> Tuning:
-    radius, resolution = loop.spectral_radius(*gains), encoder.resolution
-    chatter = None
-    if resolution is not None:
-        chatter = float(loop.amplitude(*gains, encoder=resolution).position)
+def _tuned(kind: type[Tuning], loop: HapticLoop, gains: Gains, encoder: float | None) -> Tuning:
+    radius, chatter = loop.spectral_radius(*gains), None
+    if encoder is not None:
+        chatter = float(loop.amplitude(*gains, encoder=encoder).position)
     return kind(
         stiffness=gains.stiffness,
         damping=gains.damping,
