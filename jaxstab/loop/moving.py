@@ -38,8 +38,10 @@ class _Extreme(NamedTuple):
 
     alpha: Array
     beta: Array
-    first: Array
-    second: Array  # NaN where the boundary turns, or crosses the axis: then the other gain is 0
+    angle: Array
+    other_angle: (
+        Array  # NaN where the boundary turns, or crosses the axis: then the other gain is 0
+    )
     status: Array
     is_reachable: Array
     is_single: Array
@@ -143,8 +145,8 @@ def _moved(loop: LoopParameters, extremes: _Extreme) -> ManyLimits:
     fixed = jax.lax.stop_gradient(numbers)
 
     def moved(extreme: _Extreme, axis: Array) -> Array:
-        is_corner = ~jnp.isnan(extreme.second)
-        start = jnp.stack([*extreme[:3], jnp.where(is_corner, extreme.second, 0.0)])
+        is_corner = ~jnp.isnan(extreme.other_angle)
+        start = jnp.stack([*extreme[:3], jnp.where(is_corner, extreme.other_angle, 0.0)])
         residual = partial(_equations, start, is_corner, axis)
         step = jnp.linalg.solve(jax.jacfwd(residual)(start, fixed), residual(start, numbers))
         wall = start[:2] - (step - jax.lax.stop_gradient(step))[:2]

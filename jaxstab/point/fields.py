@@ -209,14 +209,14 @@ def poles_outside(columns: list[Array], error: Array) -> Array:
     def lowered(rows: Array, turned: Array, state: _Count) -> tuple[Array, Array, _Count]:
         size, sizes = abs(rows[0]) + abs(turned[0]), sum(map(abs, rows))
         scale = power_of_two_below_inverse(size)
-        first, last = rows[0] * scale, turned[0] * scale
-        is_turned = abs(last) > abs(first)
+        lead, last = rows[0] * scale, turned[0] * scale
+        is_turned = abs(last) > abs(lead)
         lost = scale * size * (state.lost + 4.0 * UNIT * sizes) + UNDERFLOW
         return (
-            first,
+            lead,
             last,
             _Count(
-                xp.where(abs(last) == abs(first), xp.inf, lost),
+                xp.where(abs(last) == abs(lead), xp.inf, lost),
                 state.degree - 1.0,
                 xp.where(is_turned, state.count + state.sign * state.degree, state.count),
                 xp.where(is_turned, -state.sign, state.sign),
@@ -225,16 +225,16 @@ def poles_outside(columns: list[Array], error: Array) -> Array:
 
     def step(state: tuple[Array, Array, _Count]) -> tuple[Array, Array, _Count]:
         rows, turned, counted = state
-        first, last, counted = lowered(rows, turned, counted)
-        after = xp.concatenate([(first * turned - last * rows)[1:], zero[None]])
-        return first * rows - last * turned, after, counted
+        lead, last, counted = lowered(rows, turned, counted)
+        after = xp.concatenate([(lead * turned - last * rows)[1:], zero[None]])
+        return lead * rows - last * turned, after, counted
 
     counted = _Count(error, degree * ones, zero, ones)
     if degree <= _LONGEST:
         rows = columns
         while len(rows) > 1:
-            first, last, counted = lowered(rows, rows[::-1], counted)
-            rows = [first * a - last * b for a, b in zip(rows[:-1], rows[:0:-1], strict=True)]
+            lead, last, counted = lowered(rows, rows[::-1], counted)
+            rows = [lead * a - last * b for a, b in zip(rows[:-1], rows[:0:-1], strict=True)]
     else:
         rows = xp.stack(columns)
         rows, _, counted = repeat(degree, step, (rows, rows[::-1], counted))

@@ -436,8 +436,8 @@ def verdict(
         return traced_filtered_verdict(point, Form.from_delay(delay), fraction, filters)
     if not filters and resolve is None and whole.size == 1:
         arrays, form = [xp.asarray(value, xp.float64) for value in point], Form.from_delay(delay)
-        part, is_fractional = xp.asarray(fraction), form.is_fractional
-        plant = float_plant(arrays[2], arrays[3], part, is_fractional=is_fractional)
+        late, is_fractional = xp.asarray(fraction), form.is_fractional
+        plant = float_plant(arrays[2], arrays[3], late, is_fractional=is_fractional)
         codes = _float_codes((*arrays[:3], plant), form.degree)
         shape = np.broadcast_shapes(whole.shape, *(array.shape for array in arrays))
         return named(xp.array(xp.broadcast_to(codes, shape)), Verdict)
