@@ -52,11 +52,6 @@ class Simulated(Answer):
     worst_start: str
     contact_is: str
 
-    @property
-    def is_quiet(self) -> bool:
-        """Whether the device came to rest, or left the wall for good."""
-        return self.contact in (ContactKind.RESTS, ContactKind.LEAVES)
-
 
 @dataclass(frozen=True)
 class NotSimulated(Answer):
@@ -76,7 +71,8 @@ class Contacts(Answer):
     @property
     def all_stable(self) -> bool:
         """Whether every simulated contact came to rest; nothing is proved."""
-        return all(wall.is_quiet for wall in self.walls.values())
+        quiet = ContactKind.RESTS, ContactKind.LEAVES
+        return all(wall.contact in quiet for wall in self.walls.values())
 
 
 def simulate_contacts(scene: Scene) -> Contacts:

@@ -525,7 +525,10 @@ def study_dataset(
     gains = source.walls if walls is None else {n: _checked_wall(n, *w) for n, w in walls.items()}
     wanted = tuple(dict.fromkeys(answers or ("limits", *(["verdict"] if gains else []))))
     for name in wanted:
-        _checked_answer(name)
+        try:
+            one_of(ANSWERS)(name)
+        except ValueError as error:
+            raise ValueError(f"answers has {shortened(name)}; {error}") from None
         if name != "limits" and not gains:
             raise ValueError(f"answers has {name}, which is of walls; give walls.")
     has_walls = wanted != ("limits",)
@@ -696,13 +699,6 @@ def _checked_wall(name: str, stiffness: float, damping: float) -> tuple[float, f
     if not np.isfinite(pair).all():
         raise ValueError(f"wall {name} is {pair}; give finite numbers.")
     return pair
-
-
-def _checked_answer(name: str) -> None:
-    try:
-        one_of(ANSWERS)(name)
-    except ValueError as error:
-        raise ValueError(f"answers has {shortened(name)}; {error}") from None
 
 
 def _table_of(source: Any) -> Any:
@@ -881,7 +877,10 @@ class _Blocks:
         loops = np.empty(prod(shape), object)
         for k, row in enumerate(unique.tolist()):
             members = np.flatnonzero(group.ravel() == k)
-            fixed = {key: _item(own, place[row]) for key, (own, place) in others.items()}
+            fixed = {
+                key: own[place[row]] if isinstance(own, list) else own[place[row]].item()
+                for key, (own, place) in others.items()
+            }
             given = {key: values[members] for key, values in numbers.items()}
             for name, values in self._answered(fixed, given, members, loops).items():
                 answers[name][members] = values
@@ -923,11 +922,6 @@ def _rows(numbers: Mapping[str, Floats], count: int) -> Any:
     if not numbers:
         return iter([()] * count)
     return zip(*(values.tolist() for values in numbers.values()), strict=True)
-
-
-def _item(values: Values, place: Any) -> Any:
-    value = values[place]
-    return value if isinstance(value, str) else value.item()
 
 
 def _about_walls(

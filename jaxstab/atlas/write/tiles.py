@@ -269,14 +269,11 @@ def _create_variables(file: h5py.File, plan: Plan, shards: Shards) -> dict[str, 
             datasets[name] = write_variable(file, variable, given[name])
         elif name in names:
             shape = [lengths[dimension] for dimension in variable.dimensions]
-            chunk = plan.chunk(name) if plan.is_gridded(name) else _flat_chunk(shape)
+            *others, length = shape
+            flat = (*others, max(1, min(length, _FLAT_CHUNK // prod(others))))
+            chunk = plan.chunk(name) if plan.is_gridded(name) else flat
             datasets[name] = create_variable(file, variable, shape, chunk, np.dtype(variable.dtype))
     return datasets
-
-
-def _flat_chunk(shape: Sequence[int]) -> list[int]:
-    *others, length = shape
-    return [*others, max(1, min(length, _FLAT_CHUNK // prod(others)))]
 
 
 def _known_variables(plan: Plan, lengths: Mapping[str, int]) -> dict[str, NDArray[Any]]:
