@@ -191,7 +191,8 @@ def filled_up(function: Callable[..., Result], *arguments: Any) -> Result:
     shape = np.broadcast_shapes(*map(np.shape, leaves(arguments)))
     # Each axis is filled up with its last points to a length of five binary digits, which is at
     # most 6 % more; so grids of new sizes are rarely compiled anew.
-    filled = [_few_digits(length) for length in shape]
+    steps = (1 << max(0, length.bit_length() - 5) for length in shape)
+    filled = [-(-length // step) * step for length, step in zip(shape, steps, strict=True)]
 
     def fill(leaf: Any) -> Any:
         for axis, length in enumerate(np.shape(leaf), start=-np.ndim(leaf)):
@@ -204,11 +205,6 @@ def filled_up(function: Callable[..., Result], *arguments: Any) -> Result:
         return leaf[tuple(slice(length) for length in shape[len(shape) - leaf.ndim :])]
 
     return tree_map(cut, in_float64(function, *tree_map(fill, arguments)))
-
-
-def _few_digits(length: int) -> int:
-    step = 1 << max(0, length.bit_length() - 5)
-    return -(-length // step) * step
 
 
 def over_tiles(kernel: Callable[..., Result], arguments: Any, tile: int = TILE) -> Result:

@@ -19,14 +19,11 @@ from jaxtyping import Int64
 
 from jaxstab.arrays import (
     Array,
-    at,
-    bits,
-    floats,
     is_any_jax,
-    is_jax,
     joined,
     namespace,
     reciprocal,
+    take,
     tree_map,
     true_indices,
     with_values,
@@ -45,28 +42,6 @@ from jaxstab.point.schur_cohn import (
 )
 from jaxstab.point.verdicts import Plant, float_plant, tail_error
 from jaxstab.rounding import UNIT
-
-# Roots and powers of two that XLA fuses with the arithmetic around them (``arrays.reciprocal``).
-
-_EXPONENT = 0x7FF0_0000_0000_0000
-_LARGEST_EXPONENT = 0x7FE0_0000_0000_0000
-_INVERSE_ROOT = 0x5FE6_EB50_C7B5_37A9  # minus half the bits of x: 1/sqrt(x) within 4 %
-
-
-def square_root(x: Array) -> Array:
-    """Return the root of x >= 0 to eight digits."""
-    if not is_jax(x):
-        return np.sqrt(x)
-    y = floats(_INVERSE_ROOT - (bits(x) >> 1))
-    for _ in range(3):
-        y = y * (1.5 - 0.5 * x * y * y)
-    return x * y
-
-
-def power_of_two_below_inverse(x: Array) -> Array:
-    """Return the power of two that brings x > 0 to [1, 2)."""
-    return floats(_LARGEST_EXPONENT - (bits(x) & _EXPONENT))
-
 
 # The dominant root of p(z) without eigenvalues, point by point.
 #
@@ -424,7 +399,7 @@ def _try_list(
             loop = Loop(*looked_up(shared, shape, padded))
         else:
             loop = _loop(looked_up(parameters, shape, padded), delay)
-        columns.append(at(_tried(loop, delay, effort), slice(part.size)))
+        columns.append(take(_tried(loop, delay, effort), slice(part.size)))
     if not columns:
         return answer
     return tree_map(lambda old, new: with_values(old, indices, new), answer, joined(columns))

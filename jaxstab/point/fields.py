@@ -22,11 +22,19 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from jaxstab.arrays import Array, bits, floats, namespace, reciprocal, repeat
+from jaxstab.arrays import (
+    Array,
+    bits,
+    floats,
+    namespace,
+    power_of_two_below_inverse,
+    reciprocal,
+    repeat,
+)
 from jaxstab.batches import MANY, compiled, over_rows
 from jaxstab.model.filters import Filter, Filters, Velocity
 from jaxstab.model.linear_loop import LinearLoop
-from jaxstab.point.dominance import SLACK, Complex, power_of_two_below_inverse
+from jaxstab.point.dominance import SLACK, Complex
 from jaxstab.point.poles import companion_poles
 from jaxstab.point.radius import dense_radius_error
 from jaxstab.point.schur_cohn import SAFETY, UNDERFLOW, loop_coefficients, rounded_loop
@@ -99,7 +107,7 @@ def fields_of_grid(
     missing = ceil(longest) - ceil(delay)
     if loop.degree + missing <= _LONGEST:
         zeros = (0.0 * loop.base[0],) * missing
-        base, stiffness, damping = (part + zeros for part in loop[:3])
+        base, stiffness, damping = (row + zeros for row in loop[:3])
         loop = loop._replace(base=base, stiffness=stiffness, damping=damping)
     shape = alpha.size, beta.size, gamma.size
     fields = PoleFields(*(np.empty(shape, kind) for kind in (*4 * [np.float32], np.int16)))
@@ -285,19 +293,19 @@ def poles_outside(columns: list[Array], error: Array) -> Array:
     Source: Schur (1917), Cohn (1922); lemma R4 of docs/proofs.md.
     """
     xp, degree = namespace(columns, error), len(columns) - 1
-    one, zero = xp.ones_like(error), xp.zeros_like(error)
+    ones, zero = xp.ones_like(error), xp.zeros_like(error)
 
     def lowered(rows: Array, turned: Array, state: _Count) -> tuple[Array, Array, _Count]:
         size, sizes = abs(rows[0]) + abs(turned[0]), sum(map(abs, rows))
         scale = power_of_two_below_inverse(size)
-        first, last = rows[0] * scale, turned[0] * scale
-        is_turned = abs(last) > abs(first)
+        lead, last = rows[0] * scale, turned[0] * scale
+        is_turned = abs(last) > abs(lead)
         lost = scale * size * (state.lost + 4.0 * UNIT * sizes) + UNDERFLOW
         return (
-            first,
+            lead,
             last,
             _Count(
-                xp.where(abs(last) == abs(first), xp.inf, lost),
+                xp.where(abs(last) == abs(lead), xp.inf, lost),
                 state.degree - 1.0,
                 xp.where(is_turned, state.count + state.sign * state.degree, state.count),
                 xp.where(is_turned, -state.sign, state.sign),
@@ -305,21 +313,21 @@ def poles_outside(columns: list[Array], error: Array) -> Array:
         )
 
     def step(state: tuple[Array, Array, _Count]) -> tuple[Array, Array, _Count]:
-        rows, turned, known = state
-        first, last, known = lowered(rows, turned, known)
-        after = xp.concatenate([(first * turned - last * rows)[1:], zero[None]])
-        return first * rows - last * turned, after, known
+        rows, turned, counted = state
+        lead, last, counted = lowered(rows, turned, counted)
+        after = xp.concatenate([(lead * turned - last * rows)[1:], zero[None]])
+        return lead * rows - last * turned, after, counted
 
-    known = _Count(error, degree * one, zero, one)
+    counted = _Count(error, degree * ones, zero, ones)
     if degree <= _LONGEST:
         rows = columns
         while len(rows) > 1:
-            first, last, known = lowered(rows, rows[::-1], known)
-            rows = [first * a - last * b for a, b in zip(rows[:-1], rows[:0:-1], strict=True)]
+            lead, last, counted = lowered(rows, rows[::-1], counted)
+            rows = [lead * a - last * b for a, b in zip(rows[:-1], rows[:0:-1], strict=True)]
     else:
         rows = xp.stack(columns)
-        rows, _, known = repeat(degree, step, (rows, rows[::-1], known))
-    return xp.where(abs(rows[0]) > SAFETY * known.lost, known.count, UNKNOWN).astype(np.int16)
+        rows, _, counted = repeat(degree, step, (rows, rows[::-1], counted))
+    return xp.where(abs(rows[0]) > SAFETY * counted.lost, counted.count, UNKNOWN).astype(np.int16)
 
 
 def _mode(pole: Array, radius: Array, bound: Array) -> tuple[Array, Array]:

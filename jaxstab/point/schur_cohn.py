@@ -178,12 +178,12 @@ def _step(
     chain: Chain[Number], unit: float, *, is_monic: bool = False, is_rolled: bool = False
 ) -> Chain[Number]:
     head, tail = chain.head, chain.tail
-    first = chain.gap + head[1]
-    ratio, inverse = (tail[0], 1.0) if is_monic else _quotient(tail[0], first, is_rolled=is_rolled)
+    lead = chain.gap + head[1]
+    ratio, inverse = (tail[0], 1.0) if is_monic else _quotient(tail[0], lead, is_rolled=is_rolled)
     modulus = size(ratio)
     lowered = tail[0] - tail[2] if len(tail) > 2 else tail[0]
     pairs = list(zip_longest(head, tail[1:]))
-    bounds = _bounds_after(chain, first, inverse, modulus, unit)
+    bounds = _bounds_after(chain, lead, inverse, modulus, unit)
     return Chain(
         gap=chain.gap - ratio * lowered,
         head=tuple(_minus(u, ratio, v) for u, v in pairs),
@@ -195,23 +195,25 @@ def _step(
     )
 
 
-def _quotient(last: Number, first: Number, *, is_rolled: bool = False) -> tuple[Number, Array]:
-    """Return last / first, right to three roundings, and 1 / |first|."""
-    if isinstance(first, DoubleDouble) or not is_jax(first):
-        return last / first, 1.0 / size(first)
+def _quotient(
+    dividend: Number, divisor: Number, *, is_rolled: bool = False
+) -> tuple[Number, Array]:
+    """Return a quotient, right to three roundings, and 1 / |divisor|."""
+    if isinstance(divisor, DoubleDouble) or not is_jax(divisor):
+        return dividend / divisor, 1.0 / size(divisor)
     # A loop that writes its state to memory needs what XLA computes once, so it divides.
-    inverse = 1.0 / size(first) if is_rolled else rounded_reciprocal(size(first))
-    signed = namespace(first).where(first < 0.0, -inverse, inverse)
-    return kept(last * signed), inverse
+    inverse = 1.0 / size(divisor) if is_rolled else rounded_reciprocal(size(divisor))
+    signed = namespace(divisor).where(divisor < 0.0, -inverse, inverse)
+    return kept(dividend * signed), inverse
 
 
 def _bounds_after(
-    chain: Chain[Number], first: Number, inverse: Array, modulus: Array, unit: float
+    chain: Chain[Number], lead: Number, inverse: Array, modulus: Array, unit: float
 ) -> dict[str, Any]:
     """Bound the deviation from exact steps after one more: with the same K, and the exact K."""
     # Lemma V3 has the terms of the errors, lemma V6 those of the drift.
     head, tail = chain.head, chain.tail
-    sizes = size(first) + size(tail[0]) + size_sum(head) + size_sum(tail[2:])
+    sizes = size(lead) + size(tail[0]) + size_sum(head) + size_sum(tail[2:])
     small = size(chain.gap) + size_sum(tail[1:])
     carried = chain.error + chain.head_error + 4.0 * unit * sizes
     # Where v_i = 0, u_i stays and is not rounded.
@@ -219,7 +221,7 @@ def _bounds_after(
     rounded = sum(weight * (size(u) + 2.0 * modulus * size(v)) for u, v, weight in touched)
     outside, drift = chain.outside, chain.drift
     if drift is not None:
-        outside = outside | (size(tail[0]) - size(first) > 4.0 * drift)
+        outside = outside | (size(tail[0]) - size(lead) > 4.0 * drift)
         drift = drifted(drift, modulus, inverse, sizes + small, unit)
     return {
         "head_error": chain.head_error + 2.0 * modulus * chain.error + unit * rounded,
@@ -244,14 +246,14 @@ def _minus(a: Number | None, ratio: Number, b: Number | None) -> Number:
     return -(ratio * b) if a is None else a - ratio * b
 
 
-def leading(number: Array | DoubleDouble) -> Array:
+def leading(value: Array | DoubleDouble) -> Array:
     """Return the number rounded to float64, its sign being exact."""
-    return number.hi if isinstance(number, DoubleDouble) else number
+    return value.hi if isinstance(value, DoubleDouble) else value
 
 
-def size(number: Array | DoubleDouble) -> Array:
+def size(value: Array | DoubleDouble) -> Array:
     """Return the absolute value, to float64 accuracy."""
-    return abs(leading(number))
+    return abs(leading(value))
 
 
 def size_sum(numbers: tuple[Number, ...]) -> Array:
@@ -310,12 +312,12 @@ def without_zeros(loop: LinearLoop) -> LinearLoop:
     last = loop.degree
     width = (last + 3) // 2
     while width > 3 and all(
-        _is_zero(part[index].hi) for part in loop[:3] for index in (width - 1, last + 2 - width)
+        _is_zero(row[index].hi) for row in loop[:3] for index in (width - 1, last + 2 - width)
     ):
         width -= 1
     if _PAYS * width > last:
         return loop
-    base, stiffness, damping = (part[:width] + part[last + 2 - width :] for part in loop[:3])
+    base, stiffness, damping = (row[:width] + row[last + 2 - width :] for row in loop[:3])
     return loop._replace(base=base, stiffness=stiffness, damping=damping)
 
 
@@ -399,7 +401,7 @@ def loop_coefficients(
         lambda *values: xp.stack([xp.broadcast_to(value, grid) for value in values]), *columns
     )
     stiffness, damping = size(alpha), size(beta)
-    sizes = [sum(map(size, part)) for part in loop[:3]]
+    sizes = [sum(map(size, row)) for row in loop[:3]]
     # A rounding of each number of the loop, of each product and of each of two sums.
     rounding = 4.0 * unit * (sizes[0] + stiffness * sizes[1] + damping * sizes[2])
     inherited = loop.errors[0] + stiffness * loop.errors[1] + damping * loop.errors[2]
@@ -409,7 +411,7 @@ def loop_coefficients(
 
 def _affine(parts: Affine, alpha: Number, beta: Number, unit: float) -> tuple[Array, Array]:
     """Return base + alpha stiffness + beta damping, and a bound of its error."""
-    base, stiff, damp = (part.value for part in parts)
+    base, stiff, damp = (row.value for row in parts)
     value = base + (stiff * alpha + damp * beta)
     sizes = size(base) + size(stiff) * size(alpha) + size(damp) * size(beta)
     errors = (
@@ -457,11 +459,11 @@ def _sum(*numbers: Number | tuple[Number, ...]) -> Array:
 def _dense_step(state: _State, unit: float, *, is_apart: bool = False) -> _State:
     """Lower the degree by one, and bound what exact steps with the same K could differ by."""
     falling, rising = state.falling, state.rising
-    first, last = falling[0], rising[0]
-    ratio, inverse = _quotient(last, first, is_rolled=not isinstance(falling, tuple))
+    lead, last = falling[0], rising[0]
+    ratio, inverse = _quotient(last, lead, is_rolled=not isinstance(falling, tuple))
     modulus, lowered = size(ratio), _lowered(falling, rising, ratio, is_apart=is_apart)
     total = _sum(falling, rising) if is_apart else _sum(falling)
-    outside = state.outside | (size(last) - size(first) > 4.0 * state.drift)
+    outside = state.outside | (size(last) - size(lead) > 4.0 * state.drift)
     return _State(
         *lowered,
         error=state.error * (1.0 + modulus) + unit * total * (1.0 + 2.0 * modulus),
