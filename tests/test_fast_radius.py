@@ -239,7 +239,6 @@ class TestPowerIteration:
 
 
 class TestCubic:
-    @pytest.mark.campaign
     def test_the_largest_root_is_found_to_eight_digits(self, rng: np.random.Generator) -> None:
         """Built from its roots: a real one, and a pair or two real ones."""
         real, re, im = rng.uniform(-2.0, 2.0, (3, 500))
