@@ -190,7 +190,7 @@ def test_a_root_that_no_wall_moves_leaves_nothing(samples):
 
 def test_polynomials_are_moved_to_all_digits(rng):
     hi = rng.normal(size=(30, 3))
-    moved = _about(DoubleDouble.of(hi), 0.1)
+    moved = _about(DoubleDouble.from_value(hi), 0.1)
     with mp.workdps(60):
         step = mpf(0.1)
         for part in range(3):
