@@ -12,8 +12,8 @@ from benchmarks import truth
 from jaxstab import Filter, Velocity
 from jaxstab.model.device.family import Piece
 from jaxstab.model.filters import known_filters
-from jaxstab.point.dominance import _all_inside as all_inside
-from jaxstab.point.dominance import _rolled_all_inside as rolled_all_inside
+from jaxstab.point.fields import _all_inside as all_inside
+from jaxstab.point.fields import _rolled_all_inside as rolled_all_inside
 from jaxstab.point.fields import _rounded_up
 from jaxstab.point.radius import are_inside, traced_radius_error
 from jaxstab.point.traced_radius import _fitted
@@ -93,7 +93,7 @@ def test_bounds_of_radii_hold_for_grids_of_polynomials() -> None:
 
 @pytest.mark.parametrize("degree", [7, 20])
 def test_the_dominance_of_a_root_is_proved_by_loops_as_without_them(degree: int) -> None:
-    """dominance: next to the circle, rounding decides, and errors of the coefficients do not."""
+    """fields: next to the circle, rounding decides, and errors of the coefficients do not."""
     rng = np.random.default_rng(degree)
     angle = rng.uniform(0.1, 3.0, (degree // 2, 20))
     sizes = rng.uniform(0.2, 0.9, angle.shape)
