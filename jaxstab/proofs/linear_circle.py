@@ -21,11 +21,12 @@ from jaxtyping import Float64, Int64
 
 from jaxstab.arrays import PI_REST, at, joined
 from jaxstab.model.device import SampledDevice
-from jaxstab.model.device.family import LoopFamily, LoopPiece, Piece, pieces_of
+from jaxstab.model.device.family import LoopFamily, LoopPiece, Piece, has_spans, pieces_of
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import ONE, Filter, Filters, Polynomial, Velocity
+from jaxstab.model.linear_loop import SampledPlant
 from jaxstab.proofs.enclosures import LinearModel, phasor, variable
-from jaxstab.proofs.exclusion import LineBoxes, Models
+from jaxstab.proofs.exclusion import LineBoxes, Models, distance, expanded
 from jaxstab.proofs.filters import (
     ORDERS,
     Cells,
@@ -44,7 +45,6 @@ from jaxstab.rounding import EPS
 Reals = Float64[np.ndarray, " box"]
 
 _SUMS = 16 * EPS  # of a delay
-_FLOOR = 256 * EPS  # of the terms of g, and of turns: about what the arithmetic of models adds
 _EDGE, _PARAMETER, _THETA = 0, -2, -1
 
 """The axes: along a line of gains, if any; along t, if any; along the angle."""
@@ -66,7 +66,7 @@ def loop_cells(device: SampledDevice, filters: Filters | None) -> FilterCells:
 
     def functions(middle: Cells, half: Cells, is_wide: bool) -> list[Series]:
         place = Place(middle, half, is_wide)
-        free = place.polynomial(plant.denominator, shifted[1], shifted[3], plant.errors[1])
+        free = place.denominator(plant)
         force = place.polynomial(plant.numerator, shifted[0], shifted[2], plant.errors[0])
         force = force * place.chain([((DoubleDouble(0.0, 0.0),) * late + ONE, ONE)])
         return [free, *(force * place.chain(chain) for chain in chains)]
@@ -91,6 +91,11 @@ class Place(NamedTuple):
     def chain(self, chain: list[tuple[Polynomial, Polynomial]]) -> Series:
         """Return a product of factors in 1/z."""
         return over_halves(chain, self.middle, self.half, self.is_wide)
+
+    def denominator(self, plant: SampledPlant) -> Series:
+        """Return D of a device."""
+        shifted = plant.shifted or (None,) * 4
+        return self.polynomial(plant.denominator, shifted[1], shifted[3], plant.errors[1])
 
     def polynomial(
         self,
@@ -150,22 +155,7 @@ def line_models(cells: FilterCells, lines: GainLines, boxes: LineBoxes) -> Model
     free, *forces = over.values_along(2)
     alpha, beta = (variable(_EDGE, 2, *ends) for ends in zip(gains, change * half[0], strict=True))
     rounding = over.error[0] + np.sum(np.abs(gains) * over.error[1:3], axis=0)
-    return _expanded(free, alpha * forces[0] + beta * forces[1], rounding)
-
-
-def _expanded(
-    free: LinearModel, force: LinearModel, rounding: Reals, turns: Reals | float = 0.0
-) -> Models:
-    """The sum g = D + F (alpha P + beta V) of two models, the second behind a number of turns.
-
-    The moves of g by each axis, with its part of the rest, say which axis to halve. ``rounding``
-    bounds that of values: where the rest is little more, halving is in vain.
-    """
-    g = free + force
-    moves = np.abs(free.slope) + np.abs(force.slope)
-    share = moves / np.maximum(moves.sum(axis=0), 1e-300)
-    floor = rounding + _FLOOR * (np.abs(free.centre) + (1.0 + turns) * np.abs(force.centre))
-    return Models(g.centre, g.slope, g.rest, np.abs(g.slope) + 2.0 * g.rest * share, floor)
+    return expanded(free, alpha * forces[0] + beta * forces[1], rounding)
 
 
 # Polynomials in z whose coefficients are polynomials in one parameter, over boxes of angles.
@@ -255,14 +245,15 @@ def _in_piece(
         Q = sum_i sum_k c_ik u^i s^k x^(n - k),
 
     c the coefficients (lemma B17). ``here`` are sum_i c_ik u^i and its derivatives by u in the
-    middle, for each k; ``bounds`` are the same of the moduli at the largest |u|.
+    middle, for each k, ``moduli`` the same of the moduli at the largest |u|, and ``bounds`` of
+    their values in the box.
     """
     farthest = np.abs(offset) + by_parameter
     count, size = coefficients.shape
-    here, bounds = (
-        [powers @ table for powers in _powers(value, count)]
-        for value, table in ((offset, coefficients), (farthest, np.abs(coefficients)))
-    )
+    here = [powers @ coefficients for powers in _powers(offset, count)]
+    moduli = [powers @ np.abs(coefficients) for powers in _powers(farthest, count, 3)]
+    wide = by_parameter[:, None]
+    bounds = [np.abs(x) + wide * most for x, most in zip(here, moduli[1:], strict=True)]
     waves, turned, most, slopes, bends = angle
     value, by_angle, by_offset = (
         np.sum(a * b, axis=1) for a, b in ((here[0], waves), (here[0], turned), (here[1], waves))
@@ -272,19 +263,19 @@ def _in_piece(
         for a, b in ((bounds[0], bends), (bounds[2], most), (bounds[1], slopes))
     )
     rest = 0.5 * (by_theta**2 * bend + by_parameter**2 * curve) + by_parameter * by_theta * twist
-    rounding = (bounds[0] + by_parameter[:, None] * bounds[1]) * most
-    rounding = np.sum(rounding + by_theta[:, None] * bounds[0] * slopes, axis=1)
+    rounding = (moduli[0] + wide * moduli[1]) * most
+    rounding = np.sum(rounding + by_theta[:, None] * moduli[0] * slopes, axis=1)
     rounding = piece.remainder + (12 * size + count + 8) * EPS * rounding
     rest = np.where(farthest <= piece.half * (1.0 + _BEYOND), rest + rounding, np.inf)
     return np.stack([value, by_offset * by_parameter, by_angle * by_theta, rest, rounding])
 
 
-def _powers(value: np.ndarray, count: int) -> list[np.ndarray]:
-    """Return the powers 0, 1, 2, ... of numbers, (box, power), and two derivatives of them."""
+def _powers(value: np.ndarray, count: int, most: int = 2) -> list[np.ndarray]:
+    """Return the powers 0, 1, 2, ... of numbers, (box, power), and some derivatives of them."""
     order = np.arange(count)
     repeated = np.where(order == 0, 1.0, value[:, None])
     derivatives = [np.cumprod(repeated, axis=1)]
-    for _ in range(2):
+    for _ in range(most):
         lower = np.zeros_like(derivatives[-1])
         lower[:, 1:] = derivatives[-1][:, :-1]
         derivatives.append(lower * order)
@@ -309,9 +300,12 @@ _IN_CACHE = 1536  # boxes
 
 
 class FamilyCells(NamedTuple):
-    """The shared P and V over cells of the angle, and what changes with t in pieces."""
+    """What does not change with t over cells of the angle, and what does in pieces.
 
-    filters: FilterCells
+    P and V that all loops share are in ``shared``, and D if it is the same in all loops.
+    """
+
+    shared: FilterCells
     pieces: tuple[LoopPiece, ...]
     lags: Float64[np.ndarray, " piece"]
     ends: Float64[np.ndarray, "piece 2"]
@@ -337,10 +331,11 @@ def family_cells(family: LoopFamily) -> FamilyCells | None:
     if pieces is None:
         return None
     chains = chains_of(family.first, family.shared_filters)
+    plants = () if has_spans((family.device, family.filters)) else (family.first.plant,)
 
     def plain(middle: Cells, half: Cells, is_wide: bool) -> list[Series]:
         place = Place(middle, half, is_wide)
-        return [place.chain(chain) for chain in chains]
+        return [*map(place.chain, chains), *map(place.denominator, plants)]
 
     lags = np.array([float(piece.lag) for piece in pieces])
     return FamilyCells(cells_of(plain), pieces, lags, np.array([piece.ends for piece in pieces]))
@@ -382,22 +377,23 @@ def delay_models(
     share[_PARAMETER] = by_delay / half
     beyond = np.sum(np.abs(force.slope) * (1.0 - share), axis=0)
     force = replace(force, slope=force.slope * share, rest=force.rest + beyond)
-    apart = np.abs(np.abs(free.centre) - np.abs(force.centre)) - free.swing - force.swing
-    return _behind(boxes, free, force, rounding), apart
+    return _behind(boxes, free, force, rounding), distance(free, force)
 
 
 def _parts(cells: FamilyCells, boxes: FamilyBoxes) -> tuple[LinearModel, LinearModel, Reals]:
     """Return D, the force (F_K alpha + F_B beta)/x^lag, and the rounding in both."""
     place = boxes.place
-    names = ["free", "stiffness"]
+    over = OverCells.from_cells(cells.shared, place.theta, place.by_theta)
+    position, velocity, *shared = over.values_along(3)
+    names = ["stiffness"] if shared else ["stiffness", "free"]
     if any(piece.damping is not piece.stiffness for piece in cells.pieces):
         names.append("damping")
     polynomials = [[getattr(piece, name) for piece in cells.pieces] for name in names]
-    (free, rounding), *numerators = over_pieces(polynomials, place, 3)
-    filters = OverCells.from_cells(cells.filters, place.theta, place.by_theta).values_along(3)
+    parts = dict(zip(names, over_pieces(polynomials, place, 3), strict=True))
+    free, rounding = parts.get("free") or (shared[0], over.error[2])
+    both = parts["stiffness"], parts.get("damping", parts["stiffness"])
     forces, gains = [], zip(boxes.gains, boxes.edge, strict=True)
-    both = numerators[0], numerators[-1]
-    for (numerator, error), response, gain in zip(both, filters, gains, strict=True):
+    for (numerator, error), response, gain in zip(both, (position, velocity), gains, strict=True):
         forces.append(variable(_EDGE, 3, *gain) * (numerator * response))
         rounding = rounding + np.abs(gain[0] * response.centre) * error
     return free, forces[0] + forces[1], rounding
@@ -407,4 +403,4 @@ def _behind(boxes: FamilyBoxes, free: LinearModel, force: LinearModel, rounding:
     """Return the sum of D and the force behind its lag."""
     place = boxes.place
     behind = phasor(variable(_THETA, 3, place.theta, place.by_theta) * boxes.lag)
-    return _expanded(free, behind * force, rounding, boxes.lag)
+    return expanded(free, behind * force, rounding, boxes.lag)

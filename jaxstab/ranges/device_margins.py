@@ -50,6 +50,7 @@ _COARSE = np.array([2.0**-7, 2.0**-13])  # half the size of boxes of fractions, 
 _FINE = np.array([2.0**-12, 2.0**-16])  # where the first stretch of delay was free
 _MOST_ANGLES = 4000  # such boxes of a wall at once
 _MOST_PARTS = 20_000  # of a stretch of delay
+_TERMS = 3  # of the polynomials in the fraction, for each part of a piece at first
 
 
 def extra_delays(
@@ -74,7 +75,7 @@ def extra_delays(
 
     def longest(angles: LineBoxes) -> np.ndarray:
         """The longest stretches that are not cut into more parts than are evaluated together."""
-        parts = np.bincount(angles.line, minlength=len(walls)) * len(cells.pieces)
+        parts = np.bincount(angles.line, minlength=len(walls)) * len(_fractions(cells))
         return np.maximum(1.0, _MOST_PARTS / np.maximum(parts, 1))
 
     return first_delays(len(walls), critical, roots, longest).step
@@ -94,13 +95,23 @@ def _critical_angles(
         return Proof(over[1] > 0.0, over[0].bends[1:].T)
 
     middles = (np.arange(_DELAY_ANGLES) + 0.5) / _DELAY_ANGLES
-    grid = np.meshgrid(numbers, np.arange(len(cells.pieces)), middles, indexing="ij")
-    wall, piece, angle = (column.ravel() for column in grid)
-    low, high = cells.ends[piece].T
+    ends = _fractions(cells)
+    grid = np.meshgrid(numbers, np.arange(len(ends) - 1), middles, indexing="ij")
+    wall, part, angle = (column.ravel() for column in grid)
+    low, high = ends[part], ends[part + 1]
     fractions, angles = (0.5 * (low + high), 0.5 * (high - low)), (angle, 0.5 / _DELAY_ANGLES)
     boxes = ParameterBox.from_axes(wall, fraction=fractions, angle=angles)
-    most = _MOST_ANGLES * len(cells.pieces)
+    most = _MOST_ANGLES * (len(ends) - 1)
     return joined_angles(boxes.paved(prove, smallest, most_each=most).boxes)
+
+
+def _fractions(cells: FamilyCells) -> Float64[np.ndarray, " end"]:
+    """Ends of parts of a sample, more of them where the polynomials have more terms."""
+    ends = [
+        np.linspace(*piece.ends, 1 + -(-len(piece.stiffness.near) // _TERMS))[:-1]
+        for piece in cells.pieces
+    ]
+    return np.append(np.concatenate(ends), 1.0)
 
 
 def _in_pieces(
@@ -111,7 +122,7 @@ def _in_pieces(
     for wall in np.unique(angles.line):
         begin, end = start[wall], start[wall] + length[wall]
         whole = np.arange(np.floor(begin), np.floor(end) + 1.0)
-        ends = np.unique(whole[:, None] + np.append(cells.ends[:, 0], 1.0))
+        ends = np.unique(whole[:, None] + _fractions(cells))
         ends = ends[(ends > begin) & (ends < end)]
         t = np.clip([0.0, *((ends - begin) / length[wall]), 1.0], 0.0, 1.0)
         which = np.flatnonzero(angles.line == wall)
