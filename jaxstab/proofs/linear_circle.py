@@ -253,7 +253,10 @@ def _in_piece(
     here = [powers @ coefficients for powers in _powers(offset, count)]
     moduli = [powers @ np.abs(coefficients) for powers in _powers(farthest, count, 3)]
     wide = by_parameter[:, None]
-    bounds = [np.abs(x) + wide * most for x, most in zip(here, moduli[1:], strict=True)]
+    bounds = [
+        np.abs(value) + 2 * count * EPS * size_of + wide * change
+        for value, size_of, change in zip(here, moduli[:3], moduli[1:], strict=True)
+    ]
     waves, turned, most, slopes, bends = angle
     value, by_angle, by_offset = (
         np.sum(a * b, axis=1) for a, b in ((here[0], waves), (here[0], turned), (here[1], waves))
