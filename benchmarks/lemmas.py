@@ -129,7 +129,7 @@ def polynomial(rng: np.random.Generator, hostile: bool) -> Iterator[Finding]:
             ("pairs", PAIR_UNIT, verdicts.pair_plant),
         ):
             plant = make(gamma, delta, fraction, is_fractional=is_fractional)
-            gains = (alpha, beta) if unit == UNIT else map(DoubleDouble.of, (alpha, beta))
+            gains = (alpha, beta) if unit == UNIT else map(DoubleDouble.from_value, (alpha, beta))
             alpha_, beta_ = gains
             chain = verdicts._closed_loop(alpha_, beta_, plant, unit)
             got, exact = [chain.gap, *chain.tail], [1 - true.d0, *tail]

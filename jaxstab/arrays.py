@@ -148,7 +148,7 @@ def tree_map(function: Callable[..., Any], tree: Tree, *others: Tree) -> Tree:
     return result
 
 
-def at(tree: Tree, index: Any) -> Tree:
+def take(tree: Tree, index: Any) -> Tree:
     """Return a tree of the values at an index of each array: ``(..., i)`` for the last axis."""
     return tree_map(lambda values: values[index], tree)
 
@@ -212,13 +212,17 @@ def stored(tree: Tree) -> Tree:
     return tree if xp is np else tree_map(lambda x: x / xp.where(x == x, 1.0, 2.0), tree)
 
 
+# Inverses, roots and powers of two that XLA fuses with the arithmetic around them: it does not fuse
+# a division whose result is used more than once. They start from the bits of the number.
+
 _RECIPROCAL = 0x7FDE_6238_22FC_16E6  # minus the bits of x: 1/x within 13 %
+_INVERSE_ROOT = 0x5FE6_EB50_C7B5_37A9  # minus half the bits of x: 1/sqrt(x) within 4 %
+_EXPONENT = 0x7FF0_0000_0000_0000
+_LARGEST_EXPONENT = 0x7FE0_0000_0000_0000
 
 
 def reciprocal(x: Array) -> Array:
     """Return 1/x for x > 0, to eight digits in JAX."""
-    # XLA does not fuse a division whose result is used more than once with the arithmetic around
-    # it. This starts from the bits of the number and takes steps of Newton's method.
     if not is_jax(x):
         return 1.0 / x
     y = floats(_RECIPROCAL - bits(x))
@@ -233,6 +237,21 @@ def rounded_reciprocal(x: Array) -> Array:
     for _ in range(2):
         y = y + y * (1.0 - x * y)
     return namespace(x).where((x > 2.0**-960) & (x < 2.0**960), y, np.nan)
+
+
+def square_root(x: Array) -> Array:
+    """Return the root of x >= 0, to eight digits in JAX."""
+    if not is_jax(x):
+        return np.sqrt(x)
+    y = floats(_INVERSE_ROOT - (bits(x) >> 1))
+    for _ in range(3):
+        y = y * (1.5 - 0.5 * x * y * y)
+    return x * y
+
+
+def power_of_two_below_inverse(x: Array) -> Array:
+    """Return the power of two that brings x > 0 to [1, 2)."""
+    return floats(_LARGEST_EXPONENT - (bits(x) & _EXPONENT))
 
 
 def bits(x: Array) -> Array:

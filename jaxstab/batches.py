@@ -14,6 +14,7 @@ from functools import cache, partial, wraps
 from itertools import pairwise
 from math import prod
 from pathlib import Path
+from threading import Lock
 from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
@@ -113,31 +114,53 @@ def in_float64(function: Callable[..., Result], *arguments: Any, **options: Any)
 def on_few_sizes(function: Callable[..., Result], *arguments: Any) -> Result:
     """Call a JAX function of points in float64, on grids of few sizes; NumPy in and out.
 
-    A large grid is cut across its longest axis, and each core of the CPU computes a part: a program
-    in tiles uses one core alone.
+    A large grid is cut into pieces, and each core of the CPU computes some: a program in tiles uses
+    one core alone.
     """
     shape = np.broadcast_shapes(*map(np.shape, leaves(arguments)))
-    count = min(_cores(), prod(shape) // _FOR_A_CORE, max(shape, default=0) // 2)
+    count = min(_cores(), prod(shape) // _FOR_A_CORE)
+    return in_pieces(partial(filled_up, function), arguments, count)
+
+
+def in_pieces(function: Callable[..., Result], arguments: tuple[Any, ...], count: int) -> Result:
+    """Call a function of points, NumPy in and out, on ``count`` pieces of their grid.
+
+    The grid is cut across its longest axis. As many pieces are computed at a time as the CPU has
+    cores for JAX; each core writes what it has computed into the whole.
+    """
+    shape = np.broadcast_shapes(*map(np.shape, leaves(arguments)))
+    count = min(count, max(shape, default=0) // 2)
     if count < 2:
-        return _on_few_sizes(function, shape, arguments)
+        return function(*arguments)
     axis = int(np.argmax(shape)) - len(shape)
     ends = [shape[axis] * k // count for k in range(count + 1)]
+    wholes: list[Any] = []
+    is_first = Lock()
 
-    def of_core(start_and_stop: tuple[int, int]) -> Result:
-        start, stop = start_and_stop
+    def has_axis(leaf: Any) -> bool:
+        return np.ndim(leaf) >= -axis and np.shape(leaf)[axis] > 1
 
-        def cut(leaf: Any) -> Any:
-            has_axis = np.ndim(leaf) >= -axis and np.shape(leaf)[axis] > 1
-            return leaf.take(range(start, stop), axis) if has_axis else leaf
+    def whole(leaf: np.ndarray) -> np.ndarray:
+        last = (shape[axis], *leaf.shape[leaf.ndim + axis + 1 :]) if has_axis(leaf) else ()
+        return np.empty((*leaf.shape[: leaf.ndim - len(last)], *last), leaf.dtype)
 
-        own = (*shape[:axis], stop - start, *shape[len(shape) + axis + 1 :])
-        return _on_few_sizes(function, own, tree_map(cut, arguments))
+    def of_piece(start_and_stop: tuple[int, int]) -> None:
+        index: Any = (..., slice(*start_and_stop), *(slice(None),) * (-axis - 1))
 
-    def joined(*parts: np.ndarray) -> np.ndarray:
-        has_axis = parts[0].ndim >= -axis and parts[0].shape[axis] > 1
-        return np.concatenate(parts, axis) if has_axis else parts[0]
+        def write(whole: np.ndarray, leaf: np.ndarray) -> None:
+            whole[index if has_axis(leaf) else ...] = leaf
 
-    return tree_map(joined, *on_cores(of_core, list(pairwise(ends))))
+        answer = function(
+            *tree_map(lambda leaf: leaf[index] if has_axis(leaf) else leaf, arguments)
+        )
+        with is_first:
+            if not wholes:
+                wholes.append(tree_map(whole, answer))
+        tree_map(write, wholes[0], answer)
+
+    on_cores(of_piece, list(pairwise(ends)))
+    result: Result = wholes[0]
+    return result
 
 
 def on_cores(function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
@@ -163,12 +186,13 @@ def _cores() -> int:
     return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
-def _on_few_sizes(
-    function: Callable[..., Result], shape: tuple[int, ...], arguments: tuple[Any, ...]
-) -> Result:
+def filled_up(function: Callable[..., Result], *arguments: Any) -> Result:
+    """Call a JAX function of points in float64, on a grid of one of few sizes; NumPy in and out."""
+    shape = np.broadcast_shapes(*map(np.shape, leaves(arguments)))
     # Each axis is filled up with its last points to a length of five binary digits, which is at
     # most 6 % more; so grids of new sizes are rarely compiled anew.
-    filled = [_few_digits(length) for length in shape]
+    steps = (1 << max(0, length.bit_length() - 5) for length in shape)
+    filled = [-(-length // step) * step for length, step in zip(shape, steps, strict=True)]
 
     def fill(leaf: Any) -> Any:
         for axis, length in enumerate(np.shape(leaf), start=-np.ndim(leaf)):
@@ -181,11 +205,6 @@ def _on_few_sizes(
         return leaf[tuple(slice(length) for length in shape[len(shape) - leaf.ndim :])]
 
     return tree_map(cut, in_float64(function, *tree_map(fill, arguments)))
-
-
-def _few_digits(length: int) -> int:
-    step = 1 << max(0, length.bit_length() - 5)
-    return -(-length // step) * step
 
 
 def over_tiles(kernel: Callable[..., Result], arguments: Any, tile: int = TILE) -> Result:

@@ -21,10 +21,19 @@ concrete (a delay always); RuntimeError for JAX arrays while JAX's x64 mode is o
 """
 
 from enum import IntEnum
-from typing import Final
+from typing import Final, Literal, TypeAlias
 
 AXES: Final = ("alpha", "beta", "gamma", "delta", "delay")
 """The dimensionless parameters (paper, Table I) in the order of signatures, axes and files."""
+
+Range: TypeAlias = tuple[float, float]
+"""The lowest and the highest value of a quantity that varies."""
+
+Excitation: TypeAlias = Literal["force", "impact"]
+"""What a settling time refers to: a constant push, or a velocity at the wall."""
+
+HORIZON: Final = 1 << 18
+"""Samples after which a loop that is not proved to have settled is given up."""
 
 
 class Verdict(IntEnum):

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple, overload
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
-from jaxstab.arrays import Array, Numbers, at, is_traced, namespace
+from jaxstab.arrays import Array, Numbers, is_traced, namespace, take
 from jaxstab.batches import lists
 from jaxstab.conventions import AXES, Status
 from jaxstab.model import (
@@ -674,7 +674,8 @@ class _Tracer:
             active = sum(len(own) > 0 for own in searches)
             most = max(1, (_FEWEST_LANES if active <= 8 else 8 * _MOST_LANES) // active)
             chosen = np.concatenate([own[:: -(-len(own) // most) or 1] for own in searches])
-            lanes = self._lanes(index[chosen])
+            kinds = np.array(_KINDS, np.int8)[index[chosen] % 3]
+            lanes = Lanes(self.scene.select(index[chosen] // 3), kinds, self.responses)
             starts = correct(centers[chosen], np.zeros((len(chosen), 3)), lanes)
             is_start = starts.converged & np.all(np.abs(starts.position - 0.5) <= 0.5, axis=1)
             for search, own in members.items():
@@ -687,7 +688,7 @@ class _Tracer:
             if is_start.any():
                 _, unique = np.unique(index[chosen[is_start]], return_index=True)
                 unique = np.flatnonzero(is_start)[unique]
-                begins = at(starts, unique)
+                begins = take(starts, unique)
                 followed = follow(begins, lanes.select(unique), self.resolution)
                 for search, path in zip(index[chosen[unique]].tolist(), followed, strict=True):
                     self.paths[search // 3].append((_KINDS[search % 3], path))
@@ -706,10 +707,6 @@ class _Tracer:
             away = squares + np.sum(chunk**2, axis=1) - 2.0 * centers @ chunk.T
             is_near |= np.any(away < (_COVER * self.resolution) ** 2, axis=1)
         return is_near
-
-    def _lanes(self, index: Int64[np.ndarray, " points"]) -> Lanes:
-        kinds = np.array(_KINDS, np.int8)[index % 3]
-        return Lanes(self.scene.select(index // 3), kinds, self.responses)
 
     def _proof(self, boxes: ParameterBox) -> Proof:
         scene = self.scene.select(boxes.index // 3)

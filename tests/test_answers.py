@@ -18,7 +18,8 @@ from benchmarks.truth.march import FINE, march_on_a_fine_grid
 from jaxstab import HapticLoop
 from jaxstab.cli.main import main
 from jaxstab.conventions import Verdict
-from jaxstab.model import by_name
+from jaxstab.model import Velocity, by_name
+from jaxstab.model.loop import as_one
 from jaxstab.pictures.scene import scene_figure
 from jaxstab.point import spectral_radius, verdict
 from jaxstab.scene import EXAMPLE, Scene, check_walls, scene_limits
@@ -113,6 +114,42 @@ def test_walls_that_are_asked_together_are_answered_as_each_alone() -> None:
     for name, wall in walls.items():
         alone = check_walls(Scene.from_table({**table, "walls": {name: wall}})).walls[name]
         assert repr(together[name]) == repr(alone)
+
+
+@pytest.mark.parametrize(
+    ("method", "options"),
+    [
+        ("verdict", {}),
+        ("spectral_radius", {}),
+        ("margins", {}),
+        ("oscillation", {}),
+        ("settling_time", {"level": 0.05}),
+        ("amplitude", {"encoder": 1e-5}),
+    ],
+)
+def test_loops_of_one_mass_as_one_answer_as_each_does(method: str, options: Any) -> None:
+    hands = [(0.0, 0.0, 0.0), (0.3, 200.0, 4.0), (0.1, 500.0, 0.0)]
+    window = Velocity.difference(window=0.005)
+    loops = [
+        HapticLoop(
+            device_mass=0.1,
+            device_damping=1.5,
+            hand_mass=mass,
+            hand_stiffness=stiffness,
+            hand_damping=damping,
+            sample_time=1e-3,
+            delay=delay,
+            velocity=window,
+        )
+        for (mass, stiffness, damping), delay in zip(hands, (0.0, 1e-3, 1.4e-3), strict=True)
+    ]
+    walls = np.array([(500.0, 2.0), (900.0, 7.0), (9000.0, 2.0)])
+    many = getattr(as_one(loops), method)(*walls.T, **options)
+    for index, (loop, wall) in enumerate(zip(loops, walls, strict=True)):
+        own = getattr(loop, method)(*wall, **options)
+        pairs = [(many, own)] if method == "verdict" else zip(many, own, strict=True)
+        for column, value in pairs:
+            np.testing.assert_allclose(column[index], value, rtol=1e-11)
 
 
 def test_tune_finds_the_triple_pole_and_the_best_damping_for_a_wall() -> None:

@@ -10,8 +10,15 @@ from benchmarks import truth
 from benchmarks.truth import filtered
 from jaxstab import Filter, Velocity, Verdict, boundary_curve, verdict
 from jaxstab.model.filters import known_filters
-from jaxstab.proofs.columns import StableColumns, column_gaps, stable_columns
-from jaxstab.proofs.curve_patches import Domain, Intervals, curve_patches
+from jaxstab.proofs.columns import (
+    Columns,
+    Runs,
+    StableColumns,
+    column_gaps,
+    distances,
+    stable_columns,
+)
+from jaxstab.proofs.curve_patches import Domain, Intervals, Patches, curve_patches
 from jaxstab.proofs.enclosures import LinearModel
 from jaxstab.proofs.plant import HandBoxes, plant_models
 
@@ -23,6 +30,7 @@ SCENES = [  # delay, gamma, delta, widths of the boxes, domain in units of the d
     (2.7, HAPTIC, (1e-5, 1e-4), Domain((-0.02, 0.04), (-0.1, 0.5))),
     (0.0, (2.0, 0.1), (1e-2, 1e-2), Domain((-3.0, 1.0), (-1.0, 1.5))),
     (1.0, (np.pi**2 - 0.02, 0.3), (0.02, 1e-2), Domain((-12.0, 5.0), (-5.0, 5.0))),
+    (0.2, HAPTIC, (5e-4, 2e-3), Domain((-0.1, 0.6), (-0.1, 3.0))),  # a root at -1 bounds it above
 ]
 CELLS = 96
 
@@ -143,6 +151,17 @@ def test_the_haptic_range_leaves_less_than_a_thousandth_undecided(rng: np.random
     columns = stable_columns(edges, hands, 0.0, domain)
     spread = np.minimum(columns.lower[..., -1] + columns.upper[..., -1], 0.72)
     assert 2 * spread.mean() / 0.72 < 1e-3
+
+
+@pytest.mark.parametrize(("delay", "first", "width", "domain"), SCENES)
+def test_every_column_has_limits(
+    delay: float, first: tuple[float, float], width: tuple[float, float], domain: Domain
+) -> None:
+    """Where patches above the line alpha = -gamma leave a gap undecided, those apart from it do."""
+    columns = stable_columns(
+        np.linspace(*domain.beta, CELLS + 1), boxes(first, width), delay, domain
+    )
+    assert np.all(np.isfinite(columns.lower[..., -1]) & np.isfinite(columns.upper[..., -1]))
 
 
 def test_where_no_hand_is_stable_all_alphas_are_unstable() -> None:
@@ -314,3 +333,56 @@ def test_a_curve_of_which_nothing_is_known_is_a_few_patches() -> None:
     patches = curve_patches(hand, 1.854, Domain(*domain), (0.3, 0.2), filters, 0.146)
     assert patches.box.size < 4000
     np.testing.assert_array_equal(patches.start[1:], patches.end[:-1])  # and none is left out
+
+
+@pytest.mark.parametrize("half_delay", [0.0, 0.4])
+def test_distances_of_patches_from_surfaces_hold_at_every_point(
+    half_delay: float, rng: np.random.Generator
+) -> None:
+    """Models of alpha and beta drawn at random; most points are at the ends of all variables."""
+    count, variables = 300, 8 if half_delay else 3
+    half = rng.uniform(0.2, 1.0, (3, count))
+    if half_delay:
+        most = np.full(count, half_delay)
+        half = np.stack([*half, most, 0.5 * most**2, *(most * half)])
+    alpha, beta = (
+        LinearModel(
+            rng.normal(size=count),
+            rng.normal(size=half.shape) * rng.choice([0.0, 0.1, 1.0], count),
+            rng.choice([0.0, 0.1], count),
+            half,
+        )
+        for _ in range(2)
+    )
+    index = np.arange(count)
+    patches = Patches(index, index + 0.0, index + 0.9, alpha, beta, np.zeros(count, bool))
+    centre = np.zeros((count, variables))
+    centre[:, 0] = beta.centre + rng.normal(size=count)
+    of_column = np.concatenate([rng.uniform(0.2, 2.0, (1, count)), half[1:3]])
+    if half_delay:
+        of_column = np.stack([*of_column, half[3], half[4], *(half_delay * of_column)])
+    columns = Columns(centre, of_column.T, 0.5, half_delay)
+    middle, slope = rng.normal(size=count), rng.normal(size=(count, variables))
+    low, high = distances(patches, columns, Runs(index, index, index, index), middle, slope)
+
+    share = np.where(rng.random((400, 4, count)) < 0.7, rng.choice([-1.0, 1.0], (400, 4, count)),
+                     rng.uniform(-1.0, 1.0, (400, 4, count)))  # fmt: skip
+    x, t = share[:, :3] * half[:3], share[:, 3:] * half_delay
+    terms = [x, t, t**2 - 0.5 * half_delay**2, t * x] if half_delay else [x]
+    terms = np.concatenate(terms, axis=1)
+    at_alpha, at_beta = (
+        m.centre + np.sum(m.slope * terms, axis=1) + m.rest * rng.choice([-1, 1], (400, count))
+        for m in (alpha, beta)
+    )
+    away = at_beta - centre[:, 0]
+    of_surface = np.stack([away, x[:, 1], x[:, 2]], axis=1)
+    if half_delay:
+        square = t**2 - 0.5 * half_delay**2
+        of_surface = np.concatenate([of_surface, t, square, t * of_surface], axis=1)
+    distance = at_alpha - middle - np.sum(slope.T * of_surface, axis=1)
+    is_inside = np.abs(away) <= of_column[0]
+    assert is_inside.sum() > 10_000
+    assert np.all(((low <= distance) & (distance <= high))[is_inside])
+    # Some of the bounds are attained, almost.
+    nearest = np.min(np.where(is_inside, np.minimum(distance - low, high - distance), np.inf), 0)
+    assert np.sum(nearest < 0.02 * (high - low)) > 30

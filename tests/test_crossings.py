@@ -1,10 +1,13 @@
 """Crossings of the curve with itself and the lines, against roots of p along the curve."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 
 from jaxstab.model import by_name, characteristic_polynomial
-from jaxstab.region.crossings import crossings
+from jaxstab.region import crossings as module
+from jaxstab.region.crossings import _overlapping_boxes, _starts, crossings
 from jaxstab.region.curve import boundary_curve, slice_coefficients
 from jaxstab.region.pieces import scan_angles
 
@@ -52,3 +55,43 @@ def test_the_number_of_unstable_roots_changes_at_crossings(place: Place) -> None
 def test_at_a_crossing_there_are_three_roots_on_the_circle(place: Place) -> None:
     away = np.sort(np.abs(sizes_of_roots(found(place), place) - 1.0), axis=1)
     assert np.max(away[:, 2]) < FARTHEST
+
+
+def test_no_pair_of_parts_whose_boxes_overlap_is_missed_in_blocks(
+    monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
+) -> None:
+    monkeypatch.setattr(module, "_AT_ONCE", 100)
+    interval = np.flatnonzero(rng.random(60) < 0.6)  # neighbours of a part do not count
+    low = rng.uniform(size=(2, len(interval)))
+    high = low + rng.uniform(0.0, 0.4, low.shape)
+    pairs = {
+        (i, j)
+        for i, j in product(range(len(interval)), repeat=2)
+        if interval[i] + 1 < interval[j]
+        and np.all((low[:, i] <= high[:, j]) & (low[:, j] <= high[:, i]))
+    }
+    blocks = list(_overlapping_boxes(interval, low, high))
+    here, there = np.concatenate(blocks, axis=1)
+    assert len(blocks) > 10
+    assert sorted(zip(here.tolist(), there.tolist(), strict=True)) == sorted(pairs)
+
+
+def test_cubics_that_cross_at_given_shares_are_found_to_cross_there(
+    rng: np.random.Generator,
+) -> None:
+    """By de Casteljau's algorithm; each of the cubics is slightly bent."""
+    count = 50
+    shares = rng.uniform(0.1, 0.9, (2, count))
+    ends = rng.normal(size=(2, 2, 2, count))  # of cubic, end, coordinate
+    controls = np.linspace(ends[:, 0], ends[:, 1], 4, axis=1)
+    controls += 0.03 * rng.normal(size=controls.shape)
+    points = controls
+    for _ in range(3):
+        points = points[:, :-1] + shares[:, None, None] * np.diff(points, axis=1)
+    controls[1] += (points[0] - points[1])[0]
+    pairs = np.arange(2 * count).reshape(2, count)
+    parts, found_shares = _starts(np.concatenate(list(controls), axis=-1), pairs)
+    assert np.all(parts[1] - parts[0] == count)
+    for k in range(count):
+        away = np.abs(found_shares[:, parts[0] == k] - shares[:, [k]]).max(axis=0)
+        assert np.min(away, initial=np.inf) < 1e-9

@@ -16,8 +16,9 @@ from jaxstab.model import by_name
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.region import RegionStatus
 from jaxstab.region.curve import curve_and_lift
-from jaxstab.region.exact import _about
+from jaxstab.region.exact import _about, angles_on_circle, polished_angles
 from jaxstab.region.filtered_curve import stretches_around, to_rescaled, true_angles
+from jaxstab.region.filtered_points import exact_walls
 from jaxstab.region.pieces import slice_angles
 
 SLOW = [1646, 2638, 2649]  # low passes and Butterworth filters of order 6 to 8, below 0.016
@@ -121,16 +122,32 @@ def test_the_curve_of_slow_filters_has_all_digits(number):
     assert np.max(abs(gains - truth) / size) < 1e-12
 
 
-def test_slopes_of_the_curve_are_those_of_its_points():
+@pytest.mark.parametrize("theta", [0.007, 0.8, 2.3, 3.1])
+def test_slopes_of_the_curve_are_those_of_its_points(theta):
+    """Also in the half next to z = -1, which is unfolded."""
     loop, region, _ = drawn(SLOW[0])
     coefficients = region.coefficients
-    theta = 0.007
     step = 1e-6
     moved = [np.array(loop.balls.wall_with_roots_at(theta + sign * step)) for sign in (1, -1)]
     complex_step = 1e-200
     values = np.array(curve_and_lift(coefficients, np.array([theta + 1j * complex_step]))[:2])
     slopes = values[:, 0].imag / complex_step
     np.testing.assert_allclose(slopes, (moved[0] - moved[1]) / (2 * step), rtol=1e-6)
+
+
+@pytest.mark.parametrize("theta", [0.003, 0.02, 0.7, 2.3])
+def test_roots_on_the_circle_are_found_and_polished_to_all_digits(theta):
+    """Of a wall on the curve: near z = 1 from the polynomial in powers of z - 1."""
+    _, region, _ = drawn(SLOW[0])
+    curve = region.coefficients
+    walls = exact_walls(curve, np.array([theta]))
+    step = np.exp(1j * theta) - 1.0
+    near = step * (1.0 + np.array([1e-7, 1e-9j, -1e-8]))
+    angles, excess = polished_angles(curve.pairs, *(wall[[0, 0, 0]] for wall in walls), near)
+    assert angles.rounded() == pytest.approx(theta, rel=1e-15)
+    assert np.max(np.abs(excess)) < 1e-20
+    every = angles_on_circle(curve, *walls, within=1e-20).rounded()
+    assert np.min(np.abs(every - theta)) < 1e-14 * theta
 
 
 def test_angles_of_a_scan_are_close_to_the_poles_that_float64_misses():
@@ -173,7 +190,7 @@ def test_a_root_that_no_wall_moves_leaves_nothing(samples):
 
 def test_polynomials_are_moved_to_all_digits(rng):
     hi = rng.normal(size=(30, 3))
-    moved = _about(DoubleDouble.of(hi), 0.1)
+    moved = _about(DoubleDouble.from_value(hi), 0.1)
     with mp.workdps(60):
         step = mpf(0.1)
         for part in range(3):

@@ -239,7 +239,6 @@ class TestPowerIteration:
 
 
 class TestCubic:
-    @pytest.mark.campaign
     def test_the_largest_root_is_found_to_eight_digits(self, rng: np.random.Generator) -> None:
         """Built from its roots: a real one, and a pair or two real ones."""
         real, re, im = rng.uniform(-2.0, 2.0, (3, 500))
@@ -260,32 +259,3 @@ class TestDominantRoot:
         tried = np.array([complex(root) - 1.0 for root in roots if root.imag >= 0])
         distances = dominance.distance_of_dominant(tried, loop, degree=3)
         assert np.isfinite(distances).tolist() == [True, False]
-
-    @pytest.mark.parametrize("form", ["_all_inside", "_rolled_all_inside"])
-    def test_roots_inside_are_proved_only_with_a_margin(self, form: str) -> None:
-        inside = [jnp.asarray(value) for value in (1.0, -0.9, 0.5)]
-        outside = [jnp.asarray(value) for value in (1.0, -2.1, 1.08)]
-        for polynomial, error, proved in [
-            (inside, 1e-3, True),
-            (inside, 0.9, False),
-            (outside, 1e-3, False),
-            (inside, np.inf, False),
-        ]:
-            all_inside = getattr(dominance, form)
-            assert bool(all_inside(polynomial, jnp.asarray(error))) is proved
-
-    @pytest.mark.campaign
-    def test_loops_divide_and_prove_as_unrolled_code_does(self, rng: np.random.Generator) -> None:
-        powers = [jnp.full(200, 0.9**power) for power in range(1, 12)]
-        coefficients = [jnp.asarray(rng.uniform(-0.3, 0.3, 200)) for _ in range(11)]
-        coefficients[4] = None
-        twice, product = (jnp.asarray(rng.uniform(-0.9, 0.9, 200)) for _ in range(2))
-        rest, rolled = (
-            divided(coefficients, powers, twice, product)
-            for divided in (dominance._quotient, dominance._rolled_quotient)
-        )
-        np.testing.assert_allclose(np.array(rolled), np.array(rest), atol=1e-14)
-        for error in (jnp.full(200, 1e-9), jnp.full(200, 1e-2)):
-            proved = dominance._all_inside(rest, error)
-            np.testing.assert_array_equal(dominance._rolled_all_inside(rest, error), proved)
-            assert 0.1 < jnp.mean(proved) < 0.99

@@ -17,7 +17,7 @@ from jaxstab.loop.jitter import MovingLoop, MovingRegion, _Search
 from jaxstab.model.device import SampledDevice, sampled_device
 from jaxstab.model.device.periodic import segments_of
 from jaxstab.model.device.sampling import late_response
-from jaxstab.motion.moving_delays import Range
+from jaxstab.motion.moving_delays import Delays
 from jaxstab.proofs import jitter
 
 T = 1e-3
@@ -245,7 +245,7 @@ def test_limits_of_general_devices_survive_attacks_and_what_is_unstable_grows(na
 def test_the_search_ends_where_the_proof_does(window: int) -> None:
     velocity = Velocity.difference(samples=window)
     loop = HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=T, velocity=velocity)
-    moving = MovingLoop.of(loop, (0.8 * T, 1.2 * T))
+    moving = MovingLoop.from_loop(loop, (0.8 * T, 1.2 * T))
     search = _Search.of(moving)
     dampings = search.corner[1] * np.array([0.1, 0.3, 0.5, 0.7, 0.9])
     tops = search.stiffest(dampings)
@@ -269,7 +269,7 @@ def test_attacks_notice_a_jitter_that_is_too_small(monkeypatch: pytest.MonkeyPat
     wall = 6669.1, 71.60
     attack = campaign.attacked(case, wall, np.random.default_rng(0))
     assert attack[0] > 1.005
-    monkeypatch.setattr(Range, "jitter", 0.1)
+    monkeypatch.setattr(Delays, "jitter", 0.1)
     assert case.loop.verdict(*wall, delays=(0.0, T)) == Verdict.STABLE  # as it must not be
 
 
@@ -542,7 +542,7 @@ def test_ranges_that_are_none_are_refused(
     delays: object, lost: object, error: type[Exception], words: str
 ) -> None:
     with pytest.raises(error, match=words):
-        MovingLoop.of(window(5), delays, lost)
+        MovingLoop.from_loop(window(5), delays, lost)
 
 
 def test_traced_gains_are_refused() -> None:

@@ -151,7 +151,7 @@ class TestDoubleDouble:
 
         @jax.jit
         def operations(a: DoubleDouble, b: DoubleDouble) -> tuple[DoubleDouble, ...]:
-            return a + b, a - b, a * b, a / b, a * a, a + 1.0, DoubleDouble.of(1.0) + a
+            return a + b, a - b, a * b, a / b, a * a, a + 1.0, DoubleDouble.from_value(1.0) + a
 
         a, b = draw(), draw()
         x, y = self.exact(a), self.exact(b)
@@ -182,7 +182,7 @@ class TestDoubleDouble:
                 np.testing.assert_array_equal(together.lo, [one.lo for one in alone])
 
     def test_a_product_of_tiny_numbers_is_rounded_not_flushed(self) -> None:
-        product = DoubleDouble.of(jnp.asarray(0.3)) * jnp.asarray(1e-300)
+        product = DoubleDouble.from_value(jnp.asarray(0.3)) * jnp.asarray(1e-300)
         assert float(product.rounded()) == 0.3 * 1e-300
 
 

@@ -8,8 +8,23 @@ import numpy as np
 import pytest
 
 import jaxstab
+from benchmarks import truth
+from jaxstab import Filter, Velocity
+from jaxstab.model.device.family import Piece
+from jaxstab.model.filters import known_filters
+from jaxstab.point.dominance import _all_inside as all_inside
+from jaxstab.point.dominance import _rolled_all_inside as rolled_all_inside
+from jaxstab.point.fields import _rounded_up
+from jaxstab.point.radius import are_inside, traced_radius_error
+from jaxstab.point.traced_radius import _fitted
+from jaxstab.proofs.columns import _line_strips, columns_of
+from jaxstab.proofs.curve_patches import Domain
+from jaxstab.proofs.filters import Ends, filter_cells, filter_ends, largest_within
+from jaxstab.proofs.linear_circle import _in_piece
+from jaxstab.proofs.plant import HandBoxes, delay_moves
 from jaxstab.region.filtered_curve import PoleLine
 from jaxstab.region.pieces import _all_inside
+from jaxstab.region.pieces import are_inside as are_within
 
 
 def test_batched_counts_of_roots_are_those_of_numpys_roots() -> None:
@@ -44,3 +59,202 @@ def test_a_traced_delay_has_the_fraction_of_the_delay(samples: float) -> None:
     assert float(traced) == pytest.approx(samples, abs=1e-12)
     code = jax.jit(lambda loop: loop.verdict(1000.0, 10.0))(loop)
     assert int(code) == int(loop.verdict(1000.0, 10.0))
+
+
+def drawn_polynomials(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients of degree 5, highest power first, and the largest modulus of a root."""
+    pairs = rng.uniform(0.1, 1.4, (2, count)) * np.exp(1j * rng.uniform(0.1, 3.0, (2, count)))
+    roots = np.concatenate([pairs, pairs.conj(), rng.uniform(-1.2, 1.2, (1, count))])
+    falling = np.stack([np.poly(column).real for column in roots.T], axis=1)
+    return falling, np.abs(roots).max(axis=0)
+
+
+def test_a_sieve_of_polynomials_lets_through_those_with_all_roots_inside() -> None:
+    """radius: of each degree all reflections, of circles of any size."""
+    falling, moduli = drawn_polynomials(np.random.default_rng(5), 300)
+    for radius in (0.8, 1.0, 1.3):
+        assert are_inside(falling, np.array(radius)).tolist() == (moduli < radius).tolist()
+
+
+def test_bounds_of_radii_hold_for_grids_of_polynomials() -> None:
+    """radius: bounds of a grid are those of each polynomial, and bound the true error."""
+    falling, moduli = drawn_polynomials(np.random.default_rng(6), 60)
+    moved = moduli * (1.0 + np.random.default_rng(7).choice([-1e-7, 0.0, 1e-9], 60))
+    grid = np.asarray(traced_radius_error(falling.T.reshape(12, 5, 6), moved.reshape(12, 5)))
+    assert grid.shape == (12, 5)
+    assert np.mean(np.isfinite(grid)) > 0.9
+    assert np.all(np.abs(moved - moduli) <= grid.ravel() + 1e-12)
+    alone = [
+        float(traced_radius_error(row, np.array(r)))
+        for row, r in zip(falling.T, moved, strict=True)
+    ]
+    assert grid.ravel().tolist() == alone
+
+
+@pytest.mark.parametrize("degree", [7, 20])
+def test_the_dominance_of_a_root_is_proved_by_loops_as_without_them(degree: int) -> None:
+    """dominance: next to the circle, rounding decides, and errors of the coefficients do not."""
+    rng = np.random.default_rng(degree)
+    angle = rng.uniform(0.1, 3.0, (degree // 2, 20))
+    sizes = rng.uniform(0.2, 0.9, angle.shape)
+    distance = np.geomspace(1e-14, 0.5, 60)
+    said = []
+    for prove in (all_inside, rolled_all_inside):
+        proved = []
+        for gap in distance:
+            sizes[0] = 1.0 - gap
+            roots = sizes * np.exp(1j * angle)
+            falling = np.array([np.poly([*r, *r.conj()]).real for r in roots.T]).T
+            with np.errstate(all="ignore"):
+                proved.append(prove(list(falling), np.zeros(20)))
+        said.append(np.sum(proved, axis=0))
+    assert np.all(np.abs(said[0] - said[1]) <= 2)  # half a decade of the distance
+    assert np.all((said[0] > 0) & (said[0] < 60))
+
+
+def test_a_recurrence_gives_its_larger_root() -> None:
+    """traced_radius: of a pair, of two real roots, and where one real root is left."""
+    rng = np.random.default_rng(8)
+    count, size = np.arange(4)[:, None], rng.uniform(0.3, 1.2, 60)
+    pair = size * np.exp(1j * rng.uniform(0.2, 2.9, 60))
+    real = size * rng.choice([-1.0, 1.0], 60)
+    smaller = real * rng.uniform(-0.9, 0.9, 60)
+    weights = rng.uniform(0.5, 2.0, (2, 60))
+    of_pair = ((weights[0] + 1j * weights[1]) * pair**count).real
+    of_two = weights[0] * real**count + weights[1] * smaller**count
+    for samples, root in ((of_pair, pair), (of_two, real + 0j), (weights[0] * real**count, real)):
+        re, im = _fitted([jnp.asarray(row) for row in samples])
+        assert np.asarray(re) == pytest.approx(root.real - 1.0, abs=1e-6)
+        assert np.asarray(im) == pytest.approx(np.abs(root.imag), abs=1e-6)
+
+
+@pytest.mark.parametrize("delay", [0.3, 1.75])
+def test_moves_of_a_plant_by_the_delay_are_its_derivatives(delay: float) -> None:
+    """plant: N by differences of the true plant."""
+    gamma, delta, h = np.array([0.5, 3.0, 8.0]), np.array([0.1, 1.0, 0.4]), 1e-3
+    moves = delay_moves(gamma, delta, delay)
+    for k, hand in enumerate(zip(gamma.tolist(), delta.tolist(), strict=True)):
+        plants = [truth.plant(*hand, delay % 1.0 + move) for move in (-h, 0.0, h)]
+        for name in ("n2", "n1", "n0"):
+            low, middle, high = (float(getattr(plant, name)) for plant in plants)
+            assert moves[name][0, k] == pytest.approx((high - low) / (2.0 * h), abs=2e-5)
+            half = 0.5 * (high - 2.0 * middle + low) / h**2
+            assert moves[name][1, k] == pytest.approx(half, abs=2e-5)
+
+
+def test_points_between_two_rings_are_inside() -> None:
+    """pieces: the edges between a ring and a hole that no branch draws do not count."""
+    theta = np.linspace(0.0, 2.0 * np.pi, 201)
+    ring = np.column_stack([np.cos(theta), np.sin(theta)])
+    points = np.concatenate([ring, 0.5 * ring[::-1]])
+    first, last = points[:-1], points[1:]
+    edges = np.delete(np.concatenate([first, last], axis=1), 200, axis=0)
+    walls = np.random.default_rng(9).uniform(-1.2, 1.2, (500, 2))
+    size = np.hypot(*walls.T)
+    clear = (np.abs(size - 1.0) > 1e-2) & (np.abs(size - 0.5) > 1e-2)
+    inside = are_within(edges, walls.T)
+    assert inside[clear].tolist() == ((size > 0.5) & (size < 1.0))[clear].tolist()
+
+
+def test_bounds_over_cells_hold_within_them_alone() -> None:
+    """filters: at angles beyond the first or the last cell nothing is known."""
+    cells = filter_cells(known_filters(Velocity.difference(samples=3), None))
+    steepness = cells.steepness
+    last, half = cells.middle[-1], cells.half[-1]
+    theta = np.array([0.1, 1.5, last, 0.1, last, 1.5])
+    away = np.array([0.05, 0.5, 0.9 * half, 0.5, 1.1 * half, 4.0])
+    bounds = largest_within(steepness, cells, theta, away)
+    assert np.isfinite(bounds).all(axis=0).tolist() == [True, True, True, False, False, False]
+
+
+@pytest.mark.parametrize("position", [None, Filter.average(samples=2)])
+@pytest.mark.parametrize("delay", [0.3, 1.5])
+def test_a_wall_with_a_root_at_minus_one_is_in_the_strip_of_its_column(
+    position: Filter | None, delay: float
+) -> None:
+    """columns: with p(-1) from the true plant, for hands inside of boxes, in two domains."""
+    rng = np.random.default_rng(10)
+    filters = position and known_filters(Velocity.difference(samples=1), position)
+    stiff, damped = (1.0, 2.0) if position is None else (0.0, 2.0)  # P(-1), V(-1)
+    ends = filter_ends(filters) if filters else Ends(1.0, (1.0, 2.0), 0.0)
+    gamma, delta = rng.uniform(0.5, 9.0, 40), rng.uniform(0.05, 1.0, 40)
+    hands = HandBoxes(gamma, delta, np.full(40, 1e-2), np.full(40, 1e-2))
+    edges, tried = np.linspace(-4.0, 4.0, 33), 0
+    columns = columns_of(edges, hands, delay)
+    for domain in (Domain((-1.0, 3.0), (-4.0, 4.0)), Domain((-20.0, 20.0), (-4.0, 4.0))):
+        strips = _line_strips(columns, hands, domain, ends)
+        for box in range(40):
+            hand = gamma[box] + rng.uniform(-1e-2, 1e-2), delta[box] + rng.uniform(-1e-2, 1e-2)
+            plant = truth.plant(*hand, delay % 1.0)
+            sign = (-1.0) ** int(delay)
+            force = sign * float(plant.n2 - plant.n1 + plant.n0)
+            free = float(1 - plant.d1 + plant.d0)  # p(-1) = 0: free = force (P alpha + V beta)
+            for beta in rng.uniform(-4.0, 4.0, 20).tolist():
+                alpha = (free / force - damped * beta) / stiff if stiff else rng.uniform(-1.0, 1.0)
+                wall = beta if stiff else free / force / damped
+                if not (domain.alpha[0] < alpha < domain.alpha[1] and -4.0 < wall < 4.0):
+                    continue
+                column = box * 32 + int((wall + 4.0) / 0.25)
+                moves = np.array([wall, *hand]) - columns.centre[column]
+                centre = strips.centre[column, 1] + strips.slope[column, 1] @ moves
+                assert abs(alpha - centre) <= strips.error[column, 1]
+                tried += 1
+    assert tried > 100
+
+
+@pytest.mark.parametrize("power", [0, 1, 2, 3])
+def test_a_polynomial_of_a_piece_holds_in_all_of_its_box(power: int) -> None:
+    """linear_circle: (z - 1)^power, of which one power is left near z = 1, and sums of all."""
+    rng = np.random.default_rng(power)
+    count = 200
+    theta, by_theta = rng.choice([0.0, 0.02, 0.5, 1.4], count), rng.uniform(0.01, 0.3, count)
+    offset, by_offset = rng.uniform(-0.2, 0.2, count), rng.uniform(0.0, 0.3, count)
+    single = np.zeros((3, 4))
+    single[:2, power] = 1.0, 0.3
+    for coefficients in (single, rng.normal(size=(3, 4))):
+        piece = Piece(0.0, 1.0, coefficients, coefficients, 0.0)
+        model = _in_piece(piece, coefficients, offset, theta, by_offset, by_theta)
+        value, along, around, rest, _ = model
+        nearest = np.full(count, np.inf)
+        for u in (-1.0, -0.3, 0.5, 1.0):
+            for v in (-1.0, -0.6, 0.4, 1.0):
+                z = np.exp(1j * (theta + v * by_theta))
+                powers = (offset + u * by_offset)[:, None] ** np.arange(3)
+                steps = (z - 1.0)[:, None] ** np.arange(4)
+                true = np.sum((powers @ coefficients) * steps, axis=1) / z**3
+                gap = rest.real - np.abs(true - (value + u * along + v * around))
+                nearest = np.minimum(nearest, gap / rest.real)
+        assert np.all(nearest >= -1e-9)
+        assert np.min(nearest) < 0.8
+
+
+def test_distances_of_many_walls_are_those_to_the_nearest_points() -> None:
+    """measures: until the nearest point of each wall is found; to a polygon of many points."""
+    region = jaxstab.stable_region(gamma=0.2, delta=0.1, delay=1.0, tolerance=1e-7)
+    low, high = region.points.min(axis=0), region.points.max(axis=0)
+    walls = np.random.default_rng(11).uniform(
+        1.5 * low - 0.5 * high, 1.5 * high - 0.5 * low, (60, 2)
+    )
+    here, there = region.points[:-1], region.points[1:]
+    chord = there - here
+    square = np.maximum(np.sum(chord**2, axis=1), 1e-300)
+    share = np.clip(np.sum((walls[:, None] - here) * chord, axis=2) / square, 0.0, 1.0)
+    feet = here + share[..., None] * chord
+    nearest = np.min(np.hypot(*np.moveaxis(walls[:, None] - feet, -1, 0)), axis=1)
+    assert np.abs(region.distance(*walls.T)) == pytest.approx(nearest, abs=1e-6)
+
+
+def test_a_circle_without_a_radius_is_refused() -> None:
+    """region: 0 itself is no radius."""
+    with pytest.raises(ValueError, match="radius is 0"):
+        jaxstab.stable_region(gamma=0.2, delta=0.1, delay=1.0, radius=0.0)
+
+
+def test_numbers_are_rounded_up_to_fewer_bits() -> None:
+    """fields: those with a single low bit, too, and no number that has no low bits."""
+    low = np.array([0, 1, 2, (1 << 29) - 1])
+    for last, count in ((1 << 29, 24), (1 << 52, 1)):
+        numbers = (np.float64(1.5).view(np.int64) + low).view(np.float64)
+        rounded = np.asarray(_rounded_up(numbers, last))
+        step = 2.0 ** (1 - count)
+        assert rounded.tolist() == [float(np.ceil(x / step) * step) for x in numbers]

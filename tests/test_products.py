@@ -72,11 +72,11 @@ def test_a_part_of_a_product_is_what_its_variables_say(name: str) -> None:
     product = PRODUCTS[name]
     spec = AtlasSpec(gamma=[0.0, 1e-3], delta=[0.0, 0.015], delay=[1.0, 2.0], products=[name])
     plan = plan_atlas(spec)
-    grid = product.part(plan.grid, np.array([0.5, 0.5, 0.5, 0.5]))
+    grid = product.small_grid(plan.grid, np.array([0.5, 0.5, 0.5, 0.5]))
     part = Plan(spec, grid)
     arrays = compute_tile(part, part.tiles[0])
     axes = {variable.name for variable in product.variables if variable.is_axis}
-    assert set(arrays) == set(product.names) - set(product.known) - axes
+    assert set(arrays) == set(product.names) - set(product.fixed) - axes
     for key, values in arrays.items():
         variable = VARIABLES[key]
         assert values.dtype == variable.dtype

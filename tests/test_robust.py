@@ -15,6 +15,7 @@ from jaxstab.model import by_name
 from jaxstab.paper import passive_region
 from jaxstab.point import verdict
 from jaxstab.ranges import HandRange, RobustStatus, robust_region
+from jaxstab.ranges.hands import HeldLoop, _unproved_hands
 from jaxstab.ranges.robust import failures
 from jaxstab.region import stable_region
 
@@ -215,3 +216,52 @@ def test_a_root_near_an_end_of_a_range_is_not_missed(axis: str, end: str) -> Non
         left = failures(square, ranges["gamma"], ranges["delta"], 1.0, filters=None)
         assert len(left)
         tried += 1
+
+
+@pytest.mark.parametrize(
+    ("axis", "end"),
+    [("mass", "low"), ("mass", "high"), ("stiffness", "low"), ("stiffness", "high"),
+     ("damping", "low")],
+)  # fmt: skip
+def test_a_wall_that_few_hands_make_unstable_is_not_proved(axis: str, end: str) -> None:
+    """Those of the outer twentieth of a range, at one of its ends; without them it is proved."""
+    rng = np.random.default_rng(2012)
+    names = ["mass", "stiffness", "damping"]
+    low, high = np.array([[-0.1, -0.2, 0.0, 0.2, 0.0], [0.3, 1.2, 2.0, 0.2, 0.3]])
+    drawn = rng.uniform(low, high, (8000, 5)).T  # K, B; mass, stiffness and damping of a hand
+    delay = rng.integers(0, 2, 8000).astype(float)
+    inner, outer = np.sort(rng.uniform(0.01, 2.0, (2, 8000)), axis=0)[:: -1 if end == "low" else 1]
+
+    def is_stable(value: np.ndarray, k: np.ndarray) -> np.ndarray:  # a device of 1 kg, T = 1
+        stiffness, damping, *hand = drawn[:, k]
+        hand[names.index(axis)] = value
+        terms = stiffness, damping, hand[1], 0.02 + hand[2]
+        point = by_name(*(term / (1.0 + hand[0]) for term in terms), delay[k])
+        return np.asarray(verdict(**point)) == Verdict.STABLE
+
+    k = np.arange(8000)
+    k = np.flatnonzero(is_stable(inner, k) & ~is_stable(outer, k))[:40]
+    inner, outer = inner[k], outer[k]
+    for _ in range(40):  # the hand of which the wall is on the boundary
+        middle = 0.5 * (inner + outer)
+        is_inner = is_stable(middle, k)
+        inner, outer = np.where(is_inner, middle, inner), np.where(is_inner, outer, middle)
+    far = inner * (0.8 if end == "high" else 1.25)
+    shares = np.linspace(0.0, 0.99, 9)
+    usable = np.all([is_stable(far + share * (inner - far), k) for share in shares], axis=0)
+    assert usable.sum() >= 4
+    for n in np.flatnonzero(usable)[:4]:
+        loop = jaxstab.HapticLoop(
+            device_mass=1.0, device_damping=0.02, sample_time=1.0, delay=float(delay[k[n]])
+        )
+        for beyond, is_proved in ((1.0 / 19.0, False), (-1.0 / 19.0, True)):
+            ranges = {name: (x, x) for name, x in zip(names, drawn[2:, k[n]], strict=True)}
+            ranges[axis] = tuple(sorted([far[n], inner[n] + beyond * (inner[n] - far[n])]))
+            given = HeldLoop(loop, HandRange(**ranges), (1.0, 1.0))
+            unproved = _unproved_hands(given, drawn[:2, k[n]][None], 4096)
+            assert (not unproved) == is_proved
+            for left in unproved.values():  # they are within the range
+                values = left[:, names.index(axis)]
+                low, high = (1.0 + sign * 1e-9 for sign in (-1, 1))
+                assert np.all(values >= low * ranges[axis][0])
+                assert np.all(values <= high * ranges[axis][1])

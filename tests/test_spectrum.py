@@ -119,16 +119,18 @@ class TestSpectralRadius:
 
     @pytest.mark.parametrize("delay", [0, pytest.param(1.5, marks=pytest.mark.campaign)])
     def test_gradient_is_the_motion_of_the_dominant_root(self, delay: float) -> None:
-        function = lambda *scene: jaxstab.spectral_radius(**by_name(*scene, delay)).value  # noqa: E731
-        gradient = jax.jit(jax.grad(function, argnums=(0, 1, 2, 3)))(*SCENE)
-        for axis, derivative in enumerate(gradient):
-            with mp.workdps(60):
-                moved = [list(map(mpf, SCENE)) for _ in range(2)]
-                moved[0][axis] -= mpf(10) ** -20
-                moved[1][axis] += mpf(10) ** -20
-                below, above = (truth.spectral_radius(*scene, delay)[0] for scene in moved)
-                exact = float((above - below) / (2 * mpf(10) ** -20))
-            assert float(derivative) == pytest.approx(exact, rel=1e-10)
+        scenes = np.array([SCENE, (0.02, 0.1, 1e-3, 0.015), (0.1, 0.5, 0.01, 0.05)])
+        function = lambda *points: jaxstab.spectral_radius(**by_name(*points, delay)).value.sum()  # noqa: E731
+        gradients = jax.jit(jax.grad(function, argnums=(0, 1, 2, 3)))(*scenes.T)
+        for scene, gradient in zip(scenes, np.transpose(gradients), strict=True):
+            for axis, derivative in enumerate(gradient):
+                with mp.workdps(60):
+                    moved = [list(map(mpf, scene)) for _ in range(2)]
+                    moved[0][axis] -= mpf(10) ** -20
+                    moved[1][axis] += mpf(10) ** -20
+                    below, above = (truth.spectral_radius(*point, delay)[0] for point in moved)
+                    exact = float((above - below) / (2 * mpf(10) ** -20))
+                assert derivative == pytest.approx(exact, rel=1e-10)
 
     @pytest.mark.campaign
     def test_gradient_is_finite_where_the_companion_matrix_is_defective(self) -> None:

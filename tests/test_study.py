@@ -549,7 +549,11 @@ def test_a_study_that_is_killed_again_and_again_equals_an_uninterrupted_one(
         ({"hand.stiffness": Normal(-5.0, 1.0)}, {}, "hand.stiffness has draws below 0"),
         ({"device.mass": [0.1]}, {"answers": ["limit"]}, "answers has 'limit'; did you mean 'lim"),
         ({"device.mass": [0.1]}, {"answers": ["verdict"], "walls": {}}, "is of walls; give walls"),
-        ({"device.mass": [0.1]}, {"samples": 0}, "samples is 0; give 1 to 10,000,000"),
+        (
+            {"device.mass": [0.1]},
+            {"samples": 0},
+            r"samples is 0; give a whole number from 1 to 1e\+07",
+        ),
         ({"device.mass": [0.1]}, {"part": (1, 2)}, "part is given without store"),
         ({"device.mass": [0.1]}, {"part": (3, 2), "store": "a.h5"}, "part is 3/2; give 1/2 to 2/2"),
         ({"device.mass": [0.1]}, {"walls": {"a": (np.nan, 1.0)}}, "wall a is .*give finite"),

@@ -30,7 +30,7 @@ from jaxstab.atlas.products.limits import ALPHA_LIMITS, LIMIT_RANGE, LIMIT_WHOLE
 from jaxstab.atlas.products.slices import AtlasOutline, outline_at
 from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.products.verdicts import CELL_VERDICT, VERDICT, decided_share
-from jaxstab.conventions import AXES, Status, Verdict
+from jaxstab.conventions import AXES, Range, Status, Verdict
 from jaxstab.numbers import checked, checked_number, checked_word, real_numbers
 from jaxstab.rounding import EPS
 from jaxstab.shown import table_text
@@ -84,14 +84,6 @@ class AtlasAnswer:
 
     verdict: NDArray[np.int8]
     status: NDArray[np.int8]
-
-
-def no_answer(size: int, *, has_verdicts: bool) -> AtlasAnswer:
-    """Return an answer that says nothing yet."""
-    return AtlasAnswer(
-        verdict=np.full(size, Verdict.UNDECIDED if has_verdicts else Verdict.NOT_COMPUTED, np.int8),
-        status=np.full(size, QueryStatus.BETWEEN_DELAYS, np.int8),
-    )
 
 
 def all_checked(values: Sequence[Numbers], names: Sequence[str] = AXES) -> list[Floats]:
@@ -495,7 +487,6 @@ def _ends(atlas: "Atlas", delay: float) -> tuple[tuple[float, float], tuple[floa
     )
 
 
-Range = tuple[float, float]
 _MOST = 1e300  # of numbers that are answered without a check: floats hold them
 
 
@@ -614,7 +605,11 @@ class Atlas:
         points = np.broadcast_arrays(*all_checked((alpha, beta, gamma, delta, delay)))
         shape = points[0].shape
         has_verdicts = VERDICT in self.arrays or ALPHA_LIMITS in self.arrays
-        answer = no_answer(points[0].size, has_verdicts=has_verdicts)
+        unknown = Verdict.UNDECIDED if has_verdicts else Verdict.NOT_COMPUTED
+        answer = AtlasAnswer(
+            verdict=np.full(points[0].size, unknown, np.int8),
+            status=np.full(points[0].size, QueryStatus.BETWEEN_DELAYS, np.int8),
+        )
         where = dict(zip(AXES, (point.reshape(-1) for point in points), strict=True))
         find_outside(self.arrays, self._table, where, answer.status, refuse=outside == "error")
         inside = answer.status != QueryStatus.OUTSIDE

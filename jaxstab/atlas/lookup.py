@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxstab.atlas.product import Array, Floats
-from jaxstab.conventions import Verdict
+from jaxstab.conventions import Range, Verdict
 
 LIMIT_TERMS = 10  # of each of the two limits
 WHOLE_ALPHA = 1
@@ -25,7 +25,6 @@ WHOLE_BOTH = 2
 # The cells of delays of an atlas: which one holds a delay, and how far it reaches. NumPy alone.
 
 Integers = NDArray[np.intp]
-Range = tuple[float, float]
 _MOST_STEPS = 2**12
 
 

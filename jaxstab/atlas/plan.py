@@ -10,7 +10,9 @@ boundary bends less. The ends of alpha and beta of a cell follow from the region
 (``_delay_cells``).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise, product
 from math import ceil, floor, prod
 from typing import Any, NamedTuple
@@ -140,10 +142,6 @@ class Grid:
         low, high = row[4] + (row[5] - row[4]) * ends / cells
         return int(ends[1] - ends[0]), np.array([[*row[:4], low, high]])
 
-    def without_walls(self, row: Float64[np.ndarray, "1 6"]) -> "Grid":
-        """Return this grid with one node of alpha and of beta, at the delay where a row begins."""
-        return replace(self, alpha=self.alpha[:1, :1], beta=self.beta[:1, :1], delay=row[0, :1])
-
 
 def _index(widths: Float64[np.ndarray, " cell"], share: float) -> int:
     if not widths.any():
@@ -260,23 +258,17 @@ def _wall_axes(
     else:
         highest_alpha, *both = extents.along(np.array(delay)).tolist()
         beta_ends = both[0], both[1]
-    alpha = (
-        _extended(spec.alpha, _fitted_alpha(spec.alpha.count, gamma, highest_alpha))
-        if isinstance(spec.alpha, FittedAxis)
-        else np.array(spec.alpha)
-    )
-    beta = (
-        _extended(spec.beta, _fitted_beta(spec.beta.count, *beta_ends))
-        if isinstance(spec.beta, FittedAxis)
-        else np.array(spec.beta)
-    )
-    return alpha, beta
+    margin = _MARGIN * (beta_ends[1] - beta_ends[0])
+    betas = partial(np.linspace, beta_ends[0] - margin, beta_ends[1] + margin)
+    alphas = partial(_fitted_alpha, gamma=gamma, highest=highest_alpha)
+    return _nodes_of(spec.alpha, alphas), _nodes_of(spec.beta, betas)
 
 
-def _extended(
-    axis: FittedAxis, nodes: Float64[np.ndarray, " count"]
-) -> Float64[np.ndarray, " count"]:
-    """Fitted nodes whose first and last are moved out to the ends that the axis requires."""
+def _nodes_of(axis: Any, fitted: Callable[[int], Any]) -> Float64[np.ndarray, " node"]:
+    """Nodes, or fitted ones whose ends are moved out to those that the axis requires."""
+    if not isinstance(axis, FittedAxis):
+        return np.array(axis)
+    nodes = fitted(axis.count)
     low = nodes[0] if axis.least is None else min(nodes[0], axis.least)
     high = nodes[-1] if axis.most is None else max(nodes[-1], axis.most)
     return np.array([low, *nodes[1:-1], high])
@@ -328,11 +320,6 @@ def _fitted_alpha(
             np.linspace(band[1], top, count - 1 - inside),
         ]
     )
-
-
-def _fitted_beta(count: int, lowest: float, highest: float) -> Float64[np.ndarray, " count"]:
-    margin = _MARGIN * (highest - lowest)
-    return np.linspace(lowest - margin, highest + margin, count)
 
 
 # The tiles of the work.
@@ -441,7 +428,11 @@ class Plan:
 
     def __str__(self) -> str:
         lines = [_axis_line(self, name) for name in ("gamma", "delta")]
-        degrees = (f"{d:g} (degree {_degree(d, self.spec)})" for d in self.grid.delay.tolist())
+        degrees = []  # no gain and no hand changes one
+        for delay in self.grid.delay.tolist():
+            point = by_name(0.0, 0.0, 0.0, 0.0, delay)
+            coefficients = characteristic_polynomial(**point, **as_keywords(self.spec.filters))
+            degrees.append(f"{delay:g} (degree {coefficients.shape[-1] - 1})")
         lines.append(f"delay: {', '.join(degrees)}; each computed at its own degree")
         if ALPHA_LIMITS in self.variables:
             lines.append(_delay_cells_line(self))
@@ -485,13 +476,6 @@ def compute_tile(plan: Plan, tile: Tile) -> dict[str, NDArray[Any]]:
     for name in plan.spec.products:
         arrays |= PRODUCTS[name].compute(plan, tile)
     return arrays
-
-
-def _degree(delay: float, spec: AtlasSpec) -> int:
-    """Return the degree of the polynomials at a delay; no gain and no hand changes it."""
-    zeros = (0.0, 0.0, 0.0, 0.0)
-    coefficients = characteristic_polynomial(**by_name(*zeros, delay), **as_keywords(spec.filters))
-    return int(coefficients.shape[-1]) - 1
 
 
 def _axis_line(plan: Plan, name: str) -> str:

@@ -11,7 +11,7 @@ particular to one is in its module, as a subclass of ``Product``: one object tha
 
 - its variables, which values of them a reader accepts, and how they fit together;
 - ``compute``: what a tile of a build holds of it, and ``known_before``: what no tile holds;
-- ``part``: a small part of it, from which a plan tells its cost;
+- ``small_grid``: the grid of a small part of it, from which a plan tells its cost;
 - ``checks``: how ``jaxstab atlas verify`` compares a file with a new computation.
 
 Format, build, plan and verification go through ``products.table.PRODUCTS`` and ask each object. So
@@ -179,7 +179,7 @@ class Stored:
     def loop(self, place: Place) -> tuple[float, float, float]:
         """Return gamma, delta and delay of a slice."""
         gamma, delta, delay = (
-            float(self.datasets[name][number]) for name, number in zip(SLICE, place, strict=True)
+            float(self.datasets[name][index]) for name, index in zip(SLICE, place, strict=True)
         )
         return gamma, delta, delay
 
@@ -191,7 +191,7 @@ class Product:
         name: in a specification.
         variables: in the order of the file.
         gridded: the variables of which a plan counts the points.
-        known: the variables that no tile holds, for they follow from the specification.
+        fixed: the variables that no tile holds, for they follow from the specification.
         rows: the one of them that has cells of delays with their ends of alpha and beta, if any.
         strung: variables of counts, and the dimension along which these places are strung.
         lengths: the lengths of dimensions that no atlas may change.
@@ -201,7 +201,7 @@ class Product:
     name: ClassVar[str]
     variables: ClassVar[tuple[Variable, ...]]
     gridded: ClassVar[tuple[str, ...]] = ()
-    known: ClassVar[tuple[str, ...]] = ()
+    fixed: ClassVar[tuple[str, ...]] = ()
     rows: ClassVar[str] = ""
     strung: ClassVar[Mapping[str, str]] = {}
     lengths: ClassVar[Mapping[str, int]] = {}
@@ -217,7 +217,7 @@ class Product:
         raise NotImplementedError
 
     def known_before(self, grid: "Grid", filters: "Filters | None") -> dict[str, Array]:
-        """Return the variables of ``known``."""
+        """Return the variables of ``fixed``."""
         return {}
 
     def attributes(self, datasets: Mapping[str, Any]) -> dict[str, Any]:
@@ -236,7 +236,7 @@ class Product:
             if counts in arrays
         )
 
-    def part(self, grid: "Grid", place: Floats) -> "Grid":
+    def small_grid(self, grid: "Grid", place: Floats) -> "Grid":
         """Return the grid of a part, where delay, gamma, delta and beta are at shares of ranges."""
         delay, gamma, delta, _ = place.tolist()
         return grid.slice_at(delay, gamma, delta, boxes=0)

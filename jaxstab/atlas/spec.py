@@ -200,7 +200,8 @@ class AtlasSpec:
             object.__setattr__(self, name, word if FIELDS in self.products else allowed[0])
         for name, value in as_keywords(known_filters(self.velocity, self.position)).items():
             object.__setattr__(self, name, _as_written(name, value))
-        check_size([_least_count(getattr(self, name)) for name in AXES])
+        axes = (getattr(self, name) for name in AXES)
+        check_size([axis.count if isinstance(axis, FittedAxis) else len(axis) for axis in axes])
 
     @classmethod
     def from_file(cls, path: str | PathLike[str]) -> "AtlasSpec":
@@ -271,10 +272,6 @@ def _as_written(name: str, value: Velocity | Filter | None) -> Velocity | Filter
     if value is None or not toml_of(value).strip("[]"):
         return None
     return _FILTERS[name](parsed(f"{name} = {toml_of(value)}")[name])
-
-
-def _least_count(axis: Any) -> int:
-    return axis.count if isinstance(axis, FittedAxis) else len(axis)
 
 
 def _axis_of(name: str, entry: Any) -> Any:

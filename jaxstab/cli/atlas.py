@@ -125,9 +125,9 @@ def _described(opened: "Atlas", file: Path) -> str:
         f"delay   alpha ({shape['alpha']} nodes)      beta ({shape['beta']} nodes)       "
         "decided between nodes",
     ]
-    for number, delay in enumerate(opened.delays):
-        spans = [f"{n[0]:9.3g} to {n[-1]:<8.3g}" for n in list(opened.nodes(number).values())[:2]]
-        decided = f"{100.0 * opened.decided_fraction(number):.4g} %"
+    for index, delay in enumerate(opened.delays):
+        spans = [f"{n[0]:9.3g} to {n[-1]:<8.3g}" for n in list(opened.nodes(index).values())[:2]]
+        decided = f"{100.0 * opened.decided_fraction(index):.4g} %"
         lines.append(f"{delay:<5g} {spans[0]} {spans[1]}   {decided}")
     options = " ".join(f"--{name} {value:g}" for name, value in _example(opened).items())
     lines += ["", "Query it with", f"  jaxstab atlas query {shlex.quote(str(file))} {options}"]

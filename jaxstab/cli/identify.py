@@ -52,14 +52,13 @@ def identify(
     record one.
     """
     from jaxstab.durable import publish
-    from jaxstab.scene.log import identified_scene, identified_text, read_log
+    from jaxstab.scene.identify import identified_scene, identified_text, read_log
+    from jaxstab.scene.identify import identify as fit
     from jaxstab.scene.scene import Units
 
     keep_programs()
     names = {name: columns[name] or name for name in _NAMES}
     given = read_log(str(log), names, sample_time, columns["velocity"] is not None)
-    from jaxstab.scene.identify import identify as fit
-
     device = fit(**vars(given), spring=spring)
     warn(*filter(None, [device.warning]))
     units = Units.ROTATION if turns else Units.LINE

@@ -51,7 +51,7 @@ class OneSentence(click.Group):
                 raise OSError("stdout is closed; redirect it to a file, or to /dev/null.")
             with warnings.catch_warnings():
                 warnings.filterwarnings("ignore", "delay is ")  # scenes say so themselves
-                warnings.showwarning = _show
+                warnings.showwarning = lambda words, *_, **__: warn(str(words).rstrip("."))
                 code = run()
             stdout.flush()
         except click.ClickException as error:
@@ -77,10 +77,6 @@ def _open_what_is_closed() -> None:
         pass
     os.close(descriptor)
     sys.stderr = sys.stderr or io.StringIO()
-
-
-def _show(message: Warning | str, *_: Any, **__: Any) -> None:
-    warn(str(message).rstrip("."))
 
 
 def _fail(words: str, code: int = 2) -> NoReturn:

@@ -23,7 +23,7 @@ _MOST_OF_A_SCHEDULER = 1_000_000  # bytes of its file
 def number_or_range(_: click.Context, option: click.Parameter, text: str | None) -> Any:
     """Return one number, or two in a list."""
     try:
-        numbers = [float(part) for part in text.split(":")] if text else [None]
+        numbers = [float(word) for word in text.split(":")] if text else [None]
     except ValueError:
         raise click.BadParameter(
             f"{text!r} is neither a number nor LOW:HIGH.", param=option

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import jaxstab
-from jaxstab.cli.options import file_in, keep_programs
+from jaxstab.cli.options import file_in, keep_programs, print_with_csv
 from jaxstab.conventions import AXES, Verdict
 from jaxstab.tables import text_of
 
@@ -74,8 +74,11 @@ def query(
     given = {name: value for name, value in point.items() if value is not None}
     wall = {"stiffness": stiffness, "damping": damping}
     if scene_file is not None:
-        others = given | {"csv": table}
-        _refuse_beside_scene(others)
+        for name, value in (given | {"csv": table}).items():
+            if value is not None:
+                raise click.UsageError(
+                    f"--{name} is given beside --scene, which has it; give one of them."
+                )
         opened = jaxstab.open_atlas(file)
         stated, rows = _asked_of_scene(
             opened, scene_file, wall, outside or "undecided", exact=exact
@@ -170,8 +173,8 @@ def _cell(row: list[str], column: int, name: str, where: str) -> float:
         raise ValueError(f"{name} is {text[:200]!r} in {where}; give a number.") from None
 
 
-def _check_complete(known: Iterable[str], remedy: str) -> None:
-    missing = [name for name in AXES if name not in known]
+def _check_complete(names: Iterable[str], remedy: str) -> None:
+    missing = [name for name in AXES if name not in names]
     if missing:
         raise ValueError(f"{missing[0]} is missing; {remedy}.")
 
@@ -192,14 +195,6 @@ def _words(verdict: int, status: int) -> dict[str, float | str]:
         "verdict": Verdict(verdict).name.lower(),
         "status": QueryStatus(status).name.lower(),
     }
-
-
-def _refuse_beside_scene(others: dict[str, Any]) -> None:
-    for name, value in others.items():
-        if value is not None:
-            raise click.UsageError(
-                f"--{name} is given beside --scene, which has it; give one of them."
-            )
 
 
 def _columns(opened: "Atlas", names: list[str]) -> list[str]:
@@ -265,11 +260,7 @@ def _write(
 ) -> None:
     every = [{name: row[name] for name in header} for row in rows]
     if form == "csv":
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(header)
-        writer.writerows(row.values() for row in every)
-        click.echo(text.getvalue(), nl=False)
+        print_with_csv("", [header, *(row.values() for row in every)], Path("-"))
     else:
         units = stated["units"]
         stated["units"] = {

@@ -28,9 +28,9 @@ def figure(number: str, output: Path, form: str) -> None:
         raise click.UsageError(f"{output} is the name of a picture; give a folder to -o.")
     with named_errors("write to", output):
         output.mkdir(parents=True, exist_ok=True)
-    for one in _FIGURES if number == "all" else [int(number)]:
-        file = output / f"figure_{one}.{form}"
-        publish(picture(paper_figure(one), form), file)
+    for which in _FIGURES if number == "all" else [int(number)]:
+        file = output / f"figure_{which}.{form}"
+        publish(picture(paper_figure(which), form), file)
         click.echo(file)
 
 
@@ -75,7 +75,7 @@ def _words(name: str, value: Any) -> str:
     from jaxstab.scene.answers import Quantity
 
     if isinstance(value, list):
-        return f"({', '.join(_words(name, part) for part in value)})"
+        return f"({', '.join(_words(name, entry) for entry in value)})"
     is_largest = name.startswith("largest")
     quantity = Quantity("", _DIGITS, ROUND_FLOOR if is_largest else ROUND_HALF_EVEN)
     return quantity.words(value) if isinstance(value, float) else "none"

@@ -234,7 +234,12 @@ def answer_many(given: dict[str, Any], name: str, as_json: bool) -> list[Any]:
 
         answered = {row.source: row.scene for row in rows if row.scene and row.answer}
         draw(comparison_figure(answered), given["plot"])
-    _refuse_some(rows)
+    refused = [row for row in rows if row.refusal]
+    if refused:
+        raise click.UsageError(
+            f"{len(refused)} of {len(rows)} scenes were refused; the first, {refused[0].source}: "
+            f"{refused[0].refusal}"
+        )
     return [row.answer for row in rows if row.answer]
 
 
@@ -297,16 +302,6 @@ def _is_of_wall(path: str) -> bool:
 
 def _paths(rows: list[_Row]) -> list[str]:
     return list(dict.fromkeys(path for row in rows for path, *_ in row.leaves))
-
-
-def _refuse_some(rows: list[_Row]) -> None:
-    wrong = [row for row in rows if row.refusal]
-    if wrong:
-        first = wrong[0]
-        raise click.UsageError(
-            f"{len(wrong)} of {len(rows)} scenes were refused; the first, {first.source}: "
-            f"{first.refusal}"
-        )
 
 
 _plot_option = click.option(
@@ -469,11 +464,11 @@ def presets() -> None:
     """List devices and velocity estimators by name: their numbers, and where these are from."""
     from jaxstab.scene.scene import device_presets, software_presets
 
-    for heading, known in (
+    for heading, by_name in (
         ("[device] preset =", device_presets()),
         ("[controller.velocity] preset =", software_presets()),
     ):
-        for name, preset in known.items():
+        for name, preset in by_name.items():
             title, *lines = preset.lines()
             click.echo("\n".join([f'{heading} "{name}"', f"  {title}", *lines, ""]))
 
@@ -494,9 +489,10 @@ def _answer(
     given: dict[str, Any], name: str, as_json: bool, shown: Callable[[Any], str] = str
 ) -> int:
     if len(given["files"]) > 1:
-        return 0 if all(one.all_stable for one in answer_many(given, name, as_json)) else 1
+        return 0 if all(each.all_stable for each in answer_many(given, name, as_json)) else 1
     scene, plot = scene_of(given), given.get("plot")
-    _require_picture(scene, plot)
+    if plot and not scene.controller.moves:
+        scene.controller.require_one_delay("a picture")
     answer = _computed(scene, name)
     if plot:
         _draw(scene, answer, plot)
@@ -505,11 +501,6 @@ def _answer(
     source = "".join(map(str, given["files"]))
     print_with_csv(words, _csv([_Row(source, scene, answer)]), given["csv_file"])
     return 0 if answer.all_stable else 1
-
-
-def _require_picture(scene: "Scene", plot: Path | None) -> None:
-    if plot and not scene.controller.moves:
-        scene.controller.require_one_delay("a picture")
 
 
 def _draw(scene: "Scene", answer: Any, file: Path) -> None:
@@ -590,7 +581,7 @@ def _cells(_: click.Context, option: click.Parameter, text: str | None) -> Any:
     if text is None:
         return None
     try:
-        counts = tuple(int(part) for part in text.split(","))
+        counts = tuple(int(count) for count in text.split(","))
     except ValueError:
         counts = ()
     if len(counts) != 3:

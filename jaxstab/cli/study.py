@@ -34,12 +34,12 @@ _PROBABILITIES = (0.05, 0.5, 0.95)
 def _part(_: click.Context, option: click.Parameter, text: str | None) -> tuple[int, int]:
     if text is None:
         return 1, 1
-    number, slash, count = text.partition("/")
-    if not (slash and number.isdigit() and count.isdigit() and 1 <= int(number) <= int(count)):
+    index, slash, count = text.partition("/")
+    if not (slash and index.isdigit() and count.isdigit() and 1 <= int(index) <= int(count)):
         raise click.BadParameter(
             f"{text!r} is no part; give NUMBER/COUNT, such as 3/64.", param=option
         )
-    return int(number), int(count)
+    return int(index), int(count)
 
 
 def _over(_: click.Context, option: click.Parameter, texts: tuple[str, ...]) -> dict[str, Any]:
@@ -167,8 +167,12 @@ def _report(made: "Study", csv_file: Path | None, plot: Path | None) -> None:
     _require_few(size, csv_file)
     is_grid = "sample" not in made.dimensions and size <= _MOST_IN_CSV
     columns = made.columns() if csv_file or is_grid else {}
-    grid = [_grid_table(columns, made.units)] if is_grid else []
-    words = [*grid, *_limits_words(made), *_shares_words(made)]
+    words = [*_limits_words(made), *_shares_words(made)]
+    if is_grid:
+        own = {name: values for name, values in columns.items() if not name.startswith("wall_")}
+        units = {name: f" ({unit})" for name, unit in made.units.items() if unit != "1"}
+        heads = [name.replace("_", " ") + units.get(name, "") for name in own]
+        words = [_table([heads, *_rows(own, _shown)]), *words]
     print_with_csv("\n".join(words), chain([columns], _rows(columns, _cell)), csv_file)
     if plot:
         from jaxstab.pictures.study import study_figure
@@ -179,13 +183,6 @@ def _report(made: "Study", csv_file: Path | None, plot: Path | None) -> None:
 def _rows(columns: dict[str, Any], shown: Callable[[Any], str]) -> Iterator[list[str]]:
     for row in zip(*(column.flat for column in columns.values()), strict=True):
         yield [shown(value) for value in row]
-
-
-def _grid_table(columns: dict[str, Any], units: dict[str, str]) -> str:
-    """Return the answers for each loop of a grid; columns of the walls' gains are left out."""
-    own = {name: values for name, values in columns.items() if not name.startswith("wall_")}
-    heads = [name.replace("_", " ") + f" ({units[name]})" * (units[name] != "1") for name in own]
-    return _table([heads, *_rows(own, _shown)])
 
 
 def _cell(value: Any) -> str:

@@ -40,8 +40,8 @@ def explorer_page(scene: Scene, title: str = "") -> str:
         "/*INITIAL*/": initial.replace("<", "\\u003c"),  # nothing in it ends the script
     }
     page = _text("page.html")
-    for marker, part in parts.items():
-        page = page.replace(marker, part)
+    for marker, text in parts.items():
+        page = page.replace(marker, text)
     return page
 
 
@@ -167,9 +167,9 @@ def _index_of(table: VelocityTable | None) -> int | None:
 def _software() -> list[dict[str, Any]]:
     """Return the velocity estimators of software, as far as their makers document them."""
     keys = ("window", *NO_FILTER)
-    known = {name: preset.values(keys) for name, preset in software_presets().items()}
+    estimators = {name: preset.values(keys) for name, preset in software_presets().items()}
     plain: list[dict[str, Any]] = [{"title": "the difference over one sample, as in the paper"}]
-    return plain + [{"title": name, **values} for name, values in known.items() if values]
+    return plain + [{"title": name, **values} for name, values in estimators.items() if values]
 
 
 def _notes(scene: Scene, title: str) -> list[str]:

@@ -11,13 +11,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from jaxstab.conventions import Verdict
+from jaxstab.conventions import Range, Verdict
 from jaxstab.guard.grid import Grid, grid_boxes, interpolated, step_of
-from jaxstab.guard.guard import Guard, Range
+from jaxstab.guard.guard import Guard
 from jaxstab.guard.limits import boundary_of
 from jaxstab.model import LoopParameters
 from jaxstab.model.filters import known_filters
-from jaxstab.motion.moving_delays import Range as Delays
+from jaxstab.motion.moving_delays import Delays
 from jaxstab.numbers import checked_count, checked_number
 from jaxstab.point.verdicts import linear_verdict
 from jaxstab.proofs.device_boxes import BEYOND, Arms, with_parts
@@ -60,7 +60,7 @@ def proved(
     while waiting.size and count < most[1]:
         effort = min(most[0], most[1] - count)
         block = np.arange(min(waiting.size, _AT_ONCE, (most[1] - count) // effort))
-        places = [(first, first + 1.0) for first in np.unravel_index(waiting[block], cells.shape)]
+        places = [(index, index + 1.0) for index in np.unravel_index(waiting[block], cells.shape)]
         paving = paved_device(boxes, block, [*places, *others], _NARROWEST, effort=effort)
         is_proved[waiting[block]] = ~np.isin(block, paving.boxes.index)
         waiting, count = waiting[block.size :], count + int(paving.judged.sum())
@@ -75,7 +75,7 @@ def are_stable(
     rng = np.random.default_rng(2008)
     share = rng.random((3, places.shape[1]))
     ranges = vars(hands).values()
-    arms = [low + (high - low) * part for (low, high), part in zip(ranges, share, strict=True)]
+    arms = [low + (high - low) * along for (low, high), along in zip(ranges, share, strict=True)]
     masses = grid.mass[0] + places[0] * step_of(grid.mass)
     delays = grid.delay[0] + places[1] * step_of(grid.delay)
     least = _SMALL * np.max(grid.limit)  # without, a free device drifts
@@ -227,7 +227,7 @@ def _checked_jitter(
     if cells[1] != 1:
         raise ValueError(f"cells are {cells}; give 1 of delay, or constant_delay.")
     low, high = (end / loop.sample_time for end in delay)
-    return Delays.of(low, high, lost).jitter
+    return Delays.between(low, high, lost).jitter
 
 
 class GuardPlan(NamedTuple):
@@ -321,9 +321,10 @@ def _proved(
 
 def _corners(grid: Grid) -> list[np.ndarray]:
     """The limits at the eight corners of each cell."""
-    first, second, third = grid.cells
+    masses, delays, dampings = grid.cells
     return [
-        grid.limit[a : a + first, b : b + second, c : c + third] for a, b, c in np.ndindex(2, 2, 2)
+        grid.limit[a : a + masses, b : b + delays, c : c + dampings]
+        for a, b, c in np.ndindex(2, 2, 2)
     ]
 
 
@@ -343,13 +344,13 @@ def _granted_rows(
     for place in np.ndindex(*grid.cells[:2]):
         edges = np.flatnonzero(np.diff(np.concatenate([[False], is_proved[place], [False]])))
         stretches = edges.reshape(-1, 2)
-        grants = [least[place][first : last + 1].sum() for first, last in stretches]
+        grants = [least[place][begin : end + 1].sum() for begin, end in stretches]
         if not grants or not max(grants) > 0.0:
             continue
-        first, last = stretches[int(np.argmax(grants))]
-        best = first + int(np.argmax(least[place][first : last + 1]))
+        begin, end = stretches[int(np.argmax(grants))]
+        best = begin + int(np.argmax(least[place][begin : end + 1]))
         if are_stable(loop, hands, grid, np.array([*place, best], float)[:, None])[0]:
-            rows[place] = first, last
+            rows[place] = begin, end
     return rows
 
 
@@ -390,8 +391,8 @@ def _tops(
     ]
     exact = np.concatenate(
         [
-            boundary_of(loop, hands, one, fine[1], jitter).largest_damping()
-            for one in fine[0][:, None]
+            boundary_of(loop, hands, masses, fine[1], jitter).largest_damping()
+            for masses in fine[0][:, None]
         ]
     )
     top = exact[::_FINER, ::_FINER]
@@ -426,7 +427,7 @@ def _lowered(grid: Grid, cells: Cells, unit: float, share: float = _LOWER) -> Gr
 
 def _below_curves(loop: LoopParameters, hands: HandRange, grid: Grid, unit: float) -> Grid:
     """A grid lowered where it is not below the boundaries between its nodes."""
-    counts = tuple(count * part for count, part in zip(grid.cells, _PARTS, strict=True))
+    counts = tuple(count * finer for count, finer in zip(grid.cells, _PARTS, strict=True))
     sizes = tuple(count + 1 for count in counts)
     places = np.indices(sizes).reshape(3, -1) / np.array(_PARTS)[:, None]
     mass, delay = (
@@ -438,8 +439,8 @@ def _below_curves(loop: LoopParameters, hands: HandRange, grid: Grid, unit: floa
     damping = damping.reshape(sizes)
     exact = np.concatenate(
         [
-            boundary_of(loop, hands, one[None], delay, grid.jitter).largest_stiffness(row[None])
-            for one, row in zip(mass, damping, strict=True)
+            boundary_of(loop, hands, value[None], delay, grid.jitter).largest_stiffness(row[None])
+            for value, row in zip(mass, damping, strict=True)
         ]
     )
     for _ in range(_ATTEMPTS):

@@ -45,8 +45,8 @@ class Grid(NamedTuple):
     @property
     def cells(self) -> tuple[int, int, int]:
         """How many cells there are along mass, delay and damping."""
-        first, second, third = (size - 1 for size in self.limit.shape)
-        return first, second, third
+        masses, delays, dampings = (size - 1 for size in self.limit.shape)
+        return masses, delays, dampings
 
 
 def grid_boxes(device: Device, loop: LoopParameters, hands: HandRange, grid: Grid) -> DeviceBoxes:
@@ -62,7 +62,8 @@ def grid_boxes(device: Device, loop: LoopParameters, hands: HandRange, grid: Gri
 
     def limits(center: Boxes, half: Boxes) -> tuple[LinearModel, LinearModel]:
         low, high = (center - half)[:3], (center + half)[:3]
-        return _limits_over(grid, low, high), _tops_over(grid, low[:2], high[:2])
+        top = _model(grid.top, low[:2], high[:2])
+        return _limits_over(grid, low, high), replace(top, rest=top.rest + _SLACK * top.centre)
 
     def extent(center: Boxes, half: Boxes) -> Extent:
         mass, delay = (
@@ -87,8 +88,8 @@ def grid_boxes(device: Device, loop: LoopParameters, hands: HandRange, grid: Gri
 
     mass = float(grid.mass[0]), float(grid.mass[-1])
     arm = hands.stiffness[1], hands.damping[0]
-    first = FirstRow(is_first, whole_walls)
-    return DeviceBoxes(device, loop, mass, arm, extent, first, grid.jitter)
+    first_row = FirstRow(is_first, whole_walls)
+    return DeviceBoxes(device, loop, mass, arm, extent, first_row, grid.jitter)
 
 
 def _limits_over(grid: Grid, low: Ends, high: Ends) -> LinearModel:
@@ -96,12 +97,6 @@ def _limits_over(grid: Grid, low: Ends, high: Ends) -> LinearModel:
     model = _model(grid.limit, low, high)
     slack = _SLACK * float(np.max(grid.limit))
     return replace(model, centre=model.centre + model.rest + slack, rest=np.zeros_like(model.rest))
-
-
-def _tops_over(grid: Grid, low: Ends, high: Ends) -> LinearModel:
-    """Enclose the largest damping over boxes of mass and delay within a cell."""
-    model = _model(grid.top, low, high)
-    return replace(model, rest=model.rest + _SLACK * model.centre)
 
 
 def step_of(nodes: Float64[np.ndarray, " node"]) -> float:
@@ -121,10 +116,10 @@ def _model(nodes: np.ndarray, low: np.ndarray, high: np.ndarray) -> LinearModel:
     moves = signs @ corners / corners.shape[0]
     centre = corners.mean(axis=0)
     # Linear in each variable, it is farthest from its model at a corner.
-    rest = np.max(np.abs(corners - centre - signs.T @ moves), axis=0)
+    error = np.max(np.abs(corners - centre - signs.T @ moves), axis=0)
     slope = np.zeros((AXES, centre.size))
     slope[: len(moves)] = moves
-    return LinearModel(centre, slope, rest, np.ones((AXES, 1)))
+    return LinearModel(centre, slope, error, np.ones((AXES, 1)))
 
 
 def _at_corners(nodes: np.ndarray, ends: tuple[Ends, Ends]) -> np.ndarray:
@@ -136,8 +131,8 @@ def _at_corners(nodes: np.ndarray, ends: tuple[Ends, Ends]) -> np.ndarray:
         [nodes[tuple(cell + np.array(corner)[:, None])] for corner in np.ndindex(*(2,) * len(cell))]
     ).reshape(*(2,) * len(cell), -1)
     for axis in range(len(cell)):
-        first, last = np.moveaxis(values, axis, 0)
-        parts = [first + (last - first) * (end[axis] - cell[axis]) for end in ends]
+        lower, upper = np.moveaxis(values, axis, 0)
+        parts = [lower + (upper - lower) * (end[axis] - cell[axis]) for end in ends]
         values = np.moveaxis(np.stack(parts), 0, axis)
     corners: np.ndarray = values.reshape(2 ** len(cell), -1)
     return corners

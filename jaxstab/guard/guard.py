@@ -9,14 +9,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64, Int64
 
+import jaxstab
 from jaxstab.arrays import Numbers
+from jaxstab.conventions import Range
 from jaxstab.guard.grid import Grid, interpolated
 from jaxstab.guard.limits import Boundary, boundary_of
 from jaxstab.model import LoopParameters
 from jaxstab.ranges import HandRange
 from jaxstab.shown import printable, shortened
-
-Range = tuple[float, float]
 
 _SAMPLES = 9  # of mass and of delay
 _DAMPINGS = 64
@@ -272,7 +272,7 @@ class Guard:
         values = {
             "NAME": name,
             "MACRO": name.upper(),
-            "VERSION": _version(),
+            "VERSION": jaxstab.__version__,
             "ABOUT": "\n".join(f" * {line}".rstrip() for line in about.splitlines()),
             "KG": units[0],
             "STIFFNESS_UNIT": units[1],
@@ -326,19 +326,13 @@ def checked_name(name: str) -> str:
     return name
 
 
-def _version() -> str:
-    import jaxstab
-
-    return jaxstab.__version__
-
-
 def _table(values: np.ndarray) -> str:
     """Return whole numbers as an initialiser; each row of the last axis begins a line."""
     if values.ndim > 1:
         return ",\n".join("{" + _table(row) + "}" for row in values)
     lines, line = [], ""
-    for number in values:
-        word = f"{int(number)},"
+    for value in values:
+        word = f"{int(value)},"
         if len(line) + len(word) > _WIDTH:
             lines.append(line)
             line = ""

@@ -44,9 +44,9 @@ class Boundary(NamedTuple):
 
     def largest_damping(self) -> Float64[np.ndarray, "mass delay"]:
         """Return the damping at which, without stiffness, the first hand becomes unstable."""
-        first, last = self.stiffness[..., :-1], self.stiffness[..., 1:]
-        crosses = self.joined & ((first > 0.0) != (last > 0.0))
-        share = first / np.where(crosses, first - last, 1.0)
+        before, after = self.stiffness[..., :-1], self.stiffness[..., 1:]
+        crosses = self.joined & ((before > 0.0) != (after > 0.0))
+        share = before / np.where(crosses, before - after, 1.0)
         damping = self.damping[..., :-1] + share * np.diff(self.damping, axis=-1)
         # A hand on a spring that nothing damps is on the circle without a wall: there, both gains
         # change their sign.
@@ -77,8 +77,8 @@ class Boundary(NamedTuple):
         per_stiffness, per_damping, total = self.line
         line = (total - per_damping * here) / np.where(per_stiffness == 0.0, np.inf, per_stiffness)
         line = np.where(line > 0.0, line, np.inf)
-        first: np.ndarray = np.minimum(curve, line).min(axis=-1)
-        return first
+        lowest: np.ndarray = np.minimum(curve, line).min(axis=-1)
+        return lowest
 
 
 def boundary_of(
@@ -115,7 +115,7 @@ def _of_masses(
 
     def stiffness(theta: Angles) -> Complex128[np.ndarray, "mass delay hand angle"]:
         z = np.exp(1j * theta)
-        d1, d0, n2, n1, n0, turns = (part[..., None] for part in parts)
+        d1, d0, n2, n1, n0, turns = (coefficient[..., None] for coefficient in parts)
         return -(z**turns) * (z + d1 + d0 / z) / (n2 * z + n1 + n0 / z)
 
     return _boundary(loop, stiffness, units, _ANGLES)
@@ -136,8 +136,8 @@ def _of_devices(
 
     def stiffness(theta: Angles) -> Complex128[np.ndarray, "mass delay hand angle"]:
         responses = [
-            np.concatenate([device.response(one, arms, delay + by, theta) for by in late], axis=1)
-            for one in mass
+            np.concatenate([device.response(body, arms, delay + by, theta) for by in late], axis=1)
+            for body in mass
         ]
         return -1.0 / np.stack(responses)
 
@@ -166,7 +166,7 @@ def _boundary(
         alpha = np.imag(np.conj(velocity) * wanted) / -twist
         beta = np.imag(np.conj(position) * wanted) / twist
     per_force, per_speed = units
-    per_alpha, per_beta, total = (part[..., 0].real for part in force(np.array([np.pi])))
+    per_alpha, per_beta, total = (column[..., 0].real for column in force(np.array([np.pi])))
     return Boundary(
         np.nan_to_num(alpha / per_force[..., None]),
         np.nan_to_num(beta / per_speed[..., None]),

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial, reduce
 from itertools import product
 from math import inf, nan, pi
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64, Int8, Int64
@@ -13,9 +13,8 @@ from jaxtyping import Float64, Int8, Int64
 from jaxstab.arrays import Numbers, joined
 from jaxstab.conventions import Verdict
 from jaxstab.loop.jitter import MovingLoop
-from jaxstab.loop.loop import HapticLoop
 from jaxstab.loop.region import TOLERANCE, WallRegion, wall_region
-from jaxstab.model import Device, Hand, checked_gain
+from jaxstab.model import Device, Hand, LoopParameters, checked_gain
 from jaxstab.model.device.family import LoopFamily, merged, value_at
 from jaxstab.model.device.parts import MassSpringDamper, Modes
 from jaxstab.numbers import checked_number
@@ -49,6 +48,9 @@ from jaxstab.ranges.hands import HandRange, Hands, Range, checked_range, spread_
 from jaxstab.ranges.robust import polygon_of_rows, pulled_in
 from jaxstab.region import RegionStatus
 
+if TYPE_CHECKING:
+    from jaxstab.loop.loop import HapticLoop
+
 _TRIED, _FINER = 17, 4  # loops of which the worst is looked for, and rounds around it
 
 Wall = tuple[float, float]
@@ -72,7 +74,7 @@ class WorstLoop(NamedTuple):
     """
 
     verdict: Verdict
-    loop: HapticLoop
+    loop: "HapticLoop"
     share: float
     radius: float
 
@@ -116,12 +118,12 @@ class LoopsBetween:
         (True, 70643)
     """
 
-    first: HapticLoop
-    last: HapticLoop
+    first: "HapticLoop"
+    last: "HapticLoop"
 
     def __post_init__(self) -> None:
         for name in ("first", "last"):
-            if not isinstance(getattr(self, name), HapticLoop):
+            if not isinstance(getattr(self, name), LoopParameters):
                 raise TypeError(f"{name} is {getattr(self, name)!r}; give a jaxstab.HapticLoop.")
             object.__setattr__(self, name, getattr(self, name).in_floats())
         _ = self.family, self._merged
@@ -138,13 +140,14 @@ class LoopsBetween:
             for field in fields(self.first)
         }
 
-    def loop(self, share: float) -> HapticLoop:
+    def loop(self, share: float) -> "HapticLoop":
         """The loop at a share in [0, 1] of the way between the two, its numbers rounded.
 
         Raises: see ``jaxstab.conventions``.
         """
         share = checked_number("share", share, 0.0, 1.0)
-        return HapticLoop(**{name: value_at(pair, share) for name, pair in self._merged.items()})
+        numbers = {name: value_at(pair, share) for name, pair in self._merged.items()}
+        return replace(self.first, **numbers)
 
     def verdict(self, stiffness: Numbers, damping: Numbers) -> Int8[np.ndarray, "*grid"]:
         """Proved codes of ``Verdict`` for walls and all of the loops.
@@ -214,7 +217,7 @@ Rows = Float64[np.ndarray, " row"]
 Intervals = Float64[np.ndarray, "row _ 2"]
 
 
-def walls_of(loops: Sequence[HapticLoop]) -> dict[HapticLoop, WallRegion]:
+def walls_of(loops: "Sequence[HapticLoop]") -> "dict[HapticLoop, WallRegion]":
     """The stable walls of loops: the component that contains small gains, if there is one.
 
     Regions that are UNRESOLVED are left out; a proof for the range covers these loops, too.
@@ -227,7 +230,7 @@ def walls_of(loops: Sequence[HapticLoop]) -> dict[HapticLoop, WallRegion]:
     }
 
 
-def common_polygon(loops: Sequence[HapticLoop], pull: float) -> Guess | None:
+def common_polygon(loops: "Sequence[HapticLoop]", pull: float) -> Guess | None:
     """A polygon of walls that all of the loops have, pulled in by a share of its size."""
     regions = walls_of(loops).values()
     if not regions:
@@ -249,7 +252,7 @@ def common_walls(regions: Sequence[WallRegion], count: int = _ROWS) -> Points:
     return polygon_of_rows(partial(common_limits, regions), low, high, count)
 
 
-def stiffest_wall(loops: Sequence[HapticLoop], pull: float) -> Guess | None:
+def stiffest_wall(loops: "Sequence[HapticLoop]", pull: float) -> Guess | None:
     """The stiffest wall with B >= 0 that all loops have, pulled down by a share of it."""
     regions = walls_of(loops)
     if not regions:
@@ -466,7 +469,7 @@ class LoopsWithHands:
             return Extent(along(MASS, own, by_own), *numbers)
 
         arm = hands.stiffness[1], hands.damping[0]
-        jitter = MovingLoop.of(loop, **self.moving).delays.jitter if self.moving else 0.0
+        jitter = MovingLoop.from_loop(loop, **self.moving).delays.jitter if self.moving else 0.0
         loops = DeviceBoxes(device, loop, mass, arm, extent, jitter=jitter)
         fixed = (0.0, 0.0)  # the delay and the damping of the wall
         ends = mass, fixed, fixed, *vars(hands).values(), (0.0, pi * (1.0 + BEYOND))

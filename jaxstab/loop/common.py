@@ -9,15 +9,14 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int8
 
 from jaxstab.arrays import Numbers
-from jaxstab.conventions import Verdict
+from jaxstab.conventions import Excitation, Verdict
 from jaxstab.loop.between import LoopsBetween, TriedLoops, common_polygon
 from jaxstab.loop.many import in_floats
 from jaxstab.loop.region import Gains
-from jaxstab.model import LoopParameters
 from jaxstab.model.filters import given_filters
-from jaxstab.motion.settling import Excitation, checked_level, settling_samples
+from jaxstab.model.loop import as_one
+from jaxstab.motion.settling import checked_level
 from jaxstab.numbers import checked_number
-from jaxstab.point import verdict
 from jaxstab.ranges.box import NOTHING, Points, RobustStatus, Unproved, search
 from jaxstab.ranges.device_margins import is_stable_along
 from jaxstab.ranges.robust import failures
@@ -157,13 +156,13 @@ def _proved_region(
 ) -> CommonRegion:
     """The region that a search finds from sampled loops, to which it may add others."""
     pulls = [times * tolerance for times in _WIDER]
-    found = search(partial(common_polygon, loops), unproved, add, pulls)
-    if found.guess is None or not found.is_proved:
-        return CommonRegion(tuple(loops), found.status, NOTHING.walls, tolerance, between)
-    return CommonRegion(tuple(loops), found.status, found.guess.walls, found.pull, between)
+    searched = search(partial(common_polygon, loops), unproved, add, pulls)
+    if searched.guess is None or not searched.is_proved:
+        return CommonRegion(tuple(loops), searched.status, NOTHING.walls, tolerance, between)
+    return CommonRegion(tuple(loops), searched.status, searched.guess.walls, searched.pull, between)
 
 
-def _is_proved(loop: LoopParameters, outline: Points) -> bool:
+def _is_proved(loop: "HapticLoop", outline: Points) -> bool:
     if loop.sampled is not None:
         (proved,) = is_stable_along(
             [loop.sampled], outline, velocity=loop.velocity, position=loop.position
@@ -173,9 +172,7 @@ def _is_proved(loop: LoopParameters, outline: Points) -> bool:
     walls = np.stack([loop.alpha(outline[:, 0]), loop.beta(outline[:, 1])], axis=-1)
     hand, filters = ((gamma, gamma), (delta, delta)), given_filters(**loop.filters)
     is_free = not len(failures(walls, *hand, delay, filters=filters))
-    alpha, beta = walls[0]
-    code = verdict(alpha, beta, gamma=gamma, delta=delta, delay=delay, **loop.filters)
-    return is_free and int(code) == Verdict.STABLE
+    return is_free and bool(loop.verdict(*outline[0]) == Verdict.STABLE)
 
 
 # The wall with the smallest worst settling time over several loops: a search on grids.
@@ -268,10 +265,10 @@ def tune_for_all(
             horizon *= _LONGER
             settling = _times(loops, walls, times.max(), level, excitation, horizon)
         if settling.shape[1]:
-            first = int(np.lexsort((settling.mean(axis=0), settling.max(axis=0)))[0])
-            value = settling[:, first]
+            index = int(np.lexsort((settling.mean(axis=0), settling.max(axis=0)))[0])
+            value = settling[:, index]
             if (value.max(), value.mean()) < (times.max(), times.mean()):
-                times, best = value, (float(walls[0][first]), float(walls[1][first]))
+                times, best = value, (float(walls[0][index]), float(walls[1][index]))
         if not np.isfinite(times.max()):
             return nothing
         grid = grid.around(best)
@@ -287,29 +284,12 @@ def settling_times(
     excitation: Excitation = "force",
 ) -> Float64[np.ndarray, " loop"]:
     """Return the settling time of one wall in s for each loop; infinite where none is proved."""
-    first = loops[0]
-    controller = first.sample_time, first.filters  # but for the delay
-    if any(loop.body is None or (loop.sample_time, loop.filters) != controller for loop in loops):
-        wall = [np.array([stiffness]), np.array([damping])]
-        single = [_times([loop], wall, np.inf, level, excitation, _MOST) for loop in loops]
-        return np.concatenate(single)[:, 0]
-    points = np.array(
-        [(loop.alpha(stiffness), loop.beta(damping), *loop.slice.values()) for loop in loops]
-    )
-    alpha, beta, gamma, delta, delay = points.T
-    settling = settling_samples(
-        alpha,
-        beta,
-        gamma=gamma,
-        delta=delta,
-        delay=delay,
-        level=level,
-        excitation=excitation,
-        horizon=_MOST,
-        **first.filters,
-    )
-    samples = np.asarray(settling.value)
-    return np.where(np.isnan(samples), np.inf, samples * first.sample_time)
+    controllers = {(loop.sample_time, loop.velocity, loop.position) for loop in loops}
+    options: dict[str, Any] = {"level": level, "excitation": excitation, "horizon": _MOST}
+    if len(controllers) == 1 and all(loop.body is not None for loop in loops):
+        loops = [as_one(loops)]
+    settling = [loop.settling_time(stiffness, damping, **options).value for loop in loops]
+    return np.nan_to_num(np.hstack(settling), nan=np.inf, posinf=np.inf)
 
 
 def _first_grid(loop: "HapticLoop", stiffness: float | None) -> Grid | None:
@@ -334,17 +314,17 @@ def _times(
     """Settling times in s; infinite where none is proved, or one is longer than allowed."""
     times = np.full((len(loops), len(walls[0])), np.inf)
     hopeful = np.arange(len(walls[0]))
-    for number, loop in enumerate(loops):
+    for index, loop in enumerate(loops):
         stiffness, damping = (gains[hopeful] for gains in walls)
         settling = loop.settling_time(
             stiffness, damping, level=level, excitation=excitation, horizon=horizon
         )
         value = np.asarray(settling.value)
         value = np.where(value <= longest, value, np.inf)  # NaN is not proved
-        times[number, hopeful] = value
+        times[index, hopeful] = value
         hopeful = hopeful[np.isfinite(value)]
         if not len(hopeful):
-            times[number:] = np.inf
+            times[index:] = np.inf
             break
     times[:, ~np.isfinite(times.max(axis=0))] = np.inf
     return times

@@ -181,7 +181,7 @@ def contact(loop: LoopParameters, stiffness: Numbers, damping: Numbers, **option
         # Numbers of Python are several times faster here.
         runs = Runs(*(column.item() for column in runs))
     summary, (x, v, f) = paths(setup.plant, setup.controller, runs, setup.samples, **setup.sides)
-    x, v, f = (np.moveaxis(one, 0, -1).reshape(*setup.shape, -1) for one in (x, v, f))
+    x, v, f = (np.moveaxis(path, 0, -1).reshape(*setup.shape, -1) for path in (x, v, f))
     x = np.where(x < LIMIT, x, np.nan)  # given up
     time = setup.period * np.arange(setup.samples)
     return setup.answer(summary, Response(time, x, v / setup.period, f * setup.unit))
@@ -261,10 +261,12 @@ class _Blocks:
 
     def __call__(self, block: "Block") -> dict[str, np.ndarray]:
         """Return the contacts of a block."""
-        parts = [self.given[name][part] for name, part in zip(self.dimensions, block, strict=True)]
+        parts = [
+            self.given[name][values] for name, values in zip(self.dimensions, block, strict=True)
+        ]
         mesh = dict(zip(self.dimensions, np.ix_(*parts), strict=True))
         contact = contact_map(self.loop, **{**self.given, **mesh})
-        shape = [len(part) for part in parts]
+        shape = [len(values) for values in parts]
         return {name: np.reshape(getattr(contact, name), shape) for name in _VARIABLES}
 
 
@@ -287,8 +289,8 @@ def contact_dataset(
     if not mesh:
         raise ValueError("no argument is an array, so there is nothing to map; use loop.contact.")
     fixed = {name: value for name, value in given.items() if name not in mesh}
-    first = dict(zip(mesh, np.ix_(*(values[:1] for values in mesh.values())), strict=True))
-    samples = _setup(loop, **{**fixed, **first}).samples  # refuses what no block can compute
+    corner = dict(zip(mesh, np.ix_(*(values[:1] for values in mesh.values())), strict=True))
+    samples = _setup(loop, **{**fixed, **corner}).samples  # refuses what no block can compute
     return Dataset(
         path=path,
         coordinates=mesh,

@@ -13,13 +13,13 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int8
 
 from jaxstab.arrays import Array, Numbers, is_any_traced, named
-from jaxstab.conventions import Verdict
+from jaxstab.conventions import Range, Verdict
 from jaxstab.loop.region import TOLERANCE, WallRegion, wall_region
 from jaxstab.model import LoopParameters, checked_gain, require_x64
 from jaxstab.model.device import SampledDevice, sampled_device
 from jaxstab.model.filters import Filters, given_filters
 from jaxstab.model.parameters import LONGEST_DELAY
-from jaxstab.motion.moving_delays import Growth, Range, growing_turn
+from jaxstab.motion.moving_delays import Delays, Growth, growing_turn
 from jaxstab.motion.response import Response, simulate_device
 from jaxstab.numbers import checked_number
 from jaxstab.point.verdicts import linear_verdict
@@ -36,7 +36,6 @@ from jaxstab.shown import shortened
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-DelayRange = tuple[float, float]  # in s
 _CONSTANT = 5  # constant delays of a range that are tried
 _GRID, _ZOOMS = 16, 3  # gains tried at once, and how often around the best damping
 _PROOFS = 3  # rounds of walls that are proved at the best damping
@@ -66,7 +65,7 @@ class WorstDelays:
     is_proved: bool
 
     def __repr__(self) -> str:
-        turn = ", ".join("lost" if isinf(one) else f"{1e3 * one:.6g}" for one in self.delays)
+        turn = ", ".join("lost" if isinf(delay) else f"{1e3 * delay:.6g}" for delay in self.delays)
         what = f"delays of {turn} ms in turn" if len(self.delays) > 1 else f"a delay of {turn} ms"
         how = "growth proved" if self.is_proved else "best of a search"
         return f"{what}: a factor of {self.growth:.6g} per sample ({how})"
@@ -136,12 +135,12 @@ class MovingRegion:
         given = np.broadcast_arrays(*(np.asarray(v, np.float64) for v in (stiffness, damping)))
         if not len(self.outline):
             return np.zeros(given[0].shape, bool)
-        (least, last), (_, first), *_ = self.outline
+        (least, most_damping), (_, least_damping), *_ = self.outline
         tops = self.outline[2:]
         rounding = 8.0 * EPS * tops[:, 0].max()  # of an edge, whose ends may be of other sizes
         most = np.interp(given[1], tops[:, 1], tops[:, 0]) - rounding
         is_between = (given[0] >= least) & (given[0] <= most)
-        return np.asarray(is_between & (given[1] >= first) & (given[1] <= last))
+        return np.asarray(is_between & (given[1] >= least_damping) & (given[1] <= most_damping))
 
     def __repr__(self) -> str:
         if not len(self.outline):
@@ -174,17 +173,17 @@ class MovingLoop(NamedTuple):
     loop: LoopParameters
     device: SampledDevice
     filters: Filters | None
-    delays: Range
+    delays: Delays
 
     @classmethod
-    def of(cls, loop: LoopParameters, delays: Any, lost: Any = 0) -> "MovingLoop":
+    def from_loop(cls, loop: LoopParameters, delays: Any, lost: Any = 0) -> "MovingLoop":
         """Return a loop with a range of delays in s and of samples lost in a row."""
         loop = loop.in_floats()
         low, high = _checked_range(delays)
-        first, last = (replace(loop, delay=delay) for delay in (low, high))
-        samples = Range.of(float(first.delay_samples), float(last.delay_samples), lost)
+        shortest, longest = (replace(loop, delay=delay) for delay in (low, high))
+        samples = Delays.between(float(shortest.delay_samples), float(longest.delay_samples), lost)
         filters = given_filters(loop.velocity, loop.position)
-        return cls(first, _sampled(first), filters, samples)
+        return cls(shortest, _sampled(shortest), filters, samples)
 
     def walls(self, stiffness: Numbers, damping: Numbers) -> tuple[Walls, tuple[int, ...]]:
         """Return gains as walls (alpha, beta), and the shape of their grid."""
@@ -208,14 +207,14 @@ class MovingLoop(NamedTuple):
         low, high, _ = self.delays
         for delay in np.linspace(low, high, _CONSTANT if high > low else 1).tolist():
             device = sampled_device(self.device.device, self.device.sample_time, delay)
-            rest = np.flatnonzero(codes == Verdict.UNDECIDED)
-            if rest.size:
-                alpha, beta = walls[rest].T
-                known = linear_verdict(alpha, beta, device.loop(self.filters))
-                codes[rest[np.asarray(known) == Verdict.UNSTABLE]] = Verdict.UNSTABLE
-        for number in np.flatnonzero(codes == Verdict.UNDECIDED):
-            if self.worst(walls[number])[1]:
-                codes[number] = Verdict.UNSTABLE
+            undecided = np.flatnonzero(codes == Verdict.UNDECIDED)
+            if undecided.size:
+                alpha, beta = walls[undecided].T
+                verdicts = linear_verdict(alpha, beta, device.loop(self.filters))
+                codes[undecided[np.asarray(verdicts) == Verdict.UNSTABLE]] = Verdict.UNSTABLE
+        for index in np.flatnonzero(codes == Verdict.UNDECIDED):
+            if self.worst(walls[index])[1]:
+                codes[index] = Verdict.UNSTABLE
         return codes
 
     def is_proved(self, walls: Walls) -> Bool[np.ndarray, " wall"]:
@@ -241,7 +240,7 @@ def moving_verdict(
     loop: LoopParameters, stiffness: Numbers, damping: Numbers, delays: Any, lost: Any
 ) -> Int8[Array, "*grid"]:
     """Return the verdicts on walls for delays that move: ``HapticLoop.verdict``."""
-    moving = MovingLoop.of(loop, delays, lost)
+    moving = MovingLoop.from_loop(loop, delays, lost)
     walls, shape = moving.walls(stiffness, damping)
     return named(moving.codes(walls).reshape(shape), Verdict)
 
@@ -250,18 +249,18 @@ def worst_delays(
     loop: LoopParameters, stiffness: float, damping: float, delays: Any, lost: Any
 ) -> WorstDelays:
     """Return the worst delays that a search found: ``HapticLoop.worst_delays``."""
-    moving = MovingLoop.of(loop, delays, lost)
+    moving = MovingLoop.from_loop(loop, delays, lost)
     gains = checked_number("stiffness", stiffness), checked_number("damping", damping)
     (wall,), _ = moving.walls(*gains)
     growth, is_proved = moving.worst(wall, is_thorough=True)
-    turn = tuple(one * float(moving.loop.sample_time) for one in growth.turn)
+    turn = tuple(delay * float(moving.loop.sample_time) for delay in growth.turn)
     return WorstDelays(turn, growth.per_sample, is_proved)
 
 
 def limits_for_all(loop: LoopParameters, delays: Any, lost: Any) -> MovingLimits:
     """Return the stiffest proved wall that a search finds: ``HapticLoop.limits``."""
-    moving = MovingLoop.of(loop, delays, lost)
-    search = _Search.of(moving)
+    moving = MovingLoop.from_loop(loop, delays, lost)
+    search = _Search.from_loop(moving)
     low, high, best = 0.0, search.corner[1], np.zeros(2)
     for _ in range(_ZOOMS):
         dampings = np.linspace(low, high, _GRID + 1)[1:]
@@ -286,8 +285,8 @@ def region_for_all(loop: LoopParameters, delays: Any, lost: Any) -> MovingRegion
     """Return a polygon of proved walls: ``HapticLoop.region``."""
     # Between two dampings a trapezoid below the stiffest walls, pulled in until all of it is
     # proved; it stays so where its neighbour lowers a corner.
-    moving = MovingLoop.of(loop, delays, lost)
-    search, most = _Search.of(moving), 0.0
+    moving = MovingLoop.from_loop(loop, delays, lost)
+    search, most = _Search.from_loop(moving), 0.0
     for _ in range(2):  # the second time where walls are proved
         most = most or search.corner[1]
         dampings = np.linspace(0.0, most, _COLUMNS + 1)[1:]
@@ -297,9 +296,9 @@ def region_for_all(loop: LoopParameters, delays: Any, lost: Any) -> MovingRegion
     for pull in _PULLS:
         lower = np.stack([tops[:-1], tops[1:]]) * (1.0 - pull)
         chosen = np.flatnonzero((kept == 0.0) & np.all(lower > least, axis=0))
-        first, last = lower[:, chosen]
+        left, right = lower[:, chosen]
         gains = np.full((chosen.size, 4, 2), least)
-        gains[:, 2, 0], gains[:, 3, 0] = last, first
+        gains[:, 2, 0], gains[:, 3, 0] = right, left
         gains[:, [0, 3], 1], gains[:, [1, 2], 1] = dampings[[chosen, chosen + 1]][..., None]
         walls = gains * moving.units
         proved = are_polygons_stable(moving.device, moving.filters, walls, moving.delays.jitter)
@@ -307,11 +306,11 @@ def region_for_all(loop: LoopParameters, delays: Any, lost: Any) -> MovingRegion
     edges = np.flatnonzero(np.diff(np.concatenate([[False], kept > 0.0, [False]])))
     if not edges.size:
         return MovingRegion(np.zeros((0, 2)), np.zeros((0, 2)))
-    areas = [np.sum(tops[first : last + 1]) for first, last in edges.reshape(-1, 2)]
-    first, last = edges.reshape(-1, 2)[int(np.argmax(areas))]
-    shares = np.minimum(np.append(kept[first:last], 1.0), np.append(1.0, kept[first:last]))
-    here = dampings[first : last + 1]
-    edge = np.stack([tops[first : last + 1] * shares, here], axis=-1)
+    areas = [np.sum(tops[begin : end + 1]) for begin, end in edges.reshape(-1, 2)]
+    begin, end = edges.reshape(-1, 2)[int(np.argmax(areas))]
+    shares = np.minimum(np.append(kept[begin:end], 1.0), np.append(1.0, kept[begin:end]))
+    here = dampings[begin : end + 1]
+    edge = np.stack([tops[begin : end + 1] * shares, here], axis=-1)
     lowest = [[moving.lowest_unstable(*wall), wall[1]] for wall in edge[::_EVERY].tolist()]
     outline = np.concatenate([[[least, here[-1]], [least, here[0]]], edge])
     return MovingRegion(outline, np.array(lowest))
@@ -328,7 +327,7 @@ class _Search(NamedTuple):
     corner: Float64[np.ndarray, "2"]
 
     @classmethod
-    def of(cls, moving: MovingLoop) -> "_Search":
+    def from_loop(cls, moving: MovingLoop) -> "_Search":
         """Return the search for the walls of a loop."""
         region = wall_region(moving.loop, TOLERANCE)
         region = region.main or region
@@ -341,15 +340,15 @@ class _Search(NamedTuple):
         moving, (_, high) = self.moving, self.region.stiffness_limits(dampings).T
         alpha, beta = np.nan_to_num(high) * moving.units[0], dampings * moving.units[1]
         jitter = moving.delays.jitter
-        found = stiffest_for_all(moving.device, moving.filters, beta, alpha, jitter)
-        return found / moving.units[0]
+        stiffest = stiffest_for_all(moving.device, moving.filters, beta, alpha, jitter)
+        return stiffest / moving.units[0]
 
 
 def jitter_margin(
     loop: LoopParameters, stiffness: Numbers, damping: Numbers
 ) -> Float64[np.ndarray, "*grid"]:
     """Return how far the delay may move above the loop's, in s: ``HapticLoop.jitter_margin``."""
-    moving = MovingLoop.of(loop, (float(loop.delay), float(loop.delay)))
+    moving = MovingLoop.from_loop(loop, (float(loop.delay), float(loop.delay)))
     walls, shape = moving.walls(stiffness, damping)
     most = LONGEST_DELAY - moving.delays.low
     samples = largest_jitters(moving.device, moving.filters, walls, most).reshape(shape)
@@ -378,14 +377,14 @@ def turn_of(loop: LoopParameters, delays: Any) -> tuple[float, ...]:
     given = np.asarray(delays, np.float64)
     if given.ndim != 1 or not given.size:
         raise TypeError(f"delays is {shortened(delays)}; give a sequence of delays in s.")
-    known = given[np.isfinite(given)]
-    if np.any(np.isnan(given)) or np.any(given < 0.0) or not known.size:
+    finite = given[np.isfinite(given)]
+    if np.any(np.isnan(given)) or np.any(given < 0.0) or not finite.size:
         raise ValueError(
             f"delays is {shortened(delays)}; give delays >= 0 s, infinite for a lost sample, one "
             "at least finite."
         )
-    samples = {one: replace(loop, delay=one).delay_samples for one in set(known.tolist())}
-    return tuple(samples.get(one, inf) for one in given.tolist())
+    samples = {delay: replace(loop, delay=delay).delay_samples for delay in set(finite.tolist())}
+    return tuple(samples.get(delay, inf) for delay in given.tolist())
 
 
 def _refuse_traced(*values: Any) -> None:
@@ -393,7 +392,7 @@ def _refuse_traced(*values: Any) -> None:
         raise TypeError("a value is traced; with delays give numbers, outside of jit and grad.")
 
 
-def _checked_range(delays: Any) -> DelayRange:
+def _checked_range(delays: Any) -> Range:
     if np.shape(delays) != (2,):
         raise TypeError(
             f"delays is {shortened(delays)}; give the shortest and the longest delay in s, "

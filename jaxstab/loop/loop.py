@@ -9,41 +9,19 @@ from jaxtyping import Complex128, Float64, Int8
 
 from jaxstab import motion, point, ranges
 from jaxstab.arrays import Array, Numbers, is_any_traced, named, pytree
-from jaxstab.conventions import Verdict
-from jaxstab.loop.contact import Contact, contact
-from jaxstab.loop.jitter import (
-    DelayRange,
-    MovingLimits,
-    MovingLoop,
-    MovingRegion,
-    WorstDelays,
-    jitter_margin,
-    limits_for_all,
-    moving_verdict,
-    region_for_all,
-    simulate_moving,
-    worst_delays,
-)
+from jaxstab.conventions import HORIZON, Excitation, Range, Verdict
 from jaxstab.loop.region import TOLERANCE, WallLimits, WallRegion, traced_region, wall_region
 from jaxstab.model import LoopParameters, by_name, checked_gain, require_x64
 from jaxstab.model.device import Device
 from jaxstab.model.filters import Filters, given_filters
-from jaxstab.motion import Amplitude, Oscillation, Response, Settling
-from jaxstab.motion.amplitude import WallAmplitude, device_amplitude
-from jaxstab.motion.response import mode_of, simulate_device
-from jaxstab.motion.settling import HORIZON, Excitation, SettlingTime, device_settling_samples
 from jaxstab.numbers import checked, checked_number, checked_word
-from jaxstab.point import SpectralRadius
-from jaxstab.point.poles import linear_poles
-from jaxstab.point.radius import linear_spectral_radius
-from jaxstab.point.verdicts import linear_verdict
-from jaxstab.ranges import HandRange, Margins, RobustLimit, WallMargins, WorstHand
-from jaxstab.ranges.hands import Range
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from jaxstab.loop.between import LoopsWithHands
+    from jaxstab.loop.contact import Contact
+    from jaxstab.loop.jitter import MovingLimits, MovingRegion, WorstDelays
     from jaxstab.loop.tune import OptimalWall
 
 
@@ -111,15 +89,15 @@ class HapticLoop(LoopParameters):
     def region(self, *, tolerance: float = TOLERANCE) -> WallRegion: ...
 
     @overload
-    def region(self, *, delays: DelayRange, lost: int = 0) -> MovingRegion: ...
+    def region(self, *, delays: Range, lost: int = 0) -> "MovingRegion": ...
 
     def region(
         self,
         *,
         tolerance: float = TOLERANCE,
-        delays: DelayRange | None = None,
+        delays: Range | None = None,
         lost: int = 0,
-    ) -> WallRegion | MovingRegion:
+    ) -> "WallRegion | MovingRegion":
         """The set of all stable walls, in its connected parts.
 
         A loop that JAX traces, without estimator and filter, is answered by
@@ -149,6 +127,8 @@ class HapticLoop(LoopParameters):
         """
         if delays is not None or lost:
             self._refuse_tracers("region with delays")
+            from jaxstab.loop.jitter import region_for_all
+
             return region_for_all(self, delays, lost)
         if is_any_traced(self):
             return traced_region(self)
@@ -158,11 +138,9 @@ class HapticLoop(LoopParameters):
     def limits(self) -> WallLimits: ...
 
     @overload
-    def limits(self, *, delays: DelayRange, lost: int = 0) -> MovingLimits: ...
+    def limits(self, *, delays: Range, lost: int = 0) -> "MovingLimits": ...
 
-    def limits(
-        self, *, delays: DelayRange | None = None, lost: int = 0
-    ) -> WallLimits | MovingLimits:
+    def limits(self, *, delays: Range | None = None, lost: int = 0) -> "WallLimits | MovingLimits":
         """The largest stiffness and the largest damping that the loop allows, of walls K, B >= 0.
 
         They hold for the stable component that contains small gains; the limits of islands, which
@@ -187,6 +165,8 @@ class HapticLoop(LoopParameters):
         """
         if delays is not None or lost:
             self._refuse_tracers("limits with delays")
+            from jaxstab.loop.jitter import limits_for_all
+
             return limits_for_all(self, delays, lost)
         if is_any_traced(self):
             from jaxstab.loop.moving import moving_limits
@@ -307,14 +287,14 @@ class HapticLoop(LoopParameters):
 
     def worst_hand(
         self,
-        hands: HandRange,
+        hands: "ranges.HandRange",
         stiffness: float,
         damping: float,
         *,
         mass: Range | None = None,
-        delays: DelayRange | None = None,
+        delays: Range | None = None,
         lost: int = 0,
-    ) -> WorstHand:
+    ) -> "ranges.WorstHand":
         """Whether a wall is stable for every hand of a range, and the worst of the sampled hands.
 
         Each hand, like the rest of the loop, is constant while the wall is touched; with ``delays``
@@ -354,12 +334,12 @@ class HapticLoop(LoopParameters):
 
     def robust_limit(
         self,
-        hands: HandRange,
+        hands: "ranges.HandRange",
         *,
         mass: Range | None = None,
-        delays: DelayRange | None = None,
+        delays: Range | None = None,
         lost: int = 0,
-    ) -> RobustLimit:
+    ) -> "ranges.RobustLimit":
         """The largest stiffness, and its damping, that every hand of a range allows.
 
         The corners of the range, and the hands at which a proof failed, set the limit. With a
@@ -390,18 +370,19 @@ class HapticLoop(LoopParameters):
         return with_hands.robust_limit()
 
     def _with_hands(
-        self, hands: HandRange, mass: Range | None, delays: DelayRange | None, lost: int
+        self, hands: "ranges.HandRange", mass: Range | None, delays: Range | None, lost: int
     ) -> "LoopsWithHands | None":
         """Return the loop with all hands; None for one mass at a constant delay."""
         moves = delays is not None or bool(lost)
         if self.device is None and not moves:
             return None
         from jaxstab.loop.between import LoopsWithHands
+        from jaxstab.loop.jitter import MovingLoop
 
         device = self.held_device
         if not moves:
             return LoopsWithHands(self, device, hands, mass)
-        moving = MovingLoop.of(self, delays, lost).loop
+        moving = MovingLoop.from_loop(self, delays, lost).loop
         loop = HapticLoop(
             sample_time=moving.sample_time,
             delay=moving.delay,
@@ -477,7 +458,7 @@ class HapticLoop(LoopParameters):
         stiffness: Numbers,
         damping: Numbers,
         *,
-        delays: DelayRange | None = None,
+        delays: Range | None = None,
         lost: int = 0,
         resolve: str | None = None,
     ) -> Int8[Array, "*grid"]:
@@ -516,15 +497,17 @@ class HapticLoop(LoopParameters):
         """
         if delays is not None or lost:
             self._refuse_tracers("verdict with delays")
+            from jaxstab.loop.jitter import moving_verdict
+
             checked_word("resolve", resolve or "exact", ("exact",))
             return moving_verdict(self, stiffness, damping, delays, lost)
         wall = self._wall(stiffness, damping)
         if self.body is None:
             checked_word("resolve", resolve or "exact", ("exact",))
-            return named(linear_verdict(*wall, self.linear), Verdict)
+            return named(point.linear_verdict(*wall, self.linear), Verdict)
         return point.verdict(*wall, **self.slice, resolve=resolve, **self.filters)
 
-    def spectral_radius(self, stiffness: Numbers, damping: Numbers) -> SpectralRadius:
+    def spectral_radius(self, stiffness: Numbers, damping: Numbers) -> "point.SpectralRadius":
         """The largest modulus of the loop's poles at walls, with a proved error bound.
 
         Args and Raises: see ``jaxstab.conventions``; bound and status: ``jaxstab.spectral_radius``.
@@ -538,7 +521,7 @@ class HapticLoop(LoopParameters):
         """
         wall = self._wall(stiffness, damping)
         if self.body is None:
-            return linear_spectral_radius(*wall, self.linear)
+            return point.linear_spectral_radius(*wall, self.linear)
         return point.spectral_radius(*wall, **self.slice, **self.filters)
 
     def poles(self, stiffness: Numbers, damping: Numbers) -> Complex128[Array, "*grid degree"]:
@@ -555,10 +538,10 @@ class HapticLoop(LoopParameters):
         """
         wall = self._wall(stiffness, damping)
         if self.body is None:
-            return linear_poles(*wall, self.linear)
+            return point.linear_poles(*wall, self.linear)
         return point.closed_loop_poles(*wall, **self.slice, **self.filters)
 
-    def margins(self, stiffness: Numbers, damping: Numbers) -> Margins:
+    def margins(self, stiffness: Numbers, damping: Numbers) -> "ranges.Margins":
         """How far stiffness, damping and delay of the loop at walls may change, each alone.
 
         Args and Raises: see ``jaxstab.conventions``; TypeError also if JAX traces gains and the
@@ -591,7 +574,7 @@ class HapticLoop(LoopParameters):
         margins = ranges.margins(*self._wall(stiffness, damping), **by_name(*plant), **self.filters)
         stiffness_unit = _beside_ends(self.stiffness(1.0))
         damping_unit = _beside_ends(self.damping(1.0))
-        return WallMargins(
+        return ranges.WallMargins(
             margins.verdict,
             margins.stiffness * stiffness_unit,
             margins.damping * damping_unit,
@@ -621,11 +604,13 @@ class HapticLoop(LoopParameters):
             4.21 of 5.76 ms
         """
         self._refuse_tracers("jitter_margin")
+        from jaxstab.loop.jitter import jitter_margin
+
         return jitter_margin(self, stiffness, damping)
 
     def worst_delays(
-        self, stiffness: float, damping: float, *, delays: DelayRange, lost: int = 0
-    ) -> WorstDelays:
+        self, stiffness: float, damping: float, *, delays: Range, lost: int = 0
+    ) -> "WorstDelays":
         """Search for delays in turn that make the motion grow, and prove that it does.
 
         All short patterns of the shortest and the longest delay are tried, and the best changed
@@ -650,9 +635,11 @@ class HapticLoop(LoopParameters):
             (0.0, 0.001, 0.001, 0.001)
         """
         self._refuse_tracers("worst_delays")
+        from jaxstab.loop.jitter import worst_delays
+
         return worst_delays(self, stiffness, damping, delays, lost)
 
-    def oscillation(self, stiffness: Numbers, damping: Numbers) -> Oscillation:
+    def oscillation(self, stiffness: Numbers, damping: Numbers) -> "motion.Oscillation":
         """Damping ratio and frequency in Hz of the slowest mode of the loop at walls.
 
         Args and Raises: see ``jaxstab.conventions``. Source: as ``jaxstab.dominant_mode``; Table I.
@@ -662,8 +649,10 @@ class HapticLoop(LoopParameters):
             >>> round(float(loop.oscillation(20000.0, 20.0).frequency), 1)  # Hz
             77.5
         """
-        mode = mode_of(self.poles(stiffness, damping))
-        return Oscillation(mode.damping_ratio, mode.frequency / (2.0 * np.pi * self.sample_time))
+        mode = motion.mode_of(self.poles(stiffness, damping))
+        return motion.Oscillation(
+            mode.damping_ratio, mode.frequency / (2.0 * np.pi * self.sample_time)
+        )
 
     def settling_time(
         self,
@@ -673,7 +662,7 @@ class HapticLoop(LoopParameters):
         level: float = 0.02,
         excitation: Excitation = "force",
         horizon: int = HORIZON,
-    ) -> Settling:
+    ) -> "motion.Settling":
         """The time in s until the position stays within a tolerance of its final value.
 
         It is ``jaxstab.settling_samples`` times the sample time; the tolerance is explained there.
@@ -702,7 +691,7 @@ class HapticLoop(LoopParameters):
         self._refuse_tracers("settling_time")
         options: dict[str, Any] = {"excitation": excitation, "horizon": horizon}
         if self.body is None:
-            samples = device_settling_samples(
+            samples = motion.device_settling_samples(
                 *self._device_and_filters, stiffness, damping, level, **options
             )
         else:
@@ -710,7 +699,7 @@ class HapticLoop(LoopParameters):
             samples = motion.settling_samples(
                 alpha, beta, **self.slice, level=level, **options, **self.filters
             )
-        return SettlingTime(samples.value * self.sample_time, samples.status)
+        return motion.SettlingTime(samples.value * self.sample_time, samples.status)
 
     def amplitude(
         self,
@@ -721,7 +710,7 @@ class HapticLoop(LoopParameters):
         force_step: Numbers = 0.0,
         friction: Numbers = 0.0,
         noise: Numbers = 0.0,
-    ) -> Amplitude:
+    ) -> "motion.Amplitude":
         """Bound the effect of a quantised encoder, a quantised force, friction and noise at walls.
 
         The loop is compared with the same loop without any of these, started and pushed alike. The
@@ -756,7 +745,7 @@ class HapticLoop(LoopParameters):
         self._refuse_tracers("amplitude")
         if self.body is None:
             causes = {"encoder": encoder, "force_step": force_step, "friction": friction}
-            return device_amplitude(
+            return motion.device_amplitude(
                 *self._device_and_filters, stiffness, damping, **causes, noise=noise
             )
         unit = self.mass / self.sample_time**2  # N that are 1 where 1 m is
@@ -769,7 +758,7 @@ class HapticLoop(LoopParameters):
             noise=checked("noise", noise, 0.0),
             **self.filters,
         )
-        return WallAmplitude(
+        return motion.WallAmplitude(
             amplitude.position,
             amplitude.velocity / self.sample_time,
             amplitude.force * unit,
@@ -789,7 +778,7 @@ class HapticLoop(LoopParameters):
         between: int = 0,
         unilateral: bool = False,
         delays: Sequence[float] | np.ndarray | None = None,
-    ) -> Response:
+    ) -> "motion.Response":
         """Simulate the device, held by the hand, against a virtual wall at position 0.
 
         Device and hand move in continuous time. At every sample the wall computes -K x - B v from
@@ -837,9 +826,11 @@ class HapticLoop(LoopParameters):
             "unilateral": unilateral,
         }
         if delays is not None:
+            from jaxstab.loop.jitter import simulate_moving
+
             return simulate_moving(self, stiffness, damping, delays, options)
         if self.body is None:
-            return simulate_device(*self._device_and_filters, stiffness, damping, **options)
+            return motion.simulate_device(*self._device_and_filters, stiffness, damping, **options)
         return motion.simulate(self, stiffness, damping, **options)
 
     def contact(
@@ -861,7 +852,7 @@ class HapticLoop(LoopParameters):
         duration: int | float = 4.0,
         delays: Sequence[float] | np.ndarray | None = None,
         tolerance: Numbers = 1e-6,
-    ) -> Contact:
+    ) -> "Contact":
         """Simulate a contact as it is felt: a one-sided wall, friction, encoder, saturation.
 
         The motion between samples is exact, friction included. The answer is simulated, not proved:
@@ -907,6 +898,8 @@ class HapticLoop(LoopParameters):
             >>> loop.contact(3000.0, 15.0, push=1.0, friction=0.1).kind
             <ContactKind.RESTS: 1>
         """
+        from jaxstab.loop.contact import contact
+
         return contact(
             self,
             stiffness,

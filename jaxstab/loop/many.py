@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
-from jaxstab.arrays import Array, at, is_any_traced, namespace
+from jaxstab.arrays import Array, is_any_traced, namespace, take
 from jaxstab.batches import alike, in_float64, lists, on_cores
 from jaxstab.model import LoopParameters
 from jaxstab.model.double_double import DoubleDouble
@@ -282,7 +282,7 @@ def resolved(
                 missed[part[is_open]] = answer[0].missed[: part.size][is_open]
                 own = np.flatnonzero(~is_open)
                 if own.size:
-                    yield members[part[own]], at(answer, own)
+                    yield members[part[own]], take(answer, own)
             formed, triples = _rescanned(formed, triples, missed)
 
 
@@ -293,7 +293,7 @@ def _answers(triples: "Triples", outlines: bool) -> "Iterator[tuple[Indices, Any
     components = program(triples.straight.shape[-1] - 1, outlines=outlines)
 
     def solved(indices: Indices) -> Any:
-        return in_float64(components, at(triples, indices))
+        return in_float64(components, take(triples, indices))
 
     parts = list(lists(np.arange(len(triples.angles)), _AT_ONCE))
     answers = on_cores(solved, [indices for _, indices in parts])
@@ -356,7 +356,7 @@ def _rescanned(
             chosen.append(start + own)
             scans.append(_scans(again[-1], degree))
         start += len(one.members)
-    return again, at(triples, np.concatenate(chosen))._replace(angles=np.concatenate(scans))
+    return again, take(triples, np.concatenate(chosen))._replace(angles=np.concatenate(scans))
 
 
 def _formed(many: "list[HapticLoop]") -> Iterator[_Formed]:

@@ -38,8 +38,10 @@ class _Extreme(NamedTuple):
 
     alpha: Array
     beta: Array
-    first: Array
-    second: Array  # NaN where the boundary turns, or crosses the axis: then the other gain is 0
+    angle: Array
+    other_angle: (
+        Array  # NaN where the boundary turns, or crosses the axis: then the other gain is 0
+    )
     status: Array
     is_reachable: Array
     is_single: Array
@@ -56,7 +58,7 @@ def moving_limits_of(loops: list[Any]) -> ManyLimits:
     loops = [loop.tree_unflatten((None, loop.device), loop.tree_flatten()[0]) for loop in loops]
     groups = alike(map(jax.tree.structure, loops))
     stacks = (
-        jax.tree.map(lambda *leaves: jnp.stack(leaves), *(loops[number] for number in members))
+        jax.tree.map(lambda *leaves: jnp.stack(leaves), *(loops[index] for index in members))
         for members in groups
     )
     answers = [jax.vmap(moving_limits)(loops) for loops in stacks]
@@ -110,8 +112,8 @@ def _extremes_of(loops: list[Any]) -> Float64[np.ndarray, "loop 2 field"]:
     for members, (extremes, _) in resolved(loops):
         rows[members, :, :2], rows[members, :, 2:4] = extremes.walls, extremes.angles
         rows[members, :, 4:] = RegionStatus.COMPLETE, True, False
-    for number in np.flatnonzero(rows[:, 0, -1]):
-        rows[number] = _extremes(wall_region(loops[number], TOLERANCE))
+    for row in np.flatnonzero(rows[:, 0, -1]):
+        rows[row] = _extremes(wall_region(loops[row], TOLERANCE))
     return rows
 
 
@@ -143,8 +145,8 @@ def _moved(loop: LoopParameters, extremes: _Extreme) -> ManyLimits:
     fixed = jax.lax.stop_gradient(numbers)
 
     def moved(extreme: _Extreme, axis: Array) -> Array:
-        is_corner = ~jnp.isnan(extreme.second)
-        start = jnp.stack([*extreme[:3], jnp.where(is_corner, extreme.second, 0.0)])
+        is_corner = ~jnp.isnan(extreme.other_angle)
+        start = jnp.stack([*extreme[:3], jnp.where(is_corner, extreme.other_angle, 0.0)])
         residual = partial(_equations, start, is_corner, axis)
         step = jnp.linalg.solve(jax.jacfwd(residual)(start, fixed), residual(start, numbers))
         wall = start[:2] - (step - jax.lax.stop_gradient(step))[:2]

@@ -199,16 +199,12 @@ class WallRegion(ShownRegion):
     @cached_property
     def main(self) -> "WallRegion | None":
         """The walls reached by turning gains up from 0; None where small gains are not stable."""
-        return next((each for each in self.components[:1] if each._holds_small_gains), None)
+        return next((each for each in self.components[:1] if each.region.main is not None), None)
 
     @property
     def islands(self) -> list["WallRegion"]:
         """The components that are not reachable by turning gains up from 0, the largest first."""
         return self.components[self.main is not None :]
-
-    @property
-    def _holds_small_gains(self) -> bool:
-        return self.region.main is not None
 
     def limits(self) -> WallLimits:
         """Return the stiffest and the most damped wall, and those of each island."""

@@ -1,17 +1,16 @@
 """The walls of a loop that come to rest fastest, in SI units."""
 
 from collections.abc import Callable
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
 from jaxstab.arrays import Numbers
+from jaxstab.conventions import Excitation
 from jaxstab.loop.region import TOLERANCE, wall_region
 from jaxstab.model import LoopParameters
 from jaxstab.model.filters import given_filters
-from jaxstab.motion import amplitude
-from jaxstab.motion.amplitude import device_amplitude
-from jaxstab.motion.settling import Excitation, checked_level
+from jaxstab.motion.settling import checked_level
 from jaxstab.numbers import checked_number, checked_word
 from jaxstab.tuning import OptimalGains, TuningStatus
 from jaxstab.tuning.gains import (
@@ -21,6 +20,9 @@ from jaxstab.tuning.gains import (
     smallest_radius_damping,
 )
 from jaxstab.tuning.loops import DeviceLoop, MassLoop, TunedLoop
+
+if TYPE_CHECKING:
+    from jaxstab.loop.loop import HapticLoop
 
 # The fastest wall that an encoder drives no further than a limit, or with the smallest radius where
 # the best gains are no wall, one being negative: searches on grids.
@@ -38,40 +40,23 @@ class Chatter(NamedTuple):
     encoder: float
     limit: float = np.inf
 
-    def amplitudes(self, loop: LoopParameters, alpha: Any, beta: Any) -> np.ndarray:
+    def amplitudes(self, loop: "HapticLoop", alpha: Any, beta: Any) -> np.ndarray:
         """Proved amplitudes of walls in m."""
-        sampled = loop.sampled
-        if sampled is None:
-            driven = amplitude(alpha, beta, **loop.slice, encoder=self.encoder, **loop.filters)
-        else:
-            filters = given_filters(loop.velocity, loop.position)
-            driven = device_amplitude(
-                *(sampled.device, sampled.sample_time, sampled.delay, filters),
-                *(loop.stiffness(alpha), loop.damping(beta)),
-                encoder=self.encoder,
-            )
-        return np.asarray(driven.position)
-
-
-class CalmWall(NamedTuple):
-    """Gains alpha and beta, their amplitude in m, and how they were found."""
-
-    gains: tuple[float, float]
-    amplitude: float
-    status: TuningStatus
+        wall = loop.stiffness(alpha), loop.damping(beta)
+        return np.asarray(loop.amplitude(*wall, encoder=self.encoder).position)
 
 
 def fastest_calm_wall(
-    loop: LoopParameters, objective: Objective, chatter: Chatter, alpha: float | None
-) -> CalmWall:
-    """The wall with the smallest objective among those found within the limit."""
+    loop: "HapticLoop", objective: Objective, chatter: Chatter, alpha: float | None
+) -> tuple[tuple[float, float], float, TuningStatus]:
+    """The gains of the least objective found within the limit, their amplitude in m, a status."""
     # The first grid spans the component that contains small gains; each further grid surrounds the
     # best wall so far. Among equally fast walls the calmest one is taken.
     best, least, status = (np.nan, np.nan), (np.inf, np.inf), TuningStatus.NOT_CALM
     whole = wall_region(loop.in_floats(), TOLERANCE).region
     region = whole.main or whole  # the component that contains small gains, if there is one
     if not len(region.points):
-        return CalmWall(best, np.inf, TuningStatus.NO_STABLE_GAINS)
+        return best, np.inf, TuningStatus.NO_STABLE_GAINS
     grid = Grid.over_walls(region.points, _POINTS, alpha)
     for _ in range(_ZOOMS):
         alphas, betas = (np.ravel(gains) for gains in np.broadcast_arrays(*grid.points))
@@ -81,16 +66,16 @@ def fastest_calm_wall(
         calm = np.flatnonzero(reached <= chatter.limit)
         if calm.size:
             values = np.nan_to_num(np.asarray(objective(alphas[calm], betas[calm])), nan=np.inf)
-            first = np.lexsort((reached[calm], values))[0]
-            value = float(values[first]), float(reached[calm[first]])
+            calmest = np.lexsort((reached[calm], values))[0]
+            value = float(values[calmest]), float(reached[calm[calmest]])
             if value < least:
-                place = int(calm[first])
+                place = int(calm[calmest])
                 least, best = value, (float(alphas[place]), float(betas[place]))
                 status = TuningStatus.SCANNED
         if not np.isfinite(least[0]):
             break
         grid = grid.around(best)
-    return CalmWall(best, least[1], status)
+    return best, least[1], status
 
 
 def _smallest_radius(loop: LoopParameters, tuned: TunedLoop) -> OptimalGains:
@@ -128,7 +113,7 @@ class OptimalWall(NamedTuple):
 
 
 def optimal_wall(
-    loop: LoopParameters,
+    loop: "HapticLoop",
     goal: Literal["radius", "settling"],
     stiffness: float | None,
     level: float,

@@ -45,7 +45,7 @@ class DoubleDouble:
     lo: Array
 
     @classmethod
-    def of(cls, value: Union[Array, float, "DoubleDouble"]) -> "DoubleDouble":
+    def from_value(cls, value: Union[Array, float, "DoubleDouble"]) -> "DoubleDouble":
         """Return a float64 array, a Python float or a pair, unchanged in value, as a pair."""
         if isinstance(value, DoubleDouble):
             return value
@@ -109,7 +109,7 @@ def _product(pair: DoubleDouble, other: Factor) -> DoubleDouble:
 
 
 def _quotient(pair: DoubleDouble, other: Factor) -> DoubleDouble:
-    other = DoubleDouble.of(other)
+    other = DoubleDouble.from_value(other)
     quotient = pair.hi / other.hi
     remainder = _sum(pair, -_product(other, quotient))
     correction = remainder.hi / other.hi
@@ -196,7 +196,7 @@ def _differentiable(operation: Operation) -> Operation:
         steps = [move.rounded() if isinstance(move, DoubleDouble) else move for move in moves]
         step = _SLOPES[operation](result.hi, *map(_high, numbers), *steps)
         step = namespace(result).broadcast_to(step, result.hi.shape)
-        return result, DoubleDouble.of(step)
+        return result, DoubleDouble.from_value(step)
 
     with_slopes.defjvp(moved)
     return with_slopes

@@ -192,7 +192,7 @@ class Average(Section):
 
     def stages(self) -> list[Transfer]:
         count = self.length
-        weight = DoubleDouble.of(1.0) / float(count)
+        weight = DoubleDouble.from_value(1.0) / float(count)
         return [Transfer.with_sizes((weight,) * count, ONE, count - 1)]
 
 
@@ -229,8 +229,8 @@ class LowPass(Section):
 
     def stages(self) -> list[Transfer]:
         pole = self.pole
-        gain = DoubleDouble.of(1.0) - pole
-        stage = Transfer.with_sizes((gain,), (DoubleDouble.of(1.0), -DoubleDouble.of(pole)), -1)
+        gain = DoubleDouble.from_value(1.0) - pole
+        stage = Transfer.with_sizes((gain,), (*ONE, -DoubleDouble.from_value(pole)), -1)
         return [stage] * self.order
 
     @property
@@ -256,9 +256,9 @@ class Exponential(Section):
         return f"exponential smoothing by {shown(self.factor)}"
 
     def stages(self) -> list[Transfer]:
-        factor = DoubleDouble.of(_float(self.factor))
-        pole = DoubleDouble.of(1.0) - factor
-        return [Transfer.with_sizes((factor,), (DoubleDouble.of(1.0), -pole), -1)]
+        factor = DoubleDouble.from_value(_float(self.factor))
+        pole = DoubleDouble.from_value(1.0) - factor
+        return [Transfer.with_sizes((factor,), (*ONE, -pole), -1)]
 
     def ball_factors(self, ball: Callable[[Any], Any], period: Any, pi: Any) -> list[Factor]:
         del period, pi
@@ -295,8 +295,10 @@ class Butterworth(Section):
         sections = [
             _quadratic(warped, butterworth_sine(k, self.order)) for k in range(self.order // 2)
         ]
-        if self.order % 2:
-            sections.append(_bilinear_lag(warped))
+        if self.order % 2:  # w / (s + w) at s = (z - 1) / (z + 1)
+            width = DoubleDouble.from_value(warped)
+            gain, last = width / (width + 1.0), (width - 1.0) / (width + 1.0)
+            sections.append(Transfer.with_sizes((gain, gain), (*ONE, last), 0))
         return sections
 
     @property
@@ -334,7 +336,7 @@ class Rational(Section):
         return f"a transfer function of order {len(self.denominator) - 1}"
 
     def stages(self) -> list[Transfer]:
-        return [_monic(tuple(map(DoubleDouble.of, self.numerator)), self.denominator)]
+        return [_monic(tuple(map(DoubleDouble.from_value, self.numerator)), self.denominator)]
 
     @property
     def toml(self) -> dict[str, Any]:
@@ -354,7 +356,7 @@ class Differentiator(Rational):
         return replace(self, period=self.period * sample_time)
 
     def stages(self) -> list[Transfer]:
-        steps = accumulate(map(DoubleDouble.of, self.numerator[:-1]), DoubleDouble.__add__)
+        steps = accumulate(map(DoubleDouble.from_value, self.numerator[:-1]), DoubleDouble.__add__)
         numerator = tuple(step * _float(self.period) for step in steps)
         transfer = _monic(numerator, self.denominator)
         return [transfer._replace(lag=transfer.lag - 1)]
@@ -375,14 +377,14 @@ def _lag(factor: Any) -> tuple[list[Any], list[Any]]:
 
 def _quadratic(warped: Array, sine: float) -> Transfer:
     """Return w^2 / (s^2 + 2 w sine s + w^2) at s = (z - 1) / (z + 1)."""
-    square = DoubleDouble.of(warped) * warped
-    damping = (DoubleDouble.of(warped) * sine).scaled(2.0)
+    square = DoubleDouble.from_value(warped) * warped
+    damping = (DoubleDouble.from_value(warped) * sine).scaled(2.0)
     leading = square + 1.0 + damping
     gain = square / leading
     middle = (square - 1.0).scaled(2.0) / leading
     return Transfer.with_sizes(
         (gain, gain.scaled(2.0), gain),
-        (DoubleDouble.of(1.0), middle, (square + 1.0 - damping) / leading),
+        (*ONE, middle, (square + 1.0 - damping) / leading),
         0,
     )
 
@@ -392,20 +394,15 @@ def butterworth_sine(k: int, order: int) -> float:
     return float(np.sin(pi * (2 * k + 1) / (2 * order)))
 
 
-def _bilinear_lag(warped: Array) -> Transfer:
-    """Return w / (s + w) at s = (z - 1) / (z + 1)."""
-    width = DoubleDouble.of(warped)
-    gain, last = width / (width + 1.0), (width - 1.0) / (width + 1.0)
-    return Transfer.with_sizes((gain, gain), (DoubleDouble.of(1.0), last), 0)
-
-
 def _monic(numerator: Polynomial, denominator: tuple[float, ...]) -> Transfer:
     """Return a quotient of polynomials, powers of z taken out of both."""
     zeros = next(k for k, c in enumerate(reversed(numerator)) if c.hi != 0.0)
     poles = next(k for k, c in enumerate(reversed(denominator)) if c != 0.0)
     leading = denominator[0]
     above = tuple(c / leading for c in numerator[: len(numerator) - zeros])
-    below = tuple(DoubleDouble.of(c) / leading for c in denominator[: len(denominator) - poles])
+    below = tuple(
+        DoubleDouble.from_value(c) / leading for c in denominator[: len(denominator) - poles]
+    )
     return Transfer.with_sizes(above, below, poles - zeros)
 
 

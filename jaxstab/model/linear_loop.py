@@ -118,7 +118,7 @@ def sampled_mass(
     """Device and hand of one mass (eq. (9)); the fraction of the delay is 0.0, or nowhere 0."""
     pairs = plant_pairs(gamma, delta, fraction)
     xp = namespace(pairs)
-    unit = DoubleDouble.of(xp.ones_like(pairs.d0.hi))
+    unit = DoubleDouble.from_value(xp.ones_like(pairs.d0.hi))
     numerator: Polynomial = (pairs.n2, pairs.n1, pairs.n0)
     relative = pairs_error(gamma, delta)
     size = size_of(numerator)
@@ -136,7 +136,7 @@ def sampled_mass(
         denominator=(unit, pairs.d1, pairs.d0),
         lag=whole_delay + (not is_whole),
         errors=(3.0 * rounding, 2.0 * relative),
-        at_one=(Bounded(unit, 0.0), Bounded(DoubleDouble.of(gamma), 0.0)),
+        at_one=(Bounded(unit, 0.0), Bounded(DoubleDouble.from_value(gamma), 0.0)),
         at_minus_one=at_minus_one,
     )
 
@@ -362,7 +362,7 @@ def _polynomial(
 ) -> Array:
     wall = _times_wall(alpha, beta, plant)
     xp = namespace(alpha, beta, plant)
-    unit = DoubleDouble.of(xp.ones_like(plant.d0.hi))
+    unit = DoubleDouble.from_value(xp.ones_like(plant.d0.hi))
     denominator = (unit, plant.d1, plant.d0)
     grid = xp.broadcast_shapes(wall[0].hi.shape, whole_delay.shape)
     columns = []
@@ -429,7 +429,7 @@ def loop_polynomial(
 
 def _times_wall(alpha: Array, beta: Array, plant: PlantPairs) -> tuple[DoubleDouble, ...]:
     """Return the coefficients of N(z) ((alpha + beta) z - beta), highest power first."""
-    stiffness, damping = DoubleDouble.of(alpha), DoubleDouble.of(beta)
+    stiffness, damping = DoubleDouble.from_value(alpha), DoubleDouble.from_value(beta)
     # b2 - b1 vanishes with delta for a whole delay; N(-1) knows it to all of its digits.
     falls = (-plant.n2, plant.difference - plant.n0, plant.n1 - plant.n0, plant.n0)
     lowered = tuple(stiffness * n for n in (plant.n2, plant.n1, plant.n0))
@@ -443,7 +443,7 @@ def _times_wall(alpha: Array, beta: Array, plant: PlantPairs) -> tuple[DoubleDou
 
 def _chosen(place: Array, values: tuple[DoubleDouble, ...]) -> DoubleDouble:
     """Return ``values[place]``, and zero where ``place`` is outside of the tuple."""
-    chosen = DoubleDouble.of(0.0)
+    chosen = DoubleDouble.from_value(0.0)
     for index, value in enumerate(values):
         here = place == index
         chosen = tree_map(partial(namespace(here, value).where, here), value, chosen)

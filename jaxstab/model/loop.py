@@ -1,6 +1,6 @@
 """A haptic loop in SI units as numbers: device, hand, sampling, delay, estimator and filter."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import lru_cache, wraps
 from math import ulp
@@ -299,6 +299,16 @@ def with_columns(loop: LoopParameters, columns: Mapping[str, Numbers]) -> Any:
     """
     numbers = {name: getattr(loop, name) for name in _LEAST} | dict(columns)
     return loop.tree_unflatten((None, None), (*numbers.values(), loop.velocity, loop.position))
+
+
+def as_one(loops: Sequence[LoopParameters]) -> Any:
+    """Return loops of one mass as one (``with_columns``): they differ in mechanics and delay."""
+    names = "device_mass", "device_damping", "hand_stiffness", "delay"
+    numbers = {loop: (*loop._one_body, loop.delay) for loop in dict.fromkeys(loops)}
+    rows = np.array([numbers[loop] for loop in loops])
+    return with_columns(
+        loops[0], dict(zip(names, rows.T, strict=True)) | {"hand_mass": 0.0, "hand_damping": 0.0}
+    )
 
 
 @lru_cache(_REMEMBERED)

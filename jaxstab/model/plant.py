@@ -31,13 +31,13 @@ from jaxtyping import Float64
 from jaxstab.arrays import (
     Array,
     Numbers,
-    at,
     constant,
     filled,
     float_arrays,
     is_traced,
     namespace,
     repeat,
+    take,
     tree_map,
 )
 from jaxstab.batches import MANY_PLANTS, compiled
@@ -132,7 +132,7 @@ def plant_transition(gamma: Numbers, delta: Numbers, time: Numbers) -> Float64[A
 
 @compiled(many=MANY_PLANTS)
 def _plant_transition(gamma: Array, delta: Array, time: Array) -> Array:
-    length = DoubleDouble.of(time)
+    length = DoubleDouble.from_value(time)
     hold = _hold(gamma, delta, length)
     even = hold.decay * hold.kappa
     odd = length * (hold.decay * hold.sigma)  # the position after a unit impulse
@@ -212,17 +212,17 @@ def may_cancel(gamma: Numbers, delta: Numbers) -> Array:
 @compiled(static=["whole"], many=MANY_PLANTS, pointwise=True)
 def _plant_pairs(gamma: Array, delta: Array, fraction: Array, *, whole: bool) -> PlantPairs:
     xp = namespace(gamma, delta, fraction)
-    full = DoubleDouble.of(filled(fraction, 1.0))
+    full = DoubleDouble.from_value(filled(fraction, 1.0))
     if whole:
         step = _hold(gamma, delta, full)
-        n2, n0 = step.response(), DoubleDouble.of(filled(fraction, 0.0))
+        n2, n0 = step.response(), DoubleDouble.from_value(filled(fraction, 0.0))
     else:
-        lengths = full, full - fraction, DoubleDouble.of(fraction)
+        lengths = full, full - fraction, DoubleDouble.from_value(fraction)
         if type(fraction) is float:
             step, after, before = (_hold(gamma, delta, length) for length in lengths)
         else:  # one batch: three times less to compile
             holds = _hold(gamma, delta, tree_map(lambda *t: xp.stack(t), *lengths))
-            step, after, before = (at(holds, k) for k in range(3))
+            step, after, before = (take(holds, k) for k in range(3))
         n2, n0 = after.response(), after.decay * after.decay * before.reversed_response()
     d1 = (step.decay * step.kappa).scaled(-2.0)
     d0 = step.decay * step.decay
@@ -261,7 +261,7 @@ def _hold(gamma: Array, delta: Array, length: DoubleDouble) -> _Hold:
     x, y = x.scaled(4.0**-_DUPLICATIONS), y.scaled(4.0**-_DUPLICATIONS)
     nodes = _Nodes(x, y, kappa=_series(_KAPPA, x, y), sigma=_series(_SIGMA, x, y))
     nodes = repeat(_DUPLICATIONS, _duplicate, nodes)
-    decay = DoubleDouble.of(filled(x.hi, 1.0)) / (nodes.kappa.x + a * nodes.sigma.x)
+    decay = DoubleDouble.from_value(filled(x.hi, 1.0)) / (nodes.kappa.x + a * nodes.sigma.x)
     return _Hold(length, decay, nodes.kappa.y, nodes.sigma.y, nodes.kappa.xy, a * nodes.sigma.xy)
 
 
@@ -308,16 +308,12 @@ def _series(coefficients: tuple[Fraction, ...], x: DoubleDouble, y: DoubleDouble
     for coefficient in reversed(coefficients[_PAIR_TERMS:]):
         between = at_x + y.hi * between
         at_x, at_y = float(coefficient) + x.hi * at_x, float(coefficient) + y.hi * at_y
-    values = _Values(*map(DoubleDouble.of, (at_x, at_y, between)))
-    for pair in map(_pair, reversed(coefficients[:_PAIR_TERMS])):
+    values = _Values(*map(DoubleDouble.from_value, (at_x, at_y, between)))
+    for exact in reversed(coefficients[:_PAIR_TERMS]):
+        pair = DoubleDouble(float(exact), float(exact - Fraction(float(exact))))
         values = _Values(
             x=x * values.x + pair,
             y=y * values.y + pair,
             xy=y * values.xy + values.x,
         )
     return values
-
-
-def _pair(value: Fraction) -> DoubleDouble:
-    hi = float(value)
-    return DoubleDouble(hi, float(value - Fraction(hi)))

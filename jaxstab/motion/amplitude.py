@@ -15,7 +15,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from jaxtyping import Float64, Int8
 
-from jaxstab.arrays import Array, Numbers, at, float_arrays, is_traced, named, namespace
+from jaxstab.arrays import Array, Numbers, float_arrays, is_traced, named, namespace, take
 from jaxstab.batches import alike, on_host
 from jaxstab.conventions import Status
 from jaxstab.model import checked_delay, checked_gain, require_x64
@@ -72,7 +72,7 @@ def impulse_sums(systems: Systems) -> Float64[np.ndarray, "loop output input"]:
     with np.errstate(all="ignore"):
         for doublings in np.unique(new.doublings[new.doublings >= 0]).tolist():
             for loops in _blocks(new, doublings):
-                sums[loops] = _sums(at(new, loops), doublings)
+                sums[loops] = _sums(take(new, loops), doublings)
     return sums
 
 

@@ -539,7 +539,9 @@ class Handle(NamedTuple):
                 return self._leg(runs, acting, end, *moving)
 
             start = (0, length + 0.0 * x, 0.0 * x, states, seen)
-            *_, states, seen = repeat_while(_is_moving, leg, start)
+            *_, states, seen = repeat_while(
+                lambda moving: (moving[0] < _MOST_LEGS) & xp.any(moving[1] > 0.0), leg, start
+            )
         x, v, *others = states
         return (x, v * self.ticks, *others), seen
 
@@ -583,11 +585,6 @@ class Handle(NamedTuple):
         seen = seen.with_position(moved[0], xp)._replace(energy=seen.energy + work)
         seen = seen.with_maximum(stops & (sign > 0.0), end - remaining / self.ticks, xp)
         return count + 1, remaining, xp.where(breaks, xp.sign(value), 0.0), moved, seen
-
-
-def _is_moving(moving: Any) -> Array:
-    count, remaining, *_ = moving
-    return (count < _MOST_LEGS) & functions(remaining).any(remaining > 0.0)
 
 
 def _with(states: Array, acting: Array, force: Array) -> Array:

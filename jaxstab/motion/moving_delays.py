@@ -33,7 +33,7 @@ _EFFORT = 20_000_000  # the most changes times the cube of the states
 _GAIN = 1e-9  # of the growth, that a change must bring
 
 
-class Range(NamedTuple):
+class Delays(NamedTuple):
     """Delays between two, in samples, with at most ``lost`` lost samples in a row."""
 
     low: float
@@ -41,7 +41,7 @@ class Range(NamedTuple):
     lost: int = 0
 
     @classmethod
-    def of(cls, low: float, high: float, lost: Any) -> "Range":
+    def between(cls, low: float, high: float, lost: Any) -> "Delays":
         """Return delays between two; ValueError or TypeError: ``lost`` is no count, or too many."""
         lost = checked_count("lost", lost, 0)
         if high + lost > LONGEST_DELAY:
@@ -75,7 +75,7 @@ def growing_turn(
     device: SampledDevice,
     filters: Filters | None,
     wall: tuple[float, float],
-    delays: Range,
+    delays: Delays,
     *,
     is_thorough: bool,
 ) -> tuple[Growth, bool]:
@@ -96,7 +96,7 @@ _segments = lru_cache(maxsize=512)(segments_of)
 class _Search:
     """Turns of one wall, each sample's matrix formed once."""
 
-    def __init__(self, loop: PeriodicLoop, delays: Range) -> None:
+    def __init__(self, loop: PeriodicLoop, delays: Delays) -> None:
         self.delays = delays
         oldest = ceil(delays.high) + delays.lost  # of the forces that may act, in samples
         self._step = cache(lambda segments: loop.step(segments, oldest))
@@ -147,7 +147,7 @@ def _fastest_first(growth: Growth) -> tuple[float, int]:
 
 
 @lru_cache(maxsize=16)
-def _patterns(delays: Range, longest: int) -> list[Turn]:
+def _patterns(delays: Delays, longest: int) -> list[Turn]:
     """Return all turns of the ends of the range, each once up to rotation and repetition."""
     letters = sorted({delays.low, delays.high}) + [inf] * (delays.lost > 0)
     return [

@@ -6,17 +6,16 @@ short that no later position leaves the tolerance (lemmas M1 and M2). One produc
 doubles the states, one squares the power; no eigenvalue is needed, and multiple roots do no harm.
 """
 
-from collections.abc import Sequence
 from functools import partial
 from math import ceil, log2
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 from jaxtyping import Float64, Int, Int8
 
-from jaxstab.arrays import Array, Numbers, at, float_arrays, named, namespace
+from jaxstab.arrays import Array, Numbers, float_arrays, named, namespace, take
 from jaxstab.batches import on_host
-from jaxstab.conventions import Status, Verdict
+from jaxstab.conventions import HORIZON, Excitation, Status, Verdict
 from jaxstab.model import checked_delay, checked_gain, require_x64
 from jaxstab.model.device import Device, sampled_device
 from jaxstab.model.device.mechanics import mechanics
@@ -108,9 +107,6 @@ def _mapped(matrices: Matrices, states: np.ndarray) -> Float64[np.ndarray, "loop
     return (blocks @ np.swapaxes(matrices, 1, 2)[:, None]).reshape(loops, stretches, -1)
 
 
-Excitation = Literal["force", "impact"]
-
-HORIZON = 1 << 18
 _NUMBERS = 1 << 20  # of an array that loops side by side fill, about
 
 
@@ -208,28 +204,8 @@ def settling_samples(
         >>> int(jaxstab.settling_samples(0.1, 0.5, gamma=0.0, delta=0.015, delay=0.0).value)
         15
     """
-    options: dict[str, Any] = {"excitation": excitation, "horizon": horizon}
-    point = alpha, beta, gamma, delta, delay
-    levels = [level]
-    return settling_at_levels(*point, levels, **options, velocity=velocity, position=position)[0]
-
-
-def settling_at_levels(
-    alpha: Numbers,
-    beta: Numbers,
-    gamma: Numbers,
-    delta: Numbers,
-    delay: Numbers,
-    levels: Sequence[float],
-    *,
-    excitation: Excitation = "force",
-    horizon: int = HORIZON,
-    velocity: Velocity | None = None,
-    position: Filter | None = None,
-) -> list[Settling]:
-    """Count the samples for several tolerances of the same loops: ``settling_samples``."""
     require_x64(alpha, beta, gamma, delta)
-    levels = [checked_level(level, excitation) for level in levels]
+    level = checked_level(level, excitation)
     checked_count("horizon", horizon, 1)
     delay = checked_delay(delay)
     filters = given_filters(velocity, position)
@@ -238,17 +214,14 @@ def settling_at_levels(
     xp = namespace(gains, propagate)
     grid = xp.broadcast_shapes(*map(np.shape, gains), propagate.shape[:-2], delay.shape)
     entries = [propagate[..., row, column] for row in (0, 1) for column in range(4)]
-    search = partial(_settle, bank=bank_for(filters), excitation=excitation, horizon=horizon)
+    options: dict[str, Any] = {"excitation": excitation, "horizon": horizon, "level": level}
+    search = partial(_settle, bank=bank_for(filters), **options)
     codes = verdict(
         alpha, beta, gamma=gamma, delta=delta, delay=delay, velocity=velocity, position=position
     )
     is_unstable = xp.asarray(codes == Verdict.UNSTABLE)
     lanes = *gains, *entries, np.floor(delay), ~is_unstable
-    times = [
-        on_host(partial(search, level=level), *lanes, shape=grid, like=np.float64)
-        for level in levels
-    ]
-    return [_settled(samples, is_unstable) for samples in times]
+    return _settled(on_host(search, *lanes, shape=grid, like=np.float64), is_unstable)
 
 
 def device_settling_samples(
@@ -382,15 +355,15 @@ def _first_samples(
     samples = np.full(len(loops.start), np.nan)
     new = contraction(loops.systems())
     stable = np.flatnonzero(new.doublings >= 0)
-    searches = [_Search.begun(stable, at(new, stable))] if stable.size else []
+    searches = [_Search.begun(stable, take(new, stable))] if stable.size else []
     while searches:
         search = searches.pop().searched(level, is_impact)
         proved = search.bound() <= level * search.peak
         samples[search.loops[proved]] = search.since[proved]
         if search.motion.samples >= horizon or np.all(proved):
             continue
-        search = at(search, ~proved)
+        search = take(search, ~proved)
         blocks = ceil(len(search.loops) * search.motion.samples / _NUMBERS)
         lanes = np.array_split(np.arange(len(search.loops)), blocks)
-        searches += [at(search, block).doubled() for block in lanes if block.size]
+        searches += [take(search, block).doubled() for block in lanes if block.size]
     return samples

@@ -213,13 +213,6 @@ class LargestValue(NamedTuple):
     bound: Values
 
 
-def series_values(coefficients: Coefficients, theta: Values) -> Values:
-    """Return the value of each series at one angle each."""
-    phase = theta[:, None] * np.arange(coefficients.shape[-1])
-    value: Values = np.sum(coefficients * np.cos(phase), axis=-1)
-    return value
-
-
 def largest_value(
     weights: Float64[np.ndarray, "batch part"], basis: Float64[np.ndarray, "part term"]
 ) -> LargestValue:
@@ -405,7 +398,8 @@ def _raised(need: Needs, directions: Points, delay: float) -> Needs:
 
 def _need_at(theta: Float64[np.ndarray, " points"], directions: Points, delay: float) -> Needs:
     fraction = delay - floor(delay)
-    real = series_values(directions @ _basis(delay)[:2], theta)
+    series = directions @ _basis(delay)[:2]
+    real = np.sum(series * np.cos(theta[:, None] * np.arange(series.shape[-1])), axis=-1)
     alpha, beta = directions.T
     wall = alpha**2 + 4 * beta * (alpha + beta) * np.sin(theta / 2) ** 2
     need: Needs = 0.5 * (real + np.sqrt(real**2 + fraction * (1 - fraction) * wall))

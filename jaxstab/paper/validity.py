@@ -26,7 +26,7 @@ from jaxstab.numbers import checked
 from jaxstab.point import verdict
 
 if TYPE_CHECKING:
-    from flint import acb, arb, arb_poly
+    from flint import arb, arb_poly
 
 _FIRST_BITS, _MOST_BITS = 192, 6144
 _DIGITS = 60  # bits to which an answer is wanted, at least
@@ -183,15 +183,10 @@ def _real_roots(polynomial: "arb_poly", digits: int) -> list["arb"]:
     # A root is real if its ball alone touches the conjugate ball, which holds a root as well.
     real = [root for root in roots if root.imag.contains(0)]
     for root in real:
-        if sum(_conjugate(root).overlaps(other) for other in roots) > 1:
+        conjugate = flint.acb(root.real, -root.imag)
+        if sum(conjugate.overlaps(other) for other in roots) > 1:
             raise _TooWideError
     return sorted((root.real for root in real), key=lambda x: -float(x))
-
-
-def _conjugate(ball: "acb") -> "acb":
-    import flint
-
-    return flint.acb(ball.real, -ball.imag)
 
 
 def _curve(level: float, gamma: float, delta: float, delay: float) -> _Curve:

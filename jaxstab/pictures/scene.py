@@ -42,15 +42,9 @@ from jaxstab.pictures.style import (
     plot_moving_region,
 )
 from jaxstab.scene.answers import Answer, Quantity, basis_of, in_words
-from jaxstab.scene.check import (
-    Check,
-    WallCheck,
-    at_lowest,
-    check_walls,
-    common_outline,
-    loops_over_delays,
-)
+from jaxstab.scene.check import Check, WallCheck, check_walls
 from jaxstab.scene.contact import MAP_COUNT, Contacts, contact_loop, simulated_map, walls_around
+from jaxstab.scene.hands import WallVerdict, at_lowest, common_outline, loops_over_delays
 from jaxstab.scene.limits import LimitsOverDelays
 from jaxstab.scene.loops import (
     OneHand,
@@ -70,7 +64,7 @@ if TYPE_CHECKING:
 
 # The walls of a scene in its picture: marks by their verdicts, names, and responses.
 
-Walls = Mapping[str, WallCheck]
+Walls = Mapping[str, WallVerdict]
 
 _FEWEST, _MOST = 100, 2000  # samples of a response
 _LEVEL = 0.02
@@ -79,31 +73,23 @@ _MARK = 14.0  # pixels: a wall's mark
 _LIFTS = (0, 10, -10, 20, -20, 32, -32, 44, -44)  # points: how far names are moved up
 
 
-class _Look(NamedTuple):
-    """The look of a wall by its verdict: colour, mark and line."""
-
-    colour: str
-    marker: str
-    line: str
-
-
-_LOOKS = {
-    Verdict.STABLE: _Look(BLUE, "o", "-"),
-    Verdict.UNSTABLE: _Look(RED, "X", ":"),
-    Verdict.UNDECIDED: _Look(BLACK, "s", "--"),
+_LOOKS = {  # colour, mark and line of a wall
+    Verdict.STABLE: (BLUE, "o", "-"),
+    Verdict.UNSTABLE: (RED, "X", ":"),
+    Verdict.UNDECIDED: (BLACK, "s", "--"),
 }
 
 
 def draw_walls(panel: Axes, checked: Walls) -> None:
     """Draw a mark for each wall, by its verdict."""
-    for verdict, look in _LOOKS.items():
+    for verdict, (colour, mark, _) in _LOOKS.items():
         walls = [wall for wall in checked.values() if wall.verdict == verdict]
         if walls:
             panel.plot(
                 [wall.stiffness for wall in walls],
                 [wall.damping for wall in walls],
-                look.marker,
-                color=look.colour,
+                mark,
+                color=colour,
                 ms=9,
                 mec=BLACK,
                 ls="",
@@ -141,7 +127,7 @@ def name_walls(panel: Axes, checked: Walls) -> None:
         taken.append(box)
 
 
-def draw_margins(panel: Axes, checked: Walls) -> None:
+def draw_margins(panel: Axes, checked: dict[str, WallCheck]) -> None:
     """Draw from each stable wall how far K alone, and B alone, may go."""
     label = "K alone, or B alone, may go this far"
     for wall in checked.values():
@@ -152,7 +138,7 @@ def draw_margins(panel: Axes, checked: Walls) -> None:
             label = ""
 
 
-def draw_responses(panel: Axes, scene: Scene, checked: Walls) -> None:
+def draw_responses(panel: Axes, scene: Scene, checked: dict[str, WallCheck]) -> None:
     """Draw the response to a step of force, relative to the final displacement."""
     period = scene.controller.sample_time
     times = [wall.settling.settling_time_2_percent for wall in checked.values() if wall.settling]
@@ -170,7 +156,7 @@ def draw_responses(panel: Axes, scene: Scene, checked: Walls) -> None:
         relative = np.asarray(response.position) * (wall.stiffness + spring)
         gone = np.logical_or.accumulate(np.abs(relative) > _GONE)
         shown = np.where(gone, np.nan, relative)
-        panel.plot(np.asarray(response.time), shown, _LOOKS[wall.verdict].line, label=plain(name))
+        panel.plot(np.asarray(response.time), shown, _LOOKS[wall.verdict][2], label=plain(name))
     panel.axhspan(1.0 - _LEVEL, 1.0 + _LEVEL, color=BLACK, alpha=0.12, lw=0)
     panel.set(xlim=(0.0, samples * period), ylim=(-0.3, 2.3))
     panel.set(xlabel="time (s)", ylabel="position / final position")
@@ -250,7 +236,8 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
         panel.set_xlabel(f"stiffness K ({scene.units.stiffness})")
         panel.set_ylabel(f"damping B ({scene.units.damping})")
         draw_stable(panel, region)
-        _draw_areas(panel, areas)
+        for area in areas:
+            panel.fill(*area.outline.T, **area.look)
         if not (tuned or checked):
             draw_islands(panel, islands)
             draw_linear_rule(panel, loop)
@@ -267,8 +254,8 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
             *region.stiffest, ">", color=ORANGE, ms=9, mec=BLACK, label=f"stiffest: {wall}"
         )
     if checked is not None:
-        draw_margins(panels[0], walls)
-        draw_responses(panels[-1], scene, walls)
+        draw_margins(panels[0], checked.walls)
+        draw_responses(panels[-1], scene, checked.walls)
         panels[-1].set_title("Response to a constant push")
     for panel in planes:
         draw_walls(panel, walls)
@@ -408,11 +395,6 @@ def _set_window(panel: Axes, points: Floats) -> None:
         high + (0.12, 0.06) * (high - low),
     )
     panel.set(xlim=(left, right), ylim=(bottom, top))
-
-
-def _draw_areas(panel: Axes, areas: list[_Area]) -> None:
-    for area in areas:
-        panel.fill(*area.outline.T, **area.look)
 
 
 def _draw_tuned(panel: Axes, tuned: Tuned, units: Units) -> None:

@@ -1,15 +1,14 @@
-"""The proof that an approximate root of p(z) is the dominant one, with a bound of its error.
+"""The dominant root of p(z), and the proof that it is the dominant one, with a bound of its error.
 
-A root lies within n |p(z) / p'(z)| of any z (lemma R1 of docs/proofs.md). Divided by it, and by its
-conjugate where there is one, p leaves Q(z); if all roots of Q are proved to be inside the circle
-through z, the root is dominant (lemma R2). So the proof needs only as much precision as the
-distance to the second largest root requires.
+A root lies within n |p(z) / p'(z)| of any z (lemma R1 of docs/proofs.md). The recursion that
+verdicts use, on p(r z), counts the roots outside of a circle whose radius r is a little less than
+|z|. If it counts one where z is real, and two where it is not, all others are inside (lemma R5):
+the root is dominant. The work grows with the degree, not with its square.
 
 Sources: Schur (1917), Cohn (1922); Henrici, Applied and Computational Complex Analysis I, 6.4, for
 the distance.
 """
 
-from collections.abc import Iterator
 from functools import partial, reduce
 from math import prod
 from operator import add
@@ -20,46 +19,29 @@ from jaxtyping import Int64
 
 from jaxstab.arrays import (
     Array,
-    at,
-    bits,
-    floats,
     is_any_jax,
-    is_jax,
     joined,
     namespace,
     reciprocal,
-    repeat,
+    take,
     tree_map,
     true_indices,
     with_values,
 )
-from jaxstab.batches import MANY, compiled, is_on_cpu, lists, on_few_sizes, over_tiles
+from jaxstab.batches import MANY, compiled, filled_up, in_pieces, is_on_cpu, lists, over_tiles
 from jaxstab.model import polynomial_degree
 from jaxstab.point.poles import looked_up
-from jaxstab.point.verdicts import Plant, float_plant
+from jaxstab.point.schur_cohn import (
+    HIGHEST_COUNTED,
+    SAFETY,
+    UNDERFLOW,
+    Chain,
+    Ends,
+    size_sum,
+    zeros_outside,
+)
+from jaxstab.point.verdicts import Plant, float_plant, tail_error
 from jaxstab.rounding import UNIT
-
-# Roots and powers of two that XLA fuses with the arithmetic around them (``arrays.reciprocal``).
-
-_EXPONENT = 0x7FF0_0000_0000_0000
-_LARGEST_EXPONENT = 0x7FE0_0000_0000_0000
-_INVERSE_ROOT = 0x5FE6_EB50_C7B5_37A9  # minus half the bits of x: 1/sqrt(x) within 4 %
-
-
-def square_root(x: Array) -> Array:
-    """Return the root of x >= 0 to eight digits."""
-    if not is_jax(x):
-        return np.sqrt(x)
-    y = floats(_INVERSE_ROOT - (bits(x) >> 1))
-    for _ in range(3):
-        y = y * (1.5 - 0.5 * x * y * y)
-    return x * y
-
-
-def power_of_two_below_inverse(x: Array) -> Array:
-    """Return the power of two that brings x > 0 to [1, 2)."""
-    return floats(_LARGEST_EXPONENT - (bits(x) & _EXPONENT))
-
 
 # The dominant root of p(z) without eigenvalues, point by point.
 #
@@ -227,10 +209,19 @@ def _to_power(z: Complex, exponent: int) -> Complex | None:
     return result
 
 
-_HIGHEST_UNROLLED = 28  # degree; from 33 on unrolled code was up to 100 times slower
-_SHORT_FOR_NUMPY = 8  # degree up to which single columns cost less than whole arrays
+def _real_power(x: Array, exponent: int) -> Array | float:
+    result: Array | float = 1.0
+    while exponent:
+        if exponent % 2:
+            result = x * result
+        exponent //= 2
+        x = x * x
+    return result
+
+
 _LOST_IN_SQUARES = 1e-150  # moduli below are flushed to zero
-_SAFETY = 1.0 + 1e-6  # the bounds themselves are rounded
+SLACK = 1.0 + 1e-6  # the bounds themselves are rounded
+_BESIDE = 2.0**-20  # how far inside of the root the circle is, relative
 
 
 @compiled(static=["degree"], many=MANY, wide=True)
@@ -240,9 +231,9 @@ def distance_of_dominant(root: Array, loop: Loop, *, degree: int) -> Array:
     The bound includes the rounding of ``modulus``.
     """
     distance = partial(_distance, degree=degree)
-    if degree <= _HIGHEST_UNROLLED:
+    if degree <= HIGHEST_COUNTED:
         return distance(root, loop)
-    return over_tiles(distance, (root, loop), TILE)
+    return over_tiles(distance, (root, loop))
 
 
 @compiled(many=MANY, wide=True)
@@ -254,198 +245,88 @@ def modulus(root: Array) -> Array:
 def _distance(root: Array, loop: Loop, *, degree: int) -> Array:
     xp = namespace(root, loop)
     t = Complex(root.real, root.imag)
-    radius = xp.sqrt(t.shifted(1.0).squared_modulus())
-    distance = _distance_to_root(t, radius, loop, degree)
+    squared = t.squared_modulus()
+    size, radius = xp.sqrt(squared), xp.sqrt(t.shifted(1.0).squared_modulus())
+    distance, rounding = _distance_to_root(t, size, radius, loop, degree)
+    margin = _BESIDE * xp.minimum(size, radius)
+    within = (2.0 * t.re + squared) / (radius + 1.0) - margin
     is_real = t.im == 0.0
-    rest, error = _deflated(t, is_real, radius, distance, loop, degree)
-    longest = _SHORT_FOR_NUMPY if xp is np else _HIGHEST_UNROLLED
-    is_proved = are_all_inside(rest, error, longest) & (is_real | (t.im > distance))
+    is_proved = (
+        zeros_outside(*_circle(within, rounding, loop, degree), UNIT, degree) == 2.0 - is_real
+    )
+    # What the radius of the circle may be wrong by is less than 32 ulp of the root's size.
+    is_proved = is_proved & (distance + 32.0 * UNIT * size < margin) & (is_real | (t.im > distance))
     return xp.where(is_proved, distance + 4.0 * UNIT * radius, xp.inf)
 
 
-def are_all_inside(polynomial: list[Array], error: Array, longest: int) -> Array:
-    """Return True where all roots are proved to be in |z| < 1; highest power first, monic.
-
-    ``longest`` is the degree up to which the steps are unrolled.
-    """
-    all_inside = _all_inside if len(polynomial) <= longest else _rolled_all_inside
-    return all_inside(polynomial, error)
-
-
-def _distance_to_root(t: Complex, radius: Array, loop: Loop, degree: int) -> Array:
-    """Return n |p/p'|, raised by what rounding may have changed."""
+def _distance_to_root(
+    t: Complex, size: Array, radius: Array, loop: Loop, degree: int
+) -> tuple[Array, Array]:
+    """Return n |p/p'|, raised by what rounding may have changed; and that of p."""
     # Each product of complex numbers errs by at most 3 ulp, z^(n-2) therefore by 4 (n - 2), and
     # what it is multiplied with and added to by less than 30 ulp of the same terms taken without
     # their signs.
     xp = namespace(t, loop)
     value, slope = evaluated(t, loop, degree)
-    t_size = xp.sqrt(t.squared_modulus())
     plant_error = loop.plant.error / UNIT
     linear, constant = loop.denominator
     linear = linear + plant_error
-    denominator = (t_size + linear) * t_size + constant
+    denominator = (size + linear) * size + constant
     first, *inner, last = (abs(c) + plant_error * loop.plant.size for c in loop.numerator)
-    numerator, numerator_slope = first * t_size + last, first
+    numerator, numerator_slope = first * size + last, first
     if inner:
-        numerator = (first * t_size + inner[0]) * t_size + last
-        numerator_slope = 2.0 * first * t_size + inner[0]
+        numerator = (first * size + inner[0]) * size + last
+        numerator_slope = 2.0 * first * size + inner[0]
     stiffness, damping = abs(loop.alpha), abs(loop.beta)
-    wall = stiffness * radius + damping * t_size
+    wall = stiffness * radius + damping * size
     below = _real_power(radius, degree - 3)
-    value_terms = below * radius * denominator + numerator * wall
     slope_terms = (
-        below * ((degree - 2.0) * denominator + radius * (2.0 * t_size + linear))
+        below * ((degree - 2.0) * denominator + radius * (2.0 * size + linear))
         + numerator * (stiffness + damping)
         + numerator_slope * wall
     )
     unit = (4.0 * (degree - 2) + 30.0) * UNIT
-    value_size = xp.sqrt(value.squared_modulus()) + unit * value_terms + _LOST_IN_SQUARES
+    rounding = unit * (below * radius * denominator + numerator * wall) + _LOST_IN_SQUARES
+    value_size = xp.sqrt(value.squared_modulus()) + rounding
     slope_size = xp.sqrt(slope.squared_modulus()) - unit * slope_terms
-    distance = (_SAFETY * degree) * value_size / slope_size
-    return xp.where(slope_size > 0.0, distance, xp.inf)
+    distance = (SLACK * degree) * value_size / slope_size
+    return xp.where(slope_size > 0.0, distance, xp.inf), rounding
 
 
-def _real_power(x: Array, exponent: int) -> Array:
-    result = namespace(x).ones_like(x)
-    for _ in range(exponent):
-        result = result * x
-    return result
+def _circle(t: Array, rounding: Array, loop: Loop, degree: int) -> tuple[Chain[Array], Ends]:
+    """Return p(r z) / r^n with r = 1 + t, real: its coefficients, and its values at 1 and -1.
 
-
-def _deflated(
-    t: Complex, is_real: Array, radius: Array, distance: Array, loop: Loop, degree: int
-) -> tuple[list[Array], Array]:
-    """Return Q(radius z), highest power first, and a bound of the l1 norm of its error."""
-    inverse = 1.0 / radius
-    powers = [inverse]
-    for _ in range(degree - 1):
-        powers.append(powers[-1] * inverse)
-    rest = divided(t.re + 1.0, is_real, powers, loop.coefficients(degree)[::-1])
-    return rest, _error_of_division(rest, powers, distance, loop, degree)
-
-
-def divided(
-    re: Array, is_real: Array, powers: list[Array], coefficients: list[Column]
-) -> list[Array]:
-    """Return the quotient of p by a root and its conjugate, on the circle of radius 1 now.
-
-    ``re`` is the real part of the root, ``powers`` are those of its inverse modulus from the first
-    on, and the coefficients those below the leading 1, highest power first.
+    ``rounding`` is that of p at a point about as far from 1 as r, and from 0, or farther.
     """
-    # With s and q their sum and product, b_j = c_j + s b_(j-1) - q b_(j-2).
-    xp, degree = namespace(re, coefficients), len(coefficients)
-    twice = xp.where(is_real, xp.sign(re), 2.0 * re * powers[0])
-    product = xp.where(is_real, 0.0, 1.0)
-    is_unrolled = xp is np or degree <= _HIGHEST_UNROLLED
-    quotient = _quotient if is_unrolled else _rolled_quotient
-    rest = quotient(coefficients[:-1], powers[:-1], twice, product)
-    rest[-1] = xp.where(is_real, rest[-1], 0.0)
-    return rest
+    # r and its inverse are right to 2 ulp, powers of the inverse to 3 ulp for each factor.
+    xp, plant, radius = namespace(t, loop), loop.plant, 1.0 + t
+    inverse = 1.0 / radius
+    squared = inverse * inverse
+    powers = [_real_power(inverse, degree + 1 - len(plant.stiff))]
+    for _ in plant.stiff[1:]:
+        powers.append(powers[-1] * inverse)
+    walls = (s * loop.alpha - d * loop.beta for s, d in zip(plant.stiff, plant.damp, strict=True))
+    tail = tuple(wall * power for wall, power in zip(walls, powers[::-1], strict=True))
+    moved = t * (2.0 + t)
+    head = plant.d1 * inverse, plant.d0 * squared
+    sizes = size_sum(head), size_sum(tail)
+    head_error = 20.0 * UNIT * sizes[0] + 4.0 * plant.error * xp.maximum(inverse, squared)
+    gap_error = (12.0 * UNIT * (abs(plant.gap) + abs(moved)) + plant.error) * squared
+    wall_error = tail_error(loop.alpha, loop.beta, plant, UNIT) * xp.maximum(powers[0], powers[-1])
+    error = gap_error + wall_error + (3.0 * degree + 8.0) * UNIT * sizes[1] + UNDERFLOW
 
-
-def _error_of_division(
-    rest: list[Array], powers: list[Array], distance: Array, loop: Loop, degree: int
-) -> Array:
-    """Bound the l1 norm of the quotient's error, as after lemma R2."""
-    plant = loop.plant
-    terms = 1.0 + (1.0 + abs(plant.d1)) * powers[0] + (1.0 + plant.d0) * powers[1]
-    for stiff, damp, power in zip(plant.stiff, plant.damp, powers[::-1], strict=False):
-        wall = (abs(stiff) + plant.sum) * abs(loop.alpha)
-        terms = terms + power * (wall + (abs(damp) + 2.0 * plant.sum) * abs(loop.beta))
-    moved = distance * powers[0] + 8.0 * UNIT
-    once = (2.0 * degree + 16.0) * UNIT * terms + 4.0 * moved * reduce(add, map(abs, rest))
-    xp = namespace(moved)
-    return xp.where(degree * moved < 0.5, degree * (degree + 1.0) * once, xp.inf)
-
-
-def _quotient(
-    coefficients: list[Column], powers: list[Array], twice: Array, product: Array
-) -> list[Array]:
-    rest = [namespace(twice).ones_like(twice)]
-    for coefficient, power in zip(coefficients, powers, strict=True):
-        follows = twice * rest[-1]
-        if len(rest) > 1:
-            follows = follows - product * rest[-2]
-        rest.append(follows if coefficient is None else follows + coefficient * power)
-    return rest
-
-
-def _rolled_quotient(
-    coefficients: list[Column], powers: list[Array], twice: Array, product: Array
-) -> list[Array]:
-    """Return the same by a loop: the code does not grow with the degree."""
-    import jax.numpy as jnp
-    from jax import lax
-
-    zero, one = jnp.zeros_like(twice), jnp.ones_like(twice)
-    scaled = [
-        zero if coefficient is None else coefficient * power
-        for coefficient, power in zip(coefficients, powers, strict=True)
-    ]
-
-    def divided(last: tuple[Array, Array], added: Array) -> tuple[tuple[Array, Array], Array]:
-        follows = twice * last[0] - product * last[1] + added
-        return (follows, last[0]), follows
-
-    _, rest = lax.scan(divided, (one, zero), jnp.stack(scaled))
-    return [one, *rest]
-
-
-def _all_inside(polynomial: list[Array], error: Array) -> Array:
-    """Return True where all roots are proved to be in |z| < 1; highest power first, monic."""
-    xp = namespace(error)
-    below = above = whole = xp.ones_like(error)
-    quotients = xp.zeros_like(error)
-    is_inside = xp.isfinite(error)
-    while len(polynomial) > 1:
-        first, last = polynomial[0], polynomial[-1]
-        lowest, highest = first - abs(last), first + abs(last)
-        is_inside = is_inside & (lowest > 0.0)
-        below, above, whole = below * lowest, above * highest, whole * first
-        quotients = quotients + highest / lowest
-        pairs = zip(polynomial[1:-1], polynomial[-2:0:-1], strict=True)
-        lowered = [lowest * highest, *(first * a - last * b for a, b in pairs)]
-        scale = power_of_two_below_inverse(lowered[0])
-        polynomial = [value * scale for value in lowered]
-    return is_inside & (_lost(error, above, whole, quotients) < below)
-
-
-def _rolled_all_inside(polynomial: list[Array], error: Array) -> Array:
-    """Return the same by loops over a -> (a - k a*) / z and its reverse, zeros filling both."""
-    xp = namespace(error)
-    one, zero = xp.ones_like(error), xp.zeros_like(error)
-
-    def lower(state: tuple[Array, ...]) -> tuple[Array, ...]:
-        rows, turned, is_inside, below, above, whole, quotients = state
-        first, last = rows[0], turned[0]
-        lowest, highest = first - abs(last), first + abs(last)
-        scale = power_of_two_below_inverse(lowest * highest)
-        large, small = first * scale, last * scale
-        return (
-            xp.concatenate([(lowest * highest * scale)[None], (large * rows - small * turned)[1:]]),
-            xp.concatenate([(large * turned - small * rows)[1:], zero[None]]),
-            is_inside & (lowest > 0.0),
-            below * lowest,
-            above * highest,
-            whole * first,
-            quotients + highest / lowest,
-        )
-
-    rows = xp.stack(polynomial)
-    half = len(polynomial) // 2
-    start = rows, rows[::-1], xp.isfinite(error), one, one, one, zero
-    rows, turned, *rest = repeat(half, lower, start)
-    # Half of the coefficients are left.
-    halves = rows[:-half], turned[:-half], *rest
-    _, _, is_inside, below, above, whole, quotients = repeat(
-        len(polynomial) - 1 - half, lower, halves
+    linear, constant = loop.denominator
+    numerator = reduce(lambda before, coefficient: before * t + coefficient, loop.numerator)
+    below = powers[len(powers) - 3]  # r^(2-n)
+    wall = numerator * (loop.alpha * radius + loop.beta * t)
+    signs = [(-1.0) ** (degree + power) for power in range(len(tail))]
+    turned = reduce(add, (sign * value for sign, value in zip(signs, tail, strict=True)))
+    return Chain((plant.gap + moved) * squared, head, tail, head_error, error), Ends(
+        at_one=(t + linear) * t + constant + wall * below,
+        at_one_error=SAFETY * rounding * below,
+        at_minus_one=1.0 - head[0] + head[1] + turned,
+        at_minus_one_error=error + head_error + 8.0 * UNIT * (1.0 + sum(sizes)),
     )
-    return is_inside & (_lost(error, above, whole, quotients) < below)
-
-
-def _lost(error: Array, above: Array, whole: Array, quotients: Array) -> Array:
-    """Bound what the polynomial's own error and the rounding of all steps come to at the end."""
-    return _SAFETY * (error * whole + 8.0 * UNIT * above * quotients)
 
 
 # Spectral radius and its error over many points by dominant roots, wherever these can be proved.
@@ -459,7 +340,7 @@ LONGEST_DELAY = 64.0  # beyond, polynomials of many points do not stay in the ca
 TOLERANCE = 1e-12
 _LIST = 2**18  # up to this many points, lists are filled up to a length compiled once for all
 _SHORTEST_LIST = 8
-_BLOCK = 2**21  # points of a larger grid that are computed at once
+_BLOCK = 2**20  # points of a larger grid that a core computes at once
 
 Values = np.ndarray[Any, np.dtype[Any]]
 Indices = Int64[np.ndarray, " point"]
@@ -486,12 +367,16 @@ def fast_radius(parameters: list[Array], shape: tuple[int, ...], delay: float) -
         answer = _radius(loop, degree=polynomial_degree(delay), effort=first)
         value, error = (namespace(column).broadcast_to(column, shape) for column in answer)
     else:
-        value, error = np.empty(shape), np.empty(shape)
-        if value.size > _LIST:
-            for part, block in _blocks(parameters, shape):
-                value[part], error[part] = _tried(_loop(block, delay), delay, first)
+        count = prod(shape)
+        if count > _LIST:
+            value, error = in_pieces(
+                lambda *piece: _tried(_loop(list(piece), delay), delay, first),
+                tuple(parameters),
+                max(2, -(-count // _BLOCK)),
+            )
         else:
-            _try_list((value, error), parameters, np.arange(value.size), delay, first)
+            value, error = np.empty(shape), np.empty(shape)
+            _try_list((value, error), parameters, np.arange(count), delay, first)
     for effort in others:
         still_open = true_indices(~(error <= TOLERANCE))
         value, error = _try_list((value, error), parameters, still_open, delay, effort)
@@ -514,7 +399,7 @@ def _try_list(
             loop = Loop(*looked_up(shared, shape, padded))
         else:
             loop = _loop(looked_up(parameters, shape, padded), delay)
-        columns.append(at(_tried(loop, delay, effort), slice(part.size)))
+        columns.append(take(_tried(loop, delay, effort), slice(part.size)))
     if not columns:
         return answer
     return tree_map(lambda old, new: with_values(old, indices, new), answer, joined(columns))
@@ -530,7 +415,7 @@ def _loop(parameters: list[Array], delay: float) -> Loop:
 
 def _tried(loop: Loop, delay: float, effort: _Try) -> Answer:
     radius = partial(_radius, degree=polynomial_degree(delay), effort=effort)
-    return radius(loop) if is_any_jax(loop) else on_few_sizes(radius, loop)
+    return radius(loop) if is_any_jax(loop) else filled_up(radius, loop)
 
 
 def _radius(loop: Loop, *, degree: int, effort: _Try) -> Answer:
@@ -546,17 +431,3 @@ def _tries(delay: float) -> tuple[_Try, ...]:
     if delay <= 21.0:
         return _Try(4, 4, 2**15), _Try(8, 4, 2**12), _Try(14, 8, 2**10)
     return _Try(5 if delay <= 50.0 else 7, 4, 2**12), _Try(14, 8, 2**10)
-
-
-def _blocks(
-    parameters: list[Values], shape: tuple[int, ...]
-) -> Iterator[tuple[tuple[slice, ...], list[Values]]]:
-    """Cut a grid across its longest axis; yield the index of each part and its parameters."""
-    aligned = [
-        values.reshape((1,) * (len(shape) - values.ndim) + values.shape) for values in parameters
-    ]
-    axis = int(np.argmax(shape))
-    rows = max(1, _BLOCK * shape[axis] // prod(shape))
-    for start in range(0, shape[axis], rows):
-        part = (slice(None),) * axis + (slice(start, start + rows),)
-        yield part, [values[part] if values.shape[axis] > 1 else values for values in aligned]

@@ -22,16 +22,19 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from jaxstab.arrays import Array, bits, floats, namespace, reciprocal, repeat
+from jaxstab.arrays import (
+    Array,
+    bits,
+    floats,
+    namespace,
+    power_of_two_below_inverse,
+    reciprocal,
+    repeat,
+)
 from jaxstab.batches import MANY, compiled, over_rows
 from jaxstab.model.filters import Filter, Filters, Velocity
 from jaxstab.model.linear_loop import LinearLoop
-from jaxstab.point.dominance import (
-    Complex,
-    are_all_inside,
-    divided,
-    power_of_two_below_inverse,
-)
+from jaxstab.point.dominance import SLACK, Complex
 from jaxstab.point.poles import companion_poles
 from jaxstab.point.radius import dense_radius_error
 from jaxstab.point.schur_cohn import SAFETY, UNDERFLOW, loop_coefficients, rounded_loop
@@ -41,6 +44,7 @@ from jaxstab.rounding import UNIT
 UNKNOWN = -1  # poles outside of the circle, where one is too close to it to tell
 _DOUBLINGS = 16  # of the power of the companion matrix, which is degree 2^16
 _LONGEST = 9  # degree up to which these doublings and the proof are compiled without loops
+_LONGEST_DIVIDED = 28  # the same for a division: unrolled code of 33 was up to 100 times slower
 _NEWTON_STEPS = 1
 _BLOCK = 2**18  # points of a part of a grid, which bound the memory
 _CLOSE = 2.0**-22  # relative distance of a pole that is resolved from its approximation
@@ -103,7 +107,7 @@ def fields_of_grid(
     missing = ceil(longest) - ceil(delay)
     if loop.degree + missing <= _LONGEST:
         zeros = (0.0 * loop.base[0],) * missing
-        base, stiffness, damping = (part + zeros for part in loop[:3])
+        base, stiffness, damping = (row + zeros for row in loop[:3])
         loop = loop._replace(base=base, stiffness=stiffness, damping=damping)
     shape = alpha.size, beta.size, gamma.size
     fields = PoleFields(*(np.empty(shape, kind) for kind in (*4 * [np.float32], np.int16)))
@@ -185,13 +189,101 @@ def _is_dominant(
     for _ in range(degree - 1):
         powers.append(powers[-1] * powers[0])
     is_real = z.im == 0.0
-    rest = divided(z.re, is_real, powers, columns[1:])
-    terms = sum(map(abs, [x * y for x, y in zip(columns[1:], powers, strict=True)]), 1.0)
+    scaled = [column * power for column, power in zip(columns[1:], powers, strict=True)]
+    others = _divided(scaled, z.re * powers[0], is_real)
     moved = distance * powers[0] + 8.0 * UNIT
-    once = (2.0 * degree + 16.0) * UNIT * terms + error * xp.maximum(1.0, powers[-1])
-    once = once + 4.0 * moved * sum(map(abs, rest))
+    once = (2.0 * degree + 16.0) * UNIT * sum(map(abs, scaled), 1.0)
+    once = once + error * xp.maximum(1.0, powers[-1])
+    once = once + 4.0 * moved * sum(map(abs, others))
     lost = xp.where(degree * moved < 0.5, degree * (degree + 1.0) * once, xp.inf)
-    return are_all_inside(rest, lost, _LONGEST) & (is_real | (z.im > distance))
+    all_inside = _all_inside if len(others) <= _LONGEST else _rolled_all_inside
+    return all_inside(others, lost) & (is_real | (z.im > distance))
+
+
+def _divided(scaled: list[Array], cosine: Array, is_real: Array) -> list[Array]:
+    """Return p(r z) / r^n divided by its root of modulus 1, and by the conjugate of that.
+
+    ``scaled`` are its coefficients below the leading 1, highest power first, ``cosine`` is the real
+    part of the root.
+    """
+    # With s and q the sum and the product of both, b_j = c_j + s b_(j-1) - q b_(j-2).
+    xp = namespace(scaled, cosine)
+    total = xp.where(is_real, xp.sign(cosine), 2.0 * cosine)
+    product = xp.where(is_real, 0.0, 1.0)
+
+    def step(last: tuple[Array, Array], added: Array) -> tuple[tuple[Array, Array], Array]:
+        after = total * last[0] - product * last[1] + added
+        return (after, last[0]), after
+
+    one = xp.ones_like(cosine)
+    state, quotient = (one, 0.0 * one), [one]
+    if xp is np or len(scaled) <= _LONGEST_DIVIDED:
+        for added in scaled[:-1]:
+            state, after = step(state, added)
+            quotient.append(after)
+    else:
+        from jax import lax
+
+        quotient += list(lax.scan(step, state, xp.stack(scaled[:-1]))[1])
+    quotient[-1] = xp.where(is_real, quotient[-1], 0.0)
+    return quotient
+
+
+def _all_inside(polynomial: list[Array], error: Array) -> Array:
+    """Return True where all roots are proved to be in |z| < 1; highest power first, monic."""
+    xp = namespace(error)
+    below = above = whole = xp.ones_like(error)
+    quotients = xp.zeros_like(error)
+    is_inside = xp.isfinite(error)
+    while len(polynomial) > 1:
+        first, last = polynomial[0], polynomial[-1]
+        lowest, highest = first - abs(last), first + abs(last)
+        is_inside = is_inside & (lowest > 0.0)
+        below, above, whole = below * lowest, above * highest, whole * first
+        quotients = quotients + highest / lowest
+        pairs = zip(polynomial[1:-1], polynomial[-2:0:-1], strict=True)
+        lowered = [lowest * highest, *(first * a - last * b for a, b in pairs)]
+        scale = power_of_two_below_inverse(lowered[0])
+        polynomial = [value * scale for value in lowered]
+    return is_inside & (_lost(error, above, whole, quotients) < below)
+
+
+def _rolled_all_inside(polynomial: list[Array], error: Array) -> Array:
+    """Return the same by loops over a -> (a - k a*) / z and its reverse, zeros filling both."""
+    xp = namespace(error)
+    one, zero = xp.ones_like(error), xp.zeros_like(error)
+
+    def lower(state: tuple[Array, ...]) -> tuple[Array, ...]:
+        rows, turned, is_inside, below, above, whole, quotients = state
+        first, last = rows[0], turned[0]
+        lowest, highest = first - abs(last), first + abs(last)
+        scale = power_of_two_below_inverse(lowest * highest)
+        large, small = first * scale, last * scale
+        return (
+            xp.concatenate([(lowest * highest * scale)[None], (large * rows - small * turned)[1:]]),
+            xp.concatenate([(large * turned - small * rows)[1:], zero[None]]),
+            is_inside & (lowest > 0.0),
+            below * lowest,
+            above * highest,
+            whole * first,
+            quotients + highest / lowest,
+        )
+
+    rows = xp.stack(polynomial)
+    half = len(polynomial) // 2
+    start = rows, rows[::-1], xp.isfinite(error), one, one, one, zero
+    rows, turned, *bounds = repeat(half, lower, start)
+    # Half of the coefficients are left.
+    halves = rows[:-half], turned[:-half], *bounds
+    _, _, is_inside, below, above, whole, quotients = repeat(
+        len(polynomial) - 1 - half, lower, halves
+    )
+    return is_inside & (_lost(error, above, whole, quotients) < below)
+
+
+def _lost(error: Array, above: Array, whole: Array, quotients: Array) -> Array:
+    """Bound what the polynomial's own error and the rounding of all steps come to at the end."""
+    return SLACK * (error * whole + 8.0 * UNIT * above * quotients)
 
 
 def poles_outside(columns: list[Array], error: Array) -> Array:
@@ -201,19 +293,19 @@ def poles_outside(columns: list[Array], error: Array) -> Array:
     Source: Schur (1917), Cohn (1922); lemma R4 of docs/proofs.md.
     """
     xp, degree = namespace(columns, error), len(columns) - 1
-    one, zero = xp.ones_like(error), xp.zeros_like(error)
+    ones, zero = xp.ones_like(error), xp.zeros_like(error)
 
     def lowered(rows: Array, turned: Array, state: _Count) -> tuple[Array, Array, _Count]:
         size, sizes = abs(rows[0]) + abs(turned[0]), sum(map(abs, rows))
         scale = power_of_two_below_inverse(size)
-        first, last = rows[0] * scale, turned[0] * scale
-        is_turned = abs(last) > abs(first)
+        lead, last = rows[0] * scale, turned[0] * scale
+        is_turned = abs(last) > abs(lead)
         lost = scale * size * (state.lost + 4.0 * UNIT * sizes) + UNDERFLOW
         return (
-            first,
+            lead,
             last,
             _Count(
-                xp.where(abs(last) == abs(first), xp.inf, lost),
+                xp.where(abs(last) == abs(lead), xp.inf, lost),
                 state.degree - 1.0,
                 xp.where(is_turned, state.count + state.sign * state.degree, state.count),
                 xp.where(is_turned, -state.sign, state.sign),
@@ -221,21 +313,21 @@ def poles_outside(columns: list[Array], error: Array) -> Array:
         )
 
     def step(state: tuple[Array, Array, _Count]) -> tuple[Array, Array, _Count]:
-        rows, turned, known = state
-        first, last, known = lowered(rows, turned, known)
-        after = xp.concatenate([(first * turned - last * rows)[1:], zero[None]])
-        return first * rows - last * turned, after, known
+        rows, turned, counted = state
+        lead, last, counted = lowered(rows, turned, counted)
+        after = xp.concatenate([(lead * turned - last * rows)[1:], zero[None]])
+        return lead * rows - last * turned, after, counted
 
-    known = _Count(error, degree * one, zero, one)
+    counted = _Count(error, degree * ones, zero, ones)
     if degree <= _LONGEST:
         rows = columns
         while len(rows) > 1:
-            first, last, known = lowered(rows, rows[::-1], known)
-            rows = [first * a - last * b for a, b in zip(rows[:-1], rows[:0:-1], strict=True)]
+            lead, last, counted = lowered(rows, rows[::-1], counted)
+            rows = [lead * a - last * b for a, b in zip(rows[:-1], rows[:0:-1], strict=True)]
     else:
         rows = xp.stack(columns)
-        rows, _, known = repeat(degree, step, (rows, rows[::-1], known))
-    return xp.where(abs(rows[0]) > SAFETY * known.lost, known.count, UNKNOWN).astype(np.int16)
+        rows, _, counted = repeat(degree, step, (rows, rows[::-1], counted))
+    return xp.where(abs(rows[0]) > SAFETY * counted.lost, counted.count, UNKNOWN).astype(np.int16)
 
 
 def _mode(pole: Array, radius: Array, bound: Array) -> tuple[Array, Array]:

@@ -5,8 +5,8 @@ elementwise operations alone (``dominance``), otherwise as the largest eigenvalu
 matrix, refined by Newton's method. The bound is a proof that uses nothing of how the value was
 found:
 
-- lemma R2: divided by the dominant root, all other roots are proved to be inside the circle through
-  it, and lemma R1 bounds the distance of that root from its approximation; or
+- lemma R5: no other root is outside of a circle a little smaller than that through the dominant
+  root, and lemma R1 bounds the distance of that root from its approximation; or
 - lemma R3: all roots are inside the circle of radius value + error, and not all inside that of
   value - error. Both are verdicts on p(r z), tried for a ladder of errors.
 
@@ -28,13 +28,13 @@ from jaxstab.arrays import (
     Array,
     Numbers,
     are_numbers,
-    at,
     constant,
     is_any_traced,
     leaves,
     named,
     namespace,
     repeat_while,
+    take,
     tree_map,
     true_indices,
     with_values,
@@ -151,7 +151,7 @@ def _listed_radii(
     for start in range(0, indices.size, _MATRICES):
         part = slice(start, start + _MATRICES)
         alpha, beta, loops = gathered(walls, shape, indices[part])
-        gains = DoubleDouble.of(alpha), DoubleDouble.of(beta)
+        gains = DoubleDouble.from_value(alpha), DoubleDouble.from_value(beta)
         with np.errstate(all="ignore"):
             coefficients, rounding = loop_coefficients(*gains, loops, PAIR_UNIT)
             value[part] = _dominant_modulus(coefficients)
@@ -178,8 +178,8 @@ def _dominant_modulus(coefficients: DoubleDouble) -> Values:
 
 def _value(coefficients: DoubleDouble, z: Values) -> Values:
     """Return p(z), by division by the real quadratic of z and its conjugate, in pairs."""
-    total = DoubleDouble.of(2.0 * z.real)
-    square = DoubleDouble.of(z.real) * z.real + DoubleDouble.of(z.imag) * z.imag
+    total = DoubleDouble.from_value(2.0 * z.real)
+    square = DoubleDouble.from_value(z.real) * z.real + DoubleDouble.from_value(z.imag) * z.imag
     zero = total - total
     before, last = zero, zero
     for power in range(len(coefficients.hi)):
@@ -204,7 +204,7 @@ def dense_radius_error(coefficients: Number, error: Array, radius: Array, *, uni
 def scaled_codes(coefficients: Number, error: Array, scale: Array, unit: float) -> Array:
     """Return the codes of p(scale z) / scale^n; see ``dense_radius_error`` for the arguments."""
     xp = namespace(coefficients, error, scale)
-    columns = [at(coefficients, index) for index in range(len(leading(coefficients)))]
+    columns = [take(coefficients, index) for index in range(len(leading(coefficients)))]
     inverse, power = columns[0] / scale, columns[0]  # the first coefficient is 1
     scaled: list[Number] = []
     for column in columns:

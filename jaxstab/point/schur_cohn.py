@@ -47,6 +47,34 @@ Number = TypeVar("Number", Array, DoubleDouble)
 
 UNDERFLOW = 1e-260  # more than the error of numbers flushed to zero
 SAFETY = 1.001  # the bounds themselves are rounded (lemma V3)
+HIGHEST_COUNTED = 28  # degree up to which XLA compiles the steps of a count without a loop
+
+
+@pytree
+@dataclass(frozen=True)
+class Balance:
+    """How many zeros are inside, less those outside: of p, ``total`` and ``sign`` times a step's.
+
+    A step with |K| < 1 leaves one zero less inside; one with |K| > 1 exchanges the sides (lemma V2
+    of docs/proofs.md). Of all fields but ``total`` the signs alone count.
+    """
+
+    total: Array
+    sign: Array
+    at_one: Array  # of the present polynomial
+    at_minus_one: Array  # of the present polynomial times (-1)^degree
+    parity: Array | float  # (-1)^degree
+
+    def after(self, ratio: Array, modulus: Array) -> "Balance":
+        """Return the balance after a step with a ratio K."""
+        sign = self.sign * (1.0 - modulus)
+        return Balance(
+            self.total + namespace(sign).copysign(1.0, sign),
+            sign,
+            self.at_one * (1.0 - ratio),
+            self.at_minus_one * (1.0 - self.parity * ratio),
+            -self.parity,
+        )
 
 
 @pytree
@@ -63,6 +91,7 @@ class Chain(Generic[Number]):
     regular: Array | bool = True  # no |K| = 1 so far
     outside: Array | bool = False  # an exact |K| > 1
     drift: Array | None = None  # of each coefficient from exact steps; None: not followed
+    balance: Balance | None = None  # of zeros; None: not followed
 
 
 class Ends(NamedTuple):
@@ -76,20 +105,9 @@ class Ends(NamedTuple):
 
 def decide(chain: Chain[Number], ends: Ends, unit: float, degree: int | Array) -> Array:
     """Return the codes of monic polynomials of a degree >= 3, computed with a unit roundoff."""
-    # A degree that is an array sets the length of a loop, one compilation serving all above 3.
     xp = namespace(chain, degree)
-    is_cubic = isinstance(degree, int) and degree == 3
-    if not is_cubic:
-        chain = _step(chain, unit, is_monic=True)
-    if isinstance(degree, int):
-        for _ in range(degree - 4):
-            chain = _step(chain, unit)
-    else:
-        chain = _steps(chain, unit, degree - 4)
-    gap, error, modulus = _last_gap(chain, unit, is_monic=is_cubic)
-    is_clear = size(gap) > (SAFETY * (degree - 1)) * error
-    is_clear = is_clear & chain.regular & (modulus != 1.0)
-    is_inside = chain.inside & (modulus < 1.0) & (leading(gap) > 0.0)
+    chain, gap, ratio, is_clear = _at_the_end(chain, unit, degree)
+    is_inside = chain.inside & (size(ratio) < 1.0) & (leading(gap) > 0.0)
     real_outside = (ends.at_one < -ends.at_one_error) | (
         ends.at_minus_one < -ends.at_minus_one_error
     )
@@ -99,8 +117,44 @@ def decide(chain: Chain[Number], ends: Ends, unit: float, degree: int | Array) -
     return xp.where(real_outside | chain.outside, Verdict.UNSTABLE, codes).astype(np.int8)
 
 
-def _last_gap(chain: Chain[Number], unit: float, *, is_monic: bool) -> tuple[Number, Array, Array]:
-    """Return u0 - u2 of the quadratic, a bound of all errors there, and the last |K|."""
+def zeros_outside(chain: Chain[Array], ends: Ends, unit: float, degree: int) -> Array:
+    """Return how many zeros of polynomials are outside the circle, NaN where it is not proved."""
+    xp = namespace(chain)
+    one, length, parity = xp.ones_like(chain.error), degree, (-1.0) ** degree
+    if xp is not np and degree > HIGHEST_COUNTED:
+        length, parity = xp.asarray(degree), parity * one
+    balance = Balance(0.0 * one, one, ends.at_one, ends.at_minus_one, parity)
+    chain, gap, ratio, is_clear = _at_the_end(replace(chain, balance=balance), unit, length)
+    assert chain.balance is not None
+    last = chain.balance.after(ratio, size(ratio))
+    sign, at_one, at_minus_one = map(xp.sign, (last.sign, last.at_one, last.at_minus_one))
+    inside = last.total + sign * xp.sign(gap) * (at_one + at_minus_one)
+    is_clear = is_clear & (sign * at_one * at_minus_one != 0.0)  # products may underflow
+    is_clear = is_clear & (abs(ends.at_one) > ends.at_one_error)
+    is_clear = is_clear & (abs(ends.at_minus_one) > ends.at_minus_one_error)
+    return xp.where(is_clear, 0.5 * (degree - inside), xp.nan)
+
+
+def _at_the_end(
+    chain: Chain[Number], unit: float, degree: int | Array
+) -> tuple[Chain[Number], Number, Number, Array]:
+    """Return the cubic, u0 - u2 of the quadratic and the last K, and whether their signs count."""
+    # A degree that is an array sets the length of a loop, one compilation serving all above 3.
+    is_cubic = isinstance(degree, int) and degree == 3
+    if not is_cubic:
+        chain = _step(chain, unit, is_monic=True)
+    if isinstance(degree, int):
+        for _ in range(degree - 4):
+            chain = _step(chain, unit)
+    else:
+        chain = _steps(chain, unit, degree - 4)
+    gap, error, ratio = _last_gap(chain, unit, is_monic=is_cubic)
+    is_clear = size(gap) > (SAFETY * (degree - 1)) * error
+    return chain, gap, ratio, is_clear & chain.regular & (size(ratio) != 1.0)
+
+
+def _last_gap(chain: Chain[Number], unit: float, *, is_monic: bool) -> tuple[Number, Array, Number]:
+    """Return u0 - u2 of the quadratic, a bound of all errors there, and the last K."""
     # The step from a cubic b0 z^3 + b1 z^2 + b2 z + b3.
     head, tail = chain.head, chain.tail
     b0 = chain.gap + head[1]
@@ -111,7 +165,7 @@ def _last_gap(chain: Chain[Number], unit: float, *, is_monic: bool) -> tuple[Num
     gap = (chain.gap - tail[1] if len(tail) > 1 else chain.gap) + ratio * (b1 - b3)
     sizes = size(b0) + size(b1) + 2.0 * size(b3) + size_sum(head) + size_sum(tail)
     error = chain.error + modulus * (chain.error + chain.head_error + 4.0 * unit * sizes)
-    return gap, error + 2.0 * unit * (size(chain.gap) + size_sum(tail[1:2])), modulus
+    return gap, error + 2.0 * unit * (size(chain.gap) + size_sum(tail[1:2])), ratio
 
 
 def _steps(chain: Chain[Number], unit: float, count: Array) -> Chain[Number]:
@@ -124,39 +178,42 @@ def _step(
     chain: Chain[Number], unit: float, *, is_monic: bool = False, is_rolled: bool = False
 ) -> Chain[Number]:
     head, tail = chain.head, chain.tail
-    first = chain.gap + head[1]
-    ratio, inverse = (tail[0], 1.0) if is_monic else _quotient(tail[0], first, is_rolled=is_rolled)
+    lead = chain.gap + head[1]
+    ratio, inverse = (tail[0], 1.0) if is_monic else _quotient(tail[0], lead, is_rolled=is_rolled)
     modulus = size(ratio)
     lowered = tail[0] - tail[2] if len(tail) > 2 else tail[0]
     pairs = list(zip_longest(head, tail[1:]))
-    bounds = _bounds_after(chain, first, inverse, modulus, unit)
+    bounds = _bounds_after(chain, lead, inverse, modulus, unit)
     return Chain(
         gap=chain.gap - ratio * lowered,
         head=tuple(_minus(u, ratio, v) for u, v in pairs),
         tail=tuple(_minus(v, ratio, u) for u, v in pairs),
         inside=chain.inside & (modulus < 1.0),
         regular=chain.regular & (modulus != 1.0),
+        balance=chain.balance and chain.balance.after(leading(ratio), modulus),
         **bounds,
     )
 
 
-def _quotient(last: Number, first: Number, *, is_rolled: bool = False) -> tuple[Number, Array]:
-    """Return last / first, right to three roundings, and 1 / |first|."""
-    if isinstance(first, DoubleDouble) or not is_jax(first):
-        return last / first, 1.0 / size(first)
+def _quotient(
+    dividend: Number, divisor: Number, *, is_rolled: bool = False
+) -> tuple[Number, Array]:
+    """Return a quotient, right to three roundings, and 1 / |divisor|."""
+    if isinstance(divisor, DoubleDouble) or not is_jax(divisor):
+        return dividend / divisor, 1.0 / size(divisor)
     # A loop that writes its state to memory needs what XLA computes once, so it divides.
-    inverse = 1.0 / size(first) if is_rolled else rounded_reciprocal(size(first))
-    signed = namespace(first).where(first < 0.0, -inverse, inverse)
-    return kept(last * signed), inverse
+    inverse = 1.0 / size(divisor) if is_rolled else rounded_reciprocal(size(divisor))
+    signed = namespace(divisor).where(divisor < 0.0, -inverse, inverse)
+    return kept(dividend * signed), inverse
 
 
 def _bounds_after(
-    chain: Chain[Number], first: Number, inverse: Array, modulus: Array, unit: float
+    chain: Chain[Number], lead: Number, inverse: Array, modulus: Array, unit: float
 ) -> dict[str, Any]:
     """Bound the deviation from exact steps after one more: with the same K, and the exact K."""
     # Lemma V3 has the terms of the errors, lemma V6 those of the drift.
     head, tail = chain.head, chain.tail
-    sizes = size(first) + size(tail[0]) + size_sum(head) + size_sum(tail[2:])
+    sizes = size(lead) + size(tail[0]) + size_sum(head) + size_sum(tail[2:])
     small = size(chain.gap) + size_sum(tail[1:])
     carried = chain.error + chain.head_error + 4.0 * unit * sizes
     # Where v_i = 0, u_i stays and is not rounded.
@@ -164,7 +221,7 @@ def _bounds_after(
     rounded = sum(weight * (size(u) + 2.0 * modulus * size(v)) for u, v, weight in touched)
     outside, drift = chain.outside, chain.drift
     if drift is not None:
-        outside = outside | (size(tail[0]) - size(first) > 4.0 * drift)
+        outside = outside | (size(tail[0]) - size(lead) > 4.0 * drift)
         drift = drifted(drift, modulus, inverse, sizes + small, unit)
     return {
         "head_error": chain.head_error + 2.0 * modulus * chain.error + unit * rounded,
@@ -189,14 +246,14 @@ def _minus(a: Number | None, ratio: Number, b: Number | None) -> Number:
     return -(ratio * b) if a is None else a - ratio * b
 
 
-def leading(number: Array | DoubleDouble) -> Array:
+def leading(value: Array | DoubleDouble) -> Array:
     """Return the number rounded to float64, its sign being exact."""
-    return number.hi if isinstance(number, DoubleDouble) else number
+    return value.hi if isinstance(value, DoubleDouble) else value
 
 
-def size(number: Array | DoubleDouble) -> Array:
+def size(value: Array | DoubleDouble) -> Array:
     """Return the absolute value, to float64 accuracy."""
-    return abs(leading(number))
+    return abs(leading(value))
 
 
 def size_sum(numbers: tuple[Number, ...]) -> Array:
@@ -255,12 +312,12 @@ def without_zeros(loop: LinearLoop) -> LinearLoop:
     last = loop.degree
     width = (last + 3) // 2
     while width > 3 and all(
-        _is_zero(part[index].hi) for part in loop[:3] for index in (width - 1, last + 2 - width)
+        _is_zero(row[index].hi) for row in loop[:3] for index in (width - 1, last + 2 - width)
     ):
         width -= 1
     if _PAYS * width > last:
         return loop
-    base, stiffness, damping = (part[:width] + part[last + 2 - width :] for part in loop[:3])
+    base, stiffness, damping = (row[:width] + row[last + 2 - width :] for row in loop[:3])
     return loop._replace(base=base, stiffness=stiffness, damping=damping)
 
 
@@ -344,7 +401,7 @@ def loop_coefficients(
         lambda *values: xp.stack([xp.broadcast_to(value, grid) for value in values]), *columns
     )
     stiffness, damping = size(alpha), size(beta)
-    sizes = [sum(map(size, part)) for part in loop[:3]]
+    sizes = [sum(map(size, row)) for row in loop[:3]]
     # A rounding of each number of the loop, of each product and of each of two sums.
     rounding = 4.0 * unit * (sizes[0] + stiffness * sizes[1] + damping * sizes[2])
     inherited = loop.errors[0] + stiffness * loop.errors[1] + damping * loop.errors[2]
@@ -354,7 +411,7 @@ def loop_coefficients(
 
 def _affine(parts: Affine, alpha: Number, beta: Number, unit: float) -> tuple[Array, Array]:
     """Return base + alpha stiffness + beta damping, and a bound of its error."""
-    base, stiff, damp = (part.value for part in parts)
+    base, stiff, damp = (row.value for row in parts)
     value = base + (stiff * alpha + damp * beta)
     sizes = size(base) + size(stiff) * size(alpha) + size(damp) * size(beta)
     errors = (
@@ -402,11 +459,11 @@ def _sum(*numbers: Number | tuple[Number, ...]) -> Array:
 def _dense_step(state: _State, unit: float, *, is_apart: bool = False) -> _State:
     """Lower the degree by one, and bound what exact steps with the same K could differ by."""
     falling, rising = state.falling, state.rising
-    first, last = falling[0], rising[0]
-    ratio, inverse = _quotient(last, first, is_rolled=not isinstance(falling, tuple))
+    lead, last = falling[0], rising[0]
+    ratio, inverse = _quotient(last, lead, is_rolled=not isinstance(falling, tuple))
     modulus, lowered = size(ratio), _lowered(falling, rising, ratio, is_apart=is_apart)
     total = _sum(falling, rising) if is_apart else _sum(falling)
-    outside = state.outside | (size(last) - size(first) > 4.0 * state.drift)
+    outside = state.outside | (size(last) - size(lead) > 4.0 * state.drift)
     return _State(
         *lowered,
         error=state.error * (1.0 + modulus) + unit * total * (1.0 + 2.0 * modulus),

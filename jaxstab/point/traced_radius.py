@@ -14,8 +14,7 @@ import optimistix
 from jax import Array, lax
 from jaxtyping import Complex128, Float64
 
-from jaxstab.arrays import reciprocal
-from jaxstab.point.dominance import power_of_two_below_inverse, square_root
+from jaxstab.arrays import power_of_two_below_inverse, reciprocal, square_root
 from jaxstab.point.poles import companion_poles
 
 # The largest root of real cubics to about eight digits, by additions and products alone. With

@@ -73,8 +73,8 @@ class Form(NamedTuple):
         """Return the form for one delay in samples; a fraction that is traced may be any."""
         if isinstance(delay, TracedDelay):
             return cls(delay.whole, True)
-        number = np.asarray(delay, np.float64).item()
-        return cls(int(number), number % 1.0 > 0.0)
+        samples = np.asarray(delay, np.float64).item()
+        return cls(int(samples), samples % 1.0 > 0.0)
 
     @property
     def degree(self) -> int:
@@ -102,8 +102,8 @@ class Points(NamedTuple):
         """Return the form of p(z) and the flat indices of each group of chosen points."""
         twice = np.broadcast_to(np.floor(self.delay) + np.ceil(self.delay), chosen.shape)
         return [
-            (Form.from_delay(one / 2.0), np.flatnonzero(chosen & (twice == one)))
-            for one in np.unique(twice[chosen]).tolist()
+            (Form.from_delay(doubled / 2.0), np.flatnonzero(chosen & (twice == doubled)))
+            for doubled in np.unique(twice[chosen]).tolist()
         ]
 
 
@@ -130,11 +130,11 @@ def linear_verdict(alpha: Array, beta: Array, loop: LinearLoop) -> Int8[Array, "
     codes = np.array(_loop_float_codes(alpha, beta, rounded_loop(loop), degree=degree))
     still_open = np.flatnonzero(codes == Verdict.UNDECIDED)
     for start in range(0, still_open.size, _LOOP_PAIRS):
-        part = still_open[start : start + _LOOP_PAIRS]
-        *gains, chosen = gathered((alpha, beta, loop), codes.shape, part)
-        pairs = DoubleDouble.of(gains[0]), DoubleDouble.of(gains[1])
+        block = still_open[start : start + _LOOP_PAIRS]
+        *gains, chosen = gathered((alpha, beta, loop), codes.shape, block)
+        pairs = DoubleDouble.from_value(gains[0]), DoubleDouble.from_value(gains[1])
         with np.errstate(all="ignore"):
-            codes.flat[part] = dense_codes(*pairs, chosen, unit=PAIR_UNIT, degree=degree)
+            codes.flat[block] = dense_codes(*pairs, chosen, unit=PAIR_UNIT, degree=degree)
     return xp.asarray(codes)
 
 
@@ -143,8 +143,8 @@ def traced_filtered_verdict(
 ) -> Int8[Array, "*grid"]:
     """Return the codes of points that a transformation of JAX traces, in float64 alone."""
     alpha, beta, gamma, delta = point
-    part = fraction if form.is_fractional else 0.0
-    loop = filtered_loop(gamma, delta, form.whole_delay, part, filters)
+    late = fraction if form.is_fractional else 0.0
+    loop = filtered_loop(gamma, delta, form.whole_delay, late, filters)
     return _loop_float_codes(alpha, beta, rounded_loop(without_zeros(loop)), degree=loop.degree)
 
 
@@ -233,7 +233,7 @@ HIGHEST_UNROLLED = 12  # degree up to which XLA compiles the recursion without a
 # A loop writes all of its state to memory in each step. Without it a point takes a half to a third
 # of the time at delays of 10 and 20, but each degree compiles for about a second.
 _HIGHEST_OF_MANY = 26
-_PAYS_FROM = 1 << 20  # points
+_PAYS_FROM = 1 << 19  # points
 _LOST = 2.0**-25  # of N(1): the error of a stiff plant times its root is an ulp there
 
 
@@ -291,20 +291,20 @@ def _plant_of(
     gamma: Array, delta: Array, pairs: PlantPairs, *, is_fractional: bool
 ) -> Plant[DoubleDouble]:
     xp = namespace(gamma, delta, pairs)
-    one = DoubleDouble.of(xp.ones_like(pairs.d0.hi))
-    zero = one - one
+    unit = DoubleDouble.from_value(xp.ones_like(pairs.d0.hi))
+    zero = unit - unit
     stiff = (zero, pairs.n0, pairs.n1, pairs.n2)
     # n2 - n1 vanishes with delta for a whole delay; N(-1) knows it to all of its digits.
     damp = (pairs.n0, pairs.n1 - pairs.n0, pairs.difference - pairs.n0, -pairs.n2)
     sum_n = sum(abs(n.hi) for n in stiff[1:])
     return Plant(
-        gap=one - pairs.d0,
+        gap=unit - pairs.d0,
         d1=pairs.d1,
         d0=pairs.d0,
         stiff=stiff if is_fractional else stiff[1:],
         damp=damp if is_fractional else damp[1:],
         difference=pairs.difference,
-        at_minus_one=one - pairs.d1 + pairs.d0,
+        at_minus_one=unit - pairs.d1 + pairs.d0,
         error=pairs_error(gamma, delta),
         size=xp.where(may_cancel(gamma, delta), xp.sqrt(sum_n), sum_n),
         sum=pairs.sum.hi,
@@ -346,17 +346,22 @@ def _closed_loop(alpha: Number, beta: Number, plant: Plant[Number], unit: float)
     tail = tuple(
         stiff * alpha - damp * beta for stiff, damp in zip(plant.stiff, plant.damp, strict=True)
     )
-    # Three roundings: of the plant's coefficient, of the product, of the difference.
-    per_alpha = 3.0 * unit * size_sum(plant.stiff) + 4.0 * plant.error * plant.size
-    per_beta = 3.0 * unit * size_sum(plant.damp) + 8.0 * plant.error * plant.size
     error = unit * size(plant.gap) + plant.error + UNDERFLOW
     return Chain(
         gap=plant.gap,
         head=(plant.d1, plant.d0),
         tail=tail,
         head_error=unit * (size(plant.d1) + 2.0 * size(plant.d0)) + 4.0 * plant.error,
-        error=error + (per_alpha * size(alpha) + per_beta * size(beta)),
+        error=error + tail_error(alpha, beta, plant, unit),
     )
+
+
+def tail_error(alpha: Number, beta: Number, plant: Plant[Number], unit: float) -> Array:
+    """Return the sum of the rounding errors of the last coefficients of p(z)."""
+    # Three roundings: of the plant's coefficient, of the product, of the difference.
+    per_alpha = 3.0 * unit * size_sum(plant.stiff) + 4.0 * plant.error * plant.size
+    per_beta = 3.0 * unit * size_sum(plant.damp) + 8.0 * plant.error * plant.size
+    return per_alpha * size(alpha) + per_beta * size(beta)
 
 
 def _ends(
@@ -436,8 +441,8 @@ def verdict(
         return traced_filtered_verdict(point, Form.from_delay(delay), fraction, filters)
     if not filters and resolve is None and whole.size == 1:
         arrays, form = [xp.asarray(value, xp.float64) for value in point], Form.from_delay(delay)
-        part, is_fractional = xp.asarray(fraction), form.is_fractional
-        plant = float_plant(arrays[2], arrays[3], part, is_fractional=is_fractional)
+        late, is_fractional = xp.asarray(fraction), form.is_fractional
+        plant = float_plant(arrays[2], arrays[3], late, is_fractional=is_fractional)
         codes = _float_codes((*arrays[:3], plant), form.degree)
         shape = np.broadcast_shapes(whole.shape, *(array.shape for array in arrays))
         return named(xp.array(xp.broadcast_to(codes, shape)), Verdict)
@@ -479,9 +484,9 @@ def _grouped_verdict(points: Points) -> Int8[np.ndarray, "*grid"]:
         plants = float_plant(
             points.gamma, points.delta, points.delay % 1.0, is_fractional=form.is_fractional
         )
-        for part, padded in lists(indices, _LIST, fewest=MANY):
+        for block, padded in lists(indices, _LIST, fewest=MANY):
             values = gathered((*points[:3], plants), points.shape, padded)
-            codes.flat[part] = _float_codes(values, form.degree)[: part.size]
+            codes.flat[block] = _float_codes(values, form.degree)[: block.size]
     return codes
 
 
@@ -489,8 +494,8 @@ def _resolved(codes: Int8[np.ndarray, "*grid"], points: Points) -> Int8[np.ndarr
     """Repeat UNDECIDED points in double-double; for the others, look for a root outside."""
     for form, indices in points.groups(np.asarray(codes == Verdict.UNDECIDED)):
         for start in range(0, indices.size, _PAIRS):
-            part = indices[start : start + _PAIRS]
-            codes.flat[part] = _pair_codes(gathered(points, points.shape, part), form)
+            block = indices[start : start + _PAIRS]
+            codes.flat[block] = _pair_codes(gathered(points, points.shape, block), form)
     for _, indices in points.groups(np.asarray(codes == Verdict.UNDECIDED)):
         values = looked_up(list(points), points.shape, indices)
         proved = have_outer_root(characteristic_polynomial(**by_name(*values)))
@@ -502,6 +507,6 @@ def _resolved(codes: Int8[np.ndarray, "*grid"], points: Points) -> Int8[np.ndarr
 def _pair_codes(points: Points, form: Form) -> Int8[np.ndarray, " point"]:
     alpha, beta, gamma, delta, delay = points
     plant = pair_plant(gamma, delta, delay % 1.0, is_fractional=form.is_fractional)
-    gains = DoubleDouble.of(alpha), DoubleDouble.of(beta)
+    gains = DoubleDouble.from_value(alpha), DoubleDouble.from_value(beta)
     with np.errstate(all="ignore"):
         return loop_codes(*gains, gamma, plant, unit=PAIR_UNIT, degree=form.degree)

@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
-from jaxstab.arrays import at, joined
+from jaxstab.arrays import joined, take
 from jaxstab.conventions import Verdict
 from jaxstab.model import by_name
 from jaxstab.model.filters import Filters, as_keywords
@@ -623,7 +623,7 @@ def stable_columns(
     lower, upper = (np.empty((columns.centre.shape[0], len(TERMS))) for _ in range(2))
     pending = np.arange(columns.centre.shape[0])
     for ordered in (above_line, apart) if holds_line(filters) else (apart,):
-        chosen, there = at(strips, pending), columns.take(pending)
+        chosen, there = take(strips, pending), columns.take(pending)
         chosen = _straight_where_partial(ordered, chosen, there, domain)
         codes = _gap_verdicts(chosen, there, domain, filters)
         lower[pending], upper[pending] = _limits(chosen, codes, there, domain)

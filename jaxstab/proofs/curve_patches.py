@@ -25,7 +25,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from jaxstab.arrays import at
+from jaxstab.arrays import take
 from jaxstab.model.filters import Filters
 from jaxstab.proofs.enclosures import LinearModel, Moving
 from jaxstab.proofs.filters import (
@@ -57,7 +57,7 @@ class Intervals(NamedTuple):
         count = np.where(halvings > 0, 1 << halvings, 0)
         owner = np.repeat(np.arange(count.size), count)
         index = np.arange(owner.size) - np.repeat(np.cumsum(count) - count, count)
-        whole, counts = at(self, owner), count[owner]
+        whole, counts = take(self, owner), count[owner]
 
         def edge(index: Box) -> Patch:  # neighbours have the same one
             inside = whole.start + (whole.end - whole.start) * (index / counts)
@@ -146,7 +146,7 @@ def curve_patches(
         halvings = np.zeros_like(remaining)
         for start in range(0, max(intervals.box.size, 1), _BLOCK):
             block = slice(start, start + _BLOCK)
-            chunk = at(intervals, block)
+            chunk = take(intervals, block)
             curve = curve_of(chunk)
             most = np.minimum(remaining[block], _AT_ONCE)
             wanted = np.minimum(curve.halvings(width, rests[:, block]), most)

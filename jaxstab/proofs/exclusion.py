@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Complex128, Float64, Int64
 
-from jaxstab.arrays import at, joined
+from jaxstab.arrays import joined, take
 from jaxstab.model.filters import Filters
 from jaxstab.proofs.enclosures import LinearModel, variable
 from jaxstab.proofs.filters import OverCells, filter_cells
@@ -276,7 +276,7 @@ def search(count: int, boxes: LineBoxes, models_of: Callable[[LineBoxes], Models
         while boxes.line.size:
             models = models_of(boxes)
             is_open = ~is_free(*models[:3])
-            boxes, models = at((boxes, models), (..., is_open))
+            boxes, models = take((boxes, models), (..., is_open))
             shrunk, is_proved = _shrunk(boxes, models)
             np.minimum.at(roots.high, shrunk.line[is_proved], shrunk.high[0, is_proved])
             is_open = np.all(shrunk.low <= shrunk.high, axis=0)
@@ -289,12 +289,12 @@ def search(count: int, boxes: LineBoxes, models_of: Callable[[LineBoxes], Models
             is_done = is_proved & is_narrow | is_rounded & (is_proved | is_flat)
             is_done |= np.all(size <= _FINEST, axis=0)
             is_done |= np.sum(is_open) > _MOST
-            _record(roots, at(shrunk, (..., is_open & is_done)))
+            _record(roots, take(shrunk, (..., is_open & is_done)))
             is_open &= ~is_done
             bends = np.where(size > _FINEST, models.bends * (size / before), -1.0)
             wide = is_open & ~has_shrunk
-            halves = _halved(at(shrunk, (..., wide)), bends[:, wide])
-            boxes = joined([at(shrunk, (..., is_open & has_shrunk)), halves], -1)
+            halves = _halved(take(shrunk, (..., wide)), bends[:, wide])
+            boxes = joined([take(shrunk, (..., is_open & has_shrunk)), halves], -1)
     return roots
 
 
@@ -305,7 +305,7 @@ def _models(lines: Lines, plants: QuickPlant, boxes: LineBoxes, filters: Filters
     middle = lines.start[:, boxes.line] + change * t
     center = Loops(*np.concatenate([middle, theta[None]]))
     moved = np.abs(change) * half[0]
-    plant = at(plants, boxes.line)
+    plant = take(plants, boxes.line)
     is_other = np.any(change[2:] != 0.0, axis=0)
     if np.any(is_other):
         others = quick_plant(*(np.maximum(value[is_other], 0.0) for value in center[2:5]))

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Complex128, Float64
 
-from jaxstab.arrays import PI_REST, Array, at, joined, namespace
+from jaxstab.arrays import PI_REST, Array, joined, namespace, take
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import ONE, Filters, Polynomial, Transfer, size_of
 from jaxstab.proofs.enclosures import LinearModel, Moving
@@ -193,13 +193,13 @@ def cells_of(functions: Functions) -> FilterCells:
         largest = np.fmax(largest, np.nanmax(abs(batch.series[:, :, 0]), axis=0))
         enough = np.all(batch.remainder <= _REMAINDER * (batch.size + _SMALL * largest), axis=1)
         enough |= (halving == _MOST_HALVINGS) or (len(middle) > _MOST_CELLS)
-        done.append(at(batch, enough))
+        done.append(take(batch, enough))
         if enough.all():
             break
         middle, half = batch.middle[~enough], 0.5 * batch.half[~enough]
         middle, half = np.concatenate([middle - half, middle + half]), np.tile(half, 2)
     whole = joined(done)
-    whole = at(whole, np.argsort(whole.middle))
+    whole = take(whole, np.argsort(whole.middle))
     ends = whole.middle + whole.half
     return FilterCells(
         middle=whole.middle,
@@ -309,7 +309,7 @@ def factors_of(filters: Filters, sample_time: float = 1.0) -> tuple[list[Factor]
     """Return short factors of P and of T V, whose first one is (1 - z^-n) / n."""
     velocity, position = filters
     samples, stages = velocity.stages(sample_time)
-    weight = DoubleDouble.of(1.0) / float(samples)
+    weight = DoubleDouble.from_value(1.0) / float(samples)
     over_window = (weight, *(_ZERO,) * (samples - 1), -weight)
     of_velocity = [(over_window, ONE), *map(_in_lags, stages)]
     return [_in_lags(stage) for stage in position.stages(sample_time)], of_velocity

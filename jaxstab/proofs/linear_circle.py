@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from jaxstab.arrays import PI_REST, at, joined
+from jaxstab.arrays import PI_REST, joined, take
 from jaxstab.model.device import SampledDevice
 from jaxstab.model.device.family import LoopFamily, LoopPiece, Piece, has_spans, pieces_of
 from jaxstab.model.double_double import DoubleDouble
@@ -77,7 +77,7 @@ def loop_cells(device: SampledDevice, filters: Filters | None) -> FilterCells:
 def chains_of(device: SampledDevice, filters: Filters | None) -> tuple[list[Factor], list[Factor]]:
     """Return short factors of P and of V, the first one 1 - 1/z, in the units of a device."""
     of_position, of_velocity = factors_of(filters or (Velocity(), Filter()), device.sample_time)
-    unit = DoubleDouble.of(device.stiffness_unit / device.damping_unit) / device.sample_time
+    unit = DoubleDouble.from_value(device.stiffness_unit / device.damping_unit) / device.sample_time
     return of_position, [((unit,), ONE), *of_velocity]
 
 
@@ -353,10 +353,10 @@ def family_models(cells: FamilyCells, boxes: FamilyBoxes) -> Models:
     places = np.empty(count, np.int64)
     places[order] = np.arange(count)
     chunks = [
-        family_models(cells, at(boxes, (..., order[start : start + _IN_CACHE])))
+        family_models(cells, take(boxes, (..., order[start : start + _IN_CACHE])))
         for start in range(0, count, _IN_CACHE)
     ]
-    return at(joined(chunks, -1), (..., places))
+    return take(joined(chunks, -1), (..., places))
 
 
 def delay_models(

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from jaxstab.arrays import at
+from jaxstab.arrays import take
 from jaxstab.conventions import Verdict
 from jaxstab.model import LoopParameters, by_name
 from jaxstab.model.filters import known_filters
@@ -146,7 +146,7 @@ def _worst_of(loop: LoopParameters, walls: Walls, hands: Hands) -> list[WorstHan
     plants = _plants_of(loop, hands)
     wall, plant = np.indices((len(walls), len(hands))).reshape(2, -1)
     rows = Rows(wall, plant, *walls[wall].T)
-    rows = at(rows, _may_be_worst(loop, plants, rows))
+    rows = take(rows, _may_be_worst(loop, plants, rows))
     points = _points(loop, plants, rows)
     radii = np.asarray(spectral_radius(**points, **loop.filters).value)
     codes = np.asarray(verdict(**points, **loop.filters))
@@ -192,7 +192,7 @@ def _may_be_worst(loop: LoopParameters, plants: Plants, rows: Rows) -> Bool[np.n
     chosen = plants.is_outermost[rows.plant] | (loop.delay_samples > _LONG)
     if chosen.all():
         return chosen
-    outer, inner = at(rows, chosen), at(rows, ~chosen)
+    outer, inner = take(rows, chosen), take(rows, ~chosen)
     radii = np.asarray(spectral_radius(**_points(loop, plants, outer), **loop.filters).value)
     radius = np.zeros(rows.wall[-1] + 1)
     np.maximum.at(radius, outer.wall, radii)

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float64, Int8, Int64
 
-from jaxstab.arrays import Array, Numbers, are_numbers, at, float_arrays, is_jax, namespace
+from jaxstab.arrays import Array, Numbers, are_numbers, float_arrays, is_jax, namespace, take
 from jaxstab.conventions import AXES, Verdict
 from jaxstab.model import by_name, checked_delta, checked_gain, checked_gamma, require_x64
 from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords, known_filters
@@ -206,7 +206,7 @@ def first_delays(
     step = np.full(count, inf)
     is_open = highest > -inf
     while is_open.any():
-        open_angles = at(angles, (..., is_open[angles.line]))
+        open_angles = take(angles, (..., is_open[angles.line]))
         length = np.minimum(np.minimum(stretch, MOST_DELAY - begin), longest(open_angles))
         crossing = roots(open_angles, begin, length)
         crosses = np.isfinite(crossing.low)

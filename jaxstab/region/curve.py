@@ -204,7 +204,7 @@ def _slice_coefficients(
     gamma: Array, radius: Array, turns: Array, plant: PlantPairs
 ) -> SliceCoefficients:
     xp = namespace(gamma, radius, turns, plant)
-    r = DoubleDouble.of(radius)
+    r = DoubleDouble.from_value(radius)
     inner = r - 1.0
     # Around z = 1 and z = -1, where the plant's values are known to all digits.
     den_plus = inner * inner + inner * (plant.d1 + 2.0) + plant.den_at_one

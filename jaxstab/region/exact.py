@@ -107,12 +107,14 @@ def polished_angles(
         step = step - np.where(np.abs(change) < _POLISHED * np.abs(step), change, 0.0)
         straight = (abs(step) > _CLOSE).astype(int)
         coefficients = DoubleDouble(*np.moveaxis(pairs, 2, 0)[:, 0, 1 - straight])
-        point = _Complex(DoubleDouble.of(step.real) + 1.0 * straight, DoubleDouble.of(step.imag))
+        point = _Complex(
+            DoubleDouble.from_value(step.real) + 1.0 * straight, DoubleDouble.from_value(step.imag)
+        )
         value, slope = (_wall_value(rows, alpha, beta) for rows in _rows_at(coefficients, point))
         change = value / slope
-    root = _Complex(DoubleDouble.of(step.real) + 1.0, DoubleDouble.of(step.imag))
+    root = _Complex(DoubleDouble.from_value(step.real) + 1.0, DoubleDouble.from_value(step.imag))
     rough = np.angle(1.0 + step)
-    upper, u = _folded(DoubleDouble.of(rough))
+    upper, u = _folded(DoubleDouble.from_value(rough))
     zeta, _, _ = _on_circle(u)
     real = DoubleDouble(*(np.where(upper, -x, x) for x in (zeta.real.hi, zeta.real.lo)))
     modulus = np.abs(1.0 + step)
@@ -120,7 +122,7 @@ def polished_angles(
     moved = change / (1.0 + step)
     square = root.real * root.real + root.imag * root.imag + (-1.0)
     excess = square.rounded() / (1.0 + modulus) - moved.real * modulus
-    return DoubleDouble.of(rough) + (turn - moved.imag), excess
+    return DoubleDouble.from_value(rough) + (turn - moved.imag), excess
 
 
 def _wall_value(rows: list[_Complex], alpha: DoubleDouble, beta: DoubleDouble) -> Array:
@@ -141,7 +143,7 @@ def _numbers(columns: Float64[np.ndarray, "2 part"]) -> list[DoubleDouble]:
 def _folded(theta: DoubleDouble) -> tuple[Array, DoubleDouble]:
     """Return which angles are in the upper half, and the angles u of zeta, none of them 0."""
     upper = theta.hi > np.pi / 2
-    beyond = -theta + DoubleDouble.of(np.full_like(theta.hi, np.pi)) + PI_REST
+    beyond = -theta + DoubleDouble.from_value(np.full_like(theta.hi, np.pi)) + PI_REST
     folded = _where(upper, beyond, theta)
     return upper, _where(folded.hi < _LEAST, DoubleDouble(_LEAST, 0.0), folded)
 
@@ -217,8 +219,8 @@ def _total(terms: DoubleDouble) -> DoubleDouble:
 def _powers(base: _Complex, count: int) -> _Complex:
     """Return the powers 0 ... count - 1 on a second axis."""
     base = base.indexed(slice(None), None)
-    ones = DoubleDouble.of(np.ones_like(base.real.hi))
-    powers, next_power = _Complex(ones, DoubleDouble.of(np.zeros_like(ones.hi))), base
+    ones = DoubleDouble.from_value(np.ones_like(base.real.hi))
+    powers, next_power = _Complex(ones, DoubleDouble.from_value(np.zeros_like(ones.hi))), base
     while powers.real.hi.shape[1] < count:
         powers = joined([powers, powers.times(next_power)], 1)
         next_power = next_power.times(next_power)
@@ -241,7 +243,7 @@ def _half_turn(u: DoubleDouble) -> tuple[DoubleDouble, DoubleDouble]:
     """Return sine and cosine of u/2, u in (0, pi/2]."""
     x = u.scaled(0.5 ** (1 + _HALVINGS))
     square = x * x
-    both = DoubleDouble.of(np.zeros((2, *square.hi.shape)))
+    both = DoubleDouble.from_value(np.zeros((2, *square.hi.shape)))
     for term in _terms():
         both = both * square + term
     sine, cosine = both[0] * x, both[1]
@@ -293,7 +295,7 @@ def in_pairs(curve: FilteredCurve, pairs: Pairs, centers: DoubleDouble) -> Filte
     roots = bracketed_root(value, which, angles[index], angles[index + 1], ends)
     real, steep = (roots[which == k] for k in range(2))
     poles, lone, resonances = (
-        to_rescaled(stretches, DoubleDouble.of(a))
+        to_rescaled(stretches, DoubleDouble.from_value(a))
         for a in (curve.poles[0], curve.steep, curve.resonances[0])
     )
     is_pole, is_steep = _are_apart(poles, real), _are_apart(lone, steep)
@@ -372,7 +374,9 @@ def _parts_in_half_plane(falling: bytes, count: int, outside: float) -> DoubleDo
     remembered, for one curve serves many walls.
     """
     pairs = np.frombuffer(falling).reshape(2, 3, count).transpose(0, 2, 1)
-    return _to_half_plane(_about(DoubleDouble(*pairs), outside), DoubleDouble.of(outside) + 1.0)
+    return _to_half_plane(
+        _about(DoubleDouble(*pairs), outside), DoubleDouble.from_value(outside) + 1.0
+    )
 
 
 def angles_on_circle(
@@ -383,7 +387,7 @@ def angles_on_circle(
     ``within`` is how close they have to be at last.
     """
     base, stiffness, damping = curve.pairs[0, 1, 0, :, ::-1]
-    angles = [DoubleDouble.of(np.empty(0))]
+    angles = [DoubleDouble.from_value(np.empty(0))]
     for k in range(len(alpha.hi)):
         coefficients = base + stiffness * alpha.hi[k] + damping * beta.hi[k]
         step = np.roots(coefficients) if np.all(np.isfinite(coefficients)) else np.empty(0)
@@ -401,7 +405,7 @@ def _about(falling: DoubleDouble, move: float) -> DoubleDouble:
     sum c_k s^k has the coefficients sum over k of binomial(k, j) move^(k - j) c_k.
     """
     degree = len(falling.hi) - 1
-    total, power = falling, DoubleDouble.of(1.0)
+    total, power = falling, DoubleDouble.from_value(1.0)
     for more in range(1, degree + 1):
         power = power * move
         ways = np.array([float(comb(k, more)) for k in range(degree, more - 1, -1)])[:, None]
@@ -413,7 +417,7 @@ def _about(falling: DoubleDouble, move: float) -> DoubleDouble:
 def _to_half_plane(falling: DoubleDouble, radius: DoubleDouble) -> DoubleDouble:
     """Return sum c_k (2 r w)^k (1 - w)^(n - k), highest power of w first."""
     degree = len(falling.hi) - 1
-    total, factor = DoubleDouble.of(np.zeros_like(falling.hi)), DoubleDouble.of(1.0)
+    total, factor = DoubleDouble.from_value(np.zeros_like(falling.hi)), DoubleDouble.from_value(1.0)
     for power in range(degree + 1):
         term = falling[degree - power] * factor
         total = total + term[None] * _binomials(degree, power)

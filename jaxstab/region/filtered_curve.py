@@ -510,12 +510,14 @@ def true_angles(
     stretches: Sequence[Stretch], size: Angles, low: Angles
 ) -> tuple[DoubleDouble, Angles]:
     """Return the true angles of rescaled ones between 0 and pi, and the derivatives."""
-    angles, speed = DoubleDouble.of(size) + low, np.ones_like(size)
+    angles, speed = DoubleDouble.from_value(size) + low, np.ones_like(size)
     for stretch in stretches:
         held, growth, half_width = stretch.holds(size), stretch.growth, stretch.half_width
         share = growth * ((size[held] - stretch.angle) + low[held]) / half_width
         unit = half_width / np.sinh(growth)
-        moved = DoubleDouble.of(unit * np.sinh(share)) + DoubleDouble.of(stretch.low)
+        moved = DoubleDouble.from_value(unit * np.sinh(share)) + DoubleDouble.from_value(
+            stretch.low
+        )
         moved = moved + stretch.angle
         angles.hi[held], angles.lo[held] = moved.hi, moved.lo
         speed[held] = unit * np.cosh(share) * growth / half_width

@@ -19,7 +19,6 @@ import numpy as np
 
 from jaxstab.arrays import (
     Array,
-    at,
     constant,
     first_indices,
     joined,
@@ -27,6 +26,7 @@ from jaxstab.arrays import (
     namespace,
     repeat_and_keep,
     stored,
+    take,
     tree_map,
 )
 from jaxstab.region.curve import (
@@ -120,7 +120,7 @@ def polygon(c: Curve, pieces: Pieces, points: int, length: int | None = None) ->
     count = xp.where(resolved, xp.sum(marks.exists), 0)
     chosen = chosen[xp.clip(xp.arange(points), 0, xp.maximum(count - 1, 0))]
     at_marks = _points(c, marks)
-    marks = at(marks, chosen)
+    marks = take(marks, chosen)
     branches, angles = _edges(pieces, marks)
     corners = at_marks[room:][: 3 * slots]
     return Outline(
@@ -146,7 +146,7 @@ def _ends(pieces: Pieces, loop: Array) -> tuple[list[_Marks], Array]:
     end = partial(
         _marks, theta=pieces.end, low=pieces.end_low, branch=pieces.end_branch, piece=index
     )
-    closing = at(begin(_ON_PIECE, exists=pieces.exists), starts)
+    closing = take(begin(_ON_PIECE, exists=pieces.exists), starts)
     return [
         begin(_ON_PIECE, exists=pieces.exists),
         end(_ON_PIECE, exists=pieces.exists),
@@ -300,7 +300,7 @@ def _points(c: Curve, marks: _Marks) -> Array:
 def _edges(pieces: Pieces, marks: _Marks) -> tuple[Array, Array]:
     """Return for the edge after each vertex its branch and the angles at its ends."""
     xp = namespace(pieces, marks)
-    here, there = (at(marks, rows) for rows in (_HERE, _THERE))
+    here, there = (take(marks, rows) for rows in (_HERE, _THERE))
     same_piece = (here.piece == there.piece) & (there.stage == _ON_PIECE)
     end_branch = pieces.end_branch[here.piece]
     other_line = Branch.Z_PLUS_ONE + Branch.Z_MINUS_ONE - end_branch

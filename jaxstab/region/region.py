@@ -184,7 +184,7 @@ def region_of_system(system: System, tolerance: float, *, may_be_empty: bool) ->
     pairs = parts_in_pairs(system)
     if not c.loses_digits and outline.resolved and _keeps_a_root(pairs):
         return region_within(c, outline)
-    centers = DoubleDouble.of(np.empty(0))
+    centers = DoubleDouble.from_value(np.empty(0))
     for _ in range(_STRETCHINGS):
         exact = in_pairs(c, pairs, centers)
         outline, pieces = _audited(exact, tolerance, may_be_empty, loop)
@@ -207,7 +207,7 @@ def _strays(c: FilteredCurve, outline: Outline, system: System) -> bool:
     edges = edges[np.linspace(0, len(edges) - 1, min(_TESTED, len(edges))).round().astype(int)]
     extent = np.ptp(outline.vertices, axis=0)
     points = np.stack(curve_and_lift(c, outline.angles[edges, 0])[:2], axis=1)
-    angles = DoubleDouble.of(size[edges, 0])
+    angles = DoubleDouble.from_value(size[edges, 0])
     exact = exact_gains(parts_in_pairs(system), angles, with_slopes=False).values[:2]
     away = (points - np.stack([gain.rounded() for gain in exact], axis=1)) / extent
     along = (outline.vertices[edges + 1] - outline.vertices[edges]) / extent

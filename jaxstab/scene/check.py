@@ -3,28 +3,18 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from decimal import ROUND_CEILING, ROUND_FLOOR
-from math import inf, isfinite, isinf, isnan, nan
-from typing import Annotated, Any, NamedTuple
+from functools import partial
+from math import inf, isinf, nan
+from typing import Annotated, Any
 
 import numpy as np
 from jaxtyping import Float64
-from numpy.typing import NDArray
 
-from jaxstab.arrays import tree_map
+from jaxstab.arrays import take, tree_map
+from jaxstab.batches import alike
 from jaxstab.conventions import Verdict
 from jaxstab.loop import Gains, HapticLoop
-from jaxstab.loop.between import LoopsBetween, common_walls
-from jaxstab.loop.together import (
-    Rendered,
-    amplitudes,
-    boundary_distances,
-    oscillations,
-    settling_times,
-    spectral_radii,
-    verdicts,
-    wall_margins,
-)
-from jaxstab.model.device.parts import MassSpringDamper, Modes
+from jaxstab.model.loop import as_one
 from jaxstab.motion import Amplitude as Amplitudes
 from jaxstab.motion import Oscillation as Mode
 from jaxstab.motion import Settling as MotionSettling
@@ -32,199 +22,33 @@ from jaxstab.motion import SettlingStatus
 from jaxstab.numbers import without_noise
 from jaxstab.point import SpectralRadius
 from jaxstab.ranges import Margins as LoopMargins
-from jaxstab.ranges.hands import worst_hands
 from jaxstab.ranges.margins import MOST_DELAY
 from jaxstab.rounding import EPS
 from jaxstab.scene.answers import (
     Answer,
     Basis,
     Bound,
-    Damping,
     DampingLimits,
     Frequency,
-    LargestStiffness,
-    Mass,
     Number,
     Quantity,
-    Stiffness,
-    StiffnessBound,
     StiffnessLimits,
     Time,
     basis_of,
 )
 from jaxstab.scene.contact import NotSimulated, Simulated, contacts_or_reasons
-from jaxstab.scene.loops import (
-    corner_loops,
-    hands_of,
-    is_one_mass,
-    loop_of,
-    masses_of,
-    range_of_hands,
-    reachable,
-    wall_region,
-    walls_of,
-    with_delay,
+from jaxstab.scene.hands import (
+    Floats,
+    HeldBy,
+    WallVerdict,
+    WorstHeld,
+    held_by,
+    loops_over_delays,
+    worst_held,
+    worst_over_delays,
 )
+from jaxstab.scene.loops import corner_loops, hands_of, walls_of, with_delay
 from jaxstab.scene.scene import Scene
-
-# All hands of a scene, and all masses of its device: the worst for a wall, the stiffest wall.
-#
-# Hands are tried: what one of them contradicts is proved. For all others a proof is looked for.
-
-_PROVED = "proved for every hand"
-_TRIED = "no hand that was tried is unstable, but not all others are proved"
-NOT_FOR_OTHERS = ": others are not proved together with a range of delays"
-_ROWS = 400  # of B, in which walls are stable for all hands
-
-Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class HeldBy(Answer):
-    """A hand, and the mass of the device if that varies."""
-
-    mass: Mass
-    stiffness: Stiffness
-    damping: Damping
-    device_mass: Mass | None = None
-
-
-@dataclass(frozen=True)
-class AllHands(Answer):
-    """A wall for all hands of a range, nearly the stiffest, and a proved bound if there is one.
-
-    Both times the safety, if one is wanted: they enclose the limit that it leaves.
-    """
-
-    largest_stiffness: LargestStiffness
-    at_damping: Damping
-    certainty: str
-    none_is_stiffer_than: StiffnessBound | None
-    worst_hand: HeldBy
-
-    @property
-    def all_stable(self) -> bool:
-        """Whether the wall is proved stable for every hand."""
-        return self.certainty.startswith(_PROVED) and isfinite(self.largest_stiffness)
-
-
-class WorstHeld(NamedTuple):
-    """The verdict on a wall for all hands, the worst of them, and the loop that it holds.
-
-    ``hand`` is None where neither a hand nor the mass varies; ``tried`` describes the search where
-    the verdict is UNDECIDED, and ``delays`` those of a range with which a motion grows.
-    """
-
-    verdict: Verdict
-    loop: HapticLoop
-    hand: HeldBy | None
-    tried: str | None
-    delays: str | None = None
-
-
-def worst_held(scene: Scene, walls: Sequence[Gains]) -> list[WorstHeld]:
-    """Verdicts on walls for all hands of a scene's range, and the worst hands."""
-    loop, hands, mass = loop_of(scene), range_of_hands(scene), masses_of(scene)
-    if is_one_mass(scene):
-        worsts = worst_hands(loop, hands, walls, mass)
-    else:
-        worsts = [loop.worst_hand(hands, *gains, mass=mass) for gains in walls]
-    return [
-        WorstHeld(
-            worst.verdict,
-            worst.loop,
-            held_by(worst.loop, scene),
-            _TRIED if worst.verdict == Verdict.UNDECIDED else None,
-        )
-        for worst in worsts
-    ]
-
-
-def worst_over_delays(scene: Scene, gains: Gains) -> WorstHeld:
-    """Return the verdict on a wall for a range of delays, and the worst hand or delay.
-
-    Of a delay that moves it is for every sequence and hand, of one that is constant for each
-    constant one, with the hand at its lowest values.
-    """
-    loops, hands, moving = loops_over_delays(scene), hands_of(scene), moving_delays(scene)
-    if moving:
-        loop, hand, tried, words = loops[0], None, None, None
-        if hands is None:
-            code = Verdict(int(loop.verdict(*gains, **moving)))
-        else:
-            code, loop, _ = loop.worst_hand(hands, *gains, mass=masses_of(scene), **moving)
-            hand, tried = held_by(loop, scene), _TRIED if code == Verdict.UNDECIDED else None
-        if code == Verdict.UNSTABLE:
-            words = str(loop.worst_delays(*gains, **moving))
-        return WorstHeld(code, loop, hand, tried, words)
-    tried = at_lowest(scene, NOT_FOR_OTHERS)
-    worst = LoopsBetween(*loops).worst_loop(*gains)
-    delay = Quantity("s").words(worst.loop.delay)
-    words = f"a constant delay of {delay}: a factor of {worst.radius:.6g} per sample"
-    is_unstable = worst.verdict == Verdict.UNSTABLE
-    return WorstHeld(worst.verdict, worst.loop, None, tried, words if is_unstable else None)
-
-
-def loops_over_delays(scene: Scene) -> list[HapticLoop]:
-    """Return the loops of the shortest and the longest delay; one where these are the same."""
-    return [loop_of(with_delay(scene, delay)) for delay in dict.fromkeys(scene.controller.delays)]
-
-
-def moving_delays(scene: Scene) -> dict[str, Any]:
-    """Return the arguments ``delays`` and ``lost`` for a delay that moves; none for another."""
-    moves, delays = scene.controller.moves, scene.controller.delays
-    return {"delays": delays, "lost": scene.controller.lost_samples} if moves else {}
-
-
-def limit_for_all(scene: Scene, safety: float) -> AllHands | None:
-    """Return what all hands of a scene allow; None where neither the hand nor the mass varies."""
-    hands = hands_of(scene)
-    if hands is None:
-        return None
-    loop, mass, moving = loops_over_delays(scene)[0], masses_of(scene), moving_delays(scene)
-    robust = loop.robust_limit(hands, mass=mass, **moving)
-    is_proved, stiffness = robust.is_proved, safety * robust.stiffness
-    if safety < 1.0 and not isnan(stiffness):
-        worst = loop.worst_hand(hands, stiffness, robust.damping, mass=mass, **moving)
-        is_proved = worst.verdict == Verdict.STABLE
-    proved = _PROVED + ("" if mass is None else f" and {scene.units.moved}")
-    proved += " and every sequence of delays" if moving else ""
-    tried = "no wall was found" if isnan(stiffness) else "not proved"
-    return AllHands(
-        largest_stiffness=stiffness,
-        at_damping=robust.damping,
-        certainty=proved if is_proved else tried,
-        none_is_stiffer_than=safety * robust.limit if is_one_mass(scene) and not moving else None,
-        worst_hand=held_by(robust.loop, scene),
-    )
-
-
-def at_lowest(scene: Scene, rest: str = " unless stated otherwise") -> str | None:
-    """Return for which hand answers hold that name none, and the rest; None where none varies."""
-    if hands_of(scene) is None:
-        return None
-    mass = f", the device at its lowest {scene.units.moved}" if scene.device.varies else ""
-    return f"at its lowest values{mass}{rest}"
-
-
-def held_by(loop: HapticLoop, scene: Scene) -> HeldBy:
-    """Return the hand of a loop of a scene, and the device's mass if that varies."""
-    hand, own = (loop.hand_mass, loop.hand_stiffness, loop.hand_damping), loop.device_mass
-    if loop.device is not None:
-        arm, body = loop.device.hands[0].dynamics, loop.device.mechanism
-        assert isinstance(arm, MassSpringDamper)  # as scenes make hands
-        assert isinstance(body, MassSpringDamper | Modes)  # and devices
-        hand, own = (arm.mass, arm.stiffness, arm.damping), body.mass
-    return HeldBy(*hand, own if scene.device.varies else None)
-
-
-def common_outline(loops: list[HapticLoop]) -> Floats:
-    """Return walls (K, B) that are stable for each of some loops: ``common_walls``, not proved."""
-    regions = [reachable(wall_region(loop)) for loop in loops]
-    if any(region.is_empty for region in regions):
-        return np.zeros((0, 2))
-    return common_walls(regions, _ROWS)
-
 
 _HORIZON = 2**17  # samples within which settling is looked for
 _LEVELS = 0.02, 0.05
@@ -333,19 +157,13 @@ class Jitter(Answer):
 
 
 @dataclass(frozen=True)
-class WallCheck(Answer):
-    """The answers about a wall: the requested measures.
+class WallCheck(WallVerdict):
+    """The verdict on a wall, and the requested measures.
 
     The worst hand is that of the largest radius, which is given for it; every other measure is the
     worst over the hands that are tried.
     """
 
-    stiffness: Stiffness
-    damping: Damping
-    verdict: Verdict
-    hands_are: str | None
-    worst_hand: HeldBy | None
-    worst_delays: str | None
     measures_are: str | None
     margins: Margins | None = None
     distance: Distance | None = None
@@ -373,6 +191,28 @@ class Check(Answer):
         )
 
 
+# Many walls at once: loops of one mass with the same estimator, filter and sampling period are one
+# loop with arrays. Any other loop is evaluated by itself, at all of its walls.
+
+
+def _evaluated(
+    method: Callable[..., Any], walls: Sequence[tuple[HapticLoop, Gains]], *, apart: bool = False
+) -> Any:
+    """Return what a method of loops answers about walls, as arrays; ``apart``: loop by loop."""
+    groups = alike(
+        loop if apart or loop.body is None else (loop.sample_time, loop.velocity, loop.position)
+        for loop, _ in walls
+    )
+    answers = []
+    for indices in groups:
+        loops = [walls[index][0] for index in indices]
+        gains = np.array([walls[index][1] for index in indices]).T
+        is_one = apart or loops[0].body is None
+        answers.append(method(loops[0] if is_one else as_one(loops), *gains))
+    order = np.argsort(np.concatenate(groups))
+    return tree_map(lambda *parts: np.concatenate(parts)[order], *answers)
+
+
 @dataclass(frozen=True)
 class _Wall:
     """A wall of a scene, the loops with the hands at the corners of its range and the worst."""
@@ -380,32 +220,31 @@ class _Wall:
     scene: Scene
     gains: Gains
     loops: list[HapticLoop]
-    known: WorstHeld
-
-    def wants(self, measure: str) -> bool:
-        wanted = measure in self.scene.wanted.measures
-        return wanted and (measure != "chatter" or self.scene.device.encoder is not None)
+    worst: WorstHeld
 
 
 def check_walls(scene: Scene) -> Check:
     """The verdict on each wall and the requested measures, at their worst; at least one wall."""
-    walls = _walls_of(scene)
+    walls, encoder = _walls_of(scene), scene.device.encoder
     measured: list[dict[str, Any]] = [{} for _ in walls]
-    for name, (ask, summarise) in _MEASURES.items():
-        if walls[0].wants(name):
-            for own, wall, loops, answer in zip(
-                measured, walls, *_over_hands(walls, ask), strict=True
-            ):
-                own[name] = summarise(wall, loops, answer)
+    for name, (method, summarise) in _MEASURES.items():
+        if name not in scene.wanted.measures:
+            continue
+        if name == "chatter":
+            if encoder is None:
+                continue
+            method = partial(method, encoder=encoder.resolution)
+        held = [_loops_for(wall, name) for wall in walls]
+        pairs = [(x, wall.gains) for wall, loops in zip(walls, held, strict=True) for x in loops]
+        answers, end = _evaluated(method, pairs, apart=name in _APART), 0
+        for own, wall, loops in zip(measured, walls, held, strict=True):
+            begin, end = end, end + len(loops)
+            own[name] = summarise(wall, loops, take(answers, np.s_[begin:end]))
     felt = contacts_or_reasons(scene) if scene.wanted.measures else {}
     checked = {
         name: WallCheck(
-            *wall.gains,
-            wall.known.verdict,
-            wall.known.tried,
-            wall.known.hand,
-            wall.known.delays,
-            _measures_are(wall) if answers else None,
+            **vars(wall.worst.on(wall.gains)),
+            measures_are=_measures_are(wall) if answers else None,
             **answers,
             simulated=felt.get(name),
         )
@@ -419,48 +258,30 @@ def _walls_of(scene: Scene) -> list[_Wall]:
     loops = loops_over_delays(scene)
     if hands_of(scene) and (scene.controller.has_one_delay or scene.controller.moves):
         every = (corner_loops(with_delay(scene, loop.delay)) for loop in loops)
-        loops = list(dict.fromkeys([*loops, *(loop for some in every for loop in some)]))
+        loops = list(dict.fromkeys([*loops, *(loop for corners in every for loop in corners)]))
     gains = list(walls_of(scene).values())
     return [
         _Wall(scene, pair, list(dict.fromkeys([*loops, held.loop])), held)
-        for pair, held in zip(gains, _known(scene, gains, loops[0]), strict=True)
+        for pair, held in zip(gains, _verdicts_on(scene, gains, loops[0]), strict=True)
     ]
 
 
-def _known(scene: Scene, walls: list[Gains], loop: HapticLoop) -> list[WorstHeld]:
+def _verdicts_on(scene: Scene, walls: list[Gains], loop: HapticLoop) -> list[WorstHeld]:
     """The verdict on each wall at the worst hand or delay, or in the loop if none varies."""
     if not scene.controller.has_one_delay:
         return [worst_over_delays(scene, gains) for gains in walls]
     if hands_of(scene):
         return worst_held(scene, walls)
-    codes = verdicts([Rendered(loop, gains) for gains in walls])
+    codes = _evaluated(HapticLoop.verdict, [(loop, gains) for gains in walls])
     return [WorstHeld(Verdict(int(code)), loop, None, None) for code in codes]
 
 
-def _over_hands(
-    walls: Sequence[_Wall], ask: Callable[[Sequence[Rendered], Floats], Any]
-) -> tuple[list[list[HapticLoop]], list[Any]]:
-    """Return the loops of each wall, and what all of them answer, evaluated together."""
-    held = [_loops_for(wall, ask) for wall in walls]
-    counts = [len(loops) for loops in held]
-    encoders = [wall.scene.device.encoder for wall in walls]
-    steps = [encoder.resolution if encoder else nan for encoder in encoders]
-    rendered = [Rendered(x, w.gains) for w, loops in zip(walls, held, strict=True) for x in loops]
-    answers = ask(rendered, np.repeat(steps, counts))
-    ends = np.cumsum(counts)
-    parts = [
-        tree_map(lambda one, own=slice(end - count, end): one[own], answers)
-        for count, end in zip(counts, ends, strict=True)
-    ]
-    return held, parts
-
-
-def _loops_for(wall: _Wall, ask: Any) -> list[HapticLoop]:
+def _loops_for(wall: _Wall, measure: str) -> list[HapticLoop]:
     """Return the loops of a wall that a measure is for: all of them, or the worst alone."""
-    if ask is _jitter_margins and wall.scene.controller.moves:
-        return [replace(wall.known.loop, delay=wall.scene.controller.delays[0])]
-    is_of_worst = ask in (_radii, _jitter_margins) and not wall.scene.controller.moves
-    return [wall.known.loop] if is_of_worst else wall.loops
+    moves = wall.scene.controller.moves
+    if measure == "jitter" and moves:
+        return [replace(wall.worst.loop, delay=wall.scene.controller.delays[0])]
+    return [wall.worst.loop] if measure in _OF_WORST and not moves else wall.loops
 
 
 def _among(words: str, loops: list[HapticLoop]) -> str | None:
@@ -481,7 +302,7 @@ def _measures_are(wall: _Wall) -> str | None:
 
 
 def _hand_of(wall: _Wall, loop: HapticLoop) -> HeldBy | None:
-    return None if wall.known.hand is None else held_by(loop, wall.scene)
+    return None if wall.worst.hand is None else held_by(loop, wall.scene)
 
 
 def _least_margins(wall: _Wall, loops: list[HapticLoop], margins: LoopMargins) -> Margins:
@@ -490,7 +311,7 @@ def _least_margins(wall: _Wall, loops: list[HapticLoop], margins: LoopMargins) -
     stiffer, damper, extra_delay = spare.min(axis=1).tolist()
     searched = MOST_DELAY * wall.loops[0].sample_time if isinf(extra_delay) else None
     limits = _common(margins.stiffness), _common(margins.damping)
-    kind = NoMargins if wall.known.verdict == Verdict.UNSTABLE else Margins
+    kind = NoMargins if wall.worst.verdict == Verdict.UNSTABLE else Margins
     words = _among("smallest", loops)
     return kind(stiffer, damper, *limits, extra_delay, searched, words)
 
@@ -506,10 +327,6 @@ def _least_distance(_: _Wall, loops: list[HapticLoop], distances: Floats) -> Dis
     return Distance(float(np.min(distances)), _among("smallest", loops))
 
 
-def _radii(rendered: Sequence[Rendered], _: Floats) -> SpectralRadius:
-    return spectral_radii(rendered)
-
-
 def _radius(_: _Wall, __: list[HapticLoop], radius: SpectralRadius) -> Radius:
     worst = int(np.argmax(radius.value))
     return Radius(float(radius.value[worst]), float(radius.error[worst]))
@@ -518,8 +335,8 @@ def _radius(_: _Wall, __: list[HapticLoop], radius: SpectralRadius) -> Radius:
 def _longest(wall: _Wall, loops: list[HapticLoop], settlings: list[MotionSettling]) -> Settling:
     numbers = [_slowest(settling) for settling in settlings]
     two, five = (
-        MotionSettling(settling.value[number], settling.status[number])
-        for number, settling in zip(numbers, settlings, strict=True)
+        MotionSettling(settling.value[index], settling.status[index])
+        for index, settling in zip(numbers, settlings, strict=True)
     )
     status, hand = SettlingStatus(int(two.status)), _hand_of(wall, loops[numbers[0]])
     return Settling(settled(two), settled(five), status, _among("longest", loops), hand)
@@ -558,10 +375,6 @@ def _chatter(_: _Wall, loops: list[HapticLoop], amplitude: Amplitudes) -> Chatte
     return Chatter(most, force, float(amplitude.force_per_count[0]), words)
 
 
-def _jitter_margins(rendered: Sequence[Rendered], _: Floats) -> Floats:
-    return np.array([float(one.loop.jitter_margin(*one.gains)) for one in rendered])
-
-
 def _jitter(wall: _Wall, _: list[HapticLoop], margin: Floats) -> Jitter:
     """Return how far the delay may move above that of the scene, with the worst hand alone."""
     controller, extra = wall.scene.controller, float(margin[0])
@@ -570,17 +383,25 @@ def _jitter(wall: _Wall, _: list[HapticLoop], margin: Floats) -> Jitter:
         spent = high - low + controller.lost_samples * controller.sample_time
         extra = max(extra * (1.0 - 8.0 * EPS) - spent * (1.0 + 8.0 * EPS), 0.0)
     words = ["beyond the range"] * controller.moves
-    words += ["for the worst hand"] * (wall.known.hand is not None)
+    words += ["for the worst hand"] * (wall.worst.hand is not None)
     return Jitter(extra or nan, ", ".join(words) or None)
 
 
+def _settlings(loop: HapticLoop, *gains: Floats) -> list[MotionSettling]:
+    """Return the settling times of walls to each level."""
+    return [loop.settling_time(*gains, level=level, horizon=_HORIZON) for level in _LEVELS]
+
+
 _MEASURES: dict[str, tuple[Callable[..., Any], Callable[..., Answer]]] = {
-    "margins": (lambda walls, _: wall_margins(walls), _least_margins),
-    "distance": (lambda walls, _: boundary_distances(walls), _least_distance),
-    "radius": (_radii, _radius),
-    "settling": (lambda walls, _: settling_times(walls, _LEVELS, _HORIZON), _longest),
-    "oscillation": (lambda walls, _: oscillations(walls), _least_damped),
-    "chatter": (amplitudes, _chatter),
-    "jitter": (_jitter_margins, _jitter),
+    "margins": (HapticLoop.margins, _least_margins),
+    "distance": (HapticLoop.boundary_distance, _least_distance),
+    "radius": (HapticLoop.spectral_radius, _radius),
+    "settling": (_settlings, _longest),
+    "oscillation": (HapticLoop.oscillation, _least_damped),
+    "chatter": (HapticLoop.amplitude, _chatter),
+    "jitter": (HapticLoop.jitter_margin, _jitter),
 }
-"""What a measure evaluates, from walls and resolutions, and how it is summarised over the hands."""
+"""The method of a loop that gives a measure, and how it is summarised over the hands."""
+
+_APART = "distance", "jitter"  # of methods that take no loop with arrays
+_OF_WORST = "radius", "jitter"  # with the worst hand alone

@@ -6,7 +6,7 @@ lowest ends of their ranges, the delay is constant and the longest one. The answ
 worst start, which it names.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from math import isnan
 from pathlib import Path
@@ -19,7 +19,7 @@ from jaxstab.loop import Contact, ContactKind, HapticLoop, contact_map
 from jaxstab.loop.contact import contact_dataset
 from jaxstab.scene.answers import Answer, Basis, Frequency, Quantity, basis_of
 from jaxstab.scene.loops import hands_of, loop_of, walls_of, with_delay
-from jaxstab.scene.scene import Scene, Units
+from jaxstab.scene.scene import Scene
 
 if TYPE_CHECKING:
     from jaxstab.datasets import Dataset
@@ -52,11 +52,6 @@ class Simulated(Answer):
     worst_start: str
     contact_is: str
 
-    @property
-    def is_quiet(self) -> bool:
-        """Whether the device came to rest, or left the wall for good."""
-        return self.contact in (ContactKind.RESTS, ContactKind.LEAVES)
-
 
 @dataclass(frozen=True)
 class NotSimulated(Answer):
@@ -76,7 +71,8 @@ class Contacts(Answer):
     @property
     def all_stable(self) -> bool:
         """Whether every simulated contact came to rest; nothing is proved."""
-        return all(wall.is_quiet for wall in self.walls.values())
+        quiet = ContactKind.RESTS, ContactKind.LEAVES
+        return all(wall.contact in quiet for wall in self.walls.values())
 
 
 def simulate_contacts(scene: Scene) -> Contacts:
@@ -106,7 +102,9 @@ def contacts_of(scene: Scene) -> dict[str, Simulated]:
     order = (contact.time_to_rest, contact.amplitude, rank)
     worst = np.lexsort(np.nan_to_num(order, posinf=np.finfo(float).max), axis=-1)[:, -1]
     return {
-        name: _simulated(scene, Contact(*(one[k, start] for one in contact[:-1])), starts[start])
+        name: _simulated(
+            scene, Contact(*(values[k, start] for values in contact[:-1])), starts[start]
+        )
         for k, (name, start) in enumerate(zip(scene.walls, worst, strict=True))
     }
 
@@ -119,7 +117,9 @@ def contacts_or_reasons(scene: Scene) -> Mapping[str, Simulated | NotSimulated]:
         if len(scene.walls) == 1:
             return dict.fromkeys(scene.walls, NotSimulated(f"not simulated: {error}"))
     alone = (replace(scene, walls={name: wall}) for name, wall in scene.walls.items())
-    return {name: answer for one in alone for name, answer in contacts_or_reasons(one).items()}
+    return {
+        name: answer for single in alone for name, answer in contacts_or_reasons(single).items()
+    }
 
 
 def simulated_map(scene: Scene, stiffness: Any, damping: Any, **start: Any) -> Contact:
@@ -145,11 +145,12 @@ def map_contacts(
                 "then equal to friction."
             )
         given["friction"] = friction[:, None, None]
-    return contact_dataset(loop, given, path, _in_units(scene.units))
+    units = scene.units
 
+    def in_units(unit: str) -> str:
+        return f"{units.length}/s" if unit == "m/s" else units.unit(unit)
 
-def _in_units(units: Units) -> Callable[[str], str]:
-    return lambda unit: f"{units.length}/s" if unit == "m/s" else units.unit(unit)
+    return contact_dataset(loop, given, path, in_units)
 
 
 def _conditions(scene: Scene) -> dict[str, Any]:
@@ -174,8 +175,8 @@ def walls_around(
 ) -> tuple[Floats, Float64[np.ndarray, "_ 1"]]:
     """Return a grid of walls beyond the stable ones and others, (count,) and (count, 1)."""
     limits = loop.limits()
-    known = np.array([(limits.stiffness, limits.damping), *others])
-    stiffness, damping = _WIDER * np.nanmax(known, axis=0)
+    gains = np.array([(limits.stiffness, limits.damping), *others])
+    stiffness, damping = _WIDER * np.nanmax(gains, axis=0)
     return np.linspace(0.0, stiffness, count + 1)[1:], np.linspace(0.0, damping, count)[:, None]
 
 

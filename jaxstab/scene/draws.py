@@ -166,7 +166,8 @@ def distribution_of(text: str) -> Distribution | None:
     """
     kind, *parts = text.split(":")
     if kind == "csv" and len(parts) >= 2:
-        return _column(":".join(parts[:-1]), parts[-1])
+        file, column = ":".join(parts[:-1]), parts[-1]
+        return Measured(tuple(columns_of(file, [column])[column]), file)
     kinds: dict[str, Any] = {"normal": Normal, "uniform": Uniform, "lognormal": LogNormal}
     if not parts or isinstance(_number_or_text(kind), float):
         return None
@@ -226,10 +227,6 @@ def draws_of(
         values[below] = distribution._draw(generator, int(below.sum()))
         below = values < least
     return values, again
-
-
-def _column(file: str, column: str) -> Measured:
-    return Measured(tuple(columns_of(file, [column])[column]), file)
 
 
 def columns_of(

@@ -6,6 +6,7 @@ from math import prod
 
 import numpy as np
 
+from jaxstab.conventions import Range
 from jaxstab.guard import Guard, build_guard
 from jaxstab.guard.build import CELLS, CONSTANT_CELLS, plan_guard
 from jaxstab.guard.guard import LARGEST_HEADER
@@ -14,8 +15,6 @@ from jaxstab.model.parameters import LONGEST_DELAY
 from jaxstab.scene.answers import basis_of
 from jaxstab.scene.loops import is_one_mass, loop_of, masses_of, range_of_hands, with_delay
 from jaxstab.scene.scene import Scene, range_in_words
-
-Range = tuple[float, float]
 
 _MASSES = 0.8, 1.25  # of the scene's: what postures may make of it
 _DELAYS = 1.0  # samples beside the scene's if it is constant, and beyond it if it moves
@@ -50,7 +49,7 @@ def scene_guard(
     is_plain = is_one_mass(scene)
     shares, beside = (_MASSES, _DELAYS) if is_plain else (_DEVICE_MASSES, _DEVICE_DELAYS)
     mass, delay, period = scene.device.effective_mass[0], loop.delay, loop.sample_time
-    known = controller.delays
+    given_delays = controller.delays
     shortest = max(delay - beside * period, 0.0) if constant_delay else delay
     if masses and not (masses[0] <= _FAR * mass and mass <= _FAR * masses[1]):
         unit = scene.units.kilogram
@@ -63,7 +62,12 @@ def scene_guard(
         loop,
         range_of_hands(scene),
         mass=masses or masses_of(scene) or (shares[0] * mass, shares[1] * mass),
-        delay=delays or (known if known[0] < known[1] else (shortest, delay + beside * period)),
+        delay=delays
+        or (
+            given_delays
+            if given_delays[0] < given_delays[1]
+            else (shortest, delay + beside * period)
+        ),
         lost=lost,
         constant_delay=constant_delay,
         progress=progress,
@@ -139,7 +143,7 @@ def _delay_of(guard: Guard) -> str:
 def _granted(scene: Scene, guard: Guard) -> list[str]:
     """Return what share of the stable walls is granted, and where it is least, in lines."""
     units, least = scene.units, guard.costliest
-    mass, stiffness, damping = (f"{number:g}" for number in least.hand)
+    mass, stiffness, damping = (f"{value:g}" for value in least.hand)
     proved = float(np.diff(guard.rows).mean()) / guard.grid.cells[2]
     left = f"Nothing is proved, and granted, in {100.0 * (1.0 - proved):.1f} % of the table."
     at = "any delay" if least.delay is None else f"a delay of {least.delay:g} s"

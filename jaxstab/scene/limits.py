@@ -10,7 +10,6 @@ import numpy as np
 from jaxstab import paper
 from jaxstab.conventions import Verdict
 from jaxstab.loop import Gains, HapticLoop, WallLimits, WallRegion
-from jaxstab.loop.between import LoopsBetween
 from jaxstab.model import Velocity
 from jaxstab.scene.answers import (
     Answer,
@@ -25,16 +24,16 @@ from jaxstab.scene.answers import (
     StiffnessLimits,
     basis_of,
 )
-from jaxstab.scene.check import (
+from jaxstab.scene.hands import (
     NOT_FOR_OTHERS,
     AllHands,
     Floats,
-    WallCheck,
+    WallVerdict,
     at_lowest,
-    check_walls,
     limit_for_all,
     loops_over_delays,
     moving_delays,
+    worst_over_delays,
 )
 from jaxstab.scene.loops import is_plain, loop_of, reachable, wall_region, walls_of
 from jaxstab.scene.scene import Scene
@@ -134,7 +133,7 @@ class LimitsOverDelays(Answer):
     safety: Number | None
     hand: str | None
     best: ProvedWall
-    walls: dict[str, WallCheck]
+    walls: dict[str, WallVerdict]
     all_hands: AllHands | None
 
     @property
@@ -209,9 +208,9 @@ def brief(answer: Limits | LimitsOverDelays, *, islands: bool = False) -> str:
     return "\n".join(f"{name:{column}}{words}" for name, words in lines.items())
 
 
-def _wall_text(wall: WallCheck | AroundWall, key: str, said: dict[str, str]) -> str:
+def _wall_text(wall: WallVerdict | AroundWall, key: str, said: dict[str, str]) -> str:
     """Return the gains of a wall, and its verdict or the stiffness limits at its damping."""
-    if isinstance(wall, WallCheck):
+    if isinstance(wall, WallVerdict):
         names = (f"{key}.{name}" for name in ("verdict", "worst_delays"))
         words = ", ".join(said[name] for name in names if name in said)
         return f"{said[f'{key}.stiffness']} at {said[f'{key}.damping']}, {words}"
@@ -238,7 +237,7 @@ def scene_limits(scene: Scene) -> Limits | LimitsOverDelays:
     limits = region.limits()
     damping, stiffness = wanted.at_damping, wanted.at_stiffness
     rows = _Rows(loop, reachable(region), safety)
-    has_rules = is_plain(loop)
+    has_rules, islands = is_plain(loop), () if wanted.safety else limits.islands
     return Limits(
         inputs=basis_of(scene),
         safety=wanted.safety,
@@ -246,7 +245,7 @@ def scene_limits(scene: Scene) -> Limits | LimitsOverDelays:
         best=StiffestWall(*rows.scaled_stiffness(limits.stiffness, limits.at_damping)),
         most_damped=MostDampedWall(*rows.scaled_damping(limits.damping, limits.at_stiffness)),
         reached=None if limits.is_reachable or region.is_empty else _UNSTABLE_AT_0,
-        islands={} if wanted.safety else _islands(limits),
+        islands={str(k): Island(*own[:4], _ISOLATED) for k, own in enumerate(islands, 1)},
         passive=_passive(loop, safety) if has_rules else None,
         linear_rule=(
             _linear_rule(rows, limits, safety) if has_rules and not region.is_empty else None
@@ -275,6 +274,8 @@ def _over_delays(scene: Scene) -> LimitsOverDelays:
         unstable, every = moving.unstable_stiffness, "sequence of delays"
         judge: Any = partial(loops[0].verdict, **moving_delays(scene))
     else:
+        from jaxstab.loop.between import LoopsBetween
+
         between = LoopsBetween(*loops)
         robust, judge = between.robust_limit(), between.verdict
         best, is_proved = Gains(robust.stiffness, robust.damping), robust.is_proved
@@ -282,13 +283,15 @@ def _over_delays(scene: Scene) -> LimitsOverDelays:
         best = best._replace(stiffness=wanted.safety * best.stiffness)
         is_proved = bool(judge(*best) == Verdict.STABLE)
     tried = "not proved" if best.stiffness > 0.0 else "no wall was found"
-    judged = replace(scene, wanted=replace(wanted, measures=()))
     return LimitsOverDelays(
         inputs=basis_of(scene),
         safety=wanted.safety,
         hand=at_lowest(scene, _SEE_BELOW if controller.moves else NOT_FOR_OTHERS),
         best=ProvedWall(*best, f"{_PROVED} {every}" if is_proved else tried, unstable),
-        walls=check_walls(judged).walls if scene.walls else {},
+        walls={
+            name: worst_over_delays(scene, gains).on(gains)
+            for name, gains in walls_of(scene).items()
+        },
         all_hands=limit_for_all(scene, wanted.safety or 1.0) if controller.moves else None,
     )
 
@@ -355,10 +358,6 @@ def inwards(low: float, high: float, safety: float) -> tuple[float, float]:
     low = low * safety if low < 0.0 else low / safety
     high = high * safety if high > 0.0 else high / safety
     return (low, high) if low <= high else (nan, nan)
-
-
-def _islands(limits: WallLimits) -> dict[str, Island]:
-    return {str(k): Island(*island[:4], _ISOLATED) for k, island in enumerate(limits.islands, 1)}
 
 
 def _linear_rule(rows: "_Rows", limits: WallLimits, safety: float) -> LinearRule:

@@ -6,13 +6,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxstab import ranges
 from jaxstab.loop import Gains, HapticLoop, WallRegion
 from jaxstab.model import Device, Mode
 from jaxstab.model import Hand as Arm
 from jaxstab.model.filters import Velocity, given_filters
 from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT
-from jaxstab.ranges import HandRange
-from jaxstab.ranges.hands import spread_hands
 from jaxstab.region import RegionStatus
 from jaxstab.scene.scene import Hand, Scene
 
@@ -42,7 +41,8 @@ def wall_region(loop: HapticLoop) -> WallRegion:
 def loop_of(scene: Scene, hand: OneHand | None = None) -> HapticLoop:
     """The loop of a scene with a hand; without, the one at the lowest ends of the ranges."""
     if hand is None:
-        hand = OneHand(*(low for low, _ in vars(range_of_hands(scene)).values()))
+        held = scene.hand or Hand()
+        hand = OneHand(held.effective_mass[0], held.stiffness[0], held.damping[0])
     _check_scale(scene)
     controller = scene.controller
     mechanics = _one_mass(scene, hand) if is_one_mass(scene) else {"device": _device(scene, hand)}
@@ -71,7 +71,7 @@ def reachable(region: WallRegion) -> WallRegion:
     return region.main or region
 
 
-def hands_of(scene: Scene) -> HandRange | None:
+def hands_of(scene: Scene) -> "ranges.HandRange | None":
     """Return the range of hands; None where neither the hand nor the device's mass varies."""
     varies = scene.device.varies or (scene.hand is not None and scene.hand.varies)
     return range_of_hands(scene) if varies else None
@@ -89,6 +89,8 @@ def walls_of(scene: Scene) -> dict[str, Gains]:
 
 def hands_among(scene: Scene, count: int) -> list[OneHand]:
     """A grid over the ranges of the scene's hand and device mass; ``count`` 2 gives the corners."""
+    from jaxstab.ranges.hands import spread_hands
+
     hands, masses = spread_hands(range_of_hands(scene), count).tolist(), masses_of(scene)
     among = [None] if masses is None else np.linspace(*masses, count).tolist()
     return [OneHand(*hand)._replace(device_mass=mass) for hand in hands for mass in among]
@@ -99,10 +101,12 @@ def corner_loops(scene: Scene) -> list[HapticLoop]:
     return [loop_of(scene, hand) for hand in hands_among(scene, 2)]
 
 
-def range_of_hands(scene: Scene) -> HandRange:
+def range_of_hands(scene: Scene) -> "ranges.HandRange":
     """Return the range of hands; of a scene without a hand, that of no hand."""
     hand = scene.hand or Hand()
-    return HandRange(mass=hand.effective_mass, stiffness=hand.stiffness, damping=hand.damping)
+    return ranges.HandRange(
+        mass=hand.effective_mass, stiffness=hand.stiffness, damping=hand.damping
+    )
 
 
 def _one_mass(scene: Scene, hand: OneHand) -> dict[str, float]:

@@ -359,22 +359,13 @@ class VelocityTable(_TimedTable):
         return min((section.longest_sample_time for section in sections), default=inf)
 
     @property
-    def usual_sample_time(self) -> float | None:
-        """The sampling period in s for which the preset is meant; None where it does not matter."""
-        meant = self._preset_numbers.get("sample_time")
-        return meant.value if meant else None
-
-    @property
-    def is_assumed(self) -> bool:
-        """Whether a number of the preset is assumed, in whole or in part."""
-        return any(ASSUMED in entry.source for entry in self._preset_numbers.values())
-
-    @property
-    def _preset_numbers(self) -> Mapping[str, Sourced]:
+    def preset_numbers(self) -> Mapping[str, Sourced]:
+        """The numbers of the preset by key, each with its source."""
         return software_presets()[self.preset].numbers if self.preset else {}
 
     def __str__(self) -> str:
-        preset = f" (preset {self.preset}{', assumed in part' if self.is_assumed else ''})"
+        is_assumed = any(ASSUMED in entry.source for entry in self.preset_numbers.values())
+        preset = f" (preset {self.preset}{', assumed in part' if is_assumed else ''})"
         return f"{self.as_velocity()}{preset if self.preset else ''}"
 
 
@@ -580,7 +571,9 @@ class Scene:
         try:
             return cls(**_tables(table))
         except ValueError as error:
-            words = _units_of(table).translated(str(error))
+            device = table.get("device")
+            turns = isinstance(device, Mapping) and "inertia" in device
+            words = (Units.ROTATION if turns else Units.LINE).translated(str(error))
             raise ValueError(f"{source}: {words}" if source else words) from None
 
     def require_walls(self) -> None:
@@ -716,14 +709,8 @@ def _slips_of_delay(controller: Controller) -> Iterator[str]:
 
 def _other_period(controller: Controller) -> str:
     """Return a warning for a preset whose numbers are meant for another sampling period."""
-    usual = controller.velocity.usual_sample_time if controller.velocity else None
-    if usual is None or usual == controller.sample_time:
+    estimator = controller.velocity
+    usual = estimator.preset_numbers.get("sample_time") if estimator else None
+    if estimator is None or usual is None or usual.value == controller.sample_time:
         return ""
-    name = controller.velocity.preset if controller.velocity else ""
-    return f"the preset {name!r} is meant for a sample_time of {usual:g} s"
-
-
-def _units_of(table: Mapping[str, Any]) -> Units:
-    device = table.get("device")
-    is_turning = isinstance(device, Mapping) and "inertia" in device
-    return Units.ROTATION if is_turning else Units.LINE
+    return f"the preset {estimator.preset!r} is meant for a sample_time of {usual.value:g} s"

@@ -38,6 +38,7 @@ from jaxstab.conventions import Verdict
 from jaxstab.loop import HapticLoop, limits_of
 from jaxstab.model.loop import with_columns
 from jaxstab.motion.settling import SettlingStatus
+from jaxstab.numbers import checked_count
 from jaxstab.region import RegionStatus
 from jaxstab.scene.draws import Distribution, Measured, Uniform, draws_of
 from jaxstab.scene.loops import loop_of
@@ -488,7 +489,7 @@ def merge_studies(parts: Sequence[str | PathLike[str]], store: str | PathLike[st
     """
     from jaxstab.datasets import merged
 
-    merged([Path(part) for part in parts], Path(store))
+    merged([Path(file) for file in parts], Path(store))
     return Study(Path(store))
 
 
@@ -514,7 +515,8 @@ def study_dataset(
     source = _Source(_table_of(of))
     drawn_ranges = {key: own for key, own in source.ranges.items() if key not in over}
     over = {**over, **drawn_ranges}
-    columns, notes = _columns(source, over, _checked_samples(samples), seed)
+    samples = checked_count("samples", samples, 1, MOST_SAMPLES)
+    columns, notes = _columns(source, over, samples, seed)
     notes += [
         f"{key}: drawn uniformly from the range of the scene, {own.low:g} to {own.high:g}."
         for key, own in drawn_ranges.items()
@@ -523,7 +525,10 @@ def study_dataset(
     gains = source.walls if walls is None else {n: _checked_wall(n, *w) for n, w in walls.items()}
     wanted = tuple(dict.fromkeys(answers or ("limits", *(["verdict"] if gains else []))))
     for name in wanted:
-        _checked_answer(name)
+        try:
+            one_of(ANSWERS)(name)
+        except ValueError as error:
+            raise ValueError(f"answers has {shortened(name)}; {error}") from None
         if name != "limits" and not gains:
             raise ValueError(f"answers has {name}, which is of walls; give walls.")
     has_walls = wanted != ("limits",)
@@ -639,7 +644,8 @@ def _columns(
     columns, notes = list[_Column](), list[str]()
     for key, given in over.items():
         source.check_key(key)
-        _, words, unit = source.numbers.get(key, ("", key, _other_unit(key)))
+        other_unit = _OTHER_UNITS.get(key.rpartition(".")[2], "1")
+        _, words, unit = source.numbers.get(key, ("", key, other_unit))
         if isinstance(given, Distribution):
             least = 0.0 if key in source.numbers else -np.inf
             values, again = draws_of(key, given, samples, seed, least)
@@ -687,31 +693,12 @@ def _listed(key: str, given: Any) -> Values:
         ) from None
 
 
-def _other_unit(key: str) -> str:
-    return _OTHER_UNITS.get(key.rpartition(".")[2], "1")
-
-
-def _checked_samples(samples: int) -> int:
-    if isinstance(samples, bool) or not isinstance(samples, int | np.integer):
-        raise ValueError(f"samples is {samples!r}; give a whole number.")
-    if not 1 <= samples <= MOST_SAMPLES:
-        raise ValueError(f"samples is {samples}; give 1 to {MOST_SAMPLES:,}.")
-    return int(samples)
-
-
 def _checked_wall(name: str, stiffness: float, damping: float) -> tuple[float, float]:
     checked_label("wall", name)
     pair = float(stiffness), float(damping)
     if not np.isfinite(pair).all():
         raise ValueError(f"wall {name} is {pair}; give finite numbers.")
     return pair
-
-
-def _checked_answer(name: str) -> None:
-    try:
-        one_of(ANSWERS)(name)
-    except ValueError as error:
-        raise ValueError(f"answers has {shortened(name)}; {error}") from None
 
 
 def _table_of(source: Any) -> Any:
@@ -890,7 +877,10 @@ class _Blocks:
         loops = np.empty(prod(shape), object)
         for k, row in enumerate(unique.tolist()):
             members = np.flatnonzero(group.ravel() == k)
-            fixed = {key: _item(own, place[row]) for key, (own, place) in others.items()}
+            fixed = {
+                key: own[place[row]] if isinstance(own, list) else own[place[row]].item()
+                for key, (own, place) in others.items()
+            }
             given = {key: values[members] for key, values in numbers.items()}
             for name, values in self._answered(fixed, given, members, loops).items():
                 answers[name][members] = values
@@ -932,11 +922,6 @@ def _rows(numbers: Mapping[str, Floats], count: int) -> Any:
     if not numbers:
         return iter([()] * count)
     return zip(*(values.tolist() for values in numbers.values()), strict=True)
-
-
-def _item(values: Values, place: Any) -> Any:
-    value = values[place]
-    return value if isinstance(value, str) else value.item()
 
 
 def _about_walls(

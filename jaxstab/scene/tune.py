@@ -7,9 +7,9 @@ largest sample time and the largest delay that allow a wanted stiffness.
 from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
-from math import inf, isfinite, nan, sqrt
-from typing import Literal, NamedTuple, TypeVar
+from functools import cache, partial
+from math import inf, nan, sqrt
+from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from jaxstab.loop import Gains, HapticLoop, tune_for_all
 from jaxstab.loop.common import settling_times
 from jaxstab.model.filters import LONGEST_WINDOW
 from jaxstab.ranges import HandRange
+from jaxstab.region.roots import root_between
 from jaxstab.scene.answers import (
     Answer,
     Basis,
@@ -33,7 +34,8 @@ from jaxstab.scene.answers import (
     basis_of,
     rounded_gain,
 )
-from jaxstab.scene.check import Amplitude, HeldBy, SettlingTime, at_lowest, settled, worst_held
+from jaxstab.scene.check import Amplitude, SettlingTime, settled
+from jaxstab.scene.hands import HeldBy, at_lowest, worst_held
 from jaxstab.scene.loops import (
     Member,
     corners_of,
@@ -196,25 +198,10 @@ class Tuned(Answer):
         return self.over_ranges is None and all(wall.is_stable for wall in walls)
 
 
-class _Encoder(NamedTuple):
-    """The resolution of an encoder, and how far it may drive a wall; None where not given."""
-
-    resolution: float | None
-    limit: float | None
-
-    @classmethod
-    def from_scene(cls, scene: Scene) -> "_Encoder":
-        encoder, limit = scene.device.encoder, scene.wanted.chatter
-        return cls(
-            None if encoder is None else encoder.resolution,
-            None if limit is None else limit * (1.0 - _ROUNDED),
-        )
-
-
 def tune_walls(scene: Scene) -> Tuned:
     """The walls that settle fastest, and the best damping at the stiffnesses given."""
     loop, hands = loop_of(scene), hands_of(scene)
-    best = partial(_best, scene, loop, hands, _Encoder.from_scene(scene))
+    best = partial(_best, scene, loop, hands)
     given, fastest = scene.wanted.at_stiffness, best("settling")
     gains = Gains(fastest.rounded.stiffness, fastest.rounded.damping) if fastest.rounded else None
     return Tuned(
@@ -232,12 +219,13 @@ def _best(
     scene: Scene,
     loop: HapticLoop,
     hands: HandRange | None,
-    encoder: _Encoder,
     goal: Literal["radius", "settling"],
     stiffness: float | None = None,
 ) -> BestWall:
-    limit = encoder.limit
-    best = loop.tune(goal, stiffness=stiffness, encoder=encoder.resolution, chatter=limit)
+    chatter = scene.wanted.chatter
+    limit = None if chatter is None else chatter * (1.0 - _ROUNDED)
+    encoder = None if scene.device.encoder is None else scene.device.encoder.resolution
+    best = loop.tune(goal, stiffness=stiffness, encoder=encoder, chatter=limit)
     if best.status in (TuningStatus.NO_STABLE_GAINS, TuningStatus.NOT_CALM):
         return BestWall(None, None, None, best.status, None)
     gains = Gains(best.stiffness, best.damping)
@@ -252,11 +240,10 @@ def _best(
     )
 
 
-def _tuned(kind: type[Tuning], loop: HapticLoop, gains: Gains, encoder: _Encoder) -> Tuning:
-    radius, resolution = loop.spectral_radius(*gains), encoder.resolution
-    chatter = None
-    if resolution is not None:
-        chatter = float(loop.amplitude(*gains, encoder=resolution).position)
+def _tuned(kind: type[Tuning], loop: HapticLoop, gains: Gains, encoder: float | None) -> Tuning:
+    radius, chatter = loop.spectral_radius(*gains), None
+    if encoder is not None:
+        chatter = float(loop.amplitude(*gains, encoder=encoder).position)
     return kind(
         stiffness=gains.stiffness,
         damping=gains.damping,
@@ -402,16 +389,27 @@ def _largest(
 ) -> tuple[float, float | None, DesignStatus]:
     """The largest value that allows the wanted stiffness, with the damping and the status."""
 
+    @cache
     def spare(value: float) -> float:
-        return _stiffest(loop_at(value)).stiffness / wanted - 1.0
+        """Return what is left of the stiffness, relative; -1 where no wall is stable."""
+        return max(-1.0, _stiffest(loop_at(value)).stiffness / wanted - 1.0)
 
-    low, high = _bracket(spare, start, lowest, highest)
-    if not low.spare >= 0.0:
+    low = high = start
+    while spare(high) >= 0.0 and high < highest:
+        low, high = high, min(2.0 * high, highest)
+    while spare(low) < 0.0 and low > lowest:
+        half = 0.5 * low
+        low, high = half if half > max(lowest, _NO_DELAY * start) else lowest, low
+    if spare(low) < 0.0:
         return nan, None, DesignStatus.NONE
-    if high.spare >= 0.0:
-        largest, status = high.value, DesignStatus.LONGEST_TRIED
-    else:
-        largest, status = _last_with_spare(spare, low, high, start), DesignStatus.FOUND
+    largest, status = high, DesignStatus.LONGEST_TRIED
+    if spare(high) < 0.0:
+        with np.errstate(all="ignore"):  # where no wall is stable the secant has no slope
+            root = float(
+                root_between(lambda x: np.array(spare(float(x))), np.array(low), np.array(high))
+            )
+        aside = _AGREEMENT * max(root, _NO_DELAY * start)
+        largest, status = max(low, root - aside), DesignStatus.FOUND
     return largest, _stiffest(loop_at(largest)).damping, status
 
 
@@ -432,51 +430,3 @@ def _largest_of(
 
 def _stiffest(loop: HapticLoop) -> Gains:
     return reachable(wall_region(loop)).stiffest
-
-
-class _Trial(NamedTuple):
-    """A value of a quantity, and the relative excess over the wanted stiffness."""
-
-    value: float
-    spare: float
-
-
-def _bracket(
-    spare: Callable[[float], float], start: float, lowest: float, highest: float
-) -> tuple[_Trial, _Trial]:
-    """Two values: the lower one meets the requirement, the upper one does not, if any."""
-    low = high = _Trial(start, spare(start))
-    while high.spare >= 0.0 and high.value < highest:
-        value = min(2.0 * high.value, highest)
-        low, high = high, _Trial(value, spare(value))
-    while not low.spare >= 0.0 and low.value > lowest:
-        value = max(0.5 * low.value, lowest)
-        value = lowest if value < _NO_DELAY * start else value
-        low, high = _Trial(value, spare(value)), low
-    return low, high
-
-
-def _last_with_spare(
-    spare: Callable[[float], float], low: _Trial, high: _Trial, scale: float
-) -> float:
-    """Return the largest value with something to spare, by false position."""
-    # The weight of an end that stays twice is halved (the Illinois rule); if it stays longer, the
-    # interval is halved: the largest value may be 0, and the spare noise next to it.
-    weight_low, weight_high, moved, stays = low.spare, high.spare, "", 0
-    while high.value - low.value > _AGREEMENT * max(high.value, _NO_DELAY * scale):
-        share = weight_low / (weight_low - weight_high) if isfinite(weight_high) else 0.5
-        share = min(max(share, _AGREEMENT / 4), 1.0 - _AGREEMENT / 4)
-        share = 0.5 if stays > 2 else share
-        middle = low.value + share * (high.value - low.value)
-        trial = _Trial(middle, spare(middle))
-        if trial.spare >= 0.0:
-            low, weight_low = trial, trial.spare
-            stays = stays + 1 if moved == "low" else 0
-            weight_high *= 0.5 if moved == "low" else 1.0
-            moved = "low"
-        else:
-            high, weight_high = trial, trial.spare
-            stays = stays + 1 if moved == "high" else 0
-            weight_low *= 0.5 if moved == "high" else 1.0
-            moved = "high"
-    return low.value

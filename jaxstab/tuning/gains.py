@@ -16,10 +16,10 @@ import numpy as np
 from jaxtyping import Float64
 
 from jaxstab.arrays import Numbers
-from jaxstab.conventions import Verdict
+from jaxstab.conventions import Excitation, Verdict
 from jaxstab.model import checked_delta, checked_gain, checked_gamma, require_x64
 from jaxstab.model.filters import Filter, Velocity, given_filters
-from jaxstab.motion.settling import STRETCH, Excitation, checked_level, positions
+from jaxstab.motion.settling import STRETCH, checked_level, positions
 from jaxstab.numbers import checked_number
 from jaxstab.tuning.loops import MassLoop, TunedLoop
 from jaxstab.tuning.radius import Component, OptimalGains, TuningStatus
@@ -161,8 +161,8 @@ def smallest_radius_around(loop: TunedLoop, grid: Grid) -> OptimalGains:
         return float(values.min()), int(values.argmin())
 
     wall, radius = zoomed(least, grid)
-    known = loop.component.status or TuningStatus.SCANNED
-    status = known if radius < 1.0 else TuningStatus.NO_STABLE_GAINS
+    found_by = loop.component.status or TuningStatus.SCANNED
+    status = found_by if radius < 1.0 else TuningStatus.NO_STABLE_GAINS
     return _as_gains(*wall, radius, status)
 
 
@@ -309,21 +309,21 @@ def _smallest_tails(
     count = max(1, _NUMBERS // (settled.length + size * (size + STRETCH)))
     smallest: list[tuple[np.ndarray, np.ndarray]] = []
     for begin in range(0, alphas.size, count):
-        some = slice(begin, begin + count)
-        loops = loop.deviations(alphas[some], betas[some], excitation)
+        block = slice(begin, begin + count)
+        loops = loop.deviations(alphas[block], betas[block], excitation)
         with np.errstate(all="ignore"):  # unstable walls overflow
             deviation = np.abs(positions(loops, settled.length))
             tails = np.maximum.accumulate(deviation[:, ::-1], axis=1)[:, ::-1]
             if excitation == "impact":
                 tails = tails / tails[:, :1]
         tails = np.nan_to_num(tails, nan=np.inf, posinf=np.inf)
-        tails[~loop.component.holds(alphas[some], betas[some])] = np.inf
+        tails[~loop.component.holds(alphas[block], betas[block])] = np.inf
         # A mode that grows, or keeps ringing, may be small for as long as this.
         quiet = np.flatnonzero(tails[:, settled.samples] <= settled.level)
-        decays = loop.decays(alphas[some][quiet], betas[some][quiet], settled.slowest)
+        decays = loop.decays(alphas[block][quiet], betas[block][quiet], settled.slowest)
         tails[quiet[~decays]] = np.inf
         smallest.append((np.min(tails, axis=0), begin + np.argmin(tails, axis=0)))
-    values, places = (np.array(part) for part in zip(*smallest, strict=True))
+    values, places = (np.array(column) for column in zip(*smallest, strict=True))
     best = np.argmin(values, axis=0), np.arange(values.shape[1])
     return values[best], places[best]
 
@@ -344,5 +344,5 @@ def _one_loop(
 
 
 def _as_gains(alpha: float, beta: float, value: float, status: TuningStatus) -> OptimalGains:
-    point = [np.array(number, np.float64) for number in (alpha, beta, value)]
+    point = [np.array(entry, np.float64) for entry in (alpha, beta, value)]
     return OptimalGains(point[0], point[1], point[2], np.array(status, np.int8))

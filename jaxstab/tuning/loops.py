@@ -5,14 +5,14 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from jaxstab.conventions import Verdict
+from jaxstab.conventions import Excitation, Verdict
 from jaxstab.model import by_name
 from jaxstab.model.device import SampledDevice
 from jaxstab.model.device.mechanics import mechanics
 from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords
 from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.motion.response import Loops, bank_for, device_loops, loops_of, propagator
-from jaxstab.motion.settling import Excitation, Settling, device_settling_samples, settling_samples
+from jaxstab.motion.settling import Settling, device_settling_samples, settling_samples
 from jaxstab.point import SpectralRadius, spectral_radius
 from jaxstab.point.radius import linear_spectral_radius
 from jaxstab.point.verdicts import linear_verdict, verdict
@@ -121,18 +121,18 @@ class DeviceLoop(NamedTuple):
         return smallest_radius(_device_walls(self.device, self.filters), self.verdicts)
 
     def settling(self, alpha: Any, beta: Any, level: float, excitation: Excitation) -> Settling:
-        one = self.device
-        gains = np.asarray(alpha) / one.stiffness_unit, np.asarray(beta) / one.damping_unit
-        loop = one.device, one.sample_time, one.delay, self.filters
+        device = self.device
+        gains = np.asarray(alpha) / device.stiffness_unit, np.asarray(beta) / device.damping_unit
+        loop = device.device, device.sample_time, device.delay, self.filters
         return device_settling_samples(*loop, *gains, level, excitation=excitation)
 
     def deviations(self, alpha: np.ndarray, beta: np.ndarray, excitation: Excitation) -> Loops:
-        one = self.device
-        moves = mechanics(one.device, one.sample_time, one.delay % 1.0, (1.0,))
-        bank = bank_for(self.filters, one.sample_time)
-        rate = one.damping_unit * one.sample_time
-        walls = alpha / one.stiffness_unit, beta / rate
-        return device_loops(*walls, moves, int(one.delay), excitation, bank)
+        device = self.device
+        moves = mechanics(device.device, device.sample_time, device.delay % 1.0, (1.0,))
+        bank = bank_for(self.filters, device.sample_time)
+        rate = device.damping_unit * device.sample_time
+        walls = alpha / device.stiffness_unit, beta / rate
+        return device_loops(*walls, moves, int(device.delay), excitation, bank)
 
     @property
     def _linear(self) -> LinearLoop:

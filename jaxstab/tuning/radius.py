@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Complex128, Float64, Int8
 
-from jaxstab.arrays import Array, Numbers, at, constant, float_arrays, is_any_traced, namespace
+from jaxstab.arrays import Array, Numbers, constant, float_arrays, is_any_traced, namespace, take
 from jaxstab.batches import on_host
 from jaxstab.conventions import Status, Verdict
 from jaxstab.model import (
@@ -128,8 +128,8 @@ def component_of(region: StableRegion) -> Component:
     components = region.components
     if not components or not holds_small_gains(region.coefficients, components[0].outline):
         return Component(None, TuningStatus.ISLAND)
-    first, *islands = components
-    return Component(edges_of(first.points, first.branch)) if islands else ALL_GAINS
+    main, *islands = components
+    return Component(edges_of(main.points, main.branch)) if islands else ALL_GAINS
 
 
 # Multiple roots of p(z), which the best gains have, as equations for Newton's method.
@@ -166,8 +166,8 @@ class Pair(NamedTuple):
 def family_of_loop(loop: LinearLoop) -> Family:
     """Return the polynomials of all walls at any linear loop."""
     xp = namespace(loop[:3])
-    parts = ([coefficient.rounded() for coefficient in part] for part in loop[:3])
-    return Family(*(xp.stack(part, axis=-1) for part in parts))
+    parts = ([coefficient.rounded() for coefficient in polynomial] for polynomial in loop[:3])
+    return Family(*(xp.stack(polynomial, axis=-1) for polynomial in parts))
 
 
 def triple_roots(family: Family) -> Pair:
@@ -176,12 +176,14 @@ def triple_roots(family: Family) -> Pair:
     # polynomial in z that vanishes at the triple roots of all gains.
     base, stiff, damp = map(_derivatives, family)
     determinant: Array = np.zeros(1)
-    for one, two, three in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        minor = np.convolve(stiff[two], damp[three]), np.convolve(stiff[three], damp[two])
-        determinant = np.polyadd(determinant, np.convolve(base[one], np.polysub(*minor)))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        minor = np.convolve(stiff[j], damp[k]), np.convolve(stiff[k], damp[j])
+        determinant = np.polyadd(determinant, np.convolve(base[i], np.polysub(*minor)))
     roots = np.roots(determinant)
     z = roots[(abs(roots.imag) < _REAL * abs(roots)) & (abs(roots) < _FARTHEST)].real
-    p, stiff, damp = ([value(part, z) for part in parts[:2]] for parts in (base, stiff, damp))
+    p, stiff, damp = (
+        [value(polynomials, z) for polynomials in parts[:2]] for parts in (base, stiff, damp)
+    )
     divisor = stiff[0] * damp[1] - stiff[1] * damp[0]
     alpha = (p[1] * damp[0] - p[0] * damp[1]) / divisor
     beta = (p[0] * stiff[1] - p[1] * stiff[0]) / divisor
@@ -191,16 +193,16 @@ def triple_roots(family: Family) -> Pair:
 def multiple_root(family: Family, start: Pair, is_triple: bool) -> Pair:
     """Solve for the multiple root; NaN where its equations are singular."""
     pair = start._replace(y=np.float64(0.0)) if is_triple else start
-    for number in range(_NEWTON_STEPS):
+    for count in range(_NEWTON_STEPS):
         try:
             step = newton_step(family, pair, np.asarray(is_triple))
         except np.linalg.LinAlgError:
             return Pair(*(np.float64(np.nan),) * 4)
         pair = Pair(*(a + b for a, b in zip(pair, step, strict=True)))
-        size = max(abs(part) for part in pair)
-        if not max(abs(part) for part in step) > 1e-15 * size or abs(pair.x) > _FARTHEST:
+        size = max(abs(entry) for entry in pair)
+        if not max(abs(entry) for entry in step) > 1e-15 * size or abs(pair.x) > _FARTHEST:
             break
-        if number == _PATIENCE and abs(step.x) + abs(step.y) > _LOST * (abs(pair.x) + abs(pair.y)):
+        if count == _PATIENCE and abs(step.x) + abs(step.y) > _LOST * (abs(pair.x) + abs(pair.y)):
             break
     return pair
 
@@ -223,7 +225,7 @@ def newton_step(family: Family, pair: Pair, is_triple: Array) -> Pair:
     pairs = xp.stack([rows.real[..., :2, :], rows.imag[..., :2, :]], axis=-2)
     system = xp.where(xp.asarray(is_triple)[..., None, None], triple, pairs.reshape(triple.shape))
     step = xp.linalg.solve(constant(system[..., :4]), -system[..., 4:])[..., 0]
-    return Pair(*(step[..., part] for part in range(4)))
+    return Pair(*(step[..., column] for column in range(4)))
 
 
 def _derivatives(coefficients: Array) -> Float64[Array, "*grid 4 coefficient"]:
@@ -238,8 +240,8 @@ def _places_and_factors(size: int) -> tuple[np.ndarray, np.ndarray]:
     order, place = np.arange(4)[:, None], np.arange(size) - np.arange(4)[:, None]
     powers = size - 1.0 - place
     factors = np.ones(place.shape)
-    for number in range(3):
-        factors *= np.where(order > number, powers - number, 1.0)
+    for below in range(3):
+        factors *= np.where(order > below, powers - below, 1.0)
     return np.maximum(place, 0), np.where(place >= 0, factors, 0.0)
 
 
@@ -382,10 +384,10 @@ def _guess(misses: list[_Point], low: float, high: float) -> float:
     middle = float(np.sqrt(low * high))
     if len(misses) < 2:
         return middle
-    (first, first_gap), (last, last_gap) = ((p.radius, p.reached - p.radius) for p in misses[-2:])
-    if not last_gap < first_gap < np.inf:
+    (before, gap_before), (last, last_gap) = ((p.radius, p.reached - p.radius) for p in misses[-2:])
+    if not last_gap < gap_before < np.inf:
         return middle
-    best = last + last_gap * (last - first) / (first_gap - last_gap)
+    best = last + last_gap * (last - before) / (gap_before - last_gap)
     guess = best - _SHORT * (best - low)
     return guess if middle < guess < high else middle
 
@@ -395,9 +397,9 @@ def _triple_root(walls: Walls) -> tuple[Pair, int]:
     roots = triple_roots(walls.family)
     sizes, largest = abs(roots.x), walls.largest_pole(roots.alpha, roots.beta)
     is_real = (sizes > _SMALLEST) & (largest <= sizes * (1.0 + _MOST_NOISE))
-    for number in np.argsort(np.where(is_real, sizes, np.inf))[: np.sum(is_real)]:
-        pair = multiple_root(walls.family, at(roots, number), is_triple=True)
-        is_same = abs(abs(pair.x) - sizes[number]) <= _AGREEMENT * sizes[number]
+    for index in np.argsort(np.where(is_real, sizes, np.inf))[: np.sum(is_real)]:
+        pair = multiple_root(walls.family, take(roots, index), is_triple=True)
+        is_same = abs(abs(pair.x) - sizes[index]) <= _AGREEMENT * sizes[index]
         if is_same and _holds(walls, pair):
             return pair, TuningStatus.TRIPLE_ROOT
     return Pair(*(np.float64(np.inf),) * 4), TuningStatus.SCANNED
@@ -438,7 +440,9 @@ def _scanned(walls: Walls, radius: float) -> _Point:
         if best.reached <= radius * (1.0 + _NOISE) or not left.size:
             break
         closer = left[:, None] + (right - left)[:, None] * np.linspace(0.0, 1.0, _POINTS)
-        values = _reached(walls, radius, closer.ravel()).reshape(closer.shape)
+        # All poles are those of the gains as float64 has them: each value is one that gains reach.
+        pairs = _family_pairs(walls, np.full(closer.size, radius), closer.ravel())
+        values = walls.largest_pole(pairs.alpha, pairs.beta).reshape(closer.shape)
         least = np.argmin(values, axis=1)
         rows = np.arange(least.size)
         lowest = values[rows, least]
@@ -449,13 +453,6 @@ def _scanned(walls: Walls, radius: float) -> _Point:
         left, right = (closer[rows, np.clip(least + side, 0, _POINTS - 1)] for side in (-1, 1))
         left, right, former = left[is_open], right[is_open], lowest[is_open]
     return best
-
-
-def _reached(walls: Walls, radius: float, angles: Angles) -> Angles:
-    """The largest modulus of the poles where pairs are on a circle; infinite for no gains."""
-    # All poles are those of the gains as float64 has them, so each value is one that gains reach.
-    pairs = _family_pairs(walls, np.full(angles.shape, radius), angles)
-    return walls.largest_pole(pairs.alpha, pairs.beta)
 
 
 def _local(walls: Walls, low: float, high: float, point: _Point) -> tuple[Pair, int]:
@@ -476,7 +473,7 @@ def _local(walls: Walls, low: float, high: float, point: _Point) -> tuple[Pair, 
 
 def _pair_at(walls: Walls, point: _Point) -> Pair:
     radius, angle = np.array([point.radius]), np.array([point.angle])
-    return at(_family_pairs(walls, radius, angle), 0)
+    return take(_family_pairs(walls, radius, angle), 0)
 
 
 def _zoomed(walls: Walls, low: float, high: float, angle: float) -> Pair:
@@ -498,15 +495,15 @@ def _zoomed(walls: Walls, low: float, high: float, angle: float) -> Pair:
             break
         row = int(rows[0])
         inside = np.flatnonzero(fits[row])
-        first, last = int(inside[0]), int(inside[-1])
-        middle = 0 if first == 0 else last if last == len(columns) - 1 else (first + last) // 2
+        inner, outer = int(inside[0]), int(inside[-1])
+        middle = 0 if inner == 0 else outer if outer == len(columns) - 1 else (inner + outer) // 2
         middle = int(inside[np.argmin(np.abs(inside - middle))])
-        best = at(pairs, (row, middle))
+        best = take(pairs, (row, middle))
         angle = float(columns[middle])
         height, step = (box[1] - box[0]) / (_ROWS - 1), (right - left) / (_COLUMNS - 1)
         bottom = float(np.log(radii[row, 0]))
         room = 6.0 * step
-        sides = columns[first] - room, columns[last] + room
+        sides = columns[inner] - room, columns[outer] + room
         box = np.array([bottom - 3.0 * height, bottom + height, *sides])
         if height < _FLAT:
             break
@@ -527,13 +524,13 @@ def _family_pairs(walls: Walls, radius: Array, angle: Array) -> Pair:
 
 def _is_dominant(walls: Walls, pair: Pair, radius: Array) -> Bool[np.ndarray, "*grid"]:
     """Return whether all roots but the pair are smaller than the radius (Schur and Cohn)."""
-    rest = _quotient(walls.family.polynomial(pair.alpha, pair.beta), pair)
-    rest = rest / np.asarray(radius)[..., None] ** np.arange(rest.shape[-1])
+    quotient = _quotient(walls.family.polynomial(pair.alpha, pair.beta), pair)
+    quotient = quotient / np.asarray(radius)[..., None] ** np.arange(quotient.shape[-1])
     inside = np.full(np.shape(radius), True)
-    for _ in range(rest.shape[-1] - 1):
-        reflection = rest[..., -1:] / rest[..., :1]
+    for _ in range(quotient.shape[-1] - 1):
+        reflection = quotient[..., -1:] / quotient[..., :1]
         inside &= np.abs(reflection[..., 0]) < 1.0
-        rest = rest[..., :-1] - reflection * rest[..., :0:-1]
+        quotient = quotient[..., :-1] - reflection * quotient[..., :0:-1]
     return inside
 
 
@@ -541,9 +538,11 @@ def _quotient(coefficients: Array, pair: Pair) -> Array:
     """Divide by z^2 - 2 x z + x^2 + y^2."""
     last, before, parts = np.zeros_like(pair.x), np.zeros_like(pair.x), []
     for power in range(coefficients.shape[-1] - 2):
-        part = coefficients[..., power] + 2.0 * pair.x * last - (pair.x**2 + pair.y**2) * before
-        parts.append(part)
-        last, before = part, last
+        coefficient = (
+            coefficients[..., power] + 2.0 * pair.x * last - (pair.x**2 + pair.y**2) * before
+        )
+        parts.append(coefficient)
+        last, before = coefficient, last
     return np.stack(parts, axis=-1)
 
 
@@ -634,7 +633,7 @@ def _searched(
     best = [_best_known(mass_walls(*plant, delay, filters)) for plant in plants]
     pairs = np.array([pair for pair, _ in best]).reshape(-1, 4).T
     kinds = np.array([kind for _, kind in best], np.int8)
-    return *(part.reshape(gamma.shape) for part in pairs), kinds.reshape(gamma.shape)
+    return *(column.reshape(gamma.shape) for column in pairs), kinds.reshape(gamma.shape)
 
 
 def _loop_of(gamma: Array, delta: Array, delay: float, filters: Filters | None) -> LinearLoop:
@@ -676,7 +675,7 @@ def _chosen() -> Any:
 
     @chosen.defjvp
     def _jvp(primals: Any, tangents: Any) -> Any:
-        known = jnp.where(primals[2], 1.0, jnp.nan)
-        return chosen(*primals), [tangent * known for tangent in tangents[0]]
+        exactly = jnp.where(primals[2], 1.0, jnp.nan)
+        return chosen(*primals), [tangent * exactly for tangent in tangents[0]]
 
     return chosen

@@ -83,7 +83,7 @@ class Limits(Product):
     name = ALPHA_LIMITS
     variables = _VARIABLES
     gridded = (ALPHA_LIMITS,)
-    known = LIMIT_RANGE, LIMIT_WHOLE
+    fixed = LIMIT_RANGE, LIMIT_WHOLE
     rows = LIMIT_RANGE
     lengths = {"limit_term": 2 * LIMIT_TERMS, "limit_end": 6}  # noqa: RUF012
     unit = LIMITS[:4]
@@ -94,7 +94,7 @@ class Limits(Product):
 
         shape, hands = plan.shape(ALPHA_LIMITS, tile), plan.boxes(tile)
         limits = np.zeros((shape[0], hands.gamma.size, *shape[3:]), np.float32)
-        for number, cell in enumerate(plan.numbers("delay_cell", tile) if limits.size else ()):
+        for index, cell in enumerate(plan.numbers("delay_cell", tile) if limits.size else ()):
             early, late, *walls = plan.grid.limit_range[cell].tolist()
             domain = Domain((walls[0], walls[1]), (walls[2], walls[3]))
             edges = np.linspace(*domain.beta, plan.grid.limit_cells + 1)
@@ -103,7 +103,7 @@ class Limits(Product):
             columns = stable_columns(edges, hands, middle, domain, plan.spec.filters, float(half))
             beta = max(map(abs, domain.beta))
             hand = plan.grid.gamma[-1], plan.grid.delta[-1]
-            limits[:, :, number] = np.concatenate(
+            limits[:, :, index] = np.concatenate(
                 [in_float32(terms, (beta, *hand, late)) for terms in columns], axis=-1
             ).swapaxes(0, 1)
         return {ALPHA_LIMITS: limits.reshape(shape)}
@@ -119,11 +119,13 @@ class Limits(Product):
         limits = np.split(values, 2, axis=-1)
         return all(np.all(np.isfinite(v[..., 1:-1])) and v[..., -1].min() >= 0.0 for v in limits)
 
-    def part(self, grid: "Grid", place: Floats) -> "Grid":
+    def small_grid(self, grid: "Grid", place: Floats) -> "Grid":
         delay, gamma, delta, beta = place
         columns, ends = grid.row_at(grid.limit_range, delay, grid.limit_cells, _COLUMNS, beta)
-        part = grid.slice_at(0.0, gamma, delta).without_walls(ends)
-        return replace(part, limit_cells=columns, limit_range=ends)
+        plants = grid.slice_at(0.0, gamma, delta)
+        wall = {"alpha": plants.alpha[:1, :1], "beta": plants.beta[:1, :1]}  # one of no interest
+        delay = ends[0, :1]  # where the row begins
+        return replace(plants, **wall, delay=delay, limit_cells=columns, limit_range=ends)
 
 
 _COLUMNS, _PER_COLUMN = 64, 4  # of a part, and points in each at which it is judged

@@ -135,13 +135,13 @@ class Outlines(_BySlices):
         corners = [_ended(region.corners) for region in regions]
         # A piece begins at every point but the last one and the end mark.
         branches = [
-            np.append(region.branch, np.full(len(part) - len(region.branch), -1))
-            for region, part in zip(regions, points, strict=True)
+            np.append(region.branch, np.full(len(points_of) - len(region.branch), -1))
+            for region, points_of in zip(regions, points, strict=True)
         ]
         counts = {
             OUTLINE_STATUS: [int(region.status) for region in regions],
-            OUTLINE_SIZE: [len(part) for part in points],
-            CORNER_COUNT: [len(part) for part in corners],
+            OUTLINE_SIZE: [len(points_of) for points_of in points],
+            CORNER_COUNT: [len(points_of) for points_of in corners],
         }
         shape = plan.shape(OUTLINE_SIZE, tile)
         arrays: dict[str, Array] = {
@@ -285,9 +285,9 @@ def outline_at(
     if OUTLINE_SIZE not in arrays:
         raise ValueError("this atlas holds no outlines; build one with the product 'outline'.")
     given = {"gamma": gamma, "delta": delta, "delay": delay}
-    i, j, k = (_number(name, arrays[name], value) for name, value in given.items())
-    points = _part(arrays, OUTLINE_SIZE, (i, j, k))
-    corners = _part(arrays, CORNER_COUNT, (i, j, k))
+    i, j, k = (_index_of(name, arrays[name], value) for name, value in given.items())
+    points = _values_of(arrays, OUTLINE_SIZE, (i, j, k))
+    corners = _values_of(arrays, CORNER_COUNT, (i, j, k))
     return AtlasOutline(
         np.stack([arrays[n][points] for n in (OUTLINE_ALPHA, OUTLINE_BETA)], axis=-1),
         arrays[OUTLINE_BRANCH][points][:-1],
@@ -296,7 +296,9 @@ def outline_at(
     )
 
 
-def _part(arrays: Mapping[str, NDArray[Any]], counts: str, place: tuple[int, int, int]) -> slice:
+def _values_of(
+    arrays: Mapping[str, NDArray[Any]], counts: str, place: tuple[int, int, int]
+) -> slice:
     """Return the range of the values of a slice, without the NaN at its end."""
     gamma, delta, delay = place
     in_order = np.transpose(arrays[counts], (2, 0, 1))
@@ -305,9 +307,9 @@ def _part(arrays: Mapping[str, NDArray[Any]], counts: str, place: tuple[int, int
     return slice(end - int(arrays[counts][place]), end - 1)
 
 
-def _number(name: str, nodes: NDArray[np.float64], value: float) -> int:
-    (found,) = np.nonzero(nodes == value)
-    if not found.size:
+def _index_of(name: str, nodes: NDArray[np.float64], value: float) -> int:
+    (indices,) = np.nonzero(nodes == value)
+    if not indices.size:
         listed = ", ".join(map(repr, nodes.tolist()))
         raise ValueError(f"{name} is {value!r}; outlines are at its nodes {listed}.")
-    return int(found[0])
+    return int(indices[0])

@@ -75,7 +75,7 @@ class Verdicts(Product):
             CELL_VERDICT: np.moveaxis(cells, 0, -1).reshape(plan.shape(CELL_VERDICT, tile)),
         }
 
-    def part(self, grid: "Grid", place: Floats) -> "Grid":
+    def small_grid(self, grid: "Grid", place: Floats) -> "Grid":
         return grid.slice_at(*place[:3].tolist())
 
     def checks(self, stored: Stored) -> Iterator[Check]:
@@ -85,13 +85,13 @@ class Verdicts(Product):
             for place in places:
                 gamma, delta, delay = place
                 codes = stored.datasets[name][:, :, gamma, delta, delay]
-                i, j = _some(codes, each, stored.chance)
+                i, j = _chosen_places(codes, each, stored.chance)
                 point = points_at(stored, i, j, place)
                 wrong += wrong_codes(codes[i, j], point, stored.filters)
             yield Check(name, wrong == 0, f"{wrong} of {each * len(places)} points are wrong")
 
 
-def _some(
+def _chosen_places(
     values: Array, count: int, chance: np.random.Generator
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return places in a slice, half of them where the value changes along beta."""
@@ -148,7 +148,7 @@ def decided_share(
     total = 0.0
     for start, codes in blocks:
         share = ((codes == Verdict.STABLE) | (codes == Verdict.UNSTABLE)).astype(np.float64)[..., 0]
-        for first, along in zip(start, widths, strict=False):
-            share = np.tensordot(along[first : first + share.shape[0]], share, 1)
+        for begin, along in zip(start, widths, strict=False):
+            share = np.tensordot(along[begin : begin + share.shape[0]], share, 1)
         total += float(share)
     return total

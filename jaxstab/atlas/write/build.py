@@ -165,8 +165,8 @@ def _answers(atlas: Atlas, sample: int, chance: np.random.Generator) -> Check:
     """Ask the atlas about random points of each delay, as its users do."""
     each, wrong = -(-sample // atlas.delays.size), 0
     filters = as_keywords(atlas.filters)
-    for number, delay in enumerate(atlas.delays):
-        ends = [(nodes[0], nodes[-1]) for nodes in atlas.nodes(number).values()]
+    for index, delay in enumerate(atlas.delays):
+        ends = [(nodes[0], nodes[-1]) for nodes in atlas.nodes(index).values()]
         point = (*(chance.uniform(*side, each) for side in ends), delay)
         answer = atlas.query(**by_name(*point))
         codes = np.where(

@@ -80,7 +80,7 @@ def _parts(plan: Plan, product: str, most: int) -> list[Grid]:
     parts = {}
     for index in range(max(_FEWEST, min(most, _calls(plan) // _PER_PART))):
         place = (0.5 + index * _PLASTIC ** -np.arange(1.0, 5.0)) % 1.0
-        grid = PRODUCTS[product].part(plan.grid, place)
+        grid = PRODUCTS[product].small_grid(plan.grid, place)
         axes = grid.limit_range, grid.delay, grid.gamma, grid.delta
         parts[b"".join(axis.tobytes() for axis in axes)] = grid
     return list(parts.values())
@@ -123,7 +123,7 @@ def _measured(plan: Plan, product: str, extents: Extents | None) -> tuple[_Cost,
             errors.append(upper_errors(grid, arrays[ALPHA_LIMITS], extents, rng))
     call = 0.0
     if product == ALPHA_LIMITS:  # parts have fewer units to a call than builds
-        column = PRODUCTS[product].part(replace(plan.grid, limit_cells=1), np.full(4, 0.5))
+        column = PRODUCTS[product].small_grid(replace(plan.grid, limit_cells=1), np.full(4, 0.5))
         call = min(_computed(plan, product, column)[0], 0.9 * seconds / len(grids))
     return _Cost((seconds - call * len(grids)) / units, size / units, call), errors
 
@@ -347,8 +347,8 @@ class _Range:
 
     def of_size(self, size: float | int) -> Resolution:
         """The finest resolution with a file not larger than this."""
-        for number in range(_ROUNDS):
-            plan = self._plan_or_none(self._scale_within(size, _AIM**number))
+        for attempt in range(_ROUNDS):
+            plan = self._plan_or_none(self._scale_within(size, _AIM**attempt))
             if plan is None:
                 break
             chosen = self._judged(plan)
@@ -385,7 +385,7 @@ class _Range:
 
 def _quantile(parts: Sequence[Floats]) -> Measured:
     """Return a quantile of all errors, and its spread by drawing the parts again."""
-    filled = [part for part in parts if part.size]
+    filled = [errors for errors in parts if errors.size]
     if not filled:
         return Measured(np.nan, np.nan)
     rng = np.random.default_rng(len(filled))

@@ -133,7 +133,7 @@ def is_whole(plan: Plan, tile: Tile, key: str, image: bytes) -> bool:
 def _check_datasets(file: h5py.File, plan: Plan, tile: Tile) -> None:
     """Refuse other variables than those of a tile, and chunks of other shapes."""
     chosen = [PRODUCTS[product] for product in plan.spec.products]
-    held = [v.name for p in chosen for v in p.variables if not v.is_axis and v.name not in p.known]
+    held = [v.name for p in chosen for v in p.variables if not v.is_axis and v.name not in p.fixed]
     gridded = {n for n in held if plan.is_gridded(n) and 0 not in plan.shape(n, tile)}
     flat = {name for name in held if not plan.is_gridded(name)}
     check(gridded <= set(file) <= gridded | flat)
@@ -155,7 +155,7 @@ def _check_contents(file: h5py.File, plan: Plan, tile: Tile) -> None:
         values = dataset[()][tuple(map(slice, shape))]
         check_values(VARIABLES[name], values)
         said = bytes(dataset.attrs[VALUES_DIGEST]).decode("ascii").split(" ")
-        check(said == [values_digest(part) for part in _parts(values, dataset.chunks)])
+        check(said == [values_digest(chunk) for chunk in _parts(values, dataset.chunks)])
 
 
 def _whole_chunks(shape: Sequence[int], chunk: Sequence[int]) -> tuple[int, ...]:
@@ -262,27 +262,24 @@ def _create_variables(file: h5py.File, plan: Plan, shards: Shards) -> dict[str, 
     """Write the variables known without the tiles, and allocate the others."""
     names = ALWAYS.union(*(PRODUCTS[product].names for product in plan.spec.products))
     lengths = plan.grid.lengths | _flat_lengths(plan, shards, names)
-    known = _known_variables(plan, lengths)
+    given = _known_variables(plan, lengths)
     datasets = {}
     for name, variable in VARIABLES.items():
-        if name in known and name in names:
-            datasets[name] = write_variable(file, variable, known[name])
+        if name in given and name in names:
+            datasets[name] = write_variable(file, variable, given[name])
         elif name in names:
             shape = [lengths[dimension] for dimension in variable.dimensions]
-            chunk = plan.chunk(name) if plan.is_gridded(name) else _flat_chunk(shape)
+            *others, length = shape
+            flat = (*others, max(1, min(length, _FLAT_CHUNK // prod(others))))
+            chunk = plan.chunk(name) if plan.is_gridded(name) else flat
             datasets[name] = create_variable(file, variable, shape, chunk, np.dtype(variable.dtype))
     return datasets
-
-
-def _flat_chunk(shape: Sequence[int]) -> list[int]:
-    *others, length = shape
-    return [*others, max(1, min(length, _FLAT_CHUNK // prod(others)))]
 
 
 def _known_variables(plan: Plan, lengths: Mapping[str, int]) -> dict[str, NDArray[Any]]:
     grid = plan.grid
     lines = np.array([line.encode("utf-8") for line in plan.spec.to_toml().splitlines()])
-    known: dict[str, NDArray[Any]] = {
+    given: dict[str, NDArray[Any]] = {
         "alpha": grid.alpha,
         "beta": grid.beta,
         "gamma": grid.gamma,
@@ -291,10 +288,10 @@ def _known_variables(plan: Plan, lengths: Mapping[str, int]) -> dict[str, NDArra
         SPEC: lines,
     }
     for chosen in plan.spec.products:
-        known |= PRODUCTS[chosen].known_before(grid, plan.spec.filters)
+        given |= PRODUCTS[chosen].known_before(grid, plan.spec.filters)
     counted = {**lengths, "spec_line": lines.size}
     numbers = {name: np.arange(count, dtype=np.int32) for name, count in counted.items()}
-    return numbers | known
+    return numbers | given
 
 
 def _flat_lengths(plan: Plan, shards: Shards, names: Iterable[str]) -> dict[str, int]:
@@ -323,20 +320,20 @@ def _copy_tiles(
     filled = dict.fromkeys(datasets, 0)
     for tile in plan.tiles:
         with stored_tile(shards, tile) as image:
-            for name, part in image.items():
+            for name, shard in image.items():
                 if plan.is_gridded(name):
                     dimensions = VARIABLES[name].dimensions
-                    first = tuple(plan.numbers(one, tile).start for one in dimensions)
-                    starts = product(*map(range, [0] * part.ndim, part.shape, part.chunks))
-                    of_chunks = part.attrs[VALUES_DIGEST].decode().split(" ")
+                    corner = tuple(plan.numbers(dimension, tile).start for dimension in dimensions)
+                    starts = product(*map(range, [0] * shard.ndim, shard.shape, shard.chunks))
+                    of_chunks = shard.attrs[VALUES_DIGEST].decode().split(" ")
                     for start, digest in zip(starts, of_chunks, strict=True):
-                        mask, chunk = part.id.read_direct_chunk(start)
-                        place = tuple(map(add, first, start))
+                        mask, chunk = shard.id.read_direct_chunk(start)
+                        place = tuple(map(add, corner, start))
                         datasets[name].id.write_direct_chunk(place, chunk, mask)
                         digests.setdefault(name, {})[place] = digest
                 else:
-                    length = part.shape[-1]
-                    datasets[name][..., filled[name] : filled[name] + length] = part[()]
+                    length = shard.shape[-1]
+                    datasets[name][..., filled[name] : filled[name] + length] = shard[()]
                     filled[name] += length
         stream.check()
     return digests

@@ -46,8 +46,8 @@ def packed(values: NDArray[Any]) -> bytes:
     # Fletcher's checksum: sums of 16-bit words, and of these sums, modulo 65535 from 1 on.
     words = np.frombuffer(data + bytes(len(data) % 2), ">u2").astype(np.uint64)
     weights = np.arange(words.size, 0, -1, dtype=np.uint64) % 65535
-    first, second = ((int(total) - 1) % 65535 + 1 for total in (words.sum(), words @ weights))
-    return data + struct.pack("<HH", first, second)
+    low, high = ((int(total) - 1) % 65535 + 1 for total in (words.sum(), words @ weights))
+    return data + struct.pack("<HH", low, high)
 
 
 def create_variable(
@@ -69,8 +69,8 @@ def create_variable(
     if variable.is_axis:
         dataset.make_scale(variable.name)
     else:
-        for number, dimension in enumerate(variable.dimensions):
-            dataset.dims[number].attach_scale(file[dimension])
+        for axis, dimension in enumerate(variable.dimensions):
+            dataset.dims[axis].attach_scale(file[dimension])
     return dataset
 
 
@@ -163,10 +163,10 @@ def checked_layout(
     check(isinstance(dataset, h5py.Dataset))
     layout = dataset.id.get_create_plist()
     check(layout.get_layout() == h5py.h5d.CHUNKED and layout.get_external_count() == 0)
-    filters = [layout.get_filter(number)[0] for number in range(layout.get_nfilters())]
+    filters = [layout.get_filter(index)[0] for index in range(layout.get_nfilters())]
     check(len(filters) == len(set(filters)))
-    known = _FILTERS if variable.is_packed else {h5py.h5z.FILTER_FLETCHER32}
-    check(set(filters) == known)
+    allowed = _FILTERS if variable.is_packed else {h5py.h5z.FILTER_FLETCHER32}
+    check(set(filters) == allowed)
     check(dataset.shape == shape and dataset.chunks == chunk)
     check(dataset.dtype == dtype and "enum" not in (dataset.dtype.metadata or {}))
     return dataset

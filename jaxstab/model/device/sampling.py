@@ -68,7 +68,7 @@ class SampledDevice:
         """
         velocity, position = filters or (Velocity(), Filter())
         estimator = velocity.filter.transfer(self.sample_time)
-        unit = DoubleDouble.of(
+        unit = DoubleDouble.from_value(
             self.stiffness_unit / self.damping_unit
         )  # the power of two next to T
         return estimator.scaled(unit / self.sample_time), position.transfer(self.sample_time)
@@ -120,7 +120,9 @@ def _sampled(device: Device, sample_time: float, delay: float) -> SampledDevice:
                 break
         bits *= 2
     period = _binary_digits(flint.arb(sample_time))
-    if max(abs(unit), abs(unit - period)) > _MOST_BINARY_DIGITS or not _is_finite(plant):
+    numbers = [pair.hi for pair in (*plant.numerator, *plant.denominator)] + [*plant.errors]
+    is_finite = all(map(isfinite, numbers))
+    if max(abs(unit), abs(unit - period)) > _MOST_BINARY_DIGITS or not is_finite:
         raise ValueError(
             f"the device ({device}) moves by about 2^{unit} m per N within a sampling period of "
             f"{sample_time:g} s; give SI units, and no pole so unstable that float64 overflows."
@@ -378,11 +380,6 @@ def _turned(falling: Polynomial) -> Polynomial:
     """Return the coefficients in powers of -z - 1 by those in powers of z + 1."""
     degree = len(falling) - 1
     return tuple(-c if (degree - k) % 2 else c for k, c in enumerate(falling))
-
-
-def _is_finite(plant: SampledPlant) -> bool:
-    pairs = [*plant.numerator, *plant.denominator]
-    return all(isfinite(pair.hi) for pair in pairs) and all(map(isfinite, plant.errors))
 
 
 # How strongly a force whose changes arrive late moves the samples of a device.

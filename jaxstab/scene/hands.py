@@ -1,0 +1,212 @@
+"""All hands of a scene, all masses of its device and all its delays: verdicts, the stiffest wall.
+
+Hands are tried: what one of them contradicts is proved. For all others a proof is looked for.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import isfinite, isnan
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxstab.conventions import Verdict
+from jaxstab.loop import Gains, HapticLoop
+from jaxstab.model.device.parts import MassSpringDamper, Modes
+from jaxstab.scene.answers import (
+    Answer,
+    Damping,
+    LargestStiffness,
+    Mass,
+    Quantity,
+    Stiffness,
+    StiffnessBound,
+)
+from jaxstab.scene.loops import (
+    hands_of,
+    is_one_mass,
+    loop_of,
+    masses_of,
+    range_of_hands,
+    reachable,
+    wall_region,
+    with_delay,
+)
+from jaxstab.scene.scene import Scene
+
+_PROVED = "proved for every hand"
+_TRIED = "no hand that was tried is unstable, but not all others are proved"
+NOT_FOR_OTHERS = ": others are not proved together with a range of delays"
+_ROWS = 400  # of B, in which walls are stable for all hands
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class HeldBy(Answer):
+    """A hand, and the mass of the device if that varies."""
+
+    mass: Mass
+    stiffness: Stiffness
+    damping: Damping
+    device_mass: Mass | None = None
+
+
+@dataclass(frozen=True)
+class AllHands(Answer):
+    """A wall for all hands of a range, nearly the stiffest, and a proved bound if there is one.
+
+    Both times the safety, if one is wanted: they enclose the limit that it leaves.
+    """
+
+    largest_stiffness: LargestStiffness
+    at_damping: Damping
+    certainty: str
+    none_is_stiffer_than: StiffnessBound | None
+    worst_hand: HeldBy
+
+    @property
+    def all_stable(self) -> bool:
+        """Whether the wall is proved stable for every hand."""
+        return self.certainty.startswith(_PROVED) and isfinite(self.largest_stiffness)
+
+
+@dataclass(frozen=True)
+class WallVerdict(Answer):
+    """The verdict on a wall for all hands and delays, and the worst of them."""
+
+    stiffness: Stiffness
+    damping: Damping
+    verdict: Verdict
+    hands_are: str | None
+    worst_hand: HeldBy | None
+    worst_delays: str | None
+
+
+class WorstHeld(NamedTuple):
+    """The verdict on a wall for all hands, the worst of them, and the loop that it holds.
+
+    ``hand`` is None where neither a hand nor the mass varies; ``tried`` describes the search where
+    the verdict is UNDECIDED, and ``delays`` those of a range with which a motion grows.
+    """
+
+    verdict: Verdict
+    loop: HapticLoop
+    hand: HeldBy | None
+    tried: str | None
+    delays: str | None = None
+
+    def on(self, wall: Gains) -> WallVerdict:
+        """Return the verdict as an answer about the wall."""
+        return WallVerdict(*wall, self.verdict, self.tried, self.hand, self.delays)
+
+
+def worst_held(scene: Scene, walls: Sequence[Gains]) -> list[WorstHeld]:
+    """Verdicts on walls for all hands of a scene's range, and the worst hands."""
+    loop, hands, mass = loop_of(scene), range_of_hands(scene), masses_of(scene)
+    if is_one_mass(scene):
+        from jaxstab.ranges.hands import worst_hands
+
+        worsts = worst_hands(loop, hands, walls, mass)
+    else:
+        worsts = [loop.worst_hand(hands, *gains, mass=mass) for gains in walls]
+    return [
+        WorstHeld(
+            worst.verdict,
+            worst.loop,
+            held_by(worst.loop, scene),
+            _TRIED if worst.verdict == Verdict.UNDECIDED else None,
+        )
+        for worst in worsts
+    ]
+
+
+def worst_over_delays(scene: Scene, gains: Gains) -> WorstHeld:
+    """Return the verdict on a wall for a range of delays, and the worst hand or delay.
+
+    Of a delay that moves it is for every sequence and hand, of one that is constant for each
+    constant one, with the hand at its lowest values.
+    """
+    loops, hands, moving = loops_over_delays(scene), hands_of(scene), moving_delays(scene)
+    if moving:
+        loop, hand, tried, words = loops[0], None, None, None
+        if hands is None:
+            code = Verdict(int(loop.verdict(*gains, **moving)))
+        else:
+            code, loop, _ = loop.worst_hand(hands, *gains, mass=masses_of(scene), **moving)
+            hand, tried = held_by(loop, scene), _TRIED if code == Verdict.UNDECIDED else None
+        if code == Verdict.UNSTABLE:
+            words = str(loop.worst_delays(*gains, **moving))
+        return WorstHeld(code, loop, hand, tried, words)
+    from jaxstab.loop.between import LoopsBetween
+
+    tried = at_lowest(scene, NOT_FOR_OTHERS)
+    worst = LoopsBetween(*loops).worst_loop(*gains)
+    delay = Quantity("s").words(worst.loop.delay)
+    words = f"a constant delay of {delay}: a factor of {worst.radius:.6g} per sample"
+    is_unstable = worst.verdict == Verdict.UNSTABLE
+    return WorstHeld(worst.verdict, worst.loop, None, tried, words if is_unstable else None)
+
+
+def loops_over_delays(scene: Scene) -> list[HapticLoop]:
+    """Return the loops of the shortest and the longest delay; one where these are the same."""
+    return [loop_of(with_delay(scene, delay)) for delay in dict.fromkeys(scene.controller.delays)]
+
+
+def moving_delays(scene: Scene) -> dict[str, Any]:
+    """Return the arguments ``delays`` and ``lost`` for a delay that moves; none for another."""
+    moves, delays = scene.controller.moves, scene.controller.delays
+    return {"delays": delays, "lost": scene.controller.lost_samples} if moves else {}
+
+
+def limit_for_all(scene: Scene, safety: float) -> AllHands | None:
+    """Return what all hands of a scene allow; None where neither the hand nor the mass varies."""
+    hands = hands_of(scene)
+    if hands is None:
+        return None
+    loop, mass, moving = loops_over_delays(scene)[0], masses_of(scene), moving_delays(scene)
+    robust = loop.robust_limit(hands, mass=mass, **moving)
+    is_proved, stiffness = robust.is_proved, safety * robust.stiffness
+    if safety < 1.0 and not isnan(stiffness):
+        worst = loop.worst_hand(hands, stiffness, robust.damping, mass=mass, **moving)
+        is_proved = worst.verdict == Verdict.STABLE
+    proved = _PROVED + ("" if mass is None else f" and {scene.units.moved}")
+    proved += " and every sequence of delays" if moving else ""
+    tried = "no wall was found" if isnan(stiffness) else "not proved"
+    return AllHands(
+        largest_stiffness=stiffness,
+        at_damping=robust.damping,
+        certainty=proved if is_proved else tried,
+        none_is_stiffer_than=safety * robust.limit if is_one_mass(scene) and not moving else None,
+        worst_hand=held_by(robust.loop, scene),
+    )
+
+
+def at_lowest(scene: Scene, others: str = " unless stated otherwise") -> str | None:
+    """Return for which hand answers hold that name none, and of others; None where none varies."""
+    if hands_of(scene) is None:
+        return None
+    mass = f", the device at its lowest {scene.units.moved}" if scene.device.varies else ""
+    return f"at its lowest values{mass}{others}"
+
+
+def held_by(loop: HapticLoop, scene: Scene) -> HeldBy:
+    """Return the hand of a loop of a scene, and the device's mass if that varies."""
+    hand, own = (loop.hand_mass, loop.hand_stiffness, loop.hand_damping), loop.device_mass
+    if loop.device is not None:
+        arm, body = loop.device.hands[0].dynamics, loop.device.mechanism
+        assert isinstance(arm, MassSpringDamper)  # as scenes make hands
+        assert isinstance(body, MassSpringDamper | Modes)  # and devices
+        hand, own = (arm.mass, arm.stiffness, arm.damping), body.mass
+    return HeldBy(*hand, own if scene.device.varies else None)
+
+
+def common_outline(loops: list[HapticLoop]) -> Floats:
+    """Return walls (K, B) that are stable for each of some loops: ``common_walls``, not proved."""
+    from jaxstab.loop.between import common_walls
+
+    regions = [reachable(wall_region(loop)) for loop in loops]
+    if any(region.is_empty for region in regions):
+        return np.zeros((0, 2))
+    return common_walls(regions, _ROWS)
