@@ -20,7 +20,7 @@ import numpy as np
 from benchmarks.truth.balls import ExactPlant
 from jaxstab.model import DoubleDouble
 from jaxstab.point import verdicts
-from jaxstab.proofs.exclusion import Loops, expansion
+from jaxstab.proofs.exclusion import Loops, Models, expanded, terms
 from jaxstab.proofs.plant import quick_plant
 from jaxstab.rounding import PAIR_UNIT, UNIT
 
@@ -181,7 +181,7 @@ def _box(rng: np.random.Generator, hostile: bool) -> Iterator[Finding]:
     spread = 10.0 ** rng.uniform(-3.0, 0.0, 6) * (rng.random(6) < 0.7)
     scale = np.array([abs(alpha) + 1e-3, abs(beta) + 1e-3, gamma + 1.0, delta + 1.0, 1.0, 1.0])
     radius = size * spread * scale
-    g = expansion(Loops(*center[:, None]), Loops(*radius[:, None]))
+    g = expanded(*terms(Loops(*center[:, None]), Loops(*radius[:, None])))
     rest = float(g.rest[0])
     worst, where = 0.0, center
     for number in range(_POINTS):
@@ -197,18 +197,20 @@ def _box(rng: np.random.Generator, hostile: bool) -> Iterator[Finding]:
             point = np.where(way * radius == 0.0, center, center + way * radius * (1.0 - 1e-3))
             point = np.where(np.abs(point - center) > radius, center, point)
             point[2:5] = np.maximum(point[2:5], 0.0)
-        error = _off_expansion(g, center, point)
+        error = _off_expansion(g, center, radius, point)
         if error > worst:
             worst, where = error, point
     kind = "wide boxes" if size > 1e-5 else "tiny boxes: rounding"
     yield Finding(f"B3 {kind}", rest, worst, (*center.tolist(), *radius.tolist(), *where.tolist()))
 
 
-def _off_expansion(g: object, center: np.ndarray, point: np.ndarray) -> float:
+def _off_expansion(g: Models, center: np.ndarray, radius: np.ndarray, point: np.ndarray) -> float:
     with flint.ctx.workprec(_BITS):
         model = flint.acb(*_parts(g.value[0]))
-        for slope, x, c in zip(g.linear[:, 0], point, center, strict=True):
-            model += flint.acb(*_parts(slope)) * (flint.arb(float(x)) - flint.arb(float(c)))
+        for move, x, c, r in zip(g.moves[:, 0], point, center, radius, strict=True):
+            if r > 0.0:
+                share = (flint.arb(float(x)) - flint.arb(float(c))) / flint.arb(float(r))
+                model += flint.acb(*_parts(move)) * share
         return float(abs(true_g(*map(float, point)) - model).upper())
 
 

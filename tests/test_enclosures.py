@@ -1,4 +1,4 @@
-"""Bounds of what expansions leave (lemmas B10, B13, B14 and B20): none too small, each attained.
+"""Bounds of what expansions leave (lemmas B10, B13, B17 and B20): none too small, each attained.
 
 Functions are taken at the end of a box that is worst for them, in exact fractions or 50 digits. A
 bound is attained if it is at most ``SHARP`` times what it bounds there: halved, it would be wrong.

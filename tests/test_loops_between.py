@@ -24,15 +24,14 @@ from jaxstab import (
     Verdict,
     common_region,
 )
+from jaxstab.model.device.family import LoopFamily
 from jaxstab.model.filters import known_filters
 from jaxstab.proofs.exclusion import LineBoxes, Models
 from jaxstab.proofs.linear_circle import (
-    DelayBoxes,
     FamilyBoxes,
     GainLines,
     PieceBoxes,
     delay_models,
-    delayed_device,
     family_cells,
     line_models,
     loop_cells,
@@ -126,7 +125,8 @@ def test_boxes_hold_the_polynomials_of_all_loops(name: str, rng: np.random.Gener
     theta = by_theta + (np.pi - 2.0 * by_theta) * rng.random(count)
     gains = 10.0 ** rng.uniform(-4, 0, (2, count))
     edge = gains * 10.0 ** rng.uniform(-4, 0, (2, count)) * rng.choice([-1.0, 1.0], (2, count))
-    found = models(cells, FamilyBoxes(gains, edge, PieceBoxes(piece, t, theta, by_t, by_theta)))
+    place = PieceBoxes(piece, t, theta, by_t, by_theta)
+    found = models(cells, FamilyBoxes(gains, edge, cells.lags[piece], place))
     shared = flint.arb(np.exp(-2.0 * np.pi * CUTOFF))
     unit = family.first.stiffness_unit / family.first.damping_unit / PERIOD
     for number in range(count):
@@ -213,15 +213,16 @@ def test_boxes_of_delays_hold_the_polynomial(rng: np.random.Generator) -> None:
     """The same over boxes of delays and angles; D and F are apart where the bound is positive."""
     count, loop = 12, loop_of()
     assert loop.sampled is not None
-    device = delayed_device(loop.sampled, known_filters(loop.velocity, loop.position))
-    assert device is not None
+    filters = known_filters(loop.velocity, loop.position)
+    cells = family_cells(LoopFamily.over_delays(loop.sampled, filters))
+    assert cells is not None
     theta, by_theta, gains, sides = random_boxes(rng, count)
-    piece = rng.integers(len(device.pieces), size=count)
-    low, high = device.ends[piece], device.ends[piece + 1]
+    low, high = cells.ends[rng.integers(len(cells.pieces), size=count)].T
     by_delay = 0.5 * (high - low) * 10.0 ** rng.uniform(-6, -0.5, count)
     part = low + by_delay + (high - low - 2.0 * by_delay) * rng.random(count)
     delay = rng.integers(4, size=count) + part
-    found, apart = delay_models(device, DelayBoxes(gains, delay, theta, by_delay, by_theta))
+    found, apart = delay_models(cells, gains, (delay, by_delay), (theta, by_theta))
+    found = found._replace(moves=found.moves[1:])  # there is no edge
     gains = np.repeat(gains[:, None], 3, axis=1)
     check_boxes(found, delay + by_delay * sides[0], gains, theta + by_theta * sides[1], sides)
     values = found.value + np.sum(found.moves[:, None] * sides, axis=0)

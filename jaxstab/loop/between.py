@@ -538,7 +538,7 @@ def _wall_models(cells: FamilyCells, walls: Walls, boxes: LineBoxes) -> Models:
     middle, half = 0.5 * (boxes.low + boxes.high), 0.5 * (boxes.high - boxes.low) * _SAFE
     place = PieceBoxes(piece, *middle, *half)
     gains = walls[wall].T
-    over = family_models(cells, FamilyBoxes(gains, np.zeros_like(gains), place))
+    over = family_models(cells, FamilyBoxes(gains, np.zeros_like(gains), cells.lags[piece], place))
     return over._replace(moves=over.moves[1:], bends=over.bends[1:])
 
 
@@ -596,9 +596,8 @@ def _failures_on_edges(family: LoopFamily, outline: Walls) -> Float64[np.ndarray
         edge, piece = np.divmod(boxes.index, len(cells.pieces))
         place = PieceBoxes(piece, t, pi * angle, by_t, pi * by_angle)
         along = half[edge].T
-        over = family_models(
-            cells, FamilyBoxes(middle[edge].T + along * shift, along * by_shift, place)
-        )
+        walls = middle[edge].T + along * shift, along * by_shift
+        over = family_models(cells, FamilyBoxes(*walls, cells.lags[piece], place))
         return Proof(is_free(*over[:3]), over.bends.T)
 
     index, angle = (

@@ -11,8 +11,7 @@ and products of models then enclose g: its value in the middle of each box, its 
 axis, and a bound of what these leave (lemma B13 of docs/proofs.md). The sampled devices of
 ``jaxstab.proofs.linear_circle``, the devices in hands of ``jaxstab.proofs.device_boxes`` and the
 curves of ``jaxstab.proofs.curve_patches`` are expanded in this way, that is as Taylor models of
-first order (Makino, Berz 1996). One mass in closed form, without curves, is the exception:
-``jaxstab.proofs.exclusion`` writes the same products out, for speed (lemma B3).
+first order (Makino, Berz 1996), and so is one mass in closed form (``jaxstab.proofs.exclusion``).
 
 Axes are rows of the slopes, which the functions that make models name. Rounding is counted with
 the rest. In batches, real or complex. NumPy only.

@@ -1,22 +1,23 @@
 """Proof that a box of loops and angles has no root on the unit circle (lemma B3 of docs/proofs.md).
 
-g of ``jaxstab.proofs.plant`` vanishes where the loop has a root at e^(i theta). It is expanded at
-the centre of a box of alpha, beta, gamma, delta, delay and theta:
+Over a power of z, and over the denominators of the filters, the polynomial of any loop is
 
-    |g - value - sum_k linear_k (x_k - centre_k)| <= rest,
+    g = D + F (alpha P + beta V),
 
-where lemma B2 bounds how far the plant's second derivatives can bend g. So the values of g in the
-box lie in a sum of segments, widened by a disc of radius ``rest``. If a straight line through 0
-parts that set from 0, the box is free of roots (``is_free``); otherwise the caller halves it, along
-the axis in which g is steepest. A connected set of loops that free boxes cover, at all angles, is
-stable as soon as one of its loops is (lemma B6): every claim about a range rests on this.
+which vanishes where the loop has a root at e^(i theta). Models of D, F and the wall over a box of
+parameters and theta are multiplied (lemma B13), so the values of g in the box lie in a sum of
+segments, one for each axis, widened by a disc. If a straight line through 0 parts that set from 0,
+the box is free of roots (``is_free``); otherwise the caller halves it, along the axis that moves g
+most. A connected set of loops that free boxes cover, at all angles, is stable as soon as one of its
+loops is (lemma B6): every claim about a range rests on this.
+
+For one mass in closed form D and F are those of ``jaxstab.proofs.plant``; lemma B2 bounds how far
+their second derivatives can bend them. Models of any other loop are in
+``jaxstab.proofs.linear_circle``.
 
 Along lines through the space of loops, ``search`` brackets the first root: boxes of (t, theta) that
 are not free are shrunk to where both real parts of g can vanish. If the shrunk box lies inside of
 the box, it is proved to hold a root (lemma B4).
-
-These products are written out here for one mass in closed form, for speed; models of any other loop
-(``jaxstab.proofs.linear_circle``) go into the same search.
 """
 
 from collections.abc import Callable
@@ -27,7 +28,8 @@ from jaxtyping import Bool, Complex128, Float64, Int64
 
 from jaxstab.arrays import joined, take
 from jaxstab.model.filters import Filters
-from jaxstab.proofs.filters import Gains, Wall, wall_over
+from jaxstab.proofs.enclosures import LinearModel, variable
+from jaxstab.proofs.filters import OverCells, filter_cells
 from jaxstab.proofs.plant import (
     BENDS,
     NUMERATOR_SLOPES,
@@ -36,11 +38,13 @@ from jaxstab.proofs.plant import (
     quick_errors,
     quick_plant,
 )
-from jaxstab.rounding import EPS
+from jaxstab.rounding import ELEMENTARY, EPS
 
 Reals = Float64[np.ndarray, " boxes"]
 
 Complexes = Complex128[np.ndarray, " boxes"]
+
+_FLOOR = 256 * EPS  # of the terms of g, and of turns: about what the arithmetic of models adds
 
 
 class Loops(NamedTuple):
@@ -55,26 +59,41 @@ class Loops(NamedTuple):
 
 
 class Exclusion(NamedTuple):
-    """Whether a box is proved free of roots on the circle, and how steep g is in each variable."""
+    """Whether a box is proved free of roots on the circle, and how far each parameter moves g."""
 
     free: Bool[np.ndarray, " boxes"]
-    slopes: Float64[np.ndarray, "6 boxes"]
+    moves: Float64[np.ndarray, "6 boxes"]
 
 
-class Expansion(NamedTuple):
-    """g over boxes: |g - value - sum_k linear_k (x_k - centre_k)| <= rest.
+class Models(NamedTuple):
+    """g over boxes: the value in the middle, the moves to the ends of each axis, the rest."""
 
-    ``free`` is the part D/z of the value, ``free_theta`` its derivative by theta; ``rest_slopes``
-    says how steep the rest is in each variable, ``rounding`` how much of it is rounding.
+    value: np.ndarray
+    moves: np.ndarray  # (axis, box)
+    rest: np.ndarray
+    bends: np.ndarray  # (axis, box): how much each axis moves g, and its rest
+    rounding: np.ndarray
+
+
+def expanded(
+    free: LinearModel, force: LinearModel, rounding: Reals, turns: Reals | float = 0.0
+) -> Models:
+    """The sum g of D and F (alpha P + beta V), the second behind a number of turns of z.
+
+    The moves of g by each axis, with its part of the rest, say which axis to halve. ``rounding``
+    bounds that of values: where the rest is little more, halving is in vain.
     """
+    g = free + force
+    moves = np.abs(free.slope) + np.abs(force.slope)
+    share = moves / np.maximum(moves.sum(axis=0), 1e-300)
+    floor = rounding + _FLOOR * (np.abs(free.centre) + (1.0 + turns) * np.abs(force.centre))
+    return Models(g.centre, g.slope, g.rest, np.abs(g.slope) + 2.0 * g.rest * share, floor)
 
-    value: Complexes
-    linear: Complex128[np.ndarray, "6 boxes"]
-    rest: Reals
-    free: Complexes
-    free_theta: Complexes
-    rest_slopes: Float64[np.ndarray, "6 boxes"]
-    rounding: Reals
+
+def distance(free: LinearModel, force: LinearModel) -> Reals:
+    """A lower bound of ||D| - |F (alpha P + beta V)||, whatever the phases."""
+    apart = np.abs(np.abs(free.centre) - np.abs(force.centre))
+    return np.asarray(apart - free.swing - force.swing)
 
 
 def exclude(center: Loops, radius: Loops, filters: Filters | None = None) -> Exclusion:
@@ -82,9 +101,8 @@ def exclude(center: Loops, radius: Loops, filters: Filters | None = None) -> Exc
 
     Boxes may extend to negative gamma, delta or delay; nothing is proved about those parts.
     """
-    g = expansion(center, radius, filters=filters)
-    free = is_free(g.value, g.linear * np.stack(radius), g.rest)
-    return Exclusion(free, np.abs(g.linear) + g.rest_slopes)
+    g = expanded(*terms(center, radius, filters=filters))
+    return Exclusion(is_free(g.value, g.moves, g.rest), g.bends)
 
 
 def exclude_any_delay(center: Loops, radius: Loops, filters: Filters | None = None) -> Exclusion:
@@ -92,12 +110,8 @@ def exclude_any_delay(center: Loops, radius: Loops, filters: Filters | None = No
 
     A box is free when nowhere in it |D/z| = |(N/z) H|: then no phase z^-m brings the two to cancel.
     """
-    g = expansion(center, radius, filters=filters)
-    slope = np.abs(g.linear)
-    slope[5] = np.abs(g.free_theta) + np.abs(g.linear[5] - g.free_theta)
-    apart = np.abs(np.abs(g.free) - np.abs(g.value - g.free))
-    clear = apart - np.sum(slope * np.stack(radius), axis=0) - g.rest
-    return Exclusion(clear > 0, slope + g.rest_slopes)
+    free, force, *rounding = terms(center, radius, filters=filters)
+    return Exclusion(distance(free, force) > 0, expanded(free, force, *rounding).bends)
 
 
 def is_free(
@@ -117,84 +131,87 @@ def is_free(
     return clear
 
 
-def expansion(
+def terms(
     center: Loops,
     radius: Loops,
     plant: QuickPlant | None = None,
     filters: Filters | None = None,
-) -> Expansion:
-    """Expand g over boxes center +- radius; see lemmas B3 and B10.
+) -> tuple[LinearModel, LinearModel, Reals, Reals]:
+    """D and F (alpha P + beta V) of one mass over boxes center +- radius, and the rounding of g.
 
-    The plant at the centre may be given; the filters are in units of one sample.
+    The last value is the number of turns. The plant at the centre may be given; the filters are in
+    units of one sample. See lemmas B3 and B10.
     """
     if plant is None:
         hand = (np.maximum(value, 0.0) for value in center[2:5])
         plant = quick_plant(*hand)
     turns = np.floor(center.delay) + 1.0
-    back = np.exp(-1j * center.theta)  # 1/z
-    z = back.conj()
-    behind = np.exp(-1j * turns * center.theta)  # z^-m
-    lag = 1.0 - back
-    gains = Gains(*center[:2], *radius[:2], center.theta, radius.theta)
-    wall = wall_over(gains, back, filters)
-    ahead, after = behind * plant.n2 * z, behind * plant.n0 * back
-    force = ahead + behind * plant.n1 + after  # z^-m N/z
-    force_theta = 1j * (ahead - after - turns * force)
-    free, free_theta = z + plant.d1 + plant.d0 * back, 1j * (z - plant.d0 * back)
-    turned = 1j * center.beta * force * back if filters is None else force * wall.per_theta
-    linear = np.stack(
-        [
-            force * wall.per_alpha,
-            force * wall.per_beta,
-            plant.impulse + 0j,
-            plant.impulse_rate - plant.d0 * back,
-            behind * lag * -(plant.late + plant.early * z) * wall.value,
-            free_theta + force_theta * wall.value + turned,
-        ]
-    )
-    rest, slopes, rounding = _rest(center, radius, plant, (turns, np.abs(lag), wall))
-    value = free + force * wall.value
-    return Expansion(value, linear, rest + rounding, free, free_theta, slopes, rounding)
-
-
-def _rest(
-    center: Loops, radius: Loops, plant: QuickPlant, parts: tuple[Reals, Reals, Wall]
-) -> tuple[Reals, Float64[np.ndarray, "6 boxes"], Reals]:
-    """Return the rest of the expansion, how steep it is in each variable, and the rounding."""
-    turns, lag_here, wall = parts
     total = np.abs(plant.n2) + np.abs(plant.n1) + np.abs(plant.n0)
-    steps = np.floor(center.delay + radius.delay) + 2.0  # the largest m + 1
-    lag = np.minimum(lag_here + radius.theta, 2.0)  # the largest |1 - 1/z|
-    per_gamma, per_delta, per_delay = NUMERATOR_SLOPES
-    force_change = per_gamma * radius.gamma + per_delta * radius.delta
-    hand = (
-        wall.size * (force_change + lag * radius.delay**2)
-        + radius.delay * lag * wall.change
-        + BENDS["d1"].rest(radius.gamma, radius.delta)
-        + BENDS["d0"].rest(radius.gamma, radius.delta)
-    )
-    if wall.bend is None:
-        turns_of_wall = (2 * steps + 1) * wall.slope
+    rounding = 64 * EPS + plant.d_error, 4 * EPS * (turns + 8) * total + plant.n_error
+    back = np.exp(-1j * center.theta)  # 1/z
+    free = _free(center, radius, plant, back, rounding[0])
+    force = _force(center, radius, plant, back, rounding[1])
+    axes, unit = len(Loops._fields), free.half
+    if filters is None:
+        slope = np.zeros((axes, turns.size), complex)
+        slope[-1] = 1j * back * radius.theta
+        rest = 0.5 * radius.theta**2 + 2.0 * ELEMENTARY * (1.0 + radius.theta)
+        wall = variable(1, axes, center.beta, radius.beta) * LinearModel(
+            1.0 - back, slope, rest, unit
+        )
+        wall = wall + variable(0, axes, center.alpha, radius.alpha)
+        error = 2.0 * ELEMENTARY * np.abs(center.beta)
     else:
-        turns_of_wall = 2 * steps * wall.slope + wall.bend
-    bend = 1.0 + 0.5 * total * (steps**2 * wall.size + turns_of_wall)
-    turning = radius.theta * (
-        bend * radius.theta
-        + radius.delta
-        + radius.delay * ((steps * lag + 1) * wall.size + lag * wall.slope)
-        + total * (steps * wall.change + wall.turned_change)
+        over = OverCells.from_cells(filter_cells(filters), center.theta, radius.theta)
+        position, velocity = over.values_along(axes)
+        wall = variable(0, axes, center.alpha, radius.alpha) * position
+        wall = wall + variable(1, axes, center.beta, radius.beta) * velocity
+        error = np.abs(center.alpha) * over.error[0] + np.abs(center.beta) * over.error[1]
+    of_force = rounding[1] * np.abs(wall.centre) + total * error
+    return free, force * wall, rounding[0] + of_force, turns
+
+
+def _free(
+    center: Loops, radius: Loops, plant: QuickPlant, back: Complexes, rounding: Reals
+) -> LinearModel:
+    """Return D/z over boxes (lemma B3)."""
+    z, late = back.conj(), plant.d0 * back
+    slope = np.zeros((len(Loops._fields), back.size), complex)
+    slope[2] = plant.impulse * radius.gamma
+    slope[3] = (plant.impulse_rate - late) * radius.delta
+    slope[5] = 1j * (z - late) * radius.theta
+    rest = BENDS["d1"].rest(radius.gamma, radius.delta)
+    rest += BENDS["d0"].rest(radius.gamma, radius.delta)
+    rest += radius.theta * (radius.theta + radius.delta)
+    # The slopes are those of a quick plant.
+    moved = radius.gamma + radius.delta + radius.theta
+    rest += rounding + (quick_errors(center.gamma)[0] + 32 * EPS) * moved
+    return LinearModel(z + plant.d1 + late, slope, rest, np.ones((len(slope), 1)))
+
+
+def _force(
+    center: Loops, radius: Loops, plant: QuickPlant, back: Complexes, rounding: Reals
+) -> LinearModel:
+    """Return z^-m N/z over boxes (lemma B3)."""
+    turns = np.floor(center.delay) + 1.0
+    most = np.floor(center.delay + radius.delay) + 2.0  # the largest m + 1
+    z, lag = back.conj(), 1.0 - back
+    behind = np.exp(-1j * turns * center.theta)  # z^-m
+    ahead, after = behind * plant.n2 * z, behind * plant.n0 * back
+    value = ahead + behind * plant.n1 + after
+    slope = np.zeros((len(Loops._fields), back.size), complex)
+    slope[4] = behind * lag * -(plant.late + plant.early * z) * radius.delay
+    slope[5] = 1j * (ahead - after - turns * value) * radius.theta
+    total = np.abs(plant.n2) + np.abs(plant.n1) + np.abs(plant.n0)
+    far = np.minimum(np.abs(lag) + radius.theta, 2.0)  # the largest |1 - 1/z|
+    per_gamma, per_delta, _ = NUMERATOR_SLOPES
+    rest = per_gamma * radius.gamma + per_delta * radius.delta + far * radius.delay**2
+    rest += radius.theta * (
+        0.5 * total * most**2 * radius.theta + (most * far + 1.0) * radius.delay
     )
-    most_force = total + force_change + per_delay * radius.delay
-    rounding = 4 * EPS * (turns + 8) * (4.0 + most_force * wall.terms)
-    rounding += plant.d_error + plant.n_error * wall.size + most_force * wall.error
-    d_error, n_error = quick_errors(center.gamma)  # of the slopes, which are those of a quick plant
-    rounding += d_error * (radius.gamma + radius.delta + radius.theta)
-    rounding += n_error * wall.size * (radius.delay + steps * radius.theta)
-    slopes = np.zeros((6, len(total)))
-    slopes[2], slopes[3] = wall.size * per_gamma, wall.size * per_delta
-    slopes[4] = wall.size * lag * radius.delay
-    slopes[5] = bend * radius.theta
-    return hand + turning, slopes, rounding
+    moved = radius.delay + most * radius.theta
+    rest += rounding + (quick_errors(center.gamma)[1] + 4 * EPS * (turns + 8)) * moved
+    return LinearModel(value, slope, rest, np.ones((len(slope), 1)))
 
 
 def _along(direction: np.ndarray, value: np.ndarray) -> np.ndarray:
@@ -243,16 +260,6 @@ class FirstRoots(NamedTuple):
     low: Float64[np.ndarray, " line"]
     high: Float64[np.ndarray, " line"]
     theta: Float64[np.ndarray, " line"]
-
-
-class Models(NamedTuple):
-    """g over boxes: the value in the middle, the moves to the ends of each axis, the rest."""
-
-    value: np.ndarray
-    moves: np.ndarray  # (2, box)
-    rest: np.ndarray
-    bends: np.ndarray  # (2, box): how much each axis moves g, and its rest
-    rounding: np.ndarray
 
 
 def first_roots(lines: Lines, boxes: LineBoxes, filters: Filters | None = None) -> FirstRoots:
@@ -304,10 +311,10 @@ def _models(lines: Lines, plants: QuickPlant, boxes: LineBoxes, filters: Filters
         others = quick_plant(*(np.maximum(value[is_other], 0.0) for value in center[2:5]))
         for coefficient, other in zip(plant, others, strict=True):
             coefficient[is_other] = other
-    g = expansion(center, Loops(*np.concatenate([moved, half[1:]])), plant, filters)
-    moves = np.stack([np.sum(g.linear[:5] * change, axis=0), g.linear[5]]) * half
-    bends = np.stack([np.sum(g.rest_slopes[:5] * moved, axis=0), g.rest_slopes[5] * half[1]])
-    return Models(g.value, moves, g.rest, bends + np.abs(moves), g.rounding)
+    g = expanded(*terms(center, Loops(*np.concatenate([moved, half[1:]])), plant, filters))
+    along = np.sum(g.moves[:5] * np.sign(change), axis=0)
+    bends = np.stack([np.sum(g.bends[:5], axis=0), g.bends[5]])
+    return g._replace(moves=np.stack([along, g.moves[5]]), bends=bends)
 
 
 def _shrunk(boxes: LineBoxes, models: Models) -> tuple[LineBoxes, Bool[np.ndarray, " box"]]:

@@ -10,9 +10,8 @@ series are good to rounding; an interval then takes the series of the cell that 
 and the largest bounds of all cells that it meets, from a table by powers of two
 (``largest_within``).
 
-Three forms of the result follow: the wall H = alpha P + beta V over boxes (``wall_over``), linear
-models of any functions in cells (``OverCells``), and the real parts of P and V that the closed form
-of the curve takes (``filter_models``, lemma B12).
+Two forms of the result follow: linear models of any functions in cells (``OverCells``), and the
+real parts of P and V that the closed form of the curve takes (``filter_models``, lemma B12).
 """
 
 from collections.abc import Callable, Sequence
@@ -442,107 +441,9 @@ def largest_from(
     return np.stack(rows)
 
 
-# The wall's part of g over boxes of loops and angles: H = alpha P(z) + beta V(z).
-#
-# P is the position filter and V the velocity estimator. Without filters P = 1 and V = 1 - 1/z, in
-# closed form; else both come from ``jaxstab.proofs.filters``.
+# Functions in cells over boxes of the angle.
 
 Reals = Float64[np.ndarray, " boxes"]
-
-Complexes = Complex128[np.ndarray, " boxes"]
-
-
-class Gains(NamedTuple):
-    """alpha and beta of boxes, their half-widths, and the angle with its half-width."""
-
-    alpha: Reals
-    beta: Reals
-    by_alpha: Reals
-    by_beta: Reals
-    theta: Reals
-    by_theta: Reals
-
-
-class Wall(NamedTuple):
-    """H over boxes.
-
-    value: H in the middle of each box.
-    per_alpha: dH/dalpha there, P.
-    per_beta: dH/dbeta there, V.
-    per_theta: dH/dtheta there; None for i beta/z.
-    size: a bound of |H| in the box.
-    change: a bound of how far alpha and beta move H at the middle angle.
-    slope: a bound of |dH/dtheta| in the box.
-    bend: a bound of |d^2H/dtheta^2| in the box; None where ``slope`` is one.
-    turned_change: a bound of how far alpha and beta move dH/dtheta in the box.
-    terms: a bound of the terms whose sum is H.
-    error: a bound of the error of H beyond roundings of its terms.
-    """
-
-    value: Complexes
-    per_alpha: Complexes | float
-    per_beta: Complexes
-    per_theta: Complexes | None
-    size: Reals
-    change: Reals
-    slope: Reals
-    bend: Reals | None
-    turned_change: Reals
-    terms: Reals
-    error: Reals | float
-
-
-def wall_over(gains: Gains, back: Complexes, filters: Filters | None) -> Wall:
-    """Return the wall over boxes; ``back`` is 1/z in their middles."""
-    if filters is None:
-        return _plain_wall(gains, back)
-    return _filtered_wall(gains, filter_cells(filters))
-
-
-def _plain_wall(gains: Gains, back: Complexes) -> Wall:
-    lag = 1.0 - back
-    value = gains.alpha + gains.beta * lag
-    most_beta = np.abs(gains.beta) + gains.by_beta
-    change = gains.by_alpha + np.abs(lag) * gains.by_beta
-    size = np.abs(value) + change + np.minimum(gains.by_theta, 2.0) * most_beta
-    return Wall(
-        value=value,
-        per_alpha=1.0,
-        per_beta=lag,
-        per_theta=None,
-        size=size,
-        change=change,
-        slope=most_beta,
-        bend=None,
-        turned_change=gains.by_beta,
-        terms=size + np.abs(gains.alpha) + np.abs(gains.beta),
-        error=0.0,
-    )
-
-
-def _filtered_wall(gains: Gains, cells: FilterCells) -> Wall:
-    alpha, beta, by_alpha, by_beta, theta, by_theta = gains
-    (position, velocity), (position_theta, velocity_theta), errors = responses(cells, theta)
-    steep = largest_within(cells.steepness, cells, theta, by_theta)
-    most_alpha, most_beta = np.abs(alpha) + by_alpha, np.abs(beta) + by_beta
-    value = alpha * position + beta * velocity
-    change = by_alpha * np.abs(position) + by_beta * np.abs(velocity)
-    slope = most_alpha * steep[0] + most_beta * steep[1]
-    size = np.abs(value) + change + by_theta * slope
-    return Wall(
-        value=value,
-        per_alpha=position,
-        per_beta=velocity,
-        per_theta=alpha * position_theta + beta * velocity_theta,
-        size=size,
-        change=change,
-        slope=slope,
-        bend=most_alpha * steep[2] + most_beta * steep[3],
-        turned_change=by_alpha * steep[0] + by_beta * steep[1],
-        terms=size + np.abs(alpha * position) + np.abs(beta * velocity),
-        error=most_alpha * (errors[0] + by_theta * errors[2])
-        + most_beta * (errors[1] + by_theta * errors[3]),
-    )
 
 
 def cell_index(cells: FilterCells, theta: Reals) -> np.ndarray:

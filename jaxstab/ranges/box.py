@@ -180,8 +180,10 @@ def excluded(
     The test is ``proofs.exclusion.exclude``, or one like it. The axes of the boxes move their
     centers ``by_axis``; ``radius`` covers the loops of a box, by default the sum over the axes.
     """
-    exclusion = test(center, radius or Loops(*by_axis.sum(axis=0)))
-    return Proof(exclusion.free, np.sum(exclusion.slopes * by_axis, axis=1).T)
+    radius = radius or Loops(*by_axis.sum(axis=0))
+    exclusion = test(center, radius)
+    share = by_axis / np.maximum(np.stack(radius), 1e-300)
+    return Proof(exclusion.free, np.sum(exclusion.moves * share, axis=1).T)
 
 
 def paved_device(

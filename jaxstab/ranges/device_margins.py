@@ -15,18 +15,18 @@ from jaxstab.arrays import Numbers, joined
 from jaxstab.conventions import Verdict
 from jaxstab.model import checked_gain
 from jaxstab.model.device import SampledDevice
+from jaxstab.model.device.family import LoopFamily
 from jaxstab.model.filters import Filter, Filters, Velocity, known_filters
 from jaxstab.point.verdicts import linear_verdict
 from jaxstab.proofs.exclusion import FirstRoots, LineBoxes, Models, search
 from jaxstab.proofs.linear_circle import (
-    DelayBoxes,
-    DelayedDevice,
+    FamilyCells,
     GainLines,
-    delayed_device,
+    delay_models,
+    family_cells,
     line_models,
     loop_cells,
 )
-from jaxstab.proofs.linear_circle import delay_models as models
 from jaxstab.ranges.box import ParameterBox, Proof
 from jaxstab.ranges.margins import (
     GAIN_WAYS,
@@ -50,6 +50,7 @@ _COARSE = np.array([2.0**-7, 2.0**-13])  # half the size of boxes of fractions, 
 _FINE = np.array([2.0**-12, 2.0**-16])  # where the first stretch of delay was free
 _MOST_ANGLES = 4000  # such boxes of a wall at once
 _MOST_PARTS = 20_000  # of a stretch of delay
+_TERMS = 3  # of the polynomials in the fraction, for each part of a piece at first
 
 
 def extra_delays(
@@ -58,30 +59,30 @@ def extra_delays(
     """By how many samples the delay of stable walls (alpha, beta) may at least grow.
 
     Infinite where no root reaches the circle up to ``MOST_DELAY``, and NaN for a device that is too
-    fast for the proof. Source: lemmas B5 and B14 of docs/proofs.md.
+    fast for the proof. Source: lemmas B5 and B17 of docs/proofs.md.
     """
-    delayed = delayed_device(device, filters)
-    if delayed is None:
+    cells = family_cells(LoopFamily.over_delays(device, filters))
+    if cells is None:
         return np.full(len(walls), nan)
 
     def critical(numbers: np.ndarray, is_fine: bool) -> LineBoxes:
-        return _critical_angles(delayed, walls, numbers, _FINE if is_fine else _COARSE)
+        return _critical_angles(cells, walls, numbers, _FINE if is_fine else _COARSE)
 
     def roots(angles: LineBoxes, begin: np.ndarray, length: np.ndarray) -> FirstRoots:
         start = device.delay + begin
-        boxes = _in_pieces(delayed, angles, start, length)
-        return search(len(walls), boxes, partial(_models, delayed, walls, start, length))
+        boxes = _in_pieces(cells, angles, start, length)
+        return search(len(walls), boxes, partial(_models, cells, walls, start, length))
 
     def longest(angles: LineBoxes) -> np.ndarray:
         """The longest stretches that are not cut into more parts than are evaluated together."""
-        parts = np.bincount(angles.line, minlength=len(walls)) * len(delayed.pieces)
+        parts = np.bincount(angles.line, minlength=len(walls)) * len(_fractions(cells))
         return np.maximum(1.0, _MOST_PARTS / np.maximum(parts, 1))
 
     return first_delays(len(walls), critical, roots, longest).step
 
 
 def _critical_angles(
-    device: DelayedDevice,
+    cells: FamilyCells,
     walls: Walls,
     numbers: np.ndarray,
     smallest: Float64[np.ndarray, "2"],
@@ -89,31 +90,39 @@ def _critical_angles(
     """The angles at which some delay may put a root of some walls on the circle."""
 
     def prove(boxes: ParameterBox) -> Proof:
-        (fraction, by_fraction), (angle, by_angle) = boxes["fraction"], boxes["angle"]
-        gains = walls[boxes.index].T
-        over = DelayBoxes(gains, fraction, pi * angle, by_fraction, pi * by_angle)
-        enclosure, apart = models(device, over)
-        return Proof(apart > 0.0, enclosure.bends.T)
+        middle, half = (pi * angle for angle in boxes["angle"])
+        over = delay_models(cells, walls[boxes.index].T, boxes["fraction"], (middle, half))
+        return Proof(over[1] > 0.0, over[0].bends[1:].T)
 
     middles = (np.arange(_DELAY_ANGLES) + 0.5) / _DELAY_ANGLES
-    grid = np.meshgrid(numbers, np.arange(len(device.pieces)), middles, indexing="ij")
-    wall, piece, angle = (column.ravel() for column in grid)
-    middle, half = np.array([[piece.middle, piece.half] for piece in device.pieces]).T[:, piece]
-    fractions, angles = (middle, half), (angle, 0.5 / _DELAY_ANGLES)
+    ends = _fractions(cells)
+    grid = np.meshgrid(numbers, np.arange(len(ends) - 1), middles, indexing="ij")
+    wall, part, angle = (column.ravel() for column in grid)
+    low, high = ends[part], ends[part + 1]
+    fractions, angles = (0.5 * (low + high), 0.5 * (high - low)), (angle, 0.5 / _DELAY_ANGLES)
     boxes = ParameterBox.from_axes(wall, fraction=fractions, angle=angles)
-    most = _MOST_ANGLES * len(device.pieces)
+    most = _MOST_ANGLES * (len(ends) - 1)
     return joined_angles(boxes.paved(prove, smallest, most_each=most).boxes)
 
 
+def _fractions(cells: FamilyCells) -> Float64[np.ndarray, " end"]:
+    """Ends of parts of a sample, more of them where the polynomials have more terms."""
+    ends = [
+        np.linspace(*piece.ends, 1 + -(-len(piece.stiffness.near) // _TERMS))[:-1]
+        for piece in cells.pieces
+    ]
+    return np.append(np.concatenate(ends), 1.0)
+
+
 def _in_pieces(
-    device: DelayedDevice, angles: LineBoxes, start: np.ndarray, length: np.ndarray
+    cells: FamilyCells, angles: LineBoxes, start: np.ndarray, length: np.ndarray
 ) -> LineBoxes:
     """Divide lines along the delay into the pieces of each sample."""
     boxes = []
     for wall in np.unique(angles.line):
         begin, end = start[wall], start[wall] + length[wall]
         whole = np.arange(np.floor(begin), np.floor(end) + 1.0)
-        ends = np.unique(whole[:, None] + device.ends)
+        ends = np.unique(whole[:, None] + _fractions(cells))
         ends = ends[(ends > begin) & (ends < end)]
         t = np.clip([0.0, *((ends - begin) / length[wall]), 1.0], 0.0, 1.0)
         which = np.flatnonzero(angles.line == wall)
@@ -125,15 +134,13 @@ def _in_pieces(
 
 
 def _models(
-    device: DelayedDevice, walls: Walls, start: np.ndarray, length: np.ndarray, boxes: LineBoxes
+    cells: FamilyCells, walls: Walls, start: np.ndarray, length: np.ndarray, boxes: LineBoxes
 ) -> Models:
     t, theta = 0.5 * (boxes.low + boxes.high)
     by_t, by_theta = 0.5 * (boxes.high - boxes.low) * (1.0 + 2.0**-50)
-    long = length[boxes.line]
-    delays = DelayBoxes(
-        walls[boxes.line].T, start[boxes.line] + long * t, theta, long * by_t, by_theta
-    )
-    return models(device, delays)[0]
+    delay = start[boxes.line] + length[boxes.line] * t, length[boxes.line] * by_t
+    over = delay_models(cells, walls[boxes.line].T, delay, (theta, by_theta))[0]
+    return over._replace(moves=over.moves[1:], bends=over.bends[1:])
 
 
 _AT_ONCE = 32  # walls
@@ -154,7 +161,7 @@ def device_margins(
     """Margins of walls on a sampled device in SI units, one quantity changed at a time.
 
     For a device with poles far beyond the sampling rate no extra delay is proved (NaN): from about
-    a hundred rad per sample on, or some thousand if the poles decay. Source: lemmas B5, B13 and B14
+    a hundred rad per sample on, or some thousand if the poles decay. Source: lemmas B5, B13 and B17
     of docs/proofs.md.
     """
     filters = known_filters(velocity, position)

@@ -1,5 +1,7 @@
 """All loops between two loops: each number that differs runs straight from the one to the other.
 
+A loop at all fractions of a sample of delay is such a family, too.
+
 In powers of z, and over a common power, the loop at t, from 0 to 1, is
 
     D(z) + z^-lag (alpha P(z) S(z) + beta V(z) R(z)),
@@ -11,7 +13,7 @@ Chebyshev's points are right (lemma B17 of docs/proofs.md).
 
 from dataclasses import dataclass, fields, is_dataclass
 from functools import lru_cache, partial, reduce
-from math import ceil, cos, factorial, floor, inf, nextafter, pi
+from math import ceil, cos, floor, inf, nextafter, pi
 from operator import mul
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -19,19 +21,13 @@ import numpy as np
 from jaxtyping import Float64
 
 from jaxstab.model.device.device import Device
-from jaxstab.model.device.parts import Rational, Span, StateSpace, exact, working_precision
+from jaxstab.model.device.parts import Span, StateSpace, exact, working_precision
 from jaxstab.model.device.sampling import (
+    OneSample,
     SampledDevice,
-    force_of,
-    generator,
-    held,
-    in_fastest_time,
     in_samples,
     in_samples_over,
-    of_samples,
-    position_after,
     sampled_device,
-    without_force,
 )
 from jaxstab.model.filters import Filter, Filters, Section, Velocity
 from jaxstab.model.loop import LoopParameters
@@ -102,30 +98,20 @@ def has_spans(value: Any) -> bool:
     return isinstance(value, tuple) and any(map(has_spans, value))
 
 
-# N(z) of a device for all fractions of the delay: Taylor polynomials in pieces of a sample.
-#
-# With the companion form (A, B, C) of a device in time units of a sample, Gamma(t) what a force
-# held for a time t adds to the states, and n[v] = C adj(z - exp A) v,
-#
-#     N_f(z) = (z - 1) n[Gamma(1 - f)](z) + n[Gamma(1)](z),     Gamma' = exp(A t) B
-#
-# (lemma B14 of docs/proofs.md). The pieces are halved, in balls, until the polynomials are right.
+# A polynomial in z whose coefficients are polynomials in one parameter, over an interval of it.
 if TYPE_CHECKING:
     from flint import acb, acb_poly, arb, arb_mat, arb_poly
 
-_FIRST_BITS, _MOST_BITS = 512, 1 << 12
-_ORDER = 14  # of the polynomials, at most
-_MISS_IN_Z = 2.0**-66  # of the size of N, by which a polynomial may miss it
+_MISS_IN_Z = 2.0**-66  # of the size of a polynomial: what its balls may add
 _OVERLAP = 1e-6  # of a piece, beyond its ends
-_MOST_DELAY_PIECES = 128
 
 
 @dataclass(frozen=True)
 class Piece:
-    """N_f(z) = sum_jk u^j near_jk (z - 1)^k for |u| <= half, a little beyond, u = f - middle.
+    """Q(z) = sum_jk u^j near_jk (z - 1)^k for |u| <= half, a little beyond, u = t - middle.
 
-    ``near`` are the coefficients in the units of the device, ``far`` those of N_f(-z).
-    ``remainder`` bounds what either sum misses of N on the unit circle, but for the rounding of
+    ``near`` are the coefficients in the units of the device, ``far`` those of Q(-z).
+    ``remainder`` bounds what either sum misses of Q on the unit circle, but for the rounding of
     each coefficient.
     """
 
@@ -134,96 +120,6 @@ class Piece:
     near: Float64[np.ndarray, "power coefficient"]
     far: Float64[np.ndarray, "power coefficient"]
     remainder: float
-
-
-@lru_cache(maxsize=16)
-def pieces_of_delay(device: SampledDevice) -> tuple[Piece, ...] | None:
-    """Return pieces of [0, 1], ascending, for the fraction f of the delay.
-
-    N has the order of D, one more than without a fraction: the plant is z^-(n + 1) N/D for a delay
-    of n + f samples. None for a device that is too fast for that many pieces.
-    """
-    import flint
-
-    bits = _FIRST_BITS
-    while True:
-        with working_precision(bits):
-            family = _Family.from_compliance(device.device.compliance(), device.sample_time)
-            if family.is_known or bits >= _MOST_BITS:
-                return _pieces(family, 1 / flint.arb(device.stiffness_unit))
-        bits *= 2
-
-
-def _pieces(family: "_Family", scale: "arb") -> tuple[Piece, ...] | None:
-    done: list[Piece] = []
-    waiting = [(0.5, 0.5)]
-    while waiting:
-        middle, half = waiting.pop()
-        piece = family.piece(middle, half, scale)
-        if piece is not None:
-            done.append(piece)
-            continue
-        # The first piece is the longest, at the end of a decay; without a decay all are alike.
-        is_hopeless = not done and half * _MOST_DELAY_PIECES < 1.0
-        if is_hopeless or len(done) + len(waiting) >= _MOST_DELAY_PIECES:
-            return None
-        waiting += [(middle + 0.5 * half, 0.5 * half), (middle - 0.5 * half, 0.5 * half)]
-    return tuple(done)
-
-
-class _Family(NamedTuple):
-    """A device in the time of its fastest pole: what a state does to the position."""
-
-    above: "list[arb]"
-    below: "list[arb]"
-    speed: "arb"  # such units of time in a sample
-    transition: "arb_mat"
-    denominator: "arb_poly"
-    whole: "arb_poly"  # n[Gamma(1)]
-
-    @classmethod
-    def from_compliance(cls, compliance: Rational, sample_time: float) -> "_Family":
-        import flint
-
-        above, below, speed = in_fastest_time(*in_samples(compliance, sample_time))
-        sample = held(below, speed)
-        transition = without_force(sample)
-        denominator = transition.charpoly()
-        column = force_of(sample)
-        whole = position_after(above, transition, denominator, column)
-        return cls(above, below, speed, transition, denominator, flint.arb_poly(whole))
-
-    @property
-    def is_known(self) -> bool:
-        return float(size_on_circle(self.whole) * _MISS_IN_Z**2) > float(_radius(self.whole))
-
-    def piece(self, middle: float, half: float, scale: "arb") -> Piece | None:
-        import flint
-
-        after = held(self.below, (1 - flint.arb(exact(middle))) * self.speed)
-        matrix = generator(self.below)
-        half_width = flint.arb(half) * (1 + _OVERLAP)
-        # For all times of the piece: e^(A t) times what it is in the middle.
-        around = without_force(held(self.below, flint.arb(0, half_width) * self.speed))
-        terms = [self._steps(force_of(after)) + self.whole]
-        allowed = size_on_circle(terms[0]) * _MISS_IN_Z
-        moved = without_force(after) * force_of(matrix)
-        for order in range(1, _ORDER + 2):
-            weight = (-self.speed) ** order / factorial(order)
-            missed = size_on_circle(self._steps(around * moved) * weight * half_width**order)
-            if missed < allowed:
-                scaled, degree = [term * scale for term in terms], len(self.above)
-                return rounded_piece(middle, half, scaled, missed * scale, degree)
-            terms.append(self._steps(moved) * weight)
-            moved = without_force(matrix) * moved
-        return None
-
-    def _steps(self, column: "arb_mat") -> "arb_poly":
-        """Return (z - 1) n[v]."""
-        import flint
-
-        coefficients = position_after(self.above, self.transition, self.denominator, column)
-        return flint.arb_poly([-1, 1]) * flint.arb_poly(coefficients)
 
 
 def rounded_piece(
@@ -268,18 +164,11 @@ def size_on_circle(polynomial: "arb_poly | acb_poly") -> "arb":
     return sum((abs(c).upper() for c in polynomial.coeffs()), flint.arb(0))
 
 
-def _radius(polynomial: "arb_poly") -> "arb":
-    """Return the sum of the radii of the coefficients."""
-    import flint
-
-    return sum((c.rad() for c in polynomial.coeffs()), flint.arb(0))
-
-
 _BITS = (256, 1024)
-_NODES = 22  # of a piece
+_NODES = 32  # of a piece
 _DISC = 6.0  # half-widths: the radius of the disc in which coefficients are bounded
 _ARCS = 8  # of half the circle around it
-_MISSED_BY = 6e-22  # of their bound there: the interpolation error
+_MISSED_BY = 6e-32  # of their bound there: the interpolation error
 _DROPPED, _MOST_MISSED = 2.0**-63, 2.0**-60  # of the size of a polynomial in z
 _SMALLEST, _MOST_PIECES = 2.0**-12, 128
 _BEYOND = 1e-9, 2.0**-50  # of a half-width, and of t, so that pieces meet
@@ -337,6 +226,12 @@ class LoopFamily:
         ends = [sampled_device(device, period, delay) for device, delay in pairs]
         return cls(whole, Span(delays[0], delays[1]), merged(*filters), ends[0], ends[1])
 
+    @classmethod
+    def over_delays(cls, device: SampledDevice, filters: Filters | None) -> "LoopFamily":
+        """A loop at all fractions of a sample of delay, for gains in the units of its device."""
+        whole = filters or (Velocity(), Filter())
+        return cls(device.device, Span(0.0, 1.0), whole, device, device)
+
     def end(self, share: int) -> tuple[SampledDevice, Filters]:
         """Return the first loop (0) or the last one (1)."""
         return (self.first, self.last)[share], value_at(self.filters, float(share))
@@ -365,12 +260,12 @@ class LoopFamily:
         import flint
 
         period = self.first.sample_time
-        compliance = in_samples_over(self.device.compliance(), period, t)
-        if compliance is None:
+        sample = self._sample(t, flint.ctx.prec)
+        if sample is None:
             return None
         has_fraction = self.delay.first != self.delay.last or self.delay.first % 1.0 != 0.0
         fraction = _value(self.delay, t) - whole if has_fraction else None
-        force, free = of_samples(*compliance, fraction)
+        force, free = sample.of_samples(fraction)
         velocity, position = self.filters
         above_k, below_k = _changing(position, t, period)
         above_b, below_b = _changing(velocity.filter, t, period)
@@ -378,6 +273,14 @@ class LoopFamily:
         if not has_spans(self.filters):
             return [free, force]
         return [free * below_k * below_b, force * above_k * below_b, force * above_b * below_k]
+
+    def _sample(self, t: "acb", bits: int) -> OneSample | None:
+        """What the device does within a sample; None where it may be too fast."""
+        period = self.first.sample_time
+        if not has_spans(self.device):
+            return _constant_sample(self.device, period, bits)
+        compliance = in_samples_over(self.device.compliance(), period, t)
+        return None if compliance is None else OneSample.from_compliance(*compliance)
 
     def samples(self) -> list[tuple[float, float, int]]:
         """Intervals of t in which the delay is between two whole samples, and the lower one."""
@@ -392,6 +295,12 @@ class LoopFamily:
                 (max(0.0, nextafter(ends[0], -inf)), min(1.0, nextafter(ends[1], inf)), whole)
             )
         return parts
+
+
+@lru_cache(maxsize=16)
+def _constant_sample(device: Device, period: float, bits: int) -> OneSample:
+    with working_precision(bits):
+        return OneSample.from_compliance(*in_samples(device.compliance(), period))
 
 
 @lru_cache(maxsize=16)
@@ -418,8 +327,12 @@ def _piece(family: LoopFamily, middle: float, half: float, whole: int) -> LoopPi
 
     with working_precision(_BITS[0]):
         missed = _missed(family, middle, half, whole)
-    if missed is None:
-        return None
+        typical = family.polynomials(flint.acb(middle), whole)
+        if missed is None or typical is None:
+            return None
+        sizes = map(size_on_circle, typical)
+        if any(miss > size * _MOST_MISSED for miss, size in zip(missed, sizes, strict=True)):
+            return None
     for bits in _BITS:
         with working_precision(bits):
             points, inverse = _interpolation(bits)

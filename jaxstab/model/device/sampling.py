@@ -136,7 +136,7 @@ def _balls(compliance: Rational, sample_time: float, fraction: float) -> _Balls:
 
     above, below = in_samples(compliance, sample_time)
     late = flint.arb(exact(fraction)) if fraction else None
-    numerator, denominator = of_samples(above, below, late)
+    numerator, denominator = OneSample.from_compliance(above, below).of_samples(late)
     zeros = next(power for power in range(len(below)) if below[power] != 0)
     zeros_above = 1 if above[0] == 0 else 0
     plus, minus = flint.arb_poly([1, 1]), flint.arb_poly([-1, 1])
@@ -194,25 +194,45 @@ def _speed(below: list[Ball]) -> int:
     return max((_binary_digits(c) // root for root, c in sizes), default=0)
 
 
-def of_samples(above: list[Ball], below: list[Ball], fraction: Ball | None) -> tuple[Any, Any]:
-    """Return N(z) and D(z), for a fraction of a sample with one sample of delay more (B14)."""
-    import flint
+class OneSample(NamedTuple):
+    """A device in the time of its fastest pole, and what its states do within a sample.
 
-    above, below, speed = in_fastest_time(above, below)
-    sample = held(below, speed)
-    transition = without_force(sample)
-    denominator = transition.charpoly()
-    has_complex = any(isinstance(value, flint.acb) for value in below)
-    polynomial = flint.acb_poly if has_complex else flint.arb_poly
+    ``speed`` is how many such times a sample has, ``whole`` what a force that is held for a whole
+    sample does to the position.
+    """
 
-    def moved(column: Matrix) -> Any:
-        return polynomial(position_after(above, transition, denominator, column))
+    above: list[Ball]
+    below: list[Ball]
+    speed: "arb"
+    transition: Matrix
+    denominator: Any
+    whole: Any
 
-    whole = moved(force_of(sample))
-    if fraction is None:
-        return whole, denominator
-    later = moved(force_of(held(below, (1 - fraction) * speed)))
-    return polynomial([-1, 1]) * later + whole, denominator
+    @classmethod
+    def from_compliance(cls, above: list[Ball], below: list[Ball]) -> "OneSample":
+        """A device from its compliance, as ``in_samples`` has it."""
+        above, below, speed = in_fastest_time(above, below)
+        sample = held(below, speed)
+        transition = without_force(sample)
+        one = cls(above, below, speed, transition, transition.charpoly(), None)
+        return one._replace(whole=one.moved(force_of(sample)))
+
+    def moved(self, column: Matrix) -> Any:
+        """What states do to the position, as a polynomial in z."""
+        import flint
+
+        values = position_after(self.above, self.transition, self.denominator, column)
+        has_complex = any(isinstance(value, flint.acb) for value in values)
+        return (flint.acb_poly if has_complex else flint.arb_poly)(values)
+
+    def of_samples(self, fraction: Ball | None) -> tuple[Any, Any]:
+        """N(z) and D(z), for a fraction of a sample with one sample of delay more (V10)."""
+        import flint
+
+        if fraction is None:
+            return self.whole, self.denominator
+        later = self.moved(force_of(held(self.below, (1 - fraction) * self.speed)))
+        return flint.arb_poly([-1, 1]) * later + self.whole, self.denominator
 
 
 def in_fastest_time(above: list[Ball], below: list[Ball]) -> "tuple[list[Ball], list[Ball], arb]":
