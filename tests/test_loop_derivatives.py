@@ -14,7 +14,7 @@ import pytest
 from mpmath import mp, mpc, mpf
 
 from benchmarks.truth.loop import evaluate, sampled_plant
-from jaxstab import Filter, HandRange, HapticLoop, Velocity, Verdict, limits_of
+from jaxstab import Filter, HandRange, HapticLoop, Velocity, Verdict, limits_of, regions_of
 
 Numbers = dict[str, Any]
 
@@ -203,6 +203,106 @@ def test_limits_of_many_loops_have_the_slopes_of_50_digits() -> None:
             truth = [difference(stiffest, numbers, key) for key in ("device_mass", "delay")]
         for slopes in (by_batch, by_vmap):
             assert [slope[index] for slope in slopes] == pytest.approx(truth, rel=1e-6)
+
+
+Point = list[mpf]
+CROSSED = replace(WINDOW, device_mass=0.02, hand_damping=3.0, delay=0.3e-3)
+
+
+def on_curve(loop: HapticLoop, numbers: Numbers, angle: mpf) -> Point:
+    """The wall (K, B) with a root at this angle on the circle."""
+    z = mpc(mp.cos(angle), mp.sin(angle))
+    base, stiffness, damping = (evaluate(column, z) for column in parts(loop, numbers))
+    det = (mp.conj(stiffness) * damping).imag
+    return [(mp.conj(damping) * base).imag / det, (mp.conj(stiffness) * base).imag / -det]
+
+
+def at_corner(loop: HapticLoop, numbers: Numbers, angles: list[float]) -> Point:
+    """The wall (K, B) at which the curve meets itself at two angles, or the line z = 1 at one."""
+
+    def gaps(*turned: mpf) -> list[mpf]:
+        first, *others = (on_curve(loop, numbers, angle) for angle in turned)
+        if others:
+            return [a - b for a, b in zip(first, *others, strict=True)]
+        base, stiffness, damping = (mp.fsum(column) for column in parts(loop, numbers))
+        return [base + first[0] * stiffness + first[1] * damping]
+
+    start = angles if len(angles) > 1 else angles[0]
+    root = mp.findroot(gaps if len(angles) > 1 else lambda x: gaps(x)[0], start, tol=1e-60)
+    return on_curve(loop, numbers, root[0] if len(angles) > 1 else root)
+
+
+def coordinate(place: Callable[[Numbers], Point], axis: int, numbers: Numbers) -> mpf:
+    return place(numbers)[axis]
+
+
+def angles_on_circle(loop: HapticLoop, wall: Any) -> list[float]:
+    poles = loop.poles(*wall.tolist())
+    return [float(x) for x in np.angle(poles[np.abs(np.abs(poles) - 1.0) < 1e-7]) if x > -1e-7]
+
+
+@pytest.mark.parametrize(("loop", "count"), [(HELD, 1), (CROSSED, 64)])
+def test_outlines_move_as_the_boundary_does_in_50_digits(loop: HapticLoop, count: int) -> None:
+    """Corners move as corners do, all other vertices with the boundary, as seen across it."""
+    masses = loop.device_mass * np.linspace(1.0, 1.01, count)
+    delays = np.full(count, loop.delay)
+
+    def outlines(mass: Any, delay: Any) -> Any:
+        return regions_of(loop, device_mass=mass, delay=delay).outline
+
+    steps = (np.ones(count), 0.0 * delays), (0.0 * delays, np.ones(count))
+    moves = [jax.jvp(outlines, (masses, delays), step)[1][0] for step in steps]
+    regions = regions_of(loop, device_mass=masses)
+    assert bool(regions.limits.is_single[0]) == (count == 1)
+    corners = 0
+    for index, wall in enumerate(regions.outline[0]):
+        angles = angles_on_circle(loop, wall)
+        is_corner = len(angles) == 2 and max(angles) > 1e-3
+        corners += is_corner
+        if not is_corner and (index % 20 or min(angles) < 1e-2):
+            continue
+        with mp.workdps(50):
+            here, turned = numbers_of(loop), [angle for angle in angles if angle > 1e-3]
+            if is_corner:
+                place = partial(at_corner, loop, angles=turned)
+            else:
+                place = partial(on_curve, loop, angle=mpf(turned[0]))
+            assert np.array(place(here), float) == pytest.approx(wall, rel=1e-8, abs=1e-8)
+            truth = [
+                [difference(partial(coordinate, place, axis), here, key) for axis in (0, 1)]
+                for key in ("device_mass", "delay")
+            ]
+            ends = [on_curve(loop, here, turned[0] + step) for step in (-STEP, STEP)]
+            along = np.array([(b - a) / STEP for a, b in zip(*ends, strict=True)], float)
+        for move, true in zip(moves, np.array(truth), strict=True):
+            size = np.full(2, 1e-6 * np.max(np.abs(true)))
+            if is_corner:
+                assert np.all(np.abs(move[index] - true) <= size)
+            else:
+                across = np.array([-along[1], along[0]])
+                assert abs(across @ (move[index] - true)) <= np.abs(across) @ size
+    assert corners >= 1
+
+
+def test_the_region_of_an_undamped_free_mass_grows_as_its_closed_form() -> None:
+    """0 < alpha < 2 beta (2 - beta)/(beta + 2), 0 < beta < 2 has the area 12 - 16 ln 2."""
+    free = replace(PLAIN, device_damping=0.0, delay=0.0)
+    for count in (1, 64):
+        masses, periods = np.linspace(0.25, 0.5, count), np.full(count, 1e-3)
+
+        def regions(mass: Any, period: Any) -> Any:
+            return regions_of(free, device_mass=mass, sample_time=period)[:2]
+
+        steps = (np.ones(count), 0.0 * periods), (0.0 * periods, np.ones(count))
+        answers = [jax.jvp(regions, (masses, periods), step) for step in steps]
+        outline, area = map(np.asarray, answers[0][0])
+        (by_mass, more), (by_period, less) = (map(np.asarray, moves) for _, moves in answers)
+        assert area == pytest.approx((12.0 - 16.0 * np.log(2.0)) * masses**2 * 1e9, rel=1e-7)
+        assert more == pytest.approx(2.0 * area / masses, rel=1e-7)
+        assert less == pytest.approx(-3.0 * area / 1e-3, rel=1e-7)
+        top = np.argmax(outline[0, :, 1])  # K = 0, B = 2 m/T
+        assert by_mass[0, top] == pytest.approx([0.0, 2e3], abs=1e-5)
+        assert by_period[0, top] == pytest.approx([0.0, -2e6 * masses[0]], abs=1e-2)
 
 
 @pytest.mark.campaign

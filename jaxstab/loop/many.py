@@ -23,11 +23,20 @@ from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import Filter, Velocity, given_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.region import RegionStatus
-from jaxstab.region.filtered_curve import Angles, about_one, of_filters, resonances_of
+from jaxstab.region.filtered_curve import (
+    Angles,
+    FilteredCurve,
+    about_one,
+    of_filters,
+    resonances_of,
+    true_angles,
+)
+from jaxstab.region.filtered_points import root_angles
+from jaxstab.region.pieces import NO_BRANCH, Branch
 
 if TYPE_CHECKING:
     from jaxstab.loop.loop import HapticLoop
-    from jaxstab.loop.region import WallLimits
+    from jaxstab.loop.region import WallLimits, WallRegion
     from jaxstab.region.batch import Extremes, Triples
 
 _VERTICES = 295  # of an outline
@@ -50,6 +59,11 @@ Column = Float64[np.ndarray, " loop"]
 Floats = Float64[np.ndarray, "loop part power"]
 Indices = Int64[np.ndarray, " _"]
 Walls = Float64[np.ndarray, "loop 2 2"]
+Outlines = tuple[
+    Float64[np.ndarray, "*loop vertex 2"],
+    Float64[np.ndarray, "*loop vertex 2"],
+    Float64[np.ndarray, "*loop"],
+]
 Units = Float64[np.ndarray, "loop 2"]
 
 
@@ -130,9 +144,9 @@ def limits_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> Many
     """
     many, shape = _varied(loops, fields)
     if is_any_traced(many):
-        from jaxstab.loop.moving import moving_limits_of
+        from jaxstab.loop.moving import moved_together, moving_limits
 
-        return _in_shape(moving_limits_of(many), shape)
+        return _in_shape(moved_together(moving_limits, many), shape)
     many = list(map(in_floats, many))
     limits = _no_limits(len(many))
     for members, (extremes, _) in resolved(many):
@@ -158,8 +172,8 @@ class ManyRegions(NamedTuple):
         ((2, 295, 2), '9.526e+06', True)
     """
 
-    outline: Float64[np.ndarray, "*loop vertex 2"]
-    area: Column
+    outline: Float64[Array, "*loop vertex 2"]
+    area: Float64[Array, "*loop"]
     limits: ManyLimits
 
 
@@ -169,10 +183,15 @@ def regions_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> Man
     They are those of ``HapticLoop.region().main``, computed as ``limits_of`` computes limits; see
     there for the batches, what they cost, and what their tests do not notice. Areas agree to 1e-6.
 
-    Args and Raises: as ``limits_of``; TypeError also if JAX traces a loop.
+    Where JAX traces loops or fields, the answers are differentiable once, as those of ``limits_of``
+    are. A vertex at a corner moves with that corner. Any other vertex moves at a right angle to the
+    boundary, in units of alpha and beta: how it moves along the boundary changes no region. All is
+    NaN there for a region with holes.
+
+    Args and Raises: as ``limits_of``.
 
     Returns:
-        ManyRegions of NumPy arrays in the order of the loops, or of the shape of the fields.
+        ManyRegions in the order of the loops, or of the shape of the fields.
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
 
@@ -184,25 +203,54 @@ def regions_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> Man
         True
     """
     many, shape = _varied(loops, fields)
+    if is_any_traced(many):
+        from jaxstab.loop.moving import moved_together, moving_regions
+
+        return _regions_in_shape(moved_together(moving_regions, many), shape)
     many = list(map(in_floats, many))
     limits = _no_limits(len(many))
-    outlines = np.full((len(many), _VERTICES, 2), np.nan)
-    area = np.full(len(many), np.nan)
+    vertices, _, area = empty_outlines(len(many))
     for members, (extremes, outline) in resolved(many, outlines=True):
-        units = _units(many, members)
-        _write_limits(limits, members, extremes.walls, units)
-        outlines[members] = outline.vertices * units[:, None]
-        area[members] = outline.area * units.prod(axis=1)
+        _write_limits(limits, members, extremes.walls, _units(many, members))
+        vertices[members], area[members] = outline.vertices, outline.area
     for number in np.flatnonzero(limits.is_single).tolist():
         region = many[number].region()
         _write_single(limits, number, region.limits())
-        if region.main is not None:
-            vertices = region.main.outline
-            chosen = np.linspace(0.0, len(vertices) - 1.0, _VERTICES).round().astype(int)
-            outlines[number], area[number] = vertices[chosen], region.main.area
-    return ManyRegions(
-        outlines.reshape(*shape, _VERTICES, 2), area.reshape(shape), _in_shape(limits, shape)
-    )
+        vertices[number], _, area[number] = outline_of(region)
+    units = _units(many, np.arange(len(many)))
+    regions = ManyRegions(vertices * units[:, None], area * units.prod(axis=1), limits)
+    return _regions_in_shape(regions, shape)
+
+
+def _regions_in_shape(regions: ManyRegions, shape: tuple[int, ...]) -> ManyRegions:
+    outline = regions.outline.reshape(*shape, _VERTICES, 2)
+    return ManyRegions(outline, regions.area.reshape(shape), _in_shape(regions.limits, shape))
+
+
+def empty_outlines(*shape: int) -> Outlines:
+    """Return outlines of no regions: vertices (alpha, beta), angles of their roots, and areas."""
+    return *np.full((2, *shape, _VERTICES, 2), np.nan), np.full(shape, np.nan)
+
+
+def outline_of(region: "WallRegion") -> Outlines:
+    """Return the outline of the component that holds small gains, as a batch returns outlines."""
+    if region.main is None:
+        return empty_outlines()
+    main = region.main.region
+    branch, angles, curve = main.branch, np.abs(main.outline.angles), main.coefficients
+    if isinstance(curve, FilteredCurve):
+        size = root_angles(curve.lines, angles).ravel()
+        true, _ = true_angles(curve.stretches, size, np.zeros_like(size))
+        angles = true.rounded().reshape(angles.shape)
+    on_line = np.where(branch == NO_BRANCH, np.nan, np.pi * (branch == Branch.Z_MINUS_ONE))
+    angles = np.where(branch == Branch.CURVE, angles[: len(branch)].T, on_line)
+    before, after = np.arange(-1, len(branch)), np.append(np.arange(len(branch)), 0)
+    roots = np.stack([angles[1, before], angles[0, after]], axis=1)
+    is_corner = (branch[before] != branch[after]) | (roots[:, 0] != roots[:, 1])
+    corners, others = np.flatnonzero(is_corner), np.flatnonzero(~is_corner)
+    spread = np.linspace(0, len(others) - 1, _VERTICES - len(corners)).round().astype(int)
+    chosen = np.sort(np.append(corners, others[spread]))
+    return main.points[chosen], roots[chosen], main.area
 
 
 def _no_limits(count: int) -> ManyLimits:

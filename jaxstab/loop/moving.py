@@ -1,17 +1,18 @@
-"""Limits of loops that JAX traces: searched for on the host, with derivatives at the limit.
+"""Limits and outlines of loops that JAX traces: searched for on the host, then differentiated.
 
 At the stiffest wall a pair of roots is on the circle where the boundary turns or crosses B = 0, or
 two roots are on it at once, at a corner. These are equations for the wall and the roots' angles,
 which the implicit function theorem differentiates by all numbers of the loop. They are those of
 ``circle_equations``, in which the delay is a real number, so that one program serves loops of all
-degrees. Under vmap the loops are searched together, as ``limits_of`` searches; inside jit they are
-searched one by one, by a callback.
+degrees. Vertices of an outline have the same equations: one at a corner moves with it, any other
+one across the boundary, at a right angle. Under vmap the loops are searched together, as
+``limits_of`` searches; inside jit they are searched one by one, by a callback.
 """
 
 from collections.abc import Callable, Iterable
 from functools import cache, partial
 from math import pi
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +22,7 @@ from jaxtyping import Float64
 
 from jaxstab.arrays import is_any_traced
 from jaxstab.batches import alike
-from jaxstab.loop.many import ManyLimits, resolved
+from jaxstab.loop.many import ManyLimits, ManyRegions, empty_outlines, outline_of, resolved
 from jaxstab.loop.region import TOLERANCE, WallRegion, wall_region
 from jaxstab.model import LoopParameters
 from jaxstab.model.filters import given_filters
@@ -29,8 +30,13 @@ from jaxstab.point import closed_loop_poles
 from jaxstab.proofs.filters import Responses
 from jaxstab.proofs.plant import circle_equations, quick_slice
 from jaxstab.region import RegionStatus, measures
+from jaxstab.region.batch import cross
 
-_REAL = 1e-6  # rad: a root this near to the real axis is real
+Answer = TypeVar("Answer")
+_Numbers = tuple[Any, Responses]  # of the plant: gamma, delta and the delay
+
+_REAL = 2e-6  # rad: a root this near to the real axis is real; scans of batches begin at 1e-6
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
 class _Extreme(NamedTuple):
@@ -50,8 +56,8 @@ class _Extreme(NamedTuple):
 _FIELDS = len(_Extreme._fields)
 
 
-def moving_limits_of(loops: list[Any]) -> ManyLimits:
-    """Return the limits of many loops, some of which JAX traces, as ``moving_limits`` does.
+def moved_together(answer: Callable[[Any], Answer], loops: list[Any]) -> Answer:
+    """Return an answer to each of many loops, some of which JAX traces.
 
     Loops of one structure are stacked: their filters are of the same kinds, orders and windows.
     """
@@ -61,10 +67,10 @@ def moving_limits_of(loops: list[Any]) -> ManyLimits:
         jax.tree.map(lambda *leaves: jnp.stack(leaves), *(loops[index] for index in members))
         for members in groups
     )
-    answers = [jax.vmap(moving_limits)(loops) for loops in stacks]
+    answers = [jax.vmap(answer)(loops) for loops in stacks]
     order = np.argsort(np.concatenate(groups))
-    columns = (jnp.concatenate(column)[order] for column in zip(*answers, strict=True))
-    return ManyLimits(*columns)
+    moved: Answer = jax.tree.map(lambda *columns: jnp.concatenate(columns)[order], *answers)
+    return moved
 
 
 def moving_limits(loop: LoopParameters) -> ManyLimits:
@@ -73,48 +79,78 @@ def moving_limits(loop: LoopParameters) -> ManyLimits:
     All are NaN where no wall is stable and where the region is UNRESOLVED; derivatives are NaN
     where more than two roots are on the circle.
     """
-    leaves, structure = jax.tree.flatten(loop)
-    extremes: Any = _search(structure)(*(jax.lax.stop_gradient(leaf) for leaf in leaves))
-    limits: ManyLimits = _moved(loop, _Extreme(*extremes.T))
+    limits: ManyLimits = _moved(loop, _Extreme(*_searched(loop)[0].T))
     return limits
 
 
+def moving_regions(loop: LoopParameters) -> ManyRegions:
+    """Return the outline, the area and the limits of a traced loop, as ``moving_limits`` does."""
+    extremes, outline = _searched(loop, outlines=True)
+    moved: tuple[Array, Array] = _moved_outline(loop, outline)
+    return ManyRegions(*moved, _moved(loop, _Extreme(*extremes.T)))
+
+
+def _searched(loop: LoopParameters, *, outlines: bool = False) -> tuple[Array, Any]:
+    leaves, structure = jax.tree.flatten(loop)
+    search = _search(structure, outlines=outlines)
+    return search(*(jax.lax.stop_gradient(leaf) for leaf in leaves))
+
+
 @cache
-def _search(structure: Any) -> Callable[..., Array]:
-    """Return the search for the extreme walls of loops of one structure, from their leaves."""
+def _search(structure: Any, *, outlines: bool) -> Callable[..., tuple[Array, Any]]:
+    """Return the search for extreme walls and outlines of loops of one structure, by leaves."""
 
-    def loop_of(values: Iterable[Any]) -> Any:
-        return jax.tree.unflatten(structure, [float(value) for value in values])
+    def loops_of(rows: Iterable[Iterable[Any]]) -> list[Any]:
+        return [jax.tree.unflatten(structure, [float(value) for value in row]) for row in rows]
 
-    def search(*values: Any) -> Float64[np.ndarray, "2 field"]:
-        return _extremes(wall_region(loop_of(values), TOLERANCE))
+    def search(*values: Any) -> Any:
+        return _alone(*loops_of([values]), outlines=outlines)
 
     @jax.custom_batching.custom_vmap
-    def extremes(*leaves: Any) -> Array:
-        shape = jax.ShapeDtypeStruct((2, _FIELDS), jnp.float64)
-        traced: Array = jax.pure_callback(search, shape, *leaves, vmap_method="sequential")
-        return traced
+    def searched(*leaves: Any) -> Any:
+        empty = _empty(outlines=outlines)
+        shapes = jax.tree.map(lambda column: jax.ShapeDtypeStruct(column.shape, float), empty)
+        return jax.pure_callback(search, shapes, *leaves, vmap_method="sequential")
 
-    @extremes.def_vmap
-    def together(size: int, is_batched: list[bool], *leaves: Any) -> tuple[Array, bool]:
+    @searched.def_vmap
+    def together(size: int, is_batched: list[bool], *leaves: Any) -> tuple[Any, Any]:
         if is_any_traced(*leaves):
             axes = [0 if batched else None for batched in is_batched]
-            return jax.vmap(extremes.fun, axes)(*leaves), True
-        rows = zip(*(np.broadcast_to(np.asarray(leaf), size) for leaf in leaves), strict=True)
-        return jnp.asarray(_extremes_of([loop_of(row) for row in rows])), True
+            answers = jax.vmap(searched.fun, axes)(*leaves)
+        else:
+            columns = (np.broadcast_to(np.asarray(leaf), size) for leaf in leaves)
+            loops = loops_of(zip(*columns, strict=True))
+            answers = jax.tree.map(jnp.asarray, _all(loops, outlines=outlines))
+        return answers, jax.tree.map(lambda _: True, answers)
 
-    return extremes
+    return searched
 
 
-def _extremes_of(loops: list[Any]) -> Float64[np.ndarray, "loop 2 field"]:
-    """Return the extreme walls of many loops: a batch, and one by one those that it left open."""
-    rows = np.ones((len(loops), 2, _FIELDS))
-    for members, (extremes, _) in resolved(loops):
-        rows[members, :, :2], rows[members, :, 2:4] = extremes.walls, extremes.angles
-        rows[members, :, 4:] = RegionStatus.COMPLETE, True, False
-    for row in np.flatnonzero(rows[:, 0, -1]):
-        rows[row] = _extremes(wall_region(loops[row], TOLERANCE))
-    return rows
+def _empty(*shape: int, outlines: bool) -> tuple[Float64[np.ndarray, "*loop 2 field"], Any]:
+    return np.ones((*shape, 2, _FIELDS)), empty_outlines(*shape) if outlines else None
+
+
+def _all(loops: list[Any], *, outlines: bool) -> Any:
+    """Search for many loops: a batch, and one by one those that it left open."""
+    answers = rows, _ = _empty(len(loops), outlines=outlines)
+    for members, (extremes, own) in resolved(loops, outlines=outlines):
+        flags = RegionStatus.COMPLETE, True, False
+        shape = (*extremes.walls.shape[:2], len(flags))
+        row = extremes.walls, extremes.angles, np.broadcast_to(flags, shape)
+        _write(answers, members, (np.concatenate(row, axis=-1), own))
+    for index in np.flatnonzero(rows[:, 0, -1]).tolist():
+        _write(answers, index, _alone(loops[index], outlines=outlines))
+    return answers
+
+
+def _write(answers: Any, members: Any, own: Any) -> None:
+    for column, values in zip(jax.tree.leaves(answers), jax.tree.leaves(own), strict=True):
+        column[members] = values
+
+
+def _alone(loop: Any, *, outlines: bool) -> Any:
+    region = wall_region(loop, TOLERANCE)
+    return _extremes(region), outline_of(region) if outlines else None
 
 
 def _extremes(region: WallRegion) -> Float64[np.ndarray, "2 field"]:
@@ -140,8 +176,7 @@ def _extremes(region: WallRegion) -> Float64[np.ndarray, "2 field"]:
 @jax.jit
 def _moved(loop: LoopParameters, extremes: _Extreme) -> ManyLimits:
     """Return both extreme walls, with their derivatives by the numbers of the loop."""
-    plant = loop.gamma, loop.delta, loop.delay / loop.sample_time
-    numbers = plant, Responses.from_filters(given_filters(**loop.filters))
+    numbers = _numbers(loop)
     fixed = jax.lax.stop_gradient(numbers)
 
     def moved(extreme: _Extreme, axis: Array) -> Array:
@@ -149,7 +184,7 @@ def _moved(loop: LoopParameters, extremes: _Extreme) -> ManyLimits:
         start = jnp.stack([*extreme[:3], jnp.where(is_corner, extreme.other_angle, 0.0)])
         residual = partial(_equations, start, is_corner, axis)
         step = jnp.linalg.solve(jax.jacfwd(residual)(start, fixed), residual(start, numbers))
-        wall = start[:2] - (step - jax.lax.stop_gradient(step))[:2]
+        wall = start[:2] - _change(step)[:2]
         return jnp.where(~is_corner & (start[:2] == 0.0), 0.0, wall)  # on an axis it stays there
 
     (stiffest, at_damping), (at_stiffness, damping) = jax.vmap(moved)(extremes, jnp.arange(2))
@@ -164,30 +199,104 @@ def _moved(loop: LoopParameters, extremes: _Extreme) -> ManyLimits:
     )
 
 
+@jax.jit
+def _moved_outline(loop: LoopParameters, outline: tuple[Array, Array, Array]) -> Any:
+    """Return an outline in SI units and its area, with their derivatives.
+
+    The area grows by what its edges pass over: curves by Gauss's rule, at constant angles.
+    """
+    vertices, roots, area = outline
+    numbers = _numbers(loop)
+    fixed = jax.lax.stop_gradient(numbers)
+
+    def move(wall: Array, angles: Array) -> Array:
+        start = jnp.concatenate([wall, angles])
+        first, second = jax.jacfwd(partial(_on_circle, start))(start, fixed)
+        along = jnp.cross(first[0, :3], first[1, :3])
+        across = jnp.eye(4)[2:].at[0].set(jnp.append(along, 0.0).at[2].set(0.0))
+        is_corner = (angles[0] != angles[1]) | (jnp.sin(angles[0]) < _REAL)
+        here, other = _on_circle(start, start, numbers)
+        slopes = jnp.concatenate([first, jnp.where(is_corner, second, across)])
+        values = jnp.concatenate([here, jnp.where(is_corner, other, 0.0)])
+        return -_change(jnp.linalg.solve(slopes, values))[:2]
+
+    moves = jax.vmap(move)(vertices, roots)
+    begin, end = roots[:-1, 1], roots[1:, 0]
+    is_curve = (begin != end) & jnp.any(roots[1:] != roots[:-1], axis=1)
+    middle, half = jnp.where(is_curve, 0.5 * jnp.stack([begin + end, end - begin]), 1.0)
+    nodes = (middle + half * _NODES[:, None]).ravel()
+    walls, slopes = jax.jvp(partial(_curve, fixed), (nodes,), (jnp.ones_like(nodes),))
+    passed = cross(_curve(numbers, nodes) - walls, slopes).reshape(len(_NODES), -1)
+    straight = 0.5 * cross((moves[1:] + moves[:-1]).T, jnp.diff(vertices, axis=0).T)
+    grown = jnp.sum(jnp.where(is_curve, half * (_WEIGHTS @ passed), straight))
+    units = jnp.stack([loop.stiffness(1.0), loop.damping(1.0)])
+    return (vertices + moves) * units, (area + _change(grown)) * jnp.prod(units)
+
+
+def _change(value: Array) -> Array:
+    """Return 0 with the derivative of a value."""
+    return value - jax.lax.stop_gradient(value)
+
+
+def _numbers(loop: LoopParameters) -> _Numbers:
+    plant = loop.gamma, loop.delta, loop.delay / loop.sample_time
+    return plant, Responses.from_filters(given_filters(**loop.filters))
+
+
+def _curve(numbers: _Numbers, theta: Array) -> Array:
+    """Return the curve (2, angle)."""
+
+    def at_angle(angle: Array) -> Array:
+        values, none = partial(_values, numbers, angle=angle), jnp.zeros(2)
+        (stiffness, damping), base = jax.jacfwd(values)(none).T, values(none)
+        return jnp.stack([cross(damping, base), cross(base, stiffness)]) / cross(stiffness, damping)
+
+    return jax.vmap(at_angle, out_axes=1)(theta)
+
+
+def _on_circle(start: Array, unknown: Array, numbers: _Numbers) -> Array:
+    """Return p at both roots (root, 2), of alpha, beta and their angles; it is 0 there."""
+    wall, angles = unknown[:2], unknown[2:]
+    return _settled(start, angles, jax.vmap(partial(_values, numbers, wall))(angles))
+
+
+def _settled(start: Array, angles: Array, values: Array) -> Array:
+    """Return p at both roots, but at a real root how far its angle is from where it stays.
+
+    Of a second root there the other number is the derivative of p.
+    """
+    ends = jnp.round(start[2:] / pi) * pi
+    is_real = abs(start[2:] - ends) < _REAL
+    is_double = jnp.all(is_real) & (ends[0] == ends[1])
+    real, imaginary = values.T
+    real = real.at[1].set(jnp.where(is_double, imaginary[1], real[1]))
+    return jnp.stack([real, jnp.where(is_real, angles - ends, imaginary)], axis=1)
+
+
+def _values(numbers: _Numbers, wall: Array, angle: Array) -> Array:
+    plant, responses = numbers
+    c = quick_slice(*plant)
+    return jnp.stack(circle_equations(c, wall[0], wall[1], angle, responses))
+
+
 def _equations(
-    start: Array, is_corner: Array, axis: Array, unknown: Array, numbers: tuple[Any, Responses]
+    start: Array, is_corner: Array, axis: Array, unknown: Array, numbers: _Numbers
 ) -> Array:
     """Return what is 0 at an extreme wall, of alpha, beta and the angles of its roots."""
-    plant, responses = numbers
-    c, wall, angles = quick_slice(*plant), unknown[:2], unknown[2:]
+    wall, angles = unknown[:2], unknown[2:]
     other = (jnp.arange(2) != axis).astype(float)
 
     def with_slopes(wall: Array, angle: Array) -> tuple[Array, Array]:
-        def values(angle: Array) -> Array:
-            return jnp.stack(circle_equations(c, wall[0], wall[1], angle, responses))
-
-        both: tuple[Array, Array] = jax.jvp(values, (angle,), (jnp.ones(()),))
+        both: tuple[Array, Array] = jax.jvp(
+            partial(_values, numbers, wall), (angle,), (jnp.ones(()),)
+        )
         return both
 
     walls, at = jnp.stack([wall, wall, wall + other]), angles[jnp.array([0, 1, 0])]
     values, turns = jax.vmap(with_slopes)(walls, at)
-    # At a real root the second equation is that its angle stays.
-    ends = jnp.round(start[2:] / pi) * pi
-    is_real = abs(start[2:] - ends) < _REAL
-    roots = values[:2].at[:, 1].set(jnp.where(is_real, angles - ends, values[:2, 1]))
+    first, second = _settled(start, angles, values[:2])
     # Where the boundary turns, p stays 0 to first order as the other gain and the angle change.
-    rises = values[2] - values[0]
-    turning = rises[0] * turns[0, 1] - rises[1] * turns[0, 0]
+    turning = cross(values[2] - values[0], turns[0])
     is_on_axis = start[:2] @ other == 0.0
     smooth = jnp.stack([jnp.where(is_on_axis, wall @ other, turning), angles[1]])
-    return jnp.concatenate([roots[0], jnp.where(is_corner, roots[1], smooth)])
+    return jnp.concatenate([first, jnp.where(is_corner, second, smooth)])

@@ -126,10 +126,13 @@ class Outline(NamedTuple):
 
     Attributes:
         vertices: walls (alpha, beta) on the exact boundary; the last ones repeat the first.
+        roots: the angles of the root on the circle at each vertex, on the edge before and on the
+            one after it; on a line 0 or pi.
         area: of the exact region.
     """
 
     vertices: Float64[Array, "*loop vertex 2"]
+    roots: Float64[Array, "*loop vertex 2"]
     area: Float64[Array, "*loop"]
 
 
@@ -158,8 +161,8 @@ def _components(triples: Triples, *, outlines: bool) -> Answers:
 def _curve(loop: Triples, theta: Array) -> tuple[Array, Array]:
     """Return alpha and beta (2, angle), and det, at angles of any shape."""
     (base, stiffness, damping) = _values(loop, theta)
-    det = _cross(stiffness, damping)
-    walls = jnp.stack([_cross(damping, base), -_cross(stiffness, base)]) / det
+    det = cross(stiffness, damping)
+    walls = jnp.stack([cross(damping, base), -cross(stiffness, base)]) / det
     return walls, det
 
 
@@ -173,7 +176,7 @@ def _with_slopes(loop: Triples, theta: Array) -> tuple[Array, Array]:
     return both
 
 
-def _cross(one: Any, other: Any) -> Array:
+def cross(one: Any, other: Any) -> Array:
     """Return the cross product of vectors (2, ...), or Im of other times the conjugate of one."""
     return one[0] * other[1] - one[1] * other[0]
 
@@ -357,7 +360,7 @@ def _corners_of(loop: Triples, ends: _Ends, sense: Array, size: Array) -> _Corne
         line = jnp.where(kind == Branch.Z_PLUS_ONE, 0, 1)
         gap = (walls[:, 0] - walls[:, 1]) / size
         own, other = slopes.T / size
-        on_curve = jnp.stack([_cross(gap, other), _cross(gap, own)]) / _cross(own, other)
+        on_curve = jnp.stack([cross(gap, other), cross(gap, own)]) / cross(own, other)
         on_line = jnp.stack([to_line[line] / rises[line], 0.0])
         step = jnp.where(kind == Branch.CURVE, on_curve, on_line)
         return angles - jnp.where(is_fixed, 0.0, step)
@@ -593,14 +596,27 @@ def _outline(loop: Triples, component: _Component) -> Outline:
     middle, half = 0.5 * (theta[1:] + theta[:-1]), 0.5 * jnp.diff(theta, axis=0)
     nodes = middle + half * _NODES[:, None, None]
     at_nodes, slopes = _with_slopes(loop, nodes)
-    swept = jnp.sum(half * jnp.einsum("n,nsp->sp", _WEIGHTS, _cross(at_nodes, slopes)), axis=0)
-    swept = swept + _cross(walls[:, -1], corner) + _cross(corner, first)
+    swept = jnp.sum(half * jnp.einsum("n,nsp->sp", _WEIGHTS, cross(at_nodes, slopes)), axis=0)
+    swept = swept + cross(walls[:, -1], corner) + cross(corner, first)
     area = 0.5 * jnp.sum(jnp.where(exists, swept, 0.0))
 
+    def beyond(row: int, partner: Array) -> Array:
+        """Return the angle of the root on the other edge at an end of each piece."""
+        branch = corners.branch[row]
+        on_line = jnp.where(branch == Branch.Z_MINUS_ONE, jnp.pi, 0.0)
+        return jnp.where(branch == Branch.CURVE, corners.theta[1 - row, partner], on_line)[order]
+
+    before, after = beyond(0, corners.preceding), beyond(1, corners.following)
+    around = jnp.where(
+        links.via[order], jnp.stack([after, jnp.pi - after]), jnp.stack([end, after])
+    )
+    entering = jnp.concatenate([before[None], theta[1:], around[:1]])
+    leaving = jnp.concatenate([theta[:-1], after[None], around[1:]])
     vertices = jnp.concatenate([walls, corner[:, None]], axis=1)
-    vertices = jnp.where(exists, vertices, walls[:, :1, :1])
-    closed = jnp.append(vertices.transpose(2, 1, 0).reshape(-1, 2), walls[:, 0, :1].T, axis=0)
-    return Outline(closed, area)
+    rows = jnp.concatenate([vertices, jnp.stack([entering, leaving])])
+    rows = jnp.where(exists, rows, rows[:, :1, :1])
+    closed = jnp.append(rows.transpose(2, 1, 0).reshape(-1, 4), rows[:, 0, :1].T, axis=0)
+    return Outline(closed[:, :2], closed[:, 2:], area)
 
 
 def _small_walls(loop: Triples, size: Array) -> tuple[Array, Array]:
@@ -842,7 +858,7 @@ def _rounding(loop: Triples, theta: Array, wall: Array, axis: Array) -> Array:
         half < loop.close, abs(loop.shifted) @ powers, jnp.sum(abs(loop.straight), axis=1)
     )
     values = _values(loop, theta)
-    det = abs(_cross(values[1], values[2]))
+    det = abs(cross(values[1], values[2]))
     moduli = jnp.stack([jnp.hypot(*value) for value in values])
     total = sizes[0] + abs(wall[0]) * sizes[1] + abs(wall[1]) * sizes[2]
     return 8.0 * UNIT * total * moduli[2 - axis] / det
