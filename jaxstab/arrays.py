@@ -354,3 +354,22 @@ def first_indices(mask: Array, count: int) -> Array:
     if xp is np and mask.ndim == 1:
         return np.searchsorted(passed, np.arange(1, count + 1))
     return xp.sum(passed[..., None, :] <= xp.arange(count)[:, None], axis=-1)
+
+
+def solved(matrix: Array, values: Array) -> Array:
+    """Return x of a small system matrix x = values (row, column) in JAX, by elimination.
+
+    LAPACK's batches, which JAX calls for this, can wait for each other for ever: on two cores two
+    of them at a time occupy both threads that are to do their work (jaxlib 0.10.2).
+    """
+    import jax.numpy as jnp
+
+    size = len(matrix)
+    rows = jnp.concatenate([matrix, values], axis=1)
+    for column in range(size):
+        pivot = column + jnp.argmax(jnp.abs(rows[column:, column]))
+        pair = jnp.stack([jnp.asarray(column, pivot.dtype), pivot])
+        rows = rows.at[pair].set(rows[pair[::-1]])
+        scaled = rows[column] / rows[column, column]
+        rows = (rows - rows[:, column : column + 1] * scaled).at[column].set(scaled)
+    return rows[:, size:]

@@ -241,6 +241,17 @@ def angles_on_circle(loop: HapticLoop, wall: Any) -> list[float]:
     return [float(x) for x in np.angle(poles[np.abs(np.abs(poles) - 1.0) < 1e-7]) if x > -1e-7]
 
 
+def test_small_systems_are_solved_with_pivots(rng: np.random.Generator) -> None:
+    """Rows of any size, leading zeros, several right-hand sides: against LAPACK."""
+    matrices = rng.normal(size=(300, 4, 4)) * 10.0 ** rng.uniform(-6.0, 6.0, (300, 4, 1))
+    matrices[::3, 0, 0] = 0.0
+    values = rng.normal(size=(300, 4, 2))
+    found = jax.jit(jax.vmap(solved))(matrices, values)
+    exact = np.linalg.solve(matrices, values)
+    size = np.abs(exact).max(axis=(1, 2)) * np.linalg.cond(matrices)
+    assert np.all(np.abs(found - exact).max(axis=(1, 2)) <= 1e-15 * size)
+
+
 @pytest.mark.parametrize(("loop", "count"), [(HELD, 1), (CROSSED, 64)])
 def test_outlines_move_as_the_boundary_does_in_50_digits(loop: HapticLoop, count: int) -> None:
     """Corners move as corners do, all other vertices with the boundary, as seen across it."""

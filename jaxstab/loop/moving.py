@@ -20,7 +20,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float64
 
-from jaxstab.arrays import is_any_traced
+from jaxstab.arrays import is_any_traced, solved
 from jaxstab.batches import alike
 from jaxstab.loop.many import ManyLimits, ManyRegions, empty_outlines, outline_of, resolved
 from jaxstab.loop.region import TOLERANCE, WallRegion, wall_region
@@ -183,7 +183,8 @@ def _moved(loop: LoopParameters, extremes: _Extreme) -> ManyLimits:
         is_corner = ~jnp.isnan(extreme.other_angle)
         start = jnp.stack([*extreme[:3], jnp.where(is_corner, extreme.other_angle, 0.0)])
         residual = partial(_equations, start, is_corner, axis)
-        step = jnp.linalg.solve(jax.jacfwd(residual)(start, fixed), residual(start, numbers))
+        by_unknown = jax.jacfwd(residual)(start, fixed)
+        step = solved(by_unknown, residual(start, numbers)[:, None])[:, 0]
         wall = start[:2] - _change(step)[:2]
         return jnp.where(~is_corner & (start[:2] == 0.0), 0.0, wall)  # on an axis it stays there
 
@@ -218,7 +219,7 @@ def _moved_outline(loop: LoopParameters, outline: tuple[Array, Array, Array]) ->
         here, other = _on_circle(start, start, numbers)
         slopes = jnp.concatenate([first, jnp.where(is_corner, second, across)])
         values = jnp.concatenate([here, jnp.where(is_corner, other, 0.0)])
-        return -_change(jnp.linalg.solve(slopes, values))[:2]
+        return -_change(solved(slopes, values[:, None]))[:2, 0]
 
     moves = jax.vmap(move)(vertices, roots)
     begin, end = roots[:-1, 1], roots[1:, 0]

@@ -14,7 +14,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float64
 
-from jaxstab.arrays import is_traced
+from jaxstab.arrays import is_traced, solved
 from jaxstab.model.filters import Filters
 from jaxstab.proofs.filters import Responses
 from jaxstab.proofs.plant import circle_equations, quick_slice
@@ -96,9 +96,9 @@ def _slopes(filters: Filters | None) -> Callable[..., Array]:
 
         bracketed = jnp.stack([step, start])
         by_crossing = jax.jacfwd(equations)(bracketed, point)
-        crossing = bracketed - jnp.linalg.solve(by_crossing, equations(bracketed, point))
+        crossing = bracketed - solved(by_crossing, equations(bracketed, point)[:, None])[:, 0]
         by_crossing, by_point = jax.jacfwd(equations, (0, 1))(crossing, point)
-        moved: Array = -jnp.linalg.solve(by_crossing, by_point)[0]
+        moved: Array = -solved(by_crossing, by_point)[0]
         return moved
 
     return jax.jit(jnp.vectorize(slopes, signature="(n),(),(),()->(n)"))
