@@ -15,6 +15,7 @@ from mpmath import mp, mpc, mpf
 
 from benchmarks.truth.loop import evaluate, sampled_plant
 from jaxstab import Filter, HandRange, HapticLoop, Velocity, Verdict, limits_of, regions_of
+from jaxstab.arrays import solved
 
 Numbers = dict[str, Any]
 
