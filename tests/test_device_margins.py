@@ -10,7 +10,8 @@ from benchmarks.truth import devices, filtered
 from benchmarks.truth.random_loops import device_of
 from jaxstab import Filter, HapticLoop, Velocity, Verdict
 from jaxstab.model.device import Device, Hand, Mode, sampled_device
-from jaxstab.proofs.linear_circle import delayed_device
+from jaxstab.model.device.family import LoopFamily
+from jaxstab.proofs.linear_circle import family_cells
 from jaxstab.ranges import device_margins, is_stable_along
 from jaxstab.ranges.device_margins import _critical_angles
 
@@ -127,7 +128,8 @@ def test_angles_at_which_a_delay_can_bring_a_root_to_the_circle_are_found(theta:
     free = abs(np.polyval([1.0, float(plant.d1), float(plant.d0)], z))
     damping = free / (force * abs(0.3 + 1.0 - 1.0 / z))
     walls = np.array([[0.3 * damping * device.stiffness_unit, damping * device.damping_unit]])
-    delayed = delayed_device(device, None)
-    angles = _critical_angles(delayed, walls, np.array([0]), np.array([2.0**-7, 2.0**-13]))
+    cells = family_cells(LoopFamily.over_delays(device, None))
+    assert cells is not None
+    angles = _critical_angles(cells, walls, np.array([0]), np.array([2.0**-7, 2.0**-13]))
     assert np.any((angles.low[1] <= theta) & (theta <= angles.high[1]))
     assert np.sum(angles.high[1] - angles.low[1]) < 1.0

@@ -246,7 +246,7 @@ def test_the_search_ends_where_the_proof_does(window: int) -> None:
     velocity = Velocity.difference(samples=window)
     loop = HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=T, velocity=velocity)
     moving = MovingLoop.from_loop(loop, (0.8 * T, 1.2 * T))
-    search = _Search.of(moving)
+    search = _Search.from_loop(moving)
     dampings = search.corner[1] * np.array([0.1, 0.3, 0.5, 0.7, 0.9])
     tops = search.stiffest(dampings)
     assert np.count_nonzero(tops) >= 3

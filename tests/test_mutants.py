@@ -20,7 +20,7 @@ from jaxstab.point.traced_radius import _fitted
 from jaxstab.proofs.columns import _line_strips, columns_of
 from jaxstab.proofs.curve_patches import Domain
 from jaxstab.proofs.filters import Ends, filter_cells, filter_ends, largest_within
-from jaxstab.proofs.linear_circle import _in_piece
+from jaxstab.proofs.linear_circle import _in_piece, _waves
 from jaxstab.proofs.plant import HandBoxes, delay_moves
 from jaxstab.region.filtered_curve import PoleLine
 from jaxstab.region.pieces import _all_inside
@@ -204,7 +204,7 @@ def test_a_wall_with_a_root_at_minus_one_is_in_the_strip_of_its_column(
 
 @pytest.mark.parametrize("power", [0, 1, 2, 3])
 def test_a_polynomial_of_a_piece_holds_in_all_of_its_box(power: int) -> None:
-    """linear_circle: (z - 1)^power, of which one power is left near z = 1, and sums of all."""
+    """linear_circle: (1 - x)^power, of which one power is left near x = 1, and sums of all."""
     rng = np.random.default_rng(power)
     count = 200
     theta, by_theta = rng.choice([0.0, 0.02, 0.5, 1.4], count), rng.uniform(0.01, 0.3, count)
@@ -213,15 +213,16 @@ def test_a_polynomial_of_a_piece_holds_in_all_of_its_box(power: int) -> None:
     single[:2, power] = 1.0, 0.3
     for coefficients in (single, rng.normal(size=(3, 4))):
         piece = Piece(0.0, 1.0, coefficients, coefficients, 0.0)
-        model = _in_piece(piece, coefficients, offset, theta, by_offset, by_theta)
+        waves = _waves(4, theta, by_theta)
+        model = _in_piece(piece, coefficients, offset, by_offset, by_theta, waves)
         value, along, around, rest, _ = model
         nearest = np.full(count, np.inf)
         for u in (-1.0, -0.3, 0.5, 1.0):
             for v in (-1.0, -0.6, 0.4, 1.0):
-                z = np.exp(1j * (theta + v * by_theta))
+                x = np.exp(-1j * (theta + v * by_theta))[:, None]
                 powers = (offset + u * by_offset)[:, None] ** np.arange(3)
-                steps = (z - 1.0)[:, None] ** np.arange(4)
-                true = np.sum((powers @ coefficients) * steps, axis=1) / z**3
+                steps = (1.0 - x) ** np.arange(4) * x ** (3 - np.arange(4))
+                true = np.sum((powers @ coefficients) * steps, axis=1)
                 gap = rest.real - np.abs(true - (value + u * along + v * around))
                 nearest = np.minimum(nearest, gap / rest.real)
         assert np.all(nearest >= -1e-9)
