@@ -76,18 +76,24 @@ class Models(NamedTuple):
 
 
 def expanded(
-    free: LinearModel, force: LinearModel, rounding: Reals, turns: Reals | float = 0.0
+    free: LinearModel,
+    force: LinearModel,
+    rounding: Reals,
+    turns: Reals | float = 0.0,
+    known: Float64[np.ndarray, "axis box"] | float = 0.0,
 ) -> Models:
     """The sum g of D and F (alpha P + beta V), the second behind a number of turns of z.
 
-    The moves of g by each axis, with its part of the rest, say which axis to halve. ``rounding``
+    The moves of g by each axis, with its part of the rest, say which axis to halve: parts of the
+    rest whose axis is ``known``, and of what is left as much as the axis moves g. ``rounding``
     bounds that of values: where the rest is little more, halving is in vain.
     """
     g = free + force
     moves = np.abs(free.slope) + np.abs(force.slope)
     share = moves / np.maximum(moves.sum(axis=0), 1e-300)
+    parts = known + np.maximum(g.rest - np.sum(known, axis=0), 0.0) * share
     floor = rounding + _FLOOR * (np.abs(free.centre) + (1.0 + turns) * np.abs(force.centre))
-    return Models(g.centre, g.slope, g.rest, np.abs(g.slope) + 2.0 * g.rest * share, floor)
+    return Models(g.centre, g.slope, g.rest, np.abs(g.slope) + 2.0 * parts, floor)
 
 
 def distance(free: LinearModel, force: LinearModel) -> Reals:
@@ -136,10 +142,11 @@ def terms(
     radius: Loops,
     plant: QuickPlant | None = None,
     filters: Filters | None = None,
-) -> tuple[LinearModel, LinearModel, Reals, Reals]:
+) -> tuple[LinearModel, LinearModel, Reals, Reals, Float64[np.ndarray, "axis box"]]:
     """D and F (alpha P + beta V) of one mass over boxes center +- radius, and the rounding of g.
 
-    The last value is the number of turns. The plant at the centre may be given; the filters are in
+    The last two values are the number of turns, and how much of the rest N leaves that gamma and
+    delta change: it has no slopes by them. The plant at the centre may be given; the filters are in
     units of one sample. See lemmas B3 and B10.
     """
     if plant is None:
@@ -168,7 +175,9 @@ def terms(
         wall = wall + variable(1, axes, center.beta, radius.beta) * velocity
         error = np.abs(center.alpha) * over.error[0] + np.abs(center.beta) * over.error[1]
     of_force = rounding[1] * np.abs(wall.centre) + total * error
-    return free, force * wall, rounding[0] + of_force, turns
+    by_hand = np.zeros((axes, turns.size))
+    by_hand[2:4] = wall.size * np.stack(_changes(radius))
+    return free, force * wall, rounding[0] + of_force, turns, by_hand
 
 
 def _free(
@@ -204,14 +213,19 @@ def _force(
     slope[5] = 1j * (ahead - after - turns * value) * radius.theta
     total = np.abs(plant.n2) + np.abs(plant.n1) + np.abs(plant.n0)
     far = np.minimum(np.abs(lag) + radius.theta, 2.0)  # the largest |1 - 1/z|
-    per_gamma, per_delta, _ = NUMERATOR_SLOPES
-    rest = per_gamma * radius.gamma + per_delta * radius.delta + far * radius.delay**2
+    rest = sum(_changes(radius)) + far * radius.delay**2
     rest += radius.theta * (
         0.5 * total * most**2 * radius.theta + (most * far + 1.0) * radius.delay
     )
     moved = radius.delay + most * radius.theta
     rest += rounding + (quick_errors(center.gamma)[1] + 4 * EPS * (turns + 8)) * moved
     return LinearModel(value, slope, rest, np.ones((len(slope), 1)))
+
+
+def _changes(radius: Loops) -> tuple[Reals, Reals]:
+    """Bound the changes of N by gamma and by delta in boxes."""
+    per_gamma, per_delta, _ = NUMERATOR_SLOPES
+    return per_gamma * radius.gamma, per_delta * radius.delta
 
 
 def _along(direction: np.ndarray, value: np.ndarray) -> np.ndarray:
