@@ -10,7 +10,7 @@ from jaxtyping import Complex128, Float64, Int8
 from jaxstab import motion, point, ranges
 from jaxstab.arrays import Array, Numbers, is_any_traced, named, pytree
 from jaxstab.conventions import HORIZON, Excitation, Range, Verdict
-from jaxstab.loop.region import TOLERANCE, WallLimits, WallRegion, traced_region, wall_region
+from jaxstab.loop.region import TOLERANCE, WallLimits, WallRegion, wall_region
 from jaxstab.model import LoopParameters, by_name, checked_gain, require_x64
 from jaxstab.model.device import Device
 from jaxstab.model.filters import Filters, given_filters
@@ -100,9 +100,6 @@ class HapticLoop(LoopParameters):
     ) -> "WallRegion | MovingRegion":
         """The set of all stable walls, in its connected parts.
 
-        A loop that JAX traces, without estimator and filter, is answered by
-        ``jaxstab.region_outline``.
-
         Args:
             tolerance: largest distance between the outline and the boundary, as a share of the
                 region's diameter, > 1e-10. Everything else is measured on the exact boundary.
@@ -115,7 +112,7 @@ class HapticLoop(LoopParameters):
 
         Raises: see ``jaxstab.conventions``; ValueError also for a delay longer than 500 samples and
         for a device with zero DC gain: the boundary is computed from 1/G(0) on. TypeError if JAX
-        traces a loop with an estimator or a filter; ``limits`` takes it.
+        traces the loop; ``limits`` and ``jaxstab.regions_of`` take it.
 
         Source: eq. (9) by the D-decomposition; see ``jaxstab.stable_region``. Lemmas J1 and J4 of
         docs/proofs.md for delays that move.
@@ -131,7 +128,10 @@ class HapticLoop(LoopParameters):
 
             return region_for_all(self, delays, lost)
         if is_any_traced(self):
-            return traced_region(self)
+            raise TypeError(
+                "the loop is traced; its region and distances to it are searched outside of jit, "
+                "vmap and grad: call limits or jaxstab.regions_of, which JAX may trace."
+            )
         return wall_region(self.in_floats(), tolerance)
 
     @overload
@@ -451,7 +451,7 @@ class HapticLoop(LoopParameters):
 
     def _reachable(self) -> WallRegion:
         region = self.region()
-        return region if is_any_traced(self) else region.main or region
+        return region.main or region
 
     def verdict(
         self,

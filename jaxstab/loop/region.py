@@ -11,7 +11,7 @@ from jaxstab.arrays import Array, Numbers, are_numbers, float_arrays, is_jax
 from jaxstab.model import LoopParameters, checked_gain, require_x64
 from jaxstab.model.filters import given_filters
 from jaxstab.numbers import without_noise
-from jaxstab.region import RegionStatus, StableRegion, measures, region_outline, stable_region
+from jaxstab.region import RegionStatus, StableRegion, measures, stable_region
 from jaxstab.region.region import linear_region
 from jaxstab.region.stable_set import GainNames, ShownRegion, limits_text
 
@@ -87,7 +87,7 @@ class WallRegion(ShownRegion):
     """The stable walls of a loop: its exact stable region, in N/m and N s/m.
 
     ``HapticLoop.region`` makes one. Every number is NaN where no wall is stable, and where the
-    region is UNRESOLVED. JAX arrays in give JAX arrays out.
+    region is UNRESOLVED. JAX arrays in give JAX arrays out, computed on the host.
 
     Attributes:
         loop: the loop.
@@ -137,7 +137,7 @@ class WallRegion(ShownRegion):
     @property
     def status(self) -> RegionStatus:
         """The status of the region."""
-        return RegionStatus(int(self.region.status))
+        return self.region.status
 
     @property
     def is_empty(self) -> bool:
@@ -174,7 +174,7 @@ class WallRegion(ShownRegion):
     @property
     def extremes(self) -> tuple[Gains, Gains]:
         """The stiffest and the most damped wall; if none has K >= 0 and B >= 0, of all walls."""
-        if is_jax(self.region.status) or not np.isnan(self.stiffest.stiffness):
+        if not np.isnan(self.stiffest.stiffness):
             return self._quadrant
         return self._gains(self.region.max_alpha), self._gains(self.region.max_beta)
 
@@ -267,10 +267,8 @@ class WallRegion(ShownRegion):
         alpha = self.loop.alpha(checked_gain("stiffness", stiffness))
         return alpha, self.loop.beta(checked_gain("damping", damping))
 
-    def _gains(self, point: Numbers) -> Gains:
-        if is_jax(point):
-            return Gains(self.loop.stiffness(point[0]), self.loop.damping(point[1]))
-        exact = self.in_si_units(np.asarray(point))
+    def _gains(self, point: Float64[np.ndarray, "2"]) -> Gains:
+        exact = self.in_si_units(point)
         return Gains(
             *(float(without_noise(*pair)) for pair in zip(exact, self.extent, strict=True))
         )
@@ -302,13 +300,3 @@ def wall_region(loop: LoopParameters, tolerance: float) -> WallRegion:
         transfers = sampled.transfers(given_filters(loop.velocity, loop.position))
         region = linear_region(sampled.plant, *transfers, tolerance)
     return WallRegion(loop, region)
-
-
-def traced_region(loop: LoopParameters) -> WallRegion:
-    """Return the walls of a traced loop in arrays of fixed sizes; TypeError with a filter."""
-    if given_filters(**loop.filters):
-        raise TypeError(
-            "the region of a loop with an estimator or a filter is searched outside of JAX: call "
-            "limits, which JAX may trace, or make the loop of concrete numbers."
-        )
-    return WallRegion(loop, region_outline(**loop.slice))

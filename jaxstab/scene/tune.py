@@ -19,7 +19,7 @@ from jaxstab.loop import Gains, HapticLoop, tune_for_all
 from jaxstab.loop.common import settling_times
 from jaxstab.model.filters import LONGEST_WINDOW
 from jaxstab.ranges import HandRange
-from jaxstab.region.roots import root_between
+from jaxstab.region.roots import bracketed_root
 from jaxstab.scene.answers import (
     Answer,
     Basis,
@@ -406,7 +406,7 @@ def _largest(
     if spare(high) < 0.0:
         with np.errstate(all="ignore"):  # where no wall is stable the secant has no slope
             root = float(
-                root_between(lambda x: np.array(spare(float(x))), np.array(low), np.array(high))
+                bracketed_root(lambda x: np.array(spare(float(x))), np.array(low), np.array(high))
             )
         aside = _AGREEMENT * max(root, _NO_DELAY * start)
         largest, status = max(low, root - aside), DesignStatus.FOUND
