@@ -292,11 +292,8 @@ def _varied(loops: Any, fields: dict[str, Any]) -> tuple[list[Any], tuple[int, .
     """Return the loops, and the shape of their answers."""
     if isinstance(loops, LoopParameters):
         shape = np.broadcast_shapes(*map(np.shape, fields.values()))
-        xps = map(namespace, fields.values())
-        columns = (
-            list(xp.broadcast_to(value, shape).ravel())
-            for xp, value in zip(xps, fields.values(), strict=True)
-        )
+        arrays = (namespace(x).broadcast_to(x, shape).ravel() for x in fields.values())
+        columns = (x.tolist() if isinstance(x, np.ndarray) else list(x) for x in arrays)
         rows = zip(*columns, strict=True) if fields else [()]
         return [replace(loops, **dict(zip(fields, row, strict=True))) for row in rows], shape
     if not isinstance(loops, Iterable):

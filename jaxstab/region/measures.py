@@ -77,15 +77,15 @@ def quadrant_extremes(c: Curve, outline: Outline) -> tuple[Array, Array]:
 
 
 def _extreme(c: Curve, outline: Outline, axis: int) -> Array:
-    other = np.nan_to_num(outline.vertices[:, 1 - axis], nan=-np.inf)
+    vertices = outline.vertices
+    other = np.nan_to_num(vertices[:, 1 - axis], nan=-np.inf)
     is_allowed = other >= -_STILL * np.max(other)  # a corner on the axis may be beside it
-    values = np.where(is_allowed, outline.vertices[:, axis], -np.inf)
-    largest, crossing = np.max(values), limits(c, outline, np.zeros(1), axis=1 - axis)[0, 1]
-    on_axis = np.stack([crossing, np.zeros_like(crossing)][:: 1 - 2 * axis])
-    is_crossing = crossing - largest > _STILL * abs(crossing)
-    point = np.where(is_crossing, on_axis, outline.vertices[np.argmax(values)])
-    size = np.max(abs(np.nan_to_num(outline.vertices[:, axis])))
-    is_there = np.where(is_crossing, crossing, largest) > _STILL * size
+    values = np.where(is_allowed, vertices[:, axis], -np.inf)
+    largest, point = np.max(values), vertices[np.argmax(values)]
+    crossing = limits(c, outline, np.zeros(1), axis=1 - axis)[0, 1]
+    if crossing - largest > _STILL * abs(crossing):
+        largest, point = crossing, np.array([crossing, 0.0][:: 1 - 2 * axis])
+    is_there = largest > _STILL * np.max(abs(np.nan_to_num(vertices[:, axis])))
     return np.where(is_there, point, np.nan) + 0.0  # no -0
 
 
@@ -196,20 +196,21 @@ def _crossings(
     The second of the three results are the slopes of that coordinate by the value of the row.
     """
     count = np.sum(met, axis=-1)
-    rows, edges = np.nonzero(met)
-    goals, (begin, end) = values[rows], outline.angles[edges].T
+    exist = np.arange(np.max(count, initial=1)) < count[:, None]
+    edges = np.argsort(~met, axis=-1, kind="stable")[:, : exist.shape[1]]
+    edges = np.where(exist, edges, 0)
+    goals = np.broadcast_to(values[:, None], edges.shape)
+    begin, end = np.moveaxis(outline.angles[edges], -1, 0)
     theta = bracketed_root(lambda angle: _point(c, angle)[axis] - goals, begin, end)
     low, slope = _last_steps(c, theta, goals, axis)
     on_curve = curve_and_lift(c, theta, low)[1 - axis]
-    here, run = outline.vertices[edges], outline.vertices[edges + 1] - outline.vertices[edges]
-    divisor = nonzero(run[:, axis], 1.0)
-    on_line = here[:, 1 - axis] + (goals - here[:, axis]) / divisor * run[:, 1 - axis]
+    here = outline.vertices[edges]
+    run = outline.vertices[edges + 1] - here
+    divisor = nonzero(run[..., axis], 1.0)
+    on_line = here[..., 1 - axis] + (goals - here[..., axis]) / divisor * run[..., 1 - axis]
     is_curve = outline.branches[edges] == Branch.CURVE
-    exist = np.arange(np.max(count, initial=1)) < count[:, None]
-    coordinates, slopes = np.full((2, *exist.shape), np.nan)
-    coordinates[exist] = np.where(is_curve, on_curve, on_line)
-    slopes[exist] = np.where(is_curve, slope, run[:, 1 - axis] / divisor)
-    return coordinates, slopes, exist
+    coordinates = np.where(exist, np.where(is_curve, on_curve, on_line), np.nan)
+    return coordinates, np.where(is_curve, slope, run[..., 1 - axis] / divisor), exist
 
 
 def _met(outline: Outline, values: Array, axis: int) -> Array:

@@ -67,6 +67,7 @@ class _Marks(NamedTuple):
     low: Array
     branch: Array
     stage: Array
+    exists: Array
 
 
 _ON_PIECE, _VIA, _CLOSING = 0, 1, 2  # in the order in which a piece and what follows pass them
@@ -77,27 +78,24 @@ def polygon(c: Curve, pieces: Pieces, points: int) -> Outline:
 
     It has more of them where corners and turning points alone are more than half.
     """
-    count = len(pieces.begin)
-    if not (pieces.resolved and count):
+    if not (pieces.resolved and pieces.begin.size):
         return _without_points(pieces.resolved)
     pieces, loop = _in_sequence(pieces)
     nodes, tangents = _survey(c, pieces, min(max(points // 8 + 1, _FEWEST_NODES), _MOST_NODES))
-    extremes = _turning_points(c, pieces, nodes, tangents)
-    ends, closes = _ends(pieces, loop)
-    taken = 4 * count + max(len(extremes.theta), 1)
+    extra = joined([*_ends(pieces, loop), _turning_points(c, pieces, nodes, tangents)])
+    taken = max(len(extra.theta), 4 * len(loop) + 1)
     room = max(points - taken, points // 2)
-    marks = joined([_spread(pieces, nodes, tangents, room), *ends, extremes])
+    marks = joined([_spread(pieces, nodes, tangents, room), extra])
+    at_marks, size = _points(c, marks), np.sum(marks.exists)
     order = np.argsort(_keys(pieces, marks), kind="stable")
-    size, points = len(order), room + taken
-    order = order[np.minimum(np.arange(points), size - 1)]
-    at_marks = _points(c, marks)
+    order = order[np.minimum(np.arange(room + taken), size - 1)]
     branches, angles = _edges(pieces, take(marks, order))
     return Outline(
         vertices=at_marks[order],
-        branches=np.where(np.arange(points - 1) < size - 1, branches, NO_BRANCH),
+        branches=np.where(np.arange(1, len(order)) < size, branches, NO_BRANCH),
         angles=angles,
-        size=np.asarray(size),
-        loops=np.sum(closes),
+        size=size,
+        loops=np.asarray(loop[-1] + 1),
         corners=_corners(c, pieces, at_marks[room:]),
         resolved=pieces.resolved,
     )
@@ -116,24 +114,25 @@ def _without_points(resolved: Array) -> Outline:
     )
 
 
-def _ends(pieces: Pieces, loop: Array) -> tuple[list[_Marks], Array]:
-    """Return marks of begins, ends, vias and ends of loops, and which pieces end a loop."""
+def _ends(pieces: Pieces, loop: Array) -> list[_Marks]:
+    """Return marks of begins, ends, vias and ends of loops: one of each for each piece."""
     index = np.arange(len(loop))
     starts = np.sum(loop[:, None] > loop, axis=1)
-    closes = np.append(loop[1:], -1) != loop
     begin = partial(
         _marks, theta=pieces.begin, low=pieces.begin_low, branch=pieces.begin_branch, piece=index
     )
     end = partial(
         _marks, theta=pieces.end, low=pieces.end_low, branch=pieces.end_branch, piece=index
     )
-    closing = take(begin(_CLOSING), starts)._replace(piece=index)
-    marks = [begin(_ON_PIECE), end(_ON_PIECE), take(end(_VIA), pieces.via), take(closing, closes)]
-    return marks, closes
+    closing = take(begin(_CLOSING), starts)
+    closing = closing._replace(piece=index, exists=np.append(loop[1:], -1) != loop)
+    return [begin(_ON_PIECE), end(_ON_PIECE), end(_VIA)._replace(exists=pieces.via), closing]
 
 
 def _marks(stage: int, *, piece: Array, theta: Array, low: Array, branch: Array) -> _Marks:
-    return _Marks(piece, theta, low, branch, np.full(piece.shape, stage))
+    return _Marks(
+        piece, theta, low, branch, np.full(piece.shape, stage), np.full(piece.shape, True)
+    )
 
 
 def _on_curve(pieces: Pieces, piece: Array, theta: Array) -> _Marks:
@@ -150,7 +149,8 @@ def _keys(pieces: Pieces, marks: _Marks) -> Array:
     """Return numbers that grow along the boundary."""
     widths = pieces.end - pieces.begin
     along = (marks.theta - pieces.begin[marks.piece]) / widths[marks.piece]
-    return 4.0 * marks.piece + np.where(marks.stage == _ON_PIECE, along, 1.0 + marks.stage)
+    along = np.where(marks.stage == _ON_PIECE, along, 1.0 + marks.stage)
+    return np.where(marks.exists, 4.0 * marks.piece + along, np.inf)
 
 
 def extra_vertices(count: int) -> int:
