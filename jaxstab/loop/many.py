@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
-from jaxstab.arrays import Array, is_any_traced, namespace, take
+from jaxstab.arrays import Array, is_any_jax, is_any_traced, namespace, take
 from jaxstab.batches import alike, in_float64, lists, on_cores
 from jaxstab.model import LoopParameters
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import Filter, Velocity, given_filters
+from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.region import RegionStatus
 from jaxstab.region.filtered_curve import (
@@ -54,6 +54,8 @@ _TO_ENDS, _TO_POLES, _TO_ROOTS = 12, 6, 8  # angles that come closer and closer
 _MIRRORED = 0.97  # angles beyond an end, so that none is there twice
 _NARROWEST, _NO_RESONANCE = 1e-6, 0.05  # distances from the circle
 _STEPS = np.linspace(0.0, 1.5, 151)[1:]  # sizes of z - 1
+
+NO_FILTERS = Velocity(), Filter()
 
 Column = Float64[np.ndarray, " loop"]
 Floats = Float64[np.ndarray, "loop part power"]
@@ -418,18 +420,52 @@ def _formed(many: "list[HapticLoop]") -> Iterator[_Formed]:
             transfers = sampled.transfers(given_filters(first.velocity, first.position))
             linear, roots = first.linear, resonances_of(sampled.plant).T[None]
         else:
-            velocity, position = given_filters(**first.filters) or (Velocity(), Filter())
-            transfers = velocity.filter.transfer(), position.transfer()
             plants = [many[number].slice.values() for number in members]
             gamma, delta, delay = np.array([list(plant) for plant in plants]).T
-            whole = int(delay[0])
-            fraction = 0.0 if delay[0] == whole else delay - whole
-            linear = filtered_loop(gamma, delta, whole, fraction, (velocity, position))
-            roots = _resonances(gamma, delta)
+            filters = given_filters(**first.filters) or NO_FILTERS
+            transfers = filters[0].filter.transfer(), filters[1].transfer()
+            linear, roots = _masses(gamma, delta, delay, filters)
         known = of_filters(*transfers)
         if known.condition < _ILL_CONDITIONED:
             own, ends = _parts(linear, len(members)), _ends(linear, len(members))
             yield _Formed(np.array(members), own, ends, np.sort(known.real_angles), roots)
+
+
+def _masses(
+    gamma: Array, delta: Array, delay: Column | float, filters: Filters
+) -> tuple[LinearLoop, Array]:
+    """Return loops of one mass with the same whole samples of delay, and their resonances."""
+    whole = int(np.min(delay))
+    fraction = 0.0 if np.all(delay == whole) else delay - whole
+    return filtered_loop(gamma, delta, whole, fraction, filters), _resonances(gamma, delta)
+
+
+class Form(NamedTuple):
+    """What decides the form of p(z) for one mass: the delay in samples, estimator and filter."""
+
+    delay: float
+    filters: Filters
+
+
+def common_form(many: "Sequence[HapticLoop]") -> Form | None:
+    """Return the form that loops have in common; None if they have none, or JAX traces it."""
+    if is_any_jax([(loop.delay, loop.sample_time, loop.velocity, loop.position) for loop in many]):
+        return None
+    forms = {Form(float(x.delay_samples), given_filters(**x.filters) or NO_FILTERS) for x in many}
+    return forms.pop() if len(forms) == 1 else None
+
+
+def triples_of_masses(gamma: Array, delta: Array, form: Form) -> "Triples | None":
+    """Return the triples of loops of one form, also inside of jit; None where none are formed."""
+    velocity, position = form.filters
+    known = of_filters(velocity.filter.transfer(), position.transfer())
+    if known.condition >= _ILL_CONDITIONED:
+        return None
+    linear, roots = _masses(gamma, delta, form.delay, form.filters)
+    own, ends = _parts(linear, len(gamma)), _ends(linear, len(gamma))
+    formed = _Formed(np.arange(len(gamma)), own, ends, np.sort(known.real_angles), roots)
+    degree = _filled_degree(formed)
+    return None if degree is None else _triples([formed], degree)
 
 
 def _kind(loop: "HapticLoop") -> Hashable:
@@ -440,11 +476,12 @@ def _kind(loop: "HapticLoop") -> Hashable:
     return int(delay), delay % 1.0 == 0.0, *loop.filters.values()
 
 
-def _resonances(gamma: Column, delta: Column) -> Float64[np.ndarray, "loop 1 2"]:
+def _resonances(gamma: Array, delta: Array) -> Float64[Array, "loop 1 2"]:
     """Return angle and distance from the circle of the poles of masses on springs."""
-    angle = np.sqrt(np.maximum(gamma - 0.25 * delta**2, 0.0))
-    width = np.where(angle > 0.0, np.maximum(0.5 * delta, _NARROWEST), _NO_RESONANCE)
-    return np.stack([angle, width], axis=1)[:, None]
+    xp = namespace(gamma, delta)
+    angle = xp.sqrt(xp.maximum(gamma - 0.25 * delta**2, 0.0))
+    width = xp.where(angle > 0.0, xp.maximum(0.5 * delta, _NARROWEST), _NO_RESONANCE)
+    return xp.stack([angle, width], axis=1)[:, None]
 
 
 def _filled_degree(formed: _Formed) -> int | None:
@@ -458,53 +495,59 @@ def _triples(formed: list[_Formed], degree: int) -> "Triples":
     from jaxstab.region.batch import Triples
 
     straight = _joined([one.parts for one in formed], degree)
-    ends = np.concatenate([one.ends for one in formed])
+    xp = namespace(straight)
+    ends = xp.concatenate([one.ends for one in formed])
     scans = [_scans(one, degree) for one in formed]
     shifted, rounded = _shifted(straight), straight.rounded()
     powers = _STEPS ** np.arange(degree, -1, -1)[:, None]
-    is_less = abs(shifted) @ powers < np.sum(abs(rounded), axis=-1)[..., None]
-    close = np.max(np.where(is_less, _STEPS, 0.0), axis=-1)
-    return Triples(rounded, shifted, close, ends, np.concatenate(scans))
+    is_less = abs(shifted) @ powers < xp.sum(abs(rounded), axis=-1)[..., None]
+    close = xp.max(xp.where(is_less, _STEPS, 0.0), axis=-1)
+    return Triples(rounded, shifted, close, ends, xp.concatenate(scans))
 
 
 def _parts(loop: LinearLoop, count: int) -> DoubleDouble:
     """Return the coefficients (loop, part, power) of a number of loops that are formed together."""
-    shape = (3, loop.degree + 1, count)
-    high, low = np.empty(shape), np.empty(shape)
-    for number, part in enumerate(loop[:3]):
-        for power, coefficient in enumerate(part):
-            high[number, power], low[number, power] = coefficient.hi, coefficient.lo
-    return DoubleDouble(np.moveaxis(high, 2, 0), np.moveaxis(low, 2, 0))
+    return _columns(loop[:3], count)
 
 
 def _joined(parts: list[DoubleDouble], degree: int) -> DoubleDouble:
     """Join coefficients, each p(z) times a power of z that makes it one of the given degree."""
-    shape = (sum(len(part.hi) for part in parts), 3, degree + 1)
-    high, low, start = np.zeros(shape), np.zeros(shape), 0
-    for part in parts:
-        count, _, powers = part.hi.shape
-        own = np.s_[start : start + count, :, :powers]
-        high[own], low[own] = part.hi, part.lo
-        start += count
-    return DoubleDouble(high, low)
+    xp = namespace(parts)
+
+    def joined(halves: list[Array]) -> Array:
+        ends = (degree + 1 - half.shape[-1] for half in halves)
+        filled = [
+            xp.pad(half, ((0, 0), (0, 0), (0, end))) for half, end in zip(halves, ends, strict=True)
+        ]
+        return xp.concatenate(filled)
+
+    return DoubleDouble(joined([part.hi for part in parts]), joined([part.lo for part in parts]))
 
 
-def _ends(loop: LinearLoop, count: int) -> Float64[np.ndarray, "loop 2 3"]:
-    values = [
-        [np.broadcast_to(part.value.rounded(), count) for part in end]
-        for end in (loop.at_one, loop.at_minus_one)
-    ]
-    return np.moveaxis(np.array(values), 2, 0)
+def _ends(loop: LinearLoop, count: int) -> Float64[Array, "loop 2 3"]:
+    values = [[part.value for part in end] for end in (loop.at_one, loop.at_minus_one)]
+    return _columns(values, count).rounded()
+
+
+def _columns(rows: Sequence[Sequence[DoubleDouble]], count: int) -> DoubleDouble:
+    """Return numbers of a number of loops as one pair of arrays (loop, row, column)."""
+    xp = namespace(rows)
+
+    def stacked(half: str) -> Array:
+        values = [[xp.broadcast_to(getattr(x, half), count) for x in row] for row in rows]
+        return xp.moveaxis(xp.array(values), 2, 0)
+
+    return DoubleDouble(stacked("hi"), stacked("lo"))
 
 
 def _shifted(falling: DoubleDouble) -> Floats:
     """Return the coefficients in powers of z - 1, in float64."""
     powers = range(falling.hi.shape[-1])
     columns = tuple(DoubleDouble(falling.hi[..., k], falling.lo[..., k]) for k in powers)
-    return np.stack([column.rounded() for column in about_one(columns)], axis=-1)
+    return namespace(falling).stack([column.rounded() for column in about_one(columns)], axis=-1)
 
 
-def _scans(formed: _Formed, degree: int) -> Float64[np.ndarray, "loop angle"]:
+def _scans(formed: _Formed, degree: int) -> Float64[Array, "loop angle"]:
     """Return the angles of the scans: even steps, finer to both ends, to poles and resonances."""
     roots, count = formed.roots.shape[1], 2 * _TO_ENDS + 24 + (8 + 2 * _TO_POLES) * degree
     even_count = (
@@ -516,12 +559,13 @@ def _scans(formed: _Formed, degree: int) -> Float64[np.ndarray, "loop angle"]:
     to_pole = np.geomspace(_CLOSEST, step, _TO_POLES)
     near = formed.poles[:, None] + np.concatenate([-to_pole, [0.0], to_pole])
     shared = np.concatenate([to_end, even, np.pi - to_end, near.ravel()])
-    angle, width = np.moveaxis(formed.roots, 2, 0)[..., None]
+    xp = namespace(formed.roots)
+    angle, width = xp.moveaxis(formed.roots, 2, 0)[..., None]
     growth = np.linspace(-1.0, 1.0, 2 * _TO_ROOTS)
-    reach = np.maximum(angle, 2.0 * step) * (1.0 + 0.01 * np.arange(roots))[:, None]
-    farthest = np.maximum(np.arcsinh(reach / width), 1.0)  # no two angles are the same
-    around = angle + width * np.sinh(farthest * growth)
-    mirrored = np.where(around < 0.0, -_MIRRORED * around, around)
-    mirrored = np.where(around > np.pi, np.pi - _MIRRORED * (around - np.pi), mirrored)
-    own = np.clip(mirrored, 2.0 * _FIRST, np.pi - 2.0 * _FIRST).reshape(len(angle), -1)
-    return np.sort(np.concatenate([np.tile(shared, (len(own), 1)), own], axis=1))
+    reach = xp.maximum(angle, 2.0 * step) * (1.0 + 0.01 * np.arange(roots))[:, None]
+    farthest = xp.maximum(xp.arcsinh(reach / width), 1.0)  # no two angles are the same
+    around = angle + width * xp.sinh(farthest * growth)
+    mirrored = xp.where(around < 0.0, -_MIRRORED * around, around)
+    mirrored = xp.where(around > np.pi, np.pi - _MIRRORED * (around - np.pi), mirrored)
+    own = xp.clip(mirrored, 2.0 * _FIRST, np.pi - 2.0 * _FIRST).reshape(len(angle), -1)
+    return xp.sort(xp.concatenate([xp.tile(shared, (len(own), 1)), own], axis=1))

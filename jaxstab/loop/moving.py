@@ -5,8 +5,12 @@ two roots are on it at once, at a corner. These are equations for the wall and t
 which the implicit function theorem differentiates by all numbers of the loop. They are those of
 ``circle_equations``, in which the delay is a real number, so that one program serves loops of all
 degrees. Vertices of an outline have the same equations: one at a corner moves with it, any other
-one across the boundary, at a right angle. Under vmap the loops are searched together, as
-``limits_of`` searches; inside jit they are searched one by one, by a callback.
+one across the boundary, at a right angle.
+
+Under vmap the loops are searched together, as ``limits_of`` searches. Inside jit the program of a
+batch (``region.batch``) becomes a part of the caller's, for as many loops as pay for compiling it,
+if JAX traces neither delay nor filters, which decide its shapes. Other loops are searched there one
+by one, by a callback.
 """
 
 from collections.abc import Callable, Iterable
@@ -22,7 +26,16 @@ from jaxtyping import Float64
 
 from jaxstab.arrays import is_any_traced, solved
 from jaxstab.batches import alike
-from jaxstab.loop.many import ManyLimits, ManyRegions, empty_outlines, outline_of, resolved
+from jaxstab.loop.many import (
+    Form,
+    ManyLimits,
+    ManyRegions,
+    common_form,
+    empty_outlines,
+    outline_of,
+    resolved,
+    triples_of_masses,
+)
 from jaxstab.loop.region import TOLERANCE, WallRegion, wall_region
 from jaxstab.model import LoopParameters
 from jaxstab.model.filters import given_filters
@@ -30,12 +43,14 @@ from jaxstab.point import closed_loop_poles
 from jaxstab.proofs.filters import Responses
 from jaxstab.proofs.plant import circle_equations, quick_slice
 from jaxstab.region import RegionStatus, measures
-from jaxstab.region.batch import cross
+from jaxstab.region.batch import Triples, components, cross
 
 Answer = TypeVar("Answer")
 _Numbers = tuple[Any, Responses]  # of the plant: gamma, delta and the delay
 
 _REAL = 2e-6  # rad: a root this near to the real axis is real; scans of batches begin at 1e-6
+_FEWEST = 512  # loops inside of jit: compiling takes as long as some thousands of them one by one
+_RESOLVED = np.array([RegionStatus.COMPLETE, 1.0, 0.0])  # status, is_reachable, is_single
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
@@ -56,48 +71,58 @@ class _Extreme(NamedTuple):
 _FIELDS = len(_Extreme._fields)
 
 
-def moved_together(answer: Callable[[Any], Answer], loops: list[Any]) -> Answer:
+def moved_together(answer: Callable[..., Answer], given: list[Any]) -> Answer:
     """Return an answer to each of many loops, some of which JAX traces.
 
     Loops of one structure are stacked: their filters are of the same kinds, orders and windows.
     """
-    loops = [loop.tree_unflatten((None, loop.device), loop.tree_flatten()[0]) for loop in loops]
+    loops = [loop.tree_unflatten((None, loop.device), loop.tree_flatten()[0]) for loop in given]
     groups = alike(map(jax.tree.structure, loops))
-    stacks = (
-        jax.tree.map(lambda *leaves: jnp.stack(leaves), *(loops[index] for index in members))
-        for members in groups
-    )
-    answers = [jax.vmap(answer)(loops) for loops in stacks]
+    answers = []
+    for members in groups:
+        own = partial(answer, form=common_form([given[index] for index in members]))
+        if len(members) == 1:  # under vmap of the caller it meets the others of its kind
+            answers.append(jax.tree.map(lambda column: column[None], own(loops[members[0]])))
+        else:
+            stack = jax.tree.map(
+                lambda *leaves: jnp.stack(leaves), *map(loops.__getitem__, members)
+            )
+            answers.append(jax.vmap(own)(stack))
     order = np.argsort(np.concatenate(groups))
     moved: Answer = jax.tree.map(lambda *columns: jnp.concatenate(columns)[order], *answers)
     return moved
 
 
-def moving_limits(loop: LoopParameters) -> ManyLimits:
+def moving_limits(loop: LoopParameters, form: Form | None = None) -> ManyLimits:
     """Return the limits of a traced loop, differentiable once in its leaves; islands are left out.
 
     All are NaN where no wall is stable and where the region is UNRESOLVED; derivatives are NaN
     where more than two roots are on the circle.
     """
-    limits: ManyLimits = _moved(loop, _Extreme(*_searched(loop)[0].T))
+    extremes, _ = _searched(loop, form or common_form([loop]))
+    limits: ManyLimits = _moved(loop, _Extreme(*extremes.T))
     return limits
 
 
-def moving_regions(loop: LoopParameters) -> ManyRegions:
+def moving_regions(loop: LoopParameters, form: Form | None) -> ManyRegions:
     """Return the outline, the area and the limits of a traced loop, as ``moving_limits`` does."""
-    extremes, outline = _searched(loop, outlines=True)
+    extremes, outline = _searched(loop, form, outlines=True)
     moved: tuple[Array, Array] = _moved_outline(loop, outline)
     return ManyRegions(*moved, _moved(loop, _Extreme(*extremes.T)))
 
 
-def _searched(loop: LoopParameters, *, outlines: bool = False) -> tuple[Array, Any]:
+def _searched(
+    loop: LoopParameters, form: Form | None, *, outlines: bool = False
+) -> tuple[Array, Any]:
     leaves, structure = jax.tree.flatten(loop)
-    search = _search(structure, outlines=outlines)
+    search = _search(structure, form, outlines=outlines)
     return search(*(jax.lax.stop_gradient(leaf) for leaf in leaves))
 
 
 @cache
-def _search(structure: Any, *, outlines: bool) -> Callable[..., tuple[Array, Any]]:
+def _search(
+    structure: Any, form: Form | None, *, outlines: bool
+) -> Callable[..., tuple[Array, Any]]:
     """Return the search for extreme walls and outlines of loops of one structure, by leaves."""
 
     def loops_of(rows: Iterable[Iterable[Any]]) -> list[Any]:
@@ -116,7 +141,14 @@ def _search(structure: Any, *, outlines: bool) -> Callable[..., tuple[Array, Any
     def together(size: int, is_batched: list[bool], *leaves: Any) -> tuple[Any, Any]:
         if is_any_traced(*leaves):
             axes = [0 if batched else None for batched in is_batched]
-            answers = jax.vmap(searched.fun, axes)(*leaves)
+            many: Any = jax.tree.unflatten(structure, [jnp.broadcast_to(x, size) for x in leaves])
+            triples = None
+            if form is not None and size >= _FEWEST:
+                triples = triples_of_masses(many.gamma, many.delta, form)
+            if triples is None:
+                answers = jax.vmap(searched.fun, axes)(*leaves)
+            else:
+                answers = _in_one_program(triples, outlines=outlines)
         else:
             columns = (np.broadcast_to(np.asarray(leaf), size) for leaf in leaves)
             loops = loops_of(zip(*columns, strict=True))
@@ -124,6 +156,21 @@ def _search(structure: Any, *, outlines: bool) -> Callable[..., tuple[Array, Any
         return answers, jax.tree.map(lambda _: True, answers)
 
     return searched
+
+
+def _in_one_program(triples: Triples, *, outlines: bool) -> Any:
+    """Search for many loops by the program of a batch alone; what it leaves open is UNRESOLVED."""
+    extremes, outline = components(triples, outlines=outlines)
+    is_open = (extremes.failures != 0)[:, None, None]
+    walls = jnp.concatenate([extremes.walls, extremes.angles], axis=-1)
+    flags = jnp.where(is_open, jnp.array([RegionStatus.UNRESOLVED, 0.0, 0.0]), _RESOLVED)
+    flags = jnp.broadcast_to(flags, (*walls.shape[:2], len(_RESOLVED)))
+    rows = jnp.concatenate([jnp.where(is_open, jnp.nan, walls), flags], axis=-1)
+    if outline is None:
+        return rows, None
+    return rows, jax.tree.map(
+        lambda x: jnp.where(is_open.reshape(-1, *[1] * (x.ndim - 1)), jnp.nan, x), tuple(outline)
+    )
 
 
 def _empty(*shape: int, outlines: bool) -> tuple[Float64[np.ndarray, "*loop 2 field"], Any]:
@@ -134,9 +181,8 @@ def _all(loops: list[Any], *, outlines: bool) -> Any:
     """Search for many loops: a batch, and one by one those that it left open."""
     answers = rows, _ = _empty(len(loops), outlines=outlines)
     for members, (extremes, own) in resolved(loops, outlines=outlines):
-        flags = RegionStatus.COMPLETE, True, False
-        shape = (*extremes.walls.shape[:2], len(flags))
-        row = extremes.walls, extremes.angles, np.broadcast_to(flags, shape)
+        shape = (*extremes.walls.shape[:2], len(_RESOLVED))
+        row = extremes.walls, extremes.angles, np.broadcast_to(_RESOLVED, shape)
         _write(answers, members, (np.concatenate(row, axis=-1), own))
     for index in np.flatnonzero(rows[:, 0, -1]).tolist():
         _write(answers, index, _alone(loops[index], outlines=outlines))

@@ -66,8 +66,8 @@ _ON_AXIS = 1e-10  # of the component's size: a corner that far beyond an axis is
 _APART = 1e-3  # of angles that are those of two ends
 _PARALLEL = 1e-3  # the sine of the angle at a corner
 _ASIDE = 1e-6  # of the component's size: where walls beside the extremes are tested
-_SMALL = jnp.array([1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 3e-2])  # gains, beside the size of the stable set
-_RATIOS = jnp.array([1e-2, 1e-1, 0.3, 1.0])  # of alpha to beta, in that measure
+_SMALL = np.array([1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 3e-2])  # gains, beside the size of the stable set
+_RATIOS = np.array([1e-2, 1e-1, 0.3, 1.0])  # of alpha to beta, in that measure
 
 
 class Triples(NamedTuple):
@@ -142,11 +142,11 @@ Answers = tuple[Extremes, Outline | None]
 @lru_cache(maxsize=_PROGRAMS)
 def program(degree: int, *, outlines: bool = False) -> Callable[[Triples], Answers]:
     """Return the compiled program for triples of one degree; the oldest of many are dropped."""
-    solve = partial(_components, outlines=outlines)
+    solve = partial(components, outlines=outlines)
     return jax.jit(solve, compiler_options=LEAN if is_on_cpu() else None)
 
 
-def _components(triples: Triples, *, outlines: bool) -> Answers:
+def components(triples: Triples, *, outlines: bool) -> Answers:
     """Return extreme walls of the components that hold small gains, and their outlines."""
     scans = lax.map(_scan, triples)
     solved = lax.map(lambda one: _extremes(*one), (triples, scans), batch_size=_REFINED)
