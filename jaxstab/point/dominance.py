@@ -220,7 +220,7 @@ def _real_power(x: Array, exponent: int) -> Array | float:
 
 
 _LOST_IN_SQUARES = 1e-150  # moduli below are flushed to zero
-SLACK = 1.0 + 1e-6  # the bounds themselves are rounded
+_SLACK = 1.0 + 1e-6  # the bounds themselves are rounded
 _BESIDE = 2.0**-20  # how far inside of the root the circle is, relative
 
 
@@ -289,7 +289,7 @@ def _distance_to_root(
     rounding = unit * (below * radius * denominator + numerator * wall) + _LOST_IN_SQUARES
     value_size = xp.sqrt(value.squared_modulus()) + rounding
     slope_size = xp.sqrt(slope.squared_modulus()) - unit * slope_terms
-    distance = (SLACK * degree) * value_size / slope_size
+    distance = (_SLACK * degree) * value_size / slope_size
     return xp.where(slope_size > 0.0, distance, xp.inf), rounding
 
 
