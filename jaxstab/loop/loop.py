@@ -571,16 +571,8 @@ class HapticLoop(LoopParameters):
             )
         plant = self.gamma, self.delta, self.delay_samples  # a delay that is traced may be any
         margins = ranges.margins(*self._wall(stiffness, damping), **by_name(*plant), **self.filters)
-        stiffness_unit = _beside_ends(self.stiffness(1.0))
-        damping_unit = _beside_ends(self.damping(1.0))
-        return ranges.WallMargins(
-            margins.verdict,
-            margins.stiffness * stiffness_unit,
-            margins.damping * damping_unit,
-            margins.stiffness_gain,
-            margins.damping_gain,
-            self.sample_time * margins.extra_delay,
-        )
+        units = self.stiffness(1.0), self.damping(1.0), self.sample_time
+        return ranges.in_si_units(margins, *units)
 
     def jitter_margin(self, stiffness: Numbers, damping: Numbers) -> Float64[np.ndarray, "*grid"]:
         """How far the delay of each sample may exceed the loop's own, in s, proved.
@@ -932,8 +924,3 @@ class HapticLoop(LoopParameters):
                 f"{method} takes no loop that JAX traces: give one of concrete numbers, made "
                 "outside of jit, vmap and grad."
             )
-
-
-def _beside_ends(unit: Any) -> Any:
-    """Return a factor for pairs of limits: factors of many loops get the axis of the pairs."""
-    return unit[..., None] if np.ndim(unit) else unit
