@@ -31,6 +31,7 @@ from jaxstab.model.filters import known_filters
 from jaxstab.proofs.enclosures import (
     LinearModel,
     Moving,
+    clearances,
     conjugate,
     disc,
     on_axes_of,
@@ -235,14 +236,7 @@ def parted(none: LinearModel, most: LinearModel) -> tuple[Bool[np.ndarray, " box
     clear = np.full(between.shape, -np.inf)
     shares = np.zeros(none.slope.shape)
     for normal in normals:
-        normal = normal / np.maximum(np.abs(normal), 1e-300)
-        far = [np.real(normal.conj() * model.centre) for model in (none, most)]
-        side = np.where(far[0] + far[1] < 0.0, -1.0, 1.0)
-        moves = [np.abs(np.real(normal.conj() * model.slope)) for model in (none, most)]
-        distances = [
-            side * distance - by.sum(axis=0) - model.rest
-            for model, distance, by in zip((none, most), far, moves, strict=True)
-        ]
+        distances, moves = clearances(normal, (none, most))
         nearest = np.minimum(*distances)
         better = nearest > clear
         clear = np.where(better, nearest, clear)
