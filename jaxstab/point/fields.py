@@ -34,8 +34,7 @@ from jaxstab.arrays import (
 from jaxstab.batches import MANY, compiled, over_rows
 from jaxstab.model.filters import Filter, Filters, Velocity
 from jaxstab.model.linear_loop import LinearLoop
-from jaxstab.point.dominance import Complex
-from jaxstab.point.poles import companion_poles
+from jaxstab.point.poles import Complex, companion_poles, distance_to_root, evaluated
 from jaxstab.point.radius import dense_radius_error
 from jaxstab.point.schur_cohn import SAFETY, UNDERFLOW, loop_coefficients, rounded_loop
 from jaxstab.point.verdicts import Form, Points, Values, filtered_loops, gathered
@@ -150,7 +149,7 @@ def _pole(columns: list[Array], error: Array, *, is_guessed: bool) -> Array:
         root = companion_poles(xp.stack(columns, axis=-1))[..., 0]
         z = Complex(root.real, abs(root.imag))
     for _ in range(_NEWTON_STEPS):
-        value, slope = _evaluated(columns, z)
+        value, slope = evaluated(columns, z)
         inverse = reciprocal(slope.squared_modulus())
         z = z.plus(value.times(Complex(slope.re, -slope.im)).scaled(-inverse))
     return z.re + 1j * z.im
@@ -158,26 +157,11 @@ def _pole(columns: list[Array], error: Array, *, is_guessed: bool) -> Array:
 
 def _bound(columns: list[Array], error: Array, pole: Array) -> Array:
     """Return a proved bound of | |z| - spectral radius | and of the dominant pole's distance."""
-    xp, degree = namespace(columns, error), len(columns) - 1
+    xp = namespace(columns, error)
     z = Complex(pole.real, pole.imag)
-    radius = xp.sqrt(z.squared_modulus())
-    value, slope = _evaluated(columns, z)
-    sizes, slopes = _evaluated([abs(column) for column in columns], Complex(radius, 0.0 * radius))
-    unit, most = (4.0 * degree + 10.0) * UNIT, error * xp.maximum(radius, 1.0) ** degree
-    nearest = xp.sqrt(value.squared_modulus()) + unit * sizes.re + most + UNDERFLOW**0.5
-    steep = xp.sqrt(slope.squared_modulus()) - unit * slopes.re - degree * most
-    distance = xp.where(steep > 0.0, SAFETY * degree * nearest / steep, xp.inf)
+    radius, distance = xp.sqrt(z.squared_modulus()), distance_to_root(columns, error, z)
     is_dominant = _is_dominant(columns, error, z, radius, distance)
     return xp.where(is_dominant, distance + 4.0 * UNIT * radius, xp.inf)
-
-
-def _evaluated(columns: list[Array], z: Complex) -> tuple[Complex, Complex]:
-    """Return p(z) and its derivative."""
-    value, slope = Complex(columns[0], 0.0 * z.im), Complex(0.0 * z.re, 0.0 * z.im)
-    for column in columns[1:]:
-        slope = slope.times(z).plus(value)
-        value = value.times(z).shifted(column)
-    return value, slope
 
 
 def _is_dominant(

@@ -57,14 +57,13 @@ from jaxstab.numbers import checked_word
 from jaxstab.point.dominance import (
     LONGEST_DELAY,
     TOLERANCE,
-    Complex,
     Loop,
     distance_of_dominant,
     fast_radius,
     modulus,
     newton,
 )
-from jaxstab.point.poles import companion_poles, looked_up, over_grid
+from jaxstab.point.poles import Complex, companion_poles, looked_up, over_grid
 from jaxstab.point.schur_cohn import (
     SAFETY,
     UNDERFLOW,
