@@ -13,7 +13,7 @@ from jaxstab import Filter, Velocity
 from jaxstab.model.device.family import Piece
 from jaxstab.model.filters import known_filters
 from jaxstab.point.fields import _rounded_up
-from jaxstab.point.radius import are_inside, traced_radius_error
+from jaxstab.point.radius import have_roots_inside, traced_radius_error
 from jaxstab.point.traced_radius import _fitted
 from jaxstab.proofs.columns import _line_strips, columns_of
 from jaxstab.proofs.curve_patches import Domain
@@ -71,7 +71,7 @@ def test_a_sieve_of_polynomials_lets_through_those_with_all_roots_inside() -> No
     """radius: of each degree all reflections, of circles of any size."""
     falling, moduli = drawn_polynomials(np.random.default_rng(5), 300)
     for radius in (0.8, 1.0, 1.3):
-        assert are_inside(falling, np.array(radius)).tolist() == (moduli < radius).tolist()
+        assert have_roots_inside(falling, np.array(radius)).tolist() == (moduli < radius).tolist()
 
 
 def test_bounds_of_radii_hold_for_grids_of_polynomials() -> None:

@@ -14,12 +14,22 @@ from jaxstab.arrays import Numbers, joined
 from jaxstab.conventions import Verdict
 from jaxstab.loop.jitter import MovingLoop
 from jaxstab.loop.region import TOLERANCE, WallRegion, wall_region
-from jaxstab.model import Device, Hand, LoopParameters, checked_gain
+from jaxstab.model import Device, LoopParameters, checked_gain
 from jaxstab.model.device.family import LoopFamily, merged, value_at
 from jaxstab.model.device.parts import MassSpringDamper, Modes
 from jaxstab.numbers import checked_number
 from jaxstab.point.verdicts import linear_verdict
-from jaxstab.proofs.device_boxes import BEYOND, DELAY, MASS, Boxes, DeviceBoxes, Extent, along
+from jaxstab.proofs.device_boxes import (
+    BEYOND,
+    DELAY,
+    MASS,
+    Arms,
+    Boxes,
+    DeviceBoxes,
+    Extent,
+    along,
+    with_parts,
+)
 from jaxstab.proofs.exclusion import FirstRoots, LineBoxes, Models, is_free
 from jaxstab.proofs.exclusion import search as search_roots
 from jaxstab.proofs.linear_circle import (
@@ -446,13 +456,9 @@ class LoopsWithHands:
         return np.array([(*hand, mass) for hand, mass in product(hands, masses)])
 
     def _held(self, row: np.ndarray) -> "HapticLoop":
-        mass, stiffness, damping, own = row.tolist()
-        hand = Hand.mass_spring_damper(mass, damping=damping, stiffness=stiffness)
-        grip = self.device.hands[0].grip if self.device.hands else None
-        body = self.device.mechanism
-        moved = body if self.mass is None else replace(body, mass=own)
-        free = replace(self.device, mechanism=moved, hands=())
-        return replace(self.loop, device=free.held_by(replace(hand, grip=grip)))
+        *arm, own = row.tolist()
+        mass = None if self.mass is None else own
+        return replace(self.loop, device=with_parts(self.device, mass, Arms(*arm)))
 
     def _unproved(self, wall: Wall) -> Hands:
         """Hands, and masses of the device, at which a root on the circle is not excluded."""

@@ -527,7 +527,7 @@ def _with_status(value: Array, error: Array) -> SpectralRadius:
 # Which polynomials have all roots in a circle, in float64 and not proved: a sieve.
 
 
-def are_inside(
+def have_roots_inside(
     coefficients: Float64[np.ndarray, "coefficient *grid"], radius: Float64[np.ndarray, "..."]
 ) -> Bool[np.ndarray, "*grid"]:
     """Where all roots of monic polynomials, highest power first, seem to be within a radius.

@@ -189,11 +189,12 @@ class HeldDevice(NamedTuple):
         ]
 
 
-def with_parts(device: Device, mass: float, arm: Arms) -> Device:
-    """Return a device with another mass, held by another arm behind the same grip, if any."""
+def with_parts(device: Device, mass: float | None, arm: Arms) -> Device:
+    """Return a device with another mass, if given, in another arm behind the same grip, if any."""
     dynamics = MassSpringDamper(arm.mass, arm.damping, arm.stiffness)
     hands = device.hands or (Arm.mass_spring_damper(),)
-    mechanism = replace(_body_of(device), mass=mass)
+    body: Any = device.mechanism
+    mechanism = body if mass is None else replace(body, mass=mass)
     return replace(device, mechanism=mechanism, hands=(replace(hands[0], dynamics=dynamics),))
 
 
