@@ -14,9 +14,10 @@ from jaxstab.arrays import Numbers, joined
 from jaxstab.conventions import Verdict
 from jaxstab.loop.jitter import MovingLoop
 from jaxstab.loop.region import TOLERANCE, WallRegion, wall_region
-from jaxstab.model import Device, LoopParameters, checked_gain
+from jaxstab.model import Device, LoopParameters
 from jaxstab.model.device.family import LoopFamily, merged, value_at
 from jaxstab.model.device.parts import MassSpringDamper, Modes
+from jaxstab.model.parameters import wall_grid
 from jaxstab.numbers import checked_number
 from jaxstab.point.verdicts import linear_verdict
 from jaxstab.proofs.device_boxes import (
@@ -168,8 +169,7 @@ class LoopsBetween:
             STABLE where a wall is proved stable in every loop between the two, UNSTABLE where one
             of them is proved to have a root on the unit circle or outside, UNDECIDED elsewhere.
         """
-        gains = (checked_gain("stiffness", stiffness), checked_gain("damping", damping))
-        grid = np.stack(np.broadcast_arrays(*(np.asarray(g, np.float64) for g in gains)), axis=-1)
+        grid = wall_grid(stiffness=stiffness, damping=damping)
         return family_verdicts(self.family, grid.reshape(-1, 2)).reshape(grid.shape[:-1])
 
     def worst_loop(self, stiffness: float, damping: float) -> WorstLoop:

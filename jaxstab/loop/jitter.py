@@ -15,10 +15,10 @@ from jaxtyping import Bool, Float64, Int8
 from jaxstab.arrays import Array, Numbers, is_any_traced, named
 from jaxstab.conventions import Range, Verdict
 from jaxstab.loop.region import TOLERANCE, WallRegion, wall_region
-from jaxstab.model import LoopParameters, checked_gain, require_x64
+from jaxstab.model import LoopParameters, require_x64
 from jaxstab.model.device import SampledDevice, sampled_device
 from jaxstab.model.filters import Filters, given_filters
-from jaxstab.model.parameters import LONGEST_DELAY
+from jaxstab.model.parameters import LONGEST_DELAY, wall_grid
 from jaxstab.motion.moving_delays import Delays, Growth, growing_turn
 from jaxstab.numbers import checked_number
 from jaxstab.point.verdicts import linear_verdict
@@ -188,11 +188,8 @@ class MovingLoop(NamedTuple):
         """Return gains as walls (alpha, beta), and the shape of their grid."""
         require_x64(stiffness, damping)
         refuse_traced(stiffness, damping)
-        grid = np.broadcast_arrays(
-            np.asarray(checked_gain("stiffness", stiffness), np.float64),
-            np.asarray(checked_gain("damping", damping), np.float64),
-        )
-        return np.stack(grid, axis=-1).reshape(-1, 2) * self.units, grid[0].shape
+        grid = wall_grid(stiffness=stiffness, damping=damping)
+        return grid.reshape(-1, 2) * self.units, grid.shape[:-1]
 
     @property
     def units(self) -> tuple[float, float]:

@@ -13,10 +13,10 @@ from jaxtyping import Bool, Float64
 
 from jaxstab.arrays import Numbers, joined
 from jaxstab.conventions import Verdict
-from jaxstab.model import checked_gain
 from jaxstab.model.device import SampledDevice
 from jaxstab.model.device.family import LoopFamily
 from jaxstab.model.filters import Filter, Filters, Velocity, known_filters
+from jaxstab.model.parameters import wall_grid
 from jaxstab.point.verdicts import linear_verdict
 from jaxstab.proofs.exclusion import FirstRoots, LineBoxes, Models, search
 from jaxstab.proofs.linear_circle import (
@@ -155,13 +155,9 @@ def device_margins(
     """
     filters = known_filters(velocity, position)
     units = device.stiffness_unit, device.damping_unit
-    grid = np.broadcast_arrays(
-        np.asarray(checked_gain("stiffness", stiffness), np.float64) * units[0],
-        np.asarray(checked_gain("damping", damping), np.float64) * units[1],
-    )
-    point = np.stack(grid, axis=-1)
+    point = wall_grid(stiffness=stiffness, damping=damping) * units
     table = device_crossings(device, point.reshape(-1, 2), filters)
-    table = table.reshape(*grid[0].shape, table.shape[-1])
+    table = table.reshape(*point.shape[:-1], table.shape[-1])
     margins = margins_of(point, table[..., 0], table[..., 1::2])
     return in_si_units(margins, 1.0 / units[0], 1.0 / units[1], device.sample_time)
 

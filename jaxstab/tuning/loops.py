@@ -14,7 +14,7 @@ from jaxstab.conventions import Excitation, Verdict
 from jaxstab.model import by_name
 from jaxstab.model.device import SampledDevice
 from jaxstab.model.device.mechanics import mechanics
-from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords
+from jaxstab.model.filters import Filters, as_keywords
 from jaxstab.motion.response import OF_MASS, Loops, bank_for, loops_of, propagator
 from jaxstab.motion.settling import Settling, device_settling_samples, settling_samples
 from jaxstab.point import SpectralRadius, spectral_radius
@@ -109,8 +109,8 @@ def mass_loop(gamma: float, delta: float, delay: float, filters: Filters | None)
 def device_loop(device: SampledDevice, filters: Filters | None) -> TunedLoop:
     """A loop of any linear device, in its units, filters in SI units; as ``mass_loop``."""
     linear = device.loop(filters)
-    transfers = device.transfers(filters or (Velocity(), Filter()))
-    walls = walls_of(linear, component_of(linear_region(device.plant, *transfers, _TOLERANCE)))
+    region = linear_region(device.plant, *device.transfers(filters), _TOLERANCE)
+    walls = walls_of(linear, component_of(region))
 
     def verdicts(alpha: Any, beta: Any) -> np.ndarray:
         return np.asarray(linear_verdict(*_as_arrays(alpha, beta), linear))
