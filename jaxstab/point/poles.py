@@ -246,9 +246,9 @@ class Complex(NamedTuple):
         """Return the sum with another number."""
         return Complex(self.re + other.re, self.im + other.im)
 
-    def shifted(self, number: Array | float) -> "Complex":
+    def shifted(self, by: Array | float) -> "Complex":
         """Return the sum with a real number."""
-        return Complex(self.re + number, self.im)
+        return Complex(self.re + by, self.im)
 
     def squared_modulus(self) -> Array:
         """Return re^2 + im^2."""

@@ -519,8 +519,8 @@ def _believed(value: Array, error: Array, gamma: Array, delta: Array) -> Spectra
 
 def _with_status(value: Array, error: Array) -> SpectralRadius:
     xp = namespace(value, error)
-    known, unknown = np.int8(RadiusStatus.PROVED), np.int8(RadiusStatus.NO_BOUND)
-    status = named(xp.where(xp.isfinite(error), known, unknown), RadiusStatus)
+    proved, unproved = np.int8(RadiusStatus.PROVED), np.int8(RadiusStatus.NO_BOUND)
+    status = named(xp.where(xp.isfinite(error), proved, unproved), RadiusStatus)
     return SpectralRadius(value, error, status)
 
 
