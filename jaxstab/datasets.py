@@ -12,10 +12,8 @@ file of a part has all dimensions and its own chunks, and ``merged`` puts the ch
 """
 
 import hashlib
-import io
 import os
 import shutil
-import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
@@ -29,10 +27,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxstab.durable import PatientStream, named_errors, replacing
-from jaxstab.tiles import Job, Progress, Shards, complete, computed_by
+from jaxstab.tiles import Arrays, Job, Progress, Shards, complete, computed_by
 
 Item = TypeVar("Item")
-Arrays = dict[str, NDArray[Any]]
 Block = tuple[slice, ...]
 
 FORMAT_VERSIONS: Final = ("v110", "v110")
@@ -40,7 +37,7 @@ FORMAT_VERSIONS: Final = ("v110", "v110")
 """Of HDF5: checksums of its own structures; 1.10 and newer read it."""
 
 _FILTERS = {"shuffle": True, "compression": "gzip", "compression_opts": 1, "fletcher32": True}
-_KEY, _MAKER, _PART = "key", "computed_by", "part"
+_KEY, _PART = "key", "part"
 _AT_ONCE = 256  # blocks in flight, and so the most workers that are busy
 
 
@@ -163,34 +160,10 @@ class Dataset(Job[Block]):
         """The name of a block: where it begins."""
         return "-".join(str(span.start) for span in item)
 
-    def image(self, item: Block) -> bytes:
-        """The block, computed, as an archive of arrays."""
-        stream = io.BytesIO()
-        said: dict[str, Any] = {_KEY: self.key, _MAKER: computed_by()}
-        np.savez(stream, **self.compute(item) | said)
-        return stream.getvalue()
-
-    def check(self, item: Block, image: bytes) -> None:
-        """Refuse a block that is damaged, of another dataset or of other code."""
-        arrays = _arrays(image)
-        maker = str(arrays.get(_MAKER, "an older jaxstab"))
-        if arrays and maker != computed_by():
-            raise RuntimeError(
-                f"a worker computes with {maker}, and this process with {computed_by()}; install "
-                "the same for all workers."
-            )
-        if not self._is_own(item, arrays):
-            raise ValueError(
-                f"block {self.name(item)} of {self.path} is damaged; compute it again."
-            )
-
-    def is_done(self, item: Block, image: bytes) -> bool:
-        """Whether a stored block is whole and of this dataset."""
-        return self._is_own(item, _arrays(image))
-
-    def _is_own(self, item: Block, arrays: Arrays) -> bool:
+    def are_of(self, item: Block, arrays: Arrays) -> bool:
+        """Whether arrays have the names, types and shapes of the variables in a block."""
         lengths = tuple(span.stop - span.start for span in item)
-        return str(arrays.get(_KEY)) == self.key and all(
+        return all(
             name in arrays
             and arrays[name].shape == self.own(variable, lengths)
             and arrays[name].dtype == variable.dtype
@@ -204,7 +177,7 @@ class Dataset(Job[Block]):
             with h5py.File(stream, "w", libver=FORMAT_VERSIONS) as file:
                 datasets = self._created(file)
                 for item in self.items:
-                    arrays = _arrays(shards.read(self.name(item)))
+                    arrays = self.arrays(item, shards.read(self.name(item)))
                     for name, dataset in datasets.items():
                         dataset[self.own(self.variables[name], item)] = arrays[name]
                     stream.check()
@@ -274,7 +247,7 @@ def ensure(
             "remove it, or give another name."
         )
     else:
-        complete(dataset, dataset.path, progress, executor)
+        complete(dataset, progress, executor)
 
 
 def stored(
@@ -431,15 +404,6 @@ def mesh_of(values: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
             )
         owners |= dict.fromkeys(axes, name)
     return {owners[axis]: arrays[owners[axis]].ravel() for axis in sorted(owners)}
-
-
-def _arrays(image: bytes) -> Arrays:
-    """Return the arrays of an image; none where it is damaged."""
-    try:
-        with np.load(io.BytesIO(image)) as archive:
-            return dict(archive)
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-        return {}
 
 
 def write_attributes(to: h5py.File | h5py.Dataset, attributes: Mapping[str, Any]) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import h5py
+from footers import image_of, sealed
 
 from jaxstab.atlas import Atlas, AtlasSpec, FittedAxis, build_atlas, file
 from jaxstab.atlas import schema as footer
@@ -95,7 +96,7 @@ def small_contents() -> file.Contents:
 
 
 def small_image() -> bytes:
-    image = footer.image_of(small_file())
+    image = image_of(small_file())
     assert image is not None
     return image
 
@@ -125,4 +126,4 @@ def edited(edit: Callable[[h5py.File], object], image: bytes | None = None) -> b
         places = {name: places_of(dataset) for name, dataset in held.items()}
         words = (opened.attrs[name].decode() for name in ("created_by", "filters"))
         table = table_text(*words, variables, places)
-        return footer.sealed(bytes(opened.id.get_file_image()), table)
+        return sealed(bytes(opened.id.get_file_image()), table)

@@ -11,13 +11,13 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from atlases import write_cut, write_whole
+from footers import sealed
 from hostile import assembled, retold, sub
 from programs_in_c import READER, compiled
 
 from benchmarks import truth
 from benchmarks.truth.filtered import FilteredLoop, average, difference
 from jaxstab import Atlas, AtlasSpec, Verdict, open_atlas
-from jaxstab.atlas import schema as footer
 from jaxstab.atlas.file import table_of
 from jaxstab.atlas.product import SLICE
 from jaxstab.atlas.products.table import PRODUCTS
@@ -217,7 +217,7 @@ def refused_files(folder: Path) -> Iterator[tuple[Path, str]]:
         ("empty", b"", damage),
         ("truncated", whole[:-1], damage),
         ("without-footer", whole[:-48], damage),
-        ("older", footer.sealed(bytes(1000)), "has another schema version than 3, or none"),
+        ("older", sealed(bytes(1000)), "has another schema version than 3, or none"),
         ("newer", retold(whole, sub("atlas 3", "atlas 4")), "has another schema version than 3"),
         ("without-limits", edited(*PRODUCTS["alpha_limits"].names), "holds no limits"),
         ("without-gamma", edited("gamma"), damage),

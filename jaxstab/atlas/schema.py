@@ -162,18 +162,6 @@ def footer_of(stream: io.FileIO | io.BytesIO, length: int, image_size: int) -> b
     return FOOTER.pack(FOOTER_MAGIC, image_size, digest.digest())
 
 
-def sealed(image: bytes, table: bytes = b"") -> bytes:
-    """Return an image, and perhaps a table, with their footer."""
-    data = image + table
-    return data + footer_of(io.BytesIO(data), len(data), len(image))
-
-
-def image_of(data: bytes) -> bytes | None:
-    """Return the image if the footer is right."""
-    size = image_size(io.BytesIO(data))
-    return None if size is None else data[:size]
-
-
 def image_size(stream: io.FileIO | io.BytesIO) -> int | None:
     """Return the length of the image in a stream; None where the footer is missing or wrong."""
     length = stream.seek(0, io.SEEK_END) - FOOTER.size
