@@ -6,13 +6,13 @@ Errors are one sentence: the key, its value and the allowed values.
 import re
 import sys
 import tomllib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, field, fields
 from difflib import get_close_matches
 from math import inf, isfinite
 from os import PathLike
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from jaxstab.conventions import AXES
 from jaxstab.shown import printable, shortened
@@ -97,9 +97,18 @@ def parsed(text: str, source: str = "") -> dict[str, Any]:
         ) from error
 
 
-def key(check: Check, default: Any = MISSING) -> Any:
-    """Return the field of a Table for a key, with the check of its value."""
-    return field(default=default, metadata={"check": check})
+class Usual(NamedTuple):
+    """The usual range of a quantity, its unit, and the range in a device that turns, if another."""
+
+    low: float
+    high: float
+    unit: str
+    turning: tuple[float, float] | None = None
+
+
+def key(check: Check, default: Any = MISSING, usual: Usual | None = None) -> Any:
+    """Return the field of a Table for a key, with the check of its value and its usual range."""
+    return field(default=default, metadata={"check": check, "usual": usual})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,6 +138,18 @@ class Table:
         """Return a table with its values expanded."""
         return table
 
+    def quantities(self, place: str) -> Iterator[tuple[str, float, Usual]]:
+        """Yield the name, the value and the usual range of each quantity, those inside included."""
+        for entry in fields(self):
+            value, usual = getattr(self, entry.name), entry.metadata["usual"]
+            is_list = isinstance(value, tuple)
+            for index, own in enumerate(value if is_list else (value,)):
+                name = f"{place}.{entry.name}"
+                if isinstance(own, Table):
+                    yield from own.quantities(f"{name}.{index}" if is_list else name)
+                elif usual is not None and own is not None:
+                    yield name, own, usual
+
 
 def check_keys(place: str, keys: Iterable[str], allowed: list[str]) -> None:
     """Refuse a key that is not allowed, and suggest the most similar one."""
@@ -140,15 +161,15 @@ def check_keys(place: str, keys: Iterable[str], allowed: list[str]) -> None:
             raise ValueError(f"{_path(place, unknown)} is unknown; {hint}")
 
 
-def checked_label(kind: str, name: str) -> str:
-    """A name that tables, pictures and CSV files may hold.
+def checked_label(name: str) -> str:
+    """The name of a wall, as tables, pictures and CSV files may hold it.
 
     ValueError: it is too long, not printable, or begins with another character than a letter or a
     digit, as the formulas of spreadsheets do.
     """
     if not (name[:1].isalnum() and name.isprintable() and len(name) <= MOST_LETTERS):
         raise ValueError(
-            f"the name of a {kind} is {shortened(name)}; give at most {MOST_LETTERS} printable "
+            f"the name of a wall is {shortened(name)}; give at most {MOST_LETTERS} printable "
             "characters, the first one a letter or a digit."
         )
     return name

@@ -694,7 +694,7 @@ def _listed(key: str, given: Any) -> Values:
 
 
 def _checked_wall(name: str, stiffness: float, damping: float) -> tuple[float, float]:
-    checked_label("wall", name)
+    checked_label(name)
     pair = float(stiffness), float(damping)
     if not np.isfinite(pair).all():
         raise ValueError(f"wall {name} is {pair}; give finite numbers.")
