@@ -20,7 +20,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import h5py
 import numpy as np
@@ -32,10 +32,8 @@ from jaxstab.tiles import Arrays, Job, Progress, Shards, complete, computed_by
 Item = TypeVar("Item")
 Block = tuple[slice, ...]
 
-FORMAT_VERSIONS: Final = ("v110", "v110")
-
-"""Of HDF5: checksums of its own structures; 1.10 and newer read it."""
-
+# Of HDF5: it writes checksums of its own structures, and 1.10 and newer read it.
+_FORMAT_VERSIONS = "v110", "v110"
 _FILTERS = {"shuffle": True, "compression": "gzip", "compression_opts": 1, "fletcher32": True}
 _KEY, _PART = "key", "part"
 _AT_ONCE = 256  # blocks in flight, and so the most workers that are busy
@@ -172,17 +170,16 @@ class Dataset(Job[Block]):
 
     def publish(self, shards: Shards) -> None:
         """Write the file: a chunk for each block, in their order."""
-        with replacing(self.path, shards.folder) as descriptor:
-            stream = PatientStream(descriptor)
-            with h5py.File(stream, "w", libver=FORMAT_VERSIONS) as file:
-                datasets = self._created(file)
-                for item in self.items:
-                    arrays = self.arrays(item, shards.read(self.name(item)))
-                    for name, dataset in datasets.items():
-                        dataset[self.own(self.variables[name], item)] = arrays[name]
-                    stream.check()
-            stream.check()
-            os.ftruncate(descriptor, stream.size)
+        with (
+            replacing(self.path, shards.folder) as descriptor,
+            written(descriptor) as (stream, file),
+        ):
+            datasets = self._created(file)
+            for item in self.items:
+                arrays = self.arrays(item, shards.read(self.name(item)))
+                for name, dataset in datasets.items():
+                    dataset[self.own(self.variables[name], item)] = arrays[name]
+                stream.check()
 
     def _created(self, file: h5py.File) -> dict[str, h5py.Dataset]:
         """Write attributes and coordinates, and create the variables."""
@@ -346,20 +343,30 @@ def merged(parts: Sequence[Path], path: Path) -> None:
     if missing or not own:
         words = f"part {missing[0]} of {count} is missing" if own else "no part is given"
         raise ValueError(f"{words}; give the files of all parts.")
-    with replacing(path) as descriptor:
-        stream = PatientStream(descriptor)
-        base, *others = (own[part] for part in sorted(own))
+    base, *others = (own[part] for part in sorted(own))
+    with replacing(path) as descriptor, written(descriptor, base) as (stream, target):
+        del target.attrs[_PART]
+        for other in others:
+            with _opened(other) as source:
+                _copy_chunks(source, target)
+            stream.check()
+
+
+@contextmanager
+def written(descriptor: int, base: Path | None = None) -> Iterator[tuple[PatientStream, h5py.File]]:
+    """Open an HDF5 file to write, empty or a copy; errors of the disk are raised when it is done.
+
+    A long write calls ``PatientStream.check`` often.
+    """
+    stream = PatientStream(descriptor)
+    if base is not None:
         with base.open("rb") as source:
             shutil.copyfileobj(source, stream)
         stream.check()
-        with h5py.File(stream, "r+", libver=FORMAT_VERSIONS) as file:
-            del file.attrs[_PART]
-            for other in others:
-                with _opened(other) as source_file:
-                    _copy_chunks(source_file, file)
-                stream.check()
-        stream.check()
-        os.ftruncate(descriptor, stream.size)
+    with h5py.File(stream, "r+" if base else "w", libver=_FORMAT_VERSIONS) as file:
+        yield stream, file
+    stream.check()
+    os.ftruncate(descriptor, stream.size)
 
 
 def _copy_chunks(source: h5py.File, target: h5py.File) -> None:

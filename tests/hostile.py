@@ -19,7 +19,7 @@ from jaxstab.atlas import schema as footer
 from jaxstab.atlas.file import Array
 from jaxstab.atlas.product import SLICE
 from jaxstab.atlas.products.table import PRODUCTS
-from jaxstab.atlas.schema import Chunked, Place, table_text, values_digest
+from jaxstab.atlas.schema import Span, Stored, table_text, values_digest
 from jaxstab.atlas.spec import words_of
 
 Arrays = dict[str, Array]
@@ -57,10 +57,10 @@ def assembled(
     made_by: str = "jaxstab 0",
 ) -> bytes:
     """A file of these arrays, right in all but perhaps what they say."""
-    image, variables, places = b"an image", [], {}
+    image, variables = b"an image", []
     for name, values in arrays.items():
         chunk = (chunks or {}).get(name, values.shape)
-        where: list[Place] = []
+        where: list[Span] = []
         digests = []
         for part in chunks_of(values, chunk):
             if any(part.strides) or part.shape != chunk:
@@ -70,9 +70,9 @@ def assembled(
             where.append((len(image), len(data)))
             digests.append(digest)
             image += data
-        variables.append(Chunked(name, values.dtype, values.shape, chunk, digests))
-        places[name] = where
-    return sealed(image, table_text(made_by, _FILTERS, variables, places))
+        variable = schema.VARIABLES[name]
+        variables.append(Stored(variable, values.dtype, values.shape, chunk, digests, where))
+    return sealed(image, table_text(made_by, _FILTERS, variables))
 
 
 def parted(data: bytes) -> tuple[bytes, bytes]:

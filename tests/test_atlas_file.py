@@ -65,14 +65,14 @@ def variables_of_small() -> list[str]:
 
 
 def test_what_is_computed_is_read(tmp_path: Path) -> None:
-    contents, plan = file.read(write_small(tmp_path)), plan_atlas(SMALL)
-    assert contents.created_by == f"jaxstab {jaxstab.__version__}"
-    assert list(contents.arrays) == variables_of_small()
+    arrays, plan = file.read(write_small(tmp_path)), plan_atlas(SMALL)
+    assert arrays.table.created_by == f"jaxstab {jaxstab.__version__}"
+    assert list(arrays) == variables_of_small()
     for tile in plan.tiles:
         for name, values in compute_tile(plan, tile).items():
             places = (plan.numbers(d, tile) for d in schema.VARIABLES[name].dimensions)
-            assert contents.arrays[name].dtype == values.dtype
-            np.testing.assert_array_equal(contents.arrays[name][np.ix_(*places)], values)
+            assert arrays[name].dtype == values.dtype
+            np.testing.assert_array_equal(arrays[name][np.ix_(*places)], values)
 
 
 def test_every_dataset_is_checksummed_and_has_units_words_and_dimensions(tmp_path: Path) -> None:
@@ -202,7 +202,7 @@ def is_refused_or_as_it_was(path: Path) -> None:
         arrays = ask_for_all(path)
     except ValueError:
         return
-    for name, values in small_contents().arrays.items():
+    for name, values in small_contents().items():
         np.testing.assert_array_equal(arrays[name], values)
 
 

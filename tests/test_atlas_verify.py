@@ -13,7 +13,7 @@ from footers import image_of, sealed
 from hostile import parted, retold, sub
 
 from jaxstab import AtlasSpec, FittedAxis, build_atlas, open_atlas, spectral_radius
-from jaxstab.atlas.schema import VARIABLES, content_digest, digest_of
+from jaxstab.atlas.schema import VARIABLES, content_digest, stored_of
 from jaxstab.cli.main import main
 
 SPEC = AtlasSpec(
@@ -58,7 +58,7 @@ def with_right_digest(edit: Callable[[h5py.File], None]) -> Callable[[h5py.File]
     def edit_all(opened: h5py.File) -> None:
         edit(opened)
         digest = content_digest(
-            digest_of(name, opened[name]) for name in VARIABLES if name in opened
+            stored_of(name, opened[name]).line for name in VARIABLES if name in opened
         )
         opened.attrs["content_sha256"] = np.bytes_(digest.encode())
 

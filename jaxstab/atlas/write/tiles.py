@@ -11,8 +11,8 @@ footer follow the image, and the file is opened once before it takes the place o
 import hashlib
 import io
 import os
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import prod
 from pathlib import Path
@@ -31,20 +31,19 @@ from jaxstab.atlas.schema import (
     ALWAYS,
     SCHEMA_VERSION,
     VARIABLES,
-    Chunked,
     RefusalError,
     Stored,
     content_digest,
-    digest_of,
     footer_of,
     head_attributes,
+    stored_of,
     table_text,
     values_digest,
 )
 from jaxstab.atlas.spec import AtlasSpec, words_of
 from jaxstab.atlas.write.variables import create_variable, packed, places_of, write_variable
 from jaxstab.conventions import AXES
-from jaxstab.datasets import FORMAT_VERSIONS, write_attributes
+from jaxstab.datasets import write_attributes, written
 from jaxstab.durable import PatientStream, replacing, write_all
 from jaxstab.tiles import Arrays, Job, Shards, computed_by
 
@@ -156,24 +155,27 @@ def merge(build: Build, shards: Shards, created_by: str) -> None:
     plan, path = build.plan, build.path
     filters = words_of(plan.spec.filters)
     with replacing(path, shards.folder) as descriptor:
-        stream = PatientStream(descriptor)
-        with h5py.File(stream, "w", libver=FORMAT_VERSIONS) as file:
+        with written(descriptor) as (stream, file):
             write_attributes(file, head_attributes(created_by, filters))
             datasets = _create_variables(file, build, shards)
-            variables = list(_chunked(datasets, _copy_tiles(datasets, build, shards, stream)))
-            write_attributes(file, {"content_sha256": content_digest(variables)})
+            copied = _copy_tiles(datasets, build, shards, stream)
+            variables = [
+                stored_of(name, dataset, [own for _, own in sorted(copied[name].items())])
+                for name, dataset in datasets.items()
+            ]
+            digest = content_digest(variable.line for variable in variables)
+            write_attributes(file, {"content_sha256": digest})
             for product_name in plan.spec.products:
                 write_attributes(file, PRODUCTS[product_name].attributes(datasets))
             file.flush()
-            places = {name: places_of(dataset) for name, dataset in datasets.items()}
-        stream.check()
-        os.ftruncate(descriptor, stream.size)
+            pairs = zip(variables, datasets.values(), strict=True)
+            variables = [replace(v, places=places_of(dataset)) for v, dataset in pairs]
         os.lseek(descriptor, stream.size, os.SEEK_SET)
-        table = table_text(created_by, filters, variables, places)
+        table = table_text(created_by, filters, variables)
         write_all(descriptor, table)
-        with open(descriptor, "rb", buffering=0, closefd=False) as written:
-            write_all(descriptor, footer_of(written, stream.size + len(table), stream.size))
-            _check_whole(path, written)
+        with open(descriptor, "rb", buffering=0, closefd=False) as whole:
+            write_all(descriptor, footer_of(whole, stream.size + len(table), stream.size))
+            _check_whole(path, whole)
 
 
 def _check_whole(path: Path, written: io.FileIO) -> None:
@@ -237,14 +239,14 @@ def _flat_lengths(build: Build, shards: Shards) -> dict[str, int]:
     return lengths
 
 
-_Digests = dict[str, dict[tuple[int, ...], str]]
+_Digests = dict[str, dict[tuple[int, ...], str]]  # of chunks that were copied
 
 
 def _copy_tiles(
     datasets: Mapping[str, h5py.Dataset], build: Build, shards: Shards, stream: PatientStream
 ) -> _Digests:
     """Put the tiles in their places, chunks as they are; string lists together in their order."""
-    plan, digests = build.plan, _Digests()
+    plan, digests = build.plan, _Digests({name: {} for name in datasets})
     filled = dict.fromkeys(datasets, 0)
     for tile in plan.tiles:
         arrays = build.arrays(tile, shards.read(build.name(tile)))
@@ -258,15 +260,8 @@ def _copy_tiles(
             if VARIABLES[name].is_packed:
                 corner = tuple(span.start for span in spans)
                 dataset.id.write_direct_chunk(corner, values.tobytes())
-                digests.setdefault(name, {})[corner] = str(arrays[_DIGEST.format(name)])
+                digests[name][corner] = str(arrays[_DIGEST.format(name)])
             else:
                 dataset[tuple(slice(span.start, span.stop) for span in spans)] = values
         stream.check()
     return digests
-
-
-def _chunked(datasets: Mapping[str, h5py.Dataset], digests: _Digests) -> Iterator[Chunked]:
-    for name, dataset in datasets.items():
-        whole = digest_of(name, dataset)
-        copied = [digest for _, digest in sorted(digests.get(name, {}).items())]
-        yield whole._replace(digests=copied or list(whole.digests))

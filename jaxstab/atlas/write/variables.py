@@ -14,7 +14,7 @@ from isal import isal_zlib
 from numpy.typing import NDArray
 
 from jaxstab.atlas.product import Variable
-from jaxstab.atlas.schema import DAMAGED, Place, RefusalError, Stored, Table, attributes_of, check
+from jaxstab.atlas.schema import DAMAGED, RefusalError, Span, Stored, Table, attributes_of, check
 from jaxstab.datasets import write_attributes
 
 _LEVEL = 6  # of compression
@@ -78,9 +78,9 @@ def create_variable(
     return dataset
 
 
-def places_of(dataset: h5py.Dataset) -> list[Place]:
+def places_of(dataset: h5py.Dataset) -> list[Span]:
     """Return the offsets of the chunks of a dataset in a flushed file, in order."""
-    places: dict[tuple[int, ...], Place] = {}
+    places: dict[tuple[int, ...], Span] = {}
 
     def note(chunk: Any) -> None:
         if chunk.filter_mask:
