@@ -1,14 +1,16 @@
-"""Tables of TOML files: read as they are, and checked key by key into frozen dataclasses.
+"""TOML files, their tables checked key by key into frozen dataclasses; columns of CSV files.
 
 Errors are one sentence: the key, its value and the allowed values.
 """
 
+import csv
 import re
 import sys
 import tomllib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
 from difflib import get_close_matches
+from io import StringIO
 from math import inf, isfinite
 from os import PathLike
 from pathlib import Path
@@ -26,6 +28,8 @@ MOST_BYTES = 4_000_000
 
 MOST_LETTERS = 64
 """Of a name."""
+
+_MOST_BYTES_OF_CSV = 100_000_000
 
 _LONG_KEY = re.compile(r"(?:\.[^.,=\n]{1,64}){100}")
 
@@ -79,6 +83,45 @@ def text_of(path: str | PathLike[str], most: int) -> str:
         raise ValueError(
             f"{source}: line {line} is not UTF-8 text; save the file as UTF-8."
         ) from error
+
+
+def columns_of(
+    file: str | PathLike[str], columns: Sequence[str], optional: Sequence[str] = ()
+) -> dict[str, list[float]]:
+    """Return columns of a CSV file ("-": stdin) with a header; optional ones may be missing.
+
+    ValueError: a column is missing or there twice, or holds anything but finite numbers.
+    """
+    source = "stdin" if str(file) == "-" else file
+    stream = StringIO(text_of(file, _MOST_BYTES_OF_CSV), newline="")
+    lines = csv.reader(stream, skipinitialspace=True)
+    numbers: dict[str, list[float]] = {}
+    try:
+        names = [name.strip() for name in next(lines, [])]
+        for column in columns:
+            if column not in names:
+                listed = shortened(", ".join(names))
+                raise ValueError(f"{source} has no column {column!r}; its columns are {listed}.")
+        numbers |= {name: [] for name in (*columns, *optional) if name in names}
+        for column in numbers:
+            if names.count(column) > 1:
+                raise ValueError(f"{column} is the name of two columns of {source}; leave one out.")
+        for row in filter(None, lines):
+            for column, values in numbers.items():
+                index = names.index(column)
+                cell = row[index] if index < len(row) else None
+                try:
+                    values.append(float(cell or ""))
+                except ValueError:
+                    values.append(inf)
+                if not isfinite(values[-1]):
+                    raise ValueError(
+                        f"{source}, line {lines.line_num}: {column} is {shortened(cell)}; give a "
+                        "finite number."
+                    )
+    except csv.Error as error:
+        raise ValueError(f"{source}, line {lines.line_num} is not CSV: {error}.") from error
+    return numbers
 
 
 def parsed(text: str, source: str = "") -> dict[str, Any]:
