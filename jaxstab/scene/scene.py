@@ -10,7 +10,7 @@ from importlib.resources.abc import Traversable
 from math import inf
 from os import PathLike
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 from jaxstab.model import Filter, Velocity
 from jaxstab.model.filters import FilterTable
@@ -62,27 +62,13 @@ class Units(Enum):
 ASSUMED = "assumed"
 
 
-def _words(value: Any) -> str:
-    if not isinstance(value, str) or not value:
-        raise ValueError("give words")
-    return value
-
-
-def _number_or_list(value: Any) -> Any:
-    numbers = value if isinstance(value, list) else [value]
-    if not all(isinstance(entry, float) for entry in numbers):
-        raise ValueError("give a number with a decimal point, or a list of such")
-    return value
-
-
-@dataclass(frozen=True, kw_only=True)
-class Sourced(Table):
+class Sourced(NamedTuple):
     """A number or a list of coefficients, and where it is from."""
 
-    value: Any = key(_number_or_list)
-    unit: str = key(_words)
-    source: str = key(_words)
-    date: str = key(_words)
+    value: Any
+    unit: str
+    source: str
+    date: str
 
     def __str__(self) -> str:
         value = self.value if isinstance(self.value, list) else f"{self.value:g}"
@@ -120,16 +106,14 @@ def software_presets() -> Mapping[str, Preset]:
 @cache
 def _presets(file: str) -> Mapping[str, Preset]:
     tables = parsed((_folder() / file).read_text(encoding="utf-8"), f"{file}: ")
-    return {name: _preset(table, f"{file}: {name}") for name, table in tables.items()}
-
-
-def _preset(table: Mapping[str, Any], place: str) -> Preset:
-    numbers = {name: entry for name, entry in table.items() if name not in ("title", "note")}
-    return Preset(
-        table["title"],
-        table.get("note", ""),
-        {name: Sourced.from_table(entry, f"{place}.{name}") for name, entry in numbers.items()},
-    )
+    return {
+        name: Preset(
+            table.pop("title"),
+            table.pop("note", ""),
+            {key: Sourced(**entry) for key, entry in table.items()},
+        )
+        for name, table in tables.items()
+    }
 
 
 def _folder() -> Traversable:
