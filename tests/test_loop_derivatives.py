@@ -404,6 +404,35 @@ def test_limits_move_in_a_batch_as_they_do_alone() -> None:
             np.testing.assert_allclose(here, alone, rtol=1e-6, atol=1e-9 * size, err_msg=key)
 
 
+MANY_MASSES = np.geomspace(0.05, 5.0, 512)
+
+
+@pytest.mark.parametrize("velocity", [None, Velocity.difference(samples=3)])
+def test_many_loops_inside_jit_need_no_callback(velocity: Velocity | None) -> None:
+    loop = replace(PLAIN, velocity=velocity)
+
+    def outlines(masses: Any) -> Any:
+        return regions_of(loop, device_mass=masses).outline
+
+    assert "callback" not in str(jax.make_jaxpr(outlines)(MANY_MASSES))
+    assert "callback" in str(jax.make_jaxpr(outlines)(MANY_MASSES[:3]))  # these are too few
+
+
+@pytest.mark.campaign
+def test_many_loops_inside_jit_are_those_of_a_batch_with_their_slopes() -> None:
+    def limit(mass: Any) -> Any:
+        return limits_of(PLAIN, device_mass=mass).stiffness
+
+    inside = jax.jit(jax.vmap(jax.value_and_grad(limit)))
+    stiffness, slope = inside(MANY_MASSES)
+    batch = limits_of(PLAIN, device_mass=MANY_MASSES)
+    np.testing.assert_allclose(stiffness, batch.stiffness, rtol=1e-12)
+    assert not batch.is_single.any()
+    step = 1e-6 * MANY_MASSES
+    ends = [limits_of(PLAIN, device_mass=MANY_MASSES + by).stiffness for by in (step, -step)]
+    np.testing.assert_allclose(slope, (ends[0] - ends[1]) / (2.0 * step), rtol=1e-6)
+
+
 @pytest.mark.campaign
 def test_a_loop_goes_through_jit_and_vmap_as_an_argument() -> None:
     masses = np.array([0.1, 0.2, 0.4])

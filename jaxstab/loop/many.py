@@ -108,8 +108,10 @@ def limits_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> Many
     does not resolve, and those of smaller batches, are answered one by one.
 
     Where JAX traces loops or fields, the answers are arrays of JAX, differentiable once: by all
-    numbers of loops of one mass and their filters, by the implicit function theorem. Inside jit the
-    loops are searched one by one.
+    numbers of loops of one mass and their filters, by the implicit function theorem. Inside jit 512
+    loops and more of one delay, estimator and filter, none of them traced, are computed by the
+    program of a batch, which is compiled into the caller's; what it does not resolve is UNRESOLVED.
+    Other loops are searched one by one there, by a callback.
 
     A batch has tests in place of the audit of a single region: what none of them would notice is a
     stable set that is cut or dented between two of the 148 to 1,348 angles of its scan. Of 9,200
@@ -153,8 +155,8 @@ def limits_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> Many
     limits = _no_limits(len(many))
     for members, (extremes, _) in resolved(many):
         _write_limits(limits, members, extremes.walls, _units(many, members))
-    for number in np.flatnonzero(limits.is_single).tolist():
-        _write_single(limits, number, many[number].limits())
+    for index in np.flatnonzero(limits.is_single).tolist():
+        _write_single(limits, index, many[index].limits())
     return _in_shape(limits, shape)
 
 
@@ -215,10 +217,10 @@ def regions_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> Man
     for members, (extremes, outline) in resolved(many, outlines=True):
         _write_limits(limits, members, extremes.walls, _units(many, members))
         vertices[members], area[members] = outline.vertices, outline.area
-    for number in np.flatnonzero(limits.is_single).tolist():
-        region = many[number].region()
-        _write_single(limits, number, region.limits())
-        vertices[number], _, area[number] = outline_of(region)
+    for index in np.flatnonzero(limits.is_single).tolist():
+        region = many[index].region()
+        _write_single(limits, index, region.limits())
+        vertices[index], _, area[index] = outline_of(region)
     units = _units(many, np.arange(len(many)))
     regions = ManyRegions(vertices * units[:, None], area * units.prod(axis=1), limits)
     return _regions_in_shape(regions, shape)
@@ -276,9 +278,9 @@ def _write_limits(limits: ManyLimits, members: Indices, walls: Walls, units: Uni
     limits.is_reachable[members], limits.is_single[members] = True, False
 
 
-def _write_single(limits: ManyLimits, number: int, own: "WallLimits") -> None:
+def _write_single(limits: ManyLimits, index: int, own: "WallLimits") -> None:
     for column, value in zip(limits, own[:6], strict=False):
-        column[number] = value
+        column[index] = value
 
 
 def _in_shape(limits: ManyLimits, shape: tuple[int, ...]) -> ManyLimits:
@@ -322,14 +324,14 @@ def resolved(
         for _ in range(_SCANS):
             if len(triples.angles) < _FEWEST_COMPILED:
                 break
-            members = np.concatenate([one.members for one in formed])
+            members = np.concatenate([group.members for group in formed])
             missed = np.full((len(members), 2), np.nan)
-            for part, answer in _answers(triples, outlines):
-                is_open = answer[0].failures[: part.size] != 0
-                missed[part[is_open]] = answer[0].missed[: part.size][is_open]
+            for indices, answer in _answers(triples, outlines):
+                is_open = answer[0].failures[: indices.size] != 0
+                missed[indices[is_open]] = answer[0].missed[: indices.size][is_open]
                 own = np.flatnonzero(~is_open)
                 if own.size:
-                    yield members[part[own]], take(answer, own)
+                    yield members[indices[own]], take(answer, own)
             formed, triples = _rescanned(formed, triples, missed)
 
 
@@ -342,9 +344,9 @@ def _answers(triples: "Triples", outlines: bool) -> "Iterator[tuple[Indices, Any
     def solved(indices: Indices) -> Any:
         return in_float64(components, take(triples, indices))
 
-    parts = list(lists(np.arange(len(triples.angles)), _AT_ONCE))
-    answers = on_cores(solved, [indices for _, indices in parts])
-    yield from zip((part for part, _ in parts), answers, strict=True)
+    padded = list(lists(np.arange(len(triples.angles)), _AT_ONCE))
+    answers = on_cores(solved, [indices for _, indices in padded])
+    yield from zip((members for members, _ in padded), answers, strict=True)
 
 
 class _Formed(NamedTuple):
@@ -364,11 +366,11 @@ def _groups(many: "list[HapticLoop]") -> Iterator[tuple[list[_Formed], "Triples"
     """
     waiting: dict[int, list[_Formed]] = {degree: [] for degree in _DEGREES}
     is_compiled = dict.fromkeys(_DEGREES, False)
-    for one in _formed(many):
-        degree = _filled_degree(one)
+    for group in _formed(many):
+        degree = _filled_degree(group)
         if degree is None:
             continue
-        waiting[degree].append(one)
+        waiting[degree].append(group)
         if _count(waiting[degree]) >= _FORMED:
             yield waiting[degree], _triples(waiting[degree], degree)
             waiting[degree], is_compiled[degree] = [], True
@@ -381,7 +383,7 @@ def _groups(many: "list[HapticLoop]") -> Iterator[tuple[list[_Formed], "Triples"
 
 
 def _count(formed: list[_Formed]) -> int:
-    return sum(len(one.members) for one in formed)
+    return sum(len(group.members) for group in formed)
 
 
 def _rescanned(
@@ -394,15 +396,15 @@ def _rescanned(
     degree = triples.straight.shape[-1] - 1
     again, chosen, scans, start = [], [np.empty(0, int)], [triples.angles[:0]], 0
     more = np.stack(np.broadcast_arrays(missed, _MISSED), axis=-1)
-    for one in formed:
-        own = np.flatnonzero(np.isfinite(missed[start : start + len(one.members), 0]))
-        roots = np.broadcast_to(one.roots, (len(one.members), *one.roots.shape[1:]))[own]
+    for group in formed:
+        own = np.flatnonzero(np.isfinite(missed[start : start + len(group.members), 0]))
+        roots = np.broadcast_to(group.roots, (len(group.members), *group.roots.shape[1:]))[own]
         roots = np.concatenate([roots, more[start + own]], axis=1)
-        if own.size and len(one.poles) + roots.shape[1] <= degree + 2:
-            again.append(one._replace(members=one.members[own], roots=roots))
+        if own.size and len(group.poles) + roots.shape[1] <= degree + 2:
+            again.append(group._replace(members=group.members[own], roots=roots))
             chosen.append(start + own)
             scans.append(_scans(again[-1], degree))
-        start += len(one.members)
+        start += len(group.members)
     return again, take(triples, np.concatenate(chosen))._replace(angles=np.concatenate(scans))
 
 
@@ -412,23 +414,23 @@ def _formed(many: "list[HapticLoop]") -> Iterator[_Formed]:
     Those with filters that leave float64 few digits are left out.
     """
     groups = alike(map(_kind, many))
-    parts = (group[k : k + _FORMED] for group in groups for k in range(0, len(group), _FORMED))
-    for members in parts:
+    blocks = (group[k : k + _FORMED] for group in groups for k in range(0, len(group), _FORMED))
+    for members in blocks:
         first = many[members[0]]
         sampled = first.sampled
         if sampled is not None:
             transfers = sampled.transfers(given_filters(first.velocity, first.position))
             linear, roots = first.linear, resonances_of(sampled.plant).T[None]
         else:
-            plants = [many[number].slice.values() for number in members]
+            plants = [many[index].slice.values() for index in members]
             gamma, delta, delay = np.array([list(plant) for plant in plants]).T
             filters = given_filters(**first.filters) or NO_FILTERS
             transfers = filters[0].filter.transfer(), filters[1].transfer()
             linear, roots = _masses(gamma, delta, delay, filters)
-        known = of_filters(*transfers)
-        if known.condition < _ILL_CONDITIONED:
+        response = of_filters(*transfers)
+        if response.condition < _ILL_CONDITIONED:
             own, ends = _parts(linear, len(members)), _ends(linear, len(members))
-            yield _Formed(np.array(members), own, ends, np.sort(known.real_angles), roots)
+            yield _Formed(np.array(members), own, ends, np.sort(response.real_angles), roots)
 
 
 def _masses(
@@ -458,12 +460,12 @@ def common_form(many: "Sequence[HapticLoop]") -> Form | None:
 def triples_of_masses(gamma: Array, delta: Array, form: Form) -> "Triples | None":
     """Return the triples of loops of one form, also inside of jit; None where none are formed."""
     velocity, position = form.filters
-    known = of_filters(velocity.filter.transfer(), position.transfer())
-    if known.condition >= _ILL_CONDITIONED:
+    response = of_filters(velocity.filter.transfer(), position.transfer())
+    if response.condition >= _ILL_CONDITIONED:
         return None
     linear, roots = _masses(gamma, delta, form.delay, form.filters)
     own, ends = _parts(linear, len(gamma)), _ends(linear, len(gamma))
-    formed = _Formed(np.arange(len(gamma)), own, ends, np.sort(known.real_angles), roots)
+    formed = _Formed(np.arange(len(gamma)), own, ends, np.sort(response.real_angles), roots)
     degree = _filled_degree(formed)
     return None if degree is None else _triples([formed], degree)
 
@@ -494,10 +496,10 @@ def _filled_degree(formed: _Formed) -> int | None:
 def _triples(formed: list[_Formed], degree: int) -> "Triples":
     from jaxstab.region.batch import Triples
 
-    straight = _joined([one.parts for one in formed], degree)
+    straight = _joined([group.parts for group in formed], degree)
     xp = namespace(straight)
-    ends = xp.concatenate([one.ends for one in formed])
-    scans = [_scans(one, degree) for one in formed]
+    ends = xp.concatenate([group.ends for group in formed])
+    scans = [_scans(group, degree) for group in formed]
     shifted, rounded = _shifted(straight), straight.rounded()
     powers = _STEPS ** np.arange(degree, -1, -1)[:, None]
     is_less = abs(shifted) @ powers < xp.sum(abs(rounded), axis=-1)[..., None]
@@ -510,18 +512,16 @@ def _parts(loop: LinearLoop, count: int) -> DoubleDouble:
     return _columns(loop[:3], count)
 
 
-def _joined(parts: list[DoubleDouble], degree: int) -> DoubleDouble:
+def _joined(groups: list[DoubleDouble], degree: int) -> DoubleDouble:
     """Join coefficients, each p(z) times a power of z that makes it one of the given degree."""
-    xp = namespace(parts)
+    xp = namespace(groups)
 
-    def joined(halves: list[Array]) -> Array:
-        ends = (degree + 1 - half.shape[-1] for half in halves)
-        filled = [
-            xp.pad(half, ((0, 0), (0, 0), (0, end))) for half, end in zip(halves, ends, strict=True)
-        ]
-        return xp.concatenate(filled)
+    def joined(half: str) -> Array:
+        values = [getattr(group, half) for group in groups]
+        zeros = [((0, 0), (0, 0), (0, degree + 1 - x.shape[-1])) for x in values]
+        return xp.concatenate(list(map(xp.pad, values, zeros)))
 
-    return DoubleDouble(joined([part.hi for part in parts]), joined([part.lo for part in parts]))
+    return DoubleDouble(joined("hi"), joined("lo"))
 
 
 def _ends(loop: LinearLoop, count: int) -> Float64[Array, "loop 2 3"]:

@@ -1,8 +1,9 @@
 """The stable walls of a loop in SI units: its stable region, scaled to N/m and N s/m."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -219,9 +220,8 @@ class WallRegion(ShownRegion):
         NaN where none is stable. Of several intervals the one that reaches farthest is given.
         """
         require_x64(damping)
-        (rows,) = float_arrays(self.loop.beta(checked_gain("damping", damping)))
-        limits = self.loop.stiffness(self._last_interval(rows, axis=1))
-        return limits if is_jax(limits) else without_noise(limits, self.extent.stiffness)
+        rows = self.loop.beta(checked_gain("damping", damping))
+        return self._last_interval(rows, self.loop.stiffness, axis=1)
 
     def damping_limits(self, stiffness: Numbers) -> Float64[Array, "*grid 2"]:
         """Return the smallest and the largest stable B at stiffnesses K in N/m.
@@ -229,9 +229,8 @@ class WallRegion(ShownRegion):
         NaN where none is stable. Of several intervals the one that reaches farthest is given.
         """
         require_x64(stiffness)
-        (columns,) = float_arrays(self.loop.alpha(checked_gain("stiffness", stiffness)))
-        limits = self.loop.damping(self._last_interval(columns, axis=0))
-        return limits if is_jax(limits) else without_noise(limits, self.extent.damping)
+        columns = self.loop.alpha(checked_gain("stiffness", stiffness))
+        return self._last_interval(columns, self.loop.damping, axis=0)
 
     def stiffness_intervals(
         self, damping: Float64[np.ndarray, " row"]
@@ -279,11 +278,11 @@ class WallRegion(ShownRegion):
         count = ends.shape[1] // 2  # lines that meet nothing have one column of NaN
         return ends[:, : 2 * count].reshape(len(values), count, 2)
 
-    def _last_interval(self, values: Array, axis: int) -> Array:
-        region = self.region
-        return measures.limits(
-            region.coefficients, region.outline, values, axis=axis, outermost=False
-        )
+    def _last_interval(self, gains: Numbers, in_units: Callable[[Any], Any], axis: int) -> Array:
+        region, (values,) = self.region, float_arrays(gains)
+        curve = region.coefficients, region.outline
+        limits = in_units(measures.limits(*curve, values, axis=axis, outermost=False))
+        return limits if is_jax(limits) else without_noise(limits, self.extent[1 - axis])
 
 
 def _limits_of(stiffest: Gains, damped: Gains, status: RegionStatus) -> WallLimits:
