@@ -15,7 +15,7 @@ from benchmarks.truth.devices import DeviceLoop, Mechanism, mode
 from benchmarks.truth.filtered import FilteredLoop, average, difference, low_pass, times
 from jaxstab import Device, HapticLoop, Mode, Velocity, Verdict, limits_of, regions_of
 from jaxstab.loop import many as loops_together
-from jaxstab.region.batch import program
+from jaxstab.region.batch import Triples, _are_stable, program
 from jaxstab.results import RegionStatus
 
 PERIOD = 1e-3
@@ -297,3 +297,19 @@ def test_a_limit_that_is_small_beside_its_component_is_right_to_1e_9() -> None:
         held = replace(loop, hand_stiffness=hand)
         codes = held.verdict(limit * np.array([1.0 - 1e-9, 1.0 + 1e-9]), 0.0)
         assert codes.tolist() == [Verdict.STABLE, Verdict.UNSTABLE]
+
+
+def test_walls_are_called_stable_whose_roots_are_all_inside(rng: np.random.Generator) -> None:
+    """Each loop by itself: none of its coefficients is 0 for others that are of a higher degree."""
+    count = 0
+    for one in loops_together._formed(loops(rng)[:4]):
+        triples = loops_together._triples([one], one.parts.hi.shape[2] - 1)
+        for index in range(len(one.members)):
+            loop = Triples(*(part[index] for part in triples))
+            walls = np.array([rng.uniform(-0.02, 0.3, 200), rng.uniform(-0.1, 1.5, 200)])
+            base, stiffness, damping = loop.straight
+            falling = base + np.outer(walls[0], stiffness) + np.outer(walls[1], damping)
+            moduli = np.array([np.abs(np.roots(row)).max() for row in falling])
+            assert np.array_equal(_are_stable(loop, walls), moduli < 1.0)
+            count += np.sum(moduli < 1.0)
+    assert 50 < count < 700
