@@ -2,12 +2,14 @@
 
 import gc
 from dataclasses import replace
+from functools import partial
 from typing import Any
 from weakref import ref
 
 import numpy as np
 import pytest
-from mpmath import mpf
+from jax import vmap
+from mpmath import conj, expj, mpf, polyval, workdps
 
 import jaxstab
 from benchmarks.limits_of import is_wrong
@@ -15,7 +17,7 @@ from benchmarks.truth.devices import DeviceLoop, Mechanism, mode
 from benchmarks.truth.filtered import FilteredLoop, average, difference, low_pass, times
 from jaxstab import Device, HapticLoop, Mode, Velocity, Verdict, limits_of, regions_of
 from jaxstab.loop import many as loops_together
-from jaxstab.region.batch import Triples, _are_stable, program
+from jaxstab.region.batch import Triples, _rounding, _wall, program
 from jaxstab.results import RegionStatus
 
 PERIOD = 1e-3
@@ -299,17 +301,26 @@ def test_a_limit_that_is_small_beside_its_component_is_right_to_1e_9() -> None:
         assert codes.tolist() == [Verdict.STABLE, Verdict.UNSTABLE]
 
 
-def test_walls_are_called_stable_whose_roots_are_all_inside(rng: np.random.Generator) -> None:
-    """Each loop by itself: none of its coefficients is 0 for others that are of a higher degree."""
-    count = 0
-    for one in loops_together._formed(loops(rng)[:4]):
+def test_the_rounding_of_a_wall_is_no_more_than_the_bound_that_extremes_are_held_to(
+    rng: np.random.Generator,
+) -> None:
+    """Against 50 digits, on curves of windows and of slow filters."""
+    shares = []
+    for one in loops_together._formed([loops(rng)[0], families()[0][0]]):
         triples = loops_together._triples([one], one.parts.hi.shape[2] - 1)
-        for index in range(len(one.members)):
-            loop = Triples(*(part[index] for part in triples))
-            walls = np.array([rng.uniform(-0.02, 0.3, 200), rng.uniform(-0.1, 1.5, 200)])
-            base, stiffness, damping = loop.straight
-            falling = base + np.outer(walls[0], stiffness) + np.outer(walls[1], damping)
-            moduli = np.array([np.abs(np.roots(row)).max() for row in falling])
-            assert np.array_equal(_are_stable(loop, walls), moduli < 1.0)
-            count += np.sum(moduli < 1.0)
-    assert 50 < count < 700
+        loop = Triples(*(part[0] for part in triples))
+        theta = np.concatenate([np.geomspace(1e-3, 0.3, 8), rng.uniform(0.3, 3.1, 8)])
+        walls = np.asarray(_wall(loop, theta))
+        bound = vmap(partial(_rounding, loop), (0, 1, None))
+        bounds = [bound(theta, walls, k).tolist() for k in (0, 1)]
+        with workdps(50):
+            for index, angle in enumerate(theta.tolist()):
+                base, stiffness, damping = (
+                    polyval([mpf(a) + mpf(b) for a, b in rows], expj(mpf(angle)), asc=True)
+                    for rows in np.stack([one.parts.hi, one.parts.lo], -1)[0, :, ::-1].tolist()
+                )
+                det = (conj(stiffness) * damping).imag
+                true = (conj(damping) * base).imag / det, -(conj(stiffness) * base).imag / det
+                for k, value in enumerate(true):
+                    shares.append(abs(mpf(float(walls[k, index])) - value) / bounds[k][index])
+    assert 0.05 < max(shares) <= 1.0

@@ -25,6 +25,7 @@ from jaxstab.point.verdicts import _ends, float_plant, have_outer_root, loop_cod
 from jaxstab.proofs import curve_patches
 from jaxstab.proofs.columns import _line_strips, column_gaps, columns_of
 from jaxstab.proofs.curve_patches import Domain
+from jaxstab.proofs.exclusion import LineBoxes, Models, _shrunk
 from jaxstab.proofs.filters import Ends
 from jaxstab.proofs.plant import HandBoxes
 from jaxstab.region.exact import exact_gains
@@ -180,21 +181,13 @@ def test_coefficients_of_small_circles_are_within_their_errors(chains: list[Chai
 
 
 def test_no_outer_root_is_proved_of_a_polynomial_that_has_none() -> None:
-    """Roots that are double or triple, a little inside of the circle; coefficients are exact."""
-    falling, proved = [], 0
-    for repeats, bits in ((2, 26), (3, 17)):
-        square = Fraction(1) - Fraction(1, 2**bits)
-        for k in range(1, 90):
-            pair = [Fraction(1), -Fraction(k, 64), square]
-            product = [Fraction(1)]
-            for _ in range(repeats):
-                product = np.convolve(product, pair).tolist()
-            if all(Fraction(float(c)) == c for c in product):
-                falling.append([*map(float, product), *[0.0] * (6 - 2 * repeats)])
-    poles = np.array([np.abs(np.roots(row)).max() for row in falling])
-    assert np.mean(poles > 1.0) > 0.2  # by rounding
-    proved = have_outer_root(np.array(falling))
-    assert not proved.any()
+    """Double roots inside of the circle, of which rounding makes some that are outside."""
+    twice, square = np.arange(1, 3800) / 2048.0, 1.0 - 2.0**-26
+    quadratic = np.stack([np.ones(twice.size), -twice, np.full(twice.size, square)], axis=1)
+    falling = np.stack([np.convolve(row, row) for row in quadratic])  # without rounding
+    assert Fraction(falling[9, 2]) == Fraction(twice[9]) ** 2 + 2 * Fraction(square)
+    assert np.mean([np.abs(np.roots(row)).max() > 1.0 for row in falling[::20]]) > 0.3
+    assert not have_outer_root(falling).any()
 
 
 @pytest.mark.parametrize("degree", [3, 12, 30])
@@ -357,3 +350,30 @@ def test_points_next_to_minus_one_have_the_digits_of_pairs() -> None:
             for gain, value in zip(gains, true, strict=True):
                 made = mpmath.mpf(float(gain.hi[k])) + float(gain.lo[k])
                 assert abs(made - value) <= 1e-22 * abs(value)
+
+
+def test_a_box_of_a_linear_function_shrinks_to_its_zero_and_never_beyond() -> None:
+    """What rounding moves the zero by stays in the box, and is all that stays."""
+    rng = np.random.default_rng(11)
+    value, by_t, by_theta = (drawn(rng, COUNT) + 1j * drawn(rng, COUNT) for _ in range(3))
+    rest = 8.0 * UNIT * (np.abs(value) + np.abs(by_t) + np.abs(by_theta))
+    low, high = rng.uniform(0.0, 1.0, (2, COUNT)), rng.uniform(1.5, 3.0, (2, COUNT))
+    boxes = LineBoxes(np.arange(COUNT), low, high)
+    models = Models(value, np.stack([by_t, by_theta]), rest, np.zeros((2, COUNT)), rest)
+    shrunk, is_proved = _shrunk(boxes, models)
+    inside = 0
+    for k in range(COUNT):
+        v, a, b = ([Fraction(c.real), Fraction(c.imag)] for c in (value[k], by_t[k], by_theta[k]))
+        det = a[0] * b[1] - a[1] * b[0]
+        shares = (b[0] * v[1] - b[1] * v[0]) / det, -(a[0] * v[1] - a[1] * v[0]) / det
+        if max(map(abs, shares)) > 1:
+            assert not is_proved[k]
+            continue
+        inside += max(map(abs, shares)) < 0.99
+        assert is_proved[k] or max(map(abs, shares)) > 0.99
+        for axis, share in enumerate(shares):
+            middle = Fraction(low[axis, k]) + Fraction(high[axis, k])
+            zero = middle / 2 + share * (Fraction(high[axis, k]) - Fraction(low[axis, k])) / 2
+            assert shrunk.low[axis, k] <= zero <= shrunk.high[axis, k]
+            assert shrunk.high[axis, k] - shrunk.low[axis, k] < 1e-6
+    assert inside > 40
