@@ -6,9 +6,10 @@ from functools import partial
 from typing import Any
 from weakref import ref
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax import vmap
+from jax import jit, vmap
 from mpmath import conj, expj, mpf, polyval, workdps
 
 import jaxstab
@@ -17,7 +18,8 @@ from benchmarks.truth.devices import DeviceLoop, Mechanism, mode
 from benchmarks.truth.filtered import FilteredLoop, average, difference, low_pass, times
 from jaxstab import Device, HapticLoop, Mode, Velocity, Verdict, limits_of, regions_of
 from jaxstab.loop import many as loops_together
-from jaxstab.region.batch import Triples, _rounding, _wall, program
+from jaxstab.region.batch import SLOTS, Triples, _corners_of, _Ends, _rounding, _wall, program
+from jaxstab.region.pieces import Branch
 from jaxstab.results import RegionStatus
 
 PERIOD = 1e-3
@@ -324,3 +326,23 @@ def test_the_rounding_of_a_wall_is_no_more_than_the_bound_that_extremes_are_held
                 for k, value in enumerate(true):
                     shares.append(abs(mpf(float(walls[k, index])) - value) / bounds[k][index])
     assert 0.05 < max(shares) <= 1.0
+
+
+def test_a_piece_is_solved_only_if_both_of_its_ends_are() -> None:
+    """From z = 1, where it is pinned, to the line of a root at 1, within its bracket alone."""
+    mass = HapticLoop(device_mass=0.1, device_damping=0.1, sample_time=PERIOD)
+    (one,) = loops_together._formed([mass])
+    triples = loops_together._triples([one], one.parts.hi.shape[2] - 1)
+    loop = Triples(*(jnp.asarray(part[0]) for part in triples))
+    is_first = jnp.arange(SLOTS) == 0
+    corners = jit(lambda ends: _corners_of(loop, ends, jnp.ones(SLOTS), jnp.ones(2)))
+    for theta, is_solved in ((1.5714, True), (1.45, False)):
+        ends = _Ends(
+            exists=is_first,
+            next_to=jnp.zeros((2, SLOTS), int),
+            theta=jnp.stack([jnp.full(SLOTS, 1e-6), jnp.full(SLOTS, theta)]),
+            branch=jnp.full((2, SLOTS), Branch.Z_PLUS_ONE),
+            width=jnp.full((2, SLOTS), 2e-4),
+            pinned=jnp.array([[True], [False]]) & is_first,
+        )
+        assert bool(corners(ends).is_solved[0]) == is_solved
