@@ -18,7 +18,19 @@ from benchmarks.truth.devices import DeviceLoop, Mechanism, mode
 from benchmarks.truth.filtered import FilteredLoop, average, difference, low_pass, times
 from jaxstab import Device, HapticLoop, Mode, Velocity, Verdict, limits_of, regions_of
 from jaxstab.loop import many as loops_together
-from jaxstab.region.batch import SLOTS, Triples, _corners_of, _Ends, _rounding, _wall, program
+from jaxstab.region.batch import (
+    SLOTS,
+    Triples,
+    _bisector,
+    _Corners,
+    _corners_of,
+    _Ends,
+    _linked,
+    _Links,
+    _rounding,
+    _wall,
+    program,
+)
 from jaxstab.region.pieces import Branch
 from jaxstab.results import RegionStatus
 
@@ -346,3 +358,42 @@ def test_a_piece_is_solved_only_if_both_of_its_ends_are() -> None:
             pinned=jnp.array([[True], [False]]) & is_first,
         )
         assert bool(corners(ends).is_solved[0]) == is_solved
+
+
+def between_lines() -> Triples:
+    """A loop by its lines alone: stable are alpha > 0 and beta < 1."""
+    ends = jnp.array([[0.0, 1.0, 0.0], [1.0, 0.0, -1.0]])
+    return Triples(jnp.eye(3, 4), jnp.eye(3, 4), jnp.zeros(3), ends, jnp.linspace(0.1, 3.0, 8))
+
+
+def test_behind_the_crossing_of_both_lines_the_next_piece_begins_on_the_other_line() -> None:
+    """A curve from (0, 0.3) to (0.5, 1) bounds the stable set, too.
+
+    A piece inside, between two others, begins nearer to the crossing.
+    """
+    loop, nothing = between_lines(), jnp.zeros(SLOTS)
+    number = jnp.arange(SLOTS)
+    branch = jnp.zeros((2, SLOTS), int)  # of curves
+    branch = branch.at[1, 0].set(Branch.Z_MINUS_ONE).at[0, 1].set(Branch.Z_PLUS_ONE)
+    begins = jnp.array([[0.2, 0.0, 0.3], [0.5, 0.3, 0.8]])
+    stops = jnp.array([[0.5, 0.2, 0.4], [1.0, 0.5, 0.9]])
+    walls = jnp.stack([jnp.pad(side, ((0, 0), (0, SLOTS - 3))) for side in (begins, stops)], 1)
+    known = (number < 3, nothing, branch, walls, walls, number, number)
+    links = jit(_linked)(loop, _Corners(*known, nothing, nothing, nothing))
+    assert links.crossing.tolist() == [0.0, 1.0]
+    assert bool(links.via[0])
+    assert int(links.successor[0]) == 1
+
+
+def test_the_stable_set_is_to_the_left_of_both_pieces_at_their_corner() -> None:
+    """Piece 0 arrives along alpha, piece 1 leaves along beta: seen from the end and the begin."""
+    loop, nothing = between_lines(), jnp.zeros(SLOTS)
+    along = jnp.ones((2, 2, SLOTS))
+    slopes = along.at[:, 1, 0].set(jnp.array([2.0, 0.0])).at[:, 0, 1].set(jnp.array([0.0, 3.0]))
+    other = 1 - jnp.minimum(jnp.arange(SLOTS), 1)
+    curves = jnp.zeros((2, SLOTS), int)
+    corners = _Corners(nothing, nothing, curves, along, slopes, other, other, *[nothing] * 3)
+    links = _Links(other, nothing, nothing, jnp.zeros(2))
+    toward = jit(lambda corner: _bisector(loop, corners, links, corner, jnp.ones(2)))
+    begin_of_1, end_of_0 = 1, SLOTS
+    assert toward(begin_of_1).tolist() == toward(end_of_0).tolist() == [-1.0, 1.0]
