@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
-import jax
 import numpy as np
 
 import jaxstab
@@ -18,7 +17,7 @@ from benchmarks.record import Row
 from benchmarks.rivals import LoopFamily, Outline, bisected, contour, eigenvalue_grid
 from benchmarks.timing import interleaved
 from benchmarks.truth.slices import ExactSlice
-from jaxstab.region import region_outline, stable_region
+from jaxstab.region import stable_region
 from jaxstab.trace import trace_boundary
 
 GAMMA, DELTA = 1e-3, 0.015
@@ -49,7 +48,7 @@ def _outline_rows(exact: ExactSlice, small: bool) -> Iterator[Row]:
     for count in (_OUTLINE_POINTS,) if small else (50, 100, 200, 400, 800, 1600, 2000):
         calls = _grids(exact, family, count) | {
             "traced": partial(_traced, exact, max(1.0 / count, _FINEST_TRACE)),
-            "closed form": partial(_closed_form, exact.delay, count),
+            "closed form": partial(_stable_region, exact.delay, 0.35 / count**2),
         }
         timings = interleaved(calls, budget=0.1 if small else 2.0)
         for method, timing in timings.items():
@@ -107,11 +106,6 @@ def _traced(exact: ExactSlice, resolution: float) -> Outline:
     return Outline(trace.points[trace.edge], segments)
 
 
-def _closed_form(delay: float, points: int) -> jax.Array:
-    region = region_outline(gamma=jax.numpy.asarray(GAMMA), delta=DELTA, delay=delay, points=points)
-    return region.outline.vertices
-
-
 def _outline_of(vertices: np.ndarray) -> Outline:
     return Outline(vertices, np.stack([vertices[:-1], vertices[1:]], axis=1))
 
@@ -129,19 +123,22 @@ def _errors(exact: ExactSlice, points: np.ndarray, small: bool) -> dict[str, Any
 
 
 def _region_rows(exact: ExactSlice, small: bool) -> Iterator[Row]:
-    """One region, and many over a grid of (gamma, delta), to an outline of 256 points."""
+    """One region, and many over a grid of (gamma, delta)."""
     side = 3 if small else 32
     gamma, delta = np.meshgrid(np.linspace(0.0, GAMMA, side), np.linspace(0.0, DELTA, side))
-    many = jax.jit(jax.vmap(partial(_vertices, exact.delay)))
+    loop = jaxstab.HapticLoop(  # of which K is alpha, and B is beta
+        device_mass=1.0, device_damping=0.0, sample_time=1.0, delay=exact.delay
+    )
+    hands = {"hand_stiffness": gamma.ravel(), "device_damping": delta.ravel()}
     grids = _grids(exact, LoopFamily(GAMMA, DELTA, exact.delay), 20 if small else 200)
     calls: dict[str, Call] = {name: grids[name] for name in ("eigenvalue grid", "n-cube bisection")}
     calls |= {
         "stable_region": partial(_stable_region, exact.delay, 1e-3 if small else 1e-6),
-        "vmapped outlines": partial(many, gamma.ravel(), delta.ravel()),
+        "regions_of": partial(_outlines, loop, hands),
     }
     for method, timing in interleaved(calls, budget=0.1 if small else 3.0).items():
         found, regions = timing.answer, 1
-        if method == "vmapped outlines":
+        if method == "regions_of":
             found, regions = found[-1], side**2  # the last one is of GAMMA and DELTA
         points = found.points if isinstance(found, Outline) else np.asarray(found)
         yield {
@@ -160,6 +157,5 @@ def _stable_region(delay: float, tolerance: float) -> np.ndarray:
     return stable_region(gamma=GAMMA, delta=DELTA, delay=delay, tolerance=tolerance).points
 
 
-def _vertices(delay: float, gamma: jax.Array, delta: jax.Array) -> jax.Array:
-    region = region_outline(gamma=gamma, delta=delta, delay=delay, points=_OUTLINE_POINTS)
-    return region.outline.vertices
+def _outlines(loop: jaxstab.HapticLoop, hands: dict[str, np.ndarray]) -> np.ndarray:
+    return jaxstab.regions_of(loop, **hands).outline

@@ -26,7 +26,6 @@ COMPUTING_CALLS: dict[str, list[Any]] = {
     "boundary_curve": [1.0, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
     "paper.minus_line": [0.1, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
     "paper.plus_line": [0.1, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
-    "region_outline": [{"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
     "stable_region": [{"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
     "plant_coefficients": [{"gamma": 0.001, "delta": 0.015}],
     "characteristic_polynomial": [0.1, 0.2, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],

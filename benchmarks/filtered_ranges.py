@@ -23,7 +23,7 @@ from jaxstab.model.filters import given_filters
 from jaxstab.proofs.columns import column_gaps
 from jaxstab.proofs.curve_patches import Domain
 from jaxstab.proofs.plant import HandBoxes
-from jaxstab.ranges.device_margins import device_ends, extra_delays
+from jaxstab.ranges.device_margins import device_crossings
 from jaxstab.ranges.margins import WAYS, first_crossings
 from jaxstab.results import StableRegion
 
@@ -75,13 +75,11 @@ def device_margins(rng: np.random.Generator, count: int) -> Campaign:
         wall = _wall(rng, region)
         filters = given_filters(*loop.filters[:2])
         start = process_time()
-        codes, ends = device_ends(loop.sampled, np.array([wall]), filters)
-        is_stable = codes[0] == Verdict.STABLE
-        later = extra_delays(loop.sampled, np.array([wall]), filters) if is_stable else None
+        code, *found = device_crossings(loop.sampled, np.array([wall]), filters)[0]
         seconds.append(process_time() - start)
-        if later is not None:
-            tally += _judged_delay(loop, wall, float(later[0]))
-            steps = ends[0] - np.repeat(wall, 2)
+        if code == Verdict.STABLE:
+            *steps, later = found[::2]
+            tally += _judged_delay(loop, wall, float(later))
             size = np.ptp(_finite(region), axis=0)
             for way, step in enumerate(steps):
                 tally += _judged_gain(loop.balls, wall, way // 2, float(step), size[way // 2])

@@ -90,7 +90,6 @@ COUNTS = dict.fromkeys(COMPUTING_CALLS, _OF_WALLS) | {
     "minimize_radius_damping": Counts(20),
     "minimize_settling": Counts(6),
     "paper.passive_region": Counts(100),
-    "region_outline": Counts(100),
     "robust_region": Counts(2),
     "settling_samples": Counts(200, 100),
     "stable_region": Counts(200),

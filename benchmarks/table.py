@@ -21,7 +21,7 @@ _READER = "<!-- table for a reader: begin -->", "<!-- table for a reader: end --
 _HEADING = ("task", "method", "run time", "error", "speed-up over LAPACK eigenvalues")
 _DELAYS = (0.0, 1.0, 5.0, 20.0, 60.0)  # of the throughput: the plot has others, and more rivals
 _METHODS = ("verdict", "spectral_radius")
-_OWN_REGIONS = ("stable_region", "vmapped outlines")
+_OWN_REGIONS = ("stable_region", "regions_of")
 _IN_README = {  # parts of tasks, and their methods
     ("one region,", "stable_region"),
     ("boundary of a slice", "closed form"),

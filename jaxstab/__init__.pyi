@@ -38,7 +38,6 @@ from .ranges import HandRange as HandRange
 from .ranges import margins as margins
 from .ranges import robust_region as robust_region
 from .region import boundary_curve as boundary_curve
-from .region import region_outline as region_outline
 from .region import stable_region as stable_region
 from .scene.draws import LogNormal as LogNormal
 from .scene.draws import Measured as Measured

@@ -203,15 +203,6 @@ def kept(rounded: Array) -> Array:
     return lax.optimization_barrier(rounded)
 
 
-def stored(tree: Tree) -> Tree:
-    """Return float arrays that XLA computes once, though several loops read them."""
-    # On a CPU it computes cheap terms anew in each loop that reads them, for each element of it,
-    # and drops barriers (``kept``) before it decides so; but it keeps a quotient. So this divides
-    # by 1, in a form that XLA does not recognise as 1.
-    xp = namespace(tree)
-    return tree if xp is np else tree_map(lambda x: x / xp.where(x == x, 1.0, 2.0), tree)
-
-
 # Inverses, roots and powers of two that XLA fuses with the arithmetic around them: it does not fuse
 # a division whose result is used more than once. They start from the bits of the number.
 
@@ -342,18 +333,6 @@ def true_indices(mask: Array) -> np.ndarray:
         return np.flatnonzero(mask)
     xp, count = namespace(mask), int(mask.sum())
     return np.asarray(xp.flatnonzero(mask, size=1 << count.bit_length()))[:count]
-
-
-def first_indices(mask: Array, count: int) -> Array:
-    """Return the indices of the first ``count`` true entries on the last axis, then its length.
-
-    The result has the shape (*, count), also where JAX must know all shapes beforehand.
-    """
-    xp = namespace(mask)
-    passed = xp.cumsum(mask, axis=-1)
-    if xp is np and mask.ndim == 1:
-        return np.searchsorted(passed, np.arange(1, count + 1))
-    return xp.sum(passed[..., None, :] <= xp.arange(count)[:, None], axis=-1)
 
 
 def solved(matrix: Array, values: Array) -> Array:

@@ -12,35 +12,30 @@ file of a part has all dimensions and its own chunks, and ``merged`` puts the ch
 """
 
 import hashlib
-import io
 import os
 import shutil
-import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from jaxstab.durable import PatientStream, named_errors, replacing
-from jaxstab.tiles import Job, Progress, Shards, complete, computed_by
+from jaxstab.tiles import Arrays, Job, Progress, Shards, complete, computed_by
 
 Item = TypeVar("Item")
-Arrays = dict[str, NDArray[Any]]
 Block = tuple[slice, ...]
 
-FORMAT_VERSIONS: Final = ("v110", "v110")
-
-"""Of HDF5: checksums of its own structures; 1.10 and newer read it."""
-
+# Of HDF5: it writes checksums of its own structures, and 1.10 and newer read it.
+_FORMAT_VERSIONS = "v110", "v110"
 _FILTERS = {"shuffle": True, "compression": "gzip", "compression_opts": 1, "fletcher32": True}
-_KEY, _MAKER, _PART = "key", "computed_by", "part"
+_KEY, _PART = "key", "part"
 _AT_ONCE = 256  # blocks in flight, and so the most workers that are busy
 
 
@@ -163,34 +158,10 @@ class Dataset(Job[Block]):
         """The name of a block: where it begins."""
         return "-".join(str(span.start) for span in item)
 
-    def image(self, item: Block) -> bytes:
-        """The block, computed, as an archive of arrays."""
-        stream = io.BytesIO()
-        said: dict[str, Any] = {_KEY: self.key, _MAKER: computed_by()}
-        np.savez(stream, **self.compute(item) | said)
-        return stream.getvalue()
-
-    def check(self, item: Block, image: bytes) -> None:
-        """Refuse a block that is damaged, of another dataset or of other code."""
-        arrays = _arrays(image)
-        maker = str(arrays.get(_MAKER, "an older jaxstab"))
-        if arrays and maker != computed_by():
-            raise RuntimeError(
-                f"a worker computes with {maker}, and this process with {computed_by()}; install "
-                "the same for all workers."
-            )
-        if not self._is_own(item, arrays):
-            raise ValueError(
-                f"block {self.name(item)} of {self.path} is damaged; compute it again."
-            )
-
-    def is_done(self, item: Block, image: bytes) -> bool:
-        """Whether a stored block is whole and of this dataset."""
-        return self._is_own(item, _arrays(image))
-
-    def _is_own(self, item: Block, arrays: Arrays) -> bool:
+    def are_of(self, item: Block, arrays: Arrays) -> bool:
+        """Whether arrays have the names, types and shapes of the variables in a block."""
         lengths = tuple(span.stop - span.start for span in item)
-        return str(arrays.get(_KEY)) == self.key and all(
+        return all(
             name in arrays
             and arrays[name].shape == self.own(variable, lengths)
             and arrays[name].dtype == variable.dtype
@@ -199,17 +170,16 @@ class Dataset(Job[Block]):
 
     def publish(self, shards: Shards) -> None:
         """Write the file: a chunk for each block, in their order."""
-        with replacing(self.path, shards.folder) as descriptor:
-            stream = PatientStream(descriptor)
-            with h5py.File(stream, "w", libver=FORMAT_VERSIONS) as file:
-                datasets = self._created(file)
-                for item in self.items:
-                    arrays = _arrays(shards.read(self.name(item)))
-                    for name, dataset in datasets.items():
-                        dataset[self.own(self.variables[name], item)] = arrays[name]
-                    stream.check()
-            stream.check()
-            os.ftruncate(descriptor, stream.size)
+        with (
+            replacing(self.path, shards.folder) as descriptor,
+            written(descriptor) as (stream, file),
+        ):
+            datasets = self._created(file)
+            for item in self.items:
+                arrays = self.arrays(item, shards.read(self.name(item)))
+                for name, dataset in datasets.items():
+                    dataset[self.own(self.variables[name], item)] = arrays[name]
+                stream.check()
 
     def _created(self, file: h5py.File) -> dict[str, h5py.Dataset]:
         """Write attributes and coordinates, and create the variables."""
@@ -274,7 +244,7 @@ def ensure(
             "remove it, or give another name."
         )
     else:
-        complete(dataset, dataset.path, progress, executor)
+        complete(dataset, progress, executor)
 
 
 def stored(
@@ -373,20 +343,30 @@ def merged(parts: Sequence[Path], path: Path) -> None:
     if missing or not own:
         words = f"part {missing[0]} of {count} is missing" if own else "no part is given"
         raise ValueError(f"{words}; give the files of all parts.")
-    with replacing(path) as descriptor:
-        stream = PatientStream(descriptor)
-        base, *others = (own[part] for part in sorted(own))
+    base, *others = (own[part] for part in sorted(own))
+    with replacing(path) as descriptor, written(descriptor, base) as (stream, target):
+        del target.attrs[_PART]
+        for other in others:
+            with _opened(other) as source:
+                _copy_chunks(source, target)
+            stream.check()
+
+
+@contextmanager
+def written(descriptor: int, base: Path | None = None) -> Iterator[tuple[PatientStream, h5py.File]]:
+    """Open an HDF5 file to write, empty or a copy; errors of the disk are raised when it is done.
+
+    A long write calls ``PatientStream.check`` often.
+    """
+    stream = PatientStream(descriptor)
+    if base is not None:
         with base.open("rb") as source:
             shutil.copyfileobj(source, stream)
         stream.check()
-        with h5py.File(stream, "r+", libver=FORMAT_VERSIONS) as file:
-            del file.attrs[_PART]
-            for other in others:
-                with _opened(other) as source_file:
-                    _copy_chunks(source_file, file)
-                stream.check()
-        stream.check()
-        os.ftruncate(descriptor, stream.size)
+    with h5py.File(stream, "r+" if base else "w", libver=_FORMAT_VERSIONS) as file:
+        yield stream, file
+    stream.check()
+    os.ftruncate(descriptor, stream.size)
 
 
 def _copy_chunks(source: h5py.File, target: h5py.File) -> None:
@@ -431,15 +411,6 @@ def mesh_of(values: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
             )
         owners |= dict.fromkeys(axes, name)
     return {owners[axis]: arrays[owners[axis]].ravel() for axis in sorted(owners)}
-
-
-def _arrays(image: bytes) -> Arrays:
-    """Return the arrays of an image; none where it is damaged."""
-    try:
-        with np.load(io.BytesIO(image)) as archive:
-            return dict(archive)
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-        return {}
 
 
 def write_attributes(to: h5py.File | h5py.Dataset, attributes: Mapping[str, Any]) -> None:

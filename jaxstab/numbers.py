@@ -76,6 +76,8 @@ def checked_number(
     unit: str = "",
 ) -> float:
     """One real, finite, concrete number in [low, high] as a Python float; see ``checked``."""
+    if type(value) is float and low < value <= high and value < inf:  # most numbers, at once
+        return value
     if is_traced(value):
         raise TypeError(f"{name} is traced; give a concrete number, outside of jit, vmap and grad.")
     require_x64(value)

@@ -1,18 +1,20 @@
-"""Tables of TOML files: read as they are, and checked key by key into frozen dataclasses.
+"""TOML files, their tables checked key by key into frozen dataclasses; columns of CSV files.
 
 Errors are one sentence: the key, its value and the allowed values.
 """
 
+import csv
 import re
 import sys
 import tomllib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
 from difflib import get_close_matches
+from io import StringIO
 from math import inf, isfinite
 from os import PathLike
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from jaxstab.conventions import AXES
 from jaxstab.shown import printable, shortened
@@ -26,6 +28,8 @@ MOST_BYTES = 4_000_000
 
 MOST_LETTERS = 64
 """Of a name."""
+
+_MOST_BYTES_OF_CSV = 100_000_000
 
 _LONG_KEY = re.compile(r"(?:\.[^.,=\n]{1,64}){100}")
 
@@ -81,6 +85,45 @@ def text_of(path: str | PathLike[str], most: int) -> str:
         ) from error
 
 
+def columns_of(
+    file: str | PathLike[str], columns: Sequence[str], optional: Sequence[str] = ()
+) -> dict[str, list[float]]:
+    """Return columns of a CSV file ("-": stdin) with a header; optional ones may be missing.
+
+    ValueError: a column is missing or there twice, or holds anything but finite numbers.
+    """
+    source = "stdin" if str(file) == "-" else file
+    stream = StringIO(text_of(file, _MOST_BYTES_OF_CSV), newline="")
+    lines = csv.reader(stream, skipinitialspace=True)
+    numbers: dict[str, list[float]] = {}
+    try:
+        names = [name.strip() for name in next(lines, [])]
+        for column in columns:
+            if column not in names:
+                listed = shortened(", ".join(names))
+                raise ValueError(f"{source} has no column {column!r}; its columns are {listed}.")
+        numbers |= {name: [] for name in (*columns, *optional) if name in names}
+        for column in numbers:
+            if names.count(column) > 1:
+                raise ValueError(f"{column} is the name of two columns of {source}; leave one out.")
+        for row in filter(None, lines):
+            for column, values in numbers.items():
+                index = names.index(column)
+                cell = row[index] if index < len(row) else None
+                try:
+                    values.append(float(cell or ""))
+                except ValueError:
+                    values.append(inf)
+                if not isfinite(values[-1]):
+                    raise ValueError(
+                        f"{source}, line {lines.line_num}: {column} is {shortened(cell)}; give a "
+                        "finite number."
+                    )
+    except csv.Error as error:
+        raise ValueError(f"{source}, line {lines.line_num} is not CSV: {error}.") from error
+    return numbers
+
+
 def parsed(text: str, source: str = "") -> dict[str, Any]:
     """The tables of a TOML text; ValueError, with the source, for bad TOML or too deep nesting."""
     try:
@@ -97,9 +140,18 @@ def parsed(text: str, source: str = "") -> dict[str, Any]:
         ) from error
 
 
-def key(check: Check, default: Any = MISSING) -> Any:
-    """Return the field of a Table for a key, with the check of its value."""
-    return field(default=default, metadata={"check": check})
+class Usual(NamedTuple):
+    """The usual range of a quantity, its unit, and the range in a device that turns, if another."""
+
+    low: float
+    high: float
+    unit: str
+    turning: tuple[float, float] | None = None
+
+
+def key(check: Check, default: Any = MISSING, usual: Usual | None = None) -> Any:
+    """Return the field of a Table for a key, with the check of its value and its usual range."""
+    return field(default=default, metadata={"check": check, "usual": usual})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,6 +181,18 @@ class Table:
         """Return a table with its values expanded."""
         return table
 
+    def quantities(self, place: str) -> Iterator[tuple[str, float, Usual]]:
+        """Yield the name, the value and the usual range of each quantity, those inside included."""
+        for entry in fields(self):
+            value, usual = getattr(self, entry.name), entry.metadata["usual"]
+            is_list = isinstance(value, tuple)
+            for index, own in enumerate(value if is_list else (value,)):
+                name = f"{place}.{entry.name}"
+                if isinstance(own, Table):
+                    yield from own.quantities(f"{name}.{index}" if is_list else name)
+                elif usual is not None and own is not None:
+                    yield name, own, usual
+
 
 def check_keys(place: str, keys: Iterable[str], allowed: list[str]) -> None:
     """Refuse a key that is not allowed, and suggest the most similar one."""
@@ -140,15 +204,15 @@ def check_keys(place: str, keys: Iterable[str], allowed: list[str]) -> None:
             raise ValueError(f"{_path(place, unknown)} is unknown; {hint}")
 
 
-def checked_label(kind: str, name: str) -> str:
-    """A name that tables, pictures and CSV files may hold.
+def checked_label(name: str) -> str:
+    """The name of a wall, as tables, pictures and CSV files may hold it.
 
     ValueError: it is too long, not printable, or begins with another character than a letter or a
     digit, as the formulas of spreadsheets do.
     """
     if not (name[:1].isalnum() and name.isprintable() and len(name) <= MOST_LETTERS):
         raise ValueError(
-            f"the name of a {kind} is {shortened(name)}; give at most {MOST_LETTERS} printable "
+            f"the name of a wall is {shortened(name)}; give at most {MOST_LETTERS} printable "
             "characters, the first one a letter or a digit."
         )
     return name

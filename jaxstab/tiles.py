@@ -2,7 +2,8 @@
 
 A *job* divides its work into tiles that need nothing of each other. Tiles are computed in this
 process, in processes of this machine or on a dask cluster, by any ``concurrent.futures.Executor``;
-what a tile gives is its *image*, bytes that the job can check.
+what a tile gives is its *image*, bytes with a hash, with the code that computed them and the arrays
+of the tile.
 
 Until all tiles are done, their images lie in a hidden folder beside the target: what is in it are
 the tiles that are done, and an interrupted job continues from there. The folder is its owner's
@@ -11,6 +12,7 @@ alone, locked by one process, and named by the job's key, which tells it from ot
 
 import errno
 import hashlib
+import io
 import multiprocessing
 import os
 import platform
@@ -36,18 +38,21 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 import jaxstab
 from jaxstab.durable import Folder, named_errors, own_folder, target_of
 
 Item = TypeVar("Item")
 Progress = Callable[[int, int], object]
+Arrays = dict[str, NDArray[Any]]
 
 _LOCK = "lock"
 _LEFT_OVER = re.compile(r"\..+\.[0-9a-f]{16}\.part")
 _OURS = re.compile(rf"[\w-]+\.tile|{_LEFT_OVER.pattern}")
 _BUSY = "another process is building it"
 _ATTEMPTS = 100
+_SEAL = 32  # bytes of a hash
 _SECONDS_TO_CONNECT = 10
 
 
@@ -55,9 +60,13 @@ class Job(ABC, Generic[Item]):
     """Work in tiles.
 
     ``key`` is a hash of what is computed and of what computes it: tiles of other jobs do not match.
+    ``path`` is where the file goes. ``compute`` returns what a tile holds, arrays by their names;
+    workers call it, so jobs and tiles can be pickled.
     """
 
     key: str
+    path: Path
+    compute: Callable[[Item], Arrays]
 
     @property
     @abstractmethod
@@ -74,25 +83,52 @@ class Job(ABC, Generic[Item]):
         """The name of a tile: letters, digits, "_" and "-"."""
 
     @abstractmethod
-    def image(self, item: Item) -> bytes:
-        """The image of a tile, computed; workers call it, so jobs and tiles can be pickled."""
+    def are_of(self, item: Item, arrays: Arrays) -> bool:
+        """Whether names, types and shapes of arrays are those of a tile."""
 
-    @abstractmethod
-    def check(self, item: Item, image: bytes) -> None:
-        """Raise ValueError for an image that is damaged, RuntimeError for one of other code."""
-
-    @abstractmethod
-    def is_done(self, item: Item, image: bytes) -> bool:
-        """Whether an image that was stored is whole and of this job."""
+    def are_sound(self, item: Item, arrays: Arrays) -> bool:
+        """Whether the values of a tile that was stored may be used."""
+        return True
 
     @abstractmethod
     def publish(self, shards: "Shards") -> None:
         """Write the file of all tiles, which are done."""
 
+    def image(self, item: Item) -> bytes:
+        """The image of a tile, computed: a hash of what follows, who computed which, its arrays."""
+        stream, arrays = io.BytesIO(), self.compute(item)
+        np.savez(stream, **arrays)  # type: ignore[arg-type]
+        words = f"{computed_by()}\n{self._title(item)}\n".encode() + stream.getvalue()
+        return hashlib.sha256(words).digest() + words
 
-def complete(
-    job: Job[Item], path: Path, progress: Progress | None, executor: Executor | None
-) -> None:
+    def arrays(self, item: Item, image: bytes) -> Arrays:
+        """The arrays in an image; ValueError: it is damaged; RuntimeError: it is of other code."""
+        seal, words = image[:_SEAL], image[_SEAL:]
+        if hashlib.sha256(words).digest() == seal:
+            maker, title, archive = words.split(b"\n", 2)
+            if maker.decode() != computed_by():
+                raise RuntimeError(
+                    f"a worker computes with {maker.decode()}, and this process with "
+                    f"{computed_by()}; install the same for all workers."
+                )
+            with np.load(io.BytesIO(archive)) as opened:
+                arrays = dict(opened)
+            if title.decode() == self._title(item) and self.are_of(item, arrays):
+                return arrays
+        raise ValueError(f"tile {self.name(item)} of {self.path} is damaged; compute it again.")
+
+    def is_done(self, item: Item, image: bytes) -> bool:
+        """Whether an image that was stored is whole and of this job."""
+        try:
+            return self.are_sound(item, self.arrays(item, image))
+        except (ValueError, RuntimeError):
+            return False
+
+    def _title(self, item: Item) -> str:
+        return f"{self.key} {self.name(item)}"
+
+
+def complete(job: Job[Item], progress: Progress | None, executor: Executor | None) -> None:
     """Compute the tiles of a job that are not done, and publish its file.
 
     Without an executor the dask client of this process computes; without one, this process.
@@ -100,7 +136,7 @@ def complete(
     OSError: the folder is missing, read-only or full, or another process does the same;
     RuntimeError: workers died, or are of other code.
     """
-    with shards_of(path, job.key) as shards:
+    with shards_of(job.path, job.key) as shards:
         items = job.items
         missing = [item for item in items if not shards.has(job, item)]
         done = len(items) - len(missing)
@@ -110,7 +146,7 @@ def complete(
             where = executor or _own_client()
             with closing(images(job.image, missing, job.at_once, where)) as computed:
                 for item, image in computed:
-                    job.check(item, image)
+                    job.arrays(item, image)  # which refuses what is wrong
                     shards.put(job.name(item), image)
                     done += 1
                     tell(done, len(items))

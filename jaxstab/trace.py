@@ -246,13 +246,13 @@ _MOST_LANES, _FEWEST_LANES = 512, 64  # both are compiled, nothing else
 class Lanes(NamedTuple):
     """The trace and the kind of branch of each point, and the filters of all."""
 
-    scene: Monomials
+    maps: Monomials
     branch: Int8[Array, " points"]
     responses: Responses
 
     def select(self, chosen: Int64[np.ndarray, " chosen"]) -> "Lanes":
         """Return chosen lanes."""
-        return Lanes(self.scene.select(chosen), self.branch[chosen], self.responses)
+        return Lanes(self.maps.select(chosen), self.branch[chosen], self.responses)
 
 
 class Corrected(NamedTuple):
@@ -300,7 +300,7 @@ def _corrector() -> Callable[..., tuple[Array, Array, Array]]:
 
     def equations(u: Array, lanes: Lanes) -> tuple[Array, Array]:
         moved = u + shift
-        alpha, beta, *plant = lanes.scene.parameters(moved[:, :2])
+        alpha, beta, *plant = lanes.maps.parameters(moved[:, :2])
         value = _values(quick_slice(*plant), alpha, beta, moved[:, 2], lanes)
         return value[:, 0], (value[:, 1:] - value[:, :1]) / _DIFFERENCE
 
@@ -357,7 +357,7 @@ def polish(
     """Correct points once more with plant coefficients of full accuracy; also return |g| there."""
     across = np.swapaxes(rows, 1, 2)
     for _ in range(2):  # steps of least length; the residual is the one before the last
-        alpha, beta, *plant = lanes.scene.parameters(points[:, :2])
+        alpha, beta, *plant = lanes.maps.parameters(points[:, :2])
         gamma, delta, delay = (np.maximum(value, 0.0) for value in plant)
         c = slice_coefficients(gamma, delta, delay, np.ones(len(points)))
         value = _values(c, alpha, beta, points[:, 2], lanes).T[..., None]
@@ -618,12 +618,12 @@ def trace_boundary(
             name: value for name, value in loop_quantities(loop).items() if name not in plane
         } | fixed
         velocity, position = velocity or loop.velocity, position or loop.position
-    scene = monomials(plane, window, fixed)
+    maps = monomials(plane, window, fixed)
     filters = _filters_of(plane, window, fixed, velocity, position)
-    count = scene.factor.shape[1]
+    count = maps.factor.shape[1]
     traces: list[BoundaryTrace] = []
     for chunk in np.array_split(np.arange(count), -(-count // _AT_ONCE)):
-        tracer = _Tracer(scene.select(chunk), filters, resolution)
+        tracer = _Tracer(maps.select(chunk), filters, resolution)
         with np.errstate(all="ignore"):  # what diverges is infinite or NaN
             tracer.search()
         traces += _gathered(plane, tracer)
@@ -637,11 +637,11 @@ class _Tracer:
     the trace, plus that of the kind.
     """
 
-    def __init__(self, scene: Monomials, filters: Filters | None, resolution: float) -> None:
-        self.scene = scene
+    def __init__(self, maps: Monomials, filters: Filters | None, resolution: float) -> None:
+        self.maps = maps
         self.filters, self.responses = filters, Responses.from_filters(filters)
         self.resolution = resolution
-        self.paths: list[list[tuple[Branch, Path]]] = [[] for _ in scene.factor.T]
+        self.paths: list[list[tuple[Branch, Path]]] = [[] for _ in maps.factor.T]
         self.unresolved: list[ParameterBox] = []
 
     def search(self) -> None:
@@ -675,7 +675,7 @@ class _Tracer:
             most = max(1, (_FEWEST_LANES if active <= 8 else 8 * _MOST_LANES) // active)
             chosen = np.concatenate([own[:: -(-len(own) // most) or 1] for own in searches])
             kinds = np.array(_KINDS, np.int8)[index[chosen] % 3]
-            lanes = Lanes(self.scene.select(index[chosen] // 3), kinds, self.responses)
+            lanes = Lanes(self.maps.select(index[chosen] // 3), kinds, self.responses)
             starts = correct(centers[chosen], np.zeros((len(chosen), 3)), lanes)
             is_start = starts.converged & np.all(np.abs(starts.position - 0.5) <= 0.5, axis=1)
             for search, own in members.items():
@@ -709,8 +709,8 @@ class _Tracer:
         return is_near
 
     def _proof(self, boxes: ParameterBox) -> Proof:
-        scene = self.scene.select(boxes.index // 3)
-        middle, radius, by_axis = corner_ranges(scene, boxes.center[:, :2], boxes.half[:, :2])
+        maps = self.maps.select(boxes.index // 3)
+        middle, radius, by_axis = corner_ranges(maps, boxes.center[:, :2], boxes.half[:, :2])
         theta, turn = pi * boxes.center[:, 2:].T, pi * boxes.half[:, 2:].T
         moves = np.zeros((3, 6, turn.size))
         moves[:2, :5], moves[2, 5] = by_axis, turn
@@ -721,7 +721,7 @@ class _Tracer:
 
 def _gathered(plane: tuple[str, str], tracer: _Tracer) -> list[BoundaryTrace]:
     """Return the traces, their points polished and judged all at once."""
-    scene, resolution = tracer.scene, tracer.resolution
+    maps, resolution = tracer.maps, tracer.resolution
     paths = [path for of_trace in tracer.paths for path in of_trace]
     sizes = [len(path.points) for _, path in paths]
     counts = [len(of_trace) for of_trace in tracer.paths]
@@ -734,16 +734,16 @@ def _gathered(plane: tuple[str, str], tracer: _Tracer) -> list[BoundaryTrace]:
     for (_, path), end in zip(paths, np.cumsum(sizes), strict=True):
         ends = np.array([end - len(path.points), end - 1])
         status[ends[np.array(path.stalled)]] = TraceStatus.STALLED
-    lanes = Lanes(scene.select(trace), branch, tracer.responses)
+    lanes = Lanes(maps.select(trace), branch, tracer.responses)
     residual = np.zeros(0)
     if sizes:
         cloud, residual = polish(cloud, rows, lanes)
     columns = {
-        "points": scene.lower + scene.width * cloud[:, :2],
+        "points": maps.lower + maps.width * cloud[:, :2],
         "theta": np.clip(pi * cloud[:, 2], 0.0, pi),
         "branch": branch,
         "piece": piece,
-        "edge": _no_root_outside(lanes.scene, cloud[:, :2], tracer.filters),
+        "edge": _no_root_outside(lanes.maps, cloud[:, :2], tracer.filters),
         "residual": residual,
         "status": status,
     }
@@ -752,7 +752,7 @@ def _gathered(plane: tuple[str, str], tracer: _Tracer) -> list[BoundaryTrace]:
     for index in range(len(counts)):
         merged = _merged(boxes.select(boxes.index // 3 == index), resolution)
         own = {name: column[trace == index] for name, column in columns.items()}
-        unresolved = scene.lower + scene.width * merged
+        unresolved = maps.lower + maps.width * merged
         traces.append(BoundaryTrace(plane, resolution, unresolved=unresolved, **own))
     return traces
 
@@ -768,12 +768,12 @@ def _merged(unresolved: ParameterBox, resolution: float) -> Float64[np.ndarray, 
 
 
 def _no_root_outside(
-    scene: Monomials, positions: Float64[np.ndarray, "points 2"], filters: Filters | None
+    maps: Monomials, positions: Float64[np.ndarray, "points 2"], filters: Filters | None
 ) -> Bool[np.ndarray, " points"]:
     edge = np.zeros(len(positions), bool)
     if not len(positions):
         return edge
-    alpha, beta, *plant = scene.parameters(positions)
+    alpha, beta, *plant = maps.parameters(positions)
     polynomials = characteristic_polynomial(
         alpha, beta, **by_name(*np.maximum(plant, 0.0)), **as_keywords(filters)
     )

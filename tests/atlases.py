@@ -3,13 +3,15 @@
 import functools
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
+from footers import image_of, sealed
 
 from jaxstab.atlas import Atlas, AtlasSpec, FittedAxis, build_atlas, file
 from jaxstab.atlas import schema as footer
-from jaxstab.atlas.schema import VARIABLES, digest_of, table_text
+from jaxstab.atlas.schema import VARIABLES, stored_of, table_text
 from jaxstab.atlas.write.variables import places_of
 
 SMALL = AtlasSpec(
@@ -89,13 +91,13 @@ def write_whole(path: Path) -> Path:
 
 
 @functools.cache
-def small_contents() -> file.Contents:
+def small_contents() -> file.PackedArrays:
     with tempfile.TemporaryDirectory() as folder:
         return file.read(write_small(Path(folder)))
 
 
 def small_image() -> bytes:
-    image = footer.image_of(small_file())
+    image = image_of(small_file())
     assert image is not None
     return image
 
@@ -120,9 +122,9 @@ def edited(edit: Callable[[h5py.File], object], image: bytes | None = None) -> b
         edit(opened)
         opened.flush()
         held = {name: opened[name] for name in VARIABLES if name in opened}
-        digests = (digest_of(name, dataset) for name, dataset in held.items())
-        variables = [variable._replace(digests=list(variable.digests)) for variable in digests]
-        places = {name: places_of(dataset) for name, dataset in held.items()}
+        variables = [
+            replace(stored_of(name, own), places=places_of(own)) for name, own in held.items()
+        ]
         words = (opened.attrs[name].decode() for name in ("created_by", "filters"))
-        table = table_text(*words, variables, places)
-        return footer.sealed(bytes(opened.id.get_file_image()), table)
+        table = table_text(*words, variables)
+        return sealed(bytes(opened.id.get_file_image()), table)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from jaxstab import AtlasSpec, plan_atlas
 from jaxstab.atlas.plan import Plan, Tile
-from jaxstab.atlas.write.build import Build
+from jaxstab.atlas.write.tiles import Build
 
 KEY = "0" * 64
 TINY = AtlasSpec(

@@ -12,13 +12,14 @@ from functools import cache
 from itertools import product
 
 import numpy as np
+from footers import image_of, sealed
 
 from jaxstab.atlas import schema
 from jaxstab.atlas import schema as footer
 from jaxstab.atlas.file import Array
 from jaxstab.atlas.product import SLICE
 from jaxstab.atlas.products.table import PRODUCTS
-from jaxstab.atlas.schema import Chunked, Place, table_text, values_digest
+from jaxstab.atlas.schema import Span, Stored, table_text, values_digest
 from jaxstab.atlas.spec import words_of
 
 Arrays = dict[str, Array]
@@ -56,10 +57,10 @@ def assembled(
     made_by: str = "jaxstab 0",
 ) -> bytes:
     """A file of these arrays, right in all but perhaps what they say."""
-    image, variables, places = b"an image", [], {}
+    image, variables = b"an image", []
     for name, values in arrays.items():
         chunk = (chunks or {}).get(name, values.shape)
-        where: list[Place] = []
+        where: list[Span] = []
         digests = []
         for part in chunks_of(values, chunk):
             if any(part.strides) or part.shape != chunk:
@@ -69,14 +70,14 @@ def assembled(
             where.append((len(image), len(data)))
             digests.append(digest)
             image += data
-        variables.append(Chunked(name, values.dtype, values.shape, chunk, digests))
-        places[name] = where
-    return footer.sealed(image, table_text(made_by, _FILTERS, variables, places))
+        variable = schema.VARIABLES[name]
+        variables.append(Stored(variable, values.dtype, values.shape, chunk, digests, where))
+    return sealed(image, table_text(made_by, _FILTERS, variables))
 
 
 def parted(data: bytes) -> tuple[bytes, bytes]:
     """The image and the table of a file."""
-    image = footer.image_of(data)
+    image = image_of(data)
     assert image is not None
     return image, data[len(image) : -footer.FOOTER.size]
 
@@ -87,7 +88,7 @@ def retold(data: bytes, edit: Callable[[str], str]) -> bytes:
     head, shapes, *rest = edit(table.decode("latin-1")).split("\n\n")
     digest = hashlib.sha256(f"{shapes}\n".encode("latin-1")).hexdigest()
     head = re.sub(r"(?<=\ncontent )[0-9a-f]{64}", digest, head)
-    return footer.sealed(image, "\n\n".join([head, shapes, *rest]).encode("latin-1"))
+    return sealed(image, "\n\n".join([head, shapes, *rest]).encode("latin-1"))
 
 
 # ----------------------------------------------------------------------------------------- the list
@@ -265,8 +266,8 @@ def long_tables(base: Arrays) -> dict[str, bytes]:
     """Tables of megabytes that would become hundreds of them in lists of words."""
     image, table = parted(assembled(base))
     return {
-        "many lines": footer.sealed(image, table + b"\n" * 10**7),
-        "many blocks": footer.sealed(image, table.replace(b"\n\n", b"\n" * 10**7, 1)),
+        "many lines": sealed(image, table + b"\n" * 10**7),
+        "many blocks": sealed(image, table.replace(b"\n\n", b"\n" * 10**7, 1)),
         "many words": retold(
             assembled(base), sub(r"(\nalpha_limits) (?=\d+\+)", r"\1" + " 1" * 10**6)
         ),
@@ -285,7 +286,7 @@ def longer_stream(base: Arrays) -> bytes:
     packed = zlib.compress(bytes(2**26), 1)
     place = f"{len(image)}+{len(packed) + 4}"
     text = re.sub(r"(\noutside )\d+\+\d+", rf"\g<1>{place}", table.decode())
-    return footer.sealed(image + packed + bytes(4), text.encode())
+    return sealed(image + packed + bytes(4), text.encode())
 
 
 def bomb(base: Arrays) -> bytes:
@@ -306,7 +307,7 @@ def bomb(base: Arrays) -> bytes:
 
 def wrong_content(data: bytes) -> bytes:
     image, table = parted(data)
-    return footer.sealed(image, re.sub(rb"content [0-9a-f]{8}", b"content 01234567", table))
+    return sealed(image, re.sub(rb"content [0-9a-f]{8}", b"content 01234567", table))
 
 
 def hostile_files(base: Arrays) -> dict[str, tuple[bytes, bool]]:

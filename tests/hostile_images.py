@@ -4,9 +4,8 @@ from collections.abc import Callable
 
 import h5py
 import numpy as np
+from footers import sealed
 from hostile import parted
-
-from jaxstab.atlas import schema as footer
 
 
 def with_another_image(data: bytes, edit: Callable[[h5py.File], None]) -> bytes:
@@ -15,7 +14,7 @@ def with_another_image(data: bytes, edit: Callable[[h5py.File], None]) -> bytes:
     with h5py.File.in_memory(image) as opened:
         edit(opened)
         opened.flush()
-        return footer.sealed(bytes(opened.id.get_file_image()), table)
+        return sealed(bytes(opened.id.get_file_image()), table)
 
 
 def replace(name: str, **options: object) -> Callable[[h5py.File], None]:

@@ -29,7 +29,6 @@ from jaxstab.atlas.plan import Plan, Tile
 from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.schema import VARIABLES
 from jaxstab.atlas.write import build
-from jaxstab.atlas.write.tiles import name_of
 from jaxstab.tiles import shards_of
 
 LONG = pytest.mark.campaign
@@ -133,9 +132,9 @@ def test_a_tile_of_another_place_or_build_is_not_taken(
     path = tmp_path / "a.h5"
     first, second, third, _ = plan.tiles
     with shards_of(path, KEY) as shards:
-        shards.put(name_of(first), images[second])
-        shards.put(name_of(second), images[second])
-        shards.put(name_of(third), tiny_build("1" * 64).image(third))
+        shards.put(tiny_build().name(first), images[second])
+        shards.put(tiny_build().name(second), images[second])
+        shards.put(tiny_build().name(third), tiny_build("1" * 64).image(third))
     build_atlas(TINY, path)
     assert computed == [first, *plan.tiles[2:]]
     assert path.read_bytes() == whole
@@ -241,7 +240,7 @@ def test_a_failure_of_any_step_is_a_sentence_and_leaves_no_file(
 def test_a_place_that_cannot_be_written_is_known_before_the_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(build, "plan_atlas", None)
+    monkeypatch.setattr("jaxstab.atlas.write.tiles.plan_atlas", None)
     (tmp_path / "file").write_text("not a folder")
     (tmp_path / "folder").mkdir()
     for error, place in (

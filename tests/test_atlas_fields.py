@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from atlases import edited
 from click.testing import CliRunner
+from footers import image_of
 from matplotlib.figure import Figure
 from mpmath import mp, mpc, mpf
 
@@ -19,7 +20,6 @@ import jaxstab
 from benchmarks import truth
 from benchmarks.truth import filtered
 from jaxstab import Atlas, AtlasSpec, FittedAxis, Velocity, build_atlas
-from jaxstab.atlas import schema as footer
 from jaxstab.atlas.write.build import verify_atlas, write_atlas
 from jaxstab.cli.main import main
 from jaxstab.point.fields import UNKNOWN, _outwards, fields_of_grid, poles_outside
@@ -263,7 +263,7 @@ def test_verification_finds_wrong_fields(
     name: str, amount: float, near: Path, tmp_path: Path
 ) -> None:
     assert all(check.passed for check in verify_atlas(near, 300))
-    image = footer.image_of(near.read_bytes())
+    image = image_of(near.read_bytes())
     assert image is not None
     path = tmp_path / "wrong.h5"
     path.write_bytes(edited(change(name, amount), image))

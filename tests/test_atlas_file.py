@@ -21,13 +21,13 @@ from atlases import (
     small_table,
     write_small,
 )
+from footers import image_of, sealed
 from hostile import retold, sub
 from hostile_images import IMAGES, with_another_image
 
 import jaxstab
 from jaxstab import open_atlas, plan_atlas
 from jaxstab.atlas import file, schema
-from jaxstab.atlas import schema as footer
 from jaxstab.atlas.plan import compute_tile
 from jaxstab.atlas.product import NODE
 from jaxstab.atlas.products.table import PRODUCTS
@@ -65,14 +65,14 @@ def variables_of_small() -> list[str]:
 
 
 def test_what_is_computed_is_read(tmp_path: Path) -> None:
-    contents, plan = file.read(write_small(tmp_path)), plan_atlas(SMALL)
-    assert contents.created_by == f"jaxstab {jaxstab.__version__}"
-    assert list(contents.arrays) == variables_of_small()
+    arrays, plan = file.read(write_small(tmp_path)), plan_atlas(SMALL)
+    assert arrays.table.created_by == f"jaxstab {jaxstab.__version__}"
+    assert list(arrays) == variables_of_small()
     for tile in plan.tiles:
         for name, values in compute_tile(plan, tile).items():
             places = (plan.numbers(d, tile) for d in schema.VARIABLES[name].dimensions)
-            assert contents.arrays[name].dtype == values.dtype
-            np.testing.assert_array_equal(contents.arrays[name][np.ix_(*places)], values)
+            assert arrays[name].dtype == values.dtype
+            np.testing.assert_array_equal(arrays[name][np.ix_(*places)], values)
 
 
 def test_every_dataset_is_checksummed_and_has_units_words_and_dimensions(tmp_path: Path) -> None:
@@ -121,7 +121,7 @@ def test_a_file_of_another_version_of_the_schema_is_refused_with_the_remedy(
     path = tmp_path / "other.h5"
     path.write_bytes(retold(small_file(), sub("atlas 3", f"atlas {version}")))
     assert f"schema version {version}, and this jaxstab reads version 3; use" in refusal(path)
-    path.write_bytes(footer.sealed(small_image()))
+    path.write_bytes(sealed(small_image()))
     assert "has no table of schema version 3" in refusal(path)
 
 
@@ -140,7 +140,7 @@ def test_another_hdf5_file_is_refused(tmp_path: Path) -> None:
     with h5py.File(path, "w") as other:
         other["verdict"] = np.ones((2, 2))
     refusal(path)
-    path.write_bytes(footer.sealed(path.read_bytes()))
+    path.write_bytes(sealed(path.read_bytes()))
     refusal(path)
 
 
@@ -172,7 +172,7 @@ def test_every_flipped_bit_and_every_truncation_is_noticed(
     for place in rng.integers(0, 8 * len(whole), 5000).tolist():
         damaged = bytearray(whole)
         damaged[place // 8] ^= 1 << (place % 8)
-        assert footer.image_of(bytes(damaged)) is None
+        assert image_of(bytes(damaged)) is None
     path.write_bytes(damaged)
     refusal(path)
     for length in rng.integers(0, len(whole), 200):
@@ -193,7 +193,7 @@ def test_damage_under_a_right_footer_is_refused_or_changes_no_value(
     for place in rng.integers(0, 8 * len(image), 200).tolist():
         damaged = bytearray(image)
         damaged[place // 8] ^= 1 << (place % 8)
-        path.write_bytes(footer.sealed(bytes(damaged), small_table()))
+        path.write_bytes(sealed(bytes(damaged), small_table()))
         is_refused_or_as_it_was(path)
 
 
@@ -202,7 +202,7 @@ def is_refused_or_as_it_was(path: Path) -> None:
         arrays = ask_for_all(path)
     except ValueError:
         return
-    for name, values in small_contents().arrays.items():
+    for name, values in small_contents().items():
         np.testing.assert_array_equal(arrays[name], values)
 
 

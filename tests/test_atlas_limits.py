@@ -1,5 +1,6 @@
 """Limits of alpha in an atlas: quick verdicts, and the inverse questions."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,6 @@ from jaxstab import (
     stable_region,
     verdict,
 )
-from jaxstab.atlas import file
 from jaxstab.atlas.atlas import checked_range
 from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.conventions import AXES
@@ -279,10 +279,9 @@ def test_what_is_no_number_is_refused_by_its_name(atlas: Atlas, ask, words: str)
 
 
 def test_without_the_product_there_are_verdicts_but_no_limits() -> None:
-    contents = small_contents()
-    names = set(PRODUCTS["alpha_limits"].names)
-    arrays = {name: array for name, array in contents.arrays.items() if name not in names}
-    atlas = Atlas(file.Contents(arrays, contents.created_by, contents.filters))
+    arrays, names = small_contents(), set(PRODUCTS["alpha_limits"].names)
+    left = {name: own for name, own in arrays.table.variables.items() if name not in names}
+    atlas = Atlas(replace(arrays, table=replace(arrays.table, variables=left)))
     point = dict(zip(AXES, (0.1, 0.3, 0.0005, 0.004, 0.0), strict=True))
     assert atlas.verdict(**point) == Verdict.STABLE
     with pytest.raises(ValueError, match="holds no limits of alpha"):

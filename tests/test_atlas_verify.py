@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from atlases import edited
 from click.testing import CliRunner
+from footers import image_of, sealed
 from hostile import parted, retold, sub
 
 from jaxstab import AtlasSpec, FittedAxis, build_atlas, open_atlas, spectral_radius
-from jaxstab.atlas import schema as footer
-from jaxstab.atlas.schema import VARIABLES, content_digest, digest_of
+from jaxstab.atlas.schema import VARIABLES, content_digest, stored_of
 from jaxstab.cli.main import main
 
 SPEC = AtlasSpec(
@@ -35,7 +35,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 @pytest.fixture(scope="module")
 def image(whole: bytes) -> bytes:
-    image = footer.image_of(whole)
+    image = image_of(whole)
     assert image is not None
     return image
 
@@ -58,7 +58,7 @@ def with_right_digest(edit: Callable[[h5py.File], None]) -> Callable[[h5py.File]
     def edit_all(opened: h5py.File) -> None:
         edit(opened)
         digest = content_digest(
-            digest_of(name, opened[name]) for name in VARIABLES if name in opened
+            stored_of(name, opened[name]).line for name in VARIABLES if name in opened
         )
         opened.attrs["content_sha256"] = np.bytes_(digest.encode())
 
@@ -81,7 +81,7 @@ def test_an_image_that_is_not_what_the_table_says_is_found(whole: bytes, tmp_pat
 
     image, table = parted(whole)
     other, _ = parted(edited(change, image))
-    assert verified(footer.sealed(other, table), tmp_path)[0] == 1
+    assert verified(sealed(other, table), tmp_path)[0] == 1
 
 
 def test_a_single_changed_value_under_a_right_footer_is_found(image: bytes, tmp_path: Path) -> None:

@@ -20,7 +20,6 @@ from commands import run
 
 from jaxstab import AtlasSpec, Velocity, build_atlas
 from jaxstab import tiles as work
-from jaxstab.atlas.write import tiles
 from jaxstab.tiles import dask_cluster, processes
 
 pytestmark = pytest.mark.campaign
@@ -210,8 +209,8 @@ def test_the_file_of_a_scheduler_and_a_client_of_this_process_are_found(
 
 def as_of_another_code() -> None:
     """Make a worker name another code than that of the build."""
-    maker = tiles.computed_by()
-    tiles.computed_by = lambda: maker.replace("code ", "code 1")  # type: ignore[assignment]
+    maker = work.computed_by()
+    work.computed_by = lambda: maker.replace("code ", "code 1")  # type: ignore[assignment]
 
 
 def test_31_25_workers_of_a_local_cluster_are_believed_if_their_code_is_that_of_the_build(

@@ -14,7 +14,7 @@ from jaxstab.model import by_name
 from jaxstab.paper import minus_line, plus_line
 from jaxstab.region import boundary_curve
 from jaxstab.region.curve import curve_point, poles, slice_coefficients
-from jaxstab.region.roots import root_between, with_slope
+from jaxstab.region.roots import bracketed_root, with_slope
 
 ACCURACY = 1e-13
 ROUNDING = 2.0**-52
@@ -256,5 +256,5 @@ def test_bracketed_roots_are_found_in_spite_of_flat_and_of_steep_parts(
     """There the secant method alone crawls along one side of the bracket."""
     roots = np.geomspace(1e-3, 0.9, 40)
     with np.errstate(divide="ignore", invalid="ignore"):
-        answers = root_between(lambda x: function(x, roots), np.full(40, 1e-6), np.ones(40))
+        answers = bracketed_root(lambda x: function(x, roots), np.full(40, 1e-6), np.ones(40))
     assert answers == pytest.approx(roots, rel=1e-14)

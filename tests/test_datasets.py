@@ -17,7 +17,7 @@ import xarray
 from commands import run
 from mapped import AT_REST, GIVEN, LOOP, SIZES, WALLS, mapped
 
-from jaxstab import contact_map, datasets
+from jaxstab import contact_map, tiles
 from jaxstab.loop import contact as maps
 from jaxstab.results import ContactKind
 from jaxstab.tiles import processes
@@ -174,7 +174,7 @@ class Elsewhere(Executor):
 
     def submit(self, call: Any, /, *given: Any, **options: Any) -> Future[Any]:
         future: Future[Any] = Future()
-        with patch.object(datasets, "computed_by", lambda: "jaxstab 9.9"):
+        with patch.object(tiles, "computed_by", lambda: "jaxstab 9.9"):
             future.set_result(call(*given, **options))
         return future
 

@@ -1,6 +1,7 @@
 """Limits in SI units and distances: the counter-examples that searches of fixed angles missed."""
 
 import sys
+from dataclasses import replace
 from subprocess import run
 from typing import Any
 
@@ -247,8 +248,40 @@ def test_a_loop_given_for_numbers_is_answered_in_one_sentence() -> None:
         stable_region(loop_of(0.1, 0.1, 0.0))
 
 
-def test_a_traced_slice_is_sent_to_region_outline() -> None:
-    with pytest.raises(TypeError, match=r"^stable_region [^\n]*call region_outline\."):
+@pytest.mark.parametrize("samples", [1, 4])
+def test_gains_of_jax_are_answered_on_the_host_with_slopes(samples: int) -> None:
+    """Limits on the curve and on both lines, distances to each of them, inside and outside."""
+    loop = replace(loop_of(0.05, 0.1, 1.0), velocity=Velocity.difference(samples=samples))
+    region = loop.region()
+    (low, high), (least, most) = np.array([region.outline.min(0), region.outline.max(0)]).T
+    shares = jnp.linspace(0.07, 0.93, 9)
+    questions: list[tuple[Any, Any]] = [
+        (loop.stiffness_limits, (least + shares * (most - least),)),
+        (loop.damping_limits, (low + shares * (high - low),)),
+        (loop.boundary_distance, (low + shares * (high - low), least + shares[::-1] * most)),
+    ]
+    for function, gains in questions:
+        plain = function(*map(np.asarray, gains))
+        np.testing.assert_array_equal(jax.jit(function)(*gains), plain)
+        np.testing.assert_array_equal(jax.vmap(function)(*gains), plain)
+        for which, gain in enumerate(gains):
+            step = 1e-6 * (jnp.abs(gain).max() + 0.0 * gain)
+            ends = [
+                function(*(np.asarray(x + sign * step * (k == which)) for k, x in enumerate(gains)))
+                for sign in (1.0, -1.0)
+            ]
+            divisor = np.asarray(2.0 * step)[(...,) + (None,) * (plain.ndim - 1)]
+            unit = (jnp.ones_like(x) * (k == which) for k, x in enumerate(gains))
+            slopes = jax.jvp(function, gains, tuple(unit))[1]
+            size = np.abs(slopes).max()
+            np.testing.assert_allclose(slopes, (ends[0] - ends[1]) / divisor, atol=1e-5 * size)
+    inside = region.contains(*questions[2][1])
+    assert isinstance(inside, jax.Array)
+    np.testing.assert_array_equal(inside, region.contains(*map(np.asarray, questions[2][1])))
+
+
+def test_a_traced_slice_is_sent_to_regions_of() -> None:
+    with pytest.raises(TypeError, match=r"^stable_region [^\n]*call regions_of\."):
         jax.jit(lambda gamma: stable_region(gamma=gamma, delta=0.1, delay=1.0).max_alpha)(0.1)
     assert (
         stable_region(gamma=jnp.asarray(0.1), delta=0.1, delay=1.0).status == RegionStatus.COMPLETE

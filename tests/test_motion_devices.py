@@ -18,8 +18,8 @@ from benchmarks.truth.march import (
 )
 from benchmarks.truth.random_loops import device_of
 from jaxstab import Device, Filter, HapticLoop, Velocity
+from jaxstab.model.device import sampled_device
 from jaxstab.model.device.mechanics import mechanics
-from jaxstab.motion.response import simulate_device
 from jaxstab.motion.settling import device_settling_samples
 from jaxstab.results import SettlingStatus
 
@@ -199,17 +199,17 @@ def test_a_device_of_one_mass_is_the_loop_of_five_numbers() -> None:
     loop = jaxstab.HapticLoop(
         device_mass=0.25, device_damping=0.1, sample_time=PERIOD, delay=1.5 * PERIOD
     )
-    device = Device.mass_spring_damper(0.25, damping=0.1)
+    device = Device.transfer_function([1.0], [0.25, 0.1, 0.0])  # of which that is not known
+    same = jaxstab.HapticLoop(device=device, sample_time=PERIOD, delay=1.5 * PERIOD)
+    assert same.body is None
     options = {"samples": 100, "force": 1.0, "initial_velocity": 0.1, "between": 2}
     for one, other in zip(
-        loop.simulate(*WALL, **options),
-        simulate_device(device, PERIOD, 1.5, None, *WALL, **options),
-        strict=True,
+        loop.simulate(*WALL, **options), same.simulate(*WALL, **options), strict=True
     ):
         np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-12 * np.abs(one).max())
     walls = np.array([[200.0], [2000.0], [90_000.0]]), np.array([2.0, 20.0])
     plain = loop.settling_time(*walls)
-    general = device_settling_samples(device, PERIOD, 1.5, None, *walls)
+    general = device_settling_samples(sampled_device(device, PERIOD, 1.5), None, *walls)
     np.testing.assert_array_equal(plain.status, general.status)
     np.testing.assert_allclose(plain.value, PERIOD * general.value, rtol=1e-13)
 

@@ -58,7 +58,7 @@ def test_a_plan_names_the_degree_of_loops_with_estimators(window: int, delay: fl
 def test_a_tile_is_the_same_alone_and_in_an_atlas_of_any_tiles(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    plan, whole = plan_atlas(SMALL), small_contents().arrays
+    plan, whole = plan_atlas(SMALL), small_contents()
     monkeypatch.setattr("jaxstab.atlas.plan.TILE_NODES", 1)
     assert len(plan.tiles) == 2 * 3 * 2
     for tile in plan.tiles[::-1]:

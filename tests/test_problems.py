@@ -68,7 +68,7 @@ ELSEWHERE = {
     "minimize_settling": "test_tuning", "margins": "test_margins",
     "paper.linear_alpha_limit": "test_criteria", "paper.linear_error": "test_criteria",
     "paper.linear_validity": "test_criteria", "paper.passive_region": "test_criteria",
-    "stable_region": "test_region", "region_outline": "test_region",
+    "stable_region": "test_region",
     "robust_region": "test_robust", "trace_boundary": "test_trace",
     "amplitude": "test_amplitude", "common_region": "test_common_region",
     "tune_for_all": "test_tuning_ranges", "limits_of": "test_batch", "regions_of": "test_batch",

@@ -1,7 +1,7 @@
 """The stable region against certified root counts, the paper's claims and 50-digit solutions."""
 
-from collections.abc import Callable
 from math import log, sqrt
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -10,13 +10,13 @@ import pytest
 from mpmath import mp, mpf
 
 from benchmarks import truth
+from jaxstab import HapticLoop, limits_of, regions_of
 from jaxstab.model import by_name
 from jaxstab.region import (
     Branch,
     RegionStatus,
     StableRegion,
     boundary_curve,
-    region_outline,
     stable_region,
 )
 
@@ -206,12 +206,6 @@ def test_cuts_between_two_angles_of_the_scan_are_found(
     assert float(region.distance(*wall)) < -1e-7
 
 
-def test_an_outline_with_a_cut_that_its_scan_missed_is_unresolved() -> None:
-    place = (0.3748891679491507, 0.5807087649792142, 6.901339437787484)
-    assert region_outline(**by_name(*place)).status == RegionStatus.UNRESOLVED
-    assert region_outline(**by_name(*place), fineness=4).status == RegionStatus.COMPLETE
-
-
 @pytest.mark.campaign
 def test_an_unresolved_region_claims_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("jaxstab.region.crossings._SCANS", ((1, 4, 1e-4),))  # no finer ones
@@ -309,25 +303,29 @@ def test_lines_beside_the_region_have_no_limits() -> None:
     assert np.all(np.isnan(region.beta_limits(0.2)))
 
 
-# The same quantities from 50-digit arithmetic: a corner, a limit, the largest alpha.
-DELAY, ROW = 1.0, 0.3
+# Slices under JAX are loops of 1 kg that are sampled once a second: K is alpha, and B is beta.
+DELAY = 1.0
+UNIT = HapticLoop(device_mass=1.0, device_damping=0.1, sample_time=1.0, delay=DELAY)
+PLACES = [(0.05, 0.1), (1e-3, 0.015), (0.1, 0.0), (0.3, 0.2)]
 
 
-def exact_corner(gamma: mpf, delta: mpf, guess: float) -> mpf:
-    theta = mp.findroot(
-        lambda t: truth.boundary_point(t, gamma, delta, DELAY)[0] + gamma, mpf(guess)
-    )
-    return truth.boundary_point(theta, gamma, delta, DELAY)[1]
+def test_many_slices_at_once_are_the_single_ones() -> None:
+    def largest_alpha_and_area(gamma: Any, delta: Any) -> Any:
+        regions = regions_of(UNIT, hand_stiffness=gamma, device_damping=delta)
+        return jnp.max(regions.outline[:, 0]), regions.limits.stiffness, regions.area
 
-
-def exact_limit(gamma: mpf, delta: mpf, guess: float) -> mpf:
-    theta = mp.findroot(
-        lambda t: truth.boundary_point(t, gamma, delta, DELAY)[1] - mpf(ROW), mpf(guess)
-    )
-    return truth.boundary_point(theta, gamma, delta, DELAY)[0]
+    numbers = jnp.asarray(PLACES).T
+    for mapped in (jax.vmap(largest_alpha_and_area), jax.jit(jax.vmap(largest_alpha_and_area))):
+        tops, stiffest, areas = mapped(*numbers)
+        for index, place in enumerate(PLACES):
+            single = stable_region(**by_name(*place, DELAY))
+            assert float(stiffest[index]) == pytest.approx(single.max_alpha[0], rel=1e-13)
+            assert single.max_alpha[0] * (1 - 1e-3) < tops[index] <= single.max_alpha[0]
+            assert float(areas[index]) == pytest.approx(float(single.area), rel=1e-6)
 
 
 def exact_largest(gamma: mpf, delta: mpf, guess: float) -> mpf:
+    """The largest alpha, in 50-digit arithmetic."""
     step = mpf(10) ** -12
     theta = mp.findroot(
         lambda t: (
@@ -348,68 +346,20 @@ def angle_near(alpha: float, beta: float, gamma: float, delta: float) -> float:
     return float(theta[np.argmin(np.hypot(curve[0] - alpha, curve[1] - beta))])
 
 
-def quantities(gamma: jax.Array, delta: jax.Array) -> jax.Array:
-    """The beta of the corner at the end of the curve, a limit of alpha, the largest alpha."""
-    region = region_outline(gamma=gamma, delta=delta, delay=DELAY)
-    end_of_curve = region.outline.corners[1, 1]
-    return jnp.stack([end_of_curve, region.alpha_limits(ROW)[1], region.max_alpha[0]])
-
-
-PLACES = [(0.05, 0.1), (1e-3, 0.015), (0.1, 0.0), (0.3, 0.2)]
-
-
 @pytest.mark.campaign
-def test_many_slices_at_once_are_the_single_ones() -> None:
-    mapped = jax.jit(
-        jax.vmap(lambda gamma, delta: region_outline(gamma=gamma, delta=delta, delay=DELAY))
-    )
-    batch = mapped(*jnp.asarray(PLACES).T)
-    assert batch.outline.vertices.shape == (len(PLACES), 256, 2)
-    np.testing.assert_array_equal(batch.status, RegionStatus.COMPLETE)
-    for index, place in enumerate(PLACES):
-        single = stable_region(**by_name(*place, DELAY))
-        np.testing.assert_allclose(batch.max_alpha[index], single.max_alpha, rtol=1e-13)
-        found = batch.outline.corners[index][: len(single.corners)]
-        np.testing.assert_allclose(found, single.corners, rtol=1e-13)
+@pytest.mark.parametrize("derivative", [jax.jacfwd, jax.jacrev])
+def test_the_largest_alpha_has_the_derivatives_of_50_digits(derivative: Any) -> None:
+    def largest(gamma: Any, delta: Any) -> Any:
+        return limits_of(UNIT, hand_stiffness=gamma, device_damping=delta).stiffness
 
-
-@pytest.mark.campaign
-def test_corners_limits_and_the_largest_alpha_are_differentiable() -> None:
-    """Eagerly, in several programs: all in one takes 2 GB to compile."""
-
-    def values_twice(*place: jax.Array) -> tuple[jax.Array, jax.Array]:
-        values = quantities(*place)
-        return values, values
-
-    differentiated = jax.jacfwd(values_twice, argnums=(0, 1), has_aux=True)
-    by_both, every = jax.vmap(differentiated)(*jnp.asarray(PLACES[:2]).T)
     step = mpf(10) ** -15
-    for place, slopes, values in zip(PLACES, np.stack(by_both, axis=-1), every, strict=False):
-        region = stable_region(**by_name(*place, DELAY))
-        points = [(-place[0], float(values[0])), (float(values[1]), ROW), tuple(region.max_alpha)]
-        exact: list[Callable[[mpf, mpf, float], mpf]] = [exact_corner, exact_limit, exact_largest]
-        for index, (function, point) in enumerate(zip(exact, points, strict=True)):
-            guess = angle_near(*map(float, point), *place)
-            value = function(mpf(place[0]), mpf(place[1]), guess)
-            assert abs(mpf(float(values[index])) - value) < 1e-13
-            for argument, moved in enumerate(((step, 0), (0, step))):
-                ahead = function(mpf(place[0]) + moved[0], mpf(place[1]) + moved[1], guess)
-                assert abs(slopes[index, argument] - float((ahead - value) / step)) < 1e-9
-
-
-def largest_alpha(gamma: jax.Array) -> jax.Array:
-    return region_outline(gamma=gamma, delta=0.1, delay=DELAY).max_alpha[0]
-
-
-@pytest.mark.campaign
-def test_reverse_mode_gives_the_derivative_too() -> None:
-    step = 1e-15
-    guess = angle_near(
-        *map(float, stable_region(gamma=0.05, delta=0.1, delay=DELAY).max_alpha), 0.05, 0.1
-    )
-    start, ahead = (exact_largest(mpf(0.05) + h, mpf(0.1), guess) for h in (0, mpf(step)))
-    slope = jax.jit(jax.grad(largest_alpha))(jnp.asarray(0.05))
-    assert float(slope) == pytest.approx(float((ahead - start) / mpf(step)), abs=1e-9)
+    for place in PLACES[:2]:
+        guess = angle_near(*map(float, stable_region(**by_name(*place, DELAY)).max_alpha), *place)
+        start = exact_largest(mpf(place[0]), mpf(place[1]), guess)
+        slopes = jax.jit(derivative(largest, (0, 1)))(*map(jnp.asarray, place))
+        for slope, moved in zip(slopes, ((step, 0), (0, step)), strict=True):
+            ahead = exact_largest(mpf(place[0]) + moved[0], mpf(place[1]) + moved[1], guess)
+            assert float(slope) == pytest.approx(float((ahead - start) / step), abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -426,8 +376,3 @@ def test_reverse_mode_gives_the_derivative_too() -> None:
 def test_bad_input_is_refused_by_name(arguments: dict[str, float], name: str) -> None:
     with pytest.raises(ValueError, match=rf"^{name} is [^\n]*\.$"):
         stable_region(**{"gamma": 0.0, "delta": 0.0, "delay": 0.0} | arguments)
-
-
-def test_an_outline_too_short_for_its_corners_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"^points is 16; give at least 48 for 4 slots\.$"):
-        region_outline(gamma=0.0, delta=0.0, delay=0.0, points=16)

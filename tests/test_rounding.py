@@ -242,7 +242,7 @@ def test_the_rounding_of_a_value_and_a_slope_is_that_of_lemma_r1(fraction: float
     h = 1e-6
     of_slope = (terms(size + h, modulus + h) - terms(size - h, modulus - h)) / (2.0 * h)
     value = float(dominance.evaluated(at, loop, degree)[0].re[0])
-    taken = abs(slope(t)) - degree * (abs(value) + rounding[0]) * dominance.SLACK / distance[0]
+    taken = abs(slope(t)) - degree * (abs(value) + rounding[0]) * dominance._SLACK / distance[0]
     assert taken == pytest.approx(unit * of_slope, rel=1e-2, abs=0.0)
 
 

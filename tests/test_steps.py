@@ -1,6 +1,6 @@
-"""Bounds of errors in the steps of Schur and Cohn, and in dividing by a root: each is attained.
+"""Bounds of errors in the steps of Schur and Cohn, and of distances to roots: each is attained.
 
-Lemmas V3, V5, R1, R2, R4 and R5 of docs/proofs.md. A polynomial is moved by as much as a bound
+Lemmas V3, V5, R1, R4 and R5 of docs/proofs.md. A polynomial is moved by as much as a bound
 allows, in the direction that is worst for it; half of the bound would then be wrong.
 """
 
@@ -23,7 +23,6 @@ from jaxstab.rounding import UNIT
 
 MOVE = 2.0**-20
 NEAR = [(1, 1e-6), (-1, 1e-6), (1, 1e-9), (-1, 1e-9), (1, 1e-12), (-1, 1e-12), (1, 1e-15)]
-FORMS = [fields._all_inside, fields._rolled_all_inside]
 
 
 def state(falling: list[float], error: float) -> _State:
@@ -102,82 +101,61 @@ def test_a_step_is_that_of_schur_and_cohn_in_fractions() -> None:
     assert lowered[::-1][:3] == [*(Fraction(float(x)) for x in after.tail), Fraction(0)]
 
 
-# ----------------------------------------------------------------------------- dominance (lemma R2)
-
-
-def polynomials(seed: int, degree: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Monic polynomials, highest power first, (coefficient, polynomial); and their largest root."""
-    rng = np.random.default_rng(seed)
-    pairs = rng.uniform(0.2, 1.25, (degree // 2, count)) * np.exp(
-        1j * rng.uniform(0.0, np.pi, (degree // 2, count))
-    )
-    roots = np.concatenate([pairs, pairs.conj(), rng.uniform(-1.25, 1.25, (degree % 2, count))])
-    return np.stack([np.poly(column).real for column in roots.T], axis=1), np.abs(roots).max(axis=0)
-
-
-@pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("array", [np.asarray, jnp.asarray])
-@pytest.mark.parametrize("degree", [2, 3, 5, 6])
-def test_roots_inside_are_those_that_were_put_there(
-    form: Callable[..., Any], array: Callable[..., Any], degree: int
-) -> None:
-    falling, largest = polynomials(degree, degree, 300)
-    proved = np.asarray(form([array(row) for row in falling], array(np.full(300, 1e-15))))
-    clear = np.abs(largest - 1.0) > 1e-3
-    assert np.array_equal(proved[clear], largest[clear] < 1.0)
-    assert 20 < proved.sum() < 280
-
-
-@pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize(
-    ("rest", "least"),
-    [
-        ([-0.75], 0.25),
-        ([0.5], 0.5),
-        ([0.0, -0.5], 0.5),
-        ([0.25, -0.25], 0.5),
-        ([-0.5, -0.25], 0.25),
-    ],
-)
-def test_an_error_may_be_as_large_as_the_least_value_on_the_circle(
-    form: Callable[..., Any], rest: list[float], least: float
-) -> None:
-    """A larger error could move a root onto the circle: z + b, and z^2 + a z + b with b <= 0."""
-    ends = np.abs([np.polyval([1.0, *rest], z) for z in (1.0, -1.0)])
-    assert ends.min() == least
-    error = least * np.array([0.999, 0.9999, 1.0001, 1.001])
-    polynomial = [np.full(4, c) for c in [1.0, *rest]]
-    assert form(polynomial, error).tolist() == [True, True, False, False]
-
-
-@pytest.mark.parametrize("form", FORMS)
-def test_roots_inside_are_proved_only_with_a_margin(form: Callable[..., Any]) -> None:
-    inside = [jnp.asarray(value) for value in (1.0, -0.9, 0.5)]
-    outside = [jnp.asarray(value) for value in (1.0, -2.1, 1.08)]
-    for polynomial, error, proved in [
-        (inside, 1e-3, True),
-        (inside, 0.9, False),
-        (outside, 1e-3, False),
-        (inside, np.inf, False),
-    ]:
-        assert bool(form(polynomial, jnp.asarray(error))) is proved
+# ----------------------------------------------------------------------------- dominance (lemma R4)
 
 
 @pytest.mark.parametrize("array", [np.asarray, jnp.asarray])
-@pytest.mark.parametrize("others", [3, 8, 31])
-def test_a_root_and_its_conjugate_are_divided_out(array: Callable[..., Any], others: int) -> None:
-    """(z - z1) (z - conj z1) Q, and (z - z1) Q, of modulus 1; XLA divides the longest by a loop."""
-    angles = np.linspace(0.3, 2.8, others // 2)
-    pairs = 0.8 * np.exp(1j * angles)
-    roots = np.concatenate([pairs, pairs.conj(), [0.5][: others % 2]])
-    quotient = np.poly(roots).real
-    for root in (np.exp(1.2j), -1.0):
-        is_real = np.isreal(root)
-        product = np.polymul(quotient, [1.0, 1.0] if is_real else [1.0, -2.0 * root.real, 1.0])
-        columns = [array([c]) for c in product[1:]]
-        divided = fields._divided(columns, array([np.real(root)]), array([is_real]))
-        padded = [*quotient] if is_real else [*quotient, 0.0]
-        np.testing.assert_allclose(np.concatenate(divided), padded, atol=1e-12)
+@pytest.mark.parametrize("zeros", [0, 9])
+@pytest.mark.parametrize("dominant", [[0.75], [-1.25], [0.75 * np.exp(1.1j)], [1.5j]])
+def test_a_pole_is_dominant_beside_those_that_are_a_little_smaller(
+    array: Callable[..., Any], zeros: int, dominant: list[complex]
+) -> None:
+    """Another one, or a pair, is well inside of the circle, or between it and the pole."""
+    z = array(np.array(dominant) + 0j)
+    for others in ([-np.sign(np.real(dominant[0])) or 1.0], [np.exp(2.0j), np.exp(-2.0j)]):
+        for share, is_proved in [(1.0 - 2.0**-16, True), (1.0 - 2.0**-18, False), (1.1, False)]:
+            conjugates = [*dominant, *np.conj(dominant)] if np.imag(dominant[0]) else dominant
+            roots = [*conjugates, *share * abs(dominant[0]) * np.array(others), *[0.0] * zeros]
+            columns = [array(np.array([c.real])) for c in np.poly(roots) + 0j]
+            bound = np.asarray(_bound(columns, array(np.array([1e-15])), z))[0]
+            assert np.isfinite(bound) == is_proved
+            assert bound < 1e-12 or not is_proved
+
+
+@pytest.mark.parametrize("pole", [0.5, -0.5, 2.0])
+def test_an_error_of_the_coefficients_may_be_what_parts_the_circle_from_the_pole(
+    pole: float,
+) -> None:
+    """Over r^2 a larger error moves the pole of z (z - a) to the circle of radius r."""
+    radius = abs(pole) * (1.0 - fields._BESIDE)
+    least = fields._BESIDE * min(1.0, radius**2)
+    columns = [np.full(2, c) for c in (1.0, -pole, 0.0)]
+    z = fields.Complex(np.full(2, pole), np.zeros(2))
+    error = least * np.array([0.998, 1.01])
+    proved = fields._is_dominant(columns, error, z, np.full(2, abs(pole)), np.zeros(2))
+    assert proved.tolist() == [True, False]
+
+
+def test_a_pole_is_as_near_as_the_circle_and_real_or_one_of_a_pair() -> None:
+    """Two poles beyond the circle are no proof of one, nor is one of two."""
+    pair = [np.full(1, c) for c in (1.0, -1.0, 0.5)]
+    alone = [np.full(1, c) for c in (1.0, -0.5, 0.0)]
+
+    def proved(columns: list[np.ndarray], z: complex, distance: float) -> bool:
+        point = fields.Complex(np.array([z.real]), np.array([z.imag]))
+        bounds = np.array([1e-15]), point, np.array([abs(z)]), np.array([distance])
+        return bool(fields._is_dominant(columns, *bounds)[0])
+
+    assert proved(pair, 0.5 + 0.5j, 1e-9)
+    assert proved(alone, 0.5 + 0j, 1e-9)
+    assert not proved(pair, 0.5**0.5 + 0j, 1e-9)
+    assert not proved(alone, 0.5 + 1e-7j, 1e-9)
+    assert proved(alone, 0.5 + 0j, 0.4)
+    assert not proved(alone, 0.5 + 0j, 0.5)
+    assert not proved([*alone[:2], np.full(1, 0.06)], 0.3 + 0j, 0.15)  # poles at 0.3 and 0.2
+    close = [np.full(1, c) for c in np.poly([0.5 + 1e-4j, 0.5 - 1e-4j]).real]
+    assert proved(close, 0.5 + 1e-4j, 0.9e-4)
+    assert not proved(close, 0.5 + 1e-4j, 1.1e-4)
 
 
 @pytest.mark.parametrize(("outside", "inside"), [(0, 3), (1, 3), (2, 2), (3, 1), (5, 0)])

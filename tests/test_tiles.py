@@ -1,22 +1,25 @@
 """Tiles in the hidden folder of a build, and from workers: none of others is believed."""
 
+import hashlib
+import io
 import os
 import stat
 import sys
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import pytest
 from builds import FORMER, KEY, TINY, entries, tiny_build, tiny_images, tiny_plan
 
-from jaxstab import build_atlas
-from jaxstab.atlas.schema import image_of, sealed
-from jaxstab.atlas.write import build, tiles
-from jaxstab.atlas.write.tiles import VALUES_DIGEST, build_key, name_of
+from jaxstab import build_atlas, tiles
+from jaxstab.atlas.schema import values_digest
+from jaxstab.atlas.write import build
+from jaxstab.atlas.write.tiles import build_key
+from jaxstab.atlas.write.variables import packed
 from jaxstab.tiles import shards_of
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="folders are opened by descriptor")
@@ -81,45 +84,49 @@ def test_24_the_folder_is_meant_though_its_path_becomes_a_link(tmp_path: Path) -
     assert entries(tmp_path / "moved") == []
 
 
-Edit = Callable[[h5py.File], object]
+Edit = Callable[[dict[str, np.ndarray]], object]
 
 
-def with_values(file: h5py.File, values: np.ndarray, digest: str = "") -> None:
-    attributes = dict(file["verdict"].attrs)
-    del file["verdict"]
-    options = {"shuffle": True, "compression": "gzip", "fletcher32": True, "chunks": values.shape}
-    dataset = file.create_dataset("verdict", data=values, **options)
-    dataset.attrs[VALUES_DIGEST] = np.bytes_(digest) if digest else attributes[VALUES_DIGEST]
+def with_values(arrays: dict[str, np.ndarray], values: np.ndarray, digest: str = "") -> None:
+    arrays["verdict"] = np.frombuffer(packed(values), np.uint8)
+    if digest:
+        arrays["verdict sha256"] = np.array(digest)
 
 
 WRONG: dict[str, Edit] = {
-    "another name": lambda file: file.move("verdict", "verdicts"),
-    "a stranger": lambda file: file.create_dataset("passenger", data=1),
-    "a group": lambda file: (file.move("verdict", "v"), file.create_group("verdict")),
-    "a link": lambda file: (
-        file.move("verdict", "cell_verdict2"),
-        file.__setitem__("verdict", h5py.SoftLink("/cell_verdict2")),
+    "another name": lambda arrays: arrays.update(verdicts=arrays.pop("verdict")),
+    "a stranger": lambda arrays: arrays.update(passenger=np.ones(1)),
+    "nothing": lambda arrays: arrays.pop("cell_verdict"),
+    "no chunk": lambda arrays: arrays.update(verdict=np.zeros(0, np.uint8)),
+    "another shape": lambda arrays: with_values(arrays, np.ones((3, 3, 1, 1, 1), np.int8)),
+    "another type": lambda arrays: with_values(arrays, np.ones((3, 2, 1, 1, 1), np.int16)),
+    "other values": lambda arrays: with_values(arrays, np.ones((3, 2, 1, 1, 1), np.int8)),
+    "codes beyond": lambda arrays: with_values(
+        arrays, np.full((3, 2, 1, 1, 1), 7, np.int8), values_digest(np.full(6, 7, np.int8))
     ),
-    "nothing": lambda file: file.__delitem__("cell_verdict"),
-    "another shape": lambda file: with_values(file, np.ones((3, 3, 1, 1, 1), np.int8)),
-    "another type": lambda file: with_values(file, np.ones((3, 2, 1, 1, 1), np.int16)),
-    "other values": lambda file: file["verdict"].__setitem__(0, 1),
-    "codes beyond": lambda file: with_values(
-        file, np.full((3, 2, 1, 1, 1), 7, np.int8), tiles.values_digest(np.full(6, 7, np.int8))
-    ),
-    "no digests": lambda file: file["verdict"].attrs.__delitem__(VALUES_DIGEST),
-    "digests of numbers": lambda file: file["verdict"].attrs.modify(VALUES_DIGEST, 1.0),
-    "no title": lambda file: file.attrs.__delitem__("tile"),
+    "no digests": lambda arrays: arrays.pop("verdict sha256"),
+    "digests of numbers": lambda arrays: arrays.update({"verdict sha256": np.array(1.0)}),
 }
 
 
+def retold(image: bytes, edit: Callable[[list[bytes]], object]) -> bytes:
+    """An image after an edit of its three parts (maker, title, archive), with the right seal."""
+    parts = image[32:].split(b"\n", 2)
+    edit(parts)
+    words = b"\n".join(parts)
+    return hashlib.sha256(words).digest() + words
+
+
 def retiled(image: bytes, edit: Edit) -> bytes:
-    whole = image_of(image)
-    assert whole is not None
-    with h5py.File.in_memory(whole) as file:
-        edit(file)
-        file.flush()
-        return sealed(bytes(file.id.get_file_image()))
+    def edit_archive(parts: list[bytes]) -> None:
+        with np.load(io.BytesIO(parts[2])) as archive:
+            arrays = dict(archive)
+        edit(arrays)
+        stream = io.BytesIO()
+        np.savez(stream, **arrays)  # type: ignore[arg-type]
+        parts[2] = stream.getvalue()
+
+    return retold(image, edit_archive)
 
 
 @pytest.mark.parametrize("name", WRONG)
@@ -127,11 +134,11 @@ def test_24_a_tile_of_wrong_content_with_a_right_seal_is_not_taken(
     name: str, tmp_path: Path
 ) -> None:
     tile = tiny_plan().tiles[0]
-    right = tiny_images()[tile]
+    right, place = tiny_images()[tile], tiny_build().name(tile)
     with shards_of(tmp_path / "a.h5", KEY) as shards:
-        shards.put(name_of(tile), right)
+        shards.put(place, retiled(right, lambda _: None))
         assert shards.has(tiny_build(), tile)
-        shards.put(name_of(tile), retiled(right, WRONG[name]))
+        shards.put(place, retiled(right, WRONG[name]))
         assert not shards.has(tiny_build(), tile)
         shards.remove()
 
@@ -149,7 +156,8 @@ def test_24_tiles_of_other_code_are_of_another_build(monkeypatch: pytest.MonkeyP
     key = build_key(TINY)
     maker = tiles.computed_by()
     assert "code " in maker
-    monkeypatch.setattr(tiles, "computed_by", lambda: maker.replace("code ", "code 1"))
+    other = lambda: maker.replace("code ", "code 1")  # noqa: E731
+    monkeypatch.setattr("jaxstab.atlas.write.tiles.computed_by", other)
     assert build_key(TINY) != key
 
 
@@ -191,13 +199,7 @@ def test_25_tiles_of_workers_of_another_jaxstab_are_refused(
     other = maker.replace("NumPy ", "NumPy 0.")
     path = tmp_path / "a.h5"
     for answer, words in (
-        (
-            lambda: retiled(
-                image, lambda file: file.attrs.__setitem__("computed_by", np.bytes_(other))
-            ),
-            other,
-        ),
-        (lambda: retiled(image, lambda file: file.attrs.__delitem__("computed_by")), "an older"),
+        (lambda: retold(image, lambda parts: parts.__setitem__(0, other.encode())), other),
         (lambda: build.no_such_thing, "cannot compute tiles of this build"),
         (lambda: None, "cannot compute tiles of this build"),
     ):
@@ -206,6 +208,11 @@ def test_25_tiles_of_workers_of_another_jaxstab_are_refused(
         assert words in str(refusal.value)
         assert maker in str(refusal.value)
         assert str(refusal.value).count(". ") == 0
-    with pytest.raises(ValueError, match=r"tile \d-\d-\d is (damaged|none of this build);"):
-        build_atlas(TINY, path, executor=Worker(lambda: image[:-1]))
+    for wrong in (
+        image[:-1],
+        retold(image, lambda parts: parts.__setitem__(1, b"0-0-9")),
+        retiled(image, WRONG["a stranger"]),
+    ):
+        with pytest.raises(ValueError, match=r"tile \d-\d-\d of .*a\.h5 is damaged; compute"):
+            build_atlas(TINY, path, executor=Worker(partial(bytes, wrong)))
     assert entries(tmp_path) == []

@@ -108,3 +108,13 @@ def test_a_device_that_does_not_give_way_is_refused_in_a_sentence() -> None:
     with pytest.raises(ValueError, match="zero DC gain") as caught:
         HapticLoop(device=washed, sample_time=PERIOD).tune()
     assert "\n" not in str(caught.value)
+
+
+def test_a_device_that_is_stable_in_an_island_alone_is_tuned_there() -> None:
+    """As the same mass by its numbers is: walls of the island decay, too (0.560 s before)."""
+    window = {"sample_time": 1e-3, "velocity": Velocity.difference(samples=20)}
+    device = Device.transfer_function([1.0], [0.25, 0.1, 0.0])
+    general = HapticLoop(device=device, **window).tune("settling", stiffness=29_000.0)
+    mass = HapticLoop(device_mass=0.25, device_damping=0.1, **window)
+    assert general.status == TuningStatus.ISLAND
+    assert general.settling_time == mass.tune("settling", stiffness=29_000.0).settling_time == 0.559

@@ -10,7 +10,8 @@ their table answers, and nothing else is touched. NumPy alone: no JAX, no HDF5, 
 that takes time to import.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from math import ulp
@@ -23,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from jaxstab.arrays import tree_map
 from jaxstab.atlas import file
-from jaxstab.atlas.file import Integers, Mask, PackedArrays, Place
+from jaxstab.atlas.file import GridIndex, Integers, Mask, PackedArrays
 from jaxstab.atlas.lookup import AlphaLimits, LimitTable, MaxAlpha, OutsideError
 from jaxstab.atlas.product import SPEC
 from jaxstab.atlas.products.limits import ALPHA_LIMITS, LIMIT_RANGE, LIMIT_WHOLE
@@ -91,19 +92,36 @@ def all_checked(values: Sequence[Numbers], names: Sequence[str] = AXES) -> list[
     return [np.asarray(checked(*pair), np.float64) for pair in zip(names, values, strict=False)]
 
 
+_REMEDY = "give a value in this range, or set outside to 'undecided'."
+
+
+class BeyondError(OutsideError):
+    """Which of some points, flattened, is beyond which axis of an atlas, and the ends there."""
+
+    def __init__(self, axis: str, index: int, ends: Range, words: str) -> None:
+        super().__init__(f"{words}; {_REMEDY}")
+        self.axis, self.index, self.ends = axis, index, ends
+
+
 def check_inside(
-    name: str, values: Floats, low: Floats | float, high: Floats | float, at: Floats | None = None
+    name: str,
+    values: Floats,
+    low: Floats | float,
+    high: Floats | float,
+    at: Floats | None = None,
+    members: Integers | None = None,
 ) -> None:
-    """Raise ValueError for the first value beyond the ends of an atlas, perhaps at some delays."""
+    """Raise BeyondError for the first value, of some ``members``, beyond the ends of an atlas."""
     beyond = np.flatnonzero(~((values >= low) & (values <= high)))
     if beyond.size:
+        first = int(beyond[0])
         value, least, most = (
-            float(np.broadcast_to(v, values.shape).flat[beyond[0]]) for v in (values, low, high)
+            float(np.broadcast_to(v, values.shape).flat[first]) for v in (values, low, high)
         )
-        where = "" if at is None else f" at delay {float(at.flat[beyond[0]]):g}"
-        raise ValueError(
-            f"{name} is {value!r}, and this atlas covers {least!r} to {most!r}{where}; "
-            "give a value in this range, or set outside to 'undecided'."
+        where = "" if at is None else f" at delay {float(at.flat[first]):g}"
+        words = f"{name} is {value!r}, and this atlas covers {least!r} to {most!r}{where}"
+        raise BeyondError(
+            name, first if members is None else int(members[first]), (least, most), words
         )
 
 
@@ -129,12 +147,11 @@ def settle(where: Mapping[str, Floats], answer: AtlasAnswer, filters: Mapping[st
         answer.status[pending] = QueryStatus.EXACT
 
 
-Arrays = Mapping[str, NDArray[Any]]
 Points = Mapping[str, Floats]
 _WALLS = ("alpha", "beta", "gamma", "delta")
 
 
-def nodes_of(arrays: Arrays, delay_number: int) -> dict[str, Floats]:
+def nodes_of(arrays: PackedArrays, delay_number: int) -> dict[str, Floats]:
     """Return the nodes along alpha, beta, gamma and delta at one delay."""
     return {
         "alpha": arrays["alpha"][:, delay_number],
@@ -145,7 +162,7 @@ def nodes_of(arrays: Arrays, delay_number: int) -> dict[str, Floats]:
 
 
 def find_outside(
-    arrays: Arrays,
+    arrays: PackedArrays,
     table: LimitTable | None,
     where: Points,
     status: NDArray[np.int8],
@@ -162,7 +179,7 @@ def find_outside(
         values = where[name][members]
         if refuse:
             delays = where["delay"][members] if name in ("alpha", "beta") else None
-            check_inside(name, values, low, high, delays)
+            check_inside(name, values, low, high, delays, members)
         outside = ~((values >= low) & (values <= high))
         status[members[outside]] = QueryStatus.OUTSIDE
 
@@ -197,7 +214,7 @@ def answer_by_limits(table: LimitTable, where: Points, inside: Mask, answer: Atl
 
 
 def answer_at_delay(
-    arrays: Arrays, index: int, where: Points, here: Integers, answer: AtlasAnswer
+    arrays: PackedArrays, index: int, where: Points, here: Integers, answer: AtlasAnswer
 ) -> None:
     """Fill in what nodes and their cells know of the points ``here``, all at one delay.
 
@@ -210,7 +227,7 @@ def answer_at_delay(
     if not here.size:
         return
     points = {name: where[name][here] for name in _WALLS}
-    place = Place.from_axes([(along, points[name]) for name, along in nodes.items()])
+    place = GridIndex.from_axes([(along, points[name]) for name, along in nodes.items()])
     codes, status = answer.verdict[here], answer.status[here]
     if ALPHA_LIMITS not in arrays:
         status = np.full(here.size, QueryStatus.UNDECIDED_CELL, np.int8)
@@ -225,12 +242,10 @@ def answer_at_delay(
     answer.verdict[here], answer.status[here] = codes, status
 
 
-def _codes_at(arrays: Arrays, name: str, place: Sequence[Integers], delay: int) -> NDArray[np.int8]:
-    index = (*place, np.full(place[0].shape, delay))
-    codes: NDArray[np.int8] = (
-        arrays.codes_at(name, index) if isinstance(arrays, PackedArrays) else arrays[name][index]
-    )
-    return codes
+def _codes_at(
+    arrays: PackedArrays, name: str, place: Sequence[Integers], delay: int
+) -> NDArray[np.int8]:
+    return arrays.codes_at(name, (*place, np.full(place[0].shape, delay)))
 
 
 Outside = Literal["error", "undecided"]
@@ -320,8 +335,8 @@ class LoopAtlas:
 
         Other arguments, errors and source: as ``Atlas.query``.
         """
-        wall = self._wall(stiffness, damping, outside)
-        return self.atlas.query(*wall, **self._slice, outside=outside, exact=exact)
+        with self._wall(stiffness, damping) as wall:
+            return self.atlas.query(*wall, **self._slice, outside=outside, exact=exact)
 
     def verdict(
         self,
@@ -335,8 +350,8 @@ class LoopAtlas:
 
         Arguments, errors and source: as ``query``.
         """
-        wall = self._wall(stiffness, damping, outside)
-        return self.atlas.verdict(*wall, **self._slice, outside=outside, exact=exact)
+        with self._wall(stiffness, damping) as wall:
+            return self.atlas.verdict(*wall, **self._slice, outside=outside, exact=exact)
 
     def stiffness_limits(self, damping: Numbers) -> Floats:
         """The interval of stiffness in which every wall is proved stable, rounded inwards.
@@ -347,10 +362,8 @@ class LoopAtlas:
 
         Raises: as ``Atlas.alpha_limits``. Source: ``jaxstab.proofs.columns``; Table I.
         """
-        (given,) = all_checked([damping], ["damping"])
-        beta = np.asarray(self.loop.beta(given))
-        self._check_inside("damping", given, beta, self._betas, self.loop.damping)
-        return self._limits(beta)
+        with self._wall(0.0, damping) as (_, beta):
+            return self._limits(np.asarray(beta))
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
         """Draw the verdicts of the walls (K, B), in SI units: stable, unstable, undecided.
@@ -397,42 +410,28 @@ class LoopAtlas:
         ends[~(ends[..., 0] < ends[..., 1])] = np.nan
         return ends
 
-    def _wall(
-        self, stiffness: Numbers, damping: Numbers, outside: Outside
-    ) -> tuple[Numbers, Numbers]:
-        """Return alpha and beta of walls, checked; one wall as two plain numbers."""
-        checked_word("outside", outside, ("error", "undecided"))
-        wall = all_checked((stiffness, damping), ("stiffness", "damping"))
-        alpha, beta = np.asarray(self.loop.alpha(wall[0])), np.asarray(self.loop.beta(wall[1]))
-        if outside == "error" and not self._knows_all(alpha, beta):
-            self._check_inside("stiffness", wall[0], alpha, self._alphas, self.loop.stiffness)
-            self._check_inside("damping", wall[1], beta, self._betas, self.loop.damping)
-        if alpha.ndim == beta.ndim == 0:
-            return float(alpha), float(beta)
-        return alpha, beta
-
-    def _knows_all(self, alpha: Floats, beta: Floats) -> bool:
-        """Whether the atlas says something of all walls."""
-        walls = {"alpha": alpha, "beta": beta} | self._slice
-        points = np.broadcast_arrays(*(walls[name] for name in AXES))
-        where = dict(zip(AXES, (point.reshape(-1) for point in points), strict=True))
-        status = np.zeros(points[0].size, np.int8)
-        find_outside(self.atlas.arrays, self.atlas._table, where, status, refuse=False)
-        return not np.any(status == QueryStatus.OUTSIDE)
-
-    @staticmethod
-    def _check_inside(
-        name: str, gains: Floats, numbers: Floats, ends: tuple[float, float], in_units: Any
-    ) -> None:
-        """Raise ValueError for the first gain whose dimensionless number is not in the atlas."""
-        low, high = ends
-        beyond = np.flatnonzero(~((numbers >= low) & (numbers <= high)))
-        if beyond.size:
-            raise ValueError(
-                f"{name} is {float(gains.flat[beyond[0]])!r}, and this atlas covers "
-                f"{in_units(low):.9g} to {in_units(high):.9g} for this loop; give a value in this "
-                "range, or set outside to 'undecided'."
+    @contextmanager
+    def _wall(self, stiffness: Numbers, damping: Numbers) -> Iterator[tuple[Numbers, Numbers]]:
+        """Yield alpha and beta of walls, checked; what the atlas refuses is said in SI units."""
+        gains = all_checked((stiffness, damping), ("stiffness", "damping"))
+        alpha, beta = np.asarray(self.loop.alpha(gains[0])), np.asarray(self.loop.beta(gains[1]))
+        try:
+            if alpha.ndim == beta.ndim == 0:  # one wall is answered faster as plain numbers
+                yield float(alpha), float(beta)
+            else:
+                yield alpha, beta
+        except BeyondError as error:
+            k = int(error.axis == "beta")
+            name, in_units = (
+                ("stiffness", "damping")[k],
+                (self.loop.stiffness, self.loop.damping)[k],
             )
+            gain = float(np.broadcast_arrays(*gains)[k].flat[error.index])
+            low, high = map(in_units, error.ends)
+            raise ValueError(
+                f"{name} is {gain!r}, and this atlas covers {low:.9g} to {high:.9g} for this loop; "
+                f"{_REMEDY}"
+            ) from None
 
 
 def _checked_loop(loop: Any) -> Any:
@@ -528,16 +527,16 @@ class Atlas:
         >>> axes = atlas.plot(delay=1.0)
     """
 
-    arrays: Mapping[str, NDArray[Any]]
+    arrays: PackedArrays
     spec: str
     created_by: str
     filters_in_words: str
 
-    def __init__(self, contents: file.Contents) -> None:
-        self.arrays = contents.arrays
-        self.spec = b"\n".join(self.arrays[SPEC].tolist()).decode("utf-8") + "\n"
-        self.created_by = contents.created_by
-        self.filters_in_words = contents.filters
+    def __init__(self, arrays: PackedArrays) -> None:
+        self.arrays = arrays
+        self.spec = b"\n".join(arrays[SPEC].tolist()).decode("utf-8") + "\n"
+        self.created_by = arrays.table.created_by
+        self.filters_in_words = arrays.table.filters
 
     @property
     def products(self) -> tuple[str, ...]:
@@ -567,11 +566,8 @@ class Atlas:
             return self._table.decided_share(float(self.delays[delay_number]))
         if CELL_VERDICT not in self.arrays:
             return 0.0
-        if isinstance(self.arrays, file.PackedArrays):
-            blocks = self.arrays.blocks(CELL_VERDICT, delay_number)
-            return decided_share(blocks, [*nodes.values()])
-        codes = self.arrays[CELL_VERDICT][..., delay_number : delay_number + 1]
-        return decided_share([((0, 0, 0, 0, 0), codes)], [*nodes.values()])
+        blocks = self.arrays.blocks(CELL_VERDICT, delay_number)
+        return decided_share(blocks, [*nodes.values()])
 
     def query(
         self,

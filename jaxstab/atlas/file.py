@@ -11,7 +11,7 @@ import io
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import islice
 from math import prod
 from pathlib import Path
@@ -178,15 +178,15 @@ Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class Place:
-    """The places of points in a grid: index arrays, one for each axis."""
+class GridIndex:
+    """Where points are in a grid: index arrays, one for each axis."""
 
     cell: tuple[Integers, ...]  # nodes[cell] <= point <= nodes[cell + 1]
     node: tuple[Integers, ...]  # the node, where the point is one
     at_node: Mask
 
     @classmethod
-    def from_axes(cls, axes: Sequence[tuple[Floats, Floats]]) -> "Place":
+    def from_axes(cls, axes: Sequence[tuple[Floats, Floats]]) -> "GridIndex":
         """Find points along each axis, given as its nodes and the points' coordinates."""
         cells, node, at_node = [], [], np.ones(axes[0][1].shape, bool)
         for nodes, points in axes:
@@ -199,40 +199,33 @@ class Place:
         return cls(tuple(cells), tuple(node), at_node)
 
 
-@dataclass(frozen=True)
-class Contents:
-    """The contents of an atlas file: arrays by the names of the schema, program and filters."""
-
-    arrays: Mapping[str, Array]
-    created_by: str
-    filters: str
-
-
+@dataclass(frozen=True, eq=False)
 class PackedArrays(Mapping[str, Array]):
-    """The arrays of a file; those over nodes and cells are unpacked at their first use.
+    """The arrays of a file by name; those over nodes and cells are unpacked at their first use.
 
     Verdict codes compress a thousandfold, so those that would fill the memory are unpacked chunk by
     chunk for each query (``codes_at``, ``blocks``). ValueError for an array that is damaged,
     TooLargeError for one that is larger than is read whole.
     """
 
-    def __init__(self, path: Path, data: bytes, table: Table) -> None:
-        self._path, self._data, self._table = path, data, table
-        self._unpacked: dict[str, Array] = {}
+    path: Path
+    data: bytes = field(repr=False)
+    table: Table = field(repr=False)
+    _unpacked: dict[str, Array] = field(init=False, repr=False, default_factory=dict)
 
     def __getitem__(self, name: str) -> Array:
         if name not in self._unpacked:
-            stored = self._table.variables[name]
-            with _told_of(self._path):
+            stored = self.table.variables[name]
+            with _told_of(self.path):
                 # Threads that meet here unpack the same values, and continue with one of them.
-                values = unpacked(self._data, stored)
-                check_together({name: values}, self._table)
+                values = unpacked(self.data, stored)
+                check_together({name: values}, self.table)
                 self._unpacked.setdefault(name, values)
         return self._unpacked[name]
 
     def codes_at(self, name: str, place: Sequence[Integers]) -> Array:
         """Return the verdict codes at points, given as index arrays along all axes."""
-        stored = self._table.variables[name]
+        stored = self.table.variables[name]
         if stored.size <= LARGEST_UNASKED:
             codes: Array = self[name][tuple(place)]
             return codes
@@ -249,31 +242,31 @@ class PackedArrays(Mapping[str, Array]):
 
     def blocks(self, name: str, delay: int) -> Iterator[tuple[tuple[int, ...], Array]]:
         """Yield where the chunks of verdict codes at one delay begin, and their codes."""
-        for index, start in enumerate(self._table.variables[name].starts()):
+        for index, start in enumerate(self.table.variables[name].starts()):
             if start[-1] == delay:
                 yield self._block(name, index)
 
     def _block(self, name: str, index: int) -> tuple[tuple[int, ...], Array]:
         """The start of a chunk, and its values inside of the array."""
-        with _told_of(self._path):
-            stored = self._table.variables[name]
+        with _told_of(self.path):
+            stored = self.table.variables[name]
             start = next(islice(stored.starts(), index, None))
-            values = _inside(self._data, stored, index, start)
+            values = _inside(self.data, stored, index, start)
             check_values(stored.variable, values)
             return start, values
 
     def __contains__(self, name: object) -> bool:
-        return name in self._table.variables
+        return name in self.table.variables
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._table.variables)
+        return iter(self.table.variables)
 
     def __len__(self) -> int:
-        return len(self._table.variables)
+        return len(self.table.variables)
 
 
-def read(path: Path) -> Contents:
-    """The contents of a file; all of its bytes are checked, and in memory.
+def read(path: Path) -> PackedArrays:
+    """The arrays of a file; all of its bytes are checked, and in memory.
 
     OSError: it is missing or unreadable; ValueError: it is foreign, truncated, damaged or of
     another version of the schema; TooLargeError: it is larger than is read whole.
@@ -281,8 +274,8 @@ def read(path: Path) -> Contents:
     return contents_of(path, _bytes_of(path))
 
 
-def contents_of(path: Path, data: bytes) -> Contents:
-    """The contents of the bytes of a file, after the checks of ``read``."""
+def contents_of(path: Path, data: bytes) -> PackedArrays:
+    """The arrays of the bytes of a file, after the checks of ``read``."""
     with _told_of(path):
         table = table_in(io.BytesIO(data))
     arrays = PackedArrays(path, data, table)
@@ -295,7 +288,7 @@ def contents_of(path: Path, data: bytes) -> Contents:
         check_axes(plain)
         check_together(plain, table)
         check_text(plain[SPEC])
-    return Contents(arrays, table.created_by, table.filters)
+    return arrays
 
 
 def table_of(path: Path) -> Table:

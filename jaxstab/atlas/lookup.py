@@ -221,7 +221,7 @@ _FEW = 16  # nodes
 
 
 class OutsideError(ValueError):
-    """A point is outside of the table."""
+    """A point is outside of the table, or of an atlas."""
 
 
 class AlphaLimits(NamedTuple):

@@ -125,17 +125,13 @@ class Grid:
         )
 
     def row_at(
-        self,
-        rows: Float64[np.ndarray, "delay_cell 6"],
-        delay: float,
-        cells: int,
-        most: int,
-        beta: float,
+        self, delay: float, beta: float, most: int
     ) -> tuple[int, Float64[np.ndarray, "1 6"]]:
         """The number of cells along beta of a part, and its row of delays, alpha and beta.
 
         ``delay`` and ``beta`` say where the part is, from 0 to 1; ``most`` limits its cells.
         """
+        rows, cells = self.limit_range, self.limit_cells
         row = rows[_index(np.diff(rows[:, :2])[:, 0], delay)]
         runs = -(-cells // most)
         ends = (np.array([0, 1]) + int(beta * runs)) * cells // runs
@@ -178,10 +174,9 @@ def lay_out(spec: AtlasSpec, extents: Extents | None = None) -> Grid:
     empty or unresolved; or the grid is too large.
     """
     gamma, delta, delay = map(np.array, (spec.gamma, spec.delta, spec.delay))
-    walls = [_wall_axes(spec, gamma, delta, samples, extents) for samples in delay.tolist()]
+    walls = [_wall_axes(spec, samples, extents) for samples in delay.tolist()]
     alpha, beta = (np.stack(columns, axis=1) for columns in zip(*walls, strict=True))
-    fineness = int(spec.delay_cells or 0) if ALPHA_LIMITS in spec.products else 0
-    limit_range = _delay_cells(spec, (gamma, delta), delay, walls, extents, fineness)
+    limit_range = _delay_cells(spec, walls, extents)
     grid = Grid(alpha, beta, gamma, delta, delay, spec.limit_cells, limit_range)
     check_size(grid.shape)
     return grid
@@ -189,24 +184,23 @@ def lay_out(spec: AtlasSpec, extents: Extents | None = None) -> Grid:
 
 def _delay_cells(
     spec: AtlasSpec,
-    hands: tuple[Float64[np.ndarray, " gamma"], Float64[np.ndarray, " delta"]],
-    delay: Float64[np.ndarray, " delay"],
     walls: list[tuple[Float64[np.ndarray, " alpha_node"], Float64[np.ndarray, " beta_node"]]],
     extents: Extents | None,
-    fineness: int,
 ) -> Float64[np.ndarray, "delay_cell 6"]:
     """The cells of delays with their ends of alpha and beta; without any, the delays alone."""
     # Whole samples and the delays of the atlas are edges of cells. The ends of alpha and beta are
     # laid around the stable regions at some edges; between these they follow straight lines, above
     # which no region is, as it shrinks ever more slowly with the delay.
     at_nodes = [(alpha[0], alpha[-1], beta[0], beta[-1]) for alpha, beta in walls]
+    delay = np.array(spec.delay)
+    fineness = int(spec.delay_cells or 0) if ALPHA_LIMITS in spec.products else 0
     if delay.size == 1 or not fineness:
         return np.column_stack([delay, delay, at_nodes])
     edges = _delay_edges(delay, fineness)
     ends_at = dict(zip(delay.tolist(), at_nodes, strict=True))
     stations = _stations(edges, delay)
     for edge in (edge for edge in stations if edge not in ends_at):
-        alpha, beta = _wall_axes(spec, *hands, edge, extents)
+        alpha, beta = _wall_axes(spec, edge, extents)
         ends_at[edge] = alpha[0], alpha[-1], beta[0], beta[-1]
     ends = np.array([ends_at[station] for station in stations])
     along = np.stack([np.interp(edges, stations, column) for column in ends.T], axis=-1)
@@ -245,16 +239,13 @@ def _delay_edges(delay: Float64[np.ndarray, " delay"], fineness: int) -> list[fl
 
 
 def _wall_axes(
-    spec: AtlasSpec,
-    gamma: Float64[np.ndarray, " gamma"],
-    delta: Float64[np.ndarray, " delta"],
-    delay: float,
-    extents: Extents | None = None,
+    spec: AtlasSpec, delay: float, extents: Extents | None
 ) -> tuple[Float64[np.ndarray, " alpha_node"], Float64[np.ndarray, " beta_node"]]:
     if not isinstance(spec.alpha, FittedAxis) and not isinstance(spec.beta, FittedAxis):
         return np.array(spec.alpha), np.array(spec.beta)
+    gamma = np.array(spec.gamma)
     if extents is None:
-        highest_alpha, beta_ends = _stable_box(gamma, delta, delay, spec.filters)
+        highest_alpha, beta_ends = _stable_box(gamma, np.array(spec.delta), delay, spec.filters)
     else:
         highest_alpha, *both = extents.along(np.array(delay)).tolist()
         beta_ends = both[0], both[1]

@@ -32,7 +32,6 @@ from numpy.typing import NDArray
 from jaxstab.conventions import Verdict
 
 if TYPE_CHECKING:
-    from jaxstab.atlas.atlas import Atlas
     from jaxstab.atlas.plan import Grid, Plan, Tile
     from jaxstab.model.filters import Filters
 
@@ -142,7 +141,7 @@ SPEC_VARIABLES: Final = (
 Array = NDArray[Any]
 Arrays = Mapping[str, Array]
 Floats = NDArray[np.float64]
-Place = Sequence[int]  # numbers along gamma, delta and delay
+SliceIndex = Sequence[int]  # numbers along gamma, delta and delay
 _SLICES = 16  # that are verified
 
 
@@ -158,7 +157,7 @@ class Check(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Stored:
+class Inspection:
     """A file under verification: its datasets by name, its filters as keywords, and the sample.
 
     ``sample`` is about how many points are computed again, ``chance`` chooses them.
@@ -169,14 +168,14 @@ class Stored:
     sample: int
     chance: np.random.Generator
 
-    def places(self, counts: Sequence[int]) -> list[Place]:
+    def places(self, counts: Sequence[int]) -> list[SliceIndex]:
         """Return some of the slices, each once."""
         slices = prod(counts)
         chosen = self.chance.choice(slices, min(_SLICES, self.sample, slices), replace=False)
-        places: list[Place] = np.stack(np.unravel_index(chosen, counts), axis=-1).tolist()
+        places: list[SliceIndex] = np.stack(np.unravel_index(chosen, counts), axis=-1).tolist()
         return places
 
-    def loop(self, place: Place) -> tuple[float, float, float]:
+    def loop(self, place: SliceIndex) -> tuple[float, float, float]:
         """Return gamma, delta and delay of a slice."""
         gamma, delta, delay = (
             float(self.datasets[name][index]) for name, index in zip(SLICE, place, strict=True)
@@ -241,12 +240,6 @@ class Product:
         delay, gamma, delta, _ = place.tolist()
         return grid.slice_at(delay, gamma, delta, boxes=0)
 
-    def checks(self, stored: Stored) -> Iterator[Check]:
+    def checks(self, stored: Inspection) -> Iterator[Check]:
         """Compare a file with a new computation."""
-        yield from ()
-
-    def checks_of_answers(
-        self, atlas: "Atlas", sample: int, chance: np.random.Generator
-    ) -> Iterator[Check]:
-        """Compare the answers of an atlas with a new computation."""
         yield from ()

@@ -10,10 +10,10 @@ import io
 import re
 import struct
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from math import prod
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,46 +101,15 @@ def attributes_of(variable: Variable) -> dict[str, Any]:
 # chunk in that order too, little endian, and only those inside of the array.
 
 
-class Chunked(NamedTuple):
-    """A variable as the digest sees it."""
-
-    name: str
-    dtype: np.dtype[Any]
-    shape: Sequence[int]
-    chunk: Sequence[int]
-    digests: Iterable[str]
-
-    def __str__(self) -> str:
-        shapes = ("x".join(map(str, shape)) for shape in (self.shape, self.chunk))
-        dtype = self.dtype.newbyteorder("<").str
-        return " ".join([self.name, dtype, *shapes, *self.digests])
-
-
-def content_digest(variables: Iterable[Chunked | str]) -> str:
-    """Return the digest of all variables, or of their lines, in hexadecimal."""
-    digest = hashlib.sha256()
-    for variable in variables:
-        digest.update(f"{variable}\n".encode())
-    return digest.hexdigest()
+def content_digest(lines: Iterable[str]) -> str:
+    """Return the digest of the lines of all variables, in hexadecimal."""
+    return hashlib.sha256("".join(f"{line}\n" for line in lines).encode()).hexdigest()
 
 
 def values_digest(values: NDArray[Any]) -> str:
     """Return the SHA-256 of values, in hexadecimal."""
     ordered = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
     return hashlib.sha256(ordered.reshape(-1).view(np.uint8).data).hexdigest()
-
-
-def chunk_digests(dataset: Any) -> Iterator[str]:
-    """Yield the digest of each chunk of an HDF5 dataset, with one chunk at a time in memory."""
-    starts = [range(0, n, step) for n, step in zip(dataset.shape, dataset.chunks, strict=True)]
-    for place in product(*starts):
-        inside = zip(place, dataset.chunks, strict=True)
-        yield values_digest(dataset[tuple(slice(start, start + step) for start, step in inside)])
-
-
-def digest_of(name: str, dataset: Any) -> Chunked:
-    """Return an HDF5 dataset as the digest sees it; its values are read when they are needed."""
-    return Chunked(name, dataset.dtype, dataset.shape, dataset.chunks, chunk_digests(dataset))
 
 
 # The footer of a file, which shows that the file is complete. No JAX.
@@ -160,18 +129,6 @@ def footer_of(stream: io.FileIO | io.BytesIO, length: int, image_size: int) -> b
         digest.update(block[:count])
         remaining -= count
     return FOOTER.pack(FOOTER_MAGIC, image_size, digest.digest())
-
-
-def sealed(image: bytes, table: bytes = b"") -> bytes:
-    """Return an image, and perhaps a table, with their footer."""
-    data = image + table
-    return data + footer_of(io.BytesIO(data), len(data), len(image))
-
-
-def image_of(data: bytes) -> bytes | None:
-    """Return the image if the footer is right."""
-    size = image_size(io.BytesIO(data))
-    return None if size is None else data[:size]
 
 
 def image_size(stream: io.FileIO | io.BytesIO) -> int | None:
@@ -213,7 +170,7 @@ _PLACE = re.compile(r"(\d{1,12})\+(\d{1,12})")
 _TEXT = re.compile(r"\|S([1-9]\d{0,5})")
 _DIGITS = 64  # of a digest
 _MOST_LINES = 6 + 2 * len(VARIABLES)
-Place = tuple[int, int]  # offset and size in bytes
+Span = tuple[int, int]  # offset and size in bytes
 
 
 class RefusalError(Exception):
@@ -238,7 +195,14 @@ class Stored:
     shape: tuple[int, ...]
     chunk: tuple[int, ...]
     digests: Sequence[str]
-    places: Sequence[Place]
+    places: Sequence[Span] = ()
+
+    @property
+    def line(self) -> str:
+        """The line of which the digest of the content is taken."""
+        shapes = ("x".join(map(str, shape)) for shape in (self.shape, self.chunk))
+        dtype = self.dtype.newbyteorder("<").str
+        return " ".join([self.variable.name, dtype, *shapes, *self.digests])
 
     @property
     def size(self) -> int:
@@ -253,6 +217,16 @@ class Stored:
     def starts(self) -> Iterator[tuple[int, ...]]:
         """Yield where each chunk begins in the array."""
         return product(*(range(0, n, step) for n, step in zip(self.shape, self.chunk, strict=True)))
+
+
+def stored_of(name: str, dataset: Any, digests: Sequence[str] = ()) -> Stored:
+    """An HDF5 dataset without the places of its chunks; digests not given are computed."""
+    stored = Stored(VARIABLES[name], dataset.dtype, dataset.shape, dataset.chunks, digests)
+    if digests:
+        return stored
+    # One chunk at a time is in memory.
+    blocks = (tuple(map(slice, start, np.add(start, stored.chunk))) for start in stored.starts())
+    return replace(stored, digests=[values_digest(dataset[block]) for block in blocks])
 
 
 @dataclass(frozen=True)
@@ -271,22 +245,18 @@ class Table:
         return dict(pair for variable in pairs for pair in variable)
 
 
-def table_text(
-    created_by: str,
-    filters: str,
-    variables: Sequence[Chunked],
-    places: Mapping[str, Iterable[Place]],
-) -> bytes:
+def table_text(created_by: str, filters: str, variables: Sequence[Stored]) -> bytes:
     """Return the table of a file."""
+    lines = [variable.line for variable in variables]
     head = (
         f"{FORMAT} {SCHEMA_VERSION}\nmade by {created_by}\nfilters {filters}\n"
-        f"content {content_digest(variables)}\n"
+        f"content {content_digest(lines)}\n"
     )
     where = (
-        " ".join([name, *(f"{offset}+{size}" for offset, size in chunks)])
-        for name, chunks in places.items()
+        " ".join([v.variable.name, *(f"{offset}+{size}" for offset, size in v.places)])
+        for v in variables
     )
-    blocks = (head, "".join(f"{line}\n" for line in variables), "".join(f"{w}\n" for w in where))
+    blocks = (head, "".join(f"{line}\n" for line in lines), "".join(f"{w}\n" for w in where))
     return "\n".join(blocks).encode("ascii")
 
 
@@ -362,7 +332,7 @@ def _lengths(text: str) -> tuple[int, ...]:
     return tuple(map(int, text.split("x")))
 
 
-def _places(text: str) -> list[Place]:
+def _places(text: str) -> list[Span]:
     places = [_PLACE.fullmatch(word) for word in text.split(" ")]
     check(all(places))
     return [(int(place[1]), int(place[2])) for place in places if place]

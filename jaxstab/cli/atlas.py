@@ -14,8 +14,8 @@ from jaxstab.cli.options import (
     executor_of,
     executor_options,
     file_in,
+    file_option,
     keep_programs,
-    output_file,
     resumable,
 )
 from jaxstab.cli.scene import scene_of, warn
@@ -30,14 +30,7 @@ _MOST_ASKED = 128  # nodes along alpha and beta
 
 @click.command()
 @click.option("--spec", type=Path, help="TOML file; default: the haptic range of the paper.")
-@click.option(
-    "-o",
-    "--output",
-    type=Path,
-    callback=output_file,
-    default=Path("atlas.h5"),
-    show_default=True,
-)
+@file_option("-o", "--output", default=Path("atlas.h5"), show_default=True)
 @executor_options
 def build(spec: Path | None, output: Path, **where: Any) -> None:
     """Compute an atlas and write it as one HDF5 file.
@@ -173,12 +166,8 @@ def _bytes(_: click.Context, option: click.Parameter, text: str | None) -> float
     help="Wish: error of 95 % of the limits of alpha, as a share of the largest alpha.",
 )
 @click.option("--size", callback=_bytes, help="Wish: largest size of the file, such as 10MB.")
-@click.option(
-    "-o",
-    "--output",
-    type=Path,
-    callback=file_in(".toml"),
-    help="TOML file to write, which meets the wish.",
+@file_option(
+    "-o", "--output", check=file_in(".toml"), help="TOML file to write, which meets the wish."
 )
 def plan(spec: Path | None, output: Path | None, **wishes: float | None) -> None:
     """Print what a build of SPEC, or of the range of the paper, would compute, and what it takes.

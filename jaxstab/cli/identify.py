@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from jaxstab.cli.options import decorated, draw, keep_programs, output_file, picture_file
+from jaxstab.cli.options import decorated, draw, file_option, keep_programs, plot_option
 from jaxstab.cli.scene import warn
 
 _NAMES = ("time", "force", "position", "velocity")
@@ -24,18 +24,14 @@ def _columns(command: Callable[..., Any]) -> Callable[..., Any]:
 
 @click.command()
 @click.argument("log", type=Path)
-@click.option(
-    "-o", "--output", type=Path, callback=output_file, help="Scene (TOML) to write; '-': stdout."
-)
+@file_option("-o", "--output", help="Scene (TOML) to write; '-': stdout.")
 @_columns
 @click.option("--sample-time", type=float, help="Sampling period in s, in place of a time column.")
 @click.option("--turns", is_flag=True, help="Rotary device: rad and N m in place of m and N.")
 @click.option(
     "--spring", is_flag=True, help="Also fit a spring of the device, such as a centring spring."
 )
-@click.option(
-    "--plot", type=Path, callback=picture_file, help="PNG or SVG file: measured against fitted."
-)
+@plot_option("PNG or SVG file: measured against fitted.")
 def identify(
     log: Path,
     output: Path | None,

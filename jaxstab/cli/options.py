@@ -9,13 +9,15 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Executor
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import click
 
 import jaxstab
 from jaxstab.durable import publish, target_of
 from jaxstab.tables import text_of
+
+Command = TypeVar("Command", bound=Callable[..., Any])
 
 _MOST_OF_A_SCHEDULER = 1_000_000  # bytes of its file
 
@@ -60,6 +62,16 @@ def output_file(_: click.Context, option: click.Parameter, path: Path | None) ->
     if not os.access(folder, os.W_OK):
         raise click.BadParameter(f"the folder {folder} cannot be written.", param=option)
     return path
+
+
+def file_option(*names: str, check: Any = output_file, **more: Any) -> Callable[[Command], Command]:
+    """Return the option of a file to write, whose name is checked before anything is computed."""
+    return click.option(*names, type=Path, callback=check, **more)
+
+
+def plot_option(words: str) -> Callable[[Command], Command]:
+    """Return the option of a file to draw a picture into."""
+    return file_option("--plot", check=picture_file, help=words)
 
 
 def write_beside(data: bytes, path: Path) -> None:

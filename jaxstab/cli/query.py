@@ -1,7 +1,5 @@
 """The commands that ask an atlas and draw it."""
 
-import csv
-import io
 import json
 import math
 from collections.abc import Iterable, Iterator
@@ -11,14 +9,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import jaxstab
-from jaxstab.cli.options import file_in, keep_programs, print_with_csv
+from jaxstab.cli.options import file_in, file_option, keep_programs, print_with_csv
 from jaxstab.conventions import AXES, Verdict
-from jaxstab.tables import text_of
+from jaxstab.tables import columns_of
 
 if TYPE_CHECKING:
     from jaxstab.atlas import Atlas, AtlasAnswer
 
-_MOST_BYTES = 100_000_000  # of a CSV file
 _ANSWER = "verdict", "status"
 
 
@@ -89,8 +86,7 @@ def query(
         if value is not None:
             raise ValueError(f"{name} is {value:g} without a scene; give --scene FILE.")
     if table:
-        source = "stdin" if str(table) == "-" else str(table)
-        points = _parsed(_rows(text_of(table, _MOST_BYTES), source), source, given)
+        points = _points_in(table, given)
     else:
         _check_complete(given, "give it as an option, or points with --csv")
         points = {name: [given[name]] for name in AXES}
@@ -107,9 +103,7 @@ def query(
 
 @click.command()
 @click.argument("file", type=Path)
-@click.option(
-    "-o", "--output", type=Path, required=True, callback=file_in(".png"), help="PNG file to write."
-)
+@file_option("-o", "--output", check=file_in(".png"), required=True, help="PNG file to write.")
 @click.option("--gamma", type=float, help="Physical stiffness; default: the smallest.")
 @click.option("--delta", type=float, help="Physical damping; default: the smallest.")
 @click.option("--delay", type=float, multiple=True, help="May be repeated; default: all.")
@@ -132,45 +126,15 @@ def plot(
     click.echo(output)
 
 
-# ------------------------------------------------------------------------------------------- points
-def _rows(text: str, source: str) -> Iterator[tuple[str, list[str]]]:
-    lines = csv.reader(io.StringIO(text, newline=""))
-    try:
-        for row in lines:
-            yield f"line {lines.line_num} of {source}", row
-    except csv.Error as error:
-        raise ValueError(f"line {lines.line_num} of {source} is not CSV: {error}.") from error
-
-
-def _parsed(
-    rows: Iterator[tuple[str, list[str]]], source: str, given: dict[str, float]
-) -> dict[str, list[float]]:
-    header = [name.strip() for name in next(rows, ("", []))[1]]
-    columns = {name: header.index(name) for name in AXES if name in header}
-    twice = [name for name in columns if header.count(name) > 1]
-    if twice:
-        raise ValueError(f"{twice[0]} is the name of two columns of {source}; give one of them.")
+def _points_in(table: Path, given: dict[str, float]) -> dict[str, list[float]]:
+    """Return the points of a CSV file, with an option's value for a column that it lacks."""
+    columns = columns_of(table, (), AXES)
     both = sorted(columns.keys() & given.keys())
     if both:
-        raise ValueError(f"{both[0]} is a column of {source} and an option; give one of them.")
-    _check_complete(
-        columns.keys() | given.keys(), f"{source} has the columns {', '.join(header)[:200]}"
-    )
-    points: dict[str, list[float]] = {name: [] for name in AXES}
-    for where, row in rows:
-        if row:
-            for name in AXES:
-                value = _cell(row, columns[name], name, where) if name in columns else given[name]
-                points[name].append(value)
-    return points
-
-
-def _cell(row: list[str], column: int, name: str, where: str) -> float:
-    text = row[column] if column < len(row) else ""
-    try:
-        return float(text)
-    except ValueError:
-        raise ValueError(f"{name} is {text[:200]!r} in {where}; give a number.") from None
+        raise ValueError(f"{both[0]} is a column of the file and an option; give one of them.")
+    _check_complete(columns.keys() | given.keys(), "give it as a column of the file, or an option")
+    count = max(map(len, columns.values()), default=1)
+    return {name: columns[name] if name in columns else [given[name]] * count for name in AXES}
 
 
 def _check_complete(names: Iterable[str], remedy: str) -> None:
@@ -234,8 +198,8 @@ def _asked_of_scene(
     }
     rows = []
     for entry in ask_atlas(scene, opened, walls, outside, exact=exact):
-        member = entry.member
-        numbers = [*entry.gains, member.mass, *member.hand[:3], member.delay]
+        mass, hand, delay = entry.member
+        numbers = [*entry.gains, mass, hand.mass, hand.stiffness, hand.damping, delay]
         answer = (getattr(entry.answer, name).item() for name in _ANSWER)
         where: dict[str, float | str] = {"wall": entry.name}
         rows.append(where | dict(zip(units, numbers, strict=True)) | _words(*answer))

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from jaxstab.cli.options import at_work, draw, picture_file
+from jaxstab.cli.options import at_work, draw, file_option, picture_file
 
 _FIGURES = range(4, 11)
 _DIGITS = 10
@@ -41,9 +41,7 @@ def figure(number: str, output: Path, form: str) -> None:
 @click.option(
     "--radius", type=float, default=1.0, show_default=True, help="Largest modulus of all roots."
 )
-@click.option(
-    "-o", "--output", type=Path, callback=picture_file, help="PNG or SVG file for a picture."
-)
+@file_option("-o", "--output", check=picture_file, help="PNG or SVG file for a picture.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def region(
     gamma: float, delta: float, delay: float, radius: float, output: Path | None, as_json: bool

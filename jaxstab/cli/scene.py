@@ -18,10 +18,10 @@ from jaxstab.cli.options import (
     executor_of,
     executor_options,
     file_in,
+    file_option,
     keep_programs,
     number_or_range,
-    output_file,
-    picture_file,
+    plot_option,
     print_with_csv,
     resumable,
 )
@@ -33,52 +33,47 @@ if TYPE_CHECKING:
 # Options that describe scenes, and the tables of scenes that files and options make.
 
 
-_OPTIONS: dict[str, tuple[str, str, Any, str]] = {  # table and key of a scene, kind, help
-    "device": ("device", "preset", str, "A device by name; jaxstab scene presets lists them."),
-    "mass": ("device", "mass", number_or_range, "Of the device in kg; LOW:HIGH for a range."),
+_OPTIONS: dict[str, tuple[str, Any, str]] = {  # key of a scene, kind, help
+    "device": ("device.preset", str, "A device by name; jaxstab scene presets lists them."),
+    "mass": ("device.mass", number_or_range, "Of the device in kg; LOW:HIGH for a range."),
     "inertia": (
-        "device",
-        "inertia",
+        "device.inertia",
         number_or_range,
         "In kg m^2, for a device that turns; LOW:HIGH for a range.",
     ),
-    "damping": ("device", "damping", float, "Damping of the device in N s/m (N m s/rad)."),
-    "hand_mass": ("hand", "mass", number_or_range, "In kg; LOW:HIGH for a range."),
-    "hand_inertia": ("hand", "inertia", number_or_range, "In kg m^2; LOW:HIGH for a range."),
-    "hand_stiffness": ("hand", "stiffness", number_or_range, "In N/m; LOW:HIGH for a range."),
-    "hand_damping": ("hand", "damping", number_or_range, "In N s/m; LOW:HIGH for a range."),
-    "sample_time": ("controller", "sample_time", float, "Sampling period T in s."),
+    "damping": ("device.damping", float, "Damping of the device in N s/m (N m s/rad)."),
+    "hand_mass": ("hand.mass", number_or_range, "In kg; LOW:HIGH for a range."),
+    "hand_inertia": ("hand.inertia", number_or_range, "In kg m^2; LOW:HIGH for a range."),
+    "hand_stiffness": ("hand.stiffness", number_or_range, "In N/m; LOW:HIGH for a range."),
+    "hand_damping": ("hand.damping", number_or_range, "In N s/m; LOW:HIGH for a range."),
+    "sample_time": ("controller.sample_time", float, "Sampling period T in s."),
     "delay": (
-        "controller",
-        "delay",
+        "controller.delay",
         number_or_range,
         "Time delay of the loop in s; LOW:HIGH for one that moves from sample to sample.",
     ),
-    "delay_samples": ("controller", "delay_samples", number_or_range, "The same in samples."),
+    "delay_samples": ("controller.delay_samples", number_or_range, "The same in samples."),
     "constant_delay": (
-        "controller",
-        "delay_is",
+        "controller.delay_is",
         "constant",
         "The delay of such a range is constant, but not known.",
     ),
     "lost_samples": (
-        "controller",
-        "lost_samples",
+        "controller.lost_samples",
         int,
         "Samples in a row that may never arrive, with a delay that moves.",
     ),
-    "window": ("velocity", "window", float, "Velocity: difference over this window in s."),
-    "window_samples": ("velocity", "window_samples", int, "The same in samples."),
-    "cutoff": ("velocity", "cutoff", float, "Velocity: low pass at this cut-off in Hz."),
+    "window": ("velocity.window", float, "Velocity: difference over this window in s."),
+    "window_samples": ("velocity.window_samples", int, "The same in samples."),
+    "cutoff": ("velocity.cutoff", float, "Velocity: low pass at this cut-off in Hz."),
     "estimator": (
-        "velocity",
-        "preset",
+        "velocity.preset",
         str,
         "Velocity as this software estimates it; jaxstab scene presets lists names.",
     ),
-    "friction": ("device", "friction", float, "Coulomb friction in N, of simulated contacts."),
-    "push": ("contact", "push", float, "Push of the hand in N, of simulated contacts."),
-    "speed": ("contact", "speed", float, "Speed in m/s at which they meet the wall."),
+    "friction": ("device.friction", float, "Coulomb friction in N, of simulated contacts."),
+    "push": ("contact.push", float, "Push of the hand in N, of simulated contacts."),
+    "speed": ("contact.speed", float, "Speed in m/s at which they meet the wall."),
 }
 
 
@@ -86,7 +81,7 @@ def mechanics_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add what describes a scene: a file, and options that go before it."""
     decorations = (
         click.argument("files", type=Path, nargs=-1, metavar="[FILE]..."),
-        *(_scene_option(name, kind, words) for name, (_, _, kind, words) in _OPTIONS.items()),
+        *(_scene_option(name, kind, words) for name, (_, kind, words) in _OPTIONS.items()),
         click.option(
             "--wall",
             type=(str, float, float),
@@ -102,11 +97,9 @@ def scene_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add what describes scenes, and the form of the answer."""
     decorations = (
         mechanics_options,
-        click.option(
+        file_option(
             "--csv",
             "csv_file",
-            type=Path,
-            callback=output_file,
             help="CSV file ('-': stdout) to write all values into, a row for each scene.",
         ),
         click.option("--json", "as_json", is_flag=True, help="Print JSON."),
@@ -165,11 +158,12 @@ _WANTED = ["at_damping", "at_stiffness", "stiffness", "safety", "mass_tolerance"
 
 
 def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
-    places = {option: place[:2] for option, place in _OPTIONS.items()}
-    places |= {option: ("wanted", option) for option in _WANTED}
+    places = {option: place for option, (place, *_) in _OPTIONS.items()}
+    places |= {option: f"wanted.{option}" for option in _WANTED}
     chosen: dict[str, dict[str, Any]] = {}
-    for option, (section, key) in places.items():
+    for option, place in places.items():
         if given.get(option) is not None:
+            section, _, key = place.partition(".")
             chosen.setdefault(section, {})[key] = given[option]
     if "velocity" in chosen:  # in place of all that the file says
         chosen.setdefault("controller", {})["velocity"] = chosen.pop("velocity")
@@ -304,9 +298,7 @@ def _paths(rows: list[_Row]) -> list[str]:
     return list(dict.fromkeys(path for row in rows for path, *_ in row.leaves))
 
 
-_plot_option = click.option(
-    "--plot", type=Path, callback=picture_file, help="PNG or SVG file to draw the scene into."
-)
+_plot_option = plot_option("PNG or SVG file to draw the scene into.")
 
 _safety_option = click.option(
     "--safety", type=float, help="Multiply all limits by this, such as 0.8."
@@ -350,11 +342,10 @@ def check(as_json: bool, **given: Any) -> int:
 @click.command()
 @scene_options
 @_plot_option
-@click.option(
+@file_option(
     "-o",
     "--output",
-    type=Path,
-    callback=file_in(".h5", ".nc"),
+    check=file_in(".h5", ".nc"),
     help="Simulate a map of walls around the stable ones into this netCDF-4 file instead.",
 )
 @click.option("--count", type=click.IntRange(2), default=60, help="Walls along each axis of it.")
@@ -438,13 +429,7 @@ def scene() -> None:
 
 
 @scene.command()
-@click.option(
-    "-o",
-    "--output",
-    type=Path,
-    callback=output_file,
-    help="File to write, which must not exist; default: print it.",
-)
+@file_option("-o", "--output", help="File to write, which must not exist; default: print it.")
 def init(output: Path | None) -> None:
     """Write a commented example of a scene."""
     from jaxstab.durable import publish
@@ -531,11 +516,10 @@ def _computed(scene: "Scene", name: str) -> Any:
 
 @click.command()
 @click.argument("file", type=Path, required=False)
-@click.option(
+@file_option(
     "-o",
     "--output",
-    type=Path,
-    callback=file_in(".html", ".htm"),
+    check=file_in(".html", ".htm"),
     default=Path("walls.html"),
     show_default=True,
     help="HTML file to write.",
@@ -591,14 +575,7 @@ def _cells(_: click.Context, option: click.Parameter, text: str | None) -> Any:
 
 @click.command()
 @scene_options
-@click.option(
-    "-o",
-    "--output",
-    type=Path,
-    required=True,
-    callback=output_file,
-    help="Header file; its name begins all names in it.",
-)
+@file_option("-o", "--output", required=True, help="Header file; its name begins all names in it.")
 @click.option(
     "--masses",
     callback=_range,
@@ -614,7 +591,7 @@ def _cells(_: click.Context, option: click.Parameter, text: str | None) -> Any:
 @click.option(
     "--cells", callback=_cells, help="Cells along mass, delay and damping: powers of two."
 )
-@click.option("--plot", type=Path, callback=picture_file, help="PNG or SVG file of the limits.")
+@plot_option("PNG or SVG file of the limits.")
 def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
     """Write a C header that clamps K and B to what is proved stable, for a running loop.
 

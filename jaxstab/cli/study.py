@@ -14,9 +14,9 @@ from jaxstab.cli.options import (
     executor_of,
     executor_options,
     file_in,
+    file_option,
     keep_programs,
-    output_file,
-    picture_file,
+    plot_option,
     print_with_csv,
     resumable,
 )
@@ -82,28 +82,21 @@ def _over(_: click.Context, option: click.Parameter, texts: tuple[str, ...]) -> 
 )
 @click.option("--samples", default=10_000, show_default=True, help="Number of draws.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the draws.")
-@click.option(
+@file_option(
     "-o",
     "--output",
-    type=Path,
-    callback=file_in(".h5", ".nc"),
+    check=file_in(".h5", ".nc"),
     help="Store the table as this netCDF-4 file, and continue an interrupted study.",
 )
-@click.option(
-    "--csv",
-    "csv_file",
-    type=Path,
-    callback=output_file,
-    help="CSV file ('-': stdout) for the table, a row for each loop and wall.",
+@file_option(
+    "--csv", "csv_file", help="CSV file ('-': stdout) for the table, a row for each loop and wall."
 )
 @executor_options
 @click.option(
     "--part", callback=_part, metavar="NUMBER/COUNT", help="Compute one part of the study alone."
 )
 @click.option("--merge", is_flag=True, help="FILEs are all parts of a study: put them together.")
-@click.option(
-    "--plot", type=Path, callback=picture_file, help="PNG or SVG file to draw the study into."
-)
+@plot_option("PNG or SVG file to draw the study into.")
 def study(
     over: dict[str, Any],
     answers: tuple[str, ...],

@@ -14,12 +14,23 @@ from jaxstab.arrays import Numbers, joined
 from jaxstab.conventions import Verdict
 from jaxstab.loop.jitter import MovingLoop
 from jaxstab.loop.region import TOLERANCE, WallRegion, wall_region
-from jaxstab.model import Device, Hand, LoopParameters, checked_gain
+from jaxstab.model import Device, LoopParameters
 from jaxstab.model.device.family import LoopFamily, merged, value_at
 from jaxstab.model.device.parts import MassSpringDamper, Modes
+from jaxstab.model.parameters import wall_grid
 from jaxstab.numbers import checked_number
 from jaxstab.point.verdicts import linear_verdict
-from jaxstab.proofs.device_boxes import BEYOND, DELAY, MASS, Boxes, DeviceBoxes, Extent, along
+from jaxstab.proofs.device_boxes import (
+    BEYOND,
+    DELAY,
+    MASS,
+    Arms,
+    Boxes,
+    DeviceBoxes,
+    Extent,
+    along,
+    with_parts,
+)
 from jaxstab.proofs.exclusion import FirstRoots, LineBoxes, Models, is_free
 from jaxstab.proofs.exclusion import search as search_roots
 from jaxstab.proofs.linear_circle import (
@@ -158,8 +169,7 @@ class LoopsBetween:
             STABLE where a wall is proved stable in every loop between the two, UNSTABLE where one
             of them is proved to have a root on the unit circle or outside, UNDECIDED elsewhere.
         """
-        gains = (checked_gain("stiffness", stiffness), checked_gain("damping", damping))
-        grid = np.stack(np.broadcast_arrays(*(np.asarray(g, np.float64) for g in gains)), axis=-1)
+        grid = wall_grid(stiffness=stiffness, damping=damping)
         return family_verdicts(self.family, grid.reshape(-1, 2)).reshape(grid.shape[:-1])
 
     def worst_loop(self, stiffness: float, damping: float) -> WorstLoop:
@@ -185,7 +195,7 @@ class LoopsBetween:
             """Shares next to the first one at which a root may be on the circle."""
             roots = first_roots(self.family, np.array([wall] * len(numbers)).reshape(-1, 2))
             if roots is None:
-                return {number: np.zeros(0) for number in numbers}
+                return {index: np.zeros(0) for index in numbers}
             after = roots.low[:, None] + np.append(0.0, 2.0 ** -np.arange(4.0, 40.0))
             return {
                 n: row[row <= 1.0] for n, row in zip(numbers, after, strict=True) if row[0] < inf
@@ -194,8 +204,8 @@ class LoopsBetween:
         worst = judge(np.linspace(0.0, 1.0, _TRIED))
         for _ in range(_FINER):
             shares = sorted(radii)
-            number = shares.index(worst.share)
-            low, high = shares[max(number - 1, 0)], shares[min(number + 1, len(shares) - 1)]
+            index = shares.index(worst.share)
+            low, high = shares[max(index - 1, 0)], shares[min(index + 1, len(shares) - 1)]
             worst = judge(np.linspace(low, high, 5)[1:-1])
         return worst_of_range([worst], unproved, lambda _, shares: judge(shares), _MOST_TRIED)[0]
 
@@ -268,13 +278,13 @@ def stiffest_wall(loops: "Sequence[HapticLoop]", pull: float) -> Guess | None:
         rows = np.linspace(low, high, _ROWS + 2)[1:-1]
         left, right = common_limits([*regions.values()], rows)
         right = np.where((left < right) & (right > 0.0), right, -np.inf)
-        number = int(np.argmax(right))
-        if right[number] == -np.inf:
+        best = int(np.argmax(right))
+        if right[best] == -np.inf:
             break
-        if wall is None or right[number] >= wall[1]:
-            wall = float(left[number]), float(right[number]), float(rows[number])
+        if wall is None or right[best] >= wall[1]:
+            wall = float(left[best]), float(right[best]), float(rows[best])
         step = rows[1] - rows[0]
-        low, high = rows[number] - step, rows[number] + step
+        low, high = rows[best] - step, rows[best] + step
     if wall is None:
         return NOTHING
     least, limit, damping = wall
@@ -301,12 +311,12 @@ def common_limits(regions: Sequence[WallRegion], rows: Rows) -> tuple[Rows, Rows
     return left, right
 
 
-def _shared(one: Intervals, other: Intervals) -> Intervals:
+def _shared(mine: Intervals, other: Intervals) -> Intervals:
     """The intervals that two sets of intervals share; NaN for none."""
-    low = np.maximum(one[:, :, None, 0], other[:, None, :, 0])
-    high = np.minimum(one[:, :, None, 1], other[:, None, :, 1])
+    low = np.maximum(mine[:, :, None, 0], other[:, None, :, 0])
+    high = np.minimum(mine[:, :, None, 1], other[:, None, :, 1])
     both = np.where((low < high)[..., None], np.stack([low, high], axis=-1), np.nan)
-    shared = both.reshape(len(one), low.shape[1] * low.shape[2], 2)
+    shared = both.reshape(len(mine), low.shape[1] * low.shape[2], 2)
     return shared[:, ~np.isnan(shared[..., 0]).all(axis=0)]
 
 
@@ -331,11 +341,11 @@ class TriedLoops:
     def add(self, shares: Shares) -> bool:
         """Add the loops in the middle of the gaps in which most of the shares are."""
         last = len(self.shares) - 1
-        numbers = np.clip(np.searchsorted(self.shares, shares, "right"), 1, last)
-        numbers, counts = np.unique(numbers, return_counts=True)
+        ends = np.clip(np.searchsorted(self.shares, shares, "right"), 1, last)
+        ends, counts = np.unique(ends, return_counts=True)
         pairs = [
-            (self.shares[number - 1], self.shares[number])
-            for number in numbers[np.argsort(-counts, kind="stable")]
+            (self.shares[end - 1], self.shares[end])
+            for end in ends[np.argsort(-counts, kind="stable")]
         ]
         pairs = [(low, high) for low, high in pairs if high - low > _CLOSEST][:_AT_ONCE]
         self.shares = sorted(self.shares + [0.5 * (low + high) for low, high in pairs])
@@ -446,13 +456,9 @@ class LoopsWithHands:
         return np.array([(*hand, mass) for hand, mass in product(hands, masses)])
 
     def _held(self, row: np.ndarray) -> "HapticLoop":
-        mass, stiffness, damping, own = row.tolist()
-        hand = Hand.mass_spring_damper(mass, damping=damping, stiffness=stiffness)
-        grip = self.device.hands[0].grip if self.device.hands else None
-        body = self.device.mechanism
-        moved = body if self.mass is None else replace(body, mass=own)
-        free = replace(self.device, mechanism=moved, hands=())
-        return replace(self.loop, device=free.held_by(replace(hand, grip=grip)))
+        *arm, own = row.tolist()
+        mass = None if self.mass is None else own
+        return replace(self.loop, device=with_parts(self.device, mass, Arms(*arm)))
 
     def _unproved(self, wall: Wall) -> Hands:
         """Hands, and masses of the device, at which a root on the circle is not excluded."""
@@ -489,10 +495,10 @@ def _worst_of(
         loops = [replace(loop, delay=moving["delays"][1]) for loop in loops]
     poles = [np.abs(np.asarray(loop.poles(*wall))).max() for loop in loops]
     unstable = codes == Verdict.UNSTABLE
-    number = int(np.argmax(np.where(unstable | ~unstable.any(), poles, -1.0)))
-    loop = loops[number]
+    worst = int(np.argmax(np.where(unstable | ~unstable.any(), poles, -1.0)))
+    loop = loops[worst]
     radius = float(loop.spectral_radius(*wall).value)
-    return WorstHand(Verdict(int(codes[number])), loop, radius)
+    return WorstHand(Verdict(int(codes[worst])), loop, radius)
 
 
 # Walls (K, B), and polygons of walls, that are stable in all loops between two, proved.
@@ -523,14 +529,14 @@ def _first_roots(cells: FamilyCells, walls: Walls) -> FirstRoots:
     pieces = len(cells.pieces)
     # Roots at 0 and pi are within boxes.
     edges = np.pi * (np.arange(_ANGLES + 2) - 0.5) / _ANGLES
-    line, angle = (one.ravel() for one in np.indices((len(walls) * pieces, _ANGLES + 1)))
+    line, angle = (column.ravel() for column in np.indices((len(walls) * pieces, _ANGLES + 1)))
     ends = cells.ends[line % pieces].T
     boxes = LineBoxes(line, *(np.stack([ends[k], edges[angle + k]]) for k in (0, 1)))
     roots = search_roots(len(walls) * pieces, boxes, partial(_wall_models, cells, walls))
-    low, high, theta = (one.reshape(len(walls), pieces) for one in roots)
-    first = np.argmin(low, axis=1)
+    low, high, theta = (column.reshape(len(walls), pieces) for column in roots)
+    nearest = np.argmin(low, axis=1)
     rows = np.arange(len(walls))
-    return FirstRoots(low[rows, first], high.min(axis=1), theta[rows, first])
+    return FirstRoots(low[rows, nearest], high.min(axis=1), theta[rows, nearest])
 
 
 def _wall_models(cells: FamilyCells, walls: Walls, boxes: LineBoxes) -> Models:
@@ -601,7 +607,7 @@ def _failures_on_edges(family: LoopFamily, outline: Walls) -> Float64[np.ndarray
         return Proof(is_free(*over[:3]), over.bends.T)
 
     index, angle = (
-        part.ravel() for part in np.indices((len(outline) * len(cells.pieces), _ANGLES // 4))
+        column.ravel() for column in np.indices((len(outline) * len(cells.pieces), _ANGLES // 4))
     )
     ends = cells.ends[index % len(cells.pieces)].T
     boxes = ParameterBox.from_axes(

@@ -15,12 +15,11 @@ from jaxtyping import Bool, Float64, Int8
 from jaxstab.arrays import Array, Numbers, is_any_traced, named
 from jaxstab.conventions import Range, Verdict
 from jaxstab.loop.region import TOLERANCE, WallRegion, wall_region
-from jaxstab.model import LoopParameters, checked_gain, require_x64
+from jaxstab.model import LoopParameters, require_x64
 from jaxstab.model.device import SampledDevice, sampled_device
 from jaxstab.model.filters import Filters, given_filters
-from jaxstab.model.parameters import LONGEST_DELAY
+from jaxstab.model.parameters import LONGEST_DELAY, wall_grid
 from jaxstab.motion.moving_delays import Delays, Growth, growing_turn
-from jaxstab.motion.response import Response, simulate_device
 from jaxstab.numbers import checked_number
 from jaxstab.point.verdicts import linear_verdict
 from jaxstab.proofs.jitter import (
@@ -188,12 +187,9 @@ class MovingLoop(NamedTuple):
     def walls(self, stiffness: Numbers, damping: Numbers) -> tuple[Walls, tuple[int, ...]]:
         """Return gains as walls (alpha, beta), and the shape of their grid."""
         require_x64(stiffness, damping)
-        _refuse_traced(stiffness, damping)
-        grid = np.broadcast_arrays(
-            np.asarray(checked_gain("stiffness", stiffness), np.float64),
-            np.asarray(checked_gain("damping", damping), np.float64),
-        )
-        return np.stack(grid, axis=-1).reshape(-1, 2) * self.units, grid[0].shape
+        refuse_traced(stiffness, damping)
+        grid = wall_grid(stiffness=stiffness, damping=damping)
+        return grid.reshape(-1, 2) * self.units, grid.shape[:-1]
 
     @property
     def units(self) -> tuple[float, float]:
@@ -355,23 +351,6 @@ def jitter_margin(
     return np.asarray(samples * (float(moving.loop.sample_time) * (1.0 - 8.0 * EPS)))
 
 
-def simulate_moving(
-    loop: LoopParameters,
-    stiffness: Numbers,
-    damping: Numbers,
-    delays: Any,
-    options: dict[str, Any],
-) -> Response:
-    """Return the motion of a loop whose delays change in turn: ``HapticLoop.simulate``."""
-    _refuse_traced(stiffness, damping, *options.values())
-    loop = loop.in_floats()
-    turn = turn_of(loop, delays)
-    device = _sampled(replace(loop, delay=0.0))
-    filters = given_filters(loop.velocity, loop.position)
-    where = device.device, device.sample_time, 0.0, filters
-    return simulate_device(*where, stiffness, damping, delays=turn, **options)
-
-
 def turn_of(loop: LoopParameters, delays: Any) -> tuple[float, ...]:
     """Return delays in s, in turn, as samples of a loop; infinite for a sample that is lost."""
     given = np.asarray(delays, np.float64)
@@ -387,7 +366,8 @@ def turn_of(loop: LoopParameters, delays: Any) -> tuple[float, ...]:
     return tuple(samples.get(delay, inf) for delay in given.tolist())
 
 
-def _refuse_traced(*values: Any) -> None:
+def refuse_traced(*values: Any) -> None:
+    """Refuse gains, or what else is given beside delays, that JAX traces."""
     if is_any_traced(*values):
         raise TypeError("a value is traced; with delays give numbers, outside of jit and grad.")
 

@@ -10,10 +10,9 @@ from jaxtyping import Complex128, Float64, Int8
 from jaxstab import motion, point, ranges
 from jaxstab.arrays import Array, Numbers, is_any_traced, named, pytree
 from jaxstab.conventions import HORIZON, Excitation, Range, Verdict
-from jaxstab.loop.region import TOLERANCE, WallLimits, WallRegion, traced_region, wall_region
+from jaxstab.loop.region import TOLERANCE, WallLimits, WallRegion, wall_region
 from jaxstab.model import LoopParameters, by_name, checked_gain, require_x64
-from jaxstab.model.device import Device
-from jaxstab.model.filters import Filters, given_filters
+from jaxstab.model.filters import known_filters
 from jaxstab.numbers import checked, checked_number, checked_word
 
 if TYPE_CHECKING:
@@ -100,9 +99,6 @@ class HapticLoop(LoopParameters):
     ) -> "WallRegion | MovingRegion":
         """The set of all stable walls, in its connected parts.
 
-        A loop that JAX traces, without estimator and filter, is answered by
-        ``jaxstab.region_outline``.
-
         Args:
             tolerance: largest distance between the outline and the boundary, as a share of the
                 region's diameter, > 1e-10. Everything else is measured on the exact boundary.
@@ -115,7 +111,7 @@ class HapticLoop(LoopParameters):
 
         Raises: see ``jaxstab.conventions``; ValueError also for a delay longer than 500 samples and
         for a device with zero DC gain: the boundary is computed from 1/G(0) on. TypeError if JAX
-        traces a loop with an estimator or a filter; ``limits`` takes it.
+        traces the loop; ``limits`` and ``jaxstab.regions_of`` take it.
 
         Source: eq. (9) by the D-decomposition; see ``jaxstab.stable_region``. Lemmas J1 and J4 of
         docs/proofs.md for delays that move.
@@ -131,7 +127,10 @@ class HapticLoop(LoopParameters):
 
             return region_for_all(self, delays, lost)
         if is_any_traced(self):
-            return traced_region(self)
+            raise TypeError(
+                "the loop is traced; its region and distances to it are searched outside of jit, "
+                "vmap and grad: call limits or jaxstab.regions_of, which JAX may trace."
+            )
         return wall_region(self.in_floats(), tolerance)
 
     @overload
@@ -451,7 +450,7 @@ class HapticLoop(LoopParameters):
 
     def _reachable(self) -> WallRegion:
         region = self.region()
-        return region if is_any_traced(self) else region.main or region
+        return region.main or region
 
     def verdict(
         self,
@@ -572,16 +571,8 @@ class HapticLoop(LoopParameters):
             )
         plant = self.gamma, self.delta, self.delay_samples  # a delay that is traced may be any
         margins = ranges.margins(*self._wall(stiffness, damping), **by_name(*plant), **self.filters)
-        stiffness_unit = _beside_ends(self.stiffness(1.0))
-        damping_unit = _beside_ends(self.damping(1.0))
-        return ranges.WallMargins(
-            margins.verdict,
-            margins.stiffness * stiffness_unit,
-            margins.damping * damping_unit,
-            margins.stiffness_gain,
-            margins.damping_gain,
-            self.sample_time * margins.extra_delay,
-        )
+        units = self.stiffness(1.0), self.damping(1.0), self.sample_time
+        return ranges.in_si_units(margins, *units)
 
     def jitter_margin(self, stiffness: Numbers, damping: Numbers) -> Float64[np.ndarray, "*grid"]:
         """How far the delay of each sample may exceed the loop's own, in s, proved.
@@ -689,16 +680,16 @@ class HapticLoop(LoopParameters):
             0.069
         """
         self._refuse_tracers("settling_time")
-        options: dict[str, Any] = {"excitation": excitation, "horizon": horizon}
-        if self.body is None:
+        options: dict[str, Any] = {"level": level, "excitation": excitation, "horizon": horizon}
+        sampled = self.sampled
+        if sampled is not None:
+            filters = known_filters(self.velocity, self.position)
             samples = motion.device_settling_samples(
-                *self._device_and_filters, stiffness, damping, level, **options
+                sampled, filters, stiffness, damping, **options
             )
         else:
             alpha, beta = self._wall(stiffness, damping)
-            samples = motion.settling_samples(
-                alpha, beta, **self.slice, level=level, **options, **self.filters
-            )
+            samples = motion.settling_samples(alpha, beta, **self.slice, **options, **self.filters)
         return motion.SettlingTime(samples.value * self.sample_time, samples.status)
 
     def amplitude(
@@ -743,10 +734,12 @@ class HapticLoop(LoopParameters):
             '6.3e-06 m, 0.24 N'
         """
         self._refuse_tracers("amplitude")
-        if self.body is None:
+        sampled = self.sampled
+        if sampled is not None:
             causes = {"encoder": encoder, "force_step": force_step, "friction": friction}
+            filters = known_filters(self.velocity, self.position)
             return motion.device_amplitude(
-                *self._device_and_filters, stiffness, damping, **causes, noise=noise
+                sampled, filters, stiffness, damping, **causes, noise=noise
             )
         unit = self.mass / self.sample_time**2  # N that are 1 where 1 m is
         amplitude = motion.amplitude(
@@ -826,11 +819,10 @@ class HapticLoop(LoopParameters):
             "unilateral": unilateral,
         }
         if delays is not None:
-            from jaxstab.loop.jitter import simulate_moving
+            from jaxstab.loop.jitter import refuse_traced, turn_of
 
-            return simulate_moving(self, stiffness, damping, delays, options)
-        if self.body is None:
-            return motion.simulate_device(*self._device_and_filters, stiffness, damping, **options)
+            refuse_traced(stiffness, damping, *options.values())
+            options["delays"] = turn_of(self.in_floats(), delays)
         return motion.simulate(self, stiffness, damping, **options)
 
     def contact(
@@ -920,14 +912,6 @@ class HapticLoop(LoopParameters):
             tolerance=tolerance,
         )
 
-    @property
-    def _device_and_filters(self) -> tuple[Device, float, float, Filters | None]:
-        """Device, sampling period in s, delay in samples, estimator and filter in SI units."""
-        loop = self.in_floats()
-        assert loop.device is not None  # called only where the device is not one mass
-        filters = given_filters(loop.velocity, loop.position)
-        return loop.device, loop.sample_time, loop.delay_samples, filters
-
     def _wall(self, stiffness: Numbers, damping: Numbers) -> tuple[Array, Array]:
         require_x64(stiffness, damping)
         alpha = self.alpha(checked_gain("stiffness", stiffness))
@@ -940,8 +924,3 @@ class HapticLoop(LoopParameters):
                 f"{method} takes no loop that JAX traces: give one of concrete numbers, made "
                 "outside of jit, vmap and grad."
             )
-
-
-def _beside_ends(unit: Any) -> Any:
-    """Return a factor for pairs of limits: factors of many loops get the axis of the pairs."""
-    return unit[..., None] if np.ndim(unit) else unit

@@ -151,8 +151,8 @@ def limits_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> Many
     limits = _no_limits(len(many))
     for members, (extremes, _) in resolved(many):
         _write_limits(limits, members, extremes.walls, _units(many, members))
-    for number in np.flatnonzero(limits.is_single).tolist():
-        _write_single(limits, number, many[number].limits())
+    for index in np.flatnonzero(limits.is_single).tolist():
+        _write_single(limits, index, many[index].limits())
     return _in_shape(limits, shape)
 
 
@@ -213,10 +213,10 @@ def regions_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> Man
     for members, (extremes, outline) in resolved(many, outlines=True):
         _write_limits(limits, members, extremes.walls, _units(many, members))
         vertices[members], area[members] = outline.vertices, outline.area
-    for number in np.flatnonzero(limits.is_single).tolist():
-        region = many[number].region()
-        _write_single(limits, number, region.limits())
-        vertices[number], _, area[number] = outline_of(region)
+    for index in np.flatnonzero(limits.is_single).tolist():
+        region = many[index].region()
+        _write_single(limits, index, region.limits())
+        vertices[index], _, area[index] = outline_of(region)
     units = _units(many, np.arange(len(many)))
     regions = ManyRegions(vertices * units[:, None], area * units.prod(axis=1), limits)
     return _regions_in_shape(regions, shape)
@@ -274,9 +274,9 @@ def _write_limits(limits: ManyLimits, members: Indices, walls: Walls, units: Uni
     limits.is_reachable[members], limits.is_single[members] = True, False
 
 
-def _write_single(limits: ManyLimits, number: int, own: "WallLimits") -> None:
+def _write_single(limits: ManyLimits, index: int, own: "WallLimits") -> None:
     for column, value in zip(limits, own[:6], strict=False):
-        column[number] = value
+        column[index] = value
 
 
 def _in_shape(limits: ManyLimits, shape: tuple[int, ...]) -> ManyLimits:
@@ -292,11 +292,8 @@ def _varied(loops: Any, fields: dict[str, Any]) -> tuple[list[Any], tuple[int, .
     """Return the loops, and the shape of their answers."""
     if isinstance(loops, LoopParameters):
         shape = np.broadcast_shapes(*map(np.shape, fields.values()))
-        xps = map(namespace, fields.values())
-        columns = (
-            list(xp.broadcast_to(value, shape).ravel())
-            for xp, value in zip(xps, fields.values(), strict=True)
-        )
+        arrays = (namespace(x).broadcast_to(x, shape).ravel() for x in fields.values())
+        columns = (x.tolist() if isinstance(x, np.ndarray) else list(x) for x in arrays)
         rows = zip(*columns, strict=True) if fields else [()]
         return [replace(loops, **dict(zip(fields, row, strict=True))) for row in rows], shape
     if not isinstance(loops, Iterable):
@@ -323,14 +320,14 @@ def resolved(
         for _ in range(_SCANS):
             if len(triples.angles) < _FEWEST_COMPILED:
                 break
-            members = np.concatenate([one.members for one in formed])
+            members = np.concatenate([group.members for group in formed])
             missed = np.full((len(members), 2), np.nan)
-            for part, answer in _answers(triples, outlines):
-                is_open = answer[0].failures[: part.size] != 0
-                missed[part[is_open]] = answer[0].missed[: part.size][is_open]
+            for indices, answer in _answers(triples, outlines):
+                is_open = answer[0].failures[: indices.size] != 0
+                missed[indices[is_open]] = answer[0].missed[: indices.size][is_open]
                 own = np.flatnonzero(~is_open)
                 if own.size:
-                    yield members[part[own]], take(answer, own)
+                    yield members[indices[own]], take(answer, own)
             formed, triples = _rescanned(formed, triples, missed)
 
 
@@ -343,9 +340,9 @@ def _answers(triples: "Triples", outlines: bool) -> "Iterator[tuple[Indices, Any
     def solved(indices: Indices) -> Any:
         return in_float64(components, take(triples, indices))
 
-    parts = list(lists(np.arange(len(triples.angles)), _AT_ONCE))
-    answers = on_cores(solved, [indices for _, indices in parts])
-    yield from zip((part for part, _ in parts), answers, strict=True)
+    padded = list(lists(np.arange(len(triples.angles)), _AT_ONCE))
+    answers = on_cores(solved, [indices for _, indices in padded])
+    yield from zip((members for members, _ in padded), answers, strict=True)
 
 
 class _Formed(NamedTuple):
@@ -365,11 +362,11 @@ def _groups(many: "list[HapticLoop]") -> Iterator[tuple[list[_Formed], "Triples"
     """
     waiting: dict[int, list[_Formed]] = {degree: [] for degree in _DEGREES}
     is_compiled = dict.fromkeys(_DEGREES, False)
-    for one in _formed(many):
-        degree = _filled_degree(one)
+    for group in _formed(many):
+        degree = _filled_degree(group)
         if degree is None:
             continue
-        waiting[degree].append(one)
+        waiting[degree].append(group)
         if _count(waiting[degree]) >= _FORMED:
             yield waiting[degree], _triples(waiting[degree], degree)
             waiting[degree], is_compiled[degree] = [], True
@@ -382,7 +379,7 @@ def _groups(many: "list[HapticLoop]") -> Iterator[tuple[list[_Formed], "Triples"
 
 
 def _count(formed: list[_Formed]) -> int:
-    return sum(len(one.members) for one in formed)
+    return sum(len(group.members) for group in formed)
 
 
 def _rescanned(
@@ -395,15 +392,15 @@ def _rescanned(
     degree = triples.straight.shape[-1] - 1
     again, chosen, scans, start = [], [np.empty(0, int)], [triples.angles[:0]], 0
     more = np.stack(np.broadcast_arrays(missed, _MISSED), axis=-1)
-    for one in formed:
-        own = np.flatnonzero(np.isfinite(missed[start : start + len(one.members), 0]))
-        roots = np.broadcast_to(one.roots, (len(one.members), *one.roots.shape[1:]))[own]
+    for group in formed:
+        own = np.flatnonzero(np.isfinite(missed[start : start + len(group.members), 0]))
+        roots = np.broadcast_to(group.roots, (len(group.members), *group.roots.shape[1:]))[own]
         roots = np.concatenate([roots, more[start + own]], axis=1)
-        if own.size and len(one.poles) + roots.shape[1] <= degree + 2:
-            again.append(one._replace(members=one.members[own], roots=roots))
+        if own.size and len(group.poles) + roots.shape[1] <= degree + 2:
+            again.append(group._replace(members=group.members[own], roots=roots))
             chosen.append(start + own)
             scans.append(_scans(again[-1], degree))
-        start += len(one.members)
+        start += len(group.members)
     return again, take(triples, np.concatenate(chosen))._replace(angles=np.concatenate(scans))
 
 
@@ -413,8 +410,8 @@ def _formed(many: "list[HapticLoop]") -> Iterator[_Formed]:
     Those with filters that leave float64 few digits are left out.
     """
     groups = alike(map(_kind, many))
-    parts = (group[k : k + _FORMED] for group in groups for k in range(0, len(group), _FORMED))
-    for members in parts:
+    blocks = (group[k : k + _FORMED] for group in groups for k in range(0, len(group), _FORMED))
+    for members in blocks:
         first = many[members[0]]
         sampled = first.sampled
         if sampled is not None:
@@ -423,16 +420,16 @@ def _formed(many: "list[HapticLoop]") -> Iterator[_Formed]:
         else:
             velocity, position = given_filters(**first.filters) or (Velocity(), Filter())
             transfers = velocity.filter.transfer(), position.transfer()
-            plants = [many[number].slice.values() for number in members]
+            plants = [many[index].slice.values() for index in members]
             gamma, delta, delay = np.array([list(plant) for plant in plants]).T
             whole = int(delay[0])
             fraction = 0.0 if delay[0] == whole else delay - whole
             linear = filtered_loop(gamma, delta, whole, fraction, (velocity, position))
             roots = _resonances(gamma, delta)
-        known = of_filters(*transfers)
-        if known.condition < _ILL_CONDITIONED:
+        response = of_filters(*transfers)
+        if response.condition < _ILL_CONDITIONED:
             own, ends = _parts(linear, len(members)), _ends(linear, len(members))
-            yield _Formed(np.array(members), own, ends, np.sort(known.real_angles), roots)
+            yield _Formed(np.array(members), own, ends, np.sort(response.real_angles), roots)
 
 
 def _kind(loop: "HapticLoop") -> Hashable:
@@ -460,9 +457,9 @@ def _filled_degree(formed: _Formed) -> int | None:
 def _triples(formed: list[_Formed], degree: int) -> "Triples":
     from jaxstab.region.batch import Triples
 
-    straight = _joined([one.parts for one in formed], degree)
-    ends = np.concatenate([one.ends for one in formed])
-    scans = [_scans(one, degree) for one in formed]
+    straight = _joined([group.parts for group in formed], degree)
+    ends = np.concatenate([group.ends for group in formed])
+    scans = [_scans(group, degree) for group in formed]
     shifted, rounded = _shifted(straight), straight.rounded()
     powers = _STEPS ** np.arange(degree, -1, -1)[:, None]
     is_less = abs(shifted) @ powers < np.sum(abs(rounded), axis=-1)[..., None]
@@ -474,27 +471,27 @@ def _parts(loop: LinearLoop, count: int) -> DoubleDouble:
     """Return the coefficients (loop, part, power) of a number of loops that are formed together."""
     shape = (3, loop.degree + 1, count)
     high, low = np.empty(shape), np.empty(shape)
-    for number, part in enumerate(loop[:3]):
-        for power, coefficient in enumerate(part):
-            high[number, power], low[number, power] = coefficient.hi, coefficient.lo
+    for row, polynomial in enumerate(loop[:3]):
+        for power, coefficient in enumerate(polynomial):
+            high[row, power], low[row, power] = coefficient.hi, coefficient.lo
     return DoubleDouble(np.moveaxis(high, 2, 0), np.moveaxis(low, 2, 0))
 
 
-def _joined(parts: list[DoubleDouble], degree: int) -> DoubleDouble:
+def _joined(groups: list[DoubleDouble], degree: int) -> DoubleDouble:
     """Join coefficients, each p(z) times a power of z that makes it one of the given degree."""
-    shape = (sum(len(part.hi) for part in parts), 3, degree + 1)
+    shape = (sum(len(group.hi) for group in groups), 3, degree + 1)
     high, low, start = np.zeros(shape), np.zeros(shape), 0
-    for part in parts:
-        count, _, powers = part.hi.shape
+    for group in groups:
+        count, _, powers = group.hi.shape
         own = np.s_[start : start + count, :, :powers]
-        high[own], low[own] = part.hi, part.lo
+        high[own], low[own] = group.hi, group.lo
         start += count
     return DoubleDouble(high, low)
 
 
 def _ends(loop: LinearLoop, count: int) -> Float64[np.ndarray, "loop 2 3"]:
     values = [
-        [np.broadcast_to(part.value.rounded(), count) for part in end]
+        [np.broadcast_to(term.value.rounded(), count) for term in end]
         for end in (loop.at_one, loop.at_minus_one)
     ]
     return np.moveaxis(np.array(values), 2, 0)

@@ -1,8 +1,9 @@
 """The stable walls of a loop in SI units: its stable region, scaled to N/m and N s/m."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -11,7 +12,7 @@ from jaxstab.arrays import Array, Numbers, are_numbers, float_arrays, is_jax
 from jaxstab.model import LoopParameters, checked_gain, require_x64
 from jaxstab.model.filters import given_filters
 from jaxstab.numbers import without_noise
-from jaxstab.region import RegionStatus, StableRegion, measures, region_outline, stable_region
+from jaxstab.region import RegionStatus, StableRegion, measures, stable_region
 from jaxstab.region.region import linear_region
 from jaxstab.region.stable_set import GainNames, ShownRegion, limits_text
 
@@ -87,7 +88,7 @@ class WallRegion(ShownRegion):
     """The stable walls of a loop: its exact stable region, in N/m and N s/m.
 
     ``HapticLoop.region`` makes one. Every number is NaN where no wall is stable, and where the
-    region is UNRESOLVED. JAX arrays in give JAX arrays out.
+    region is UNRESOLVED. JAX arrays in give JAX arrays out, computed on the host.
 
     Attributes:
         loop: the loop.
@@ -137,7 +138,7 @@ class WallRegion(ShownRegion):
     @property
     def status(self) -> RegionStatus:
         """The status of the region."""
-        return RegionStatus(int(self.region.status))
+        return self.region.status
 
     @property
     def is_empty(self) -> bool:
@@ -174,7 +175,7 @@ class WallRegion(ShownRegion):
     @property
     def extremes(self) -> tuple[Gains, Gains]:
         """The stiffest and the most damped wall; if none has K >= 0 and B >= 0, of all walls."""
-        if is_jax(self.region.status) or not np.isnan(self.stiffest.stiffness):
+        if not np.isnan(self.stiffest.stiffness):
             return self._quadrant
         return self._gains(self.region.max_alpha), self._gains(self.region.max_beta)
 
@@ -219,9 +220,8 @@ class WallRegion(ShownRegion):
         NaN where none is stable. Of several intervals the one that reaches farthest is given.
         """
         require_x64(damping)
-        (rows,) = float_arrays(self.loop.beta(checked_gain("damping", damping)))
-        limits = self.loop.stiffness(self._last_interval(rows, axis=1))
-        return limits if is_jax(limits) else without_noise(limits, self.extent.stiffness)
+        rows = self.loop.beta(checked_gain("damping", damping))
+        return self._last_interval(rows, self.loop.stiffness, axis=1)
 
     def damping_limits(self, stiffness: Numbers) -> Float64[Array, "*grid 2"]:
         """Return the smallest and the largest stable B at stiffnesses K in N/m.
@@ -229,9 +229,8 @@ class WallRegion(ShownRegion):
         NaN where none is stable. Of several intervals the one that reaches farthest is given.
         """
         require_x64(stiffness)
-        (columns,) = float_arrays(self.loop.alpha(checked_gain("stiffness", stiffness)))
-        limits = self.loop.damping(self._last_interval(columns, axis=0))
-        return limits if is_jax(limits) else without_noise(limits, self.extent.damping)
+        columns = self.loop.alpha(checked_gain("stiffness", stiffness))
+        return self._last_interval(columns, self.loop.damping, axis=0)
 
     def stiffness_intervals(
         self, damping: Float64[np.ndarray, " row"]
@@ -267,10 +266,8 @@ class WallRegion(ShownRegion):
         alpha = self.loop.alpha(checked_gain("stiffness", stiffness))
         return alpha, self.loop.beta(checked_gain("damping", damping))
 
-    def _gains(self, point: Numbers) -> Gains:
-        if is_jax(point):
-            return Gains(self.loop.stiffness(point[0]), self.loop.damping(point[1]))
-        exact = self.in_si_units(np.asarray(point))
+    def _gains(self, point: Float64[np.ndarray, "2"]) -> Gains:
+        exact = self.in_si_units(point)
         return Gains(
             *(float(without_noise(*pair)) for pair in zip(exact, self.extent, strict=True))
         )
@@ -281,11 +278,11 @@ class WallRegion(ShownRegion):
         count = ends.shape[1] // 2  # lines that meet nothing have one column of NaN
         return ends[:, : 2 * count].reshape(len(values), count, 2)
 
-    def _last_interval(self, values: Array, axis: int) -> Array:
-        region = self.region
-        return measures.limits(
-            region.coefficients, region.outline, values, axis=axis, outermost=False
-        )
+    def _last_interval(self, gains: Numbers, in_units: Callable[[Any], Any], axis: int) -> Array:
+        region, (values,) = self.region, float_arrays(gains)
+        curve = region.coefficients, region.outline
+        limits = in_units(measures.limits(*curve, values, axis=axis, outermost=False))
+        return limits if is_jax(limits) else without_noise(limits, self.extent[1 - axis])
 
 
 def _limits_of(stiffest: Gains, damped: Gains, status: RegionStatus) -> WallLimits:
@@ -302,13 +299,3 @@ def wall_region(loop: LoopParameters, tolerance: float) -> WallRegion:
         transfers = sampled.transfers(given_filters(loop.velocity, loop.position))
         region = linear_region(sampled.plant, *transfers, tolerance)
     return WallRegion(loop, region)
-
-
-def traced_region(loop: LoopParameters) -> WallRegion:
-    """Return the walls of a traced loop in arrays of fixed sizes; TypeError with a filter."""
-    if given_filters(**loop.filters):
-        raise TypeError(
-            "the region of a loop with an estimator or a filter is searched outside of JAX: call "
-            "limits, which JAX may trace, or make the loop of concrete numbers."
-        )
-    return WallRegion(loop, region_outline(**loop.slice))

@@ -19,7 +19,7 @@ from jaxstab.tuning.gains import (
     smallest_radius_around,
     smallest_radius_damping,
 )
-from jaxstab.tuning.loops import DeviceLoop, MassLoop, TunedLoop
+from jaxstab.tuning.loops import TunedLoop, device_loop, mass_loop
 
 if TYPE_CHECKING:
     from jaxstab.loop.loop import HapticLoop
@@ -135,7 +135,7 @@ def optimal_wall(
         return np.asarray(tuned.spectral_radius(alphas, betas).value)
 
     def settling(alphas: Numbers, betas: Numbers) -> np.ndarray:
-        return np.asarray(tuned.settling(alphas, betas, level, excitation).value)
+        return np.asarray(tuned.settling(alphas, betas, level=level, excitation=excitation).value)
 
     reached = np.nan if chatter is None else float(chatter.amplitudes(loop, *wall))
     is_stable = status != TuningStatus.NO_STABLE_GAINS
@@ -160,9 +160,9 @@ def _tuned(loop: LoopParameters) -> TunedLoop:
     loop = loop.in_floats()
     sampled = loop.sampled
     if sampled is not None:
-        return DeviceLoop.from_device(sampled, given_filters(loop.velocity, loop.position))
+        return device_loop(sampled, given_filters(loop.velocity, loop.position))
     gamma, delta, delay = loop.slice.values()
-    return MassLoop.from_plant((gamma, delta, delay), given_filters(**loop.filters))
+    return mass_loop(gamma, delta, delay, given_filters(**loop.filters))
 
 
 def checked_chatter(encoder: float | None, limit: float | None) -> Chatter | None:

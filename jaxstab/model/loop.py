@@ -8,7 +8,15 @@ from typing import Any, ClassVar, NamedTuple, ParamSpec, TypedDict, TypeVar
 
 import numpy as np
 
-from jaxstab.arrays import Numbers, constant, is_any_traced, is_jax, is_traced, leaves, namespace
+from jaxstab.arrays import (
+    Numbers,
+    constant,
+    is_any_jax,
+    is_any_traced,
+    is_jax,
+    is_traced,
+    namespace,
+)
 from jaxstab.model.device import Device, Hand, SampledDevice, sampled_device
 from jaxstab.model.filters import Average, Filter, Velocity, given_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
@@ -177,13 +185,13 @@ class LoopParameters:
 
     def in_floats(self) -> "LoopParameters":
         """The loop in plain numbers; TypeError if JAX traces it."""
+        if not is_any_jax(self):
+            return self
         if is_any_traced(self):
             raise TypeError(
                 "the loop is traced; give one of concrete numbers, made outside of jit, vmap and "
                 "grad."
             )
-        if not any(map(is_jax, leaves(self))):
-            return self
         import jax
 
         return jax.tree.map(float, self)

@@ -33,6 +33,12 @@ def checked_gain(name: str, value: Numbers) -> Numbers:
     return checked(name, value, -GAIN_LIMIT, GAIN_LIMIT)
 
 
+def wall_grid(**gains: Numbers) -> Float64[np.ndarray, "*grid 2"]:
+    """Both gains of walls, by their names, on the grid to which they broadcast; never traced."""
+    values = (np.asarray(checked_gain(name, gain), np.float64) for name, gain in gains.items())
+    return np.stack(np.broadcast_arrays(*values), axis=-1)
+
+
 def checked_gamma(gamma: Numbers) -> Numbers:
     """Return gamma; raise ValueError for a concrete one outside [0, 1e4]."""
     return checked("gamma", gamma, 0.0, GAMMA_LIMIT)

@@ -8,7 +8,6 @@ from .response import Response as Response
 from .response import dominant_mode as dominant_mode
 from .response import mode_of as mode_of
 from .response import simulate as simulate
-from .response import simulate_device as simulate_device
 from .settling import Settling as Settling
 from .settling import SettlingStatus as SettlingStatus
 from .settling import SettlingTime as SettlingTime

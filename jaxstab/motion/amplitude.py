@@ -19,7 +19,7 @@ from jaxstab.arrays import Array, Numbers, float_arrays, is_traced, named, names
 from jaxstab.batches import alike, on_host
 from jaxstab.conventions import Status
 from jaxstab.model import checked_delay, checked_gain, require_x64
-from jaxstab.model.device import Device
+from jaxstab.model.device import Device, SampledDevice
 from jaxstab.model.device.mechanics import Between, between_samples, mechanics
 from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
 from jaxstab.model.parameters import checked_delta, checked_gamma
@@ -417,9 +417,7 @@ def _answered(
 
 
 def device_amplitude(
-    device: Device,
-    sample_time: float,
-    delay: float,
+    device: SampledDevice,
     filters: Filters | None,
     stiffness: Numbers,
     damping: Numbers,
@@ -431,14 +429,15 @@ def device_amplitude(
 ) -> WallAmplitude:
     """Bound what disturbances do to a general device, in SI units; see ``HapticLoop.amplitude``.
 
-    ``delay`` is in samples. Friction acts at the handle, behind the actuators; an amplifier's steps
-    come before them. ValueError also if the device has zero DC gain.
+    Friction acts at the handle, behind the actuators; an amplifier's steps come before them.
+    ValueError also if the device has zero DC gain.
     """
     require_x64(stiffness, damping)
     sizes = _checked_disturbances(encoder, force_step, friction, noise)
     gains = float_arrays(checked_gain("stiffness", stiffness), checked_gain("damping", damping))
-    bank = bank_for(filters, sample_time)
-    plant, causes = _Plant.from_device(device, sample_time, delay, bank), _causes(sizes)
+    sample_time = device.sample_time
+    bank, causes = bank_for(filters, sample_time), _causes(sizes)
+    plant = _Plant.from_device(device.device, sample_time, device.delay, bank)
 
     def search(stiffness: np.ndarray, damping: np.ndarray) -> tuple[Bounds, Bounds, Bounds]:
         bounds = plant.bounds(np.ravel(stiffness), np.ravel(damping) / sample_time, causes)

@@ -41,7 +41,7 @@ from jaxstab.batches import compiled
 from jaxstab.conventions import Status
 from jaxstab.model import LoopParameters, by_name, checked_gain, plant_transition, require_x64
 from jaxstab.model.device import Device
-from jaxstab.model.device.mechanics import Mechanics, mechanics
+from jaxstab.model.device.mechanics import Mechanics, Starts, mechanics
 from jaxstab.model.device.periodic import Segments, segments_of
 from jaxstab.model.filters import Filter, Filters, Polynomial, Transfer, Velocity, given_filters
 from jaxstab.motion.contraction import Matrices, Systems
@@ -357,93 +357,50 @@ def simulate(
     initial_position: Numbers = 0.0,
     between: int = 0,
     unilateral: bool = False,
-) -> Response:
-    """Simulate a device, held by a hand, against a virtual wall: ``HapticLoop.simulate``."""
-    require_x64(stiffness, damping, force, initial_velocity, initial_position)
-    checked_count("samples", samples, 1)
-    checked_count("between", between, 0)
-    period = loop.sample_time
-    values = float_arrays(
-        loop.alpha(checked_gain("stiffness", stiffness)),
-        loop.beta(checked_gain("damping", damping)),
-        checked("force", force) * (period**2 / loop.mass),
-        checked("initial_position", initial_position),
-        checked("initial_velocity", initial_velocity) * period,
-    )
-    _require_excitation(*values[2:])
-    filters = given_filters(**loop.filters)
-    whole, fraction = divmod(loop.delay_samples, 1.0)
-    offsets = np.arange(between + 2) / (between + 1)
-    *walls, position, velocity = namespace(values).broadcast_arrays(*values)
-    propagate = propagator(loop.gamma, loop.delta, fraction, offsets)
-    x, v, f = _simulate(
-        walls,
-        [position, velocity],
-        propagate[-1],
-        propagate[:-1],
-        offsets[:-1] < fraction,
-        None if filters is None else Controller.from_filters(filters),
-        samples=samples,
-        whole_delay=int(whole),
-        unilateral=unilateral,
-    )
-    time = np.arange(x.shape[-1]) * (period / (between + 1))
-    return Response(float_arrays(time, x)[0], x, v / period, f * (loop.mass / period**2))
-
-
-def simulate_device(
-    device: Device,
-    sample_time: float,
-    delay: float,
-    filters: Filters | None,
-    stiffness: Numbers,
-    damping: Numbers,
-    *,
-    samples: int = 200,
-    force: Numbers = 0.0,
-    initial_velocity: Numbers = 0.0,
-    initial_position: Numbers = 0.0,
-    between: int = 0,
-    unilateral: bool = False,
     delays: tuple[float, ...] | None = None,
 ) -> Response:
-    """Simulate a general device against a virtual wall; see ``HapticLoop.simulate``.
+    """Simulate a device, held by a hand, against a virtual wall: ``HapticLoop.simulate``.
 
-    ``delay`` is in samples, and so are ``delays``, which take its place in turn. The hand's force
-    pulls at the handle, behind the actuators. A device with an initial velocity was thrown by a
-    blow at the handle; one with an initial position was at rest there, its actuators without force.
-    ValueError also if a blow cannot throw the device, or it has zero DC gain.
+    ``delays`` are in samples and take the place of the loop's in turn. The hand's force pulls at
+    the handle, behind the actuators. A device with an initial velocity was thrown by a blow at the
+    handle; one with an initial position was at rest there, its actuators without force. ValueError
+    also if a blow cannot throw the device, or it has zero DC gain.
     """
     require_x64(stiffness, damping, force, initial_velocity, initial_position)
     checked_count("samples", samples, 1)
     checked_count("between", between, 0)
+    is_mass = loop.body is not None and delays is None
+    loop = loop if is_mass else loop.in_floats()
+    period = loop.sample_time
+    stiffness, damping = checked_gain("stiffness", stiffness), checked_gain("damping", damping)
+    walls = (
+        (loop.alpha(stiffness), loop.beta(damping)) if is_mass else (stiffness, damping / period)
+    )
+    per_newton = period**2 / loop.mass if is_mass else 1.0
     values = float_arrays(
-        checked_gain("stiffness", stiffness),
-        checked_gain("damping", damping) / sample_time,
-        checked("force", force),
+        *walls,
+        checked("force", force) * per_newton,
         checked("initial_position", initial_position),
-        checked("initial_velocity", initial_velocity) * sample_time,
+        checked("initial_velocity", initial_velocity) * period,
     )
     _require_excitation(*values[2:])
-    whole, fraction = divmod(delay, 1.0)
+    whole, fraction = divmod(loop.delay_samples if delays is None else 0.0, 1.0)
     offsets = np.arange(between + 2) / (between + 1)
-    moves = mechanics(device, sample_time, fraction, tuple(offsets.tolist()))
-    *walls, position, velocity = namespace(values).broadcast_arrays(*values)
-    start = [entry * position for entry in moves.at_rest]
-    if is_traced(velocity) or np.any(velocity):
-        if moves.thrown is None:
-            raise ValueError(
-                "initial_velocity is given, but a blow does not throw this device: its compliance "
-                "has not two degrees more in the denominator; give force or initial_position."
-            )
-        start = [entry + k * velocity for entry, k in zip(start, moves.thrown, strict=True)]
-    controller = None if filters is None else Controller.from_filters(filters, sample_time)
+    *causes, position, velocity = namespace(values).broadcast_arrays(*values)
+    filters = given_filters(**loop.filters)
+    controller = None if filters is None else Controller.from_filters(filters)
+    if is_mass:
+        rows = seen = propagator(loop.gamma, loop.delta, fraction, offsets)
+        start = [position, velocity]
+    else:
+        moves = mechanics(loop.held_device, period, fraction, tuple(offsets.tolist()))
+        rows, seen, start = moves.rows, moves.seen, _states(moves, position, velocity)
     if delays is None:
         x, v, f = _simulate(
-            walls,
+            causes,
             start,
-            moves.rows[-1],
-            moves.seen[:-1],
+            rows[-1],
+            seen[:-1],
             offsets[:-1] < fraction,
             controller,
             samples=samples,
@@ -451,11 +408,25 @@ def simulate_device(
             unilateral=unilateral,
         )
     else:
-        controller = controller or Controller.from_filters((Velocity(), Filter()), sample_time)
-        given = walls, start, device, controller, segments_of(delays), offsets.tolist()
-        x, v, f = _simulate_in_turn(*given, sample_time, samples, unilateral)
-    time = np.arange(x.shape[-1]) * (sample_time / (between + 1))
-    return Response(float_arrays(time, x)[0], x, v / sample_time, f)
+        controller = controller or Controller.from_filters((Velocity(), Filter()))
+        given = causes, start, loop.held_device, controller, segments_of(delays), offsets.tolist()
+        x, v, f = _simulate_in_turn(*given, period, samples, unilateral)
+    time = np.arange(x.shape[-1]) * (period / (between + 1))
+    unit = loop.mass / period**2 if is_mass else 1.0
+    return Response(float_arrays(time, x)[0], x, v / period, f * unit)
+
+
+def _states(moves: Mechanics, position: Array, velocity: Array) -> list[Array]:
+    """The states of a device that is at rest at a position, and then thrown."""
+    states = [entry * position for entry in moves.starts.at_rest]
+    if not is_traced(velocity) and not np.any(velocity):
+        return states
+    if moves.thrown is None:
+        raise ValueError(
+            "initial_velocity is given, but a blow does not throw this device: its compliance "
+            "has not two degrees more in the denominator; give force or initial_position."
+        )
+    return [entry + k * velocity for entry, k in zip(states, moves.thrown, strict=True)]
 
 
 def propagator(
@@ -701,48 +672,36 @@ class Loops(NamedTuple):
         return Systems(self.transition, self.start, outputs, sizes, outputs, error=0.0)
 
 
+OF_MASS = Starts(np.array([1.0, 0.0]), np.zeros(2, bool), np.array([0.0, 1.0]))
+
+"""The starts of one mass; its states are position and velocity."""
+
+
 def loops_of(
-    alpha: Lanes,
-    beta: Lanes,
-    entries: Float64[np.ndarray, "8 loop"],
-    whole_delay: int,
-    excitation: str,
-    bank: Bank = PLAIN,
-) -> Loops:
-    """Return the loops of gains and of the entries (2, 4) of their propagators."""
-    rows = np.moveaxis(entries.reshape(2, 4, -1), -1, 0)
-    step = steps_of(_wall(alpha, beta, bank), rows, bank.steps, whole_delay)
-    last = FORCE + whole_delay
-    start = np.zeros(step.shape[:2])
-    if excitation == "impact":
-        start[:, VELOCITY] = 1.0
-    else:
-        start[:, POSITION], start[:, FORCE : last + 1] = -1.0, _gain(bank) * alpha[:, None]
-        start[:, last + 1 :] = -bank.at_rest
-    return Loops(step, start[..., None])
-
-
-def device_loops(
     stiffness: Lanes,
     damping: Lanes,
-    moves: Mechanics,
+    rows: Float64[np.ndarray, "*loop state column"],
+    starts: Starts,
     whole_delay: int,
     excitation: str,
     bank: Bank = PLAIN,
 ) -> Loops:
-    """Return the loops of gains, K in N/m and B/T in N/m, at a general device, in SI units."""
-    states = len(moves.at_rest)
+    """The loops of gains K and B/T, at plants by their rows (``steps_of``), all of them alike.
+
+    One mass is taken as 1, any other device is in SI units.
+    """
+    states = len(starts.at_rest)
     acting, newest = states + 1, states + 1 + whole_delay  # of the forces
-    plant = [0, *range(2, states + 1)]
-    rows = np.broadcast_to(moves.rows[-1, :, :-1], (stiffness.size, states, states + 2))
+    plant = [POSITION, *range(VELOCITY, states + 1)]
+    rows = np.broadcast_to(rows, (stiffness.size, states, states + 2))
     step = steps_of(_wall(stiffness, damping, bank), rows, bank.steps, whole_delay)
     start = np.zeros(step.shape[:2])
     if excitation == "impact":
-        start[:, plant] = moves.blow
-        start[:, DIFFERENCE] = moves.blow[POSITION]  # where a blow moves the device at once
+        start[:, plant] = starts.blow
+        start[:, DIFFERENCE] = starts.blow[POSITION]  # where a blow moves the device at once
     else:
         wall = _gain(bank) * stiffness[:, None]  # less the force at rest
-        start[:, plant] = np.where(moves.follows, wall, -moves.at_rest)
+        start[:, plant] = np.where(starts.follows, wall, -starts.at_rest)
         start[:, acting : newest + 1] = wall
         start[:, newest + 1 :] = -bank.at_rest
     return Loops(step, start[..., None])

@@ -6,7 +6,7 @@ short that no later position leaves the tolerance (lemmas M1 and M2). One produc
 doubles the states, one squares the power; no eigenvalue is needed, and multiple roots do no harm.
 """
 
-from functools import partial
+from collections.abc import Callable
 from math import ceil, log2
 from typing import Any, NamedTuple, get_args
 
@@ -17,7 +17,7 @@ from jaxstab.arrays import Array, Numbers, float_arrays, named, namespace, take
 from jaxstab.batches import on_host
 from jaxstab.conventions import HORIZON, Excitation, Status, Verdict
 from jaxstab.model import checked_delay, checked_gain, require_x64
-from jaxstab.model.device import Device, sampled_device
+from jaxstab.model.device import SampledDevice
 from jaxstab.model.device.mechanics import mechanics
 from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
 from jaxstab.motion.contraction import (
@@ -31,12 +31,12 @@ from jaxstab.motion.contraction import (
     rounding_in,
 )
 from jaxstab.motion.response import (
-    Bank,
+    OF_MASS,
     Column,
+    Lanes,
     Loops,
     answer_text,
     bank_for,
-    device_loops,
     groups,
     loops_of,
     propagator,
@@ -211,62 +211,59 @@ def settling_samples(
     filters = given_filters(velocity, position)
     gains = float_arrays(checked_gain("alpha", alpha), checked_gain("beta", beta))
     propagate = propagator(gamma, delta, delay % 1.0, np.ones(1))[..., 0, :, :4]
-    xp = namespace(gains, propagate)
+    xp, bank = namespace(gains, propagate), bank_for(filters)
     grid = xp.broadcast_shapes(*map(np.shape, gains), propagate.shape[:-2], delay.shape)
     entries = [propagate[..., row, column] for row in (0, 1) for column in range(4)]
-    options: dict[str, Any] = {"excitation": excitation, "horizon": horizon, "level": level}
-    search = partial(_settle, bank=bank_for(filters), **options)
+
+    def loops_at(whole: int, alpha: Lanes, beta: Lanes, *entries: Lanes) -> Loops:
+        rows = np.moveaxis(np.array(entries).reshape(2, 4, -1), -1, 0)
+        return loops_of(alpha, beta, rows, OF_MASS, whole, excitation, bank)
+
+    search = _Settle(loops_at, len(bank.steps), level, horizon, excitation == "impact")
     codes = verdict(
         alpha, beta, gamma=gamma, delta=delta, delay=delay, velocity=velocity, position=position
     )
     is_unstable = xp.asarray(codes == Verdict.UNSTABLE)
     lanes = *gains, *entries, np.floor(delay), ~is_unstable
-    return _settled(on_host(search, *lanes, shape=grid, like=np.float64), is_unstable)
+    return _settled(on_host(search.samples, *lanes, shape=grid, like=np.float64), is_unstable)
 
 
 def device_settling_samples(
-    device: Device,
-    sample_time: float,
-    delay: float,
+    device: SampledDevice,
     filters: Filters | None,
     stiffness: Numbers,
     damping: Numbers,
-    level: float = 0.02,
     *,
+    level: float = 0.02,
     excitation: Excitation = "force",
     horizon: int = HORIZON,
 ) -> Settling:
     """Count the samples until a general device stays within a tolerance; ``settling_samples``.
 
-    ``delay`` is in samples, all else in SI units. The hand's force and the blow of an impact act at
-    the handle, behind the actuators. ValueError also if the device has zero DC gain.
+    All is in SI units. The hand's force and the blow of an impact act at the handle, behind the
+    actuators. ValueError also if the device has zero DC gain.
     """
     require_x64(stiffness, damping)
     level = checked_level(level, excitation)
     checked_count("horizon", horizon, 1)
     gains = float_arrays(checked_gain("stiffness", stiffness), checked_gain("damping", damping))
-    bank = bank_for(filters, sample_time)
-    sampled = sampled_device(device, sample_time, delay)
-    scales = sampled.stiffness_unit, sampled.damping_unit
+    bank = bank_for(filters, device.sample_time)
+    scales = device.stiffness_unit, device.damping_unit
     alpha, beta = (gain * scale for gain, scale in zip(gains, scales, strict=True))
-    codes = linear_verdict(alpha, beta, sampled.loop(filters))
+    codes = linear_verdict(alpha, beta, device.loop(filters))
     xp = namespace(gains)
     is_unstable = xp.asarray(codes == Verdict.UNSTABLE)
-    moves = mechanics(device, sample_time, delay % 1.0, (1.0,))
-    memory = len(moves.at_rest) - 2 + len(bank.steps)
+    moves = mechanics(device.device, device.sample_time, device.delay % 1.0, (1.0,))
 
-    def search(stiff: np.ndarray, damp: np.ndarray, is_hopeful: np.ndarray) -> np.ndarray:
-        samples = np.full(stiff.size, np.nan)
-        wholes = np.full(stiff.size, int(delay))
-        for _, members in groups(wholes, np.ravel(is_hopeful), memory, _NUMBERS // STRETCH):
-            walls = np.ravel(stiff)[members], np.ravel(damp)[members] / sample_time
-            loops = device_loops(*walls, moves, int(delay), excitation, bank)
-            samples[members] = _first_samples(loops, level, horizon, excitation == "impact")
-        return samples.reshape(stiff.shape)
+    def loops_at(whole: int, stiffness: Lanes, damping: Lanes) -> Loops:
+        rows = moves.rows[-1, :, :-1]
+        return loops_of(stiffness, damping, rows, moves.starts, whole, excitation, bank)
 
+    memory = len(moves.rows[-1]) - 2 + len(bank.steps)
+    search = _Settle(loops_at, memory, level, horizon, excitation == "impact")
+    lanes = gains[0], gains[1] / device.sample_time, np.floor(device.delay), ~is_unstable
     shape = xp.broadcast_shapes(*map(np.shape, gains))
-    samples = on_host(search, *gains, ~is_unstable, shape=shape, like=np.float64)
-    return _settled(samples, is_unstable)
+    return _settled(on_host(search.samples, *lanes, shape=shape, like=np.float64), is_unstable)
 
 
 def _settled(samples: Array, is_unstable: Array) -> Settling:
@@ -334,19 +331,27 @@ class _Search(NamedTuple):
         return RAISED_MANY * self.gain * (norm(self.motion.states[:, -1:]) + self.state_error)
 
 
-def _settle(
-    *lanes: Array, bank: Bank, level: float, excitation: str, horizon: int
-) -> Float64[np.ndarray, "*grid"]:
-    """Return the first sample since when all are inside the tolerance; NaN if none is proved."""
-    # The lanes: the gains, the entries of the propagator, the whole delay, and whether to search.
-    alpha, beta, *propagators, whole_delay, is_hopeful = (np.ravel(lane) for lane in lanes)
-    entries = np.array(propagators)
-    samples = np.full(alpha.shape, np.nan)
-    for whole, members in groups(whole_delay, is_hopeful, len(bank.steps), _NUMBERS // STRETCH):
-        gains = alpha[members], beta[members]
-        loops = loops_of(*gains, entries[:, members], whole, excitation, bank)
-        samples[members] = _first_samples(loops, level, horizon, excitation == "impact")
-    return samples.reshape(lanes[0].shape)
+class _Settle(NamedTuple):
+    """The first samples since when loops of any delays are inside the tolerance; NaN for none.
+
+    loops_at: the loops of one whole delay, from their numbers.
+    memory: the number of their states beside those of a mass without filters.
+    """
+
+    loops_at: Callable[..., Loops]
+    memory: int
+    level: float
+    horizon: int
+    is_impact: bool
+
+    def samples(self, *lanes: Array) -> Float64[np.ndarray, "*grid"]:
+        """The samples for the numbers of the loops, their whole delays, and whether to search."""
+        *numbers, whole_delay, is_hopeful = (np.ravel(lane) for lane in lanes)
+        samples = np.full(whole_delay.shape, np.nan)
+        for whole, members in groups(whole_delay, is_hopeful, self.memory, _NUMBERS // STRETCH):
+            loops = self.loops_at(whole, *(number[members] for number in numbers))
+            samples[members] = _first_samples(loops, self.level, self.horizon, self.is_impact)
+        return samples.reshape(lanes[0].shape)
 
 
 def _first_samples(

@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 from jaxstab.conventions import Verdict
 from jaxstab.guard import Guard
 from jaxstab.loop import Contact, ContactKind, HapticLoop, WallRegion
-from jaxstab.paper import passive_region
 from jaxstab.pictures.style import (
     BLACK,
     BLUE,
@@ -45,9 +44,8 @@ from jaxstab.scene.answers import Answer, Quantity, basis_of, in_words
 from jaxstab.scene.check import Check, WallCheck, check_walls
 from jaxstab.scene.contact import MAP_COUNT, Contacts, contact_loop, simulated_map, walls_around
 from jaxstab.scene.hands import WallVerdict, at_lowest, common_outline, loops_over_delays
-from jaxstab.scene.limits import LimitsOverDelays
+from jaxstab.scene.limits import LimitsOverDelays, passive_walls
 from jaxstab.scene.loops import (
-    OneHand,
     corner_loops,
     hands_of,
     is_plain,
@@ -147,8 +145,7 @@ def draw_responses(panel: Axes, scene: Scene, checked: dict[str, WallCheck]) -> 
     samples = int(np.clip(longest / period, _FEWEST, _MOST))
     panel.set_prop_cycle(color=_COLOURS)
     for name, wall in checked.items():
-        hand = wall.worst_hand
-        held = loop_of(scene, None if hand is None else OneHand(*vars(hand).values()))
+        held = loop_of(scene, wall.worst_hand)
         spring = held.device.static_stiffness() if held.device else held.hand_stiffness
         response = held.simulate(
             wall.stiffness, wall.damping, samples=samples, force=1.0, between=_MOST // samples
@@ -377,11 +374,8 @@ def _common(scene: Scene, answer: Answer | None) -> _Area:
 
 
 def _passive(scene: Scene, loop: HapticLoop) -> _Area:
-    outline = np.zeros((0, 2))
-    if is_plain(loop):  # the theorem is of one mass and one difference
-        own = loop.device_damping * loop.sample_time / loop.mass
-        corners = passive_region(delta=own, delay=loop.delay_samples).outline
-        outline = np.column_stack([loop.stiffness(corners[:, 0]), loop.damping(corners[:, 1])])
+    # The theorem is of one mass and one difference.
+    outline = passive_walls(loop) if is_plain(loop) else np.zeros((0, 2))
     largest = _LARGEST.words(np.max(outline[:, 0], initial=0.0), scene.units)
     label = f"passive: up to {largest}"
     return _Area(outline, {"facecolor": GREEN, "edgecolor": GREEN, "alpha": 0.6, "label": label})

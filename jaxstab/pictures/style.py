@@ -114,7 +114,7 @@ def draw_islands(panel: Axes, islands: Sequence[Region]) -> None:
 
 def plot_region(region: Region, ax: Axes | None = None) -> Axes:
     """Draw a region on axes, or on new ones: ``region.plot``; ValueError if it is empty."""
-    if not isinstance(region.status, int) or not region.components:
+    if not region.components:
         raise ValueError(
             f"there is nothing to draw: {region!r}; the region must be COMPLETE and not empty."
         )

@@ -30,7 +30,7 @@ from jaxstab.arrays import (
 )
 from jaxstab.batches import MANY, compiled, filled_up, in_pieces, is_on_cpu, lists, over_tiles
 from jaxstab.model import polynomial_degree
-from jaxstab.point.poles import looked_up
+from jaxstab.point.poles import Complex, looked_up
 from jaxstab.point.schur_cohn import (
     HIGHEST_COUNTED,
     SAFETY,
@@ -94,35 +94,6 @@ class Loop(NamedTuple):
             column = columns[power]
             columns[power] = wall if column is None else column + wall
         return columns
-
-
-class Complex(NamedTuple):
-    """Real and imaginary part: XLA fuses them better than complex numbers."""
-
-    re: Array
-    im: Array
-
-    def times(self, other: "Complex") -> "Complex":
-        """Return the product with another number."""
-        return Complex(
-            self.re * other.re - self.im * other.im, self.re * other.im + self.im * other.re
-        )
-
-    def scaled(self, factor: Array | float) -> "Complex":
-        """Return the product with a real number."""
-        return Complex(self.re * factor, self.im * factor)
-
-    def plus(self, other: "Complex") -> "Complex":
-        """Return the sum with another number."""
-        return Complex(self.re + other.re, self.im + other.im)
-
-    def shifted(self, number: Array | float) -> "Complex":
-        """Return the sum with a real number."""
-        return Complex(self.re + number, self.im)
-
-    def squared_modulus(self) -> Array:
-        """Return re^2 + im^2."""
-        return self.re * self.re + self.im * self.im
 
 
 @compiled(static=["degree", "doublings", "corrections"], many=0, wide=True)
@@ -220,7 +191,7 @@ def _real_power(x: Array, exponent: int) -> Array | float:
 
 
 _LOST_IN_SQUARES = 1e-150  # moduli below are flushed to zero
-SLACK = 1.0 + 1e-6  # the bounds themselves are rounded
+_SLACK = 1.0 + 1e-6  # the bounds themselves are rounded
 _BESIDE = 2.0**-20  # how far inside of the root the circle is, relative
 
 
@@ -289,7 +260,7 @@ def _distance_to_root(
     rounding = unit * (below * radius * denominator + numerator * wall) + _LOST_IN_SQUARES
     value_size = xp.sqrt(value.squared_modulus()) + rounding
     slope_size = xp.sqrt(slope.squared_modulus()) - unit * slope_terms
-    distance = (SLACK * degree) * value_size / slope_size
+    distance = (_SLACK * degree) * value_size / slope_size
     return xp.where(slope_size > 0.0, distance, xp.inf), rounding
 
 

@@ -5,10 +5,10 @@ of p(z) alone, with a loop's filters or without. A high power of the companion m
 dominant pole (``traced_radius``), or the matrix's eigenvalues do; a few steps of Newton's method
 refine it, and a proof follows that uses nothing of how it was found:
 
-- a root lies within n |p/p'| of the pole (lemma R1 of docs/proofs.md), and all others are in the
-  circle through it (lemma R2): so the spectral radius is proved;
-- the steps of Schur and Cohn down to a constant count the poles outside of the unit circle (lemma
-  R4).
+- the steps of Schur and Cohn down to a constant count the poles outside of the unit circle, and of
+  any other circle (lemma R4 of docs/proofs.md);
+- a root lies within n |p/p'| of the pole (lemma R1). If it, or it and its conjugate, are all of the
+  roots outside of a circle that is a little smaller, the spectral radius is its modulus.
 
 Results are in float32: the radius is rounded up, and so is its bound. Where two poles of nearly the
 same modulus compete, the dominant one is not known; there the radius is proved by a ladder of
@@ -34,8 +34,7 @@ from jaxstab.arrays import (
 from jaxstab.batches import MANY, compiled, over_rows
 from jaxstab.model.filters import Filter, Filters, Velocity
 from jaxstab.model.linear_loop import LinearLoop
-from jaxstab.point.dominance import SLACK, Complex
-from jaxstab.point.poles import companion_poles
+from jaxstab.point.poles import Complex, companion_poles, distance_to_root, evaluated
 from jaxstab.point.radius import dense_radius_error
 from jaxstab.point.schur_cohn import SAFETY, UNDERFLOW, loop_coefficients, rounded_loop
 from jaxstab.point.verdicts import Form, Points, Values, filtered_loops, gathered
@@ -44,7 +43,7 @@ from jaxstab.rounding import UNIT
 UNKNOWN = -1  # poles outside of the circle, where one is too close to it to tell
 _DOUBLINGS = 16  # of the power of the companion matrix, which is degree 2^16
 _LONGEST = 9  # degree up to which these doublings and the proof are compiled without loops
-_LONGEST_DIVIDED = 28  # the same for a division: unrolled code of 33 was up to 100 times slower
+_BESIDE = 2.0**-17  # how far inside of the root the circle is, relative
 _NEWTON_STEPS = 1
 _BLOCK = 2**18  # points of a part of a grid, which bound the memory
 _CLOSE = 2.0**-22  # relative distance of a pole that is resolved from its approximation
@@ -150,7 +149,7 @@ def _pole(columns: list[Array], error: Array, *, is_guessed: bool) -> Array:
         root = companion_poles(xp.stack(columns, axis=-1))[..., 0]
         z = Complex(root.real, abs(root.imag))
     for _ in range(_NEWTON_STEPS):
-        value, slope = _evaluated(columns, z)
+        value, slope = evaluated(columns, z)
         inverse = reciprocal(slope.squared_modulus())
         z = z.plus(value.times(Complex(slope.re, -slope.im)).scaled(-inverse))
     return z.re + 1j * z.im
@@ -158,132 +157,32 @@ def _pole(columns: list[Array], error: Array, *, is_guessed: bool) -> Array:
 
 def _bound(columns: list[Array], error: Array, pole: Array) -> Array:
     """Return a proved bound of | |z| - spectral radius | and of the dominant pole's distance."""
-    xp, degree = namespace(columns, error), len(columns) - 1
+    xp = namespace(columns, error)
     z = Complex(pole.real, pole.imag)
-    radius = xp.sqrt(z.squared_modulus())
-    value, slope = _evaluated(columns, z)
-    sizes, slopes = _evaluated([abs(column) for column in columns], Complex(radius, 0.0 * radius))
-    unit, most = (4.0 * degree + 10.0) * UNIT, error * xp.maximum(radius, 1.0) ** degree
-    nearest = xp.sqrt(value.squared_modulus()) + unit * sizes.re + most + UNDERFLOW**0.5
-    steep = xp.sqrt(slope.squared_modulus()) - unit * slopes.re - degree * most
-    distance = xp.where(steep > 0.0, SAFETY * degree * nearest / steep, xp.inf)
+    radius, distance = xp.sqrt(z.squared_modulus()), distance_to_root(columns, error, z)
     is_dominant = _is_dominant(columns, error, z, radius, distance)
     return xp.where(is_dominant, distance + 4.0 * UNIT * radius, xp.inf)
-
-
-def _evaluated(columns: list[Array], z: Complex) -> tuple[Complex, Complex]:
-    """Return p(z) and its derivative."""
-    value, slope = Complex(columns[0], 0.0 * z.im), Complex(0.0 * z.re, 0.0 * z.im)
-    for column in columns[1:]:
-        slope = slope.times(z).plus(value)
-        value = value.times(z).shifted(column)
-    return value, slope
 
 
 def _is_dominant(
     columns: list[Array], error: Array, z: Complex, radius: Array, distance: Array
 ) -> Array:
-    """Return True where all other poles are proved to be in the circle through the root at z."""
-    xp, degree = namespace(columns, error), len(columns) - 1
-    powers = [1.0 / radius]
-    for _ in range(degree - 1):
-        powers.append(powers[-1] * powers[0])
-    is_real = z.im == 0.0
-    scaled = [column * power for column, power in zip(columns[1:], powers, strict=True)]
-    others = _divided(scaled, z.re * powers[0], is_real)
-    moved = distance * powers[0] + 8.0 * UNIT
-    once = (2.0 * degree + 16.0) * UNIT * sum(map(abs, scaled), 1.0)
-    once = once + error * xp.maximum(1.0, powers[-1])
-    once = once + 4.0 * moved * sum(map(abs, others))
-    lost = xp.where(degree * moved < 0.5, degree * (degree + 1.0) * once, xp.inf)
-    all_inside = _all_inside if len(others) <= _LONGEST else _rolled_all_inside
-    return all_inside(others, lost) & (is_real | (z.im > distance))
+    """Return True where all poles but the root at z, and its conjugate, are proved to be smaller.
 
-
-def _divided(scaled: list[Array], cosine: Array, is_real: Array) -> list[Array]:
-    """Return p(r z) / r^n divided by its root of modulus 1, and by the conjugate of that.
-
-    ``scaled`` are its coefficients below the leading 1, highest power first, ``cosine`` is the real
-    part of the root.
+    Those outside of a circle that is a little smaller, of radius r, are counted, on p(r z) / r^n.
     """
-    # With s and q the sum and the product of both, b_j = c_j + s b_(j-1) - q b_(j-2).
-    xp = namespace(scaled, cosine)
-    total = xp.where(is_real, xp.sign(cosine), 2.0 * cosine)
-    product = xp.where(is_real, 0.0, 1.0)
-
-    def step(last: tuple[Array, Array], added: Array) -> tuple[tuple[Array, Array], Array]:
-        after = total * last[0] - product * last[1] + added
-        return (after, last[0]), after
-
-    one = xp.ones_like(cosine)
-    state, quotient = (one, 0.0 * one), [one]
-    if xp is np or len(scaled) <= _LONGEST_DIVIDED:
-        for added in scaled[:-1]:
-            state, after = step(state, added)
-            quotient.append(after)
-    else:
-        from jax import lax
-
-        quotient += list(lax.scan(step, state, xp.stack(scaled[:-1]))[1])
-    quotient[-1] = xp.where(is_real, quotient[-1], 0.0)
-    return quotient
-
-
-def _all_inside(polynomial: list[Array], error: Array) -> Array:
-    """Return True where all roots are proved to be in |z| < 1; highest power first, monic."""
-    xp = namespace(error)
-    below = above = whole = xp.ones_like(error)
-    quotients = xp.zeros_like(error)
-    is_inside = xp.isfinite(error)
-    while len(polynomial) > 1:
-        first, last = polynomial[0], polynomial[-1]
-        lowest, highest = first - abs(last), first + abs(last)
-        is_inside = is_inside & (lowest > 0.0)
-        below, above, whole = below * lowest, above * highest, whole * first
-        quotients = quotients + highest / lowest
-        pairs = zip(polynomial[1:-1], polynomial[-2:0:-1], strict=True)
-        lowered = [lowest * highest, *(first * a - last * b for a, b in pairs)]
-        scale = power_of_two_below_inverse(lowered[0])
-        polynomial = [value * scale for value in lowered]
-    return is_inside & (_lost(error, above, whole, quotients) < below)
-
-
-def _rolled_all_inside(polynomial: list[Array], error: Array) -> Array:
-    """Return the same by loops over a -> (a - k a*) / z and its reverse, zeros filling both."""
-    xp = namespace(error)
-    one, zero = xp.ones_like(error), xp.zeros_like(error)
-
-    def lower(state: tuple[Array, ...]) -> tuple[Array, ...]:
-        rows, turned, is_inside, below, above, whole, quotients = state
-        first, last = rows[0], turned[0]
-        lowest, highest = first - abs(last), first + abs(last)
-        scale = power_of_two_below_inverse(lowest * highest)
-        large, small = first * scale, last * scale
-        return (
-            xp.concatenate([(lowest * highest * scale)[None], (large * rows - small * turned)[1:]]),
-            xp.concatenate([(large * turned - small * rows)[1:], zero[None]]),
-            is_inside & (lowest > 0.0),
-            below * lowest,
-            above * highest,
-            whole * first,
-            quotients + highest / lowest,
-        )
-
-    rows = xp.stack(polynomial)
-    half = len(polynomial) // 2
-    start = rows, rows[::-1], xp.isfinite(error), one, one, one, zero
-    rows, turned, *bounds = repeat(half, lower, start)
-    # Half of the coefficients are left.
-    halves = rows[:-half], turned[:-half], *bounds
-    _, _, is_inside, below, above, whole, quotients = repeat(
-        len(polynomial) - 1 - half, lower, halves
-    )
-    return is_inside & (_lost(error, above, whole, quotients) < below)
-
-
-def _lost(error: Array, above: Array, whole: Array, quotients: Array) -> Array:
-    """Bound what the polynomial's own error and the rounding of all steps come to at the end."""
-    return SLACK * (error * whole + 8.0 * UNIT * above * quotients)
+    xp, degree = namespace(columns, error), len(columns) - 1
+    within = radius * (1.0 - _BESIDE) - distance
+    inverse = 1.0 / within
+    scaled, power = columns[:1], xp.ones_like(inverse)
+    for column in columns[1:]:
+        power = power * inverse
+        scaled = [*scaled, column * power]
+    rounding = (2.0 * degree + 2.0) * UNIT * sum(map(abs, scaled))
+    moved = SAFETY * (error * xp.maximum(1.0, power) + rounding) + UNDERFLOW
+    is_real = z.im == 0.0
+    is_alone = poles_outside(scaled, moved) == xp.where(is_real, 1, 2)
+    return is_alone & (within > 0.0) & (is_real | (z.im > distance))
 
 
 def poles_outside(columns: list[Array], error: Array) -> Array:

@@ -6,7 +6,7 @@ They serve unproved answers (mode shapes, frequencies) and starting values for p
 import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Complex128, Float64, Int64
@@ -23,6 +23,7 @@ from jaxstab.model import (
 from jaxstab.model.filters import Filter, Velocity
 from jaxstab.model.linear_loop import LinearLoop, loop_polynomial
 from jaxstab.numbers import checked_count
+from jaxstab.rounding import UNIT
 
 # Broadcast grids of points in chunks of one shape, each point at the degree of p for its delay.
 #
@@ -217,3 +218,62 @@ def _unit(coefficients: Float64[Array, "*grid coefficient"]) -> Float64[Array, "
     exponents = xp.log2(sizes) / xp.arange(1, coefficients.shape[-1])
     largest = xp.exp2(xp.floor(xp.max(exponents, axis=-1)))
     return xp.where(xp.max(sizes, axis=-1) > _HUGE, largest, 1.0)
+
+
+# A bound of the distance to the nearest root of p, by the value of p (lemma R1 of docs/proofs.md).
+
+_SAFETY = 1.001  # the bound itself is rounded
+_LEAST = 1e-130  # more than the error of a modulus whose square was flushed to zero
+
+
+class Complex(NamedTuple):
+    """Real and imaginary part: XLA fuses them better than complex numbers."""
+
+    re: Array
+    im: Array
+
+    def times(self, other: "Complex") -> "Complex":
+        """Return the product with another number."""
+        return Complex(
+            self.re * other.re - self.im * other.im, self.re * other.im + self.im * other.re
+        )
+
+    def scaled(self, factor: Array | float) -> "Complex":
+        """Return the product with a real number."""
+        return Complex(self.re * factor, self.im * factor)
+
+    def plus(self, other: "Complex") -> "Complex":
+        """Return the sum with another number."""
+        return Complex(self.re + other.re, self.im + other.im)
+
+    def shifted(self, by: Array | float) -> "Complex":
+        """Return the sum with a real number."""
+        return Complex(self.re + by, self.im)
+
+    def squared_modulus(self) -> Array:
+        """Return re^2 + im^2."""
+        return self.re * self.re + self.im * self.im
+
+
+def evaluated(columns: list[Array], z: Complex) -> tuple[Complex, Complex]:
+    """Return p(z) and its derivative; the coefficients are given with the highest power first."""
+    value, slope = Complex(columns[0], 0.0 * z.im), Complex(0.0 * z.re, 0.0 * z.im)
+    for column in columns[1:]:
+        slope = slope.times(z).plus(value)
+        value = value.times(z).shifted(column)
+    return value, slope
+
+
+def distance_to_root(columns: list[Array], error: Array, z: Complex) -> Array:
+    """Return n |p/p'|, raised by what rounding may have changed; infinite where nothing is proved.
+
+    ``error`` bounds the sum of the errors of the coefficients.
+    """
+    xp, degree = namespace(columns, error), len(columns) - 1
+    radius = xp.sqrt(z.squared_modulus())
+    value, slope = evaluated(columns, z)
+    sizes, slopes = evaluated([abs(column) for column in columns], Complex(radius, 0.0 * radius))
+    unit, most = (4.0 * degree + 10.0) * UNIT, error * xp.maximum(radius, 1.0) ** degree
+    nearest = xp.sqrt(value.squared_modulus()) + unit * sizes.re + most + _LEAST
+    steep = xp.sqrt(slope.squared_modulus()) - unit * slopes.re - degree * most
+    return xp.where(steep > 0.0, _SAFETY * degree * nearest / steep, xp.inf)

@@ -57,14 +57,13 @@ from jaxstab.numbers import checked_word
 from jaxstab.point.dominance import (
     LONGEST_DELAY,
     TOLERANCE,
-    Complex,
     Loop,
     distance_of_dominant,
     fast_radius,
     modulus,
     newton,
 )
-from jaxstab.point.poles import companion_poles, looked_up, over_grid
+from jaxstab.point.poles import Complex, companion_poles, looked_up, over_grid
 from jaxstab.point.schur_cohn import (
     SAFETY,
     UNDERFLOW,
@@ -520,15 +519,15 @@ def _believed(value: Array, error: Array, gamma: Array, delta: Array) -> Spectra
 
 def _with_status(value: Array, error: Array) -> SpectralRadius:
     xp = namespace(value, error)
-    known, unknown = np.int8(RadiusStatus.PROVED), np.int8(RadiusStatus.NO_BOUND)
-    status = named(xp.where(xp.isfinite(error), known, unknown), RadiusStatus)
+    proved, unproved = np.int8(RadiusStatus.PROVED), np.int8(RadiusStatus.NO_BOUND)
+    status = named(xp.where(xp.isfinite(error), proved, unproved), RadiusStatus)
     return SpectralRadius(value, error, status)
 
 
 # Which polynomials have all roots in a circle, in float64 and not proved: a sieve.
 
 
-def are_inside(
+def have_roots_inside(
     coefficients: Float64[np.ndarray, "coefficient *grid"], radius: Float64[np.ndarray, "..."]
 ) -> Bool[np.ndarray, "*grid"]:
     """Where all roots of monic polynomials, highest power first, seem to be within a radius.

@@ -35,7 +35,6 @@ from jaxstab.model import (
     checked_delta,
     checked_gain,
     checked_gamma,
-    companion_matrix,
     plant_pairs,
     require_x64,
 )
@@ -43,7 +42,7 @@ from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.model.parameters import whole_and_fraction
 from jaxstab.model.plant import may_cancel, pairs_error
-from jaxstab.point.poles import looked_up
+from jaxstab.point.poles import Complex, companion_poles, distance_to_root, looked_up
 from jaxstab.point.schur_cohn import (
     UNDERFLOW,
     Chain,
@@ -182,7 +181,6 @@ def _loop_float_codes(alpha: Array, beta: Array, loop: LinearLoop, *, degree: in
 
 _BATCH = 256  # polynomials at once: each takes a matrix
 _ON_CIRCLE = 1e-13  # of the sum of the coefficients' sizes
-_PER_DEGREE = 8.0  # roundings of a complex product, of the sum, and of a coefficient, and to spare
 
 
 def have_outer_root(
@@ -192,7 +190,7 @@ def have_outer_root(
 
     ``coefficients`` are monic, highest power first, each within two roundings of the true one.
     Polynomials with a root at 1 or -1 up to rounding, as on whole lines of walls, are not tried.
-    Source: Laguerre's bound for the distance to the nearest root.
+    Source: Laguerre's bound for the distance to the nearest root; lemma R1.
     """
     alternating = (-1.0) ** np.arange(coefficients.shape[-1])
     ends = np.abs(np.stack([coefficients.sum(axis=-1), coefficients @ alternating]))
@@ -208,20 +206,11 @@ def have_outer_root(
 def _has_outer_root(
     coefficients: Float64[np.ndarray, "point coefficient"],
 ) -> Bool[np.ndarray, " point"]:
-    degree = coefficients.shape[-1] - 1
-    poles = np.linalg.eigvals(companion_matrix(coefficients))
-    z = np.take_along_axis(poles, np.argmax(np.abs(poles), -1)[..., None], -1)[..., 0]
-    size = np.abs(z)
-    value, slope = np.zeros_like(z), np.zeros_like(z)
-    value_size, slope_size = np.zeros_like(size), np.zeros_like(size)
-    for coefficient in coefficients.T:
-        slope, slope_size = slope * z + value, slope_size * size + value_size
-        value, value_size = value * z + coefficient, value_size * size + np.abs(coefficient)
-    rounding = _PER_DEGREE * (degree + 1) * UNIT
-    steepness = np.abs(slope) - rounding * slope_size
-    with np.errstate(divide="ignore", invalid="ignore"):
-        half_width = degree * (np.abs(value) + rounding * value_size) / steepness
-    return (steepness > 0.0) & (size - (1.0 + rounding) * half_width > 1.0 + rounding)
+    root = companion_poles(coefficients)[:, 0]
+    z, error = Complex(root.real, root.imag), 2.0 * UNIT * np.abs(coefficients).sum(axis=-1)
+    with np.errstate(all="ignore"):
+        radius = np.sqrt(z.squared_modulus()) * (1.0 - 4.0 * UNIT)
+        return np.asarray(radius - distance_to_root([*coefficients.T], error, z) > 1.0)
 
 
 # The loop's p(z) in the form of the certified recursion, and the rounding errors of forming it.

@@ -31,6 +31,7 @@ from jaxstab.model.filters import known_filters
 from jaxstab.proofs.enclosures import (
     LinearModel,
     Moving,
+    clearances,
     conjugate,
     disc,
     on_axes_of,
@@ -188,11 +189,12 @@ class HeldDevice(NamedTuple):
         ]
 
 
-def with_parts(device: Device, mass: float, arm: Arms) -> Device:
-    """Return a device with another mass, held by another arm behind the same grip, if any."""
+def with_parts(device: Device, mass: float | None, arm: Arms) -> Device:
+    """Return a device with another mass, if given, in another arm behind the same grip, if any."""
     dynamics = MassSpringDamper(arm.mass, arm.damping, arm.stiffness)
     hands = device.hands or (Arm.mass_spring_damper(),)
-    mechanism = replace(_body_of(device), mass=mass)
+    body: Any = device.mechanism
+    mechanism = body if mass is None else replace(body, mass=mass)
     return replace(device, mechanism=mechanism, hands=(replace(hands[0], dynamics=dynamics),))
 
 
@@ -235,14 +237,7 @@ def parted(none: LinearModel, most: LinearModel) -> tuple[Bool[np.ndarray, " box
     clear = np.full(between.shape, -np.inf)
     shares = np.zeros(none.slope.shape)
     for normal in normals:
-        normal = normal / np.maximum(np.abs(normal), 1e-300)
-        far = [np.real(normal.conj() * model.centre) for model in (none, most)]
-        side = np.where(far[0] + far[1] < 0.0, -1.0, 1.0)
-        moves = [np.abs(np.real(normal.conj() * model.slope)) for model in (none, most)]
-        distances = [
-            side * distance - by.sum(axis=0) - model.rest
-            for model, distance, by in zip((none, most), far, moves, strict=True)
-        ]
+        distances, moves = clearances(normal, (none, most))
         nearest = np.minimum(*distances)
         better = nearest > clear
         clear = np.where(better, nearest, clear)

@@ -17,6 +17,7 @@ Axes are rows of the slopes, which the functions that make models name. Rounding
 the rest. In batches, real or complex. NumPy only.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import pi
@@ -217,6 +218,23 @@ class Moving:
         """Return 1/f; unbounded where f may vanish."""
         inverse = self.value.reciprocal()
         return Moving(inverse, -(self.rate * inverse * inverse))
+
+
+def clearances(normal: Floats, models: Sequence[LinearModel]) -> tuple[list[Floats], list[Floats]]:
+    """How far functions are, in all of a box, on one side of a line through 0 across a direction.
+
+    All are on one side where all distances are positive. Then how far each axis moves each model
+    along the direction.
+    """
+    normal = normal / np.maximum(np.abs(normal), 1e-300)
+    away = [np.real(normal.conj() * model.centre) for model in models]
+    side = np.where(sum(away) < 0.0, -1.0, 1.0)
+    moves = [np.abs(np.real(normal.conj() * model.slope)) * model.half for model in models]
+    distances = [
+        side * far - by.sum(axis=0) - model.rest
+        for model, far, by in zip(models, away, moves, strict=True)
+    ]
+    return distances, moves
 
 
 def variable(axis: int, axes: int, centre: Floats, half: Floats) -> LinearModel:

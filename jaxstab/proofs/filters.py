@@ -63,6 +63,17 @@ class Series:
         error += _convolved(abs(self.value), other.error + _ROUNDING * size)
         return Series(_convolved(self.value, other.value), RAISED_SERIES * error)
 
+    def mirrored(self) -> "Series":
+        """Return the conjugate of f as a function of pi less its variable."""
+        signs = np.where(np.arange(ORDERS) % 2, -1.0, 1.0)[:, None]
+        return Series(self.value.conj() * signs, self.error)
+
+    def or_better(self, other: "Series") -> "Series":
+        """Return, in each cell, the one of two series of f whose value is known better."""
+        is_better = other.error[0] < self.error[0]
+        value, error = np.where(is_better, other.value, self.value), self.error
+        return Series(value, np.where(is_better, other.error, error))
+
     def reciprocal(self) -> "Series":
         """Return 1/f; its errors are infinite where f may vanish."""
         size = abs(self.value[0])
@@ -400,8 +411,7 @@ def over_halves(chain: list[Factor], middle: Cells, half: Cells, is_wide: bool) 
     far = Circle.over(folded, half[~is_near], is_wide).product(mirrored)
     value = np.empty((ORDERS, len(middle)), complex)
     error = np.empty((ORDERS, len(middle)))
-    signs = np.where(np.arange(ORDERS) % 2, -1.0, 1.0)[:, None]
-    value[:, is_near], value[:, ~is_near] = near.value, far.value.conj() * signs
+    value[:, is_near], value[:, ~is_near] = near.value, far.mirrored().value
     error[:, is_near], error[:, ~is_near] = near.error, far.error
     return Series(value, error)
 

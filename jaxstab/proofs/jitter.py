@@ -16,6 +16,7 @@ of each: the circle is covered, not sampled.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
 from math import inf
@@ -31,9 +32,8 @@ from jaxstab.model.device.sampling import late_response
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import ONE, Filter, Filters, Polynomial, Velocity
 from jaxstab.point.verdicts import linear_verdict
-from jaxstab.proofs.enclosures import LinearModel, conjugate, phasor, variable
+from jaxstab.proofs.enclosures import LinearModel, clearances, conjugate, phasor, variable
 from jaxstab.proofs.filters import (
-    ORDERS,
     Cells,
     Circle,
     FilterCells,
@@ -55,7 +55,7 @@ _FIRST_BOXES = 64  # of half a turn
 _HALVINGS = 24
 _MOST_BOXES = 4096  # of a wall at once, beyond which it is given up
 _AT_ONCE = 1 << 16  # boxes, of all walls
-_TINY, _ROUNDING = 1e-300, 16.0 * EPS
+_ROUNDING = 16.0 * EPS
 _EVEN = np.pi * (np.arange(4096) + 0.5) / 4096
 _THETA = np.concatenate([np.geomspace(1e-6, _EVEN[0], 512), _EVEN])  # angles of a search
 _CLOSE, _SMALLEST = 1e-4, 1e-9  # of the jitter, and in samples
@@ -250,22 +250,15 @@ class OverBoxes(NamedTuple):
 @lru_cache(maxsize=_DEVICES)
 def _device_cells(device: SampledDevice, jitter: float) -> FilterCells:
     plant, late = device.plant, late_response(device, jitter)
-    shifted = plant.shifted or (None,) * 4
 
     def functions(middle: Cells, half: Cells, is_wide: bool) -> list[Series]:
         place = Place(middle, half, is_wide)
-        near = _in_cosines(middle, half, is_wide, late.about_one, late.errors[0])
         mirror = (np.pi - middle) + PI_REST
+        near = _in_cosines(middle, half, is_wide, late.about_one, late.errors[0])
         far = _in_cosines(mirror, half, is_wide, late.about_minus_one, late.errors[1])
-        signs = np.where(np.arange(ORDERS) % 2, -1.0, 1.0)[:, None]
-        is_better = near.error[0] <= far.error[0]
-        response = Series(
-            np.where(is_better, near.value, far.value * signs),
-            np.where(is_better, near.error, far.error),
-        )
-        free = place.polynomial(plant.denominator, shifted[1], shifted[3], plant.errors[1])
-        force = place.polynomial(plant.numerator, shifted[0], shifted[2], plant.errors[0])
-        return [free, force, place.chain([(_DIFFERENCE, ONE)]), response]
+        change = place.chain([(_DIFFERENCE, ONE)])
+        response = near.or_better(far.mirrored())
+        return [place.denominator(plant), place.numerator(plant), change, response]
 
     return cells_of(functions)
 
@@ -334,20 +327,15 @@ def _are_parted(
     polygon, box = chosen
     over = cells.over(box, boxes)
     late = np.sqrt(np.maximum(_real(over.response).high, 0.0))
-    pairs = [over.g(cells.gains(walls)[polygon]) for walls in np.moveaxis(corners, 1, 0)]
-    centres = [g.centre for g, _ in pairs]
-    around = [g.rest + late * (over.change * wall).size * RAISED for g, wall in pairs]
-    nearest = np.full(box.shape, -inf)
+    discs = []
+    for walls in np.moveaxis(corners, 1, 0):
+        g, wall = over.g(cells.gains(walls)[polygon])
+        discs.append(replace(g, rest=g.rest + late * (over.change * wall).size * RAISED))
+    centres = [g.centre for g in discs]
     sides = [1j * (b - a) for a, b in pairwise([*centres, centres[0]])]
+    nearest = np.full(box.shape, -inf)
     for normal in (*centres, *sides):
-        normal = normal / np.maximum(np.abs(normal), _TINY)
-        far = [np.real(np.conj(normal) * centre) for centre in centres]
-        sign = np.where(sum(far) < 0.0, -1.0, 1.0)
-        distances = [
-            sign * away - np.sum(np.abs(np.real(np.conj(normal) * g.slope)) * g.half, axis=0) - disc
-            for away, (g, _), disc in zip(far, pairs, around, strict=True)
-        ]
-        nearest = np.maximum(nearest, np.minimum.reduce(distances))
+        nearest = np.maximum(nearest, np.minimum.reduce(clearances(normal, discs)[0]))
     return nearest > _ROUNDING * np.max(np.abs(centres), axis=0)
 
 

@@ -62,12 +62,10 @@ def loop_cells(device: SampledDevice, filters: Filters | None) -> FilterCells:
     """Return D, F_K and F_B over cells of the angle."""
     plant, chains = device.plant, chains_of(device, filters)
     late = plant.lag + len(plant.denominator) - len(plant.numerator)
-    shifted = plant.shifted or (None,) * 4
 
     def functions(middle: Cells, half: Cells, is_wide: bool) -> list[Series]:
         place = Place(middle, half, is_wide)
-        free = place.denominator(plant)
-        force = place.polynomial(plant.numerator, shifted[0], shifted[2], plant.errors[0])
+        free, force = place.denominator(plant), place.numerator(plant)
         force = force * place.chain([((DoubleDouble(0.0, 0.0),) * late + ONE, ONE)])
         return [free, *(force * place.chain(chain) for chain in chains)]
 
@@ -92,38 +90,25 @@ class Place(NamedTuple):
         """Return a product of factors in 1/z."""
         return over_halves(chain, self.middle, self.half, self.is_wide)
 
+    def numerator(self, plant: SampledPlant) -> Series:
+        """Return N of a device, over its power of z."""
+        return self._polynomial(plant, 0)
+
     def denominator(self, plant: SampledPlant) -> Series:
-        """Return D of a device."""
-        shifted = plant.shifted or (None,) * 4
-        return self.polynomial(plant.denominator, shifted[1], shifted[3], plant.errors[1])
+        """Return D of a device, over its power of z."""
+        return self._polynomial(plant, 1)
 
-    def polynomial(
-        self,
-        falling: Polynomial,
-        about_one: Polynomial | None,
-        about_minus_one: Polynomial | None,
-        error: float,
-    ) -> Series:
-        """Return Q(z)/z^degree, from the coefficients that are most accurate in each cell.
-
-        ``about_one`` are those of Q(z) in powers of z - 1, ``about_minus_one`` those of Q(-z).
-        """
-        best = self.chain([(falling, ONE)])
-        if about_one is None or about_minus_one is None:
-            return spoilt(best, falling, error)
-        degree = len(falling) - 1
+    def _polynomial(self, plant: SampledPlant, which: int) -> Series:
+        """Return Q(z)/z^degree, from the coefficients that are most accurate in each cell."""
+        assert plant.shifted is not None  # those of a device are known in powers of z - 1, too
+        falling = (plant.numerator, plant.denominator)[which]
+        about_one, about_minus_one = plant.shifted[which::2]
         near = _in_steps(Circle.over(self.middle, self.half, self.is_wide), about_one)
         mirror = Circle.over((np.pi - self.middle) + PI_REST, self.half, self.is_wide)
-        far = _in_steps(mirror, about_minus_one)
-        signs = np.where(np.arange(ORDERS) % 2, -1.0, 1.0)[:, None] * (-1.0) ** degree
-        far = Series(far.value.conj() * signs, far.error)
-        for other in (near, far):
-            is_better = other.error[0] < best.error[0]
-            best = Series(
-                np.where(is_better, other.value, best.value),
-                np.where(is_better, other.error, best.error),
-            )
-        return spoilt(best, falling, error)
+        far = _in_steps(mirror, about_minus_one).mirrored()
+        far = Series(far.value * (-1.0) ** (len(falling) - 1), far.error)
+        best = self.chain([(falling, ONE)]).or_better(near).or_better(far)
+        return spoilt(best, falling, plant.errors[which])
 
 
 def _in_steps(circle: Circle, falling: Polynomial) -> Series:

@@ -7,6 +7,7 @@ from .hands import WorstHand as WorstHand
 from .hands import worst_hand as worst_hand
 from .margins import Margins as Margins
 from .margins import WallMargins as WallMargins
+from .margins import in_si_units as in_si_units
 from .margins import margins as margins
 from .robust import RobustRegion as RobustRegion
 from .robust import robust_limit as robust_limit

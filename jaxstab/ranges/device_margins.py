@@ -13,10 +13,10 @@ from jaxtyping import Bool, Float64
 
 from jaxstab.arrays import Numbers, joined
 from jaxstab.conventions import Verdict
-from jaxstab.model import checked_gain
 from jaxstab.model.device import SampledDevice
 from jaxstab.model.device.family import LoopFamily
 from jaxstab.model.filters import Filter, Filters, Velocity, known_filters
+from jaxstab.model.parameters import wall_grid
 from jaxstab.point.verdicts import linear_verdict
 from jaxstab.proofs.exclusion import FirstRoots, LineBoxes, Models, search
 from jaxstab.proofs.linear_circle import (
@@ -29,13 +29,14 @@ from jaxstab.proofs.linear_circle import (
 )
 from jaxstab.ranges.box import ParameterBox, Proof
 from jaxstab.ranges.margins import (
-    GAIN_WAYS,
-    Margins,
+    Crossings,
     WallMargins,
     along_gains,
-    factor,
+    critical_angles,
+    crossings_table,
     first_delays,
-    joined_angles,
+    in_si_units,
+    margins_of,
 )
 
 # Extra delay of a loop with any linear device: proved.
@@ -45,7 +46,6 @@ from jaxstab.ranges.margins import (
 
 Walls = Float64[np.ndarray, "wall 2"]
 
-_DELAY_ANGLES = 256  # boxes at first, for half a turn
 _COARSE = np.array([2.0**-7, 2.0**-13])  # half the size of boxes of fractions, angles / pi
 _FINE = np.array([2.0**-12, 2.0**-16])  # where the first stretch of delay was free
 _MOST_ANGLES = 4000  # such boxes of a wall at once
@@ -53,9 +53,7 @@ _MOST_PARTS = 20_000  # of a stretch of delay
 _TERMS = 3  # of the polynomials in the fraction, for each part of a piece at first
 
 
-def extra_delays(
-    device: SampledDevice, walls: Walls, filters: Filters | None
-) -> Float64[np.ndarray, " wall"]:
+def _along_delay(device: SampledDevice, walls: Walls, filters: Filters | None) -> Crossings:
     """By how many samples the delay of stable walls (alpha, beta) may at least grow.
 
     Infinite where no root reaches the circle up to ``MOST_DELAY``, and NaN for a device that is too
@@ -63,7 +61,7 @@ def extra_delays(
     """
     cells = family_cells(LoopFamily.over_delays(device, filters))
     if cells is None:
-        return np.full(len(walls), nan)
+        return Crossings(*np.full((2, len(walls)), nan))
 
     def critical(numbers: np.ndarray, is_fine: bool) -> LineBoxes:
         return _critical_angles(cells, walls, numbers, _FINE if is_fine else _COARSE)
@@ -78,7 +76,7 @@ def extra_delays(
         parts = np.bincount(angles.line, minlength=len(walls)) * len(_fractions(cells))
         return np.maximum(1.0, _MOST_PARTS / np.maximum(parts, 1))
 
-    return first_delays(len(walls), critical, roots, longest).step
+    return first_delays(len(walls), critical, roots, longest)
 
 
 def _critical_angles(
@@ -87,22 +85,13 @@ def _critical_angles(
     numbers: np.ndarray,
     smallest: Float64[np.ndarray, "2"],
 ) -> LineBoxes:
-    """The angles at which some delay may put a root of some walls on the circle."""
-
     def prove(boxes: ParameterBox) -> Proof:
         middle, half = (pi * angle for angle in boxes["angle"])
         over = delay_models(cells, walls[boxes.index].T, boxes["fraction"], (middle, half))
         return Proof(over[1] > 0.0, over[0].bends[1:].T)
 
-    middles = (np.arange(_DELAY_ANGLES) + 0.5) / _DELAY_ANGLES
     ends = _fractions(cells)
-    grid = np.meshgrid(numbers, np.arange(len(ends) - 1), middles, indexing="ij")
-    wall, part, angle = (column.ravel() for column in grid)
-    low, high = ends[part], ends[part + 1]
-    fractions, angles = (0.5 * (low + high), 0.5 * (high - low)), (angle, 0.5 / _DELAY_ANGLES)
-    boxes = ParameterBox.from_axes(wall, fraction=fractions, angle=angles)
-    most = _MOST_ANGLES * (len(ends) - 1)
-    return joined_angles(boxes.paved(prove, smallest, most_each=most).boxes)
+    return critical_angles(numbers, ends, prove, smallest, _MOST_ANGLES * (len(ends) - 1))
 
 
 def _fractions(cells: FamilyCells) -> Float64[np.ndarray, " end"]:
@@ -157,7 +146,7 @@ def device_margins(
     *,
     velocity: Velocity | None = None,
     position: Filter | None = None,
-) -> Margins:
+) -> WallMargins:
     """Margins of walls on a sampled device in SI units, one quantity changed at a time.
 
     For a device with poles far beyond the sampling rate no extra delay is proved (NaN): from about
@@ -165,26 +154,12 @@ def device_margins(
     of docs/proofs.md.
     """
     filters = known_filters(velocity, position)
-    grid = np.broadcast_arrays(
-        np.asarray(checked_gain("stiffness", stiffness), np.float64),
-        np.asarray(checked_gain("damping", damping), np.float64),
-    )
-    units = np.array([device.stiffness_unit, device.damping_unit])
-    walls = np.stack(grid, axis=-1).reshape(-1, 2) * units
-    codes = np.empty(len(walls), np.int8)
-    ends, later = np.full((len(walls), 4), nan), np.full(len(walls), nan)
-    for start in range(0, len(walls), _AT_ONCE):
-        block = slice(start, start + _AT_ONCE)
-        codes[block], ends[block] = device_ends(device, walls[block], filters)
-        stable = start + np.flatnonzero(codes[block] == Verdict.STABLE)
-        if stable.size:
-            later[stable] = extra_delays(device, walls[stable], filters)
-    shape = grid[0].shape
-    limits = [ends[:, :2] / units[0], ends[:, 2:] / units[1]]
-    stiff, damp = (limit.reshape(*shape, 2) for limit in limits)
-    factors = factor(np, stiff[..., 1], grid[0]), factor(np, damp[..., 1], grid[1])
-    extra = device.sample_time * later.reshape(shape)
-    return WallMargins(codes.reshape(shape), stiff, damp, *factors, extra)
+    units = device.stiffness_unit, device.damping_unit
+    point = wall_grid(stiffness=stiffness, damping=damping) * units
+    table = device_crossings(device, point.reshape(-1, 2), filters)
+    table = table.reshape(*point.shape[:-1], table.shape[-1])
+    margins = margins_of(point, table[..., 0], table[..., 1::2])
+    return in_si_units(margins, 1.0 / units[0], 1.0 / units[1], device.sample_time)
 
 
 def is_stable_along(
@@ -209,16 +184,11 @@ def is_stable_along(
     return proved
 
 
-def device_ends(
+def device_crossings(
     device: SampledDevice, walls: Walls, filters: Filters | None
-) -> tuple[np.ndarray, Float64[np.ndarray, "wall 4"]]:
-    """The verdicts on walls (alpha, beta) and, for stable walls, the ends of both gains."""
+) -> Float64[np.ndarray, "wall column"]:
+    """The verdicts on walls (alpha, beta), steps and angles, as ``first_crossings`` has them."""
     loop = device.loop(filters)
-    codes = np.asarray(linear_verdict(walls[:, 0], walls[:, 1], loop))
-    ends = np.full((len(walls), 4), nan)
-    stable = walls[codes == Verdict.STABLE]
-    if not len(stable):
-        return codes, ends
 
     def verdicts(gains: np.ndarray, _: np.ndarray) -> np.ndarray:
         return np.asarray(linear_verdict(gains[0], gains[1], loop))
@@ -226,11 +196,13 @@ def device_ends(
     def roots(start: np.ndarray, change: np.ndarray) -> FirstRoots:
         return _first_roots(device, GainLines(start, change), filters)
 
-    ways = along_gains(stable.T, (_FIRST_STEP, _DOUBLINGS), verdicts, roots)
-    for column, ((axis, _), (step, _)) in enumerate(zip(GAIN_WAYS, ways, strict=True)):
-        gain = stable[:, axis] + step
-        ends[codes == Verdict.STABLE, column] = gain - np.sign(step) * 2.0**-50 * np.abs(gain)
-    return codes, ends
+    def ways(stable: Walls) -> list[Crossings]:
+        gains = along_gains(stable.T, (_FIRST_STEP, _DOUBLINGS), verdicts, roots)
+        return [*gains, _along_delay(device, stable, filters)]
+
+    blocks = np.split(walls, range(_AT_ONCE, len(walls), _AT_ONCE))
+    tables = [crossings_table(block, verdicts(block.T, block), ways) for block in blocks]
+    return np.concatenate(tables)
 
 
 def _first_roots(device: SampledDevice, lines: GainLines, filters: Filters | None) -> FirstRoots:

@@ -21,7 +21,7 @@ from jaxstab.model.filters import known_filters
 from jaxstab.model.linear_loop import filtered_loop
 from jaxstab.numbers import checked_number
 from jaxstab.point import spectral_radius, verdict
-from jaxstab.point.radius import are_inside
+from jaxstab.point.radius import have_roots_inside
 from jaxstab.proofs.exclusion import Loops, exclude
 from jaxstab.proofs.plant import quick_plant
 from jaxstab.ranges.box import ParameterBox, Proof, excluded, worst_of_range
@@ -201,7 +201,7 @@ def _may_be_worst(loop: LoopParameters, plants: Plants, rows: Rows) -> Bool[np.n
     points = _points(loop, plants, inner)
     base, stiffness, damping = _rough_polynomials(loop, plants)[..., inner.plant]
     coefficients = base + points["alpha"] * stiffness + points["beta"] * damping
-    chosen[~chosen] = ~are_inside(coefficients, radius[inner.wall])
+    chosen[~chosen] = ~have_roots_inside(coefficients, radius[inner.wall])
     return chosen
 
 

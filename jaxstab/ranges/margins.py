@@ -57,7 +57,8 @@ _ANGLES_AT_ONCE = 8192  # of walls: their boxes, four for each at first, stay in
 _ANGLES, _ANGLES_PER_TURN = 16, 4  # boxes of theta at first, for half a turn of the root
 _FIRST_STEP = 2.0**-10  # of a gain, in units of the dimensionless parameters
 _DOUBLINGS, _DOUBLINGS_AT_ONCE = 48, 8
-_DELAY_ANGLES, _FRACTIONS = 32, 2  # boxes at first, for half a turn and for a sample
+_DELAY_ANGLES = 32  # boxes at first, for half a turn
+_FRACTIONS = np.array([0.0, 0.5, 1.0])  # of a sample, at which boxes end at first
 _FINER = 8  # boxes of angles where these are not free
 _COARSE = np.array([2.0**-4, 2.0**-10])  # half the size of boxes of fractions, angles / pi
 _FINE = np.array([2.0**-12, 2.0**-16])  # where the first stretch of delay was free
@@ -83,18 +84,31 @@ def first_crossings(
     ever does. The angle is that of the root which reaches the circle, in units of pi. Both are NaN
     for a wall that is not proved stable.
     """
-    table = np.full((len(walls), 1 + 2 * len(WAYS)), nan)
     counts = _angle_counts(walls)
     parts = np.linspace(0, counts.sum(), ceil(counts.sum() / _ANGLES_AT_ONCE) + 1)
     ends = np.searchsorted(np.cumsum(counts), parts[1:-1])
-    for block, rows in zip(np.split(walls, ends), np.split(table, ends), strict=True):
-        if not len(block):
-            continue
-        rows[:, 0] = _verdicts(block.T[:2], block, filters)
-        stable = rows[:, 0] == Verdict.STABLE
-        if stable.any():
-            ways = [*_along_gains(block[stable], filters), _along_delay(block[stable], filters)]
-            rows[stable, 1:] = np.stack([column for way in ways for column in way], axis=-1)
+
+    def ways(stable: Walls) -> list[Crossings]:
+        return [*_along_gains(stable, filters), _along_delay(stable, filters)]
+
+    tables = [
+        crossings_table(block, _verdicts(block.T[:2], block, filters), ways)
+        for block in np.split(walls, ends)
+    ]
+    return np.concatenate(tables)
+
+
+def crossings_table(
+    walls: Float64[np.ndarray, "wall number"],
+    codes: np.ndarray,
+    ways: Callable[[Float64[np.ndarray, "stable number"]], list[Crossings]],
+) -> Float64[np.ndarray, "wall column"]:
+    """The verdicts on walls and their crossings; ``ways`` returns those of stable walls."""
+    table = np.full((len(walls), 1 + 2 * len(WAYS)), nan)
+    table[:, 0], stable = codes, np.asarray(codes) == Verdict.STABLE
+    if stable.any():
+        columns = [column for way in ways(walls[stable]) for column in way]
+        table[stable, 1:] = np.stack(columns, axis=-1)
     return table
 
 
@@ -108,7 +122,7 @@ def _verdicts(
 def _plants(walls: Walls) -> Float64[np.ndarray, "3 *wall"]:
     """Gamma, delta and delay of walls, once if they are those of all: quicker to prove."""
     plants = walls.T[2:]
-    return plants[:, 0] if np.all(plants == plants[:, :1]) else plants
+    return plants[:, 0] if len(walls) and np.all(plants == plants[:, :1]) else plants
 
 
 def _along_gains(walls: Walls, filters: Filters | None) -> list[Crossings]:
@@ -180,8 +194,10 @@ def _along_delay(walls: Walls, filters: Filters | None) -> Crossings:
         return first_roots(Lines(start, change), _in_pieces(angles, length), filters)
 
     def critical(numbers: Int64[np.ndarray, " chosen"], is_fine: bool) -> LineBoxes:
-        return _critical_angles(walls, numbers, _FINE if is_fine else _COARSE, filters)
+        smallest = _FINE if is_fine else _COARSE
+        return critical_angles(numbers, _FRACTIONS, prove, smallest, _MOST_ANGLES)
 
+    prove = partial(_proof, walls, partial(exclude_any_delay, filters=filters))
     return first_delays(len(walls), critical, roots)
 
 
@@ -221,17 +237,27 @@ def first_delays(
     return Crossings(step, angle)
 
 
-def _critical_angles(
-    walls: Walls,
+def critical_angles(
     numbers: Int64[np.ndarray, " chosen"],
+    ends: Float64[np.ndarray, " end"],
+    prove: Callable[[ParameterBox], Proof],
     smallest: Float64[np.ndarray, "2"],
-    filters: Filters | None,
+    most: int,
 ) -> LineBoxes:
-    """The angles at which some delay may put a root of some walls on the circle."""
-    prove = partial(_proof, walls, partial(exclude_any_delay, filters=filters))
-    boxes = _angles_and_fractions(numbers)
+    """The angles at which some delay may put a root of chosen walls on the circle.
+
+    ``prove`` takes boxes of theta / pi and of fractions of the delay, between two of the ``ends``
+    each, indexed by walls; it proves that no delay does, however many whole samples are added. They
+    are halved down to the half-widths ``smallest``, up to ``most`` of them at once for a wall.
+    """
+    middles, half = (np.arange(_DELAY_ANGLES) + 0.5) / _DELAY_ANGLES, 0.5 / _DELAY_ANGLES
+    grid = np.meshgrid(numbers, np.arange(len(ends) - 1), middles, indexing="ij")
+    wall, piece, angle = (column.ravel() for column in grid)
+    low, high = ends[piece], ends[piece + 1]
+    fractions = 0.5 * (low + high), 0.5 * (high - low)
+    boxes = ParameterBox.from_axes(wall, fraction=fractions, angle=(angle, half))
     boxes = _finer_angles(boxes.select(~prove(boxes).free))
-    return joined_angles(boxes.paved(prove, smallest, most_each=_MOST_ANGLES).boxes)
+    return joined_angles(boxes.paved(prove, smallest, most_each=most).boxes)
 
 
 def joined_angles(boxes: ParameterBox) -> LineBoxes:
@@ -250,16 +276,6 @@ def joined_angles(boxes: ParameterBox) -> LineBoxes:
     ends = np.stack([low[is_start] - _TOUCHING, high[is_end] + _TOUCHING])
     whole = np.repeat([[0.0], [1.0]], is_start.sum(), axis=1)
     return LineBoxes(wall[is_start], *np.stack([whole, ends], axis=1))
-
-
-def _angles_and_fractions(numbers: Int64[np.ndarray, " chosen"]) -> ParameterBox:
-    """Boxes of the fraction of the delay and theta / pi, indexed by walls."""
-    fractions, angles = ((np.arange(n) + 0.5) / n for n in (_FRACTIONS, _DELAY_ANGLES))
-    wall, fraction, angle = (
-        column.ravel() for column in np.meshgrid(numbers, fractions, angles, indexing="ij")
-    )
-    halves = 0.5 / _FRACTIONS, 0.5 / _DELAY_ANGLES
-    return ParameterBox.from_axes(wall, fraction=(fraction, halves[0]), angle=(angle, halves[1]))
 
 
 def _finer_angles(boxes: ParameterBox) -> ParameterBox:
@@ -459,20 +475,39 @@ def margins(
         rows: Array = first_crossings(point.reshape(-1, len(values)), filters)
         table = rows.reshape(*point.shape[:-1], rows.shape[-1])
         code, steps = table[..., 0], table[..., 1::2]
-    return _margins(point, code.astype(xp.int8), steps)
+    return margins_of(point, code, steps)
 
 
-def _margins(point: Array, code: Array, steps: Array) -> Margins:
+def margins_of(point: Array, code: Array, steps: Array) -> Margins:
+    """The margins of walls, whose first numbers are alpha and beta, from steps to crossings."""
     xp = namespace(point)
     ends = [_end(xp, point[..., axis], steps[..., way]) for way, (axis, _) in enumerate(WAYS[:-1])]
     alphas, betas = xp.stack(ends[:2], axis=-1), xp.stack(ends[2:], axis=-1)
     return Margins(
-        code,
+        code.astype(xp.int8),
         alphas,
         betas,
-        factor(xp, alphas[..., 1], point[..., 0]),
-        factor(xp, betas[..., 1], point[..., 1]),
+        _factor(xp, alphas[..., 1], point[..., 0]),
+        _factor(xp, betas[..., 1], point[..., 1]),
         steps[..., -1],
+    )
+
+
+def in_si_units(
+    margins: Margins, stiffness: Numbers, damping: Numbers, sample_time: Numbers
+) -> WallMargins:
+    """Margins in units of one sample, by K in N/m and B in N s/m of alpha = 1 and beta = 1.
+
+    Those of many loops are arrays.
+    """
+    per_alpha, per_beta = (u[..., None] if np.ndim(u) else u for u in (stiffness, damping))
+    return WallMargins(
+        margins.verdict,
+        margins.stiffness * per_alpha,
+        margins.damping * per_beta,
+        margins.stiffness_gain,
+        margins.damping_gain,
+        sample_time * margins.extra_delay,
     )
 
 
@@ -482,7 +517,7 @@ def _end(xp: Any, gain: Array, step: Array) -> Array:
     return xp.where(xp.isfinite(end), end - xp.sign(step) * _ROUNDING * abs(end), end)
 
 
-def factor(xp: Any, most: Array, gain: Array) -> Array:
+def _factor(xp: Any, most: Array, gain: Array) -> Array:
     """The factor by which a gain may be multiplied; NaN where it is not known."""
     without = xp.where(xp.isnan(most), most, inf)
     is_positive = gain > 0.0

@@ -19,8 +19,9 @@ from jaxtyping import Bool, Float64, Int8, Int64
 
 from jaxstab.arrays import Numbers
 from jaxstab.conventions import Verdict
-from jaxstab.model import by_name, checked_delay, checked_delta, checked_gain, checked_gamma
+from jaxstab.model import by_name, checked_delay, checked_delta, checked_gamma
 from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords, known_filters
+from jaxstab.model.parameters import wall_grid
 from jaxstab.numbers import checked_number
 from jaxstab.point import verdict
 from jaxstab.proofs.columns import column_gaps
@@ -121,8 +122,7 @@ class RobustRegion:
         STABLE where the wall is proved stable for every hand, UNSTABLE where it is proved unstable
         for one of them, otherwise UNDECIDED. Args and Raises: see ``jaxstab.conventions``.
         """
-        gains = (checked_gain("alpha", alpha), checked_gain("beta", beta))
-        grid = np.stack(np.broadcast_arrays(*(np.asarray(g, np.float64) for g in gains)), axis=-1)
+        grid = wall_grid(alpha=alpha, beta=beta)
         walls = grid.reshape(-1, 2)
 
         def prove(likely: Int64[np.ndarray, " likely"]) -> Int8[np.ndarray, " likely"]:

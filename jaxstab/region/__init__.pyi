@@ -1,6 +1,5 @@
 from .curve import boundary_curve as boundary_curve
 from .pieces import Branch as Branch
-from .region import region_outline as region_outline
 from .region import stable_region as stable_region
 from .stable_set import RegionStatus as RegionStatus
 from .stable_set import StableRegion as StableRegion

@@ -45,7 +45,7 @@ from jaxtyping import Bool, Float64
 
 from jaxstab.arrays import Array, repeat
 from jaxstab.batches import LEAN, is_on_cpu
-from jaxstab.region.pieces import Branch, reflected
+from jaxstab.region.pieces import MARGIN, Branch
 from jaxstab.rounding import UNIT
 
 SLOTS = 6  # pieces of one loop
@@ -245,10 +245,25 @@ def _reduced(
     state = falling, falling[::-1], jnp.ones(nothing.shape, bool)
     while count > least:
         steps = min(_LOWERED, count - least)
-        falling, rising, inside = repeat(steps, reflected, state)
+        falling, rising, inside = repeat(steps, _reflected, state)
         count -= steps
         state = falling[:count], rising[:count], inside
     return state[0], state[2]
+
+
+def _reflected(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    """One step of Schur and Cohn: a polynomial, its reverse, and whether all so far are inside.
+
+    The degree falls by one; the first axis keeps its length, with noise and zeros behind.
+    """
+    falling, rising, inside = state
+    reflection = rising[0] / falling[0]
+    lower = rising - reflection * falling
+    return (
+        falling - reflection * rising,
+        jnp.concatenate([lower[1:], jnp.zeros_like(lower[:1])]),
+        inside & (abs(reflection) < 1.0 - MARGIN),
+    )
 
 
 def _bounds(loop: Triples, theta: Array) -> tuple[Array, Array, Array]:
@@ -577,26 +592,33 @@ def _outline(loop: Triples, component: _Component) -> Outline:
     _, order = lax.scan(followed, main, length=SLOTS)
     exists = jnp.arange(SLOTS) < jnp.sum(corners.exists & (label == main))
     begin, end = corners.theta[:, order]
-    share = jnp.linspace(0.0, 1.0, _FINE)[:, None]
-    fine = begin + (end - begin) * share * share * (3.0 - 2.0 * share)  # finer at both ends
-    steps = jnp.diff(_wall(loop, fine) / size[:, None, None], axis=1)
-    length = jnp.cumsum(jnp.hypot(*steps), axis=0)
-    length = jnp.concatenate([jnp.zeros((1, SLOTS)), length])
 
-    def spread(at: Array, angles: Array) -> Array:
-        return jnp.interp(jnp.linspace(0.0, at[-1], _VERTICES), at, angles)
+    def spread(ends: tuple[Array, Array]) -> tuple[Array, Array, Array]:
+        """Return angles and walls of the vertices of a piece, and twice the area that it sweeps."""
+        begin, end = ends
+        share = jnp.linspace(0.0, 1.0, _FINE)
+        fine = begin + (end - begin) * share * share * (3.0 - 2.0 * share)  # finer at both ends
+        steps = jnp.diff(_wall(loop, fine) / size[:, None], axis=1)
+        length = jnp.append(0.0, jnp.cumsum(jnp.hypot(*steps)))
+        theta = jnp.interp(jnp.linspace(0.0, length[-1], _VERTICES), length, fine).at[-1].set(end)
+        middle, half = 0.5 * (theta[1:] + theta[:-1]), 0.5 * jnp.diff(theta)
+        at_nodes, slopes = _with_slopes(loop, middle + half * _NODES[:, None])
+        return theta, _wall(loop, theta), jnp.sum(half * (_WEIGHTS @ cross(at_nodes, slopes)))
 
-    theta = jax.vmap(spread, (1, 1), 1)(length, fine).at[-1].set(end)
-    walls = _wall(loop, theta).at[:, 0].set(corners.walls[:, 0][:, order])
+    def nothing(_: tuple[Array, Array]) -> tuple[Array, Array, Array]:
+        return jnp.zeros(_VERTICES), jnp.zeros((2, _VERTICES)), jnp.zeros(())
+
+    # Most loops have one piece: the others are not computed.
+    theta, walls, swept = lax.map(
+        lambda piece: lax.cond(piece[0], spread, nothing, piece[1:]), (exists, begin, end)
+    )
+    theta, walls = theta.T, walls.transpose(1, 2, 0)
+    walls = walls.at[:, 0].set(corners.walls[:, 0][:, order])
     walls = walls.at[:, -1].set(corners.walls[:, 1][:, order])
     first = jnp.roll(walls[:, 0], -1, axis=1)
     first = jnp.where(jnp.roll(exists, -1), first, walls[:, :1, 0])  # closes the loop
     corner = jnp.where(links.via[order], links.crossing[:, None], walls[:, -1])
 
-    middle, half = 0.5 * (theta[1:] + theta[:-1]), 0.5 * jnp.diff(theta, axis=0)
-    nodes = middle + half * _NODES[:, None, None]
-    at_nodes, slopes = _with_slopes(loop, nodes)
-    swept = jnp.sum(half * jnp.einsum("n,nsp->sp", _WEIGHTS, cross(at_nodes, slopes)), axis=0)
     swept = swept + cross(walls[:, -1], corner) + cross(corner, first)
     area = 0.5 * jnp.sum(jnp.where(exists, swept, 0.0))
 

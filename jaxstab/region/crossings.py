@@ -13,6 +13,7 @@ new shows and the pieces join up to loops. NumPy only.
 """
 
 from collections.abc import Iterator
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -244,11 +245,12 @@ def _line_crossings(c: Curve, cubics: _Cubics) -> Angles:
     returns = may_touch & ~crosses & _unlike(cubics.begin_slopes[2:], cubics.end_slopes[2:])
     near_line, near_step = np.nonzero(returns)
     lower, upper = begin[near_step], end[near_step]
-    nearest = bracketed_root(_margin_slope, (c, near_line), lower, upper)
+    nearest = bracketed_root(partial(_margin_slope, c, near_line), lower, upper)
     begins, ends = np.concatenate([lower, nearest]), np.concatenate([nearest, upper])
     margins = controls[0][crosses], controls[3][crosses]
-    across = bracketed_root(_margin, (c, line), begin[step], end[step], margins)
-    return np.append(across, bracketed_root(_margin, (c, np.tile(near_line, 2)), begins, ends))
+    across = bracketed_root(partial(_margin, c, line), begin[step], end[step], margins)
+    margin = partial(_margin, c, np.tile(near_line, 2))
+    return np.append(across, bracketed_root(margin, begins, ends))
 
 
 def _unlike(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -256,15 +258,14 @@ def _unlike(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return unlike
 
 
-def _margin(parameters: tuple[Curve, Parts], theta: np.ndarray) -> np.ndarray:
+def _margin(c: Curve, line: Parts, theta: np.ndarray) -> np.ndarray:
     """Return how far the curve is from the line z = r, number 0, or z = -r, number 1."""
-    c, line = parameters
     alpha, beta, lift = curve_and_lift(c, theta)
     return np.choose(line, [lift, minus_margin(c, alpha, beta)])
 
 
-def _margin_slope(parameters: tuple[Curve, Parts], theta: np.ndarray) -> np.ndarray:
-    return with_slope(lambda angle: _margin(parameters, angle), theta)[1]
+def _margin_slope(c: Curve, line: Parts, theta: np.ndarray) -> np.ndarray:
+    return with_slope(partial(_margin, c, line), theta)[1]
 
 
 # The search for the pieces of one slice: finer and finer, until they close to loops.
@@ -293,10 +294,10 @@ def refined_pieces(c: Curve, *, may_be_empty: bool) -> Pieces:
         pieces, closer, is_settled = _settled_pieces(c, scan, closer, most, outside, length)
         if is_settled:
             return pieces
-        if may_be_empty and fineness >= _EMPTY_FINENESS and not pieces.exists[0]:
+        if may_be_empty and fineness >= _EMPTY_FINENESS and not pieces.begin.size:
             return pieces
     truncated = tree_map(lambda x: x[:_KEPT] if x.ndim else x, pieces)  # there may be 1e5 of them
-    nowhere = np.zeros(len(truncated.exists), int)
+    nowhere = np.zeros(len(truncated.begin), int)
     return truncated._replace(successor=nowhere, resolved=np.bool_(False))
 
 
@@ -310,7 +311,7 @@ def _settled_pieces(
     closer = nearly_stable(c, closer, outside, length=length)
     for _ in range(_ROUNDS):
         pieces = find_pieces(c, closer_angles(c, scan, closer[:most]), length=length)
-        if not pieces.exists[0]:
+        if not pieces.begin.size:
             return pieces, closer, False
         fresh = suspects(c, pieces, closer, outside, length=length)
         closer = np.sort(np.concatenate([closer, fresh]))

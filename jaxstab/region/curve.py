@@ -271,18 +271,17 @@ def poles(c: Curve) -> tuple[Array, Array]:
     if isinstance(c, FilteredCurve):
         angles, distances = c.poles
         return np.concatenate([angles, -angles]), np.tile(distances, 2)
-    xp = namespace(c)
     leading, trailing = 0.5 * (c.sigma + c.nu), 0.5 * (c.sigma - c.nu)
     middle = c.num_plus - c.sigma
     square = middle**2 - 4.0 * leading * trailing
-    root = xp.sqrt(abs(square))
-    larger = -0.5 * (middle + xp.where(middle < 0.0, -root, root))
-    real = xp.stack([larger / leading, trailing / larger])
-    turned = xp.arctan2(root, -middle * xp.sign(leading))
-    angles = xp.where(square < 0.0, turned, xp.where(real < 0.0, pi, 0.0))
-    modulus = xp.where(square < 0.0, xp.sqrt(abs(trailing / leading)), abs(real))
-    distance = abs(xp.log(modulus))
-    return angles, xp.clip(xp.nan_to_num(distance, nan=_FAR), _CLOSE, _FAR)
+    root = np.sqrt(abs(square))
+    larger = -0.5 * (middle + np.where(middle < 0.0, -root, root))
+    real = np.stack([larger / leading, trailing / larger])
+    turned = np.arctan2(root, -middle * np.sign(leading))
+    angles = np.where(square < 0.0, turned, np.where(real < 0.0, pi, 0.0))
+    modulus = np.where(square < 0.0, np.sqrt(abs(trailing / leading)), abs(real))
+    distance = abs(np.log(modulus))
+    return angles, np.clip(np.nan_to_num(distance, nan=_FAR), _CLOSE, _FAR)
 
 
 @compiled(many=MANY_ANGLES)
@@ -393,11 +392,10 @@ def lines_crossing(c: Curve) -> tuple[Array, Array]:
 
 def along_lines(c: Curve, alpha: Array, beta: Array) -> tuple[Array, Array]:
     """Return coordinates along the lines z = r and z = -r, with the stable set on the left."""
-    xp = namespace(c, beta)
     _, stiffness, damping = c.at_minus_one
-    level = xp.sign(damping) * alpha  # of a line of constant beta
-    minus = xp.where(stiffness == 0.0, level, -xp.sign(stiffness) * beta)
-    return -xp.sign(c.num_plus) * beta, minus
+    level = np.sign(damping) * alpha  # of a line of constant beta
+    minus = np.where(stiffness == 0.0, level, -np.sign(stiffness) * beta)
+    return -np.sign(c.num_plus) * beta, minus
 
 
 def lines_turn(c: Curve) -> Array:
@@ -405,25 +403,23 @@ def lines_turn(c: Curve) -> Array:
 
     It is -1 where it turns from z = -r into z = r, and 0 where they are parallel.
     """
-    xp = namespace(c)
     _, stiffness, damping = c.at_minus_one
-    return xp.sign(c.num_plus) * xp.sign(damping - stiffness * plus_slope(c))
+    return np.sign(c.num_plus) * np.sign(damping - stiffness * plus_slope(c))
 
 
 def polynomial(c: Curve, wall: tuple[Array, Array], length: int) -> Array:
     """Return the highest ``length`` coefficients of p(r zeta) of walls, over the first one."""
-    xp = namespace(c, wall)
     if isinstance(c, FilteredCurve):
         base, stiffness, damping = c.parts[:, :length]
     else:
-        power, unit = xp.arange(length), c.gain * c.radius
+        power, unit = np.arange(length), c.gain * c.radius
         leading, middle = 0.5 * (c.sigma + c.nu) / unit, (c.num_plus - c.sigma) / unit
         d1, d0 = (c.den_plus - c.kappa) / c.radius, 0.5 * (c.kappa - c.eps) / c.radius
-        base = xp.where(power == 0, 1.0, xp.where(power == 1, d1, 0.0))
-        base = base + xp.where(power == 2, d0, 0.0)
+        base = np.where(power == 0, 1.0, np.where(power == 1, d1, 0.0))
+        base = base + np.where(power == 2, d0, 0.0)
         is_leading, is_next = power == c.turns, power == c.turns + 1.0
-        stiffness = xp.where(is_leading, leading, xp.where(is_next, middle, 0.0))
-        damping = stiffness - xp.where(is_next, leading / c.radius, 0.0)
+        stiffness = np.where(is_leading, leading, np.where(is_next, middle, 0.0))
+        damping = stiffness - np.where(is_next, leading / c.radius, 0.0)
     columns = (len(base), *(1 for _ in wall[0].shape))
     base, stiffness, damping = (row.reshape(columns) for row in (base, stiffness, damping))
     return base + (stiffness * wall[0] + damping * wall[1])

@@ -15,7 +15,7 @@ inside the circle (``all_inside``), by Routh's criterion in a variable that keep
 """
 
 from fractions import Fraction
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 from math import comb, factorial
 from typing import NamedTuple
 
@@ -292,7 +292,7 @@ def in_pairs(curve: FilteredCurve, pairs: Pairs, centers: DoubleDouble) -> Filte
     values = both(angles)
     which, index = np.nonzero(np.diff(np.sign(values), axis=1))
     ends = values[which, index], values[which, index + 1]
-    roots = bracketed_root(value, which, angles[index], angles[index + 1], ends)
+    roots = bracketed_root(partial(value, which), angles[index], angles[index + 1], ends)
     real, steep = (roots[which == k] for k in range(2))
     poles, lone, resonances = (
         to_rescaled(stretches, DoubleDouble.from_value(a))

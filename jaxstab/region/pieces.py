@@ -13,7 +13,7 @@ G1): a scan of th can miss components none of whose pieces it meets (docs/proofs
 corner in it by Newton's method. A piece that ends on the curve goes on at the begin of the piece
 that is nearest; one that ends on a line goes along it, to the next begin on it or via the crossing
 of both lines (``_linked``). If every piece follows exactly one, the boundary is closed: it is
-``resolved``.
+``resolved``. NumPy only.
 """
 
 from collections.abc import Callable
@@ -25,17 +25,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from jaxstab.arrays import (
-    Array,
-    constant,
-    first_indices,
-    kept,
-    namespace,
-    repeat,
-    repeat_and_keep,
-    repeat_while,
-    stored,
-)
+from jaxstab.arrays import Array
 from jaxstab.model import companion_matrix
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.region.curve import (
@@ -64,9 +54,8 @@ from jaxstab.rounding import UNIT
 # 0) or itself (two angles have one point). Newton's steps of all three kinds follow from the values
 # and slopes of the curve at one or two angles; the nearest corner tells which kind it is
 # (``nearest_branch``), and its steps are then repeated, all lanes at once, until they are below
-# rounding (``solved_corners``). One more step, of which only the derivative counts, makes the
-# result differentiable in the slice. What rounding takes from an angle is returned beside it: next
-# to pi it holds digits of the corner.
+# rounding (``solved_corners``). What rounding takes from an angle is returned beside it: next to pi
+# it holds digits of the corner.
 
 _STEPS = 16
 _SMALLEST = 0.1  # of the largest corner: the size of those at 0
@@ -110,7 +99,7 @@ class _Steps(NamedTuple):
 
 def scales(c: Curve, alpha: Array, beta: Array, theta: Array) -> Scales:
     """Return the scales of the mismatches at points of the curve."""
-    cosine = namespace(theta).cos(theta)
+    cosine = np.cos(theta)
     size = abs(alpha) + abs(beta) + abs(plus_offset(c))
     base, slope, damping = map(abs, c.at_minus_one)
     if isinstance(c, FilteredCurve):  # undamped modes put corners at 0
@@ -125,9 +114,8 @@ def nearest_branch(c: Curve, angles: Array, scale: Scales) -> Array:
 
     For each kind of corner Newton's method says how far off it is; the nearest one is taken.
     """
-    xp = namespace(c, angles)
-    steps = xp.stack(_newton_steps(c, angles, scale).steps)
-    return xp.argmin(xp.nan_to_num(abs(steps), nan=xp.inf), axis=0)
+    steps = np.stack(_newton_steps(c, angles, scale).steps)
+    return np.argmin(np.nan_to_num(abs(steps), nan=np.inf), axis=0)
 
 
 def solved_corners(
@@ -137,42 +125,33 @@ def solved_corners(
 
     The second of the three results is what rounding took from the angles. Where the curve meets
     itself, ``angles[1]`` is near the other angle. A search that strays farther than ``half_width``
-    is given up, because all searches wait for the slowest. In JAX the result is differentiable in
-    the slice, by the implicit function theorem.
+    is given up, because all searches wait for the slowest.
     """
-    xp = namespace(c, angles)
-
-    def newton(slice_: Curve, angles: Array) -> tuple[Array, Array]:
-        """Return the steps of pairs of angles to a corner, and how far they are from it."""
-        every = _newton_steps(slice_, angles, scale)
-        step, gap, partner = 0.0, 0.0, xp.where(is_of[0], every.partner, 0.0)
-        for is_it, its_step, its_gap in zip(is_of, every.steps, every.mismatches, strict=True):
-            step, gap = xp.where(is_it, its_step, step), xp.where(is_it, its_gap, gap)
-        return xp.stack([step, partner]), gap
-
-    def is_open(state: tuple[Array, ...]) -> Array:
-        count, *_, moved = state
-        return (count < _STEPS) & xp.any(moved)
-
-    def step(state: tuple[Array, ...]) -> tuple[Array, ...]:
-        count, _, here, *_ = state
-        near = abs(here[0] - angles[0]) <= half_width
-        steps, gap = newton(fixed, here)
-        taken = xp.where(near, steps, 0.0)
-        moved = abs(taken) > _TOLERANCE * (1.0 + abs(here))
-        return count + 1, here, here - taken, steps, gap, moved
-
-    fixed = constant(c)
     is_of = [branch == each for each in Branch]
-    nothing = xp.zeros_like(angles)
-    start = (xp.asarray(0), angles, angles, nothing, nothing[0], xp.ones(angles.shape, bool))
-    _, last, here, steps, mismatch, _ = constant(repeat_while(is_open, step, start))
-    if xp is np and np.all(mismatch < _TOLERANCE):
+
+    def newton(angles: Array) -> tuple[Array, Array]:
+        """Return the steps of pairs of angles to a corner, and how far they are from it."""
+        every = _newton_steps(c, angles, scale)
+        partner: Array = np.where(is_of[0], every.partner, 0.0)
+        step = gap = np.zeros_like(partner)
+        for is_it, its_step, its_gap in zip(is_of, every.steps, every.mismatches, strict=True):
+            step, gap = np.where(is_it, its_step, step), np.where(is_it, its_gap, gap)
+        return np.stack([step, partner]), gap
+
+    here = angles
+    for _ in range(_STEPS):
+        last = here
+        steps, mismatch = newton(last)
+        taken = np.where(abs(last[0] - angles[0]) <= half_width, steps, 0.0)
+        here = last - taken
+        if not np.any(abs(taken) > _TOLERANCE * (1.0 + abs(last))):
+            break
+    if np.all(mismatch < _TOLERANCE):
         here = last  # the last step has all that one more would tell
     else:
-        steps, mismatch = newton(c, here)  # one more has the derivative in the slice
+        steps, mismatch = newton(here)
     solved = here - steps
-    low = constant((here - kept(solved)) - steps)
+    low = (here - solved) - steps
     if not isinstance(c, FilteredCurve):
         return solved[0], low[0], mismatch < _TOLERANCE
     # Where the curve flies from one point to another, angles round to points that are apart.
@@ -198,11 +177,10 @@ def steps_to_meeting(
 
 def _newton_steps(c: Curve, angles: Array, scale: Scales) -> _Steps:
     """Return the steps from angles (2, end) to corners: the second row is for curve with curve."""
-    xp = namespace(c, angles)
 
     def values(angles: Array) -> tuple[Array, ...]:
         alpha, beta, lift = curve_and_lift(c, angles)
-        margin = minus_margin(c, alpha[0], beta[0]) / (1.0 + xp.cos(angles[0]))
+        margin = minus_margin(c, alpha[0], beta[0]) / (1.0 + np.cos(angles[0]))
         return (
             alpha * scale.points,
             beta * scale.points,
@@ -211,9 +189,9 @@ def _newton_steps(c: Curve, angles: Array, scale: Scales) -> _Steps:
         )
 
     (alpha, beta, lift, margin), slopes = with_slope(values, angles)
-    alpha_slope, beta_slope, lift_slope, margin_slope = constant(slopes)
+    alpha_slope, beta_slope, lift_slope, margin_slope = slopes
     step, partner = steps_to_meeting(alpha, beta, alpha_slope, beta_slope)
-    gap = xp.maximum(abs(alpha[0] - alpha[1]), abs(beta[0] - beta[1]))
+    gap = np.maximum(abs(alpha[0] - alpha[1]), abs(beta[0] - beta[1]))
     if c.lines:  # straight: a line never meets itself
         lengths = np.hypot(alpha_slope, beta_slope)
         turn = beta_slope[0] * alpha_slope[1] - alpha_slope[0] * beta_slope[1]
@@ -231,9 +209,9 @@ def _newton_steps(c: Curve, angles: Array, scale: Scales) -> _Steps:
 # lie inside of the circle: p is divided by that pair, and the Schur-Cohn test decides.
 
 _REAL_MARGIN = 1e-13  # of the polynomial at z = r and -r, beside its coefficients
-_MARGIN = 1e-12  # reflection coefficients closer to 1 are taken for roots on the circle
+MARGIN = 1e-12  # reflection coefficients closer to 1 are taken for roots on the circle
 _AT_ONCE = 1 << 18  # coefficients of polynomials that are held in memory
-_ROUND = 32  # steps of the test after which NumPy drops the polynomials that failed
+_ROUND = 32  # steps of the test after which the polynomials that failed are dropped
 
 
 def others_inside(c: Curve, theta: Array, length: int, within: float = 1.0) -> Array:
@@ -245,14 +223,11 @@ def others_inside(c: Curve, theta: Array, length: int, within: float = 1.0) -> A
     """
     if isinstance(c, FilteredCurve) and c.is_exact:
         return all_inside(c, *exact_walls(c, theta), within)
-    xp = namespace(c, theta)
-    if xp is np and theta.size * length > _AT_ONCE and theta.size > 1:
+    if theta.size * length > _AT_ONCE and theta.size > 1:
         chunks = np.array_split(theta.ravel(), -(-theta.size * length // _AT_ONCE))
         each = [others_inside(c, chunk, length, within) for chunk in chunks]
         return np.concatenate(each).reshape(theta.shape)
-    falling = polynomial(c, stored(curve_and_lift(c, theta)[:2]), length)
-    if xp is not np:
-        return _all_inside(stored(_shrunk(_others(c, falling, theta), within)))
+    falling = polynomial(c, curve_and_lift(c, theta)[:2], length)
     inside = _may_be_stable(falling, within)
     inside[inside] = _all_inside(_shrunk(_others(c, falling[:, inside], theta[inside]), within))
     return inside
@@ -261,7 +236,7 @@ def others_inside(c: Curve, theta: Array, length: int, within: float = 1.0) -> A
 def _others(c: Curve, falling: Array, theta: Array) -> Array:
     """Divide polynomials by the pairs at r e^(+-i theta), roots of them."""
     angle = root_angles(c.lines, theta) if c.lines else theta
-    return _quotient(falling, 2.0 * namespace(c, theta).cos(angle), 1.0)
+    return _quotient(falling, 2.0 * np.cos(angle), 1.0)
 
 
 def _quotient(falling: Array, total: Array, product: float) -> Array:
@@ -269,14 +244,12 @@ def _quotient(falling: Array, total: Array, product: float) -> Array:
 
     The last two coefficients of a polynomial do not count, and are not given.
     """
-
-    def step(state: tuple[Array, ...]) -> tuple[tuple[Array, ...], Array]:
-        count, before, last = state
-        following = falling[count] + total * last - product * before
-        return (count + 1, last, following), following
-
-    nothing = namespace(falling).zeros_like(falling[0])
-    return repeat_and_keep(len(falling), step, (0, nothing, nothing))[1]
+    quotient = np.empty_like(falling)
+    before = last = np.zeros_like(falling[0])
+    for power, coefficient in enumerate(falling):
+        before, last = last, coefficient + total * last - product * before
+        quotient[power] = last
+    return quotient
 
 
 def _may_be_stable(falling: Array, within: float) -> Bool[np.ndarray, "*walls"]:
@@ -298,7 +271,7 @@ def _binomials(degree: int) -> Float64[np.ndarray, " coefficient"]:
 
 def _shrunk(falling: Array, within: float) -> Array:
     """Return the polynomials whose roots are divided by a number."""
-    powers = namespace(falling).arange(float(len(falling)))
+    powers = np.arange(float(len(falling)))
     return falling * (within**-powers).reshape(-1, *(1 for _ in falling.shape[1:]))
 
 
@@ -307,63 +280,40 @@ def lines_crossing_is_stable(c: Curve, length: int) -> Array:
     if isinstance(c, FilteredCurve) and c.is_exact:
         return all_inside(c, *lines_crossing_of(c.pairs), 1.0)
     falling = polynomial(c, lines_crossing(c), length)
-    return _all_inside(_quotient(falling, namespace(c).zeros(()), -1.0))
+    return _all_inside(_quotient(falling, np.zeros(()), -1.0))
 
 
 def _all_inside(falling: Array) -> Array:
-    """Return where all roots of polynomials (coefficient, ...) lie inside of the unit circle."""
-    # Where all walls leave a root at z = r or -r, rounding must not decide.
-    xp = namespace(falling)
-    even, odd = xp.sum(falling[::2], axis=0), xp.sum(falling[1::2], axis=0)
-    real = xp.minimum(even + odd, even - odd)
-    is_clear = real > _REAL_MARGIN * xp.sum(abs(falling), axis=0)
-    if xp is np:
-        return _passes(falling.reshape(len(falling), -1), is_clear.ravel()).reshape(is_clear.shape)
+    """Return where all roots of polynomials (coefficient, ...) lie inside of the unit circle.
 
-    return repeat(len(falling) - 1, reflected, (falling, falling[::-1], is_clear))[2]
-
-
-def reflected(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-    """One step of Schur and Cohn: a polynomial, its reverse, and whether all so far are inside.
-
-    The degree falls by one; the first axis keeps its length, with noise and zeros behind.
+    The recursion runs on fewer and fewer polynomials, which are shorter and shorter.
     """
-    falling, rising, inside = state
-    xp = namespace(falling)
-    reflection = rising[0] / falling[0]
-    lower = rising - reflection * falling
-    return (
-        falling - reflection * rising,
-        xp.concatenate([lower[1:], xp.zeros_like(lower[:1])]),
-        inside & (abs(reflection) < 1.0 - _MARGIN),
-    )
-
-
-def _passes(falling: Array, is_clear: Array) -> Array:
-    """Run the same recursion on arrays that shrink, as NumPy may: fewer and shorter polynomials."""
-    passes = is_clear.copy()
-    index = np.arange(passes.size)
+    # Where all walls leave a root at z = r or -r, rounding must not decide.
+    even, odd = np.sum(falling[::2], axis=0), np.sum(falling[1::2], axis=0)
+    real = np.minimum(even + odd, even - odd)
+    is_clear = real > _REAL_MARGIN * np.sum(abs(falling), axis=0)
+    passes = is_clear.ravel()
+    falling, index = falling.reshape(len(falling), -1), np.arange(passes.size)
     while len(falling) > 1 and index.size:
         open_ones = passes[index]
         falling, index = falling[:, open_ones], index[open_ones]
         inside = np.ones(index.size, bool)
         for _ in range(min(_ROUND, len(falling) - 1)):
             reflection = falling[-1] / falling[0]
-            inside &= abs(reflection) < 1.0 - _MARGIN
+            inside &= abs(reflection) < 1.0 - MARGIN
             falling = falling[:-1] - reflection * falling[:0:-1]
         passes[index] = inside
-    return passes
+    return passes.reshape(is_clear.shape)
 
 
 _SLACK = 1e-6  # of angles: with more roots close to the circle, the margin shifts the ends
-_NARROWING = {"numpy": (2, 23), "jax": (9, 2)}  # rounds, parts: few calls, or few angles
-_EXACT_NARROWING = 16, 8, 1e-14  # and the width that is enough
+_NARROWING, _EXACT_NARROWING = (2, 23, _SLACK), (16, 8, 1e-14)  # rounds, parts, width enough
 _STRAY = 16.0  # brackets: an iterate of Newton's method this far outside is given up
 NO_BRANCH = -1
 
 
 class Pieces(NamedTuple):
-    """Intervals of th that bound the stable set; arrays of one length, in JAX a fixed one, padded.
+    """Intervals of th that bound the stable set; arrays of one length.
 
     ``begin`` and ``end`` are angles, ``begin_low`` and ``end_low`` what rounding took from them,
     and ``begin_branch``, ``end_branch`` say what the piece meets there (a Branch). After its end
@@ -371,7 +321,6 @@ class Pieces(NamedTuple):
     crossing of both lines. ``resolved`` is False where the pieces do not join up to loops.
     """
 
-    exists: Array
     begin: Array
     end: Array
     begin_low: Array
@@ -392,7 +341,6 @@ class _Ends(NamedTuple):
     (2, end) are the curve's there.
     """
 
-    exists: Array
     pinned: Array
     limit: Array
     line: Array
@@ -411,48 +359,42 @@ class _Links(NamedTuple):
     exists: Array
 
 
-def find_pieces(c: Curve, angles: Array, *, length: int, slots: int | None = None) -> Pieces:
+def find_pieces(c: Curve, angles: Array, *, length: int) -> Pieces:
     """Return the pieces of one slice that a scan over these angles, in (0, pi) in order, finds.
 
-    ``length`` is that of the polynomials with the other roots: floor(delay) + 3 for one mass;
-    ``slots`` the largest number of pieces and the length of the arrays, which JAX needs.
+    ``length`` is that of the polynomials with the other roots: floor(delay) + 3 for one mass.
 
     Source: the D-decomposition of Gryazina, Polyak, Tremba (2008), with the criterion of Schur and
-    Cohn for the other roots. Differentiable in the slice by the theorem of the implicit function.
+    Cohn for the other roots.
     """
-    xp = namespace(c, angles)
-    fixed = constant(c)
-    ends, fits = _piece_ends(fixed, angles, length, slots)
-    slots = len(ends.exists) // 2
-    to_join, _, _ = _joined(ends, ends.exists & ~ends.pinned)
-    met = nearest_branch(fixed, to_join, ends.scale)
-    branch = xp.where(ends.exists, xp.where(ends.pinned, ends.line, met), NO_BRANCH)
+    ends = _piece_ends(c, angles, length)
+    if ends is None:
+        return _NO_PIECES
+    to_join, _, _ = _joined(ends, ~ends.pinned)
+    met = nearest_branch(c, to_join, ends.scale)
+    branch: Array = np.where(ends.pinned, ends.line, met)
     to_join, following, preceding = _joined(ends, branch == Branch.CURVE)
     if c.lines:
         following, preceding = _across_knots(ends, following, preceding)
     theta, low, is_solved = _solved(c, ends, branch, to_join)
 
-    begin, end = (
-        xp.where(ends.exists[:slots], x, xp.asarray(1.0 + i)) for i, x in enumerate(theta)
-    )
-    begin_branch, end_branch = branch[:slots], branch[slots:]
-    exists = ends.exists[:slots]
-    walls = kept(xp.stack(curve_and_lift(fixed, xp.stack([begin, end]))[:2]))
-    links = _linked(fixed, exists, walls, begin_branch, end_branch, following)
-    index = xp.arange(slots)
+    (begin, end), (begin_branch, end_branch) = theta, branch.reshape(2, -1)
+    walls = np.stack(curve_and_lift(c, theta)[:2])
+    links = _linked(c, walls, begin_branch, end_branch, following)
+    index = np.arange(len(begin))
     is_mutual = (begin_branch[following] == Branch.CURVE) & (preceding[following] == index)
-    follows = exists[:, None] & (links.successor[:, None] == index)
+    may_turn = np.any(links.via) and lines_crossing_is_stable(c, length)
+    follows = links.successor[:, None] == index
     is_closed = (
-        xp.all(xp.isfinite(walls[1]), axis=0)
+        np.all(np.isfinite(walls[1]), axis=0)
         & ((end_branch != Branch.CURVE) | is_mutual)
         & links.exists
-        & (xp.sum(follows, axis=0) == 1)
-        & xp.all(is_solved, axis=0)
-        & (~links.via | _may_turn(fixed, links.via, length))
+        & (np.sum(follows, axis=0) == 1)
+        & np.all(is_solved, axis=0)
+        & (~links.via | may_turn)
         & (begin < end)
     )
     return Pieces(
-        exists=exists,
         begin=begin,
         end=end,
         begin_low=low[0],
@@ -460,59 +402,61 @@ def find_pieces(c: Curve, angles: Array, *, length: int, slots: int | None = Non
         begin_branch=begin_branch,
         end_branch=end_branch,
         successor=links.successor,
-        via=links.via & exists,
-        resolved=fits & xp.all(~exists | is_closed),
+        via=links.via,
+        resolved=np.all(is_closed),
     )
 
 
+_NONE, _NO_INDEX = np.empty(0), np.empty(0, int)
+_NO_PIECES = Pieces(
+    begin=_NONE,
+    end=_NONE,
+    begin_low=_NONE,
+    end_low=_NONE,
+    begin_branch=_NO_INDEX,
+    end_branch=_NO_INDEX,
+    successor=_NO_INDEX,
+    via=np.empty(0, bool),
+    resolved=np.bool_(True),
+)
+
+
 # ---------------------------------------------------------------------------- where pieces end
-def _piece_ends(c: Curve, angles: Array, length: int, slots: int | None) -> tuple[_Ends, Array]:
-    """Return the ends of the pieces between two angles each, and whether all fit into the slots."""
-    xp = namespace(c, angles)
+def _piece_ends(c: Curve, angles: Array, length: int) -> _Ends | None:
+    """Return the ends of the pieces between two angles each; None where there are no pieces."""
     inside = partial(others_inside, c, length=length)
-    passes = xp.concatenate([xp.zeros(1, bool), kept(inside(angles)), xp.zeros(1, bool)])
+    passes = np.concatenate([np.zeros(1, bool), inside(angles), np.zeros(1, bool)])
     before, after = passes[:-2], passes[2:]
     is_knot = _are_knots(c, angles)
     if is_knot is not None:
         before, after = before & ~is_knot[0], after & ~is_knot[1]
-    is_begin, is_end = passes[1:-1] & ~before, passes[1:-1] & ~after
-    count = xp.sum(is_begin)
-    slots = max(int(count), 1) if slots is None else slots
-    begins, ends = first_indices(is_begin, slots), first_indices(is_end, slots)
-    exists = xp.tile(begins < len(angles), 2)
-    zero = xp.sum(angles < 0.0)  # negative angles, of filters, begin at -pi
+    begins, ends = (np.flatnonzero(passes[1:-1] & ~beside) for beside in (before, after))
+    if not begins.size:
+        return None
+    zero = np.sum(angles < 0.0)  # negative angles, of filters, begin at -pi
     at_zero = begins == zero
-    pinned = xp.concatenate([at_zero | (begins == 0), ends == len(angles) - 1])
-    limit = xp.concatenate([xp.where(at_zero, 0.0, -xp.pi), xp.full(slots, xp.pi)])
-    line = xp.where(limit == 0.0, Branch.Z_PLUS_ONE, Branch.Z_MINUS_ONE)
+    pinned = np.concatenate([at_zero | (begins == 0), ends == len(angles) - 1])
+    limit = np.concatenate([np.where(at_zero, 0.0, -np.pi), np.full(len(ends), np.pi)])
+    line = np.where(limit == 0.0, Branch.Z_PLUS_ONE, Branch.Z_MINUS_ONE)
     if is_knot is not None:
-        at_knot = (
-            np.concatenate(
-                [
-                    knots[np.minimum(k, len(angles) - 1)]
-                    for knots, k in zip(is_knot, (begins, ends), strict=True)
-                ]
-            )
-            & exists
-        )
+        at_knot = np.concatenate([is_knot[0][begins], is_knot[1][ends]])
         pinned = pinned | at_knot
-        at_ends = angles[np.minimum(np.concatenate([begins, ends]), len(angles) - 1)]
-        limit = np.where(at_knot, at_ends, limit)
+        limit = np.where(at_knot, angles[np.concatenate([begins, ends])], limit)
         line = np.where(at_knot, Branch.CURVE, line)
     # Both ends of all pieces are solved in one batch.
-    padded = xp.concatenate([xp.zeros(1), angles, xp.full(1, xp.pi)])
-    neighbours = padded[xp.minimum(xp.concatenate([begins, ends + 2]), len(angles) + 1)]
+    padded = np.concatenate([np.zeros(1), angles, np.full(1, np.pi)])
+    neighbours = padded[np.concatenate([begins, ends + 2])]
     is_exact = isinstance(c, FilteredCurve) and c.is_exact
     outer, inner = _narrowed(
         inside,
-        _EXACT_NARROWING if is_exact else (*_NARROWING["numpy" if xp is np else "jax"], _SLACK),
-        xp.where(pinned, limit, neighbours),
-        padded[xp.concatenate([begins, ends]) + 1],
+        _EXACT_NARROWING if is_exact else _NARROWING,
+        np.where(pinned, limit, neighbours),
+        padded[np.concatenate([begins, ends]) + 1],
     )
-    rough = xp.where(exists, 0.5 * (outer + inner), 1.0)
-    points = kept(xp.stack(curve_and_lift(c, rough)[:2]))
+    rough = 0.5 * (outer + inner)
+    points = np.stack(curve_and_lift(c, rough)[:2])
     scale = scales(c, points[0], points[1], rough)
-    return _Ends(exists, pinned, limit, line, outer, inner, rough, points, scale), count <= slots
+    return _Ends(pinned, limit, line, outer, inner, rough, points, scale)
 
 
 def _are_knots(c: Curve, angles: Array) -> tuple[Array, Array] | None:
@@ -530,7 +474,7 @@ def _are_knots(c: Curve, angles: Array) -> tuple[Array, Array] | None:
 def _across_knots(ends: _Ends, following: Array, preceding: Array) -> tuple[Array, Array]:
     """Join the pieces that end at a knot and the next ones, which begin there."""
     count = len(following)
-    at_knot = ends.exists & ends.pinned & (ends.line == Branch.CURVE)
+    at_knot = ends.pinned & (ends.line == Branch.CURVE)
     index = np.arange(count)
     following = np.where(at_knot[count:], index + 1, following)
     return following, np.where(at_knot[:count], index - 1, preceding)
@@ -543,65 +487,48 @@ def _narrowed(
     inner: Array,
 ) -> tuple[Array, Array]:
     """Divide the intervals between angles that fail the test and angles that pass it."""
-    xp = namespace(outer, inner)
     rounds, parts, enough = narrowing
-    if xp is np and np.max(abs(outer - inner)) <= enough:
+    if np.max(abs(outer - inner)) <= enough:
         return outer, inner
-    steps = xp.arange(1.0, parts)[:, None]
-
-    def divided(ends: Array) -> Array:
-        outer, inner = ends
-
-        def ladder(step: Array) -> Array:
-            return outer + (inner - outer) * (step / parts)
-
-        failed = xp.cumprod(~inside(ladder(steps)), axis=0)  # up to the first that passes
-        last = xp.sum(failed, axis=0)
-        beyond = xp.where(last == parts - 1, inner, ladder(last + 1.0))
-        return xp.stack([ladder(1.0 * last), beyond])
-
-    return tuple(repeat(rounds, divided, kept(xp.stack([outer, inner]))))
+    steps = np.arange(1.0, parts)[:, None]
+    for _ in range(rounds):
+        width = inner - outer
+        failed = np.cumprod(~inside(outer + width * (steps / parts)), axis=0)
+        last = np.sum(failed, axis=0)  # up to the first that passes
+        inner = np.where(last == parts - 1, inner, outer + width * ((last + 1.0) / parts))
+        outer = outer + width * (last / parts)
+    return outer, inner
 
 
 def _joined(ends: _Ends, is_open: Array) -> tuple[Array, Array, Array]:
     """Return the angles of open ends with those of the nearest ones, and which these are."""
-    xp = namespace(ends)
     slots = len(is_open) // 2
     begins, lasts = ends.points[:, None, :slots], ends.points[:, slots:, None]
-    gaps = xp.sum((lasts - begins) ** 2, axis=0)
-    gaps = xp.where(is_open[slots:, None] & is_open[None, :slots], gaps, xp.inf)
-    following, preceding = xp.argmin(gaps, axis=1), xp.argmin(gaps, axis=0)
-    others = ends.rough[xp.concatenate([slots + preceding, following])]
-    return xp.stack([ends.rough, others]), following, preceding
+    gaps = np.sum((lasts - begins) ** 2, axis=0)
+    gaps = np.where(is_open[slots:, None] & is_open[None, :slots], gaps, np.inf)
+    following, preceding = np.argmin(gaps, axis=1), np.argmin(gaps, axis=0)
+    others = ends.rough[np.concatenate([slots + preceding, following])]
+    return np.stack([ends.rough, others]), following, preceding
 
 
 def _solved(c: Curve, ends: _Ends, branch: Array, angles: Array) -> tuple[Array, Array, Array]:
     """Return angles, what rounding took from them, and whether they are right; (2, piece) each."""
-    xp = namespace(c, ends)
     half_width = _STRAY * (abs(ends.outer - ends.inner) + _SLACK)
-    unpinned = xp.where(ends.pinned, NO_BRANCH, branch)
+    unpinned = np.where(ends.pinned, NO_BRANCH, branch)
     theta, low, is_solved = solved_corners(c, unpinned, angles, ends.scale, half_width)
     slack = 2.0 * abs(ends.outer - ends.inner) + _SLACK
-    is_between = (theta >= xp.minimum(ends.outer, ends.inner) - slack) & (
-        theta <= xp.maximum(ends.outer, ends.inner) + slack
+    is_between = (theta >= np.minimum(ends.outer, ends.inner) - slack) & (
+        theta <= np.maximum(ends.outer, ends.inner) + slack
     )
     is_solved = ends.pinned | (is_solved & is_between)
-    theta, low = xp.where(is_solved, theta, ends.rough), xp.where(is_solved, low, 0.0)
-    theta, low = xp.where(ends.pinned, ends.limit, theta), xp.where(ends.pinned, 0.0, low)
+    theta, low = np.where(is_solved, theta, ends.rough), np.where(is_solved, low, 0.0)
+    theta, low = np.where(ends.pinned, ends.limit, theta), np.where(ends.pinned, 0.0, low)
     return theta.reshape(2, -1), low.reshape(2, -1), is_solved.reshape(2, -1)
 
 
 # ------------------------------------------------------------------------ what follows a piece
-def _may_turn(c: Curve, via: Array, length: int) -> Array:
-    """Return whether the boundary may turn where the lines cross, if any piece ends there."""
-    if namespace(c, via) is np and not np.any(via):
-        return np.False_
-    return lines_crossing_is_stable(c, length)
-
-
 def _linked(
     c: Curve,
-    exists: Array,
     walls: Array,
     begin_branch: Array,
     end_branch: Array,
@@ -611,27 +538,26 @@ def _linked(
 
     ``walls`` are alpha and beta of the begins and of the ends.
     """
-    xp = namespace(c, walls)
     plus, minus = along_lines(c, *walls)
     plus_start, minus_start = along_lines(c, *lines_crossing(c))
     from_plus = end_branch == Branch.Z_PLUS_ONE
-    exits = xp.where(from_plus[:, None], plus[0], minus[0])
-    ahead = exits - xp.where(from_plus, plus[1], minus[1])[:, None]
-    here = exists & (begin_branch == end_branch[:, None]) & (ahead > 0.0)
+    exits = np.where(from_plus[:, None], plus[0], minus[0])
+    ahead = exits - np.where(from_plus, plus[1], minus[1])[:, None]
+    here = (begin_branch == end_branch[:, None]) & (ahead > 0.0)
     # Along this line the boundary may run into the other one, and not come from there.
-    runs_in = lines_turn(c) * xp.where(from_plus, 1.0, -1.0) > 0.0
-    other_line = xp.where(from_plus, Branch.Z_MINUS_ONE, Branch.Z_PLUS_ONE)
-    around = xp.where(from_plus[:, None], minus[0] - minus_start, plus[0] - plus_start)
-    there = exists & (begin_branch == other_line[:, None]) & (around > 0.0) & runs_in[:, None]
-    straight = xp.any(here, axis=1)
-    distance = xp.where(
-        straight[:, None], xp.where(here, ahead, xp.inf), xp.where(there, around, xp.inf)
+    runs_in = lines_turn(c) * np.where(from_plus, 1.0, -1.0) > 0.0
+    other_line = np.where(from_plus, Branch.Z_MINUS_ONE, Branch.Z_PLUS_ONE)
+    around = np.where(from_plus[:, None], minus[0] - minus_start, plus[0] - plus_start)
+    there = (begin_branch == other_line[:, None]) & (around > 0.0) & runs_in[:, None]
+    straight = np.any(here, axis=1)
+    distance = np.where(
+        straight[:, None], np.where(here, ahead, np.inf), np.where(there, around, np.inf)
     )
     crosses = end_branch == Branch.CURVE
     return _Links(
-        successor=xp.where(crosses, following, xp.argmin(distance, axis=1)),
+        successor=np.where(crosses, following, np.argmin(distance, axis=1)),
         via=~crosses & ~straight,
-        exists=crosses | straight | xp.any(there, axis=1),
+        exists=crosses | straight | np.any(there, axis=1),
     )
 
 
@@ -724,7 +650,7 @@ def suspects(c: Curve, pieces: Pieces, searched: Angles, outside: float, *, leng
     """
     ends = np.concatenate([pieces.begin, pieces.end])
     size = np.abs(ends)
-    corners = ends[np.tile(pieces.exists, 2) & (size > 0.0) & (size < np.pi)]
+    corners = ends[(size > 0.0) & (size < np.pi)]
     if isinstance(c, FilteredCurve) and c.is_exact:
         partners = to_rescaled(c.stretches, angles_on_circle(c, *exact_walls(c, corners)))
     else:
@@ -743,7 +669,6 @@ def lone_partners(curve: FilteredCurve, pieces: Pieces) -> DoubleDouble:
     The curve is evaluated in double-double.
     """
     ends = np.concatenate([pieces.begin, pieces.end])
-    ends = ends[np.tile(pieces.exists, 2)]
     open_ends = ends[(ends != 0.0) & (np.abs(ends) < np.pi)]
     angles = angles_on_circle(curve, *exact_walls(curve, open_ends), within=_ON_CIRCLE)
     size = to_rescaled(curve.stretches, angles)

@@ -1,4 +1,4 @@
-"""Stable regions of slices: found by a search, or in arrays of fixed sizes for JAX.
+"""Stable regions of slices: found by a search. NumPy only.
 
 A region is computed in three steps: the pieces of the curve that bound the stable set, refined
 until they join up to loops (``crossings.refined_pieces``); a polygon with its corners on them, with
@@ -11,8 +11,6 @@ both sides of the outline get certified verdicts (``fails_audit``), and where po
 each other, points of the outline are compared with double-double (``_strays``). If either fails,
 all is computed again in double-double, with angles rescaled where resonances turn out to need it. A
 region that fails then, too, is UNRESOLVED and claims nothing.
-
-``region_outline`` has arrays of fixed sizes and no search, for jit, vmap and derivatives.
 """
 
 from math import ceil, sqrt
@@ -20,16 +18,14 @@ from math import ceil, sqrt
 import numpy as np
 from jaxtyping import Float64, Int
 
-from jaxstab.arrays import Numbers, is_traced, joined, namespace, stored
-from jaxstab.batches import compiled
+from jaxstab.arrays import Numbers, is_traced, joined
 from jaxstab.conventions import Verdict
-from jaxstab.model import require_x64
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import Filter, Filters, Transfer, Velocity, known_filters
 from jaxstab.model.linear_loop import LinearLoop, SampledPlant
 from jaxstab.model.loop import refuses_loops
-from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT, LONGEST_DELAY, whole_and_fraction
-from jaxstab.numbers import checked_count, checked_number
+from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT, LONGEST_DELAY
+from jaxstab.numbers import checked_number
 from jaxstab.point.verdicts import linear_verdict
 from jaxstab.region import measures
 from jaxstab.region.crossings import refined_pieces
@@ -50,9 +46,7 @@ from jaxstab.region.pieces import (
     Pieces,
     are_inside,
     edges_of,
-    find_pieces,
     lone_partners,
-    scan_angles,
 )
 from jaxstab.region.stable_set import RegionStatus, StableRegion, region_within
 
@@ -159,7 +153,7 @@ def _on_edges(
     return np.where((outline.branches[edges] == Branch.CURVE)[:, None], curved, straight)
 
 
-# The outline of one slice, with as many angles and digits as it needs. NumPy only.
+# The outline of one slice, with as many angles and digits as it needs.
 
 _FEWEST_POINTS, _MOST_POINTS = 256, 65536
 _STRETCHINGS = 3  # rounds
@@ -239,7 +233,7 @@ def _audited(
 
 def _adapted(c: Curve, pieces: Pieces, tolerance: float) -> tuple[Outline, float]:
     """Return an outline with as many points as the tolerance requires, and its deviation."""
-    fewest = max(_FEWEST_POINTS, 2 * extra_vertices(len(pieces.exists)))
+    fewest = max(_FEWEST_POINTS, 2 * extra_vertices(len(pieces.begin)))
     points = _enough_points(sqrt(_BULGE / tolerance), fewest)
     outline = polygon(c, pieces, points)
     deviation = float(measures.deviation(c, outline))
@@ -290,7 +284,7 @@ def stable_region(
     Returns:
         StableRegion of NumPy arrays, with its status. An empty region is an answer, not an error.
 
-    Raises: see ``jaxstab.conventions``; no argument may be traced (``region_outline`` takes
+    Raises: see ``jaxstab.conventions``; no argument may be traced (``jaxstab.regions_of`` takes
     tracers).
 
     Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
@@ -302,7 +296,7 @@ def stable_region(
     """
     if any(map(is_traced, (gamma, delta, delay, radius, tolerance))):
         raise TypeError(
-            "stable_region searches outside of JAX; under jit, vmap and grad call region_outline."
+            "stable_region searches outside of JAX; under jit, vmap and grad call regions_of."
         )
     plant = (
         checked_number("gamma", gamma, 0.0, GAMMA_LIMIT),
@@ -317,56 +311,7 @@ def stable_region(
     return _stable_region(*plant, smallest, filters)
 
 
-def region_outline(
-    *,
-    gamma: Numbers,
-    delta: Numbers,
-    delay: Numbers,
-    radius: Numbers = 1.0,
-    points: int = 256,
-    slots: int = 4,
-    fineness: int = 1,
-) -> StableRegion:
-    """Return the stable set in arrays of fixed sizes, for jit, vmap and derivatives.
-
-    Unlike ``stable_region`` it neither searches for crossings nor refines its scan, so check the
-    status of each lane. A narrow cut into the set may lie between two angles of the scan; testing
-    every fourth vertex then makes the lane UNRESOLVED in most cases. Of 115,000 random hands, 4 had
-    a cut that went unnoticed.
-
-    Args:
-        gamma, delta, delay: see ``jaxstab.conventions``.
-        radius: the circle's radius in (0, 1], a scalar like these; may be traced, as gamma, delta.
-        points: length of the outline; the last point is repeated where fewer are needed.
-        slots: the largest number of pieces of the curve; a set with more of them is UNRESOLVED.
-        fineness: into how many parts each step of the scan is divided.
-
-    Returns:
-        StableRegion of arrays of fixed sizes, of JAX where an argument is. There ``max_alpha``,
-        ``max_beta``, ``outline`` and the limits are differentiable once in gamma, delta and radius.
-
-    Raises: see ``jaxstab.conventions``; ValueError also if ``points`` is too small.
-
-    Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) by the D-decomposition.
-
-    Example:
-        >>> region = jaxstab.region_outline(gamma=0.001, delta=0.015, delay=1.0)
-        >>> round(float(region.max_alpha[0]), 6)
-        0.15172
-    """
-    require_x64(gamma, delta, radius)
-    slots, fineness = checked_count("slots", slots, 1), checked_count("fineness", fineness, 1)
-    least = 2 * extra_vertices(slots)
-    if checked_count("points", points, 0) < least:
-        raise ValueError(f"points is {points}; give at least {least} for {slots} slots.")
-    length = int(whole_and_fraction(delay)[0]) + 3
-    c = stored(slice_coefficients(gamma, delta, delay, radius))
-    angles = namespace(c).asarray(scan_angles(length, fineness))
-    pieces = _pieces(c, angles, length=length, slots=slots)
-    return _region(c, pieces, points=points, length=length)
-
-
-@compiled()
+@np.errstate(all="ignore")  # NaN and infinity are answers
 def _stable_region(
     gamma: float,
     delta: float,
@@ -385,14 +330,6 @@ def _stable_region(
         filters = Velocity.difference(samples=1), Filter()  # the same loop in another form
     system = mass_system(gamma, delta, delay, filters)
     return region_of_system(system, tolerance, may_be_empty=may_be_empty)
-
-
-_pieces = compiled(static=("length", "slots"))(find_pieces)
-
-
-@compiled(static=("points", "length"))
-def _region(c: Curve, pieces: Pieces, *, points: int, length: int | None = None) -> StableRegion:
-    return region_within(c, polygon(c, pieces, points, length))
 
 
 # The stable set of a loop with any plant, estimator and filter.

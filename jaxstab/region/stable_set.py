@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 
-from jaxstab.arrays import Array, Numbers, float_arrays, is_jax, namespace, pytree
+from jaxstab.arrays import Array, Numbers, float_arrays, namespace
 from jaxstab.conventions import Status
-from jaxstab.model import checked_gain
+from jaxstab.model import checked_gain, require_x64
 from jaxstab.region import measures
 from jaxstab.region.curve import Curve
 from jaxstab.region.outline import Outline
@@ -64,8 +64,6 @@ class ShownRegion:
         """Return status, extremes and islands in four lines; limits are rounded down."""
         region: Any = self  # a StableRegion or a WallRegion
         name = type(self).__name__
-        if is_jax(region.status) or np.ndim(region.status):
-            return f"{name} of arrays that JAX maps over; status {region.status}"
         if not region.components:
             return f"{name}: {region.status.words}"
         largest = region.main or region.components[0]
@@ -84,7 +82,7 @@ class ShownRegion:
         """Draw the region: the component that holds small gains in blue, islands in purple.
 
         The former fill the axes (None: those of a new figure); the islands are in a small map
-        beside them. ValueError: the region is empty or unresolved, or made of arrays of JAX.
+        beside them. ValueError: the region is empty or unresolved.
 
         Example:
             >>> axes = jaxstab.stable_region(gamma=0.0, delta=0.015, delay=1.0).plot()
@@ -149,8 +147,6 @@ class RegionStatus(Status):
 
 
 # The connected components of a stable set, each bounded by a loop, and by those around its holes.
-#
-# NumPy only.
 
 _SMALL = 1e-8  # of what a set spans
 _RATIOS = 10.0 ** np.arange(-6.0, 1.0)  # of alpha to beta, in that measure
@@ -223,19 +219,18 @@ def _holds(c: Curve, outer: Outline, inner: Outline) -> bool:
     return bool(measures.contains(c, outer, *inner.vertices[:1].T)[0])
 
 
-@pytree
 @dataclass(frozen=True, repr=False)
 class StableRegion(ShownRegion):
     """The gains (alpha, beta) for which all roots of p(z) lie inside a circle about 0.
 
-    ``stable_region`` makes one of NumPy arrays; ``region_outline`` makes one in arrays of fixed
-    sizes, also of JAX, or many under ``jax.vmap``. Limits, ``contains``, ``distance`` and ``area``
-    are those of the exact boundary, not of the polygon; JAX arrays in give JAX arrays out.
+    ``stable_region`` makes one. Limits, ``contains``, ``distance`` and ``area`` are those of the
+    exact boundary, not of the polygon. Gains that are arrays or tracers of JAX give arrays of JAX,
+    computed on the host and differentiable once.
 
     Attributes:
         coefficients: what the exact boundary is made of.
-        outline: the polygon in arrays of one length.
-        status: a RegionStatus.
+        outline: the polygon.
+        status: what is known of the region.
         max_alpha: the point (alpha, beta) of the largest alpha, over negative betas as well (the
             limits of a ``HapticLoop`` are of walls with K >= 0 and B >= 0); NaN if there is none.
         max_beta: the same of the largest beta.
@@ -272,14 +267,14 @@ class StableRegion(ShownRegion):
 
     coefficients: Curve
     outline: Outline
-    status: Array
+    status: RegionStatus
     max_alpha: Array
     max_beta: Array
 
     @property
     def is_empty(self) -> bool:
         """Whether no (alpha, beta) is stable."""
-        return int(self.status) == RegionStatus.EMPTY
+        return self.status == RegionStatus.EMPTY
 
     @property
     def points(self) -> Float64[np.ndarray, "point 2"]:
@@ -287,12 +282,12 @@ class StableRegion(ShownRegion):
 
         Several loops follow one another, each of them closed; the branch between two loops is -1.
         """
-        return np.asarray(self.outline.vertices)[: int(self.outline.size)] + 0.0  # no -0
+        return self.outline.vertices[: int(self.outline.size)] + 0.0  # no -0
 
     @property
     def branch(self) -> Int[np.ndarray, " piece"]:
         """The Branch of each piece between two points: which root is on the circle there."""
-        return np.asarray(self.outline.branches)[: max(int(self.outline.size) - 1, 0)]
+        return self.outline.branches[: max(int(self.outline.size) - 1, 0)]
 
     @property
     def corners(self) -> Float64[np.ndarray, "corner 2"]:
@@ -302,7 +297,7 @@ class StableRegion(ShownRegion):
         an undamped hand within a relative 1e-6 of that frequency may be UNRESOLVED.
         """
         corners: np.ndarray[tuple[int, ...], np.dtype[np.float64]]
-        corners = np.asarray(self.outline.corners) + 0.0
+        corners = self.outline.corners + 0.0
         return corners[np.isfinite(corners[:, 0])]
 
     @property
@@ -347,7 +342,7 @@ class StableRegion(ShownRegion):
         return self._are_intervals(axis=0)
 
     def _are_intervals(self, axis: int) -> bool:
-        is_resolved = int(self.status) != RegionStatus.UNRESOLVED
+        is_resolved = self.status != RegionStatus.UNRESOLVED
         return is_resolved and self.loops <= 1 and measures.turns(self.points[:, axis]) <= 2
 
     @property
@@ -366,6 +361,7 @@ class StableRegion(ShownRegion):
         unstable alpha between the two. Array (*grid, 2), differentiable. Args and Raises: see
         ``jaxstab.conventions``.
         """
+        require_x64(beta)
         (rows,) = float_arrays(checked_gain("beta", beta))
         return measures.limits(self.coefficients, self.outline, rows, axis=1)
 
@@ -375,6 +371,7 @@ class StableRegion(ShownRegion):
         NaN where no beta is in the region. Where ``columns_are_intervals`` is False there may be
         unstable beta between the two. Else as ``alpha_limits``.
         """
+        require_x64(alpha)
         (columns,) = float_arrays(checked_gain("alpha", alpha))
         return measures.limits(self.coefficients, self.outline, columns, axis=0)
 
@@ -396,15 +393,13 @@ class StableRegion(ShownRegion):
 
 
 def region_within(c: Curve, outline: Outline) -> StableRegion:
-    """Return the region of an outline, in the namespace of its arrays."""
-    xp = namespace(c, outline)
-    largest = xp.argmax(xp.nan_to_num(outline.vertices, nan=-xp.inf), axis=0)
-    closed = xp.where(outline.size > 0, RegionStatus.COMPLETE, RegionStatus.EMPTY)
-    status = xp.where(outline.resolved, closed, RegionStatus.UNRESOLVED)
+    """Return the region of an outline."""
+    largest = np.argmax(np.nan_to_num(outline.vertices, nan=-np.inf), axis=0)
+    closed = RegionStatus.COMPLETE if outline.size > 0 else RegionStatus.EMPTY
     return StableRegion(
         coefficients=c,
         outline=outline,
-        status=RegionStatus(int(status)) if xp is np else status.astype(xp.int8),
+        status=closed if outline.resolved else RegionStatus.UNRESOLVED,
         max_alpha=outline.vertices[largest[0]] + 0.0,  # no -0
         max_beta=outline.vertices[largest[1]] + 0.0,
     )
@@ -415,6 +410,7 @@ def _holds_small_gains(component: StableRegion) -> bool:
 
 
 def _checked_points(alpha: Numbers, beta: Numbers) -> tuple[Array, Array]:
+    require_x64(alpha, beta)
     gains = float_arrays(checked_gain("alpha", alpha), checked_gain("beta", beta))
     stiffness, damping = namespace(gains).broadcast_arrays(*gains)
     return stiffness, damping

@@ -39,15 +39,13 @@ from jaxstab.scene.answers import (
 from jaxstab.scene.contact import NotSimulated, Simulated, contacts_or_reasons
 from jaxstab.scene.hands import (
     Floats,
-    HeldBy,
     WallVerdict,
     WorstHeld,
     held_by,
     loops_over_delays,
-    worst_held,
-    worst_over_delays,
+    worst_on,
 )
-from jaxstab.scene.loops import corner_loops, hands_of, walls_of, with_delay
+from jaxstab.scene.loops import OneHand, corner_loops, hands_of, walls_of, with_delay
 from jaxstab.scene.scene import Scene
 
 _HORIZON = 2**17  # samples within which settling is looked for
@@ -118,7 +116,7 @@ class Settling(Answer):
     settling_time_5_percent: SettlingTime
     settling_status: SettlingStatus
     settling_is: str | None
-    slowest_hand: HeldBy | None
+    slowest_hand: OneHand | None
 
 
 @dataclass(frozen=True)
@@ -130,7 +128,7 @@ class Oscillation(Answer):
     damping_ratio: Number
     frequency: Frequency
     oscillation_is: str | None
-    least_damped_hand: HeldBy | None
+    least_damped_hand: OneHand | None
 
 
 @dataclass(frozen=True)
@@ -262,18 +260,8 @@ def _walls_of(scene: Scene) -> list[_Wall]:
     gains = list(walls_of(scene).values())
     return [
         _Wall(scene, pair, list(dict.fromkeys([*loops, held.loop])), held)
-        for pair, held in zip(gains, _verdicts_on(scene, gains, loops[0]), strict=True)
+        for pair, held in zip(gains, worst_on(scene, gains), strict=True)
     ]
-
-
-def _verdicts_on(scene: Scene, walls: list[Gains], loop: HapticLoop) -> list[WorstHeld]:
-    """The verdict on each wall at the worst hand or delay, or in the loop if none varies."""
-    if not scene.controller.has_one_delay:
-        return [worst_over_delays(scene, gains) for gains in walls]
-    if hands_of(scene):
-        return worst_held(scene, walls)
-    codes = _evaluated(HapticLoop.verdict, [(loop, gains) for gains in walls])
-    return [WorstHeld(Verdict(int(code)), loop, None, None) for code in codes]
 
 
 def _loops_for(wall: _Wall, measure: str) -> list[HapticLoop]:
@@ -301,7 +289,7 @@ def _measures_are(wall: _Wall) -> str | None:
     return "of constant delays: the worst of those that were tried, both ends and the worst found"
 
 
-def _hand_of(wall: _Wall, loop: HapticLoop) -> HeldBy | None:
+def _hand_of(wall: _Wall, loop: HapticLoop) -> OneHand | None:
     return None if wall.worst.hand is None else held_by(loop, wall.scene)
 
 

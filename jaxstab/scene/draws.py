@@ -5,11 +5,8 @@ quantity, so its draws do not depend on what else varies or on how the work is d
 one CSV file are drawn row by row: mass and stiffness of a hand stay together.
 """
 
-import csv
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from dataclasses import dataclass
-from io import StringIO
 from math import inf, isfinite
 from typing import Any
 
@@ -17,10 +14,9 @@ import numpy as np
 from jaxtyping import Float64
 
 from jaxstab.shown import shortened
-from jaxstab.tables import text_of
+from jaxstab.tables import columns_of
 
 Draws = Float64[np.ndarray, " draw"]
-_MOST_BYTES = 100_000_000  # of a CSV file
 _ROUNDS = 200  # of draws in place of those that are not allowed
 _MOST_VALUES = 100_000  # of a list between two ends
 _FORMS = "normal:MEAN:DEVIATION, uniform:LOW:HIGH, lognormal:MEDIAN:FACTOR or csv:FILE:COLUMN"
@@ -63,7 +59,6 @@ class Normal(Distribution):
             raise ValueError(f"deviation is {self.deviation:g}; give a number > 0.")
 
     def _draw(self, generator: np.random.Generator, count: int) -> Draws:
-        """Return independent draws."""
         return generator.normal(self.mean, self.deviation, count)
 
 
@@ -90,7 +85,6 @@ class Uniform(Distribution):
             raise ValueError(f"low is {self.low:g} and high {self.high:g}; give low < high.")
 
     def _draw(self, generator: np.random.Generator, count: int) -> Draws:
-        """Return independent draws."""
         return generator.uniform(self.low, self.high, count)
 
 
@@ -121,7 +115,6 @@ class LogNormal(Distribution):
             )
 
     def _draw(self, generator: np.random.Generator, count: int) -> Draws:
-        """Return independent draws."""
         return generator.lognormal(np.log(self.median), np.log(self.factor), count)
 
 
@@ -149,7 +142,6 @@ class Measured(Distribution):
             raise ValueError("measured values are missing or not finite; give finite numbers.")
 
     def _draw(self, generator: np.random.Generator, count: int) -> Draws:
-        """Return independent draws."""
         rows = generator.integers(len(self.values), size=count)
         return np.asarray(self.values, np.float64)[rows]
 
@@ -227,36 +219,6 @@ def draws_of(
         values[below] = distribution._draw(generator, int(below.sum()))
         below = values < least
     return values, again
-
-
-def columns_of(
-    file: str, columns: Sequence[str], optional: Sequence[str] = ()
-) -> dict[str, list[float]]:
-    """Return columns of a CSV file with a header; ValueError if one is missing or not numeric.
-
-    Optional columns may be missing.
-    """
-    reader = csv.DictReader(StringIO(text_of(file, _MOST_BYTES)), skipinitialspace=True)
-    names = reader.fieldnames or []
-    for column in columns:
-        if column not in names:
-            listed = shortened(", ".join(names))
-            raise ValueError(f"{file} has no column {column!r}; its columns are {listed}.")
-    numbers: dict[str, list[float]] = {
-        column: [] for column in (*columns, *optional) if column in names
-    }
-    for row in reader:
-        for column, values in numbers.items():
-            try:
-                values.append(float(row[column]))
-                if not isfinite(values[-1]):
-                    raise ValueError
-            except (TypeError, ValueError):
-                raise ValueError(
-                    f"{file}, line {reader.line_num}: {column} is {shortened(row[column])}; give a "
-                    "finite number."
-                ) from None
-    return numbers
 
 
 def _require_finite(numbers: Any) -> None:

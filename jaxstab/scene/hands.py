@@ -18,17 +18,16 @@ from jaxstab.scene.answers import (
     Answer,
     Damping,
     LargestStiffness,
-    Mass,
     Quantity,
     Stiffness,
     StiffnessBound,
 )
 from jaxstab.scene.loops import (
+    OneHand,
     hands_of,
     is_one_mass,
     loop_of,
     masses_of,
-    range_of_hands,
     reachable,
     wall_region,
     with_delay,
@@ -44,16 +43,6 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class HeldBy(Answer):
-    """A hand, and the mass of the device if that varies."""
-
-    mass: Mass
-    stiffness: Stiffness
-    damping: Damping
-    device_mass: Mass | None = None
-
-
-@dataclass(frozen=True)
 class AllHands(Answer):
     """A wall for all hands of a range, nearly the stiffest, and a proved bound if there is one.
 
@@ -64,7 +53,7 @@ class AllHands(Answer):
     at_damping: Damping
     certainty: str
     none_is_stiffer_than: StiffnessBound | None
-    worst_hand: HeldBy
+    worst_hand: OneHand
 
     @property
     def all_stable(self) -> bool:
@@ -80,7 +69,7 @@ class WallVerdict(Answer):
     damping: Damping
     verdict: Verdict
     hands_are: str | None
-    worst_hand: HeldBy | None
+    worst_hand: OneHand | None
     worst_delays: str | None
 
 
@@ -93,7 +82,7 @@ class WorstHeld(NamedTuple):
 
     verdict: Verdict
     loop: HapticLoop
-    hand: HeldBy | None
+    hand: OneHand | None
     tried: str | None
     delays: str | None = None
 
@@ -102,43 +91,39 @@ class WorstHeld(NamedTuple):
         return WallVerdict(*wall, self.verdict, self.tried, self.hand, self.delays)
 
 
-def worst_held(scene: Scene, walls: Sequence[Gains]) -> list[WorstHeld]:
-    """Verdicts on walls for all hands of a scene's range, and the worst hands."""
-    loop, hands, mass = loop_of(scene), range_of_hands(scene), masses_of(scene)
-    if is_one_mass(scene):
-        from jaxstab.ranges.hands import worst_hands
+def worst_on(scene: Scene, walls: Sequence[Gains]) -> list[WorstHeld]:
+    """The verdict on each wall for all hands, masses and delays of a scene, and the worst of them.
 
-        worsts = worst_hands(loop, hands, walls, mass)
-    else:
-        worsts = [loop.worst_hand(hands, *gains, mass=mass) for gains in walls]
-    return [
-        WorstHeld(
-            worst.verdict,
-            worst.loop,
-            held_by(worst.loop, scene),
-            _TRIED if worst.verdict == Verdict.UNDECIDED else None,
-        )
-        for worst in worsts
-    ]
-
-
-def worst_over_delays(scene: Scene, gains: Gains) -> WorstHeld:
-    """Return the verdict on a wall for a range of delays, and the worst hand or delay.
-
-    Of a delay that moves it is for every sequence and hand, of one that is constant for each
+    Of a delay that moves it is for every sequence; of one that is constant, but not known, for each
     constant one, with the hand at its lowest values.
     """
-    loops, hands, moving = loops_over_delays(scene), hands_of(scene), moving_delays(scene)
-    if moving:
-        loop, hand, tried, words = loops[0], None, None, None
-        if hands is None:
-            code = Verdict(int(loop.verdict(*gains, **moving)))
-        else:
-            code, loop, _ = loop.worst_hand(hands, *gains, mass=masses_of(scene), **moving)
-            hand, tried = held_by(loop, scene), _TRIED if code == Verdict.UNDECIDED else None
-        if code == Verdict.UNSTABLE:
-            words = str(loop.worst_delays(*gains, **moving))
-        return WorstHeld(code, loop, hand, tried, words)
+    loops, moving, hands = loops_over_delays(scene), moving_delays(scene), hands_of(scene)
+    loop, mass = loops[0], masses_of(scene)
+    if len(loops) > 1 and not moving:
+        return [_worst_delay(scene, loops, gains) for gains in walls]
+    pairs: list[Any]
+    if hands is None and not moving:
+        pairs = [(code, loop) for code in loop.verdict(*np.array(walls).T)]
+    elif hands is None:
+        pairs = [(loop.verdict(*gains, **moving), loop) for gains in walls]
+    elif is_one_mass(scene) and not moving:
+        from jaxstab.ranges.hands import worst_hands
+
+        pairs = [worst[:2] for worst in worst_hands(loop, hands, walls, mass)]
+    else:
+        pairs = [loop.worst_hand(hands, *gains, mass=mass, **moving)[:2] for gains in walls]
+    answers = []
+    for gains, (code, worst) in zip(walls, pairs, strict=True):
+        verdict, hand = Verdict(int(code)), None if hands is None else held_by(worst, scene)
+        tried = _TRIED if hand and verdict == Verdict.UNDECIDED else None
+        grows = bool(moving) and verdict == Verdict.UNSTABLE
+        words = str(worst.worst_delays(*gains, **moving)) if grows else None
+        answers.append(WorstHeld(verdict, worst, hand, tried, words))
+    return answers
+
+
+def _worst_delay(scene: Scene, loops: list[HapticLoop], gains: Gains) -> WorstHeld:
+    """Return the verdict on a wall for each constant delay of a range, and the worst of them."""
     from jaxstab.loop.between import LoopsBetween
 
     tried = at_lowest(scene, NOT_FOR_OTHERS)
@@ -191,7 +176,7 @@ def at_lowest(scene: Scene, others: str = " unless stated otherwise") -> str | N
     return f"at its lowest values{mass}{others}"
 
 
-def held_by(loop: HapticLoop, scene: Scene) -> HeldBy:
+def held_by(loop: HapticLoop, scene: Scene) -> OneHand:
     """Return the hand of a loop of a scene, and the device's mass if that varies."""
     hand, own = (loop.hand_mass, loop.hand_stiffness, loop.hand_damping), loop.device_mass
     if loop.device is not None:
@@ -199,7 +184,7 @@ def held_by(loop: HapticLoop, scene: Scene) -> HeldBy:
         assert isinstance(arm, MassSpringDamper)  # as scenes make hands
         assert isinstance(body, MassSpringDamper | Modes)  # and devices
         hand, own = (arm.mass, arm.stiffness, arm.damping), body.mass
-    return HeldBy(*hand, own if scene.device.varies else None)
+    return OneHand(*hand, own if scene.device.varies else None)
 
 
 def common_outline(loops: list[HapticLoop]) -> Floats:

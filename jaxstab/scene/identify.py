@@ -43,9 +43,9 @@ from jaxstab.model import Velocity
 from jaxstab.motion.contact import Flow, Plant, Runs, Seen, series, series_at
 from jaxstab.numbers import checked, checked_number
 from jaxstab.scene.answers import Quantity
-from jaxstab.scene.draws import columns_of
 from jaxstab.scene.scene import Units
 from jaxstab.shown import printable
+from jaxstab.tables import columns_of
 
 FEWEST, MOST = 2000, 64_000  # rows
 HISTORY = 100  # samples before the first segment: longer delays are not tried

@@ -33,7 +33,7 @@ from jaxstab.scene.hands import (
     limit_for_all,
     loops_over_delays,
     moving_delays,
-    worst_over_delays,
+    worst_on,
 )
 from jaxstab.scene.loops import is_plain, loop_of, reachable, wall_region, walls_of
 from jaxstab.scene.scene import Scene
@@ -261,6 +261,7 @@ def scene_limits(scene: Scene) -> Limits | LimitsOverDelays:
 def _over_delays(scene: Scene) -> LimitsOverDelays:
     """Return the stiffest wall that is proved for a range of delays, and the verdicts on walls."""
     wanted, loops, controller = scene.wanted, loops_over_delays(scene), scene.controller
+    walls = walls_of(scene)
     for name in ("at_damping", "at_stiffness"):
         if getattr(wanted, name) is not None:
             raise ValueError(
@@ -289,8 +290,8 @@ def _over_delays(scene: Scene) -> LimitsOverDelays:
         hand=at_lowest(scene, _SEE_BELOW if controller.moves else NOT_FOR_OTHERS),
         best=ProvedWall(*best, f"{_PROVED} {every}" if is_proved else tried, unstable),
         walls={
-            name: worst_over_delays(scene, gains).on(gains)
-            for name, gains in walls_of(scene).items()
+            name: worst.on(walls[name])
+            for name, worst in zip(walls, worst_on(scene, [*walls.values()]), strict=True)
         },
         all_hands=limit_for_all(scene, wanted.safety or 1.0) if controller.moves else None,
     )
@@ -368,10 +369,17 @@ def _linear_rule(rows: "_Rows", limits: WallLimits, safety: float) -> LinearRule
     return LinearRule(stiffness, limits.at_damping, words)
 
 
-def _passive(loop: HapticLoop, safety: float) -> StiffestWall:
+def passive_walls(loop: HapticLoop) -> Floats:
+    """The outline (K, B) of the walls that are passive with the damping of a loop of one mass."""
     own = loop.device_damping * loop.sample_time / loop.mass
-    alpha, beta = paper.passive_region(delta=own, delay=loop.delay_samples).max_alpha
-    return StiffestWall(safety * float(loop.stiffness(alpha)), float(loop.damping(beta)))
+    corners = paper.passive_region(delta=own, delay=loop.delay_samples).outline
+    return np.column_stack([loop.stiffness(corners[:, 0]), loop.damping(corners[:, 1])])
+
+
+def _passive(loop: HapticLoop, safety: float) -> StiffestWall:
+    walls = passive_walls(loop)
+    stiffness, damping = walls[np.argmax(walls[:, 0])].tolist() if len(walls) else (0.0, 0.0)
+    return StiffestWall(safety * stiffness, damping)
 
 
 def _other_windows(loop: HapticLoop, safety: float) -> dict[str, OtherWindow]:

@@ -1,6 +1,6 @@
 """The loops of a scene, and the stable walls of a loop."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -13,19 +13,18 @@ from jaxstab.model import Hand as Arm
 from jaxstab.model.filters import Velocity, given_filters
 from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT
 from jaxstab.region import RegionStatus
+from jaxstab.scene.answers import Answer, Damping, Mass, Stiffness
 from jaxstab.scene.scene import Hand, Scene
 
 
-class OneHand(NamedTuple):
-    """A hand of the range: mass, stiffness and damping, in the units of the scene.
+@dataclass(frozen=True)
+class OneHand(Answer):
+    """A hand of the range, and the mass of the device if that varies; None for its lowest one."""
 
-    ``device_mass`` is that of the device; None for its lowest one.
-    """
-
-    mass: float
-    stiffness: float
-    damping: float
-    device_mass: float | None = None
+    mass: Mass
+    stiffness: Stiffness
+    damping: Damping
+    device_mass: Mass | None = None
 
 
 def wall_region(loop: HapticLoop) -> WallRegion:
@@ -93,7 +92,7 @@ def hands_among(scene: Scene, count: int) -> list[OneHand]:
 
     hands, masses = spread_hands(range_of_hands(scene), count).tolist(), masses_of(scene)
     among = [None] if masses is None else np.linspace(*masses, count).tolist()
-    return [OneHand(*hand)._replace(device_mass=mass) for hand in hands for mass in among]
+    return [replace(OneHand(*hand), device_mass=mass) for hand in hands for mass in among]
 
 
 def corner_loops(scene: Scene) -> list[HapticLoop]:
@@ -212,7 +211,7 @@ def corners_of(scene: Scene) -> list[Member]:
 
 def loop_of_member(scene: Scene, member: Member) -> HapticLoop:
     """Return the loop of a member of the ranges."""
-    hand = member.hand._replace(device_mass=member.mass)
+    hand = replace(member.hand, device_mass=member.mass)
     return loop_of(with_delay(scene, member.delay), hand)
 
 

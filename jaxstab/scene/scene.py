@@ -18,6 +18,7 @@ from jaxstab.model.parameters import LONGEST_DELAY
 from jaxstab.shown import shortened
 from jaxstab.tables import (
     Table,
+    Usual,
     check_keys,
     checked_label,
     each,
@@ -61,27 +62,13 @@ class Units(Enum):
 ASSUMED = "assumed"
 
 
-def _words(value: Any) -> str:
-    if not isinstance(value, str) or not value:
-        raise ValueError("give words")
-    return value
-
-
-def _number_or_list(value: Any) -> Any:
-    numbers = value if isinstance(value, list) else [value]
-    if not all(isinstance(entry, float) for entry in numbers):
-        raise ValueError("give a number with a decimal point, or a list of such")
-    return value
-
-
-@dataclass(frozen=True, kw_only=True)
-class Sourced(Table):
+class Sourced(NamedTuple):
     """A number or a list of coefficients, and where it is from."""
 
-    value: Any = key(_number_or_list)
-    unit: str = key(_words)
-    source: str = key(_words)
-    date: str = key(_words)
+    value: Any
+    unit: str
+    source: str
+    date: str
 
     def __str__(self) -> str:
         value = self.value if isinstance(self.value, list) else f"{self.value:g}"
@@ -119,16 +106,14 @@ def software_presets() -> Mapping[str, Preset]:
 @cache
 def _presets(file: str) -> Mapping[str, Preset]:
     tables = parsed((_folder() / file).read_text(encoding="utf-8"), f"{file}: ")
-    return {name: _preset(table, f"{file}: {name}") for name, table in tables.items()}
-
-
-def _preset(table: Mapping[str, Any], place: str) -> Preset:
-    numbers = {name: entry for name, entry in table.items() if name not in ("title", "note")}
-    return Preset(
-        table["title"],
-        table.get("note", ""),
-        {name: Sourced.from_table(entry, f"{place}.{name}") for name, entry in numbers.items()},
-    )
+    return {
+        name: Preset(
+            table.pop("title"),
+            table.pop("note", ""),
+            {key: Sourced(**entry) for key, entry in table.items()},
+        )
+        for name, table in tables.items()
+    }
 
 
 def _folder() -> Traversable:
@@ -144,23 +129,25 @@ LENGTH = "m, or in rad for a device that turns"
 FORCE = "N, or in N m for a device that turns"
 SPEED = "m/s, or in rad/s for a device that turns"
 _NO_MASS = "mass is missing; give it a value."
+_STIFFNESS = Usual(0.0, 1e6, "N/m", (0.0, 1e5))  # of hands, grips and walls
+_DAMPING_OF_HANDS = Usual(0.0, 1e3, "N s/m", (0.0, 100.0))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Encoder(Table):
     """The encoder, by its resolution at the handle."""
 
-    resolution: float = key(quantity(LENGTH, is_positive=True))
+    resolution: float = key(quantity(LENGTH, is_positive=True), usual=Usual(1e-9, 1e-3, "m"))
 
 
 @dataclass(frozen=True, kw_only=True)
 class VibrationMode(Table):
     """A vibration mode of the device: its displacement at the handle adds to the rigid body's."""
 
-    frequency: float = key(quantity("Hz", is_positive=True))
-    damping_ratio: float = key(quantity("1"))
-    modal_mass: float | None = key(not_zero("kg"), None)
-    modal_inertia: float | None = key(not_zero("kg m^2"), None)
+    frequency: float = key(quantity("Hz", is_positive=True), usual=Usual(0.1, 1e4, "Hz"))
+    damping_ratio: float = key(quantity("1"), usual=Usual(0.0, 1.0, ""))
+    modal_mass: float | None = key(not_zero("kg"), None, Usual(1e-3, 5e3, "kg"))
+    modal_inertia: float | None = key(not_zero("kg m^2"), None, Usual(1e-8, 100.0, "kg m^2"))
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -181,7 +168,7 @@ class VibrationMode(Table):
 class Actuator(Table):
     """The motor with its amplifier: the bandwidth at which the force is 3 dB too weak."""
 
-    bandwidth: float = key(quantity("Hz", is_positive=True))
+    bandwidth: float = key(quantity("Hz", is_positive=True), usual=Usual(1.0, 1e5, "Hz"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,9 +181,13 @@ class Device(Table):
     """
 
     preset: str | None = key(lambda name: one_of(device_presets())(name), None)
-    mass: tuple[float, float] | None = key(interval("kg", is_positive=True), None)
-    inertia: tuple[float, float] | None = key(interval("kg m^2", is_positive=True), None)
-    damping: float = key(quantity("N s/m"))
+    mass: tuple[float, float] | None = key(
+        interval("kg", is_positive=True), None, Usual(1e-3, 50.0, "kg")
+    )
+    inertia: tuple[float, float] | None = key(
+        interval("kg m^2", is_positive=True), None, Usual(1e-8, 1.0, "kg m^2")
+    )
+    damping: float = key(quantity("N s/m"), usual=Usual(0.0, 100.0, "N s/m", (0.0, 10.0)))
     encoder: Encoder | None = key(nested(Encoder), None)
     modes: tuple[VibrationMode, ...] = key(each(nested(VibrationMode)), ())
     actuator: Actuator | None = key(nested(Actuator), None)
@@ -262,8 +253,8 @@ class Device(Table):
 class Grip(Table):
     """The grip between device and arm: a spring and a damper in parallel."""
 
-    stiffness: float = key(quantity("N/m"))
-    damping: float = key(quantity("N s/m"), 0.0)
+    stiffness: float = key(quantity("N/m"), usual=_STIFFNESS)
+    damping: float = key(quantity("N s/m"), 0.0, _DAMPING_OF_HANDS)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -279,10 +270,10 @@ class Hand(Table):
     device.
     """
 
-    mass: tuple[float, float] = key(interval("kg"), (0.0, 0.0))
-    inertia: tuple[float, float] | None = key(interval("kg m^2"), None)
-    stiffness: tuple[float, float] = key(interval("N/m"), (0.0, 0.0))
-    damping: tuple[float, float] = key(interval("N s/m"), (0.0, 0.0))
+    mass: tuple[float, float] = key(interval("kg"), (0.0, 0.0), Usual(0.0, 20.0, "kg"))
+    inertia: tuple[float, float] | None = key(interval("kg m^2"), None, Usual(0.0, 1.0, "kg m^2"))
+    stiffness: tuple[float, float] = key(interval("N/m"), (0.0, 0.0), _STIFFNESS)
+    damping: tuple[float, float] = key(interval("N s/m"), (0.0, 0.0), _DAMPING_OF_HANDS)
     grip: Grip | None = key(nested(Grip), None)
 
     @property
@@ -373,6 +364,7 @@ MEASURES = ("margins", "distance", "radius", "settling", "oscillation", "chatter
 _FEW_SAMPLES = 0.01  # of delay: more likely s
 _SOFT = 5.0  # N/m: more likely N/mm, of a device above _LIGHT in kg
 _LIGHT = 0.01
+_DELAY = Usual(0.0, 2.0, "s")
 _MANY_SAMPLES = 200  # of delay: more likely a slip of the unit
 _MOST_SAMPLES_OF_HANDS = 128  # the same for each of hundreds of hands of a range
 MOST_WALLS = 1000
@@ -392,7 +384,7 @@ class Controller(Table):
     setting the force, unless ``delay_is`` says that it is constant, only unknown.
     """
 
-    sample_time: float = key(quantity("s", is_positive=True))
+    sample_time: float = key(quantity("s", is_positive=True), usual=Usual(1e-5, 0.05, "s"))
     delay: tuple[float, float] | None = key(interval("s"), None)
     delay_samples: tuple[float, float] | None = key(interval("samples"), None)
     delay_is: str | None = key(one_of(("moving", "constant")), None)
@@ -480,8 +472,8 @@ class Controller(Table):
 class Wall(Table):
     """A virtual wall: stiffness K in N/m and damping B in N s/m."""
 
-    stiffness: float = key(quantity("N/m"))
-    damping: float = key(quantity("N s/m"))
+    stiffness: float = key(quantity("N/m"), usual=_STIFFNESS)
+    damping: float = key(quantity("N s/m"), usual=Usual(0.0, 1e4, "N s/m", (0.0, 1e3)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -583,32 +575,27 @@ class Scene:
 
     def unusual(self) -> list[str]:
         """Describe values that look like a slip of the unit."""
-        device, controller = self.device, self.controller
-        hand, units = self.hand or Hand(), self.units
-        kilogram, stiffness, damping = units.kilogram, units.stiffness, units.damping
-        mass, usual = ("mass", _USUAL) if units is Units.LINE else ("inertia", _USUAL_TURNING)
+        controller, delay = self.controller, ("the delay", self.controller.delays[1], _DELAY)
         warnings = [
-            *(
-                _outside(f"device.{mass}", value, *usual.device_mass, kilogram)
-                for value in dict.fromkeys(device.effective_mass)
-            ),
-            _outside("device.damping", device.damping, *usual.device_damping, damping),
-            *_unusual_mechanics(device, hand, usual),
-            _outside(f"hand.{mass}", hand.effective_mass[1], *usual.hand_mass, kilogram),
-            _outside("hand.stiffness", hand.stiffness[1], *usual.stiffness, stiffness),
-            _outside("hand.damping", hand.damping[1], *usual.hand_damping, damping),
-            _outside("controller.sample_time", controller.sample_time, 1e-5, 0.05, "s"),
-            _outside("the delay", controller.delays[1], 0.0, 2.0, "s"),
+            *(self._outside(*own) for own in self.device.quantities("device")),
+            *(self._outside(*own) for own in (self.hand or Hand()).quantities("hand")),
+            *(self._outside(*own) for own in (*controller.quantities("controller"), delay)),
             *_slips_of_delay(controller),
             _other_period(controller),
         ]
         for name, wall in self.walls.items():
-            warnings += [
-                _outside(f"walls.{name}.stiffness", wall.stiffness, *usual.stiffness, stiffness),
-                _outside(f"walls.{name}.damping", wall.damping, *usual.damping, damping),
-                self._slip_of_wall(f"walls.{name}", wall),
-            ]
-        return [words for words in warnings if words]
+            warnings += [self._outside(*own) for own in wall.quantities(f"walls.{name}")]
+            warnings.append(self._slip_of_wall(f"walls.{name}", wall))
+        return [words for words in dict.fromkeys(warnings) if words]
+
+    def _outside(self, name: str, value: float, usual: Usual) -> str:
+        """Return a warning for a quantity outside its usual range; a modal mass may be negative."""
+        turns = self.units is Units.ROTATION and usual.turning
+        (low, high), unit = turns or usual[:2], self.units.unit(usual.unit)
+        if low <= (abs(value) if "modal_" in name else value) <= high:
+            return ""
+        words = f"{name} is {value:g} {unit}, usual are {low:g} to {high:g} {unit}"
+        return " ".join(words.split()).replace(" ,", ",")
 
     def _slip_of_wall(self, name: str, wall: Wall) -> str:
         """Return a warning for gains that were swapped, or a stiffness in N/mm."""
@@ -623,20 +610,6 @@ class Scene:
             return f"{name}.stiffness is {wall.stiffness:g} N/m; is it in N/mm?"
         return ""
 
-
-class _Usual(NamedTuple):
-    """The usual range of each quantity."""
-
-    device_mass: tuple[float, float]
-    device_damping: tuple[float, float]
-    hand_mass: tuple[float, float]
-    hand_damping: tuple[float, float]
-    stiffness: tuple[float, float]
-    damping: tuple[float, float]
-
-
-_USUAL = _Usual((1e-3, 50.0), (0.0, 100.0), (0.0, 20.0), (0.0, 1e3), (0.0, 1e6), (0.0, 1e4))
-_USUAL_TURNING = _Usual((1e-8, 1.0), (0.0, 10.0), (0.0, 1.0), (0.0, 100.0), (0.0, 1e5), (0.0, 1e3))
 
 _TABLES: Mapping[str, type[Table]] = {
     "device": Device,
@@ -662,40 +635,12 @@ def _walls(table: Any) -> dict[str, Wall]:
     if len(table) > MOST_WALLS:
         raise ValueError(f"walls has {len(table)} entries; give {MOST_WALLS} at most.")
     for name, wall in table.items():
-        checked_label("wall", name)
+        checked_label(name)
         if not isinstance(wall, Mapping):
             raise ValueError(
                 f"walls.{name} is {shortened(wall)}; give a table [walls.NAME] for each wall."
             )
     return {name: Wall.from_table(wall, f"walls.{name}") for name, wall in table.items()}
-
-
-def _outside(name: str, value: float, low: float, high: float, unit: str) -> str:
-    if low <= value <= high:
-        return ""
-    words = f"{name} is {value:g} {unit}, usual are {low:g} to {high:g} {unit}"
-    return " ".join(words.split()).replace(" ,", ",")
-
-
-def _unusual_mechanics(device: Device, hand: Hand, usual: _Usual) -> Iterator[str]:
-    """Yield warnings for an encoder, modes, an actuator and a grip in other units."""
-    units = device.units
-    if device.encoder is not None:
-        resolution = device.encoder.resolution
-        yield _outside("device.encoder.resolution", resolution, 1e-9, 1e-3, units.length)
-    for index, mode in enumerate(device.modes):
-        name = f"device.modes.{index}"
-        yield _outside(f"{name}.frequency", mode.frequency, 0.1, 1e4, "Hz")
-        yield _outside(f"{name}.damping_ratio", mode.damping_ratio, 0.0, 1.0, "")
-        low, high = usual.device_mass
-        moved = abs(mode.effective_mass)
-        yield _outside(f"{name}.modal_{units.moved}", moved, low, 100.0 * high, units.kilogram)
-    if device.actuator is not None:
-        yield _outside("device.actuator.bandwidth", device.actuator.bandwidth, 1.0, 1e5, "Hz")
-    if hand.grip is not None:
-        grip, limits = hand.grip, (usual.stiffness, usual.hand_damping)
-        yield _outside("hand.grip.stiffness", grip.stiffness, *limits[0], units.stiffness)
-        yield _outside("hand.grip.damping", grip.damping, *limits[1], units.damping)
 
 
 def _slips_of_delay(controller: Controller) -> Iterator[str]:

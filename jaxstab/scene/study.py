@@ -149,8 +149,24 @@ class Study:
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
         >>> study = jaxstab.study(loop, over={"device_mass": [0.1, 0.2]})
+        >>> study.lists, study.dimensions
+        (['device_mass'], {'device_mass': array([0.1, 0.2])})
+        >>> study.units["at_damping"], study.long_names["at_damping"]
+        ('N s/m', 'damping at the largest stiffness')
         >>> study.values("largest_stiffness").round().tolist()
         [70643.0, 139265.0]
+        >>> study.open().largest_stiffness.dims
+        ('device_mass',)
+        >>> over = {"delay": [0.0, 1e-3], "hand_stiffness": jaxstab.Normal(300.0, 100.0)}
+        >>> study = jaxstab.study(loop, over=over, walls={"a": (2e4, 20.0)}, samples=100)
+        >>> study.columns()["verdict"][:, 0].tolist()
+        [['stable'], ['unstable']]
+        >>> shares = study.shares()
+        >>> bool((shares.low <= shares.share).all() and (shares.share <= shares.high).all())
+        True
+        >>> low, median, high = study.quantiles()
+        >>> bool((low < median).all() and (median < high).all())
+        True
     """
 
     path: Path
@@ -162,12 +178,6 @@ class Study:
         Those of a temporary file are read at once.
 
         ModuleNotFoundError: xarray or h5netcdf is missing. OSError: the file cannot be read.
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> study = jaxstab.study(loop, over={"delay": [0.0, 1e-3]})
-            >>> study.open().largest_stiffness.dims
-            ('delay',)
         """
         import xarray
 
@@ -185,60 +195,29 @@ class Study:
 
     @property
     def dimensions(self) -> dict[str, NDArray[Any]]:
-        """The values along each dimension, by its name; of ``sample``, numbers from 0.
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> jaxstab.study(loop, over={"delay": [0.0, 1e-3]}).dimensions
-            {'delay': array([0.   , 0.001])}
-        """
+        """The values along each dimension, by its name; of ``sample``, numbers from 0."""
         names = dict.fromkeys(name for own in self._header.dimensions.values() for name in own)
         return {name: self._header.coordinates[name] for name in names}
 
     @property
     def lists(self) -> list[str]:
-        """The dimensions that are lists of values: neither draws nor walls.
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> over = {"delay": [0.0, 1e-3], "hand_stiffness": jaxstab.Uniform(100.0, 500.0)}
-            >>> jaxstab.study(loop, over=over, samples=5).lists
-            ['delay']
-        """
+        """The dimensions that are lists of values: neither draws nor walls."""
         return [name for name in self.dimensions if name not in (SAMPLE, WALL)]
 
     @property
     def units(self) -> dict[str, str]:
-        """The units of the variables and coordinates, by name.
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> jaxstab.study(loop, over={"delay": [0.0, 1e-3]}).units["largest_stiffness"]
-            'N/m'
-        """
+        """The units of the variables and coordinates, by name."""
         return self._header.units
 
     @property
     def long_names(self) -> dict[str, str]:
-        """The descriptions of the variables and coordinates, by name.
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> jaxstab.study(loop, over={"delay": [0.0, 1e-3]}).long_names["at_damping"]
-            'damping at the largest stiffness'
-        """
+        """The descriptions of the variables and coordinates, by name."""
         return self._header.long_names
 
     def values(self, name: str) -> NDArray[Any]:
         """Return the values of a variable or of what was drawn, whole.
 
         KeyError: the study has no such variable. OSError: the file cannot be read.
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> study = jaxstab.study(loop, over={"device_mass": [0.1, 0.2]})
-            >>> study.values("device_mass")
-            array([0.1, 0.2])
         """
         from jaxstab.datasets import values
 
@@ -251,13 +230,6 @@ class Study:
         Returns:
             An array for each name, of the shape of the whole grid: lists, then ``sample`` and
             ``wall`` if there are any. Units: ``units``.
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> study = jaxstab.study(loop, over={"delay": [0.0, 1e-3]}, walls={"a": (2e4, 20.0)})
-            >>> columns = study.columns()
-            >>> columns["delay"].tolist(), columns["verdict"].tolist()
-            ([[0.0], [0.001]], [['stable'], ['unstable']])
         """
         grid, variables = self.dimensions, self._header.dimensions
         order = [*self.lists, *(name for name in (SAMPLE, WALL) if name in grid)]
@@ -288,14 +260,6 @@ class Study:
                 not between 0 and 1.
 
         Source: the score interval (Wilson 1927).
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> over = {"hand_stiffness": jaxstab.Normal(300.0, 100.0)}
-            >>> study = jaxstab.study(loop, over=over, walls={"a": (70000.0, 40.0)}, samples=200)
-            >>> shares = study.shares()
-            >>> bool((shares.low <= shares.share).all() and (shares.share <= shares.high).all())
-            True
         """
         from jaxstab.datasets import chunks
 
@@ -333,14 +297,6 @@ class Study:
             a probability is not between 0 and 1.
 
         Source: the inverse of the empirical distribution function.
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> over = {"device_mass": jaxstab.Uniform(0.1, 0.2)}
-            >>> study = jaxstab.study(loop, over=over, samples=100)
-            >>> low, median, high = study.quantiles()
-            >>> bool(70643.0 < low < median < high < 139265.0)
-            True
         """
         chosen = np.asarray(at, np.float64)
         if not ((chosen >= 0.0) & (chosen <= 1.0)).all():
@@ -694,7 +650,7 @@ def _listed(key: str, given: Any) -> Values:
 
 
 def _checked_wall(name: str, stiffness: float, damping: float) -> tuple[float, float]:
-    checked_label("wall", name)
+    checked_label(name)
     pair = float(stiffness), float(damping)
     if not np.isfinite(pair).all():
         raise ValueError(f"wall {name} is {pair}; give finite numbers.")

@@ -19,7 +19,7 @@ from jaxstab.loop import Gains, HapticLoop, tune_for_all
 from jaxstab.loop.common import settling_times
 from jaxstab.model.filters import LONGEST_WINDOW
 from jaxstab.ranges import HandRange
-from jaxstab.region.roots import root_between
+from jaxstab.region.roots import bracketed_root
 from jaxstab.scene.answers import (
     Answer,
     Basis,
@@ -35,9 +35,10 @@ from jaxstab.scene.answers import (
     rounded_gain,
 )
 from jaxstab.scene.check import Amplitude, SettlingTime, settled
-from jaxstab.scene.hands import HeldBy, at_lowest, worst_held
+from jaxstab.scene.hands import at_lowest, worst_on
 from jaxstab.scene.loops import (
     Member,
+    OneHand,
     corners_of,
     hands_of,
     loop_of,
@@ -67,7 +68,7 @@ class SlowestLoop(Answer):
 
     mass: Mass
     delay: Time
-    hand: HeldBy | None
+    hand: OneHand | None
 
 
 @dataclass(frozen=True)
@@ -109,7 +110,7 @@ def tune_over_ranges(scene: Scene, fastest: Gains | None) -> WallOverRanges | No
         *rounded,
         float(times[slowest]),
         None if fastest is None else float(settling_times(every, *fastest).max()),
-        SlowestLoop(member.mass, member.delay, HeldBy(*member.hand) if scene.hand else None),
+        SlowestLoop(member.mass, member.delay, member.hand if scene.hand else None),
         f"the slowest of {len(every)} loops that were tried, {len(corners)} of them corners of the "
         "ranges: nothing is proved of others",
     )
@@ -230,7 +231,7 @@ def _best(
         return BestWall(None, None, None, best.status, None)
     gains = Gains(best.stiffness, best.damping)
     rounded = Gains(rounded_gain(best.stiffness), rounded_gain(best.damping))
-    worst = worst_held(scene, [rounded])[0] if hands else None
+    worst = worst_on(scene, [rounded])[0] if hands else None
     return BestWall(
         _tuned(TunedWall, loop, gains, encoder),
         _tuned(RoundedWall, loop, rounded, encoder),
@@ -406,7 +407,7 @@ def _largest(
     if spare(high) < 0.0:
         with np.errstate(all="ignore"):  # where no wall is stable the secant has no slope
             root = float(
-                root_between(lambda x: np.array(spare(float(x))), np.array(low), np.array(high))
+                bracketed_root(lambda x: np.array(spare(float(x))), np.array(low), np.array(high))
             )
         aside = _AGREEMENT * max(root, _NO_DELAY * start)
         largest, status = max(low, root - aside), DesignStatus.FOUND

@@ -21,7 +21,7 @@ from jaxstab.model import checked_delta, checked_gain, checked_gamma, require_x6
 from jaxstab.model.filters import Filter, Velocity, given_filters
 from jaxstab.motion.settling import STRETCH, checked_level, positions
 from jaxstab.numbers import checked_number
-from jaxstab.tuning.loops import MassLoop, TunedLoop
+from jaxstab.tuning.loops import TunedLoop, mass_loop
 from jaxstab.tuning.radius import Component, OptimalGains, TuningStatus
 
 # Grids of gains that zoom in on their best point.
@@ -219,7 +219,8 @@ def shortest_settling(
     excitation: Excitation,
 ) -> OptimalGains:
     """Return the gains that settle after the fewest samples, from those of the smallest radius."""
-    samples = float(loop.settling(start.alpha, start.beta, level, excitation).value)
+    settling = partial(loop.settling, level=level, excitation=excitation)
+    samples = float(settling(start.alpha, start.beta).value)
     status = TuningStatus(int(start.status))
     if status == TuningStatus.NO_STABLE_GAINS or not isfinite(samples):
         return start._replace(value=np.array(np.inf))
@@ -228,7 +229,7 @@ def shortest_settling(
     else:
         status = TuningStatus.SCANNED
     best = _fewest_samples(start, loop, level, excitation, int(samples), is_stiffness_given)
-    reached = float(loop.settling(*best, level, excitation).value)
+    reached = float(settling(*best).value)
     if not reached <= samples:  # a mode of the best wall leaves the level after what was seen
         return start._replace(value=np.array(samples), status=np.array(status, np.int8))
     return _as_gains(*best, reached, status)
@@ -334,13 +335,13 @@ def _one_loop(
     delay: Numbers,
     velocity: Velocity | None,
     position: Filter | None,
-) -> MassLoop:
-    plant = (
+) -> TunedLoop:
+    return mass_loop(
         checked_number("gamma", checked_gamma(gamma)),
         checked_number("delta", checked_delta(delta)),
         checked_number("delay", delay, 0.0),
+        given_filters(velocity, position),
     )
-    return MassLoop.from_plant(plant, given_filters(velocity, position))
 
 
 def _as_gains(alpha: float, beta: float, value: float, status: TuningStatus) -> OptimalGains:

@@ -1,7 +1,12 @@
-"""A loop to be tuned: one mass, or any linear device."""
+"""A loop to be tuned: one mass, or any linear device.
 
-from functools import lru_cache
-from typing import Any, NamedTuple, TypeAlias
+Searches for the best walls ask the same of both: verdicts, radii, settling, and how walls come to
+rest. A ``TunedLoop`` holds the functions that answer for one loop, of arrays of alpha and beta.
+"""
+
+from collections.abc import Callable
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -9,159 +14,125 @@ from jaxstab.conventions import Excitation, Verdict
 from jaxstab.model import by_name
 from jaxstab.model.device import SampledDevice
 from jaxstab.model.device.mechanics import mechanics
-from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords
-from jaxstab.model.linear_loop import LinearLoop
-from jaxstab.motion.response import Loops, bank_for, device_loops, loops_of, propagator
+from jaxstab.model.filters import Filters, as_keywords
+from jaxstab.motion.response import OF_MASS, Loops, bank_for, loops_of, propagator
 from jaxstab.motion.settling import Settling, device_settling_samples, settling_samples
 from jaxstab.point import SpectralRadius, spectral_radius
 from jaxstab.point.radius import linear_spectral_radius
 from jaxstab.point.verdicts import linear_verdict, verdict
 from jaxstab.region.region import linear_region
 from jaxstab.tuning.radius import (
+    ALL_GAINS,
     Component,
     OptimalGains,
     Walls,
     component_of,
     mass_walls,
     minimize_radius,
-    searched_component,
     smallest_radius,
     walls_of,
 )
 
-Plant = tuple[float, float, float]
-
 _TOLERANCE = 1e-6  # of the outline of a component, of its size
 
 
-class MassLoop(NamedTuple):
-    """Device and hand of one mass: gamma, delta, delay; estimator and filter, T = 1."""
+class TunedLoop(NamedTuple):
+    """A loop, and the component of its stable set that searches cover.
 
-    plant: Plant
-    filters: Filters | None
+    walls: p(z) of its walls; None where ``spectral_radius`` alone gives their radii.
+    smallest_radius: returns the gains of the smallest radius.
+    settling: the settling of walls in samples, for keywords ``level`` and ``excitation``.
+    deviations: how walls, side by side, come to rest.
+    hides_modes: whether a mode that the position hardly shows may ring unseen.
+    """
+
     component: Component
+    walls: Walls | None
+    verdicts: Callable[[Any, Any], np.ndarray]
+    spectral_radius: Callable[[Any, Any], SpectralRadius]
+    smallest_radius: Callable[[], OptimalGains]
+    settling: Callable[..., Settling]
+    deviations: Callable[[np.ndarray, np.ndarray, Excitation], Loops]
+    hides_modes: bool
 
-    @classmethod
-    def from_plant(cls, plant: Plant, filters: Filters | None) -> "MassLoop":
-        """Return a loop whose search covers the component of small gains, if there is one."""
-        return cls(plant, filters, searched_component(*plant, filters))
-
-    def anywhere(self) -> "MassLoop":
+    def anywhere(self) -> "TunedLoop":
         """Return the same loop with a search that covers all gains."""
         return self._replace(component=Component(lowest=self.component.lowest))
 
-    def verdicts(self, alpha: Any, beta: Any) -> np.ndarray:
-        """Return the codes of walls."""
-        return np.asarray(verdict(alpha, beta, **by_name(*self.plant), **as_keywords(self.filters)))
-
-    def spectral_radius(self, alpha: Any, beta: Any) -> SpectralRadius:
-        """Return the radii of walls, with bounds."""
-        return spectral_radius(alpha, beta, **by_name(*self.plant), **as_keywords(self.filters))
-
     def radii(self, alpha: Any, beta: Any) -> np.ndarray:
-        """Return the radii of walls; with filters, infinite for walls outside the search."""
-        if self.filters is None:
+        """Return the radii of walls; with ``walls``, infinite for those outside the component."""
+        if self.walls is None:
             return np.asarray(self.spectral_radius(alpha, beta).value)
-        walls = mass_walls(*self.plant, self.filters)
-        return _radii(walls._replace(component=self.component), self.verdicts, alpha, beta)
+        alpha, beta = np.broadcast_arrays(alpha, beta)
+        radii = np.full(alpha.shape, np.inf)
+        searched = np.asarray(self.verdicts(alpha, beta) == Verdict.STABLE)
+        if not np.any(searched):
+            searched = np.full(alpha.shape, True)
+        radii[searched] = self._largest_pole(alpha[searched], beta[searched])
+        return radii
 
     def decays(self, alpha: np.ndarray, beta: np.ndarray, slowest: float) -> np.ndarray:
-        """Return which walls are stable: a single mass has no mode that rings unseen."""
-        return self.verdicts(alpha, beta) == Verdict.STABLE
+        """Return which walls are stable; with hidden modes, those of a radius up to ``slowest``."""
+        if self.hides_modes:
+            return np.asarray(self._largest_pole(alpha, beta) <= slowest)
+        return np.asarray(self.verdicts(alpha, beta) == Verdict.STABLE)
 
-    def smallest_radius(self) -> OptimalGains:
-        """Return the gains of the smallest radius."""
-        return minimize_radius(**by_name(*self.plant), **as_keywords(self.filters))
-
-    def settling(self, alpha: Any, beta: Any, level: float, excitation: Excitation) -> Settling:
-        """Return the settling of walls in samples."""
-        loop, filters = self.plant, as_keywords(self.filters)
-        return settling_samples(
-            alpha, beta, **by_name(*loop), level=level, excitation=excitation, **filters
-        )
-
-    def deviations(self, alpha: np.ndarray, beta: np.ndarray, excitation: Excitation) -> Loops:
-        """Return how walls, side by side, come to rest."""
-        gamma, delta, delay = self.plant
-        entries = propagator(gamma, delta, delay % 1.0, np.ones(1))[0, :, :4].reshape(8, 1)
-        same, bank = np.broadcast_to(entries, (8, alpha.size)), bank_for(self.filters)
-        return loops_of(alpha, beta, same, int(delay), excitation, bank)
+    def _largest_pole(self, alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
+        assert self.walls is not None
+        walls = self.walls._replace(component=self.component)
+        return np.asarray(walls.largest_pole(alpha, beta))
 
 
-class DeviceLoop(NamedTuple):
-    """Any linear device, in its units, with the methods of ``MassLoop``; filters in SI units."""
+def mass_loop(gamma: float, delta: float, delay: float, filters: Filters | None) -> TunedLoop:
+    """A loop of one mass, its filters in units of one sample; the component is of small gains."""
+    plant = gamma, delta, delay
+    options = by_name(*plant) | as_keywords(filters)
+    walls = None if filters is None else mass_walls(*plant, filters)
 
-    device: SampledDevice
-    filters: Filters | None
-    component: Component
+    def deviations(alpha: np.ndarray, beta: np.ndarray, excitation: Excitation) -> Loops:
+        rows = propagator(gamma, delta, delay % 1.0, np.ones(1))[0, :, :4]
+        return loops_of(alpha, beta, rows, OF_MASS, int(delay), excitation, bank_for(filters))
 
-    @classmethod
-    def from_device(cls, device: SampledDevice, filters: Filters | None) -> "DeviceLoop":
-        """A loop whose search covers the component of small gains, if there is one."""
-        return cls(device, filters, _device_walls(device, filters).component)
+    return TunedLoop(
+        ALL_GAINS if walls is None else walls.component,
+        walls,
+        partial(verdict, **options),
+        partial(spectral_radius, **options),
+        partial(minimize_radius, **options),
+        partial(settling_samples, **options),
+        deviations,
+        hides_modes=False,
+    )
 
-    def anywhere(self) -> "DeviceLoop":
-        return self._replace(component=Component(lowest=self.component.lowest))
 
-    def verdicts(self, alpha: Any, beta: Any) -> np.ndarray:
-        return np.asarray(linear_verdict(*_as_arrays(alpha, beta), self._linear))
+@lru_cache(maxsize=64)
+def device_loop(device: SampledDevice, filters: Filters | None) -> TunedLoop:
+    """A loop of any linear device, in its units, filters in SI units; as ``mass_loop``."""
+    linear = device.loop(filters)
+    region = linear_region(device.plant, *device.transfers(filters), _TOLERANCE)
+    walls = walls_of(linear, component_of(region))
 
-    def spectral_radius(self, alpha: Any, beta: Any) -> SpectralRadius:
-        return linear_spectral_radius(*_as_arrays(alpha, beta), self._linear)
+    def verdicts(alpha: Any, beta: Any) -> np.ndarray:
+        return np.asarray(linear_verdict(*_as_arrays(alpha, beta), linear))
 
-    def radii(self, alpha: Any, beta: Any) -> np.ndarray:
-        walls = _device_walls(self.device, self.filters)
-        return _radii(walls._replace(component=self.component), self.verdicts, alpha, beta)
+    def radius(alpha: Any, beta: Any) -> SpectralRadius:
+        return linear_spectral_radius(*_as_arrays(alpha, beta), linear)
 
-    def decays(self, alpha: np.ndarray, beta: np.ndarray, slowest: float) -> np.ndarray:
-        """Return which walls have a radius no larger than a limit."""
-        return _device_walls(self.device, self.filters).largest_pole(alpha, beta) <= slowest
+    def settling(alpha: Any, beta: Any, **options: Any) -> Settling:
+        wall = np.asarray(alpha) / device.stiffness_unit, np.asarray(beta) / device.damping_unit
+        return device_settling_samples(device, filters, *wall, **options)
 
-    def smallest_radius(self) -> OptimalGains:
-        return smallest_radius(_device_walls(self.device, self.filters), self.verdicts)
-
-    def settling(self, alpha: Any, beta: Any, level: float, excitation: Excitation) -> Settling:
-        device = self.device
-        gains = np.asarray(alpha) / device.stiffness_unit, np.asarray(beta) / device.damping_unit
-        loop = device.device, device.sample_time, device.delay, self.filters
-        return device_settling_samples(*loop, *gains, level, excitation=excitation)
-
-    def deviations(self, alpha: np.ndarray, beta: np.ndarray, excitation: Excitation) -> Loops:
-        device = self.device
+    def deviations(alpha: np.ndarray, beta: np.ndarray, excitation: Excitation) -> Loops:
         moves = mechanics(device.device, device.sample_time, device.delay % 1.0, (1.0,))
-        bank = bank_for(self.filters, device.sample_time)
+        bank = bank_for(filters, device.sample_time)
         rate = device.damping_unit * device.sample_time
-        walls = alpha / device.stiffness_unit, beta / rate
-        return device_loops(*walls, moves, int(device.delay), excitation, bank)
+        wall, rows = (alpha / device.stiffness_unit, beta / rate), moves.rows[-1, :, :-1]
+        return loops_of(*wall, rows, moves.starts, int(device.delay), excitation, bank)
 
-    @property
-    def _linear(self) -> LinearLoop:
-        return _linear(self.device, self.filters)
-
-
-TunedLoop: TypeAlias = MassLoop | DeviceLoop
-
-
-@lru_cache(maxsize=64)
-def _linear(device: SampledDevice, filters: Filters | None) -> LinearLoop:
-    return device.loop(filters)
-
-
-@lru_cache(maxsize=64)
-def _device_walls(device: SampledDevice, filters: Filters | None) -> Walls:
-    transfers = device.transfers(filters or (Velocity(), Filter()))
-    component = component_of(linear_region(device.plant, *transfers, _TOLERANCE))
-    return walls_of(_linear(device, filters), component)
-
-
-def _radii(walls: Walls, verdicts: Any, alpha: Any, beta: Any) -> np.ndarray:
-    alpha, beta = np.broadcast_arrays(alpha, beta)
-    radii = np.full(alpha.shape, np.inf)
-    searched = verdicts(alpha, beta) == Verdict.STABLE
-    if not np.any(searched):
-        searched[...] = True
-    radii[searched] = walls.largest_pole(alpha[searched], beta[searched])
-    return radii
+    best = partial(smallest_radius, walls, verdicts)
+    return TunedLoop(
+        walls.component, walls, verdicts, radius, best, settling, deviations, hides_modes=True
+    )
 
 
 def _as_arrays(alpha: Any, beta: Any) -> tuple[np.ndarray, np.ndarray]:

@@ -29,6 +29,7 @@ from jaxstab.model import (
 from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.numbers import checked_number
+from jaxstab.point.radius import have_roots_inside
 from jaxstab.point.verdicts import verdict
 from jaxstab.region import RegionStatus, StableRegion, stable_region
 from jaxstab.region.pieces import are_inside, edges_of
@@ -525,13 +526,7 @@ def _family_pairs(walls: Walls, radius: Array, angle: Array) -> Pair:
 def _is_dominant(walls: Walls, pair: Pair, radius: Array) -> Bool[np.ndarray, "*grid"]:
     """Return whether all roots but the pair are smaller than the radius (Schur and Cohn)."""
     quotient = _quotient(walls.family.polynomial(pair.alpha, pair.beta), pair)
-    quotient = quotient / np.asarray(radius)[..., None] ** np.arange(quotient.shape[-1])
-    inside = np.full(np.shape(radius), True)
-    for _ in range(quotient.shape[-1] - 1):
-        reflection = quotient[..., -1:] / quotient[..., :1]
-        inside &= np.abs(reflection[..., 0]) < 1.0
-        quotient = quotient[..., :-1] - reflection * quotient[..., :0:-1]
-    return inside
+    return have_roots_inside(quotient, np.asarray(radius))
 
 
 def _quotient(coefficients: Array, pair: Pair) -> Array:
@@ -543,7 +538,7 @@ def _quotient(coefficients: Array, pair: Pair) -> Array:
         )
         parts.append(coefficient)
         last, before = coefficient, last
-    return np.stack(parts, axis=-1)
+    return np.stack(parts)
 
 
 _LIKE = (np.float64,) * 4 + (np.int8,)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxstab.atlas.product import NODE, SLICE, Array, Check, Product, Stored, Variable
+from jaxstab.atlas.product import NODE, SLICE, Array, Check, Inspection, Product, Variable
 
 if TYPE_CHECKING:
     from jaxstab.atlas.plan import Plan, Tile
@@ -123,7 +123,7 @@ class Fields(Product):
             "auxiliary_signals": np.array([FREQUENCY, DAMPING_RATIO, OUTSIDE], "S"),
         }
 
-    def checks(self, stored: Stored) -> Iterator[Check]:
+    def checks(self, stored: Inspection) -> Iterator[Check]:
         """Compare nodes with eigenvalues of the companion matrix."""
         places = stored.places(stored.datasets[OUTSIDE].shape[2:])
         each, wrong = -(-stored.sample // len(places)), 0
@@ -150,7 +150,7 @@ def _near(stable: Array) -> Array:
 _NEAR_CIRCLE, _SAME, _APART = 1e-6, 2e-6, 1e-5  # of poles from the circle, of modes, of two moduli
 
 
-def _wrong_nodes(stored: Stored, place: Any, fields: Mapping[str, Array], count: int) -> int:
+def _wrong_nodes(stored: Inspection, place: Any, fields: Mapping[str, Array], count: int) -> int:
     """Count nodes of a slice, of ``count`` at random, that differ from a new computation."""
     from jaxstab.model import by_name
     from jaxstab.motion import dominant_mode

@@ -121,7 +121,7 @@ class Limits(Product):
 
     def small_grid(self, grid: "Grid", place: Floats) -> "Grid":
         delay, gamma, delta, beta = place
-        columns, ends = grid.row_at(grid.limit_range, delay, grid.limit_cells, _COLUMNS, beta)
+        columns, ends = grid.row_at(delay, beta, _COLUMNS)
         plants = grid.slice_at(0.0, gamma, delta)
         wall = {"alpha": plants.alpha[:1, :1], "beta": plants.beta[:1, :1]}  # one of no interest
         delay = ends[0, :1]  # where the row begins

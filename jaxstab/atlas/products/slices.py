@@ -21,9 +21,9 @@ from jaxstab.atlas.product import (
     Array,
     Check,
     Floats,
-    Place,
+    Inspection,
     Product,
-    Stored,
+    SliceIndex,
     Variable,
     numbers,
 )
@@ -41,15 +41,6 @@ OUTLINE_STATUS = "outline_status"
 CORNER_ALPHA = "corner_alpha"
 CORNER_BETA = "corner_beta"
 CORNER_COUNT = "corner_count"
-SUMMARY = (
-    "largest_alpha",
-    "beta_of_largest_alpha",
-    "largest_beta",
-    "stable_area",
-    "least_radius",
-    "alpha_of_least_radius",
-    "beta_of_least_radius",
-)
 
 _NEAR = 1e-9  # of the size of a slice's stable region, or of a number in its summary
 _FAR = 1e-6  # of a coordinate of an extreme, where the extreme value hardly changes
@@ -96,13 +87,17 @@ _OUTLINE = (
 )
 
 _SUMMARY = (
-    _measure(SUMMARY[0], "largest stable alpha", "closed form; NaN if none is stable"),
-    _measure(SUMMARY[1], "beta of the largest stable alpha", "from the closed form"),
-    _measure(SUMMARY[2], "largest stable beta", "closed form; NaN if none is stable"),
-    _measure(SUMMARY[3], "area of the stable region", "in the (alpha, beta) plane"),
-    _measure(SUMMARY[4], "smallest spectral radius", "over all (alpha, beta)"),
-    _measure(SUMMARY[5], "alpha of the smallest spectral radius", "solved for, not gridded"),
-    _measure(SUMMARY[6], "beta of the smallest spectral radius", "solved for, not gridded"),
+    _measure("largest_alpha", "largest stable alpha", "closed form; NaN if none is stable"),
+    _measure("beta_of_largest_alpha", "beta of the largest stable alpha", "from the closed form"),
+    _measure("largest_beta", "largest stable beta", "closed form; NaN if none is stable"),
+    _measure("stable_area", "area of the stable region", "in the (alpha, beta) plane"),
+    _measure("least_radius", "smallest spectral radius", "over all (alpha, beta)"),
+    _measure(
+        "alpha_of_least_radius", "alpha of the smallest spectral radius", "solved for, not gridded"
+    ),
+    _measure(
+        "beta_of_least_radius", "beta of the smallest spectral radius", "solved for, not gridded"
+    ),
 )
 
 
@@ -111,13 +106,13 @@ class _BySlices(Product):
 
     tolerance: str
 
-    def checks(self, stored: Stored) -> Iterator[Check]:
+    def checks(self, stored: Inspection) -> Iterator[Check]:
         places = stored.places([stored.datasets[name].size for name in SLICE])
         wrong = sum(self.is_wrong(stored, place) for place in places)
         words = f"{wrong} of {len(places)} slices are off by {self.tolerance}"
         yield Check(self.name, wrong == 0, words)
 
-    def is_wrong(self, stored: Stored, place: Place) -> bool:
+    def is_wrong(self, stored: Inspection, place: SliceIndex) -> bool:
         raise NotImplementedError
 
 
@@ -156,7 +151,7 @@ class Outlines(_BySlices):
             CORNER_BETA: corner[:, 1].copy(),
         }
 
-    def is_wrong(self, stored: Stored, place: Place) -> bool:
+    def is_wrong(self, stored: Inspection, place: SliceIndex) -> bool:
         from jaxstab.model import by_name
         from jaxstab.region import RegionStatus, stable_region
 
@@ -193,7 +188,7 @@ class Summaries(_BySlices):
         values = slice_summaries(plan.hands(tile), delay, plan.spec.filters)
         return {name: value.reshape(plan.shape(name, tile)) for name, value in values.items()}
 
-    def is_wrong(self, stored: Stored, place: Place) -> bool:
+    def is_wrong(self, stored: Inspection, place: SliceIndex) -> bool:
         from jaxstab.model.filters import known_filters
 
         gamma, delta, delay = stored.loop(place)
@@ -231,7 +226,8 @@ def slice_summaries(
         best.alpha,
         best.beta,
     )
-    return {name: np.array(value, np.float64) for name, value in zip(SUMMARY, values, strict=True)}
+    names = (variable.name for variable in _SUMMARY)
+    return {name: np.array(value, np.float64) for name, value in zip(names, values, strict=True)}
 
 
 def _regions(hands: Floats, delay: float, filters: "Filters | None") -> "list[StableRegion]":

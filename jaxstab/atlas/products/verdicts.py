@@ -18,9 +18,9 @@ from jaxstab.atlas.product import (
     Array,
     Check,
     Floats,
-    Place,
+    Inspection,
     Product,
-    Stored,
+    SliceIndex,
     Variable,
 )
 from jaxstab.conventions import Verdict
@@ -78,7 +78,7 @@ class Verdicts(Product):
     def small_grid(self, grid: "Grid", place: Floats) -> "Grid":
         return grid.slice_at(*place[:3].tolist())
 
-    def checks(self, stored: Stored) -> Iterator[Check]:
+    def checks(self, stored: Inspection) -> Iterator[Check]:
         for name, points_at in ((VERDICT, _nodes_at), (CELL_VERDICT, _points_in_cells)):
             places = stored.places(stored.datasets[name].shape[2:])
             each, wrong = -(-stored.sample // len(places)), 0
@@ -103,12 +103,12 @@ def _chosen_places(
     return i, j
 
 
-def _nodes_at(stored: Stored, i: Array, j: Array, place: Place) -> tuple[Any, ...]:
+def _nodes_at(stored: Inspection, i: Array, j: Array, place: SliceIndex) -> tuple[Any, ...]:
     alpha, beta = (stored.datasets[name][:, place[-1]] for name in ("alpha", "beta"))
     return alpha[i], beta[j], *stored.loop(place)
 
 
-def _points_in_cells(stored: Stored, i: Array, j: Array, place: Place) -> tuple[Any, ...]:
+def _points_in_cells(stored: Inspection, i: Array, j: Array, place: SliceIndex) -> tuple[Any, ...]:
     """Return a random point of each cell; a single node is its cell."""
     gamma, delta, delay = place
     alpha, beta = (stored.datasets[name][:, delay] for name in ("alpha", "beta"))

@@ -1,77 +1,25 @@
-"""Build an atlas, the tiles of its plan as a job whose file is the atlas; and verify one."""
+"""Build an atlas, and verify one."""
 
 from collections.abc import Iterator
 from concurrent.futures import Executor
-from dataclasses import dataclass
-from functools import cached_property
 from os import PathLike
 from pathlib import Path
 
 import numpy as np
 
-import jaxstab
 from jaxstab.atlas.atlas import Atlas, open_atlas
 from jaxstab.atlas.file import TooLargeError, table_of
-from jaxstab.atlas.plan import Plan, Tile, compute_tile, plan_atlas
-from jaxstab.atlas.product import SPEC, Check, Stored
+from jaxstab.atlas.product import SPEC, Check, Inspection
 from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.products.verdicts import wrong_codes
-from jaxstab.atlas.schema import content_digest, digest_of
+from jaxstab.atlas.schema import content_digest, stored_of
 from jaxstab.atlas.spec import AtlasSpec, filters_of
-from jaxstab.atlas.write.tiles import (
-    build_key,
-    encode_tile,
-    is_whole,
-    merge,
-    name_of,
-    opened_tile,
-)
+from jaxstab.atlas.write.tiles import Build, build_key
 from jaxstab.atlas.write.variables import checked_datasets, opened, text_of
 from jaxstab.conventions import AXES, Verdict
 from jaxstab.model import by_name
 from jaxstab.model.filters import as_keywords
-from jaxstab.tiles import Job, Progress, Shards, complete
-
-_NODES_IN_FLIGHT = 2**26
-
-
-@dataclass(frozen=True)
-class Build(Job[Tile]):
-    """The job of building an atlas: its specification, its key and where the file goes."""
-
-    spec: AtlasSpec
-    key: str
-    path: Path
-
-    @cached_property
-    def plan(self) -> Plan:
-        """The plan, made when the place of the file is known to be good."""
-        return plan_atlas(self.spec)
-
-    @property
-    def items(self) -> list[Tile]:
-        return self.plan.tiles
-
-    @property
-    def at_once(self) -> int:
-        alphas, betas, *_ = self.plan.grid.shape
-        return max(2, _NODES_IN_FLIGHT // (self.plan.deltas_of_a_tile * alphas * betas))
-
-    def name(self, item: Tile) -> str:
-        return name_of(item)
-
-    def image(self, item: Tile) -> bytes:
-        return encode_tile(self.plan, item, self.key, compute_tile(self.plan, item))
-
-    def check(self, item: Tile, image: bytes) -> None:
-        with opened_tile(self.plan, item, self.key, image):
-            pass
-
-    def is_done(self, item: Tile, image: bytes) -> bool:
-        return is_whole(self.plan, item, self.key, image)
-
-    def publish(self, shards: Shards) -> None:
-        merge(self.plan, shards, self.path, f"jaxstab {jaxstab.__version__}")
+from jaxstab.tiles import Progress, complete
 
 
 def build_atlas(
@@ -115,7 +63,7 @@ def write_atlas(
     spec: AtlasSpec, path: Path, progress: Progress | None, executor: Executor | None
 ) -> None:
     """Build an atlas of any size; see ``build_atlas``, which opens it."""
-    complete(Build(spec, build_key(spec), path), path, progress, executor)
+    complete(Build(spec, build_key(spec), path), progress, executor)
 
 
 # Verification of a file: that it is whole, as the schema says, and right at a sample of points.
@@ -141,19 +89,17 @@ def verify_atlas(path: str | PathLike[str], sample: int = 1000, seed: int = 0) -
         with opened(path) as file:
             datasets = checked_datasets(file, table)
             yield Check("schema", True, f"{len(datasets)} variables as it says")
-            digest = content_digest(digest_of(*pair) for pair in datasets.items())
+            digest = content_digest(stored_of(*pair).line for pair in datasets.items())
             said = text_of(file, "content_sha256")
             is_right = said == table.content_digest == digest
             yield Check("content", is_right, f"its digest is {digest}")
             filters = as_keywords(filters_of(b"\n".join(datasets[SPEC][()]).decode()))
             axes = {name: datasets[name][()] for name in AXES}
-            stored = Stored({**datasets, **axes}, filters, sample, chance)
+            stored = Inspection({**datasets, **axes}, filters, sample, chance)
             for product in PRODUCTS.values():
                 if product.names[0] in datasets:
                     yield from product.checks(stored)
         atlas = open_atlas(path)
-        for name in atlas.products:
-            yield from PRODUCTS[name].checks_of_answers(atlas, sample, chance)
         yield _answers(atlas, sample, chance)
     except TooLargeError:
         return

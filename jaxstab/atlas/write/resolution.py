@@ -21,7 +21,6 @@ from math import inf, isnan, prod
 from time import process_time
 from typing import Any, NamedTuple
 
-import h5py
 import numpy as np
 from jaxtyping import Float64
 from numpy.typing import NDArray
@@ -31,9 +30,8 @@ from jaxstab.atlas.product import LARGEST_ARRAY
 from jaxstab.atlas.products.limits import ALPHA_LIMITS, upper_errors
 from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.products.verdicts import VERDICT
-from jaxstab.atlas.schema import image_of
 from jaxstab.atlas.spec import FEWEST_FITTED, AtlasSpec, FittedAxis
-from jaxstab.atlas.write.tiles import encode_tile
+from jaxstab.atlas.write.tiles import packed_tile
 from jaxstab.numbers import checked_number
 from jaxstab.shown import table_text
 
@@ -94,11 +92,9 @@ def _computed(
     tile = plan.tiles[0]
     begin = process_time()
     arrays = compute_tile(plan, tile)
-    image = encode_tile(plan, tile, "", arrays)
+    image = packed_tile(plan, tile, arrays)
     seconds = process_time() - begin
-    with h5py.File.in_memory(image_of(image)) as file:
-        size = sum(dataset.id.get_storage_size() for dataset in file.values())
-    return seconds, size, arrays
+    return seconds, sum(image[name].nbytes for name in arrays if name in image), arrays
 
 
 def _units(grid: Grid, product: str) -> int:

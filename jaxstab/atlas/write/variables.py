@@ -1,6 +1,7 @@
 """How the variables of the schema are written to HDF5. No JAX."""
 
 import struct
+import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from math import prod
@@ -13,10 +14,11 @@ from isal import isal_zlib
 from numpy.typing import NDArray
 
 from jaxstab.atlas.product import Variable
-from jaxstab.atlas.schema import DAMAGED, Place, RefusalError, Table, attributes_of, check
+from jaxstab.atlas.schema import DAMAGED, RefusalError, Span, Stored, Table, attributes_of, check
 from jaxstab.datasets import write_attributes
 
-_PACKED: Final = {"shuffle": True, "compression": "gzip", "compression_opts": 6}
+_LEVEL = 6  # of compression
+_PACKED: Final = {"shuffle": True, "compression": "gzip", "compression_opts": _LEVEL}
 _LARGEST_CHUNK = 2**17  # values of an array that is not laid out in tiles
 
 
@@ -35,11 +37,13 @@ def filters_of(variable: Variable) -> dict[str, Any]:
 
 
 def packed(values: NDArray[Any]) -> bytes:
-    """Return a chunk of numbers as these filters would store it, but deflated by ISA-L.
+    """Return a chunk as these filters would store it, but numbers are deflated by ISA-L.
 
-    That takes a sixth of the time of zlib at its lowest level, and about as much space.
+    That takes a sixth of the time of zlib at its lowest level, and about as much space; codes
+    deflate better by zlib.
     """
-    engine = isal_zlib.compressobj(2)
+    is_codes = values.dtype == np.int8
+    engine: Any = zlib.compressobj(_LEVEL) if is_codes else isal_zlib.compressobj(2)
     planes = values.reshape(-1).view(np.uint8).reshape(-1, values.itemsize).T
     deflated = [engine.compress(np.ascontiguousarray(plane).data) for plane in planes]
     data = b"".join([*deflated, engine.flush()])
@@ -74,9 +78,9 @@ def create_variable(
     return dataset
 
 
-def places_of(dataset: h5py.Dataset) -> list[Place]:
+def places_of(dataset: h5py.Dataset) -> list[Span]:
     """Return the offsets of the chunks of a dataset in a flushed file, in order."""
-    places: dict[tuple[int, ...], Place] = {}
+    places: dict[tuple[int, ...], Span] = {}
 
     def note(chunk: Any) -> None:
         if chunk.filter_mask:
@@ -96,17 +100,8 @@ _LONGEST_ATTRIBUTE = 2**16  # bytes
 _ROOM = 2**28  # bytes that HDF5 takes to read some chunks
 _ROOM_TO_OPEN = 2**20
 
-TROUBLES = (
-    RefusalError,
-    ValueError,
-    LookupError,
-    TypeError,
-    ArithmeticError,
-    RuntimeError,
-    OSError,
-)
-
-"""What HDF5, h5py and who uses them raise at a file that is not as it should be."""
+# What HDF5, h5py and who uses them raise at a file that is not as it should be.
+_TROUBLES = RefusalError, ValueError, LookupError, TypeError, ArithmeticError, RuntimeError, OSError
 
 
 @contextmanager
@@ -117,7 +112,7 @@ def opened(path: Path) -> Iterator[h5py.File]:
     try:
         with path.open("rb", buffering=0) as stream, h5py.File(stream, "r") as file:
             yield file
-    except TROUBLES as error:
+    except _TROUBLES as error:
         if "alloc" in str(error) or not _has_room(_ROOM):  # HDF5 raises the same error for both
             raise MemoryError(f"there is not enough memory to verify {path}.") from error
         raise ValueError(f"{path} {DAMAGED}") from error
@@ -133,13 +128,25 @@ def _has_room(size: int) -> bool:
 def checked_datasets(file: h5py.File, table: Table) -> dict[str, h5py.Dataset]:
     """Return the variables by name; they, and nothing else, are stored as the table says."""
     check(set(file) == set(table.variables))
-    datasets = {}
-    for name, stored in table.variables.items():
-        datasets[name] = checked_layout(
-            file, stored.variable, stored.dtype, stored.shape, stored.chunk
-        )
-        check(places_of(datasets[name]) == list(stored.places))
+    datasets = {name: _checked_dataset(file, stored) for name, stored in table.variables.items()}
+    check(all(places_of(datasets[n]) == list(table.variables[n].places) for n in datasets))
     return datasets
+
+
+def _checked_dataset(file: h5py.File, stored: Stored) -> h5py.Dataset:
+    name = stored.variable.name
+    check(isinstance(file.get(name, getlink=True), h5py.HardLink))
+    dataset = file[name]
+    check(isinstance(dataset, h5py.Dataset))
+    layout = dataset.id.get_create_plist()
+    check(layout.get_layout() == h5py.h5d.CHUNKED and layout.get_external_count() == 0)
+    filters = [layout.get_filter(index)[0] for index in range(layout.get_nfilters())]
+    check(len(filters) == len(set(filters)))
+    allowed = _FILTERS if stored.variable.is_packed else {h5py.h5z.FILTER_FLETCHER32}
+    check(set(filters) == allowed)
+    check(dataset.shape == stored.shape and dataset.chunks == stored.chunk)
+    check(dataset.dtype == stored.dtype and "enum" not in (dataset.dtype.metadata or {}))
+    return dataset
 
 
 def text_of(file: h5py.File, name: str) -> str:
@@ -148,25 +155,3 @@ def text_of(file: h5py.File, name: str) -> str:
     check(identifier.shape == () and identifier.dtype.kind == "S")
     check(prod(identifier.shape) * identifier.dtype.itemsize <= _LONGEST_ATTRIBUTE)
     return bytes(file.attrs[name]).decode("utf-8")
-
-
-def checked_layout(
-    file: h5py.File,
-    variable: Variable,
-    dtype: np.dtype[Any],
-    shape: tuple[int, ...],
-    chunk: tuple[int, ...],
-) -> h5py.Dataset:
-    """The dataset of a variable; RefusalError unless it is stored with this layout."""
-    check(isinstance(file.get(variable.name, getlink=True), h5py.HardLink))
-    dataset = file[variable.name]
-    check(isinstance(dataset, h5py.Dataset))
-    layout = dataset.id.get_create_plist()
-    check(layout.get_layout() == h5py.h5d.CHUNKED and layout.get_external_count() == 0)
-    filters = [layout.get_filter(index)[0] for index in range(layout.get_nfilters())]
-    check(len(filters) == len(set(filters)))
-    allowed = _FILTERS if variable.is_packed else {h5py.h5z.FILTER_FLETCHER32}
-    check(set(filters) == allowed)
-    check(dataset.shape == shape and dataset.chunks == chunk)
-    check(dataset.dtype == dtype and "enum" not in (dataset.dtype.metadata or {}))
-    return dataset

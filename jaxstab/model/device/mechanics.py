@@ -36,6 +36,19 @@ _NOTHING = 2.0**-200  # of the largest entry: one that small may be 0
 Rows = Float64[np.ndarray, "offset state column"]
 
 
+class Starts(NamedTuple):
+    """States from which a device begins to move; the first one is the position.
+
+    at_rest: of a device at rest at position 1 without a wall's force.
+    follows: which states are the forces of actuators; at rest they are the wall's force.
+    blow: after a unit of the hand's impulse, from 0.
+    """
+
+    at_rest: Float64[np.ndarray, " state"]
+    follows: np.ndarray
+    blow: Float64[np.ndarray, " state"]
+
+
 class Mechanics(NamedTuple):
     """A device between samples; x is in m, forces in N, the unit of time is one sample.
 
@@ -44,18 +57,14 @@ class Mechanics(NamedTuple):
 
     rows: of the states, at times after a sample, the last one at the next sample.
     seen: rows of position and velocity at the same times.
-    at_rest: the states of a device at rest at position 1 without a wall's force.
-    follows: which states are the forces of actuators; at rest they are the wall's force.
-    blow: the states after a unit of the hand's impulse, from 0.
+    starts: the states at rest and after a blow.
     thrown: the states of a device that moves with unit velocity from 0; None if a blow cannot throw
         it so.
     """
 
     rows: Rows
     seen: Float64[np.ndarray, "offset 2 column"]
-    at_rest: Float64[np.ndarray, " state"]
-    follows: np.ndarray
-    blow: Float64[np.ndarray, " state"]
+    starts: Starts
     thrown: Float64[np.ndarray, " state"] | None
 
 
@@ -100,9 +109,7 @@ def mechanics(
     return Mechanics(
         rows=values,
         seen=np.stack([values[:, 0], speeds], axis=1),
-        at_rest=at_rest,
-        follows=np.arange(size) >= order,
-        blow=blow,
+        starts=Starts(at_rest, np.arange(size) >= order, blow),
         thrown=blow / blow[1] if is_thrown else None,
     )
 
@@ -173,7 +180,8 @@ def handle_equations(device: Device, sample_time: float) -> HandleEquations:
         there, back = (flint.arb_mat(columns, columns) + 1 for _ in range(2))
         there[1, 0], back[1, 0] = matrix[0, 0], -matrix[0, 0]
         rows = (there * matrix * back).tolist()[:-2]
-    at_rest = np.array([moves.at_rest[0], 0.0, *moves.at_rest[2:]])
+    at_rest = moves.starts.at_rest.copy()
+    at_rest[1] = 0.0
     pull = columns - 3 if device.bandwidths else columns - 2
     rates = np.array([[_float(entry) for entry in row] for row in rows])
     return HandleEquations(rates, pull, at_rest, ticks)
