@@ -14,9 +14,11 @@ tried with all tests of their file. A mutant survives if ``_BUDGET`` seconds of 
 
 No file is changed. A process imports jaxstab and the tests once. Each mutant is a fork of it in
 which functions are given the changed code, or constants the changed value. What is neither, such as
-a default argument, is left out, and so is ``region/batch.py``, for JAX starts when it is imported.
-Processes that tests start run the code as it is. Results are appended to ``mutants.jsonl`` in the
-same folder; a later call goes on from there, and tries a survivor again if its tests have changed.
+a default argument, is left out. Threads of JAX do not survive a fork, and JAX starts when
+``region/batch.py`` is imported: it is changed in a copy of all files, and its tests run there in a
+new process. Processes that tests start run the code as it is. Results are appended to
+``mutants.jsonl`` in the same folder; a later call goes on from there, and tries a survivor again if
+its tests have changed.
 """
 
 import ast
@@ -26,6 +28,7 @@ import json
 import os
 import random
 import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -38,6 +41,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from itertools import islice, pairwise, permutations
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import CodeType, FunctionType, ModuleType
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
@@ -55,7 +59,7 @@ _ENOUGH = 5  # tests of a line, so that those of its file are not needed
 _START = 8.0  # processor seconds beyond its recorded ones after which a test hangs
 _LONGEST = 300.0  # seconds of a mutant, by the clock
 _MEMORY = 1 << 34  # bytes of address space
-_STARTS_JAX = {"tests/test_batch.py"}  # when it is imported; threads do not survive a fork
+_STARTS_JAX = {"jaxstab/region/batch.py": "tests/test_batch.py"}  # when imported; its tests
 _LEFT_OUT = 77  # exit code where a change is neither in a function nor in a constant
 _OPTIONS = [
     *["-s", "-q", "--tb=no", "-o", "addopts=", "-m", "not campaign"],
@@ -249,10 +253,12 @@ class Mutating:
         counts: Counter[tuple[str, str]] = Counter()
         survivors = []
         for mutant in islice(filter(Mutant.is_python, places), self.points):
-            tests = self.known.tests(mutant)
+            own = _STARTS_JAX.get(mutant.path)
+            tests = [own] if own else self.known.tests(mutant)
             row = earlier.get(str(mutant), {"said": "survived", "tests": None})
             if row["said"] == "survived" and row["tests"] != tests:
-                said = self.fate(mutant, [items[test] for test in tests if test in items])
+                of_line = [items[test] for test in tests if test in items]
+                said = fate_in_copy(mutant, own) if own else self.fate(mutant, of_line)
                 row = {"mutant": str(mutant), "said": said, "tests": tests}
                 with results.open("a", encoding="utf-8") as file:
                     file.write(json.dumps(row) + "\n")
@@ -295,6 +301,28 @@ class Mutating:
                 item.session._setupstate.teardown_exact(None)
                 return 1
         return 0
+
+
+def fate_in_copy(mutant: Mutant, tests: str) -> str:
+    """What a file of tests says of a mutant, in a new process and a changed copy of all files."""
+    with TemporaryDirectory() as folder:
+        copy = Path(folder) / "copy"
+        shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(".*", "__pycache__"))
+        (copy / mutant.path).write_text(mutant.source(), encoding="utf-8")
+        command = [sys.executable, "-m", "pytest", "-x", *_OPTIONS, tests]
+        environment = os.environ | {"PYTHONPATH": str(copy)}
+        try:
+            run = subprocess.run(
+                command,
+                capture_output=True,
+                check=False,
+                cwd=copy,
+                env=environment,
+                timeout=_LONGEST,
+            )
+        except subprocess.TimeoutExpired:
+            return "timeout"
+    return "killed" if run.returncode else "survived"
 
 
 def is_put_in(mutant: Mutant, of_file: list[FunctionType]) -> bool:
@@ -354,7 +382,7 @@ def main(small: bool, points: int | None) -> int:
 
 if __name__ == "__main__":
     known = Map(FOLDER)
-    files = sorted({test.split("::")[0] for test in known.seconds} - _STARTS_JAX)
+    files = sorted({test.split("::")[0] for test in known.seconds} - set(_STARTS_JAX.values()))
     watch = Watch(known.seconds)
     plugins = [watch, Mutating(int(sys.argv[1]), known, watch)]
     sys.exit(pytest.main([*_OPTIONS, *files], plugins=plugins))

@@ -14,8 +14,13 @@ from jaxstab.proofs.columns import (
     Columns,
     Runs,
     StableColumns,
+    Strips,
+    _limits,
+    _meets,
     column_gaps,
+    columns_of,
     distances,
+    runs_of,
     stable_columns,
 )
 from jaxstab.proofs.curve_patches import Domain, Intervals, Patches, curve_patches
@@ -386,3 +391,53 @@ def test_distances_of_patches_from_surfaces_hold_at_every_point(
     # Some of the bounds are attained, almost.
     nearest = np.min(np.where(is_inside, np.minimum(distance - low, high - distance), np.inf), 0)
     assert np.sum(nearest < 0.02 * (high - low)) > 30
+
+
+def test_a_run_follows_the_curve_through_one_column_without_a_gap() -> None:
+    """So a run that does not turn holds one root for each beta (lemma B8).
+
+    The curve leaves the domain at its top, and comes back through the same column.
+    """
+    hands, domain = boxes((0.0, 0.0), (5e-4, 2e-3)), Domain((-0.1, 0.2), (-0.1, 2.1))
+    patches = curve_patches(hands, 0.0, domain, (2e-3, 0.5))
+    for cells in (1, 12):
+        runs = runs_of(patches, np.linspace(*domain.beta, cells + 1))
+        follows = np.diff(runs.run) == 0
+        one, other = runs.patch[:-1], runs.patch[1:]
+        is_next = (np.diff(runs.column) == 0) & (other == one + 1)
+        assert np.array_equal(follows, is_next & (patches.start[other] == patches.end[one]))
+        assert np.array_equal(runs.start, np.flatnonzero(np.append(True, ~follows)))
+        assert np.any(is_next & ~follows) == (cells == 1)
+
+
+def test_a_gap_that_meets_the_domain_at_one_corner_of_its_column_meets_it(
+    rng: np.random.Generator,
+) -> None:
+    """Strips drawn at random; gaps are between them, below and above."""
+    hand = HandBoxes(*(np.array([value]) for value in (0.1, 0.1, 0.05, 0.05)))
+    columns, domain = columns_of(np.linspace(0.0, 1.0, 301), hand, 0.0), Domain((-1, 1), (0, 1))
+    centre = np.sort(rng.uniform(-1.5, 1.5, (300, 3)), axis=1)
+    slope = rng.normal(size=(300, 3, 3)) * rng.choice([0.1, 10.0, 200.0], (300, 1, 1))
+    strips = Strips(centre, slope, np.full((300, 3), 0.05), np.zeros((300, 3), bool))
+    low, high = strips.ends(columns)
+    outer = np.full((*low.shape[:2], 1), np.inf)
+    # The first strip is the line of a root at 1, above which the others begin.
+    begins = np.concatenate([-outer, np.maximum(high, high[..., :1])], axis=-1)
+    ends = np.concatenate([low, outer], axis=-1)
+    meets = (begins < ends) & (np.maximum(begins, -1.0) < np.minimum(ends, 1.0))
+    assert np.all(_meets(strips, columns, domain) >= meets.any(axis=0))
+    assert np.sum(meets.any(axis=0) & ~meets.all(axis=0)) > 50
+
+
+def test_several_stable_gaps_are_spanned_by_one_flat_limit() -> None:
+    """From the strip below the first of them to the one above the last (lemma B8)."""
+    hand = HandBoxes(*(np.array([value]) for value in (0.1, 0.1, 0.0, 0.0)))
+    columns, domain = columns_of(np.array([0.0, 1.0]), hand, 0.0), Domain((-1, 9), (0, 1))
+    centre = np.array([[0.0, 1.0, 2.0, 3.0, 4.0]])
+    nothing = np.zeros((1, 5, 3))
+    strips = Strips(centre, nothing, np.full((1, 5), 0.25), np.zeros((1, 5), bool))
+    stable, unstable = Verdict.STABLE, Verdict.UNSTABLE
+    codes = np.array([[unstable, stable, unstable, stable, unstable, unstable]], np.int8)
+    for limit in _limits(strips, codes, columns, domain):
+        assert limit[0, :-1] == pytest.approx([1.5, *[0.0] * 8])  # from -0.25 to 3.25
+        assert limit[0, -1] == pytest.approx(1.75)

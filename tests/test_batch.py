@@ -2,12 +2,15 @@
 
 import gc
 from dataclasses import replace
+from functools import partial
 from typing import Any
 from weakref import ref
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
-from mpmath import mpf
+from jax import jit, vmap
+from mpmath import conj, expj, mpf, polyval, workdps
 
 import jaxstab
 from benchmarks.limits_of import is_wrong
@@ -15,7 +18,20 @@ from benchmarks.truth.devices import DeviceLoop, Mechanism, mode
 from benchmarks.truth.filtered import FilteredLoop, average, difference, low_pass, times
 from jaxstab import Device, HapticLoop, Mode, Velocity, Verdict, limits_of, regions_of
 from jaxstab.loop import many as loops_together
-from jaxstab.region.batch import program
+from jaxstab.region.batch import (
+    SLOTS,
+    Triples,
+    _bisector,
+    _Corners,
+    _corners_of,
+    _Ends,
+    _linked,
+    _Links,
+    _rounding,
+    _wall,
+    program,
+)
+from jaxstab.region.pieces import Branch
 from jaxstab.results import RegionStatus
 
 PERIOD = 1e-3
@@ -297,3 +313,87 @@ def test_a_limit_that_is_small_beside_its_component_is_right_to_1e_9() -> None:
         held = replace(loop, hand_stiffness=hand)
         codes = held.verdict(limit * np.array([1.0 - 1e-9, 1.0 + 1e-9]), 0.0)
         assert codes.tolist() == [Verdict.STABLE, Verdict.UNSTABLE]
+
+
+def test_the_rounding_of_a_wall_is_no_more_than_the_bound_that_extremes_are_held_to(
+    rng: np.random.Generator,
+) -> None:
+    """Against 50 digits, on curves of windows and of slow filters."""
+    shares = []
+    for one in loops_together._formed([loops(rng)[0], families()[0][0]]):
+        triples = loops_together._triples([one], one.parts.hi.shape[2] - 1)
+        loop = Triples(*(part[0] for part in triples))
+        theta = np.concatenate([np.geomspace(1e-3, 0.3, 8), rng.uniform(0.3, 3.1, 8)])
+        walls = np.asarray(_wall(loop, theta))
+        bound = vmap(partial(_rounding, loop), (0, 1, None))
+        bounds = [bound(theta, walls, k).tolist() for k in (0, 1)]
+        with workdps(50):
+            for index, angle in enumerate(theta.tolist()):
+                base, stiffness, damping = (
+                    polyval([mpf(a) + mpf(b) for a, b in rows], expj(mpf(angle)), asc=True)
+                    for rows in np.stack([one.parts.hi, one.parts.lo], -1)[0, :, ::-1].tolist()
+                )
+                det = (conj(stiffness) * damping).imag
+                true = (conj(damping) * base).imag / det, -(conj(stiffness) * base).imag / det
+                for k, value in enumerate(true):
+                    shares.append(abs(mpf(float(walls[k, index])) - value) / bounds[k][index])
+    assert 0.05 < max(shares) <= 1.0
+
+
+def test_a_piece_is_solved_only_if_both_of_its_ends_are() -> None:
+    """From z = 1, where it is pinned, to the line of a root at 1, within its bracket alone."""
+    mass = HapticLoop(device_mass=0.1, device_damping=0.1, sample_time=PERIOD)
+    (one,) = loops_together._formed([mass])
+    triples = loops_together._triples([one], one.parts.hi.shape[2] - 1)
+    loop = Triples(*(jnp.asarray(part[0]) for part in triples))
+    is_first = jnp.arange(SLOTS) == 0
+    corners = jit(lambda ends: _corners_of(loop, ends, jnp.ones(SLOTS), jnp.ones(2)))
+    for theta, is_solved in ((1.5714, True), (1.45, False)):
+        ends = _Ends(
+            exists=is_first,
+            next_to=jnp.zeros((2, SLOTS), int),
+            theta=jnp.stack([jnp.full(SLOTS, 1e-6), jnp.full(SLOTS, theta)]),
+            branch=jnp.full((2, SLOTS), Branch.Z_PLUS_ONE),
+            width=jnp.full((2, SLOTS), 2e-4),
+            pinned=jnp.array([[True], [False]]) & is_first,
+        )
+        assert bool(corners(ends).is_solved[0]) == is_solved
+
+
+def between_lines() -> Triples:
+    """A loop by its lines alone: stable are alpha > 0 and beta < 1."""
+    ends = jnp.array([[0.0, 1.0, 0.0], [1.0, 0.0, -1.0]])
+    return Triples(jnp.eye(3, 4), jnp.eye(3, 4), jnp.zeros(3), ends, jnp.linspace(0.1, 3.0, 8))
+
+
+def test_behind_the_crossing_of_both_lines_the_next_piece_begins_on_the_other_line() -> None:
+    """A curve from (0, 0.3) to (0.5, 1) bounds the stable set, too.
+
+    A piece inside, between two others, begins nearer to the crossing.
+    """
+    loop, nothing = between_lines(), jnp.zeros(SLOTS)
+    number = jnp.arange(SLOTS)
+    branch = jnp.zeros((2, SLOTS), int)  # of curves
+    branch = branch.at[1, 0].set(Branch.Z_MINUS_ONE).at[0, 1].set(Branch.Z_PLUS_ONE)
+    begins = jnp.array([[0.2, 0.0, 0.3], [0.5, 0.3, 0.8]])
+    stops = jnp.array([[0.5, 0.2, 0.4], [1.0, 0.5, 0.9]])
+    walls = jnp.stack([jnp.pad(side, ((0, 0), (0, SLOTS - 3))) for side in (begins, stops)], 1)
+    known = (number < 3, nothing, branch, walls, walls, number, number)
+    links = jit(_linked)(loop, _Corners(*known, nothing, nothing, nothing))
+    assert links.crossing.tolist() == [0.0, 1.0]
+    assert bool(links.via[0])
+    assert int(links.successor[0]) == 1
+
+
+def test_the_stable_set_is_to_the_left_of_both_pieces_at_their_corner() -> None:
+    """Piece 0 arrives along alpha, piece 1 leaves along beta: seen from the end and the begin."""
+    loop, nothing = between_lines(), jnp.zeros(SLOTS)
+    along = jnp.ones((2, 2, SLOTS))
+    slopes = along.at[:, 1, 0].set(jnp.array([2.0, 0.0])).at[:, 0, 1].set(jnp.array([0.0, 3.0]))
+    other = 1 - jnp.minimum(jnp.arange(SLOTS), 1)
+    curves = jnp.zeros((2, SLOTS), int)
+    corners = _Corners(nothing, nothing, curves, along, slopes, other, other, *[nothing] * 3)
+    links = _Links(other, nothing, nothing, jnp.zeros(2))
+    toward = jit(lambda corner: _bisector(loop, corners, links, corner, jnp.ones(2)))
+    begin_of_1, end_of_0 = 1, SLOTS
+    assert toward(begin_of_1).tolist() == toward(end_of_0).tolist() == [-1.0, 1.0]

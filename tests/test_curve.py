@@ -1,5 +1,6 @@
 """The closed form of the boundary against 50-digit truth, its limits and its derivatives."""
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -13,7 +14,7 @@ from jaxstab.model import by_name
 from jaxstab.paper import minus_line, plus_line
 from jaxstab.region import boundary_curve
 from jaxstab.region.curve import curve_point, poles, slice_coefficients
-from jaxstab.region.roots import with_slope
+from jaxstab.region.roots import bracketed_root, with_slope
 
 ACCURACY = 1e-13
 ROUNDING = 2.0**-52
@@ -238,3 +239,22 @@ def test_poles_of_the_curve_are_the_zeros_of_the_numerator(
         assert angles[k] == pytest.approx(np.abs(np.angle(zero)), abs=1e-9)
         if 1e-6 < away < 1.0:
             assert distances[k] == pytest.approx(away, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda x, root: x**25 - root**25,
+        lambda x, root: np.expm1(40.0 * (x - root)),
+        lambda x, root: np.log((x + 1e-9) / (root + 1e-9)),
+        lambda x, root: np.arctan(300.0 * (x - root)),
+    ],
+)
+def test_bracketed_roots_are_found_in_spite_of_flat_and_of_steep_parts(
+    function: Callable[[np.ndarray, np.ndarray], np.ndarray],
+) -> None:
+    """There the secant method alone crawls along one side of the bracket."""
+    roots = np.geomspace(1e-3, 0.9, 40)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        answers = bracketed_root(lambda x: function(x, roots), np.full(40, 1e-6), np.ones(40))
+    assert answers == pytest.approx(roots, rel=1e-14)

@@ -442,6 +442,17 @@ def test_the_compliance_at_high_frequencies_is_nearly_attained(
         assert attained <= bound <= SHARP * attained
 
 
+def test_no_compliance_is_known_where_some_mass_of_a_range_is_no_inertia() -> None:
+    """A mode of negative mass: the heaviest device weighs less than nothing, and arms make it 0."""
+    device = HeldDevice(0.01, 0.0, ((0.8, 0.02, -0.667),), (), None)
+    beyond = 10.0
+    known = device.largest_compliance((0.5, 0.5), (0.05, 0.02), beyond)
+    assert device.largest_compliance((0.5, 1.0), (0.05, 0.02), beyond) == np.inf
+    w = np.geomspace(beyond, 1e3, 4000)
+    parts = device.parts(1j * w, 1.0, Arms(2.0, 0.05, 0.02))
+    assert np.max(w**2 * np.abs(np.divide(*parts))) > 10.0 * known
+
+
 def test_aliases_that_are_not_followed_are_bounded_by_their_sum() -> None:
     """Of a free mass: 1/(m |theta + 2 pi k|^3), and squares for the moduli, |k| above 2."""
     device, mass, last = HeldDevice(0.0, 0.0, (), (), None), 0.5, 3.0

@@ -1,6 +1,6 @@
 """Slow filters of high order, of which float64 knows nothing, against balls of python-flint."""
 
-from functools import cache
+from functools import cache, partial
 from itertools import pairwise
 
 import flint
@@ -12,9 +12,10 @@ import jaxstab
 from benchmarks.loops import probes
 from benchmarks.truth.filtered import FilteredLoop, average, difference
 from benchmarks.truth.random_loops import DeviceLoop, MassLoop
-from jaxstab.model import by_name
+from jaxstab.model import Velocity, by_name
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.region import RegionStatus
+from jaxstab.region import region as region_of_slices
 from jaxstab.region.curve import curve_and_lift
 from jaxstab.region.exact import _about, angles_on_circle, polished_angles
 from jaxstab.region.filtered_curve import stretches_around, to_rescaled, true_angles
@@ -55,6 +56,26 @@ def test_a_curve_that_turns_as_soon_as_it_sets_out_is_followed():
     for alpha, beta in walls.tolist():
         for wall in ((alpha, beta - aside), (alpha, beta + aside)):
             assert region.contains(*wall) == loop.balls.is_stable(*wall)
+
+
+@pytest.mark.parametrize("wrong", [{"size": 0}, {"resolved": np.False_}])
+def test_more_digits_are_tried_before_nothing_is_called_stable_or_resolved(wrong, monkeypatch):
+    answer = partial(
+        jaxstab.stable_region,
+        **by_name(0.5, 0.1, 1.0),
+        velocity=Velocity.difference(samples=4),
+    )
+    expected, real = answer().area, region_of_slices._audited
+
+    def audited(c, *arguments):
+        outline, pieces = real(c, *arguments)
+        return outline if c.is_exact else outline._replace(**wrong), pieces
+
+    monkeypatch.setattr(region_of_slices, "_audited", audited)
+    region = answer()
+    assert region.coefficients.is_exact
+    assert region.status == RegionStatus.COMPLETE
+    assert region.area == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.campaign

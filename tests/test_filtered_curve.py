@@ -176,7 +176,10 @@ def test_walls_of_a_line_and_of_the_curve_beside_it_have_roots_at_its_angles(
 
 @pytest.mark.parametrize(
     ("samples", "average", "gamma", "delay"),
-    [(4, 1, 2.0, 1.5), (5, 4, 2.0, 0.5), (7, 1, 0.5, 3.0), (8, 4, 0.5, 2.0), (3, 1, 0.3, 1.0)],
+    [
+        *[(4, 1, 2.0, 1.5), (5, 4, 2.0, 0.5), (7, 1, 0.5, 3.0), (8, 4, 0.5, 2.0), (3, 1, 0.3, 1.0)],
+        (5, 2, 9.0, 1.5),  # the curve bounds the set up to z = -1
+    ],
 )
 def test_regions_between_lines_are_resolved_and_hold_the_walls_that_certified_roots_hold(
     samples: int, average: int, gamma: float, delay: float

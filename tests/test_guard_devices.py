@@ -34,7 +34,16 @@ from jaxstab.guard.grid import Grid, grid_boxes, interpolated
 from jaxstab.model.device import sampled_device
 from jaxstab.model.device.parts import balls_of, working_precision
 from jaxstab.model.filters import given_filters
-from jaxstab.proofs.device_boxes import Arms, HeldDevice, with_parts
+from jaxstab.proofs.device_boxes import (
+    DELAY,
+    MASS,
+    Arms,
+    DeviceBoxes,
+    Extent,
+    HeldDevice,
+    along,
+    with_parts,
+)
 
 ROOT = Path(__file__).resolve().parents[1]
 PERIOD = 1e-3
@@ -261,6 +270,36 @@ def test_discs_of_late_forces_are_held_by_boxes() -> None:
 def test_many_discs_of_late_forces_are_held_by_boxes() -> None:
     found = [assert_boxes_hold(seed, 20, moves=True) for seed in range(500, 500 + BOXES)]
     assert max(worst for worst, _ in found) > 0.9
+
+
+def test_boxes_that_hold_a_root_on_the_circle_are_never_free() -> None:
+    """Lemma B20 at limits of stability; the slope of F there is no proof away from theta = 0."""
+    arm, count = Arms(0.1, 100.0, 1.0), 0
+    half = np.zeros((7, 12))
+    half[6] = 0.5 ** np.arange(3, 15)
+    for seed in range(10):
+        loop, _, grid = drawn_loop(np.random.default_rng(seed))
+        loop = replace(loop, delay=float(grid.delay[0]) * PERIOD)
+        limits = loop.limits()
+        wall = limits.stiffness, limits.at_damping
+        poles = np.asarray(loop.poles(*wall))
+        pole = poles[np.argmin(np.abs(np.abs(poles) - 1.0))]
+        assert abs(pole) == pytest.approx(1.0, abs=1e-9)
+        mass = grid.mass[0]
+
+        def extent(
+            center: np.ndarray, half: np.ndarray, loop: HapticLoop = loop, wall: Any = wall
+        ) -> Extent:
+            one, none = np.ones(center.shape[1]), np.zeros(center.shape[1])
+            numbers = (along(DELAY, v * one, none) for v in (float(loop.delay_samples), *wall))
+            return Extent(along(MASS, center[MASS], half[MASS]), *numbers)
+
+        proof = DeviceBoxes(loop.device, loop, (mass, mass), (arm.stiffness, arm.damping), extent)
+        center = np.array([mass, 0.0, 0.0, *arm, abs(np.angle(pole))])[:, None] * np.ones(12)
+        assert not proof.judged(center, half)[0].any()
+        center[6] = np.clip(center[6] + 0.05, 0.0, np.pi)  # beside it the narrow ones are
+        count += int(proof.judged(center, half)[0].sum())
+    assert count > 60
 
 
 def test_a_wide_delay_is_halved_before_what_is_narrow() -> None:

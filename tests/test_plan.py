@@ -120,7 +120,7 @@ def test_fixed_parameters_are_not_gridded_and_the_atlas_answers_at_them(
 def test_an_axis_is_laid_around_a_region_that_is_known(
     status: RegionStatus, says: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    empty = replace(stable_region(gamma=np.pi**2, delta=0.0, delay=1.0), status=np.array(status))
+    empty = replace(stable_region(gamma=np.pi**2, delta=0.0, delay=1.0), status=status)
     assert stable_region(gamma=np.pi**2, delta=0.0, delay=1.0).is_empty
     monkeypatch.setattr(plans, "stable_region", lambda *_, **__: empty)
     with pytest.raises(ValueError, match=re.escape(says)) as caught:

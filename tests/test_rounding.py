@@ -1,0 +1,379 @@
+"""Bounds of rounding errors, against exact arithmetic and the formulas of docs/proofs.md.
+
+Numbers are drawn at random, of all sizes. Where rounding seldom comes near to its bound, the bound
+is compared with what its lemma says.
+"""
+
+from fractions import Fraction
+from itertools import pairwise
+from typing import Any
+
+import mpmath
+import numpy as np
+import pytest
+
+from benchmarks import truth
+from jaxstab import Velocity
+from jaxstab.model import DoubleDouble, polynomial_degree
+from jaxstab.model.filters import known_filters
+from jaxstab.model.linear_loop import Affine, Bounded, LinearLoop
+from jaxstab.point import dominance, fields, radius, verdicts
+from jaxstab.point.dominance import Complex
+from jaxstab.point.radius import _scaled_codes
+from jaxstab.point.schur_cohn import Chain, _step, loop_coefficients
+from jaxstab.point.verdicts import _ends, float_plant, have_outer_root, loop_codes
+from jaxstab.proofs import curve_patches
+from jaxstab.proofs.columns import _line_strips, column_gaps, columns_of
+from jaxstab.proofs.curve_patches import Domain
+from jaxstab.proofs.exclusion import LineBoxes, Models, _shrunk
+from jaxstab.proofs.filters import Ends
+from jaxstab.proofs.plant import HandBoxes
+from jaxstab.region.exact import exact_gains
+from jaxstab.region.filtered_curve import loop_of_system, mass_system, parts_in_pairs
+from jaxstab.rounding import UNIT
+
+COUNT = 400
+
+
+def drawn(rng: np.random.Generator, *shape: int) -> np.ndarray:
+    """Numbers of either sign, from 1e-3 to 1e3."""
+    return rng.choice([-1.0, 1.0], shape) * 10 ** rng.uniform(-3.0, 3.0, shape)
+
+
+def exact(values: Any) -> list[Any]:
+    """Fractions in place of floats, in lists."""
+    return [Fraction(v) if isinstance(v, float) else exact(v) for v in np.asarray(values).tolist()]
+
+
+def chain_of(gap: Any, head: Any, tail: Any, drift: Any = None) -> Chain[Any]:
+    nothing = np.zeros(COUNT)
+    return Chain(gap, tuple(head), tuple(tail), nothing, nothing.copy(), drift=drift)
+
+
+def test_a_step_rounds_by_no_more_than_lemma_v3_says() -> None:
+    rng = np.random.default_rng(1)
+    gap, head, tail = drawn(rng, COUNT), drawn(rng, 2, COUNT), drawn(rng, 3, COUNT)
+    after = _step(chain_of(gap, head, tail), UNIT)
+    ratios = tail[0] / (gap + head[1])
+    for k, (g, (u1, u2), (v0, v1, v2)) in enumerate(
+        zip(exact(gap), exact(head.T), exact(tail.T), strict=True)
+    ):
+        ratio = Fraction(float(ratios[k]))
+        made = [Fraction(float(row[k])) for row in (*after.head[:2], after.gap, *after.tail[:2])]
+        true = [
+            u1 - ratio * v1,
+            u2 - ratio * v2,
+            g - ratio * (v0 - v2),
+            v1 - ratio * u1,
+            v2 - ratio * u2,
+        ]
+        away = [abs(a - b) for a, b in zip(made, true, strict=True)]
+        dropped = abs(v0 - ratio * (g + u2))
+        assert away[0] + 2 * away[1] <= Fraction(float(after.head_error[k]))
+        assert sum(away[2:]) + dropped <= Fraction(float(after.error[k]))
+
+
+def test_a_step_drifts_from_exact_steps_by_no_more_than_lemma_v6_says() -> None:
+    rng = np.random.default_rng(2)
+    gap, head, tail = drawn(rng, COUNT), drawn(rng, 2, COUNT), drawn(rng, 3, COUNT)
+    after = _step(chain_of(gap, head, tail, drift=np.zeros(COUNT)), UNIT)
+    for k, (g, (u1, u2), (v0, v1, v2)) in enumerate(
+        zip(exact(gap), exact(head.T), exact(tail.T), strict=True)
+    ):
+        ratio = v0 / (g + u2)
+        made = [Fraction(float(row[k])) for row in (*after.head[:2], after.gap, *after.tail[:2])]
+        made[2] += made[1]
+        true = [
+            u1 - ratio * v1,
+            u2 - ratio * v2,
+            g + u2 - ratio * v0,
+            v1 - ratio * u1,
+            v2 - ratio * u2,
+        ]
+        assert after.drift is not None
+        assert max(abs(a - b) for a, b in zip(made, true, strict=True)) <= after.drift[k]
+
+
+@pytest.fixture
+def chains(monkeypatch: pytest.MonkeyPatch) -> list[Chain[Any]]:
+    """What the recursions of verdicts and radii begin with."""
+    begun: list[Chain[Any]] = []
+    for module in (verdicts, radius):
+        real = module.decide
+
+        def decide(chain: Chain[Any], *others: Any, real: Any = real) -> Any:
+            begun.append(chain)
+            return real(chain, *others)
+
+        monkeypatch.setattr(module, "decide", decide)
+    return begun
+
+
+def test_the_drift_begins_with_the_error_of_each_coefficient(chains: list[Chain[Any]]) -> None:
+    """Of soft hands, whose d1 and d0 are next to 2 and 1, and small gains."""
+    rng = np.random.default_rng(3)
+    gamma, delta = 10 ** rng.uniform(-8.0, -3.0, (2, 40))
+    plant = float_plant(gamma, delta, np.zeros(40), is_fractional=False)
+    walls = np.full(40, 1e-6), np.full(40, 1e-6)
+    degree = len(plant.stiff) + 20
+    loop_codes(*walls, gamma, plant, unit=UNIT, degree=degree)
+    (chain,) = chains
+    for k in range(40):
+        true = truth.plant(float(gamma[k]), float(delta[k]), 0)
+        away = [abs(chain.head[0][k] + true.d1), abs(chain.head[0][k] - true.d1)]
+        away = [
+            min(away),
+            abs(chain.head[1][k] - true.d0),
+            abs(chain.gap[k] + chain.head[1][k] - 1),
+        ]
+        assert chain.drift is not None
+        assert max(away) <= chain.drift[k]
+
+
+def test_values_at_minus_one_are_within_their_errors() -> None:
+    """For large gains, at which these values are large."""
+    rng = np.random.default_rng(4)
+    gamma, delta = rng.uniform(0.1, 9.0, (2, 40))
+    plant = float_plant(gamma, delta, np.zeros(40), is_fractional=False)
+    alpha, beta = 10 ** rng.uniform(2.0, 5.0, (2, 40))
+    degree = len(plant.stiff) + 1
+    ends = _ends(alpha, beta, gamma, plant, UNIT, degree)
+    for k in range(40):
+        true = truth.plant(float(gamma[k]), float(delta[k]), 0)
+        force = true.n2 - true.n1 + true.n0
+        value = 1 - true.d1 + true.d0 + force * (float(alpha[k]) + 2 * float(beta[k]))
+        assert abs(ends.at_minus_one[k] - value) <= ends.at_minus_one_error[k]
+
+
+def test_sums_of_large_gains_are_within_the_error_of_their_coefficients() -> None:
+    """Lemma V8: four roundings."""
+    rng = np.random.default_rng(5)
+    rows = [tuple(drawn(rng, 5, COUNT)) for _ in range(3)]
+    nothing = np.zeros(COUNT)
+    end = Affine(*[Bounded(nothing, nothing)] * 3)
+    loop = LinearLoop(*rows, (nothing,) * 3, end, end)
+    alpha, beta = drawn(rng, COUNT), drawn(rng, COUNT)
+    made, bound = loop_coefficients(alpha, beta, loop, UNIT)
+    for k in range(COUNT):
+        k_alpha, k_beta = Fraction(float(alpha[k])), Fraction(float(beta[k]))
+        away = Fraction(0)
+        for column, value in zip(zip(*rows, strict=True), made, strict=True):
+            base, stiffness, damping = (Fraction(float(row[k])) for row in column)
+            true = base + stiffness * k_alpha + damping * k_beta
+            away += abs(true - Fraction(float(value[k])))
+        assert away <= Fraction(float(bound[k]))
+
+
+def test_coefficients_of_small_circles_are_within_their_errors(chains: list[Chain[Any]]) -> None:
+    """Lemma R3: of p(r z) / r^n, of which the second and the third are large."""
+    rng = np.random.default_rng(6)
+    head, tail = drawn(rng, 2, COUNT), 1e-9 * drawn(rng, 3, COUNT)
+    scale = rng.uniform(0.02, 0.3, COUNT)
+    _scaled_codes(tuple(head), tuple(tail), np.zeros(COUNT), scale, 8)
+    (chain,) = chains
+    for k in range(COUNT):
+        made = [Fraction(float(row[k])) for row in chain.head]
+        true = [
+            Fraction(float(c)) / Fraction(float(scale[k])) ** n for n, c in enumerate(head[:, k], 1)
+        ]
+        away = [abs(a - b) for a, b in zip(made, true, strict=True)]
+        assert away[0] + 2 * away[1] <= Fraction(float(chain.head_error[k]))
+
+
+def test_no_outer_root_is_proved_of_a_polynomial_that_has_none() -> None:
+    """Double roots inside of the circle, of which rounding makes some that are outside."""
+    twice, square = np.arange(1, 3800) / 2048.0, 1.0 - 2.0**-26
+    quadratic = np.stack([np.ones(twice.size), -twice, np.full(twice.size, square)], axis=1)
+    falling = np.stack([np.convolve(row, row) for row in quadratic])  # without rounding
+    assert Fraction(falling[9, 2]) == Fraction(twice[9]) ** 2 + 2 * Fraction(square)
+    assert np.mean([np.abs(np.roots(row)).max() > 1.0 for row in falling[::20]]) > 0.3
+    assert not have_outer_root(falling).any()
+
+
+@pytest.mark.parametrize("degree", [3, 12, 30])
+@pytest.mark.parametrize("root", [0.5, 4.0])
+def test_at_a_root_rounding_alone_is_the_distance(degree: int, root: float) -> None:
+    """Lemma R1 for z^(n-1) (z - root), all numbers powers of 2: n (4 n + 10) u and 4 u for |z|."""
+    columns = [np.array([c]) for c in (1.0, -root, *[0.0] * (degree - 1))]
+    bound = fields._bound(columns, np.zeros(1), np.array([root + 0j]))
+    of_terms = degree * (4 * degree + 10) * UNIT * 2.0 * root  # two terms of one size
+    assert bound[0] == pytest.approx(of_terms + 4.0 * UNIT * root, rel=2e-3, abs=0.0)
+
+
+@pytest.mark.parametrize("fraction", [0.0, 0.4])
+def test_the_rounding_of_a_value_and_a_slope_is_that_of_lemma_r1(fraction: float) -> None:
+    """(4 (n - 2) + 30) u of all terms without their signs, and of the derivatives of these."""
+    delay = 6.0 + fraction
+    loop = dominance._loop([np.array([v]) for v in (-0.1, 0.1, 0.5, 0.3)], delay)
+    degree = polynomial_degree(delay)
+    linear, constant = (float(c[0]) for c in loop.denominator)
+    numerator = [abs(float(c[0])) for c in loop.numerator]
+    alpha, beta = abs(float(loop.alpha[0])), float(loop.beta[0])
+
+    def terms(size: float, modulus: float) -> float:
+        wall = alpha * modulus + beta * size
+        return modulus ** (degree - 2) * ((size + linear) * size + constant) + (
+            np.polyval(numerator, size) * wall
+        )
+
+    # Where the slope is nearly 0 its rounding counts.
+    low, high = -0.9, -1e-3
+
+    def slope(t: float) -> float:
+        return float(
+            dominance.evaluated(Complex(np.array([t]), np.zeros(1)), loop, degree)[1].re[0]
+        )
+
+    grid = np.linspace(low, high, 400)
+    signs = np.sign([slope(t) for t in grid])
+    (first, *_) = np.flatnonzero(signs[1:] != signs[:-1])
+    low, high = grid[first], grid[first + 1]
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if slope(middle) * slope(low) > 0.0 else (low, middle)
+    t = low + 1e-9
+    size, modulus = abs(t), 1.0 + t
+    at = Complex(np.array([t]), np.zeros(1))
+    distance, rounding = dominance._distance_to_root(
+        at, np.array([size]), np.array([modulus]), loop, degree
+    )
+    unit = (4.0 * (degree - 2) + 30.0) * UNIT
+    assert rounding[0] == pytest.approx(unit * terms(size, modulus), rel=1e-9, abs=0.0)
+    h = 1e-6
+    of_slope = (terms(size + h, modulus + h) - terms(size - h, modulus - h)) / (2.0 * h)
+    value = float(dominance.evaluated(at, loop, degree)[0].re[0])
+    taken = abs(slope(t)) - degree * (abs(value) + rounding[0]) * dominance._SLACK / distance[0]
+    assert taken == pytest.approx(unit * of_slope, rel=1e-2, abs=0.0)
+
+
+def test_an_outer_root_is_proved_beyond_its_rounding_alone() -> None:
+    """Lemma V5 for z^2 - 2 r cos(phi) z + r^2: n |p/p'|, with 8 (n + 1) u for terms and |z|."""
+    cosine = np.linspace(-0.6, 0.6, 50)
+    unit, slope = 24.0 * UNIT, 2.0 * np.sqrt(1.0 - cosine**2)
+    sizes = 2.0 + 2.0 * np.abs(cosine)
+    width = unit + 2.0 * unit * sizes / slope
+    for share in (0.6, 1.5):
+        size = 1.0 + share * width
+        falling = np.stack([np.ones(50), -2.0 * size * cosine, size**2], axis=1)
+        assert np.mean(have_outer_root(falling)) == (share > 1.0)
+
+
+def test_columns_leave_no_beta_out() -> None:
+    rng = np.random.default_rng(7)
+    edges = np.sort(drawn(rng, 200))
+    columns = columns_of(edges, HandBoxes(*[np.ones(1)] * 4), 0.0)
+    for k, (low, high) in enumerate(pairwise(exact(edges))):
+        middle, half = Fraction(columns.centre[k, 0]), Fraction(columns.half[k, 0])
+        assert middle - half <= low
+        assert high <= middle + half
+
+
+def test_lines_of_real_roots_hold_for_filters_within_their_errors() -> None:
+    """P(1), P(-1) and V(-1) are known to a share of themselves."""
+    rng, share = np.random.default_rng(8), 1e-3
+    gamma, delta = rng.uniform(0.5, 9.0, (2, 20))
+    hands = HandBoxes(gamma, delta, np.full(20, 1e-6), np.full(20, 1e-6))
+    domain = Domain((-1e3, 1e3), (-20.0, 20.0))
+    columns = columns_of(np.linspace(*domain.beta, 40_001), hands, 0.0)
+    ends = Ends(0.1, (0.0, 2.0), share)
+    strips = _line_strips(columns, hands, domain, ends)
+    error = strips.error.reshape(20, -1, 2)
+    for k in range(20):
+        assert np.all(error[k, :, 0] >= gamma[k] * (1.0 / 0.1 - 1.0 / (0.1 * (1.0 + share))))
+        plant = truth.plant(float(gamma[k]), float(delta[k]), 0)
+        force = plant.n2 - plant.n1 + plant.n0
+        for moved in (-0.9 * share, 0.0, 0.9 * share):
+            beta = float((1 - plant.d1 + plant.d0) / force / (2 * (1 + moved)))
+            if abs(beta) < 20.0:
+                assert error[k, int((beta + 20.0) * 1000.0), 1] == np.inf
+
+
+@pytest.mark.parametrize("delay", [0.0, 1.5])
+def test_the_line_of_a_root_at_1_is_in_no_gap(delay: float) -> None:
+    """Its alpha, -gamma, is known exactly: the rounding of planes alone is left out of gaps."""
+    gamma = np.random.default_rng(9).uniform(0.01, 0.5, 12)
+    hands = HandBoxes(gamma, np.full(12, 0.3), np.zeros(12), np.zeros(12))
+    gaps = column_gaps(np.linspace(0.0, 0.5, 9), hands, delay, Domain((-1.0, 0.2), (0.0, 0.5)))
+    line = -gamma[:, None, None]
+    ends = np.concatenate([gaps.low, gaps.high], axis=2)
+    assert np.mean(np.nanmin(np.abs(ends - line), axis=2) < 1e-12) > 0.5
+    assert not np.any((gaps.low < line) & (line < gaps.high))
+
+
+def test_forces_through_filters_hold_the_errors_of_responses(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    filters, theta = known_filters(Velocity.difference(samples=3), None), np.linspace(0.1, 3.0, 9)
+
+    def responses(cells: Any, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return np.ones((2, 9), complex), np.zeros((2, 9), complex), np.full((4, 9), 0.25)
+
+    monkeypatch.setattr(curve_patches, "responses", responses)
+    nothing, one = np.zeros(9), np.ones(9)
+    forces = curve_patches._forces(filters, theta, nothing, (one, one, 2.0 * one))
+    assert np.all(forces[:2] >= 2.5)
+
+
+@pytest.mark.parametrize("turns", [8, 60])
+def test_sums_of_cosines_round_by_no_more_than_the_rest_of_their_model(turns: int) -> None:
+    """In patches so narrow that the curvature adds nothing."""
+    theta = np.random.default_rng(10).uniform(0.0, np.pi, 40)
+    half = np.stack([np.full(40, 1e-14), np.zeros(40)])
+    order = np.arange(turns)
+    model = curve_patches._cosines(theta, order, order + 1, half).value
+    with mpmath.workdps(40):
+        for k, angle in enumerate(theta.tolist()):
+            true = sum((j + 1) * mpmath.cos(j * mpmath.mpf(angle)) for j in range(turns))
+            assert abs(true - float(model.centre[k])) <= model.rest[k]
+
+
+def test_points_next_to_minus_one_have_the_digits_of_pairs() -> None:
+    """The angle from pi on, by which the curve moves there, is known beyond float64."""
+    system = mass_system(0.5, 0.2, 1.3, known_filters(Velocity.difference(samples=3), None))
+    pairs, loop = parts_in_pairs(system), loop_of_system(system)[:3]
+    theta = np.pi - np.geomspace(1e-3, 0.5, 12)
+    gains = exact_gains(pairs, DoubleDouble.from_value(theta), with_slopes=False).values[:2]
+    with mpmath.workdps(40):
+        for k, angle in enumerate(theta.tolist()):
+            z = mpmath.expj(mpmath.mpf(angle))
+            base, stiffness, damping = (
+                mpmath.polyval(
+                    [mpmath.mpf(float(c.hi)) + float(c.lo) for c in part[::-1]], z, asc=True
+                )
+                for part in loop
+            )
+            below = (mpmath.conj(stiffness) * damping).imag
+            true = (
+                (mpmath.conj(damping) * base).imag / below,
+                -(mpmath.conj(stiffness) * base).imag / below,
+            )
+            for gain, value in zip(gains, true, strict=True):
+                made = mpmath.mpf(float(gain.hi[k])) + float(gain.lo[k])
+                assert abs(made - value) <= 1e-22 * abs(value)
+
+
+def test_a_box_of_a_linear_function_shrinks_to_its_zero_and_never_beyond() -> None:
+    """What rounding moves the zero by stays in the box, and is all that stays."""
+    rng = np.random.default_rng(11)
+    value, by_t, by_theta = (drawn(rng, COUNT) + 1j * drawn(rng, COUNT) for _ in range(3))
+    rest = 8.0 * UNIT * (np.abs(value) + np.abs(by_t) + np.abs(by_theta))
+    low, high = rng.uniform(0.0, 1.0, (2, COUNT)), rng.uniform(1.5, 3.0, (2, COUNT))
+    boxes = LineBoxes(np.arange(COUNT), low, high)
+    models = Models(value, np.stack([by_t, by_theta]), rest, np.zeros((2, COUNT)), rest)
+    shrunk, is_proved = _shrunk(boxes, models)
+    inside = 0
+    for k in range(COUNT):
+        v, a, b = ([Fraction(c.real), Fraction(c.imag)] for c in (value[k], by_t[k], by_theta[k]))
+        det = a[0] * b[1] - a[1] * b[0]
+        shares = (b[0] * v[1] - b[1] * v[0]) / det, -(a[0] * v[1] - a[1] * v[0]) / det
+        if max(map(abs, shares)) > 1:
+            assert not is_proved[k]
+            continue
+        inside += max(map(abs, shares)) < 0.99
+        assert is_proved[k] or max(map(abs, shares)) > 0.99
+        for axis, share in enumerate(shares):
+            middle = Fraction(low[axis, k]) + Fraction(high[axis, k])
+            zero = middle / 2 + share * (Fraction(high[axis, k]) - Fraction(low[axis, k])) / 2
+            assert shrunk.low[axis, k] <= zero <= shrunk.high[axis, k]
+            assert shrunk.high[axis, k] - shrunk.low[axis, k] < 1e-6
+    assert inside > 40
