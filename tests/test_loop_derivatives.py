@@ -407,9 +407,8 @@ def test_limits_move_in_a_batch_as_they_do_alone() -> None:
 MANY_MASSES = np.geomspace(0.05, 5.0, 512)
 
 
-@pytest.mark.parametrize("velocity", [None, Velocity.difference(samples=3)])
-def test_many_loops_inside_jit_need_no_callback(velocity: Velocity | None) -> None:
-    loop = replace(PLAIN, velocity=velocity)
+def test_many_loops_inside_jit_need_no_callback() -> None:
+    loop = replace(PLAIN, velocity=Velocity.difference(samples=3))
 
     def outlines(masses: Any) -> Any:
         return regions_of(loop, device_mass=masses).outline

@@ -58,7 +58,7 @@ _STEPS = np.linspace(0.0, 1.5, 151)[1:]  # sizes of z - 1
 NO_FILTERS = Velocity(), Filter()
 
 Column = Float64[np.ndarray, " loop"]
-Floats = Float64[np.ndarray, "loop part power"]
+Floats = Float64[Array, "loop part power"]
 Indices = Int64[np.ndarray, " _"]
 Walls = Float64[np.ndarray, "loop 2 2"]
 Outlines = tuple[
@@ -354,9 +354,9 @@ class _Formed(NamedTuple):
 
     members: Indices
     parts: DoubleDouble  # (loop, part, power) coefficients of p(z)
-    ends: Float64[np.ndarray, "loop 2 3"]
+    ends: Float64[Array, "loop 2 3"]
     poles: Angles  # where the curve goes to infinity
-    roots: Float64[np.ndarray, "loop root 2"]  # next to the circle: angles and distances
+    roots: Float64[Array, "loop root 2"]  # next to the circle: angles and distances
 
 
 def _groups(many: "list[HapticLoop]") -> Iterator[tuple[list[_Formed], "Triples"]]:
