@@ -449,7 +449,7 @@ class Form(NamedTuple):
     filters: Filters
 
 
-def common_form(many: "Sequence[HapticLoop]") -> Form | None:
+def common_form(many: Sequence[LoopParameters]) -> Form | None:
     """Return the form that loops have in common; None if they have none, or JAX traces it."""
     if is_any_jax([(loop.delay, loop.sample_time, loop.velocity, loop.position) for loop in many]):
         return None
