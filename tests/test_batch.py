@@ -26,7 +26,6 @@ from jaxstab.region.batch import (
     _corners_of,
     _Ends,
     _linked,
-    _Links,
     _rounding,
     _wall,
     program,
@@ -393,7 +392,6 @@ def test_the_stable_set_is_to_the_left_of_both_pieces_at_their_corner() -> None:
     other = 1 - jnp.minimum(jnp.arange(SLOTS), 1)
     curves = jnp.zeros((2, SLOTS), int)
     corners = _Corners(nothing, nothing, curves, along, slopes, other, other, *[nothing] * 3)
-    links = _Links(other, nothing, nothing, jnp.zeros(2))
-    toward = jit(lambda corner: _bisector(loop, corners, links, corner, jnp.ones(2)))
+    toward = jit(lambda corner: _bisector(loop, corners, corner, jnp.ones(2)))
     begin_of_1, end_of_0 = 1, SLOTS
     assert toward(begin_of_1).tolist() == toward(end_of_0).tolist() == [-1.0, 1.0]

@@ -22,6 +22,7 @@ from jaxstab.atlas.products.fields import FIELDS
 from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.conventions import AXES
 from jaxstab.model.filters import (
+    NO_FILTERS,
     Filter,
     Filters,
     SampledTable,
@@ -70,7 +71,7 @@ def toml_of(filters: Velocity | Filter) -> str:
 
 def words_of(filters: Filters | None) -> str:
     """A description of a loop's estimator and filter."""
-    velocity, position = filters or (Velocity(), Filter())
+    velocity, position = filters or NO_FILTERS
     words = f"velocity: {velocity}; position: {position}"
     return words.replace(" Hz", " of the sampling rate")  # the unit per sample
 

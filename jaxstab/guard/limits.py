@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Complex128, Float64
 
 from jaxstab.model import LoopParameters
-from jaxstab.model.filters import Filter, Velocity, known_filters
+from jaxstab.model.filters import NO_FILTERS, known_filters
 from jaxstab.proofs.device_boxes import Arms, HeldDevice
 from jaxstab.proofs.filters import responses_at
 from jaxstab.proofs.plant import quick_plant
@@ -151,7 +151,7 @@ def _boundary(
     count: int,
 ) -> Boundary:
     """Return the boundary from what alpha P + beta V is on it, and from alpha/K and beta/B."""
-    filters = known_filters(**loop.filters) or (Velocity(), Filter())
+    filters = known_filters(**loop.filters) or NO_FILTERS
 
     def force(theta: Angles) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         position, velocity = responses_at(filters, np.exp(1j * theta))

@@ -21,7 +21,7 @@ from jaxstab.conventions import Status
 from jaxstab.loop.jitter import turn_of
 from jaxstab.model import LoopParameters, checked_gain, require_x64
 from jaxstab.model.device.mechanics import handle_equations
-from jaxstab.model.filters import Filter, Velocity, given_filters
+from jaxstab.model.filters import NO_FILTERS, given_filters
 from jaxstab.motion.contact import (
     FASTEST,
     LIMIT,
@@ -402,7 +402,7 @@ def _setup(
     )
     runs = Runs(*(np.array(column) for column in np.broadcast_arrays(*columns)))
     _refuse_odd(runs, unit, support)
-    filters = given_filters(**loop.filters) or (Velocity(), Filter())
+    filters = given_filters(**loop.filters) or NO_FILTERS
     return _Setup(
         mechanism,
         Controller.from_filters(filters),

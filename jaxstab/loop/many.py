@@ -20,7 +20,7 @@ from jaxstab.arrays import Array, is_any_jax, is_any_traced, namespace, take
 from jaxstab.batches import alike, in_float64, lists, on_cores
 from jaxstab.model import LoopParameters
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
+from jaxstab.model.filters import NO_FILTERS, Filters, Transfer, given_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.region import RegionStatus
 from jaxstab.region.filtered_curve import (
@@ -54,8 +54,6 @@ _TO_ENDS, _TO_POLES, _TO_ROOTS = 12, 6, 8  # angles that come closer and closer
 _MIRRORED = 0.97  # angles beyond an end, so that none is there twice
 _NARROWEST, _NO_RESONANCE = 1e-6, 0.05  # distances from the circle
 _STEPS = np.linspace(0.0, 1.5, 151)[1:]  # sizes of z - 1
-
-NO_FILTERS = Velocity(), Filter()
 
 Column = Float64[np.ndarray, " loop"]
 Floats = Float64[Array, "loop part power"]
@@ -427,10 +425,21 @@ def _formed(many: "list[HapticLoop]") -> Iterator[_Formed]:
             filters = given_filters(**first.filters) or NO_FILTERS
             transfers = filters[0].filter.transfer(), filters[1].transfer()
             linear, roots = _masses(gamma, delta, delay, filters)
-        response = of_filters(*transfers)
-        if response.condition < _ILL_CONDITIONED:
-            own, ends = _parts(linear, len(members)), _ends(linear, len(members))
-            yield _Formed(np.array(members), own, ends, np.sort(response.real_angles), roots)
+        group = _group(np.array(members), linear, transfers, roots)
+        if group is not None:
+            yield group
+
+
+def _group(
+    members: Indices, linear: LinearLoop, transfers: tuple[Transfer, Transfer], roots: Array
+) -> _Formed | None:
+    """Return loops with the same filters; None if these leave float64 few digits."""
+    response = of_filters(*transfers)
+    if response.condition >= _ILL_CONDITIONED:
+        return None
+    ends = [[part.value for part in end] for end in (linear.at_one, linear.at_minus_one)]
+    parts, values = (_columns(rows, len(members)) for rows in (linear[:3], ends))
+    return _Formed(members, parts, values.rounded(), np.sort(response.real_angles), roots)
 
 
 def _masses(
@@ -460,14 +469,13 @@ def common_form(many: Sequence[LoopParameters]) -> Form | None:
 def triples_of_masses(gamma: Array, delta: Array, form: Form) -> "Triples | None":
     """Return the triples of loops of one form, also inside of jit; None where none are formed."""
     velocity, position = form.filters
-    response = of_filters(velocity.filter.transfer(), position.transfer())
-    if response.condition >= _ILL_CONDITIONED:
-        return None
     linear, roots = _masses(gamma, delta, form.delay, form.filters)
-    own, ends = _parts(linear, len(gamma)), _ends(linear, len(gamma))
-    formed = _Formed(np.arange(len(gamma)), own, ends, np.sort(response.real_angles), roots)
-    degree = _filled_degree(formed)
-    return None if degree is None else _triples([formed], degree)
+    transfers = velocity.filter.transfer(), position.transfer()
+    group = _group(np.arange(len(gamma)), linear, transfers, roots)
+    if group is None:
+        return None
+    degree = _filled_degree(group)
+    return None if degree is None else _triples([group], degree)
 
 
 def _kind(loop: "HapticLoop") -> Hashable:
@@ -507,11 +515,6 @@ def _triples(formed: list[_Formed], degree: int) -> "Triples":
     return Triples(rounded, shifted, close, ends, xp.concatenate(scans))
 
 
-def _parts(loop: LinearLoop, count: int) -> DoubleDouble:
-    """Return the coefficients (loop, part, power) of a number of loops that are formed together."""
-    return _columns(loop[:3], count)
-
-
 def _joined(groups: list[DoubleDouble], degree: int) -> DoubleDouble:
     """Join coefficients, each p(z) times a power of z that makes it one of the given degree."""
     xp = namespace(groups)
@@ -522,11 +525,6 @@ def _joined(groups: list[DoubleDouble], degree: int) -> DoubleDouble:
         return xp.concatenate(list(map(xp.pad, values, zeros)))
 
     return DoubleDouble(joined("hi"), joined("lo"))
-
-
-def _ends(loop: LinearLoop, count: int) -> Float64[Array, "loop 2 3"]:
-    values = [[part.value for part in end] for end in (loop.at_one, loop.at_minus_one)]
-    return _columns(values, count).rounded()
 
 
 def _columns(rows: Sequence[Sequence[DoubleDouble]], count: int) -> DoubleDouble:

@@ -14,7 +14,7 @@ by one, by a callback.
 """
 
 from collections.abc import Callable, Iterable
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from math import pi
 from typing import Any, NamedTuple, TypeVar
 
@@ -120,16 +120,26 @@ def _searched(
 
 
 @cache
+def _search_alone(structure: Any, *, outlines: bool) -> Callable[..., Any]:
+    """Return the search for one loop by its leaves: the same function, which JAX compiles once."""
+
+    def search(*leaves: Any) -> Any:
+        (loop,) = _loops_of(structure, [leaves])
+        return _alone(loop, outlines=outlines)
+
+    return search
+
+
+def _loops_of(structure: Any, rows: Iterable[Iterable[Any]]) -> list[Any]:
+    return [jax.tree.unflatten(structure, [float(value) for value in row]) for row in rows]
+
+
+@lru_cache(maxsize=64)
 def _search(
     structure: Any, form: Form | None, *, outlines: bool
 ) -> Callable[..., tuple[Array, Any]]:
     """Return the search for extreme walls and outlines of loops of one structure, by leaves."""
-
-    def loops_of(rows: Iterable[Iterable[Any]]) -> list[Any]:
-        return [jax.tree.unflatten(structure, [float(value) for value in row]) for row in rows]
-
-    def search(*values: Any) -> Any:
-        return _alone(*loops_of([values]), outlines=outlines)
+    search = _search_alone(structure, outlines=outlines)
 
     @jax.custom_batching.custom_vmap
     def searched(*leaves: Any) -> Any:
@@ -140,18 +150,19 @@ def _search(
     @searched.def_vmap
     def together(size: int, is_batched: list[bool], *leaves: Any) -> tuple[Any, Any]:
         if is_any_traced(*leaves):
-            axes = [0 if batched else None for batched in is_batched]
-            many: Any = jax.tree.unflatten(structure, [jnp.broadcast_to(x, size) for x in leaves])
             triples = None
             if form is not None and size >= _FEWEST:
+                columns = [jnp.broadcast_to(leaf, size) for leaf in leaves]
+                many: Any = jax.tree.unflatten(structure, columns)
                 triples = triples_of_masses(many.gamma, many.delta, form)
             if triples is None:
+                axes = [0 if batched else None for batched in is_batched]
                 answers = jax.vmap(searched.fun, axes)(*leaves)
             else:
                 answers = _in_one_program(triples, outlines=outlines)
         else:
-            columns = (np.broadcast_to(np.asarray(leaf), size) for leaf in leaves)
-            loops = loops_of(zip(*columns, strict=True))
+            values = (np.broadcast_to(np.asarray(leaf), size) for leaf in leaves)
+            loops = _loops_of(structure, zip(*values, strict=True))
             answers = jax.tree.map(jnp.asarray, _all(loops, outlines=outlines))
         return answers, jax.tree.map(lambda _: True, answers)
 

@@ -679,6 +679,10 @@ class Velocity:
 
 Filters = tuple[Velocity, Filter]
 
+NO_FILTERS: Filters = Velocity(), Filter()
+
+"""The difference over one sample, and no position filter: the wall of the paper."""
+
 
 def given_filters(velocity: Any, position: Any) -> Filters | None:
     """The estimator and the filter of a loop, checked; None for the one-sample difference alone."""

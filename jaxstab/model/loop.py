@@ -18,7 +18,7 @@ from jaxstab.arrays import (
     namespace,
 )
 from jaxstab.model.device import Device, Hand, SampledDevice, sampled_device
-from jaxstab.model.filters import Average, Filter, Velocity, given_filters
+from jaxstab.model.filters import NO_FILTERS, Average, Filter, Velocity, given_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.model.parameters import LONGEST_DELAY, TracedDelay, by_name
 from jaxstab.numbers import checked_number
@@ -325,7 +325,7 @@ def _linear_loop(loop: LoopParameters) -> LinearLoop:
     sampled = loop.sampled
     if sampled is not None:
         return sampled.loop(given_filters(loop.velocity, loop.position))
-    filters = given_filters(**loop.filters) or (Velocity(), Filter())
+    filters = given_filters(**loop.filters) or NO_FILTERS
     whole, fraction = divmod(loop.delay_samples, 1.0)
     return filtered_loop(loop.gamma, loop.delta, int(whole), fraction, filters)
 

@@ -43,7 +43,15 @@ from jaxstab.model import LoopParameters, by_name, checked_gain, plant_transitio
 from jaxstab.model.device import Device
 from jaxstab.model.device.mechanics import Mechanics, Starts, mechanics
 from jaxstab.model.device.periodic import Segments, segments_of
-from jaxstab.model.filters import Filter, Filters, Polynomial, Transfer, Velocity, given_filters
+from jaxstab.model.filters import (
+    NO_FILTERS,
+    Filter,
+    Filters,
+    Polynomial,
+    Transfer,
+    Velocity,
+    given_filters,
+)
 from jaxstab.motion.contraction import Matrices, Systems
 from jaxstab.numbers import checked, checked_count
 from jaxstab.point.poles import closed_loop_poles
@@ -408,7 +416,7 @@ def simulate(
             unilateral=unilateral,
         )
     else:
-        controller = controller or Controller.from_filters((Velocity(), Filter()))
+        controller = controller or Controller.from_filters(NO_FILTERS)
         given = causes, start, loop.held_device, controller, segments_of(delays), offsets.tolist()
         x, v, f = _simulate_in_turn(*given, period, samples, unilateral)
     time = np.arange(x.shape[-1]) * (period / (between + 1))

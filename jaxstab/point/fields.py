@@ -32,7 +32,7 @@ from jaxstab.arrays import (
     repeat,
 )
 from jaxstab.batches import MANY, compiled, over_rows
-from jaxstab.model.filters import Filter, Filters, Velocity
+from jaxstab.model.filters import NO_FILTERS, Filters
 from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.point.poles import Complex, companion_poles, distance_to_root, evaluated
 from jaxstab.point.radius import dense_radius_error
@@ -102,7 +102,7 @@ def fields_of_grid(
     hand = gamma[:, None, None], delta[:, None, None]
     points = Points(alpha[:, None], beta, *hand, np.asarray(delay))
     form = Form.from_delay(delay)
-    loop = rounded_loop(filtered_loops(points, form, filters or (Velocity(), Filter())))
+    loop = rounded_loop(filtered_loops(points, form, filters or NO_FILTERS))
     missing = ceil(longest) - ceil(delay)
     if loop.degree + missing <= _LONGEST:
         zeros = (0.0 * loop.base[0],) * missing

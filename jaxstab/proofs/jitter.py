@@ -30,7 +30,7 @@ from jaxstab.conventions import Verdict
 from jaxstab.model.device import SampledDevice
 from jaxstab.model.device.sampling import late_response
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import ONE, Filter, Filters, Polynomial, Velocity
+from jaxstab.model.filters import NO_FILTERS, ONE, Filters, Polynomial
 from jaxstab.point.verdicts import linear_verdict
 from jaxstab.proofs.enclosures import LinearModel, clearances, conjugate, phasor, variable
 from jaxstab.proofs.filters import (
@@ -171,7 +171,7 @@ class MovingCells(NamedTuple):
         """Return a loop whose delay moves by ``jitter`` samples; its parts are remembered."""
         plant, period = device.plant, device.sample_time
         lag = float(plant.lag + len(plant.denominator) - len(plant.numerator))
-        velocity, position = filters or (Velocity(), Filter())
+        velocity, position = filters or NO_FILTERS
         chains = filter_cells((velocity.per_sample(period), position.per_sample(period)))
         per_velocity = device.stiffness_unit / device.damping_unit / period
         return cls(_device_cells(device, jitter), chains, lag, per_velocity)

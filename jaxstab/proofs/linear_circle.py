@@ -23,7 +23,7 @@ from jaxstab.arrays import PI_REST, joined, take
 from jaxstab.model.device import SampledDevice
 from jaxstab.model.device.family import LoopFamily, LoopPiece, Piece, has_spans, pieces_of
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import ONE, Filter, Filters, Polynomial, Velocity
+from jaxstab.model.filters import NO_FILTERS, ONE, Filters, Polynomial
 from jaxstab.model.linear_loop import SampledPlant
 from jaxstab.proofs.enclosures import LinearModel, phasor, variable
 from jaxstab.proofs.exclusion import LineBoxes, Models, distance, expanded
@@ -74,7 +74,7 @@ def loop_cells(device: SampledDevice, filters: Filters | None) -> FilterCells:
 
 def chains_of(device: SampledDevice, filters: Filters | None) -> tuple[list[Factor], list[Factor]]:
     """Return short factors of P and of V, the first one 1 - 1/z, in the units of a device."""
-    of_position, of_velocity = factors_of(filters or (Velocity(), Filter()), device.sample_time)
+    of_position, of_velocity = factors_of(filters or NO_FILTERS, device.sample_time)
     unit = DoubleDouble.from_value(device.stiffness_unit / device.damping_unit) / device.sample_time
     return of_position, [((unit,), ONE), *of_velocity]
 

@@ -758,7 +758,7 @@ def _largest(
 
     # Stable walls on one side, unstable ones on the other.
     straight = jnp.where(jnp.arange(2) == axis, -1.0, 0.0)
-    direction = jnp.where(is_smooth, straight, _bisector(loop, corners, links, corner, size))
+    direction = jnp.where(is_smooth, straight, _bisector(loop, corners, corner, size))
     away = _ASIDE * size * direction
     beside = _are_stable(loop, jnp.stack([wall + away, wall - away], axis=1))
     # A component far beyond the quadrant may leave a limit that is small beside its size.
@@ -850,7 +850,7 @@ def _vertex(angles: Array, middle: Array, beside: Array) -> Array:
     return jnp.clip(top, angles[0], angles[2])
 
 
-def _bisector(loop: Triples, corners: _Corners, links: _Links, corner: Array, size: Array) -> Array:
+def _bisector(loop: Triples, corners: _Corners, corner: Array, size: Array) -> Array:
     """Return the direction into the stable set at a corner, in units of the set's size."""
     along = jnp.stack([loop.ends[:, 2], -loop.ends[:, 1]], axis=1)  # of both lines
     slopes = corners.slopes / size[:, None, None]

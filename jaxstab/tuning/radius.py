@@ -26,7 +26,7 @@ from jaxstab.model import (
     companion_matrix,
     require_x64,
 )
-from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
+from jaxstab.model.filters import NO_FILTERS, Filter, Filters, Velocity, given_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.numbers import checked_number
 from jaxstab.point.radius import have_roots_inside
@@ -632,7 +632,7 @@ def _searched(
 
 
 def _loop_of(gamma: Array, delta: Array, delay: float, filters: Filters | None) -> LinearLoop:
-    return filtered_loop(gamma, delta, int(delay), delay % 1.0, filters or (Velocity(), Filter()))
+    return filtered_loop(gamma, delta, int(delay), delay % 1.0, filters or NO_FILTERS)
 
 
 def mass_walls(gamma: float, delta: float, delay: float, filters: Filters | None) -> Walls:

@@ -23,7 +23,7 @@ from jaxtyping import Float64
 from jaxstab.model.device.device import Device
 from jaxstab.model.device.parts import Rational, balls_of, exact, working_precision
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import Filter, Filters, Polynomial, Transfer, Velocity
+from jaxstab.model.filters import NO_FILTERS, Filters, Polynomial, Transfer
 from jaxstab.model.linear_loop import Bounded, LinearLoop, SampledPlant, linear_loop
 from jaxstab.model.parameters import LONGEST_DELAY
 from jaxstab.numbers import checked_number
@@ -66,7 +66,7 @@ class SampledDevice:
 
         Without filters that is the difference over one sample.
         """
-        velocity, position = filters or (Velocity(), Filter())
+        velocity, position = filters or NO_FILTERS
         estimator = velocity.filter.transfer(self.sample_time)
         unit = DoubleDouble.from_value(
             self.stiffness_unit / self.damping_unit
