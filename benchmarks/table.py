@@ -24,7 +24,6 @@ _METHODS = ("verdict", "spectral_radius")
 _OWN_REGIONS = ("stable_region", "regions_of")
 _IN_README = {  # parts of tasks, and their methods
     ("one region,", "stable_region"),
-    ("boundary of a slice", "closed form"),
     ("points, delay 1", "verdict"),
     ("points, delay 1", "spectral_radius"),
     ("default atlas, at any", "atlas, many points"),
@@ -46,7 +45,7 @@ _QUESTIONS = (
     ),
     (
         "The boundary of the stable set",
-        ("boundary of a slice", "closed form", "{2}, error {3}"),
+        ("one region, delay 1", "stable_region", "{2}, error {3}"),
         ("boundary of a slice", "eigenvalue grid", "eigenvalues on a grid: {2}, error {3}"),
     ),
     (

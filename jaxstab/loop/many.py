@@ -106,10 +106,10 @@ def limits_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> Many
     does not resolve, and those of smaller batches, are answered one by one.
 
     Where JAX traces loops or fields, the answers are arrays of JAX, differentiable once: by all
-    numbers of loops of one mass and their filters, by the implicit function theorem. Inside jit 512
-    loops and more of one delay, estimator and filter, none of them traced, are computed by the
-    program of a batch, which is compiled into the caller's; what it does not resolve is UNRESOLVED.
-    Other loops are searched one by one there, by a callback.
+    numbers of loops of one mass and their filters, by the implicit function theorem. Inside jit,
+    512 or more loops of one delay, estimator and filter, none of them traced, are computed by the
+    program of a batch as part of the caller's; those that it cannot resolve are UNRESOLVED. All
+    others are searched one by one there, by a callback.
 
     A batch has tests in place of the audit of a single region: what none of them would notice is a
     stable set that is cut or dented between two of the 148 to 1,348 angles of its scan. Of 9,200

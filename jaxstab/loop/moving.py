@@ -8,9 +8,9 @@ degrees. Vertices of an outline have the same equations: one at a corner moves w
 one across the boundary, at a right angle.
 
 Under vmap the loops are searched together, as ``limits_of`` searches. Inside jit the program of a
-batch (``region.batch``) becomes a part of the caller's, for as many loops as pay for compiling it,
-if JAX traces neither delay nor filters, which decide its shapes. Other loops are searched there one
-by one, by a callback.
+batch (``region.batch``) becomes part of the caller's, if there are enough loops to pay for its
+compilation and JAX traces neither delay nor filters, which decide its shapes. All other loops are
+searched there one by one, by a callback.
 """
 
 from collections.abc import Callable, Iterable
