@@ -197,6 +197,41 @@ def test_a_turn_of_the_boundary_next_to_an_axis_is_not_passed_over() -> None:
         assert own.verdict(wall[0] * (1.0 + 1e-7), wall[1]) == Verdict.UNSTABLE
 
 
+def test_a_turn_between_a_corner_and_the_nearest_angle_of_the_scan_is_not_passed_over() -> None:
+    mode = Mode(frequency=237.72537, damping_ratio=0.012839809, modal_mass=0.046769950)
+    loop = HapticLoop(
+        device=Device.modes([mode], mass=0.13984057, damping=0.24706771),
+        delay=1.62626060e-3,
+        sample_time=PERIOD,
+        velocity=Velocity.difference(samples=3),
+    )
+    many = [replace(loop, delay=loop.delay * (1.0 + 1e-6 * k)) for k in range(COUNT)]
+    limits = limits_of(many)
+    assert not limits.is_single.any()
+    for index in range(0, COUNT, 18):
+        assert not is_wrong(limits, index, many[index].limits())
+        wall = limits.stiffness[index], limits.at_damping[index]
+        assert many[index].verdict(wall[0] * (1.0 - 1e-7), wall[1]) == Verdict.STABLE
+        assert many[index].verdict(wall[0] * (1.0 + 1e-7), wall[1]) == Verdict.UNSTABLE
+
+
+def test_the_area_of_a_region_with_three_pieces_is_that_of_its_loop() -> None:
+    loop = HapticLoop(
+        device_mass=0.0346,
+        device_damping=0.00655,
+        hand_damping=2.839,
+        hand_stiffness=2220.7,
+        delay=7.74e-5,
+        sample_time=PERIOD,
+        velocity=Velocity.butterworth(22.2317, order=4),
+    )
+    masses = loop.device_mass * (1.0 + 1e-4 * np.arange(COUNT))
+    area = regions_of(loop, device_mass=masses).area
+    for index in range(0, COUNT, 18):
+        region = replace(loop, device_mass=float(masses[index])).region()
+        assert area[index] == pytest.approx(region.main.area, rel=1e-6)
+
+
 def families() -> list[list[HapticLoop]]:
     """Loops of degree 9 of three kinds: what their programs have to solve is next to corners."""
     masses = np.linspace(0.04, 0.042, COUNT).tolist()
