@@ -99,7 +99,7 @@ def checked_count(name: str, value: Any, least: int, most: int | float = inf) ->
     if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
         raise TypeError(f"{name} is {shortened(value)}; give a whole number.")
     if not least <= value <= most:
-        given = f">= {least}" if most == inf else f"from {least} to {most:g}"
+        given = f">= {least}" if most == inf else f"from {least} to {most:,}"
         raise ValueError(f"{name} is {shortened(value)}; give a whole number {given}.")
     return int(value)
 

@@ -552,7 +552,7 @@ def test_a_study_that_is_killed_again_and_again_equals_an_uninterrupted_one(
         (
             {"device.mass": [0.1]},
             {"samples": 0},
-            r"samples is 0; give a whole number from 1 to 1e\+07",
+            r"samples is 0; give a whole number from 1 to 10,000,000",
         ),
         ({"device.mass": [0.1]}, {"part": (1, 2)}, "part is given without store"),
         ({"device.mass": [0.1]}, {"part": (3, 2), "store": "a.h5"}, "part is 3/2; give 1/2 to 2/2"),
