@@ -10,18 +10,22 @@ is the largest resident memory of the process until then, JAX and its compiler i
 
 import resource
 from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+from itertools import islice
 from time import process_time
 from typing import Any
 
 import numpy as np
 
-import jaxstab
 from benchmarks.record import Row
-from jaxstab import Device, Filter, HapticLoop, Mode, Velocity
+from benchmarks.timing import interleaved
+from jaxstab import Device, Filter, HapticLoop, Mode, Velocity, limits_of, regions_of
 from jaxstab.results import ManyLimits, WallLimits
 
 MEASURE = "share of loops whose limits differ by more than 1e-9"
 LOOPS = 3000
+_FIELDS = 10_000  # loops
 _RIGHT = 1e-9
 _ONE_BY_ONE = 200  # loops
 _WINDOWS = (1, 2, 3, 5, 8, 10, 15, 20)
@@ -32,14 +36,15 @@ def rows(small: bool, points: int | None = None) -> Iterator[Row]:
     rng = np.random.default_rng(33)
     count = 128 if small else points or LOOPS
     yield from _rows("window of 20 samples, delay of 3", [_window(rng) for _ in range(count)])
+    yield from _field_rows(rng, 128 if small else _FIELDS)
     if not small:
         yield from _rows("random loops", [random_loop(rng) for _ in range(count)])
 
 
 def _rows(section: str, loops: list[HapticLoop]) -> Iterator[Row]:
-    jaxstab.limits_of(loops)  # compiles
+    limits_of(loops)  # compiles
     start = process_time()
-    many = jaxstab.limits_of(loops)
+    many = limits_of(loops)
     seconds = process_time() - start
     judged = loops[:_ONE_BY_ONE] if "window" in section else loops
     start = process_time()
@@ -57,6 +62,26 @@ def is_wrong(many: ManyLimits, index: int, one: WallLimits) -> bool:
     same = all(np.isclose(*pair, rtol=_RIGHT, atol=0.0, equal_nan=True) for pair in pairs)
     flags = many.status[index] == one.status and many.is_reachable[index] == one.is_reachable
     return not (same and flags)
+
+
+def _field_rows(rng: np.random.Generator, count: int) -> Iterator[Row]:
+    """The paper's loops by arrays of fields; ``loops_per_second`` are of wall time."""
+    loop = HapticLoop(device_mass=0.1, device_damping=0.1, sample_time=_PERIOD, delay=_PERIOD)
+    fields = {
+        "device_mass": 10 ** rng.uniform(-1.3, 0.3, count),
+        "device_damping": 10 ** rng.uniform(-3, 1, count),
+        "hand_stiffness": rng.choice([0.0, 1.0], count) * 10 ** rng.uniform(0, 3.5, count),
+    }
+    calls = {one.__name__: partial(one, loop, **fields) for one in (limits_of, regions_of)}
+    rows = zip(*(values.tolist() for values in fields.values()), strict=True)
+    judged = islice((dict(zip(fields, row, strict=True)) for row in rows), _ONE_BY_ONE)
+    alone = [replace(loop, **row).limits() for row in judged]
+    for method, timing in interleaved(calls, budget=5.0).items():
+        limits = timing.answer if method == "limits_of" else timing.answer.limits
+        wrong = float(np.mean([is_wrong(limits, index, one) for index, one in enumerate(alone)]))
+        left, seconds = float(np.mean(limits.is_single)), timing.columns()["cpu_seconds"]
+        row = _row("loops of the paper", method, count, seconds, wrong, left)
+        yield row | {"delay": 1.0, "loops_per_second": count / timing.median}
 
 
 def _row(section: str, method: str, count: int, seconds: float, wrong: float, left: float) -> Row:
