@@ -171,6 +171,17 @@ def on_cores(function: Callable[[Item], Result], items: Sequence[Item]) -> list[
         return list(pool.map(function, items))
 
 
+def one_ahead(items: Iterator[Item]) -> Iterator[Item]:
+    """Yield items: a thread makes the next one while this one is used."""
+    from concurrent.futures import ThreadPoolExecutor  # slow to import
+
+    with ThreadPoolExecutor(1) as maker:
+        following = maker.submit(next, items, None)
+        while (item := following.result()) is not None:
+            following = maker.submit(next, items, None)
+            yield item
+
+
 def is_on_cpu() -> bool:
     """Whether JAX computes on the CPU."""
     import jax

@@ -279,7 +279,7 @@ def test_slow_filters_and_crossings_next_to_corners_are_resolved_by_the_program(
 
 def test_no_two_angles_of_a_scan_are_the_same() -> None:
     """Sampled modes have real zeros, around which angles would be mirrored onto each other."""
-    for formed in loops_together._formed(families()[2]):
+    for formed in loops_together._formed(loops_together.stacked(families()[2])):
         angles = loops_together._scans(formed, 9)
         inner = angles[0][angles[0] > 1e-5]
         assert np.min(np.diff(inner)) > 1e-9
@@ -314,6 +314,36 @@ def test_fields_of_one_loop_broadcast() -> None:
     assert limits_of(loop).stiffness.shape == ()
 
 
+def test_periods_that_vary_decide_windows_in_seconds_and_delays_in_samples() -> None:
+    periods = [1e-3, 0.5e-3, 1e-3, 2e-3]
+    plain = HapticLoop(device_mass=0.1, device_damping=0.1, sample_time=PERIOD, delay=2e-3)
+    for loop in (plain, replace(plain, velocity=Velocity.difference(window=4e-3))):
+        limits = limits_of(loop, sample_time=periods, hand_mass=[0.0, 0.1, 0.2, 0.3])
+        for index, period in enumerate(periods):
+            alone = replace(loop, sample_time=period, hand_mass=0.1 * index).limits()
+            assert limits.stiffness[index] == pytest.approx(alone.stiffness, rel=1e-12)
+            assert limits.damping[index] == pytest.approx(alone.damping, rel=1e-12)
+
+
+def test_masses_given_as_numbers_and_as_devices_are_the_same_loops(
+    rng: np.random.Generator,
+) -> None:
+    shared: dict[str, Any] = {"sample_time": PERIOD, "delay": PERIOD}
+    numbers = [
+        HapticLoop(device_mass=m, device_damping=0.1, **shared) for m in rng.uniform(1, 2, 3)
+    ]
+    devices = [
+        HapticLoop(device=Device.mass_spring_damper(one.device_mass, damping=0.1), **shared)
+        for one in numbers
+    ]
+    found = limits_of(numbers + devices).stiffness
+    assert found[:3].tolist() == found[3:].tolist() == [one.limits().stiffness for one in numbers]
+    delays = [0.0, PERIOD]
+    for loop in (numbers[0], devices[0]):
+        alone = [replace(loop, delay=delay).limits().stiffness for delay in delays]
+        assert limits_of(loop, delay=delays).stiffness.tolist() == alone
+
+
 def test_what_is_no_loop_is_refused() -> None:
     with pytest.raises(TypeError, match="loops has 3; give a HapticLoop for each"):
         limits_of([3])  # type: ignore[list-item]
@@ -326,6 +356,15 @@ def test_what_is_no_loop_is_refused() -> None:
         limits_of(loop, mass=[0.1, 0.2])
     with pytest.raises(ValueError, match="device_mass is -1"):
         limits_of(loop, device_mass=[0.1, -1.0])
+    with pytest.raises(TypeError, match="device_mass is True; give real numbers"):
+        limits_of(loop, device_mass=[True, False])
+    with pytest.raises(
+        ValueError, match="the delay is 1000 samples, 1 s; give 500 samples at most"
+    ):
+        limits_of(loop, delay=[[0.0], [1.0]], sample_time=[2e-3, 1e-3])
+    window = Velocity.difference(window=2e-3)
+    with pytest.raises(ValueError, match=r"window is 0.002 s, 6.66667 sampling periods"):
+        limits_of(loop, velocity=window, sample_time=[1e-3, 0.3e-3])
     spring = Device.transfer_function([1.0, 0.0], [0.1, 1.0, 10.0])
     with pytest.raises(ValueError, match="zero DC gain"):
         limits_of([HapticLoop(device=spring, sample_time=PERIOD)])
@@ -354,7 +393,8 @@ def test_the_rounding_of_a_wall_is_no_more_than_the_bound_that_extremes_are_held
 ) -> None:
     """Against 50 digits, on curves of windows and of slow filters."""
     shares = []
-    for one in loops_together._formed([loops(rng)[0], families()[0][0]]):
+    two = [loops(rng)[0], families()[0][0]]
+    for one in loops_together._formed(loops_together.stacked(two)):
         triples = loops_together._triples([one], one.parts.hi.shape[2] - 1)
         loop = Triples(*(part[0] for part in triples))
         theta = np.concatenate([np.geomspace(1e-3, 0.3, 8), rng.uniform(0.3, 3.1, 8)])
@@ -377,7 +417,7 @@ def test_the_rounding_of_a_wall_is_no_more_than_the_bound_that_extremes_are_held
 def test_a_piece_is_solved_only_if_both_of_its_ends_are() -> None:
     """From z = 1, where it is pinned, to the line of a root at 1, within its bracket alone."""
     mass = HapticLoop(device_mass=0.1, device_damping=0.1, sample_time=PERIOD)
-    (one,) = loops_together._formed([mass])
+    (one,) = loops_together._formed(loops_together.stacked([mass]))
     triples = loops_together._triples([one], one.parts.hi.shape[2] - 1)
     loop = Triples(*(jnp.asarray(part[0]) for part in triples))
     is_first = jnp.arange(SLOTS) == 0

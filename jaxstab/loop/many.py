@@ -1,9 +1,10 @@
 """Limits of many loops: batches on JAX, and one by one what these leave open.
 
-The loops are grouped by the degree of p(z), filled up to one of few degrees, so that few programs
-are compiled (``jaxstab.region.batch``). Loops of one mass with the same estimator, filter and whole
-samples of delay are formed together, in pairs of float64, and a group is computed as soon as it is
-large enough, so that few coefficients are held at once. Where the scan of a loop missed a piece
+Loops with the same estimator and filter are a *stack*: one loop with columns in place of numbers,
+checked at once and formed together, in pairs of float64, by their whole samples of delay. They are
+grouped by the degree of p(z), filled up to one of few degrees, so that few programs are compiled
+(``jaxstab.region.batch``). A group is computed as soon as it is large enough, while a thread forms
+the next one, so that few coefficients are held at once. Where the scan of a loop missed a piece
 of the boundary, most often a narrow one next to a vibration mode, it is scanned again with angles
 that come closer and closer to where that piece begins. What a program does not resolve then, and
 groups too small to compile for, are answered as ``HapticLoop.limits`` answers.
@@ -11,17 +12,19 @@ groups too small to compile for, are answered as ``HapticLoop.limits`` answers.
 
 from collections.abc import Hashable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from math import prod
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
-from jaxstab.arrays import Array, is_any_jax, is_any_traced, namespace, take
-from jaxstab.batches import alike, in_float64, lists, on_cores
-from jaxstab.model import LoopParameters
+from jaxstab.arrays import Array, is_any_jax, is_any_traced, leaves, namespace, take
+from jaxstab.batches import alike, in_float64, lists, on_cores, one_ahead
+from jaxstab.model import LoopParameters, require_x64
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import NO_FILTERS, Filters, Transfer, given_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
+from jaxstab.model.loop import as_one, with_columns
 from jaxstab.region import RegionStatus
 from jaxstab.region.filtered_curve import (
     Angles,
@@ -47,12 +50,14 @@ _FEWEST_COMPILED = 4  # the same for a program that is compiled
 _SCANS = 3  # of a loop, at most
 _MISSED = np.array([1e-5, 3e-5])  # distances of the first angles from where a piece was missed
 _ILL_CONDITIONED = 1e8  # denominators of filters, as in ``filtered_curve``, where it is 1e5
-_DEGREES = (5, 9, 13, 17, 25, 33, 49, 65)  # up to which p(z) are filled
+_DEGREES = (5, 9, 17, 25, 41, 65)  # up to which p(z) are filled: each program takes memory
 _FIRST, _CLOSEST = 1e-6, 1e-7  # angles of a scan, and their distances from poles
 _TO_ENDS, _TO_POLES, _TO_ROOTS = 12, 6, 8  # angles that come closer and closer
 
 _MIRRORED = 0.97  # angles beyond an end, so that none is there twice
 _NARROWEST, _NO_RESONANCE = 1e-6, 0.05  # distances from the circle
+_FILTERS = ("velocity", "position")
+
 _STEPS = np.linspace(0.0, 1.5, 151)[1:]  # sizes of z - 1
 
 Column = Float64[np.ndarray, " loop"]
@@ -144,17 +149,18 @@ def limits_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> Many
         array([[ 68763., 137392.],
                [ 14498.,  28945.]])
     """
-    many, shape = _varied(loops, fields)
-    if is_any_traced(many):
+    many, shape = _given(loops, fields)
+    if is_any_traced(many, fields):
         from jaxstab.loop.moving import moved_together, moving_limits
 
+        many = _varied(many, fields, shape)
         return _in_shape(moved_together(moving_limits, many), shape)
-    many = list(map(in_floats, many))
-    limits = _no_limits(len(many))
-    for members, (extremes, _) in resolved(many):
-        _write_limits(limits, members, extremes.walls, _units(many, members))
-    for index in np.flatnonzero(limits.is_single).tolist():
-        _write_single(limits, index, many[index].limits())
+    stacks = _stacks(many, fields, shape)
+    limits, units = _no_limits(prod(shape)), _units(stacks)
+    for members, (extremes, _) in resolved(stacks):
+        _write_limits(limits, members, extremes.walls, units[members])
+    for index, loop in singles(stacks, limits.is_single):
+        _write_single(limits, index, loop.limits())
     return _in_shape(limits, shape)
 
 
@@ -204,24 +210,24 @@ def regions_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> Man
         >>> bool(stiffness.max() <= regions.limits.stiffness[1])
         True
     """
-    many, shape = _varied(loops, fields)
-    if is_any_traced(many):
+    many, shape = _given(loops, fields)
+    if is_any_traced(many, fields):
         from jaxstab.loop.moving import moved_together, moving_regions
 
+        many = _varied(many, fields, shape)
         return _regions_in_shape(moved_together(moving_regions, many), shape)
-    many = list(map(in_floats, many))
-    limits = _no_limits(len(many))
-    vertices, _, area = empty_outlines(len(many))
-    for members, (extremes, outline) in resolved(many, outlines=True):
-        _write_limits(limits, members, extremes.walls, _units(many, members))
-        vertices[members], area[members] = outline.vertices, outline.area
-    for index in np.flatnonzero(limits.is_single).tolist():
-        region = many[index].region()
+    stacks = _stacks(many, fields, shape)
+    limits, units = _no_limits(prod(shape)), _units(stacks)
+    vertices, area = np.full((prod(shape), _VERTICES, 2), np.nan), np.full(prod(shape), np.nan)
+    for members, (extremes, outline) in resolved(stacks, outlines=True):
+        _write_limits(limits, members, extremes.walls, units[members])
+        vertices[members], area[members] = outline.vertices * units[members, None], outline.area
+    for index, loop in singles(stacks, limits.is_single):
+        region = loop.region()
         _write_single(limits, index, region.limits())
-        vertices[index], _, area[index] = outline_of(region)
-    units = _units(many, np.arange(len(many)))
-    regions = ManyRegions(vertices * units[:, None], area * units.prod(axis=1), limits)
-    return _regions_in_shape(regions, shape)
+        own, _, area[index] = outline_of(region)
+        vertices[index] = own * units[index]
+    return _regions_in_shape(ManyRegions(vertices, area * units.prod(axis=1), limits), shape)
 
 
 def _regions_in_shape(regions: ManyRegions, shape: tuple[int, ...]) -> ManyRegions:
@@ -285,25 +291,83 @@ def _in_shape(limits: ManyLimits, shape: tuple[int, ...]) -> ManyLimits:
     return ManyLimits(*(column.reshape(shape) for column in limits))
 
 
-def _units(many: "list[HapticLoop]", members: Indices) -> Units:
+class Stack(NamedTuple):
+    """Loops with one estimator, filter and device: ``loop`` has columns in place of some numbers.
+
+    With filters the sampling period is one number; a device that is not one mass has no columns.
+    """
+
+    members: Indices
+    loop: Any
+
+
+def singles(stacks: list[Stack], chosen: Bool[np.ndarray, " loop"]) -> Iterator[tuple[int, Any]]:
+    """Yield the indices of the chosen loops, and these one by one."""
+    for members, loop in stacks:
+        columns = {name: value for name, value in vars(loop).items() if np.ndim(value)}
+        for place in np.flatnonzero(chosen[members]).tolist():
+            one = {name: float(value[place]) for name, value in columns.items()}
+            yield int(members[place]), replace(loop, **one)
+
+
+def _units(stacks: list[Stack]) -> Units:
     """Return K in N/m and B in N s/m for alpha = 1 and beta = 1."""
-    return np.array([[many[k].stiffness(1.0), many[k].damping(1.0)] for k in members.tolist()])
+    units = np.empty((sum(len(members) for members, _ in stacks), 2))
+    for members, loop in stacks:
+        units[members, 0], units[members, 1] = loop.stiffness(1.0), loop.damping(1.0)
+    return units
 
 
-def _varied(loops: Any, fields: dict[str, Any]) -> tuple[list[Any], tuple[int, ...]]:
-    """Return the loops, and the shape of their answers."""
+def _given(loops: Any, fields: dict[str, Any]) -> tuple[Any, tuple[int, ...]]:
+    """Return one loop or a list of loops, and the shape of their answers."""
     if isinstance(loops, LoopParameters):
-        shape = np.broadcast_shapes(*map(np.shape, fields.values()))
-        arrays = (namespace(x).broadcast_to(x, shape).ravel() for x in fields.values())
-        columns = (x.tolist() if isinstance(x, np.ndarray) else list(x) for x in arrays)
-        rows = zip(*columns, strict=True) if fields else [()]
-        return [replace(loops, **dict(zip(fields, row, strict=True))) for row in rows], shape
+        return loops, np.broadcast_shapes(*map(np.shape, fields.values()))
     if not isinstance(loops, Iterable):
         raise TypeError(f"loops is {loops!r}; give a list of HapticLoop, or one.")
     if fields:
         raise TypeError(f"{next(iter(fields))} is given beside a list; give one loop that varies.")
     many = list(loops)
     return many, (len(many),)
+
+
+def _varied(given: Any, fields: dict[str, Any], shape: tuple[int, ...]) -> list[Any]:
+    """Return loops one by one."""
+    if isinstance(given, list):
+        return given
+    arrays = (namespace(x).broadcast_to(x, shape).ravel() for x in fields.values())
+    columns = (x.tolist() if isinstance(x, np.ndarray) else list(x) for x in arrays)
+    rows = zip(*columns, strict=True) if fields else [()]
+    return [replace(given, **dict(zip(fields, row, strict=True))) for row in rows]
+
+
+def _stacks(given: Any, fields: dict[str, Any], shape: tuple[int, ...]) -> list[Stack]:
+    """Return loops that JAX does not trace, in stacks."""
+    if isinstance(given, list) or given.device is not None or "device" in fields:
+        return stacked(_varied(given, fields, shape))
+    require_x64(*leaves(fields, plain=False))
+    loop = in_floats(given)
+    columns = {name: np.broadcast_to(np.asarray(x), shape).ravel() for name, x in fields.items()}
+    is_plain = not (loop.velocity or loop.position) and set(_FILTERS).isdisjoint(fields)
+    shared = [name for name in ("sample_time", *_FILTERS) if name in fields and not is_plain]
+    kinds = zip(*(columns[name].tolist() for name in shared), strict=True)
+    stacks = []
+    for members in map(np.array, alike(kinds if shared else [()] * prod(shape))):
+        one = {name: values[members[:1]].tolist()[0] for name, values in columns.items()}
+        first = replace(loop, **one)
+        varied = {name: values[members] for name, values in columns.items() if name not in shared}
+        stacks.append(Stack(members, with_columns(first, varied)))
+    return stacks
+
+
+def stacked(many: Sequence[Any]) -> list[Stack]:
+    """Return a list of loops that JAX does not trace, in stacks."""
+    loops = list(map(in_floats, many))
+    stacks = []
+    for members in alike(map(_kind, loops)):
+        first, is_one = loops[members[0]], len(members) == 1
+        one = first if is_one or first.body is None else as_one([loops[k] for k in members])
+        stacks.append(Stack(np.array(members), one))
+    return stacks
 
 
 def in_floats(loop: Any) -> "HapticLoop":
@@ -315,10 +379,10 @@ def in_floats(loop: Any) -> "HapticLoop":
 
 
 def resolved(
-    many: "list[HapticLoop]", *, outlines: bool = False
+    stacks: list[Stack], *, outlines: bool = False
 ) -> "Iterator[tuple[Indices, tuple[Extremes, Any]]]":
     """Yield loops that the program of a batch resolved, and its answers to them."""
-    for formed, triples in _groups(many):
+    for formed, triples in one_ahead(_groups(stacks)):
         for _ in range(_SCANS):
             if len(triples.angles) < _FEWEST_COMPILED:
                 break
@@ -357,14 +421,14 @@ class _Formed(NamedTuple):
     roots: Float64[Array, "loop root 2"]  # next to the circle: angles and distances
 
 
-def _groups(many: "list[HapticLoop]") -> Iterator[tuple[list[_Formed], "Triples"]]:
+def _groups(stacks: list[Stack]) -> Iterator[tuple[list[_Formed], "Triples"]]:
     """Yield loops that are filled up to one degree, and their triples, when there are enough.
 
     Loops that are too few to compile for are filled up to the next degree.
     """
     waiting: dict[int, list[_Formed]] = {degree: [] for degree in _DEGREES}
     is_compiled = dict.fromkeys(_DEGREES, False)
-    for group in _formed(many):
+    for group in _formed(stacks):
         degree = _filled_degree(group)
         if degree is None:
             continue
@@ -406,40 +470,37 @@ def _rescanned(
     return again, take(triples, np.concatenate(chosen))._replace(angles=np.concatenate(scans))
 
 
-def _formed(many: "list[HapticLoop]") -> Iterator[_Formed]:
+def _formed(stacks: list[Stack]) -> Iterator[_Formed]:
     """Yield loops that differ in mass, damping, stiffness and fraction of the delay alone.
 
     Those with filters that leave float64 few digits are left out.
     """
-    groups = alike(map(_kind, many))
-    blocks = (group[k : k + _FORMED] for group in groups for k in range(0, len(group), _FORMED))
-    for members in blocks:
-        first = many[members[0]]
-        sampled = first.sampled
+    for members, loop in stacks:
+        sampled = loop.sampled
         if sampled is not None:
-            transfers = sampled.transfers(given_filters(first.velocity, first.position))
-            linear, roots = first.linear, resonances_of(sampled.plant).T[None]
-        else:
-            plants = [many[index].slice.values() for index in members]
-            gamma, delta, delay = np.array([list(plant) for plant in plants]).T
-            filters = given_filters(**first.filters) or NO_FILTERS
-            transfers = filters[0].filter.transfer(), filters[1].transfer()
-            linear, roots = _masses(gamma, delta, delay, filters)
-        group = _group(np.array(members), linear, transfers, roots)
-        if group is not None:
-            yield group
+            transfers = sampled.transfers(given_filters(loop.velocity, loop.position))
+            roots = resonances_of(sampled.plant).T[None]
+            yield from _group(members, loop.linear, transfers, roots)
+            continue
+        filters = given_filters(**loop.filters) or NO_FILTERS
+        transfers = filters[0].filter.transfer(), filters[1].transfer()
+        gamma, delta, delay = np.broadcast_arrays(*loop.slice.values(), members)[:3]
+        for own in map(np.array, alike(zip(delay // 1.0, delay % 1.0 == 0.0, strict=True))):
+            for part in np.split(own, range(_FORMED, len(own), _FORMED)):
+                linear, roots = _masses(gamma[part], delta[part], delay[part], filters)
+                yield from _group(members[part], linear, transfers, roots)
 
 
 def _group(
     members: Indices, linear: LinearLoop, transfers: tuple[Transfer, Transfer], roots: Array
-) -> _Formed | None:
-    """Return loops with the same filters; None if these leave float64 few digits."""
+) -> list[_Formed]:
+    """Return loops with the same filters; none if these leave float64 few digits."""
     response = of_filters(*transfers)
     if response.condition >= _ILL_CONDITIONED:
-        return None
+        return []
     ends = [[part.value for part in end] for end in (linear.at_one, linear.at_minus_one)]
     parts, values = (_columns(rows, len(members)) for rows in (linear[:3], ends))
-    return _Formed(members, parts, values.rounded(), np.sort(response.real_angles), roots)
+    return [_Formed(members, parts, values.rounded(), np.sort(response.real_angles), roots)]
 
 
 def _masses(
@@ -471,19 +532,17 @@ def triples_of_masses(gamma: Array, delta: Array, form: Form) -> "Triples | None
     velocity, position = form.filters
     linear, roots = _masses(gamma, delta, form.delay, form.filters)
     transfers = velocity.filter.transfer(), position.transfer()
-    group = _group(np.arange(len(gamma)), linear, transfers, roots)
-    if group is None:
-        return None
-    degree = _filled_degree(group)
-    return None if degree is None else _triples([group], degree)
+    formed = _group(np.arange(len(gamma)), linear, transfers, roots)
+    degree = _filled_degree(formed[0]) if formed else None
+    return None if degree is None else _triples(formed, degree)
 
 
 def _kind(loop: "HapticLoop") -> Hashable:
-    """Return what loops have in common that are formed together: a general device is by itself."""
-    if loop.sampled is not None:
+    """Return what loops of a stack have in common: a device that is not one mass is by itself."""
+    if loop.body is None:
         return loop
-    delay = loop.delay_samples
-    return int(delay), delay % 1.0 == 0.0, *loop.filters.values()
+    is_filtered = loop.velocity is not None or loop.position is not None
+    return loop.velocity, loop.position, loop.sample_time if is_filtered else None
 
 
 def _resonances(gamma: Array, delta: Array) -> Float64[Array, "loop 1 2"]:

@@ -30,10 +30,13 @@ from jaxstab.loop.many import (
     Form,
     ManyLimits,
     ManyRegions,
+    Stack,
     common_form,
     empty_outlines,
     outline_of,
     resolved,
+    singles,
+    stacked,
     triples_of_masses,
 )
 from jaxstab.loop.region import TOLERANCE, WallRegion, wall_region
@@ -161,9 +164,8 @@ def _search(
             else:
                 answers = _in_one_program(triples, outlines=outlines)
         else:
-            values = (np.broadcast_to(np.asarray(leaf), size) for leaf in leaves)
-            loops = _loops_of(structure, zip(*values, strict=True))
-            answers = jax.tree.map(jnp.asarray, _all(loops, outlines=outlines))
+            stacks = _stacks_of(structure, size, is_batched, leaves)
+            answers = jax.tree.map(jnp.asarray, _all(stacks, size, outlines=outlines))
         return answers, jax.tree.map(lambda _: True, answers)
 
     return searched
@@ -188,15 +190,25 @@ def _empty(*shape: int, outlines: bool) -> tuple[Float64[np.ndarray, "*loop 2 fi
     return np.ones((*shape, 2, _FIELDS)), empty_outlines(*shape) if outlines else None
 
 
-def _all(loops: list[Any], *, outlines: bool) -> Any:
+def _stacks_of(structure: Any, size: int, is_batched: list[bool], leaves: Any) -> list[Stack]:
+    """Return loops of one structure in one stack, unless their filters differ."""
+    values = [np.asarray(x) if y else float(x) for x, y in zip(leaves, is_batched, strict=True)]
+    many: Any = jax.tree.unflatten(structure, values)
+    of_filters = jax.tree.leaves((many.velocity, many.position))
+    if of_filters and any(map(np.ndim, [*of_filters, many.sample_time])):
+        return stacked(_loops_of(structure, zip(*np.broadcast_arrays(*values), strict=True)))
+    return [Stack(np.arange(size), many)]
+
+
+def _all(stacks: list[Stack], size: int, *, outlines: bool) -> Any:
     """Search for many loops: a batch, and one by one those that it left open."""
-    answers = rows, _ = _empty(len(loops), outlines=outlines)
-    for members, (extremes, own) in resolved(loops, outlines=outlines):
+    answers = rows, _ = _empty(size, outlines=outlines)
+    for members, (extremes, own) in resolved(stacks, outlines=outlines):
         shape = (*extremes.walls.shape[:2], len(_RESOLVED))
         row = extremes.walls, extremes.angles, np.broadcast_to(_RESOLVED, shape)
         _write(answers, members, (np.concatenate(row, axis=-1), own))
-    for index in np.flatnonzero(rows[:, 0, -1]).tolist():
-        _write(answers, index, _alone(loops[index], outlines=outlines))
+    for index, loop in singles(stacks, rows[:, 0, -1] == 1.0):
+        _write(answers, index, _alone(loop, outlines=outlines))
     return answers
 
 

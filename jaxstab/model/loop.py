@@ -21,7 +21,7 @@ from jaxstab.model.device import Device, Hand, SampledDevice, sampled_device
 from jaxstab.model.filters import NO_FILTERS, Average, Filter, Velocity, given_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.model.parameters import LONGEST_DELAY, TracedDelay, by_name
-from jaxstab.numbers import checked_number
+from jaxstab.numbers import checked, checked_number
 from jaxstab.shown import call_text
 
 _LEAST = {  # the least allowed value, and whether it is excluded
@@ -82,17 +82,24 @@ class LoopParameters:
     _whole_delay: ClassVar[int | None] = None  # in samples; no field
 
     def __post_init__(self) -> None:
+        self._check()
+        is_known = not is_any_traced(self.delay, self.sample_time)
+        object.__setattr__(self, "_whole_delay", int(self.delay_samples) if is_known else None)
+
+    def _check(self, *, columns: bool = False) -> None:
         self._refuse_mixed_fields()
         for name, (least, is_open) in _LEAST.items():
             value = getattr(self, name)
             if not (value is None or is_traced(value)):
-                checked = checked_number(name, value, least, is_open=is_open)
-                object.__setattr__(self, name, value if is_jax(value) else checked)
+                checker = checked if columns and np.ndim(value) else checked_number
+                number = checker(name, value, least, is_open=is_open)
+                object.__setattr__(self, name, value if is_jax(value) else number)
         is_known = not is_any_traced(self.delay, self.sample_time)
-        object.__setattr__(self, "_whole_delay", int(self.delay_samples) if is_known else None)
-        if is_known and self.delay_samples > LONGEST_DELAY:
+        if is_known and np.any(self.delay_samples > LONGEST_DELAY):
+            samples, delay = np.broadcast_arrays(self.delay_samples, self.delay)
+            longest = np.argmax(samples)
             raise ValueError(
-                f"the delay is {self.delay_samples:g} samples, {float(self.delay):g} s; give "
+                f"the delay is {samples.flat[longest]:g} samples, {delay.flat[longest]:g} s; give "
                 f"{LONGEST_DELAY:g} samples at most, in s; a delay in samples is multiplied by "
                 "sample_time."
             )
@@ -301,22 +308,26 @@ class LoopParameters:
 
 
 def with_columns(loop: LoopParameters, columns: Mapping[str, Numbers]) -> Any:
-    """Return many loops of one mass as one, unchecked: arrays in place of numbers of a loop.
+    """Return many loops of one mass as one: checked arrays in place of numbers of a loop.
 
-    They broadcast with the gains of walls given to its methods. The sampling period is one number.
+    They broadcast with the gains of walls given to its methods. With filters the sampling period is
+    one number.
     """
     numbers = {name: getattr(loop, name) for name in _LEAST} | dict(columns)
-    return loop.tree_unflatten((None, None), (*numbers.values(), loop.velocity, loop.position))
+    parts = *numbers.values(), loop.velocity, loop.position
+    many = loop.tree_unflatten((None, None), parts)
+    many._check(columns=True)
+    return many
 
 
 def as_one(loops: Sequence[LoopParameters]) -> Any:
-    """Return loops of one mass as one (``with_columns``): they differ in mechanics and delay."""
-    names = "device_mass", "device_damping", "hand_stiffness", "delay"
-    numbers = {loop: (*loop._one_body, loop.delay) for loop in dict.fromkeys(loops)}
-    rows = np.array([numbers[loop] for loop in loops])
-    return with_columns(
-        loops[0], dict(zip(names, rows.T, strict=True)) | {"hand_mass": 0.0, "hand_damping": 0.0}
-    )
+    """Return loops of one mass as one (``with_columns``): they differ in mechanics and times."""
+    names = "device_mass", "device_damping", "hand_stiffness", "delay", "sample_time"
+    numbers = {x: (*x._one_body, x.delay, x.sample_time) for x in dict.fromkeys(loops)}
+    columns = dict(zip(names, np.array([numbers[loop] for loop in loops]).T, strict=True))
+    if len({loop.sample_time for loop in loops}) == 1:
+        del columns["sample_time"]
+    return with_columns(loops[0], columns | {"hand_mass": 0.0, "hand_damping": 0.0})
 
 
 @lru_cache(_REMEMBERED)

@@ -51,7 +51,7 @@ from jaxstab.rounding import UNIT
 SLOTS = 6  # pieces of one loop
 _PROGRAMS = 8  # that are kept, one for each degree: each takes 40 to 90 MB
 _VERTICES, _FINE = 48, 192  # of a piece, and angles between which they are spread
-_REFINED = 32  # loops at once: what they need stays in the cache
+_REFINED = 64  # loops at once: what they need stays in the cache
 _TILE = 64  # angles of a scan at once
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 _LOWERED = 8  # steps of the recursion between which its arrays get shorter
