@@ -61,7 +61,7 @@ class _Complex(NamedTuple):
 
 
 class ExactGains(NamedTuple):
-    """alpha, beta and (alpha - W(1)) / (1 - cos theta), and their slopes in theta."""
+    """alpha, beta and (alpha + beta V(r) - W(r)) / (1 - cos theta), and their slopes in theta."""
 
     values: tuple[DoubleDouble, DoubleDouble, DoubleDouble]
     slopes: tuple[Array, Array, Array]
@@ -89,10 +89,11 @@ def determinants(pairs: Pairs, theta: DoubleDouble) -> Array:
 
 
 def lines_crossing_of(pairs: Pairs) -> tuple[DoubleDouble, DoubleDouble]:
-    """Return the wall with real roots at 1 and at -1."""
-    (base, stiffness, _), others = (_numbers(pairs[half, 1, :, :, 0]) for half in range(2))
-    alpha = -base / stiffness
-    return alpha, -(others[0] + others[1] * alpha) / others[2]
+    """Return the wall with real roots at r and at -r."""
+    (base, stiffness, damping), others = (_numbers(pairs[k, 1, :, :, 0]) for k in range(2))
+    offset, slope = -base / stiffness, damping / stiffness
+    beta = -(others[0] + others[1] * offset) / (others[2] - others[1] * slope)
+    return offset - slope * beta, beta
 
 
 def polished_angles(
@@ -156,10 +157,10 @@ def _gains(pairs: Pairs, theta: DoubleDouble, with_slopes: bool) -> ExactGains:
     below = stiffness.cross(damping)
     alpha, beta = damping.cross(base) / below, base.cross(stiffness) / below
     at_one = _numbers(pairs[0, 1, :, :, 0])
-    line = -at_one[0] / at_one[1]
+    line, across = -at_one[0] / at_one[1], at_one[2] / at_one[1]
     side = _where(upper, cosine, sine)
     height = (side * side).scaled(2.0)  # 1 - cos(theta)
-    lift = (alpha - line) / height
+    lift = (alpha + beta * across - line) / height
     if not with_slopes:
         return ExactGains((alpha, beta, lift), (np.empty(0),) * 3)
     base_slope, stiffness_slope, damping_slope = slopes
@@ -169,7 +170,7 @@ def _gains(pairs: Pairs, theta: DoubleDouble, with_slopes: bool) -> ExactGains:
     alpha_slope, beta_slope = alpha_slope / below, beta_slope / below
     turned = np.where(upper, -1.0, 1.0)
     swing = (sine * cosine).scaled(2.0) * turned
-    lift_slope = (alpha_slope - lift * swing) / height
+    lift_slope = (alpha_slope + beta_slope * across - lift * swing) / height
     every = [turned * slope.rounded() for slope in (alpha_slope, beta_slope, lift_slope)]
     return ExactGains((alpha, beta, lift), (every[0], every[1], every[2]))
 

@@ -83,12 +83,12 @@ class _Circle(NamedTuple):
         return cls(np.exp(1j * u), 1j * size * np.exp(0.5j * u), size)
 
 
-def filtered_point(
-    curve: FilteredCurve, theta: Array, low: Array | float
+def curve_and_lift(
+    curve: FilteredCurve, theta: Array, low: Array | float = 0.0
 ) -> tuple[Array, Array, Array]:
-    """Return alpha, beta and (alpha - W(1)) / (1 - cos th) at angles, which may be negative.
+    """Return alpha, beta and (alpha + beta V(r) - W(r)) / (1 - cos th).
 
-    ``low`` is what rounding took from the angles. A complex step of theta (``with_slope``) adds the
+    Angles may be negative. ``low`` is what rounding took from the angles. A complex step of theta (``with_slope``) adds the
     slopes.
     """
     theta = np.asarray(theta)
@@ -156,8 +156,9 @@ def _on_line(
     """Return alpha, beta and the lift next to a line at a pole, and their slopes."""
     (alpha, beta, angle), (alpha_slope, beta_slope, turn) = line.gains(size)
     below = 2.0 * np.sin(0.5 * angle) ** 2
-    lift = (alpha - curve.plus.values[0]) / below
-    lift_slope = (alpha_slope - lift * np.sin(angle) * turn) / below
+    lift = (alpha + curve.plus_slope * beta - curve.plus_offset) / below
+    line_slope = alpha_slope + curve.plus_slope * beta_slope
+    lift_slope = (line_slope - lift * np.sin(angle) * turn) / below
     return np.stack([alpha, beta, lift]), np.stack([alpha_slope, beta_slope, lift_slope])
 
 
@@ -179,22 +180,22 @@ def _gains(
     n, d, fall = _rows(half.of_plant, circle, with_slopes=with_slopes)
     y, x, rise = _rows(half.of_estimate, circle, with_slopes=with_slopes)
     n_one, d_one, y_one, x_one = map(_divisor, half.at_one)
-    (plant_one, estimate_one), sign = half.values, half.sign
+    (plant_one, estimate_one), gain = half.values, half.gain
     sine, cosine = _sinusoids(0.5, u, with_slopes=with_slopes)
     tangent = sine / cosine
     rolled = _geometric(curve.lag, u, sine, with_slopes=with_slopes)
-    plant = (rolled * d * half.at_one[0] + fall) / n * (-sign / n_one)
+    plant = (rolled * d * half.at_one[0] + fall) / n * (-gain / n_one)
     estimate = rise / y / y_one
     plant_swing, estimate_swing = _swing(plant, tangent), _swing(estimate, tangent)
     of_plant, of_estimate = half.forms
     if of_plant or of_estimate:
         turn = _turn(curve.lag, u, with_slopes=with_slopes)
-        whole, speed = turn * d / n * -sign, x / y  # W and V
+        whole, speed = turn * d / n * -gain, x / y  # W and V
         if of_plant == Form.INVERSE:
-            gain, fallen = n / d, fall / d / -d_one
+            quotient, fallen = n / d, fall / d / -d_one
             moved = rolled * (half.at_one[0] / d_one) - fallen
             plant_swing = _swing(moved, tangent) + tangent * _cross(fallen, rolled) * 2.0
-            plant_swing = plant_swing * -sign / _square(gain)
+            plant_swing = plant_swing * -gain / _square(quotient)
         elif of_plant == Form.WHOLE:
             plant_swing = whole.imag / (sine * cosine * 2.0)
         if of_estimate == Form.INVERSE:
@@ -209,7 +210,8 @@ def _gains(
         alpha = tangent * swing * 2.0 + plant_one - beta * estimate_one
     if half is curve.plus:
         return alpha, beta, swing / (sine * cosine)
-    return alpha, beta, (alpha - curve.plus.values[0]) / (cosine * cosine * 2.0)
+    away = alpha + beta * curve.plus_slope - curve.plus_offset
+    return alpha, beta, away / (cosine * cosine * 2.0)
 
 
 def _swing(quotient: Values, tangent: Values) -> Values:

@@ -21,7 +21,7 @@ from jaxtyping import Float64, Int
 from jaxstab.arrays import Numbers, is_traced, joined
 from jaxstab.conventions import Verdict
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import Filter, Filters, Transfer, Velocity, known_filters
+from jaxstab.model.filters import NO_FILTERS, Filter, Transfer, Velocity, known_filters
 from jaxstab.model.linear_loop import LinearLoop, SampledPlant
 from jaxstab.model.loop import refuses_loops
 from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT, LONGEST_DELAY
@@ -29,7 +29,6 @@ from jaxstab.numbers import checked_number
 from jaxstab.point.verdicts import linear_verdict
 from jaxstab.region import measures
 from jaxstab.region.crossings import refined_pieces
-from jaxstab.region.curve import Curve, curve_and_lift, slice_coefficients
 from jaxstab.region.exact import Pairs, exact_gains, in_pairs
 from jaxstab.region.filtered_curve import (
     FilteredCurve,
@@ -39,6 +38,7 @@ from jaxstab.region.filtered_curve import (
     mass_system,
     parts_in_pairs,
 )
+from jaxstab.region.filtered_points import curve_and_lift
 from jaxstab.region.outline import Outline, extra_vertices, polygon
 from jaxstab.region.pieces import (
     NO_BRANCH,
@@ -48,7 +48,7 @@ from jaxstab.region.pieces import (
     edges_of,
     lone_partners,
 )
-from jaxstab.region.stable_set import RegionStatus, StableRegion, region_within
+from jaxstab.region.stable_set import StableRegion, region_within
 
 # A-posteriori check of regions of loops with estimators and filters, by certified verdicts.
 #
@@ -123,7 +123,7 @@ def _beside(edges: Edges, extent: Float64[np.ndarray, "2"], *, is_near: bool = F
     return np.concatenate([middle + aside, middle - aside]).T
 
 
-def _near_corners(c: Curve, outline: Outline) -> Edges:
+def _near_corners(c: FilteredCurve, outline: Outline) -> Edges:
     """Return short edges of the boundary, at some distances from the corners."""
     size = int(outline.size)
     vertices = outline.vertices[:size]
@@ -140,7 +140,7 @@ def _near_corners(c: Curve, outline: Outline) -> Edges:
 
 
 def _on_edges(
-    c: Curve,
+    c: FilteredCurve,
     outline: Outline,
     edges: Int[np.ndarray, " edge"],
     shares: Float64[np.ndarray, " edge"],
@@ -162,6 +162,7 @@ _NOTHING = 2.0**-86  # of the coefficients of p(z): pairs know that much
 _BULGE = 0.35  # times points^-2 is at most about how far the boundary leaves the polygon
 
 
+@np.errstate(all="ignore")  # NaN and infinity are answers
 def region_of_system(system: System, tolerance: float, *, may_be_empty: bool) -> StableRegion:
     """Return the region of a loop with filters.
 
@@ -231,7 +232,7 @@ def _audited(
     return outline, pieces
 
 
-def _adapted(c: Curve, pieces: Pieces, tolerance: float) -> tuple[Outline, float]:
+def _adapted(c: FilteredCurve, pieces: Pieces, tolerance: float) -> tuple[Outline, float]:
     """Return an outline with as many points as the tolerance requires, and its deviation."""
     fewest = max(_FEWEST_POINTS, 2 * extra_vertices(len(pieces.begin)))
     points = _enough_points(sqrt(_BULGE / tolerance), fewest)
@@ -278,7 +279,7 @@ def stable_region(
         tolerance: largest distance between the polygon and the boundary, as a share of the
             region's diameter, > 1e-10.
         velocity: the velocity estimator in units of one sample; None for the difference over one
-            sample, the wall of the paper. The radius is 1 with it.
+            sample, the wall of the paper.
         position: the position filter in units of one sample; None for none.
 
     Returns:
@@ -298,38 +299,16 @@ def stable_region(
         raise TypeError(
             "stable_region searches outside of JAX; under jit, vmap and grad call regions_of."
         )
-    plant = (
+    slice_ = (
         checked_number("gamma", gamma, 0.0, GAMMA_LIMIT),
         checked_number("delta", delta, 0.0, DELTA_LIMIT),
         checked_number("delay", delay, 0.0, LONGEST_DELAY, unit="samples"),
-        checked_number("radius", radius, 0.0, 1.0, is_open=True),
     )
+    size = checked_number("radius", radius, 0.0, 1.0, is_open=True)
     smallest = checked_number("tolerance", tolerance, _FINEST, is_open=True)
-    filters = known_filters(velocity, position)
-    if filters and plant[3] != 1.0:
-        raise ValueError(f"radius is {plant[3]:g}; with a filter only 1 is answered.")
-    return _stable_region(*plant, smallest, filters)
-
-
-@np.errstate(all="ignore")  # NaN and infinity are answers
-def _stable_region(
-    gamma: float,
-    delta: float,
-    delay: float,
-    radius: float,
-    tolerance: float,
-    filters: Filters | None,
-) -> StableRegion:
-    may_be_empty = delta == 0.0 or radius < 1.0
-    if not filters:
-        c = slice_coefficients(gamma, delta, delay, radius)
-        pieces = refined_pieces(c, may_be_empty=may_be_empty)
-        region = region_within(c, _adapted(c, pieces, tolerance)[0])
-        if region.status != RegionStatus.UNRESOLVED or radius != 1.0:
-            return region
-        filters = Velocity.difference(samples=1), Filter()  # the same loop in another form
-    system = mass_system(gamma, delta, delay, filters)
-    return region_of_system(system, tolerance, may_be_empty=may_be_empty)
+    filters = known_filters(velocity, position) or NO_FILTERS
+    system = mass_system(*slice_, filters, size)
+    return region_of_system(system, smallest, may_be_empty=slice_[1] == 0.0 or size < 1.0)
 
 
 # The stable set of a loop with any plant, estimator and filter.
@@ -349,5 +328,4 @@ def linear_region(
             "the device has zero DC gain: its transfer function in s is 0 at s = 0. It has no "
             "region and no limits here; use verdicts, radii, poles or margins."
         )
-    with np.errstate(all="ignore"):
-        return region_of_system((plant, velocity, position), tolerance, may_be_empty=True)
+    return region_of_system((plant, velocity, position, 1.0), tolerance, may_be_empty=True)
