@@ -29,8 +29,8 @@ from jaxstab.model import by_name, filters
 from jaxstab.model.filters import Section, given_filters
 from jaxstab.model.linear_loop import _values, filtered_loop
 from jaxstab.point.schur_cohn import dense_codes, rounded_loop, without_zeros
-from jaxstab.region.curve import curve_and_lift, minus_offset, minus_slope
 from jaxstab.region.filtered_curve import filtered_curve, mass_system
+from jaxstab.region.filtered_points import curve_and_lift
 from jaxstab.rounding import UNIT
 from jaxstab.tables import parsed
 
@@ -622,8 +622,9 @@ def test_the_curve_of_plants_that_are_nearly_zero_at_the_nyquist_frequency(numbe
 def test_walls_of_the_line_of_a_real_root_at_minus_one_have_that_root(samples: int) -> None:
     window = Velocity.difference(samples)
     c = jaxstab.stable_region(**by_name(0.3, 0.1, 1.5), velocity=window).coefficients
+    base, stiffness, damping = c.at_minus_one
     for beta in (-0.2, 0.4):
-        alpha = minus_offset(c) - minus_slope(c) * beta
+        alpha = -(base + damping * beta) / stiffness
         poles = jaxstab.closed_loop_poles(alpha, beta, **by_name(0.3, 0.1, 1.5), velocity=window)
         assert np.min(np.abs(np.asarray(poles) + 1.0)) < 1e-12
 

@@ -69,19 +69,19 @@ class _Cubics(NamedTuple):
 
 
 @np.errstate(all="ignore")
-def crossings(c: FilteredCurve, angles: Angles, length: int) -> Angles:
+def crossings(c: FilteredCurve, angles: Angles) -> Angles:
     """Return the angles, in order, at which the curve of a scan meets itself or a line."""
-    cubics = _cubics(c, angles, length)
+    cubics = _cubics(c, angles)
     if not cubics.interval.size:
         return np.empty(0)
     every = np.sort(np.concatenate([_self_crossings(c, cubics), _line_crossings(c, cubics)]))
     return every[np.diff(every, prepend=-np.inf) > _CLOSE]
 
 
-def _cubics(c: FilteredCurve, angles: Angles, length: int) -> _Cubics:
+def _cubics(c: FilteredCurve, angles: Angles) -> _Cubics:
     """Return the parts of the scan near the stable set, as cubics with slopes at their ends."""
     line = _lines_of_parts(c, angles)
-    is_near = others_inside(c, angles, length, within=_NEARLY_STABLE)
+    is_near = others_inside(c, angles, within=_NEARLY_STABLE)
     is_near = is_near[1:] | is_near[:-1] | (line != 0)  # those of lines may be long
     interval = np.flatnonzero(is_near & ~_spans_a_pole(c, angles))
     ends = np.unique(np.concatenate([interval, interval + 1]))
@@ -283,13 +283,12 @@ def refined_pieces(c: FilteredCurve, *, may_be_empty: bool) -> Pieces:
     With damping, the loop without a wall is stable, so an empty answer means that the scan was too
     coarse. Where even the finest scan is not enough, the pieces' ``resolved`` is False.
     """
-    length = c.parts.shape[1] - 2
-    coarsest = slice_angles(c, length, 1)
-    closer = crossings(c, coarsest, length)
+    coarsest = slice_angles(c, 1)
+    closer = crossings(c, coarsest)
     scans = _SCANS[: _EXACT_SCANS if c.is_exact else None]
     for fineness, most, outside in scans:
-        scan = coarsest if fineness == 1 else slice_angles(c, length, fineness)
-        pieces, closer, is_settled = _settled_pieces(c, scan, closer, most, outside, length)
+        scan = coarsest if fineness == 1 else slice_angles(c, fineness)
+        pieces, closer, is_settled = _settled_pieces(c, scan, closer, most, outside)
         if is_settled:
             return pieces
         if may_be_empty and fineness >= _EMPTY_FINENESS and not pieces.begin.size:
@@ -300,18 +299,18 @@ def refined_pieces(c: FilteredCurve, *, may_be_empty: bool) -> Pieces:
 
 
 def _settled_pieces(
-    c: FilteredCurve, scan: Angles, closer: Angles, most: int, outside: float, length: int
+    c: FilteredCurve, scan: Angles, closer: Angles, most: int, outside: float
 ) -> tuple[Pieces, Angles, bool]:
     """Look closer at more and more angles, until no new one shows; return whether all is resolved.
 
     Beside the pieces, the angles looked at are returned.
     """
-    closer = nearly_stable(c, closer, outside, length=length)
+    closer = nearly_stable(c, closer, outside)
     for _ in range(_ROUNDS):
-        pieces = find_pieces(c, closer_angles(c, scan, closer[:most]), length=length)
+        pieces = find_pieces(c, closer_angles(c, scan, closer[:most]))
         if not pieces.begin.size:
             return pieces, closer, False
-        fresh = suspects(c, pieces, closer, outside, length=length)
+        fresh = suspects(c, pieces, closer, outside)
         closer = np.sort(np.concatenate([closer, fresh]))
         if not fresh.size or len(closer) > most:
             is_all = not fresh.size and len(closer) <= most

@@ -181,6 +181,16 @@ class Rows(NamedTuple):
         close = np.max(np.where(is_less, _HALF_CIRCLE, 0.0), axis=1)
         return cls(straight=both[0], shifted=both[1], close=close)
 
+    def above(self, other: "Rows") -> "Rows":
+        """Return these rows and those of another, as one table."""
+        count = max(self.straight.shape[2], other.straight.shape[2])
+        both = [
+            [np.pad(table, ((0, 0), (0, 0), (0, count - table.shape[2]))) for table in rows[:2]]
+            for rows in (self, other)
+        ]
+        straight, shifted = (np.concatenate(tables, axis=1) for tables in zip(*both, strict=True))
+        return Rows(straight, shifted, np.concatenate([self.close, other.close]))
+
 
 @cache
 def _powers_of_steps(count: int) -> Float64[np.ndarray, "power step"]:
@@ -587,12 +597,11 @@ class Form(IntEnum):
 class Half(NamedTuple):
     """One half of the circle.
 
-    With a dash for the quotient (Q - Q(1)) / s the rows are N, D and D' N(1) - N' D(1); Y, X and
-    X' Y(1) - Y' X(1), which is V' Y Y(1).
+    With a dash for the quotient (Q - Q(1)) / s the rows are N, D and D' N(1) - N' D(1), then Y, X
+    and X' Y(1) - Y' X(1), which is V' Y Y(1).
     """
 
-    of_plant: Rows
-    of_estimate: Rows
+    rows: Rows
     at_one: tuple[float, float, float, float]  # N, D, Y, X at zeta = 1
     gain: float  # z^w at zeta = 1
     forms: tuple[Form, Form]  # of W and of V
@@ -625,6 +634,11 @@ class FilteredCurve(NamedTuple):
     stretches: tuple[Stretch, ...] = ()  # rescaled intervals of angles
     pairs: Float64[np.ndarray, "half form pair part coefficient"] = _NO_PAIRS  # if it is exact
     is_exact: bool = False  # whether all of it is evaluated in double-double
+
+    @property
+    def length(self) -> int:
+        """The number of coefficients of p(z) without the pair of roots on the circle."""
+        return self.parts.shape[1] - 2
 
     @property
     def num_plus(self) -> float:
@@ -677,7 +691,7 @@ class FilteredCurve(NamedTuple):
     def polynomial(self, alpha: Array, beta: Array) -> Array:
         """The coefficients of p(r zeta) of walls, but for the last two, highest power first."""
         columns = (-1, *(1 for _ in np.shape(alpha)))
-        base, stiffness, damping = (row[:-2].reshape(columns) for row in self.parts)
+        base, stiffness, damping = (row[: self.length].reshape(columns) for row in self.parts)
         return base + (stiffness * alpha + damping * beta)
 
 
@@ -808,8 +822,7 @@ def _half(
 ) -> Half:
     d, n = d.times(filters.of_d), n.times(filters.of_n)
     return Half(
-        of_plant=Rows.from_polynomials([n, d, minor(d, n)]),
-        of_estimate=filters.rows,
+        rows=Rows.from_polynomials([n, d, minor(d, n)]).above(filters.rows),
         at_one=(n.value.rounded(), d.value.rounded(), *filters.at_one),
         gain=gain,
         forms=(_form(d, n) if of_plant is None else of_plant, filters.form),

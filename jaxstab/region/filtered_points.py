@@ -88,8 +88,8 @@ def curve_and_lift(
 ) -> tuple[Array, Array, Array]:
     """Return alpha, beta and (alpha + beta V(r) - W(r)) / (1 - cos th).
 
-    Angles may be negative. ``low`` is what rounding took from the angles. A complex step of theta (``with_slope``) adds the
-    slopes.
+    ``low`` is what rounding took from the angles, which may be negative. A complex step of theta
+    (``with_slope``) adds the slopes.
     """
     theta = np.asarray(theta)
     flat, low = theta.ravel(), np.broadcast_to(low, theta.shape).ravel()
@@ -177,8 +177,7 @@ def _gains(
 ) -> tuple[Values, Values, Values]:
     """Return alpha, beta and the lift, by the angles u of zeta on one half of the circle."""
     circle = _Circle.at_angles(u)
-    n, d, fall = _rows(half.of_plant, circle, with_slopes=with_slopes)
-    y, x, rise = _rows(half.of_estimate, circle, with_slopes=with_slopes)
+    n, d, fall, y, x, rise = _rows(half.rows, circle, with_slopes=with_slopes)
     n_one, d_one, y_one, x_one = map(_divisor, half.at_one)
     (plant_one, estimate_one), gain = half.values, half.gain
     sine, cosine = _sinusoids(0.5, u, with_slopes=with_slopes)
@@ -306,7 +305,7 @@ def is_oriented(curve: FilteredCurve, theta: Angles) -> Bool[np.ndarray, " angle
 
 def _swing_of_estimate(half: Half, u: Angles) -> Angles:
     """Return a number of the sign of Im V at zeta = e^(iu)."""
-    y, x, rise = _rows(half.of_estimate, _Circle.at_angles(u), with_slopes=False)
+    _, _, _, y, x, rise = _rows(half.rows, _Circle.at_angles(u), with_slopes=False)
     _, _, y_one, x_one = map(_divisor, half.at_one)
     swing: Angles
     if half.forms[1] == Form.WHOLE:

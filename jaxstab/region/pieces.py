@@ -202,7 +202,7 @@ _AT_ONCE = 1 << 18  # coefficients of polynomials that are held in memory
 _ROUND = 32  # steps of the test after which the polynomials that failed are dropped
 
 
-def others_inside(c: FilteredCurve, theta: Array, length: int, within: float = 1.0) -> Array:
+def others_inside(c: FilteredCurve, theta: Array, within: float = 1.0) -> Array:
     """Return where all roots of p but those at r e^(+-i theta) lie inside of the circle.
 
     ``within`` is the size of another circle, as a multiple of that.
@@ -211,9 +211,9 @@ def others_inside(c: FilteredCurve, theta: Array, length: int, within: float = 1
     """
     if c.is_exact:
         return all_inside(c, *exact_walls(c, theta), within)
-    if theta.size * length > _AT_ONCE and theta.size > 1:
-        chunks = np.array_split(theta.ravel(), -(-theta.size * length // _AT_ONCE))
-        each = [others_inside(c, chunk, length, within) for chunk in chunks]
+    if theta.size * c.length > _AT_ONCE and theta.size > 1:
+        chunks = np.array_split(theta.ravel(), -(-theta.size * c.length // _AT_ONCE))
+        each = [others_inside(c, chunk, within) for chunk in chunks]
         return np.concatenate(each).reshape(theta.shape)
     falling = c.polynomial(*curve_and_lift(c, theta)[:2])
     inside = _may_be_stable(falling, within)
@@ -263,7 +263,7 @@ def _shrunk(falling: Array, within: float) -> Array:
     return falling * (within**-powers).reshape(-1, *(1 for _ in falling.shape[1:]))
 
 
-def lines_crossing_is_stable(c: FilteredCurve, length: int) -> Array:
+def lines_crossing_is_stable(c: FilteredCurve) -> Array:
     """Return whether all roots lie inside where the lines z = r and z = -r cross, but for those."""
     if c.is_exact:
         return all_inside(c, *lines_crossing_of(c.pairs), 1.0)
@@ -347,15 +347,13 @@ class _Links(NamedTuple):
     exists: Array
 
 
-def find_pieces(c: FilteredCurve, angles: Array, *, length: int) -> Pieces:
+def find_pieces(c: FilteredCurve, angles: Array) -> Pieces:
     """Return the pieces of one slice that a scan over these angles, in (0, pi) in order, finds.
-
-    ``length`` is that of the polynomials with the other roots: floor(delay) + 3 for one mass.
 
     Source: the D-decomposition of Gryazina, Polyak, Tremba (2008), with the criterion of Schur and
     Cohn for the other roots.
     """
-    ends = _piece_ends(c, angles, length)
+    ends = _piece_ends(c, angles)
     if ends is None:
         return _NO_PIECES
     to_join, _, _ = _joined(ends, ~ends.pinned)
@@ -371,7 +369,7 @@ def find_pieces(c: FilteredCurve, angles: Array, *, length: int) -> Pieces:
     links = _linked(c, walls, begin_branch, end_branch, following)
     index = np.arange(len(begin))
     is_mutual = (begin_branch[following] == Branch.CURVE) & (preceding[following] == index)
-    may_turn = np.any(links.via) and lines_crossing_is_stable(c, length)
+    may_turn = np.any(links.via) and lines_crossing_is_stable(c)
     follows = links.successor[:, None] == index
     is_closed = (
         np.all(np.isfinite(walls[1]), axis=0)
@@ -410,9 +408,9 @@ _NO_PIECES = Pieces(
 
 
 # ---------------------------------------------------------------------------- where pieces end
-def _piece_ends(c: FilteredCurve, angles: Array, length: int) -> _Ends | None:
+def _piece_ends(c: FilteredCurve, angles: Array) -> _Ends | None:
     """Return the ends of the pieces between two angles each; None where there are no pieces."""
-    inside = partial(others_inside, c, length=length)
+    inside = partial(others_inside, c)
     passes = np.concatenate([np.zeros(1, bool), inside(angles), np.zeros(1, bool)])
     before, after = passes[:-2], passes[2:]
     is_knot = _are_knots(c, angles)
@@ -568,7 +566,7 @@ Angles = Float64[np.ndarray, " _"]  # of any length
 def scan_angles(length: int, fineness: int) -> Angles:
     """Return the angles of a scan: even steps, a part of a turn of z^m, and finer to both ends.
 
-    ``length`` is that of the polynomials, as for ``find_pieces``.
+    ``length`` is that of a curve.
     """
     count = fineness * (24 + 8 * length)
     even = (np.arange(count) + 0.5) * (np.pi / count)
@@ -581,12 +579,12 @@ def scan_angles(length: int, fineness: int) -> Angles:
     return angles
 
 
-def slice_angles(c: FilteredCurve, length: int, fineness: int) -> Angles:
+def slice_angles(c: FilteredCurve, fineness: int) -> Angles:
     """Return the angles of a scan: with filters more of them at the poles and where beta is 0.
 
     They have the sign of Im V: see ``filtered_curve``.
     """
-    angles = scan_angles(length, fineness)
+    angles = scan_angles(c.length, fineness)
     offsets = np.geomspace(_CLOSEST, np.pi / len(angles), 8 * fineness)
     centers = np.concatenate([c.poles[0], c.steep])
     around = centers[:, None] + np.concatenate([-offsets, offsets])
@@ -628,9 +626,7 @@ def closer_angles(c: FilteredCurve, angles: Angles, centers: Angles) -> Angles:
     return np.sort(np.concatenate([angles, closer]))
 
 
-def suspects(
-    c: FilteredCurve, pieces: Pieces, searched: Angles, outside: float, *, length: int
-) -> Angles:
+def suspects(c: FilteredCurve, pieces: Pieces, searched: Angles, outside: float) -> Angles:
     """Return further angles around which a piece may hide between two angles of the scan.
 
     They are the corners that the pieces have and the angles of the roots that are on the circle
@@ -647,7 +643,7 @@ def suspects(
     partners = np.where(is_oriented(c, partners), partners, -partners)
     every = np.concatenate([corners, partners])
     away = np.min(np.abs(every[:, None] - searched), axis=1, initial=np.inf)
-    return nearly_stable(c, every[away >= _SAME], outside, length=length)
+    return nearly_stable(c, every[away >= _SAME], outside)
 
 
 def lone_partners(curve: FilteredCurve, pieces: Pieces) -> DoubleDouble:
@@ -667,13 +663,13 @@ def lone_partners(curve: FilteredCurve, pieces: Pieces) -> DoubleDouble:
     return angles[chosen]
 
 
-def nearly_stable(c: FilteredCurve, angles: Angles, outside: float, *, length: int) -> Angles:
+def nearly_stable(c: FilteredCurve, angles: Angles, outside: float) -> Angles:
     """Return the angles, in order, at which no other root is farther outside than a limit."""
     if not angles.size:
         return angles
     angles = np.sort(angles)
     angles = angles[np.diff(angles, prepend=-np.inf) > _CLOSEST]
-    chosen: Angles = angles[others_inside(c, angles, length, within=1.0 + outside)]
+    chosen: Angles = angles[others_inside(c, angles, within=1.0 + outside)]
     return chosen
 
 

@@ -167,7 +167,7 @@ def region_of_system(system: System, tolerance: float, *, may_be_empty: bool) ->
     """Return the region of a loop with filters.
 
     Where no number of digits resolves its outline, or it fails the audit, it is UNRESOLVED. That
-    nothing is stable is said after all have been tried.
+    nothing is stable, in the unit circle, is said after all have been tried.
     """
     c, loop = filtered_curve(*system), loop_of_system(system)
     rough = None
@@ -176,6 +176,8 @@ def region_of_system(system: System, tolerance: float, *, may_be_empty: bool) ->
         rough = outline if _is_known(outline) else None
         if rough is not None and not (c.may_lose_some and _strays(c, rough, system)):
             return region_within(c, rough)
+        if outline.resolved and system[3] < 1.0 and not c.may_lose_some:
+            return region_within(c, outline)  # a circle that no wall keeps all roots in
     pairs = parts_in_pairs(system)
     if not c.loses_digits and outline.resolved and _keeps_a_root(pairs):
         return region_within(c, outline)
