@@ -32,7 +32,6 @@ from jaxstab.arrays import (
     is_traced,
     kept,
     namespace,
-    tree_map,
 )
 from jaxstab.batches import MANY_ANGLES, compiled
 from jaxstab.model import checked_delta, checked_gamma, require_x64
@@ -46,31 +45,16 @@ from jaxstab.numbers import checked
 # sin(x) / x and cos(x) as series in x^2, for all x up to pi/4 and derivatives, too.
 _SINC = tuple((-1.0) ** k / factorial(2 * k + 1) for k in range(10))
 _COSINE = tuple((-1.0) ** k / factorial(2 * k) for k in range(10))
-_SMALL, _SMALL_TERMS = 0.3, 6  # the first terms of the same are enough up to there
 
 # A quarter turn in parts of 27 bits: multiples of the first two are exact.
 _QUARTER_TURN = (1.570796325802803, 9.920935739593517e-10, 5.721188726109832e-18)
 
 
-def sines(x: Array, *, are_small: bool = False) -> tuple[Array, Array, Array]:
+def sines(x: Array) -> tuple[Array, Array, Array]:
     """Return sin(x), cos(x) and sin(x) / x for x >= 0, with derivatives to full precision.
 
     A quotient would lose digits of the derivative of sin(x) / x next to 0; a series is used there.
-    ``are_small`` says that all x are at most pi/4, which saves time in XLA.
-    """
-    xp = namespace(x)
-    if xp is not np:
-        return _sines_of_small(x) if are_small else _sines_of_vectors(x)
-    sine, cosine = np.sin(x), np.cos(x)
-    small = x < _SMALL
-    sinc = _series(_SINC[:_SMALL_TERMS], x * x)
-    return sine, cosine, np.where(small, sinc, sine / np.where(small, 1.0, x))
-
-
-def _sines_of_vectors(x: Array) -> tuple[Array, Array, Array]:
-    """Return the same; XLA makes vectors of this, and not of calls of sin and cos.
-
-    Most of the run time is here.
+    XLA makes vectors of this, and not of calls of sin and cos; most of the run time is here.
     """
     xp = namespace(x)
     quarters = constant(xp.round(x * (2.0 / pi)))
@@ -87,6 +71,7 @@ def _sines_of_vectors(x: Array) -> tuple[Array, Array, Array]:
 
 
 def _sines_of_small(x: Array) -> tuple[Array, Array, Array]:
+    """Return the same for x up to pi/4."""
     square = x**2
     sinc = _series(_SINC, square)
     return x * sinc, _series(_COSINE, square), sinc
@@ -182,10 +167,7 @@ def slice_coefficients(
     plant = plant_pairs(checked_gamma(gamma), checked_delta(delta), fraction)
     size = checked("radius", radius, 0.0, 1.0, is_open=True)
     gamma, size, turns = float_arrays(gamma, size, whole + 1.0)
-    if namespace(gamma, size, turns, plant) is not np or any(map(np.ndim, (gamma, size, turns))):
-        return _slice_coefficients(gamma, size, turns, plant)
-    single = _slice_coefficients(float(gamma), float(size), float(turns), tree_map(float, plant))
-    return tree_map(np.float64, single)
+    return _slice_coefficients(gamma, size, turns, plant)
 
 
 @compiled(many=MANY_ANGLES)
@@ -267,10 +249,7 @@ class _Circle(NamedTuple):
 
 
 def _circle(turns: Array, half: Array) -> _Circle:
-    if namespace(turns, half) is np and np.ndim(turns) == 0:  # fewer calls
-        sine, cosine, sinc = sines(np.multiply.outer(np.array([1.0, turns]), half))
-    else:
-        sine, cosine, sinc = zip(sines(half, are_small=True), sines(turns * half), strict=True)
+    sine, cosine, sinc = zip(_sines_of_small(half), sines(turns * half), strict=True)
     near, far = 2.0 * sine[0] ** 2, 2.0 * cosine[0] ** 2
     half_ratio = turns * sinc[1] / sinc[0]
     return _Circle(

@@ -1,4 +1,4 @@
-"""The boundary of loops with filters in double-double, where float64 loses all digits. NumPy only.
+"""The boundary curve in double-double, where float64 loses all digits. NumPy only.
 
 Filters with many slow poles have these next to each other: at z next to 1 their polynomials are
 1e-5 to 1e-30 of their coefficients. So p(z) = base + alpha S + beta R itself is taken in powers of

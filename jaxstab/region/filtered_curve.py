@@ -1,5 +1,8 @@
 """The closed form of the boundary for loops with any plant, estimator and filter. NumPy only.
 
+A curve is three things, and all else in this folder needs no more: points at angles, the lines of
+real roots at z = r and z = -r, and the polynomial p(r zeta), base + alpha stiffness + beta damping.
+
 Divided by the position filter, p = 0 reads alpha + beta V(z) = W(z), V = X/Y, W = -z^w D/N (the
 position filter's numerator counts to N and Y, its denominator to D and X). On each half of the
 circle, z = +-zeta with |arg zeta| <= pi/2, everything is divided by s = zeta - 1 first:
@@ -13,6 +16,9 @@ W1 is large at z = -1 the same is done with 1/V or 1/W (``Form``).
 Where Im V < 0 the stable side of the curve is its right one: such angles count as negative ones,
 which run the other way, so the stable set lies to the left everywhere. V is real at its *poles*,
 where the curve goes to infinity.
+
+A circle of radius r is the unit circle of the polynomials of r zeta, with r^w for z^w
+(``Around.of_radius``). They are formed about z = 1 first, where the plant is known best.
 """
 
 from collections.abc import Callable, Sequence
@@ -618,7 +624,7 @@ class Half(NamedTuple):
 
 
 class FilteredCurve(NamedTuple):
-    """What the boundary of a loop with filters is made of."""
+    """What the boundary of a loop is made of, at the circle of radius r."""
 
     plus: Half
     minus: Half

@@ -1,4 +1,4 @@
-"""Points and slopes of the boundary of a loop with filters. NumPy only.
+"""Points and slopes of the boundary curve. NumPy only.
 
 The form that is evaluated is that of ``filtered_curve``: polynomials on one half of the circle, in
 powers of zeta or of zeta - 1, whichever has the smaller terms, and their quotients by zeta - 1.

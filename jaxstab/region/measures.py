@@ -2,7 +2,7 @@
 
 Between two vertices of an outline alpha and beta are monotone. So a line of constant alpha or beta
 meets an edge, once, where it passes between its ends, and a part of an edge lies in the box of its
-ends. The polygon only brackets; the numbers are those of the closed form:
+ends. The polygon only brackets; the numbers are those of the curve:
 
 - limits are roots of the curve's coordinate on the edges that a row passes;
 - a point is inside if an odd number of these crossings lies beyond it;

@@ -3,7 +3,7 @@
 Pieces are followed from end to end: a piece ends where its partner begins, so each component is
 bounded by closed loops. Vertices are spread over a piece by how much it bends; straight parts get
 few. Between two vertices alpha and beta are monotone, because turning points of either are vertices
-as well. Every vertex is a point of the closed form, exact to rounding.
+as well. Every vertex is a point of the curve, exact to rounding.
 
 The steps are the order of the pieces along the boundary (``_in_sequence``), a survey of slopes on
 each (``_survey``), its turning points, vertices between which the boundary leaves its chord alike

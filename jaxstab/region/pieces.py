@@ -1,4 +1,4 @@
-"""The pieces of the closed-form boundary that bound the stable set, and how they join.
+"""The pieces of the boundary curve that bound the stable set, and how they join.
 
 A point of the curve bounds the stable set exactly where the other roots of p lie inside of the
 circle. So the search is one-dimensional: a *piece* is an interval of th that
@@ -419,7 +419,7 @@ def _piece_ends(c: FilteredCurve, angles: Array) -> _Ends | None:
     begins, ends = (np.flatnonzero(passes[1:-1] & ~beside) for beside in (before, after))
     if not begins.size:
         return None
-    zero = np.sum(angles < 0.0)  # negative angles, of filters, begin at -pi
+    zero = np.sum(angles < 0.0)  # negative angles begin at -pi
     at_zero = begins == zero
     pinned = np.concatenate([at_zero | (begins == 0), ends == len(angles) - 1])
     limit = np.concatenate([np.where(at_zero, 0.0, -np.pi), np.full(len(ends), np.pi)])
@@ -580,7 +580,7 @@ def scan_angles(length: int, fineness: int) -> Angles:
 
 
 def slice_angles(c: FilteredCurve, fineness: int) -> Angles:
-    """Return the angles of a scan: with filters more of them at the poles and where beta is 0.
+    """Return the angles of a scan, more of them at the poles and where beta is 0.
 
     They have the sign of Im V: see ``filtered_curve``.
     """

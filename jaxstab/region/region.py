@@ -6,11 +6,11 @@ as many points as the tolerance requires (``outline.polygon``); and a value with
 and distances on the exact boundary (``stable_set``). Each point of the boundary is right to
 rounding, but no step proves that every component was found (docs/proofs.md, G1 to G3).
 
-With estimators, filters and devices the curve may lose digits without a sign of it. So walls on
-both sides of the outline get certified verdicts (``fails_audit``), and where poles are close to
-each other, points of the outline are compared with double-double (``_strays``). If either fails,
-all is computed again in double-double, with angles rescaled where resonances turn out to need it. A
-region that fails then, too, is UNRESOLVED and claims nothing.
+The curve may lose digits without a sign of it, most of all with slow filters. So walls on both sides
+of the outline get certified verdicts (``fails_audit``), and where poles are close to each other,
+points of the outline are compared with double-double (``_strays``). If either fails, all is
+computed again in double-double, with angles rescaled where resonances turn out to need it. A region
+that fails then, too, is UNRESOLVED and claims nothing.
 """
 
 from math import ceil, sqrt
@@ -50,9 +50,9 @@ from jaxstab.region.pieces import (
 )
 from jaxstab.region.stable_set import StableRegion, region_within
 
-# A-posteriori check of regions of loops with estimators and filters, by certified verdicts.
+# A-posteriori check of regions, by certified verdicts.
 #
-# The curve of such a loop, and the count of its other roots, may lose digits without any status
+# The curve of a loop, and the count of its other roots, may lose digits without any status
 # showing it. So walls on both sides of the outline get a verdict, which is a proof. This does not
 # prove the region, but a region that a proof contradicts is not given. The walls keep a distance
 # from the outline, so that the rounding of a corner contradicts nothing. Next to corners they are
@@ -164,7 +164,7 @@ _BULGE = 0.35  # times points^-2 is at most about how far the boundary leaves th
 
 @np.errstate(all="ignore")  # NaN and infinity are answers
 def region_of_system(system: System, tolerance: float, *, may_be_empty: bool) -> StableRegion:
-    """Return the region of a loop with filters.
+    """Return the region of a loop.
 
     Where no number of digits resolves its outline, or it fails the audit, it is UNRESOLVED. That
     nothing is stable, in the unit circle, is said after all have been tried.
@@ -270,8 +270,8 @@ def stable_region(
     Every corner of the set is a point where the boundary curve crosses itself or a line. The search
     looks for all of these crossings and refines its scan around them until the pieces of the
     boundary join up to closed loops. It may miss a crossing where the curve bends more, between two
-    angles of the first scan, than a cubic with the same ends and tangents; with filters it also
-    leaves out parts of the curve at which another root is beyond 1.1. So it is argued, not proved,
+    angles of the first scan, than a cubic with the same ends and tangents, and it leaves out parts
+    of the curve at which another root is beyond 1.1 times the radius. So it is argued, not proved,
     that all components are found (docs/proofs.md, G1 to G3).
 
     Args:
