@@ -121,7 +121,7 @@ def test_a_scan_looks_on_either_side_of_poles_and_where_beta_is_steep() -> None:
     looked = 0
     for number in LOOPS:
         c, _ = drawn(number)
-        angles = np.sort(np.abs(slice_angles(c, c.parts.shape[1] - 2, 1)))
+        angles = np.sort(np.abs(slice_angles(c, 1)))
         for place in np.concatenate([c.poles[0], c.steep]):
             if angles[0] + 1e-3 < place < angles[-1] - 1e-3:
                 away = angles - place

@@ -6,9 +6,9 @@ as many points as the tolerance requires (``outline.polygon``); and a value with
 and distances on the exact boundary (``stable_set``). Each point of the boundary is right to
 rounding, but no step proves that every component was found (docs/proofs.md, G1 to G3).
 
-The curve may lose digits without a sign of it, most of all with slow filters. So walls on both sides
-of the outline get certified verdicts (``fails_audit``), and where poles are close to each other,
-points of the outline are compared with double-double (``_strays``). If either fails, all is
+The curve may lose digits without a sign of it, most of all with slow filters. So walls on both
+sides of the outline get certified verdicts (``fails_audit``), and where poles are close to each
+other, points of the outline are compared with double-double (``_strays``). If either fails, all is
 computed again in double-double, with angles rescaled where resonances turn out to need it. A region
 that fails then, too, is UNRESOLVED and claims nothing.
 """
