@@ -271,7 +271,7 @@ def _margin_slope(c: FilteredCurve, line: Parts, theta: np.ndarray) -> np.ndarra
 # Fineness of the scan, the most angles to look closer at, and how far other roots may be outside of
 # the circle there. The last ones take the angles of the best chances only.
 _SCANS = ((1, 24, 1e-4), (4, 192, 1e-4), (16, 768, 1e-4), (64, 1536, 1e-7))
-_EXACT_SCANS = 2  # in double-double: finer ones take minutes and resolve no more
+_FEW_SCANS = 2  # where digits are short: finer ones take minutes and resolve no more
 _EMPTY_FINENESS = 4
 _ROUNDS = 8
 _KEPT = 32  # pieces that do not close
@@ -285,7 +285,7 @@ def refined_pieces(c: FilteredCurve, *, may_be_empty: bool) -> Pieces:
     """
     coarsest = slice_angles(c, 1)
     closer = crossings(c, coarsest)
-    scans = _SCANS[: _EXACT_SCANS if c.is_exact else None]
+    scans = _SCANS[: _FEW_SCANS if c.is_exact or c.may_lose_some else None]
     for fineness, most, outside in scans:
         scan = coarsest if fineness == 1 else slice_angles(c, fineness)
         pieces, closer, is_settled = _settled_pieces(c, scan, closer, most, outside)
