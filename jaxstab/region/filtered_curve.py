@@ -749,7 +749,7 @@ def filtered_curve(
     """Return the curve of a plant, with T V(z) less its factor (1 - 1/z), and with P(z)."""
     whole = plant.lag + position.lag
     filters = of_filters(velocity, position, radius)
-    above, below = ([p.of_radius(radius) for p in half] for half in _plants_around(plant))
+    above, below = _plants_around(plant, radius)
     loop = loop_of_radius(loop_of(plant, filters.of_loop), radius)
     real_angles, loses_digits = filters.real_angles, filters.loses_digits
     lines = () if loses_digits else pole_lines(loop[:3], real_angles)
@@ -860,11 +860,11 @@ def parts_in_pairs(system: System) -> Float64[np.ndarray, "2 2 2 3 coefficient"]
     powers, factors = loop_factors(plant.lag, velocity, position)
     unit = ONE[0] / rescaled(power(len(loop[0]) - 1), radius)[0]  # p(z) of a radius is monic
     halves = []
-    for (d, n), sign in zip(_plants_around(plant), (1, -1), strict=True):
+    for (d, n), sign in zip(_plants_around(plant, radius), (1, -1), strict=True):
         shifted = []
         for polynomial, count, others in zip((d, n, n), powers, factors, strict=True):
             parts = [around(factor, sign, radius).shifted for factor in (power(count), *others)]
-            whole = reduce(product, parts, polynomial.of_radius(radius).shifted)
+            whole = reduce(product, parts, polynomial.shifted)
             shifted.append(whole if radius == 1.0 else tuple(c * unit for c in whole))
         straight = loop if sign > 0 else [turned(p) for p in loop]
         halves.append([_as_array(each, len(loop[0])) for each in (straight, shifted)])
@@ -879,23 +879,20 @@ def _as_array(
     return np.array(rows, float).transpose(2, 0, 1)
 
 
-def _plants_around(plant: SampledPlant) -> list[tuple[Around, Around]]:
+def _plants_around(plant: SampledPlant, radius: float) -> list[tuple[Around, Around]]:
     """Return D and N on both halves of the circle."""
     n, d = plant.numerator, plant.denominator
     if plant.shifted is not None:
         n_shifted, d_shifted, n_turned, d_turned = plant.shifted
-        return [
-            (Around(d, d_shifted), Around(n, n_shifted)),
-            (Around(turned(d), d_turned), Around(turned(n), n_turned)),
-        ]
-    # The values at the ends are known to more digits than sums of coefficients.
-    numerator = around(n, 1)
-    ratio = plant.at_one[1].value / plant.at_one[0].value
-    above, below = (end.value for end in plant.at_minus_one)
-    return [
-        (around(d, 1).with_value(numerator.value * ratio), numerator),
-        (around(d, -1).with_value(below), around(n, -1).with_value(above)),
-    ]
+        above = Around(d, d_shifted), Around(n, n_shifted)
+        below = Around(turned(d), d_turned), Around(turned(n), n_turned)
+    else:  # the values at the ends are known to more digits than sums of coefficients
+        numerator = around(n, 1)
+        ratio = plant.at_one[1].value / plant.at_one[0].value
+        values = [end.value for end in plant.at_minus_one]
+        above = around(d, 1).with_value(numerator.value * ratio), numerator
+        below = around(d, -1).with_value(values[1]), around(n, -1).with_value(values[0])
+    return [(d.of_radius(radius), n.of_radius(radius)) for d, n in (above, below)]
 
 
 def _form(above: Around, below: Around) -> Form:
