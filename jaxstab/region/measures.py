@@ -86,7 +86,8 @@ def _extreme(c: FilteredCurve, outline: Outline, axis: int) -> Array:
     crossing = limits(c, outline, np.zeros(1), axis=1 - axis)[0, 1]
     if crossing - largest > _STILL * abs(crossing):
         largest, point = crossing, np.array([crossing, 0.0][:: 1 - 2 * axis])
-    is_there = largest > _STILL * np.max(abs(np.nan_to_num(vertices[:, axis])))
+    sizes = _STILL * np.max(abs(np.nan_to_num(vertices)), axis=0)
+    is_there = largest > sizes[axis] and np.max(other) > sizes[1 - axis]  # beyond rounding
     return np.where(is_there, point, np.nan) + 0.0  # no -0
 
 
