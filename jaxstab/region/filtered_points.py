@@ -58,6 +58,10 @@ class Dual(NamedTuple):
             return Dual(value, (self.slope - value * other.slope) / other.value)
         return Dual(self.value / other, self.slope / other)
 
+    def conj(self) -> "Dual":
+        """The conjugates."""
+        return Dual(self.value.conj(), self.slope.conj())
+
     @property
     def real(self) -> "Dual":
         """The real parts."""
@@ -191,14 +195,15 @@ def _gains(
         turn = _turn(curve.lag, u, with_slopes=with_slopes)
         whole, speed = turn * d / n * -gain, x / y  # W and V
         if of_plant == Form.INVERSE:
-            quotient, fallen = n / d, fall / d / -d_one
-            moved = rolled * (half.at_one[0] / d_one) - fallen
+            # Times |D|^2: an undamped hand has D = 0 on the circle.
+            fallen = fall * d.conj() / -d_one
+            moved = rolled * _square(d) * (half.at_one[0] / d_one) - fallen
             plant_swing = _swing(moved, tangent) + tangent * _cross(fallen, rolled) * 2.0
-            plant_swing = plant_swing * -gain / _square(quotient)
+            plant_swing = plant_swing * -gain / _square(n)
         elif of_plant == Form.WHOLE:
             plant_swing = whole.imag / (sine * cosine * 2.0)
         if of_estimate == Form.INVERSE:
-            estimate_swing = _swing(rise / x / x_one, tangent) * _square(speed)
+            estimate_swing = _swing(rise * x.conj() / x_one, tangent) / _square(y)
         elif of_estimate == Form.WHOLE:
             estimate_swing = speed.imag / (sine * cosine * 2.0)
     beta = plant_swing / estimate_swing
@@ -311,7 +316,7 @@ def _swing_of_estimate(half: Half, u: Angles) -> Angles:
     if half.forms[1] == Form.WHOLE:
         swing = (x / y).imag
     elif half.forms[1] == Form.INVERSE:
-        swing = _swing(rise / x / x_one, np.tan(0.5 * u))
+        swing = _swing(rise * x.conj() / x_one, np.tan(0.5 * u))
     else:
         swing = _swing(rise / y / y_one, np.tan(0.5 * u))
     return swing
