@@ -215,8 +215,7 @@ def loop_of(plant: SampledPlant, filters: LoopFilters) -> LinearLoop:
 def loop_of_radius(loop: LinearLoop, radius: float) -> LinearLoop:
     """Return the loop whose roots are those of a loop over a radius, for numbers.
 
-    Its polynomials are those of radius z over radius^degree. The k-th coefficient is multiplied by
-    radius^-k, a product of k pairs, and each sum of n + 1 of them adds n roundings (lemma V7).
+    Its polynomials are those of p(radius z) over radius^degree; for their errors see lemma V8.
     """
     if radius == 1.0:
         return loop
