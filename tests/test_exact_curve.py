@@ -16,8 +16,14 @@ from jaxstab.model import Velocity, by_name
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.region import RegionStatus
 from jaxstab.region import region as region_of_slices
-from jaxstab.region.exact import _about, angles_on_circle, polished_angles
-from jaxstab.region.filtered_curve import stretches_around, to_rescaled, true_angles
+from jaxstab.region.exact import _about, angles_on_circle, polished_angles, polished_modes
+from jaxstab.region.filtered_curve import (
+    hardly_moved,
+    parts_in_pairs,
+    stretches_around,
+    to_rescaled,
+    true_angles,
+)
 from jaxstab.region.filtered_points import curve_and_lift, exact_walls
 from jaxstab.region.pieces import slice_angles
 
@@ -107,6 +113,16 @@ def test_arcs_that_the_curve_passes_in_an_instant(number):
     assert region.status == RegionStatus.COMPLETE
     assert region.coefficients.stretches
     assert_right_next_to_the_boundary(loop, region, rng)
+
+
+def test_modes_that_walls_hardly_move_are_known_to_all_digits():
+    loop = DeviceLoop.hardly_moved(np.random.default_rng([20121120, 329]))
+    system = loop.sampled.plant, *loop.sampled.transfers(loop.filters[:2])
+    narrow = polished_modes(parts_in_pairs(system), hardly_moved(loop.sampled.plant))
+    truths = loop.balls.modes()
+    assert len(truths) == 4  # of which walls move one
+    for high, low in zip(narrow.hi.tolist(), narrow.lo.tolist(), strict=True):
+        assert min(abs(float(truth - high - low)) for truth in truths) < 1e-28
 
 
 def test_stretches_stand_for_angles():

@@ -509,6 +509,7 @@ _WIDEST_STRETCH, _STRETCH_SHARE = (
     0.45,
 )  # of h: radians, and as a share of the distance to the next angle
 _SCAN_STEPS = 120  # of a scan, to each side
+_LOST = 0.01  # of the least distance: closer to the middle, gains have no digits
 
 
 class Stretch(NamedTuple):
@@ -526,12 +527,23 @@ class Stretch(NamedTuple):
     @property
     def scan(self) -> Angles:
         """Angles of a scan, at all distances from the middle."""
-        return self.angle + self.half_width * np.linspace(-1.0, 1.0, 2 * _SCAN_STEPS + 1)[1:-1]
+        shares = np.arange(1, _SCAN_STEPS) / _SCAN_STEPS
+        return self.angle + self.half_width * np.concatenate([-shares[::-1], shares])
 
     def holds(self, size: Angles) -> Bool[np.ndarray, " _"]:
         """Whether angles between 0 and pi are rescaled."""
         held: np.ndarray = np.abs(size - self.angle) < self.half_width
         return held
+
+    def is_rounding(self, size: Angles) -> Bool[np.ndarray, " _"]:
+        """Whether points of the curve at angles next to the middle are rounding."""
+        lost: np.ndarray = np.abs(size - self.angle) < self.rounding
+        return lost
+
+    @property
+    def rounding(self) -> float:
+        """How far from the middle points of the curve are rounding."""
+        return _LOST * self.half_width / self.growth
 
 
 def stretches_around(centers: DoubleDouble, others: Angles) -> tuple[Stretch, ...]:
@@ -563,6 +575,15 @@ def true_angles(
     return angles, speed
 
 
+def out_of_rounding(stretches: Sequence[Stretch], theta: Angles, beside: Angles) -> Angles:
+    """Return angles, moved towards others from where points of the curve are rounding."""
+    for stretch in stretches:
+        side = np.where(np.abs(beside) < stretch.angle, -1.0, 1.0)
+        edge = np.copysign(stretch.angle + side * stretch.rounding, theta)
+        theta = np.where(stretch.is_rounding(np.abs(theta)), edge, theta)
+    return theta
+
+
 def to_rescaled(stretches: Sequence[Stretch], angles: DoubleDouble) -> Angles:
     """Return the rescaled angles of true ones."""
     size = angles.hi + 0.0
@@ -578,6 +599,8 @@ _DIFFERENCE = (DoubleDouble(1.0, 0.0), DoubleDouble(-1.0, 0.0))  # z - 1
 _ILL_CONDITIONED = 1e5  # sum of a denominator's coefficients over its least size on the circle
 _DOUBTFUL = 30.0  # the same: above this, points are compared with double-double
 _CLOSEST, _FARTHEST = 1e-9, 4.0  # of the distances of poles that are told apart
+UNDAMPED = 1e-6  # how far the roots of such a mode are from the circle
+_HARDLY = 1e-4  # how far a gain of 1 moves them
 _ON_CIRCLE = 1e-6  # a root of Im V this close to the circle is on it
 _REMEMBERED = 64  # pairs of filters, and curves
 _SLOW = 0.5  # of the distance from 1
@@ -751,8 +774,8 @@ def filtered_curve(
     filters = of_filters(velocity, position, radius)
     above, below = _plants_around(plant, radius)
     loop = loop_of_radius(loop_of(plant, filters.of_loop), radius)
-    real_angles, loses_digits = filters.real_angles, filters.loses_digits
-    lines = () if loses_digits else pole_lines(loop[:3], real_angles)
+    real_angles = filters.real_angles
+    lines = () if filters.loses_digits else pole_lines(loop[:3], real_angles)
     zeros = rounded(rescaled(product(plant.numerator, position.numerator), radius))
     poles = rescaled(product(plant.denominator, position.denominator), radius)
     return FilteredCurve(
@@ -765,7 +788,7 @@ def filtered_curve(
         resonances=resonances_of(plant, radius),
         steep=_real_angles(rounded(product(poles, power(whole))), zeros),
         lines=lines,
-        loses_digits=loses_digits,
+        loses_digits=filters.loses_digits or hardly_moved(plant).size > 0,
         may_lose_some=filters.condition > _DOUBTFUL or plant.shifted is not None,
     )
 
@@ -948,6 +971,21 @@ def resonances_of(plant: SampledPlant, radius: float = 1.0) -> Float64[np.ndarra
     every = every[every.imag >= 0.0]
     distance = np.abs(np.log(np.maximum(np.abs(every) / radius, 1e-300)))
     return np.stack([np.abs(np.angle(every)), np.clip(distance, _CLOSEST, _FARTHEST)])
+
+
+def hardly_moved(plant: SampledPlant) -> Angles:
+    """Return the angles of undamped modes of a general device that walls hardly move.
+
+    There the curve passes gains of all sizes within angles that float64 does not tell apart.
+    """
+    if plant.shifted is None:
+        return np.empty(0)
+    n, d = map(rounded, plant.shifted[:2])
+    poles = _roots(rounded(plant.denominator), d)
+    poles = poles[(np.abs(np.abs(poles) - 1.0) < UNDAMPED) & (poles.imag > 0.0)]
+    gains, slopes = (np.polyval(p, poles - 1.0) for p in (n, np.polyder(d)))
+    angles: Angles = np.angle(poles[np.abs(gains) < _HARDLY * np.abs(slopes)])
+    return angles
 
 
 def _roots(straight: Angles, shifted: Angles) -> Array:

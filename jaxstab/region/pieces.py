@@ -18,7 +18,7 @@ of both lines (``_linked``). If every piece follows exactly one, the boundary is
 
 from collections.abc import Callable
 from enum import IntEnum
-from functools import cache, partial
+from functools import cache, partial, reduce
 from math import comb
 from typing import NamedTuple
 
@@ -29,7 +29,7 @@ from jaxstab.arrays import Array
 from jaxstab.model import companion_matrix
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.region.exact import all_inside, angles_on_circle, lines_crossing_of
-from jaxstab.region.filtered_curve import FilteredCurve, PoleLine, to_rescaled
+from jaxstab.region.filtered_curve import FilteredCurve, PoleLine, out_of_rounding, to_rescaled
 from jaxstab.region.filtered_points import (
     curve_and_lift,
     exact_walls,
@@ -432,13 +432,15 @@ def _piece_ends(c: FilteredCurve, angles: Array) -> _Ends | None:
     # Both ends of all pieces are solved in one batch.
     padded = np.concatenate([np.zeros(1), angles, np.full(1, np.pi)])
     neighbours = padded[np.concatenate([begins, ends + 2])]
+    passing = padded[np.concatenate([begins, ends]) + 1]
     outer, inner = _narrowed(
         inside,
         _EXACT_NARROWING if c.is_exact else _NARROWING,
         np.where(pinned, limit, neighbours),
-        padded[np.concatenate([begins, ends]) + 1],
+        passing,
     )
     rough = 0.5 * (outer + inner)
+    rough = out_of_rounding(c.stretches, rough, passing)
     points = np.stack(curve_and_lift(c, rough)[:2])
     scale = scales(c, points[0], points[1], rough)
     return _Ends(pinned, limit, line, outer, inner, rough, points, scale)
@@ -592,8 +594,16 @@ def slice_angles(c: FilteredCurve, fineness: int) -> Angles:
     drawn = [stretch.scan for stretch in c.stretches]
     around = np.concatenate([around.ravel(), _around_resonances(c, fineness), *lines, *drawn])
     inner = around[(around > angles[0]) & (around < angles[-1])]
-    angles = np.sort(np.concatenate([angles, inner]))
+    angles = np.concatenate([angles, inner])
+    angles = angles[_are_resolved(c, angles)]
     return np.sort(np.where(is_oriented(c, angles), angles, -angles))
+
+
+def _are_resolved(curve: FilteredCurve, angles: Angles) -> Bool[np.ndarray, " _"]:
+    """Return which angles are not so close to the middle of a stretch that gains are rounding."""
+    every = (stretch.is_rounding(np.abs(angles)) for stretch in curve.stretches)
+    resolved: np.ndarray = ~reduce(np.logical_or, every, np.zeros(len(angles), bool))
+    return resolved
 
 
 def _around_resonances(curve: FilteredCurve, fineness: int) -> Angles:
@@ -622,7 +632,7 @@ def closer_angles(c: FilteredCurve, angles: Angles, centers: Angles) -> Angles:
     offsets = np.geomspace(_CLOSEST, np.max(np.diff(angles)), _OFFSETS)
     around = centers[:, None] + np.concatenate([-offsets, offsets])
     closer: Angles = np.clip(around.ravel(), angles[0], angles[-1])
-    closer = closer[is_oriented(c, closer)]
+    closer = closer[is_oriented(c, closer) & _are_resolved(c, closer)]
     return np.sort(np.concatenate([angles, closer]))
 
 

@@ -8,9 +8,10 @@ rounding, but no step proves that every component was found (docs/proofs.md, G1 
 
 The curve may lose digits without a sign of it, most of all with slow filters. So walls on both
 sides of the outline get certified verdicts (``fails_audit``), and where poles are close to each
-other, points of the outline are compared with double-double (``_strays``). If either fails, all is
-computed again in double-double, with angles rescaled where resonances turn out to need it. A region
-that fails then, too, is UNRESOLVED and claims nothing.
+other, points of the outline are compared with double-double (``_strays``). If either fails, or
+walls hardly move an undamped mode, all is computed in double-double, with angles rescaled around
+such modes and where other resonances turn out to need it. A region that fails then, too, is
+UNRESOLVED and claims nothing.
 """
 
 from math import ceil, sqrt
@@ -29,11 +30,20 @@ from jaxstab.numbers import checked_number
 from jaxstab.point.verdicts import linear_verdict
 from jaxstab.region import measures
 from jaxstab.region.crossings import refined_pieces
-from jaxstab.region.exact import Pairs, exact_gains, in_pairs
+from jaxstab.region.exact import (
+    Pairs,
+    all_inside,
+    exact_gains,
+    in_pairs,
+    polished_modes,
+    wall_errors,
+)
 from jaxstab.region.filtered_curve import (
+    UNDAMPED,
     FilteredCurve,
     System,
     filtered_curve,
+    hardly_moved,
     loop_of_system,
     mass_system,
     parts_in_pairs,
@@ -62,11 +72,11 @@ from jaxstab.region.stable_set import StableRegion, region_within
 
 _ASIDE = 1e-3  # of the outline's size
 _ROUGH = 1e-3  # of the same: edges that leave the boundary by more
+_BLURRED = 1e-9  # of the same: points of a curve in double-double that rounding moves by more
 _WALLS = 24  # on each side
 _FROM_CORNER = 10.0 ** -np.arange(1.0, 6.0)  # shares of an edge that ends at a corner
-_UNDAMPED = 1e-6  # how far the roots of such a mode are from the circle
 _SHORTEST = 1e-8  # of the outline's size: an edge next to a corner
-_GAINS = np.append(np.outer([-1.0, 1.0], np.geomspace(1e-8, 1.0, 9)), 0.0)  # alpha and beta
+_GAINS = np.append(np.outer([-1.0, 1.0], np.geomspace(1e-12, 1.0, 13)), 0.0)  # alpha and beta
 
 Edges = Float64[np.ndarray, "_ 4"]
 
@@ -77,25 +87,36 @@ def fails_audit(c: FilteredCurve, outline: Outline, loop: LinearLoop, deviation:
     """Return whether a verdict proves a wall inside unstable, or one outside stable.
 
     Where a mode is next to undamped, an outline also fails if no wall beside it is proved stable.
-    An outline without a loop claims that no wall is stable; gains of all sizes are tried then. An
-    outline that stays away from its curve (``deviation``) whatever the number of vertices follows
-    nothing but rounding.
+    An outline without a loop claims that no wall is stable; gains of all sizes are tried then, and
+    those that no verdict decides in double-double. An outline that stays away from its curve
+    (``deviation``) whatever the number of vertices, or that rounding of double-double moves, is not
+    known.
     """
     size = int(outline.size)
     if size == 0:
-        alpha, beta = np.stack(np.meshgrid(_GAINS, _GAINS)).reshape(2, -1)
-        return bool(np.any(linear_verdict(alpha, beta, loop) == Verdict.STABLE))
+        walls = np.stack(np.meshgrid(_GAINS, _GAINS)).reshape(2, -1)
+        codes = linear_verdict(walls[0], walls[1], loop)
+        may_be_stable = codes == Verdict.STABLE
+        if c.is_exact:
+            is_open = (codes == Verdict.UNDECIDED) & np.all(walls != 0.0, axis=0)
+            gains = DoubleDouble.from_value(walls[:, is_open])
+            may_be_stable[is_open] = all_inside(c, gains[0], gains[1], 1.0)
+        return bool(np.any(may_be_stable))
     if deviation > _ROUGH:
         return True
     vertices = outline.vertices[:size]
     edges, extent = edges_of(vertices, outline.branches[: size - 1]), np.ptp(vertices, axis=0)
+    if c.is_exact:
+        errors = wall_errors(c, np.abs(outline.angles[_on_the_curve(c, outline), 0]))
+        if np.any(errors > _BLURRED * extent[:, None]):
+            return True
     walls = _beside(edges, extent)
     codes = linear_verdict(walls[0], walls[1], loop)
     is_any_proved = bool(np.any(codes == Verdict.STABLE))
     doubtful = codes == np.where(are_inside(edges, walls), Verdict.UNSTABLE, Verdict.STABLE)
     walls, codes = walls[:, doubtful], codes[doubtful]  # a polygon is not exact
     angles, distances = c.resonances
-    if np.any((angles > 0.0) & (distances < _UNDAMPED)):
+    if np.any((angles > 0.0) & (distances < UNDAMPED)):
         if not is_any_proved:
             return True
         near = _beside(_near_corners(c, outline), extent, is_near=True)
@@ -181,7 +202,7 @@ def region_of_system(system: System, tolerance: float, *, may_be_empty: bool) ->
     pairs = parts_in_pairs(system)
     if not c.loses_digits and outline.resolved and _keeps_a_root(pairs):
         return region_within(c, outline)
-    centers = DoubleDouble.from_value(np.empty(0))
+    centers = polished_modes(pairs, hardly_moved(system[0]))
     for _ in range(_STRETCHINGS):
         exact = in_pairs(c, pairs, centers)
         outline, pieces = _audited(exact, tolerance, may_be_empty, loop)
@@ -199,8 +220,7 @@ def region_of_system(system: System, tolerance: float, *, may_be_empty: bool) ->
 def _strays(c: FilteredCurve, outline: Outline, system: System) -> bool:
     """Return whether some points of an outline in float64 are off the curve in double-double."""
     size = np.abs(outline.angles)
-    straight = np.any([line.holds(size[:, 0]) for line in c.lines], axis=0)
-    edges = np.flatnonzero((outline.branches == Branch.CURVE) & ~straight)
+    edges = _on_the_curve(c, outline)
     edges = edges[np.linspace(0, len(edges) - 1, min(_TESTED, len(edges))).round().astype(int)]
     extent = np.ptp(outline.vertices, axis=0)
     points = np.stack(curve_and_lift(c, outline.angles[edges, 0])[:2], axis=1)
@@ -211,6 +231,13 @@ def _strays(c: FilteredCurve, outline: Outline, system: System) -> bool:
     length = np.hypot(*along.T)
     aside = np.abs(away[:, 0] * along[:, 1] - away[:, 1] * along[:, 0])
     return bool(np.any(aside > _STRAYED * length))
+
+
+def _on_the_curve(c: FilteredCurve, outline: Outline) -> Int[np.ndarray, " edge"]:
+    """Return the edges of the curve, without lines at poles."""
+    size = np.abs(outline.angles[:, 0])
+    straight = np.any([line.holds(size) for line in c.lines], axis=0)
+    return np.flatnonzero((outline.branches == Branch.CURVE) & ~straight)
 
 
 def _keeps_a_root(pairs: Pairs) -> bool:

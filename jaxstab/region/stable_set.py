@@ -132,9 +132,9 @@ class RegionStatus(Status):
     root on the circle that walls move by rounding alone may count as one that stays there (seen:
     undamped hands at an odd multiple of the Nyquist frequency, gamma up to 6e-14 of itself beside
     it). UNRESOLVED: the pieces do not join up, there are more of them than the arrays hold, or they
-    fail the audit: a proved verdict contradicts them or, with an undamped mode, no verdict decides.
-    Such a region claims nothing: it has no points, its numbers are NaN and ``contains`` is False
-    everywhere, which does not mean that the points are unstable.
+    fail the audit: a proved verdict contradicts them, rounding moves them or, with an undamped
+    mode, no verdict decides. Such a region claims nothing: it has no points, its numbers are NaN
+    and ``contains`` is False everywhere, which does not mean that the points are unstable.
 
     Example:
         >>> jaxstab.results.RegionStatus(2).words
