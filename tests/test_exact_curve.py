@@ -117,7 +117,7 @@ def test_arcs_that_the_curve_passes_in_an_instant(number):
 
 def test_modes_that_walls_hardly_move_are_known_to_all_digits():
     loop = DeviceLoop.hardly_moved(np.random.default_rng([20121120, 329]))
-    system = loop.sampled.plant, *loop.sampled.transfers(loop.filters[:2])
+    system = loop.sampled.plant, *loop.sampled.transfers(loop.filters[:2]), 1.0
     narrow = polished_modes(parts_in_pairs(system), hardly_moved(loop.sampled.plant))
     truths = loop.balls.modes()
     assert len(truths) == 4  # of which walls move one
