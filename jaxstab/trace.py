@@ -13,6 +13,7 @@ Points are solved for by optimistix, in one program for every plane; its lanes a
 one trace or of several, that are followed at the same time. The boxes are computed by NumPy.
 """
 
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache, partial
@@ -473,6 +474,7 @@ _COVER = 1.0  # resolutions: a box this near to a traced point is explained by i
 _REFINEMENTS = 4  # each to a quarter of the size before
 _KINDS = (Branch.Z_PLUS_ONE, Branch.Z_MINUS_ONE, Branch.CURVE)
 _MOST_BOXES = 60_000  # of a search, at once
+_PATIENCE = 4  # rounds without a start
 _MATRICES = 1024  # at once: those of long windows need 0.3 MB each
 _AT_ONCE = 64  # traces: as many fill the lanes, and their boxes the memory
 _ON_CIRCLE = 1e-7  # a modulus this little above 1 counts as 1 (corners are double roots)
@@ -651,40 +653,51 @@ class _Tracer:
         angle = turns[0], turns[1]
         boxes = ParameterBox.from_axes(index, u=(0.5, 0.5), v=(0.5, 0.5), angle=angle)
         smallest = 0.25 * self.resolution
-        for _ in range(_REFINEMENTS + 1):
+        for refinement in range(_REFINEMENTS + 1):
             boxes = boxes.paved(self._proof, smallest, most_each=_MOST_BOXES).boxes
             is_large = np.any(boxes.half > smallest, axis=1)
             is_given_up = np.isin(boxes.index, boxes.index[is_large])
             self.unresolved.append(boxes.select(is_given_up))
-            boxes = self._followed(boxes.select(~is_given_up))
+            patience = _PATIENCE if refinement < _REFINEMENTS else inf
+            boxes = self._followed(boxes.select(~is_given_up), patience)
             smallest /= 4
         self.unresolved.append(boxes)
 
-    def _followed(self, boxes: ParameterBox) -> ParameterBox:
+    def _followed(self, boxes: ParameterBox, patience: int | float) -> ParameterBox:
         """Follow the branches that start in boxes; return the boxes that none explains."""
+        # A search ends after ``patience`` rounds without a start; its boxes are halved first.
         index, centers = boxes.index, boxes.center
-        members = {search: np.flatnonzero(index == search) for search in set(index.tolist())}
+        found, counts = np.unique(index, return_counts=True)
+        groups = np.split(np.argsort(index, kind="stable"), np.cumsum(counts))[:-1]
+        members = dict(zip(found.tolist(), groups, strict=True))
         is_open = np.ones(len(index), bool)
         for search, own in members.items():
             for _, path in self.paths[search // 3]:
                 is_open[own] &= ~self._are_near(centers[own], path.points)
-        is_candidate = is_open.copy()
+        is_candidate, idle = is_open.copy(), Counter[int]()
         while is_candidate.any():
-            searches = [own[is_candidate[own]] for own in members.values()]
-            active = sum(len(own) > 0 for own in searches)
-            most = max(1, (_FEWEST_LANES if active <= 8 else 8 * _MOST_LANES) // active)
-            chosen = np.concatenate([own[:: -(-len(own) // most) or 1] for own in searches])
+            active = {search: own[is_candidate[own]] for search, own in members.items()}
+            active = {search: own for search, own in active.items() if own.size}
+            most = max(1, (_FEWEST_LANES if len(active) <= 8 else 8 * _MOST_LANES) // len(active))
+            samples = [own[:: -(-len(own) // most)] for own in active.values()]
+            chosen = np.concatenate(samples)
             kinds = np.array(_KINDS, np.int8)[index[chosen] % 3]
             lanes = Lanes(self.maps.select(index[chosen] // 3), kinds, self.responses)
             starts = correct(centers[chosen], np.zeros((len(chosen), 3)), lanes)
             is_start = starts.converged & np.all(np.abs(starts.position - 0.5) <= 0.5, axis=1)
-            for search, own in members.items():
-                tried = np.flatnonzero(is_start & (index[chosen] == search))
+            ends = np.cumsum([sample.size for sample in samples])
+            for search, sample, end in zip(active, samples, ends.tolist(), strict=True):
+                tried = end - sample.size + np.flatnonzero(is_start[end - sample.size : end])
+                if not tried.size:
+                    continue
                 here = starts.position[tried]
-                is_start[tried] = self._are_near(here, centers[own])
+                is_start[tried] = self._are_near(here, centers[members[search]])
                 for _, path in self.paths[search // 3]:
                     is_start[tried] &= ~self._are_near(here, path.points)
             is_candidate[chosen[~is_start]] = False
+            idle.update(set(active) - set(index[chosen[is_start]].tolist()))
+            for search in active:
+                is_candidate[members[search]] &= idle[search] < patience
             if is_start.any():
                 _, unique = np.unique(index[chosen[is_start]], return_index=True)
                 unique = np.flatnonzero(is_start)[unique]
@@ -692,9 +705,9 @@ class _Tracer:
                 followed = follow(begins, lanes.select(unique), self.resolution)
                 for search, path in zip(index[chosen[unique]].tolist(), followed, strict=True):
                     self.paths[search // 3].append((_KINDS[search % 3], path))
-                    for other, own in members.items():
-                        if other // 3 == search // 3:
-                            is_open[own] &= ~self._are_near(centers[own], path.points)
+                    for other in range(search - search % 3, search - search % 3 + 3):
+                        own = members.get(other, index[:0])
+                        is_open[own] &= ~self._are_near(centers[own], path.points)
                 is_candidate &= is_open
         return boxes.select(is_open)
 

@@ -21,6 +21,7 @@ from jaxstab.point import radius as door
 from jaxstab.point import traced_radius as cubic
 from jaxstab.point import traced_radius as power_iteration
 from jaxstab.point.dominance import Loop
+from jaxstab.point.poles import Complex
 from jaxstab.point.verdicts import float_plant
 
 REFERENCE = Path(__file__).parents[1] / "data" / "reference"
@@ -189,13 +190,51 @@ class TestFastRadius:
         assert ((radius.status == RadiusStatus.PROVED) == np.isfinite(radius.error)).all()
 
 
-@pytest.mark.parametrize("delay", first_and_campaign([1.0, 0.0, 5.0], 1))
+@pytest.mark.parametrize("delay", first_and_campaign([1.0, 0.0, 5.0, 60.0], 1))
 def test_leaves_less_than_a_permille_to_the_eigenvalues(delay: float) -> None:
     alpha = np.linspace(-0.2, 1.0, 600)[:, None] / (1.0 + delay) ** 2
     beta = np.linspace(-0.2, 2.2, 600) / (1.0 + 2.0 * delay)
     parameters = [alpha, beta, np.asarray(1e-3), np.asarray(0.015)]
     _, error = fast_radius.fast_radius(parameters, (600, 600), delay)
     assert np.mean(~(error <= fast_radius.TOLERANCE)) < 1e-3
+
+
+@pytest.mark.parametrize("rows", [64, 33])  # whole blocks of neighbours, and not
+def test_neighbours_in_a_grid_share_a_guess_and_nothing_else(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, rows: int
+) -> None:
+    monkeypatch.setattr(dominance, "_LIST", 16)
+    monkeypatch.setattr(dominance, "_STEADY", 32)
+    alpha, beta = np.linspace(0.01, 0.2, 40), np.linspace(0.1, 0.9, rows)[:, None]
+    plant = np.asarray(1e-3), np.asarray(0.015)
+    shape = rows, alpha.size
+    value, error = dominance.fast_radius([alpha, beta, *plant], shape, 2.0)
+    assert dominance._steady_axis([alpha, beta, *plant], shape) == -2
+    chosen = rng.integers(0, value.size, 40)
+    gains = [gain.flat[chosen] for gain in np.broadcast_arrays(alpha, beta)]
+    numbers = (np.full(40, number) for number in (*plant, 2.0))
+    radius = jaxstab.results.SpectralRadius(value.flat[chosen], error.flat[chosen], np.int8(1))
+    assert_honest(radius, np.array([*gains, *numbers]))
+    assert np.mean(error <= dominance.TOLERANCE) > 0.99
+    shuffled = rng.permutation(beta)
+    assert dominance._steady_axis([alpha, shuffled, *plant], shape) is None
+    again, _ = dominance.fast_radius([alpha, shuffled, *plant], shape, 2.0)
+    assert np.all(np.abs(np.sort(again, axis=0) - np.sort(value, axis=0)) < 1e-11)
+
+
+@pytest.mark.parametrize("delay", first_and_campaign([60.0, 20.0, 33.5], 1))
+def test_a_loop_of_long_steps_has_about_the_dominant_root(
+    rng: np.random.Generator, delay: float
+) -> None:
+    alpha, beta = gains_around_the_stable_set(rng, delay, 200)
+    loop = dominance._loop([alpha, beta, np.asarray(1e-3), np.asarray(0.015)], delay)
+    degree = jaxstab.model.polynomial_degree(delay)
+    loop = jax.tree.map(jnp.asarray, loop)
+    effort = dominance.Effort(doublings=10, corrections=0, longest_list=1, steps=8)
+    guess = np.asarray(dominance.dominant_root(loop, degree=degree, effort=effort))
+    poles = jaxstab.closed_loop_poles(alpha, beta, gamma=1e-3, delta=0.015, delay=delay)
+    root = poles[:, 0].real - 1.0 + 1j * np.abs(poles[:, 0].imag)
+    assert np.mean(np.abs(guess - root) < 0.1 * np.abs(root)) > 0.9
 
 
 def test_an_unknown_method_is_refused() -> None:
@@ -257,5 +296,5 @@ class TestDominantRoot:
         loop = Loop(*map(np.asarray, (0.1, 0.3, 0.2)), plant)
         roots = truth.roots(0.1, 0.3, 0.2, 0.1, 0)
         tried = np.array([complex(root) - 1.0 for root in roots if root.imag >= 0])
-        distances = dominance.distance_of_dominant(tried, loop, degree=3)
+        _, distances = dominance.with_distance(Complex(tried.real, tried.imag), loop, degree=3)
         assert np.isfinite(distances).tolist() == [True, False]

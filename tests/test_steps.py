@@ -295,10 +295,10 @@ def test_subsets_of_roots_are_told_apart() -> None:
 
 @pytest.mark.parametrize("delay", [0.0, 1.0])
 @pytest.mark.parametrize("off", [1e-8, -1e-9])
-def test_the_distance_of_a_dominant_root_is_n_times_what_newton_corrects(
+def test_the_distance_of_a_dominant_root_is_little_more_than_what_newton_corrects(
     delay: float, off: float
 ) -> None:
-    """Lemma R1 next to a simple root, of the loop of the paper, by roots of its polynomial."""
+    """Lemmas R1 and R5 next to a simple root, of the loop of the paper, by roots of its p(z)."""
     gamma, delta, alpha, beta = 0.02, 0.3, 0.05, 0.1
     with mpmath.workdps(40):
         plant = truth.plant(gamma, delta, 0.0)
@@ -312,5 +312,8 @@ def test_the_distance_of_a_dominant_root_is_n_times_what_newton_corrects(
     root = complex(largest) - 1.0 + off
     loop = dominance._loop([np.array([x]) for x in (alpha, beta, gamma, delta)], delay)
     degree = 3 + int(delay)
-    bound = dominance.distance_of_dominant(np.array([root]), loop, degree=degree)[0]
-    assert abs(off) <= bound == pytest.approx(degree * abs(off), rel=0.02)
+    t = fields.Complex(np.array([root.real]), np.array([root.imag]))
+    (bound,) = dominance.with_distance(t, loop, degree)[1]
+    apart = 2.0**-20 * min(abs(root), abs(1.0 + root))
+    closer = degree / (degree - (degree - 1.0) * degree * abs(off) / apart)
+    assert abs(off) <= bound == pytest.approx(closer * abs(off), rel=0.02)

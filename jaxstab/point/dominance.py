@@ -3,12 +3,14 @@
 A root lies within n |p(z) / p'(z)| of any z (lemma R1 of docs/proofs.md). The recursion that
 verdicts use, on p(r z), counts the roots outside of a circle whose radius r is a little less than
 |z|. If it counts one where z is real, and two where it is not, all others are inside (lemma R5):
-the root is dominant. The work grows with the degree, not with its square.
+the root is dominant, and about |p(z) / p'(z)| away. The work grows with the degree, not with its
+square.
 
 Sources: Schur (1917), Cohn (1922); Henrici, Applied and Computational Complex Analysis I, 6.4, for
 the distance.
 """
 
+from collections.abc import Callable
 from functools import partial, reduce
 from math import prod
 from operator import add
@@ -21,6 +23,7 @@ from jaxstab.arrays import (
     Array,
     is_any_jax,
     joined,
+    leaves,
     namespace,
     reciprocal,
     take,
@@ -28,7 +31,7 @@ from jaxstab.arrays import (
     true_indices,
     with_values,
 )
-from jaxstab.batches import MANY, compiled, filled_up, in_pieces, is_on_cpu, lists, over_tiles
+from jaxstab.batches import compiled, filled_up, in_pieces, is_on_cpu, lists, over_tiles
 from jaxstab.model import polynomial_degree
 from jaxstab.point.poles import Complex, looked_up
 from jaxstab.point.schur_cohn import (
@@ -46,7 +49,8 @@ from jaxstab.rounding import UNIT
 # The dominant root of p(z) without eigenvalues, point by point.
 #
 # Only elementwise operations, the same for every point: a compiler keeps all of it in registers.
-# Powers of the companion matrix (``traced_radius``) make the guess; Newton's method works on
+# Powers of the companion matrix (``traced_radius``) make the guess, for long delays those of a loop
+# of fewer, longer samples; on a dense grid, neighbours share it. Newton's method works on
 # t = z - 1, where the terms of
 #
 #     p(z) = z^(n-2) D(z) + N(z) (alpha z + beta t),    D = t^2 + (1 - d0 + D(1)) t + D(1)
@@ -59,7 +63,20 @@ from jaxstab.rounding import UNIT
 Column = Any  # an array, or None for zeros
 
 _LONGEST_UNROLLED = 4000  # about as many products; beyond, code was up to 100 times slower
+NEIGHBOURS = 8  # points that share a guess, at most the padding of the axes of a large grid
 TILE = 256  # points whose polynomials of a higher degree stay in the cache
+
+
+class Effort(NamedTuple):
+    """What is spent on finding the dominant root.
+
+    Each doubling halves the number of points where two roots of nearly one modulus are confused.
+    """
+
+    doublings: int  # squarings of a power of z; 0: the closed form for degree 3
+    corrections: int  # steps of Newton's method
+    longest_list: int  # points at once
+    steps: int = 0  # into which the delay is divided for the guess; 0: the samples
 
 
 class Loop(NamedTuple):
@@ -96,42 +113,66 @@ class Loop(NamedTuple):
         return columns
 
 
-@compiled(static=["degree", "doublings", "corrections"], many=0, wide=True)
-def dominant_root(loop: Loop, *, degree: int, doublings: int, corrections: int = 2) -> Array:
-    """Return t = z - 1 of a root z >= 0 that is probably dominant, by XLA, as a complex array.
+@compiled(static=["degree", "effort", "shared"], many=0, wide=True)
+def dominant_root(loop: Loop, *, degree: int, effort: Effort, shared: int | None = None) -> Array:
+    """Guess t = z - 1 of a root z that is probably dominant, by XLA, as a complex array.
 
-    The imaginary part is >= 0, and 0 for real roots. Each doubling halves the number of points
-    where two roots of nearly one modulus are confused; no doublings means the closed form for
-    degree 3. ``distance_of_dominant`` tells how it went.
+    The imaginary part is >= 0, and 0 for real roots. Of an axis that is ``shared``, the root is
+    guessed for one point in NEIGHBOURS.
     """
-    products = doublings * degree * (degree + 10) + 160 * corrections
-    is_unrolled = products <= _LONGEST_UNROLLED
-    root = partial(
-        _root,
-        degree=degree,
-        doublings=doublings,
-        corrections=corrections,
-        is_unrolled=is_unrolled,
-    )
+    from jax import lax
+
+    from jaxstab.point.traced_radius import guessed_root, largest_root
+
+    of_guess = effort.steps + 2 if effort.steps else degree
+    is_unrolled = effort.doublings * of_guess * (of_guess + 10) <= _LONGEST_UNROLLED
+    guessed = partial(guessed_root, doublings=effort.doublings, is_unrolled=is_unrolled)
+
+    def root(loop: Loop) -> Array:
+        if effort.steps:
+            t = _in_long_steps(loop, degree, effort.steps, guessed)
+        elif effort.doublings:
+            t = Complex(*guessed(loop.coefficients(degree)))
+        else:
+            c, b, a = loop.coefficients(degree)
+            t = Complex(*largest_root(a, b, c)).shifted(-1.0)
+        return lax.complex(t.re, t.im)  # of two arrays XLA would compute each on its own
+
+    if shared is not None:
+        middle = (..., slice(NEIGHBOURS // 2, None, NEIGHBOURS), *[slice(None)] * (-1 - shared))
+        loop = tree_map(lambda leaf: leaf[middle] if _has_axis(leaf, shared) else leaf, loop)
     return root(loop) if is_unrolled else over_tiles(root, (loop,), TILE)
 
 
-def _root(loop: Loop, *, degree: int, doublings: int, corrections: int, is_unrolled: bool) -> Array:
-    from jax import lax
-
-    t = _guess(loop.coefficients(degree), doublings, is_unrolled)
-    for _ in range(corrections):
-        t = newton(t, loop, degree)
-    return lax.complex(t.re, t.im)  # of two arrays XLA would compute each on its own
+def _has_axis(leaf: Array, axis: int) -> bool:
+    return leaf.ndim >= -axis and leaf.shape[axis] > 1
 
 
-def _guess(coefficients: list[Column], doublings: int, is_unrolled: bool) -> Complex:
-    from jaxstab.point.traced_radius import guessed_root, largest_root
+def _in_long_steps(
+    loop: Loop, degree: int, steps: int, guessed: Callable[[list[Column]], tuple[Array, Array]]
+) -> Complex:
+    """Guess t from about the same loop in ``steps`` long steps of delay.
 
-    if doublings == 0:
-        c, b, a = coefficients
-        return Complex(*largest_root(a, b, c)).shifted(-1.0)
-    return Complex(*guessed_root(coefficients, doublings, is_unrolled=is_unrolled))
+    A long step w of h samples is to z as the bilinear map has it, (w - 1)/(w + 1) = h (z - 1)/(z +
+    1), so that w is on the unit circle where z is. With z^(n-2) = w^steps, p(z) is a polynomial of
+    degree steps + 2. Of N what is linear in t is kept: it has all of N's delay.
+    """
+    length = (degree - 2.0) / steps
+    scale, pole = 2.0 / (length - 1.0), (length + 1.0) / (length - 1.0)  # t = s (w - 1)/(w + pole)
+    linear, constant = loop.denominator
+    *_, slope, value = loop.numerator
+    high = scale * (scale + linear) + constant
+    middle = scale * (linear * (pole - 1.0) - 2.0 * scale) + 2.0 * pole * constant
+    low = scale * (scale - linear * pole) + pole * pole * constant
+    moved = scale * (loop.alpha + loop.beta)
+    n1, n0 = value + scale * slope, pole * value - scale * slope
+    wall1, wall0 = loop.alpha + moved, pole * loop.alpha - moved
+    ends = [n0 * wall0, n0 * wall1 + n1 * wall0, n1 * wall1, low, middle]
+    ends = [column * (1.0 / high) for column in ends]
+    w = Complex(*guessed([*ends[:3], *[None] * (steps - 3), *ends[3:]]))  # less 1
+    below = w.shifted(1.0 + pole)
+    inverse = scale * reciprocal(below.squared_modulus())
+    return w.times(Complex(below.re, -below.im)).scaled(inverse)
 
 
 def newton(t: Complex, loop: Loop, degree: int) -> Complex:
@@ -195,27 +236,41 @@ _SLACK = 1.0 + 1e-6  # the bounds themselves are rounded
 _BESIDE = 2.0**-20  # how far inside of the root the circle is, relative
 
 
-@compiled(static=["degree"], many=MANY, wide=True)
-def distance_of_dominant(root: Array, loop: Loop, *, degree: int) -> Array:
-    """Return a proved bound of | |1 + root| - spectral radius |, inf where there is no proof.
+@compiled(static=["degree", "corrections", "shared"], many=0, wide=True)
+def polished(
+    root: Array, loop: Loop, *, degree: int, corrections: int, shared: int | None = None
+) -> Array:
+    """Correct roots t by Newton's method, by XLA; ``with_distance`` of them in a complex array.
 
-    The bound includes the rounding of ``modulus``.
+    Neighbours in an axis that is ``shared`` start from the same root.
     """
-    distance = partial(_distance, degree=degree)
-    if degree <= HIGHEST_COUNTED:
-        return distance(root, loop)
-    return over_tiles(distance, (root, loop))
+    from jax import lax
+
+    def kernel(root: Array, loop: Loop) -> Array:
+        t = Complex(root.real, root.imag)
+        for _ in range(corrections):
+            t = newton(t, loop, degree)
+        return lax.complex(*with_distance(t, loop, degree))
+
+    if shared is not None:
+        xp = namespace(loop)
+        shape = xp.broadcast_shapes(*map(xp.shape, leaves(loop)))
+        loop = tree_map(partial(_in_blocks, axis=shared), loop)
+        return kernel(xp.expand_dims(root, shared), loop).reshape(shape)
+    return kernel(root, loop) if degree <= HIGHEST_COUNTED else over_tiles(kernel, (root, loop))
 
 
-@compiled(many=MANY, wide=True)
-def modulus(root: Array) -> Array:
-    """Return |1 + root| to 3 ulp."""
-    return namespace(root).sqrt(Complex(root.real, root.imag).shifted(1.0).squared_modulus())
+def _in_blocks(leaf: Array, axis: int) -> Array:
+    """Return an array of an axis more: blocks of neighbours, and the neighbours in a block."""
+    if leaf.ndim < -axis:
+        return leaf
+    before, after = leaf.shape[:axis], leaf.shape[leaf.ndim + axis + 1 :]
+    return leaf.reshape(*before, -1, min(leaf.shape[axis], NEIGHBOURS), *after)
 
 
-def _distance(root: Array, loop: Loop, *, degree: int) -> Array:
-    xp = namespace(root, loop)
-    t = Complex(root.real, root.imag)
+def with_distance(t: Complex, loop: Loop, degree: int) -> tuple[Array, Array]:
+    """Return |1 + t|, to 3 ulp, and a bound of what it may differ by from the spectral radius."""
+    xp = namespace(t, loop)
     squared = t.squared_modulus()
     size, radius = xp.sqrt(squared), xp.sqrt(t.shifted(1.0).squared_modulus())
     distance, rounding = _distance_to_root(t, size, radius, loop, degree)
@@ -226,8 +281,11 @@ def _distance(root: Array, loop: Loop, *, degree: int) -> Array:
         zeros_outside(*_circle(within, rounding, loop, degree), UNIT, degree) == 2.0 - is_real
     )
     # What the radius of the circle may be wrong by is less than 32 ulp of the root's size.
-    is_proved = is_proved & (distance + 32.0 * UNIT * size < margin) & (is_real | (t.im > distance))
-    return xp.where(is_proved, distance + 4.0 * UNIT * radius, xp.inf)
+    apart = xp.minimum(margin - 32.0 * UNIT * size, xp.where(is_real, xp.inf, t.im))
+    is_proved = is_proved & (distance < apart)
+    # All other roots are at least as far from z, so that p'/p has one large term (lemma R5).
+    distance = _SLACK * distance / (degree - (degree - 1.0) * (distance / apart))
+    return radius, xp.where(is_proved, distance + 4.0 * UNIT * radius, xp.inf)
 
 
 def _distance_to_root(
@@ -302,7 +360,7 @@ def _circle(t: Array, rounding: Array, loop: Loop, degree: int) -> tuple[Chain[A
 
 # Spectral radius and its error over many points by dominant roots, wherever these can be proved.
 #
-# Each point is computed independently of the others. Where the first try is not proved to
+# Each point is proved independently of the others. Where the first try is not proved to
 # ``TOLERANCE``, mostly because two roots have nearly the same modulus, the next one squares the
 # power of z more often. The few points that are then still open have multiple or nearly equal
 # dominant roots.
@@ -311,19 +369,14 @@ LONGEST_DELAY = 64.0  # beyond, polynomials of many points do not stay in the ca
 TOLERANCE = 1e-12
 _LIST = 2**18  # up to this many points, lists are filled up to a length compiled once for all
 _SHORTEST_LIST = 8
-_BLOCK = 2**20  # points of a larger grid that a core computes at once
+_BLOCK = 2**18  # points of a larger grid that a core computes at once
+_SHARED = Effort(14, 4, _BLOCK)  # for a root that neighbours share
+_LONGEST_SHARED = 8.0  # delay; beyond, guesses are little of the work
+_STEADY = 512  # points of an axis that differ by little from their neighbours
 
 Values = np.ndarray[Any, np.dtype[Any]]
 Indices = Int64[np.ndarray, " point"]
 Answer = tuple[Array, Array]  # value and error
-
-
-class _Try(NamedTuple):
-    """What is spent on a point: squarings of a power of z, 0 for a closed form; Newton steps."""
-
-    doublings: int
-    corrections: int
-    longest_list: int
 
 
 def fast_radius(parameters: list[Array], shape: tuple[int, ...], delay: float) -> Answer:
@@ -334,14 +387,14 @@ def fast_radius(parameters: list[Array], shape: tuple[int, ...], delay: float) -
     """
     first, *others = _tries(delay)
     if is_any_jax(parameters):
-        loop = _loop(parameters, delay)
-        answer = _radius(loop, degree=polynomial_degree(delay), effort=first)
+        answer = _tried(_loop(parameters, delay), delay, first)
         value, error = (namespace(column).broadcast_to(column, shape) for column in answer)
     else:
         count = prod(shape)
         if count > _LIST:
+            shared = _steady_axis(parameters, shape) if 0.0 < delay <= _LONGEST_SHARED else None
             value, error = in_pieces(
-                lambda *piece: _tried(_loop(list(piece), delay), delay, first),
+                lambda *piece: _tried(_loop(list(piece), delay), delay, first, shared),
                 tuple(parameters),
                 max(2, -(-count // _BLOCK)),
             )
@@ -355,7 +408,7 @@ def fast_radius(parameters: list[Array], shape: tuple[int, ...], delay: float) -
 
 
 def _try_list(
-    answer: Answer, parameters: list[Array], indices: Indices, delay: float, effort: _Try
+    answer: Answer, parameters: list[Array], indices: Indices, delay: float, effort: Effort
 ) -> Answer:
     """Return the answer with new results at flat indices."""
     shape = answer[0].shape
@@ -384,21 +437,37 @@ def _loop(parameters: list[Array], delay: float) -> Loop:
     return Loop(alpha, beta, gamma, plant)
 
 
-def _tried(loop: Loop, delay: float, effort: _Try) -> Answer:
-    radius = partial(_radius, degree=polynomial_degree(delay), effort=effort)
-    return radius(loop) if is_any_jax(loop) else filled_up(radius, loop)
+def _steady_axis(parameters: list[Array], shape: tuple[int, ...]) -> int | None:
+    """Return an axis of a grid, not the last one, along which neighbours differ by little."""
+    for axis in range(-len(shape), -1):
+        moving = [values.ravel() for values in parameters if _has_axis(values, axis)]
+        if shape[axis] >= _STEADY and all(
+            values.size == shape[axis]
+            and np.abs(np.diff(values)).max() < 1.5 / _STEADY * np.ptp(values)
+            for values in moving
+        ):
+            return axis
+    return None
 
 
-def _radius(loop: Loop, *, degree: int, effort: _Try) -> Answer:
-    root = dominant_root(
-        loop, degree=degree, doublings=effort.doublings, corrections=effort.corrections
-    )
-    return modulus(root), distance_of_dominant(root, loop, degree=degree)
+def _tried(loop: Loop, delay: float, effort: Effort, shared: int | None = None) -> Answer:
+    """Return the answer of one try; where an axis may be ``shared``, with less work if it can."""
+    degree = polynomial_degree(delay)
+
+    def radius(loop: Loop) -> Array:
+        axis, own = None, effort
+        shape = np.broadcast_shapes(*map(np.shape, leaves(loop)))
+        if shared is not None and shape[shared] % NEIGHBOURS == 0:
+            axis, own = shared, _SHARED
+        root = dominant_root(loop, degree=degree, effort=own, shared=axis)
+        return polished(root, loop, degree=degree, corrections=own.corrections, shared=axis)
+
+    answer = radius(loop) if is_any_jax(loop) else filled_up(radius, loop)
+    return answer.real, answer.imag
 
 
-def _tries(delay: float) -> tuple[_Try, ...]:
-    if delay <= 10.0:
-        return _Try(8, 2, 2**15) if delay else _Try(0, 1, 2**15), _Try(16, 8, 2**15)
-    if delay <= 21.0:
-        return _Try(4, 4, 2**15), _Try(8, 4, 2**12), _Try(14, 8, 2**10)
-    return _Try(5 if delay <= 50.0 else 7, 4, 2**12), _Try(14, 8, 2**10)
+def _tries(delay: float) -> tuple[Effort, ...]:
+    if delay <= 8.0:
+        return Effort(10, 1, 2**15) if delay else Effort(0, 1, 2**15), Effort(16, 8, 2**12)
+    last = Effort(14, 8, 2**10)
+    return Effort(9, 6, 2**15, 4 if delay <= 21.0 else 6), Effort(10, 8, 2**12, 16), last

@@ -58,10 +58,9 @@ from jaxstab.point.dominance import (
     LONGEST_DELAY,
     TOLERANCE,
     Loop,
-    distance_of_dominant,
     fast_radius,
-    modulus,
     newton,
+    with_distance,
 )
 from jaxstab.point.poles import Complex, companion_poles, looked_up, over_grid
 from jaxstab.point.schur_cohn import (
@@ -485,8 +484,7 @@ def _polished(
     with np.errstate(all="ignore"):
         for _ in range(_NEWTON_STEPS):
             t = newton(t, loop, degree)
-        closer = t.re + 1j * t.im
-    return modulus(closer), distance_of_dominant(closer, loop, degree=degree)
+        return with_distance(t, loop, degree)
 
 
 def _traced_radius(*arguments: Numbers, filters: Filters | None) -> SpectralRadius:
