@@ -6,10 +6,11 @@ hardly move, some windows of 42 to 200 samples. Half of the walls lie within 1e-
 radius is ``wrong`` where the circle that its bound makes larger does not hold all roots, or the one
 that it makes smaller does. Points of regions lie next to outlines, corners and islands, next to
 boundaries that eigenvalues find whether the region has them or not, next to where the curve sets
-out from theta = 0 and pi, and anywhere; an UNRESOLVED region claims only what it contains. The
-judge is the criterion of Schur and Cohn in balls; ``unjudged`` is what their bits do not tell.
-Processes, one for each core, share the loops; seconds are those of CPU in the process that
-answered. The record is written as answers come: a campaign that is ended leaves one of what it did.
+out from theta = 0 and pi or passes an undamped mode, and anywhere; an UNRESOLVED region claims only
+what it contains. The judge is the criterion of Schur and Cohn in balls; ``unjudged`` is what their
+bits do not tell. Processes, one for each core, share the loops; seconds are those of CPU in the
+process that answered. The record is written as answers come: a campaign that is ended leaves one of
+what it did.
 """
 
 import math
@@ -59,6 +60,7 @@ _LONGEST = 30
 _WALLS = 100  # of a loop
 _RADII = 10
 _POINTS_NEAR_ENDS = 16  # of the circle, of which those next to the region are asked
+_POINTS_NEAR_MODES = 16
 _POINTS = {"outline": 14, "corners": 8, "islands": 10, "boundary": 14, "anywhere": 4}
 
 
@@ -241,8 +243,23 @@ def probes(answer: StableRegion, balls: BallLoop, rng: np.random.Generator) -> n
     low, high = outline.min(axis=0) - 1e-3 * size, outline.max(axis=0) + 1e-3 * size
     ends = np.array([balls.wall_with_roots_at(theta) for theta in _angles_near_ends(rng)])
     ends = ends[np.all((ends > low) & (ends < high), axis=1)]
-    aside = rng.choice(DISTANCES, (len(ends), 1)) * rng.normal(size=ends.shape)
-    return np.concatenate([anywhere, near + size * away, ends + size * aside])
+    walls = np.concatenate([ends, _walls_near_modes(balls, rng)])
+    aside = rng.choice(DISTANCES, (len(walls), 1)) * rng.normal(size=walls.shape)
+    sizes = size if len(answer.points) else np.abs(walls)
+    return np.concatenate([anywhere, near + size * away, walls + sizes * aside])
+
+
+def _walls_near_modes(balls: BallLoop, rng: np.random.Generator) -> np.ndarray:
+    """Return walls with roots next to undamped modes, from where small gains move them to far."""
+    modes = balls.modes()
+    if not modes:
+        return np.empty((0, 2))
+    count = _POINTS_NEAR_MODES
+    chosen = rng.integers(0, len(modes), count)
+    away = rng.choice([-1.0, 1.0], count) * 10.0 ** rng.uniform(-20.0, -1.0, count)
+    pairs = zip(chosen.tolist(), away.tolist(), strict=True)
+    walls = np.array([balls.wall_with_roots_at(modes[k] + x) for k, x in pairs])
+    return walls[np.isfinite(walls).all(axis=1)]
 
 
 def _angles_near_ends(rng: np.random.Generator) -> list[float]:

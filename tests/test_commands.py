@@ -413,11 +413,11 @@ def test_31_26_angles_in_a_table_are_divided_too(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr("jaxstab.region.pieces.others_inside", kept)
     window = Velocity.difference(5)
     HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3, velocity=window).region()
-    (c, _, length), options = asked[0]
+    (c, _), options = asked[0]
     theta = np.linspace(0.01, 3.0, 40)
-    whole = others_inside(c, theta, length, **options)
-    monkeypatch.setattr("jaxstab.region.pieces._AT_ONCE", 4 * length)
-    table = others_inside(c, theta[None], length, **options)
+    whole = others_inside(c, theta, **options)
+    monkeypatch.setattr("jaxstab.region.pieces._AT_ONCE", 4 * c.length)
+    table = others_inside(c, theta[None], **options)
     assert table.shape == (1, *theta.shape)
     assert 0 < whole.sum() < whole.size
     assert (table[0] == whole).all()

@@ -9,8 +9,10 @@ from benchmarks.truth.random_loops import DeviceLoop
 from jaxstab import Device, Filter, Hand, HapticLoop, Mode, Velocity, Verdict
 from jaxstab.model import by_name
 from jaxstab.model.device import SampledDevice, sampled_device
+from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import Filters
 from jaxstab.point.verdicts import linear_verdict
+from jaxstab.region import region as region_of_slices
 from jaxstab.region.region import linear_region
 from jaxstab.region.stable_set import RegionStatus, StableRegion
 
@@ -137,3 +139,34 @@ def test_modes_of_which_verdicts_tell_nothing_leave_no_region(number: int) -> No
     rng = np.random.default_rng([20121120, number])
     tally = benchmarks.loops.region(DeviceLoop.hardly_moved(rng), rng)
     assert (tally.wrong, tally.open) == (0, 1)
+
+
+@pytest.mark.parametrize(
+    ("number", "is_open"),
+    [
+        (123, 0),
+        (329, 1),
+        *(
+            pytest.param(*one, marks=pytest.mark.campaign)
+            for one in ((19, 0), (39, 1), (215, 0), (734, 0), (893, 1))
+        ),
+    ],
+)
+def test_the_curve_is_followed_while_it_passes_a_mode(number: int, is_open: int) -> None:
+    """Within 1e-12 radians it passes all gains. The regions of 123 and 19 lacked stable walls, that
+    of 215 held unstable ones, and those of 329 and 39 were EMPTY; that of 893 is known to 1e-9.
+    """
+    rng = np.random.default_rng([20121120, number])
+    tally = benchmarks.loops.region(DeviceLoop.hardly_moved(rng), rng)
+    assert (tally.wrong, tally.open) == (0, is_open)
+
+
+def test_nothing_is_called_empty_where_double_double_has_a_stable_wall(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    loop = DeviceLoop.hardly_moved(np.random.default_rng([20121120, 329]))
+    nothing = DoubleDouble.from_value(np.empty(0))
+    monkeypatch.setattr(region_of_slices, "polished_modes", lambda *_: nothing)
+    wall = 8.0e-6, 1.76e-5
+    assert loop.balls.is_stable(*wall)
+    assert loop.region().status == RegionStatus.UNRESOLVED

@@ -16,10 +16,15 @@ from jaxstab.model import Velocity, by_name
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.region import RegionStatus
 from jaxstab.region import region as region_of_slices
-from jaxstab.region.curve import curve_and_lift
-from jaxstab.region.exact import _about, angles_on_circle, polished_angles
-from jaxstab.region.filtered_curve import stretches_around, to_rescaled, true_angles
-from jaxstab.region.filtered_points import exact_walls
+from jaxstab.region.exact import _about, angles_on_circle, polished_angles, polished_modes
+from jaxstab.region.filtered_curve import (
+    hardly_moved,
+    parts_in_pairs,
+    stretches_around,
+    to_rescaled,
+    true_angles,
+)
+from jaxstab.region.filtered_points import curve_and_lift, exact_walls
 from jaxstab.region.pieces import slice_angles
 
 SLOW = [1646, 2638, 2649]  # low passes and Butterworth filters of order 6 to 8, below 0.016
@@ -110,6 +115,16 @@ def test_arcs_that_the_curve_passes_in_an_instant(number):
     assert_right_next_to_the_boundary(loop, region, rng)
 
 
+def test_modes_that_walls_hardly_move_are_known_to_all_digits():
+    loop = DeviceLoop.hardly_moved(np.random.default_rng([20121120, 329]))
+    system = loop.sampled.plant, *loop.sampled.transfers(loop.filters[:2]), 1.0
+    narrow = polished_modes(parts_in_pairs(system), hardly_moved(loop.sampled.plant))
+    truths = loop.balls.modes()
+    assert len(truths) == 4  # of which walls move one
+    for high, low in zip(narrow.hi.tolist(), narrow.lo.tolist(), strict=True):
+        assert min(abs(float(truth - high - low)) for truth in truths) < 1e-28
+
+
 def test_stretches_stand_for_angles():
     centers = DoubleDouble(np.array([0.3, 2.5]), np.array([1e-17, -2e-17]))
     stretches = stretches_around(centers, np.array([2.4]))
@@ -174,7 +189,7 @@ def test_roots_on_the_circle_are_found_and_polished_to_all_digits(theta):
 def test_angles_of_a_scan_are_close_to_the_poles_that_float64_misses():
     loop, region, _ = drawn(SLOW[0])
     coefficients = region.coefficients
-    angles = np.abs(slice_angles(coefficients, coefficients.parts.shape[1] - 2, 1))
+    angles = np.abs(slice_angles(coefficients, 1))
     signs = []
     for theta in np.geomspace(1e-3, 0.5, 60):
         with flint.ctx.workprec(600):

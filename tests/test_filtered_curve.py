@@ -15,14 +15,13 @@ from jaxstab.conventions import Verdict
 from jaxstab.model import Filter, Velocity, by_name
 from jaxstab.model.filters import known_filters
 from jaxstab.region import RegionStatus, stable_region
-from jaxstab.region.curve import curve_and_lift, minus_offset, minus_slope, plus_offset
 from jaxstab.region.filtered_curve import (
     FilteredCurve,
     filtered_curve,
     mass_system,
     parts_in_pairs,
 )
-from jaxstab.region.filtered_points import is_oriented
+from jaxstab.region.filtered_points import curve_and_lift, is_oriented
 from jaxstab.region.pieces import find_pieces, slice_angles
 
 ANGLES = np.concatenate([np.linspace(0.05, 1.5, 7), np.linspace(1.65, 3.05, 7)])
@@ -52,7 +51,7 @@ def test_walls_of_the_curve_have_roots_at_its_angles(number: int) -> None:
     size = np.max(np.abs(true), axis=0)
     assert np.max(np.abs(np.stack([alpha, beta]) - true) / size) < 1e-10
     base, stiffness, _ = value_at(balls, 1)
-    assert plus_offset(c) == pytest.approx(-base / stiffness, rel=1e-10, abs=1e-13)
+    assert c.plus_offset == pytest.approx(-base / stiffness, rel=1e-10, abs=1e-13)
     far = ANGLES > 1.0  # next to 0 the difference has no digits
     exact = (true[0] + base / stiffness) / (1.0 - np.cos(ANGLES))
     assert lift[far] == pytest.approx(exact[far], rel=1e-9, abs=1e-9 * size[far].max())
@@ -80,8 +79,9 @@ def test_the_line_of_a_root_at_minus_one_is_that_of_the_polynomial(number: int) 
     c, balls = drawn(number)
     base, stiffness, damping = value_at(balls, -1)
     if abs(stiffness) > 1e-9 * abs(damping):
-        assert minus_offset(c) == pytest.approx(-base / stiffness, rel=1e-9)
-        assert minus_slope(c) == pytest.approx(damping / stiffness, rel=1e-9)
+        own_base, own_stiffness, own_damping = c.at_minus_one
+        assert own_base / own_stiffness == pytest.approx(base / stiffness, rel=1e-9)
+        assert own_damping / own_stiffness == pytest.approx(damping / stiffness, rel=1e-9)
 
 
 @pytest.mark.parametrize("number", LOOPS)
@@ -121,7 +121,7 @@ def test_a_scan_looks_on_either_side_of_poles_and_where_beta_is_steep() -> None:
     looked = 0
     for number in LOOPS:
         c, _ = drawn(number)
-        angles = np.sort(np.abs(slice_angles(c, c.parts.shape[1] - 2, 1)))
+        angles = np.sort(np.abs(slice_angles(c, 1)))
         for place in np.concatenate([c.poles[0], c.steep]):
             if angles[0] + 1e-3 < place < angles[-1] - 1e-3:
                 away = angles - place
@@ -164,7 +164,7 @@ def test_walls_of_a_line_and_of_the_curve_beside_it_have_roots_at_its_angles(
         expected, scale = (ahead - behind) / (2.0 * step), np.abs(ahead) + np.abs(behind)
         assert np.all(abs(np.stack(slopes) - expected) < 1e-6 * (abs(expected) + scale))
         lift = curve_and_lift(c, size)[2]
-        assert lift == pytest.approx((alpha - plus_offset(c)) / (1.0 - np.cos(angle)), rel=1e-9)
+        assert lift == pytest.approx((alpha - c.plus_offset) / (1.0 - np.cos(angle)), rel=1e-9)
         moved = curve_and_lift(c, size + 1e-30j)[2].imag / 1e-30
         ahead, behind = (curve_and_lift(c, size + k * step)[2] for k in (1.0, -1.0))
         expected, scale = (ahead - behind) / (2.0 * step), np.abs(ahead) + np.abs(behind)
@@ -204,9 +204,8 @@ def test_regions_between_lines_are_resolved_and_hold_the_walls_that_certified_ro
 @pytest.mark.parametrize("number", [18, 20, 30])
 def test_pieces_do_not_close_to_a_loop_if_the_scan_misses_one_of_them(number: int) -> None:
     c, balls = drawn(number)
-    length = c.parts.shape[1] - 2
-    angles = slice_angles(c, length, 1)
-    pieces = find_pieces(c, angles, length=length)
+    angles = slice_angles(c, 1)
+    pieces = find_pieces(c, angles)
     assert pieces.resolved
     assert sorted(pieces.successor.tolist()) == list(range(len(pieces.begin))) != [0]
     for begin, end, low, high in zip(*pieces[:4], strict=True):
@@ -214,7 +213,7 @@ def test_pieces_do_not_close_to_a_loop_if_the_scan_misses_one_of_them(number: in
             if 0.0 < abs(theta) < np.pi:
                 assert np.sum(np.abs(np.abs(roots_at(balls, theta)) - 1.0) < 1e-5) >= 3
         others = angles[(angles < begin) | (angles > end)]
-        assert not find_pieces(c, others, length=length).resolved
+        assert not find_pieces(c, others).resolved
 
 
 def roots_at(balls: BallLoop, theta: float) -> np.ndarray:

@@ -29,8 +29,8 @@ from jaxstab.model import by_name, filters
 from jaxstab.model.filters import Section, given_filters
 from jaxstab.model.linear_loop import _values, filtered_loop
 from jaxstab.point.schur_cohn import dense_codes, rounded_loop, without_zeros
-from jaxstab.region.curve import curve_and_lift, minus_offset, minus_slope
 from jaxstab.region.filtered_curve import filtered_curve, mass_system
+from jaxstab.region.filtered_points import curve_and_lift
 from jaxstab.rounding import UNIT
 from jaxstab.tables import parsed
 
@@ -586,11 +586,25 @@ def test_filters_have_at_most_80_stages() -> None:
         jaxstab.verdict(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0, position=position)
 
 
-def test_filters_have_regions_of_stability_alone() -> None:
-    with pytest.raises(ValueError, match=r"radius is 0\.9; with a filter only 1"):
-        jaxstab.stable_region(
-            gamma=0.0, delta=0.0, delay=1.0, radius=0.9, velocity=Velocity.difference(samples=2)
-        )
+@pytest.mark.parametrize("count", [25, pytest.param(300, marks=pytest.mark.campaign)])
+def test_regions_of_decay_rates_hold_the_walls_with_all_roots_in_the_circle(count: int) -> None:
+    right = 0
+    for number in range(count):
+        rng = np.random.default_rng([20121121, number])
+        loop = MassLoop.drawn(rng)
+        radius = float(rng.choice([rng.uniform(0.6, 1.0), 1.0 - 10.0 ** rng.uniform(-6, -1)]))
+        named = {"velocity": loop.filters.velocity, "position": loop.filters.position}
+        region = jaxstab.stable_region(**by_name(*loop.plant), **named, radius=radius)
+        assert region.status != jaxstab.results.RegionStatus.UNRESOLVED, number
+        corners = region.points if len(region.points) else np.array([[0.0, 0.0], [0.1, 0.1]])
+        size = np.ptp(corners, axis=0)
+        anywhere = corners.min(axis=0) + size * rng.uniform(-0.2, 1.2, (6, 2))
+        beside = corners[rng.integers(0, len(corners), 6)] + 1e-3 * size * rng.normal(size=(6, 2))
+        for wall in np.concatenate([anywhere, beside]).tolist():
+            expected = loop.balls.is_stable(*wall, radius)
+            assert expected is None or expected == bool(region.contains(*wall)), (number, wall)
+            right += expected is not None
+    assert right > 11 * count
 
 
 @pytest.mark.campaign
@@ -622,8 +636,9 @@ def test_the_curve_of_plants_that_are_nearly_zero_at_the_nyquist_frequency(numbe
 def test_walls_of_the_line_of_a_real_root_at_minus_one_have_that_root(samples: int) -> None:
     window = Velocity.difference(samples)
     c = jaxstab.stable_region(**by_name(0.3, 0.1, 1.5), velocity=window).coefficients
+    base, stiffness, damping = c.at_minus_one
     for beta in (-0.2, 0.4):
-        alpha = minus_offset(c) - minus_slope(c) * beta
+        alpha = -(base + damping * beta) / stiffness
         poles = jaxstab.closed_loop_poles(alpha, beta, **by_name(0.3, 0.1, 1.5), velocity=window)
         assert np.min(np.abs(np.asarray(poles) + 1.0)) < 1e-12
 

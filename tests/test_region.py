@@ -160,6 +160,16 @@ def test_the_region_of_an_undamped_hand_next_to_the_nyquist_frequency(share: flo
     np.testing.assert_allclose(limits, [-gamma, undamped_limit(gamma, row)], rtol=0, atol=2e-14)
 
 
+@pytest.mark.parametrize(("gamma", "delay"), [(10.273987542438604, 9.0), (9.813829279222805, 39.0)])
+def test_the_row_without_damping_of_an_undamped_hand_has_limits(gamma: float, delay: float) -> None:
+    """It begins at the wall without gains, where the hand's own poles are on the circle."""
+    region = stable_region(gamma=gamma, delta=0.0, delay=delay)
+    low, high = map(float, region.alpha_limits(0.0))
+    assert low == pytest.approx(0.0, abs=1e-14)
+    assert is_stable(high * (1.0 - 1e-8), 0.0, (gamma, 0.0, delay, 1.0))
+    assert not is_stable(high * (1.0 + 1e-8), 0.0, (gamma, 0.0, delay, 1.0))
+
+
 # Corners with a second root next to the circle; arcs of the curve that are 2e-5 long; two corners
 # that are 5e-8 or 4e-9 apart.
 @pytest.mark.parametrize(

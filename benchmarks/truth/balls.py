@@ -3,9 +3,13 @@
 from typing import NamedTuple
 
 import flint
+import numpy as np
 
 from benchmarks import truth
 from jaxstab import Verdict
+
+_UNDAMPED = 1e-5  # how far a root may be from the circle
+_NEWTON_STEPS = 12
 
 
 class ExactPlant(NamedTuple):
@@ -131,7 +135,22 @@ class BallLoop(NamedTuple):
                 self.base, self.stiffness * units[0], self.damping * units[1], self.bits
             )
 
-    def wall_with_roots_at(self, theta: float) -> tuple[float, float]:
+    def modes(self) -> list[flint.arb]:
+        """The angles of undamped roots of base, which walls may move by next to nothing."""
+        with flint.ctx.workprec(max(self.bits, 1000)):
+            base = flint.acb_poly([self.base[k].mid() for k in range(self.base.degree() + 1)])
+            slope, angles = base.derivative(), []
+            for rough in np.roots(
+                [float(self.base[k].mid()) for k in range(len(base) - 1, -1, -1)]
+            ):
+                if abs(abs(rough) - 1.0) < _UNDAMPED and rough.imag > 0.0:
+                    z = flint.acb(rough.real, rough.imag)
+                    for _ in range(_NEWTON_STEPS):
+                        z = (z - base(z) / slope(z)).mid()
+                    angles += [z.arg().mid()] if abs(abs(z) - 1) < _UNDAMPED else []
+            return angles
+
+    def wall_with_roots_at(self, theta: float | flint.arb) -> tuple[float, float]:
         """The wall that puts a pair of roots at e^(+-i theta), by Cramer's rule."""
         with flint.ctx.workprec(max(self.bits, 1000)):
             z = flint.acb(0, theta).exp()

@@ -28,7 +28,6 @@ from jaxstab.model.loop import as_one, with_columns
 from jaxstab.region import RegionStatus
 from jaxstab.region.filtered_curve import (
     Angles,
-    FilteredCurve,
     about_one,
     of_filters,
     resonances_of,
@@ -246,10 +245,9 @@ def outline_of(region: "WallRegion") -> Outlines:
         return empty_outlines()
     main = region.main.region
     branch, angles, curve = main.branch, np.abs(main.outline.angles), main.coefficients
-    if isinstance(curve, FilteredCurve):
-        size = root_angles(curve.lines, angles).ravel()
-        true, _ = true_angles(curve.stretches, size, np.zeros_like(size))
-        angles = true.rounded().reshape(angles.shape)
+    size = root_angles(curve.lines, angles).ravel()
+    true, _ = true_angles(curve.stretches, size, np.zeros_like(size))
+    angles = true.rounded().reshape(angles.shape)
     on_line = np.where(branch == NO_BRANCH, np.nan, np.pi * (branch == Branch.Z_MINUS_ONE))
     angles = np.where(branch == Branch.CURVE, angles[: len(branch)].T, on_line)
     before, after = np.arange(-1, len(branch)), np.append(np.arange(len(branch)), 0)

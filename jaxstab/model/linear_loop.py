@@ -11,6 +11,7 @@ up to powers of z. All coefficients are formed in pairs of float64, with bounds 
 
 from collections.abc import Sequence
 from functools import partial, reduce
+from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from jaxstab.arrays import Array, Numbers, float_arrays, is_any_traced, namespac
 from jaxstab.batches import MANY, compiled
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import (
+    ONE,
     Filter,
     Filters,
     Polynomial,
@@ -208,6 +210,31 @@ def loop_of(plant: SampledPlant, filters: LoopFilters) -> LinearLoop:
         at_one=_at_one(plant, filters),
         at_minus_one=_at_minus_one(plant, filters, [degree + power for power in powers]),
     )
+
+
+def loop_of_radius(loop: LinearLoop, radius: float) -> LinearLoop:
+    """Return the loop whose roots are those of a loop over a radius, for numbers.
+
+    Its polynomials are those of p(radius z) over radius^degree; for their errors see lemma V8.
+    """
+    if radius == 1.0:
+        return loop
+    inverse = DoubleDouble(1.0, 0.0) / DoubleDouble.from_value(radius)
+    powers = list(accumulate(loop.base[1:], lambda power, _: power * inverse, initial=ONE[0]))
+    parts = [tuple(c * power for c, power in zip(p, powers, strict=True)) for p in loop[:3]]
+    rounding = 4.0 * len(powers) * PAIR_PRODUCT
+    errors = [
+        error * abs(powers[-1].hi) + rounding * size_of(polynomial)
+        for error, polynomial in zip(loop.errors, parts, strict=True)
+    ]
+    even, odd = ([reduce(DoubleDouble.__add__, p[k::2]) for p in parts] for k in range(2))
+    at_one, at_minus_one = (
+        Affine(*(Bounded(a + b.scaled(sign), e) for a, b, e in zip(even, odd, errors, strict=True)))
+        for sign in (1.0, -1.0)
+    )
+    base, stiffness, damping = parts
+    bounds = errors[0], errors[1], errors[2]
+    return LinearLoop(base, stiffness, damping, bounds, at_one, at_minus_one)
 
 
 def loop_factors(

@@ -31,13 +31,7 @@ from jaxtyping import Bool, Float64
 from jaxstab.arrays import Array, Numbers, float_arrays, joined
 from jaxstab.model import checked_delay, checked_delta, checked_gain, checked_gamma, require_x64
 from jaxstab.numbers import checked_number
-from jaxstab.region.curve import (
-    minus_offset,
-    minus_slope,
-    plus_offset,
-    plus_slope,
-    slice_coefficients,
-)
+from jaxstab.region.curve import slice_coefficients
 from jaxstab.rounding import EPS
 
 
@@ -161,8 +155,7 @@ def plus_line(
         -0.001
     """
     require_x64(beta, gamma, delta, radius)
-    coefficients = slice_coefficients(gamma, delta, delay, radius)
-    return _line(beta, plus_offset(coefficients), plus_slope(coefficients))
+    return _line(beta, *slice_coefficients(gamma, delta, delay, radius).plus_line)
 
 
 def minus_line(
@@ -178,8 +171,8 @@ def minus_line(
         1599.036
     """
     require_x64(beta, gamma, delta, radius)
-    coefficients = slice_coefficients(gamma, delta, delay, radius)
-    return _line(beta, minus_offset(coefficients), minus_slope(coefficients))
+    with np.errstate(all="ignore"):  # infinite where N(-radius) = 0
+        return _line(beta, *slice_coefficients(gamma, delta, delay, radius).minus_line)
 
 
 def _line(beta: Numbers, offset: Array, slope: Array) -> Array:

@@ -20,8 +20,8 @@ import numpy as np
 from jaxtyping import Float64, Int
 
 from jaxstab.arrays import tree_map
-from jaxstab.region.curve import Curve, curve_and_lift, minus_margin
 from jaxstab.region.filtered_curve import FilteredCurve
+from jaxstab.region.filtered_points import curve_and_lift
 from jaxstab.region.pieces import (
     Angles,
     Pieces,
@@ -42,7 +42,7 @@ _BEYOND = 0.5  # share of a part by which Newton's method may leave it
 _ARRIVED = 1e-3  # share of a part: largest last step, and least distance of two angles that meet
 _SAME = 1e-4  # share of a part: closer starts are one
 _MISS = 0.05  # distance of cubics beside their sizes, up to which the curve may meet
-_NEARLY_STABLE = 1.1  # of the circle: with filters parts with roots farther out bound nothing
+_NEARLY_STABLE = 1.1  # of the circle: parts with roots farther out bound nothing
 _SETTLED = 1e-9  # share of a part: a smaller step is the last one
 _CLOSE = 1e-6  # crossings closer to each other are one
 _STARTS = np.array([[0.0, 0.0, 1.0, 1.0], [0.0, 1.0, 0.0, 1.0]])  # of two parts: one end of each
@@ -69,23 +69,21 @@ class _Cubics(NamedTuple):
 
 
 @np.errstate(all="ignore")
-def crossings(c: Curve, angles: Angles, length: int) -> Angles:
+def crossings(c: FilteredCurve, angles: Angles) -> Angles:
     """Return the angles, in order, at which the curve of a scan meets itself or a line."""
-    cubics = _cubics(c, angles, length)
+    cubics = _cubics(c, angles)
     if not cubics.interval.size:
         return np.empty(0)
     every = np.sort(np.concatenate([_self_crossings(c, cubics), _line_crossings(c, cubics)]))
     return every[np.diff(every, prepend=-np.inf) > _CLOSE]
 
 
-def _cubics(c: Curve, angles: Angles, length: int) -> _Cubics:
+def _cubics(c: FilteredCurve, angles: Angles) -> _Cubics:
     """Return the parts of the scan near the stable set, as cubics with slopes at their ends."""
-    interval, line = np.arange(len(angles) - 1), np.zeros(len(angles) - 1, int)
-    if isinstance(c, FilteredCurve):
-        line = _lines_of_parts(c, angles)
-        is_near = others_inside(c, angles, length, within=_NEARLY_STABLE)
-        is_near = is_near[1:] | is_near[:-1] | (line != 0)  # those of lines may be long
-        interval = np.flatnonzero(is_near & ~_spans_a_pole(c, angles))
+    line = _lines_of_parts(c, angles)
+    is_near = others_inside(c, angles, within=_NEARLY_STABLE)
+    is_near = is_near[1:] | is_near[:-1] | (line != 0)  # those of lines may be long
+    interval = np.flatnonzero(is_near & ~_spans_a_pole(c, angles))
     ends = np.unique(np.concatenate([interval, interval + 1]))
     values, slopes = with_slope(lambda theta: _values(c, theta), angles[ends])
     start = np.searchsorted(ends, interval)
@@ -97,10 +95,10 @@ def _cubics(c: Curve, angles: Angles, length: int) -> _Cubics:
     return _Cubics(interval, begin, end, controls, begin_slopes, end_slopes, line[interval])
 
 
-def _values(c: Curve, theta: np.ndarray) -> np.ndarray:
+def _values(c: FilteredCurve, theta: np.ndarray) -> np.ndarray:
     """Return alpha, beta and the margins to the lines z = r and z = -r."""
     alpha, beta, lift = curve_and_lift(c, theta)
-    return np.stack([alpha, beta, lift, minus_margin(c, alpha, beta)])
+    return np.stack([alpha, beta, lift, c.minus_margin(alpha, beta)])
 
 
 def _spans_a_pole(curve: FilteredCurve, angles: Angles) -> np.ndarray:
@@ -120,7 +118,7 @@ def _lines_of_parts(curve: FilteredCurve, angles: Angles) -> Parts:
 
 
 # ---------------------------------------------------------------------------- of two parts
-def _self_crossings(c: Curve, cubics: _Cubics) -> Angles:
+def _self_crossings(c: FilteredCurve, cubics: _Cubics) -> Angles:
     controls = cubics.controls[:, :2]
     pairs = np.concatenate([_touching_parts(cubics.interval, controls), _loops(cubics)], axis=1)
     line = cubics.line[pairs]
@@ -210,7 +208,7 @@ def _starts(
 
 
 def _meetings(
-    c: Curve,
+    c: FilteredCurve,
     start: Float64[np.ndarray, "2 pair"],
     begin: Float64[np.ndarray, "2 pair"],
     width: Float64[np.ndarray, "2 pair"],
@@ -237,7 +235,7 @@ def _meetings(
 
 
 # ------------------------------------------------------------------------ of parts and lines
-def _line_crossings(c: Curve, cubics: _Cubics) -> Angles:
+def _line_crossings(c: FilteredCurve, cubics: _Cubics) -> Angles:
     controls, begin, end = cubics.controls[:, 2:], cubics.begin, cubics.end
     crosses = _unlike(controls[0], controls[3])
     line, step = np.nonzero(crosses)
@@ -258,13 +256,13 @@ def _unlike(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return unlike
 
 
-def _margin(c: Curve, line: Parts, theta: np.ndarray) -> np.ndarray:
+def _margin(c: FilteredCurve, line: Parts, theta: np.ndarray) -> np.ndarray:
     """Return how far the curve is from the line z = r, number 0, or z = -r, number 1."""
     alpha, beta, lift = curve_and_lift(c, theta)
-    return np.choose(line, [lift, minus_margin(c, alpha, beta)])
+    return np.choose(line, [lift, c.minus_margin(alpha, beta)])
 
 
-def _margin_slope(c: Curve, line: Parts, theta: np.ndarray) -> np.ndarray:
+def _margin_slope(c: FilteredCurve, line: Parts, theta: np.ndarray) -> np.ndarray:
     return with_slope(partial(_margin, c, line), theta)[1]
 
 
@@ -273,25 +271,24 @@ def _margin_slope(c: Curve, line: Parts, theta: np.ndarray) -> np.ndarray:
 # Fineness of the scan, the most angles to look closer at, and how far other roots may be outside of
 # the circle there. The last ones take the angles of the best chances only.
 _SCANS = ((1, 24, 1e-4), (4, 192, 1e-4), (16, 768, 1e-4), (64, 1536, 1e-7))
-_FILTERED_SCANS = 2  # with filters: finer ones take minutes and resolve no more
+_FEW_SCANS = 2  # where digits are short: finer ones take minutes and resolve no more
 _EMPTY_FINENESS = 4
 _ROUNDS = 8
 _KEPT = 32  # pieces that do not close
 
 
-def refined_pieces(c: Curve, *, may_be_empty: bool) -> Pieces:
+def refined_pieces(c: FilteredCurve, *, may_be_empty: bool) -> Pieces:
     """Return pieces that join up to loops, searched until nothing hides at their ends.
 
     With damping, the loop without a wall is stable, so an empty answer means that the scan was too
     coarse. Where even the finest scan is not enough, the pieces' ``resolved`` is False.
     """
-    length = c.parts.shape[1] - 2 if isinstance(c, FilteredCurve) else int(c.turns) + 2
-    coarsest = slice_angles(c, length, 1)
-    closer = crossings(c, coarsest, length)
-    scans = _SCANS[: _FILTERED_SCANS if isinstance(c, FilteredCurve) else None]
+    coarsest = slice_angles(c, 1)
+    closer = crossings(c, coarsest)
+    scans = _SCANS[: _FEW_SCANS if c.is_exact or c.may_lose_some else None]
     for fineness, most, outside in scans:
-        scan = coarsest if fineness == 1 else slice_angles(c, length, fineness)
-        pieces, closer, is_settled = _settled_pieces(c, scan, closer, most, outside, length)
+        scan = coarsest if fineness == 1 else slice_angles(c, fineness)
+        pieces, closer, is_settled = _settled_pieces(c, scan, closer, most, outside)
         if is_settled:
             return pieces
         if may_be_empty and fineness >= _EMPTY_FINENESS and not pieces.begin.size:
@@ -302,18 +299,18 @@ def refined_pieces(c: Curve, *, may_be_empty: bool) -> Pieces:
 
 
 def _settled_pieces(
-    c: Curve, scan: Angles, closer: Angles, most: int, outside: float, length: int
+    c: FilteredCurve, scan: Angles, closer: Angles, most: int, outside: float
 ) -> tuple[Pieces, Angles, bool]:
     """Look closer at more and more angles, until no new one shows; return whether all is resolved.
 
     Beside the pieces, the angles looked at are returned.
     """
-    closer = nearly_stable(c, closer, outside, length=length)
+    closer = nearly_stable(c, closer, outside)
     for _ in range(_ROUNDS):
-        pieces = find_pieces(c, closer_angles(c, scan, closer[:most]), length=length)
+        pieces = find_pieces(c, closer_angles(c, scan, closer[:most]))
         if not pieces.begin.size:
             return pieces, closer, False
-        fresh = suspects(c, pieces, closer, outside, length=length)
+        fresh = suspects(c, pieces, closer, outside)
         closer = np.sort(np.concatenate([closer, fresh]))
         if not fresh.size or len(closer) > most:
             is_all = not fresh.size and len(closer) <= most

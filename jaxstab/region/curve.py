@@ -13,10 +13,8 @@ so everything is real arithmetic, and each half of the circle has a basis withou
 z = r for th < pi/2 and z = -r for th > pi/2. For th < pi/2 alpha is the line z = r plus terms that
 all carry the factor h, divided out by hand.
 
-Loops with estimators, filters or devices have another curve (``filtered_curve``). Both kinds of
-``Curve`` are three things, and all else in this folder needs no more: points at angles, the lines
-of real roots at z = r and z = -r, and the polynomial p(r zeta), base + alpha stiffness + beta
-damping.
+It is for the wall of the paper, of any number of slices at once, and under JAX. Regions are found
+by the curve of any loop (``filtered_curve``).
 """
 
 from math import factorial, pi
@@ -34,7 +32,6 @@ from jaxstab.arrays import (
     is_traced,
     kept,
     namespace,
-    tree_map,
 )
 from jaxstab.batches import MANY_ANGLES, compiled
 from jaxstab.model import checked_delta, checked_gamma, require_x64
@@ -42,41 +39,22 @@ from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.parameters import whole_and_fraction
 from jaxstab.model.plant import PlantPairs, plant_pairs
 from jaxstab.numbers import checked
-from jaxstab.region.filtered_curve import FilteredCurve, PoleLine
-from jaxstab.region.filtered_points import filtered_point
 
 # Sine, cosine and sin(x) / x of positive angles, with derivatives to full precision.
 
 # sin(x) / x and cos(x) as series in x^2, for all x up to pi/4 and derivatives, too.
 _SINC = tuple((-1.0) ** k / factorial(2 * k + 1) for k in range(10))
 _COSINE = tuple((-1.0) ** k / factorial(2 * k) for k in range(10))
-_SMALL, _SMALL_TERMS = 0.3, 6  # the first terms of the same are enough up to there
 
 # A quarter turn in parts of 27 bits: multiples of the first two are exact.
 _QUARTER_TURN = (1.570796325802803, 9.920935739593517e-10, 5.721188726109832e-18)
 
 
-def sines(x: Array, *, are_small: bool = False) -> tuple[Array, Array, Array]:
+def sines(x: Array) -> tuple[Array, Array, Array]:
     """Return sin(x), cos(x) and sin(x) / x for x >= 0, with derivatives to full precision.
 
     A quotient would lose digits of the derivative of sin(x) / x next to 0; a series is used there.
-    ``are_small`` says that all x are at most pi/4, which saves time in XLA.
-    """
-    xp = namespace(x)
-    if xp is not np:
-        return _sines_of_small(x) if are_small else _sines_of_vectors(x)
-    sine, cosine = np.sin(x.real), np.cos(x.real)
-    if np.iscomplexobj(x):  # a complex step: real to first order
-        sine, cosine = sine + 1j * (x.imag * cosine), cosine - 1j * (x.imag * sine)
-    small = x.real < _SMALL
-    sinc = _series(_SINC[:_SMALL_TERMS], x * x)
-    return sine, cosine, np.where(small, sinc, sine / np.where(small, 1.0, x))
-
-
-def _sines_of_vectors(x: Array) -> tuple[Array, Array, Array]:
-    """Return the same; XLA makes vectors of this, and not of calls of sin and cos.
-
-    Most of the run time is here.
+    XLA makes vectors of this, and not of calls of sin and cos; most of the run time is here.
     """
     xp = namespace(x)
     quarters = constant(xp.round(x * (2.0 / pi)))
@@ -93,6 +71,7 @@ def _sines_of_vectors(x: Array) -> tuple[Array, Array, Array]:
 
 
 def _sines_of_small(x: Array) -> tuple[Array, Array, Array]:
+    """Return the same for x up to pi/4."""
     square = x**2
     sinc = _series(_SINC, square)
     return x * sinc, _series(_COSINE, square), sinc
@@ -105,7 +84,6 @@ def _series(coefficients: tuple[float, ...], x: Array) -> Array:
     return total
 
 
-_CLOSE, _FAR = 1e-9, 4.0  # between these the distances of poles from the circle are clipped
 _VANISHING = 1e-3  # of the terms of N(r): below, alpha is not computed from the line z = r
 
 
@@ -130,19 +108,15 @@ class SliceCoefficients(NamedTuple):
     num_minus: Array
 
     @property
-    def lines(self) -> tuple[PoleLine, ...]:
-        """Whole lines of the boundary at poles: there are none."""
-        return ()
+    def plus_line(self) -> tuple[Array, Array]:
+        """Offset and slope: walls with a root at z = r have alpha = offset - slope beta."""
+        return 0.0 - self.gain * self.ratio, (self.radius - 1.0) / self.radius  # not the number -0
 
     @property
-    def at_minus_one(self) -> tuple[Array, Array, Array]:
-        """p(-r) / r^2 = base + alpha stiffness + beta damping, its sign plus in the stable set."""
-        stiffness = parity(self) * self.num_minus
-        return self.gain * self.den_minus, stiffness, stiffness * minus_slope(self)
-
-
-# What the boundary in one plane is made of: with filters it has another form.
-Curve = SliceCoefficients | FilteredCurve
+    def minus_line(self) -> tuple[Array, Array]:
+        """The same of a root at z = -r; infinite where N(-r) = 0."""
+        offset = -self.gain * self.den_minus / (parity(self) * self.num_minus)
+        return offset, (self.radius + 1.0) / self.radius
 
 
 def boundary_curve(
@@ -193,10 +167,7 @@ def slice_coefficients(
     plant = plant_pairs(checked_gamma(gamma), checked_delta(delta), fraction)
     size = checked("radius", radius, 0.0, 1.0, is_open=True)
     gamma, size, turns = float_arrays(gamma, size, whole + 1.0)
-    if namespace(gamma, size, turns, plant) is not np or any(map(np.ndim, (gamma, size, turns))):
-        return _slice_coefficients(gamma, size, turns, plant)
-    single = _slice_coefficients(float(gamma), float(size), float(turns), tree_map(float, plant))
-    return tree_map(np.float64, single)
+    return _slice_coefficients(gamma, size, turns, plant)
 
 
 @compiled(many=MANY_ANGLES)
@@ -231,83 +202,19 @@ def _slice_coefficients(
     )
 
 
-def plus_offset(c: Curve) -> Array:
-    """Return w(r): the line z = r is alpha + plus_slope beta = w(r)."""
-    offset = c.plus.values[0] if isinstance(c, FilteredCurve) else -c.gain * c.ratio
-    return 0.0 + offset  # not the number -0
-
-
-def plus_slope(c: Curve) -> Array:
-    """Return 1 - 1/r."""
-    return 0.0 if isinstance(c, FilteredCurve) else (c.radius - 1.0) / c.radius
-
-
-@np.errstate(all="ignore")  # infinite where N(-r) = 0
-def minus_offset(c: Curve) -> Array:
-    """Return w(-r): the line z = -r is alpha + minus_slope beta = w(-r)."""
-    base, stiffness, _ = c.at_minus_one
-    return -base / stiffness
-
-
-@np.errstate(all="ignore")
-def minus_slope(c: Curve) -> Array:
-    """Return 1 + 1/r, or its value with an estimator."""
-    if isinstance(c, FilteredCurve):
-        return c.at_minus_one[2] / c.at_minus_one[1]
-    return (c.radius + 1.0) / c.radius
-
-
 def parity(c: SliceCoefficients) -> Array:
     """Return (-1)^m."""
     return 1.0 - 2.0 * (c.turns % 2.0)
 
 
-def poles(c: Curve) -> tuple[Array, Array]:
-    """Return the angles of the two zeros of N, in [0, pi], and how far they are from the circle.
-
-    The curve runs off to infinity there: next to a zero it changes within steps as short as the
-    zero's distance from the circle, | log(|z| / r) |.
-    """
-    if isinstance(c, FilteredCurve):
-        angles, distances = c.poles
-        return np.concatenate([angles, -angles]), np.tile(distances, 2)
-    leading, trailing = 0.5 * (c.sigma + c.nu), 0.5 * (c.sigma - c.nu)
-    middle = c.num_plus - c.sigma
-    square = middle**2 - 4.0 * leading * trailing
-    root = np.sqrt(abs(square))
-    larger = -0.5 * (middle + np.where(middle < 0.0, -root, root))
-    real = np.stack([larger / leading, trailing / larger])
-    turned = np.arctan2(root, -middle * np.sign(leading))
-    angles = np.where(square < 0.0, turned, np.where(real < 0.0, pi, 0.0))
-    modulus = np.where(square < 0.0, np.sqrt(abs(trailing / leading)), abs(real))
-    distance = abs(np.log(modulus))
-    return angles, np.clip(np.nan_to_num(distance, nan=_FAR), _CLOSE, _FAR)
-
-
 @compiled(many=MANY_ANGLES)
-def curve_point(c: Curve, theta: Array, low: Array | float = 0.0) -> tuple[Array, Array]:
-    """Return (alpha, beta) of the curve at angles in [0, pi] that broadcast with the slices.
-
-    ``low`` is what rounding took from theta: close to pi it holds digits of pi - theta.
-    """
-    alpha, beta, _ = curve_and_lift(c, theta, low)
-    return alpha, beta
-
-
-def curve_and_lift(c: Curve, theta: Array, low: Array | float = 0.0) -> tuple[Array, Array, Array]:
-    """Return alpha, beta and (alpha + plus_slope beta - w(r)) / (1 - cos th).
-
-    The third value vanishes where the curve crosses the line z = r, but not where it starts on it.
-    Analytic in theta, so that NumPy takes derivatives by a complex step (``with_slope``).
-    """
-    if isinstance(c, FilteredCurve):
-        return filtered_point(c, theta, low)
+def curve_point(c: SliceCoefficients, theta: Array) -> tuple[Array, Array]:
+    """Return (alpha, beta) of the curve at angles in [0, pi] that broadcast with the slices."""
     xp = namespace(c, theta)
-    upper = xp.real(theta) > pi / 2
+    upper = theta > pi / 2
     # XLA would otherwise add the two parts of pi first.
-    folded = xp.where(upper, kept(pi - theta) + (PI_REST - low), theta + low)
-    half = 0.5 * folded
-    circle = _circle(c.turns, half)
+    folded = xp.where(upper, kept(pi - theta) + PI_REST, theta)
+    circle = _circle(c.turns, 0.5 * folded)
     real, slope, scale = _quotient(c, upper, circle)
 
     sign = xp.where(upper, parity(c), 1.0)
@@ -315,17 +222,15 @@ def curve_and_lift(c: Curve, theta: Array, low: Array | float = 0.0) -> tuple[Ar
     beta = xp.where(upper, sign, -1.0) * (scale * c.radius * swing)
     h = xp.where(upper, circle.far, circle.near)  # 1 - cos(theta)
     turned = circle.cosine * real + circle.sine_ratio * circle.sine_square * slope
-    direct = -beta * (plus_slope(c) + h / c.radius) - sign * (scale * turned)
-    line = plus_offset(c) - plus_slope(c) * beta
+    offset, plus_slope = c.plus_line
+    direct = -beta * (plus_slope + h / c.radius) - sign * (scale * turned)
     lift = -beta / c.radius + scale * (
         circle.lag_ratio * real
         - circle.far * (c.nu * (c.eps - c.ratio * c.nu) + circle.sine_ratio * slope)
         - (c.num_plus - c.sigma * circle.near) * (c.ratio * c.sigma - c.kappa)
     )
     vanishes = abs(c.num_plus) < _VANISHING * (abs(c.sigma) + abs(c.nu))
-    direct_only = upper | vanishes
-    alpha = xp.where(direct_only, direct, line + h * lift)
-    return alpha, beta, xp.where(direct_only, (direct - line) / xp.where(direct_only, h, 1.0), lift)
+    return xp.where(upper | vanishes, direct, offset - plus_slope * beta + h * lift), beta
 
 
 class _Circle(NamedTuple):
@@ -344,10 +249,7 @@ class _Circle(NamedTuple):
 
 
 def _circle(turns: Array, half: Array) -> _Circle:
-    if namespace(turns, half) is np and np.ndim(turns) == 0:  # fewer calls
-        sine, cosine, sinc = sines(np.multiply.outer(np.array([1.0, turns]), half))
-    else:
-        sine, cosine, sinc = zip(sines(half, are_small=True), sines(turns * half), strict=True)
+    sine, cosine, sinc = zip(_sines_of_small(half), sines(turns * half), strict=True)
     near, far = 2.0 * sine[0] ** 2, 2.0 * cosine[0] ** 2
     half_ratio = turns * sinc[1] / sinc[0]
     return _Circle(
@@ -371,55 +273,3 @@ def _quotient(c: SliceCoefficients, upper: Array, circle: _Circle) -> tuple[Arra
     real = d * q + c.eps * c.nu * circle.sine_square
     scale = c.gain / (q**2 + c.nu**2 * circle.sine_square)
     return real, c.eps * q - c.nu * d, scale
-
-
-# The lines of a real root at z = r and z = -r: margins to them, directions, where they cross.
-
-
-def minus_margin(c: Curve, alpha: Array, beta: Array) -> Array:
-    """Return p(-r) / r^2 with the sign chosen so that it is positive inside the stable set."""
-    base, stiffness, damping = c.at_minus_one
-    return base + (stiffness * alpha + damping * beta)
-
-
-@np.errstate(all="ignore")  # they may be parallel
-def lines_crossing(c: Curve) -> tuple[Array, Array]:
-    """Return (alpha, beta) where the lines of a real root at r and at -r cross."""
-    _, stiffness, damping = c.at_minus_one
-    beta = -minus_margin(c, plus_offset(c), 0.0) / (damping - stiffness * plus_slope(c))
-    return plus_offset(c) - plus_slope(c) * beta, beta
-
-
-def along_lines(c: Curve, alpha: Array, beta: Array) -> tuple[Array, Array]:
-    """Return coordinates along the lines z = r and z = -r, with the stable set on the left."""
-    _, stiffness, damping = c.at_minus_one
-    level = np.sign(damping) * alpha  # of a line of constant beta
-    minus = np.where(stiffness == 0.0, level, -np.sign(stiffness) * beta)
-    return -np.sign(c.num_plus) * beta, minus
-
-
-def lines_turn(c: Curve) -> Array:
-    """Return a sign: 1 where the boundary turns from the line z = r into the line z = -r.
-
-    It is -1 where it turns from z = -r into z = r, and 0 where they are parallel.
-    """
-    _, stiffness, damping = c.at_minus_one
-    return np.sign(c.num_plus) * np.sign(damping - stiffness * plus_slope(c))
-
-
-def polynomial(c: Curve, wall: tuple[Array, Array], length: int) -> Array:
-    """Return the highest ``length`` coefficients of p(r zeta) of walls, over the first one."""
-    if isinstance(c, FilteredCurve):
-        base, stiffness, damping = c.parts[:, :length]
-    else:
-        power, unit = np.arange(length), c.gain * c.radius
-        leading, middle = 0.5 * (c.sigma + c.nu) / unit, (c.num_plus - c.sigma) / unit
-        d1, d0 = (c.den_plus - c.kappa) / c.radius, 0.5 * (c.kappa - c.eps) / c.radius
-        base = np.where(power == 0, 1.0, np.where(power == 1, d1, 0.0))
-        base = base + np.where(power == 2, d0, 0.0)
-        is_leading, is_next = power == c.turns, power == c.turns + 1.0
-        stiffness = np.where(is_leading, leading, np.where(is_next, middle, 0.0))
-        damping = stiffness - np.where(is_next, leading / c.radius, 0.0)
-    columns = (len(base), *(1 for _ in wall[0].shape))
-    base, stiffness, damping = (row.reshape(columns) for row in (base, stiffness, damping))
-    return base + (stiffness * wall[0] + damping * wall[1])

@@ -1,4 +1,4 @@
-"""The boundary of loops with filters in double-double, where float64 loses all digits. NumPy only.
+"""The boundary curve in double-double, where float64 loses all digits. NumPy only.
 
 Filters with many slow poles have these next to each other: at z next to 1 their polynomials are
 1e-5 to 1e-30 of their coefficients. So p(z) = base + alpha S + beta R itself is taken in powers of
@@ -24,8 +24,15 @@ from jaxtyping import Bool, Complex128, Float64
 
 from jaxstab.arrays import PI_REST, Array, joined, tree_map
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.region.filtered_curve import FilteredCurve, stretches_around, to_rescaled, true_angles
+from jaxstab.region.filtered_curve import (
+    UNDAMPED,
+    FilteredCurve,
+    stretches_around,
+    to_rescaled,
+    true_angles,
+)
 from jaxstab.region.roots import bracketed_root
+from jaxstab.rounding import PAIR_UNIT
 
 _CLOSE = 0.5  # of zeta - 1: up to there its powers are taken
 _LEAST = 1e-11  # in place of the angle 0: there the curve has a limit, and even in the angle
@@ -61,7 +68,7 @@ class _Complex(NamedTuple):
 
 
 class ExactGains(NamedTuple):
-    """alpha, beta and (alpha - W(1)) / (1 - cos theta), and their slopes in theta."""
+    """alpha, beta and (alpha + beta V(r) - W(r)) / (1 - cos theta), and their slopes in theta."""
 
     values: tuple[DoubleDouble, DoubleDouble, DoubleDouble]
     slopes: tuple[Array, Array, Array]
@@ -78,6 +85,23 @@ def exact_gains(pairs: Pairs, theta: DoubleDouble, *, with_slopes: bool) -> Exac
     return joined([_gains(pairs, theta[k : k + width], with_slopes) for k in starts])
 
 
+def wall_errors(curve: FilteredCurve, theta: Angles) -> Float64[np.ndarray, "2 angle"]:
+    """Return how far rounding of the coefficients of p(z) moves points of the curve, roughly.
+
+    It moves the roots by its size over p'(z), and the curve passes gains with their angle.
+    """
+    angles, _ = true_angles(curve.stretches, theta, np.zeros_like(theta))
+    gains = exact_gains(curve.pairs, angles, with_slopes=True)
+    parts = np.stack([np.ones_like(theta), *(gain.rounded() for gain in gains.values[:2])])
+    upper, u = _folded(angles)
+    zeta, sine, _ = _on_circle(u)
+    _, rows = _rows(curve.pairs, upper, zeta, sine, with_slopes=True)
+    slopes = np.stack([row.real.rounded() + 1j * row.imag.rounded() for row in rows])
+    sizes = np.sum(np.abs(curve.pairs[0, 0, 0]), axis=1) @ np.abs(parts)
+    moved = PAIR_UNIT * sizes / np.abs(np.sum(parts * slopes, axis=0))
+    return moved * np.abs(np.stack(gains.slopes[:2]))
+
+
 def determinants(pairs: Pairs, theta: DoubleDouble) -> Array:
     """Return Im(conj(S) R), of the sign of Im V, and Im(conj(base) S), 0 where beta is."""
     upper, u = _folded(theta)
@@ -89,10 +113,11 @@ def determinants(pairs: Pairs, theta: DoubleDouble) -> Array:
 
 
 def lines_crossing_of(pairs: Pairs) -> tuple[DoubleDouble, DoubleDouble]:
-    """Return the wall with real roots at 1 and at -1."""
-    (base, stiffness, _), others = (_numbers(pairs[half, 1, :, :, 0]) for half in range(2))
-    alpha = -base / stiffness
-    return alpha, -(others[0] + others[1] * alpha) / others[2]
+    """Return the wall with real roots at r and at -r."""
+    (base, stiffness, damping), others = (_numbers(pairs[k, 1, :, :, 0]) for k in range(2))
+    offset, slope = -base / stiffness, damping / stiffness
+    beta = -(others[0] + others[1] * offset) / (others[2] - others[1] * slope)
+    return offset - slope * beta, beta
 
 
 def polished_angles(
@@ -156,10 +181,10 @@ def _gains(pairs: Pairs, theta: DoubleDouble, with_slopes: bool) -> ExactGains:
     below = stiffness.cross(damping)
     alpha, beta = damping.cross(base) / below, base.cross(stiffness) / below
     at_one = _numbers(pairs[0, 1, :, :, 0])
-    line = -at_one[0] / at_one[1]
+    line, across = -at_one[0] / at_one[1], at_one[2] / at_one[1]
     side = _where(upper, cosine, sine)
     height = (side * side).scaled(2.0)  # 1 - cos(theta)
-    lift = (alpha - line) / height
+    lift = (alpha + beta * across - line) / height
     if not with_slopes:
         return ExactGains((alpha, beta, lift), (np.empty(0),) * 3)
     base_slope, stiffness_slope, damping_slope = slopes
@@ -169,7 +194,7 @@ def _gains(pairs: Pairs, theta: DoubleDouble, with_slopes: bool) -> ExactGains:
     alpha_slope, beta_slope = alpha_slope / below, beta_slope / below
     turned = np.where(upper, -1.0, 1.0)
     swing = (sine * cosine).scaled(2.0) * turned
-    lift_slope = (alpha_slope - lift * swing) / height
+    lift_slope = (alpha_slope + beta_slope * across - lift * swing) / height
     every = [turned * slope.rounded() for slope in (alpha_slope, beta_slope, lift_slope)]
     return ExactGains((alpha, beta, lift), (every[0], every[1], every[2]))
 
@@ -310,6 +335,13 @@ def in_pairs(curve: FilteredCurve, pairs: Pairs, centers: DoubleDouble) -> Filte
     )
 
 
+def polished_modes(pairs: Pairs, rough: Angles) -> DoubleDouble:
+    """Return the angles of undamped modes, roots without a wall, to all digits."""
+    nothing = DoubleDouble(0.0, 0.0)
+    angles, excess = polished_angles(pairs, nothing, nothing, np.exp(1j * rough) - 1.0)
+    return angles[(np.abs(excess) < UNDAMPED) & (np.abs(angles.hi - rough) < _SAME)]
+
+
 def _are_apart(angles: Angles, others: Angles) -> Bool[np.ndarray, " _"]:
     """Return which angles differ from others by more than rounding."""
     gaps = np.abs(angles[:, None] - others)
@@ -330,8 +362,9 @@ def _are_apart(angles: Angles, others: Angles) -> Bool[np.ndarray, " _"]:
 # puts on the unit circle count as inside: the less, the smaller the gains are, because a mode that
 # nothing damps is on the circle without them, and moves as little as they are small.
 
-_ON_CIRCLE = 1e-14  # a root so close is on the circle, where gains count as much as the plant
-_STEP, _SMALLEST_ANGLE = 1e-3, 1e-15  # of the share that gains count for, and the least one
+_ON_CIRCLE = 1e-18  # a root so close is on the circle, where gains count as much as the plant
+_LEAST_DISTANCE = 1e-28  # of a root on the circle: rounding of pairs
+_STEP, _SMALLEST_SHARE = 1e-3, 1e-15  # of the share that gains count for, and the least one
 _NEAR_CIRCLE = 1e-2
 _COEFFICIENTS = 1 << 11  # walls
 
@@ -361,9 +394,9 @@ def _power_on_circle(
     """Return how far outside a root counts as on the circle, by the gains' share in p(z)."""
     base, stiffness, damping = np.sum(np.abs(curve.pairs[0, 0, 0]), axis=-1)
     share = (np.abs(alpha.hi) * stiffness + np.abs(beta.hi) * damping) / base
-    share = np.clip(np.nan_to_num(share, nan=1.0), _SMALLEST_ANGLE, 1.0)
+    share = np.clip(np.nan_to_num(share, nan=1.0), _SMALLEST_SHARE, 1.0)
     steps: np.ndarray = np.floor(np.log(share) / np.log(_STEP))
-    return _ON_CIRCLE * _STEP**steps
+    return np.maximum(_ON_CIRCLE * _STEP**steps, _LEAST_DISTANCE)
 
 
 @lru_cache(maxsize=64)

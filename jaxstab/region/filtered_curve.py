@@ -1,5 +1,8 @@
 """The closed form of the boundary for loops with any plant, estimator and filter. NumPy only.
 
+A curve is three things, and all else in this folder needs no more: points at angles, the lines of
+real roots at z = r and z = -r, and the polynomial p(r zeta), base + alpha stiffness + beta damping.
+
 Divided by the position filter, p = 0 reads alpha + beta V(z) = W(z), V = X/Y, W = -z^w D/N (the
 position filter's numerator counts to N and Y, its denominator to D and X). On each half of the
 circle, z = +-zeta with |arg zeta| <= pi/2, everything is divided by s = zeta - 1 first:
@@ -13,9 +16,12 @@ W1 is large at z = -1 the same is done with 1/V or 1/W (``Form``).
 Where Im V < 0 the stable side of the curve is its right one: such angles count as negative ones,
 which run the other way, so the stable set lies to the left everywhere. V is real at its *poles*,
 where the curve goes to infinity.
+
+A circle of radius r is the unit circle of the polynomials of r zeta, with r^w for z^w
+(``Around.of_radius``). They are formed about z = 1 first, where the plant is known best.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from enum import IntEnum
 from fractions import Fraction
 from functools import cache, lru_cache, reduce
@@ -27,7 +33,7 @@ from jaxtyping import Bool, Complex128, Float64
 
 from jaxstab.arrays import Array, tree_map
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import Filters, Polynomial, Transfer, product, size_of
+from jaxstab.model.filters import ONE, Filters, Polynomial, Transfer, product, size_of
 from jaxstab.model.linear_loop import (
     LinearLoop,
     LoopFilters,
@@ -35,6 +41,7 @@ from jaxstab.model.linear_loop import (
     loop_factors,
     loop_filters,
     loop_of,
+    loop_of_radius,
     sampled_mass,
 )
 
@@ -67,6 +74,14 @@ class Around(NamedTuple):
         both = zip(self, other, strict=True)
         return Around(*(product(a, b) for a, b in both))
 
+    def of_radius(self, radius: float) -> "Around":
+        """Return the polynomial of radius zeta."""
+        if radius == 1.0:
+            return self
+        inner = DoubleDouble.from_value(radius) + -1.0  # zeta - 1 becomes inner + radius s
+        shifted = _about(self.shifted, lambda total, c: total * inner + c)
+        return Around(*(rescaled(p, radius) for p in (self.straight, shifted)))
+
     @property
     def value(self) -> DoubleDouble:
         """Q(1)."""
@@ -83,9 +98,10 @@ class Around(NamedTuple):
         return Around(sums or (_VANISHING,), self.shifted[:-1] or (_VANISHING,))
 
 
-def around(polynomial: Polynomial, sign: int) -> Around:
-    """Return a polynomial of sign zeta."""
-    return Around.from_polynomial(polynomial if sign > 0 else turned(polynomial))
+def around(polynomial: Polynomial, sign: int, radius: float = 1.0) -> Around:
+    """Return a polynomial of sign radius zeta."""
+    turned_one = Around.from_polynomial(polynomial if sign > 0 else turned(polynomial))
+    return turned_one.of_radius(radius)
 
 
 def minor(p: Around, q: Around) -> Around:
@@ -116,11 +132,24 @@ def power(degree: int) -> Polynomial:
     return (DoubleDouble(1.0, 0.0), *(_VANISHING,) * degree)
 
 
+def rescaled(polynomial: Polynomial, radius: float) -> Polynomial:
+    """Return the polynomial of radius z."""
+    *rising, _ = accumulate(polynomial, lambda power, _: power * radius, initial=ONE[0])
+    return tuple(c * power for c, power in zip(polynomial, rising[::-1], strict=True))
+
+
 def about_one(polynomial: Polynomial) -> Polynomial:
-    """Return the coefficients in powers of z - 1, by one division after the other."""
+    """Return the coefficients in powers of z - 1."""
+    return _about(polynomial, DoubleDouble.__add__)
+
+
+def _about(
+    polynomial: Polynomial, step: Callable[[DoubleDouble, DoubleDouble], DoubleDouble]
+) -> Polynomial:
+    """Return the coefficients about a point, by Horner's rule whose steps are given."""
     quotient, coefficients = polynomial, []
     while len(quotient) > 1:
-        *sums, value = accumulate(quotient, DoubleDouble.__add__)
+        *sums, value = accumulate(quotient, step)
         coefficients.append(value)
         quotient = tuple(sums)
     return (*quotient, *coefficients[::-1])
@@ -157,6 +186,16 @@ class Rows(NamedTuple):
         is_less = terms @ _powers_of_steps(length) < np.sum(sizes, axis=1)[:, None]
         close = np.max(np.where(is_less, _HALF_CIRCLE, 0.0), axis=1)
         return cls(straight=both[0], shifted=both[1], close=close)
+
+    def above(self, other: "Rows") -> "Rows":
+        """Return these rows and those of another, as one table."""
+        count = max(self.straight.shape[2], other.straight.shape[2])
+        both = [
+            [np.pad(table, ((0, 0), (0, 0), (0, count - table.shape[2]))) for table in rows[:2]]
+            for rows in (self, other)
+        ]
+        straight, shifted = (np.concatenate(tables, axis=1) for tables in zip(*both, strict=True))
+        return Rows(straight, shifted, np.concatenate([self.close, other.close]))
 
 
 @cache
@@ -470,6 +509,7 @@ _WIDEST_STRETCH, _STRETCH_SHARE = (
     0.45,
 )  # of h: radians, and as a share of the distance to the next angle
 _SCAN_STEPS = 120  # of a scan, to each side
+_LOST = 0.01  # of the least distance: closer to the middle, gains have no digits
 
 
 class Stretch(NamedTuple):
@@ -487,12 +527,23 @@ class Stretch(NamedTuple):
     @property
     def scan(self) -> Angles:
         """Angles of a scan, at all distances from the middle."""
-        return self.angle + self.half_width * np.linspace(-1.0, 1.0, 2 * _SCAN_STEPS + 1)[1:-1]
+        shares = np.arange(1, _SCAN_STEPS) / _SCAN_STEPS
+        return self.angle + self.half_width * np.concatenate([-shares[::-1], shares])
 
     def holds(self, size: Angles) -> Bool[np.ndarray, " _"]:
         """Whether angles between 0 and pi are rescaled."""
         held: np.ndarray = np.abs(size - self.angle) < self.half_width
         return held
+
+    def is_rounding(self, size: Angles) -> Bool[np.ndarray, " _"]:
+        """Whether points of the curve at angles next to the middle are rounding."""
+        lost: np.ndarray = np.abs(size - self.angle) < self.rounding
+        return lost
+
+    @property
+    def rounding(self) -> float:
+        """How far from the middle points of the curve are rounding."""
+        return _LOST * self.half_width / self.growth
 
 
 def stretches_around(centers: DoubleDouble, others: Angles) -> tuple[Stretch, ...]:
@@ -524,6 +575,15 @@ def true_angles(
     return angles, speed
 
 
+def out_of_rounding(stretches: Sequence[Stretch], theta: Angles, beside: Angles) -> Angles:
+    """Return angles, moved towards others from where points of the curve are rounding."""
+    for stretch in stretches:
+        side = np.where(np.abs(beside) < stretch.angle, -1.0, 1.0)
+        edge = np.copysign(stretch.angle + side * stretch.rounding, theta)
+        theta = np.where(stretch.is_rounding(np.abs(theta)), edge, theta)
+    return theta
+
+
 def to_rescaled(stretches: Sequence[Stretch], angles: DoubleDouble) -> Angles:
     """Return the rescaled angles of true ones."""
     size = angles.hi + 0.0
@@ -539,11 +599,14 @@ _DIFFERENCE = (DoubleDouble(1.0, 0.0), DoubleDouble(-1.0, 0.0))  # z - 1
 _ILL_CONDITIONED = 1e5  # sum of a denominator's coefficients over its least size on the circle
 _DOUBTFUL = 30.0  # the same: above this, points are compared with double-double
 _CLOSEST, _FARTHEST = 1e-9, 4.0  # of the distances of poles that are told apart
+UNDAMPED = 1e-6  # how far the roots of such a mode are from the circle
+_HARDLY = 1e-4  # how far a gain of 1 moves them
 _ON_CIRCLE = 1e-6  # a root of Im V this close to the circle is on it
 _REMEMBERED = 64  # pairs of filters, and curves
 _SLOW = 0.5  # of the distance from 1
 
-System = tuple[SampledPlant, Transfer, Transfer]  # with T V(z) less its factor (1 - 1/z), P(z)
+# A plant with T V(z) less its factor (1 - 1/z), P(z), and the radius of the circle.
+System = tuple[SampledPlant, Transfer, Transfer, float]
 
 _NO_PAIRS = np.empty((2, 2, 2, 3, 0))
 
@@ -563,14 +626,13 @@ class Form(IntEnum):
 class Half(NamedTuple):
     """One half of the circle.
 
-    With a dash for the quotient (Q - Q(1)) / s the rows are N, D and D' N(1) - N' D(1); Y, X and
-    X' Y(1) - Y' X(1), which is V' Y Y(1).
+    With a dash for the quotient (Q - Q(1)) / s the rows are N, D and D' N(1) - N' D(1), then Y, X
+    and X' Y(1) - Y' X(1), which is V' Y Y(1).
     """
 
-    of_plant: Rows
-    of_estimate: Rows
+    rows: Rows
     at_one: tuple[float, float, float, float]  # N, D, Y, X at zeta = 1
-    sign: float  # of z^w at zeta = 1
+    gain: float  # z^w at zeta = 1
     forms: tuple[Form, Form]  # of W and of V
 
     @property
@@ -579,19 +641,19 @@ class Half(NamedTuple):
         n, d, y, x = self.at_one
         of_plant, of_estimate = self.forms
         return (
-            -self.sign * d / n if of_plant == Form.DIRECT else 0.0,
+            -self.gain * d / n if of_plant == Form.DIRECT else 0.0,
             x / y if of_estimate == Form.DIRECT else 0.0,
         )
 
 
 class FilteredCurve(NamedTuple):
-    """What the boundary of a loop with filters is made of."""
+    """What the boundary of a loop is made of, at the circle of radius r."""
 
     plus: Half
     minus: Half
     lag: float  # w
     parts: Float64[np.ndarray, "3 coefficient"]  # base, stiffness, damping, highest power first
-    at_minus_one: Float64[np.ndarray, "3"]  # the same of p(-1), its sign plus in the stable set
+    at_minus_one: Float64[np.ndarray, "3"]  # the same of p(-r), its sign plus in the stable set
     poles: Float64[np.ndarray, "2 pole"]  # angles in [0, pi], and how far they are from the circle
     resonances: Float64[np.ndarray, "2 root"]  # the same of zeros and poles of a general device
     steep: Angles  # those at which beta is 0: where V is small the curve is there for an instant
@@ -603,17 +665,73 @@ class FilteredCurve(NamedTuple):
     is_exact: bool = False  # whether all of it is evaluated in double-double
 
     @property
+    def length(self) -> int:
+        """The number of coefficients of p(z) without the pair of roots on the circle."""
+        return self.parts.shape[1] - 2
+
+    @property
     def num_plus(self) -> float:
-        """N(1)."""
+        """N(r)."""
         return self.plus.at_one[0]
 
+    @property
+    def plus_offset(self) -> float:
+        """W(r): the line z = r is alpha + plus_slope beta = W(r)."""
+        n, d, _, _ = self.plus.at_one
+        return 0.0 - self.plus.gain * d / n  # not the number -0
 
-def mass_system(gamma: float, delta: float, delay: float, filters: Filters) -> System:
+    @property
+    def plus_slope(self) -> float:
+        """V(r)."""
+        _, _, y, x = self.plus.at_one
+        return x / y
+
+    def minus_margin(self, alpha: Array | float, beta: Array | float) -> Array:
+        """p(-r) with the sign chosen so that it is positive inside the stable set."""
+        base, stiffness, damping = self.at_minus_one
+        return base + (stiffness * alpha + damping * beta)
+
+    @property
+    def lines_crossing(self) -> tuple[float, float]:
+        """(alpha, beta) where the lines of a real root at r and at -r cross."""
+        _, stiffness, damping = self.at_minus_one
+        with np.errstate(all="ignore"):  # they may be parallel
+            divisor = damping - stiffness * self.plus_slope
+            beta = -self.minus_margin(self.plus_offset, 0.0) / divisor
+            return self.plus_offset - self.plus_slope * beta, beta
+
+    def along_lines(self, alpha: Array, beta: Array) -> tuple[Array, Array]:
+        """Coordinates along the lines z = r and z = -r, with the stable set on the left."""
+        _, stiffness, damping = self.at_minus_one
+        level = np.sign(damping) * alpha  # of a line of constant beta
+        minus = np.where(stiffness == 0.0, level, -np.sign(stiffness) * beta)
+        return -np.sign(self.num_plus) * beta, minus
+
+    @property
+    def lines_turn(self) -> float:
+        """A sign: 1 where the boundary turns from the line z = r into the line z = -r.
+
+        It is -1 where it turns from z = -r into z = r, and 0 where they are parallel.
+        """
+        _, stiffness, damping = self.at_minus_one
+        turn: float = np.sign(self.num_plus) * np.sign(damping - stiffness * self.plus_slope)
+        return turn
+
+    def polynomial(self, alpha: Array, beta: Array) -> Array:
+        """The coefficients of p(r zeta) of walls, but for the last two, highest power first."""
+        columns = (-1, *(1 for _ in np.shape(alpha)))
+        base, stiffness, damping = (row[: self.length].reshape(columns) for row in self.parts)
+        return base + (stiffness * alpha + damping * beta)
+
+
+def mass_system(
+    gamma: float, delta: float, delay: float, filters: Filters, radius: float = 1.0
+) -> System:
     """Return the plant of one mass, with T V(z) less its factor (1 - 1/z), and with P(z)."""
     whole, fraction = divmod(delay, 1.0)
     plant = sampled_mass(np.float64(gamma), np.float64(delta), int(whole), fraction)
     # Double-double is many times faster with Python floats.
-    return tree_map(float, plant)._replace(lag=plant.lag), *_transfers(filters)
+    return tree_map(float, plant)._replace(lag=plant.lag), *_transfers(filters), radius
 
 
 @lru_cache(_REMEMBERED)
@@ -648,33 +766,35 @@ class _OfFilters(NamedTuple):
 
 
 @lru_cache(_REMEMBERED)
-def filtered_curve(plant: SampledPlant, velocity: Transfer, position: Transfer) -> FilteredCurve:
+def filtered_curve(
+    plant: SampledPlant, velocity: Transfer, position: Transfer, radius: float = 1.0
+) -> FilteredCurve:
     """Return the curve of a plant, with T V(z) less its factor (1 - 1/z), and with P(z)."""
     whole = plant.lag + position.lag
-    filters = of_filters(velocity, position)
-    above, below = _plants_around(plant)
-    loop = loop_of(plant, filters.of_loop)
-    real_angles, loses_digits = filters.real_angles, filters.loses_digits
-    lines = () if loses_digits else pole_lines(loop[:3], real_angles)
-    zeros = rounded(product(plant.numerator, position.numerator))
-    poles = plant.denominator, position.denominator
+    filters = of_filters(velocity, position, radius)
+    above, below = _plants_around(plant, radius)
+    loop = loop_of_radius(loop_of(plant, filters.of_loop), radius)
+    real_angles = filters.real_angles
+    lines = () if filters.loses_digits else pole_lines(loop[:3], real_angles)
+    zeros = rounded(rescaled(product(plant.numerator, position.numerator), radius))
+    poles = rescaled(product(plant.denominator, position.denominator), radius)
     return FilteredCurve(
-        plus=_half(*above, filters.plus, sign=1.0, is_plus=True),
-        minus=_half(*below, filters.minus, sign=float((-1) ** whole), is_plus=False),
+        plus=_half(*above, filters.plus, gain=radius**whole, of_plant=Form.DIRECT),
+        minus=_half(*below, filters.minus, gain=(-radius) ** whole),
         lag=float(whole),
         parts=np.array([rounded(polynomial) for polynomial in loop[:3]]),
         at_minus_one=rounded(tuple(end.value for end in loop.at_minus_one)),
         poles=_poles(real_angles, zeros, lines),
-        resonances=resonances_of(plant),
-        steep=_real_angles(rounded(product(reduce(product, poles), power(whole))), zeros),
+        resonances=resonances_of(plant, radius),
+        steep=_real_angles(rounded(product(poles, power(whole))), zeros),
         lines=lines,
-        loses_digits=loses_digits,
+        loses_digits=filters.loses_digits or hardly_moved(plant).size > 0,
         may_lose_some=filters.condition > _DOUBTFUL or plant.shifted is not None,
     )
 
 
 @lru_cache(_REMEMBERED)
-def of_filters(velocity: Transfer, position: Transfer) -> _OfFilters:
+def of_filters(velocity: Transfer, position: Transfer, radius: float = 1.0) -> _OfFilters:
     """Return the share of two filters in the curve.
 
     Raises:
@@ -694,53 +814,60 @@ def of_filters(velocity: Transfer, position: Transfer) -> _OfFilters:
     lag = velocity.lag + 1 - position.lag
     above = power(max(-lag, 0)), _DIFFERENCE, velocity.numerator, position.denominator
     below = power(max(lag, 0)), velocity.denominator, position.numerator
-    plus, minus = (_half_of_filters(above, below, position, sign) for sign in (1, -1))
+    plus, minus = (_half_of_filters(above, below, position, sign, radius) for sign in (1, -1))
+    both = (rescaled(reduce(product, each), radius) for each in (above, below))
     return _OfFilters(
         plus,
         minus,
         of_loop=loop_filters(velocity, position),
-        real_angles=_real_angles(*(rounded(reduce(product, each)) for each in (above, below))),
-        condition=_condition((velocity.denominator, position.denominator)),
+        real_angles=_real_angles(*map(rounded, both)),
+        condition=_condition((velocity.denominator, position.denominator), radius),
     )
 
 
 def _half_of_filters(
-    above: Sequence[Polynomial], below: Sequence[Polynomial], position: Transfer, sign: int
+    above: Sequence[Polynomial],
+    below: Sequence[Polynomial],
+    position: Transfer,
+    sign: int,
+    radius: float,
 ) -> _HalfOfFilters:
     """Return one half from the factors of X and Y."""
     x, y = (
-        reduce(Around.times, (around(factor, sign) for factor in factors))
+        reduce(Around.times, (around(factor, sign, radius) for factor in factors))
         for factors in (above, below)
     )
     return _HalfOfFilters(
-        of_d=around(position.denominator, sign),
-        of_n=around(position.numerator, sign),
+        of_d=around(position.denominator, sign, radius),
+        of_n=around(position.numerator, sign, radius),
         at_one=(y.value.rounded(), x.value.rounded()),
         rows=Rows.from_polynomials([y, x, minor(x, y)]),
         form=Form.DIRECT if sign > 0 else _form(x, y),
     )
 
 
-def _half(d: Around, n: Around, filters: _HalfOfFilters, *, sign: float, is_plus: bool) -> Half:
+def _half(
+    d: Around, n: Around, filters: _HalfOfFilters, *, gain: float, of_plant: Form | None = None
+) -> Half:
     d, n = d.times(filters.of_d), n.times(filters.of_n)
     return Half(
-        of_plant=Rows.from_polynomials([n, d, minor(d, n)]),
-        of_estimate=filters.rows,
+        rows=Rows.from_polynomials([n, d, minor(d, n)]).above(filters.rows),
         at_one=(n.value.rounded(), d.value.rounded(), *filters.at_one),
-        sign=sign,
-        forms=(Form.DIRECT if is_plus else _form(d, n), filters.form),
+        gain=gain,
+        forms=(_form(d, n) if of_plant is None else of_plant, filters.form),
     )
 
 
 def loop_of_system(system: System) -> LinearLoop:
     """Return the same loop as three polynomials."""
-    plant, velocity, position = system
-    return loop_of(plant, of_filters(velocity, position).of_loop)
+    plant, velocity, position, radius = system
+    return loop_of_radius(loop_of(plant, of_filters(velocity, position, radius).of_loop), radius)
 
 
-def _condition(denominators: Sequence[Polynomial]) -> float:
+def _condition(denominators: Sequence[Polynomial], radius: float) -> float:
     """Return by how much rounding may be amplified where poles are close to each other."""
-    coefficients = rounded(reduce(product, denominators))
+    coefficients = rounded(rescaled(reduce(product, denominators), radius))
+    coefficients /= coefficients[0]
     circle = np.exp(1j * np.geomspace(1e-3, np.pi, 64))
     least = np.min(np.abs(np.prod(circle[:, None] - np.roots(coefficients), axis=1)))
     return float(np.sum(np.abs(coefficients)) / least)
@@ -751,15 +878,17 @@ def parts_in_pairs(system: System) -> Float64[np.ndarray, "2 2 2 3 coefficient"]
 
     They are in powers of zeta and of zeta - 1, on the halves of z = zeta and of z = -zeta.
     """
-    plant, velocity, position = system
+    plant, velocity, position, radius = system
     loop = loop_of_system(system)[:3]
     powers, factors = loop_factors(plant.lag, velocity, position)
+    unit = ONE[0] / rescaled(power(len(loop[0]) - 1), radius)[0]  # p(z) of a radius is monic
     halves = []
-    for (d, n), sign in zip(_plants_around(plant), (1, -1), strict=True):
+    for (d, n), sign in zip(_plants_around(plant, radius), (1, -1), strict=True):
         shifted = []
         for polynomial, count, others in zip((d, n, n), powers, factors, strict=True):
-            parts = [around(factor, sign).shifted for factor in (power(count), *others)]
-            shifted.append(reduce(product, parts, polynomial.shifted))
+            parts = [around(factor, sign, radius).shifted for factor in (power(count), *others)]
+            whole = reduce(product, parts, polynomial.shifted)
+            shifted.append(whole if radius == 1.0 else tuple(c * unit for c in whole))
         straight = loop if sign > 0 else [turned(p) for p in loop]
         halves.append([_as_array(each, len(loop[0])) for each in (straight, shifted)])
     return np.array(halves)
@@ -773,23 +902,20 @@ def _as_array(
     return np.array(rows, float).transpose(2, 0, 1)
 
 
-def _plants_around(plant: SampledPlant) -> list[tuple[Around, Around]]:
+def _plants_around(plant: SampledPlant, radius: float) -> list[tuple[Around, Around]]:
     """Return D and N on both halves of the circle."""
     n, d = plant.numerator, plant.denominator
     if plant.shifted is not None:
         n_shifted, d_shifted, n_turned, d_turned = plant.shifted
-        return [
-            (Around(d, d_shifted), Around(n, n_shifted)),
-            (Around(turned(d), d_turned), Around(turned(n), n_turned)),
-        ]
-    # The values at the ends are known to more digits than sums of coefficients.
-    numerator = around(n, 1)
-    ratio = plant.at_one[1].value / plant.at_one[0].value
-    above, below = (end.value for end in plant.at_minus_one)
-    return [
-        (around(d, 1).with_value(numerator.value * ratio), numerator),
-        (around(d, -1).with_value(below), around(n, -1).with_value(above)),
-    ]
+        above = Around(d, d_shifted), Around(n, n_shifted)
+        below = Around(turned(d), d_turned), Around(turned(n), n_turned)
+    else:  # the values at the ends are known to more digits than sums of coefficients
+        numerator = around(n, 1)
+        ratio = plant.at_one[1].value / plant.at_one[0].value
+        values = [end.value for end in plant.at_minus_one]
+        above = around(d, 1).with_value(numerator.value * ratio), numerator
+        below = around(d, -1).with_value(values[1]), around(n, -1).with_value(values[0])
+    return [(d.of_radius(radius), n.of_radius(radius)) for d, n in (above, below)]
 
 
 def _form(above: Around, below: Around) -> Form:
@@ -831,7 +957,7 @@ def _real_angles(above: Angles, below: Angles) -> Angles:
     return angles[(angles > _ON_CIRCLE) & (angles < np.pi - _ON_CIRCLE)]
 
 
-def resonances_of(plant: SampledPlant) -> Float64[np.ndarray, "2 root"]:
+def resonances_of(plant: SampledPlant, radius: float = 1.0) -> Float64[np.ndarray, "2 root"]:
     """Return the angles in [0, pi] of zeros and poles of a general device, and how far they are.
 
     Next to 1 they are found in powers of z - 1: those of slow modes differ by less than the
@@ -843,8 +969,23 @@ def resonances_of(plant: SampledPlant) -> Float64[np.ndarray, "2 root"]:
     pairs = zip(map(rounded, both), map(rounded, plant.shifted[:2]), strict=True)
     every = np.concatenate([_roots(*pair) for pair in pairs])
     every = every[every.imag >= 0.0]
-    distance = np.abs(np.log(np.maximum(np.abs(every), 1e-300)))
+    distance = np.abs(np.log(np.maximum(np.abs(every) / radius, 1e-300)))
     return np.stack([np.abs(np.angle(every)), np.clip(distance, _CLOSEST, _FARTHEST)])
+
+
+def hardly_moved(plant: SampledPlant) -> Angles:
+    """Return the angles of undamped modes of a general device that walls hardly move.
+
+    There the curve passes gains of all sizes within angles that float64 does not tell apart.
+    """
+    if plant.shifted is None:
+        return np.empty(0)
+    n, d = map(rounded, plant.shifted[:2])
+    poles = _roots(rounded(plant.denominator), d)
+    poles = poles[(np.abs(np.abs(poles) - 1.0) < UNDAMPED) & (poles.imag > 0.0)]
+    gains, slopes = (np.polyval(p, poles - 1.0) for p in (n, np.polyder(d)))
+    angles: Angles = np.angle(poles[np.abs(gains) < _HARDLY * np.abs(slopes)])
+    return angles
 
 
 def _roots(straight: Angles, shifted: Angles) -> Array:

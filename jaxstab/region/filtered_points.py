@@ -1,4 +1,4 @@
-"""Points and slopes of the boundary of a loop with filters. NumPy only.
+"""Points and slopes of the boundary curve. NumPy only.
 
 The form that is evaluated is that of ``filtered_curve``: polynomials on one half of the circle, in
 powers of zeta or of zeta - 1, whichever has the smaller terms, and their quotients by zeta - 1.
@@ -58,6 +58,10 @@ class Dual(NamedTuple):
             return Dual(value, (self.slope - value * other.slope) / other.value)
         return Dual(self.value / other, self.slope / other)
 
+    def conj(self) -> "Dual":
+        """The conjugates."""
+        return Dual(self.value.conj(), self.slope.conj())
+
     @property
     def real(self) -> "Dual":
         """The real parts."""
@@ -83,13 +87,13 @@ class _Circle(NamedTuple):
         return cls(np.exp(1j * u), 1j * size * np.exp(0.5j * u), size)
 
 
-def filtered_point(
-    curve: FilteredCurve, theta: Array, low: Array | float
+def curve_and_lift(
+    curve: FilteredCurve, theta: Array, low: Array | float = 0.0
 ) -> tuple[Array, Array, Array]:
-    """Return alpha, beta and (alpha - W(1)) / (1 - cos th) at angles, which may be negative.
+    """Return alpha, beta and (alpha + beta V(r) - W(r)) / (1 - cos th).
 
-    ``low`` is what rounding took from the angles. A complex step of theta (``with_slope``) adds the
-    slopes.
+    ``low`` is what rounding took from the angles, which may be negative. A complex step of theta
+    (``with_slope``) adds the slopes.
     """
     theta = np.asarray(theta)
     flat, low = theta.ravel(), np.broadcast_to(low, theta.shape).ravel()
@@ -156,8 +160,9 @@ def _on_line(
     """Return alpha, beta and the lift next to a line at a pole, and their slopes."""
     (alpha, beta, angle), (alpha_slope, beta_slope, turn) = line.gains(size)
     below = 2.0 * np.sin(0.5 * angle) ** 2
-    lift = (alpha - curve.plus.values[0]) / below
-    lift_slope = (alpha_slope - lift * np.sin(angle) * turn) / below
+    lift = (alpha + curve.plus_slope * beta - curve.plus_offset) / below
+    line_slope = alpha_slope + curve.plus_slope * beta_slope
+    lift_slope = (line_slope - lift * np.sin(angle) * turn) / below
     return np.stack([alpha, beta, lift]), np.stack([alpha_slope, beta_slope, lift_slope])
 
 
@@ -176,29 +181,29 @@ def _gains(
 ) -> tuple[Values, Values, Values]:
     """Return alpha, beta and the lift, by the angles u of zeta on one half of the circle."""
     circle = _Circle.at_angles(u)
-    n, d, fall = _rows(half.of_plant, circle, with_slopes=with_slopes)
-    y, x, rise = _rows(half.of_estimate, circle, with_slopes=with_slopes)
+    n, d, fall, y, x, rise = _rows(half.rows, circle, with_slopes=with_slopes)
     n_one, d_one, y_one, x_one = map(_divisor, half.at_one)
-    (plant_one, estimate_one), sign = half.values, half.sign
+    (plant_one, estimate_one), gain = half.values, half.gain
     sine, cosine = _sinusoids(0.5, u, with_slopes=with_slopes)
     tangent = sine / cosine
     rolled = _geometric(curve.lag, u, sine, with_slopes=with_slopes)
-    plant = (rolled * d * half.at_one[0] + fall) / n * (-sign / n_one)
+    plant = (rolled * d * half.at_one[0] + fall) / n * (-gain / n_one)
     estimate = rise / y / y_one
     plant_swing, estimate_swing = _swing(plant, tangent), _swing(estimate, tangent)
     of_plant, of_estimate = half.forms
     if of_plant or of_estimate:
         turn = _turn(curve.lag, u, with_slopes=with_slopes)
-        whole, speed = turn * d / n * -sign, x / y  # W and V
+        whole, speed = turn * d / n * -gain, x / y  # W and V
         if of_plant == Form.INVERSE:
-            gain, fallen = n / d, fall / d / -d_one
-            moved = rolled * (half.at_one[0] / d_one) - fallen
+            # Times |D|^2: an undamped hand has D = 0 on the circle.
+            fallen = fall * d.conj() / -d_one
+            moved = rolled * _square(d) * (half.at_one[0] / d_one) - fallen
             plant_swing = _swing(moved, tangent) + tangent * _cross(fallen, rolled) * 2.0
-            plant_swing = plant_swing * -sign / _square(gain)
+            plant_swing = plant_swing * -gain / _square(n)
         elif of_plant == Form.WHOLE:
             plant_swing = whole.imag / (sine * cosine * 2.0)
         if of_estimate == Form.INVERSE:
-            estimate_swing = _swing(rise / x / x_one, tangent) * _square(speed)
+            estimate_swing = _swing(rise * x.conj() / x_one, tangent) / _square(y)
         elif of_estimate == Form.WHOLE:
             estimate_swing = speed.imag / (sine * cosine * 2.0)
     beta = plant_swing / estimate_swing
@@ -209,7 +214,8 @@ def _gains(
         alpha = tangent * swing * 2.0 + plant_one - beta * estimate_one
     if half is curve.plus:
         return alpha, beta, swing / (sine * cosine)
-    return alpha, beta, (alpha - curve.plus.values[0]) / (cosine * cosine * 2.0)
+    away = alpha + beta * curve.plus_slope - curve.plus_offset
+    return alpha, beta, away / (cosine * cosine * 2.0)
 
 
 def _swing(quotient: Values, tangent: Values) -> Values:
@@ -304,13 +310,13 @@ def is_oriented(curve: FilteredCurve, theta: Angles) -> Bool[np.ndarray, " angle
 
 def _swing_of_estimate(half: Half, u: Angles) -> Angles:
     """Return a number of the sign of Im V at zeta = e^(iu)."""
-    y, x, rise = _rows(half.of_estimate, _Circle.at_angles(u), with_slopes=False)
+    _, _, _, y, x, rise = _rows(half.rows, _Circle.at_angles(u), with_slopes=False)
     _, _, y_one, x_one = map(_divisor, half.at_one)
     swing: Angles
     if half.forms[1] == Form.WHOLE:
         swing = (x / y).imag
     elif half.forms[1] == Form.INVERSE:
-        swing = _swing(rise / x / x_one, np.tan(0.5 * u))
+        swing = _swing(rise * x.conj() / x_one, np.tan(0.5 * u))
     else:
         swing = _swing(rise / y / y_one, np.tan(0.5 * u))
     return swing

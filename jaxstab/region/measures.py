@@ -2,7 +2,7 @@
 
 Between two vertices of an outline alpha and beta are monotone. So a line of constant alpha or beta
 meets an edge, once, where it passes between its ends, and a part of an edge lies in the box of its
-ends. The polygon only brackets; the numbers are those of the closed form:
+ends. The polygon only brackets; the numbers are those of the curve:
 
 - limits are roots of the curve's coordinate on the edges that a row passes;
 - a point is inside if an odd number of these crossings lies beyond it;
@@ -23,7 +23,8 @@ from jaxtyping import Float64
 
 from jaxstab.arrays import Array, constant, joined, namespace, tree_map
 from jaxstab.batches import on_host
-from jaxstab.region.curve import Curve, curve_and_lift
+from jaxstab.region.filtered_curve import FilteredCurve
+from jaxstab.region.filtered_points import curve_and_lift
 from jaxstab.region.outline import Outline
 from jaxstab.region.pieces import Branch
 from jaxstab.region.roots import bracketed_root, nonzero, with_slope
@@ -39,7 +40,7 @@ Columns = tuple[Array, ...]
 
 
 def limits(
-    c: Curve, outline: Outline, values: Array, *, axis: int, outermost: bool = True
+    c: FilteredCurve, outline: Outline, values: Array, *, axis: int, outermost: bool = True
 ) -> Array:
     """Return where lines of constant alpha (axis 0) or beta (axis 1) enter and leave the region.
 
@@ -68,7 +69,7 @@ def limits(
     return _moved(both, (slopes, values[..., None]))
 
 
-def quadrant_extremes(c: Curve, outline: Outline) -> tuple[Array, Array]:
+def quadrant_extremes(c: FilteredCurve, outline: Outline) -> tuple[Array, Array]:
     """Return the points of the largest alpha and of the largest beta where the other is >= 0.
 
     Each is a vertex, or the last crossing with the axis of that gain; NaN if no gain is positive.
@@ -76,7 +77,7 @@ def quadrant_extremes(c: Curve, outline: Outline) -> tuple[Array, Array]:
     return _extreme(c, outline, 0), _extreme(c, outline, 1)
 
 
-def _extreme(c: Curve, outline: Outline, axis: int) -> Array:
+def _extreme(c: FilteredCurve, outline: Outline, axis: int) -> Array:
     vertices = outline.vertices
     other = np.nan_to_num(vertices[:, 1 - axis], nan=-np.inf)
     is_allowed = other >= -_STILL * np.max(other)  # a corner on the axis may be beside it
@@ -85,12 +86,13 @@ def _extreme(c: Curve, outline: Outline, axis: int) -> Array:
     crossing = limits(c, outline, np.zeros(1), axis=1 - axis)[0, 1]
     if crossing - largest > _STILL * abs(crossing):
         largest, point = crossing, np.array([crossing, 0.0][:: 1 - 2 * axis])
-    is_there = largest > _STILL * np.max(abs(np.nan_to_num(vertices[:, axis])))
+    sizes = _STILL * np.max(abs(np.nan_to_num(vertices)), axis=0)
+    is_there = largest > sizes[axis] and np.max(other) > sizes[1 - axis]  # beyond rounding
     return np.where(is_there, point, np.nan) + 0.0  # no -0
 
 
 def crossings(
-    c: Curve, outline: Outline, values: Float64[np.ndarray, " row"], *, axis: int
+    c: FilteredCurve, outline: Outline, values: Float64[np.ndarray, " row"], *, axis: int
 ) -> Float64[np.ndarray, "row crossing"]:
     """Return the ends of all intervals on lines as in ``limits``, ascending, then NaN."""
     with np.errstate(all="ignore"):  # NaN and infinity are answers
@@ -98,13 +100,13 @@ def crossings(
     return np.sort(coordinates, axis=-1)
 
 
-def contains(c: Curve, outline: Outline, alpha: Array, beta: Array) -> Array:
+def contains(c: FilteredCurve, outline: Outline, alpha: Array, beta: Array) -> Array:
     """Return whether an odd number of crossings of the row lies beyond alpha."""
     is_inside: Array = _columns(partial(_is_inside, c, outline), outline, 0, alpha, beta)
     return is_inside
 
 
-def _is_inside(c: Curve, outline: Outline, alpha: Array, beta: Array) -> Array:
+def _is_inside(c: FilteredCurve, outline: Outline, alpha: Array, beta: Array) -> Array:
     met, beyond = _met(outline, beta, 1), outline.vertices[:, 0] > alpha[:, None]
     here, there = beyond[:, :-1], beyond[:, 1:]
     count = np.sum(met & here & there, axis=-1)
@@ -115,7 +117,7 @@ def _is_inside(c: Curve, outline: Outline, alpha: Array, beta: Array) -> Array:
     return count % 2 == 1
 
 
-def distance(c: Curve, outline: Outline, alpha: Array, beta: Array) -> Array:
+def distance(c: FilteredCurve, outline: Outline, alpha: Array, beta: Array) -> Array:
     """Return the distance to the exact boundary, positive inside."""
 
     def to_boundary(alpha: Array, beta: Array) -> Columns:
@@ -132,7 +134,7 @@ def distance(c: Curve, outline: Outline, alpha: Array, beta: Array) -> Array:
 
 
 @np.errstate(all="ignore")  # NaN and infinity are answers
-def area(c: Curve, outline: Outline) -> Array:
+def area(c: FilteredCurve, outline: Outline) -> Array:
     """Return the integral of alpha d(beta) around the boundary, by Gauss' rule on each piece."""
     begin, end = outline.angles[:, :1], outline.angles[:, 1:]
     half = 0.5 * (end - begin)
@@ -146,7 +148,7 @@ def area(c: Curve, outline: Outline) -> Array:
     return np.where(outline.resolved, enclosed, np.nan)
 
 
-def deviation(c: Curve, outline: Outline) -> Array:
+def deviation(c: FilteredCurve, outline: Outline) -> Array:
     """Return how far the boundary leaves the polygon, as a share of the region's diameter."""
     middle = np.stack(_point(c, np.mean(outline.angles, axis=1)), axis=-1)
     here, there = outline.vertices[:-1], outline.vertices[1:]
@@ -156,7 +158,7 @@ def deviation(c: Curve, outline: Outline) -> Array:
     return np.max(np.where(outline.branches == Branch.CURVE, bulges, 0.0)) / size
 
 
-def _point(c: Curve, theta: Array, low: Array | float = 0.0) -> Array:
+def _point(c: FilteredCurve, theta: Array, low: Array | float = 0.0) -> Array:
     return np.stack(curve_and_lift(c, theta, low)[:2])
 
 
@@ -189,7 +191,7 @@ def _moved(values: Array, *pairs: tuple[Array, Array]) -> Array:
 
 
 def _crossings(
-    c: Curve, outline: Outline, values: Array, axis: int, met: Array
+    c: FilteredCurve, outline: Outline, values: Array, axis: int, met: Array
 ) -> tuple[Array, Array, Array]:
     """Return where rows meet edges, in the other coordinate (row, crossing), and which exist.
 
@@ -219,7 +221,7 @@ def _met(outline: Outline, values: Array, axis: int) -> Array:
     return (above[:, :-1] != above[:, 1:]) & (outline.branches >= 0)
 
 
-def _last_steps(c: Curve, theta: Array, goals: Array, axis: int) -> tuple[Array, Array]:
+def _last_steps(c: FilteredCurve, theta: Array, goals: Array, axis: int) -> tuple[Array, Array]:
     """Return Newton's steps from crossings' angles, and the slopes of the other coordinate there.
 
     Close to pi the steps are what rounding took from an angle.
@@ -235,7 +237,7 @@ def _last_steps(c: Curve, theta: Array, goals: Array, axis: int) -> tuple[Array,
 # ------------------------------------------------------------------------ the nearest point
 
 
-def _nearest(c: Curve, outline: Outline, points: Array) -> Array:
+def _nearest(c: FilteredCurve, outline: Outline, points: Array) -> Array:
     """Return the nearest points (point, 2) of the boundary.
 
     Edges are looked at in the order of the distances of their boxes, up to where a box is farther
@@ -273,7 +275,7 @@ def _box_distances(here: Array, there: Array, points: Array) -> Array:
     return np.hypot(beside[..., 0], beside[..., 1])
 
 
-def _feet(c: Curve, outline: Outline, edges: Array, points: Array) -> tuple[Array, Array]:
+def _feet(c: FilteredCurve, outline: Outline, edges: Array, points: Array) -> tuple[Array, Array]:
     """Return the distances (point, edge) of points to some edges each, and the angles there.
 
     An edge of the curve is divided, and so is its part with the nearest box, with its neighbours;

@@ -3,7 +3,7 @@
 Pieces are followed from end to end: a piece ends where its partner begins, so each component is
 bounded by closed loops. Vertices are spread over a piece by how much it bends; straight parts get
 few. Between two vertices alpha and beta are monotone, because turning points of either are vertices
-as well. Every vertex is a point of the closed form, exact to rounding.
+as well. Every vertex is a point of the curve, exact to rounding.
 
 The steps are the order of the pieces along the boundary (``_in_sequence``), a survey of slopes on
 each (``_survey``), its turning points, vertices between which the boundary leaves its chord alike
@@ -16,14 +16,8 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxstab.arrays import Array, joined, take, tree_map
-from jaxstab.region.curve import (
-    Curve,
-    curve_and_lift,
-    lines_crossing,
-    plus_offset,
-    plus_slope,
-    poles,
-)
+from jaxstab.region.filtered_curve import FilteredCurve
+from jaxstab.region.filtered_points import curve_and_lift
 from jaxstab.region.pieces import NO_BRANCH, Branch, Pieces
 from jaxstab.region.roots import bracketed_root, with_slope
 
@@ -73,7 +67,7 @@ class _Marks(NamedTuple):
 _ON_PIECE, _VIA, _CLOSING = 0, 1, 2  # in the order in which a piece and what follows pass them
 
 
-def polygon(c: Curve, pieces: Pieces, points: int) -> Outline:
+def polygon(c: FilteredCurve, pieces: Pieces, points: int) -> Outline:
     """Return an outline of ``points`` vertices, spread so that all edges bend alike.
 
     It has more of them where corners and turning points alone are more than half.
@@ -174,7 +168,7 @@ def _in_sequence(pieces: Pieces) -> tuple[Pieces, Array]:
     return ordered, np.array(loop)
 
 
-def _survey(c: Curve, pieces: Pieces, count: int) -> tuple[Array, Array]:
+def _survey(c: FilteredCurve, pieces: Pieces, count: int) -> tuple[Array, Array]:
     """Return angles (piece, node) and the tangents (alpha', beta') there (2, piece, node)."""
     # At th = 0 and pi the curve has zero speed: look beside.
     beside = _BESIDE * (pieces.end - pieces.begin)[:, None]
@@ -183,18 +177,18 @@ def _survey(c: Curve, pieces: Pieces, count: int) -> tuple[Array, Array]:
     nodes = [begin + (end - begin) * np.concatenate([_FIRST, even, 1.0 - _FIRST])]
     # Half of them close in on the angles at which the curve flies off.
     shares = (np.arange(count // 4) + 0.5) / (count // 4)
-    for pole, apart in zip(*poles(c), strict=True):
+    for pole, apart in zip(np.append(c.poles[0], -c.poles[0]), np.tile(c.poles[1], 2), strict=True):
         low, high = (np.arcsinh((limit - pole) / apart) for limit in (begin, end))
         nodes.append(np.clip(pole + apart * np.sinh(low + (high - low) * shares), begin, end))
     ordered = np.sort(np.concatenate(nodes, axis=1), axis=1)
     return ordered, _tangent(c, ordered)
 
 
-def _tangent(c: Curve, theta: Array) -> Array:
+def _tangent(c: FilteredCurve, theta: Array) -> Array:
     return with_slope(lambda angle: np.stack(curve_and_lift(c, angle)[:2]), theta)[1]
 
 
-def _turning_points(c: Curve, pieces: Pieces, nodes: Array, tangents: Array) -> _Marks:
+def _turning_points(c: FilteredCurve, pieces: Pieces, nodes: Array, tangents: Array) -> _Marks:
     """Return where alpha or beta turns."""
     moves = abs(tangents) > _ROUNDING * np.hypot(*tangents)
     turns = (tangents[..., 1:] * tangents[..., :-1] < 0.0) & (moves[..., 1:] | moves[..., :-1])
@@ -226,13 +220,12 @@ def _spread(pieces: Pieces, nodes: Array, tangents: Array, count: int) -> _Marks
     return _on_curve(pieces, piece, nodes[piece, node + 1] + steps[piece, node] * share)
 
 
-def _points(c: Curve, marks: _Marks) -> Array:
+def _points(c: FilteredCurve, marks: _Marks) -> Array:
     """Return the points of marks; corners with a line are on that line to the last digit."""
     alpha, beta = curve_and_lift(c, marks.theta, marks.low)[:2]
-    alpha = np.where(
-        marks.branch == Branch.Z_PLUS_ONE, plus_offset(c) - plus_slope(c) * beta, alpha
-    )
-    crossing = np.stack(lines_crossing(c))
+    on_plus = c.plus_offset - c.plus_slope * beta
+    alpha = np.where(marks.branch == Branch.Z_PLUS_ONE, on_plus, alpha)
+    crossing = np.stack(c.lines_crossing)
     return np.where((marks.stage == _VIA)[:, None], crossing, np.stack([alpha, beta], -1))
 
 
@@ -249,7 +242,7 @@ def _edges(pieces: Pieces, marks: _Marks) -> tuple[Array, Array]:
     return branches, np.stack([here.theta, end], axis=-1)
 
 
-def _corners(c: Curve, pieces: Pieces, points: Array) -> Array:
+def _corners(c: FilteredCurve, pieces: Pieces, points: Array) -> Array:
     """Return the corners in the order of the boundary; the points are those of begins, then ends.
 
     They are filled up with NaN.
@@ -258,6 +251,6 @@ def _corners(c: Curve, pieces: Pieces, points: Array) -> Array:
     count = len(pieces.begin)
     ends_on_line = pieces.end_branch != Branch.CURVE
     exists = np.stack([np.ones(count, bool), ends_on_line, pieces.via], axis=1)
-    crossing = np.broadcast_to(np.stack(lines_crossing(c)), (count, 2))
+    crossing = np.broadcast_to(np.stack(c.lines_crossing), (count, 2))
     corners = np.stack([points[:count], points[count : 2 * count], crossing], axis=1)[exists]
     return np.concatenate([corners, np.full((3 * count - len(corners), 2), np.nan)])

@@ -1,4 +1,4 @@
-"""The pieces of the closed-form boundary that bound the stable set, and how they join.
+"""The pieces of the boundary curve that bound the stable set, and how they join.
 
 A point of the curve bounds the stable set exactly where the other roots of p lie inside of the
 circle. So the search is one-dimensional: a *piece* is an interval of th that
@@ -18,7 +18,7 @@ of both lines (``_linked``). If every piece follows exactly one, the boundary is
 
 from collections.abc import Callable
 from enum import IntEnum
-from functools import cache, partial
+from functools import cache, partial, reduce
 from math import comb
 from typing import NamedTuple
 
@@ -28,19 +28,10 @@ from jaxtyping import Bool, Float64
 from jaxstab.arrays import Array
 from jaxstab.model import companion_matrix
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.region.curve import (
-    Curve,
-    along_lines,
-    curve_and_lift,
-    lines_crossing,
-    lines_turn,
-    minus_margin,
-    plus_offset,
-    polynomial,
-)
 from jaxstab.region.exact import all_inside, angles_on_circle, lines_crossing_of
-from jaxstab.region.filtered_curve import FilteredCurve, PoleLine, to_rescaled
+from jaxstab.region.filtered_curve import FilteredCurve, PoleLine, out_of_rounding, to_rescaled
 from jaxstab.region.filtered_points import (
+    curve_and_lift,
     exact_walls,
     is_oriented,
     root_angles,
@@ -97,19 +88,18 @@ class _Steps(NamedTuple):
     mismatches: tuple[Array, ...]
 
 
-def scales(c: Curve, alpha: Array, beta: Array, theta: Array) -> Scales:
+def scales(c: FilteredCurve, alpha: Array, beta: Array, theta: Array) -> Scales:
     """Return the scales of the mismatches at points of the curve."""
     cosine = np.cos(theta)
-    size = abs(alpha) + abs(beta) + abs(plus_offset(c))
-    base, slope, damping = map(abs, c.at_minus_one)
-    if isinstance(c, FilteredCurve):  # undamped modes put corners at 0
-        size = size + _SMALLEST * np.max(size, initial=0.0, where=np.isfinite(size))
-        slope = slope + damping
-    margin = base + slope * size
+    size = abs(alpha) + abs(beta) + abs(c.plus_offset)
+    # Undamped modes put corners at 0.
+    size = size + _SMALLEST * np.max(size, initial=0.0, where=np.isfinite(size))
+    base, stiffness, damping = map(abs, c.at_minus_one)
+    margin = base + (stiffness + damping) * size
     return Scales(1.0 / size, (1.0 - cosine) / size, (1.0 + cosine) / margin)
 
 
-def nearest_branch(c: Curve, angles: Array, scale: Scales) -> Array:
+def nearest_branch(c: FilteredCurve, angles: Array, scale: Scales) -> Array:
     """Return for ends at angles[0] which Branch the curve meets there, next to angles[1] or not.
 
     For each kind of corner Newton's method says how far off it is; the nearest one is taken.
@@ -119,7 +109,7 @@ def nearest_branch(c: Curve, angles: Array, scale: Scales) -> Array:
 
 
 def solved_corners(
-    c: Curve, branch: Array, angles: Array, scale: Scales, half_width: Array
+    c: FilteredCurve, branch: Array, angles: Array, scale: Scales, half_width: Array
 ) -> tuple[Array, Array, Array]:
     """Return the angles near ``angles[0]`` where the curve meets a branch, and which are solved.
 
@@ -152,8 +142,6 @@ def solved_corners(
         steps, mismatch = newton(here)
     solved = here - steps
     low = (here - solved) - steps
-    if not isinstance(c, FilteredCurve):
-        return solved[0], low[0], mismatch < _TOLERANCE
     # Where the curve flies from one point to another, angles round to points that are apart.
     is_last = np.max(np.abs(steps) - _ROUNDING * (1.0 + np.abs(here)), axis=0) < 0.0
     tolerance = _ROUGH if c.is_exact else _TOLERANCE
@@ -175,12 +163,12 @@ def steps_to_meeting(
     return step, other
 
 
-def _newton_steps(c: Curve, angles: Array, scale: Scales) -> _Steps:
+def _newton_steps(c: FilteredCurve, angles: Array, scale: Scales) -> _Steps:
     """Return the steps from angles (2, end) to corners: the second row is for curve with curve."""
 
     def values(angles: Array) -> tuple[Array, ...]:
         alpha, beta, lift = curve_and_lift(c, angles)
-        margin = minus_margin(c, alpha[0], beta[0]) / (1.0 + np.cos(angles[0]))
+        margin = c.minus_margin(alpha[0], beta[0]) / (1.0 + np.cos(angles[0]))
         return (
             alpha * scale.points,
             beta * scale.points,
@@ -214,26 +202,26 @@ _AT_ONCE = 1 << 18  # coefficients of polynomials that are held in memory
 _ROUND = 32  # steps of the test after which the polynomials that failed are dropped
 
 
-def others_inside(c: Curve, theta: Array, length: int, within: float = 1.0) -> Array:
+def others_inside(c: FilteredCurve, theta: Array, within: float = 1.0) -> Array:
     """Return where all roots of p but those at r e^(+-i theta) lie inside of the circle.
 
     ``within`` is the size of another circle, as a multiple of that.
 
     Source: the criterion of Schur and Cohn, as a recursion for the polynomial and its reverse.
     """
-    if isinstance(c, FilteredCurve) and c.is_exact:
+    if c.is_exact:
         return all_inside(c, *exact_walls(c, theta), within)
-    if theta.size * length > _AT_ONCE and theta.size > 1:
-        chunks = np.array_split(theta.ravel(), -(-theta.size * length // _AT_ONCE))
-        each = [others_inside(c, chunk, length, within) for chunk in chunks]
+    if theta.size * c.length > _AT_ONCE and theta.size > 1:
+        chunks = np.array_split(theta.ravel(), -(-theta.size * c.length // _AT_ONCE))
+        each = [others_inside(c, chunk, within) for chunk in chunks]
         return np.concatenate(each).reshape(theta.shape)
-    falling = polynomial(c, curve_and_lift(c, theta)[:2], length)
+    falling = c.polynomial(*curve_and_lift(c, theta)[:2])
     inside = _may_be_stable(falling, within)
     inside[inside] = _all_inside(_shrunk(_others(c, falling[:, inside], theta[inside]), within))
     return inside
 
 
-def _others(c: Curve, falling: Array, theta: Array) -> Array:
+def _others(c: FilteredCurve, falling: Array, theta: Array) -> Array:
     """Divide polynomials by the pairs at r e^(+-i theta), roots of them."""
     angle = root_angles(c.lines, theta) if c.lines else theta
     return _quotient(falling, 2.0 * np.cos(angle), 1.0)
@@ -275,11 +263,11 @@ def _shrunk(falling: Array, within: float) -> Array:
     return falling * (within**-powers).reshape(-1, *(1 for _ in falling.shape[1:]))
 
 
-def lines_crossing_is_stable(c: Curve, length: int) -> Array:
+def lines_crossing_is_stable(c: FilteredCurve) -> Array:
     """Return whether all roots lie inside where the lines z = r and z = -r cross, but for those."""
-    if isinstance(c, FilteredCurve) and c.is_exact:
+    if c.is_exact:
         return all_inside(c, *lines_crossing_of(c.pairs), 1.0)
-    falling = polynomial(c, lines_crossing(c), length)
+    falling = c.polynomial(*c.lines_crossing)
     return _all_inside(_quotient(falling, np.zeros(()), -1.0))
 
 
@@ -359,15 +347,13 @@ class _Links(NamedTuple):
     exists: Array
 
 
-def find_pieces(c: Curve, angles: Array, *, length: int) -> Pieces:
+def find_pieces(c: FilteredCurve, angles: Array) -> Pieces:
     """Return the pieces of one slice that a scan over these angles, in (0, pi) in order, finds.
-
-    ``length`` is that of the polynomials with the other roots: floor(delay) + 3 for one mass.
 
     Source: the D-decomposition of Gryazina, Polyak, Tremba (2008), with the criterion of Schur and
     Cohn for the other roots.
     """
-    ends = _piece_ends(c, angles, length)
+    ends = _piece_ends(c, angles)
     if ends is None:
         return _NO_PIECES
     to_join, _, _ = _joined(ends, ~ends.pinned)
@@ -383,7 +369,7 @@ def find_pieces(c: Curve, angles: Array, *, length: int) -> Pieces:
     links = _linked(c, walls, begin_branch, end_branch, following)
     index = np.arange(len(begin))
     is_mutual = (begin_branch[following] == Branch.CURVE) & (preceding[following] == index)
-    may_turn = np.any(links.via) and lines_crossing_is_stable(c, length)
+    may_turn = np.any(links.via) and lines_crossing_is_stable(c)
     follows = links.successor[:, None] == index
     is_closed = (
         np.all(np.isfinite(walls[1]), axis=0)
@@ -422,9 +408,9 @@ _NO_PIECES = Pieces(
 
 
 # ---------------------------------------------------------------------------- where pieces end
-def _piece_ends(c: Curve, angles: Array, length: int) -> _Ends | None:
+def _piece_ends(c: FilteredCurve, angles: Array) -> _Ends | None:
     """Return the ends of the pieces between two angles each; None where there are no pieces."""
-    inside = partial(others_inside, c, length=length)
+    inside = partial(others_inside, c)
     passes = np.concatenate([np.zeros(1, bool), inside(angles), np.zeros(1, bool)])
     before, after = passes[:-2], passes[2:]
     is_knot = _are_knots(c, angles)
@@ -433,7 +419,7 @@ def _piece_ends(c: Curve, angles: Array, length: int) -> _Ends | None:
     begins, ends = (np.flatnonzero(passes[1:-1] & ~beside) for beside in (before, after))
     if not begins.size:
         return None
-    zero = np.sum(angles < 0.0)  # negative angles, of filters, begin at -pi
+    zero = np.sum(angles < 0.0)  # negative angles begin at -pi
     at_zero = begins == zero
     pinned = np.concatenate([at_zero | (begins == 0), ends == len(angles) - 1])
     limit = np.concatenate([np.where(at_zero, 0.0, -np.pi), np.full(len(ends), np.pi)])
@@ -446,20 +432,21 @@ def _piece_ends(c: Curve, angles: Array, length: int) -> _Ends | None:
     # Both ends of all pieces are solved in one batch.
     padded = np.concatenate([np.zeros(1), angles, np.full(1, np.pi)])
     neighbours = padded[np.concatenate([begins, ends + 2])]
-    is_exact = isinstance(c, FilteredCurve) and c.is_exact
+    passing = padded[np.concatenate([begins, ends]) + 1]
     outer, inner = _narrowed(
         inside,
-        _EXACT_NARROWING if is_exact else _NARROWING,
+        _EXACT_NARROWING if c.is_exact else _NARROWING,
         np.where(pinned, limit, neighbours),
-        padded[np.concatenate([begins, ends]) + 1],
+        passing,
     )
     rough = 0.5 * (outer + inner)
+    rough = out_of_rounding(c.stretches, rough, passing)
     points = np.stack(curve_and_lift(c, rough)[:2])
     scale = scales(c, points[0], points[1], rough)
     return _Ends(pinned, limit, line, outer, inner, rough, points, scale)
 
 
-def _are_knots(c: Curve, angles: Array) -> tuple[Array, Array] | None:
+def _are_knots(c: FilteredCurve, angles: Array) -> tuple[Array, Array] | None:
     """Return which angles are knots at which pieces begin, and which are those where they end.
 
     A scan has them twice; without lines at poles there are none.
@@ -511,7 +498,9 @@ def _joined(ends: _Ends, is_open: Array) -> tuple[Array, Array, Array]:
     return np.stack([ends.rough, others]), following, preceding
 
 
-def _solved(c: Curve, ends: _Ends, branch: Array, angles: Array) -> tuple[Array, Array, Array]:
+def _solved(
+    c: FilteredCurve, ends: _Ends, branch: Array, angles: Array
+) -> tuple[Array, Array, Array]:
     """Return angles, what rounding took from them, and whether they are right; (2, piece) each."""
     half_width = _STRAY * (abs(ends.outer - ends.inner) + _SLACK)
     unpinned = np.where(ends.pinned, NO_BRANCH, branch)
@@ -528,7 +517,7 @@ def _solved(c: Curve, ends: _Ends, branch: Array, angles: Array) -> tuple[Array,
 
 # ------------------------------------------------------------------------ what follows a piece
 def _linked(
-    c: Curve,
+    c: FilteredCurve,
     walls: Array,
     begin_branch: Array,
     end_branch: Array,
@@ -538,14 +527,14 @@ def _linked(
 
     ``walls`` are alpha and beta of the begins and of the ends.
     """
-    plus, minus = along_lines(c, *walls)
-    plus_start, minus_start = along_lines(c, *lines_crossing(c))
+    plus, minus = c.along_lines(*walls)
+    plus_start, minus_start = c.along_lines(*c.lines_crossing)
     from_plus = end_branch == Branch.Z_PLUS_ONE
     exits = np.where(from_plus[:, None], plus[0], minus[0])
     ahead = exits - np.where(from_plus, plus[1], minus[1])[:, None]
     here = (begin_branch == end_branch[:, None]) & (ahead > 0.0)
     # Along this line the boundary may run into the other one, and not come from there.
-    runs_in = lines_turn(c) * np.where(from_plus, 1.0, -1.0) > 0.0
+    runs_in = c.lines_turn * np.where(from_plus, 1.0, -1.0) > 0.0
     other_line = np.where(from_plus, Branch.Z_MINUS_ONE, Branch.Z_PLUS_ONE)
     around = np.where(from_plus[:, None], minus[0] - minus_start, plus[0] - plus_start)
     there = (begin_branch == other_line[:, None]) & (around > 0.0) & runs_in[:, None]
@@ -579,7 +568,7 @@ Angles = Float64[np.ndarray, " _"]  # of any length
 def scan_angles(length: int, fineness: int) -> Angles:
     """Return the angles of a scan: even steps, a part of a turn of z^m, and finer to both ends.
 
-    ``length`` is that of the polynomials, as for ``find_pieces``.
+    ``length`` is that of a curve.
     """
     count = fineness * (24 + 8 * length)
     even = (np.arange(count) + 0.5) * (np.pi / count)
@@ -592,14 +581,12 @@ def scan_angles(length: int, fineness: int) -> Angles:
     return angles
 
 
-def slice_angles(c: Curve, length: int, fineness: int) -> Angles:
-    """Return the angles of a scan: with filters more of them at the poles and where beta is 0.
+def slice_angles(c: FilteredCurve, fineness: int) -> Angles:
+    """Return the angles of a scan, more of them at the poles and where beta is 0.
 
     They have the sign of Im V: see ``filtered_curve``.
     """
-    angles = scan_angles(length, fineness)
-    if not isinstance(c, FilteredCurve):
-        return angles
+    angles = scan_angles(c.length, fineness)
     offsets = np.geomspace(_CLOSEST, np.pi / len(angles), 8 * fineness)
     centers = np.concatenate([c.poles[0], c.steep])
     around = centers[:, None] + np.concatenate([-offsets, offsets])
@@ -607,8 +594,16 @@ def slice_angles(c: Curve, length: int, fineness: int) -> Angles:
     drawn = [stretch.scan for stretch in c.stretches]
     around = np.concatenate([around.ravel(), _around_resonances(c, fineness), *lines, *drawn])
     inner = around[(around > angles[0]) & (around < angles[-1])]
-    angles = np.sort(np.concatenate([angles, inner]))
+    angles = np.concatenate([angles, inner])
+    angles = angles[_are_resolved(c, angles)]
     return np.sort(np.where(is_oriented(c, angles), angles, -angles))
+
+
+def _are_resolved(curve: FilteredCurve, angles: Angles) -> Bool[np.ndarray, " _"]:
+    """Return which angles are not so close to the middle of a stretch that gains are rounding."""
+    every = (stretch.is_rounding(np.abs(angles)) for stretch in curve.stretches)
+    resolved: np.ndarray = ~reduce(np.logical_or, every, np.zeros(len(angles), bool))
+    return resolved
 
 
 def _around_resonances(curve: FilteredCurve, fineness: int) -> Angles:
@@ -632,17 +627,16 @@ def _around_line(line: PoleLine, fineness: int) -> Angles:
     return np.concatenate([line.angle + offsets, beside.ravel()])
 
 
-def closer_angles(c: Curve, angles: Angles, centers: Angles) -> Angles:
+def closer_angles(c: FilteredCurve, angles: Angles, centers: Angles) -> Angles:
     """Return the angles of a scan with more angles around some centres."""
     offsets = np.geomspace(_CLOSEST, np.max(np.diff(angles)), _OFFSETS)
     around = centers[:, None] + np.concatenate([-offsets, offsets])
     closer: Angles = np.clip(around.ravel(), angles[0], angles[-1])
-    if isinstance(c, FilteredCurve):
-        closer = closer[is_oriented(c, closer)]
+    closer = closer[is_oriented(c, closer) & _are_resolved(c, closer)]
     return np.sort(np.concatenate([angles, closer]))
 
 
-def suspects(c: Curve, pieces: Pieces, searched: Angles, outside: float, *, length: int) -> Angles:
+def suspects(c: FilteredCurve, pieces: Pieces, searched: Angles, outside: float) -> Angles:
     """Return further angles around which a piece may hide between two angles of the scan.
 
     They are the corners that the pieces have and the angles of the roots that are on the circle
@@ -651,16 +645,15 @@ def suspects(c: Curve, pieces: Pieces, searched: Angles, outside: float, *, leng
     ends = np.concatenate([pieces.begin, pieces.end])
     size = np.abs(ends)
     corners = ends[(size > 0.0) & (size < np.pi)]
-    if isinstance(c, FilteredCurve) and c.is_exact:
+    if c.is_exact:
         partners = to_rescaled(c.stretches, angles_on_circle(c, *exact_walls(c, corners)))
     else:
-        others = _others(c, polynomial(c, curve_and_lift(c, corners)[:2], length), corners)
+        others = _others(c, c.polynomial(*curve_and_lift(c, corners)[:2]), corners)
         partners = _angles_near_circle(others[:, np.all(np.isfinite(others), axis=0)].T)
-    if isinstance(c, FilteredCurve):
-        partners = np.where(is_oriented(c, partners), partners, -partners)
+    partners = np.where(is_oriented(c, partners), partners, -partners)
     every = np.concatenate([corners, partners])
     away = np.min(np.abs(every[:, None] - searched), axis=1, initial=np.inf)
-    return nearly_stable(c, every[away >= _SAME], outside, length=length)
+    return nearly_stable(c, every[away >= _SAME], outside)
 
 
 def lone_partners(curve: FilteredCurve, pieces: Pieces) -> DoubleDouble:
@@ -680,13 +673,13 @@ def lone_partners(curve: FilteredCurve, pieces: Pieces) -> DoubleDouble:
     return angles[chosen]
 
 
-def nearly_stable(c: Curve, angles: Angles, outside: float, *, length: int) -> Angles:
+def nearly_stable(c: FilteredCurve, angles: Angles, outside: float) -> Angles:
     """Return the angles, in order, at which no other root is farther outside than a limit."""
     if not angles.size:
         return angles
     angles = np.sort(angles)
     angles = angles[np.diff(angles, prepend=-np.inf) > _CLOSEST]
-    chosen: Angles = angles[others_inside(c, angles, length, within=1.0 + outside)]
+    chosen: Angles = angles[others_inside(c, angles, within=1.0 + outside)]
     return chosen
 
 

@@ -6,11 +6,12 @@ as many points as the tolerance requires (``outline.polygon``); and a value with
 and distances on the exact boundary (``stable_set``). Each point of the boundary is right to
 rounding, but no step proves that every component was found (docs/proofs.md, G1 to G3).
 
-With estimators, filters and devices the curve may lose digits without a sign of it. So walls on
-both sides of the outline get certified verdicts (``fails_audit``), and where poles are close to
-each other, points of the outline are compared with double-double (``_strays``). If either fails,
-all is computed again in double-double, with angles rescaled where resonances turn out to need it. A
-region that fails then, too, is UNRESOLVED and claims nothing.
+The curve may lose digits without a sign of it, most of all with slow filters. So walls on both
+sides of the outline get certified verdicts (``fails_audit``), and where poles are close to each
+other, points of the outline are compared with double-double (``_strays``). If either fails, or
+walls hardly move an undamped mode, all is computed in double-double, with angles rescaled around
+such modes and where other resonances turn out to need it. A region that fails then, too, is
+UNRESOLVED and claims nothing.
 """
 
 from math import ceil, sqrt
@@ -21,7 +22,7 @@ from jaxtyping import Float64, Int
 from jaxstab.arrays import Numbers, is_traced, joined
 from jaxstab.conventions import Verdict
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import Filter, Filters, Transfer, Velocity, known_filters
+from jaxstab.model.filters import NO_FILTERS, Filter, Transfer, Velocity, known_filters
 from jaxstab.model.linear_loop import LinearLoop, SampledPlant
 from jaxstab.model.loop import refuses_loops
 from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT, LONGEST_DELAY
@@ -29,16 +30,25 @@ from jaxstab.numbers import checked_number
 from jaxstab.point.verdicts import linear_verdict
 from jaxstab.region import measures
 from jaxstab.region.crossings import refined_pieces
-from jaxstab.region.curve import Curve, curve_and_lift, slice_coefficients
-from jaxstab.region.exact import Pairs, exact_gains, in_pairs
+from jaxstab.region.exact import (
+    Pairs,
+    all_inside,
+    exact_gains,
+    in_pairs,
+    polished_modes,
+    wall_errors,
+)
 from jaxstab.region.filtered_curve import (
+    UNDAMPED,
     FilteredCurve,
     System,
     filtered_curve,
+    hardly_moved,
     loop_of_system,
     mass_system,
     parts_in_pairs,
 )
+from jaxstab.region.filtered_points import curve_and_lift
 from jaxstab.region.outline import Outline, extra_vertices, polygon
 from jaxstab.region.pieces import (
     NO_BRANCH,
@@ -48,11 +58,11 @@ from jaxstab.region.pieces import (
     edges_of,
     lone_partners,
 )
-from jaxstab.region.stable_set import RegionStatus, StableRegion, region_within
+from jaxstab.region.stable_set import StableRegion, region_within
 
-# A-posteriori check of regions of loops with estimators and filters, by certified verdicts.
+# A-posteriori check of regions, by certified verdicts.
 #
-# The curve of such a loop, and the count of its other roots, may lose digits without any status
+# The curve of a loop, and the count of its other roots, may lose digits without any status
 # showing it. So walls on both sides of the outline get a verdict, which is a proof. This does not
 # prove the region, but a region that a proof contradicts is not given. The walls keep a distance
 # from the outline, so that the rounding of a corner contradicts nothing. Next to corners they are
@@ -62,11 +72,11 @@ from jaxstab.region.stable_set import RegionStatus, StableRegion, region_within
 
 _ASIDE = 1e-3  # of the outline's size
 _ROUGH = 1e-3  # of the same: edges that leave the boundary by more
+_BLURRED = 1e-9  # of the same: points of a curve in double-double that rounding moves by more
 _WALLS = 24  # on each side
 _FROM_CORNER = 10.0 ** -np.arange(1.0, 6.0)  # shares of an edge that ends at a corner
-_UNDAMPED = 1e-6  # how far the roots of such a mode are from the circle
 _SHORTEST = 1e-8  # of the outline's size: an edge next to a corner
-_GAINS = np.append(np.outer([-1.0, 1.0], np.geomspace(1e-8, 1.0, 9)), 0.0)  # alpha and beta
+_GAINS = np.append(np.outer([-1.0, 1.0], np.geomspace(1e-12, 1.0, 13)), 0.0)  # alpha and beta
 
 Edges = Float64[np.ndarray, "_ 4"]
 
@@ -77,25 +87,36 @@ def fails_audit(c: FilteredCurve, outline: Outline, loop: LinearLoop, deviation:
     """Return whether a verdict proves a wall inside unstable, or one outside stable.
 
     Where a mode is next to undamped, an outline also fails if no wall beside it is proved stable.
-    An outline without a loop claims that no wall is stable; gains of all sizes are tried then. An
-    outline that stays away from its curve (``deviation``) whatever the number of vertices follows
-    nothing but rounding.
+    An outline without a loop claims that no wall is stable; gains of all sizes are tried then, and
+    those that no verdict decides in double-double. An outline that stays away from its curve
+    (``deviation``) whatever the number of vertices, or that rounding of double-double moves, is not
+    known.
     """
     size = int(outline.size)
     if size == 0:
-        alpha, beta = np.stack(np.meshgrid(_GAINS, _GAINS)).reshape(2, -1)
-        return bool(np.any(linear_verdict(alpha, beta, loop) == Verdict.STABLE))
+        walls = np.stack(np.meshgrid(_GAINS, _GAINS)).reshape(2, -1)
+        codes = linear_verdict(walls[0], walls[1], loop)
+        may_be_stable = codes == Verdict.STABLE
+        if c.is_exact:
+            is_open = (codes == Verdict.UNDECIDED) & np.all(walls != 0.0, axis=0)
+            gains = DoubleDouble.from_value(walls[:, is_open])
+            may_be_stable[is_open] = all_inside(c, gains[0], gains[1], 1.0)
+        return bool(np.any(may_be_stable))
     if deviation > _ROUGH:
         return True
     vertices = outline.vertices[:size]
     edges, extent = edges_of(vertices, outline.branches[: size - 1]), np.ptp(vertices, axis=0)
+    if c.is_exact:
+        errors = wall_errors(c, np.abs(outline.angles[_on_the_curve(c, outline), 0]))
+        if np.any(errors > _BLURRED * extent[:, None]):
+            return True
     walls = _beside(edges, extent)
     codes = linear_verdict(walls[0], walls[1], loop)
     is_any_proved = bool(np.any(codes == Verdict.STABLE))
     doubtful = codes == np.where(are_inside(edges, walls), Verdict.UNSTABLE, Verdict.STABLE)
     walls, codes = walls[:, doubtful], codes[doubtful]  # a polygon is not exact
     angles, distances = c.resonances
-    if np.any((angles > 0.0) & (distances < _UNDAMPED)):
+    if np.any((angles > 0.0) & (distances < UNDAMPED)):
         if not is_any_proved:
             return True
         near = _beside(_near_corners(c, outline), extent, is_near=True)
@@ -123,7 +144,7 @@ def _beside(edges: Edges, extent: Float64[np.ndarray, "2"], *, is_near: bool = F
     return np.concatenate([middle + aside, middle - aside]).T
 
 
-def _near_corners(c: Curve, outline: Outline) -> Edges:
+def _near_corners(c: FilteredCurve, outline: Outline) -> Edges:
     """Return short edges of the boundary, at some distances from the corners."""
     size = int(outline.size)
     vertices = outline.vertices[:size]
@@ -140,7 +161,7 @@ def _near_corners(c: Curve, outline: Outline) -> Edges:
 
 
 def _on_edges(
-    c: Curve,
+    c: FilteredCurve,
     outline: Outline,
     edges: Int[np.ndarray, " edge"],
     shares: Float64[np.ndarray, " edge"],
@@ -162,11 +183,12 @@ _NOTHING = 2.0**-86  # of the coefficients of p(z): pairs know that much
 _BULGE = 0.35  # times points^-2 is at most about how far the boundary leaves the polygon
 
 
+@np.errstate(all="ignore")  # NaN and infinity are answers
 def region_of_system(system: System, tolerance: float, *, may_be_empty: bool) -> StableRegion:
-    """Return the region of a loop with filters.
+    """Return the region of a loop.
 
     Where no number of digits resolves its outline, or it fails the audit, it is UNRESOLVED. That
-    nothing is stable is said after all have been tried.
+    nothing is stable, in the unit circle, is said after all have been tried.
     """
     c, loop = filtered_curve(*system), loop_of_system(system)
     rough = None
@@ -175,10 +197,12 @@ def region_of_system(system: System, tolerance: float, *, may_be_empty: bool) ->
         rough = outline if _is_known(outline) else None
         if rough is not None and not (c.may_lose_some and _strays(c, rough, system)):
             return region_within(c, rough)
+        if outline.resolved and system[3] < 1.0 and not c.may_lose_some:
+            return region_within(c, outline)  # a circle that no wall keeps all roots in
     pairs = parts_in_pairs(system)
     if not c.loses_digits and outline.resolved and _keeps_a_root(pairs):
         return region_within(c, outline)
-    centers = DoubleDouble.from_value(np.empty(0))
+    centers = polished_modes(pairs, hardly_moved(system[0]))
     for _ in range(_STRETCHINGS):
         exact = in_pairs(c, pairs, centers)
         outline, pieces = _audited(exact, tolerance, may_be_empty, loop)
@@ -196,8 +220,7 @@ def region_of_system(system: System, tolerance: float, *, may_be_empty: bool) ->
 def _strays(c: FilteredCurve, outline: Outline, system: System) -> bool:
     """Return whether some points of an outline in float64 are off the curve in double-double."""
     size = np.abs(outline.angles)
-    straight = np.any([line.holds(size[:, 0]) for line in c.lines], axis=0)
-    edges = np.flatnonzero((outline.branches == Branch.CURVE) & ~straight)
+    edges = _on_the_curve(c, outline)
     edges = edges[np.linspace(0, len(edges) - 1, min(_TESTED, len(edges))).round().astype(int)]
     extent = np.ptp(outline.vertices, axis=0)
     points = np.stack(curve_and_lift(c, outline.angles[edges, 0])[:2], axis=1)
@@ -208,6 +231,13 @@ def _strays(c: FilteredCurve, outline: Outline, system: System) -> bool:
     length = np.hypot(*along.T)
     aside = np.abs(away[:, 0] * along[:, 1] - away[:, 1] * along[:, 0])
     return bool(np.any(aside > _STRAYED * length))
+
+
+def _on_the_curve(c: FilteredCurve, outline: Outline) -> Int[np.ndarray, " edge"]:
+    """Return the edges of the curve, without lines at poles."""
+    size = np.abs(outline.angles[:, 0])
+    straight = np.any([line.holds(size) for line in c.lines], axis=0)
+    return np.flatnonzero((outline.branches == Branch.CURVE) & ~straight)
 
 
 def _keeps_a_root(pairs: Pairs) -> bool:
@@ -231,7 +261,7 @@ def _audited(
     return outline, pieces
 
 
-def _adapted(c: Curve, pieces: Pieces, tolerance: float) -> tuple[Outline, float]:
+def _adapted(c: FilteredCurve, pieces: Pieces, tolerance: float) -> tuple[Outline, float]:
     """Return an outline with as many points as the tolerance requires, and its deviation."""
     fewest = max(_FEWEST_POINTS, 2 * extra_vertices(len(pieces.begin)))
     points = _enough_points(sqrt(_BULGE / tolerance), fewest)
@@ -267,8 +297,8 @@ def stable_region(
     Every corner of the set is a point where the boundary curve crosses itself or a line. The search
     looks for all of these crossings and refines its scan around them until the pieces of the
     boundary join up to closed loops. It may miss a crossing where the curve bends more, between two
-    angles of the first scan, than a cubic with the same ends and tangents; with filters it also
-    leaves out parts of the curve at which another root is beyond 1.1. So it is argued, not proved,
+    angles of the first scan, than a cubic with the same ends and tangents, and it leaves out parts
+    of the curve at which another root is beyond 1.1 times the radius. So it is argued, not proved,
     that all components are found (docs/proofs.md, G1 to G3).
 
     Args:
@@ -278,7 +308,7 @@ def stable_region(
         tolerance: largest distance between the polygon and the boundary, as a share of the
             region's diameter, > 1e-10.
         velocity: the velocity estimator in units of one sample; None for the difference over one
-            sample, the wall of the paper. The radius is 1 with it.
+            sample, the wall of the paper.
         position: the position filter in units of one sample; None for none.
 
     Returns:
@@ -298,38 +328,16 @@ def stable_region(
         raise TypeError(
             "stable_region searches outside of JAX; under jit, vmap and grad call regions_of."
         )
-    plant = (
+    slice_ = (
         checked_number("gamma", gamma, 0.0, GAMMA_LIMIT),
         checked_number("delta", delta, 0.0, DELTA_LIMIT),
         checked_number("delay", delay, 0.0, LONGEST_DELAY, unit="samples"),
-        checked_number("radius", radius, 0.0, 1.0, is_open=True),
     )
+    size = checked_number("radius", radius, 0.0, 1.0, is_open=True)
     smallest = checked_number("tolerance", tolerance, _FINEST, is_open=True)
-    filters = known_filters(velocity, position)
-    if filters and plant[3] != 1.0:
-        raise ValueError(f"radius is {plant[3]:g}; with a filter only 1 is answered.")
-    return _stable_region(*plant, smallest, filters)
-
-
-@np.errstate(all="ignore")  # NaN and infinity are answers
-def _stable_region(
-    gamma: float,
-    delta: float,
-    delay: float,
-    radius: float,
-    tolerance: float,
-    filters: Filters | None,
-) -> StableRegion:
-    may_be_empty = delta == 0.0 or radius < 1.0
-    if not filters:
-        c = slice_coefficients(gamma, delta, delay, radius)
-        pieces = refined_pieces(c, may_be_empty=may_be_empty)
-        region = region_within(c, _adapted(c, pieces, tolerance)[0])
-        if region.status != RegionStatus.UNRESOLVED or radius != 1.0:
-            return region
-        filters = Velocity.difference(samples=1), Filter()  # the same loop in another form
-    system = mass_system(gamma, delta, delay, filters)
-    return region_of_system(system, tolerance, may_be_empty=may_be_empty)
+    filters = known_filters(velocity, position) or NO_FILTERS
+    system = mass_system(*slice_, filters, size)
+    return region_of_system(system, smallest, may_be_empty=slice_[1] == 0.0 or size < 1.0)
 
 
 # The stable set of a loop with any plant, estimator and filter.
@@ -349,5 +357,4 @@ def linear_region(
             "the device has zero DC gain: its transfer function in s is 0 at s = 0. It has no "
             "region and no limits here; use verdicts, radii, poles or margins."
         )
-    with np.errstate(all="ignore"):
-        return region_of_system((plant, velocity, position), tolerance, may_be_empty=True)
+    return region_of_system((plant, velocity, position, 1.0), tolerance, may_be_empty=True)
