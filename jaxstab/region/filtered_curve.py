@@ -634,16 +634,7 @@ class Half(NamedTuple):
     at_one: tuple[float, float, float, float]  # N, D, Y, X at zeta = 1
     gain: float  # z^w at zeta = 1
     forms: tuple[Form, Form]  # of W and of V
-
-    @property
-    def values(self) -> tuple[float, float]:
-        """W and V at zeta = 1, each if its form is DIRECT."""
-        n, d, y, x = self.at_one
-        of_plant, of_estimate = self.forms
-        return (
-            -self.gain * d / n if of_plant == Form.DIRECT else 0.0,
-            x / y if of_estimate == Form.DIRECT else 0.0,
-        )
+    values: tuple[float, float]  # W and V at zeta = 1, each if its form is DIRECT
 
 
 class FilteredCurve(NamedTuple):
@@ -677,14 +668,12 @@ class FilteredCurve(NamedTuple):
     @property
     def plus_offset(self) -> float:
         """W(r): the line z = r is alpha + plus_slope beta = W(r)."""
-        n, d, _, _ = self.plus.at_one
-        return 0.0 - self.plus.gain * d / n  # not the number -0
+        return 0.0 + self.plus.values[0]  # not the number -0
 
     @property
     def plus_slope(self) -> float:
         """V(r)."""
-        _, _, y, x = self.plus.at_one
-        return x / y
+        return self.plus.values[1]
 
     def minus_margin(self, alpha: Array | float, beta: Array | float) -> Array:
         """p(-r) with the sign chosen so that it is positive inside the stable set."""
@@ -850,11 +839,16 @@ def _half(
     d: Around, n: Around, filters: _HalfOfFilters, *, gain: float, of_plant: Form | None = None
 ) -> Half:
     d, n = d.times(filters.of_d), n.times(filters.of_n)
+    y, x = filters.at_one
+    form = _form(d, n) if of_plant is None else of_plant
+    # The quotient in pairs is -gamma to the last digit for a mass: its line is K = -k of the hand.
+    of_plant_one = -gain * (d.value / n.value).rounded() if form == Form.DIRECT else 0.0
     return Half(
         rows=Rows.from_polynomials([n, d, minor(d, n)]).above(filters.rows),
-        at_one=(n.value.rounded(), d.value.rounded(), *filters.at_one),
+        at_one=(n.value.rounded(), d.value.rounded(), y, x),
         gain=gain,
-        forms=(_form(d, n) if of_plant is None else of_plant, filters.form),
+        forms=(form, filters.form),
+        values=(of_plant_one, x / y if filters.form == Form.DIRECT else 0.0),
     )
 
 
