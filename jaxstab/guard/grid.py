@@ -20,10 +20,10 @@ from jaxstab.proofs.device_boxes import (
 )
 from jaxstab.proofs.enclosures import LinearModel
 from jaxstab.ranges import HandRange
+from jaxstab.rounding import RAISED_MUCH
 
 Ends = Float64[np.ndarray, "axis box"]  # in cells
 
-_ROUNDED_UP = 1.0 + 1e-9
 _SLACK = 1e-9  # of the largest value: more than the arithmetic of the header rounds
 
 
@@ -67,7 +67,7 @@ def grid_boxes(device: Device, loop: LoopParameters, hands: HandRange, grid: Gri
 
     def extent(center: Boxes, half: Boxes) -> Extent:
         mass, delay = (
-            along(axis, nodes[0] + center[axis] * step, half[axis] * step * _ROUNDED_UP)
+            along(axis, nodes[0] + center[axis] * step, half[axis] * step * RAISED_MUCH)
             for axis, nodes in ((MASS, grid.mass), (DELAY, grid.delay))
             for step in [step_of(nodes)]
         )

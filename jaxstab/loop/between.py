@@ -58,6 +58,7 @@ from jaxstab.ranges.box import (
 from jaxstab.ranges.hands import HandRange, Hands, Range, checked_range, spread_hands
 from jaxstab.ranges.robust import polygon_of_rows, pulled_in
 from jaxstab.region import RegionStatus
+from jaxstab.rounding import RAISED_FEW, RAISED_MUCH
 
 if TYPE_CHECKING:
     from jaxstab.loop.loop import HapticLoop
@@ -363,7 +364,6 @@ _MOST_TRIED = 64  # loops of those that could not be proved
 _LOWERED = (1.0, 0.95, 0.9, 0.8, 0.65, 0.5)  # shares of what one hand allows if the delay moves
 _SMALLEST = 2.0**-16  # of the ranges: boxes are not halved beyond
 _MOST = 40_000  # boxes at once
-_ROUNDED_UP = 1.0 + 1e-9
 
 
 @dataclass(frozen=True)
@@ -468,7 +468,7 @@ class LoopsWithHands:
         assert device is not None
 
         def extent(center: Boxes, half: Boxes) -> Extent:
-            own, by_own = center[MASS], half[MASS] * _ROUNDED_UP
+            own, by_own = center[MASS], half[MASS] * RAISED_MUCH
             fixed = np.ones_like(own), np.zeros_like(own)
             values = (float(loop.delay_samples), *wall)
             numbers = (along(DELAY, value * fixed[0], fixed[1]) for value in values)
@@ -509,7 +509,6 @@ _ANGLES = 64  # boxes at first, for half a turn
 _WALLS_AT_ONCE = 64  # walls
 _SMALLEST_BOX = np.array([2.0**-12, 2.0**-14, 2.0**-20])  # along the edge, of t, of theta / pi
 _MOST_BOXES = 100_000
-_SAFE = 1.0 + 2.0**-50
 
 
 def first_roots(family: LoopFamily, walls: Walls) -> FirstRoots | None:
@@ -541,7 +540,7 @@ def _first_roots(cells: FamilyCells, walls: Walls) -> FirstRoots:
 
 def _wall_models(cells: FamilyCells, walls: Walls, boxes: LineBoxes) -> Models:
     wall, piece = np.divmod(boxes.line, len(cells.pieces))
-    middle, half = 0.5 * (boxes.low + boxes.high), 0.5 * (boxes.high - boxes.low) * _SAFE
+    middle, half = 0.5 * (boxes.low + boxes.high), 0.5 * (boxes.high - boxes.low) * RAISED_FEW
     place = PieceBoxes(piece, *middle, *half)
     gains = walls[wall].T
     over = family_models(cells, FamilyBoxes(gains, np.zeros_like(gains), cells.lags[piece], place))
@@ -594,11 +593,11 @@ def _failures_on_edges(family: LoopFamily, outline: Walls) -> Float64[np.ndarray
     cells = family_cells(family)
     assert cells is not None
     following = np.roll(outline, -1, axis=0)
-    middle, half = 0.5 * (outline + following), 0.5 * (following - outline) * _SAFE
+    middle, half = 0.5 * (outline + following), 0.5 * (following - outline) * RAISED_FEW
 
     def prove(boxes: ParameterBox) -> Proof:
         shift, t, angle = boxes.center.T
-        by_shift, by_t, by_angle = boxes.half.T * _SAFE
+        by_shift, by_t, by_angle = boxes.half.T * RAISED_FEW
         edge, piece = np.divmod(boxes.index, len(cells.pieces))
         place = PieceBoxes(piece, t, pi * angle, by_t, pi * by_angle)
         along = half[edge].T

@@ -36,7 +36,6 @@ from jaxstab.model import polynomial_degree
 from jaxstab.point.poles import Complex, looked_up
 from jaxstab.point.schur_cohn import (
     HIGHEST_COUNTED,
-    SAFETY,
     UNDERFLOW,
     Chain,
     Ends,
@@ -44,7 +43,7 @@ from jaxstab.point.schur_cohn import (
     zeros_outside,
 )
 from jaxstab.point.verdicts import Plant, float_plant, tail_error
-from jaxstab.rounding import UNIT
+from jaxstab.rounding import SAFETY, UNIT
 
 # The dominant root of p(z) without eigenvalues, point by point.
 #

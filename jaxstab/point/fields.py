@@ -36,9 +36,9 @@ from jaxstab.model.filters import NO_FILTERS, Filters
 from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.point.poles import Complex, companion_poles, distance_to_root, evaluated
 from jaxstab.point.radius import dense_radius_error
-from jaxstab.point.schur_cohn import SAFETY, UNDERFLOW, loop_coefficients, rounded_loop
+from jaxstab.point.schur_cohn import UNDERFLOW, loop_coefficients, rounded_loop
 from jaxstab.point.verdicts import Form, Points, Values, filtered_loops, gathered
-from jaxstab.rounding import UNIT
+from jaxstab.rounding import SAFETY, UNIT
 
 UNKNOWN = -1  # poles outside of the circle, where one is too close to it to tell
 _DOUBLINGS = 16  # of the power of the companion matrix, which is degree 2^16

@@ -23,7 +23,7 @@ from jaxstab.model import (
 from jaxstab.model.filters import Filter, Velocity
 from jaxstab.model.linear_loop import LinearLoop, loop_polynomial
 from jaxstab.numbers import checked_count
-from jaxstab.rounding import UNIT
+from jaxstab.rounding import SAFETY, UNIT
 
 # Broadcast grids of points in chunks of one shape, each point at the degree of p for its delay.
 #
@@ -222,7 +222,6 @@ def _unit(coefficients: Float64[Array, "*grid coefficient"]) -> Float64[Array, "
 
 # A bound of the distance to the nearest root of p, by the value of p (lemma R1 of docs/proofs.md).
 
-_SAFETY = 1.001  # the bound itself is rounded
 _LEAST = 1e-130  # more than the error of a modulus whose square was flushed to zero
 
 
@@ -276,4 +275,4 @@ def distance_to_root(columns: list[Array], error: Array, z: Complex) -> Array:
     unit, most = (4.0 * degree + 10.0) * UNIT, error * xp.maximum(radius, 1.0) ** degree
     nearest = xp.sqrt(value.squared_modulus()) + unit * sizes.re + most + _LEAST
     steep = xp.sqrt(slope.squared_modulus()) - unit * slopes.re - degree * most
-    return xp.where(steep > 0.0, _SAFETY * degree * nearest / steep, xp.inf)
+    return xp.where(steep > 0.0, SAFETY * degree * nearest / steep, xp.inf)

@@ -64,7 +64,6 @@ from jaxstab.point.dominance import (
 )
 from jaxstab.point.poles import Complex, companion_poles, looked_up, over_grid
 from jaxstab.point.schur_cohn import (
-    SAFETY,
     UNDERFLOW,
     Chain,
     Ends,
@@ -84,7 +83,7 @@ from jaxstab.point.verdicts import (
     gathered,
     is_plant_lost,
 )
-from jaxstab.rounding import PAIR_UNIT, UNIT
+from jaxstab.rounding import PAIR_UNIT, SAFETY, UNIT
 from jaxstab.shown import number_text, text_with_bound
 
 # The error bound of a spectral radius, from verdicts on p(r z) for a ladder of radii r.

@@ -42,11 +42,11 @@ from jaxstab.arrays import (
 from jaxstab.conventions import Verdict
 from jaxstab.model import DoubleDouble
 from jaxstab.model.linear_loop import Affine, LinearLoop
+from jaxstab.rounding import SAFETY
 
 Number = TypeVar("Number", Array, DoubleDouble)
 
 UNDERFLOW = 1e-260  # more than the error of numbers flushed to zero
-SAFETY = 1.001  # the bounds themselves are rounded (lemma V3)
 HIGHEST_COUNTED = 28  # degree up to which XLA compiles the steps of a count without a loop
 
 

@@ -41,6 +41,7 @@ from jaxstab.proofs.enclosures import (
     variable,
 )
 from jaxstab.proofs.filters import OverCells, filter_cells
+from jaxstab.rounding import PARAMETER, RAISED_MUCH
 
 # A device with its vibration modes, actuators and a held grip, of any mass, for any hand.
 #
@@ -269,8 +270,6 @@ _FAST = 1.0  # up to this angle all aliases are small
 _FEWEST, _MOST = 2, 32  # aliases on either side that are followed, beyond that angle
 _LAST = pi * (1.0 + 2.0 * BEYOND)  # no angle is larger
 _FAR = 2.0  # times its swing: a larger value is far from 0
-_ROUNDED_UP = 1.0 + 1e-9
-_ROUNDING = 1e-14  # of a number
 
 
 class Extent(NamedTuple):
@@ -340,7 +339,7 @@ class DeviceBoxes:
         first_row: FirstRow | None = None,
         jitter: float = 0.0,
     ) -> None:
-        self._jitter = jitter * _ROUNDED_UP
+        self._jitter = jitter * RAISED_MUCH
         self._period = float(loop.sample_time)
         self._device = HeldDevice.from_device(device, self._period)
         self._extent, self._first_row = extent, first_row
@@ -451,7 +450,7 @@ class DeviceBoxes:
         if not self._jitter:
             return np.zeros_like(others.moduli)  # though a size may be infinite
         late: np.ndarray = self._jitter * (_size(above) + _size(below) * others.moduli)
-        return late * _ROUNDED_UP
+        return late * RAISED_MUCH
 
     def _force(self, place: _Place, above: Any) -> Moving:
         """Return the held force behind the delay times N, without aliases."""
@@ -511,7 +510,7 @@ class DeviceBoxes:
             slope = np.where(is_known, alias.slope, 0.0)
             alias = LinearModel(centre, slope, np.where(is_known, alias.rest, most), alias.half)
             total = total + on_axes_of(alias, total)
-        return _Others(total, moduli * _ROUNDED_UP)
+        return _Others(total, moduli * RAISED_MUCH)
 
     def _alias(self, place: _Place, turns: int) -> LinearModel:
         angle = place.theta + 2.0 * pi * turns
@@ -560,13 +559,13 @@ class _Aliases(NamedTuple):
                 "and for hands that a grip or an arm damps; this one has no bound at high "
                 f"frequencies: {device}."
             )
-        tail = most * (near**-3 + far**-3 + 1.0 / (2.0 * pi * far**2)) * _ROUNDED_UP
-        moduli = most * (near**-2 + far**-2 + 1.0 / (pi * far)) * _ROUNDED_UP
+        tail = most * (near**-3 + far**-3 + 1.0 / (2.0 * pi * far**2)) * RAISED_MUCH
+        moduli = most * (near**-2 + far**-2 + 1.0 / (pi * far)) * RAISED_MUCH
         followed = []
         for turns in [sign * k for k in range(1, count + 1) for sign in (-1, 1)]:
             nearest = 2.0 * pi * abs(turns) - (last if turns < 0 else 0.0)
             most = device.largest_compliance(mass, arm, nearest)
-            followed.append((turns, nearest, most / nearest**3 * _ROUNDED_UP))
+            followed.append((turns, nearest, most / nearest**3 * RAISED_MUCH))
         return cls(tuple(followed), tail, moduli)
 
 
@@ -581,7 +580,7 @@ def _rising(
     clear, shares, most = [], [], []
     for rate, others in rates:
         moves = np.abs(rate.slope.imag)
-        clear.append(rate.centre.imag - moves.sum(axis=0) - rate.rest - others * _ROUNDED_UP)
+        clear.append(rate.centre.imag - moves.sum(axis=0) - rate.rest - others * RAISED_MUCH)
         most.append(rate.centre.imag + moves.sum(axis=0) + rate.rest)
         shares.append(taken(rate, moves))
     taken_there = np.where(clear[0] < clear[1], *shares)
@@ -610,7 +609,7 @@ def _moving_s(theta: LinearModel) -> Moving:
 def along(axis: int, centre: np.ndarray, half: np.ndarray) -> LinearModel:
     """Return a variable that runs along an axis."""
     exact = variable(axis, AXES, centre, half)
-    return replace(exact, rest=_ROUNDING * np.abs(centre))
+    return replace(exact, rest=PARAMETER * np.abs(centre))
 
 
 def _constant(centre: np.ndarray) -> LinearModel:

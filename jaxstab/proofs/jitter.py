@@ -45,7 +45,7 @@ from jaxstab.proofs.filters import (
     responses,
 )
 from jaxstab.proofs.linear_circle import Place, spoilt
-from jaxstab.rounding import EPS, RAISED
+from jaxstab.rounding import CLEARANCE, EPS, RAISED
 
 Walls = Float64[np.ndarray, "wall 2"]
 Numbered = Int64[np.ndarray, " box"]
@@ -55,7 +55,6 @@ _FIRST_BOXES = 64  # of half a turn
 _HALVINGS = 24
 _MOST_BOXES = 4096  # of a wall at once, beyond which it is given up
 _AT_ONCE = 1 << 16  # boxes, of all walls
-_ROUNDING = 16.0 * EPS
 _EVEN = np.pi * (np.arange(4096) + 0.5) / 4096
 _THETA = np.concatenate([np.geomspace(1e-6, _EVEN[0], 512), _EVEN])  # angles of a search
 _CLOSE, _SMALLEST = 1e-4, 1e-9  # of the jitter, and in samples
@@ -336,7 +335,7 @@ def _are_parted(
     nearest = np.full(box.shape, -inf)
     for normal in (*centres, *sides):
         nearest = np.maximum(nearest, np.minimum.reduce(clearances(normal, discs)[0]))
-    return nearest > _ROUNDING * np.max(np.abs(centres), axis=0)
+    return nearest > CLEARANCE * np.max(np.abs(centres), axis=0)
 
 
 def _square(model: LinearModel) -> LinearModel:

@@ -38,6 +38,7 @@ from jaxstab.ranges.margins import (
     in_si_units,
     margins_of,
 )
+from jaxstab.rounding import RAISED_FEW
 
 # Extra delay of a loop with any linear device: proved.
 #
@@ -126,7 +127,7 @@ def _models(
     cells: FamilyCells, walls: Walls, start: np.ndarray, length: np.ndarray, boxes: LineBoxes
 ) -> Models:
     t, theta = 0.5 * (boxes.low + boxes.high)
-    by_t, by_theta = 0.5 * (boxes.high - boxes.low) * (1.0 + 2.0**-50)
+    by_t, by_theta = 0.5 * (boxes.high - boxes.low) * RAISED_FEW
     delay = start[boxes.line] + length[boxes.line] * t, length[boxes.line] * by_t
     over = delay_models(cells, walls[boxes.line].T, delay, (theta, by_theta))[0]
     return over._replace(moves=over.moves[1:], bends=over.bends[1:])

@@ -25,6 +25,7 @@ from jaxstab.point.radius import have_roots_inside
 from jaxstab.proofs.exclusion import Loops, exclude
 from jaxstab.proofs.plant import quick_plant
 from jaxstab.ranges.box import ParameterBox, Proof, excluded, worst_of_range
+from jaxstab.rounding import MIDDLE
 
 Loop = TypeVar("Loop", bound=LoopParameters)
 Range = tuple[float, float]
@@ -39,7 +40,6 @@ _ASIDE = 1e-7  # of a radius
 _CERTAIN = 1.0 + 1e-6  # a radius that is proved to be above 1
 _AT_ONCE = 32  # walls
 _FEW_BOXES, _MOST_BOXES = 4096, 120_000  # of a wall, among others and alone
-_ROUNDING = 2.0**-50  # of 1/m, k and b in the middle of a box
 _LONG = 64  # samples of delay, beyond which all radii are computed
 _MOST = 1024  # hands judged at once
 _SMALLEST = 2.0**-20  # of the ranges: boxes are not halved beyond
@@ -253,7 +253,7 @@ def _unproved_hands(given: HeldLoop, walls: Walls, most: int) -> dict[int, Hands
     def prove(boxes: ParameterBox) -> Proof:
         middle = low + span * boxes.center.T[:3]
         light, spring, damper = middle
-        by_light, by_spring, by_damper = span * boxes.half.T[:3] + _ROUNDING * middle
+        by_light, by_spring, by_damper = span * boxes.half.T[:3] + MIDDLE * middle
         stiffness, damping = walls[boxes.index].T
         theta, by_theta = boxes["theta"]
         per_mass = np.stack(

@@ -38,6 +38,7 @@ from jaxstab.proofs.exclusion import (
     first_roots,
 )
 from jaxstab.ranges.box import ParameterBox, Proof, excluded
+from jaxstab.rounding import EPS, LOWERED
 from jaxstab.shown import number_text, table_text
 
 # From stable walls to the first root on the unit circle, when one quantity is changed.
@@ -65,7 +66,6 @@ _FINE = np.array([2.0**-12, 2.0**-16])  # where the first stretch of delay was f
 _MOST_ANGLES = 2000  # such boxes of a wall at once
 _TOUCHING = 1e-9
 _LONGER = 4.0  # each stretch of delay than the one before
-SAFE = 1.0 - 2.0**-48  # rounding changes a step by less
 
 
 class Crossings(NamedTuple):
@@ -167,7 +167,7 @@ def along_gains(
     change[axes, np.arange(len(axes))] = signs[:, None] * length
     crossing = roots(np.tile(gains, len(axes)), change.reshape(2, -1))
     low, angle = (x.reshape(length.shape) for x in (crossing.low, crossing.theta / pi))
-    step = signs[:, None] * (np.minimum(low, 1.0) * length * SAFE)
+    step = signs[:, None] * (np.minimum(low, 1.0) * length * LOWERED)
     return [Crossings(*way) for way in zip(step, angle, strict=True)]
 
 
@@ -227,7 +227,7 @@ def first_delays(
         crossing = roots(open_angles, begin, length)
         crosses = np.isfinite(crossing.low)
         share = np.where(crosses, crossing.low, 0.0)
-        step = np.where(crosses, begin + length * share * SAFE, step)
+        step = np.where(crosses, begin + length * share * LOWERED, step)
         angle = np.where(crosses, crossing.theta / pi, angle)
         is_open &= ~crosses & (begin + length < MOST_DELAY)
         if not begin.any() and is_open.any():
@@ -368,9 +368,6 @@ def _least(value: float) -> str:
 
 def _largest(value: float) -> str:
     return number_text(float(value), _DIGITS, ROUND_FLOOR)
-
-
-_ROUNDING = 2.0**-52
 
 
 class Margins(NamedTuple):
@@ -514,7 +511,7 @@ def in_si_units(
 def _end(xp: Any, gain: Array, step: Array) -> Array:
     """The gain after a step, less a rounding error."""
     end = gain + step
-    return xp.where(xp.isfinite(end), end - xp.sign(step) * _ROUNDING * abs(end), end)
+    return xp.where(xp.isfinite(end), end - xp.sign(step) * EPS * abs(end), end)
 
 
 def _factor(xp: Any, most: Array, gain: Array) -> Array:
