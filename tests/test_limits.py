@@ -16,6 +16,7 @@ from benchmarks.truth.filtered import FilteredLoop, average, difference
 from jaxstab import Filter, HapticLoop, Velocity, Verdict
 from jaxstab.model import by_name
 from jaxstab.region import Branch, RegionStatus, StableRegion, boundary_curve, stable_region
+from jaxstab.region import region as region_of_slices
 
 
 def loop_of(
@@ -135,14 +136,27 @@ def test_thin_intervals_of_damping_are_found() -> None:
         assert is_stable(stiffness, float(damping), loop) == stable
 
 
-@pytest.mark.campaign  # each is asked for again in double-double: seconds
-def test_a_region_that_is_not_resolved_says_so_and_gives_no_numbers() -> None:
-    window = Velocity.difference(1) * Filter.average(5)
-    loop = loop_of(39.74111395517997, 0.039837948153417437, 22.204957451892117, velocity=window)
+def test_a_region_that_is_not_resolved_says_so_and_gives_no_numbers(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(region_of_slices, "fails_audit", lambda *_: True)
+    loop = loop_of(0.3974111395517997, 0.039837948153417437, 2.2049574518921172)
     best = loop.limits()
     assert best.status == RegionStatus.UNRESOLVED
     assert np.isnan(best[:4]).all()
     assert np.isnan(loop.boundary_distance(30.0, 0.1))
+
+
+def test_a_stiff_hand_at_a_long_delay_has_the_limits_that_verdicts_have() -> None:
+    window = Velocity.difference(1) * Filter.average(5)
+    loop = loop_of(39.74111395517997, 0.039837948153417437, 22.204957451892117, velocity=window)
+    best = loop.limits()
+    assert best.status == RegionStatus.COMPLETE
+    beside = np.array([1.0 - 1e-7, 1.0 + 1e-7])
+    of_stiffness = loop.verdict(best.stiffness * beside, best.at_damping)
+    of_damping = loop.verdict(best.at_stiffness, best.damping * beside)
+    for codes in (of_stiffness, of_damping):
+        assert codes.tolist() == [Verdict.STABLE, Verdict.UNSTABLE]
 
 
 @pytest.mark.campaign
