@@ -667,9 +667,9 @@ class _Tracer:
         """Follow the branches that start in boxes; return the boxes that none explains."""
         # A search ends after ``patience`` rounds without a start; its boxes are halved first.
         index, centers = boxes.index, boxes.center
-        found, counts = np.unique(index, return_counts=True)
+        searches, counts = np.unique(index, return_counts=True)
         groups = np.split(np.argsort(index, kind="stable"), np.cumsum(counts))[:-1]
-        members = dict(zip(found.tolist(), groups, strict=True))
+        members = dict(zip(searches.tolist(), groups, strict=True))
         is_open = np.ones(len(index), bool)
         for search, own in members.items():
             for _, path in self.paths[search // 3]:
