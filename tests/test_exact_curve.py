@@ -16,16 +16,16 @@ from jaxstab.model import Velocity, by_name
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.region import RegionStatus
 from jaxstab.region import region as region_of_slices
-from jaxstab.region.exact import _about, angles_on_circle, polished_angles, polished_modes
-from jaxstab.region.filtered_curve import (
+from jaxstab.region.curve import (
     hardly_moved,
     parts_in_pairs,
     stretches_around,
     to_rescaled,
     true_angles,
 )
-from jaxstab.region.filtered_points import curve_and_lift, exact_walls
+from jaxstab.region.exact import _about, angles_on_circle, polished_angles, polished_modes
 from jaxstab.region.pieces import slice_angles
+from jaxstab.region.points import curve_and_lift, exact_walls
 
 SLOW = [1646, 2638, 2649]  # low passes and Butterworth filters of order 6 to 8, below 0.016
 

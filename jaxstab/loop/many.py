@@ -26,15 +26,15 @@ from jaxstab.model.filters import NO_FILTERS, Filters, Transfer, given_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.model.loop import as_one, with_columns
 from jaxstab.region import RegionStatus
-from jaxstab.region.filtered_curve import (
+from jaxstab.region.curve import (
     Angles,
     about_one,
     of_filters,
     resonances_of,
     true_angles,
 )
-from jaxstab.region.filtered_points import root_angles
 from jaxstab.region.pieces import NO_BRANCH, Branch
+from jaxstab.region.points import root_angles
 
 if TYPE_CHECKING:
     from jaxstab.loop.loop import HapticLoop
@@ -48,7 +48,7 @@ _FORMED = 1024  # loops whose coefficients are held in memory
 _FEWEST_COMPILED = 4  # the same for a program that is compiled
 _SCANS = 3  # of a loop, at most
 _MISSED = np.array([1e-5, 3e-5])  # distances of the first angles from where a piece was missed
-_ILL_CONDITIONED = 1e8  # denominators of filters, as in ``filtered_curve``, where it is 1e5
+_ILL_CONDITIONED = 1e8  # denominators of filters, as in ``region.curve``, where it is 1e5
 _DEGREES = (5, 9, 17, 25, 41, 65)  # up to which p(z) are filled: each program takes memory
 _FIRST, _CLOSEST = 1e-6, 1e-7  # angles of a scan, and their distances from poles
 _TO_ENDS, _TO_POLES, _TO_ROOTS = 12, 6, 8  # angles that come closer and closer

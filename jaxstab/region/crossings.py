@@ -20,8 +20,7 @@ import numpy as np
 from jaxtyping import Float64, Int
 
 from jaxstab.arrays import tree_map
-from jaxstab.region.filtered_curve import FilteredCurve
-from jaxstab.region.filtered_points import curve_and_lift
+from jaxstab.region.curve import Curve
 from jaxstab.region.pieces import (
     Angles,
     Pieces,
@@ -33,6 +32,7 @@ from jaxstab.region.pieces import (
     steps_to_meeting,
     suspects,
 )
+from jaxstab.region.points import curve_and_lift
 from jaxstab.region.roots import bracketed_root, with_slope
 
 _AT_ONCE = 1 << 20  # pairs of boxes that are held in memory
@@ -69,7 +69,7 @@ class _Cubics(NamedTuple):
 
 
 @np.errstate(all="ignore")
-def crossings(c: FilteredCurve, angles: Angles) -> Angles:
+def crossings(c: Curve, angles: Angles) -> Angles:
     """Return the angles, in order, at which the curve of a scan meets itself or a line."""
     cubics = _cubics(c, angles)
     if not cubics.interval.size:
@@ -78,7 +78,7 @@ def crossings(c: FilteredCurve, angles: Angles) -> Angles:
     return every[np.diff(every, prepend=-np.inf) > _CLOSE]
 
 
-def _cubics(c: FilteredCurve, angles: Angles) -> _Cubics:
+def _cubics(c: Curve, angles: Angles) -> _Cubics:
     """Return the parts of the scan near the stable set, as cubics with slopes at their ends."""
     line = _lines_of_parts(c, angles)
     is_near = others_inside(c, angles, within=_NEARLY_STABLE)
@@ -95,13 +95,13 @@ def _cubics(c: FilteredCurve, angles: Angles) -> _Cubics:
     return _Cubics(interval, begin, end, controls, begin_slopes, end_slopes, line[interval])
 
 
-def _values(c: FilteredCurve, theta: np.ndarray) -> np.ndarray:
+def _values(c: Curve, theta: np.ndarray) -> np.ndarray:
     """Return alpha, beta and the margins to the lines z = r and z = -r."""
     alpha, beta, lift = curve_and_lift(c, theta)
     return np.stack([alpha, beta, lift, c.minus_margin(alpha, beta)])
 
 
-def _spans_a_pole(curve: FilteredCurve, angles: Angles) -> np.ndarray:
+def _spans_a_pole(curve: Curve, angles: Angles) -> np.ndarray:
     """Return which parts have a pole between their ends, or angles of the other orientation."""
     poles = np.sort(curve.poles[0])
     count = np.searchsorted(poles, np.abs(angles)) * np.sign(angles)
@@ -109,7 +109,7 @@ def _spans_a_pole(curve: FilteredCurve, angles: Angles) -> np.ndarray:
     return spans
 
 
-def _lines_of_parts(curve: FilteredCurve, angles: Angles) -> Parts:
+def _lines_of_parts(curve: Curve, angles: Angles) -> Parts:
     """Return the number of the line at a pole on which a part lies, which does not meet itself."""
     lines = np.zeros(len(angles), int)
     for index, line in enumerate(curve.lines):
@@ -118,7 +118,7 @@ def _lines_of_parts(curve: FilteredCurve, angles: Angles) -> Parts:
 
 
 # ---------------------------------------------------------------------------- of two parts
-def _self_crossings(c: FilteredCurve, cubics: _Cubics) -> Angles:
+def _self_crossings(c: Curve, cubics: _Cubics) -> Angles:
     controls = cubics.controls[:, :2]
     pairs = np.concatenate([_touching_parts(cubics.interval, controls), _loops(cubics)], axis=1)
     line = cubics.line[pairs]
@@ -208,7 +208,7 @@ def _starts(
 
 
 def _meetings(
-    c: FilteredCurve,
+    c: Curve,
     start: Float64[np.ndarray, "2 pair"],
     begin: Float64[np.ndarray, "2 pair"],
     width: Float64[np.ndarray, "2 pair"],
@@ -235,7 +235,7 @@ def _meetings(
 
 
 # ------------------------------------------------------------------------ of parts and lines
-def _line_crossings(c: FilteredCurve, cubics: _Cubics) -> Angles:
+def _line_crossings(c: Curve, cubics: _Cubics) -> Angles:
     controls, begin, end = cubics.controls[:, 2:], cubics.begin, cubics.end
     crosses = _unlike(controls[0], controls[3])
     line, step = np.nonzero(crosses)
@@ -256,13 +256,13 @@ def _unlike(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return unlike
 
 
-def _margin(c: FilteredCurve, line: Parts, theta: np.ndarray) -> np.ndarray:
+def _margin(c: Curve, line: Parts, theta: np.ndarray) -> np.ndarray:
     """Return how far the curve is from the line z = r, number 0, or z = -r, number 1."""
     alpha, beta, lift = curve_and_lift(c, theta)
     return np.choose(line, [lift, c.minus_margin(alpha, beta)])
 
 
-def _margin_slope(c: FilteredCurve, line: Parts, theta: np.ndarray) -> np.ndarray:
+def _margin_slope(c: Curve, line: Parts, theta: np.ndarray) -> np.ndarray:
     return with_slope(partial(_margin, c, line), theta)[1]
 
 
@@ -277,7 +277,7 @@ _ROUNDS = 8
 _KEPT = 32  # pieces that do not close
 
 
-def refined_pieces(c: FilteredCurve, *, may_be_empty: bool) -> Pieces:
+def refined_pieces(c: Curve, *, may_be_empty: bool) -> Pieces:
     """Return pieces that join up to loops, searched until nothing hides at their ends.
 
     With damping, the loop without a wall is stable, so an empty answer means that the scan was too
@@ -299,7 +299,7 @@ def refined_pieces(c: FilteredCurve, *, may_be_empty: bool) -> Pieces:
 
 
 def _settled_pieces(
-    c: FilteredCurve, scan: Angles, closer: Angles, most: int, outside: float
+    c: Curve, scan: Angles, closer: Angles, most: int, outside: float
 ) -> tuple[Pieces, Angles, bool]:
     """Look closer at more and more angles, until no new one shows; return whether all is resolved.
 

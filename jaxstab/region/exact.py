@@ -7,7 +7,7 @@ z -+ 1 there, and in powers of z elsewhere, in pairs of float64; with Cramer's r
     alpha = Im(conj(R) base) / Im(conj(S) R),     beta = -Im(conj(S) base) / Im(conj(S) R).
 
 Powers of zeta - 1 have real and imaginary parts with all of their digits, so nothing is divided by
-hand, as it is in ``filtered_points``: enough of the 106 bits remain.
+hand, as it is in ``region.points``: enough of the 106 bits remain.
 
 Three things are computed so: points and slopes of the curve (``exact_gains``); the angles of its
 poles and of beta = 0, which float64 misses (``in_pairs``); and whether the other roots of walls are
@@ -24,9 +24,9 @@ from jaxtyping import Bool, Complex128, Float64
 
 from jaxstab.arrays import PI_REST, Array, joined, tree_map
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.region.filtered_curve import (
+from jaxstab.region.curve import (
     UNDAMPED,
-    FilteredCurve,
+    Curve,
     stretches_around,
     to_rescaled,
     true_angles,
@@ -85,7 +85,7 @@ def exact_gains(pairs: Pairs, theta: DoubleDouble, *, with_slopes: bool) -> Exac
     return joined([_gains(pairs, theta[k : k + width], with_slopes) for k in starts])
 
 
-def wall_errors(curve: FilteredCurve, theta: Angles) -> Float64[np.ndarray, "2 angle"]:
+def wall_errors(curve: Curve, theta: Angles) -> Float64[np.ndarray, "2 angle"]:
     """Return how far rounding of the coefficients of p(z) moves points of the curve, roughly.
 
     It moves the roots by its size over p'(z), and the curve passes gains with their angle.
@@ -296,7 +296,7 @@ _SAME = 1e-5  # of angles that float64 finds, too
 _CLOSEST = 1e-9  # what counts as the distance of a pole on the circle
 
 
-def in_pairs(curve: FilteredCurve, pairs: Pairs, centers: DoubleDouble) -> FilteredCurve:
+def in_pairs(curve: Curve, pairs: Pairs, centers: DoubleDouble) -> Curve:
     """Return a curve as it is evaluated in double-double, rescaled around the angles ``centers``.
 
     ``pairs`` are the parts of p(z), as ``exact_gains`` takes them.
@@ -370,7 +370,7 @@ _COEFFICIENTS = 1 << 11  # walls
 
 
 def all_inside(
-    curve: FilteredCurve, alpha: DoubleDouble, beta: DoubleDouble, within: float
+    curve: Curve, alpha: DoubleDouble, beta: DoubleDouble, within: float
 ) -> Bool[np.ndarray, "*wall"]:
     """Return where all roots of p(z) are inside a circle; those on the unit circle count."""
     inside = np.zeros(np.shape(alpha.hi), bool)
@@ -389,7 +389,7 @@ def all_inside(
 
 
 def _power_on_circle(
-    curve: FilteredCurve, alpha: DoubleDouble, beta: DoubleDouble
+    curve: Curve, alpha: DoubleDouble, beta: DoubleDouble
 ) -> Float64[np.ndarray, " wall"]:
     """Return how far outside a root counts as on the circle, by the gains' share in p(z)."""
     base, stiffness, damping = np.sum(np.abs(curve.pairs[0, 0, 0]), axis=-1)
@@ -413,7 +413,7 @@ def _parts_in_half_plane(falling: bytes, count: int, outside: float) -> DoubleDo
 
 
 def angles_on_circle(
-    curve: FilteredCurve, alpha: DoubleDouble, beta: DoubleDouble, *, within: float = np.inf
+    curve: Curve, alpha: DoubleDouble, beta: DoubleDouble, *, within: float = np.inf
 ) -> DoubleDouble:
     """Return the angles in (0, pi) of roots that are close to the circle for slow roots.
 

@@ -30,6 +30,16 @@ from jaxstab.numbers import checked_number
 from jaxstab.point.verdicts import linear_verdict
 from jaxstab.region import measures
 from jaxstab.region.crossings import refined_pieces
+from jaxstab.region.curve import (
+    UNDAMPED,
+    Curve,
+    System,
+    curve_of_system,
+    hardly_moved,
+    loop_of_system,
+    mass_system,
+    parts_in_pairs,
+)
 from jaxstab.region.exact import (
     Pairs,
     all_inside,
@@ -38,17 +48,6 @@ from jaxstab.region.exact import (
     polished_modes,
     wall_errors,
 )
-from jaxstab.region.filtered_curve import (
-    UNDAMPED,
-    FilteredCurve,
-    System,
-    filtered_curve,
-    hardly_moved,
-    loop_of_system,
-    mass_system,
-    parts_in_pairs,
-)
-from jaxstab.region.filtered_points import curve_and_lift
 from jaxstab.region.outline import Outline, extra_vertices, polygon
 from jaxstab.region.pieces import (
     NO_BRANCH,
@@ -58,6 +57,7 @@ from jaxstab.region.pieces import (
     edges_of,
     lone_partners,
 )
+from jaxstab.region.points import curve_and_lift
 from jaxstab.region.stable_set import StableRegion, region_within
 
 # A-posteriori check of regions, by certified verdicts.
@@ -83,7 +83,7 @@ Edges = Float64[np.ndarray, "_ 4"]
 Walls = Float64[np.ndarray, "2 _"]
 
 
-def fails_audit(c: FilteredCurve, outline: Outline, loop: LinearLoop, deviation: float) -> bool:
+def fails_audit(c: Curve, outline: Outline, loop: LinearLoop, deviation: float) -> bool:
     """Return whether a verdict proves a wall inside unstable, or one outside stable.
 
     Where a mode is next to undamped, an outline also fails if no wall beside it is proved stable.
@@ -144,7 +144,7 @@ def _beside(edges: Edges, extent: Float64[np.ndarray, "2"], *, is_near: bool = F
     return np.concatenate([middle + aside, middle - aside]).T
 
 
-def _near_corners(c: FilteredCurve, outline: Outline) -> Edges:
+def _near_corners(c: Curve, outline: Outline) -> Edges:
     """Return short edges of the boundary, at some distances from the corners."""
     size = int(outline.size)
     vertices = outline.vertices[:size]
@@ -161,7 +161,7 @@ def _near_corners(c: FilteredCurve, outline: Outline) -> Edges:
 
 
 def _on_edges(
-    c: FilteredCurve,
+    c: Curve,
     outline: Outline,
     edges: Int[np.ndarray, " edge"],
     shares: Float64[np.ndarray, " edge"],
@@ -190,7 +190,7 @@ def region_of_system(system: System, tolerance: float, *, may_be_empty: bool) ->
     Where no number of digits resolves its outline, or it fails the audit, it is UNRESOLVED. That
     nothing is stable, in the unit circle, is said after all have been tried.
     """
-    c, loop = filtered_curve(*system), loop_of_system(system)
+    c, loop = curve_of_system(system), loop_of_system(system)
     rough = None
     if not c.loses_digits:
         outline, _ = _audited(c, tolerance, may_be_empty, loop)
@@ -217,7 +217,7 @@ def region_of_system(system: System, tolerance: float, *, may_be_empty: bool) ->
     return region_within(exact, outline)
 
 
-def _strays(c: FilteredCurve, outline: Outline, system: System) -> bool:
+def _strays(c: Curve, outline: Outline, system: System) -> bool:
     """Return whether some points of an outline in float64 are off the curve in double-double."""
     size = np.abs(outline.angles)
     edges = _on_the_curve(c, outline)
@@ -233,7 +233,7 @@ def _strays(c: FilteredCurve, outline: Outline, system: System) -> bool:
     return bool(np.any(aside > _STRAYED * length))
 
 
-def _on_the_curve(c: FilteredCurve, outline: Outline) -> Int[np.ndarray, " edge"]:
+def _on_the_curve(c: Curve, outline: Outline) -> Int[np.ndarray, " edge"]:
     """Return the edges of the curve, without lines at poles."""
     size = np.abs(outline.angles[:, 0])
     straight = np.any([line.holds(size) for line in c.lines], axis=0)
@@ -251,7 +251,7 @@ def _is_known(outline: Outline) -> bool:
 
 
 def _audited(
-    c: FilteredCurve, tolerance: float, may_be_empty: bool, loop: LinearLoop
+    c: Curve, tolerance: float, may_be_empty: bool, loop: LinearLoop
 ) -> tuple[Outline, Pieces]:
     """Return an outline, not ``resolved`` if it fails the audit, and its pieces."""
     pieces = refined_pieces(c, may_be_empty=may_be_empty)
@@ -261,7 +261,7 @@ def _audited(
     return outline, pieces
 
 
-def _adapted(c: FilteredCurve, pieces: Pieces, tolerance: float) -> tuple[Outline, float]:
+def _adapted(c: Curve, pieces: Pieces, tolerance: float) -> tuple[Outline, float]:
     """Return an outline with as many points as the tolerance requires, and its deviation."""
     fewest = max(_FEWEST_POINTS, 2 * extra_vertices(len(pieces.begin)))
     points = _enough_points(sqrt(_BULGE / tolerance), fewest)

@@ -11,7 +11,7 @@ from jaxstab.arrays import Array, Numbers, float_arrays, namespace
 from jaxstab.conventions import Status
 from jaxstab.model import checked_gain, require_x64
 from jaxstab.region import measures
-from jaxstab.region.filtered_curve import FilteredCurve
+from jaxstab.region.curve import Curve
 from jaxstab.region.outline import Outline
 from jaxstab.region.pieces import NO_BRANCH
 from jaxstab.shown import number_text
@@ -152,7 +152,7 @@ _SMALL = 1e-8  # of what a set spans
 _RATIOS = 10.0 ** np.arange(-6.0, 1.0)  # of alpha to beta, in that measure
 
 
-def components_of(c: FilteredCurve, outline: Outline) -> list[Outline]:
+def components_of(c: Curve, outline: Outline) -> list[Outline]:
     """Return the outlines of the components: first the one with small gains, then by area."""
     parts = _loops(outline)
     if len(parts) == 1:
@@ -171,7 +171,7 @@ def components_of(c: FilteredCurve, outline: Outline) -> list[Outline]:
     return [component for component, _ in whole]
 
 
-def holds_small_gains(c: FilteredCurve, outline: Outline) -> bool:
+def holds_small_gains(c: Curve, outline: Outline) -> bool:
     """Return whether a set holds positive gains that are small beside its own size."""
     extent = np.max(np.abs(outline.vertices[: int(outline.size)]), axis=0)
     alpha = _SMALL * extent[0] * _RATIOS
@@ -215,7 +215,7 @@ def _joined(loops: list[Outline]) -> Outline:
     )
 
 
-def _holds(c: FilteredCurve, outer: Outline, inner: Outline) -> bool:
+def _holds(c: Curve, outer: Outline, inner: Outline) -> bool:
     return bool(measures.contains(c, outer, *inner.vertices[:1].T)[0])
 
 
@@ -265,7 +265,7 @@ class StableRegion(ShownRegion):
         [[0.0753, -0.4745]]
     """
 
-    coefficients: FilteredCurve
+    coefficients: Curve
     outline: Outline
     status: RegionStatus
     max_alpha: Array
@@ -392,7 +392,7 @@ class StableRegion(ShownRegion):
         return measures.distance(self.coefficients, self.outline, *points)
 
 
-def region_within(c: FilteredCurve, outline: Outline) -> StableRegion:
+def region_within(c: Curve, outline: Outline) -> StableRegion:
     """Return the region of an outline."""
     largest = np.argmax(np.nan_to_num(outline.vertices, nan=-np.inf), axis=0)
     closed = RegionStatus.COMPLETE if outline.size > 0 else RegionStatus.EMPTY
