@@ -602,7 +602,7 @@ _CLOSEST, _FARTHEST = 1e-9, 4.0  # of the distances of poles that are told apart
 UNDAMPED = 1e-6  # how far the roots of such a mode are from the circle
 _HARDLY = 1e-4  # how far a gain of 1 moves them
 _ON_CIRCLE = 1e-6  # a root of Im V this close to the circle is on it
-_REMEMBERED = 64  # pairs of filters, and curves
+_REMEMBERED = 64  # pairs of filters, curves, and roots of devices
 _SLOW = 0.5  # of the distance from 1
 
 # A plant with T V(z) less its factor (1 - 1/z), P(z), and the radius of the circle.
@@ -958,8 +958,7 @@ def resonances_of(plant: SampledPlant, radius: float = 1.0) -> Float64[np.ndarra
     """
     if plant.shifted is None:
         return np.empty((2, 0))
-    both = plant.numerator, plant.denominator
-    pairs = zip(map(rounded, both), map(rounded, plant.shifted[:2]), strict=True)
+    pairs = zip((plant.numerator, plant.denominator), plant.shifted[:2], strict=True)
     every = np.concatenate([_roots(*pair) for pair in pairs])
     every = every[every.imag >= 0.0]
     distance = np.abs(np.log(np.maximum(np.abs(every) / radius, 1e-300)))
@@ -974,13 +973,14 @@ def hardly_moved(plant: SampledPlant) -> Angles:
     if plant.shifted is None:
         return np.empty(0)
     n, d = map(rounded, plant.shifted[:2])
-    poles = _roots(rounded(plant.denominator), d)
+    poles = _roots(plant.denominator, plant.shifted[1])
     poles = poles[(np.abs(np.abs(poles) - 1.0) < UNDAMPED) & (poles.imag > 0.0)]
     gains, slopes = (np.polyval(p, poles - 1.0) for p in (n, np.polyder(d)))
     angles: Angles = np.angle(poles[np.abs(gains) < _HARDLY * np.abs(slopes)])
     return angles
 
 
-def _roots(straight: Angles, shifted: Angles) -> Array:
-    far, near = np.roots(straight), 1.0 + np.roots(shifted)
+@lru_cache(_REMEMBERED)
+def _roots(straight: Polynomial, shifted: Polynomial) -> Array:
+    far, near = np.roots(rounded(straight)), 1.0 + np.roots(rounded(shifted))
     return np.concatenate([far[abs(far - 1.0) > _SLOW], near[abs(near - 1.0) <= _SLOW]])
