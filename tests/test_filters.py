@@ -638,7 +638,7 @@ def test_the_curve_of_plants_that_are_nearly_zero_at_the_nyquist_frequency(numbe
 @pytest.mark.parametrize("samples", [3, 5])
 def test_walls_of_the_line_of_a_real_root_at_minus_one_have_that_root(samples: int) -> None:
     window = Velocity.difference(samples)
-    c = jaxstab.stable_region(**by_name(0.3, 0.1, 1.5), velocity=window).coefficients
+    c = jaxstab.stable_region(**by_name(0.3, 0.1, 1.5), velocity=window).curve
     base, stiffness, damping = c.at_minus_one
     for beta in (-0.2, 0.4):
         alpha = -(base + damping * beta) / stiffness

@@ -244,7 +244,7 @@ def outline_of(region: "WallRegion") -> Outlines:
     if region.main is None:
         return empty_outlines()
     main = region.main.region
-    branch, angles, curve = main.branch, np.abs(main.outline.angles), main.coefficients
+    branch, angles, curve = main.branch, np.abs(main.outline.angles), main.curve
     size = root_angles(curve.lines, angles).ravel()
     true, _ = true_angles(curve.stretches, size, np.zeros_like(size))
     angles = true.rounded().reshape(angles.shape)

@@ -91,7 +91,7 @@ def _extreme(c: Curve, outline: Outline, axis: int) -> Array:
     return np.where(is_there, point, np.nan) + 0.0  # no -0
 
 
-def crossings(
+def interval_ends(
     c: Curve, outline: Outline, values: Float64[np.ndarray, " row"], *, axis: int
 ) -> Float64[np.ndarray, "row crossing"]:
     """Return the ends of all intervals on lines as in ``limits``, ascending, then NaN."""

@@ -228,7 +228,7 @@ class StableRegion(ShownRegion):
     computed on the host and differentiable once.
 
     Attributes:
-        coefficients: what the exact boundary is made of.
+        curve: what the exact boundary is made of.
         outline: the polygon.
         status: what is known of the region.
         max_alpha: the point (alpha, beta) of the largest alpha, over negative betas as well (the
@@ -265,7 +265,7 @@ class StableRegion(ShownRegion):
         [[0.0753, -0.4745]]
     """
 
-    coefficients: Curve
+    curve: Curve
     outline: Outline
     status: RegionStatus
     max_alpha: Array
@@ -309,8 +309,8 @@ class StableRegion(ShownRegion):
         """
         if int(self.outline.size) == 0:
             return []
-        outlines = components_of(self.coefficients, self.outline)
-        return [region_within(self.coefficients, outline) for outline in outlines]
+        outlines = components_of(self.curve, self.outline)
+        return [region_within(self.curve, outline) for outline in outlines]
 
     @property
     def main(self) -> "StableRegion | None":
@@ -352,7 +352,7 @@ class StableRegion(ShownRegion):
         It is right to rounding, except for undamped hands next to the Nyquist frequency: there
         the relative error is up to about 1e-16/e, with e = |sqrt(gamma)/pi - 1|.
         """
-        return measures.area(self.coefficients, self.outline)
+        return measures.area(self.curve, self.outline)
 
     def alpha_limits(self, beta: Numbers) -> Float64[Array, "*grid 2"]:
         """Return the smallest and the largest alpha of the region at given betas.
@@ -363,7 +363,7 @@ class StableRegion(ShownRegion):
         """
         require_x64(beta)
         (rows,) = float_arrays(checked_gain("beta", beta))
-        return measures.limits(self.coefficients, self.outline, rows, axis=1)
+        return measures.limits(self.curve, self.outline, rows, axis=1)
 
     def beta_limits(self, alpha: Numbers) -> Float64[Array, "*grid 2"]:
         """Return the smallest and the largest beta of the region at given alphas.
@@ -373,7 +373,7 @@ class StableRegion(ShownRegion):
         """
         require_x64(alpha)
         (columns,) = float_arrays(checked_gain("alpha", alpha))
-        return measures.limits(self.coefficients, self.outline, columns, axis=0)
+        return measures.limits(self.curve, self.outline, columns, axis=0)
 
     def contains(self, alpha: Numbers, beta: Numbers) -> Bool[Array, "*grid"]:
         """Return whether points lie inside the exact boundary; all False for UNRESOLVED.
@@ -381,7 +381,7 @@ class StableRegion(ShownRegion):
         Args and Raises: see ``jaxstab.conventions``.
         """
         points = _checked_points(alpha, beta)
-        return measures.contains(self.coefficients, self.outline, *points)
+        return measures.contains(self.curve, self.outline, *points)
 
     def distance(self, alpha: Numbers, beta: Numbers) -> Float64[Array, "*grid"]:
         """Return the Euclidean distance to the boundary, positive inside and negative outside.
@@ -389,7 +389,7 @@ class StableRegion(ShownRegion):
         -inf for an empty region, NaN for UNRESOLVED. Args and Raises: see ``jaxstab.conventions``.
         """
         points = _checked_points(alpha, beta)
-        return measures.distance(self.coefficients, self.outline, *points)
+        return measures.distance(self.curve, self.outline, *points)
 
 
 def region_within(c: Curve, outline: Outline) -> StableRegion:
@@ -397,7 +397,7 @@ def region_within(c: Curve, outline: Outline) -> StableRegion:
     largest = np.argmax(np.nan_to_num(outline.vertices, nan=-np.inf), axis=0)
     closed = RegionStatus.COMPLETE if outline.size > 0 else RegionStatus.EMPTY
     return StableRegion(
-        coefficients=c,
+        curve=c,
         outline=outline,
         status=closed if outline.resolved else RegionStatus.UNRESOLVED,
         max_alpha=outline.vertices[largest[0]] + 0.0,  # no -0
@@ -406,7 +406,7 @@ def region_within(c: Curve, outline: Outline) -> StableRegion:
 
 
 def _holds_small_gains(component: StableRegion) -> bool:
-    return holds_small_gains(component.coefficients, component.outline)
+    return holds_small_gains(component.curve, component.outline)
 
 
 def _checked_points(alpha: Numbers, beta: Numbers) -> tuple[Array, Array]:

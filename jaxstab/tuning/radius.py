@@ -127,7 +127,7 @@ def component_of(region: StableRegion) -> Component:
     if region.status == RegionStatus.UNRESOLVED:
         return Component(None, TuningStatus.ANY_COMPONENT)
     components = region.components
-    if not components or not holds_small_gains(region.coefficients, components[0].outline):
+    if not components or not holds_small_gains(region.curve, components[0].outline):
         return Component(None, TuningStatus.ISLAND)
     main, *islands = components
     return Component(edges_of(main.points, main.branch)) if islands else ALL_GAINS
