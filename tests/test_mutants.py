@@ -21,8 +21,8 @@ from jaxstab.proofs.filters import Ends, filter_cells, filter_ends, largest_with
 from jaxstab.proofs.linear_circle import _in_piece, _waves
 from jaxstab.proofs.plant import HandBoxes, delay_moves
 from jaxstab.region.curve import PoleLine
+from jaxstab.region.outline import are_inside as are_within
 from jaxstab.region.pieces import _all_inside
-from jaxstab.region.pieces import are_inside as are_within
 
 
 def test_batched_counts_of_roots_are_those_of_numpys_roots() -> None:

@@ -40,8 +40,6 @@ from jaxstab.model.parameters import whole_and_fraction
 from jaxstab.model.plant import PlantPairs, plant_pairs
 from jaxstab.numbers import checked
 
-# Sine, cosine and sin(x) / x of positive angles, with derivatives to full precision.
-
 # sin(x) / x and cos(x) as series in x^2, for all x up to pi/4 and derivatives, too.
 _SINC = tuple((-1.0) ** k / factorial(2 * k + 1) for k in range(10))
 _COSINE = tuple((-1.0) ** k / factorial(2 * k) for k in range(10))

@@ -20,9 +20,8 @@ import numpy as np
 from jaxtyping import Float64, Int
 
 from jaxstab.arrays import tree_map
-from jaxstab.region.curve import Curve
+from jaxstab.region.curve import Angles, Curve
 from jaxstab.region.pieces import (
-    Angles,
     Pieces,
     closer_angles,
     find_pieces,

@@ -19,6 +19,10 @@ where the curve goes to infinity.
 
 A circle of radius r is the unit circle of the polynomials of r zeta, with r^w for z^w
 (``Around.of_radius``). They are formed about z = 1 first, where the plant is known best.
+
+In this order follow polynomials about zeta = 1 (``Around``, ``Rows``), whole lines of the boundary
+at poles (``PoleLine``), angles rescaled where the curve is too fast for float64 (``Stretch``), and
+the curve itself (``Curve``). Its points are evaluated by ``points``, or by ``exact``.
 """
 
 from collections.abc import Callable, Sequence
@@ -53,7 +57,7 @@ _NOTHING = 1e-25  # of the size of a polynomial: pairs that are rounding
 # |zeta - 1|: on half of the circle at most sqrt(2).
 _HALF_CIRCLE = np.linspace(0.0, 1.5, 151)[1:]
 
-ComplexCoefficients = Float64[np.ndarray, " _"]
+Angles = Float64[np.ndarray, " _"]
 
 
 class Around(NamedTuple):
@@ -155,7 +159,7 @@ def _about(
     return (*quotient, *coefficients[::-1])
 
 
-def rounded(polynomial: Polynomial) -> ComplexCoefficients:
+def rounded(polynomial: Polynomial) -> Float64[np.ndarray, " coefficient"]:
     """Return the coefficients in float64."""
     return np.array([float(coefficient.rounded()) for coefficient in polynomial])
 
@@ -203,7 +207,7 @@ def _powers_of_steps(count: int) -> Float64[np.ndarray, "power step"]:
     return _HALF_CIRCLE ** np.arange(count)[:, None]
 
 
-# Whole lines of the boundary: walls of a line that keep a pair of roots on the circle. NumPy only.
+# Whole lines of the boundary: walls of a line that keep a pair of roots on the circle.
 #
 # Where V is real W mostly is not, and the curve goes to infinity. Where both are (windows, undamped
 # hands, delays of whole or half samples) all walls of one line have the pair z, 1/z: it belongs to
@@ -223,13 +227,11 @@ def _powers_of_steps(count: int) -> Float64[np.ndarray, "power step"]:
 _BITS = 200  # of fixed point
 _ZERO = 2.0**-86  # of the sizes of the polynomials: pairs know that much
 _MAYBE = 1e-6  # the same, to be looked at: double roots are known to half of the digits
-_SAME = 1e-5  # of angles of a double root
-_REACH, _WIDEST = 0.3, 0.1  # of a line: as a share of the distance to the next pole, and radians
+_SAME = 1e-5  # angles closer than that are one, and slopes smaller beside the next one are 0
+_LINE_SHARE, _WIDEST_LINE = 0.3, 0.1  # half width: of the distance to the next pole, and radians
 _DOUBLE = 1e-6  # Re(U V') beside V' at a double pole
 _MIDDLE = 0.5  # where the line meets the curve, as a share of the half width
 _NEWTON_STEPS = 6
-
-Angles = Float64[np.ndarray, " _"]
 
 Coefficients = Complex128[np.ndarray, " _"]
 
@@ -305,9 +307,8 @@ class PoleLine(NamedTuple):
         """Return g and q (double: b on the line) and their slopes, by the share of the width."""
         side = np.where(size < self.angle, -1.0, 1.0)
         share = np.abs(size - self.angle) / self.half_width
-        last, steep = 2.0 * np.sin(0.5 * self.half_width), np.cos(0.5 * self.half_width)
-        steep = steep * self.half_width
-        nothing = np.zeros_like(share)
+        last = 2.0 * np.sin(0.5 * self.half_width)
+        steep = np.cos(0.5 * self.half_width) * self.half_width
         if self.is_double:
             beyond = np.maximum(share - _MIDDLE, 0.0)
             linear, square = 4.0 * last - steep, 2.0 * steep - 4.0 * last
@@ -319,11 +320,9 @@ class PoleLine(NamedTuple):
             return side * g, g_slope, q, q_slope
         share = np.maximum(share, np.finfo(float).tiny)
         x = _climb(share, last, steep, self.half_width)
-        slope = steep + self.half_width * (1.0 / share**2 - 1.0)
-        slope = slope / self.half_width
-        is_curve = x > 0.0
-        g, g_slope = np.where(is_curve, x, nothing), np.where(is_curve, slope, 0.0)
-        q, q_slope = np.where(is_curve, nothing, -x), np.where(is_curve, 0.0, -slope)
+        slope = (steep + self.half_width * (1.0 / share**2 - 1.0)) / self.half_width
+        g, g_slope = np.where(x > 0.0, (x, slope), 0.0)
+        q, q_slope = np.where(x > 0.0, 0.0, (-x, -slope))
         return side * g, g_slope, side * self.unit * q, self.unit * q_slope
 
     @property
@@ -361,7 +360,7 @@ def pole_lines(
         if angle is None or any(abs(angle - line.angle) < _SAME for line in lines):
             continue
         away = np.abs(np.concatenate([poles, [0.0, np.pi]]) - angle)
-        half_width = min(_REACH * float(np.min(away[away > _SAME])), _WIDEST)
+        half_width = min(_LINE_SHARE * float(np.min(away[away > _SAME])), _WIDEST_LINE)
         line = _line(floats, angle, half_width)
         if line is not None:
             lines.append(line)
@@ -496,7 +495,7 @@ def _to_fixed(value: float) -> int:
     return int(Fraction(float(value)) * (1 << _BITS))
 
 
-# Angle intervals rescaled to resolve fast arcs of the curve. NumPy only.
+# Angle intervals rescaled to resolve fast arcs of the curve.
 #
 # Where slow filters leave next to nothing of the gains, a fast resonance crosses the circle within
 # 1e-9 to 1e-20 radians while the gains run through all of the stable set: no two angles in float64
@@ -504,12 +503,9 @@ def _to_fixed(value: float) -> int:
 # is mapped to c + h sinh(L (t - c)/h) / sinh(L): all distances from 1e-24 on have digits.
 
 _LEAST = 1e-24  # the distance that is rescaled to a share of 1 / L
-_WIDEST_STRETCH, _STRETCH_SHARE = (
-    0.05,
-    0.45,
-)  # of h: radians, and as a share of the distance to the next angle
+_WIDEST_STRETCH, _STRETCH_SHARE = 0.05, 0.45  # h: radians, and of the distance to the next angle
 _SCAN_STEPS = 120  # of a scan, to each side
-_LOST = 0.01  # of the least distance: closer to the middle, gains have no digits
+_NO_DIGITS = 0.01  # of the least distance: closer to the middle, gains are rounding
 
 
 class Stretch(NamedTuple):
@@ -543,7 +539,7 @@ class Stretch(NamedTuple):
     @property
     def rounding(self) -> float:
         """How far from the middle points of the curve are rounding."""
-        return _LOST * self.half_width / self.growth
+        return _NO_DIGITS * self.half_width / self.growth
 
 
 def stretches_around(centers: DoubleDouble, others: Angles) -> tuple[Stretch, ...]:
@@ -761,7 +757,7 @@ def curve_of_system(system: System) -> Curve:
     whole = plant.lag + position.lag
     filters = of_filters(velocity, position, radius)
     above, below = _plants_around(plant, radius)
-    loop = loop_of_radius(loop_of(plant, filters.of_loop), radius)
+    loop = loop_of_system(system)
     real_angles = filters.real_angles
     lines = () if filters.loses_digits else pole_lines(loop[:3], real_angles)
     zeros = rounded(rescaled(product(plant.numerator, position.numerator), radius))

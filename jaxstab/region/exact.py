@@ -26,6 +26,7 @@ from jaxstab.arrays import PI_REST, Array, joined, tree_map
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.region.curve import (
     UNDAMPED,
+    Angles,
     Curve,
     stretches_around,
     to_rescaled,
@@ -40,8 +41,6 @@ _HALVINGS = 3  # of angles before the series
 _AT_ONCE = 1 << 18  # coefficients that are held in memory
 _POLISHING, _POLISHED = 3, 1e-3  # steps, and the longest one beside the root
 _TERMS = 10  # of the series of sine and cosine, for angles up to 0.1
-
-Angles = Float64[np.ndarray, " _"]
 
 Pairs = Float64[np.ndarray, "half form pair part coefficient"]
 
@@ -349,7 +348,7 @@ def _are_apart(angles: Angles, others: Angles) -> Bool[np.ndarray, " _"]:
     return apart
 
 
-# Whether all other roots are inside the circle, at walls on the boundary. Double-double, NumPy.
+# Whether all other roots are inside the circle, at walls on the boundary.
 #
 # Slow modes have roots next to each other near z = 1, which the coefficients in powers of z cannot
 # tell apart. So p(z) is written in powers of z - 1, where each small root makes one more
@@ -366,7 +365,7 @@ _ON_CIRCLE = 1e-18  # a root so close is on the circle, where gains count as muc
 _LEAST_DISTANCE = 1e-28  # of a root on the circle: rounding of pairs
 _STEP, _SMALLEST_SHARE = 1e-3, 1e-15  # of the share that gains count for, and the least one
 _NEAR_CIRCLE = 1e-2
-_COEFFICIENTS = 1 << 11  # walls
+_WALLS_AT_ONCE = 1 << 11
 
 
 def all_inside(
@@ -375,20 +374,20 @@ def all_inside(
     """Return where all roots of p(z) are inside a circle; those on the unit circle count."""
     inside = np.zeros(np.shape(alpha.hi), bool)
     walls = [tree_map(np.ravel, wall) for wall in (alpha, beta)]
-    falling = np.ascontiguousarray(curve.pairs[0, 1, :, :, ::-1])  # in powers of z - 1
-    outside = np.maximum(within - 1.0, _power_on_circle(curve, *walls))
+    falling = curve.pairs[0, 1, :, :, ::-1].tobytes()  # in powers of z - 1
+    outside = np.maximum(within - 1.0, _widths_of_circle(curve, *walls))
     for distance in np.unique(outside).tolist():
-        parts = _parts_in_half_plane(falling.tobytes(), falling.shape[-1], distance)
+        parts = _parts_in_half_plane(falling, distance)
         base, stiffness, damping = (parts[:, k, None] for k in range(3))
         chosen = np.flatnonzero(outside == distance)
-        for start in range(0, chosen.size, _COEFFICIENTS):
-            chunk = chosen[start : start + _COEFFICIENTS]
+        for start in range(0, chosen.size, _WALLS_AT_ONCE):
+            chunk = chosen[start : start + _WALLS_AT_ONCE]
             alpha, beta = (wall[chunk] for wall in walls)
             inside.flat[chunk] = _are_hurwitz(base + (stiffness * alpha + damping * beta))
     return inside
 
 
-def _power_on_circle(
+def _widths_of_circle(
     curve: Curve, alpha: DoubleDouble, beta: DoubleDouble
 ) -> Float64[np.ndarray, " wall"]:
     """Return how far outside a root counts as on the circle, by the gains' share in p(z)."""
@@ -400,13 +399,13 @@ def _power_on_circle(
 
 
 @lru_cache(maxsize=64)
-def _parts_in_half_plane(falling: bytes, count: int, outside: float) -> DoubleDouble:
+def _parts_in_half_plane(falling: bytes, outside: float) -> DoubleDouble:
     """Return base, stiffness and damping (coefficient, part) in powers of w, highest first.
 
     They are given in powers of z - 1, (pair, part, coefficient); r = 1 + outside. They are
     remembered, for one curve serves many walls.
     """
-    pairs = np.frombuffer(falling).reshape(2, 3, count).transpose(0, 2, 1)
+    pairs = np.frombuffer(falling).reshape(2, 3, -1).transpose(0, 2, 1)
     return _to_half_plane(
         _about(DoubleDouble(*pairs), outside), DoubleDouble.from_value(outside) + 1.0
     )

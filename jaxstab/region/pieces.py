@@ -28,7 +28,7 @@ from jaxtyping import Bool, Float64
 from jaxstab.arrays import Array
 from jaxstab.model import companion_matrix
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.region.curve import Curve, PoleLine, out_of_rounding, to_rescaled
+from jaxstab.region.curve import Angles, Curve, PoleLine, out_of_rounding, to_rescaled
 from jaxstab.region.exact import all_inside, angles_on_circle, lines_crossing_of
 from jaxstab.region.points import (
     curve_and_lift,
@@ -223,8 +223,7 @@ def others_inside(c: Curve, theta: Array, within: float = 1.0) -> Array:
 
 def _others(c: Curve, falling: Array, theta: Array) -> Array:
     """Divide polynomials by the pairs at r e^(+-i theta), roots of them."""
-    angle = root_angles(c.lines, theta) if c.lines else theta
-    return _quotient(falling, 2.0 * np.cos(angle), 1.0)
+    return _quotient(falling, 2.0 * np.cos(root_angles(c.lines, theta)), 1.0)
 
 
 def _quotient(falling: Array, total: Array, product: float) -> Array:
@@ -548,18 +547,16 @@ def _linked(
     )
 
 
-# The angles at which a scan looks for pieces of the boundary of the stable set. NumPy only.
+# The angles at which a scan looks for pieces of the boundary of the stable set.
 
-_FIRST, _PI_MINUS_LAST = 1e-7, 1e-7
-_CLOSEST = 1e-11
+_FIRST = 1e-7  # and the last one beside pi
+_CLOSEST = 1e-11  # to an angle that a scan looks closer at
 _OFFSETS = 24  # to each side of an angle to look closer at
-_NEAR_CIRCLE = 1e-2
-_SAME = 1e-10
-_ON_CIRCLE, _APART, _MOST_CENTERS = 1e-9, 1e-7, 8
+_NEAR_CIRCLE = 1e-2  # roots whose angles a scan looks closer at
+_SAME = 1e-10  # angles closer than that to one that was searched are not searched again
+_ON_CIRCLE, _APART, _MOST_CENTERS = 1e-9, 1e-7, 8  # of lone partners
 _WIDTHS, _STEPS_AROUND = 8.0, 16  # of a resonance
 _STEPS_OF_LINE = 48  # on each side of a line at a pole
-
-Angles = Float64[np.ndarray, " _"]  # of any length
 
 
 @cache
@@ -570,11 +567,8 @@ def scan_angles(length: int, fineness: int) -> Angles:
     """
     count = fineness * (24 + 8 * length)
     even = (np.arange(count) + 0.5) * (np.pi / count)
-    start, end = (
-        np.geomspace(closest, even[0], 12 * fineness, endpoint=False)
-        for closest in (_FIRST, _PI_MINUS_LAST)
-    )
-    angles = np.concatenate([start, even, np.pi - end[::-1]])
+    start = np.geomspace(_FIRST, even[0], 12 * fineness, endpoint=False)
+    angles = np.concatenate([start, even, np.pi - start[::-1]])
     angles.flags.writeable = False
     return angles
 
@@ -689,23 +683,3 @@ def _angles_near_circle(polynomials: Float64[np.ndarray, "polynomial coefficient
     near = roots[(np.abs(np.abs(roots) - 1.0) < _NEAR_CIRCLE) & (roots.imag > 0.0)]
     angles: Angles = np.angle(near)
     return angles
-
-
-# Which points lie inside an outline's polygon; the same answer as the curve, except next to it.
-
-
-def edges_of(points: np.ndarray, branch: np.ndarray) -> Float64[np.ndarray, "edge 4"]:
-    """Return the edges of an outline, without those between its loops."""
-    return np.concatenate([points[:-1], points[1:]], axis=1)[branch != NO_BRANCH]
-
-
-def are_inside(edges: np.ndarray, points: np.ndarray) -> Bool[np.ndarray, " point"]:
-    """Count the edges to the right of each point: an odd number of them encloses it."""
-    alpha, beta = points[:, None]
-    first_alpha, first_beta, last_alpha, last_beta = edges.T[..., None]
-    crosses = (first_beta > beta) != (last_beta > beta)
-    with np.errstate(all="ignore"):  # edges that run level are not crossed
-        share = (beta - first_beta) / (last_beta - first_beta)
-        is_right = first_alpha + share * (last_alpha - first_alpha) > alpha
-    inside: np.ndarray = np.sum(crosses & is_right, axis=0) % 2 == 1
-    return inside

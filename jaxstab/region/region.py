@@ -48,13 +48,11 @@ from jaxstab.region.exact import (
     polished_modes,
     wall_errors,
 )
-from jaxstab.region.outline import Outline, extra_vertices, polygon
+from jaxstab.region.outline import Outline, are_inside, edges_of, extra_vertices, polygon
 from jaxstab.region.pieces import (
     NO_BRANCH,
     Branch,
     Pieces,
-    are_inside,
-    edges_of,
     lone_partners,
 )
 from jaxstab.region.points import curve_and_lift

@@ -32,7 +32,7 @@ from jaxstab.numbers import checked_number
 from jaxstab.point.radius import have_roots_inside
 from jaxstab.point.verdicts import verdict
 from jaxstab.region import RegionStatus, StableRegion, stable_region
-from jaxstab.region.pieces import are_inside, edges_of
+from jaxstab.region.outline import are_inside, edges_of
 from jaxstab.region.stable_set import holds_small_gains
 
 # What is known about the best gains.
