@@ -31,7 +31,7 @@ from jaxstab.region.pieces import (
     steps_to_meeting,
     suspects,
 )
-from jaxstab.region.points import curve_and_lift
+from jaxstab.region.points import curve_and_lift, curve_gains
 from jaxstab.region.roots import bracketed_root, with_slope
 
 _AT_ONCE = 1 << 20  # pairs of boxes that are held in memory
@@ -84,7 +84,7 @@ def _cubics(c: Curve, angles: Angles) -> _Cubics:
     is_near = is_near[1:] | is_near[:-1] | (line != 0)  # those of lines may be long
     interval = np.flatnonzero(is_near & ~_spans_a_pole(c, angles))
     ends = np.unique(np.concatenate([interval, interval + 1]))
-    values, slopes = with_slope(lambda theta: _values(c, theta), angles[ends])
+    values, slopes = with_slope(partial(_values, c), angles[ends])
     start = np.searchsorted(ends, interval)
     begin, end = angles[interval], angles[interval + 1]
     here, there = values[:, start], values[:, start + 1]
@@ -219,9 +219,7 @@ def _meetings(
     for _ in range(_NEWTON_STEPS):
         if not moving.size:
             break
-        points, slopes = with_slope(
-            lambda theta: np.stack(curve_and_lift(c, theta)[:2]), angles[:, moving]
-        )
+        points, slopes = with_slope(partial(curve_gains, c), angles[:, moving])
         steps = np.stack(steps_to_meeting(*points, *slopes))
         moved = np.clip(angles[:, moving] - steps, lowest[:, moving], highest[:, moving])
         stays = np.all(np.abs(moved - angles[:, moving]) <= _SETTLED * width[:, moving], axis=0)
@@ -257,8 +255,7 @@ def _unlike(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def _margin(c: Curve, line: Parts, theta: np.ndarray) -> np.ndarray:
     """Return how far the curve is from the line z = r, number 0, or z = -r, number 1."""
-    alpha, beta, lift = curve_and_lift(c, theta)
-    return np.choose(line, [lift, c.minus_margin(alpha, beta)])
+    return np.choose(line, _values(c, theta)[2:])
 
 
 def _margin_slope(c: Curve, line: Parts, theta: np.ndarray) -> np.ndarray:

@@ -104,8 +104,7 @@ class Around(NamedTuple):
 
 def around(polynomial: Polynomial, sign: int, radius: float = 1.0) -> Around:
     """Return a polynomial of sign radius zeta."""
-    turned_one = Around.from_polynomial(polynomial if sign > 0 else turned(polynomial))
-    return turned_one.of_radius(radius)
+    return Around.from_polynomial(polynomial if sign > 0 else turned(polynomial)).of_radius(radius)
 
 
 def minor(p: Around, q: Around) -> Around:
@@ -348,7 +347,7 @@ def pole_lines(
     loop: tuple[Polynomial, Polynomial, Polynomial], poles: Angles
 ) -> tuple[PoleLine, ...]:
     """Return the lines of a loop, base + alpha stiffness + beta damping, at angles of real V."""
-    floats = [np.array([float(c.rounded()) for c in polynomial]) for polynomial in loop]
+    floats = [rounded(polynomial) for polynomial in loop]
     sizes = [float(np.sum(np.abs(polynomial))) for polynomial in floats]
     candidates = _candidates([p / size for p, size in zip(floats, sizes, strict=True)], poles)
     if not len(candidates):
@@ -562,10 +561,7 @@ def true_angles(
         held, growth, half_width = stretch.holds(size), stretch.growth, stretch.half_width
         share = growth * ((size[held] - stretch.angle) + low[held]) / half_width
         unit = half_width / np.sinh(growth)
-        moved = DoubleDouble.from_value(unit * np.sinh(share)) + DoubleDouble.from_value(
-            stretch.low
-        )
-        moved = moved + stretch.angle
+        moved = DoubleDouble.from_value(unit * np.sinh(share)) + stretch.low + stretch.angle
         angles.hi[held], angles.lo[held] = moved.hi, moved.lo
         speed[held] = unit * np.cosh(share) * growth / half_width
     return angles, speed
@@ -594,7 +590,7 @@ def to_rescaled(stretches: Sequence[Stretch], angles: DoubleDouble) -> Angles:
 _DIFFERENCE = (DoubleDouble(1.0, 0.0), DoubleDouble(-1.0, 0.0))  # z - 1
 _ILL_CONDITIONED = 1e5  # sum of a denominator's coefficients over its least size on the circle
 _DOUBTFUL = 30.0  # the same: above this, points are compared with double-double
-_CLOSEST, _FARTHEST = 1e-9, 4.0  # of the distances of poles that are told apart
+CLOSEST, _FARTHEST = 1e-9, 4.0  # of the distances of poles that are told apart
 UNDAMPED = 1e-6  # how far the roots of such a mode are from the circle
 _HARDLY = 1e-4  # how far a gain of 1 moves them
 _ON_CIRCLE = 1e-6  # a root of Im V this close to the circle is on it
@@ -909,8 +905,7 @@ def _plants_around(plant: SampledPlant, radius: float) -> list[tuple[Around, Aro
 
 def _form(above: Around, below: Around) -> Form:
     """Return the form for the quotient of two polynomials."""
-    sizes = (abs(p.value.hi) / size_of(p.straight) for p in (above, below))
-    of_above, of_below = sizes
+    of_above, of_below = (abs(p.value.hi) / size_of(p.straight) for p in (above, below))
     if of_above == of_below == 0.0:
         return Form.WHOLE
     return Form.DIRECT if of_below >= of_above else Form.INVERSE
@@ -929,7 +924,7 @@ def _poles(
         others = ~line.holds(angles)
         angles = np.concatenate([angles[others], line.poles])
         distances = np.concatenate([distances[others], np.zeros(len(line.poles))])
-    return np.stack([angles, np.clip(distances, _CLOSEST, _FARTHEST)])
+    return np.stack([angles, np.clip(distances, CLOSEST, _FARTHEST)])
 
 
 def _real_angles(above: Angles, below: Angles) -> Angles:
@@ -958,7 +953,7 @@ def resonances_of(plant: SampledPlant, radius: float = 1.0) -> Float64[np.ndarra
     every = np.concatenate([_roots(*pair) for pair in pairs])
     every = every[every.imag >= 0.0]
     distance = np.abs(np.log(np.maximum(np.abs(every) / radius, 1e-300)))
-    return np.stack([np.abs(np.angle(every)), np.clip(distance, _CLOSEST, _FARTHEST)])
+    return np.stack([np.abs(np.angle(every)), np.clip(distance, CLOSEST, _FARTHEST)])
 
 
 def hardly_moved(plant: SampledPlant) -> Angles:

@@ -25,6 +25,7 @@ from jaxtyping import Bool, Complex128, Float64
 from jaxstab.arrays import PI_REST, Array, joined, tree_map
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.region.curve import (
+    CLOSEST,
     UNDAMPED,
     Angles,
     Curve,
@@ -292,7 +293,6 @@ _SEARCHED = np.concatenate(  # angles between which poles are looked for, on eac
     [np.geomspace(1e-7, 0.1, 240, endpoint=False), np.linspace(0.1, 0.5 * np.pi, 400)]
 )
 _SAME = 1e-5  # of angles that float64 finds, too
-_CLOSEST = 1e-9  # what counts as the distance of a pole on the circle
 
 
 def in_pairs(curve: Curve, pairs: Pairs, centers: DoubleDouble) -> Curve:
@@ -323,7 +323,7 @@ def in_pairs(curve: Curve, pairs: Pairs, centers: DoubleDouble) -> Curve:
         for a in (curve.poles[0], curve.steep, curve.resonances[0])
     )
     is_pole, is_steep = _are_apart(poles, real), _are_apart(lone, steep)
-    distances = np.concatenate([curve.poles[1, is_pole], np.full(len(real), _CLOSEST)])
+    distances = np.concatenate([curve.poles[1, is_pole], np.full(len(real), CLOSEST)])
     return curve._replace(
         poles=np.stack([np.concatenate([poles[is_pole], real]), distances]),
         steep=np.concatenate([lone[is_steep], steep]),

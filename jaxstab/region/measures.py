@@ -26,7 +26,7 @@ from jaxstab.batches import on_host
 from jaxstab.region.curve import Curve
 from jaxstab.region.outline import Outline
 from jaxstab.region.pieces import Branch
-from jaxstab.region.points import curve_and_lift
+from jaxstab.region.points import curve_gains
 from jaxstab.region.roots import bracketed_root, nonzero, with_slope
 
 _AT_ONCE = 1 << 20  # pairs of a point and an edge that are held in memory
@@ -139,7 +139,7 @@ def area(c: Curve, outline: Outline) -> Array:
     begin, end = outline.angles[:, :1], outline.angles[:, 1:]
     half = 0.5 * (end - begin)
     theta = begin + half * (1.0 + _GAUSS_NODES)
-    (alpha, _), (_, slope) = with_slope(lambda angle: _point(c, angle), theta)
+    (alpha, _), (_, slope) = with_slope(partial(curve_gains, c), theta)
     on_curve = np.sum(half * alpha * slope * _GAUSS_WEIGHTS, axis=1)
     here, there = outline.vertices[:-1], outline.vertices[1:]
     on_line = 0.5 * (here[:, 0] + there[:, 0]) * (there[:, 1] - here[:, 1])
@@ -150,16 +150,12 @@ def area(c: Curve, outline: Outline) -> Array:
 
 def deviation(c: Curve, outline: Outline) -> Array:
     """Return how far the boundary leaves the polygon, as a share of the region's diameter."""
-    middle = np.stack(_point(c, np.mean(outline.angles, axis=1)), axis=-1)
+    middle = curve_gains(c, np.mean(outline.angles, axis=1)).T
     here, there = outline.vertices[:-1], outline.vertices[1:]
     away = middle - _foot_on_chord(here, there, middle)
     bulges = np.hypot(away[:, 0], away[:, 1])
     size = np.hypot(*(np.max(outline.vertices, axis=0) - np.min(outline.vertices, axis=0)))
     return np.max(np.where(outline.branches == Branch.CURVE, bulges, 0.0)) / size
-
-
-def _point(c: Curve, theta: Array, low: Array | float = 0.0) -> Array:
-    return np.stack(curve_and_lift(c, theta, low)[:2])
 
 
 def _columns(function: Callable[..., Any], outline: Outline, count: int, *gains: Array) -> Any:
@@ -203,9 +199,9 @@ def _crossings(
     edges = np.where(exist, edges, 0)
     goals = np.broadcast_to(values[:, None], edges.shape)
     begin, end = np.moveaxis(outline.angles[edges], -1, 0)
-    theta = bracketed_root(lambda angle: _point(c, angle)[axis] - goals, begin, end)
+    theta = bracketed_root(lambda angle: curve_gains(c, angle)[axis] - goals, begin, end)
     low, slope = _last_steps(c, theta, goals, axis)
-    on_curve = curve_and_lift(c, theta, low)[1 - axis]
+    on_curve = curve_gains(c, theta, low)[1 - axis]
     here = outline.vertices[edges]
     run = outline.vertices[edges + 1] - here
     divisor = nonzero(run[..., axis], 1.0)
@@ -228,7 +224,7 @@ def _last_steps(c: Curve, theta: Array, goals: Array, axis: int) -> tuple[Array,
     """
     low = np.zeros_like(theta)
     for _ in range(2):  # where the curve flies off, one is not enough
-        here, tangent = with_slope(partial(_point, c, low=low), theta)
+        here, tangent = with_slope(partial(curve_gains, c, low=low), theta)
         step = (goals - here[axis]) / nonzero(tangent[axis], 1.0)
         low = np.clip(low + step, -_LAST_STEP, _LAST_STEP)
     return low, tangent[1 - axis] / nonzero(tangent[axis], np.inf)
@@ -263,7 +259,7 @@ def _nearest(c: Curve, outline: Outline, points: Array) -> Array:
         best = np.where(closer, least, best)
         edge = np.where(closer, edges[rows, nearest], edge)
         theta = np.where(closer, feet[rows, nearest], theta)
-    on_curve = np.stack(curve_and_lift(c, theta)[:2], axis=-1)
+    on_curve = curve_gains(c, theta).T
     on_line = _foot_on_chord(here[edge], there[edge], points)
     return np.where((outline.branches[edge] == Branch.CURVE)[:, None], on_curve, on_line)
 
@@ -287,13 +283,13 @@ def _feet(c: Curve, outline: Outline, edges: Array, points: Array) -> tuple[Arra
     target = np.moveaxis(points, -1, 0)[..., None]
 
     def gap(theta: Array) -> Array:
-        alpha, beta = _point(c, theta)
+        alpha, beta = curve_gains(c, theta)
         return np.hypot(alpha - target[0][..., None], beta - target[1][..., None])
 
     shares = np.arange(_SUBDIVISIONS + 1) / _SUBDIVISIONS
 
     def along(theta: Array) -> Array:
-        point, tangent = with_slope(lambda angle: _point(c, angle), theta)
+        point, tangent = with_slope(partial(curve_gains, c), theta)
         return np.sum((point - target) * tangent, axis=0)
 
     for _ in range(2):

@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float64
 from jaxstab.arrays import Array, joined, take, tree_map
 from jaxstab.region.curve import Curve
 from jaxstab.region.pieces import NO_BRANCH, Branch, Pieces
-from jaxstab.region.points import curve_and_lift
+from jaxstab.region.points import curve_gains
 from jaxstab.region.roots import bracketed_root, with_slope
 
 _FEWEST_NODES, _MOST_NODES = 33, 129  # per piece, to see where it bends and turns
@@ -186,7 +186,7 @@ def _survey(c: Curve, pieces: Pieces, count: int) -> tuple[Array, Array]:
 
 
 def _tangent(c: Curve, theta: Array) -> Array:
-    return with_slope(lambda angle: np.stack(curve_and_lift(c, angle)[:2]), theta)[1]
+    return with_slope(partial(curve_gains, c), theta)[1]
 
 
 def _turning_points(c: Curve, pieces: Pieces, nodes: Array, tangents: Array) -> _Marks:
@@ -223,7 +223,7 @@ def _spread(pieces: Pieces, nodes: Array, tangents: Array, count: int) -> _Marks
 
 def _points(c: Curve, marks: _Marks) -> Array:
     """Return the points of marks; corners with a line are on that line to the last digit."""
-    alpha, beta = curve_and_lift(c, marks.theta, marks.low)[:2]
+    alpha, beta = curve_gains(c, marks.theta, marks.low)
     on_plus = c.plus_offset - c.plus_slope * beta
     alpha = np.where(marks.branch == Branch.Z_PLUS_ONE, on_plus, alpha)
     crossing = np.stack(c.lines_crossing)

@@ -32,6 +32,7 @@ from jaxstab.region.curve import Angles, Curve, PoleLine, out_of_rounding, to_re
 from jaxstab.region.exact import all_inside, angles_on_circle, lines_crossing_of
 from jaxstab.region.points import (
     curve_and_lift,
+    curve_gains,
     exact_walls,
     is_oriented,
     root_angles,
@@ -215,7 +216,7 @@ def others_inside(c: Curve, theta: Array, within: float = 1.0) -> Array:
         chunks = np.array_split(theta.ravel(), -(-theta.size * c.length // _AT_ONCE))
         each = [others_inside(c, chunk, within) for chunk in chunks]
         return np.concatenate(each).reshape(theta.shape)
-    falling = c.polynomial(*curve_and_lift(c, theta)[:2])
+    falling = c.polynomial(*curve_gains(c, theta))
     inside = _may_be_stable(falling, within)
     inside[inside] = _all_inside(_shrunk(_others(c, falling[:, inside], theta[inside]), within))
     return inside
@@ -364,7 +365,7 @@ def find_pieces(c: Curve, angles: Array) -> Pieces:
     theta, low, is_solved = _solved(c, ends, branch, to_join)
 
     (begin, end), (begin_branch, end_branch) = theta, branch.reshape(2, -1)
-    walls = np.stack(curve_and_lift(c, theta)[:2])
+    walls = curve_gains(c, theta)
     links = _linked(c, walls, begin_branch, end_branch, following)
     index = np.arange(len(begin))
     is_mutual = (begin_branch[following] == Branch.CURVE) & (preceding[following] == index)
@@ -440,7 +441,7 @@ def _piece_ends(c: Curve, angles: Array) -> _Ends | None:
     )
     rough = 0.5 * (outer + inner)
     rough = out_of_rounding(c.stretches, rough, passing)
-    points = np.stack(curve_and_lift(c, rough)[:2])
+    points = curve_gains(c, rough)
     scale = scales(c, points[0], points[1], rough)
     return _Ends(pinned, limit, line, outer, inner, rough, points, scale)
 
@@ -640,7 +641,7 @@ def suspects(c: Curve, pieces: Pieces, searched: Angles, outside: float) -> Angl
     if c.is_exact:
         partners = to_rescaled(c.stretches, angles_on_circle(c, *exact_walls(c, corners)))
     else:
-        others = _others(c, c.polynomial(*curve_and_lift(c, corners)[:2]), corners)
+        others = _others(c, c.polynomial(*curve_gains(c, corners)), corners)
         partners = _angles_near_circle(others[:, np.all(np.isfinite(others), axis=0)].T)
     partners = np.where(is_oriented(c, partners), partners, -partners)
     every = np.concatenate([corners, partners])

@@ -25,6 +25,7 @@ from jaxstab.region.curve import (
     true_angles,
 )
 from jaxstab.region.exact import determinants, exact_gains
+from jaxstab.region.roots import nonzero
 
 Values = Any  # an array, or a Dual
 _TINY = 1e-100  # in place of the angle 0, where quotients of sines have a limit
@@ -110,6 +111,11 @@ def curve_and_lift(
     return alpha, beta, lift
 
 
+def curve_gains(curve: Curve, theta: Array, low: Array | float = 0.0) -> Array:
+    """Return alpha and beta of the curve, stacked."""
+    return np.stack(curve_and_lift(curve, theta, low)[:2])
+
+
 def _float_values(curve: Curve, size: Angles, low: Angles, moves: Angles | None) -> Array:
     """Return alpha, beta and the lift in float64, with slopes times ``moves`` as imaginary part."""
     upper, u = _folded(size, low)
@@ -182,7 +188,7 @@ def _gains(
     """Return alpha, beta and the lift, by the angles u of zeta on one half of the circle."""
     circle = _Circle.at_angles(u)
     n, d, fall, y, x, rise = _rows(half.rows, circle, with_slopes=with_slopes)
-    n_one, d_one, y_one, x_one = map(_divisor, half.at_one)
+    n_one, d_one, y_one, x_one = nonzero(np.array(half.at_one), 1.0)  # 0 is not used
     (plant_one, estimate_one), gain = half.values, half.gain
     sine, cosine = _sinusoids(0.5, u, with_slopes=with_slopes)
     tangent = sine / cosine
@@ -225,11 +231,6 @@ def _swing(quotient: Values, tangent: Values) -> Values:
 
 def _square(z: Values) -> Values:
     return z.real * z.real + z.imag * z.imag
-
-
-def _divisor(value: float) -> float:
-    """Return a divisor, 1 in place of 0: the quotient is not used then."""
-    return value or 1.0
 
 
 def _rows(rows: Rows, circle: _Circle, *, with_slopes: bool) -> list[Values]:
@@ -311,7 +312,7 @@ def is_oriented(curve: Curve, theta: Angles) -> Bool[np.ndarray, " angle"]:
 def _swing_of_estimate(half: Half, u: Angles) -> Angles:
     """Return a number of the sign of Im V at zeta = e^(iu)."""
     _, _, _, y, x, rise = _rows(half.rows, _Circle.at_angles(u), with_slopes=False)
-    _, _, y_one, x_one = map(_divisor, half.at_one)
+    _, _, y_one, x_one = nonzero(np.array(half.at_one), 1.0)
     swing: Angles
     if half.forms[1] == Form.WHOLE:
         swing = (x / y).imag

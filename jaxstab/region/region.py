@@ -55,7 +55,7 @@ from jaxstab.region.pieces import (
     Pieces,
     lone_partners,
 )
-from jaxstab.region.points import curve_and_lift
+from jaxstab.region.points import curve_gains
 from jaxstab.region.stable_set import StableRegion, region_within
 
 # A-posteriori check of regions, by certified verdicts.
@@ -154,8 +154,8 @@ def _near_corners(c: Curve, outline: Outline) -> Edges:
         np.append(np.tile(shares, len(begins)), 1.0 - np.tile(shares, len(ends)))
         for shares in (_FROM_CORNER, 2.0 * _FROM_CORNER)
     )
-    both = (_on_edges(c, outline, edges, shares) for shares in (close, far))
-    return np.concatenate(list(both), axis=1)
+    both = [_on_edges(c, outline, edges, shares) for shares in (close, far)]
+    return np.concatenate(both, axis=1)
 
 
 def _on_edges(
@@ -168,7 +168,7 @@ def _on_edges(
     here, there = outline.vertices[edges], outline.vertices[edges + 1]
     straight = here + (there - here) * shares[:, None]
     start, end = outline.angles[edges].T
-    curved = np.stack(curve_and_lift(c, start + (end - start) * shares)[:2], axis=1)
+    curved = curve_gains(c, start + (end - start) * shares).T
     return np.where((outline.branches[edges] == Branch.CURVE)[:, None], curved, straight)
 
 
@@ -217,14 +217,13 @@ def region_of_system(system: System, tolerance: float, *, may_be_empty: bool) ->
 
 def _strays(c: Curve, outline: Outline, system: System) -> bool:
     """Return whether some points of an outline in float64 are off the curve in double-double."""
-    size = np.abs(outline.angles)
     edges = _on_the_curve(c, outline)
     edges = edges[np.linspace(0, len(edges) - 1, min(_TESTED, len(edges))).round().astype(int)]
     extent = np.ptp(outline.vertices, axis=0)
-    points = np.stack(curve_and_lift(c, outline.angles[edges, 0])[:2], axis=1)
-    angles = DoubleDouble.from_value(size[edges, 0])
-    exact = exact_gains(parts_in_pairs(system), angles, with_slopes=False).values[:2]
-    away = (points - np.stack([gain.rounded() for gain in exact], axis=1)) / extent
+    angles = outline.angles[edges, 0]
+    size = DoubleDouble.from_value(np.abs(angles))
+    exact = exact_gains(parts_in_pairs(system), size, with_slopes=False).values[:2]
+    away = (curve_gains(c, angles) - np.stack([gain.rounded() for gain in exact])).T / extent
     along = (outline.vertices[edges + 1] - outline.vertices[edges]) / extent
     length = np.hypot(*along.T)
     aside = np.abs(away[:, 0] * along[:, 1] - away[:, 1] * along[:, 0])
