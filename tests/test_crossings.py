@@ -11,7 +11,7 @@ from jaxstab.region import crossings as module
 from jaxstab.region.closed_form import boundary_curve
 from jaxstab.region.crossings import _NEARLY_STABLE, _overlapping_boxes, _starts, crossings
 from jaxstab.region.curve import curve_of_system, mass_system
-from jaxstab.region.pieces import slice_angles
+from jaxstab.region.pieces import scan_angles
 
 FARTHEST = 1e-6  # from the circle: what is still on it
 
@@ -32,7 +32,7 @@ Place = tuple[float, float, float]
 
 def found(place: Place) -> np.ndarray:
     c = curve_of_system(mass_system(*place, NO_FILTERS))
-    return crossings(c, slice_angles(c, 1))
+    return crossings(c, scan_angles(c, 1))
 
 
 def sizes_of_roots(theta: np.ndarray, place: Place) -> np.ndarray:

@@ -21,7 +21,7 @@ from jaxstab.region.curve import (
     mass_system,
     parts_in_pairs,
 )
-from jaxstab.region.pieces import find_pieces, slice_angles
+from jaxstab.region.pieces import find_pieces, scan_angles
 from jaxstab.region.points import curve_and_lift, is_oriented
 
 ANGLES = np.concatenate([np.linspace(0.05, 1.5, 7), np.linspace(1.65, 3.05, 7)])
@@ -121,7 +121,7 @@ def test_a_scan_looks_on_either_side_of_poles_and_where_beta_is_steep() -> None:
     looked = 0
     for number in LOOPS:
         c, _ = drawn(number)
-        angles = np.sort(np.abs(slice_angles(c, 1)))
+        angles = np.sort(np.abs(scan_angles(c, 1)))
         for place in np.concatenate([c.poles[0], c.steep]):
             if angles[0] + 1e-3 < place < angles[-1] - 1e-3:
                 away = angles - place
@@ -204,7 +204,7 @@ def test_regions_between_lines_are_resolved_and_hold_the_walls_that_certified_ro
 @pytest.mark.parametrize("number", [18, 20, 30])
 def test_pieces_do_not_close_to_a_loop_if_the_scan_misses_one_of_them(number: int) -> None:
     c, balls = drawn(number)
-    angles = slice_angles(c, 1)
+    angles = scan_angles(c, 1)
     pieces = find_pieces(c, angles)
     assert pieces.resolved
     assert sorted(pieces.successor.tolist()) == list(range(len(pieces.begin))) != [0]

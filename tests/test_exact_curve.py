@@ -24,7 +24,7 @@ from jaxstab.region.curve import (
     true_angles,
 )
 from jaxstab.region.exact import _about, angles_on_circle, polished_angles, polished_modes
-from jaxstab.region.pieces import slice_angles
+from jaxstab.region.pieces import scan_angles
 from jaxstab.region.points import curve_and_lift, exact_walls
 
 SLOW = [1646, 2638, 2649]  # low passes and Butterworth filters of order 6 to 8, below 0.016
@@ -189,7 +189,7 @@ def test_roots_on_the_circle_are_found_and_polished_to_all_digits(theta):
 def test_angles_of_a_scan_are_close_to_the_poles_that_float64_misses():
     loop, region, _ = drawn(SLOW[0])
     curve = region.curve
-    angles = np.abs(slice_angles(curve, 1))
+    angles = np.abs(scan_angles(curve, 1))
     signs = []
     for theta in np.geomspace(1e-3, 0.5, 60):
         with flint.ctx.workprec(600):

@@ -29,7 +29,7 @@ from jaxstab.region import RegionStatus
 from jaxstab.region.curve import (
     Angles,
     about_one,
-    of_filters,
+    filter_share,
     resonances_of,
     true_angles,
 )
@@ -493,12 +493,12 @@ def _group(
     members: Indices, linear: LinearLoop, transfers: tuple[Transfer, Transfer], roots: Array
 ) -> list[_Formed]:
     """Return loops with the same filters; none if these leave float64 few digits."""
-    response = of_filters(*transfers)
-    if response.condition >= _ILL_CONDITIONED:
+    share = filter_share(*transfers)
+    if share.condition >= _ILL_CONDITIONED:
         return []
     ends = [[part.value for part in end] for end in (linear.at_one, linear.at_minus_one)]
     parts, values = (_columns(rows, len(members)) for rows in (linear[:3], ends))
-    return [_Formed(members, parts, values.rounded(), np.sort(response.real_angles), roots)]
+    return [_Formed(members, parts, values.rounded(), np.sort(share.real_angles), roots)]
 
 
 def _masses(

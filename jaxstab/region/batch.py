@@ -456,9 +456,8 @@ class _Links(NamedTuple):
 
 def _linked(loop: Triples, corners: _Corners) -> _Links:
     """Return what follows each piece, and whether by way of the crossing of both lines."""
-    base, normal = loop.ends[:, 0], loop.ends[:, 1:]
-    along = jnp.stack([normal[:, 1], -normal[:, 0]], axis=1)  # the stable side is on the left
-    stiffness, damping = normal.T
+    base, stiffness, damping = loop.ends.T
+    along = jnp.stack([damping, -stiffness], axis=1)  # the stable side is on the left
     crossing = jnp.stack([cross(damping, base), cross(base, stiffness)]) / cross(stiffness, damping)
     line = jnp.where(corners.branch[1] == Branch.Z_MINUS_ONE, 1, 0)
     begins, ends = (jnp.einsum("lw,wp->lp", along, corners.walls[:, row]) for row in range(2))
@@ -470,7 +469,7 @@ def _linked(loop: Triples, corners: _Corners) -> _Links:
     ahead = jnp.where(own, begins[line] - here[:, None], -jnp.inf)
     around = jnp.where(other, begins[1 - line] - corner[1 - line][:, None], -jnp.inf)
     to_corner = corner[line] - here
-    turns = jnp.sum(along[line] * normal[1 - line], axis=1) < 0.0  # runs into the other line
+    turns = jnp.sum(along[line] * loop.ends[1 - line, 1:], axis=1) < 0.0  # into the other line
     turns = turns & jnp.isfinite(to_corner) & (to_corner >= 0.0)
     ahead = jnp.where(ahead > 0.0, ahead, jnp.inf)
     around = jnp.where(around > 0.0, around, jnp.inf)

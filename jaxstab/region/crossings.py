@@ -27,7 +27,7 @@ from jaxstab.region.pieces import (
     find_pieces,
     nearly_stable,
     others_inside,
-    slice_angles,
+    scan_angles,
     steps_to_meeting,
     suspects,
 )
@@ -262,7 +262,7 @@ def _margin_slope(c: Curve, line: Parts, theta: np.ndarray) -> np.ndarray:
     return with_slope(partial(_margin, c, line), theta)[1]
 
 
-# The search for the pieces of one slice: finer and finer, until they close to loops.
+# The search for the pieces of one curve: finer and finer, until they close to loops.
 
 # Fineness of the scan, the most angles to look closer at, and how far other roots may be outside of
 # the circle there. The last ones take the angles of the best chances only.
@@ -279,11 +279,11 @@ def refined_pieces(c: Curve, *, may_be_empty: bool) -> Pieces:
     With damping, the loop without a wall is stable, so an empty answer means that the scan was too
     coarse. Where even the finest scan is not enough, the pieces' ``resolved`` is False.
     """
-    coarsest = slice_angles(c, 1)
+    coarsest = scan_angles(c, 1)
     closer = crossings(c, coarsest)
     scans = _SCANS[: _FEW_SCANS if c.is_exact or c.may_lose_some else None]
     for fineness, most, outside in scans:
-        scan = coarsest if fineness == 1 else slice_angles(c, fineness)
+        scan = coarsest if fineness == 1 else scan_angles(c, fineness)
         pieces, closer, is_settled = _settled_pieces(c, scan, closer, most, outside)
         if is_settled:
             return pieces

@@ -606,8 +606,9 @@ _NO_PAIRS = np.empty((2, 2, 2, 3, 0))
 class Form(IntEnum):
     """How the imaginary part of V or of W is computed near zeta = 1 without cancellation.
 
-    DIRECT is the form above. Where the value at zeta = 1 is large it takes the digits, and the same
-    is done with 1/V, or with -z^w/W = N/D: INVERSE. WHOLE divides nothing by s: 0/0 at zeta = 1.
+    DIRECT is the form at the head of this file. Where the value at zeta = 1 is large it takes the
+    digits, and the same is done with 1/V, or with -z^w/W = N/D: INVERSE. WHOLE divides nothing by
+    s: 0/0 at zeta = 1.
     """
 
     DIRECT = 0
@@ -721,22 +722,22 @@ def _transfers(filters: Filters) -> tuple[Transfer, Transfer]:
     return velocity.filter.transfer(), position.transfer()
 
 
-class _HalfOfFilters(NamedTuple):
+class _HalfShare(NamedTuple):
     """The share of estimator and position filter in one half of the circle, for any plant."""
 
-    of_d: Around  # the factors of D and N
-    of_n: Around
+    d: Around  # the factors of D and N
+    n: Around
     at_one: tuple[float, float]  # Y, X at zeta = 1
     rows: Rows
     form: Form
 
 
-class _OfFilters(NamedTuple):
+class FilterShare(NamedTuple):
     """The share of estimator and position filter in the curve, for any plant."""
 
-    plus: _HalfOfFilters
-    minus: _HalfOfFilters
-    of_loop: LoopFilters
+    plus: _HalfShare
+    minus: _HalfShare
+    loop: LoopFilters
     real_angles: Angles  # of V
     condition: float
 
@@ -751,16 +752,16 @@ def curve_of_system(system: System) -> Curve:
     """Return the curve of a loop."""
     plant, velocity, position, radius = system
     whole = plant.lag + position.lag
-    filters = of_filters(velocity, position, radius)
+    share = filter_share(velocity, position, radius)
     above, below = _plants_around(plant, radius)
     loop = loop_of_system(system)
-    real_angles = filters.real_angles
-    lines = () if filters.loses_digits else pole_lines(loop[:3], real_angles)
+    real_angles = share.real_angles
+    lines = () if share.loses_digits else pole_lines(loop[:3], real_angles)
     zeros = rounded(rescaled(product(plant.numerator, position.numerator), radius))
     poles = rescaled(product(plant.denominator, position.denominator), radius)
     return Curve(
-        plus=_half(*above, filters.plus, gain=radius**whole, of_plant=Form.DIRECT),
-        minus=_half(*below, filters.minus, gain=(-radius) ** whole),
+        plus=_half(*above, share.plus, gain=radius**whole, of_plant=Form.DIRECT),
+        minus=_half(*below, share.minus, gain=(-radius) ** whole),
         lag=float(whole),
         parts=np.array([rounded(polynomial) for polynomial in loop[:3]]),
         at_minus_one=rounded(tuple(end.value for end in loop.at_minus_one)),
@@ -768,13 +769,13 @@ def curve_of_system(system: System) -> Curve:
         resonances=resonances_of(plant, radius),
         steep=_real_angles(rounded(product(poles, power(whole))), zeros),
         lines=lines,
-        loses_digits=filters.loses_digits or hardly_moved(plant).size > 0,
-        may_lose_some=filters.condition > _DOUBTFUL or plant.shifted is not None,
+        loses_digits=share.loses_digits or hardly_moved(plant).size > 0,
+        may_lose_some=share.condition > _DOUBTFUL or plant.shifted is not None,
     )
 
 
 @lru_cache(_REMEMBERED)
-def of_filters(velocity: Transfer, position: Transfer, radius: float = 1.0) -> _OfFilters:
+def filter_share(velocity: Transfer, position: Transfer, radius: float = 1.0) -> FilterShare:
     """Return the share of two filters in the curve.
 
     Raises:
@@ -794,32 +795,32 @@ def of_filters(velocity: Transfer, position: Transfer, radius: float = 1.0) -> _
     lag = velocity.lag + 1 - position.lag
     above = power(max(-lag, 0)), _DIFFERENCE, velocity.numerator, position.denominator
     below = power(max(lag, 0)), velocity.denominator, position.numerator
-    plus, minus = (_half_of_filters(above, below, position, sign, radius) for sign in (1, -1))
+    plus, minus = (_half_share(above, below, position, sign, radius) for sign in (1, -1))
     both = (rescaled(reduce(product, each), radius) for each in (above, below))
-    return _OfFilters(
+    return FilterShare(
         plus,
         minus,
-        of_loop=loop_filters(velocity, position),
+        loop=loop_filters(velocity, position),
         real_angles=_real_angles(*map(rounded, both)),
         condition=_condition((velocity.denominator, position.denominator), radius),
     )
 
 
-def _half_of_filters(
+def _half_share(
     above: Sequence[Polynomial],
     below: Sequence[Polynomial],
     position: Transfer,
     sign: int,
     radius: float,
-) -> _HalfOfFilters:
+) -> _HalfShare:
     """Return one half from the factors of X and Y."""
     x, y = (
         reduce(Around.times, (around(factor, sign, radius) for factor in factors))
         for factors in (above, below)
     )
-    return _HalfOfFilters(
-        of_d=around(position.denominator, sign, radius),
-        of_n=around(position.numerator, sign, radius),
+    return _HalfShare(
+        d=around(position.denominator, sign, radius),
+        n=around(position.numerator, sign, radius),
         at_one=(y.value.rounded(), x.value.rounded()),
         rows=Rows.from_polynomials([y, x, minor(x, y)]),
         form=Form.DIRECT if sign > 0 else _form(x, y),
@@ -827,26 +828,26 @@ def _half_of_filters(
 
 
 def _half(
-    d: Around, n: Around, filters: _HalfOfFilters, *, gain: float, of_plant: Form | None = None
+    d: Around, n: Around, share: _HalfShare, *, gain: float, of_plant: Form | None = None
 ) -> Half:
-    d, n = d.times(filters.of_d), n.times(filters.of_n)
-    y, x = filters.at_one
+    d, n = d.times(share.d), n.times(share.n)
+    y, x = share.at_one
     form = _form(d, n) if of_plant is None else of_plant
     # The quotient in pairs is -gamma to the last digit for a mass: its line is K = -k of the hand.
     of_plant_one = -gain * (d.value / n.value).rounded() if form == Form.DIRECT else 0.0
     return Half(
-        rows=Rows.from_polynomials([n, d, minor(d, n)]).above(filters.rows),
+        rows=Rows.from_polynomials([n, d, minor(d, n)]).above(share.rows),
         at_one=(n.value.rounded(), d.value.rounded(), y, x),
         gain=gain,
-        forms=(form, filters.form),
-        values=(of_plant_one, x / y if filters.form == Form.DIRECT else 0.0),
+        forms=(form, share.form),
+        values=(of_plant_one, x / y if share.form == Form.DIRECT else 0.0),
     )
 
 
 def loop_of_system(system: System) -> LinearLoop:
     """Return the same loop as three polynomials."""
     plant, velocity, position, radius = system
-    return loop_of_radius(loop_of(plant, of_filters(velocity, position, radius).of_loop), radius)
+    return loop_of_radius(loop_of(plant, filter_share(velocity, position, radius).loop), radius)
 
 
 def _condition(denominators: Sequence[Polynomial], radius: float) -> float:

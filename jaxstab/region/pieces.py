@@ -348,7 +348,7 @@ class _Links(NamedTuple):
 
 
 def find_pieces(c: Curve, angles: Array) -> Pieces:
-    """Return the pieces of one slice that a scan over these angles, in (0, pi) in order, finds.
+    """Return the pieces of a curve that a scan over these angles, in (0, pi) in order, finds.
 
     Source: the D-decomposition of Gryazina, Polyak, Tremba (2008), with the criterion of Schur and
     Cohn for the other roots.
@@ -561,7 +561,7 @@ _STEPS_OF_LINE = 48  # on each side of a line at a pole
 
 
 @cache
-def scan_angles(length: int, fineness: int) -> Angles:
+def _even_angles(length: int, fineness: int) -> Angles:
     """Return the angles of a scan: even steps, a part of a turn of z^m, and finer to both ends.
 
     ``length`` is that of a curve.
@@ -574,12 +574,12 @@ def scan_angles(length: int, fineness: int) -> Angles:
     return angles
 
 
-def slice_angles(c: Curve, fineness: int) -> Angles:
+def scan_angles(c: Curve, fineness: int) -> Angles:
     """Return the angles of a scan, more of them at the poles and where beta is 0.
 
     They have the sign of Im V: see ``region.curve``.
     """
-    angles = scan_angles(c.length, fineness)
+    angles = _even_angles(c.length, fineness)
     offsets = np.geomspace(_CLOSEST, np.pi / len(angles), 8 * fineness)
     centers = np.concatenate([c.poles[0], c.steep])
     around = centers[:, None] + np.concatenate([-offsets, offsets])

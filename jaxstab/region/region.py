@@ -1,4 +1,4 @@
-"""Stable regions of slices: found by a search. NumPy only.
+"""Stable regions of loops, found by a search. NumPy only.
 
 A region is computed in three steps: the pieces of the curve that bound the stable set, refined
 until they join up to loops (``crossings.refined_pieces``); a polygon with its corners on them, with
@@ -172,7 +172,7 @@ def _on_edges(
     return np.where((outline.branches[edges] == Branch.CURVE)[:, None], curved, straight)
 
 
-# The outline of one slice, with as many angles and digits as it needs.
+# The outline of one loop, with as many angles and digits as it needs.
 
 _FEWEST_POINTS, _MOST_POINTS = 256, 65536
 _STRETCHINGS = 3  # rounds
