@@ -40,7 +40,7 @@ from jaxstab.proofs.exclusion import Loops, exclude
 from jaxstab.proofs.filters import Responses
 from jaxstab.proofs.plant import circle_equations, quick_slice
 from jaxstab.ranges.box import ParameterBox, Proof, excluded, joined
-from jaxstab.region.curve import SliceCoefficients, slice_coefficients
+from jaxstab.region.closed_form import SliceCoefficients, slice_coefficients
 from jaxstab.region.pieces import Branch
 
 # Planes of two quantities: how the five dimensionless parameters follow from them (Table I).

@@ -11,7 +11,7 @@ from beartype import beartype
 from jaxtyping import Float64, Int64, TypeCheckError, jaxtyped
 
 from jaxstab.loop import WallRegion
-from jaxstab.region.filtered_points import curve_and_lift
+from jaxstab.region.points import curve_and_lift
 
 Decorator = Callable[[Any], Any]
 

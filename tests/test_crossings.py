@@ -8,10 +8,10 @@ import pytest
 from jaxstab.model import by_name, characteristic_polynomial
 from jaxstab.model.filters import NO_FILTERS
 from jaxstab.region import crossings as module
+from jaxstab.region.closed_form import boundary_curve
 from jaxstab.region.crossings import _NEARLY_STABLE, _overlapping_boxes, _starts, crossings
-from jaxstab.region.curve import boundary_curve
-from jaxstab.region.filtered_curve import filtered_curve, mass_system
-from jaxstab.region.pieces import slice_angles
+from jaxstab.region.curve import curve_of_system, mass_system
+from jaxstab.region.pieces import scan_angles
 
 FARTHEST = 1e-6  # from the circle: what is still on it
 
@@ -31,8 +31,8 @@ Place = tuple[float, float, float]
 
 
 def found(place: Place) -> np.ndarray:
-    c = filtered_curve(*mass_system(*place, NO_FILTERS))
-    return crossings(c, slice_angles(c, 1))
+    c = curve_of_system(mass_system(*place, NO_FILTERS))
+    return crossings(c, scan_angles(c, 1))
 
 
 def sizes_of_roots(theta: np.ndarray, place: Place) -> np.ndarray:

@@ -1,282 +1,221 @@
-"""The closed form of the boundary against 50-digit truth, its limits and its derivatives."""
+"""The curve of loops with filters and devices: points, lift and slopes, against exact polynomials.
 
-from collections.abc import Callable
-from functools import partial
-from typing import Any
+The wall that puts roots at e^(+-i theta) comes from balls, by Cramer's rule; slopes come from such
+walls on either side.
+"""
 
-import jax
+import flint
 import numpy as np
 import pytest
-from mpmath import mp, mpf
 
-from benchmarks import truth
-from jaxstab.model import by_name
-from jaxstab.model.filters import NO_FILTERS
-from jaxstab.paper import minus_line, plus_line
-from jaxstab.region import boundary_curve
-from jaxstab.region.filtered_curve import FilteredCurve, filtered_curve, mass_system
-from jaxstab.region.filtered_points import curve_and_lift
-from jaxstab.region.roots import bracketed_root, with_slope
-
-ACCURACY = 1e-13
-ROUNDING = 2.0**-52
-ENDS = 1e-8
-
-Slices = tuple[np.ndarray, np.ndarray, np.ndarray]
-
-
-def random_angles(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Half of them uniform, half of them as close to one of the ends as 1e-8."""
-    distance = np.where(
-        rng.random(count) < 0.5, rng.uniform(0, np.pi, count), 10 ** rng.uniform(-8, 0, count)
-    )
-    theta = np.where(rng.random(count) < 0.5, distance, np.pi - distance)
-    return np.clip(theta, ENDS, np.pi - ENDS)
-
-
-def random_slices(rng: np.random.Generator, count: int) -> Slices:
-    """Over the whole box and over all magnitudes, with each special case among them."""
-    gamma = np.where(
-        rng.random(count) < 0.5, rng.uniform(0, 40, count), 10 ** rng.uniform(-12, 1.6, count)
-    )
-    delta = np.where(
-        rng.random(count) < 0.5, rng.uniform(0, 10, count), 10 ** rng.uniform(-12, 1, count)
-    )
-    delay = np.where(rng.random(count) < 0.5, rng.integers(0, 51, count), rng.uniform(0, 51, count))
-    case = rng.integers(0, 8, count)
-    gamma[case == 1], delta[case == 1] = 0.0, 0.0
-    gamma[case == 2], delta[case == 2] = np.pi**2, 0.0
-    critical = case == 3
-    delta[critical] = np.minimum(2.0 * np.sqrt(gamma[critical]), 10.0)
-    gamma[critical] = delta[critical] ** 2 / 4.0
-    delta[case == 4] = 0.0
-    return gamma, delta, delay
-
-
-def worst_error(theta: Any, gamma: Any, delta: Any, delay: Any, radius: Any) -> float:
-    """The largest error beside the distance from (-gamma, 0), beyond the rounding of alpha."""
-    alpha, beta = boundary_curve(theta, gamma=gamma, delta=delta, delay=delay, radius=radius)
-    worst = 0.0
-    places = np.broadcast_arrays(theta, gamma, delta, delay, radius)
-    for a, b, *place in zip(alpha, beta, *places, strict=True):
-        exact_alpha, exact_beta = truth.boundary_point(*map(float, place))
-        distance = mp.hypot(exact_alpha + mpf(float(place[1])), exact_beta)
-        alpha_error = abs(mpf(float(a)) - exact_alpha) - ROUNDING * abs(exact_alpha)
-        worst = max(worst, alpha_error / distance, abs(mpf(float(b)) - exact_beta) / distance)
-    return float(worst)
-
-
-def test_the_curve_is_within_1e_13_of_the_truth_over_the_whole_box(
-    rng: np.random.Generator,
-) -> None:
-    slices = random_slices(rng, 400)
-    assert worst_error(random_angles(rng, 400), *slices, np.ones(400)) < ACCURACY
-
-
-def test_the_curve_of_a_decay_rate_is_within_1e_13_of_the_truth(rng: np.random.Generator) -> None:
-    slices = random_slices(rng, 200)
-    radius = np.where(
-        rng.random(200) < 0.5, rng.uniform(0.05, 1, 200), 1 - 10 ** rng.uniform(-12, -1, 200)
-    )
-    assert worst_error(random_angles(rng, 200), *slices, radius) < ACCURACY
-
-
-def test_without_hand_and_delay_the_curve_is_the_known_one() -> None:
-    theta = np.linspace(1e-3, 3.0, 50)
-    alpha, beta = boundary_curve(theta, gamma=0.0, delta=0.0, delay=0.0)
-    np.testing.assert_allclose(alpha, 2 * beta * (2 - beta) / (beta + 2), rtol=1e-12, atol=1e-13)
-
-
-@pytest.mark.parametrize("delay", [0.0, 1.0, 2.5, 50.0])
-def test_the_curve_starts_on_the_line_of_a_root_at_plus_one(delay: float) -> None:
-    for radius in (1.0, 0.8):
-        start = boundary_curve(0.0, gamma=0.3, delta=0.2, delay=delay, radius=radius)
-        near = boundary_curve(1e-7, gamma=0.3, delta=0.2, delay=delay, radius=radius)
-        np.testing.assert_allclose(start, near, rtol=1e-10)
-        np.testing.assert_allclose(
-            start[0],
-            plus_line(start[1], gamma=0.3, delta=0.2, delay=delay, radius=radius),
-            rtol=1e-14,
-        )
-
-
-@pytest.mark.parametrize("delay", [0.0, 1.0, 2.5, 50.0])
-def test_the_curve_ends_on_the_line_of_a_root_at_minus_one(delay: float) -> None:
-    for radius in (1.0, 0.8):
-        end = boundary_curve(np.pi, gamma=0.3, delta=0.2, delay=delay, radius=radius)
-        near = boundary_curve(np.pi - 1e-7, gamma=0.3, delta=0.2, delay=delay, radius=radius)
-        np.testing.assert_allclose(end, near, rtol=1e-9)
-        np.testing.assert_allclose(
-            end[0], minus_line(end[1], gamma=0.3, delta=0.2, delay=delay, radius=radius), rtol=1e-12
-        )
-
-
-@pytest.mark.parametrize("delay", [0.0, 3.0, 0.25, 7.75])
-@pytest.mark.parametrize("radius", [1.0, 0.7])
-def test_the_lines_put_a_real_root_at_plus_and_minus_the_radius(
-    delay: float, radius: float
-) -> None:
-    gamma, delta, beta = 0.4, 0.3, 0.75
-    for line, z in ((plus_line, radius), (minus_line, -radius)):
-        alpha = float(line(beta, gamma=gamma, delta=delta, delay=delay, radius=radius))
-        polynomial = truth.polynomial(alpha, beta, gamma, delta, delay)
-        scale = sum(abs(c) for c in polynomial)
-        assert abs(truth.evaluate(polynomial, mpf(z))) < 1e-14 * scale
-
-
-def test_a_root_at_one_takes_alpha_to_minus_gamma_exactly() -> None:
-    gamma = np.array([0.0, 1e-9, 0.3, np.pi**2, 40.0])
-    np.testing.assert_array_equal(plus_line(0.7, gamma=gamma, delta=0.1, delay=2.0), -gamma)
-
-
-def test_without_damping_and_with_a_whole_delay_the_line_of_minus_one_is_at_infinity() -> None:
-    assert np.isinf(minus_line(0.5, gamma=0.3, delta=0.0, delay=1.0))
-    assert np.isfinite(minus_line(0.5, gamma=0.3, delta=0.0, delay=1.5))
-
-
-@partial(jax.jit, static_argnames="delay")
-def slope_along(place: Any, way: Any, delay: float | None) -> Any:
-    """The curve's slope in one direction: for all at once XLA compiles twice as long."""
-
-    def curve(theta: Any, *slice_: Any) -> Any:
-        return boundary_curve(theta, **by_name(*slice_, *([] if delay is None else [delay])))
-
-    return jax.jvp(curve, place, way)[1]
-
-
-def slopes_of(place: tuple[float, ...]) -> np.ndarray:
-    """Slopes (argument, 2) in theta, gamma, delta, and in the delay where it is a fraction."""
-    is_fraction = bool(place[3] % 1)
-    free, delay = (place, None) if is_fraction else (place[:3], place[3])
-    return np.array([slope_along(free, tuple(way), delay) for way in np.eye(len(free)).tolist()])
-
-
-@pytest.mark.campaign
-@pytest.mark.parametrize(
-    ("theta", "gamma", "delta", "delay"),
-    [
-        (2.5, 0.25, 1.0, 0.5),
-        (3.1, 9.9, 0.1, 3.3),
-        (0.7, 0.0, 0.0, 1.0),
-        (1e-4, 1e-3, 0.015, 2.0),
-    ],
+from benchmarks.truth import filtered
+from benchmarks.truth.balls import BallLoop
+from benchmarks.truth.random_loops import MassLoop
+from jaxstab.conventions import Verdict
+from jaxstab.model import Filter, Velocity, by_name
+from jaxstab.model.filters import known_filters
+from jaxstab.region import RegionStatus, stable_region
+from jaxstab.region.curve import (
+    Curve,
+    curve_of_system,
+    mass_system,
+    parts_in_pairs,
 )
-def test_the_derivatives_are_those_of_the_truth(
-    theta: float, gamma: float, delta: float, delay: float
-) -> None:
-    place = (theta, gamma, delta, delay)
-    step = mpf(10) ** -20
-    for argument, slopes in enumerate(slopes_of(place)):
-        there = list(map(mpf, place))
-        there[argument] += step
-        for of_alpha_or_beta, slope in enumerate(slopes):
-            ahead = truth.boundary_point(*there)[of_alpha_or_beta]
-            exact = (ahead - truth.boundary_point(*place)[of_alpha_or_beta]) / step
-            assert abs(mpf(float(slope)) - exact) < 1e-11 * (1 + abs(exact))
+from jaxstab.region.pieces import find_pieces, scan_angles
+from jaxstab.region.points import curve_and_lift, is_oriented
+
+ANGLES = np.concatenate([np.linspace(0.05, 1.5, 7), np.linspace(1.65, 3.05, 7)])
+LOOPS = range(1, 25)
 
 
-def curve_of_region(gamma: float, delta: float, delay: float, radius: float) -> FilteredCurve:
-    return filtered_curve(*mass_system(gamma, delta, delay, NO_FILTERS, radius))
+def drawn(number: int) -> tuple[Curve, BallLoop]:
+    loop = MassLoop.drawn(np.random.default_rng([20121120, number]))
+    return curve_of_system(mass_system(*loop.plant, loop.filters[:2])), loop.balls
 
 
-@np.errstate(divide="ignore")
-def test_the_curve_of_regions_is_the_closed_form(rng: np.random.Generator) -> None:
-    """Two ways to the same points: a closed form, and polynomials of any loop."""
-    gamma, delta, delay = random_slices(rng, 100)
-    radius = np.where(rng.random(100) < 0.5, 1.0, 1 - 10 ** rng.uniform(-6, -0.5, 100))
-    for place in np.stack([gamma, delta, delay, radius], axis=-1).tolist():
-        theta = random_angles(rng, 20)
-        expected = np.stack(boundary_curve(theta, **by_name(*place[:3]), radius=place[3]))
-        curve = np.stack(curve_and_lift(curve_of_region(*place), theta)[:2])
-        distance = np.hypot(expected[0] + place[0], expected[1])
-        assert np.max(np.abs(curve - expected) / distance) < 1e-11, place
+def walls(balls: BallLoop, angles: np.ndarray) -> np.ndarray:
+    return np.array([balls.wall_with_roots_at(theta) for theta in angles.tolist()]).T
 
 
-@np.errstate(divide="ignore")
-@pytest.mark.parametrize("count", [75, pytest.param(300, marks=pytest.mark.campaign)])
-def test_slopes_in_numpy_are_within_1e_12_of_the_truth(
-    rng: np.random.Generator, count: int
-) -> None:
-    theta, slices = random_angles(rng, count), random_slices(rng, count)
-    step = mpf(10) ** -20
-    for angle, *slice_ in np.stack([theta, *slices], axis=-1).tolist():
-        c = curve_of_region(*slice_, 1.0)
-        slopes = np.stack(with_slope(partial(curve_and_lift, c), np.array([angle]))[1])[:2, 0]
-        here = truth.boundary_point(angle, *slice_)
-        ahead = truth.boundary_point(mpf(angle) + step, *slice_)
-        exact = [(a - b) / step for a, b in zip(ahead, here, strict=True)]
-        error = max(
-            abs(mpf(one) - other) for one, other in zip(slopes.tolist(), exact, strict=True)
-        )
-        # Next to a pole slopes are sums that cancel: of the curve over the distance of the pole.
-        nearest = min(np.hypot(angle - pole, apart) for pole, apart in c.poles.T)
-        distance = mp.hypot(here[0] + mpf(slice_[0]), here[1])
-        # Next to 0 and pi, where the curve is even, a slope is a rounding of points over the angle.
-        rounding = 8.0 * ROUNDING * distance / min(angle, np.pi - angle)
-        allowed = 1e-12 * (mp.hypot(*exact) + distance / min(1.0, nearest)) + rounding
-        assert error < allowed, (angle, slice_)
+def value_at(balls: BallLoop, place: int) -> tuple[float, float, float]:
+    """Base, stiffness and damping at z = 1 or -1."""
+    with flint.ctx.workprec(max(balls.bits, 1000)):
+        return tuple(float(flint.arb_poly(part)(place).mid()) for part in balls[:3])
 
 
-@pytest.mark.parametrize("delay", [1.5, pytest.param(1.0, marks=pytest.mark.campaign)])
-def test_the_limits_have_finite_derivatives(delay: float) -> None:
-    for theta in (0.0, np.pi):
-        slopes = slopes_of((theta, 0.3, 0.2, delay))
-        assert np.all(np.isfinite(slopes))
-        np.testing.assert_allclose(slopes[0], 0.0, atol=1e-8)
+@pytest.mark.parametrize("number", LOOPS)
+def test_walls_of_the_curve_have_roots_at_its_angles(number: int) -> None:
+    c, balls = drawn(number)
+    alpha, beta, lift = curve_and_lift(c, ANGLES)
+    true = walls(balls, ANGLES)
+    size = np.max(np.abs(true), axis=0)
+    assert np.max(np.abs(np.stack([alpha, beta]) - true) / size) < 1e-10
+    base, stiffness, _ = value_at(balls, 1)
+    assert c.plus_offset == pytest.approx(-base / stiffness, rel=1e-10, abs=1e-13)
+    far = ANGLES > 1.0  # next to 0 the difference has no digits
+    exact = (true[0] + base / stiffness) / (1.0 - np.cos(ANGLES))
+    assert lift[far] == pytest.approx(exact[far], rel=1e-9, abs=1e-9 * size[far].max())
+
+
+@pytest.mark.parametrize("number", LOOPS)
+def test_slopes_of_the_curve_are_those_of_walls_on_either_side(number: int) -> None:
+    """A complex step of theta adds the slopes; central differences of h and 2 h, extrapolated."""
+    c, balls = drawn(number)
+    step = 1e-30
+    moved = np.stack(curve_and_lift(c, ANGLES + 1j * step)[:2]).imag / step
+    h = 1e-4
+    near, far = (
+        (walls(balls, ANGLES + k * h) - walls(balls, ANGLES - k * h)) / (2.0 * k * h)
+        for k in (1, 2)
+    )
+    exact = (4.0 * near - far) / 3.0
+    size = np.max(np.abs(exact), axis=0) + np.max(np.abs(walls(balls, ANGLES)), axis=0)
+    bend = np.max(np.abs(near - far), axis=0)
+    assert np.all(np.abs(moved - exact) < 1e-6 * size + bend)
+
+
+@pytest.mark.parametrize("number", LOOPS)
+def test_the_line_of_a_root_at_minus_one_is_that_of_the_polynomial(number: int) -> None:
+    c, balls = drawn(number)
+    base, stiffness, damping = value_at(balls, -1)
+    if abs(stiffness) > 1e-9 * abs(damping):
+        own_base, own_stiffness, own_damping = c.at_minus_one
+        assert own_base / own_stiffness == pytest.approx(base / stiffness, rel=1e-9)
+        assert own_damping / own_stiffness == pytest.approx(damping / stiffness, rel=1e-9)
+
+
+@pytest.mark.parametrize("number", LOOPS)
+def test_angles_have_the_sign_of_the_imaginary_part_of_the_estimator(number: int) -> None:
+    c, balls = drawn(number)
+    z = np.exp(1j * ANGLES)
+    stiffness, damping = (
+        np.polyval([float(x.mid()) for x in list(part)[::-1]], z) for part in balls[1:3]
+    )
+    ratio = damping / stiffness
+    clear = np.abs(ratio.imag) > 1e-6 * np.abs(ratio)
+    for sign in (1.0, -1.0):
+        expected = (ratio.imag > 0.0) == (sign > 0.0)
+        assert is_oriented(c, sign * ANGLES)[clear].tolist() == expected[clear].tolist()
+
+
+@pytest.mark.parametrize("number", LOOPS)
+def test_parts_in_pairs_are_the_polynomial_of_the_loop_on_both_halves(number: int) -> None:
+    """In powers of zeta and of zeta - 1, with z = zeta and z = -zeta."""
+    loop = MassLoop.drawn(np.random.default_rng([20121120, number]))
+    pairs = parts_in_pairs(mass_system(*loop.plant, loop.filters[:2]))
+    zeta = np.exp(0.4j)
+    for half, z in ((0, zeta), (1, -zeta)):
+        with flint.ctx.workprec(1000):
+            at = flint.acb(z.real, z.imag)
+            true = [complex(flint.acb_poly(part)(at)) for part in loop.balls[:3]]
+        for form, base in ((0, zeta), (1, zeta - 1.0)):
+            rows = pairs[half, form, 0]
+            values = rows @ base ** np.arange(rows.shape[-1])
+            size = np.abs(rows) @ np.abs(base) ** np.arange(rows.shape[-1])
+            cross = values * true[0] - values[0] * np.array(true)
+            assert np.all(np.abs(cross) < 1e-13 * (size * abs(true[0]) + size[0] * np.abs(true)))
+
+
+def test_a_scan_looks_on_either_side_of_poles_and_where_beta_is_steep() -> None:
+    """The curve changes within the distance of a pole from the circle, on both of its sides."""
+    looked = 0
+    for number in LOOPS:
+        c, _ = drawn(number)
+        angles = np.sort(np.abs(scan_angles(c, 1)))
+        for place in np.concatenate([c.poles[0], c.steep]):
+            if angles[0] + 1e-3 < place < angles[-1] - 1e-3:
+                away = angles - place
+                assert np.min(away[away > 0.0]) < 1e-6
+                assert np.max(away[away < 0.0]) > -1e-6
+                looked += 1
+    assert looked > 5
 
 
 @pytest.mark.parametrize(
-    ("arguments", "name"),
-    [
-        ({"theta": -0.1}, "theta"),
-        ({"theta": np.nan}, "theta"),
-        ({"gamma": -1.0}, "gamma"),
-        ({"delta": np.inf}, "delta"),
-        ({"delay": -1.0}, "delay"),
-        ({"radius": 0.0}, "radius"),
-        ({"radius": 1.5}, "radius"),
-        ({"radius": -0.5}, "radius"),
-        ({"radius": np.nan}, "radius"),
-    ],
+    ("samples", "average", "delay"),
+    [(3, 1, 1.0), (5, 1, 2.0), (8, 1, 1.5), (4, 3, 0.5), (6, 4, 1.0)],
 )
-def test_bad_input_is_refused_by_name(arguments: dict[str, float], name: str) -> None:
-    with pytest.raises(ValueError, match=rf"^{name} is [^\n]*; [^\n]*\.$"):
-        boundary_curve(**{"theta": 0.5, "gamma": 0.0, "delta": 0.0, "delay": 0.0} | arguments)
-
-
-@pytest.mark.parametrize("delay", [0.3, 2.75])
-@pytest.mark.parametrize(("gamma", "delta"), [(0.1, 0.2), (30.0, 0.1), (60.0, 3.0), (2.0, 5.0)])
-def test_poles_of_the_curve_are_the_zeros_of_the_numerator(
-    gamma: float, delta: float, delay: float
+def test_walls_of_a_line_and_of_the_curve_beside_it_have_roots_at_its_angles(
+    samples: int, average: int, delay: float
 ) -> None:
-    """Their angles, and how far they are from the circle, by numpy's roots of the exact N."""
-    c = curve_of_region(gamma, delta, delay, 1.0)
-    plant = truth.plant(gamma, delta, delay % 1.0)
-    zeros = np.roots([float(n) for n in (plant.n2, plant.n1, plant.n0)])
-    zeros = zeros[zeros != 0.0]
-    angles, distances = c.poles
-    for zero in zeros:
-        away = np.abs(np.log(np.abs(zero)))
-        k = np.argmin(np.abs(angles - np.abs(np.angle(zero))) + np.abs(distances - away))
-        assert angles[k] == pytest.approx(np.abs(np.angle(zero)), abs=1e-9)
-        if 1e-6 < away < 1.0:
-            assert distances[k] == pytest.approx(away, rel=1e-6)
+    """Undamped, behind windows: whole lines of walls have one pair of roots on the circle.
+
+    The slopes are central differences. A simple pole's line begins where its curve ends; at a
+    double one both are infinite.
+    """
+    position = Filter.average(samples=average) if average > 1 else None
+    filters = known_filters(Velocity.difference(samples=samples), position)
+    c = curve_of_system(mass_system(0.5, 0.0, delay, filters))
+    windows = filtered.difference(samples), filtered.average(average)
+    loop = filtered.FilteredLoop(0.5, 0.0, delay, *windows)
+    assert len(c.lines)
+    for line in c.lines:
+        share = np.concatenate([np.linspace(0.03, 0.47, 12), np.linspace(0.53, 0.97, 12)])
+        size = line.angle + line.half_width * np.concatenate([-share, share])
+        (alpha, beta, angle), slopes = line.gains(size)
+        for wall in zip(alpha, beta, angle, strict=True):
+            falling = [float(c.mid()) for c in loop.polynomial(*wall[:2])]
+            assert abs(np.polyval(falling, np.exp(1j * wall[2]))) < 1e-13 * np.abs(falling).sum()
+        straight = line.is_straight(size)
+        assert np.all(angle[straight] == line.angle)
+        assert np.all(abs(angle[~straight] - line.angle) > 0.0)
+        step = 1e-5 * line.half_width
+        ahead, behind = (np.stack(line.gains(size + k * step)[0]) for k in (1.0, -1.0))
+        expected, scale = (ahead - behind) / (2.0 * step), np.abs(ahead) + np.abs(behind)
+        assert np.all(abs(np.stack(slopes) - expected) < 1e-6 * (abs(expected) + scale))
+        lift = curve_and_lift(c, size)[2]
+        assert lift == pytest.approx((alpha - c.plus_offset) / (1.0 - np.cos(angle)), rel=1e-9)
+        moved = curve_and_lift(c, size + 1e-30j)[2].imag / 1e-30
+        ahead, behind = (curve_and_lift(c, size + k * step)[2] for k in (1.0, -1.0))
+        expected, scale = (ahead - behind) / (2.0 * step), np.abs(ahead) + np.abs(behind)
+        assert np.all(abs(moved - expected) < 1e-6 * (abs(expected) + scale))
+        for knot in line.knots:
+            before, after = (np.stack(line.gains(np.array([knot + k]))[0]) for k in (-1e-9, 1e-9))
+            assert after == pytest.approx(before, rel=1e-5)
 
 
 @pytest.mark.parametrize(
-    "function",
+    ("samples", "average", "gamma", "delay"),
     [
-        lambda x, root: x**25 - root**25,
-        lambda x, root: np.expm1(40.0 * (x - root)),
-        lambda x, root: np.log((x + 1e-9) / (root + 1e-9)),
-        lambda x, root: np.arctan(300.0 * (x - root)),
+        *[(4, 1, 2.0, 1.5), (5, 4, 2.0, 0.5), (7, 1, 0.5, 3.0), (8, 4, 0.5, 2.0), (3, 1, 0.3, 1.0)],
+        (5, 2, 9.0, 1.5),  # the curve bounds the set up to z = -1
     ],
 )
-def test_bracketed_roots_are_found_in_spite_of_flat_and_of_steep_parts(
-    function: Callable[[np.ndarray, np.ndarray], np.ndarray],
+def test_regions_between_lines_are_resolved_and_hold_the_walls_that_certified_roots_hold(
+    samples: int, average: int, gamma: float, delay: float
 ) -> None:
-    """There the secant method alone crawls along one side of the bracket."""
-    roots = np.geomspace(1e-3, 0.9, 40)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        answers = bracketed_root(lambda x: function(x, roots), np.full(40, 1e-6), np.ones(40))
-    assert answers == pytest.approx(roots, rel=1e-14)
+    """Their boundaries turn from the curve into whole lines and back."""
+    named = {"velocity": Velocity.difference(samples=samples)}
+    if average > 1:
+        named["position"] = Filter.average(samples=average)
+    region = stable_region(**by_name(gamma, 0.0, delay), **named)
+    assert region.status == RegionStatus.COMPLETE
+    windows = filtered.difference(samples), filtered.average(average)
+    loop = filtered.FilteredLoop(gamma, 0.0, delay, *windows)
+    outline = region.points
+    low, high = outline.min(axis=0), outline.max(axis=0)
+    rng = np.random.default_rng(samples)
+    walls = rng.uniform(low - 0.1 * (high - low), high + 0.1 * (high - low), (60, 2))
+    inside = [loop.code(*wall) == Verdict.STABLE for wall in walls.tolist()]
+    assert 5 < sum(inside) < 55
+    assert np.asarray(region.contains(*walls.T)).tolist() == inside
+
+
+@pytest.mark.parametrize("number", [18, 20, 30])
+def test_pieces_do_not_close_to_a_loop_if_the_scan_misses_one_of_them(number: int) -> None:
+    c, balls = drawn(number)
+    angles = scan_angles(c, 1)
+    pieces = find_pieces(c, angles)
+    assert pieces.resolved
+    assert sorted(pieces.successor.tolist()) == list(range(len(pieces.begin))) != [0]
+    for begin, end, low, high in zip(*pieces[:4], strict=True):
+        for theta in (begin + low, end + high):  # a third root comes to the circle
+            if 0.0 < abs(theta) < np.pi:
+                assert np.sum(np.abs(np.abs(roots_at(balls, theta)) - 1.0) < 1e-5) >= 3
+        others = angles[(angles < begin) | (angles > end)]
+        assert not find_pieces(c, others).resolved
+
+
+def roots_at(balls: BallLoop, theta: float) -> np.ndarray:
+    falling = balls.polynomial(*balls.wall_with_roots_at(theta))
+    return np.roots([float(c.mid()) for c in falling])

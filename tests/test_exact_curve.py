@@ -16,16 +16,16 @@ from jaxstab.model import Velocity, by_name
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.region import RegionStatus
 from jaxstab.region import region as region_of_slices
-from jaxstab.region.exact import _about, angles_on_circle, polished_angles, polished_modes
-from jaxstab.region.filtered_curve import (
+from jaxstab.region.curve import (
     hardly_moved,
     parts_in_pairs,
     stretches_around,
     to_rescaled,
     true_angles,
 )
-from jaxstab.region.filtered_points import curve_and_lift, exact_walls
-from jaxstab.region.pieces import slice_angles
+from jaxstab.region.exact import _about, angles_on_circle, polished_angles, polished_modes
+from jaxstab.region.pieces import scan_angles
+from jaxstab.region.points import curve_and_lift, exact_walls
 
 SLOW = [1646, 2638, 2649]  # low passes and Butterworth filters of order 6 to 8, below 0.016
 
@@ -78,7 +78,7 @@ def test_more_digits_are_tried_before_nothing_is_called_stable_or_resolved(wrong
 
     monkeypatch.setattr(region_of_slices, "_audited", audited)
     region = answer()
-    assert region.coefficients.is_exact
+    assert region.curve.is_exact
     assert region.status == RegionStatus.COMPLETE
     assert region.area == pytest.approx(expected, rel=1e-6)
 
@@ -91,7 +91,7 @@ def test_outlines_of_devices_that_stray_from_the_curve(number):
     There a vertex of the outline rounded to the end of its piece, and came after that corner.
     """
     loop, region, rng = drawn(number, DeviceLoop)
-    assert region.coefficients.is_exact
+    assert region.curve.is_exact
     assert_right_next_to_the_boundary(loop, region, rng)
 
 
@@ -111,7 +111,7 @@ def test_arcs_that_the_curve_passes_in_an_instant(number):
     """Fast roots that slow filters hardly move: between two angles in float64 lie whole arcs."""
     loop, region, rng = drawn(number)
     assert region.status == RegionStatus.COMPLETE
-    assert region.coefficients.stretches
+    assert region.curve.stretches
     assert_right_next_to_the_boundary(loop, region, rng)
 
 
@@ -152,7 +152,7 @@ def test_the_curve_of_slow_filters_has_all_digits(number):
     outline = region.outline
     angles = outline.angles[:, 0][outline.branches == 0][::20]
     assert len(angles) > 10
-    gains = np.array(curve_and_lift(region.coefficients, angles)[:2])
+    gains = np.array(curve_and_lift(region.curve, angles)[:2])
     truth = np.array([loop.balls.wall_with_roots_at(float(angle)) for angle in angles]).T
     size = np.ptp(region.points, axis=0)[:, None]
     assert np.max(abs(gains - truth) / size) < 1e-12
@@ -162,11 +162,11 @@ def test_the_curve_of_slow_filters_has_all_digits(number):
 def test_slopes_of_the_curve_are_those_of_its_points(theta):
     """Also in the half next to z = -1, which is unfolded."""
     loop, region, _ = drawn(SLOW[0])
-    coefficients = region.coefficients
+    curve = region.curve
     step = 1e-6
     moved = [np.array(loop.balls.wall_with_roots_at(theta + sign * step)) for sign in (1, -1)]
     complex_step = 1e-200
-    values = np.array(curve_and_lift(coefficients, np.array([theta + 1j * complex_step]))[:2])
+    values = np.array(curve_and_lift(curve, np.array([theta + 1j * complex_step]))[:2])
     slopes = values[:, 0].imag / complex_step
     np.testing.assert_allclose(slopes, (moved[0] - moved[1]) / (2 * step), rtol=1e-6)
 
@@ -175,7 +175,7 @@ def test_slopes_of_the_curve_are_those_of_its_points(theta):
 def test_roots_on_the_circle_are_found_and_polished_to_all_digits(theta):
     """Of a wall on the curve: near z = 1 from the polynomial in powers of z - 1."""
     _, region, _ = drawn(SLOW[0])
-    curve = region.coefficients
+    curve = region.curve
     walls = exact_walls(curve, np.array([theta]))
     step = np.exp(1j * theta) - 1.0
     near = step * (1.0 + np.array([1e-7, 1e-9j, -1e-8]))
@@ -188,8 +188,8 @@ def test_roots_on_the_circle_are_found_and_polished_to_all_digits(theta):
 
 def test_angles_of_a_scan_are_close_to_the_poles_that_float64_misses():
     loop, region, _ = drawn(SLOW[0])
-    coefficients = region.coefficients
-    angles = np.abs(slice_angles(coefficients, 1))
+    curve = region.curve
+    angles = np.abs(scan_angles(curve, 1))
     signs = []
     for theta in np.geomspace(1e-3, 0.5, 60):
         with flint.ctx.workprec(600):

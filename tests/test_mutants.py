@@ -20,9 +20,9 @@ from jaxstab.proofs.curve_patches import Domain
 from jaxstab.proofs.filters import Ends, filter_cells, filter_ends, largest_within
 from jaxstab.proofs.linear_circle import _in_piece, _waves
 from jaxstab.proofs.plant import HandBoxes, delay_moves
-from jaxstab.region.filtered_curve import PoleLine
+from jaxstab.region.curve import PoleLine
+from jaxstab.region.outline import are_inside as are_within
 from jaxstab.region.pieces import _all_inside
-from jaxstab.region.pieces import are_inside as are_within
 
 
 def test_batched_counts_of_roots_are_those_of_numpys_roots() -> None:

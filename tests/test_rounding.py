@@ -28,8 +28,8 @@ from jaxstab.proofs.curve_patches import Domain
 from jaxstab.proofs.exclusion import LineBoxes, Models, _shrunk
 from jaxstab.proofs.filters import Ends
 from jaxstab.proofs.plant import HandBoxes
+from jaxstab.region.curve import loop_of_system, mass_system, parts_in_pairs
 from jaxstab.region.exact import exact_gains
-from jaxstab.region.filtered_curve import loop_of_system, mass_system, parts_in_pairs
 from jaxstab.rounding import UNIT
 
 COUNT = 400

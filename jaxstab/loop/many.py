@@ -26,15 +26,15 @@ from jaxstab.model.filters import NO_FILTERS, Filters, Transfer, given_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.model.loop import as_one, with_columns
 from jaxstab.region import RegionStatus
-from jaxstab.region.filtered_curve import (
+from jaxstab.region.curve import (
     Angles,
     about_one,
-    of_filters,
+    filter_share,
     resonances_of,
     true_angles,
 )
-from jaxstab.region.filtered_points import root_angles
 from jaxstab.region.pieces import NO_BRANCH, Branch
+from jaxstab.region.points import root_angles
 
 if TYPE_CHECKING:
     from jaxstab.loop.loop import HapticLoop
@@ -48,7 +48,7 @@ _FORMED = 1024  # loops whose coefficients are held in memory
 _FEWEST_COMPILED = 4  # the same for a program that is compiled
 _SCANS = 3  # of a loop, at most
 _MISSED = np.array([1e-5, 3e-5])  # distances of the first angles from where a piece was missed
-_ILL_CONDITIONED = 1e8  # denominators of filters, as in ``filtered_curve``, where it is 1e5
+_ILL_CONDITIONED = 1e8  # denominators of filters, as in ``region.curve``, where it is 1e5
 _DEGREES = (5, 9, 17, 25, 41, 65)  # up to which p(z) are filled: each program takes memory
 _FIRST, _CLOSEST = 1e-6, 1e-7  # angles of a scan, and their distances from poles
 _TO_ENDS, _TO_POLES, _TO_ROOTS = 12, 6, 8  # angles that come closer and closer
@@ -244,7 +244,7 @@ def outline_of(region: "WallRegion") -> Outlines:
     if region.main is None:
         return empty_outlines()
     main = region.main.region
-    branch, angles, curve = main.branch, np.abs(main.outline.angles), main.coefficients
+    branch, angles, curve = main.branch, np.abs(main.outline.angles), main.curve
     size = root_angles(curve.lines, angles).ravel()
     true, _ = true_angles(curve.stretches, size, np.zeros_like(size))
     angles = true.rounded().reshape(angles.shape)
@@ -493,12 +493,12 @@ def _group(
     members: Indices, linear: LinearLoop, transfers: tuple[Transfer, Transfer], roots: Array
 ) -> list[_Formed]:
     """Return loops with the same filters; none if these leave float64 few digits."""
-    response = of_filters(*transfers)
-    if response.condition >= _ILL_CONDITIONED:
+    share = filter_share(*transfers)
+    if share.condition >= _ILL_CONDITIONED:
         return []
     ends = [[part.value for part in end] for end in (linear.at_one, linear.at_minus_one)]
     parts, values = (_columns(rows, len(members)) for rows in (linear[:3], ends))
-    return [_Formed(members, parts, values.rounded(), np.sort(response.real_angles), roots)]
+    return [_Formed(members, parts, values.rounded(), np.sort(share.real_angles), roots)]
 
 
 def _masses(

@@ -227,7 +227,7 @@ def _extremes(region: WallRegion) -> Float64[np.ndarray, "2 field"]:
     main = region.main
     of = region if main is None else main
     loop, rows = region.loop, []
-    for point in measures.quadrant_extremes(of.region.coefficients, of.region.outline):
+    for point in measures.quadrant_extremes(of.region.curve, of.region.outline):
         angles = np.full(2, np.nan)
         if np.all(np.isfinite(point)):
             alpha, beta = point.tolist()

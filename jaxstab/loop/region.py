@@ -182,7 +182,7 @@ class WallRegion(ShownRegion):
     @cached_property
     def _quadrant(self) -> tuple[Gains, Gains]:
         region = self.region
-        stiffest, damped = measures.quadrant_extremes(region.coefficients, region.outline)
+        stiffest, damped = measures.quadrant_extremes(region.curve, region.outline)
         return self._gains(stiffest), self._gains(damped)
 
     @property
@@ -274,14 +274,14 @@ class WallRegion(ShownRegion):
 
     def _intervals(self, values: Float64[np.ndarray, " row"], axis: int) -> np.ndarray:
         region = self.region
-        ends = measures.crossings(region.coefficients, region.outline, values, axis=axis)
+        ends = measures.interval_ends(region.curve, region.outline, values, axis=axis)
         count = ends.shape[1] // 2  # lines that meet nothing have one column of NaN
         return ends[:, : 2 * count].reshape(len(values), count, 2)
 
     def _last_interval(self, gains: Numbers, in_units: Callable[[Any], Any], axis: int) -> Array:
         region, (values,) = self.region, float_arrays(gains)
-        curve = region.coefficients, region.outline
-        limits = in_units(measures.limits(*curve, values, axis=axis, outermost=False))
+        boundary = region.curve, region.outline
+        limits = in_units(measures.limits(*boundary, values, axis=axis, outermost=False))
         return limits if is_jax(limits) else without_noise(limits, self.extent[1 - axis])
 
 

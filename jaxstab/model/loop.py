@@ -83,8 +83,6 @@ class LoopParameters:
 
     def __post_init__(self) -> None:
         self._check()
-        is_known = not is_any_traced(self.delay, self.sample_time)
-        object.__setattr__(self, "_whole_delay", int(self.delay_samples) if is_known else None)
 
     def _check(self, *, columns: bool = False) -> None:
         self._refuse_mixed_fields()
@@ -94,15 +92,18 @@ class LoopParameters:
                 checker = checked if columns and np.ndim(value) else checked_number
                 number = checker(name, value, least, is_open=is_open)
                 object.__setattr__(self, name, value if is_jax(value) else number)
-        is_known = not is_any_traced(self.delay, self.sample_time)
-        if is_known and np.any(self.delay_samples > LONGEST_DELAY):
-            samples, delay = np.broadcast_arrays(self.delay_samples, self.delay)
-            longest = np.argmax(samples)
-            raise ValueError(
-                f"the delay is {samples.flat[longest]:g} samples, {delay.flat[longest]:g} s; give "
-                f"{LONGEST_DELAY:g} samples at most, in s; a delay in samples is multiplied by "
-                "sample_time."
-            )
+        if not is_any_traced(self.delay, self.sample_time):
+            samples = self.delay_samples
+            if np.any(samples > LONGEST_DELAY):
+                samples, delay = np.broadcast_arrays(samples, self.delay)
+                longest = np.argmax(samples)
+                raise ValueError(
+                    f"the delay is {samples.flat[longest]:g} samples, {delay.flat[longest]:g} s; "
+                    f"give {LONGEST_DELAY:g} samples at most, in s; a delay in samples is "
+                    "multiplied by sample_time."
+                )
+            if not columns:
+                object.__setattr__(self, "_whole_delay", int(samples))
         given_filters(self.velocity, self.position)
         for chain in (self.velocity.filter if self.velocity else None, self.position):
             if chain is not None:

@@ -31,7 +31,7 @@ from jaxtyping import Bool, Float64
 from jaxstab.arrays import Array, Numbers, float_arrays, joined
 from jaxstab.model import checked_delay, checked_delta, checked_gain, checked_gamma, require_x64
 from jaxstab.numbers import checked_number
-from jaxstab.region.curve import slice_coefficients
+from jaxstab.region.closed_form import slice_coefficients
 from jaxstab.rounding import EPS
 
 

@@ -1,9 +1,9 @@
 """The boundary over boxes of (gamma, delta), enclosed: where roots can lie on the unit circle.
 
-The closed form (``region.curve``), evaluated in linear models of theta, gamma, delta and perhaps
-the delay, gives patches of the curve with a proved error: as N alpha + N (1 - 1/z) beta = -z^m D on
-the circle is two real equations, alpha and beta are quotients of real functions over |N|^2. With
-h = 1 - cos(theta) and the line of a root at 1 written explicitly,
+The closed form (``region.closed_form``), evaluated in linear models of theta, gamma, delta and
+perhaps the delay, gives patches of the curve with a proved error: as N alpha + N (1 - 1/z) beta =
+-z^m D on the circle is two real equations, alpha and beta are quotients of real functions over
+|N|^2. With h = 1 - cos(theta) and the line of a root at 1 written explicitly,
 
     alpha = -gamma + h lift,
 
@@ -265,7 +265,7 @@ class _Curve(NamedTuple):
 def _curve(
     of_boxes: CurveParts, turns: int, filters: Filters | None, intervals: Intervals
 ) -> _Curve:
-    """Evaluate the closed form, as in ``jaxstab.region.curve`` for radius 1."""
+    """Evaluate the closed form, as in ``jaxstab.region.closed_form`` for radius 1."""
     start, end = intervals.start, intervals.end
     theta, half_theta = 0.5 * (start + end), 0.5 * (end - start) * (1.0 + COSINES)
     plant = of_boxes.over_patches(intervals.box, half_theta)

@@ -25,12 +25,12 @@ from jaxstab.model import by_name, plant_coefficients
 from jaxstab.model.plant import pairs_error
 from jaxstab.proofs.enclosures import LinearModel
 from jaxstab.proofs.filters import Responses, turns_over_sine
-from jaxstab.region.curve import SliceCoefficients
+from jaxstab.region.closed_form import SliceCoefficients
 from jaxstab.rounding import PLANT_MODEL, QUICK_D, QUICK_N, UNDERFLOW
 
 # The two real equations for a pair of roots on the unit circle, in a form quick to compute.
 #
-# With z = e^(i theta), m = floor(delay) + 1 and the notation of ``jaxstab.region.curve``,
+# With z = e^(i theta), m = floor(delay) + 1 and the notation of ``jaxstab.region.closed_form``,
 #
 #     g = D/z + z^-m (N/z) H,      H = alpha P + beta V,
 #

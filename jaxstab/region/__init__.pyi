@@ -1,4 +1,4 @@
-from .curve import boundary_curve as boundary_curve
+from .closed_form import boundary_curve as boundary_curve
 from .pieces import Branch as Branch
 from .region import stable_region as stable_region
 from .stable_set import RegionStatus as RegionStatus

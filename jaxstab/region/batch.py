@@ -61,10 +61,9 @@ _TOLERANCE = 1e-10  # of Newton's steps, in radians
 _SLACK = 1e-6  # of angles beside their brackets
 _CANDIDATES = 3  # places where the curve turns that are refined
 _LOWER = 5e-3  # beside the largest value: how much less the others have to be
-_LOST = 1e-10  # of an extreme, by rounding
+_ROUNDED = 1e-10  # of an extreme: the most that rounding may move it by
 _ON_AXIS = 1e-10  # of the component's size: a corner that far beyond an axis is on it
 _APART = 1e-3  # of angles that are those of two ends
-_PARALLEL = 1e-3  # the sine of the angle at a corner
 _ASIDE = 1e-6  # of the component's size: where walls beside the extremes are tested
 _SMALL = np.array([1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 3e-2])  # gains, beside the size of the stable set
 _RATIOS = np.array([1e-2, 1e-1, 0.3, 1.0])  # of alpha to beta, in that measure
@@ -121,7 +120,7 @@ class _Ends(NamedTuple):
     pinned: Array  # (2, piece)
 
 
-class Outline(NamedTuple):
+class MainOutline(NamedTuple):
     """The closed outline of the component that holds small gains, counter-clockwise.
 
     Attributes:
@@ -136,7 +135,7 @@ class Outline(NamedTuple):
     area: Float64[Array, "*loop"]
 
 
-Answers = tuple[Extremes, Outline | None]
+Answers = tuple[Extremes, MainOutline | None]
 
 
 @lru_cache(maxsize=_PROGRAMS)
@@ -457,18 +456,9 @@ class _Links(NamedTuple):
 
 def _linked(loop: Triples, corners: _Corners) -> _Links:
     """Return what follows each piece, and whether by way of the crossing of both lines."""
-    base, normal = loop.ends[:, 0], loop.ends[:, 1:]
-    along = jnp.stack([normal[:, 1], -normal[:, 0]], axis=1)  # the stable side is on the left
-    det = normal[0, 0] * normal[1, 1] - normal[0, 1] * normal[1, 0]
-    crossing = (
-        jnp.stack(
-            [
-                base[1] * normal[0, 1] - base[0] * normal[1, 1],
-                base[0] * normal[1, 0] - base[1] * normal[0, 0],
-            ]
-        )
-        / det
-    )
+    base, stiffness, damping = loop.ends.T
+    along = jnp.stack([damping, -stiffness], axis=1)  # the stable side is on the left
+    crossing = jnp.stack([cross(damping, base), cross(base, stiffness)]) / cross(stiffness, damping)
     line = jnp.where(corners.branch[1] == Branch.Z_MINUS_ONE, 1, 0)
     begins, ends = (jnp.einsum("lw,wp->lp", along, corners.walls[:, row]) for row in range(2))
     corner = along @ crossing
@@ -479,7 +469,7 @@ def _linked(loop: Triples, corners: _Corners) -> _Links:
     ahead = jnp.where(own, begins[line] - here[:, None], -jnp.inf)
     around = jnp.where(other, begins[1 - line] - corner[1 - line][:, None], -jnp.inf)
     to_corner = corner[line] - here
-    turns = jnp.sum(along[line] * normal[1 - line], axis=1) < 0.0  # runs into the other line
+    turns = jnp.sum(along[line] * loop.ends[1 - line, 1:], axis=1) < 0.0  # into the other line
     turns = turns & jnp.isfinite(to_corner) & (to_corner >= 0.0)
     ahead = jnp.where(ahead > 0.0, ahead, jnp.inf)
     around = jnp.where(around > 0.0, around, jnp.inf)
@@ -507,7 +497,7 @@ def _loops(successor: Array) -> Array:
 
 
 def _are_around(
-    loop: Triples, scan: _Scan, corners: _Corners, links: _Links, label: Array, points: Array
+    scan: _Scan, corners: _Corners, links: _Links, label: Array, points: Array
 ) -> Array:
     """Return which loops (point, label) enclose points (2, point), by the rule of odd crossings."""
     piece = jnp.cumsum(scan.passes & ~jnp.append(False, scan.passes[:-1])) - 1
@@ -554,7 +544,7 @@ def _component(loop: Triples, scan: _Scan) -> _Component:
     is_joined = jnp.all(~corners.exists | (corners.is_solved & links.is_linked))
 
     small, starts = _small_walls(loop, size)
-    around = _are_around(loop, scan, corners, links, label, small) & (jnp.arange(SLOTS) == label)
+    around = _are_around(scan, corners, links, label, small) & (jnp.arange(SLOTS) == label)
     main = jnp.argmax(around[0])
     is_around = starts & jnp.all(jnp.sum(around, axis=1) == 1) & jnp.all(around[:, main])
     tests = jnp.stack([has_room, corners.exists[0], is_joined, is_around])
@@ -577,7 +567,7 @@ def _extremes(loop: Triples, scan: _Scan) -> tuple[_Component, Extremes]:
 
 
 # ------------------------------------------------------------------------ outlines
-def _outline(loop: Triples, component: _Component) -> Outline:
+def _outline(loop: Triples, component: _Component) -> MainOutline:
     """Return the component's outline from piece to piece, and its area.
 
     Vertices lie at about equal distances on each piece, in units of the component's size. The area
@@ -638,7 +628,7 @@ def _outline(loop: Triples, component: _Component) -> Outline:
     rows = jnp.concatenate([vertices, jnp.stack([entering, leaving])])
     rows = jnp.where(exists, rows, rows[:, :1, :1])
     closed = jnp.append(rows.transpose(2, 1, 0).reshape(-1, 4), rows[:, 0, :1].T, axis=0)
-    return Outline(closed[:, :2], closed[:, 2:], area)
+    return MainOutline(closed[:, :2], closed[:, 2:], area)
 
 
 def _small_walls(loop: Triples, size: Array) -> tuple[Array, Array]:
@@ -646,9 +636,9 @@ def _small_walls(loop: Triples, size: Array) -> tuple[Array, Array]:
     alpha = _SMALL * _RATIOS[:, None] * size[0]
     beta = jnp.broadcast_to(_SMALL * size[1], alpha.shape)
     stable = _are_stable(loop, jnp.stack([alpha.ravel(), beta.ravel()])).reshape(alpha.shape)
-    reach = jnp.sum(jnp.cumprod(stable, axis=1), axis=1)
-    best = jnp.argmax(reach)
-    count = reach[best]
+    counts = jnp.sum(jnp.cumprod(stable, axis=1), axis=1)
+    best = jnp.argmax(counts)
+    count = counts[best]
     number = jnp.clip(jnp.stack([count - 1, count - 2]), 0)
     return jnp.stack([alpha[best, number], beta[best, number]]), count >= 3
 
@@ -739,7 +729,7 @@ def _largest(
     is_smooth = is_crossing | (at_turns[turn] > at_every[corner])
     smooth_wall = jnp.where(is_crossing, crossing_of_axis.wall, smooth[:, turn])
     smooth_angle = jnp.where(is_crossing, crossing_of_axis.theta, theta[turn])
-    # A corner of the curve is on two pieces; where the curve is slower, less is lost.
+    # A corner of the curve is on two pieces; where the curve is slower, rounding is less.
     row, own = corner // SLOTS, corner % SLOTS
     twin = jnp.where(row == 0, corners.preceding[own], corners.following[own])
     is_twice = (row < 2) & (corners.branch[jnp.minimum(row, 1), own] == Branch.CURVE)
@@ -747,9 +737,9 @@ def _largest(
     both = jnp.stack([corner, twin])
     walls = jnp.where(is_smooth, smooth_wall[:, None], every[:, both])
     at_both = jnp.where(is_smooth, smooth_angle, corners.theta.ravel()[both % (2 * SLOTS)])
-    lost = jax.vmap(partial(_rounding, loop), (0, 1, None))(at_both, walls, axis) / unit
-    lost = jnp.where(is_crossing & crossing_of_axis.is_on_line, UNIT, lost)
-    wall, lost = walls[:, jnp.argmin(lost)], jnp.min(lost)
+    errors = jax.vmap(partial(_rounding, loop), (0, 1, None))(at_both, walls, axis) / unit
+    errors = jnp.where(is_crossing & crossing_of_axis.is_on_line, UNIT, errors)
+    wall, error = walls[:, jnp.argmin(errors)], jnp.min(errors)
     value = wall[axis]
     enough, for_turns = (most - _LOWER * abs(most) for most in (value, others))
     # A turn next to the axis may be much higher than the scan's angles and the crossing beside it.
@@ -762,7 +752,7 @@ def _largest(
     away = _ASIDE * size * direction
     beside = _are_stable(loop, jnp.stack([wall + away, wall - away], axis=1))
     # A component far beyond the quadrant may leave a limit that is small beside its size.
-    is_exact = (lost * unit < _LOST * jnp.minimum(unit, abs(value))) & jnp.isfinite(value)
+    is_exact = (error * unit < _ROUNDED * jnp.minimum(unit, abs(value))) & jnp.isfinite(value)
     branch, at_corner = corners.branch[jnp.minimum(row, 1), own], corners.theta.ravel()
     on_line = jnp.where(branch == Branch.Z_MINUS_ONE, jnp.pi, 0.0)
     other = jnp.where(branch == Branch.CURVE, at_corner[twin % (2 * SLOTS)], on_line)
@@ -853,12 +843,9 @@ def _vertex(angles: Array, middle: Array, beside: Array) -> Array:
 def _bisector(loop: Triples, corners: _Corners, corner: Array, size: Array) -> Array:
     """Return the direction into the stable set at a corner, in units of the set's size."""
     along = jnp.stack([loop.ends[:, 2], -loop.ends[:, 1]], axis=1)  # of both lines
-    slopes = corners.slopes / size[:, None, None]
-    lines = along / size
-    slopes, lines = (
-        slopes / jnp.linalg.norm(slopes, axis=0),
-        lines / jnp.linalg.norm(lines, axis=1)[:, None],
-    )
+    slopes, lines = corners.slopes / size[:, None, None], along / size
+    slopes = slopes / jnp.linalg.norm(slopes, axis=0)
+    lines = lines / jnp.linalg.norm(lines, axis=1)[:, None]
     row, piece = corner // SLOTS, corner % SLOTS
     branch = corners.branch[jnp.minimum(row, 1), piece]
     line = lines[jnp.where(branch == Branch.Z_MINUS_ONE, 1, 0)]

@@ -20,19 +20,18 @@ import numpy as np
 from jaxtyping import Float64, Int
 
 from jaxstab.arrays import tree_map
-from jaxstab.region.filtered_curve import FilteredCurve
-from jaxstab.region.filtered_points import curve_and_lift
+from jaxstab.region.curve import Angles, Curve
 from jaxstab.region.pieces import (
-    Angles,
     Pieces,
     closer_angles,
     find_pieces,
     nearly_stable,
     others_inside,
-    slice_angles,
+    scan_angles,
     steps_to_meeting,
     suspects,
 )
+from jaxstab.region.points import curve_and_lift, curve_gains
 from jaxstab.region.roots import bracketed_root, with_slope
 
 _AT_ONCE = 1 << 20  # pairs of boxes that are held in memory
@@ -69,7 +68,7 @@ class _Cubics(NamedTuple):
 
 
 @np.errstate(all="ignore")
-def crossings(c: FilteredCurve, angles: Angles) -> Angles:
+def crossings(c: Curve, angles: Angles) -> Angles:
     """Return the angles, in order, at which the curve of a scan meets itself or a line."""
     cubics = _cubics(c, angles)
     if not cubics.interval.size:
@@ -78,14 +77,14 @@ def crossings(c: FilteredCurve, angles: Angles) -> Angles:
     return every[np.diff(every, prepend=-np.inf) > _CLOSE]
 
 
-def _cubics(c: FilteredCurve, angles: Angles) -> _Cubics:
+def _cubics(c: Curve, angles: Angles) -> _Cubics:
     """Return the parts of the scan near the stable set, as cubics with slopes at their ends."""
     line = _lines_of_parts(c, angles)
     is_near = others_inside(c, angles, within=_NEARLY_STABLE)
     is_near = is_near[1:] | is_near[:-1] | (line != 0)  # those of lines may be long
     interval = np.flatnonzero(is_near & ~_spans_a_pole(c, angles))
     ends = np.unique(np.concatenate([interval, interval + 1]))
-    values, slopes = with_slope(lambda theta: _values(c, theta), angles[ends])
+    values, slopes = with_slope(partial(_values, c), angles[ends])
     start = np.searchsorted(ends, interval)
     begin, end = angles[interval], angles[interval + 1]
     here, there = values[:, start], values[:, start + 1]
@@ -95,13 +94,13 @@ def _cubics(c: FilteredCurve, angles: Angles) -> _Cubics:
     return _Cubics(interval, begin, end, controls, begin_slopes, end_slopes, line[interval])
 
 
-def _values(c: FilteredCurve, theta: np.ndarray) -> np.ndarray:
+def _values(c: Curve, theta: np.ndarray) -> np.ndarray:
     """Return alpha, beta and the margins to the lines z = r and z = -r."""
     alpha, beta, lift = curve_and_lift(c, theta)
     return np.stack([alpha, beta, lift, c.minus_margin(alpha, beta)])
 
 
-def _spans_a_pole(curve: FilteredCurve, angles: Angles) -> np.ndarray:
+def _spans_a_pole(curve: Curve, angles: Angles) -> np.ndarray:
     """Return which parts have a pole between their ends, or angles of the other orientation."""
     poles = np.sort(curve.poles[0])
     count = np.searchsorted(poles, np.abs(angles)) * np.sign(angles)
@@ -109,7 +108,7 @@ def _spans_a_pole(curve: FilteredCurve, angles: Angles) -> np.ndarray:
     return spans
 
 
-def _lines_of_parts(curve: FilteredCurve, angles: Angles) -> Parts:
+def _lines_of_parts(curve: Curve, angles: Angles) -> Parts:
     """Return the number of the line at a pole on which a part lies, which does not meet itself."""
     lines = np.zeros(len(angles), int)
     for index, line in enumerate(curve.lines):
@@ -118,7 +117,7 @@ def _lines_of_parts(curve: FilteredCurve, angles: Angles) -> Parts:
 
 
 # ---------------------------------------------------------------------------- of two parts
-def _self_crossings(c: FilteredCurve, cubics: _Cubics) -> Angles:
+def _self_crossings(c: Curve, cubics: _Cubics) -> Angles:
     controls = cubics.controls[:, :2]
     pairs = np.concatenate([_touching_parts(cubics.interval, controls), _loops(cubics)], axis=1)
     line = cubics.line[pairs]
@@ -208,7 +207,7 @@ def _starts(
 
 
 def _meetings(
-    c: FilteredCurve,
+    c: Curve,
     start: Float64[np.ndarray, "2 pair"],
     begin: Float64[np.ndarray, "2 pair"],
     width: Float64[np.ndarray, "2 pair"],
@@ -220,9 +219,7 @@ def _meetings(
     for _ in range(_NEWTON_STEPS):
         if not moving.size:
             break
-        points, slopes = with_slope(
-            lambda theta: np.stack(curve_and_lift(c, theta)[:2]), angles[:, moving]
-        )
+        points, slopes = with_slope(partial(curve_gains, c), angles[:, moving])
         steps = np.stack(steps_to_meeting(*points, *slopes))
         moved = np.clip(angles[:, moving] - steps, lowest[:, moving], highest[:, moving])
         stays = np.all(np.abs(moved - angles[:, moving]) <= _SETTLED * width[:, moving], axis=0)
@@ -235,7 +232,7 @@ def _meetings(
 
 
 # ------------------------------------------------------------------------ of parts and lines
-def _line_crossings(c: FilteredCurve, cubics: _Cubics) -> Angles:
+def _line_crossings(c: Curve, cubics: _Cubics) -> Angles:
     controls, begin, end = cubics.controls[:, 2:], cubics.begin, cubics.end
     crosses = _unlike(controls[0], controls[3])
     line, step = np.nonzero(crosses)
@@ -256,17 +253,16 @@ def _unlike(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return unlike
 
 
-def _margin(c: FilteredCurve, line: Parts, theta: np.ndarray) -> np.ndarray:
+def _margin(c: Curve, line: Parts, theta: np.ndarray) -> np.ndarray:
     """Return how far the curve is from the line z = r, number 0, or z = -r, number 1."""
-    alpha, beta, lift = curve_and_lift(c, theta)
-    return np.choose(line, [lift, c.minus_margin(alpha, beta)])
+    return np.choose(line, _values(c, theta)[2:])
 
 
-def _margin_slope(c: FilteredCurve, line: Parts, theta: np.ndarray) -> np.ndarray:
+def _margin_slope(c: Curve, line: Parts, theta: np.ndarray) -> np.ndarray:
     return with_slope(partial(_margin, c, line), theta)[1]
 
 
-# The search for the pieces of one slice: finer and finer, until they close to loops.
+# The search for the pieces of one curve: finer and finer, until they close to loops.
 
 # Fineness of the scan, the most angles to look closer at, and how far other roots may be outside of
 # the circle there. The last ones take the angles of the best chances only.
@@ -277,17 +273,17 @@ _ROUNDS = 8
 _KEPT = 32  # pieces that do not close
 
 
-def refined_pieces(c: FilteredCurve, *, may_be_empty: bool) -> Pieces:
+def refined_pieces(c: Curve, *, may_be_empty: bool) -> Pieces:
     """Return pieces that join up to loops, searched until nothing hides at their ends.
 
     With damping, the loop without a wall is stable, so an empty answer means that the scan was too
     coarse. Where even the finest scan is not enough, the pieces' ``resolved`` is False.
     """
-    coarsest = slice_angles(c, 1)
+    coarsest = scan_angles(c, 1)
     closer = crossings(c, coarsest)
     scans = _SCANS[: _FEW_SCANS if c.is_exact or c.may_lose_some else None]
     for fineness, most, outside in scans:
-        scan = coarsest if fineness == 1 else slice_angles(c, fineness)
+        scan = coarsest if fineness == 1 else scan_angles(c, fineness)
         pieces, closer, is_settled = _settled_pieces(c, scan, closer, most, outside)
         if is_settled:
             return pieces
@@ -299,7 +295,7 @@ def refined_pieces(c: FilteredCurve, *, may_be_empty: bool) -> Pieces:
 
 
 def _settled_pieces(
-    c: FilteredCurve, scan: Angles, closer: Angles, most: int, outside: float
+    c: Curve, scan: Angles, closer: Angles, most: int, outside: float
 ) -> tuple[Pieces, Angles, bool]:
     """Look closer at more and more angles, until no new one shows; return whether all is resolved.
 

@@ -7,7 +7,7 @@ z -+ 1 there, and in powers of z elsewhere, in pairs of float64; with Cramer's r
     alpha = Im(conj(R) base) / Im(conj(S) R),     beta = -Im(conj(S) base) / Im(conj(S) R).
 
 Powers of zeta - 1 have real and imaginary parts with all of their digits, so nothing is divided by
-hand, as it is in ``filtered_points``: enough of the 106 bits remain.
+hand, as it is in ``region.points``: enough of the 106 bits remain.
 
 Three things are computed so: points and slopes of the curve (``exact_gains``); the angles of its
 poles and of beta = 0, which float64 misses (``in_pairs``); and whether the other roots of walls are
@@ -24,9 +24,11 @@ from jaxtyping import Bool, Complex128, Float64
 
 from jaxstab.arrays import PI_REST, Array, joined, tree_map
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.region.filtered_curve import (
+from jaxstab.region.curve import (
+    CLOSEST,
     UNDAMPED,
-    FilteredCurve,
+    Angles,
+    Curve,
     stretches_around,
     to_rescaled,
     true_angles,
@@ -40,8 +42,6 @@ _HALVINGS = 3  # of angles before the series
 _AT_ONCE = 1 << 18  # coefficients that are held in memory
 _POLISHING, _POLISHED = 3, 1e-3  # steps, and the longest one beside the root
 _TERMS = 10  # of the series of sine and cosine, for angles up to 0.1
-
-Angles = Float64[np.ndarray, " _"]
 
 Pairs = Float64[np.ndarray, "half form pair part coefficient"]
 
@@ -85,7 +85,7 @@ def exact_gains(pairs: Pairs, theta: DoubleDouble, *, with_slopes: bool) -> Exac
     return joined([_gains(pairs, theta[k : k + width], with_slopes) for k in starts])
 
 
-def wall_errors(curve: FilteredCurve, theta: Angles) -> Float64[np.ndarray, "2 angle"]:
+def wall_errors(curve: Curve, theta: Angles) -> Float64[np.ndarray, "2 angle"]:
     """Return how far rounding of the coefficients of p(z) moves points of the curve, roughly.
 
     It moves the roots by its size over p'(z), and the curve passes gains with their angle.
@@ -293,10 +293,9 @@ _SEARCHED = np.concatenate(  # angles between which poles are looked for, on eac
     [np.geomspace(1e-7, 0.1, 240, endpoint=False), np.linspace(0.1, 0.5 * np.pi, 400)]
 )
 _SAME = 1e-5  # of angles that float64 finds, too
-_CLOSEST = 1e-9  # what counts as the distance of a pole on the circle
 
 
-def in_pairs(curve: FilteredCurve, pairs: Pairs, centers: DoubleDouble) -> FilteredCurve:
+def in_pairs(curve: Curve, pairs: Pairs, centers: DoubleDouble) -> Curve:
     """Return a curve as it is evaluated in double-double, rescaled around the angles ``centers``.
 
     ``pairs`` are the parts of p(z), as ``exact_gains`` takes them.
@@ -324,7 +323,7 @@ def in_pairs(curve: FilteredCurve, pairs: Pairs, centers: DoubleDouble) -> Filte
         for a in (curve.poles[0], curve.steep, curve.resonances[0])
     )
     is_pole, is_steep = _are_apart(poles, real), _are_apart(lone, steep)
-    distances = np.concatenate([curve.poles[1, is_pole], np.full(len(real), _CLOSEST)])
+    distances = np.concatenate([curve.poles[1, is_pole], np.full(len(real), CLOSEST)])
     return curve._replace(
         poles=np.stack([np.concatenate([poles[is_pole], real]), distances]),
         steep=np.concatenate([lone[is_steep], steep]),
@@ -349,7 +348,7 @@ def _are_apart(angles: Angles, others: Angles) -> Bool[np.ndarray, " _"]:
     return apart
 
 
-# Whether all other roots are inside the circle, at walls on the boundary. Double-double, NumPy.
+# Whether all other roots are inside the circle, at walls on the boundary.
 #
 # Slow modes have roots next to each other near z = 1, which the coefficients in powers of z cannot
 # tell apart. So p(z) is written in powers of z - 1, where each small root makes one more
@@ -366,30 +365,30 @@ _ON_CIRCLE = 1e-18  # a root so close is on the circle, where gains count as muc
 _LEAST_DISTANCE = 1e-28  # of a root on the circle: rounding of pairs
 _STEP, _SMALLEST_SHARE = 1e-3, 1e-15  # of the share that gains count for, and the least one
 _NEAR_CIRCLE = 1e-2
-_COEFFICIENTS = 1 << 11  # walls
+_WALLS_AT_ONCE = 1 << 11
 
 
 def all_inside(
-    curve: FilteredCurve, alpha: DoubleDouble, beta: DoubleDouble, within: float
+    curve: Curve, alpha: DoubleDouble, beta: DoubleDouble, within: float
 ) -> Bool[np.ndarray, "*wall"]:
     """Return where all roots of p(z) are inside a circle; those on the unit circle count."""
     inside = np.zeros(np.shape(alpha.hi), bool)
     walls = [tree_map(np.ravel, wall) for wall in (alpha, beta)]
-    falling = np.ascontiguousarray(curve.pairs[0, 1, :, :, ::-1])  # in powers of z - 1
-    outside = np.maximum(within - 1.0, _power_on_circle(curve, *walls))
+    falling = curve.pairs[0, 1, :, :, ::-1].tobytes()  # in powers of z - 1
+    outside = np.maximum(within - 1.0, _widths_of_circle(curve, *walls))
     for distance in np.unique(outside).tolist():
-        parts = _parts_in_half_plane(falling.tobytes(), falling.shape[-1], distance)
+        parts = _parts_in_half_plane(falling, distance)
         base, stiffness, damping = (parts[:, k, None] for k in range(3))
         chosen = np.flatnonzero(outside == distance)
-        for start in range(0, chosen.size, _COEFFICIENTS):
-            chunk = chosen[start : start + _COEFFICIENTS]
+        for start in range(0, chosen.size, _WALLS_AT_ONCE):
+            chunk = chosen[start : start + _WALLS_AT_ONCE]
             alpha, beta = (wall[chunk] for wall in walls)
             inside.flat[chunk] = _are_hurwitz(base + (stiffness * alpha + damping * beta))
     return inside
 
 
-def _power_on_circle(
-    curve: FilteredCurve, alpha: DoubleDouble, beta: DoubleDouble
+def _widths_of_circle(
+    curve: Curve, alpha: DoubleDouble, beta: DoubleDouble
 ) -> Float64[np.ndarray, " wall"]:
     """Return how far outside a root counts as on the circle, by the gains' share in p(z)."""
     base, stiffness, damping = np.sum(np.abs(curve.pairs[0, 0, 0]), axis=-1)
@@ -400,20 +399,20 @@ def _power_on_circle(
 
 
 @lru_cache(maxsize=64)
-def _parts_in_half_plane(falling: bytes, count: int, outside: float) -> DoubleDouble:
+def _parts_in_half_plane(falling: bytes, outside: float) -> DoubleDouble:
     """Return base, stiffness and damping (coefficient, part) in powers of w, highest first.
 
     They are given in powers of z - 1, (pair, part, coefficient); r = 1 + outside. They are
     remembered, for one curve serves many walls.
     """
-    pairs = np.frombuffer(falling).reshape(2, 3, count).transpose(0, 2, 1)
+    pairs = np.frombuffer(falling).reshape(2, 3, -1).transpose(0, 2, 1)
     return _to_half_plane(
         _about(DoubleDouble(*pairs), outside), DoubleDouble.from_value(outside) + 1.0
     )
 
 
 def angles_on_circle(
-    curve: FilteredCurve, alpha: DoubleDouble, beta: DoubleDouble, *, within: float = np.inf
+    curve: Curve, alpha: DoubleDouble, beta: DoubleDouble, *, within: float = np.inf
 ) -> DoubleDouble:
     """Return the angles in (0, pi) of roots that are close to the circle for slow roots.
 

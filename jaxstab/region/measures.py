@@ -23,10 +23,10 @@ from jaxtyping import Float64
 
 from jaxstab.arrays import Array, constant, joined, namespace, tree_map
 from jaxstab.batches import on_host
-from jaxstab.region.filtered_curve import FilteredCurve
-from jaxstab.region.filtered_points import curve_and_lift
+from jaxstab.region.curve import Curve
 from jaxstab.region.outline import Outline
 from jaxstab.region.pieces import Branch
+from jaxstab.region.points import curve_gains
 from jaxstab.region.roots import bracketed_root, nonzero, with_slope
 
 _AT_ONCE = 1 << 20  # pairs of a point and an edge that are held in memory
@@ -40,7 +40,7 @@ Columns = tuple[Array, ...]
 
 
 def limits(
-    c: FilteredCurve, outline: Outline, values: Array, *, axis: int, outermost: bool = True
+    c: Curve, outline: Outline, values: Array, *, axis: int, outermost: bool = True
 ) -> Array:
     """Return where lines of constant alpha (axis 0) or beta (axis 1) enter and leave the region.
 
@@ -69,7 +69,7 @@ def limits(
     return _moved(both, (slopes, values[..., None]))
 
 
-def quadrant_extremes(c: FilteredCurve, outline: Outline) -> tuple[Array, Array]:
+def quadrant_extremes(c: Curve, outline: Outline) -> tuple[Array, Array]:
     """Return the points of the largest alpha and of the largest beta where the other is >= 0.
 
     Each is a vertex, or the last crossing with the axis of that gain; NaN if no gain is positive.
@@ -77,7 +77,7 @@ def quadrant_extremes(c: FilteredCurve, outline: Outline) -> tuple[Array, Array]
     return _extreme(c, outline, 0), _extreme(c, outline, 1)
 
 
-def _extreme(c: FilteredCurve, outline: Outline, axis: int) -> Array:
+def _extreme(c: Curve, outline: Outline, axis: int) -> Array:
     vertices = outline.vertices
     other = np.nan_to_num(vertices[:, 1 - axis], nan=-np.inf)
     is_allowed = other >= -_STILL * np.max(other)  # a corner on the axis may be beside it
@@ -91,8 +91,8 @@ def _extreme(c: FilteredCurve, outline: Outline, axis: int) -> Array:
     return np.where(is_there, point, np.nan) + 0.0  # no -0
 
 
-def crossings(
-    c: FilteredCurve, outline: Outline, values: Float64[np.ndarray, " row"], *, axis: int
+def interval_ends(
+    c: Curve, outline: Outline, values: Float64[np.ndarray, " row"], *, axis: int
 ) -> Float64[np.ndarray, "row crossing"]:
     """Return the ends of all intervals on lines as in ``limits``, ascending, then NaN."""
     with np.errstate(all="ignore"):  # NaN and infinity are answers
@@ -100,13 +100,13 @@ def crossings(
     return np.sort(coordinates, axis=-1)
 
 
-def contains(c: FilteredCurve, outline: Outline, alpha: Array, beta: Array) -> Array:
+def contains(c: Curve, outline: Outline, alpha: Array, beta: Array) -> Array:
     """Return whether an odd number of crossings of the row lies beyond alpha."""
     is_inside: Array = _columns(partial(_is_inside, c, outline), outline, 0, alpha, beta)
     return is_inside
 
 
-def _is_inside(c: FilteredCurve, outline: Outline, alpha: Array, beta: Array) -> Array:
+def _is_inside(c: Curve, outline: Outline, alpha: Array, beta: Array) -> Array:
     met, beyond = _met(outline, beta, 1), outline.vertices[:, 0] > alpha[:, None]
     here, there = beyond[:, :-1], beyond[:, 1:]
     count = np.sum(met & here & there, axis=-1)
@@ -117,7 +117,7 @@ def _is_inside(c: FilteredCurve, outline: Outline, alpha: Array, beta: Array) ->
     return count % 2 == 1
 
 
-def distance(c: FilteredCurve, outline: Outline, alpha: Array, beta: Array) -> Array:
+def distance(c: Curve, outline: Outline, alpha: Array, beta: Array) -> Array:
     """Return the distance to the exact boundary, positive inside."""
 
     def to_boundary(alpha: Array, beta: Array) -> Columns:
@@ -134,12 +134,12 @@ def distance(c: FilteredCurve, outline: Outline, alpha: Array, beta: Array) -> A
 
 
 @np.errstate(all="ignore")  # NaN and infinity are answers
-def area(c: FilteredCurve, outline: Outline) -> Array:
+def area(c: Curve, outline: Outline) -> Array:
     """Return the integral of alpha d(beta) around the boundary, by Gauss' rule on each piece."""
     begin, end = outline.angles[:, :1], outline.angles[:, 1:]
     half = 0.5 * (end - begin)
     theta = begin + half * (1.0 + _GAUSS_NODES)
-    (alpha, _), (_, slope) = with_slope(lambda angle: _point(c, angle), theta)
+    (alpha, _), (_, slope) = with_slope(partial(curve_gains, c), theta)
     on_curve = np.sum(half * alpha * slope * _GAUSS_WEIGHTS, axis=1)
     here, there = outline.vertices[:-1], outline.vertices[1:]
     on_line = 0.5 * (here[:, 0] + there[:, 0]) * (there[:, 1] - here[:, 1])
@@ -148,18 +148,14 @@ def area(c: FilteredCurve, outline: Outline) -> Array:
     return np.where(outline.resolved, enclosed, np.nan)
 
 
-def deviation(c: FilteredCurve, outline: Outline) -> Array:
+def deviation(c: Curve, outline: Outline) -> Array:
     """Return how far the boundary leaves the polygon, as a share of the region's diameter."""
-    middle = np.stack(_point(c, np.mean(outline.angles, axis=1)), axis=-1)
+    middle = curve_gains(c, np.mean(outline.angles, axis=1)).T
     here, there = outline.vertices[:-1], outline.vertices[1:]
     away = middle - _foot_on_chord(here, there, middle)
     bulges = np.hypot(away[:, 0], away[:, 1])
     size = np.hypot(*(np.max(outline.vertices, axis=0) - np.min(outline.vertices, axis=0)))
     return np.max(np.where(outline.branches == Branch.CURVE, bulges, 0.0)) / size
-
-
-def _point(c: FilteredCurve, theta: Array, low: Array | float = 0.0) -> Array:
-    return np.stack(curve_and_lift(c, theta, low)[:2])
 
 
 def _columns(function: Callable[..., Any], outline: Outline, count: int, *gains: Array) -> Any:
@@ -191,7 +187,7 @@ def _moved(values: Array, *pairs: tuple[Array, Array]) -> Array:
 
 
 def _crossings(
-    c: FilteredCurve, outline: Outline, values: Array, axis: int, met: Array
+    c: Curve, outline: Outline, values: Array, axis: int, met: Array
 ) -> tuple[Array, Array, Array]:
     """Return where rows meet edges, in the other coordinate (row, crossing), and which exist.
 
@@ -203,9 +199,9 @@ def _crossings(
     edges = np.where(exist, edges, 0)
     goals = np.broadcast_to(values[:, None], edges.shape)
     begin, end = np.moveaxis(outline.angles[edges], -1, 0)
-    theta = bracketed_root(lambda angle: _point(c, angle)[axis] - goals, begin, end)
+    theta = bracketed_root(lambda angle: curve_gains(c, angle)[axis] - goals, begin, end)
     low, slope = _last_steps(c, theta, goals, axis)
-    on_curve = curve_and_lift(c, theta, low)[1 - axis]
+    on_curve = curve_gains(c, theta, low)[1 - axis]
     here = outline.vertices[edges]
     run = outline.vertices[edges + 1] - here
     divisor = nonzero(run[..., axis], 1.0)
@@ -221,14 +217,14 @@ def _met(outline: Outline, values: Array, axis: int) -> Array:
     return (above[:, :-1] != above[:, 1:]) & (outline.branches >= 0)
 
 
-def _last_steps(c: FilteredCurve, theta: Array, goals: Array, axis: int) -> tuple[Array, Array]:
+def _last_steps(c: Curve, theta: Array, goals: Array, axis: int) -> tuple[Array, Array]:
     """Return Newton's steps from crossings' angles, and the slopes of the other coordinate there.
 
     Close to pi the steps are what rounding took from an angle.
     """
     low = np.zeros_like(theta)
     for _ in range(2):  # where the curve flies off, one is not enough
-        here, tangent = with_slope(partial(_point, c, low=low), theta)
+        here, tangent = with_slope(partial(curve_gains, c, low=low), theta)
         step = (goals - here[axis]) / nonzero(tangent[axis], 1.0)
         low = np.clip(low + step, -_LAST_STEP, _LAST_STEP)
     return low, tangent[1 - axis] / nonzero(tangent[axis], np.inf)
@@ -237,7 +233,7 @@ def _last_steps(c: FilteredCurve, theta: Array, goals: Array, axis: int) -> tupl
 # ------------------------------------------------------------------------ the nearest point
 
 
-def _nearest(c: FilteredCurve, outline: Outline, points: Array) -> Array:
+def _nearest(c: Curve, outline: Outline, points: Array) -> Array:
     """Return the nearest points (point, 2) of the boundary.
 
     Edges are looked at in the order of the distances of their boxes, up to where a box is farther
@@ -263,7 +259,7 @@ def _nearest(c: FilteredCurve, outline: Outline, points: Array) -> Array:
         best = np.where(closer, least, best)
         edge = np.where(closer, edges[rows, nearest], edge)
         theta = np.where(closer, feet[rows, nearest], theta)
-    on_curve = np.stack(curve_and_lift(c, theta)[:2], axis=-1)
+    on_curve = curve_gains(c, theta).T
     on_line = _foot_on_chord(here[edge], there[edge], points)
     return np.where((outline.branches[edge] == Branch.CURVE)[:, None], on_curve, on_line)
 
@@ -275,7 +271,7 @@ def _box_distances(here: Array, there: Array, points: Array) -> Array:
     return np.hypot(beside[..., 0], beside[..., 1])
 
 
-def _feet(c: FilteredCurve, outline: Outline, edges: Array, points: Array) -> tuple[Array, Array]:
+def _feet(c: Curve, outline: Outline, edges: Array, points: Array) -> tuple[Array, Array]:
     """Return the distances (point, edge) of points to some edges each, and the angles there.
 
     An edge of the curve is divided, and so is its part with the nearest box, with its neighbours;
@@ -287,13 +283,13 @@ def _feet(c: FilteredCurve, outline: Outline, edges: Array, points: Array) -> tu
     target = np.moveaxis(points, -1, 0)[..., None]
 
     def gap(theta: Array) -> Array:
-        alpha, beta = _point(c, theta)
+        alpha, beta = curve_gains(c, theta)
         return np.hypot(alpha - target[0][..., None], beta - target[1][..., None])
 
     shares = np.arange(_SUBDIVISIONS + 1) / _SUBDIVISIONS
 
     def along(theta: Array) -> Array:
-        point, tangent = with_slope(lambda angle: _point(c, angle), theta)
+        point, tangent = with_slope(partial(curve_gains, c), theta)
         return np.sum((point - target) * tangent, axis=0)
 
     for _ in range(2):

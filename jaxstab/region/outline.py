@@ -14,11 +14,12 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float64
 
 from jaxstab.arrays import Array, joined, take, tree_map
-from jaxstab.region.filtered_curve import FilteredCurve
-from jaxstab.region.filtered_points import curve_and_lift
+from jaxstab.region.curve import Curve
 from jaxstab.region.pieces import NO_BRANCH, Branch, Pieces
+from jaxstab.region.points import curve_gains
 from jaxstab.region.roots import bracketed_root, with_slope
 
 _FEWEST_NODES, _MOST_NODES = 33, 129  # per piece, to see where it bends and turns
@@ -67,7 +68,7 @@ class _Marks(NamedTuple):
 _ON_PIECE, _VIA, _CLOSING = 0, 1, 2  # in the order in which a piece and what follows pass them
 
 
-def polygon(c: FilteredCurve, pieces: Pieces, points: int) -> Outline:
+def polygon(c: Curve, pieces: Pieces, points: int) -> Outline:
     """Return an outline of ``points`` vertices, spread so that all edges bend alike.
 
     It has more of them where corners and turning points alone are more than half.
@@ -168,7 +169,7 @@ def _in_sequence(pieces: Pieces) -> tuple[Pieces, Array]:
     return ordered, np.array(loop)
 
 
-def _survey(c: FilteredCurve, pieces: Pieces, count: int) -> tuple[Array, Array]:
+def _survey(c: Curve, pieces: Pieces, count: int) -> tuple[Array, Array]:
     """Return angles (piece, node) and the tangents (alpha', beta') there (2, piece, node)."""
     # At th = 0 and pi the curve has zero speed: look beside.
     beside = _BESIDE * (pieces.end - pieces.begin)[:, None]
@@ -184,11 +185,11 @@ def _survey(c: FilteredCurve, pieces: Pieces, count: int) -> tuple[Array, Array]
     return ordered, _tangent(c, ordered)
 
 
-def _tangent(c: FilteredCurve, theta: Array) -> Array:
-    return with_slope(lambda angle: np.stack(curve_and_lift(c, angle)[:2]), theta)[1]
+def _tangent(c: Curve, theta: Array) -> Array:
+    return with_slope(partial(curve_gains, c), theta)[1]
 
 
-def _turning_points(c: FilteredCurve, pieces: Pieces, nodes: Array, tangents: Array) -> _Marks:
+def _turning_points(c: Curve, pieces: Pieces, nodes: Array, tangents: Array) -> _Marks:
     """Return where alpha or beta turns."""
     moves = abs(tangents) > _ROUNDING * np.hypot(*tangents)
     turns = (tangents[..., 1:] * tangents[..., :-1] < 0.0) & (moves[..., 1:] | moves[..., :-1])
@@ -220,9 +221,9 @@ def _spread(pieces: Pieces, nodes: Array, tangents: Array, count: int) -> _Marks
     return _on_curve(pieces, piece, nodes[piece, node + 1] + steps[piece, node] * share)
 
 
-def _points(c: FilteredCurve, marks: _Marks) -> Array:
+def _points(c: Curve, marks: _Marks) -> Array:
     """Return the points of marks; corners with a line are on that line to the last digit."""
-    alpha, beta = curve_and_lift(c, marks.theta, marks.low)[:2]
+    alpha, beta = curve_gains(c, marks.theta, marks.low)
     on_plus = c.plus_offset - c.plus_slope * beta
     alpha = np.where(marks.branch == Branch.Z_PLUS_ONE, on_plus, alpha)
     crossing = np.stack(c.lines_crossing)
@@ -242,7 +243,7 @@ def _edges(pieces: Pieces, marks: _Marks) -> tuple[Array, Array]:
     return branches, np.stack([here.theta, end], axis=-1)
 
 
-def _corners(c: FilteredCurve, pieces: Pieces, points: Array) -> Array:
+def _corners(c: Curve, pieces: Pieces, points: Array) -> Array:
     """Return the corners in the order of the boundary; the points are those of begins, then ends.
 
     They are filled up with NaN.
@@ -254,3 +255,23 @@ def _corners(c: FilteredCurve, pieces: Pieces, points: Array) -> Array:
     crossing = np.broadcast_to(np.stack(c.lines_crossing), (count, 2))
     corners = np.stack([points[:count], points[count : 2 * count], crossing], axis=1)[exists]
     return np.concatenate([corners, np.full((3 * count - len(corners), 2), np.nan)])
+
+
+# Which points lie inside an outline's polygon; the same answer as the curve, except next to it.
+
+
+def edges_of(points: np.ndarray, branch: np.ndarray) -> Float64[np.ndarray, "edge 4"]:
+    """Return the edges of an outline, without those between its loops."""
+    return np.concatenate([points[:-1], points[1:]], axis=1)[branch != NO_BRANCH]
+
+
+def are_inside(edges: np.ndarray, points: np.ndarray) -> Bool[np.ndarray, " point"]:
+    """Count the edges to the right of each point: an odd number of them encloses it."""
+    alpha, beta = points[:, None]
+    first_alpha, first_beta, last_alpha, last_beta = edges.T[..., None]
+    crosses = (first_beta > beta) != (last_beta > beta)
+    with np.errstate(all="ignore"):  # edges that run level are not crossed
+        share = (beta - first_beta) / (last_beta - first_beta)
+        is_right = first_alpha + share * (last_alpha - first_alpha) > alpha
+    inside: np.ndarray = np.sum(crosses & is_right, axis=0) % 2 == 1
+    return inside

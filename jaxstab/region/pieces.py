@@ -28,10 +28,11 @@ from jaxtyping import Bool, Float64
 from jaxstab.arrays import Array
 from jaxstab.model import companion_matrix
 from jaxstab.model.double_double import DoubleDouble
+from jaxstab.region.curve import Angles, Curve, PoleLine, out_of_rounding, to_rescaled
 from jaxstab.region.exact import all_inside, angles_on_circle, lines_crossing_of
-from jaxstab.region.filtered_curve import FilteredCurve, PoleLine, out_of_rounding, to_rescaled
-from jaxstab.region.filtered_points import (
+from jaxstab.region.points import (
     curve_and_lift,
+    curve_gains,
     exact_walls,
     is_oriented,
     root_angles,
@@ -88,7 +89,7 @@ class _Steps(NamedTuple):
     mismatches: tuple[Array, ...]
 
 
-def scales(c: FilteredCurve, alpha: Array, beta: Array, theta: Array) -> Scales:
+def scales(c: Curve, alpha: Array, beta: Array, theta: Array) -> Scales:
     """Return the scales of the mismatches at points of the curve."""
     cosine = np.cos(theta)
     size = abs(alpha) + abs(beta) + abs(c.plus_offset)
@@ -99,7 +100,7 @@ def scales(c: FilteredCurve, alpha: Array, beta: Array, theta: Array) -> Scales:
     return Scales(1.0 / size, (1.0 - cosine) / size, (1.0 + cosine) / margin)
 
 
-def nearest_branch(c: FilteredCurve, angles: Array, scale: Scales) -> Array:
+def nearest_branch(c: Curve, angles: Array, scale: Scales) -> Array:
     """Return for ends at angles[0] which Branch the curve meets there, next to angles[1] or not.
 
     For each kind of corner Newton's method says how far off it is; the nearest one is taken.
@@ -109,7 +110,7 @@ def nearest_branch(c: FilteredCurve, angles: Array, scale: Scales) -> Array:
 
 
 def solved_corners(
-    c: FilteredCurve, branch: Array, angles: Array, scale: Scales, half_width: Array
+    c: Curve, branch: Array, angles: Array, scale: Scales, half_width: Array
 ) -> tuple[Array, Array, Array]:
     """Return the angles near ``angles[0]`` where the curve meets a branch, and which are solved.
 
@@ -163,7 +164,7 @@ def steps_to_meeting(
     return step, other
 
 
-def _newton_steps(c: FilteredCurve, angles: Array, scale: Scales) -> _Steps:
+def _newton_steps(c: Curve, angles: Array, scale: Scales) -> _Steps:
     """Return the steps from angles (2, end) to corners: the second row is for curve with curve."""
 
     def values(angles: Array) -> tuple[Array, ...]:
@@ -202,7 +203,7 @@ _AT_ONCE = 1 << 18  # coefficients of polynomials that are held in memory
 _ROUND = 32  # steps of the test after which the polynomials that failed are dropped
 
 
-def others_inside(c: FilteredCurve, theta: Array, within: float = 1.0) -> Array:
+def others_inside(c: Curve, theta: Array, within: float = 1.0) -> Array:
     """Return where all roots of p but those at r e^(+-i theta) lie inside of the circle.
 
     ``within`` is the size of another circle, as a multiple of that.
@@ -215,16 +216,15 @@ def others_inside(c: FilteredCurve, theta: Array, within: float = 1.0) -> Array:
         chunks = np.array_split(theta.ravel(), -(-theta.size * c.length // _AT_ONCE))
         each = [others_inside(c, chunk, within) for chunk in chunks]
         return np.concatenate(each).reshape(theta.shape)
-    falling = c.polynomial(*curve_and_lift(c, theta)[:2])
+    falling = c.polynomial(*curve_gains(c, theta))
     inside = _may_be_stable(falling, within)
     inside[inside] = _all_inside(_shrunk(_others(c, falling[:, inside], theta[inside]), within))
     return inside
 
 
-def _others(c: FilteredCurve, falling: Array, theta: Array) -> Array:
+def _others(c: Curve, falling: Array, theta: Array) -> Array:
     """Divide polynomials by the pairs at r e^(+-i theta), roots of them."""
-    angle = root_angles(c.lines, theta) if c.lines else theta
-    return _quotient(falling, 2.0 * np.cos(angle), 1.0)
+    return _quotient(falling, 2.0 * np.cos(root_angles(c.lines, theta)), 1.0)
 
 
 def _quotient(falling: Array, total: Array, product: float) -> Array:
@@ -263,7 +263,7 @@ def _shrunk(falling: Array, within: float) -> Array:
     return falling * (within**-powers).reshape(-1, *(1 for _ in falling.shape[1:]))
 
 
-def lines_crossing_is_stable(c: FilteredCurve) -> Array:
+def lines_crossing_is_stable(c: Curve) -> Array:
     """Return whether all roots lie inside where the lines z = r and z = -r cross, but for those."""
     if c.is_exact:
         return all_inside(c, *lines_crossing_of(c.pairs), 1.0)
@@ -347,8 +347,8 @@ class _Links(NamedTuple):
     exists: Array
 
 
-def find_pieces(c: FilteredCurve, angles: Array) -> Pieces:
-    """Return the pieces of one slice that a scan over these angles, in (0, pi) in order, finds.
+def find_pieces(c: Curve, angles: Array) -> Pieces:
+    """Return the pieces of a curve that a scan over these angles, in (0, pi) in order, finds.
 
     Source: the D-decomposition of Gryazina, Polyak, Tremba (2008), with the criterion of Schur and
     Cohn for the other roots.
@@ -365,7 +365,7 @@ def find_pieces(c: FilteredCurve, angles: Array) -> Pieces:
     theta, low, is_solved = _solved(c, ends, branch, to_join)
 
     (begin, end), (begin_branch, end_branch) = theta, branch.reshape(2, -1)
-    walls = np.stack(curve_and_lift(c, theta)[:2])
+    walls = curve_gains(c, theta)
     links = _linked(c, walls, begin_branch, end_branch, following)
     index = np.arange(len(begin))
     is_mutual = (begin_branch[following] == Branch.CURVE) & (preceding[following] == index)
@@ -408,7 +408,7 @@ _NO_PIECES = Pieces(
 
 
 # ---------------------------------------------------------------------------- where pieces end
-def _piece_ends(c: FilteredCurve, angles: Array) -> _Ends | None:
+def _piece_ends(c: Curve, angles: Array) -> _Ends | None:
     """Return the ends of the pieces between two angles each; None where there are no pieces."""
     inside = partial(others_inside, c)
     passes = np.concatenate([np.zeros(1, bool), inside(angles), np.zeros(1, bool)])
@@ -441,12 +441,12 @@ def _piece_ends(c: FilteredCurve, angles: Array) -> _Ends | None:
     )
     rough = 0.5 * (outer + inner)
     rough = out_of_rounding(c.stretches, rough, passing)
-    points = np.stack(curve_and_lift(c, rough)[:2])
+    points = curve_gains(c, rough)
     scale = scales(c, points[0], points[1], rough)
     return _Ends(pinned, limit, line, outer, inner, rough, points, scale)
 
 
-def _are_knots(c: FilteredCurve, angles: Array) -> tuple[Array, Array] | None:
+def _are_knots(c: Curve, angles: Array) -> tuple[Array, Array] | None:
     """Return which angles are knots at which pieces begin, and which are those where they end.
 
     A scan has them twice; without lines at poles there are none.
@@ -498,9 +498,7 @@ def _joined(ends: _Ends, is_open: Array) -> tuple[Array, Array, Array]:
     return np.stack([ends.rough, others]), following, preceding
 
 
-def _solved(
-    c: FilteredCurve, ends: _Ends, branch: Array, angles: Array
-) -> tuple[Array, Array, Array]:
+def _solved(c: Curve, ends: _Ends, branch: Array, angles: Array) -> tuple[Array, Array, Array]:
     """Return angles, what rounding took from them, and whether they are right; (2, piece) each."""
     half_width = _STRAY * (abs(ends.outer - ends.inner) + _SLACK)
     unpinned = np.where(ends.pinned, NO_BRANCH, branch)
@@ -517,7 +515,7 @@ def _solved(
 
 # ------------------------------------------------------------------------ what follows a piece
 def _linked(
-    c: FilteredCurve,
+    c: Curve,
     walls: Array,
     begin_branch: Array,
     end_branch: Array,
@@ -550,43 +548,38 @@ def _linked(
     )
 
 
-# The angles at which a scan looks for pieces of the boundary of the stable set. NumPy only.
+# The angles at which a scan looks for pieces of the boundary of the stable set.
 
-_FIRST, _PI_MINUS_LAST = 1e-7, 1e-7
-_CLOSEST = 1e-11
+_FIRST = 1e-7  # and the last one beside pi
+_CLOSEST = 1e-11  # to an angle that a scan looks closer at
 _OFFSETS = 24  # to each side of an angle to look closer at
-_NEAR_CIRCLE = 1e-2
-_SAME = 1e-10
-_ON_CIRCLE, _APART, _MOST_CENTERS = 1e-9, 1e-7, 8
+_NEAR_CIRCLE = 1e-2  # roots whose angles a scan looks closer at
+_SAME = 1e-10  # angles closer than that to one that was searched are not searched again
+_ON_CIRCLE, _APART, _MOST_CENTERS = 1e-9, 1e-7, 8  # of lone partners
 _WIDTHS, _STEPS_AROUND = 8.0, 16  # of a resonance
 _STEPS_OF_LINE = 48  # on each side of a line at a pole
 
-Angles = Float64[np.ndarray, " _"]  # of any length
-
 
 @cache
-def scan_angles(length: int, fineness: int) -> Angles:
+def _even_angles(length: int, fineness: int) -> Angles:
     """Return the angles of a scan: even steps, a part of a turn of z^m, and finer to both ends.
 
     ``length`` is that of a curve.
     """
     count = fineness * (24 + 8 * length)
     even = (np.arange(count) + 0.5) * (np.pi / count)
-    start, end = (
-        np.geomspace(closest, even[0], 12 * fineness, endpoint=False)
-        for closest in (_FIRST, _PI_MINUS_LAST)
-    )
-    angles = np.concatenate([start, even, np.pi - end[::-1]])
+    start = np.geomspace(_FIRST, even[0], 12 * fineness, endpoint=False)
+    angles = np.concatenate([start, even, np.pi - start[::-1]])
     angles.flags.writeable = False
     return angles
 
 
-def slice_angles(c: FilteredCurve, fineness: int) -> Angles:
+def scan_angles(c: Curve, fineness: int) -> Angles:
     """Return the angles of a scan, more of them at the poles and where beta is 0.
 
-    They have the sign of Im V: see ``filtered_curve``.
+    They have the sign of Im V: see ``region.curve``.
     """
-    angles = scan_angles(c.length, fineness)
+    angles = _even_angles(c.length, fineness)
     offsets = np.geomspace(_CLOSEST, np.pi / len(angles), 8 * fineness)
     centers = np.concatenate([c.poles[0], c.steep])
     around = centers[:, None] + np.concatenate([-offsets, offsets])
@@ -599,14 +592,14 @@ def slice_angles(c: FilteredCurve, fineness: int) -> Angles:
     return np.sort(np.where(is_oriented(c, angles), angles, -angles))
 
 
-def _are_resolved(curve: FilteredCurve, angles: Angles) -> Bool[np.ndarray, " _"]:
+def _are_resolved(curve: Curve, angles: Angles) -> Bool[np.ndarray, " _"]:
     """Return which angles are not so close to the middle of a stretch that gains are rounding."""
     every = (stretch.is_rounding(np.abs(angles)) for stretch in curve.stretches)
     resolved: np.ndarray = ~reduce(np.logical_or, every, np.zeros(len(angles), bool))
     return resolved
 
 
-def _around_resonances(curve: FilteredCurve, fineness: int) -> Angles:
+def _around_resonances(curve: Curve, fineness: int) -> Angles:
     """Return angles around zeros and poles of a device, in steps that grow with the distance."""
     angle, width = curve.resonances[:, :, None]
     extent = np.maximum(angle, _WIDTHS * width)
@@ -627,7 +620,7 @@ def _around_line(line: PoleLine, fineness: int) -> Angles:
     return np.concatenate([line.angle + offsets, beside.ravel()])
 
 
-def closer_angles(c: FilteredCurve, angles: Angles, centers: Angles) -> Angles:
+def closer_angles(c: Curve, angles: Angles, centers: Angles) -> Angles:
     """Return the angles of a scan with more angles around some centres."""
     offsets = np.geomspace(_CLOSEST, np.max(np.diff(angles)), _OFFSETS)
     around = centers[:, None] + np.concatenate([-offsets, offsets])
@@ -636,7 +629,7 @@ def closer_angles(c: FilteredCurve, angles: Angles, centers: Angles) -> Angles:
     return np.sort(np.concatenate([angles, closer]))
 
 
-def suspects(c: FilteredCurve, pieces: Pieces, searched: Angles, outside: float) -> Angles:
+def suspects(c: Curve, pieces: Pieces, searched: Angles, outside: float) -> Angles:
     """Return further angles around which a piece may hide between two angles of the scan.
 
     They are the corners that the pieces have and the angles of the roots that are on the circle
@@ -648,7 +641,7 @@ def suspects(c: FilteredCurve, pieces: Pieces, searched: Angles, outside: float)
     if c.is_exact:
         partners = to_rescaled(c.stretches, angles_on_circle(c, *exact_walls(c, corners)))
     else:
-        others = _others(c, c.polynomial(*curve_and_lift(c, corners)[:2]), corners)
+        others = _others(c, c.polynomial(*curve_gains(c, corners)), corners)
         partners = _angles_near_circle(others[:, np.all(np.isfinite(others), axis=0)].T)
     partners = np.where(is_oriented(c, partners), partners, -partners)
     every = np.concatenate([corners, partners])
@@ -656,7 +649,7 @@ def suspects(c: FilteredCurve, pieces: Pieces, searched: Angles, outside: float)
     return nearly_stable(c, every[away >= _SAME], outside)
 
 
-def lone_partners(curve: FilteredCurve, pieces: Pieces) -> DoubleDouble:
+def lone_partners(curve: Curve, pieces: Pieces) -> DoubleDouble:
     """Return the angles of roots on the circle at ends of pieces, where no piece begins or ends.
 
     The curve is evaluated in double-double.
@@ -673,7 +666,7 @@ def lone_partners(curve: FilteredCurve, pieces: Pieces) -> DoubleDouble:
     return angles[chosen]
 
 
-def nearly_stable(c: FilteredCurve, angles: Angles, outside: float) -> Angles:
+def nearly_stable(c: Curve, angles: Angles, outside: float) -> Angles:
     """Return the angles, in order, at which no other root is farther outside than a limit."""
     if not angles.size:
         return angles
@@ -691,23 +684,3 @@ def _angles_near_circle(polynomials: Float64[np.ndarray, "polynomial coefficient
     near = roots[(np.abs(np.abs(roots) - 1.0) < _NEAR_CIRCLE) & (roots.imag > 0.0)]
     angles: Angles = np.angle(near)
     return angles
-
-
-# Which points lie inside an outline's polygon; the same answer as the curve, except next to it.
-
-
-def edges_of(points: np.ndarray, branch: np.ndarray) -> Float64[np.ndarray, "edge 4"]:
-    """Return the edges of an outline, without those between its loops."""
-    return np.concatenate([points[:-1], points[1:]], axis=1)[branch != NO_BRANCH]
-
-
-def are_inside(edges: np.ndarray, points: np.ndarray) -> Bool[np.ndarray, " point"]:
-    """Count the edges to the right of each point: an odd number of them encloses it."""
-    alpha, beta = points[:, None]
-    first_alpha, first_beta, last_alpha, last_beta = edges.T[..., None]
-    crosses = (first_beta > beta) != (last_beta > beta)
-    with np.errstate(all="ignore"):  # edges that run level are not crossed
-        share = (beta - first_beta) / (last_beta - first_beta)
-        is_right = first_alpha + share * (last_alpha - first_alpha) > alpha
-    inside: np.ndarray = np.sum(crosses & is_right, axis=0) % 2 == 1
-    return inside

@@ -1,4 +1,4 @@
-"""Stable regions of slices: found by a search. NumPy only.
+"""Stable regions of loops, found by a search. NumPy only.
 
 A region is computed in three steps: the pieces of the curve that bound the stable set, refined
 until they join up to loops (``crossings.refined_pieces``); a polygon with its corners on them, with
@@ -30,6 +30,16 @@ from jaxstab.numbers import checked_number
 from jaxstab.point.verdicts import linear_verdict
 from jaxstab.region import measures
 from jaxstab.region.crossings import refined_pieces
+from jaxstab.region.curve import (
+    UNDAMPED,
+    Curve,
+    System,
+    curve_of_system,
+    hardly_moved,
+    loop_of_system,
+    mass_system,
+    parts_in_pairs,
+)
 from jaxstab.region.exact import (
     Pairs,
     all_inside,
@@ -38,26 +48,14 @@ from jaxstab.region.exact import (
     polished_modes,
     wall_errors,
 )
-from jaxstab.region.filtered_curve import (
-    UNDAMPED,
-    FilteredCurve,
-    System,
-    filtered_curve,
-    hardly_moved,
-    loop_of_system,
-    mass_system,
-    parts_in_pairs,
-)
-from jaxstab.region.filtered_points import curve_and_lift
-from jaxstab.region.outline import Outline, extra_vertices, polygon
+from jaxstab.region.outline import Outline, are_inside, edges_of, extra_vertices, polygon
 from jaxstab.region.pieces import (
     NO_BRANCH,
     Branch,
     Pieces,
-    are_inside,
-    edges_of,
     lone_partners,
 )
+from jaxstab.region.points import curve_gains
 from jaxstab.region.stable_set import StableRegion, region_within
 
 # A-posteriori check of regions, by certified verdicts.
@@ -83,7 +81,7 @@ Edges = Float64[np.ndarray, "_ 4"]
 Walls = Float64[np.ndarray, "2 _"]
 
 
-def fails_audit(c: FilteredCurve, outline: Outline, loop: LinearLoop, deviation: float) -> bool:
+def fails_audit(c: Curve, outline: Outline, loop: LinearLoop, deviation: float) -> bool:
     """Return whether a verdict proves a wall inside unstable, or one outside stable.
 
     Where a mode is next to undamped, an outline also fails if no wall beside it is proved stable.
@@ -144,7 +142,7 @@ def _beside(edges: Edges, extent: Float64[np.ndarray, "2"], *, is_near: bool = F
     return np.concatenate([middle + aside, middle - aside]).T
 
 
-def _near_corners(c: FilteredCurve, outline: Outline) -> Edges:
+def _near_corners(c: Curve, outline: Outline) -> Edges:
     """Return short edges of the boundary, at some distances from the corners."""
     size = int(outline.size)
     vertices = outline.vertices[:size]
@@ -156,12 +154,12 @@ def _near_corners(c: FilteredCurve, outline: Outline) -> Edges:
         np.append(np.tile(shares, len(begins)), 1.0 - np.tile(shares, len(ends)))
         for shares in (_FROM_CORNER, 2.0 * _FROM_CORNER)
     )
-    both = (_on_edges(c, outline, edges, shares) for shares in (close, far))
-    return np.concatenate(list(both), axis=1)
+    both = [_on_edges(c, outline, edges, shares) for shares in (close, far)]
+    return np.concatenate(both, axis=1)
 
 
 def _on_edges(
-    c: FilteredCurve,
+    c: Curve,
     outline: Outline,
     edges: Int[np.ndarray, " edge"],
     shares: Float64[np.ndarray, " edge"],
@@ -170,11 +168,11 @@ def _on_edges(
     here, there = outline.vertices[edges], outline.vertices[edges + 1]
     straight = here + (there - here) * shares[:, None]
     start, end = outline.angles[edges].T
-    curved = np.stack(curve_and_lift(c, start + (end - start) * shares)[:2], axis=1)
+    curved = curve_gains(c, start + (end - start) * shares).T
     return np.where((outline.branches[edges] == Branch.CURVE)[:, None], curved, straight)
 
 
-# The outline of one slice, with as many angles and digits as it needs.
+# The outline of one loop, with as many angles and digits as it needs.
 
 _FEWEST_POINTS, _MOST_POINTS = 256, 65536
 _STRETCHINGS = 3  # rounds
@@ -190,7 +188,7 @@ def region_of_system(system: System, tolerance: float, *, may_be_empty: bool) ->
     Where no number of digits resolves its outline, or it fails the audit, it is UNRESOLVED. That
     nothing is stable, in the unit circle, is said after all have been tried.
     """
-    c, loop = filtered_curve(*system), loop_of_system(system)
+    c, loop = curve_of_system(system), loop_of_system(system)
     rough = None
     if not c.loses_digits:
         outline, _ = _audited(c, tolerance, may_be_empty, loop)
@@ -217,23 +215,22 @@ def region_of_system(system: System, tolerance: float, *, may_be_empty: bool) ->
     return region_within(exact, outline)
 
 
-def _strays(c: FilteredCurve, outline: Outline, system: System) -> bool:
+def _strays(c: Curve, outline: Outline, system: System) -> bool:
     """Return whether some points of an outline in float64 are off the curve in double-double."""
-    size = np.abs(outline.angles)
     edges = _on_the_curve(c, outline)
     edges = edges[np.linspace(0, len(edges) - 1, min(_TESTED, len(edges))).round().astype(int)]
     extent = np.ptp(outline.vertices, axis=0)
-    points = np.stack(curve_and_lift(c, outline.angles[edges, 0])[:2], axis=1)
-    angles = DoubleDouble.from_value(size[edges, 0])
-    exact = exact_gains(parts_in_pairs(system), angles, with_slopes=False).values[:2]
-    away = (points - np.stack([gain.rounded() for gain in exact], axis=1)) / extent
+    angles = outline.angles[edges, 0]
+    size = DoubleDouble.from_value(np.abs(angles))
+    exact = exact_gains(parts_in_pairs(system), size, with_slopes=False).values[:2]
+    away = (curve_gains(c, angles) - np.stack([gain.rounded() for gain in exact])).T / extent
     along = (outline.vertices[edges + 1] - outline.vertices[edges]) / extent
     length = np.hypot(*along.T)
     aside = np.abs(away[:, 0] * along[:, 1] - away[:, 1] * along[:, 0])
     return bool(np.any(aside > _STRAYED * length))
 
 
-def _on_the_curve(c: FilteredCurve, outline: Outline) -> Int[np.ndarray, " edge"]:
+def _on_the_curve(c: Curve, outline: Outline) -> Int[np.ndarray, " edge"]:
     """Return the edges of the curve, without lines at poles."""
     size = np.abs(outline.angles[:, 0])
     straight = np.any([line.holds(size) for line in c.lines], axis=0)
@@ -251,7 +248,7 @@ def _is_known(outline: Outline) -> bool:
 
 
 def _audited(
-    c: FilteredCurve, tolerance: float, may_be_empty: bool, loop: LinearLoop
+    c: Curve, tolerance: float, may_be_empty: bool, loop: LinearLoop
 ) -> tuple[Outline, Pieces]:
     """Return an outline, not ``resolved`` if it fails the audit, and its pieces."""
     pieces = refined_pieces(c, may_be_empty=may_be_empty)
@@ -261,7 +258,7 @@ def _audited(
     return outline, pieces
 
 
-def _adapted(c: FilteredCurve, pieces: Pieces, tolerance: float) -> tuple[Outline, float]:
+def _adapted(c: Curve, pieces: Pieces, tolerance: float) -> tuple[Outline, float]:
     """Return an outline with as many points as the tolerance requires, and its deviation."""
     fewest = max(_FEWEST_POINTS, 2 * extra_vertices(len(pieces.begin)))
     points = _enough_points(sqrt(_BULGE / tolerance), fewest)

@@ -11,7 +11,7 @@ from jaxstab.arrays import Array, Numbers, float_arrays, namespace
 from jaxstab.conventions import Status
 from jaxstab.model import checked_gain, require_x64
 from jaxstab.region import measures
-from jaxstab.region.filtered_curve import FilteredCurve
+from jaxstab.region.curve import Curve
 from jaxstab.region.outline import Outline
 from jaxstab.region.pieces import NO_BRANCH
 from jaxstab.shown import number_text
@@ -152,7 +152,7 @@ _SMALL = 1e-8  # of what a set spans
 _RATIOS = 10.0 ** np.arange(-6.0, 1.0)  # of alpha to beta, in that measure
 
 
-def components_of(c: FilteredCurve, outline: Outline) -> list[Outline]:
+def components_of(c: Curve, outline: Outline) -> list[Outline]:
     """Return the outlines of the components: first the one with small gains, then by area."""
     parts = _loops(outline)
     if len(parts) == 1:
@@ -171,7 +171,7 @@ def components_of(c: FilteredCurve, outline: Outline) -> list[Outline]:
     return [component for component, _ in whole]
 
 
-def holds_small_gains(c: FilteredCurve, outline: Outline) -> bool:
+def holds_small_gains(c: Curve, outline: Outline) -> bool:
     """Return whether a set holds positive gains that are small beside its own size."""
     extent = np.max(np.abs(outline.vertices[: int(outline.size)]), axis=0)
     alpha = _SMALL * extent[0] * _RATIOS
@@ -215,7 +215,7 @@ def _joined(loops: list[Outline]) -> Outline:
     )
 
 
-def _holds(c: FilteredCurve, outer: Outline, inner: Outline) -> bool:
+def _holds(c: Curve, outer: Outline, inner: Outline) -> bool:
     return bool(measures.contains(c, outer, *inner.vertices[:1].T)[0])
 
 
@@ -228,7 +228,7 @@ class StableRegion(ShownRegion):
     computed on the host and differentiable once.
 
     Attributes:
-        coefficients: what the exact boundary is made of.
+        curve: what the exact boundary is made of.
         outline: the polygon.
         status: what is known of the region.
         max_alpha: the point (alpha, beta) of the largest alpha, over negative betas as well (the
@@ -265,7 +265,7 @@ class StableRegion(ShownRegion):
         [[0.0753, -0.4745]]
     """
 
-    coefficients: FilteredCurve
+    curve: Curve
     outline: Outline
     status: RegionStatus
     max_alpha: Array
@@ -309,8 +309,8 @@ class StableRegion(ShownRegion):
         """
         if int(self.outline.size) == 0:
             return []
-        outlines = components_of(self.coefficients, self.outline)
-        return [region_within(self.coefficients, outline) for outline in outlines]
+        outlines = components_of(self.curve, self.outline)
+        return [region_within(self.curve, outline) for outline in outlines]
 
     @property
     def main(self) -> "StableRegion | None":
@@ -352,7 +352,7 @@ class StableRegion(ShownRegion):
         It is right to rounding, except for undamped hands next to the Nyquist frequency: there
         the relative error is up to about 1e-16/e, with e = |sqrt(gamma)/pi - 1|.
         """
-        return measures.area(self.coefficients, self.outline)
+        return measures.area(self.curve, self.outline)
 
     def alpha_limits(self, beta: Numbers) -> Float64[Array, "*grid 2"]:
         """Return the smallest and the largest alpha of the region at given betas.
@@ -363,7 +363,7 @@ class StableRegion(ShownRegion):
         """
         require_x64(beta)
         (rows,) = float_arrays(checked_gain("beta", beta))
-        return measures.limits(self.coefficients, self.outline, rows, axis=1)
+        return measures.limits(self.curve, self.outline, rows, axis=1)
 
     def beta_limits(self, alpha: Numbers) -> Float64[Array, "*grid 2"]:
         """Return the smallest and the largest beta of the region at given alphas.
@@ -373,7 +373,7 @@ class StableRegion(ShownRegion):
         """
         require_x64(alpha)
         (columns,) = float_arrays(checked_gain("alpha", alpha))
-        return measures.limits(self.coefficients, self.outline, columns, axis=0)
+        return measures.limits(self.curve, self.outline, columns, axis=0)
 
     def contains(self, alpha: Numbers, beta: Numbers) -> Bool[Array, "*grid"]:
         """Return whether points lie inside the exact boundary; all False for UNRESOLVED.
@@ -381,7 +381,7 @@ class StableRegion(ShownRegion):
         Args and Raises: see ``jaxstab.conventions``.
         """
         points = _checked_points(alpha, beta)
-        return measures.contains(self.coefficients, self.outline, *points)
+        return measures.contains(self.curve, self.outline, *points)
 
     def distance(self, alpha: Numbers, beta: Numbers) -> Float64[Array, "*grid"]:
         """Return the Euclidean distance to the boundary, positive inside and negative outside.
@@ -389,15 +389,15 @@ class StableRegion(ShownRegion):
         -inf for an empty region, NaN for UNRESOLVED. Args and Raises: see ``jaxstab.conventions``.
         """
         points = _checked_points(alpha, beta)
-        return measures.distance(self.coefficients, self.outline, *points)
+        return measures.distance(self.curve, self.outline, *points)
 
 
-def region_within(c: FilteredCurve, outline: Outline) -> StableRegion:
+def region_within(c: Curve, outline: Outline) -> StableRegion:
     """Return the region of an outline."""
     largest = np.argmax(np.nan_to_num(outline.vertices, nan=-np.inf), axis=0)
     closed = RegionStatus.COMPLETE if outline.size > 0 else RegionStatus.EMPTY
     return StableRegion(
-        coefficients=c,
+        curve=c,
         outline=outline,
         status=closed if outline.resolved else RegionStatus.UNRESOLVED,
         max_alpha=outline.vertices[largest[0]] + 0.0,  # no -0
@@ -406,7 +406,7 @@ def region_within(c: FilteredCurve, outline: Outline) -> StableRegion:
 
 
 def _holds_small_gains(component: StableRegion) -> bool:
-    return holds_small_gains(component.coefficients, component.outline)
+    return holds_small_gains(component.curve, component.outline)
 
 
 def _checked_points(alpha: Numbers, beta: Numbers) -> tuple[Array, Array]:

@@ -32,7 +32,7 @@ from jaxstab.numbers import checked_number
 from jaxstab.point.radius import have_roots_inside
 from jaxstab.point.verdicts import verdict
 from jaxstab.region import RegionStatus, StableRegion, stable_region
-from jaxstab.region.pieces import are_inside, edges_of
+from jaxstab.region.outline import are_inside, edges_of
 from jaxstab.region.stable_set import holds_small_gains
 
 # What is known about the best gains.
@@ -127,7 +127,7 @@ def component_of(region: StableRegion) -> Component:
     if region.status == RegionStatus.UNRESOLVED:
         return Component(None, TuningStatus.ANY_COMPONENT)
     components = region.components
-    if not components or not holds_small_gains(region.coefficients, components[0].outline):
+    if not components or not holds_small_gains(region.curve, components[0].outline):
         return Component(None, TuningStatus.ISLAND)
     main, *islands = components
     return Component(edges_of(main.points, main.branch)) if islands else ALL_GAINS

@@ -1,6 +1,6 @@
 """Points and slopes of the boundary curve. NumPy only.
 
-The form that is evaluated is that of ``filtered_curve``: polynomials on one half of the circle, in
+The form that is evaluated is that of ``region.curve``: polynomials on one half of the circle, in
 powers of zeta or of zeta - 1, whichever has the smaller terms, and their quotients by zeta - 1.
 Their real and imaginary parts give beta, and then alpha and the distance from the line of a real
 root. Formulas are written once, for arrays and for arrays with slopes (``Dual``). Next to a line at
@@ -15,16 +15,17 @@ from jaxtyping import Bool, Complex128, Float64
 
 from jaxstab.arrays import PI_REST, Array, tree_map
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.region.exact import determinants, exact_gains
-from jaxstab.region.filtered_curve import (
+from jaxstab.region.curve import (
     Angles,
-    FilteredCurve,
+    Curve,
     Form,
     Half,
     PoleLine,
     Rows,
     true_angles,
 )
+from jaxstab.region.exact import determinants, exact_gains
+from jaxstab.region.roots import nonzero
 
 Values = Any  # an array, or a Dual
 _TINY = 1e-100  # in place of the angle 0, where quotients of sines have a limit
@@ -88,7 +89,7 @@ class _Circle(NamedTuple):
 
 
 def curve_and_lift(
-    curve: FilteredCurve, theta: Array, low: Array | float = 0.0
+    curve: Curve, theta: Array, low: Array | float = 0.0
 ) -> tuple[Array, Array, Array]:
     """Return alpha, beta and (alpha + beta V(r) - W(r)) / (1 - cos th).
 
@@ -110,7 +111,12 @@ def curve_and_lift(
     return alpha, beta, lift
 
 
-def _float_values(curve: FilteredCurve, size: Angles, low: Angles, moves: Angles | None) -> Array:
+def curve_gains(curve: Curve, theta: Array, low: Array | float = 0.0) -> Array:
+    """Return alpha and beta of the curve, stacked."""
+    return np.stack(curve_and_lift(curve, theta, low)[:2])
+
+
+def _float_values(curve: Curve, size: Angles, low: Angles, moves: Angles | None) -> Array:
     """Return alpha, beta and the lift in float64, with slopes times ``moves`` as imaginary part."""
     upper, u = _folded(size, low)
     values = np.empty((3, len(u)), float if moves is None else complex)
@@ -126,7 +132,7 @@ def _float_values(curve: FilteredCurve, size: Angles, low: Angles, moves: Angles
     return values
 
 
-def _exact_values(curve: FilteredCurve, size: Angles, low: Angles, moves: Angles | None) -> Array:
+def _exact_values(curve: Curve, size: Angles, low: Angles, moves: Angles | None) -> Array:
     """Return the same in double-double, rounded."""
     angles, speed = true_angles(curve.stretches, size, low)
     exact = exact_gains(curve.pairs, angles, with_slopes=moves is not None)
@@ -141,7 +147,7 @@ def _folded(size: Angles, low: Array | float) -> tuple[Bool[np.ndarray, " _"], A
     return upper, np.where(u == 0.0, _TINY, u)
 
 
-def exact_walls(curve: FilteredCurve, theta: Array) -> tuple[DoubleDouble, DoubleDouble]:
+def exact_walls(curve: Curve, theta: Array) -> tuple[DoubleDouble, DoubleDouble]:
     """Return alpha and beta in double-double at angles, which may be negative."""
     size = np.abs(theta).ravel()
     angles, _ = true_angles(curve.stretches, size, np.zeros_like(size))
@@ -155,7 +161,7 @@ def exact_walls(curve: FilteredCurve, theta: Array) -> tuple[DoubleDouble, Doubl
 
 
 def _on_line(
-    curve: FilteredCurve, line: PoleLine, size: Angles
+    curve: Curve, line: PoleLine, size: Angles
 ) -> tuple[Float64[np.ndarray, "3 angle"], Float64[np.ndarray, "3 angle"]]:
     """Return alpha, beta and the lift next to a line at a pole, and their slopes."""
     (alpha, beta, angle), (alpha_slope, beta_slope, turn) = line.gains(size)
@@ -177,12 +183,12 @@ def root_angles(lines: Sequence[PoleLine], theta: Array) -> Array:
 
 
 def _gains(
-    curve: FilteredCurve, half: Half, u: Angles, *, with_slopes: bool
+    curve: Curve, half: Half, u: Angles, *, with_slopes: bool
 ) -> tuple[Values, Values, Values]:
     """Return alpha, beta and the lift, by the angles u of zeta on one half of the circle."""
     circle = _Circle.at_angles(u)
     n, d, fall, y, x, rise = _rows(half.rows, circle, with_slopes=with_slopes)
-    n_one, d_one, y_one, x_one = map(_divisor, half.at_one)
+    n_one, d_one, y_one, x_one = nonzero(np.array(half.at_one), 1.0)  # 0 is not used
     (plant_one, estimate_one), gain = half.values, half.gain
     sine, cosine = _sinusoids(0.5, u, with_slopes=with_slopes)
     tangent = sine / cosine
@@ -225,11 +231,6 @@ def _swing(quotient: Values, tangent: Values) -> Values:
 
 def _square(z: Values) -> Values:
     return z.real * z.real + z.imag * z.imag
-
-
-def _divisor(value: float) -> float:
-    """Return a divisor, 1 in place of 0: the quotient is not used then."""
-    return value or 1.0
 
 
 def _rows(rows: Rows, circle: _Circle, *, with_slopes: bool) -> list[Values]:
@@ -290,7 +291,7 @@ def _cross(a: Values, b: Values) -> Values:
     return a.real * b.imag - a.imag * b.real
 
 
-def is_oriented(curve: FilteredCurve, theta: Angles) -> Bool[np.ndarray, " angle"]:
+def is_oriented(curve: Curve, theta: Angles) -> Bool[np.ndarray, " angle"]:
     """Return where the sign of angles is that of Im V: the stable side is the left one."""
     size = np.abs(theta)
     for line in curve.lines:  # the curve beside it has the same sign
@@ -311,7 +312,7 @@ def is_oriented(curve: FilteredCurve, theta: Angles) -> Bool[np.ndarray, " angle
 def _swing_of_estimate(half: Half, u: Angles) -> Angles:
     """Return a number of the sign of Im V at zeta = e^(iu)."""
     _, _, _, y, x, rise = _rows(half.rows, _Circle.at_angles(u), with_slopes=False)
-    _, _, y_one, x_one = map(_divisor, half.at_one)
+    _, _, y_one, x_one = nonzero(np.array(half.at_one), 1.0)
     swing: Angles
     if half.forms[1] == Form.WHOLE:
         swing = (x / y).imag
