@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from jaxstab.loop.between import LoopsWithHands
     from jaxstab.loop.contact import Contact
-    from jaxstab.loop.jitter import MovingLimits, MovingRegion, WorstDelays
+    from jaxstab.loop.jitter import MovingLimits, MovingLoop, MovingRegion, WorstDelays
     from jaxstab.loop.tune import OptimalWall
 
 
@@ -122,10 +122,7 @@ class HapticLoop(LoopParameters):
             'the boundary closes to loops'
         """
         if delays is not None or lost:
-            self._refuse_tracers("region with delays")
-            from jaxstab.loop.jitter import region_for_all
-
-            return region_for_all(self, delays, lost)
+            return self._moving("region with delays", delays, lost).region()
         if is_any_traced(self):
             raise TypeError(
                 "the loop is traced; its region and distances to it are searched outside of jit, "
@@ -163,10 +160,7 @@ class HapticLoop(LoopParameters):
             True
         """
         if delays is not None or lost:
-            self._refuse_tracers("limits with delays")
-            from jaxstab.loop.jitter import limits_for_all
-
-            return limits_for_all(self, delays, lost)
+            return self._moving("limits with delays", delays, lost).limits()
         if is_any_traced(self):
             from jaxstab.loop.moving import moving_limits
 
@@ -376,12 +370,11 @@ class HapticLoop(LoopParameters):
         if self.device is None and not moves:
             return None
         from jaxstab.loop.between import LoopsWithHands
-        from jaxstab.loop.jitter import MovingLoop
 
         device = self.held_device
         if not moves:
             return LoopsWithHands(self, device, hands, mass)
-        moving = MovingLoop.from_loop(self, delays, lost).loop
+        moving = self._moving("hands with delays", delays, lost).loop
         loop = HapticLoop(
             sample_time=moving.sample_time,
             delay=moving.delay,
@@ -495,11 +488,8 @@ class HapticLoop(LoopParameters):
             <Verdict.STABLE: 1>
         """
         if delays is not None or lost:
-            self._refuse_tracers("verdict with delays")
-            from jaxstab.loop.jitter import moving_verdict
-
             checked_word("resolve", resolve or "exact", ("exact",))
-            return moving_verdict(self, stiffness, damping, delays, lost)
+            return self._moving("verdict with delays", delays, lost).verdict(stiffness, damping)
         wall = self._wall(stiffness, damping)
         if self.body is None:
             checked_word("resolve", resolve or "exact", ("exact",))
@@ -625,10 +615,7 @@ class HapticLoop(LoopParameters):
             >>> loop.worst_delays(6669.1, 71.60, delays=(0.0, 1e-3)).delays
             (0.0, 0.001, 0.001, 0.001)
         """
-        self._refuse_tracers("worst_delays")
-        from jaxstab.loop.jitter import worst_delays
-
-        return worst_delays(self, stiffness, damping, delays, lost)
+        return self._moving("worst_delays", delays, lost).worst_delays(stiffness, damping)
 
     def oscillation(self, stiffness: Numbers, damping: Numbers) -> "motion.Oscillation":
         """Damping ratio and frequency in Hz of the slowest mode of the loop at walls.
@@ -916,6 +903,13 @@ class HapticLoop(LoopParameters):
         require_x64(stiffness, damping)
         alpha = self.alpha(checked_gain("stiffness", stiffness))
         return alpha, self.beta(checked_gain("damping", damping))
+
+    def _moving(self, method: str, delays: Range | None, lost: int) -> "MovingLoop":
+        """Return the loop with delays that move."""
+        self._refuse_tracers(method)
+        from jaxstab.loop.jitter import MovingLoop
+
+        return MovingLoop.from_loop(self, delays, lost)
 
     def _refuse_tracers(self, method: str) -> None:
         """Refuse a loop that JAX traces: the method searches outside of JAX."""
