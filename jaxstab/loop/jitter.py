@@ -313,8 +313,7 @@ class _Search(NamedTuple):
     @classmethod
     def from_loop(cls, moving: MovingLoop) -> "_Search":
         """Return the search for the walls of a loop."""
-        region = wall_region(moving.loop, TOLERANCE)
-        region = region.main or region
+        region = wall_region(moving.loop, TOLERANCE).reachable
         return cls(moving, region, np.max(region.outline, axis=0, initial=0.0))
 
     def stiffest(

@@ -185,7 +185,7 @@ class HapticLoop(LoopParameters):
             >>> loop.stiffness_limits(20.0).round(1).tolist()
             [0.0, 35325.0]
         """
-        return self._reachable().stiffness_limits(damping)
+        return self.region().reachable.stiffness_limits(damping)
 
     def damping_limits(self, stiffness: Numbers) -> Float64[Array, "*grid 2"]:
         """The smallest and the largest stable damping at given stiffnesses in N/m, any shape.
@@ -199,7 +199,7 @@ class HapticLoop(LoopParameters):
             >>> loop.damping_limits(20000.0).round(3).tolist()
             [9.457, 181.026]
         """
-        return self._reachable().damping_limits(stiffness)
+        return self.region().reachable.damping_limits(stiffness)
 
     def boundary_distance(self, stiffness: Numbers, damping: Numbers) -> Float64[Array, "*grid"]:
         """How far walls are from the edge of the stable set, in the (alpha, beta) plane.
@@ -440,10 +440,6 @@ class HapticLoop(LoopParameters):
         numerator = [float((k * alpha + b * beta).rounded()) for k, b in pairs]
         denominator = [float(coefficient.rounded()) for coefficient in loop.base]
         return TransferFunction(numerator, denominator, dt=float(self.sample_time))
-
-    def _reachable(self) -> WallRegion:
-        region = self.region()
-        return region.main or region
 
     def verdict(
         self,

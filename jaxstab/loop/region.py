@@ -210,7 +210,7 @@ class WallRegion(ShownRegion):
     def limits(self) -> WallLimits:
         """Return the stiffest and the most damped wall, and those of each island."""
         limits = tuple(_limits_of(*island.extremes, island.status) for island in self.islands)
-        main = self.main or self
+        main = self.reachable
         own = _limits_of(main.stiffest, main.most_damped, self.status)
         return own._replace(is_reachable=self.main is not None, islands=limits)
 

@@ -35,7 +35,7 @@ from jaxstab.scene.hands import (
     moving_delays,
     worst_on,
 )
-from jaxstab.scene.loops import is_plain, loop_of, reachable, wall_region, walls_of
+from jaxstab.scene.loops import is_plain, loop_of, wall_region, walls_of
 from jaxstab.scene.scene import Scene
 
 _ISOLATED = "isolated: not connected to zero gains"
@@ -236,7 +236,7 @@ def scene_limits(scene: Scene) -> Limits | LimitsOverDelays:
     region, safety = wall_region(loop), scene.wanted.safety or 1.0
     limits = region.limits()
     damping, stiffness = wanted.at_damping, wanted.at_stiffness
-    rows = _Rows(loop, reachable(region), safety)
+    rows = _Rows(loop, region.reachable, safety)
     has_rules, islands = is_plain(loop), () if wanted.safety else limits.islands
     return Limits(
         inputs=basis_of(scene),
