@@ -10,8 +10,8 @@ from jaxtyping import Complex128, Float64, Int8
 from jaxstab import motion, point, ranges
 from jaxstab.arrays import Array, Numbers, is_any_traced, named, pytree
 from jaxstab.conventions import HORIZON, Excitation, Range, Verdict
-from jaxstab.loop.region import TOLERANCE, WallLimits, WallRegion, wall_region
-from jaxstab.model import LoopParameters, by_name, checked_gain, require_x64
+from jaxstab.loop.region import TOLERANCE, WallLimits, WallRegion, scaled, wall_region
+from jaxstab.model import LoopParameters, by_name
 from jaxstab.model.filters import known_filters
 from jaxstab.numbers import checked, checked_number, checked_word
 
@@ -486,7 +486,7 @@ class HapticLoop(LoopParameters):
         if delays is not None or lost:
             checked_word("resolve", resolve or "exact", ("exact",))
             return self._moving("verdict with delays", delays, lost).verdict(stiffness, damping)
-        wall = self._wall(stiffness, damping)
+        wall = scaled(self, stiffness, damping)
         if self.body is None:
             checked_word("resolve", resolve or "exact", ("exact",))
             return named(point.linear_verdict(*wall, self.linear), Verdict)
@@ -504,7 +504,7 @@ class HapticLoop(LoopParameters):
             >>> loop.spectral_radius(1000.0, 10.0)
             0.9407239707335... +/- ... (proved)
         """
-        wall = self._wall(stiffness, damping)
+        wall = scaled(self, stiffness, damping)
         if self.body is None:
             return point.linear_spectral_radius(*wall, self.linear)
         return point.spectral_radius(*wall, **self.slice, **self.filters)
@@ -521,7 +521,7 @@ class HapticLoop(LoopParameters):
             >>> abs(loop.poles(1000.0, 10.0)).round(4).tolist()
             [0.9407, 0.9407, 0.0559]
         """
-        wall = self._wall(stiffness, damping)
+        wall = scaled(self, stiffness, damping)
         if self.body is None:
             return point.linear_poles(*wall, self.linear)
         return point.closed_loop_poles(*wall, **self.slice, **self.filters)
@@ -556,7 +556,9 @@ class HapticLoop(LoopParameters):
                 sampled, *wall, velocity=self.velocity, position=self.position
             )
         plant = self.gamma, self.delta, self.delay_samples  # a delay that is traced may be any
-        margins = ranges.margins(*self._wall(stiffness, damping), **by_name(*plant), **self.filters)
+        margins = ranges.margins(
+            *scaled(self, stiffness, damping), **by_name(*plant), **self.filters
+        )
         units = self.stiffness(1.0), self.damping(1.0), self.sample_time
         return ranges.in_si_units(margins, *units)
 
@@ -671,7 +673,7 @@ class HapticLoop(LoopParameters):
                 sampled, filters, stiffness, damping, **options
             )
         else:
-            alpha, beta = self._wall(stiffness, damping)
+            alpha, beta = scaled(self, stiffness, damping)
             samples = motion.settling_samples(alpha, beta, **self.slice, **options, **self.filters)
         return motion.SettlingTime(samples.value * self.sample_time, samples.status)
 
@@ -726,7 +728,7 @@ class HapticLoop(LoopParameters):
             )
         unit = self.mass / self.sample_time**2  # N that are 1 where 1 m is
         amplitude = motion.amplitude(
-            *self._wall(stiffness, damping),
+            *scaled(self, stiffness, damping),
             **self.slice,
             encoder=checked("encoder", encoder, 0.0),
             force_step=checked("force_step", force_step, 0.0) / unit,
@@ -894,11 +896,6 @@ class HapticLoop(LoopParameters):
             delays=delays,
             tolerance=tolerance,
         )
-
-    def _wall(self, stiffness: Numbers, damping: Numbers) -> tuple[Array, Array]:
-        require_x64(stiffness, damping)
-        alpha = self.alpha(checked_gain("stiffness", stiffness))
-        return alpha, self.beta(checked_gain("damping", damping))
 
     def _moving(self, method: str, delays: Range | None, lost: int) -> "MovingLoop":
         """Return the loop with delays that move."""

@@ -76,16 +76,12 @@ class LinearRule(StiffestWall):
 
 
 @dataclass(frozen=True)
-class Island(Answer):
+class Island(MostDampedWall, StiffestWall):
     """Stable walls that are not connected to small gains: unstable ones lie between.
 
     Without walls of K >= 0 and B >= 0 the limits are those of negative gains.
     """
 
-    largest_stiffness: LargestStiffness
-    at_damping: Damping
-    largest_damping: LargestDamping
-    at_stiffness: Stiffness
     reached: str
 
 
