@@ -276,7 +276,7 @@ def _stable_box(
     # a region may extend further; the margin of the axes covers that.
     hands = product(_thinned(gamma), _thinned(delta))
     regions = [known_region(*hand, delay, filters) for hand in hands]
-    points = np.concatenate([(region.main or region).points for region in regions])
+    points = np.concatenate([region.reachable.points for region in regions])
     if not points.size:
         raise ValueError(
             f"no (alpha, beta) is stable at delay {delay:g}, so alpha and beta cannot be fitted, "

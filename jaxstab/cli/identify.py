@@ -1,25 +1,22 @@
 """The command that identifies a device: a scene from a log of forces and positions."""
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import click
 
-from jaxstab.cli.options import decorated, draw, file_option, keep_programs, plot_option
+from jaxstab.cli.options import draw, file_option, keep_programs, plot_option, together
 from jaxstab.cli.scene import warn
 
 _NAMES = ("time", "force", "position", "velocity")
 
-
-def _columns(command: Callable[..., Any]) -> Callable[..., Any]:
-    options = (
+_columns = together(
+    *(
         click.option(
             f"--{name}", metavar="COLUMN", help=f'Column of the {name}; default: "{name}".'
         )
         for name in _NAMES
     )
-    return decorated(command, *options)
+)
 
 
 @click.command()

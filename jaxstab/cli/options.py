@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Executor
 from contextlib import contextmanager, nullcontext, suppress
+from functools import reduce
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -125,27 +126,25 @@ def at_work(words: str) -> Iterator[None]:
         yield
 
 
-def decorated(command: Callable[..., Any], *decorations: Any) -> Callable[..., Any]:
-    """Return a command with decorations, the uppermost one first."""
-    for decoration in reversed(decorations):
-        command = decoration(command)
-    return command
+def together(*decorations: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Return arguments and options of a command as one decoration, the uppermost one first."""
+
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        return reduce(lambda inner, decoration: decoration(inner), reversed(decorations), command)
+
+    return decorate
 
 
-def executor_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add options for where tiles are computed, which ``executor_of`` reads."""
-    return decorated(
-        command,
-        click.option("--workers", type=click.IntRange(1), help="Number of processes to use here."),
-        click.option(
-            "--scheduler",
-            help="Address of the dask scheduler to compute on; default: DASK_SCHEDULER_ADDRESS, if "
-            "set.",
-        ),
-        click.option(
-            "--scheduler-file", type=Path, help="JSON file that the dask scheduler wrote."
-        ),
-    )
+# Where tiles are computed, which ``executor_of`` reads.
+executor_options = together(
+    click.option("--workers", type=click.IntRange(1), help="Number of processes to use here."),
+    click.option(
+        "--scheduler",
+        help="Address of the dask scheduler to compute on; default: DASK_SCHEDULER_ADDRESS, if "
+        "set.",
+    ),
+    click.option("--scheduler-file", type=Path, help="JSON file that the dask scheduler wrote."),
+)
 
 
 @contextmanager

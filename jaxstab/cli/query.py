@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import jaxstab
-from jaxstab.cli.options import file_in, file_option, keep_programs, print_with_csv
+from jaxstab.cli.options import file_in, file_option, keep_programs, print_with_csv, together
 from jaxstab.conventions import AXES, Verdict
 from jaxstab.tables import columns_of
 
@@ -19,15 +19,9 @@ if TYPE_CHECKING:
 _ANSWER = "verdict", "status"
 
 
-def _axis_options(command: Any) -> Any:
-    for name in reversed(AXES):
-        command = click.option(f"--{name}", type=float)(command)
-    return command
-
-
 @click.command()
 @click.argument("file", type=Path)
-@_axis_options
+@together(*(click.option(f"--{name}", type=float) for name in AXES))
 @click.option(
     "--csv", "table", type=Path, help="CSV file of points ('-': stdin), columns in any order."
 )

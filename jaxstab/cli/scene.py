@@ -13,7 +13,6 @@ import click
 
 from jaxstab.cli.options import (
     at_work,
-    decorated,
     draw,
     executor_of,
     executor_options,
@@ -24,6 +23,7 @@ from jaxstab.cli.options import (
     plot_option,
     print_with_csv,
     resumable,
+    together,
 )
 from jaxstab.shown import printable, shortened, table_text
 
@@ -77,41 +77,35 @@ _OPTIONS: dict[str, tuple[str, Any, str]] = {  # key of a scene, kind, help
 }
 
 
-def mechanics_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add what describes a scene: a file, and options that go before it."""
-    decorations = (
-        click.argument("files", type=Path, nargs=-1, metavar="[FILE]..."),
-        *(_scene_option(name, kind, words) for name, (_, kind, words) in _OPTIONS.items()),
-        click.option(
-            "--wall",
-            type=(str, float, float),
-            multiple=True,
-            metavar="NAME K B",
-            help="A wall: its name, N/m and N s/m; may be repeated.",
-        ),
-    )
-    return decorated(command, *decorations)
-
-
-def scene_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add what describes scenes, and the form of the answer."""
-    decorations = (
-        mechanics_options,
-        file_option(
-            "--csv",
-            "csv_file",
-            help="CSV file ('-': stdout) to write all values into, a row for each scene.",
-        ),
-        click.option("--json", "as_json", is_flag=True, help="Print JSON."),
-    )
-    return decorated(command, *decorations)
-
-
 def _scene_option(name: str, kind: Any, words: str) -> Any:
     reads = {"callback": kind} if kind is number_or_range else {"type": kind}
     reads = {"flag_value": kind} if isinstance(kind, str) else reads
     return click.option(f"--{name.replace('_', '-')}", **reads, help=words)
 
+
+# What describes a scene: a file, and options that go before it.
+mechanics_options = together(
+    click.argument("files", type=Path, nargs=-1, metavar="[FILE]..."),
+    *(_scene_option(name, kind, words) for name, (_, kind, words) in _OPTIONS.items()),
+    click.option(
+        "--wall",
+        type=(str, float, float),
+        multiple=True,
+        metavar="NAME K B",
+        help="A wall: its name, N/m and N s/m; may be repeated.",
+    ),
+)
+
+# The same of several, and the form of the answer.
+scene_options = together(
+    mechanics_options,
+    file_option(
+        "--csv",
+        "csv_file",
+        help="CSV file ('-': stdout) to write all values into, a row for each scene.",
+    ),
+    click.option("--json", "as_json", is_flag=True, help="Print JSON."),
+)
 
 _DESCRIBES = ("device", "mass", "inertia", "damping", "sample_time", "wall")
 _NOTHING = (
@@ -480,18 +474,14 @@ def _answer(
         scene.controller.require_one_delay("a picture")
     answer = _computed(scene, name)
     if plot:
-        _draw(scene, answer, plot)
+        from jaxstab.pictures.scene import scene_figure
+
+        draw(scene_figure(scene, answer), plot)
     warn(*scene.unusual())
     words = json.dumps(answer.as_json(), indent=1) if as_json else shown(answer)
     source = "".join(map(str, given["files"]))
     print_with_csv(words, _csv([_Row(source, scene, answer)]), given["csv_file"])
     return 0 if answer.all_stable else 1
-
-
-def _draw(scene: "Scene", answer: Any, file: Path) -> None:
-    from jaxstab.pictures.scene import scene_figure
-
-    draw(scene_figure(scene, answer), file)
 
 
 FUNCTIONS = {

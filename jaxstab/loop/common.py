@@ -258,7 +258,7 @@ def tune_for_all(
     for zoom in range(_ZOOMS + 1):
         walls = [np.ravel(gains) for gains in np.broadcast_arrays(*grid.points)]
         region = loops[0].region()
-        is_reached = np.asarray((region.main or region).contains(*walls))
+        is_reached = np.asarray(region.reachable.contains(*walls))
         walls = [gains[is_reached] for gains in walls]
         settling = _times(loops, walls, times.max(), level, excitation, horizon)
         while not np.isfinite(settling.max(axis=0)).any() and zoom == 0 and horizon < _MOST:
@@ -294,8 +294,7 @@ def settling_times(
 
 def _first_grid(loop: "HapticLoop", stiffness: float | None) -> Grid | None:
     """A grid that spans the walls of the stable component that contains small gains."""
-    region = loop.region()
-    outline = (region.main or region).outline
+    outline = loop.region().reachable.outline
     if not len(outline):
         return None
     if stiffness is not None:

@@ -231,85 +231,73 @@ class MovingLoop(NamedTuple):
         gains = float(wall[0]), float(wall[1])
         return growing_turn(self.device, self.filters, gains, self.delays, is_thorough=is_thorough)
 
+    def verdict(self, stiffness: Numbers, damping: Numbers) -> Int8[Array, "*grid"]:
+        """Return the verdicts on walls: ``HapticLoop.verdict``."""
+        walls, shape = self.walls(stiffness, damping)
+        return named(self.codes(walls).reshape(shape), Verdict)
 
-def moving_verdict(
-    loop: LoopParameters, stiffness: Numbers, damping: Numbers, delays: Any, lost: Any
-) -> Int8[Array, "*grid"]:
-    """Return the verdicts on walls for delays that move: ``HapticLoop.verdict``."""
-    moving = MovingLoop.from_loop(loop, delays, lost)
-    walls, shape = moving.walls(stiffness, damping)
-    return named(moving.codes(walls).reshape(shape), Verdict)
+    def worst_delays(self, stiffness: float, damping: float) -> WorstDelays:
+        """Return the worst delays that a search found: ``HapticLoop.worst_delays``."""
+        gains = checked_number("stiffness", stiffness), checked_number("damping", damping)
+        (wall,), _ = self.walls(*gains)
+        growth, is_proved = self.worst(wall, is_thorough=True)
+        turn = tuple(delay * float(self.loop.sample_time) for delay in growth.turn)
+        return WorstDelays(turn, growth.per_sample, is_proved)
 
+    def limits(self) -> MovingLimits:
+        """Return the stiffest proved wall that a search finds: ``HapticLoop.limits``."""
+        search = _Search.from_loop(self)
+        low, high, best = 0.0, search.corner[1], np.zeros(2)
+        for _ in range(_ZOOMS):
+            dampings = np.linspace(low, high, _GRID + 1)[1:]
+            stiffest = search.stiffest(dampings)
+            column, step = int(np.argmax(stiffest)), (high - low) / _GRID
+            best = np.array([stiffest[column], dampings[column]])
+            low, high = max(best[1] - step, 0.0), min(best[1] + step, search.corner[1])
+        stiffness, damping = map(float, best)
+        share, step = 0.0, 1.0
+        for _ in range(_PROOFS):
+            step /= _GRID
+            shares = share + step * np.arange(1, _GRID + 1)
+            proved = self.is_proved(self.walls(stiffness * shares, damping)[0])
+            share = float(np.max(shares[proved], initial=share))
+        if stiffness * share == 0.0:
+            return MovingLimits(nan, nan, nan)
+        stiffness *= share
+        return MovingLimits(stiffness, damping, self.lowest_unstable(stiffness, damping))
 
-def worst_delays(
-    loop: LoopParameters, stiffness: float, damping: float, delays: Any, lost: Any
-) -> WorstDelays:
-    """Return the worst delays that a search found: ``HapticLoop.worst_delays``."""
-    moving = MovingLoop.from_loop(loop, delays, lost)
-    gains = checked_number("stiffness", stiffness), checked_number("damping", damping)
-    (wall,), _ = moving.walls(*gains)
-    growth, is_proved = moving.worst(wall, is_thorough=True)
-    turn = tuple(delay * float(moving.loop.sample_time) for delay in growth.turn)
-    return WorstDelays(turn, growth.per_sample, is_proved)
-
-
-def limits_for_all(loop: LoopParameters, delays: Any, lost: Any) -> MovingLimits:
-    """Return the stiffest proved wall that a search finds: ``HapticLoop.limits``."""
-    moving = MovingLoop.from_loop(loop, delays, lost)
-    search = _Search.from_loop(moving)
-    low, high, best = 0.0, search.corner[1], np.zeros(2)
-    for _ in range(_ZOOMS):
-        dampings = np.linspace(low, high, _GRID + 1)[1:]
-        stiffest = search.stiffest(dampings)
-        column, step = int(np.argmax(stiffest)), (high - low) / _GRID
-        best = np.array([stiffest[column], dampings[column]])
-        low, high = max(best[1] - step, 0.0), min(best[1] + step, search.corner[1])
-    stiffness, damping = map(float, best)
-    share, step = 0.0, 1.0
-    for _ in range(_PROOFS):
-        step /= _GRID
-        shares = share + step * np.arange(1, _GRID + 1)
-        proved = moving.is_proved(moving.walls(stiffness * shares, damping)[0])
-        share = float(np.max(shares[proved], initial=share))
-    if stiffness * share == 0.0:
-        return MovingLimits(nan, nan, nan)
-    stiffness *= share
-    return MovingLimits(stiffness, damping, moving.lowest_unstable(stiffness, damping))
-
-
-def region_for_all(loop: LoopParameters, delays: Any, lost: Any) -> MovingRegion:
-    """Return a polygon of proved walls: ``HapticLoop.region``."""
-    # Between two dampings a trapezoid below the stiffest walls, pulled in until all of it is
-    # proved; it stays so where its neighbour lowers a corner.
-    moving = MovingLoop.from_loop(loop, delays, lost)
-    search, most = _Search.from_loop(moving), 0.0
-    for _ in range(2):  # the second time where walls are proved
-        most = most or search.corner[1]
-        dampings = np.linspace(0.0, most, _COLUMNS + 1)[1:]
-        tops = search.stiffest(dampings)
-        most = dampings[min(np.flatnonzero(tops)[-1] + 1, _COLUMNS - 1)] if tops.any() else 0.0
-    least, kept = _LEAST * np.max(tops), np.zeros(_COLUMNS - 1)
-    for pull in _PULLS:
-        lower = np.stack([tops[:-1], tops[1:]]) * (1.0 - pull)
-        chosen = np.flatnonzero((kept == 0.0) & np.all(lower > least, axis=0))
-        left, right = lower[:, chosen]
-        gains = np.full((chosen.size, 4, 2), least)
-        gains[:, 2, 0], gains[:, 3, 0] = right, left
-        gains[:, [0, 3], 1], gains[:, [1, 2], 1] = dampings[[chosen, chosen + 1]][..., None]
-        walls = gains * moving.units
-        proved = are_polygons_stable(moving.device, moving.filters, walls, moving.delays.jitter)
-        kept[chosen[proved]] = 1.0 - pull
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], kept > 0.0, [False]])))
-    if not edges.size:
-        return MovingRegion(np.zeros((0, 2)), np.zeros((0, 2)))
-    areas = [np.sum(tops[begin : end + 1]) for begin, end in edges.reshape(-1, 2)]
-    begin, end = edges.reshape(-1, 2)[int(np.argmax(areas))]
-    shares = np.minimum(np.append(kept[begin:end], 1.0), np.append(1.0, kept[begin:end]))
-    here = dampings[begin : end + 1]
-    edge = np.stack([tops[begin : end + 1] * shares, here], axis=-1)
-    lowest = [[moving.lowest_unstable(*wall), wall[1]] for wall in edge[::_EVERY].tolist()]
-    outline = np.concatenate([[[least, here[-1]], [least, here[0]]], edge])
-    return MovingRegion(outline, np.array(lowest))
+    def region(self) -> MovingRegion:
+        """Return a polygon of proved walls: ``HapticLoop.region``."""
+        # Between two dampings a trapezoid below the stiffest walls, pulled in until all of it is
+        # proved; it stays so where its neighbour lowers a corner.
+        search, most = _Search.from_loop(self), 0.0
+        for _ in range(2):  # the second time where walls are proved
+            most = most or search.corner[1]
+            dampings = np.linspace(0.0, most, _COLUMNS + 1)[1:]
+            tops = search.stiffest(dampings)
+            most = dampings[min(np.flatnonzero(tops)[-1] + 1, _COLUMNS - 1)] if tops.any() else 0.0
+        least, kept = _LEAST * np.max(tops), np.zeros(_COLUMNS - 1)
+        for pull in _PULLS:
+            lower = np.stack([tops[:-1], tops[1:]]) * (1.0 - pull)
+            chosen = np.flatnonzero((kept == 0.0) & np.all(lower > least, axis=0))
+            left, right = lower[:, chosen]
+            gains = np.full((chosen.size, 4, 2), least)
+            gains[:, 2, 0], gains[:, 3, 0] = right, left
+            gains[:, [0, 3], 1], gains[:, [1, 2], 1] = dampings[[chosen, chosen + 1]][..., None]
+            walls = gains * self.units
+            proved = are_polygons_stable(self.device, self.filters, walls, self.delays.jitter)
+            kept[chosen[proved]] = 1.0 - pull
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], kept > 0.0, [False]])))
+        if not edges.size:
+            return MovingRegion(np.zeros((0, 2)), np.zeros((0, 2)))
+        areas = [np.sum(tops[begin : end + 1]) for begin, end in edges.reshape(-1, 2)]
+        begin, end = edges.reshape(-1, 2)[int(np.argmax(areas))]
+        shares = np.minimum(np.append(kept[begin:end], 1.0), np.append(1.0, kept[begin:end]))
+        here = dampings[begin : end + 1]
+        edge = np.stack([tops[begin : end + 1] * shares, here], axis=-1)
+        lowest = [[self.lowest_unstable(*wall), wall[1]] for wall in edge[::_EVERY].tolist()]
+        outline = np.concatenate([[[least, here[-1]], [least, here[0]]], edge])
+        return MovingRegion(outline, np.array(lowest))
 
 
 class _Search(NamedTuple):
@@ -325,8 +313,7 @@ class _Search(NamedTuple):
     @classmethod
     def from_loop(cls, moving: MovingLoop) -> "_Search":
         """Return the search for the walls of a loop."""
-        region = wall_region(moving.loop, TOLERANCE)
-        region = region.main or region
+        region = wall_region(moving.loop, TOLERANCE).reachable
         return cls(moving, region, np.max(region.outline, axis=0, initial=0.0))
 
     def stiffest(

@@ -10,8 +10,8 @@ from jaxtyping import Complex128, Float64, Int8
 from jaxstab import motion, point, ranges
 from jaxstab.arrays import Array, Numbers, is_any_traced, named, pytree
 from jaxstab.conventions import HORIZON, Excitation, Range, Verdict
-from jaxstab.loop.region import TOLERANCE, WallLimits, WallRegion, wall_region
-from jaxstab.model import LoopParameters, by_name, checked_gain, require_x64
+from jaxstab.loop.region import TOLERANCE, WallLimits, WallRegion, scaled, wall_region
+from jaxstab.model import LoopParameters, by_name
 from jaxstab.model.filters import known_filters
 from jaxstab.numbers import checked, checked_number, checked_word
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from jaxstab.loop.between import LoopsWithHands
     from jaxstab.loop.contact import Contact
-    from jaxstab.loop.jitter import MovingLimits, MovingRegion, WorstDelays
+    from jaxstab.loop.jitter import MovingLimits, MovingLoop, MovingRegion, WorstDelays
     from jaxstab.loop.tune import OptimalWall
 
 
@@ -122,10 +122,7 @@ class HapticLoop(LoopParameters):
             'the boundary closes to loops'
         """
         if delays is not None or lost:
-            self._refuse_tracers("region with delays")
-            from jaxstab.loop.jitter import region_for_all
-
-            return region_for_all(self, delays, lost)
+            return self._moving("region with delays", delays, lost).region()
         if is_any_traced(self):
             raise TypeError(
                 "the loop is traced; its region and distances to it are searched outside of jit, "
@@ -163,10 +160,7 @@ class HapticLoop(LoopParameters):
             True
         """
         if delays is not None or lost:
-            self._refuse_tracers("limits with delays")
-            from jaxstab.loop.jitter import limits_for_all
-
-            return limits_for_all(self, delays, lost)
+            return self._moving("limits with delays", delays, lost).limits()
         if is_any_traced(self):
             from jaxstab.loop.moving import moving_limits
 
@@ -191,7 +185,7 @@ class HapticLoop(LoopParameters):
             >>> loop.stiffness_limits(20.0).round(1).tolist()
             [0.0, 35325.0]
         """
-        return self._reachable().stiffness_limits(damping)
+        return self.region().reachable.stiffness_limits(damping)
 
     def damping_limits(self, stiffness: Numbers) -> Float64[Array, "*grid 2"]:
         """The smallest and the largest stable damping at given stiffnesses in N/m, any shape.
@@ -205,7 +199,7 @@ class HapticLoop(LoopParameters):
             >>> loop.damping_limits(20000.0).round(3).tolist()
             [9.457, 181.026]
         """
-        return self._reachable().damping_limits(stiffness)
+        return self.region().reachable.damping_limits(stiffness)
 
     def boundary_distance(self, stiffness: Numbers, damping: Numbers) -> Float64[Array, "*grid"]:
         """How far walls are from the edge of the stable set, in the (alpha, beta) plane.
@@ -376,12 +370,11 @@ class HapticLoop(LoopParameters):
         if self.device is None and not moves:
             return None
         from jaxstab.loop.between import LoopsWithHands
-        from jaxstab.loop.jitter import MovingLoop
 
         device = self.held_device
         if not moves:
             return LoopsWithHands(self, device, hands, mass)
-        moving = MovingLoop.from_loop(self, delays, lost).loop
+        moving = self._moving("hands with delays", delays, lost).loop
         loop = HapticLoop(
             sample_time=moving.sample_time,
             delay=moving.delay,
@@ -448,10 +441,6 @@ class HapticLoop(LoopParameters):
         denominator = [float(coefficient.rounded()) for coefficient in loop.base]
         return TransferFunction(numerator, denominator, dt=float(self.sample_time))
 
-    def _reachable(self) -> WallRegion:
-        region = self.region()
-        return region.main or region
-
     def verdict(
         self,
         stiffness: Numbers,
@@ -495,12 +484,9 @@ class HapticLoop(LoopParameters):
             <Verdict.STABLE: 1>
         """
         if delays is not None or lost:
-            self._refuse_tracers("verdict with delays")
-            from jaxstab.loop.jitter import moving_verdict
-
             checked_word("resolve", resolve or "exact", ("exact",))
-            return moving_verdict(self, stiffness, damping, delays, lost)
-        wall = self._wall(stiffness, damping)
+            return self._moving("verdict with delays", delays, lost).verdict(stiffness, damping)
+        wall = scaled(self, stiffness, damping)
         if self.body is None:
             checked_word("resolve", resolve or "exact", ("exact",))
             return named(point.linear_verdict(*wall, self.linear), Verdict)
@@ -518,7 +504,7 @@ class HapticLoop(LoopParameters):
             >>> loop.spectral_radius(1000.0, 10.0)
             0.9407239707335... +/- ... (proved)
         """
-        wall = self._wall(stiffness, damping)
+        wall = scaled(self, stiffness, damping)
         if self.body is None:
             return point.linear_spectral_radius(*wall, self.linear)
         return point.spectral_radius(*wall, **self.slice, **self.filters)
@@ -535,7 +521,7 @@ class HapticLoop(LoopParameters):
             >>> abs(loop.poles(1000.0, 10.0)).round(4).tolist()
             [0.9407, 0.9407, 0.0559]
         """
-        wall = self._wall(stiffness, damping)
+        wall = scaled(self, stiffness, damping)
         if self.body is None:
             return point.linear_poles(*wall, self.linear)
         return point.closed_loop_poles(*wall, **self.slice, **self.filters)
@@ -570,7 +556,9 @@ class HapticLoop(LoopParameters):
                 sampled, *wall, velocity=self.velocity, position=self.position
             )
         plant = self.gamma, self.delta, self.delay_samples  # a delay that is traced may be any
-        margins = ranges.margins(*self._wall(stiffness, damping), **by_name(*plant), **self.filters)
+        margins = ranges.margins(
+            *scaled(self, stiffness, damping), **by_name(*plant), **self.filters
+        )
         units = self.stiffness(1.0), self.damping(1.0), self.sample_time
         return ranges.in_si_units(margins, *units)
 
@@ -625,10 +613,7 @@ class HapticLoop(LoopParameters):
             >>> loop.worst_delays(6669.1, 71.60, delays=(0.0, 1e-3)).delays
             (0.0, 0.001, 0.001, 0.001)
         """
-        self._refuse_tracers("worst_delays")
-        from jaxstab.loop.jitter import worst_delays
-
-        return worst_delays(self, stiffness, damping, delays, lost)
+        return self._moving("worst_delays", delays, lost).worst_delays(stiffness, damping)
 
     def oscillation(self, stiffness: Numbers, damping: Numbers) -> "motion.Oscillation":
         """Damping ratio and frequency in Hz of the slowest mode of the loop at walls.
@@ -688,7 +673,7 @@ class HapticLoop(LoopParameters):
                 sampled, filters, stiffness, damping, **options
             )
         else:
-            alpha, beta = self._wall(stiffness, damping)
+            alpha, beta = scaled(self, stiffness, damping)
             samples = motion.settling_samples(alpha, beta, **self.slice, **options, **self.filters)
         return motion.SettlingTime(samples.value * self.sample_time, samples.status)
 
@@ -743,7 +728,7 @@ class HapticLoop(LoopParameters):
             )
         unit = self.mass / self.sample_time**2  # N that are 1 where 1 m is
         amplitude = motion.amplitude(
-            *self._wall(stiffness, damping),
+            *scaled(self, stiffness, damping),
             **self.slice,
             encoder=checked("encoder", encoder, 0.0),
             force_step=checked("force_step", force_step, 0.0) / unit,
@@ -912,10 +897,12 @@ class HapticLoop(LoopParameters):
             tolerance=tolerance,
         )
 
-    def _wall(self, stiffness: Numbers, damping: Numbers) -> tuple[Array, Array]:
-        require_x64(stiffness, damping)
-        alpha = self.alpha(checked_gain("stiffness", stiffness))
-        return alpha, self.beta(checked_gain("damping", damping))
+    def _moving(self, method: str, delays: Range | None, lost: int) -> "MovingLoop":
+        """Return the loop with delays that move."""
+        self._refuse_tracers(method)
+        from jaxstab.loop.jitter import MovingLoop
+
+        return MovingLoop.from_loop(self, delays, lost)
 
     def _refuse_tracers(self, method: str) -> None:
         """Refuse a loop that JAX traces: the method searches outside of JAX."""

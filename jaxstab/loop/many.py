@@ -12,13 +12,14 @@ groups too small to compile for, are answered as ``HapticLoop.limits`` answers.
 
 from collections.abc import Hashable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import chain
 from math import prod
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
-from jaxstab.arrays import Array, is_any_jax, is_any_traced, leaves, namespace, take
+from jaxstab.arrays import Array, is_any_jax, is_any_traced, leaves, namespace, take, tree_map
 from jaxstab.batches import alike, in_float64, lists, on_cores, one_ahead
 from jaxstab.model import LoopParameters, require_x64
 from jaxstab.model.double_double import DoubleDouble
@@ -69,6 +70,7 @@ Outlines = tuple[
     Float64[np.ndarray, "*loop"],
 ]
 Units = Float64[np.ndarray, "loop 2"]
+Answer = TypeVar("Answer", "ManyLimits", "ManyRegions")
 
 
 class ManyLimits(NamedTuple):
@@ -214,7 +216,7 @@ def regions_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> Man
         from jaxstab.loop.moving import moved_together, moving_regions
 
         many = _varied(many, fields, shape)
-        return _regions_in_shape(moved_together(moving_regions, many), shape)
+        return _in_shape(moved_together(moving_regions, many), shape)
     stacks = _stacks(many, fields, shape)
     limits, units = _no_limits(prod(shape)), _units(stacks)
     vertices, area = np.full((prod(shape), _VERTICES, 2), np.nan), np.full(prod(shape), np.nan)
@@ -226,12 +228,7 @@ def regions_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> Man
         _write_single(limits, index, region.limits())
         own, _, area[index] = outline_of(region)
         vertices[index] = own * units[index]
-    return _regions_in_shape(ManyRegions(vertices, area * units.prod(axis=1), limits), shape)
-
-
-def _regions_in_shape(regions: ManyRegions, shape: tuple[int, ...]) -> ManyRegions:
-    outline = regions.outline.reshape(*shape, _VERTICES, 2)
-    return ManyRegions(outline, regions.area.reshape(shape), _in_shape(regions.limits, shape))
+    return _in_shape(ManyRegions(vertices, area * units.prod(axis=1), limits), shape)
 
 
 def empty_outlines(*shape: int) -> Outlines:
@@ -260,15 +257,9 @@ def outline_of(region: "WallRegion") -> Outlines:
 
 
 def _no_limits(count: int) -> ManyLimits:
-    return ManyLimits(
-        stiffness=np.full(count, np.nan),
-        at_damping=np.full(count, np.nan),
-        damping=np.full(count, np.nan),
-        at_stiffness=np.full(count, np.nan),
-        status=np.full(count, RegionStatus.UNRESOLVED, np.int8),
-        is_reachable=np.zeros(count, bool),
-        is_single=np.ones(count, bool),
-    )
+    unresolved = np.full(count, RegionStatus.UNRESOLVED, np.int8)
+    flags = np.zeros(count, bool), np.ones(count, bool)
+    return ManyLimits._make([*np.full((4, count), np.nan), unresolved, *flags])
 
 
 def _write_limits(limits: ManyLimits, members: Indices, walls: Walls, units: Units) -> None:
@@ -285,8 +276,9 @@ def _write_single(limits: ManyLimits, index: int, own: "WallLimits") -> None:
         column[index] = value
 
 
-def _in_shape(limits: ManyLimits, shape: tuple[int, ...]) -> ManyLimits:
-    return ManyLimits(*(column.reshape(shape) for column in limits))
+def _in_shape(answer: Answer, shape: tuple[int, ...]) -> Answer:
+    """Return the answers to loops in the shape of these."""
+    return tree_map(lambda column: column.reshape((*shape, *column.shape[1:])), answer)
 
 
 class Stack(NamedTuple):
@@ -576,23 +568,22 @@ def _joined(groups: list[DoubleDouble], degree: int) -> DoubleDouble:
     """Join coefficients, each p(z) times a power of z that makes it one of the given degree."""
     xp = namespace(groups)
 
-    def joined(half: str) -> Array:
-        values = [getattr(group, half) for group in groups]
+    def joined(*values: Array) -> Array:
         zeros = [((0, 0), (0, 0), (0, degree + 1 - x.shape[-1])) for x in values]
         return xp.concatenate(list(map(xp.pad, values, zeros)))
 
-    return DoubleDouble(joined("hi"), joined("lo"))
+    return tree_map(joined, *groups)
 
 
 def _columns(rows: Sequence[Sequence[DoubleDouble]], count: int) -> DoubleDouble:
     """Return numbers of a number of loops as one pair of arrays (loop, row, column)."""
     xp = namespace(rows)
 
-    def stacked(half: str) -> Array:
-        values = [[xp.broadcast_to(getattr(x, half), count) for x in row] for row in rows]
-        return xp.moveaxis(xp.array(values), 2, 0)
+    def stacked(*values: Array) -> Array:
+        columns = xp.array([xp.broadcast_to(x, count) for x in values])
+        return xp.moveaxis(columns.reshape(len(rows), -1, count), 2, 0)
 
-    return DoubleDouble(stacked("hi"), stacked("lo"))
+    return tree_map(stacked, *chain(*rows))
 
 
 def _shifted(falling: DoubleDouble) -> Floats:

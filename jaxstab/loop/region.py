@@ -210,7 +210,7 @@ class WallRegion(ShownRegion):
     def limits(self) -> WallLimits:
         """Return the stiffest and the most damped wall, and those of each island."""
         limits = tuple(_limits_of(*island.extremes, island.status) for island in self.islands)
-        main = self.main or self
+        main = self.reachable
         own = _limits_of(main.stiffest, main.most_damped, self.status)
         return own._replace(is_reachable=self.main is not None, islands=limits)
 
@@ -248,23 +248,18 @@ class WallRegion(ShownRegion):
 
     def contains(self, stiffness: Numbers, damping: Numbers) -> Bool[Array, "*grid"]:
         """Whether walls (K, B) lie inside the exact boundary; all False if UNRESOLVED."""
-        return self.region.contains(*self._points(stiffness, damping))
+        return self.region.contains(*scaled(self.loop, stiffness, damping))
 
     def distance(self, stiffness: Numbers, damping: Numbers) -> Float64[Array, "*grid"]:
         """Return the Euclidean distance of walls to the boundary in units of alpha and beta.
 
         It is positive inside and negative outside, -inf for an empty region.
         """
-        return self.region.distance(*self._points(stiffness, damping))
+        return self.region.distance(*scaled(self.loop, stiffness, damping))
 
     def in_si_units(self, points: Float64[np.ndarray, "*grid 2"]) -> Float64[np.ndarray, "*grid 2"]:
         """Return points (alpha, beta) as (K, B)."""
         return points * np.array([self.loop.stiffness(1.0), self.loop.damping(1.0)])
-
-    def _points(self, stiffness: Numbers, damping: Numbers) -> tuple[Array, Array]:
-        require_x64(stiffness, damping)
-        alpha = self.loop.alpha(checked_gain("stiffness", stiffness))
-        return alpha, self.loop.beta(checked_gain("damping", damping))
 
     def _gains(self, point: Float64[np.ndarray, "2"]) -> Gains:
         exact = self.in_si_units(point)
@@ -283,6 +278,13 @@ class WallRegion(ShownRegion):
         boundary = region.curve, region.outline
         limits = in_units(measures.limits(*boundary, values, axis=axis, outermost=False))
         return limits if is_jax(limits) else without_noise(limits, self.extent[1 - axis])
+
+
+def scaled(loop: LoopParameters, stiffness: Numbers, damping: Numbers) -> tuple[Array, Array]:
+    """Return walls (K, B) of a loop, checked, as alpha and beta."""
+    require_x64(stiffness, damping)
+    alpha = loop.alpha(checked_gain("stiffness", stiffness))
+    return alpha, loop.beta(checked_gain("damping", damping))
 
 
 def _limits_of(stiffest: Gains, damped: Gains, status: RegionStatus) -> WallLimits:

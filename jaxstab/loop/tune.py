@@ -53,8 +53,7 @@ def fastest_calm_wall(
     # The first grid spans the component that contains small gains; each further grid surrounds the
     # best wall so far. Among equally fast walls the calmest one is taken.
     best, least, status = (np.nan, np.nan), (np.inf, np.inf), TuningStatus.NOT_CALM
-    whole = wall_region(loop.in_floats(), TOLERANCE).region
-    region = whole.main or whole  # the component that contains small gains, if there is one
+    region = wall_region(loop.in_floats(), TOLERANCE).region.reachable
     if not len(region.points):
         return best, np.inf, TuningStatus.NO_STABLE_GAINS
     grid = Grid.over_walls(region.points, _POINTS, alpha)
@@ -83,8 +82,8 @@ def _smallest_radius(loop: LoopParameters, tuned: TunedLoop) -> OptimalGains:
     best = tuned.smallest_radius()
     if min(best.alpha, best.beta) >= 0.0:
         return best
-    region = wall_region(loop.in_floats(), TOLERANCE).region
-    grid = Grid.over_walls((region.main or region).points, _RADIUS_POINTS)
+    region = wall_region(loop.in_floats(), TOLERANCE).region.reachable
+    grid = Grid.over_walls(region.points, _RADIUS_POINTS)
     if not all(low < high for low, high in (grid.alphas, grid.betas)):
         return best._replace(status=np.array(TuningStatus.NO_STABLE_GAINS, np.int8))
     return smallest_radius_around(tuned, grid)

@@ -50,7 +50,6 @@ from jaxstab.scene.loops import (
     hands_of,
     is_plain,
     loop_of,
-    reachable,
     wall_region,
     walls_of,
 )
@@ -204,7 +203,7 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
         raise ValueError("no wall is stable for this scene; there is nothing to draw.")
     checked = answer if isinstance(answer, Check) else None
     tuned = answer if isinstance(answer, Tuned) else None
-    region = reachable(everything)
+    region = everything.reachable
     islands = [island for island in everything.islands if isfinite(island.stiffest.stiffness)]
     areas = [] if tuned else [_common(scene, answer)]
     if not (tuned or checked):
@@ -488,7 +487,7 @@ def comparison_figure(scenes: Mapping[str, Scene]) -> Figure:
     if len({scene.units for scene in scenes.values()}) > 1:
         raise ValueError("linear and rotational scenes cannot share a picture; draw them apart.")
     names, units = list(map(plain, scenes)), next(iter(scenes.values())).units
-    regions = [reachable(wall_region(loop_of(scene))) for scene in scenes.values()]
+    regions = [wall_region(loop_of(scene)).reachable for scene in scenes.values()]
     graded = colormaps["viridis"](np.linspace(0.0, 0.9, len(scenes)))
     colours = _COLOURS[: len(scenes)] if len(scenes) <= len(_COLOURS) else list(graded)
     figure = Figure(figsize=_SIZE, layout="constrained")

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from decimal import ROUND_FLOOR
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int
@@ -19,6 +19,8 @@ from jaxstab.shown import number_text
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+
+Shown = TypeVar("Shown", bound="ShownRegion")
 
 # How a region presents itself: four lines of text, and a picture.
 
@@ -59,6 +61,18 @@ class ShownRegion:
         """The points of the largest stiffness and of the largest damping."""
         region: Any = self
         return region.max_alpha, region.max_beta
+
+    @property
+    def reachable(self: Shown) -> Shown:
+        """The component that contains small gains; the whole region where none does.
+
+        Example:
+            >>> len(jaxstab.stable_region(gamma=0.0, delta=0.015, delay=1.0).reachable.components)
+            1
+        """
+        region: Any = self
+        main: Shown | None = region.main
+        return main or self
 
     def __repr__(self) -> str:
         """Return status, extremes and islands in four lines; limits are rounded down."""

@@ -28,7 +28,6 @@ from jaxstab.scene.loops import (
     is_one_mass,
     loop_of,
     masses_of,
-    reachable,
     wall_region,
     with_delay,
 )
@@ -191,7 +190,7 @@ def common_outline(loops: list[HapticLoop]) -> Floats:
     """Return walls (K, B) that are stable for each of some loops: ``common_walls``, not proved."""
     from jaxstab.loop.between import common_walls
 
-    regions = [reachable(wall_region(loop)) for loop in loops]
+    regions = [wall_region(loop).reachable for loop in loops]
     if any(region.is_empty for region in regions):
         return np.zeros((0, 2))
     return common_walls(regions, _ROWS)

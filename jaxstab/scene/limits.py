@@ -35,7 +35,7 @@ from jaxstab.scene.hands import (
     moving_delays,
     worst_on,
 )
-from jaxstab.scene.loops import is_plain, loop_of, reachable, wall_region, walls_of
+from jaxstab.scene.loops import is_plain, loop_of, wall_region, walls_of
 from jaxstab.scene.scene import Scene
 
 _ISOLATED = "isolated: not connected to zero gains"
@@ -76,16 +76,12 @@ class LinearRule(StiffestWall):
 
 
 @dataclass(frozen=True)
-class Island(Answer):
+class Island(MostDampedWall, StiffestWall):
     """Stable walls that are not connected to small gains: unstable ones lie between.
 
     Without walls of K >= 0 and B >= 0 the limits are those of negative gains.
     """
 
-    largest_stiffness: LargestStiffness
-    at_damping: Damping
-    largest_damping: LargestDamping
-    at_stiffness: Stiffness
     reached: str
 
 
@@ -236,7 +232,7 @@ def scene_limits(scene: Scene) -> Limits | LimitsOverDelays:
     region, safety = wall_region(loop), scene.wanted.safety or 1.0
     limits = region.limits()
     damping, stiffness = wanted.at_damping, wanted.at_stiffness
-    rows = _Rows(loop, reachable(region), safety)
+    rows = _Rows(loop, region.reachable, safety)
     has_rules, islands = is_plain(loop), () if wanted.safety else limits.islands
     return Limits(
         inputs=basis_of(scene),

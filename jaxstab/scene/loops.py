@@ -65,11 +65,6 @@ def is_plain(loop: HapticLoop) -> bool:
     return loop.body is not None and given_filters(**loop.filters) is None
 
 
-def reachable(region: WallRegion) -> WallRegion:
-    """The component that contains small gains; all components where none does."""
-    return region.main or region
-
-
 def hands_of(scene: Scene) -> "ranges.HandRange | None":
     """Return the range of hands; None where neither the hand nor the device's mass varies."""
     varies = scene.device.varies or (scene.hand is not None and scene.hand.varies)

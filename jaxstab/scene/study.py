@@ -105,6 +105,12 @@ ANSWERS: dict[str, dict[str, tuple[Any, ...]]] = {  # variables: type, words, un
         "spectral_radius_error": ("float64", "proved bound of its error", "1"),
     },
 }
+_FIELDS: dict[str, tuple[str, ...]] = {  # those of what loops answer, in the order of variables
+    "limits": ("stiffness", "at_damping", "damping", "at_stiffness", "status"),
+    "margins": tuple(ANSWERS["margins"]),
+    "settling_time": ("value", "status"),
+    "spectral_radius": ("value", "error"),
+}
 _COSTS = {  # CPU seconds of a loop and a wall; of a loop for limits
     "verdict": 1e-5,
     "limits": 8e-4,
@@ -841,7 +847,8 @@ class _Blocks:
             for name, values in self._answered(fixed, given, members, loops).items():
                 answers[name][members] = values
         if "limits" in self.answers:
-            answers |= _limits(limits_of(list(loops)))  # batches are of loops with any filters
+            every = limits_of(list(loops))  # batches are of loops with any filters
+            answers |= _variables("limits", every)
         return {name: values.reshape(*shape, *values.shape[1:]) for name, values in answers.items()}
 
     def _answered(
@@ -885,28 +892,16 @@ def _about_walls(
 ) -> dict[str, NDArray[Any]]:
     """Return the answers of a loop, or of many as one, about walls."""
     values: dict[str, NDArray[Any]] = {}
-    if "verdict" in answers:
-        values["verdict"] = np.asarray(loop.verdict(*gains))
-    if "spectral_radius" in answers:
-        radius = loop.spectral_radius(*gains)
-        values |= {"spectral_radius": radius.value, "spectral_radius_error": radius.error}
-    if "margins" in answers:
-        margins = loop.margins(*gains)
-        values |= {name: getattr(margins, name) for name in ANSWERS["margins"]}
-    if "settling_time" in answers:
-        settling = loop.settling_time(*gains)
-        values |= {"settling_time": settling.value, "settling_status": settling.status}
+    for name in answers:
+        if name != "limits":
+            values |= _variables(name, getattr(loop, name)(*gains))
     return values
 
 
-def _limits(limits: Any) -> dict[str, NDArray[Any]]:
-    return {
-        "largest_stiffness": limits.stiffness,
-        "at_damping": limits.at_damping,
-        "largest_damping": limits.damping,
-        "at_stiffness": limits.at_stiffness,
-        "limits_status": limits.status,
-    }
+def _variables(answer: str, of: Any) -> dict[str, NDArray[Any]]:
+    """Return the variables of an answer by their names in a study."""
+    columns = [of] if answer == "verdict" else [getattr(of, name) for name in _FIELDS[answer]]
+    return dict(zip(ANSWERS[answer], map(np.asarray, columns), strict=True))
 
 
 def _score_interval(

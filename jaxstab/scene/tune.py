@@ -45,7 +45,6 @@ from jaxstab.scene.loops import (
     loop_of_member,
     member_of,
     ranges_of,
-    reachable,
     wall_region,
 )
 from jaxstab.scene.scene import Scene, Units
@@ -235,7 +234,7 @@ def _best(
     return BestWall(
         _tuned(TunedWall, loop, gains, encoder),
         _tuned(RoundedWall, loop, rounded, encoder),
-        best.stiffness / reachable(wall_region(loop)).stiffest.stiffness,
+        best.stiffness / wall_region(loop).reachable.stiffest.stiffness,
         best.status,
         None if worst is None else worst.tried or worst.verdict,
     )
@@ -430,4 +429,4 @@ def _largest_of(
 
 
 def _stiffest(loop: HapticLoop) -> Gains:
-    return reachable(wall_region(loop)).stiffest
+    return wall_region(loop).reachable.stiffest
