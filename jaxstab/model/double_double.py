@@ -27,7 +27,6 @@ from jaxstab.arrays import Array, is_jax, kept, namespace, pytree, tree_map
 _UPPER_HALF = np.uint64(0xFFFFFFFFF8000000)  # sign, exponent and 26 bits of the significand
 _UPPER_BITS = int(_UPPER_HALF)
 _FLOAT, _BITS = Struct("<d"), Struct("<Q")
-_TWO_FLOATS, _TWO_UPPER_HALVES = Struct("<dd"), _UPPER_BITS << 64 | _UPPER_BITS
 _HALVES_UNDERFLOW = 1e-270  # below, products of halves are flushed to zero: rounded once instead
 
 
@@ -59,8 +58,6 @@ class DoubleDouble:
         return DoubleDouble(self.hi[index], self.lo[index])
 
     def __add__(self, other: Union[Array, float, "DoubleDouble"]) -> "DoubleDouble":
-        if _are_floats(self, other):
-            return _sum_of_floats(self, other)
         return _of_namespace(_sum, self, other)
 
     def __neg__(self) -> "DoubleDouble":
@@ -70,8 +67,6 @@ class DoubleDouble:
         return self + (-other)
 
     def __mul__(self, other: Union[Array, float, "DoubleDouble"]) -> "DoubleDouble":
-        if _are_floats(self, other):
-            return _product_of_floats(self, other)
         return _of_namespace(_product, self, other)
 
     def __truediv__(self, other: Union[Array, float, "DoubleDouble"]) -> "DoubleDouble":
@@ -115,57 +110,6 @@ def _quotient(pair: DoubleDouble, other: Factor) -> DoubleDouble:
     correction = remainder.hi / other.hi
     second_correction = _sum(remainder, -_product(other, correction)).hi / other.hi
     return _sum(DoubleDouble(*_quick_two_sum(quotient, correction)), second_correction)
-
-
-def _are_floats(pair: DoubleDouble, other: Factor) -> bool:
-    """Whether both operands are Python floats, for which one call does all steps at once."""
-    if type(pair.hi) is not float:
-        return False
-    return type(other.hi if type(other) is DoubleDouble else other) is float
-
-
-def _sum_of_floats(pair: DoubleDouble, other: Any) -> DoubleDouble:
-    """The result of ``_sum``, bit for bit, several times faster."""
-    a, low = pair.hi, pair.lo
-    if type(other) is float:
-        high = a + other
-        seen = high - a
-        error = ((a - (high - seen)) + (other - seen)) + low
-        total = high + error
-        return DoubleDouble(total, error - (total - high))
-    b, other_low = other.hi, other.lo
-    high = a + b
-    seen = high - a
-    error = (a - (high - seen)) + (b - seen)
-    lows = low + other_low
-    seen = lows - low
-    error_of_lows = (low - (lows - seen)) + (other_low - seen)
-    error = error + lows
-    middle = high + error
-    error = (error - (middle - high)) + error_of_lows
-    total = middle + error
-    return DoubleDouble(total, error - (total - middle))
-
-
-def _product_of_floats(pair: DoubleDouble, other: Any) -> DoubleDouble:
-    """The result of ``_product``, bit for bit, several times faster."""
-    a, b = pair.hi, other if type(other) is float else other.hi
-    bits = int.from_bytes(_TWO_FLOATS.pack(a, b), "little") & _TWO_UPPER_HALVES
-    a_high, b_high = _TWO_FLOATS.unpack(bits.to_bytes(16, "little"))
-    a_low, b_low = a - a_high, b - b_high
-    cross_a, cross_b = a_high * b_low, a_low * b_high
-    middle = cross_a + cross_b
-    seen = middle - cross_a
-    middle_error = (cross_a - (middle - seen)) + (cross_b - seen)
-    high = a_high * b_high
-    product = high + middle
-    error = (middle - (product - high)) + (middle_error + a_low * b_low)
-    if abs(product) < _HALVES_UNDERFLOW:
-        product, error = a * b, 0.0
-    lows = pair.lo * b if type(other) is float else a * other.lo + pair.lo * b
-    error = error + lows
-    total = product + error
-    return DoubleDouble(total, error - (total - product))
 
 
 _SLOPES: dict[Operation, Callable[..., Array]] = {  # of result, numbers and how these move
