@@ -280,3 +280,13 @@ def test_bracketed_roots_are_found_in_spite_of_flat_and_of_steep_parts(
     with np.errstate(divide="ignore", invalid="ignore"):
         answers = bracketed_root(lambda x: function(x, roots), np.full(40, 1e-6), np.ones(40))
     assert answers == pytest.approx(roots, rel=1e-14)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_a_bracket_of_neighbours_in_float64_has_a_root(count: int) -> None:
+    """Its ends are all there is to try; a secant through one point twice is 0/0."""
+    lower = np.full(4, 0.347)
+    upper, shift = lower + count * np.spacing(lower), np.array([1e-30, 1e-16, 2e-17, 5e-17])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        roots = bracketed_root(lambda x: 1e3 * ((x - 0.347) - shift), lower, upper)
+    assert np.all((lower <= roots) & (roots <= upper))

@@ -34,7 +34,7 @@ from jaxstab.region.curve import (
     true_angles,
 )
 from jaxstab.region.roots import bracketed_root
-from jaxstab.rounding import PAIR_UNIT, UNIT
+from jaxstab.rounding import PAIR_UNIT
 
 _CLOSE = 0.5  # of zeta - 1: up to there its powers are taken
 _LEAST = 1e-11  # in place of the angle 0: there the curve has a limit, and even in the angle
@@ -86,12 +86,11 @@ def exact_gains(pairs: Pairs, theta: DoubleDouble, *, with_slopes: bool) -> Exac
 
 
 def wall_errors(curve: Curve, theta: Angles) -> Float64[np.ndarray, "2 angle"]:
-    """Return how far rounding of angles and of the coefficients of p(z) moves points of the curve.
+    """Return how far rounding of the coefficients of p(z) moves points of the curve, roughly.
 
-    The latter moves the roots by its size over p'(z), roughly, and the curve passes gains with
-    their angle. A corner may lie between two angles in float64.
+    It moves the roots by its size over p'(z), and the curve passes gains with their angle.
     """
-    angles, speed = true_angles(curve.stretches, theta, np.zeros_like(theta))
+    angles, _ = true_angles(curve.stretches, theta, np.zeros_like(theta))
     gains = exact_gains(curve.pairs, angles, with_slopes=True)
     parts = np.stack([np.ones_like(theta), *(gain.rounded() for gain in gains.values[:2])])
     upper, u = _folded(angles)
@@ -99,7 +98,7 @@ def wall_errors(curve: Curve, theta: Angles) -> Float64[np.ndarray, "2 angle"]:
     _, rows = _rows(curve.pairs, upper, zeta, sine, with_slopes=True)
     slopes = np.stack([row.real.rounded() + 1j * row.imag.rounded() for row in rows])
     sizes = np.sum(np.abs(curve.pairs[0, 0, 0]), axis=1) @ np.abs(parts)
-    moved = PAIR_UNIT * sizes / np.abs(np.sum(parts * slopes, axis=0)) + UNIT * theta * speed
+    moved = PAIR_UNIT * sizes / np.abs(np.sum(parts * slopes, axis=0))
     return moved * np.abs(np.stack(gains.slopes[:2]))
 
 

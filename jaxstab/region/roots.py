@@ -76,7 +76,7 @@ def bracketed_root(
         step = abs(following - x)
         inside = (following > low) & (following < high)
         done = (step <= _ENOUGH * abs(x)) | (value == 0.0) | (high - low <= _STILL * high)
-        usable = done | (inside & (2.0 * step < abs(x - last)))
+        usable = (done & np.isfinite(following)) | (inside & (2.0 * step < abs(x - last)))
         following = np.where(usable, np.clip(following, low, high), 0.5 * (low + high))
         following = np.where(moving & (value != 0.0), following, x)
         x, last, at_last, moving = following, x, value, moving & ~done
