@@ -177,7 +177,7 @@ def test_what_takes_long_is_shown_on_a_terminal(tmp_path: Path) -> None:
 
 
 MEMORY = """
-import resource, sys
+import os, resource, sys
 from jaxstab.atlas.write.build import verify_atlas
 
 def checks():
@@ -186,16 +186,19 @@ def checks():
 assert all(checks())
 found = {"right": 0, "wrong": 0, "memory": 0}
 _, most = resource.getrlimit(resource.RLIMIT_AS)
-# Up to 3 MB in small steps, and what is enough on any machine.
-for more in [*range(0, 3_000_000, 50_000), *(10**6 * 2**k for k in range(2, 8))]:
-    taken = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (taken + more, most))
-    try:
-        found["right" if all(checks()) else "wrong"] += 1
-    except MemoryError:
-        found["memory"] += 1
-    finally:
-        resource.setrlimit(resource.RLIMIT_AS, (most, most))
+for more in [*range(0, 3_000_000, 100_000), *(10**6 * 2**k for k in range(2, 9))]:
+    # Each limit in a process of its own: libhdf5 may be of no use after memory ran short.
+    child = os.fork()
+    if not child:
+        taken = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_AS, (taken + more, most))
+        try:
+            answer = "right" if all(checks()) else "wrong"
+        except MemoryError:
+            answer = "memory"
+        os._exit([*found].index(answer))
+    _, status = os.waitpid(child, 0)
+    found[[*found][os.waitstatus_to_exitcode(status)]] += 1  # a crash has no index
 print(*found.values())
 """
 
