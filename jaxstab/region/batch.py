@@ -497,11 +497,17 @@ def _loops(successor: Array) -> Array:
 
 
 def _are_around(
-    scan: _Scan, corners: _Corners, links: _Links, label: Array, points: Array
+    scan: _Scan,
+    corners: _Corners,
+    links: _Links,
+    labels: tuple[Array, Array],
+    points: Array,
 ) -> Array:
-    """Return which loops (point, label) enclose points (2, point), by the rule of odd crossings."""
-    piece = jnp.cumsum(scan.passes & ~jnp.append(False, scan.passes[:-1])) - 1
-    labels = label[jnp.minimum(piece, SLOTS - 1)]
+    """Return which loops (point, label) enclose points (2, point), by the rule of odd crossings.
+
+    ``labels``: of the pieces, and of the angles of the scan.
+    """
+    of_pieces, of_angles = labels
     is_edge = scan.passes[:-1] & scan.passes[1:]
     beside = scan.walls[:, corners.next_to]  # (2, row, piece)
     first = corners.walls[:, 0][:, links.successor]
@@ -510,7 +516,7 @@ def _are_around(
     here = [scan.walls[:, :-1], corners.walls[:, 0], beside[:, 1], last, middle]
     there = [scan.walls[:, 1:], beside[:, 0], last, middle, first]
     exist = jnp.concatenate([is_edge, *[corners.exists] * 4])
-    of_loop = jnp.concatenate([labels[:-1], *[label] * 4])
+    of_loop = jnp.concatenate([of_angles[:-1], *[of_pieces] * 4])
     (x0, y0), (x1, y1) = jnp.concatenate(here, axis=1), jnp.concatenate(there, axis=1)
     x, y = points[..., None]
     meets = exist & ((y0 > y) != (y1 > y))
@@ -527,8 +533,9 @@ class _Component(NamedTuple):
     size: Array  # of alpha and beta on all pieces
     corners: _Corners
     links: _Links
-    label: Array  # (piece,) of its loop
-    main: Array  # the label of the component
+    main: Array  # its first piece
+    in_main: Array  # (angle,)
+    of_main: Array  # (piece,)
     tests: Array
     missed: Array
 
@@ -543,27 +550,28 @@ def _component(loop: Triples, scan: _Scan) -> _Component:
     label = _loops(links.successor)
     is_joined = jnp.all(~corners.exists | (corners.is_solved & links.is_linked))
 
+    piece = jnp.cumsum(scan.passes & ~jnp.append(False, scan.passes[:-1])) - 1
+    of_angles = label[jnp.clip(piece, 0, SLOTS - 1)]
     small, starts = _small_walls(loop, size)
-    around = _are_around(scan, corners, links, label, small) & (jnp.arange(SLOTS) == label)
+    around = _are_around(scan, corners, links, (label, of_angles), small)
+    around = around & (jnp.arange(SLOTS) == label)
     main = jnp.argmax(around[0])
     is_around = starts & jnp.all(jnp.sum(around, axis=1) == 1) & jnp.all(around[:, main])
+    in_main = scan.passes & (of_angles == main)
+    of_main = corners.exists & (label == main)
     tests = jnp.stack([has_room, corners.exists[0], is_joined, is_around])
-    return _Component(size, corners, links, label, main, tests, _missed(loop, ends))
+    missed = _missed(loop, ends)
+    return _Component(size, corners, links, main, in_main, of_main, tests, missed)
 
 
 def _extremes(loop: Triples, scan: _Scan) -> tuple[_Component, Extremes]:
     """Return the pieces and the extreme walls of one loop."""
     component = _component(loop, scan)
-    size, corners, links, label, main, tests, missed = component
-    on = scan.passes
-    piece = jnp.cumsum(on & ~jnp.append(False, on[:-1])) - 1
-    in_main = on & (label[jnp.clip(piece, 0, SLOTS - 1)] == main)
-    of_main = corners.exists & (label == main)
-    largest = partial(_largest, loop, scan, corners, links, (in_main, of_main), size)
+    largest = partial(_largest, loop, scan, component)
     walls, angles, are_sound = jax.vmap(largest)(jnp.arange(2))
-    tests = jnp.append(tests, are_sound)
+    tests = jnp.append(component.tests, are_sound)
     failures = jnp.sum((~tests).astype(jnp.int32) << jnp.arange(len(tests)))
-    return component, Extremes(walls, angles, failures, missed)
+    return component, Extremes(walls, angles, failures, component.missed)
 
 
 # ------------------------------------------------------------------------ outlines
@@ -574,13 +582,13 @@ def _outline(loop: Triples, component: _Component) -> MainOutline:
     is the integral of (alpha dbeta - beta dalpha) / 2, by Gauss's rule between the vertices of a
     piece, and exact on straight edges.
     """
-    size, corners, links, label, main, *_ = component
+    size, corners, links, main, *_ = component
 
     def followed(piece: Array, _: None) -> tuple[Array, Array]:
         return links.successor[piece], piece
 
     _, order = lax.scan(followed, main, length=SLOTS)
-    exists = jnp.arange(SLOTS) < jnp.sum(corners.exists & (label == main))
+    exists = jnp.arange(SLOTS) < jnp.sum(component.of_main)
     begin, end = corners.theta[:, order]
 
     def spread(ends: tuple[Array, Array]) -> tuple[Array, Array, Array]:
@@ -644,65 +652,103 @@ def _small_walls(loop: Triples, size: Array) -> tuple[Array, Array]:
 
 
 def _largest(
-    loop: Triples,
-    scan: _Scan,
-    corners: _Corners,
-    links: _Links,
-    members: tuple[Array, Array],
-    size: Array,
-    axis: Array,
+    loop: Triples, scan: _Scan, component: _Component, axis: Array
 ) -> tuple[Array, Array, Array]:
     """Return the wall of the largest alpha or beta, the angles of the roots, and its tests."""
-    in_main, of_main = members
-    values, at_corners, unit = scan.walls[axis], corners.walls[axis], size[axis]
-    count, angles = len(values), loop.angles
+    size, unit = component.size, component.size[axis]
+    turns = _turns(loop, scan, component, axis)
+    corner = _highest_corner(component, axis)
+    crossing = _on_axis(loop, scan, component, axis)
+    turn = jnp.argmax(turns.values)
+    others = jnp.maximum(turns.values[turn], corner.value)
+    is_crossing = crossing.wall[axis] > others + _ON_AXIS * unit
+    is_smooth = is_crossing | (turns.values[turn] > corner.value)
+    smooth_wall = jnp.where(is_crossing, crossing.wall, turns.walls[:, turn])
+    smooth_angle = jnp.where(is_crossing, crossing.theta, turns.theta[turn])
 
-    def may_be(walls: Array) -> Array:
-        """Return which walls are in the quadrant."""
-        return walls[1 - axis] >= -_ON_AXIS * size[1 - axis]
+    walls = jnp.where(is_smooth, smooth_wall[:, None], corner.walls)
+    theta = jnp.where(is_smooth, smooth_angle, corner.theta)
+    errors = jax.vmap(partial(_rounding, loop), (0, 1, None))(theta, walls, axis) / unit
+    errors = jnp.where(is_crossing & crossing.is_on_line, UNIT, errors)
+    wall, error = walls[:, jnp.argmin(errors)], jnp.min(errors)
+    value = wall[axis]
+    enough, for_turns = (most - _LOWER * abs(most) for most in (value, others))
+    # A turn next to the axis may be much higher than the scan's angles and the crossing beside it.
+    is_refined = jnp.all(turns.is_solved | (turns.best <= for_turns)) & (turns.rest <= enough)
+    is_refined = is_refined & (crossing.rest <= enough)
 
-    are_in = may_be(scan.walls)
+    # Stable walls on one side, unstable ones on the other.
+    straight = jnp.where(jnp.arange(2) == axis, -1.0, 0.0)
+    into = _bisector(loop, component.corners, corner.index, size)
+    away = _ASIDE * size * jnp.where(is_smooth, straight, into)
+    beside = _are_stable(loop, jnp.stack([wall + away, wall - away], axis=1))
+    # A component far beyond the quadrant may leave a limit that is small beside its size.
+    is_exact = (error * unit < _ROUNDED * jnp.minimum(unit, abs(value))) & jnp.isfinite(value)
+    roots = jnp.where(is_smooth, jnp.stack([smooth_angle, jnp.nan]), corner.roots)
+    return wall, roots, jnp.stack([is_refined, beside[0] & ~beside[1], is_exact])
+
+
+def _are_in_quadrant(walls: Array, size: Array, axis: Array) -> Array:
+    """Return which walls have the other gain >= 0."""
+    return walls[1 - axis] >= -_ON_AXIS * size[1 - axis]
+
+
+class _Turns(NamedTuple):
+    """The highest places where the curve turns, refined: ``_CANDIDATES`` of them.
+
+    ``values``: of the gain, -inf where it is not solved for or outside of the quadrant. ``best``:
+    before it was refined. ``rest``: no other place was higher.
+    """
+
+    walls: Array  # (2, turn)
+    theta: Array
+    values: Array
+    is_solved: Array
+    best: Array
+    rest: Array
+
+
+def _turns(loop: Triples, scan: _Scan, component: _Component, axis: Array) -> _Turns:
+    """Return where the curve turns: next to values of the scan larger than both neighbours.
+
+    Between a corner and the nearest angle of the scan it may turn, too: a bulge.
+    """
+    size, corners, of_main = component.size, component.corners, component.of_main
+    values, at_corners, angles = scan.walls[axis], corners.walls[axis], loop.angles
+    count = len(values)
+    are_in = _are_in_quadrant(scan.walls, size, axis)
     are_near = are_in | jnp.append(False, are_in[:-1]) | jnp.append(are_in[1:], False)
     next_angle = angles[corners.next_to]
-    # The largest values of the scan between their neighbours. The curve between a corner and the
-    # nearest angle of the scan may turn, too.
-    on_pieces = jnp.where(in_main, values, -jnp.inf)
+    on_pieces = jnp.where(component.in_main, values, -jnp.inf)
     before, after = jnp.append(-jnp.inf, on_pieces[:-1]), jnp.append(on_pieces[1:], -jnp.inf)
-    next_value = values[corners.next_to]
-    is_beside = of_main & (at_corners >= next_value)
+    is_beside = of_main & (at_corners >= values[corners.next_to])
     is_less = jnp.any(
         (corners.next_to[..., None] == jnp.arange(count)) & is_beside[..., None], axis=(0, 1)
     )
     tops = (on_pieces >= before) & (on_pieces >= after) & ~is_less & are_near
     rises = corners.slopes[axis] * jnp.array([[1.0], [-1.0]]) > 0.0
     bulges = is_beside & rises & (corners.theta != next_angle)
-    bulges = bulges & (may_be(corners.walls) | are_near[corners.next_to])
-    scores = jnp.concatenate(
-        [jnp.where(tops, on_pieces, -jnp.inf), jnp.where(bulges, at_corners, -jnp.inf).ravel()]
+    bulges = bulges & (_are_in_quadrant(corners.walls, size, axis) | are_near[corners.next_to])
+    best, number, rest = _highest(
+        jnp.concatenate(
+            [jnp.where(tops, on_pieces, -jnp.inf), jnp.where(bulges, at_corners, -jnp.inf).ravel()]
+        )
     )
-    chosen = []
-    for _ in range(_CANDIDATES + 1):
-        number = jnp.argmax(scores)
-        chosen.append((number, scores[number]))
-        scores = scores.at[number].set(-jnp.inf)
-    *numbers, _ = (number for number, _ in chosen)
-    *scores_of, rest = (score for _, score in chosen)
-    number, best = jnp.stack(numbers), jnp.stack(scores_of)
-    exists = jnp.isfinite(best)
+    exists, is_top = jnp.isfinite(best), number < count
 
     bulge = jnp.clip(number - count, 0, 2 * SLOTS - 1)
-    at = jnp.where(number < count, number, corners.next_to.ravel()[bulge])
+    at = jnp.where(is_top, number, corners.next_to.ravel()[bulge])
     is_near = of_main & (corners.next_to == at[:, None, None])
     low = jnp.where(is_near & corners.is_lower, corners.theta, -jnp.inf)
     high = jnp.where(is_near & ~corners.is_lower, corners.theta, jnp.inf)
     lower = jnp.maximum(jnp.max(low, axis=(1, 2)), angles[jnp.maximum(at - 1, 0)])
     upper = jnp.minimum(jnp.min(high, axis=(1, 2)), angles[jnp.minimum(at + 1, count - 1)])
     between = jnp.stack([corners.theta.ravel()[bulge], next_angle.ravel()[bulge]])
-    lower = jnp.where(number < count, lower, jnp.min(between, axis=0))
-    upper = jnp.where(number < count, upper, jnp.max(between, axis=0))
+    lower = jnp.where(is_top, lower, jnp.min(between, axis=0))
+    upper = jnp.where(is_top, upper, jnp.max(between, axis=0))
     ends = _wall(loop, jnp.stack([lower, upper]))[axis]
     start = _vertex(jnp.stack([lower, angles[at], upper]), values[at], ends)
-    start = jnp.where(number < count, start, 0.5 * (lower + upper))
+    start = jnp.where(is_top, start, 0.5 * (lower + upper))
     places = jnp.stack([start, lower - _SLACK, upper + _SLACK])
     start, *limits = jnp.where(exists, places, places[:, :1])  # all wait for the slowest
 
@@ -711,55 +757,57 @@ def _largest(
         (_, slope), (_, bend) = jax.jvp(slopes, (theta,), (jnp.ones_like(theta),))
         return slope[axis], bend[axis]
 
-    theta, solved = jax.vmap(partial(_fall, rise))(start, *limits)
-    solved = exists & solved & (theta > limits[0]) & (theta < limits[1])
-    smooth = _wall(loop, jnp.where(solved, theta, angles[at]))
-    solved = solved & (smooth[axis] >= best - _TOLERANCE * unit)
-    at_turns = jnp.where(solved & may_be(smooth), smooth[axis], -jnp.inf)
-    turn = jnp.argmax(at_turns)
+    theta, is_solved = jax.vmap(partial(_fall, rise))(start, *limits)
+    is_solved = exists & is_solved & (theta > limits[0]) & (theta < limits[1])
+    walls = _wall(loop, jnp.where(is_solved, theta, angles[at]))
+    is_solved = is_solved & (walls[axis] >= best - _TOLERANCE * size[axis])
+    is_in = is_solved & _are_in_quadrant(walls, size, axis)
+    return _Turns(walls, theta, jnp.where(is_in, walls[axis], -jnp.inf), is_solved, best, rest)
 
+
+def _highest(scores: Array) -> tuple[Array, Array, Array]:
+    """Return the ``_CANDIDATES`` highest scores, their indices, and the next score."""
+    chosen = []
+    for _ in range(_CANDIDATES + 1):
+        number = jnp.argmax(scores)
+        chosen.append((scores[number], number))
+        scores = scores.at[number].set(-jnp.inf)
+    best, numbers = map(jnp.stack, zip(*chosen[:-1], strict=True))
+    return best, numbers, chosen[-1][0]
+
+
+class _Corner(NamedTuple):
+    """A corner of the component, computed on both pieces that it is on; they may round differently.
+
+    ``index``: of an end of a piece, in the order of ``_Corners``; crossings of the lines follow.
+    """
+
+    index: Array
+    value: Array
+    walls: Array  # (2, piece)
+    theta: Array  # (piece,)
+    roots: Array  # both angles
+
+
+def _highest_corner(component: _Component, axis: Array) -> _Corner:
+    """Return the corner with the largest alpha or beta."""
+    corners, links, of_main = component.corners, component.links, component.of_main
     crossing = jnp.broadcast_to(links.crossing[:, None], (2, SLOTS))
     every = jnp.concatenate([corners.walls[:, 0], corners.walls[:, 1], crossing], axis=1)
     may = jnp.concatenate([of_main[None], of_main[None], (of_main & links.via)[None]]).ravel()
-    at_every = jnp.where(may & may_be(every), every[axis], -jnp.inf)
-    corner = jnp.argmax(at_every)
-    crossing_of_axis = _on_axis(loop, scan, corners, links, members, axis, may_be)
-    others = jnp.maximum(at_turns[turn], at_every[corner])
-    is_crossing = crossing_of_axis.wall[axis] > others + _ON_AXIS * unit
-    is_smooth = is_crossing | (at_turns[turn] > at_every[corner])
-    smooth_wall = jnp.where(is_crossing, crossing_of_axis.wall, smooth[:, turn])
-    smooth_angle = jnp.where(is_crossing, crossing_of_axis.theta, theta[turn])
-    # A corner of the curve is on two pieces; where the curve is slower, rounding is less.
-    row, own = corner // SLOTS, corner % SLOTS
+    values = jnp.where(may & _are_in_quadrant(every, component.size, axis), every[axis], -jnp.inf)
+    index = jnp.argmax(values)
+    row, own = index // SLOTS, index % SLOTS
     twin = jnp.where(row == 0, corners.preceding[own], corners.following[own])
-    is_twice = (row < 2) & (corners.branch[jnp.minimum(row, 1), own] == Branch.CURVE)
-    twin = jnp.where(is_twice, (1 - row) * SLOTS + twin, corner)
-    both = jnp.stack([corner, twin])
-    walls = jnp.where(is_smooth, smooth_wall[:, None], every[:, both])
-    at_both = jnp.where(is_smooth, smooth_angle, corners.theta.ravel()[both % (2 * SLOTS)])
-    errors = jax.vmap(partial(_rounding, loop), (0, 1, None))(at_both, walls, axis) / unit
-    errors = jnp.where(is_crossing & crossing_of_axis.is_on_line, UNIT, errors)
-    wall, error = walls[:, jnp.argmin(errors)], jnp.min(errors)
-    value = wall[axis]
-    enough, for_turns = (most - _LOWER * abs(most) for most in (value, others))
-    # A turn next to the axis may be much higher than the scan's angles and the crossing beside it.
-    is_refined = jnp.all(solved | (best <= for_turns)) & (rest <= enough)
-    is_refined = is_refined & (crossing_of_axis.rest <= enough)
-
-    # Stable walls on one side, unstable ones on the other.
-    straight = jnp.where(jnp.arange(2) == axis, -1.0, 0.0)
-    direction = jnp.where(is_smooth, straight, _bisector(loop, corners, corner, size))
-    away = _ASIDE * size * direction
-    beside = _are_stable(loop, jnp.stack([wall + away, wall - away], axis=1))
-    # A component far beyond the quadrant may leave a limit that is small beside its size.
-    is_exact = (error * unit < _ROUNDED * jnp.minimum(unit, abs(value))) & jnp.isfinite(value)
-    branch, at_corner = corners.branch[jnp.minimum(row, 1), own], corners.theta.ravel()
+    branch, theta = corners.branch[jnp.minimum(row, 1), own], corners.theta.ravel()
+    is_twice = (row < 2) & (branch == Branch.CURVE)
+    twin = jnp.where(is_twice, (1 - row) * SLOTS + twin, index)
+    both = jnp.stack([index, twin])
     on_line = jnp.where(branch == Branch.Z_MINUS_ONE, jnp.pi, 0.0)
-    other = jnp.where(branch == Branch.CURVE, at_corner[twin % (2 * SLOTS)], on_line)
-    ends = jnp.stack([at_corner[corner % (2 * SLOTS)], other])
-    ends = jnp.where(row < 2, ends, jnp.array([0.0, jnp.pi]))
-    roots = jnp.where(is_smooth, jnp.stack([smooth_angle, jnp.nan]), ends)
-    return wall, roots, jnp.stack([is_refined, beside[0] & ~beside[1], is_exact])
+    other = jnp.where(branch == Branch.CURVE, theta[twin % (2 * SLOTS)], on_line)
+    ends = jnp.stack([theta[index % (2 * SLOTS)], other])
+    roots = jnp.where(row < 2, ends, jnp.array([0.0, jnp.pi]))
+    return _Corner(index, values[index], every[:, both], theta[both % (2 * SLOTS)], roots)
 
 
 class _Crossing(NamedTuple):
@@ -774,17 +822,10 @@ class _Crossing(NamedTuple):
     rest: Array
 
 
-def _on_axis(
-    loop: Triples,
-    scan: _Scan,
-    corners: _Corners,
-    links: _Links,
-    members: tuple[Array, Array],
-    axis: Array,
-    may_be: Callable[[Array], Array],
-) -> _Crossing:
+def _on_axis(loop: Triples, scan: _Scan, component: _Component, axis: Array) -> _Crossing:
     """Return where the boundary crosses the axis: by Newton's method, on lines in closed form."""
-    in_main, of_main = members
+    corners, links, of_main = component.corners, component.links, component.of_main
+    may_be = partial(_are_in_quadrant, size=component.size, axis=axis)
     first, last = corners.walls[:, 0][:, links.successor], corners.walls[:, 1]
     middle = jnp.where(links.via, links.crossing[:, None], first)
 
@@ -804,7 +845,8 @@ def _on_axis(
     stops = jnp.concatenate([loop.angles[1:], loop.angles[beside].ravel()])
     here = jnp.concatenate([scan.walls[:, :-1], corners.walls.reshape(2, -1)], axis=1)
     there = jnp.concatenate([scan.walls[:, 1:], scan.walls[:, beside].reshape(2, -1)], axis=1)
-    exist = jnp.concatenate([in_main[:-1] & in_main[1:], of_main, of_main])
+    in_main = component.in_main[:-1] & component.in_main[1:]
+    exist = jnp.concatenate([in_main, of_main, of_main])
     crosses = exist & (may_be(here) != may_be(there))
     run = there[1 - axis] - here[1 - axis]
     share = -here[1 - axis] / jnp.where(crosses, run, 1.0)
