@@ -148,12 +148,12 @@ def program(degree: int, *, outlines: bool = False) -> Callable[[Triples], Answe
 def components(triples: Triples, *, outlines: bool) -> Answers:
     """Return extreme walls of the components that hold small gains, and their outlines."""
     scans = lax.map(_scan, triples)
-    solved = lax.map(lambda one: _extremes(*one), (triples, scans), batch_size=_REFINED)
+    solved = lax.map(lambda pair: _extremes(*pair), (triples, scans), batch_size=_REFINED)
     pieces: _Component = solved[0]
     extremes: Extremes = solved[1]
     if not outlines:
         return extremes, None
-    return extremes, lax.map(lambda one: _outline(*one), (triples, pieces))
+    return extremes, lax.map(lambda pair: _outline(*pair), (triples, pieces))
 
 
 # ------------------------------------------------------------------------ the curve and its roots
@@ -192,7 +192,7 @@ def _values(loop: Triples, theta: Array) -> list[tuple[Array, Array]]:
         value: tuple[Array, Array], power: tuple[Array, Array]
     ) -> tuple[tuple[Array, Array], None]:
         x, y = value
-        near, far = (jnp.expand_dims(one, axes) for one in power)
+        near, far = (jnp.expand_dims(row, axes) for row in power)
         moved = x * cosine - y * sine + jnp.where(is_close, near, far)
         return (moved, x * sine + y * cosine), None
 
@@ -304,8 +304,8 @@ def _ends_of(loop: Triples, scan: _Scan) -> tuple[_Ends, Array]:
     last = len(angles) - 1
     is_first = passes & ~jnp.append(False, passes[:-1])
     is_last = passes & ~jnp.append(passes[1:], False)
-    number = jnp.arange(1, SLOTS + 1)
-    index = jnp.stack([jnp.searchsorted(jnp.cumsum(one), number) for one in (is_first, is_last)])
+    counts = jnp.arange(1, SLOTS + 1)
+    index = jnp.stack([jnp.searchsorted(jnp.cumsum(at), counts) for at in (is_first, is_last)])
     exists = index[0] <= last
     index = jnp.minimum(index, last)
     beyond = index + jnp.array([[-1], [1]])
@@ -366,9 +366,9 @@ def _corners_of(loop: Triples, ends: _Ends, sense: Array, size: Array) -> _Corne
     partner = jnp.stack([theta[1][preceding], theta[0][following]])
     is_mutual = preceding[following] == jnp.arange(SLOTS)
 
-    def newton(angles: Array, known: tuple[Array, Array]) -> Array:
+    def newton(angles: Array, end: tuple[Array, Array]) -> Array:
         """Return the next angles of a corner, or of an end on a line and unchanged its partner."""
-        kind, is_fixed = known
+        kind, is_fixed = end
         walls, slopes = _with_slopes(loop, angles)
         to_line, rises = _margins(loop, walls[:, 0]), loop.ends[:, 1:] @ slopes[:, 0]
         line = jnp.where(kind == Branch.Z_PLUS_ONE, 0, 1)
@@ -419,13 +419,13 @@ def _missed(loop: Triples, ends: _Ends) -> Array:
     return jnp.where(distance[0] > _APART, angles, jnp.nan)
 
 
-def _root(newton: Any, start: Any, known: Any) -> tuple[Any, Array]:
+def _root(newton: Any, start: Any, args: Any) -> tuple[Any, Array]:
     """Return the fixed point of Newton's step, and whether it was reached."""
     solver: Any = optx.FixedPointIteration(rtol=_TOLERANCE, atol=_TOLERANCE)
-    found: Any = optx.fixed_point(
-        newton, solver, start, args=known, max_steps=_NEWTON_STEPS, throw=False
+    solution: Any = optx.fixed_point(
+        newton, solver, start, args=args, max_steps=_NEWTON_STEPS, throw=False
     )
-    return found.value, found.result == optx.RESULTS.successful
+    return solution.value, solution.result == optx.RESULTS.successful
 
 
 def _fall(values: Any, start: Array, low: Array, high: Array) -> tuple[Array, Array]:
@@ -462,10 +462,10 @@ def _linked(loop: Triples, corners: _Corners) -> _Links:
     line = jnp.where(corners.branch[1] == Branch.Z_MINUS_ONE, 1, 0)
     begins, ends = (jnp.einsum("lw,wp->lp", along, corners.walls[:, row]) for row in range(2))
     corner = along @ crossing
-    number = jnp.arange(SLOTS)
+    pieces = jnp.arange(SLOTS)
     own = corners.exists & (corners.branch[0] == line[:, None] + Branch.Z_PLUS_ONE)
     other = corners.exists & (corners.branch[0] == Branch.Z_MINUS_ONE - line[:, None])
-    here = ends[line, number]
+    here = ends[line, pieces]
     ahead = jnp.where(own, begins[line] - here[:, None], -jnp.inf)
     around = jnp.where(other, begins[1 - line] - corner[1 - line][:, None], -jnp.inf)
     to_corner = corner[line] - here
@@ -479,7 +479,7 @@ def _linked(loop: Triples, corners: _Corners) -> _Links:
     is_linked = jnp.isfinite(jnp.where(via, jnp.min(around, axis=1), nearest))
     on_curve = corners.branch[1] == Branch.CURVE
     successor = jnp.where(on_curve, corners.following, successor)
-    predecessors = jnp.sum(corners.exists[:, None] & (successor[:, None] == number), axis=0)
+    predecessors = jnp.sum(corners.exists[:, None] & (successor[:, None] == pieces), axis=0)
     # Where the lines cross all other roots are inside.
     zero = jnp.zeros(1)
     is_stable = _are_inside(loop, crossing[:, None], zero, -1.0, 2)[0]
@@ -647,8 +647,8 @@ def _small_walls(loop: Triples, size: Array) -> tuple[Array, Array]:
     counts = jnp.sum(jnp.cumprod(stable, axis=1), axis=1)
     best = jnp.argmax(counts)
     count = counts[best]
-    number = jnp.clip(jnp.stack([count - 1, count - 2]), 0)
-    return jnp.stack([alpha[best, number], beta[best, number]]), count >= 3
+    two = jnp.clip(jnp.stack([count - 1, count - 2]), 0)
+    return jnp.stack([alpha[best, two], beta[best, two]]), count >= 3
 
 
 def _largest(
@@ -729,15 +729,15 @@ def _turns(loop: Triples, scan: _Scan, component: _Component, axis: Array) -> _T
     rises = corners.slopes[axis] * jnp.array([[1.0], [-1.0]]) > 0.0
     bulges = is_beside & rises & (corners.theta != next_angle)
     bulges = bulges & (_are_in_quadrant(corners.walls, size, axis) | are_near[corners.next_to])
-    best, number, rest = _highest(
+    best, index, rest = _highest(
         jnp.concatenate(
             [jnp.where(tops, on_pieces, -jnp.inf), jnp.where(bulges, at_corners, -jnp.inf).ravel()]
         )
     )
-    exists, is_top = jnp.isfinite(best), number < count
+    exists, is_top = jnp.isfinite(best), index < count
 
-    bulge = jnp.clip(number - count, 0, 2 * SLOTS - 1)
-    at = jnp.where(is_top, number, corners.next_to.ravel()[bulge])
+    bulge = jnp.clip(index - count, 0, 2 * SLOTS - 1)
+    at = jnp.where(is_top, index, corners.next_to.ravel()[bulge])
     is_near = of_main & (corners.next_to == at[:, None, None])
     low = jnp.where(is_near & corners.is_lower, corners.theta, -jnp.inf)
     high = jnp.where(is_near & ~corners.is_lower, corners.theta, jnp.inf)
@@ -769,11 +769,11 @@ def _highest(scores: Array) -> tuple[Array, Array, Array]:
     """Return the ``_CANDIDATES`` highest scores, their indices, and the next score."""
     chosen = []
     for _ in range(_CANDIDATES + 1):
-        number = jnp.argmax(scores)
-        chosen.append((scores[number], number))
-        scores = scores.at[number].set(-jnp.inf)
-    best, numbers = map(jnp.stack, zip(*chosen[:-1], strict=True))
-    return best, numbers, chosen[-1][0]
+        index = jnp.argmax(scores)
+        chosen.append((scores[index], index))
+        scores = scores.at[index].set(-jnp.inf)
+    best, indices = map(jnp.stack, zip(*chosen[:-1], strict=True))
+    return best, indices, chosen[-1][0]
 
 
 class _Corner(NamedTuple):
