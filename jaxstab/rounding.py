@@ -81,6 +81,23 @@ COSINES = 16 * EPS
 # of their sizes; and the same of a reader of an atlas, in any order.
 PLANES = 1e-14
 
+# The derivative of sin(x/2)/(x/2): -x/12 is right to x^3/480 below x = 1e-3; above, a difference of
+# two numbers near 1, each right to ELEMENTARY, over x.
+SINC_SLOPE = 1e-11
+
+# A sum of 9 products of complex numbers, of the sum of their sizes: each is right to 4 EPS.
+SERIES = 13 * EPS
+
+# A delay in samples and how far it is from the middle of a box, of 1 and the delay: fewer than 16
+# operations, each of them EPS.
+DELAY = 16 * EPS
+
+# An entry of a transition over a sample, of the sum of its terms' sizes (lemma M9).
+TRANSITION = 16 * UNIT
+
+# A stiffness in SI units, there and back from alpha: six operations.
+STIFFNESS = 4 * EPS
+
 # Coefficients in powers of z - 1 of a stage of a filter, of the size of those in z: sums of three
 # pairs, themselves right to FILTERS / 16 (lemma V8).
 SHIFTED = 2.0**-94

@@ -33,7 +33,7 @@ from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.atlas.products.verdicts import CELL_VERDICT, VERDICT, decided_share
 from jaxstab.conventions import AXES, Range, Status, Verdict
 from jaxstab.numbers import checked, checked_number, checked_word, real_numbers
-from jaxstab.rounding import EPS
+from jaxstab.rounding import STIFFNESS
 from jaxstab.shown import table_text
 
 if TYPE_CHECKING:
@@ -250,8 +250,6 @@ def _codes_at(
 
 Outside = Literal["error", "undecided"]
 
-# There and back between K and alpha are six roundings of half an ulp each, at most.
-_ROUNDINGS = 4.0 * EPS
 _ULPS_ASIDE = 4  # of numbers that the roundings of SI units move
 
 
@@ -396,7 +394,7 @@ class LoopAtlas:
         best = int(np.argmax(upper))
         bound = self.loop.stiffness(float(largest.bound))
         return LargestStiffness(
-            float(upper[best]), float(near[best]), bound + _ROUNDINGS * abs(bound)
+            float(upper[best]), float(near[best]), bound + STIFFNESS * abs(bound)
         )
 
     @np.errstate(invalid="ignore")  # infinite limits may have infinite errors
@@ -406,7 +404,7 @@ class LoopAtlas:
         lower = np.maximum(limits.lower + limits.lower_error, self._alphas[0])
         upper = np.minimum(limits.upper - limits.upper_error, self._alphas[1])
         ends = self.loop.stiffness(np.stack([lower, upper], axis=-1))
-        ends += _ROUNDINGS * np.abs(ends) * np.array([1.0, -1.0])
+        ends += STIFFNESS * np.abs(ends) * np.array([1.0, -1.0])
         ends[~(ends[..., 0] < ends[..., 1])] = np.nan
         return ends
 

@@ -48,7 +48,7 @@ from jaxstab.motion.response import (
     steps_of,
 )
 from jaxstab.numbers import checked
-from jaxstab.rounding import RAISED, RAISED_MANY, UNIT
+from jaxstab.rounding import RAISED, RAISED_MANY, TRANSITION, UNIT
 
 # Sums of moduli of impulse responses, |C b| + |C A b| + |C A^2 b| + ..., proved from above.
 #
@@ -175,7 +175,6 @@ def _sum_of_moduli(
 # their second derivatives (lemma M9 of docs/proofs.md).
 
 _NUMBERS = 1 << 18  # of the matrices of all loops in one batch
-_ERROR = 16 * UNIT  # of the entries of a transition, beside that of filters
 _SMALLEST = 2.0**-100  # of the largest entry: more than the error of entries next to 0
 
 
@@ -527,7 +526,7 @@ def _systems(
         outputs=outputs,
         sizes=sizes,
         output_sizes=output_sizes,
-        error=_ERROR + bank.roundings * UNIT,
+        error=TRANSITION + bank.roundings * UNIT,
     )
     return systems, RAISED * np.abs(direct)
 

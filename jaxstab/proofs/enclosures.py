@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxstab.rounding import ELEMENTARY, LINEAR_MODEL
+from jaxstab.rounding import ELEMENTARY, LINEAR_MODEL, SINC_SLOPE
 
 Floats = Any  # real or complex arrays
 
@@ -294,8 +294,8 @@ def sinc(theta: LinearModel) -> Moving:
     x, swing = theta.centre, theta.swing
     value, is_small = np.sinc(x / (2.0 * pi)), np.abs(x) < 1e-3
     slope = np.where(is_small, -x / 12.0, (np.cos(0.5 * x) - value) / np.where(is_small, 1.0, x))
-    rest = swing**2 / 24.0 + 1e-11 * swing + ELEMENTARY
+    rest = swing**2 / 24.0 + SINC_SLOPE * swing + ELEMENTARY
     return Moving(
         LinearModel(value, slope * theta.slope, rest, theta.half),
-        LinearModel(slope, np.zeros_like(theta.slope), swing / 12.0 + 1e-11, theta.half),
+        LinearModel(slope, np.zeros_like(theta.slope), swing / 12.0 + SINC_SLOPE, theta.half),
     )

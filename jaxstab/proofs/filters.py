@@ -28,7 +28,7 @@ from jaxstab.arrays import PI_REST, Array, joined, namespace, take
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import ONE, Filters, Polynomial, Transfer, size_of
 from jaxstab.proofs.enclosures import LinearModel, Moving
-from jaxstab.rounding import EPS, OVERLAP, RAISED_SERIES, SHIFTED
+from jaxstab.rounding import EPS, OVERLAP, RAISED_SERIES, SERIES, SHIFTED
 
 # Taylor series of functions of one angle over many cells, each coefficient with its error.
 #
@@ -43,7 +43,6 @@ Numbers = Float64[np.ndarray, "order cell"] | Complex128[np.ndarray, "order cell
 
 ORDERS = 9  # coefficients that a series has
 _BEYOND = 16  # further derivatives of a cosine sum, which bound its change in a cell
-_ROUNDING = (ORDERS + 4) * EPS  # of a sum of ORDERS products, complex ones too
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,7 @@ class Series:
     def __mul__(self, other: "Series") -> "Series":
         size = abs(other.value)
         error = _convolved(self.error, size + other.error)
-        error += _convolved(abs(self.value), other.error + _ROUNDING * size)
+        error += _convolved(abs(self.value), other.error + SERIES * size)
         return Series(_convolved(self.value, other.value), RAISED_SERIES * error)
 
     def mirrored(self) -> "Series":
@@ -82,18 +81,18 @@ class Series:
         leading = 1.0 / np.where(is_known, self.value[0], 1.0)
         value, error = np.zeros_like(self.value), np.zeros_like(self.error)
         value[0] = leading
-        relative = self.error[0] / np.where(is_known, clear, 1.0) + _ROUNDING
+        relative = self.error[0] / np.where(is_known, clear, 1.0) + SERIES
         error[0] = np.where(is_known, abs(leading) * relative, np.inf)
         for k in range(1, len(value)):  # the sum of self_i over_(k - i), i from 1 on, is 0
             after, after_error = self.value[1 : k + 1], self.error[1 : k + 1]
             before, before_error = value[:k][::-1], error[:k][::-1]
             total = np.sum(after * before, axis=0)
             errors = after_error * (abs(before) + before_error)
-            errors = errors + abs(after) * (before_error + _ROUNDING * abs(before))
+            errors = errors + abs(after) * (before_error + SERIES * abs(before))
             total_error = np.sum(errors, axis=0)
             value[k] = -leading * total
             error[k] = error[0] * (abs(total) + total_error) + abs(leading) * total_error
-            error[k] = RAISED_SERIES * (error[k] + _ROUNDING * abs(value[k]))
+            error[k] = RAISED_SERIES * (error[k] + SERIES * abs(value[k]))
         return Series(value, np.where(is_known, error, np.inf))
 
 

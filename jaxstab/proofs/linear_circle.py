@@ -40,11 +40,10 @@ from jaxstab.proofs.filters import (
     factors_of,
     over_halves,
 )
-from jaxstab.rounding import EPS
+from jaxstab.rounding import DELAY, EPS
 
 Reals = Float64[np.ndarray, " box"]
 
-_SUMS = 16 * EPS  # of a delay
 _EDGE, _PARAMETER, _THETA = 0, -2, -1
 
 """The axes: along a line of gains, if any; along t, if any; along the angle."""
@@ -357,7 +356,7 @@ def delay_models(
     whole = np.floor(late)
     piece = np.maximum(np.searchsorted(cells.ends[:, 0], late - whole, "right") - 1, 0)
     # The delay of a box is rounded: it may be farther away.
-    half = by_delay + _SUMS * (1.0 + late)
+    half = by_delay + DELAY * (1.0 + late)
     place = PieceBoxes(piece, late - whole, theta[0], half, theta[1])
     boxes = FamilyBoxes(gains, np.zeros_like(gains), cells.lags[piece] + whole, place)
     free, force, rounding = _parts(cells, boxes)
