@@ -85,17 +85,18 @@ PLANES = 1e-14
 # two numbers near 1, each right to ELEMENTARY, over x.
 SINC_SLOPE = 1e-11
 
-# A sum of 9 products of complex numbers, of the sum of their sizes: each is right to 4 EPS.
+# A sum of n products of complex numbers, n <= 9, of the sum of their sizes: each product is right
+# to 4 EPS, and the sum to n UNIT.
 SERIES = 13 * EPS
 
-# A delay in samples and how far it is from the middle of a box, of 1 and the delay: fewer than 16
+# The distance of a delay from the middle of a box, of 1 plus the delay in samples: fewer than 16
 # operations, each of them EPS.
 DELAY = 16 * EPS
 
-# An entry of a transition over a sample, of the sum of its terms' sizes (lemma M9).
+# An entry of a transition over a sample, of the sum of the sizes of its terms (lemma M9).
 TRANSITION = 16 * UNIT
 
-# A stiffness in SI units, there and back from alpha: six operations.
+# A stiffness in SI units, converted to alpha and back: six operations, each of them UNIT.
 STIFFNESS = 4 * EPS
 
 # Coefficients in powers of z - 1 of a stage of a filter, of the size of those in z: sums of three

@@ -25,7 +25,7 @@ from jaxstab.proofs.device_boxes import (
     _Place,
 )
 from jaxstab.proofs.enclosures import LinearModel, phasor, sinc, sine, variable
-from jaxstab.rounding import ELEMENTARY, LINEAR_MODEL
+from jaxstab.rounding import ELEMENTARY, EPS, LINEAR_MODEL, SERIES
 
 SHARP = 1.5
 ROUNDED = 1.0 + 1e-12  # the bounds are float64, too
@@ -239,6 +239,29 @@ def test_errors_of_sums_and_products_of_series_are_attained() -> None:
         errors = [a - b for a, b in zip(exact, coefficients(made), strict=True)]
         for error, bound in zip(errors, made.error[:, 0], strict=True):
             assert error <= bound <= error * ROUNDED + Fraction(1, 10**12)
+
+
+def test_rounding_of_products_and_inverses_of_series_is_within_their_errors() -> None:
+    """Of complex series that are exact; their truth has 50 digits."""
+    assert SERIES == (filters.ORDERS + 4) * EPS  # as many products are in a sum
+    rng = np.random.default_rng(12)
+    values = rng.normal(size=(2, 2, filters.ORDERS, 200)) * 10 ** rng.uniform(-2, 2, (2, 1, 1, 200))
+    one, other = (
+        filters.Series(real + 1j * imag, np.zeros((filters.ORDERS, 200))) for real, imag in values
+    )
+    shares = list[float]()
+    with mpmath.workdps(50):
+        for made, exact in (
+            (one * other, lambda a, b: times(a, b)),
+            (one.reciprocal(), lambda a, _: inverse(a)),
+        ):
+            for k in range(200):
+                a, b = ([mpmath.mpmathify(c) for c in s.value[:, k].tolist()] for s in (one, other))
+                for true, near, bound in zip(
+                    exact(a, b), made.value[:, k].tolist(), made.error[:, k].tolist(), strict=True
+                ):
+                    shares.append(float(abs(true - near) / bound))
+    assert 0.05 < max(shares) <= 1.0
 
 
 def test_errors_of_inverses_of_series_are_attained() -> None:

@@ -98,7 +98,7 @@ def places_of(dataset: h5py.Dataset) -> list[Span]:
 _FILTERS = {h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_FLETCHER32}
 _LONGEST_ATTRIBUTE = 2**16  # bytes
 _ROOM = 2**28  # bytes that HDF5 takes to read some chunks
-_ROOM_TO_OPEN = 2**25
+_ROOM_TO_OPEN = 2**25  # with less, libhdf5 may crash, or fail on every later file
 
 # What HDF5, h5py and who uses them raise at a file that is not as it should be.
 _TROUBLES = RefusalError, ValueError, LookupError, TypeError, ArithmeticError, RuntimeError, OSError
@@ -107,7 +107,7 @@ _TROUBLES = RefusalError, ValueError, LookupError, TypeError, ArithmeticError, R
 @contextmanager
 def opened(path: Path) -> Iterator[h5py.File]:
     """Open the image of a file whose table was checked; ValueError or MemoryError if HDF5 fails."""
-    if not _has_room(_ROOM_TO_OPEN):  # without it libhdf5 frees memory twice, or reads none again
+    if not _has_room(_ROOM_TO_OPEN):
         raise MemoryError(f"there is not enough memory to verify {path}.")
     try:
         with path.open("rb", buffering=0) as stream, h5py.File(stream, "r") as file:
@@ -120,9 +120,10 @@ def opened(path: Path) -> Iterator[h5py.File]:
 
 def _has_room(size: int) -> bool:
     try:
-        return bool(np.empty(size, np.uint8).size)
+        np.empty(size, np.uint8)
     except MemoryError:
         return False
+    return True
 
 
 def checked_datasets(file: h5py.File, table: Table) -> dict[str, h5py.Dataset]:
