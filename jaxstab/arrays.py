@@ -117,7 +117,8 @@ def leaves(tree: object, *, plain: bool = True) -> Iterator[Any]:
     pending = [tree]  # no recursion: it is called often, and nested generators are slow
     while pending:
         node = pending.pop()
-        if type(node) in _PLAIN:
+        kind: Any = type(node)
+        if kind in _PLAIN:
             if plain:
                 yield node
         elif isinstance(node, tuple | list):
@@ -125,24 +126,30 @@ def leaves(tree: object, *, plain: bool = True) -> Iterator[Any]:
                 pending.extend(reversed(node))
         elif isinstance(node, dict):
             pending.extend(reversed(node.values()))
-        elif is_dataclass(node) and not isinstance(node, type):
-            pending.extend(getattr(node, field.name) for field in reversed(fields(node)))
+        elif (names := _field_names(kind)) is not None:
+            pending.extend(getattr(node, name) for name in reversed(names))
         elif node is not None:
             yield node
+
+
+@cache
+def _field_names(kind: type) -> tuple[str, ...] | None:
+    """The names of the fields of a dataclass, None for another type."""
+    return tuple(field.name for field in fields(kind)) if is_dataclass(kind) else None
 
 
 def tree_map(function: Callable[..., Any], tree: Tree, *others: Tree) -> Tree:
     """Return a tree like the first, its leaves those of ``function`` on the leaves of all."""
     result: Any
-    if type(tree) in _PLAIN:
+    kind: Any = type(tree)
+    if kind in _PLAIN:
         result = function(tree, *others)
     elif isinstance(tree, tuple | list):
         branches = [tree_map(function, *branch) for branch in zip(tree, *others, strict=True)]
-        result = type(tree)(*branches) if hasattr(tree, "_fields") else type(tree)(branches)
-    elif is_dataclass(tree) and not isinstance(tree, type):
-        names = [field.name for field in fields(tree)]
+        result = kind(*branches) if hasattr(tree, "_fields") else kind(branches)
+    elif (names := _field_names(kind)) is not None:
         columns = ([getattr(each, name) for each in (tree, *others)] for name in names)
-        result = type(tree)(*(tree_map(function, *column) for column in columns))
+        result = kind(*(tree_map(function, *column) for column in columns))
     else:
         result = None if tree is None else function(tree, *others)
     return result

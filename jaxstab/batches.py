@@ -119,19 +119,25 @@ def on_few_sizes(function: Callable[..., Result], *arguments: Any) -> Result:
     """
     shape = np.broadcast_shapes(*map(np.shape, leaves(arguments)))
     count = min(_cores(), prod(shape) // _FOR_A_CORE)
-    return in_pieces(partial(filled_up, function), arguments, count)
+    filled = partial(filled_up, function)
+    return filled(*arguments) if count < 2 else in_pieces(filled, arguments, count)
 
 
-def in_pieces(function: Callable[..., Result], arguments: tuple[Any, ...], count: int) -> Result:
+def in_pieces(
+    function: Callable[..., Result],
+    arguments: tuple[Any, ...],
+    count: int,
+    *,
+    is_parallel: bool = False,
+) -> Result:
     """Call a function of points, NumPy in and out, on ``count`` pieces of their grid.
 
-    The grid is cut across its longest axis. As many pieces are computed at a time as the CPU has
-    cores for JAX; each core writes what it has computed into the whole.
+    The grid is cut across its longest axis, and what is computed is written into the whole. As many
+    pieces are computed at a time as the CPU has cores for JAX, or one after the other if the
+    function itself is parallel (``is_parallel``).
     """
     shape = np.broadcast_shapes(*map(np.shape, leaves(arguments)))
-    count = min(count, max(shape, default=0) // 2)
-    if count < 2:
-        return function(*arguments)
+    count = max(1, min(count, max(shape) // 2))
     axis = int(np.argmax(shape)) - len(shape)
     ends = [shape[axis] * k // count for k in range(count + 1)]
     wholes: list[Any] = []
@@ -158,7 +164,12 @@ def in_pieces(function: Callable[..., Result], arguments: tuple[Any, ...], count
                 wholes.append(tree_map(whole, answer))
         tree_map(write, wholes[0], answer)
 
-    on_cores(of_piece, list(pairwise(ends)))
+    pieces = list(pairwise(ends))
+    if is_parallel:
+        for piece in pieces:
+            of_piece(piece)
+    else:
+        on_cores(of_piece, pieces)
     result: Result = wholes[0]
     return result
 

@@ -12,7 +12,7 @@ the distance.
 
 from collections.abc import Callable
 from functools import partial, reduce
-from math import prod
+from math import ceil, prod
 from operator import add
 from typing import Any, NamedTuple
 
@@ -62,7 +62,7 @@ from jaxstab.rounding import SAFETY, UNIT
 Column = Any  # an array, or None for zeros
 
 _LONGEST_UNROLLED = 4000  # about as many products; beyond, code was up to 100 times slower
-NEIGHBOURS = 8  # points that share a guess, at most the padding of the axes of a large grid
+NEIGHBOURS = 16  # points that share a guess, at most the padding of the axes of a large grid
 TILE = 256  # points whose polynomials of a higher degree stay in the cache
 
 
@@ -110,6 +110,13 @@ class Loop(NamedTuple):
             column = columns[power]
             columns[power] = wall if column is None else column + wall
         return columns
+
+    def polynomials(self, degree: int) -> Array:
+        """The coefficients of p(z) on the last axis, highest power of z first."""
+        xp = namespace(self)
+        columns = [1.0, *reversed(self.coefficients(degree))]
+        given = [0.0 if column is None else column for column in columns]
+        return xp.stack(xp.broadcast_arrays(*given), axis=-1)
 
 
 @compiled(static=["degree", "effort", "shared"], many=0, wide=True)
@@ -232,7 +239,7 @@ def _real_power(x: Array, exponent: int) -> Array | float:
 
 _LOST_IN_SQUARES = 1e-150  # moduli below are flushed to zero
 _SLACK = 1.0 + 1e-6  # the bounds themselves are rounded
-_BESIDE = 2.0**-20  # how far inside of the root the circle is, relative
+_BESIDE = 2.0**-25  # how far inside of the root the circle is, relative
 
 
 @compiled(static=["degree", "corrections", "shared"], many=0, wide=True)
@@ -369,6 +376,7 @@ TOLERANCE = 1e-12
 _LIST = 2**18  # up to this many points, lists are filled up to a length compiled once for all
 _SHORTEST_LIST = 8
 _BLOCK = 2**18  # points of a larger grid that a core computes at once
+_LARGE_BLOCK = 2**20  # the same for all cores together
 _SHARED = Effort(14, 4, _BLOCK)  # for a root that neighbours share
 _LONGEST_SHARED = 8.0  # delay; beyond, guesses are little of the work
 _STEADY = 512  # points of an axis that differ by little from their neighbours
@@ -378,51 +386,83 @@ Indices = Int64[np.ndarray, " point"]
 Answer = tuple[Array, Array]  # value and error
 
 
-def fast_radius(parameters: list[Array], shape: tuple[int, ...], delay: float) -> Answer:
-    """Value and error of the spectral radius, by XLA; the error is inf if nothing is proved.
+def fast_radius(
+    parameters: list[Array], shape: tuple[int, ...], delay: float
+) -> tuple[Array, Array, Indices]:
+    """Value and error of the spectral radius, by XLA, and the flat indices of points still open.
 
-    ``parameters`` are alpha, beta, gamma, delta, checked; the delay is at most LONGEST_DELAY.
-    JAX arrays stay on their device; the host sees only the indices of points still open.
+    There the error is more than TOLERANCE, and infinite if nothing is proved. ``parameters`` are
+    alpha, beta, gamma, delta, checked; the delay is at most LONGEST_DELAY. JAX arrays stay on their
+    device; the host sees only the indices.
     """
     first, *others = _tries(delay)
+    loop = _shared_loop(parameters, delay)
     if is_any_jax(parameters):
-        answer = _tried(_loop(parameters, delay), delay, first)
+        answer = _tried(loop or _loop(parameters, delay), delay, first)
         value, error = (namespace(column).broadcast_to(column, shape) for column in answer)
+    elif prod(shape) > _LIST:
+        value, error = _on_grid(loop, parameters, shape, delay, first)
     else:
-        count = prod(shape)
-        if count > _LIST:
-            shared = _steady_axis(parameters, shape) if 0.0 < delay <= _LONGEST_SHARED else None
-            value, error = in_pieces(
-                lambda *piece: _tried(_loop(list(piece), delay), delay, first, shared),
-                tuple(parameters),
-                max(2, -(-count // _BLOCK)),
-            )
-        else:
-            value, error = np.empty(shape), np.empty(shape)
-            _try_list((value, error), parameters, np.arange(count), delay, first)
+        value, error = np.empty(shape), np.empty(shape)
+        every = np.arange(prod(shape))
+        _try_list((value, error), loop, parameters, every, delay, first)
+    still_open = true_indices(~(error <= TOLERANCE))
     for effort in others:
-        still_open = true_indices(~(error <= TOLERANCE))
-        value, error = _try_list((value, error), parameters, still_open, delay, effort)
-    return value, error
+        value, error = _try_list((value, error), loop, parameters, still_open, delay, effort)
+        still_open = still_open[~(np.asarray(error.ravel()[still_open]) <= TOLERANCE)]
+    return value, error, still_open
+
+
+def _shared_loop(parameters: list[Array], delay: float) -> Loop | None:
+    """Return the loops of a grid with few plants, which are computed once."""
+    plants = prod(np.broadcast_shapes(*(hand.shape for hand in parameters[2:])))
+    return _loop(parameters, delay) if plants <= _LIST else None
+
+
+def _on_grid(
+    loop: Loop | None,
+    parameters: list[Array],
+    shape: tuple[int, ...],
+    delay: float,
+    effort: Effort,
+) -> Answer:
+    shared = _steady_axis(parameters, shape) if 0.0 < delay <= _LONGEST_SHARED else None
+    # XLA divides a program without loops among the cores by itself.
+    is_parallel = polynomial_degree(delay) <= HIGHEST_COUNTED
+
+    def of_piece(*piece: Any) -> Answer:
+        own = Loop(*piece) if loop else _loop(list(piece), delay)
+        return _tried(own, delay, effort, shared)
+
+    count = prod(shape) / (_LARGE_BLOCK if is_parallel else _BLOCK)
+    return in_pieces(
+        of_piece,
+        tuple(loop or parameters),
+        ceil(count) if is_parallel else max(2, ceil(count)),
+        is_parallel=is_parallel,
+    )
 
 
 def _try_list(
-    answer: Answer, parameters: list[Array], indices: Indices, delay: float, effort: Effort
+    answer: Answer,
+    loop: Loop | None,
+    parameters: list[Array],
+    indices: Indices,
+    delay: float,
+    effort: Effort,
 ) -> Answer:
     """Return the answer with new results at flat indices."""
     shape = answer[0].shape
-    plants = prod(np.broadcast_shapes(*(hand.shape for hand in parameters[2:])))
-    shared = _loop(parameters, delay) if plants <= indices.size else None
     longest, shortest = effort.longest_list, _SHORTEST_LIST
     if is_any_jax(parameters):  # an accelerator computes a long list as quickly as a short one
         longest = shortest = longest if is_on_cpu() else _LIST
     columns: list[Answer] = []
     for part, padded in lists(indices, longest, shortest):
-        if shared:
-            loop = Loop(*looked_up(shared, shape, padded))
+        if loop:
+            listed = Loop(*looked_up(loop, shape, padded))
         else:
-            loop = _loop(looked_up(parameters, shape, padded), delay)
-        columns.append(take(_tried(loop, delay, effort), slice(part.size)))
+            listed = _loop(looked_up(parameters, shape, padded), delay)
+        columns.append(take(_tried(listed, delay, effort), slice(part.size)))
     if not columns:
         return answer
     return tree_map(lambda old, new: with_values(old, indices, new), answer, joined(columns))
@@ -467,6 +507,6 @@ def _tried(loop: Loop, delay: float, effort: Effort, shared: int | None = None) 
 
 def _tries(delay: float) -> tuple[Effort, ...]:
     if delay <= 8.0:
-        return Effort(10, 1, 2**15) if delay else Effort(0, 1, 2**15), Effort(16, 8, 2**12)
+        return Effort(10, 1, 2**15) if delay else Effort(0, 1, 2**15), Effort(20, 12, 2**12)
     last = Effort(14, 8, 2**10)
     return Effort(9, 6, 2**15, 4 if delay <= 21.0 else 6), Effort(10, 8, 2**12, 16), last

@@ -36,13 +36,13 @@ from jaxstab.arrays import (
     repeat_while,
     take,
     tree_map,
-    true_indices,
     with_values,
 )
 from jaxstab.batches import MANY, compiled, over_tiles
 from jaxstab.conventions import RadiusStatus, Verdict
 from jaxstab.model import (
     DoubleDouble,
+    by_name,
     characteristic_polynomial,
     checked_delay,
     checked_delta,
@@ -431,10 +431,10 @@ def _of_delay(
 ) -> tuple[Array, Array]:
     """Return value and error at points of one delay, or of delays of the same form of p(z)."""
     if is_fast and _is_for_many(shape, delay):
-        value, error = fast_radius(parameters, shape, float(delay))
+        value, error, still_open = fast_radius(parameters, shape, float(delay))
     else:
         value, error = np.zeros(shape), np.full(shape, np.inf)
-    still_open = true_indices(~(error <= TOLERANCE))
+        still_open = np.arange(value.size)
     for start in range(0, still_open.size, _LIST):
         part = still_open[start : start + _LIST]
         listed = tree_map(np.asarray, looked_up(parameters, shape, part))
@@ -457,28 +457,28 @@ def _few(
     parameters: list[Values], delay: Values | float, *, is_fast: bool
 ) -> tuple[Values, Values]:
     """Return value and error for a list of points: eigenvalues, proved in one of two ways."""
-    alpha, beta, gamma, delta = parameters
-    coefficients = characteristic_polynomial(alpha, beta, gamma=gamma, delta=delta, delay=delay)
-    poles = companion_poles(coefficients)
-    value, error = np.abs(poles[:, 0]), np.full(len(poles), np.inf)
+    shape = np.broadcast_shapes(*map(np.shape, parameters))
+    value, error = np.zeros(shape), np.full(shape, np.inf)
     if is_fast:
-        value, error = _polished(parameters, delay, poles[:, 0])
+        value, error = _polished(parameters, delay)
     is_open = np.flatnonzero(~(error <= TOLERANCE))
     if is_open.size:
-        rough = np.abs(poles[is_open, 0])
-        bound = radius_error(coefficients[is_open], rough)
+        own = delay if np.ndim(delay) == 0 else np.asarray(delay)[is_open]
+        listed = by_name(*looked_up(parameters, shape, is_open), own)
+        coefficients = characteristic_polynomial(**listed)
+        rough = np.abs(companion_poles(coefficients)[:, 0])
+        bound = radius_error(coefficients, rough)
         closer = ~(bound >= error[is_open])
         value[is_open[closer]], error[is_open[closer]] = rough[closer], bound[closer]
     return value, error
 
 
-def _polished(
-    parameters: list[Values], delay: Values | float, root: Values
-) -> tuple[Values, Values]:
+def _polished(parameters: list[Values], delay: Values | float) -> tuple[Values, Values]:
     alpha, beta, gamma, delta = parameters
     degree, fraction = polynomial_degree(float(np.max(delay))), np.asarray(delay) % 1.0
     plant = float_plant(gamma, delta, fraction, is_fractional=bool(np.any(fraction > 0.0)))
     loop = Loop(alpha, beta, gamma, plant)
+    root = companion_poles(loop.polynomials(degree))[:, 0]
     t = Complex(root.real - 1.0, np.abs(root.imag))
     with np.errstate(all="ignore"):
         for _ in range(_NEWTON_STEPS):
@@ -517,8 +517,8 @@ def _believed(value: Array, error: Array, gamma: Array, delta: Array) -> Spectra
 def _with_status(value: Array, error: Array) -> SpectralRadius:
     xp = namespace(value, error)
     proved, unproved = np.int8(RadiusStatus.PROVED), np.int8(RadiusStatus.NO_BOUND)
-    status = named(xp.where(xp.isfinite(error), proved, unproved), RadiusStatus)
-    return SpectralRadius(value, error, status)
+    status = unproved + (proved - unproved) * (error < xp.inf)  # faster than a choice
+    return SpectralRadius(value, error, named(status, RadiusStatus))
 
 
 # Which polynomials have all roots in a circle, in float64 and not proved: a sieve.
