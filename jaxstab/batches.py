@@ -175,10 +175,11 @@ def in_pieces(
 
 
 def on_cores(function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
-    """Apply a function to items, as many at a time as the CPU has cores for JAX."""
+    """Apply a function to items, on all cores that the CPU has for JAX."""
     from concurrent.futures import ThreadPoolExecutor  # slow to import
 
-    with ThreadPoolExecutor(_cores()) as pool:
+    # One more than the cores: one is always between two items, in Python.
+    with ThreadPoolExecutor(_cores() + is_on_cpu()) as pool:
         return list(pool.map(function, items))
 
 

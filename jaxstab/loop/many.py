@@ -12,6 +12,7 @@ groups too small to compile for, are answered as ``HapticLoop.limits`` answers.
 
 from collections.abc import Hashable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from functools import reduce
 from itertools import chain
 from math import prod
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
@@ -45,7 +46,7 @@ if TYPE_CHECKING:
 _VERTICES = 295  # of an outline
 _FEWEST = 64  # loops of a kind: a program takes as long to compile as these take one by one
 _AT_ONCE = 256  # loops that a program takes
-_FORMED = 1024  # loops whose coefficients are held in memory
+_FORMED = 2048  # loops whose coefficients are held in memory
 _FEWEST_COMPILED = 4  # the same for a program that is compiled
 _SCANS = 3  # of a loop, at most
 _MISSED = np.array([1e-5, 3e-5])  # distances of the first angles from where a piece was missed
@@ -58,7 +59,7 @@ _MIRRORED = 0.97  # angles beyond an end, so that none is there twice
 _NARROWEST, _NO_RESONANCE = 1e-6, 0.05  # distances from the circle
 _FILTERS = ("velocity", "position")
 
-_STEPS = np.linspace(0.0, 1.5, 151)[1:]  # sizes of z - 1
+_FARTHEST, _HALVINGS = 1.5, 8  # of z - 1, for which its powers may have the smaller terms
 
 Column = Float64[np.ndarray, " loop"]
 Floats = Float64[Array, "loop part power"]
@@ -558,10 +559,19 @@ def _triples(formed: list[_Formed], degree: int) -> "Triples":
     ends = xp.concatenate([group.ends for group in formed])
     scans = [_scans(group, degree) for group in formed]
     shifted, rounded = _shifted(straight), straight.rounded()
-    powers = _STEPS ** np.arange(degree, -1, -1)[:, None]
-    is_less = abs(shifted) @ powers < xp.sum(abs(rounded), axis=-1)[..., None]
-    close = xp.max(xp.where(is_less, _STEPS, 0.0), axis=-1)
-    return Triples(rounded, shifted, close, ends, xp.concatenate(scans))
+    return Triples(rounded, shifted, _close(rounded, shifted), ends, xp.concatenate(scans))
+
+
+def _close(straight: Floats, shifted: Floats) -> Float64[Array, "loop part"]:
+    """Return up to which abs(z - 1) powers of z - 1 have the smaller terms, by bisection."""
+    xp = namespace(straight, shifted)
+    most, sizes = xp.sum(abs(straight), axis=-1), xp.moveaxis(abs(shifted), -1, 0)
+    low, high = xp.zeros_like(most), xp.full_like(most, _FARTHEST)
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        is_less = reduce(lambda total, size: total * middle + size, sizes) < most
+        low, high = xp.where(is_less, middle, low), xp.where(is_less, high, middle)
+    return low
 
 
 def _joined(groups: list[DoubleDouble], degree: int) -> DoubleDouble:
