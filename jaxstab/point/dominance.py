@@ -507,6 +507,6 @@ def _tried(loop: Loop, delay: float, effort: Effort, shared: int | None = None) 
 
 def _tries(delay: float) -> tuple[Effort, ...]:
     if delay <= 8.0:
-        return Effort(10, 1, 2**15) if delay else Effort(0, 1, 2**15), Effort(20, 12, 2**12)
+        return Effort(10, 1, 2**15) if delay else Effort(0, 1, 2**15), Effort(20, 10, 2**12)
     last = Effort(14, 8, 2**10)
     return Effort(9, 6, 2**15, 4 if delay <= 21.0 else 6), Effort(10, 8, 2**12, 16), last
