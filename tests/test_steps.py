@@ -294,7 +294,7 @@ def test_subsets_of_roots_are_told_apart() -> None:
 
 
 @pytest.mark.parametrize("delay", [0.0, 1.0])
-@pytest.mark.parametrize("off", [1e-8, -1e-9])
+@pytest.mark.parametrize("off", [3e-10, -3e-11])
 def test_the_distance_of_a_dominant_root_is_little_more_than_what_newton_corrects(
     delay: float, off: float
 ) -> None:
@@ -314,6 +314,6 @@ def test_the_distance_of_a_dominant_root_is_little_more_than_what_newton_correct
     degree = 3 + int(delay)
     t = fields.Complex(np.array([root.real]), np.array([root.imag]))
     (bound,) = dominance.with_distance(t, loop, degree)[1]
-    apart = 2.0**-20 * min(abs(root), abs(1.0 + root))
+    apart = 2.0**-25 * min(abs(root), abs(1.0 + root))
     closer = degree / (degree - (degree - 1.0) * degree * abs(off) / apart)
     assert abs(off) <= bound == pytest.approx(closer * abs(off), rel=0.02)

@@ -397,19 +397,25 @@ def fast_radius(
     """
     first, *others = _tries(delay)
     loop = _shared_loop(parameters, delay)
-    if is_any_jax(parameters):
-        answer = _tried(loop or _loop(parameters, delay), delay, first)
-        value, error = (namespace(column).broadcast_to(column, shape) for column in answer)
-    elif prod(shape) > _LIST:
-        value, error = _on_grid(loop, parameters, shape, delay, first)
+    if not is_any_jax(parameters) and prod(shape) <= _LIST:
+        value, error, still_open = np.empty(shape), np.empty(shape), np.arange(prod(shape))
+        others = [first, *others]
     else:
-        value, error = np.empty(shape), np.empty(shape)
-        every = np.arange(prod(shape))
-        _try_list((value, error), loop, parameters, every, delay, first)
-    still_open = true_indices(~(error <= TOLERANCE))
+        if is_any_jax(parameters):
+            answer = _tried(loop or _loop(parameters, delay), delay, first)
+            value, error = (namespace(column).broadcast_to(column, shape) for column in answer)
+        else:
+            value, error = _on_grid(loop, parameters, shape, delay, first)
+        still_open = true_indices(~(error <= TOLERANCE))
     for effort in others:
-        value, error = _try_list((value, error), loop, parameters, still_open, delay, effort)
-        still_open = still_open[~(np.asarray(error.ravel()[still_open]) <= TOLERANCE)]
+        if not still_open.size:
+            break
+        tried = _try_list(loop, parameters, shape, still_open, delay, effort)
+        value, error = (
+            with_values(old, still_open, new)
+            for old, new in zip((value, error), tried, strict=True)
+        )
+        still_open = still_open[~(np.asarray(tried[1]) <= TOLERANCE)]
     return value, error, still_open
 
 
@@ -444,15 +450,14 @@ def _on_grid(
 
 
 def _try_list(
-    answer: Answer,
     loop: Loop | None,
     parameters: list[Array],
+    shape: tuple[int, ...],
     indices: Indices,
     delay: float,
     effort: Effort,
 ) -> Answer:
-    """Return the answer with new results at flat indices."""
-    shape = answer[0].shape
+    """Return the answer at flat indices."""
     longest, shortest = effort.longest_list, _SHORTEST_LIST
     if is_any_jax(parameters):  # an accelerator computes a long list as quickly as a short one
         longest = shortest = longest if is_on_cpu() else _LIST
@@ -463,9 +468,7 @@ def _try_list(
         else:
             listed = _loop(looked_up(parameters, shape, padded), delay)
         columns.append(take(_tried(listed, delay, effort), slice(part.size)))
-    if not columns:
-        return answer
-    return tree_map(lambda old, new: with_values(old, indices, new), answer, joined(columns))
+    return joined(columns)
 
 
 def _loop(parameters: list[Array], delay: float) -> Loop:
