@@ -4,7 +4,6 @@ import re
 import shlex
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -34,51 +33,38 @@ def jaxstab_command(line: str, folder: Path) -> str:
     return run("-c", START, *arguments, folder=folder)
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder where the first command was run, its installation aside."""
-    folder = tmp_path_factory.mktemp("readme")
+@pytest.mark.campaign
+def test_the_main_job_writes_one_file_that_answers(tmp_path: Path) -> None:
+    """The first command, its installation aside, and all that asks its atlas."""
     install, build = blocks("sh")[0].strip().split(" && ")
     assert install == "python -m pip install ."
-    said = jaxstab_command(build, folder)
-    (folder / "said").write_text(said)
-    return folder
+    said = jaxstab_command(build, tmp_path)
+    assert [path.name for path in tmp_path.glob("*.h5")] == ["atlas.h5"]
+    assert "stable" in jaxstab_command(said.splitlines()[-1], tmp_path)
 
-
-@pytest.mark.campaign
-def test_the_main_job_writes_one_file_and_says_how_to_ask_it(folder: Path) -> None:
-    said = (folder / "said").read_text()
-    assert [path.name for path in folder.glob("*.h5")] == ["atlas.h5"]
-    answer = jaxstab_command(said.splitlines()[-1], folder)
-    assert "stable" in answer
-
-
-@pytest.mark.campaign
-def test_the_atlas_of_the_main_job_holds_the_haptic_range(folder: Path) -> None:
-    atlas = jaxstab.open_atlas(folder / "atlas.h5")
+    atlas = jaxstab.open_atlas(tmp_path / "atlas.h5")
     assert atlas.delays.tolist() == [0.0, 1.0, 2.0, 3.0]
     nodes = atlas.nodes(0)
     assert (nodes["gamma"][0], nodes["gamma"][-1]) == (0.0, 1e-3)
     assert (nodes["delta"][0], nodes["delta"][-1]) == (0.0, 0.015)
 
-
-@pytest.mark.campaign
-def test_the_query_answers(folder: Path) -> None:
-    header, answer = jaxstab_command(blocks("sh")[1].strip(), folder).splitlines()
-    row = dict(zip(header.split(","), answer.split(","), strict=True))
-    assert row["verdict"] == "stable"
-
-
-def lines_of_python() -> Iterator[object]:
-    """Each block; one that opens the atlas of the main job belongs to the campaign."""
-    for code in blocks("python"):
-        marks = [pytest.mark.campaign] if "open_atlas" in code else []
-        yield pytest.param(code, marks=marks, id=code.splitlines()[-1])
+    header, answer = jaxstab_command(blocks("sh")[1].strip(), tmp_path).splitlines()
+    assert dict(zip(header.split(","), answer.split(","), strict=True))["verdict"] == "stable"
+    asking = [code for code in blocks("python") if "open_atlas" in code]
+    assert asking
+    for code in asking:
+        assert_prints_what_it_promises(code, tmp_path)
 
 
-@pytest.mark.parametrize("code", list(lines_of_python()))
-def test_the_lines_of_python_run(code: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
-    folder = request.getfixturevalue("folder") if "open_atlas" in code else tmp_path
+@pytest.mark.parametrize(
+    "code", [code for code in blocks("python") if "open_atlas" not in code],
+    ids=lambda code: code.splitlines()[-1],
+)  # fmt: skip
+def test_the_lines_of_python_run(code: str, tmp_path: Path) -> None:
+    assert_prints_what_it_promises(code, tmp_path)
+
+
+def assert_prints_what_it_promises(code: str, folder: Path) -> None:
     printed = run("-c", code, folder=folder).splitlines()
     promised = re.findall(r"print\(.*\)\s+# ([A-Z]+)$", code, flags=re.MULTILINE)
     assert set(promised) <= set(printed)

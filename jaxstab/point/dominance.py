@@ -239,7 +239,7 @@ def _real_power(x: Array, exponent: int) -> Array | float:
 
 _LOST_IN_SQUARES = 1e-150  # moduli below are flushed to zero
 _SLACK = 1.0 + 1e-6  # the bounds themselves are rounded
-_BESIDE = 2.0**-25  # how far inside of the root the circle is, relative
+_BESIDE, _BESIDE_OF_LONG = 2.0**-25, 2.0**-20  # how far inside of the root the circle is, relative
 
 
 @compiled(static=["degree", "corrections", "shared"], many=0, wide=True)
@@ -280,7 +280,9 @@ def with_distance(t: Complex, loop: Loop, degree: int) -> tuple[Array, Array]:
     squared = t.squared_modulus()
     size, radius = xp.sqrt(squared), xp.sqrt(t.shifted(1.0).squared_modulus())
     distance, rounding = _distance_to_root(t, size, radius, loop, degree)
-    margin = _BESIDE * xp.minimum(size, radius)
+    # The counts of long polynomials have fewer digits.
+    beside = _BESIDE if degree <= HIGHEST_COUNTED else _BESIDE_OF_LONG
+    margin = beside * xp.minimum(size, radius)
     within = (2.0 * t.re + squared) / (radius + 1.0) - margin
     is_real = t.im == 0.0
     is_proved = (
