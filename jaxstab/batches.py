@@ -132,9 +132,9 @@ def in_pieces(
 ) -> Result:
     """Call a function of points, NumPy in and out, on ``count`` pieces of their grid.
 
-    The grid is cut across its longest axis, and what is computed is written into the whole. As many
-    pieces are computed at a time as the CPU has cores for JAX, or one after the other if the
-    function itself is parallel (``is_parallel``).
+    The grid is cut across its longest axis, and each answer is copied into arrays for the whole
+    grid. The cores of the CPU share the pieces; if the function itself uses all cores
+    (``is_parallel``), the pieces are computed one after another.
     """
     shape = np.broadcast_shapes(*map(np.shape, leaves(arguments)))
     count = max(1, min(count, max(shape) // 2))
@@ -178,8 +178,9 @@ def on_cores(function: Callable[[Item], Result], items: Sequence[Item]) -> list[
     """Apply a function to items, on all cores that the CPU has for JAX."""
     from concurrent.futures import ThreadPoolExecutor  # slow to import
 
-    # One more than the cores: one is always between two items, in Python.
-    with ThreadPoolExecutor(_cores() + is_on_cpu()) as pool:
+    # One thread more than there are cores: a thread spends part of its time in Python, between
+    # two programs, and its core would be idle.
+    with ThreadPoolExecutor(_cores() + 1 if is_on_cpu() else 1) as pool:
         return list(pool.map(function, items))
 
 

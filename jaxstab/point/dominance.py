@@ -442,13 +442,8 @@ def _on_grid(
         own = Loop(*piece) if loop else _loop(list(piece), delay)
         return _tried(own, delay, effort, shared)
 
-    count = prod(shape) / (_LARGE_BLOCK if is_parallel else _BLOCK)
-    return in_pieces(
-        of_piece,
-        tuple(loop or parameters),
-        ceil(count) if is_parallel else max(2, ceil(count)),
-        is_parallel=is_parallel,
-    )
+    count = ceil(prod(shape) / (_LARGE_BLOCK if is_parallel else _BLOCK))
+    return in_pieces(of_piece, tuple(loop or parameters), count, is_parallel=is_parallel)
 
 
 def _try_list(

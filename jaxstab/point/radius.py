@@ -517,7 +517,7 @@ def _believed(value: Array, error: Array, gamma: Array, delta: Array) -> Spectra
 def _with_status(value: Array, error: Array) -> SpectralRadius:
     xp = namespace(value, error)
     proved, unproved = np.int8(RadiusStatus.PROVED), np.int8(RadiusStatus.NO_BOUND)
-    status = unproved + (proved - unproved) * (error < xp.inf)  # faster than a choice
+    status = unproved + (proved - unproved) * (error < xp.inf)  # quicker than where
     return SpectralRadius(value, error, named(status, RadiusStatus))
 
 
