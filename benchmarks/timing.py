@@ -1,7 +1,8 @@
 """Time rivals in turns: all see the same state of the machine.
 
-A turn of a quick rival is as many calls as fill ``_TURN``, and counts with their median: one call
-alone would mostly time how the interpreter comes back into the cache. The first is kept apart.
+A turn of a rival is as many calls as fill ``_TURN``, and counts with their median: one call alone
+would mostly time how the interpreter and the data come back into the cache. The first is kept apart
+(``seconds_after_others``). A turn of 0.02 s gave warm calls to those quicker than that alone.
 Where others use the machine, too, long calls wait for them and short ones do not: ``cpu_seconds``,
 the mean of a turn over all threads, does not count that.
 """
@@ -14,7 +15,7 @@ from typing import Any
 import jax
 import numpy as np
 
-_TURN = 0.02  # seconds
+_TURN, _TURNS = 0.1, 10  # seconds at most, and fewest turns that the budget should be enough for
 
 
 @dataclass
@@ -62,7 +63,7 @@ def interleaved(
     while active:
         for name in [name for name in calls if name in active]:
             timing, start = timings[name], process_time()
-            turn = _turn(calls[name])
+            turn = _turn(calls[name], min(_TURN, budget / _TURNS))
             timing.cpu_seconds.append((process_time() - start) / len(turn))
             timing.first_seconds.append(turn[0])
             timing.seconds.append(float(np.median(turn)))
@@ -73,10 +74,10 @@ def interleaved(
     return timings
 
 
-def _turn(call: Callable[[], Any]) -> list[float]:
+def _turn(call: Callable[[], Any], length: float) -> list[float]:
     """Return the seconds of each call of one turn."""
     taken: list[float] = []
-    while sum(taken) < _TURN:
+    while not taken or sum(taken) < length:
         start = perf_counter()
         jax.block_until_ready(call())
         taken.append(perf_counter() - start)

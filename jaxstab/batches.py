@@ -104,8 +104,8 @@ def in_float64(function: Callable[..., Result], *arguments: Any, **options: Any)
     import jax
     import jax.numpy as jnp
 
+    namespace()  # tells JAX of our pytrees
     with jax.enable_x64(True):
-        namespace(jnp.zeros(()))
         arrays = tree_map(lambda leaf: leaf if np.ndim(leaf) == 0 else jnp.asarray(leaf), arguments)
         result: Result = tree_map(np.asarray, function(*arrays, **options))
     return result
@@ -210,18 +210,26 @@ def _cores() -> int:
     return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
-def filled_up(function: Callable[..., Result], *arguments: Any) -> Result:
-    """Call a JAX function of points in float64, on a grid of one of few sizes; NumPy in and out."""
+def filled_up(function: Callable[..., Result], *arguments: Any, is_smooth: bool = False) -> Result:
+    """Call a JAX function of points in float64, on a grid of one of few sizes; NumPy in and out.
+
+    What fills axes up are their last points; or else they go on as evenly as before (``is_smooth``)
+    for a function that compares neighbours.
+    """
     shape = np.broadcast_shapes(*map(np.shape, leaves(arguments)))
-    # Each axis is filled up with its last points to a length of five binary digits, which is at
-    # most 6 % more; so grids of new sizes are rarely compiled anew.
+    # Each axis is filled up to a length of five binary digits, which is at most 6 % more; so grids
+    # of new sizes are rarely compiled anew.
     steps = (1 << max(0, length.bit_length() - 5) for length in shape)
     filled = [-(-length // step) * step for length, step in zip(shape, steps, strict=True)]
 
     def fill(leaf: Any) -> Any:
         for axis, length in enumerate(np.shape(leaf), start=-np.ndim(leaf)):
             if 1 < length < filled[axis]:
-                padding = leaf.take(range(2 * length - filled[axis], length), axis)
+                missing = filled[axis] - length
+                padding = leaf.take(range(length - missing, length), axis)
+                if is_smooth:
+                    before = leaf.take(range(length - 2, length - 2 - missing, -1), axis)
+                    padding = 2.0 * leaf.take([-1], axis) - before
                 leaf = np.concatenate([leaf, padding], axis)
         return leaf
 

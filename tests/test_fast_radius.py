@@ -13,6 +13,7 @@ from mpmath import mp, mpf
 
 import jaxstab
 from benchmarks import truth
+from jaxstab.arrays import reciprocal, square_root
 from jaxstab.conventions import RadiusStatus
 from jaxstab.model import by_name
 from jaxstab.point import dominance as dominance
@@ -23,6 +24,7 @@ from jaxstab.point import traced_radius as power_iteration
 from jaxstab.point.dominance import Loop
 from jaxstab.point.poles import Complex
 from jaxstab.point.verdicts import float_plant
+from jaxstab.rounding import UNIT
 
 REFERENCE = Path(__file__).parents[1] / "data" / "reference"
 LONG_DELAY = 33.5
@@ -218,9 +220,25 @@ def test_neighbours_in_a_grid_share_a_guess_and_nothing_else(
     assert_honest(radius, np.array([*gains, *numbers]))
     assert np.mean(error <= dominance.TOLERANCE) > 0.99
     shuffled = rng.permutation(beta)
-    assert dominance._steady_axis([alpha, shuffled, *plant], shape) is None
+    uneven = beta + 0.2 * (beta[1] - beta[0]) * rng.random((rows, 1))
+    for other in (shuffled, uneven):
+        assert dominance._steady_axis([alpha, other, *plant], shape) is None
     again, *_ = dominance.fast_radius([alpha, shuffled, *plant], shape, 2.0)
     assert np.all(np.abs(np.sort(again, axis=0) - np.sort(value, axis=0)) < 1e-11)
+
+
+@pytest.mark.parametrize("delay", first_and_campaign([2.0, 0.5, 8.0], 1))
+def test_the_first_try_of_a_dense_grid_leaves_few_points_open(delay: float) -> None:
+    """Also next to the end of an axis that does not consist of whole blocks of neighbours."""
+    side = 600
+    alpha = np.linspace(-0.2, 1.0, side)[:, None] / (1.0 + delay) ** 2
+    beta = np.linspace(-0.2, 2.2, side) / (1.0 + 2.0 * delay)
+    parameters = [alpha, beta, np.asarray(1e-3), np.asarray(0.015)]
+    loop, first = dominance._shared_loop(parameters, delay), dominance._tries(delay)[0]
+    _, error = dominance._on_grid(loop, parameters, (side, side), delay, first)
+    is_open = ~(error <= dominance.TOLERANCE)
+    assert np.mean(is_open) < 0.02
+    assert np.mean(is_open[-8:]) < 0.02
 
 
 @pytest.mark.parametrize("delay", first_and_campaign([60.0, 20.0, 33.5], 1))
@@ -241,6 +259,22 @@ def test_a_loop_of_long_steps_has_about_the_dominant_root(
 def test_an_unknown_method_is_refused() -> None:
     with pytest.raises(ValueError, match="method is 'slow'"):
         jaxstab.spectral_radius(0.1, 0.1, gamma=0.0, delta=0.0, delay=0, method="slow")
+
+
+@pytest.mark.parametrize(
+    ("quick", "power"), [(reciprocal, -1.0), (square_root, 0.5)], ids=["inverse", "root"]
+)
+def test_quick_inverses_and_roots_are_never_too_large_and_have_seven_digits(
+    rng: np.random.Generator, quick: Callable[[jax.Array], jax.Array], power: float
+) -> None:
+    """As the bounds of distances need it: lemma R5, by 50 digits."""
+    x = 2.0 ** rng.uniform(-960.0, 960.0, 3000)
+    with mp.workdps(50):
+        exact = [mpf(number) ** mpf(power) for number in x.tolist()]
+        found = quick(jnp.array(x)).tolist()
+        ratios = [float(mpf(a) / b - 1) for a, b in zip(found, exact, strict=True)]
+    assert max(ratios) <= 4.0 * UNIT
+    assert min(ratios) >= -1e-7
 
 
 class TestPowerIteration:

@@ -26,6 +26,7 @@ from jaxstab.arrays import (
     leaves,
     namespace,
     reciprocal,
+    square_root,
     take,
     tree_map,
     true_indices,
@@ -49,7 +50,8 @@ from jaxstab.rounding import SAFETY, UNIT
 #
 # Only elementwise operations, the same for every point: a compiler keeps all of it in registers.
 # Powers of the companion matrix (``traced_radius``) make the guess, for long delays those of a loop
-# of fewer, longer samples; on a dense grid, neighbours share it. Newton's method works on
+# of fewer, longer samples. On a dense grid, neighbours share it: Newton's method leads from it to
+# the roots of a few of them, and the others start from the curve through these. It works on
 # t = z - 1, where the terms of
 #
 #     p(z) = z^(n-2) D(z) + N(z) (alpha z + beta t),    D = t^2 + (1 - d0 + D(1)) t + D(1)
@@ -63,6 +65,8 @@ Column = Any  # an array, or None for zeros
 
 _LONGEST_UNROLLED = 4000  # about as many products; beyond, code was up to 100 times slower
 NEIGHBOURS = 16  # points that share a guess, at most the padding of the axes of a large grid
+_NODES = (1, 5, 10, 14)  # those of them between which roots are interpolated
+_TO_NODES = 2  # steps of Newton's method from the guess
 TILE = 256  # points whose polynomials of a higher degree stay in the cache
 
 
@@ -145,13 +149,18 @@ def dominant_root(loop: Loop, *, degree: int, effort: Effort, shared: int | None
         return lax.complex(t.re, t.im)  # of two arrays XLA would compute each on its own
 
     if shared is not None:
-        middle = (..., slice(NEIGHBOURS // 2, None, NEIGHBOURS), *[slice(None)] * (-1 - shared))
+        middle = _along(shared, slice(NEIGHBOURS // 2, None, NEIGHBOURS))
         loop = tree_map(lambda leaf: leaf[middle] if _has_axis(leaf, shared) else leaf, loop)
     return root(loop) if is_unrolled else over_tiles(root, (loop,), TILE)
 
 
 def _has_axis(leaf: Array, axis: int) -> bool:
     return leaf.ndim >= -axis and leaf.shape[axis] > 1
+
+
+def _along(axis: int, entries: slice) -> tuple[Any, ...]:
+    """The index of some entries of an axis, which is negative."""
+    return (..., entries, *[slice(None)] * (-1 - axis))
 
 
 def _in_long_steps(
@@ -238,7 +247,7 @@ def _real_power(x: Array, exponent: int) -> Array | float:
 
 
 _LOST_IN_SQUARES = 1e-150  # moduli below are flushed to zero
-_SLACK = 1.0 + 1e-6  # the bounds themselves are rounded
+_SLACK = 1.0 + 1e-6  # bounds are rounded; quick roots and inverses are too small, by up to 1e-7
 _BESIDE, _BESIDE_OF_LONG = 2.0**-25, 2.0**-20  # how far inside of the root the circle is, relative
 
 
@@ -248,22 +257,59 @@ def polished(
 ) -> Array:
     """Correct roots t by Newton's method, by XLA; ``with_distance`` of them in a complex array.
 
-    Neighbours in an axis that is ``shared`` start from the same root.
+    Neighbours in an axis that is ``shared`` start between the roots ``at_nodes``.
     """
     from jax import lax
 
-    def kernel(root: Array, loop: Loop) -> Array:
-        t = Complex(root.real, root.imag)
+    def kernel(t: Complex, loop: Loop) -> Array:
         for _ in range(corrections):
             t = newton(t, loop, degree)
         return lax.complex(*with_distance(t, loop, degree))
 
+    t = Complex(root.real, root.imag)
     if shared is not None:
         xp = namespace(loop)
         shape = xp.broadcast_shapes(*map(xp.shape, leaves(loop)))
         loop = tree_map(partial(_in_blocks, axis=shared), loop)
-        return kernel(xp.expand_dims(root, shared), loop).reshape(shape)
-    return kernel(root, loop) if degree <= HIGHEST_COUNTED else over_tiles(kernel, (root, loop))
+        return kernel(_interpolated(t, shared), loop).reshape(shape)
+    return kernel(t, loop) if degree <= HIGHEST_COUNTED else over_tiles(kernel, (t, loop))
+
+
+@compiled(static=["degree", "shared"], many=0, wide=True)
+def at_nodes(root: Array, loop: Loop, *, degree: int, shared: int) -> Array:
+    """Follow the root t of each block of neighbours to its nodes, by Newton's method.
+
+    The nodes of a block take the place of its neighbours in the axis that is ``shared``.
+    """
+    from jax import lax
+
+    def nodes(leaf: Array) -> Array:
+        blocks = _in_blocks(leaf, shared)
+        if not _has_axis(blocks, shared):
+            return blocks
+        return xp.concatenate([blocks[_node(node, shared)] for node in _NODES], shared)
+
+    xp = namespace(root)
+    root = xp.expand_dims(root, shared)
+    loop, t = tree_map(nodes, loop), Complex(root.real, root.imag)
+    for _ in range(_TO_NODES):
+        t = newton(t, loop, degree)
+    return lax.complex(t.re, t.im)
+
+
+def _interpolated(root: Complex, axis: int) -> Complex:
+    """Return t of all neighbours on the curve through those at the nodes, by Lagrange's formula."""
+    place = np.arange(float(NEIGHBOURS)).reshape(-1, *[1] * (-1 - axis))
+    terms = []
+    for index, node in enumerate(_NODES):
+        weight = prod((place - other) / (node - other) for other in _NODES if other != node)
+        at_node = _node(index, axis)
+        terms.append(Complex(weight * root.re[at_node], weight * root.im[at_node]))
+    return reduce(Complex.plus, terms)
+
+
+def _node(index: int, axis: int) -> tuple[Any, ...]:
+    return _along(axis, slice(index, index + 1))
 
 
 def _in_blocks(leaf: Array, axis: int) -> Array:
@@ -278,7 +324,7 @@ def with_distance(t: Complex, loop: Loop, degree: int) -> tuple[Array, Array]:
     """Return |1 + t|, to 3 ulp, and a bound of what it may differ by from the spectral radius."""
     xp = namespace(t, loop)
     squared = t.squared_modulus()
-    size, radius = xp.sqrt(squared), xp.sqrt(t.shifted(1.0).squared_modulus())
+    size, radius = _SLACK * square_root(squared), xp.sqrt(t.shifted(1.0).squared_modulus())
     distance, rounding = _distance_to_root(t, size, radius, loop, degree)
     # The counts of long polynomials have fewer digits.
     beside = _BESIDE if degree <= HIGHEST_COUNTED else _BESIDE_OF_LONG
@@ -292,7 +338,8 @@ def with_distance(t: Complex, loop: Loop, degree: int) -> tuple[Array, Array]:
     apart = xp.minimum(margin - 32.0 * UNIT * size, xp.where(is_real, xp.inf, t.im))
     is_proved = is_proved & (distance < apart)
     # All other roots are at least as far from z, so that p'/p has one large term (lemma R5).
-    distance = _SLACK * distance / (degree - (degree - 1.0) * (distance / apart))
+    others = (degree - 1.0) * _SLACK * distance * reciprocal(apart)
+    distance = _SLACK * distance * reciprocal(degree - others)
     return radius, xp.where(is_proved, distance + 4.0 * UNIT * radius, xp.inf)
 
 
@@ -324,10 +371,11 @@ def _distance_to_root(
     )
     unit = (4.0 * (degree - 2) + 30.0) * UNIT
     rounding = unit * (below * radius * denominator + numerator * wall) + _LOST_IN_SQUARES
-    value_size = xp.sqrt(value.squared_modulus()) + rounding
-    slope_size = xp.sqrt(slope.squared_modulus()) - unit * slope_terms
-    distance = (_SLACK * degree) * value_size / slope_size
-    return xp.where(slope_size > 0.0, distance, xp.inf), rounding
+    value_size = square_root(value.squared_modulus()) + rounding
+    slope_size = square_root(slope.squared_modulus()) - unit * slope_terms
+    distance = (_SLACK * degree) * value_size * reciprocal(slope_size)
+    is_known = (slope_size > 0.0) & (value_size > 0.0)  # not if squares overflow
+    return xp.where(is_known, distance, xp.inf), rounding
 
 
 def _circle(t: Array, rounding: Array, loop: Loop, degree: int) -> tuple[Chain[Array], Ends]:
@@ -379,9 +427,10 @@ _LIST = 2**18  # up to this many points, lists are filled up to a length compile
 _SHORTEST_LIST = 8
 _BLOCK = 2**18  # points of a larger grid that a core computes at once
 _LARGE_BLOCK = 2**20  # the same for all cores together
-_SHARED = Effort(14, 4, _BLOCK)  # for a root that neighbours share
+_SHARED = Effort(14, 2, _BLOCK)  # for a root that neighbours share
 _LONGEST_SHARED = 8.0  # delay; beyond, guesses are little of the work
 _STEADY = 512  # points of an axis that differ by little from their neighbours
+_UNEVEN = 1 / 32  # most that such steps may differ by: roots are interpolated between neighbours
 
 Values = np.ndarray[Any, np.dtype[Any]]
 Indices = Int64[np.ndarray, " point"]
@@ -481,12 +530,17 @@ def _steady_axis(parameters: list[Array], shape: tuple[int, ...]) -> int | None:
     for axis in range(-len(shape), -1):
         moving = [values.ravel() for values in parameters if _has_axis(values, axis)]
         if shape[axis] >= _STEADY and all(
-            values.size == shape[axis]
-            and np.abs(np.diff(values)).max() < 1.5 / _STEADY * np.ptp(values)
-            for values in moving
+            values.size == shape[axis] and _is_steady(values) for values in moving
         ):
             return axis
     return None
+
+
+def _is_steady(values: np.ndarray) -> bool:
+    steps = np.diff(values)
+    longest = np.abs(steps).max()
+    is_even = np.abs(np.diff(steps)).max() <= _UNEVEN * longest
+    return bool(longest < 1.5 / _STEADY * np.ptp(values) and is_even)
 
 
 def _tried(loop: Loop, delay: float, effort: Effort, shared: int | None = None) -> Answer:
@@ -499,14 +553,17 @@ def _tried(loop: Loop, delay: float, effort: Effort, shared: int | None = None) 
         if shared is not None and shape[shared] % NEIGHBOURS == 0:
             axis, own = shared, _SHARED
         root = dominant_root(loop, degree=degree, effort=own, shared=axis)
+        if axis is not None:
+            root = at_nodes(root, loop, degree=degree, shared=axis)
         return polished(root, loop, degree=degree, corrections=own.corrections, shared=axis)
 
-    answer = radius(loop) if is_any_jax(loop) else filled_up(radius, loop)
+    is_smooth = shared is not None
+    answer = radius(loop) if is_any_jax(loop) else filled_up(radius, loop, is_smooth=is_smooth)
     return answer.real, answer.imag
 
 
 def _tries(delay: float) -> tuple[Effort, ...]:
     if delay <= 8.0:
-        return Effort(10, 1, 2**15) if delay else Effort(0, 1, 2**15), Effort(20, 10, 2**12)
+        return Effort(10, 1, 2**15) if delay else Effort(0, 1, 2**15), Effort(20, 10, 2**13)
     last = Effort(14, 8, 2**10)
     return Effort(9, 6, 2**15, 4 if delay <= 21.0 else 6), Effort(10, 8, 2**12, 16), last

@@ -384,10 +384,10 @@ def spectral_radius(
     points = [own.asarray(value, np.float64) for value in checked_arguments[:-1]]
     points.append(np.asarray(checked_arguments[-1], np.float64))
     if filters:
-        value, error = filtered_radius(Points(*points), filters)
+        radius = _with_status(*filtered_radius(Points(*points), filters))
     else:
-        value, error = _concrete_radius(points, is_fast=is_fast)
-    answer = _believed(value, error, points[2], points[3])
+        radius = _concrete_radius(points, is_fast=is_fast)
+    answer = _believed(radius, points[2], points[3])
     return answer if xp is own else tree_map(xp.asarray, answer)
 
 
@@ -404,12 +404,12 @@ def linear_spectral_radius(alpha: Array, beta: Array, loop: LinearLoop) -> Spect
     return _with_status(*both)
 
 
-def _concrete_radius(points: list[Array], *, is_fast: bool) -> tuple[Array, Array]:
+def _concrete_radius(points: list[Array], *, is_fast: bool) -> SpectralRadius:
     *parameters, delay = points
     shape = np.broadcast_shapes(*(values.shape for values in points))
     if delay.size == 1:
         return _of_delay(parameters, shape, delay.item(), is_fast=is_fast)
-    value, error = np.zeros(shape), np.full(shape, np.inf)
+    answer = SpectralRadius(np.empty(shape), np.empty(shape), np.empty(shape, np.int8))
     form = np.floor(delay) + np.ceil(delay)
     for one in np.unique(form).tolist():
         indices = np.flatnonzero(np.broadcast_to(form == one, shape))
@@ -422,14 +422,15 @@ def _concrete_radius(points: list[Array], *, is_fast: bool) -> tuple[Array, Arra
             *listed, own = looked_up(points, shape, part)
             own = own[0].item() if len(parts) == delays.size else own
             radii = _of_delay(listed, part.shape, own, is_fast=is_fast)
-            value.flat[part], error.flat[part] = radii
-    return value, error
+            for column, new in zip(answer, radii, strict=True):
+                column.flat[part] = new
+    return answer
 
 
 def _of_delay(
     parameters: list[Array], shape: tuple[int, ...], delay: Values | float, *, is_fast: bool
-) -> tuple[Array, Array]:
-    """Return value and error at points of one delay, or of delays of the same form of p(z)."""
+) -> SpectralRadius:
+    """Return the answer at points of one delay, or of delays of the same form of p(z)."""
     if is_fast and _is_for_many(shape, delay):
         value, error, still_open = fast_radius(parameters, shape, float(delay))
     else:
@@ -445,7 +446,12 @@ def _of_delay(
             with_values(column, part[closer], new[closer])
             for column, new in zip((value, error), best, strict=True)
         )
-    return value, error
+    # The error of all others is at most TOLERANCE.
+    status = namespace(value).full(shape, np.int8(RadiusStatus.PROVED))
+    if still_open.size:
+        listed = _with_status(value.ravel()[still_open], error.ravel()[still_open]).status
+        status = with_values(status, still_open, listed)
+    return SpectralRadius(value, error, named(status, RadiusStatus))
 
 
 def _is_for_many(shape: tuple[int, ...], delay: Values | float) -> bool:
@@ -492,7 +498,7 @@ def _traced_radius(*arguments: Numbers, filters: Filters | None) -> SpectralRadi
 
     radius = partial(_traced_radius_of, bound=bound)
     both = over_grid(radius, *arguments, velocity=velocity, position=position)
-    return _believed(*both, *arguments[2:4])
+    return _believed(_with_status(*both), *arguments[2:4])
 
 
 def _traced_radius_of(
@@ -505,19 +511,19 @@ def _traced_radius_of(
 
 
 @compiled()
-def _believed(value: Array, error: Array, gamma: Array, delta: Array) -> SpectralRadius:
-    """Take back the bounds where the plant is not known to an ulp, and say how all are known."""
-    xp = namespace(value, error, gamma, delta)
+def _believed(radius: SpectralRadius, gamma: Array, delta: Array) -> SpectralRadius:
+    """Take back the bounds where the plant is not known to an ulp."""
+    xp, (value, error, _) = namespace(radius, gamma, delta), radius
     is_damped, is_lost = delta > _DAMPED, is_plant_lost(gamma, delta)
-    if xp is not np or np.any(is_damped) or np.any(is_lost):
-        error = xp.where(is_lost | (is_damped & (value < _SMALL_RADIUS)), xp.inf, error)
-    return _with_status(value, error)
+    if xp is np and not np.any(is_damped) and not np.any(is_lost):
+        return radius
+    is_lost = is_lost | (is_damped & (value < _SMALL_RADIUS))
+    return _with_status(value, xp.where(is_lost, xp.inf, error))
 
 
 def _with_status(value: Array, error: Array) -> SpectralRadius:
     xp = namespace(value, error)
-    proved, unproved = np.int8(RadiusStatus.PROVED), np.int8(RadiusStatus.NO_BOUND)
-    status = unproved + (proved - unproved) * (error < xp.inf)  # quicker than where
+    status = xp.where(error < xp.inf, np.int8(RadiusStatus.PROVED), np.int8(RadiusStatus.NO_BOUND))
     return SpectralRadius(value, error, named(status, RadiusStatus))
 
 
