@@ -314,6 +314,31 @@ def test_fields_of_one_loop_broadcast() -> None:
     assert limits_of(loop).stiffness.shape == ()
 
 
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"device_mass": [[0.1], [0.2]], "delay": np.array([0.0, PERIOD, 1.5 * PERIOD])},
+        {"sample_time": [1e-3, 2e-3], "velocity": Velocity.difference(window=4e-3)},
+        {"device": Device.mass_spring_damper(0.3, damping=0.1), "delay": [0.0, 2e-3]},
+    ],
+    ids=["mass and delay", "period and window", "device"],
+)
+def test_a_loop_with_arrays_as_fields_is_many_loops(fields: dict[str, Any]) -> None:
+    own = {} if "device" in fields else {"device_mass": 0.1, "device_damping": 0.1}
+    many = HapticLoop(**{"sample_time": PERIOD, **own, **fields})
+    arrays = {name: np.array(x) for name, x in fields.items() if name not in ("velocity", "device")}
+    shape = np.broadcast_shapes(*(x.shape for x in arrays.values()))
+    limits, regions = limits_of(many), regions_of(many)
+    assert many.shape == limits.stiffness.shape == regions.area.shape == shape
+    for index in np.ndindex(shape):
+        one = {name: float(np.broadcast_to(x, shape)[index]) for name, x in arrays.items()}
+        alone = replace(many, **one).region()
+        assert limits.stiffness[index] == regions.limits.stiffness[index]
+        assert limits.stiffness[index] == pytest.approx(alone.limits().stiffness, rel=1e-12)
+        assert alone.main is not None
+        assert regions.area[index] == pytest.approx(alone.main.area, rel=1e-6)
+
+
 def test_periods_that_vary_decide_windows_in_seconds_and_delays_in_samples() -> None:
     periods = [1e-3, 0.5e-3, 1e-3, 2e-3]
     plain = HapticLoop(device_mass=0.1, device_damping=0.1, sample_time=PERIOD, delay=2e-3)

@@ -27,6 +27,7 @@ HELD = HapticLoop(
     sample_time=2e-3, delay=3.5e-3,
 )  # fmt: skip
 
+HANDS = jaxstab.HandRange(mass=(0.0, 0.5))
 CHAI3D = (5000.0, 30.0)  # the wall of its examples, in N/m and N s/m
 
 
@@ -145,6 +146,80 @@ def test_arrays_broadcast() -> None:
     assert WINDOW.simulate(stiffness, damping, force=1.0, samples=7).position.shape == (4, 3, 7)
     assert WINDOW.region().contains(stiffness, damping).shape == (4, 3)
     assert WINDOW.stiffness_limits(damping).shape == (3, 2)
+
+
+MANY = replace(WINDOW, device_mass=np.array([[0.2], [0.3]]), delay=[0.0, 1e-3, 1.5e-3])
+
+
+@pytest.mark.parametrize(
+    ("method", "options"),
+    [
+        ("verdict", {}),
+        ("spectral_radius", {}),
+        ("poles", {}),
+        ("margins", {}),
+        ("oscillation", {}),
+        ("settling_time", {"level": 0.05}),
+        ("amplitude", {"encoder": 1e-5}),
+    ],
+)
+def test_methods_about_walls_broadcast_with_fields_that_are_arrays(
+    method: str, options: dict[str, Any]
+) -> None:
+    stiffness = np.array([500.0, 900.0, 9000.0])
+    many = getattr(MANY, method)(stiffness, 5.0, **options)
+    columns = many if isinstance(many, tuple) else (many,)
+    masses, delays = np.broadcast_arrays(MANY.device_mass, MANY.delay)
+    for index in np.ndindex(MANY.shape):
+        one = replace(MANY, device_mass=float(masses[index]), delay=float(delays[index]))
+        own = getattr(one, method)(stiffness[index[-1]], 5.0, **options)
+        for column, value in zip(columns, own if isinstance(own, tuple) else (own,), strict=True):
+            known = np.asarray(value)
+            found = column[index][: known.size] if known.ndim else column[index]
+            np.testing.assert_allclose(found, known, rtol=1e-9, atol=1e-11)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda loop: loop.region(),
+        lambda loop: loop.limits(),
+        lambda loop: loop.stiffness_limits(10.0),
+        lambda loop: loop.boundary_distance(*CHAI3D),
+        lambda loop: loop.tune(),
+        lambda loop: loop.worst_hand(HANDS, *CHAI3D),
+        lambda loop: loop.robust_limit(HANDS),
+        lambda loop: loop.plot(),
+        lambda loop: loop.to_control(*CHAI3D),
+        lambda loop: loop.jitter_margin(*CHAI3D),
+        lambda loop: loop.verdict(*CHAI3D, delays=(0.0, 1e-3)),
+        lambda loop: loop.worst_delays(*CHAI3D, delays=(0.0, 1e-3)),
+        lambda loop: loop.simulate(*CHAI3D, force=1.0),
+        lambda loop: loop.contact(*CHAI3D, push=1.0, friction=0.1),
+        lambda loop: jaxstab.contact_map(loop, [1e3], [10.0], push=1.0, friction=0.1),
+        lambda loop: jaxstab.limits_of([loop]),
+        lambda loop: jaxstab.common_region([loop, OMEGA]),
+        lambda loop: jaxstab.LoopsBetween(loop, loop),
+        lambda loop: jaxstab.study(loop, walls={"a": CHAI3D}, over={"device_mass": [0.1]}),
+        lambda loop: jaxstab.build_guard(loop, HANDS, mass=(0.1, 0.2), delay=(0.0, 1e-3)),
+        lambda loop: replace(loop, sample_time=[1e-3, 1e-3, 2e-3]).verdict(*CHAI3D),
+    ],
+)
+def test_what_is_of_one_loop_refuses_arrays_and_names_the_remedy(call: Any) -> None:
+    with pytest.raises(TypeError, match=r"one loop is needed here; jaxstab\.limits_of, regions_of"):
+        call(MANY)
+
+
+def test_arrays_as_fields_are_checked_as_numbers_are() -> None:
+    with pytest.raises(ValueError, match=r"device_mass \(2,\) and delay \(3,\) do not broadcast"):
+        replace(OMEGA, device_mass=[0.1, 0.2], delay=[0.0, 1e-3, 2e-3])
+    with pytest.raises(ValueError, match="device_damping is nan; allowed are finite values"):
+        replace(OMEGA, device_damping=[0.1, np.nan])
+    with pytest.raises(TypeError, match=r"device_mass is .*; give real numbers"):
+        replace(OMEGA, device_mass=[[0.1], [0.1, 0.2]])
+    with pytest.raises(ValueError, match=r"window is 0.002 s, 6.66667 sampling periods"):
+        replace(OMEGA, velocity=Velocity.difference(window=2e-3), sample_time=[1e-3, 0.3e-3])
+    assert repr(replace(OMEGA, delay=[0.0, 1e-3])).endswith("delay=array([0.   , 0.001]))")
 
 
 def test_the_dense_case_goes_through_jit_and_vmap() -> None:

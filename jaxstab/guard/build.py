@@ -17,6 +17,7 @@ from jaxstab.guard.guard import Guard
 from jaxstab.guard.limits import boundary_of
 from jaxstab.model import LoopParameters
 from jaxstab.model.filters import known_filters
+from jaxstab.model.loop import refuse_arrays
 from jaxstab.motion.moving_delays import Delays
 from jaxstab.numbers import checked_count, checked_number
 from jaxstab.point.verdicts import linear_verdict
@@ -364,6 +365,7 @@ def _check(
     may_be_one: bool,
 ) -> None:
     checked_range(hands)
+    refuse_arrays(loop)
     filters = known_filters(**loop.filters)
     gain = 1.0 if filters is None else float(responses_at(filters, np.ones(1, complex))[0][0].real)
     if not gain >= _LEAST_GAIN:

@@ -13,6 +13,7 @@ from jaxstab.conventions import HORIZON, Excitation, Range, Verdict
 from jaxstab.loop.region import TOLERANCE, WallLimits, WallRegion, scaled, wall_region
 from jaxstab.model import LoopParameters, by_name
 from jaxstab.model.filters import known_filters
+from jaxstab.model.loop import refuse_arrays
 from jaxstab.numbers import checked, checked_number, checked_word
 
 if TYPE_CHECKING:
@@ -35,6 +36,11 @@ class HapticLoop(LoopParameters):
     ``amplitude``, ``simulate``, ``contact``; about all walls: ``region``, ``limits``,
     ``stiffness_limits``, ``damping_limits``, ``boundary_distance``, ``tune``; about all hands of a
     range: ``worst_hand``, ``robust_limit``; and ``to_control``. Numbers are finite and in SI units.
+
+    Fields may be arrays that broadcast: many loops of one mass, with one sample time if there is an
+    estimator or filter. Methods from ``verdict`` to ``amplitude`` answer for walls of shapes that
+    broadcast with them, ``jaxstab.limits_of`` and ``regions_of`` for all loops of any device; all
+    other methods are of one loop.
 
     A loop is a pytree: JAX traces its numbers, the cut-offs of filters among them, but not windows
     nor how many whole samples the delay has (``jax.grad(f)(loop).delay`` is the derivative by t_d).
@@ -272,7 +278,7 @@ class HapticLoop(LoopParameters):
             >>> print(f"settles in {1e3 * loop.tune().settling_time:.0f} ms")
             settles in 6 ms
         """
-        self._refuse_tracers("tune")
+        self._refuse_many("tune")
         from jaxstab.loop.tune import checked_chatter, optimal_wall
 
         disturbed = checked_chatter(encoder, chatter)
@@ -318,7 +324,7 @@ class HapticLoop(LoopParameters):
             >>> loop.worst_hand(hands, 1000.0, 10.0).verdict.name
             'STABLE'
         """
-        self._refuse_tracers("worst_hand")
+        self._refuse_many("worst_hand")
         with_hands = self._with_hands(hands, mass, delays, lost)
         if with_hands is None:
             return ranges.worst_hand(self, hands, stiffness, damping, mass)
@@ -356,7 +362,7 @@ class HapticLoop(LoopParameters):
             >>> loop.robust_limit(jaxstab.HandRange(mass=(0.0, 1.0))).is_proved
             True
         """
-        self._refuse_tracers("robust_limit")
+        self._refuse_many("robust_limit")
         with_hands = self._with_hands(hands, mass, delays, lost)
         if with_hands is None:
             return ranges.robust_limit(self, hands, mass)
@@ -404,7 +410,7 @@ class HapticLoop(LoopParameters):
             >>> loop.plot().get_xlabel()
             'stiffness K (N/m)'
         """
-        self._refuse_tracers("plot")
+        self._refuse_many("plot")
         from jaxstab.pictures.style import plot_loop
 
         return plot_loop(self, ax)
@@ -426,7 +432,7 @@ class HapticLoop(LoopParameters):
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
             >>> loop.to_control(1000.0, 10.0).dt  # doctest: +SKIP
         """
-        self._refuse_tracers("to_control")
+        self._refuse_many("to_control")
         try:
             from control import TransferFunction
         except ImportError as error:
@@ -582,7 +588,7 @@ class HapticLoop(LoopParameters):
             >>> print(f"{1e3 * loop.jitter_margin(1000.0, 20.0):.2f} of {1e3 * constant:.2f} ms")
             4.21 of 5.76 ms
         """
-        self._refuse_tracers("jitter_margin")
+        self._refuse_many("jitter_margin")
         from jaxstab.loop.jitter import jitter_margin
 
         return jitter_margin(self, stiffness, damping)
@@ -794,7 +800,7 @@ class HapticLoop(LoopParameters):
             >>> f"{1e3 * response.position.max():.3f} mm deep"
             '0.372 mm deep'
         """
-        self._refuse_tracers("simulate")
+        self._refuse_many("simulate")
         options: dict[str, Any] = {
             "samples": samples,
             "force": force,
@@ -899,10 +905,15 @@ class HapticLoop(LoopParameters):
 
     def _moving(self, method: str, delays: Range | None, lost: int) -> "MovingLoop":
         """Return the loop with delays that move."""
-        self._refuse_tracers(method)
+        self._refuse_many(method)
         from jaxstab.loop.jitter import MovingLoop
 
         return MovingLoop.from_loop(self, delays, lost)
+
+    def _refuse_many(self, method: str) -> None:
+        """Refuse a loop that is not one of concrete numbers."""
+        self._refuse_tracers(method)
+        refuse_arrays(self)
 
     def _refuse_tracers(self, method: str) -> None:
         """Refuse a loop that JAX traces: the method searches outside of JAX."""

@@ -26,7 +26,7 @@ from jaxstab.model import LoopParameters, require_x64
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import NO_FILTERS, Filters, Transfer, given_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
-from jaxstab.model.loop import as_one, with_columns
+from jaxstab.model.loop import as_one
 from jaxstab.region import RegionStatus
 from jaxstab.region.curve import (
     Angles,
@@ -105,7 +105,7 @@ class ManyLimits(NamedTuple):
 def limits_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> ManyLimits:
     """Return the largest stiffness and the largest damping that each of many loops allows.
 
-    Give a list of loops, or one loop and the fields that vary: arrays that broadcast.
+    Give a list of loops, or one whose fields are arrays that broadcast.
 
     The answers are those of ``HapticLoop.limits`` to 1e-9, without islands. Batches of at least 64
     loops of about the same degree are computed by one program of JAX, in float64 whatever its flag
@@ -127,7 +127,7 @@ def limits_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> Many
         loops: any number of loops, of any estimators, filters, devices and delays. Batches of loops
             with the same estimator and filter are the fastest.
         **fields: beside one loop, fields of ``HapticLoop`` that replace its own, as arrays or
-            lists that broadcast: numbers in the units of these fields, or estimators and devices.
+            lists that broadcast with the others: numbers, estimators or devices.
 
     Returns:
         ManyLimits of arrays in the order of the loops, or of the shape of the fields.
@@ -147,11 +147,14 @@ def limits_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> Many
         >>> jaxstab.limits_of(loops).stiffness.round().tolist()
         [68763.0, 137392.0]
         >>> delays = np.array([[0.0], [1e-3]])
-        >>> jaxstab.limits_of(loops[0], device_mass=[0.1, 0.2], delay=delays).stiffness.round()
+        >>> loop = jaxstab.HapticLoop(
+        ...     device_mass=[0.1, 0.2], device_damping=0.1, sample_time=1e-3, delay=delays
+        ... )
+        >>> jaxstab.limits_of(loop).stiffness.round()
         array([[ 68763., 137392.],
                [ 14498.,  28945.]])
     """
-    many, shape = _given(loops, fields)
+    many, fields, shape = _given(loops, fields)
     if is_any_traced(many, fields):
         from jaxstab.loop.moving import moved_together, moving_limits
 
@@ -212,7 +215,7 @@ def regions_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> Man
         >>> bool(stiffness.max() <= regions.limits.stiffness[1])
         True
     """
-    many, shape = _given(loops, fields)
+    many, fields, shape = _given(loops, fields)
     if is_any_traced(many, fields):
         from jaxstab.loop.moving import moved_together, moving_regions
 
@@ -309,16 +312,19 @@ def _units(stacks: list[Stack]) -> Units:
     return units
 
 
-def _given(loops: Any, fields: dict[str, Any]) -> tuple[Any, tuple[int, ...]]:
-    """Return one loop or a list of loops, and the shape of their answers."""
+def _given(loops: Any, fields: dict[str, Any]) -> tuple[Any, dict[str, Any], tuple[int, ...]]:
+    """Return a list of loops, or one and the fields that vary, and the shape of the answers."""
     if isinstance(loops, LoopParameters):
-        return loops, np.broadcast_shapes(*map(np.shape, fields.values()))
+        fields = loops.array_fields | fields
+        shape = np.broadcast_shapes(*map(np.shape, fields.values()))
+        first = {name: namespace(x).ravel(x)[0] for name, x in loops.array_fields.items()}
+        return replace(loops, **first), fields, shape
     if not isinstance(loops, Iterable):
         raise TypeError(f"loops is {loops!r}; give a list of HapticLoop, or one.")
     if fields:
         raise TypeError(f"{next(iter(fields))} is given beside a list; give one loop that varies.")
     many = list(loops)
-    return many, (len(many),)
+    return many, {}, (len(many),)
 
 
 def _varied(given: Any, fields: dict[str, Any], shape: tuple[int, ...]) -> list[Any]:
@@ -346,7 +352,7 @@ def _stacks(given: Any, fields: dict[str, Any], shape: tuple[int, ...]) -> list[
         one = {name: values[members[:1]].tolist()[0] for name, values in columns.items()}
         first = replace(loop, **one)
         varied = {name: values[members] for name, values in columns.items() if name not in shared}
-        stacks.append(Stack(members, with_columns(first, varied)))
+        stacks.append(Stack(members, replace(first, **varied)))
     return stacks
 
 

@@ -1,6 +1,6 @@
 """A haptic loop in SI units as numbers: device, hand, sampling, delay, estimator and filter."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields
 from functools import lru_cache, wraps
 from math import ulp
@@ -21,7 +21,7 @@ from jaxstab.model.device import Device, Hand, SampledDevice, sampled_device
 from jaxstab.model.filters import NO_FILTERS, Average, Filter, Velocity, given_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.model.parameters import LONGEST_DELAY, TracedDelay, by_name
-from jaxstab.numbers import checked, checked_number
+from jaxstab.numbers import checked, checked_number, require_x64
 from jaxstab.shown import call_text
 
 _LEAST = {  # the least allowed value, and whether it is excluded
@@ -35,7 +35,7 @@ _LEAST = {  # the least allowed value, and whether it is excluded
 }
 
 _FOR_COMPUTING = frozenset(
-    {"body", "filters", "held_device", "in_floats", "linear", "sampled"}
+    {"array_fields", "body", "filters", "held_device", "in_floats", "linear", "sampled"}
     | {"tree_flatten", "tree_unflatten"}
 )
 _OF_DEVICE = ("device_mass", "device_damping")
@@ -80,18 +80,21 @@ class LoopParameters:
     device: Device | None = None
 
     _whole_delay: ClassVar[int | None] = None  # in samples; no field
+    _has_arrays: ClassVar[bool] = False  # as fields; no field itself
 
     def __post_init__(self) -> None:
-        self._check()
-
-    def _check(self, *, columns: bool = False) -> None:
         self._refuse_mixed_fields()
         for name, (least, is_open) in _LEAST.items():
-            value = getattr(self, name)
+            value, checker = getattr(self, name), checked_number
+            if _is_array(value):
+                checker = checked
+                require_x64(value)
+                object.__setattr__(self, "_has_arrays", True)
             if not (value is None or is_traced(value)):
-                checker = checked if columns and np.ndim(value) else checked_number
                 number = checker(name, value, least, is_open=is_open)
                 object.__setattr__(self, name, value if is_jax(value) else number)
+        if self._has_arrays:
+            _ = self.shape  # refuses arrays that do not broadcast
         if not is_any_traced(self.delay, self.sample_time):
             samples = self.delay_samples
             if np.any(samples > LONGEST_DELAY):
@@ -102,19 +105,27 @@ class LoopParameters:
                     f"give {LONGEST_DELAY:g} samples at most, in s; a delay in samples is "
                     "multiplied by sample_time."
                 )
-            if not columns:
-                object.__setattr__(self, "_whole_delay", int(samples))
+            whole = {int(samples)} if np.ndim(samples) == 0 else set(samples.astype(int).flat)
+            if len(whole) == 1:
+                object.__setattr__(self, "_whole_delay", whole.pop())
         given_filters(self.velocity, self.position)
+        is_one = is_traced(self.sample_time) or not self._has_arrays
+        periods = [self.sample_time] if is_one else np.unique(self.sample_time).tolist()
         for chain in (self.velocity.filter if self.velocity else None, self.position):
             if chain is not None:
-                chain.transfer(self.sample_time)  # refuses an incompatible filter
+                for period in periods:
+                    chain.transfer(period)  # refuses an incompatible filter
 
     def __repr__(self) -> str:
         given = {field.name: getattr(self, field.name) for field in fields(self)}
         defaults = {field.name: field.default for field in fields(self)}
         return call_text(
             type(self).__name__,
-            {name: v for name, v in given.items() if is_jax(v) or v != defaults[name]},
+            {
+                name: value
+                for name, value in given.items()
+                if is_jax(value) or np.ndim(value) or value != defaults[name]
+            },
         )
 
     def __dir__(self) -> list[str]:
@@ -136,6 +147,22 @@ class LoopParameters:
                 f"{given[0]} is given beside device; a device has its own mass and damping, and is "
                 "held by device.held_by(jaxstab.Hand...): give one or the other."
             )
+
+    @property
+    def array_fields(self) -> dict[str, Numbers]:
+        """The fields that are arrays, by name."""
+        given = {name: getattr(self, name) for name in _LEAST}
+        return {name: value for name, value in given.items() if _is_array(value)}
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The shape to which the fields broadcast, () for one loop; ValueError if they do not."""
+        arrays = self.array_fields
+        try:
+            return np.broadcast_shapes(*map(np.shape, arrays.values()))
+        except ValueError:
+            shapes = " and ".join(f"{name} {np.shape(value)}" for name, value in arrays.items())
+            raise ValueError(f"the shapes {shapes} do not broadcast; give one shape.") from None
 
     @property
     def body(self) -> Body | None:
@@ -184,6 +211,7 @@ class LoopParameters:
         """A device that is not one mass, sampled; None for one mass."""
         if self.device is None or self.body is not None:
             return None
+        refuse_arrays(self)
         return sampled_device(self.device, self.sample_time, self.delay_samples)
 
     @property
@@ -192,7 +220,8 @@ class LoopParameters:
         return _linear_loop(self.in_floats())
 
     def in_floats(self) -> "LoopParameters":
-        """The loop in plain numbers; TypeError if JAX traces it."""
+        """The loop in plain numbers; TypeError if JAX traces it, or fields are arrays."""
+        refuse_arrays(self)
         if not is_any_jax(self):
             return self
         if is_any_traced(self):
@@ -213,7 +242,7 @@ class LoopParameters:
         samples = np.float64(self.delay) / np.float64(self.sample_time)
         nearest = np.rint(samples)
         is_whole = abs(samples - nearest) <= 4.0 * np.spacing(samples)
-        if np.ndim(samples):  # of ``with_columns``
+        if np.ndim(samples):
             return np.where(is_whole, nearest, samples)
         return float(nearest if is_whole else samples)
 
@@ -272,6 +301,8 @@ class LoopParameters:
     def filters(self) -> Estimators:
         """Velocity estimator and position filter in units of one sample."""
         velocity, position = self.velocity, self.position
+        if (velocity or position) and np.ndim(self.sample_time):
+            refuse_arrays(self)
         return {
             "velocity": None if velocity is None else velocity.per_sample(self.sample_time),
             "position": None if position is None else position.per_sample(self.sample_time),
@@ -308,27 +339,30 @@ class LoopParameters:
         return beta * (self.mass / self.sample_time)
 
 
-def with_columns(loop: LoopParameters, columns: Mapping[str, Numbers]) -> Any:
-    """Return many loops of one mass as one: checked arrays in place of numbers of a loop.
+def refuse_arrays(loop: LoopParameters) -> None:
+    """Raise TypeError if fields of a loop are arrays."""
+    if loop._has_arrays:
+        raise TypeError(
+            f"the loop has fields of shape {loop.shape}, but one loop is needed here; "
+            "jaxstab.limits_of, regions_of and methods from verdict to amplitude take many."
+        )
 
-    They broadcast with the gains of walls given to its methods. With filters the sampling period is
-    one number.
-    """
-    numbers = {name: getattr(loop, name) for name in _LEAST} | dict(columns)
-    parts = *numbers.values(), loop.velocity, loop.position
-    many = loop.tree_unflatten((None, None), parts)
-    many._check(columns=True)
-    return many
+
+def _is_array(value: Numbers) -> bool:
+    return type(value) is not float and (
+        isinstance(value, list | tuple) or getattr(value, "ndim", 0) > 0
+    )
 
 
 def as_one(loops: Sequence[LoopParameters]) -> Any:
-    """Return loops of one mass as one (``with_columns``): they differ in mechanics and times."""
+    """Return loops of one mass, which differ in mechanics and times, as one that has arrays."""
     names = "device_mass", "device_damping", "hand_stiffness", "delay", "sample_time"
     numbers = {x: (*x._one_body, x.delay, x.sample_time) for x in dict.fromkeys(loops)}
     columns = dict(zip(names, np.array([numbers[loop] for loop in loops]).T, strict=True))
+    first = loops[0]
     if len({loop.sample_time for loop in loops}) == 1:
-        del columns["sample_time"]
-    return with_columns(loops[0], columns | {"hand_mass": 0.0, "hand_damping": 0.0})
+        columns["sample_time"] = first.sample_time
+    return type(first)(**columns, velocity=first.velocity, position=first.position)
 
 
 @lru_cache(_REMEMBERED)

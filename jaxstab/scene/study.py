@@ -36,7 +36,6 @@ from numpy.typing import NDArray
 import jaxstab
 from jaxstab.conventions import Verdict
 from jaxstab.loop import HapticLoop, limits_of
-from jaxstab.model.loop import with_columns
 from jaxstab.motion.settling import SettlingStatus
 from jaxstab.numbers import checked_count
 from jaxstab.region import RegionStatus
@@ -877,8 +876,8 @@ class _Blocks:
         if "limits" in self.answers:
             varied = _rows(named, count)
             loops[members] = [replace(base, **dict(zip(named, row, strict=True))) for row in varied]
-        columns = {name: values[:, None] for name, values in named.items()}
-        return _about_walls(with_columns(base, columns), gains, self.answers)
+        columns: dict[str, Any] = {name: values[:, None] for name, values in named.items()}
+        return _about_walls(replace(base, **columns), gains, self.answers)
 
 
 def _rows(numbers: Mapping[str, Floats], count: int) -> Any:
