@@ -134,7 +134,7 @@ def in_pieces(
 
     The grid is cut across its longest axis, and each answer is copied into arrays for the whole
     grid. The cores of the CPU share the pieces; if the function itself uses all cores
-    (``is_parallel``), the pieces are computed one after another.
+    (``is_parallel``), the pieces are computed one after another, and the cores share the copying.
     """
     shape = np.broadcast_shapes(*map(np.shape, leaves(arguments)))
     count = max(1, min(count, max(shape) // 2))
@@ -152,17 +152,25 @@ def in_pieces(
 
     def of_piece(start_and_stop: tuple[int, int]) -> None:
         index: Any = (..., slice(*start_and_stop), *(slice(None),) * (-axis - 1))
-
-        def write(whole: np.ndarray, leaf: np.ndarray) -> None:
-            whole[index if has_axis(leaf) else ...] = leaf
-
         answer = function(
             *tree_map(lambda leaf: leaf[index] if has_axis(leaf) else leaf, arguments)
         )
         with is_first:
             if not wholes:
                 wholes.append(tree_map(whole, answer))
-        tree_map(write, wholes[0], answer)
+        own = tree_map(lambda leaf: leaf[index if has_axis(leaf) else ...], wholes[0])
+        shares = _cores() if is_parallel else 1
+
+        def write(share: int) -> None:
+            for pair in zip(leaves(own), leaves(answer), strict=True):
+                target, leaf = map(np.atleast_1d, pair)
+                rows = slice(len(leaf) * share // shares, len(leaf) * (share + 1) // shares)
+                target[rows] = leaf[rows]
+
+        if is_parallel:
+            on_cores(write, range(shares))
+        else:
+            write(0)
 
     pieces = list(pairwise(ends))
     if is_parallel:

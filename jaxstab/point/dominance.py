@@ -26,7 +26,6 @@ from jaxstab.arrays import (
     leaves,
     namespace,
     reciprocal,
-    square_root,
     take,
     tree_map,
     true_indices,
@@ -247,7 +246,7 @@ def _real_power(x: Array, exponent: int) -> Array | float:
 
 
 _LOST_IN_SQUARES = 1e-150  # moduli below are flushed to zero
-_SLACK = 1.0 + 1e-6  # bounds are rounded; quick roots and inverses are too small, by up to 1e-7
+_SLACK = 1.0 + 1e-6  # the bounds themselves are rounded
 _BESIDE, _BESIDE_OF_LONG = 2.0**-25, 2.0**-20  # how far inside of the root the circle is, relative
 
 
@@ -261,18 +260,18 @@ def polished(
     """
     from jax import lax
 
-    def kernel(t: Complex, loop: Loop) -> Array:
+    def kernel(root: Array, loop: Loop) -> Array:
+        t = Complex(root.real, root.imag)
         for _ in range(corrections):
             t = newton(t, loop, degree)
         return lax.complex(*with_distance(t, loop, degree))
 
-    t = Complex(root.real, root.imag)
     if shared is not None:
         xp = namespace(loop)
         shape = xp.broadcast_shapes(*map(xp.shape, leaves(loop)))
         loop = tree_map(partial(_in_blocks, axis=shared), loop)
-        return kernel(_interpolated(t, shared), loop).reshape(shape)
-    return kernel(t, loop) if degree <= HIGHEST_COUNTED else over_tiles(kernel, (t, loop))
+        return kernel(lax.complex(*_interpolated(root, shared)), loop).reshape(shape)
+    return kernel(root, loop) if degree <= HIGHEST_COUNTED else over_tiles(kernel, (root, loop))
 
 
 @compiled(static=["degree", "shared"], many=0, wide=True)
@@ -297,15 +296,15 @@ def at_nodes(root: Array, loop: Loop, *, degree: int, shared: int) -> Array:
     return lax.complex(t.re, t.im)
 
 
-def _interpolated(root: Complex, axis: int) -> Complex:
+def _interpolated(root: Array, axis: int) -> tuple[Array, Array]:
     """Return t of all neighbours on the curve through those at the nodes, by Lagrange's formula."""
     place = np.arange(float(NEIGHBOURS)).reshape(-1, *[1] * (-1 - axis))
-    terms = []
+    parts = [0.0, 0.0]  # XLA multiplies real numbers with each part, not with both as one
     for index, node in enumerate(_NODES):
         weight = prod((place - other) / (node - other) for other in _NODES if other != node)
-        at_node = _node(index, axis)
-        terms.append(Complex(weight * root.re[at_node], weight * root.im[at_node]))
-    return reduce(Complex.plus, terms)
+        t = root[_node(index, axis)]
+        parts = [before + weight * x for before, x in zip(parts, (t.real, t.imag), strict=True)]
+    return parts[0], parts[1]
 
 
 def _node(index: int, axis: int) -> tuple[Any, ...]:
@@ -324,7 +323,7 @@ def with_distance(t: Complex, loop: Loop, degree: int) -> tuple[Array, Array]:
     """Return |1 + t|, to 3 ulp, and a bound of what it may differ by from the spectral radius."""
     xp = namespace(t, loop)
     squared = t.squared_modulus()
-    size, radius = _SLACK * square_root(squared), xp.sqrt(t.shifted(1.0).squared_modulus())
+    size, radius = xp.sqrt(squared), xp.sqrt(t.shifted(1.0).squared_modulus())
     distance, rounding = _distance_to_root(t, size, radius, loop, degree)
     # The counts of long polynomials have fewer digits.
     beside = _BESIDE if degree <= HIGHEST_COUNTED else _BESIDE_OF_LONG
@@ -338,8 +337,7 @@ def with_distance(t: Complex, loop: Loop, degree: int) -> tuple[Array, Array]:
     apart = xp.minimum(margin - 32.0 * UNIT * size, xp.where(is_real, xp.inf, t.im))
     is_proved = is_proved & (distance < apart)
     # All other roots are at least as far from z, so that p'/p has one large term (lemma R5).
-    others = (degree - 1.0) * _SLACK * distance * reciprocal(apart)
-    distance = _SLACK * distance * reciprocal(degree - others)
+    distance = _SLACK * distance / (degree - (degree - 1.0) * (distance / apart))
     return radius, xp.where(is_proved, distance + 4.0 * UNIT * radius, xp.inf)
 
 
@@ -371,11 +369,10 @@ def _distance_to_root(
     )
     unit = (4.0 * (degree - 2) + 30.0) * UNIT
     rounding = unit * (below * radius * denominator + numerator * wall) + _LOST_IN_SQUARES
-    value_size = square_root(value.squared_modulus()) + rounding
-    slope_size = square_root(slope.squared_modulus()) - unit * slope_terms
-    distance = (_SLACK * degree) * value_size * reciprocal(slope_size)
-    is_known = (slope_size > 0.0) & (value_size > 0.0)  # not if squares overflow
-    return xp.where(is_known, distance, xp.inf), rounding
+    value_size = xp.sqrt(value.squared_modulus()) + rounding
+    slope_size = xp.sqrt(slope.squared_modulus()) - unit * slope_terms
+    distance = (_SLACK * degree) * value_size / slope_size
+    return xp.where(slope_size > 0.0, distance, xp.inf), rounding
 
 
 def _circle(t: Array, rounding: Array, loop: Loop, degree: int) -> tuple[Chain[Array], Ends]:
