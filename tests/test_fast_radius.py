@@ -235,8 +235,8 @@ def test_the_first_try_of_a_dense_grid_leaves_few_points_open(delay: float) -> N
     loop, first = dominance._shared_loop(parameters, delay), dominance._tries(delay)[0]
     _, error = dominance._on_grid(loop, parameters, (side, side), delay, first)
     is_open = ~(error <= dominance.TOLERANCE)
-    assert np.mean(is_open) < 0.02
-    assert np.mean(is_open[-8:]) < 0.02
+    assert np.mean(is_open) < 0.03
+    assert np.mean(is_open[-8:]) < 0.03
 
 
 @pytest.mark.parametrize("delay", first_and_campaign([60.0, 20.0, 33.5], 1))

@@ -317,3 +317,9 @@ def test_the_distance_of_a_dominant_root_is_little_more_than_what_newton_correct
     apart = 2.0**-25 * min(abs(root), abs(1.0 + root))
     closer = degree / (degree - (degree - 1.0) * degree * abs(off) / apart)
     assert abs(off) <= bound == pytest.approx(closer * abs(off), rel=0.02)
+    # The circle is inside of the point before; it has to be near, and the root outside of it.
+    for step, is_proved in ((1e-8, True), (-5e-8, False), (2e-6, True), (2e-5, False)):
+        before = fields.Complex(t.re - step * np.abs(root) * np.sign(1.0 + t.re), t.im)
+        (bound,) = dominance.with_distance(t, loop, degree, before)[1]
+        assert np.isfinite(bound) == is_proved
+        assert bound >= abs(off)

@@ -64,7 +64,7 @@ Column = Any  # an array, or None for zeros
 
 _LONGEST_UNROLLED = 4000  # about as many products; beyond, code was up to 100 times slower
 NEIGHBOURS = 16  # points that share a guess, at most the padding of the axes of a large grid
-_NODES = (1, 5, 10, 14)  # those of them between which roots are interpolated
+_NODES = (1, 4, 8, 11, 14)  # those of them between which roots are interpolated
 _TO_NODES = 2  # steps of Newton's method from the guess
 TILE = 256  # points whose polynomials of a higher degree stay in the cache
 
@@ -248,6 +248,7 @@ def _real_power(x: Array, exponent: int) -> Array | float:
 _LOST_IN_SQUARES = 1e-150  # moduli below are flushed to zero
 _SLACK = 1.0 + 1e-6  # the bounds themselves are rounded
 _BESIDE, _BESIDE_OF_LONG = 2.0**-25, 2.0**-20  # how far inside of the root the circle is, relative
+_NEAR = 2.0**-17  # most that the last step of Newton's method may correct, relative
 
 
 @compiled(static=["degree", "corrections", "shared"], many=0, wide=True)
@@ -261,10 +262,10 @@ def polished(
     from jax import lax
 
     def kernel(root: Array, loop: Loop) -> Array:
-        t = Complex(root.real, root.imag)
+        before = t = Complex(root.real, root.imag)
         for _ in range(corrections):
-            t = newton(t, loop, degree)
-        return lax.complex(*with_distance(t, loop, degree))
+            before, t = t, newton(t, loop, degree)
+        return lax.complex(*with_distance(t, loop, degree, before))
 
     if shared is not None:
         xp = namespace(loop)
@@ -319,26 +320,45 @@ def _in_blocks(leaf: Array, axis: int) -> Array:
     return leaf.reshape(*before, -1, min(leaf.shape[axis], NEIGHBOURS), *after)
 
 
-def with_distance(t: Complex, loop: Loop, degree: int) -> tuple[Array, Array]:
-    """Return |1 + t|, to 3 ulp, and a bound of what it may differ by from the spectral radius."""
+def with_distance(
+    t: Complex, loop: Loop, degree: int, before: Complex | None = None
+) -> tuple[Array, Array]:
+    """Return |1 + t|, to 3 ulp, and a bound of what it may differ by from the spectral radius.
+
+    The circle of the proof is inside of 1 + ``before``, a point next to 1 + t: a processor counts
+    the zeros outside of it while it still computes t.
+    """
     xp = namespace(t, loop)
-    squared = t.squared_modulus()
-    size, radius = xp.sqrt(squared), xp.sqrt(t.shifted(1.0).squared_modulus())
+    (_, size, radius, beyond), last = _moduli(t), _moduli(t if before is None else before)
     distance, rounding = _distance_to_root(t, size, radius, loop, degree)
     # The counts of long polynomials have fewer digits.
     beside = _BESIDE if degree <= HIGHEST_COUNTED else _BESIDE_OF_LONG
-    margin = beside * xp.minimum(size, radius)
-    within = (2.0 * t.re + squared) / (radius + 1.0) - margin
+    shortest = xp.minimum(last.size, last.radius)
+    within = last.beyond - beside * shortest
     is_real = t.im == 0.0
     is_proved = (
         zeros_outside(*_circle(within, rounding, loop, degree), UNIT, degree) == 2.0 - is_real
     )
-    # What the radius of the circle may be wrong by is less than 32 ulp of the root's size.
-    apart = xp.minimum(margin - 32.0 * UNIT * size, xp.where(is_real, xp.inf, t.im))
-    is_proved = is_proved & (distance < apart)
+    step = t.plus(last.t.scaled(-1.0)).squared_modulus()
+    # What the circle is inside of |1 + t| by may be wrong by less than 64 ulp of the root's size.
+    apart = xp.minimum(beyond - within - 64.0 * UNIT * size, xp.where(is_real, xp.inf, t.im))
+    is_proved = is_proved & (distance < apart) & (step <= (_NEAR * shortest) ** 2)
     # All other roots are at least as far from z, so that p'/p has one large term (lemma R5).
     distance = _SLACK * distance / (degree - (degree - 1.0) * (distance / apart))
     return radius, xp.where(is_proved, distance + 4.0 * UNIT * radius, xp.inf)
+
+
+class _Moduli(NamedTuple):
+    t: Complex
+    size: Array  # |t|
+    radius: Array  # |1 + t|
+    beyond: Array  # |1 + t| - 1
+
+
+def _moduli(t: Complex) -> _Moduli:
+    xp, squared = namespace(t), t.squared_modulus()
+    radius = xp.sqrt(t.shifted(1.0).squared_modulus())
+    return _Moduli(t, xp.sqrt(squared), radius, (2.0 * t.re + squared) / (radius + 1.0))
 
 
 def _distance_to_root(
