@@ -80,7 +80,6 @@ class LoopParameters:
     device: Device | None = None
 
     _whole_delay: ClassVar[int | None] = None  # in samples; no field
-    _has_arrays: ClassVar[bool] = False  # as fields; no field itself
 
     def __post_init__(self) -> None:
         self._refuse_mixed_fields()
@@ -89,12 +88,10 @@ class LoopParameters:
             if _is_array(value):
                 checker = checked
                 require_x64(value)
-                object.__setattr__(self, "_has_arrays", True)
             if not (value is None or is_traced(value)):
                 number = checker(name, value, least, is_open=is_open)
                 object.__setattr__(self, name, value if is_jax(value) else number)
-        if self._has_arrays:
-            _ = self.shape  # refuses arrays that do not broadcast
+        is_one = not self.shape  # which refuses arrays that do not broadcast
         if not is_any_traced(self.delay, self.sample_time):
             samples = self.delay_samples
             if np.any(samples > LONGEST_DELAY):
@@ -109,7 +106,7 @@ class LoopParameters:
             if len(whole) == 1:
                 object.__setattr__(self, "_whole_delay", whole.pop())
         given_filters(self.velocity, self.position)
-        is_one = is_traced(self.sample_time) or not self._has_arrays
+        is_one = is_one or is_traced(self.sample_time)
         periods = [self.sample_time] if is_one else np.unique(self.sample_time).tolist()
         for chain in (self.velocity.filter if self.velocity else None, self.position):
             if chain is not None:
@@ -341,7 +338,7 @@ class LoopParameters:
 
 def refuse_arrays(loop: LoopParameters) -> None:
     """Raise TypeError if fields of a loop are arrays."""
-    if loop._has_arrays:
+    if loop.array_fields:
         raise TypeError(
             f"the loop has fields of shape {loop.shape}, but one loop is needed here; "
             "jaxstab.limits_of, regions_of and methods from verdict to amplitude take many."
