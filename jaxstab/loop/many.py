@@ -26,7 +26,7 @@ from jaxstab.model import LoopParameters, require_x64
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import NO_FILTERS, Filters, Transfer, given_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
-from jaxstab.model.loop import as_one
+from jaxstab.model.loop import array_fields, as_one
 from jaxstab.region import RegionStatus
 from jaxstab.region.curve import (
     Angles,
@@ -315,9 +315,10 @@ def _units(stacks: list[Stack]) -> Units:
 def _given(loops: Any, fields: dict[str, Any]) -> tuple[Any, dict[str, Any], tuple[int, ...]]:
     """Return a list of loops, or one and the fields that vary, and the shape of the answers."""
     if isinstance(loops, LoopParameters):
-        fields = loops.array_fields | fields
+        own = array_fields(loops)
+        first = {name: namespace(x).ravel(x)[0] for name, x in own.items()}
+        fields = own | fields
         shape = np.broadcast_shapes(*map(np.shape, fields.values()))
-        first = {name: namespace(x).ravel(x)[0] for name, x in loops.array_fields.items()}
         return replace(loops, **first), fields, shape
     if not isinstance(loops, Iterable):
         raise TypeError(f"loops is {loops!r}; give a list of HapticLoop, or one.")

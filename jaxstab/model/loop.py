@@ -35,7 +35,7 @@ _LEAST = {  # the least allowed value, and whether it is excluded
 }
 
 _FOR_COMPUTING = frozenset(
-    {"array_fields", "body", "filters", "held_device", "in_floats", "linear", "sampled"}
+    {"body", "filters", "held_device", "in_floats", "linear", "sampled"}
     | {"tree_flatten", "tree_unflatten"}
 )
 _OF_DEVICE = ("device_mass", "device_damping")
@@ -146,15 +146,18 @@ class LoopParameters:
             )
 
     @property
-    def array_fields(self) -> dict[str, Numbers]:
-        """The fields that are arrays, by name."""
-        given = {name: getattr(self, name) for name in _LEAST}
-        return {name: value for name, value in given.items() if _is_array(value)}
-
-    @property
     def shape(self) -> tuple[int, ...]:
-        """The shape to which the fields broadcast, () for one loop; ValueError if they do not."""
-        arrays = self.array_fields
+        """The shape to which the fields broadcast, () for one loop; ValueError if they do not.
+
+        Example:
+            >>> masses, delays = [0.1, 0.2, 0.3], [[0.0], [1e-3]]
+            >>> loops = jaxstab.HapticLoop(
+            ...     device_mass=masses, device_damping=0.1, sample_time=1e-3, delay=delays
+            ... )
+            >>> loops.shape, loops.verdict(1000.0, 10.0).shape
+            ((2, 3), (2, 3))
+        """
+        arrays = array_fields(self)
         try:
             return np.broadcast_shapes(*map(np.shape, arrays.values()))
         except ValueError:
@@ -336,9 +339,15 @@ class LoopParameters:
         return beta * (self.mass / self.sample_time)
 
 
+def array_fields(loop: LoopParameters) -> dict[str, Numbers]:
+    """Return the fields of a loop that are arrays, by name."""
+    given = {name: getattr(loop, name) for name in _LEAST}
+    return {name: value for name, value in given.items() if _is_array(value)}
+
+
 def refuse_arrays(loop: LoopParameters) -> None:
     """Raise TypeError if fields of a loop are arrays."""
-    if loop.array_fields:
+    if array_fields(loop):
         raise TypeError(
             f"the loop has fields of shape {loop.shape}, but one loop is needed here; "
             "jaxstab.limits_of, regions_of and methods from verdict to amplitude take many."
