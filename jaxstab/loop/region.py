@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float64
 from jaxstab.arrays import Array, Numbers, are_numbers, float_arrays, is_jax
 from jaxstab.model import LoopParameters, checked_gain, require_x64
 from jaxstab.model.filters import given_filters
+from jaxstab.model.loop import refuse_arrays
 from jaxstab.numbers import without_noise
 from jaxstab.region import RegionStatus, StableRegion, measures, stable_region
 from jaxstab.region.region import linear_region
@@ -283,6 +284,8 @@ class WallRegion(ShownRegion):
 def scaled(loop: LoopParameters, stiffness: Numbers, damping: Numbers) -> tuple[Array, Array]:
     """Return walls (K, B) of a loop, checked, as alpha and beta."""
     require_x64(stiffness, damping)
+    if np.ndim(loop.sample_time) and (loop.velocity or loop.position):
+        refuse_arrays(loop)  # windows and cut-offs would be arrays per sample
     alpha = loop.alpha(checked_gain("stiffness", stiffness))
     return alpha, loop.beta(checked_gain("damping", damping))
 

@@ -301,8 +301,6 @@ class LoopParameters:
     def filters(self) -> Estimators:
         """Velocity estimator and position filter in units of one sample."""
         velocity, position = self.velocity, self.position
-        if (velocity or position) and np.ndim(self.sample_time):
-            refuse_arrays(self)
         return {
             "velocity": None if velocity is None else velocity.per_sample(self.sample_time),
             "position": None if position is None else position.per_sample(self.sample_time),
