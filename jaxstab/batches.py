@@ -221,8 +221,8 @@ def _cores() -> int:
 def filled_up(function: Callable[..., Result], *arguments: Any, is_smooth: bool = False) -> Result:
     """Call a JAX function of points in float64, on a grid of one of few sizes; NumPy in and out.
 
-    What fills axes up are their last points; or else they go on as evenly as before (``is_smooth``)
-    for a function that compares neighbours.
+    An axis is filled up with its last points again, or, for a function that compares neighbours
+    (``is_smooth``), with points that continue it evenly.
     """
     shape = np.broadcast_shapes(*map(np.shape, leaves(arguments)))
     # Each axis is filled up to a length of five binary digits, which is at most 6 % more; so grids

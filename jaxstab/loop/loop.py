@@ -37,10 +37,10 @@ class HapticLoop(LoopParameters):
     ``stiffness_limits``, ``damping_limits``, ``boundary_distance``, ``tune``; about all hands of a
     range: ``worst_hand``, ``robust_limit``; and ``to_control``. Numbers are finite and in SI units.
 
-    Fields may be arrays that broadcast: many loops of one mass, with one sample time if there is an
-    estimator or filter. Methods from ``verdict`` to ``amplitude`` answer for walls of shapes that
-    broadcast with them, ``jaxstab.limits_of`` and ``regions_of`` for all loops of any device; all
-    other methods are of one loop.
+    Fields may be arrays that broadcast; the loop then stands for many loops. The methods from
+    ``verdict`` to ``amplitude`` broadcast them with the walls, if the device is one mass and the
+    sample time a single number wherever there is an estimator or filter. ``jaxstab.limits_of`` and
+    ``regions_of`` accept any such loop; all other methods need a single one.
 
     A loop is a pytree: JAX traces its numbers, the cut-offs of filters among them, but not windows
     nor how many whole samples the delay has (``jax.grad(f)(loop).delay`` is the derivative by t_d).

@@ -348,7 +348,7 @@ def refuse_arrays(loop: LoopParameters) -> None:
     if array_fields(loop):
         raise TypeError(
             f"the loop has fields of shape {loop.shape}, but one loop is needed here; "
-            "jaxstab.limits_of, regions_of and methods from verdict to amplitude take many."
+            "jaxstab.limits_of, regions_of and the methods about given walls accept arrays."
         )
 
 

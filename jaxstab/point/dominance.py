@@ -248,7 +248,7 @@ def _real_power(x: Array, exponent: int) -> Array | float:
 _LOST_IN_SQUARES = 1e-150  # moduli below are flushed to zero
 _SLACK = 1.0 + 1e-6  # the bounds themselves are rounded
 _BESIDE, _BESIDE_OF_LONG = 2.0**-25, 2.0**-20  # how far inside of the root the circle is, relative
-_NEAR = 2.0**-17  # most that the last step of Newton's method may correct, relative
+_NEAR = 2.0**-17  # longest last step of Newton's method, relative
 
 
 @compiled(static=["degree", "corrections", "shared"], many=0, wide=True)
@@ -329,8 +329,9 @@ def with_distance(
     the zeros outside of it while it still computes t.
     """
     xp = namespace(t, loop)
-    (_, size, radius, beyond), last = _moduli(t), _moduli(t if before is None else before)
-    distance, rounding = _distance_to_root(t, size, radius, loop, degree)
+    own = _moduli(t)
+    last = own if before is None else _moduli(before)
+    distance, rounding = _distance_to_root(t, own.size, own.radius, loop, degree)
     # The counts of long polynomials have fewer digits.
     beside = _BESIDE if degree <= HIGHEST_COUNTED else _BESIDE_OF_LONG
     shortest = xp.minimum(last.size, last.radius)
@@ -340,12 +341,14 @@ def with_distance(
         zeros_outside(*_circle(within, rounding, loop, degree), UNIT, degree) == 2.0 - is_real
     )
     step = t.plus(last.t.scaled(-1.0)).squared_modulus()
-    # What the circle is inside of |1 + t| by may be wrong by less than 64 ulp of the root's size.
-    apart = xp.minimum(beyond - within - 64.0 * UNIT * size, xp.where(is_real, xp.inf, t.im))
+    # How far the circle is inside of |1 + t| is known to 64 ulp of the root's size.
+    apart = xp.minimum(
+        own.beyond - within - 64.0 * UNIT * own.size, xp.where(is_real, xp.inf, t.im)
+    )
     is_proved = is_proved & (distance < apart) & (step <= (_NEAR * shortest) ** 2)
     # All other roots are at least as far from z, so that p'/p has one large term (lemma R5).
     distance = _SLACK * distance / (degree - (degree - 1.0) * (distance / apart))
-    return radius, xp.where(is_proved, distance + 4.0 * UNIT * radius, xp.inf)
+    return own.radius, xp.where(is_proved, distance + 4.0 * UNIT * own.radius, xp.inf)
 
 
 class _Moduli(NamedTuple):
@@ -447,7 +450,7 @@ _LARGE_BLOCK = 2**20  # the same for all cores together
 _SHARED = Effort(14, 2, _BLOCK)  # for a root that neighbours share
 _LONGEST_SHARED = 8.0  # delay; beyond, guesses are little of the work
 _STEADY = 512  # points of an axis that differ by little from their neighbours
-_UNEVEN = 1 / 32  # most that such steps may differ by: roots are interpolated between neighbours
+_UNEVEN = 1 / 32  # largest change of such a step to the next, relative: roots are interpolated
 
 Values = np.ndarray[Any, np.dtype[Any]]
 Indices = Int64[np.ndarray, " point"]
