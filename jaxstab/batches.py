@@ -35,11 +35,13 @@ MANY_PLANTS = 1 << 16
 MANY_COEFFICIENTS = 1 << 20
 MANY_ANGLES = 1 << 18
 _FOR_A_CORE = 1 << 17  # points from which on a second core pays
+# Options of XLA's compiler for CPUs; ``compiler_options`` leaves out what a release does not have.
 _WIDE: dict[str, Any] = {
     "xla_cpu_prefer_vector_width": 512
 }  # bits; XLA prefers half of what the CPU has
-# For a program of hundreds of kernels: XLA's newer code generator for CPUs takes 400 MB more and
-# compiles for longer; what it compiles is not faster, and computes the same bits.
+# For a program of hundreds of kernels: in JAX 0.10 XLA's newer code generator takes 400 MB more
+# and compiles for longer; what it compiles is not faster, and computes the same bits. JAX 0.12 has
+# it alone, and compiles such programs as fast by it.
 LEAN: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False}
 
 
@@ -65,7 +67,7 @@ def compiled(
         def program(is_wide: bool) -> Callable[..., Any]:
             import jax
 
-            extra = _WIDE if is_wide and is_on_cpu() else None
+            extra = compiler_options(_WIDE) if is_wide else None
             return jax.jit(kernel, static_argnames=tuple(static), compiler_options=extra)
 
         @wraps(kernel)
@@ -208,6 +210,24 @@ def is_on_cpu() -> bool:
     import jax
 
     return jax.default_backend() == "cpu"
+
+
+def compiler_options(wanted: dict[str, Any]) -> dict[str, Any] | None:
+    """Return those of the wanted options of XLA on CPUs that this release of JAX has."""
+    if not is_on_cpu():
+        return None
+    return {name: value for name, value in wanted.items() if _has_option(name, value)}
+
+
+@cache
+def _has_option(name: str, value: Any) -> bool:
+    import jax
+
+    try:  # XLA lists its options nowhere, and refuses one that it does not know
+        jax.jit(lambda x: x, compiler_options={name: value}).lower(0.0).compile()
+    except jax.errors.JaxRuntimeError:
+        return False
+    return True
 
 
 def _cores() -> int:

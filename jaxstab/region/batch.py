@@ -44,7 +44,7 @@ from jax import lax
 from jaxtyping import Bool, Float64
 
 from jaxstab.arrays import Array, repeat
-from jaxstab.batches import LEAN, is_on_cpu
+from jaxstab.batches import LEAN, compiler_options
 from jaxstab.region.pieces import MARGIN, Branch
 from jaxstab.rounding import UNIT
 
@@ -142,7 +142,7 @@ Answers = tuple[Extremes, MainOutline | None]
 def program(degree: int, *, outlines: bool = False) -> Callable[[Triples], Answers]:
     """Return the compiled program for triples of one degree; the oldest of many are dropped."""
     solve = partial(components, outlines=outlines)
-    return jax.jit(solve, compiler_options=LEAN if is_on_cpu() else None)
+    return jax.jit(solve, compiler_options=compiler_options(LEAN))
 
 
 def components(triples: Triples, *, outlines: bool) -> Answers:
