@@ -205,9 +205,9 @@ def kept(rounded: Array) -> Array:
     """Return a number exactly as it was rounded; XLA must not rewrite the terms before it."""
     if not is_jax(rounded):
         return rounded
-    from jax import lax
-
-    return lax.optimization_barrier(rounded)
+    # A choice that no compiler can make before it knows the number. It is fused with what is around
+    # it; from JAX 0.12 on, a barrier of optimization would end a kernel, in the hottest loops.
+    return namespace(rounded).where(rounded == rounded, rounded, np.nan)
 
 
 # Inverses, roots and powers of two that XLA fuses with the arithmetic around them: it does not fuse

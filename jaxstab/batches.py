@@ -51,6 +51,7 @@ def compiled(
     many: int | float = np.inf,
     wide: bool = False,
     pointwise: bool = False,
+    parallel: bool = False,
 ) -> Callable[[Callable[Arguments, Result]], Callable[Arguments, Result]]:
     """Let XLA answer for JAX arrays, and for ``many`` points and more; NumPy for the rest.
 
@@ -60,6 +61,8 @@ def compiled(
         wide: use the widest vectors of the CPU, for plain arithmetic on many points.
         pointwise: each point of the grid is computed on its own, so grids of NumPy arrays are
             filled up to one of few sizes.
+        parallel: the kernel has no loop, as over tiles, so XLA itself divides it among the cores;
+            other grids of points are cut into a piece for each core.
     """
 
     def decorate(kernel: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
@@ -83,7 +86,8 @@ def compiled(
                 with np.errstate(all="ignore"):  # as XLA does: NaN and infinity are answers
                     return kernel(*arguments, **options)
             if pointwise:
-                return on_few_sizes(partial(program(wide), **options), *arguments)
+                on_grid = filled_up if parallel else on_few_sizes
+                return on_grid(partial(program(wide), **options), *arguments)
             return in_float64(program(wide), *arguments, **options)
 
         return call

@@ -21,7 +21,7 @@ concrete (a delay always); RuntimeError for JAX arrays while JAX's x64 mode is o
 """
 
 from enum import IntEnum
-from typing import Final, Literal, TypeAlias
+from typing import Any, Final, Literal, TypeAlias
 
 AXES: Final = ("alpha", "beta", "gamma", "delta", "delay")
 """The dimensionless parameters (paper, Table I) in the order of signatures, axes and files."""
@@ -36,8 +36,17 @@ HORIZON: Final = 1 << 18
 """Samples after which a loop that is not proved to have settled is given up."""
 
 
-class Verdict(IntEnum):
-    """A verdict on the stability of one point; a small integer, so that arrays store int8.
+class Code(IntEnum):
+    """A small integer with a name, so that arrays store int8."""
+
+    @classmethod
+    def _missing_(cls, value: Any) -> Any:
+        # An array has no hash, by which Python finds a member: the code of one point is its number.
+        return cls(value.item()) if getattr(value, "shape", None) == () else None
+
+
+class Verdict(Code):
+    """A verdict on the stability of one point.
 
     A loop is stable when every root of its characteristic polynomial (paper, eq. (9)) lies inside
     the unit circle. Zero means that nothing was computed, so a block of a file that was wiped or
@@ -54,7 +63,7 @@ class Verdict(IntEnum):
     UNDECIDED = 3
 
 
-class Status(IntEnum):
+class Status(Code):
     """How far an answer can be trusted: a small integer with a description.
 
     A member is written ``NAME = number, "words"``.

@@ -7,15 +7,20 @@ import json
 import os
 import subprocess
 import sys
+from fractions import Fraction
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
 import pytest
 
 import jaxstab
 from benchmarks.calls import COMPUTING_CALLS, outcome
+from jaxstab.batches import compiler_options
+from jaxstab.model.double_double import two_sum
+from jaxstab.point import dominance
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -264,3 +269,28 @@ def test_a_folder_that_cannot_be_made_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(OSError, match="file"):
         jaxstab.use_compilation_cache(tmp_path / "file" / "folder")
+
+
+def test_options_that_a_release_of_jax_does_not_have_are_not_asked_for() -> None:
+    known, unknown = {"xla_cpu_prefer_vector_width": 512}, {"xla_cpu_is_not_an_option": True}
+    assert compiler_options(known | unknown) == known
+
+
+@pytest.mark.parametrize("delay", [0.0, 2.0, 5.5])
+def test_the_roots_of_a_dense_grid_are_corrected_and_proved_by_one_kernel(delay: float) -> None:
+    """More than one write what they share to memory, and take two to four times as long."""
+    loop = jax.tree.map(
+        jax.numpy.asarray,
+        dominance._loop([np.full(shape, 0.1) for shape in ((64, 1), (1, 64), (1,), (1,))], delay),
+    )
+    degree = jaxstab.model.polynomial_degree(delay)
+    program = jax.jit(lambda t, loop: dominance.polished(t, loop, degree=degree, corrections=2))
+    compiled = program.lower(np.full((64, 64), -0.1 + 0.1j), loop).compile().as_text()
+    assert compiled[compiled.index("ENTRY") :].count(" fusion(") == 1
+
+
+def test_compilers_leave_the_rounding_of_a_sum_as_it_is(rng: np.random.Generator) -> None:
+    a, b = rng.normal(size=(2, 1000)) * 2.0 ** rng.integers(-60, 60, (2, 1000))
+    totals, errors = map(np.asarray, jax.jit(two_sum)(a, b))
+    exact = [Fraction(x) + Fraction(y) for x, y in zip(a, b, strict=True)]
+    assert [Fraction(t) + Fraction(e) for t, e in zip(totals, errors, strict=True)] == exact

@@ -5,7 +5,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
-from inspect import Parameter, getmodule, isroutine, signature
+from inspect import Parameter, getmodule, signature
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -204,7 +204,7 @@ def public_methods(value: object) -> list[Callable[..., Any]]:
     if not isinstance(value, type):
         return []
     found = [getattr(value, name) for name in dir(value) if not name.startswith("_")]
-    return [one for one in found if isroutine(one) and "jaxstab" in str(getmodule(one))]
+    return [one for one in found if callable(one) and "jaxstab" in str(getmodule(one))]
 
 
 def test_every_computing_function_is_in_the_table_of_calls() -> None:

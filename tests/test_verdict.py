@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from fractions import Fraction
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -154,6 +155,13 @@ def test_the_verdict_of_numbers_may_be_asked_for_inside_of_jit() -> None:
     assert (
         jax.jit(lambda: verdict(0.02, 0.2, gamma=1e-3, delta=0.015, delay=1.0))() == Verdict.STABLE
     )
+
+
+@pytest.mark.parametrize("array", [np.asarray, jnp.asarray])
+def test_a_code_in_an_array_of_one_number_is_that_verdict(array: Callable[..., Any]) -> None:
+    assert Verdict(array(2, np.int8)) is Verdict.UNSTABLE
+    with pytest.raises(ValueError, match="7 is not a valid Verdict"):
+        Verdict(array(7, np.int8))
 
 
 def test_an_unknown_way_to_resolve_is_refused() -> None:

@@ -470,7 +470,7 @@ def _ends(atlas: "Atlas", delay: float) -> tuple[tuple[float, float], tuple[floa
     arrays = atlas.arrays
     if ALPHA_LIMITS in arrays:
         rows = arrays[LIMIT_RANGE]
-        row = rows[np.searchsorted(rows[:, 0], delay, "right") - 1]
+        row = rows[int(np.searchsorted(rows[:, 0], delay, "right")) - 1]
         if delay <= row[1]:
             return (float(row[2]), float(row[3])), (float(row[4]), float(row[5]))
     elif delay in atlas.delays:

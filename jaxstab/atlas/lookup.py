@@ -98,7 +98,7 @@ def _steps(early: Floats) -> tuple[float, Integers]:
     width = float(early[-1] - early[0])
     if not width:
         return 0.0, np.zeros(1, np.intp)
-    count = np.ceil(2.0 * width / np.diff(early).min())
+    count = np.ceil(2.0 * width / np.min(np.diff(early)))
     if count > _MOST_STEPS:
         return 0.0, np.zeros(0, np.intp)
     begins = early[0] + width * (np.arange(count + 1.0) - 0.25) / count
@@ -331,7 +331,7 @@ class LimitTable:
         self, deciding: Floats | None, alpha: Floats, beta: Floats, *plant: Floats
     ) -> tuple[NDArray[np.int8]]:
         """Return the codes of points; a plant that all of them share is looked up once."""
-        ends = [(values.min(), values.max()) for values in plant]
+        ends = [(np.min(values), np.max(values)) for values in plant]
         for (least, most), (low, high) in zip(ends, self.plants, strict=True):
             if not low <= least <= most <= high:
                 raise OutsideError

@@ -276,7 +276,7 @@ def _first_grid(
             "no wall is stable for every hand at any mass and delay of the ranges; narrow them."
         )
     # Where no damping is stable any number will do: nothing will be proved there.
-    top, damping_unit = _coded(np.where(is_good, tops, tops[is_good].min()))
+    top, damping_unit = _coded(np.where(is_good, tops, np.min(tops[is_good])))
     top = np.maximum(top, damping_unit)
     share = np.maximum(np.linspace(0.0, 1.0, cells[2] + 1), _LEAST_SHARE)
     boundary = boundary_of(loop, hands, nodes[0], nodes[1], jitter)
@@ -313,7 +313,7 @@ def _proved(
         is_proved, left = is_proved | newly, left - count
         limit = np.where(_are_corners(grid, newly), np.minimum(limit, grid.limit), limit)
         # A cell whose limits are all 0 cannot be lowered further.
-        hopeful = ~is_proved & (np.maximum.reduce(_corners(grid)) > 0.0)
+        hopeful = ~is_proved & (np.max(_corners(grid), axis=0) > 0.0)
         grid = _lowered(grid, hopeful, unit, share)
         each, share = each * _MORE, min(share * _MORE, 1.0)
     progress(1.0)
@@ -341,7 +341,7 @@ def _granted_rows(
     # delay is enough for all of its walls.
     rows = np.zeros((*grid.cells[:2], 2), np.int64)
     corners = [grid.limit[a : a + grid.cells[0], d : d + grid.cells[1]] for a, d in _SQUARE]
-    least = np.minimum.reduce(corners)
+    least = np.min(corners, axis=0)
     for place in np.ndindex(*grid.cells[:2]):
         edges = np.flatnonzero(np.diff(np.concatenate([[False], is_proved[place], [False]])))
         stretches = edges.reshape(-1, 2)

@@ -56,8 +56,8 @@ def grid_boxes(device: Device, loop: LoopParameters, hands: HandRange, grid: Gri
     """
     count = grid.cells[2]
     corners = grid.limit[:, :, 0]
-    begins = np.maximum.reduce(
-        [corners[:-1, :-1], corners[1:, :-1], corners[:-1, 1:], corners[1:, 1:]]
+    begins = np.max(
+        [corners[:-1, :-1], corners[1:, :-1], corners[:-1, 1:], corners[1:, 1:]], axis=0
     )
 
     def limits(center: Boxes, half: Boxes) -> tuple[LinearModel, LinearModel]:

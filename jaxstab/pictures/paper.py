@@ -186,7 +186,7 @@ def _frequencies(share: float, delta: float, delay: float) -> list[_Slice]:
     for index, omega in enumerate(np.linspace(0.0, share * pi, _NYQUIST_STEPS)):
         # Without damping a root stays at z = -1 at Nyquist frequency: the limit from below.
         limit = delta == 0.0 and omega == pi
-        gamma = (omega * _BELOW_NYQUIST) ** 2 if limit else omega**2 + delta**2 / 4
+        gamma = float((omega * _BELOW_NYQUIST) ** 2 if limit else omega**2 + delta**2 / 4)
         colour = colormaps["viridis"](0.9 * index / (_NYQUIST_STEPS - 1))
         style: _Style = "--" if limit else "-"
         remark = " (limit stable)" if limit else ""

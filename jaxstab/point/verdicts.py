@@ -223,6 +223,7 @@ HIGHEST_UNROLLED = 12  # degree up to which XLA compiles the recursion without a
 # of the time at delays of 10 and 20, but each degree compiles for about a second.
 _HIGHEST_OF_MANY = 26
 _PAYS_FROM = 1 << 19  # points
+_HIGHEST_UNTILED = 4  # degree up to which a point's numbers stay in registers
 _LOST = 2.0**-25  # of N(1): the error of a stiff plant times its root is an ulp there
 
 
@@ -446,17 +447,22 @@ def verdict(
 
 def _float_codes(arguments: tuple[Any, ...], degree: int) -> Array:
     """Return the codes of points; unless they are many, XLA compiles once for all long delays."""
+    if degree <= _HIGHEST_UNTILED:
+        return _untiled_codes(arguments, degree=degree)
     is_short = degree <= HIGHEST_UNROLLED
     if not is_short and degree <= _HIGHEST_OF_MANY:
         is_short = prod(np.broadcast_shapes(*map(np.shape, arguments[:3]))) >= _PAYS_FROM
     return _short_codes(arguments, degree=degree) if is_short else _long_codes(arguments, degree)
 
 
+@compiled(static=["degree"], many=MANY, wide=True, pointwise=True, parallel=True)
+def _untiled_codes(arguments: tuple[Any, ...], *, degree: int) -> Array:
+    return loop_codes(*arguments, unit=UNIT, degree=degree)
+
+
 @compiled(static=["degree"], many=MANY, wide=True, pointwise=True)
 def _short_codes(arguments: tuple[Any, ...], *, degree: int) -> Array:
     codes = partial(loop_codes, unit=UNIT, degree=degree)
-    if degree <= 4:
-        return codes(*arguments)
     return over_tiles(codes, arguments, TILE if degree <= HIGHEST_UNROLLED else _TILE)
 
 

@@ -334,7 +334,7 @@ def _are_parted(
     sides = [1j * (b - a) for a, b in pairwise([*centres, centres[0]])]
     nearest = np.full(box.shape, -inf)
     for normal in (*centres, *sides):
-        nearest = np.maximum(nearest, np.minimum.reduce(clearances(normal, discs)[0]))
+        nearest = np.maximum(nearest, np.min(clearances(normal, discs)[0], axis=0))
     return nearest > CLEARANCE * np.max(np.abs(centres), axis=0)
 
 

@@ -75,7 +75,7 @@ def _beyond(
 ) -> FittedAxis:
     """An axis that extends beyond gains, where these are beyond the stable set."""
     axis: FittedAxis = getattr(spec, name)
-    low, high = float(gains.min()), float(gains.max())
+    low, high = float(np.min(gains)), float(np.max(gains))
     aside = _ASIDE * max(abs(low), abs(high))
     return replace(
         axis,

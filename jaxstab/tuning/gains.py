@@ -148,7 +148,7 @@ def smallest_radius_damping(loop: TunedLoop, alpha: float) -> OptimalGains:
     if not radii.min() < 1.0:
         loop = loop._replace(component=Component(None, TuningStatus.ISLAND, lowest))
         radii = loop.radii(alpha, betas)
-    middle = int(radii.argmin())
+    middle = int(np.argmin(radii))
     around = betas[max(middle - 2, 0)], betas[min(middle + 2, betas.size - 1)]
     return smallest_radius_around(loop, Grid((alpha, alpha), around, FINE, lowest))
 
@@ -158,7 +158,7 @@ def smallest_radius_around(loop: TunedLoop, grid: Grid) -> OptimalGains:
 
     def least(at: Grid) -> tuple[float, int]:
         values = loop.radii(*at.points)
-        return float(values.min()), int(values.argmin())
+        return float(np.min(values)), int(np.argmin(values))
 
     wall, radius = zoomed(least, grid)
     found_by = loop.component.status or TuningStatus.SCANNED
