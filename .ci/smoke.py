@@ -3,7 +3,9 @@
 It needs nothing but the package and its dependencies, and runs outside of the repository.
 """
 
+import sys
 import tempfile
+from operator import attrgetter
 from pathlib import Path
 
 import jax
@@ -14,6 +16,18 @@ import jaxstab
 from jaxstab.cli.main import main
 
 REPOSITORY = Path(__file__).resolve().parents[1]
+
+
+def names() -> None:
+    """Every public name is there, and each one that computes answers a good call."""
+    sys.path.append(str(REPOSITORY))  # after what is installed
+    from benchmarks.calls import COMPUTING_CALLS, PUBLIC, outcome
+
+    for name in PUBLIC:
+        attrgetter(name)(jaxstab)
+    for name in COMPUTING_CALLS:
+        said = outcome(name)
+        assert "Error: " not in said, (name, said)
 
 
 def commands() -> None:
@@ -61,6 +75,16 @@ def answers() -> None:
     assert np.allclose(radii, traced, rtol=0.0, atol=1e-12)
 
 
+def batches() -> None:
+    """Many loops are answered by compiled programs."""
+    masses = np.linspace(0.1, 0.5, 64)
+    loops = jaxstab.HapticLoop(device_mass=masses, device_damping=1.5, sample_time=1e-3, delay=1e-3)
+    limits = jaxstab.limits_of(loops)
+    own = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3, delay=1e-3)
+    assert np.isclose(limits.stiffness[0], own.limits().stiffness, rtol=1e-9)
+    assert np.all(jaxstab.regions_of(loops).area > 0.0)
+
+
 def atlas() -> None:
     """An atlas is built, verified by its digest, and asked."""
     axes = {"gamma": (0.0,), "delta": (0.015,), "delay": (1.0,)}
@@ -75,6 +99,8 @@ def atlas() -> None:
         assert built.verdict(0.05, 0.3, gamma=0.0, delta=0.015, delay=1.0) == jaxstab.Verdict.STABLE
 
 
+names()
 commands()
 answers()
+batches()
 atlas()
