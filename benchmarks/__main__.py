@@ -112,8 +112,12 @@ def main() -> int:
             options = {"points": choice.points}
         if name in ("stress", "loops"):
             options |= {"keep": keep}
+        own = {"benchmark": name, "small": choice.small, "machine": record.machine()}
+        path = record.path_of(own, choice.out)
+        before = record.read(path) if path.exists() else None
         rows = import_module(f"benchmarks.{name}").rows(choice.small, **options)
-        print(keep(record.shown(rows)))
+        kept = keep(record.shown(rows))
+        print(*record.comparison(record.read(kept), before), kept, sep="\n")
     return 0
 
 

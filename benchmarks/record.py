@@ -108,6 +108,27 @@ def read_all(folder: Path) -> list[Record]:
     return records
 
 
+def comparison(record: Record, before: Record | None) -> Iterator[str]:
+    """Say how long rows take beside those of an earlier record of the same machine."""
+    name, versions = record["machine"]["name"], record["versions"]
+    if before is None:
+        yield f"no record of this machine ({name}): these times are compared with nothing."
+        return
+    yield (
+        f"times over those of {before['date']} on this machine ({name}), with jax "
+        f"{versions['jax']} now and {before['versions']['jax']} then:"
+    )
+    seconds = {_key(row): row["seconds"] for row in before["rows"]}
+    for row in record["rows"]:
+        if _key(row) in seconds:
+            ratio = row["seconds"] / seconds[_key(row)]
+            yield f"{row['section']:10} {row['method']:26} delay {row['delay']:<4g} {ratio:8.2f}"
+
+
+def _key(row: Row) -> tuple[Any, ...]:
+    return row["section"], row["method"], row["delay"], row["points"]
+
+
 def line(row: Row) -> str:
     """Return a row in words: time and error side by side."""
     own = (f"{k}={_short(v)}" for k, v in row.items() if k not in ROW_COLUMNS)

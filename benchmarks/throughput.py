@@ -243,14 +243,18 @@ def _plain_verdict(delay: float, alpha: np.ndarray, beta: np.ndarray) -> np.ndar
     numbers = map(np.asarray, (GAMMA, DELTA, fraction))
     plant = float_plant(*numbers, is_fractional=fraction > 0.0)
     degree = polynomial_degree(delay)
-    return np.asarray(_plain_codes(alpha, beta, plant, degree=degree))
+    codes = _untiled_plain_codes if degree <= _WITHOUT_TILES else _plain_codes
+    return np.asarray(codes(alpha, beta, plant, degree=degree))
+
+
+@compiled(static=["degree"], many=MANY, wide=True, pointwise=True, parallel=True)
+def _untiled_plain_codes(alpha: Any, beta: Any, plant: Any, *, degree: int) -> Any:
+    return _plain(alpha, beta, plant, degree=degree)
 
 
 @compiled(static=["degree"], many=MANY, wide=True, pointwise=True)
 def _plain_codes(alpha: Any, beta: Any, plant: Any, *, degree: int) -> Any:
     codes = partial(_plain, degree=degree)
-    if degree <= _WITHOUT_TILES:
-        return codes(alpha, beta, plant)
     return over_tiles(codes, (alpha, beta, plant), TILE if degree <= _SHORT else _TILE)
 
 

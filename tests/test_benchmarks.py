@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks import record
 from benchmarks.__main__ import BENCHMARKS
 from benchmarks.ranges import is_limit_wrong, judged_margins
 from jaxstab import HandRange, HapticLoop
@@ -87,15 +88,15 @@ def test_there_is_a_record_of_each_benchmark(records: dict[str, dict[str, Any]])
 
 @pytest.mark.parametrize("name", BENCHMARKS)
 def test_a_record_says_on_what_it_was_made(name: str, records: dict[str, dict[str, Any]]) -> None:
-    record = records[name]
-    assert set(record) == {"benchmark", "small", "date", "machine", "versions", "rows"}
-    assert record["small"] is True
-    machine = record["machine"]
+    own = records[name]
+    assert set(own) == {"benchmark", "small", "date", "machine", "versions", "rows"}
+    assert own["small"] is True
+    machine = own["machine"]
     assert set(machine) == {"name", "cpu", "cores", "memory_gib", "system", "accelerator"}
     assert machine["cpu"]
     assert machine["cores"] == os.cpu_count()
     assert machine["memory_gib"] > 0
-    assert {"python", "jaxstab", "jax", "numpy"} <= set(record["versions"])
+    assert {"python", "jaxstab", "jax", "numpy"} <= set(own["versions"])
 
 
 @pytest.mark.parametrize("name", BENCHMARKS)
@@ -165,6 +166,21 @@ def test_memory_is_measured_before_and_after_the_work(
 ) -> None:
     for row in rows("scaling"):
         assert row["peak_mib"] >= row["start_mib"] > 0.0
+
+
+def test_times_are_compared_with_those_of_the_same_machine_alone(
+    records: dict[str, dict[str, Any]],
+) -> None:
+    now = records["throughput"]
+    before = json.loads(json.dumps(now))
+    for row in before["rows"]:
+        row["seconds"] /= 2.0
+    head, *lines = record.comparison(now, before)
+    assert now["machine"]["name"] in head
+    assert len(lines) == len(now["rows"])
+    assert all(line.endswith(" 2.00") for line in lines)
+    (said,) = record.comparison(now, None)
+    assert "compared with nothing" in said
 
 
 def test_plots_and_table_are_made_of_the_records(out: Path) -> None:

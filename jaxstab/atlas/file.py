@@ -116,7 +116,7 @@ def check_values(variable: Variable, values: Array) -> None:
     if variable.dtype == "S":
         return
     if variable.has_nan:
-        low, high = (f.reduce(values.ravel(), initial=0.0) for f in (np.fmin, np.fmax))
+        low, high = np.nanmin(values, initial=0.0), np.nanmax(values, initial=0.0)
     else:
         low, high = values.min(), values.max()  # NaN where one is
     check(variable.lowest <= low and high <= variable.highest)
