@@ -29,7 +29,7 @@ import numpy as np
 
 import jaxstab
 from jaxstab import HapticLoop, Velocity, Verdict
-from jaxstab.results import Contact, ContactKind
+from jaxstab.results import Contact
 
 PICTURE = Path(__file__).resolve().parents[1] / "docs" / "contact.png"
 _T = 1e-3
@@ -177,7 +177,7 @@ def by_ratio(devices: int, runs: int) -> Iterator[str]:
 
 
 def _does_rest(contact: Contact) -> np.ndarray:
-    return np.isin(contact.kind, [ContactKind.RESTS])
+    return np.isfinite(contact.time_to_rest)
 
 
 def table(counts: Counter[str], widest: float) -> Iterator[str]:

@@ -75,6 +75,14 @@ function contacts(cases) {
   });
 }
 
+/** The worst of the contacts that begin at rest and at a speed. */
+function worstContacts(cases) {
+  return cases.map((setup) => {
+    const { kind, speed } = worstContactOf(setup, setup.wall, setup.conditions, [0, setup.conditions.speed]);
+    return { kind, speed };
+  });
+}
+
 /** Why contacts are not simulated. */
 function refusals(cases) {
   return cases.map((setup) => whyNoContact(setup, setup.wall, setup.conditions));

@@ -5,12 +5,15 @@ import tomllib
 from collections.abc import Callable
 from dataclasses import replace
 from math import inf, pi
+from pathlib import Path
 from typing import Any
 
 import campaign
 import jax
 import numpy as np
 import pytest
+from commands import run
+from scipy.linalg import expm
 
 import jaxstab
 from benchmarks import contact as benchmark
@@ -133,7 +136,8 @@ def assert_runs_are_true(
             scale = np.maximum.accumulate(np.abs(theirs))[known]
             assert np.all(np.abs(ours - theirs)[known] <= 1e-11 * scale)
         if true.certain == samples:
-            assert abs(contact.penetration - true.highest) <= 1e-11 * np.abs(true.path[0]).max()
+            deepest = max(true.highest, 0.0)
+            assert abs(contact.penetration - deepest) <= 1e-11 * np.abs(true.path[0]).max()
             given = abs(true.given) + felt.mass * start[1] ** 2
             assert abs(contact.energy - true.given) <= 1e-9 * given
             if felt.device is None:
@@ -177,7 +181,8 @@ def test_a_free_mass_slides_until_friction_stops_it() -> None:
     time = np.minimum(contact.path.time, stop)
     true = -1.0 + speed * time - 0.5 * deceleration * time**2
     assert np.allclose(contact.path.position, true, rtol=1e-14, atol=1e-15)
-    assert contact.kind == ContactKind.RESTS
+    assert contact.kind == ContactKind.UNTOUCHED  # it stops before the wall
+    assert contact.penetration == 0.0
     assert contact.time_to_rest == pytest.approx(stop, abs=5e-3)  # the last um takes 1.2 ms
     assert contact.energy == 0.0
     assert contact.largest_force == 0.0
@@ -369,14 +374,110 @@ def test_every_kind_of_end_has_its_name() -> None:
     two_sided = held.contact(40000.0, 0.0, speed=0.1, one_sided=False, duration=8.0)
     assert two_sided.kind == ContactKind.GROWS
     assert two_sided.amplitude == two_sided.penetration == two_sided.largest_force == inf
+    assert two_sided.time_to_rest == inf
     assert np.isnan(two_sided.energy)
-    assert WINDOW.contact(1000.0, 3.0, speed=0.1).kind == ContactKind.LEAVES
+    assert WINDOW.contact(1000.0, 3.0, speed=0.1).kind == ContactKind.OUTSIDE
     free = HapticLoop(device_mass=0.25, device_damping=0.02, sample_time=PERIOD)
     decaying = free.contact(1000.0, 1.0, speed=0.1, push=0.5, one_sided=False)
     assert decaying.kind == ContactKind.DECAYS
     still = free.contact(10.0, 0.005, speed=0.1, one_sided=False, duration=8.0)
     assert still.kind == ContactKind.OSCILLATES
     assert still.frequency == pytest.approx(np.sqrt(10.0 / 0.25) / (2.0 * pi), rel=1e-2)
+
+
+def own_run(
+    loop: HapticLoop, wall: tuple[float, float], start: tuple[float, float], samples: int, *,
+    push: float, most: float, delay: int = 1, one_sided: bool = True, fine: int = 4,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """Positions, some in each sample, and forces: a recursion with a matrix exponential."""
+    rates = [[0.0, 1.0, 0.0], [0.0, -loop.device_damping / loop.mass, 1.0 / loop.mass], [0.0] * 3]
+    step = expm(np.array(rates) * PERIOD / fine)[:2]
+    state, before = np.array(start), start[0]
+    forces, places = [0.0] * delay, []
+    for sample in range(samples):
+        place = state[0]
+        force = -wall[0] * place - wall[1] * (place - before) / PERIOD
+        if one_sided:
+            force = min(force, 0.0) if place > 0.0 else 0.0
+        forces.append(min(max(force, -most), most))
+        before = place
+        for _ in range(fine):
+            state = step @ [*state, forces[sample] + push]
+            places.append(state[0])
+    return np.array(places), np.array(forces[delay:])
+
+
+BARE = HapticLoop(**HELD, delay=PERIOD)
+
+
+def test_a_kind_says_what_an_own_recursion_saw(rng: np.random.Generator) -> None:
+    """Outside in the last quarter, never at the wall, or pushed more than the wall can hold."""
+    kinds, samples = [], 320
+    for _ in range(150):
+        wall = 10.0 ** rng.uniform(2.0, 3.8), 10.0 ** rng.uniform(-1.0, 1.3)
+        push = float(rng.choice([0.0, 10.0 ** rng.uniform(-1.5, 1.0)]))
+        most = float(rng.choice([inf, (push or 1.0) * rng.choice([0.5, 1.0, 2.0])]))
+        start = float(rng.choice([0.0, -0.05])), 10.0 ** rng.uniform(-2.0, 0.0)
+        one_sided = bool(rng.random() < 0.8)
+        places, forces = own_run(
+            BARE, wall, start, samples, push=push, most=most, one_sided=one_sided
+        )
+        contact = BARE.contact(
+            *wall, position=start[0], speed=start[1], push=push, one_sided=one_sided,
+            max_force=None if most == inf else most, duration=samples * PERIOD,
+        )  # fmt: skip
+        late = forces[-samples // 4 - 1 :]  # the last quarter and the sample before
+        if abs(late[0]) == most and np.all(late == late[0]):
+            expected = ContactKind.PUSHED_THROUGH
+        elif one_sided and places.max() < 0.0:
+            expected = ContactKind.UNTOUCHED
+        elif one_sided and places[-samples:].max() < 0.0:
+            expected = ContactKind.OUTSIDE
+        else:
+            expected = ContactKind.NOT_COMPUTED  # of the others
+        kinds.append(expected)
+        others = {kind for kind in ContactKind if kind < ContactKind.OUTSIDE}
+        assert contact.kind in (others if expected == ContactKind.NOT_COMPUTED else {expected})
+        deepest = max(places.max(), start[0], 0.0)
+        assert -1e-9 * deepest <= contact.penetration - deepest <= 1e-3 * deepest + 1e-5
+    assert min(map(kinds.count, set(kinds))) >= 8
+    assert len(set(kinds)) == 4
+
+
+def test_what_returns_later_is_outside_and_not_said_to_stay_there() -> None:
+    """It returns once, at 2.949 s, and is outside in the last quarter of 4 s."""
+    wall, start = (3000.0, 2.0), (0.0, 0.3)
+    places, _ = own_run(BARE, wall, start, 4000, push=0.05, most=inf)
+    enters = np.flatnonzero((places[1:] > 0.0) & (places[:-1] <= 0.0))
+    assert [place * PERIOD / 4 for place in enters] == [pytest.approx(2.949, abs=1e-3)]
+    contact = BARE.contact(*wall, push=0.05, speed=start[1])
+    assert contact.kind == ContactKind.OUTSIDE
+    assert ContactKind.OUTSIDE.words == "outside of the wall at the end"
+
+
+@pytest.mark.parametrize("push", [2.0, 1.0])
+def test_a_push_of_the_largest_force_or_more_goes_through_the_wall(push: float) -> None:
+    """The force is 1 N at most: then the speed goes to (push - 1 N) / b, where the wall ends."""
+    loop = HapticLoop(device_mass=0.25, device_damping=1.0, sample_time=PERIOD, delay=PERIOD)
+    wall, limited = (1000.0, 5.0), {"max_force": 1.0}
+    places, forces = own_run(loop, wall, (0.0, 0.1), 4000, push=push, most=1.0)
+    assert np.all(forces[-1000:] == -1.0)
+    assert places[-1] - places[-4001] == pytest.approx(push - 1.0, abs=1e-5)  # m in 1 s
+    contact = loop.contact(*wall, push=push, speed=0.1, **limited)
+    assert contact.kind == ContactKind.PUSHED_THROUGH
+    assert contact.penetration == pytest.approx(places.max(), rel=1e-9)
+    assert loop.contact(*wall, push=0.9, speed=0.1, **limited).kind == ContactKind.RESTS
+
+
+def test_what_bounced_away_and_stopped_has_left_the_wall() -> None:
+    """Viscous damping stops it within m v / b of where it left."""
+    loop = HapticLoop(device_mass=0.25, device_damping=5.0, sample_time=PERIOD, delay=PERIOD)
+    places, _ = own_run(loop, (3000.0, 2.0), (0.0, 0.3), 4000, push=0.0, most=inf)
+    assert places[-1] < -1e-3
+    assert np.ptp(places[-4000:]) < 1e-6
+    contact = loop.contact(3000.0, 2.0, speed=0.3)
+    assert contact.kind == ContactKind.OUTSIDE
+    assert contact.time_to_rest < 3.0
 
 
 def test_no_run_of_a_stable_wall_passes_the_proved_amplitude(rng: np.random.Generator) -> None:
@@ -597,13 +698,66 @@ def test_friction_without_a_start_meets_the_push_of_a_finger() -> None:
     table = tomllib.loads(SCENE)
     del table["contact"]
     scene = Scene.from_table(table)
-    assert scene.contact == Contact(push=1.0)  # N
-    assert simulate_contacts(scene).walls["soft"].worst_start.startswith("pushed with 1 N")
+    assert (scene.contact, scene.start) == (Contact(), (1.0, 0.1))  # N, m/s
+    assert (
+        simulate_contacts(scene).walls["soft"].worst_start.startswith("at 0.1 m/s, pushed with 1 N")
+    )
     table["device"]["friction"] = 3.0
-    assert Scene.from_table(table).contact == Contact(push=6.0)  # it overcomes the friction
+    assert Scene.from_table(table).start == (6.0, 0.1)  # it overcomes the friction
     del table["device"]["friction"]
     with pytest.raises(ValueError, match=r"contact is missing; give contact\.push"):
         simulate_contacts(Scene.from_table(table))
+
+
+def with_contact(**contact: Any) -> Scene:
+    return Scene.from_table(tomllib.loads(SCENE) | {"contact": contact})
+
+
+def test_a_start_that_is_given_in_part_keeps_the_rest_of_the_default_one() -> None:
+    """So a speed alone is pushed back to the wall, and a side alone is simulated as well."""
+    assert with_contact(speed=0.5).start == (1.0, 0.5)
+    assert with_contact(push=0.2).start == (0.2, 0.1)
+    assert with_contact(push=0.0).start == (0.0, 0.1)
+    table = tomllib.loads(SCENE.replace("mass", "inertia").replace("friction = 0.1\n", ""))
+    assert Scene.from_table(table | {"contact": {"one_sided": False}}).start == (0.05, 1.0)
+
+
+def test_the_approach_finds_what_a_push_from_rest_does_not() -> None:
+    """Pushed from rest the device comes to rest; when it arrives at 0.1 m/s it bounces on."""
+    causes, scene = {"friction": 0.1, "push": 1.0}, throwing(friction=0.1)
+    assert BARE.contact(3000.0, 2.0, **causes).kind == ContactKind.RESTS
+    assert BARE.contact(3000.0, 2.0, **causes, speed=0.1).kind == ContactKind.BOUNCES
+    hard = simulate_contacts(scene).walls["hard"]
+    assert (hard.contact, hard.worst_start) == (ContactKind.BOUNCES, "at 0.1 m/s, pushed with 1 N")
+
+
+def throwing(friction: float, **contact: float) -> Scene:
+    return Scene.from_table(
+        {
+            "device": {"mass": 0.25, "damping": 0.1, "friction": friction},
+            "controller": {"sample_time": 1e-3, "delay": 1e-3},
+            "walls": {"hard": {"stiffness": 3000.0, "damping": 2.0}},
+            "contact": contact,
+        }
+    )
+
+
+def test_a_wall_that_throws_off_what_pushes_is_not_at_rest() -> None:
+    contacts = simulate_contacts(throwing(0.02, push=0.05, speed=0.3))
+    assert contacts.walls["hard"].contact == ContactKind.OUTSIDE
+    assert contacts.walls["hard"].worst_start == "at 0.3 m/s, pushed with 0.05 N"
+    assert not contacts.all_stable
+
+
+@pytest.mark.parametrize("command", ["limits", "guard", "contact"])
+def test_a_joint_that_is_held_from_both_sides_needs_no_other_key(
+    command: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "joint.toml"
+    path.write_text(SCENE.split("[contact]")[0] + "[contact]\none_sided = false\n")
+    output = ["-o", tmp_path / "guard.h"] if command == "guard" else []
+    answer = run(command, path, *output)
+    assert answer.exit_code == int(command == "contact"), answer.stderr  # the hard wall moves
 
 
 @pytest.mark.parametrize(

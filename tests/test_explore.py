@@ -35,7 +35,7 @@ from explorer import (
 
 import jaxstab
 from jaxstab.explore import SCRIPTS, explorer_page, script
-from jaxstab.scene import Scene
+from jaxstab.scene import Scene, simulate_contacts
 from jaxstab.scene import loop_of as scene_loop
 
 SCENES = sorted((Path(__file__).parents[1] / "data" / "scenes").glob("*.toml"))
@@ -365,7 +365,9 @@ def test_an_encoder_rounds_exact_ties_to_the_even_step_as_python_does() -> None:
 @needs_node
 def test_contacts_are_those_of_python(rng: np.random.Generator) -> None:
     """To 1e-9 of the largest position; chaotic ones until Python's own roundings part them."""
-    found = [*random_contacts(rng, 30), slow_contact()]
+    away = {"speed": 0.1, "encoder": 1e-4, "oneSided": True}  # it is thrown off, and never pushed
+    leaving = contact_without_friction({"damping": 1.5, "period": 1e-3}, (1000.0, 2.0), away)
+    found = [*random_contacts(rng, 30), slow_contact(), leaving]
     answers = asked_of_node("contacts", [setup for _, setup in found])
     kinds, chaotic = set(), 0
     for (loop, setup), answer in zip(found, answers, strict=True):
@@ -394,7 +396,7 @@ def test_contacts_are_those_of_python(rng: np.random.Generator) -> None:
                 assert abs(answer[name] - measure) <= 1e-9 * scale, (name, setup)
             else:
                 assert answer[name] is None
-    assert {"rests", "bounces", "grows", "decays"} <= kinds
+    assert {"rests", "bounces", "grows", "decays", "outside"} <= kinds
     assert chaotic < 6
 
 
@@ -436,20 +438,49 @@ CONTACTS: list[dict[str, Any]] = [
 
 
 def test_a_page_begins_with_the_contact_of_the_scene() -> None:
-    keys = ("contact", "friction", "push", "encoder")
+    keys = ("contact", "friction", "push", "speed", "encoder")
     states = [initial_of(page_of(table))["state"] for table in CONTACTS]
     assert [[state[key] for key in keys] for state in states] == [
-        ["on", 0.3, 2.5, 2e-5],
-        ["on", 1e-3, 0.02, 0.0],
-        ["off", 0.0, 1.0, 1e-7],
+        ["on", 0.3, 2.5, 0.1, 2e-5],
+        ["on", 1e-3, 0.02, 1.0, 0.0],
+        ["off", 0.0, 1.0, 0.1, 1e-7],
     ]
 
 
 def test_a_page_says_what_its_simulated_contacts_ignore() -> None:
-    contact = {"push": 1.0, "speed": 0.1, "one_sided": False}
+    contact = {"push": 1.0, "duration": 2.0, "one_sided": False}
     notes = " ".join(initial_of(page_of({"contact": contact}))["notes"])
-    assert "ignore contact.speed, contact.one_sided of the scene" in notes
+    assert "ignore contact.one_sided, contact.duration of the scene" in notes
     assert "ignore" not in " ".join(initial_of(page_of(CONTACTS[0]))["notes"])
+
+
+@needs_node
+def test_a_page_shows_the_worst_of_the_starts_as_a_scene_does() -> None:
+    """Pushed from rest all of these come to rest; at a speed one bounces, one stays outside."""
+    starts = [(0.1, 1.0, 0.1), (0.02, 0.05, 0.3), (0.3, 1.0, 0.1), (0.3, 1.0, 0.0)]
+    tables = [dict(zip(("friction", "push", "speed"), start, strict=True)) for start in starts]
+    wall = {"stiffness": 3000.0, "damping": 2.0}
+    setups, worst = [], []
+    for table in tables:
+        scene = Scene.from_table(
+            {
+                "device": {"mass": 0.25, "damping": 0.1, "friction": table["friction"]},
+                "controller": {"sample_time": 1e-3, "delay": 1e-3},
+                "walls": {"own": wall},
+                "contact": {key: table[key] for key in ("push", "speed")},
+            }
+        )
+        state = initial_of(explorer_page(scene))["state"]
+        conditions = {key: state[key] for key in ("friction", "push", "encoder", "speed")}
+        setups.append(state | {"estimator": state, "wall": wall, "conditions": conditions})
+        worst.append(simulate_contacts(scene).walls["own"])
+    for answer, known, table in zip(
+        asked_of_node("worstContacts", setups), worst, tables, strict=True
+    ):
+        assert answer["kind"] == known.contact.name.lower()
+        assert (answer["speed"] > 0.0) == known.worst_start.startswith("at ")
+        assert answer["speed"] in (0.0, table["speed"])
+    assert {known.contact.name for known in worst} == {"BOUNCES", "OUTSIDE", "RESTS"}
 
 
 @needs_node
@@ -661,7 +692,8 @@ def test_a_contact_is_simulated_where_the_switch_is_on(omega: Browser) -> None:
     """The words are those of Python for the same wall, and never call it proved."""
     loop = scene_loop(Scene.from_file(SCENES[0].parent / "omega.toml"))
     contact = loop.contact(1000.0, 8.0, friction=0.3, push=1.0)
-    omega.run("update({ cursorStiffness: 1000, cursorDamping: 8, friction: 0.3, push: 1 });")
+    still = "friction: 0.3, push: 1, speed: 0"
+    omega.run(f"update({{ cursorStiffness: 1000, cursorDamping: 8, {still} }});")
     off, on = omega.run(SWITCH)
     assert off["words"] == ""
     assert "as a share of its final value" in off["caption"]

@@ -153,6 +153,16 @@ def test_a_vibration_mode_is_noticed_with_its_frequency() -> None:
     assert frequency == pytest.approx(61.0, abs=3.0)
 
 
+def with_backlash(log: Log, play: float) -> Log:
+    """The log of an encoder that a play separates from the handle: it moves when it is pushed."""
+    read = np.empty_like(log.position)
+    place = log.position[0]
+    for row, handle in enumerate(log.position):
+        place = min(max(place, handle - 0.5 * play), handle + 0.5 * play)
+        read[row] = place
+    return replace(log, position=np.round(read, 5))
+
+
 # The command, as a user meets it.
 
 
@@ -197,6 +207,42 @@ def test_columns_have_names_and_a_device_may_turn(tmp_path: Path) -> None:
     scene = Scene.from_table(parsed(answer.stdout))
     assert scene.device.inertia is not None
     assert scene.device.inertia[0] == pytest.approx(0.25, rel=1e-2)
+
+
+SLIPS = {
+    "time": ("controller.sample_time is 1 s, usual are 1e-05 to 0.05 s", "250"),  # in ms
+    "force": ("device.mass is 25", "usual are 0.001 to 50 kg"),  # in mN
+    "position": ("device.mass is 0.00025", "encoder.resolution is 0.01 m"),  # in mm
+}
+
+
+@pytest.mark.parametrize("column", SLIPS)
+def test_a_column_in_thousandths_is_warned_of(column: str, tmp_path: Path) -> None:
+    made = simulated(Pushed(), 2100, 0)
+    path = tmp_path / "log.csv"
+    path.write_text(as_csv(replace(made, **{column: 1e3 * getattr(made, column)})))
+    answer = run("identify", path, "-o", "-")
+    assert answer.exit_code == 0, answer.stderr
+    assert_one_sentence(answer.stderr)
+    for words in ("warning: ", *SLIPS[column]):
+        assert words in answer.stderr
+    Scene.from_table(parsed(answer.stdout))
+
+
+def test_after_a_warning_a_scene_has_no_range(tmp_path: Path) -> None:
+    """A play of 0.2 mm: the interval of the delay is far off the truth, and no proof may use it."""
+    device = Pushed()
+    shaken = with_backlash(simulated(device, ROWS, 0), 2e-4)
+    found = identified(device, shaken)
+    assert found.warning
+    assert found.delay.low > device.delay + 0.2e-3
+    path, scene = tmp_path / "log.csv", tmp_path / "my.toml"
+    path.write_text(as_csv(shaken))
+    answer = run("identify", path, "-o", scene)
+    assert answer.stdout.endswith("if the model holds; by the warning it does not\n")
+    made = Scene.from_table(parsed(scene.read_text(encoding="utf-8")))
+    assert made.controller.delays == pytest.approx((found.delay.value,) * 2, rel=1e-6)
+    assert made.device.effective_mass == pytest.approx((found.mass.value,) * 2, rel=1e-6)
 
 
 GOOD = as_csv(simulated(Pushed(), 2100, 0))

@@ -47,19 +47,20 @@ def identify(
     from jaxstab.durable import publish
     from jaxstab.scene.identify import identified_scene, identified_text, read_log
     from jaxstab.scene.identify import identify as fit
-    from jaxstab.scene.scene import Units
+    from jaxstab.scene.scene import Scene, Units
+    from jaxstab.tables import parsed
 
     keep_programs()
     names = {name: columns[name] or name for name in _NAMES}
     given = read_log(str(log), names, sample_time, columns["velocity"] is not None)
     device = fit(**vars(given), spring=spring)
-    warn(*filter(None, [device.warning]))
     units = Units.ROTATION if turns else Units.LINE
+    scene = identified_scene(device, units, log.name)
+    warn(*filter(None, [device.warning]), *Scene.from_table(parsed(scene)).unusual())
     if plot:
         from jaxstab.pictures.scene import identified_figure
 
         draw(identified_figure(device, units), plot)
-    scene = identified_scene(device, units, log.name)
     if str(output) == "-":
         click.echo(scene, nl=False)
         return

@@ -12,6 +12,7 @@ const MOST_STEPS = 1e6; // between samples, of a contact: they take about 0.1 s,
 const GIVEN_UP = 1e6; // of position and velocity
 const REST = 1e-6; // m, within which a device rests
 const GROWTH = 1.5; // of the amplitude, from one quarter of a run to the next
+const WORST_LAST = ["rests", "decays", "oscillates", "bounces", "outside", "grows"]; // of what is pushed
 const SMALLEST_TERM = 1e-18; // of a series
 const ARCTAN = Array.from({ length: 14 }, (_, k) => (-1) ** (13 - k) / (2 * (13 - k) + 1));
 
@@ -76,6 +77,17 @@ function contactOf(setup, wall, conditions) {
     endSample(summary, k, x, low, high);
   }
   return { ...answerOf(summary, run, period), positions };
+}
+
+/** The worst of the contacts that begin with some speeds, with its speed. */
+function worstContactOf(setup, wall, conditions, speeds) {
+  const isWorse = (one, other) => { // by the first of these that differ
+    const pairs = [WORST_LAST.indexOf(one.kind) - WORST_LAST.indexOf(other.kind), one.amplitude - other.amplitude, one.timeToRest - other.timeToRest];
+    return pairs.find((difference) => difference) > 0;
+  };
+  return speeds
+    .map((speed) => ({ speed, ...contactOf(setup, wall, { ...conditions, speed }) }))
+    .reduce((worst, contact) => (isWorse(contact, worst) ? contact : worst));
 }
 
 /** A wall and its conditions for T = m = 1. */
@@ -226,8 +238,8 @@ function endSample(summary, k, x, low, high) {
 
 /** Kind, amplitude, frequency and time to rest of a run that was not given up. */
 function answerOf(summary, run, period) {
-  const { high, low, since, maxima, firstMaximum, lastMaximum } = summary, kind = kindOf(summary, run);
-  const isRest = kind === "rests", duration = period * (lastMaximum - firstMaximum);
+  const { samples, quarter, high, low, since, maxima, firstMaximum, lastMaximum } = summary;
+  const kind = kindOf(summary, run), isRest = since <= samples - quarter, duration = period * (lastMaximum - firstMaximum);
   return {
     kind, amplitude: 0.5 * (high - low),
     frequency: isRest || maxima < 2 ? NaN : (maxima - 1) / duration,
@@ -236,10 +248,11 @@ function answerOf(summary, run, period) {
 }
 
 /** How a run ends: the names are those of jaxstab.results.ContactKind. */
-function kindOf({ samples, quarter, low, high, earlierLow, earlierHigh, since }, { oneSided }) {
+function kindOf({ samples, quarter, low, high, earlierLow, earlierHigh, since }, { oneSided, encoder }) {
+  const surface = -REST - 0.5 * encoder; // further outside nothing acts
   const size = high - low, earlier = earlierHigh - earlierLow;
+  if (oneSided && high < surface) return "outside";
   if (since <= samples - quarter) return "rests";
-  if (oneSided && high <= 0) return "leaves";
   if (size > GROWTH * earlier) return "grows";
   if (earlier > GROWTH * size) return "decays";
   return oneSided && low <= 0 ? "bounces" : "oscillates";

@@ -177,15 +177,15 @@ function showResponse({ code, settling }) {
 
 /** Simulate the contact with the cursor's wall; draw it, and say how it ends. */
 function showContact() {
-  const { setup } = drawn, wall = cursorWall(), { friction, push, encoder } = state;
+  const { setup } = drawn, wall = cursorWall(), { friction, push, encoder, speed } = state;
   const conditions = { friction, push, encoder }, why = whyNoContact(setup, wall, conditions);
-  const contact = why ? null : contactOf(setup, wall, conditions);
+  const contact = why ? null : worstContactOf(setup, wall, conditions, [...new Set([0, speed])]);
   const words = why || contactInWords(contact);
   drawContact(byId("response"), contact ? startOf(contact, setup, wall) : [], setup.period);
   byId("contact-verdict").textContent = words;
   byId("response-title").textContent = words;
   byId("response-caption").textContent =
-    `Simulated position in ${smallUnit()} over time, pushed from rest at the wall's surface, which is at 0; simulated for ${DURATION} s.`;
+    `Simulated position in ${smallUnit()} over time, pushed from the wall's surface, which is at 0; simulated for ${DURATION} s.`;
 }
 
 /** The positions that are drawn: a little beyond rest, and what grows while it is small. */

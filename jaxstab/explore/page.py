@@ -9,7 +9,7 @@ from jaxstab.model.filters import NO_FILTER
 from jaxstab.scene import Scene
 from jaxstab.scene.loops import hands_of, is_one_mass, loop_of, wall_region, walls_of
 from jaxstab.scene.scene import (
-    FINGER_PUSH,
+    FINGER,
     Contact,
     Hand,
     Units,
@@ -113,11 +113,12 @@ def _state(scene: Scene) -> dict[str, Any]:
 
 def _contact(scene: Scene) -> dict[str, Any]:
     """Return what the page simulates of contacts; with an ordinary push where there is none."""
-    device, push = scene.device, scene.contact.push if scene.contact else 0.0
+    device, (push, speed) = scene.device, scene.start
     return {
-        "contact": "on" if push else "off",
+        "contact": "on" if scene.contact and push else "off",
         "friction": device.friction,
-        "push": push or FINGER_PUSH[scene.units],
+        "push": push or FINGER[scene.units][0],
+        "speed": speed,
         "encoder": device.encoder.resolution if device.encoder else 0.0,
     }
 
@@ -186,7 +187,7 @@ def _notes(scene: Scene, title: str) -> list[str]:
 
 
 def _ignored_of_contacts(scene: Scene) -> list[str]:
-    """Return what only Python simulates: the page pushes from rest against a one-sided wall."""
+    """Return what only Python simulates: the page pushes against a one-sided wall."""
     given, device, controller = scene.contact, scene.device, scene.controller
     if given is None:
         return []
@@ -194,7 +195,6 @@ def _ignored_of_contacts(scene: Scene) -> list[str]:
         "device.static_friction": device.static_friction is not None,
         "controller.max_force": controller.max_force is not None,
         "controller.force_step": controller.force_step > 0.0,
-        "contact.speed": given.speed > 0.0,
         "contact.one_sided": not given.one_sided,
         "contact.duration": given.duration != Contact.duration,
     }

@@ -20,7 +20,7 @@ function quantitiesOf(motion) {
   const ofDamping = turns ? [1e-5, 1] : [0.01, 100];
   const ofStiffness = turns ? [0.01, 1e4] : [1, 1e6];
   const [force, length] = turns ? ["N m", "rad"] : ["N", "m"];
-  const ofPush = turns ? [1e-3, 10] : [0.01, 100];
+  const ofPush = turns ? [1e-3, 10] : [0.01, 100], ofSpeed = turns ? [0.01, 100] : [1e-3, 10];
   const log = (low, high, hasZero) => ({ map: "log", low, high, hasZero, scale: 1 });
   return [
     { key: "mass", group: "device", label: moved, unit: kilogram, ...log(...ofMass, false) },
@@ -34,6 +34,7 @@ function quantitiesOf(motion) {
     { key: "cutoff", group: "velocity", label: "low pass at", unit: "Hz", map: "log", low: 5, high: 5e3, hasZero: true, isInverse: true, scale: 1 },
     { key: "friction", group: "contact", label: "friction", unit: force, ...log(...ofPush, true) },
     { key: "push", group: "contact", label: "push", unit: force, ...log(...ofPush, false) },
+    { key: "speed", group: "contact", label: "speed (0: from rest only)", unit: `${length}/s`, ...log(...ofSpeed, true) },
     { key: "encoder", group: "contact", label: "encoder (0: none)", unit: length, ...log(1e-7, 1e-2, true) },
   ];
 }
@@ -92,7 +93,7 @@ function setupOf(state) {
 
 const NUMBERS = [
   "mass", "damping", "handMass", "handStiffness", "handDamping", "period", "delay", "window",
-  "cutoff", "order", "factor", "friction", "push", "encoder", "cursorStiffness", "cursorDamping",
+  "cutoff", "order", "factor", "friction", "push", "speed", "encoder", "cursorStiffness", "cursorDamping",
 ];
 const WORDS = {
   motion: ["line", "rotation"], kind: ["low-pass", "butterworth"], view: ["near", "all", "sample"],
@@ -151,7 +152,7 @@ function sceneOf(state) {
     `damping = ${state.handDamping}`, "",
     "[controller]", `sample_time = ${state.period}`, `delay_samples = ${state.delay}`, "",
     "[controller.velocity]", ...velocityLines(state),
-    ...(isSimulated ? ["", "[contact]", `push = ${state.push}`] : []),
+    ...(isSimulated ? ["", "[contact]", `push = ${state.push}`, `speed = ${state.speed}`] : []),
   ];
   state.walls.forEach(({ name, stiffness, damping }) => {
     lines.push("", `[walls.${JSON.stringify(name)}]`, `stiffness = ${stiffness}`, `damping = ${damping}`);

@@ -111,7 +111,7 @@ function changeWall(index, change) {
 }
 
 /** How a simulated contact ends. */
-function contactInWords({ kind, amplitude, frequency, timeToRest }) {
+function contactInWords({ kind, amplitude, frequency, timeToRest, speed }) {
   const rate = Number.isFinite(frequency) ? ` at ${short(rounded(frequency, 3))} Hz` : "";
   const motion = `amplitude ${short(rounded(amplitude * 1e3, 3))} ${smallUnit()}${rate}`;
   const words = {
@@ -120,9 +120,9 @@ function contactInWords({ kind, amplitude, frequency, timeToRest }) {
     bounces: `leaves the wall and returns to it, ${motion}`,
     grows: "the motion grows",
     decays: `still moves after ${DURATION} s, less and less`,
-    leaves: "does not return to the wall",
+    outside: "outside of the wall at the end",
   };
-  return `simulated: ${words[kind]}`;
+  return `simulated${speed > 0 ? ` from ${short(speed)} ${state.motion === "rotation" ? "rad" : "m"}/s` : ""}: ${words[kind]}`;
 }
 
 /** The unit in which positions are drawn: a thousandth of the scene's. */

@@ -62,7 +62,9 @@ class ContactKind(Status):
     BOUNCES = 3, "leaves the wall and returns to it"
     GROWS = 4, "the motion grows"
     DECAYS = 5, "still moves, less and less"
-    LEAVES = 6, "does not return to the wall"
+    OUTSIDE = 6, "outside of the wall at the end"
+    PUSHED_THROUGH = 7, "pushed through the wall, whose force stays at its limit"
+    UNTOUCHED = 8, "does not touch the wall"
 
 
 class Contact(NamedTuple):
@@ -72,8 +74,8 @@ class Contact(NamedTuple):
         kind: codes of ``ContactKind``.
         amplitude: half of the peak-to-peak position at the end in m; infinite if it was given up.
         frequency: of the maxima of the position at the end in Hz; NaN if it rests, or has not two.
-        time_to_rest: from when on it rests, in s; infinite if it does not.
-        penetration: the largest position of the run in m.
+        time_to_rest: from when on it rests, in the wall or outside, in s; infinite if it does not.
+        penetration: the largest position of the run in m; 0 if none is positive.
         largest_force: the largest modulus of the wall's force in N.
         energy: in J, what the wall gave to device and hand; negative if it took.
         path: the motion at the samples, the force as it is computed there; None for maps.
@@ -99,7 +101,7 @@ class Contact(NamedTuple):
     path: Response | None = None
 
     def __repr__(self) -> str:
-        moving = np.where(self.kind == ContactKind.RESTS, np.nan, self.amplitude)
+        moving = np.where(np.isinf(self.time_to_rest), self.amplitude, np.nan)
         values = self.time_to_rest, moving, *self[2:3], *self[4:6]
         return answer_text("Contact", values, _COLUMNS, self.kind, ContactKind)
 
@@ -136,21 +138,26 @@ class _Setup(NamedTuple):
     period: float
     unit: float  # N that are 1
 
+    @property
+    def last(self) -> int:
+        """The sample at which the last quarter of the run begins."""
+        return self.samples - self.samples // 4
+
     def answer(self, summary: Summary, path: Response | None = None) -> Contact:
         """Return the answer to runs that are summed up."""
         values = Summary(*(np.reshape(value, self.shape) for value in summary))
-        kind, is_far = self._kinds(values), values.deepest >= LIMIT
-        rests = kind == ContactKind.RESTS
+        is_far = values.deepest >= LIMIT
+        rests = ~is_far & (values.since <= self.last)
         with np.errstate(all="ignore"):
             cycles = np.where(values.maxima > 1.0, values.maxima - 1.0, np.nan)
             duration = self.period * (values.last_maximum - values.first_maximum)
             frequency = np.where(is_far | rests, np.nan, cycles / duration)
         return Contact(
-            named(kind, ContactKind),
+            named(self._kinds(values), ContactKind),
             np.where(is_far, np.inf, 0.5 * (values.high - values.low)),
             frequency,
             np.where(rests, self.period * values.since, np.inf),
-            np.where(is_far, np.inf, values.deepest),
+            np.where(is_far, np.inf, np.maximum(values.deepest, 0.0)),
             np.where(is_far, np.inf, values.strongest * self.unit),
             np.where(is_far, np.nan, values.energy * self.unit),
             path,
@@ -159,11 +166,13 @@ class _Setup(NamedTuple):
     def _kinds(self, values: Summary) -> Int8[np.ndarray, "*grid"]:
         size, earlier = values.high - values.low, values.earlier_high - values.earlier_low
         is_one_sided = self.sides["one_sided"]
-        rests = values.since <= self.samples - self.samples // 4
+        surface = -self.runs.tolerance - 0.5 * self.runs.encoder  # further outside nothing acts
         cases = [
             (values.deepest >= LIMIT, ContactKind.GROWS),
-            (rests, ContactKind.RESTS),
-            (is_one_sided & (values.high <= 0.0), ContactKind.LEAVES),
+            (values.limited_since <= self.last, ContactKind.PUSHED_THROUGH),
+            (is_one_sided & (values.deepest < surface), ContactKind.UNTOUCHED),
+            (is_one_sided & (values.high < surface), ContactKind.OUTSIDE),
+            (values.since <= self.last, ContactKind.RESTS),
             (size > _GROWTH * earlier, ContactKind.GROWS),
             (earlier > _GROWTH * size, ContactKind.DECAYS),
             (is_one_sided & (values.low <= 0.0), ContactKind.BOUNCES),

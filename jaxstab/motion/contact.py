@@ -85,6 +85,7 @@ class Summary(NamedTuple):
     maxima: how many maxima of the position the last quarter has, the first and the last of them.
     deepest: the largest position; LIMIT where the run passed it and was given up.
     strongest: the largest modulus of the wall's force.
+    limited_since: from when on that force was at one of its limits.
     energy: what the wall's force did to the mass.
     """
 
@@ -99,6 +100,7 @@ class Summary(NamedTuple):
     last_maximum: Array
     deepest: Array
     strongest: Array
+    limited_since: Array
     energy: Array
 
 
@@ -389,6 +391,7 @@ def _motion(
         x, v, *_ = body
         force, memory = force_at(x, memory)
         before = x, v, force
+        is_limited = (abs(force) >= runs.max_force) & (force == line[0])
         line = _after(force, line)
         is_new = (sample == middle) | (sample == last)  # a quarter of the run
         earlier_low = xp.where(is_new, was.low, was.earlier_low)
@@ -413,13 +416,14 @@ def _motion(
             last_maximum=seen.last_maximum,
             deepest=xp.maximum(was.deepest, high),
             strongest=xp.maximum(was.strongest, abs(force)),
+            limited_since=xp.where(is_limited, was.limited_since, sample + 1.0),
             energy=seen.energy,
         )
         return (sample + 1, (x, *others), memory, line, now), before
 
     x = runs.position
     zero = 0.0 * x
-    start = Summary(x, x, x, x, x, zero, zero, zero, zero, x, zero, zero)
+    start = Summary(x, x, x, x, x, zero, zero, zero, zero, x, zero, zero, zero)
     forces: Any = (zero,) * (plant.oldest + 1)
     if type(x) is not float:
         forces = xp.stack(forces)

@@ -42,7 +42,14 @@ from jaxstab.pictures.style import (
 )
 from jaxstab.scene.answers import Answer, Quantity, basis_of, in_words
 from jaxstab.scene.check import Check, WallCheck, check_walls
-from jaxstab.scene.contact import MAP_COUNT, Contacts, contact_loop, simulated_map, walls_around
+from jaxstab.scene.contact import (
+    MAP_COUNT,
+    Contacts,
+    contact_loop,
+    simulated_map,
+    start_in_words,
+    walls_around,
+)
 from jaxstab.scene.hands import WallVerdict, at_lowest, common_outline, loops_over_delays
 from jaxstab.scene.limits import LimitsOverDelays, passive_walls
 from jaxstab.scene.loops import (
@@ -577,8 +584,8 @@ def scene_contacts(scene: Scene) -> Figure:
     loop, gains, units = contact_loop(scene), walls_of(scene), scene.units
     walls = walls_around(loop, MAP_COUNT, gains.values())
     friction = Quantity("N").words(scene.device.friction, units)
-    contact = simulated_map(scene, *walls)
-    return contact_figure(loop, walls, {f"friction {friction}": contact}, gains, units)
+    title = f"friction {friction}, {start_in_words(scene, *scene.start)}"
+    return contact_figure(loop, walls, {title: simulated_map(scene, *walls)}, gains, units)
 
 
 def contact_figure(
@@ -618,7 +625,9 @@ def _draw_map(
     """Draw where contacts rest, how far others move, and the edge of the stable set."""
     stiffness, damping = (np.ravel(gains) for gains in walls)
     does_rest = contact.kind == ContactKind.RESTS
-    size = np.clip(1000.0 * contact.amplitude, _FAINTEST, _STRONGEST)
+    is_through = contact.kind == ContactKind.PUSHED_THROUGH
+    amplitude = np.where(is_through, np.inf, contact.amplitude)  # nothing holds it
+    size = np.clip(1000.0 * amplitude, _FAINTEST, _STRONGEST)
     panel.pcolormesh(
         stiffness, damping, np.where(does_rest, 1.0, np.nan),
         cmap="Greens", vmin=0.0, vmax=2.5, shading="nearest", rasterized=True,

@@ -1,6 +1,6 @@
 """Simulated contacts with the walls of a scene: the worst of some starts. Nothing is proved.
 
-Each wall is simulated from rest under the scene's push, or at its speed with or without the push,
+Each wall is simulated from rest under the scene's push, and at its speed with and without the push,
 and from four phases of the encoder if there is one. The hand and the device's mass are at the
 lowest ends of their ranges, the delay is constant and the longest one. The answer is that of the
 worst start, which it names.
@@ -25,12 +25,14 @@ if TYPE_CHECKING:
     from jaxstab.datasets import Dataset
 
 _WORST_LAST = (
-    ContactKind.LEAVES,
+    ContactKind.UNTOUCHED,
+    ContactKind.OUTSIDE,
     ContactKind.RESTS,
     ContactKind.DECAYS,
     ContactKind.OSCILLATES,
     ContactKind.BOUNCES,
     ContactKind.GROWS,
+    ContactKind.PUSHED_THROUGH,
 )
 _PHASES = 0.0, 0.25, 0.5, 0.75
 MAP_COUNT = 60  # walls along each axis of a map
@@ -71,8 +73,7 @@ class Contacts(Answer):
     @property
     def all_stable(self) -> bool:
         """Whether every simulated contact came to rest; nothing is proved."""
-        quiet = ContactKind.RESTS, ContactKind.LEAVES
-        return all(wall.contact in quiet for wall in self.walls.values())
+        return all(wall.contact == ContactKind.RESTS for wall in self.walls.values())
 
 
 def simulate_contacts(scene: Scene) -> Contacts:
@@ -98,7 +99,9 @@ def contacts_of(scene: Scene) -> dict[str, Simulated]:
     gains = np.array([*walls_of(scene).values()]).T[:, :, None]
     push, speed, phase = np.array(starts).T
     contact = simulated_map(scene, *gains, push=push, speed=speed, phase=phase)
-    rank = np.argsort(_WORST_LAST)[contact.kind - 1]
+    ranks = np.argsort(_WORST_LAST)
+    is_thrown = (contact.kind == ContactKind.OUTSIDE) & (push > 0.0)  # further than what returns
+    rank = np.where(is_thrown, ranks[ContactKind.BOUNCES - 1], ranks[contact.kind - 1])
     order = (contact.time_to_rest, contact.amplitude, rank)
     worst = np.lexsort(np.nan_to_num(order, posinf=np.finfo(float).max), axis=-1)[:, -1]
     return {
@@ -157,6 +160,7 @@ def _conditions(scene: Scene) -> dict[str, Any]:
     """Return what a scene says of contacts, as arguments of ``contact_map``."""
     assert scene.contact is not None  # callers look
     device, controller, given = scene.device, scene.controller, scene.contact
+    push, speed = scene.start
     return {
         "friction": device.friction,
         "static_friction": device.static_friction,
@@ -165,8 +169,8 @@ def _conditions(scene: Scene) -> dict[str, Any]:
         "max_force": controller.max_force,
         "one_sided": given.one_sided,
         "duration": given.duration,
-        "push": given.push,
-        "speed": given.speed,
+        "push": push,
+        "speed": speed,
     }
 
 
@@ -187,20 +191,22 @@ def contact_loop(scene: Scene) -> HapticLoop:
 
 def _starts(scene: Scene) -> list[tuple[float, float, float]]:
     """Return pushes, speeds and phases of the encoder to try."""
-    assert scene.contact is not None  # callers look
-    push, speed = scene.contact.push, scene.contact.speed
+    push, speed = scene.start
     pairs = dict.fromkeys([(push, 0.0), (0.0, speed), (push, speed)])
     phases = _PHASES if scene.device.encoder else (0.0,)
     return [(*pair, phase) for pair in pairs if any(pair) for phase in phases]
 
 
+def start_in_words(scene: Scene, push: float, speed: float) -> str:
+    """Return at which speed a device meets a wall, and how it is pushed."""
+    words = [f"at {speed:g} {scene.units.length}/s"] if speed else []
+    words += [f"pushed with {Quantity('N').words(push, scene.units)}"] if push else []
+    return ", ".join(words)
+
+
 def _simulated(scene: Scene, contact: Contact, start: tuple[float, float, float]) -> Simulated:
     push, speed, phase = start
-    units, words = scene.units, []
-    if speed:
-        words.append(f"at {speed:g} {units.length}/s")
-    if push:
-        words.append(f"pushed with {Quantity('N').words(push, units)}")
+    words = [start_in_words(scene, push, speed)]
     if scene.device.encoder:
         words.append(f"encoder at {phase:g} of a step")
     assert scene.contact is not None  # callers look

@@ -486,7 +486,8 @@ def identified_text(device: Identified, units: Units) -> str:
         "velocity": f"{device.velocity}; {_unexplained(device)}" if device.velocity else "",
     }
     shown = [f"{name:16}{words}" for name, words in lines.items() if words]
-    return "\n".join([*shown, "in brackets: 95 % confidence intervals, if the model holds"])
+    doubt = "; by the warning it does not" if device.warning else ""
+    return "\n".join([*shown, f"in brackets: 95 % confidence intervals, if the model holds{doubt}"])
 
 
 def _unexplained(device: Identified) -> str:
@@ -498,28 +499,32 @@ def identified_scene(device: Identified, units: Units, source: str) -> str:
     """Return the text of a scene: intervals as ranges where it takes them, else as comments.
 
     The delay becomes a range in which it may vary, because those proofs cover ranges of mass, too.
+    With a warning there is no range: what the model lacks moves estimates out of their intervals.
     """
     period, resolution, velocity = device.sample_time, device.resolution, _velocity_key(device)
-    remarks = [f"Warning: {device.warning}."] if device.warning else []
+    remarks, taken, ranges = [], _range, " and as ranges"
+    if device.warning:
+        remarks = [f"Warning: {device.warning}. So mass and delay have no range here."]
+        taken, ranges = _best, ""
     if device.stiffness.value:
         remarks.append(
             f"The device has a spring of {device.stiffness} {units.stiffness}: add it to the "
             "stiffness of the hand."
         )
     lines = [
-        f"# From {printable(source)} by jaxstab identify. In brackets and as ranges: 95 %",
+        f"# From {printable(source)} by jaxstab identify. In brackets{ranges}: 95 %",
         "# confidence intervals, if the model holds.",
         *(f"# {remark}" for remark in remarks),
         "",
         "[device]",
-        f"{units.moved} = {_range(device.mass)}  # {units.kilogram}; best {device.mass.value:.7g}",
+        f"{units.moved} = {taken(device.mass)}  # {units.kilogram}; {device.mass}",
         f"damping = {device.damping.value:.6g}  # {units.damping}; {device.damping}",
         f"friction = {device.friction.value:.6g}  # {units.force}; {device.friction}",
         *([f"encoder.resolution = {resolution:.6g}  # {units.length}"] if resolution else []),
         "",
         "[controller]",
         f"sample_time = {period:.9g}  # s",
-        f"delay = {_range(device.delay)}  # s; in samples {device.delay.times(1.0 / period)}",
+        f"delay = {taken(device.delay)}  # s; in samples {device.delay.times(1.0 / period)}",
         *velocity,
     ]
     if device.friction.value:
@@ -531,6 +536,10 @@ def identified_scene(device: Identified, units: Units, source: str) -> str:
 
 def _range(estimate: Estimate) -> str:
     return f"[{max(estimate.low, 0.0):.7g}, {max(estimate.high, 0.0):.7g}]"
+
+
+def _best(estimate: Estimate) -> str:
+    return f"{max(estimate.value, 0.0):.7g}"
 
 
 def _velocity_key(device: Identified) -> list[str]:

@@ -244,6 +244,11 @@ class Device(Table):
         return self.mass or self.inertia or (0.0, 0.0)
 
     @property
+    def largest_friction(self) -> float:
+        """The friction that a push has to overcome."""
+        return max(self.friction, self.static_friction or 0.0)
+
+    @property
     def varies(self) -> bool:
         """Whether the mass is a range."""
         return self.effective_mass[0] < self.effective_mass[1]
@@ -478,10 +483,10 @@ class Wall(Table):
 
 @dataclass(frozen=True, kw_only=True)
 class Contact(Table):
-    """The start of simulated contacts: how the device meets a wall."""
+    """How the device meets a wall in simulated contacts; see ``Scene.start``."""
 
-    push: float = key(quantity(FORCE), 0.0)
-    speed: float = key(quantity(SPEED), 0.0)
+    push: float | None = key(quantity(FORCE), None)
+    speed: float | None = key(quantity(SPEED), None)
     one_sided: bool = key(truth, True)
     duration: float = key(quantity("s", is_positive=True), 4.0)
 
@@ -491,7 +496,7 @@ class Contact(Table):
             raise ValueError("push and speed are 0, so nothing moves; give one of them.")
 
 
-FINGER_PUSH = {Units.LINE: 1.0, Units.ROTATION: 0.05}  # N, N m: what starts a contact by default
+FINGER = {Units.LINE: (1.0, 0.1), Units.ROTATION: (0.05, 1.0)}  # push and speed: N, m/s; N m, rad/s
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -531,11 +536,11 @@ class Scene:
                 f"wanted.chatter is {self.wanted.chatter:g}, but no encoder is known; give "
                 "device.encoder.resolution."
             )
-        friction = max(self.device.friction, self.device.static_friction or 0.0)
         limits = self.controller.max_force, self.controller.force_step
-        if self.contact is None and (friction or any(limits)):  # verdicts are without these
-            push = max(FINGER_PUSH[self.units], 2.0 * friction)  # it moves the device
-            object.__setattr__(self, "contact", Contact(push=push))
+        if self.contact is None and (
+            self.device.largest_friction or any(limits)
+        ):  # verdicts are without these
+            object.__setattr__(self, "contact", Contact())
         if turns and hand.mass != (0.0, 0.0):
             raise ValueError(
                 f"hand.mass is {list(hand.mass)} beside device.inertia; a device that turns moves "
@@ -551,6 +556,16 @@ class Scene:
     def units(self) -> Units:
         """The units of the whole scene."""
         return self.device.units
+
+    @property
+    def start(self) -> tuple[float, float]:
+        """Push and speed of simulated contacts; those of a finger where they are not given."""
+        given, (push, speed) = self.contact or Contact(), FINGER[self.units]
+        push = max(push, 2.0 * self.device.largest_friction)  # it moves the device
+        return (
+            push if given.push is None else given.push,
+            speed if given.speed is None else given.speed,
+        )
 
     @classmethod
     def from_file(cls, path: str | PathLike[str]) -> "Scene":
