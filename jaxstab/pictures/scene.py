@@ -43,7 +43,13 @@ from jaxstab.pictures.style import (
 from jaxstab.scene.answers import Answer, Quantity, basis_of, in_words
 from jaxstab.scene.check import Check, WallCheck, check_walls
 from jaxstab.scene.contact import MAP_COUNT, Contacts, contact_loop, simulated_map, walls_around
-from jaxstab.scene.hands import WallVerdict, at_lowest, common_outline, loops_over_delays
+from jaxstab.scene.hands import (
+    BUT_FOR_DRIFT,
+    WallVerdict,
+    at_lowest,
+    common_outline,
+    loops_over_delays,
+)
 from jaxstab.scene.limits import LimitsOverDelays, passive_walls
 from jaxstab.scene.loops import (
     corner_loops,
@@ -74,6 +80,7 @@ _LOOKS = {  # colour, mark and line of a wall
     Verdict.STABLE: (BLUE, "o", "-"),
     Verdict.UNSTABLE: (RED, "X", ":"),
     Verdict.UNDECIDED: (BLACK, "s", "--"),
+    BUT_FOR_DRIFT: (SKY, "o", "-"),
 }
 
 
@@ -146,6 +153,8 @@ def draw_responses(panel: Axes, scene: Scene, checked: dict[str, WallCheck]) -> 
     for name, wall in checked.items():
         held = loop_of(scene, wall.worst_hand)
         spring = held.device.static_stiffness() if held.device else held.hand_stiffness
+        if wall.stiffness + spring == 0.0:  # there is no final displacement
+            continue
         response = held.simulate(
             wall.stiffness, wall.damping, samples=samples, force=1.0, between=_MOST // samples
         )
