@@ -93,6 +93,11 @@ class WorstHeld(NamedTuple):
     tried: str | None
     delays: str | None = None
 
+    @property
+    def for_all(self) -> Verdict | str:
+        """The verdict for all hands, or why there is none."""
+        return self.verdict if self.verdict == Verdict.UNSTABLE else self.tried or self.verdict
+
     def on(self, wall: Gains) -> WallVerdict:
         """Return the verdict as an answer about the wall."""
         return WallVerdict(*wall, self.verdict, self.tried, self.hand, self.delays)
