@@ -414,7 +414,8 @@ def tune(as_json: bool, **given: Any) -> int:
 def design(as_json: bool, **given: Any) -> int:
     """Find the largest sample time, and the largest delay, for a wanted stiffness.
 
-    Of a range of delays it takes the longest one as a constant delay. The exit code is 0 if both are found, 1 if not.
+    Of a range of delays it takes the longest one as a constant delay. The exit code is 0 if both
+    are found, 1 if not.
     """
     return _answer(given, "design", as_json)
 

@@ -244,16 +244,16 @@ def loop_without_drift(loop: LinearLoop) -> LinearLoop:
     The other roots of p are those of the loop returned, and one at 0 (lemma V11).
     """
     degree, nothing = loop.degree, loop.base[0] - loop.base[0]
-    quotients = [(*accumulate(p[:-1], DoubleDouble.__add__), nothing) for p in loop[:3]]
+    parts = [(*accumulate(p[:-1], DoubleDouble.__add__), nothing) for p in loop[:3]]
     rounding = degree * PAIR_PRODUCT
     errors = [
-        degree * (error + rounding * size_of(p)) for error, p in zip(loop.errors, loop, strict=False)
+        degree * (error + rounding * size_of(polynomial))
+        for error, polynomial in zip(loop.errors, loop[:3], strict=True)
     ]
-    at_one = Affine(
-        *(Bounded(reduce(DoubleDouble.__add__, q), e) for q, e in zip(quotients, errors, strict=True))
-    )
-    base, stiffness, damping = quotients
+    sums = [reduce(DoubleDouble.__add__, part) for part in parts]
+    base, stiffness, damping = parts
     bounds = errors[0], errors[1], errors[2]
+    at_one = Affine(*map(Bounded, sums, errors))
     return LinearLoop(base, stiffness, damping, bounds, at_one, loop.at_minus_one)
 
 

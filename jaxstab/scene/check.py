@@ -263,9 +263,7 @@ def check_walls(scene: Scene) -> Check:
             **answers,
             simulated=felt.get(name),
         )
-        for name, wall, answers, reason in zip(
-            scene.walls, walls, measured, left_out, strict=True
-        )
+        for name, wall, answers, reason in zip(scene.walls, walls, measured, left_out, strict=True)
     }
     return Check(basis_of(scene), checked)
 

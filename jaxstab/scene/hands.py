@@ -83,8 +83,9 @@ class WallVerdict(Answer):
 class WorstHeld(NamedTuple):
     """The verdict on a wall for all hands, the worst of them, and the loop that it holds.
 
-    The verdict is ``BUT_FOR_DRIFT`` for a damper on a device that nothing holds. ``hand`` is None
-    where neither a hand nor the mass varies; ``tried`` describes the search where it is UNDECIDED, and ``delays`` those of a range with which a motion grows.
+    The verdict is ``BUT_FOR_DRIFT`` for a stable damper on a device that nothing holds. ``hand`` is
+    None where neither a hand nor the mass varies; ``tried`` describes the search where the verdict
+    is UNDECIDED, and ``delays`` those of a range with which a motion grows.
     """
 
     verdict: Verdict | str
@@ -116,7 +117,9 @@ def worst_on(scene: Scene, walls: Sequence[Gains]) -> list[WorstHeld]:
     pairs: list[Any]
     if hands is None and not moving:
         codes = loop.verdict(*np.array(walls).T)
-        pairs = [(verdict_with_drift(loop, w) or c, loop) for w, c in zip(walls, codes, strict=True)]
+        pairs = [
+            (verdict_with_drift(loop, w) or c, loop) for w, c in zip(walls, codes, strict=True)
+        ]
     elif hands is None:
         pairs = [(loop.verdict(*gains, **moving), loop) for gains in walls]
     elif is_one_mass(scene) and not moving:
