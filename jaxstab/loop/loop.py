@@ -610,6 +610,7 @@ class HapticLoop(LoopParameters):
             return jitter_margin(self, stiffness, damping)
         refuse_traced(stiffness, damping)
         with_hands = self._with_hands(hands, mass, (self.delay, self.delay), 0)
+        assert with_hands is not None  # delays are given
         return np.vectorize(with_hands.jitter_margin, otypes=[np.float64])(stiffness, damping)
 
     def worst_delays(

@@ -76,7 +76,7 @@ _MARK = 14.0  # pixels: a wall's mark
 _LIFTS = (0, 10, -10, 20, -20, 32, -32, 44, -44)  # points: how far names are moved up
 
 
-_LOOKS = {  # colour, mark and line of a wall
+_LOOKS: dict[Verdict | str, tuple[str, str, str]] = {  # colour, mark and line of a wall
     Verdict.STABLE: (BLUE, "o", "-"),
     Verdict.UNSTABLE: (RED, "X", ":"),
     Verdict.UNDECIDED: (BLACK, "s", "--"),
