@@ -455,6 +455,25 @@ def test_the_margin_is_proved_and_no_larger_than_that_of_a_constant_delay() -> N
             assert beyond != Verdict.STABLE
 
 
+def test_the_margin_of_every_hand_is_proved_and_next_to_that_of_the_worst() -> None:
+    loop, hands, masses = HapticLoop(**LIGHT), HandRange(damping=(0.1, 1.0)), (0.09, 0.11)
+    margin = loop.jitter_margin([4000.0, 1e6], 15.0, hands=hands, mass=masses)
+    assert margin.shape == (2,)
+    assert margin[1] == 0.0
+    worst = loop.worst_hand(hands, 4000.0, 15.0, mass=masses, delays=(0.0, float(margin[0])))
+    assert worst.verdict == Verdict.STABLE
+    each = [
+        HapticLoop(device_mass=mass, device_damping=0.05 + damping, sample_time=T).jitter_margin(
+            4000.0, 15.0
+        )
+        for mass, damping in product(masses, hands.damping)
+    ]
+    assert 0.95 * min(each) < margin[0] <= min(each)
+    assert loop.jitter_margin(0.0, 0.0, hands=HandRange(stiffness=(1.0, 9.0))) == inf
+    with pytest.raises(TypeError, match=r"mass is \(0.09, 0.11\) without hands; give hands="):
+        loop.jitter_margin(4000.0, 15.0, mass=masses)
+
+
 def test_margins_of_walls_that_are_none() -> None:
     spring = HapticLoop(device=Device.mass_spring_damper(0.25, damping=0.5, stiffness=40.0), **AT)
     margins = spring.jitter_margin([0.0, 1e6], [0.0, 1.0])

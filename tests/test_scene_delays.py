@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from commands import assert_one_sentence, run
+from scipy.signal import butter, cont2discrete
 
 from benchmarks.truth.loop import spectral_radius
 from benchmarks.truth.moving import LOST, Moving, growth
@@ -18,8 +19,9 @@ from jaxstab import HapticLoop
 from jaxstab.conventions import Verdict
 from jaxstab.guard import build as guards
 from jaxstab.pictures.scene import scene_figure
-from jaxstab.scene import Scene, check_walls, loop_of, scene_limits
+from jaxstab.scene import Scene, check_walls, design_loop, loop_of, scene_limits, tune_walls
 from jaxstab.scene.limits import LimitsOverDelays
+from jaxstab.scene.loops import corner_loops, with_tolerances
 
 T = 1e-3
 LIGHT = ["--mass", "0.1", "--damping", "0.05", "--sample-time", "0.001"]
@@ -113,27 +115,20 @@ def test_bad_ranges_of_delays_are_refused(controller: dict[str, Any], words: str
         Scene.from_table(scene(**controller))
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ["tune"],
-        ["design", "--stiffness", "1000"],
-        ["check", "a.toml", "b.toml", *ISSUE, "--plot", "picture.png"],
-    ],
-)
-def test_commands_for_one_delay_refuse_a_range(
-    arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_picture_of_several_scenes_is_of_one_delay(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     for file in ("a.toml", "b.toml"):
         Path(file).write_text("[device]\ndamping = 0.05\n", encoding="utf-8")
+    arguments = ["check", "a.toml", "b.toml", *ISSUE, "--plot", "picture.png"]
     for options in ([], ["--constant-delay"], ["--lost-samples", "2"]):
         refused = run(*arguments, *MOVING, *options)
         assert refused.exit_code == 2
         assert refused.stdout == ""
         assert_one_sentence(refused.stderr)
-        what = "a picture" if "--plot" in arguments else "this answer"
-        assert f"but {what} is for one constant delay; give one, such as --delay" in refused.stderr
+        what = "but a picture is for one constant delay; give one, such as --delay"
+        assert what in refused.stderr
     remedy = refused.stderr.split("such as ")[1].strip().strip(".").split()
     assert remedy == ["--delay", "0.001", "--lost-samples", "0"]
     answer = run(*arguments, *LIGHT, *remedy)
@@ -146,7 +141,7 @@ def test_pictures_are_of_one_delay_or_of_one_that_moves(tmp_path: Path) -> None:
     assert refused.exit_code == 2
     assert "but a picture is for one constant delay; give one" in refused.stderr
     assert not file.exists()
-    assert run("limits", *MOVING, *ISSUE, "--plot", file).exit_code == 0
+    assert run("limits", *MOVING, *ISSUE, "--plot", file).exit_code == 1  # a wall is unstable
     assert file.stat().st_size > 10_000
 
 
@@ -173,16 +168,14 @@ def test_the_picture_of_a_moving_delay_has_its_walls_in_its_units() -> None:
     assert "delay moves between 0 and 1 ms" in figure.get_suptitle()
 
 
-def test_files_for_one_delay_refuse_one_that_moves(tmp_path: Path) -> None:
+def test_an_atlas_refuses_a_delay_that_moves(tmp_path: Path) -> None:
     for more in ("delay = [0.0, 0.001]", "delay = 0.001\ndelay_is = 'moving'\nlost_samples = 1"):
-        file = written(tmp_path, more)
-        page = tmp_path / "page.html"
-        for arguments in (["explore", file, "-o", page], ["atlas", "spec", "--scene", file]):
-            refused = run(*arguments)
-            assert refused.exit_code == 2
-            assert_one_sentence(refused.stderr)
-            assert "one constant delay; give one, such as --delay 0.001" in refused.stderr
-            assert not page.exists()
+        refused = run("atlas", "spec", "--scene", written(tmp_path, more))
+        assert refused.exit_code == 2
+        assert_one_sentence(refused.stderr)
+        assert "and moves, but this answer is for constant delays; give delay_is" in refused.stderr
+    constant = written(tmp_path, "delay = [0.0, 0.001]\ndelay_is = 'constant'")
+    assert run("atlas", "spec", "--scene", constant).exit_code == 0
 
 
 def test_limits_at_given_gains_are_refused_for_a_range_of_delays() -> None:
@@ -259,8 +252,8 @@ def test_the_line_of_the_estimator_says_what_is_proved(command: str) -> None:
 
 
 def test_an_unstable_wall_names_delays_that_make_it_grow() -> None:
-    for command, code in (("limits", 0), ("check", 1)):
-        wall = answered(command, *MOVING, *ISSUE, code=code)["walls"]["issue"]
+    for command in ("limits", "check"):
+        wall = answered(command, *MOVING, *ISSUE, code=1)["walls"]["issue"]
         assert wall["verdict"] == "unstable"
         said = re.fullmatch(
             r"delays of ([\d., ]+) ms in turn: a factor of ([\d.]+) per sample \(growth proved\)",
@@ -285,7 +278,7 @@ def test_the_same_wall_is_proved_for_every_constant_delay() -> None:
 
 def test_an_unstable_wall_names_the_constant_delay() -> None:
     walls = [*ISSUE, "--wall", "hard", "16000", "40"]
-    answer = answered("limits", *MOVING, *walls, "--constant-delay")["walls"]["hard"]
+    answer = answered("limits", *MOVING, *walls, "--constant-delay", code=1)["walls"]["hard"]
     assert answer["verdict"] == "unstable"
     assert answer["worst_delays"].startswith("a constant delay of 1 ms: a factor of ")
     radius = float(re.search(r"factor of ([\d.]+)", answer["worst_delays"])[1])  # type: ignore[index]
@@ -403,6 +396,185 @@ def test_walls_are_proved_for_every_hand_and_every_sequence(parts: int, window: 
     assert float(said[2]) > 1.0
 
 
+# The scenes of a report: 16 and 8 hands at the corners, the light one of which is the worst.
+BUTTERWORTH = {
+    "device": {"mass": [0.08, 0.24], "damping": 0.05},
+    "hand": {"mass": [0.0, 0.2], "stiffness": [0.0, 300.0], "damping": [0.0, 5.0]},
+    "controller": {
+        "sample_time": 0.25e-3,
+        "delay_samples": 2.0,
+        "velocity": {"cutoff": 100.0, "order": 2, "kind": "butterworth"},
+    },
+    "walls": {"a": {"stiffness": 4000.0, "damping": 12.0}},
+}
+TURNING = {
+    "device": {"inertia": 0.02, "damping": 0.02},
+    "hand": {"inertia": [0.0, 0.05], "stiffness": [0.0, 20.0], "damping": [0.0, 0.8]},
+    "controller": {"sample_time": T, "delay_samples": 2.0, "velocity": {"window": 5e-3}},
+    "walls": {"a": {"stiffness": 300.0, "damping": 2.0}},
+}
+
+
+def light_radius(table: dict[str, Any], estimator: tuple[Any, Any], samples: int) -> float:
+    """Return the radius with the lightest hand and a whole delay, of a polynomial of scipy's."""
+    period, (wall,) = table["controller"]["sample_time"], table["walls"].values()
+    mass = float(np.min(table["device"].get("mass", table["device"].get("inertia"))))
+    stiffness = table["hand"]["stiffness"][1]
+    plant = [1.0], [mass, table["device"]["damping"], stiffness]
+    numerator, denominator, _ = cont2discrete(plant, period, "zoh")
+    above, below = (np.atleast_1d(side) for side in estimator)
+    velocity = np.polymul(above, [wall["damping"] / period, -wall["damping"] / period])
+    force = np.polyadd(velocity, np.polymul(below, [wall["stiffness"], 0.0]))
+    free = np.polymul(np.polymul(denominator, below), [1.0] + [0.0] * (1 + samples))
+    return float(np.abs(np.roots(np.polyadd(free, np.polymul(np.ravel(numerator), force)))).max())
+
+
+@pytest.mark.parametrize(
+    ("table", "estimator", "constant", "unstable"),
+    [
+        (BUTTERWORTH, butter(2, 100.0, fs=4000.0), 0.6491e-3, 5),
+        (TURNING, ([0.2] * 5, [1.0] + [0.0] * 4), 1.203e-3, 4),
+    ],
+)
+def test_the_extra_delay_of_a_moving_one_is_proved_for_every_hand(
+    table: dict[str, Any], estimator: tuple[Any, Any], constant: float, unstable: int
+) -> None:
+    scene_ = Scene.from_table(table)
+    (wall,) = check_walls(scene_).walls.values()
+    assert wall.margins is not None
+    assert wall.jitter is not None
+    assert wall.jitter.moving_is == "proved for every hand"
+    extra, period = wall.jitter.extra_delay_moving, scene_.controller.sample_time
+    assert wall.margins.extra_delay == pytest.approx(constant, rel=1e-3)
+    assert light_radius(table, estimator, 2) < 1.0 < light_radius(table, estimator, unstable)
+    assert extra <= wall.margins.extra_delay < (unstable - 2) * period
+    gains = tuple(table["walls"]["a"].values())
+    each = [float(loop.jitter_margin(*gains)) for loop in corner_loops(scene_)]
+    assert 0.95 * min(each) < extra <= min(each)
+
+
+def test_no_sequence_within_the_margin_of_every_hand_makes_one_grow() -> None:
+    (wall,) = check_walls(Scene.from_table(TURNING)).walls.values()
+    assert wall.jitter is not None
+    parts, rng = int(8e3 * wall.jitter.extra_delay_moving), np.random.default_rng(8)
+    assert parts == 9  # eighths of a sample
+    turns = np.where(rng.random((60, 12)) < 0.5, 16, 16 + parts)
+    turns[30:] = rng.integers(16, 17 + parts, (30, 12))
+    for inertia, stiffness, damping in product((0.0, 0.05), (0.0, 20.0), (0.0, 0.8)):
+        held = Moving((1.0,), (0.02 + inertia, 0.02 + damping, stiffness), T, 5)
+        assert np.all(growth(held.positions(300.0, 2.0, np.tile(turns, (1, 150))), 12) < 1.0)
+
+
+def test_of_a_wall_that_is_not_stable_for_moving_delays_no_constant_one_is_measured() -> None:
+    """The wall is stable at each constant delay, which would be printed below "unstable"."""
+    text = run("check", *MOVING, *ISSUE).stdout
+    assert re.search(r"(?m)^  verdict +unstable$", text)
+    assert re.search(r"(?m)^  measures +left out: they are of constant delays", text)
+    for words in ("settled", "spectral radius", "margins", "stiffness gain", "none is proved"):
+        assert words not in text
+    constant = run("check", *MOVING, *ISSUE, "--constant-delay")
+    assert constant.exit_code == 0
+    assert "settled, and proved to stay so" in constant.stdout
+
+
+def test_a_constant_delay_that_is_not_known_may_begin_to_move() -> None:
+    table = scene(delay=[0.0, 0.5e-3], delay_is="constant")
+    table["walls"] = {"a": {"stiffness": 2000.0, "damping": 15.0}}
+    (wall,) = check_walls(Scene.from_table(table)).walls.values()
+    assert wall.jitter is not None
+    assert wall.jitter.moving_is == "beyond the range"
+    loop = loop_of(Scene.from_table(scene()))
+    longest = 0.5e-3 + wall.jitter.extra_delay_moving
+    assert loop.verdict(2000.0, 15.0, delays=(0.0, longest)) == Verdict.STABLE
+
+
+# ------------------------------------------------------- answers for the longest, constant delay
+LONGEST = "; delay moves between 0 and 1 ms, newest sample wins: here constant, the longest"
+
+
+def test_tune_and_design_take_the_longest_delay_and_say_so_first() -> None:
+    for command in (["tune"], ["design", "--stiffness", "1000"]):
+        ranged, one = run(*command, *MOVING), run(*command, *LIGHT, "--delay", "0.001")
+        first, *others = ranged.stdout.splitlines()
+        assert first.endswith(LONGEST)
+        assert first.removesuffix(LONGEST) == one.stdout.splitlines()[0]
+        assert set(one.stdout.splitlines()[1:]) <= set(others)
+
+
+def test_tuned_walls_are_judged_for_every_delay_of_the_range() -> None:
+    ends = {"[0, 1]": [0.0, T], "[0.9, 1]": [0.9 * T, T]}
+    verdicts = set()
+    for delays in ends.values():
+        tuned = tune_walls(Scene.from_table(scene(delay=delays)))
+        wall = tuned.least_settling
+        assert wall.rounded is not None
+        gains = wall.rounded.stiffness, wall.rounded.damping
+        loop = loop_of(Scene.from_table(scene(delay=T)))
+        assert wall.for_all_delays == loop.verdict(*gains, delays=(delays[0], delays[1]))
+        assert wall.for_all_hands is None
+        assert wall.is_stable == (wall.for_all_delays == Verdict.STABLE)
+        verdicts.add(wall.for_all_delays)
+    assert Verdict.STABLE in verdicts
+
+
+def test_tune_ends_with_0_where_all_that_it_names_is_proved() -> None:
+    hands = ["--hand-mass", "0:0.1", "--hand-damping", "0.5:2"]
+    tuned = answered("tune", *LIGHT, "--delay", "0.001", *hands)
+    assert tuned["over_ranges"]["verdict"] == "stable"
+    assert {tuned[name]["for_all_hands"] for name in ("least_radius", "least_settling")} == {
+        "stable"
+    }
+    wall = tuned["over_ranges"]["stiffness"], tuned["over_ranges"]["damping"]
+    for mass, damping in product((0.0, 0.1), (0.5, 2.0)):
+        units = T**2 / (0.1 + mass), T / (0.1 + mass)
+        delta = (0.05 + damping) * units[1]
+        assert spectral_radius(wall[0] * units[0], wall[1] * units[1], 0.0, delta, 1.0)[1] < 1.0
+    both = answered("tune", *MOVING, "--constant-delay", *hands, code=1)
+    assert both["over_ranges"]["verdict"].endswith("not proved together with a range of delays")
+
+
+def test_tolerances_widen_the_ranges_for_which_a_wall_is_proved() -> None:
+    table = scene(delay=[0.0, T], lost_samples=1) | {
+        "wanted": {"mass_tolerance": 0.1, "delay_tolerance": 2e-4}
+    }
+    wide = with_tolerances(Scene.from_table(table))
+    assert wide.device.mass == (0.1 * (1.0 - 0.1), 0.1 * (1.0 + 0.1))
+    assert (wide.controller.delays, wide.controller.lost_samples) == ((0.0, T + 2e-4), 1)
+    assert wide.controller.moves
+    one = with_tolerances(Scene.from_table(scene(delay_samples=1.0)))
+    assert (one.controller.has_one_delay, one.controller.delays) == (True, (T, T))
+
+
+def test_studies_and_pages_take_the_longest_delay_and_say_so_first(tmp_path: Path) -> None:
+    for more in ("delay = [0.0, 0.001]", "delay_samples = [0, 1]\nlost_samples = 2"):
+        file, page = written(tmp_path, more), tmp_path / "page.html"
+        made = run("explore", file, "-o", page)
+        assert made.exit_code == 0
+        assert_one_sentence(made.stderr)
+        for words in (made.stderr, page.read_text(encoding="utf-8")):
+            assert re.search(r"elay moves between 0 and 1 ms.*: here constant, the longest", words)
+        table = run("study", file, "--over", "device.mass=0.1,0.2", "--csv", "-")
+        first, *_ = table.stderr.splitlines()
+        assert first.startswith("jaxstab: the delay moves between 0 and 1 ms, newest sample wins")
+        assert first.endswith("here constant, the longest.")
+        single = answered("limits", *LIGHT, "--delay", "0.001")["best"]["largest_stiffness"]
+        rows = list(csv.DictReader(io.StringIO(table.stdout)))
+        assert float(rows[0]["largest_stiffness"]) == pytest.approx(single, rel=1e-9)
+        over = run("study", file, "--over", "controller.delay=0,0.001", "--csv", "-")
+        assert over.exit_code == 0, over.stderr
+        assert "longest" not in over.stderr
+
+
+def test_pictures_of_tune_and_design_are_of_the_longest_delay(tmp_path: Path) -> None:
+    given = Scene.from_table(
+        scene(delay=[0.0, T], delay_is="constant") | {"wanted": {"stiffness": 1e3}}
+    )
+    for answer in (tune_walls(given), design_loop(given)):
+        figure = scene_figure(given, answer)
+        assert "here constant, the longest" in figure.get_suptitle().replace("\n", " ")
+    assert run("tune", *MOVING, "--plot", tmp_path / "a.png").exit_code in (0, 1)
+
+
 def test_measures_with_hands_are_the_worst_of_hands_and_delays() -> None:
     table = scene(delay=[0.0, T])
     table["hand"] = {"mass": [0.0, 0.1]}
@@ -412,7 +584,7 @@ def test_measures_with_hands_are_the_worst_of_hands_and_delays() -> None:
     assert wall.margins.margins_are is not None
     assert wall.margins.margins_are.endswith("hands and constant delays")
     assert wall.jitter is not None
-    assert wall.jitter.moving_is == "beyond the range, for the worst hand"
+    assert wall.jitter.moving_is == "beyond the range, proved for every hand"
     each = [
         HapticLoop(
             device_mass=0.1, device_damping=0.05, hand_mass=hand, sample_time=T, delay=delay

@@ -25,9 +25,9 @@ LARGEST = {1: 36167.0, 2: 24520.0, 5: 11290.0, 10: 5155.0, 15: 3036.0, 20: 2032.
 # N/m, from grids of certified roots, before this program took estimators
 
 
-def answered(*arguments: str | Path) -> Any:
+def answered(*arguments: str | Path, code: int = 0) -> Any:
     result = run(*arguments, "--json")
-    assert result.exit_code == 0, result.stderr
+    assert result.exit_code == code, result.stderr
     return json.loads(result.stdout)
 
 
@@ -43,8 +43,11 @@ def test_a_scene_without_an_estimator_says_first_which_one_was_assumed() -> None
 def test_the_numbers_of_the_readme_are_those_of_its_scene() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     omega = ROOT / "data" / "scenes" / "omega.toml"
-    for options, stated in (((), "2,034 N/m"), (("--window-samples", "1"), "36,160 N/m")):
-        best = answered("limits", omega, *options)["best"]["largest_stiffness"]
+    for options, stated, code in (  # the wall of CHAI3D is outside of the first one
+        ((), "2,034 N/m", 1),
+        (("--window-samples", "1"), "36,160 N/m", 0),
+    ):
+        best = answered("limits", omega, *options, code=code)["best"]["largest_stiffness"]
         assert stated in text
         number = float(stated.removesuffix(" N/m").replace(",", ""))
         assert number <= best < 1.001 * number

@@ -151,8 +151,8 @@ def test_a_scene_with_ranges_has_a_wall_for_them_and_says_what_was_tried() -> No
     assert wall.damping is not None
     assert wall.settling_time_at_worst is not None
     assert wall.certainty == (
-        "the slowest of 109 loops that were tried, 8 of them corners of the ranges: nothing is "
-        "proved of others"
+        "the slowest of 109 loops that were tried, 8 of them corners of the ranges: the "
+        "settling of others is not proved"
     )
     assert wall.fastest_wall_at_worst is not None
     assert wall.settling_time_at_worst < wall.fastest_wall_at_worst

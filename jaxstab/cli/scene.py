@@ -310,8 +310,9 @@ _safety_option = click.option(
 def limits(as_json: bool, in_full: bool, islands: bool, **given: Any) -> int:
     """Give the largest stiffness that a scene allows, and the limits at each of its walls.
 
-    All limits are of walls with K >= 0 and B >= 0. The exit code is 0 if walls are stable, for all
-    hands of the scene by proof, 1 if not.
+    All limits are of walls with K >= 0 and B >= 0. The exit code is 0 if there are stable walls,
+    for all hands and delays of the scene by proof, and the walls of the scene are among them, 1 if
+    not.
     """
 
     def shown(answer: Any) -> str:
@@ -328,7 +329,8 @@ def limits(as_json: bool, in_full: bool, islands: bool, **given: Any) -> int:
 def check(as_json: bool, **given: Any) -> int:
     """Check each wall: stable or not, its margins, how fast it settles.
 
-    The exit code is 0 if every wall is proved stable, 1 if not.
+    The exit code is 0 if every wall is proved stable, if only but for a position that nothing
+    holds, 1 if not.
     """
     return _answer(given, "check", as_json)
 
@@ -398,8 +400,8 @@ def contact(
 def tune(as_json: bool, **given: Any) -> int:
     """Find the walls that come to rest fastest, and the best damping for each wall.
 
-    The exit code is 0 if every wall is found and proved stable, 1 if not; over ranges none is
-    proved.
+    Of a range of delays, walls are those of the longest one as a constant delay. The exit code is 0
+    if every wall is found, and proved stable for all hands and delays, 1 if not.
     """
     return _answer(given, "tune", as_json)
 
@@ -412,7 +414,8 @@ def tune(as_json: bool, **given: Any) -> int:
 def design(as_json: bool, **given: Any) -> int:
     """Find the largest sample time, and the largest delay, for a wanted stiffness.
 
-    The exit code is 0 if both are found, 1 if not.
+    Of a range of delays it takes the longest one as a constant delay. The exit code is 0 if both
+    are found, 1 if not.
     """
     return _answer(given, "design", as_json)
 
@@ -470,7 +473,7 @@ def _answer(
     if len(given["files"]) > 1:
         return 0 if all(each.all_stable for each in answer_many(given, name, as_json)) else 1
     scene, plot = scene_of(given), given.get("plot")
-    if plot and not scene.controller.moves:
+    if plot and not (scene.controller.moves or name in ("tune", "design")):
         scene.controller.require_one_delay("a picture")
     answer = _computed(scene, name)
     if plot:
@@ -522,10 +525,11 @@ def explore(file: Path | None, output: Path) -> None:
     """
     from jaxstab.durable import publish
     from jaxstab.explore import explorer_page
+    from jaxstab.scene.answers import delay_notes
 
     given = {"files": [file]} if file else _OMEGA
     scene = scene_of(given)
-    warn(*scene.unusual())
+    warn(*scene.unusual(), *delay_notes(scene))
     title = f"the scene {file.name}" if file else "an omega-like device at 1 kHz"
     page = explorer_page(scene, title)
     publish(page.encode(), output)

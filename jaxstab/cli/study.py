@@ -135,8 +135,7 @@ def study(
         path = output or Path(folder, "study.h5")
         dataset = study_dataset(table, over, path, answers=answers, **options)
         _require_few(prod(dataset.shape), csv_file)
-        click.echo(f"jaxstab: {plan_of(dataset)}", err=True)
-        for note in dataset.attributes["notes"].splitlines():
+        for note in [*dataset.attributes["notes"].splitlines(), plan_of(dataset)]:
             click.echo(f"jaxstab: {note}", err=True)
         with resumable(output) as show, executor_of(given) as executor:
             ensure(dataset, show, executor)

@@ -7,6 +7,7 @@ from typing import Any
 
 from jaxstab.model.filters import NO_FILTER
 from jaxstab.scene import Scene
+from jaxstab.scene.answers import delay_notes
 from jaxstab.scene.loops import hands_of, is_one_mass, loop_of, wall_region, walls_of
 from jaxstab.scene.scene import (
     FINGER,
@@ -29,6 +30,8 @@ _LONGEST_DELAY = 200.0  # samples
 
 def explorer_page(scene: Scene, title: str = "") -> str:
     """A self-contained page of HTML that begins with a scene, at the lowest values of its ranges.
+
+    Of a range of delays it takes the longest one, as a constant delay.
 
     ValueError: a quantity is out of range, or the page cannot compute the scene: it has a filter of
     the position, a device that is not one mass, or more than 200 samples of delay.
@@ -89,7 +92,7 @@ def _units(units: Units) -> dict[str, str]:
 
 
 def _state(scene: Scene) -> dict[str, Any]:
-    loop, device = loop_of(scene), scene.device
+    loop, device = loop_of(scene.at_longest_delay), scene.device
     stiffness, damping = _cursor(scene)
     return {
         "mass": device.effective_mass[0],
@@ -142,7 +145,7 @@ def _hands(scene: Scene) -> dict[str, dict[str, float]] | None:
 
 def _cursor(scene: Scene) -> tuple[float, float]:
     """K and B of the first wall shown: half as stiff as the stiffest."""
-    limits = wall_region(loop_of(scene)).limits()
+    limits = wall_region(loop_of(scene.at_longest_delay)).limits()
     if not isfinite(limits.stiffness):  # no wall is stable
         return 0.0, 0.0
     return _rounded(_HALF * limits.stiffness), _rounded(limits.at_damping)
@@ -175,7 +178,8 @@ def _software() -> list[dict[str, Any]]:
 
 def _notes(scene: Scene, title: str) -> list[str]:
     """Return what has to be known of the numbers that the page begins with."""
-    notes = [f"It begins with {title}."] if title else []
+    notes = [f"{note.capitalize()}." for note in delay_notes(scene)]
+    notes += [f"It begins with {title}."] if title else []
     if hands_of(scene) is not None:
         notes.append("The scene has ranges: the page begins with their lowest values.")
     if scene.controller.velocity is None:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial, reduce
 from itertools import product
-from math import inf, nan, pi
+from math import inf, isfinite, nan, pi
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -363,6 +363,7 @@ _VALUES = 3  # values of each number that varies
 _MOST_TRIED = 64  # loops of those that could not be proved
 _LOWERED = (1.0, 0.95, 0.9, 0.8, 0.65, 0.5)  # shares of what one hand allows if the delay moves
 _SMALLEST = 2.0**-16  # of the ranges: boxes are not halved beyond
+_MARGINS = 7  # halvings of what one hand allows, for a margin of all
 _MOST = 40_000  # boxes at once
 
 
@@ -430,6 +431,26 @@ class LoopsWithHands:
             if worst.verdict == Verdict.STABLE:
                 return RobustLimit(stiffness, wall.damping, True, limit.limit, limit.loop)
         return limit
+
+    def jitter_margin(self, stiffness: float, damping: float) -> float:
+        """How far the delay may move for all of them, in s: ``HapticLoop.jitter_margin``."""
+        wall, delay = (stiffness, damping), float(self.loop.delay)
+        most = float(self._held(self._spread(1)[0]).jitter_margin(*wall))
+
+        def is_proved(share: float) -> bool:
+            delays = (delay, delay + share * most if isfinite(most) else delay)
+            try:
+                return not len(replace(self, moving={"delays": delays})._unproved(wall))
+            except NotImplementedError:  # boxes do not cover such a device
+                return False
+
+        if most == 0.0 or is_proved(1.0):
+            return most
+        low, high = 0.0, 1.0
+        for _ in range(_MARGINS):
+            share = 0.5 * (low + high)
+            low, high = (share, high) if is_proved(share) else (low, share)
+        return low * most if low > 0.0 else 0.0
 
     @cached_property
     def _between(self) -> LoopsBetween | None:

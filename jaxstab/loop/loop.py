@@ -568,19 +568,32 @@ class HapticLoop(LoopParameters):
         units = self.stiffness(1.0), self.damping(1.0), self.sample_time
         return ranges.in_si_units(margins, *units)
 
-    def jitter_margin(self, stiffness: Numbers, damping: Numbers) -> Float64[np.ndarray, "*grid"]:
+    def jitter_margin(
+        self,
+        stiffness: Numbers,
+        damping: Numbers,
+        *,
+        hands: "ranges.HandRange | None" = None,
+        mass: Range | None = None,
+    ) -> Float64[np.ndarray, "*grid"]:
         """How far the delay of each sample may exceed the loop's own, in s, proved.
 
         The delay may change from sample to sample between ``delay`` and ``delay`` plus the margin;
         the wall is stable for every such sequence. A lost sample counts as one sampling period.
         ``margins`` has the margin of a delay that is constant, which cannot be smaller.
 
-        Args and Raises: see ``jaxstab.conventions``; TypeError also if JAX traces the loop.
+        Args:
+            stiffness, damping: see ``jaxstab.conventions``.
+            hands: a range of hands, in place of the hand of the loop: for every one of them.
+            mass: with ``hands``, as for ``worst_hand``.
+
+        Raises: see ``jaxstab.conventions``; TypeError also if JAX traces the loop, or for a mass
+        without hands; with hands as ``worst_hand``.
 
         Returns:
             The margins in s; 0 where nothing is proved, infinite without a wall on a stable device.
 
-        Source: the small-gain theorem (Kao, Lincoln 2004); lemma J1 of docs/proofs.md.
+        Source: the small-gain theorem (Kao, Lincoln 2004); lemmas J1 and J3 of docs/proofs.md.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -589,9 +602,16 @@ class HapticLoop(LoopParameters):
             4.21 of 5.76 ms
         """
         self._refuse_many("jitter_margin")
-        from jaxstab.loop.jitter import jitter_margin
+        from jaxstab.loop.jitter import jitter_margin, refuse_traced
 
-        return jitter_margin(self, stiffness, damping)
+        if hands is None:
+            if mass is not None:
+                raise TypeError(f"mass is {mass} without hands; give hands=jaxstab.HandRange().")
+            return jitter_margin(self, stiffness, damping)
+        refuse_traced(stiffness, damping)
+        with_hands = self._with_hands(hands, mass, (self.delay, self.delay), 0)
+        assert with_hands is not None  # delays are given
+        return np.vectorize(with_hands.jitter_margin, otypes=[np.float64])(stiffness, damping)
 
     def worst_delays(
         self, stiffness: float, damping: float, *, delays: Range, lost: int = 0

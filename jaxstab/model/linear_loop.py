@@ -237,6 +237,26 @@ def loop_of_radius(loop: LinearLoop, radius: float) -> LinearLoop:
     return LinearLoop(base, stiffness, damping, bounds, at_one, at_minus_one)
 
 
+def loop_without_drift(loop: LinearLoop) -> LinearLoop:
+    """Return the loop of p(z) z / (z - 1), for alpha = 0 and a device that nothing holds.
+
+    Such a device has a pole at z = 1, which a damper leaves there: the position may stay anywhere.
+    The other roots of p are those of the loop returned, and one at 0 (lemma V11).
+    """
+    degree, nothing = loop.degree, loop.base[0] - loop.base[0]
+    parts = [(*accumulate(p[:-1], DoubleDouble.__add__), nothing) for p in loop[:3]]
+    rounding = degree * PAIR_PRODUCT
+    errors = [
+        degree * (error + rounding * size_of(polynomial))
+        for error, polynomial in zip(loop.errors, loop[:3], strict=True)
+    ]
+    sums = [reduce(DoubleDouble.__add__, part) for part in parts]
+    base, stiffness, damping = parts
+    bounds = errors[0], errors[1], errors[2]
+    at_one = Affine(*map(Bounded, sums, errors))
+    return LinearLoop(base, stiffness, damping, bounds, at_one, loop.at_minus_one)
+
+
 def loop_factors(
     lag: int, velocity: Transfer, position: Transfer
 ) -> tuple[list[int], tuple[tuple[Polynomial, ...], ...]]:

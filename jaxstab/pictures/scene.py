@@ -40,7 +40,7 @@ from jaxstab.pictures.style import (
     plain,
     plot_moving_region,
 )
-from jaxstab.scene.answers import Answer, Quantity, basis_of, in_words
+from jaxstab.scene.answers import Answer, Basis, Quantity, basis_of, in_words
 from jaxstab.scene.check import Check, WallCheck, check_walls
 from jaxstab.scene.contact import (
     MAP_COUNT,
@@ -50,7 +50,13 @@ from jaxstab.scene.contact import (
     start_in_words,
     walls_around,
 )
-from jaxstab.scene.hands import WallVerdict, at_lowest, common_outline, loops_over_delays
+from jaxstab.scene.hands import (
+    BUT_FOR_DRIFT,
+    WallVerdict,
+    at_lowest,
+    common_outline,
+    loops_over_delays,
+)
 from jaxstab.scene.limits import LimitsOverDelays, passive_walls
 from jaxstab.scene.loops import (
     corner_loops,
@@ -77,10 +83,11 @@ _MARK = 14.0  # pixels: a wall's mark
 _LIFTS = (0, 10, -10, 20, -20, 32, -32, 44, -44)  # points: how far names are moved up
 
 
-_LOOKS = {  # colour, mark and line of a wall
+_LOOKS: dict[Verdict | str, tuple[str, str, str]] = {  # colour, mark and line of a wall
     Verdict.STABLE: (BLUE, "o", "-"),
     Verdict.UNSTABLE: (RED, "X", ":"),
     Verdict.UNDECIDED: (BLACK, "s", "--"),
+    BUT_FOR_DRIFT: (SKY, "o", "-"),
 }
 
 
@@ -153,6 +160,8 @@ def draw_responses(panel: Axes, scene: Scene, checked: dict[str, WallCheck]) -> 
     for name, wall in checked.items():
         held = loop_of(scene, wall.worst_hand)
         spring = held.device.static_stiffness() if held.device else held.hand_stiffness
+        if wall.stiffness + spring == 0.0:  # there is no final displacement
+            continue
         response = held.simulate(
             wall.stiffness, wall.damping, samples=samples, force=1.0, between=_MOST // samples
         )
@@ -199,11 +208,13 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
     """
     if isinstance(answer, Contacts):
         return scene_contacts(scene)
+    basis = basis_of(scene, at_longest=isinstance(answer, Tuned | Design))
     if isinstance(answer, Design):
-        return _design_figure(scene, answer)
+        return _design_figure(scene.at_longest_delay, answer, basis)
     walls = _judged(scene, answer)
+    scene = scene.at_longest_delay if isinstance(answer, Tuned) else scene
     if scene.controller.moves:
-        return _moving_figure(scene, walls)
+        return _moving_figure(scene, walls, basis)
     loop = loop_of(scene)
     everything = wall_region(loop)
     if everything.is_empty:
@@ -263,7 +274,7 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
     for panel in planes:
         draw_walls(panel, walls)
     of_responses = "; responses: worst hand of each wall" if checked else ""
-    _write_basis(figure, scene, of_responses)
+    _write_basis(figure, scene, basis, of_responses)
     _draw_legend(figure, panels[0], min(1 + len(widths), 4))
     if walls:
         figure.draw_without_rendering()  # positions are known only now
@@ -272,10 +283,9 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
     return figure
 
 
-def _write_basis(figure: Figure, scene: Scene, more: str = "") -> None:
+def _write_basis(figure: Figure, scene: Scene, basis: Basis, more: str = "") -> None:
     """Write the assumptions above a picture: the estimator, the device, the delay, the hand."""
-    basis, hand = basis_of(scene), at_lowest(scene, "")
-    delay = basis.range_of_delays
+    delay, hand = basis.range_of_delays, at_lowest(scene, "")
     remarks = [f"velocity: {basis.velocity}"]
     remarks += [f"delay {delay}" if delay else f"delay: {basis.delay_in_words}"]
     remarks += [remark for remark in (basis.mechanics, basis.postures) if remark]
@@ -284,7 +294,7 @@ def _write_basis(figure: Figure, scene: Scene, more: str = "") -> None:
     figure.suptitle("\n".join(fill(remark, width) for remark in remarks), fontsize=9)
 
 
-def _design_figure(scene: Scene, design: Design) -> Figure:
+def _design_figure(scene: Scene, design: Design, basis: Basis) -> Figure:
     """Draw the largest stiffness over the sample time and over the delay, and the wanted one."""
     units, loop = scene.units, loop_of(scene)
     figure = Figure(figsize=(1.5 * _WIDTH, _HEIGHT), layout="constrained")
@@ -310,7 +320,7 @@ def _design_figure(scene: Scene, design: Design) -> Figure:
         panel.legend(fontsize=8)
     panels[0].set_ylabel(f"stiffness K ({units.stiffness})")
     panels[0].set_ylim(0.0, _ROOM_ABOVE * np.nanmax([wanted, now]))
-    _write_basis(figure, scene)
+    _write_basis(figure, scene, basis)
     return figure
 
 
@@ -323,7 +333,7 @@ def _judged(scene: Scene, answer: Answer | None) -> Walls:
     return check_walls(replace(scene, wanted=replace(scene.wanted, measures=()))).walls
 
 
-def _moving_figure(scene: Scene, walls: Walls) -> Figure:
+def _moving_figure(scene: Scene, walls: Walls, basis: Basis) -> Figure:
     """Draw the walls that are proved for every sequence of delays, and those of the scene."""
     controller, units = scene.controller, scene.units
     region = loops_over_delays(scene)[0].region(
@@ -342,7 +352,7 @@ def _moving_figure(scene: Scene, walls: Walls) -> Figure:
     assert legend is not None
     legend.remove()
     _draw_legend(figure, panel, 3)
-    _write_basis(figure, scene)
+    _write_basis(figure, scene, basis)
     if walls:
         figure.draw_without_rendering()  # positions are known only now
         name_walls(panel, walls)

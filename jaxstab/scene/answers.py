@@ -326,24 +326,35 @@ _ASSUMED = "the difference over one sample (assumed: the scene names no estimato
 _NO_DELAY = "assumed: the scene names none"
 
 
-def _delay_is(controller: Controller) -> str | None:
-    """Describe a range of delays and of which of them proofs are; None for one delay."""
+def _delay_is(controller: Controller, *, at_longest: bool) -> str | None:
+    """Describe a range of delays and for which of them answers hold; None for one delay."""
     if controller.has_one_delay:
         is_given = controller.delay is not None or controller.delay_samples is not None
         return None if is_given else _NO_DELAY
     low, high = controller.delays
     ends = IntervalQuantity("s").words((low, high)).replace(" to ", " and ")
+    every = "sequence" if controller.moves else "constant delay"
+    hold = "here constant, the longest" if at_longest else f"proofs hold for every {every}"
     if not controller.moves:
-        return f"constant, somewhere between {ends}: proofs hold for every constant delay"
+        return f"constant, somewhere between {ends}: {hold}"
     losses = f", up to {controller.lost_samples} in a row lost" if controller.lost_samples else ""
     motion = f"moves between {ends}" if low < high else f"is {Quantity('s').words(low)}"
-    return f"{motion}, newest sample wins{losses}: proofs hold for every sequence"
+    return f"{motion}, newest sample wins{losses}: {hold}"
 
 
-def basis_of(scene: Scene) -> Basis:
-    """The inputs that the answers hold for: estimator, filter, delay, device, hand, motion."""
+def delay_notes(scene: Scene) -> list[str]:
+    """Say that answers are for the longest delay, if a scene has a range of them."""
+    words = basis_of(scene, at_longest=True).range_of_delays
+    return [f"the delay {words}"] if words else []
+
+
+def basis_of(scene: Scene, *, at_longest: bool = False) -> Basis:
+    """The inputs that the answers hold for: estimator, filter, delay, device, hand, motion.
+
+    ``at_longest``: of answers for the longest delay of a range, as a constant one.
+    """
     controller, device, hand = scene.controller, scene.device, scene.hand
-    low, high = controller.delays
+    low, high = (controller.delays[1],) * 2 if at_longest else controller.delays
     samples = low / controller.sample_time, controller.samples
     return Basis(
         velocity=_ASSUMED if controller.velocity is None else str(controller.velocity),
@@ -351,8 +362,8 @@ def basis_of(scene: Scene) -> Basis:
         sample_time=controller.sample_time,
         delay=(low, high) if low < high else low,
         delay_samples=samples if low < high else samples[1],
-        delay_is=_delay_is(controller),
-        lost_samples=controller.lost_samples or None,
+        delay_is=_delay_is(controller, at_longest=at_longest),
+        lost_samples=None if at_longest else controller.lost_samples or None,
         mass=device.effective_mass,
         damping=device.damping,
         hand_mass=None if hand is None else hand.effective_mass,

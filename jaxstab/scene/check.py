@@ -38,6 +38,7 @@ from jaxstab.scene.answers import (
 )
 from jaxstab.scene.contact import NotSimulated, Simulated, contacts_or_reasons
 from jaxstab.scene.hands import (
+    BUT_FOR_DRIFT,
     Floats,
     WallVerdict,
     WorstHeld,
@@ -45,7 +46,14 @@ from jaxstab.scene.hands import (
     loops_over_delays,
     worst_on,
 )
-from jaxstab.scene.loops import OneHand, corner_loops, hands_of, walls_of, with_delay
+from jaxstab.scene.loops import (
+    OneHand,
+    corner_loops,
+    hands_of,
+    masses_of,
+    walls_of,
+    with_delay,
+)
 from jaxstab.scene.scene import Scene
 
 _HORIZON = 2**17  # samples within which settling is looked for
@@ -145,7 +153,10 @@ class Chatter(Answer):
 
 @dataclass(frozen=True)
 class Jitter(Answer):
-    """How far the delay may exceed the scene's longest if it changes from sample to sample."""
+    """How far the delay may exceed the scene's longest if it changes from sample to sample.
+
+    It is proved for every hand of the scene.
+    """
 
     is_part = True
     absent = "none is proved"
@@ -159,7 +170,7 @@ class WallCheck(WallVerdict):
     """The verdict on a wall, and the requested measures.
 
     The worst hand is that of the largest radius, which is given for it; every other measure is the
-    worst over the hands that are tried.
+    worst over the hands that are tried, but for the jitter, which is proved for every hand.
     """
 
     measures_are: str | None
@@ -183,10 +194,7 @@ class Check(Answer):
     @property
     def all_stable(self) -> bool:
         """Whether every wall is stable, by proof, with every hand."""
-        return all(
-            wall.verdict == Verdict.STABLE and wall.hands_are is None
-            for wall in self.walls.values()
-        )
+        return all(wall.is_stable for wall in self.walls.values())
 
 
 # Many walls at once: loops of one mass with the same estimator, filter and sampling period are one
@@ -225,6 +233,7 @@ def check_walls(scene: Scene) -> Check:
     """The verdict on each wall and the requested measures, at their worst; at least one wall."""
     walls, encoder = _walls_of(scene), scene.device.encoder
     measured: list[dict[str, Any]] = [{} for _ in walls]
+    left_out = [_left_out(wall) if scene.wanted.measures else None for wall in walls]
     for name, (method, summarise) in _MEASURES.items():
         if name not in scene.wanted.measures:
             continue
@@ -232,21 +241,29 @@ def check_walls(scene: Scene) -> Check:
             if encoder is None:
                 continue
             method = partial(method, encoder=encoder.resolution)
-        held = [_loops_for(wall, name) for wall in walls]
+        if name == "jitter":
+            method = partial(method, hands=hands_of(scene), mass=masses_of(scene))
+        held = [
+            [] if reason else _loops_for(wall, name)
+            for wall, reason in zip(walls, left_out, strict=True)
+        ]
         pairs = [(x, wall.gains) for wall, loops in zip(walls, held, strict=True) for x in loops]
+        if not pairs:
+            break
         answers, end = _evaluated(method, pairs, apart=name in _APART), 0
         for own, wall, loops in zip(measured, walls, held, strict=True):
             begin, end = end, end + len(loops)
-            own[name] = summarise(wall, loops, take(answers, np.s_[begin:end]))
+            if loops:
+                own[name] = summarise(wall, loops, take(answers, np.s_[begin:end]))
     felt = contacts_or_reasons(scene) if scene.wanted.measures else {}
     checked = {
         name: WallCheck(
             **vars(wall.worst.on(wall.gains)),
-            measures_are=_measures_are(wall) if answers else None,
+            measures_are=reason or (_measures_are(wall) if answers else None),
             **answers,
             simulated=felt.get(name),
         )
-        for name, wall, answers in zip(scene.walls, walls, measured, strict=True)
+        for name, wall, answers, reason in zip(scene.walls, walls, measured, left_out, strict=True)
     }
     return Check(basis_of(scene), checked)
 
@@ -264,12 +281,21 @@ def _walls_of(scene: Scene) -> list[_Wall]:
     ]
 
 
+def _left_out(wall: _Wall) -> str | None:
+    """Return why a wall has no measures; None where it has."""
+    if wall.worst.verdict == BUT_FOR_DRIFT:
+        return "left out: nothing holds the position; limits --at-stiffness 0 gives the dampings"
+    if wall.scene.controller.moves and wall.worst.verdict != Verdict.STABLE:
+        return "left out: they are of constant delays, but the delay moves"
+    return None
+
+
 def _loops_for(wall: _Wall, measure: str) -> list[HapticLoop]:
     """Return the loops of a wall that a measure is for: all of them, or the worst alone."""
-    moves = wall.scene.controller.moves
-    if measure == "jitter" and moves:
-        return [replace(wall.worst.loop, delay=wall.scene.controller.delays[0])]
-    return [wall.worst.loop] if measure in _OF_WORST and not moves else wall.loops
+    controller = wall.scene.controller
+    if measure == "jitter":
+        return [replace(wall.worst.loop, delay=controller.delays[0])]
+    return [wall.worst.loop] if measure == "radius" and not controller.moves else wall.loops
 
 
 def _among(words: str, loops: list[HapticLoop]) -> str | None:
@@ -364,14 +390,14 @@ def _chatter(_: _Wall, loops: list[HapticLoop], amplitude: Amplitudes) -> Chatte
 
 
 def _jitter(wall: _Wall, _: list[HapticLoop], margin: Floats) -> Jitter:
-    """Return how far the delay may move above that of the scene, with the worst hand alone."""
+    """Return how far the delay may move above that of the scene, with every hand."""
     controller, extra = wall.scene.controller, float(margin[0])
-    if controller.moves:  # the margin of the shortest delay, rounded down, less the range
+    if not controller.has_one_delay:  # the margin of the shortest, rounded down, less the range
         low, high = controller.delays
         spent = high - low + controller.lost_samples * controller.sample_time
         extra = max(extra * (1.0 - 8.0 * EPS) - spent * (1.0 + 8.0 * EPS), 0.0)
-    words = ["beyond the range"] * controller.moves
-    words += ["for the worst hand"] * (wall.worst.hand is not None)
+    words = ["beyond the range"] * (not controller.has_one_delay)
+    words += ["proved for every hand"] * (extra > 0.0 and hands_of(wall.scene) is not None)
     return Jitter(extra or nan, ", ".join(words) or None)
 
 
@@ -392,4 +418,3 @@ _MEASURES: dict[str, tuple[Callable[..., Any], Callable[..., Answer]]] = {
 """The method of a loop that gives a measure, and how it is summarised over the hands."""
 
 _APART = "distance", "jitter"  # of methods that take no loop with arrays
-_OF_WORST = "radius", "jitter"  # with the worst hand alone

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from jaxstab.conventions import Verdict
 from jaxstab.loop import Gains, HapticLoop
 from jaxstab.model.device.parts import MassSpringDamper, Modes
+from jaxstab.model.linear_loop import loop_without_drift
+from jaxstab.point.verdicts import linear_verdict
 from jaxstab.scene.answers import (
     Answer,
     Damping,
@@ -36,6 +38,7 @@ from jaxstab.scene.scene import Scene
 _PROVED = "proved for every hand"
 _TRIED = "no hand that was tried is unstable, but not all others are proved"
 NOT_FOR_OTHERS = ": others are not proved together with a range of delays"
+BUT_FOR_DRIFT = "stable but for the position, which nothing holds"
 _ROWS = 400  # of B, in which walls are stable for all hands
 
 Floats = NDArray[np.float64]
@@ -66,24 +69,35 @@ class WallVerdict(Answer):
 
     stiffness: Stiffness
     damping: Damping
-    verdict: Verdict
+    verdict: Verdict | str
     hands_are: str | None
     worst_hand: OneHand | None
     worst_delays: str | None
+
+    @property
+    def is_stable(self) -> bool:
+        """Whether the wall is proved for all hands and delays, but for a position that drifts."""
+        return self.verdict in (Verdict.STABLE, BUT_FOR_DRIFT) and self.hands_are is None
 
 
 class WorstHeld(NamedTuple):
     """The verdict on a wall for all hands, the worst of them, and the loop that it holds.
 
-    ``hand`` is None where neither a hand nor the mass varies; ``tried`` describes the search where
-    the verdict is UNDECIDED, and ``delays`` those of a range with which a motion grows.
+    The verdict is ``BUT_FOR_DRIFT`` for a stable damper on a device that nothing holds. ``hand`` is
+    None where neither a hand nor the mass varies; ``tried`` describes the search where the verdict
+    is UNDECIDED, and ``delays`` those of a range with which a motion grows.
     """
 
-    verdict: Verdict
+    verdict: Verdict | str
     loop: HapticLoop
     hand: OneHand | None
     tried: str | None
     delays: str | None = None
+
+    @property
+    def for_all(self) -> Verdict | str:
+        """The verdict for all hands, or why there is none."""
+        return self.verdict if self.verdict == Verdict.UNSTABLE else self.tried or self.verdict
 
     def on(self, wall: Gains) -> WallVerdict:
         """Return the verdict as an answer about the wall."""
@@ -102,7 +116,10 @@ def worst_on(scene: Scene, walls: Sequence[Gains]) -> list[WorstHeld]:
         return [_worst_delay(scene, loops, gains) for gains in walls]
     pairs: list[Any]
     if hands is None and not moving:
-        pairs = [(code, loop) for code in loop.verdict(*np.array(walls).T)]
+        codes = loop.verdict(*np.array(walls).T)
+        pairs = [
+            (verdict_with_drift(loop, w) or c, loop) for w, c in zip(walls, codes, strict=True)
+        ]
     elif hands is None:
         pairs = [(loop.verdict(*gains, **moving), loop) for gains in walls]
     elif is_one_mass(scene) and not moving:
@@ -113,12 +130,22 @@ def worst_on(scene: Scene, walls: Sequence[Gains]) -> list[WorstHeld]:
         pairs = [loop.worst_hand(hands, *gains, mass=mass, **moving)[:2] for gains in walls]
     answers = []
     for gains, (code, worst) in zip(walls, pairs, strict=True):
-        verdict, hand = Verdict(int(code)), None if hands is None else held_by(worst, scene)
+        verdict = code if isinstance(code, str) else Verdict(int(code))
+        hand = None if hands is None else held_by(worst, scene)
         tried = _TRIED if hand and verdict == Verdict.UNDECIDED else None
         grows = bool(moving) and verdict == Verdict.UNSTABLE
         words = str(worst.worst_delays(*gains, **moving)) if grows else None
         answers.append(WorstHeld(verdict, worst, hand, tried, words))
     return answers
+
+
+def verdict_with_drift(loop: HapticLoop, wall: Gains) -> Verdict | str | None:
+    """Return the verdict on a damper without a spring on a free device; None for another wall."""
+    if wall.stiffness != 0.0 or loop.held_device.static_stiffness() != 0.0:
+        return None
+    beta = np.float64(loop.beta(wall.damping))
+    code = Verdict(int(linear_verdict(np.float64(0.0), beta, loop_without_drift(loop.linear))))
+    return BUT_FOR_DRIFT if code == Verdict.STABLE else code
 
 
 def _worst_delay(scene: Scene, loops: list[HapticLoop], gains: Gains) -> WorstHeld:

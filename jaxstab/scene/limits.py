@@ -25,6 +25,7 @@ from jaxstab.scene.answers import (
     basis_of,
 )
 from jaxstab.scene.hands import (
+    BUT_FOR_DRIFT,
     NOT_FOR_OTHERS,
     AllHands,
     Floats,
@@ -33,6 +34,7 @@ from jaxstab.scene.hands import (
     limit_for_all,
     loops_over_delays,
     moving_delays,
+    verdict_with_drift,
     worst_on,
 )
 from jaxstab.scene.loops import is_plain, loop_of, wall_region, walls_of
@@ -106,6 +108,14 @@ class DampingsAtStiffness(Answer):
 class AroundWall(DampingsAtStiffness, StiffnessesAtDamping):
     """The stable stiffnesses at the damping of a wall, and the dampings at its stiffness."""
 
+    verdict: str | None = None
+
+    @property
+    def is_stable(self) -> bool:
+        """Whether the wall is within the limits, or stable but for a position that drifts."""
+        low, high = self.stiffness_limits
+        return low < self.at_stiffness < high or self.verdict is not None
+
 
 UnstableStiffness = Annotated[float, Quantity("N/m", infinite="no unstable wall was found there")]
 
@@ -134,7 +144,9 @@ class LimitsOverDelays(Answer):
 
     @property
     def all_stable(self) -> bool:
-        """Whether a wall is proved, for all hands."""
+        """Whether a wall is proved, for all hands, and so is each wall of the scene."""
+        if not all(wall.is_stable for wall in self.walls.values()):
+            return False
         if self.all_hands is not None:
             return self.all_hands.all_stable
         return self.best.certainty.startswith(_PROVED) and self.hand is None
@@ -161,10 +173,11 @@ class Limits(Answer):
 
     @property
     def all_stable(self) -> bool:
-        """Whether there are stable walls, and one that is proved for all hands."""
-        return isfinite(self.best.largest_stiffness) and (
+        """Whether there are stable walls, one proved for all hands, and all of the scene are."""
+        is_one = isfinite(self.best.largest_stiffness) and (
             self.all_hands is None or self.all_hands.all_stable
         )
+        return is_one and all(wall.is_stable for wall in self.walls.values())
 
 
 def brief(answer: Limits | LimitsOverDelays, *, islands: bool = False) -> str:
@@ -210,11 +223,12 @@ def _wall_text(wall: WallVerdict | AroundWall, key: str, said: dict[str, str]) -
         names = (f"{key}.{name}" for name in ("verdict", "worst_delays"))
         words = ", ".join(said[name] for name in names if name in said)
         return f"{said[f'{key}.stiffness']} at {said[f'{key}.damping']}, {words}"
-    (low, high), limits = wall.stiffness_limits, said[f"{key}.stiffness_limits_low"]
-    is_within = "within" if low < wall.at_stiffness < high else "outside"
+    limits, place = said[f"{key}.stiffness_limits_low"], "within" if wall.is_stable else "outside"
     gains = f"{said[f'{key}.at_stiffness']} at {said[f'{key}.at_damping']}"
-    if isfinite(high):
-        return f"{gains}, {is_within} the stable range of {limits}"
+    if wall.verdict is not None:
+        return f"{gains}, {wall.verdict}"
+    if isfinite(wall.stiffness_limits[1]):
+        return f"{gains}, {place} the stable range of {limits}"
     return f"{gains}, where no stiffness is stable"
 
 
@@ -328,7 +342,10 @@ class _Rows:
 
     def around(self, stiffness: float, damping: float) -> AroundWall:
         by_damping = self.at_damping(damping, stiffness)
-        return AroundWall(**vars(by_damping), **vars(self.at_stiffness(stiffness, damping)))
+        by_stiffness = self.at_stiffness(stiffness, damping)
+        code = verdict_with_drift(self.loop, Gains(stiffness, damping))
+        words = BUT_FOR_DRIFT if code == BUT_FOR_DRIFT else None
+        return AroundWall(**vars(by_damping), **vars(by_stiffness), verdict=words)
 
     def linear_rule(self, damping: float) -> float:
         """Return the largest stiffness of the linear rule at a damping."""

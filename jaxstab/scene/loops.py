@@ -14,7 +14,7 @@ from jaxstab.model.filters import Velocity, given_filters
 from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT
 from jaxstab.region import RegionStatus
 from jaxstab.scene.answers import Answer, Damping, Mass, Stiffness
-from jaxstab.scene.scene import Hand, Scene
+from jaxstab.scene.scene import Hand, Scene, range_in_words
 
 
 @dataclass(frozen=True)
@@ -183,7 +183,12 @@ def ranges_of(scene: Scene) -> list[tuple[float, float]]:
     wanted, hand, controller = scene.wanted, scene.hand or Hand(), scene.controller
     masses, share = scene.device.effective_mass, wanted.mass_tolerance or 0.0
     aside = wanted.delay_tolerance or 0.0
-    shortest, longest = (controller.time_delay,) * 2 if controller.moves else controller.delays
+    shortest, longest = controller.delays
+    if controller.moves:
+        raise ValueError(
+            f"the delay is {range_in_words(controller.delays)} s and moves, but this answer is for "
+            'constant delays; give delay_is = "constant" in [controller], and no lost_samples.'
+        )
     return [
         (masses[0] * (1.0 - share), masses[1] * (1.0 + share)),
         hand.effective_mass,
@@ -191,6 +196,20 @@ def ranges_of(scene: Scene) -> list[tuple[float, float]]:
         hand.damping,
         (max(shortest - aside, 0.0), longest + aside),
     ]
+
+
+def with_tolerances(scene: Scene) -> Scene:
+    """Return a scene whose ranges of mass and delay are as wide as their tolerances make them."""
+    masses, *_ = ranges_of(scene.at_longest_delay)
+    controller, aside = scene.controller, scene.wanted.delay_tolerance or 0.0
+    (shortest, longest), kind = controller.delays, "moving" if controller.moves else "constant"
+    delays: Any = {"delay": (max(shortest - aside, 0.0), longest + aside), "delay_samples": None}
+    mass: Any = {"mass" if scene.device.inertia is None else "inertia": masses}
+    return replace(
+        scene,
+        device=replace(scene.device, **mass),
+        controller=replace(controller, delay_is=kind, **delays),
+    )
 
 
 def member_of(values: Any) -> Member:

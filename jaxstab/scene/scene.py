@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 from functools import cache
 from importlib.resources import files
@@ -582,6 +582,16 @@ class Scene:
             turns = isinstance(device, Mapping) and "inertia" in device
             words = (Units.ROTATION if turns else Units.LINE).translated(str(error))
             raise ValueError(f"{source}: {words}" if source else words) from None
+
+    @property
+    def at_longest_delay(self) -> "Scene":
+        """The scene with its longest delay as one that is constant, no sample lost."""
+        controller, name = self.controller, "delay" if self.controller.delay else "delay_samples"
+        if controller.has_one_delay:
+            return self
+        longest = (getattr(controller, name) or (0.0, 0.0))[1]
+        constant: Any = {name: (longest, longest), "delay_is": None, "lost_samples": 0}
+        return replace(self, controller=replace(controller, **constant))
 
     def require_walls(self) -> None:
         """Refuse a scene without a wall."""

@@ -39,6 +39,7 @@ from jaxstab.loop import HapticLoop, limits_of
 from jaxstab.motion.settling import SettlingStatus
 from jaxstab.numbers import checked_count
 from jaxstab.region import RegionStatus
+from jaxstab.scene.answers import delay_notes
 from jaxstab.scene.draws import Distribution, Measured, Uniform, draws_of
 from jaxstab.scene.loops import loop_of
 from jaxstab.scene.scene import Scene, Units
@@ -482,7 +483,7 @@ def study_dataset(
         f"{key}: drawn uniformly from the range of the scene, {own.low:g} to {own.high:g}."
         for key, own in drawn_ranges.items()
     ]
-    notes += source.check([(column.key, column.values) for column in columns])
+    notes = source.check([(column.key, column.values) for column in columns]) + notes
     gains = source.walls if walls is None else {n: _checked_wall(n, *w) for n, w in walls.items()}
     wanted = tuple(dict.fromkeys(answers or ("limits", *(["verdict"] if gains else []))))
     for name in wanted:
@@ -727,13 +728,13 @@ class _Source:
                 period = given.get("sample_time", self.table.sample_time)
                 given["delay"] = values["delay_samples"] * period
             return replace(self.table, **given)
-        return loop_of(self._scene(values))
+        return loop_of(self._scene(values).at_longest_delay)
 
     def _scene(self, values: Mapping[str, Any]) -> Scene:
         table: Any = self.table
         if any(key in _DELAYS for key in values):  # in place of one in either unit
             own = table.get("controller", {}).items()
-            others = {name: value for name, value in own if f"controller.{name}" not in _DELAYS}
+            others = {k: v for k, v in own if not k.startswith("delay") and k != "lost_samples"}
             table = {**table, "controller": others}
         for key, value in values.items():
             is_whole = isinstance(value, float) and value.is_integer()  # as a window in samples
@@ -755,8 +756,9 @@ class _Source:
         if self.is_loop:
             return []
         outer = [self._scene(dict(zip(keys, [v[k] for v in ends], strict=True))) for k in (0, -1)]
+        notes = [f"{note}." for note in dict.fromkeys(n for s in outer for n in delay_notes(s))]
         words = dict.fromkeys(words for scene in outer for words in scene.unusual())
-        return [f"warning: {sentence}{'' if sentence.endswith('?') else '.'}" for sentence in words]
+        return notes + [f"warning: {said}{'' if said.endswith('?') else '.'}" for said in words]
 
 
 def _with_value(table: Any, key: str, value: Any, path: Sequence[str]) -> Any:

@@ -18,7 +18,6 @@ from jaxstab.conventions import Status, Verdict
 from jaxstab.loop import Gains, HapticLoop, tune_for_all
 from jaxstab.loop.common import settling_times
 from jaxstab.model.filters import LONGEST_WINDOW
-from jaxstab.ranges import HandRange
 from jaxstab.region.roots import bracketed_root
 from jaxstab.scene.answers import (
     Answer,
@@ -46,6 +45,7 @@ from jaxstab.scene.loops import (
     member_of,
     ranges_of,
     wall_region,
+    with_tolerances,
 )
 from jaxstab.scene.scene import Scene, Units
 from jaxstab.tuning import TuningStatus
@@ -82,10 +82,20 @@ class WallOverRanges(Answer):
     fastest_wall_at_worst: SettlingTime | None
     slowest: SlowestLoop | None
     certainty: str
+    verdict: Verdict | str | None = None
+
+    @property
+    def is_stable(self) -> bool:
+        """Whether there is such a wall, proved stable over the ranges."""
+        return self.verdict == Verdict.STABLE
 
 
 def tune_over_ranges(scene: Scene, fastest: Gains | None) -> WallOverRanges | None:
-    """The gains minimising the worst-case settling; None where the scene has no range."""
+    """The gains minimising the worst-case settling; None where the scene has no range.
+
+    Settling is that of constant delays: of a delay that moves, the longest one.
+    """
+    given, scene = scene, scene.at_longest_delay if scene.controller.moves else scene
     ranges = ranges_of(scene)
     if all(low == high for low, high in ranges):
         return None
@@ -104,14 +114,15 @@ def tune_over_ranges(scene: Scene, fastest: Gains | None) -> WallOverRanges | No
         if times[slowest] <= wall.settling_time or every[slowest] in loops:
             break
         loops.append(every[slowest])
-    member = among[slowest]
+    member, (worst,) = among[slowest], worst_on(with_tolerances(given), [rounded])
     return WallOverRanges(
         *rounded,
         float(times[slowest]),
         None if fastest is None else float(settling_times(every, *fastest).max()),
         SlowestLoop(member.mass, member.delay, member.hand if scene.hand else None),
         f"the slowest of {len(every)} loops that were tried, {len(corners)} of them corners of the "
-        "ranges: nothing is proved of others",
+        "ranges: the settling of others is not proved",
+        worst.for_all,
     )
 
 
@@ -166,11 +177,13 @@ class BestWall(Answer):
     share_of_largest: Number | None
     status: TuningStatus
     for_all_hands: Verdict | str | None
+    for_all_delays: Verdict | str | None
 
     @property
     def is_stable(self) -> bool:
-        """Whether there is such a wall, proved stable for all hands."""
-        return self.exact is not None and self.for_all_hands in (None, Verdict.STABLE)
+        """Whether there is such a wall, proved stable for all hands and delays."""
+        verdicts = self.for_all_hands, self.for_all_delays
+        return self.exact is not None and all(v in (None, Verdict.STABLE) for v in verdicts)
 
     def lines(self, indent: str = "", units: Units = Units.LINE) -> list[str]:
         """Return the lines of the rounded wall, and the rest."""
@@ -192,20 +205,22 @@ class Tuned(Answer):
 
     @property
     def all_stable(self) -> bool:
-        """Whether each wall is found and proved stable; over ranges none is proved."""
+        """Whether each wall is found and proved stable."""
         walls = [self.least_radius, self.least_settling, *self.walls.values()]
-        walls += [self.at_given_stiffness] if self.at_given_stiffness else []
-        return self.over_ranges is None and all(wall.is_stable for wall in walls)
+        others = [wall for wall in (self.at_given_stiffness, self.over_ranges) if wall]
+        return all(wall.is_stable for wall in [*walls, *others])
 
 
 def tune_walls(scene: Scene) -> Tuned:
-    """The walls that settle fastest, and the best damping at the stiffnesses given."""
-    loop, hands = loop_of(scene), hands_of(scene)
-    best = partial(_best, scene, loop, hands)
+    """The walls that settle fastest, and the best damping at the stiffnesses given.
+
+    Of a range of delays they are those of the longest one, as a constant delay.
+    """
+    best = partial(_best, scene, loop_of(scene.at_longest_delay))
     given, fastest = scene.wanted.at_stiffness, best("settling")
     gains = Gains(fastest.rounded.stiffness, fastest.rounded.damping) if fastest.rounded else None
     return Tuned(
-        inputs=basis_of(scene),
+        inputs=basis_of(scene, at_longest=True),
         least_radius=best("radius"),
         least_settling=fastest,
         walls={name: best("settling", wall.stiffness) for name, wall in scene.walls.items()},
@@ -218,7 +233,6 @@ def tune_walls(scene: Scene) -> Tuned:
 def _best(
     scene: Scene,
     loop: HapticLoop,
-    hands: HandRange | None,
     goal: Literal["radius", "settling"],
     stiffness: float | None = None,
 ) -> BestWall:
@@ -227,16 +241,18 @@ def _best(
     encoder = None if scene.device.encoder is None else scene.device.encoder.resolution
     best = loop.tune(goal, stiffness=stiffness, encoder=encoder, chatter=limit)
     if best.status in (TuningStatus.NO_STABLE_GAINS, TuningStatus.NOT_CALM):
-        return BestWall(None, None, None, best.status, None)
+        return BestWall(None, None, None, best.status, None, None)
     gains = Gains(best.stiffness, best.damping)
     rounded = Gains(rounded_gain(best.stiffness), rounded_gain(best.damping))
-    worst = worst_on(scene, [rounded])[0] if hands else None
+    over_hands, over_delays = hands_of(scene) is not None, not scene.controller.has_one_delay
+    worst = worst_on(scene, [rounded])[0] if over_hands or over_delays else None
     return BestWall(
         _tuned(TunedWall, loop, gains, encoder),
         _tuned(RoundedWall, loop, rounded, encoder),
         best.stiffness / wall_region(loop).reachable.stiffest.stiffness,
         best.status,
-        None if worst is None else worst.tried or worst.verdict,
+        worst.for_all if worst and over_hands else None,
+        worst.verdict if worst and over_delays else None,
     )
 
 
@@ -313,7 +329,9 @@ def design_loop(scene: Scene) -> Design:
     """The largest sample time, and the largest delay, that allow the wanted stiffness."""
     # A delay given in samples grows with the sample time. The damping is that of the stiffest wall.
     # The stiffness is taken to fall as the sample time or the delay grows. Where the velocity is
-    # taken over a window in s, only sample times that divide it are tried.
+    # taken over a window in s, only sample times that divide it are tried. Of a range of delays it
+    # is the longest one, as a constant delay.
+    given, scene = scene, scene.at_longest_delay
     wanted = scene.wanted.stiffness
     if wanted is None:
         raise ValueError("wanted.stiffness is missing; give the stiffness to design for in N/m.")
@@ -331,7 +349,7 @@ def design_loop(scene: Scene) -> Design:
         periods = [window / n for n in range(1, LONGEST_WINDOW + 1)]
         largest_period = _largest_of(sampled, required, [p for p in periods if p >= shortest])
     return Design(
-        inputs=basis_of(scene),
+        inputs=basis_of(given, at_longest=True),
         stiffness=wanted,
         safety=scene.wanted.safety,
         now_allowed_stiffness=safety * _stiffest(loop).stiffness,
