@@ -286,6 +286,11 @@ class Hand(Table):
         """Whether this is more than one hand."""
         return any(low < high for low, high in (self.effective_mass, self.stiffness, self.damping))
 
+    @property
+    def is_there(self) -> bool:
+        """Whether a hand of the range does anything."""
+        return any(high for _, high in (self.effective_mass, self.stiffness, self.damping))
+
 
 # The velocity estimator and the position filter of a scene, as tables of a file.
 
@@ -541,6 +546,13 @@ class Scene:
                 f"hand.mass is {list(hand.mass)} beside device.inertia; a device that turns moves "
                 "an inertia of the hand: give hand.inertia in kg m^2."
             )
+        for index, mode in enumerate(self.device.modes if hand.is_there else ()):
+            if mode.effective_mass < 0.0:
+                raise ValueError(
+                    f"device.modes.{index}.modal_{self.units.moved} is {mode.effective_mass:g} "
+                    "beside a hand: such a mode moves motor and encoder against each other, and "
+                    "the hand's place is not known; leave out the hand."
+                )
         if hand.inertia is not None and not turns:
             raise ValueError(
                 f"hand.inertia is {list(hand.inertia)} beside device.mass; give hand.mass in kg, "
