@@ -143,7 +143,10 @@ def _delay_of(guard: Guard) -> str:
 def _granted(scene: Scene, guard: Guard) -> list[str]:
     """Return what share of the stable walls is granted, and where it is least, in lines."""
     units, least = scene.units, guard.costliest
-    mass, stiffness, damping = (f"{value:g}" for value in least.hand)
+    kinds = units.kilogram, units.stiffness, units.damping
+    hand = [f"{value:g} {unit}" for value, unit in zip(least.hand, kinds, strict=True)]
+    limited = [f"limited by a hand of {hand[0]}, {hand[1]} and {hand[2]}."]
+    is_held = scene.hand is not None and scene.hand.is_there
     proved = float(np.diff(guard.rows).mean()) / guard.grid.cells[2]
     left = f"Nothing is proved, and granted, in {100.0 * (1.0 - proved):.1f} % of the table."
     at = "any delay" if least.delay is None else f"a delay of {least.delay:g} s"
@@ -151,9 +154,8 @@ def _granted(scene: Scene, guard: Guard) -> list[str]:
     return [
         f"It grants {100.0 * guard.granted:.1f} % of {stable}, in the mean.",
         *([left] if proved < 1.0 else []),
-        f"The least stiff corner: {least.mass:g} {units.kilogram}, {at},",
-        f"limited by a hand of {mass} {units.kilogram}, {stiffness} {units.stiffness} and "
-        f"{damping} {units.damping}.",
+        f"The least stiff corner: {least.mass:g} {units.kilogram}, {at}{',' if is_held else '.'}",
+        *(limited if is_held else []),
         f"It grants {least.granted:.4g} {units.stiffness} there, of {least.exact:.4g}.",
     ]
 

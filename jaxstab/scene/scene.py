@@ -185,7 +185,7 @@ class Device(Table):
         interval("kg", is_positive=True), None, Usual(1e-3, 50.0, "kg")
     )
     inertia: tuple[float, float] | None = key(
-        interval("kg m^2", is_positive=True), None, Usual(1e-8, 1.0, "kg m^2")
+        interval("kg m^2", is_positive=True), None, Usual(1e-8, 50.0, "kg m^2")
     )
     damping: float = key(quantity("N s/m"), usual=Usual(0.0, 100.0, "N s/m", (0.0, 10.0)))
     encoder: Encoder | None = key(nested(Encoder), None)
@@ -271,7 +271,7 @@ class Hand(Table):
     """
 
     mass: tuple[float, float] = key(interval("kg"), (0.0, 0.0), Usual(0.0, 20.0, "kg"))
-    inertia: tuple[float, float] | None = key(interval("kg m^2"), None, Usual(0.0, 1.0, "kg m^2"))
+    inertia: tuple[float, float] | None = key(interval("kg m^2"), None, Usual(0.0, 5.0, "kg m^2"))
     stiffness: tuple[float, float] = key(interval("N/m"), (0.0, 0.0), _STIFFNESS)
     damping: tuple[float, float] = key(interval("N s/m"), (0.0, 0.0), _DAMPING_OF_HANDS)
     grip: Grip | None = key(nested(Grip), None)

@@ -25,7 +25,6 @@ from jaxstab.model.device.parts import (
     Mode,
     Modes,
     Rational,
-    Span,
     StateSpace,
     TransferFunction,
     balls_of,
@@ -317,6 +316,8 @@ class Device:
         """
         if not isinstance(hand, Hand):
             raise TypeError(f"hand is {hand!r}; give a jaxstab.Hand.")
+        if degree_of(hand.dynamic_stiffness().numerator) >= 0:  # it does anything
+            self.require_one_handle()
         return replace(self, hands=(*self.hands, hand))._checked()
 
     def with_actuator(self, bandwidth: float) -> "Device":
@@ -389,8 +390,7 @@ class Device:
         """
         body = self.mechanism
         for mode in body.modes if isinstance(body, Modes) else ():
-            # A span of masses has no 0 in it, and its ends are devices that are checked themselves.
-            if not isinstance(mode.modal_mass, Span) and mode.modal_mass < 0.0:
+            if mode.modal_mass < 0.0:
                 raise ValueError(
                     f"modal_mass is {mode.modal_mass:g} beside a hand: such a mode moves motor and "
                     "encoder against each other, and the hand's place is not known; leave out the "
@@ -415,8 +415,6 @@ class Device:
 def _compliance(device: Device) -> Rational:
     function = checked_compliance(device.mechanism.compliance(), f"the device ({device.mechanism})")
     for hand in device.hands:
-        if degree_of(hand.dynamic_stiffness().numerator) >= 0:
-            device.require_one_handle()
         function = function.held_by(hand.dynamic_stiffness())
     for bandwidth in device.bandwidths:
         w = turn(bandwidth)
