@@ -79,6 +79,7 @@ def ends_of(text: str, name: str) -> list[tuple[float, float]]:
     """The ends of the intervals of stable gains in a text, a little inside."""
     pairs = re.findall(rf"{name} limits +{NUMBER} to {NUMBER}", text)
     ends = [tuple(map(float, pair)) for pair in pairs]
+    assert all(low == 0.0 or abs(low) > 1e-9 * high for low, high in ends)  # on an axis it is 0
     return [(low + BESIDE * (high - low), high - BESIDE * (high - low)) for low, high in ends]
 
 
