@@ -15,7 +15,7 @@ import numpy as np
 import jaxstab
 from benchmarks.record import Row
 from benchmarks.timing import Timing
-from benchmarks.truth.balls import ExactPlant, true_code
+from benchmarks.truth.balls import ExactPlant
 from benchmarks.truth.near_boundary import points_near_the_boundary, random_plants
 from jaxstab.conventions import Verdict
 
@@ -89,7 +89,7 @@ def _codes(
     if method == "python-flint roots":
         plant = ExactPlant.of(gamma, delta, delay)
         points = zip(alpha.tolist(), beta.tolist(), strict=True)
-        return np.array([true_code(plant.polynomial(a, b, delay)) for a, b in points])
+        return np.array([plant.code(a, b, gamma, delay) for a, b in points])
     resolve = "exact" if method == "verdict, exact" else None
     return np.asarray(
         jaxstab.verdict(alpha, beta, gamma=gamma, delta=delta, delay=delay, resolve=resolve)

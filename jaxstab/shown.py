@@ -1,18 +1,22 @@
 """How answers are printed for people: numbers with as many digits as are known, and tables.
 
-The printed text claims no more than what was computed: limits are rounded to a given side, and the
-rounding of a value is added to its printed error. Standard library only.
+The printed text claims no more than what was computed: limits are rounded to a given side, two
+gains so that the wall that is printed is stable, and the rounding of a value is added to its
+printed error. Standard library only.
 """
 
-from collections.abc import Mapping, Sequence
-from decimal import ROUND_CEILING, ROUND_HALF_EVEN, Context, Decimal
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Context, Decimal
+from itertools import chain, product
 from math import floor, isfinite, isnan, log10
 from reprlib import repr as short_repr
 from typing import Any
 
 _TRUE_DIGITS = 11  # 2999.9999999999 is 3000 but for rounding
-_FLOAT_DIGITS = 17  # of a float64: more say nothing
+MOST_DIGITS = 17  # of a float64: more say nothing
 _WRITTEN_OUT = range(-4, 9)  # powers of ten of the first digit
+_LOWERED = 0, 1, 2, 5  # units of the last digit
+_WAYS = ROUND_HALF_EVEN, ROUND_FLOOR, ROUND_CEILING
 _EXACT = Context(prec=1100)  # every float64, and differences of them
 
 
@@ -41,6 +45,65 @@ def rounded_text(
     return format(rounded, "f") if is_written_out else f"{float(rounded):.{digits}g}"
 
 
+class Printed(float):
+    """A number that is printed by a text of its own."""
+
+    text: str
+
+    def __new__(cls, value: float, text: str = "") -> "Printed":
+        """Return the number, unchanged in value."""
+        number = super().__new__(cls, value)
+        number.text = text
+        return number
+
+
+def exact_text(value: float) -> str:
+    """Return a number with all of its digits, the fewest that tell it from its neighbours."""
+    return rounded_text(Decimal(repr(float(value))), MOST_DIGITS)
+
+
+def stable_pair(
+    limit: float,
+    other: float,
+    digits: tuple[int, int],
+    is_stable: Callable[[float, float], Any],
+    row: Callable[[float], Iterable[Any]] = lambda _: (),
+) -> tuple[float, float]:
+    """Two gains, the first one a largest one, to be printed as a pair that is stable.
+
+    The first is rounded down. Where ``is_stable`` (of the two gains) denies the pair, as in a
+    narrow corner, the second is rounded to either side, the first is lowered by units of its last
+    digit, or has the digits that the intervals of a ``row`` of the second need, or the second has
+    more digits. Without such a pair both are printed as other numbers.
+    """
+    if not (isfinite(limit) and isfinite(other)):
+        return limit, other
+    unit = Decimal(1).scaleb(Decimal(limit).adjusted() + 1 - digits[0])
+    lowered = [_EXACT.subtract(Decimal(limit), count * unit) for count in _LOWERED]
+    limits = [rounded_text(value, digits[0], ROUND_FLOOR) for value in lowered]
+    limits = [text for text in limits if (float(text) < 0.0) == (limit < 0.0)]
+    for count in range(digits[1], MOST_DIGITS + 1):
+        others = dict.fromkeys(rounded_text(other, count, way) for way in _WAYS)
+        pairs = chain(
+            product(limits, others),
+            ((text, own) for own in others for text in _within(row(float(own)), digits[0])),
+        )
+        for first, second in pairs:
+            if is_stable(float(first), float(second)):
+                return Printed(limit, first), Printed(other, second)
+    return limit, other
+
+
+def _within(intervals: Iterable[Any], digits: int) -> Iterator[str]:
+    """Yield the upper end of each interval, rounded down with as many digits as stay inside."""
+    for low, high in intervals:
+        for count in range(digits, MOST_DIGITS + 1) if high > low else ():
+            text = rounded_text(high, count, ROUND_FLOOR)
+            if float(text) > low:
+                yield text
+                break
+
+
 def text_with_bound(value: float, error: float) -> str:
     """Return a number with its error bound, such as "0.8380204612 +/- 2.4e-11".
 
@@ -50,7 +113,7 @@ def text_with_bound(value: float, error: float) -> str:
     if not isfinite(value) or not isfinite(error):
         return f"{value:.10g}"
     exact = Decimal(value)
-    places = exact.adjusted() + 1 - _FLOAT_DIGITS
+    places = exact.adjusted() + 1 - MOST_DIGITS
     if error > 0.0:
         places = max(places, floor(log10(error)) - 1)
     rounded = exact.quantize(Decimal(1).scaleb(places), context=_EXACT)
@@ -80,4 +143,6 @@ def number_text(value: float, digits: int, rounding: str = ROUND_HALF_EVEN, unit
         return "none"
     if not isfinite(value):
         return "unlimited"
-    return f"{rounded_text(value, digits, rounding)} {unit}".rstrip()
+    is_printed = isinstance(value, Printed)
+    text = value.text if is_printed else rounded_text(value, digits, rounding)
+    return f"{text} {unit}".rstrip()

@@ -38,6 +38,16 @@ function regions(cases) {
   });
 }
 
+/** What the page says of the stiffest wall of loops. */
+function headlines(cases) {
+  globalThis.units = () => ({ stiffness: "N/m", damping: "N s/m" });
+  return cases.map((setup) => {
+    const loop = loopOf(setup), scale = unitsOf(setup), region = regionOf(loop), main = mainOf(region);
+    if (!main) return headlineOf(null, region, false);
+    return headlineOf(printedWall(loop, scale, farthest(loop, main, 0)), region, false);
+  });
+}
+
 /** Margins and settling times of walls; JSON has null for what is NaN or infinite. */
 function walls(cases) {
   return cases.map((setup) => {

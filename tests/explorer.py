@@ -24,7 +24,7 @@ Setup = dict[str, Any]
 
 def asked_of_node(question: str, cases: list[Setup]) -> Any:
     """What a function of explorer.js answers."""
-    source = "\n".join([*map(script, WITHOUT_PAGE), ANSWERS])
+    source = "\n".join([*map(script, (*WITHOUT_PAGE, "words")), ANSWERS])
     call = f"console.log(JSON.stringify({question}({json.dumps(cases)})));"
     completed = subprocess.run(
         [str(NODE), "-"], input=source + call, capture_output=True, text=True, check=False

@@ -197,7 +197,7 @@ def test_nodes_on_the_line_of_a_root_at_one_are_computed(monkeypatch: pytest.Mon
     of = Slice(np.linspace(-1.0, 1.0, 21), np.linspace(0.1, 1.0, 10), 0.0, 0.0, 0.0)
     assert of.alpha[10] == 0.0
     recorder = Recorder(monkeypatch)
-    assert np.all(of.codes()[10] == Verdict.UNDECIDED)
+    assert np.all(of.codes()[10] == Verdict.UNSTABLE)
     assert {(0.0, beta) for beta in of.beta.tolist()} <= set(recorder.points)
 
 

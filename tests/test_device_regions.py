@@ -1,5 +1,7 @@
 """Regions of general devices: against certified verdicts next to their outlines and far away."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -116,9 +118,10 @@ def test_a_mode_that_walls_hardly_move_cuts_off_a_corner() -> None:
         (495.96120348419333, 1.3410551101434005e-16, -0.004604768915219972),
     ]
     hand = Hand.mass_spring_damper(mass=0.0013168208326164396, damping=0.0001345506538537253)
-    device = Device.modes(
-        [Mode(frequency=f, damping_ratio=zeta, modal_mass=m) for f, zeta, m in modes]
-    ).held_by(hand.with_grip(stiffness=0.027979514545729837))
+    device = replace(  # a hand from encoder to motor, which held_by refuses
+        Device.modes([Mode(frequency=f, damping_ratio=zeta, modal_mass=m) for f, zeta, m in modes]),
+        hands=(hand.with_grip(stiffness=0.027979514545729837),),
+    )
     period = 0.007057003603128702
     loop = HapticLoop(
         device=device,

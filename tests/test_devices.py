@@ -12,6 +12,7 @@ import control
 import flint
 import numpy as np
 import pytest
+import scipy.linalg
 import scipy.signal
 from campaign import many
 from mpmath import mp, mpf
@@ -298,6 +299,52 @@ def test_bad_input_is_refused_in_one_sentence(call: Any, words: str) -> None:
     with pytest.raises(ValueError, match=words) as refusal:
         call()
     assert "\n" not in str(refusal.value)
+
+
+def radius_with_a_hand(acts: float, moves: float) -> float:
+    """The radius of two masses of 8e-4 kg m^2 and a wall (6, 0.005), from matrices of this test.
+
+    Motor at x0 + x1, encoder at x0 - x1, 35 Hz; one sample of delay of 1 ms, a pole-matched low
+    pass of 40 Hz, and a hand of 0.005 N m s/rad that moves with x0 + ``moves`` x1 and whose torque
+    is at x0 + ``acts`` x1.
+    """
+    moved, damping, hand, (k, b), period = 8e-4, 2e-3, 0.005, (6.0, 0.005), 1e-3
+    w = 2.0 * np.pi * 35.0
+    brake = np.diag([damping, 0.1 * w * moved]) + hand * np.outer([1.0, acts], [1.0, moves])
+    rates = np.zeros((5, 5))  # x0, x1, their speeds, and the torque that is held
+    rates[0:2, 2:4], rates[3, 1] = np.eye(2), -(w**2)
+    rates[2:4, 2:4], rates[2:4, 4] = -brake / moved, 1.0 / moved
+    flow, pole = scipy.linalg.expm(rates * period), np.exp(-2.0 * np.pi * 40.0 * period)
+    encoder = np.array([1.0, -1.0, 0.0, 0.0])
+    step = np.zeros((7, 7))  # the four, the torque of the sample before, x before, the low pass
+    step[:4, :4], step[:4, 4] = flow[:4, :4], flow[:4, 4]
+    speed = np.concatenate([encoder, np.zeros(3)]) * (1.0 - pole) / period
+    speed[5:] -= (1.0 - pole) / period, -pole
+    step[4] = -b * speed
+    step[4, :4] -= k * encoder
+    step[5, :4], step[6] = encoder, speed
+    return float(np.abs(np.linalg.eigvals(step)).max())
+
+
+def test_a_hand_beside_a_mode_of_negative_mass_is_refused() -> None:
+    """Issue 51, 2: from encoder to motor it would calm a wall that it cannot calm at the link."""
+    assert radius_with_a_hand(acts=1.0, moves=-1.0) < 1.0
+    assert np.isclose(radius_with_a_hand(-1.0, -1.0), 1.001345488, rtol=0.0, atol=1e-9)
+    mode = Mode(frequency=35.0, damping_ratio=0.05, modal_mass=-8e-4)
+    free = Device.modes([mode], mass=8e-4, damping=2e-3)
+    assert free.held_by(Hand.mass_spring_damper()).compliance() == free.compliance()  # no hand
+    loop = jaxstab.HapticLoop(device=free, sample_time=1e-3)
+    held = jaxstab.HandRange(damping=(0.0, 0.005))
+    ranges = {"mass": (7e-4, 8e-4), "delay": (1e-3, 1.1e-3)}
+    for call in (
+        lambda: free.held_by(Hand.mass_spring_damper(damping=0.005)),
+        lambda: free.held_by(ARM.with_grip(stiffness=2000.0)).with_actuator(200.0),
+        lambda: loop.worst_hand(held, 6.0, 0.005),
+        lambda: loop.robust_limit(held),
+        lambda: jaxstab.build_guard(loop, held, **ranges),
+    ):
+        with pytest.raises(ValueError, match=r"modal_mass is -0\.0008 beside a hand"):
+            call()
 
 
 def test_what_is_no_device_is_refused() -> None:

@@ -379,6 +379,7 @@ def test_the_command_writes_a_header_and_a_picture(tmp_path: Path) -> None:
         assert parameters in header.split("int my_guard_clamp")[1].split("{")[0]
         assert (tmp_path / "a.svg").stat().st_size > 1000
         assert "It grants" in answer.output
+        assert "limited by" not in answer.output  # no hand
         assert said in answer.output
 
 

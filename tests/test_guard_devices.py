@@ -91,12 +91,14 @@ def drawn_loop(rng: np.random.Generator) -> tuple[HapticLoop, HandRange, Grid]:
     if rng.random() < 0.5:
         device = device.with_actuator(rng.uniform(30, 800))
     hand = Hand.mass_spring_damper(0.1, damping=1.0, stiffness=100.0)
+    is_free = any(mode.modal_mass < 0.0 for mode in modes)  # no hand holds such a device
+    hand = Hand.mass_spring_damper() if is_free else hand
     if rng.random() < 0.6:
         hand = hand.with_grip(
             stiffness=10 ** rng.uniform(2, 5), damping=float(rng.choice([0.0, rng.uniform(0, 30)]))
         )
     low, high = np.array([0.0, 0.0, 0.3]), np.array([0.5, 500.0, 8.0])
-    ends = np.sort(rng.uniform(low, high, (2, 3)), axis=0)
+    ends = np.sort(rng.uniform(low, high, (2, 3)), axis=0) * (not is_free)
     velocity = [None, Velocity.difference(samples=5), Velocity.low_pass(60.0)][rng.integers(3)]
     filters = {
         "velocity": velocity,

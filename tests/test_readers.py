@@ -6,7 +6,8 @@ import subprocess
 from collections.abc import Iterator
 from itertools import product
 from pathlib import Path
-from typing import NamedTuple
+from textwrap import dedent
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -189,7 +190,9 @@ def test_c_answers_as_python_does(
 
 def test_c_tells_its_speed_and_what_is_wrong(program: Path, tmp_path: Path) -> None:
     assert "ns a query" in run(program, GOLDEN, "--bench").stdout
-    assert run(program, GOLDEN, "--fast").returncode == 2
+    wrong = run(program, GOLDEN, "--fast")
+    assert wrong.returncode == 2
+    assert "Lines of stdin: alpha beta gamma delta delay" in wrong.stderr
     assert run(program, GOLDEN, points=np.array([[0.1, 0.2, 0.3]])).returncode == 2
     for path, words in refused_files(tmp_path):
         answer = run(program, path)
@@ -298,3 +301,13 @@ def test_xarray_finds_named_coordinates(golden: Path, atlas: Atlas) -> None:
             decided = np.asarray(plane.verdict != Verdict.UNDECIDED)
             np.testing.assert_array_equal(answer.verdict[decided], plane.verdict.data[decided])
         assert dataset.verdict.attrs["flag_meanings"].split()[Verdict.STABLE] == "stable"
+        page = (DATA / "README.md").read_text(encoding="utf-8")
+        _, *lines = page.split('dataset = xarray.open_dataset("atlas.h5"')[1].splitlines()[:4]
+        *first, last = dedent("\n".join(lines)).splitlines()
+        names: dict[str, Any] = {"dataset": dataset}
+        exec("\n".join(first), names)
+        node = eval(last, names)
+        place = {name: float(node[name]) for name in ("gamma", "delta", "delay")}
+        said = atlas.query(float(node.alpha), float(node.beta), **place)
+        assert int(node) == said.verdict
+        assert abs(node.alpha - 0.1) == abs(names["plane"].alpha - 0.1).min()

@@ -28,6 +28,11 @@ def with_value(path: str, value: Any) -> dict[str, Any]:
     return table
 
 
+def test_the_base_joint_of_an_arm_is_usual() -> None:
+    device, controller = {"inertia": 2.0, "damping": 5.0}, {"sample_time": 1e-3}
+    assert Scene.from_table({"device": device, "controller": controller}).unusual() == []
+
+
 @pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
 def test_the_scenes_that_come_along_are_good_and_usual_but_for_what_they_say(path: Path) -> None:
     scene = Scene.from_file(path)

@@ -292,6 +292,11 @@ def test_a_scene_that_turns_has_the_limits_of_one_that_moves_along_a_line() -> N
             "[hand.grip]\ndamping = 3.0",
             "hand.grip.stiffness is missing; give it a value.",
         ),
+        (
+            "modes = [{ frequency = 35.0, damping_ratio = 0.05, modal_mass = -0.0008 }]\n"
+            "[hand]\ndamping = [0.0, 0.005]",
+            "device.modes.0.modal_mass is -0.0008 beside a hand: such a mode moves motor and ",
+        ),
     ],
 )
 def test_bad_tables_are_refused_in_one_sentence(given: str, words: str, tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.linalg
 from campaign import many
 from commands import run
 
@@ -326,3 +327,47 @@ def test_the_hand_that_limits_are_of_stands_before_them_and_the_linear_rule_is_n
     best = answered("limits", *OMEGA)["best"]
     share = rule["largest_stiffness"] / best["largest_stiffness"]
     assert rule["linear_rule_is"].endswith(f"here {share:.2g} times the exact limit")
+
+
+# ------------------------------------------------------------------------ rows of several intervals
+
+TWO_INTERVALS = {
+    "device": {
+        "mass": 0.075,
+        "damping": 0.3,
+        "modes": [{"frequency": 190.0, "damping_ratio": 0.05, "modal_mass": 0.2}],
+    },
+    "controller": {"sample_time": 25e-6, "delay_samples": 1.0},
+    "walls": {"firm": {"stiffness": 1e5, "damping": 0.0}},
+}
+
+
+def radius_without_damping(stiffness: float) -> float:
+    """The radius of the loop of ``TWO_INTERVALS`` at B = 0, from matrices of this test."""
+    w, (m, b, moved, period) = 2.0 * np.pi * 190.0, (0.075, 0.3, 0.2, 25e-6)
+    rates = np.zeros((5, 5))  # both shares of the position, their speeds, and the force
+    rates[0:2, 2:4] = np.eye(2)
+    rates[2, 2], rates[3, 1], rates[3, 3] = -b / m, -(w**2), -0.1 * w
+    rates[2:4, 4] = 1.0 / m, 1.0 / moved
+    step = scipy.linalg.expm(rates * period)
+    step[4] = [-stiffness, -stiffness, 0.0, 0.0, 0.0]  # the next force, a sample late
+    return float(np.abs(np.linalg.eigvals(step)).max())
+
+
+def test_all_intervals_of_stable_stiffness_are_named_small_gains_first() -> None:
+    """Issue 51, 3: the far one was printed alone, and unstable walls lie before it."""
+    scene = Scene.from_table(TWO_INTERVALS | {"wanted": {"at_damping": 0.0}})
+    answer = scene_limits(scene)
+    said = brief(answer)
+    assert "stable stiffness    0 to 9416 N/m at 0 N s/m, also 42190 to 120600 N/m" in said
+    # The wall is in the other one, which comes first for it.
+    assert "within the stable range of 42190 to 120600 N/m, also 0 to 9416 N/m" in said
+    at = answer.as_json()["at_given_damping"]
+    first, second = at["stiffness_limits"], at["other_stiffnesses"]["1"]["stiffness_limits"]
+    assert first[0] == 0.0
+    for end, outwards in ((first[1], 1), (second[0], -1), (second[1], 1)):
+        assert radius_without_damping(end * (1.0 + 1e-6 * outwards)) > 1.0
+        assert radius_without_damping(end * (1.0 - 1e-6 * outwards)) < 1.0
+    for stiffness in np.linspace(10.0, 2e5, 400).tolist():
+        is_inside = any(low < stiffness < high for low, high in (first, second))
+        assert (radius_without_damping(stiffness) < 1.0) == is_inside

@@ -11,9 +11,18 @@ import pytest
 from mpmath import mp
 
 from benchmarks import truth
-from benchmarks.truth.balls import ExactPlant, moduli, true_code
+from benchmarks.truth.balls import ExactPlant, moduli
 from benchmarks.truth.near_boundary import points_near_the_boundary, random_plants
-from jaxstab import Verdict, characteristic_polynomial, verdict
+from jaxstab import (
+    Device,
+    Filter,
+    HapticLoop,
+    Mode,
+    Velocity,
+    Verdict,
+    characteristic_polynomial,
+    verdict,
+)
 from jaxstab.arrays import rounded_reciprocal
 from jaxstab.batches import compiled
 from jaxstab.point import verdicts
@@ -42,7 +51,7 @@ def test_no_verdict_is_wrong_however_close_to_the_boundary(
             verdict(alpha, beta, gamma=gamma, delta=delta, delay=delay, resolve="exact")
         )
         for a, b, *codes in zip(alpha, beta, quick, exact, strict=True):
-            true = true_code(plant.polynomial(a, b, delay))
+            true = plant.code(a, b, gamma, delay)
             assert set(codes) <= {true, Verdict.UNDECIDED}, (a, b, gamma, delta, delay, codes, true)
 
 
@@ -89,15 +98,22 @@ def test_the_undamped_free_device_without_delay_has_the_known_stable_set(
 
 
 @pytest.mark.parametrize("resolve", [None, "exact"])
-def test_a_root_at_one_stays_undecided(resolve: str | None) -> None:
-    codes = verdict(
-        -1e-3, np.linspace(0.1, 0.5, 9), gamma=1e-3, delta=0.015, delay=DELAY_OF_MANY[:, None]
-    )
-    assert np.all((codes == Verdict.UNDECIDED) | (codes == Verdict.UNSTABLE))
-    assert (
-        verdict(-1e-3, 0.1, gamma=1e-3, delta=0.015, delay=0.0, resolve=resolve)
-        == Verdict.UNDECIDED
-    )
+@pytest.mark.parametrize("filters", [{}, {"velocity": Velocity.difference(samples=4)}])
+def test_a_root_at_one_is_not_inside(resolve: str | None, filters: dict[str, Any]) -> None:
+    """p(1) is (alpha + gamma) N(1), exactly 0 on this line; Issue 51, 15."""
+    loop = {"gamma": 1e-3, "delta": 0.015, "delay": DELAY_OF_MANY[:, None]}
+    codes = verdict(-1e-3, np.linspace(0.1, 0.5, 9), **loop, resolve=resolve, **filters)
+    assert np.all(codes == Verdict.UNSTABLE)
+    beside = np.nextafter(-1e-3, [-1.0, 0.0])
+    assert verdict(beside[0], 0.1, **loop, resolve=resolve, **filters).tolist() == [[2]] * 5
+    assert Verdict.UNSTABLE not in verdict(beside[1], 1e-2, **loop, resolve=resolve)
+
+
+def test_nothing_holds_a_free_device_without_a_spring() -> None:
+    mode = Mode(frequency=80.0, damping_ratio=0.02, modal_mass=0.5)
+    for device in (Device.mass_spring_damper(0.25, damping=0.1), Device.modes([mode], mass=0.25)):
+        loop = HapticLoop(device=device, sample_time=1e-3, position=Filter.low_pass(150.0))
+        assert loop.verdict([0.0, 100.0], 5.0).tolist() == [Verdict.UNSTABLE, Verdict.STABLE]
 
 
 @pytest.mark.parametrize("delay", [0.0, 2.5, 40.0])

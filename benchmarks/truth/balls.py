@@ -56,6 +56,12 @@ class ExactPlant(NamedTuple):
                 coefficients[-place] += value
             return coefficients
 
+    def code(self, alpha: float, beta: float, gamma: float, delay: float) -> int:
+        """The verdict, by certified roots; UNSTABLE with one at 1, where alpha + gamma is 0."""
+        if alpha == -gamma:
+            return Verdict.UNSTABLE
+        return true_code(self.polynomial(alpha, beta, delay))
+
 
 def _motion(
     stiffness: flint.arb, damping: flint.arb, time: flint.arb

@@ -14,7 +14,7 @@ import numpy as np
 from mpmath import mp, mpc, mpf
 
 from benchmarks import truth
-from benchmarks.truth.balls import ExactPlant, true_code
+from benchmarks.truth.balls import ExactPlant
 from jaxstab import Verdict
 
 Point = tuple[float, float, float, float, float]
@@ -62,9 +62,9 @@ class Problem:
 
     @cached_property
     def exact_code(self) -> int:
-        """STABLE, UNSTABLE, or UNDECIDED with no root outside and one on the circle."""
+        """STABLE, UNSTABLE, or UNDECIDED with no root outside and one on the circle, not at 1."""
         plant = ExactPlant.of(*self.point[2:])
-        return true_code(plant.polynomial(*self.point[:2], self.delay))
+        return plant.code(*self.point[:3], self.delay)
 
 
 def _certified_roots(*point: float) -> list[flint.acb]:
@@ -210,12 +210,12 @@ def _without_wall() -> Iterator[Problem]:
 
 
 def _on_circle() -> Iterator[Problem]:
-    why = "a root exactly on the circle: neither stable nor, by rounding, unstable"
+    why = "a root exactly on the circle: not stable, and told to be unstable only at 1"
     tags = frozenset({"on circle"})
     for gamma, delay in ((1e-3, 0.0), (1e-3, 1.0), (0.5, 2.0), (0.0, 0.5)):
         name = f"root at z = 1, gamma {gamma:g}, delay {delay:g}"
         point = (-gamma, 0.3, gamma, 0.015, delay)
-        yield Problem(name, why, tags, point, mpc(1), code=Verdict.UNDECIDED)
+        yield Problem(name, why, tags, point, mpc(1), code=Verdict.UNSTABLE)
     # gamma = delta = 0, delay 1/2: alpha + 2 beta = w(-1) = -8, in exact numbers.
     point = (-9.0, 0.5, 0.0, 0.0, 0.5)
     yield Problem("root at z = -1", why, tags, point, mpc(-1), code=Verdict.UNSTABLE)
@@ -223,7 +223,7 @@ def _on_circle() -> Iterator[Problem]:
     point = (0.0, 0.0, 0.5, 0.0, 1.0)
     yield Problem(name, why, tags, point, mp.expj(mp.sqrt(mpf(0.5))), code=Verdict.UNDECIDED)
     name = "free device without wall: a double root at 1"
-    yield Problem(name, why, tags | {"multiple"}, (0.0,) * 5, mpc(1), 2, Verdict.UNDECIDED)
+    yield Problem(name, why, tags | {"multiple"}, (0.0,) * 5, mpc(1), 2, Verdict.UNSTABLE)
 
 
 def _near_circle() -> Iterator[Problem]:

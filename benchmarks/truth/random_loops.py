@@ -7,7 +7,7 @@ whole samples and of fractions next to them. Two kinds are apart: modes that wal
 windows of up to 200 samples.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -126,15 +126,14 @@ class DeviceLoop:
 
 
 def device_of(drawn: devices.Drawn) -> Device:
-    """Return what was drawn as a device of jaxstab."""
+    """Return what was drawn as a device of jaxstab, its hand from encoder to motor."""
     modes = [Mode(frequency=f, damping_ratio=z, modal_mass=m) for f, z, m in drawn.modes]
     device = Device.modes(modes, mass=drawn.mass, damping=drawn.damping)
     if drawn.hand is not None:
         mass, damping, stiffness, grip = drawn.hand
         hand = Hand.mass_spring_damper(mass, damping=damping, stiffness=stiffness)
-        device = device.held_by(
-            hand if grip is None else hand.with_grip(stiffness=grip[1], damping=grip[0])
-        )
+        held = hand if grip is None else hand.with_grip(stiffness=grip[1], damping=grip[0])
+        device = replace(device, hands=(held,))  # held_by refuses modes of negative mass
     return device if drawn.bandwidth is None else device.with_actuator(drawn.bandwidth)
 
 

@@ -10,7 +10,6 @@ import click
 from jaxstab.cli.options import at_work, draw, file_option, picture_file
 
 _FIGURES = range(4, 11)
-_DIGITS = 10
 _INPUTS = "gamma", "delta", "delay", "radius"
 
 
@@ -70,10 +69,11 @@ def region(
 
 def _words(name: str, value: Any) -> str:
     """A number, a point or a list of points; the largest values are not rounded up."""
+    from jaxstab.paper.facts import DIGITS
     from jaxstab.scene.answers import Quantity
 
     if isinstance(value, list):
         return f"({', '.join(_words(name, entry) for entry in value)})"
     is_largest = name.startswith("largest")
-    quantity = Quantity("", _DIGITS, ROUND_FLOOR if is_largest else ROUND_HALF_EVEN)
+    quantity = Quantity("", DIGITS, ROUND_FLOOR if is_largest else ROUND_HALF_EVEN)
     return quantity.words(value) if isinstance(value, float) else "none"

@@ -39,7 +39,7 @@ function showIn(quantity, value, moved) {
   const place = Math.round(placeOfValue(quantity, value) * PLACES);
   if (slider !== moved) assign(slider, "value", String(place));
   const isNone = quantity.key === "cutoff" && !(value > 0);
-  const words = isNone ? "" : String(Number((value * quantity.scale).toPrecision(6)));
+  const words = isNone ? "" : String(Number((value * quantity.scale).toPrecision(MOST_DIGITS)));
   assign(number, "value", words);
   assign(number, "placeholder", isNone ? "none" : "");
   assign(slider, "ariaValueText", isNone ? "none" : `${words} ${quantity.unit}`);

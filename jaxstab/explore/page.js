@@ -68,6 +68,7 @@ function computed(setup, looks) {
     main: outlinesOf(main ? [main] : [], scale),
     islands: outlinesOf(rest, scale),
     stiffest: best && [best[0] * scale.stiffness, best[1] * scale.damping],
+    printed: best && printedWall(loop, scale, best),
   };
 }
 
@@ -100,7 +101,7 @@ function draw(looks = LOOKS) {
     size, ends, rule, walls, units: units(), main: now.main, islands: now.islands,
     passive: passiveWalls(setup), oneSample: plain && plain.outline,
     cursor: [state.cursorStiffness, state.cursorDamping],
-    stiffest: now.stiffest, stiffestInWords: now.stiffest && stiffnessInWords(now.stiffest[0]),
+    stiffest: now.stiffest, stiffestInWords: now.printed && stiffnessInWords(now.printed[0]),
   };
   view.isMapNeeded = state.view === "near" && Boolean(plain && now.main.length && plain.stiffness > 1.5 * ends[0][1]);
   const frame = drawPlane(byId("picture"), view);
@@ -146,16 +147,15 @@ function showFacts(facts) {
 }
 
 function rowsOfFacts({ stiffness, damping, extraDelay, settling, island }) {
-  const range = ([low, high], words) =>
-    Number.isFinite(high) ? `${short(Math.abs(low) < NOTHING * high ? 0 : rounded(low, 4))} to ${words(high)}` : "not found";
-  const factor = (high, own) => (own > 0 && high > own ? ` (× ${short(rounded(high / own, 3))})` : "");
+  const range = (limits, unit) => (Number.isFinite(limits[1]) ? rangeInWords(limits, unit) : "not found");
+  const factor = (high, own) => (own > 0 && high > own ? ` (× ${inDigits(rounded(high / own, 3, -1))})` : "");
   const late = Number.isFinite(extraDelay)
-    ? `${short(rounded(extraDelay * 1e3, 3))} ms`
+    ? `${inDigits(rounded(extraDelay * 1e3, 3, -1))} ms`
     : `more than ${MOST_DELAY} samples`;
   const settled = Number.isFinite(settling) ? `${short(rounded(settling * 1e3, 4))} ms` : "longer than is looked at";
   const rows = [
-    ["stable for K", range(stiffness, stiffnessInWords) + factor(stiffness[1], state.cursorStiffness)],
-    ["stable for B", range(damping, dampingInWords) + factor(damping[1], state.cursorDamping)],
+    ["stable for K", range(stiffness, units().stiffness) + factor(stiffness[1], state.cursorStiffness)],
+    ["stable for B", range(damping, units().damping) + factor(damping[1], state.cursorDamping)],
     ["extra delay", late],
     ["settles to 2 % in", settled],
   ];

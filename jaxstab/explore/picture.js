@@ -8,7 +8,7 @@ const NICE_STEPS = [1, 2, 2.5, 5, 10];
 const LARGEST_SHARE = 1e3; // of a final position
 const FARTHEST = 2000; // times the frame: a pixel still has its place in float32
 const FARTHEST_WALL = 4; // times the region: walls beyond are drawn at the edge
-const IN_DIGITS = new Intl.NumberFormat("en"); // made once: making one takes longer than a picture
+const IN_DIGITS = new Intl.NumberFormat("en", { maximumSignificantDigits: 4 }); // made once: making one takes longer than a picture
 
 /** A new element of SVG with attributes. */
 function element(name, attributes, text) {
@@ -127,7 +127,7 @@ function short(value) {
   if (value === 0) return "0";
   const size = Math.abs(value);
   if (size >= 1e9 || size < 1e-3) return value.toPrecision(2).replace(/\.?0+e/, "e");
-  return IN_DIGITS.format(Number(value.toPrecision(4)));
+  return IN_DIGITS.format(value);
 }
 
 /** The user's walls: a disc where stable, a cross where not, a square where that is undecided. */

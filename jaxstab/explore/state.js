@@ -4,6 +4,10 @@
 const MOST_WINDOW = 40; // samples, with what stands behind the window
 const LONGEST_DELAY = 200; // samples
 const MOST_SLIDER_DELAY = 40;
+const LIMIT_DIGITS = 4; // that are printed of a limit
+const MOST_DIGITS = 12; // of any number
+const NOTHING = 1e-9; // of another number: rounding
+const TRUE = 1e-11; // 2999.9999999999 is 3000 but for rounding
 
 /**
  * What can be moved. scale: how many of the shown units are one SI unit. map: how the place of a
@@ -62,9 +66,31 @@ function placeOfValue(quantity, value) {
   return isInverse ? 1 - share : share;
 }
 
-/** A number with so many digits. */
-function rounded(value, digits) {
-  return Number(value.toPrecision(digits));
+/** A number with so many digits: the nearest one or, with a way of 1 or -1, one not below or not above. */
+function rounded(value, digits, way = 0) {
+  const nearest = Number(value.toPrecision(digits)), aside = way * (value - nearest);
+  if (!way || aside <= TRUE * Math.abs(value)) return nearest;
+  return Number((nearest + way * unitOf(value, digits)).toPrecision(digits));
+}
+
+/** The unit of the last of so many digits. */
+function unitOf(value, digits) {
+  return 10 ** (Math.floor(Math.log10(Math.abs(value) || 1)) + 1 - digits);
+}
+
+/** The gains by which the stiffest wall (alpha, beta) is printed: of a stable one, as stable_pair of shown.py. */
+function printedWall(loop, scale, [alpha, beta]) {
+  const limit = alpha * scale.stiffness, other = Math.abs(beta) > NOTHING * alpha ? beta * scale.damping : 0;
+  for (const digits of [3, 5, 7, 9, MOST_DIGITS]) {
+    for (const count of [0, 1, 2, 5]) {
+      const first = rounded(limit - count * unitOf(limit, LIMIT_DIGITS), LIMIT_DIGITS, -1);
+      for (const way of [0, -1, 1]) {
+        const wall = [first, rounded(other, digits, way)];
+        if (isStable(loop, wall[0] / scale.stiffness, wall[1] / scale.damping)) return wall;
+      }
+    }
+  }
+  return [limit, other];
 }
 
 /** A value within what can be computed, or NaN for what is no such number. */

@@ -1,22 +1,27 @@
 // What is said of a state in words, beside and below the picture.
 "use strict";
 
-const NOTHING = 1e-9; // of the other limit: rounding
-const IN_FOUR_DIGITS = new Intl.NumberFormat("en", { maximumSignificantDigits: 4 });
+const IN_ALL_DIGITS = new Intl.NumberFormat("en", { maximumSignificantDigits: MOST_DIGITS });
 
-/** A stiffness with its unit, rounded towards 0. */
-function stiffnessInWords(stiffness) {
-  const power = 10 ** (Math.floor(Math.log10(Math.abs(stiffness))) - 3);
-  return `${IN_FOUR_DIGITS.format(Math.trunc(stiffness / power + 1e-9) * power || 0)} ${units().stiffness}`;
+/** A number with all of its digits. */
+function inDigits(value) {
+  return value === 0 || Math.abs(value) >= 1e-3 ? IN_ALL_DIGITS.format(value) : String(value);
 }
 
-function dampingInWords(damping) {
-  return `${short(rounded(damping, 3))} ${units().damping}`;
+/** A largest stiffness with its unit, rounded down. */
+function stiffnessInWords(stiffness) {
+  return `${inDigits(rounded(stiffness, LIMIT_DIGITS, -1))} ${units().stiffness}`;
+}
+
+/** An interval with its unit, its ends rounded inwards. */
+function rangeInWords([low, high], unit) {
+  const least = Math.abs(low) < NOTHING * high ? 0 : rounded(low, LIMIT_DIGITS, 1);
+  return `${inDigits(least)} to ${inDigits(rounded(high, LIMIT_DIGITS, -1))} ${unit}`;
 }
 
 /** Say what is the stiffest wall, and what the estimator costs. */
-function sayHeadline({ stiffest, plain, region, setup, isRough }) {
-  const headline = headlineOf(stiffest, region, isRough), comparison = comparisonOf(stiffest, plain, setup);
+function sayHeadline({ stiffest, printed, plain, region, setup, isRough }) {
+  const headline = headlineOf(printed, region, isRough), comparison = comparisonOf(stiffest, plain, setup);
   assign(byId("headline"), "textContent", headline);
   assign(byId("comparison"), "textContent", comparison);
   const title = `The plane of stiffness K and damping B. ${headline} ${comparison}`;
@@ -26,7 +31,10 @@ function sayHeadline({ stiffest, plain, region, setup, isRough }) {
 function headlineOf(stiffest, region, isRough) {
   const late = isRough ? " Its outline is not resolved yet." : " Its outline was not resolved: it may be wrong.";
   const open = region.isClosed ? "" : late;
-  if (stiffest) return `The stiffest stable wall: ${stiffnessInWords(stiffest[0])}, at a damping of ${dampingInWords(stiffest[1])}.${open}`;
+  if (stiffest) {
+    const [stiffness, damping] = stiffest.map(inDigits);
+    return `The stiffest stable wall: ${stiffness} ${units().stiffness}, at a damping of ${damping} ${units().damping}.${open}`;
+  }
   if (isRough && !region.components.length) return "The stable region is not resolved yet.";
   if (!region.isClosed && !region.components.length) return "The stable region was not resolved here; jaxstab limits knows more.";
   const none = region.components.length ? "Small gains are not stable, but others are." : "No wall is stable.";

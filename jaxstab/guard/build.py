@@ -364,7 +364,7 @@ def _check(
     *,
     may_be_one: bool,
 ) -> None:
-    checked_range(hands)
+    checked_range(hands, device=loop.device)
     refuse_arrays(loop)
     filters = known_filters(**loop.filters)
     gain = 1.0 if filters is None else float(responses_at(filters, np.ones(1, complex))[0][0].real)

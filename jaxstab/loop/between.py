@@ -383,7 +383,7 @@ class LoopsWithHands:
     moving: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        checked_range(self.hands, self.mass)
+        checked_range(self.hands, self.mass, self.device)
         if len(self.device.hands) > 1:
             raise ValueError(
                 f"the device ({self.device}) is held by {len(self.device.hands)} hands; give one "

@@ -6,6 +6,7 @@ J2). Between the two it is UNDECIDED.
 """
 
 from dataclasses import dataclass, replace
+from decimal import ROUND_FLOOR
 from math import inf, isinf, nan
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -30,7 +31,7 @@ from jaxstab.proofs.jitter import (
     stiffest_for_all,
 )
 from jaxstab.rounding import EPS
-from jaxstab.shown import shortened
+from jaxstab.shown import exact_text, number_text, shortened, stable_pair
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -83,8 +84,8 @@ class MovingLimits:
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
         >>> loop.limits(delays=(0.0, 0.2e-3))
-        K = 43656 N/m at B = 62.73 N s/m is proved for every sequence of delays; K = 44849 N/m
-        there is unstable
+        K = 43655.763794586725 N/m at B = 62.73319225142225 N s/m is proved for every sequence of
+        delays; K = 44849 N/m there is unstable
     """
 
     stiffness: float
@@ -98,8 +99,8 @@ class MovingLimits:
         if isinf(self.unstable_stiffness):
             unstable = "no unstable wall was found there"
         return (
-            f"K = {self.stiffness:.5g} N/m at B = {self.damping:.4g} N s/m is proved for every "
-            f"sequence of delays; {unstable}"
+            f"K = {exact_text(self.stiffness)} N/m at B = {exact_text(self.damping)} N s/m is "
+            f"proved for every sequence of delays; {unstable}"
         )
 
 
@@ -123,7 +124,7 @@ class MovingRegion:
         >>> region
         MovingRegion: every wall of a polygon is proved for every sequence of delays
           stiffest     K = 34502 N/m at B = 97.25 N s/m
-          most damped  B = 159.8 N s/m
+          most damped  B = 159.7 N s/m
     """
 
     outline: Float64[np.ndarray, "vertex 2"]
@@ -144,11 +145,12 @@ class MovingRegion:
     def __repr__(self) -> str:
         if not len(self.outline):
             return "MovingRegion: no wall was found that is proved for every sequence of delays"
-        stiffest = self.outline[np.argmax(self.outline[:, 0])]
+        stiffest, damping = self.outline[np.argmax(self.outline[:, 0])], self.outline[:, 1].max()
+        k, b = stable_pair(*stiffest.tolist(), (5, 4), self.contains)
         return (
             "MovingRegion: every wall of a polygon is proved for every sequence of delays\n"
-            f"  stiffest     K = {stiffest[0]:.5g} N/m at B = {stiffest[1]:.4g} N s/m\n"
-            f"  most damped  B = {self.outline[:, 1].max():.4g} N s/m"
+            f"  stiffest     K = {number_text(k, 5)} N/m at B = {number_text(b, 4)} N s/m\n"
+            f"  most damped  B = {number_text(damping, 4, ROUND_FLOOR)} N s/m"
         )
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":

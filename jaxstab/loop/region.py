@@ -15,7 +15,7 @@ from jaxstab.model.loop import refuse_arrays
 from jaxstab.numbers import without_noise
 from jaxstab.region import RegionStatus, StableRegion, measures, stable_region
 from jaxstab.region.region import linear_region
-from jaxstab.region.stable_set import GainNames, ShownRegion, limits_text
+from jaxstab.region.stable_set import GainNames, ShownRegion, limits_text, printed_extremes
 
 TOLERANCE = 1e-6  # of the outline, by default
 _REMEMBERED = 64  # regions
@@ -210,10 +210,16 @@ class WallRegion(ShownRegion):
 
     def limits(self) -> WallLimits:
         """Return the stiffest and the most damped wall, and those of each island."""
-        limits = tuple(_limits_of(*island.extremes, island.status) for island in self.islands)
+        limits = tuple(_limits_of(*island._printed, island.status) for island in self.islands)
         main = self.reachable
-        own = _limits_of(main.stiffest, main.most_damped, self.status)
+        is_there = not np.isnan(main.stiffest.stiffness)
+        own = _limits_of(*(main._printed if is_there else main._quadrant), self.status)
         return own._replace(is_reachable=self.main is not None, islands=limits)
+
+    @cached_property
+    def _printed(self) -> tuple[Gains, Gains]:
+        stiffest, damped = printed_extremes(self)
+        return Gains(*stiffest), Gains(*damped)
 
     def stiffness_limits(self, damping: Numbers) -> Float64[Array, "*grid 2"]:
         """Return the smallest and the largest stable K at dampings B in N s/m.
@@ -238,14 +244,14 @@ class WallRegion(ShownRegion):
     ) -> Float64[np.ndarray, "row interval 2"]:
         """Return all intervals of stable K at dampings B in N s/m, ascending, then NaN."""
         rows = self.loop.beta(np.asarray(checked_gain("damping", damping)))
-        return self.loop.stiffness(self._intervals(rows, axis=1))
+        return self._intervals(rows, self.loop.stiffness, axis=1)
 
     def damping_intervals(
         self, stiffness: Float64[np.ndarray, " row"]
     ) -> Float64[np.ndarray, "row interval 2"]:
         """Return all intervals of stable B at stiffnesses K in N/m, ascending, then NaN."""
         columns = self.loop.alpha(np.asarray(checked_gain("stiffness", stiffness)))
-        return self.loop.damping(self._intervals(columns, axis=0))
+        return self._intervals(columns, self.loop.damping, axis=0)
 
     def contains(self, stiffness: Numbers, damping: Numbers) -> Bool[Array, "*grid"]:
         """Whether walls (K, B) lie inside the exact boundary; all False if UNRESOLVED."""
@@ -268,11 +274,18 @@ class WallRegion(ShownRegion):
             *(float(without_noise(*pair)) for pair in zip(exact, self.extent, strict=True))
         )
 
-    def _intervals(self, values: Float64[np.ndarray, " row"], axis: int) -> np.ndarray:
+    def _intervals_at(self, value: float, axis: int) -> np.ndarray:
+        intervals = self.stiffness_intervals if axis == 1 else self.damping_intervals
+        return intervals(np.array([value]))[0]
+
+    def _intervals(
+        self, values: Float64[np.ndarray, " row"], in_units: Callable[[Any], Any], axis: int
+    ) -> np.ndarray:
         region = self.region
         ends = measures.interval_ends(region.curve, region.outline, values, axis=axis)
         count = ends.shape[1] // 2  # lines that meet nothing have one column of NaN
-        return ends[:, : 2 * count].reshape(len(values), count, 2)
+        intervals = in_units(ends[:, : 2 * count].reshape(len(values), count, 2))
+        return without_noise(intervals, self.extent[1 - axis])
 
     def _last_interval(self, gains: Numbers, in_units: Callable[[Any], Any], axis: int) -> Array:
         region, (values,) = self.region, float_arrays(gains)

@@ -9,8 +9,10 @@ from jaxstab.numbers import require_x64, without_noise
 from jaxstab.paper.rules import passive_region
 from jaxstab.paper.validity import ValidityStatus, linear_validity
 from jaxstab.region.region import stable_region
-from jaxstab.region.stable_set import RegionStatus, StableRegion
+from jaxstab.region.stable_set import RegionStatus, StableRegion, printed_extremes
+from jaxstab.shown import Printed
 
+DIGITS = 10  # that are printed
 _FINE = 1e-7  # of delta: the tolerance of the passive region
 _ROUNDING = 1e-15
 
@@ -48,13 +50,14 @@ def region_facts(
     region = resolved_region(gamma=gamma, delta=delta, delay=delay, radius=radius)
     extent = np.ptp(region.points, axis=0)
     point = partial(_point, extent=extent, line=-gamma if radius == 1.0 else None)
+    printed = printed_extremes(region, DIGITS)
     facts: dict[str, Any] = {
         "gamma": gamma,
         "delta": delta,
         "delay": delay,
         "radius": radius,
-        "largest_alpha": point(region.max_alpha),
-        "largest_beta": point(region.max_beta),
+        "largest_alpha": _as_printed(point(region.max_alpha), printed[0]),
+        "largest_beta": _as_printed(point(region.max_beta), printed[1]),
         "corners": [point(corner) for corner in region.corners],
         "area": float(region.area),
     }
@@ -68,6 +71,14 @@ def region_facts(
             name = f"linear_condition_within_{percent}_percent_up_to"
             facts[name] = _point((limit.alpha, limit.beta), extent) if is_found else None
     return facts
+
+
+def _as_printed(point: list[float], printed: Any) -> list[float]:
+    """The numbers of a point, with the texts by which they are printed."""
+    return [
+        Printed(value, known.text) if isinstance(known, Printed) else value
+        for value, known in zip(point, printed, strict=True)
+    ]
 
 
 def _point(point: Any, extent: Any, line: float | None = None) -> list[float]:

@@ -1,7 +1,6 @@
 """The paper's figures 4 to 10."""
 
 from collections.abc import Callable, Iterable, Sequence
-from decimal import ROUND_FLOOR
 from math import pi
 from typing import Any, Literal, NamedTuple
 
@@ -15,7 +14,6 @@ from matplotlib.patches import Patch
 from matplotlib.typing import ColorType
 from numpy.typing import NDArray
 
-from jaxstab.numbers import without_noise
 from jaxstab.paper import linear_alpha_limit, linear_validity, passive_region
 from jaxstab.paper.facts import resolved_region
 from jaxstab.pictures.style import (
@@ -28,6 +26,7 @@ from jaxstab.pictures.style import (
     hand_label,
     panels,
 )
+from jaxstab.region.stable_set import printed_extremes
 from jaxstab.scene.answers import Quantity
 
 _NYQUIST_STEPS = 6
@@ -209,7 +208,7 @@ def _draw(panel: Axes, slices: Iterable[_Slice]) -> None:
 
 # One stable region, annotated with the facts about it.
 
-_LIMIT = Quantity(digits=5, rounding=ROUND_FLOOR)
+_LIMIT = Quantity(digits=5)
 
 
 def region_figure(gamma: float, delta: float, delay: float, radius: float = 1.0) -> Figure:
@@ -231,9 +230,10 @@ def region_figure(gamma: float, delta: float, delay: float, radius: float = 1.0)
     limit = np.asarray(linear_alpha_limit(beta, delta=delta, delay=delay))
     panel.plot(limit, beta, "--", color=RED, label="linear condition")
     panel.plot(*region.corners.T, "s", color=BLACK, markersize=5, label="corners")
-    extent = np.ptp(region.points, axis=0)
-    for point, name, mark in ((region.max_alpha, "alpha", ">"), (region.max_beta, "beta", "^")):
-        numbers = ", ".join(_LIMIT.words(float(x)) for x in map(without_noise, point, extent))
+    for point, name, mark in zip(
+        printed_extremes(region), ("alpha", "beta"), (">", "^"), strict=True
+    ):
+        numbers = ", ".join(map(_LIMIT.words, point))
         label = rf"largest $\{name}$: ({numbers})"
         panel.plot(*point, mark, color=ORANGE, markersize=8, label=label)
     panel.set(xlim=window[0], ylim=window[1])

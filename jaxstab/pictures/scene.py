@@ -40,7 +40,15 @@ from jaxstab.pictures.style import (
     plain,
     plot_moving_region,
 )
-from jaxstab.scene.answers import Answer, Basis, Quantity, basis_of, in_words
+from jaxstab.scene.answers import (
+    Answer,
+    Basis,
+    GivenQuantity,
+    Quantity,
+    basis_of,
+    in_words,
+    printed_wall,
+)
 from jaxstab.scene.check import Check, WallCheck, check_walls
 from jaxstab.scene.contact import (
     MAP_COUNT,
@@ -190,7 +198,8 @@ _LETTERS = 14.0  # of a remark, per inch
 _LARGEST = Quantity("N/m", 4, ROUND_FLOOR)
 _BOUND = Quantity("N/m", 4, ROUND_CEILING)
 _LARGEST_TIME = Quantity("s", 4, ROUND_FLOOR)
-_STIFFNESS, _DAMPING, _TIME, _LENGTH = (Quantity(unit, 3) for unit in ("N/m", "N s/m", "s", "m"))
+_STIFFNESS, _DAMPING = GivenQuantity("N/m"), GivenQuantity("N s/m")
+_TIME, _LENGTH = Quantity("s", 3), Quantity("m", 3)
 
 Floats = NDArray[np.float64]
 
@@ -263,7 +272,10 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
             _draw_chatter(panels[0], loop, region, encoder, scene.units)
         _draw_tuned(panels[0], tuned, scene.units)
     elif checked is None and isfinite(region.stiffest.stiffness):
-        wall = _gains_text(*region.stiffest, scene.units, _LARGEST)
+        printed = printed_wall(
+            *region.stiffest, lambda *wall: loop.verdict(*wall) == Verdict.STABLE
+        )
+        wall = _gains_text(*printed, scene.units, _LARGEST)
         panels[0].plot(
             *region.stiffest, ">", color=ORANGE, ms=9, mec=BLACK, label=f"stiffest: {wall}"
         )

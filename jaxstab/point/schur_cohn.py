@@ -108,7 +108,8 @@ def decide(chain: Chain[Number], ends: Ends, unit: float, degree: int | Array) -
     xp = namespace(chain, degree)
     chain, gap, ratio, is_clear = _at_the_end(chain, unit, degree)
     is_inside = chain.inside & (size(ratio) < 1.0) & (leading(gap) > 0.0)
-    real_outside = (ends.at_one < -ends.at_one_error) | (
+    # With no error p(1) = 0 is a root at 1, which is not inside.
+    real_outside = (ends.at_one <= -ends.at_one_error) | (
         ends.at_minus_one < -ends.at_minus_one_error
     )
     no_real = (ends.at_one > ends.at_one_error) & (ends.at_minus_one > ends.at_minus_one_error)

@@ -134,6 +134,9 @@ def linear_verdict(alpha: Array, beta: Array, loop: LinearLoop) -> Int8[Array, "
         pairs = DoubleDouble.from_value(gains[0]), DoubleDouble.from_value(gains[1])
         with np.errstate(all="ignore"):
             codes.flat[block] = dense_codes(*pairs, chosen, unit=PAIR_UNIT, degree=degree)
+    base = loop.at_one.base
+    drifts = (alpha == 0.0) & (base.value.hi == 0.0) & (base.error == 0.0)  # p(1) is 0 exactly
+    codes[np.broadcast_to(drifts, codes.shape)] = Verdict.UNSTABLE
     return xp.asarray(codes)
 
 
@@ -156,6 +159,8 @@ def filtered_verdict(points: Points, filters: Filters) -> Int8[np.ndarray, "*gri
             codes[...] = linear_verdict(*walls)
         else:
             codes.flat[indices] = linear_verdict(*gathered(walls, points.shape, indices))
+    if filters[1] == Filter():  # p(1) is alpha + gamma, times what is positive
+        codes[np.broadcast_to(points.alpha == -points.gamma, codes.shape)] = Verdict.UNSTABLE
     return codes
 
 
@@ -393,8 +398,8 @@ def verdict(
     """Prove for every point whether all roots of p(z) lie inside the unit circle.
 
     STABLE and UNSTABLE are proofs: the rounding of plant, coefficients and recursion is bounded.
-    Points too close to the boundary are UNDECIDED, and so are points exactly on it, such as alpha =
-    -gamma. UNSTABLE means at least one root outside or on the circle.
+    Points too close to the boundary are UNDECIDED, also those exactly on it. UNSTABLE means at
+    least one root outside or on the circle: a root at z = 1, at alpha = -gamma exactly, is one.
 
     Args:
         alpha, beta, gamma, delta, delay, velocity, position: see ``jaxstab.conventions``.

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float64, Int64
 
 from jaxstab.arrays import take
 from jaxstab.conventions import Verdict
-from jaxstab.model import LoopParameters, by_name
+from jaxstab.model import Device, LoopParameters, by_name
 from jaxstab.model.filters import known_filters
 from jaxstab.model.linear_loop import filtered_loop
 from jaxstab.numbers import checked_number
@@ -313,8 +313,12 @@ def masses_of(loop: LoopParameters, mass: Range | None) -> Range:
     return mass or (float(loop.device_mass), float(loop.device_mass))
 
 
-def checked_range(hands: object, mass: Range | None = None) -> None:
-    """Validate hands and masses: TypeError unless a HandRange; ends in order and not negative."""
+def checked_range(hands: object, mass: Range | None = None, device: Device | None = None) -> None:
+    """Validate hands, and the masses or the device that they hold.
+
+    TypeError unless a HandRange; ValueError unless ends are in order and not negative, and the
+    device, if there is a hand, has one handle.
+    """
     if mass is not None and not 0.0 < mass[0] <= mass[1] < np.inf:
         raise ValueError(
             f"mass is {mass}; give the lowest mass of the device, > 0, and the highest one."
@@ -326,3 +330,5 @@ def checked_range(hands: object, mass: Range | None = None) -> None:
             raise ValueError(
                 f"hands.{name} is ({low}, {high}); give the lowest, >= 0, and the highest value."
             )
+        if device is not None and high > 0.0:
+            device.require_one_handle()

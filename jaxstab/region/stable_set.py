@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from decimal import ROUND_FLOOR
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -10,11 +11,12 @@ from jaxtyping import Bool, Float64, Int
 from jaxstab.arrays import Array, Numbers, float_arrays, namespace
 from jaxstab.conventions import Status
 from jaxstab.model import checked_gain, require_x64
+from jaxstab.numbers import without_noise
 from jaxstab.region import measures
 from jaxstab.region.curve import Curve
 from jaxstab.region.outline import Outline
 from jaxstab.region.pieces import NO_BRANCH
-from jaxstab.shown import number_text
+from jaxstab.shown import number_text, stable_pair
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,6 +28,7 @@ Shown = TypeVar("Shown", bound="ShownRegion")
 
 _DIGITS = 5
 _MOST_ISLANDS = 2  # that are described
+_ASIDE = 1e-6  # of a stiffness
 
 
 class GainNames(NamedTuple):
@@ -81,10 +84,10 @@ class ShownRegion:
         if not region.components:
             return f"{name}: {region.status.words}"
         largest = region.main or region.components[0]
-        islands = [island.extremes[0] for island in region.islands]
+        islands = [printed_extremes(island)[0] for island in region.islands]
         head = f"{name} ({self.names.stiffness}, {self.names.damping}): {region.status.words}"
-        is_main = region.main is not None
-        return limits_text(head, self.names, largest.extremes, islands, is_reachable=is_main)
+        is_main, extremes = region.main is not None, printed_extremes(largest)
+        return limits_text(head, self.names, extremes, islands, is_reachable=is_main)
 
     def _repr_html_(self) -> str:
         """Return the picture and the words for a notebook."""
@@ -105,6 +108,24 @@ class ShownRegion:
 
         region: Any = self
         return plot_region(region, ax)
+
+
+def printed_extremes(region: Any, digits: int = _DIGITS) -> tuple[Any, Any]:
+    """The points of the largest stiffness and damping of a region, stable as they are printed."""
+    (alpha, at_alpha), (beta, largest_beta) = (
+        without_noise(gains, float(np.abs(gains).max())).tolist()
+        for gains in np.transpose(region.extremes)
+    )
+    aside = _ASIDE * max(abs(alpha), abs(at_alpha))
+
+    def is_inside(stiffness: float, damping: float) -> Any:
+        return region.contains(stiffness or aside, damping)  # an axis may be the edge: a limit
+
+    both = digits, digits
+    rows, columns = (partial(region._intervals_at, axis=axis) for axis in (1, 0))
+    stiffest = stable_pair(alpha, beta, both, is_inside, rows)
+    turned = stable_pair(largest_beta, at_alpha, both, lambda b, k: is_inside(k, b), columns)
+    return stiffest, turned[::-1]
 
 
 def limits_text(
@@ -133,7 +154,7 @@ def limits_text(
 
 def _text(value: float, unit: str, *, floors: bool = False) -> str:
     rounding = {"rounding": ROUND_FLOOR} if floors else {}
-    return number_text(float(value), _DIGITS, unit=unit, **rounding)
+    return number_text(value, _DIGITS, unit=unit, **rounding)
 
 
 # What is known about a stable region.
@@ -367,6 +388,10 @@ class StableRegion(ShownRegion):
         the relative error is up to about 1e-16/e, with e = |sqrt(gamma)/pi - 1|.
         """
         return measures.area(self.curve, self.outline)
+
+    def _intervals_at(self, value: float, axis: int) -> np.ndarray:
+        ends = measures.interval_ends(self.curve, self.outline, np.array([value]), axis=axis)[0]
+        return ends[: ends.size // 2 * 2].reshape(-1, 2)
 
     def alpha_limits(self, beta: Numbers) -> Float64[Array, "*grid 2"]:
         """Return the smallest and the largest alpha of the region at given betas.

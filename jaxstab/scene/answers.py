@@ -1,30 +1,32 @@
 """Answers with units, which print themselves as words and as JSON.
 
 An answer is a frozen dataclass. The annotation of a number has its Quantity: the unit, the digits
-that are printed and the side to which they are rounded. Limits are rounded inwards: what is printed
-as the largest stable stiffness is not above it. JSON has all digits, in SI units, and the unit of
-each key. Answers of a scene that turns have the units of rotation, and inertia for mass.
+that are printed and the side to which they are rounded. Limits are rounded inwards, and two gains
+that are printed as a stable wall are one (``jaxstab.shown.stable_pair``). JSON has all digits, in
+SI units, and the unit of each key. Answers of a scene that turns have the units of rotation, and
+inertia for mass.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
-from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN
+from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Decimal
 from enum import IntEnum
 from functools import cache
 from math import isfinite, isinf, isnan
 from typing import Annotated, Any, ClassVar, get_args, get_type_hints
 
 from jaxstab.scene.scene import Controller, Grip, Scene, Units
-from jaxstab.shown import rounded_text
+from jaxstab.shown import MOST_DIGITS, Printed, exact_text, rounded_text, stable_pair
 
 _LIMIT_DIGITS = 4
-_MOST_DIGITS = 17
 _COLUMN = 34  # where values begin
 
 _HEADINGS = {
     "walls": "wall {}",
     "islands": "island {}",
     "windows": "with a window of {} samples",
+    "other_stiffnesses": "other interval {}",
+    "other_dampings": "other interval {}",
 }
 
 """The headings of the answers in a field that is a dictionary, by its name."""
@@ -69,11 +71,22 @@ class Quantity:
         if isinf(value):
             return self.infinite
         factor = {"s": 1000, "m": 10**6}.get(self.unit, 1)
+        if isinstance(value, Printed):
+            return rounded_text(Decimal(value.text), MOST_DIGITS, factor=factor)
         return rounded_text(value, digits, rounding, factor=factor)
 
     def _with_unit(self, text: str, units: Units) -> str:
         unit = {"s": "ms", "m": f"u{units.length}"}.get(self.unit, units.unit(self.unit))
         return f"{text} {unit}" if unit and text[-1].isdigit() else text
+
+
+class GivenQuantity(Quantity):
+    """Format of a number that a user gave, or that was rounded: all of its digits."""
+
+    def words(self, value: Any, units: Units = Units.LINE) -> str:
+        """Return the number with its unit."""
+        is_text = isinstance(value, Printed)
+        return super().words(value if is_text else Printed(value, exact_text(value)), units)
 
 
 class IntervalQuantity(Quantity):
@@ -84,20 +97,31 @@ class IntervalQuantity(Quantity):
         if not isinstance(value, tuple):
             return super().words(value, units)
         low, high = value
-        for digits in range(self.digits, _MOST_DIGITS + 1):
+        for digits in range(self.digits, MOST_DIGITS + 1):
             ends = self._text(low, ROUND_CEILING, digits), self._text(high, ROUND_FLOOR, digits)
             if isinf(low) or isinf(high) or float(ends[0]) <= float(ends[1]):
                 break
         return self._with_unit(" to ".join(ends), units)
 
 
-def rounded_gain(value: float) -> float:
-    """Return a gain with the digits with which it is printed."""
-    return float(f"{value:.{Quantity.digits}g}")
+def printed_wall(limit: float, other: float, *known: Any) -> tuple[float, float]:
+    """A largest gain and the other one, to be printed as a stable wall: ``stable_pair``."""
+    return stable_pair(limit, other, (_LIMIT_DIGITS, Quantity.digits), *known)
+
+
+def rounded_wall(stiffness: float, damping: float, is_stable: Any) -> tuple[float, float]:
+    """A stable wall of few digits, with which it is printed."""
+    nearest = [float(rounded_text(gain, Quantity.digits)) for gain in (stiffness, damping)]
+    if is_stable(*nearest):
+        return nearest[0], nearest[1]
+    pair = stable_pair(stiffness, damping, (Quantity.digits, Quantity.digits), is_stable)
+    return (float(pair[0].text), float(pair[1].text)) if isinstance(pair[0], Printed) else pair
 
 
 Stiffness = Annotated[float, Quantity("N/m")]
 Damping = Annotated[float, Quantity("N s/m")]
+GivenStiffness = Annotated[float, GivenQuantity("N/m")]
+GivenDamping = Annotated[float, GivenQuantity("N s/m")]
 Mass = Annotated[float, Quantity("kg")]
 Time = Annotated[float, Quantity("s")]
 Frequency = Annotated[float, Quantity("Hz")]

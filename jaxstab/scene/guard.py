@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Callable
+from decimal import ROUND_FLOOR
 from math import prod
 
 import numpy as np
@@ -12,7 +13,7 @@ from jaxstab.guard.build import CELLS, CONSTANT_CELLS, plan_guard
 from jaxstab.guard.guard import LARGEST_HEADER
 from jaxstab.loop import HapticLoop
 from jaxstab.model.parameters import LONGEST_DELAY
-from jaxstab.scene.answers import basis_of
+from jaxstab.scene.answers import Quantity, basis_of
 from jaxstab.scene.loops import is_one_mass, loop_of, masses_of, range_of_hands, with_delay
 from jaxstab.scene.scene import Scene, range_in_words
 
@@ -21,6 +22,7 @@ _DELAYS = 1.0  # samples beside the scene's if it is constant, and beyond it if 
 _DEVICE_MASSES, _DEVICE_DELAYS = (0.96, 1.04), 0.1  # the same with modes, an actuator or a grip
 _DEVICE_CELLS = 1, 1, 16
 _FAR = 10.0  # masses beyond this multiple of the scene's are more likely a slip of the unit
+_GRANTED = Quantity("N/m", 4, ROUND_FLOOR)
 _LETTERS = 6  # of a number of the table, with its comma
 
 
@@ -143,7 +145,10 @@ def _delay_of(guard: Guard) -> str:
 def _granted(scene: Scene, guard: Guard) -> list[str]:
     """Return what share of the stable walls is granted, and where it is least, in lines."""
     units, least = scene.units, guard.costliest
-    mass, stiffness, damping = (f"{value:g}" for value in least.hand)
+    kinds = units.kilogram, units.stiffness, units.damping
+    hand = [f"{value:g} {unit}" for value, unit in zip(least.hand, kinds, strict=True)]
+    limited = [f"limited by a hand of {hand[0]}, {hand[1]} and {hand[2]}."]
+    is_held = scene.hand is not None and scene.hand.is_there
     proved = float(np.diff(guard.rows).mean()) / guard.grid.cells[2]
     left = f"Nothing is proved, and granted, in {100.0 * (1.0 - proved):.1f} % of the table."
     at = "any delay" if least.delay is None else f"a delay of {least.delay:g} s"
@@ -151,10 +156,9 @@ def _granted(scene: Scene, guard: Guard) -> list[str]:
     return [
         f"It grants {100.0 * guard.granted:.1f} % of {stable}, in the mean.",
         *([left] if proved < 1.0 else []),
-        f"The least stiff corner: {least.mass:g} {units.kilogram}, {at},",
-        f"limited by a hand of {mass} {units.kilogram}, {stiffness} {units.stiffness} and "
-        f"{damping} {units.damping}.",
-        f"It grants {least.granted:.4g} {units.stiffness} there, of {least.exact:.4g}.",
+        f"The least stiff corner: {least.mass:g} {units.kilogram}, {at}{',' if is_held else '.'}",
+        *(limited if is_held else []),
+        f"It grants {_GRANTED.words(least.granted, units)} there, of {least.exact:.4g}.",
     ]
 
 

@@ -19,10 +19,12 @@ from jaxstab.point.verdicts import linear_verdict
 from jaxstab.scene.answers import (
     Answer,
     Damping,
+    GivenDamping,
+    GivenStiffness,
     LargestStiffness,
     Quantity,
-    Stiffness,
     StiffnessBound,
+    printed_wall,
 )
 from jaxstab.scene.loops import (
     OneHand,
@@ -67,8 +69,8 @@ class AllHands(Answer):
 class WallVerdict(Answer):
     """The verdict on a wall for all hands and delays, and the worst of them."""
 
-    stiffness: Stiffness
-    damping: Damping
+    stiffness: GivenStiffness
+    damping: GivenDamping
     verdict: Verdict | str
     hands_are: str | None
     worst_hand: OneHand | None
@@ -178,16 +180,22 @@ def limit_for_all(scene: Scene, safety: float) -> AllHands | None:
         return None
     loop, mass, moving = loops_over_delays(scene)[0], masses_of(scene), moving_delays(scene)
     robust = loop.robust_limit(hands, mass=mass, **moving)
-    is_proved, stiffness = robust.is_proved, safety * robust.stiffness
+
+    def is_proved_for_all(stiffness: float, damping: float) -> bool:
+        worst = loop.worst_hand(hands, stiffness, damping, mass=mass, **moving)
+        return worst.verdict == Verdict.STABLE
+
+    is_proved, stiffness, damping = robust.is_proved, safety * robust.stiffness, robust.damping
     if safety < 1.0 and not isnan(stiffness):
-        worst = loop.worst_hand(hands, stiffness, robust.damping, mass=mass, **moving)
-        is_proved = worst.verdict == Verdict.STABLE
+        is_proved = is_proved_for_all(stiffness, damping)
+    if is_proved:
+        stiffness, damping = printed_wall(stiffness, damping, is_proved_for_all)
     proved = _PROVED + ("" if mass is None else f" and {scene.units.moved}")
     proved += " and every sequence of delays" if moving else ""
     tried = "no wall was found" if isnan(stiffness) else "not proved"
     return AllHands(
         largest_stiffness=stiffness,
-        at_damping=robust.damping,
+        at_damping=damping,
         certainty=proved if is_proved else tried,
         none_is_stiffer_than=safety * robust.limit if is_one_mass(scene) and not moving else None,
         worst_hand=held_by(robust.loop, scene),

@@ -1,5 +1,6 @@
 """The limits of a scene: the largest stiffness and damping, beside the simple rules."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from math import isfinite, nan
@@ -16,6 +17,8 @@ from jaxstab.scene.answers import (
     Basis,
     Damping,
     DampingLimits,
+    GivenDamping,
+    GivenStiffness,
     LargestDamping,
     LargestStiffness,
     Number,
@@ -23,6 +26,7 @@ from jaxstab.scene.answers import (
     Stiffness,
     StiffnessLimits,
     basis_of,
+    printed_wall,
 )
 from jaxstab.scene.hands import (
     BUT_FOR_DRIFT,
@@ -45,6 +49,8 @@ _SEE_BELOW = " (all hands: see below)"
 _UNSTABLE_AT_0 = "small gains are not stable"
 _PROVED = "proved for every"
 _WINDOWS = (10, 20)  # samples: 10 and 20 ms at 1 kHz
+_SOFT = 1e-6  # of the extent of the stable set
+_BESIDE = 1e-6  # of an interval: how far from its ends verdicts are asked
 
 
 @dataclass(frozen=True)
@@ -88,20 +94,39 @@ class Island(MostDampedWall, StiffestWall):
 
 
 @dataclass(frozen=True)
-class StiffnessesAtDamping(Answer):
-    """The stable stiffnesses at a damping, and the largest one of the linear rule."""
+class OtherStiffnesses(Answer):
+    """Another interval of stable stiffnesses at the same damping; unstable ones lie between."""
 
-    at_damping: Damping
     stiffness_limits: StiffnessLimits
+
+
+@dataclass(frozen=True)
+class OtherDampings(Answer):
+    """Another interval of stable dampings at the same stiffness; unstable ones lie between."""
+
+    damping_limits: DampingLimits
+
+
+@dataclass(frozen=True)
+class StiffnessesAtDamping(Answer):
+    """The stable stiffnesses at a damping, and the largest one of the linear rule.
+
+    Of several intervals the one that holds small gains, or a wall, comes first.
+    """
+
+    at_damping: GivenDamping
+    stiffness_limits: StiffnessLimits
+    other_stiffnesses: dict[str, OtherStiffnesses]
     linear_rule_stiffness: LargestStiffness | None
 
 
 @dataclass(frozen=True)
 class DampingsAtStiffness(Answer):
-    """The stable dampings at a stiffness."""
+    """The stable dampings at a stiffness, as ``StiffnessesAtDamping`` has them."""
 
-    at_stiffness: Stiffness
+    at_stiffness: GivenStiffness
     damping_limits: DampingLimits
+    other_dampings: dict[str, OtherDampings]
 
 
 @dataclass(frozen=True)
@@ -204,8 +229,8 @@ def brief(answer: Limits | LimitsOverDelays, *, islands: bool = False) -> str:
     for gain, fixed in (("stiffness", "damping"), ("damping", "stiffness")):
         key = f"at_given_{fixed}"
         if f"{key}.at_{fixed}" in said:
-            limits = said[f"{key}.{gain}_limits_low"]
-            lines[f"stable {gain}"] = f"{limits} at {said[f'{key}.at_{fixed}']}"
+            place, others = said[f"{key}.at_{fixed}"], _others(f"{key}.other_{gain}", said)
+            lines[f"stable {gain}"] = f"{said[f'{key}.{gain}_limits_low']} at {place}{others}"
     for name, wall in answer.walls.items():
         lines[f"wall {name}"] = _wall_text(wall, f"walls.{name}", said)
     for name, island in answer.islands.items() if isinstance(answer, Limits) else ():
@@ -228,8 +253,15 @@ def _wall_text(wall: WallVerdict | AroundWall, key: str, said: dict[str, str]) -
     if wall.verdict is not None:
         return f"{gains}, {wall.verdict}"
     if isfinite(wall.stiffness_limits[1]):
-        return f"{gains}, {place} the stable range of {limits}"
+        others = _others(f"{key}.other_stiffness", said)
+        return f"{gains}, {place} the stable range of {limits}{others}"
     return f"{gains}, where no stiffness is stable"
+
+
+def _others(key: str, said: dict[str, str]) -> str:
+    """Return the further intervals of a row, each after a comma."""
+    ends = (words for path, words in said.items() if path.startswith(key) and "_low" in path)
+    return "".join(f", also {words}" for words in ends)
 
 
 def scene_limits(scene: Scene) -> Limits | LimitsOverDelays:
@@ -246,17 +278,20 @@ def scene_limits(scene: Scene) -> Limits | LimitsOverDelays:
     region, safety = wall_region(loop), scene.wanted.safety or 1.0
     limits = region.limits()
     damping, stiffness = wanted.at_damping, wanted.at_stiffness
-    rows = _Rows(loop, region.reachable, safety)
+    rows = _Rows(loop, region, safety)
     has_rules, islands = is_plain(loop), () if wanted.safety else limits.islands
     return Limits(
         inputs=basis_of(scene),
         safety=wanted.safety,
         hand=at_lowest(scene, _SEE_BELOW),
-        best=StiffestWall(*rows.scaled_stiffness(limits.stiffness, limits.at_damping)),
-        most_damped=MostDampedWall(*rows.scaled_damping(limits.damping, limits.at_stiffness)),
+        best=StiffestWall(*rows.stiffest(limits.stiffness, limits.at_damping)),
+        most_damped=MostDampedWall(*rows.most_damped(limits.damping, limits.at_stiffness)),
         reached=None if limits.is_reachable or region.is_empty else _UNSTABLE_AT_0,
-        islands={str(k): Island(*own[:4], _ISOLATED) for k, own in enumerate(islands, 1)},
-        passive=_passive(loop, safety) if has_rules else None,
+        islands={
+            str(k): Island(*rows.stiffest(*own[:2]), *rows.most_damped(*own[2:4]), _ISOLATED)
+            for k, own in enumerate(islands, 1)
+        },
+        passive=_passive(rows) if has_rules else None,
         linear_rule=(
             _linear_rule(rows, limits, safety) if has_rules and not region.is_empty else None
         ),
@@ -290,9 +325,15 @@ def _over_delays(scene: Scene) -> LimitsOverDelays:
         between = LoopsBetween(*loops)
         robust, judge = between.robust_limit(), between.verdict
         best, is_proved = Gains(robust.stiffness, robust.damping), robust.is_proved
+
+    def is_proved_wall(stiffness: float, damping: float) -> bool:
+        return bool(judge(stiffness, damping) == Verdict.STABLE)
+
     if is_proved and wanted.safety:
         best = best._replace(stiffness=wanted.safety * best.stiffness)
-        is_proved = bool(judge(*best) == Verdict.STABLE)
+        is_proved = is_proved_wall(*best)
+    if is_proved:
+        best = Gains(*printed_wall(*best, is_proved_wall))
     tried = "not proved" if best.stiffness > 0.0 else "no wall was found"
     return LimitsOverDelays(
         inputs=basis_of(scene),
@@ -315,30 +356,79 @@ class _Rows:
     region: WallRegion
     safety: float
 
-    def scaled_stiffness(self, stiffness: float, damping: float) -> Gains:
-        """Return a largest stiffness times the safety, NaN where that wall is not stable."""
+    def stiffest(self, stiffness: float, damping: float) -> tuple[float, float]:
+        """Return a largest stiffness times the safety as it is printed, NaN if not stable."""
         scaled = self.safety * stiffness
-        is_inside = self.safety == 1.0 or bool(self.region.contains(scaled, damping))
-        return Gains(scaled if is_inside else nan, damping)
+        is_inside = self.safety == 1.0 or self.is_inside(scaled, damping)
+        wall = scaled if is_inside else nan, damping
+        return printed_wall(
+            *wall, self.is_stable, lambda b: self.region.stiffness_intervals(np.array([b]))[0]
+        )
 
-    def scaled_damping(self, damping: float, stiffness: float) -> tuple[float, float]:
-        """Return a largest damping times the safety, and the stiffness of that wall."""
+    def most_damped(self, damping: float, stiffness: float) -> tuple[float, float]:
+        """Return a largest damping times the safety as it is printed, and its stiffness."""
         scaled = self.safety * damping
-        is_inside = self.safety == 1.0 or bool(self.region.contains(stiffness, scaled))
-        return scaled if is_inside else nan, stiffness
+        is_inside = self.safety == 1.0 or self.is_inside(stiffness, scaled)
+        wall = scaled if is_inside else nan, stiffness
+        return printed_wall(
+            *wall,
+            lambda b, k: self.is_stable(k, b),
+            lambda k: self.region.damping_intervals(np.array([k]))[0],
+        )
+
+    def is_inside(self, stiffness: float, damping: float) -> bool:
+        return bool(self.region.reachable.contains(stiffness, damping))
+
+    def verdict(self, stiffness: float, damping: float) -> int:
+        """The verdict on a wall; for one without a spring that on a very soft one."""
+        return int(self.loop.verdict(stiffness or _SOFT * self.region.extent.stiffness, damping))
+
+    def is_stable(self, stiffness: float, damping: float) -> bool:
+        return self.verdict(stiffness, damping) == Verdict.STABLE
 
     def at_damping(self, damping: float, stiffness: float = nan) -> StiffnessesAtDamping:
-        """Return the stable stiffnesses at a damping: around one, if that is stable there."""
-        around = _around(self.region.stiffness_intervals(np.array([damping])), stiffness)
-        low, high = around or self.region.stiffness_limits(damping).tolist()
+        """Return the stable stiffnesses at a damping: first those around one, or small ones."""
+        rows = self.region.stiffness_intervals(np.array([damping]))
+        first, *others = self._intervals(
+            rows, stiffness, lambda stiffness: self.verdict(stiffness, damping)
+        )
         rule = self.linear_rule(damping) if is_plain(self.loop) else None
-        return StiffnessesAtDamping(damping, inwards(low, high, self.safety), rule)
+        named = {str(k): OtherStiffnesses(own) for k, own in enumerate(others, 1)}
+        return StiffnessesAtDamping(damping, first, named, rule)
 
     def at_stiffness(self, stiffness: float, damping: float = nan) -> DampingsAtStiffness:
-        """Return the stable dampings at a stiffness: around one, if that is stable there."""
-        around = _around(self.region.damping_intervals(np.array([stiffness])), damping)
-        low, high = around or self.region.damping_limits(stiffness).tolist()
-        return DampingsAtStiffness(stiffness, inwards(low, high, self.safety))
+        """Return the stable dampings at a stiffness: first those around one, or small ones."""
+        columns = self.region.damping_intervals(np.array([stiffness]))
+        first, *others = self._intervals(
+            columns, damping, lambda damping: self.verdict(stiffness, damping)
+        )
+        named = {str(k): OtherDampings(own) for k, own in enumerate(others, 1)}
+        return DampingsAtStiffness(stiffness, first, named)
+
+    def _intervals(
+        self, rows: Floats, value: float, verdict: Callable[[float], int]
+    ) -> list[tuple[float, float]]:
+        """Return the intervals of the first row, times the safety: that of a value comes first.
+
+        Else that of small gains does, or the farthest. ValueError where a verdict contradicts one,
+        in the middle or beside an end, or the gap between two.
+        """
+        ends = rows[0][np.isfinite(rows[0][:, 0])]
+        inside = [ends.mean(axis=1), *(ends + _BESIDE * (ends[:, ::-1] - ends)).T]
+        gaps = 0.5 * (ends[:-1, 1] + ends[1:, 0])
+        of_walls, of_gaps = (
+            {verdict(gain) for gain in gains.tolist()} for gains in (np.concatenate(inside), gaps)
+        )
+        if Verdict.UNSTABLE in of_walls or Verdict.STABLE in of_gaps:
+            raise ValueError(
+                "the intervals of stable gains were not resolved; change one value a little."
+            )
+        scaled = [inwards(low, high, self.safety) for low, high in ends.tolist()]
+        scaled = [(low, high) for low, high in scaled if low <= high] or [(nan, nan)]
+        holding = [k for k, (low, high) in enumerate(scaled) if low <= value <= high]
+        small = [k for k, (low, high) in enumerate(scaled) if low <= 0.0 < high]
+        (first,) = (holding or small or [len(scaled) - 1])[:1]
+        return [scaled[first], *scaled[:first], *scaled[first + 1 :]]
 
     def around(self, stiffness: float, damping: float) -> AroundWall:
         by_damping = self.at_damping(damping, stiffness)
@@ -354,16 +444,6 @@ class _Rows:
             loop.beta(damping), delta=loop.delta, delay=loop.delay_samples
         )
         return self.safety * loop.stiffness(float(limit))
-
-
-def _around(intervals: Floats, value: float) -> tuple[float, float] | None:
-    """Return the interval of the first row that a value is in, where there are several."""
-    ends = intervals[0]
-    inside = np.flatnonzero((ends[:, 0] <= value) & (value <= ends[:, 1]))
-    if np.isfinite(ends[:, 0]).sum() < 2 or not inside.size:
-        return None
-    low, high = ends[inside[0]].tolist()
-    return low, high
 
 
 def inwards(low: float, high: float, safety: float) -> tuple[float, float]:
@@ -389,17 +469,17 @@ def passive_walls(loop: HapticLoop) -> Floats:
     return np.column_stack([loop.stiffness(corners[:, 0]), loop.damping(corners[:, 1])])
 
 
-def _passive(loop: HapticLoop, safety: float) -> StiffestWall:
-    walls = passive_walls(loop)
+def _passive(rows: _Rows) -> StiffestWall:
+    walls = passive_walls(rows.loop)
     stiffness, damping = walls[np.argmax(walls[:, 0])].tolist() if len(walls) else (0.0, 0.0)
-    return StiffestWall(safety * stiffness, damping)
+    return StiffestWall(*printed_wall(rows.safety * stiffness, damping, rows.is_stable))
 
 
 def _other_windows(loop: HapticLoop, safety: float) -> dict[str, OtherWindow]:
     """The largest stiffness with the windows that haptics software uses."""
     answers = {}
     for samples in _WINDOWS:
-        limits = replace(loop, velocity=Velocity.difference(samples)).limits()
-        stiffest = OtherWindow(safety * limits.stiffness, limits.at_damping)
-        answers[str(samples)] = stiffest
+        other = replace(loop, velocity=Velocity.difference(samples))
+        rows, limits = _Rows(other, other.region(), safety), other.limits()
+        answers[str(samples)] = OtherWindow(*rows.stiffest(limits.stiffness, limits.at_damping))
     return answers

@@ -185,7 +185,7 @@ class Device(Table):
         interval("kg", is_positive=True), None, Usual(1e-3, 50.0, "kg")
     )
     inertia: tuple[float, float] | None = key(
-        interval("kg m^2", is_positive=True), None, Usual(1e-8, 1.0, "kg m^2")
+        interval("kg m^2", is_positive=True), None, Usual(1e-8, 50.0, "kg m^2")
     )
     damping: float = key(quantity("N s/m"), usual=Usual(0.0, 100.0, "N s/m", (0.0, 10.0)))
     encoder: Encoder | None = key(nested(Encoder), None)
@@ -276,7 +276,7 @@ class Hand(Table):
     """
 
     mass: tuple[float, float] = key(interval("kg"), (0.0, 0.0), Usual(0.0, 20.0, "kg"))
-    inertia: tuple[float, float] | None = key(interval("kg m^2"), None, Usual(0.0, 1.0, "kg m^2"))
+    inertia: tuple[float, float] | None = key(interval("kg m^2"), None, Usual(0.0, 5.0, "kg m^2"))
     stiffness: tuple[float, float] = key(interval("N/m"), (0.0, 0.0), _STIFFNESS)
     damping: tuple[float, float] = key(interval("N s/m"), (0.0, 0.0), _DAMPING_OF_HANDS)
     grip: Grip | None = key(nested(Grip), None)
@@ -290,6 +290,11 @@ class Hand(Table):
     def varies(self) -> bool:
         """Whether this is more than one hand."""
         return any(low < high for low, high in (self.effective_mass, self.stiffness, self.damping))
+
+    @property
+    def is_there(self) -> bool:
+        """Whether a hand of the range does anything."""
+        return any(high for _, high in (self.effective_mass, self.stiffness, self.damping))
 
 
 # The velocity estimator and the position filter of a scene, as tables of a file.
@@ -546,6 +551,13 @@ class Scene:
                 f"hand.mass is {list(hand.mass)} beside device.inertia; a device that turns moves "
                 "an inertia of the hand: give hand.inertia in kg m^2."
             )
+        for index, mode in enumerate(self.device.modes if hand.is_there else ()):
+            if mode.effective_mass < 0.0:
+                raise ValueError(
+                    f"device.modes.{index}.modal_{self.units.moved} is {mode.effective_mass:g} "
+                    "beside a hand: such a mode moves motor and encoder against each other, and "
+                    "the hand's place is not known; leave out the hand."
+                )
         if hand.inertia is not None and not turns:
             raise ValueError(
                 f"hand.inertia is {list(hand.inertia)} beside device.mass; give hand.mass in kg, "

@@ -5,7 +5,7 @@ largest sample time and the largest delay that allow a wanted stiffness.
 """
 
 from bisect import bisect_left
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from math import inf, nan, sqrt
@@ -24,14 +24,16 @@ from jaxstab.scene.answers import (
     Basis,
     Bound,
     Damping,
+    GivenDamping,
+    GivenStiffness,
     LargestStiffness,
     LargestTime,
     Mass,
     Number,
-    Stiffness,
     Time,
     basis_of,
-    rounded_gain,
+    printed_wall,
+    rounded_wall,
 )
 from jaxstab.scene.check import Amplitude, SettlingTime, settled
 from jaxstab.scene.hands import at_lowest, worst_on
@@ -76,8 +78,8 @@ class WallOverRanges(Answer):
 
     absent = "not proved"
 
-    stiffness: Stiffness | None
-    damping: Damping | None
+    stiffness: GivenStiffness | None
+    damping: GivenDamping | None
     settling_time_at_worst: SettlingTime | None
     fastest_wall_at_worst: SettlingTime | None
     slowest: SlowestLoop | None
@@ -108,7 +110,11 @@ def tune_over_ranges(scene: Scene, fastest: Gains | None) -> WallOverRanges | No
         if wall.status == TuningStatus.NO_STABLE_GAINS:
             words = "no wall was found that settles in all of these loops"
             return WallOverRanges(None, None, None, None, None, words)
-        rounded = Gains(rounded_gain(wall.stiffness), rounded_gain(wall.damping))
+        rounded = Gains(
+            *rounded_wall(
+                wall.stiffness, wall.damping, lambda *gains: all(_are_stable(loops, gains))
+            )
+        )
         times = settling_times(every, *rounded)
         slowest = int(np.argmax(times))
         if times[slowest] <= wall.settling_time or every[slowest] in loops:
@@ -124,6 +130,11 @@ def tune_over_ranges(scene: Scene, fastest: Gains | None) -> WallOverRanges | No
         "ranges: the settling of others is not proved",
         worst.for_all,
     )
+
+
+def _are_stable(loops: list[HapticLoop], gains: tuple[float, ...]) -> Iterator[bool]:
+    """Yield whether a wall is proved stable in each of some loops."""
+    return (bool(loop.verdict(*gains) == Verdict.STABLE) for loop in loops)
 
 
 def _between(ranges: list[tuple[float, float]]) -> list[Member]:
@@ -149,8 +160,8 @@ class TunedWall(Answer):
     is_part = True
     absent = "not proved"
 
-    stiffness: Stiffness
-    damping: Damping
+    stiffness: GivenStiffness
+    damping: GivenDamping
     spectral_radius: Number
     radius_error: Bound
     settling_time_2_percent: SettlingTime
@@ -243,7 +254,7 @@ def _best(
     if best.status in (TuningStatus.NO_STABLE_GAINS, TuningStatus.NOT_CALM):
         return BestWall(None, None, None, best.status, None, None)
     gains = Gains(best.stiffness, best.damping)
-    rounded = Gains(rounded_gain(best.stiffness), rounded_gain(best.damping))
+    rounded = Gains(*rounded_wall(*gains, lambda *gains: all(_are_stable([loop], gains))))
     over_hands, over_delays = hands_of(scene) is not None, not scene.controller.has_one_delay
     worst = worst_on(scene, [rounded])[0] if over_hands or over_delays else None
     return BestWall(
@@ -312,7 +323,7 @@ class Design(Answer):
     """What a desired stiffness requires of the controller."""
 
     inputs: Basis | None
-    stiffness: Stiffness
+    stiffness: GivenStiffness
     safety: Number | None
     now_allowed_stiffness: LargestStiffness
     sample_time: LargestSampleTime
@@ -348,13 +359,14 @@ def design_loop(scene: Scene) -> Design:
     else:
         periods = [window / n for n in range(1, LONGEST_WINDOW + 1)]
         largest_period = _largest_of(sampled, required, [p for p in periods if p >= shortest])
+    largest_delay = _largest(delayed, required, period, 0.0, _MOST_SAMPLES * period)
     return Design(
         inputs=basis_of(given, at_longest=True),
         stiffness=wanted,
         safety=scene.wanted.safety,
         now_allowed_stiffness=safety * _stiffest(loop).stiffness,
-        sample_time=LargestSampleTime(*largest_period),
-        delay=LargestDelay(*_largest(delayed, required, period, 0.0, _MOST_SAMPLES * period)),
+        sample_time=LargestSampleTime(*_printed(sampled, required, largest_period)),
+        delay=LargestDelay(*_printed(delayed, required, largest_delay)),
         hand=at_lowest(scene),
     )
 
@@ -429,6 +441,22 @@ def _largest(
         aside = _AGREEMENT * max(root, _NO_DELAY * start)
         largest, status = max(low, root - aside), DesignStatus.FOUND
     return largest, _stiffest(loop_at(largest)).damping, status
+
+
+def _printed(
+    loop_at: Callable[[float], HapticLoop],
+    wanted: float,
+    found: tuple[float, float | None, DesignStatus],
+) -> tuple[float, float | None, DesignStatus]:
+    """Return a largest value and its damping as they are printed: the wanted wall is stable."""
+    largest, damping, status = found
+    if damping is None:
+        return found
+
+    def is_stable(value: float, damping: float) -> bool:
+        return all(_are_stable([loop_at(value)], (wanted, damping)))
+
+    return *printed_wall(largest, damping, is_stable), status
 
 
 def _largest_of(

@@ -95,7 +95,9 @@ int main(int count, char **arguments)
     const int want_limits = strcmp(mode, "--limits") == 0;
     const int want_bench = strcmp(mode, "--bench") == 0;
     if (count < 2 || count > 3 || (count == 3 && !want_limits && !want_bench)) {
-        fprintf(stderr, "usage: %s ATLAS [--limits | --bench]\n", arguments[0]);
+        fprintf(stderr, "usage: %s ATLAS [--limits | --bench]\n"
+                "Lines of stdin: alpha beta gamma delta delay, with --limits beta gamma delta "
+                "delay.\n", arguments[0]);
         return 2;
     }
     jaxstab_atlas *atlas = jaxstab_open(arguments[1], &problem);

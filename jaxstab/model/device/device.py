@@ -31,6 +31,7 @@ from jaxstab.model.device.parts import (
     checked_compliance,
     checked_state_space,
     checked_transfer_function,
+    degree_of,
     polynomial,
     turn,
     working_precision,
@@ -187,9 +188,12 @@ class Device:
                                          ^                 |
                                          +--- -Z(s) <------+   hands
 
-    Motor, encoder and hands meet the device at one point, the handle; give a state space of the
-    whole where they do not. A device may be unstable or marginal without a wall (``stability``).
-    The numbers are taken as exact, and everything computed from them has error bounds.
+    Motor, encoder and hands meet the device at one point, the handle: a hand's force acts where the
+    motor's does, and it moves with the position that the encoder shows. Where they do not meet,
+    give a state space of the whole, hand included. A mode of negative modal mass says that they do
+    not, so a hand beside one is refused. A device may be unstable or marginal without a wall
+    (``stability``). The numbers are taken as exact, and everything computed from them has error
+    bounds.
 
     Example:
         >>> arm = jaxstab.Hand.mass_spring_damper(mass=1.0, damping=5.0, stiffness=300.0)
@@ -288,7 +292,8 @@ class Device:
         """A device from a continuous-time system of python-control or ``scipy.signal``.
 
         It is a TransferFunction, StateSpace or (scipy's) ZerosPolesGain in s, of one force in N and
-        one position in m.
+        one position in m. ``held_by`` lets the hand's force act at its input and the hand move with
+        its output; where the hand is elsewhere, give the system with the hand in it.
 
         Raises: TypeError if it is of another kind; ValueError if it is sampled (in z), not strictly
         proper, or has more inputs or outputs.
@@ -305,11 +310,14 @@ class Device:
 
         The forces of several hands add up.
 
-        Raises: TypeError if it is not a Hand; ValueError if hand and device cancel out, or are of
-        an order above 40.
+        Raises: TypeError if it is not a Hand; ValueError if hand and device cancel out, are of an
+        order above 40, or a mode has a negative mass: motor and encoder are then apart, and it is
+        not known where the hand acts.
         """
         if not isinstance(hand, Hand):
             raise TypeError(f"hand is {hand!r}; give a jaxstab.Hand.")
+        if degree_of(hand.dynamic_stiffness().numerator) >= 0:  # it does anything
+            self.require_one_handle()
         return replace(self, hands=(*self.hands, hand))._checked()
 
     def with_actuator(self, bandwidth: float) -> "Device":
@@ -374,6 +382,20 @@ class Device:
             sum(body.damping for body in bodies),
             sum(body.stiffness for body in bodies),
         )
+
+    def require_one_handle(self) -> None:
+        """Refuse a device whose modes move motor and encoder against each other, where it is held.
+
+        Raises: ValueError if a mode has a negative mass.
+        """
+        body = self.mechanism
+        for mode in body.modes if isinstance(body, Modes) else ():
+            if mode.modal_mass < 0.0:
+                raise ValueError(
+                    f"modal_mass is {mode.modal_mass:g} beside a hand: such a mode moves motor and "
+                    "encoder against each other, and the hand's place is not known; leave out the "
+                    "hand, or give a state space of the device with the hand in it."
+                )
 
     def _checked(self) -> "Device":
         self.compliance()

@@ -360,8 +360,9 @@ def bounded(ball: "arb") -> Bounded:
     high = float(ball.mid())
     low = float((ball - high).mid()) if isfinite(high) else 0.0
     total = high + low
-    error = float((ball - high - low).abs_upper())
-    return Bounded(DoubleDouble(total, low - (total - high)), nextafter(error * RAISED_FEW, inf))
+    rest = ball - high - low
+    error = 0.0 if rest == 0 else nextafter(float(rest.abs_upper()) * RAISED_FEW, inf)
+    return Bounded(DoubleDouble(total, low - (total - high)), error)
 
 
 def _falling(polynomial: "arb_poly") -> list["arb"]:
