@@ -1,7 +1,8 @@
 """Limits of many loops by ``limits_of``, beside the same loops one by one.
 
 Loops with a window of 20 samples and a delay of 3, of degree 25, give the speed; random loops with
-any estimator, filter, delay of 0 to 30 samples and modes are judged: ``error`` is the share of
+any estimator, filter, delay of 0 to 30 samples and modes are judged, and loops drawn to be hard, of
+light devices in stiff or strongly damped hands: ``error`` is the share of
 loops whose largest stiffness or damping is not that of ``HapticLoop.limits`` to 1e-9. ``open`` is
 the share that the batch leaves to be answered one by one. Seconds are those of CPU, without
 compiling; those of a loop by itself are of a part of the loops, stated as ``points``. ``peak_mib``
@@ -39,6 +40,7 @@ def rows(small: bool, points: int | None = None) -> Iterator[Row]:
     yield from _field_rows(rng, 128 if small else _FIELDS)
     if not small:
         yield from _rows("random loops", [random_loop(rng) for _ in range(count)])
+        yield from _rows("hard loops", [hard_loop(rng) for _ in range(count)])
 
 
 def _rows(section: str, loops: list[HapticLoop]) -> Iterator[Row]:
@@ -135,6 +137,21 @@ def random_loop(rng: np.random.Generator) -> HapticLoop:
         hand_damping=float(rng.choice([0.0, 10 ** rng.uniform(-1, 1.5)])),
         hand_stiffness=float(rng.choice([0.0, 10 ** rng.uniform(0, 3.5)])),
         **shared,
+    )
+
+
+def hard_loop(rng: np.random.Generator) -> HapticLoop:
+    """Return a loop whose stable set has many pieces, islands or thin parts more often."""
+    delay = float(rng.choice([float(rng.integers(0, 13)), rng.uniform(0, 12)]))
+    return HapticLoop(
+        device_mass=float(10 ** rng.uniform(-2.0, -0.5)),
+        device_damping=float(10 ** rng.uniform(-4, 0)),
+        hand_damping=float(rng.choice([0.0, 10 ** rng.uniform(0.5, 2)])),
+        hand_stiffness=float(rng.choice([0.0, 10 ** rng.uniform(2, 4.5)])),
+        sample_time=_PERIOD,
+        delay=delay * _PERIOD,
+        velocity=_estimator(rng),
+        position=_position(rng),
     )
 
 

@@ -90,6 +90,18 @@ def test_limits_are_those_of_each_loop(
     assert not any(is_wrong(limits, index, loop.limits()) for index, loop in enumerate(many))
 
 
+def test_a_limit_on_the_axis_is_there_to_the_last_digit(
+    batch: tuple[list[HapticLoop], jaxstab.results.ManyLimits],
+) -> None:
+    """For a free mass p(1) is K times a positive factor: every wall with K < 0 is unstable."""
+    many, limits = batch
+    is_free = np.array([loop.hand_stiffness == 0.0 for loop in many])
+    is_at_one = [abs(loop.limits().at_stiffness) < 1e-6 for loop in many]
+    assert np.sum(is_free & is_at_one & ~limits.is_single) > 20
+    assert np.all(limits.at_stiffness[is_at_one] == 0.0)
+    assert not np.signbit(limits.at_stiffness).any()
+
+
 def test_outlines_are_closed_and_on_the_boundary_of_each_loop(
     regions: tuple[list[HapticLoop], jaxstab.results.ManyRegions],
 ) -> None:

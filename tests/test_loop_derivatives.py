@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from campaign import many
 from mpmath import mp, mpc, mpf
 
 from benchmarks.truth.loop import evaluate, sampled_plant
@@ -26,7 +27,14 @@ HELD = HapticLoop(
 )  # fmt: skip
 SMOOTH = replace(HELD, velocity=Velocity.low_pass(40.0), position=Filter.low_pass(150.0))
 WINDOW = replace(PLAIN, velocity=Velocity.difference(samples=20), delay=1.3e-3)
-LOOPS = {"plain": PLAIN, "held": HELD, "low passes": SMOOTH, "window": WINDOW}
+COEFFICIENTS = replace(PLAIN, velocity=Velocity.transfer_function([400.0, -400.0], [1.0, -0.6]))
+LOOPS = {
+    "plain": PLAIN,
+    "held": HELD,
+    "low passes": SMOOTH,
+    "window": WINDOW,
+    "coefficients": COEFFICIENTS,
+}
 WALL = (1500.0, 12.0)
 STEP = mpf(10) ** -18  # of a number
 _FIELDS = (
@@ -79,6 +87,8 @@ def parts(loop: HapticLoop, numbers: Numbers) -> tuple[list[mpf], list[mpf], lis
         dv, nv, dp, np_ = [one, -q], [1 - q, 0 * one], [one, -r], [1 - r, 0 * one]
     if loop.velocity == WINDOW.velocity:
         samples = 20
+    if loop.velocity == COEFFICIENTS.velocity:
+        dv, nv = [one, -mpf(0.6)], [400 * T, 0 * one]
     difference = [one / samples, *[0 * one] * (samples - 1), -one / samples]
     shift = [one, *[0 * one] * samples]  # z^n
     numerator = [plant.n2, plant.n1, plant.n0]
@@ -402,6 +412,122 @@ def test_limits_move_in_a_batch_as_they_do_alone() -> None:
             here, alone = getattr(together, key)[index], np.asarray(getattr(own, key))
             size = np.max(np.abs(alone))
             np.testing.assert_allclose(here, alone, rtol=1e-6, atol=1e-9 * size, err_msg=key)
+
+
+# Random loops of every kind that JAX takes, one for each program that it compiles.
+
+KINDS: dict[str, Callable[[np.random.Generator], Numbers]] = {
+    "a window of 20": lambda _: {"velocity": Velocity.difference(samples=20)},
+    "an average of 5": lambda _: {"position": Filter.average(samples=5)},
+    "coefficients": lambda _: {
+        "velocity": Velocity.transfer_function([420.0, -400.0, -20.0], [1.0, -0.7, 0.12])
+    },
+    "one sample": lambda _: {},
+    "a window of 2": lambda _: {"velocity": Velocity.difference(samples=2)},
+    "an average of 4": lambda _: {"position": Filter.average(samples=4)},
+    "a window and an average": lambda _: {
+        "velocity": Velocity.difference(samples=9),
+        "position": Filter.average(samples=2),
+    },
+    "a low pass": lambda rng: {"velocity": Velocity.low_pass(cutoff(rng))},
+    "a low pass of order 2": lambda rng: {
+        "velocity": Velocity.low_pass(cutoff(rng), order=2),
+        "position": Filter.average(samples=3),
+    },
+    "two low passes": lambda rng: {
+        "velocity": Velocity.low_pass(cutoff(rng)),
+        "position": Filter.low_pass(2.0 * cutoff(rng)),
+    },
+    "Butterworth's": lambda rng: {"velocity": Velocity.butterworth(cutoff(rng), order=3)},
+    "smoothing": lambda rng: {"velocity": Velocity.exponential(float(rng.uniform(0.05, 1.0)))},
+}
+KNOWN = {  # a loop, which of its limits, and its derivative by the mass
+    "a window of 20": (0.05, {"device_damping": 5.0, "sample_time": 1e-3}, 2, 813.949),
+    "an average of 5": (
+        0.025, {"device_damping": 0.16, "sample_time": 1e-3, "hand_stiffness": 1300.0}, 0, 1768230.0
+    ),
+    "an average of 4": (
+        0.025292899536456383,
+        {"device_damping": 0.16366336004010465, "sample_time": 2.0**-10,
+         "hand_stiffness": 1307.039142883671},
+        0, 2795811.0,
+    ),
+}  # fmt: skip
+OF_A_KIND = many(84, 6)
+
+
+def cutoff(rng: np.random.Generator) -> float:
+    return float(10 ** rng.uniform(1.2, 2.5))
+
+
+def random_loop(rng: np.random.Generator, kind: str) -> HapticLoop:
+    period = float(rng.choice([1e-3, 2.0**-10, 5e-4]))
+    delay = rng.choice([float(rng.integers(4)), rng.uniform(0.0, 4.0), rng.uniform(0.0, 12.0)])
+    return HapticLoop(
+        device_mass=float(10 ** rng.uniform(-1.7, 0.5)),
+        device_damping=float(10 ** rng.uniform(-3.0, 1.0)),
+        hand_damping=float(rng.choice([0.0, 10 ** rng.uniform(-1.0, 1.5)])),
+        hand_stiffness=float(rng.choice([0.0, 10 ** rng.uniform(0.0, 3.5)])),
+        sample_time=period,
+        delay=float(delay) * period,
+        **KINDS[kind](rng),
+    )
+
+
+def slopes_by_differences(loop: HapticLoop, direction: Any) -> Any:
+    """Slopes of the four limits along a direction; NaN where differences of no step agree."""
+    numbers, structure = jax.tree.flatten(loop)
+
+    def limits(step: float) -> Any:
+        moved = [float(x + step * by) for x, by in zip(numbers, direction, strict=True)]
+        return np.array(jax.tree.unflatten(structure, moved).limits()[:4])
+
+    here, slopes = limits(0.0), np.full(4, np.nan)
+    for step in (1e-5, 1e-6, 1e-7):
+        ahead, behind = limits(step), limits(-step)
+        slope = (ahead - behind) / (2.0 * step)
+        nearer = (limits(0.25 * step) - limits(-0.25 * step)) / (0.5 * step)
+        size = abs(slope) + 1e-3 * abs(here)
+        is_smooth = abs(ahead - 2.0 * here + behind) <= 1e-2 * step * size
+        is_trusted = is_smooth & (abs(slope - nearer) <= 3e-5 * size)
+        slopes = np.where(np.isnan(slopes) & is_trusted, nearer, slopes)
+        if not np.isnan(slopes).any():
+            break
+    return slopes
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [*list(KINDS)[:3], *(pytest.param(x, marks=pytest.mark.campaign) for x in list(KINDS)[3:])],
+)
+def test_limits_of_random_loops_move_as_differences_do(kind: str, rng: np.random.Generator) -> None:
+    """Corners and turns of the boundary, crossings of an axis: each has other derivatives."""
+    loops = [random_loop(rng, kind) for _ in range(OF_A_KIND)]
+    if kind in KNOWN:
+        mass, fields, which, slope = KNOWN[kind]
+        loops[0] = HapticLoop(device_mass=mass, **fields, **KINDS[kind](rng))
+    every = [jax.tree.flatten(loop) for loop in loops]
+    steps = [np.array(numbers) * rng.choice([-1.0, 1.0], len(numbers)) for numbers, _ in every]
+
+    def slopes(directions: Any) -> Any:
+        rows = zip(every, directions, strict=True)
+        ways = [jax.tree.unflatten(structure, own.tolist()) for (_, structure), own in rows]
+        return jax.jvp(lambda many: jnp.stack(limits_of(many)[:4]), (loops,), (ways,))[1].T
+
+    found, untrusted = np.asarray(slopes(steps)), 0
+    for loop, direction, own in zip(loops, steps, found, strict=True):
+        truth, limits = slopes_by_differences(loop, direction), np.array(loop.limits()[:4])
+        size = abs(truth) + 1e-3 * abs(limits) + 1e-9 * limits[[0, 2, 2, 0]]
+        assert np.all((abs(own - truth) <= 1e-4 * size) | np.isnan(truth)), loop
+        untrusted += int(np.sum(np.isnan(truth)))
+    assert untrusted <= 0.02 * found.size
+    if kind in KNOWN:
+        heavier = [replace(loop, device_mass=loop.device_mass + 1.0) for loop in loops]
+        ways = [
+            np.subtract(jax.tree.leaves(more), numbers)
+            for more, (numbers, _) in zip(heavier, every, strict=True)
+        ]
+        assert float(slopes(ways)[0, which]) == pytest.approx(slope, rel=1e-6)
 
 
 MANY_MASSES = np.geomspace(0.05, 5.0, 512)

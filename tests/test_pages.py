@@ -12,11 +12,11 @@ from pathlib import Path
 
 import pytest
 from commands import run, run_code
-from transforms import rows
+from transforms import ESTIMATORS, check_values, rows, with_estimator
 
 import jaxstab
 from benchmarks import record, table
-from benchmarks.calls import PUBLIC
+from benchmarks.calls import COMPUTING_CALLS, PUBLIC
 from jaxstab.scene import Scene
 
 ROOT = Path(__file__).parents[1]
@@ -101,6 +101,22 @@ def test_the_table_of_transformations_is_what_jax_does() -> None:
         for cells in [[cell.strip() for cell in line.strip("|").split("|")]]
     }
     assert shown == rows()
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(
+            name, marks=[] if name == "HapticLoop.spectral_radius" else pytest.mark.campaign
+        )
+        for name in COMPUTING_CALLS
+    ],
+)
+def test_what_jax_makes_of_a_function_has_the_right_values(name: str) -> None:
+    """The "yes" of the table: against plain answers, and differences of these."""
+    check_values(name)
+    if COMPUTING_CALLS[name][0] == "loop":
+        check_values(name, with_estimator(ESTIMATORS[-1]))
 
 
 def anchors(page: Path) -> set[str]:

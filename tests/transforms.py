@@ -7,6 +7,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 import jaxstab
 from benchmarks.calls import COMPUTING_CALLS, OBJECTS
@@ -17,17 +18,25 @@ REFUSALS = (TypeError, ValueError, NotImplementedError, jax.errors.JAXTypeError)
 
 
 FILTERED = "with an estimator"
+ESTIMATORS = (
+    jaxstab.Velocity.difference(window=0.003),
+    jaxstab.Velocity.transfer_function([420.0, -400.0, -20.0], [1.0, -0.7, 0.12]),
+)
+BESIDE = 1e-3  # of the second point that vmap is given
+STEP = 1e-6  # of differences, in both relative to the numbers
 
 
 def rows() -> dict[str, tuple[str, str, str, str]]:
     """A row for each public function, and one for each method that an estimator changes."""
     plain = {name: row(name) for name in COMPUTING_CALLS}
-    estimator = jaxstab.Velocity.difference(window=0.003)
-    filtered = OBJECTS | {"loop": lambda: replace(OBJECTS["loop"](), velocity=estimator)}
     of_loops = [name for name, given in COMPUTING_CALLS.items() if given[0] == "loop"]
-    others = {name: row(name, filtered) for name in of_loops}
-    changed = {f"{name}` {FILTERED}": one for name, one in others.items() if one != plain[name]}
-    return plain | changed
+    others = [(name, row(name, with_estimator(x))) for x in ESTIMATORS for name in of_loops]
+    return plain | {f"{name}` {FILTERED}": one for name, one in others if one != plain[name]}
+
+
+def with_estimator(estimator: jaxstab.Velocity) -> dict[str, Callable[[], Any]]:
+    """The objects of calls, the loop with an estimator."""
+    return OBJECTS | {"loop": lambda: replace(OBJECTS["loop"](), velocity=estimator)}
 
 
 def row(name: str, objects: dict[str, Callable[[], Any]] = OBJECTS) -> tuple[str, str, str, str]:
@@ -39,6 +48,52 @@ def row(name: str, objects: dict[str, Callable[[], Any]] = OBJECTS) -> tuple[str
         WORD[_goes(lambda: jax.make_jaxpr(jax.vmap(function))(_stacked(value)))],
         WORD[_goes(lambda: jax.make_jaxpr(jax.grad(_summed(function), allow_int=True))(value))],
     )
+
+
+def check_values(name: str, objects: dict[str, Callable[[], Any]] = OBJECTS) -> None:
+    """Compare a function under jit and vmap with its plain answers, and grad with differences."""
+    _, *words = row(name, objects)
+    _, function, value = _of_one_argument(name, objects)
+    if words[:2] == ["yes", "yes"]:
+        points = [_moved(value, step) for step in (0.0, BESIDE)]
+        together = jax.tree.map(lambda *leaf: jnp.stack(list(map(jnp.asarray, leaf))), *points)
+        traced = jax.vmap(lambda point: _answers(name, function(point), jnp.asarray))
+        found = map(np.asarray, jax.jit(traced)(together))
+        for many, *each in zip(found, *(_answers(name, function(x)) for x in points), strict=True):
+            for own, plain in zip(many, each, strict=True):
+                more = np.zeros(own.size - plain.size, plain.dtype)
+                known = np.append(plain, more).reshape(own.shape)  # roots at 0, of a traced delay
+                np.testing.assert_allclose(own, known, rtol=1e-9, atol=1e-10, err_msg=name)
+    if words[2] == "yes":
+        point = jax.tree.map(jnp.asarray, value)
+        way = jax.tree.map(jnp.subtract, _moved(value, 1.0), point)
+
+        def slopes(point: Any) -> list[Any]:
+            return _real(_answers(name, function(point), jnp.asarray))
+
+        ends = [_real(_answers(name, function(_moved(value, by)))) for by in (STEP, -STEP)]
+        found = jax.jvp(slopes, (point,), (way,))[1]
+        for own, ahead, behind in zip(found, *ends, strict=True):
+            truth = (ahead - behind) / (2.0 * STEP)
+            size = 1e-5 * np.nanmax(abs(truth), initial=0.0) + 1e-6 * np.nanmax(abs(ahead))
+            np.testing.assert_allclose(own, truth, rtol=1e-4, atol=size + 1e-10, err_msg=name)
+
+
+def _moved(value: Any, step: float) -> Any:
+    """Numbers, or those of a loop, each by another sign times a step relative to it."""
+    numbers, structure = jax.tree.flatten(value)
+    moved = [np.asarray(x) * (1.0 + step * (-1) ** k) for k, x in enumerate(numbers)]
+    return jax.tree.unflatten(structure, [x if x.ndim else float(x) for x in moved])
+
+
+def _answers(name: str, answer: Any, array: Callable[[Any], Any] = np.asarray) -> list[Any]:
+    """The numbers of an answer: of regions not the vertices, which move across the boundary."""
+    kept = list(leaves(answer))[name == "regions_of" :]
+    return list(map(array, kept))
+
+
+def _real(numbers: list[Any]) -> list[Any]:
+    return [x for x in numbers if x.dtype.kind == "f"]
 
 
 def _of_one_argument(

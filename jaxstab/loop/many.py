@@ -28,15 +28,8 @@ from jaxstab.model.filters import NO_FILTERS, Filters, Transfer, given_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.model.loop import array_fields, as_one
 from jaxstab.region import RegionStatus
-from jaxstab.region.curve import (
-    Angles,
-    about_one,
-    filter_share,
-    resonances_of,
-    true_angles,
-)
-from jaxstab.region.pieces import NO_BRANCH, Branch
-from jaxstab.region.points import root_angles
+from jaxstab.region.curve import Angles, about_one, filter_share, resonances_of
+from jaxstab.region.outline import vertex_roots
 
 if TYPE_CHECKING:
     from jaxstab.loop.loop import HapticLoop
@@ -245,15 +238,8 @@ def outline_of(region: "WallRegion") -> Outlines:
     if region.main is None:
         return empty_outlines()
     main = region.main.region
-    branch, angles, curve = main.branch, np.abs(main.outline.angles), main.curve
-    size = root_angles(curve.lines, angles).ravel()
-    true, _ = true_angles(curve.stretches, size, np.zeros_like(size))
-    angles = true.rounded().reshape(angles.shape)
-    on_line = np.where(branch == NO_BRANCH, np.nan, np.pi * (branch == Branch.Z_MINUS_ONE))
-    angles = np.where(branch == Branch.CURVE, angles[: len(branch)].T, on_line)
-    before, after = np.arange(-1, len(branch)), np.append(np.arange(len(branch)), 0)
-    roots = np.stack([angles[1, before], angles[0, after]], axis=1)
-    is_corner = (branch[before] != branch[after]) | (roots[:, 0] != roots[:, 1])
+    roots, is_corner = vertex_roots(main.curve, main.outline)
+    roots = roots if main.loops == 1 else np.full_like(roots, np.nan)  # moves no region with holes
     corners, others = np.flatnonzero(is_corner), np.flatnonzero(~is_corner)
     spread = np.linspace(0, len(others) - 1, _VERTICES - len(corners)).round().astype(int)
     chosen = np.sort(np.append(corners, others[spread]))

@@ -47,6 +47,7 @@ from jaxstab.proofs.filters import Responses
 from jaxstab.proofs.plant import circle_equations, quick_slice
 from jaxstab.region import RegionStatus, measures
 from jaxstab.region.batch import Triples, components, cross
+from jaxstab.region.outline import vertex_roots
 
 Answer = TypeVar("Answer")
 _Numbers = tuple[Any, Responses]  # of the plant: gamma, delta and the delay
@@ -226,18 +227,17 @@ def _extremes(region: WallRegion) -> Float64[np.ndarray, "2 field"]:
     """The two extreme walls of the reachable part, or of all, and the status of the region."""
     main = region.main
     of = region if main is None else main
-    loop, rows = region.loop, []
-    for point in measures.quadrant_extremes(of.region.curve, of.region.outline):
+    loop, curve, outline, rows = region.loop, of.region.curve, of.region.outline, []
+    for point, vertex in measures.quadrant_extremes(curve, outline):
         angles = np.full(2, np.nan)
-        if np.all(np.isfinite(point)):
-            alpha, beta = point.tolist()
-            poles = closed_loop_poles(alpha, beta, **loop.slice, **loop.filters)
-            poles = poles[poles.imag >= 0.0]
-            with np.errstate(divide="ignore"):
-                order = np.argsort(np.abs(np.log(np.abs(poles))))
-            is_corner = np.any(np.all(of.region.corners == point, axis=1))
-            nearest = np.abs(np.angle(poles[order[: 1 + is_corner]]))
-            angles[: len(nearest)] = nearest
+        if np.any(np.isnan(point)):
+            pass
+        elif vertex is None:
+            poles = closed_loop_poles(*point.tolist(), **loop.slice, **loop.filters)
+            angles[0] = abs(np.angle(poles[np.argmin(abs(abs(poles) - 1.0))]))
+        else:
+            roots, is_corner = vertex_roots(curve, outline)
+            angles = np.where([True, is_corner[vertex]], roots[vertex], np.nan)
         rows.append([*point, *angles, region.status, main is not None, True])
     return np.array(rows, float)
 

@@ -184,7 +184,7 @@ class WallRegion(ShownRegion):
     def _quadrant(self) -> tuple[Gains, Gains]:
         region = self.region
         stiffest, damped = measures.quadrant_extremes(region.curve, region.outline)
-        return self._gains(stiffest), self._gains(damped)
+        return self._gains(stiffest.point), self._gains(damped.point)
 
     @property
     def area(self) -> float:

@@ -357,9 +357,9 @@ class Differentiator(Rational):
 
     def stages(self) -> list[Transfer]:
         steps = accumulate(map(DoubleDouble.from_value, self.numerator[:-1]), DoubleDouble.__add__)
-        numerator = tuple(step * _float(self.period) for step in steps)
-        transfer = _monic(numerator, self.denominator)
-        return [transfer._replace(lag=transfer.lag - 1)]
+        transfer = _monic(tuple(steps), self.denominator)
+        scaled = transfer.scaled(DoubleDouble.from_value(_float(self.period)))
+        return [scaled._replace(lag=transfer.lag - 1)]
 
     @property
     def toml(self) -> dict[str, Any]:

@@ -386,6 +386,9 @@ def _corners_of(loop: Triples, ends: _Ends, sense: Array, size: Array) -> _Corne
     is_solved = pinned | (is_solved & moved)
     theta = jnp.where(pinned, theta, solution[..., 0])
     walls, slopes = _with_slopes(loop, theta)
+    base, stiffness, damping = loop.ends[0]
+    at_one = 0.0 - (base + damping * walls[1]) / stiffness  # 0 without a hand's stiffness
+    walls = walls.at[0].set(jnp.where(branch == Branch.Z_PLUS_ONE, at_one, walls[0]))
     closes = (branch[1] != Branch.CURVE) | is_mutual
     return _Corners(
         exists=ends.exists,

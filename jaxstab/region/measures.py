@@ -16,7 +16,7 @@ boundary, distances along the way to it.
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
@@ -69,7 +69,14 @@ def limits(
     return _moved(both, (slopes, values[..., None]))
 
 
-def quadrant_extremes(c: Curve, outline: Outline) -> tuple[Array, Array]:
+class Extreme(NamedTuple):
+    """A point with the largest gain, and which vertex it is; None where it is not one."""
+
+    point: Array
+    vertex: int | None
+
+
+def quadrant_extremes(c: Curve, outline: Outline) -> tuple[Extreme, Extreme]:
     """Return the points of the largest alpha and of the largest beta where the other is >= 0.
 
     Each is a vertex, or the last crossing with the axis of that gain; NaN if no gain is positive.
@@ -77,18 +84,19 @@ def quadrant_extremes(c: Curve, outline: Outline) -> tuple[Array, Array]:
     return _extreme(c, outline, 0), _extreme(c, outline, 1)
 
 
-def _extreme(c: Curve, outline: Outline, axis: int) -> Array:
+def _extreme(c: Curve, outline: Outline, axis: int) -> Extreme:
     vertices = outline.vertices
     other = np.nan_to_num(vertices[:, 1 - axis], nan=-np.inf)
     is_allowed = other >= -_STILL * np.max(other)  # a corner on the axis may be beside it
     values = np.where(is_allowed, vertices[:, axis], -np.inf)
-    largest, point = np.max(values), vertices[np.argmax(values)]
+    vertex: int | None = int(np.argmax(values))
+    largest, point = np.max(values), vertices[vertex]
     crossing = limits(c, outline, np.zeros(1), axis=1 - axis)[0, 1]
     if crossing - largest > _STILL * abs(crossing):
-        largest, point = crossing, np.array([crossing, 0.0][:: 1 - 2 * axis])
+        vertex, largest, point = None, crossing, np.array([crossing, 0.0][:: 1 - 2 * axis])
     sizes = _STILL * np.max(abs(np.nan_to_num(vertices)), axis=0)
     is_there = largest > sizes[axis] and np.max(other) > sizes[1 - axis]  # beyond rounding
-    return np.where(is_there, point, np.nan) + 0.0  # no -0
+    return Extreme(np.where(is_there, point, np.nan) + 0.0, vertex)  # no -0
 
 
 def interval_ends(

@@ -17,9 +17,9 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from jaxstab.arrays import Array, joined, take, tree_map
-from jaxstab.region.curve import Curve
+from jaxstab.region.curve import Curve, true_angles
 from jaxstab.region.pieces import NO_BRANCH, Branch, Pieces
-from jaxstab.region.points import curve_gains
+from jaxstab.region.points import curve_gains, root_angles
 from jaxstab.region.roots import bracketed_root, with_slope
 
 _FEWEST_NODES, _MOST_NODES = 33, 129  # per piece, to see where it bends and turns
@@ -255,6 +255,42 @@ def _corners(c: Curve, pieces: Pieces, points: Array) -> Array:
     crossing = np.broadcast_to(np.stack(c.lines_crossing), (count, 2))
     corners = np.stack([points[:count], points[count : 2 * count], crossing], axis=1)[exists]
     return np.concatenate([corners, np.full((3 * count - len(corners), 2), np.nan)])
+
+
+# The loops of an outline, and which roots are on the circle at its vertices.
+
+
+def loop_ends(outline: Outline) -> list[tuple[int, int]]:
+    """Return the first and the last vertex of each loop, which are the same point."""
+    last = int(outline.size) - 1
+    breaks = np.flatnonzero(outline.branches[:last] == NO_BRANCH).tolist()
+    return list(zip([0, *(end + 1 for end in breaks)], [*breaks, last], strict=True))
+
+
+def vertex_roots(
+    c: Curve, outline: Outline
+) -> tuple[Float64[np.ndarray, "vertex 2"], Bool[np.ndarray, " vertex"]]:
+    """Return the angles of the root on the circle before and after each vertex; which are corners.
+
+    Corners are told by their edges: where the curve meets itself, the end of one piece and the
+    begin of the next are two vertices, whose coordinates may round differently.
+    """
+    branches, (begins, ends) = outline.branches, outline.angles.T
+    has_length = (branches != NO_BRANCH) & ((branches != Branch.CURVE) | (begins != ends))
+    before, after = [], []
+    for first, last in loop_ends(outline):
+        edges = first + np.flatnonzero(has_length[first:last])
+        following = np.searchsorted(edges, np.arange(first, last + 1))
+        before.append(edges[following - 1])
+        after.append(edges[following % len(edges)])
+    sides = np.stack([np.concatenate(before), np.concatenate(after)], axis=1)
+    angles = np.stack([ends[sides[:, 0]], begins[sides[:, 1]]], axis=1)
+    is_corner = (angles[:, 0] != angles[:, 1]) | (branches[sides[:, 0]] != branches[sides[:, 1]])
+    size = root_angles(c.lines, angles).ravel()
+    true, _ = true_angles(c.stretches, size, np.zeros_like(size))
+    on_line = np.pi * (branches[sides] == Branch.Z_MINUS_ONE)
+    roots = np.where(branches[sides] == Branch.CURVE, true.rounded().reshape(angles.shape), on_line)
+    return roots, is_corner
 
 
 # Which points lie inside an outline's polygon; the same answer as the curve, except next to it.

@@ -48,7 +48,14 @@ from jaxstab.region.exact import (
     polished_modes,
     wall_errors,
 )
-from jaxstab.region.outline import Outline, are_inside, edges_of, extra_vertices, polygon
+from jaxstab.region.outline import (
+    Outline,
+    are_inside,
+    edges_of,
+    extra_vertices,
+    polygon,
+    vertex_roots,
+)
 from jaxstab.region.pieces import (
     NO_BRANCH,
     Branch,
@@ -146,7 +153,7 @@ def _near_corners(c: Curve, outline: Outline) -> Edges:
     """Return short edges of the boundary, at some distances from the corners."""
     size = int(outline.size)
     vertices = outline.vertices[:size]
-    is_corner = np.any(np.all(outline.corners[:, None] == vertices, axis=-1), axis=0)
+    _, is_corner = vertex_roots(c, outline)
     is_edge = (outline.branches[: size - 1] != NO_BRANCH) & np.any(np.diff(vertices, axis=0), 1)
     begins, ends = (np.flatnonzero(is_edge & is_end) for is_end in (is_corner[:-1], is_corner[1:]))
     edges = np.repeat(np.append(begins, ends), len(_FROM_CORNER))

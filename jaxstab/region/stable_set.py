@@ -14,7 +14,7 @@ from jaxstab.model import checked_gain, require_x64
 from jaxstab.numbers import without_noise
 from jaxstab.region import measures
 from jaxstab.region.curve import Curve
-from jaxstab.region.outline import Outline
+from jaxstab.region.outline import Outline, loop_ends
 from jaxstab.region.pieces import NO_BRANCH
 from jaxstab.shown import number_text, stable_pair
 
@@ -215,10 +215,7 @@ def holds_small_gains(c: Curve, outline: Outline) -> bool:
 
 
 def _loops(outline: Outline) -> list[Outline]:
-    size = int(outline.size)
-    breaks = np.flatnonzero(outline.branches[: size - 1] == NO_BRANCH).tolist()
-    ends = zip([0, *(end + 1 for end in breaks)], [*breaks, size - 1], strict=True)
-    return [_loop(outline, start, end) for start, end in ends]
+    return [_loop(outline, start, end) for start, end in loop_ends(outline)]
 
 
 def _loop(outline: Outline, start: int, end: int) -> Outline:
