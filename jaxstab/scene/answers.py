@@ -114,8 +114,10 @@ def rounded_wall(stiffness: float, damping: float, is_stable: Any) -> tuple[floa
     nearest = [float(rounded_text(gain, Quantity.digits)) for gain in (stiffness, damping)]
     if is_stable(*nearest):
         return nearest[0], nearest[1]
-    pair = stable_pair(stiffness, damping, (Quantity.digits, Quantity.digits), is_stable)
-    return (float(pair[0].text), float(pair[1].text)) if isinstance(pair[0], Printed) else pair
+    k, b = stable_pair(stiffness, damping, (Quantity.digits, Quantity.digits), is_stable)
+    if isinstance(k, Printed) and isinstance(b, Printed):
+        return float(k.text), float(b.text)
+    return k, b
 
 
 Stiffness = Annotated[float, Quantity("N/m")]
