@@ -113,6 +113,26 @@ def test_a_damper_has_no_measures_of_a_position_that_nothing_holds() -> None:
     assert wall.settling is not None
 
 
+@pytest.mark.parametrize(
+    "ranges",
+    [
+        ["--hand-mass", "0:0.2"],
+        ["--delay", "0.0005:0.0015"],
+        ["--delay", "0.0005:0.0015", "--constant-delay"],
+    ],
+)
+@pytest.mark.parametrize(("damping", "verdict"), [("4", "undecided"), ("200", "unstable")])
+def test_over_ranges_a_damper_that_only_drifts_is_not_called_unstable(
+    ranges: list[str], damping: str, verdict: str
+) -> None:
+    answer = run("check", *FREE, *ranges, "--wall", "damper", "0", damping)
+    words = " ".join(answer.stdout.split())
+    assert f"verdict {verdict}" in words
+    assert ("nothing holds the position" in words) == (verdict == "undecided")
+    assert ("measures left out" in words) or verdict == "unstable"
+    assert answer.exit_code == 1
+
+
 def test_a_picture_has_the_mark_of_a_damper(tmp_path: Any) -> None:
     walls = ["--wall", "damper", "0", "4", "--wall", "soft", "100", "4"]
     assert run("check", *FREE, *walls, "--plot", tmp_path / "a.png").exit_code == 0

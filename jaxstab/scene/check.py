@@ -38,7 +38,6 @@ from jaxstab.scene.answers import (
 )
 from jaxstab.scene.contact import NotSimulated, Simulated, contacts_or_reasons
 from jaxstab.scene.hands import (
-    BUT_FOR_DRIFT,
     Floats,
     WallVerdict,
     WorstHeld,
@@ -283,7 +282,7 @@ def _walls_of(scene: Scene) -> list[_Wall]:
 
 def _left_out(wall: _Wall) -> str | None:
     """Return why a wall has no measures; None where it has."""
-    if wall.worst.verdict == BUT_FOR_DRIFT:
+    if wall.worst.drifts:
         return "left out: nothing holds the position; limits --at-stiffness 0 gives the dampings"
     if wall.scene.controller.moves and wall.worst.verdict != Verdict.STABLE:
         return "left out: they are of constant delays, but the delay moves"

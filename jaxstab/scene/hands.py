@@ -41,6 +41,7 @@ _PROVED = "proved for every hand"
 _TRIED = "no hand that was tried is unstable, but not all others are proved"
 NOT_FOR_OTHERS = ": others are not proved together with a range of delays"
 BUT_FOR_DRIFT = "stable but for the position, which nothing holds"
+_DRIFTS = "nothing holds the position of a damper alone; over ranges the rest is not proved"
 _ROWS = 400  # of B, in which walls are stable for all hands
 
 Floats = NDArray[np.float64]
@@ -97,6 +98,11 @@ class WorstHeld(NamedTuple):
     delays: str | None = None
 
     @property
+    def drifts(self) -> bool:
+        """Whether nothing holds the position, and no other root of a loop that was tried grows."""
+        return self.verdict == BUT_FOR_DRIFT or self.tried == _DRIFTS
+
+    @property
     def for_all(self) -> Verdict | str:
         """The verdict for all hands, or why there is none."""
         return self.verdict if self.verdict == Verdict.UNSTABLE else self.tried or self.verdict
@@ -132,9 +138,9 @@ def worst_on(scene: Scene, walls: Sequence[Gains]) -> list[WorstHeld]:
         pairs = [loop.worst_hand(hands, *gains, mass=mass, **moving)[:2] for gains in walls]
     answers = []
     for gains, (code, worst) in zip(walls, pairs, strict=True):
-        verdict = code if isinstance(code, str) else Verdict(int(code))
+        verdict, drifts = _but_for_drift(code, worst, gains)
         hand = None if hands is None else held_by(worst, scene)
-        tried = _TRIED if hand and verdict == Verdict.UNDECIDED else None
+        tried = drifts or (_TRIED if hand and verdict == Verdict.UNDECIDED else None)
         grows = bool(moving) and verdict == Verdict.UNSTABLE
         words = str(worst.worst_delays(*gains, **moving)) if grows else None
         answers.append(WorstHeld(verdict, worst, hand, tried, words))
@@ -150,6 +156,15 @@ def verdict_with_drift(loop: HapticLoop, wall: Gains) -> Verdict | str | None:
     return BUT_FOR_DRIFT if code == Verdict.STABLE else code
 
 
+def _but_for_drift(code: Any, worst: HapticLoop, wall: Gains) -> tuple[Verdict | str, str | None]:
+    """Return the verdict over ranges, and why there is none where the worst loop only drifts."""
+    if isinstance(code, str):
+        return code, None
+    if code == Verdict.UNSTABLE and verdict_with_drift(worst, wall) == BUT_FOR_DRIFT:
+        return Verdict.UNDECIDED, _DRIFTS
+    return Verdict(int(code)), None
+
+
 def _worst_delay(scene: Scene, loops: list[HapticLoop], gains: Gains) -> WorstHeld:
     """Return the verdict on a wall for each constant delay of a range, and the worst of them."""
     from jaxstab.loop.between import LoopsBetween
@@ -158,8 +173,9 @@ def _worst_delay(scene: Scene, loops: list[HapticLoop], gains: Gains) -> WorstHe
     worst = LoopsBetween(*loops).worst_loop(*gains)
     delay = Quantity("s").words(worst.loop.delay)
     words = f"a constant delay of {delay}: a factor of {worst.radius:.6g} per sample"
-    is_unstable = worst.verdict == Verdict.UNSTABLE
-    return WorstHeld(worst.verdict, worst.loop, None, tried, words if is_unstable else None)
+    verdict, drifts = _but_for_drift(worst.verdict, worst.loop, gains)
+    is_unstable = verdict == Verdict.UNSTABLE
+    return WorstHeld(verdict, worst.loop, None, drifts or tried, words if is_unstable else None)
 
 
 def loops_over_delays(scene: Scene) -> list[HapticLoop]:

@@ -381,7 +381,8 @@ class _Rows:
 
     def verdict(self, stiffness: float, damping: float) -> int:
         """The verdict on a wall; for one without a spring that on a very soft one."""
-        return int(self.loop.verdict(stiffness or _SOFT * self.region.extent.stiffness, damping))
+        soft = float(np.nan_to_num(_SOFT * self.region.extent.stiffness))  # of an empty region, 0
+        return int(self.loop.verdict(stiffness or soft, damping))
 
     def is_stable(self, stiffness: float, damping: float) -> bool:
         return self.verdict(stiffness, damping) == Verdict.STABLE
