@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.linalg
-from campaign import many
 from commands import run
 
 from jaxstab.conventions import Verdict
@@ -250,39 +249,6 @@ def test_a_device_that_turns_is_answered_and_drawn_in_units_of_rotation() -> Non
     axes = scene_figure(scene, checked).axes
     assert axes[0].get_xlabel() == "stiffness K (N m/rad)"
     assert axes[0].get_ylabel() == "damping B (N m s/rad)"
-
-
-def test_what_is_printed_as_a_limit_is_inside_of_it() -> None:
-    rng = np.random.default_rng(5)
-    for _ in range(2):
-        assert_printed_walls_are_stable(rng)
-
-
-@pytest.mark.campaign
-def test_what_is_printed_as_a_limit_is_inside_of_it_for_many_scenes() -> None:
-    rng = np.random.default_rng(6)
-    for _ in range(many(500)):
-        assert_printed_walls_are_stable(rng)
-
-
-def assert_printed_walls_are_stable(rng: np.random.Generator) -> None:
-    controller: dict[str, Any] = {"sample_time": float(f"{10 ** rng.uniform(-4, -2.5):.3g}")}
-    controller["delay_samples"] = float(rng.integers(0, 4)) + rng.choice([0.0, 0.37])
-    if rng.random() < 0.5:
-        controller["velocity"] = {"window_samples": int(rng.integers(1, 21))}
-    device = {"mass": rng.uniform(0.05, 2.0), "damping": rng.uniform(0.01, 3.0)}
-    scene = Scene.from_table({"device": device, "controller": controller})
-    loop = HapticLoop(
-        device_mass=device["mass"],
-        device_damping=device["damping"],
-        sample_time=controller["sample_time"],
-        delay=scene.controller.time_delay,
-        velocity=scene.controller.estimator,
-    )
-    numbers = re.findall(r"(largest|at) (\w+) +([-+.e\d]+)", str(scene_limits(scene)))
-    (_, _, stiffness), (_, _, at_damping), (_, _, damping), (_, _, at_stiffness) = numbers[:4]
-    for wall in ((stiffness, at_damping), (at_stiffness, damping)):
-        assert loop.verdict(*map(float, wall)) != Verdict.UNSTABLE, (device, controller, wall)
 
 
 def test_limits_around_a_wall_are_those_of_the_interval_that_it_is_in() -> None:
