@@ -171,7 +171,7 @@ class Dataset(Job[Block]):
     def publish(self, shards: Shards) -> None:
         """Write the file: a chunk for each block, in their order."""
         with (
-            replacing(self.path, shards.folder) as descriptor,
+            replacing(self.path, shards.folder, former=None) as descriptor,
             written(descriptor) as (stream, file),
         ):
             datasets = self._created(file)
@@ -233,7 +233,8 @@ def ensure(
     ``progress`` is called with the number of finished blocks and of all blocks.
 
     OSError: the folder is missing, read-only or full, or another process computes this dataset;
-    FileExistsError: another file is at the path; RuntimeError: workers died, or are of other code.
+    FileExistsError: another file is at the path, or was put there meanwhile; RuntimeError: workers
+    died, or are of other code.
     """
     if dataset.is_published:
         if progress is not None:

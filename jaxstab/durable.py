@@ -16,6 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+_TAKEN = "another process has written it meanwhile; remove that file, or give another name"
+
 
 @dataclass(frozen=True)
 class Folder:
@@ -111,24 +113,40 @@ def publish(data: bytes, path: Path) -> None:
         write_all(descriptor, data)
 
 
+Identity = tuple[int, ...] | None  # of a file at a path; None where there is none
+_ANY: Identity = ()
+
+
+def identity_of(path: Path) -> Identity:
+    """Return what tells a file from every later one of its name; None without one."""
+    try:
+        status = os.stat(path)
+    except FileNotFoundError:
+        return None
+    return status.st_dev, status.st_ino, status.st_mtime_ns, status.st_size
+
+
 @contextmanager
-def replacing(path: Path, folder: Folder | None = None) -> Iterator[int]:
+def replacing(path: Path, folder: Folder | None = None, former: Identity = _ANY) -> Iterator[int]:
     """Yield the descriptor of a new file, which takes the place of the old one if no error occurs.
 
     ``folder``, on the same file system, is where the new one is until then; without, beside it.
+    ``former`` is the only file that may be replaced: that of another process is not.
     OSError: the folder is missing, read-only or full, the path is not that of a file, or the new
-    file was removed.
+    file was removed; FileExistsError: another file is at the path.
     """
     with named_errors("write", path):
         target, mode = target_of(path)
         beside = Folder(target.parent)
-        with _replacing(folder or beside, target.name, target, mode) as descriptor:
+        with _replacing(folder or beside, target.name, target, mode, former) as descriptor:
             yield descriptor
         beside.sync()
 
 
 @contextmanager
-def _replacing(folder: Folder, name: str, target: Path | str, mode: int | None) -> Iterator[int]:
+def _replacing(
+    folder: Folder, name: str, target: Path | str, mode: int | None, former: Identity = _ANY
+) -> Iterator[int]:
     """Yield the descriptor of a new file in a folder, which is renamed if no error comes up."""
     temporary = f".{name}.{secrets.token_hex(8)}.part"
     descriptor = folder.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL)
@@ -142,16 +160,32 @@ def _replacing(folder: Folder, name: str, target: Path | str, mode: int | None) 
                 raise OSError(errno.ESTALE, "another process took its temporary file away")
         finally:
             os.close(descriptor)
-        os.replace(
-            folder.path_of(temporary),
-            target,
-            src_dir_fd=folder.descriptor,
-            dst_dir_fd=folder.descriptor,
-        )
+        if former != _ANY and identity_of(Path(target)) != former:
+            raise FileExistsError(errno.EEXIST, _TAKEN)
+        if former is None and _linked(folder, temporary, target):
+            folder.remove(temporary)
+        else:
+            os.replace(
+                folder.path_of(temporary),
+                target,
+                src_dir_fd=folder.descriptor,
+                dst_dir_fd=folder.descriptor,
+            )
     except BaseException:
         with suppress(OSError):
             folder.remove(temporary)
         raise
+
+
+def _linked(folder: Folder, name: str, target: Path | str) -> bool:
+    """Give a file a second name, unless it is taken; False where the file system has no links."""
+    try:
+        os.link(folder.path_of(name), target, src_dir_fd=folder.descriptor)
+    except FileExistsError as error:
+        raise FileExistsError(errno.EEXIST, _TAKEN) from error
+    except OSError:
+        return False
+    return True
 
 
 def target_of(path: Path) -> tuple[Path, int | None]:

@@ -21,7 +21,7 @@ import signal
 import sys
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -31,9 +31,10 @@ from concurrent.futures import (
     wait,
 )
 from contextlib import ExitStack, closing, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import islice
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -41,7 +42,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import jaxstab
-from jaxstab.durable import Folder, named_errors, own_folder, target_of
+from jaxstab.durable import Folder, Identity, identity_of, named_errors, own_folder, target_of
 
 Item = TypeVar("Item")
 Progress = Callable[[int, int], object]
@@ -214,21 +215,60 @@ def _result(future: Future[bytes]) -> bytes:
 
 @contextmanager
 def processes(count: int) -> Iterator[Executor]:
-    """Open worker processes, spawned: a process that has used JAX must not be forked."""
+    """Open worker processes, spawned: a process that has used JAX must not be forked.
+
+    They leave Ctrl-C to this process, from their first instruction on. They end with it, however it
+    ends, and at once, whatever they are computing, where an error leaves the ``with`` statement.
+    """
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(count, context, _follow_parent) as executor:
-        yield executor
+    ours, theirs = context.Pipe()
+    with ours, theirs, _Processes(count, context, _end_with, (theirs,)) as executor:
+        try:
+            yield executor
+        except BaseException:
+            ours.close()
+            raise
 
 
-def _follow_parent() -> None:
-    """Leave Ctrl-C to the parent, and end when the parent does, however it ends."""
+class _Processes(ProcessPoolExecutor):
+    """Processes that are started, each by a ``submit``, with Ctrl-C held back."""
+
+    def submit(self, *given: Any, **options: Any) -> Future[Any]:
+        with _interrupts_held():
+            return super().submit(*given, **options)
+
+
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Hold Ctrl-C back until the end, and for good from processes that are started meanwhile."""
+    # They inherit what this thread blocks; Python would still interrupt its main thread.
+    is_main = threading.current_thread() is threading.main_thread()
+    came = list[int]()
+    if is_main:
+        former = signal.signal(signal.SIGINT, lambda number, _: came.append(number))
+    blocked = _masked(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        _masked(signal.SIG_SETMASK, blocked)
+        if is_main:
+            signal.signal(signal.SIGINT, former)
+        if came:
+            signal.raise_signal(signal.SIGINT)
+
+
+def _masked(how: int, signals: Iterable[int]) -> Iterable[int]:
+    return signal.pthread_sigmask(how, signals) if os.name == "posix" else set()
+
+
+def _end_with(parent: Connection) -> None:
+    """Leave Ctrl-C to the parent, and end when it closes its end of a pipe, or ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = multiprocessing.parent_process()
 
     def wait_for_end() -> None:
-        if parent is not None:
-            parent.join()
-            os._exit(1)
+        with suppress(EOFError, OSError):
+            parent.recv_bytes()
+        os._exit(1)
 
     threading.Thread(target=wait_for_end, daemon=True).start()
 
@@ -285,10 +325,14 @@ def _own_client() -> Executor | None:
 
 @dataclass(frozen=True)
 class Shards:
-    """The images of the tiles of one job (``key``) in its folder; ``shards_of`` makes it."""
+    """The images of the tiles of one job (``key``) in its folder; ``shards_of`` makes it.
+
+    ``former`` is the file at the path of the job when it began.
+    """
 
     folder: Folder
     key: str
+    former: Identity = None
 
     def put(self, name: str, image: bytes) -> None:
         """Store the image of a tile, durably."""
@@ -337,7 +381,7 @@ def shards_of(path: Path, key: str) -> Iterator[Shards]:
         with named_errors("write", path):
             target, _ = target_of(path)
             place = target.with_name(f".{target.name}.{key[:16]}.tiles")
-            shards = _locked(place, key, stack)
+            shards = replace(_locked(place, key, stack), former=identity_of(target))
         try:  # the system opens the lock when this process ends in whatever way
             shards.clear(_LEFT_OVER)
             yield shards

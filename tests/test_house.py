@@ -225,3 +225,21 @@ def test_no_file_is_longer_than_one_subject() -> None:
     }
     assert lengths
     assert {path: n for path, n in lengths.items() if n > LONGEST_FILE} == {}
+
+
+def test_51_14_all_of_it_is_there_without_docstrings() -> None:
+    code = (
+        "import importlib, pkgutil, jaxstab\n"
+        "modules = pkgutil.walk_packages(jaxstab.__path__, 'jaxstab.')\n"
+        "names = [m.name for m in modules if not m.name.endswith('__main__')]\n"
+        "print(len([*map(importlib.import_module, names)]))\n"
+        "print(len([getattr(jaxstab, name) for name in dir(jaxstab)]))\n"
+    )
+    done = run_python("-OO", "-c", code)
+    assert done.returncode == 0, done.stderr
+    modules, names = map(int, done.stdout.split())
+    assert modules > 100
+    assert names == len(dir(jaxstab))
+    limits = run_python("-OO", "-m", "jaxstab", "limits", "data/scenes/omega.toml")
+    assert (limits.returncode, limits.stderr) == (0, "")
+    assert "largest stiffness" in limits.stdout

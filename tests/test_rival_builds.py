@@ -6,6 +6,7 @@ import os
 import pickle
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -81,6 +82,25 @@ def test_a_temporary_file_that_was_taken_away_is_not_published(tmp_path: Path) -
     with pytest.raises(OSError, match=r"cannot write .*another process took its temporary file"):
         writing.__exit__(None, None, None)
     assert path.read_bytes() == FORMER
+
+
+@pytest.mark.parametrize("former", [None, FORMER])
+def test_51_an_atlas_that_another_build_finished_meanwhile_is_kept(
+    former: bytes | None, tmp_path: Path
+) -> None:
+    """Two builds of different specifications begin at the same time and write the same file."""
+    path, whole = tmp_path / "a.h5", list[bytes]()
+    if former is not None:
+        path.write_bytes(former)
+
+    def rival(done: int, total: int) -> None:
+        if not whole:
+            build_atlas(replace(TINY, delay=[2.0]), path)
+            whole.append(path.read_bytes())
+
+    with pytest.raises(FileExistsError, match=r"cannot write .*a\.h5: another process has written"):
+        build_atlas(TINY, path, rival)
+    assert path.read_bytes() == whole[0] != former
 
 
 def rivals(folder: Path, *words: str) -> list[int]:

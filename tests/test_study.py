@@ -1,7 +1,9 @@
 """Studies: each answer that of its own loop, draws that repeat, shares, parts, resuming, words."""
 
 import csv
+import errno
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -630,6 +632,85 @@ def test_the_command_says_the_plan_the_quantiles_and_the_shares(desk: Path) -> N
     assert plot.read_bytes()[:4] == b"\x89PNG"
     assert jaxstab.open_study(output).values("verdict").shape == (80, 1)
     assert run(*given).stdout == result.stdout
+
+
+def test_51_13_the_plan_counts_what_it_was_given(desk: Path) -> None:
+    """A wall on a device with a mode takes 5 to 800 times as long as on one mass."""
+    seconds = {}
+    for name, modes in (("mass", []), ("mode", [MODE])):
+        table = {**TABLE, "device": {**TABLE["device"], "modes": modes}}
+        over = {"hand.stiffness": Uniform(100.0, 300.0)}
+        dataset = studies.study_dataset(table, over, desk.with_name("a.h5"), answers=["verdict"])
+        plan = studies.plan_of(dataset)
+        assert plan.startswith("10000 sample x 2 wall: 10,000 loops, about "), plan
+        assert "one mass" not in plan
+        seconds[name] = plan.split("about ")[1].split(" of CPU")[0]
+    assert seconds == {"mass": "1 s", "mode": "2 min"}
+
+
+@pytest.mark.parametrize(
+    ("over", "words"),
+    [
+        ("device.mass=uniform:-1e308:1e308", "low is -1e+308 and high 1e+308; give ends of a"),
+        ("device.mass=uniform:0:1e308", "mass/T^2 of device and hand is"),
+        ("device.mass=1e-300,0.2", "T^2/mass of device and hand is 1e+294"),
+        ("device.mass=normal:0.1:1e308", "device.mass has draws that overflow float64"),
+        ("hand.stiffness=lognormal:1:1e300", "hand.stiffness has draws that overflow float64"),
+        ("controller.velocity.window_samples=lognormal:9:1e300", "draws that overflow float64"),
+        ("controller.sample_time=nan,1", "controller.sample_time is [nan, 1.0]; give finite"),
+        ("device.mass=0.1,inf", "device.mass is [0.1, inf]; give finite numbers"),
+        ("controller.sample_time=1e20,1", "damping T/mass of device and hand is"),
+    ],
+)
+def test_51_14_values_that_overflow_are_refused_in_one_sentence(
+    over: str, words: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "bare.toml"
+    path.write_text("[device]\nmass = 0.25\ndamping = 0.1\n[controller]\nsample_time = 0.001\n")
+    done = run("study", path, "--over", over, "--samples", 20)
+    assert done.exit_code == 2
+    assert_one_sentence(done.stderr)
+    assert words in done.stderr
+
+
+def test_51_ends_too_far_apart_are_refused_from_python() -> None:
+    with pytest.raises(ValueError, match=r"delay is .*give finite numbers"):
+        jaxstab.study(LOOP, {"delay": (-1e308, 1e308, 3)})
+
+
+# ------------------------------------------------------------- what others finished meanwhile
+
+
+@pytest.mark.parametrize("has_links", [True, False])
+def test_51_a_study_that_another_one_finished_meanwhile_is_kept(
+    has_links: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two studies of different answers begin at the same time and write the same file."""
+    path, whole = tmp_path / "a.h5", list[bytes]()
+    over, options = {"device_mass": [0.1, 0.2]}, {"walls": WALLS, "store": path}
+    if not has_links:
+
+        def refuse(*_: object, **__: object) -> None:
+            raise OSError(errno.EPERM, "no links here")
+
+        monkeypatch.setattr(os, "link", refuse)
+
+    def rival(done: int, total: int) -> None:
+        if not whole:
+            whole.append(b"")
+            jaxstab.study(LOOP, over, answers=["verdict"], **options)
+            whole[0] = path.read_bytes()
+
+    with pytest.raises(FileExistsError, match=r"cannot write .*a\.h5: another process has written"):
+        jaxstab.study(LOOP, over, answers=["limits"], progress=rival, **options)
+    assert path.read_bytes() == whole[0] != b""
+    path.unlink()  # the tiles of the one that was refused are kept
+    told: list[tuple[int, int]] = []
+    jaxstab.study(
+        LOOP, over, answers=["limits"], progress=lambda *done: told.append(done), **options
+    )
+    assert told == [(1, 1)]
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.h5"]
 
 
 def test_a_grid_is_printed_and_written_as_csv(desk: Path) -> None:

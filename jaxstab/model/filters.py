@@ -439,6 +439,21 @@ def _whole_samples(window: float | None, sample_time: Numbers) -> int:
     return checked_count("the window in samples", nearest, 1, LONGEST_WINDOW)
 
 
+# Above the classes, for under ``python -OO`` a dataclass shows its defaults while it is made.
+
+
+def _filter_calls(sections: Sequence[Section]) -> list[str]:
+    return [_call(f"Filter.{section.maker}", section) for section in sections]
+
+
+def _call(maker: str, section: Section) -> str:
+    """Return the call that makes a filter, or an estimator, of one section."""
+    given = {key: value for key, value in vars(section).items() if value is not None}
+    period = given.pop("period", 1.0)
+    call = call_text(maker, given)
+    return f"{call}.per_sample({period!r})" if is_jax(period) or period != 1.0 else call
+
+
 _LEAST_FACTOR = 2.0**-53  # of exponential smoothing
 _ZERO_SUM = 4.0 * 2.0**-53  # of the numerator's size, per coefficient: V(1) as good as zero
 
@@ -714,18 +729,6 @@ def as_keywords(filters: Filters | None) -> dict[str, Any]:
 
 
 # --------------------------------------------------------------------------------------- checks
-def _filter_calls(sections: Sequence[Section]) -> list[str]:
-    return [_call(f"Filter.{section.maker}", section) for section in sections]
-
-
-def _call(maker: str, section: Section) -> str:
-    """Return the call that makes a filter, or an estimator, of one section."""
-    given = {key: value for key, value in vars(section).items() if value is not None}
-    period = given.pop("period", 1.0)
-    call = call_text(maker, given)
-    return f"{call}.per_sample({period!r})" if is_jax(period) or period != 1.0 else call
-
-
 def _positive(name: str, value: Numbers, low: float = 0.0, high: float = inf) -> Numbers:
     if is_jax(value):
         return value

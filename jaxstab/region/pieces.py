@@ -216,8 +216,11 @@ def others_inside(c: Curve, theta: Array, within: float = 1.0) -> Array:
         chunks = np.array_split(theta.ravel(), -(-theta.size * c.length // _AT_ONCE))
         each = [others_inside(c, chunk, within) for chunk in chunks]
         return np.concatenate(each).reshape(theta.shape)
-    falling = c.polynomial(*curve_gains(c, theta))
+    alpha, beta, lift = curve_and_lift(c, theta)
+    falling = c.polynomial(alpha, beta)
     inside = _may_be_stable(falling, within)
+    if within == 1.0:  # so close to r and -r the recursion does not see a root cross the circle
+        inside &= (lift * c.num_plus > 0.0) & (c.minus_margin(alpha, beta) > 0.0)
     inside[inside] = _all_inside(_shrunk(_others(c, falling[:, inside], theta[inside]), within))
     return inside
 
@@ -298,6 +301,7 @@ _SLACK = 1e-6  # of angles: with more roots close to the circle, the margin shif
 _NARROWING, _EXACT_NARROWING = (2, 23, _SLACK), (16, 8, 1e-14)  # rounds, parts, width enough
 _STRAY = 16.0  # brackets: an iterate of Newton's method this far outside is given up
 NO_BRANCH = -1
+_BLURRED = 1e-8  # of angles: so close to a corner rounding decides the test of the other roots
 
 
 class Pieces(NamedTuple):
@@ -419,6 +423,9 @@ def _piece_ends(c: Curve, angles: Array) -> _Ends | None:
     begins, ends = (np.flatnonzero(passes[1:-1] & ~beside) for beside in (before, after))
     if not begins.size:
         return None
+    if not c.is_exact and is_knot is None:
+        is_gap = angles[begins[1:]] - angles[ends[:-1]] > _BLURRED
+        begins, ends = begins[np.append(True, is_gap)], ends[np.append(is_gap, True)]
     zero = np.sum(angles < 0.0)  # negative angles begin at -pi
     at_zero = begins == zero
     pinned = np.concatenate([at_zero | (begins == 0), ends == len(angles) - 1])

@@ -69,7 +69,8 @@ class Uniform(Distribution):
     Attributes:
         low, high: its ends, in the unit of the quantity.
 
-    ValueError: an end is not finite, or they are out of order. Source: textbook.
+    ValueError: an end, or their difference, is not finite, or they are out of order. Source:
+    textbook.
 
     Example:
         >>> jaxstab.Uniform(100.0, 500.0)
@@ -83,6 +84,10 @@ class Uniform(Distribution):
         _require_finite(self)
         if not self.low < self.high:
             raise ValueError(f"low is {self.low:g} and high {self.high:g}; give low < high.")
+        if not isfinite(self.high - self.low):
+            raise ValueError(
+                f"low is {self.low:g} and high {self.high:g}; give ends of a finite difference."
+            )
 
     def _draw(self, generator: np.random.Generator, count: int) -> Draws:
         return generator.uniform(self.low, self.high, count)
@@ -201,7 +206,8 @@ def draws_of(
 ) -> tuple[Draws, int]:
     """Return draws of a quantity that is at least a number, and how many were drawn again.
 
-    ValueError: another distribution than a normal one goes below it, or most of a normal one.
+    ValueError: another distribution than a normal one goes below it, or most of a normal one; or
+    draws overflow.
     """
     stream = distribution._stream or name
     generator = np.random.default_rng([seed, *stream.encode()])
@@ -218,6 +224,8 @@ def draws_of(
             break
         values[below] = distribution._draw(generator, int(below.sum()))
         below = values < least
+    if not np.isfinite(values).all():
+        raise ValueError(f"{name} has draws that overflow float64; give a narrower distribution.")
     return values, again
 
 

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from itertools import product
+from operator import add
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ from jaxstab.loop import Gains, HapticLoop, WallRegion
 from jaxstab.model import Device, Mode
 from jaxstab.model import Hand as Arm
 from jaxstab.model.filters import Velocity, given_filters
-from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT
+from jaxstab.model.parameters import DELTA_LIMIT, GAIN_LIMIT, GAMMA_LIMIT
 from jaxstab.region import RegionStatus
 from jaxstab.scene.answers import Answer, Damping, Mass, Stiffness
 from jaxstab.scene.scene import Hand, Scene, range_in_words
@@ -140,13 +141,16 @@ def _device(scene: Scene, hand: OneHand) -> Device:
 
 
 def _check_scale(scene: Scene) -> None:
-    """Refuse hands and dampers that the model cannot compute, in the words of a scene."""
+    """Refuse masses, hands and dampers that the model cannot compute, in the words of a scene."""
     hand, period = scene.hand or Hand(), scene.controller.sample_time
-    per_speed = period / (scene.device.effective_mass[0] + hand.effective_mass[0])
+    lightest, heaviest = map(add, scene.device.effective_mass, hand.effective_mass)
     damping, moved = scene.device.damping + hand.damping[1], scene.units.moved
+    gamma = hand.stiffness[1] * period * period / lightest
     for words, value, most in (
-        (f"hand.stiffness T^2/{moved}", hand.stiffness[1] * period * per_speed, GAMMA_LIMIT),
-        (f"damping T/{moved} of device and hand", damping * per_speed, DELTA_LIMIT),
+        (f"{moved}/T^2 of device and hand", heaviest / period / period, GAIN_LIMIT),
+        (f"T^2/{moved} of device and hand", period * period / lightest, GAIN_LIMIT),
+        (f"hand.stiffness T^2/{moved}", gamma, GAMMA_LIMIT),
+        (f"damping T/{moved} of device and hand", damping * period / lightest, DELTA_LIMIT),
     ):
         if not value <= most:
             raise ValueError(

@@ -44,7 +44,7 @@ def build_atlas(
 
     Raises:
         OSError: the folder is missing, read-only or full, or another process builds this atlas; a
-            former file is still there.
+            former file is still there. FileExistsError: another process wrote the file meanwhile.
         ValueError: a parameter is too large for the model, or an axis cannot be fitted; or the
             atlas is larger than can be opened in memory.
         RuntimeError: a worker computed what the schema does not allow, or workers died.

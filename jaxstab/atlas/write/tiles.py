@@ -154,7 +154,7 @@ def merge(build: Build, shards: Shards, created_by: str) -> None:
     """Publish the atlas of which all tiles are done; if it fails, a former file is still there."""
     plan, path = build.plan, build.path
     filters = words_of(plan.spec.filters)
-    with replacing(path, shards.folder) as descriptor:
+    with replacing(path, shards.folder, shards.former) as descriptor:
         with written(descriptor) as (stream, file):
             write_attributes(file, head_attributes(created_by, filters))
             datasets = _create_variables(file, build, shards)
