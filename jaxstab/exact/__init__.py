@@ -1,0 +1,1 @@
+"""Everything that is asked about one loop, proved in balls of python-flint."""
