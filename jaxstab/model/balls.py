@@ -174,15 +174,26 @@ class BallLoop(NamedTuple):
     velocity: tuple[Factored, Factored]
 
     @property
+    def free(self) -> Factored:
+        """z^lag D Dp Dv, what p(z) is without a wall."""
+        free = self.denominator.times(self.position[1]).times(self.velocity[1])
+        return free._replace(power=free.power + self.lag)
+
+    @property
+    def walls(self) -> tuple[Factored, Factored]:
+        """Np Dv and Nv Dp: what K and B multiply, beside N."""
+        (above_p, below_p), (above_v, below_v) = self.position, self.velocity
+        return above_p.times(below_v), above_v.times(below_p)
+
+    def wall(self, stiffness: float, damping: float) -> Factored:
+        """H = K Np Dv + B Nv Dp."""
+        by_stiffness, by_damping = self.walls
+        return by_stiffness.scaled(stiffness).plus(by_damping.scaled(damping))
+
+    @property
     def triple(self) -> Triple:
         """The three parts of p(z)."""
-        (above_p, below_p), (above_v, below_v) = self.position, self.velocity
-        parts = [
-            self.denominator.times(below_p).times(below_v),
-            self.numerator.times(above_p).times(below_v),
-            self.numerator.times(above_v).times(below_p),
-        ]
-        parts[0] = parts[0]._replace(power=parts[0].power + self.lag)
+        parts = [self.free, *(self.numerator.times(wall) for wall in self.walls)]
         common = min(part.power for part in parts)
         return Triple(*(part.divided(common, 0, 0) for part in parts))
 
