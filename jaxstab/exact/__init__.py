@@ -1,1 +1,5 @@
-"""Everything that is asked about one loop, proved in balls of python-flint."""
+"""One loop, proved in balls of python-flint."""
+
+from jaxstab.lazy import attach_stub
+
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

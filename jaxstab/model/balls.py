@@ -241,14 +241,20 @@ def _ball_loop(loop: LoopParameters) -> BallLoop:
     )
 
 
+def one_sample(loop: LoopParameters) -> OneSample:
+    """What the device of a loop does within a sample, in balls of the precision that is set."""
+    compliance = loop.held_device.compliance()
+    return OneSample.from_compliance(*in_samples(compliance, float(loop.sample_time)))
+
+
 def _plant(loop: LoopParameters, fraction: float) -> tuple[Factored, Factored]:
     """N(z) and D(z), for a fraction of a sample with one sample of delay more."""
     from flint import arb
 
-    compliance = loop.held_device.compliance()
-    above, below = in_samples(compliance, float(loop.sample_time))
+    sample = one_sample(loop)
+    above, below = sample.above, sample.below
     late = arb(exact(fraction)) if fraction else None
-    numerator, denominator = OneSample.from_compliance(above, below).of_samples(late)
+    numerator, denominator = sample.of_samples(late)
     rigid = next(power for power in range(len(below)) if below[power] != 0)
     zeros = 1 if above[0] == 0 else 0
     is_even = all(c == 0 for side in (above[1::2], below[1::2]) for c in side)
