@@ -261,8 +261,9 @@ def _margins(tally: Tally, loop: HapticLoop, walls: list[list[float]]) -> None:
     if interval is None or not isfinite(float(rival.stiffness_gain)):
         tally.open += interval is None
         return
-    gain = interval.high.value / wall[0]
-    tally.compared(abs(gain / float(rival.stiffness_gain) - 1.0), (loop, wall))
+    gain, proved = interval.high.value / wall[0], float(rival.stiffness_gain)
+    if proved > gain * (1.0 + _SAME):  # it is a lower bound, below by what its search left open
+        tally.compared(proved / gain - 1.0, (loop, wall))
 
 
 def _jitters(tally: Tally, loop: HapticLoop, walls: list[list[float]]) -> None:

@@ -106,7 +106,7 @@ def test_an_undamped_spring_without_a_wall_is_undecided_and_says_why() -> None:
     loop = HapticLoop(device=device, sample_time=1e-3)
     verdict, status = wall_verdict(lambda: ball_triple(loop), 0.0, 0.0)
     assert verdict == Verdict.UNDECIDED
-    assert status.words == "about 6,000 bits do not tell on which side of the circle a root is"
+    assert status.words == "3,072 bits do not tell on which side of the circle a root is"
 
 
 def test_a_leading_coefficient_that_vanishes_is_no_loop() -> None:
@@ -137,4 +137,4 @@ def test_bits_are_doubled_up_to_the_most() -> None:
     asked = []
     assert decided(lambda: asked.append(flint.ctx.prec)) is None
     assert asked == [FIRST_BITS << k for k in range(len(asked))]
-    assert asked[-1] >= MOST_BITS > asked[-2]
+    assert asked[-1] == MOST_BITS

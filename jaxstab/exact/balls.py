@@ -3,7 +3,7 @@
 A ball is a midpoint and a radius; every operation returns a ball that holds all results for all
 numbers of its arguments (F. Johansson, Arb, 2017). So what is true of balls is true of the numbers,
 at any precision, and no rounding errors are estimated by hand. What is not decided is asked again
-with twice the bits, 192 at first and 6,144 at most. What is open then is UNDECIDED, with the
+with twice the bits, 192 at first and 3,072 at most. What is open then is UNDECIDED, with the
 reason.
 
 The precision is one number of the process. ``decided`` sets it under one lock and restores it, so
@@ -20,7 +20,7 @@ from jaxstab.model.device.parts import working_precision
 if TYPE_CHECKING:
     from flint import arb
 
-FIRST_BITS, MOST_BITS = 192, 1 << 12
+FIRST_BITS, MOST_BITS = 192, 192 << 4
 
 TripleAt = Callable[[], Triple]
 """Gives the parts of p(z) in balls of the precision that is set, as ``ball_triple(loop)``."""

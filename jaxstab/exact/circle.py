@@ -12,10 +12,10 @@ P of so many terms that what it misses, at most E = h^D/D! (sum of k^D |c_k|), i
 of |c_k|: k h is below 1, so that D is 32 for 192 bits. Neither loses digits to the degree n: the
 k-th term is multiplied by a root of unity that is known exactly, not by a power that was formed.
 
-Within the cell, on an interval of half-width r around m,
+Within the cell, on an interval of half-width r around m, with P(m + r t) = q_0 + q_1 t + ...,
 
-    no zero if     |P(m)| > r |P'(m)| + r^2/2 |P''| + E        (|P''| over the whole interval),
-    at most one if |P'(m)| > r |P''| + E',                     E' the same bound for f' - P',
+    no zero if     |q_0| > |q_1| + |q_2| + ... + E,
+    at most one if |q_1| > 2 |q_2| + 3 |q_3| + ... + r E',    E' the same bound for f' - P',
 
 else it is halved. A monotone interval with unlike signs at its ends has one zero. Newton's
 iteration finds it in numbers, then one step of it in balls proves it: where T is a ball around x
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 _OVERLAP = 9  # a cell reaches to 9/8 of its share: the ends of shares may be moved by 1/16
 _MOVES = (0, 1, -1, 2, -2, 3, -3, 4, -4)  # of an end, in 72ths of a cell
 _SHARES = (6, 7, 9, 10, 8)  # of an interval, in 16ths, where it is divided
-_SHORTEST = 256  # halvings of a cell, at most
+_SHORTEST = 96  # halvings of a cell, at most
 _REFINEMENTS = 80
 
 
@@ -123,20 +123,16 @@ class _Cells:
             taylor = [
                 sums[d][columns_of[d % 2]] * (-1 if d % 4 in (1, 2) else 1) for d in range(terms)
             ]
-            p = arb_poly(taylor)
-            slope = p.derivative()
-            parts[cell] = _Part(
-                p, slope, slope.derivative(), arb(0, missed), arb(0, missed * terms)
-            )
+            p, rest = arb_poly(taylor), arb(0, missed)
+            parts[cell] = _Part(p, p.derivative(), rest, rest * terms)
         return parts
 
 
 class _Part(NamedTuple):
-    """A cosine sum on a cell, t from -1 to 1: P, P', P'' and what P and P' may miss."""
+    """A cosine sum on a cell, t from -1 to 1: P, P' and what they may miss."""
 
     value: "arb_poly"
     slope: "arb_poly"
-    bend: "arb_poly"
     missed: "arb"
     slope_missed: "arb"
 
@@ -186,26 +182,28 @@ def _sign_on_cell(cells: _Cells, cell: int) -> int:
 
 def _isolated(part: _Part, first: "tuple[arb, int]", last: "tuple[arb, int]") -> list[Zero] | None:
     """The zeros of a part between two places with their signs, from left to right, in t."""
-    from flint import arb, ctx
+    from flint import arb, arb_poly, ctx
 
     found: list[Zero] = []
     shortest = arb(2) ** -min(ctx.prec // 3, _SHORTEST)
     intervals = [(first, last)]
     while intervals:
         (a, sign_a), (b, sign_b) = intervals.pop()
-        middle, half = ((a + b) / 2).mid(), ((b - a) / 2).abs_upper()
-        f, slope = part.value(middle) + part.missed, part.slope(middle)
-        bend = part.bend(arb(middle, half)).abs_upper()
-        if abs(f) > half * (abs(slope) + half / 2 * bend):
+        centre = (a + b) / 2
+        half = ((b - a) / 2 + centre.rad()).abs_upper()
+        f, slope, *others = part.value(arb_poly([centre.mid(), half])).coeffs()
+        sizes = [abs(c) for c in others]
+        if abs(f + part.missed) > sum(sizes, abs(slope)):
             continue
-        if sign_a and sign_b and abs(slope + part.slope_missed) > half * bend:
+        bend = sum((k * size for k, size in enumerate(sizes, start=2)), arb(0))
+        if sign_a and sign_b and abs(slope + half * part.slope_missed) > bend:
             if sign_a != sign_b:
                 zero = _refined(part, a, b, sign_b)
                 if zero is None:
                     return None
                 found.append(zero)
         elif half < shortest:
-            found.append(Zero(arb(middle, half), 0))
+            found.append(Zero(arb(centre.mid(), half), 0))
         else:
             place = _known_place(part, a, b)
             if not place[1]:

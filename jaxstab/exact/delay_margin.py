@@ -17,8 +17,7 @@ is a proved margin at any time, and where no box is left no delay is too long. N
 where log W is no use, |N_f H| < |D| is shown by mean values of both.
 
 All is evaluated in powers of z - 1, where D and N_f vanish together next to 0; a window is a sum of
-phases. The search ends where the box is so short that E1 finds the wall unstable a little beyond
-it.
+phases. The search ends where the box is too short to matter.
 """
 
 from collections.abc import Callable

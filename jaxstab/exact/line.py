@@ -64,7 +64,7 @@ class LineStatus(Status):
     PROVED = 1, "all stable intervals of the line, proved"
     UNDECIDED = (
         2,
-        "about 6,000 bits do not tell all crossings of the circle, or the counts between them",
+        "3,072 bits do not tell all crossings of the circle, or the counts between them",
     )
 
 

@@ -35,7 +35,7 @@ class SmallGainStatus(Status):
     PROVED = 1, "stable for every sequence of delays, proved"
     NOT_PROVED = 2, "the inequality does not hold: nothing is said"
     UNSTABLE = 3, "unstable at the shortest delay already"
-    UNDECIDED = 4, "about 6,000 bits do not tell whether the inequality holds"
+    UNDECIDED = 4, "3,072 bits do not tell whether the inequality holds"
 
 
 def small_gain(

@@ -39,7 +39,7 @@ class VerdictStatus(Status):
     PROVED = 1, "proved"
     ON_CIRCLE = 2, "a root lies on the unit circle by structure, as where a free body drifts"
     ALGEBRAIC = 3, "the leading coefficient vanishes: the force depends on itself without delay"
-    UNDECIDED = 4, "about 6,000 bits do not tell on which side of the circle a root is"
+    UNDECIDED = 4, "3,072 bits do not tell on which side of the circle a root is"
 
 
 class WallVerdict(NamedTuple):
