@@ -31,6 +31,7 @@ BENCHMARKS = (
     "ranges",
     "loops",
     "amplitudes",
+    "exact",
     "stress",
 )
 
@@ -108,7 +109,7 @@ def main() -> int:
         options: dict[str, Any] = {}
         if name == "scaling" and choice.billion:
             options = {"billion": True}
-        if name in ("stress", "loops") and choice.points:
+        if name in ("exact", "loops", "stress") and choice.points:
             options = {"points": choice.points}
         if name in ("stress", "loops"):
             options |= {"keep": keep}

@@ -21,7 +21,7 @@ LONGEST_FILE = 1000  # lines
 FLOORS_THAT_COMPUTE = tuple(
     f"jaxstab.{floor}"
     for floor in (
-        "model", "point", "region", "ranges", "paper", "motion", "tuning", "trace", "loop"
+        "model", "exact", "point", "region", "ranges", "paper", "motion", "tuning", "trace", "loop"
     )
 )  # fmt: skip
 MOST_NAMES = 65  # that a program finds at the top
@@ -87,7 +87,18 @@ def test_imports_keep_their_contracts() -> None:
 
 @pytest.mark.parametrize(
     "package",
-    ["", ".model", ".point", ".region", ".ranges", ".tuning", ".paper", ".atlas", ".results"],
+    [
+        "",
+        ".model",
+        ".exact",
+        ".point",
+        ".region",
+        ".ranges",
+        ".tuning",
+        ".paper",
+        ".atlas",
+        ".results",
+    ],
 )
 def test_importing_a_package_loads_nothing_heavy(package: str) -> None:
     loads = loaded_by(f"jaxstab{package}")

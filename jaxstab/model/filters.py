@@ -156,8 +156,16 @@ class Section:
         """The keys and values of TOML of a section in units of one sample."""
         return dict(vars(self))
 
+    def factors(self, number: Any) -> list[Factor]:
+        """The factors of the transfer function, by the number that the section computes."""
+        raise NotImplementedError
+
+    def rational_factors(self) -> list[Factor]:
+        """The same in exact numbers, of the filter that runs: its number is a float64."""
+        raise NotImplementedError
+
     def ball_factors(self, ball: Callable[[Any], Any], period: Any, pi: Any) -> list[Factor]:
-        """The factors of the transfer function in balls; ``ball`` returns that of a parameter."""
+        """The same in balls, by the number unrounded; ``ball`` returns that of a parameter."""
         raise NotImplementedError
 
 
@@ -194,6 +202,10 @@ class Average(Section):
         count = self.length
         weight = DoubleDouble.from_value(1.0) / float(count)
         return [Transfer.with_sizes((weight,) * count, ONE, count - 1)]
+
+    def rational_factors(self) -> list[Factor]:
+        count = self.length
+        return [([Fraction(1, count)] * count, [0] * (count - 1) + [1], 1)]
 
 
 @pytree
@@ -237,9 +249,14 @@ class LowPass(Section):
     def longest_sample_time(self) -> float:
         return _FASTEST / float(self.cutoff)
 
+    def factors(self, number: Any) -> list[Factor]:
+        return [(*_lag(1 - number), self.order)]
+
+    def rational_factors(self) -> list[Factor]:
+        return self.factors(Fraction(self.pole))
+
     def ball_factors(self, ball: Callable[[Any], Any], period: Any, pi: Any) -> list[Factor]:
-        factor = 1 - (-2 * pi * (ball(self.cutoff) * period)).exp()
-        return [(*_lag(factor), self.order)]
+        return self.factors((-2 * pi * (ball(self.cutoff) * period)).exp())
 
 
 @pytree
@@ -260,9 +277,15 @@ class Exponential(Section):
         pole = DoubleDouble.from_value(1.0) - factor
         return [Transfer.with_sizes((factor,), (*ONE, -pole), -1)]
 
+    def factors(self, number: Any) -> list[Factor]:
+        return [(*_lag(number), 1)]
+
+    def rational_factors(self) -> list[Factor]:
+        return self.factors(Fraction(self.factor))
+
     def ball_factors(self, ball: Callable[[Any], Any], period: Any, pi: Any) -> list[Factor]:
         del period, pi
-        return [(*_lag(ball(self.factor)), 1)]
+        return self.factors(ball(self.factor))
 
 
 @pytree
@@ -289,9 +312,14 @@ class Butterworth(Section):
             )
         return section
 
-    def stages(self) -> list[Transfer]:
+    @property
+    def warped(self) -> Array:
+        """The cut-off of the analogue filter, of a section in units of one sample."""
         angle = pi * self.cutoff
-        warped = _float(namespace(angle).tan(angle))
+        return _float(namespace(angle).tan(angle))
+
+    def stages(self) -> list[Transfer]:
+        warped = self.warped
         sections = [
             _quadratic(warped, butterworth_sine(k, self.order)) for k in range(self.order // 2)
         ]
@@ -309,16 +337,21 @@ class Butterworth(Section):
     def longest_sample_time(self) -> float:
         return _NYQUIST / float(self.cutoff)
 
-    def ball_factors(self, ball: Callable[[Any], Any], period: Any, pi: Any) -> list[Factor]:
-        w = (pi * (ball(self.cutoff) * period)).tan()
-        factors: list[Factor] = []
+    def factors(self, number: Any) -> list[Factor]:
+        w, factors = number, []
         for k in range(self.order // 2):
-            gain, turn = w * w, 2 * w * butterworth_sine(k, self.order)
+            gain, turn = w * w, 2 * w * type(w)(butterworth_sine(k, self.order))
             below = [gain + 1 - turn, 2 * (gain - 1), gain + 1 + turn]
             factors.append(([gain, 2 * gain, gain], below, 1))
         if self.order % 2:
             factors.append(([w, w], [w - 1, w + 1], 1))
         return factors
+
+    def rational_factors(self) -> list[Factor]:
+        return self.factors(Fraction(self.warped))
+
+    def ball_factors(self, ball: Callable[[Any], Any], period: Any, pi: Any) -> list[Factor]:
+        return self.factors((pi * (ball(self.cutoff) * period)).tan())
 
 
 @pytree
@@ -337,6 +370,10 @@ class Rational(Section):
 
     def stages(self) -> list[Transfer]:
         return [_monic(tuple(map(DoubleDouble.from_value, self.numerator)), self.denominator)]
+
+    def rational_factors(self) -> list[Factor]:
+        above, below = (list(map(Fraction, p[::-1])) for p in (self.numerator, self.denominator))
+        return [(above, below, 1)]
 
     @property
     def toml(self) -> dict[str, Any]:
@@ -360,6 +397,11 @@ class Differentiator(Rational):
         transfer = _monic(tuple(steps), self.denominator)
         scaled = transfer.scaled(DoubleDouble.from_value(_float(self.period)))
         return [scaled._replace(lag=transfer.lag - 1)]
+
+    def rational_factors(self) -> list[Factor]:
+        period, below = Fraction(self.period), list(map(Fraction, self.denominator[::-1]))
+        steps = [step * period for step in accumulate(map(Fraction, self.numerator[:-1]))]
+        return [([0, *steps[::-1]], below, 1)]
 
     @property
     def toml(self) -> dict[str, Any]:

@@ -433,7 +433,7 @@ def late_response(device: SampledDevice, jitter: float) -> CosineSum:
     bits = _FIRST_BITS
     while True:
         with working_precision(bits):
-            cosines = _cosine_sum(device, jitter)
+            cosines = late_cosines(device.device, device.sample_time, device.delay, jitter)
             both = [_in_powers(cosines, sign) for sign in (-1, 1)]
             if all(map(is_known, both)) or bits >= _MOST_BITS:
                 unit = flint.arb(exact(device.stiffness_unit))
@@ -445,16 +445,16 @@ def late_response(device: SampledDevice, jitter: float) -> CosineSum:
         bits *= 2
 
 
-def _cosine_sum(device: SampledDevice, jitter: float) -> list["arb"]:
+def late_cosines(device: Device, sample_time: float, delay: float, jitter: float) -> list["arb"]:
     """Return q of Q = q_0 + 2 q_1 cos(theta) + 2 q_2 cos(2 theta) + ..., in SI units."""
     import flint
 
-    given = in_samples(device.device.compliance(), device.sample_time)
+    given = in_samples(device.compliance(), sample_time)
     above, below, speed = in_fastest_time(*given)
     order = len(below) - 1
     transition, whole = _after(below, speed)
     gramian = whole * floor(jitter)
-    for start, end in _windows(device.delay % 1.0, jitter % 1.0):
+    for start, end in _windows(delay % 1.0, jitter % 1.0):
         onward, _ = _after(below, (1 - end) * speed)
         _, window = _after(below, (end - start) * speed)
         gramian += onward * window * onward.transpose()

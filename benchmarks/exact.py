@@ -1,0 +1,319 @@
+"""Answers about one loop in balls beside those of float64 and pairs, on random loops of all kinds.
+
+Loops are those of ``loops``: of one mass, of devices with modes, grips and motors, with modes that
+walls hardly move, with long windows; and loops that are late by up to 500 samples. Each is asked
+for verdicts next to the boundary, radii, a row and a column of walls, the largest stiffness, and
+some for margins and jitter. ``contradicts`` counts answers of which both cannot be true, ``open``
+what balls leave undecided, ``rival_open`` what the other leaves so. For a share of the loops both
+sides of each end, and the verdicts, are judged in mpmath: ``wrong`` of ``judged``. ``error`` is the
+largest relative difference between both. The last rows are times by degree, warm."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import pairwise
+from math import inf, isfinite
+from time import process_time
+from typing import Any
+
+import numpy as np
+
+from benchmarks.record import Row
+from benchmarks.truth.plain import Loop
+from benchmarks.truth.random_loops import DeviceLoop, MassLoop, hostile_walls, long_window
+from jaxstab import Device, HapticLoop, Velocity
+from jaxstab.conventions import Verdict
+from jaxstab.exact.line import LineStatus, StableLine, stable_line
+from jaxstab.exact.roots import spectral_radius
+from jaxstab.exact.small_gain import largest_jitter
+from jaxstab.exact.verdict import wall_verdict
+from jaxstab.model.balls import ball_loop, ball_triple
+from jaxstab.model.device.sampling import late_cosines
+
+_LOOPS, _SMALL = 2000, 10
+_WALLS = 10  # of a loop
+_JUDGED, _MARGINS, _JITTERS = 25, 5, 50  # one of so many loops
+_SAME = 1e-7  # relative: the limits of both
+_TIMED = (1, 0), (1, 6), (20, 3), (40, 20), (100, 1), (200, 3), (200, 283)
+_LATEST = 30.0  # samples: a region by the rival takes seconds beyond
+
+Drawn = MassLoop | DeviceLoop
+
+
+def rows(small: bool, points: int | None = None) -> Iterator[Row]:
+    count = points or (_SMALL if small else _LOOPS)
+    for name, (draw, share) in KINDS.items():
+        tallies = {question: Tally() for question in QUESTIONS}
+        for index in range(max(1, round(count * share))):
+            rng = np.random.default_rng([20261126, index])
+            _ask(draw(rng), rng, tallies, index)
+        for question, tally in tallies.items():
+            if tally.asked:
+                yield tally.row(f"{question} {name}")
+    for samples, delay in _TIMED[: 3 if small else None]:
+        yield from _times(samples, delay)
+
+
+def late(rng: np.random.Generator) -> Drawn:
+    """A loop that is late by 50 to 500 samples."""
+    drawn = MassLoop.drawn(rng)
+    gamma, delta, delay = drawn.plant
+    more = float(np.exp(rng.uniform(np.log(50.0), np.log(470.0))).round())
+    return MassLoop((gamma, delta, min(delay + more, 500.0)), drawn.filters)
+
+
+KINDS: dict[str, tuple[Callable[[np.random.Generator], Drawn], float]] = {
+    "of masses": (MassLoop.drawn, 0.45),
+    "of devices": (DeviceLoop.drawn, 0.4),
+    "of devices with modes that are hardly moved": (DeviceLoop.hardly_moved, 0.1),
+    "with long windows": (long_window, 0.03),
+    "that are late": (late, 0.02),
+}
+QUESTIONS = "walls", "radii", "rows", "columns", "limits", "margins", "jitters"
+
+
+@dataclass
+class Tally:
+    """What became of one kind of questions."""
+
+    asked: int = 0
+    open: int = 0
+    rival_open: int = 0
+    contradicts: int = 0
+    judged: int = 0
+    wrong: int = 0
+    error: float = 0.0
+    seconds: list[float] = field(default_factory=list)
+    rival_seconds: list[float] = field(default_factory=list)
+
+    def row(self, section: str) -> Row:
+        return {
+            "section": section,
+            "method": "exact",
+            "delay": 0.0,
+            "points": self.asked,
+            "seconds": float(np.median(self.seconds)),
+            "seconds_quartiles": np.quantile(self.seconds, (0.25, 0.75)).tolist(),
+            "repeats": len(self.seconds),
+            "error": self.error,
+            "error_measure": "largest relative difference from the other answer",
+            "slowest": max(self.seconds),
+            "rival_seconds": float(np.median(self.rival_seconds or [0.0])),
+            "contradicts": self.contradicts,
+            "open": self.open,
+            "rival_open": self.rival_open,
+            "judged": self.judged,
+            "wrong": self.wrong,
+        }
+
+    def timed(self, question: Callable[[], Any], *, is_rival: bool = False) -> Any:
+        start = process_time()
+        answer = question()
+        (self.rival_seconds if is_rival else self.seconds).append(process_time() - start)
+        return answer
+
+    def compared(self, difference: float, words: object) -> None:
+        """Count two numbers that should be one."""
+        self.error = max(self.error, difference)
+        if difference > _SAME:
+            self.contradicts += 1
+            print(f"differ by {difference:.1e}: {words}", flush=True)
+
+
+def _ask(drawn: Drawn, rng: np.random.Generator, tallies: dict[str, Tally], index: int) -> None:
+    truth = Loop.of(drawn) if index % _JUDGED == 0 else None
+    loop = loop_of(drawn)
+    units = loop.alpha(1.0), loop.beta(1.0)
+    walls = (hostile_walls(rng, drawn.balls, _WALLS) / units).tolist()
+    triple = partial(ball_triple, loop)
+    tally = tallies["walls"]
+    for wall in walls:
+        verdict = tally.timed(partial(wall_verdict, triple, *wall)).verdict
+        rival = int(tally.timed(partial(loop.verdict, *wall), is_rival=True))
+        tally.asked += 1
+        tally.open += verdict == Verdict.UNDECIDED
+        tally.rival_open += rival == Verdict.UNDECIDED
+        if Verdict.UNDECIDED not in (verdict, rival) and verdict != rival:
+            tally.contradicts += 1
+            print(f"verdicts {verdict!r}, {rival} of {wall} on {loop}", flush=True)
+        _judge(tally, truth, wall, verdict == Verdict.STABLE, verdict != Verdict.UNDECIDED)
+    tally = tallies["radii"]
+    for wall in walls[:2]:
+        radius = tally.timed(partial(spectral_radius, triple, *wall))
+        rival = tally.timed(partial(loop.spectral_radius, *wall), is_rival=True)
+        tally.asked += 1
+        tally.open += not isfinite(radius.error)
+        bound = float(rival.error)
+        tally.rival_open += not isfinite(bound)
+        if isfinite(radius.error) and isfinite(bound):
+            apart = abs(float(rival.value) - radius.value)
+            tally.error = max(tally.error, apart / radius.value)
+            tally.contradicts += apart > (bound + radius.error) * (1.0 + 1e-9)
+    far = loop.delay_samples > _LATEST
+    region = None if far else loop.region()
+    lines = {"rows": ((0.0, walls[1][1]), (1.0, 0.0)), "columns": ((walls[1][0], 0.0), (0.0, 1.0))}
+    for name, (start, along) in lines.items():
+        tally = tallies[name]
+        line = tally.timed(partial(stable_line, triple, start, along))
+        tally.asked += 1
+        tally.open += line.status != LineStatus.PROVED
+        if region is not None:
+            limits = loop.stiffness_limits if name == "rows" else loop.damping_limits
+            rival = tally.timed(partial(limits, start[1] + start[0]), is_rival=True)
+            _compare_line(tally, line, rival, loop)
+        if truth is not None:
+            _judge_line(tally, truth, line, start, along)
+    if region is not None:
+        _limits(tallies["limits"], loop)
+    if index % _MARGINS == 0 and not far:
+        _margins(tallies["margins"], loop, walls)
+    if index % _JITTERS == 0 and not far:
+        _jitters(tallies["jitters"], loop, walls)
+
+
+def loop_of(drawn: Drawn) -> HapticLoop:
+    """The loop as jaxstab is asked for it."""
+    from benchmarks.truth.random_loops import _PERIOD, device_of
+
+    velocity, position, _ = drawn.filters
+    filters = {"velocity": velocity, "position": position}
+    if isinstance(drawn, MassLoop):
+        gamma, delta, delay = drawn.plant
+        body = {"device_mass": 1.0, "device_damping": delta, "hand_stiffness": gamma}
+        return HapticLoop(**body, sample_time=1.0, delay=delay, **filters)
+    delay = drawn.device.delay * _PERIOD
+    return HapticLoop(device=device_of(drawn.device), sample_time=_PERIOD, delay=delay, **filters)
+
+
+def _judge(tally: Tally, truth: Loop | None, wall: Any, is_stable: bool, is_said: bool) -> None:
+    if truth is None or not is_said:
+        return
+    expected = truth.is_stable(*wall)
+    if expected is not None:
+        tally.judged += 1
+        if expected != is_stable:
+            tally.wrong += 1
+            print(f"wrong: {wall} on {truth.loop} is stable: {expected}", flush=True)
+
+
+def _judge_line(
+    tally: Tally,
+    truth: Loop,
+    line: StableLine,
+    start: tuple[float, float],
+    along: tuple[float, float],
+) -> None:
+    """Judge both sides of all crossings, and the middles of gaps."""
+    if line.status != LineStatus.PROVED or line.drift:
+        return
+    known = [end.value for end in line.crossings]
+    tried = [(low + high) / 2.0 for low, high in pairwise(known)]
+    for value, error, _ in line.crossings:
+        aside = max(1e-9 * abs(value), 4.0 * error)
+        tried += [value - aside, value + aside]
+    for t in tried:
+        if t not in known and abs(t) < line.horizon:
+            wall = [a + t * b for a, b in zip(start, along, strict=True)]
+            _judge(tally, truth, wall, line.holding(t) is not None, is_said=True)
+
+
+def _compare_line(tally: Tally, line: StableLine, rival: np.ndarray, loop: HapticLoop) -> None:
+    """The rival's interval is one of the line's, or NaN."""
+    low, high = np.asarray(rival, float).tolist()
+    if not (isfinite(low) and isfinite(high)):
+        tally.rival_open += 1
+        return
+    if line.status != LineStatus.PROVED:
+        return
+    size = max(abs(low), abs(high))
+    pairs = [
+        max(abs(interval.low.value - low), abs(interval.high.value - high)) / size
+        for interval in line.intervals
+    ]
+    tally.compared(min(pairs, default=inf), (loop, rival, line.intervals))
+
+
+def _limits(tally: Tally, loop: HapticLoop) -> None:
+    """The row through the largest stiffness ends there."""
+    limits = tally.timed(loop.limits, is_rival=True)
+    stiffness, damping = limits.stiffness, limits.at_damping
+    if not isfinite(stiffness) or stiffness <= 0.0:
+        return
+    triple, ends = partial(ball_triple, loop), []
+    for aside in (1.0, 1.0 - 1e-9, 1.0 + 1e-9):  # at a corner the row itself may be empty
+        row = partial(stable_line, triple, (0.0, damping * aside), (1.0, 0.0))
+        line = tally.timed(row)
+        tally.asked += 1
+        tally.open += line.status != LineStatus.PROVED
+        ends += [abs(interval.high.value / stiffness - 1.0) for interval in line.intervals]
+    tally.compared(min(ends, default=inf), (loop, stiffness, damping))
+
+
+def _margins(tally: Tally, loop: HapticLoop, walls: list[list[float]]) -> None:
+    triple = partial(ball_triple, loop)
+    wall = next((w for w in walls if wall_verdict(triple, *w).verdict == Verdict.STABLE), None)
+    if wall is None or wall[0] <= 0.0:
+        return
+    rival = tally.timed(partial(loop.margins, *wall), is_rival=True)
+    line = tally.timed(partial(stable_line, triple, (0.0, wall[1]), (1.0, 0.0)))
+    interval = line.holding(wall[0])
+    tally.asked += 1
+    if interval is None or not isfinite(float(rival.stiffness_gain)):
+        tally.open += interval is None
+        return
+    gain, proved = interval.high.value / wall[0], float(rival.stiffness_gain)
+    if proved > gain * (1.0 + _SAME):  # it is a lower bound, below by what its search left open
+        tally.compared(proved / gain - 1.0, (loop, wall))
+
+
+def _jitters(tally: Tally, loop: HapticLoop, walls: list[list[float]]) -> None:
+    triple = partial(ball_triple, loop)
+    stable = [w for w in walls if wall_verdict(triple, *w).verdict == Verdict.STABLE]
+    if not stable:
+        return
+    wall = [0.7 * gain for gain in stable[0]]
+    rival = float(tally.timed(partial(loop.jitter_margin, *wall), is_rival=True))
+    device, period, delay = loop.held_device, float(loop.sample_time), float(loop.delay_samples)
+    late_by = partial(late_cosines, device, period, delay)
+    found = tally.timed(
+        lambda: largest_jitter(partial(ball_loop, loop), late_by, (wall[0], wall[1]), 64.0)
+    )
+    tally.asked += 1
+    if rival > 0.0 and isfinite(rival):  # the rival's is a lower bound, up to half below
+        tally.contradicts += rival / period > found * (1.0 + 1e-3) and found < 64.0
+
+
+def _times(samples: int, delay: int) -> Iterator[Row]:
+    device = Device.mass_spring_damper(0.25, damping=0.1)
+    loop = HapticLoop(
+        device=device, sample_time=1e-3, delay=delay * 1e-3,
+        velocity=Velocity.difference(samples=samples),
+    )  # fmt: skip
+    triple = partial(ball_triple, loop)
+    high = stable_line(triple, (0.0, 1.0), (1.0, 0.0)).intervals[0].high.value
+    wall = 0.5 * high, 1.0
+    questions: dict[str, Callable[[], Any]] = {
+        "wall_verdict": partial(wall_verdict, triple, *wall),
+        "spectral_radius": partial(spectral_radius, triple, *wall),
+        "row": partial(stable_line, triple, (0.0, 1.0), (1.0, 0.0)),
+        "column": partial(stable_line, triple, (wall[0], 0.0), (0.0, 1.0)),
+    }
+    degree = samples + delay + 2
+    for name, question in questions.items():
+        question()
+        seconds: list[float] = []
+        while len(seconds) < 3 or sum(seconds) < 0.2:
+            start = process_time()
+            question()
+            seconds.append(process_time() - start)
+        yield {
+            "section": f"degree {degree}",
+            "method": name,
+            "delay": float(delay),
+            "points": 1,
+            "seconds": float(np.median(seconds)),
+            "seconds_quartiles": np.quantile(seconds, (0.25, 0.75)).tolist(),
+            "repeats": len(seconds),
+            "error": 0.0,
+            "error_measure": "none: times alone",
+        }

@@ -1,0 +1,155 @@
+"""Truths without balls: polynomials of loops in mpmath, the criterion of Jury in exact fractions.
+
+A loop is drawn by ``random_loops``; its plant is the equations of motion in mpmath (``devices``),
+its filters are difference equations in exact fractions (``filtered``)."""
+
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import NamedTuple
+
+import numpy as np
+from flint import fmpq_poly
+from mpmath import mp, mpf
+
+import jaxstab
+from benchmarks.truth import devices, evaluate, random_loops
+from benchmarks.truth.random_loops import DeviceLoop, MassLoop
+
+DIGITS = 120
+_UNKNOWN = mpf(10) ** -60  # next to 1, a reflection coefficient tells nothing
+
+Falling = list[mpf]  # coefficients, highest power first
+
+
+def is_stable(falling: Sequence[Fraction]) -> bool | None:
+    """Whether all roots lie inside the circle (Jury 1964), exactly; None if the degree is less."""
+    rest = list(falling)
+    if rest[0] == 0:
+        return None
+    while len(rest) > 1:
+        k = rest[-1] / rest[0]
+        if abs(k) >= 1:
+            return False
+        rest = [a - k * b for a, b in zip(rest[:-1], rest[:0:-1], strict=True)]
+    return True
+
+
+class Loop(NamedTuple):
+    """One loop: as jaxstab is asked for it, and base, stiffness and damping in mpmath, in SI."""
+
+    loop: jaxstab.HapticLoop
+    base: Falling
+    stiffness: Falling
+    damping: Falling
+
+    @classmethod
+    def of(cls, drawn: MassLoop | DeviceLoop) -> "Loop":
+        """A loop that was drawn; gains of one of one mass are alpha and beta."""
+        if isinstance(drawn, MassLoop):
+            gamma, delta, delay = drawn.plant
+            period = 1.0
+            system = devices.Mechanism([(mpf(1), mpf(delta), mpf(gamma))]).system()
+            body = {"device_mass": 1.0, "device_damping": delta, "hand_stiffness": gamma}
+        else:
+            delay, period = drawn.device.delay, drawn.device.sample_time
+            system = drawn.device.mechanism.system()
+            body = {"device": random_loops.device_of(drawn.device)}
+        velocity, position, truths = drawn.filters
+        loop = jaxstab.HapticLoop(
+            **body, sample_time=period, delay=delay * period, velocity=velocity, position=position
+        )
+        return cls.from_parts(loop, system, delay, truths)
+
+    @classmethod
+    def from_parts(
+        cls,
+        loop: jaxstab.HapticLoop,
+        system: devices.System,
+        delay: float,
+        truths: tuple[tuple[fmpq_poly, fmpq_poly], tuple[fmpq_poly, fmpq_poly]],
+    ) -> "Loop":
+        """A loop with its device's equations of motion, and T V(z) and P(z) in fractions."""
+        plant = devices.sampled(system, loop.sample_time, delay)
+        with mp.workdps(DIGITS):
+            (nv, dv), (np_, dp) = (tuple(map(_falling, pair)) for pair in truths)
+            base = product(plant.denominator, dp, dv) + [mpf(0)] * plant.lag
+            stiffness = product(plant.numerator, np_, dv)
+            damping = [c / mpf(loop.sample_time) for c in product(plant.numerator, nv, dp)]
+            size = len(base)
+            parts = ([mpf(0)] * (size - len(p)) + p for p in (base, stiffness, damping))
+            return cls(loop, *parts)
+
+    def polynomial(self, stiffness: mpf | float, damping: mpf | float) -> Falling:
+        """p(z) of a wall, without roots at 0."""
+        with mp.workdps(DIGITS):
+            k, b = mpf(stiffness), mpf(damping)
+            falling = [x + k * y + b * z for x, y, z in zip(*self[1:], strict=True)]
+            while falling[-1] == 0:
+                falling.pop()
+            return falling
+
+    def is_stable(self, stiffness: mpf | float, damping: mpf | float) -> bool | None:
+        """Whether a wall is stable; None where 60 digits do not tell."""
+        return is_stable_in_digits(self.polynomial(stiffness, damping))
+
+
+def is_stable_in_digits(falling: Falling) -> bool | None:
+    """The same as ``is_stable`` in 120 digits; None where a decision is closer than 1e-60."""
+    with mp.workdps(DIGITS):
+        rest = falling
+        while len(rest) > 1:
+            k = rest[-1] / rest[0]
+            if abs(abs(k) - 1) < _UNKNOWN:
+                return None
+            if abs(k) > 1:
+                return False
+            rest = [a - k * b for a, b in zip(rest[:-1], rest[:0:-1], strict=True)]
+        return True
+
+
+def radius(falling: Falling) -> mpf:
+    """The largest modulus of a root, by Aberth's iteration from eigenvalues, in 60 digits."""
+    with mp.workdps(60):
+        roots = _refined(falling, np.roots(np.array([complex(c) for c in falling])))
+        return max(map(abs, roots))
+
+
+def outside(falling: Falling) -> int:
+    """The number of roots outside the circle, by the roots themselves."""
+    with mp.workdps(60):
+        roots = _refined(falling, np.roots(np.array([complex(c) for c in falling])))
+        return sum(abs(root) > 1 for root in roots)
+
+
+def _refined(falling: Falling, guesses: np.ndarray) -> list[mp.mpc]:
+    """Roots by the simultaneous iteration of Aberth (1973), from guesses in float64."""
+    roots = [mp.mpc(complex(z)) for z in guesses]
+    degree = len(falling) - 1
+    slopes = [c * (degree - k) for k, c in enumerate(falling[:-1])]
+    for _ in range(40):
+        largest = mpf(0)
+        for index, z in enumerate(roots):
+            ratio = evaluate(falling, z) / evaluate(slopes, z)
+            pull = sum(1 / (z - other) for k, other in enumerate(roots) if k != index)
+            move = ratio / (1 - ratio * pull)
+            roots[index] = z - move
+            largest = max(largest, abs(move))
+        if largest < mpf(10) ** -40:
+            return roots
+    raise ArithmeticError("roots that coincide; take others")
+
+
+def product(*factors: Falling) -> Falling:
+    """The product of polynomials."""
+    whole = [mpf(1)]
+    for factor in factors:
+        sums = [mpf(0)] * (len(whole) + len(factor) - 1)
+        for i, a in enumerate(whole):
+            for j, b in enumerate(factor):
+                sums[i + j] += a * b
+        whole = sums
+    return whole
+
+
+def _falling(polynomial: fmpq_poly) -> Falling:
+    return [mpf(int(c.p)) / int(c.q) for c in polynomial.coeffs()[::-1]]

@@ -1,0 +1,5 @@
+"""One loop, proved in balls of python-flint."""
+
+from jaxstab.lazy import attach_stub
+
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

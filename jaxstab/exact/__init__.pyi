@@ -1,0 +1,27 @@
+from .balls import Number as Number
+from .balls import TripleAt as TripleAt
+from .delay_margin import DelayMargin as DelayMargin
+from .delay_margin import DelayStatus as DelayStatus
+from .delay_margin import delay_margin as delay_margin
+from .line import Interval as Interval
+from .line import LineStatus as LineStatus
+from .line import StableLine as StableLine
+from .line import stable_line as stable_line
+from .response import Bounds as Bounds
+from .response import ResponseStatus as ResponseStatus
+from .response import Settled as Settled
+from .response import l1_norm as l1_norm
+from .response import peak as peak
+from .response import settling_sample as settling_sample
+from .roots import Poles as Poles
+from .roots import Radius as Radius
+from .roots import poles as poles
+from .roots import spectral_radius as spectral_radius
+from .small_gain import SmallGainStatus as SmallGainStatus
+from .small_gain import largest_jitter as largest_jitter
+from .small_gain import small_gain as small_gain
+from .verdict import VerdictStatus as VerdictStatus
+from .verdict import WallVerdict as WallVerdict
+from .verdict import wall_verdict as wall_verdict
+
+__all__: list[str]

@@ -1,0 +1,289 @@
+"""All zeros of a cosine sum between 0 and pi, each in a ball of its own.
+
+    f(theta) = c_0 + c_1 cos(theta) + ... + c_n cos(n theta),    f(0) and f(pi) not 0.
+
+The half circle is divided into 2n cells or a few more. Two discrete Fourier transforms give f and
+three derivatives at the middle of each. A cell of half-width h has no zero if
+
+    |f| > h |f'| + h^2/2 |f''| + h^3/6 |f'''| + h^4/24 (sum of k^4 |c_k|)
+
+(Taylor; the fourth derivative is at most that sum). A cell that is left gets its Taylor polynomial
+P of so many terms that what it misses, at most E = h^D/D! (sum of k^D |c_k|), is far below the sum
+of |c_k|: k h is below 1, so that D is 32 for 192 bits. Neither loses digits to the degree n: the
+k-th term is multiplied by a root of unity that is known exactly, not by a power that was formed.
+
+Within the cell, on an interval of half-width r around m, with P(m + r t) = q_0 + q_1 t + ...,
+
+    no zero if     |q_0| > |q_1| + |q_2| + ... + E,
+    at most one if |q_1| > 2 |q_2| + 3 |q_3| + ... + r E',    E' the same bound for f' - P',
+
+else it is halved. A monotone interval with unlike signs at its ends has one zero. Newton's
+iteration finds it in numbers, then one step of it in balls proves it: where T is a ball around x
+and
+
+    N = x - f(x)/f'(T)    lies inside T,
+
+f has one zero in T, and it is in N (mean value theorem). The ends of cells are places where a sign
+is known: an end that falls on a zero is moved, for both of its cells.
+
+Zeros of a higher order, and zeros so close to each other that balls do not part them, leave an
+interval that is too short to be halved. It is reported as one place, without a direction, if that
+is asked for; else the answer is that more bits are needed.
+"""
+
+from functools import lru_cache
+from typing import TYPE_CHECKING, NamedTuple
+
+from jaxstab.exact.balls import sign_of
+
+if TYPE_CHECKING:
+    from flint import arb, arb_mat, arb_poly
+
+_OVERLAP = 9  # a cell reaches to 9/8 of its share: the ends of shares may be moved by 1/16
+_MOVES = (0, 1, -1, 2, -2, 3, -3, 4, -4)  # of an end, in 72ths of a cell
+_SHARES = (6, 7, 9, 10, 8)  # of an interval, in 16ths, where it is divided
+_SHORTEST = 96  # halvings of a cell, at most
+_REFINEMENTS = 80
+
+
+class Zero(NamedTuple):
+    """A ball of angles that holds one zero, and the sign of the derivative there.
+
+    The sign is 0 for a place that holds all zeros of a short interval, of an unknown number.
+    """
+
+    angle: "arb"
+    slope: int
+
+
+def zeros(cosines: "list[arb]", *, is_last_try: bool) -> list[Zero] | None:
+    """All zeros in (0, pi), from left to right; None where more bits are needed.
+
+    ``is_last_try`` has places without a direction reported.
+    """
+    if all(c.contains(0) for c in cosines[1:]):  # a constant, as far as the balls tell
+        return None if sum(cosines[1:], cosines[0]).contains(0) else []
+    cells = _Cells(cosines)
+    signs = [_sign_on_cell(cells, cell) for cell in range(cells.count)]
+    parts = cells.polynomials([cell for cell, sign in enumerate(signs) if not sign])
+    ends = [_end(cell, signs, parts) for cell in range(cells.count + 1)]
+    found: list[Zero] = []
+    for cell, part in parts.items():
+        places = _isolated(part, ends[cell].of_cell(cell), ends[cell + 1].of_cell(cell))
+        if places is None or not (is_last_try or all(place.slope for place in places)):
+            return None
+        found += [Zero(cells.angle(cell, place.angle), place.slope) for place in places]
+    return found
+
+
+class _Cells:
+    """A cosine sum on equal cells of the half circle."""
+
+    def __init__(self, cosines: "list[arb]") -> None:
+        from flint import arb
+
+        self.cosines = cosines
+        self.degree = len(cosines) - 1
+        self.count = 1 << (2 * self.degree - 1).bit_length()
+        self.half = arb.pi() * _OVERLAP / (16 * self.count)
+        powers = [arb(k) for k in range(len(cosines))]
+        first, second, third = (
+            [k**order * c for k, c in zip(powers, cosines, strict=True)] for order in (1, 2, 3)
+        )
+        # The second and third derivative have the other sign: only their moduli are asked for.
+        self.values = _sums(cosines, first, self.count) + _sums(second, third, self.count)
+        self.fourth = sum((abs(k * c) for k, c in zip(powers, third, strict=True)), arb(0))
+
+    def angle(self, cell: int, t: "arb") -> "arb":
+        """The angle at t of a cell, from -1 to 1."""
+        from flint import arb
+
+        return arb.pi() * (2 * cell + 1) / (2 * self.count) + self.half * t
+
+    def polynomials(self, chosen: list[int]) -> "dict[int, _Part]":
+        """The Taylor polynomials of cells, in t."""
+        from flint import arb, arb_mat, arb_poly, ctx
+
+        if not chosen:
+            return {}
+        weights, last = _weights(self.degree, self.count, ctx.prec)
+        roots = _roots_of_unity(4 * self.count, ctx.prec)
+        columns = []
+        for cell in chosen:
+            turn = 2 * cell + 1
+            at = [roots[k * turn % (4 * self.count)] for k in range(self.degree + 1)]
+            columns.append([c * z[0] for c, z in zip(self.cosines, at, strict=True)])
+            columns.append([c * z[1] for c, z in zip(self.cosines, at, strict=True)])
+        sums = (weights * arb_mat(columns).transpose()).tolist()
+        terms = len(sums)
+        missed = (last * arb_mat([[abs(c)] for c in self.cosines]))[0, 0].abs_upper()
+        parts = {}
+        for index, cell in enumerate(chosen):
+            columns_of = 2 * index, 2 * index + 1  # cos, -sin, -cos, sin
+            taylor = [
+                sums[d][columns_of[d % 2]] * (-1 if d % 4 in (1, 2) else 1) for d in range(terms)
+            ]
+            p, rest = arb_poly(taylor), arb(0, missed)
+            parts[cell] = _Part(p, p.derivative(), rest, rest * terms)
+        return parts
+
+
+class _Part(NamedTuple):
+    """A cosine sum on a cell, t from -1 to 1: P, P' and what they may miss."""
+
+    value: "arb_poly"
+    slope: "arb_poly"
+    missed: "arb"
+    slope_missed: "arb"
+
+    def sign(self, t: "arb") -> int:
+        """The sign at a place, 0 if it is not known."""
+        return sign_of(self.value(t) + self.missed)
+
+
+class _End(NamedTuple):
+    """An end between two cells, in 72ths of a cell from where it should be, and the sign there."""
+
+    number: int
+    moved: int
+    sign: int
+
+    def of_cell(self, cell: int) -> "tuple[arb, int]":
+        """The end as a place of one of its cells, and the sign."""
+        from flint import arb
+
+        return arb((64 if cell < self.number else -64) + self.moved) / 72, self.sign
+
+
+def _end(index: int, signs: list[int], parts: "dict[int, _Part]") -> _End:
+    """The end between two cells, or an outermost one."""
+    known = [signs[cell] for cell in (index - 1, index) if 0 <= cell < len(signs)]
+    sign = known[0] or known[-1]
+    if sign:
+        return _End(index, 0, sign)
+    cell = max(index - 1, 0)
+    is_outermost = len(known) == 1
+    for moved in _MOVES[: 1 if is_outermost else None]:
+        end = _End(index, moved, 0)
+        sign = parts[cell].sign(end.of_cell(cell)[0])
+        if sign:
+            return end._replace(sign=sign)
+    return _End(index, 0, 0)
+
+
+def _sign_on_cell(cells: _Cells, cell: int) -> int:
+    """The sign of f in all of a cell; 0 where it may have a zero."""
+    f, f1, f2, f3 = (values[cell] for values in cells.values)
+    h = cells.half
+    rest = abs(f3) * 4 + h * cells.fourth
+    more = h * (abs(f1) * 24 + h * (abs(f2) * 12 + h * rest))
+    return sign_of(f) if abs(f) * 24 > more else 0
+
+
+def _isolated(part: _Part, first: "tuple[arb, int]", last: "tuple[arb, int]") -> list[Zero] | None:
+    """The zeros of a part between two places with their signs, from left to right, in t."""
+    from flint import arb, arb_poly, ctx
+
+    found: list[Zero] = []
+    shortest = arb(2) ** -min(ctx.prec // 3, _SHORTEST)
+    intervals = [(first, last)]
+    while intervals:
+        (a, sign_a), (b, sign_b) = intervals.pop()
+        centre = (a + b) / 2
+        half = ((b - a) / 2 + centre.rad()).abs_upper()
+        f, slope, *others = part.value(arb_poly([centre.mid(), half])).coeffs()
+        sizes = [abs(c) for c in others]
+        if abs(f + part.missed) > sum(sizes, abs(slope)):
+            continue
+        bend = sum((k * size for k, size in enumerate(sizes, start=2)), arb(0))
+        if sign_a and sign_b and abs(slope + half * part.slope_missed) > bend:
+            if sign_a != sign_b:
+                zero = _refined(part, a, b, sign_b)
+                if zero is None:
+                    return None
+                found.append(zero)
+        elif half < shortest:
+            found.append(Zero(arb(centre.mid(), half), 0))
+        else:
+            place = _known_place(part, a, b)
+            if not place[1]:
+                return None  # the balls tell nothing about all of the interval
+            intervals += [(place, (b, sign_b)), ((a, sign_a), place)]
+    return found
+
+
+def _known_place(part: _Part, a: "arb", b: "arb") -> "tuple[arb, int]":
+    """A place about the middle of an interval, and the sign there, if one can be known."""
+    for share in _SHARES:
+        place = (a + (b - a) * share / 16).mid()
+        sign = part.sign(place)
+        if sign:
+            break
+    return place, sign
+
+
+def _refined(part: _Part, a: "arb", b: "arb", sign_b: int) -> Zero | None:
+    """The zero of a monotone part with unlike signs at its ends."""
+    from flint import arb, ctx
+
+    low, high = a.mid(), b.mid()
+    x, smallest = ((low + high) / 2).mid(), arb(2) ** -ctx.prec
+    step = high - low
+    for _ in range(_REFINEMENTS):
+        f = part.value(x)
+        sign = sign_of(f + part.missed)
+        if sign == sign_b:
+            high = x
+        elif sign:
+            low = x
+        new = (x - f / part.slope(x)).mid()
+        if not low <= new <= high:
+            new = ((low + high) / 2).mid()
+        step, x = abs(new - x).mid(), new
+        if not sign or step <= smallest:
+            break
+    f = part.value(x) + part.missed
+    radius = max(4 * (f / part.slope(x)).abs_upper(), smallest)
+    for _ in range(4):
+        around = arb(x, radius)
+        place = x - f / (part.slope(around) + part.slope_missed)
+        if around.contains(place):
+            return Zero(place, sign_b)
+        radius = radius * 256
+    return None
+
+
+def _sums(even: "list[arb]", odd: "list[arb]", cells: int) -> "list[list[arb]]":
+    """Sums of ``even`` times cos(k theta), of ``odd`` times -sin(k theta), at middles of cells."""
+    from flint import acb, ctx
+
+    roots = _roots_of_unity(4 * cells, ctx.prec)
+    given = [
+        acb(a, b) * acb(z[0], -z[1]) for a, b, z in zip(even, odd, roots[: len(even)], strict=True)
+    ]
+    turned = acb.dft(given + [acb(0)] * (2 * cells - len(given)))
+    pairs = [(turned[cell].real, turned[-1 - cell].real) for cell in range(cells)]
+    return [[(a + b) / 2 for a, b in pairs], [(b - a) / 2 for a, b in pairs]]
+
+
+@lru_cache(maxsize=16)
+def _roots_of_unity(count: int, bits: int) -> "list[tuple[arb, arb]]":
+    """Cosines and sines of the parts of a turn."""
+    from flint import arb, fmpq
+
+    del bits  # the precision is set
+    angles = [fmpq(2 * part, count) for part in range(count)]
+    return [(arb.cos_pi_fmpq(angle), arb.sin_pi_fmpq(angle)) for angle in angles]
+
+
+@lru_cache(maxsize=64)
+def _weights(degree: int, cells: int, bits: int) -> "tuple[arb_mat, arb_mat]":
+    """(k h)^d/d!, a row for each d below D, and the row of D."""
+    from flint import arb, arb_mat
+
+    steps = [arb.pi() * (_OVERLAP * k) / (16 * cells) for k in range(degree + 1)]
+    last, rows = [arb(1)] * (degree + 1), []
+    while not last[-1] < arb(2) ** -(2 * bits // 3):
+        rows.append(last)
+        last = [value * step / len(rows) for value, step in zip(last, steps, strict=True)]
+    return arb_mat(rows), arb_mat([last])

@@ -1,0 +1,278 @@
+"""By how much the delay of a stable wall may grow: the first delay with a root on the circle.
+
+For a delay of n + f samples, n whole and 0 <= f < 1, a root lies at z = e^(i theta) if
+
+    1 + z^-(n+1) W = 0,    W = N_f H/D,    N_f = (z - 1) N[v(f)] + N[v(0)]
+
+(lemma V10), H the wall, v(f) what a force held for 1 - f adds to the states, and N[.] linear. Over
+a box of theta and f, log W is enclosed by its mean-value form: the value in the middle and the
+slopes over all of the box. Where its real part is not 0 the box has no root for any n (|W| = 1 is
+needed). Else its imaginary part gives the whole numbers n that may have one,
+
+    (n + 1) theta = arg W + pi + 2 pi l,
+
+and the least n + f of them is the key of the box. The box of the smallest key is halved, again and
+again: whatever the keys are, no delay below the smallest one has a root on the circle. So that key
+is a proved margin at any time, and where no box is left no delay is too long. Near zeros of N_f H,
+where log W is no use, |N_f H| < |D| is shown by mean values of both.
+
+All is evaluated in powers of z - 1, where D and N_f vanish together next to 0; a window is a sum of
+phases. The search ends where the box is too short to matter.
+"""
+
+from collections.abc import Callable
+from functools import cache, reduce
+from heapq import heapify, heappop, heappush
+from itertools import pairwise
+from math import inf, nextafter, pi, ulp
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from jaxstab.conventions import Status
+from jaxstab.exact.balls import FIRST_BITS
+from jaxstab.model.balls import BallLoop, Factored
+from jaxstab.model.device.parts import working_precision
+from jaxstab.model.device.sampling import OneSample, force_of, held, without_force
+
+if TYPE_CHECKING:
+    from flint import acb, arb, arb_poly
+
+_HALF_TURN = nextafter(pi, 4.0)  # z = -1 is in the last cell
+_GRADES = 0, 1, 2, 3, 4, 6, 8, 12, 16, 20, 24, 32, 40, 48, 64  # 64ths of pi: first cells
+_MOST_BOXES = 20_000
+_SHORT = 2.0**-31  # of a margin: a box that is reported
+_TURNS = 32  # of (n + 1) theta that are looked at
+
+Interval = tuple[float, float]
+
+
+class DelayStatus(Status):
+    """How far a margin of the delay can be trusted."""
+
+    PROVED = 1, "no shorter delay has a root on the circle, proved"
+    UNLIMITED = 2, "no delay is too long, proved"
+    NOT_SHARP = 3, "proved, but the search was ended: the margin may be larger"
+
+
+class DelayMargin(NamedTuple):
+    """A proved margin in samples, and its status."""
+
+    samples: float
+    status: DelayStatus
+
+
+def delay_margin(
+    loop: Callable[[], BallLoop],
+    sample: Callable[[], OneSample],
+    delay: float,
+    wall: tuple[float, float],
+) -> DelayMargin:
+    """By how many samples the delay of a stable wall (K, B) may at least grow.
+
+    Args:
+        loop: the loop in balls of the precision that is set; its delay is not used.
+        sample: its device within a sample.
+        delay: of the loop, in samples, at which the wall is stable.
+        wall: stiffness and damping.
+    """
+    with working_precision(FIRST_BITS):
+        search = _Search(loop(), sample(), delay, wall)
+        boxes = []
+        for theta in pairwise(grade * _HALF_TURN / 64.0 for grade in _GRADES):
+            boxes += search.boxes(theta, (0.0, 1.0))
+        heapify(boxes)
+        for _ in range(_MOST_BOXES):
+            if not boxes:
+                return DelayMargin(inf, DelayStatus.UNLIMITED)
+            key, theta, fraction, by_theta = heappop(boxes)
+            margin = max(key - delay - 2.0 * ulp(key), 0.0)  # what was rounded
+            if fraction[1] - fraction[0] < _SHORT * max(margin, _SHORT):
+                return DelayMargin(margin, DelayStatus.PROVED)
+            for halves in _halves(theta, fraction, by_theta=by_theta):
+                for box in search.boxes(*halves):
+                    heappush(boxes, box)
+        key = boxes[0][0]
+        return DelayMargin(max(key - delay - 2.0 * ulp(key), 0.0), DelayStatus.NOT_SHARP)
+
+
+def _halves(
+    theta: Interval, fraction: Interval, *, by_theta: bool
+) -> list[tuple[Interval, Interval]]:
+    cut = theta if by_theta else fraction
+    middle = 0.5 * (cut[0] + cut[1])
+    parts = (cut[0], middle), (middle, cut[1])
+    return [(part, fraction) if by_theta else (theta, part) for part in parts]
+
+
+class _Form(NamedTuple):
+    """A function over a box: its value in the middle, its slopes over all of it, and all values."""
+
+    middle: "acb"
+    by_theta: "acb"
+    by_fraction: "acb"
+    all: "acb"
+
+    def times(self, other: "_Form") -> "_Form":
+        return _Form(
+            self.middle * other.middle,
+            self.by_theta * other.all + self.all * other.by_theta,
+            self.by_fraction * other.all + self.all * other.by_fraction,
+            self.all * other.all,
+        )
+
+    def plus(self, other: "_Form") -> "_Form":
+        return _Form(*(a + b for a, b in zip(self, other, strict=True)))
+
+
+class _Search:
+    """The functions of one wall, over intervals of theta and of the fraction."""
+
+    def __init__(
+        self, loop: BallLoop, sample: OneSample, delay: float, wall: tuple[float, float]
+    ) -> None:
+        from flint import arb_poly
+
+        self.sample, self.delay = sample, delay
+        about_one = arb_poly([1, 1])
+        self.whole = sample.whole(about_one)
+        self.above = [_about_one(part) for part in _terms(loop, wall)]
+        below = loop.denominator.times(loop.position[1]).times(loop.velocity[1])
+        self.below = _about_one(below)
+        self.over_theta = cache(self._over_theta)
+        self.over_fraction = cache(self._over_fraction)
+
+    def boxes(self, theta: Interval, fraction: Interval) -> list[Any]:
+        """The box with its key, and which side of it to halve; none if no root can be there."""
+        from flint import acb, arb
+
+        late, late_slope = self.over_fraction(fraction)
+        place, above, below = self.over_theta(theta)
+        half = _around(theta).rad(), _around(fraction).rad()
+        spread = acb(arb(0, half[0])), acb(arb(0, half[1]))
+        forces = self._force(place, late, late_slope).times(above)
+        x = _narrowed(forces, spread)
+        y = _narrowed(below, spread)
+        if x.all.abs_upper() < y.all.abs_lower() or x.all.abs_lower() > y.all.abs_upper():
+            return []
+        least = self.delay - fraction[1]
+        if x.all.contains(0) or y.all.contains(0):
+            key = max(self.delay, fraction[0])
+            slopes = x.by_theta.abs_upper() + y.by_theta.abs_upper(), x.by_fraction.abs_upper()
+            return [(key, theta, fraction, bool(slopes[0] * half[0] > slopes[1] * half[1]))]
+        turns = x.by_theta / x.all - y.by_theta / y.all, x.by_fraction / x.all
+        moves = turns[0] * spread[0], turns[1] * spread[1]
+        log = (x.middle / y.middle).log() + moves[0] + moves[1]
+        if not log.real.contains(0):
+            return []
+        n = _least_whole(log.imag + arb.pi(), theta, least)
+        sizes = [float(move.abs_upper()) for move in moves]
+        return [(max(n + fraction[0], self.delay), theta, fraction, sizes[0] > sizes[1])]
+
+    def _force(self, place: "_Form", late: "_Pair", slope: "arb_poly") -> _Form:
+        """N_f(z), place being z - 1."""
+        middle, everywhere = late
+        w, all_w = place.middle, place.all
+        rising = self.whole
+        by_w = everywhere(all_w) + all_w * everywhere.derivative()(all_w)
+        by_w += rising.derivative()(all_w)
+        return _Form(
+            w * middle(w) + rising(w),
+            by_w * place.by_theta,
+            all_w * slope(all_w),
+            all_w * everywhere(all_w) + rising(all_w),
+        )
+
+    def _over_fraction(self, fraction: Interval) -> "tuple[_Pair, arb_poly]":
+        """N[v(f)] in powers of z - 1, in the middle and over an interval, and its slope."""
+        from flint import arb_poly
+
+        about_one, sample = arb_poly([1, 1]), self.sample
+        everywhere = 1 - _around(fraction)
+        middle = everywhere.mid()
+        values = []
+        for time in (middle, everywhere):
+            moved = held(sample.below, time * sample.speed)
+            values.append(sample.moved(force_of(moved))(about_one))
+        last = without_force(moved).ncols() - 1
+        pushed = [[-sample.speed * row[last]] for row in without_force(moved).tolist()]
+        slope = sample.moved(type(moved)(pushed))(about_one)
+        return (values[0], values[1]), slope
+
+    def _over_theta(self, theta: Interval) -> tuple[_Form, _Form, _Form]:
+        """Z - 1, and H's and D's polynomials, over an interval of theta."""
+        from flint import acb
+
+        everywhere = _around(theta)
+        middle = everywhere.mid()
+        turn = acb(0, everywhere).exp()
+        place = _Form(acb(0, middle).exp() - 1, acb(0, 1) * turn, acb(0), turn - 1)
+        phases = middle, everywhere
+        terms = [_value(term, place, phases) for term in self.above]
+        zero = acb(0)
+        above = reduce(_Form.plus, terms, _Form(zero, zero, zero, zero))
+        return place, above, _value(self.below, place, phases)
+
+
+_Pair = tuple["arb_poly", "arb_poly"]
+
+
+def _around(interval: Interval) -> "arb":
+    """The ball of an interval, about its middle."""
+    from flint import arb
+
+    low, high = arb(interval[0]), arb(interval[1])
+    return arb((low + high).mid() / 2, (high - low) / 2)
+
+
+def _terms(loop: BallLoop, wall: tuple[float, float]) -> list[Factored]:
+    """K Np Dv and B Nv Dp, those that are not 0, N's known zero at -1 left to N."""
+    scaled = (part.scaled(gain) for part, gain in zip(loop.walls, wall, strict=True))
+    return [part for part in scaled if not part.is_zero]
+
+
+def _about_one(p: Factored) -> Factored:
+    """The rest in powers of z - 1."""
+    from flint import arb_poly
+
+    return p._replace(rest=p.rest(arb_poly([1, 1])))
+
+
+def _value(p: Factored, place: _Form, phases: "tuple[arb, arb]") -> _Form:
+    """A polynomial of which the rest is in powers of z - 1, over an interval of theta."""
+    from flint import acb
+
+    i, zero = acb(0, 1), acb(0)
+    w, all_w = place.middle, place.all
+    slope = p.rest.derivative()
+    value = _Form(p.rest(w), slope(all_w) * place.by_theta, zero, p.rest(all_w))
+    for root, count in ((0, p.at_one), (2, p.at_minus_one)):
+        for _ in range(count):
+            value = value.times(_Form(w + root, place.by_theta, zero, all_w + root))
+    sums = [range(n) for n in p.windows] + ([range(p.power, p.power + 1)] if p.power else [])
+    for powers in sums:
+        middle = sum(((i * (k * phases[0])).exp() for k in powers), zero)
+        turns = [(i * (k * phases[1])).exp() for k in powers]
+        by_theta = sum((i * k * turn for k, turn in zip(powers, turns, strict=True)), zero)
+        value = value.times(_Form(middle, by_theta, zero, sum(turns, zero)))
+    return value
+
+
+def _narrowed(form: _Form, spread: "tuple[acb, acb]") -> _Form:
+    """The same with its values by the mean-value form."""
+    wide = form.middle + form.by_theta * spread[0] + form.by_fraction * spread[1]
+    return form._replace(all=wide)
+
+
+def _least_whole(angle: "arb", theta: Interval, least: float) -> float:
+    """A whole n >= ``least`` and 0 below which none has (n + 1) theta = angle + 2 pi l."""
+    from flint import arb
+
+    first = max(arb(least).ceil(), arb(0)) + 1
+    turn = 2 * arb.pi()
+    start = ((first * arb(theta[0]) - angle.upper()) / turn).lower().ceil()
+    lowest = first
+    for more in range(_TURNS):
+        low, high = ((end + (start + more) * turn) for end in (angle.lower(), angle.upper()))
+        lowest = max(first, (low / arb(theta[1])).lower().ceil())
+        if theta[0] == 0.0 or lowest <= (high / arb(theta[0])).upper():
+            break
+    return float(lowest.mid()) - 1.0

@@ -1,0 +1,374 @@
+"""E3. All stable intervals of a line of walls p_t = p0 + t q, complete and proved.
+
+A root crosses the unit circle at z = e^(i theta) for the wall t where p0 = -t q there, so that
+I(theta) = Im(p0 conj q) = 0, and then t = -p0/q. Every factor of p0 and q that the structure knows
+(``model.balls.Factored``) is a real function times a phase on the circle:
+
+    z^k = e^(i k theta),     z - 1 = i e^(i theta/2) 2 sin(theta/2),
+    z + 1 = e^(i theta/2) 2 cos(theta/2),
+    W_n = e^(i (n-1) theta/2) sin(n theta/2)/sin(theta/2).
+
+With a, b the orders of p0 and q at z = 1, u and v their rests, R the product of the real functions,
+
+    I = R Im(i^(a-b) e^(i nu theta/2) u conj v),      nu an integer,
+
+the last factor is a sum of sines or of cosines of whole or of half multiples of theta. Divided by
+what it has of sin(theta/2) and cos(theta/2), which are positive, it is a cosine sum c(theta), and
+its zeros in (0, pi) are known one by one (``circle``). So all pairs of roots on the circle are
+found, and no zero of W_n is taken for one: there q = 0, and the wall is at infinity, as wherever q
+vanishes and p0 does not. z = 1 and z = -1 give one wall each, if q is not 0 there. Where p0 and q
+both vanish the root stays there for all t: it is divided out, and counted as ``drift``.
+
+These are all crossings, so between two neighbours the number of roots outside is constant. As t
+grows
+
+    d|z|^2/dt = -2 I'(theta)/|dp/dtheta|^2:
+
+a pair goes out where I falls and comes in where it rises; the sign of I' is that of c' times that
+of R. At z = 1 and -1 the sign of -q/p_t' tells. With the changes known, one count of the roots
+outside (E1) gives all: it is taken where the number is least, and again where it is largest. That
+both agree is part of the answer: a wrong sign of R would leave a difference. Walls where two
+crossings are not told apart, or that have no direction (a root that only touches the circle, two
+roots at z = 1), begin a new chain of counts.
+
+Ends that E1 counts between are at most as wide as a float64 where the balls allow it. An interval
+is open: at its ends a root is on the circle. ``horizon`` is how far out the line was looked at; it
+is infinite but where q vanishes next to a zero of c.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from itertools import accumulate, pairwise
+from math import inf, nan
+from typing import TYPE_CHECKING, NamedTuple
+
+from jaxstab.conventions import Status
+from jaxstab.exact.balls import Number, TripleAt, decided, sign_of
+from jaxstab.exact.circle import zeros
+from jaxstab.exact.verdict import roots_outside
+from jaxstab.model.balls import Factored
+
+if TYPE_CHECKING:
+    from flint import acb, arb, arb_poly
+
+_ACCURATE = 60  # bits of an end
+_PATIENT = 512  # bits from which on places without a direction are taken as they are
+_BLOCK = 32  # terms of a polynomial that are summed by Horner's rule
+_NOTHING = 2.0**-100  # of the largest end: an error that small is none
+_SHARE = 0.4873  # of a gap, where a count is taken
+
+
+class LineStatus(Status):
+    """How complete a line of walls is."""
+
+    PROVED = 1, "all stable intervals of the line, proved"
+    UNDECIDED = (
+        2,
+        "3,072 bits do not tell all crossings of the circle, or the counts between them",
+    )
+
+
+class End(NamedTuple):
+    """The end of an interval: t, a bound of its error, and the angle of the root that crosses.
+
+    Infinite, without an angle, where the interval has no end; the angle is NaN where several roots
+    cross.
+    """
+
+    value: float
+    error: float
+    angle: float
+
+
+class Interval(NamedTuple):
+    """All t between two ends are stable."""
+
+    low: End
+    high: End
+
+
+class StableLine(NamedTuple):
+    """The stable walls of a line, from the smallest t to the largest.
+
+    Attributes:
+        intervals: all of them.
+        crossings: the walls where roots cross or touch the unit circle.
+        drift: how many roots stay at z = 1 or -1 for all t; the intervals are those of the others.
+        horizon: the intervals are complete for |t| below it.
+        status: whether this is proved.
+    """
+
+    intervals: tuple[Interval, ...]
+    crossings: tuple[End, ...]
+    drift: int
+    horizon: float
+    status: LineStatus
+
+    def holding(self, t: float) -> Interval | None:
+        """The interval that holds a number, if one does for certain."""
+        for interval in self.intervals:
+            low, high = interval
+            if low.value + low.error < t < high.value - high.error:
+                return interval
+        return None
+
+
+def stable_line(
+    triple: TripleAt, start: tuple[float, float], along: tuple[float, float]
+) -> StableLine:
+    """All stable walls start + t along, of (K, B) each.
+
+    Example:
+        >>> from jaxstab.exact.line import stable_line
+        >>> from jaxstab.model.balls import ball_triple
+        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+        >>> row = stable_line(lambda: ball_triple(loop), (0.0, 20.0), (1.0, 0.0))
+        >>> [(low.value, round(high.value, 6)) for low, high in row.intervals]
+        [(0.0, 35324.985...)]
+    """
+
+    def line() -> _Line:
+        parts = triple()
+        q = parts.stiffness.scaled(along[0]).plus(parts.damping.scaled(along[1]))
+        return _Line.of(parts.at(*start), q)
+
+    found = decided(lambda: _found(line()))
+    counts = found and _counts(line, found)
+    if found is None or counts is None:
+        return StableLine((), (), 0, 0.0, LineStatus.UNDECIDED)
+    ends = [End(-inf, 0.0, nan), *map(_end, found.crossings), End(inf, 0.0, nan)]
+    stable = [Interval(*pair) for pair, n in zip(pairwise(ends), counts, strict=True) if n == 0]
+    return StableLine(
+        tuple(stable), tuple(ends[1:-1]), found.drift, found.horizon, LineStatus.PROVED
+    )
+
+
+class Crossing(NamedTuple):
+    """Walls at which roots cross the circle: t, the angle, and how many more are outside beyond.
+
+    ``change`` is None where it is not known; the angle is None for several.
+    """
+
+    t: "arb"
+    angle: "arb | None"
+    change: int | None
+
+
+class _Line(NamedTuple):
+    """p0 + t q without their common roots at 0, 1 and -1; p0 has no windows."""
+
+    p0: Factored
+    q: Factored
+    drift: int
+
+    @classmethod
+    def of(cls, p0: Factored, q: Factored) -> "_Line":
+        p0 = p0.without_windows()
+        if q.order_at_minus_one > q.at_minus_one and p0.at_minus_one:
+            q = q.without_windows()
+        shared = [min(counts) for counts in zip(p0[1:4], q[1:4], strict=True)]
+        return cls(p0.divided(*shared), q.divided(*shared), sum(shared[1:]))
+
+    def at(self, t: "arb | float") -> "arb_poly":
+        return self.p0.polynomial() + self.q.polynomial() * t
+
+
+class _Found(NamedTuple):
+    """All crossings in the order of t, how far out they were looked for, and the drift.
+
+    ``between`` has a wall in each gap between them, and beyond the outermost.
+    """
+
+    crossings: list[Crossing]
+    between: "list[arb]"
+    horizon: float
+    drift: int
+
+
+def _found(line: _Line) -> _Found | None:
+    """The crossings, each as accurate as a float64; None for more bits."""
+    from flint import arb, ctx
+
+    is_last_try = ctx.prec >= _PATIENT
+    found = _crossings(line, is_last_try=is_last_try)
+    if found is None:
+        return None
+    crossings = _joined(found[0])
+    scale = max((crossing.t.abs_upper() for crossing in crossings), default=arb(0), key=float)
+    for t, *_ in crossings:
+        is_known = t.rel_accuracy_bits() >= _ACCURATE or t.rad() < scale * _NOTHING
+        if not (is_known or is_last_try):
+            return None
+    between = _between(crossings)
+    return None if between is None else _Found(crossings, between, found[1], line.drift)
+
+
+def _end(crossing: Crossing) -> End:
+    angle = nan if crossing.angle is None else float(crossing.angle.mid())
+    return End(*Number.of(crossing.t), angle)
+
+
+# --------------------------------------------------------------------------------------- crossings
+def _crossings(line: _Line, *, is_last_try: bool) -> tuple[list[Crossing], float] | None:
+    """All crossings, in any order, and how far out the line was looked at; None for more bits."""
+    from flint import acb, arb
+
+    p0, q, _ = line
+    turn = p0.at_one - q.at_one
+    phase = _phase(p0) - _phase(q)
+    places = zeros(_cosines(p0.rest, q.rest, phase, is_odd=turn % 2 == 1), is_last_try=is_last_try)
+    if places is None:
+        return None
+    at = [(place.angle, _value(p0, place.angle), _value(q, place.angle)) for place in places]
+    sign = 2 if turn // 2 % 2 else -2  # of i^turn, but for i
+    sides = [place.slope * _real_sign(q, place.angle) * sign for place in places]
+    for place, order in ((1, q.at_one), (-1, q.order_at_minus_one)):
+        if order == 0:
+            angle = arb(0) if place == 1 else arb.pi()
+            at.append((angle, acb(p0.at_end(place)), acb(q.at_end(place))))
+            sides.append(_side_at_end(line, place))
+    found, horizon = [], inf
+    for (angle, above, below), side in zip(at, sides, strict=True):
+        if not below.contains(0):
+            found.append(Crossing(-(above / below).real, angle, side or None))
+        elif above.contains(0):
+            return None  # a root that no t moves, or too few bits
+        else:
+            horizon = min(horizon, float((above.abs_lower() / below.abs_upper()).lower()))
+    return found, horizon
+
+
+def _side_at_end(line: _Line, place: int) -> int:
+    """How many more roots are outside beyond the wall with one at z = 1 or -1; 0 if not known."""
+    p0, q, _ = line
+    size = q.at_end(place)
+    slope = line.at(-p0.at_end(place) / size).derivative()(place)
+    return sign_of(-place * size * slope)
+
+
+def _phase(p: Factored) -> int:
+    """The phase on the circle of the factors that the structure knows, in half angles."""
+    return 2 * p.power + p.at_one + p.at_minus_one + sum(n - 1 for n in p.windows)
+
+
+def _real_sign(p: Factored, angle: "arb") -> int:
+    """The sign of the real functions of these factors; 0 where it is not known."""
+    sign = 1
+    for n in p.windows:
+        sign *= sign_of((angle * n / 2).sin())
+    return sign
+
+
+def _cosines(u: "arb_poly", v: "arb_poly", phase: int, *, is_odd: bool) -> "list[arb]":
+    """c(theta): the sum of Im, or for an odd turn of Re, of e^(i phase theta/2) u conj v, divided.
+
+    The terms are g_j e^(i w theta/2), w = 2j + phase. Their sines and cosines, over those of theta
+    or theta/2, are sums of cosines (Dirichlet's kernel).
+    """
+    from flint import arb, arb_poly
+
+    product = u * arb_poly(v.coeffs()[::-1])
+    sums: dict[int, arb] = {}
+    for power, g in enumerate(product.coeffs()):
+        w = 2 * (power - v.degree()) + phase
+        sums[abs(w)] = sums.get(abs(w), arb(0)) + (-g if w < 0 and not is_odd else g)
+    if is_odd and phase % 2 == 0:
+        return [sums.get(w, arb(0)) for w in range(0, max(sums) + 1, 2)]
+    total, rising = arb(0), []
+    others = arb(0)  # terms of the other parity
+    for w in range(max(sums), 0, -1):
+        if w % 2 != phase % 2:
+            continue
+        k = w // 2  # sin(k theta), sin or cos((k + 1/2) theta)
+        here = sums.get(w, arb(0))
+        if (
+            phase % 2 == 0
+        ):  # sin(k theta) = sin(theta) (2 cos((k-1) theta) + 2 cos((k-3) theta) ...)
+            total, others = others + here, total
+            rising.append(total)
+        else:
+            total += here * (-1) ** (k if is_odd else 0)
+            rising.append(total * (-1) ** (k if is_odd else 0))
+    rising = rising[::-1] or [arb(0)]
+    return [rising[0], *(2 * c for c in rising[1:])]
+
+
+def _value(p: Factored, angle: "arb") -> "acb":
+    """The polynomial at e^(i theta), for a ball of angles, without what it loses to wrapping."""
+    from flint import acb, acb_poly, arb
+
+    middle = angle.mid()
+    z, half = acb(0, middle).exp(), angle / 2
+    rising = p.rest.coeffs()
+    rest = acb(0)
+    for start in range(0, len(rising), _BLOCK):
+        rest += acb_poly(rising[start : start + _BLOCK])(z) * acb(0, middle * start).exp()
+    spread = angle.rad() * sum((k * abs(c) for k, c in enumerate(rising)), arb(0)).abs_upper()
+    rest += acb(arb(0, spread), arb(0, spread))
+    known = acb(0, 2 * half.sin()) ** p.at_one * (2 * half.cos()) ** p.at_minus_one
+    for n in p.windows:
+        known *= (half * n).sin() / half.sin()
+    return rest * known * acb(0, half * _phase(p)).exp()
+
+
+def _joined(crossings: list[Crossing]) -> list[Crossing]:
+    """Crossings in the order of t, those that are not told apart as one."""
+    joined: list[Crossing] = []
+    for crossing in sorted(crossings, key=lambda c: float(c.t.lower())):
+        if joined and not joined[-1].t < crossing.t:
+            last = joined.pop()
+            is_known = last.change is not None and crossing.change is not None
+            change = last.change + crossing.change if is_known else None  # type: ignore[operator]
+            crossing = Crossing(last.t.union(crossing.t), None, change)
+        joined.append(crossing)
+    return joined
+
+
+# ------------------------------------------------------------------------------------------ counts
+def _between(crossings: list[Crossing]) -> "list[arb] | None":
+    """A wall in each gap; None where a gap is too short for the precision."""
+    from flint import arb
+
+    if not crossings:
+        return [arb(0)]
+    first, last = crossings[0].t.lower(), crossings[-1].t.upper()
+    reach = max(last - first, abs(first), abs(last), key=float)
+    reach = reach if reach > 0 else arb(1)
+    walls = [first - reach]
+    for low, high in pairwise(crossing.t for crossing in crossings):
+        walls.append((low.upper() + (high.lower() - low.upper()) * _SHARE).mid())
+        if not low < walls[-1] < high:
+            return None
+    return [*walls, last + reach]
+
+
+def _counts(line: Callable[[], _Line], found: _Found) -> list[int] | None:
+    """The number of roots outside in each gap; None where they are not known or contradict."""
+    counts: list[int] = []
+    start = 0
+    for end in range(1, len(found.between) + 1):
+        if end < len(found.between) and found.crossings[end - 1].change is not None:
+            continue
+        changes = [crossing.change or 0 for crossing in found.crossings[start : end - 1]]
+        chain = _chain(line, found.between[start:end], list(accumulate(changes, initial=0)))
+        if chain is None:
+            return None
+        counts += chain
+        start = end
+    return counts
+
+
+def _chain(line: Callable[[], _Line], walls: "list[arb]", relative: list[int]) -> list[int] | None:
+    """The numbers in gaps of which the differences are known."""
+    shifts = set()
+    for index in {relative.index(min(relative)), relative.index(max(relative))}:
+        t = walls[index].mid()
+        count = decided(partial(_outside, line, t))  # it may need more bits than the crossings
+        if count is None:
+            return None
+        shifts.add(count - relative[index])
+    return [count + min(shifts) for count in relative] if len(shifts) == 1 else None
+
+
+def _outside(line: Callable[[], _Line], t: "arb") -> int | None:
+    return roots_outside(line().at(t))

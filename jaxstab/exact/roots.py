@@ -1,0 +1,134 @@
+"""E2. The poles of a wall, each in a ball of its own, and their largest modulus.
+
+python-flint isolates the roots of a polynomial without multiple roots: approximations by iteration,
+around each of them a disc in which Rouché's theorem finds one root (``acb_poly.roots``), and n
+disjoint discs hold all n roots. Roots at 0, 1 and -1 that the structure knows are exact, and not
+asked for. The largest of the moduli is the spectral radius, to the last bit of a float64: where the
+balls are wider, more bits are asked for.
+
+Poles that coincide, as those of two equal low passes in a row beside a wall that does not use them
+(B = 0), are never isolated. Their radius is still known: all roots lie inside the circle of radius
+r if and only if those of p(r z) lie inside the unit circle, which E1 decides on both sides of it.
+The radius is enclosed by halving, between 0 and Cauchy's bound 1 + max |a_k/a_n|.
+"""
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from jaxtyping import Complex128
+
+from jaxstab.conventions import RadiusStatus
+from jaxstab.exact.balls import Number, TripleAt, decided
+from jaxstab.exact.verdict import roots_outside
+from jaxstab.model.balls import Factored
+
+if TYPE_CHECKING:
+    from flint import acb
+
+_SPARE = 8  # bits of a root beyond half of those that are computed with
+_SHARE = 0.4873  # of an interval, where it is divided: not next to a root that is a simple number
+_HALVINGS = 160
+_MOST_FOR_ROOTS = 1024  # bits: balls that still overlap then hold multiple roots, in practice
+
+
+class Radius(NamedTuple):
+    """The spectral radius of a wall, a bound of the error, and whether the bound is proved."""
+
+    value: float
+    error: float
+    status: RadiusStatus
+
+
+class Poles(NamedTuple):
+    """The poles of a wall, the largest first, and a bound of the error of each.
+
+    Where some coincide, up to 1,024 bits, they are not told apart: the poles are NaN and the error
+    is infinite.
+    """
+
+    values: Complex128[np.ndarray, " pole"]
+    error: float
+
+
+def spectral_radius(triple: TripleAt, stiffness: float, damping: float) -> Radius:
+    """The largest modulus of the poles of the wall (K, B).
+
+    Example:
+        >>> from jaxstab.exact.roots import spectral_radius
+        >>> from jaxstab.model.balls import ball_triple
+        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+        >>> spectral_radius(lambda: ball_triple(loop), 1000.0, 10.0).value
+        0.94072397073353...
+    """
+
+    def largest() -> Number | None:
+        roots = isolated_roots(triple().at(stiffness, damping))
+        return None if roots is None else _largest_modulus(roots)
+
+    number = decided(largest, most=_MOST_FOR_ROOTS) or decided(
+        lambda: _radius_between(triple().at(stiffness, damping))
+    )
+    if number is None:
+        return Radius(np.nan, np.inf, RadiusStatus.NO_BOUND)
+    return Radius(*number, RadiusStatus.PROVED)
+
+
+def poles(triple: TripleAt, stiffness: float, damping: float) -> Poles:
+    """All poles of the wall (K, B), those at z = 0 included."""
+    roots = decided(lambda: isolated_roots(triple().at(stiffness, damping)), most=_MOST_FOR_ROOTS)
+    if roots is None:
+        return Poles(np.full(triple().degree, complex(np.nan, np.nan)), np.inf)
+    parts = [(Number.of(root.real), Number.of(root.imag)) for root in roots]
+    values = np.array([complex(x.value, y.value) for x, y in parts])
+    error = max((x.error + y.error for x, y in parts), default=0.0) * (1.0 + 2.0**-50)
+    return Poles(values[np.argsort(-np.abs(values), kind="stable")], error)
+
+
+def isolated_roots(p: Factored) -> "list[acb] | None":
+    """The roots in balls, those that the structure knows exactly; None where they overlap."""
+    import flint
+
+    known = [flint.acb(0)] * p.power
+    known += [flint.acb(1)] * p.at_one + [flint.acb(-1)] * p.at_minus_one
+    rest = p.without_windows()
+    known += [flint.acb(-1)] * (rest.at_minus_one - p.at_minus_one)
+    if rest.rest.degree() < 1:
+        return known
+    try:
+        found = flint.acb_poly(rest.rest).roots(tol=flint.arb(2) ** -(flint.ctx.prec // 2 + _SPARE))
+    except ValueError:
+        return None
+    return known + found
+
+
+def _largest_modulus(roots: "list[acb]") -> Number | None:
+    """The largest modulus; None where it is not known to a float64."""
+    from flint import arb
+
+    if not roots:
+        return Number(0.0, 0.0)
+    radius = arb(0)
+    for root in roots:
+        radius = radius.max(abs(root))
+    return Number.of(radius) if radius.rel_accuracy_bits() > 60 or radius == 0 else None
+
+
+def _radius_between(p: Factored) -> Number | None:
+    """The same by halving with E1; None where the balls do not tell on which side the roots are."""
+    from flint import arb, arb_poly
+
+    rest = p.without_windows().rest
+    rising = rest.coeffs()
+    known = arb(1 if p.is_on_circle else 0)
+    low = arb(0)
+    high = 1 + sum((abs(c / rising[-1]) for c in rising[:-1]), arb(0)).upper()
+    for _ in range(_HALVINGS):
+        middle = (low + (high - low) * _SHARE).mid()
+        outside = roots_outside(rest(arb_poly([0, middle])), most=0)
+        if outside is None:
+            return None
+        low, high = (middle, high) if outside else (low, middle)
+        if high - low < high * arb(2) ** -60:
+            break
+    radius = low.union(high).max(known)
+    return Number.of(radius)

@@ -1,0 +1,131 @@
+"""J1. Stability for every sequence of delays, as the isolation of zeros of one cosine sum.
+
+The delay of each sample lies between L and L + J, in samples, and the newest sample that has
+arrived sets the force. With p = z^lag D Dp Dv + N H of the loop of delay L, H = K Np Dv + B Nv Dp
+the wall and Q the response of the device to changes of the force that come up to J late
+(``late_cosines``), the small-gain theorem (Kao, Lincoln 2004; lemma J1 of docs/proofs.md) says: if
+the loop of delay L is stable, and on the whole unit circle
+
+    |p|^2 > Q |(z - 1) H|^2,
+
+then it is stable for every sequence. On the circle |a|^2 is the cosine sum with the coefficients of
+a(z) a(1/z), and so is all of the difference. It has no zero in (0, pi) and is positive at 0 and pi:
+that is the inequality (``circle``). Nothing is divided, so that a free device is no special case.
+"""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from jaxstab.conventions import Status
+from jaxstab.exact.balls import decided
+from jaxstab.exact.circle import zeros
+from jaxstab.exact.verdict import roots_outside
+from jaxstab.model.balls import BallLoop, Factored
+
+if TYPE_CHECKING:
+    from flint import arb, arb_poly
+
+_HALVINGS = 40  # of an interval of jitters
+_CLOSE = 1e-6  # of the jitter that is found
+
+
+class SmallGainStatus(Status):
+    """What the small-gain theorem says of a wall."""
+
+    PROVED = 1, "stable for every sequence of delays, proved"
+    NOT_PROVED = 2, "the inequality does not hold: nothing is said"
+    UNSTABLE = 3, "unstable at the shortest delay already"
+    UNDECIDED = 4, "3,072 bits do not tell whether the inequality holds"
+
+
+def small_gain(
+    loop: Callable[[], BallLoop],
+    late: "Callable[[], list[arb]]",
+    stiffness: float,
+    damping: float,
+) -> SmallGainStatus:
+    """Whether the wall (K, B) is stable for every sequence of delays.
+
+    Args:
+        loop: the loop of the shortest delay, in balls of the precision that is set.
+        late: the coefficients of Q, as ``late_cosines`` has them.
+        stiffness, damping: see ``jaxstab.conventions``.
+    """
+    import flint
+
+    def answer() -> SmallGainStatus | None:
+        parts = loop()
+        wall = parts.wall(stiffness, damping)
+        p = parts.free.plus(parts.numerator.times(wall))
+        if p.is_on_circle:
+            return SmallGainStatus.UNSTABLE
+        outside = roots_outside(p.rest, most=0)
+        if outside is None:
+            return None
+        if outside:
+            return SmallGainStatus.UNSTABLE
+        if wall.is_zero:
+            return SmallGainStatus.PROVED
+        steps = Factored(flint.arb_poly([1]), at_one=1).times(wall)
+        more = _less(_square(p), _times(_square(steps), late()))
+        places = zeros([more[0], *(2 * c for c in more[1:])], is_last_try=False)
+        at_zero = more[0] + 2 * sum(more[1:], flint.arb(0))
+        if places is None or at_zero.contains(0):
+            return None
+        is_positive = not places and at_zero > 0
+        return SmallGainStatus.PROVED if is_positive else SmallGainStatus.NOT_PROVED
+
+    return decided(answer) or SmallGainStatus.UNDECIDED
+
+
+def largest_jitter(
+    loop: Callable[[], BallLoop],
+    late: "Callable[[float], list[arb]]",
+    wall: tuple[float, float],
+    most: float,
+) -> float:
+    """A jitter in samples with which a wall is proved, the largest up to ``most`` but for 1e-6.
+
+    It is 0 where none is proved. ``late`` takes the jitter. Q grows with it, so that all smaller
+    ones are proved as well.
+    """
+
+    def is_proved(jitter: float) -> bool:
+        return small_gain(loop, lambda: late(jitter), *wall) == SmallGainStatus.PROVED
+
+    low, high = (most, most) if is_proved(most) else (0.0, most)
+    for _ in range(_HALVINGS):
+        if high - low <= _CLOSE * high:
+            break
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if is_proved(middle) else (low, middle)
+    return low
+
+
+def _square(p: Factored) -> "list[arb]":
+    """The coefficients of |p|^2 = s_0 + 2 s_1 cos(theta) + 2 s_2 cos(2 theta) + ..."""
+    from flint import arb_poly
+
+    rising = p._replace(power=0).polynomial().coeffs()
+    product = arb_poly(rising) * arb_poly(rising[::-1])
+    return [product[len(rising) - 1 + lag] for lag in range(len(rising))]
+
+
+def _times(a: "list[arb]", b: "list[arb]") -> "list[arb]":
+    """The product of such sums."""
+    both = _mirrored(a) * _mirrored(b)
+    middle = len(a) + len(b) - 2
+    return [both[middle + lag] for lag in range(middle + 1)]
+
+
+def _mirrored(s: "list[arb]") -> "arb_poly":
+    from flint import arb_poly
+
+    return arb_poly([*s[:0:-1], *s])
+
+
+def _less(a: "list[arb]", b: "list[arb]") -> "list[arb]":
+    from flint import arb_poly
+
+    difference = arb_poly(a) - arb_poly(b)
+    return [difference[k] for k in range(max(len(a), len(b)))]

@@ -1,0 +1,107 @@
+"""E1. Whether all roots of p(z) lie inside the unit circle, and how many lie outside.
+
+The criterion of Schur (1917) and Cohn (1922). Let p = a_n z^n + ... + a_0 be real and p* the same
+coefficients backwards; on the circle |p| = |p*|. With k = a_0/a_n the constant term of p - k p* is
+0, and p' = (p - k p*)/z has degree n - 1 and the leading coefficient a_n (1 - k^2).
+
+- |k| < 1: on the circle |k p*| < |p|, so that p and p - k p* have equally many roots inside
+  (Rouché): p' has one less inside, and as many outside.
+- |k| > 1: likewise p* and p* - p/k = -z p'/k have equally many inside, and those of p* are the
+  inverses of those of p: p has as many outside as p' has inside, and one more.
+
+Down to degree 0 all p' are formed; with P_j the product of the first j factors 1 - k^2, that is the
+sign of the j-th leading coefficient over that of a_n, the number of roots outside is the number of
+negative P_j (Jury 1964). Two steps with |k| > 1 are two changes of sides, and that is what the
+product says. A root on the circle is one of p, p* and so of all p', which ends at degree 1 with
+|k| = 1: it is never counted wrongly, the balls do not decide.
+
+All |k| < 1 is therefore the same as stable. The recursion loses about one bit a step. Where k is 1
+or -1 by accident (the moduli of some roots have the product 1), it ends without an answer at any
+precision. Then the roots outside of two circles are counted that are a little larger and a little
+smaller: between equal numbers there is no root, and the number is that of the unit circle.
+
+Where the structure says that a root lies at z = 1 or -1 exactly (a free device without a wall),
+the loop is not stable: that is no question for balls.
+"""
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from jaxstab.conventions import Status, Verdict
+from jaxstab.exact.balls import TripleAt, decided
+
+if TYPE_CHECKING:
+    from flint import arb, arb_poly
+
+
+class VerdictStatus(Status):
+    """Why a verdict is what it is."""
+
+    PROVED = 1, "proved"
+    ON_CIRCLE = 2, "a root lies on the unit circle by structure, as where a free body drifts"
+    ALGEBRAIC = 3, "the leading coefficient vanishes: the force depends on itself without delay"
+    UNDECIDED = 4, "3,072 bits do not tell on which side of the circle a root is"
+
+
+class WallVerdict(NamedTuple):
+    """Whether a wall is stable, and the reason."""
+
+    verdict: Verdict
+    status: VerdictStatus
+
+
+def wall_verdict(triple: TripleAt, stiffness: float, damping: float) -> WallVerdict:
+    """Whether the wall (K, B) is stable: all roots of p(z) inside the unit circle.
+
+    Example:
+        >>> from jaxstab.exact.verdict import wall_verdict
+        >>> from jaxstab.model.balls import ball_triple
+        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+        >>> wall_verdict(lambda: ball_triple(loop), 50000.0, 20.0).verdict
+        <Verdict.UNSTABLE: 2>
+    """
+
+    def judged() -> WallVerdict | None:
+        parts = triple()
+        p = parts.at(stiffness, damping)
+        if p.degree < parts.degree:
+            return WallVerdict(Verdict.UNDECIDED, VerdictStatus.ALGEBRAIC)
+        if p.is_on_circle:
+            return WallVerdict(Verdict.UNSTABLE, VerdictStatus.ON_CIRCLE)
+        outside = roots_outside(p.rest, most=0)
+        if outside is None:
+            return None
+        return WallVerdict(Verdict.UNSTABLE if outside else Verdict.STABLE, VerdictStatus.PROVED)
+
+    answer = decided(judged)
+    return answer or WallVerdict(Verdict.UNDECIDED, VerdictStatus.UNDECIDED)
+
+
+def roots_outside(p: "arb_poly", most: int | None = None) -> int | None:
+    """The number of roots of a polynomial outside the circle; None where the balls do not tell.
+
+    Beyond ``most`` they are not counted on.
+    """
+    from flint import arb, arb_poly, ctx
+
+    count = _counted(p.coeffs(), most)
+    if count is None:
+        near = arb(2) ** -(ctx.prec // 4)
+        stretched = (p(arb_poly([0, 1 + side])) for side in (near, -near))
+        counts = {_counted(q.coeffs(), most) for q in stretched}
+        count = counts.pop() if len(counts) == 1 else None
+    return count
+
+
+def _counted(rising: "list[arb]", most: int | None) -> int | None:
+    count, is_negative = 0, False
+    while len(rising) > 1:
+        k = rising[0] / rising[-1]
+        if not abs(k) < 1:
+            if not abs(k) > 1:
+                return None
+            is_negative = not is_negative
+        count += is_negative
+        if most is not None and count > most:
+            return count
+        rising = [a - k * b for a, b in zip(rising[1:], rising[-2::-1], strict=True)]
+    return count

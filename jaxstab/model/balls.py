@@ -1,0 +1,311 @@
+"""A loop as the triple (base, stiffness, damping) in balls of python-flint, at any precision.
+
+With the plant z^-lag N/D behind hold and delay, a position filter Np/Dp and an estimator Nv/Dv,
+
+    p(z) = base + K stiffness + B damping = z^lag D Dp Dv + K N Np Dv + B N Nv Dp,
+
+K in N/m and B in N s/m, up to powers of z. The fields of a loop are taken as the exact numbers that
+they are. The filters are those that software with rounded parameters runs (``filters``), and so
+exactly rational; N and D come from one exponential in balls (lemma V10 of docs/proofs.md).
+
+Whether a root lies at z = 1 or z = -1 exactly is no question for balls, but for the structure, and
+what the structure says is kept beside the rest (``Factored``):
+
+- D has as many roots at 1 as the device has rigid-body poles at s = 0, V has one;
+- a device that is even in s (nothing damps it) has, behind a whole delay, D and N that read the
+  same backwards: time may run either way. N has an odd degree, so that it vanishes at -1;
+- Butterworth's low pass of order n has n roots at -1; those of other filters are counted in exact
+  numbers;
+- the mean over n samples is (z^n - 1)/(z - 1), with its n - 1 roots on the circle.
+"""
+
+from functools import lru_cache, reduce
+from typing import TYPE_CHECKING, NamedTuple
+
+from jaxstab.model.device.parts import exact
+from jaxstab.model.device.sampling import OneSample, in_samples
+from jaxstab.model.filters import Average, Filter, Section, Velocity
+from jaxstab.model.loop import LoopParameters
+
+if TYPE_CHECKING:
+    from flint import arb, arb_poly, fmpq_poly
+
+
+class Factored(NamedTuple):
+    """z^power (z - 1)^at_one (z + 1)^at_minus_one W_n W_m ... rest(z), W_n = (z^n - 1)/(z - 1).
+
+    The rest has no root at 1 or -1 but by accident. A rest of length 0 is the polynomial 0.
+    """
+
+    rest: "arb_poly"
+    power: int = 0
+    at_one: int = 0
+    at_minus_one: int = 0
+    windows: tuple[int, ...] = ()
+
+    @classmethod
+    def from_rational(cls, polynomial: "fmpq_poly", windows: tuple[int, ...] = ()) -> "Factored":
+        """A polynomial of exact numbers, its roots at 0, 1 and -1 counted; it is not 0."""
+        from flint import arb_poly, fmpq_poly
+
+        counts = []
+        for place in (0, 1, -1):
+            counts.append(0)
+            while polynomial(place) == 0:
+                polynomial //= fmpq_poly([-place, 1])
+                counts[-1] += 1
+        zeros, at_one, at_minus_one = counts
+        return cls(arb_poly(polynomial), zeros, at_one, at_minus_one, windows)
+
+    @property
+    def is_zero(self) -> bool:
+        """Whether it is the polynomial 0."""
+        return bool(self.rest.length() == 0)
+
+    @property
+    def degree(self) -> int:
+        """The degree; -1 for 0."""
+        if self.is_zero:
+            return -1
+        plain = self.without_windows()
+        return int(plain.rest.degree()) + sum(plain[1:4])
+
+    @property
+    def order_at_minus_one(self) -> int:
+        """How many roots lie at -1, those of windows of an even length included."""
+        return self.at_minus_one + sum(n % 2 == 0 for n in self.windows)
+
+    @property
+    def is_on_circle(self) -> bool:
+        """Whether a root lies on the unit circle by structure."""
+        return bool(self.at_one or self.at_minus_one or self.windows)
+
+    def times(self, other: "Factored") -> "Factored":
+        """Return the product."""
+        return Factored(
+            self.rest * other.rest,
+            self.power + other.power,
+            self.at_one + other.at_one,
+            self.at_minus_one + other.at_minus_one,
+            self.windows + other.windows,
+        )
+
+    def scaled(self, factor: "arb | float | int") -> "Factored":
+        """Return a multiple; one by the number 0 is the polynomial 0."""
+        from flint import arb, arb_poly
+
+        if factor == 0:
+            return Factored(arb_poly([]))
+        return self._replace(rest=self.rest * arb(factor))
+
+    def plus(self, other: "Factored") -> "Factored":
+        """Return the sum, with the roots that the two are known to share."""
+        if self.is_zero or other.is_zero:
+            return other if self.is_zero else self
+        terms = self.without_windows(), other.without_windows()
+        common = [min(counts) for counts in zip(*(term[1:4] for term in terms), strict=True)]
+        rests = [term.divided(*common).polynomial() for term in terms]
+        return Factored(rests[0] + rests[1], *common)
+
+    def divided(self, power: int, at_one: int, at_minus_one: int) -> "Factored":
+        """Return the quotient by known factors."""
+        counts = self.power - power, self.at_one - at_one, self.at_minus_one - at_minus_one
+        return Factored(self.rest, *counts, self.windows)
+
+    def without_windows(self) -> "Factored":
+        """The same polynomial with the windows multiplied into the rest."""
+        from flint import arb_poly
+
+        rest, minus = self.rest, self.at_minus_one
+        for n in self.windows:
+            if n % 2 == 0:  # W_n = (z + 1) (1 + z^2 + ... + z^(n-2))
+                minus += 1
+                rest *= arb_poly([(k + 1) % 2 for k in range(n - 1)])
+            else:
+                rest *= arb_poly([1] * n)
+        return Factored(rest, self.power, self.at_one, minus)
+
+    def at_end(self, place: int) -> "arb":
+        """The value at 1 or -1, which is the exact 0 where the structure knows a root there."""
+        from flint import arb
+
+        known = (place - 1) ** self.at_one * (place + 1) ** self.at_minus_one * place**self.power
+        for n in self.windows:
+            known *= n if place == 1 else n % 2
+        return self.rest(arb(place)) * known if known else arb(0)
+
+    def polynomial(self) -> "arb_poly":
+        """The polynomial multiplied out."""
+        from flint import arb_poly
+
+        plain = self.without_windows()
+        minus, plus = arb_poly([-1, 1]) ** plain.at_one, arb_poly([1, 1]) ** plain.at_minus_one
+        return (plain.rest * minus * plus).left_shift(plain.power)
+
+
+class Triple(NamedTuple):
+    """The parts of p(z) = base + K stiffness + B damping, without a common power of z."""
+
+    base: Factored
+    stiffness: Factored
+    damping: Factored
+
+    @property
+    def degree(self) -> int:
+        """The degree of p(z), the largest of all walls."""
+        return max(part.degree for part in self)
+
+    def at(self, stiffness: "arb | float", damping: "arb | float") -> Factored:
+        """The polynomial of a wall, K and B in the units of the triple."""
+        wall = self.stiffness.scaled(stiffness).plus(self.damping.scaled(damping))
+        return self.base.plus(wall)
+
+
+class BallLoop(NamedTuple):
+    """A loop by its parts: the plant z^-lag N/D, P = Np/Dp and V = Nv/Dv, V in 1/s.
+
+    N is in m/N; D, Dp and Dv have no roots at 1 or -1 but those that are counted.
+    """
+
+    numerator: Factored
+    denominator: Factored
+    lag: int
+    position: tuple[Factored, Factored]
+    velocity: tuple[Factored, Factored]
+
+    @property
+    def free(self) -> Factored:
+        """z^lag D Dp Dv, what p(z) is without a wall."""
+        free = self.denominator.times(self.position[1]).times(self.velocity[1])
+        return free._replace(power=free.power + self.lag)
+
+    @property
+    def walls(self) -> tuple[Factored, Factored]:
+        """Np Dv and Nv Dp: what K and B multiply, beside N."""
+        (above_p, below_p), (above_v, below_v) = self.position, self.velocity
+        return above_p.times(below_v), above_v.times(below_p)
+
+    def wall(self, stiffness: float, damping: float) -> Factored:
+        """H = K Np Dv + B Nv Dp."""
+        by_stiffness, by_damping = self.walls
+        return by_stiffness.scaled(stiffness).plus(by_damping.scaled(damping))
+
+    @property
+    def triple(self) -> Triple:
+        """The three parts of p(z)."""
+        parts = [self.free, *(self.numerator.times(wall) for wall in self.walls)]
+        common = min(part.power for part in parts)
+        return Triple(*(part.divided(common, 0, 0) for part in parts))
+
+
+def ball_triple(loop: LoopParameters) -> Triple:
+    """The triple of a loop in balls of the precision that is set; the last ones are remembered.
+
+    Raises: TypeError if JAX traces the loop or its fields are arrays; ValueError for a device that
+    is too fast for balls (``in_samples``).
+    """
+    import flint
+
+    return _parts(loop.in_floats(), flint.ctx.prec)[1]
+
+
+def ball_loop(loop: LoopParameters) -> BallLoop:
+    """The parts of a loop, otherwise as ``ball_triple``."""
+    import flint
+
+    return _parts(loop.in_floats(), flint.ctx.prec)[0]
+
+
+@lru_cache(maxsize=128)
+def _parts(loop: LoopParameters, bits: int) -> tuple[BallLoop, Triple]:
+    del bits  # the precision is set: here it only tells balls apart
+    parts = _ball_loop(loop)
+    return parts, parts.triple
+
+
+def _ball_loop(loop: LoopParameters) -> BallLoop:
+    from flint import arb_poly
+
+    period = exact(float(loop.sample_time))
+    whole, fraction = divmod(loop.delay_samples, 1.0)
+    numerator, denominator = _plant(loop, float(fraction))
+    above, below = _filter((loop.velocity or Velocity()).filter, loop)
+    difference = Factored(arb_poly([1]), at_one=1).scaled(1 / period)
+    late = Factored(arb_poly([1]), power=1)
+    return BallLoop(
+        numerator,
+        denominator,
+        int(whole) + (fraction > 0.0),
+        position=_filter(loop.position or Filter(), loop),
+        velocity=(difference.times(above), late.times(below)),
+    )
+
+
+def one_sample(loop: LoopParameters) -> OneSample:
+    """What the device of a loop does within a sample, in balls of the precision that is set."""
+    compliance = loop.held_device.compliance()
+    return OneSample.from_compliance(*in_samples(compliance, float(loop.sample_time)))
+
+
+def _plant(loop: LoopParameters, fraction: float) -> tuple[Factored, Factored]:
+    """N(z) and D(z), for a fraction of a sample with one sample of delay more."""
+    from flint import arb
+
+    sample = one_sample(loop)
+    above, below = sample.above, sample.below
+    late = arb(exact(fraction)) if fraction else None
+    numerator, denominator = sample.of_samples(late)
+    rigid = next(power for power in range(len(below)) if below[power] != 0)
+    zeros = 1 if above[0] == 0 else 0
+    is_even = all(c == 0 for side in (above[1::2], below[1::2]) for c in side)
+    at_minus_one = 1 if is_even and late is None else 0
+    numerator = _known_out(_known_out(numerator, 1, zeros), -1, at_minus_one)
+    return (
+        Factored(numerator, 0, zeros, at_minus_one),
+        Factored(_known_out(denominator, 1, rigid), 0, rigid),
+    )
+
+
+def _known_out(polynomial: "arb_poly", root: int, count: int) -> "arb_poly":
+    """Divide known roots out of a polynomial; the remainder is 0 and dropped."""
+    from flint import arb_poly
+
+    if not count:
+        return polynomial
+    shifted = polynomial(arb_poly([root, 1])).coeffs()[count:]
+    return arb_poly(shifted)(arb_poly([-root, 1]))
+
+
+def _filter(chain: Filter, loop: LoopParameters) -> tuple[Factored, Factored]:
+    """Numerator and denominator of a filter in powers of z."""
+    from flint import arb_poly
+
+    sections = chain.per_sample(loop.sample_time).sections
+    one = Factored(arb_poly([1]))
+    sides = zip(*map(_section, sections), strict=True) if sections else ((), ())
+    above, below = (reduce(Factored.times, side, one) for side in sides)
+    return above, below
+
+
+@lru_cache(maxsize=256)
+def _exact_section(section: Section) -> "tuple[fmpq_poly, fmpq_poly]":
+    from flint import fmpq, fmpq_poly
+
+    whole = [fmpq_poly([1]), fmpq_poly([1])]
+    for *sides, count in section.rational_factors():
+        for side, rising in enumerate(sides):
+            numbers = [fmpq(c.numerator, c.denominator) for c in rising]
+            whole[side] *= fmpq_poly(numbers) ** count
+    return whole[0], whole[1]
+
+
+def _section(section: Section) -> tuple[Factored, Factored]:
+    """Numerator and denominator of a section in units of one sample."""
+    from flint import arb_poly, fmpq
+
+    if isinstance(section, Average):
+        n = section.length
+        above = Factored(arb_poly([fmpq(1, n)]), windows=(n,) if n > 1 else ())
+        return above, Factored(arb_poly([1]), power=n - 1)
+    above, below = map(Factored.from_rational, _exact_section(section))
+    return above, below

@@ -1,0 +1,268 @@
+"""E3 against closed forms, exact fractions, mpmath, and formulas of simulators and admittances."""
+
+from fractions import Fraction
+from itertools import pairwise
+
+import flint
+import numpy as np
+import pytest
+from flint import fmpq, fmpq_poly
+
+from benchmarks.truth import filtered
+from benchmarks.truth.plain import Loop, is_stable, outside
+from benchmarks.truth.random_loops import DeviceLoop, Filters, MassLoop, long_window
+from jaxstab import Device, Filter, HapticLoop, Velocity
+from jaxstab.exact.line import LineStatus, StableLine, stable_line
+from jaxstab.model.balls import Factored, Triple, ball_triple
+
+NOTHING = Factored(flint.arb_poly([]))
+UNIT = {"device_mass": 1.0, "device_damping": 0.0, "sample_time": 1.0}
+
+
+def row(loop: HapticLoop, damping: float) -> StableLine:
+    return stable_line(lambda: ball_triple(loop), (0.0, damping), (1.0, 0.0))
+
+
+def column(loop: HapticLoop, stiffness: float) -> StableLine:
+    return stable_line(lambda: ball_triple(loop), (stiffness, 0.0), (0.0, 1.0))
+
+
+def of_polynomials(p0: list[float], q: list[float]) -> StableLine:
+    """The line p0 + t q of polynomials by their coefficients, lowest first."""
+    rising = [fmpq_poly([fmpq(*Fraction(c).as_integer_ratio()) for c in p]) for p in (p0, q)]
+    triple = Triple(*map(Factored.from_rational, rising), NOTHING)
+    return stable_line(lambda: triple, (0.0, 0.0), (1.0, 0.0))
+
+
+def ends(line: StableLine) -> list[tuple[float, float]]:
+    assert line.status == LineStatus.PROVED
+    return [(low.value, high.value) for low, high in line.intervals]
+
+
+# ----------------------------------------------------------------------------------- closed forms
+@pytest.mark.parametrize("beta", [1e-9, 0.1, 0.8284271247461903, 1.5, 1.999999])
+def test_a_row_of_a_free_mass_without_delay(beta: float) -> None:
+    ((low, high),) = ends(row(HapticLoop(**UNIT), beta))
+    assert low == 0.0
+    assert high == pytest.approx(2.0 * beta * (2.0 - beta) / (beta + 2.0), rel=4e-16)
+
+
+@pytest.mark.parametrize("alpha", [1e-9, 0.1, 0.6, 0.686])
+def test_a_column_of_a_free_mass_without_delay(alpha: float) -> None:
+    ((low, high),) = ends(column(HapticLoop(**UNIT), alpha))
+    for beta in (low, high):
+        assert 2.0 * beta * (2.0 - beta) / (beta + 2.0) == pytest.approx(alpha, rel=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("samples", "delay", "alpha", "beta"),
+    [
+        (2, 0.0, 6.0 - 4.0 * 2.0**0.5, 0.4852813742386),
+        (2, 1.0, 0.09788910377032, 0.3159942848707),
+        (2, 1.5, 0.06568923480709, 0.2697155418987),
+        (20, 1.0, 0.008041674306427, 0.05169812538961),
+        (20, 2.0, 0.005847257730416, 0.05135450537624),
+    ],
+)
+def test_the_largest_stiffness_of_windows(
+    samples: int, delay: float, alpha: float, beta: float
+) -> None:
+    loop = HapticLoop(**UNIT, delay=delay, velocity=Velocity.difference(samples=samples))
+    (low, high), *_ = ends(row(loop, beta))
+    assert low == 0.0
+    assert high == pytest.approx(alpha, rel=1e-12)
+    inside, outside_ = (ends(column(loop, alpha * share)) for share in (1 - 1e-9, 1 + 1e-9))
+    assert any(low < beta < high for low, high in inside)
+    assert not any(0.9 * beta < low < 1.1 * beta for low, _ in outside_)
+
+
+def test_all_intervals_of_a_row_islands_included() -> None:
+    loop = HapticLoop(
+        device_mass=0.25, device_damping=0.1, sample_time=1e-3,
+        velocity=Velocity.difference(samples=20),
+    )  # fmt: skip
+    line = row(loop, 175.0)
+    island = line.holding(29000.0)
+    assert island is not None
+    assert 26000.0 < island.low.value < 28000.0
+    assert line.holding(15000.0) is None
+    assert all(end.error <= 1.1e-16 * abs(end.value) for pair in line.intervals for end in pair)
+
+
+def test_a_grounded_device_is_stable_down_to_minus_its_stiffness() -> None:
+    loop = HapticLoop(
+        device_mass=0.25, device_damping=0.1, hand_stiffness=300.0, sample_time=1e-3, delay=0.5e-3
+    )
+    ((low, _),) = ends(row(loop, 5.0))
+    assert low == -300.0
+
+
+def test_without_stiffness_a_free_device_only_drifts() -> None:
+    loop = HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3, delay=1e-3)
+    line = column(loop, 0.0)
+    assert line.drift == 1
+    ((low, high),) = ends(line)
+    assert low == pytest.approx(-0.1, rel=1e-12)
+    assert 100.0 < high < 300.0
+
+
+def test_undamped_free_masses_have_two_roots_at_one() -> None:
+    line = row(HapticLoop(**UNIT, delay=1.0), 0.0)
+    assert ends(line) == []
+    assert 0.0 in [crossing.value for crossing in line.crossings]
+
+
+def test_a_wall_that_cancels_the_damping_of_the_device_is_no_wrong_answer() -> None:
+    loop = HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
+    line = row(loop, -0.1)
+    assert ends(line) == [] or line.status == LineStatus.UNDECIDED
+
+
+# --------------------------------------------------------------------- simulators and admittances
+@pytest.mark.parametrize("b", [0.25, 1.0, 1.75])
+def test_the_rules_of_simulators(b: float) -> None:
+    # p = (z - 1)^2 + a z + b (z - 1): 0 < a < 4 - 2 b.
+    assert ends(of_polynomials([1.0 - b, b - 2.0, 1.0], [0, 1])) == [(0.0, 4.0 - 2.0 * b)]
+    # (1 + b) z^2 - (2 + b - a) z + 1: 0 < a < 4 + 2 b.
+    assert ends(of_polynomials([1.0, -2.0 - b, 1.0 + b], [0, 1])) == [(0.0, 4.0 + 2.0 * b)]
+
+
+def test_a_ray_is_stable_to_infinity() -> None:
+    # z^2 + t z^2 + 1/2: |1 + t| > 1/2, through infinity.
+    assert ends(of_polynomials([0.5, 0, 1], [0, 0, 1])) == [(-np.inf, -1.5), (-0.5, np.inf)]
+
+
+@pytest.mark.parametrize(
+    ("environment", "period", "late", "mass", "least", "most"),
+    [
+        (1e3, 2e-3, 10, 10.0, 19.8705717619, 9999.0),
+        (1e4, 1e-3, 4, 2.0, 39.515919035, 3995.0),
+        (1e5, 8e-3, 3, 20.0, 1885.37212481, 5400.0),
+    ],
+)
+def test_the_damping_of_an_admittance(
+    environment: float, period: float, late: int, mass: float, least: float, most: float
+) -> None:
+    # z^w ((z - 1)^2 M/T + (z - 1) D) + Ke T z
+    p0 = [0.0] * (late + 3)
+    for power, factor in enumerate((1.0, -2.0, 1.0)):
+        p0[late + power] = mass / period * factor
+    p0[1] += environment * period
+    ((low, high),) = ends(of_polynomials(p0, [0.0] * late + [-1.0, 1.0]))
+    assert low == pytest.approx(least, rel=2e-11)
+    assert high == pytest.approx(most, rel=1e-11)
+
+
+# --------------------------------------------------------------------------------- exact fractions
+def assert_fractions_agree(p0: list[int], q: list[int]) -> None:
+    """Judge walls on a grid, and both sides of all crossings."""
+    line = of_polynomials(p0, q)
+    if line.status == LineStatus.UNDECIDED or line.drift:
+        return
+    known = [Fraction(end.value) for end in line.crossings]
+    tried = [Fraction(k, 16) + Fraction(1, 12345) for k in range(-100, 101)]
+    tried += [end + side * Fraction(1, 10**9) for end in known for side in (-1, 1)]
+    for t in tried:
+        if any(abs(t - end) < Fraction(1, 10**10) for end in known):
+            continue
+        rising = [Fraction(c) for c in p0]
+        for power, factor in enumerate(q):
+            rising[power] += t * factor
+        expected = is_stable(rising[::-1])
+        if expected is not None:
+            assert (line.holding(float(t)) is not None) == expected, (p0, q, t)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_lines_of_small_integers_and_all_their_accidents(seed: int) -> None:
+    rng = np.random.default_rng([525, seed])
+    for _ in range(4):
+        degree = int(rng.integers(1, 7))
+        p0 = [*rng.integers(-4, 5, degree).tolist(), int(rng.choice([1, 2, 3, 5]))]
+        q = rng.integers(-3, 4, int(rng.integers(1, degree + 2))).tolist()
+        if any(q):
+            assert_fractions_agree(p0, q)
+
+
+def test_polynomials_that_are_their_own_mirror_are_undecided() -> None:
+    assert of_polynomials([3, -1, 3], [0, -3]).status == LineStatus.UNDECIDED
+
+
+def test_a_root_that_only_touches_the_circle_is_a_crossing_without_an_angle_of_its_own() -> None:
+    # z^3 - 2 z^2 + 2 z + t: Im is sin(theta) (2 cos(theta) - 1)^2. At t = -1 a pair touches the
+    # circle at pi/3, and a root passes z = 1.
+    touching = of_polynomials([0, 2, -2, 1], [1])
+    assert touching.status == LineStatus.PROVED
+    assert -1.0 in [pytest.approx(end.value, abs=1e-9) for end in touching.crossings]
+    assert_fractions_agree([0, 2, -2, 1], [1])
+
+
+# ------------------------------------------------------------------------------------------ mpmath
+def start_of(along: tuple[float, float]) -> tuple[float, float]:
+    return (0.0, 0.5) if along == (1.0, 0.0) else (0.125, 0.0)
+
+
+def assert_mpmath_agrees(truth: Loop, line: StableLine, along: tuple[float, float]) -> None:
+    """Judge both sides of each crossing, and the middle of each gap."""
+    known = [end.value for end in line.crossings]
+    tried = [(low + high) / 2.0 for low, high in pairwise(known)]
+    for value, error, _ in line.crossings:
+        aside = max(1e-9 * abs(value), 4.0 * error)
+        tried += [value - aside, value + aside]
+    judged = 0
+    for t in tried:
+        wall = [a + t * b for a, b in zip(start_of(along), along, strict=True)]
+        expected = truth.is_stable(*wall)
+        if expected is not None and t not in known:
+            assert (line.holding(t) is not None) == expected, (truth.loop, t)
+            judged += 1
+    assert judged > 0
+
+
+@pytest.mark.parametrize("along", [(1.0, 0.0), (0.0, 1.0)], ids=["row", "column"])
+@pytest.mark.parametrize("draw", [MassLoop.drawn, DeviceLoop.drawn, DeviceLoop.hardly_moved])
+@pytest.mark.parametrize("seed", range(3))
+def test_rows_and_columns_of_random_loops(
+    draw: object, seed: int, along: tuple[float, float]
+) -> None:
+    truth = Loop.of(draw(np.random.default_rng([526, seed])))  # type: ignore[operator]
+    line = stable_line(lambda: ball_triple(truth.loop), start_of(along), along)
+    assert line.status == LineStatus.PROVED
+    assert_mpmath_agrees(truth, line, along)
+
+
+@pytest.mark.parametrize("samples", [2, 3, 4, 7, 20])
+@pytest.mark.parametrize("delay", [0.0, 0.5, 1.0])
+def test_columns_of_windows_have_the_directions_right(samples: int, delay: float) -> None:
+    truths = filtered.difference(samples), filtered.average(1)
+    filters = Filters(Velocity.difference(samples=samples), Filter(), truths)
+    truth = Loop.of(MassLoop((0.0, 0.0, delay), filters))
+    line = column(truth.loop, 0.125)
+    assert line.status == LineStatus.PROVED
+    assert_mpmath_agrees(truth, line, (0.0, 1.0))
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_the_crossings_of_long_windows_are_complete(seed: int) -> None:
+    truth = Loop.of(long_window(np.random.default_rng([527, seed])))
+    line = stable_line(lambda: ball_triple(truth.loop), (0.0, 0.5), (1.0, 0.0))
+    assert line.status == LineStatus.PROVED
+    for t in (0.3 * line.crossings[-1].value, 1.7 * line.crossings[0].value + 1e-3):
+        expected = outside(truth.polynomial(t, 0.5))
+        assert (line.holding(t) is not None) == (expected == 0)
+
+
+def test_a_device_that_is_one_mass_gives_the_answers_of_its_numbers() -> None:
+    device = Device.mass_spring_damper(0.25, damping=0.1)
+    fields = {"sample_time": 1e-3, "delay": 1.5e-3}
+    one = row(HapticLoop(device=device, **fields), 10.0)
+    other = row(HapticLoop(device_mass=0.25, device_damping=0.1, **fields), 10.0)
+    assert one == other
+
+
+def test_directions_between_stiffness_and_damping() -> None:
+    loop = HapticLoop(**UNIT)
+    ((low, high),) = ends(stable_line(lambda: ball_triple(loop), (0.0, 0.0), (1.0, 1.0)))
+    # 0 < t < 2 t (2 - t)/(t + 2): t = 2/3
+    assert low == 0.0
+    assert high == pytest.approx(2.0 / 3.0, rel=1e-15)

@@ -1,0 +1,77 @@
+"""E2 against mpmath and roots that were chosen."""
+
+import flint
+import numpy as np
+import pytest
+from mpmath import mp, mpf
+
+from benchmarks.truth.plain import Loop, radius
+from benchmarks.truth.random_loops import DeviceLoop, MassLoop
+from jaxstab import Filter, HapticLoop, Velocity
+from jaxstab.conventions import RadiusStatus
+from jaxstab.exact.roots import poles, spectral_radius
+from jaxstab.model.balls import Factored, Triple, ball_triple
+
+NOTHING = Factored(flint.arb_poly([]))
+
+
+@pytest.mark.parametrize("draw", [MassLoop.drawn, DeviceLoop.drawn])
+@pytest.mark.parametrize("seed", range(3))
+def test_the_radius_is_that_of_mpmath_to_the_last_bit(draw: object, seed: int) -> None:
+    truth = Loop.of(draw(np.random.default_rng([524, seed])))  # type: ignore[operator]
+    found = spectral_radius(lambda: ball_triple(truth.loop), 0.0625, 0.25)
+    expected = radius(truth.polynomial(0.0625, 0.25))
+    assert found.status == RadiusStatus.PROVED
+    with mp.workdps(60):
+        assert abs(mpf(found.value) - expected) <= found.error
+    assert found.error <= np.spacing(found.value)
+
+
+def test_the_smallest_radius_at_a_triple_root() -> None:
+    loop = HapticLoop(device_mass=1.0, device_damping=0.0, sample_time=1.0)
+    r = 4.0 ** (1 / 3) - 1.0
+    alpha, beta = 6.0 * r * r - 2.0, 2.0 * r**3
+    found = spectral_radius(lambda: ball_triple(loop), alpha, beta)
+    # p = z^3 - (2 - (a + b)/2) z^2 + (1 + a/2) z - b/2, of these very numbers.
+    with mp.workdps(80):
+        a, b = mpf(alpha), mpf(beta)
+        expected = radius([mpf(1), -(2 - (a + b) / 2), 1 + a / 2, -b / 2])
+        assert abs(mpf(found.value) - expected) <= found.error
+    assert found.error <= np.spacing(found.value)
+    assert abs(found.value - r) < 1e-4
+
+
+def test_poles_are_those_of_the_closed_form_and_structure() -> None:
+    loop = HapticLoop(device_mass=1.0, device_damping=0.0, sample_time=1.0)
+    found = poles(lambda: ball_triple(loop), 0.0, 0.0)  # z (z - 1)^2
+    assert found.values.tolist() == [1.0, 1.0, 0.0]
+    assert found.error == 0.0
+
+
+def test_chosen_roots_come_back() -> None:
+    chosen = [0.5, -0.25, 0.75, 0.0]
+    rising = flint.fmpq_poly([0, 1])
+    for root in chosen[:-1]:
+        rising *= flint.fmpq_poly([flint.fmpq(*(-root).as_integer_ratio()), 1])
+    triple = Triple(Factored.from_rational(rising), NOTHING, NOTHING)
+    found = poles(lambda: triple, 0.0, 0.0)
+    assert sorted(found.values.real.tolist()) == sorted(chosen)
+    assert found.error < 1e-17
+
+
+def test_poles_that_coincide_have_a_radius_but_are_not_told_apart() -> None:
+    filters = Filter.low_pass(30.0, order=2)
+    loop = HapticLoop(
+        device_mass=0.25, device_damping=0.1, sample_time=1e-3, velocity=Velocity() * filters
+    )
+    pole = float(np.exp(-2.0 * np.pi * 30.0 * 1e-3))  # the filter that runs
+    found = spectral_radius(lambda: ball_triple(loop), 100.0, 0.0)
+    assert found.status == RadiusStatus.PROVED
+    plain = HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
+    own = spectral_radius(lambda: ball_triple(plain), 100.0, 0.0)
+    assert abs(found.value - max(pole, own.value)) <= found.error + own.error
+    assert found.error < 1e-15
+    answer = poles(lambda: ball_triple(loop), 100.0, 0.0)
+    assert np.all(np.isnan(answer.values))
+    assert answer.values.shape == (4,)
+    assert answer.error == np.inf
