@@ -143,6 +143,5 @@ def number_text(value: float, digits: int, rounding: str = ROUND_HALF_EVEN, unit
         return "none"
     if not isfinite(value):
         return "unlimited"
-    is_printed = isinstance(value, Printed)
-    text = value.text if is_printed else rounded_text(value, digits, rounding)
+    text = value.text if isinstance(value, Printed) else rounded_text(value, digits, rounding)
     return f"{text} {unit}".rstrip()

@@ -146,7 +146,7 @@ class MovingRegion:
         if not len(self.outline):
             return "MovingRegion: no wall was found that is proved for every sequence of delays"
         stiffest, damping = self.outline[np.argmax(self.outline[:, 0])], self.outline[:, 1].max()
-        k, b = stable_pair(*stiffest.tolist(), (5, 4), self.contains)
+        k, b = stable_pair(float(stiffest[0]), float(stiffest[1]), (5, 4), self.contains)
         return (
             "MovingRegion: every wall of a polygon is proved for every sequence of delays\n"
             f"  stiffest     K = {number_text(k, 5)} N/m at B = {number_text(b, 4)} N s/m\n"

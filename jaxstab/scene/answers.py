@@ -115,7 +115,8 @@ def rounded_wall(stiffness: float, damping: float, is_stable: Any) -> tuple[floa
     if is_stable(*nearest):
         return nearest[0], nearest[1]
     pair = stable_pair(stiffness, damping, (Quantity.digits, Quantity.digits), is_stable)
-    return (float(pair[0].text), float(pair[1].text)) if isinstance(pair[0], Printed) else pair
+    first, second = (float(gain.text) if isinstance(gain, Printed) else gain for gain in pair)
+    return first, second
 
 
 Stiffness = Annotated[float, Quantity("N/m")]
