@@ -86,7 +86,7 @@ def test_the_delay_may_grow_to_the_first_crossing_of_a_root_fractions_included(
 
 
 def test_a_loop_that_no_delay_upsets_has_all_of_it_to_spare() -> None:
-    assert PHANTOM.margins(0.0, 0.0).verdict == Verdict.UNDECIDED
+    assert PHANTOM.margins(0.0, 0.0).verdict == Verdict.UNSTABLE  # a root at 1: it may drift
     held = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3, hand_stiffness=500.0)
     assert held.margins(1.0, 0.1).extra_delay == np.inf
     stiff = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3, hand_stiffness=987e3)
