@@ -11,6 +11,10 @@ empty), and a random descent over the gains with eigenvalues of polynomials of 5
 Random loops with estimators and filters are judged alike: there the descents stay in the component
 of small gains, whose outline matplotlib knows, and what they find is certified. Slow filters of
 high order have regions in double-double of which float64 proves no wall: none of those is missed.
+
+Walls (K >= 0, B >= 0) of ordinary loops are those of ``HapticLoop.tune("radius")``: descents that
+start from them, from their edges and anywhere in the component do better by up to ``error``; the
+status SCANNED says how much that was.
 """
 
 from collections.abc import Iterator
@@ -22,9 +26,10 @@ from matplotlib.path import Path
 
 from benchmarks import truth
 from benchmarks.record import Row
-from benchmarks.truth.filtered import FilteredLoop
-from benchmarks.truth.random_loops import MassLoop
-from jaxstab import Verdict, verdict
+from benchmarks.truth.filtered import FilteredLoop, average, difference, times
+from benchmarks.truth.filtered import low_pass as filtered_low_pass
+from benchmarks.truth.random_loops import Filters, MassLoop
+from jaxstab import Filter, HapticLoop, Velocity, Verdict, verdict
 from jaxstab.model import by_name
 from jaxstab.region import StableRegion, stable_region
 from jaxstab.tuning import TuningStatus, minimize_radius
@@ -33,7 +38,8 @@ MEASURE = "largest share by which a random descent found a smaller radius"
 
 _CLASSES = ((0, 3, 500), (3, 9, 500))  # delays, how many plants
 _FILTERED = 300  # loops with estimators and filters
-_ALLOWED = 1e-3
+_WALLED = 1000  # ordinary loops of which the best wall is asked
+_ALLOWED, _CERTIFIED = 1e-3, 1e-6
 _WALLS = 500  # tried for one that is proved
 _STEPS, _TRIALS = 60, 60  # of a descent
 _SPREADS = (-6.0, 0.3)  # decades of the steps beside the size of the gains
@@ -61,6 +67,9 @@ def rows(small: bool) -> Iterator[Row]:
     loops = [MassLoop.drawn(rng) for _ in range(2 if small else _FILTERED)]
     tallies = [filtered_tally(loop, rng) for loop in loops]
     yield _row("minimize_radius with filters", max(loop.plant[2] for loop in loops), tallies)
+    rng = np.random.default_rng([20120412, 1])
+    tallies = [wall_tally(ordinary_loop(rng), rng) for _ in range(4 if small else _WALLED)]
+    yield _row("HapticLoop.tune", 3.0, tallies)
 
 
 def _row(section: str, delay: float, tallies: list[Tally]) -> Row:
@@ -154,6 +163,61 @@ def filtered_tally(loop: MassLoop, rng: np.random.Generator) -> Tally:
     return Tally(status, too_large, False, False, 1.0 - min([value, *certified]) / value, seconds)
 
 
+def ordinary_loop(rng: np.random.Generator) -> MassLoop:
+    """A hand, a delay of up to 3 samples and filters as devices have them."""
+    plant = (
+        float(rng.choice([0.0, 10 ** rng.uniform(-6, -1)])),
+        float(10 ** rng.uniform(-4, -0.5)),
+        float(rng.choice([float(rng.integers(4)), rng.uniform(0, 3)])),
+    )
+    cutoff, order, samples = 10 ** rng.uniform(-1.7, -0.6), int(rng.integers(1, 3)), rng.integers(5)
+    length = int(rng.integers(1, 11))
+    velocity, truth_of_it = (
+        (Velocity.difference(length), difference(length)),
+        (
+            Velocity.low_pass(cutoff, order=order),
+            times(difference(1), filtered_low_pass(cutoff, order)),
+        ),
+    )[rng.integers(2)]
+    position = Filter.average(2 + int(samples)) if samples < 2 else Filter()
+    whole = average(2 + int(samples)) if samples < 2 else average(1)
+    return MassLoop(plant, Filters(velocity, position, (truth_of_it, whole)))
+
+
+def wall_tally(loop: MassLoop, rng: np.random.Generator) -> Tally:
+    """Judge the wall of the smallest radius of one loop, in units of one sample and of the mass."""
+    velocity, position, truths = loop.filters
+    gamma, delta, delay = loop.plant
+    asked = HapticLoop(
+        device_mass=1.0, device_damping=delta, hand_stiffness=gamma, sample_time=1.0, delay=delay,
+        velocity=velocity, position=position,
+    )  # fmt: skip
+    exact, main = FilteredLoop(*loop.plant, *truths), loop.region().main
+    start = process_time()
+    best = asked.tune("radius")
+    seconds = process_time() - start
+    if best.status != TuningStatus.SCANNED and best.stiffness > 0.0 < best.damping:
+        return Tally(best.status, False, False, False, 0.0, seconds)  # judged above
+    points = np.empty((0, 2)) if main is None else main.points[np.all(main.points >= 0.0, axis=1)]
+    if best.status == TuningStatus.NO_STABLE_GAINS or not len(points):
+        return Tally(best.status, False, False, len(points) > 0, 0.0, seconds)
+    walls = [(0, 0), (1, 0), (0, 1)]
+    base, alpha, beta = (
+        np.array([float(c.mid()) for c in exact.polynomial(*wall)]) for wall in walls
+    )
+    parts, gains = np.stack([base, alpha - base, beta - base]), np.array(best[:2])
+    anywhere = 0.9 * points[rng.integers(len(points), size=3)]
+    starts = [gains, gains * [0.0, 1.0], gains * [1.0, 0.0], *anywhere, *(anywhere * [0.0, 1.0])]
+    outline = Path(main.points)
+    least, wall = min(
+        (descent(parts, each, rng, outline, lowest=0.0) for each in starts), key=lambda one: one[0]
+    )
+    found = best.radius
+    if least < found * (1.0 - _CERTIFIED):
+        found = float(exact.radius(*wall.tolist()).mid())
+    return Tally(best.status, False, False, False, max(0.0, 1.0 - found / best.radius), seconds)
+
+
 def _has_a_proved_wall(loop: MassLoop, main: StableRegion, rng: np.random.Generator) -> bool:
     low, high = main.points.min(axis=0), main.points.max(axis=0)
     walls = (low + (high - low) * rng.random((_WALLS, 2))).T
@@ -174,16 +238,17 @@ def descent(
     start: np.ndarray,
     rng: np.random.Generator,
     outline: Path | None = None,
+    lowest: float = -np.inf,
 ) -> tuple[float, np.ndarray]:
     """Return the smallest radius of a random walk, and its gains, inside of an outline."""
     gains, least = start, np.inf
     size = max(*np.abs(start), 0.1 / polynomials.shape[1] ** 2)
     for step in range(_STEPS + 1):
         spread = 10 ** rng.uniform(*_SPREADS, (_TRIALS, 1)) * (step > 0)
-        trials = gains + size * spread * rng.normal(size=(_TRIALS, 2))
+        trials = np.maximum(gains + size * spread * rng.normal(size=(_TRIALS, 2)), lowest)
         values = radii(polynomials, trials)
         if outline is not None:
-            values[~outline.contains_points(trials)] = np.inf
+            values[~outline.contains_points(trials, radius=1e-12)] = np.inf
         if values.min() < least:
             gains, least = trials[np.argmin(values)], values.min()
     return float(least), gains

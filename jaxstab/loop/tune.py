@@ -1,6 +1,7 @@
 """The walls of a loop that come to rest fastest, in SI units."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
 _POINTS = 25  # on an axis
 _ZOOMS = 4
-_RADIUS_POINTS = 65  # on an axis: radii have narrow valleys
+_RADIUS_POINTS, _EDGE_POINTS = 65, 1025  # on an axis, on K = 0 and B = 0: valleys are narrow
 
 Objective = Callable[[np.ndarray, np.ndarray], Any]  # of alpha and beta; infinite, NaN: no wall
 
@@ -82,11 +83,17 @@ def _smallest_radius(loop: LoopParameters, tuned: TunedLoop) -> OptimalGains:
     best = tuned.smallest_radius()
     if min(best.alpha, best.beta) >= 0.0:
         return best
+    # The best wall may lie on an edge, in a valley that a grid over both gains steps over.
     region = wall_region(loop.in_floats(), TOLERANCE).region.reachable
     grid = Grid.over_walls(region.points, _RADIUS_POINTS)
     if not all(low < high for low, high in (grid.alphas, grid.betas)):
         return best._replace(status=np.array(TuningStatus.NO_STABLE_GAINS, np.int8))
-    return smallest_radius_around(tuned, grid)
+    edges = (
+        replace(grid, alphas=(0.0, 0.0), size=_EDGE_POINTS),
+        replace(grid, betas=(0.0, 0.0), size=_EDGE_POINTS),
+    )
+    found = [smallest_radius_around(tuned, each) for each in (grid, *edges)]
+    return min(found, key=lambda each: float(each.value))
 
 
 class OptimalWall(NamedTuple):
