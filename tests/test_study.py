@@ -653,7 +653,7 @@ def test_51_13_the_plan_counts_what_it_was_given(desk: Path) -> None:
     [
         ("device.mass=uniform:-1e308:1e308", "low is -1e+308 and high 1e+308; give ends of a"),
         ("device.mass=uniform:0:1e308", "mass/T^2 of device and hand is"),
-        ("device.mass=1e-300,0.2", "T^2/mass of device and hand is 1e+294"),
+        ("device.mass=1e-300,0.2", "damping T/mass of device and hand is"),
         ("device.mass=normal:0.1:1e308", "device.mass has draws that overflow float64"),
         ("hand.stiffness=lognormal:1:1e300", "hand.stiffness has draws that overflow float64"),
         ("controller.velocity.window_samples=lognormal:9:1e300", "draws that overflow float64"),

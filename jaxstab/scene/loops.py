@@ -148,9 +148,9 @@ def _check_scale(scene: Scene) -> None:
     gamma = hand.stiffness[1] * period * period / lightest
     for words, value, most in (
         (f"{moved}/T^2 of device and hand", heaviest / period / period, GAIN_LIMIT),
-        (f"T^2/{moved} of device and hand", period * period / lightest, GAIN_LIMIT),
         (f"hand.stiffness T^2/{moved}", gamma, GAMMA_LIMIT),
         (f"damping T/{moved} of device and hand", damping * period / lightest, DELTA_LIMIT),
+        (f"T^2/{moved} of device and hand", period * period / lightest, GAIN_LIMIT),
     ):
         if not value <= most:
             raise ValueError(
