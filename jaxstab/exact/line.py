@@ -124,7 +124,7 @@ def stable_line(
         >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
         >>> row = stable_line(lambda: ball_triple(loop), (0.0, 20.0), (1.0, 0.0))
         >>> [(low.value, round(high.value, 6)) for low, high in row.intervals]
-        [(0.0, 35324.985...)]
+        [(0.0, 35324.95892...)]
     """
 
     def line() -> _Line:

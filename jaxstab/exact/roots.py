@@ -58,7 +58,7 @@ def spectral_radius(triple: TripleAt, stiffness: float, damping: float) -> Radiu
         >>> from jaxstab.model.balls import ball_triple
         >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
         >>> spectral_radius(lambda: ball_triple(loop), 1000.0, 10.0).value
-        0.94072397073353...
+        0.94072397073358...
     """
 
     def largest() -> Number | None:
