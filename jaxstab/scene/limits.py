@@ -367,7 +367,8 @@ class _Rows:
 
     def verdict(self, stiffness: float, damping: float) -> int:
         """The verdict on a wall; for one without a spring that on a very soft one."""
-        return int(self.loop.verdict(stiffness or _SOFT * self.region.extent.stiffness, damping))
+        soft = 0.0 if self.region.is_empty else _SOFT * self.region.extent.stiffness
+        return int(self.loop.verdict(stiffness or soft, damping))
 
     def is_stable(self, stiffness: float, damping: float) -> bool:
         return self.verdict(stiffness, damping) == Verdict.STABLE
