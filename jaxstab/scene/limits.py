@@ -381,7 +381,7 @@ class _Rows:
 
     def verdict(self, stiffness: float, damping: float) -> int:
         """The verdict on a wall; for one without a spring that on a very soft one."""
-        soft = float(np.nan_to_num(_SOFT * self.region.extent.stiffness))  # of an empty region, 0
+        soft = 0.0 if self.region.is_empty else _SOFT * self.region.extent.stiffness
         return int(self.loop.verdict(stiffness or soft, damping))
 
     def is_stable(self, stiffness: float, damping: float) -> bool:
