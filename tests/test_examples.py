@@ -23,7 +23,7 @@ OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 INTERNAL = {
     "AtlasAnswer": {"reshaped"},
     "AtlasSpec": {"filters"},
-    "Device": {"compliance", "handle_compliance"},
+    "Device": {"compliance", "handle_compliance", "require_one_handle"},
     "Filter": {"stages", "transfer"},
     "Hand": {"dynamic_stiffness"},
     "HapticLoop": {"body", "filters", "held_device", "linear", "sampled"},

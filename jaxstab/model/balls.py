@@ -14,7 +14,7 @@ what the structure says is kept beside the rest (``Factored``):
 - D has as many roots at 1 as the device has rigid-body poles at s = 0, V has one;
 - a device that is even in s (nothing damps it) has, behind a whole delay, D and N that read the
   same backwards: time may run either way. N has an odd degree, so that it vanishes at -1;
-- Butterworth's low pass of order n has n roots at -1; those of other filters are counted in exact
+- a maximally flat low pass of order n has n roots at -1; those of all filters are counted in exact
   numbers;
 - the mean over n samples is (z^n - 1)/(z - 1), with its n - 1 roots on the circle.
 """
@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from jaxstab.model.device.parts import exact
 from jaxstab.model.device.sampling import OneSample, in_samples
-from jaxstab.model.filters import Average, Filter, Section, Velocity
+from jaxstab.model.filters import Filter, Section, Velocity
 from jaxstab.model.loop import LoopParameters
 
 if TYPE_CHECKING:
@@ -303,8 +303,8 @@ def _section(section: Section) -> tuple[Factored, Factored]:
     """Numerator and denominator of a section in units of one sample."""
     from flint import arb_poly, fmpq
 
-    if isinstance(section, Average):
-        n = section.length
+    n = section.length
+    if n is not None:
         above = Factored(arb_poly([fmpq(1, n)]), windows=(n,) if n > 1 else ())
         return above, Factored(arb_poly([1]), power=n - 1)
     above, below = map(Factored.from_rational, _exact_section(section))

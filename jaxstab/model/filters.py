@@ -156,6 +156,11 @@ class Section:
         """The keys and values of TOML of a section in units of one sample."""
         return dict(vars(self))
 
+    @property
+    def length(self) -> int | None:
+        """How many samples the section is the mean of; None of other kinds."""
+        return None
+
     def factors(self, number: Any) -> list[Factor]:
         """The factors of the transfer function, by the number that the section computes."""
         raise NotImplementedError
