@@ -161,7 +161,7 @@ def _last_gap(chain: Chain[Number], unit: float, *, is_monic: bool) -> tuple[Num
     b0 = chain.gap + head[1]
     b1 = head[0] + tail[2] if len(tail) > 2 else head[0]
     b3 = tail[0] + head[2] if len(head) > 2 else tail[0]
-    ratio = b3 if is_monic else _quotient(b3, b0)[0]
+    ratio = b3 if is_monic else _quotient(b3, b0, is_alone=_is_plain(chain))[0]
     modulus = size(ratio)
     gap = (chain.gap - tail[1] if len(tail) > 1 else chain.gap) + ratio * (b1 - b3)
     sizes = size(b0) + size(b1) + 2.0 * size(b3) + size_sum(head) + size_sum(tail)
@@ -180,7 +180,8 @@ def _step(
 ) -> Chain[Number]:
     head, tail = chain.head, chain.tail
     lead = chain.gap + head[1]
-    ratio, inverse = (tail[0], 1.0) if is_monic else _quotient(tail[0], lead, is_rolled=is_rolled)
+    how = {"is_alone": _is_plain(chain), "is_rolled": is_rolled}
+    ratio, inverse = (tail[0], 1.0) if is_monic else _quotient(tail[0], lead, **how)
     modulus = size(ratio)
     lowered = tail[0] - tail[2] if len(tail) > 2 else tail[0]
     pairs = list(zip_longest(head, tail[1:]))
@@ -196,12 +197,19 @@ def _step(
     )
 
 
+def _is_plain(chain: Chain[Number]) -> bool:
+    """Whether steps follow neither zeros nor drift: of a quotient they read K alone."""
+    return chain.drift is None and chain.balance is None
+
+
 def _quotient(
-    dividend: Number, divisor: Number, *, is_rolled: bool = False
+    dividend: Number, divisor: Number, *, is_alone: bool = False, is_rolled: bool = False
 ) -> tuple[Number, Array]:
-    """Return a quotient, right to three roundings, and 1 / |divisor|."""
+    """Return a quotient, right to three roundings, and 1 / |divisor|, which ``is_alone`` omits."""
     if isinstance(divisor, DoubleDouble) or not is_jax(divisor):
         return dividend / divisor, 1.0 / size(divisor)
+    if is_alone:
+        return kept(dividend / divisor), np.nan
     # A loop that writes its state to memory needs what XLA computes once, so it divides.
     inverse = 1.0 / size(divisor) if is_rolled else rounded_reciprocal(size(divisor))
     signed = namespace(divisor).where(divisor < 0.0, -inverse, inverse)
