@@ -123,8 +123,8 @@ class TestSettling:
 
     def test_on_the_edge_of_stability_does_not_end(self) -> None:
         found = jaxstab.settling_samples(0.0, 0.5, gamma=0.0, delta=0.0, delay=0)
-        assert math.isnan(found.value)
-        assert int(found.status) == SettlingStatus.NOT_SETTLED
+        assert found.value == math.inf  # a root stays at z = 1
+        assert int(found.status) == SettlingStatus.UNSTABLE
 
     @pytest.mark.parametrize("device_damping", [0.0, 0.5, 1.5, 3.0])
     def test_of_long_delays_that_were_called_infinite_once(self, device_damping: float) -> None:
