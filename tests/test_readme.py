@@ -19,18 +19,18 @@ def blocks(language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", README, flags=re.DOTALL)
 
 
-def run(*command: str, folder: Path) -> str:
+def run(*command: str, folder: Path, exit_code: int = 0) -> str:
     completed = subprocess.run(
         [sys.executable, *command], cwd=folder, capture_output=True, text=True, check=False
     )
-    assert completed.returncode == 0, completed.stderr
+    assert completed.returncode == exit_code, completed.stderr
     return completed.stdout
 
 
-def jaxstab_command(line: str, folder: Path) -> str:
+def jaxstab_command(line: str, folder: Path, exit_code: int = 0) -> str:
     program, *arguments = shlex.split(line)
     assert program == "jaxstab"
-    return run("-c", START, *arguments, folder=folder)
+    return run("-c", START, *arguments, folder=folder, exit_code=exit_code)
 
 
 @pytest.mark.campaign
@@ -86,4 +86,5 @@ def test_the_table_is_that_of_the_records() -> None:
 
 def test_the_first_answer_is_what_the_command_prints() -> None:
     (shown,) = re.findall(r"^```\n\$ (jaxstab .*)\n((?:.*\n)+?)```", README, re.MULTILINE)
-    assert jaxstab_command(shown[0], ROOT).startswith(shown[1])
+    one_is_outside = 1  # the exit code that the wall of CHAI3D's constants gives
+    assert jaxstab_command(shown[0], ROOT, one_is_outside).startswith(shown[1])
