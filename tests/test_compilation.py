@@ -34,9 +34,11 @@ WITHOUT_ARRAYS = {
     *(f"HapticLoop.{method}" for method in ("region", "limits", "tune", "robust_limit")),
 }
 
-WITH_FLINT = {  # devices are discretised in balls, and roots isolated
-    *("HapticLoop.amplitude", "amplitude", "paper.linear_validity"),
-    *("HapticLoop.jitter_margin", "HapticLoop.worst_delays"),
+WITH_FLINT = {  # single walls are answered in balls
+    *("HapticLoop.amplitude", "amplitude", "paper.linear_validity", "margins"),
+    *("HapticLoop.jitter_margin", "HapticLoop.worst_delays", "HapticLoop.margins"),
+    *("HapticLoop.verdict", "HapticLoop.spectral_radius", "HapticLoop.poles"),
+    "HapticLoop.oscillation",
 }
 
 WITHOUT_JAX = """

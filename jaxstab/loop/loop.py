@@ -11,6 +11,7 @@ from jaxstab import motion, point, ranges
 from jaxstab.arrays import Array, Numbers, is_any_jax, is_any_traced, named, pytree
 from jaxstab.conventions import HORIZON, Excitation, Range, Verdict
 from jaxstab.loop.region import TOLERANCE, WallLimits, WallRegion, scaled, wall_region
+from jaxstab.loop.walls import few_walls
 from jaxstab.model import LoopParameters, by_name
 from jaxstab.model.filters import known_filters
 from jaxstab.model.loop import refuse_arrays
@@ -492,6 +493,10 @@ class HapticLoop(LoopParameters):
         if delays is not None or lost:
             checked_word("resolve", resolve or "exact", ("exact",))
             return self._moving("verdict with delays", delays, lost).verdict(stiffness, damping)
+        few = few_walls(self, stiffness, damping)
+        if few:
+            checked_word("resolve", resolve or "exact", ("exact",))
+            return few.verdicts()
         wall = scaled(self, stiffness, damping)
         if self.body is None:
             checked_word("resolve", resolve or "exact", ("exact",))
@@ -510,6 +515,9 @@ class HapticLoop(LoopParameters):
             >>> loop.spectral_radius(1000.0, 10.0)
             0.9407239707335... +/- ... (proved)
         """
+        few = few_walls(self, stiffness, damping)
+        if few:
+            return few.spectral_radii()
         wall = scaled(self, stiffness, damping)
         if self.body is None:
             return point.linear_spectral_radius(*wall, self.linear)
@@ -527,6 +535,10 @@ class HapticLoop(LoopParameters):
             >>> abs(loop.poles(1000.0, 10.0)).round(4).tolist()
             [0.9407, 0.9407, 0.0559]
         """
+        few = few_walls(self, stiffness, damping)
+        known = few.poles() if few else None
+        if known is not None:
+            return known
         wall = scaled(self, stiffness, damping)
         if self.body is None:
             return point.linear_poles(*wall, self.linear)

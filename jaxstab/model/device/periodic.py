@@ -147,7 +147,7 @@ def proved_growth(loop: PeriodicLoop, delays: Delays) -> float:
             if not move.is_finite():
                 return 0.0
             z = flint.acb((z - move).mid())
-        distance = len(turn) * abs(polynomial(z) / slope(z))  # a root is as near (lemma V5)
+        distance = len(turn) * abs(polynomial(z) / slope(z))  # a root is as near (lemma R1)
         radius = abs(z) - distance
         return float(radius.lower()) * (1.0 - 2.0**-50) if radius > 1 else 0.0
 
