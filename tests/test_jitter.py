@@ -373,6 +373,18 @@ def test_the_margin_of_every_hand_is_proved_and_next_to_that_of_the_worst() -> N
         loop.jitter_margin(4000.0, 15.0, mass=masses)
 
 
+def test_the_margin_of_a_window_of_200_samples_is_found_and_survives_attacks() -> None:
+    loop, wall = window(200), (33.0, 0.0)
+    margin = float(loop.jitter_margin(*wall))
+    assert margin > 2e-3
+    late, random = int(8 * margin / T), np.random.default_rng(12)
+    turns = [random.integers(0, late + 1, 12) for _ in range(10)]
+    turns += [np.where(np.arange(12) % n < 1, 0, late) for n in (2, 3, 4, 6, 12)]
+    sequences = np.array([np.tile(turn, 400) for turn in turns])
+    assert np.all(growth(moving(0.25, 0.1, 200).positions(*wall, sequences), 12) < 1.0)
+    assert loop.verdict(*wall, delays=(0.0, 1.001 * margin)) != Verdict.STABLE
+
+
 def test_margins_of_walls_that_are_none() -> None:
     spring = HapticLoop(device=Device.mass_spring_damper(0.25, damping=0.5, stiffness=40.0), **AT)
     margins = spring.jitter_margin([0.0, 1e6], [0.0, 1.0])
