@@ -55,10 +55,6 @@ MIDDLE = 4 * EPS
 # operations, each of them EPS.
 PARAMETER = 1e-14
 
-# The distance of discs from 0 along a direction, of the size of their centres: fewer than 16
-# operations, each of them EPS.
-CLEARANCE = 16 * EPS
-
 # NumPy's sine, cosine and exponential are right to 4 units in the last place.
 ELEMENTARY = 4 * EPS
 

@@ -380,7 +380,7 @@ def test_the_margin_of_a_window_of_200_samples_is_found_and_survives_attacks() -
     late, random = int(8 * margin / T), np.random.default_rng(12)
     turns = [random.integers(0, late + 1, 12) for _ in range(10)]
     turns += [np.where(np.arange(12) % n < 1, 0, late) for n in (2, 3, 4, 6, 12)]
-    sequences = np.array([np.tile(turn, 400) for turn in turns])
+    sequences = np.array([np.tile(turn, 200) for turn in turns])
     assert np.all(growth(moving(0.25, 0.1, 200).positions(*wall, sequences), 12) < 1.0)
     assert loop.verdict(*wall, delays=(0.0, 1.001 * margin)) != Verdict.STABLE
 

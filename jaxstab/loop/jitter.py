@@ -167,7 +167,7 @@ class MovingLoop(NamedTuple):
         # little stiffer are proved.
         longest = self._longest()
         best, at = 0.0, nan
-        for damping in [share * longest.at_damping for share in _DAMPINGS]:
+        for damping in dict.fromkeys(share * longest.at_damping for share in _DAMPINGS):
             first = self._first(best, damping, longest.stiffness)
             best, at = (first, damping) if first > best else (best, at)
         if not best:

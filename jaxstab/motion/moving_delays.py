@@ -151,7 +151,7 @@ def _patterns(delays: Delays, longest: int) -> list[Turn]:
     ]
 
 
-def _changed(turn: Turn, letters: Sequence[float], random: np.random.Generator) -> Turn:
+def _changed(turn: Turn, letters: Sequence[float], random: "np.random.Generator") -> Turn:
     """Return a turn with one delay changed, added or left out."""
     place, kind = int(random.integers(len(turn))), random.random()
     letter = letters[int(random.integers(len(letters)))]
