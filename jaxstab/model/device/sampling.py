@@ -224,12 +224,11 @@ class OneSample(NamedTuple):
 
     def of_samples(self, fraction: Ball | None) -> tuple[Any, Any]:
         """N(z) and D(z), for a fraction of a sample with one sample of delay more (V10)."""
-        import flint
-
         if fraction is None:
             return self.whole, self.denominator
         later = self.moved(force_of(held(self.below, (1 - fraction) * self.speed)))
-        return flint.arb_poly([-1, 1]) * later + self.whole, self.denominator
+        kind = type(later)
+        return kind([-1, 1]) * later + kind(self.whole), self.denominator
 
 
 def in_fastest_time(above: list[Ball], below: list[Ball]) -> "tuple[list[Ball], list[Ball], arb]":
@@ -257,6 +256,8 @@ def position_after(
     import flint
 
     order, row = len(above), _matrix([above])
+    if isinstance(column, flint.acb_mat):  # python-flint 0.8 multiplies matrices of one kind
+        row, transition = flint.acb_mat(row), flint.acb_mat(transition)
     responses = []
     for _ in range(order):
         responses.append((row * column)[0, 0])
