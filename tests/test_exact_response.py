@@ -4,7 +4,7 @@ import flint
 import numpy as np
 import pytest
 
-from jaxstab import Filter, HapticLoop, Velocity
+from jaxstab import Device, Filter, Hand, HapticLoop, Velocity
 from jaxstab.exact.response import (
     Bounds,
     ResponseStatus,
@@ -77,6 +77,17 @@ LOOPS = [
             velocity=Velocity.difference(samples=20), position=Filter.butterworth(300.0, order=2),
         ),
         800.0,
+        10.0,
+    ),
+    (  # quotients of series lose digits with every sample: 192 bits do not do
+        HapticLoop(
+            device=Device.mass_spring_damper(0.25, damping=0.1).with_actuator(200.0).held_by(
+                Hand.mass_spring_damper(mass=1.0, damping=5.0, stiffness=300.0)
+                .with_grip(stiffness=2000.0, damping=4.0)
+            ),
+            sample_time=1e-3, delay=0.5e-3, velocity=Velocity.difference(samples=4),
+        ),
+        1000.0,
         10.0,
     ),
 ]  # fmt: skip

@@ -30,7 +30,8 @@ if TYPE_CHECKING:
 
 _FIRST, _MOST = 64, 1 << 16  # samples of the head
 _TAIL = 1e-9  # of the head: a sum is known well enough
-_MOST_BITS = 768
+_DIGITS = 40  # bits of a sum or a peak
+_MOST_BITS = 3072
 
 TransferAt = Callable[[], tuple[Factored, Factored]]
 """Gives c and p in balls of the precision that is set."""
@@ -69,7 +70,7 @@ def l1_norm(transfer: TransferAt) -> Bounds:
         lengths = (n for n in _lengths() if n == _MOST or motion.sum_beyond(n) < least)
         count = next(lengths)
         head = sum(map(abs, motion.head(count)), motion.nothing)
-        return _bounds(head, head + motion.sum_beyond(count))
+        return _bounds(head, head + motion.sum_beyond(count)) if _is_known(head) else None
 
     return _asked(transfer, question, lambda status: Bounds(0.0, inf, status))
 
@@ -82,6 +83,8 @@ def peak(transfer: TransferAt) -> Bounds:
             highest = motion.nothing
             for value in motion.head(count):
                 highest = highest.max(abs(value))
+            if not _is_known(highest):
+                return None
             if motion.beyond(count) < highest or count == _MOST:
                 return _bounds(highest, highest.max(motion.beyond(count)))
         return None
@@ -105,6 +108,11 @@ def settling_sample(transfer: TransferAt, level: float) -> Settled:
         return Settled(inf, ResponseStatus.NOT_PROVED)
 
     return _asked(transfer, question, lambda status: Settled(inf, status))
+
+
+def _is_known(ball: "arb") -> bool:
+    """Whether a sum of moduli has digits: quotients of series lose some with every sample."""
+    return bool(ball == 0 or ball.rel_accuracy_bits() > _DIGITS)
 
 
 def _bounds(low: "arb", high: "arb") -> Bounds:

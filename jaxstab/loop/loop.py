@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from jaxstab.loop.between import LoopsWithHands
     from jaxstab.loop.contact import Contact
-    from jaxstab.loop.jitter import MovingLimits, MovingLoop, MovingRegion, WorstDelays
+    from jaxstab.loop.jitter import MovingLimits, MovingLoop, WorstDelays
     from jaxstab.loop.tune import OptimalWall
 
 
@@ -91,45 +91,27 @@ class HapticLoop(LoopParameters):
         (0.02, 0.2, 20.0)
     """
 
-    @overload
-    def region(self, *, tolerance: float = TOLERANCE) -> WallRegion: ...
-
-    @overload
-    def region(self, *, delays: Range, lost: int = 0) -> "MovingRegion": ...
-
-    def region(
-        self,
-        *,
-        tolerance: float = TOLERANCE,
-        delays: Range | None = None,
-        lost: int = 0,
-    ) -> "WallRegion | MovingRegion":
+    def region(self, *, tolerance: float = TOLERANCE) -> WallRegion:
         """The set of all stable walls, in its connected parts.
 
         Args:
             tolerance: largest distance between the outline and the boundary, as a share of the
                 region's diameter, > 1e-10. Everything else is measured on the exact boundary.
-            delays: as for ``verdict``; the answer is then a polygon of walls that are all proved
-                for every sequence of these delays, and ``tolerance`` is not used.
-            lost: as for ``verdict``.
 
         Returns:
-            WallRegion of NumPy arrays, with its status; MovingRegion with ``delays``.
+            WallRegion of NumPy arrays, with its status.
 
         Raises: see ``jaxstab.conventions``; ValueError also for a delay longer than 500 samples and
         for a device with zero DC gain: the boundary is computed from 1/G(0) on. TypeError if JAX
         traces the loop; ``limits`` and ``jaxstab.regions_of`` take it.
 
-        Source: eq. (9) by the D-decomposition; see ``jaxstab.stable_region``. Lemmas J1 and J4 of
-        docs/proofs.md for delays that move.
+        Source: eq. (9) by the D-decomposition; see ``jaxstab.stable_region``.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
             >>> loop.region().status.words
             'the boundary closes to loops'
         """
-        if delays is not None or lost:
-            return self._moving("region with delays", delays, lost).region()
         if is_any_traced(self):
             raise TypeError(
                 "the loop is traced; its region and distances to it are searched outside of jit, "
