@@ -11,6 +11,7 @@ pieces of the boundary, all of them, proved, each with the angle of the root tha
 """
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from functools import lru_cache, partial
 from math import nan
 from typing import TYPE_CHECKING, NamedTuple
@@ -58,6 +59,7 @@ def _scaled(question: ScaledLoop, bits: int) -> tuple[BallLoop, Triple]:
     return own, own.triple
 
 
+_SHORT = 32  # degree of p(z)
 _SLOW = 0.3  # roots closer to 1 are found in powers of z - 1
 _LAST_BITS = 768  # a plant that is real to that precision is real
 _NEWTON_STEPS = 8
@@ -89,10 +91,8 @@ class CurveParts(NamedTuple):
 
 def curve_parts(loop: ScaledLoop) -> CurveParts:
     """Return what the curve of a loop is made of."""
-    with working_precision(FIRST_BITS):
-        degree = loop.triple().degree
-    with working_precision(FIRST_BITS + 2 * degree):
-        own = loop.balls()
+    with _enough_bits(loop):
+        own, degree = loop.balls(), loop.triple().degree
         parts, factors = loop.triple(), _factors(loop)
         unit = 1 / parts.base.polynomial()[degree]
         triple = [_floats((part.polynomial() * unit).coeffs(), degree) for part in parts]
@@ -107,10 +107,17 @@ def curve_parts(loop: ScaledLoop) -> CurveParts:
             for place in (1, -1)
         ]
         roots = _roots(own.numerator), _roots(own.denominator)
-        poles = np.array([float(angle.mid()) for angle in _poles(loop)])
+        poles = np.array([float(angle.mid()) for angle in _poles(loop, FIRST_BITS)])
     straight = np.array([whole, np.array(whole) * signs])
     falling = np.array(triple)[:, ::-1]
     return CurveParts(falling, straight, np.array(shifted), np.array(ends), *roots, poles)
+
+
+def _enough_bits(loop: ScaledLoop) -> AbstractContextManager[None]:
+    """Set a precision for coefficients in powers of z - 1: so many of them are sums that cancel."""
+    with working_precision(FIRST_BITS):
+        degree = loop.triple().degree
+    return working_precision(FIRST_BITS + (2 * degree if degree > _SHORT else 0))
 
 
 def _factors(loop: ScaledLoop) -> tuple[Factored, ...]:
@@ -153,9 +160,7 @@ def undamped_modes(loop: ScaledLoop, roots: Complex128[np.ndarray, " root"]) -> 
     from flint import acb, acb_poly, arb
 
     modes = []
-    with working_precision(FIRST_BITS):
-        degree = loop.triple().degree
-    with working_precision(FIRST_BITS + 2 * degree):
+    with _enough_bits(loop):
         below = acb_poly(loop.balls().denominator.polynomial())
         slope = below.derivative()
         factors = [acb_poly(part.polynomial()) for part in _factors(loop)]
@@ -248,7 +253,7 @@ def _at_end(loop: ScaledLoop, place: int) -> _Kept:
 def _at_pole(loop: ScaledLoop, index: int) -> _Kept:
     from flint import acb, arb, arb_poly
 
-    angle = _poles(loop)[index]
+    angle = _poles(loop, _LAST_BITS)[index]
     z = acb(0, angle).exp()
     base, stiffness, damping = (acb(1) * part.polynomial()(z) for part in loop.triple())
     unit = (damping if stiffness.contains(0) else stiffness).conjugate()
@@ -296,10 +301,13 @@ def _without(part: Factored, divisor: Factored) -> Factored:
 
 
 @lru_cache(maxsize=64)
-def _poles(loop: ScaledLoop) -> "list[arb]":
-    """The angles where V is real, to many bits; none where these do not tell."""
-    with working_precision(_LAST_BITS):
-        return real_quotient_angles(*loop.balls().walls) or []
+def _poles(loop: ScaledLoop, bits: int) -> "list[arb]":
+    """The angles where V is real, to so many bits or more; none where the most do not tell."""
+    with working_precision(bits):
+        found = real_quotient_angles(*loop.balls().walls)
+    if found is None and bits < _LAST_BITS:
+        return _poles(loop, _LAST_BITS)
+    return found or []
 
 
 def _real_poles(loop: ScaledLoop, parts: CurveParts) -> list[int]:
@@ -317,7 +325,7 @@ def _is_real(loop: ScaledLoop, index: int) -> bool:
     from flint import acb
 
     with working_precision(_LAST_BITS):
-        z = acb(0, _poles(loop)[index]).exp()
+        z = acb(0, _poles(loop, _LAST_BITS)[index]).exp()
         base, stiffness, damping = (acb(1) * part.polynomial()(z) for part in loop.triple())
         unit = (damping if stiffness.contains(0) else stiffness).conjugate()
         return bool(not unit.contains(0) and (base * unit).imag.contains(0))

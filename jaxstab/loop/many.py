@@ -115,10 +115,10 @@ def limits_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> Many
     program of a batch as part of the caller's; those that it cannot resolve are UNRESOLVED. All
     others are searched one by one there, by a callback.
 
-    A batch has tests in place of the audit of a single region: what none of them would notice is a
-    stable set that is cut or dented between two of the 148 to 1,348 angles of its scan. Of 9,200
-    loops drawn to be hard (strongly damped hands, windows to 20, filters, delays to 12 samples) and
-    36,000 random ones (modes too, delays to 30) none was wrong.
+    A batch has tests in place of the proved lines of a single region: what none of them would
+    notice is a stable set that is cut or dented between two of the 148 to 1,348 angles of its scan.
+    Of 9,200 loops drawn to be hard (strongly damped hands, windows to 20, filters, delays to 12
+    samples) and 36,000 random ones (modes too, delays to 30) none was wrong.
 
     Args:
         loops: any number of loops, of any estimators, filters, devices and delays. Batches of loops

@@ -13,7 +13,7 @@ from jaxstab.model import LoopParameters, checked_gain, require_x64
 from jaxstab.model.loop import refuse_arrays
 from jaxstab.numbers import without_noise
 from jaxstab.region import RegionStatus, StableRegion, measures
-from jaxstab.region.region import loop_region
+from jaxstab.region.region import loop_region, proved_extremes
 from jaxstab.region.stable_set import GainNames, ShownRegion, limits_text, printed_extremes
 
 TOLERANCE = 1e-6  # of the outline, by default
@@ -181,9 +181,8 @@ class WallRegion(ShownRegion):
 
     @cached_property
     def _quadrant(self) -> tuple[Gains, Gains]:
-        region = self.region
-        stiffest, damped = measures.quadrant_extremes(region.curve, region.outline)
-        return self._gains(stiffest.point), self._gains(damped.point)
+        stiffest, damped = proved_extremes(self.region)
+        return self._gains(stiffest), self._gains(damped)
 
     @property
     def area(self) -> float:

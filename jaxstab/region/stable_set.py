@@ -163,13 +163,14 @@ def _text(value: float, unit: str, *, floors: bool = False) -> str:
 class RegionStatus(Status):
     """What is known of a stable region.
 
-    COMPLETE: the pieces that were found join up to closed loops. EMPTY: the scan found no piece; a
-    root on the circle that walls move by rounding alone may count as one that stays there (seen:
-    undamped hands at an odd multiple of the Nyquist frequency, gamma up to 6e-14 of itself beside
-    it). UNRESOLVED: the pieces do not join up, there are more of them than the arrays hold, or they
-    fail the audit: a proved verdict contradicts them, rounding moves them or, with an undamped
-    mode, no verdict decides. Such a region claims nothing: it has no points, its numbers are NaN
-    and ``contains`` is False everywhere, which does not mean that the points are unstable.
+    COMPLETE: the boundary that was found closes to loops; all stable intervals of a row through
+    each component are proved to be the region's, and so are those of the line 1e-9 beyond each
+    limit of the component with small gains, 1e-9 within which a wall is proved stable. Islands were
+    looked for at some hundred angles and on these lines. EMPTY: neither a scan in proved counts nor
+    lines through the wall without gains have a stable wall. UNRESOLVED: the boundary does not
+    close, or a proved line contradicts it. Such a region claims nothing: it has no points, its
+    numbers are NaN and ``contains`` is False everywhere, which does not mean that the points are
+    unstable.
 
     Example:
         >>> jaxstab.results.RegionStatus(2).words
@@ -325,8 +326,7 @@ class StableRegion(ShownRegion):
     def corners(self) -> Float64[np.ndarray, "corner 2"]:
         """The points where two branches meet, in the order of the outline, to full precision.
 
-        They are right to a few rounding errors, next to the Nyquist frequency too. The region of
-        an undamped hand within a relative 1e-6 of that frequency may be UNRESOLVED.
+        They are right to a few rounding errors, next to the Nyquist frequency too.
         """
         corners: np.ndarray = self.outline.corners + 0.0
         return corners
