@@ -9,7 +9,7 @@ within it is unstable, and short where the wall is stable farther by a millionth
 its box.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from time import process_time
 from typing import NamedTuple
 
@@ -17,14 +17,14 @@ import numpy as np
 
 from benchmarks.truth.balls import BallLoop
 from benchmarks.truth.filtered import FilteredLoop
+from benchmarks.truth.plain import Loop
 from benchmarks.truth.random_loops import DeviceLoop, MassLoop
 from jaxstab.conventions import Verdict
 from jaxstab.model.filters import given_filters
 from jaxstab.proofs.columns import column_gaps
 from jaxstab.proofs.curve_patches import Domain
 from jaxstab.proofs.plant import HandBoxes
-from jaxstab.ranges.device_margins import device_crossings
-from jaxstab.ranges.margins import WAYS, first_crossings
+from jaxstab.ranges.margins import WAYS, crossings_of, first_crossings
 from jaxstab.results import StableRegion
 
 _PARTS = (0.3, 0.9, 1.0 - 1e-9)  # of the way, judged
@@ -64,7 +64,7 @@ def margins(rng: np.random.Generator, count: int) -> Campaign:
         code, *found = first_crossings(np.array([[*wall, *loop.plant]]), filters)[0]
         seconds.append(process_time() - start)
         if code == Verdict.STABLE:
-            tally += _judged_steps(loop, wall, np.array(found[::2]), region)
+            tally += _judged_steps(loop, wall, steps_to(found[::2], wall), region)
     return Campaign(tally, seconds)
 
 
@@ -73,17 +73,23 @@ def device_margins(rng: np.random.Generator, count: int) -> Campaign:
     tally, seconds = Tally(), []
     for loop, region in _loops(rng, DeviceLoop, count):
         wall = _wall(rng, region)
-        filters = given_filters(*loop.filters[:2])
+        units = np.array([loop.sampled.stiffness_unit, loop.sampled.damping_unit])
         start = process_time()
-        code, *found = device_crossings(loop.sampled, np.array([wall]), filters)[0]
+        code, *found = crossings_of(Loop.of(loop).loop, tuple((wall / units).tolist()))
         seconds.append(process_time() - start)
         if code == Verdict.STABLE:
-            *steps, later = found[::2]
+            ends = np.array(found[::2]) * [*np.repeat(units, 2), 1.0]
+            *steps, later = steps_to(ends, wall)
             tally += _judged_delay(loop, wall, float(later))
             size = np.ptp(_finite(region), axis=0)
             for way, step in enumerate(steps):
                 tally += _judged_gain(loop.balls, wall, way // 2, float(step), size[way // 2])
     return Campaign(tally, seconds)
+
+
+def steps_to(ends: Sequence[float], wall: np.ndarray) -> np.ndarray:
+    """The signed steps from a wall (alpha, beta) to the ends of its ways."""
+    return np.array(ends) - [*np.repeat(wall[:2], 2), 0.0]
 
 
 def gaps(rng: np.random.Generator, count: int) -> Campaign:
@@ -163,9 +169,7 @@ def _judged_steps(
 
 
 def _judged_delay(loop: DeviceLoop, wall: np.ndarray, step: float) -> Tally:
-    """Judge an extra delay; none is claimed of a device that is too fast."""
-    if np.isnan(step):
-        return Tally(short=1)
+    """Judge an extra delay."""
 
     def is_stable(way: float) -> bool | None:
         balls = loop.balls_at(float(loop.device.delay + way))

@@ -136,7 +136,9 @@ def _margins(rng: np.random.Generator, count: int) -> Row:
         code, *found = first_crossings(np.array([wall]))[0]
         seconds.append(process_time() - start)
         if code == Verdict.STABLE:
-            tallies.append(judged_margins(wall, np.array(found[::2])))
+            tallies.append(
+                judged_margins(wall, filtered_ranges.steps_to(found[::2], np.array(wall)))
+            )
     judged, wrong, short = (sum(column) for column in list(zip(*tallies, strict=True))[:3])
     shortest = max(tally.shortest for tally in tallies)
     counts = {"judged": judged, "wrong": wrong, "short": short, "shortest": shortest}

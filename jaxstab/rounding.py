@@ -89,10 +89,6 @@ SINC_SLOPE = 1e-11
 # to 4 EPS, and the sum to n UNIT.
 SERIES = 13 * EPS
 
-# The distance of a delay from the middle of a box, of 1 plus the delay in samples: fewer than 16
-# operations, each of them EPS.
-DELAY = 16 * EPS
-
 # An entry of a transition over a sample, of the sum of the sizes of its terms (lemma M9).
 TRANSITION = 16 * UNIT
 

@@ -16,6 +16,7 @@ import pytest
 
 from benchmarks import record
 from benchmarks.__main__ import BENCHMARKS
+from benchmarks.filtered_ranges import steps_to
 from benchmarks.ranges import is_limit_wrong, judged_margins
 from jaxstab import HandRange, HapticLoop
 from jaxstab.ranges.margins import first_crossings
@@ -229,7 +230,7 @@ def test_the_judges_of_ranges_find_margins_and_limits_that_are_false(
     rng: np.random.Generator,
 ) -> None:
     """A margin 13 % short, and a limit 2.4 times too low: both were once answers."""
-    steps = first_crossings(np.array([WALL]))[0][1::2]
+    steps = steps_to(first_crossings(np.array([WALL]))[0][1::2], np.array(WALL))
     assert judged_margins(WALL, steps)[1:] == (0, 0, 0.0)
     assert judged_margins(WALL, 0.87 * steps).short == 5
     assert judged_margins(WALL, 1.01 * steps).wrong == 5

@@ -24,17 +24,11 @@ from jaxstab import (
     Verdict,
     common_region,
 )
-from jaxstab.model.device.family import LoopFamily
-from jaxstab.model.filters import known_filters
-from jaxstab.proofs.exclusion import LineBoxes, Models
+from jaxstab.proofs.exclusion import Models
 from jaxstab.proofs.linear_circle import (
     FamilyBoxes,
-    GainLines,
     PieceBoxes,
-    delay_models,
     family_cells,
-    line_models,
-    loop_cells,
 )
 from jaxstab.proofs.linear_circle import family_models as models
 from jaxstab.results import RobustStatus
@@ -191,42 +185,6 @@ def random_boxes(rng: np.random.Generator, count: int) -> tuple[np.ndarray, ...]
     corners = rng.choice([-1.0, 1.0], (2, 1, count))
     sides = np.concatenate([rng.uniform(-1, 1, (2, 2, count)), corners], axis=1)
     return theta, by_theta, gains, sides
-
-
-def test_boxes_of_lines_hold_the_polynomial(rng: np.random.Generator) -> None:
-    """g of a sampled device over boxes of gains and angles, against its equations of motion."""
-    count, loop = 12, loop_of()
-    assert loop.sampled is not None
-    cells = loop_cells(loop.sampled, known_filters(loop.velocity, loop.position))
-    theta, by_theta, start, sides = random_boxes(rng, count)
-    change = start * rng.choice([-1.0, 1.0], start.shape)
-    by_t = 0.5 * 10.0 ** rng.uniform(-6, 0, count)
-    t = by_t + (1.0 - 2.0 * by_t) * rng.random(count)
-    ends = np.stack([t - by_t, theta - by_theta]), np.stack([t + by_t, theta + by_theta])
-    found = line_models(cells, GainLines(start, change), LineBoxes(np.arange(count), *ends))
-    gains = start[:, None] + change[:, None] * (t + by_t * sides[0])
-    delay = np.full(sides.shape[1:], DRAWN.delay)
-    check_boxes(found, delay, gains, theta + by_theta * sides[1], sides)
-
-
-def test_boxes_of_delays_hold_the_polynomial(rng: np.random.Generator) -> None:
-    """The same over boxes of delays and angles; D and F are apart where the bound is positive."""
-    count, loop = 12, loop_of()
-    assert loop.sampled is not None
-    filters = known_filters(loop.velocity, loop.position)
-    cells = family_cells(LoopFamily.over_delays(loop.sampled, filters))
-    assert cells is not None
-    theta, by_theta, gains, sides = random_boxes(rng, count)
-    low, high = cells.ends[rng.integers(len(cells.pieces), size=count)].T
-    by_delay = 0.5 * (high - low) * 10.0 ** rng.uniform(-6, -0.5, count)
-    part = low + by_delay + (high - low - 2.0 * by_delay) * rng.random(count)
-    delay = rng.integers(4, size=count) + part
-    found, apart = delay_models(cells, gains, (delay, by_delay), (theta, by_theta))
-    found = found._replace(moves=found.moves[1:])  # there is no edge
-    gains = np.repeat(gains[:, None], 3, axis=1)
-    check_boxes(found, delay + by_delay * sides[0], gains, theta + by_theta * sides[1], sides)
-    values = found.value + np.sum(found.moves[:, None] * sides, axis=0)
-    assert np.all(np.abs(values) + found.rest >= apart)
 
 
 @pytest.mark.parametrize("name", quickly("mass", "cutoff"))

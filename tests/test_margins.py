@@ -440,17 +440,18 @@ FILTERED = {  # alpha, beta, gamma, delta, delay; the filters here and, exactly,
 def test_margins_with_filters_end_where_a_certified_root_crosses(name: str) -> None:
     wall, (velocity, position), (true_velocity, true_position) = FILTERED[name]
 
-    def true_code(axis: int, step: float) -> int:
+    def true_code(axis: int, changed: float) -> int:
         alpha, beta, gamma, delta, delay = (
-            value + step * (number == axis) for number, value in enumerate(wall)
+            changed if number == axis else value for number, value in enumerate(wall)
         )
         loop = filtered.FilteredLoop(gamma, delta, delay, true_velocity, true_position)
         return loop.code(alpha, beta)
 
-    found = steps(*wall, velocity=velocity, position=position)
-    for axis, step in zip(AXES_OF_STEPS, map(float, found), strict=True):
-        assert true_code(axis, step) == Verdict.STABLE
-        assert true_code(axis, step * (1.0 + 2e-9)) == Verdict.UNSTABLE
+    found = jaxstab.margins(**by_name(*wall), velocity=velocity, position=position)
+    ends = *found.stiffness, *found.damping, wall[-1] + found.extra_delay
+    for axis, end in zip(AXES_OF_STEPS, map(float, ends), strict=True):
+        assert true_code(axis, end - 1e-13 * (end - wall[axis])) == Verdict.STABLE
+        assert true_code(axis, end + 2e-9 * (end - wall[axis])) == Verdict.UNSTABLE
 
 
 @pytest.mark.campaign

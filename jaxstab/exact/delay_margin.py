@@ -24,7 +24,7 @@ from collections.abc import Callable
 from functools import cache, reduce
 from heapq import heapify, heappop, heappush
 from itertools import pairwise
-from math import inf, nextafter, pi, ulp
+from math import inf, nan, nextafter, pi, ulp
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from jaxstab.conventions import Status
@@ -54,9 +54,10 @@ class DelayStatus(Status):
 
 
 class DelayMargin(NamedTuple):
-    """A proved margin in samples, and its status."""
+    """A proved margin in samples, the angle of the root that then is on the circle, the status."""
 
     samples: float
+    angle: float
     status: DelayStatus
 
 
@@ -82,16 +83,16 @@ def delay_margin(
         heapify(boxes)
         for _ in range(_MOST_BOXES):
             if not boxes:
-                return DelayMargin(inf, DelayStatus.UNLIMITED)
+                return DelayMargin(inf, nan, DelayStatus.UNLIMITED)
             key, theta, fraction, by_theta = heappop(boxes)
             margin = max(key - delay - 2.0 * ulp(key), 0.0)  # what was rounded
             if fraction[1] - fraction[0] < _SHORT * max(margin, _SHORT):
-                return DelayMargin(margin, DelayStatus.PROVED)
+                return DelayMargin(margin, 0.5 * sum(theta), DelayStatus.PROVED)
             for halves in _halves(theta, fraction, by_theta=by_theta):
                 for box in search.boxes(*halves):
                     heappush(boxes, box)
         key = boxes[0][0]
-        return DelayMargin(max(key - delay - 2.0 * ulp(key), 0.0), DelayStatus.NOT_SHARP)
+        return DelayMargin(max(key - delay - 2.0 * ulp(key), 0.0), nan, DelayStatus.NOT_SHARP)
 
 
 def _halves(
@@ -240,20 +241,30 @@ def _value(p: Factored, place: _Form, phases: "tuple[arb, arb]") -> _Form:
     """A polynomial of which the rest is in powers of z - 1, over an interval of theta."""
     from flint import acb
 
-    i, zero = acb(0, 1), acb(0)
+    zero = acb(0)
     w, all_w = place.middle, place.all
-    slope = p.rest.derivative()
-    value = _Form(p.rest(w), slope(all_w) * place.by_theta, zero, p.rest(all_w))
+    value = _Form(p.rest(w), p.rest.derivative()(all_w) * place.by_theta, zero, p.rest(all_w))
     for root, count in ((0, p.at_one), (2, p.at_minus_one)):
         for _ in range(count):
             value = value.times(_Form(w + root, place.by_theta, zero, all_w + root))
-    sums = [range(n) for n in p.windows] + ([range(p.power, p.power + 1)] if p.power else [])
-    for powers in sums:
-        middle = sum(((i * (k * phases[0])).exp() for k in powers), zero)
-        turns = [(i * (k * phases[1])).exp() for k in powers]
-        by_theta = sum((i * k * turn for k, turn in zip(powers, turns, strict=True)), zero)
-        value = value.times(_Form(middle, by_theta, zero, sum(turns, zero)))
+    for n in p.windows:
+        value = value.times(_window(n, phases))
+    if p.power:
+        turns = [(acb(0, p.power) * phase).exp() for phase in phases]
+        value = value.times(_Form(turns[0], acb(0, p.power) * turns[1], zero, turns[1]))
     return value
+
+
+def _window(n: int, phases: "tuple[arb, arb]") -> _Form:
+    """1 + z + ... + z^(n-1): its second derivative by theta is at most 1 + 4 + ... + (n-1)^2."""
+    from flint import acb, acb_poly, arb
+
+    z, spread = acb(0, phases[0]).exp(), phases[1].rad()
+    terms = acb_poly([1] * n)
+    bend = spread * (n * (n - 1) * (2 * n - 1) // 6)
+    middle = terms(z)
+    slope = acb(0, 1) * z * terms.derivative()(z) + acb(arb(0, bend), arb(0, bend))
+    return _Form(middle, slope, acb(0), middle + slope * acb(arb(0, spread)))
 
 
 def _narrowed(form: _Form, spread: "tuple[acb, acb]") -> _Form:

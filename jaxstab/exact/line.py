@@ -72,8 +72,8 @@ class LineStatus(Status):
 class End(NamedTuple):
     """The end of an interval: t, a bound of its error, and the angle of the root that crosses.
 
-    Infinite, without an angle, where the interval has no end; the angle is NaN where several roots
-    cross.
+    Infinite, without an angle, where the interval has no end; the angle is that of one root where
+    several cross.
     """
 
     value: float
@@ -161,11 +161,11 @@ def stable_pencil(pencil: Callable[[], tuple[Factored, Factored] | None]) -> Sta
 class Crossing(NamedTuple):
     """Walls at which roots cross the circle: t, the angle, and how many more are outside beyond.
 
-    ``change`` is None where it is not known; the angle is None for several.
+    ``change`` is None where it is not known; the angle is that of one of several.
     """
 
     t: "arb"
-    angle: "arb | None"
+    angle: "arb"
     change: int | None
 
 
@@ -219,8 +219,7 @@ def _found(line: _Line) -> _Found | None:
 
 
 def _end(crossing: Crossing) -> End:
-    angle = nan if crossing.angle is None else float(crossing.angle.mid())
-    return End(*Number.of(crossing.t), angle)
+    return End(*Number.of(crossing.t), float(crossing.angle.mid()))
 
 
 def real_quotient_angles(p0: Factored, q: Factored) -> "list[arb] | None":
@@ -351,7 +350,7 @@ def _joined(crossings: list[Crossing]) -> list[Crossing]:
             last = joined.pop()
             is_known = last.change is not None and crossing.change is not None
             change = last.change + crossing.change if is_known else None  # type: ignore[operator]
-            crossing = Crossing(last.t.union(crossing.t), None, change)
+            crossing = Crossing(last.t.union(crossing.t), last.angle, change)
         joined.append(crossing)
     return joined
 

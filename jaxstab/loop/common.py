@@ -18,7 +18,7 @@ from jaxstab.model.loop import as_one
 from jaxstab.motion.settling import checked_level
 from jaxstab.numbers import checked_number
 from jaxstab.ranges.box import NOTHING, Points, RobustStatus, Unproved, search
-from jaxstab.ranges.device_margins import is_stable_along
+from jaxstab.ranges.margins import is_stable_along
 from jaxstab.ranges.robust import failures
 from jaxstab.tuning import TuningStatus
 from jaxstab.tuning.gains import Grid
@@ -163,11 +163,8 @@ def _proved_region(
 
 
 def _is_proved(loop: "HapticLoop", outline: Points) -> bool:
-    if loop.sampled is not None:
-        (proved,) = is_stable_along(
-            [loop.sampled], outline, velocity=loop.velocity, position=loop.position
-        )
-        return bool(proved)
+    if loop.body is None:
+        return is_stable_along(loop, outline)
     gamma, delta, delay = loop.slice.values()
     walls = np.stack([loop.alpha(outline[:, 0]), loop.beta(outline[:, 1])], axis=-1)
     hand, filters = ((gamma, gamma), (delta, delta)), given_filters(**loop.filters)

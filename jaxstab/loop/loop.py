@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Complex128, Float64, Int8
 
 from jaxstab import motion, point, ranges
-from jaxstab.arrays import Array, Numbers, is_any_traced, named, pytree
+from jaxstab.arrays import Array, Numbers, is_any_jax, is_any_traced, named, pytree
 from jaxstab.conventions import HORIZON, Excitation, Range, Verdict
 from jaxstab.loop.region import TOLERANCE, WallLimits, WallRegion, scaled, wall_region
 from jaxstab.model import LoopParameters, by_name
@@ -539,9 +539,7 @@ class HapticLoop(LoopParameters):
         device is not one mass. Source: eq. (9) on the unit circle.
 
         Returns:
-            Margins in N/m, N s/m and s, all proved; see ``jaxstab.margins``, for JAX too. No extra
-            delay is proved (NaN) for a device that is not one mass and has poles of a hundred rad
-            per sample or more.
+            Margins in N/m, N s/m and s, all proved; see ``jaxstab.margins``, for JAX too.
 
         Example:
             >>> loop = jaxstab.HapticLoop(
@@ -550,17 +548,13 @@ class HapticLoop(LoopParameters):
             >>> float(loop.margins(300.0, 2.0).stiffness_gain)
             5.719...
         """
-        sampled = self.sampled
-        if sampled is not None:
-            if is_any_traced(stiffness, damping):
-                raise TypeError(
-                    "margins of a device that is not one mass are searched outside of JAX: give "
-                    "concrete gains, outside of jit, vmap and grad."
-                )
-            wall = stiffness, damping
-            return ranges.device_margins(
-                sampled, *wall, velocity=self.velocity, position=self.position
+        if self.body is None and is_any_traced(stiffness, damping):
+            raise TypeError(
+                "margins of a device that is not one mass are searched outside of JAX: give "
+                "concrete gains, outside of jit, vmap and grad."
             )
+        if self.body is None or not (self.shape or is_any_jax(self, stiffness, damping)):
+            return ranges.loop_margins(self.in_floats(), stiffness, damping)
         plant = self.gamma, self.delta, self.delay_samples  # a delay that is traced may be any
         margins = ranges.margins(
             *scaled(self, stiffness, damping), **by_name(*plant), **self.filters

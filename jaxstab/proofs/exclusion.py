@@ -34,7 +34,6 @@ from jaxstab.proofs.plant import (
     BENDS,
     NUMERATOR_SLOPES,
     QuickPlant,
-    accurate_plant,
     quick_errors,
     quick_plant,
 )
@@ -96,12 +95,6 @@ def expanded(
     return Models(g.centre, g.slope, g.rest, np.abs(g.slope) + 2.0 * parts, floor)
 
 
-def distance(free: LinearModel, force: LinearModel) -> Reals:
-    """A lower bound of ||D| - |F (alpha P + beta V)||, whatever the phases."""
-    apart = np.abs(np.abs(free.centre) - np.abs(force.centre))
-    return np.asarray(apart - free.swing - force.swing)
-
-
 def exclude(center: Loops, radius: Loops, filters: Filters | None = None) -> Exclusion:
     """Prove that no loop of a box center +- radius has a root on the circle at the box's angles.
 
@@ -109,15 +102,6 @@ def exclude(center: Loops, radius: Loops, filters: Filters | None = None) -> Exc
     """
     g = expanded(*terms(center, radius, filters=filters))
     return Exclusion(is_free(g.value, g.moves, g.rest), g.bends)
-
-
-def exclude_any_delay(center: Loops, radius: Loops, filters: Filters | None = None) -> Exclusion:
-    """Prove the same as ``exclude`` for these delays and all that are whole samples longer.
-
-    A box is free when nowhere in it |D/z| = |(N/z) H|: then no phase z^-m brings the two to cancel.
-    """
-    free, force, *rounding = terms(center, radius, filters=filters)
-    return Exclusion(distance(free, force) > 0, expanded(free, force, *rounding).bends)
 
 
 def is_free(
@@ -234,7 +218,7 @@ def _along(direction: np.ndarray, value: np.ndarray) -> np.ndarray:
     return projection
 
 
-# The first root on the unit circle along straight lines through the space of loops, bracketed.
+# The first root on the unit circle along lines of loops, bracketed.
 #
 # The search keeps boxes of (t, theta), with t from 0 at the start of a line to 1 at its end. Boxes
 # in which g has no zero are dropped (lemma B3 of docs/proofs.md); the others are shrunk to where
@@ -247,13 +231,6 @@ _MOST = 100_000  # boxes at once
 _NARROW = 1e-12  # of the way from the start: a root bracketed like this is found
 _FINEST = np.array([[2.0**-48], [2.0**-30]])  # of t and theta: boxes are not halved beyond
 _PROGRESS = 0.6  # a box shrunk to less than this along t or theta is not halved
-
-
-class Lines(NamedTuple):
-    """Where lines start and how far they go: the five parameters, a line in each column."""
-
-    start: Float64[np.ndarray, "5 line"]
-    change: Float64[np.ndarray, "5 line"]
 
 
 class LineBoxes(NamedTuple):
@@ -274,13 +251,6 @@ class FirstRoots(NamedTuple):
     low: Float64[np.ndarray, " line"]
     high: Float64[np.ndarray, " line"]
     theta: Float64[np.ndarray, " line"]
-
-
-def first_roots(lines: Lines, boxes: LineBoxes, filters: Filters | None = None) -> FirstRoots:
-    """The first roots on the unit circle along lines, within boxes of (t, theta)."""
-    with np.errstate(all="ignore"):
-        plants = accurate_plant(*lines.start[2:])
-    return search(lines.start.shape[1], boxes, lambda these: _models(lines, plants, these, filters))
 
 
 def search(count: int, boxes: LineBoxes, models_of: Callable[[LineBoxes], Models]) -> FirstRoots:
@@ -310,25 +280,6 @@ def search(count: int, boxes: LineBoxes, models_of: Callable[[LineBoxes], Models
             halves = _halved(take(shrunk, (..., wide)), bends[:, wide])
             boxes = joined([take(shrunk, (..., is_open & has_shrunk)), halves], -1)
     return roots
-
-
-def _models(lines: Lines, plants: QuickPlant, boxes: LineBoxes, filters: Filters | None) -> Models:
-    t, theta = 0.5 * (boxes.low + boxes.high)
-    half = 0.5 * (boxes.high - boxes.low) * (1.0 + 4.0 * EPS)
-    change = lines.change[:, boxes.line]
-    middle = lines.start[:, boxes.line] + change * t
-    center = Loops(*np.concatenate([middle, theta[None]]))
-    moved = np.abs(change) * half[0]
-    plant = take(plants, boxes.line)
-    is_other = np.any(change[2:] != 0.0, axis=0)
-    if np.any(is_other):
-        others = quick_plant(*(np.maximum(value[is_other], 0.0) for value in center[2:5]))
-        for coefficient, other in zip(plant, others, strict=True):
-            coefficient[is_other] = other
-    g = expanded(*terms(center, Loops(*np.concatenate([moved, half[1:]])), plant, filters))
-    along = np.sum(g.moves[:5] * np.sign(change), axis=0)
-    bends = np.stack([np.sum(g.bends[:5], axis=0), g.bends[5]])
-    return g._replace(moves=np.stack([along, g.moves[5]]), bends=bends)
 
 
 def _shrunk(boxes: LineBoxes, models: Models) -> tuple[LineBoxes, Bool[np.ndarray, " box"]]:

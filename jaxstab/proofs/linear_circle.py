@@ -1,4 +1,4 @@
-"""Roots on the unit circle of any linear loop whose gains change along lines.
+"""Roots on the unit circle of any linear loop, and of all loops between two.
 
 With x = 1/z the polynomial of a loop, divided by a power of z and by the filters' denominators, is
 
@@ -6,12 +6,11 @@ With x = 1/z the polynomial of a loop, divided by a power of z and by the filter
 
 three functions of the angle alone. Taylor series of each over cells of it, with bounds (lemma B10
 of docs/proofs.md), give models of them over boxes, whose sums and products give a model of g
-(``jaxstab.proofs.enclosures``, lemma B13). Below follow plants that depend on one more parameter:
-the way between two loops, or the fraction of the delay (lemma B17).
+(``jaxstab.proofs.enclosures``, lemma B13). Below follow plants that depend on one more parameter,
+the way between two loops (lemma B17).
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import lru_cache
 from math import factorial
 from typing import NamedTuple
@@ -26,7 +25,7 @@ from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import NO_FILTERS, ONE, Filters, Polynomial
 from jaxstab.model.linear_loop import SampledPlant
 from jaxstab.proofs.enclosures import LinearModel, phasor, variable
-from jaxstab.proofs.exclusion import LineBoxes, Models, distance, expanded
+from jaxstab.proofs.exclusion import Models, expanded
 from jaxstab.proofs.filters import (
     ORDERS,
     Cells,
@@ -40,35 +39,13 @@ from jaxstab.proofs.filters import (
     factors_of,
     over_halves,
 )
-from jaxstab.rounding import DELAY, EPS
+from jaxstab.rounding import EPS
 
 Reals = Float64[np.ndarray, " box"]
 
 _EDGE, _PARAMETER, _THETA = 0, -2, -1
 
 """The axes: along a line of gains, if any; along t, if any; along the angle."""
-
-
-class GainLines(NamedTuple):
-    """Lines through the plane of (alpha, beta): where they start and how far they go."""
-
-    start: Float64[np.ndarray, "2 line"]
-    change: Float64[np.ndarray, "2 line"]
-
-
-@lru_cache(maxsize=16)
-def loop_cells(device: SampledDevice, filters: Filters | None) -> FilterCells:
-    """Return D, F_K and F_B over cells of the angle."""
-    plant, chains = device.plant, chains_of(device, filters)
-    late = plant.lag + len(plant.denominator) - len(plant.numerator)
-
-    def functions(middle: Cells, half: Cells, is_wide: bool) -> list[Series]:
-        place = Place(middle, half, is_wide)
-        free, force = place.denominator(plant), place.numerator(plant)
-        force = force * place.chain([((DoubleDouble(0.0, 0.0),) * late + ONE, ONE)])
-        return [free, *(force * place.chain(chain) for chain in chains)]
-
-    return cells_of(functions)
 
 
 def chains_of(device: SampledDevice, filters: Filters | None) -> tuple[list[Factor], list[Factor]]:
@@ -127,19 +104,6 @@ def spoilt(series: Series, falling: Polynomial, error: float) -> Series:
     degree = len(falling)
     errors = [float(error) * degree**k / factorial(k) for k in range(ORDERS)]
     return Series(series.value, series.error + np.array(errors)[:, None])
-
-
-def line_models(cells: FilterCells, lines: GainLines, boxes: LineBoxes) -> Models:
-    """Return g over boxes of lines and angles."""
-    t, theta = 0.5 * (boxes.low + boxes.high)
-    half = 0.5 * (boxes.high - boxes.low) * (1.0 + 4.0 * EPS)
-    change = lines.change[:, boxes.line]
-    gains = lines.start[:, boxes.line] + change * t
-    over = OverCells.from_cells(cells, theta, half[1])
-    free, *forces = over.values_along(2)
-    alpha, beta = (variable(_EDGE, 2, *ends) for ends in zip(gains, change * half[0], strict=True))
-    rounding = over.error[0] + np.sum(np.abs(gains) * over.error[1:3], axis=0)
-    return expanded(free, alpha * forces[0] + beta * forces[1], rounding)
 
 
 # Polynomials in z whose coefficients are polynomials in one parameter, over boxes of angles.
@@ -269,7 +233,7 @@ def _powers(value: np.ndarray, count: int, most: int = 2) -> list[np.ndarray]:
     return derivatives
 
 
-# Roots on the unit circle of all loops between two, or at all delays, for walls along edges.
+# Roots on the unit circle of all loops between two, for walls along edges.
 #
 # With x = 1/z and t from 0 to 1 along the family the polynomial of a loop, over a power of z and
 # over the denominators of filters that do not change, is
@@ -341,30 +305,6 @@ def family_models(cells: FamilyCells, boxes: FamilyBoxes) -> Models:
         for start in range(0, count, _IN_CACHE)
     ]
     return take(joined(chunks, -1), (..., places))
-
-
-def delay_models(
-    cells: FamilyCells, gains: Walls, delay: tuple[Reals, Reals], theta: tuple[Reals, Reals]
-) -> tuple[Models, Reals]:
-    """Return g over boxes of delays and angles, and a lower bound of ||D| - |F||.
-
-    The boxes, given by their middles and half-widths, lie within one piece of a sample each. Where
-    the bound is positive, no delay that differs by whole samples brings a root onto the circle at
-    these angles.
-    """
-    late, by_delay = delay
-    whole = np.floor(late)
-    piece = np.maximum(np.searchsorted(cells.ends[:, 0], late - whole, "right") - 1, 0)
-    # The delay of a box is rounded: it may be farther away.
-    half = by_delay + DELAY * (1.0 + late)
-    place = PieceBoxes(piece, late - whole, theta[0], half, theta[1])
-    boxes = FamilyBoxes(gains, np.zeros_like(gains), cells.lags[piece] + whole, place)
-    free, force, rounding = _parts(cells, boxes)
-    share = np.ones(force.slope.shape)
-    share[_PARAMETER] = by_delay / half
-    beyond = np.sum(np.abs(force.slope) * (1.0 - share), axis=0)
-    force = replace(force, slope=force.slope * share, rest=force.rest + beyond)
-    return _behind(boxes, free, force, rounding), distance(free, force)
 
 
 def _parts(cells: FamilyCells, boxes: FamilyBoxes) -> tuple[LinearModel, LinearModel, Reals]:

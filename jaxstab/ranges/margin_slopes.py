@@ -24,22 +24,22 @@ Search = Callable[..., Float64[np.ndarray, "wall column"]]
 _REAL = 2.0**-29  # of pi: a root this near to the real axis is taken for real
 
 
-def moving_steps(
+def moving_ends(
     search: Search,
-    axes: Sequence[int],
+    ways: Sequence[tuple[int, float]],
     point: Float64[Array, "*grid 5"],
     filters: Filters | None = None,
 ) -> tuple[Float64[Array, "*grid"], Float64[Array, "*grid way"]]:
-    """Codes of verdicts, and the steps to the first crossings with their derivatives.
+    """Codes of verdicts, and the ends of all ways with their derivatives.
 
-    ``search`` is ``first_crossings``; ``axes`` are those along which it goes.
+    ``search`` is ``first_crossings``; ``ways`` are those that it goes.
     """
-    table = _called_back(search, len(axes), jax.lax.stop_gradient(point), filters)
-    steps = [
+    table = _called_back(search, len(ways), jax.lax.stop_gradient(point), filters)
+    ends = [
         _moving(point, table[..., 1 + 2 * way], table[..., 2 + 2 * way], axis, filters)
-        for way, axis in enumerate(axes)
+        for way, (axis, _) in enumerate(ways)
     ]
-    return table[..., 0], jnp.stack(steps, axis=-1)
+    return table[..., 0], jnp.stack(ends, axis=-1)
 
 
 def _called_back(search: Search, ways: int, point: Array, filters: Filters | None) -> Array:
@@ -61,10 +61,10 @@ def _of_grid(
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(3, 4))
-def _moving(point: Array, step: Array, angle: Array, axis: int, filters: Filters | None) -> Array:
-    """The steps along an axis to the crossings, with their derivatives by the points."""
+def _moving(point: Array, end: Array, angle: Array, axis: int, filters: Filters | None) -> Array:
+    """The ends of a way along an axis, with their derivatives by the points."""
     del point, angle, axis, filters
-    return step
+    return end
 
 
 @_moving.defjvp
@@ -74,8 +74,11 @@ def _moving_jvp(
     primals: tuple[Array, Array, Array],
     tangents: tuple[Array, Array, Array],
 ) -> tuple[Array, Array]:
-    slopes = _slopes(filters)(*primals, axis)
-    return primals[1], jnp.sum(slopes * tangents[0], axis=-1)
+    point, end, angle = primals
+    is_gain = axis < 2  # of a delay the end is how much longer it is
+    slopes = _slopes(filters)(point, end - point[..., axis] if is_gain else end, angle, axis)
+    moved = jnp.sum(slopes * tangents[0], axis=-1)
+    return end, moved + tangents[0][..., axis] if is_gain else moved
 
 
 @lru_cache(maxsize=16)

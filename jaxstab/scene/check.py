@@ -22,7 +22,6 @@ from jaxstab.motion import SettlingStatus
 from jaxstab.numbers import without_noise
 from jaxstab.point import SpectralRadius
 from jaxstab.ranges import Margins as LoopMargins
-from jaxstab.ranges.margins import MOST_DELAY
 from jaxstab.rounding import EPS
 from jaxstab.scene.answers import (
     Answer,
@@ -33,7 +32,6 @@ from jaxstab.scene.answers import (
     Number,
     Quantity,
     StiffnessLimits,
-    Time,
     basis_of,
 )
 from jaxstab.scene.contact import NotSimulated, Simulated, contacts_or_reasons
@@ -61,7 +59,7 @@ _LEVELS = 0.02, 0.05
 LargestNumber = Annotated[float, Quantity(rounding=ROUND_FLOOR)]
 Amplitude = Annotated[float, Quantity("m", 3, ROUND_CEILING, "not proved")]
 SettlingTime = Annotated[float, Quantity("s", infinite="never")]
-SpareTime = Annotated[float, Quantity("s", 4, ROUND_FLOOR, "more than is searched")]
+SpareTime = Annotated[float, Quantity("s", 4, ROUND_FLOOR, "any")]
 SpareGain = Annotated[float, Quantity("", 4, ROUND_FLOOR, "any")]
 
 
@@ -77,7 +75,6 @@ class Margins(Answer):
     stiffness_limits: StiffnessLimits
     damping_limits: DampingLimits
     extra_delay: SpareTime
-    delay_searched: Time | None
     margins_are: str | None
 
 
@@ -322,11 +319,10 @@ def _least_margins(wall: _Wall, loops: list[HapticLoop], margins: LoopMargins) -
     spare = np.array([margins.stiffness_gain, margins.damping_gain, margins.extra_delay])
     # NaN, of a hand with which the wall is not stable, goes through.
     stiffer, damper, extra_delay = spare.min(axis=1).tolist()
-    searched = MOST_DELAY * wall.loops[0].sample_time if isinf(extra_delay) else None
     limits = _common(margins.stiffness), _common(margins.damping)
     kind = NoMargins if wall.worst.verdict == Verdict.UNSTABLE else Margins
     words = _among("smallest", loops)
-    return kind(stiffer, damper, *limits, extra_delay, searched, words)
+    return kind(stiffer, damper, *limits, extra_delay, words)
 
 
 def _common(limits: Float64[np.ndarray, "hand 2"]) -> tuple[float, float]:

@@ -29,7 +29,7 @@ from jaxstab.model.device.sampling import (
     in_samples_over,
     sampled_device,
 )
-from jaxstab.model.filters import NO_FILTERS, Filter, Filters, Section, Velocity
+from jaxstab.model.filters import Filter, Filters, Section, Velocity
 from jaxstab.model.loop import LoopParameters
 from jaxstab.rounding import RAISED_FEW
 
@@ -225,12 +225,6 @@ class LoopFamily:
         pairs = zip(devices, delays, strict=True)
         ends = [sampled_device(device, period, delay) for device, delay in pairs]
         return cls(whole, Span(delays[0], delays[1]), merged(*filters), ends[0], ends[1])
-
-    @classmethod
-    def over_delays(cls, device: SampledDevice, filters: Filters | None) -> "LoopFamily":
-        """A loop at all fractions of a sample of delay, for gains in the units of its device."""
-        whole = filters or NO_FILTERS
-        return cls(device.device, Span(0.0, 1.0), whole, device, device)
 
     def end(self, share: int) -> tuple[SampledDevice, Filters]:
         """Return the first loop (0) or the last one (1)."""
