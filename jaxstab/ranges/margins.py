@@ -89,8 +89,11 @@ def _ends(
     line = stable_line(partial(ball_triple, loop), start, along)
     interval = line.holding(gain) or (End(gain, 0.0, nan),) * 2
     for end, inwards in zip(interval, (1.0, -1.0), strict=True):
-        value = end.value + inwards * end.error  # where a root is on the circle, if it is exact
-        value = nextafter(value, inwards * inf) if isfinite(value) else -inwards * line.horizon
+        value = end.value + inwards * end.error
+        if not isfinite(value):
+            value = -inwards * line.horizon
+        elif value:  # an end that is 0 is where the root at 1 is, and is said so
+            value = nextafter(value, inwards * inf)
         yield Crossing(value, end.angle / pi)
 
 
