@@ -3,7 +3,7 @@
 Loops are those of ``loops``: of one mass, of devices with modes, grips and motors, with modes that
 walls hardly move, with long windows; and loops that are late by up to 500 samples. Each is asked
 for verdicts next to the boundary, radii, a row and a column of walls, the largest stiffness, and
-some for margins and jitter. ``contradicts`` counts answers of which both cannot be true, ``open``
+some for margins. ``contradicts`` counts answers of which both cannot be true, ``open``
 what balls leave undecided, ``rival_open`` what the other leaves so. For a share of the loops both
 sides of each end, and the verdicts, are judged in mpmath: ``wrong`` of ``judged``. ``error`` is the
 largest relative difference between both. The last rows are times by degree, warm."""
@@ -25,14 +25,12 @@ from jaxstab import Device, HapticLoop, Velocity
 from jaxstab.conventions import Verdict
 from jaxstab.exact.line import LineStatus, StableLine, stable_line
 from jaxstab.exact.roots import spectral_radius
-from jaxstab.exact.small_gain import largest_jitter
 from jaxstab.exact.verdict import wall_verdict
-from jaxstab.model.balls import ball_loop, ball_triple
-from jaxstab.model.device.sampling import late_cosines
+from jaxstab.model.balls import ball_triple
 
 _LOOPS, _SMALL = 2000, 10
 _WALLS = 10  # of a loop
-_JUDGED, _MARGINS, _JITTERS = 25, 5, 50  # one of so many loops
+_JUDGED, _MARGINS = 25, 5  # one of so many loops
 _SAME = 1e-7  # relative: the limits of both
 _TIMED = (1, 0), (1, 6), (20, 3), (40, 20), (100, 1), (200, 3), (200, 283)
 _LATEST = 30.0  # samples: a region by the rival takes seconds beyond
@@ -69,7 +67,7 @@ KINDS: dict[str, tuple[Callable[[np.random.Generator], Drawn], float]] = {
     "with long windows": (long_window, 0.03),
     "that are late": (late, 0.02),
 }
-QUESTIONS = "walls", "radii", "rows", "columns", "limits", "margins", "jitters"
+QUESTIONS = "walls", "radii", "rows", "columns", "limits", "margins"
 
 
 @dataclass
@@ -167,8 +165,6 @@ def _ask(drawn: Drawn, rng: np.random.Generator, tallies: dict[str, Tally], inde
         _limits(tallies["limits"], loop)
     if index % _MARGINS == 0 and not far:
         _margins(tallies["margins"], loop, walls)
-    if index % _JITTERS == 0 and not far:
-        _jitters(tallies["jitters"], loop, walls)
 
 
 def loop_of(drawn: Drawn) -> HapticLoop:
@@ -264,23 +260,6 @@ def _margins(tally: Tally, loop: HapticLoop, walls: list[list[float]]) -> None:
     gain, proved = interval.high.value / wall[0], float(rival.stiffness_gain)
     if proved > gain * (1.0 + _SAME):  # it is a lower bound, below by what its search left open
         tally.compared(proved / gain - 1.0, (loop, wall))
-
-
-def _jitters(tally: Tally, loop: HapticLoop, walls: list[list[float]]) -> None:
-    triple = partial(ball_triple, loop)
-    stable = [w for w in walls if wall_verdict(triple, *w).verdict == Verdict.STABLE]
-    if not stable:
-        return
-    wall = [0.7 * gain for gain in stable[0]]
-    rival = float(tally.timed(partial(loop.jitter_margin, *wall), is_rival=True))
-    device, period, delay = loop.held_device, float(loop.sample_time), float(loop.delay_samples)
-    late_by = partial(late_cosines, device, period, delay)
-    found = tally.timed(
-        lambda: largest_jitter(partial(ball_loop, loop), late_by, (wall[0], wall[1]), 64.0)
-    )
-    tally.asked += 1
-    if rival > 0.0 and isfinite(rival):  # the rival's is a lower bound, up to half below
-        tally.contradicts += rival / period > found * (1.0 + 1e-3) and found < 64.0
 
 
 def _times(samples: int, delay: int) -> Iterator[Row]:

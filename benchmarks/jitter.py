@@ -22,6 +22,8 @@ from matplotlib.figure import Figure
 import jaxstab
 from benchmarks.truth.moving import LOST, Moving, growth
 from jaxstab import HapticLoop, Velocity, Verdict
+from jaxstab.loop.jitter import MovingLoop
+from jaxstab.pictures.style import DAMPING_LABEL, STIFFNESS_LABEL, plot_moving
 
 PICTURE = Path(__file__).resolve().parents[1] / "docs" / "moving_delays.png"
 _PARTS = 8  # of a sample: delays are whole numbers of them
@@ -68,8 +70,9 @@ def picture(path: Path = PICTURE) -> None:
     for row, (low, high) in zip(figure.subplots(2, 3), ((0.8, 1.2), (1.0, 2.0)), strict=True):
         for panel, window in zip(row, (1, 5, 20), strict=True):
             loop = omega(window, low)
-            loop.region(delays=(low * _T, high * _T)).plot(panel)
-            panel.get_legend().remove()
+            plot_moving(MovingLoop.from_loop(loop, (low * _T, high * _T)), panel)
+            panel.set(xlim=(0.0, None), ylim=(0.0, None))
+            panel.set(xlabel=STIFFNESS_LABEL, ylabel=DAMPING_LABEL)
             panel.set_title(f"window {window}, delays {low:g} to {high:g}", fontsize=9)
     figure.legend(*panel.get_legend_handles_labels(), loc="outside lower center", ncols=2)
     figure.savefig(path, dpi=110)

@@ -16,7 +16,6 @@ from .loop import Gains as Gains
 from .loop import ManyLimits as ManyLimits
 from .loop import ManyRegions as ManyRegions
 from .loop import MovingLimits as MovingLimits
-from .loop import MovingRegion as MovingRegion
 from .loop import OptimalWall as OptimalWall
 from .loop import WallLimits as WallLimits
 from .loop import WallRegion as WallRegion

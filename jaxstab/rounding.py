@@ -40,7 +40,6 @@ RAISED = 1.0 + 2.0**-40
 RAISED_MANY = 1.0 + 2.0**-20
 RAISED_SERIES = 1.0 + 1e-13  # for 450 operations
 RAISED_MUCH = 1.0 + 1e-9  # for powers and exponentials of bounds, too
-LOWERED = 1.0 - 2.0**-48  # for steps that must not be longer than what is proved, of 16 operations
 SAFETY = 1.001  # for bounds of recursions, which lose less than 2^-10 of them (lemmas R1 and V3)
 
 # Boxes and cells reach over each other by this share of their width, so that rounding leaves no gap
@@ -54,10 +53,6 @@ MIDDLE = 4 * EPS
 # A parameter of a loop over a box, converted to samples or to units of the device: fewer than 45
 # operations, each of them EPS.
 PARAMETER = 1e-14
-
-# The distance of discs from 0 along a direction, of the size of their centres: fewer than 16
-# operations, each of them EPS.
-CLEARANCE = 16 * EPS
 
 # NumPy's sine, cosine and exponential are right to 4 units in the last place.
 ELEMENTARY = 4 * EPS

@@ -30,7 +30,7 @@ def assert_is_the_margin(drawn: MassLoop | DeviceLoop, delay: float) -> None:
     row = stable_line(partial(ball_triple, loop), (0.0, 0.125), (1.0, 0.0))
     interval = next(one for one in row.intervals if one.high.value > 0.0)
     wall = 0.5 * (max(interval.low.value, 0.0) + interval.high.value), 0.125
-    samples, status = margin_of(loop, wall)
+    samples, _, status = margin_of(loop, wall)
     assert status == DelayStatus.PROVED
     assert 0.0 < samples < 1000.0
     for share in (0.3, 0.7, 1.0 - 1e-7):

@@ -21,7 +21,7 @@ from jaxstab.point import dominance, fields, radius, verdicts
 from jaxstab.point.dominance import Complex
 from jaxstab.point.radius import _scaled_codes
 from jaxstab.point.schur_cohn import Chain, _step, loop_coefficients
-from jaxstab.point.verdicts import _ends, float_plant, have_outer_root, loop_codes
+from jaxstab.point.verdicts import _ends, float_plant, loop_codes
 from jaxstab.proofs import curve_patches
 from jaxstab.proofs.columns import _line_strips, column_gaps, columns_of
 from jaxstab.proofs.curve_patches import Domain
@@ -178,16 +178,6 @@ def test_coefficients_of_small_circles_are_within_their_errors(chains: list[Chai
         assert away[0] + 2 * away[1] <= Fraction(float(chain.head_error[k]))
 
 
-def test_no_outer_root_is_proved_of_a_polynomial_that_has_none() -> None:
-    """Double roots inside of the circle, of which rounding makes some that are outside."""
-    twice, square = np.arange(1, 3800) / 2048.0, 1.0 - 2.0**-26
-    quadratic = np.stack([np.ones(twice.size), -twice, np.full(twice.size, square)], axis=1)
-    falling = np.stack([np.convolve(row, row) for row in quadratic])  # without rounding
-    assert Fraction(falling[9, 2]) == Fraction(twice[9]) ** 2 + 2 * Fraction(square)
-    assert np.mean([np.abs(np.roots(row)).max() > 1.0 for row in falling[::20]]) > 0.3
-    assert not have_outer_root(falling).any()
-
-
 @pytest.mark.parametrize("degree", [3, 12, 30])
 @pytest.mark.parametrize("root", [0.5, 4.0])
 def test_at_a_root_rounding_alone_is_the_distance(degree: int, root: float) -> None:
@@ -242,18 +232,6 @@ def test_the_rounding_of_a_value_and_a_slope_is_that_of_lemma_r1(fraction: float
     value = float(dominance.evaluated(at, loop, degree)[0].re[0])
     taken = abs(slope(t)) - degree * (abs(value) + rounding[0]) * dominance._SLACK / distance[0]
     assert taken == pytest.approx(unit * of_slope, rel=1e-2, abs=0.0)
-
-
-def test_an_outer_root_is_proved_beyond_its_rounding_alone() -> None:
-    """Lemma V5 for z^2 - 2 r cos(phi) z + r^2: n |p/p'|, with 8 (n + 1) u for terms and |z|."""
-    cosine = np.linspace(-0.6, 0.6, 50)
-    unit, slope = 24.0 * UNIT, 2.0 * np.sqrt(1.0 - cosine**2)
-    sizes = 2.0 + 2.0 * np.abs(cosine)
-    width = unit + 2.0 * unit * sizes / slope
-    for share in (0.6, 1.5):
-        size = 1.0 + share * width
-        falling = np.stack([np.ones(50), -2.0 * size * cosine, size**2], axis=1)
-        assert np.mean(have_outer_root(falling)) == (share > 1.0)
 
 
 def test_columns_leave_no_beta_out() -> None:

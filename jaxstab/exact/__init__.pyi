@@ -7,12 +7,6 @@ from .line import Interval as Interval
 from .line import LineStatus as LineStatus
 from .line import StableLine as StableLine
 from .line import stable_line as stable_line
-from .response import Bounds as Bounds
-from .response import ResponseStatus as ResponseStatus
-from .response import Settled as Settled
-from .response import l1_norm as l1_norm
-from .response import peak as peak
-from .response import settling_sample as settling_sample
 from .roots import Poles as Poles
 from .roots import Radius as Radius
 from .roots import poles as poles

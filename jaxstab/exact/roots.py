@@ -40,7 +40,7 @@ class Radius(NamedTuple):
 
 
 class Poles(NamedTuple):
-    """The poles of a wall, the largest first, and a bound of the error of each.
+    """The poles of a wall, the largest first, pairs together, and a bound of the error of each.
 
     Where some coincide, up to 1,024 bits, they are not told apart: the poles are NaN and the error
     is infinite.
@@ -78,10 +78,17 @@ def poles(triple: TripleAt, stiffness: float, damping: float) -> Poles:
     roots = decided(lambda: isolated_roots(triple().at(stiffness, damping)), most=_MOST_FOR_ROOTS)
     if roots is None:
         return Poles(np.full(triple().degree, complex(np.nan, np.nan)), np.inf)
-    parts = [(Number.of(root.real), Number.of(root.imag)) for root in roots]
-    values = np.array([complex(x.value, y.value) for x, y in parts])
-    error = max((x.error + y.error for x, y in parts), default=0.0) * (1.0 + 2.0**-50)
-    return Poles(values[np.argsort(-np.abs(values), kind="stable")], error)
+    values, error = [], 0.0
+    for root in roots:
+        is_real = root.imag.contains(0)  # its mirror image holds the same root
+        if is_real or root.imag > 0:
+            real = Number.of(root.real)
+            imaginary = Number(0.0, 0.0) if is_real else Number.of(root.imag)
+            pole = complex(real.value, imaginary.value)
+            values += [pole] if is_real else [pole, pole.conjugate()]
+            error = max(error, real.error + imaginary.error)
+    values.sort(key=abs, reverse=True)
+    return Poles(np.array(values, np.complex128), error * (1.0 + 2.0**-50))
 
 
 def isolated_roots(p: Factored) -> "list[acb] | None":

@@ -93,7 +93,11 @@ def largest_jitter(
     def is_proved(jitter: float) -> bool:
         return small_gain(loop, lambda: late(jitter), *wall) == SmallGainStatus.PROVED
 
-    low, high = (most, most) if is_proved(most) else (0.0, most)
+    low, high = 0.0, min(1.0, most)
+    while is_proved(high):
+        if high == most:
+            return most
+        low, high = high, min(2.0 * high, most)
     for _ in range(_HALVINGS):
         if high - low <= _CLOSE * high:
             break

@@ -8,7 +8,6 @@ from .contact import Contact as Contact
 from .contact import ContactKind as ContactKind
 from .contact import contact_map as contact_map
 from .jitter import MovingLimits as MovingLimits
-from .jitter import MovingRegion as MovingRegion
 from .jitter import WorstDelays as WorstDelays
 from .loop import HapticLoop as HapticLoop
 from .many import ManyLimits as ManyLimits

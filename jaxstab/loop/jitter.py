@@ -5,44 +5,37 @@ J1 of docs/proofs.md), and UNSTABLE if one sequence, constant or in turn, is pro
 J2). Between the two it is UNDECIDED.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from decimal import ROUND_FLOOR
+from functools import partial
 from math import inf, isinf, nan
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int8
+from jaxtyping import Float64, Int8
 
 from jaxstab.arrays import Array, Numbers, is_any_traced, named
 from jaxstab.conventions import Range, Verdict
-from jaxstab.loop.region import TOLERANCE, WallRegion, wall_region
+from jaxstab.exact.small_gain import SmallGainStatus, largest_jitter, small_gain
+from jaxstab.exact.verdict import wall_verdict
+from jaxstab.loop.region import TOLERANCE, WallLimits, wall_region
 from jaxstab.model import LoopParameters, require_x64
-from jaxstab.model.device import SampledDevice, sampled_device
-from jaxstab.model.filters import Filters, given_filters
+from jaxstab.model.balls import ball_loop, ball_triple
+from jaxstab.model.device.sampling import late_cosines
 from jaxstab.model.parameters import LONGEST_DELAY, wall_grid
 from jaxstab.motion.moving_delays import Delays, Growth, growing_turn
 from jaxstab.numbers import checked_number
-from jaxstab.point.verdicts import linear_verdict
-from jaxstab.proofs.jitter import (
-    Walls,
-    are_polygons_stable,
-    is_stable_for_all,
-    largest_jitters,
-    stiffest_for_all,
-)
 from jaxstab.rounding import EPS
-from jaxstab.shown import exact_text, number_text, shortened, stable_pair
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from jaxstab.shown import exact_text, shortened
 
 _CONSTANT = 5  # constant delays of a range that are tried
-_GRID, _ZOOMS = 16, 3  # gains tried at once, and how often around the best damping
-_PROOFS = 3  # rounds of walls that are proved at the best damping
-_COARSE = 9  # of one that is unstable
-_COLUMNS, _EVERY = 24, 3  # dampings of a region, and of walls that are proved unstable
-_LEAST = 1e-3  # of the stiffest wall: the least stiffness of a region
-_PULLS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3)  # by which the stiffest walls are lowered
+_DAMPINGS = 1.0, 2.0, *(0.5 ** np.arange(1, 8))  # at first, of the best one of the longest delay
+_STIFFNESSES = 0.95, 0.8, 0.6, 0.4, 0.2, 0.1, 0.03, 0.01, 1e-3  # at first, of its limit
+_STEPS = 0.5 ** np.arange(1, 11)  # of the damping
+_FINE, _FINEST = 0.03, 1e-5  # differences of the stiffness that count: of a step, and at last
+_COLUMN = 2e-3  # the same, in a picture
+_COARSE = 9  # bisections towards a wall that is unstable
+_COLUMNS, _EVERY = 24, 3  # dampings of a picture, and of walls that are unstable
 
 
 @dataclass(frozen=True, repr=False)
@@ -84,8 +77,8 @@ class MovingLimits:
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
         >>> loop.limits(delays=(0.0, 0.2e-3))
-        K = 43655.763794586725 N/m at B = 62.73319225142225 N s/m is proved for every sequence of
-        delays; K = 44849 N/m there is unstable
+        K = 43665.2086... N/m at B = 63.0936... N s/m is proved for every sequence of
+        delays; K = 44859 N/m there is unstable
     """
 
     stiffness: float
@@ -104,229 +97,127 @@ class MovingLimits:
         )
 
 
-@dataclass(frozen=True, repr=False, eq=False)
-class MovingRegion:
-    """Walls that are proved for every sequence of delays: a polygon, with all that is inside.
-
-    It is what a search finds, not the set of all such walls: it begins at 1/1000 of its largest
-    stiffness and at the first of its dampings, though softer walls may be stable as well.
-
-    Attributes:
-        outline: (n, 2), K in N/m and B in N s/m, counter-clockwise; empty if no wall is proved.
-        unstable: (m, 2), walls that are proved unstable, at dampings of the outline: K is the
-            lowest one found there, infinite if none was. Between both nothing is known.
-
-    Example:
-        >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
-        >>> region = loop.region(delays=(0.0, 1e-3))
-        >>> region.contains(5000.0, [20.0, 60.0, 170.0]).tolist()
-        [True, True, False]
-        >>> region
-        MovingRegion: every wall of a polygon is proved for every sequence of delays
-          stiffest     K = 34502 N/m at B = 97.25 N s/m
-          most damped  B = 159.7 N s/m
-    """
-
-    outline: Float64[np.ndarray, "vertex 2"]
-    unstable: Float64[np.ndarray, "wall 2"]
-
-    def contains(self, stiffness: Numbers, damping: Numbers) -> Bool[np.ndarray, "*grid"]:
-        """Which walls are in the polygon; arrays of K in N/m and B in N s/m broadcast."""
-        given = np.broadcast_arrays(*(np.asarray(v, np.float64) for v in (stiffness, damping)))
-        if not len(self.outline):
-            return np.zeros(given[0].shape, bool)
-        (least, most_damping), (_, least_damping), *_ = self.outline
-        tops = self.outline[2:]
-        rounding = 8.0 * EPS * tops[:, 0].max()  # of an edge, whose ends may be of other sizes
-        most = np.interp(given[1], tops[:, 1], tops[:, 0]) - rounding
-        is_between = (given[0] >= least) & (given[0] <= most)
-        return np.asarray(is_between & (given[1] >= least_damping) & (given[1] <= most_damping))
-
-    def __repr__(self) -> str:
-        if not len(self.outline):
-            return "MovingRegion: no wall was found that is proved for every sequence of delays"
-        (stiffness, own), damping = max(self.outline.tolist()), self.outline[:, 1].max()
-        k, b = stable_pair(stiffness, own, (5, 4), self.contains)
-        return (
-            "MovingRegion: every wall of a polygon is proved for every sequence of delays\n"
-            f"  stiffest     K = {number_text(k, 5)} N/m at B = {number_text(b, 4)} N s/m\n"
-            f"  most damped  B = {number_text(damping, 4, ROUND_FLOOR)} N s/m"
-        )
-
-    def plot(self, ax: "Axes | None" = None) -> "Axes":
-        """Draw the polygon, and walls that are proved unstable; axes of a new figure by default.
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
-            >>> axes = loop.region(delays=(0.0, 1e-3)).plot()
-        """
-        from jaxstab.pictures.style import plot_moving_region
-
-        return plot_moving_region(self, ax)
-
-
 class MovingLoop(NamedTuple):
-    """A loop whose delays lie in a range, in samples.
-
-    device: behind the shortest delay.
-    """
+    """A loop with the shortest of its delays; ``ends`` are that and the longest, in s."""
 
     loop: LoopParameters
-    device: SampledDevice
-    filters: Filters | None
+    ends: Range
     delays: Delays
 
     @classmethod
     def from_loop(cls, loop: LoopParameters, delays: Any, lost: Any = 0) -> "MovingLoop":
         """Return a loop with a range of delays in s and of samples lost in a row."""
         loop = loop.in_floats()
-        low, high = _checked_range(delays)
-        shortest, longest = (replace(loop, delay=delay) for delay in (low, high))
+        ends = _checked_range(delays)
+        shortest, longest = (replace(loop, delay=delay) for delay in ends)
         samples = Delays.between(float(shortest.delay_samples), float(longest.delay_samples), lost)
-        filters = given_filters(loop.velocity, loop.position)
-        return cls(shortest, _sampled(shortest), filters, samples)
+        return cls(shortest, ends, samples)
 
-    def walls(self, stiffness: Numbers, damping: Numbers) -> tuple[Walls, tuple[int, ...]]:
-        """Return gains as walls (alpha, beta), and the shape of their grid."""
-        require_x64(stiffness, damping)
-        refuse_traced(stiffness, damping)
-        grid = wall_grid(stiffness=stiffness, damping=damping)
-        return grid.reshape(-1, 2) * self.units, grid.shape[:-1]
+    def late_cosines(self, jitter: float) -> list[Any]:
+        """Return how the device answers changes that come so many samples late."""
+        period = float(self.loop.sample_time)
+        return late_cosines(self.loop.held_device, period, self.delays.low, jitter)
 
-    @property
-    def units(self) -> tuple[float, float]:
-        """alpha/K and beta/B."""
-        return self.device.stiffness_unit, self.device.damping_unit
+    def code(self, stiffness: float, damping: float) -> Verdict:
+        """Return the verdict on a wall."""
+        status = self._small_gain(stiffness, damping)
+        if status == SmallGainStatus.PROVED:
+            return Verdict.STABLE
+        is_unstable = status == SmallGainStatus.UNSTABLE
+        for delay in np.linspace(*self.ends, _CONSTANT)[1:].tolist():
+            triple = partial(ball_triple, replace(self.loop, delay=delay))
+            is_unstable = is_unstable or (
+                wall_verdict(triple, stiffness, damping).verdict == Verdict.UNSTABLE
+            )
+        if is_unstable or self.worst(stiffness, damping)[1]:
+            return Verdict.UNSTABLE
+        return Verdict.UNDECIDED
 
-    def codes(self, walls: Walls) -> Int8[np.ndarray, " wall"]:
-        """Return the verdicts on walls."""
-        codes = np.full(len(walls), Verdict.UNDECIDED, np.int8)
-        codes[self.is_proved(walls)] = Verdict.STABLE
-        low, high, _ = self.delays
-        for delay in np.linspace(low, high, _CONSTANT if high > low else 1).tolist():
-            device = sampled_device(self.device.device, self.device.sample_time, delay)
-            undecided = np.flatnonzero(codes == Verdict.UNDECIDED)
-            if undecided.size:
-                alpha, beta = walls[undecided].T
-                verdicts = linear_verdict(alpha, beta, device.loop(self.filters))
-                codes[undecided[np.asarray(verdicts) == Verdict.UNSTABLE]] = Verdict.UNSTABLE
-        for index in np.flatnonzero(codes == Verdict.UNDECIDED):
-            if self.worst(walls[index])[1]:
-                codes[index] = Verdict.UNSTABLE
-        return codes
+    def is_proved(self, stiffness: float, damping: float) -> bool:
+        """Return whether a wall is proved for every sequence of delays."""
+        return self._small_gain(stiffness, damping) == SmallGainStatus.PROVED
 
-    def is_proved(self, walls: Walls) -> Bool[np.ndarray, " wall"]:
-        """Return which walls are proved for every sequence of delays."""
-        return is_stable_for_all(self.device, self.filters, walls, self.delays.jitter)
+    def _small_gain(self, stiffness: float, damping: float) -> SmallGainStatus:
+        late = partial(self.late_cosines, self.delays.jitter)
+        return small_gain(partial(ball_loop, self.loop), late, stiffness, damping)
 
-    def lowest_unstable(self, stiffness: float, damping: float) -> float:
-        """Return a stiffness above one that is STABLE, proved UNSTABLE, by bisection."""
-        low, high = stiffness, inf
-        for _ in range(_COARSE):
-            tried = min(0.5 * (low + high), 2.0 * low)
-            is_unstable = self.codes(self.walls(tried, damping)[0])[0] == Verdict.UNSTABLE
-            low, high = (low, tried) if is_unstable else (tried, high)
-        return high
-
-    def worst(self, wall: np.ndarray, *, is_thorough: bool = False) -> tuple[Growth, bool]:
+    def worst(
+        self, stiffness: float, damping: float, *, is_thorough: bool = False
+    ) -> tuple[Growth, bool]:
         """Return the worst turn of delays that a search found, and whether it is proved to grow."""
-        gains = float(wall[0]), float(wall[1])
-        return growing_turn(self.device, self.filters, gains, self.delays, is_thorough=is_thorough)
+        wall = stiffness, damping
+        return growing_turn(self.loop, wall, self.delays, is_thorough=is_thorough)
 
     def verdict(self, stiffness: Numbers, damping: Numbers) -> Int8[Array, "*grid"]:
         """Return the verdicts on walls: ``HapticLoop.verdict``."""
-        walls, shape = self.walls(stiffness, damping)
-        return named(self.codes(walls).reshape(shape), Verdict)
+        return named(_each(self.code, np.int8, stiffness, damping), Verdict)
 
     def worst_delays(self, stiffness: float, damping: float) -> WorstDelays:
         """Return the worst delays that a search found: ``HapticLoop.worst_delays``."""
+        require_x64(stiffness, damping)
+        refuse_traced(stiffness, damping)
         gains = checked_number("stiffness", stiffness), checked_number("damping", damping)
-        (wall,), _ = self.walls(*gains)
-        growth, is_proved = self.worst(wall, is_thorough=True)
+        growth, is_proved = self.worst(*gains, is_thorough=True)
         turn = tuple(delay * float(self.loop.sample_time) for delay in growth.turn)
         return WorstDelays(turn, growth.per_sample, is_proved)
 
     def limits(self) -> MovingLimits:
         """Return the stiffest proved wall that a search finds: ``HapticLoop.limits``."""
-        search = _Search.from_loop(self)
-        low, high, best = 0.0, search.corner[1], np.zeros(2)
-        for _ in range(_ZOOMS):
-            dampings = np.linspace(low, high, _GRID + 1)[1:]
-            stiffest = search.stiffest(dampings)
-            column, step = int(np.argmax(stiffest)), (high - low) / _GRID
-            best = np.array([stiffest[column], dampings[column]])
-            low, high = max(best[1] - step, 0.0), min(best[1] + step, search.corner[1])
-        stiffness, damping = map(float, best)
-        share, step = 0.0, 1.0
-        for _ in range(_PROOFS):
-            step /= _GRID
-            shares = share + step * np.arange(1, _GRID + 1)
-            proved = self.is_proved(self.walls(stiffness * shares, damping)[0])
-            share = float(np.max(shares[proved], initial=share))
-        if stiffness * share == 0.0:
+        # From the stiffest of some walls the search climbs: to dampings at which walls that are a
+        # little stiffer are proved.
+        longest = self._longest()
+        best, at = 0.0, nan
+        for damping in dict.fromkeys(share * longest.at_damping for share in _DAMPINGS):
+            first = self._first(best, damping, longest.stiffness)
+            best, at = (first, damping) if first > best else (best, at)
+        if not best:
             return MovingLimits(nan, nan, nan)
-        stiffness *= share
-        return MovingLimits(stiffness, damping, self.lowest_unstable(stiffness, damping))
+        for step in _STEPS.tolist():
+            for damping in (at, at * (1.0 + step), at / (1.0 + step)):
+                raised = self._raised(best, damping, _FINE * step)
+                best, at = (raised, damping) if raised > best else (best, at)
+        best = self._raised(best, at, _FINEST)
+        return MovingLimits(best, at, self._lowest_unstable(best, at))
 
-    def region(self) -> MovingRegion:
-        """Return a polygon of proved walls: ``HapticLoop.region``."""
-        # Between two dampings a trapezoid below the stiffest walls, pulled in until all of it is
-        # proved; it stays so where its neighbour lowers a corner.
-        search, most = _Search.from_loop(self), 0.0
-        for _ in range(2):  # the second time where walls are proved
-            most = most or search.corner[1]
-            dampings = np.linspace(0.0, most, _COLUMNS + 1)[1:]
-            tops = search.stiffest(dampings)
-            most = dampings[min(np.flatnonzero(tops)[-1] + 1, _COLUMNS - 1)] if tops.any() else 0.0
-        least, kept = _LEAST * np.max(tops), np.zeros(_COLUMNS - 1)
-        for pull in _PULLS:
-            lower = np.stack([tops[:-1], tops[1:]]) * (1.0 - pull)
-            chosen = np.flatnonzero((kept == 0.0) & np.all(lower > least, axis=0))
-            left, right = lower[:, chosen]
-            gains = np.full((chosen.size, 4, 2), least)
-            gains[:, 2, 0], gains[:, 3, 0] = right, left
-            gains[:, [0, 3], 1], gains[:, [1, 2], 1] = dampings[[chosen, chosen + 1]][..., None]
-            walls = gains * self.units
-            proved = are_polygons_stable(self.device, self.filters, walls, self.delays.jitter)
-            kept[chosen[proved]] = 1.0 - pull
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], kept > 0.0, [False]])))
-        if not edges.size:
-            return MovingRegion(np.zeros((0, 2)), np.zeros((0, 2)))
-        areas = [np.sum(tops[begin : end + 1]) for begin, end in edges.reshape(-1, 2)]
-        begin, end = edges.reshape(-1, 2)[int(np.argmax(areas))]
-        shares = np.minimum(np.append(kept[begin:end], 1.0), np.append(1.0, kept[begin:end]))
-        here = dampings[begin : end + 1]
-        edge = np.stack([tops[begin : end + 1] * shares, here], axis=-1)
-        lowest = [[self.lowest_unstable(*wall), wall[1]] for wall in edge[::_EVERY].tolist()]
-        outline = np.concatenate([[[least, here[-1]], [least, here[0]]], edge])
-        return MovingRegion(outline, np.array(lowest))
+    def stiffest_walls(self) -> tuple[Float64[np.ndarray, "_ 2"], Float64[np.ndarray, "_ 2"]]:
+        """Return the stiffest proved walls of some dampings, and unstable ones above them."""
+        longest, walls = self._longest(), []
+        for damping in (longest.damping * np.arange(1, _COLUMNS) / _COLUMNS).tolist():
+            first = self._first(0.0, damping, longest.stiffness)
+            if first:
+                walls.append((self._raised(first, damping, _COLUMN), damping))
+        unstable = [(self._lowest_unstable(*wall), wall[1]) for wall in walls[::_EVERY]]
+        return np.reshape(walls, (-1, 2)), np.reshape(unstable, (-1, 2))
 
+    def _longest(self) -> WallLimits:
+        """Return the limits of the longest delay: no wall that it makes unstable is proved."""
+        return wall_region(replace(self.loop, delay=self.ends[1]), TOLERANCE).limits()
 
-class _Search(NamedTuple):
-    """The search for walls that are proved, within the stable region of the shortest delay.
+    def _first(self, stiffness: float, damping: float, most: float) -> float:
+        """Return the first proved of some stiffnesses below ``most``, above one; else that one."""
+        tried = (share * most for share in _STIFFNESSES)
+        above = (k for k in tried if k > stiffness and self.is_proved(k, damping))
+        return next(above, stiffness)
 
-    corner: the largest K and B of that region.
-    """
+    def _raised(self, stiffness: float, damping: float, share: float) -> float:
+        """Return a proved stiffness above a given one, as far as one that is not; else that one."""
+        low, step = stiffness, share * stiffness
+        while self.is_proved(low + step, damping):
+            low, step = low + step, 2.0 * step
+        while step > share * stiffness:
+            step *= 0.5
+            if self.is_proved(low + step, damping):
+                low += step
+        return low
 
-    moving: MovingLoop
-    region: WallRegion
-    corner: Float64[np.ndarray, "2"]
-
-    @classmethod
-    def from_loop(cls, moving: MovingLoop) -> "_Search":
-        """Return the search for the walls of a loop."""
-        region = wall_region(moving.loop, TOLERANCE).reachable
-        return cls(moving, region, np.max(region.outline, axis=0, initial=0.0))
-
-    def stiffest(
-        self, dampings: Float64[np.ndarray, " damping"]
-    ) -> Float64[np.ndarray, " damping"]:
-        """Return up to which K walls may be proved at each damping; 0 if none is."""
-        moving, (_, high) = self.moving, self.region.stiffness_limits(dampings).T
-        alpha, beta = np.nan_to_num(high) * moving.units[0], dampings * moving.units[1]
-        jitter = moving.delays.jitter
-        stiffest = stiffest_for_all(moving.device, moving.filters, beta, alpha, jitter)
-        return stiffest / moving.units[0]
+    def _lowest_unstable(self, stiffness: float, damping: float) -> float:
+        """Return a stiffness above one that is STABLE, proved UNSTABLE, by bisection."""
+        low, high = stiffness, inf
+        for _ in range(_COARSE):
+            tried = min(0.5 * (low + high), 2.0 * low)
+            is_unstable = self.code(tried, damping) == Verdict.UNSTABLE
+            low, high = (low, tried) if is_unstable else (tried, high)
+        return high
 
 
 def jitter_margin(
@@ -334,10 +225,26 @@ def jitter_margin(
 ) -> Float64[np.ndarray, "*grid"]:
     """Return how far the delay may move above the loop's, in s: ``HapticLoop.jitter_margin``."""
     moving = MovingLoop.from_loop(loop, (float(loop.delay), float(loop.delay)))
-    walls, shape = moving.walls(stiffness, damping)
-    most = LONGEST_DELAY - moving.delays.low
-    samples = largest_jitters(moving.device, moving.filters, walls, most).reshape(shape)
-    return np.asarray(samples * (float(moving.loop.sample_time) * (1.0 - 8.0 * EPS)))
+    parts, most = partial(ball_loop, moving.loop), LONGEST_DELAY - moving.delays.low
+
+    def samples(stiffness: float, damping: float) -> float:
+        if stiffness == damping == 0.0:
+            return inf if moving.is_proved(0.0, 0.0) else 0.0
+        return largest_jitter(parts, moving.late_cosines, (stiffness, damping), most)
+
+    period = float(moving.loop.sample_time) * (1.0 - 8.0 * EPS)
+    return np.asarray(_each(samples, np.float64, stiffness, damping) * period)
+
+
+def _each(
+    judge: Callable[[float, float], float], kind: type, stiffness: Numbers, damping: Numbers
+) -> np.ndarray:
+    """Return what is said of each wall, as numbers of a kind."""
+    require_x64(stiffness, damping)
+    refuse_traced(stiffness, damping)
+    grid = wall_grid(stiffness=stiffness, damping=damping)
+    answers = (judge(*wall) for wall in grid.reshape(-1, 2).tolist())
+    return np.fromiter(answers, kind, grid.size // 2).reshape(grid.shape[:-1])
 
 
 def turn_of(loop: LoopParameters, delays: Any) -> tuple[float, ...]:
@@ -371,7 +278,3 @@ def _checked_range(delays: Any) -> Range:
     if low > high:
         raise ValueError(f"delays are from {low:g} to {high:g} s; give the shortest one first.")
     return low, high
-
-
-def _sampled(loop: LoopParameters) -> SampledDevice:
-    return sampled_device(loop.held_device, float(loop.sample_time), float(loop.delay_samples))

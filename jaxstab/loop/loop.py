@@ -11,6 +11,7 @@ from jaxstab import motion, point, ranges
 from jaxstab.arrays import Array, Numbers, is_any_jax, is_any_traced, named, pytree
 from jaxstab.conventions import HORIZON, Excitation, Range, Verdict
 from jaxstab.loop.region import TOLERANCE, WallLimits, WallRegion, scaled, wall_region
+from jaxstab.loop.walls import few_walls
 from jaxstab.model import LoopParameters, by_name
 from jaxstab.model.filters import known_filters
 from jaxstab.model.loop import refuse_arrays
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
     from jaxstab.loop.between import LoopsWithHands
     from jaxstab.loop.contact import Contact
-    from jaxstab.loop.jitter import MovingLimits, MovingLoop, MovingRegion, WorstDelays
+    from jaxstab.loop.jitter import MovingLimits, MovingLoop, WorstDelays
     from jaxstab.loop.tune import OptimalWall
 
 
@@ -90,45 +91,27 @@ class HapticLoop(LoopParameters):
         (0.02, 0.2, 20.0)
     """
 
-    @overload
-    def region(self, *, tolerance: float = TOLERANCE) -> WallRegion: ...
-
-    @overload
-    def region(self, *, delays: Range, lost: int = 0) -> "MovingRegion": ...
-
-    def region(
-        self,
-        *,
-        tolerance: float = TOLERANCE,
-        delays: Range | None = None,
-        lost: int = 0,
-    ) -> "WallRegion | MovingRegion":
+    def region(self, *, tolerance: float = TOLERANCE) -> WallRegion:
         """The set of all stable walls, in its connected parts.
 
         Args:
             tolerance: largest distance between the outline and the boundary, as a share of the
                 region's diameter, > 1e-10. Everything else is measured on the exact boundary.
-            delays: as for ``verdict``; the answer is then a polygon of walls that are all proved
-                for every sequence of these delays, and ``tolerance`` is not used.
-            lost: as for ``verdict``.
 
         Returns:
-            WallRegion of NumPy arrays, with its status; MovingRegion with ``delays``.
+            WallRegion of NumPy arrays, with its status.
 
         Raises: see ``jaxstab.conventions``; ValueError also for a delay longer than 500 samples and
         for a device with zero DC gain: the boundary is computed from 1/G(0) on. TypeError if JAX
         traces the loop; ``limits`` and ``jaxstab.regions_of`` take it.
 
-        Source: eq. (9) by the D-decomposition; see ``jaxstab.stable_region``. Lemmas J1 and J4 of
-        docs/proofs.md for delays that move.
+        Source: eq. (9) by the D-decomposition; see ``jaxstab.stable_region``.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
             >>> loop.region().status.words
             'the boundary closes to loops'
         """
-        if delays is not None or lost:
-            return self._moving("region with delays", delays, lost).region()
         if is_any_traced(self):
             raise TypeError(
                 "the loop is traced; its region and distances to it are searched outside of jit, "
@@ -492,6 +475,10 @@ class HapticLoop(LoopParameters):
         if delays is not None or lost:
             checked_word("resolve", resolve or "exact", ("exact",))
             return self._moving("verdict with delays", delays, lost).verdict(stiffness, damping)
+        few = few_walls(self, stiffness, damping)
+        if few:
+            checked_word("resolve", resolve or "exact", ("exact",))
+            return few.verdicts()
         wall = scaled(self, stiffness, damping)
         if self.body is None:
             checked_word("resolve", resolve or "exact", ("exact",))
@@ -510,6 +497,9 @@ class HapticLoop(LoopParameters):
             >>> loop.spectral_radius(1000.0, 10.0)
             0.9407239707335... +/- ... (proved)
         """
+        few = few_walls(self, stiffness, damping)
+        if few:
+            return few.spectral_radii()
         wall = scaled(self, stiffness, damping)
         if self.body is None:
             return point.linear_spectral_radius(*wall, self.linear)
@@ -527,6 +517,10 @@ class HapticLoop(LoopParameters):
             >>> abs(loop.poles(1000.0, 10.0)).round(4).tolist()
             [0.9407, 0.9407, 0.0559]
         """
+        few = few_walls(self, stiffness, damping)
+        known = few.poles() if few else None
+        if known is not None:
+            return known
         wall = scaled(self, stiffness, damping)
         if self.body is None:
             return point.linear_poles(*wall, self.linear)

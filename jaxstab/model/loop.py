@@ -369,6 +369,21 @@ def as_one(loops: Sequence[LoopParameters]) -> Any:
     return type(first)(**columns, velocity=first.velocity, position=first.position)
 
 
+def unit_loop(
+    gamma: float, delta: float, delay: float, velocity: Velocity | None, position: Filter | None
+) -> LoopParameters:
+    """Return the loop of dimensionless numbers: K is alpha, and B is beta."""
+    return LoopParameters(
+        sample_time=1.0,
+        device_mass=1.0,
+        device_damping=delta,
+        hand_stiffness=gamma,
+        delay=delay,
+        velocity=velocity,
+        position=position,
+    )
+
+
 @lru_cache(_REMEMBERED)
 def _linear_loop(loop: LoopParameters) -> LinearLoop:
     """Return the parts of p(z); those of the last loops are remembered."""

@@ -41,9 +41,9 @@ from jaxstab.arrays import (
     repeat_while,
 )
 from jaxstab.batches import TILE, compiled, lists, on_cores
+from jaxstab.exact.turns import segments_of
 from jaxstab.model.device import Device
 from jaxstab.model.device.mechanics import handle_equations
-from jaxstab.model.device.periodic import segments_of
 from jaxstab.model.plant import plant_transition
 from jaxstab.motion.response import Controller
 

@@ -1,11 +1,11 @@
 """Delays that change in turn and make the motion grow: searched for, and proved to.
 
 A sequence of N delays that repeats moves the loop by one matrix per turn
-(``jaxstab.model.device.periodic``); the N-th root of its spectral radius is the growth per sample.
+(``jaxstab.exact.turns``); the N-th root of its spectral radius is the growth per sample.
 Sequences are searched in float64: first all short patterns of the shortest and the longest delay,
 then the best of them are changed one delay at a time as long as they grow faster (hill climbing).
 The search does not find the largest growth; what it returns is one sequence, and that its motion
-grows is proved in balls (lemma J2 of docs/proofs.md).
+grows is proved in balls.
 """
 
 from collections.abc import Sequence
@@ -16,9 +16,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxstab.model.device import SampledDevice
-from jaxstab.model.device.periodic import PeriodicLoop, proved_growth, segments_of
-from jaxstab.model.filters import Filters
+from jaxstab.exact.turns import PeriodicLoop, is_growing, segments_of
+from jaxstab.model import LoopParameters
 from jaxstab.model.parameters import LONGEST_DELAY
 from jaxstab.numbers import checked_count
 from jaxstab.rounding import EPS
@@ -72,22 +71,16 @@ class Growth(NamedTuple):
 
 
 def growing_turn(
-    device: SampledDevice,
-    filters: Filters | None,
-    wall: tuple[float, float],
-    delays: Delays,
-    *,
-    is_thorough: bool,
+    loop: LoopParameters, wall: tuple[float, float], delays: Delays, *, is_thorough: bool
 ) -> tuple[Growth, bool]:
     """The turn of the fastest growth that a search found, and whether it is proved to grow."""
-    exact = PeriodicLoop.from_device(device, filters, *wall)
+    exact = PeriodicLoop.from_loop(loop, *wall)
     search = _Search(exact.rounded(), delays)
     best = search.patterns(_THOROUGH if is_thorough else _QUICK)
     if is_thorough:
         best = search.climbed(best)
     fastest = best[0]._replace(turn=_once(best[0].turn))
-    growth = proved_growth(exact, fastest.turn) if fastest.per_sample > 1.0 else 0.0
-    return fastest, growth > 1.0
+    return fastest, fastest.per_sample > 1.0 and is_growing(exact, fastest.turn)
 
 
 _segments = lru_cache(maxsize=512)(segments_of)
@@ -158,7 +151,7 @@ def _patterns(delays: Delays, longest: int) -> list[Turn]:
     ]
 
 
-def _changed(turn: Turn, letters: Sequence[float], random: np.random.Generator) -> Turn:
+def _changed(turn: Turn, letters: Sequence[float], random: "np.random.Generator") -> Turn:
     """Return a turn with one delay changed, added or left out."""
     place, kind = int(random.integers(len(turn))), random.random()
     letter = letters[int(random.integers(len(letters)))]

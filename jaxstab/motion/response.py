@@ -39,10 +39,10 @@ from jaxstab.arrays import (
 )
 from jaxstab.batches import compiled
 from jaxstab.conventions import Status
+from jaxstab.exact.turns import Segments, segments_of
 from jaxstab.model import LoopParameters, by_name, checked_gain, plant_transition, require_x64
 from jaxstab.model.device import Device
 from jaxstab.model.device.mechanics import Mechanics, Starts, mechanics
-from jaxstab.model.device.periodic import Segments, segments_of
 from jaxstab.model.filters import (
     NO_FILTERS,
     Filter,

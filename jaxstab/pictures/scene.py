@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from jaxstab.conventions import Verdict
 from jaxstab.guard import Guard
 from jaxstab.loop import Contact, ContactKind, HapticLoop, WallRegion
+from jaxstab.loop.jitter import MovingLoop
 from jaxstab.pictures.style import (
     BLACK,
     BLUE,
@@ -38,7 +39,7 @@ from jaxstab.pictures.style import (
     draw_linear_rule,
     draw_stable,
     plain,
-    plot_moving_region,
+    plot_moving,
 )
 from jaxstab.scene.answers import (
     Answer,
@@ -64,6 +65,7 @@ from jaxstab.scene.hands import (
     at_lowest,
     common_outline,
     loops_over_delays,
+    moving_delays,
 )
 from jaxstab.scene.limits import LimitsOverDelays, passive_walls
 from jaxstab.scene.loops import (
@@ -346,23 +348,16 @@ def _judged(scene: Scene, answer: Answer | None) -> Walls:
 
 
 def _moving_figure(scene: Scene, walls: Walls, basis: Basis) -> Figure:
-    """Draw the walls that are proved for every sequence of delays, and those of the scene."""
-    controller, units = scene.controller, scene.units
-    region = loops_over_delays(scene)[0].region(
-        delays=controller.delays, lost=controller.lost_samples
-    )
-    figure = Figure(figsize=(_WIDTH, _HEIGHT), layout="constrained")
-    panel = plot_moving_region(region, figure.subplots())
-    panel.plot([], [], "s", mfc="white", mec=BLACK, ms=8, label="elsewhere: not decided")
+    """Draw walls that are proved for every sequence of delays, and those of the scene."""
+    units, figure = scene.units, Figure(figsize=(_WIDTH, _HEIGHT), layout="constrained")
+    panel = figure.subplots()
+    loop = MovingLoop.from_loop(loops_over_delays(scene)[0], **moving_delays(scene))
+    drawn = plot_moving(loop, panel)
     draw_walls(panel, walls)
     gains = np.array([(wall.stiffness, wall.damping) for wall in walls.values()]).reshape(-1, 2)
-    unstable = region.unstable[np.isfinite(region.unstable[:, 0])]
-    _set_window(panel, np.concatenate([region.outline, unstable, gains, np.zeros((1, 2))]))
+    _set_window(panel, np.concatenate([drawn, gains, np.zeros((1, 2))]))
     panel.set_xlabel(f"stiffness K ({units.stiffness})")
     panel.set_ylabel(f"damping B ({units.damping})")
-    legend = panel.get_legend()
-    assert legend is not None
-    legend.remove()
     _draw_legend(figure, panel, 3)
     _write_basis(figure, scene, basis)
     if walls:

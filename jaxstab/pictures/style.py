@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import AbstractPathEffect, withStroke
 from numpy.typing import NDArray
 
-from jaxstab.loop import Contact, ContactKind, HapticLoop, MovingRegion, WallRegion
+from jaxstab.loop import Contact, ContactKind, HapticLoop, WallRegion
+from jaxstab.loop.jitter import MovingLoop
 from jaxstab.model.filters import given_filters
 from jaxstab.region import StableRegion
 
@@ -130,20 +131,22 @@ def plot_region(region: Region, ax: Axes | None = None) -> Axes:
     return panel
 
 
-def plot_moving_region(region: MovingRegion, ax: Axes | None = None) -> Axes:
-    """Draw proved walls of a delay that moves, and unstable ones; ValueError if it is empty."""
-    if not len(region.outline):
-        raise ValueError(f"there is nothing to draw: {region!r}.")
-    panel = new_axes() if ax is None else ax
-    outline = np.concatenate([region.outline, region.outline[:1]]).T
-    panel.fill(*outline, color=SKY, alpha=0.35, lw=0, label="stable for every sequence, proved")
-    panel.plot(*outline, color=BLUE, lw=1.2)
-    unstable = region.unstable[np.isfinite(region.unstable[:, 0])]
+def plot_moving(loop: MovingLoop, panel: Axes) -> NDArray[np.float64]:
+    """Draw proved walls of a delay that moves, and unstable ones, which it returns, too.
+
+    ValueError: no wall was found that is proved.
+    """
+    proved, unstable = loop.stiffest_walls()
+    if not len(proved):
+        raise ValueError(
+            "no wall was found that is proved for every sequence of delays; there is nothing to "
+            "draw."
+        )
+    unstable = unstable[np.isfinite(unstable[:, 0])]
+    label = "stiffest proved for every sequence, at some dampings"
+    panel.plot(*proved.T, "o-", color=BLUE, lw=0.6, ms=4, label=label)
     panel.plot(*unstable.T, "x", color=RED, ms=6, label="unstable for some sequence, proved")
-    top = 1.25 * float(region.outline[:, 1].max())  # room for the legend
-    panel.set(xlim=(0.0, None), ylim=(0.0, top), xlabel=STIFFNESS_LABEL, ylabel=DAMPING_LABEL)
-    panel.legend(fontsize=8, frameon=False, loc="upper right")
-    return panel
+    return np.concatenate([proved, unstable])
 
 
 def _draw_map(panel: Axes, main: Region, islands: Sequence[Region]) -> None:

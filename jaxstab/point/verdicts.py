@@ -6,8 +6,8 @@ A verdict takes up to three steps, each for the points that the one before leave
    (``schur_cohn``; lemmas V1 to V4, V6, and V8 to V10 for loops with filters and devices). It
    decides all but points next to the boundary.
 2. The same recursion in pairs of float64, with 106 bits.
-3. On request (``resolve="exact"``), one z outside the circle at which p is so small that a root
-   must be outside (lemma V5): it proves instability where the recursion loses its digits.
+3. On request (``resolve="exact"``), the same recursion in balls (``exact.verdict``, lemma E1), one
+   point at a time.
 
 The loop of the paper has few coefficients, whatever the delay, so a step costs a constant number of
 operations; other loops take steps over all of their coefficients. Plants are computed once for each
@@ -21,28 +21,28 @@ from math import prod
 from typing import Any, Generic, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int8, Int64
+from jaxtyping import Bool, Int8, Int64
 
 from jaxstab.arrays import Array, Numbers, is_any_traced, named, namespace, pytree, tree_map
 from jaxstab.batches import MANY, TILE, compiled, lists, over_tiles
 from jaxstab.conventions import Verdict
+from jaxstab.exact import wall_verdict
 from jaxstab.model import (
     DoubleDouble,
     PlantPairs,
     TracedDelay,
-    by_name,
-    characteristic_polynomial,
     checked_delta,
     checked_gain,
     checked_gamma,
     plant_pairs,
     require_x64,
 )
-from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
+from jaxstab.model.balls import ball_triple
+from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords, given_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
+from jaxstab.model.loop import unit_loop
 from jaxstab.model.parameters import whole_and_fraction
 from jaxstab.model.plant import may_cancel, pairs_error
-from jaxstab.point.poles import Complex, companion_poles, distance_to_root, looked_up
 from jaxstab.point.schur_cohn import (
     UNDERFLOW,
     Chain,
@@ -177,45 +177,6 @@ def _loop_float_codes(alpha: Array, beta: Array, loop: LinearLoop, *, degree: in
     loop = tree_map(namespace(alpha, beta, loop).asarray, loop)
     codes = partial(dense_codes, unit=UNIT, degree=degree)
     return over_tiles(codes, (alpha, beta, loop), _TILE)
-
-
-# The proof of instability by one root outside, for loops whose recursion loses its digits.
-#
-# One z outside the unit circle at which p is small enough proves that a root is outside (lemma V5
-# of docs/proofs.md). It is taken from the eigenvalues of the companion matrix.
-
-_BATCH = 256  # polynomials at once: each takes a matrix
-_ON_CIRCLE = 1e-13  # of the sum of the coefficients' sizes
-
-
-def have_outer_root(
-    coefficients: Float64[np.ndarray, "point coefficient"],
-) -> Bool[np.ndarray, " point"]:
-    """Where not all roots of polynomials are inside the unit circle, proved; False says nothing.
-
-    ``coefficients`` are monic, highest power first, each within two roundings of the true one.
-    Polynomials with a root at 1 or -1 up to rounding, as on whole lines of walls, are not tried.
-    Source: Laguerre's bound for the distance to the nearest root; lemma R1.
-    """
-    alternating = (-1.0) ** np.arange(coefficients.shape[-1])
-    ends = np.abs(np.stack([coefficients.sum(axis=-1), coefficients @ alternating]))
-    sizes = np.abs(coefficients).sum(axis=-1)
-    tried = np.flatnonzero(np.all(ends > _ON_CIRCLE * sizes, axis=0))
-    proved = np.zeros(sizes.shape, bool)
-    for start in range(0, tried.size, _BATCH):
-        batch = tried[start : start + _BATCH]
-        proved[batch] = _has_outer_root(coefficients[batch])
-    return proved
-
-
-def _has_outer_root(
-    coefficients: Float64[np.ndarray, "point coefficient"],
-) -> Bool[np.ndarray, " point"]:
-    root = companion_poles(coefficients)[:, 0]
-    z, error = Complex(root.real, root.imag), 2.0 * UNIT * np.abs(coefficients).sum(axis=-1)
-    with np.errstate(all="ignore"):
-        radius = np.sqrt(z.squared_modulus()) * (1.0 - 4.0 * UNIT)
-        return np.asarray(radius - distance_to_root([*coefficients.T], error, z) > 1.0)
 
 
 # The loop's p(z) in the form of the certified recursion, and the rounding errors of forming it.
@@ -403,10 +364,10 @@ def verdict(
 
     Args:
         alpha, beta, gamma, delta, delay, velocity, position: see ``jaxstab.conventions``.
-        resolve: "exact" repeats the recursion in double-double where float64 leaves a point
-            UNDECIDED, and then looks for a root that is certainly outside; all arguments must be
-            concrete, as for an array of delays. With an estimator or a filter double-double is
-            always tried.
+        resolve: "exact" repeats the recursion where float64 leaves a point UNDECIDED, in
+            double-double and then in balls of up to 3,072 bits, about a millisecond each; all
+            arguments must be concrete, as for an array of delays. With an estimator or a filter
+            double-double is always tried.
 
     Returns:
         int8 array of the broadcast shape: Verdict.STABLE, UNSTABLE or UNDECIDED; in JAX if an
@@ -444,10 +405,10 @@ def verdict(
     if is_any_traced(point, delay, filters):
         raise TypeError("verdict takes traced arguments with one delay and without resolve only.")
     points = Points(*(np.asarray(value, np.float64) for value in (*point, delay)))
-    if filters:
-        return named(xp.asarray(filtered_verdict(points, filters)), Verdict)
-    codes = _grouped_verdict(points)
-    return named(xp.asarray(codes if resolve is None else _resolved(codes, points)), Verdict)
+    codes = filtered_verdict(points, filters) if filters else _grouped_verdict(points)
+    if resolve == "exact":
+        codes = _decided(codes if filters else _resolved(codes, points), points, filters)
+    return named(xp.asarray(codes), Verdict)
 
 
 def _float_codes(arguments: tuple[Any, ...], degree: int) -> Array:
@@ -491,16 +452,23 @@ def _grouped_verdict(points: Points) -> Int8[np.ndarray, "*grid"]:
 
 
 def _resolved(codes: Int8[np.ndarray, "*grid"], points: Points) -> Int8[np.ndarray, "*grid"]:
-    """Repeat UNDECIDED points in double-double; for the others, look for a root outside."""
+    """Repeat UNDECIDED points in double-double."""
     for form, indices in points.groups(np.asarray(codes == Verdict.UNDECIDED)):
         for start in range(0, indices.size, _PAIRS):
             block = indices[start : start + _PAIRS]
             codes.flat[block] = _pair_codes(gathered(points, points.shape, block), form)
-    for _, indices in points.groups(np.asarray(codes == Verdict.UNDECIDED)):
-        values = looked_up(list(points), points.shape, indices)
-        proved = have_outer_root(characteristic_polynomial(**by_name(*values)))
-        proved &= ~is_plant_lost(*values[2:4])
-        codes.flat[indices[proved]] = Verdict.UNSTABLE
+    return codes
+
+
+def _decided(
+    codes: Int8[np.ndarray, "*grid"], points: Points, filters: Filters | None
+) -> Int8[np.ndarray, "*grid"]:
+    """Ask balls for UNDECIDED points."""
+    indices = np.flatnonzero(codes == Verdict.UNDECIDED)
+    rows = np.stack(gathered(points, points.shape, indices), axis=-1)
+    for index, (alpha, beta, *plant) in zip(indices, rows.tolist(), strict=True):
+        loop = unit_loop(*plant, **as_keywords(filters))
+        codes.flat[index] = wall_verdict(partial(ball_triple, loop), alpha, beta).verdict
     return codes
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from jaxstab.arrays import PI_REST, Array, Numbers, namespace, repeat
-from jaxstab.model import by_name, plant_coefficients
+from jaxstab.model import plant_coefficients
 from jaxstab.model.plant import pairs_error
 from jaxstab.proofs.enclosures import LinearModel
 from jaxstab.proofs.filters import Responses, turns_over_sine
@@ -111,25 +111,6 @@ class QuickPlant(NamedTuple):
     late: Float64[Array, "*grid"]
     d_error: Float64[Array, "*grid"]
     n_error: Float64[Array, "*grid"]
-
-
-def accurate_plant(
-    gamma: Float64[np.ndarray, " loop"],
-    delta: Float64[np.ndarray, " loop"],
-    delay: Float64[np.ndarray, " loop"],
-) -> QuickPlant:
-    """Return the sampled plants of loops to full precision; equal plants are computed once."""
-    hands = np.stack([gamma, delta, delay - np.floor(delay)], axis=-1)
-    hands, index = np.unique(hands, axis=0, return_inverse=True)
-    alone = len(hands) == 1
-    # Single ones are remembered.
-    exact = plant_coefficients(**by_name(*hands[0] if alone else hands.T))
-    plant = quick_plant(*hands.T)._replace(
-        d1=exact.d1, d0=exact.d0, n2=exact.n2, n1=exact.n1, n0=exact.n0, sum=exact.sum
-    )
-    zero = np.zeros(len(hands))
-    plant = plant._replace(d_error=zero, n_error=zero)
-    return QuickPlant(*(np.broadcast_to(c, len(hands))[index.ravel()] for c in plant))
 
 
 def quick_plant(gamma: Array, delta: Array, delay: Array) -> QuickPlant:

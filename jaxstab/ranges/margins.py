@@ -21,7 +21,7 @@ from jaxstab.exact.line import End
 from jaxstab.model import checked_delta, checked_gain, checked_gamma, require_x64
 from jaxstab.model.balls import ball_loop, ball_triple, one_sample
 from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords, known_filters
-from jaxstab.model.loop import LoopParameters, refuses_loops
+from jaxstab.model.loop import LoopParameters, refuses_loops, unit_loop
 from jaxstab.model.parameters import LONGEST_DELAY, wall_grid
 from jaxstab.numbers import checked, without_noise
 from jaxstab.shown import number_text, table_text
@@ -52,13 +52,10 @@ def first_crossings(
 
     Both are NaN for a wall that is not proved stable.
     """
-    rows = []
-    for alpha, beta, gamma, delta, delay in walls.tolist():
-        hand = {"device_damping": delta, "hand_stiffness": gamma}
-        one = LoopParameters(
-            sample_time=1.0, device_mass=1.0, **hand, delay=delay, **as_keywords(filters)
-        )
-        rows.append(crossings_of(one, (alpha, beta)))
+    rows = [
+        crossings_of(unit_loop(*plant, **as_keywords(filters)), (alpha, beta))
+        for alpha, beta, *plant in walls.tolist()
+    ]
     return np.reshape(rows, (len(rows), 1 + 2 * len(WAYS)))
 
 

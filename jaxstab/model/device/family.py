@@ -259,7 +259,7 @@ class LoopFamily:
             return None
         has_fraction = self.delay.first != self.delay.last or self.delay.first % 1.0 != 0.0
         fraction = _value(self.delay, t) - whole if has_fraction else None
-        force, free = sample.of_samples(fraction)
+        force, free = map(flint.acb_poly, sample.of_samples(fraction))
         velocity, position = self.filters
         above_k, below_k = _changing(position, t, period)
         above_b, below_b = _changing(velocity.filter, t, period)

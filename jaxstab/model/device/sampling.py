@@ -9,16 +9,13 @@ state moves and what a held force adds to it, and so
 (lemma V10 of docs/proofs.md). The precision is raised until all coefficients, in powers of z, of
 z - 1 and of z + 1, are known to more digits than pairs of float64 have.
 
-The last section bounds what forces do that arrive late (``late_response``).
+The last section bounds what forces do that arrive late (``late_cosines``).
 """
 
 from dataclasses import dataclass
 from functools import lru_cache
 from math import ceil, floor, inf, isfinite, ldexp, log2, nextafter
 from typing import TYPE_CHECKING, Any, NamedTuple
-
-import numpy as np
-from jaxtyping import Float64
 
 from jaxstab.model.device.device import Device
 from jaxstab.model.device.parts import Rational, balls_of, exact, working_precision
@@ -227,12 +224,11 @@ class OneSample(NamedTuple):
 
     def of_samples(self, fraction: Ball | None) -> tuple[Any, Any]:
         """N(z) and D(z), for a fraction of a sample with one sample of delay more (V10)."""
-        import flint
-
         if fraction is None:
             return self.whole, self.denominator
         later = self.moved(force_of(held(self.below, (1 - fraction) * self.speed)))
-        return flint.arb_poly([-1, 1]) * later + self.whole, self.denominator
+        kind = type(later)
+        return kind([-1, 1]) * later + kind(self.whole), self.denominator
 
 
 def in_fastest_time(above: list[Ball], below: list[Ball]) -> "tuple[list[Ball], list[Ball], arb]":
@@ -260,6 +256,8 @@ def position_after(
     import flint
 
     order, row = len(above), _matrix([above])
+    if isinstance(column, flint.acb_mat):  # python-flint 0.8 multiplies matrices of one kind
+        row, transition = flint.acb_mat(row), flint.acb_mat(transition)
     responses = []
     for _ in range(order):
         responses.append((row * column)[0, 0])
@@ -399,56 +397,26 @@ def _turned(falling: Polynomial) -> Polynomial:
 #
 # a cosine sum of as many terms as the device has states. The integral over a whole sample is the
 # Gramian of one sample; that over s < f covers the time in which an (n + 1)-th change may still be
-# missing. Q is finite where D vanishes. It is computed in powers of 1 - cos(theta) and of
-# 1 + cos(theta), in balls, until each coefficient has more digits than pairs of float64.
-
-
-class CosineSum(NamedTuple):
-    """Q of a device, in the unit of force of its plant; lowest power first.
-
-    about_one: coefficients in powers of 1 - cos(theta).
-    about_minus_one: those in powers of 1 + cos(theta).
-    errors: bounds of the sums of the errors of both.
-    """
-
-    about_one: Polynomial
-    about_minus_one: Polynomial
-    errors: tuple[float, float]
-
-    def values_at(self, theta: Float64[np.ndarray, " angle"]) -> Float64[np.ndarray, " angle"]:
-        """Return Q at angles, without a bound."""
-        powers = 1.0 - np.cos(theta), 1.0 + np.cos(theta)
-        values = [
-            np.polynomial.polynomial.polyval(h, [float(c.rounded()) for c in rising])
-            for h, rising in zip(powers, (self.about_one, self.about_minus_one), strict=True)
-        ]
-        return np.where(theta < 0.5 * np.pi, *values)
-
-
-@lru_cache(maxsize=256)
-def late_response(device: SampledDevice, jitter: float) -> CosineSum:
-    """Return Q; L is the delay of the device, ``jitter`` is J in samples."""
-    import flint
-
-    bits = _FIRST_BITS
-    while True:
-        with working_precision(bits):
-            cosines = late_cosines(device.device, device.sample_time, device.delay, jitter)
-            both = [_in_powers(cosines, sign) for sign in (-1, 1)]
-            if all(map(is_known, both)) or bits >= _MOST_BITS:
-                unit = flint.arb(exact(device.stiffness_unit))
-                balls = [each.coeffs() or [flint.arb(0)] for each in both]
-                coefficients = [[bounded(c / unit**2) for c in each] for each in balls]
-                values = [tuple(c.value for c in each) for each in coefficients]
-                errors = [float(sum(c.error for c in each)) * RAISED_FEW for each in coefficients]
-                return CosineSum(values[0], values[1], (errors[0], errors[1]))
-        bits *= 2
+# missing. Q is finite where D vanishes.
 
 
 def late_cosines(device: Device, sample_time: float, delay: float, jitter: float) -> list["arb"]:
-    """Return q of Q = q_0 + 2 q_1 cos(theta) + 2 q_2 cos(2 theta) + ..., in SI units."""
+    """Return q of Q = q_0 + 2 q_1 cos(theta) + 2 q_2 cos(2 theta) + ..., in SI units.
+
+    L is the delay, ``jitter`` is J in samples.
+    """
     import flint
 
+    return _late_cosines(device, sample_time, delay, jitter, flint.ctx.prec)
+
+
+@lru_cache(maxsize=256)
+def _late_cosines(
+    device: Device, sample_time: float, delay: float, jitter: float, bits: int
+) -> list["arb"]:
+    import flint
+
+    del bits  # the precision is set: here it only tells balls apart
     given = in_samples(device.compliance(), sample_time)
     above, below, speed = in_fastest_time(*given)
     order = len(below) - 1
@@ -504,16 +472,3 @@ def _after(below: list[Ball], time: "arb") -> "tuple[Matrix, Matrix]":
         gramian = gramian + transition * gramian * transition.transpose()
         transition = transition * transition
     return transition, gramian
-
-
-def _in_powers(cosines: list["arb"], sign: int) -> "arb_poly":
-    """Return the sum as a polynomial in h, cos(theta) being 1 - h or, for sign 1, h - 1."""
-    import flint
-
-    cosine = flint.arb_poly([-sign, sign])
-    last, this = flint.arb_poly([1]), cosine
-    total = flint.arb_poly([cosines[0]])
-    for value in cosines[1:]:
-        total += this * (2 * value)
-        last, this = this, 2 * cosine * this - last
-    return total

@@ -1,4 +1,4 @@
-"""A loop whose delays repeat in turn: the matrix of one turn, and a proof that it grows.
+"""J2. Delays that repeat in turn: the matrix of one turn, and a proof that its motion grows.
 
 Sample j is read at the time j, in samples, and its force arrives at j + t_j; the newest sample that
 has arrived sets the force. Between two arrivals the force is constant, so with F(t) = exp(A t) and
@@ -7,37 +7,33 @@ G(t) the integral of F B from 0 to t, a force f that acts from a to b of a sampl
     (G(1 - a) - G(1 - b)) f
 
 to the device's states at the next sample. These, what the controller remembers and the forces that
-may still act move by one matrix per sample, a product of N matrices per turn of N delays. An
-eigenvalue of the product outside of the unit circle proves that some motion grows (lemma J2 of
-docs/proofs.md). The same matrices are formed in float64, for searches, and in balls, for proofs.
+may still act move by one matrix per sample, a product of N matrices per turn of N delays. If the
+characteristic polynomial of the product has a root outside the unit circle (E1), the motion that
+begins in the real part of its eigenvector grows. The same matrices are formed in float64, for
+searches, and in balls, for proofs.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial, reduce
 from math import ceil, isfinite
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxstab.exact.verdict import roots_outside
+from jaxstab.model.balls import ball_loop
 from jaxstab.model.device.device import Device
 from jaxstab.model.device.parts import exact, working_precision
 from jaxstab.model.device.sampling import (
-    SampledDevice,
     force_of,
     held,
     in_fastest_time,
     in_samples,
     without_force,
 )
-from jaxstab.model.filters import Filters, Polynomial, Transfer
-from jaxstab.rounding import FILTERS
-
-if TYPE_CHECKING:
-    from flint import arb_poly
+from jaxstab.model.loop import LoopParameters
 
 _BITS = 512
-_STEPS = 6  # of Newton's iteration towards a root of the characteristic polynomial
 
 Held = tuple[np.ndarray, np.ndarray, np.ndarray]
 Delays = Sequence[float]  # in samples; infinite for a sample that is lost
@@ -70,7 +66,7 @@ def segments_of(delays: Delays) -> list[Segments]:
 
 @dataclass(frozen=True)
 class PeriodicLoop:
-    """A loop with one wall, in float64 or in balls; forces are in the unit of the device.
+    """A loop with one wall, in float64 or in balls, in SI units.
 
     Attributes:
         held: F and G of the rest of a sample, by where it starts, and the position's row.
@@ -82,14 +78,19 @@ class PeriodicLoop:
     below: np.ndarray
 
     @classmethod
-    def from_device(
-        cls, device: SampledDevice, filters: Filters | None, alpha: float, beta: float
-    ) -> "PeriodicLoop":
-        """Return the loop in balls; its controller is alpha P + beta V."""
-        given = device.device, device.sample_time, device.stiffness_unit
+    def from_loop(cls, loop: LoopParameters, stiffness: float, damping: float) -> "PeriodicLoop":
+        """Return the loop in balls; its own delay does not count."""
         with working_precision(_BITS):
-            above, below = _controller(device, filters, alpha, beta)
-        return cls(partial(_held, *given), above, below)
+            parts = ball_loop(loop)
+            below = parts.position[1].times(parts.velocity[1]).polynomial()
+            above = parts.wall(stiffness, damping).polynomial()
+            lags = range(below.degree(), -1, -1)
+            numerator, denominator = (
+                np.array([side[power] / below[below.degree()] for power in lags])
+                for side in (above, below)
+            )
+        given = loop.held_device, float(loop.sample_time)
+        return cls(partial(_held, *given), numerator, denominator)
 
     def rounded(self) -> "PeriodicLoop":
         """Return the loop in float64, without a bound."""
@@ -127,78 +128,30 @@ class PeriodicLoop:
         return step
 
 
-def proved_growth(loop: PeriodicLoop, delays: Delays) -> float:
-    """Return a lower bound of the spectral radius of a turn, proved; 0 if none above 1 is."""
+def is_growing(loop: PeriodicLoop, delays: Delays) -> bool:
+    """Whether a motion is proved to grow with delays in turn, of a loop in balls."""
     import flint
 
-    steps = loop.rounded().steps(delays)
-    with np.errstate(all="ignore"):
-        turn = reduce(lambda total, step: step @ total, steps)
-    if not np.all(np.isfinite(turn)):
-        return 0.0
-    eigenvalues = np.linalg.eigvals(turn)
-    guess = complex(eigenvalues[np.argmax(np.abs(eigenvalues))])
     with working_precision(_BITS):
-        exactly = [flint.arb_mat(step.tolist()) for step in loop.steps(delays)]
-        polynomial = flint.acb_poly(reduce(lambda total, step: step * total, exactly).charpoly())
-        slope, z = polynomial.derivative(), flint.acb(guess)
-        for _ in range(_STEPS):
-            move = polynomial(z) / slope(z)
-            if not move.is_finite():
-                return 0.0
-            z = flint.acb((z - move).mid())
-        distance = len(turn) * abs(polynomial(z) / slope(z))  # a root is as near (lemma V5)
-        radius = abs(z) - distance
-        return float(radius.lower()) * (1.0 - 2.0**-50) if radius > 1 else 0.0
+        steps = [flint.arb_mat(step.tolist()) for step in loop.steps(delays)]
+        turn = reduce(lambda total, step: step * total, steps)
+        return bool(roots_outside(turn.charpoly(), most=0))
 
 
-# ------------------------------------------------------------------------- device and controller
 @lru_cache(maxsize=256)
-def _held(device: Device, sample_time: float, unit: float, start: float) -> Held:
-
+def _held(device: Device, sample_time: float, start: float) -> Held:
     with working_precision(_BITS):
         above, below, speed = in_fastest_time(*in_samples(device.compliance(), sample_time))
         matrix = held(below, (1 - exact(start)) * speed)
-        states, force = without_force(matrix).tolist(), force_of(matrix) / exact(unit)
-        return np.array(states), np.array(force.tolist())[:, 0], np.array(above)
+        states, force = without_force(matrix).tolist(), force_of(matrix).tolist()
+        return np.array(states), np.array(force)[:, 0], np.array(above)
 
 
 @lru_cache(maxsize=256)
-def _held_in_floats(device: Device, sample_time: float, unit: float, start: float) -> Held:
-    transition, push, position = map(_floats, _held(device, sample_time, unit, start))
+def _held_in_floats(device: Device, sample_time: float, start: float) -> Held:
+    transition, push, position = map(_floats, _held(device, sample_time, start))
     return transition, push, position
 
 
 def _floats(balls: np.ndarray) -> np.ndarray:
     return np.array([float(ball.mid()) for ball in balls.ravel()]).reshape(balls.shape)
-
-
-def _controller(
-    device: SampledDevice, filters: Filters | None, alpha: float, beta: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return numerator and denominator of alpha P + beta V in powers of 1/z, of one length."""
-    import flint
-
-    (above, below), (above_p, below_p) = map(_in_lags, device.transfers(filters))
-    stiffness = above_p * below * exact(alpha)
-    damping = flint.arb_poly([1, -1]) * above * below_p * exact(beta)
-    polynomials = stiffness + damping, below * below_p
-    size = max(map(len, polynomials))
-    leading = polynomials[1][0]
-    numerator, denominator = (np.array([p[k] / leading for k in range(size)]) for p in polynomials)
-    return numerator, denominator
-
-
-def _in_lags(transfer: Transfer) -> "tuple[arb_poly, arb_poly]":
-    """Return numerator and denominator in powers of 1/z, with the errors of lemma V8."""
-    import flint
-
-    def balls(falling: Polynomial, size: float) -> list[Any]:
-        error = flint.arb(0, float(size) * FILTERS)
-        return [flint.arb(c.hi) + flint.arb(c.lo) + error for c in falling]
-
-    above, below = (
-        balls(falling, size) for falling, size in zip(transfer[:2], transfer.sizes, strict=True)
-    )
-    late = transfer.lag + len(below) - len(above)
-    return flint.arb_poly([0] * late + above), flint.arb_poly(below)
