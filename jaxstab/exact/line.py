@@ -231,7 +231,8 @@ def real_quotient_angles(p0: Factored, q: Factored) -> "list[arb] | None":
         return None
     windows = {Fraction(2 * j, n) for n in p0.windows + q.windows for j in range(1, (n + 1) // 2)}
     known = [arb.pi() * share.numerator / share.denominator for share in windows]
-    return sorted([place.angle for place in places] + known, key=lambda t: float(t.mid()))
+    others = [place.angle for place in places if not any(place.angle.overlaps(t) for t in known)]
+    return sorted(others + known, key=lambda t: float(t.mid()))
 
 
 # --------------------------------------------------------------------------------------- crossings

@@ -29,6 +29,7 @@ import numpy as np
 from jaxtyping import Bool, Complex128, Float64
 
 from jaxstab.arrays import PI_REST, Array
+from jaxstab.exact.balls import FIRST_BITS
 from jaxstab.exact.boundary import (
     CurveParts,
     RootLine,
@@ -37,11 +38,12 @@ from jaxstab.exact.boundary import (
     root_lines,
     undamped_modes,
 )
+from jaxstab.model.device.parts import working_precision
 
 _REMEMBERED = 64
 _TINY = 1e-100  # in place of the angle 0, where quotients have a limit
 _CLOSEST, _FARTHEST = 1e-12, 2.0  # distances of roots from the circle
-_LOST = 1e-100  # a product of 1 - pole
+_LOST = 1e-30  # a product of 1 - pole
 UNDAMPED = 1e-6  # distance of a mode from the circle
 _HARDLY = 1e-4  # how far a gain of 1 moves a mode that walls hardly move
 _WIDEST, _SHARE = 1e-2, 0.3  # of a stretch: radians, and of the distance to the next one
@@ -127,7 +129,8 @@ def curve_of(loop: ScaledLoop) -> Curve:
     Raises: ValueError for a wall that does not push back at rest, P(1) = 0 or G(0) = 0, and for
     filters so slow that their product of poles less 1 is next to nothing.
     """
-    own = loop.balls()
+    with working_precision(FIRST_BITS):
+        own = loop.balls()
     if own.position[0].at_one and loop.radius == 1.0:
         raise ValueError(
             "the position filter has P(1) = 0: the wall does not push back at rest. It has no "
@@ -142,7 +145,9 @@ def curve_of(loop: ScaledLoop) -> Curve:
         ("velocity estimator", own.velocity),
         ("position filter", own.position),
     ):
-        if float(abs(below.at_end(1)).mid()) < _LOST:
+        with working_precision(FIRST_BITS):
+            poles = below.at_end(1) / below.polynomial()[below.degree]
+        if not abs(poles) > _LOST:
             raise ValueError(
                 f"the {name} is so slow that its gain or 1 - pole is lost in float64: it has no "
                 "region and no limits; give a higher cut-off, a larger factor or a lower order."
