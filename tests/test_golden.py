@@ -14,6 +14,7 @@ from jaxstab.arrays import leaves
 WALLS = [Question("verdict", form, number) for form in ("plain", "arrays") for number in range(3)]
 
 
+@pytest.mark.campaign
 def test_the_same_code_gives_the_same_bits_and_few_errors() -> None:
     answers = {question: question.answer() for question in golden.questions(quick=True)}
     again = [question for question in answers if question.number == 0]
