@@ -35,7 +35,7 @@ WITHOUT_ARRAYS = {
 }
 
 WITH_FLINT = {  # single walls are answered in balls
-    *("amplitude", "margins", "paper.linear_validity"),
+    *("amplitude", "common_region", "margins", "paper.linear_validity"),
     *(f"HapticLoop.{walls}" for walls in ("amplitude", "jitter_margin", "margins", "oscillation")),
     *(f"HapticLoop.{walls}" for walls in ("poles", "spectral_radius", "verdict", "worst_delays")),
 }
