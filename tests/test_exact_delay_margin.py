@@ -69,4 +69,6 @@ def test_no_delay_is_too_long_for_a_weak_wall_on_a_strong_hand() -> None:
         device_mass=0.1, device_damping=2.0, hand_stiffness=500.0, hand_damping=10.0,
         sample_time=1e-3,
     )  # fmt: skip
-    assert margin_of(loop, (50.0, 0.1)) == (np.inf, DelayStatus.UNLIMITED)
+    samples, angle, status = margin_of(loop, (50.0, 0.1))
+    assert (samples, status) == (np.inf, DelayStatus.UNLIMITED)
+    assert np.isnan(angle)
