@@ -31,16 +31,17 @@ from jaxstab.conventions import Status
 from jaxstab.exact.balls import FIRST_BITS
 from jaxstab.model.balls import BallLoop, Factored
 from jaxstab.model.device.parts import working_precision
-from jaxstab.model.device.sampling import OneSample, force_of, held, without_force
+from jaxstab.model.device.sampling import OneSample, force_of, generator, held
 
 if TYPE_CHECKING:
-    from flint import acb, arb, arb_poly
+    from flint import acb, arb, arb_mat, arb_poly
 
 _HALF_TURN = nextafter(pi, 4.0)  # z = -1 is in the last cell
 _GRADES = 0, 1, 2, 3, 4, 6, 8, 12, 16, 20, 24, 32, 40, 48, 64  # 64ths of pi: first cells
 _MOST_BOXES = 20_000
 _SHORT = 2.0**-31  # of a margin: a box that is reported
 _TURNS = 32  # of (n + 1) theta that are looked at
+_TERMS = 8  # of v(f) about the middle of an interval
 
 Interval = tuple[float, float]
 
@@ -183,20 +184,35 @@ class _Search:
         )
 
     def _over_fraction(self, fraction: Interval) -> "tuple[_Pair, arb_poly]":
-        """N[v(f)] in powers of z - 1, in the middle and over an interval, and its slope."""
+        """N[v(f)] in powers of z - 1, in the middle and over an interval, and its slope.
+
+        Both are Taylor polynomials about the middle, N[.] of each coefficient: over all of a wide
+        interval the exponential alone, of what its last term misses, is enclosed.
+        """
+        from flint import arb
+
+        sample, around = self.sample, _around(fraction)
+        middle, offset = 1 - around.mid(), arb(0, around.rad())
+        step = generator(sample.below)
+        rate, column = step, held(sample.below, middle * sample.speed)
+        terms = [self._moved(column)]
+        for k in range(1, _TERMS):
+            terms.append(self._moved(column * rate) * ((-sample.speed) ** k / arb.fac_ui(k)))
+            rate = rate * step
+        wide = held(sample.below, (1 - around) * sample.speed) * rate
+        last = self._moved(wide) * ((-sample.speed) ** _TERMS / arb.fac_ui(_TERMS))
+        value, slope = last, last * _TERMS
+        for k in range(_TERMS - 1, -1, -1):
+            value = value * offset + terms[k]
+            if k:
+                slope = slope * offset + terms[k] * k
+        return (terms[0], value), slope
+
+    def _moved(self, matrix: "arb_mat") -> "arb_poly":
+        """N[.] of the last column of a matrix, the force's, in powers of z - 1."""
         from flint import arb_poly
 
-        about_one, sample = arb_poly([1, 1]), self.sample
-        everywhere = 1 - _around(fraction)
-        middle = everywhere.mid()
-        values = []
-        for time in (middle, everywhere):
-            moved = held(sample.below, time * sample.speed)
-            values.append(sample.moved(force_of(moved))(about_one))
-        last = without_force(moved).ncols() - 1
-        pushed = [[-sample.speed * row[last]] for row in without_force(moved).tolist()]
-        slope = sample.moved(type(moved)(pushed))(about_one)
-        return (values[0], values[1]), slope
+        return self.sample.moved(force_of(matrix))(arb_poly([1, 1]))
 
     def _over_theta(self, theta: Interval) -> tuple[_Form, _Form, _Form]:
         """Z - 1, and H's and D's polynomials, over an interval of theta."""
