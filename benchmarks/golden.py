@@ -97,7 +97,7 @@ COUNTS = dict.fromkeys(COMPUTING_CALLS, _OF_WALLS) | {
     "tune_for_all": Counts(8),
 }
 """Functions that are not named here are asked 20,000 walls, angles or hands."""
-_QUICK = 100  # the part of the questions that a quick run asks
+_QUICK = 40  # the part of the questions that a quick run asks
 SLOW = {  # a question takes a second or so: a quick run leaves them out
     "HapticLoop.amplitude",
     "HapticLoop.margins",

@@ -455,8 +455,9 @@ class HapticLoop(LoopParameters):
 
         Returns:
             int8 array of the broadcast shape: Verdict.STABLE, UNSTABLE or UNDECIDED. The first two
-            are proofs for the loop's dimensionless numbers, which carry a few roundings. The int8
-            of one wall prints its name.
+            are proofs: of up to a hundred walls for the exact numbers of the loop's fields, of more
+            for its dimensionless numbers, which carry a few roundings. The int8 of one wall prints
+            its name.
 
         Raises: see ``jaxstab.conventions``; ValueError also for an unknown ``resolve``, a range of
         delays that is out of order or too long; TypeError if JAX traces a loop with ``delays``.
