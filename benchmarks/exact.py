@@ -4,7 +4,8 @@ Loops are those of ``loops``: of one mass, of devices with modes, grips and moto
 walls hardly move, with long windows; and loops that are late by up to 500 samples. Each is asked
 for verdicts next to the boundary, radii, a row and a column of walls, the largest stiffness, and
 some for margins. ``contradicts`` counts answers of which both cannot be true, ``open``
-what balls leave undecided, ``rival_open`` what the other leaves so. For a share of the loops both
+what balls leave undecided, ``rival_open`` what the other leaves so: a wall is asked for among many
+that are equal, since single ones are answered in balls. For a share of the loops both
 sides of each end, and the verdicts, are judged in mpmath: ``wrong`` of ``judged``. ``error`` is the
 largest relative difference between both. The last rows are times by degree, warm."""
 
@@ -30,6 +31,7 @@ from jaxstab.model.balls import ball_triple
 
 _LOOPS, _SMALL = 2000, 10
 _WALLS = 10  # of a loop
+_MANY = 128  # so many walls at once are answered without balls
 _JUDGED, _MARGINS = 25, 5  # one of so many loops
 _SAME = 1e-7  # relative: the limits of both
 _TIMED = (1, 0), (1, 6), (20, 3), (40, 20), (100, 1), (200, 3), (200, 283)
@@ -127,7 +129,7 @@ def _ask(drawn: Drawn, rng: np.random.Generator, tallies: dict[str, Tally], inde
     tally = tallies["walls"]
     for wall in walls:
         verdict = tally.timed(partial(wall_verdict, triple, *wall)).verdict
-        rival = int(tally.timed(partial(loop.verdict, *wall), is_rival=True))
+        rival = int(tally.timed(partial(loop.verdict, *_repeated(wall)), is_rival=True)[0])
         tally.asked += 1
         tally.open += verdict == Verdict.UNDECIDED
         tally.rival_open += rival == Verdict.UNDECIDED
@@ -138,13 +140,13 @@ def _ask(drawn: Drawn, rng: np.random.Generator, tallies: dict[str, Tally], inde
     tally = tallies["radii"]
     for wall in walls[:2]:
         radius = tally.timed(partial(spectral_radius, triple, *wall))
-        rival = tally.timed(partial(loop.spectral_radius, *wall), is_rival=True)
+        rival = tally.timed(partial(loop.spectral_radius, *_repeated(wall)), is_rival=True)
         tally.asked += 1
         tally.open += not isfinite(radius.error)
-        bound = float(rival.error)
+        bound = float(rival.error[0])
         tally.rival_open += not isfinite(bound)
         if isfinite(radius.error) and isfinite(bound):
-            apart = abs(float(rival.value) - radius.value)
+            apart = abs(float(rival.value[0]) - radius.value)
             tally.error = max(tally.error, apart / radius.value)
             tally.contradicts += apart > (bound + radius.error) * (1.0 + 1e-9)
     far = loop.delay_samples > _LATEST
@@ -179,6 +181,10 @@ def loop_of(drawn: Drawn) -> HapticLoop:
         return HapticLoop(**body, sample_time=1.0, delay=delay, **filters)
     delay = drawn.device.delay * _PERIOD
     return HapticLoop(device=device_of(drawn.device), sample_time=_PERIOD, delay=delay, **filters)
+
+
+def _repeated(wall: list[float]) -> np.ndarray:
+    return np.repeat(np.reshape(wall, (2, 1)), _MANY, axis=1)
 
 
 def _judge(tally: Tally, truth: Loop | None, wall: Any, is_stable: bool, is_said: bool) -> None:

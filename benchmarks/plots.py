@@ -54,6 +54,8 @@ _STYLES = {
     "python-flint roots": ("#E69F00", "s"),
     "eq. (9) as printed": ("#D55E00", "P"),
     "linear_validity": ("#0072B2", "o"),
+    "exact": ("#0072B2", "o"),
+    "float64 and pairs": ("#E69F00", "s"),
 }
 _AMPLITUDE_STYLES = {
     "largest_over_runs": ("#D55E00", "D"),
@@ -388,6 +390,30 @@ def _loops(rows: list[Row]) -> Figure:
     return figure
 
 
+def _exact(rows: list[Row]) -> Figure:
+    """CPU time of balls and of the other answer, and below what each leaves open or gets wrong."""
+    kinds = [row for row in rows if "judged" in row]
+    figure, axes = _panels(1, 2, "Balls beside float64 and pairs, on random loops of all kinds")
+    figure.set_figheight(2.4 + 0.22 * len(kinds))
+    sections = [row["section"] for row in kinds][::-1]
+    for panel, names, label in (
+        (axes[0, 0], ("seconds", "rival_seconds"), "median CPU time in s"),
+        (axes[0, 1], ("open", "rival_open"), "left open"),
+    ):
+        for name, method in zip(names, ("exact", "float64 and pairs"), strict=True):
+            colour, marker = _STYLES[method]
+            values = [row[name] for row in kinds][::-1]
+            panel.plot(values, sections, marker, color=colour, label=method)
+        panel.set(xlabel=label)
+    axes[0, 0].set_xscale("log")
+    axes[0, 1].set_yticklabels([])
+    judged, wrong, contradicts = (
+        sum(row[column] for row in kinds) for column in ("judged", "wrong", "contradicts")
+    )
+    axes[0, 1].set_title(f"{judged:,} judged, {wrong} wrong, {contradicts} contradict", fontsize=9)
+    return _with_legend(figure, axes)
+
+
 _DRAWINGS: dict[str, Callable[[list[Row]], Figure]] = {
     "latency": _latency,
     "boundary": _boundary,
@@ -395,6 +421,7 @@ _DRAWINGS: dict[str, Callable[[list[Row]], Figure]] = {
     "tuning": _tuning,
     "ranges": _ranges,
     "loops": _loops,
+    "exact": _exact,
     "amplitudes": _amplitudes,
     "regions": _regions,
     "queries": _queries,

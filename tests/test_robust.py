@@ -96,7 +96,7 @@ def test_a_verdict_on_a_wall_is_for_all_hands():
     alpha = np.array([0.05, 0.2, -1e-3, 0.0])
     codes = region.verdict(alpha, 0.3)
     assert codes.tolist()[:3] == [Verdict.STABLE, Verdict.UNSTABLE, Verdict.UNSTABLE]
-    assert codes[3] == Verdict.UNDECIDED  # a root at z = 1 for gamma = 0
+    assert codes[3] == Verdict.UNSTABLE  # without stiffness of wall and hand a root is at z = 1
     inside = region.contains(alpha, 0.3)
     assert inside.dtype == bool
     assert inside.tolist() == [True, False, False, False]

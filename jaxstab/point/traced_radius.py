@@ -7,10 +7,10 @@ Newton's method refines it. The derivative is that of the root by the implicit f
 
 from functools import partial, reduce
 from operator import add
+from typing import Any
 
 import jax
 import jax.numpy as jnp
-import optimistix
 from jax import Array, lax
 from jaxtyping import Complex128, Float64
 
@@ -199,7 +199,7 @@ def _minus(a: Column, b: Array, c: Column) -> Column:
 
 # The largest modulus of a root with a derivative, for JAX's transformations alone.
 
-_NEWTON: optimistix.Newton[Array, Array, None] = optimistix.Newton(rtol=1e-15, atol=1e-15)
+_ACCURACY = 1e-15  # of Newton's steps
 _NEWTON_STEPS = 3
 _FARTHEST = 1e-6  # that an eigenvalue is from its root; at multiple roots Newton's method may leave
 
@@ -231,11 +231,13 @@ def _dominant_root(
     coefficients: Float64[Array, " coefficient"],
 ) -> Complex128[Array, ""]:
     """Return the dominant eigenvalue of a companion matrix, corrected by Newton's method."""
+    import optimistix  # takes half a second, and dense grids need the guesses above alone
+
     guess = companion_poles(coefficients)[0]
     start = jnp.stack([guess.real, guess.imag])
-    solution: optimistix.Solution[Array, None]
-    solution = optimistix.root_find(
-        _parts, _NEWTON, start, coefficients, max_steps=_NEWTON_STEPS, throw=False
+    newton: Any = optimistix.Newton(rtol=_ACCURACY, atol=_ACCURACY)
+    solution: Any = optimistix.root_find(
+        _parts, newton, start, coefficients, max_steps=_NEWTON_STEPS, throw=False
     )
     root = jax.lax.complex(*solution.value)
     return jnp.where(jnp.abs(root - guess) < _FARTHEST * jnp.abs(guess), root, guess)
