@@ -4,7 +4,7 @@ import json
 import os
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -620,13 +620,14 @@ def _progress(plan: str) -> Iterator[Callable[[float], None]]:
     from rich.console import Console
     from rich.progress import Progress
 
-    plans, console = [plan], Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not sys.stderr.isatty()) as bar:
-        task = bar.add_task("proving", total=1.0)
+    plans = [plan]
+    bar = Progress(console=Console(stderr=True), transient=True)
+    task = bar.add_task("proving", total=1.0)
 
-        def show(share: float) -> None:
-            if plans:
-                click.echo(plans.pop(), err=True)
-            bar.update(task, completed=share)
+    def show(share: float) -> None:
+        if plans:
+            click.echo(plans.pop(), err=True)
+        bar.update(task, completed=share)
 
+    with bar if sys.stderr.isatty() else nullcontext():  # a disabled bar prints an empty line
         yield show
