@@ -227,6 +227,7 @@ def processes(count: int) -> Iterator[Executor]:
             yield executor
         except BaseException:
             ours.close()
+            executor.forget_tasks()
             raise
 
 
@@ -236,6 +237,11 @@ class _Processes(ProcessPoolExecutor):
     def submit(self, *given: Any, **options: Any) -> Future[Any]:
         with _interrupts_held():
             return super().submit(*given, **options)
+
+    def forget_tasks(self) -> None:
+        """Let this process end though a task is on its way that no worker will read."""
+        # Python before 3.12.2 would wait for ever (https://github.com/python/cpython/issues/94777).
+        self._call_queue.cancel_join_thread()  # type: ignore[attr-defined]
 
 
 @contextmanager
