@@ -280,6 +280,7 @@ def scene_limits(scene: Scene) -> Limits | LimitsOverDelays:
     damping, stiffness = wanted.at_damping, wanted.at_stiffness
     rows = _Rows(loop, region, safety)
     has_rules, islands = is_plain(loop), () if wanted.safety else limits.islands
+    is_any_stable = isfinite(limits.stiffness)  # with K >= 0 and B >= 0
     return Limits(
         inputs=basis_of(scene),
         safety=wanted.safety,
@@ -293,7 +294,7 @@ def scene_limits(scene: Scene) -> Limits | LimitsOverDelays:
         },
         passive=_passive(rows) if has_rules else None,
         linear_rule=(
-            _linear_rule(rows, limits, safety) if has_rules and not region.is_empty else None
+            _linear_rule(rows, limits, safety) if has_rules and is_any_stable else None
         ),
         windows=_other_windows(loop, safety) if scene.controller.velocity is None else {},
         at_given_damping=None if damping is None else rows.at_damping(damping),
