@@ -293,9 +293,7 @@ def scene_limits(scene: Scene) -> Limits | LimitsOverDelays:
             for k, own in enumerate(islands, 1)
         },
         passive=_passive(rows) if has_rules else None,
-        linear_rule=(
-            _linear_rule(rows, limits, safety) if has_rules and is_any_stable else None
-        ),
+        linear_rule=(_linear_rule(rows, limits, safety) if has_rules and is_any_stable else None),
         windows=_other_windows(loop, safety) if scene.controller.velocity is None else {},
         at_given_damping=None if damping is None else rows.at_damping(damping),
         at_given_stiffness=None if stiffness is None else rows.at_stiffness(stiffness),
