@@ -37,6 +37,7 @@ is infinite but where q vanishes next to a zero of c.
 """
 
 from collections.abc import Callable
+from fractions import Fraction
 from functools import partial
 from itertools import accumulate, pairwise
 from math import inf, nan
@@ -127,12 +128,26 @@ def stable_line(
         [(0.0, 35324.95892...)]
     """
 
-    def line() -> _Line:
+    def line() -> tuple[Factored, Factored]:
         parts = triple()
         q = parts.stiffness.scaled(along[0]).plus(parts.damping.scaled(along[1]))
-        return _Line.of(parts.at(*start), q)
+        return parts.at(*start), q
 
-    found = decided(lambda: _found(line()))
+    return stable_pencil(line)
+
+
+def stable_pencil(pencil: Callable[[], tuple[Factored, Factored] | None]) -> StableLine:
+    """All t for which p0 + t q is stable; None, in place of p0 and q, asks for more bits."""
+
+    def line() -> _Line | None:
+        parts = pencil()
+        return None if parts is None else _Line.of(*parts)
+
+    def crossings() -> _Found | None:
+        own = line()
+        return None if own is None else _found(own)
+
+    found = decided(crossings)
     counts = found and _counts(line, found)
     if found is None or counts is None:
         return StableLine((), (), 0, 0.0, LineStatus.UNDECIDED)
@@ -207,6 +222,19 @@ def _end(crossing: Crossing) -> End:
     return End(*Number.of(crossing.t), float(crossing.angle.mid()))
 
 
+def real_quotient_angles(p0: Factored, q: Factored) -> "list[arb] | None":
+    """The angles in (0, pi) where q/p0 is real, 0 or infinite, in order; None for more bits."""
+    from flint import arb
+
+    places = zeros(_cosines_of(p0, q), is_last_try=True)
+    if places is None:
+        return None
+    windows = {Fraction(2 * j, n) for n in p0.windows + q.windows for j in range(1, (n + 1) // 2)}
+    known = [arb.pi() * share.numerator / share.denominator for share in windows]
+    others = [place.angle for place in places if not any(place.angle.overlaps(t) for t in known)]
+    return sorted(others + known, key=lambda t: float(t.mid()))
+
+
 # --------------------------------------------------------------------------------------- crossings
 def _crossings(line: _Line, *, is_last_try: bool) -> tuple[list[Crossing], float] | None:
     """All crossings, in any order, and how far out the line was looked at; None for more bits."""
@@ -214,8 +242,7 @@ def _crossings(line: _Line, *, is_last_try: bool) -> tuple[list[Crossing], float
 
     p0, q, _ = line
     turn = p0.at_one - q.at_one
-    phase = _phase(p0) - _phase(q)
-    places = zeros(_cosines(p0.rest, q.rest, phase, is_odd=turn % 2 == 1), is_last_try=is_last_try)
+    places = zeros(_cosines_of(p0, q), is_last_try=is_last_try)
     if places is None:
         return None
     at = [(place.angle, _value(p0, place.angle), _value(q, place.angle)) for place in places]
@@ -256,6 +283,12 @@ def _real_sign(p: Factored, angle: "arb") -> int:
     for n in p.windows:
         sign *= sign_of((angle * n / 2).sin())
     return sign
+
+
+def _cosines_of(p0: Factored, q: Factored) -> "list[arb]":
+    """The cosine sum of p0 and q, without the real functions of factors that are known."""
+    is_odd = (p0.at_one - q.at_one) % 2 == 1
+    return _cosines(p0.rest, q.rest, _phase(p0) - _phase(q), is_odd=is_odd)
 
 
 def _cosines(u: "arb_poly", v: "arb_poly", phase: int, *, is_odd: bool) -> "list[arb]":
@@ -341,7 +374,7 @@ def _between(crossings: list[Crossing]) -> "list[arb] | None":
     return [*walls, last + reach]
 
 
-def _counts(line: Callable[[], _Line], found: _Found) -> list[int] | None:
+def _counts(line: Callable[[], _Line | None], found: _Found) -> list[int] | None:
     """The number of roots outside in each gap; None where they are not known or contradict."""
     counts: list[int] = []
     start = 0
@@ -357,7 +390,9 @@ def _counts(line: Callable[[], _Line], found: _Found) -> list[int] | None:
     return counts
 
 
-def _chain(line: Callable[[], _Line], walls: "list[arb]", relative: list[int]) -> list[int] | None:
+def _chain(
+    line: Callable[[], _Line | None], walls: "list[arb]", relative: list[int]
+) -> list[int] | None:
     """The numbers in gaps of which the differences are known."""
     shifts = set()
     for index in {relative.index(min(relative)), relative.index(max(relative))}:
@@ -369,5 +404,6 @@ def _chain(line: Callable[[], _Line], walls: "list[arb]", relative: list[int]) -
     return [count + min(shifts) for count in relative] if len(shifts) == 1 else None
 
 
-def _outside(line: Callable[[], _Line], t: "arb") -> int | None:
-    return roots_outside(line().at(t))
+def _outside(line: Callable[[], _Line | None], t: "arb") -> int | None:
+    own = line()
+    return None if own is None else roots_outside(own.at(t))
