@@ -2,6 +2,11 @@
 
     f(theta) = c_0 + c_1 cos(theta) + ... + c_n cos(n theta),    f(0) and f(pi) not 0.
 
+Up to degree 40 the sum is a polynomial in x = 2 cos(theta), by Chebyshev's recursion, of which
+python-flint isolates the roots (lemma E2). A root whose ball meets the real axis is real, since its
+mirror image is a root too and no other ball meets this one. What is lost to powers of x, about
+1.3 n bits, is in the radii. Above, and where roots coincide or nearly so, the angles are searched.
+
 The half circle is divided into 2n cells or a few more. Two discrete Fourier transforms give f and
 three derivatives at the middle of each. A cell of half-width h has no zero if
 
@@ -14,10 +19,11 @@ k-th term is multiplied by a root of unity that is known exactly, not by a power
 
 Within the cell, on an interval of half-width r around m, with P(m + r t) = q_0 + q_1 t + ...,
 
-    no zero if     |q_0| > |q_1| + |q_2| + ... + E,
+    no zero if     |q_0| > |q_1| + |q_2| + |q_3| + ... + E,
     at most one if |q_1| > 2 |q_2| + 3 |q_3| + ... + r E',    E' the same bound for f' - P',
 
-else it is halved. A monotone interval with unlike signs at its ends has one zero. Newton's
+else it is halved. Most intervals need the first three terms alone: from the fourth on, the terms of
+P''/2 by their moduli, at |m| + r, are as good. A monotone interval with unlike signs at its ends has one zero. Newton's
 iteration finds it in numbers, then one step of it in balls proves it: where T is a ball around x
 and
 
@@ -32,6 +38,7 @@ is asked for; else the answer is that more bits are needed.
 """
 
 from functools import lru_cache
+from itertools import cycle
 from typing import TYPE_CHECKING, NamedTuple
 
 from jaxstab.exact.balls import sign_of
@@ -42,6 +49,7 @@ if TYPE_CHECKING:
 _OVERLAP = 9  # a cell reaches to 9/8 of its share: the ends of shares may be moved by 1/16
 _MOVES = (0, 1, -1, 2, -2, 3, -3, 4, -4)  # of an end, in 72ths of a cell
 _SHARES = (6, 7, 9, 10, 8)  # of an interval, in 16ths, where it is divided
+_MOST_FOR_POWERS = 40  # degree: above, roots take longer than a search
 _SHORTEST = 96  # halvings of a cell, at most
 _REFINEMENTS = 80
 
@@ -63,6 +71,41 @@ def zeros(cosines: "list[arb]", *, is_last_try: bool) -> list[Zero] | None:
     """
     if all(c.contains(0) for c in cosines[1:]):  # a constant, as far as the balls tell
         return None if sum(cosines[1:], cosines[0]).contains(0) else []
+    if len(cosines) - 1 <= _MOST_FOR_POWERS:
+        found = _by_powers(cosines)
+        if found is not None:
+            return found
+    return _by_cells(cosines, is_last_try=is_last_try)
+
+
+def _by_powers(cosines: "list[arb]") -> list[Zero] | None:
+    """The zeros from roots in x = 2 cos(theta); None where they are not told apart."""
+    from flint import acb_poly, arb, arb_poly, ctx
+
+    x, before, power = arb_poly([0, 1]), arb_poly([2]), arb_poly([0, 1])  # 2 cos(k theta)
+    total = arb_poly([cosines[0]])
+    for c in cosines[1:]:
+        total += power * (c / 2)
+        before, power = power, x * power - before
+    try:
+        roots = acb_poly(total).roots(tol=arb(2) ** -(ctx.prec // 2))
+    except ValueError:
+        return None
+    slope, found = total.derivative(), []
+    for root in roots:
+        place = root.real / 2
+        if root.imag.contains(0) and abs(place) < 1:
+            sign = -sign_of(slope(root.real))
+            if not sign:
+                return None
+            found.append(Zero(place.acos(), sign))
+        elif not (abs(place) > 1 or not root.imag.contains(0)):
+            return None  # no zero is at 0 or pi, but this one may be there
+    return sorted(found, key=lambda zero: float(zero.angle.mid()))
+
+
+def _by_cells(cosines: "list[arb]", *, is_last_try: bool) -> list[Zero] | None:
+    """The zeros from a search over the half circle."""
     cells = _Cells(cosines)
     signs = [_sign_on_cell(cells, cell) for cell in range(cells.count)]
     parts = cells.polynomials([cell for cell, sign in enumerate(signs) if not sign])
@@ -106,35 +149,69 @@ class _Cells:
 
         if not chosen:
             return {}
-        weights, last = _weights(self.degree, self.count, ctx.prec)
+        even, odd, last = _weights(self.degree, self.count, ctx.prec)
         roots = _roots_of_unity(4 * self.count, ctx.prec)
-        columns = []
-        for cell in chosen:
-            turn = 2 * cell + 1
-            at = [roots[k * turn % (4 * self.count)] for k in range(self.degree + 1)]
-            columns.append([c * z[0] for c, z in zip(self.cosines, at, strict=True)])
-            columns.append([c * z[1] for c, z in zip(self.cosines, at, strict=True)])
-        sums = (weights * arb_mat(columns).transpose()).tolist()
-        terms = len(sums)
-        missed = (last * arb_mat([[abs(c)] for c in self.cosines]))[0, 0].abs_upper()
-        parts = {}
-        for index, cell in enumerate(chosen):
-            columns_of = 2 * index, 2 * index + 1  # cos, -sin, -cos, sin
-            taylor = [
-                sums[d][columns_of[d % 2]] * (-1 if d % 4 in (1, 2) else 1) for d in range(terms)
+        turns = [[k * (2 * cell + 1) % len(roots) for k in range(self.degree + 1)] for cell in chosen]
+        terms = []  # of cos(k theta), the even ones, and of sin(k theta)
+        for side, weights in enumerate((even, odd)):
+            given = [
+                [c * roots[turn][side] for c, turn in zip(self.cosines, own, strict=True)]
+                for own in turns
             ]
-            p, rest = arb_poly(taylor), arb(0, missed)
-            parts[cell] = _Part(p, p.derivative(), rest, rest * terms)
+            terms.append((arb_mat(given) * weights).tolist())
+        missed = (arb_mat([[abs(c) for c in self.cosines]]) * last)[0, 0].abs_upper()
+        parts = {}
+        for cell, *sides in zip(chosen, *terms, strict=True):
+            taylor = [term for pair in zip(*sides, strict=True) for term in pair]
+            signs = cycle((1, -1, -1, 1))  # cos, -sin, -cos, sin
+            p = arb_poly([s * term for s, term in zip(signs, taylor, strict=False)])
+            parts[cell] = _Part.of(p, arb(0, missed))
         return parts
 
 
 class _Part(NamedTuple):
-    """A cosine sum on a cell, t from -1 to 1: P, P' and what they may miss."""
+    """A cosine sum on a cell, t from -1 to 1: P, P', P"/2, a bound of the sixth of the next one.
+
+    ``missed``: by P and by P'.
+    """
 
     value: "arb_poly"
     slope: "arb_poly"
+    bend: "arb_poly"
+    third: "arb_poly"
     missed: "arb"
     slope_missed: "arb"
+
+    @classmethod
+    def of(cls, p: "arb_poly", missed: "arb") -> "_Part":
+        """The part of a polynomial."""
+        from flint import arb, arb_poly
+
+        slope = p.derivative()
+        bend = slope.derivative() * arb(0.5)
+        third = arb_poly([c.abs_upper() / 3 for c in bend.derivative().coeffs()])
+        return cls(p, slope, bend, third, missed, missed * p.length())
+
+    def on(self, centre: "arb", half: "arb") -> tuple[bool, bool]:
+        """Whether there is no zero, or at most one, so far around a centre; by three terms."""
+        f, slope = self.value(centre) + self.missed, self.slope(centre) + self.slope_missed
+        bend, third = abs(self.bend(centre)), half * self.third(abs(centre) + half)
+        return (
+            abs(f) > half * (abs(slope) + half * (bend + third)),
+            abs(slope) > half * (2 * bend + 3 * third),
+        )
+
+    def on_closely(self, centre: "arb", half: "arb") -> tuple[bool, bool]:
+        """The same by all terms."""
+        from flint import arb, arb_poly
+
+        f, slope, *others = self.value(arb_poly([centre, half])).coeffs()
+        sizes = [abs(c) for c in others]
+        bend = sum((k * size for k, size in enumerate(sizes, start=2)), arb(0))
+        return (
+            abs(f + self.missed) > sum(sizes, abs(slope)),
+            abs(slope + half * self.slope_missed) > bend,
+        )
 
     def sign(self, t: "arb") -> int:
         """The sign at a place, 0 if it is not known."""
@@ -182,28 +259,28 @@ def _sign_on_cell(cells: _Cells, cell: int) -> int:
 
 def _isolated(part: _Part, first: "tuple[arb, int]", last: "tuple[arb, int]") -> list[Zero] | None:
     """The zeros of a part between two places with their signs, from left to right, in t."""
-    from flint import arb, arb_poly, ctx
+    from flint import arb, ctx
 
     found: list[Zero] = []
     shortest = arb(2) ** -min(ctx.prec // 3, _SHORTEST)
     intervals = [(first, last)]
     while intervals:
         (a, sign_a), (b, sign_b) = intervals.pop()
-        centre = (a + b) / 2
-        half = ((b - a) / 2 + centre.rad()).abs_upper()
-        f, slope, *others = part.value(arb_poly([centre.mid(), half])).coeffs()
-        sizes = [abs(c) for c in others]
-        if abs(f + part.missed) > sum(sizes, abs(slope)):
+        centre = ((a + b) / 2).mid()
+        half = ((b - a) / 2).abs_upper() + ((a + b) / 2 - centre).abs_upper()
+        is_without, is_monotone = part.on(centre, half)
+        if not (is_without or is_monotone):
+            is_without, is_monotone = part.on_closely(centre, half)
+        if is_without:
             continue
-        bend = sum((k * size for k, size in enumerate(sizes, start=2)), arb(0))
-        if sign_a and sign_b and abs(slope + half * part.slope_missed) > bend:
+        if sign_a and sign_b and is_monotone:
             if sign_a != sign_b:
                 zero = _refined(part, a, b, sign_b)
                 if zero is None:
                     return None
                 found.append(zero)
         elif half < shortest:
-            found.append(Zero(arb(centre.mid(), half), 0))
+            found.append(Zero(arb(centre, half), 0))
         else:
             place = _known_place(part, a, b)
             if not place[1]:
@@ -277,13 +354,14 @@ def _roots_of_unity(count: int, bits: int) -> "list[tuple[arb, arb]]":
 
 
 @lru_cache(maxsize=64)
-def _weights(degree: int, cells: int, bits: int) -> "tuple[arb_mat, arb_mat]":
-    """(k h)^d/d!, a row for each d below D, and the row of D."""
+def _weights(degree: int, cells: int, bits: int) -> "tuple[arb_mat, arb_mat, arb_mat]":
+    """(k h)^d/d!, columns for the even d below D and for the odd ones, and that of D."""
     from flint import arb, arb_mat
 
     steps = [arb.pi() * (_OVERLAP * k) / (16 * cells) for k in range(degree + 1)]
     last, rows = [arb(1)] * (degree + 1), []
-    while not last[-1] < arb(2) ** -(2 * bits // 3):
+    while len(rows) % 2 or not last[-1] < arb(2) ** -(2 * bits // 3):
         rows.append(last)
         last = [value * step / len(rows) for value, step in zip(last, steps, strict=True)]
-    return arb_mat(rows), arb_mat([last])
+    even, odd, missed = map(arb_mat, (rows[::2], rows[1::2], [last]))
+    return even.transpose(), odd.transpose(), missed.transpose()
