@@ -22,10 +22,11 @@ Within the cell, on an interval of half-width r around m, with P(m + r t) = q_0 
     no zero if     |q_0| > |q_1| + |q_2| + |q_3| + ... + E,
     at most one if |q_1| > 2 |q_2| + 3 |q_3| + ... + r E',    E' the same bound for f' - P',
 
-else it is halved. Most intervals need the first three terms alone: from the fourth on, the terms of
-P''/2 by their moduli, at |m| + r, are as good. A monotone interval with unlike signs at its ends has one zero. Newton's
-iteration finds it in numbers, then one step of it in balls proves it: where T is a ball around x
-and
+else it is halved. For most intervals the first three terms do, with a bound of the rest: r^3 times
+a sixth of the third derivative, its terms by their moduli at |m| + r.
+
+A monotone interval with unlike signs at its ends has one zero. Newton's iteration finds it in
+numbers, then one step of it in balls proves it: where T is a ball around x and
 
     N = x - f(x)/f'(T)    lies inside T,
 
@@ -151,7 +152,8 @@ class _Cells:
             return {}
         even, odd, last = _weights(self.degree, self.count, ctx.prec)
         roots = _roots_of_unity(4 * self.count, ctx.prec)
-        turns = [[k * (2 * cell + 1) % len(roots) for k in range(self.degree + 1)] for cell in chosen]
+        powers = range(self.degree + 1)
+        turns = [[k * (2 * cell + 1) % len(roots) for k in powers] for cell in chosen]
         terms = []  # of cos(k theta), the even ones, and of sin(k theta)
         for side, weights in enumerate((even, odd)):
             given = [
@@ -359,7 +361,8 @@ def _weights(degree: int, cells: int, bits: int) -> "tuple[arb_mat, arb_mat, arb
     from flint import arb, arb_mat
 
     steps = [arb.pi() * (_OVERLAP * k) / (16 * cells) for k in range(degree + 1)]
-    last, rows = [arb(1)] * (degree + 1), []
+    last = [arb(1)] * (degree + 1)
+    rows: list[list[arb]] = []
     while len(rows) % 2 or not last[-1] < arb(2) ** -(2 * bits // 3):
         rows.append(last)
         last = [value * step / len(rows) for value, step in zip(last, steps, strict=True)]

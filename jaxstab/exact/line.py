@@ -50,7 +50,7 @@ from jaxstab.exact.verdict import roots_outside
 from jaxstab.model.balls import Factored
 
 if TYPE_CHECKING:
-    from flint import acb, arb, arb_poly
+    from flint import acb, acb_poly, arb, arb_poly
 
 _ACCURATE = 60  # bits of an end
 _PATIENT = 512  # bits from which on places without a direction are taken as they are
@@ -72,13 +72,14 @@ class LineStatus(Status):
 class End(NamedTuple):
     """The end of an interval: t, a bound of its error, and the angle of the root that crosses.
 
-    Infinite, without an angle, where the interval has no end; the angle is that of one root where
-    several cross.
+    Infinite, without an angle, where the interval has no end. Where several roots cross, or may,
+    ``is_shared``, the angle is that of one of them.
     """
 
     value: float
     error: float
     angle: float
+    is_shared: bool = False
 
 
 class Interval(NamedTuple):
@@ -167,6 +168,7 @@ class Crossing(NamedTuple):
     t: "arb"
     angle: "arb"
     change: int | None
+    is_shared: bool = False
 
 
 class _Line(NamedTuple):
@@ -219,7 +221,7 @@ def _found(line: _Line) -> _Found | None:
 
 
 def _end(crossing: Crossing) -> End:
-    return End(*Number.of(crossing.t), float(crossing.angle.mid()))
+    return End(*Number.of(crossing.t), float(crossing.angle.mid()), crossing.is_shared)
 
 
 def real_quotient_angles(p0: Factored, q: Factored) -> "list[arb] | None":
@@ -245,7 +247,8 @@ def _crossings(line: _Line, *, is_last_try: bool) -> tuple[list[Crossing], float
     places = zeros(_cosines_of(p0, q), is_last_try=is_last_try)
     if places is None:
         return None
-    at = [(place.angle, _value(p0, place.angle), _value(q, place.angle)) for place in places]
+    above, below = _OnCircle.of(p0), _OnCircle.of(q)
+    at = [(place.angle, above.at(place.angle), below.at(place.angle)) for place in places]
     sign = 2 if turn // 2 % 2 else -2  # of i^turn, but for i
     sides = [place.slope * _real_sign(q, place.angle) * sign for place in places]
     for place, order in ((1, q.at_one), (-1, q.order_at_minus_one)):
@@ -254,13 +257,13 @@ def _crossings(line: _Line, *, is_last_try: bool) -> tuple[list[Crossing], float
             at.append((angle, acb(p0.at_end(place)), acb(q.at_end(place))))
             sides.append(_side_at_end(line, place))
     found, horizon = [], inf
-    for (angle, above, below), side in zip(at, sides, strict=True):
-        if not below.contains(0):
-            found.append(Crossing(-(above / below).real, angle, side or None))
-        elif above.contains(0):
+    for (angle, value, by_t), side in zip(at, sides, strict=True):
+        if not by_t.contains(0):
+            found.append(Crossing(-(value / by_t).real, angle, side or None))
+        elif value.contains(0):
             return None  # a root that no t moves, or too few bits
         else:
-            horizon = min(horizon, float((above.abs_lower() / below.abs_upper()).lower()))
+            horizon = min(horizon, float((value.abs_lower() / by_t.abs_upper()).lower()))
     return found, horizon
 
 
@@ -325,22 +328,42 @@ def _cosines(u: "arb_poly", v: "arb_poly", phase: int, *, is_odd: bool) -> "list
     return [rising[0], *(2 * c for c in rising[1:])]
 
 
-def _value(p: Factored, angle: "arb") -> "acb":
-    """The polynomial at e^(i theta), for a ball of angles, without what it loses to wrapping."""
-    from flint import acb, acb_poly, arb
+class _OnCircle(NamedTuple):
+    """A polynomial for values on the circle, its rest in blocks, and a bound of the rest's slope.
 
-    middle = angle.mid()
-    z, half = acb(0, middle).exp(), angle / 2
-    rising = p.rest.coeffs()
-    rest = acb(0)
-    for start in range(0, len(rising), _BLOCK):
-        rest += acb_poly(rising[start : start + _BLOCK])(z) * acb(0, middle * start).exp()
-    spread = angle.rad() * sum((k * abs(c) for k, c in enumerate(rising)), arb(0)).abs_upper()
-    rest += acb(arb(0, spread), arb(0, spread))
-    known = acb(0, 2 * half.sin()) ** p.at_one * (2 * half.cos()) ** p.at_minus_one
-    for n in p.windows:
-        known *= (half * n).sin() / half.sin()
-    return rest * known * acb(0, half * _phase(p)).exp()
+    A ball of angles has values without what powers of it would lose to wrapping.
+    """
+
+    p: Factored
+    blocks: "list[acb_poly]"
+    slope: "arb"
+
+    @classmethod
+    def of(cls, p: Factored) -> "_OnCircle":
+        from flint import acb_poly, arb
+
+        rising = p.rest.coeffs()
+        starts = range(0, len(rising), _BLOCK)
+        slope = sum((k * abs(c) for k, c in enumerate(rising)), arb(0)).abs_upper()
+        return cls(p, [acb_poly(rising[start : start + _BLOCK]) for start in starts], slope)
+
+    def at(self, angle: "arb") -> "acb":
+        """The value at e^(i theta)."""
+        from flint import acb, arb
+
+        p, half, middle = self.p, angle / 2, angle.mid()
+        z, spread = acb(0, middle).exp(), angle.rad() * self.slope
+        rest = acb(arb(0, spread), arb(0, spread))
+        for number, block in enumerate(self.blocks):
+            value = block(z)
+            rest += value * acb(0, middle * (number * _BLOCK)).exp() if number else value
+        if p.at_one:
+            rest *= acb(0, 2 * half.sin()) ** p.at_one
+        if p.at_minus_one:
+            rest *= (2 * half.cos()) ** p.at_minus_one
+        for n in p.windows:
+            rest *= (half * n).sin() / half.sin()
+        return rest * acb(0, half * _phase(p)).exp()
 
 
 def _joined(crossings: list[Crossing]) -> list[Crossing]:
@@ -351,7 +374,7 @@ def _joined(crossings: list[Crossing]) -> list[Crossing]:
             last = joined.pop()
             is_known = last.change is not None and crossing.change is not None
             change = last.change + crossing.change if is_known else None  # type: ignore[operator]
-            crossing = Crossing(last.t.union(crossing.t), last.angle, change)
+            crossing = Crossing(last.t.union(crossing.t), last.angle, change, is_shared=True)
         joined.append(crossing)
     return joined
 

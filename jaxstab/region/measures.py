@@ -89,7 +89,10 @@ def _extreme(c: Curve, outline: Outline, axis: int) -> Extreme:
     values = np.where(is_allowed, vertices[:, axis], -np.inf)
     vertex: int | None = int(np.argmax(values))
     largest, point = np.max(values), vertices[vertex]
-    crossing = limits(c, outline, np.zeros(1), axis=1 - axis)[0, 1]
+    crossing, met = np.nan, _met(outline, np.zeros(1), 1 - axis)[0]
+    boxes = np.maximum(vertices[:-1, axis], vertices[1:, axis])
+    if np.max(boxes, where=met, initial=-np.inf) > largest:
+        crossing = limits(c, outline, np.zeros(1), axis=1 - axis)[0, 1]
     if crossing - largest > _STILL * abs(crossing):
         vertex, largest, point = None, crossing, np.array([crossing, 0.0][:: 1 - 2 * axis])
     sizes = _STILL * np.max(abs(np.nan_to_num(vertices)), axis=0)

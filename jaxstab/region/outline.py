@@ -15,7 +15,7 @@ from jaxstab.region.curve import Angles, Curve, curve_gains, gains_and_slopes, t
 from jaxstab.region.pieces import NO_BRANCH, Branch, Pieces
 from jaxstab.region.roots import bracketed_root
 
-_FEWEST_NODES, _MOST_NODES = 33, 129  # per piece, to see where it bends and turns
+_NODES = 81  # per piece, to see where it bends and turns
 _BESIDE = 1e-8
 _FIRST = np.geomspace(1e-6, 1e-2, 5)  # of a piece: where a curve with zero speed starts
 _ROUNDING = 1e-10  # a coordinate that moves less than that is constant
@@ -52,13 +52,26 @@ def empty_outline(*, resolved: bool) -> Outline:
     return Outline(vertices, np.array([NO_BRANCH]), np.zeros((1, 2)), 0, 0, corners, resolved)
 
 
-def polygon(c: Curve, pieces: Pieces, points: int) -> Outline:
+class Survey(NamedTuple):
+    """Angles (piece, node), the tangents there (2, piece, node), and where alpha or beta turns."""
+
+    nodes: Array
+    tangents: Array
+    turns: tuple[Array, Angles]
+
+
+def survey(c: Curve, pieces: Pieces) -> Survey:
+    """Look where pieces bend and turn."""
+    nodes, tangents = _tangents(c, pieces)
+    return Survey(nodes, tangents, _turning_points(c, nodes, tangents))
+
+
+def polygon(c: Curve, pieces: Pieces, seen: Survey, points: int) -> Outline:
     """Return an outline of about ``points`` vertices, spread so that all edges bend alike.
 
     It has corners and turning points besides. The pieces are closed.
     """
-    nodes, tangents = _survey(c, pieces, min(max(points // 8 + 1, _FEWEST_NODES), _MOST_NODES))
-    marks = [_turning_points(c, nodes, tangents), _spread(nodes, tangents, points)]
+    marks = [seen.turns, _spread(seen.nodes, seen.tangents, points)]
     piece, theta = (np.concatenate(column) for column in zip(*marks, strict=True))
     is_within = (theta > pieces.begin[piece]) & (theta < pieces.end[piece])
     piece, theta = piece[is_within], theta[is_within]
@@ -108,8 +121,9 @@ def polygon(c: Curve, pieces: Pieces, points: int) -> Outline:
     )
 
 
-def _survey(c: Curve, pieces: Pieces, count: int) -> tuple[Array, Array]:
+def _tangents(c: Curve, pieces: Pieces) -> tuple[Array, Array]:
     """Return angles (piece, node) and the tangents (alpha', beta') there (2, piece, node)."""
+    count = _NODES
     # At th = 0 and pi the curve has zero speed: look beside.
     beside = _BESIDE * (pieces.end - pieces.begin)[:, None]
     begin, end = pieces.begin[:, None] + beside, pieces.end[:, None] - beside

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from enum import IntEnum
 from functools import cache, partial
 from itertools import product
-from math import comb
+from math import comb, nan
 from typing import NamedTuple
 
 import numpy as np
@@ -290,6 +290,7 @@ def _arc_ends(
 class _Stop(NamedTuple):
     """An end of a straight part: its line, its number there, its side, the angle that ends it.
 
+    The angle is NaN where several roots reach the circle: the next arc begins with one of them.
     Where stable walls turn from one side of a line to the other, the curve passes the line. Such an
     end has a direction, into its part.
     """
@@ -312,7 +313,10 @@ def _stops(c: Curve) -> Iterator[_Stop]:
     for number, line in enumerate(c.lines):
         count = 0
         for interval in line.line.intervals:
-            low, high = (_Stop(number, 0, 0, end.angle, line.wall(end.value)) for end in interval)
+            low, high = (
+                _Stop(number, 0, 0, nan if end.is_shared else end.angle, line.wall(end.value))
+                for end in interval
+            )
             parts = [(low, high)]
             if interval.low.value < line.turn < interval.high.value:
                 turn = low._replace(angle=line.angle, wall=line.wall(line.turn))

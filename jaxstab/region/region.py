@@ -30,7 +30,7 @@ from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT, LONGEST_DELAY
 from jaxstab.numbers import checked_number
 from jaxstab.region import measures
 from jaxstab.region.curve import Angles, Curve, curve_of
-from jaxstab.region.outline import Outline, empty_outline, polygon
+from jaxstab.region.outline import Outline, empty_outline, polygon, survey
 from jaxstab.region.pieces import Pieces, find_pieces, scan_angles
 from jaxstab.region.stable_set import StableRegion, components_of, region_within
 
@@ -220,12 +220,12 @@ _BULGE = 0.35  # times points^-2 is at most about how far the boundary leaves th
 
 def _adapted(c: Curve, pieces: Pieces, tolerance: float) -> tuple[Outline, float]:
     """Return an outline with as many points as the tolerance requires, and its deviation."""
-    points = _enough_points(sqrt(_BULGE / tolerance))
-    outline = polygon(c, pieces, points)
+    points, seen = _enough_points(sqrt(_BULGE / tolerance)), survey(c, pieces)
+    outline = polygon(c, pieces, seen, points)
     deviation = float(measures.deviation(c, outline))
     if deviation > tolerance:
         points = _enough_points(1.2 * points * sqrt(deviation / tolerance))
-        outline = polygon(c, pieces, points)
+        outline = polygon(c, pieces, seen, points)
         deviation = float(measures.deviation(c, outline))
     return outline, deviation
 
@@ -298,7 +298,7 @@ def stable_region(
         velocity=velocity,
         position=position,
     )
-    return region_of(ScaledLoop(loop, (1.0, 1.0), size), smallest)
+    return region_of(ScaledLoop(loop.in_floats(), (1.0, 1.0), size), smallest)
 
 
 def loop_region(loop: LoopParameters, tolerance: float) -> StableRegion:
