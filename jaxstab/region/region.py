@@ -24,7 +24,7 @@ from jaxstab.exact.boundary import ScaledLoop
 from jaxstab.exact.line import LineStatus, StableLine, stable_line
 from jaxstab.exact.verdict import wall_verdict
 from jaxstab.model import LoopParameters
-from jaxstab.model.filters import Filter, Velocity, known_filters
+from jaxstab.model.filters import Filter, Velocity, as_keywords, known_filters
 from jaxstab.model.loop import refuses_loops
 from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT, LONGEST_DELAY
 from jaxstab.numbers import checked_number
@@ -288,17 +288,16 @@ def stable_region(
     samples = checked_number("delay", delay, 0.0, LONGEST_DELAY, unit="samples")
     size = checked_number("radius", radius, 0.0, 1.0, is_open=True)
     smallest = checked_number("tolerance", tolerance, _FINEST, is_open=True)
-    known_filters(velocity, position)
+    filters = known_filters(velocity, position)
     loop = LoopParameters(
         sample_time=1.0,
         device_mass=1.0,
         device_damping=damping,
         hand_stiffness=stiffness,
         delay=samples,
-        velocity=velocity,
-        position=position,
+        **as_keywords(filters),
     )
-    return region_of(ScaledLoop(loop.in_floats(), (1.0, 1.0), size), smallest)
+    return region_of(ScaledLoop(loop, (1.0, 1.0), size), smallest)
 
 
 def loop_region(loop: LoopParameters, tolerance: float) -> StableRegion:
