@@ -1,0 +1,95 @@
+"""Zeros of cosine sums that were chosen, by both ways of isolating them."""
+
+from collections.abc import Callable
+
+import flint
+import mpmath
+import numpy as np
+import pytest
+
+from jaxstab.exact.balls import decided
+from jaxstab.exact.circle import Zero, _by_cells, _by_powers, zeros
+
+Isolate = Callable[[list[flint.arb]], list[Zero] | None]
+
+
+def in_cells(cosines: list[flint.arb]) -> list[Zero] | None:
+    return _by_cells(cosines, is_last_try=False)
+
+
+def chosen(angles: list[float], others: list[complex]) -> Callable[[], list[flint.arb]]:
+    """The cosine sum that vanishes at angles and, in x = 2 cos(theta), at other pairs of roots."""
+
+    def cosines() -> list[flint.arb]:
+        sums = [flint.arb(1)]
+        for angle in angles:
+            sums = times_line(sums, -2 * flint.arb(angle).cos())
+        for root in others:  # x^2 - 2 Re x + |root|^2
+            shifted = times_line(sums, flint.arb(-root.real))
+            squared = times_line(shifted, flint.arb(-root.real))
+            padded = sums + [flint.arb(0)] * 2
+            square = flint.arb(root.imag) ** 2
+            sums = [a + square * b for a, b in zip(squared, padded, strict=True)]
+        return sums
+
+    return cosines
+
+
+def times_line(cosines: list[flint.arb], constant: flint.arb) -> list[flint.arb]:
+    """Multiply a cosine sum by 2 cos(theta) + constant."""
+    product = [constant * c for c in cosines] + [flint.arb(0)]
+    for k, c in enumerate(cosines):
+        for power in (k - 1, k + 1):
+            product[abs(power)] += c
+    return product
+
+
+@pytest.mark.parametrize("isolate", [_by_powers, in_cells])
+@pytest.mark.parametrize("seed", range(12))
+def test_the_zeros_are_those_that_were_chosen(isolate: Isolate, seed: int) -> None:
+    rng = np.random.default_rng([5, seed])
+    angles = np.sort(rng.uniform(0.0, np.pi, int(rng.integers(0, 14)))).tolist()
+    if len(angles) > 1 and seed % 3 == 0:
+        angles[1] = angles[0] + 1e-9  # next to each other
+    if seed % 4 == 1:
+        angles = [1e-6, *angles, np.pi - 1e-6]  # next to the ends
+    angles.sort()
+    others = [complex(*rng.uniform(-2.5, 2.5, 2)) for _ in range(int(rng.integers(0, 5)))]
+    if seed % 2:
+        others.append(complex(float(rng.uniform(-2.0, 2.0)), 1e-7))  # a pair next to the axis
+    found = decided(lambda: isolate(chosen(angles, others)()))
+    assert found is not None
+    assert len(found) == len(angles)
+    for zero, angle in zip(found, angles, strict=True):
+        assert zero.angle.contains(angle)
+        assert float(zero.angle.rad()) < 1e-15
+    signs = [zero.slope for zero in found]
+    assert signs == [(-1) ** (k + 1) for k in range(len(angles))]  # at 0 the sum is positive
+
+
+@pytest.mark.parametrize("degree", [3, 17, 40, 41, 60])
+def test_zeros_of_random_sums_are_those_of_many_points(degree: int) -> None:
+    rng = np.random.default_rng(degree)
+    numbers = rng.normal(size=degree + 1).tolist()
+    found = decided(lambda: zeros([flint.arb(c) for c in numbers], is_last_try=False))
+    assert found is not None
+    theta = np.linspace(0.0, np.pi, 20_001)[1:-1]
+    values = np.cos(np.outer(theta, np.arange(degree + 1))) @ numbers
+    crossings = np.flatnonzero(np.sign(values[1:]) != np.sign(values[:-1]))
+    assert len(found) == len(crossings)
+    for zero, index in zip(found, crossings.tolist(), strict=True):
+        assert theta[index] <= float(zero.angle.mid()) <= theta[index + 1]
+        with mpmath.workdps(40):
+            middle = mpmath.mpf(float(zero.angle.mid()))
+            value = mpmath.fsum(c * mpmath.cos(k * middle) for k, c in enumerate(numbers))
+            assert abs(value) < 1e-12
+
+
+def test_what_powers_do_not_tell_apart_is_left_to_the_search() -> None:
+    double = chosen([1.0, 1.0], [])
+    with flint.ctx.workprec(192):
+        assert _by_powers(double()) is None
+        assert zeros(double(), is_last_try=False) is None
+        (place,) = zeros(double(), is_last_try=True) or []
+    assert place.slope == 0
+    assert place.angle.contains(1)
