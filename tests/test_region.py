@@ -230,15 +230,20 @@ def test_an_unresolved_region_claims_nothing(monkeypatch: pytest.MonkeyPatch) ->
     assert all(np.all(np.isnan(number)) for number in numbers)
 
 
-@pytest.mark.parametrize("delay", [0.0, 1.0])
-def test_an_undamped_hand_at_the_nyquist_frequency_in_float64_is_not_called_empty(
-    delay: float,
-) -> None:
+def test_an_undamped_hand_at_the_nyquist_frequency_in_float64_has_a_triangle() -> None:
     """pi^2 in float64 leaves a root 1e-32 beside -1: for these numbers a triangle is stable."""
-    region = stable_region(gamma=NYQUIST, delta=0.0, delay=delay)
-    assert -NYQUIST < -5.0 < undamped_limit(NYQUIST, 1.0)  # without delay
+    region = stable_region(gamma=NYQUIST, delta=0.0, delay=0.0)
+    assert -NYQUIST < -5.0 < undamped_limit(NYQUIST, 1.0)
+    assert region.status == RegionStatus.COMPLETE
+    assert bool(region.contains(-5.0, 1.0))
+    assert float(region.area) == pytest.approx(NYQUIST**2, rel=1e-12)
+    corners = [-NYQUIST, -NYQUIST / 2.0], [-NYQUIST, NYQUIST / 2.0]
+    np.testing.assert_allclose(np.sort(region.corners, axis=0), corners, 1e-12)
+
+
+def test_with_a_delay_it_is_not_called_empty_either() -> None:
+    region = stable_region(gamma=NYQUIST, delta=0.0, delay=1.0)
     assert region.status == RegionStatus.UNRESOLVED
-    assert not region.is_empty
     assert not bool(region.contains(-5.0, 1.0))
     assert np.isnan(float(region.area))
 

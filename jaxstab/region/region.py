@@ -44,7 +44,6 @@ _AGREE, _ROUNDED = 1e-6, 1e-11  # of the longest interval, of the region: ends t
 _AT_POLES = 1e-4  # the same where the curve is 0/0 at a pole
 _FROM_CORNERS = 10.0 ** -np.arange(1.0, 8.0)  # of the size: rows where modes are hardly damped
 _ROUGH = 1e-3  # of the same: an outline that leaves its curve by more has too few angles
-_END = 1e-10  # radians: an arc that is passed so close to z = -1 is rounding
 _SLIM = 1e-9  # of the same: intervals of a row through a component that need not be compared
 _RAYS = (1.0, 0.1), (1.0, 1.0), (1.0, 10.0), (1.0, -1.0), (0.0, 1.0)  # from the wall without gains
 
@@ -148,20 +147,13 @@ def _contradictions(c: Curve, outline: Outline) -> Angles | None:
             if k == 1 and beside.size and _is_any_stable(c, axis, value, intervals):
                 continue
             line = _line(c, axis, value)
-            if line.status != LineStatus.PROVED or _passes_an_end(c, line):
+            if line.status != LineStatus.PROVED:
                 return None
             slim = 0.0 if k < beside.size else _SLIM * sizes[1 - axis]
             share = _AGREE if all(line.angle in (0.0, np.pi) for line in c.lines) else _AT_POLES
             if not _agree(line, intervals, slim, share, sizes[1 - axis]):
                 return _inner(np.array([crossing.angle for crossing in line.crossings]))
     return np.empty(0)
-
-
-def _passes_an_end(c: Curve, line: StableLine) -> bool:
-    """Return whether the curve meets a line so close to z = -1 that its angles are rounding."""
-    angles = np.array([end.angle for ends in line.intervals for end in ends])
-    has_line = any(own.angle == np.pi for own in c.lines)
-    return bool(np.any((np.pi - angles < _END) & ~((angles == np.pi) & has_line)))
 
 
 def proved_extremes(region: StableRegion) -> tuple[Point, Point]:
