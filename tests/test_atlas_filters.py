@@ -77,6 +77,12 @@ def test_the_difference_over_one_sample_needs_no_word() -> None:
         ("[velocity]\nwindow_samples = 250", "250; give a whole number from 1 to 200"),
         ("[velocity]\ncutoff = 100.0", "cutoff is 100.0; give it as a share of the sampling rate"),
         ("[velocity]\norder = 2", "velocity.order is 2 without cutoff"),
+        ("[velocity]\npolynomial = 2", "velocity.polynomial is 2 without window_samples"),
+        ("[velocity]\nposition_variance = 1.0", "velocity.position_variance is given alone"),
+        (
+            "[position]\nwindow_samples = 3\npolynomial = 1",
+            "polynomial is 1 for a filter; it makes",
+        ),
         ("[velocity]\nnumerator = [1.0]", "velocity.numerator is given alone; give numerator and"),
         (
             '[position]\ncutoff = 0.1\nkind = "bessel"',

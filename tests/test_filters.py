@@ -48,6 +48,20 @@ ESTIMATORS: dict[str, tuple[Velocity, truth.Rational]] = {
         Velocity.difference(samples=3) * Filter.exponential(0.25) * Filter.average(samples=2),
         truth.times(truth.difference(3), truth.exponential(0.25), truth.average(2)),
     ),
+    "Kalman": (  # the tracking index is 1: gains of position and velocity are 3/4 and 1/2
+        Velocity.kalman(q=1.0, r=1.0),
+        truth.rational(
+            [flint.fmpq(1, 2), flint.fmpq(-1, 2), flint.fmpq(0)],
+            [flint.fmpq(1), flint.fmpq(-3, 4), flint.fmpq(1, 4)],
+        ),
+    ),
+    "Savitzky and Golay": (  # a parabola through three samples
+        Velocity.savitzky_golay(3, order=2),
+        truth.rational(
+            [flint.fmpq(3, 2), flint.fmpq(-2), flint.fmpq(1, 2)],
+            [flint.fmpq(1), flint.fmpq(0), flint.fmpq(0)],
+        ),
+    ),
     "transfer function": (
         Velocity.transfer_function([0.75, -0.5, -0.25], [1.0, -0.5, 0.0]),
         truth.rational(
@@ -113,6 +127,45 @@ def test_filters_by_their_difference_equations(
     for frequency in (0.0, 30.0, 444.0):
         _, (expected,) = scipy.signal.freqz(above, below, [frequency], fs=1000.0)
         np.testing.assert_allclose(frequency_response(filter_, frequency, 1e-3), expected, 1e-13)
+
+
+def velocity_response(velocity: Velocity, frequency: float, sample_time: float) -> complex:
+    z = np.exp(2j * np.pi * frequency * sample_time)
+    smoothing = frequency_response(velocity.filter, frequency, sample_time)
+    return complex((1.0 - 1.0 / z) / sample_time * smoothing)
+
+
+@pytest.mark.parametrize(
+    ("q", "r", "period"), [(100.0, 1e-10, 1e-3), (1e-3, 1e-6, 1e-3), (1e6, 1e-12, 1e-4)]
+)
+def test_a_kalman_filter_has_the_gain_of_the_riccati_equation(
+    q: float, r: float, period: float
+) -> None:
+    step, push = np.array([[1.0, period], [0.0, 1.0]]), np.array([[period**2 / 2.0], [period]])
+    seen = np.array([[1.0, 0.0]])
+    spread = scipy.linalg.solve_discrete_are(step.T, seen.T, q * push @ push.T, np.array([[r]]))
+    gain = spread @ seen.T / (seen @ spread @ seen.T + r)
+    follow = (np.eye(2) - gain @ seen) @ step
+    for frequency in (0.1, 5.0, 300.0):
+        z = np.exp(2j * np.pi * frequency * period)
+        expected = (z * np.linalg.solve(z * np.eye(2) - follow, gain))[1, 0]
+        answered = velocity_response(Velocity.kalman(q, r), frequency, period)
+        np.testing.assert_allclose(answered, expected, 1e-8)  # the equation is solved to that
+
+
+@pytest.mark.parametrize(("samples", "order"), [(2, 1), (5, 2), (9, 4), (20, 3)])
+def test_slopes_of_polynomials_are_those_of_scipy(samples: int, order: int) -> None:
+    weights = scipy.signal.savgol_coeffs(
+        samples, order, deriv=1, delta=1e-3, pos=samples - 1, use="dot"
+    )
+    velocity = Velocity.savitzky_golay(samples, order=order)
+    for frequency in (1.0, 50.0, 333.0):
+        _, (expected,) = scipy.signal.freqz(weights[::-1], [1.0], [frequency], fs=1000.0)
+        np.testing.assert_allclose(velocity_response(velocity, frequency, 1e-3), expected, 1e-10)
+    t = -1e-3 * np.arange(samples)
+    for power in range(order + 1):  # the slope of t^power at 0
+        slope = np.dot(np.diff(t**power) / -1e-3, velocity.filter.sections[0].weights)
+        assert slope == pytest.approx(float(power == 1), abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -397,6 +450,11 @@ def test_arrays_of_delays_refuse_traced_filters_in_one_sentence() -> None:
             "below half of the sampling rate",
         ),
         (lambda: Filter.exponential(1.5), "factor is 1.5"),
+        (lambda: Velocity.kalman(0.0, 1e-9), "q is 0"),
+        (lambda: Velocity.kalman(1.0, float("inf")), "r is inf"),
+        (lambda: Velocity.kalman(1e30, 1e-30).per_sample(1.0), "the filter's gain is 1 in float64"),
+        (lambda: Velocity.savitzky_golay(1, order=1), "samples is 1"),
+        (lambda: Velocity.savitzky_golay(5, order=5), "order is 5"),
         (lambda: Filter.average(window=15.5e-3).transfer(1e-3), r"0.015 s \(15 .* 0.016 s \(16"),
         (lambda: Filter.transfer_function([1.0, 2.0, 3.0], [1.0, 0.5]), "proper"),
         (lambda: Filter.transfer_function([1.0], [1.0, -1.0]), "inside the unit circle"),
@@ -782,11 +840,11 @@ def test_files_outside_of_one_do_not_name_a_kind_of_filter() -> None:
 def test_every_kind_of_section_has_makers_a_text_and_keys(kind: type[Section]) -> None:
     given = {
         "samples": 3, "window": None, "cutoff": 0.1, "order": 2, "factor": 0.5,
-        "numerator": (0.5, -0.5), "denominator": (1.0, 0.25), "period": 1.0,
+        "numerator": (0.5, -0.5), "denominator": (1.0, 0.25), "period": 1.0, "q": 2.0, "r": 0.5,
     }  # fmt: skip
     section = kind(**{field.name: given[field.name] for field in fields(kind)})
     assert "object at" not in str(section)
-    assert callable(getattr(Filter, section.maker))
+    assert section.maker is None or callable(getattr(Filter, section.maker))
     chain = Filter((section,))
     if section.estimator:
         velocity = Velocity(chain)
@@ -794,5 +852,9 @@ def test_every_kind_of_section_has_makers_a_text_and_keys(kind: type[Section]) -
         assert eval(repr(velocity), {"Velocity": Velocity, "Filter": Filter}) == velocity
         assert velocity_of(parsed(f"velocity = {toml_of(velocity)}")["velocity"]) == velocity
     if kind is not filters.Differentiator:
-        assert eval(repr(chain), {"Filter": Filter}) == chain
+        assert eval(repr(chain), {"Velocity": Velocity, "Filter": Filter}) == chain
+    if section.maker is None:
+        with pytest.raises(ValueError, match="give it as the first table of velocity"):
+            position_of(parsed(f"position = {toml_of(chain)}")["position"])
+    elif kind is not filters.Differentiator:
         assert position_of(parsed(f"position = {toml_of(chain)}")["position"]) == chain

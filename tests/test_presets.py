@@ -106,6 +106,11 @@ def test_each_documented_estimator_is_what_its_source_computes(name: str) -> Non
         ),
         ({"factor": 0.2}, Velocity.exponential(0.2)),
         (
+            {"acceleration_variance": 100.0, "position_variance": 1e-10, "cutoff": 100.0},
+            Velocity.kalman(100.0, 1e-10) * Filter.low_pass(100.0),
+        ),
+        ({"window_samples": 9, "polynomial": 2}, Velocity.savitzky_golay(9, order=2)),
+        (
             {"numerator": [25.0, -25.0, 0.0], "denominator": [1.0, -1.9, 0.9025]},
             Velocity.transfer_function([25.0, -25.0, 0.0], [1.0, -1.9, 0.9025]),
         ),

@@ -5,7 +5,7 @@ from importlib.resources import files
 from math import isfinite
 from typing import Any
 
-from jaxstab.model.filters import NO_FILTER
+from jaxstab.model.filters import NO_FILTER, Velocity
 from jaxstab.scene import Scene
 from jaxstab.scene.answers import delay_notes
 from jaxstab.scene.loops import hands_of, is_one_mass, loop_of, wall_region, walls_of
@@ -160,7 +160,21 @@ def _estimator(table: VelocityTable | None, period: float) -> dict[str, Any]:
     samples = None if table is None else table.window_samples
     length = samples or (1 if window is None else max(1, round(window / period)))
     given = {key: getattr(table, key, None) or usual for key, usual in NO_FILTER.items()}
+    if table is not None and table.is_other_estimator:
+        length, given = 1, {**NO_FILTER, **_coefficients(table.as_velocity(), period)}
     return {"window": length, **given}
+
+
+def _coefficients(velocity: Velocity, period: float) -> dict[str, list[float]]:
+    """Return V(z) in 1/s by its coefficients, highest power of z first."""
+    transfer = velocity.filter.transfer(period)
+    above, below = ([float(c.rounded()) for c in part] for part in transfer[:2])
+    steps = zip([*above, 0.0], [0.0, *above], strict=True)
+    lag = transfer.lag + 1  # that of (z - 1)/z
+    return {
+        "numerator": [(here - before) / period for here, before in steps] + [0.0] * max(-lag, 0),
+        "denominator": below + [0.0] * max(lag, 0),
+    }
 
 
 def _index_of(table: VelocityTable | None) -> int | None:

@@ -17,7 +17,7 @@ take all kinds from the class.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from fractions import Fraction
-from functools import reduce
+from functools import lru_cache, reduce
 from itertools import accumulate
 from math import floor, inf, pi
 from typing import Any, ClassVar, NamedTuple
@@ -118,6 +118,7 @@ LONGEST_WINDOW = 200  # samples
 MOST_STAGES = 80  # factors of a filter's transfer function: lemma V8 counts them
 _NYQUIST = 0.499  # of the sampling rate: a Butterworth filter ends at 0.5
 _FASTEST = 100.0  # of the sampling rate: a pole that is 0 in float64 is refused
+_HIGHEST_POLYNOMIAL = 10  # of a fit to samples
 _WHOLE = 1e-9  # of a sample: windows closer to a whole number of samples are that number
 
 Factor = tuple[list[Any], list[Any], int]
@@ -128,8 +129,8 @@ Factor = tuple[list[Any], list[Any], int]
 class Section:
     """A kind of section: what all kinds have in common."""
 
-    maker: ClassVar[str]
-    """The method of ``Filter`` that makes one."""
+    maker: ClassVar[str | None] = None
+    """The method of ``Filter`` that makes one; None of a kind that only makes velocities."""
 
     estimator: ClassVar[str | None] = None
     """The method of ``Velocity``, where a difference that begins with this section has one."""
@@ -414,6 +415,116 @@ class Differentiator(Rational):
         return {"numerator": numerator, "denominator": list(self.denominator)}
 
 
+@pytree
+@dataclass(frozen=True)
+class Kalman(Section):
+    """A Kalman filter of positions, at its steady gain; behind the difference it is a velocity.
+
+    The device is taken for a free mass with an acceleration that is noise of variance q, constant
+    within a sample; positions have noise of variance r. With the tracking index T^2 sqrt(q/r) the
+    gain follows from one number s between 0 and 1, that of position 1 - (1 - s)^2, that of velocity
+    2 s^2/T.
+
+    Source: Kalata, The tracking index (IEEE Trans. AES, 1984).
+    """
+
+    q: Numbers
+    r: Numbers
+
+    estimator: ClassVar[str] = "kalman"
+    varies: ClassVar[bool] = False
+
+    def __str__(self) -> str:
+        return f"a Kalman filter with q = {shown(self.q)} and r = {shown(self.r)}"
+
+    def per_sample(self, sample_time: Numbers) -> "Kalman":
+        section = Kalman(self.q * sample_time**4, self.r)
+        if not is_traced(section.gain) and not 0.0 < section.gain < 1.0:
+            raise ValueError(
+                f"q is {shown(self.q)} beside r = {shown(self.r)}; with a sampling period of "
+                f"{shown(sample_time)} s the filter's gain is {shown(section.gain)} in float64, "
+                "and it has no use: give a ratio closer to 1 / period^4."
+            )
+        return section
+
+    @property
+    def gain(self) -> Array:
+        """The number s of a section in units of one sample."""
+        ratio = self.q / self.r
+        xp = namespace(ratio)
+        index = xp.sqrt(ratio)
+        return _float(2.0 / (1.0 + xp.sqrt(1.0 + 8.0 / index)))
+
+    def stages(self) -> list[Transfer]:
+        gain = DoubleDouble.from_value(self.gain)
+        square = gain * gain
+        middle = square + gain.scaled(2.0) - 2.0
+        below = (*ONE, middle, square - gain.scaled(2.0) + 1.0)
+        return [Transfer.with_sizes((square.scaled(2.0),), below, -2)]
+
+    def rational_factors(self) -> list[Factor]:
+        s = Fraction(self.gain)
+        return [([0, 0, 2 * s * s], [(1 - s) ** 2, s * s + 2 * s - 2, 1], 1)]
+
+    @property
+    def toml(self) -> dict[str, Any]:
+        return {"acceleration_variance": float(self.q), "position_variance": float(self.r)}
+
+
+@pytree
+@dataclass(frozen=True)
+class SavitzkyGolay(Section):
+    """The slope, at the newest of some samples, of the polynomial that fits them best.
+
+    As a filter behind the difference: its weights are sums of those of the samples, rounded.
+
+    Source: Savitzky and Golay, Analytical Chemistry (1964).
+    """
+
+    samples: int = fixed()
+    order: int = fixed()
+
+    estimator: ClassVar[str] = "savitzky_golay"
+    varies: ClassVar[bool] = False
+
+    def __str__(self) -> str:
+        return f"the slope of a polynomial of order {self.order} through {self.samples} samples"
+
+    @property
+    def weights(self) -> tuple[float, ...]:
+        """The weights of differences, that of the newest first."""
+        return _slope_weights(self.samples, self.order)
+
+    def stages(self) -> list[Transfer]:
+        return [_monic(tuple(map(DoubleDouble.from_value, self.weights)), self._delays)]
+
+    def rational_factors(self) -> list[Factor]:
+        falling = list(map(Fraction, self.weights)), list(map(Fraction, self._delays))
+        return [(falling[0][::-1], falling[1][::-1], 1)]
+
+    @property
+    def _delays(self) -> tuple[float, ...]:
+        return (1.0, *[0.0] * (self.samples - 2))
+
+    @property
+    def toml(self) -> dict[str, Any]:
+        return {"window_samples": self.samples, "polynomial": self.order}
+
+
+@lru_cache
+def _slope_weights(samples: int, order: int) -> tuple[float, ...]:
+    """Return sums of the weights that give a slope, in exact numbers up to the last step."""
+    from flint import fmpq_mat
+
+    # A polynomial in t = 0, -1, ... whose coefficients solve the normal equations.
+    rows = [[(-k) ** power for power in range(order + 1)] for k in range(samples)]
+    powers = fmpq_mat(samples, order + 1, [value for row in rows for value in row])
+    slope = fmpq_mat(order + 1, 1, [int(power == 1) for power in range(order + 1)])
+    solved = powers * (powers.transpose() * powers).solve(slope)
+    exact = (Fraction(int(solved[k, 0].p), int(solved[k, 0].q)) for k in range(samples - 1))
+    return tuple(map(float, accumulate(exact)))
+
+
 LOW_PASSES = (LowPass, Butterworth)  # by ``kind``, which a table gives beside the cut-off
 
 
@@ -490,7 +601,12 @@ def _whole_samples(window: float | None, sample_time: Numbers) -> int:
 
 
 def _filter_calls(sections: Sequence[Section]) -> list[str]:
-    return [_call(f"Filter.{section.maker}", section) for section in sections]
+    return [
+        _call(f"Filter.{section.maker}", section)
+        if section.maker
+        else f"{_call(f'Velocity.{section.estimator}', section)}.filter"
+        for section in sections
+    ]
 
 
 def _call(maker: str, section: Section) -> str:
@@ -642,8 +758,8 @@ class Filter:
 class Velocity:
     """A velocity estimator, from sampled positions: (1 - 1/z)/T, then a filter.
 
-    Make one with ``difference``, ``low_pass``, ``butterworth``, ``exponential`` or
-    ``transfer_function``; multiply by a ``Filter`` to smooth it further.
+    Make one with ``difference``, ``low_pass``, ``butterworth``, ``exponential``, ``kalman``,
+    ``savitzky_golay`` or ``transfer_function``; multiply by a ``Filter`` to smooth it further.
 
     Example:
         >>> str(jaxstab.Velocity.difference(samples=20) * jaxstab.Filter.low_pass(100.0))
@@ -654,6 +770,10 @@ class Velocity:
         the difference over one sample, a Butterworth filter at 100 Hz of order 2
         >>> print(jaxstab.Velocity.exponential(0.9))
         the difference over one sample, exponential smoothing by 0.9
+        >>> print(jaxstab.Velocity.kalman(q=100.0, r=1e-10))
+        a Kalman filter with q = 100 and r = 1e-10
+        >>> print(jaxstab.Velocity.savitzky_golay(9, order=2))
+        the slope of a polynomial of order 2 through 9 samples
         >>> print(jaxstab.Velocity.transfer_function([500.0, -500.0], [1.0, 0.0]))
         a transfer function of order 1
     """
@@ -685,6 +805,39 @@ class Velocity:
     def exponential(cls, factor: Numbers) -> "Velocity":
         """The one-sample difference, smoothed: ``Filter.exponential``."""
         return cls(Filter.exponential(factor))
+
+    @classmethod
+    def kalman(cls, q: Numbers, r: Numbers) -> "Velocity":
+        """The velocity of a Kalman filter of positions, at its steady gain.
+
+        The device is taken for a free mass whose acceleration is noise, constant within a sample.
+
+        Args:
+            q: the variance of the acceleration in (m/s^2)^2, > 0; rad in place of m for joints.
+            r: the variance of a measured position in m^2, > 0.
+
+        Raises: see ``jaxstab.conventions``; ValueError also where the sampling period is known and
+        the gain is 0 or 1 in float64.
+
+        Source: Kalata, The tracking index (IEEE Trans. AES, 1984).
+        """
+        return cls(Filter((Kalman(_positive("q", q), _positive("r", r)),)))
+
+    @classmethod
+    def savitzky_golay(cls, samples: int, *, order: int) -> "Velocity":
+        """The slope of the polynomial that fits the last samples best, at the newest of them.
+
+        The order is from 1 to one less than the samples, of which there are from 2 to 200; order 1
+        is the slope of a straight line, 2 samples are the difference.
+
+        Raises: see ``jaxstab.conventions``.
+
+        Source: Savitzky and Golay, Analytical Chemistry (1964); the weights are those of
+        ``scipy.signal.savgol_coeffs(samples, order, deriv=1, pos=samples - 1)``.
+        """
+        samples = checked_count("samples", samples, 2, LONGEST_WINDOW)
+        order = checked_count("order", order, 1, min(samples - 1, _HIGHEST_POLYNOMIAL))
+        return cls(Filter((SavitzkyGolay(samples, order),)))
 
     @classmethod
     def transfer_function(
@@ -734,7 +887,7 @@ class Velocity:
         section, *others = self.filter.sections or (Average(1, None),)
         if isinstance(section, Average):
             return ", ".join([f"the difference over {section}", *map(str, others)])
-        if isinstance(section, Differentiator):
+        if isinstance(section, Differentiator) or section.maker is None:
             return str(self.filter)
         return f"the difference over one sample, {self.filter}"
 
@@ -832,6 +985,9 @@ def _has_roots_inside(denominator: tuple[float, ...]) -> bool:
 #
 #     window_samples = 20         the difference (of a position filter: the mean) over 20 samples
 #     cutoff = 100.0              then a low pass at 100 Hz (an atlas: at a share of the rate)
+#     polynomial = 2              in place of the difference, the slope of a parabola through them
+#     acceleration_variance = 100.0, position_variance = 1e-10
+#                                 in place of it, a Kalman filter
 
 _LOW_PASSES: Mapping[str, Callable[..., Filter]] = {
     section.kind: getattr(Filter, section.maker) for section in LOW_PASSES
@@ -849,17 +1005,25 @@ NO_FILTER: Mapping[str, Any] = {
 
 _BESIDE = ("order", "kind")  # keys of a low pass that need its cut-off
 _FRACTION = ("numerator", "denominator")
+_NOISES = ("acceleration_variance", "position_variance")
+_ESTIMATOR = ("polynomial", *_NOISES)  # keys of velocities alone
 
 
 @dataclass(frozen=True, kw_only=True)
 class FilterTable(Table):
-    """A window, a low pass and exponential smoothing in a row, or coefficients alone."""
+    """A window, a low pass and exponential smoothing in a row, or coefficients alone.
+
+    Of a velocity the window may be that of a polynomial, or a Kalman filter in its place.
+    """
 
     window_samples: int | None = key(whole(1, LONGEST_WINDOW), None)
     cutoff: float | None = key(quantity("Hz", is_positive=True), None)
     order: int | None = key(whole(1, HIGHEST_ORDER), None)
     kind: str | None = key(one_of(_LOW_PASSES), None)
     factor: float | None = key(share, None)
+    polynomial: int | None = key(whole(1, _HIGHEST_POLYNOMIAL), None)
+    acceleration_variance: float | None = key(quantity("(m/s^2)^2", is_positive=True), None)
+    position_variance: float | None = key(quantity("m^2", is_positive=True), None)
     numerator: tuple[float, ...] | None = key(coefficients, None)
     denominator: tuple[float, ...] | None = key(coefficients, None)
 
@@ -880,14 +1044,30 @@ class FilterTable(Table):
             raise ValueError(f"{fraction[0]} is given alone; give numerator and denominator.")
         if fraction and others:
             raise ValueError(f"{others[0]} is given beside numerator; give one of them.")
+        if self.polynomial is not None and self.window_samples is None:
+            raise ValueError(
+                f"polynomial is {self.polynomial} without window_samples; give the samples, too."
+            )
+        noises = [name for name in given if name in _NOISES]
+        if len(noises) == 1:
+            raise ValueError(f"{noises[0]} is given alone; give {' and '.join(_NOISES)}.")
+        if noises and "window_samples" in given:
+            raise ValueError(f"window_samples is given beside {noises[0]}; give one of them.")
         if not given:
-            needed, *more = (name for name in self._names() if name not in (*_BESIDE, *_FRACTION))
+            beside = *_BESIDE, *_FRACTION, *_ESTIMATOR
+            needed, *more = (name for name in self._names() if name not in beside)
             raise ValueError(
                 f"{needed} is missing; give it, or {', '.join(more)}, or numerator and denominator."
             )
 
     def as_filter(self) -> Filter:
         """Return the filter of a position."""
+        for name in _ESTIMATOR:
+            if getattr(self, name) is not None:
+                raise ValueError(
+                    f"{name} is {getattr(self, name):g} for a filter; it makes velocities of "
+                    "positions: give it as the first table of velocity."
+                )
         if self.numerator is not None and self.denominator is not None:
             return Filter.transfer_function(self.numerator, self.denominator)
         return (Filter.average(**self._length) if self._length else Filter()) * self._smoothing
@@ -896,8 +1076,21 @@ class FilterTable(Table):
         """Return the estimator of a velocity."""
         if self.numerator is not None and self.denominator is not None:
             return Velocity.transfer_function(self.numerator, self.denominator)
-        start = Velocity.difference(**self._length) if self._length else Velocity()
-        return start * self._smoothing
+        return self._difference * self._smoothing
+
+    @property
+    def is_other_estimator(self) -> bool:
+        """Whether the velocity is not a difference, smoothed."""
+        return any(getattr(self, name) is not None for name in _ESTIMATOR)
+
+    @property
+    def _difference(self) -> Velocity:
+        """The estimator that the filters smooth."""
+        if self.polynomial is not None:
+            return Velocity.savitzky_golay(**self._length, order=self.polynomial)
+        if self.acceleration_variance is not None and self.position_variance is not None:
+            return Velocity.kalman(self.acceleration_variance, self.position_variance)
+        return Velocity.difference(**self._length) if self._length else Velocity()
 
     @property
     def _length(self) -> dict[str, Any]:
