@@ -9,7 +9,7 @@ from benchmarks.truth.plain import Loop, radius
 from benchmarks.truth.random_loops import DeviceLoop, MassLoop
 from jaxstab import Filter, HapticLoop, Velocity
 from jaxstab.conventions import RadiusStatus
-from jaxstab.exact.roots import poles, spectral_radius
+from jaxstab.exact.roots import are_real, poles, spectral_radius
 from jaxstab.model.balls import Factored, Triple, ball_triple
 
 NOTHING = Factored(flint.arb_poly([]))
@@ -75,3 +75,16 @@ def test_poles_that_coincide_have_a_radius_but_are_not_told_apart() -> None:
     assert np.all(np.isnan(answer.values))
     assert answer.values.shape == (4,)
     assert answer.error == np.inf
+
+
+def test_a_ball_that_meets_the_real_axis_may_hold_one_of_a_pair() -> None:
+    def ball(real: float, low: float, high: float) -> flint.acb:
+        return flint.acb(real, flint.arb((low + high) / 2.0, (high - low) / 2.0))
+
+    far = [flint.acb(0.5), ball(-0.5, -1e-9, 1e-9)]
+    assert are_real(far) == [True, True]
+    pair = [ball(0.25, -0.001, 0.003), ball(0.25, -0.003, -0.0015)]  # at +-0.002i, or one beside
+    assert are_real([*far, *pair]) is None
+    assert are_real([*far, ball(0.25, 0.001, 0.003), ball(0.25, -0.003, -0.001)]) == [
+        *(True, True), *(False, False)
+    ]  # fmt: skip

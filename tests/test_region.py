@@ -241,6 +241,14 @@ def test_an_undamped_hand_at_the_nyquist_frequency_in_float64_has_a_triangle() -
     np.testing.assert_allclose(np.sort(region.corners, axis=0), corners, 1e-12)
 
 
+@pytest.mark.parametrize("gamma", [5e-324, 1e-200, 1e-100, 1e-20])
+def test_a_hand_that_is_next_to_nothing_has_the_region_of_none(gamma: float) -> None:
+    """The plant's numerator is a quotient by gamma: of fewer bits it is nothing but rounding."""
+    region = stable_region(gamma=gamma, delta=0.0, delay=0.0)
+    assert region.status == RegionStatus.COMPLETE
+    assert float(region.max_alpha[0]) == pytest.approx(12.0 - 8.0 * np.sqrt(2.0), rel=1e-12)
+
+
 def test_with_a_delay_it_is_not_called_empty_either() -> None:
     region = stable_region(gamma=NYQUIST, delta=0.0, delay=1.0)
     assert region.status == RegionStatus.UNRESOLVED

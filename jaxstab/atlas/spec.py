@@ -21,11 +21,11 @@ from jaxstab.atlas.product import (
 from jaxstab.atlas.products.fields import FIELDS
 from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.conventions import AXES
+from jaxstab.model.filter_tables import SampledTable
 from jaxstab.model.filters import (
     NO_FILTERS,
     Filter,
     Filters,
-    SampledTable,
     Section,
     Velocity,
     as_keywords,

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Complex128, Float64
 
-from jaxstab.exact.balls import FIRST_BITS, decided
+from jaxstab.exact.balls import FIRST_BITS, MOST_BITS, decided
 from jaxstab.exact.line import StableLine, real_quotient_angles, stable_pencil
 from jaxstab.exact.verdict import roots_outside
 from jaxstab.model import LoopParameters
@@ -60,6 +60,7 @@ def _scaled(question: ScaledLoop, bits: int) -> tuple[BallLoop, Triple]:
 
 
 _SHORT = 32  # degree of p(z)
+_DIGITS = 2.0**-70  # of the largest coefficient
 _SLOW = 0.3  # roots closer to 1 are found in powers of z - 1
 _LAST_BITS = 768  # a plant that is real to that precision is real
 _NEWTON_STEPS = 8
@@ -115,9 +116,28 @@ def curve_parts(loop: ScaledLoop) -> CurveParts:
 
 def _enough_bits(loop: ScaledLoop) -> AbstractContextManager[None]:
     """Set a precision for coefficients in powers of z - 1: so many of them are sums that cancel."""
-    with working_precision(FIRST_BITS):
+    bits = _bits_for_digits(loop)
+    with working_precision(bits):
         degree = loop.triple().degree
-    return working_precision(FIRST_BITS + (2 * degree if degree > _SHORT else 0))
+    return working_precision(bits + (2 * degree if degree > _SHORT else 0))
+
+
+@lru_cache(maxsize=64)
+def _bits_for_digits(loop: ScaledLoop) -> int:
+    """The precision at which the loop's polynomials have the digits of float64, and some more."""
+    bits = FIRST_BITS
+    while bits < MOST_BITS:
+        with working_precision(bits):
+            if all(map(_has_digits, (*loop.triple(), *_factors(loop)))):
+                break
+        bits *= 2
+    return bits
+
+
+def _has_digits(part: Factored) -> bool:
+    rising = part.rest.coeffs()
+    enough = max(c.abs_upper() for c in rising) * _DIGITS if rising else 0
+    return all(c.rad() <= enough for c in rising)
 
 
 def _factors(loop: ScaledLoop) -> tuple[Factored, ...]:

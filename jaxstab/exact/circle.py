@@ -3,8 +3,8 @@
     f(theta) = c_0 + c_1 cos(theta) + ... + c_n cos(n theta),    f(0) and f(pi) not 0.
 
 Up to degree 40 the sum is a polynomial in x = 2 cos(theta), by Chebyshev's recursion, of which
-python-flint isolates the roots (lemma E2). A root whose ball meets the real axis is real, since its
-mirror image is a root too and no other ball meets this one. What is lost to powers of x, about
+python-flint isolates the roots (lemma E2). A root is real if its ball meets the real axis and its
+mirror image, a root too, can be in no other ball. What is lost to powers of x, about
 1.3 n bits, is in the radii. Above, and where roots coincide or nearly so, the angles are searched.
 
 The half circle is divided into 2n cells or a few more. Two discrete Fourier transforms give f and
@@ -39,10 +39,11 @@ is asked for; else the answer is that more bits are needed.
 """
 
 from functools import lru_cache
-from itertools import cycle
+from itertools import compress, cycle
 from typing import TYPE_CHECKING, NamedTuple
 
 from jaxstab.exact.balls import sign_of
+from jaxstab.exact.roots import are_real
 
 if TYPE_CHECKING:
     from flint import arb, arb_mat, arb_poly
@@ -92,15 +93,18 @@ def _by_powers(cosines: "list[arb]") -> list[Zero] | None:
         roots = acb_poly(total).roots(tol=arb(2) ** -(ctx.prec // 2))
     except ValueError:
         return None
+    real = are_real(roots)
+    if real is None:
+        return None
     slope, found = total.derivative(), []
-    for root in roots:
+    for root in compress(roots, real):
         place = root.real / 2
-        if root.imag.contains(0) and abs(place) < 1:
+        if abs(place) < 1:
             sign = -sign_of(slope(root.real))
             if not sign:
                 return None
             found.append(Zero(place.acos(), sign))
-        elif not (abs(place) > 1 or not root.imag.contains(0)):
+        elif not abs(place) > 1:
             return None  # no zero is at 0 or pi, but this one may be there
     return sorted(found, key=lambda zero: float(zero.angle.mid()))
 

@@ -75,12 +75,17 @@ def spectral_radius(triple: TripleAt, stiffness: float, damping: float) -> Radiu
 
 def poles(triple: TripleAt, stiffness: float, damping: float) -> Poles:
     """All poles of the wall (K, B), those at z = 0 included."""
-    roots = decided(lambda: isolated_roots(triple().at(stiffness, damping)), most=_MOST_FOR_ROOTS)
-    if roots is None:
+
+    def told_apart() -> "list[tuple[acb, bool]] | None":
+        roots = isolated_roots(triple().at(stiffness, damping))
+        real = None if roots is None else are_real(roots)
+        return None if roots is None or real is None else list(zip(roots, real, strict=True))
+
+    found = decided(told_apart, most=_MOST_FOR_ROOTS)
+    if found is None:
         return Poles(np.full(triple().degree, complex(np.nan, np.nan)), np.inf)
     values, error = [], 0.0
-    for root in roots:
-        is_real = root.imag.contains(0)  # its mirror image holds the same root
+    for root, is_real in found:
         if is_real or root.imag > 0:
             real = Number.of(root.real)
             imaginary = Number(0.0, 0.0) if is_real else Number.of(root.imag)
@@ -106,6 +111,24 @@ def isolated_roots(p: Factored) -> "list[acb] | None":
     except ValueError:
         return None
     return known + found
+
+
+def are_real(roots: "list[acb]") -> list[bool] | None:
+    """Which of all roots of a real polynomial are real; None where the balls do not tell.
+
+    The mirror image of a root is a root, too. Where it can be in the same ball alone it is the root
+    itself; a ball that meets the real axis may also hold one of a pair, with the other beside it.
+    """
+    from flint import acb
+
+    answers = []
+    for root in roots:
+        answers.append(bool(root.imag.contains(0)))
+        if answers[-1] and root.imag.rad() > 0:
+            mirrored = acb(root.real, -root.imag)
+            if sum(mirrored.overlaps(other) for other in roots) > 1:
+                return None
+    return answers
 
 
 def _largest_modulus(roots: "list[acb]") -> Number | None:

@@ -5,7 +5,8 @@ from importlib.resources import files
 from math import isfinite
 from typing import Any
 
-from jaxstab.model.filters import NO_FILTER, Velocity
+from jaxstab.model.filter_tables import NO_FILTER
+from jaxstab.model.filters import Velocity
 from jaxstab.scene import Scene
 from jaxstab.scene.answers import delay_notes
 from jaxstab.scene.loops import hands_of, is_one_mass, loop_of, wall_region, walls_of

@@ -12,6 +12,7 @@ that the first root where the error rises is the first one indeed. Where balls a
 two roots apart, or a root and an end, twice as many bits are taken.
 """
 
+from itertools import compress
 from math import floor, nan
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -20,6 +21,7 @@ from jaxtyping import Float64, Int8
 
 from jaxstab.arrays import Array, Numbers, namespace
 from jaxstab.conventions import Status, Verdict
+from jaxstab.exact.roots import are_real
 from jaxstab.model import by_name, checked_delay, checked_delta, checked_gamma, require_x64
 from jaxstab.model.device.parts import working_precision
 from jaxstab.numbers import checked
@@ -180,13 +182,10 @@ def _real_roots(polynomial: "arb_poly", digits: int) -> list["arb"]:
         roots = flint.acb_poly(polynomial).roots(tol=flint.arb(2) ** -digits)
     except ValueError:
         raise _TooWideError from None
-    # A root is real if its ball alone touches the conjugate ball, which holds a root as well.
-    real = [root for root in roots if root.imag.contains(0)]
-    for root in real:
-        conjugate = flint.acb(root.real, -root.imag)
-        if sum(conjugate.overlaps(other) for other in roots) > 1:
-            raise _TooWideError
-    return sorted((root.real for root in real), key=lambda x: -float(x))
+    real = are_real(roots)
+    if real is None:
+        raise _TooWideError
+    return sorted((root.real for root in compress(roots, real)), key=lambda x: -float(x))
 
 
 def _curve(level: float, gamma: float, delta: float, delay: float) -> _Curve:

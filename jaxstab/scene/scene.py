@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 from jaxstab.model import Filter, Velocity
-from jaxstab.model.filters import FilterTable
+from jaxstab.model.filter_tables import FilterTable
 from jaxstab.model.parameters import LONGEST_DELAY
 from jaxstab.shown import shortened
 from jaxstab.tables import (
