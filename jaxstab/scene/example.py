@@ -42,8 +42,8 @@ window = 0.005            # s, difference over a window; or window_samples = 5
 # order = 1               # of the low pass
 # kind = "butterworth"    # default: first-order low passes in series
 # factor = 0.5            # exponential smoothing after the difference
-# polynomial = 2          # beside window_samples: the slope of a parabola through the samples
-# acceleration_variance = 100.0   # (m/s^2)^2, and position_variance = 1e-10 in m^2: a Kalman filter
+# In place of the difference: polynomial, its order, beside window_samples (the slope of a fit);
+# acceleration_variance in (m/s^2)^2 with position_variance in m^2 (a Kalman filter).
 
 [walls.soft]              # any number of walls, each with a name
 stiffness = 300.0         # N/m
