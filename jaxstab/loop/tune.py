@@ -164,8 +164,9 @@ def optimal_wall(
 
 def _tuned(loop: LoopParameters) -> TunedLoop:
     loop = loop.in_floats()
-    if loop.body is None:
-        return device_loop(loop)
+    sampled = loop.sampled
+    if sampled is not None:
+        return device_loop(sampled, given_filters(loop.velocity, loop.position))
     gamma, delta, delay = loop.slice.values()
     return mass_loop(gamma, delta, delay, given_filters(**loop.filters))
 
