@@ -377,8 +377,7 @@ class Rational(Section):
         return [_monic(tuple(map(DoubleDouble.from_value, self.numerator)), self.denominator)]
 
     def rational_factors(self) -> list[Factor]:
-        above, below = (list(map(Fraction, p[::-1])) for p in (self.numerator, self.denominator))
-        return [(above, below, 1)]
+        return [_exact_factor(self.numerator, self.denominator)]
 
     @property
     def toml(self) -> dict[str, Any]:
@@ -498,8 +497,7 @@ class SavitzkyGolay(Section):
         return [_monic(tuple(map(DoubleDouble.from_value, self.weights)), self._delays)]
 
     def rational_factors(self) -> list[Factor]:
-        falling = list(map(Fraction, self.weights)), list(map(Fraction, self._delays))
-        return [(falling[0][::-1], falling[1][::-1], 1)]
+        return [_exact_factor(self.weights, self._delays)]
 
     @property
     def _delays(self) -> tuple[float, ...]:
@@ -525,6 +523,12 @@ def _slope_weights(samples: int, order: int) -> tuple[float, ...]:
 
 
 LOW_PASSES = (LowPass, Butterworth)  # by ``kind``, which a table gives beside the cut-off
+
+
+def _exact_factor(numerator: tuple[float, ...], denominator: tuple[float, ...]) -> Factor:
+    """Return a quotient of polynomials, highest power of z first, in exact numbers."""
+    above, below = (list(map(Fraction, falling[::-1])) for falling in (numerator, denominator))
+    return above, below, 1
 
 
 def _lag(factor: Any) -> tuple[list[Any], list[Any]]:
