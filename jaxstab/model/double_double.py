@@ -16,6 +16,7 @@ and take four times as long to compile.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cache
 from struct import Struct
 from typing import Any, Union
@@ -41,15 +42,21 @@ class DoubleDouble:
     """
 
     hi: Array
-    lo: Array
+    lo: Array = 0.0
 
     @classmethod
-    def from_value(cls, value: Union[Array, float, "DoubleDouble"]) -> "DoubleDouble":
-        """Return a float64 array, a Python float or a pair, unchanged in value, as a pair."""
+    def from_value(cls, value: Union[Array, float, Fraction, "DoubleDouble"]) -> "DoubleDouble":
+        """Return a float64 array, a Python float or a pair, unchanged in value, as a pair.
+
+        A whole number or a fraction is rounded to a pair.
+        """
         if isinstance(value, DoubleDouble):
             return value
         if type(value) is float:  # many times faster than a NumPy array of one
-            return cls(value, 0.0)
+            return cls(value)
+        if isinstance(value, int | Fraction):
+            hi = float(value)
+            return cls(hi, float(value - Fraction(hi)))
         xp = namespace(value)
         hi = xp.asarray(value, xp.float64)
         return DoubleDouble(hi, xp.zeros_like(hi))
@@ -60,14 +67,23 @@ class DoubleDouble:
     def __add__(self, other: Union[Array, float, "DoubleDouble"]) -> "DoubleDouble":
         return _of_namespace(_sum, self, other)
 
+    def __radd__(self, other: int | Fraction) -> "DoubleDouble":
+        return self + other
+
     def __neg__(self) -> "DoubleDouble":
         return DoubleDouble(-self.hi, -self.lo)
 
     def __sub__(self, other: Union[Array, float, "DoubleDouble"]) -> "DoubleDouble":
         return self + (-other)
 
+    def __rsub__(self, other: int | Fraction) -> "DoubleDouble":
+        return -self + other
+
     def __mul__(self, other: Union[Array, float, "DoubleDouble"]) -> "DoubleDouble":
         return _of_namespace(_product, self, other)
+
+    def __rmul__(self, other: int | Fraction) -> "DoubleDouble":
+        return self * other
 
     def __truediv__(self, other: Union[Array, float, "DoubleDouble"]) -> "DoubleDouble":
         return _of_namespace(_quotient, self, other)
@@ -120,6 +136,8 @@ _SLOPES: dict[Operation, Callable[..., Array]] = {  # of result, numbers and how
 
 
 def _of_namespace(operation: Operation, pair: DoubleDouble, other: Factor) -> DoubleDouble:
+    if isinstance(other, int | Fraction):
+        other = DoubleDouble.from_value(other)
     if not is_jax(pair.hi) and not is_jax(_high(other)):
         return operation(pair, other)
     return _differentiable(operation)(*tree_map(namespace(pair, other).asarray, (pair, other)))

@@ -9,11 +9,12 @@ each other.
 The numbers that a section computes from its parameters, such as exp(-2 pi f T), are rounded to
 float64 first: proofs hold for the filter that software with these numbers runs.
 
-A new kind of section is a class here, with its transfer functions, its text and its keys of TOML,
+A new kind of section is a class here, with its factors by one number, its text and its keys of TOML,
 and a maker beside the others in ``Filter``. Files, pictures, proofs between two loops and explorers
 take all kinds from the class.
 """
 
+import numbers
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -142,10 +143,6 @@ class Section:
         del sample_time
         return self
 
-    def stages(self) -> list[Transfer]:
-        """Return the transfer functions, in units of one sample, whose product this is."""
-        raise NotImplementedError
-
     @property
     def longest_sample_time(self) -> float:
         """The longest sampling period in s with which the section is a filter in float64."""
@@ -161,17 +158,29 @@ class Section:
         """How many samples the section is the mean of; None of other kinds."""
         return None
 
+    @property
+    def number(self) -> Array:
+        """The number that a section in units of one sample computes from its parameters."""
+        return 1.0
+
     def factors(self, number: Any) -> list[Factor]:
-        """The factors of the transfer function, by the number that the section computes."""
+        """The factors of the transfer function, by that number: a pair, a fraction or a ball."""
         raise NotImplementedError
+
+    def ball_number(self, ball: Callable[[Any], Any], period: Any, pi: Any) -> Any:
+        """The number unrounded, in balls; ``ball`` returns that of a parameter."""
+        raise NotImplementedError
+
+    def stages(self) -> list[Transfer]:
+        """Return the transfer functions, in units of one sample, whose product this is."""
+        stages = []
+        for *sides, count in self.factors(DoubleDouble.from_value(self.number)):
+            stages += [_transfer(*sides)] * count
+        return stages
 
     def rational_factors(self) -> list[Factor]:
-        """The same in exact numbers, of the filter that runs: its number is a float64."""
-        raise NotImplementedError
-
-    def ball_factors(self, ball: Callable[[Any], Any], period: Any, pi: Any) -> list[Factor]:
-        """The same in balls, by the number unrounded; ``ball`` returns that of a parameter."""
-        raise NotImplementedError
+        """The factors in exact numbers, of the filter that runs: its number is a float64."""
+        return self.factors(Fraction(float(self.number)))
 
 
 @pytree
@@ -203,12 +212,7 @@ class Average(Section):
     def toml(self) -> dict[str, Any]:
         return {"window_samples": self.length}
 
-    def stages(self) -> list[Transfer]:
-        count = self.length
-        weight = DoubleDouble.from_value(1.0) / float(count)
-        return [Transfer.with_sizes((weight,) * count, ONE, count - 1)]
-
-    def rational_factors(self) -> list[Factor]:
+    def factors(self, number: Any) -> list[Factor]:
         count = self.length
         return [([Fraction(1, count)] * count, [0] * (count - 1) + [1], 1)]
 
@@ -230,7 +234,7 @@ class LowPass(Section):
 
     def per_sample(self, sample_time: Numbers) -> "LowPass":
         section = LowPass(self.cutoff * sample_time, self.order)
-        pole = section.pole
+        pole = section.number
         if not is_traced(pole) and not 0.0 < pole < 1.0:
             raise ValueError(
                 f"cutoff is {shown(self.cutoff)}; with a sampling period of {shown(sample_time)} s "
@@ -239,16 +243,9 @@ class LowPass(Section):
         return section
 
     @property
-    def pole(self) -> Array:
-        """The pole of a section in units of one sample."""
-        exponent = -2.0 * pi * self.cutoff
+    def number(self) -> Array:
+        exponent = -2.0 * pi * self.cutoff  # of the pole
         return _float(namespace(exponent).exp(exponent))
-
-    def stages(self) -> list[Transfer]:
-        pole = self.pole
-        gain = DoubleDouble.from_value(1.0) - pole
-        stage = Transfer.with_sizes((gain,), (*ONE, -DoubleDouble.from_value(pole)), -1)
-        return [stage] * self.order
 
     @property
     def longest_sample_time(self) -> float:
@@ -257,11 +254,8 @@ class LowPass(Section):
     def factors(self, number: Any) -> list[Factor]:
         return [(*_lag(1 - number), self.order)]
 
-    def rational_factors(self) -> list[Factor]:
-        return self.factors(Fraction(self.pole))
-
-    def ball_factors(self, ball: Callable[[Any], Any], period: Any, pi: Any) -> list[Factor]:
-        return self.factors((-2 * pi * (ball(self.cutoff) * period)).exp())
+    def ball_number(self, ball: Callable[[Any], Any], period: Any, pi: Any) -> Any:
+        return (-2 * pi * (ball(self.cutoff) * period)).exp()
 
 
 @pytree
@@ -277,20 +271,16 @@ class Exponential(Section):
     def __str__(self) -> str:
         return f"exponential smoothing by {shown(self.factor)}"
 
-    def stages(self) -> list[Transfer]:
-        factor = DoubleDouble.from_value(_float(self.factor))
-        pole = DoubleDouble.from_value(1.0) - factor
-        return [Transfer.with_sizes((factor,), (*ONE, -pole), -1)]
+    @property
+    def number(self) -> Array:
+        return _float(self.factor)
 
     def factors(self, number: Any) -> list[Factor]:
         return [(*_lag(number), 1)]
 
-    def rational_factors(self) -> list[Factor]:
-        return self.factors(Fraction(self.factor))
-
-    def ball_factors(self, ball: Callable[[Any], Any], period: Any, pi: Any) -> list[Factor]:
+    def ball_number(self, ball: Callable[[Any], Any], period: Any, pi: Any) -> Any:
         del period, pi
-        return self.factors(ball(self.factor))
+        return ball(self.factor)
 
 
 @pytree
@@ -318,21 +308,9 @@ class Butterworth(Section):
         return section
 
     @property
-    def warped(self) -> Array:
-        """The cut-off of the analogue filter, of a section in units of one sample."""
-        angle = pi * self.cutoff
+    def number(self) -> Array:
+        angle = pi * self.cutoff  # of the cut-off, whose tangent is that of the analogue filter
         return _float(namespace(angle).tan(angle))
-
-    def stages(self) -> list[Transfer]:
-        warped = self.warped
-        sections = [
-            _quadratic(warped, butterworth_sine(k, self.order)) for k in range(self.order // 2)
-        ]
-        if self.order % 2:  # w / (s + w) at s = (z - 1) / (z + 1)
-            width = DoubleDouble.from_value(warped)
-            gain, last = width / (width + 1.0), (width - 1.0) / (width + 1.0)
-            sections.append(Transfer.with_sizes((gain, gain), (*ONE, last), 0))
-        return sections
 
     @property
     def toml(self) -> dict[str, Any]:
@@ -352,11 +330,8 @@ class Butterworth(Section):
             factors.append(([w, w], [w - 1, w + 1], 1))
         return factors
 
-    def rational_factors(self) -> list[Factor]:
-        return self.factors(Fraction(self.warped))
-
-    def ball_factors(self, ball: Callable[[Any], Any], period: Any, pi: Any) -> list[Factor]:
-        return self.factors((pi * (ball(self.cutoff) * period)).tan())
+    def ball_number(self, ball: Callable[[Any], Any], period: Any, pi: Any) -> Any:
+        return (pi * (ball(self.cutoff) * period)).tan()
 
 
 @pytree
@@ -373,11 +348,9 @@ class Rational(Section):
     def __str__(self) -> str:
         return f"a transfer function of order {len(self.denominator) - 1}"
 
-    def stages(self) -> list[Transfer]:
-        return [_monic(tuple(map(DoubleDouble.from_value, self.numerator)), self.denominator)]
-
-    def rational_factors(self) -> list[Factor]:
-        return [_exact_factor(self.numerator, self.denominator)]
+    def factors(self, number: Any) -> list[Factor]:
+        above, below = (list(map(Fraction, p[::-1])) for p in (self.numerator, self.denominator))
+        return [(above, below, 1)]
 
     @property
     def toml(self) -> dict[str, Any]:
@@ -396,16 +369,14 @@ class Differentiator(Rational):
     def per_sample(self, sample_time: Numbers) -> "Differentiator":
         return replace(self, period=self.period * sample_time)
 
-    def stages(self) -> list[Transfer]:
-        steps = accumulate(map(DoubleDouble.from_value, self.numerator[:-1]), DoubleDouble.__add__)
-        transfer = _monic(tuple(steps), self.denominator)
-        scaled = transfer.scaled(DoubleDouble.from_value(_float(self.period)))
-        return [scaled._replace(lag=transfer.lag - 1)]
+    @property
+    def number(self) -> Array:
+        return _float(self.period)
 
-    def rational_factors(self) -> list[Factor]:
-        period, below = Fraction(self.period), list(map(Fraction, self.denominator[::-1]))
-        steps = [step * period for step in accumulate(map(Fraction, self.numerator[:-1]))]
-        return [([0, *steps[::-1]], below, 1)]
+    def factors(self, number: Any) -> list[Factor]:
+        steps = list(accumulate(map(Fraction, self.numerator[:-1])))
+        above = [number * step if step else 0 for step in steps[::-1]]
+        return [([0, *above], list(map(Fraction, self.denominator[::-1])), 1)]
 
     @property
     def toml(self) -> dict[str, Any]:
@@ -437,32 +408,24 @@ class Kalman(Section):
 
     def per_sample(self, sample_time: Numbers) -> "Kalman":
         section = Kalman(self.q * sample_time**4, self.r)
-        if not is_traced(section.gain) and not 0.0 < section.gain < 1.0:
+        if not is_traced(section.number) and not 0.0 < section.number < 1.0:
             raise ValueError(
                 f"q is {shown(self.q)} beside r = {shown(self.r)}; with a sampling period of "
-                f"{shown(sample_time)} s the filter's gain is {shown(section.gain)} in float64, "
+                f"{shown(sample_time)} s the filter's gain is {shown(section.number)} in float64, "
                 "and it has no use: give a ratio closer to 1 / period^4."
             )
         return section
 
     @property
-    def gain(self) -> Array:
-        """The number s of a section in units of one sample."""
+    def number(self) -> Array:
         ratio = self.q / self.r
         xp = namespace(ratio)
         index = xp.sqrt(ratio)
         return _float(2.0 / (1.0 + xp.sqrt(1.0 + 8.0 / index)))
 
-    def stages(self) -> list[Transfer]:
-        gain = DoubleDouble.from_value(self.gain)
-        square = gain * gain
-        middle = square + gain.scaled(2.0) - 2.0
-        below = (*ONE, middle, square - gain.scaled(2.0) + 1.0)
-        return [Transfer.with_sizes((square.scaled(2.0),), below, -2)]
-
-    def rational_factors(self) -> list[Factor]:
-        s = Fraction(self.gain)
-        return [([0, 0, 2 * s * s], [(1 - s) ** 2, s * s + 2 * s - 2, 1], 1)]
+    def factors(self, number: Any) -> list[Factor]:
+        s = number
+        return [([0, 0, 2 * s * s], [(1 - s) * (1 - s), s * s + 2 * s - 2, 1], 1)]
 
     @property
     def toml(self) -> dict[str, Any]:
@@ -493,15 +456,9 @@ class SavitzkyGolay(Section):
         """The weights of differences, that of the newest first."""
         return _slope_weights(self.samples, self.order)
 
-    def stages(self) -> list[Transfer]:
-        return [_monic(tuple(map(DoubleDouble.from_value, self.weights)), self._delays)]
-
-    def rational_factors(self) -> list[Factor]:
-        return [_exact_factor(self.weights, self._delays)]
-
-    @property
-    def _delays(self) -> tuple[float, ...]:
-        return (1.0, *[0.0] * (self.samples - 2))
+    def factors(self, number: Any) -> list[Factor]:
+        delays = [0] * (self.samples - 2) + [1]
+        return [(list(map(Fraction, self.weights[::-1])), delays, 1)]
 
     @property
     def toml(self) -> dict[str, Any]:
@@ -525,29 +482,9 @@ def _slope_weights(samples: int, order: int) -> tuple[float, ...]:
 LOW_PASSES = (LowPass, Butterworth)  # by ``kind``, which a table gives beside the cut-off
 
 
-def _exact_factor(numerator: tuple[float, ...], denominator: tuple[float, ...]) -> Factor:
-    """Return a quotient of polynomials, highest power of z first, in exact numbers."""
-    above, below = (list(map(Fraction, falling[::-1])) for falling in (numerator, denominator))
-    return above, below, 1
-
-
 def _lag(factor: Any) -> tuple[list[Any], list[Any]]:
     """Return y_k = y_(k-1) + factor (x_k - y_(k-1)) in powers of z, the lowest first."""
     return [0, factor], [factor - 1, 1]
-
-
-def _quadratic(warped: Array, sine: float) -> Transfer:
-    """Return w^2 / (s^2 + 2 w sine s + w^2) at s = (z - 1) / (z + 1)."""
-    square = DoubleDouble.from_value(warped) * warped
-    damping = (DoubleDouble.from_value(warped) * sine).scaled(2.0)
-    leading = square + 1.0 + damping
-    gain = square / leading
-    middle = (square - 1.0).scaled(2.0) / leading
-    return Transfer.with_sizes(
-        (gain, gain.scaled(2.0), gain),
-        (*ONE, middle, (square + 1.0 - damping) / leading),
-        0,
-    )
 
 
 def butterworth_sine(k: int, order: int) -> float:
@@ -555,16 +492,21 @@ def butterworth_sine(k: int, order: int) -> float:
     return float(np.sin(pi * (2 * k + 1) / (2 * order)))
 
 
-def _monic(numerator: Polynomial, denominator: tuple[float, ...]) -> Transfer:
-    """Return a quotient of polynomials, powers of z taken out of both."""
-    zeros = next(k for k, c in enumerate(reversed(numerator)) if c.hi != 0.0)
-    poles = next(k for k, c in enumerate(reversed(denominator)) if c != 0.0)
-    leading = denominator[0]
-    above = tuple(c / leading for c in numerator[: len(numerator) - zeros])
-    below = tuple(
-        DoubleDouble.from_value(c) / leading for c in denominator[: len(denominator) - poles]
-    )
-    return Transfer.with_sizes(above, below, poles - zeros)
+def _transfer(above: list[Any], below: list[Any]) -> Transfer:
+    """Return a quotient of polynomials, the lowest power of z first; exact zeros are numbers."""
+    lags, sides = [], []
+    for rising in (above, below):
+        lags.append(next(k for k, c in enumerate(rising) if not _is_exactly(0, c)))
+        sides.append([DoubleDouble.from_value(c) for c in rising[lags[-1] :][::-1]])
+    numerator, denominator = sides
+    if not _is_exactly(1, below[-1]):
+        leading = denominator[0]
+        numerator, denominator = ([c / leading for c in side] for side in (numerator, denominator))
+    return Transfer.with_sizes(tuple(numerator), (*ONE, *denominator[1:]), lags[1] - lags[0])
+
+
+def _is_exactly(number: int, coefficient: Any) -> bool:
+    return isinstance(coefficient, numbers.Rational) and coefficient == number
 
 
 def _float(value: Numbers) -> Array:

@@ -415,7 +415,8 @@ def _section(section: Section, t: "acb", period: float) -> "tuple[acb_poly, acb_
     import flint
 
     of_t = partial(_value, t=t)
-    factors = section.ball_factors(of_t, flint.arb(exact(period)), flint.arb.pi())
+    number = section.ball_number(of_t, flint.arb(exact(period)), flint.arb.pi())
+    factors = section.factors(number)
     above = [flint.acb_poly(top) ** power for top, _, power in factors]
     below = [flint.acb_poly(bottom) ** power for _, bottom, power in factors]
     return reduce(mul, above), reduce(mul, below)
