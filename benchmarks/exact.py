@@ -210,7 +210,7 @@ def _judge_line(
         return
     known = [end.value for end in line.crossings]
     tried = [(low + high) / 2.0 for low, high in pairwise(known)]
-    for value, error, _ in line.crossings:
+    for value, error, *_ in line.crossings:
         aside = max(1e-9 * abs(value), 4.0 * error)
         tried += [value - aside, value + aside]
     for t in tried:

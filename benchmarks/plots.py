@@ -391,7 +391,7 @@ def _loops(rows: list[Row]) -> Figure:
 
 
 def _exact(rows: list[Row]) -> Figure:
-    """CPU time of balls and of the other answer, and beside it what each leaves open."""
+    """CPU time of balls and of the other answer, and below what each leaves open or gets wrong."""
     kinds = [row for row in rows if "judged" in row]
     figure, axes = _panels(1, 2, "Balls beside float64 and pairs, on random loops of all kinds")
     figure.set_figheight(2.4 + 0.22 * len(kinds))

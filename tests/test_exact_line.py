@@ -206,7 +206,7 @@ def assert_mpmath_agrees(truth: Loop, line: StableLine, along: tuple[float, floa
     """Judge both sides of each crossing, and the middle of each gap."""
     known = [end.value for end in line.crossings]
     tried = [(low + high) / 2.0 for low, high in pairwise(known)]
-    for value, error, _ in line.crossings:
+    for value, error, *_ in line.crossings:
         aside = max(1e-9 * abs(value), 4.0 * error)
         tried += [value - aside, value + aside]
     judged = 0

@@ -71,13 +71,14 @@ class LineStatus(Status):
 class End(NamedTuple):
     """The end of an interval: t, a bound of its error, and the angle of the root that crosses.
 
-    Infinite, without an angle, where the interval has no end; the angle is that of one root where
-    several cross.
+    Infinite, without an angle, where the interval has no end. Where several roots cross, or may,
+    ``is_shared``, the angle is that of one of them.
     """
 
     value: float
     error: float
     angle: float
+    is_shared: bool = False
 
 
 class Interval(NamedTuple):
@@ -127,12 +128,26 @@ def stable_line(
         [(0.0, 35324.95892...)]
     """
 
-    def line() -> _Line:
+    def line() -> tuple[Factored, Factored]:
         parts = triple()
         q = parts.stiffness.scaled(along[0]).plus(parts.damping.scaled(along[1]))
-        return _Line.of(parts.at(*start), q)
+        return parts.at(*start), q
 
-    found = decided(lambda: _found(line()))
+    return stable_pencil(line)
+
+
+def stable_pencil(pencil: Callable[[], tuple[Factored, Factored] | None]) -> StableLine:
+    """All t for which p0 + t q is stable; None, in place of p0 and q, asks for more bits."""
+
+    def line() -> _Line | None:
+        parts = pencil()
+        return None if parts is None else _Line.of(*parts)
+
+    def crossings() -> _Found | None:
+        own = line()
+        return None if own is None else _found(own)
+
+    found = decided(crossings)
     counts = found and _counts(line, found)
     if found is None or counts is None:
         return StableLine((), (), 0, 0.0, LineStatus.UNDECIDED)
@@ -152,6 +167,7 @@ class Crossing(NamedTuple):
     t: "arb"
     angle: "arb"
     change: int | None
+    is_shared: bool = False
 
 
 class _Line(NamedTuple):
@@ -204,7 +220,7 @@ def _found(line: _Line) -> _Found | None:
 
 
 def _end(crossing: Crossing) -> End:
-    return End(*Number.of(crossing.t), float(crossing.angle.mid()))
+    return End(*Number.of(crossing.t), float(crossing.angle.mid()), crossing.is_shared)
 
 
 # --------------------------------------------------------------------------------------- crossings
@@ -214,8 +230,7 @@ def _crossings(line: _Line, *, is_last_try: bool) -> tuple[list[Crossing], float
 
     p0, q, _ = line
     turn = p0.at_one - q.at_one
-    phase = _phase(p0) - _phase(q)
-    places = zeros(_cosines(p0.rest, q.rest, phase, is_odd=turn % 2 == 1), is_last_try=is_last_try)
+    places = zeros(_cosines_of(p0, q), is_last_try=is_last_try)
     if places is None:
         return None
     above, below = _OnCircle.of(p0), _OnCircle.of(q)
@@ -257,6 +272,12 @@ def _real_sign(p: Factored, angle: "arb") -> int:
     for n in p.windows:
         sign *= sign_of((angle * n / 2).sin())
     return sign
+
+
+def _cosines_of(p0: Factored, q: Factored) -> "list[arb]":
+    """The cosine sum of p0 and q, without the real functions of factors that are known."""
+    is_odd = (p0.at_one - q.at_one) % 2 == 1
+    return _cosines(p0.rest, q.rest, _phase(p0) - _phase(q), is_odd=is_odd)
 
 
 def _cosines(u: "arb_poly", v: "arb_poly", phase: int, *, is_odd: bool) -> "list[arb]":
@@ -339,7 +360,7 @@ def _joined(crossings: list[Crossing]) -> list[Crossing]:
             last = joined.pop()
             is_known = last.change is not None and crossing.change is not None
             change = last.change + crossing.change if is_known else None  # type: ignore[operator]
-            crossing = Crossing(last.t.union(crossing.t), last.angle, change)
+            crossing = Crossing(last.t.union(crossing.t), last.angle, change, is_shared=True)
         joined.append(crossing)
     return joined
 
@@ -362,7 +383,7 @@ def _between(crossings: list[Crossing]) -> "list[arb] | None":
     return [*walls, last + reach]
 
 
-def _counts(line: Callable[[], _Line], found: _Found) -> list[int] | None:
+def _counts(line: Callable[[], _Line | None], found: _Found) -> list[int] | None:
     """The number of roots outside in each gap; None where they are not known or contradict."""
     counts: list[int] = []
     start = 0
@@ -378,7 +399,9 @@ def _counts(line: Callable[[], _Line], found: _Found) -> list[int] | None:
     return counts
 
 
-def _chain(line: Callable[[], _Line], walls: "list[arb]", relative: list[int]) -> list[int] | None:
+def _chain(
+    line: Callable[[], _Line | None], walls: "list[arb]", relative: list[int]
+) -> list[int] | None:
     """The numbers in gaps of which the differences are known."""
     shifts = set()
     for index in {relative.index(min(relative)), relative.index(max(relative))}:
@@ -390,5 +413,6 @@ def _chain(line: Callable[[], _Line], walls: "list[arb]", relative: list[int]) -
     return [count + min(shifts) for count in relative] if len(shifts) == 1 else None
 
 
-def _outside(line: Callable[[], _Line], t: "arb") -> int | None:
-    return roots_outside(line().at(t))
+def _outside(line: Callable[[], _Line | None], t: "arb") -> int | None:
+    own = line()
+    return None if own is None else roots_outside(own.at(t))
