@@ -10,7 +10,7 @@ empty), and a random descent over the gains with eigenvalues of polynomials of 5
 
 Random loops with estimators and filters are judged alike: there the descents stay in the component
 of small gains, whose outline matplotlib knows, and what they find is certified. Slow filters of
-high order have regions in double-double of which float64 proves no wall: none of those is missed.
+high order have regions of which float64 proves no wall: none of those is missed.
 
 Walls (K >= 0, B >= 0) of ordinary loops are those of ``HapticLoop.tune("radius")``: descents that
 start from them, from their edges and anywhere in the component do better by up to ``error``; the

@@ -11,7 +11,7 @@ from beartype import beartype
 from jaxtyping import Float64, Int64, TypeCheckError, jaxtyped
 
 from jaxstab.loop import WallRegion
-from jaxstab.region.points import curve_and_lift
+from jaxstab.region.curve import curve_gains
 
 Decorator = Callable[[Any], Any]
 
@@ -131,4 +131,4 @@ def test_jaxstab_is_checked() -> None:
         WallRegion("no loop", None)
     with pytest.raises(TypeCheckError):
         WallRegion.in_si_units(None, np.ones((2, 3)))
-    assert hasattr(curve_and_lift, "__wrapped__")
+    assert hasattr(curve_gains, "__wrapped__")

@@ -10,13 +10,12 @@ import pytest
 from mpmath import mp, mpf
 
 from benchmarks import truth
-from jaxstab.model import by_name
-from jaxstab.model.filters import NO_FILTERS
+from jaxstab.exact.boundary import ScaledLoop
+from jaxstab.model import LoopParameters, by_name
 from jaxstab.paper import minus_line, plus_line
 from jaxstab.region import boundary_curve
-from jaxstab.region.curve import Curve, curve_of_system, mass_system
-from jaxstab.region.points import curve_and_lift
-from jaxstab.region.roots import bracketed_root, with_slope
+from jaxstab.region.curve import Curve, curve_gains, curve_of, gains_and_slopes
+from jaxstab.region.roots import bracketed_root
 
 ACCURACY = 1e-13
 ROUNDING = 2.0**-52
@@ -176,7 +175,9 @@ def test_the_derivatives_are_those_of_the_truth(
 
 
 def curve_of_region(gamma: float, delta: float, delay: float, radius: float) -> Curve:
-    return curve_of_system(mass_system(gamma, delta, delay, NO_FILTERS, radius))
+    hand = {"device_damping": delta, "hand_stiffness": gamma}
+    loop = LoopParameters(device_mass=1.0, sample_time=1.0, delay=delay, **hand)
+    return curve_of(ScaledLoop(loop, (1.0, 1.0), radius))
 
 
 @np.errstate(divide="ignore")
@@ -187,7 +188,7 @@ def test_the_curve_of_regions_is_the_closed_form(rng: np.random.Generator) -> No
     for place in np.stack([gamma, delta, delay, radius], axis=-1).tolist():
         theta = random_angles(rng, 20)
         expected = np.stack(boundary_curve(theta, **by_name(*place[:3]), radius=place[3]))
-        curve = np.stack(curve_and_lift(curve_of_region(*place), theta)[:2])
+        curve = curve_gains(curve_of_region(*place), theta)
         distance = np.hypot(expected[0] + place[0], expected[1])
         assert np.max(np.abs(curve - expected) / distance) < 1e-11, place
 
@@ -201,7 +202,7 @@ def test_slopes_in_numpy_are_within_1e_12_of_the_truth(
     step = mpf(10) ** -20
     for angle, *slice_ in np.stack([theta, *slices], axis=-1).tolist():
         c = curve_of_region(*slice_, 1.0)
-        slopes = np.stack(with_slope(partial(curve_and_lift, c), np.array([angle]))[1])[:2, 0]
+        slopes = gains_and_slopes(c, np.array([angle]))[1][:, 0]
         here = truth.boundary_point(angle, *slice_)
         ahead = truth.boundary_point(mpf(angle) + step, *slice_)
         exact = [(a - b) / step for a, b in zip(ahead, here, strict=True)]
@@ -209,7 +210,9 @@ def test_slopes_in_numpy_are_within_1e_12_of_the_truth(
             abs(mpf(one) - other) for one, other in zip(slopes.tolist(), exact, strict=True)
         )
         # Next to a pole slopes are sums that cancel: of the curve over the distance of the pole.
-        nearest = min(np.hypot(angle - pole, apart) for pole, apart in c.poles.T)
+        nearest = min(
+            np.hypot(angle - pole, apart) for pole, apart in [*c.resonances.T, (0.0, 1.0)]
+        )
         distance = mp.hypot(here[0] + mpf(slice_[0]), here[1])
         # Next to 0 and pi, where the curve is even, a slope is a rounding of points over the angle.
         rounding = 8.0 * ROUNDING * distance / min(angle, np.pi - angle)
@@ -254,7 +257,7 @@ def test_poles_of_the_curve_are_the_zeros_of_the_numerator(
     plant = truth.plant(gamma, delta, delay % 1.0)
     zeros = np.roots([float(n) for n in (plant.n2, plant.n1, plant.n0)])
     zeros = zeros[zeros != 0.0]
-    angles, distances = c.poles
+    angles, distances = c.resonances
     for zero in zeros:
         away = np.abs(np.log(np.abs(zero)))
         k = np.argmin(np.abs(angles - np.abs(np.angle(zero))) + np.abs(distances - away))

@@ -425,7 +425,7 @@ def test_31_26_angles_in_a_table_are_divided_too(monkeypatch: pytest.MonkeyPatch
     (c, _), options = asked[0]
     theta = np.linspace(0.01, 3.0, 40)
     whole = others_inside(c, theta, **options)
-    monkeypatch.setattr("jaxstab.region.pieces._AT_ONCE", 4 * c.length)
+    monkeypatch.setattr("jaxstab.region.pieces._AT_ONCE", 4 * c.degree)
     table = others_inside(c, theta[None], **options)
     assert table.shape == (1, *theta.shape)
     assert 0 < whole.sum() < whole.size

@@ -34,10 +34,13 @@ WITHOUT_ARRAYS = {
     *(f"HapticLoop.{method}" for method in ("region", "limits", "tune", "robust_limit")),
 }
 
-WITH_FLINT = {  # single walls are answered in balls
-    *("amplitude", "common_region", "margins", "paper.linear_validity"),
+WITH_FLINT = {  # single walls, lines of walls and regions are answered in balls
+    *("amplitude", "common_region", "limits_of", "margins", "paper.linear_validity"),
+    *("regions_of", "robust_region", "stable_region", "tune_for_all"),
     *(f"HapticLoop.{walls}" for walls in ("amplitude", "jitter_margin", "margins", "oscillation")),
     *(f"HapticLoop.{walls}" for walls in ("poles", "spectral_radius", "verdict", "worst_delays")),
+    *(f"HapticLoop.{line}" for line in ("damping_limits", "stiffness_limits", "limits", "region")),
+    *("HapticLoop.boundary_distance", "HapticLoop.robust_limit"),
 }
 
 WITHOUT_JAX = """

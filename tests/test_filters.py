@@ -29,8 +29,7 @@ from jaxstab.model import by_name, filters
 from jaxstab.model.filters import Section, given_filters
 from jaxstab.model.linear_loop import _values, filtered_loop
 from jaxstab.point.schur_cohn import dense_codes, rounded_loop, without_zeros
-from jaxstab.region.curve import curve_of_system, mass_system
-from jaxstab.region.points import curve_and_lift
+from jaxstab.region.curve import curve_gains
 from jaxstab.rounding import UNIT
 from jaxstab.tables import parsed
 
@@ -686,8 +685,7 @@ def test_the_curve_of_plants_that_are_nearly_zero_at_the_nyquist_frequency(numbe
     # W is up to 1e16 at z = -1, or V is: divided by z + 1 they took 8 to 16 digits.
     loop = MassLoop.drawn(np.random.default_rng([20121120, number]))
     angles = np.linspace(1.6, 3.1, 12)
-    coefficients = curve_of_system(mass_system(*loop.plant, loop.filters[:2]))
-    walls = np.stack(curve_and_lift(coefficients, angles)[:2], axis=1)
+    walls = curve_gains(loop.region().curve, angles).T
     truths = np.array([loop.balls.wall_with_roots_at(theta) for theta in angles.tolist()])
     size = np.max(np.abs(truths), axis=1, keepdims=True)
     assert np.max(np.abs(walls - truths) / size) < 1e-12
@@ -697,7 +695,7 @@ def test_the_curve_of_plants_that_are_nearly_zero_at_the_nyquist_frequency(numbe
 def test_walls_of_the_line_of_a_real_root_at_minus_one_have_that_root(samples: int) -> None:
     window = Velocity.difference(samples)
     c = jaxstab.stable_region(**by_name(0.3, 0.1, 1.5), velocity=window).curve
-    base, stiffness, damping = c.at_minus_one
+    base, stiffness, damping = c.ends[1]
     for beta in (-0.2, 0.4):
         alpha = -(base + damping * beta) / stiffness
         poles = jaxstab.closed_loop_poles(alpha, beta, **by_name(0.3, 0.1, 1.5), velocity=window)

@@ -1,7 +1,5 @@
 """What single-token changes of the code showed to be untested; each test fails on one of them."""
 
-from types import SimpleNamespace
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,7 +18,6 @@ from jaxstab.proofs.curve_patches import Domain
 from jaxstab.proofs.filters import Ends, filter_cells, filter_ends, largest_within
 from jaxstab.proofs.linear_circle import _in_piece, _waves
 from jaxstab.proofs.plant import HandBoxes, delay_moves
-from jaxstab.region.curve import PoleLine
 from jaxstab.region.outline import are_inside as are_within
 from jaxstab.region.pieces import _all_inside
 
@@ -34,16 +31,6 @@ def test_batched_counts_of_roots_are_those_of_numpys_roots() -> None:
     inside = np.abs(roots).max(axis=0) < 1.0
     assert 50 < inside.sum() < 350
     assert _all_inside(falling).tolist() == inside.tolist()
-
-
-@pytest.mark.parametrize("width", [1e-3, 0.3, 1.0, 2.0])
-def test_a_curve_meets_its_line_where_both_ways_begin(width: float) -> None:
-    """pole_lines: the knots lie below the middle of each side, for wide lines well below."""
-    line = SimpleNamespace(is_double=False, half_width=width, angle=1.5)
-    ends = PoleLine.knots.fget(line)
-    share = (1.5 - np.array(ends)) / width * [1.0, -1.0]
-    way = 2.0 * np.sin(width / 2) + width * np.cos(width / 2) * (share - 1.0)
-    assert way == pytest.approx(width * (1.0 - share) ** 2 / share, abs=1e-12)
 
 
 @pytest.mark.parametrize("samples", [0.0, 0.25, 1.0, 1.3, 2.9])

@@ -14,7 +14,7 @@ import pytest
 
 from benchmarks import truth
 from jaxstab import Velocity
-from jaxstab.model import DoubleDouble, polynomial_degree
+from jaxstab.model import polynomial_degree
 from jaxstab.model.filters import known_filters
 from jaxstab.model.linear_loop import Affine, Bounded, LinearLoop
 from jaxstab.point import dominance, fields, radius, verdicts
@@ -28,8 +28,6 @@ from jaxstab.proofs.curve_patches import Domain
 from jaxstab.proofs.exclusion import LineBoxes, Models, _shrunk
 from jaxstab.proofs.filters import Ends
 from jaxstab.proofs.plant import HandBoxes
-from jaxstab.region.curve import loop_of_system, mass_system, parts_in_pairs
-from jaxstab.region.exact import exact_gains
 from jaxstab.rounding import UNIT
 
 COUNT = 400
@@ -303,31 +301,6 @@ def test_sums_of_cosines_round_by_no_more_than_the_rest_of_their_model(turns: in
         for k, angle in enumerate(theta.tolist()):
             true = sum((j + 1) * mpmath.cos(j * mpmath.mpf(angle)) for j in range(turns))
             assert abs(true - float(model.centre[k])) <= model.rest[k]
-
-
-def test_points_next_to_minus_one_have_the_digits_of_pairs() -> None:
-    """The angle from pi on, by which the curve moves there, is known beyond float64."""
-    system = mass_system(0.5, 0.2, 1.3, known_filters(Velocity.difference(samples=3), None))
-    pairs, loop = parts_in_pairs(system), loop_of_system(system)[:3]
-    theta = np.pi - np.geomspace(1e-3, 0.5, 12)
-    gains = exact_gains(pairs, DoubleDouble.from_value(theta), with_slopes=False).values[:2]
-    with mpmath.workdps(40):
-        for k, angle in enumerate(theta.tolist()):
-            z = mpmath.expj(mpmath.mpf(angle))
-            base, stiffness, damping = (
-                mpmath.polyval(
-                    [mpmath.mpf(float(c.hi)) + float(c.lo) for c in part[::-1]], z, asc=True
-                )
-                for part in loop
-            )
-            below = (mpmath.conj(stiffness) * damping).imag
-            true = (
-                (mpmath.conj(damping) * base).imag / below,
-                -(mpmath.conj(stiffness) * base).imag / below,
-            )
-            for gain, value in zip(gains, true, strict=True):
-                made = mpmath.mpf(float(gain.hi[k])) + float(gain.lo[k])
-                assert abs(made - value) <= 1e-22 * abs(value)
 
 
 def test_a_box_of_a_linear_function_shrinks_to_its_zero_and_never_beyond() -> None:

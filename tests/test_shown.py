@@ -115,7 +115,7 @@ def test_a_region_prints_four_lines_with_units(loop: jaxstab.HapticLoop) -> None
 
 
 def test_a_region_that_claims_nothing_prints_one_line() -> None:
-    empty = jaxstab.stable_region(gamma=np.pi**2, delta=0.0, delay=0.0)
+    empty = jaxstab.stable_region(gamma=np.pi**2, delta=0.0, delay=1.0)
     assert empty.status != RegionStatus.COMPLETE
     assert repr(empty) == f"StableRegion: {empty.status.words}"
     assert empty._repr_html_() == f"<pre>{empty!r}</pre>"

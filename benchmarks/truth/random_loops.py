@@ -23,7 +23,6 @@ from jaxstab.model.device import SampledDevice, sampled_device
 from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.point.radius import linear_spectral_radius
 from jaxstab.point.verdicts import linear_verdict
-from jaxstab.region.region import linear_region
 
 _HIGHEST_ORDER = 24
 _PERIOD = 2.0**-10  # of devices, in s: cut-offs in Hz and per sample are the same numbers
@@ -113,8 +112,10 @@ class DeviceLoop:
         return linear_spectral_radius(alpha, beta, self._loop)
 
     def region(self) -> jaxstab.results.StableRegion:
-        transfers = self.sampled.transfers(self.filters[:2])
-        return linear_region(self.sampled.plant, *transfers, tolerance=1e-6)
+        velocity, position = self.filters[:2]
+        device, delay = device_of(self.device), self.device.delay * _PERIOD
+        fields = {"device": device, "sample_time": _PERIOD, "delay": delay}
+        return jaxstab.HapticLoop(**fields, velocity=velocity, position=position).region().region
 
     @cached_property
     def sampled(self) -> SampledDevice:

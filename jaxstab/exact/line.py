@@ -37,6 +37,7 @@ is infinite but where q vanishes next to a zero of c.
 """
 
 from collections.abc import Callable
+from fractions import Fraction
 from functools import partial
 from itertools import accumulate, pairwise
 from math import inf, nan
@@ -221,6 +222,19 @@ def _found(line: _Line) -> _Found | None:
 
 def _end(crossing: Crossing) -> End:
     return End(*Number.of(crossing.t), float(crossing.angle.mid()), crossing.is_shared)
+
+
+def real_quotient_angles(p0: Factored, q: Factored) -> "list[arb] | None":
+    """The angles in (0, pi) where q/p0 is real, 0 or infinite, in order; None for more bits."""
+    from flint import arb
+
+    places = zeros(_cosines_of(p0, q), is_last_try=True)
+    if places is None:
+        return None
+    windows = {Fraction(2 * j, n) for n in p0.windows + q.windows for j in range(1, (n + 1) // 2)}
+    known = [arb.pi() * share.numerator / share.denominator for share in windows]
+    others = [place.angle for place in places if not any(place.angle.overlaps(t) for t in known)]
+    return sorted(others + known, key=lambda t: float(t.mid()))
 
 
 # --------------------------------------------------------------------------------------- crossings

@@ -77,7 +77,7 @@ class MovingLimits:
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
         >>> loop.limits(delays=(0.0, 0.2e-3))
-        K = 43665.20864503595 N/m at B = 63.093604388515814 N s/m is proved for every sequence of
+        K = 43665.2086450... N/m at B = 63.093604... N s/m is proved for every sequence of
         delays; K = 44859 N/m there is unstable
     """
 

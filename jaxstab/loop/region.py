@@ -10,11 +10,10 @@ from jaxtyping import Bool, Float64
 
 from jaxstab.arrays import Array, Numbers, are_numbers, float_arrays, is_jax
 from jaxstab.model import LoopParameters, checked_gain, require_x64
-from jaxstab.model.filters import given_filters
 from jaxstab.model.loop import refuse_arrays
 from jaxstab.numbers import without_noise
-from jaxstab.region import RegionStatus, StableRegion, measures, stable_region
-from jaxstab.region.region import linear_region
+from jaxstab.region import RegionStatus, StableRegion, measures
+from jaxstab.region.region import loop_region, proved_extremes
 from jaxstab.region.stable_set import GainNames, ShownRegion, limits_text, printed_extremes
 
 TOLERANCE = 1e-6  # of the outline, by default
@@ -182,9 +181,8 @@ class WallRegion(ShownRegion):
 
     @cached_property
     def _quadrant(self) -> tuple[Gains, Gains]:
-        region = self.region
-        stiffest, damped = measures.quadrant_extremes(region.curve, region.outline)
-        return self._gains(stiffest.point), self._gains(damped.point)
+        stiffest, damped = proved_extremes(self.region)
+        return self._gains(stiffest), self._gains(damped)
 
     @property
     def area(self) -> float:
@@ -310,10 +308,4 @@ def _limits_of(stiffest: Gains, damped: Gains, status: RegionStatus) -> WallLimi
 @lru_cache(maxsize=_REMEMBERED)
 def wall_region(loop: LoopParameters, tolerance: float) -> WallRegion:
     """Return the stable walls of a loop; the most recent ones are remembered."""
-    sampled = loop.sampled
-    if sampled is None:
-        region = stable_region(**loop.slice, tolerance=tolerance, **loop.filters)
-    else:
-        transfers = sampled.transfers(given_filters(loop.velocity, loop.position))
-        region = linear_region(sampled.plant, *transfers, tolerance)
-    return WallRegion(loop, region)
+    return WallRegion(loop, loop_region(loop, tolerance))

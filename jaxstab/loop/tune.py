@@ -164,9 +164,8 @@ def optimal_wall(
 
 def _tuned(loop: LoopParameters) -> TunedLoop:
     loop = loop.in_floats()
-    sampled = loop.sampled
-    if sampled is not None:
-        return device_loop(sampled, given_filters(loop.velocity, loop.position))
+    if loop.body is None:
+        return device_loop(loop)
     gamma, delta, delay = loop.slice.values()
     return mass_loop(gamma, delta, delay, given_filters(**loop.filters))
 

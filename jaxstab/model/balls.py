@@ -112,6 +112,26 @@ class Factored(NamedTuple):
         counts = self.power - power, self.at_one - at_one, self.at_minus_one - at_minus_one
         return Factored(self.rest, *counts, self.windows)
 
+    def of_radius(self, radius: float) -> "Factored":
+        """The polynomial of radius z."""
+        from flint import arb, arb_poly
+
+        plain = self.without_windows()
+        rising = plain.divided(plain.power, 0, 0).polynomial().coeffs()
+        r = arb(radius)
+        return Factored(
+            arb_poly([c * r ** (k + self.power) for k, c in enumerate(rising)]), self.power
+        )
+
+    def around(self, place: int) -> "arb_poly":
+        """The coefficients in powers of s, z = place (1 + s), place = 1 or -1."""
+        from flint import arb_poly
+
+        plain = self.without_windows()
+        orders = (plain.at_one, 0) if place == 1 else (0, plain.at_minus_one)
+        others = plain.divided(0, *orders).polynomial()
+        return (others(arb_poly([place, place])) * place ** sum(orders)).left_shift(sum(orders))
+
     def without_windows(self) -> "Factored":
         """The same polynomial with the windows multiplied into the rest."""
         from flint import arb_poly
@@ -172,6 +192,24 @@ class BallLoop(NamedTuple):
     lag: int
     position: tuple[Factored, Factored]
     velocity: tuple[Factored, Factored]
+
+    def scaled(self, units: tuple[float, float], radius: float) -> "BallLoop":
+        """The loop of K and B in these units, around a circle of this radius."""
+        from flint import arb
+
+        stiffness, damping = units
+
+        def around(part: Factored) -> Factored:
+            return part if radius == 1.0 else part.of_radius(radius)
+
+        (above_p, below_p), (above_v, below_v) = self.position, self.velocity
+        return BallLoop(
+            around(self.numerator),
+            around(self.denominator).scaled(arb(radius) ** self.lag),
+            self.lag,
+            position=(around(above_p.scaled(stiffness)), around(below_p)),
+            velocity=(around(above_v.scaled(damping)), around(below_v)),
+        )
 
     @property
     def free(self) -> Factored:

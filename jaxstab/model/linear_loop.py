@@ -21,7 +21,6 @@ from jaxstab.arrays import Array, Numbers, float_arrays, is_any_traced, namespac
 from jaxstab.batches import MANY, compiled
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import (
-    ONE,
     Filter,
     Filters,
     Polynomial,
@@ -212,31 +211,6 @@ def loop_of(plant: SampledPlant, filters: LoopFilters) -> LinearLoop:
     )
 
 
-def loop_of_radius(loop: LinearLoop, radius: float) -> LinearLoop:
-    """Return the loop whose roots are those of a loop over a radius, for numbers.
-
-    Its polynomials are those of p(radius z) over radius^degree; for their errors see lemma V8.
-    """
-    if radius == 1.0:
-        return loop
-    inverse = DoubleDouble(1.0, 0.0) / DoubleDouble.from_value(radius)
-    powers = list(accumulate(loop.base[1:], lambda power, _: power * inverse, initial=ONE[0]))
-    parts = [tuple(c * power for c, power in zip(p, powers, strict=True)) for p in loop[:3]]
-    rounding = 4.0 * len(powers) * PAIR_PRODUCT
-    errors = [
-        error * abs(powers[-1].hi) + rounding * size_of(polynomial)
-        for error, polynomial in zip(loop.errors, parts, strict=True)
-    ]
-    even, odd = ([reduce(DoubleDouble.__add__, p[k::2]) for p in parts] for k in range(2))
-    at_one, at_minus_one = (
-        Affine(*(Bounded(a + b.scaled(sign), e) for a, b, e in zip(even, odd, errors, strict=True)))
-        for sign in (1.0, -1.0)
-    )
-    base, stiffness, damping = parts
-    bounds = errors[0], errors[1], errors[2]
-    return LinearLoop(base, stiffness, damping, bounds, at_one, at_minus_one)
-
-
 def loop_without_drift(loop: LinearLoop) -> LinearLoop:
     """Return the loop of p(z) z / (z - 1), for alpha = 0 and a device that nothing holds.
 
@@ -255,16 +229,6 @@ def loop_without_drift(loop: LinearLoop) -> LinearLoop:
     bounds = errors[0], errors[1], errors[2]
     at_one = Affine(*map(Bounded, sums, errors))
     return LinearLoop(base, stiffness, damping, bounds, at_one, loop.at_minus_one)
-
-
-def loop_factors(
-    lag: int, velocity: Transfer, position: Transfer
-) -> tuple[list[int], tuple[tuple[Polynomial, ...], ...]]:
-    """The factors of base (beside D), stiffness and damping (beside N).
-
-    First the powers of z before the three, then the factors of each.
-    """
-    return _powers(lag, (velocity.lag + 1, position.lag)), _factors(velocity, position)
 
 
 def _powers(lag: int, lags: tuple[int, int]) -> list[int]:

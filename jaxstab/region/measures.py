@@ -23,11 +23,9 @@ from jaxtyping import Float64
 
 from jaxstab.arrays import Array, constant, joined, namespace, tree_map
 from jaxstab.batches import on_host
-from jaxstab.region.curve import Curve
+from jaxstab.region.curve import Curve, curve_gains, gains_and_slopes
 from jaxstab.region.outline import Outline
-from jaxstab.region.pieces import Branch
-from jaxstab.region.points import curve_gains
-from jaxstab.region.roots import bracketed_root, nonzero, with_slope
+from jaxstab.region.roots import bracketed_root, nonzero
 
 _AT_ONCE = 1 << 20  # pairs of a point and an edge that are held in memory
 _LAST_STEP = 1e-10  # radians
@@ -91,7 +89,10 @@ def _extreme(c: Curve, outline: Outline, axis: int) -> Extreme:
     values = np.where(is_allowed, vertices[:, axis], -np.inf)
     vertex: int | None = int(np.argmax(values))
     largest, point = np.max(values), vertices[vertex]
-    crossing = limits(c, outline, np.zeros(1), axis=1 - axis)[0, 1]
+    crossing, met = np.nan, _met(outline, np.zeros(1), 1 - axis)[0]
+    boxes = np.maximum(vertices[:-1, axis], vertices[1:, axis])
+    if np.max(boxes, where=met, initial=-np.inf) > largest:
+        crossing = limits(c, outline, np.zeros(1), axis=1 - axis)[0, 1]
     if crossing - largest > _STILL * abs(crossing):
         vertex, largest, point = None, crossing, np.array([crossing, 0.0][:: 1 - 2 * axis])
     sizes = _STILL * np.max(abs(np.nan_to_num(vertices)), axis=0)
@@ -147,11 +148,11 @@ def area(c: Curve, outline: Outline) -> Array:
     begin, end = outline.angles[:, :1], outline.angles[:, 1:]
     half = 0.5 * (end - begin)
     theta = begin + half * (1.0 + _GAUSS_NODES)
-    (alpha, _), (_, slope) = with_slope(partial(curve_gains, c), theta)
+    (alpha, _), (_, slope) = gains_and_slopes(c, theta)
     on_curve = np.sum(half * alpha * slope * _GAUSS_WEIGHTS, axis=1)
     here, there = outline.vertices[:-1], outline.vertices[1:]
     on_line = 0.5 * (here[:, 0] + there[:, 0]) * (there[:, 1] - here[:, 1])
-    pieces = np.where(outline.branches == Branch.CURVE, on_curve, on_line)
+    pieces = np.where(outline.is_curved, on_curve, on_line)
     enclosed = np.sum(np.where(outline.branches < 0, 0.0, pieces))
     return np.where(outline.resolved, enclosed, np.nan)
 
@@ -163,7 +164,7 @@ def deviation(c: Curve, outline: Outline) -> Array:
     away = middle - _foot_on_chord(here, there, middle)
     bulges = np.hypot(away[:, 0], away[:, 1])
     size = np.hypot(*(np.max(outline.vertices, axis=0) - np.min(outline.vertices, axis=0)))
-    return np.max(np.where(outline.branches == Branch.CURVE, bulges, 0.0)) / size
+    return np.max(np.where(outline.is_curved, bulges, 0.0)) / size
 
 
 def _columns(function: Callable[..., Any], outline: Outline, count: int, *gains: Array) -> Any:
@@ -214,7 +215,7 @@ def _crossings(
     run = outline.vertices[edges + 1] - here
     divisor = nonzero(run[..., axis], 1.0)
     on_line = here[..., 1 - axis] + (goals - here[..., axis]) / divisor * run[..., 1 - axis]
-    is_curve = outline.branches[edges] == Branch.CURVE
+    is_curve = outline.is_curved[edges]
     coordinates = np.where(exist, np.where(is_curve, on_curve, on_line), np.nan)
     return coordinates, np.where(is_curve, slope, run[..., 1 - axis] / divisor), exist
 
@@ -232,7 +233,7 @@ def _last_steps(c: Curve, theta: Array, goals: Array, axis: int) -> tuple[Array,
     """
     low = np.zeros_like(theta)
     for _ in range(2):  # where the curve flies off, one is not enough
-        here, tangent = with_slope(partial(curve_gains, c, low=low), theta)
+        here, tangent = gains_and_slopes(c, theta, low)
         step = (goals - here[axis]) / nonzero(tangent[axis], 1.0)
         low = np.clip(low + step, -_LAST_STEP, _LAST_STEP)
     return low, tangent[1 - axis] / nonzero(tangent[axis], np.inf)
@@ -269,7 +270,7 @@ def _nearest(c: Curve, outline: Outline, points: Array) -> Array:
         theta = np.where(closer, feet[rows, nearest], theta)
     on_curve = curve_gains(c, theta).T
     on_line = _foot_on_chord(here[edge], there[edge], points)
-    return np.where((outline.branches[edge] == Branch.CURVE)[:, None], on_curve, on_line)
+    return np.where(outline.is_curved[edge][:, None], on_curve, on_line)
 
 
 def _box_distances(here: Array, there: Array, points: Array) -> Array:
@@ -297,7 +298,7 @@ def _feet(c: Curve, outline: Outline, edges: Array, points: Array) -> tuple[Arra
     shares = np.arange(_SUBDIVISIONS + 1) / _SUBDIVISIONS
 
     def along(theta: Array) -> Array:
-        point, tangent = with_slope(partial(curve_gains, c), theta)
+        point, tangent = gains_and_slopes(c, theta)
         return np.sum((point - target) * tangent, axis=0)
 
     for _ in range(2):
@@ -312,7 +313,7 @@ def _feet(c: Curve, outline: Outline, edges: Array, points: Array) -> tuple[Arra
     to_curve = np.take_along_axis(gaps, best, axis=-1)[..., 0]
     away = _foot_on_chord(here, there, points[:, None]) - points[:, None]
     to_line = np.hypot(away[..., 0], away[..., 1])
-    is_curve = outline.branches[edges] == Branch.CURVE
+    is_curve = outline.is_curved[edges]
     return np.where(is_curve, to_curve, to_line), theta
 
 

@@ -1,35 +1,18 @@
-"""Slopes and bracketed roots of many smooth functions of one angle at once, to full precision.
+"""Bracketed roots of many smooth functions of one angle at once, to full precision.
 
-Slopes are complex steps, exact to rounding. Roots are found by the secant method within brackets,
-all lanes in step. NumPy only.
+They are found by the secant method within brackets, all lanes in step. NumPy only.
 """
 
 from collections.abc import Callable
-from typing import TypeVar
 
 import numpy as np
 
-from jaxstab.arrays import Array, tree_map
+from jaxstab.arrays import Array
 from jaxstab.rounding import UNIT
-
-Values = TypeVar("Values")
 
 _STEPS = 60  # bisection alone would take 53 from any bracket of like ends
 _STILL = 4.0 * UNIT
 _ENOUGH = 1e-10  # of a step of the secant method: what is left after it is below rounding
-_COMPLEX_STEP = 2.0**-300  # its square is nothing beside any number
-
-
-def with_slope(function: Callable[[Array], Values], x: Array) -> tuple[Values, Values]:
-    """Return the values of elementwise, analytic functions and their derivatives.
-
-    Source: Squire and Trapp, Using complex variables to estimate derivatives (SIAM Review, 1998).
-    """
-    moved = function(x + 1j * _COMPLEX_STEP)
-    return (
-        tree_map(lambda value: value.real, moved),
-        tree_map(lambda value: value.imag / _COMPLEX_STEP, moved),
-    )
 
 
 def nonzero(divisor: Array, instead: float) -> Array:

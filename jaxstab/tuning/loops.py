@@ -11,16 +11,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxstab.conventions import Excitation, Verdict
-from jaxstab.model import by_name
-from jaxstab.model.device import SampledDevice
+from jaxstab.model import LoopParameters, by_name
 from jaxstab.model.device.mechanics import mechanics
-from jaxstab.model.filters import Filters, as_keywords
+from jaxstab.model.filters import Filters, as_keywords, given_filters
 from jaxstab.motion.response import OF_MASS, Loops, bank_for, loops_of, propagator
 from jaxstab.motion.settling import Settling, device_settling_samples, settling_samples
 from jaxstab.point import SpectralRadius, spectral_radius
 from jaxstab.point.radius import linear_spectral_radius
 from jaxstab.point.verdicts import linear_verdict, verdict
-from jaxstab.region.region import linear_region
+from jaxstab.region.region import loop_region
 from jaxstab.tuning.radius import (
     ALL_GAINS,
     Component,
@@ -106,11 +105,13 @@ def mass_loop(gamma: float, delta: float, delay: float, filters: Filters | None)
 
 
 @lru_cache(maxsize=64)
-def device_loop(device: SampledDevice, filters: Filters | None) -> TunedLoop:
-    """A loop of any linear device, in its units, filters in SI units; as ``mass_loop``."""
+def device_loop(loop: LoopParameters) -> TunedLoop:
+    """A loop of a device that is not one mass, in its units; as ``mass_loop``."""
+    device = loop.sampled
+    assert device is not None
+    filters = given_filters(loop.velocity, loop.position)
     linear = device.loop(filters)
-    region = linear_region(device.plant, *device.transfers(filters), _TOLERANCE)
-    walls = walls_of(linear, component_of(region))
+    walls = walls_of(linear, component_of(loop_region(loop, _TOLERANCE)))
 
     def verdicts(alpha: Any, beta: Any) -> np.ndarray:
         return np.asarray(linear_verdict(*_as_arrays(alpha, beta), linear))

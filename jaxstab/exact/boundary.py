@@ -1,0 +1,385 @@
+"""What balls tell of the boundary of a stable set: its curve in float64, and its straight lines.
+
+The curve of a loop has the walls at which a pair of roots is on the circle, p(e^(i theta)) = 0. Its
+coefficients are rounded once (``curve_parts``). Where V is real on the circle the curve goes to
+infinity: these *poles* follow from the filters alone.
+
+The walls that keep a root at z = 1 or z = -1 are a line. So are those that keep a pair at a pole at
+which the plant is real as well (windows, undamped hands, delays of whole or half samples). Divided
+by that root, p0 + t q is a line like any other (``line``): its stable intervals are the straight
+pieces of the boundary, all of them, proved, each with the angle of the root that ends it.
+"""
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from functools import lru_cache, partial
+from math import nan
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Complex128, Float64
+
+from jaxstab.exact.balls import FIRST_BITS, MOST_BITS, decided
+from jaxstab.exact.line import StableLine, real_quotient_angles, stable_pencil
+from jaxstab.exact.verdict import roots_outside
+from jaxstab.model import LoopParameters
+from jaxstab.model.balls import BallLoop, Factored, Triple, ball_loop
+from jaxstab.model.device.parts import working_precision
+
+if TYPE_CHECKING:
+    from flint import acb, arb, arb_poly
+
+Angles = Float64[np.ndarray, " _"]
+
+
+class ScaledLoop(NamedTuple):
+    """A loop, the units of K and B in SI units, and the radius of the circle."""
+
+    loop: LoopParameters
+    units: tuple[float, float]
+    radius: float = 1.0
+
+    def balls(self) -> BallLoop:
+        """The parts of the loop in balls of the precision that is set."""
+        from flint import ctx
+
+        return _scaled(self, ctx.prec)[0]
+
+    def triple(self) -> Triple:
+        """The parts of p(z), likewise."""
+        from flint import ctx
+
+        return _scaled(self, ctx.prec)[1]
+
+
+@lru_cache(maxsize=64)
+def _scaled(question: ScaledLoop, bits: int) -> tuple[BallLoop, Triple]:
+    del bits  # the precision is set: here it only tells balls apart
+    own = ball_loop(question.loop).scaled(question.units, question.radius)
+    return own, own.triple
+
+
+_SHORT = 32  # degree of p(z)
+_DIGITS = 2.0**-70  # of the largest coefficient
+_SLOW = 0.3  # roots closer to 1 are found in powers of z - 1
+_LAST_BITS = 768  # a plant that is real to that precision is real
+_NEWTON_STEPS = 8
+_NEAR = 1e-9  # of its size: an imaginary part that may be 0
+
+
+class CurveParts(NamedTuple):
+    """The parts of p = base + N (alpha A + beta B) in float64, for z = zeta and for z = -zeta.
+
+    A and B are what estimator and filter make of the wall.
+
+    Attributes:
+        triple: base, stiffness and damping, p(z) monic, the highest power first.
+        straight: coefficients of base, N, A and B in powers of zeta, the lowest first.
+        shifted: the same in powers of zeta - 1.
+        ends: the parts of p(1) and of (-1)^n p(-1).
+        zeros, roots: of the plant's numerator and of its denominator.
+        poles: the angles where V is real.
+    """
+
+    triple: Float64[np.ndarray, "3 power"]
+    straight: Float64[np.ndarray, "half part power"]
+    shifted: Float64[np.ndarray, "half part power"]
+    ends: Float64[np.ndarray, "half part"]
+    zeros: Complex128[np.ndarray, " root"]
+    roots: Complex128[np.ndarray, " root"]
+    poles: Float64[np.ndarray, " pole"]
+
+
+def curve_parts(loop: ScaledLoop) -> CurveParts:
+    """Return what the curve of a loop is made of."""
+    with _enough_bits(loop):
+        own, degree = loop.balls(), loop.triple().degree
+        parts, factors = loop.triple(), _factors(loop)
+        unit = 1 / parts.base.polynomial()[degree]
+        triple = [_floats((part.polynomial() * unit).coeffs(), degree) for part in parts]
+        length = max(part.degree for part in factors)
+        whole = [_floats(part.polynomial().coeffs(), length) for part in factors]
+        signs = (-1.0) ** np.arange(length + 1.0)
+        shifted = [
+            [_floats(part.around(place).coeffs(), length) for part in factors] for place in (1, -1)
+        ]
+        ends = [
+            [float((part.at_end(place) * unit).mid()) * place**degree for part in parts]
+            for place in (1, -1)
+        ]
+        roots = _roots(own.numerator), _roots(own.denominator)
+        poles = np.array([float(angle.mid()) for angle in _poles(loop, FIRST_BITS)])
+    straight = np.array([whole, np.array(whole) * signs])
+    falling = np.array(triple)[:, ::-1]
+    return CurveParts(falling, straight, np.array(shifted), np.array(ends), *roots, poles)
+
+
+def _enough_bits(loop: ScaledLoop) -> AbstractContextManager[None]:
+    """Set a precision for coefficients in powers of z - 1: so many of them are sums that cancel."""
+    bits = _bits_for_digits(loop)
+    with working_precision(bits):
+        degree = loop.triple().degree
+    return working_precision(bits + (2 * degree if degree > _SHORT else 0))
+
+
+@lru_cache(maxsize=64)
+def _bits_for_digits(loop: ScaledLoop) -> int:
+    """The precision at which the loop's polynomials have the digits of float64, and some more."""
+    bits = FIRST_BITS
+    while bits < MOST_BITS:
+        with working_precision(bits):
+            if all(map(_has_digits, (*loop.triple(), *_factors(loop)))):
+                break
+        bits *= 2
+    return bits
+
+
+def _has_digits(part: Factored) -> bool:
+    rising = part.rest.coeffs()
+    enough = max(c.abs_upper() for c in rising) * _DIGITS if rising else 0
+    return all(c.rad() <= enough for c in rising)
+
+
+def _factors(loop: ScaledLoop) -> tuple[Factored, ...]:
+    """Return base, N, A and B; powers of z that all terms of p have are left in them."""
+    own = loop.balls()
+    return own.free, own.numerator, *own.walls
+
+
+def _floats(rising: "list[arb]", degree: int) -> list[float]:
+    return [float(c.mid()) for c in rising] + [0.0] * (degree + 1 - len(rising))
+
+
+def _roots(part: Factored) -> Complex128[np.ndarray, " root"]:
+    """The roots but for those at 0, 1 and -1, roughly."""
+    plain = Factored(part.without_windows().rest)
+    straight, shifted = (
+        np.array([float(c.mid()) for c in polynomial.coeffs()])[::-1]
+        for polynomial in (plain.rest, plain.around(1))
+    )
+    far, near = np.roots(straight) + 0j, 1.0 + 0j + np.roots(shifted)
+    return np.concatenate([far[abs(far - 1.0) > _SLOW], near[abs(near - 1.0) <= _SLOW]])
+
+
+class Mode(NamedTuple):
+    """The curve's parts around e^(i theta_0): coefficients in powers of z e^(-i theta_0) - 1.
+
+    theta_0 is ``angle`` + ``low``. A mode there is hardly damped, and a gain of 1 moves it by
+    ``moved``: if that is little, the curve passes gains of all sizes within angles that
+    coefficients in powers of z cannot tell.
+    """
+
+    angle: float
+    low: float
+    parts: Complex128[np.ndarray, "part power"]
+    moved: float
+
+
+def undamped_modes(loop: ScaledLoop, roots: Complex128[np.ndarray, " root"]) -> list[Mode]:
+    """Return the modes next to given roots of the plant's denominator, which are known roughly."""
+    from flint import acb, acb_poly, arb
+
+    modes = []
+    with _enough_bits(loop):
+        below = acb_poly(loop.balls().denominator.polynomial())
+        slope = below.derivative()
+        factors = [acb_poly(part.polynomial()) for part in _factors(loop)]
+        for root in roots.tolist():
+            z = acb(root.real, root.imag)
+            for _ in range(_NEWTON_STEPS):
+                z = (z - below(z) / slope(z)).mid()
+            angle = float(z.arg().mid())
+            low = float((z.arg() - angle).mid())
+            center = acb(0, arb(angle) + arb(low)).exp()
+            around = acb_poly([center, center])
+            parts = np.zeros((4, max(part.length() for part in factors)), complex)
+            for row, part in zip(parts, factors, strict=True):
+                rising = part(around).coeffs()
+                row[: len(rising)] = [
+                    complex(float(c.real.mid()), float(c.imag.mid())) for c in rising
+                ]
+            moved = abs(parts[1, 0] * parts[2, 0] / parts[0, 1])
+            modes.append(Mode(angle, low, parts, moved))
+    return modes
+
+
+class RootLine(NamedTuple):
+    """The walls start + t along keep a root at an angle; ``line`` is about all other roots.
+
+    With t > ``turn`` stable walls are on the other side of the line than with t < ``turn``; NaN if
+    they are on one side.
+    """
+
+    angle: float
+    start: Float64[np.ndarray, "2"]
+    along: Float64[np.ndarray, "2"]
+    line: StableLine
+    turn: float
+
+    def wall(self, t: float) -> Float64[np.ndarray, "2"]:
+        """Return a wall of the line."""
+        return self.start + t * self.along
+
+
+class _Kept(NamedTuple):
+    """What keeps a root: b + alpha s + beta r = 0, and the polynomial that it is a root of.
+
+    The root z leaves the disc beside the line by the sign of Re(``direction`` conj(p'(z))).
+    """
+
+    b: "arb"
+    s: "arb"
+    r: "arb"
+    divisor: "Factored"
+    z: "acb | None" = None
+    direction: "acb | None" = None
+
+
+def root_lines(loop: ScaledLoop, parts: CurveParts) -> list[RootLine]:
+    """Return the lines of walls with a root at 1, at -1, and at poles where the plant is real."""
+    places = [(0.0, partial(_at_end, loop, 1)), (np.pi, partial(_at_end, loop, -1))]
+    places += [(parts.poles[k], partial(_at_pole, loop, k)) for k in _real_poles(loop, parts)]
+    lines = []
+    for angle, kept in places:
+        ends = decided(lambda: _start_and_along(kept()))  # noqa: B023
+        if ends:
+            line = stable_pencil(partial(_divided, loop, kept))
+            start, along = (np.array([float(arb.mid()) for arb in pair]) for pair in ends)
+            turn = decided(partial(_turn, loop, kept))
+            lines.append(RootLine(angle, start + 0.0, along, line, nan if turn is None else turn))
+    return lines
+
+
+def _turn(loop: ScaledLoop, at_root: Callable[[], _Kept]) -> float | None:
+    """Return where on a line the side of its stable walls changes; NaN nowhere."""
+    kept = at_root()
+    parts = _divided(loop, at_root)
+    if kept.z is None or kept.direction is None or parts is None:
+        return nan
+    # p' at the root is z - conj(z) times p without the pair.
+    p0, q = (part.polynomial()(kept.z) for part in parts)
+    rest, slope = ((kept.direction * value.conjugate()).real for value in (p0, q))
+    return nan if slope.contains(0) else float((-rest / slope).mid())
+
+
+def _at_end(loop: ScaledLoop, place: int) -> _Kept:
+    from flint import arb_poly
+
+    b, s, r = (part.at_end(place) for part in loop.triple())
+    one = arb_poly([1])
+    return _Kept(b, s, r, Factored(one, at_one=1) if place == 1 else Factored(one, at_minus_one=1))
+
+
+def _at_pole(loop: ScaledLoop, index: int) -> _Kept:
+    from flint import acb, arb, arb_poly
+
+    angle = _poles(loop, _LAST_BITS)[index]
+    z = acb(0, angle).exp()
+    base, stiffness, damping = (acb(1) * part.polynomial()(z) for part in loop.triple())
+    unit = (damping if stiffness.contains(0) else stiffness).conjugate()
+    s = arb(0) if stiffness.contains(0) else (stiffness * unit).real
+    divisor = Factored(arb_poly([1, -2 * angle.cos(), 1]))
+    direction = (z * unit * acb(0, 2)).conjugate()
+    return _Kept((base * unit).real, s, (damping * unit).real, divisor, z, direction)
+
+
+def _start_and_along(kept: _Kept) -> "tuple[tuple[arb, arb], tuple[arb, arb]] | tuple[()] | None":
+    """Return where a line starts and where it leads; () if there is none, None for more bits."""
+    from flint import arb
+
+    b, s, r = kept[:3]
+    if s == 0:
+        if r == 0:
+            return ()
+        return None if r.contains(0) else ((arb(0), -b / r), (arb(1), arb(0)))
+    return None if s.contains(0) else ((-b / s, arb(0)), (-r / s, arb(1)))
+
+
+def _divided(loop: ScaledLoop, at_root: Callable[[], _Kept]) -> tuple[Factored, Factored] | None:
+    """Return p0 and q of a line without the root that it keeps."""
+    kept = at_root()
+    ends = _start_and_along(kept)
+    if not ends:
+        return None
+    base, stiffness, damping = loop.triple()
+    (start, along), divisor = ends, kept.divisor
+
+    def wall(weights: "tuple[arb, arb]") -> Factored:
+        return stiffness.scaled(weights[0]).plus(damping.scaled(weights[1]))
+
+    return _without(base.plus(wall(start)), divisor), _without(wall(along), divisor)
+
+
+def _without(part: Factored, divisor: Factored) -> Factored:
+    """Divide by a divisor; the remainder is 0 and dropped."""
+    if divisor.at_one and part.at_one:
+        return part.divided(0, 1, 0)
+    plain = part.without_windows()
+    if divisor.at_minus_one and plain.at_minus_one:
+        return plain.divided(0, 0, 1)
+    return plain._replace(rest=plain.rest // divisor.polynomial())
+
+
+@lru_cache(maxsize=64)
+def _poles(loop: ScaledLoop, bits: int) -> "list[arb]":
+    """The angles where V is real, to so many bits or more; none where the most do not tell."""
+    with working_precision(bits):
+        found = real_quotient_angles(*loop.balls().walls)
+    if found is None and bits < _LAST_BITS:
+        return _poles(loop, _LAST_BITS)
+    return found or []
+
+
+def _real_poles(loop: ScaledLoop, parts: CurveParts) -> list[int]:
+    """Return which poles keep a pair for all walls of a line."""
+    if not parts.poles.size:
+        return []
+    z = np.exp(1j * parts.poles)
+    base, stiffness, damping = (np.polyval(part, z) for part in parts.triple)
+    unit = np.where(abs(stiffness) > abs(damping), stiffness, damping).conj()
+    is_near = abs((base * unit).imag) <= _NEAR * abs(base) * abs(unit)
+    return [index for index in np.flatnonzero(is_near).tolist() if _is_real(loop, index)]
+
+
+def _is_real(loop: ScaledLoop, index: int) -> bool:
+    from flint import acb
+
+    with working_precision(_LAST_BITS):
+        z = acb(0, _poles(loop, _LAST_BITS)[index]).exp()
+        base, stiffness, damping = (acb(1) * part.polynomial()(z) for part in loop.triple())
+        unit = (damping if stiffness.contains(0) else stiffness).conjugate()
+        return bool(not unit.contains(0) and (base * unit).imag.contains(0))
+
+
+def others_inside(loop: ScaledLoop, angles: Angles, low: Angles) -> Bool[np.ndarray, " angle"]:
+    """Return where all roots of p but a pair at e^(+-i (angle + low)) are inside, proved.
+
+    False also where no bits decide.
+    """
+    known: dict[int, list[arb_poly]] = {}
+
+    def parts() -> "list[arb_poly]":
+        from flint import ctx
+
+        if ctx.prec not in known:
+            known[ctx.prec] = [part.polynomial() for part in loop.triple()]
+        return known[ctx.prec]
+
+    pairs = zip(angles.tolist(), low.tolist(), strict=True)
+    return np.array([bool(decided(partial(_is_inside, parts, *pair))) for pair in pairs], bool)
+
+
+def _is_inside(parts: "Callable[[], list[arb_poly]]", angle: float, low: float) -> bool | None:
+    from flint import acb, arb, arb_poly
+
+    base, stiffness, damping = parts()
+    theta = arb(angle) + arb(low)
+    z = acb(0, theta).exp()
+    p, s, r = (acb(1) * part(z) for part in (base, stiffness, damping))
+    det = (s.conjugate() * r).imag
+    if det.contains(0):
+        return None
+    alpha, beta = (r.conjugate() * p).imag / det, -(s.conjugate() * p).imag / det
+    pair = arb_poly([1, -2 * theta.cos(), 1])
+    outside = roots_outside((base + stiffness * alpha + damping * beta) // pair, most=0)
+    return None if outside is None else outside == 0
