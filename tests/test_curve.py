@@ -162,7 +162,7 @@ def test_regions_between_lines_are_resolved_and_hold_the_walls_that_certified_ro
 @pytest.mark.parametrize("number", [18, 20, 30])
 def test_pieces_do_not_close_to_a_loop_if_the_scan_misses_one_of_them(number: int) -> None:
     c, balls = drawn(number)
-    angles = scan_angles(c, np.empty(0))
+    angles = scan_angles(c, np.empty((0, 2)))
     pieces = find_pieces(c, angles)
     assert not pieces.open.size
     assert sorted(pieces.successor) == list(range(len(pieces.begin))) != [0]

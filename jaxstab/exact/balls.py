@@ -28,9 +28,11 @@ TripleAt = Callable[[], Triple]
 Answer = TypeVar("Answer")
 
 
-def decided(question: Callable[[], Answer | None], most: int = MOST_BITS) -> Answer | None:
+def decided(
+    question: Callable[[], Answer | None], most: int = MOST_BITS, first: int = FIRST_BITS
+) -> Answer | None:
     """Ask with more and more bits until the answer is not None; None where the most do not do."""
-    bits = FIRST_BITS
+    bits = first
     while True:
         with working_precision(bits):
             answer = question()

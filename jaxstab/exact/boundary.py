@@ -161,46 +161,81 @@ def _roots(part: Factored) -> Complex128[np.ndarray, " root"]:
     return np.concatenate([far[abs(far - 1.0) > _SLOW], near[abs(near - 1.0) <= _SLOW]])
 
 
-class Mode(NamedTuple):
-    """The curve's parts around e^(i theta_0): coefficients in powers of z e^(-i theta_0) - 1.
+class Around(NamedTuple):
+    """The curve around theta_0 = ``angle`` + ``low``, by series in u = theta - theta_0.
 
-    theta_0 is ``angle`` + ``low``. A mode there is hardly damped, and a gain of 1 moves it by
-    ``moved``: if that is little, the curve passes gains of all sizes within angles that
-    coefficients in powers of z cannot tell.
+    They are those of |N|^2 Im(conj(B) q), of -|N|^2 Im(conj(A) q) and of |N|^2 det, whose quotients
+    are alpha and beta: nothing is left to cancel. For |u| < 1/(2 degree) what is cut off is below
+    2^-96 of the sizes of the parts.
     """
 
     angle: float
     low: float
-    parts: Complex128[np.ndarray, "part power"]
-    moved: float
+    series: Float64[np.ndarray, "3 order"]
 
 
-def undamped_modes(loop: ScaledLoop, roots: Complex128[np.ndarray, " root"]) -> list[Mode]:
-    """Return the modes next to given roots of the plant's denominator, which are known roughly."""
+_ORDERS = 29  # of a series: 1/29! is below 2^-102
+
+
+def curve_around(loop: ScaledLoop, angles: list[tuple[float, float]]) -> list[Around]:
+    """Return the curve around angles, each given with what rounding took from it."""
     from flint import acb, acb_poly, arb
 
-    modes = []
+    found = []
+    with _enough_bits(loop):
+        factors = [part.polynomial().coeffs() for part in _factors(loop)]
+        for angle, low in angles:
+            turn = acb(0, arb(angle) + arb(low)).exp()
+            base, n, a, b = (acb_poly(_in_u(rising, turn)) for rising in factors)
+            a, b, n = (acb_poly([c.conjugate() for c in part.coeffs()]) for part in (a, b, n))
+            square = n * acb_poly([c.conjugate() for c in n.coeffs()])
+            det = [c.conjugate() for c in b.coeffs()]
+            parts = b * n * base, -(a * n * base), a * acb_poly(det) * square
+            series = [[float(c.imag.mid()) for c in part.coeffs()[:_ORDERS]] for part in parts]
+            found.append(Around(angle, low, np.array(series)))
+    return found
+
+
+def _in_u(rising: "list[arb]", turn: "acb") -> "list[acb]":
+    """Return a polynomial of z = turn e^(iu) in powers of u."""
+    from flint import acb
+
+    terms, power = [], acb(1)
+    for c in rising:
+        terms.append(c * power)
+        power *= turn
+    series, factor = [], acb(1)
+    for order in range(1, _ORDERS + 1):
+        series.append(sum(terms, acb(0)) * factor)
+        terms = [k * term for k, term in enumerate(terms)]
+        factor *= acb(0, 1) / order
+    return series
+
+
+def undamped_modes(
+    loop: ScaledLoop, roots: Complex128[np.ndarray, " root"], most: float
+) -> list[tuple[float, float]]:
+    """Return the angles of modes, known roughly, that a gain of 1 moves by less than ``most``.
+
+    The curve passes gains of all sizes next to such a mode that is hardly damped. Each angle has
+    what rounding took from it beside it.
+    """
+    from flint import acb, acb_poly
+
+    angles = []
     with _enough_bits(loop):
         below = acb_poly(loop.balls().denominator.polynomial())
         slope = below.derivative()
-        factors = [acb_poly(part.polynomial()) for part in _factors(loop)]
+        base, n, a, _ = (acb_poly(part.polynomial()) for part in _factors(loop))
+        moving = base.derivative()
         for root in roots.tolist():
             z = acb(root.real, root.imag)
             for _ in range(_NEWTON_STEPS):
                 z = (z - below(z) / slope(z)).mid()
             angle = float(z.arg().mid())
-            low = float((z.arg() - angle).mid())
-            center = acb(0, arb(angle) + arb(low)).exp()
-            around = acb_poly([center, center])
-            parts = np.zeros((4, max(part.length() for part in factors)), complex)
-            for row, part in zip(parts, factors, strict=True):
-                rising = part(around).coeffs()
-                row[: len(rising)] = [
-                    complex(float(c.real.mid()), float(c.imag.mid())) for c in rising
-                ]
-            moved = abs(parts[1, 0] * parts[2, 0] / parts[0, 1])
-            modes.append(Mode(angle, low, parts, moved))
-    return modes
+            if abs(n(z) * a(z)) < abs(moving(z)) * most:
+                angles.append((angle, float((z.arg() - angle).mid())))
+    return angles
 
 
 class RootLine(NamedTuple):
@@ -365,12 +400,18 @@ def others_inside(loop: ScaledLoop, angles: Angles, low: Angles) -> Bool[np.ndar
             known[ctx.prec] = [part.polynomial() for part in loop.triple()]
         return known[ctx.prec]
 
-    pairs = zip(angles.tolist(), low.tolist(), strict=True)
-    return np.array([bool(decided(partial(_is_inside, parts, *pair))) for pair in pairs], bool)
+    answers, bits = np.zeros(len(angles), bool), FIRST_BITS
+    for k, pair in enumerate(zip(angles.tolist(), low.tolist(), strict=True)):
+        answer = decided(partial(_is_inside, parts, *pair), first=bits)
+        if answer is not None:
+            answers[k], bits = answer  # neighbours mostly need as many
+    return answers
 
 
-def _is_inside(parts: "Callable[[], list[arb_poly]]", angle: float, low: float) -> bool | None:
-    from flint import acb, arb, arb_poly
+def _is_inside(
+    parts: "Callable[[], list[arb_poly]]", angle: float, low: float
+) -> tuple[bool, int] | None:
+    from flint import acb, arb, arb_poly, ctx
 
     base, stiffness, damping = parts()
     theta = arb(angle) + arb(low)
@@ -382,4 +423,4 @@ def _is_inside(parts: "Callable[[], list[arb_poly]]", angle: float, low: float) 
     alpha, beta = (r.conjugate() * p).imag / det, -(s.conjugate() * p).imag / det
     pair = arb_poly([1, -2 * theta.cos(), 1])
     outside = roots_outside((base + stiffness * alpha + damping * beta) // pair, most=0)
-    return None if outside is None else outside == 0
+    return None if outside is None else (outside == 0, ctx.prec)

@@ -44,7 +44,7 @@ from math import inf, nan
 from typing import TYPE_CHECKING, NamedTuple
 
 from jaxstab.conventions import Status
-from jaxstab.exact.balls import Number, TripleAt, decided, sign_of
+from jaxstab.exact.balls import FIRST_BITS, Number, TripleAt, decided, sign_of
 from jaxstab.exact.circle import zeros
 from jaxstab.exact.verdict import roots_outside
 from jaxstab.model.balls import Factored
@@ -72,14 +72,16 @@ class LineStatus(Status):
 class End(NamedTuple):
     """The end of an interval: t, a bound of its error, and the angle of the root that crosses.
 
-    Infinite, without an angle, where the interval has no end. Where several roots cross, or may,
-    ``is_shared``, the angle is that of one of them.
+    ``angle_rest`` is what rounding took from the angle. Infinite, without an angle, where the
+    interval has no end. Where several roots cross, or may, ``is_shared``, the angle is that of one
+    of them.
     """
 
     value: float
     error: float
     angle: float
     is_shared: bool = False
+    angle_rest: float = 0.0
 
 
 class Interval(NamedTuple):
@@ -98,6 +100,7 @@ class StableLine(NamedTuple):
         drift: how many roots stay at z = 1 or -1 for all t; the intervals are those of the others.
         horizon: the intervals are complete for |t| below it.
         status: whether this is proved.
+        bits: the precision that this took.
     """
 
     intervals: tuple[Interval, ...]
@@ -105,6 +108,7 @@ class StableLine(NamedTuple):
     drift: int
     horizon: float
     status: LineStatus
+    bits: int
 
     def holding(self, t: float) -> Interval | None:
         """The interval that holds a number, if one does for certain."""
@@ -116,9 +120,12 @@ class StableLine(NamedTuple):
 
 
 def stable_line(
-    triple: TripleAt, start: tuple[float, float], along: tuple[float, float]
+    triple: TripleAt,
+    start: tuple[float, float],
+    along: tuple[float, float],
+    first_bits: int = FIRST_BITS,
 ) -> StableLine:
-    """All stable walls start + t along, of (K, B) each.
+    """All stable walls start + t along, of (K, B) each; ``first_bits`` are tried first.
 
     Example:
         >>> from jaxstab.exact.line import stable_line
@@ -134,10 +141,12 @@ def stable_line(
         q = parts.stiffness.scaled(along[0]).plus(parts.damping.scaled(along[1]))
         return parts.at(*start), q
 
-    return stable_pencil(line)
+    return stable_pencil(line, first_bits)
 
 
-def stable_pencil(pencil: Callable[[], tuple[Factored, Factored] | None]) -> StableLine:
+def stable_pencil(
+    pencil: Callable[[], tuple[Factored, Factored] | None], first_bits: int = FIRST_BITS
+) -> StableLine:
     """All t for which p0 + t q is stable; None, in place of p0 and q, asks for more bits."""
 
     def line() -> _Line | None:
@@ -148,14 +157,19 @@ def stable_pencil(pencil: Callable[[], tuple[Factored, Factored] | None]) -> Sta
         own = line()
         return None if own is None else _found(own)
 
-    found = decided(crossings)
+    found = decided(crossings, first=first_bits)
     counts = found and _counts(line, found)
     if found is None or counts is None:
-        return StableLine((), (), 0, 0.0, LineStatus.UNDECIDED)
+        return StableLine((), (), 0, 0.0, LineStatus.UNDECIDED, first_bits)
     ends = [End(-inf, 0.0, nan), *map(_end, found.crossings), End(inf, 0.0, nan)]
     stable = [Interval(*pair) for pair, n in zip(pairwise(ends), counts, strict=True) if n == 0]
     return StableLine(
-        tuple(stable), tuple(ends[1:-1]), found.drift, found.horizon, LineStatus.PROVED
+        intervals=tuple(stable),
+        crossings=tuple(ends[1:-1]),
+        drift=found.drift,
+        horizon=found.horizon,
+        status=LineStatus.PROVED,
+        bits=found.bits,
     )
 
 
@@ -200,6 +214,7 @@ class _Found(NamedTuple):
     between: "list[arb]"
     horizon: float
     drift: int
+    bits: int
 
 
 def _found(line: _Line) -> _Found | None:
@@ -217,11 +232,13 @@ def _found(line: _Line) -> _Found | None:
         if not (is_known or is_last_try):
             return None
     between = _between(crossings)
-    return None if between is None else _Found(crossings, between, found[1], line.drift)
+    return None if between is None else _Found(crossings, between, found[1], line.drift, ctx.prec)
 
 
 def _end(crossing: Crossing) -> End:
-    return End(*Number.of(crossing.t), float(crossing.angle.mid()), crossing.is_shared)
+    angle = float(crossing.angle.mid())
+    rest = float((crossing.angle - angle).mid())
+    return End(*Number.of(crossing.t), angle, crossing.is_shared, rest)
 
 
 def real_quotient_angles(p0: Factored, q: Factored) -> "list[arb] | None":
@@ -405,7 +422,8 @@ def _counts(line: Callable[[], _Line | None], found: _Found) -> list[int] | None
         if end < len(found.between) and found.crossings[end - 1].change is not None:
             continue
         changes = [crossing.change or 0 for crossing in found.crossings[start : end - 1]]
-        chain = _chain(line, found.between[start:end], list(accumulate(changes, initial=0)))
+        relative = list(accumulate(changes, initial=0))
+        chain = _chain(line, found.between[start:end], relative, found.bits)
         if chain is None:
             return None
         counts += chain
@@ -414,13 +432,13 @@ def _counts(line: Callable[[], _Line | None], found: _Found) -> list[int] | None
 
 
 def _chain(
-    line: Callable[[], _Line | None], walls: "list[arb]", relative: list[int]
+    line: Callable[[], _Line | None], walls: "list[arb]", relative: list[int], first: int
 ) -> list[int] | None:
     """The numbers in gaps of which the differences are known."""
     shifts = set()
     for index in {relative.index(min(relative)), relative.index(max(relative))}:
         t = walls[index].mid()
-        count = decided(partial(_outside, line, t))  # it may need more bits than the crossings
+        count = decided(partial(_outside, line, t), first=first)  # it may need more than crossings
         if count is None:
             return None
         shifts.add(count - relative[index])

@@ -15,13 +15,15 @@ which run the other way, so the stable set lies to the left everywhere. Where de
 keep a root, which balls give as they are (``exact.boundary``).
 
 Next to an undamped mode that walls hardly move the curve passes gains of all sizes within 1e-12
-radians. Angles around it are drawn out (``Stretch``): theta = theta_0 + u, u a hyperbolic sine of
-the given angle less theta_0, and the polynomials are those in powers of z e^(-i theta_0) - 1. All
-angles of a region are such drawn ones; ``true_angles`` tells what they are.
+radians, and less. Angles around it, and around others that ask for it, are drawn out (``Stretch``):
+theta = theta_0 + u, u a hyperbolic sine of the given angle less theta_0, and the gains are
+quotients of series in u. All angles of a region are such drawn ones; ``true_angles`` tells what
+they are.
 
 A circle of radius r is the unit circle of the polynomials of r z.
 """
 
+from collections.abc import Iterator
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -31,9 +33,11 @@ from jaxtyping import Bool, Complex128, Float64
 from jaxstab.arrays import PI_REST, Array
 from jaxstab.exact.balls import FIRST_BITS
 from jaxstab.exact.boundary import (
+    Around,
     CurveParts,
     RootLine,
     ScaledLoop,
+    curve_around,
     curve_parts,
     root_lines,
     undamped_modes,
@@ -47,6 +51,7 @@ _LOST = 1e-30  # a product of 1 - pole
 UNDAMPED = 1e-6  # distance of a mode from the circle
 _HARDLY = 1e-4  # how far a gain of 1 moves a mode that walls hardly move
 _WIDEST, _SHARE = 1e-2, 0.3  # of a stretch: radians, and of the distance to the next one
+_NEIGHBOURS = 1e-6  # radians: angles closer than that are drawn out as one
 _LEAST = 1e-24  # radians: what the middle of a stretch tells apart
 _SCAN_STEPS = 120  # on each side of the middle
 _HALF_CIRCLE = np.linspace(0.0, 1.5, 151)[1:]  # |zeta - 1|, at most sqrt(2)
@@ -55,15 +60,20 @@ Angles = Float64[np.ndarray, " _"]
 
 
 class Stretch(NamedTuple):
-    """An interval of angles around an undamped mode, drawn out.
+    """An interval of angles around one, drawn out; see ``exact.boundary.Around``."""
 
-    ``parts`` are as those of ``Curve``, in powers of z e^(-i theta_0) - 1.
-    """
-
-    angle: float
-    low: float  # what rounding took from it
+    around: Around
     half_width: float
-    parts: Complex128[np.ndarray, "order part power"]
+
+    @property
+    def angle(self) -> float:
+        """The middle."""
+        return self.around.angle
+
+    @property
+    def low(self) -> float:
+        """What rounding took from it."""
+        return self.around.low
 
     @property
     def growth(self) -> float:
@@ -82,10 +92,26 @@ class Stretch(NamedTuple):
         return held
 
     def offsets(self, size: Angles, low: Angles) -> tuple[Angles, Angles]:
-        """Return true angles less that of the mode, and their derivatives."""
+        """Return true angles less the middle, and their derivatives."""
         share = self.growth * ((size - self.angle) + low) / self.half_width
         unit = self.half_width / np.sinh(self.growth)
         return unit * np.sinh(share), unit * np.cosh(share) * self.growth / self.half_width
+
+    def gains_and_slopes(self, size: Angles, low: Angles) -> tuple[Array, Array]:
+        """Return alpha and beta, stacked, and their derivatives by drawn angles."""
+        offset, speed = self.offsets(size, low)
+        series = self.around.series
+        orders = np.arange(float(series.shape[1]))
+        columns = offset ** orders[:, None]
+        values, slopes = series @ columns, (series * orders)[:, 1:] @ columns[:-1]
+        gains = values[:2] / values[2]
+        return gains, (slopes[:2] - gains * slopes[2]) / values[2] * speed
+
+    def is_upwards(self, size: Angles) -> Bool[np.ndarray, " angle"]:
+        """Where det > 0."""
+        offset = self.offsets(size, np.zeros(1))[0]
+        upwards: np.ndarray = np.polyval(self.around.series[2, ::-1], offset) > 0.0
+        return upwards
 
 
 class Curve(NamedTuple):
@@ -170,25 +196,39 @@ def curve_of(loop: ScaledLoop) -> Curve:
         lines=root_lines(loop, parts),
         poles=parts.poles,
         resonances=np.stack([np.abs(np.angle(roots)), np.clip(distance, _CLOSEST, _FARTHEST)]),
-        stretches=_stretches(loop, parts),
+        stretches=_undamped(loop, parts),
         loop=loop,
     )
 
 
-def _stretches(loop: ScaledLoop, parts: CurveParts) -> list[Stretch]:
-    """Return disjoint intervals around undamped modes that walls hardly move."""
+def _undamped(loop: ScaledLoop, parts: CurveParts) -> list[Stretch]:
+    """Return the surroundings of undamped modes that walls hardly move."""
     roots = parts.roots[parts.roots.imag > 0.0]
-    modes = undamped_modes(loop, roots[np.abs(np.abs(roots) / loop.radius - 1.0) < UNDAMPED])
-    modes = [mode for mode in modes if mode.moved < _HARDLY]
-    angles = np.array([mode.angle for mode in modes])
-    limits = np.concatenate([angles, parts.poles, [0.0, np.pi]])
+    roots = roots[np.abs(np.abs(roots) / loop.radius - 1.0) < UNDAMPED]
+    centers = curve_around(loop, undamped_modes(loop, roots, _HARDLY))
+    return _stretches(centers, parts.poles, parts.triple.shape[1])
+
+
+def drawn_out(c: Curve, angles: Float64[np.ndarray, "angle 2"]) -> Curve:
+    """Return the same curve with angles around others drawn out; each has its rest beside it."""
+    kept: list[tuple[float, float]] = []
+    for angle, low in angles.tolist():
+        others = [stretch.angle for stretch in c.stretches] + [other for other, _ in kept]
+        others += [*c.poles.tolist(), 0.0, np.pi]
+        if min(abs(angle - other) for other in others) > _NEIGHBOURS:
+            kept.append((angle, low))
+    centers = [each.around for each in c.stretches] + curve_around(c.loop, kept)
+    return c._replace(stretches=_stretches(centers, c.poles, c.degree))
+
+
+def _stretches(centers: list[Around], poles: Angles, degree: int) -> list[Stretch]:
+    """Return disjoint intervals around angles."""
+    limits = np.concatenate([[center.angle for center in centers], poles, [0.0, np.pi]])
     stretches = []
-    for angle, low, rows, _ in modes:
-        away = np.abs(limits - angle)
-        half_width = min(_WIDEST, _SHARE * float(np.min(away[away > 0.0])))
-        moved = np.zeros_like(rows)
-        moved[:, :-1] = (rows * np.arange(rows.shape[1]))[:, 1:]
-        stretches.append(Stretch(angle, low, half_width, np.stack([rows, moved])))
+    for center in centers:
+        away = np.abs(limits - center.angle)
+        nearest = float(np.min(away[away > 0.0]))
+        stretches.append(Stretch(center, min(_WIDEST, 0.5 / degree, _SHARE * nearest)))
     return stretches
 
 
@@ -202,12 +242,12 @@ def true_angles(c: Curve, size: Angles) -> tuple[Angles, Angles]:
     return angles, low
 
 
-def drawn_angles(c: Curve, angles: Angles) -> Angles:
-    """Return true angles as drawn ones."""
-    drawn = angles.copy()
+def drawn_angles(c: Curve, angles: Angles, low: Angles | float = 0.0) -> Angles:
+    """Return true angles as drawn ones; ``low`` is what rounding took from them."""
+    drawn, rest = angles.copy(), np.broadcast_to(low, angles.shape)
     for stretch in c.stretches:
         held = stretch.holds(angles)
-        gap = (angles[held] - stretch.angle) - stretch.low
+        gap = (angles[held] - stretch.angle) + (rest[held] - stretch.low)
         growth, half_width = stretch.growth, stretch.half_width
         share = np.arcsinh(gap * np.sinh(growth) / half_width) / growth
         drawn[held] = stretch.angle + half_width * share
@@ -220,7 +260,10 @@ def curve_gains(c: Curve, theta: Array, low: Array | float = 0.0) -> Array:
     ``low`` is what rounding took from the angles.
     """
     base, n, a, b = _values(c, theta, low, orders=1)[0]
-    return (_crossed(a, b, base / n) / _cross(a, b)).reshape(2, *np.shape(theta))
+    walls = _crossed(a, b, base / n) / _cross(a, b)
+    for held, _, (own, _) in _drawn(c, theta, low):
+        walls[:, held] = own
+    return walls.reshape(2, *np.shape(theta))
 
 
 def gains_and_slopes(c: Curve, theta: Array, low: Array | float = 0.0) -> tuple[Array, Array]:
@@ -230,14 +273,33 @@ def gains_and_slopes(c: Curve, theta: Array, low: Array | float = 0.0) -> tuple[
     walls = _crossed(a, b, quotient) / det
     moved = (base_slope - quotient * n_slope) / n + (walls[0] * a_slope + walls[1] * b_slope)
     steps = _crossed(a, b, moved) / det
+    for held, turned, (own, own_steps) in _drawn(c, theta, low):
+        walls[:, held], steps[:, held] = own, own_steps * turned
     return walls.reshape(2, *np.shape(theta)), steps.reshape(2, *np.shape(theta))
+
+
+def _drawn(
+    c: Curve, theta: Array, low: Array | float
+) -> Iterator[tuple[Array, Angles, tuple[Array, Array]]]:
+    """Yield which angles are drawn out, their signs, their gains and slopes by their sizes."""
+    flat = np.ravel(np.asarray(theta, float))
+    size, turned = np.abs(flat), np.where(flat < 0.0, -1.0, 1.0)
+    rest = np.broadcast_to(low, np.shape(theta)).ravel() * turned
+    for stretch in c.stretches:
+        held = np.flatnonzero(stretch.holds(size))
+        if held.size:
+            yield held, turned[held], stretch.gains_and_slopes(size[held], rest[held])
 
 
 def is_oriented(c: Curve, theta: Angles) -> Bool[np.ndarray, " angle"]:
     """Return where the sign of angles is that of det: the stable side is the left one."""
     _, _, a, b = _values(c, theta, 0.0, orders=1)[0]
     is_upper = np.abs(theta) > np.pi / 2  # zeta is on the other half, z conjugate
-    oriented: np.ndarray = ((_cross(a, b) > 0.0) != is_upper) == (theta > 0.0)
+    upwards: np.ndarray = (_cross(a, b) > 0.0) != is_upper
+    for stretch in c.stretches:
+        held = stretch.holds(np.abs(theta))
+        upwards[held] = stretch.is_upwards(np.abs(theta[held]))
+    oriented: np.ndarray = upwards == (theta > 0.0)
     return oriented
 
 
@@ -265,24 +327,6 @@ def _values(c: Curve, theta: Array, low: Array | float, orders: int) -> Array:
             values[..., chosen] = _on_half(c, half, u[chosen], orders)
     if orders > 1:
         values[1] *= 1j * np.where(is_upper, -turned, turned)
-    for stretch in c.stretches:
-        held = stretch.holds(size)
-        if np.any(held):
-            offset, speed = stretch.offsets(size[held], rest[held])
-            own = _around_mode(stretch, offset, orders)
-            if orders > 1:
-                own[1] *= 1j * speed * turned[held]
-            values[..., held] = np.where(is_upper[held], own.conj(), own)
-    return values
-
-
-def _around_mode(stretch: Stretch, offset: Angles, orders: int) -> Array:
-    """Return the parts by true angles less that of a mode, and derivatives times z."""
-    half = np.sin(0.5 * offset)
-    s = 2j * half * np.exp(0.5j * offset)
-    columns = _powers(s, stretch.parts.shape[2])
-    values = np.einsum("opk,ka->opa", stretch.parts[:orders], columns)
-    values[1:] *= 1.0 + s
     return values
 
 

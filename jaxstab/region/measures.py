@@ -5,7 +5,8 @@ meets an edge, once, where it passes between its ends, and a part of an edge lie
 ends. The polygon only brackets; the numbers are those of the curve:
 
 - limits are roots of the curve's coordinate on the edges that a row passes;
-- a point is inside if an odd number of these crossings lies beyond it;
+- a point is inside if an odd number of these crossings lies beyond it, and next to the boundary if
+  balls prove the wall stable;
 - distances are to the nearest point of the edges, taken in the order of the distances of their
   boxes, up to where a box is farther than the nearest point so far;
 - the area is the integral of alpha d(beta), by Gauss' rule on each edge.
@@ -15,7 +16,6 @@ boundary, distances along the way to it.
 """
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,6 +23,8 @@ from jaxtyping import Float64
 
 from jaxstab.arrays import Array, constant, joined, namespace, tree_map
 from jaxstab.batches import on_host
+from jaxstab.conventions import Verdict
+from jaxstab.exact.verdict import wall_verdict
 from jaxstab.region.curve import Curve, curve_gains, gains_and_slopes
 from jaxstab.region.outline import Outline
 from jaxstab.region.roots import bracketed_root, nonzero
@@ -30,6 +32,8 @@ from jaxstab.region.roots import bracketed_root, nonzero
 _AT_ONCE = 1 << 20  # pairs of a point and an edge that are held in memory
 _LAST_STEP = 1e-10  # radians
 _STILL = 1e-13  # of the range: steps that are rounding
+_DOUBTED = 1e-8  # of the region's size: how close to the boundary balls decide
+_ABOUT = 1e-3  # of the same: a vertex at which the boundary runs level
 _EDGES = 4  # looked at in one step of the search for the nearest
 _SUBDIVISIONS = 8  # of an edge, and then of its nearest parts
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(16)
@@ -109,21 +113,46 @@ def interval_ends(
     return np.sort(coordinates, axis=-1)
 
 
-def contains(c: Curve, outline: Outline, alpha: Array, beta: Array) -> Array:
-    """Return whether an odd number of crossings of the row lies beyond alpha."""
-    is_inside: Array = _columns(partial(_is_inside, c, outline), outline, 0, alpha, beta)
+def contains(
+    c: Curve, outline: Outline, alpha: Array, beta: Array, *, is_proved: bool = False
+) -> Array:
+    """Return whether an odd number of crossings of the row lies beyond alpha.
+
+    ``is_proved``: next to the boundary balls decide whether the wall is stable.
+    """
+
+    def are_inside(alpha: Array, beta: Array) -> Array:
+        inside, doubted = _is_inside(c, outline, alpha, beta)
+        for k in np.flatnonzero(doubted) if is_proved else ():
+            code = wall_verdict(c.loop.triple, float(alpha[k]), float(beta[k])).verdict
+            if code != Verdict.UNDECIDED:
+                inside[k] = code == Verdict.STABLE
+        return inside
+
+    is_inside: Array = _columns(are_inside, outline, 0, alpha, beta)
     return is_inside
 
 
-def _is_inside(c: Curve, outline: Outline, alpha: Array, beta: Array) -> Array:
-    met, beyond = _met(outline, beta, 1), outline.vertices[:, 0] > alpha[:, None]
-    here, there = beyond[:, :-1], beyond[:, 1:]
-    count = np.sum(met & here & there, axis=-1)
-    unsure = met & (here != there)  # alpha is between the ends of the edge
+def _is_inside(c: Curve, outline: Outline, alpha: Array, beta: Array) -> tuple[Array, Array]:
+    """Return whether points are inside, and whether the boundary is too close to tell."""
+    vertices = outline.vertices
+    sizes = np.ptp(vertices, axis=0)
+    close, doubt = _DOUBTED * sizes[0], _DOUBTED * sizes
+    met, ahead = _met(outline, beta, 1), vertices[:, 0] - alpha[:, None]
+    beyond, behind = ahead > close, ahead <= -close
+    is_beyond = beyond[:, :-1] & beyond[:, 1:]
+    count = np.sum(met & is_beyond, axis=-1)
+    turns_here = (abs(ahead) <= _ABOUT * sizes[0]) & (
+        abs(vertices[:, 1] - beta[:, None]) <= doubt[1]
+    )
+    doubted = np.any(turns_here, axis=-1)
+    unsure = met & ~is_beyond & ~(behind[:, :-1] & behind[:, 1:])
     if unsure.any():
-        coordinates, _, exist = _crossings(c, outline, beta, 1, unsure)
-        count = count + np.sum(exist & (coordinates > alpha[:, None]), axis=-1)
-    return count % 2 == 1
+        coordinates, slopes, exist = _crossings(c, outline, beta, 1, unsure)
+        gap = coordinates - alpha[:, None]
+        count = count + np.sum(exist & (gap > 0.0), axis=-1)
+        doubted |= np.any(exist & (abs(gap) <= np.hypot(doubt[0], slopes * doubt[1])), axis=-1)
+    return count % 2 == 1, doubted
 
 
 def distance(c: Curve, outline: Outline, alpha: Array, beta: Array) -> Array:
@@ -135,7 +164,7 @@ def distance(c: Curve, outline: Outline, alpha: Array, beta: Array) -> Array:
         length = np.hypot(away[:, 0], away[:, 1])
         direction = away.T / nonzero(length, np.inf)
         length = np.where(outline.size > 0, length, np.inf if outline.resolved else np.nan)
-        is_inside = _is_inside(c, outline, alpha, beta)
+        is_inside, _ = _is_inside(c, outline, alpha, beta)
         return tuple(np.where(is_inside, x, -x) for x in (length, *direction))
 
     signed, by_alpha, by_beta = _columns(to_boundary, outline, 3, alpha, beta)

@@ -57,6 +57,9 @@ _BESIDE = 1e-4  # of an arc, next to its ends
 _ROUNDING = 8.0 * UNIT  # of angles: where the curve flies they round to walls that are apart
 
 
+Centers = Float64[np.ndarray, "angle 2"]  # and what rounding took from them
+
+
 class Branch(IntEnum):
     """Which root lies on the circle along a piece of the boundary.
 
@@ -103,7 +106,7 @@ class Pieces(NamedTuple):
 
 
 # ----------------------------------------------------------------------- the angles of a scan
-def scan_angles(c: Curve, centers: Angles, *, is_proved: bool = False) -> Angles:
+def scan_angles(c: Curve, centers: Centers, *, is_proved: bool = False) -> Angles:
     """Return angles, more of them around poles, resonances and given centres; see ``curve``.
 
     Where the other roots are counted in balls, angles come closer to ends that are proved.
@@ -113,12 +116,18 @@ def scan_angles(c: Curve, centers: Angles, *, is_proved: bool = False) -> Angles
     even = step * (np.arange(count) + 0.5)
     start = np.geomspace(_FIRST, even[0], _TO_ENDS, endpoint=False)
     proved = np.array(
-        [end.angle for line in c.lines for ends in line.line.intervals for end in ends]
-    )
+        [
+            (end.angle, end.angle_rest)
+            for line in c.lines
+            for ends in line.line.intervals
+            for end in ends
+            if np.isfinite(end.angle)
+        ]
+    ).reshape(-1, 2)
     around = [
         _around(c.poles, _TO_POLES, step),
-        _around(drawn_angles(c, proved[np.isfinite(proved)]), _TO_PROVED[is_proved], step),
-        _around(drawn_angles(c, centers), _TO_POLES, step),
+        _around(drawn_angles(c, *proved.T), _TO_PROVED[is_proved], step),
+        _around(drawn_angles(c, *centers.T), _TO_POLES, step),
         _around_resonances(c),
         *(stretch.scan for stretch in c.stretches),
     ]
@@ -299,6 +308,7 @@ class _Stop(NamedTuple):
     interval: int
     side: int
     angle: float
+    angle_rest: float
     wall: Float64[np.ndarray, "2"]
 
     inwards: Float64[np.ndarray, "2"] | None = None
@@ -314,12 +324,19 @@ def _stops(c: Curve) -> Iterator[_Stop]:
         count = 0
         for interval in line.line.intervals:
             low, high = (
-                _Stop(number, 0, 0, nan if end.is_shared else end.angle, line.wall(end.value))
+                _Stop(
+                    line=number,
+                    interval=0,
+                    side=0,
+                    angle=nan if end.is_shared else end.angle,
+                    angle_rest=end.angle_rest,
+                    wall=line.wall(end.value),
+                )
                 for end in interval
             )
             parts = [(low, high)]
             if interval.low.value < line.turn < interval.high.value:
-                turn = low._replace(angle=line.angle, wall=line.wall(line.turn))
+                turn = low._replace(angle=line.angle, angle_rest=0.0, wall=line.wall(line.turn))
                 parts = [
                     (low, turn._replace(inwards=-line.along)),
                     (turn._replace(inwards=line.along), high),
@@ -331,12 +348,9 @@ def _stops(c: Curve) -> Iterator[_Stop]:
 
 
 def _stop_angles(c: Curve, stops: list[_Stop]) -> Angles:
-    """Return the angles that end straight parts, drawn out; NaN where a float64 is not enough."""
-    angles = np.array([stop.angle for stop in stops])
-    drawn = drawn_angles(c, angles)
-    for stretch in c.stretches:
-        drawn[np.abs(angles - stretch.angle) < _ROUNDING] = np.nan
-    return drawn
+    """Return the angles that end straight parts, drawn out."""
+    pairs = np.array([(stop.angle, stop.angle_rest) for stop in stops]).reshape(-1, 2)
+    return drawn_angles(c, *pairs.T)
 
 
 def _joined(c: Curve, ends: _Ends) -> Pieces:

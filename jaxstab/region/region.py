@@ -13,6 +13,7 @@ where to look closer, and the scan is repeated. A region that fails to the end i
 claims nothing. What is not proved is that no island was missed between angles and rows.
 """
 
+from collections.abc import Iterable
 from math import ceil, sqrt
 
 import numpy as np
@@ -20,8 +21,9 @@ from jaxtyping import Float64
 
 from jaxstab.arrays import Numbers, is_traced
 from jaxstab.conventions import Verdict
+from jaxstab.exact.balls import FIRST_BITS
 from jaxstab.exact.boundary import ScaledLoop
-from jaxstab.exact.line import LineStatus, StableLine, stable_line
+from jaxstab.exact.line import End, LineStatus, StableLine, stable_line
 from jaxstab.exact.verdict import wall_verdict
 from jaxstab.model import LoopParameters
 from jaxstab.model.filters import Filter, Velocity, as_keywords, known_filters
@@ -29,9 +31,9 @@ from jaxstab.model.loop import refuses_loops
 from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT, LONGEST_DELAY
 from jaxstab.numbers import checked_number
 from jaxstab.region import measures
-from jaxstab.region.curve import Angles, Curve, curve_of
+from jaxstab.region.curve import Angles, Curve, curve_of, drawn_out
 from jaxstab.region.outline import Outline, empty_outline, polygon, survey
-from jaxstab.region.pieces import Pieces, find_pieces, scan_angles
+from jaxstab.region.pieces import Centers, Pieces, find_pieces, scan_angles
 from jaxstab.region.stable_set import StableRegion, components_of, region_within
 
 _SCANS, _PROVED_SCAN = 5, 2  # scans, and from which on roots are counted in balls
@@ -42,7 +44,7 @@ _ASIDE = 1e-5  # of an open end's damping: where a row tells what was missed
 _MOST_OPEN = 6
 _AGREE, _ROUNDED = 1e-6, 1e-11  # of the longest interval, of the region: ends that are the same
 _AT_POLES = 1e-4  # the same where the curve is 0/0 at a pole
-_FROM_CORNERS = 10.0 ** -np.arange(1.0, 8.0)  # of the size: rows where modes are hardly damped
+_FROM_CORNERS = 10.0 ** -np.arange(1.0, 8.0, 2.0)  # of the size: rows where modes are hardly damped
 _ROUGH = 1e-3  # of the same: an outline that leaves its curve by more has too few angles
 _SLIM = 1e-9  # of the same: intervals of a row through a component that need not be compared
 _RAYS = (1.0, 0.1), (1.0, 1.0), (1.0, 10.0), (1.0, -1.0), (0.0, 1.0)  # from the wall without gains
@@ -57,21 +59,23 @@ def region_of(loop: ScaledLoop, tolerance: float) -> StableRegion:
     c = curve_of(loop)
     if _keeps_a_root(loop):
         return region_within(c, empty_outline(resolved=True))
-    centers, is_proved = np.empty(0), bool(c.stretches)
+    centers, is_proved, lines = np.empty((0, 2)), bool(c.stretches), _Lines(loop)
     for scan in range(_SCANS):
         is_proved = is_proved or scan >= _PROVED_SCAN
+        if scan >= _PROVED_SCAN:
+            c = drawn_out(c, np.concatenate([_line_ends(c), centers]))
         pieces = find_pieces(c, scan_angles(c, centers, is_proved=is_proved), is_proved=is_proved)
-        more: Angles | None = np.empty(0)
+        more: Centers | None = np.empty((0, 2))
         if pieces.open.size:
-            more = _angles_beside(c, pieces.open)
+            more = _angles_beside(lines, pieces.open)
         elif pieces.begin.size:
             outline, deviation = _adapted(c, pieces, tolerance)
-            more = _contradictions(c, outline) if deviation < _ROUGH else None
-            if more is not None and not more.size:
+            more = _contradictions(c, lines, outline) if deviation < _ROUGH else None
+            if more is not None and not len(more):
                 return region_within(c, outline)
         elif is_proved:
-            more = _angles_of_rays(c)
-            if more is not None and not more.size:
+            more = _angles_of_rays(lines)
+            if more is not None and not len(more):
                 return region_within(c, empty_outline(resolved=True))
         else:
             is_proved = True
@@ -90,43 +94,62 @@ def _keeps_a_root(loop: ScaledLoop) -> bool:
 # What proved lines of walls tell.
 
 
-def _line(c: Curve, axis: int, value: float) -> StableLine:
-    """The line of constant alpha (axis 0) or beta (axis 1)."""
-    start, along = ((value, 0.0), (0.0, 1.0)) if axis == 0 else ((0.0, value), (1.0, 0.0))
-    return stable_line(c.loop.triple, start, along)
+class _Lines:
+    """Proved lines of the walls of a loop; each begins with the precision of the last one."""
+
+    def __init__(self, loop: ScaledLoop) -> None:
+        self.loop, self.bits = loop, FIRST_BITS
+
+    def along(self, start: tuple[float, float], along: tuple[float, float]) -> StableLine:
+        """The line of walls start + t along."""
+        line = stable_line(self.loop.triple, start, along, self.bits)
+        self.bits = line.bits
+        return line
+
+    def at(self, axis: int, value: float) -> StableLine:
+        """The line of constant alpha (axis 0) or beta (axis 1)."""
+        return self.along(
+            *(((value, 0.0), (0.0, 1.0)) if axis == 0 else ((0.0, value), (1.0, 0.0)))
+        )
 
 
-def _angles_on(line: StableLine) -> Angles:
+def _line_ends(c: Curve) -> Centers:
+    """Return the angles of the roots that end straight parts."""
+    return np.concatenate([np.empty((0, 2)), *(_angles_on(line.line) for line in c.lines)])
+
+
+def _angles_on(line: StableLine) -> Centers:
     """Return the angles of roots at the ends of stable intervals."""
-    return _inner(np.array([end.angle for ends in line.intervals for end in ends]))
+    return _inner(end for ends in line.intervals for end in ends)
 
 
-def _inner(angles: Angles) -> Angles:
-    return angles[(angles > 0.0) & (angles < np.pi)]
+def _inner(ends: Iterable[End]) -> Centers:
+    angles = np.array([(end.angle, end.angle_rest) for end in ends]).reshape(-1, 2)
+    return angles[(angles[:, 0] > 0.0) & (angles[:, 0] < np.pi)]
 
 
-def _angles_beside(c: Curve, walls: Points) -> Angles | None:
+def _angles_beside(lines: _Lines, walls: Points) -> Centers:
     """Return the angles of roots that cross the circle on rows beside walls."""
-    found = [np.empty(0)]
+    found = [np.empty((0, 2))]
     finite = walls[np.all(np.isfinite(walls), axis=1)]
     for _, beta in finite[:_MOST_OPEN].tolist():
         for side in (1.0 - _ASIDE, 1.0 + _ASIDE):
-            found.append(_angles_on(_line(c, 1, beta * side)))
+            found.append(_angles_on(lines.at(1, beta * side)))
     return np.concatenate(found)
 
 
-def _angles_of_rays(c: Curve) -> Angles | None:
+def _angles_of_rays(lines: _Lines) -> Centers | None:
     """Return the angles of roots at the ends of stable intervals of walls from 0; None: not known.
 
     There are none where no wall of these rays is stable.
     """
-    rays = [stable_line(c.loop.triple, (0.0, 0.0), along) for along in _RAYS]
+    rays = [lines.along((0.0, 0.0), along) for along in _RAYS]
     if any(ray.status != LineStatus.PROVED for ray in rays):
         return None
     return np.concatenate([_angles_on(ray) for ray in rays])
 
 
-def _contradictions(c: Curve, outline: Outline) -> Angles | None:
+def _contradictions(c: Curve, lines: _Lines, outline: Outline) -> Centers | None:
     """Return the angles of roots on lines that an outline does not agree with; None: not known.
 
     There are none where all agree.
@@ -146,14 +169,14 @@ def _contradictions(c: Curve, outline: Outline) -> Angles | None:
         for k, (value, intervals) in enumerate(zip(values.tolist(), drawn, strict=True)):
             if k == 1 and beside.size and _is_any_stable(c, axis, value, intervals):
                 continue
-            line = _line(c, axis, value)
+            line = lines.at(axis, value)
             if line.status != LineStatus.PROVED:
                 return None
             slim = 0.0 if k < beside.size else _SLIM * sizes[1 - axis]
             share = _AGREE if all(line.angle in (0.0, np.pi) for line in c.lines) else _AT_POLES
             if not _agree(line, intervals, slim, share, sizes[1 - axis]):
-                return _inner(np.array([crossing.angle for crossing in line.crossings]))
-    return np.empty(0)
+                return _inner(line.crossings)
+    return np.empty((0, 2))
 
 
 def proved_extremes(region: StableRegion) -> tuple[Point, Point]:
@@ -167,7 +190,7 @@ def proved_extremes(region: StableRegion) -> tuple[Point, Point]:
     for axis, (point, _) in enumerate(measures.quadrant_extremes(c, outline)):
         if np.all(np.isfinite(point)):
             limit, extent = float(point[axis]), float(np.ptp(outline.vertices[:, axis]))
-            row = _line(c, 1 - axis, float(point[1 - axis]))
+            row = _Lines(c.loop).at(1 - axis, float(point[1 - axis]))
             ends = np.array([high.value for _, high in row.intervals])
             near = ends[np.abs(ends - limit) < max(_BESIDE * limit, _LEAST * extent)]
             point[axis] = near[0] if near.size else limit

@@ -416,7 +416,7 @@ class StableRegion(ShownRegion):
         Args and Raises: see ``jaxstab.conventions``.
         """
         points = _checked_points(alpha, beta)
-        return measures.contains(self.curve, self.outline, *points)
+        return measures.contains(self.curve, self.outline, *points, is_proved=True)
 
     def distance(self, alpha: Numbers, beta: Numbers) -> Float64[Array, "*grid"]:
         """Return the Euclidean distance to the boundary, positive inside and negative outside.
