@@ -63,6 +63,31 @@ def test_the_largest_stiffness_of_an_omega_like_device(window: int, limit: float
         assert radius(window, found.stiffness * (1 + 1e-6), damping) > 1.0
 
 
+@pytest.mark.parametrize(("axis", "gain", "most"), [
+    (0, 0.0, 2e3), (0, 10.0, 3e3), (0, -118.63, 2.5e4), (1, 1000.0, 60.0), (1, 18800.0, -200.0),
+])  # fmt: skip
+def test_intervals_of_a_row_are_those_in_which_all_roots_are_inside(
+    axis: int, gain: float, most: float
+) -> None:
+    """Of the loop with a window of 20, whose set has an island at negative dampings."""
+    line = (WINDOW.stiffness_intervals, WINDOW.damping_intervals)[axis](gain)
+    assert line.status == jaxstab.exact.LineStatus.PROVED
+
+    def is_stable(other: float) -> bool:
+        wall = (other, gain) if axis == 0 else (gain, other)
+        return radius(20, *wall) < 1.0
+
+    ends = np.array([[low.value, high.value] for low, high in line.intervals]).reshape(-1, 2)
+    for other in np.linspace(-0.1 * most, most, 401).tolist():
+        is_inside = np.any((ends[:, 0] < other) & (other < ends[:, 1]))
+        if np.min(np.abs(ends - other), initial=np.inf) > 1e-6 * abs(most):
+            assert is_stable(other) == is_inside
+    for low, high in ends:
+        step = 1e-6 * (high - low)
+        assert is_stable(low + step) and is_stable(high - step)
+        assert not is_stable(low - step) and not is_stable(high + step)
+
+
 def test_the_wall_of_chai3d_is_unstable_with_its_window() -> None:
     found = WINDOW.spectral_radius(*CHAI3D)
     assert WINDOW.verdict(*CHAI3D) == Verdict.UNSTABLE
@@ -197,6 +222,7 @@ def test_methods_about_walls_broadcast_with_fields_that_are_arrays(
         lambda loop: loop.simulate(*CHAI3D, force=1.0),
         lambda loop: loop.contact(*CHAI3D, push=1.0, friction=0.1),
         lambda loop: jaxstab.contact_map(loop, [1e3], [10.0], push=1.0, friction=0.1),
+        lambda loop: loop.stiffness_intervals(10.0),
         lambda loop: jaxstab.limits_of([loop]),
         lambda loop: jaxstab.common_region([loop, OMEGA]),
         lambda loop: jaxstab.LoopsBetween(loop, loop),

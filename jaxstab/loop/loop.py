@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
@@ -10,9 +11,11 @@ from jaxtyping import Complex128, Float64, Int8
 from jaxstab import motion, point, ranges
 from jaxstab.arrays import Array, Numbers, is_any_jax, is_any_traced, named, pytree
 from jaxstab.conventions import HORIZON, Excitation, Range, Verdict
+from jaxstab.exact import stable_line
 from jaxstab.loop.region import TOLERANCE, WallLimits, WallRegion, scaled, wall_region
 from jaxstab.loop.walls import few_walls
-from jaxstab.model import LoopParameters, by_name
+from jaxstab.model import LoopParameters, by_name, checked_gain
+from jaxstab.model.balls import ball_triple
 from jaxstab.model.filters import known_filters
 from jaxstab.model.loop import refuse_arrays
 from jaxstab.numbers import checked, checked_number, checked_word
@@ -20,6 +23,7 @@ from jaxstab.numbers import checked, checked_number, checked_word
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from jaxstab.exact import StableLine
     from jaxstab.loop.between import LoopsWithHands
     from jaxstab.loop.contact import Contact
     from jaxstab.loop.jitter import MovingLimits, MovingLoop, WorstDelays
@@ -35,8 +39,9 @@ class HapticLoop(LoopParameters):
     there is a filter, and B times the estimated velocity. Methods about one wall (K, B):
     ``verdict``, ``spectral_radius``, ``poles``, ``margins``, ``settling_time``, ``oscillation``,
     ``amplitude``, ``simulate``, ``contact``; about all walls: ``region``, ``limits``,
-    ``stiffness_limits``, ``damping_limits``, ``boundary_distance``, ``tune``; about all hands of a
-    range: ``worst_hand``, ``robust_limit``; and ``to_control``. Numbers are finite and in SI units.
+    ``stiffness_limits``, ``damping_limits``, ``stiffness_intervals``, ``damping_intervals``,
+    ``boundary_distance``, ``tune``; about all hands of a range: ``worst_hand``, ``robust_limit``;
+    and ``to_control``. Numbers are finite and in SI units.
 
     Fields may be arrays that broadcast; the loop then stands for many loops. The methods from
     ``verdict`` to ``amplitude`` broadcast them with the walls, if the device is one mass and the
@@ -189,6 +194,44 @@ class HapticLoop(LoopParameters):
             [9.457, 181.026]
         """
         return self.region().reachable.damping_limits(stiffness)
+
+    def stiffness_intervals(self, damping: float) -> "StableLine":
+        """All stable stiffnesses in N/m at a damping in N s/m: each interval, complete and proved.
+
+        Each end has a bound of its error and the angle of the root that crosses the circle there.
+
+        Raises: see ``jaxstab.conventions``; TypeError also for arrays.
+
+        Source: lemma E3 of docs/proofs.md.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> [(low.value, round(high.value, 1)) for low, high in
+            ...     loop.stiffness_intervals(20.0).intervals]
+            [(0.0, 35325.0)]
+        """
+        self._refuse_many("stiffness_intervals")
+        return self._line((0.0, checked_number("damping", checked_gain("damping", damping))), 0)
+
+    def damping_intervals(self, stiffness: float) -> "StableLine":
+        """All stable dampings in N s/m at a stiffness in N/m; as ``stiffness_intervals``.
+
+        Without stiffness a device that nothing holds keeps a root at 1 (``drift``): the intervals
+        are those in which all others are stable.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> [(round(low.value, 3), round(high.value, 3)) for low, high in
+            ...     loop.damping_intervals(20000.0).intervals]
+            [(9.457, 181.026)]
+        """
+        self._refuse_many("damping_intervals")
+        gain = checked_number("stiffness", checked_gain("stiffness", stiffness))
+        return self._line((gain, 0.0), 1)
+
+    def _line(self, start: tuple[float, float], axis: int) -> "StableLine":
+        along = (1.0, 0.0) if axis == 0 else (0.0, 1.0)
+        return stable_line(partial(ball_triple, self), start, along)
 
     def boundary_distance(self, stiffness: Numbers, damping: Numbers) -> Float64[Array, "*grid"]:
         """How far walls are from the edge of the stable set, in the (alpha, beta) plane.

@@ -1,6 +1,5 @@
 """The limits of a scene: the largest stiffness and damping, beside the simple rules."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from math import isfinite, nan
@@ -10,6 +9,7 @@ import numpy as np
 
 from jaxstab import paper
 from jaxstab.conventions import Verdict
+from jaxstab.exact import LineStatus, StableLine
 from jaxstab.loop import Gains, HapticLoop, WallLimits, WallRegion
 from jaxstab.model import Velocity
 from jaxstab.scene.answers import (
@@ -50,7 +50,6 @@ _UNSTABLE_AT_0 = "small gains are not stable"
 _PROVED = "proved for every"
 _WINDOWS = (10, 20)  # samples: 10 and 20 ms at 1 kHz
 _SOFT = 1e-6  # of the extent of the stable set
-_BESIDE = 1e-6  # of an interval: how far from its ends verdicts are asked
 
 
 @dataclass(frozen=True)
@@ -388,42 +387,28 @@ class _Rows:
 
     def at_damping(self, damping: float, stiffness: float = nan) -> StiffnessesAtDamping:
         """Return the stable stiffnesses at a damping: first those around one, or small ones."""
-        rows = self.region.stiffness_intervals(np.array([damping]))
-        first, *others = self._intervals(
-            rows, stiffness, lambda stiffness: self.verdict(stiffness, damping)
-        )
+        first, *others = self._intervals(self.loop.stiffness_intervals(damping), stiffness)
         rule = self.linear_rule(damping) if is_plain(self.loop) else None
         named = {str(k): OtherStiffnesses(own) for k, own in enumerate(others, 1)}
         return StiffnessesAtDamping(damping, first, named, rule)
 
     def at_stiffness(self, stiffness: float, damping: float = nan) -> DampingsAtStiffness:
         """Return the stable dampings at a stiffness: first those around one, or small ones."""
-        columns = self.region.damping_intervals(np.array([stiffness]))
-        first, *others = self._intervals(
-            columns, damping, lambda damping: self.verdict(stiffness, damping)
-        )
+        first, *others = self._intervals(self.loop.damping_intervals(stiffness), damping)
         named = {str(k): OtherDampings(own) for k, own in enumerate(others, 1)}
         return DampingsAtStiffness(stiffness, first, named)
 
-    def _intervals(
-        self, rows: Floats, value: float, verdict: Callable[[float], int]
-    ) -> list[tuple[float, float]]:
-        """Return the intervals of the first row, times the safety: that of a value comes first.
+    def _intervals(self, line: StableLine, value: float) -> list[tuple[float, float]]:
+        """Return the intervals of a line, times the safety: that of a value comes first.
 
-        Else that of small gains does, or the farthest. ValueError where a verdict contradicts one,
-        in the middle or beside an end, or the gap between two.
+        Else that of small gains does, or the farthest. ValueError where they are not proved.
         """
-        ends = rows[0][np.isfinite(rows[0][:, 0])]
-        inside = [ends.mean(axis=1), *(ends + _BESIDE * (ends[:, ::-1] - ends)).T]
-        gaps = 0.5 * (ends[:-1, 1] + ends[1:, 0])
-        of_walls, of_gaps = (
-            {verdict(gain) for gain in gains.tolist()} for gains in (np.concatenate(inside), gaps)
-        )
-        if Verdict.UNSTABLE in of_walls or Verdict.STABLE in of_gaps:
+        if line.status != LineStatus.PROVED:
             raise ValueError(
                 "the intervals of stable gains were not resolved; change one value a little."
             )
-        scaled = [inwards(low, high, self.safety) for low, high in ends.tolist()]
+        ends = [(low.value + low.error, high.value - high.error) for low, high in line.intervals]
+        scaled = [inwards(low, high, self.safety) for low, high in ends]
         scaled = [(low, high) for low, high in scaled if low <= high] or [(nan, nan)]
         holding = [k for k, (low, high) in enumerate(scaled) if low <= value <= high]
         small = [k for k, (low, high) in enumerate(scaled) if low <= 0.0 < high]
