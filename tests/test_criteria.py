@@ -146,6 +146,26 @@ def test_the_absolute_error_of_24_also_reaches_2_percent_before_the_point_of_fig
     assert error[0] < -0.02
 
 
+@pytest.mark.parametrize(
+    ("gamma", "delta", "delay", "is_divided"),
+    [(0.3, 0.2, 1.3, False), (1e-3, 0.0, 0.3, False), (2.0, 0.4, 4.0, False)]
+    + [(0.0, 0.1, 2.0, True), (0.4, 0.0, 1.0, True), (0.4, 0.0, 2.5, True), (0.0, 0.0, 0.7, True)],
+)
+def test_the_excess_is_that_of_the_signed_error_on_the_boundary_curve(
+    gamma, delta, delay, is_divided
+):
+    """It vanishes at the corner, theta = 0, where 1 - cos(theta) is divided out."""
+    level, plant = 0.05, by_name(gamma, delta, delay)
+    curve = validity._curve(level, gamma, delta, delay)
+    theta = np.linspace(0.1, 3.0, 30)
+    gains = boundary_curve(theta, **plant)
+    expected = (linear_error(*gains, **plant) - level) * (gains[0] + gamma) * (0.5 + delay)
+    found = [float((curve.excess(x) / curve.square(x)).mid()) for x in np.cos(theta).tolist()]
+    found = found * (1.0 - np.cos(theta)) if is_divided else found
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
+    assert curve.excess.degree() <= int(delay) + 3 - is_divided
+
+
 def test_validity_says_where_there_is_none():
     found = linear_validity(0.02, gamma=np.array([9.0, 1e-3]), delta=0.5, delay=0.0)
     assert found.status.tolist() == [ValidityStatus.NEVER, ValidityStatus.FOUND]

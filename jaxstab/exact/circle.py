@@ -39,11 +39,11 @@ is asked for; else the answer is that more bits are needed.
 """
 
 from functools import lru_cache
-from itertools import compress, cycle
+from itertools import cycle
 from typing import TYPE_CHECKING, NamedTuple
 
 from jaxstab.exact.balls import sign_of
-from jaxstab.exact.roots import are_real
+from jaxstab.exact.roots import real_roots
 
 if TYPE_CHECKING:
     from flint import arb, arb_mat, arb_poly
@@ -82,25 +82,21 @@ def zeros(cosines: "list[arb]", *, is_last_try: bool) -> list[Zero] | None:
 
 def _by_powers(cosines: "list[arb]") -> list[Zero] | None:
     """The zeros from roots in x = 2 cos(theta); None where they are not told apart."""
-    from flint import acb_poly, arb, arb_poly, ctx
+    from flint import arb_poly
 
     x, before, power = arb_poly([0, 1]), arb_poly([2]), arb_poly([0, 1])  # 2 cos(k theta)
     total = arb_poly([cosines[0]])
     for c in cosines[1:]:
         total += power * (c / 2)
         before, power = power, x * power - before
-    try:
-        roots = acb_poly(total).roots(tol=arb(2) ** -(ctx.prec // 2))
-    except ValueError:
-        return None
-    real = are_real(roots)
-    if real is None:
+    roots = real_roots(total)
+    if roots is None:
         return None
     slope, found = total.derivative(), []
-    for root in compress(roots, real):
-        place = root.real / 2
+    for root in roots:
+        place = root / 2
         if abs(place) < 1:
-            sign = -sign_of(slope(root.real))
+            sign = -sign_of(slope(root))
             if not sign:
                 return None
             found.append(Zero(place.acos(), sign))

@@ -12,6 +12,7 @@ r if and only if those of p(r z) lie inside the unit circle, which E1 decides on
 The radius is enclosed by halving, between 0 and Cauchy's bound 1 + max |a_k/a_n|.
 """
 
+from itertools import compress
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -23,7 +24,7 @@ from jaxstab.exact.verdict import roots_outside
 from jaxstab.model.balls import Factored
 
 if TYPE_CHECKING:
-    from flint import acb
+    from flint import acb, arb, arb_poly
 
 _SPARE = 8  # bits of a root beyond half of those that are computed with
 _SHARE = 0.4873  # of an interval, where it is divided: not next to a root that is a simple number
@@ -129,6 +130,18 @@ def are_real(roots: "list[acb]") -> list[bool] | None:
             if sum(mirrored.overlaps(other) for other in roots) > 1:
                 return None
     return answers
+
+
+def real_roots(polynomial: "arb_poly") -> "list[arb] | None":
+    """All real roots, in balls that do not touch; None where they are not told apart."""
+    from flint import acb_poly, arb, ctx
+
+    try:
+        roots = acb_poly(polynomial).roots(tol=arb(2) ** -(ctx.prec // 2))
+    except ValueError:
+        return None
+    real = are_real(roots)
+    return None if real is None else [root.real for root in compress(roots, real)]
 
 
 def _largest_modulus(roots: "list[acb]") -> Number | None:

@@ -5,14 +5,22 @@ condition exceeds a level where
 
     E = |N(z)|^2 t_r (alpha_lin - alpha - level (alpha + gamma)),       z = e^(i theta),
 
-has the sign of H. On the curve E is a polynomial in x = cos(theta) of degree floor(delay) + 3 at
-most (lemma C1 of docs/proofs.md). python-flint encloses its coefficients in balls, from the plant
-as the exponential of a matrix of three rows, and isolates all of its roots, complex ones too, so
-that the first root where the error rises is the first one indeed. Where balls are too wide to tell
-two roots apart, or a root and an end, twice as many bits are taken.
+has the sign of H. On the curve |N|^2 beta = Im W/sin(theta) and |N|^2 (alpha + beta (1 - cos
+theta)) = Re W, with W = -z^m D(z) N(1/z), m = floor(delay) + 1, so that
+
+    E = (1 + kappa (1 - cos theta)) Im W/sin(theta) - kappa Re W + (delta - level t_r gamma) |N|^2,
+
+kappa = (1 + level) t_r, is a polynomial in x = cos(theta) of degree m + 2 at most. It vanishes at
+x = 1 for gamma = 0, and for delta = 0 with a whole delay or one with half a sample; there it is
+divided by 1 - x. The error rises through the level where E changes its sign in the direction of H:
+the first rise is at the largest such root.
+
+python-flint encloses the coefficients in balls, from the plant as the exponential of a matrix of
+three rows, and isolates all roots, complex ones too, so that the first root where the error rises
+is the first one indeed. Where balls are too wide to tell two roots apart, or a root and an end,
+twice as many bits are taken.
 """
 
-from itertools import compress
 from math import floor, nan
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -21,7 +29,7 @@ from jaxtyping import Float64, Int8
 
 from jaxstab.arrays import Array, Numbers, namespace
 from jaxstab.conventions import Status, Verdict
-from jaxstab.exact.roots import are_real
+from jaxstab.exact.roots import real_roots
 from jaxstab.model import by_name, checked_delay, checked_delta, checked_gamma, require_x64
 from jaxstab.model.device.parts import working_precision
 from jaxstab.numbers import checked
@@ -148,16 +156,18 @@ def _first_rise(level: float, gamma: float, delta: float, delay: float) -> _Rise
     while bits <= _MOST_BITS:
         with working_precision(bits):
             try:
-                return _largest_root(_curve(level, gamma, delta, delay), gamma, bits // 2)
+                return _largest_root(_curve(level, gamma, delta, delay), gamma)
             except _TooWideError:
                 bits *= 2
     return _Rise(ValidityStatus.NOT_PROVED)
 
 
-def _largest_root(curve: _Curve, gamma: float, digits: int) -> _Rise:
+def _largest_root(curve: _Curve, gamma: float) -> _Rise:
     """Return the largest root x in (-1, 1) where the error rises, that is the smallest theta."""
-    slope = curve.excess.derivative()
-    for x in _real_roots(curve.excess, digits):
+    slope, roots = curve.excess.derivative(), real_roots(curve.excess)
+    if roots is None:
+        raise _TooWideError
+    for x in sorted(roots, key=float, reverse=True):
         if x > 1 or x < -1:
             continue
         square = curve.square(x)
@@ -174,22 +184,8 @@ def _largest_root(curve: _Curve, gamma: float, digits: int) -> _Rise:
     return _Rise(ValidityStatus.NEVER)
 
 
-def _real_roots(polynomial: "arb_poly", digits: int) -> list["arb"]:
-    """Return all real roots in balls that do not touch, the largest first."""
-    import flint
-
-    try:
-        roots = flint.acb_poly(polynomial).roots(tol=flint.arb(2) ** -digits)
-    except ValueError:
-        raise _TooWideError from None
-    real = are_real(roots)
-    if real is None:
-        raise _TooWideError
-    return sorted((root.real for root in compress(roots, real)), key=lambda x: -float(x))
-
-
 def _curve(level: float, gamma: float, delta: float, delay: float) -> _Curve:
-    """Return the curve and its excess over a level, by lemma C1."""
+    """Return the curve and its excess over a level."""
     import flint
 
     polynomial, cosines = flint.arb_poly, flint.fmpz_poly.chebyshev_t
@@ -231,7 +227,7 @@ def _plant(gamma: float, delta: float, fraction: float) -> tuple[list["arb"], li
 
 
 def _without_root_at_1(polynomial: "arb_poly") -> "arb_poly":
-    """Divide a polynomial that is 0 at x = 1 (lemma C4) by 1 - x: its sign stays."""
+    """Divide a polynomial that is 0 at x = 1 by 1 - x: its sign stays."""
     import flint
 
     quotient = list[flint.arb]()
