@@ -1,4 +1,4 @@
-r"""Single-token mutants of point, proofs, region and ranges: do the default tests notice them?
+r"""Single-token mutants of rooms that prove: do the default tests notice them?
 
     python -m pytest -o addopts= -m "not campaign" --cov=jaxstab --cov-context=test \
         --cov-report= --junitxml=seconds.xml
@@ -6,11 +6,12 @@ r"""Single-token mutants of point, proofs, region and ranges: do the default tes
 
 The first command (it needs pytest-cov) records in ``.coverage`` which tests execute which line, and
 in ``seconds.xml`` how long they take; several such pairs of files, of parts of the tests, may lie
-in the folder that ``JAXSTAB_MUTANTS`` names (here otherwise). Of all operators, numbers, booleans
-and names like ``min`` in the code, without annotations, imports and docstrings, a seeded sample is
-changed, one at a time. The tests that execute the changed line run on it, the quickest first, until
-one fails. Lines that few tests execute, for they run while a module is imported or JAX traces, are
-tried with all tests of their file. A mutant survives if ``_BUDGET`` seconds of tests pass.
+in the folder that ``JAXSTAB_MUTANTS`` names (here otherwise); ``JAXSTAB_MUTANTS_ROOMS`` names fewer
+rooms. Of all operators, numbers, booleans and names like ``min`` in the code, without annotations,
+imports and docstrings, a seeded sample is changed, one at a time. The tests that execute the
+changed line run on it, the quickest first, until one fails. Lines that few tests execute, for they
+run while a module is imported or JAX traces, are tried with all tests of their file. A mutant
+survives if ``_BUDGET`` seconds of tests pass.
 
 No file is changed. A process imports jaxstab and the tests once. Each mutant is a fork of it in
 which functions are given the changed code, or constants the changed value. What is neither, such as
@@ -50,7 +51,7 @@ import pytest
 from coverage import CoverageData
 
 ROOT = Path(__file__).resolve().parents[1]
-ROOMS = ("point", "proofs", "region", "ranges")
+ROOMS = os.environ.get("JAXSTAB_MUTANTS_ROOMS", "exact point proofs region ranges").split()
 FOLDER = Path(os.environ.get("JAXSTAB_MUTANTS", "."))
 
 _RECORDED = 30.0  # seconds that the tests of one mutant took when they were recorded
