@@ -9,8 +9,10 @@ Whether that is right is decided by lines of walls whose stable intervals are al
 (``exact.line``): some rows through each component, and, on the inner and the outer side of each
 limit, 1e-9 beside it, the line of that gain. There the outline must have the same intervals. Where
 it has others, or arcs do not join, the angles of the roots that cross the circle on such lines tell
-where to look closer, and the scan is repeated. A region that fails to the end is UNRESOLVED and
-claims nothing. What is not proved is that no island was missed between angles and rows.
+where to look closer, and the scan is repeated: from the third time on the other roots are counted
+in balls, and these angles are drawn out (``curve``), for an arc may be narrower than float64 tells
+two angles apart. A region that fails to the end is UNRESOLVED and claims nothing. What is not
+proved is that no island was missed between angles and rows.
 """
 
 from collections.abc import Iterable
