@@ -280,6 +280,24 @@ def _loops(rows: list[Row]) -> Iterator[Line]:
         yield task, row["method"], time, ", ".join([f"{row['wrong']:,} wrong", *doubts]), ""
 
 
+def _exact(rows: list[Row]) -> Iterator[Line]:
+    asked = [row for row in rows if row["method"] == "exact"]
+    for question in dict.fromkeys(row["section"].split()[0] for row in asked):
+        some = [row for row in asked if row["section"].split()[0] == question]
+        total, judged, wrong, contradicts, undecided, others = (
+            sum(row[column] for row in some)
+            for column in ("points", "judged", "wrong", "contradicts", "open", "rival_open")
+        )
+        error = f"{undecided:,} open (float64: {others:,}), {contradicts:,} contradict float64"
+        error = f"{wrong:,} of {judged:,} wrong, {error}" if judged else error
+        task = f"{total:,} {question} of random loops"
+        yield task, "balls", f"{_time(some[0]['seconds'])} of CPU", error, ""
+    for row in rows:
+        if row["method"] != "exact":
+            task = f"one {row['section'].replace('degree', 'loop of degree')}"
+            yield task, f"balls: {row['method']}", f"{_time(row['seconds'])} of CPU", "", ""
+
+
 def _stress(rows: list[Row]) -> Iterator[Line]:
     rows = [row for row in rows if row["section"] == "delay"]
     for method in dict.fromkeys(row["method"] for row in rows):
@@ -324,6 +342,7 @@ _LINES: dict[str, Callable[[list[Row]], Iterator[Line]]] = {
     "filling": _filling,
     "verdicts": _verdicts,
     "loops": _loops,
+    "exact": _exact,
     "scaling": _scaling,
     "stress": _stress,
 }
