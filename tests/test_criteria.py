@@ -148,8 +148,11 @@ def test_the_absolute_error_of_24_also_reaches_2_percent_before_the_point_of_fig
 
 @pytest.mark.parametrize(
     ("gamma", "delta", "delay", "is_divided"),
-    [(0.3, 0.2, 1.3, False), (1e-3, 0.0, 0.3, False), (2.0, 0.4, 4.0, False)]
-    + [(0.0, 0.1, 2.0, True), (0.4, 0.0, 1.0, True), (0.4, 0.0, 2.5, True), (0.0, 0.0, 0.7, True)],
+    [
+        *[(0.3, 0.2, 1.3, False), (1e-3, 0.0, 0.3, False), (2.0, 0.4, 4.0, False)],
+        *[(0.0, 0.1, 2.0, True), (0.4, 0.0, 1.0, True), (0.4, 0.0, 2.5, True)],
+        (0.0, 0.0, 0.7, True),
+    ],
 )
 def test_the_excess_is_that_of_the_signed_error_on_the_boundary_curve(
     gamma, delta, delay, is_divided

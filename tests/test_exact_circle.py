@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxstab.exact.balls import decided
-from jaxstab.exact.circle import Zero, _by_cells, _by_powers, zeros
+from jaxstab.exact.circle import Zero, _by_cells, _by_powers, _Part, zeros
 
 Isolate = Callable[[list[flint.arb]], list[Zero] | None]
 
@@ -93,3 +93,25 @@ def test_what_powers_do_not_tell_apart_is_left_to_the_search() -> None:
         (place,) = zeros(double(), is_last_try=True) or []
     assert place.slope == 0
     assert place.angle.contains(1)
+
+
+def test_intervals_are_called_without_zeros_or_monotone_only_if_they_are() -> None:
+    """Polynomials of a cell, on intervals with a root of f or of f' inside, or just outside."""
+    rng = np.random.default_rng(11)
+    said = np.zeros(4, int)
+    for _ in range(3000):
+        rising = rng.normal(size=int(rng.integers(3, 7))) * 10.0 ** rng.uniform(-1.0, 2.0, 1)
+        part = _Part.of(flint.arb_poly(rising.tolist()), flint.arb(0))
+        centre = float(rng.uniform(-0.9, 0.9))
+        f, slope = np.polynomial.Polynomial(rising), np.polynomial.Polynomial(rising).deriv()
+        roots = [p.roots() for p in (f, slope)]
+        gaps = [np.abs(r.real - centre)[np.abs(r.imag) < 1e-9] for r in roots]
+        nearest = [float(np.min(own, initial=np.inf)) for own in gaps]
+        half = min(float(rng.choice(nearest)), 1.0) * float(rng.uniform(0.3, 1.05))
+        answers = part.on(flint.arb(centre), flint.arb(half))
+        closely = part.on_closely(flint.arb(centre), flint.arb(half))
+        for k, gap in enumerate(nearest):
+            is_without = bool(answers[k] or closely[k])
+            said[2 * k + is_without] += 1
+            assert not (is_without and gap < half * (1.0 - 1e-9))
+    assert np.all(said > 300)

@@ -2,6 +2,7 @@
 
 from functools import partial
 
+import flint
 import numpy as np
 import pytest
 
@@ -9,7 +10,13 @@ from benchmarks.truth import filtered
 from benchmarks.truth.plain import Loop
 from benchmarks.truth.random_loops import DeviceLoop, Filters, MassLoop
 from jaxstab import Filter, HapticLoop, Velocity
-from jaxstab.exact.delay_margin import DelayMargin, DelayStatus, delay_margin
+from jaxstab.exact.delay_margin import (
+    DelayMargin,
+    DelayStatus,
+    _least_whole,
+    _Search,
+    delay_margin,
+)
 from jaxstab.exact.line import stable_line
 from jaxstab.model.balls import ball_loop, ball_triple, one_sample
 
@@ -72,3 +79,45 @@ def test_no_delay_is_too_long_for_a_weak_wall_on_a_strong_hand() -> None:
     samples, angle, status = margin_of(loop, (50.0, 0.1))
     assert (samples, status) == (np.inf, DelayStatus.UNLIMITED)
     assert np.isnan(angle)
+
+
+def test_a_whole_delay_is_least_among_those_that_have_the_angle() -> None:
+    """By trying each: n below it have no theta with (n + 1) theta = angle + 2 pi l."""
+    rng = np.random.default_rng(17)
+    is_exact = 0
+    for _ in range(400):
+        low = float(rng.choice([0.0, rng.uniform(0.01, 3.0)]))
+        theta = low, low + float(10.0 ** rng.uniform(-3.0, -0.5))
+        middle, radius = float(rng.uniform(-np.pi, np.pi)), float(10.0 ** rng.uniform(-6.0, -1.0))
+        least = float(rng.uniform(-2.0, 30.0))
+        found = _least_whole(flint.arb(middle, radius), theta, least)
+        n = np.arange(max(np.ceil(least), 0.0), 4000.0)
+        # An l with (n + 1) theta_0 - angle <= 2 pi l <= (n + 1) theta_1 - angle, by both ends.
+        first = np.ceil(((n + 1.0) * theta[0] - middle - radius) / (2.0 * np.pi))
+        last = np.floor(((n + 1.0) * theta[1] - middle + radius) / (2.0 * np.pi))
+        has_angle = n[first <= last]
+        if has_angle.size:
+            assert found <= has_angle[0]
+            is_exact += found == has_angle[0]
+    assert is_exact > 300
+
+
+@pytest.mark.parametrize("samples", [1, 7])
+def test_forms_over_an_interval_hold_the_values_in_it(samples: int) -> None:
+    """Of the polynomials on the circle: all values, and the mean-value form about the middle."""
+    velocity = Velocity.difference(samples=samples) * Filter.butterworth(90.0, order=2)
+    loop = HapticLoop(device_mass=0.1, device_damping=0.3, sample_time=1e-3, velocity=velocity)
+    with flint.ctx.workprec(192):
+        own, wall = ball_loop(loop), (100.0, 3.0)
+        search = _Search(own, one_sample(loop), 0.0, wall)
+        parts = own.wall(*wall), own.denominator.times(own.position[1]).times(own.velocity[1])
+        for theta in [(0.0, 0.3), (0.4, 0.41), (1.0, 1.6), (2.9, 3.1)]:
+            middle = flint.arb(theta[0]) + (flint.arb(theta[1]) - theta[0]) / 2
+            forms = search._over_theta(theta)
+            for share in np.linspace(0.0, 1.0, 9).tolist():
+                angle = flint.arb(theta[0]) + (flint.arb(theta[1]) - theta[0]) * share
+                z = flint.acb(0, angle).exp()
+                values = z - 1, *(flint.acb(1) * part.polynomial()(z) for part in parts)
+                for form, value in zip(forms, values, strict=True):
+                    assert form.all.overlaps(value)
+                    assert (form.middle + form.by_theta * (angle - middle)).overlaps(value)

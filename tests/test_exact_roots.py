@@ -88,3 +88,12 @@ def test_a_ball_that_meets_the_real_axis_may_hold_one_of_a_pair() -> None:
     assert are_real([*far, ball(0.25, 0.001, 0.003), ball(0.25, -0.003, -0.001)]) == [
         *(True, True), *(False, False)
     ]  # fmt: skip
+
+
+def test_a_large_radius_is_between_the_bounds_that_are_halved() -> None:
+    """A double pole at 3 beside one next to 0: the last coefficient alone is no bound of it."""
+    rising = flint.arb_poly([-3, 1]) ** 2 * flint.arb_poly([flint.arb(-0.125) / 1024, 1])
+    triple = Triple(Factored(rising), NOTHING, NOTHING)
+    found = spectral_radius(lambda: triple, 0.0, 0.0)
+    assert found.status == RadiusStatus.PROVED
+    assert abs(found.value - 3.0) <= found.error < 1e-15

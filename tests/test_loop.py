@@ -84,8 +84,8 @@ def test_intervals_of_a_row_are_those_in_which_all_roots_are_inside(
             assert is_stable(other) == is_inside
     for low, high in ends:
         step = 1e-6 * (high - low)
-        assert is_stable(low + step) and is_stable(high - step)
-        assert not is_stable(low - step) and not is_stable(high + step)
+        around = [low - step, low + step, high - step, high + step]
+        assert [is_stable(other) for other in around] == [False, True, True, False]
 
 
 def test_the_wall_of_chai3d_is_unstable_with_its_window() -> None:
