@@ -14,7 +14,9 @@ from jaxstab.exact.delay_margin import (
     DelayMargin,
     DelayStatus,
     _least_whole,
+    _narrowed,
     _Search,
+    _window,
     delay_margin,
 )
 from jaxstab.exact.line import stable_line
@@ -121,3 +123,23 @@ def test_forms_over_an_interval_hold_the_values_in_it(samples: int) -> None:
                 for form, value in zip(forms, values, strict=True):
                     assert form.all.overlaps(value)
                     assert (form.middle + form.by_theta * (angle - middle)).overlaps(value)
+
+
+@pytest.mark.parametrize("samples", [2, 7, 30])
+@pytest.mark.parametrize("theta", [(0.0, 0.2), (1.0, 1.4), (3.0, 3.1)])
+def test_a_window_over_an_interval_has_its_values_and_slopes(
+    samples: int, theta: tuple[float, float]
+) -> None:
+    k = np.arange(samples)
+    around = flint.arb(sum(theta) / 2.0, (theta[1] - theta[0]) / 2.0)
+    form = _window(samples, (around.mid(), around))
+    spread = flint.acb(flint.arb(0, around.rad())), flint.acb(0)
+    narrowed = _narrowed(form._replace(all=flint.acb(0)), spread)
+    for angle in np.linspace(*theta, 9).tolist():
+        turns = np.exp(1j * k * angle)
+        for ball, value in (
+            (form.all, np.sum(turns)),
+            (narrowed.all, np.sum(turns)),
+            (form.by_theta, np.sum(1j * k * turns)),
+        ):
+            assert abs(ball - complex(value)).lower() < 1e-9
