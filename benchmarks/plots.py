@@ -410,7 +410,8 @@ def _exact(rows: list[Row]) -> Figure:
     judged, wrong, contradicts = (
         sum(row[column] for row in kinds) for column in ("judged", "wrong", "contradicts")
     )
-    axes[0, 1].set_title(f"{judged:,} judged, {wrong} wrong, {contradicts} contradict", fontsize=9)
+    words = f"{judged:,} judged, {wrong} wrong,\n{contradicts} contradict the other"
+    axes[0, 1].set_title(words, fontsize=9)
     return _with_legend(figure, axes)
 
 
