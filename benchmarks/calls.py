@@ -73,6 +73,8 @@ COMPUTING_CALLS: dict[str, list[Any]] = {
     "HapticLoop.limits": ["loop"],
     "HapticLoop.stiffness_limits": ["loop", 10.0],
     "HapticLoop.damping_limits": ["loop", 1000.0],
+    "HapticLoop.stiffness_intervals": ["loop", 10.0],
+    "HapticLoop.damping_intervals": ["loop", 1000.0],
     "HapticLoop.boundary_distance": ["loop", 1000.0, 10.0],
     "HapticLoop.tune": ["loop"],
     "HapticLoop.worst_hand": ["loop", "hands", 1000.0, 10.0],

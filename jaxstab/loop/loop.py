@@ -200,9 +200,9 @@ class HapticLoop(LoopParameters):
 
         Each end has a bound of its error and the angle of the root that crosses the circle there.
 
-        Raises: see ``jaxstab.conventions``; TypeError also for arrays.
+        Raises: see ``jaxstab.conventions``; TypeError also for arrays, and if JAX traces the loop.
 
-        Source: lemma E3 of docs/proofs.md.
+        Source: eq. (9) by the D-decomposition; lemma E3 of docs/proofs.md.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -218,6 +218,8 @@ class HapticLoop(LoopParameters):
 
         Without stiffness a device that nothing holds keeps a root at 1 (``drift``): the intervals
         are those in which all others are stable.
+
+        Raises: as ``stiffness_intervals``. Source: eq. (9), likewise.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
