@@ -23,6 +23,7 @@ from jaxtyping import Bool, Float64
 
 from jaxstab.arrays import Array
 from jaxstab.exact.boundary import others_inside as balls_inside
+from jaxstab.exact.line import End
 from jaxstab.region.curve import (
     Angles,
     Curve,
@@ -116,13 +117,7 @@ def scan_angles(c: Curve, centers: Centers, *, is_proved: bool = False) -> Angle
     even = step * (np.arange(count) + 0.5)
     start = np.geomspace(_FIRST, even[0], _TO_ENDS, endpoint=False)
     proved = np.array(
-        [
-            (end.angle, end.angle_rest)
-            for line in c.lines
-            for ends in line.line.intervals
-            for end in ends
-            if np.isfinite(end.angle)
-        ]
+        [(end.angle, end.angle_rest) for end in line_ends(c) if np.isfinite(end.angle)]
     ).reshape(-1, 2)
     around = [
         _around(c.poles, _TO_POLES, step),
@@ -135,6 +130,11 @@ def scan_angles(c: Curve, centers: Centers, *, is_proved: bool = False) -> Angle
     angles = angles[(angles > _FIRST) & (angles < np.pi - _FIRST)]
     angles = np.unique(np.concatenate([start, angles, np.pi - start]))
     return np.sort(np.where(is_oriented(c, angles), angles, -angles))
+
+
+def line_ends(c: Curve) -> list[End]:
+    """Return the ends of straight parts."""
+    return [end for line in c.lines for ends in line.line.intervals for end in ends]
 
 
 def _around(centers: Angles, closest: float, farthest: float) -> Angles:

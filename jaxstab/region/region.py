@@ -35,7 +35,7 @@ from jaxstab.numbers import checked_number
 from jaxstab.region import measures
 from jaxstab.region.curve import Angles, Curve, curve_of, drawn_out
 from jaxstab.region.outline import Outline, empty_outline, polygon, survey
-from jaxstab.region.pieces import Centers, Pieces, find_pieces, scan_angles
+from jaxstab.region.pieces import Centers, Pieces, find_pieces, line_ends, scan_angles
 from jaxstab.region.stable_set import StableRegion, components_of, region_within
 
 _SCANS, _PROVED_SCAN = 5, 2  # scans, and from which on roots are counted in balls
@@ -65,7 +65,7 @@ def region_of(loop: ScaledLoop, tolerance: float) -> StableRegion:
     for scan in range(_SCANS):
         is_proved = is_proved or scan >= _PROVED_SCAN
         if scan >= _PROVED_SCAN:
-            c = drawn_out(c, np.concatenate([_line_ends(c), centers]))
+            c = drawn_out(c, np.concatenate([_inner(line_ends(c)), centers]))
         pieces = find_pieces(c, scan_angles(c, centers, is_proved=is_proved), is_proved=is_proved)
         more: Centers | None = np.empty((0, 2))
         if pieces.open.size:
@@ -113,11 +113,6 @@ class _Lines:
         return self.along(
             *(((value, 0.0), (0.0, 1.0)) if axis == 0 else ((0.0, value), (1.0, 0.0)))
         )
-
-
-def _line_ends(c: Curve) -> Centers:
-    """Return the angles of the roots that end straight parts."""
-    return np.concatenate([np.empty((0, 2)), *(_angles_on(line.line) for line in c.lines)])
 
 
 def _angles_on(line: StableLine) -> Centers:
