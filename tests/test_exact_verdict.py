@@ -2,6 +2,7 @@
 
 from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
+from functools import partial
 
 import flint
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from benchmarks.truth.plain import Loop, is_stable
 from benchmarks.truth.random_loops import DeviceLoop, MassLoop, hostile_walls
-from jaxstab import Device, HapticLoop, Verdict
+from jaxstab import Device, Filter, HapticLoop, Mode, Verdict
 from jaxstab.exact.balls import FIRST_BITS, MOST_BITS, decided
 from jaxstab.exact.verdict import VerdictStatus, roots_outside, wall_verdict
 from jaxstab.model.balls import Factored, Triple, ball_triple
@@ -99,6 +100,41 @@ def test_a_free_device_without_stiffness_drifts_by_structure() -> None:
     for damping in (0.0, 10.0, -0.1):
         answer = wall_verdict(lambda: ball_triple(loop), 0.0, damping)
         assert answer == (Verdict.UNSTABLE, VerdictStatus.ON_CIRCLE)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.4e-3, 2e-3])
+@pytest.mark.parametrize(
+    ("position", "stiffness"),
+    [
+        (None, 300.0),
+        (None, 0.1),
+        (Filter.low_pass(100.0), 0.1),
+        (Filter.transfer_function([1.0, 0.0], [1.0, -0.5]), 150.0),  # its gain at rest is 2
+    ],
+)
+def test_a_wall_that_takes_all_stiffness_has_a_root_at_one(
+    position: Filter | None, stiffness: float, delay: float
+) -> None:
+    held = 300.0 if stiffness == 150.0 else stiffness
+    device = Device.mass_spring_damper(0.25, damping=5.0, stiffness=held)
+    loop = HapticLoop(device=device, sample_time=1e-3, delay=delay, position=position)
+    triple = partial(ball_triple, loop)
+    for damping in (0.0, 3.0, 1e4):
+        answer = wall_verdict(triple, -stiffness, damping)
+        assert answer == (Verdict.UNSTABLE, VerdictStatus.ON_CIRCLE)
+    above, below = (np.nextafter(-stiffness, side) for side in (np.inf, -np.inf))
+    assert wall_verdict(triple, above, 3.0) == (Verdict.STABLE, VerdictStatus.PROVED)
+    assert wall_verdict(triple, below, 3.0) == (Verdict.UNSTABLE, VerdictStatus.PROVED)
+
+
+def test_a_stiffness_that_no_float_takes_away_is_decided_on_both_sides() -> None:
+    device = Device.modes([Mode(frequency=40.0, damping_ratio=0.1, modal_mass=0.25)])
+    triple = partial(ball_triple, HapticLoop(device=device, sample_time=1e-3))
+    assert triple().yielding is None
+    stiffness = -0.25 * (2.0 * np.pi * 40.0) ** 2
+    near = [np.nextafter(stiffness, side) for side in (-np.inf, np.inf)]
+    codes = [wall_verdict(triple, wall, 3.0).verdict for wall in near]
+    assert codes == [Verdict.UNSTABLE, Verdict.STABLE]
 
 
 def test_an_undamped_spring_without_a_wall_is_undecided_and_says_why() -> None:

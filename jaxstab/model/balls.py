@@ -19,13 +19,17 @@ what the structure says is kept beside the rest (``Factored``):
 - the mean over n samples is (z^n - 1)/(z - 1), with its n - 1 roots on the circle.
 """
 
-from functools import lru_cache, reduce
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property, lru_cache, reduce
 from typing import TYPE_CHECKING, NamedTuple
 
 from jaxstab.model.device.parts import exact
 from jaxstab.model.device.sampling import OneSample, in_samples
 from jaxstab.model.filters import Filter, Section, Velocity
 from jaxstab.model.loop import LoopParameters
+from jaxstab.model.parameters import GAIN_LIMIT
 
 if TYPE_CHECKING:
     from flint import arb, arb_poly, fmpq_poly
@@ -102,10 +106,8 @@ class Factored(NamedTuple):
         """Return the sum, with the roots that the two are known to share."""
         if self.is_zero or other.is_zero:
             return other if self.is_zero else self
-        terms = self.without_windows(), other.without_windows()
-        common = [min(counts) for counts in zip(*(term[1:4] for term in terms), strict=True)]
-        rests = [term.divided(*common).polynomial() for term in terms]
-        return Factored(rests[0] + rests[1], *common)
+        terms, shared = _over_shared((self, other))
+        return Factored(terms[0] + terms[1], *shared)
 
     def divided(self, power: int, at_one: int, at_minus_one: int) -> "Factored":
         """Return the quotient by known factors."""
@@ -163,28 +165,62 @@ class Factored(NamedTuple):
         return (plain.rest * minus * plus).left_shift(plain.power)
 
 
-class Triple(NamedTuple):
-    """The parts of p(z) = base + K stiffness + B damping, without a common power of z."""
+@dataclass(frozen=True)
+class Triple:
+    """The parts of p(z) = base + K stiffness + B damping, without a common power of z.
+
+    ``yielding`` is the stiffness, if a float64, that takes from the device all the stiffness which
+    holds it: a root lies at 1 then.
+    """
 
     base: Factored
     stiffness: Factored
     damping: Factored
+    yielding: float | None = None
 
-    @property
+    def __iter__(self) -> Iterator[Factored]:
+        return iter((self.base, self.stiffness, self.damping))
+
+    @cached_property
     def degree(self) -> int:
         """The degree of p(z), the largest of all walls."""
         return max(part.degree for part in self)
 
     def at(self, stiffness: "arb | float", damping: "arb | float") -> Factored:
         """The polynomial of a wall, K and B in the units of the triple."""
-        wall = self.stiffness.scaled(stiffness).plus(self.damping.scaled(damping))
-        return self.base.plus(wall)
+        from flint import arb
+
+        if stiffness == 0 or damping == 0:  # one part less: more roots may be known
+            wall = self.stiffness.scaled(stiffness).plus(self.damping.scaled(damping))
+            p = self.base.plus(wall)
+        else:
+            (base, by_stiffness, by_damping), known = self._over_known
+            p = Factored(base + by_stiffness * arb(stiffness) + by_damping * arb(damping), *known)
+        if stiffness == self.yielding:
+            p = p._replace(rest=_known_out(p.rest, 1, 1), at_one=p.at_one + 1)
+        return p
+
+    @cached_property
+    def _over_known(self) -> "tuple[list[arb_poly], tuple[int, int, int]]":
+        """The parts over the roots at 0, 1 and -1 that they share, and how many these are."""
+        return _over_shared(self)
+
+
+def _over_shared(parts: Iterable[Factored]) -> "tuple[list[arb_poly], tuple[int, int, int]]":
+    """Polynomials over the roots at 0, 1 and -1 that all but the 0 are known to have."""
+    plain = [part.without_windows() for part in parts]
+    counts = zip(*(part[1:4] for part in plain if not part.is_zero), strict=True)
+    power, at_one, at_minus_one = map(min, counts)
+    shared = power, at_one, at_minus_one
+    divided = (part if part.is_zero else part.divided(*shared) for part in plain)
+    return [part.polynomial() for part in divided], shared
 
 
 class BallLoop(NamedTuple):
     """A loop by its parts: the plant z^-lag N/D, P = Np/Dp and V = Nv/Dv, V in 1/s.
 
-    N is in m/N; D, Dp and Dv have no roots at 1 or -1 but those that are counted.
+    N is in m/N; D, Dp and Dv have no roots at 1 or -1 but those that are counted. ``yielding`` is
+    that of the triple.
     """
 
     numerator: Factored
@@ -192,6 +228,7 @@ class BallLoop(NamedTuple):
     lag: int
     position: tuple[Factored, Factored]
     velocity: tuple[Factored, Factored]
+    yielding: float | None = None
 
     def scaled(self, units: tuple[float, float], radius: float) -> "BallLoop":
         """The loop of K and B in these units, around a circle of this radius."""
@@ -233,7 +270,8 @@ class BallLoop(NamedTuple):
         """The three parts of p(z)."""
         parts = [self.free, *(self.numerator.times(wall) for wall in self.walls)]
         common = min(part.power for part in parts)
-        return Triple(*(part.divided(common, 0, 0) for part in parts))
+        base, stiffness, damping = (part.divided(common, 0, 0) for part in parts)
+        return Triple(base, stiffness, damping, self.yielding)
 
 
 def ball_triple(loop: LoopParameters) -> Triple:
@@ -276,7 +314,25 @@ def _ball_loop(loop: LoopParameters) -> BallLoop:
         int(whole) + (fraction > 0.0),
         position=_filter(loop.position or Filter(), loop),
         velocity=(difference.times(above), late.times(below)),
+        yielding=_yielding(loop),
     )
+
+
+def _yielding(loop: LoopParameters) -> float | None:
+    """The K that makes 1 + K P(1) G(1) exactly 0, G(1) the displacement by a constant force."""
+    moved, force = loop.held_device.compliance().at_rest()
+    chain = (loop.position or Filter()).per_sample(loop.sample_time)
+    for section in chain.sections:
+        if section.length is None:
+            above, below = _exact_section(section)
+            moved, force = moved * above(1), force * below(1)
+    if not moved or not force:
+        return None
+    stiffness = -force.leading_coefficient() / moved.leading_coefficient()
+    number = Fraction(int(stiffness.p), int(stiffness.q))
+    if force + moved * stiffness or abs(number) > GAIN_LIMIT or float(number) != number:
+        return None
+    return float(number)
 
 
 def one_sample(loop: LoopParameters) -> OneSample:

@@ -76,6 +76,10 @@ class Rational(NamedTuple):
         (a, b), (c, d) = self, other
         return Rational(a * c, a * d + c * b)
 
+    def at_rest(self) -> tuple["fmpq_mpoly", "fmpq_mpoly"]:
+        """Numerator and denominator at s = 0."""
+        return self.numerator.subs({"s": 0}), self.denominator.subs({"s": 0})
+
     def held_by(self, stiffness: "Rational") -> "Rational":
         """Return the compliance G / (1 + G Z) of what a dynamic stiffness Z holds."""
         (n, d), (z, y) = self, stiffness
