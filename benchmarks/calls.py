@@ -80,7 +80,6 @@ COMPUTING_CALLS: dict[str, list[Any]] = {
     "HapticLoop.worst_hand": ["loop", "hands", 1000.0, 10.0],
     "HapticLoop.robust_limit": ["loop", "hands"],
     "tune_for_all": ["loops"],
-    "common_region": ["loops"],
     "limits_of": ["loops"],
     "regions_of": ["loops"],
 }

@@ -20,11 +20,11 @@ from benchmarks.truth.filtered import FilteredLoop
 from benchmarks.truth.plain import Loop
 from benchmarks.truth.random_loops import DeviceLoop, MassLoop
 from jaxstab.conventions import Verdict
+from jaxstab.loop.margins import WAYS, crossings_of, first_crossings
 from jaxstab.model.filters import given_filters
 from jaxstab.proofs.columns import column_gaps
 from jaxstab.proofs.curve_patches import Domain
 from jaxstab.proofs.plant import HandBoxes
-from jaxstab.ranges.margins import WAYS, crossings_of, first_crossings
 from jaxstab.results import StableRegion
 
 _PARTS = (0.3, 0.9, 1.0 - 1e-9)  # of the way, judged

@@ -19,11 +19,11 @@ import numpy as np
 from benchmarks import filtered_ranges, truth
 from benchmarks.record import Row
 from benchmarks.rivals import largest_modulus
+from jaxstab.boxes import HandRange, RobustLimit
 from jaxstab.conventions import Verdict
 from jaxstab.loop import HapticLoop
+from jaxstab.loop.margins import WAYS, first_crossings
 from jaxstab.model import by_name, characteristic_polynomial, companion_matrix
-from jaxstab.ranges import HandRange, RobustLimit
-from jaxstab.ranges.margins import WAYS, first_crossings
 from jaxstab.region import RegionStatus, stable_region
 
 _WALLS, _SMALL_WALLS = 400, 6

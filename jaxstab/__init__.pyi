@@ -9,14 +9,15 @@ from .atlas import open_atlas as open_atlas
 from .atlas import plan_atlas as plan_atlas
 from .atlas import plan_resolution as plan_resolution
 from .batches import use_compilation_cache as use_compilation_cache
+from .boxes import HandRange as HandRange
+from .boxes import robust_region as robust_region
 from .conventions import Verdict as Verdict
 from .guard import Guard as Guard
 from .guard import build_guard as build_guard
 from .loop import HapticLoop as HapticLoop
-from .loop import LoopsBetween as LoopsBetween
-from .loop import common_region as common_region
 from .loop import contact_map as contact_map
 from .loop import limits_of as limits_of
+from .loop import margins as margins
 from .loop import regions_of as regions_of
 from .loop import tune_for_all as tune_for_all
 from .model import Device as Device
@@ -34,9 +35,6 @@ from .point import closed_loop_poles as closed_loop_poles
 from .point import evaluate_grid as evaluate_grid
 from .point import spectral_radius as spectral_radius
 from .point import verdict as verdict
-from .ranges import HandRange as HandRange
-from .ranges import margins as margins
-from .ranges import robust_region as robust_region
 from .region import boundary_curve as boundary_curve
 from .region import stable_region as stable_region
 from .scene.draws import LogNormal as LogNormal

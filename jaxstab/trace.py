@@ -25,6 +25,7 @@ from jaxtyping import Bool, Float64, Int8, Int64
 
 from jaxstab.arrays import Array, Numbers, is_traced, namespace, take
 from jaxstab.batches import lists
+from jaxstab.boxes.search import ParameterBox, Proof, excluded, joined
 from jaxstab.conventions import AXES, Status
 from jaxstab.model import (
     Filter,
@@ -39,7 +40,6 @@ from jaxstab.numbers import checked, checked_number, require_x64
 from jaxstab.proofs.exclusion import Loops, exclude
 from jaxstab.proofs.filters import Responses
 from jaxstab.proofs.plant import circle_equations, quick_slice
-from jaxstab.ranges.box import ParameterBox, Proof, excluded, joined
 from jaxstab.region.closed_form import SliceCoefficients, slice_coefficients
 from jaxstab.region.pieces import Branch
 

@@ -274,8 +274,7 @@ def test_what_is_too_small_to_be_seen_beside_the_region_is_enlarged() -> None:
     common = next(name for name in parts if name.startswith("stable for the hands at all corners"))
     proved = scene_limits(scene).all_hands
     stiffest = parts[common][:, 0].max()
-    assert proved.largest_stiffness < stiffest <= proved.none_is_stiffer_than
-    assert stiffest == pytest.approx(proved.none_is_stiffer_than, rel=3e-3)
+    assert 0.9 * stiffest < proved.largest_stiffness < stiffest
     for panel, is_seen in ((whole, False), (enlarged, True)):
         window = np.ptp([panel.get_xlim(), panel.get_ylim()], axis=1)
         shares = np.ptp(parts[common], axis=0) / window

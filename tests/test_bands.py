@@ -9,6 +9,7 @@ import pytest
 from benchmarks import truth
 from benchmarks.truth import filtered
 from jaxstab import Filter, Velocity, Verdict, boundary_curve, verdict
+from jaxstab.boxes.enclosures import LinearModel
 from jaxstab.model.filters import known_filters
 from jaxstab.proofs.columns import (
     Columns,
@@ -24,7 +25,6 @@ from jaxstab.proofs.columns import (
     stable_columns,
 )
 from jaxstab.proofs.curve_patches import Domain, Intervals, Patches, curve_patches
-from jaxstab.proofs.enclosures import LinearModel
 from jaxstab.proofs.plant import HandBoxes, plant_models
 
 HAPTIC = (1e-3, 0.015)

@@ -19,7 +19,7 @@ from benchmarks.__main__ import BENCHMARKS
 from benchmarks.filtered_ranges import steps_to
 from benchmarks.ranges import is_limit_wrong, judged_margins
 from jaxstab import HandRange, HapticLoop
-from jaxstab.ranges.margins import first_crossings
+from jaxstab.loop.margins import first_crossings
 
 pytestmark = pytest.mark.campaign
 

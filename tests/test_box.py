@@ -4,83 +4,98 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import pytest
 
-from jaxstab.conventions import Verdict
-from jaxstab.ranges.box import (
+from jaxstab.boxes.box import ParameterBoxes
+from jaxstab.boxes.search import (
     Guess,
-    ParameterBox,
-    Proof,
+    Paving,
     RobustStatus,
+    paved,
     search,
     verdicts_of_range,
     worst_of_range,
 )
+from jaxstab.conventions import Verdict
 
 RADIUS = 0.75
 
 
-def circle(boxes: ParameterBox) -> Proof:
-    """Prove that boxes hold no point of the circle x^2 + y^2 = RADIUS^2, larger for each index."""
-    (x, by_x), (y, by_y) = boxes["x"], boxes["y"]
-    middle = x**2 + y**2 - (RADIUS + 0.1 * boxes.index) ** 2
-    share = np.stack([(2.0 * abs(x) + by_x) * by_x, (2.0 * abs(y) + by_y) * by_y], axis=-1)
-    return Proof(np.abs(middle) > share.sum(axis=1), share)
+class Circle:
+    """Boxes that hold no point of x^2 + theta^2 = RADIUS^2, larger for each index, are free."""
+
+    def __init__(self, first: int = 0) -> None:
+        self.first, self.axes = first, ()
+
+    def judged(self, boxes: ParameterBoxes) -> tuple[np.ndarray, np.ndarray]:
+        self.axes = boxes.axes
+        sizes, shares = -((RADIUS + 0.1 * (boxes.index + self.first)) ** 2), []
+        for name in boxes.axes:
+            x, by_x = boxes.ends(name)
+            sizes = sizes + x**2
+            shares.append((2.0 * abs(x) + by_x) * by_x)
+        if "x" not in boxes.axes:
+            sizes = sizes + 0.36
+        share = np.stack(shares)
+        return np.abs(sizes) > share.sum(axis=0), share
 
 
-def squares(count: int) -> ParameterBox:
-    return ParameterBox.from_axes(np.arange(count), x=(0.0, 1.0), y=(0.0, 1.0))
+def pave(count: int, smallest: float, first: int = 0, **limits: float) -> Paving:
+    return paved(Circle(first).judged, count, smallest, x=(-1.0, 1.0), **limits)
+
+
+def on_half_circle(radius: float, count: int) -> np.ndarray:
+    angle = np.linspace(0.0, np.pi, count)
+    return radius * np.stack([np.cos(angle), np.sin(angle)])
 
 
 def test_what_paving_leaves_covers_a_curve_and_is_next_to_it() -> None:
-    smallest = np.array([2.0**-6, 2.0**-7])
-    left = squares(2).paved(circle, smallest)
-    assert left.finished
-    angle = np.linspace(0.0, 2.0 * np.pi, 5000)
+    left = pave(2, 2.0**-7)
     for index in range(2):
         boxes = left.boxes.select(left.boxes.index == index)
         radius = RADIUS + 0.1 * index
-        points = radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-        away = np.abs(points[:, None] - boxes.center)
-        assert np.all(np.any(np.all(away <= boxes.half, axis=2), axis=1))
-        assert np.all(boxes.half <= smallest)
-        distance = np.abs(np.hypot(*boxes.center.T) - radius)
-        assert np.all(distance <= np.hypot(*boxes.half.T))
+        points = on_half_circle(radius, 3000)
+        away = np.abs(points[:, :, None] - boxes.center[:, None])
+        assert np.all(np.any(np.all(away <= boxes.half[:, None], axis=0), axis=1))
+        assert np.all(boxes.half[0] <= 2.0**-7)
+        distance = np.abs(np.hypot(*boxes.center) - radius)
+        assert np.all(distance <= np.hypot(*boxes.half))
 
 
-def test_axes_without_a_width_are_not_halved() -> None:
-    boxes = ParameterBox.from_axes(np.zeros(1, int), x=(0.6, 0.0), y=(0.0, 1.0))
-    left = boxes.paved(circle, 2.0**-20).boxes
-    assert np.all(left["x"][0] == 0.6)
-    assert np.all(left["x"][1] == 0.0)
-    assert np.allclose(np.abs(left["y"][0]), np.sqrt(RADIUS**2 - 0.36), rtol=0.0, atol=2.0**-19)
+def test_what_does_not_vary_is_no_axis() -> None:
+    circle = Circle()
+    left = paved(circle.judged, 1, 2.0**-20, x=(0.6, 0.6)).boxes
+    assert circle.axes == left.axes == ("theta",)
+    theta = left.ends("theta")[0]
+    assert np.allclose(theta, np.sqrt(RADIUS**2 - 0.36), rtol=0.0, atol=2.0**-19)
+    assert left.middles("x", 0.6, 0.6).tolist() == [0.6] * theta.size
 
 
-@pytest.mark.parametrize("limit", ["most_each", "effort"])
-def test_what_becomes_of_an_index_does_not_depend_on_the_others(limit: str) -> None:
-    alone = [ParameterBox.from_axes(np.array([i]), x=(0.0, 1.0), y=(0.0, 1.0)) for i in range(3)]
-    needed = [box.paved(circle, 2.0**-5).judged[i] for i, box in enumerate(alone)]
+def test_what_becomes_of_an_index_does_not_depend_on_the_others() -> None:
+    needed = [pave(1, 2.0**-5, first=i).judged[0] for i in range(3)]
     for most in (1, 20, 60, min(needed), max(needed)):
-        together = squares(3).paved(circle, 2.0**-5, **{limit: int(most)})
-        parts = [box.paved(circle, 2.0**-5, **{limit: int(most)}) for box in alone]
-        assert together.finished == all(part.finished for part in parts)
-        for index, part in enumerate(parts):
+        together = pave(3, 2.0**-5, effort=int(most))
+        for index in range(3):
+            part = pave(1, 2.0**-5, first=index, effort=int(most))
             own = together.boxes.select(together.boxes.index == index)
-            assert np.array_equal(np.sort(own.center, axis=0), np.sort(part.boxes.center, axis=0))
-            assert together.judged[index] == part.judged[index]
-            if limit == "effort":
-                assert part.judged[index] <= most
-                assert part.finished == (needed[index] <= most)
+            assert np.array_equal(np.sort(own.center, axis=1), np.sort(part.boxes.center, axis=1))
+            assert together.judged[index] == part.judged[0] <= most
 
 
 def test_boxes_of_a_proof_that_is_given_up_are_left() -> None:
-    left = squares(1).paved(circle, 2.0**-30, most=100)
-    assert not left.finished
-    assert left.boxes.count > 100
-    angle = np.linspace(0.0, 2.0 * np.pi, 1000)
-    points = RADIUS * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    away = np.abs(points[:, None] - left.boxes.center)
-    assert np.all(np.any(np.all(away <= left.boxes.half, axis=2), axis=1))
+    left = pave(1, 2.0**-30, most=100).boxes
+    assert left.index.size > 100
+    away = np.abs(on_half_circle(RADIUS, 1000)[:, :, None] - left.center[:, None])
+    assert np.all(np.any(np.all(away <= left.half[:, None], axis=0), axis=1))
+
+
+def test_halves_cover_the_box_along_one_axis() -> None:
+    box = ParameterBoxes.between(np.array([7]), x=(0.0, 1.0), y=(2.0, 2.0), theta=(1.0, 3.0))
+    assert box.axes == ("x", "theta")
+    halves = box.halved(np.array([1]))
+    assert halves.index.tolist() == [7, 7]
+    low, high = halves.center - halves.half, halves.center + halves.half
+    assert low.tolist() == [[0.0, 0.0], [1.0, 2.0]]
+    assert high.tolist() == [[1.0, 1.0], [2.0, 3.0]]
 
 
 def test_one_stable_loop_is_needed_and_one_unstable_loop_is_enough() -> None:

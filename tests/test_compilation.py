@@ -26,7 +26,6 @@ ROOT = Path(__file__).resolve().parents[1]
 
 # No JAX array can be given to them: they take names, numbers, a HapticLoop and a HandRange.
 WITHOUT_ARRAYS = {
-    "common_region",
     "limits_of",
     "regions_of",
     "tune_for_all",
@@ -35,7 +34,7 @@ WITHOUT_ARRAYS = {
 }
 
 WITH_FLINT = {  # single walls, lines of walls and regions are answered in balls
-    *("amplitude", "common_region", "limits_of", "margins", "paper.linear_validity"),
+    *("amplitude", "limits_of", "margins", "paper.linear_validity"),
     *("regions_of", "robust_region", "stable_region", "tune_for_all"),
     *(f"HapticLoop.{walls}" for walls in ("amplitude", "jitter_margin", "margins", "oscillation")),
     *(f"HapticLoop.{walls}" for walls in ("poles", "spectral_radius", "verdict", "worst_delays")),

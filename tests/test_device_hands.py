@@ -10,7 +10,7 @@ from scipy.linalg import expm
 
 from benchmarks.truth import devices, filtered
 from benchmarks.truth.random_loops import device_of
-from jaxstab import Device, Hand, HandRange, HapticLoop, Velocity, Verdict
+from jaxstab import Device, Hand, HandRange, HapticLoop, Mode, Velocity, Verdict
 from tests.campaign import many
 
 PERIOD = 1e-3
@@ -239,12 +239,26 @@ def test_what_nothing_damps_is_tried_and_not_proved() -> None:
     assert loop.worst_hand(damped, 500.0, 5.0).verdict == Verdict.STABLE
 
 
-def test_a_device_that_boxes_do_not_know_is_proved_where_one_number_varies() -> None:
-    device = Device.transfer_function([1.0], [0.25, 0.1, 0.0])
+@pytest.mark.parametrize(
+    "device",
+    [
+        Device.transfer_function([1.0], [0.25, 0.1, 0.0]),
+        Device.transfer_function([1.0, 0.2, 3e4], np.polymul([0.25, 0.1, 0.0], [1.0, 20.0, 1e5])),
+        Device.state_space([[0.0, 1.0], [-40.0, -3.0]], [0.0, 2.0], [1.0, 0.0]),
+        Device.modes([Mode(frequency=30.0, damping_ratio=0.05, modal_mass=0.3)]),
+    ],
+)
+def test_any_linear_device_is_proved_for_all_hands(device: Device) -> None:
     loop = replace(LOOP, device=device)
-    one = HandRange(stiffness=(0.0, 300.0))
-    assert loop.worst_hand(one, 500.0, 5.0).verdict == Verdict.STABLE
-    assert loop.worst_hand(HANDS, 500.0, 5.0).verdict == Verdict.UNDECIDED
+    limit = loop.robust_limit(HANDS)
+    assert limit.is_proved
+    assert 0.9 * limit.limit < limit.stiffness < limit.limit
+    rng, ends = np.random.default_rng(5), np.array([*vars(HANDS).values()])
+    for hand in rng.uniform(*ends.T, (20, 3)).tolist():
+        arm = Hand.mass_spring_damper(hand[0], stiffness=hand[1], damping=hand[2])
+        held = replace(loop, device=device.held_by(arm))
+        assert held.verdict(limit.stiffness, limit.damping) == Verdict.STABLE
+    assert loop.worst_hand(HANDS, 1.1 * limit.limit, limit.damping).verdict == Verdict.UNSTABLE
 
 
 @pytest.mark.parametrize(

@@ -14,17 +14,17 @@ import pytest
 
 from benchmarks.truth import filtered
 from jaxstab import Filter, Velocity
-from jaxstab.proofs import filters
-from jaxstab.proofs.curve_patches import _waves
-from jaxstab.proofs.device_boxes import (
+from jaxstab.boxes.box import ParameterBoxes
+from jaxstab.boxes.enclosures import LinearModel, phasor, sinc, sine, variable
+from jaxstab.boxes.plant import (
     Arms,
     DeviceBoxes,
     HeldDevice,
     _Aliases,
-    _constant,
     _Place,
 )
-from jaxstab.proofs.enclosures import LinearModel, phasor, sinc, sine, variable
+from jaxstab.proofs import filters
+from jaxstab.proofs.curve_patches import _waves
 from jaxstab.rounding import ELEMENTARY, EPS, LINEAR_MODEL, SERIES
 
 SHARP = 1.5
@@ -501,9 +501,10 @@ def test_the_sums_over_all_aliases_hold_the_true_ones() -> None:
     boxes = object.__new__(DeviceBoxes)
     boxes._device = HeldDevice(0.0, 0.0, (), (), None)
     aliases = _Aliases.from_device(boxes._device, (mass, mass), (0.0, 0.0), 4, 3.0)
-    arms = Arms(*[_constant(np.zeros(3))] * 3)
-    constants = (_constant(np.full(3, value)) for value in (mass, delay))
-    others = boxes._others(_Place(*constants, arms, _constant(theta)), aliases)
+    place = ParameterBoxes((), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(3, int))
+    none, *constants = (place.constant(value) for value in (0.0, mass, delay))
+    angle_of = place.constant(theta)
+    others = boxes._others(_Place(*constants, Arms(none, none, none), angle_of), aliases)
     for k, angle in enumerate(theta.tolist()):
 
         def alias(turns: float, sign: int, power: int, angle: float = angle) -> mpmath.mpf:

@@ -27,7 +27,6 @@ INTERNAL = {
     "Filter": {"stages", "transfer"},
     "Hand": {"dynamic_stiffness"},
     "HapticLoop": {"body", "filters", "held_device", "linear", "sampled"},
-    "LoopsBetween": {"family"},
     "Mode": {"compliance"},
     "Plan": {
         *("boxes", "chunk", "deltas_of_a_tile", "hands", "is_gridded", "numbers"),

@@ -30,20 +30,12 @@ from jaxstab import (
     Verdict,
     build_guard,
 )
+from jaxstab.boxes.box import HAND, THETA, ParameterBoxes
+from jaxstab.boxes.plant import _FAST, Arms, DeviceBoxes, Extent, HeldDevice, with_parts
 from jaxstab.guard.grid import Grid, grid_boxes, interpolated
 from jaxstab.model.device import sampled_device
 from jaxstab.model.device.parts import balls_of, working_precision
 from jaxstab.model.filters import given_filters
-from jaxstab.proofs.device_boxes import (
-    DELAY,
-    MASS,
-    Arms,
-    DeviceBoxes,
-    Extent,
-    HeldDevice,
-    along,
-    with_parts,
-)
 
 ROOT = Path(__file__).resolve().parents[1]
 PERIOD = 1e-3
@@ -62,6 +54,14 @@ BOXES, CALLS, GUARDS = (
     many(20_000, small=1000),
     many(40, small=2),
 )  # of the campaign
+
+
+AXES = "mass", "delay", "damping", *HAND, THETA
+
+
+def boxes_at(center: np.ndarray, half: np.ndarray) -> ParameterBoxes:
+    """Boxes along all axes of a guard."""
+    return ParameterBoxes(AXES, center, half, np.zeros(center.shape[1], int))
 
 
 def with_hand(loop: HapticLoop, mass: float, delay: float, arm: Arms) -> HapticLoop:
@@ -167,13 +167,14 @@ def assert_boxes_hold(seed: int, boxes: int, *, moves: bool = False) -> tuple[fl
     place[6, : boxes // 3] = 0.0
     starts, ends = low + (high - low) * place, low + (high - low) * (place + size)
     center, half = 0.5 * (starts + ends), 0.5 * (ends - starts)
-    free, _ = proof.judged(center, half)
+    free, _ = proof.judged(boxes_at(center, half))
     device = HeldDevice.from_device(loop.device, PERIOD)
     for box in range(boxes):
         at, by = center[:, box : box + 1], half[:, box : box + 1]
-        is_fast = at[6] + by[6] > 1.0
-        models = proof.over(at, by, proof._fast if is_fast else proof._slow)
-        is_slow = not is_fast and at[6] <= by[6] and bool(proof._are_slow(at, by)[0])
+        own_box = boxes_at(at, by)
+        is_fast = at[6] + by[6] > _FAST
+        models = proof._over(own_box, proof._fast if is_fast else proof._slow)
+        is_slow = not is_fast and at[6] <= by[6] and bool(proof._are_slow(own_box)[0])
         for _ in range(3):
             x = rng.choice([-1.0, 1.0, rng.uniform(-1, 1)], 7)
             point = (at + x[:, None] * by)[:, 0]
@@ -186,7 +187,7 @@ def assert_boxes_hold(seed: int, boxes: int, *, moves: bool = False) -> tuple[fl
             arm, theta = Arms(*point[3:6].tolist()), float(point[6])
             own = with_hand(loop, mass, delay * PERIOD, arm)
             damping = point[2] / 4 * interpolated(grid.top, point[:2, None])[0]
-            alpha = proof._parts(at, by)[1]  # no less than the limit
+            alpha = proof._parts(own_box)[1]  # no less than the limit
             stiffness = float(alpha.centre[0] + alpha.slope[:, 0] @ x) / PERIOD**2
             assert stiffness >= interpolated(grid.limit, point[:3, None])[0] * (1.0 - 1e-12)
             scaled = Arms(arm.mass, arm.stiffness * PERIOD**2, arm.damping * PERIOD)
@@ -225,12 +226,13 @@ def assert_first_rows_hold(seed: int, boxes: int, *, moves: bool = False) -> int
     center, half = 0.5 * (starts + ends), 0.5 * (ends - starts)
     is_near = center[6] <= half[6]
     rises = np.zeros(boxes, bool)
-    begins = proof._begin_without_wall(center)
+    boxes_drawn = boxes_at(center, half)
+    begins = proof._begin_without_wall(boxes_drawn)
     for which, method in (
         (begins & is_near, proof._grow_slowly),
         (begins & ~is_near, proof._grow),
     ):
-        rises[which] = method(center[:, which], half[:, which])[0]
+        rises[which] = method(boxes_drawn.select(which))[0]
     device, count = HeldDevice.from_device(loop.device, PERIOD), 0
     for box in np.flatnonzero(rises)[:4]:
         for share in (1e-3, 1.0):
@@ -277,8 +279,6 @@ def test_many_discs_of_late_forces_are_held_by_boxes() -> None:
 def test_boxes_that_hold_a_root_on_the_circle_are_never_free() -> None:
     """Lemma B20 at limits of stability; the slope of F there is no proof away from theta = 0."""
     arm, count = Arms(0.1, 100.0, 1.0), 0
-    half = np.zeros((7, 12))
-    half[6] = 0.5 ** np.arange(3, 15)
     for seed in range(14):
         loop, hands, grid = drawn_loop(np.random.default_rng(seed))
         if not max(hands.stiffness):  # a device that no arm may hold
@@ -292,17 +292,22 @@ def test_boxes_that_hold_a_root_on_the_circle_are_never_free() -> None:
         mass = grid.mass[0]
 
         def extent(
-            center: np.ndarray, half: np.ndarray, loop: HapticLoop = loop, wall: Any = wall
+            boxes: ParameterBoxes, loop: HapticLoop = loop, wall: Any = wall, mass: float = mass
         ) -> Extent:
-            one, none = np.ones(center.shape[1]), np.zeros(center.shape[1])
-            numbers = (along(DELAY, v * one, none) for v in (float(loop.delay_samples), *wall))
-            return Extent(along(MASS, center[MASS], half[MASS]), *numbers)
+            one, own = (
+                boxes.constant,
+                Arms(arm.mass, arm.stiffness * PERIOD**2, arm.damping * PERIOD),
+            )
+            walls = one(wall[0] * PERIOD**2), one(wall[1] * PERIOD)
+            return Extent(one(mass), one(float(loop.delay_samples)), Arms(*map(one, own)), *walls)
 
         proof = DeviceBoxes(loop.device, loop, (mass, mass), (arm.stiffness, arm.damping), extent)
-        center = np.array([mass, 0.0, 0.0, *arm, abs(np.angle(pole))])[:, None] * np.ones(12)
-        assert not proof.judged(center, half)[0].any()
-        center[6] = np.clip(center[6] + 0.05, 0.0, np.pi)  # beside it the narrow ones are
-        count += int(proof.judged(center, half)[0].sum())
+        angle, index = np.full((1, 12), abs(np.angle(pole))), np.zeros(12, int)
+        narrow = 0.5 ** np.arange(3.0, 15.0)[None]
+        at_root = ParameterBoxes((THETA,), angle, narrow, index)
+        assert not proof.judged(at_root)[0].any()
+        beside = replace(at_root, center=np.clip(angle + 0.05, 0.0, np.pi))  # the narrow ones are
+        count += int(proof.judged(beside)[0].sum())
     assert count > 60
 
 
@@ -312,7 +317,7 @@ def test_a_wide_delay_is_halved_before_what_is_narrow() -> None:
     grid = Grid(np.array([0.05, 2.0]), np.array([0.2, 10.0]), top, limit)
     center = np.array([0.003, 0.5, 8.0, 0.5, 500.0, 8.0, 0.368])[:, None]
     half = np.array([1e-9, 0.5, 8.0, 3e-8, 4e-3, 1e-5, 1e-8])[:, None]
-    free, shares = grid_boxes(LOOP.device, LOOP, HANDS, grid).judged(center, half)
+    free, shares = grid_boxes(LOOP.device, LOOP, HANDS, grid).judged(boxes_at(center, half))
     assert not free.any()
     assert shares[:, 0].argmax() == 1
 
@@ -527,7 +532,7 @@ def test_what_is_not_proved_within_the_boxes_is_not_granted(
 def test_a_cell_keeps_its_limit_when_the_next_one_is_lowered_in_vain(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    work = jaxstab.guard.build._OF_DEVICE._replace(most=150_000)
+    work = jaxstab.guard.build._OF_DEVICE._replace(most=1000)
     monkeypatch.setattr(jaxstab.guard.build, "_OF_DEVICE", work)
     mode = replace(MODE, damping_ratio=0.01, modal_mass=0.5)
     loop = HapticLoop(device=Device.modes([mode], mass=0.25, damping=0.1), sample_time=PERIOD)
@@ -536,8 +541,8 @@ def test_a_cell_keeps_its_limit_when_the_next_one_is_lowered_in_vain(
     guard = build_guard(
         loop, hands, mass=masses, delay=delays, cells=(1, 1, 4), constant_delay=True
     )
-    assert guard.rows[0].tolist() == [[0, 3]]  # the last cell of damping is not proved
-    damping = 0.75 * guard.grid.top.min()
+    assert guard.rows[0].tolist() == [[0, 2]]  # the last cells of damping are not proved
+    damping = 0.5 * guard.grid.top.min()
     limits = [
         with_hand(loop, mass, delay, Arms(moved, 0.0, damper)).stiffness_limits(damping)[1]
         for mass, delay, moved, damper in product(masses, delays, hands.mass, hands.damping)

@@ -13,7 +13,7 @@ from benchmarks import jitter as campaign
 from benchmarks.truth.moving import LOST, Moving, growth, late_energy
 from jaxstab import Device, Filter, Hand, HandRange, HapticLoop, Mode, Velocity, Verdict
 from jaxstab.exact.turns import segments_of
-from jaxstab.loop.between import LoopsWithHands
+from jaxstab.loop.hands import LoopsWithHands
 from jaxstab.loop.jitter import MovingLoop
 from jaxstab.model.device.parts import working_precision
 from jaxstab.model.device.sampling import OneSample, in_samples, late_cosines
@@ -323,7 +323,7 @@ def test_boxes_of_hands_keep_the_distance_of_moving_delays_themselves() -> None:
     moving, hands = {"delays": (0.0, 0.5 * T), "lost": 3}, HandRange(damping=(0.1, 1.0))
     lowest = HapticLoop(device_mass=0.1, device_damping=0.15, sample_time=T)
     limits = lowest.limits(**moving)
-    loops = LoopsWithHands(HapticLoop(sample_time=T, device=device), device, hands, None, moving)
+    loops = LoopsWithHands(HapticLoop(sample_time=T, device=device), hands, moving=moving)
     wall = 1.05 * limits.stiffness, limits.damping
     assert lowest.verdict(*wall) == Verdict.STABLE
     assert lowest.verdict(*wall, **moving) == Verdict.UNDECIDED

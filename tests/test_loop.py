@@ -224,8 +224,6 @@ def test_methods_about_walls_broadcast_with_fields_that_are_arrays(
         lambda loop: jaxstab.contact_map(loop, [1e3], [10.0], push=1.0, friction=0.1),
         lambda loop: loop.stiffness_intervals(10.0),
         lambda loop: jaxstab.limits_of([loop]),
-        lambda loop: jaxstab.common_region([loop, OMEGA]),
-        lambda loop: jaxstab.LoopsBetween(loop, loop),
         lambda loop: jaxstab.study(loop, walls={"a": CHAI3D}, over={"device_mass": [0.1]}),
         lambda loop: jaxstab.build_guard(loop, HANDS, mass=(0.1, 0.2), delay=(0.0, 1e-3)),
         lambda loop: replace(loop, sample_time=[1e-3, 1e-3, 2e-3]).verdict(*CHAI3D),

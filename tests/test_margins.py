@@ -13,8 +13,8 @@ import jaxstab
 from benchmarks import truth
 from benchmarks.truth import filtered
 from jaxstab import Filter, HandRange, HapticLoop, Velocity, Verdict
+from jaxstab.boxes.hands import checked_range
 from jaxstab.model import by_name
-from jaxstab.ranges.hands import checked_range
 
 FREE = HapticLoop(device_mass=1.0, device_damping=0.0, sample_time=1.0)  # K = alpha, B = beta
 PHANTOM = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3, delay=1.5e-3)

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 import jaxstab
-from jaxstab import HapticLoop, Verdict
+from jaxstab import HandRange, HapticLoop, Verdict
 from jaxstab.guard.guard import _CONSTANT, _MOVING
+from jaxstab.loop.hands import LoopsWithHands
 
 ROOT = Path(__file__).parents[1]
 WALL = (6669.1, 71.60)  # N/m, N s/m
@@ -39,11 +40,9 @@ def _largest(delays: list[int], seconds: float) -> float:
 
 
 def test_a_wall_stable_at_every_constant_delay_grows_with_a_delay_that_moves() -> None:
-    ends = [
-        HapticLoop(device_mass=MASS, device_damping=DAMPING, sample_time=T, delay=delay)
-        for delay in (0.0, T)
-    ]
-    assert int(jaxstab.LoopsBetween(*ends).verdict(*WALL)) == Verdict.STABLE
+    loop = HapticLoop(device_mass=MASS, device_damping=DAMPING, sample_time=T)
+    constant = LoopsWithHands(loop, HandRange(), delay=(0.0, T))
+    assert constant.worst(*WALL).verdict == Verdict.STABLE
     assert _largest([0], 2.0) < 2e-3
     assert _largest([1], 2.0) < 1e-2
     assert _largest([1, 1, 1, 0], 2.0) > 10.0
@@ -58,7 +57,6 @@ def test_pages_say_that_the_loop_is_constant_during_contact(page: str) -> None:
 def test_the_public_claims_over_ranges_say_so_too() -> None:
     claims = (
         HapticLoop.worst_hand.__doc__,
-        jaxstab.LoopsBetween.__doc__,
         jaxstab.Guard.__doc__,
         jaxstab.build_guard.__doc__,
         *(kind.proved.replace(" * ", "") for kind in (_MOVING, _CONSTANT)),

@@ -8,7 +8,6 @@ import pytest
 import jaxstab
 from benchmarks import truth
 from jaxstab import Filter, Velocity
-from jaxstab.model.device.family import Piece
 from jaxstab.model.filters import known_filters
 from jaxstab.point.fields import _rounded_up
 from jaxstab.point.radius import have_roots_inside, traced_radius_error
@@ -16,7 +15,6 @@ from jaxstab.point.traced_radius import _fitted
 from jaxstab.proofs.columns import _line_strips, columns_of
 from jaxstab.proofs.curve_patches import Domain
 from jaxstab.proofs.filters import Ends, filter_cells, filter_ends, largest_within
-from jaxstab.proofs.linear_circle import _in_piece, _waves
 from jaxstab.proofs.plant import HandBoxes, delay_moves
 from jaxstab.region.outline import are_inside as are_within
 from jaxstab.region.pieces import _all_inside
@@ -163,33 +161,6 @@ def test_a_wall_with_a_root_at_minus_one_is_in_the_strip_of_its_column(
                 assert abs(alpha - centre) <= strips.error[column, 1]
                 tried += 1
     assert tried > 100
-
-
-@pytest.mark.parametrize("power", [0, 1, 2, 3])
-def test_a_polynomial_of_a_piece_holds_in_all_of_its_box(power: int) -> None:
-    """linear_circle: (1 - x)^power, of which one power is left near x = 1, and sums of all."""
-    rng = np.random.default_rng(power)
-    count = 200
-    theta, by_theta = rng.choice([0.0, 0.02, 0.5, 1.4], count), rng.uniform(0.01, 0.3, count)
-    offset, by_offset = rng.uniform(-0.2, 0.2, count), rng.uniform(0.0, 0.3, count)
-    single = np.zeros((3, 4))
-    single[:2, power] = 1.0, 0.3
-    for coefficients in (single, rng.normal(size=(3, 4))):
-        piece = Piece(0.0, 1.0, coefficients, coefficients, 0.0)
-        waves = _waves(4, theta, by_theta)
-        model = _in_piece(piece, coefficients, offset, by_offset, by_theta, waves)
-        value, along, around, rest, _ = model
-        nearest = np.full(count, np.inf)
-        for u in (-1.0, -0.3, 0.5, 1.0):
-            for v in (-1.0, -0.6, 0.4, 1.0):
-                x = np.exp(-1j * (theta + v * by_theta))[:, None]
-                powers = (offset + u * by_offset)[:, None] ** np.arange(3)
-                steps = (1.0 - x) ** np.arange(4) * x ** (3 - np.arange(4))
-                true = np.sum((powers @ coefficients) * steps, axis=1)
-                gap = rest.real - np.abs(true - (value + u * along + v * around))
-                nearest = np.minimum(nearest, gap / rest.real)
-        assert np.all(nearest >= -1e-9)
-        assert np.min(nearest) < 0.8
 
 
 def test_distances_of_many_walls_are_those_to_the_nearest_points() -> None:

@@ -65,7 +65,7 @@ ELSEWHERE = {
     "paper.linear_validity": "test_criteria", "paper.passive_region": "test_criteria",
     "stable_region": "test_region",
     "robust_region": "test_robust", "trace_boundary": "test_trace",
-    "amplitude": "test_amplitude", "common_region": "test_common_region",
+    "amplitude": "test_amplitude",
     "tune_for_all": "test_tuning_ranges", "limits_of": "test_batch", "regions_of": "test_batch",
     "contact_map": "test_contact",
 }  # fmt: skip

@@ -10,13 +10,13 @@ import pytest
 import jaxstab
 from benchmarks import truth
 from benchmarks.truth import filtered
+from jaxstab.boxes import HandRange, RobustStatus, robust_region
+from jaxstab.boxes.hands import unproved_members
+from jaxstab.boxes.polygons import failures
 from jaxstab.conventions import Verdict
 from jaxstab.model import by_name
 from jaxstab.paper import passive_region
 from jaxstab.point import verdict
-from jaxstab.ranges import HandRange, RobustStatus, robust_region
-from jaxstab.ranges.hands import HeldLoop, _unproved_hands
-from jaxstab.ranges.robust import failures
 from jaxstab.region import stable_region
 
 NYQUIST = pi**2 + 0.25  # for delta = 1
@@ -257,11 +257,9 @@ def test_a_wall_that_few_hands_make_unstable_is_not_proved(axis: str, end: str) 
         for beyond, is_proved in ((1.0 / 19.0, False), (-1.0 / 19.0, True)):
             ranges = {name: (x, x) for name, x in zip(names, drawn[2:, k[n]], strict=True)}
             ranges[axis] = tuple(sorted([far[n], inner[n] + beyond * (inner[n] - far[n])]))
-            given = HeldLoop(loop, HandRange(**ranges), (1.0, 1.0))
-            unproved = _unproved_hands(given, drawn[:2, k[n]][None], 4096)
-            assert (not unproved) == is_proved
-            for left in unproved.values():  # they are within the range
-                values = left[:, names.index(axis)]
-                low, high = (1.0 + sign * 1e-9 for sign in (-1, 1))
-                assert np.all(values >= low * ranges[axis][0])
-                assert np.all(values <= high * ranges[axis][1])
+            fixed = (1.0, 1.0), (float(delay[k[n]]),) * 2
+            hands, wall = HandRange(**ranges), tuple(drawn[:2, k[n]].tolist())
+            left = unproved_members(loop.held_device, loop, hands, *fixed, wall)
+            assert (not len(left)) == is_proved
+            values = left[:, names.index(axis)]  # within the range
+            assert np.all((values >= ranges[axis][0]) & (values <= ranges[axis][1]))

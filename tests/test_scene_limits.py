@@ -175,8 +175,6 @@ def test_the_safe_wall_for_all_hands_is_proved_anew() -> None:
     assert safe is not None
     assert safe.certainty == "proved for every hand"
     assert safe.largest_stiffness == 0.8 * plain.largest_stiffness
-    assert safe.none_is_stiffer_than == 0.8 * plain.none_is_stiffer_than
-    assert plain.largest_stiffness < plain.none_is_stiffer_than
 
 
 @pytest.mark.campaign
@@ -286,9 +284,7 @@ def test_the_hand_that_limits_are_of_stands_before_them_and_the_linear_rule_is_n
     assert lines[3] == "best"
     *_, largest, every = run(*arguments).stdout.splitlines()
     assert re.match(r"largest stiffness +\d+ N/m at .* N s/m, hand at its lowest values$", largest)
-    assert re.match(
-        r"for all hands +\d+ N/m at .*, proved for every hand, upper bound \d+ N/m$", every
-    )
+    assert re.match(r"for all hands +\d+ N/m at .*, proved for every hand$", every)
     rule = answered("limits", *OMEGA)["linear_rule"]
     best = answered("limits", *OMEGA)["best"]
     share = rule["largest_stiffness"] / best["largest_stiffness"]

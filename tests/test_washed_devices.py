@@ -13,7 +13,6 @@ from jaxstab import (
     Mode,
     Velocity,
     Verdict,
-    common_region,
 )
 
 WASHED = HapticLoop(
@@ -33,7 +32,6 @@ WASHED = HapticLoop(
         lambda loop: loop.settling_time(1.0, 1.0),
         lambda loop: loop.simulate(1.0, 1.0, force=1.0),
         lambda loop: loop.amplitude(1.0, 1.0, encoder=1e-5),
-        lambda loop: common_region([loop]),
     ],
 )
 def test_what_needs_a_rest_is_refused_in_a_sentence(ask: Any) -> None:

@@ -10,6 +10,7 @@ from .line import stable_line as stable_line
 from .roots import Poles as Poles
 from .roots import Radius as Radius
 from .roots import poles as poles
+from .roots import rough_radius as rough_radius
 from .roots import spectral_radius as spectral_radius
 from .small_gain import SmallGainStatus as SmallGainStatus
 from .small_gain import largest_jitter as largest_jitter

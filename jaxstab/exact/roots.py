@@ -19,9 +19,10 @@ import numpy as np
 from jaxtyping import Complex128
 
 from jaxstab.conventions import RadiusStatus
-from jaxstab.exact.balls import Number, TripleAt, decided
+from jaxstab.exact.balls import FIRST_BITS, Number, TripleAt, decided
 from jaxstab.exact.verdict import roots_outside
 from jaxstab.model.balls import Factored
+from jaxstab.model.device.parts import working_precision
 
 if TYPE_CHECKING:
     from flint import acb, arb, arb_poly
@@ -72,6 +73,13 @@ def spectral_radius(triple: TripleAt, stiffness: float, damping: float) -> Radiu
     if number is None:
         return Radius(np.nan, np.inf, RadiusStatus.NO_BOUND)
     return Radius(*number, RadiusStatus.PROVED)
+
+
+def rough_radius(triple: TripleAt, stiffness: float, damping: float) -> float:
+    """The same in float64, without a bound."""
+    with working_precision(FIRST_BITS):
+        rising = triple().at(stiffness, damping).polynomial().coeffs()
+    return float(np.abs(np.roots([float(c.mid()) for c in rising[::-1]])).max(initial=0.0))
 
 
 def poles(triple: TripleAt, stiffness: float, damping: float) -> Poles:

@@ -5,14 +5,19 @@ A cell that is not proved within a number of boxes grants no wall.
 
 from collections.abc import Callable
 from functools import partial
-from math import frexp, pi
-from typing import NamedTuple
+from math import frexp
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
+from jaxstab.boxes import HandRange
+from jaxstab.boxes.box import HAND
+from jaxstab.boxes.hands import checked_range
+from jaxstab.boxes.plant import Arms, with_parts
+from jaxstab.boxes.search import paved
 from jaxstab.conventions import Range, Verdict
-from jaxstab.guard.grid import Grid, grid_boxes, interpolated, step_of
+from jaxstab.guard.grid import CELL_AXES, Grid, grid_boxes, interpolated, step_of
 from jaxstab.guard.guard import Guard
 from jaxstab.guard.limits import boundary_of
 from jaxstab.model import LoopParameters
@@ -21,17 +26,13 @@ from jaxstab.model.loop import refuse_arrays
 from jaxstab.motion.moving_delays import Delays
 from jaxstab.numbers import checked_count, checked_number
 from jaxstab.point.verdicts import linear_verdict
-from jaxstab.proofs.device_boxes import BEYOND, Arms, with_parts
 from jaxstab.proofs.filters import responses_at
-from jaxstab.ranges import HandRange
-from jaxstab.ranges.box import paved_device
-from jaxstab.ranges.hands import checked_range
 
-# Proof that every wall which a guard lets through is stable (lemmas B10, B15, B20).
+# Proof that every wall which a guard lets through is stable (lemmas B15, B20).
 #
 # Boxes of damping, mass and delay (in cells of the grid), of the hand, and of the angle hold all
-# walls from no stiffness up to the limit of the grid (``ranges.box``). All walls of cells that are
-# proved and side by side have the same number of unstable roots, and one certified verdict says
+# walls from no stiffness up to the limit of the grid (``boxes.search``). All walls of cells that
+# are proved and side by side have the same number of unstable roots, and one certified verdict says
 # that it is none.
 
 Cells = Bool[np.ndarray, "mass delay damping"]
@@ -56,13 +57,14 @@ def proved(
     are not used.
     """
     boxes = grid_boxes(loop.held_device, loop, hands, grid)
-    others = [*vars(hands).values(), (0.0, pi * (1.0 + BEYOND))]
+    arm: dict[str, Any] = dict(zip(HAND, vars(hands).values(), strict=True))
     waiting, is_proved, count = np.flatnonzero(cells), np.zeros(cells.size, bool), 0
     while waiting.size and count < most[1]:
         effort = min(most[0], most[1] - count)
         block = np.arange(min(waiting.size, _AT_ONCE, (most[1] - count) // effort))
-        places = [(index, index + 1.0) for index in np.unravel_index(waiting[block], cells.shape)]
-        paving = paved_device(boxes, block, [*places, *others], _NARROWEST, effort=effort)
+        corners = zip(CELL_AXES, np.unravel_index(waiting[block], cells.shape), strict=True)
+        places: dict[str, Any] = {name: (index, index + 1.0) for name, index in corners}
+        paving = paved(boxes.judged, block.size, _NARROWEST, effort=effort, **places, **arm)
         is_proved[waiting[block]] = ~np.isin(block, paving.boxes.index)
         waiting, count = waiting[block.size :], count + int(paving.judged.sum())
         tell(int(is_proved.sum()))
@@ -183,7 +185,7 @@ def build_guard(
             actuators and one hand of mass, spring and damper, behind a grip or not.
         RuntimeError: no wall at all could be proved.
 
-    Source: lemmas B10, B15 and B20 of docs/proofs.md; J3 for delays that move.
+    Source: lemmas B15 and B20 of docs/proofs.md; J3 for delays that move.
 
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)

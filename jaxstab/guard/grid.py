@@ -6,24 +6,15 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64
 
+from jaxstab.boxes import HandRange
+from jaxstab.boxes.box import HAND, ParameterBoxes, Rows
+from jaxstab.boxes.enclosures import LinearModel
+from jaxstab.boxes.plant import Arms, DeviceBoxes, Extent, FirstRow
 from jaxstab.model import Device, LoopParameters
-from jaxstab.proofs.device_boxes import (
-    AXES,
-    DAMPING,
-    DELAY,
-    MASS,
-    Boxes,
-    DeviceBoxes,
-    Extent,
-    FirstRow,
-    along,
-)
-from jaxstab.proofs.enclosures import LinearModel
-from jaxstab.ranges import HandRange
-from jaxstab.rounding import RAISED_MUCH
 
 Ends = Float64[np.ndarray, "axis box"]  # in cells
 
+CELL_AXES = "mass", "delay", "damping"  # the axes that are in cells
 _SLACK = 1e-9  # of the largest value: more than the arithmetic of the header rounds
 
 
@@ -60,41 +51,52 @@ def grid_boxes(device: Device, loop: LoopParameters, hands: HandRange, grid: Gri
         [corners[:-1, :-1], corners[1:, :-1], corners[:-1, 1:], corners[1:, 1:]], axis=0
     )
 
-    def limits(center: Boxes, half: Boxes) -> tuple[LinearModel, LinearModel]:
-        low, high = (center - half)[:3], (center + half)[:3]
-        top = _model(grid.top, low[:2], high[:2])
-        return _limits_over(grid, low, high), replace(top, rest=top.rest + _SLACK * top.centre)
-
-    def extent(center: Boxes, half: Boxes) -> Extent:
-        mass, delay = (
-            along(axis, nodes[0] + center[axis] * step, half[axis] * step * RAISED_MUCH)
-            for axis, nodes in ((MASS, grid.mass), (DELAY, grid.delay))
-            for step in [step_of(nodes)]
+    period = float(loop.sample_time)
+    kinds = {
+        name: (ends, unit)
+        for name, ends, unit in zip(
+            HAND, vars(hands).values(), (1.0, period**2, period), strict=True
         )
-        share = along(DAMPING, center[DAMPING] / count, half[DAMPING] / count)
-        limit, top = limits(center, half)
-        return Extent(mass, delay, limit, share * top)
+    }
 
-    def is_first(center: Boxes) -> Bool[np.ndarray, " box"]:
-        column = tuple(np.floor(center[:2]).astype(int))
-        is_at_0: Bool[np.ndarray, " box"] = (center[DAMPING] < 1.0) & (begins[column] == 0.0)
-        return is_at_0
+    def limits(boxes: ParameterBoxes, last: Rows) -> tuple[LinearModel, LinearModel]:
+        """The largest stiffness and damping, the damping of the boxes between ``last``."""
+        (mass, by_mass), (delay, by_delay) = (boxes.ends(name) for name in CELL_AXES[:2])
+        low = np.stack([mass - by_mass, delay - by_delay, last[0]])
+        high = np.stack([mass + by_mass, delay + by_delay, last[1]])
+        top = _model(grid.top, low[:2], high[:2], boxes.axes)
+        top = replace(top, rest=top.rest + _SLACK * top.centre)
+        return _limits_over(grid, low, high, boxes.axes) * period**2, top * period
 
-    def whole_walls(center: Boxes, half: Boxes) -> tuple[LinearModel, LinearModel]:
-        end, none = center.copy(), half.copy()
-        end[DAMPING], none[DAMPING] = 1.0, 0.0
-        limit, top = limits(end, none)
+    def extent(boxes: ParameterBoxes) -> Extent:
+        mass, delay = (
+            boxes.along(axis, step_of(nodes), float(nodes[0]))
+            for axis, nodes in (("mass", grid.mass), ("delay", grid.delay))
+        )
+        center, half = boxes.ends("damping")
+        limit, top = limits(boxes, np.stack([center - half, center + half]))
+        arm = (boxes.quantity(name, ends[0], unit) for name, (ends, unit) in kinds.items())
+        return Extent(mass, delay, Arms(*arm), limit, boxes.along("damping", 1.0 / count) * top)
+
+    def is_first(boxes: ParameterBoxes) -> Bool[np.ndarray, " box"]:
+        column = tuple(np.floor(boxes.ends(name)[0]).astype(int) for name in CELL_AXES[:2])
+        is_at_0: Bool[np.ndarray, " box"] = boxes.ends("damping")[0] < 1.0
+        return is_at_0 & (begins[column] == 0.0)
+
+    def whole_walls(boxes: ParameterBoxes) -> tuple[LinearModel, LinearModel]:
+        limit, top = limits(boxes, np.ones((2, boxes.index.size)))
         return limit, top * (1.0 / count)
 
     mass = float(grid.mass[0]), float(grid.mass[-1])
     arm = hands.stiffness[1], hands.damping[0]
-    first_row = FirstRow(is_first, whole_walls)
-    return DeviceBoxes(device, loop, mass, arm, extent, first_row, grid.jitter)
+    return DeviceBoxes(
+        device, loop, mass, arm, extent, FirstRow(is_first, whole_walls), grid.jitter
+    )
 
 
-def _limits_over(grid: Grid, low: Ends, high: Ends) -> LinearModel:
+def _limits_over(grid: Grid, low: Ends, high: Ends, axes: tuple[str, ...]) -> LinearModel:
     """Bound the limit from above, by models without a rest, over boxes within a cell."""
-    model = _model(grid.limit, low, high)
+    model = _model(grid.limit, low, high, axes)
     slack = _SLACK * float(np.max(grid.limit))
     return replace(model, centre=model.centre + model.rest + slack, rest=np.zeros_like(model.rest))
 
@@ -109,7 +111,9 @@ def interpolated(nodes: np.ndarray, index: np.ndarray) -> np.ndarray:
     return _at_corners(nodes, (index, index))[0]
 
 
-def _model(nodes: np.ndarray, low: np.ndarray, high: np.ndarray) -> LinearModel:
+def _model(
+    nodes: np.ndarray, low: np.ndarray, high: np.ndarray, axes: tuple[str, ...]
+) -> LinearModel:
     """Return the model of the interpolation over boxes within one cell."""
     corners = _at_corners(nodes, (low, high))
     signs = np.indices((2,) * len(low)).reshape(len(low), -1) * 2.0 - 1.0
@@ -117,9 +121,10 @@ def _model(nodes: np.ndarray, low: np.ndarray, high: np.ndarray) -> LinearModel:
     centre = corners.mean(axis=0)
     # Linear in each variable, it is farthest from its model at a corner.
     error = np.max(np.abs(corners - centre - signs.T @ moves), axis=0)
-    slope = np.zeros((AXES, centre.size))
-    slope[: len(moves)] = moves
-    return LinearModel(centre, slope, error, np.ones((AXES, 1)))
+    slope = np.zeros((len(axes), centre.size))
+    for name, move in zip(CELL_AXES, moves, strict=False):
+        slope[axes.index(name)] = move
+    return LinearModel(centre, slope, error, np.ones((len(axes), 1)))
 
 
 def _at_corners(nodes: np.ndarray, ends: tuple[Ends, Ends]) -> np.ndarray:

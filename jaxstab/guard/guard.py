@@ -11,11 +11,11 @@ from jaxtyping import Float64, Int64
 
 import jaxstab
 from jaxstab.arrays import Numbers
+from jaxstab.boxes import HandRange
 from jaxstab.conventions import Range
 from jaxstab.guard.grid import Grid, interpolated
 from jaxstab.guard.limits import Boundary, boundary_of
 from jaxstab.model import LoopParameters
-from jaxstab.ranges import HandRange
 from jaxstab.shown import printable, shortened
 
 _SAMPLES = 9  # of mass and of delay

@@ -11,13 +11,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Complex128, Float64
 
+from jaxstab.boxes import HandRange
+from jaxstab.boxes.hands import spread_hands
+from jaxstab.boxes.plant import Arms, HeldDevice
 from jaxstab.model import LoopParameters
 from jaxstab.model.filters import NO_FILTERS, known_filters
-from jaxstab.proofs.device_boxes import Arms, HeldDevice
 from jaxstab.proofs.filters import responses_at
 from jaxstab.proofs.plant import quick_plant
-from jaxstab.ranges import HandRange
-from jaxstab.ranges.hands import spread_hands
 
 _ANGLES = 800
 _LATE = 5  # delays of a range

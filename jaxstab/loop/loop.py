@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 import numpy as np
 from jaxtyping import Complex128, Float64, Int8
 
-from jaxstab import motion, point, ranges
+from jaxstab import motion, point
 from jaxstab.arrays import Array, Numbers, is_any_jax, is_any_traced, named, pytree
 from jaxstab.conventions import HORIZON, Excitation, Range, Verdict
 from jaxstab.exact import stable_line
@@ -23,10 +23,12 @@ from jaxstab.numbers import checked, checked_number, checked_word
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from jaxstab.boxes import HandRange, RobustLimit
     from jaxstab.exact import StableLine
-    from jaxstab.loop.between import LoopsWithHands
     from jaxstab.loop.contact import Contact
+    from jaxstab.loop.hands import LoopsWithHands, WorstHand
     from jaxstab.loop.jitter import MovingLimits, MovingLoop, WorstDelays
+    from jaxstab.loop.margins import Margins
     from jaxstab.loop.tune import OptimalWall
 
 
@@ -56,8 +58,7 @@ class HapticLoop(LoopParameters):
 
     The fields ``device_mass`` to ``hand_stiffness`` describe device and hand as one mass;
     ``device`` alone takes any linear system, with its hands; ``worst_hand`` and ``robust_limit``
-    then put other hands in place of these. For other intervals see ``jaxstab.LoopsBetween``, for
-    lists of loops ``jaxstab.common_region``. Regions, limits, tuning and motions need a device that
+    then put other hands in place of these. Regions, limits, tuning and motions need a device that
     moves under a constant force: one with zero DC gain, G(0) = 0, raises ValueError.
 
     Source: eqs. (1) and (12), Table I of Hulin, Preusche, Hirzinger (2008), as in all methods.
@@ -314,14 +315,14 @@ class HapticLoop(LoopParameters):
 
     def worst_hand(
         self,
-        hands: "ranges.HandRange",
+        hands: "HandRange",
         stiffness: float,
         damping: float,
         *,
         mass: Range | None = None,
         delays: Range | None = None,
         lost: int = 0,
-    ) -> "ranges.WorstHand":
+    ) -> "WorstHand":
         """Whether a wall is stable for every hand of a range, and the worst of the sampled hands.
 
         Each hand, like the rest of the loop, is constant while the wall is touched; with ``delays``
@@ -337,13 +338,12 @@ class HapticLoop(LoopParameters):
         Returns:
             WorstHand; UNDECIDED where sampled hands are stable, but others could not be proved. A
             ``device`` is proved if it is a mass with or without modes and actuators, a grip has a
-            spring, and grip or hand a damper; any other one if a single number varies and the delay
-            does not move.
+            spring, and grip or hand a damper.
 
         Raises: see ``jaxstab.conventions``; ValueError also if a range is out of order, or a
         ``device`` has several hands, or no mass that could vary.
 
-        Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); lemmas B6, B21 and J3 of
+        Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); lemmas B21 and J3 of
         docs/proofs.md.
 
         Example:
@@ -353,24 +353,21 @@ class HapticLoop(LoopParameters):
             'STABLE'
         """
         self._refuse_many("worst_hand")
-        with_hands = self._with_hands(hands, mass, delays, lost)
-        if with_hands is None:
-            return ranges.worst_hand(self, hands, stiffness, damping, mass)
         wall = (checked_number("stiffness", stiffness), checked_number("damping", damping))
-        return with_hands.worst(*wall)
+        return self._with_hands(hands, mass, delays, lost).worst(*wall)
 
     def robust_limit(
         self,
-        hands: "ranges.HandRange",
+        hands: "HandRange",
         *,
         mass: Range | None = None,
         delays: Range | None = None,
         lost: int = 0,
-    ) -> "ranges.RobustLimit":
+    ) -> "RobustLimit":
         """The largest stiffness, and its damping, that every hand of a range allows.
 
-        The corners of the range, and the hands at which a proof failed, set the limit. With a
-        ``device`` it is that of their exact regions: computed, not proved.
+        The corners of the range, and the hands at which a proof failed, set the limit, by their
+        exact regions: computed, not proved. The wall is proved, if ``is_proved``.
 
         Args:
             hands: the range of hands, which replace the hand of the loop.
@@ -391,32 +388,18 @@ class HapticLoop(LoopParameters):
             True
         """
         self._refuse_many("robust_limit")
-        with_hands = self._with_hands(hands, mass, delays, lost)
-        if with_hands is None:
-            return ranges.robust_limit(self, hands, mass)
-        return with_hands.robust_limit()
+        return self._with_hands(hands, mass, delays, lost).robust_limit()
 
     def _with_hands(
-        self, hands: "ranges.HandRange", mass: Range | None, delays: Range | None, lost: int
-    ) -> "LoopsWithHands | None":
-        """Return the loop with all hands; None for one mass at a constant delay."""
-        moves = delays is not None or bool(lost)
-        if self.device is None and not moves:
-            return None
-        from jaxstab.loop.between import LoopsWithHands
+        self, hands: "HandRange", mass: Range | None, delays: Range | None, lost: int
+    ) -> "LoopsWithHands":
+        """Return the loop with all hands."""
+        from jaxstab.loop.hands import LoopsWithHands
 
-        device = self.held_device
-        if not moves:
-            return LoopsWithHands(self, device, hands, mass)
-        moving = self._moving("hands with delays", delays, lost).loop
-        loop = HapticLoop(
-            sample_time=moving.sample_time,
-            delay=moving.delay,
-            device=device,
-            velocity=self.velocity,
-            position=self.position,
-        )
-        return LoopsWithHands(loop, device, hands, mass, {"delays": delays, "lost": lost})
+        if delays is None and not lost:
+            return LoopsWithHands(self.in_floats(), hands, mass)
+        loop = self._moving("hands with delays", delays, lost).loop
+        return LoopsWithHands(loop, hands, mass, moving={"delays": delays, "lost": lost})
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
         """Draw the stable walls, the stiffest of them, islands and, if it applies, the linear rule.
@@ -572,7 +555,7 @@ class HapticLoop(LoopParameters):
             return point.linear_poles(*wall, self.linear)
         return point.closed_loop_poles(*wall, **self.slice, **self.filters)
 
-    def margins(self, stiffness: Numbers, damping: Numbers) -> "ranges.Margins":
+    def margins(self, stiffness: Numbers, damping: Numbers) -> "Margins":
         """How far stiffness, damping and delay of the loop at walls may change, each alone.
 
         Args and Raises: see ``jaxstab.conventions``; TypeError also if JAX traces gains and the
@@ -588,26 +571,26 @@ class HapticLoop(LoopParameters):
             >>> float(loop.margins(300.0, 2.0).stiffness_gain)
             5.719...
         """
+        from jaxstab.loop.margins import in_si_units, loop_margins, margins
+
         if self.body is None and is_any_traced(stiffness, damping):
             raise TypeError(
                 "margins of a device that is not one mass are searched outside of JAX: give "
                 "concrete gains, outside of jit, vmap and grad."
             )
         if self.body is None or not (self.shape or is_any_jax(self, stiffness, damping)):
-            return ranges.loop_margins(self.in_floats(), stiffness, damping)
+            return loop_margins(self.in_floats(), stiffness, damping)
         plant = self.gamma, self.delta, self.delay_samples  # a delay that is traced may be any
-        margins = ranges.margins(
-            *scaled(self, stiffness, damping), **by_name(*plant), **self.filters
-        )
+        found = margins(*scaled(self, stiffness, damping), **by_name(*plant), **self.filters)
         units = self.stiffness(1.0), self.damping(1.0), self.sample_time
-        return ranges.in_si_units(margins, *units)
+        return in_si_units(found, *units)
 
     def jitter_margin(
         self,
         stiffness: Numbers,
         damping: Numbers,
         *,
-        hands: "ranges.HandRange | None" = None,
+        hands: "HandRange | None" = None,
         mass: Range | None = None,
     ) -> Float64[np.ndarray, "*grid"]:
         """How far the delay of each sample may exceed the loop's own, in s, proved.
@@ -644,7 +627,6 @@ class HapticLoop(LoopParameters):
             return jitter_margin(self, stiffness, damping)
         refuse_traced(stiffness, damping)
         with_hands = self._with_hands(hands, mass, (self.delay, self.delay), 0)
-        assert with_hands is not None  # delays are given
         return np.vectorize(with_hands.jitter_margin, otypes=[np.float64])(stiffness, damping)
 
     def worst_delays(

@@ -15,7 +15,7 @@ explorers take all kinds from the class.
 """
 
 import numbers
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import lru_cache, reduce
@@ -135,9 +135,6 @@ class Section:
     estimator: ClassVar[str | None] = None
     """The method of ``Velocity``, where a difference that begins with this section has one."""
 
-    varies: ClassVar[bool] = True
-    """Whether a number of it may run over an interval, as between two loops."""
-
     def per_sample(self, sample_time: Numbers) -> "Section":
         """Return the section in units of a sampling period in s; here one without units."""
         del sample_time
@@ -164,11 +161,7 @@ class Section:
         return 1.0
 
     def factors(self, number: Any) -> list[Factor]:
-        """The factors of the transfer function, by that number: a pair, a fraction or a ball."""
-        raise NotImplementedError
-
-    def ball_number(self, ball: Callable[[Any], Any], period: Any, pi: Any) -> Any:
-        """The number unrounded, in balls; ``ball`` returns that of a parameter."""
+        """The factors of the transfer function, by that number: a pair or a fraction."""
         raise NotImplementedError
 
     def stages(self) -> list[Transfer]:
@@ -193,7 +186,6 @@ class Average(Section):
 
     maker: ClassVar[str] = "average"
     estimator: ClassVar[str] = "difference"
-    varies: ClassVar[bool] = False
 
     def __str__(self) -> str:
         samples = f"{self.samples} sample{'' if self.samples == 1 else 's'}"
@@ -254,9 +246,6 @@ class LowPass(Section):
     def factors(self, number: Any) -> list[Factor]:
         return [(*_lag(1 - number), self.order)]
 
-    def ball_number(self, ball: Callable[[Any], Any], period: Any, pi: Any) -> Any:
-        return (-2 * pi * (ball(self.cutoff) * period)).exp()
-
 
 @pytree
 @dataclass(frozen=True)
@@ -277,10 +266,6 @@ class Exponential(Section):
 
     def factors(self, number: Any) -> list[Factor]:
         return [(*_lag(number), 1)]
-
-    def ball_number(self, ball: Callable[[Any], Any], period: Any, pi: Any) -> Any:
-        del period, pi
-        return ball(self.factor)
 
 
 @pytree
@@ -330,9 +315,6 @@ class Butterworth(Section):
             factors.append(([w, w], [w - 1, w + 1], 1))
         return factors
 
-    def ball_number(self, ball: Callable[[Any], Any], period: Any, pi: Any) -> Any:
-        return (pi * (ball(self.cutoff) * period)).tan()
-
 
 @pytree
 @dataclass(frozen=True)
@@ -343,7 +325,6 @@ class Rational(Section):
     denominator: tuple[float, ...] = fixed()
 
     maker: ClassVar[str] = "transfer_function"
-    varies: ClassVar[bool] = False
 
     def __str__(self) -> str:
         return f"a transfer function of order {len(self.denominator) - 1}"
@@ -401,7 +382,6 @@ class Kalman(Section):
     r: Numbers
 
     estimator: ClassVar[str] = "kalman"
-    varies: ClassVar[bool] = False
 
     def __str__(self) -> str:
         return f"a Kalman filter with q = {shown(self.q)} and r = {shown(self.r)}"
@@ -446,7 +426,6 @@ class SavitzkyGolay(Section):
     order: int = fixed()
 
     estimator: ClassVar[str] = "savitzky_golay"
-    varies: ClassVar[bool] = False
 
     def __str__(self) -> str:
         return f"the slope of a polynomial of order {self.order} through {self.samples} samples"

@@ -6,7 +6,7 @@ identified from.
 
 from collections.abc import Mapping
 from dataclasses import replace
-from decimal import ROUND_CEILING, ROUND_FLOOR
+from decimal import ROUND_FLOOR
 from itertools import product
 from math import isfinite
 from textwrap import fill
@@ -198,7 +198,6 @@ _ROOM_ABOVE = 1.6  # of the stiffness that a design is about
 _HORIZON = 4096  # samples
 _LETTERS = 14.0  # of a remark, per inch
 _LARGEST = Quantity("N/m", 4, ROUND_FLOOR)
-_BOUND = Quantity("N/m", 4, ROUND_CEILING)
 _LARGEST_TIME = Quantity("s", 4, ROUND_FLOOR)
 _STIFFNESS, _DAMPING = GivenQuantity("N/m"), GivenQuantity("N s/m")
 _TIME, _LENGTH = Quantity("s", 3), Quantity("m", 3)
@@ -234,7 +233,7 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
     tuned = answer if isinstance(answer, Tuned) else None
     region = everything.reachable
     islands = [island for island in everything.islands if isfinite(island.stiffest.stiffness)]
-    areas = [] if tuned else [_common(scene, answer)]
+    areas = [] if tuned else [_common(scene)]
     if not (tuned or checked):
         areas.append(_passive(scene, loop))
     areas = [area for area in areas if len(area.outline)]
@@ -384,14 +383,10 @@ class _Area(NamedTuple):
     look: dict[str, Any]
 
 
-def _common(scene: Scene, answer: Answer | None) -> _Area:
+def _common(scene: Scene) -> _Area:
     """The walls that are stable for the hands at all corners; empty without a range of hands."""
     outline = common_outline(corner_loops(scene)) if hands_of(scene) else np.zeros((0, 2))
     label = "stable for the hands at all corners of the range"
-    all_hands = getattr(answer, "all_hands", None)
-    if all_hands is not None and all_hands.none_is_stiffer_than is not None:
-        bound = _BOUND.words(all_hands.none_is_stiffer_than, scene.units)
-        label += f"; for all hands at most {bound}"
     look = {"facecolor": _FOR_ALL, "lw": 0.0, "label": label}
     return _Area(outline, look)
 

@@ -29,12 +29,12 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
 from jaxstab.arrays import joined, take
+from jaxstab.boxes.enclosures import LinearModel
 from jaxstab.conventions import Verdict
 from jaxstab.model import by_name
 from jaxstab.model.filters import Filters, as_keywords
 from jaxstab.point import verdict
 from jaxstab.proofs.curve_patches import Domain, Patches, curve_patches, minus_line_models
-from jaxstab.proofs.enclosures import LinearModel
 from jaxstab.proofs.filters import Ends, filter_ends
 from jaxstab.proofs.plant import HandBoxes
 from jaxstab.rounding import COSINES, OVERLAP, PLANES

@@ -26,8 +26,8 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from jaxstab.arrays import take
+from jaxstab.boxes.enclosures import LinearModel, Moving
 from jaxstab.model.filters import Filters
-from jaxstab.proofs.enclosures import LinearModel, Moving
 from jaxstab.proofs.filters import (
     filter_cells,
     filter_ends,

@@ -27,8 +27,8 @@ import numpy as np
 from jaxtyping import Bool, Complex128, Float64, Int64
 
 from jaxstab.arrays import joined, take
+from jaxstab.boxes.enclosures import LinearModel, variable
 from jaxstab.model.filters import Filters
-from jaxstab.proofs.enclosures import LinearModel, variable
 from jaxstab.proofs.filters import OverCells, filter_cells
 from jaxstab.proofs.plant import (
     BENDS,

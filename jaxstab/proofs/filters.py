@@ -25,9 +25,9 @@ import numpy as np
 from jaxtyping import Complex128, Float64
 
 from jaxstab.arrays import PI_REST, Array, joined, namespace, take
+from jaxstab.boxes.enclosures import LinearModel, Moving
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import ONE, Filters, Polynomial, Transfer, size_of
-from jaxstab.proofs.enclosures import LinearModel, Moving
 from jaxstab.rounding import EPS, OVERLAP, RAISED_SERIES, SERIES, SHIFTED
 
 # Taylor series of functions of one angle over many cells, each coefficient with its error.

@@ -21,9 +21,9 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from jaxstab.arrays import PI_REST, Array, Numbers, namespace, repeat
+from jaxstab.boxes.enclosures import LinearModel
 from jaxstab.model import plant_coefficients
 from jaxstab.model.plant import pairs_error
-from jaxstab.proofs.enclosures import LinearModel
 from jaxstab.proofs.filters import Responses, turns_over_sine
 from jaxstab.region.closed_form import SliceCoefficients
 from jaxstab.rounding import PLANT_MODEL, QUICK_D, QUICK_N, UNDERFLOW

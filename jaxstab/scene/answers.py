@@ -32,7 +32,6 @@ _HEADINGS = {
 """The headings of the answers in a field that is a dictionary, by its name."""
 
 _LABELS = {
-    "none_is_stiffer_than": "upper bound for all hands",
     "now_allowed_stiffness": "stiffness allowed now",
     "settling_time_2_percent": "settling time (2 %)",
     "settling_time_5_percent": "settling time (5 %)",
@@ -130,7 +129,6 @@ Frequency = Annotated[float, Quantity("Hz")]
 Number = Annotated[float, Quantity()]
 Bound = Annotated[float, Quantity(digits=3, rounding=ROUND_CEILING, infinite="not proved")]
 LargestStiffness = Annotated[float, Quantity("N/m", _LIMIT_DIGITS, ROUND_FLOOR)]
-StiffnessBound = Annotated[float, Quantity("N/m", _LIMIT_DIGITS, ROUND_CEILING)]
 LargestDamping = Annotated[float, Quantity("N s/m", _LIMIT_DIGITS, ROUND_FLOOR)]
 LargestTime = Annotated[float, Quantity("s", _LIMIT_DIGITS, ROUND_FLOOR)]
 StiffnessLimits = Annotated[tuple[float, float], IntervalQuantity("N/m", _LIMIT_DIGITS)]

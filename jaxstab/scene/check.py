@@ -14,6 +14,7 @@ from jaxstab.arrays import take, tree_map
 from jaxstab.batches import alike
 from jaxstab.conventions import Verdict
 from jaxstab.loop import Gains, HapticLoop
+from jaxstab.loop import Margins as LoopMargins
 from jaxstab.model.loop import as_one
 from jaxstab.motion import Amplitude as Amplitudes
 from jaxstab.motion import Oscillation as Mode
@@ -21,7 +22,6 @@ from jaxstab.motion import Settling as MotionSettling
 from jaxstab.motion import SettlingStatus
 from jaxstab.numbers import without_noise
 from jaxstab.point import SpectralRadius
-from jaxstab.ranges import Margins as LoopMargins
 from jaxstab.rounding import EPS
 from jaxstab.scene.answers import (
     Answer,

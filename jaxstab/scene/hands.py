@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from jaxstab.conventions import Verdict
 from jaxstab.loop import Gains, HapticLoop
+from jaxstab.loop.hands import LoopsWithHands
 from jaxstab.model.device.parts import MassSpringDamper, Modes
 from jaxstab.model.linear_loop import loop_without_drift
 from jaxstab.point.verdicts import linear_verdict
@@ -23,15 +24,14 @@ from jaxstab.scene.answers import (
     GivenStiffness,
     LargestStiffness,
     Quantity,
-    StiffnessBound,
     printed_wall,
 )
 from jaxstab.scene.loops import (
     OneHand,
     hands_of,
-    is_one_mass,
     loop_of,
     masses_of,
+    range_of_hands,
     wall_region,
     with_delay,
 )
@@ -39,7 +39,6 @@ from jaxstab.scene.scene import Scene
 
 _PROVED = "proved for every hand"
 _TRIED = "no hand that was tried is unstable, but not all others are proved"
-NOT_FOR_OTHERS = ": others are not proved together with a range of delays"
 BUT_FOR_DRIFT = "stable but for the position, which nothing holds"
 _DRIFTS = "nothing holds the position of a damper alone; over ranges the rest is not proved"
 _ROWS = 400  # of B, in which walls are stable for all hands
@@ -49,15 +48,11 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class AllHands(Answer):
-    """A wall for all hands of a range, nearly the stiffest, and a proved bound if there is one.
-
-    Both times the safety, if one is wanted: they enclose the limit that it leaves.
-    """
+    """A wall for all hands of a range, nearly the stiffest, times the safety if one is wanted."""
 
     largest_stiffness: LargestStiffness
     at_damping: Damping
     certainty: str
-    none_is_stiffer_than: StiffnessBound | None
     worst_hand: OneHand
 
     @property
@@ -116,12 +111,12 @@ def worst_on(scene: Scene, walls: Sequence[Gains]) -> list[WorstHeld]:
     """The verdict on each wall for all hands, masses and delays of a scene, and the worst of them.
 
     Of a delay that moves it is for every sequence; of one that is constant, but not known, for each
-    constant one, with the hand at its lowest values.
+    constant one.
     """
     loops, moving, hands = loops_over_delays(scene), moving_delays(scene), hands_of(scene)
     loop, mass = loops[0], masses_of(scene)
     if len(loops) > 1 and not moving:
-        return [_worst_delay(scene, loops, gains) for gains in walls]
+        return [_worst_delay(scene, gains) for gains in walls]
     pairs: list[Any]
     if hands is None and not moving:
         codes = loop.verdict(*np.array(walls).T)
@@ -130,10 +125,6 @@ def worst_on(scene: Scene, walls: Sequence[Gains]) -> list[WorstHeld]:
         ]
     elif hands is None:
         pairs = [(loop.verdict(*gains, **moving), loop) for gains in walls]
-    elif is_one_mass(scene) and not moving:
-        from jaxstab.ranges.hands import worst_hands
-
-        pairs = [worst[:2] for worst in worst_hands(loop, hands, walls, mass)]
     else:
         pairs = [loop.worst_hand(hands, *gains, mass=mass, **moving)[:2] for gains in walls]
     answers = []
@@ -165,17 +156,23 @@ def _but_for_drift(code: Any, worst: HapticLoop, wall: Gains) -> tuple[Verdict |
     return Verdict(int(code)), None
 
 
-def _worst_delay(scene: Scene, loops: list[HapticLoop], gains: Gains) -> WorstHeld:
-    """Return the verdict on a wall for each constant delay of a range, and the worst of them."""
-    from jaxstab.loop.between import LoopsBetween
+def with_constant_delays(scene: Scene) -> LoopsWithHands:
+    """Return the loop of a scene with all of its hands, masses and constant delays."""
+    hands = hands_of(scene) or range_of_hands(scene)
+    loop = loops_over_delays(scene)[0]
+    return LoopsWithHands(loop, hands, masses_of(scene), scene.controller.delays)
 
-    tried = at_lowest(scene, NOT_FOR_OTHERS)
-    worst = LoopsBetween(*loops).worst_loop(*gains)
+
+def _worst_delay(scene: Scene, gains: Gains) -> WorstHeld:
+    """Return the verdict on a wall for each constant delay of a range, and the worst of them."""
+    worst = with_constant_delays(scene).worst(*gains)
     delay = Quantity("s").words(worst.loop.delay)
     words = f"a constant delay of {delay}: a factor of {worst.radius:.6g} per sample"
     verdict, drifts = _but_for_drift(worst.verdict, worst.loop, gains)
+    hand = None if hands_of(scene) is None else held_by(worst.loop, scene)
+    tried = drifts or (_TRIED if verdict == Verdict.UNDECIDED else None)
     is_unstable = verdict == Verdict.UNSTABLE
-    return WorstHeld(verdict, worst.loop, None, drifts or tried, words if is_unstable else None)
+    return WorstHeld(verdict, worst.loop, hand, tried, words if is_unstable else None)
 
 
 def loops_over_delays(scene: Scene) -> list[HapticLoop]:
@@ -213,7 +210,6 @@ def limit_for_all(scene: Scene, safety: float) -> AllHands | None:
         largest_stiffness=stiffness,
         at_damping=damping,
         certainty=proved if is_proved else tried,
-        none_is_stiffer_than=safety * robust.limit if is_one_mass(scene) and not moving else None,
         worst_hand=held_by(robust.loop, scene),
     )
 
@@ -239,7 +235,7 @@ def held_by(loop: HapticLoop, scene: Scene) -> OneHand:
 
 def common_outline(loops: list[HapticLoop]) -> Floats:
     """Return walls (K, B) that are stable for each of some loops: ``common_walls``, not proved."""
-    from jaxstab.loop.between import common_walls
+    from jaxstab.loop.hands import common_walls
 
     regions = [wall_region(loop).reachable for loop in loops]
     if any(region.is_empty for region in regions):

@@ -1,9 +1,8 @@
 """The limits of a scene: the largest stiffness and damping, beside the simple rules."""
 
 from dataclasses import dataclass, replace
-from functools import partial
 from math import isfinite, nan
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 
@@ -30,7 +29,6 @@ from jaxstab.scene.answers import (
 )
 from jaxstab.scene.hands import (
     BUT_FOR_DRIFT,
-    NOT_FOR_OTHERS,
     AllHands,
     Floats,
     WallVerdict,
@@ -39,9 +37,10 @@ from jaxstab.scene.hands import (
     loops_over_delays,
     moving_delays,
     verdict_with_drift,
+    with_constant_delays,
     worst_on,
 )
-from jaxstab.scene.loops import is_plain, loop_of, wall_region, walls_of
+from jaxstab.scene.loops import hands_of, is_plain, loop_of, wall_region, walls_of
 from jaxstab.scene.scene import Scene
 
 _ISOLATED = "isolated: not connected to zero gains"
@@ -154,9 +153,10 @@ class ProvedWall(StiffestWall):
 
 @dataclass(frozen=True)
 class LimitsOverDelays(Answer):
-    """The limits of a scene over a range of delays, with the hand at its lowest values.
+    """The limits of a scene over a range of delays.
 
-    ``all_hands`` is of a delay that moves.
+    For all hands if the delays are constant; if the delay moves with the hand at its lowest values,
+    and ``all_hands`` has all of them.
     """
 
     inputs: Basis | None
@@ -220,9 +220,7 @@ def brief(answer: Limits | LimitsOverDelays, *, islands: bool = False) -> str:
     hand = answer.hand and f"hand {answer.hand.removesuffix(_SEE_BELOW)}"
     lines["largest stiffness"] = limit("best", said.get("best.certainty"), hand)
     if answer.all_hands:
-        bound = said.get("all_hands.none_is_stiffer_than")
-        proof, above = said["all_hands.certainty"], bound and f"upper bound {bound}"
-        lines["for all hands"] = limit("all_hands", proof, above)
+        lines["for all hands"] = limit("all_hands", said["all_hands.certainty"])
     if "reached" in said:
         lines["note"] = said["reached"]
     for gain, fixed in (("stiffness", "damping"), ("damping", "stiffness")):
@@ -311,21 +309,22 @@ def _over_delays(scene: Scene) -> LimitsOverDelays:
                 f"wanted.{name} is {getattr(wanted, name):g} beside a range of delays; leave it "
                 "out, or give one delay."
             )
-    unstable, every = None, "constant delay"
+    members, unstable, every = with_constant_delays(scene), None, "constant delay"
     if controller.moves:
         moving = loops[0].limits(delays=controller.delays, lost=controller.lost_samples)
         best, is_proved = Gains(moving.stiffness, moving.damping), moving.stiffness > 0.0
         unstable, every = moving.unstable_stiffness, "sequence of delays"
-        judge: Any = partial(loops[0].verdict, **moving_delays(scene))
     else:
-        from jaxstab.loop.between import LoopsBetween
-
-        between = LoopsBetween(*loops)
-        robust, judge = between.robust_limit(), between.verdict
+        robust = members.robust_limit()
         best, is_proved = Gains(robust.stiffness, robust.damping), robust.is_proved
+        every = "hand and constant delay" if hands_of(scene) else every
 
     def is_proved_wall(stiffness: float, damping: float) -> bool:
-        return bool(judge(stiffness, damping) == Verdict.STABLE)
+        if controller.moves:
+            code = loops[0].verdict(stiffness, damping, **moving_delays(scene))
+        else:
+            code = members.worst(stiffness, damping).verdict
+        return bool(code == Verdict.STABLE)
 
     if is_proved and wanted.safety:
         best = best._replace(stiffness=wanted.safety * best.stiffness)
@@ -336,7 +335,7 @@ def _over_delays(scene: Scene) -> LimitsOverDelays:
     return LimitsOverDelays(
         inputs=basis_of(scene),
         safety=wanted.safety,
-        hand=at_lowest(scene, _SEE_BELOW if controller.moves else NOT_FOR_OTHERS),
+        hand=at_lowest(scene, _SEE_BELOW) if controller.moves else None,
         best=ProvedWall(*best, f"{_PROVED} {every}" if is_proved else tried, unstable),
         walls={
             name: worst.on(walls[name])

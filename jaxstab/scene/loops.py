@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxstab import ranges
+from jaxstab.boxes.hands import HandRange
 from jaxstab.loop import Gains, HapticLoop, WallRegion
 from jaxstab.model import Device, Mode
 from jaxstab.model import Hand as Arm
@@ -66,7 +66,7 @@ def is_plain(loop: HapticLoop) -> bool:
     return loop.body is not None and given_filters(**loop.filters) is None
 
 
-def hands_of(scene: Scene) -> "ranges.HandRange | None":
+def hands_of(scene: Scene) -> HandRange | None:
     """Return the range of hands; None where neither the hand nor the device's mass varies."""
     varies = scene.device.varies or (scene.hand is not None and scene.hand.varies)
     return range_of_hands(scene) if varies else None
@@ -84,7 +84,7 @@ def walls_of(scene: Scene) -> dict[str, Gains]:
 
 def hands_among(scene: Scene, count: int) -> list[OneHand]:
     """A grid over the ranges of the scene's hand and device mass; ``count`` 2 gives the corners."""
-    from jaxstab.ranges.hands import spread_hands
+    from jaxstab.boxes.hands import spread_hands
 
     hands, masses = spread_hands(range_of_hands(scene), count).tolist(), masses_of(scene)
     among = [None] if masses is None else np.linspace(*masses, count).tolist()
@@ -96,12 +96,10 @@ def corner_loops(scene: Scene) -> list[HapticLoop]:
     return [loop_of(scene, hand) for hand in hands_among(scene, 2)]
 
 
-def range_of_hands(scene: Scene) -> "ranges.HandRange":
+def range_of_hands(scene: Scene) -> HandRange:
     """Return the range of hands; of a scene without a hand, that of no hand."""
     hand = scene.hand or Hand()
-    return ranges.HandRange(
-        mass=hand.effective_mass, stiffness=hand.stiffness, damping=hand.damping
-    )
+    return HandRange(mass=hand.effective_mass, stiffness=hand.stiffness, damping=hand.damping)
 
 
 def _one_mass(scene: Scene, hand: OneHand) -> dict[str, float]:

@@ -3,9 +3,8 @@
 Numbers that users give are float64 and therefore rational; a frequency in Hz brings a factor pi.
 As pi is no root of a polynomial with rational coefficients, it is a second variable of the
 polynomials, and common factors are found exactly: a state that cancels is removed, and refused if
-it is unstable. A number that represents a whole interval (``Span``) is linear in a third variable,
-t. ``balls_of`` evaluates the coefficients of such a polynomial in s, for the given t, in balls of
-any precision. python-flint is imported only where such polynomials are needed.
+it is unstable. ``balls_of`` evaluates the coefficients of such a polynomial in s in balls of any
+precision. python-flint is imported only where such polynomials are needed.
 """
 
 from collections.abc import Iterator, Sequence
@@ -38,22 +37,8 @@ def working_precision(bits: int) -> Iterator[None]:
         yield
 
 
-@dataclass(frozen=True)
-class Span:
-    """All numbers of an interval: first + t (last - first), t from 0 to 1."""
-
-    first: float
-    last: float
-
-    def __format__(self, spec: str) -> str:
-        return f"{format(self.first, spec)}..{format(self.last, spec)}"
-
-
-Number = float | Span
-
-
 class Rational(NamedTuple):
-    """A quotient of two polynomials in s, pi and t; the denominator is not 0."""
+    """A quotient of two polynomials in s and pi; the denominator is not 0."""
 
     numerator: "fmpq_mpoly"
     denominator: "fmpq_mpoly"
@@ -103,44 +88,37 @@ def degree_of(polynomial: "fmpq_mpoly") -> int:
     return max((int(powers[0]) for powers in polynomial.monoms()), default=-1)
 
 
-def rational(numerator: Sequence[Number], denominator: Sequence[Number]) -> Rational:
+def rational(numerator: Sequence[float], denominator: Sequence[float]) -> Rational:
     """Return a function by the coefficients of its polynomials, highest power of s first."""
     return Rational(polynomial(numerator), polynomial(denominator))
 
 
-def polynomial(falling: Sequence["Number | fmpq"]) -> "fmpq_mpoly":
+def polynomial(falling: Sequence["float | fmpq"]) -> "fmpq_mpoly":
     """Return the polynomial with these coefficients, highest power of s first."""
     degree = len(falling) - 1
     s = _ring().gen(0)
     return sum(exact(value) * s ** (degree - k) for k, value in enumerate(falling)) + 0 * s
 
 
-def turn(hertz: Number) -> "fmpq_mpoly":
+def turn(hertz: float) -> "fmpq_mpoly":
     """Return 2 pi f for a frequency in Hz."""
     return 2 * exact(hertz) * _ring().gen(1)
 
 
-def exact(value: "Number | fmpq") -> Any:
-    """Return the rational number that a float64 is, and what a span is as a polynomial in t."""
+def exact(value: "float | fmpq") -> Any:
+    """Return the rational number that a float64 is."""
     from flint import fmpq
 
-    if isinstance(value, Span):
-        start, end = exact(value.first), exact(value.last)
-        return start + (end - start) * _ring().gen(2)
     return fmpq(*value.as_integer_ratio()) if isinstance(value, float) else value
 
 
-def balls_of(polynomial: "fmpq_mpoly", t: Any = None) -> list["arb"]:
-    """Return the coefficients of the powers of s, lowest first, in balls of the precision set.
-
-    ``t`` is a real or complex ball: where in their spans numbers are.
-    """
+def balls_of(polynomial: "fmpq_mpoly") -> list["arb"]:
+    """Return the coefficients of the powers of s, lowest first, in balls of the precision set."""
     from flint import arb
 
     coefficients = [arb(0)] * (degree_of(polynomial) + 1)
-    for (power, power_of_pi, power_of_t), factor in polynomial.to_dict().items():
-        term = arb(factor) * arb.pi() ** power_of_pi
-        coefficients[power] += term * t**power_of_t if power_of_t else term
+    for (power, power_of_pi), factor in polynomial.to_dict().items():
+        coefficients[power] += arb(factor) * arb.pi() ** power_of_pi
     return coefficients
 
 
@@ -148,7 +126,7 @@ def balls_of(polynomial: "fmpq_mpoly", t: Any = None) -> list["arb"]:
 def _ring() -> "fmpq_mpoly_ctx":
     from flint import fmpq_mpoly_ctx
 
-    return fmpq_mpoly_ctx.get(("s", "pi", "t"), "lex")
+    return fmpq_mpoly_ctx.get(("s", "pi"), "lex")
 
 
 HIGHEST_ORDER = 40
@@ -311,7 +289,7 @@ class StateSpace(Part):
         return Rational(within - without, without)
 
 
-def _description(mass: Number, damping: Number, stiffness: Number) -> str:
+def _description(mass: float, damping: float, stiffness: float) -> str:
     terms = [f"{mass:g} kg", f"{damping:g} N s/m", f"{stiffness:g} N/m"]
     return ", ".join(term for term in terms if not term.startswith("0 ")) or "nothing"
 
@@ -395,13 +373,11 @@ def checked_compliance(function: Rational, what: str) -> Rational:
 
 
 def _grows(common: "fmpq_mpoly") -> bool:
-    """Whether a factor may have a root in the right half plane: with t it may, with pi never."""
+    """Whether a factor has a root in the right half plane; one with pi has none."""
     from flint import fmpq_poly
 
-    if degree_of(common) < 1 or any(power_of_pi for _, power_of_pi, _ in common.monoms()):
+    if degree_of(common) < 1 or any(power_of_pi for _, power_of_pi in common.monoms()):
         return False  # the denominator of a mode
-    if any(power_of_t for _, _, power_of_t in common.monoms()):
-        return True
-    rising = [common[power, 0, 0] for power in range(degree_of(common) + 1)]
+    rising = [common[power, 0] for power in range(degree_of(common) + 1)]
     roots: list[Any] = fmpq_poly(rising).complex_roots()  # each with its multiplicity
     return any(root.real > 0 for root, _ in roots)

@@ -27,9 +27,9 @@ from jaxstab.numbers import checked_number
 from jaxstab.rounding import RAISED_FEW
 
 if TYPE_CHECKING:
-    from flint import acb, acb_poly, arb, arb_poly, fmpq
+    from flint import arb, arb_poly, fmpq
 
-Ball = Any  # of python-flint, real or complex
+Ball = Any  # of python-flint
 Matrix = Any  # of such balls
 _FIRST_BITS, _MOST_BITS = 256, 1 << 12
 _WANTED_BITS = 112  # of each coefficient: pairs have 107
@@ -159,19 +159,6 @@ def in_samples(compliance: Rational, sample_time: float) -> tuple[list["arb"], l
     return above, below
 
 
-def in_samples_over(
-    compliance: Rational, sample_time: float, t: "acb"
-) -> tuple[list["acb"], list["acb"]] | None:
-    """The same for numbers in their spans, for a ball of places; None if a pole may be too fast."""
-    import flint
-
-    above, below = (list(map(flint.acb, balls_of(polynomial, t))) for polynomial in compliance)
-    if below[-1].contains(0):
-        return None
-    above, below = _monic(above, below, sample_time)
-    return (above, below) if _speed(below) <= _FASTEST else None
-
-
 def _monic(
     above: list[Ball], below: list[Ball], sample_time: float
 ) -> tuple[list[Ball], list[Ball]]:
@@ -218,17 +205,16 @@ class OneSample(NamedTuple):
         """What states do to the position, as a polynomial in z."""
         import flint
 
-        values = position_after(self.above, self.transition, self.denominator, column)
-        has_complex = any(isinstance(value, flint.acb) for value in values)
-        return (flint.acb_poly if has_complex else flint.arb_poly)(values)
+        return flint.arb_poly(position_after(self.above, self.transition, self.denominator, column))
 
     def of_samples(self, fraction: Ball | None) -> tuple[Any, Any]:
         """N(z) and D(z), for a fraction of a sample with one sample of delay more (V10)."""
         if fraction is None:
             return self.whole, self.denominator
+        import flint
+
         later = self.moved(force_of(held(self.below, (1 - fraction) * self.speed)))
-        kind = type(later)
-        return kind([-1, 1]) * later + kind(self.whole), self.denominator
+        return flint.arb_poly([-1, 1]) * later + self.whole, self.denominator
 
 
 def in_fastest_time(above: list[Ball], below: list[Ball]) -> "tuple[list[Ball], list[Ball], arb]":
@@ -249,15 +235,13 @@ def in_fastest_time(above: list[Ball], below: list[Ball]) -> "tuple[list[Ball], 
 def position_after(
     above: list[Ball],
     transition: Matrix,
-    denominator: "arb_poly | acb_poly",
+    denominator: "arb_poly",
     column: Matrix,
 ) -> list[Ball]:
     """Return C adj(z - A) v, the lowest power first, by det(z - A): what a state v does to z^k."""
     import flint
 
     order, row = len(above), _matrix([above])
-    if isinstance(column, flint.acb_mat):  # python-flint 0.8 multiplies matrices of one kind
-        row, transition = flint.acb_mat(row), flint.acb_mat(transition)
     responses = []
     for _ in range(order):
         responses.append((row * column)[0, 0])
@@ -298,8 +282,7 @@ def force_of(matrix: Matrix) -> Matrix:
 def _matrix(rows: list[list[Any]]) -> Any:
     import flint
 
-    has_complex = any(isinstance(value, flint.acb) for row in rows for value in row)
-    return (flint.acb_mat if has_complex else flint.arb_mat)(rows)
+    return flint.arb_mat(rows)
 
 
 def _without(polynomial: "arb_poly", zeros: int) -> "arb_poly":

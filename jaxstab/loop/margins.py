@@ -97,16 +97,6 @@ def _ends(
         yield Crossing(value, end.angle / pi)
 
 
-def is_stable_along(loop: LoopParameters, outline: Float64[np.ndarray, "vertex 2"]) -> bool:
-    """Whether all walls (K, B) on a closed polygon are stable, and so all inside of it (B11)."""
-    lines = zip(outline.tolist(), (np.roll(outline, -1, axis=0) - outline).tolist(), strict=True)
-    for start, change in lines:
-        interval = stable_line(partial(ball_triple, loop), tuple(start), tuple(change)).holding(0.0)
-        if interval is None or interval.high.value - interval.high.error <= 1.0:
-            return False
-    return True
-
-
 # Margins as a table for people: limits rounded inwards, and 0 if they are 0 but for rounding.
 
 _DIGITS = 5
@@ -262,7 +252,7 @@ def margins(
     xp = namespace(arrays)
     point: Array = xp.stack(xp.broadcast_arrays(*arrays), axis=-1)
     if is_jax(point):
-        from jaxstab.ranges.margin_slopes import moving_ends
+        from jaxstab.loop.margin_slopes import moving_ends
 
         code, ends = moving_ends(first_crossings, WAYS, point, filters)
     else:

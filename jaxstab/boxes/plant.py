@@ -24,11 +24,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Complex128, Float64
 
-from jaxstab.model import Device, LoopParameters
-from jaxstab.model import Hand as Arm
-from jaxstab.model.device.parts import MassSpringDamper, Modes
-from jaxstab.model.filters import known_filters
-from jaxstab.proofs.enclosures import (
+from jaxstab.boxes.box import HAND, THETA, ParameterBoxes, Rows
+from jaxstab.boxes.enclosures import (
     LinearModel,
     Moving,
     clearances,
@@ -38,9 +35,13 @@ from jaxstab.proofs.enclosures import (
     phasor,
     sinc,
     sine,
-    variable,
 )
-from jaxstab.proofs.filters import OverCells, filter_cells
+from jaxstab.boxes.filters import Quotient, quotients
+from jaxstab.model import Device, LoopParameters
+from jaxstab.model import Hand as Arm
+from jaxstab.model.device.parts import MassSpringDamper, Modes, working_precision
+from jaxstab.model.device.sampling import in_samples
+from jaxstab.model.filters import known_filters
 from jaxstab.rounding import PARAMETER, RAISED_MUCH
 
 # A device with its vibration modes, actuators and a held grip, of any mass, for any hand.
@@ -48,6 +49,7 @@ from jaxstab.rounding import PARAMETER, RAISED_MUCH
 # In units of one sample, with s = i theta or any other number, position over force is N(s)/D(s).
 # Both are polynomials that are affine in the mass of the device and in what the arm is made of.
 
+_BITS = 192  # of coefficients, before they are rounded to float64
 _ALIASES = 4  # on either side, that responses without a bound add up
 
 Function = Any  # a number, an array or a model of a function over boxes
@@ -66,7 +68,9 @@ class HeldDevice(NamedTuple):
 
     The rigid body has the damping b T and the stiffness k T^2 to the ground. ``modes`` are angular
     frequency, damping ratio and mass of the vibration modes, ``lags`` angular frequencies of the
-    actuators, ``grip`` its stiffness and damping; None if the arm is rigidly attached.
+    actuators, ``grip`` its stiffness and damping; None if the arm is rigidly attached. Another
+    linear device has, in place of body and modes, ``own`` numerator and denominator, highest power
+    of s first, the latter monic.
     """
 
     damping: float
@@ -74,38 +78,45 @@ class HeldDevice(NamedTuple):
     modes: tuple[tuple[float, float, float], ...]
     lags: tuple[float, ...]
     grip: tuple[float, float] | None
+    own: tuple[tuple[float, ...], tuple[float, ...]] | None = None
 
     @classmethod
     def from_device(cls, device: Device, period: float) -> "HeldDevice":
         """A device, for some sampling period in s.
 
-        NotImplementedError: the device has no mass that could change, or the hand is not one mass,
-        spring and damper, or slips out of its grip.
+        NotImplementedError: the hand is not one mass, spring and damper, or slips out of its grip.
         """
-        body = _body_of(device)
-        springs = body.stiffness if isinstance(body, MassSpringDamper) else 0.0
-        modes = body.modes if isinstance(body, Modes) else ()
+        _check_hand(device)
+        body = device.mechanism
         grips = [hand.grip for hand in device.hands if hand.grip is not None]
-        return cls(
-            body.damping * period,
-            springs * period**2,
-            tuple(
+        lags = tuple(2.0 * pi * hertz * period for hertz in device.bandwidths)
+        grip = (grips[0].stiffness * period**2, grips[0].damping * period) if grips else None
+        if isinstance(body, MassSpringDamper):
+            return cls(body.damping * period, body.stiffness * period**2, (), lags, grip)
+        if isinstance(body, Modes) and body.mass is not None:
+            modes = tuple(
                 (2.0 * pi * mode.frequency * period, mode.damping_ratio, mode.modal_mass)
-                for mode in modes
-            ),
-            tuple(2.0 * pi * hertz * period for hertz in device.bandwidths),
-            (grips[0].stiffness * period**2, grips[0].damping * period) if grips else None,
-        )
+                for mode in body.modes
+            )
+            return cls(body.damping * period, 0.0, modes, lags, grip)
+        with working_precision(_BITS):
+            above, below = in_samples(body.compliance(), period)
+            sides = [c / period**2 for c in above], below
+            numbers = [tuple(float(c.mid()) for c in side[::-1]) for side in sides]
+        return cls(0.0, 0.0, (), lags, grip, (numbers[0], numbers[1]))
 
     def parts(self, s: Function, mass: Function, arm: Arms) -> tuple[Function, Function]:
         """Return N(s) and D(s) in 1/kg, of numbers, arrays or models."""
-        # The square comes last: only it takes from the stiffness, which is rounded.
-        body = (s * self.damping + self.stiffness) + s * s * mass
         held = s * (s * arm.mass + arm.damping) + arm.stiffness
-        above, below = 1.0, body
-        if self.modes:
-            give, whole = self._vibrations(s)
-            above, below = body * give + whole, body * whole
+        if self.own is not None:
+            above, below = (_polynomial(side, s) for side in self.own)
+        else:
+            # The square comes last: only it takes from the stiffness, which is rounded.
+            body = (s * self.damping + self.stiffness) + s * s * mass
+            above, below = 1.0, body
+            if self.modes:
+                give, whole = self._vibrations(s)
+                above, below = body * give + whole, body * whole
         if self.grip is None:
             below = below + held * above
         else:
@@ -129,7 +140,7 @@ class HeldDevice(NamedTuple):
     @property
     def is_passive(self) -> bool:
         """Whether device and arm, without actuators, are passive."""
-        return all(moved > 0.0 for _, _, moved in self.modes)
+        return self.own is None and all(moved > 0.0 for _, _, moved in self.modes)
 
     def _vibrations(self, s: Function) -> tuple[Function, Function]:
         """Return numerator and denominator of the sum of the modes' displacements over force."""
@@ -164,12 +175,9 @@ class HeldDevice(NamedTuple):
         ``mass`` is the smallest and the largest one of the device, ``arm`` the largest stiffness
         and the smallest damping of the arm, of any mass; ``beyond`` an angle in rad per sample.
         """
-        light = off = 0.0
-        for moved, damper, spring in self._bodies(mass[0], beyond):
-            if damper + spring >= 1.0:
-                return inf
-            light += 1.0 / moved
-            off += (damper + spring) / (abs(moved) * (1.0 - damper - spring))
+        light, off = self._leading(mass[0], beyond)
+        if off == inf:
+            return inf
         stiff = arm[0]
         if self.grip is not None:
             grip = self.grip[0] + beyond * self.grip[1]
@@ -179,6 +187,25 @@ class HeldDevice(NamedTuple):
         weaker = prod(hypot(1.0, beyond / lag) for lag in self.lags)
         is_known = off < light - (1.0 / mass[0] - 1.0 / mass[1]) and clear > 0.0
         return 1.0 / (clear * weaker) if is_known else inf
+
+    def _leading(self, mass: float, beyond: float) -> tuple[float, float]:
+        """Return what -w^2 N/D of the device alone tends to, and how far off it may be."""
+        if self.own is not None:
+            (third, *above), below = self.own  # of one degree less, and of two
+            if third or not (above and above[0] > 0.0):
+                return 0.0, inf
+            over, under = (
+                sum(abs(c / side[0]) * beyond**-k for k, c in enumerate(side) if k)
+                for side in (above, below)
+            )
+            return above[0], above[0] * (over + under) / (1.0 - under) if under < 1.0 else inf
+        light = off = 0.0
+        for moved, damper, spring in self._bodies(mass, beyond):
+            if damper + spring >= 1.0:
+                return 0.0, inf
+            light += 1.0 / moved
+            off += (damper + spring) / (abs(moved) * (1.0 - damper - spring))
+        return light, off
 
     def _bodies(self, mass: float, beyond: float) -> list[tuple[float, float, float]]:
         """Return moving masses, each with bounds of its damping and spring forces over inertia."""
@@ -199,88 +226,105 @@ def with_parts(device: Device, mass: float | None, arm: Arms) -> Device:
     return replace(device, mechanism=mechanism, hands=(replace(hands[0], dynamics=dynamics),))
 
 
-def _body_of(device: Device) -> MassSpringDamper | Modes:
-    body, hands = device.mechanism, device.hands
-    fits = isinstance(body, MassSpringDamper) or (isinstance(body, Modes) and body.mass is not None)
-    fits &= len(hands) <= 1 and all(isinstance(hand.dynamics, MassSpringDamper) for hand in hands)
-    fits &= all(hand.grip is None or hand.grip.stiffness > 0.0 for hand in hands)
-    if not fits or not isinstance(body, MassSpringDamper | Modes):
+def _check_hand(device: Device) -> None:
+    hands = device.hands
+    fits = len(hands) <= 1 and all(isinstance(hand.dynamics, MassSpringDamper) for hand in hands)
+    if not fits or any(hand.grip and not hand.grip.stiffness > 0.0 for hand in hands):
         raise NotImplementedError(
-            "a guard is proved for a mass with vibration modes, actuators and one hand of mass, "
-            f"spring and damper, behind a grip with a spring or rigidly attached; this is {device}."
+            "ranges are proved for a device in one hand of mass, spring and damper, behind a grip "
+            f"with a spring or rigidly attached; this is {device}."
         )
-    return body
+
+
+def _polynomial(falling: tuple[float, ...], s: Function) -> Function:
+    """A polynomial of rounded coefficients, highest power of s first."""
+    value = s * 0.0 + falling[0]
+    for c in falling[1:]:
+        value = value * s + c
+    if isinstance(s, Moving):
+        size, powers = s.value.size, range(len(falling))[::-1]
+        terms = [(abs(c), power) for c, power in zip(falling, powers, strict=True)]
+        own, rate = (
+            sum(c * power**k * size ** max(power - k, 0) for c, power in terms) for k in (0, 1)
+        )
+        moved = _widened(value.rate, PARAMETER * rate * s.rate.size)
+        return Moving(_widened(value.value, PARAMETER * own), moved)
+    if isinstance(s, LinearModel):
+        powers = range(len(falling))[::-1]
+        size = sum(abs(c) * s.size**power for c, power in zip(falling, powers, strict=True))
+        return _widened(value, PARAMETER * size)
+    return value
 
 
 # Where a straight line parts all loops of a box, and of all stiffnesses up to a limit, from 0.
 
-Boxes = Float64[np.ndarray, "axis box"]
-
-NAMES = "mass", "delay", "damping", "hand_mass", "hand_stiffness", "hand_damping", "theta"
-AXES = len(NAMES)
-_HAND = slice(3, 6)
 BEYOND = 1e-9  # boxes extend the angles and a hand's values by this share
 _ANY_WAY = 0.05  # of how far an axis moves g: halving it may help in another direction
 
 
-def parted(none: LinearModel, most: LinearModel) -> tuple[Bool[np.ndarray, " box"], Boxes]:
+def parted(
+    none: LinearModel, most: LinearModel, axes: tuple[str, ...]
+) -> tuple[Bool[np.ndarray, " box"], Rows]:
     """Say where a straight line parts all of g from 0, and what each axis takes from the distance.
 
     Between the loops without stiffness and those at the limit g is on straight lines.
     """
-    between = most.centre - none.centre
-    hand = none.slope[_HAND]
-    largest = np.take_along_axis(hand, np.abs(hand).argmax(axis=0)[None], axis=0)[0]
+    models = (most,) if none is most else (none, most)
     # Across a value, or along what moves g most: the stiffness, the damping, the angle, the hand,
-    # whose parts move it along the sides of a rectangle
-    normals = [none.centre + most.centre, most.centre, none.centre, largest]
-    normals += [1j * way for way in (between, most.slope[2], most.slope[6], largest)]
-    clear = np.full(between.shape, -np.inf)
-    shares = np.zeros(none.slope.shape)
+    # whose parts move it along the sides of a rectangle.
+    normals = [most.centre]
+    if none is not most:
+        normals = [none.centre + most.centre, most.centre, none.centre]
+        normals.append(1j * (most.centre - none.centre))
+    normals += [1j * most.slope[row] for row, axis in enumerate(axes) if axis in _ALONE]
+    hand = none.slope[[row for row, axis in enumerate(axes) if axis in HAND]]
+    if len(hand):
+        largest = np.take_along_axis(hand, np.abs(hand).argmax(axis=0)[None], axis=0)[0]
+        normals += [largest, 1j * largest]
+    clear = np.full(most.centre.shape, -np.inf)
+    shares = np.zeros(most.slope.shape)
     for normal in normals:
-        distances, moves = clearances(normal, (none, most))
-        nearest = np.minimum(*distances)
+        distances, moves = clearances(normal, models)
+        nearest = np.minimum(distances[0], distances[-1])
         better = nearest > clear
         clear = np.where(better, nearest, clear)
-        parts = [taken(model, by) for model, by in zip((none, most), moves, strict=True)]
-        shares = np.where(better, np.where(distances[0] < distances[1], *parts), shares)
+        parts = [taken(model, by) for model, by in zip(models, moves, strict=True)]
+        share = parts[0] if none is most else np.where(distances[0] < distances[1], *parts)
+        shares = np.where(better, share, shares)
     return clear > 0.0, shares + _ANY_WAY * np.abs(most.slope)
 
 
-def taken(model: LinearModel, moves: Boxes) -> Boxes:
+def taken(model: LinearModel, moves: Rows) -> Rows:
     """Return what each axis takes: its move along a normal, and its part of the rest.
 
     The rest counts as that of the axes that move the model in any direction.
     """
     size = np.abs(model.slope)
     rest = np.where(np.isfinite(model.rest), model.rest, 0.0)
-    shares: Boxes = moves + rest * size / np.maximum(size.sum(axis=0), 1e-300)
+    shares: Rows = moves + rest * size / np.maximum(size.sum(axis=0), 1e-300)
     return shares
 
 
 Range = tuple[float, float]
 
-MASS, DELAY, DAMPING = 0, 1, 2
-
-"""The axes whose meaning is that of an extent; then follow the arm's three, and theta."""
-
-_ARM, _THETA = 3, 6
 _AT_ONCE = 2048
-_FAST = 1.0  # up to this angle all aliases are small
-_FEWEST, _MOST = 2, 32  # aliases on either side that are followed, beyond that angle
+_ALONE = "damping", "edge", THETA  # axes along which g moves on a line of its own
+_FAST = 0.3  # up to this angle all aliases are small
+_FEWEST, _MOST = 4, 32  # aliases on either side that are followed, beyond that angle
 _LAST = pi * (1.0 + 2.0 * BEYOND)  # no angle is larger
 _FAR = 2.0  # times its swing: a larger value is far from 0
 
 
 class Extent(NamedTuple):
-    """Models over boxes; the arm and the angle are axes of the boxes.
+    """Models over boxes, in units of the plant.
 
-    Mass of the device in kg, delay in samples, the wall's largest stiffness in N/m and its damping
-    in N s/m.
+    Mass of the device in kg, delay in samples, the arm, the wall's largest stiffness and its
+    damping; T is the unit of time.
     """
 
     mass: LinearModel
     delay: LinearModel
+    arm: Arms
     stiffness: LinearModel
     damping: LinearModel
 
@@ -288,13 +332,12 @@ class Extent(NamedTuple):
 class FirstRow(NamedTuple):
     """Boxes whose walls are all multiples of others and begin with no wall.
 
-    ``holds`` says, by their middles, which boxes are of that kind; ``walls`` returns, for middles
-    and half-widths of such boxes, the largest stiffness in N/m and the damping in N s/m per unit of
-    the multiple.
+    ``holds`` says which boxes are of that kind; ``walls`` returns for such boxes the largest
+    stiffness and the damping per unit of the multiple, in units of the plant.
     """
 
-    holds: Callable[[Boxes], Bool[np.ndarray, " box"]]
-    walls: Callable[[Boxes, Boxes], tuple[LinearModel, LinearModel]]
+    holds: Callable[[ParameterBoxes], Bool[np.ndarray, " box"]]
+    walls: Callable[[ParameterBoxes], tuple[LinearModel, LinearModel]]
 
 
 class _Place(NamedTuple):
@@ -319,7 +362,7 @@ class DeviceBoxes:
         loop: its loop; the delay is not used.
         mass: the smallest and the largest mass of the device in kg.
         arm: the largest stiffness in N/m and the smallest damping in N s/m of the arm.
-        extent: returns the ``Extent`` of boxes, for their middles and half-widths.
+        extent: the ``Extent`` of boxes, one axis of which is the angle ``theta``.
         first_row: which of them begin with no wall; then boxes hold all stiffnesses from none up
             to that of the extent. Without it they hold that stiffness alone.
         jitter: by how many samples the delay may exceed that of the extent, in each sample anew.
@@ -335,71 +378,73 @@ class DeviceBoxes:
         loop: LoopParameters,
         mass: Range,
         arm: Range,
-        extent: Callable[[Boxes, Boxes], Extent],
+        extent: Callable[[ParameterBoxes], Extent],
         first_row: FirstRow | None = None,
         jitter: float = 0.0,
     ) -> None:
         self._jitter = jitter * RAISED_MUCH
-        self._period = float(loop.sample_time)
-        self._device = HeldDevice.from_device(device, self._period)
+        period = float(loop.sample_time)
+        self._device = HeldDevice.from_device(device, period)
         self._extent, self._first_row = extent, first_row
         filters = known_filters(**loop.filters)
-        self._cells = None if filters is None else filter_cells(filters)
-        resting = self._filters(_constant(np.zeros(1)))[0].value
-        self._passes_rest = bool(resting.centre.real[0] > resting.rest[0])  # P(1) > 0
-        arm = arm[0] * self._period**2, arm[1] * self._period
+        self._quotients = None if filters is None else quotients(filters)
+        self._gain_at_rest = _gain_at_rest(self._quotients)
+        arm = arm[0] * period**2, arm[1] * period
         self._slow, self._fast = (
             _Aliases.from_device(self._device, mass, arm, fewest, last)
             for fewest, last in ((0, _FAST), (_FEWEST, _LAST))
         )
 
-    def judged(self, center: Boxes, half: Boxes) -> tuple[Bool[np.ndarray, " box"], Boxes]:
+    def judged(self, boxes: ParameterBoxes) -> tuple[Bool[np.ndarray, " box"], Rows]:
         """Say which boxes are free of roots, and what halving along each axis would help."""
-        half = np.concatenate([half[:3], half[3:] * (1.0 + BEYOND)])  # whose ends are rounded
-        is_fast = center[_THETA] + half[_THETA] > _FAST
-        free, shares = np.zeros(is_fast.shape, bool), np.zeros(center.shape)
+        beyond = [1.0 + BEYOND * (axis == THETA or axis in HAND) for axis in boxes.axes]
+        boxes = replace(boxes, half=boxes.half * np.array(beyond)[:, None])  # ends are rounded
+        theta, by_theta = boxes.ends(THETA)
+        is_fast = theta + by_theta > _FAST
+        free, shares = np.zeros(is_fast.shape, bool), np.zeros(boxes.center.shape)
         for aliases, which in ((self._slow, ~is_fast), (self._fast, is_fast)):
-            boxes = np.flatnonzero(which)
-            for start in range(0, boxes.size, _AT_ONCE):
-                chunk = boxes[start : start + _AT_ONCE]
-                parts = self.over(center[:, chunk], half[:, chunk], aliases)
-                free[chunk], shares[:, chunk] = parted(*parts)
-        is_near = (center[_THETA] <= half[_THETA]) & ~is_fast & self._passes_rest
-        begins = self._begin_without_wall(center) & ~is_fast
+            numbers = np.flatnonzero(which)
+            for start in range(0, numbers.size, _AT_ONCE):
+                chunk = numbers[start : start + _AT_ONCE]
+                parts = self._over(boxes.select(chunk), aliases)
+                free[chunk], shares[:, chunk] = parted(*parts, boxes.axes)
+        is_near = (theta <= by_theta) & ~is_fast & (self._gain_at_rest.low[0] > 0.0)
+        begins = self._begin_without_wall(boxes) & ~is_fast
         for among, method in (
             (is_near, self._are_slow),
             (is_near & begins, self._grow_slowly),
-            (begins & (center[_THETA] > half[_THETA]), self._grow),
+            (begins & (theta > by_theta), self._grow),
         ):
             chosen = np.flatnonzero(among & ~free)
             if chosen.size:
-                clear, taken_there = method(center[:, chosen], half[:, chosen])
+                clear, taken_there = method(boxes.select(chosen))
                 free[chosen] = clear
                 hopeful = taken_there.any(axis=0)
                 shares[:, chosen[hopeful]] = taken_there[:, hopeful]
         return free, shares
 
-    def over(
-        self, center: Boxes, half: Boxes, aliases: "_Aliases"
-    ) -> tuple[LinearModel, LinearModel]:
+    def _over(self, boxes: ParameterBoxes, aliases: "_Aliases") -> tuple[LinearModel, LinearModel]:
         """Return F over boxes, at the least stiffness and at the largest one."""
-        place, alpha, beta = self._parts(center, half)
+        place, alpha, beta = self._parts(boxes)
         above, below = self._device.parts(place.theta * 1j, place.mass, place.arm)
         others = self._others(place, aliases)
         force = sinc(place.theta).value * above + sine(place.theta) * below * others.total
         force = phasor(place.theta * (place.delay + 0.5)) * force
         position, velocity = self._filters(place.theta)
         damper, spring = beta * velocity.value, alpha * position.value
-        none = below + damper * force
-        most = none + spring * force
         late = sine(place.theta).size * self._late(above, below, others)
-        none = _widened(none, late * damper.size)
-        most = _widened(most, late * (damper + spring).size)
-        return (most if self._first_row is None else none), most
+        wall = damper + spring
+        most = _widened(below + wall * force, late * wall.size)
+        if self._first_row is None:
+            return most, most
+        return _widened(below + damper * force, late * damper.size), most
 
-    def _are_slow(self, center: Boxes, half: Boxes) -> tuple[Bool[np.ndarray, " box"], Boxes]:
-        """Say in which boxes the imaginary part of F grows with theta, from 0 on, where F > 0."""
-        place, alpha, beta = self._parts(center, half)
+    def _are_slow(self, boxes: ParameterBoxes) -> tuple[Bool[np.ndarray, " box"], Rows]:
+        """Say in which boxes the imaginary part of F grows with theta, from 0 on, where F > 0.
+
+        Walls from no stiffness on begin with a device that may be free; there F(0) is 0 by itself.
+        """
+        place, alpha, beta = self._parts(boxes)
         above, below = self._device.parts(_moving_s(place.theta), place.mass, place.arm)
         damper, most = self._walls(place.theta, alpha, beta)
         least = most if self._first_row is None else damper
@@ -408,40 +453,41 @@ class DeviceBoxes:
         free, shares = _rising(
             [((below + wall * force).rate, wall.value.size * taken_away) for wall in (least, most)]
         )
-        return free & ((self._first_row is not None) | (alpha.low > 0.0)), shares
+        if self._first_row is None:
+            above, below = self._device.parts(place.theta.constant(0.0), place.mass, place.arm)
+            free &= (below + alpha * self._gain_at_rest * above).low > 0.0
+        return free, shares
 
-    def _begin_without_wall(self, center: Boxes) -> Bool[np.ndarray, " box"]:
+    def _begin_without_wall(self, boxes: ParameterBoxes) -> Bool[np.ndarray, " box"]:
         """Say which boxes are in a first row that begins without a wall, of a passive device."""
         if self._first_row is None or not self._device.is_passive:
-            return np.zeros(center.shape[1], bool)
-        return self._first_row.holds(center)
+            return np.zeros(boxes.index.shape, bool)
+        return self._first_row.holds(boxes)
 
-    def _grow(self, center: Boxes, half: Boxes) -> tuple[Bool[np.ndarray, " box"], Boxes]:
+    def _grow(self, boxes: ParameterBoxes) -> tuple[Bool[np.ndarray, " box"], Rows]:
         """Say in which boxes of a first row all walls dissipate energy (lemma B20)."""
-        place, aliases = self._parts(center, half)[0], self._slow
+        place, aliases = self._parts(boxes)[0], self._slow
         above, below = self._device.parts(place.theta * 1j, place.mass, place.arm)
-        ones = _constant(np.ones_like(center[0]))
-        turned = conjugate(ones * above * self._device.lag(place.theta * 1j))
+        turned = conjugate(boxes.constant(1.0) * above * self._device.lag(place.theta * 1j))
         others = self._others(place, aliases)
         force = sinc(place.theta).value * above + sine(place.theta) * below * others.total
         force = phasor(place.theta * (place.delay + 0.5)) * force * turned
         late = sine(place.theta).size * self._late(above, below, others) * turned.size
-        walls = self._walls(place.theta, *self._wall_of_first_row(center, half))
+        walls = self._walls(place.theta, *self._wall_of_first_row(boxes))
         return _rising([(wall.value * force, wall.value.size * late) for wall in walls], below)
 
-    def _grow_slowly(self, center: Boxes, half: Boxes) -> tuple[Bool[np.ndarray, " box"], Boxes]:
+    def _grow_slowly(self, boxes: ParameterBoxes) -> tuple[Bool[np.ndarray, " box"], Rows]:
         """Say the same next to theta = 0, by the derivative."""
-        place = self._parts(center, half)[0]
+        place = self._parts(boxes)[0]
         s = _moving_s(place.theta)
         above, below = self._device.parts(s, place.mass, place.arm)
-        ones = Moving(_constant(np.ones_like(center[0])), _constant(np.zeros_like(center[0])))
-        turned = ones * above * self._device.lag(s)
+        turned = Moving(boxes.constant(1.0), boxes.constant(0.0)) * above * self._device.lag(s)
         turned = Moving(conjugate(turned.value), conjugate(turned.rate))
         force = self._force(place, above) * turned
         others = self._others(place, self._slow)
         taken_away = below.value.size * others.total.size + self._late(above, below, others)
         taken_away = taken_away * turned.value.size
-        walls = self._walls(place.theta, *self._wall_of_first_row(center, half))
+        walls = self._walls(place.theta, *self._wall_of_first_row(boxes))
         rates = [((wall * force).rate, wall.value.size * taken_away) for wall in walls]
         return _rising(rates, below.value)
 
@@ -466,39 +512,28 @@ class DeviceBoxes:
         damper = velocity * beta
         return damper, damper + position * alpha
 
-    def _parts(self, center: Boxes, half: Boxes) -> tuple[_Place, LinearModel, LinearModel]:
-        """Return what the plant depends on, and the largest alpha and beta, in units of 1 kg."""
-        extent = self._extent(center, half)
-        units = 1.0, self._period**2, self._period
-        arm = [
-            along(_ARM + k, center[_ARM + k] * unit, half[_ARM + k] * unit)
-            for k, unit in enumerate(units)
-        ]
-        theta = along(_THETA, center[_THETA], half[_THETA])
-        place = _Place(extent.mass, extent.delay, Arms(*arm), theta)
-        return place, extent.stiffness * self._period**2, extent.damping * self._period
+    def _parts(self, boxes: ParameterBoxes) -> tuple[_Place, LinearModel, LinearModel]:
+        """Return what the plant depends on, and the largest stiffness and the damping."""
+        mass, delay, arm, stiffness, damping = self._extent(boxes)
+        return _Place(mass, delay, arm, boxes.along(THETA)), stiffness, damping
 
-    def _wall_of_first_row(self, center: Boxes, half: Boxes) -> tuple[LinearModel, LinearModel]:
-        """Return alpha and beta per unit of the multiple, in boxes that begin without a wall."""
+    def _wall_of_first_row(self, boxes: ParameterBoxes) -> tuple[LinearModel, LinearModel]:
+        """Return the wall per unit of the multiple, in boxes that begin without a wall."""
         assert self._first_row is not None
-        stiffness, damping = self._first_row.walls(center, half)
-        return stiffness * self._period**2, damping * self._period
+        return self._first_row.walls(boxes)
 
     def _filters(self, theta: LinearModel) -> tuple[Moving, Moving]:
         """Return P and V in units of one sample, with their derivatives by theta."""
-        angle, half = theta.centre, theta.slope[_THETA]
-        if self._cells is not None:
-            over = OverCells.from_cells(self._cells, angle, half)
-            position, velocity = map(Moving, over.values_along(AXES), over.rates_along(AXES))
+        if self._quotients is not None:
+            position, velocity = (quotient.over(theta) for quotient in self._quotients)
             return position, velocity
-        ones, zeros = _constant(np.ones_like(angle)), _constant(np.zeros_like(angle))
-        back = phasor(theta)
-        return Moving(ones, zeros), Moving(1.0 - back, back * 1j)
+        one, back = theta.constant(1.0), phasor(theta)
+        return Moving(one, theta.constant(0.0)), Moving(1.0 - back, back * 1j)
 
     def _others(self, place: _Place, aliases: "_Aliases") -> "_Others":
         """Return R and R'."""
         discs = place.as_discs()
-        total = _widened(_constant(np.zeros(place.theta.centre.shape, complex)), aliases.tail)
+        total = _widened(place.theta.constant(0.0 + 0.0j), aliases.tail)
         moduli = np.full(place.theta.centre.shape, aliases.tail_of_moduli)
         for turns, nearest, most in aliases.followed:
             # The nearest one is followed along the axes.
@@ -517,6 +552,15 @@ class DeviceBoxes:
         above, below = self._device.parts(angle * 1j, place.mass, place.arm)
         wave = phasor(place.delay * (2.0 * pi * turns))
         return above * wave * (below * angle).reciprocal()
+
+
+def _gain_at_rest(of: tuple[Quotient, Quotient] | None) -> LinearModel:
+    """P(1), with the rounding of its coefficients."""
+    still = LinearModel(np.zeros(1), np.zeros((1, 1)), np.zeros(1), np.ones((1, 1)))
+    if of is None:
+        return still.constant(1.0)
+    value = of[0].over(still).value
+    return replace(value, centre=value.centre.real)
 
 
 class _Others(NamedTuple):
@@ -572,7 +616,7 @@ class _Aliases(NamedTuple):
 # ------------------------------------------------------------------------------------------ models
 def _rising(
     rates: list[tuple[LinearModel, Any]], below: LinearModel | None = None
-) -> tuple[Bool[np.ndarray, " box"], Boxes]:
+) -> tuple[Bool[np.ndarray, " box"], Rows]:
     """Say where all imaginary parts exceed the other terms, and what each axis takes.
 
     That is 0 where halving cannot help, or need not because ``below`` is far from 0.
@@ -603,16 +647,4 @@ def _size(function: Any) -> Any:
 
 def _moving_s(theta: LinearModel) -> Moving:
     """Return i theta, with its derivative."""
-    return Moving(theta * 1j, _constant(1j * np.ones_like(theta.centre)))
-
-
-def along(axis: int, centre: np.ndarray, half: np.ndarray) -> LinearModel:
-    """Return a variable that runs along an axis."""
-    exact = variable(axis, AXES, centre, half)
-    return replace(exact, rest=PARAMETER * np.abs(centre))
-
-
-def _constant(centre: np.ndarray) -> LinearModel:
-    """Return functions that are constant in each box."""
-    slope = np.zeros((AXES, centre.size))
-    return LinearModel(centre, slope, np.zeros(centre.size), np.ones((AXES, 1)))
+    return Moving(theta * 1j, theta.constant(1j))

@@ -1,4 +1,4 @@
-"""Margins, ranges of hands and robust regions, proved over boxes of loops."""
+"""Proofs about ranges of loops: one plant in linear models, over boxes of its parameters."""
 
 from jaxstab.lazy import attach_stub
 

@@ -9,7 +9,7 @@ D and F the plant's, P and V the filters'. A plant gives D and F as linear model
 of the angle give P and V (``jaxstab.proofs.filters``), and the gains are variables or numbers. Sums
 and products of models then enclose g: its value in the middle of each box, its slope along each
 axis, and a bound of what these leave (lemma B13 of docs/proofs.md). The sampled devices of
-``jaxstab.proofs.linear_circle``, the devices in hands of ``jaxstab.proofs.device_boxes`` and the
+``jaxstab.proofs.linear_circle``, the devices in hands of ``jaxstab.boxes.plant`` and the
 curves of ``jaxstab.proofs.curve_patches`` are expanded in this way, that is as Taylor models of
 first order (Makino, Berz 1996), and so is one mass in closed form (``jaxstab.proofs.exclusion``).
 
@@ -77,6 +77,12 @@ class LinearModel:
     def high(self) -> Floats:
         """An upper bound of a real function."""
         return self.centre + self.swing
+
+    def constant(self, value: Number) -> "LinearModel":
+        """Return a number as a model over the same boxes."""
+        centre = np.full(self.centre.shape, value)
+        zeros = np.zeros(centre.shape)
+        return LinearModel(centre, np.zeros(self.slope.shape), zeros, self.half)
 
     def take(self, boxes: Any) -> "LinearModel":
         """Return the models of chosen boxes: an index of numbers, of truth values, or a slice."""

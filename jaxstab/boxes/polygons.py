@@ -1,62 +1,39 @@
-"""The stiffest wall that every hand of a range allows: searched between two proved bounds.
+"""Walls that are stable for every hand of a range of gamma and delta: a polygon, proved.
 
-For one hand, columns of the damping are divided into gaps of proved verdicts
-(``proofs.columns.column_gaps``). A stiffness in an unstable gap of one hand is not allowed in that
-column; one in stable gaps of all sampled hands is allowed, as far as these hands go. So sampled
-hands bound the limit from both sides, whatever the shapes of their stable sets; columns in which
-the bounds differ are divided again. A wall a little below is then proved for all hands
-(``worst_hand``).
+The intersection of the stable regions of sampled hands is pulled in a little and proved along its
+edges for all gamma, delta and theta of the ranges at once (``boxes.search``, lemma B11 of
+docs/proofs.md). The device is one mass: 1 kg, held by a spring gamma and a damper delta, T = 1.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
-from math import pi, sqrt
-from typing import NamedTuple
+from math import sqrt
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
 from jaxstab.arrays import Numbers
-from jaxstab.conventions import Verdict
-from jaxstab.model import by_name, checked_delay, checked_delta, checked_gamma
-from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords, known_filters
-from jaxstab.model.parameters import wall_grid
-from jaxstab.numbers import checked_number
-from jaxstab.point import verdict
-from jaxstab.proofs.columns import column_gaps
-from jaxstab.proofs.curve_patches import Domain
-from jaxstab.proofs.exclusion import Loops, exclude
-from jaxstab.proofs.plant import HandBoxes
-from jaxstab.ranges.box import (
+from jaxstab.boxes.box import ParameterBoxes
+from jaxstab.boxes.plant import Arms, DeviceBoxes, Extent
+from jaxstab.boxes.search import (
     NOTHING,
     Guess,
-    ParameterBox,
     Points,
-    Proof,
-    RobustLimit,
     RobustStatus,
-    excluded,
-    limit_for_hands,
+    paved,
     search,
     verdicts_of_range,
 )
-from jaxstab.ranges.hands import (
-    HandRange,
-    Loop,
-    Range,
-    checked_range,
-    held,
-    masses_of,
-    spread_bodies,
-    worst_hand,
-)
+from jaxstab.conventions import Range, Verdict
+from jaxstab.model import by_name, checked_delay, checked_delta, checked_gamma
+from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords, known_filters
+from jaxstab.model.loop import unit_loop
+from jaxstab.model.parameters import wall_grid
+from jaxstab.numbers import checked_number
+from jaxstab.point import verdict
 from jaxstab.region.region import stable_region
 from jaxstab.region.stable_set import RegionStatus, StableRegion
-
-# Walls that are stable for every hand of a range: the intersection of stable regions of sampled
-# hands, pulled in and proved along its edges for all gamma, delta and theta of the ranges at once
-# (``ranges.box``, lemma B7 of docs/proofs.md).
 
 Hands = Float64[np.ndarray, "hands 2"]
 
@@ -159,7 +136,7 @@ def robust_region(
 
     Raises: see ``jaxstab.conventions``; ValueError also for ends in the wrong order.
 
-    Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); lemmas B7 and B11 of docs/proofs.md.
+    Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); lemma B11 of docs/proofs.md.
 
     Example:
         >>> window = jaxstab.Velocity.difference(samples=5)
@@ -286,36 +263,32 @@ def failures(
     The axes of the boxes are the way along an edge, from -1 to 1, gamma, delta and theta.
     """
     following = np.roll(outline, -1, axis=0)
-    middle, half_edge = 0.5 * (outline + following), 0.5 * (following - outline)
-    ranges = np.array([(-1.0, 1.0), gamma, delta, (0.0, pi)])
-    middles, halves = ranges.mean(axis=1), 0.5 * np.ptp(ranges, axis=1)
-    boxes = ParameterBox.from_axes(
-        np.arange(len(outline)),
-        shift=(middles[0], np.where(np.all(half_edge == 0.0, axis=1), 0.0, halves[0])),
-        gamma=(middles[1], halves[1]),
-        delta=(middles[2], halves[2]),
-        theta=(middles[3], halves[3]),
-    )
+    middle, half = 0.5 * (outline + following), 0.5 * (following - outline)
+    is_polygon = len(outline) > 1
 
-    def prove(boxes: ParameterBox) -> Proof:
-        shift, stiffness, damping, theta = boxes.center.T
-        by_shift, by_gamma, by_delta, by_theta = boxes.half.T
-        (alpha, beta), (along, up) = middle[boxes.index].T, half_edge[boxes.index].T
-        moves = {
-            ("shift", "alpha"): np.abs(along) * by_shift,
-            ("shift", "beta"): np.abs(up) * by_shift,
-            ("gamma", "gamma"): by_gamma,
-            ("delta", "delta"): by_delta,
-            ("theta", "theta"): by_theta,
-        }
-        walls = alpha + shift * along, beta + shift * up
-        center = Loops(*walls, stiffness, damping, np.full_like(theta, delay), theta)
-        return excluded(partial(exclude, filters=filters), center, boxes.moved(moves))
+    def extent(boxes: ParameterBoxes) -> Extent:
+        walls = [boxes.constant(column) for column in middle[boxes.index].T]
+        if is_polygon:
+            way, moves = boxes.along("edge"), half[boxes.index].T
+            walls = [wall + way * move for wall, move in zip(walls, moves, strict=True)]
+        spring = boxes.quantity("hand_stiffness", gamma[0])
+        damper = boxes.quantity("hand_damping", delta[0])
+        arm = Arms(boxes.constant(0.0), spring, damper)
+        return Extent(boxes.constant(1.0), boxes.constant(delay), arm, *walls)
 
-    remaining = boxes.paved(prove, _SMALLEST * np.ptp(ranges, axis=1), most=_MOST_BOXES).boxes
-    if not remaining.count:
+    one = unit_loop(0.0, 0.0, delay, **as_keywords(filters))
+    ends: dict[str, Any] = {"hand_stiffness": gamma, "hand_damping": delta}
+    if is_polygon:
+        ends["edge"] = (-1.0, 1.0)
+    try:
+        boxes = DeviceBoxes(one.held_device, one, (1.0, 1.0), (gamma[1], delta[0]), extent)
+    except NotImplementedError:  # a hand so stiff that the plant has no bound at high frequencies
+        return np.array([[gamma[0], delta[0]]])
+    left = paved(boxes.judged, len(outline), _SMALLEST, most=_MOST_BOXES, **ends).boxes
+    if not left.index.size:
         return np.zeros((0, 2))
-    hands = remaining.center[:, 1:3]
+    sides = left.middles("hand_stiffness", *gamma), left.middles("hand_damping", *delta)
+    hands = np.stack(sides, axis=1)
     extremes: Hands = hands[[*np.argmin(hands, axis=0), *np.argmax(hands, axis=0)]]
     return np.unique(extremes, axis=0)
 
@@ -325,171 +298,3 @@ def _verdicts(
 ) -> Int8[np.ndarray, "points hands"]:
     arguments = walls[:, :1], walls[:, 1:], hands[:, 0], hands[:, 1]
     return np.asarray(verdict(**by_name(*arguments, delay), **as_keywords(filters)))
-
-
-_COLUMNS = 64
-_AT_ONCE = 16  # columns with the highest bounds are divided
-_FINER = 4
-_ROUNDS = 16
-_NEAR = 2e-3  # of the limit: bounds that differ less are near enough
-_BEYOND = 1e-6  # of the span of a region: its polygon is that near to it
-
-Ends = Float64[np.ndarray, "column gap"]
-
-
-def robust_limit(loop: Loop, hands: HandRange, mass: Range | None = None) -> RobustLimit:
-    """Return the largest stiffness that every hand of a range allows: ``HapticLoop``."""
-    checked_range(hands, mass)
-    loops = [held(loop, hand) for hand in spread_bodies(hands, masses_of(loop, mass), 2)]
-    return limit_for_hands(loops, _common_limit, lambda k, b: worst_hand(loop, hands, k, b, mass))
-
-
-class _Columns(NamedTuple):
-    """Columns of the damping, and the stiffness that all hands allow there; -inf where none."""
-
-    begin: np.ndarray
-    end: np.ndarray
-    most: np.ndarray  # no larger stiffness is allowed
-    setter: np.ndarray  # the number of the loop that forbids it
-    low: np.ndarray  # from here to ``high`` it is allowed
-    high: np.ndarray
-
-
-class _Span(NamedTuple):
-    """The span of walls that all stable regions share; ``setter`` has the least stiff one."""
-
-    domain: Domain
-    setter: int
-
-
-class _Gaps(NamedTuple):
-    """Gaps of the stiffness in columns of the damping, of all hands side by side."""
-
-    low: Ends
-    high: Ends
-    verdict: np.ndarray
-    hand: np.ndarray  # (gap,)
-
-
-def _common_limit(loops: list[Loop], pull: float) -> Guess:
-    """The stiffest wall with B >= 0 that all loops allow, pulled down by a share of itself."""
-    span = _common_span(loops)
-    if span is None:
-        return NOTHING
-    edges = np.linspace(*span.domain.beta, _COLUMNS + 1)
-    columns = _judged(loops, edges, span)
-    for _ in range(_ROUNDS):
-        best = int(np.argmax(columns.high))
-        stiffest = columns.high[best]
-        enough = stiffest + _NEAR * abs(stiffest) if np.isfinite(stiffest) else stiffest
-        hopeful = columns.most > enough
-        if not hopeful.any():
-            break
-        order = np.argsort(np.where(hopeful, columns.most, -np.inf))
-        chosen = np.zeros_like(hopeful)
-        chosen[order[-_AT_ONCE:]] = True
-        chosen &= hopeful
-        parts = _judged(loops, _divided(columns.begin[chosen], columns.end[chosen]), span)
-        inside = np.any(
-            (parts.begin[:, None] >= columns.begin[chosen])
-            & (parts.end[:, None] <= columns.end[chosen]),
-            axis=1,
-        )
-        columns = _Columns(
-            *(
-                np.concatenate([old[~chosen], new[inside]])
-                for old, new in zip(columns, parts, strict=True)
-            )
-        )
-    top, best = int(np.argmax(columns.most)), int(np.argmax(columns.high))
-    if not columns.most[top] > 0.0:
-        return NOTHING
-    limit, setter = float(columns.most[top]), loops[int(columns.setter[top])]
-    if not columns.high[best] > 0.0:
-        return Guess(NOTHING.walls, limit, setter)
-    low, high = columns.low[best], columns.high[best]
-    pulled = max(high - pull * abs(high), 0.5 * (low + high))
-    damping = 0.5 * (columns.begin[best] + columns.end[best])
-    return Guess(np.array([[pulled, damping]]), limit, setter)
-
-
-def _common_span(loops: list[Loop]) -> _Span | None:
-    """The span of stiffness and damping >= 0 that all stable regions share, in SI units."""
-    low, high, setter = np.array([-np.inf, 0.0]), np.full(2, np.inf), 0
-    for index, loop in enumerate(loops):
-        region = stable_region(
-            gamma=loop.gamma, delta=loop.delta, delay=loop.delay_samples, **loop.filters
-        )
-        if region.status == RegionStatus.UNRESOLVED:
-            continue
-        if region.is_empty:
-            return None
-        region = reachable(region, known_filters(**loop.filters))
-        points = np.nan_to_num(region.points) * [loop.stiffness(1.0), loop.damping(1.0)]
-        beyond = _BEYOND * np.ptp(points, axis=0)
-        low, ends = np.maximum(low, points.min(axis=0) - beyond), points.max(axis=0) + beyond
-        setter = index if ends[0] < high[0] else setter
-        high = np.minimum(high, ends)
-    if not np.all((low < high) & np.isfinite(high - low)):
-        return None
-    domain = Domain((float(low[0]), float(high[0])), (float(low[1]), float(high[1])))
-    return _Span(domain, setter)
-
-
-def _judged(loops: list[Loop], edges: Float64[np.ndarray, " edge"], span: _Span) -> _Columns:
-    gaps = _gaps(loops, edges, span.domain)
-    return _Columns(edges[:-1], edges[1:], *_not_unstable(gaps, span), *_stable(gaps, len(loops)))
-
-
-def _gaps(loops: list[Loop], edges: Float64[np.ndarray, " edge"], domain: Domain) -> _Gaps:
-    parts = []
-    for loop in loops:
-        hand = HandBoxes(*(np.array([v]) for v in (loop.gamma, loop.delta, 0.0, 0.0)))
-        scaled = Domain(
-            (loop.alpha(domain.alpha[0]), loop.alpha(domain.alpha[1])),
-            (loop.beta(domain.beta[0]), loop.beta(domain.beta[1])),
-        )
-        filters = known_filters(**loop.filters)
-        gaps = column_gaps(loop.beta(edges), hand, loop.delay_samples, scaled, filters)
-        parts.append([loop.stiffness(gaps.low[0]), loop.stiffness(gaps.high[0]), gaps.verdict[0]])
-    low, high, verdict = (np.concatenate(ends, axis=1) for ends in zip(*parts, strict=True))
-    # All hands end at the same stiffness, which rounding must not take apart.
-    low, high = np.maximum(low, domain.alpha[0]), np.minimum(high, domain.alpha[1])
-    counts = [of_loop[0].shape[1] for of_loop in parts]
-    verdict = np.where(low < high, verdict, Verdict.NOT_COMPUTED)
-    return _Gaps(low, high, verdict, np.repeat(np.arange(len(loops)), counts))
-
-
-def _not_unstable(gaps: _Gaps, span: _Span) -> tuple[np.ndarray, np.ndarray]:
-    """The largest stiffness of each column in no unstable gap, and the hand that sets it."""
-    # The union of open gaps ends below at the lower end of a gap that is in no other. Where no gap
-    # reaches the end of the span, no verdict is known there.
-    unstable = gaps.verdict == Verdict.UNSTABLE
-    low, high = np.where(unstable, [gaps.low, gaps.high], np.nan)
-    top = span.domain.alpha[1]
-    ends = np.concatenate([low, np.full_like(low[:, :1], top)], axis=1)[:, :, None]
-    covered = np.any((low[:, None] < ends) & (ends < high[:, None]), axis=2)
-    covered[:, -1] |= np.any(high >= top, axis=1)
-    open_ends = np.where(covered | np.isnan(ends[..., 0]), -np.inf, ends[..., 0])
-    highest = np.argmax(open_ends, axis=1)
-    return np.max(open_ends, axis=1), np.append(gaps.hand, span.setter)[highest]
-
-
-def _stable(gaps: _Gaps, hands: int) -> tuple[np.ndarray, np.ndarray]:
-    """The highest interval of stiffness of each column in stable gaps of all hands."""
-    stable = gaps.verdict == Verdict.STABLE
-    low, high = np.where(stable, [gaps.low, gaps.high], np.nan)
-    holds = (low[:, None] < high[:, :, None]) & (high[:, :, None] <= high[:, None])
-    begins = np.full(high.shape, -np.inf)
-    for hand in range(hands):
-        own = np.where(holds & (gaps.hand == hand), low[:, None], np.inf).min(axis=2)
-        begins = np.maximum(begins, own)
-    ends = np.where(np.isfinite(begins), high, -np.inf)
-    best = np.argmax(ends, axis=1)[:, None]
-    return np.take_along_axis(begins, best, 1)[:, 0], np.take_along_axis(ends, best, 1)[:, 0]
-
-
-def _divided(begin: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Edges that divide columns; other columns may lie between."""
-    share = np.arange(_FINER + 1) / _FINER
-    return np.unique(np.concatenate([np.outer(begin, 1.0 - share) + np.outer(end, share)]))

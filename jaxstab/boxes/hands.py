@@ -1,0 +1,107 @@
+"""All hands of a range, all masses of a device and all its delays: which are not proved stable.
+
+The axes of the boxes are what varies of the device's mass, of the delay, and of the hand's mass,
+stiffness and damping (lemma B21 of docs/proofs.md).
+"""
+
+from dataclasses import dataclass
+from itertools import product
+from math import inf, sqrt
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from jaxstab.boxes.box import ParameterBoxes
+from jaxstab.boxes.plant import Arms, DeviceBoxes, Extent
+from jaxstab.boxes.search import paved
+from jaxstab.conventions import Range
+from jaxstab.model import Device, LoopParameters
+
+Members = Float64[np.ndarray, "member 5"]
+"""Mass, stiffness and damping of hands; the device's mass in kg, and the delay in samples."""
+
+_SMALLEST = 2.0**-16  # of the ranges: boxes are not halved beyond
+_MOST = 40_000  # boxes at once
+
+
+@dataclass(frozen=True, kw_only=True)
+class HandRange:
+    """A range of hands: lowest and highest mass in kg, stiffness in N/m and damping in N s/m.
+
+    Example:
+        >>> jaxstab.HandRange(mass=(0.0, 1.0), stiffness=(0.0, 700.0), damping=(0.0, 12.0))
+        HandRange(mass=(0.0, 1.0), stiffness=(0.0, 700.0), damping=(0.0, 12.0))
+    """
+
+    mass: Range = (0.0, 0.0)
+    stiffness: Range = (0.0, 0.0)
+    damping: Range = (0.0, 0.0)
+
+
+def checked_range(hands: object, mass: Range | None = None, device: Device | None = None) -> None:
+    """Validate hands, and the masses or the device that they hold.
+
+    TypeError unless a HandRange; ValueError unless ends are in order and not negative, and the
+    device, if there is a hand, has one handle.
+    """
+    if mass is not None and not 0.0 < mass[0] <= mass[1] < inf:
+        raise ValueError(
+            f"mass is {mass}; give the lowest mass of the device, > 0, and the highest one."
+        )
+    if not isinstance(hands, HandRange):
+        raise TypeError(f"hands is {hands!r}; give a jaxstab.HandRange, as HandRange(mass=(0, 1)).")
+    for name, (low, high) in vars(hands).items():
+        if not 0.0 <= low <= high < inf:
+            raise ValueError(
+                f"hands.{name} is ({low}, {high}); give the lowest, >= 0, and the highest value."
+            )
+        if device is not None and high > 0.0:
+            device.require_one_handle()
+
+
+def spread_hands(hands: HandRange, count: int) -> Float64[np.ndarray, "hand 3"]:
+    """Hands spread over the range, with stiffnesses spaced evenly in frequency."""
+    ends = (hands.mass, tuple(sqrt(end) for end in hands.stiffness), hands.damping)
+    axes = [np.linspace(low, high, count if low < high else 1) for low, high in ends]
+    axes[1] = axes[1] ** 2
+    axes[1][[0, -1]] = hands.stiffness
+    return np.array(list(product(*axes)))
+
+
+def unproved_members(
+    device: Device,
+    loop: LoopParameters,
+    hands: HandRange,
+    mass: Range,
+    delay: Range,
+    wall: tuple[float, float],
+    jitter: float = 0.0,
+) -> Members:
+    """Members of the ranges at which a root on the circle is not excluded; none is a proof.
+
+    The delay in samples is constant within its range; with ``jitter`` it may exceed that by so many
+    samples, in each sample anew. NotImplementedError: as ``DeviceBoxes``.
+    """
+    period = float(loop.sample_time)
+    units = 1.0, period**2, period
+
+    def extent(boxes: ParameterBoxes) -> Extent:
+        arm = [
+            boxes.quantity(f"hand_{name}", ends[0], unit)
+            for (name, ends), unit in zip(vars(hands).items(), units, strict=True)
+        ]
+        return Extent(
+            boxes.quantity("mass", mass[0]),
+            boxes.quantity("delay", delay[0]),
+            Arms(*arm),
+            boxes.constant(wall[0] * period**2),
+            boxes.constant(wall[1] * period),
+        )
+
+    ends: dict[str, Any] = {f"hand_{name}": pair for name, pair in vars(hands).items()}
+    ends |= {"mass": mass, "delay": delay}
+    arm = hands.stiffness[1], hands.damping[0]
+    boxes = DeviceBoxes(device, loop, mass, arm, extent, jitter=jitter)
+    left = paved(boxes.judged, 1, _SMALLEST, most=_MOST, **ends).boxes
+    return np.stack([left.middles(name, *pair) for name, pair in ends.items()], axis=1)

@@ -1,0 +1,273 @@
+"""Proof and search of claims about every loop of a range, over boxes of its parameters.
+
+A range is a box of loops. Hands and delays of a range, robust regions and guards differ in their
+axes (``box``); the plant (``plant``) and the three arguments below are the same for all of them.
+
+1. *No root on the circle.* Boxes are halved, along the axes that move the characteristic function
+   most, until each of them is proved free of roots on the unit circle (``paved``; lemma B20 of
+   docs/proofs.md).
+2. *One proof of stability is enough.* The roots move continuously with the loop, and a range is
+   connected: if no loop of it has a root on the circle, all have the same number of roots outside
+   of it, and the verdict on a single one holds for all (``verdicts_of_range``, ``worst_of_range``;
+   B21). For a closed polygon it is enough that no wall on its edges has such a root: no curve of
+   walls with a root on the circle can lie inside without crossing the edges (B11).
+3. *Sampled loops bound the answer, the proof confirms it.* The stiffest wall, or the polygon of
+   walls, that all sampled loops allow is too large, so it is pulled in a little and proved for the
+   whole range. Where the proof fails, loops from there join the sample; where that adds none, it is
+   pulled in further (``search``).
+
+A sampled loop that is proved unstable refutes a wall. A box that can be neither halved nor proved
+free shows nothing: the wall is undecided. The walls that the samples suggest, the order in which
+boxes are halved and the work after which a proof is given up decide how much is proved, but never
+whether a proof is valid.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from math import inf, nan, pi
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int8, Int64
+
+from jaxstab.boxes.box import ParameterBoxes, joined
+from jaxstab.boxes.plant import BEYOND
+from jaxstab.conventions import Status, Verdict
+
+Points = Float64[np.ndarray, "point 2"]
+
+Judge = Callable[[ParameterBoxes], tuple[Bool[np.ndarray, " box"], Float64[np.ndarray, "axis box"]]]
+"""Says which boxes are free of roots, and what halving along each axis would help."""
+
+# Next to theta = 0 little of the plant is far from 0: boxes begin smaller there.
+_CELLS = pi * (1.0 + BEYOND) * np.array([0, 1, 2, 3, 4, 6, 8, 12, 16, 20, 24, 32, 48, 64]) / 64.0
+_TOO = 0.2  # of what the best axis helps: then a second one is halved in the same round
+_ATTEMPTS = 24  # proofs of a search
+PULLS = 0.01, 0.02, 0.04, 0.08
+
+"""Shares of the stiffness by which the wall that is proved lies below the limit."""
+
+
+class Paving(NamedTuple):
+    """The boxes that paving could not prove: too small to be halved, or of proofs given up.
+
+    ``judged`` is how many boxes of each index were judged.
+    """
+
+    boxes: ParameterBoxes
+    judged: Int64[np.ndarray, " index"]
+
+
+def paved(
+    judged_free: Judge,
+    count: int,
+    smallest: float,
+    *,
+    most: int | float = inf,
+    effort: int | float = inf,
+    **ends: tuple[Any, Any],
+) -> Paving:
+    """Halve boxes along the axes that matter most, until each is proved free of roots.
+
+    There are ``count`` indices, for example of walls; each begins with boxes between the ``ends``
+    along its axes, and of the angle from 0 to pi. Axes are not halved at or below ``smallest`` of
+    their first half-width. A proof is given up where more than ``most`` boxes are open at once, and
+    that of an index where ``effort`` were judged in all; this makes the result for an index
+    independent of the others.
+    """
+    index, cell = (row.ravel() for row in np.indices((count, len(_CELLS) - 1)))
+    own: dict[str, Any] = {
+        name: tuple(end[index] if np.ndim(end) else end for end in pair)
+        for name, pair in ends.items()
+    }
+    boxes = ParameterBoxes.between(index, **own, theta=(_CELLS[cell], _CELLS[cell + 1]))
+    least, judged = smallest * boxes.half.max(axis=1, keepdims=True), np.zeros(count, np.int64)
+    unproved = [boxes.select(slice(0))]
+    while boxes.index.size:
+        open_boxes = np.bincount(boxes.index, minlength=count)
+        is_over = judged + open_boxes > effort
+        given_up = is_over[boxes.index] | (boxes.index.size > most)
+        unproved.append(boxes.select(given_up))
+        boxes = boxes.select(~given_up)
+        judged += np.bincount(boxes.index, minlength=count)
+        free, share = judged_free(boxes)
+        share = np.where(boxes.half > least, share, -1.0)
+        is_small = share.max(axis=0) < 0.0
+        unproved.append(boxes.select(~free & is_small))
+        going = ~free & ~is_small
+        boxes = _halved(boxes.select(going), share[:, going])
+    return Paving(joined(unproved), judged)
+
+
+def _halved(boxes: ParameterBoxes, share: Float64[np.ndarray, "axis box"]) -> ParameterBoxes:
+    """The halves of boxes along the axis that helps most, and along a second one like it."""
+    order = np.argsort(share, axis=0)
+    rows = np.arange(boxes.index.size)
+    first, second = order[-1], order[max(-2, -len(order))]
+    too = (share[second, rows] > _TOO * share[first, rows]) & (first != second)
+    halves = boxes.halved(first)
+    again = np.tile(too, 2)
+    return joined([halves.select(~again), halves.select(again).halved(np.tile(second[too], 2))])
+
+
+# One proof of stability is enough: verdicts on walls, and the worst loop of a range.
+
+_Worst = TypeVar("_Worst", bound=Any)  # a named tuple with a verdict, a loop and a radius
+
+
+def verdicts_of_range(
+    sampled: Int8[np.ndarray, "wall loop"],
+    prove: Callable[[Int64[np.ndarray, " likely"]], Int8[np.ndarray, " likely"]],
+) -> Int8[np.ndarray, " wall"]:
+    """Codes of ``Verdict`` for walls and all loops of a range, from those in sampled loops.
+
+    ``prove`` returns the codes of walls, given by their numbers, that are stable in one loop:
+    STABLE where no loop of the range has a root on the circle.
+    """
+    codes = np.full(len(sampled), Verdict.UNDECIDED, np.int8)
+    unstable = np.any(sampled == Verdict.UNSTABLE, axis=1)
+    codes[unstable] = Verdict.UNSTABLE
+    likely = np.flatnonzero(np.any(sampled == Verdict.STABLE, axis=1) & ~unstable)
+    codes[likely] = prove(likely)
+    return codes
+
+
+def worst_of_range(
+    sampled: Sequence[_Worst],
+    unproved: Callable[[list[int]], Mapping[int, np.ndarray]],
+    judge: Callable[[int, np.ndarray], _Worst],
+    most: int,
+) -> list[_Worst]:
+    """The verdicts on walls for all loops of a range, and the worst loop of each.
+
+    ``sampled`` has the worst of the sampled loops for each wall. ``unproved`` takes numbers of
+    walls and returns, for those that are not proved, loops at which a root on the circle could not
+    be excluded, if any are known; ``judge`` returns the worst of such loops for a wall, at ``most``
+    of them, spread over all.
+    """
+    answers = list(sampled)
+    hopeful = [n for n, answer in enumerate(answers) if answer.verdict == Verdict.STABLE]
+    for wall, failed in unproved(hopeful).items():
+        worst, count = answers[wall], min(len(failed), most)
+        if count:
+            other = judge(wall, failed[np.arange(count) * len(failed) // count])
+            is_worse = other.verdict == Verdict.UNSTABLE or other.radius > worst.radius
+            worst = other if is_worse else worst
+        is_refuted = worst.verdict == Verdict.UNSTABLE
+        answers[wall] = worst if is_refuted else worst._replace(verdict=Verdict.UNDECIDED)
+    return answers
+
+
+# Sampled loops bound the answer, the proof confirms it: limits and regions.
+
+
+class RobustStatus(Status):
+    """The status of a robust region.
+
+    Example:
+        >>> jaxstab.results.RobustStatus(1).words
+        'every wall of the outline is proved stable for every hand or loop'
+    """
+
+    NOT_COMPUTED = 0, "not computed"
+    PROVED = 1, "every wall of the outline is proved stable for every hand or loop"
+    EMPTY = 2, "no wall was found that is stable for all of the sampled hands or loops"
+    UNPROVED = 3, "stable for the sampled hands or loops, but not proved between them"
+
+
+class RobustLimit(NamedTuple):
+    """The stiffest wall for all hands of a range, in SI units; NaN where there is none.
+
+    Attributes:
+        stiffness: K of a wall 1 % below the stiffest wall of the search, or up to 8 % below where
+            the proof failed closer to it.
+        damping: B of that wall.
+        is_proved: whether that wall is proved stable for every hand.
+        limit: no stiffer wall with B >= 0 is stable for every hand: every such wall above it,
+            within the span of the sampled hands' stable regions, is proved unstable for one of
+            these hands. With an estimator or a filter the span is that of the components with
+            small gains.
+        loop: the loop with the hand that sets the limit.
+
+    Example:
+        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+        >>> limit = loop.robust_limit(jaxstab.HandRange(mass=(0.0, 1.0)))
+        >>> limit.is_proved, limit.stiffness < limit.limit
+        (True, True)
+    """
+
+    stiffness: float
+    damping: float
+    is_proved: bool
+    limit: float
+    loop: Any  # of the class of the given one
+
+
+class Guess(NamedTuple):
+    """Walls that all sampled loops of a range allow, pulled in a little: one, or a polygon.
+
+    No row if nothing is allowed. ``limit`` is the largest stiffness that they allow, ``loop`` the
+    sampled loop that allows least there.
+    """
+
+    walls: Points
+    limit: float = nan
+    loop: Any = None
+
+
+NOTHING = Guess(np.zeros((0, 2)))
+
+
+class SearchResult(NamedTuple):
+    """The last guess of a search, by how much it was pulled in, and whether it is proved."""
+
+    guess: Guess | None
+    pull: float
+    is_proved: bool
+
+    @property
+    def status(self) -> RobustStatus:
+        """The status of a polygon."""
+        if self.is_proved:
+            return RobustStatus.PROVED
+        is_empty = self.guess is not None and not len(self.guess.walls)
+        return RobustStatus.EMPTY if is_empty else RobustStatus.UNPROVED
+
+
+Unproved = Callable[[Points], Sequence[Any] | np.ndarray | None]
+
+
+def search(
+    guess: Callable[[float], Guess | None],
+    unproved: Unproved,
+    add: Callable[[Any], bool],
+    pulls: Sequence[float],
+) -> SearchResult:
+    """Walls that sampled loops allow, and whether they are proved for the whole range.
+
+    ``guess`` returns the walls that the sampled loops allow, pulled in by a share; None if unknown.
+    ``unproved`` returns loops at which a wall, or a polygon with all that is inside, is not proved;
+    none is a proof, and None says that nothing can be proved. ``add`` adds such loops to the sample
+    and says whether one is new; where none is, the next one of the ``pulls`` is tried.
+    """
+    index = 0
+    for _ in range(_ATTEMPTS):
+        current = guess(pulls[index])
+        if current is None or not len(current.walls):
+            break
+        failed = unproved(current.walls)
+        if failed is not None and not len(failed):
+            return SearchResult(current, pulls[index], True)
+        if failed is None:
+            break
+        if not add(failed):
+            if index + 1 == len(pulls):
+                break
+            index += 1
+    return SearchResult(current, pulls[index], False)
+
+
+def limit_of(result: SearchResult, loop: Any) -> RobustLimit:
+    """The limit from the result of a search; ``loop`` is returned where no loop sets it."""
+    guess = result.guess or NOTHING
+    stiffness, damping = guess.walls[0].tolist() if len(guess.walls) else (nan, nan)
+    return RobustLimit(stiffness, damping, result.is_proved, guess.limit, guess.loop or loop)

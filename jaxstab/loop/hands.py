@@ -1,0 +1,321 @@
+"""A loop in the hands of a range: the worst hand of a wall, the stiffest wall that all allow.
+
+Some hands are tried, in balls; all others, all masses of a device and all constant delays of a
+range, are proved in boxes (``boxes.hands``, ``boxes.search``). The stiffest wall is searched in the
+exact regions of the hands that were tried, row by row of the damping, and a wall a little below it
+is proved for all.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial, reduce
+from itertools import product
+from math import isfinite
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float64
+
+from jaxstab.boxes.hands import HandRange, Members, checked_range, spread_hands, unproved_members
+from jaxstab.boxes.plant import Arms, with_parts
+from jaxstab.boxes.polygons import polygon_of_rows
+from jaxstab.boxes.search import (
+    NOTHING,
+    PULLS,
+    Guess,
+    Points,
+    RobustLimit,
+    limit_of,
+    search,
+    worst_of_range,
+)
+from jaxstab.conventions import Range, Verdict
+from jaxstab.exact import rough_radius
+from jaxstab.loop.jitter import MovingLoop
+from jaxstab.loop.region import TOLERANCE, WallRegion, wall_region
+from jaxstab.model.balls import ball_triple
+from jaxstab.model.device.parts import MassSpringDamper, Modes
+from jaxstab.region import RegionStatus
+
+if TYPE_CHECKING:
+    from jaxstab.loop.loop import HapticLoop
+
+Wall = tuple[float, float]
+
+_VALUES = 3  # values of each number that varies
+_MOST_TRIED = 64  # loops of those that could not be proved
+_LOWERED = (1.0, 0.95, 0.9, 0.8, 0.65, 0.5)  # shares of what one hand allows if the delay moves
+_MARGINS = 7  # halvings of what one hand allows, for a margin of all
+
+
+class WorstHand(NamedTuple):
+    """The verdict on a wall for all hands of a range, with the worst hand that was tried.
+
+    A ``verdict`` of STABLE is proved for every hand. UNSTABLE is proved for ``loop``, the loop with
+    the worst hand: that of the largest spectral ``radius`` of those tried.
+
+    Example:
+        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+        >>> worst = loop.worst_hand(jaxstab.HandRange(mass=(0.0, 1.0)), 1000.0, 10.0)
+        >>> worst.verdict.name, worst.loop.hand_mass
+        ('STABLE', 1.0)
+    """
+
+    verdict: Verdict
+    loop: Any  # of the class of the given one
+    radius: float
+
+
+@dataclass(frozen=True)
+class LoopsWithHands:
+    """A loop with its device and all hands of a range, in place of its hand; a grip stays.
+
+    ``mass`` is the lowest and the highest mass of the device in kg, None for its own. ``delay`` is
+    the range of constant delays in s, None for that of the loop; ``moving`` has the keywords
+    ``delays`` and ``lost`` of one that moves. Errors: as ``HapticLoop.worst_hand``.
+    """
+
+    loop: Any  # a HapticLoop of concrete numbers
+    hands: HandRange
+    mass: Range | None = None
+    delay: Range | None = None
+    moving: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        device = self.loop.held_device
+        checked_range(self.hands, self.mass, device)
+        if len(device.hands) > 1:
+            raise ValueError(
+                f"the device ({device}) is held by {len(device.hands)} hands; give one "
+                "that has a single hand, which the hands of the range replace."
+            )
+        if self.mass is not None and self._own_mass is None:
+            raise ValueError(
+                f"mass is {self.mass}, but the device ({device}) has none that could vary; "
+                "leave it out."
+            )
+
+    def worst(self, stiffness: float, damping: float) -> WorstHand:
+        """Whether a wall is stable for all of them, and the worst of those tried."""
+        wall = stiffness, damping
+
+        def judge(_: int, members: Members) -> WorstHand:
+            return _worst_of([self._held(member) for member in members], wall, self.moving)
+
+        def unproved(numbers: list[int]) -> dict[int, Members]:
+            left = self._unproved(wall) if numbers else np.zeros((0, 5))
+            if left is None:  # boxes do not cover such a device
+                return {n: np.zeros((0, 5)) for n in numbers}
+            return {n: left for n in numbers if len(left)}
+
+        sampled = [judge(0, self._spread(_VALUES))]
+        (worst,) = worst_of_range(sampled, unproved, judge, _MOST_TRIED)
+        return worst
+
+    def robust_limit(self) -> RobustLimit:
+        """The stiffest wall that all of them allow: ``HapticLoop.robust_limit``."""
+        loops = [self._held(member) for member in self._spread(2)]
+        delays = self.moving.get("delays", (self.loop.delay,))
+        at_delays = [replace(loop, delay=delay) for delay in delays for loop in loops]
+        limit = _limit_for_hands(at_delays, self)
+        if limit.is_proved or not self.moving:
+            return limit
+        # Constant delays may allow much more than is proved: what one hand allows comes next.
+        wall = loops[0].limits(**self.moving)
+        for share in _LOWERED if wall.stiffness > 0.0 else ():
+            stiffness = share * wall.stiffness
+            worst = self.worst(stiffness, wall.damping)
+            if worst.verdict == Verdict.STABLE:
+                return RobustLimit(stiffness, wall.damping, True, limit.limit, limit.loop)
+        return limit
+
+    def jitter_margin(self, stiffness: float, damping: float) -> float:
+        """How far the delay may move for all of them, in s: ``HapticLoop.jitter_margin``."""
+        wall, delay = (stiffness, damping), float(self.loop.delay)
+        most = float(self._held(self._spread(1)[0]).jitter_margin(*wall))
+
+        def is_proved(share: float) -> bool:
+            delays = (delay, delay + share * most if isfinite(most) else delay)
+            left = replace(self, moving={"delays": delays})._unproved(wall)
+            return left is not None and not len(left)
+
+        if most == 0.0 or is_proved(1.0):
+            return most
+        low, high = 0.0, 1.0
+        for _ in range(_MARGINS):
+            share = 0.5 * (low + high)
+            low, high = (share, high) if is_proved(share) else (low, share)
+        return low * most if low > 0.0 else 0.0
+
+    @property
+    def _own_mass(self) -> float | None:
+        body = self.loop.held_device.mechanism
+        return body.mass if isinstance(body, MassSpringDamper | Modes) else None
+
+    @property
+    def _masses(self) -> Range:
+        own = self._own_mass or 1.0  # of another device no mass is used
+        return self.mass or (own, own)
+
+    @property
+    def _delays(self) -> Range:
+        """The constant delays in samples, or the shortest one of those that move."""
+        shortest = self.moving["delays"][0] if self.moving else self.loop.delay
+        ends = self.delay or (shortest, shortest)
+        low, high = (float(replace(self.loop, delay=end).delay_samples) for end in ends)
+        return low, high
+
+    def _spread(self, count: int) -> Members:
+        others = [
+            np.linspace(low, high, count if low < high else 1).tolist()
+            for low, high in (self._masses, self._delays)
+        ]
+        hands = spread_hands(self.hands, count).tolist()
+        return np.array([(*hand, *other) for hand, *other in product(hands, *others)])
+
+    def _held(self, member: Float64[np.ndarray, " 5"]) -> "HapticLoop":
+        *arm, own, samples = member.tolist()
+        changes: dict[str, Any] = {}
+        if self.delay is not None:
+            changes["delay"] = float(np.clip(samples * self.loop.sample_time, *self.delay))
+        if self.loop.device is None:
+            changes |= zip(("hand_mass", "hand_stiffness", "hand_damping"), arm, strict=True)
+            changes["device_mass"] = own
+        else:
+            mass = None if self.mass is None else own
+            changes["device"] = with_parts(self.loop.device, mass, Arms(*arm))
+        return replace(self.loop, **changes)
+
+    def _unproved(self, wall: Wall) -> Members | None:
+        """Members at which a root on the circle is not excluded; None if boxes do not apply."""
+        jitter = 0.0
+        if self.moving:
+            jitter = MovingLoop.from_loop(self.loop, **self.moving).delays.jitter
+        device = with_parts(self.loop.held_device, None, Arms(0.0, 0.0, 0.0))
+        ranges = self.hands, self._masses, self._delays
+        try:
+            return unproved_members(device, self.loop, *ranges, wall, jitter)
+        except NotImplementedError:
+            return None
+
+
+def _worst_of(loops: "list[HapticLoop]", wall: Wall, moving: dict[str, Any]) -> WorstHand:
+    """The verdict on a wall in the loop of the largest radius; of unstable ones, if any.
+
+    That is the radius at the longest delay, if the delay moves.
+    """
+    codes = np.array([loop.verdict(*wall, **moving) for loop in loops])
+    if moving:
+        loops = [replace(loop, delay=moving["delays"][1]) for loop in loops]
+    sizes = [rough_radius(partial(ball_triple, loop), *wall) for loop in loops]
+    unstable = codes == Verdict.UNSTABLE
+    worst = int(np.argmax(np.where(unstable | ~unstable.any(), sizes, -1.0)))
+    loop = loops[worst]
+    radius = float(loop.spectral_radius(*wall).value)
+    return WorstHand(Verdict(int(codes[worst])), loop, radius)
+
+
+def _limit_for_hands(loops: "list[HapticLoop]", hands: LoopsWithHands) -> RobustLimit:
+    """The stiffest wall for all hands; ``loops`` are tried, and those that refute one are added."""
+
+    def unproved(walls: Points) -> list[WorstHand]:
+        hand = hands.worst(*walls[0].tolist())
+        return [] if hand.verdict == Verdict.STABLE else [hand]
+
+    def add(found: list[WorstHand]) -> bool:
+        new = [hand.loop for hand in found if hand.verdict == Verdict.UNSTABLE]
+        new = [loop for loop in new if loop not in loops]
+        loops.extend(new)
+        return bool(new)
+
+    return limit_of(search(partial(_stiffest_wall, loops), unproved, add, PULLS), loops[0])
+
+
+# Walls that several sampled loops share, by rows of the damping (``boxes.search``).
+_ROWS, _ZOOMS = 33, 5
+
+Rows = Float64[np.ndarray, " row"]
+Intervals = Float64[np.ndarray, "row _ 2"]
+
+
+def _walls_of(loops: "Sequence[HapticLoop]") -> "dict[HapticLoop, WallRegion]":
+    """The stable walls of loops: the component that contains small gains, if there is one.
+
+    Regions that are UNRESOLVED are left out; a proof for the range covers these loops, too.
+    """
+    regions = {loop: wall_region(loop.in_floats(), TOLERANCE) for loop in loops}
+    return {
+        loop: region if region.is_empty else region.main or region.components[0]
+        for loop, region in regions.items()
+        if region.status != RegionStatus.UNRESOLVED
+    }
+
+
+def common_walls(regions: Sequence[WallRegion], count: int = _ROWS) -> Points:
+    """A polygon of walls that all regions have, by rows; no point where no row has one.
+
+    Of several intervals of a row it takes the widest. Walls between two rows may be missed, and
+    nothing is proved of the polygon. No region may be empty.
+    """
+    low, high = _common_rows(regions)
+    if not low < high:
+        return np.zeros((0, 2))
+    return polygon_of_rows(partial(_common_limits, regions), low, high, count)
+
+
+def _stiffest_wall(loops: "Sequence[HapticLoop]", pull: float) -> Guess | None:
+    """The stiffest wall with B >= 0 that all loops have, pulled down by a share of it."""
+    regions = _walls_of(loops)
+    if not regions:
+        return None
+    if any(region.is_empty for region in regions.values()):
+        return NOTHING
+    low, high = _common_rows([*regions.values()])
+    low = max(low, 0.0)
+    wall: tuple[float, float, float] | None = None  # both ends of the stiffness, and the damping
+    for _ in range(_ZOOMS):
+        if not low < high:
+            break
+        rows = np.linspace(low, high, _ROWS + 2)[1:-1]
+        left, right = _common_limits([*regions.values()], rows)
+        right = np.where((left < right) & (right > 0.0), right, -np.inf)
+        best = int(np.argmax(right))
+        if right[best] == -np.inf:
+            break
+        if wall is None or right[best] >= wall[1]:
+            wall = float(left[best]), float(right[best]), float(rows[best])
+        step = rows[1] - rows[0]
+        low, high = rows[best] - step, rows[best] + step
+    if wall is None:
+        return NOTHING
+    least, limit, damping = wall
+    stiffness = max(limit - pull * abs(limit), 0.5 * (least + limit))
+    row = np.array([damping])
+    tops = {loop: region.stiffness_limits(row)[0, 1] for loop, region in regions.items()}
+    return Guess(np.array([[stiffness, damping]]), limit, min(tops, key=lambda loop: tops[loop]))
+
+
+def _common_rows(regions: Sequence[WallRegion]) -> tuple[float, float]:
+    """The dampings between which all regions may have a wall."""
+    tops = [region.outline[:, 1] for region in regions]
+    return max(top.min() for top in tops), min(top.max() for top in tops)
+
+
+def _common_limits(regions: Sequence[WallRegion], rows: Rows) -> tuple[Rows, Rows]:
+    """The ends of the widest interval of stiffness that all regions have in each row."""
+    shared = reduce(_shared, (region.stiffness_intervals(rows) for region in regions))
+    if not shared.shape[1]:
+        return np.full(len(rows), np.inf), np.full(len(rows), -np.inf)
+    shared = np.where(np.isnan(shared), [np.inf, -np.inf], shared)
+    widest = np.argmax(shared[..., 1] - shared[..., 0], axis=1)
+    left, right = shared[np.arange(len(rows)), widest].T
+    return left, right
+
+
+def _shared(mine: Intervals, other: Intervals) -> Intervals:
+    """The intervals that two sets of intervals share; NaN for none."""
+    low = np.maximum(mine[:, :, None, 0], other[:, None, :, 0])
+    high = np.minimum(mine[:, :, None, 1], other[:, None, :, 1])
+    both = np.where((low < high)[..., None], np.stack([low, high], axis=-1), np.nan)
+    shared = both.reshape(len(mine), low.shape[1] * low.shape[2], 2)
+    return shared[:, ~np.isnan(shared[..., 0]).all(axis=0)]

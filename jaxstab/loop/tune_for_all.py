@@ -1,0 +1,169 @@
+"""The wall that settles fastest, at worst, over several loops: a search on grids."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float64
+
+from jaxstab.conventions import Excitation
+from jaxstab.loop.many import in_floats
+from jaxstab.model.loop import as_one
+from jaxstab.motion.settling import checked_level
+from jaxstab.numbers import checked_number
+from jaxstab.tuning import TuningStatus
+from jaxstab.tuning.gains import Grid
+
+if TYPE_CHECKING:  # alone: other loops are refused by sentences, not by the types
+    from jaxstab.loop.loop import HapticLoop
+
+_POINTS = 25  # on an axis of the first grid
+_ZOOMS = 4
+_FIRST_HORIZON, _MOST = 64, 2**15  # samples within which a wall must have settled
+_LONGER = 8
+
+Walls = Float64[np.ndarray, " wall"]
+
+
+class CommonWall(NamedTuple):
+    """A wall for several loops.
+
+    Attributes:
+        stiffness: K in N/m.
+        damping: B in N s/m.
+        settling_time: the longest of the loops' settling times in s, each of them proved; infinite
+            if no wall was found.
+        slowest: the loop that takes longest.
+        status: SCANNED or NO_STABLE_GAINS.
+
+    Example:
+        >>> light = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+        >>> heavy = jaxstab.HapticLoop(device_mass=0.12, device_damping=1.5, sample_time=1e-3)
+        >>> wall = jaxstab.tune_for_all([light, heavy])
+        >>> wall.slowest is heavy or wall.slowest is light, wall.status.name
+        (True, 'SCANNED')
+    """
+
+    stiffness: float
+    damping: float
+    settling_time: float
+    slowest: "HapticLoop"
+    status: TuningStatus
+
+
+def tune_for_all(
+    loops: "Sequence[HapticLoop]",
+    *,
+    stiffness: float | None = None,
+    level: float = 0.02,
+    excitation: Excitation = "force",
+) -> CommonWall:
+    """The wall whose longest settling time over several loops is the shortest one found.
+
+    The answer holds for these loops alone: give the corners of your ranges of hands, masses and
+    delays, and some loops between. Walls have K >= 0 and B >= 0. The search covers the stable
+    component of the first loop that contains small gains. Among walls that are equally fast at
+    worst, the one that is fastest on average is returned. That no other wall is faster is not
+    proved.
+
+    Args:
+        loops: at least one.
+        stiffness: K in N/m if it is given; only the damping is then chosen.
+        level: half width of the band of the settling time, between 0 and 1.
+        excitation: what the settling time refers to, see ``jaxstab.settling_samples``.
+
+    Raises: see ``jaxstab.conventions``; ValueError also if there is no loop, or for an unknown
+    word.
+
+    Source: the loop of eqs. (1)-(5); settling as in later papers of Hulin, Preusche, Hirzinger.
+
+    Example:
+        >>> loops = [
+        ...     jaxstab.HapticLoop(device_mass=mass, device_damping=1.5, sample_time=1e-3)
+        ...     for mass in (0.09, 0.1, 0.11)
+        ... ]
+        >>> wall = jaxstab.tune_for_all(loops)
+        >>> max(float(loop.settling_time(*wall[:2]).value) for loop in loops) == wall.settling_time
+        True
+    """
+    if not loops:
+        raise ValueError("loops is empty; give at least one loop.")
+    loops = [in_floats(loop) for loop in loops]
+    level = checked_level(level, excitation)
+    grid = _first_grid(loops[0], stiffness)
+    nothing = CommonWall(np.nan, np.nan, np.inf, loops[0], TuningStatus.NO_STABLE_GAINS)
+    if grid is None:
+        return nothing
+    horizon, best, times = _FIRST_HORIZON, (np.nan, np.nan), np.full(len(loops), np.inf)
+    for zoom in range(_ZOOMS + 1):
+        walls = [np.ravel(gains) for gains in np.broadcast_arrays(*grid.points)]
+        region = loops[0].region()
+        is_reached = np.asarray(region.reachable.contains(*walls))
+        walls = [gains[is_reached] for gains in walls]
+        settling = _times(loops, walls, times.max(), level, excitation, horizon)
+        while not np.isfinite(settling.max(axis=0)).any() and zoom == 0 and horizon < _MOST:
+            horizon *= _LONGER
+            settling = _times(loops, walls, times.max(), level, excitation, horizon)
+        if settling.shape[1]:
+            index = int(np.lexsort((settling.mean(axis=0), settling.max(axis=0)))[0])
+            value = settling[:, index]
+            if (value.max(), value.mean()) < (times.max(), times.mean()):
+                times, best = value, (float(walls[0][index]), float(walls[1][index]))
+        if not np.isfinite(times.max()):
+            return nothing
+        grid = grid.around(best)
+    slowest = loops[int(np.argmax(times))]
+    return CommonWall(*best, float(times.max()), slowest, TuningStatus.SCANNED)
+
+
+def settling_times(
+    loops: "Sequence[HapticLoop]",
+    stiffness: float,
+    damping: float,
+    level: float = 0.02,
+    excitation: Excitation = "force",
+) -> Float64[np.ndarray, " loop"]:
+    """Return the settling time of one wall in s for each loop; infinite where none is proved."""
+    controllers = {(loop.sample_time, loop.velocity, loop.position) for loop in loops}
+    options: dict[str, Any] = {"level": level, "excitation": excitation, "horizon": _MOST}
+    if len(controllers) == 1 and all(loop.body is not None for loop in loops):
+        loops = [as_one(loops)]
+    settling = [loop.settling_time(stiffness, damping, **options).value for loop in loops]
+    return np.nan_to_num(np.hstack(settling), nan=np.inf, posinf=np.inf)
+
+
+def _first_grid(loop: "HapticLoop", stiffness: float | None) -> Grid | None:
+    """A grid that spans the walls of the stable component that contains small gains."""
+    outline = loop.region().reachable.outline
+    if not len(outline):
+        return None
+    if stiffness is not None:
+        stiffness = float(checked_number("stiffness", stiffness, 0.0))
+    return Grid.over_walls(outline, _POINTS, stiffness)
+
+
+def _times(
+    loops: "Sequence[HapticLoop]",
+    walls: list[Walls],
+    longest: float,
+    level: float,
+    excitation: Excitation,
+    horizon: int,
+) -> Float64[np.ndarray, "loop wall"]:
+    """Settling times in s; infinite where none is proved, or one is longer than allowed."""
+    times = np.full((len(loops), len(walls[0])), np.inf)
+    hopeful = np.arange(len(walls[0]))
+    for index, loop in enumerate(loops):
+        stiffness, damping = (gains[hopeful] for gains in walls)
+        settling = loop.settling_time(
+            stiffness, damping, level=level, excitation=excitation, horizon=horizon
+        )
+        value = np.asarray(settling.value)
+        value = np.where(value <= longest, value, np.inf)  # NaN is not proved
+        times[index, hopeful] = value
+        hopeful = hopeful[np.isfinite(value)]
+        if not len(hopeful):
+            times[index:] = np.inf
+            break
+    times[:, ~np.isfinite(times.max(axis=0))] = np.inf
+    return times
