@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from jaxstab import HapticLoop, Velocity, trace_boundary
 from jaxstab.pictures.style import BLACK, BLUE, ORANGE
 from jaxstab.region.pieces import Branch
-from jaxstab.results import BoundaryTrace
+from jaxstab.results import BoundaryTrace, TraceStatus
 
 PICTURE = Path(__file__).resolve().parents[1] / "docs" / "traces.png"
 DEVICE = {"device_mass": 0.25, "device_damping": 0.1, "sample_time": 1e-3}
@@ -41,7 +41,7 @@ def main(small: bool) -> int:
         seconds = process_time() - start
         apart = differences(trace, velocity, rng, 4 if small else 50)
         wrong += int(np.sum(~(apart < _RIGHT)))
-        state = "complete" if trace.complete else f"{len(trace.unresolved)} boxes unresolved"
+        state = f"{np.mean(trace.status == TraceStatus.CONVERGED):.0%} converged"
         print(
             f"{name}: {len(trace.points)} points, {state}, {seconds:.1f} CPU s; "
             f"largest difference from limits {np.max(apart):.1e}"

@@ -1,29 +1,32 @@
-"""The boundary in any plane of two quantities, complete without seeds.
+"""The boundary in any plane of two quantities, to the resolution of a grid.
 
-1. The window times the angles [0, pi] is halved into boxes; those proved free of roots on the
-   circle are dropped (``proofs.exclusion``).
-2. From a box that is left, a point of the boundary is solved for and its branch followed both ways
-   by pseudo-arclength steps, until every box left lies at a branch; others are halved further.
-3. Boxes that can be neither excluded nor explained are returned as unresolved.
+1. At each node of a grid over the window, the roots of p(z) outside of the unit circle are counted
+   by the recursion of Schur and Cohn (``point.fields``). The signs of p(1) and p(-1) tell how many
+   of them, modulo 2, are real and beyond 1 or -1; the others are pairs. So there are three counts,
+   and each of them changes where one kind of root crosses the circle: a pair, or a real root at 1
+   or at -1.
+2. The contour lines of a count pass between nodes that differ in it. Their vertices lie on edges of
+   the grid, and in a few halvings the change of count is bracketed on each edge.
+3. On its edge each vertex is solved for, with the angle of its root, by optimistix: one program for
+   all vertices of all traces and for every plane.
 
-So every wall of the window with a root on the unit circle lies within two resolutions of a point
-of the trace or of an unresolved box.
-
-Points are solved for by optimistix, in one program for every plane; its lanes are the branches, of
-one trace or of several, that are followed at the same time. The boxes are computed by NumPy.
+What lies between two nodes without a change of count is not seen: nothing is said to be complete. A
+vertex that Newton's method does not reach stays in the middle of its bracket, and its status says
+so. Counts are taken on a circle that is a little larger than the unit circle, so that nodes exactly
+on a boundary, as those of a hand without stiffness at alpha = 0, have one, too.
 """
 
-from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import cache, partial
-from math import inf, pi, prod
+from functools import cache
+from math import ceil, inf, pi, prod, sqrt
 from typing import Any, NamedTuple, overload
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int8, Int64
+from contourpy import contour_generator
+from jaxtyping import Bool, Complex128, Float64, Int8, Int64
 
-from jaxstab.arrays import Array, Numbers, is_traced, namespace, take
+from jaxstab.arrays import Array, Numbers, is_traced, namespace
 from jaxstab.batches import lists
 from jaxstab.boxes.search import ParameterBox, Proof, excluded, joined
 from jaxstab.conventions import AXES, Status
@@ -33,15 +36,15 @@ from jaxstab.model import (
     Velocity,
     by_name,
     characteristic_polynomial,
-    companion_matrix,
 )
 from jaxstab.model.filters import Filters, as_keywords, known_filters
 from jaxstab.numbers import checked, checked_number, require_x64
-from jaxstab.proofs.exclusion import Loops, exclude
+from jaxstab.point.fields import UNKNOWN, poles_outside
 from jaxstab.proofs.filters import Responses
 from jaxstab.proofs.plant import circle_equations, quick_slice
 from jaxstab.region.closed_form import SliceCoefficients, slice_coefficients
 from jaxstab.region.pieces import Branch
+from jaxstab.rounding import UNIT
 
 # Planes of two quantities: how the five dimensionless parameters follow from them (Table I).
 #
@@ -197,130 +200,191 @@ def _checked(name: str, value: Numbers) -> Float64[np.ndarray, "*values"]:
     return np.asarray(checked(name, value, least, is_open=is_open))
 
 
-def corner_ranges(
-    plane: Monomials, center: Float64[np.ndarray, "boxes 2"], half: Float64[np.ndarray, "boxes 2"]
-) -> tuple[
-    Float64[np.ndarray, "5 boxes"], Float64[np.ndarray, "5 boxes"], Float64[np.ndarray, "2 5 boxes"]
-]:
-    """Return the parameters at the centers of boxes, radii that cover them, and those by axis."""
-    sides = [
-        [plane.raised(axis, center[:, axis] + side * half[:, axis]) for side in (-1, 0, 1)]
-        for axis in (0, 1)
+# Counts of roots outside of the circle, and the edges of a grid on which they change.
+
+Points = Float64[np.ndarray, "point 2"]  # of the window's unit square
+Counts = Int64[np.ndarray, "4 *point"]  # by ``Branch``: pairs, real roots beyond 1, -1; all
+
+_CIRCLE = 1.0 + 2.0**-30  # roots beyond it are counted
+_AT_ONCE, _FEW = 1 << 14, 1 << 9  # polynomials that are held in memory, and many values of each
+_ANGLES, _PER_TURN = 1 << 12, 64  # on the circle, at least; of a turn of z^n
+_HALVINGS = 8  # of the edges: a change of count is then known to 1/256 of one
+
+
+class Edges(NamedTuple):
+    """Edges of grids from an end where a count is below a level to one where it is above.
+
+    shares: between which shares of the edge the count passes the level.
+    edge: True where the loops on one side are stable.
+    """
+
+    trace: Int64[np.ndarray, " edge"]
+    piece: Int64[np.ndarray, " edge"]
+    branch: Int8[np.ndarray, " edge"]
+    level: Float64[np.ndarray, " edge"]
+    ends: Float64[np.ndarray, "edge 2 2"]
+    shares: Float64[np.ndarray, "edge 2"]
+    edge: Bool[np.ndarray, " edge"]
+
+    def at(self, share: Float64[np.ndarray, " edge"]) -> Points:
+        """Return the points at shares of the way between the ends."""
+        points: Points = self.ends[:, 0] + share[:, None] * (self.ends[:, 1] - self.ends[:, 0])
+        return points
+
+
+def polynomials(
+    maps: Monomials, positions: Points, filters: Filters | None
+) -> Float64[np.ndarray, "point coefficient"]:
+    """Return the coefficients of p(z), highest power first."""
+    alpha, beta, *plant = maps.parameters(positions)
+    coefficients: Float64[np.ndarray, "point coefficient"] = characteristic_polynomial(
+        alpha, beta, **by_name(*np.maximum(plant, 0.0)), **as_keywords(filters)
+    )
+    return coefficients
+
+
+def on_circle(
+    falling: Float64[np.ndarray, "point coefficient"],
+) -> Complex128[np.ndarray, "point angle"]:
+    """Return p(z) / z^n at angles from 0 to pi."""
+    values: Complex128[np.ndarray, "point angle"]
+    values = np.fft.rfft(falling, max(_ANGLES, _PER_TURN * falling.shape[1]))
+    return values
+
+
+def counted(maps: Monomials, positions: Points, filters: Filters | None) -> Counts:
+    """Count the roots outside of the circle, by their kind and in all."""
+    parts = []
+    for rows in np.array_split(np.arange(len(positions)), 1 + len(positions) // _AT_ONCE):
+        own = maps.select(rows) if maps.factor.shape[1] > 1 else maps
+        falling = polynomials(own, positions[rows], filters)
+        powers = np.arange(falling.shape[1])
+        scaled = falling * _CIRCLE ** -powers.astype(float)
+        columns = list(scaled.T)
+        outside = poles_outside(columns, 4.0 * UNIT * sum(map(abs, columns))).astype(np.int64)
+        unknown = np.flatnonzero(outside == UNKNOWN)
+        for few in np.array_split(unknown, 1 + len(unknown) // _FEW):
+            values = on_circle(scaled[few])  # their phase turns back once for each root outside
+            turns = np.angle(values[:, 1:] * values[:, :-1].conj()).sum(axis=1) / pi
+            outside[few] = -np.round(turns).astype(int)
+        plus, minus = scaled.sum(axis=1) < 0.0, scaled @ (-1.0) ** powers < 0.0
+        parts.append(np.stack([(outside - plus - minus) // 2, plus, minus, outside]))
+    return np.concatenate(parts, axis=1)
+
+
+def crossed_edges(maps: Monomials, trace: int, filters: Filters | None, cells: int) -> Edges:
+    """Return the edges of a grid of squares that the branches of one trace cross, in order."""
+    nodes = np.linspace(0.0, 1.0, cells + 1)
+    grid = np.stack(np.meshgrid(nodes, nodes), axis=-1)
+    counts = counted(maps, grid.reshape(-1, 2), filters).reshape(4, *grid.shape[:2])
+    lines: list[tuple[Branch, float, Any]] = [
+        (branch, level, line)
+        for branch in Branch
+        for level in (np.arange(counts[branch].min(), counts[branch].max()) + 0.5).tolist()
+        for line in contour_generator(z=counts[branch]).lines(level)
     ]
+    sizes = [len(line) for *_, line in lines]
+    places = np.concatenate([np.zeros((0, 2)), *(line for *_, line in lines)])
+    branch = np.repeat(np.array([line[0] for line in lines], np.int8), sizes)
+    level = np.repeat(np.array([line[1] for line in lines]), sizes)
+    # A vertex lies on an edge along one axis: along the other one its place is a whole number.
+    whole = np.round(places)
+    is_whole = np.abs(places - whole) < 1e-6
+    lower, upper = (np.where(is_whole, whole, to(places)) for to in (np.floor, np.ceil))
+    column, row = lower.astype(int).T
+    is_falling = (counts[branch, row, column] > level)[:, None]
+    ends = np.where(is_falling, [upper, lower], [lower, upper]) / cells
+    count = len(places)
+    return Edges(
+        trace=np.full(count, trace),
+        piece=np.repeat(np.arange(len(lines)), sizes),
+        branch=branch,
+        level=level,
+        ends=np.swapaxes(ends, 0, 1),
+        shares=np.tile([0.0, 1.0], (count, 1)),
+        edge=np.zeros(count, bool),
+    )
 
-    def parameters(x_side: int, y_side: int) -> Float64[np.ndarray, "5 boxes"]:
-        values: Float64[np.ndarray, "5 boxes"]
-        values = plane.factor.reshape(5, -1) * sides[0][x_side + 1] * sides[1][y_side + 1]
-        return values
 
-    middle = parameters(0, 0)
-    corners = np.stack([parameters(x, y) for x in (-1, 1) for y in (-1, 1)])
-    along_x = np.maximum(np.abs(parameters(-1, 0) - middle), np.abs(parameters(1, 0) - middle))
-    along_y = np.maximum(np.abs(parameters(0, -1) - middle), np.abs(parameters(0, 1) - middle))
-    radius = np.max(np.abs(corners - middle), axis=0) * (1 + 1e-12)
-    return middle, radius, np.stack([along_x, along_y])
+def halved(maps: Monomials, edges: Edges, filters: Filters | None) -> Edges:
+    """Narrow the shares between which counts change; leave out pairs that are two real roots.
+
+    Where a real root crosses to the inside while another one stays outside, the count of pairs
+    changes as well.
+    """
+    if not len(edges.trace):
+        return edges
+    below, above = edges.shares.T
+    rows, maps = np.arange(len(below)), maps.select(edges.trace)
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (below + above)
+        counts = counted(maps, edges.at(middle), filters)
+        is_above = counts[edges.branch, rows] > edges.level
+        below, above = np.where(is_above, below, middle), np.where(is_above, middle, above)
+    sides = [counted(maps, edges.at(share), filters) for share in (below, above)]
+    is_real = np.any(sides[0][1:3] != sides[1][1:3], axis=0)
+    is_kept = (edges.branch != Branch.CURVE) | ~is_real
+    narrowed = edges._replace(
+        piece=edges.piece + np.cumsum(~is_kept),  # a line is cut where vertices are left out
+        shares=np.stack([below, above], axis=1),
+        edge=np.minimum(sides[0][3], sides[1][3]) == 0,
+    )
+    return Edges(*(column[is_kept] for column in narrowed))
 
 
-# Branches of the boundary in any plane: pseudo-arclength steps, corrected by Newton's method.
+# Points of the boundary on edges, by Newton's method.
 #
-# Unknown is u = (x, y, theta / pi) in the unit cube. On a branch of a pair of roots two equations
-# hold (``circle_equations``), on the branch of a real root Re g = 0 and theta = 0 or pi. A step
-# along the tangent is corrected in the plane across it, so folds in x or y are nothing special.
-# Each branch is followed in one lane, and a step of all lanes is one call of a program
-# that is compiled once: the plane, its window and the fixed quantities are arguments of it.
+# Unknown are the share s of the edge and theta / pi. Where a pair crosses, two equations hold
+# (``circle_equations``); where a real root does, Re g = 0 and theta = 0 or pi. Each edge is a lane
+# of a program that is compiled once: the plane, its window and the fixed quantities are arguments.
 
-Points = Float64[np.ndarray, "points 3"]
+_CONVERGED = 1e-9  # of an edge, and of pi
+_DIFFERENCE = 2.0**-25  # of the same: derivatives are then good to about 1e-7
+_MOST_STEPS = 16
+_BEYOND = 0.01  # of an edge: how far the larger circle may move a bracket
+_LANES = 512  # are compiled, nothing else
 
-Rows = Float64[np.ndarray, "points 2 3"]
-
-_CONVERGED = 1e-9  # of the unit cube: distance to both equations and the last Newton step
-_MOST_STEPS = 8
-_DIFFERENCE = 2.0**-25  # of the unit cube: derivatives are then good to about 1e-7
-_STRAIGHT = 0.985  # cosine between tangents: grow the step
-_BENT = 0.94  # shrink it
-_SHORTEST = 1e-7
-_ON_FACE = 1e-12
-_MOST_POINTS = 20_000
-_MOST_LANES, _FEWEST_LANES = 512, 64  # both are compiled, nothing else
+Rows = Float64[np.ndarray, "edge 2 2"]
 
 
-class Lanes(NamedTuple):
-    """The trace and the kind of branch of each point, and the filters of all."""
-
-    maps: Monomials
-    branch: Int8[Array, " points"]
-    responses: Responses
-
-    def select(self, chosen: Int64[np.ndarray, " chosen"]) -> "Lanes":
-        """Return chosen lanes."""
-        return Lanes(self.maps.select(chosen), self.branch[chosen], self.responses)
-
-
-class Corrected(NamedTuple):
-    """Points, the derivatives of both equations there, and whether Newton's method converged."""
-
-    position: Points
-    rows: Rows
-    converged: Bool[np.ndarray, " points"]
-
-    @property
-    def tangent(self) -> Points:
-        """The unit tangents of the branches."""
-        along = np.cross(self.rows[:, 0], self.rows[:, 1])
-        unit: Points = along / np.linalg.norm(along, axis=1, keepdims=True)
-        return unit
-
-
-class Path(NamedTuple):
-    """Points along a branch, the derivatives there, and how it goes on at its two ends."""
-
-    points: Points
-    rows: Rows
-    stalled: tuple[bool, bool]
-
-
-def _values(c: SliceCoefficients, alpha: Array, beta: Array, turn: Array, lanes: Lanes) -> Array:
+def _values(
+    c: SliceCoefficients, gains: tuple[Array, Array], turn: Array, branch: Array, filters: Responses
+) -> Array:
     """Return the two equations of a branch at gains and theta / pi: (2, ...)."""
-    xp = namespace(c, alpha)
-    is_pair, end = lanes.branch == Branch.CURVE, 1.0 * (lanes.branch == Branch.Z_MINUS_ONE)
+    xp = namespace(c, gains)
+    is_pair, end = branch == Branch.CURVE, 1.0 * (branch == Branch.Z_MINUS_ONE)
     theta = pi * xp.where(is_pair, turn, end)
-    real, imaginary = circle_equations(c, alpha, beta, theta, lanes.responses)
+    real, imaginary = circle_equations(c, *gains, theta, filters)
     return xp.stack([real, xp.where(is_pair, imaginary, turn - end)])
 
 
 @cache
 def _corrector() -> Callable[..., tuple[Array, Array, Array]]:
-    """Return the compiled program that solves for a point of a branch in each lane."""
+    """Return the compiled program that solves for the point on the edge of each lane."""
     import jax
     import jax.numpy as jnp
     import lineax
     import optimistix
 
     newton: Any = optimistix.Newton(rtol=0.0, atol=_CONVERGED)
-    shift = _DIFFERENCE * np.eye(4, 3, -1)
+    shift = _DIFFERENCE * np.eye(3, 2, -1)
 
-    def equations(u: Array, lanes: Lanes) -> tuple[Array, Array]:
-        moved = u + shift
-        alpha, beta, *plant = lanes.maps.parameters(moved[:, :2])
-        value = _values(quick_slice(*plant), alpha, beta, moved[:, 2], lanes)
-        return value[:, 0], (value[:, 1:] - value[:, :1]) / _DIFFERENCE
-
-    def correct(guess: Array, normal: Array, lanes: Lanes) -> tuple[Array, Array, Array]:
+    def correct(
+        start: Array, ends: Array, branch: Array, maps: Monomials, filters: Responses
+    ) -> tuple[Array, Array, Array]:
         def residual(u: Array, _: None) -> tuple[Array, Array]:
             here = jax.lax.stop_gradient(u)
-            value, rows = equations(here, lanes)
-            row, other = rows
-            along = jnp.cross(row, other)
-            across = jnp.where(jnp.any(normal != 0.0), normal, along)
-            sides = jnp.stack([jnp.cross(other, across), jnp.cross(across, row), along])
-            distance = jnp.append(value, normal @ (here - guess))
+            share, turn = (here + shift).T
+            alpha, beta, *plant = maps.parameters(ends[0] + share[:, None] * (ends[1] - ends[0]))
+            value = _values(quick_slice(*plant), (alpha, beta), turn, branch, filters)
+            rows = (value[:, 1:] - value[:, :1]) / _DIFFERENCE
             # The derivatives are at hand: solved for, the equations have those of u itself.
-            return (u - here) + distance @ sides / (across @ along), rows
+            return (u - here) + jnp.stack(_solution(rows, value[:, 0])), rows
 
         solution: Any = optimistix.root_find(
             residual,
             newton,
-            guess,
+            start,
             has_aux=True,
             max_steps=_MOST_STEPS,
             throw=False,
@@ -329,8 +393,8 @@ def _corrector() -> Callable[..., tuple[Array, Array, Array]]:
         return solution.value, solution.aux, solution.result == optimistix.RESULTS.successful
 
     # What is not of each lane is of the plane.
-    of_lane: Any = Lanes(Monomials(1, None, None, None), 0, None)  # type: ignore[arg-type]
-    program = jax.jit(jax.vmap(correct, in_axes=(0, 0, of_lane)))
+    of_lane: Any = 0, 0, 0, Monomials(1, None, None, None), None
+    program = jax.jit(jax.vmap(correct, in_axes=of_lane))
 
     def in_float64(*arguments: Any) -> tuple[Array, Array, Array]:
         with jax.enable_x64(True):
@@ -340,144 +404,54 @@ def _corrector() -> Callable[..., tuple[Array, Array, Array]]:
     return in_float64
 
 
-def correct(guess: Points, normal: Points, lanes: Lanes) -> Corrected:
-    """Solve for points of branches in the planes through ``guess`` across ``normal``.
+def _solution(rows: Array, value: Array) -> tuple[Array, Array]:
+    """Solve two linear equations, by Cramer's rule."""
+    (a, b), (c, d) = rows
+    determinant = a * d - b * c
+    return (d * value[0] - b * value[1]) / determinant, (a * value[1] - c * value[0]) / determinant
 
-    Where the normal is 0, each step goes to the nearest point of the linearised equations.
-    """
+
+def solved(
+    maps: Monomials, edges: Edges, filters: Filters | None
+) -> tuple[Points, Float64[np.ndarray, " edge"], Bool[np.ndarray, " edge"]]:
+    """Return shares of edges and theta / pi, |g| there, and where Newton's method converged."""
+    if not len(edges.trace):
+        return np.zeros((0, 2)), np.zeros(0), np.zeros(0, bool)
+    start, responses = _starts(maps, edges, filters), Responses.from_filters(filters)
     parts = []
-    for chunk, filled in lists(np.arange(len(guess)), _MOST_LANES, _FEWEST_LANES):
-        answer = _corrector()(guess[filled], normal[filled], lanes.select(filled))
-        parts.append([column[: chunk.size] for column in answer])
-    return Corrected(*map(np.concatenate, zip(*parts, strict=True)))
-
-
-def polish(
-    points: Points, rows: Rows, lanes: Lanes
-) -> tuple[Points, Float64[np.ndarray, " points"]]:
-    """Correct points once more with plant coefficients of full accuracy; also return |g| there."""
-    across = np.swapaxes(rows, 1, 2)
-    for _ in range(2):  # steps of least length; the residual is the one before the last
-        alpha, beta, *plant = lanes.maps.parameters(points[:, :2])
+    for chunk, filled in lists(np.arange(len(start)), _LANES):
+        lanes = start[filled], edges.ends[filled], edges.branch[filled], maps.select(filled)
+        parts.append([column[: chunk.size] for column in _corrector()(*lanes, responses)])
+    u, rows, is_solved = map(np.concatenate, zip(*parts, strict=True))
+    farthest = np.ptp(edges.shares, axis=1) + _BEYOND
+    is_solved &= np.abs(u[:, 0] - start[:, 0]) <= farthest
+    is_solved &= np.abs(u[:, 1] - 0.5) <= 0.5 + _CONVERGED
+    u = np.where(is_solved[:, None], u, start)
+    for _ in range(3):  # with plants of full accuracy; the last step is less than rounding
+        alpha, beta, *plant = maps.parameters(edges.at(u[:, 0]))
         gamma, delta, delay = (np.maximum(value, 0.0) for value in plant)
-        c = slice_coefficients(gamma, delta, delay, np.ones(len(points)))
-        value = _values(c, alpha, beta, points[:, 2], lanes).T[..., None]
-        points = points - (across @ np.linalg.solve(rows @ across, value))[..., 0]
-    return points, np.linalg.norm(value[..., 0], axis=1)
+        c = slice_coefficients(gamma, delta, delay, np.ones(len(u)))
+        value = _values(c, (alpha, beta), u[:, 1], edges.branch, responses)
+        step = np.stack(_solution(np.moveaxis(rows, 0, -1), value), axis=1)
+        u = np.where(is_solved[:, None], u - step, u)
+    return u, np.linalg.norm(value, axis=0), is_solved
 
 
-def follow(starts: Corrected, lanes: Lanes, longest: float) -> list[Path]:
-    """Return the whole branch through each start, as far as it lies in the unit cube.
-
-    Steps are at most ``longest``; they are halved where the branch bends. A path stalls where even
-    the shortest step fails: at a point where branches meet without a common direction.
-    """
-    count = len(starts.position)
-    both = np.tile(np.arange(count), 2)
-    sign = np.repeat([1.0, -1.0], count)[:, None]
-    walks = _walk(starts.position[both], sign * starts.tangent[both], lanes.select(both), longest)
-    paths = []
-    for start, ahead, back in zip(range(count), walks, walks[count:], strict=False):
-        points, rows = starts.position[start, None], starts.rows[start, None]
-        if ahead.closed:
-            points = np.concatenate([points, ahead.points[:-1], points])
-            rows = np.concatenate([rows, ahead.rows[:-1], rows])
-            paths.append(Path(points, rows, (False, False)))
-        else:
-            points = np.concatenate([back.points[::-1], points, ahead.points])
-            rows = np.concatenate([back.rows[::-1], rows, ahead.rows])
-            paths.append(Path(points, rows, (back.stalled, ahead.stalled)))
-    return paths
-
-
-class _Walk(NamedTuple):
-    """The points behind a start, and how they end."""
-
-    points: Points
-    rows: Rows
-    stalled: bool
-    closed: bool
-
-
-def _walk(start: Points, start_tangent: Points, lanes: Lanes, longest: float) -> list[_Walk]:
-    """Follow branches from points on them, one way, all a step at a time."""
-    count = len(start)
-    here, tangent, normal = start.copy(), start_tangent.copy(), start_tangent.copy()
-    step = np.full(count, longest / 4)
-    guess, farthest = here + step[:, None] * tangent, 2 * step
-    lands, exited, closed, stalled = np.zeros((4, count), bool)
-    steps = np.zeros(count, int)
-    history: list[tuple[Int64[np.ndarray, " lanes"], Points, Rows]] = []
-    while True:
-        i = np.flatnonzero(~exited & ~closed & ~stalled & (steps < _MOST_POINTS))
-        if not i.size:
-            break
-        solved = correct(guess[i], normal[i], lanes.select(i))
-        there, move = solved.position, solved.position - here[i]
-        length = np.linalg.norm(move, axis=1)
-        cosine = np.sum(solved.tangent * tangent[i], axis=1)
-        usable = solved.converged & (length < farthest[i]) & (lands[i] | (np.abs(cosine) >= _BENT))
-        face, landing = _first_face(here[i], there)
-        crosses = usable & ~lands[i] & (face >= 0)
-        is_new = usable & ~crosses
-        again = is_new & ~lands[i] & (steps[i] > 1)
-        again &= _passes(start[i], start_tangent[i], here[i], there)
-        exited[i], closed[i], steps[i] = is_new & lands[i], again, steps[i] + is_new
-        new = i[is_new]
-        history.append((new, there[is_new], solved.rows[is_new]))
-        here[new] = there[is_new]
-        tangent[new] = (np.copysign(1.0, cosine)[:, None] * solved.tangent)[is_new]
-        grows = is_new & (np.abs(cosine) > _STRAIGHT)
-        step[i] = np.where(grows, np.minimum(longest, 1.5 * step[i]), step[i])
-        step[i[~usable]] /= 2
-        stalled[i] = ~usable & (step[i] < _SHORTEST)
-        # Where a step leaves the cube, the next one lands on the face.
-        lands[i] = crosses
-        ahead = here[i] + step[i, None] * tangent[i]
-        guess[i] = np.where(crosses[:, None], landing, ahead)
-        normal[i] = np.where(crosses[:, None], np.eye(3)[face], tangent[i])
-        farthest[i] = 2 * np.where(crosses, length, step[i])
-    lane, points, rows = (np.concatenate(column) for column in zip(*history, strict=True))
-    order, ends = np.argsort(lane, kind="stable"), np.cumsum(steps)[:-1]
-    columns = (np.split(column[order], ends) for column in (points, rows))
-    walks = zip(*columns, stalled.tolist(), closed.tolist(), strict=True)
-    return [_Walk(*walk) for walk in walks]
-
-
-def _first_face(here: Points, there: Points) -> tuple[Int64[np.ndarray, " points"], Points]:
-    """Return the axis of the first face of the unit cube between points, or -1, and where it is."""
-    beyond = (there < -_ON_FACE) | (there > 1.0 + _ON_FACE)
-    value = np.where(there > 0.5, 1.0, 0.0)
-    share = np.where(beyond, (value - here) / np.where(beyond, there - here, 1.0), np.inf)
-    axis = np.argmin(share, axis=1)
-    rows = np.arange(len(axis))
-    landing = here + share[rows, axis][:, None] * (there - here)
-    landing[rows, axis] = value[rows, axis]
-    return np.where(beyond.any(axis=1), axis, -1), landing
-
-
-def _passes(
-    start: Points, start_tangent: Points, here: Points, there: Points
-) -> Bool[np.ndarray, " points"]:
-    """Tell whether the start of a path lies on this step of it, in the same direction."""
-    step, back = there - here, start - here
-    length = np.linalg.norm(step, axis=1)
-    along = np.sum(back * step, axis=1) / length**2
-    aside = np.linalg.norm(back - along[:, None] * step, axis=1)
-    aligned = np.sum(step * start_tangent, axis=1) > _BENT * length
-    passes: Bool[np.ndarray, " points"]
-    passes = (along > 0.0) & (along <= 1.0) & (aside < 0.2 * length) & aligned
-    return passes
-
-
-_COVER = 1.0  # resolutions: a box this near to a traced point is explained by it
-_REFINEMENTS = 4  # each to a quarter of the size before
-_KINDS = (Branch.Z_PLUS_ONE, Branch.Z_MINUS_ONE, Branch.CURVE)
-_MOST_BOXES = 60_000  # of a search, at once
-_PATIENCE = 4  # rounds without a start
-_MATRICES = 1024  # at once: those of long windows need 0.3 MB each
-_AT_ONCE = 64  # traces: as many fill the lanes, and their boxes the memory
-_ON_CIRCLE = 1e-7  # a modulus this little above 1 counts as 1 (corners are double roots)
+def _starts(maps: Monomials, edges: Edges, filters: Filters | None) -> Points:
+    """Return the middles of brackets and theta / pi of the pair that is next to the circle."""
+    share = edges.shares.mean(axis=1)
+    falling = polynomials(maps, edges.at(share), filters)
+    # z - p/p' at points of the circle is a root where that is close to them.
+    slope = on_circle(falling * np.arange(falling.shape[1])[::-1])
+    step = (on_circle(falling) / slope)[:, 1:-1]
+    z = np.exp(1j * np.linspace(0.0, pi, slope.shape[1]))[1:-1]
+    root, size = z - z * step, np.abs(step)
+    away = np.where(size < 2.0 * pi / slope.shape[1], np.abs(np.abs(root) - 1.0), size)
+    is_real = root.imag < 0.5 * z.imag
+    nearest = np.argmin(np.where(is_real, inf, away), axis=1)
+    turn = np.angle(root[np.arange(len(root)), nearest]) / pi
+    end = 1.0 * (edges.branch == Branch.Z_MINUS_ONE)
+    return np.stack([share, np.where(edges.branch == Branch.CURVE, turn, end)], axis=1)
 
 
 class TraceStatus(Status):
@@ -485,12 +459,12 @@ class TraceStatus(Status):
 
     Example:
         >>> [status.name for status in jaxstab.results.TraceStatus]
-        ['NOT_COMPUTED', 'CONVERGED', 'STALLED']
+        ['NOT_COMPUTED', 'CONVERGED', 'BRACKETED']
     """
 
     NOT_COMPUTED = 0, "not computed"
-    CONVERGED = 1, "Newton's method converged to full precision"
-    STALLED = 2, "the branch could not be followed beyond this point"
+    CONVERGED = 1, "on the boundary to full precision, which is complete to the resolution only"
+    BRACKETED = 2, "to the resolution: between loops of unlike numbers of unstable poles"
 
 
 @dataclass(frozen=True)
@@ -502,11 +476,9 @@ class BoundaryTrace:
         theta: angle of the root in [0, pi].
         branch: a ``Branch``.
         piece: number of the connected piece, counted from 0.
-        edge: True where no other root is outside, so that the point bounds the stable set.
+        edge: True where loops on one side of it are stable, so that it bounds the stable set.
         residual: the error of the two equations, in units of p(z) with leading coefficient 1.
         status: a ``TraceStatus``.
-        unresolved: boxes (k, 2, 2), lower and upper corner, that could neither be proved free nor
-            traced; ``complete`` says that there is none.
 
     Example:
         >>> window = (0.0, 0.2), (0.0, 0.8)
@@ -515,9 +487,6 @@ class BoundaryTrace:
         >>> trace
         BoundaryTrace(plane=('alpha', 'beta'), resolution=0.015625)
         >>> bool(trace.edge.any())
-        True
-        >>> window, hand = ((0.0, 0.1), (0.0, 0.5)), {"gamma": 0.0, "delta": 0.015, "delay": 1.0}
-        >>> jaxstab.trace_boundary(("alpha", "beta"), window, resolution=0.1, **hand).complete
         True
     """
 
@@ -530,12 +499,6 @@ class BoundaryTrace:
     edge: Bool[np.ndarray, " points"] = field(repr=False)
     residual: Float64[np.ndarray, " points"] = field(repr=False)
     status: Int8[np.ndarray, " points"] = field(repr=False)
-    unresolved: Float64[np.ndarray, "boxes 2 2"] = field(repr=False)
-
-    @property
-    def complete(self) -> bool:
-        """Whether the whole window is accounted for, to two resolutions."""
-        return len(self.unresolved) == 0
 
 
 @overload
@@ -586,21 +549,22 @@ def trace_boundary(
         velocity: estimator in place of that of the loop, in SI units in a physical plane and in
             units of one sample in a dimensionless one.
         position: filter in place of that of the loop, in the same units.
-        resolution: largest step along a branch and size of the smallest boxes, as a part of the
-            window (and of pi for theta), in [1e-3, 0.25].
+        resolution: largest distance of neighbours along a branch, as a part of the window, in
+            [1e-3, 0.25]. Roots outside of the circle are counted on a grid whose diagonals are not
+            longer.
         **fixed: a value for each other quantity of the same kind. Lists, all of one length, ask for
-            as many traces, which are solved for together, several times faster than one by one.
+            as many traces, which are solved for together.
 
     Returns:
-        BoundaryTrace, or a list of them where a fixed quantity is a list. In theory a closed branch
-        smaller than three resolutions may be missed where it lies next to another branch.
+        BoundaryTrace, or a list of them where a fixed quantity is a list. What is smaller than a
+        cell of the grid may be missed: a closed branch, a bend, or two branches side by side.
 
     Raises: see ``jaxstab.conventions``; ValueError also if a name is unknown, missing or doubled, a
     window empty, lists are of several lengths, or filters change with a sampling period that is an
     axis or a list; TypeError if the loop's device is not one mass.
 
-    Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) on the unit circle; pseudo-arclength
-    continuation (Keller 1977); exclusion boxes, ``exclude`` of jaxstab/proofs/exclusion.py.
+    Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) on the unit circle; counts of roots by
+    Schur (1917) and Cohn (1922).
 
     Example:
         >>> window = (0.0, 0.2), (0.0, 0.8)
@@ -622,175 +586,24 @@ def trace_boundary(
         velocity, position = velocity or loop.velocity, position or loop.position
     maps = monomials(plane, window, fixed)
     filters = _filters_of(plane, window, fixed, velocity, position)
-    count = maps.factor.shape[1]
-    traces: list[BoundaryTrace] = []
-    for chunk in np.array_split(np.arange(count), -(-count // _AT_ONCE)):
-        tracer = _Tracer(maps.select(chunk), filters, resolution)
-        with np.errstate(all="ignore"):  # what diverges is infinite or NaN
-            tracer.search()
-        traces += _gathered(plane, tracer)
-    return traces if any(map(np.ndim, fixed.values())) else traces[0]
-
-
-class _Tracer:
-    """The branches of some traces found so far, and the boxes that none of them explains.
-
-    A search is for the branches of one kind in one trace. Boxes have its index: three times that of
-    the trace, plus that of the kind.
-    """
-
-    def __init__(self, maps: Monomials, filters: Filters | None, resolution: float) -> None:
-        self.maps = maps
-        self.filters, self.responses = filters, Responses.from_filters(filters)
-        self.resolution = resolution
-        self.paths: list[list[tuple[Branch, Path]]] = [[] for _ in maps.factor.T]
-        self.unresolved: list[ParameterBox] = []
-
-    def search(self) -> None:
-        """Find all branches."""
-        turns = np.tile([[0.0, 1.0, 0.5], [0.0, 0.0, 0.5]], len(self.paths))
-        index = np.arange(3 * len(self.paths))
-        angle = turns[0], turns[1]
-        boxes = ParameterBox.from_axes(index, u=(0.5, 0.5), v=(0.5, 0.5), angle=angle)
-        smallest = 0.25 * self.resolution
-        for refinement in range(_REFINEMENTS + 1):
-            boxes = boxes.paved(self._proof, smallest, most_each=_MOST_BOXES).boxes
-            is_large = np.any(boxes.half > smallest, axis=1)
-            is_given_up = np.isin(boxes.index, boxes.index[is_large])
-            self.unresolved.append(boxes.select(is_given_up))
-            patience = _PATIENCE if refinement < _REFINEMENTS else inf
-            boxes = self._followed(boxes.select(~is_given_up), patience)
-            smallest /= 4
-        self.unresolved.append(boxes)
-
-    def _followed(self, boxes: ParameterBox, patience: int | float) -> ParameterBox:
-        """Follow the branches that start in boxes; return the boxes that none explains."""
-        # A search ends after ``patience`` rounds without a start; its boxes are halved first.
-        index, centers = boxes.index, boxes.center
-        searches, counts = np.unique(index, return_counts=True)
-        groups = np.split(np.argsort(index, kind="stable"), np.cumsum(counts))[:-1]
-        members = dict(zip(searches.tolist(), groups, strict=True))
-        is_open = np.ones(len(index), bool)
-        for search, own in members.items():
-            for _, path in self.paths[search // 3]:
-                is_open[own] &= ~self._are_near(centers[own], path.points)
-        is_candidate, idle = is_open.copy(), Counter[int]()
-        while is_candidate.any():
-            active = {search: own[is_candidate[own]] for search, own in members.items()}
-            active = {search: own for search, own in active.items() if own.size}
-            most = max(1, (_FEWEST_LANES if len(active) <= 8 else 8 * _MOST_LANES) // len(active))
-            samples = [own[:: -(-len(own) // most)] for own in active.values()]
-            chosen = np.concatenate(samples)
-            kinds = np.array(_KINDS, np.int8)[index[chosen] % 3]
-            lanes = Lanes(self.maps.select(index[chosen] // 3), kinds, self.responses)
-            starts = correct(centers[chosen], np.zeros((len(chosen), 3)), lanes)
-            is_start = starts.converged & np.all(np.abs(starts.position - 0.5) <= 0.5, axis=1)
-            ends = np.cumsum([sample.size for sample in samples])
-            for search, sample, end in zip(active, samples, ends.tolist(), strict=True):
-                tried = end - sample.size + np.flatnonzero(is_start[end - sample.size : end])
-                if not tried.size:
-                    continue
-                here = starts.position[tried]
-                is_start[tried] = self._are_near(here, centers[members[search]])
-                for _, path in self.paths[search // 3]:
-                    is_start[tried] &= ~self._are_near(here, path.points)
-            is_candidate[chosen[~is_start]] = False
-            idle.update(set(active) - set(index[chosen[is_start]].tolist()))
-            for search in active:
-                is_candidate[members[search]] &= idle[search] < patience
-            if is_start.any():
-                _, unique = np.unique(index[chosen[is_start]], return_index=True)
-                unique = np.flatnonzero(is_start)[unique]
-                begins = take(starts, unique)
-                followed = follow(begins, lanes.select(unique), self.resolution)
-                for search, path in zip(index[chosen[unique]].tolist(), followed, strict=True):
-                    self.paths[search // 3].append((_KINDS[search % 3], path))
-                    for other in range(search - search % 3, search - search % 3 + 3):
-                        own = members.get(other, index[:0])
-                        is_open[own] &= ~self._are_near(centers[own], path.points)
-                is_candidate &= is_open
-        return boxes.select(is_open)
-
-    def _are_near(
-        self, centers: Points, others: Float64[np.ndarray, "others 3"]
-    ) -> Bool[np.ndarray, " points"]:
-        """Return which points lie near one of others."""
-        squares, is_near = np.sum(centers**2, axis=1)[:, None], np.zeros(len(centers), bool)
-        for chunk in np.array_split(others, 1 + len(others) // 256):
-            away = squares + np.sum(chunk**2, axis=1) - 2.0 * centers @ chunk.T
-            is_near |= np.any(away < (_COVER * self.resolution) ** 2, axis=1)
-        return is_near
-
-    def _proof(self, boxes: ParameterBox) -> Proof:
-        maps = self.maps.select(boxes.index // 3)
-        middle, radius, by_axis = corner_ranges(maps, boxes.center[:, :2], boxes.half[:, :2])
-        theta, turn = pi * boxes.center[:, 2:].T, pi * boxes.half[:, 2:].T
-        moves = np.zeros((3, 6, turn.size))
-        moves[:2, :5], moves[2, 5] = by_axis, turn
-        center, radius = (np.concatenate(columns) for columns in ((middle, theta), (radius, turn)))
-        test = partial(exclude, filters=self.filters)
-        return excluded(test, Loops(*center), moves, Loops(*radius))
-
-
-def _gathered(plane: tuple[str, str], tracer: _Tracer) -> list[BoundaryTrace]:
-    """Return the traces, their points polished and judged all at once."""
-    maps, resolution = tracer.maps, tracer.resolution
-    paths = [path for of_trace in tracer.paths for path in of_trace]
-    sizes = [len(path.points) for _, path in paths]
-    counts = [len(of_trace) for of_trace in tracer.paths]
-    trace = np.repeat(np.repeat(np.arange(len(counts)), counts), sizes)
-    piece = np.repeat(np.concatenate([np.arange(count) for count in counts]), sizes)
-    branch = np.repeat(np.array([kind for kind, _ in paths], np.int8), sizes)
-    cloud = np.concatenate([np.zeros((0, 3)), *(path.points for _, path in paths)])
-    rows = np.concatenate([np.zeros((0, 2, 3)), *(path.rows for _, path in paths)])
-    status = np.full(len(cloud), TraceStatus.CONVERGED, np.int8)
-    for (_, path), end in zip(paths, np.cumsum(sizes), strict=True):
-        ends = np.array([end - len(path.points), end - 1])
-        status[ends[np.array(path.stalled)]] = TraceStatus.STALLED
-    lanes = Lanes(maps.select(trace), branch, tracer.responses)
-    residual = np.zeros(0)
-    if sizes:
-        cloud, residual = polish(cloud, rows, lanes)
+    cells = ceil(sqrt(2.0) / resolution)
+    numbers = range(maps.factor.shape[1])
+    with np.errstate(all="ignore"):  # what overflows is infinite or NaN
+        parts = [crossed_edges(maps.select(np.array([n])), n, filters, cells) for n in numbers]
+        edges = halved(maps, Edges(*map(np.concatenate, zip(*parts, strict=True))), filters)
+        u, residual, is_solved = solved(maps.select(edges.trace), edges, filters)
     columns = {
-        "points": maps.lower + maps.width * cloud[:, :2],
-        "theta": np.clip(pi * cloud[:, 2], 0.0, pi),
-        "branch": branch,
-        "piece": piece,
-        "edge": _no_root_outside(lanes.maps, cloud[:, :2], tracer.filters),
+        "points": maps.lower + maps.width * edges.at(u[:, 0]),
+        "theta": np.clip(pi * u[:, 1], 0.0, pi),
+        "branch": edges.branch,
+        "piece": edges.piece,
+        "edge": edges.edge,
         "residual": residual,
-        "status": status,
+        "status": np.where(is_solved, TraceStatus.CONVERGED, TraceStatus.BRACKETED).astype(np.int8),
     }
-    boxes = joined(tracer.unresolved)
     traces = []
-    for index in range(len(counts)):
-        merged = _merged(boxes.select(boxes.index // 3 == index), resolution)
-        own = {name: column[trace == index] for name, column in columns.items()}
-        unresolved = maps.lower + maps.width * merged
-        traces.append(BoundaryTrace(plane, resolution, unresolved=unresolved, **own))
-    return traces
-
-
-def _merged(unresolved: ParameterBox, resolution: float) -> Float64[np.ndarray, "boxes 2 2"]:
-    """Return the corners of boxes in the plane, those in one square of the resolution as one."""
-    hulls: dict[tuple[int, int], Float64[np.ndarray, "2 2"]] = {}
-    for center, half in zip(unresolved.center[:, :2], unresolved.half[:, :2], strict=True):
-        square = (int(center[0] // resolution), int(center[1] // resolution))
-        low, high = hulls.get(square, (center, center))
-        hulls[square] = np.stack([np.minimum(low, center - half), np.maximum(high, center + half)])
-    return np.stack(list(hulls.values())) if hulls else np.zeros((0, 2, 2))
-
-
-def _no_root_outside(
-    maps: Monomials, positions: Float64[np.ndarray, "points 2"], filters: Filters | None
-) -> Bool[np.ndarray, " points"]:
-    edge = np.zeros(len(positions), bool)
-    if not len(positions):
-        return edge
-    alpha, beta, *plant = maps.parameters(positions)
-    polynomials = characteristic_polynomial(
-        alpha, beta, **by_name(*np.maximum(plant, 0.0)), **as_keywords(filters)
-    )
-    for chunk in np.array_split(np.arange(len(edge)), 1 + len(edge) // _MATRICES):
-        roots = np.linalg.eigvals(companion_matrix(polynomials[chunk]))
-        edge[chunk] = np.abs(roots).max(axis=1) <= 1.0 + _ON_CIRCLE
-    return edge
+    for number in numbers:
+        own = {name: values[edges.trace == number] for name, values in columns.items()}
+        own["piece"] = np.unique(own["piece"], return_inverse=True)[1]
+        traces.append(BoundaryTrace(plane, resolution, **own))
+    return traces if any(map(np.ndim, fixed.values())) else traces[0]

@@ -6,12 +6,12 @@ import jax
 import numpy as np
 import pytest
 from mpmath import mp
+from scipy.spatial import KDTree
 
 from benchmarks import truth
 from benchmarks.truth import filtered
 from jaxstab import Device, Filter, HapticLoop, Mode, Velocity
 from jaxstab.paper import minus_line
-from jaxstab.proofs.exclusion import Loops, exclude
 from jaxstab.region import boundary_curve
 from jaxstab.region.pieces import Branch
 from jaxstab.trace import TraceStatus, trace_boundary
@@ -85,9 +85,8 @@ def distance_to_segment(points, start, end):
     return np.linalg.norm(points - start - along[:, None] * chord, axis=1)
 
 
-def test_the_window_is_accounted_for(traced):
+def test_neighbours_are_as_near_as_the_resolution_says(traced):
     trace, window, _ = traced
-    assert trace.complete
     assert np.all(trace.status == TraceStatus.CONVERGED)
     unit = in_window(trace.points, window)
     assert np.all((unit > -1e-9) & (unit < 1 + 1e-9))
@@ -106,6 +105,24 @@ def test_points_have_their_root_on_the_circle(traced, rng):
         if truth.unstable_count(*loop) is not None:
             outside = [abs(root) for root in truth.roots(*loop) if abs(root) > 1 + 1e-7]
             assert trace.edge[number] == (not outside)
+
+
+def test_the_number_of_unstable_roots_changes_at_each_vertex(traced, rng):
+    trace, window, loop_of = traced
+    inner = np.all(np.abs(in_window(trace.points, window) - 0.5) < 0.499, axis=1)
+    checked = 0
+    for number in rng.choice(np.flatnonzero(inner), 12, replace=False):
+        around = trace.points[number] + 1e-4 * np.ptp(window, axis=1) * np.array(
+            [[np.cos(turn), np.sin(turn)] for turn in np.linspace(0, 2 * pi, 8, endpoint=False)]
+        )
+        counts = {roots_outside(loop_of(*point)) for point in around} - {None}
+        assert len(counts) > 1
+        changed = 2 if trace.branch[number] == Branch.CURVE else 1
+        if len(counts) == 2:  # no corner is as near
+            assert max(counts) - min(counts) == changed
+            assert trace.edge[number] == (0 in counts)
+            checked += 1
+    assert checked > 0
 
 
 def test_the_number_of_unstable_roots_changes_only_across_the_trace(traced, rng):
@@ -134,7 +151,6 @@ def test_the_number_of_unstable_roots_changes_only_across_the_trace(traced, rng)
 )
 def test_in_the_plane_of_gains_the_trace_is_the_closed_form(window, gamma, delta, delay):
     trace = trace_boundary(("alpha", "beta"), window, gamma=gamma, delta=delta, delay=delay)
-    assert trace.complete
     scale = np.maximum(1.0, np.abs(trace.points))
     pair = trace.branch == Branch.CURVE
     curve = np.stack(
@@ -181,7 +197,6 @@ def test_lists_of_fixed_values_give_the_trace_of_each():
     assert len(traces) == len(alphas)
     for alpha, trace in zip(alphas, traces, strict=True):
         alone = trace_boundary(plane, window, **(fixed | {"alpha": alpha}))
-        assert trace.complete
         assert np.array_equal(np.bincount(trace.piece) > 0, np.bincount(alone.piece) > 0)
         for one, other in ((trace, alone), (alone, trace)):
             unit, others = (in_window(each.points, np.array(window)) for each in (one, other))
@@ -203,69 +218,33 @@ def test_a_new_plane_compiles_nothing():
     assert not compiled
 
 
-def test_a_boundary_of_a_single_point_is_reported_as_unresolved():
+def test_what_lies_between_the_nodes_of_the_grid_is_missed():
     # At gamma = pi^2, delta = 0 every loop without delay has a root at z = -1; beside it none has.
     trace = trace_boundary(
         ("gamma", "delta"), ((9.0, 11.0), (0.0, 1.0)), alpha=0.2, beta=0.1, delay=1.0
     )
-    assert not trace.complete
-    low, high = trace.unresolved[:, 0].min(axis=0), trace.unresolved[:, 1].max(axis=0)
-    assert low[0] < pi**2 < high[0]
-    assert high[0] - low[0] < 0.2
-    assert low[1] == 0.0
-    assert high[1] < 0.01
-
-
-def test_a_window_without_boundary_is_proved_empty():
-    trace = trace_boundary(
-        ("alpha", "beta"), ((1.0, 2.0), (10.0, 12.0)), gamma=0.1, delta=0.0, delay=1.0
-    )
-    assert trace.complete
     assert trace.points.shape == (0, 2)
 
 
-def smoothed(z):
-    """The difference over one sample behind a pole at 0.6."""
-    return (1 - 1 / z) * 0.4 / (1 - 0.6 / z)
-
-
-@pytest.mark.parametrize(
-    ("velocity", "response"),
-    [
-        (Velocity(), lambda z: 1 - 1 / z),
-        (Velocity.difference(samples=7), lambda z: (1 - z**-7) / 7),
-        (Velocity.exponential(0.4), smoothed),
-    ],
-    ids=["difference", "window of 7", "smoothed"],
-)
-def test_no_box_that_holds_a_root_is_called_free(rng, velocity, response):
-    count = 20_000
-    gamma = rng.uniform(0, 12, count) * rng.choice([0, 1e-3, 0.1, 1], count)
-    delta = rng.uniform(0, 3, count) * rng.choice([0, 0.01, 1], count)
-    delay = np.where(rng.random(count) < 0.3, rng.integers(0, 4, count), rng.uniform(0, 4, count))
-    theta = rng.uniform(0, pi, count)
-    alpha, beta = (
-        np.asarray(v) for v in boundary_curve(theta, gamma=gamma, delta=delta, delay=delay)
+def test_where_newton_fails_the_vertex_is_known_to_the_resolution(monkeypatch):
+    monkeypatch.setattr("jaxstab.trace._BEYOND", -1.0)  # whatever it returns is too far away
+    gamma, delta = 1e-3, 0.015
+    trace = trace_boundary(
+        ("alpha", "beta"), ((0.0, 0.2), (0.05, 0.8)), gamma=gamma, delta=delta, delay=1.0
     )
-    z = np.exp(1j * theta)
-    wall, by_velocity = alpha + beta * (1 - 1 / z), response(z)
-    beta = wall.imag / by_velocity.imag
-    alpha = wall.real - beta * by_velocity.real
-    loops = np.stack([alpha, beta, gamma, delta, delay, theta])
-    loops = loops[:, np.abs(loops[:2]).max(axis=0) < 50]
-    count = loops.shape[1]
-    size = 10.0 ** rng.uniform(-6, 0.5, count)
-    radius = rng.uniform(0, 1, (6, count)) * size * rng.choice([0, 0.01, 1], (6, count))
-    center = loops + radius * rng.uniform(-1, 1, (6, count))
-    center[2:5] = np.maximum(center[2:5], 0.0)
-    radius = np.maximum(radius, np.abs(center - loops) * (1 + 1e-12))
-    filters = None if velocity == Velocity() else (velocity, Filter())
-    away = center + np.array([[5.0], [0], [0], [0], [0], [0]])
-    with np.errstate(invalid="ignore"):  # beyond the angles at which filters are known
-        is_free = exclude(Loops(*center), Loops(*radius), filters).free
-        is_clear = exclude(Loops(*away), Loops(*(1e-3 * radius)), filters).free
-    assert not np.any(is_free)
-    assert np.mean(is_clear) > 0.5
+    assert np.all(trace.status == TraceStatus.BRACKETED)
+    theta = np.linspace(1e-3, pi - 1e-3, 400_001)
+    curve = np.stack(boundary_curve(theta, gamma=gamma, delta=delta, delay=1.0), axis=1)
+    away, _ = KDTree(curve / [0.2, 0.75]).query(trace.points / [0.2, 0.75])
+    assert 1e-6 < np.max(away) < trace.resolution / 256
+
+
+def test_a_window_without_boundary_has_no_points():
+    trace = trace_boundary(
+        ("alpha", "beta"), ((1.0, 2.0), (10.0, 12.0)), gamma=0.1, delta=0.0, delay=1.0
+    )
+    assert trace.points.shape == (0, 2)
+    assert trace.theta.shape == trace.edge.shape == trace.status.shape == (0,)
 
 
 HELD = {"mass": 0.25, "physical_damping": 0.1, "physical_stiffness": 0.0, "sample_time": 1e-3}
@@ -353,9 +332,8 @@ def with_filters(request):
     return trace, np.array(window), polynomial
 
 
-def test_with_filters_the_window_is_accounted_for(with_filters, rng):
+def test_with_filters_counts_change_only_across_the_trace(with_filters, rng):
     trace, window, polynomial = with_filters
-    assert trace.complete
     assert np.all(trace.status == TraceStatus.CONVERGED)
     unit, changes = in_window(trace.points, window), 0
     for start, move in zip(rng.uniform(0, 1, (60, 2)), rng.normal(0, 0.1, (60, 2)), strict=True):
@@ -399,7 +377,6 @@ def test_a_trace_over_delays_has_the_exact_limits_of_each_loop(velocity, rng):
     window = (1e-4, 4e-3), (10.0, 2e4)
     loop = HapticLoop(**given, delay=1e-3)
     trace = trace_boundary(("time_delay", "stiffness"), window, loop=loop, damping=10.0)
-    assert trace.complete
     edge = trace.points[trace.edge]
     for delay, stiffness in edge[rng.choice(len(edge), 6, replace=False)]:
         ends = HapticLoop(**given, delay=delay).stiffness_limits(10.0)
@@ -452,7 +429,7 @@ def test_filters_in_s_have_one_sampling_period():
     with pytest.raises(ValueError, match="change with sample_time"):
         trace_boundary(plane, window, velocity=Velocity.low_pass(100.0), **fixed)
     counted = Velocity.difference(samples=3)
-    assert trace_boundary(plane, window, velocity=counted, resolution=0.1, **fixed).complete
+    assert trace_boundary(plane, window, velocity=counted, resolution=0.1, **fixed).edge.any()
 
 
 @pytest.mark.parametrize(
