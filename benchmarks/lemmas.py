@@ -1,13 +1,13 @@
-"""Lemmas V7, B3 and B23 against balls: is a bound of the package ever smaller than the error?
+"""Lemmas V7 and B23 against balls: is a bound of the package ever smaller than the error?
 
-    python -m benchmarks lemmas             10,000 polynomials and 10,000 boxes
+    python -m benchmarks lemmas             10,000 polynomials and plants
     python -m benchmarks lemmas --small     a hundredth of them
 
-Plants, polynomials and g are computed again in python-flint's balls, by matrix exponentials in
+Plants and polynomials are computed again in python-flint's balls, by matrix exponentials in
 state space; nothing of the package enters them. Half of the loops are ordinary, half lie where the
 bounds are nearest to what they bound: next to the limits of gamma and delta, to critical damping,
 to the zeros of N at gamma = (2 pi k)^2, and to whole delays. The slack is a bound over the error
-that it bounds; a slack below 1 refutes the lemma. Boxes of B3 come close to 1: its terms are sharp.
+that it bounds; a slack below 1 refutes the lemma.
 """
 
 import math
@@ -20,12 +20,10 @@ import numpy as np
 from benchmarks.truth.balls import ExactPlant
 from jaxstab.model import DoubleDouble
 from jaxstab.point import verdicts
-from jaxstab.proofs.exclusion import Loops, Models, expanded, terms
 from jaxstab.proofs.plant import quick_plant
 from jaxstab.rounding import PAIR_UNIT, UNIT
 
 _BITS = 700
-_POINTS = 6  # of each box, its corners mostly
 _TINY = 1e-300  # an error below it counts as none
 
 
@@ -49,7 +47,7 @@ def main(small: bool) -> int:
     least: dict[str, Finding] = {}
     wrong = 0
     for number in range(count):
-        for check in (polynomial, _quick_plant, _box):
+        for check in (polynomial, _quick_plant):
             for found in check(rng, number % 2 == 1):
                 wrong += not found.slack >= 1.0
                 if found.lemma not in least or not found.slack >= least[found.lemma].slack:
@@ -156,7 +154,7 @@ def _distance(number: object, true: flint.arb) -> float:
     return float(abs(sum((flint.arb(float(part)) for part in parts), flint.arb(0)) - true).upper())
 
 
-# -------------------------------------------------------------------------------- lemmas B3, B23
+# -------------------------------------------------------------------------------------- lemma B23
 
 
 def _quick_plant(rng: np.random.Generator, hostile: bool) -> Iterator[Finding]:
@@ -169,61 +167,3 @@ def _quick_plant(rng: np.random.Generator, hostile: bool) -> Iterator[Finding]:
         got = [part[0] for part in (quick.d1, quick.d0, quick.n2, quick.n1, quick.n0)]
         yield _finding("B23 D", float(quick.d_error[0]), got[:2], [d1, d0], loop)
         yield _finding("B23 N", float(quick.n_error[0]), got[2:], [n2, n1, n0], loop)
-
-
-def _box(rng: np.random.Generator, hostile: bool) -> Iterator[Finding]:
-    gamma, delta, fraction = hand(rng, hostile)
-    alpha, beta = _wall(rng)
-    whole = float(rng.integers(0, 4) if rng.random() < 0.7 else rng.integers(0, 31))
-    theta = _chosen(rng, rng.uniform(0.0, math.pi), 0.0, math.pi, 10.0 ** rng.uniform(-9.0, 0.0))
-    center = np.array([alpha, beta, gamma, delta, whole + fraction, theta])
-    size = 10.0 ** rng.uniform(-14.0 if hostile else -5.0, 0.0)
-    spread = 10.0 ** rng.uniform(-3.0, 0.0, 6) * (rng.random(6) < 0.7)
-    scale = np.array([abs(alpha) + 1e-3, abs(beta) + 1e-3, gamma + 1.0, delta + 1.0, 1.0, 1.0])
-    radius = size * spread * scale
-    g = expanded(*terms(Loops(*center[:, None]), Loops(*radius[:, None])))
-    rest = float(g.rest[0])
-    worst, where = 0.0, center
-    for number in range(_POINTS):
-        way = rng.choice([-1.0, 1.0], 6) if number else np.zeros(6)
-        if number > 3:
-            way = rng.uniform(-1.0, 1.0, 6)
-        point = center + way * radius
-        point[2:5] = np.maximum(point[2:5], 0.0)
-        if point[2] > 1e4 or point[3] > 1e3:
-            continue
-        moves = [flint.arb(x) - flint.arb(c) for x, c in zip(point, center, strict=True)]
-        if any(abs(m) > flint.arb(r) for m, r in zip(moves, radius, strict=True)):
-            point = np.where(way * radius == 0.0, center, center + way * radius * (1.0 - 1e-3))
-            point = np.where(np.abs(point - center) > radius, center, point)
-            point[2:5] = np.maximum(point[2:5], 0.0)
-        error = _off_expansion(g, center, radius, point)
-        if error > worst:
-            worst, where = error, point
-    kind = "wide boxes" if size > 1e-5 else "tiny boxes: rounding"
-    yield Finding(f"B3 {kind}", rest, worst, (*center.tolist(), *radius.tolist(), *where.tolist()))
-
-
-def _off_expansion(g: Models, center: np.ndarray, radius: np.ndarray, point: np.ndarray) -> float:
-    with flint.ctx.workprec(_BITS):
-        model = flint.acb(*_parts(g.value[0]))
-        for move, x, c, r in zip(g.moves[:, 0], point, center, radius, strict=True):
-            if r > 0.0:
-                share = (flint.arb(float(x)) - flint.arb(float(c))) / flint.arb(float(r))
-                model += flint.acb(*_parts(move)) * share
-        return float(abs(true_g(*map(float, point)) - model).upper())
-
-
-def true_g(
-    alpha: float, beta: float, gamma: float, delta: float, delay: float, theta: float
-) -> flint.acb:
-    """g(theta) = p(z) / z^(m + 2), z = e^(i theta), m = floor(delay) + 1, in a ball."""
-    plant = ExactPlant.of(gamma, delta, delay, _BITS)
-    z = flint.acb(0, theta).exp()
-    turns = math.floor(delay) + 1
-    numerator = plant.n2 * z + plant.n1 + plant.n0 / z
-    return z + plant.d1 + plant.d0 / z + z**-turns * numerator * (alpha + beta * (1 - 1 / z))
-
-
-def _parts(number: complex) -> tuple[float, float]:
-    return float(number.real), float(number.imag)

@@ -28,7 +28,6 @@ from jaxtyping import Bool, Complex128, Float64, Int8, Int64
 
 from jaxstab.arrays import Array, Numbers, is_traced, namespace
 from jaxstab.batches import lists
-from jaxstab.boxes.search import ParameterBox, Proof, excluded, joined
 from jaxstab.conventions import AXES, Status
 from jaxstab.model import (
     Filter,

@@ -40,7 +40,7 @@ WITH_FLINT = {  # single walls, lines of walls and regions are answered in balls
     *(f"HapticLoop.{walls}" for walls in ("poles", "spectral_radius", "verdict", "worst_delays")),
     *(f"HapticLoop.{line}" for line in ("damping_limits", "stiffness_limits", "limits", "region")),
     *(f"HapticLoop.{line}" for line in ("damping_intervals", "stiffness_intervals")),
-    *("HapticLoop.boundary_distance", "HapticLoop.robust_limit"),
+    *("HapticLoop.boundary_distance", "HapticLoop.robust_limit", "HapticLoop.worst_hand"),
 }
 
 WITHOUT_JAX = """

@@ -11,6 +11,7 @@ from scipy.linalg import expm
 from benchmarks.truth import devices, filtered
 from benchmarks.truth.random_loops import device_of
 from jaxstab import Device, Hand, HandRange, HapticLoop, Mode, Velocity, Verdict
+from jaxstab.boxes.plant import Arms, with_parts
 from tests.campaign import many
 
 PERIOD = 1e-3
@@ -259,6 +260,31 @@ def test_any_linear_device_is_proved_for_all_hands(device: Device) -> None:
         held = replace(loop, device=device.held_by(arm))
         assert held.verdict(limit.stiffness, limit.damping) == Verdict.STABLE
     assert loop.worst_hand(HANDS, 1.1 * limit.limit, limit.damping).verdict == Verdict.UNSTABLE
+
+
+def test_all_hands_with_all_constant_delays_of_a_range() -> None:
+    """Against loops at random, and one on each side of the limit."""
+    light = HapticLoop(device_mass=0.1, device_damping=0.5, sample_time=PERIOD)
+    for loop in (light, LOOP):
+        delays = {"delay": (0.5 * PERIOD, 1.5 * PERIOD)}
+        limit = loop.robust_limit(HANDS, **delays)
+        wall = limit.stiffness, limit.damping
+        assert limit.is_proved
+        assert limit.stiffness < loop.robust_limit(HANDS).stiffness
+        rng, ends = np.random.default_rng(6), np.array([*vars(HANDS).values()])
+        for hand in rng.uniform(*ends.T, (20, 3)).tolist():
+            held = dict(zip(("hand_mass", "hand_stiffness", "hand_damping"), hand, strict=True))
+            if loop is LOOP:
+                held = {"device": with_parts(loop.held_device, None, Arms(*hand))}
+            delay = float(rng.choice([*delays["delay"], rng.uniform(*delays["delay"])]))
+            assert replace(loop, **held, delay=delay).verdict(*wall) == Verdict.STABLE
+        worst = loop.worst_hand(HANDS, 1.1 * limit.limit, limit.damping, **delays)
+        assert worst.verdict == Verdict.UNSTABLE
+        assert worst.loop.verdict(1.1 * limit.limit, limit.damping) == Verdict.UNSTABLE
+    with pytest.raises(ValueError, match="give the shortest one first"):
+        LOOP.worst_hand(HANDS, 1.0, 1.0, delay=(2e-3, 1e-3))
+    with pytest.raises(TypeError, match="beside delays"):
+        LOOP.worst_hand(HANDS, 1.0, 1.0, delay=(1e-3, 2e-3), delays=(1e-3, 2e-3))
 
 
 @pytest.mark.parametrize(

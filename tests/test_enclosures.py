@@ -1,4 +1,4 @@
-"""Bounds of what expansions leave (lemmas B10, B13, B17 and B20): none too small, each attained.
+"""Bounds of what expansions leave (lemmas B10, B13, B14 and B20): none too small, each attained.
 
 Functions are taken at the end of a box that is worst for them, in exact fractions or 50 digits. A
 bound is attained if it is at most ``SHARP`` times what it bounds there: halved, it would be wrong.
@@ -16,6 +16,7 @@ from benchmarks.truth import filtered
 from jaxstab import Filter, Velocity
 from jaxstab.boxes.box import ParameterBoxes
 from jaxstab.boxes.enclosures import LinearModel, phasor, sinc, sine, variable
+from jaxstab.boxes.filters import quotients
 from jaxstab.boxes.plant import (
     Arms,
     DeviceBoxes,
@@ -519,3 +520,54 @@ def test_the_sums_over_all_aliases_hold_the_true_ones() -> None:
         beyond = 1.0 / (mass * (2.0 * np.pi) ** 2 * 1000)
         assert moduli <= others.moduli[k] <= SHARP * (moduli + 2.0 * beyond)
         assert abs(others.total.centre[k] + complex(total)) <= others.total.rest[k] + beyond**2
+
+
+FILTERS = [
+    (Velocity.difference(samples=20), Filter()),
+    (Velocity.low_pass(0.02, order=2), Filter.average(samples=7)),
+    (Velocity.butterworth(0.03, order=4), Filter.low_pass(0.1)),
+    (Velocity.kalman(q=1e-4, r=1.0), Filter.exponential(0.2)),
+    (Velocity.savitzky_golay(9, order=2), Filter.transfer_function([0.5, 0.5], [1.0, -0.3])),
+]
+
+
+@pytest.mark.parametrize("given", FILTERS, ids=str)
+def test_filters_over_boxes_hold_their_values_and_derivatives(
+    given: tuple[Velocity, Filter], rng: np.random.Generator
+) -> None:
+    """Lemma B14 against 40 digits of the quotients, at both ends of boxes and between them."""
+    velocity, position = given
+    chains = position.sections, velocity.filter.sections
+    count = 60
+    angle = rng.choice([0.0, np.pi, *rng.uniform(0.0, np.pi, 6), *rng.uniform(0.0, 0.1, 4)], count)
+    half = 10.0 ** rng.uniform(-9.0, -1.0, count)
+    theta = variable(0, 1, angle, half)
+    for chain, quotient, is_velocity in zip(chains, quotients(given), (False, True), strict=True):
+
+        def value(x: object, chain: object = chain, is_velocity: bool = is_velocity) -> object:
+            z = mpmath.expj(x)
+            total = 1 - 1 / z if is_velocity else mpmath.mpf(1)
+            for section in chain:  # type: ignore[attr-defined]
+                for *sides, times in section.rational_factors():
+                    above, below = (
+                        sum(mpmath.mpf(c.numerator) / c.denominator * z**k for k, c in enumerate(p))
+                        for p in (map(Fraction, side) for side in sides)
+                    )
+                    total *= (above / below) ** times
+            return total
+
+        found = quotient.over(theta)
+        with mpmath.workdps(40):
+            closest = 0.0
+            for k in range(count):
+                for share in (-1.0, 0.3, 1.0):
+                    x = mpmath.mpf(float(angle[k])) + mpmath.mpf(float(half[k])) * share
+                    step = mpmath.mpf(10) ** -12
+                    rate = (value(x + step) - value(x - step)) / (2 * step)
+                    for model, true in ((found.value, value(x)), (found.rate, rate)):
+                        known = mpmath.mpc(model.centre[k]) + mpmath.mpc(model.slope[0, k]) * share
+                        away, rest = abs(true - known), model.rest[k]
+                        assert away <= rest
+                        if half[k] > 1e-3 and rest:
+                            closest = max(closest, float(away / rest))
+        assert closest > 0.2 or not (chain or is_velocity)

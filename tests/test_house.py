@@ -22,7 +22,7 @@ LONGEST_FILE = 1000  # lines
 FLOORS_THAT_COMPUTE = tuple(
     f"jaxstab.{floor}"
     for floor in (
-        "model", "exact", "point", "region", "ranges", "paper", "motion", "tuning", "trace", "loop"
+        "model", "exact", "point", "region", "boxes", "paper", "motion", "tuning", "trace", "loop"
     )
 )  # fmt: skip
 MOST_NAMES = 65  # that a program finds at the top
@@ -95,7 +95,7 @@ def test_imports_keep_their_contracts() -> None:
         ".exact",
         ".point",
         ".region",
-        ".ranges",
+        ".boxes",
         ".tuning",
         ".paper",
         ".atlas",

@@ -1,4 +1,4 @@
-"""Lemmas V7 and B3: their bounds against balls, and the derivation of their constants."""
+"""Lemmas V7 and B23: their bounds against balls, and the derivation of their constants."""
 
 from fractions import Fraction
 

@@ -223,7 +223,7 @@ def test_issue_31_31_a_zip_file_on_the_path_can_be_imported(tmp_path: Path) -> N
                 if file.is_file() and "__pycache__" not in file.parts:
                     archive.write(file, place + str(file.relative_to(folder.parent)))
     for words in (
-        ["-c", "import jaxstab; print(jaxstab.__file__, jaxstab.margins, *dir(jaxstab.boxes))"],
+        ["-c", "import jaxstab; print(jaxstab.__file__, jaxstab.margins, *dir(jaxstab.loop))"],
         ["-m", "jaxstab", "limits", "--device", "omega", "--sample-time", "0.001"],
         ["-m", "jaxstab", "scene", "presets"],
     ):

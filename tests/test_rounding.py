@@ -25,7 +25,6 @@ from jaxstab.point.verdicts import _ends, float_plant, loop_codes
 from jaxstab.proofs import curve_patches
 from jaxstab.proofs.columns import _line_strips, column_gaps, columns_of
 from jaxstab.proofs.curve_patches import Domain
-from jaxstab.proofs.exclusion import LineBoxes, Models, _shrunk
 from jaxstab.proofs.filters import Ends
 from jaxstab.proofs.plant import HandBoxes
 from jaxstab.rounding import UNIT
@@ -301,30 +300,3 @@ def test_sums_of_cosines_round_by_no_more_than_the_rest_of_their_model(turns: in
         for k, angle in enumerate(theta.tolist()):
             true = sum((j + 1) * mpmath.cos(j * mpmath.mpf(angle)) for j in range(turns))
             assert abs(true - float(model.centre[k])) <= model.rest[k]
-
-
-def test_a_box_of_a_linear_function_shrinks_to_its_zero_and_never_beyond() -> None:
-    """What rounding moves the zero by stays in the box, and is all that stays."""
-    rng = np.random.default_rng(11)
-    value, by_t, by_theta = (drawn(rng, COUNT) + 1j * drawn(rng, COUNT) for _ in range(3))
-    rest = 8.0 * UNIT * (np.abs(value) + np.abs(by_t) + np.abs(by_theta))
-    low, high = rng.uniform(0.0, 1.0, (2, COUNT)), rng.uniform(1.5, 3.0, (2, COUNT))
-    boxes = LineBoxes(np.arange(COUNT), low, high)
-    models = Models(value, np.stack([by_t, by_theta]), rest, np.zeros((2, COUNT)), rest)
-    shrunk, is_proved = _shrunk(boxes, models)
-    inside = 0
-    for k in range(COUNT):
-        v, a, b = ([Fraction(c.real), Fraction(c.imag)] for c in (value[k], by_t[k], by_theta[k]))
-        det = a[0] * b[1] - a[1] * b[0]
-        shares = (b[0] * v[1] - b[1] * v[0]) / det, -(a[0] * v[1] - a[1] * v[0]) / det
-        if max(map(abs, shares)) > 1:
-            assert not is_proved[k]
-            continue
-        inside += max(map(abs, shares)) < 0.99
-        assert is_proved[k] or max(map(abs, shares)) > 0.99
-        for axis, share in enumerate(shares):
-            middle = Fraction(low[axis, k]) + Fraction(high[axis, k])
-            zero = middle / 2 + share * (Fraction(high[axis, k]) - Fraction(low[axis, k])) / 2
-            assert shrunk.low[axis, k] <= zero <= shrunk.high[axis, k]
-            assert shrunk.high[axis, k] - shrunk.low[axis, k] < 1e-6
-    assert inside > 40

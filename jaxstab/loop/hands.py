@@ -35,6 +35,7 @@ from jaxstab.loop.jitter import MovingLoop
 from jaxstab.loop.region import TOLERANCE, WallRegion, wall_region
 from jaxstab.model.balls import ball_triple
 from jaxstab.model.device.parts import MassSpringDamper, Modes
+from jaxstab.numbers import checked_number
 from jaxstab.region import RegionStatus
 
 if TYPE_CHECKING:
@@ -84,6 +85,10 @@ class LoopsWithHands:
     def __post_init__(self) -> None:
         device = self.loop.held_device
         checked_range(self.hands, self.mass, device)
+        if self.delay is not None:
+            ends = [checked_number("delay", end, 0.0, unit="s") for end in self.delay]
+            if not ends[0] <= ends[1]:
+                raise ValueError(f"delay is {self.delay}; give the shortest one first.")
         if len(device.hands) > 1:
             raise ValueError(
                 f"the device ({device}) is held by {len(device.hands)} hands; give one "

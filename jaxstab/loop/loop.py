@@ -320,6 +320,7 @@ class HapticLoop(LoopParameters):
         damping: float,
         *,
         mass: Range | None = None,
+        delay: Range | None = None,
         delays: Range | None = None,
         lost: int = 0,
     ) -> "WorstHand":
@@ -332,6 +333,7 @@ class HapticLoop(LoopParameters):
             hands: the range of hands, which replace the hand of the loop.
             stiffness, damping: see ``jaxstab.conventions``.
             mass: the device's lowest and highest mass in kg over its postures; None for its own.
+            delay: the shortest and the longest constant delay in s; None for that of the loop.
             delays: as for ``verdict``; the radius is then that at the longest delay.
             lost: as for ``verdict``.
 
@@ -354,13 +356,14 @@ class HapticLoop(LoopParameters):
         """
         self._refuse_many("worst_hand")
         wall = (checked_number("stiffness", stiffness), checked_number("damping", damping))
-        return self._with_hands(hands, mass, delays, lost).worst(*wall)
+        return self._with_hands(hands, mass, delay, delays, lost).worst(*wall)
 
     def robust_limit(
         self,
         hands: "HandRange",
         *,
         mass: Range | None = None,
+        delay: Range | None = None,
         delays: Range | None = None,
         lost: int = 0,
     ) -> "RobustLimit":
@@ -372,6 +375,7 @@ class HapticLoop(LoopParameters):
         Args:
             hands: the range of hands, which replace the hand of the loop.
             mass: the device's lowest and highest mass in kg over its postures; None for its own.
+            delay: the shortest and the longest constant delay in s; None for that of the loop.
             delays: as for ``verdict``; the limit is then that at both ends of the delays, and the
                 wall is proved for every sequence of them, if ``is_proved``. Where those ends allow
                 much more than is proved, it is a share of the wall proved for the first hand.
@@ -388,16 +392,23 @@ class HapticLoop(LoopParameters):
             True
         """
         self._refuse_many("robust_limit")
-        return self._with_hands(hands, mass, delays, lost).robust_limit()
+        return self._with_hands(hands, mass, delay, delays, lost).robust_limit()
 
     def _with_hands(
-        self, hands: "HandRange", mass: Range | None, delays: Range | None, lost: int
+        self,
+        hands: "HandRange",
+        mass: Range | None,
+        delay: Range | None,
+        delays: Range | None,
+        lost: int,
     ) -> "LoopsWithHands":
         """Return the loop with all hands."""
         from jaxstab.loop.hands import LoopsWithHands
 
         if delays is None and not lost:
-            return LoopsWithHands(self.in_floats(), hands, mass)
+            return LoopsWithHands(self.in_floats(), hands, mass, delay)
+        if delay is not None:
+            raise TypeError(f"delay is {delay} beside delays; give those that move, or the others.")
         loop = self._moving("hands with delays", delays, lost).loop
         return LoopsWithHands(loop, hands, mass, moving={"delays": delays, "lost": lost})
 
@@ -626,7 +637,7 @@ class HapticLoop(LoopParameters):
                 raise TypeError(f"mass is {mass} without hands; give hands=jaxstab.HandRange().")
             return jitter_margin(self, stiffness, damping)
         refuse_traced(stiffness, damping)
-        with_hands = self._with_hands(hands, mass, (self.delay, self.delay), 0)
+        with_hands = self._with_hands(hands, mass, None, (self.delay, self.delay), 0)
         return np.vectorize(with_hands.jitter_margin, otypes=[np.float64])(stiffness, damping)
 
     def worst_delays(
