@@ -1,4 +1,4 @@
-"""Lemmas V7 and B23 against balls: is a bound of the package ever smaller than the error?
+"""Lemma V7 against balls: is a bound of the package ever smaller than the error?
 
     python -m benchmarks lemmas             10,000 polynomials and plants
     python -m benchmarks lemmas --small     a hundredth of them
@@ -20,7 +20,6 @@ import numpy as np
 from benchmarks.truth.balls import ExactPlant
 from jaxstab.model import DoubleDouble
 from jaxstab.point import verdicts
-from jaxstab.proofs.plant import quick_plant
 from jaxstab.rounding import PAIR_UNIT, UNIT
 
 _BITS = 700
@@ -47,11 +46,10 @@ def main(small: bool) -> int:
     least: dict[str, Finding] = {}
     wrong = 0
     for number in range(count):
-        for check in (polynomial, _quick_plant):
-            for found in check(rng, number % 2 == 1):
-                wrong += not found.slack >= 1.0
-                if found.lemma not in least or not found.slack >= least[found.lemma].slack:
-                    least[found.lemma] = found
+        for found in polynomial(rng, number % 2 == 1):
+            wrong += not found.slack >= 1.0
+            if found.lemma not in least or not found.slack >= least[found.lemma].slack:
+                least[found.lemma] = found
     for found in sorted(least.values()):
         print(f"{found.lemma:44} least slack {found.slack:12.8g}  at {found.loop}")
     print(f"{count} loops of each lemma, {wrong} bounds smaller than the error")
@@ -152,18 +150,3 @@ def _distance(number: object, true: flint.arb) -> float:
     """Return the largest that the distance may be."""
     parts = (number.hi, number.lo) if isinstance(number, DoubleDouble) else (number,)
     return float(abs(sum((flint.arb(float(part)) for part in parts), flint.arb(0)) - true).upper())
-
-
-# -------------------------------------------------------------------------------------- lemma B23
-
-
-def _quick_plant(rng: np.random.Generator, hostile: bool) -> Iterator[Finding]:
-    gamma, delta, fraction = hand(rng, hostile)
-    quick = quick_plant(*(np.array([value]) for value in (gamma, delta, fraction)))
-    loop = (gamma, delta, fraction)
-    with flint.ctx.workprec(_BITS):
-        true = ExactPlant.of(gamma, delta, fraction, _BITS)
-        d1, d0, n2, n1, n0 = true[:5]
-        got = [part[0] for part in (quick.d1, quick.d0, quick.n2, quick.n1, quick.n0)]
-        yield _finding("B23 D", float(quick.d_error[0]), got[:2], [d1, d0], loop)
-        yield _finding("B23 N", float(quick.n_error[0]), got[2:], [n2, n1, n0], loop)

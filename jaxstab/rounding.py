@@ -28,10 +28,6 @@ PAIR_PRODUCT = 2.0**-100
 SOFT_GAMMA, SOFT_DELTA = 40.0, 10.0
 SOFT_PLANT, STIFF_PLANT, DAMPED_PLANT = 2.0**-89, 2.0**-66, 2.0**-56
 
-# D and N of the quick plant of one mass on the circle: at most 61 + 211 gamma^(1/2) and 822
-# roundings of 1, which is QUICK_D (1 + 4 gamma^(1/2)) and QUICK_N (lemma B23).
-QUICK_D, QUICK_N = 32 * EPS, 416 * EPS
-
 # Coefficients of filters, relative to the product of their stages' sizes, and of the products of
 # filters with each other and with plants (lemma V8).
 FILTERS = 2.0**-90
@@ -46,9 +42,6 @@ SAFETY = 1.001  # for bounds of recursions, which lose less than 2^-10 of them (
 # between them: their ends are right to UNIT, so cells wider than 2^-22 of their ends overlap. A gap
 # between narrower ones is of a few UNIT of a parameter, and PLANT_MODEL allows for that.
 OVERLAP = 1e-9
-
-# A parameter in the middle of a box, low + span center, and its products with the sampling period.
-MIDDLE = 4 * EPS
 
 # A parameter of a loop over a box, converted to samples or to units of the device: fewer than 45
 # operations, each of them EPS.

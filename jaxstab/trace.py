@@ -39,9 +39,8 @@ from jaxstab.model import (
 from jaxstab.model.filters import Filters, as_keywords, known_filters
 from jaxstab.numbers import checked, checked_number, require_x64
 from jaxstab.point.fields import UNKNOWN, poles_outside
-from jaxstab.proofs.filters import Responses
-from jaxstab.proofs.plant import circle_equations, quick_slice
 from jaxstab.region.closed_form import SliceCoefficients, slice_coefficients
+from jaxstab.region.on_circle import Responses, circle_equations, quick_slice
 from jaxstab.region.pieces import Branch
 from jaxstab.rounding import UNIT
 

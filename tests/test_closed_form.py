@@ -4,17 +4,20 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+import flint
 import jax
 import numpy as np
 import pytest
 from mpmath import mp, mpf
 
 from benchmarks import truth
+from benchmarks.truth.balls import ExactPlant
 from jaxstab.exact.boundary import ScaledLoop
 from jaxstab.model import LoopParameters, by_name
 from jaxstab.paper import minus_line, plus_line
 from jaxstab.region import boundary_curve
 from jaxstab.region.curve import Curve, curve_gains, curve_of, gains_and_slopes
+from jaxstab.region.on_circle import quick_plant
 from jaxstab.region.roots import bracketed_root
 
 ACCURACY = 1e-13
@@ -293,3 +296,15 @@ def test_a_bracket_of_neighbours_in_float64_has_a_root(count: int) -> None:
     with np.errstate(divide="ignore", invalid="ignore"):
         roots = bracketed_root(lambda x: 1e3 * ((x - 0.347) - shift), lower, upper)
     assert np.all((lower <= roots) & (roots <= upper))
+
+
+def test_the_quick_plant_has_thirteen_digits_of_one(rng: np.random.Generator) -> None:
+    """D and N on the circle against balls; stiff and damped hands lose a digit."""
+    gamma, delta = 10.0 ** rng.uniform(-8.0, 4.0, 300), 10.0 ** rng.uniform(-8.0, 3.0, 300)
+    fraction = rng.choice([0.0, 0.25, 0.999], 300)
+    quick = quick_plant(gamma, delta, fraction)
+    for k, hand in enumerate(zip(gamma.tolist(), delta.tolist(), fraction.tolist(), strict=True)):
+        true = ExactPlant.of(*hand, 400)
+        names = ("d1", "d0", "n2", "n1", "n0")
+        wrong = [abs(flint.arb(float(getattr(quick, x)[k])) - getattr(true, x)) for x in names]
+        assert max(map(float, wrong)) < 1e-13 * (1.0 + gamma[k] ** 0.5 / 4.0)

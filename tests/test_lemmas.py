@@ -1,4 +1,4 @@
-"""Lemmas V7 and B23: their bounds against balls, and the derivation of their constants."""
+"""Lemma V7: its bounds against balls, and the derivation of their constants."""
 
 from fractions import Fraction
 

@@ -26,7 +26,7 @@ from jaxstab.model.loop import refuse_arrays
 from jaxstab.motion.moving_delays import Delays
 from jaxstab.numbers import checked_count, checked_number
 from jaxstab.point.verdicts import linear_verdict
-from jaxstab.proofs.filters import responses_at
+from jaxstab.region.on_circle import responses_at
 
 # Proof that every wall which a guard lets through is stable (lemmas B15, B20).
 #

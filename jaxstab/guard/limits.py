@@ -16,8 +16,7 @@ from jaxstab.boxes.hands import spread_hands
 from jaxstab.boxes.plant import Arms, HeldDevice
 from jaxstab.model import LoopParameters
 from jaxstab.model.filters import NO_FILTERS, known_filters
-from jaxstab.proofs.filters import responses_at
-from jaxstab.proofs.plant import quick_plant
+from jaxstab.region.on_circle import quick_plant, responses_at
 
 _ANGLES = 800
 _LATE = 5  # delays of a range

@@ -16,8 +16,7 @@ from jaxtyping import Float64
 
 from jaxstab.arrays import is_traced, solved
 from jaxstab.model.filters import Filters
-from jaxstab.proofs.filters import Responses
-from jaxstab.proofs.plant import circle_equations, quick_slice
+from jaxstab.region.on_circle import Responses, circle_equations, quick_slice
 
 Search = Callable[..., Float64[np.ndarray, "wall column"]]
 

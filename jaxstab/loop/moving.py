@@ -43,10 +43,9 @@ from jaxstab.loop.region import TOLERANCE, WallRegion, wall_region
 from jaxstab.model import LoopParameters
 from jaxstab.model.filters import given_filters
 from jaxstab.point import closed_loop_poles
-from jaxstab.proofs.filters import Responses
-from jaxstab.proofs.plant import circle_equations, quick_slice
 from jaxstab.region import RegionStatus, measures
 from jaxstab.region.batch import Triples, components, cross
+from jaxstab.region.on_circle import Responses, circle_equations, quick_slice
 from jaxstab.region.outline import vertex_roots
 
 Answer = TypeVar("Answer")

@@ -24,10 +24,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Complex128, Float64
 
-from jaxstab.arrays import PI_REST, Array, joined, namespace, take
+from jaxstab.arrays import PI_REST, joined, take
 from jaxstab.boxes.enclosures import LinearModel, Moving
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import ONE, Filters, Polynomial, Transfer, size_of
+from jaxstab.model.filters import Filters, Polynomial, size_of
+from jaxstab.region.on_circle import Factor, factors_of
 from jaxstab.rounding import EPS, OVERLAP, RAISED_SERIES, SERIES, SHIFTED
 
 # Taylor series of functions of one angle over many cells, each coefficient with its error.
@@ -152,8 +153,6 @@ _REMAINDER = 2.0**-52  # of the values of a cell: largest error of the series
 _SMALL = 2.0**-20  # of the largest value: smaller values of a filter are right relative to this
 _ZERO, _ONE = DoubleDouble(0.0, 0.0), DoubleDouble(1.0, 0.0)
 
-Factor = tuple[Polynomial, Polynomial]  # numerator and denominator in 1/z, lowest power first
-
 
 class FilterCells(NamedTuple):
     """Cells of theta from below 0 to beyond pi, ascending: middles, half widths and lower ends.
@@ -170,10 +169,6 @@ class FilterCells(NamedTuple):
     error: Float64[np.ndarray, "cell bound"]
     steepness: Float64[np.ndarray, "k cell bound"]
 
-
-OverSine = tuple[Array, Array]
-
-"""Re f and Im f / sin(theta) of a function with real coefficients at e^(i theta)."""
 
 Functions = Callable[[Cells, Cells, bool], list[Series]]
 
@@ -219,116 +214,6 @@ def cells_of(functions: Functions) -> FilterCells:
         error=whole.error,
         steepness=largest_from(whole.steepness),
     )
-
-
-class Responses(NamedTuple):
-    """P and V as numbers that a compiled program takes: V is (1 - z^-n) / n times its chain.
-
-    They are JAX's where JAX traces the filters.
-
-    chains: of P and of V, its stages, each a numerator and a denominator in powers of 1/z, lowest
-        power first. Stages and coefficients are filled up to powers of two: few shapes.
-    """
-
-    samples: Float64[Array, ""]
-    chains: Float64[Array, "2 stage 2 power"]
-
-    @classmethod
-    def from_filters(cls, filters: Filters | None) -> "Responses":
-        """Return the responses of filters in units of one sample; None has no stages."""
-        if filters is None:
-            return cls(np.array(1.0), np.zeros((2, 0, 2, 1)))
-        velocity, position = filters
-        samples, stages = velocity.stages()
-        both = [[_in_lags(stage) for stage in each] for each in (position.stages(), stages)]
-        longest = max([4, *(len(side) for chain in both for stage in chain for side in stage)])
-        count = _power_of_two(max(2, *map(len, both))) if any(both) else 0
-        power = _power_of_two(longest)
-
-        def filled(polynomial: Polynomial) -> list[Array]:
-            return [*(c.rounded() for c in polynomial), *[0.0] * (power - len(polynomial))]
-
-        unit = ONE, ONE
-        rows = [
-            [[filled(side) for side in stage] for stage in (*chain, *[unit] * (count - len(chain)))]
-            for chain in both
-        ]
-        chains = namespace(filters).asarray(rows).reshape(2, count, 2, power)
-        return cls(np.array(float(samples)), chains)
-
-    def over_sine(self, theta: Array) -> tuple[OverSine, OverSine]:
-        """Return P and V at z = e^(i theta), smooth in theta at 0 and pi."""
-        xp = namespace(self, theta)
-        versine = 2.0 * xp.sin(0.5 * self.samples * theta) ** 2
-        ratio = turns_over_sine(self.samples, theta)[1]
-        position = xp.ones_like(theta), xp.zeros_like(theta)
-        velocity = versine / self.samples, ratio / self.samples
-        if not self.chains.shape[1]:
-            return position, velocity
-        square = xp.sin(theta) ** 2
-        cosines, ratios = turns_over_sine(xp.arange(self.chains.shape[-1]), theta[..., None])
-
-        def through(value: OverSine, chain: Array) -> OverSine:
-            for above, below in chain:
-                numerator, denominator = ((cosines @ p, -(ratios @ p)) for p in (above, below))
-                size = denominator[0] ** 2 + square * denominator[1] ** 2
-                conjugate = denominator[0], -denominator[1]
-                value = _product(_product(value, numerator, square), conjugate, square)
-                value = value[0] / size, value[1] / size
-            return value
-
-        return through(position, self.chains[0]), through(velocity, self.chains[1])
-
-
-def turns_over_sine(count: Array, theta: Array) -> OverSine:
-    """Return cos(count theta) and sin(count theta) / sin(theta) for whole counts."""
-    xp = namespace(count, theta)
-    upper = theta > 0.5 * np.pi
-    folded = xp.where(upper, (np.pi - theta) + PI_REST, theta)
-    sine, is_end = xp.sin(folded), folded == 0.0
-    ratio = xp.where(is_end, count, xp.sin(count * folded) / xp.where(is_end, 1.0, sine))
-    sign = xp.where(upper, 1.0 - 2.0 * (count % 2.0), 1.0)
-    return sign * xp.cos(count * folded), xp.where(upper, -sign, 1.0) * ratio
-
-
-def _product(a: OverSine, b: OverSine, square: Array) -> OverSine:
-    real = a[0] * b[0] - square * a[1] * b[1]
-    return real, a[0] * b[1] + a[1] * b[0]
-
-
-def _power_of_two(count: int) -> int:
-    return 1 << max(count - 1, 0).bit_length()
-
-
-def responses_at(filters: Filters, z: Array) -> tuple[Array, Array]:
-    """Return P and V at points on the circle, of NumPy or JAX, without a bound."""
-    values = []
-    for chain in factors_of(filters):
-        value = 1.0 + 0.0 * z
-        for above, below in chain:
-            value = value * _evaluated(above, 1.0 / z) / _evaluated(below, 1.0 / z)
-        values.append(value)
-    return values[0], values[1]
-
-
-def _evaluated(ascending: Polynomial, back: Array) -> Array:
-    return reduce(lambda value, c: value * back + float(c.rounded()), ascending[::-1], 0.0 * back)
-
-
-def factors_of(filters: Filters, sample_time: float = 1.0) -> tuple[list[Factor], list[Factor]]:
-    """Return short factors of P and of T V, whose first one is (1 - z^-n) / n."""
-    velocity, position = filters
-    samples, stages = velocity.stages(sample_time)
-    weight = DoubleDouble.from_value(1.0) / float(samples)
-    over_window = (weight, *(_ZERO,) * (samples - 1), -weight)
-    of_velocity = [(over_window, ONE), *map(_in_lags, stages)]
-    return [_in_lags(stage) for stage in position.stages(sample_time)], of_velocity
-
-
-def _in_lags(transfer: Transfer) -> Factor:
-    """Return numerator and denominator in powers of 1/z."""
-    above, below, lag = transfer[:3]
-    return (_ZERO,) * (lag + len(below) - len(above)) + above, below
 
 
 # --------------------------------------------------------------------------------------- series

@@ -8,182 +8,18 @@ middle and at the ends of a box give linear models over the box: secants are the
 bounds are what they leave (``plant_models``). The delay is a further variable, whose derivatives
 are closed (lemma B16).
 
-For search and for boxes in large numbers, ``quick_plant`` computes D, N and their slopes in plain
-float64 by a Taylor series of the step response and doublings of its time (lemma B23), and
-``circle_equations`` gives the two real equations of a root on the circle.
 """
 
-from functools import partial
-from math import pi
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from jaxstab.arrays import PI_REST, Array, Numbers, namespace, repeat
 from jaxstab.boxes.enclosures import LinearModel
 from jaxstab.model import plant_coefficients
 from jaxstab.model.plant import pairs_error
-from jaxstab.proofs.filters import Responses, turns_over_sine
-from jaxstab.region.closed_form import SliceCoefficients
-from jaxstab.rounding import PLANT_MODEL, QUICK_D, QUICK_N, UNDERFLOW
-
-# The two real equations for a pair of roots on the unit circle, in a form quick to compute.
-#
-# With z = e^(i theta), m = floor(delay) + 1 and the notation of ``jaxstab.region.closed_form``,
-#
-#     g = D/z + z^-m (N/z) H,      H = alpha P + beta V,
-#
-# P = 1 and V = 1 - 1/z without filters; then g = p(z) / z^(m + 2).
-#
-# g is continuous in all six variables, in the delay too. Re g and Im g / sin(theta) are even and 2
-# pi-periodic in theta, so the equations Re g = 0, Im g / sin(theta) = 0 of a pair of roots go on
-# smoothly to theta = 0 and pi, where the pair meets a real root.
-
-_DOUBLINGS = 12  # enough for the stiffest and most damped hands
-_TERMS = 13  # the last power of a time in which the plant moves by 1/4
-
-
-class Motion(NamedTuple):
-    """Position and velocity after a unit step of force on the plant at rest.
-
-    The velocity is the plant's response h to an impulse, the position its integral.
-    """
-
-    position: Float64[Array, "*grid"]
-    velocity: Float64[Array, "*grid"]
-
-
-def motion(gamma: Array, delta: Array, time: Array) -> Motion:
-    """Sum a Taylor series for a small time and double that time.
-
-    The smallest terms are added first; lemma B23 of docs/proofs.md bounds the errors.
-    """
-    xp = namespace(gamma, delta, time)
-    doublings = _doublings(gamma, delta) if xp is np else _DOUBLINGS
-    short = time * 2.0**-doublings
-    terms = [xp.zeros_like(short), 0.5 * short**2]  # of the position, from the first power on
-    for k in range(2, _TERMS):
-        following = delta * short * terms[-1] + gamma * short**2 * terms[-2] / k
-        terms.append(-following / (k + 1))
-    position = moment = terms[0]
-    for power in range(_TERMS, 1, -1):
-        term = terms[power - 1]
-        position, moment = position + term, moment + power * term
-
-    def doubled(half: Motion) -> Motion:
-        p, v = half
-        return Motion(2 * p - gamma * p**2 + v**2, 2 * v - delta * v**2 - 2 * gamma * p * v)
-
-    start = Motion(position, moment / xp.where(short == 0.0, 1.0, short))
-    if xp is not np:
-        return repeat(_DOUBLINGS, doubled, start)
-    moved = start
-    for count in range(int(np.max(doublings, initial=0.0))):
-        moved = Motion(*map(partial(np.where, count < doublings), doubled(moved), moved))
-    return moved
-
-
-def _doublings(gamma: Array, delta: Array) -> Array:
-    """Return how often to double the time in which a plant moves by no more than about 1/4."""
-    rates = 4.0 * (np.sqrt(np.abs(gamma)) + np.abs(delta))
-    return np.ceil(np.log2(np.fmax(np.fmin(rates, 2.0**_DOUBLINGS), 1.0)))  # whatever is NaN
-
-
-class QuickPlant(NamedTuple):
-    """D(z) = z^2 + d1 z + d0 and N(z) = n2 z^2 + n1 z + n0, with some slopes, in plain float64.
-
-    ``impulse`` and ``impulse_rate`` are position and velocity one sample after an impulse. The
-    slopes by the delay are -``early`` of n2, ``late`` of n0 and their difference of n1. ``d_error``
-    and ``n_error`` bound the errors of D and N on the circle, beyond a few roundings of their
-    terms.
-    """
-
-    d1: Float64[Array, "*grid"]
-    d0: Float64[Array, "*grid"]
-    n2: Float64[Array, "*grid"]
-    n1: Float64[Array, "*grid"]
-    n0: Float64[Array, "*grid"]
-    sum: Float64[Array, "*grid"]
-    impulse: Float64[Array, "*grid"]
-    impulse_rate: Float64[Array, "*grid"]
-    early: Float64[Array, "*grid"]
-    late: Float64[Array, "*grid"]
-    d_error: Float64[Array, "*grid"]
-    n_error: Float64[Array, "*grid"]
-
-
-def quick_plant(gamma: Array, delta: Array, delay: Array) -> QuickPlant:
-    """Return the sampled plant, good to about 1e-14 of one (lemma B23)."""
-    xp = namespace(gamma, delta, delay)
-    rest_of_sample = xp.floor(delay) + 1.0 - delay
-    times = xp.stack(xp.broadcast_arrays(xp.ones_like(gamma + delta), rest_of_sample))
-    full, held = map(Motion, *motion(gamma, delta, times))
-    impulse_rate = 1.0 - delta * full.velocity - gamma * full.position
-    total = full.position + full.velocity**2 - impulse_rate * full.position
-    later = full.position - held.position
-    n2, early = held
-    n1 = later + full.velocity * early - impulse_rate * n2
-    n0 = full.velocity * (full.velocity - early) - impulse_rate * later
-    late = full.velocity * (1.0 - gamma * n2) - early * (1.0 - gamma * full.position)
-    d1, d0 = gamma * full.position - 1.0 - impulse_rate, xp.exp(-delta)
-    slopes = (full.velocity, impulse_rate, early, late)
-    return QuickPlant(d1, d0, n2, n1, n0, total, *slopes, *quick_errors(gamma))
-
-
-def quick_errors(gamma: Array) -> tuple[Array, Array]:
-    """Bound the errors of D and N of a quick plant on the circle, and of their slopes."""
-    xp = namespace(gamma)
-    stiff = xp.sqrt(abs(gamma))
-    return QUICK_D * (1.0 + 4.0 * stiff), QUICK_N * (1.0 + 0.25 * stiff)
-
-
-def quick_slice(gamma: Array, delta: Array, delay: Array) -> SliceCoefficients:
-    """The slice for radius 1 in plain float64: quick to compile and to differentiate.
-
-    Absolute errors are about 1e-14; ``slice_coefficients`` is accurate relative to each value.
-    """
-    xp = namespace(gamma, delta, delay)
-    plant = quick_plant(gamma, delta, delay)
-    ones = xp.ones_like(plant.d0)
-    return SliceCoefficients(
-        radius=ones,
-        turns=xp.floor(delay) + 1.0,
-        gain=ones,
-        ratio=gamma,
-        kappa=1.0 + plant.d0,
-        eps=-xp.expm1(-delta),
-        sigma=plant.n2 + plant.n0,
-        nu=plant.n2 - plant.n0,
-        den_plus=gamma * plant.sum,
-        den_minus=1.0 - plant.d1 + plant.d0,
-        num_plus=plant.sum,
-        num_minus=plant.n2 - plant.n1 + plant.n0,
-    )
-
-
-def circle_equations(
-    c: SliceCoefficients, alpha: Numbers, beta: Numbers, theta: Array, responses: Responses
-) -> tuple[Array, Array]:
-    """Return Re g and Im g / sin(theta); differentiable, and smooth in theta at 0 and pi."""
-    xp = namespace(c, alpha, beta, theta)
-    upper = theta > pi / 2
-    folded = xp.where(upper, (pi - theta) + PI_REST, theta)
-    square = xp.sin(folded) ** 2
-    cosine_m, ratio_m = turns_over_sine(c.turns, theta)
-    near, far = 2.0 * xp.sin(0.5 * folded) ** 2, 2.0 * xp.cos(0.5 * folded) ** 2
-    h, mirror_h = xp.where(upper, far, near), xp.where(upper, near, far)  # 1 -+ cos(theta)
-    d = xp.where(upper, c.kappa * mirror_h - c.den_minus, c.den_plus - c.kappa * h)
-    q = xp.where(upper, c.sigma * mirror_h - c.num_minus, c.num_plus - c.sigma * h)
-    position, velocity = responses.over_sine(theta)
-    wall, wall_turned = (alpha * p + beta * v for p, v in zip(position, velocity, strict=True))
-    # (N/z) H = push + i sin(theta) turned
-    push = q * wall - c.nu * wall_turned * square
-    turned = q * wall_turned + c.nu * wall
-    real = d + cosine_m * push + ratio_m * square * turned
-    imaginary = c.eps + cosine_m * turned - ratio_m * push
-    return real, imaginary
-
+from jaxstab.region.on_circle import motion
+from jaxstab.rounding import PLANT_MODEL, UNDERFLOW
 
 # Bounds of the second derivatives of the plant's coefficients, and models of these over boxes.
 
