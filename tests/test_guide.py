@@ -64,7 +64,7 @@ def test_31_10_the_guide_leads_a_steering_wheel_to_a_program_in_c(
         answer = run(*own)
         assert answer.exit_code == 0, answer.stderr
         said += answer.stdout
-    assert "506.2 N m/rad" in said
+    assert "506.7 N m/rad" in said
     assert granted(said) > 70.0  # a delay that moves by a whole sample
     (source,) = blocks("c")
     wheel = source.replace("mass = 0.25;", "mass = 0.02;")
