@@ -35,8 +35,8 @@ from .point import SpectralRadius as SpectralRadius
 from .region import Branch as Branch
 from .region import RegionStatus as RegionStatus
 from .region import StableRegion as StableRegion
-from .scene.identify import Estimate as Estimate
-from .scene.identify import Identified as Identified
+from .scene.identified import Estimate as Estimate
+from .scene.identified import Identified as Identified
 from .scene.study import Shares as Shares
 from .scene.study import Study as Study
 from .trace import BoundaryTrace as BoundaryTrace

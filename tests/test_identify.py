@@ -103,6 +103,17 @@ def test_a_mass_without_friction_is_found_to_rounding() -> None:
     assert (found.resolution, found.warning) == (None, "")
 
 
+@pytest.mark.parametrize("name", ["friction that holds it often", "a coarse encoder"])
+def test_what_is_left_is_the_rounding_of_the_encoder(name: str) -> None:
+    """In no segment the search ends in a motion that friction stopped elsewhere."""
+    device = DEVICES[name]
+    for seed in (0, 2):
+        found = identified(device, simulated(device, ROWS, seed))
+        rounding = device.encoder / math.sqrt(12.0)
+        assert 0.95 * rounding < found.residual < 1.02 * rounding
+        assert not found.warning
+
+
 def test_a_spring_of_the_device_is_found() -> None:
     """A spring of the software is known to the log; hidden from it, it is one of the device."""
     device = Pushed(delay=0.0)

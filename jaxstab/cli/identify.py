@@ -45,8 +45,9 @@ def identify(
     record one.
     """
     from jaxstab.durable import publish
-    from jaxstab.scene.identify import identified_scene, identified_text, read_log
+    from jaxstab.scene.identified import identified_scene, identified_text
     from jaxstab.scene.identify import identify as fit
+    from jaxstab.scene.log import read_log
     from jaxstab.scene.scene import Scene, Units
     from jaxstab.tables import parsed
 

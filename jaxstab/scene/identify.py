@@ -10,135 +10,52 @@ with respect to all of these. Where the delay is w + f samples, f is the length 
 two pieces of a sample, so positions are differentiable with respect to the delay, too.
 
 The fit compares positions, simulated with measured (output error). The log is cut into segments,
-each with an initial position and velocity that are fitted too, so that what the model lacks does
-not add up over the log. The start is a linear regression: the equation of motion is multiplied by
-bumps of 40 ms and integrated by parts, so that only the sign of the velocity needs a derivative of
-the positions; of all whole delays below 100 samples the one with the smallest residual is taken.
-Then Levenberg and Marquardt's method refines everything together.
+each with an initial position and velocity of its own, so that what the model lacks does not add up
+over the log. The start is a linear regression: the equation of motion is multiplied by bumps of 40
+ms and integrated by parts, so that only the sign of the velocity needs a derivative of the
+positions; of all whole delays below 100 samples the one with the smallest residual is taken. Then
+``scipy.optimize.least_squares`` refines the values. For each of them the initial states follow by
+steps of Gauss and Newton, segment by segment, and the derivatives are less what these states can
+explain (Kaufman 1975).
 
 Rounding and friction leave residuals that are not white and depend on the motion. The covariance is
-therefore the jackknife's over segments (Efron, Stein 1981), one Newton step for each: with J_s the
-derivatives of segment s, less what its initial state can explain, A_s = J_s' J_s, A their sum and
-g_s = J_s' r_s, leaving the segment out moves the estimate by (A - A_s)^-1 g_s. Nothing is assumed
-of the residuals within a segment. Intervals are Student's, with one degree of freedom fewer than
-there are segments.
+therefore the jackknife's over segments (Efron, Stein 1981), from the Jacobian: with J_s the rows of
+segment s, A_s = J_s' J_s, A their sum and g_s = J_s' r_s, leaving the segment out moves the
+estimate by (A - A_s)^-1 g_s. Nothing is assumed of the residuals within a segment. Intervals are
+Student's, with one degree of freedom fewer than there are segments.
 """
 
-from dataclasses import dataclass
-from functools import cache
-from math import floor, inf, log, log10, pi, sqrt
-from typing import Any, NamedTuple
+from functools import cache, lru_cache
+from typing import Any
 
 import jax
 import jax.numpy as jnp
-import lineax
 import numpy as np
-import optimistix
 from jaxtyping import Float64
+from scipy.optimize import least_squares
 from scipy.special import stdtrit
 
 from jaxstab.arrays import Array, Numbers
 from jaxstab.batches import in_float64
-from jaxstab.model import Velocity
 from jaxstab.motion.contact import Flow, Plant, Runs, Seen, series, series_at
 from jaxstab.numbers import checked, checked_number
-from jaxstab.scene.answers import Quantity
-from jaxstab.scene.scene import Units
-from jaxstab.shown import printable
-from jaxstab.tables import columns_of
+from jaxstab.scene.identified import Estimate, Identified, Rows, Segments, doubt_of
+from jaxstab.scene.log import estimator_of, resolution_of
 
 FEWEST, MOST = 2000, 64_000  # rows
 HISTORY = 100  # samples before the first segment: longer delays are not tried
 _SEGMENTS, _ROWS = (16, 64), 500  # fewest and most; rows of one, between these numbers
 _BUMP, _BUMP_ROWS = 0.04, (16, 200)  # s; samples
 _LEAST_STEPS = 20  # of the encoder, which the device moves at least
-_MOST_COUNTS = 2.0**31  # of an encoder: finer steps are rounding of float64
 _LOOSE = 0.5  # of the mass: a larger half-width of its interval is refused
 _INERTIA = 0.01  # of the force, which at least must accelerate the device
 _EXCITE = "excite the device more strongly, or with more changes of the force"
-_LONGEST_WINDOW = 200  # samples
-_MOST_STEPS = 40
+_STATE_STEPS, _MOST_STEPS = 8, 40
+_SETTLED = 1e-6  # encoder steps: a smaller move ends the search for initial states
+_HELD = 1e-6  # of the largest singular value: what a segment tells less of stays as it is
+_LIGHTEST = 1e-3  # of the first guess of the mass
+_TOLERANCES = {"ftol": 1e-12, "xtol": 1e-9, "gtol": None}
 _MISFIT = 0.1  # of the motion: a log with a larger residual is refused
-_NOISE = 1e-6  # of the motion: a smaller residual causes no warning
-_UNEQUAL = 0.1  # of a sample: the most that a time step may differ from the mean
-_EXPLAINED = 0.05  # of a velocity: an estimator with a larger error is only a comment
-_ODD, _SHARP = 1.5, 20.0  # a residual in roundings, its peak in medians of the spectrum
-
-Rows = Float64[np.ndarray, " row"]
-Segments = Float64[np.ndarray, "segment sample"]
-
-
-class Estimate(NamedTuple):
-    """A value and the ends of its 95 % confidence interval, which holds if the model does.
-
-    Example:
-        >>> print(jaxstab.results.Estimate(0.25012, 0.2493, 0.2509))
-        0.25012 (0.24930 to 0.25090)
-        >>> print(jaxstab.results.Estimate(0.25012, 0.2493, 0.2509).times(1e3))
-        250.12 (249.30 to 250.90)
-    """
-
-    value: float
-    low: float
-    high: float
-
-    def __str__(self) -> str:
-        half = 0.5 * (self.high - self.low)
-        places = max(0, 1 - floor(log10(half))) if half > 0.0 else 6
-        value, low, high = (f"{end:.{places}f}" for end in self)
-        return f"{value} ({low} to {high})"
-
-    def times(self, factor: float, least: float = -inf) -> "Estimate":
-        """Return the estimate in another unit, all three values at least ``least``."""
-        return Estimate(*(max(factor * end, least) for end in self))
-
-
-@dataclass(frozen=True, repr=False)
-class Identified:
-    """A device as identified from a log, in SI units; see ``jaxstab.identify``.
-
-    Attributes:
-        mass, damping, friction, offset, stiffness, delay: estimates in kg, N s/m, N, N, N/m and s
-            (kg m^2, N m s/rad, N m, N m, N m/rad and s if it turns). The offset is a constant
-            force against the command, at the mean position. The stiffness of the device's spring is
-            0 unless one was fitted.
-        sample_time: in s.
-        resolution: the step of the encoder in m or rad; None where positions are not multiples of
-            one.
-        residual: the rms of measured minus fitted positions in m or rad.
-        warning: a sentence if the residual contradicts the model; empty otherwise.
-        velocity: the estimator that fits the logged velocity best; None without one.
-        unexplained: the rms of the logged minus the estimated velocity, over that of the velocity.
-        measured, fitted: positions in m or rad, (segment, sample), from row 100 of the log on.
-
-    Example:
-        >>> push = np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 200), 10)
-        >>> speed = np.cumsum(push) * 1e-3 / 0.25  # of 0.25 kg, without friction and delay
-        >>> place = np.cumsum(speed - push * 0.5e-3 / 0.25) * 1e-3
-        >>> found = jaxstab.identify(
-        ...     force=push, position=np.append(0.0, place[:-1]), sample_time=1e-3
-        ... )
-        >>> print(f"{found.mass.value:.4f} kg")
-        0.2500 kg
-    """
-
-    mass: Estimate
-    damping: Estimate
-    friction: Estimate
-    offset: Estimate
-    stiffness: Estimate
-    delay: Estimate
-    sample_time: float
-    resolution: float | None
-    residual: float
-    warning: str
-    velocity: Velocity | None
-    unexplained: float
-    measured: Segments
-    fitted: Segments
-
-    def __repr__(self) -> str:
-        return f"Identified(mass={self.mass}, damping={self.damping}, delay={self.delay})"
 
 
 def identify(
@@ -167,7 +84,7 @@ def identify(
     Raises: see ``jaxstab.conventions``; ValueError also if the log is too short or too long, its
     columns differ in length, nothing moves, or it does not determine the mass.
 
-    Source: output error by Levenberg-Marquardt, jackknife of Efron and Stein (1981).
+    Source: output error (Ljung 1999), jackknife of Efron and Stein (1981).
 
     Example: ``jaxstab.results.Identified`` has one of a good log.
         >>> jaxstab.identify(force=[0.0], position=[0.0], sample_time=1e-3)
@@ -190,7 +107,7 @@ def identify(
             f"rows of the log: {len(positions)}; give {FEWEST} to {MOST}, such as those of ten "
             "seconds."
         )
-    resolution, extent = _resolution(positions), float(np.ptp(positions))
+    resolution, extent = resolution_of(positions), float(np.ptp(positions))
     unit = resolution or 1e-4 * extent
     if not extent >= _LEAST_STEPS * unit or not np.ptp(forces):
         raise ValueError(
@@ -213,7 +130,7 @@ def identify(
             f"the log does not separate the mass from damping and friction: it is {mass.low:.3g} "
             f"to {mass.high:.3g}; {_EXCITE}."
         )
-    estimator, unexplained = _estimator(positions, columns.get("velocity"), period)
+    estimator, unexplained = estimator_of(positions, columns.get("velocity"), period)
     return Identified(
         mass,
         damping.times(1.0, 0.0),
@@ -224,26 +141,12 @@ def identify(
         period,
         resolution,
         residual,
-        _warning(measured - fitted, resolution is not None, residual, extent, period),
+        doubt_of(measured - fitted, resolution is not None, residual, extent, period),
         estimator,
         unexplained,
         middle + unit * measured,
         middle + unit * fitted,
     )
-
-
-def _resolution(positions: Rows) -> float | None:
-    """Return the step of which positions are multiples, up to a constant offset."""
-    places = np.unique(positions)
-    if len(places) < 2:
-        return None
-    step = float(np.diff(places).min())
-    most = float(np.rint((places[-1] - places[0]) / step))
-    if most > _MOST_COUNTS:
-        return None
-    step = float(places[-1] - places[0]) / most
-    counts = (places - places[0]) / step
-    return step if np.all(abs(counts - np.rint(counts)) < 0.1) else None
 
 
 def _start(
@@ -293,33 +196,62 @@ def _fit(
     measured = positions[begins[:, None] + np.arange(length)]
     pushes = forces[begins[:, None] + np.arange(-HISTORY, length + 1)]
     sizes = start * [1e-3, 1e-2, 1e-2, 0.0, 1e-2, 0.0] + [0.0, 0.0, 0.0, 0.01, 0.0, 0.05]
-    states = np.stack([measured[:, 0], speeds[begins]], axis=1)
-    fitted, slopes, values = in_float64(_program(), start, sizes, states, pushes, measured)
-    free = sizes != 0.0
-    to_states = slopes[:, :, 6:]
-    rows = slopes[:, :, :6][:, :, free]
-    rows = rows - to_states @ (np.linalg.pinv(to_states) @ rows)
+    free = np.flatnonzero(sizes)
+    states, shape = np.stack([measured[:, 0], speeds[begins]], axis=1), measured.shape
+    scale = np.array([1.0, 1.0 / length])
+
+    @lru_cache(maxsize=2)  # residuals and derivatives are asked for one after the other
+    def fitted(moves: tuple[float, ...]) -> tuple[Segments, np.ndarray]:
+        values, trial = start.copy(), states.copy()  # the states of values asked for before
+        values[free] += sizes[free] * moves
+        best = states, np.full(count, np.inf), np.empty_like(measured), np.empty((*shape, 8))
+        for _ in range(_STATE_STEPS):
+            both = np.hstack([np.tile(values, (count, 1)), trial])
+            path, slopes = in_float64(_program(), both, pushes)
+            squares = np.sum((measured - path) ** 2, axis=1)
+            is_better = (squares < best[1])[:, None]
+            for kept, new in zip(best, (trial, squares, path, slopes), strict=True):
+                kept[is_better[:, 0]] = new[is_better[:, 0]]
+            to_states = best[3][:, :, 6:] * scale
+            inverse = np.linalg.pinv(to_states, _HELD)  # a velocity that friction stops is lost
+            step = scale * (inverse @ (measured - best[2])[..., None])[..., 0]
+            trial = np.where(is_better, states + step, 0.5 * (states + trial))
+            if np.all(np.abs(trial - states) <= _SETTLED * scale):
+                break
+        rows = best[3][:, :, free] * sizes[free]
+        return best[2], rows - to_states @ (inverse @ rows)
+
+    found = least_squares(
+        lambda moves: (fitted(tuple(moves))[0] - measured).ravel(),
+        np.zeros(free.size),
+        lambda moves: fitted(tuple(moves))[1].reshape(-1, free.size),
+        bounds=(np.where(free == 0, (_LIGHTEST - 1.0) * start[0] / sizes[0], -np.inf), np.inf),
+        max_nfev=_MOST_STEPS,
+        **_TOLERANCES,
+    )
+    rows, residuals = found.jac.reshape(count, length, -1), found.fun.reshape(count, length)
     squares = rows.transpose(0, 2, 1) @ rows
-    gradients = np.einsum("srp,sr->sp", rows, measured - fitted)
-    moves = np.zeros((count, 6))
+    gradients = np.einsum("srp,sr->sp", rows, residuals)
     try:
-        moves[:, free] = np.linalg.solve(squares.sum(0) - squares, gradients[..., None])[..., 0]
+        moves = np.linalg.solve(squares.sum(0) - squares, gradients[..., None])[..., 0]
     except np.linalg.LinAlgError:  # the log does not separate them
-        moves[:, free] = np.inf
-    errors = np.sqrt((count - 1.0) / count * np.sum(moves**2, axis=0))
-    half_widths = stdtrit(count - 1, 0.975) * errors
-    return list(map(Estimate, values, values - half_widths, values + half_widths)), measured, fitted
+        moves = np.full((count, free.size), np.inf)
+    values, errors = start.copy(), np.zeros(6)
+    values[free] += sizes[free] * found.x
+    errors[free] = np.abs(sizes[free]) * np.sqrt((count - 1.0) / count * np.sum(moves**2, axis=0))
+    half = stdtrit(count - 1, 0.975) * errors
+    return list(map(Estimate, values, values - half, values + half)), measured, residuals + measured
 
 
 @cache
 def _program() -> Any:
-    """Return the compiled fit: positions, their derivatives, and the values.
+    """Return the compiled simulation of segments: positions, and derivatives.
 
-    Values are those of ``_start``; each is fitted in units of its size.
+    These are the derivatives with respect to the values of ``_start`` and the initial state, in
+    one row for each segment.
     """
 
     def path(both: Array, forces: Array) -> Array:
-        """Return the positions of a segment from the values and its initial state."""
         mass, damping, friction, offset, stiffness, delay, x, v = both
         gamma, delta = stiffness / mass, damping / mass
         impulse, step = series(gamma, delta, 1.0)
@@ -344,213 +276,8 @@ def _program() -> Any:
         return jax.lax.scan(piece, (x, v), (acting, flows))[1][::2]
 
     def with_slopes(both: Array, forces: Array) -> tuple[Array, Array]:
-        """Return the positions, and their derivatives with respect to values and states."""
         twice = lambda both: (path(both, forces),) * 2  # noqa: E731
         slopes, positions = jax.jacfwd(twice, has_aux=True)(both)
         return positions, slopes
 
-    @jax.custom_jvp
-    def paths(both: Array, forces: Array) -> Array:
-        return jax.vmap(path)(both, forces)
-
-    @paths.defjvp
-    def _(values: Any, directions: Any) -> tuple[Array, Array]:
-        # The derivatives of a segment are computed once, not for the initial states of all others.
-        positions, slopes = jax.vmap(with_slopes)(*values)
-        return positions, jnp.einsum("srp,sp->sr", slopes, directions[0])
-
-    def fit(start: Array, sizes: Array, states: Array, forces: Array, measured: Array) -> Any:
-        length = measured.shape[1]
-
-        def both(y: Any) -> Array:
-            factor = jnp.exp(y[0][0] * sizes[0] / start[0])  # so that no mass is negative
-            values = (start + sizes * y[0]).at[0].set(start[0] * factor)
-            own = states + jnp.array([1.0, 1.0 / length]) * y[1]
-            return jnp.concatenate([jnp.broadcast_to(values, (len(own), 6)), own], axis=1)
-
-        solver: Any = optimistix.LevenbergMarquardt(
-            rtol=1e-9, atol=1e-3, linear_solver=lineax.Normal(lineax.Cholesky())
-        )
-        solution: Any = optimistix.least_squares(
-            lambda y, _: paths(both(y), forces) - measured,
-            solver,
-            (jnp.zeros(6), jnp.zeros_like(states)),
-            max_steps=_MOST_STEPS,
-            throw=False,
-        )
-        best = both(solution.value)
-        positions, slopes = jax.vmap(with_slopes)(best, forces)
-        return positions, slopes, best[0, :6]
-
-    return jax.jit(fit)
-
-
-def _warning(
-    residual: Segments, is_stepped: bool, size: float, extent: float, period: float
-) -> str:
-    """Return a warning with the residual's main frequency if rounding does not explain it."""
-    window = np.hanning(residual.shape[1])
-    power = np.mean(abs(np.fft.rfft(window * residual, axis=1)) ** 2, axis=0)[2:]
-    peak = int(np.argmax(power))
-    times = float(np.sqrt(12.0 * np.mean(residual**2)))
-    is_sharp = power[peak] > _SHARP * np.median(power) and size > _NOISE * extent
-    is_odd = times > _ODD if is_stepped else is_sharp
-    if not is_odd:
-        return ""
-    of_rounding = f", {times:.3g} times that of the encoder's rounding" if is_stepped else ""
-    return (
-        f"the residual is {size:.3g} rms{of_rounding}, with its largest peak at "
-        f"{(peak + 2) / (residual.shape[1] * period):.3g} Hz: the model lacks something, such as a "
-        "vibration mode, a hand on the handle or a varying delay"
-    )
-
-
-def _estimator(
-    positions: Rows, velocity: Rows | None, period: float
-) -> tuple[Velocity | None, float]:
-    """Return the window or the low pass that fits velocities best, and its relative error."""
-    if velocity is None:
-        return None, 0.0
-    late = slice(_LONGEST_WINDOW, None)
-    differences = np.diff(positions, prepend=positions[0]) / period
-    guesses: list[tuple[float, Velocity]] = []
-
-    def guess(estimator: Velocity, values: Rows) -> None:
-        guesses.append((float(np.mean((values - velocity)[late] ** 2)), estimator))
-
-    for samples in range(1, _LONGEST_WINDOW + 1):
-        values = np.zeros_like(positions)
-        values[samples:] = (positions[samples:] - positions[:-samples]) / (samples * period)
-        guess(Velocity.difference(samples=samples), values)
-    # v_k - d_k = q (v_(k-1) - d_k) of a low pass is linear in q.
-    before, now = velocity[:-1] - differences[1:], velocity[1:] - differences[1:]
-    share = float(before @ now) / max(float(before @ before), np.finfo(float).tiny)
-    if 0.0 < share < 1.0:
-        values = velocity.copy()
-        for row in range(1, len(values)):
-            values[row] = share * values[row - 1] + (1.0 - share) * differences[row]
-        guess(Velocity.low_pass(-log(share) / (2.0 * pi * period)), values)
-    error, best = min(guesses, key=lambda guess: guess[0])
-    return best, float(np.sqrt(error / max(np.mean(velocity[late] ** 2), np.finfo(float).tiny)))
-
-
-# A log as a CSV file, and what is identified from it as text and as a scene.
-
-
-@dataclass(frozen=True)
-class Log:
-    """The columns of a log in SI units, and its sampling period in s."""
-
-    sample_time: float
-    force: Float64[np.ndarray, " row"]
-    position: Float64[np.ndarray, " row"]
-    velocity: Float64[np.ndarray, " row"] | None
-
-
-def read_log(
-    file: str, names: dict[str, str], sample_time: float | None, needs_velocity: bool
-) -> Log:
-    """Read a log by the names of its columns; ValueError if it is bad or its time steps differ."""
-    needed = ["force", "position", *(["time"] if sample_time is None else [])]
-    optional = [] if needs_velocity else [names["velocity"]]
-    needed += ["velocity"] if needs_velocity else []
-    table = columns_of(file, [names[key] for key in needed], optional)
-    columns = {key: np.array(table[name]) for key, name in names.items() if name in table}
-    if sample_time is None:
-        steps = np.diff(columns["time"])
-        sample_time = float(np.mean(steps)) if len(steps) else 0.0
-        odd = np.flatnonzero(~(abs(steps - sample_time) <= _UNEQUAL * sample_time))
-        if len(odd) or not sample_time > 0.0:
-            line = int(odd[0]) + 3 if len(odd) else 3
-            raise ValueError(
-                f"{file}, line {line}: the time does not grow by the mean step of "
-                f"{sample_time:.6g} s; give a log with equal steps, or --sample-time if no row is "
-                "missing."
-            )
-    return Log(sample_time, columns["force"], columns["position"], columns.get("velocity"))
-
-
-def identified_text(device: Identified, units: Units) -> str:
-    """Return the identified quantities, one on each line, with units."""
-    period, length = device.sample_time, Quantity("m", digits=3)
-    rounding = length.words((device.resolution or 0.0) / sqrt(12.0), units)
-    explained = f" (encoder rounding alone: {rounding})" if device.resolution else ""
-    lines = {
-        units.moved: f"{device.mass} {units.kilogram}",
-        "damping": f"{device.damping} {units.damping}",
-        "friction": f"{device.friction} {units.force}",
-        "constant force": f"{device.offset} {units.force}",
-        "spring": f"{device.stiffness} {units.stiffness}" if device.stiffness.value else "",
-        "delay": f"{device.delay.times(1e3)} ms; in samples {device.delay.times(1.0 / period)}",
-        "residual": f"{length.words(device.residual, units)} rms{explained}",
-        "velocity": f"{device.velocity}; {_unexplained(device)}" if device.velocity else "",
-    }
-    shown = [f"{name:16}{words}" for name, words in lines.items() if words]
-    doubt = "; by the warning it does not" if device.warning else ""
-    return "\n".join([*shown, f"in brackets: 95 % confidence intervals, if the model holds{doubt}"])
-
-
-def _unexplained(device: Identified) -> str:
-    percent = 100.0 * device.unexplained
-    return f"{f'{percent:.2g}' if percent >= 1e-3 else '< 0.001'} % rms unexplained"
-
-
-def identified_scene(device: Identified, units: Units, source: str) -> str:
-    """Return the text of a scene: intervals as ranges where it takes them, else as comments.
-
-    The delay becomes a range in which it may vary, because those proofs cover ranges of mass, too.
-    With a warning there is no range: what the model lacks moves estimates out of their intervals.
-    """
-    period, resolution, velocity = device.sample_time, device.resolution, _velocity_key(device)
-    remarks, taken, ranges = [], _range, " and as ranges"
-    if device.warning:
-        remarks = [f"Warning: {device.warning}. So mass and delay have no range here."]
-        taken, ranges = _best, ""
-    if device.stiffness.value:
-        remarks.append(
-            f"The device has a spring of {device.stiffness} {units.stiffness}: add it to the "
-            "stiffness of the hand."
-        )
-    lines = [
-        f"# From {printable(source)} by jaxstab identify. In brackets{ranges}: 95 %",
-        "# confidence intervals, if the model holds.",
-        *(f"# {remark}" for remark in remarks),
-        "",
-        "[device]",
-        f"{units.moved} = {taken(device.mass)}  # {units.kilogram}; {device.mass}",
-        f"damping = {device.damping.value:.6g}  # {units.damping}; {device.damping}",
-        f"friction = {device.friction.value:.6g}  # {units.force}; {device.friction}",
-        *([f"encoder.resolution = {resolution:.6g}  # {units.length}"] if resolution else []),
-        "",
-        "[controller]",
-        f"sample_time = {period:.9g}  # s",
-        f"delay = {taken(device.delay)}  # s; in samples {device.delay.times(1.0 / period)}",
-        *velocity,
-    ]
-    if device.friction.value:
-        speed = float(np.std(np.diff(device.fitted, axis=1))) / period
-        words = f"{units.length}/s, of simulated contacts; that of the log"
-        lines += ["", "[contact]", f"speed = {speed:.2g}  # {words}"]
-    return "\n".join([*lines, ""])
-
-
-def _range(estimate: Estimate) -> str:
-    return f"[{max(estimate.low, 0.0):.7g}, {max(estimate.high, 0.0):.7g}]"
-
-
-def _best(estimate: Estimate) -> str:
-    return f"{max(estimate.value, 0.0):.7g}"
-
-
-def _velocity_key(device: Identified) -> list[str]:
-    """Return the key of the velocity's estimator, as a comment if it explains too little."""
-    if device.velocity is None:
-        return []
-    (section,) = device.velocity.filter.sections
-    name, value = next(
-        (name, getattr(section, own))
-        for name, own in (("window_samples", "samples"), ("cutoff", "cutoff"))
-        if hasattr(section, own)
-    )
-    mark = "" if device.unexplained <= _EXPLAINED else "# not explained: "
-    return [f"{mark}velocity.{name} = {value:.6g}  # {_unexplained(device)}"]
+    return jax.jit(jax.vmap(with_slopes))
