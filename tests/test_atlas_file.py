@@ -4,14 +4,12 @@ import io
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
 import pytest
-from atlases import edited, small_file, write_small
+from atlases import UNSOUND, attribute, edited, set_to, small_file, write_small
 from campaign import many
 from commands import assert_one_sentence, run
 
@@ -96,53 +94,6 @@ def test_a_build_gives_the_values_of_the_golden_atlas(tmp_path: Path) -> None:
             np.testing.assert_allclose(built[name], values, rtol=1e-6, atol=1e-11, err_msg=name)
         else:
             np.testing.assert_array_equal(built[name], values, err_msg=name)
-
-
-def set_to(name: str, value: Any, place: Any = ...) -> Callable[[h5py.File], None]:
-    return lambda opened: opened[name].__setitem__(place, value)
-
-
-def replaced(name: str, values: Any, **options: Any) -> Callable[[h5py.File], None]:
-    def edit(opened: h5py.File) -> None:
-        del opened[name]
-        opened.create_dataset(name, data=values, **options)
-
-    return edit
-
-
-def attribute(name: str, value: Any) -> Callable[[h5py.File], None]:
-    return lambda opened: opened.attrs.__setitem__(name, value)
-
-
-CHUNKED = {"chunks": True, "fletcher32": True}
-UNSOUND = {
-    "no limits": lambda opened: opened.__delitem__("alpha_limits"),
-    "a negative error": set_to("alpha_error", -1.0, (0, 0, 0, 0, 0)),
-    "an error that is NaN": set_to("beta_error", np.nan, (0, 0, 0, 0)),
-    "an infinite limit": set_to("alpha_limits", np.inf, (0, 0, 0, 1, 1)),
-    "nodes out of order": set_to("delay", [1.5, 0.0, 0.5, 1.0, 2.0]),
-    "nodes that are NaN": set_to("gamma", [0.0, np.nan]),
-    "a delay beyond all": set_to("delay", 1e9, 4),
-    "rows that are not even": set_to("row", np.linspace(0.0, 1.0, 17) ** 2),
-    "another code": set_to("beyond", 7, (0, 0, 0)),
-    "another type": replaced("gamma", np.array([0, 1]), **CHUNKED),
-    "another shape": replaced("beta_limits", np.zeros((2, 3, 4, 2)), **CHUNKED),
-    "no checksum": replaced("gamma", np.array([0.0, 0.001]), chunks=True),
-    "no chunks": replaced("gamma", np.array([0.0, 0.001])),
-    "a link": lambda opened: (
-        opened.__delitem__("row"),
-        opened.__setitem__("row", h5py.SoftLink("/gamma")),
-    ),
-    "an external link": lambda opened: (
-        opened.__delitem__("row"),
-        opened.__setitem__("row", h5py.ExternalLink("/etc/passwd", "/row")),
-    ),
-    "a filter that expands": replaced("gamma", np.zeros(2), compression="gzip", **CHUNKED),
-    "words that are numbers": attribute("filters", 7),
-    "no count": lambda opened: opened.attrs.__delitem__("tested_points"),
-    "words that are not UTF-8": attribute("created_by", np.bytes_(b"\xff\xfe")),
-    "a version that is none": attribute("schema_version", np.bytes_(b"four")),
-}
 
 
 @pytest.mark.parametrize("name", UNSOUND)

@@ -93,7 +93,7 @@ def test_points_come_from_csv_with_columns_in_any_order_and_options_for_the_rest
 
 def test_points_outside_are_computed(path: Path) -> None:
     answer = run("atlas", "query", path, *POINT, "--gamma", "9")
-    code = jaxstab.verdict(0.1, 0.5, gamma=9.0, delta=0.01, delay=0.0)
+    code = jaxstab.Verdict(jaxstab.verdict(0.1, 0.5, gamma=9.0, delta=0.01, delay=0.0))
     assert answer.exit_code == int(code != jaxstab.Verdict.STABLE)
     assert answer.stdout.splitlines()[1].endswith(f",{code.name.lower()},computed")
 

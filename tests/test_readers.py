@@ -7,11 +7,10 @@ from pathlib import Path
 import flint
 import numpy as np
 import pytest
-from atlases import edited, small_file, write_small
+from atlases import UNSOUND, edited, small_file, write_small
 from campaign import many
 from mpmath import mpf
 from programs_in_c import READER, STRICT, compiled, hdf5_options
-from test_atlas_file import UNSOUND
 
 import jaxstab
 from benchmarks import truth

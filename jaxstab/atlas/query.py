@@ -250,7 +250,8 @@ class Atlas:
 
         Args:
             ax: the axes of matplotlib to draw in; None makes a figure with matplotlib.pyplot.
-            gamma: of the plane; None for the node in the middle; so is delta.
+            gamma: of the plane; None for the node in the middle.
+            delta: of the plane; None for the node in the middle.
             delay: in samples; None for the first node.
 
         Raises: ValueError if gamma, delta or delay is outside of the atlas, or nothing is stable
