@@ -17,13 +17,11 @@ BENCHMARKS = (
     "latency",
     "boundary",
     "regions",
-    "queries",
     "answers",
     "resolution",
     "throughput",
     "accelerator",
     "estimators",
-    "filling",
     "scaling",
     "verdicts",
     "criteria",
@@ -109,7 +107,7 @@ def main() -> int:
         options: dict[str, Any] = {}
         if name == "scaling" and choice.billion:
             options = {"billion": True}
-        if name in ("exact", "loops", "stress") and choice.points:
+        if name in ("answers", "exact", "loops", "stress") and choice.points:
             options = {"points": choice.points}
         if name in ("stress", "loops"):
             options |= {"keep": keep}

@@ -97,14 +97,12 @@ def _questions() -> list[Question]:
     five = f"{ALPHA}, {BETA}, {slice_}"
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     snippet = re.findall(r"```python\n(.*?)```", readme, flags=re.DOTALL)[0]
-    atlas = str(ROOT / "data" / "golden")
-    golden = sorted(Path(atlas).rglob("*.h5"))[-1]
+    golden = ROOT / "data" / "golden" / "atlas-v4.h5"
     return [
         Question("atlas, one verdict", 0.5, ("-c",
             "import jaxstab\n"
             f"atlas = jaxstab.open_atlas({str(golden)!r})\n"
-            "nodes = {name: float(x[x.size // 2]) for name, x in atlas.nodes(0).items()}\n"
-            "print(int(atlas.query(**nodes, delay=float(atlas.delays[0])).verdict))"
+            "print(int(atlas.verdict(0.05, 0.3, gamma=0.0004, delta=0.01, delay=1.1)))"
         ), lambda answer: float(answer[0] not in (1.0, 2.0))),
         Question("verdict", 1.2, _python(f"print(int(jaxstab.verdict({five})))"),
                  _judge_verdict, "verdict"),

@@ -8,13 +8,15 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter
 
 from benchmarks import record
 from benchmarks.record import Record, Row
 
 # Okabe and Ito's colours, told apart by the colour-blind; a marker each for those who print grey.
 _STYLES = {
+    "nearest": ("#CC79A7", "v"),
+    "linear": ("#0072B2", "o"),
+    "cubic": ("#009E73", "X"),
     "jaxstab": ("#0072B2", "o"),
     "NumPy eigenvalues": ("#E69F00", "s"),
     "Schur-Cohn, not proved": ("#999999", "^"),
@@ -28,10 +30,6 @@ _STYLES = {
     "n-cube bisection": ("#D55E00", "D"),
     "numpy.roots": ("#CC79A7", "v"),
     "python-control poles": ("#000000", "P"),
-    "nearest node": ("#CC79A7", "v"),
-    "linear radius": ("#E69F00", "s"),
-    "proved cells": ("#009E73", "X"),
-    "proved limits": ("#0072B2", "o"),
     "scipy linear": ("#000000", "P"),
     "verdict grid": ("#56B4E9", "^"),
     "verdict": ("#56B4E9", "^"),
@@ -40,14 +38,8 @@ _STYLES = {
     "spectral_radius": ("#0072B2", "o"),
     "spectral_radius, companion": ("#009E73", "X"),
     "closed form": ("#0072B2", "o"),
-    "atlas": ("#0072B2", "o"),
     "stable_region": ("#0072B2", "o"),
     "its polygon": ("#E69F00", "s"),
-    "atlas, many points": ("#0072B2", "o"),
-    "atlas, radii": ("#D55E00", "D"),
-    "atlas, one by one": ("#009E73", "X"),
-    "filled": ("#0072B2", "o"),
-    "dense": ("#56B4E9", "^"),
     "write": ("#000000", "P"),
     "write, new memory": ("#CC79A7", "v"),
     "verdict, exact": ("#0072B2", "o"),
@@ -160,81 +152,41 @@ def _regions(rows: list[Row]) -> Figure:
     return _with_legend(figure, axes)
 
 
-def _queries(rows: list[Row]) -> Figure:
-    delay = 1.0
-    rows = [row for row in rows if row["delay"] == delay]
-    figure, axes = _panels(2, 3, f"Atlas queries, delay {delay:g}: resolution against accuracy")
-    across = {
-        "bytes": "bytes kept",
-        "build_seconds": "seconds to build",
-        "seconds_per_point": "seconds per query",
-    }
-    for column, (x, label) in zip(axes.T, across.items(), strict=True):
-        for section, line in (("wall", "-"), ("plant", ":")):
-            some = [row for row in rows if row["section"] == section and row[x] > 0]
-            _lines(column[0], some, x, "error", line=line)
-            kept = [row for row in some if row["radius_error_median"] is not None]
-            _lines(column[1], kept, x, "radius_error_median", line=line)
-        column[0].set_yscale("symlog", linthresh=1e-4)
-        column[0].set_ylim(bottom=0.0)
-        column[1].set_yscale("log")
-        for panel in column:
-            panel.set_xscale("log")
-            panel.xaxis.set_minor_formatter(NullFormatter())
-        column[1].set_xlabel(label)
-    axes[0, 0].set_ylabel("share without a right verdict")
-    axes[1, 0].set_ylabel("median error of the radius")
-    figure.text(
-        0.99, 0.005, "solid: nodes in alpha, beta; dotted: in gamma, delta", ha="right", fontsize=8
-    )
-    return _with_legend(figure, axes)
-
-
 def _answers(rows: list[Row]) -> Figure:
-    atlas = [row for row in rows if row["method"] == "atlas, many points"]
-    asked, wrong = (sum(row[column] for row in atlas) for column in ("asked", "wrong"))
-    figure, axes = _panels(1, 2, f"{asked:,} questions to the default atlas, {wrong} wrong")
-    at_delays = [row for row in rows if row["section"].startswith("delay")]
-    _lines(axes[0, 0], at_delays, "delay", "seconds_per_point")
-    axes[0, 0].set(yscale="log", xlabel="delay in samples", ylabel="CPU seconds per point")
-    sections = [row["section"] for row in atlas][::-1]
-    shares = [row["undecided"] for row in atlas][::-1]
-    axes[0, 1].barh(sections, shares, color=_STYLES["atlas"][0])
-    axes[0, 1].set(xscale="log", xlabel="undecided share")
-    return _with_legend(figure, axes)
+    asked, wrong = (sum(row[column] for row in rows) for column in ("asked", "wrong"))
+    figure, axes = _panels(1, 1, f"{asked:,} questions to the default atlas, {wrong} wrong")
+    kinds, shares = zip(*((row["section"], row["computed"]) for row in rows[::-1]), strict=True)
+    axes[0, 0].barh(kinds, shares, color=_STYLES["linear"][0])
+    axes[0, 0].set(xscale="log", xlabel="share that is left to be computed")
+    return figure
 
 
 def _resolution(rows: list[Row]) -> Figure:
-    """What answers lack, and below what they take; who never lacks it is named."""
+    """What nodes give and take: error and share computed, over the size of the table."""
     points = f"{rows[0]['points']:,}"
-    figure, axes = _panels(2, 2, f"What a resolution gives and takes: {points} walls of one slice")
-    labels = ("share undecided", "share wrong", "CPU seconds per query", "bytes kept")
-    columns = ("undecided", "wrong", "seconds_per_point", "bytes")
-    for panel, column, label in zip(axes.ravel(), columns, labels, strict=True):
-        some = [row for row in rows if row[column] > 0]
-        _lines(panel, some, "nodes", column)
-        never = {row["method"] for row in rows} - {row["method"] for row in some}
-        if never:
-            words = f"none: {', '.join(sorted(never))}"
-            panel.text(0.03, 0.03, words, transform=panel.transAxes, fontsize=8)
-        panel.set_xscale("log", base=2)
-        panel.set(yscale="log", ylabel=label, xticks=_values(rows, "nodes"))
-        panel.xaxis.set_major_formatter("{x:g}")
-        panel.set_xlabel("nodes along alpha and beta, cells of limits")
-    return _with_legend(figure, axes)
-
-
-def _filling(rows: list[Row]) -> Figure:
-    sections = list(dict.fromkeys(row["section"] for row in rows))
-    figure, axes = _panels(2, len(sections), "A slice of verdicts beside writing its array")
-    for column, section in zip(axes.T, sections, strict=True):
-        some = [row for row in rows if row["section"] == section]
-        _lines(column[0], some, "delay", "seconds")
-        _lines(column[1], some, "delay", "error")
-        column[0].set(yscale="log", title=f"around the {section}" if "set" in section else section)
-        column[1].set(ylim=(0.0, 1.0), xlabel="delay in samples")
-    axes[0, 0].set_ylabel(f"seconds for {rows[0]['points']:,} nodes")
-    axes[1, 0].set_ylabel("share wrong or undecided\nnext to the boundary")
+    figure, axes = _panels(1, 3, f"Nodes of the haptic range: {points} random walls")
+    labels = ("largest error of a limit (largest alpha = 1)", "share computed")
+    for panel, column, label in zip(axes[0], ("error", "computed"), labels, strict=False):
+        _lines(panel, [row for row in rows if row[column] > 0], "bytes", column)
+        panel.set(xscale="log", yscale="log", xlabel="bytes of the table", ylabel=label)
+    built = [row for row in rows if row["method"] == "linear"]
+    _lines(axes[0, 2], built, "bytes", "build_seconds")
+    axes[0, 2].set(
+        xscale="log", yscale="log", xlabel="bytes of the table", ylabel="CPU seconds of the build"
+    )
+    for number, row in enumerate(built):
+        words = axes[0, 2].annotate(
+            row["section"],
+            (row["bytes"], row["build_seconds"]),
+            xytext=(7, -4 if number else -13),
+            textcoords="offset points",
+            fontsize=7,
+        )
+        words.set_in_layout(False)
+    sizes = [row["bytes"] for row in built]
+    axes[0, 2].set_xlim(0.5 * min(sizes), 100.0 * max(sizes))
+    axes[0, 2].set_ylim(0.7 * min(row["build_seconds"] for row in built))
+    axes[0, 2].set_title("rows x gamma x delta x delay", fontsize=8)
     return _with_legend(figure, axes)
 
 
@@ -425,13 +377,11 @@ _DRAWINGS: dict[str, Callable[[list[Row]], Figure]] = {
     "exact": _exact,
     "amplitudes": _amplitudes,
     "regions": _regions,
-    "queries": _queries,
     "answers": _answers,
     "resolution": _resolution,
     "throughput": _throughput,
     "accelerator": _accelerator,
     "estimators": _estimators,
-    "filling": _filling,
     "scaling": _scaling,
     "stress": _stress,
     "verdicts": _verdicts,

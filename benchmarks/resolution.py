@@ -1,132 +1,222 @@
-"""Run time, size and error against resolution: grids of a slice, and what is proved of its cells.
+"""How many nodes along each axis give which error and which share computed, at which cost.
 
-The same random points are asked of the verdict of the nearest node, of the radius interpolated
-linearly between nodes, of verdicts proved for whole cells, and of the limits of alpha. There are as
-many nodes along alpha as along beta, and as many cells of limits along beta. ``error`` is the share
-of points without a right verdict: undecided, or wrong by ``verdict(resolve="exact")``.
+The exact limits of the haptic range at nodes of growing numbers are interpolated in three ways: by
+the nearest node, linearly, and by cubic splines (of a lower degree where there are fewer nodes;
+along the delay within each sample, for limits have a kink at whole ones). The error of a cell is
+measured as by a build, over a stencil inside of it, and a wall that is not clear of the limits by
+four times that error is computed. ``error`` is the largest error of the upper limit at random
+walls, over the largest stable alpha of their plant; ``wrong`` counts walls whose verdict
+contradicts an exact one. Seconds are those of the answers by one implementation for all three; an
+atlas is linear, and its own takes less (``benchmarks answers``).
 """
 
-import tempfile
 from collections.abc import Callable, Iterator
 from functools import partial
-from pathlib import Path
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.interpolate import RegularGridInterpolator
+from scipy.interpolate import make_interp_spline
 
 import jaxstab
 from benchmarks.record import Row
 from benchmarks.timing import interleaved
-from jaxstab.conventions import Verdict
-from jaxstab.model import by_name
+from jaxstab.atlas.limits import exact_limits, table_of
+from jaxstab.atlas.table import CLEAR, LimitTable
+from jaxstab.conventions import AXES, Verdict
 
-MEASURE = "share of random points without a right verdict: undecided or wrong"
+MEASURE = "largest error of the upper limit, over the largest stable alpha of the plant"
+GRIDS = ((9, 2, 2, 13), (17, 2, 2, 25), (33, 3, 3, 49), (65, 3, 3, 97), (129, 3, 5, 193))
+SMALL = ((5, 2, 2, 4), (9, 2, 2, 7))
 
-_HAND = 5e-4, 0.0075  # gamma and delta: the middle of the haptic range
-_DELAY = 1.0
-_POINTS = 200_000
+_PLANTS, _WALLS = 1000, 100
+_SPLINE = 3  # degree
+_ASIDE = 0.08, 0.1  # below and above the stable interval of beta
+
+Weights = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""What the values at nodes count at points: (node,) and (point,) to (point, node)."""
 
 
-class Rival(NamedTuple):
-    """A way to answer: from an atlas with one product, which keeps so many bytes in memory."""
+class Asked(NamedTuple):
+    """Random walls of random plants, with exact verdicts and limits: (plant, wall)."""
 
-    answer: Callable[[], np.ndarray]
-    kept: int
-    build_seconds: float
+    alpha: np.ndarray
+    beta: np.ndarray
+    plants: list[np.ndarray]
+    codes: np.ndarray
+    upper: np.ndarray
+    top: np.ndarray
+
+
+def nearest(nodes: np.ndarray, points: np.ndarray) -> np.ndarray:
+    middles = 0.5 * (nodes[1:] + nodes[:-1])
+    return np.eye(nodes.size)[np.searchsorted(middles, points)]
+
+
+def linear(nodes: np.ndarray, points: np.ndarray) -> np.ndarray:
+    return _spline(1, nodes, points)
+
+
+def cubic(nodes: np.ndarray, points: np.ndarray) -> np.ndarray:
+    return _spline(_SPLINE, nodes, points)
+
+
+def within_samples(weights: Weights, nodes: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """The weights of each sample's own nodes: from a whole delay to the next."""
+    whole = [k for k, node in enumerate(nodes.tolist()) if float(node).is_integer()]
+    total = np.zeros((points.size, nodes.size))
+    for first, last in pairwise(whole):
+        held = (points >= nodes[first]) & (points <= nodes[last])
+        own = slice(first, last + 1)
+        total[held] = 0.0
+        total[held, own] = weights(nodes[own], points[held])
+    return total
+
+
+def _spline(degree: int, nodes: np.ndarray, points: np.ndarray) -> np.ndarray:
+    spline = make_interp_spline(nodes, np.eye(nodes.size), min(degree, nodes.size - 1))
+    values: np.ndarray = spline(points)
+    return values
+
+
+METHODS: dict[str, Weights] = {"nearest": nearest, "linear": linear, "cubic": cubic}
 
 
 def rows(small: bool) -> Iterator[Row]:
-    counts = (16, 8) if small else (512, 256, 128, 64, 32, 16, 8)
-    rng = np.random.default_rng(20120412)
-    asked: list[np.ndarray] = []
-    for count in counts:  # the finest first: it reaches least far around the region
-        atlases = {product: _built(product, count) for product in ("verdict", "alpha_limits")}
-        if not asked:
-            walls = list(atlases["verdict"][0].nodes(0).values())[:2]
-            points = 500 if small else _POINTS
-            asked = [rng.uniform(nodes[0], nodes[-1], points) for nodes in walls]
-            true = np.asarray(jaxstab.verdict(**by_name(*asked, *_HAND, _DELAY), resolve="exact"))
-        yield from _rows(count, _rivals(atlases, asked), true, small)
+    asked = _asked(50 if small else _PLANTS, 20 if small else _WALLS)
+    for grid in SMALL if small else GRIDS:
+        spec = _spec(*grid)
+        timing = interleaved({"build": partial(table_of, spec)}, budget=0.0, least=1, most=1)
+        table: LimitTable = timing["build"].answer
+        build_seconds = min(timing["build"].cpu_seconds)
+        size = sum(array.nbytes for array in table.arrays.values())
+        for method, weights in METHODS.items():
+            yield _row(grid, method, weights, table, asked) | {
+                "bytes": size,
+                "build_seconds": build_seconds,
+            }
 
 
-def _built(product: str, count: int) -> tuple[jaxstab.Atlas, float]:
-    """Return an atlas of one slice with one product, and the CPU seconds of its build."""
-    spec = jaxstab.AtlasSpec(
-        alpha=jaxstab.FittedAxis(count),
-        beta=jaxstab.FittedAxis(count),
-        gamma=_HAND[:1],
-        delta=_HAND[1:],
-        delay=(_DELAY,),
-        limit_cells=count,
-        products=(product,),
+def _spec(rows: int, gammas: int, deltas: int, delays: int) -> jaxstab.AtlasSpec:
+    default = jaxstab.AtlasSpec().nodes
+    ends = (
+        np.linspace(n[0], n[-1], c) for n, c in zip(default, (gammas, deltas, delays), strict=True)
     )
-    with tempfile.TemporaryDirectory() as folder:
-        build = partial(jaxstab.build_atlas, spec, Path(folder) / "atlas.h5")
-        timing = interleaved({"build": build}, budget=0.0, least=2, most=2)["build"]
-    return timing.answer, min(timing.cpu_seconds)
+    gamma, delta, delay = (nodes.tolist() for nodes in ends)
+    return jaxstab.AtlasSpec(rows=rows, gamma=gamma, delta=delta, delay=delay)
 
 
-def _rivals(
-    atlases: dict[str, tuple[jaxstab.Atlas, float]], asked: list[np.ndarray]
-) -> dict[str, Rival]:
-    atlas, seconds = atlases["verdict"]
-    nodes = list(atlas.nodes(0).values())[:2]
-    codes = atlas.arrays["verdict"][:, :, 0, 0, 0]
-    cells = atlas.arrays["cell_verdict"][:, :, 0, 0, 0]
-    slice_ = by_name(*_HAND, _DELAY)
-    radii = partial(jaxstab.spectral_radius, nodes[0][:, None], nodes[1], **slice_)
-    timing = interleaved({"radii": radii}, budget=0.0, least=2, most=2)["radii"]
-    radius, radius_seconds = np.asarray(timing.answer.value), min(timing.cpu_seconds)
-    linear = RegularGridInterpolator(nodes, radius)
-    limits, limit_seconds = atlases["alpha_limits"]
+def _asked(plants: int, walls: int) -> Asked:
+    rng = np.random.default_rng(20120412)
+    axes = jaxstab.AtlasSpec().nodes
+    own = [rng.uniform(nodes[0], nodes[-1], plants) for nodes in axes]
+    ends, limits_at = exact_limits(*own)
+    low, high = ends[:, :1], ends[:, 1:]
+    beta = low + rng.uniform(-_ASIDE[0], 1.0 + _ASIDE[1], (plants, walls)) * (high - low)
+    inside = (beta > low) & (beta < high)
+    upper = np.where(inside, limits_at(beta)[..., 1], np.nan)
+    top = np.max(limits_at(np.linspace(ends[:, 0], ends[:, 1], 65).T)[..., 1], axis=1)
+    alpha = rng.uniform(-0.05, 1.1, (plants, walls)) * top[:, None]
+    plant = [values[:, None] for values in own]
+    point = dict(zip(AXES, (alpha, beta, *plant), strict=True))
+    codes = np.asarray(jaxstab.verdict(**point, resolve="exact"))
+    return Asked(alpha, beta, own, codes, upper, top)
+
+
+def _row(
+    grid: tuple[int, int, int, int], method: str, weights: Weights, table: LimitTable, asked: Asked
+) -> Row:
+    errors = _errors(table, weights)
+    timing = interleaved(
+        {"answer": partial(_answer, table, weights, errors, asked)}, budget=0.5, most=3
+    )["answer"]
+    codes, upper = timing.answer
+    computed = codes == Verdict.UNDECIDED
+    wrong = ~computed & (codes != asked.codes) & (asked.codes != Verdict.UNDECIDED)
+    off = np.abs(upper - asked.upper) / asked.top[:, None]
+    rows, gammas, deltas, delays = grid
     return {
-        "nearest node": Rival(partial(_nearest, nodes, codes, asked), codes.nbytes, seconds),
-        "linear radius": Rival(partial(_by_radius, linear, asked), radius.nbytes, radius_seconds),
-        "proved cells": Rival(partial(_by_cells, nodes, cells, asked), cells.nbytes, seconds),
-        "proved limits": Rival(
-            partial(limits.verdict, *asked, **slice_),
-            limits.arrays["alpha_limits"].nbytes,
-            limit_seconds,
-        ),
+        "section": f"{rows} x {gammas} x {deltas} x {delays}",
+        "method": method,
+        "delay": 3.0,
+        "points": codes.size,
+        **timing.columns(),
+        "seconds_per_point": float(np.median(timing.cpu_seconds)) / codes.size,
+        "nodes": rows * gammas * deltas * delays,
+        "error": float(np.nanmax(off)),
+        "error_measure": MEASURE,
+        "median_error": float(np.nanmedian(off)),
+        "computed": float(np.mean(computed)),
+        "wrong": int(wrong.sum()),
     }
 
 
-def _nearest(nodes: list[np.ndarray], codes: np.ndarray, asked: list[np.ndarray]) -> np.ndarray:
-    middles = [(along[1:] + along[:-1]) / 2.0 for along in nodes]
-    place = tuple(np.searchsorted(m, wall) for m, wall in zip(middles, asked, strict=True))
-    return codes[place]
+def _plant_weights(
+    weights: Weights, table: LimitTable, plants: list[np.ndarray]
+) -> list[np.ndarray]:
+    gamma, delta, delay = table.axes
+    in_samples = partial(within_samples, weights)
+    return [
+        weights(gamma, plants[0]),
+        weights(delta, plants[1]),
+        in_samples(delay, plants[2]),
+    ]
 
 
-def _by_radius(linear: RegularGridInterpolator, asked: list[np.ndarray]) -> np.ndarray:
-    return np.where(linear(np.stack(asked, axis=-1)) < 1.0, Verdict.STABLE, Verdict.UNSTABLE)
+def _errors(table: LimitTable, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
+    """The largest errors of cells, of alpha and of beta, over the stencil of a build."""
+    fine = [_with_middles(nodes) for nodes in (*table.axes, table.row)]
+    found = []
+    for side in (-1.0, 1.0):  # of a middle, where the nearest node changes
+        places = [np.clip(f + side * 1e-12 * np.ptp(f), f[0], f[-1]) for f in fine]
+        by_plant = _plant_weights(weights, table, places[:3])
+        ends = np.einsum("ai,bj,ck,ijks->abcs", *by_plant, table.beta_limits, optimize=True)
+        of_rows = np.einsum("ai,bj,ck,ijkrs->abcrs", *by_plant, table.alpha_limits, optimize=True)
+        alpha = np.einsum("dr,abcrs->abcds", weights(table.row, places[3]), of_rows, optimize=True)
+        plants = [values.ravel() for values in np.meshgrid(*fine[:3], indexing="ij")]
+        exact_ends, limits_at = exact_limits(*plants)
+        beta = ends[..., :1] + fine[3] * (ends[..., 1:] - ends[..., :1])
+        exact = limits_at(beta.reshape(-1, fine[3].size)).reshape(alpha.shape)
+        found.append((np.abs(alpha - exact), np.abs(ends - exact_ends.reshape(ends.shape))))
+    alpha_error, beta_error = (np.maximum(*pair) for pair in zip(*found, strict=True))
+    return _of_cells(alpha_error, 4), _of_cells(beta_error, 3)
 
 
-def _by_cells(nodes: list[np.ndarray], cells: np.ndarray, asked: list[np.ndarray]) -> np.ndarray:
-    inner = (along[1:-1] for along in nodes)
-    place = tuple(np.searchsorted(m, wall, "right") for m, wall in zip(inner, asked, strict=True))
-    return cells[place]
+def _with_middles(nodes: np.ndarray) -> np.ndarray:
+    return np.sort(np.concatenate([nodes, 0.5 * (nodes[1:] + nodes[:-1])]))
 
 
-def _rows(count: int, rivals: dict[str, Rival], true: np.ndarray, small: bool) -> Iterator[Row]:
-    calls: dict[str, Callable[[], Any]] = {name: rival.answer for name, rival in rivals.items()}
-    timings = interleaved(calls, budget=0.1 if small else 0.5, most=20)
-    for name, timing in timings.items():
-        undecided = timing.answer == Verdict.UNDECIDED
-        wrong = ~undecided & (timing.answer != true)
-        yield {
-            "section": f"{count} nodes",
-            "method": name,
-            "delay": _DELAY,
-            "nodes": count,
-            "points": true.size,
-            **timing.columns(),
-            "seconds_per_point": float(np.median(timing.cpu_seconds)) / true.size,
-            "bytes": rivals[name].kept,
-            "build_seconds": rivals[name].build_seconds,
-            "error": float(np.mean(undecided | wrong)),
-            "error_measure": MEASURE,
-            "undecided": float(np.mean(undecided)),
-            "wrong": float(np.mean(wrong)),
-            "falsely_stable": float(np.mean(wrong & (timing.answer == Verdict.STABLE))),
-        }
+def _of_cells(values: np.ndarray, axes: int) -> np.ndarray:
+    for axis in range(axes):
+        along = np.moveaxis(values, axis, 0)
+        largest = np.maximum(np.maximum(along[:-2:2], along[1:-1:2]), along[2::2])
+        values = np.moveaxis(largest, 0, axis)
+    return values
+
+
+def _answer(
+    table: LimitTable, weights: Weights, errors: tuple[np.ndarray, np.ndarray], asked: Asked
+) -> tuple[np.ndarray, Any]:
+    """Codes, UNDECIDED where a wall is to be computed, and interpolated upper limits."""
+    by_plant = _plant_weights(weights, table, asked.plants)
+    ends = np.einsum("pi,pj,pk,ijks->ps", *by_plant, table.beta_limits, optimize=True)
+    of_rows = np.einsum("pi,pj,pk,ijkrs->prs", *by_plant, table.alpha_limits, optimize=True)
+    low, high = ends[:, :1], ends[:, 1:]
+    u = (asked.beta - low) / (high - low)
+    inside = np.clip(u, 0.0, 1.0)
+    along = weights(table.row, inside.ravel()).reshape(*u.shape, -1)
+    lower, upper = np.moveaxis(along @ of_rows, -1, 0)
+    cells = [
+        np.clip(np.searchsorted(nodes, values, "right") - 1, 0, nodes.size - 2)[:, None]
+        for nodes, values in zip(table.axes, asked.plants, strict=True)
+    ]
+    row = np.minimum((inside * (table.row.size - 1)).astype(int), table.row.size - 2)
+    room = CLEAR * np.moveaxis(errors[0][(*cells, row)], -1, 0) + 1e-14
+    band = CLEAR * np.moveaxis(errors[1][tuple(cells)], -1, 0)
+    within = (asked.beta > low + band[0]) & (asked.beta < high - band[1])
+    beyond = (asked.beta < low - band[0]) | (asked.beta > high + band[1])
+    stable = within & (asked.alpha > lower + room[0]) & (asked.alpha < upper - room[1])
+    unstable = (asked.alpha < lower - room[0]) | (asked.alpha > upper + room[1])
+    codes = np.full(u.shape, Verdict.UNDECIDED, np.int8)
+    codes[stable], codes[beyond | (within & unstable)] = Verdict.STABLE, Verdict.UNSTABLE
+    return codes, upper

@@ -6,7 +6,6 @@ docs/accuracy.md has all of it below five lines for a reader, and the README has
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator
-from itertools import product
 from pathlib import Path
 
 from benchmarks.record import Record, Row
@@ -18,6 +17,15 @@ _DEVICES = "<!-- table of devices: begin -->", "<!-- table of devices: end -->"
 
 _READER = "<!-- table for a reader: begin -->", "<!-- table for a reader: end -->"
 
+_RESOLUTIONS = "<!-- table of resolutions: begin -->", "<!-- table of resolutions: end -->"
+_WAYS = ("nearest", "linear", "cubic")
+_KINDS = {
+    "random": "at random",
+    "near": "next to limits",
+    "faces": "on faces of cells",
+    "whole": "at whole delays and next to them",
+}
+
 _HEADING = ("task", "method", "run time", "error", "speed-up over LAPACK eigenvalues")
 _DELAYS = (0.0, 1.0, 5.0, 20.0, 60.0)  # of the throughput: the plot has others, and more rivals
 _METHODS = ("verdict", "spectral_radius")
@@ -27,7 +35,7 @@ _IN_README = {  # parts of tasks, and their methods
     ("one region,", "stable_region"),
     ("points, delay 1", "verdict"),
     ("points, delay 1", "spectral_radius"),
-    ("default atlas, at any", "atlas, many points"),
+    ("default atlas, at random", "table"),
     ("random and adversarial loops", "verdict"),
 }
 
@@ -53,11 +61,6 @@ _QUESTIONS = (
         "Verdicts on loops with estimators, many of them next to the boundary",
         ("walls judged", "verdict", "{0}: {3}"),
         ("walls judged", "numpy eigvals", "eigenvalues: {3}"),
-    ),
-    (
-        "Verdicts from a table",
-        ("default atlas, at any delay", "atlas, many points", "{2}, {3}"),
-        ("walls of a slice", "nearest node", "nearest node: {2}, {3}"),
     ),
 )
 
@@ -118,6 +121,8 @@ def put_into_pages(records: list[Record]) -> None:
         text = _replaced(text, (_BEGIN, _END), markdown(records, brief=page == README))
         if page == PAGE:
             text = _replaced(text, _READER, summary(records))
+        elif any(one["benchmark"] == "resolution" for one in records):
+            text = _replaced(text, _RESOLUTIONS, resolutions(records))
         if page == PAGE and devices:
             text = _replaced(text, _DEVICES, accelerated(devices))
         page.write_text(text, encoding="utf-8")
@@ -204,58 +209,29 @@ def _estimators(rows: list[Row]) -> Iterator[Line]:
             yield task, row["method"], time, _error(row["error"]), ratios
 
 
-def _queries(rows: list[Row]) -> Iterator[Line]:
-    rows = [row for row in rows if row["section"] == "wall" and row["delay"] == 1.0]
-    finest = max(row["nodes_wall"] for row in rows)
-    for row in rows:
-        if row["nodes_wall"] == finest:
-            kept = f", {_bytes(row['bytes'])}" if row["bytes"] else ""
-            error = f"{row['undecided']:.2%} undecided, {row['wrong']:.2%} wrong"
-            task = f"query between nodes, {finest} x {finest}{kept}"
-            yield task, row["method"], f"{_time(row['seconds_per_point'])} per point", error, ""
-
-
 def _answers(rows: list[Row]) -> Iterator[Line]:
-    places = dict.fromkeys(_place_of_answers(row["section"]) for row in rows)
-    methods = [m for m in dict.fromkeys(row["method"] for row in rows) if m.startswith("atlas")]
-    for place, method in product(places, methods):
-        some = [
-            row
-            for row in rows
-            if row["method"] == method and _place_of_answers(row["section"]) == place
-        ]
-        total = sum(row["asked"] for row in some)
-        undecided = sum(row["undecided"] * row["asked"] for row in some) / total
-        size = _bytes(some[0]["file_bytes"])
-        task = f"{total:,} random points of the default atlas, {place}, {size}"
-        time = f"{_time(max(row['seconds_per_point'] for row in some))} per point"
-        error = f"{undecided:.3%} undecided, {sum(row['wrong'] for row in some)} wrong"
-        bounds = [row["bound_of_99_percent"] for row in some if "bound_of_99_percent" in row]
-        if bounds:
-            error += f", 99 % of stable ones within {max(bounds):.1e}"
-        yield task, method, time, error, ""
-
-
-def _resolution(rows: list[Row]) -> Iterator[Line]:
-    finest = max(row["nodes"] for row in rows)
     for row in rows:
-        if row["nodes"] == finest:
-            task = f"walls of a slice, {finest} x {finest} nodes, {_bytes(row['bytes'])}"
-            error = f"{row['undecided']:.4%} undecided, {row['wrong']:.4%} wrong"
-            yield task, row["method"], f"{_time(row['seconds_per_point'])} per point", error, ""
+        task = f"{row['asked']:,} points of the default atlas, {_KINDS[row['section']]}"
+        error = f"{row['wrong']} wrong, {row['computed']:.2%} left to be computed"
+        yield task, row["method"], f"{_time(row['seconds_per_point'])} per point", error, ""
 
 
-def _place_of_answers(section: str) -> str:
-    return "at whole delays" if section.startswith("delay") else section.replace("any", "at any")
-
-
-def _filling(rows: list[Row]) -> Iterator[Line]:
-    for row in rows:
-        if row["section"] == "stable set" and row["delay"] == 1.0:
-            task = f"slice of {row['points']:,} verdicts, delay {row['delay']:g}"
-            if row["evaluated"] < row["points"]:
-                task += f", {row['evaluated']} evaluated"
-            yield task, row["method"], _time(row["seconds"]), _error(row["error"]), ""
+def resolutions(records: list[Record]) -> str:
+    """Return the table of nodes along the axes against error, share computed, size and time."""
+    (one,) = (record for record in records if record["benchmark"] == "resolution")
+    head = "nodes", "size", "build", *(f"{name}: error, computed" for name in _WAYS)
+    lines = [_row(head), _row(("---",) * len(head))]
+    for section in dict.fromkeys(row["section"] for row in one["rows"]):
+        some = {row["method"]: row for row in one["rows"] if row["section"] == section}
+        first = some[_WAYS[0]]
+        ways = (f"{some[name]['error']:.1e}, {some[name]['computed']:.2%}" for name in _WAYS)
+        cells = section, _bytes(first["bytes"]), f"{_time(first['build_seconds'])} of CPU", *ways
+        lines.append(_row(cells))
+    wrong = sum(row["wrong"] for row in one["rows"])
+    points = f"{one['rows'][0]['points']:,}"
+    return "\n".join(
+        [*lines, "", f"Of {points} random walls {wrong} are answered wrongly, by any."]
+    )
 
 
 def _verdicts(rows: list[Row]) -> Iterator[Line]:
@@ -335,12 +311,9 @@ _LINES: dict[str, Callable[[list[Row]], Iterator[Line]]] = {
     "latency": _latency,
     "boundary": _boundary,
     "regions": _regions,
-    "queries": _queries,
     "answers": _answers,
-    "resolution": _resolution,
     "throughput": _throughput,
     "estimators": _estimators,
-    "filling": _filling,
     "verdicts": _verdicts,
     "loops": _loops,
     "exact": _exact,

@@ -2,12 +2,11 @@ from . import paper as paper
 from . import results as results
 from .atlas import Atlas as Atlas
 from .atlas import AtlasSpec as AtlasSpec
+from .atlas import FieldSpec as FieldSpec
 from .atlas import FittedAxis as FittedAxis
 from .atlas import LoopAtlas as LoopAtlas
 from .atlas import build_atlas as build_atlas
 from .atlas import open_atlas as open_atlas
-from .atlas import plan_atlas as plan_atlas
-from .atlas import plan_resolution as plan_resolution
 from .batches import use_compilation_cache as use_compilation_cache
 from .boxes import HandRange as HandRange
 from .boxes import robust_region as robust_region

@@ -1,8 +1,9 @@
 """Files that appear whole or not at all, whatever happens to the process or the disk. No JAX.
 
-A file is written under a temporary name, synchronised, renamed to its place, and the folder is
-synchronised. HDF5 cannot be trusted with a full disk (after an error it continues until it reads
-what was never written), so it writes to a stream of ours, which keeps the error for us.
+A file is written without a name, or under a temporary one, synchronised, renamed to its place, and
+the folder is synchronised. HDF5 cannot be trusted with a full disk (after an error it continues
+until it reads what was never written), so it writes to a stream of ours, which keeps the error for
+us.
 """
 
 import errno
@@ -16,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+_OPENED = "/proc/self/fd"
 _TAKEN = "another process has written it meanwhile; remove that file, or give another name"
 
 
@@ -149,13 +151,15 @@ def _replacing(
 ) -> Iterator[int]:
     """Yield the descriptor of a new file in a folder, which is renamed if no error comes up."""
     temporary = f".{name}.{secrets.token_hex(8)}.part"
-    descriptor = folder.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL)
+    descriptor, is_named = _new_file(folder, temporary)
     try:
         try:
             if mode is not None and hasattr(os, "fchmod"):
                 os.fchmod(descriptor, mode)
             yield descriptor
             os.fsync(descriptor)
+            if not is_named:
+                _name(descriptor, folder, temporary)
             if not folder.has(temporary, descriptor):
                 raise OSError(errno.ESTALE, "another process took its temporary file away")
         finally:
@@ -175,6 +179,32 @@ def _replacing(
         with suppress(OSError):
             folder.remove(temporary)
         raise
+
+
+def _new_file(folder: Folder, name: str) -> tuple[int, bool]:
+    """Return the descriptor of a new file, and whether it has a name already.
+
+    On Linux it gets its name when it is whole: a process that ends before, however, leaves nothing.
+    """
+    if hasattr(os, "O_TMPFILE") and os.path.exists(_OPENED):
+        with suppress(OSError):  # not every file system has files without names
+            flags = os.O_TMPFILE | os.O_RDWR
+            return os.open(folder.path_of("."), flags, 0o666, dir_fd=folder.descriptor), False
+    return folder.open(name, os.O_RDWR | os.O_CREAT | os.O_EXCL), True
+
+
+def _name(descriptor: int, folder: Folder, name: str) -> None:
+    """Give a file without a name one."""
+    opened = os.open(_OPENED, os.O_RDONLY)  # with it, Python follows the link to the file
+    try:
+        os.link(
+            str(descriptor),
+            folder.path_of(name),
+            src_dir_fd=opened,
+            dst_dir_fd=folder.descriptor,
+        )
+    finally:
+        os.close(opened)
 
 
 def _linked(folder: Folder, name: str, target: Path | str) -> bool:

@@ -1,12 +1,6 @@
 from .atlas import AlphaLimits as AlphaLimits
 from .atlas import AtlasAnswer as AtlasAnswer
-from .atlas import AtlasOutline as AtlasOutline
-from .atlas import LargestStiffness as LargestStiffness
-from .atlas import MaxAlpha as MaxAlpha
-from .atlas import Plan as Plan
 from .atlas import QueryStatus as QueryStatus
-from .atlas import Resolution as Resolution
-from .atlas import ResolutionPlan as ResolutionPlan
 from .boxes import RobustLimit as RobustLimit
 from .boxes import RobustRegion as RobustRegion
 from .boxes import RobustStatus as RobustStatus

@@ -50,8 +50,8 @@ _KINDS = {
         "--scene prints the specification of its atlas.",
     ),
     "specification": (
-        {*AXES, "products"},
-        "the specification of an atlas; jaxstab atlas plan and jaxstab atlas build --spec take it.",
+        {*AXES, "rows", "fields"},
+        "the specification of an atlas; jaxstab atlas build --spec takes it.",
     ),
 }
 """The keys by which kinds of files are told apart, what they are and who takes them."""

@@ -1,12 +1,14 @@
 """What may be asked of an atlas, and what is said about what may not."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from atlases import SMALL, SMALL_TOML
 
-from jaxstab import AtlasSpec, FittedAxis, Velocity
+from jaxstab import AtlasSpec, FieldSpec, FittedAxis, Velocity
+from jaxstab.atlas.spec import HAPTIC
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -15,13 +17,16 @@ def test_the_default_is_the_haptic_range_of_the_paper_for_delays_up_to_three() -
     spec = AtlasSpec()
     assert (spec.gamma[0], spec.gamma[-1]) == (0.0, 0.001)
     assert (spec.delta[0], spec.delta[-1]) == (0.0, 0.015)
-    assert spec.delay == (0.0, 1.0, 2.0, 3.0)
-    assert spec.products == ("verdict", "alpha_limits", "fields")
-    assert (spec.where, spec.method) == ("near", "fast")
+    assert (spec.delay[0], spec.delay[-1], len(spec.delay)) == (0.0, 3.0, 97)
+    assert spec.fields is None
+    assert HAPTIC.fields is not None
+    assert (HAPTIC.fields.where, HAPTIC.fields.method) == ("near", "fast")
+    assert HAPTIC.fields.delay == (0.0, 1.0, 2.0, 3.0)
+    assert replace(HAPTIC, fields=None) == spec
 
 
-def test_the_example_specification_is_the_default() -> None:
-    assert AtlasSpec.from_file(ROOT / "data/specs/haptic.toml") == AtlasSpec()
+def test_the_example_specification_is_what_is_built_without_one() -> None:
+    assert AtlasSpec.from_file(ROOT / "data/specs/haptic.toml") == HAPTIC
 
 
 def test_the_example_with_an_estimator_has_a_window_of_twenty_samples() -> None:
@@ -29,14 +34,24 @@ def test_the_example_with_an_estimator_has_a_window_of_twenty_samples() -> None:
     assert spec.velocity == Velocity.difference(samples=20)
 
 
+def test_whole_delays_are_nodes_and_fields_have_the_axes_of_the_limits() -> None:
+    spec = AtlasSpec(delay=[0.5, 2.75], fields=FieldSpec(gamma=[0.0]))
+    assert spec.delay == (0.5, 1.0, 2.0, 2.75)
+    assert isinstance(spec.fields, FieldSpec)
+    assert (spec.fields.gamma, spec.fields.delta) == ((0.0,), spec.delta)
+    assert spec.fields.delay == spec.delay
+    assert AtlasSpec(delay=[0.5]).delay == (0.5,)
+
+
 @pytest.mark.parametrize(
     "spec",
     [
         AtlasSpec(),
+        HAPTIC,
         SMALL,
-        AtlasSpec(where="all", method="companion"),
-        AtlasSpec(where="all", products=["verdict"]),
-        AtlasSpec(gamma=np.geomspace(1e-9, 12.3, 99), products=["verdict"]),
+        AtlasSpec(fields=FieldSpec(where="all", method="companion", alpha=[0.0, 0.1])),
+        AtlasSpec(gamma=np.geomspace(1e-9, 12.3, 99), rows=7),
+        AtlasSpec(velocity=Velocity.difference(samples=3)),
     ],
 )
 def test_a_specification_survives_its_own_toml(spec: AtlasSpec) -> None:
@@ -47,12 +62,12 @@ def test_a_specification_survives_its_own_toml(spec: AtlasSpec) -> None:
 def test_an_axis_can_be_written_in_several_ways() -> None:
     assert AtlasSpec.from_toml(SMALL_TOML) == SMALL
     spec = AtlasSpec.from_toml(
-        "alpha = {start = 0, stop = 1, count = 3}\n"
         'gamma = {start = 0.001, stop = 0.1, count = 3, spacing = "geometric"}\n'
+        "[fields]\nalpha = {start = 0, stop = 1, count = 3}\n"
     )
-    assert spec.alpha == (0.0, 0.5, 1.0)
     assert spec.gamma == pytest.approx((0.001, 0.01, 0.1), rel=1e-15)
-    assert spec.beta == AtlasSpec().beta
+    assert isinstance(spec.fields, FieldSpec)
+    assert (spec.fields.alpha, spec.fields.beta) == ((0.0, 0.5, 1.0), FittedAxis(112))
 
 
 @pytest.mark.parametrize(
@@ -62,21 +77,26 @@ def test_an_axis_can_be_written_in_several_ways() -> None:
         ("gamma = [0, 1", "not TOML"),
         ("gamma = [1, 0]", "gamma has 0.0 after 1.0"),
         ("gamma = [0, 0]", "ascending"),
-        ("beta = [0]", "at least two"),
+        ("fields = {beta = [0]}", "at least two"),
         ("gamma = []", "at least one"),
-        ("alpha = []", "at least two"),
+        ("fields = {alpha = []}", "at least two"),
         ("gamma = [0, nan]", "gamma is nan"),
         ("gamma = [0, inf]", "gamma is inf"),
         ("gamma = [-1, 0]", "gamma is -1.0; allowed are finite values >= 0"),
-        ("beta = [1, 1.00000005]", "axis beta is 4.9999999"),
+        ("fields = {beta = [1, 1.00000005]}", "axis beta is 4.9999999"),
+        ("alpha = [0, 1]", "alpha is unknown"),
+        ("fields = 7", "fields is 7; give a table"),
+        ("fields = {gama = [0]}", "fields.gama is unknown; did you mean 'gamma'?"),
+        ("rows = 1", "rows is 1; give a whole number from 2"),
+        ("rows = 1000000", "the limits have 873000000 nodes; at most"),
         ("delay = [-1]", "delay is -1.0"),
         ("delay = [1000]", "from 0 to 100"),
         ("gamma = ['a', 1]", "gamma is 'a'"),
         ("gamma = [false, true]", "gamma is False"),
         ("gamma = 'wide'", "gamma is 'wide'"),
         ("gamma = {fitted = 20}", "gamma.fitted is unknown; known are values, start,"),
-        ("alpha = {fitted = 2}", "fitted is 2; give a whole number from 8"),
-        ("alpha = {fitted = 20, values = [0, 1]}", "alpha has fitted, values"),
+        ("fields = {alpha = {fitted = 2}}", "fitted is 2; give a whole number from 8"),
+        ("fields = {alpha = {fitted = 20, values = [0, 1]}}", "alpha has fitted, values"),
         ("gamma = {start = 0, stop = 1}", "gamma has start, stop"),
         ("gamma = {}", "gamma has nothing"),
         (
@@ -88,13 +108,10 @@ def test_an_axis_can_be_written_in_several_ways() -> None:
         ("gamma = {start = 0, stop = 1, count = 3, spacing = 'geometric'}", "give ends > 0"),
         ("gamma = {start = 1, stop = 0, count = 3}", "ascending"),
         ("gamma = {start = 0, stop = nan, count = 3}", "stop of gamma is nan"),
-        ("products = ['verdicts']", "products.verdicts is unknown; did you mean 'verdict'?"),
-        ("products = []", "products is empty"),
-        ("products = 'verdict'", "products is 'verdict'"),
-        ("where = 'far'", 'where is \'far\'; give one of "near", "all"'),
-        ("method = 'slow'", 'method is \'slow\'; give one of "fast", "companion"'),
+        ("fields = {where = 'far'}", 'where is \'far\'; give one of "near", "all"'),
+        ("fields = {method = 'slow'}", 'method is \'slow\'; give one of "fast", "companion"'),
         ("radius_rounding = 1e-7", "radius_rounding is unknown"),
-        ("alpha = {fitted = 100000}\nbeta = {fitted = 100000}", "nodes; at most"),
+        ("fields = {alpha = {fitted = 100000}, beta = {fitted = 100000}}", "nodes; at most"),
     ],
 )
 def test_a_bad_specification_is_refused_in_one_sentence(toml: str, says: str) -> None:

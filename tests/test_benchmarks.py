@@ -140,14 +140,10 @@ def test_grids_find_the_boundary_within_a_cell(
 def test_certified_answers_are_never_wrong(rows: Callable[..., list[dict[str, Any]]]) -> None:
     assert {row["wrong"] for row in rows("throughput", method="verdict")} == {0}
     assert {row["wrong"] for row in rows("estimators", method="verdict")} == {0}
-    assert {row["wrong"] for row in rows("queries", method="atlas")} == {0}
+    assert {row["wrong"] for row in rows("resolution")} == {0}
     assert {row["error"] for row in rows("scaling", method="streamed verdict")} == {0}
     assert {row["wrong"] for row in rows("verdicts")} == {0}
     assert {row["wrong"] for row in rows("answers")} == {0}
-    for row in rows("answers"):
-        best = [value for name, value in row.items() if name.startswith("undecided_at_best_")]
-        assert len(best) == 4
-        assert 0.0 < max(best) <= row["undecided_of_cells"] * (1 + 1e-9) < 0.05
     assert {row["wrong"] for row in rows("regions", method="stable_region")} == {0}
     for row in rows("tuning"):
         assert row["beaten"] == row["region_below"] == row["not_reached"] == row["missed"] == 0
@@ -156,10 +152,18 @@ def test_certified_answers_are_never_wrong(rows: Callable[..., list[dict[str, An
         assert {row["wrong"] for row in rows("loops", method=method)} == {0}
 
 
-def test_a_filled_slice_is_that_of_its_nodes(rows: Callable[..., list[dict[str, Any]]]) -> None:
-    for row in rows("filling", method="filled"):
-        assert row["differing"] == row["error"] == 0
-        assert row["evaluated"] < row["points"] / 10
+def test_more_nodes_give_smaller_errors_and_cubic_ones_the_smallest(
+    rows: Callable[..., list[dict[str, Any]]],
+) -> None:
+    few, many = (
+        {row["method"]: row for row in rows("resolution") if row["nodes"] == nodes}
+        for nodes in sorted({row["nodes"] for row in rows("resolution")})
+    )
+    for method, row in many.items():
+        assert row["median_error"] < few[method]["median_error"]
+        assert row["computed"] < few[method]["computed"]
+    errors = [many[method]["median_error"] for method in ("nearest", "linear", "cubic")]
+    assert errors == sorted(errors, reverse=True)
 
 
 def test_memory_is_measured_before_and_after_the_work(

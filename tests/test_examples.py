@@ -22,7 +22,8 @@ OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 # a plan or of a loop, and what JAX asks of a pytree.
 INTERNAL = {
     "AtlasAnswer": {"reshaped"},
-    "AtlasSpec": {"filters"},
+    "AtlasSpec": {"filters", "nodes"},
+    "FieldSpec": {"from_table"},
     "Device": {"compliance", "handle_compliance", "require_one_handle"},
     "Filter": {"stages", "transfer"},
     "Hand": {"dynamic_stiffness"},

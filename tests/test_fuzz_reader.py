@@ -5,9 +5,10 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import numpy as np
 import pytest
 from campaign import many
-from programs_in_c import READER
+from programs_in_c import READER, hdf5_options
 
 HERE = Path(__file__).parent
 SECONDS = many(900, small=20)
@@ -23,7 +24,7 @@ def fuzzer(tmp_path_factory: pytest.TempPathFactory) -> Path:
     warned = ["-std=c99", "-g", "-O1", "-Wall", "-Wextra", "-Werror", f"-I{READER}"]
     sanitized = ["-fsanitize=fuzzer,address,undefined", "-fno-sanitize-recover=all"]
     done = subprocess.run(
-        [compiler, *warned, *sanitized, HERE / "fuzz_reader.c", "-lm", "-o", program],
+        [compiler, *warned, *sanitized, HERE / "fuzz_reader.c", *hdf5_options(), "-o", program],
         capture_output=True,
         text=True,
     )
@@ -33,6 +34,19 @@ def fuzzer(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return program
 
 
+def start() -> bytes:
+    """The input of a sound table: two nodes along each axis, three rows."""
+    nodes = np.array([0.0, 1.0, 0.0, 0.5, 0.0, 1.0, 0.0, 0.5, 1.0])
+    limits = np.tile([0.0, 0.1], 24), np.tile([0.0, 1.0], 8)
+    errors = np.full(4 + 2, 1e-4, np.float32)
+    return (
+        bytes([1, 1, 1, 1])
+        + nodes.tobytes()
+        + b"".join(v.tobytes() for v in limits)
+        + (errors.tobytes() + b"\x01")
+    )
+
+
 def fuzzed(fuzzer: Path, folder: Path, *options: str) -> str:
     """What libFuzzer says; a crash is an error, and so are 2 GB of memory or 10 s for one file.
 
@@ -40,10 +54,11 @@ def fuzzed(fuzzer: Path, folder: Path, *options: str) -> str:
     hands down from the process that starts it: pytest, after tests that need much.
     """
     corpus = folder / "corpus"
-    shutil.copytree(HERE / "corpus", corpus)
+    corpus.mkdir()
+    (corpus / "start").write_bytes(start())
     limits = ["-rss_limit_mb=0", "-malloc_limit_mb=1200", "-timeout=10", "-max_len=20000"]
     done = subprocess.run(
-        [fuzzer, f"-dict={HERE / 'fuzz_reader.dict'}", *limits, *options, corpus],
+        [fuzzer, *limits, *options, corpus],
         capture_output=True,
         text=True,
         cwd=folder,

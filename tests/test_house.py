@@ -107,7 +107,7 @@ def test_importing_a_package_loads_nothing_heavy(package: str) -> None:
     assert loads.isdisjoint({"jax", "numpy", "h5py", "matplotlib", "pydantic"})
 
 
-@pytest.mark.parametrize("module", ["schema", "file", "atlas"])
+@pytest.mark.parametrize("module", ["file", "query", "table"])
 def test_the_reader_of_an_atlas_loads_no_jax(module: str) -> None:
     assert loaded_by(f"jaxstab.atlas.{module}").isdisjoint({"jax", "jaxlib", "matplotlib"})
 

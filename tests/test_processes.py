@@ -119,7 +119,10 @@ def test_a_worker_process_that_sets_nothing_answers_plain_numbers_as_this_one() 
 @pytest.mark.campaign
 def test_a_worker_process_that_sets_nothing_writes_the_same_atlas(tmp_path: Path) -> None:
     spec = jaxstab.AtlasSpec(
-        alpha=[0.0, 0.1], beta=[0.1, 0.2], gamma=[0.0, 0.001], delta=[0.0, 0.015], delay=[0.0]
+        gamma=[0.0, 0.001],
+        delta=[0.0, 0.015],
+        delay=[0.0],
+        fields=jaxstab.FieldSpec(alpha=[0.0, 0.1], beta=[0.1, 0.2]),
     )
     jaxstab.build_atlas(spec, tmp_path / "here.h5")
     with processes(1) as executor:

@@ -17,7 +17,7 @@ from jaxstab.scene import Scene
 from jaxstab.tables import MOST_BYTES, MOST_LETTERS, checked_label
 
 ROOT = Path(__file__).parents[1]
-ATLAS = ROOT / "data" / "golden" / "atlas-v3.h5"
+ATLAS = ROOT / "data" / "golden" / "atlas-v4.h5"
 LOOP = ["--mass", "0.25", "--damping", "0.1", "--sample-time", "0.001"]
 A_WALL = ["--wall", "a", "10", "1"]
 TABLE = {
@@ -41,7 +41,7 @@ def scene_text(*walls: str) -> str:
     "command",
     [
         ["limits", "/dev/zero"],
-        ["atlas", "plan", "/dev/zero"],
+        ["atlas", "build", "--spec", "/dev/zero"],
         ["atlas", "query", str(ATLAS), "--csv", "/dev/zero"],
     ],
     ids=lambda command: command[0],
@@ -291,7 +291,7 @@ def test_issue_31_31_names_reach_a_stdout_of_ascii(tmp_path: Path) -> None:
         ["check", str(file)],
         ["limits", str(file), "--csv", "-"],
         ["limits", str(file), "--json"],
-        ["atlas", "query", str(ROOT / "data/golden/atlas-v3.h5"), "--scene", str(file)],
+        ["atlas", "query", str(ROOT / "data/golden/atlas-v4.h5"), "--scene", str(file)],
     ):
         done = subprocess.run(
             [sys.executable, "-c", START, *words],
@@ -307,15 +307,15 @@ def test_issue_31_31_a_file_that_is_not_utf_8_is_named_with_its_line(tmp_path: P
     file = tmp_path / "bad.toml"
     file.write_bytes(b"# a\n# \xff\n")
     words = f"jaxstab: {file}: line 2 is not UTF-8 text; save the file as UTF-8.\n"
-    for done in (run("limits", file), run("atlas", "plan", file)):
+    for done in (run("limits", file), run("atlas", "build", "--spec", file)):
         assert done.exit_code in (1, 2)
         assert done.stderr == words
 
 
 def test_issue_31_31_a_scheduler_that_is_no_address_is_named() -> None:
     pytest.importorskip("distributed")
-    from jaxstab.tiles import dask_cluster
+    from jaxstab.atlas.build import dask_workers
 
     words = "scheduler is 'inproc://'; give an address"
-    with pytest.raises(ValueError, match=words), dask_cluster("inproc://"):
+    with pytest.raises(ValueError, match=words), dask_workers("inproc://"):
         pass

@@ -1,343 +1,535 @@
-"""Atlas files are read here, and nowhere else. No JAX, and no HDF5.
+"""The file of an atlas, version 4: HDF5 that any program reads, with a checksum on every dataset.
 
-A file is checked against its footer before anything in it is read, its table against the schema
-before memory is allocated, and its values against their digests and ranges before a query uses
-them. It was published by an atomic rename. So a reader finds the old file, the new file or a
-refusal in one sentence, whatever happened to the writer and the disk. The checked bytes stay in
-memory, and the arrays are unpacked from them: later changes of the file change no answer.
+The root group holds the limits with their axes, and the specification; the group ``fields`` holds
+the fields, on axes of their own. Both are NXdata groups whose datasets have dimension scales, so
+that xarray, HDF5 viewers and C see named coordinates. Every dataset is chunked with Fletcher32, and
+the superblock and the headers of format v110 have checksums of their own: a damaged file is refused
+by libhdf5. What is not damaged but foreign is refused here: a reader asks for the datasets of
+``VARIABLES``, their types, shapes and ranges, before it allocates memory and before a query uses
+them.
+
+Limits are stored plainly; fields are shuffled and deflated. A file has no times: equal
+specifications give equal bytes on one machine.
 """
 
-import io
-import zlib
+import os
+import struct
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field
-from itertools import islice
-from math import prod
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from math import inf, pi, prod
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
+import h5py
 import numpy as np
+from isal import isal_zlib
 from numpy.typing import NDArray
 
-from jaxstab.atlas import schema
-from jaxstab.atlas.product import (
-    LARGEST_ARRAY,
-    LARGEST_UNASKED,
-    LEAST_SHARE,
-    LEAST_SPAN,
-    NODE,
-    SPEC,
-    Variable,
-)
-from jaxstab.atlas.products.table import PRODUCTS
-from jaxstab.atlas.schema import (
-    FOOTER,
-    VARIABLES,
-    RefusalError,
-    Stored,
-    Table,
-    check,
-    image_size,
-    read_table,
-    values_digest,
-)
-from jaxstab.conventions import AXES
-from jaxstab.durable import named_errors, target_of
+from jaxstab.durable import PatientStream, named_errors, target_of
 
-# Arrays out of the chunks of a file, and whether their values may be. No JAX, and no HDF5.
+FORMAT: Final = "jaxstab atlas"
+SCHEMA_VERSION: Final = 4
+LARGEST_ARRAY: Final = 2**31  # bytes that are read into memory at once
+FIELDS: Final = "fields"
+NODE: Final = ("alpha_node", "beta_node", "gamma", "delta", "delay")
+_PLANT_CELL = ("gamma_cell", "delta_cell", "delay_cell")
+_FORMAT_VERSIONS = ("v110", "v110")
+_LEVEL = 6  # of compression
+_LARGEST_CHUNK = 2**17  # values of an array that is not laid out in tiles
+_LONGEST_LINE = 2**16  # bytes in a line of the specification
+_MOST_FILTERS = {h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_FLETCHER32}
 
-Array = np.ndarray[Any, np.dtype[Any]]
-
-
-class TooLargeError(ValueError):
-    """A file is sound but larger than is read into memory."""
-
-
-def unpacked(data: bytes, stored: Stored) -> Array:
-    """An array, read-only, checked; memory is allocated only as far as the file has values."""
-    _check_size(stored)
-    values = np.empty(stored.shape, stored.dtype)
-    for index, start in enumerate(stored.starts()):
-        place = tuple(slice(i, i + n) for i, n in zip(start, stored.chunk, strict=True))
-        values[place] = _inside(data, stored, index, start)
-    check_values(stored.variable, values)
-    values.flags.writeable = False
-    return values
-
-
-def _inside(data: bytes, stored: Stored, index: int, start: tuple[int, ...]) -> Array:
-    """The values of a chunk inside of the array, checked by their digest."""
-    offset, size = stored.places[index]
-    chunk = _chunk(memoryview(data)[offset : offset + size - schema.CHECKSUM_SIZE], stored)
-    inside = chunk[tuple(slice(n - i) for i, n in zip(start, stored.shape, strict=True))]
-    check(values_digest(inside) == stored.digests[index])
-    return inside
-
-
-def _check_size(stored: Stored) -> None:
-    """Refuse arrays too large to read whole, and large ones that hardly any bytes hold."""
-    most = LARGEST_ARRAY
-    if not stored.variable.holds_verdicts:
-        expanded = schema.LARGEST_EXPANSION * stored.stored_size
-        most = min(most, max(LARGEST_UNASKED, expanded))
-    if stored.size > most:
-        raise TooLargeError(too_large(stored.size, stored.variable.name, most))
-
-
-def too_large(size: int, what: str, most: int) -> str:
-    """The sentence that refuses an array of this size."""
-    return (
-        f"has {size} bytes of {what}, and at most {most} are read into memory; "
-        "read parts of it with h5py or xarray."
-    )
-
-
-def _chunk(stored_bytes: memoryview, stored: Stored) -> Array:
-    """The values of a chunk; one with more or fewer than its table says is refused."""
-    dtype, count = stored.dtype, prod(stored.chunk)
-    if not stored.variable.is_packed:
-        return np.frombuffer(stored_bytes, dtype).reshape(stored.chunk)
-    engine = zlib.decompressobj()
-    try:
-        shuffled = engine.decompress(stored_bytes, count * dtype.itemsize)
-        is_whole = (engine.eof or not engine.decompress(engine.unconsumed_tail, 1)) and engine.eof
-    except zlib.error as error:
-        if str(error).startswith("Error -4 "):
-            raise MemoryError from error
-        is_whole, shuffled = False, b""
-    check(is_whole and not engine.unused_data and len(shuffled) == count * dtype.itemsize)
-    planes = np.frombuffer(shuffled, np.uint8).reshape(dtype.itemsize, count)
-    return np.ascontiguousarray(planes.T).view(dtype).reshape(stored.chunk)
-
-
-def check_values(variable: Variable, values: Array) -> None:
-    """Refuse values out of the range of their variable."""
-    if variable.dtype == "S":
-        return
-    if variable.has_nan:
-        low, high = np.nanmin(values, initial=0.0), np.nanmax(values, initial=0.0)
-    else:
-        low, high = values.min(), values.max()  # NaN where one is
-    check(variable.lowest <= low and high <= variable.highest)
-    check(all(product.are_values(variable.name, values) for product in PRODUCTS.values()))
-
-
-def check_axes(arrays: Mapping[str, Array]) -> None:
-    """Refuse axes that do not ascend, or so little or so far that cells have no width."""
-    for name, values in arrays.items():
-        if name in AXES:
-            with np.errstate(all="ignore"):
-                widths = np.diff(values, axis=0)
-            check(np.all(np.isfinite(values)) and np.all(widths > 0))
-        elif VARIABLES[name].is_axis:
-            check(np.array_equal(values, np.arange(values.size)))
-    for product in PRODUCTS.values():
-        if product.rows in arrays:
-            _check_range(arrays[product.rows], arrays["delay"])
-    for name in ("alpha", "beta"):
-        _check_spans(arrays[name][0], arrays[name][-1])
-
-
-def _check_range(ends: Array, delay: Array) -> None:
-    """Refuse cells of delays that do not follow each other to the last, and ends without width."""
-    early, late = ends[:, 0], ends[:, 1]
-    check(np.all(np.isfinite(ends)) and early[0] == delay[0] and late[-1] == delay[-1])
-    check(np.all(early <= late) and np.all(late[:-1] <= early[1:]) and np.all(np.diff(early) > 0.0))
-    _check_spans(ends[:, 2::2], ends[:, 3::2])
-
-
-def _check_spans(low: Array, high: Array) -> None:
-    """Refuse spans that overflow, and those so narrow that rounding swallows their cells."""
-    with np.errstate(all="ignore"):
-        spans, largest = high - low, np.maximum(np.abs(low), np.abs(high))
-    check(np.all(spans >= np.maximum(LEAST_SPAN, LEAST_SHARE * largest)))
-    check(spans.max() < np.inf)
-
-
-def check_text(lines: Array) -> None:
-    """Refuse lines of a specification that are no text."""
-    try:
-        b"\n".join(lines.tolist()).decode("utf-8")
-    except UnicodeDecodeError:
-        check(condition=False)
-
-
-def check_together(arrays: Mapping[str, Array], table: Table) -> None:
-    """Refuse arrays of a product that do not fit to each other."""
-    lengths = table.lengths
-    for product in PRODUCTS.values():
-        check(product.fit_together(arrays, lengths))
-
-
-# Where points are in a grid: the cells that they are in, and the nodes that they are. No JAX.
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.intp]
-Mask = NDArray[np.bool_]
+Array = NDArray[Any]
+Arrays = Mapping[str, Array]
 
 
 @dataclass(frozen=True)
-class GridIndex:
-    """Where points are in a grid: index arrays, one for each axis."""
+class Variable:
+    """One dataset: its type, its dimensions (itself for an axis), what it means and its range."""
 
-    cell: tuple[Integers, ...]  # nodes[cell] <= point <= nodes[cell + 1]
-    node: tuple[Integers, ...]  # the node, where the point is one
-    at_node: Mask
+    name: str
+    dtype: str
+    dimensions: tuple[str, ...]
+    long_name: str
+    interpretation: str
+    lowest: float | int = -inf
+    highest: float | int = inf
+    has_nan: bool = False
+    said: tuple[tuple[str, str], ...] = ()
 
-    @classmethod
-    def from_axes(cls, axes: Sequence[tuple[Floats, Floats]]) -> "GridIndex":
-        """Find points along each axis, given as its nodes and the points' coordinates."""
-        cells, node, at_node = [], [], np.ones(axes[0][1].shape, bool)
-        for nodes, points in axes:
-            cells_along = max(nodes.size - 1, 1)
-            cell = np.clip(np.searchsorted(nodes, points, side="right") - 1, 0, cells_along - 1)
-            lower, upper = nodes[cell], nodes[np.minimum(cell + 1, nodes.size - 1)]
-            cells.append(cell)
-            node.append(cell + ((points == upper) & (upper > lower)))
-            at_node &= (points == lower) | (points == upper)
-        return cls(tuple(cells), tuple(node), at_node)
+    @property
+    def is_axis(self) -> bool:
+        """Whether this is the coordinate of the dimension of its name (an HDF5 dimension scale)."""
+        return self.dimensions == (self.name,)
 
+    @property
+    def is_packed(self) -> bool:
+        """Whether its chunks are shuffled and deflated; those of others are plain numbers."""
+        return self.dimensions == NODE
 
-@dataclass(frozen=True, eq=False)
-class PackedArrays(Mapping[str, Array]):
-    """The arrays of a file by name; those over nodes and cells are unpacked at their first use.
-
-    Verdict codes compress a thousandfold, so those that would fill the memory are unpacked chunk by
-    chunk for each query (``codes_at``, ``blocks``). ValueError for an array that is damaged,
-    TooLargeError for one that is larger than is read whole.
-    """
-
-    path: Path
-    data: bytes = field(repr=False)
-    table: Table = field(repr=False)
-    _unpacked: dict[str, Array] = field(init=False, repr=False, default_factory=dict)
-
-    def __getitem__(self, name: str) -> Array:
-        if name not in self._unpacked:
-            stored = self.table.variables[name]
-            with _told_of(self.path):
-                # Threads that meet here unpack the same values, and continue with one of them.
-                values = unpacked(self.data, stored)
-                check_together({name: values}, self.table)
-                self._unpacked.setdefault(name, values)
-        return self._unpacked[name]
-
-    def codes_at(self, name: str, place: Sequence[Integers]) -> Array:
-        """Return the verdict codes at points, given as index arrays along all axes."""
-        stored = self.table.variables[name]
-        if stored.size <= LARGEST_UNASKED:
-            codes: Array = self[name][tuple(place)]
-            return codes
-        along = [index // step for index, step in zip(place, stored.chunk, strict=True)]
-        counts = [-(-n // step) for n, step in zip(stored.shape, stored.chunk, strict=True)]
-        chunk = np.ravel_multi_index(tuple(along), counts)
-        codes = np.empty(chunk.shape, stored.dtype)
-        for k in np.unique(chunk).tolist():
-            here = np.flatnonzero(chunk == k)
-            start, values = self._block(name, k)
-            inside = (index[here] - begin for index, begin in zip(place, start, strict=True))
-            codes[here] = values[tuple(inside)]
-        return codes
-
-    def blocks(self, name: str, delay: int) -> Iterator[tuple[tuple[int, ...], Array]]:
-        """Yield where the chunks of verdict codes at one delay begin, and their codes."""
-        for index, start in enumerate(self.table.variables[name].starts()):
-            if start[-1] == delay:
-                yield self._block(name, index)
-
-    def _block(self, name: str, index: int) -> tuple[tuple[int, ...], Array]:
-        """The start of a chunk, and its values inside of the array."""
-        with _told_of(self.path):
-            stored = self.table.variables[name]
-            start = next(islice(stored.starts(), index, None))
-            values = _inside(self.data, stored, index, start)
-            check_values(stored.variable, values)
-            return start, values
-
-    def __contains__(self, name: object) -> bool:
-        return name in self.table.variables
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.table.variables)
-
-    def __len__(self) -> int:
-        return len(self.table.variables)
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """The attributes of the dataset."""
+        given = {"long_name": self.long_name, "interpretation": self.interpretation}
+        given |= {"units": "1"} if self.dtype.startswith("float") else {}
+        given |= {"coordinates": "alpha beta"} if self.dimensions == NODE else {}
+        return given | dict(self.said)
 
 
-def read(path: Path) -> PackedArrays:
-    """The arrays of a file; all of its bytes are checked, and in memory.
-
-    OSError: it is missing or unreadable; ValueError: it is foreign, truncated, damaged or of
-    another version of the schema; TooLargeError: it is larger than is read whole.
-    """
-    return contents_of(path, _bytes_of(path))
+def _axis(name: str, long_name: str, words: str, highest: float = inf) -> Variable:
+    return Variable(name, "float64", (name,), long_name, words, 0.0, highest)
 
 
-def contents_of(path: Path, data: bytes) -> PackedArrays:
-    """The arrays of the bytes of a file, after the checks of ``read``."""
-    with _told_of(path):
-        table = table_in(io.BytesIO(data))
-    arrays = PackedArrays(path, data, table)
-    plain = {
-        name: arrays[name]
-        for name, stored in table.variables.items()
-        if not stored.variable.is_packed and stored.size <= LARGEST_ARRAY
-    }
-    with _told_of(path):
-        check_axes(plain)
-        check_together(plain, table)
-        check_text(plain[SPEC])
-    return arrays
+def _numbers(name: str, words: str) -> Variable:
+    return Variable(name, "int32", (name,), f"number along {name}", words, 0)
 
 
-def table_of(path: Path) -> Table:
-    """The table of a file that may be larger than the memory; errors as ``read``."""
-    with (
-        named_errors("read", path),
-        _opened(path) as stream,
-        _told_of(path),
-    ):
-        return table_in(stream)
+def _cells(axis: str) -> Variable:
+    return _numbers(f"{axis}_cell", "cell i lies between nodes i and i + 1; of one node, at it")
 
 
-def node_count(path: Path) -> int:
-    """The number of nodes of an atlas, without a look at its values; errors as ``table_of``."""
-    variables = table_of(path).variables
-    return prod(variables[dimension].shape[0] for dimension in NODE)
+def _field(name: str, long_name: str, words: str, low: float, high: float, **said: str) -> Variable:
+    return Variable(name, "float32", NODE, long_name, words, low, high, True, tuple(said.items()))
 
 
-def _bytes_of(path: Path) -> bytes:
-    with named_errors("read", path), _opened(path) as stream:
-        size = stream.seek(0, io.SEEK_END)
-        if size > LARGEST_ARRAY:
-            raise TooLargeError(f"{path} {too_large(size, 'file', LARGEST_ARRAY)}")
-        stream.seek(0)
-        return stream.readall()
+_PLANTS = (
+    _axis("gamma", "physical stiffness", "k T^2/m, k of device and hand"),
+    _axis("delta", "physical damping", "b T/m, b of device and hand"),
+    _axis("delay", "time delay", "t_d/T, in sampling periods T", 100.0),
+)
+_ERROR = (
+    "how far the multilinear limits are from the exact ones at most, over a stencil of three nodes "
+    "an axis; infinite: a limit of the stencil is unknown"
+)
+LIMITS: Final = (
+    *_PLANTS,
+    _axis("row", "share of the stable interval of beta", "even, from 0 to 1", 1.0),
+    _numbers("end", "0: the lower one, 1: the upper one"),
+    *map(_cells, ("gamma", "delta", "delay", "row")),
+    Variable(
+        "beta_limits",
+        "float64",
+        ("gamma", "delta", "delay", "end"),
+        "ends of the beta with a stable alpha",
+        "B T/m, of the component of the stable set that holds small gains, or of the largest one; "
+        "NaN: nothing is stable",
+        has_nan=True,
+    ),
+    Variable(
+        "alpha_limits",
+        "float64",
+        ("gamma", "delta", "delay", "row", "end"),
+        "ends of the stable alpha",
+        "K T^2/m at beta = beta_limits[0] + row (beta_limits[1] - beta_limits[0]); multilinear "
+        "between nodes. NaN: more than one interval of alpha is stable there, or none",
+        has_nan=True,
+    ),
+    Variable(
+        "beta_error", "float32", (*_PLANT_CELL, "end"), "measured error of beta_limits", _ERROR, 0.0
+    ),
+    Variable(
+        "alpha_error",
+        "float32",
+        (*_PLANT_CELL, "row_cell", "end"),
+        "measured error of alpha_limits",
+        f"{_ERROR}. Rely on a limit only where alpha is four times this away from it",
+        0.0,
+    ),
+    Variable(
+        "beyond",
+        "int8",
+        _PLANT_CELL,
+        "what is beyond the ends of beta",
+        "1: no wall is stable there; 0: another component of the stable set may be",
+        0,
+        1,
+    ),
+    _numbers("spec_line", "line of the specification"),
+    Variable(
+        "spec",
+        "S",
+        ("spec_line",),
+        "specification of this atlas",
+        "the lines of a TOML file from which the same atlas can be built",
+    ),
+)
+_LEFT_OUT = "NaN: more than one cell outside of the stable set"
+_UNRESOLVED = "NaN also where two poles or pairs have nearly the same modulus"
+FIELD_VARIABLES: Final = (
+    *_PLANTS,
+    _numbers("alpha_node", "node i at delay k is at alpha[i, k]"),
+    _numbers("beta_node", "node i at delay k is at beta[i, k]"),
+    Variable(
+        "alpha",
+        "float64",
+        ("alpha_node", "delay"),
+        "stiffness of the virtual wall",
+        "K T^2/m; one column of ascending nodes for each delay",
+    ),
+    Variable(
+        "beta",
+        "float64",
+        ("beta_node", "delay"),
+        "damping of the virtual wall",
+        "B T/m; one column of ascending nodes for each delay",
+    ),
+    _field(
+        "spectral_radius",
+        "spectral radius, the largest modulus of a closed-loop pole",
+        f"rounded up: no pole is outside of this radius; {_LEFT_OUT}",
+        *(0.0, inf),
+        standard_name="spectral_radius",
+        ancillary_variables="spectral_radius_error",
+    ),
+    _field(
+        "spectral_radius_error",
+        "proved bound of the error of the spectral radius",
+        "the true radius lies between spectral_radius less this and spectral_radius; infinite: "
+        f"none is proved; {_LEFT_OUT}",
+        *(0.0, inf),
+        standard_name="spectral_radius standard_error",
+    ),
+    _field(
+        "frequency",
+        "frequency of the dominant pole z = exp(s)",
+        "|Im s| in rad per sample, within 1e-6: 0 for a positive real pole, pi for a negative one; "
+        f"{_LEFT_OUT}. {_UNRESOLVED}",
+        *(0.0, float(np.float32(pi))),
+        units="rad",
+    ),
+    _field(
+        "damping_ratio",
+        "damping ratio of the dominant pole z = exp(s)",
+        "-Re s / |s|, within 1e-6: 1 and -1 for positive real poles inside and outside of the unit "
+        f"circle; {_LEFT_OUT}. {_UNRESOLVED}",
+        *(-1.0, 1.0),
+    ),
+    Variable(
+        "outside",
+        "int16",
+        NODE,
+        "number of poles outside of the unit circle",
+        "proved; 0 is stable, -1: a pole is too close to the circle to tell",
+        -1,
+    ),
+)
+PACKED: Final = tuple(variable.name for variable in FIELD_VARIABLES if variable.is_packed)
 
 
-def _opened(path: Path) -> io.FileIO:
-    """Open a regular file; others are refused without waiting."""
-    target_of(path)
-    return path.open("rb", buffering=0)
+class RefusalError(ValueError):
+    """A file is no sound atlas."""
 
 
-def table_in(stream: io.FileIO | io.BytesIO) -> Table:
-    """Return the table of a whole file, all bytes of which are checked."""
-    size = image_size(stream)
-    check(size is not None)
-    stream.seek(size or 0)
-    return read_table(stream.read()[: -FOOTER.size], size or 0)
+# ------------------------------------------------------------------------------------------ writing
 
 
 @contextmanager
-def _told_of(path: Path) -> Iterator[None]:
-    """Put the name of the file in front of a refusal."""
-    try:
-        yield
-    except TooLargeError as refusal:
-        raise TooLargeError(f"{path} {refusal}") from None
-    except RefusalError as refusal:
-        raise ValueError(f"{path} {refusal}") from None
-    except MemoryError as error:
-        raise MemoryError(f"{path} does not fit into memory.") from error
+def written(descriptor: int) -> Iterator[tuple[PatientStream, h5py.File]]:
+    """Open an empty HDF5 file to write; errors of the disk are raised when it is done.
+
+    A long write calls ``PatientStream.check`` often.
+    """
+    stream = PatientStream(descriptor)
+    with h5py.File(stream, "w", libver=_FORMAT_VERSIONS) as file:
+        yield stream, file
+    stream.check()
+    os.ftruncate(descriptor, stream.size)
+
+
+def write_attributes(to: h5py.Group | h5py.Dataset, attributes: Mapping[str, Any]) -> None:
+    """Write attributes; texts as UTF-8 of a fixed length."""
+    for name, value in attributes.items():
+        to.attrs[name] = np.bytes_(value.encode("utf-8")) if isinstance(value, str) else value
+
+
+def write_head(
+    file: h5py.File,
+    created_by: str,
+    filters: str,
+    tested: Mapping[str, int],
+    *,
+    has_filters: bool,
+) -> None:
+    """Write the attributes of a file; ``tested`` says what its build found at random points."""
+    head = {
+        "format": FORMAT,
+        "title": "Stability of a haptic rendering loop over its dimensionless parameters",
+        "created_by": created_by,
+        "source": "characteristic polynomial of Hulin, Preusche, Hirzinger (2008), eq. (9)",
+        "symbols": "K, B stiffness and damping of the virtual wall; m, b, k mass, damping and "
+        "stiffness of device and hand; T sampling period, t_d delay",
+        "filters": filters,
+        "has_filters": np.int32(has_filters),
+        "Conventions": "CF-1.8",
+        "schema_version": np.int32(SCHEMA_VERSION),
+        "NX_class": "NXdata",
+        "signal": "alpha_limits",
+        "axes": np.array(["gamma", "delta", "delay", "row", "end"], "S"),
+    }
+    write_attributes(file, head | {name: np.int64(count) for name, count in tested.items()})
+
+
+def write_limits(file: h5py.File, spec: str, arrays: Arrays) -> None:
+    """Write the limits with their axes, and the text of the specification."""
+    lines = np.array([line.encode("utf-8") or b" " for line in spec.splitlines()])
+    _write_all(file, LIMITS, {"spec": lines, **arrays})
+
+
+def create_fields(file: h5py.File, axes: Arrays, chunk: Sequence[int]) -> h5py.Group:
+    """Create the group of fields with its axes; the chunks of its fields are written later."""
+    group = file.create_group(FIELDS)
+    _write_all(group, FIELD_VARIABLES, axes)
+    shape = [group[name].size for name in NODE]
+    for variable in FIELD_VARIABLES:
+        if variable.is_packed:
+            _created(group, variable, shape, chunk, np.dtype(variable.dtype))
+    described = {
+        "NX_class": "NXdata",
+        "signal": "spectral_radius",
+        "axes": np.array(NODE, "S"),
+        "auxiliary_signals": np.array(["frequency", "damping_ratio", "outside"], "S"),
+    }
+    write_attributes(group, described)
+    return group
+
+
+def _write_all(group: h5py.Group, variables: Sequence[Variable], arrays: Arrays) -> None:
+    """Write variables that are not packed, and a scale for each dimension."""
+    lengths = {
+        dimension: length
+        for variable in variables
+        if variable.name in arrays
+        for dimension, length in zip(variable.dimensions, arrays[variable.name].shape, strict=True)
+    }
+    for variable in variables:
+        if not variable.is_packed:
+            values = arrays.get(variable.name)
+            if values is None:
+                values = np.arange(lengths[variable.name], dtype=variable.dtype)
+            count, *others = values.shape
+            rows = max(1, min(count, _LARGEST_CHUNK // prod(others)))
+            _created(group, variable, values.shape, (rows, *others), values.dtype)[...] = values
+
+
+def _created(
+    group: h5py.Group,
+    variable: Variable,
+    shape: Sequence[int],
+    chunk: Sequence[int],
+    dtype: np.dtype[Any],
+) -> h5py.Dataset:
+    """Create a dataset with its attributes, without values; its axes are there already."""
+    packing = {"shuffle": True, "compression": "gzip", "compression_opts": _LEVEL}
+    dataset = group.create_dataset(
+        variable.name,
+        tuple(shape),
+        dtype.newbyteorder("<"),
+        chunks=tuple(chunk),
+        fletcher32=True,
+        track_times=False,
+        **(packing if variable.is_packed else {}),
+    )
+    write_attributes(dataset, variable.attributes)
+    if variable.is_axis:
+        dataset.make_scale(variable.name)
+    else:
+        for axis, dimension in enumerate(variable.dimensions):
+            dataset.dims[axis].attach_scale(group[dimension])
+    return dataset
+
+
+def packed(values: Array, chunk: Sequence[int]) -> bytes:
+    """Return values as a chunk of the file: shuffled, deflated, with Fletcher's checksum.
+
+    The filters of libhdf5 would store equal values; ISA-L deflates in a sixth of the time of zlib
+    at its lowest level, into about as much space.
+    """
+    whole = np.zeros(chunk, values.dtype.newbyteorder("<"))
+    whole[tuple(map(slice, values.shape))] = values
+    engine = isal_zlib.compressobj(2)
+    planes = whole.reshape(-1).view(np.uint8).reshape(-1, whole.itemsize).T
+    deflated = [engine.compress(np.ascontiguousarray(plane).data) for plane in planes]
+    data = b"".join([*deflated, engine.flush()])
+    # Sums of 16-bit words, and of these sums, modulo 65535 from 1 on.
+    words = np.frombuffer(data + bytes(len(data) % 2), ">u2").astype(np.uint64)
+    weights = np.arange(words.size, 0, -1, dtype=np.uint64) % 65535
+    low, high = ((int(total) - 1) % 65535 + 1 for total in (words.sum(), words @ weights))
+    return data + struct.pack("<HH", low, high)
+
+
+# ------------------------------------------------------------------------------------------ reading
+
+
+@dataclass(frozen=True)
+class Contents:
+    """The limits of a file with what describes them; its fields stay on disk."""
+
+    arrays: Arrays
+    spec: str
+    created_by: str
+    filters: str
+    tested: Mapping[str, int]
+    has_fields: bool
+
+
+TESTED: Final = ("tested_points", "tested_wrong", "tested_computed", "tested_undecided")
+_ORDERED = frozenset(variable.name for variable in (*_PLANTS, LIMITS[3]))
+_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+_HINT = "build it again, or get a fresh copy"
+
+# What HDF5, h5py and their users raise at a file that is not as it should be.
+_TROUBLES = RefusalError, ValueError, LookupError, TypeError, ArithmeticError, RuntimeError
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[h5py.File]:
+    """Open an atlas to read; ValueError in one sentence for whatever is wrong with it.
+
+    OSError: it is missing or unreadable.
+    """
+    with ExitStack() as stack:
+        with named_errors("read", path):
+            target_of(path)  # which refuses folders, devices and pipes
+            stream = stack.enter_context(path.open("rb", buffering=0))
+            start = stream.read(len(_SIGNATURE))
+        if start != _SIGNATURE:
+            raise ValueError(f"{path} is no atlas of jaxstab: it is not HDF5.")
+        try:
+            file = stack.enter_context(h5py.File(stream, "r"))
+            _check_head(path, file)
+            yield file
+        except MemoryError:
+            raise MemoryError(f"there is not enough memory to read {path}.") from None
+        except _ForeignError:
+            raise
+        except (*_TROUBLES, OSError) as error:
+            if "alloc" in str(error):  # libhdf5 raises the same errors for both
+                raise MemoryError(f"there is not enough memory to read {path}.") from error
+            words = f"{path} is damaged, or no atlas ({_word(error)}); {_HINT}."
+            raise ValueError(words) from error
+
+
+class _ForeignError(ValueError):
+    """A sound file of another kind, which its sentence names."""
+
+
+def _word(error: Exception) -> str:
+    words = str(error).strip().splitlines()
+    return words[0].strip("\"'.") if words else type(error).__name__
+
+
+def _check_head(path: Path, file: h5py.File) -> None:
+    if "format" not in file.attrs or text_of(file, "format") != FORMAT:
+        raise _ForeignError(f"{path} is HDF5, but no atlas of jaxstab.")
+    version = int(file.attrs["schema_version"])
+    if version != SCHEMA_VERSION:
+        raise _ForeignError(
+            f"{path} has version {version} of the format, and this jaxstab reads "
+            f"{SCHEMA_VERSION}; build it again."
+        )
+
+
+def text_of(holder: h5py.Group, name: str) -> str:
+    """An attribute that is text of a moderate length, or RefusalError."""
+    identifier = holder.attrs.get_id(name)
+    check(identifier.shape == () and identifier.dtype.kind == "S", f"attribute {name}")
+    check(identifier.dtype.itemsize <= _LONGEST_LINE, f"attribute {name}")
+    return bytes(holder.attrs[name]).decode("utf-8")
+
+
+def check(is_sound: Any, what: str) -> None:
+    """Raise RefusalError for what is not as the format says."""
+    if not is_sound:
+        raise RefusalError(f"its {what} is not as the format says")
+
+
+def read_limits(path: Path) -> Contents:
+    """Read everything but the fields, checked; errors as ``opened``."""
+    with opened(path) as file:
+        arrays = read_all(file, LIMITS)
+        lines = arrays.pop("spec")
+        counts = {name: int(file.attrs[name]) for name in TESTED}
+        own = {"created_by": text_of(file, "created_by"), "filters": text_of(file, "filters")}
+        return Contents(
+            arrays={name: arrays[name] for name in arrays if not _is_number(name)},
+            spec="\n".join(line.decode("utf-8").rstrip() for line in lines.tolist()) + "\n",
+            created_by=own["created_by"],
+            filters=own["filters"],
+            tested=counts,
+            has_fields=FIELDS in file,
+        )
+
+
+def read_fields(path: Path) -> dict[str, Array]:
+    """Read the fields with their axes, checked; errors as ``opened``."""
+    with opened(path) as file:
+        return read_all(file[FIELDS], FIELD_VARIABLES)
+
+
+def _is_number(name: str) -> bool:
+    return name.endswith(("_cell", "_line", "_node")) or name == "end"
+
+
+def read_all(group: h5py.Group, variables: Sequence[Variable]) -> dict[str, Array]:
+    """Read variables of a group; RefusalError for one that is not as it should be."""
+    datasets = {v.name: checked_dataset(group, v) for v in variables}
+    lengths = {v.name: datasets[v.name].shape[0] for v in variables if v.is_axis}
+    for variable in variables:
+        shape = tuple(lengths[name] for name in variable.dimensions)
+        check(datasets[variable.name].shape == _with_cells(shape, variable, lengths), variable.name)
+    if "end" in lengths:
+        check(lengths["end"] == 2 and lengths["row"] >= 2, "row")
+    return {v.name: _checked_values(v, datasets[v.name][()]) for v in variables}
+
+
+def _with_cells(
+    shape: tuple[int, ...], variable: Variable, lengths: Mapping[str, int]
+) -> tuple[int, ...]:
+    """Return a shape in which an axis of cells is as long as its nodes demand."""
+    nodes = [dimension.removesuffix("_cell") for dimension in variable.dimensions]
+    return tuple(
+        max(lengths[own] - 1, 1) if own != dimension else length
+        for length, own, dimension in zip(shape, nodes, variable.dimensions, strict=True)
+    )
+
+
+def checked_dataset(group: h5py.Group, variable: Variable) -> h5py.Dataset:
+    """A dataset of the type and the storage of its variable, and of a size that memory holds."""
+    name = variable.name
+    check(isinstance(group.get(name, getlink=True), h5py.HardLink), name)
+    dataset = group[name]
+    check(isinstance(dataset, h5py.Dataset), name)
+    layout = dataset.id.get_create_plist()
+    check(layout.get_layout() == h5py.h5d.CHUNKED and layout.get_external_count() == 0, name)
+    filters = {layout.get_filter(index)[0] for index in range(layout.get_nfilters())}
+    allowed = _MOST_FILTERS if variable.is_packed else {h5py.h5z.FILTER_FLETCHER32}
+    check(filters == allowed and len(dataset.shape) == len(variable.dimensions), name)
+    is_text = variable.dtype == "S"
+    kind = dataset.dtype.kind == "S" if is_text else dataset.dtype == np.dtype(variable.dtype)
+    check(kind and dataset.dtype.itemsize <= _LONGEST_LINE and dataset.size > 0, name)
+    size = dataset.size * dataset.dtype.itemsize
+    if size > LARGEST_ARRAY:
+        raise RefusalError(
+            f"{name} has {size} bytes, and at most {LARGEST_ARRAY} are read into memory; read "
+            "parts of it with h5py or xarray"
+        )
+    check(variable.is_packed or size <= dataset.id.get_storage_size(), name)
+    return dataset
+
+
+def _checked_values(variable: Variable, values: Array) -> Array:
+    """Return values, read-only, in the range of their variable."""
+    if variable.dtype != "S":
+        known = values[~np.isnan(values)] if variable.has_nan else values
+        check(np.all((known >= variable.lowest) & (known <= variable.highest)), variable.name)
+        if variable.has_nan and variable.dtype == "float64":
+            check(not np.any(np.isinf(values)), variable.name)
+        if variable.name in _ORDERED or variable.name in ("alpha", "beta"):
+            steps = np.diff(values, axis=0)
+            check(np.all(np.isfinite(values)) and np.all(steps > 0.0), variable.name)
+        if variable.name == "row":
+            even = np.linspace(0.0, 1.0, values.size)
+            check(np.array_equal(values, even), variable.name)
+    values.flags.writeable = False
+    return values

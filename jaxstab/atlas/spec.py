@@ -1,25 +1,21 @@
-"""The specification of an atlas: its axes and products, checked when they are written down."""
+"""The specification of an atlas: the nodes of its limits and of its fields, checked at once.
+
+Limits have nodes along gamma, delta, delay and row (``atlas.table``). Fields are given at nodes of
+alpha, beta, gamma, delta and delay, which may be others: limits bend along the delay, and need
+whole samples among their nodes, while fields take many nodes of alpha and beta.
+"""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import partial, reduce
 from itertools import pairwise
 from os import PathLike
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from jaxstab.atlas.product import (
-    LARGEST_ATLAS,
-    LARGEST_DELAY,
-    LARGEST_SLICE,
-    LEAST_SHARE,
-    LEAST_SPAN,
-)
-from jaxstab.atlas.products.fields import FIELDS
-from jaxstab.atlas.products.table import PRODUCTS
 from jaxstab.conventions import AXES
 from jaxstab.model.filter_tables import SampledTable
 from jaxstab.model.filters import (
@@ -96,13 +92,16 @@ def _inline(section: Section) -> str:
 
 
 Nodes: TypeAlias = ArrayLike | tuple[float, ...]
+
+LARGEST_DELAY = 100.0
+LARGEST_TABLE = 2**24  # nodes with limits
+LARGEST_FIELDS = 2**38  # nodes with fields
+LARGEST_SLICE = 2**22  # of these along alpha and beta
+LEAST_SPAN = 1e-300  # of alpha and beta: cells to it do not overflow
+LEAST_SHARE = 2.0**-24  # of the larger of its ends: rounding swallows no cell of a span
 FEWEST_FITTED = 8
-_DELAY_CELLS, _MOST_DELAY_CELLS = 32, 2**16  # to a sample around 1/2
-_LIMIT_CELLS = 256, 128  # at delays alone, and between them
 _SPACINGS: Mapping[str, Callable[..., Any]] = {"linear": np.linspace, "geometric": np.geomspace}
-_OF_FIELDS = {"where": ("near", "all"), "method": ("fast", "companion")}
 _RANGE = ("start", "stop", "count", "spacing")
-_ENDS = ("least", "most")
 _FITTED = ("alpha", "beta")
 _LINE_LENGTH = 90
 
@@ -113,47 +112,78 @@ class FittedAxis:
 
     Args:
         count: number of nodes, >= 8.
-        least: the first node is not above it; None for that of the stable region alone.
-        most: the last node is not below it; likewise.
 
     Raises: see ``jaxstab.conventions``.
 
     Example:
-        >>> jaxstab.AtlasSpec(alpha=jaxstab.FittedAxis(64)).alpha
-        FittedAxis(count=64, least=None, most=None)
+        >>> jaxstab.FieldSpec(alpha=jaxstab.FittedAxis(64)).alpha
+        FittedAxis(count=64)
     """
 
     count: int
-    least: float | None = None
-    most: float | None = None
 
     def __post_init__(self) -> None:
         checked_count("fitted", self.count, FEWEST_FITTED, LARGEST_SLICE)
-        for name in _ENDS:
-            if getattr(self, name) is not None:
-                value = checked_number(f"{name} of a fitted axis", getattr(self, name))
-                object.__setattr__(self, name, value)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FieldSpec:
+    """The nodes at which an atlas has fields, and how these are found.
+
+    Args:
+        alpha: nodes, two or more, or a FittedAxis for each delay; so is beta.
+        gamma, delta, delay: nodes, one or more; None for those of the limits. Each delay has its
+            own nodes of fitted axes.
+        where: which nodes have fields: "near" for corners of cells (in alpha and beta) with a
+            stable corner, "all" for all.
+        method: how the dominant poles are found: "fast", by powers of the companion matrix, or
+            "companion", by its eigenvalues; proved alike.
+
+    Raises: as ``AtlasSpec``.
+
+    Example:
+        >>> jaxstab.FieldSpec(delay=(0.0, 1.0)).where
+        'near'
+    """
+
+    alpha: Nodes | FittedAxis = field(default_factory=partial(FittedAxis, 128))
+    beta: Nodes | FittedAxis = field(default_factory=partial(FittedAxis, 112))
+    gamma: Nodes | None = None
+    delta: Nodes | None = None
+    delay: Nodes | None = None
+    where: str = "near"
+    method: str = "fast"
+
+    def __post_init__(self) -> None:
+        for name in AXES:
+            value = getattr(self, name)
+            if value is not None and not (name in _FITTED and isinstance(value, FittedAxis)):
+                object.__setattr__(self, name, _checked_nodes(name, value))
+        checked_word("where", self.where, ("near", "all"))
+        checked_word("method", self.method, ("fast", "companion"))
+
+    @classmethod
+    def from_table(cls, table: Any) -> "FieldSpec":
+        """Return what the table ``fields`` of a specification says; errors as of ``AtlasSpec``."""
+        if not isinstance(table, Mapping):
+            raise TypeError(f"fields is {table!r}; give a table, such as [fields].")
+        check_keys("fields", table, [entry.name for entry in fields(cls)])
+        axes = {name: _axis_of(name, table[name]) for name in AXES if name in table}
+        return cls(**(dict(table) | axes))
 
 
 @dataclass(frozen=True, kw_only=True)
 class AtlasSpec:
-    """The axes and products of an atlas; without arguments, the paper's haptic range (15).
+    """What an atlas holds; without arguments, limits for the paper's haptic range (15).
 
     Args:
-        alpha: nodes, two or more, or a FittedAxis for each delay; so is beta.
         gamma: nodes, one or more; so is delta.
-        delay: delays t_d/T in [0, 100], whole or fractional; each has its own grid.
-        products: what to compute, of "verdict", "alpha_limits", "fields", "outline" and
-            "summary"; by default the first three.
-        limit_cells: number of even cells along beta in which the limits of alpha are given; 0 for
-            128 where they are given between delays, too, and else 256.
-        delay_cells: how finely they are given between the delays, in cells (delay + 1/2) /
-            delay_cells long; 0 for these delays alone. None means 32, or 0 for loops with an
-            estimator or a filter.
-        where: which nodes have fields: "near" for corners of cells (in alpha and beta) with a
-            stable corner, "all" for all.
-        method: how the dominant poles of fields are found: "fast", by powers of the companion
-            matrix, or "companion", by its eigenvalues; proved alike.
+        delay: delays t_d/T in [0, 100], whole or fractional; the whole ones between the first and
+            the last are added, for limits bend there.
+        rows: even nodes along the stable interval of beta, >= 2.
+        fields: where fields are given, too; None for nowhere.
+        velocity: the estimator, in units of one sample; None for the difference over one sample.
+        position: the position filter, likewise; None for none.
 
     Nodes are finite and ascending, and stored as tuples of floats.
 
@@ -161,48 +191,50 @@ class AtlasSpec:
     atlas.
 
     Example:
-        >>> spec = jaxstab.AtlasSpec(delay=(0.0, 0.5, 1.0), products=("verdict", "alpha_limits"))
+        >>> spec = jaxstab.AtlasSpec(delay=(0.0, 0.5, 2.0), fields=jaxstab.FieldSpec())
         >>> spec.delay, jaxstab.AtlasSpec.from_toml(spec.to_toml()) == spec
-        ((0.0, 0.5, 1.0), True)
+        ((0.0, 0.5, 1.0, 2.0), True)
         >>> spec = jaxstab.AtlasSpec.from_toml("velocity = {window_samples = 20}")
-        >>> str(spec.filters[0]), spec.delay_cells
-        ('the difference over a window of 20 samples', 0)
-        >>> jaxstab.AtlasSpec.from_file("data/specs/window.toml").delay
-        (1.0, 2.0, 3.0)
+        >>> str(spec.filters[0])
+        'the difference over a window of 20 samples'
+        >>> jaxstab.AtlasSpec.from_file("data/specs/window.toml").delay[:3]
+        (1.0, 1.125, 1.25)
     """
 
-    alpha: Nodes | FittedAxis = field(default_factory=partial(FittedAxis, 128))
-    beta: Nodes | FittedAxis = field(default_factory=partial(FittedAxis, 112))
     gamma: Nodes = tuple(np.linspace(0.0, 1e-3, 3).tolist())
-    delta: Nodes = tuple(np.linspace(0.0, 0.015, 9).tolist())
-    delay: Nodes = (0.0, 1.0, 2.0, 3.0)
-    products: Sequence[str] = ("verdict", "alpha_limits", FIELDS)
-    limit_cells: int = 0
-    delay_cells: int | None = None
-    where: str = "near"
-    method: str = "fast"
+    delta: Nodes = tuple(np.linspace(0.0, 0.015, 3).tolist())
+    delay: Nodes = tuple(np.linspace(0.0, 3.0, 97).tolist())
+    rows: int = 65
+    fields: FieldSpec | None = None
     velocity: Velocity | None = None
     position: Filter | None = None
 
     def __post_init__(self) -> None:
-        for name in AXES:
-            value = getattr(self, name)
-            if not (name in _FITTED and isinstance(value, FittedAxis)):
-                object.__setattr__(self, name, _checked_nodes(name, value))
-        object.__setattr__(self, "products", _checked_products(self.products))
-        if self.delay_cells is None:
-            object.__setattr__(self, "delay_cells", 0 if self.filters else _DELAY_CELLS)
-        checked_count("delay_cells", self.delay_cells, 0, _MOST_DELAY_CELLS)
-        if not checked_count("limit_cells", self.limit_cells, 0, LARGEST_SLICE):
-            between = bool(self.delay_cells) and np.size(self.delay) > 1
-            object.__setattr__(self, "limit_cells", _LIMIT_CELLS[between])
-        for name, allowed in _OF_FIELDS.items():
-            word = checked_word(name, getattr(self, name), allowed)
-            object.__setattr__(self, name, word if FIELDS in self.products else allowed[0])
+        for name in ("gamma", "delta", "delay"):
+            object.__setattr__(self, name, _checked_nodes(name, getattr(self, name)))
+        delays = np.array(self.delay)
+        whole = np.arange(math.ceil(delays[0]), math.floor(delays[-1]) + 1.0)
+        object.__setattr__(self, "delay", tuple(np.union1d(delays, whole).tolist()))
+        checked_count("rows", self.rows, 2, LARGEST_TABLE)
+        size = self.rows * math.prod(axis.size for axis in self.nodes)
+        if size > LARGEST_TABLE:
+            raise ValueError(
+                f"the limits have {size} nodes; at most {LARGEST_TABLE} are allowed, so give fewer."
+            )
         for name, value in as_keywords(known_filters(self.velocity, self.position)).items():
             object.__setattr__(self, name, _as_written(name, value))
-        axes = (getattr(self, name) for name in AXES)
-        check_size([axis.count if isinstance(axis, FittedAxis) else len(axis) for axis in axes])
+        if self.fields is not None:
+            if not isinstance(self.fields, FieldSpec):
+                raise TypeError(f"fields is {self.fields!r}; give a jaxstab.FieldSpec.")
+            own = {name: getattr(self.fields, name) for name in ("gamma", "delta", "delay")}
+            given = {name: getattr(self, name) for name, nodes in own.items() if nodes is None}
+            object.__setattr__(self, "fields", replace(self.fields, **given))
+            check_size([_count(getattr(self.fields, name)) for name in AXES])
+
+    @property
+    def nodes(self) -> tuple[NDArray[np.float64], ...]:
+        """The nodes of the limits along gamma, delta and delay."""
+        return tuple(np.array(axis, np.float64) for axis in (self.gamma, self.delta, self.delay))
 
     @classmethod
     def from_file(cls, path: str | PathLike[str]) -> "AtlasSpec":
@@ -221,9 +253,9 @@ class AtlasSpec:
         """Read a specification in TOML; missing keys have their defaults.
 
         An axis is a list of nodes, or a table with ``values``, or one with ``start``, ``stop``,
-        ``count`` and perhaps ``spacing`` ("linear" or "geometric"). For alpha and beta it may have
-        ``fitted``, a count, and perhaps ``least`` and ``most``. The tables ``velocity`` and
-        ``position`` are of ``jaxstab.atlas.spec``.
+        ``count`` and perhaps ``spacing`` ("linear" or "geometric"). The table ``fields`` has the
+        arguments of ``jaxstab.FieldSpec``, and there an axis of alpha or beta may have ``fitted``,
+        a count. The tables ``velocity`` and ``position`` are of ``jaxstab.atlas.spec``.
 
         Raises: see ``jaxstab.conventions``; ValueError also if it is no TOML, or has an unknown
         name.
@@ -233,9 +265,10 @@ class AtlasSpec:
     @classmethod
     def _from_table(cls, table: dict[str, Any]) -> "AtlasSpec":
         check_keys("", table, [entry.name for entry in fields(cls)])
-        axes: dict[str, Any] = {name: _axis_of(name, table[name]) for name in AXES if name in table}
-        filters = {name: make(table[name]) for name, make in _FILTERS.items() if name in table}
-        return cls(**(table | axes | filters))
+        own = ("gamma", "delta", "delay")
+        axes: dict[str, Any] = {name: _axis_of(name, table[name]) for name in own if name in table}
+        made = {name: make(table[name]) for name, make in _MADE.items() if name in table}
+        return cls(**(table | axes | made))
 
     @property
     def filters(self) -> Filters | None:
@@ -244,23 +277,24 @@ class AtlasSpec:
 
     def to_toml(self) -> str:
         """Return the text from which ``from_toml`` makes an equal specification."""
-        values = {entry.name: getattr(self, entry.name) for entry in fields(self)}
-        left_out = () if FIELDS in self.products else _OF_FIELDS
-        given = {n: value for n, value in values.items() if value is not None and n not in left_out}
-        entries = (f"{name} = {_toml(value)}" for name, value in given.items())
-        return "\n".join(entries) + "\n"
+        own = [entry.name for entry in fields(self) if entry.name != "fields"]
+        lines = _entries(self, own)
+        if self.fields is not None:
+            lines += ["", "[fields]", *_entries(self.fields, [e.name for e in fields(FieldSpec)])]
+        return "\n".join(lines) + "\n"
 
 
-_FILTERS: Mapping[str, Callable[[Any], Velocity | Filter]] = {
+_MADE: Mapping[str, Callable[[Any], Any]] = {
     "velocity": velocity_of,
     "position": position_of,
+    "fields": FieldSpec.from_table,
 }
 
 
 def check_size(counts: Sequence[int]) -> None:
-    """Raise ValueError for more nodes along the axes than an atlas may have."""
+    """Raise ValueError for more nodes along the axes of fields than an atlas may have."""
     for axes, size, most in (
-        ("axes", math.prod(counts), LARGEST_ATLAS),
+        ("axes", math.prod(counts), LARGEST_FIELDS),
         ("axes alpha and beta", math.prod(counts[:2]), LARGEST_SLICE),
     ):
         if size > most:
@@ -269,19 +303,29 @@ def check_size(counts: Sequence[int]) -> None:
             )
 
 
+def _count(axis: Any) -> int:
+    return axis.count if isinstance(axis, FittedAxis) else len(axis)
+
+
+def _entries(holder: Any, names: Sequence[str]) -> list[str]:
+    values = {name: getattr(holder, name) for name in names}
+    return [f"{name} = {_toml(value)}" for name, value in values.items() if value is not None]
+
+
 def _as_written(name: str, value: Velocity | Filter | None) -> Velocity | Filter | None:
     if value is None or not toml_of(value).strip("[]"):
         return None
-    return _FILTERS[name](parsed(f"{name} = {toml_of(value)}")[name])
+    made: Velocity | Filter = _MADE[name](parsed(f"{name} = {toml_of(value)}")[name])
+    return made
 
 
 def _axis_of(name: str, entry: Any) -> Any:
     if not isinstance(entry, Mapping):
         return entry
     is_fitted = name in _FITTED
-    check_keys(name, entry, ["values", *_RANGE, *((*_ENDS, "fitted") if is_fitted else ())])
-    if "fitted" in entry and set(entry) <= {"fitted", *_ENDS}:
-        return FittedAxis(entry["fitted"], entry.get("least"), entry.get("most"))
+    check_keys(name, entry, ["values", *_RANGE, *(("fitted",) if is_fitted else ())])
+    if set(entry) == {"fitted"}:
+        return FittedAxis(entry["fitted"])
     if set(entry) == {"values"}:
         return entry["values"]
     if set(entry) | {"spacing"} != set(_RANGE):
@@ -326,28 +370,24 @@ def _checked_nodes(name: str, values: Any) -> tuple[float, ...]:
     return nodes
 
 
-def _checked_products(products: Any) -> tuple[str, ...]:
-    if isinstance(products, str) or not isinstance(products, Sequence):
-        raise TypeError(f"products is {products!r}; give a list of names.")
-    check_keys("products", map(str, products), list(PRODUCTS))
-    if not products:
-        raise ValueError(f"products is empty; give at least one of {', '.join(PRODUCTS)}.")
-    return tuple(name for name in PRODUCTS if name in products)
-
-
 def _toml(value: Any) -> str:
     if isinstance(value, FittedAxis):
-        ends = {name: getattr(value, name) for name in _ENDS}
-        given = [f", {name} = {end!r}" for name, end in ends.items() if end is not None]
-        return f"{{ fitted = {value.count}{''.join(given)} }}"
+        return f"{{ fitted = {value.count} }}"
     if isinstance(value, Velocity | Filter):
         return toml_of(value)
+    if isinstance(value, str):
+        return f'"{value}"'
     if not isinstance(value, tuple):
         return repr(value)
-    items = ["'" + item + "'" if isinstance(item, str) else repr(item) for item in value]
     lines = [""]
-    for item in items:
+    for item in map(repr, value):
         if len(lines[-1]) + len(item) > _LINE_LENGTH:
             lines.append("  ")
         lines[-1] += f"{item}, "
     return "[" + "\n".join(lines).rstrip(", ") + "]"
+
+
+HAPTIC = AtlasSpec(
+    fields=FieldSpec(delta=np.linspace(0.0, 0.015, 9).tolist(), delay=(0.0, 1.0, 2.0, 3.0))
+)
+"""What is built without a specification: the paper's haptic range (15), with fields."""

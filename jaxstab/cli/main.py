@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 import click
 
 import jaxstab
-from jaxstab.cli.atlas import build, info, plan, spec, verify
+from jaxstab.cli.atlas import build, info, spec, verify
 from jaxstab.cli.identify import identify
 from jaxstab.cli.query import plot, query
 from jaxstab.cli.region import figure, region
@@ -117,8 +117,8 @@ for _command in _COMMANDS:
 
 @main.group()
 def atlas() -> None:
-    """Plan, build, inspect, verify, query and plot atlases: stability over a grid, in one file."""
+    """Build, inspect, verify, query and plot atlases: limits and fields at nodes, in one file."""
 
 
-for _command in (spec, build, plan, info, verify, query, plot):
+for _command in (spec, build, info, verify, query, plot):
     atlas.add_command(_command)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import jaxstab
-from jaxstab.cli.options import file_in, file_option, keep_programs, print_with_csv, together
+from jaxstab.cli.options import file_in, file_option, print_with_csv, together
 from jaxstab.conventions import AXES, Verdict
 from jaxstab.tables import columns_of
 
@@ -27,13 +27,6 @@ _ANSWER = "verdict", "status"
 )
 @click.option("--format", "form", type=click.Choice(["csv", "json"]), default="csv")
 @click.option(
-    "--outside",
-    type=click.Choice(["error", "undecided"]),
-    help="Refuse points outside of the atlas, or answer that they are undecided; without, walls of "
-    "a scene are answered, and other points refused.",
-)
-@click.option("--exact", is_flag=True, help="Compute the verdicts that the atlas leaves open.")
-@click.option(
     "--scene",
     "scene_file",
     type=Path,
@@ -45,8 +38,6 @@ def query(
     file: Path,
     table: Path | None,
     form: str,
-    outside: Any,
-    exact: bool,
     scene_file: Path | None,
     stiffness: float | None,
     damping: float | None,
@@ -54,14 +45,13 @@ def query(
 ) -> int:
     """Ask an atlas about a point, about the points of a CSV file, or about a scene's walls.
 
-    An option such as --gamma gives the value of a column that the CSV file does not have.
+    Where the table of the atlas is not clear, and outside of it, the verdict is computed. An option
+    such as --gamma gives the value of a column that the CSV file does not have.
 
     The rows for a scene are of its walls with the hands, masses and delays at the corners of its
     ranges; of those between nothing is said. The exit code is 0 if every verdict is stable, 1 if
     not.
     """
-    if exact:
-        keep_programs()
     given = {name: value for name, value in point.items() if value is not None}
     wall = {"stiffness": stiffness, "damping": damping}
     if scene_file is not None:
@@ -71,10 +61,8 @@ def query(
                     f"--{name} is given beside --scene, which has it; give one of them."
                 )
         opened = jaxstab.open_atlas(file)
-        stated, rows = _asked_of_scene(
-            opened, scene_file, wall, outside or "undecided", exact=exact
-        )
-        _write(rows, _columns(opened, list(rows[0])), form, stated)
+        stated, rows = _asked_of_scene(opened, scene_file, wall)
+        _write(rows, list(rows[0]), form, stated)
         return 0 if all(row["verdict"] == "stable" for row in rows) else 1
     for name, value in wall.items():
         if value is not None:
@@ -85,13 +73,9 @@ def query(
         _check_complete(given, "give it as an option, or points with --csv")
         points = {name: [given[name]] for name in AXES}
     opened = jaxstab.open_atlas(file)
-    answer = opened.query(
-        **points,
-        outside=outside or "error",
-        exact=exact,
-    )
+    answer = opened.query(**points)
     stated = {"inputs": _made_of(opened), "units": dict.fromkeys(AXES, "1")}
-    _write(_answered(points, answer), _columns(opened, [*AXES, *_ANSWER]), form, stated)
+    _write(_answered(points, answer), [*AXES, *_ANSWER], form, stated)
     return 0 if (answer.verdict == Verdict.STABLE).all() else 1
 
 
@@ -100,7 +84,9 @@ def query(
 @file_option("-o", "--output", check=file_in(".png"), required=True, help="PNG file to write.")
 @click.option("--gamma", type=float, help="Physical stiffness; default: the smallest.")
 @click.option("--delta", type=float, help="Physical damping; default: the smallest.")
-@click.option("--delay", type=float, multiple=True, help="May be repeated; default: all.")
+@click.option(
+    "--delay", type=float, multiple=True, help="May be repeated; default: some whole ones."
+)
 def plot(
     file: Path, output: Path, gamma: float | None, delta: float | None, delay: tuple[float, ...]
 ) -> None:
@@ -108,14 +94,7 @@ def plot(
     from jaxstab.durable import publish
     from jaxstab.pictures.atlas import draw_atlas
 
-    opened = jaxstab.open_atlas(file)
-    lowest = {name: float(nodes[0]) for name, nodes in opened.nodes(0).items()}
-    png = draw_atlas(
-        opened,
-        lowest["gamma"] if gamma is None else gamma,
-        lowest["delta"] if delta is None else delta,
-        delay or None,
-    )
+    png = draw_atlas(jaxstab.open_atlas(file), gamma, delta, delay)
     publish(png, output)
     click.echo(output)
 
@@ -155,14 +134,8 @@ def _words(verdict: int, status: int) -> dict[str, float | str]:
     }
 
 
-def _columns(opened: "Atlas", names: list[str]) -> list[str]:
-    """Return the names of columns without those of products that a file does not have."""
-    has_verdicts = not {"verdict", "alpha_limits"}.isdisjoint(opened.products)
-    return [name for name in names if has_verdicts or name != "verdict"]
-
-
 def _asked_of_scene(
-    opened: "Atlas", scene_file: Path, wall: dict[str, float | None], outside: Any, *, exact: bool
+    opened: "Atlas", scene_file: Path, wall: dict[str, float | None]
 ) -> tuple[dict[str, Any], list[dict[str, float | str]]]:
     """Return inputs and units, and a row for each wall at each corner of the ranges of a scene."""
     from jaxstab.loop import Gains
@@ -191,7 +164,7 @@ def _asked_of_scene(
         "delay": "s",
     }
     rows = []
-    for entry in ask_atlas(scene, opened, walls, outside, exact=exact):
+    for entry in ask_atlas(scene, opened, walls):
         mass, hand, delay = entry.member
         numbers = [*entry.gains, mass, hand.mass, hand.stiffness, hand.damping, delay]
         answer = (getattr(entry.answer, name).item() for name in _ANSWER)

@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from jaxstab.atlas.products.fields import FIELDS
 from jaxstab.conventions import Verdict
 from jaxstab.model import by_name
 from jaxstab.pictures.style import (
@@ -34,15 +33,8 @@ if TYPE_CHECKING:
 _RASTER = 400  # points along each side of a plane
 _WIDTH, _HEIGHT = 3.3, 2.9  # inches of a panel
 _MOST_PLANES = 6
+_ASIDE = 0.06  # around the stable set, of its size
 _LINE = 60  # letters of a title
-
-# The rows of a picture, and the products that provide each.
-_ANSWERED_BY = {
-    "verdict": {"verdict", "alpha_limits"},
-    "spectral_radius": {FIELDS},
-    "frequency": {FIELDS},
-    "damping_ratio": {FIELDS},
-}
 
 # Fields at nodes: the label of their colours, and the map from values to colours.
 _FIELDS = {
@@ -63,37 +55,41 @@ Floats = NDArray[np.float64]
 
 
 def draw_atlas(
-    atlas: "Atlas", gamma: float, delta: float, delays: Sequence[float] | None = None
+    atlas: "Atlas",
+    gamma: float | None = None,
+    delta: float | None = None,
+    delays: Sequence[float] = (),
 ) -> bytes:
-    """A PNG of an atlas in planes of (alpha, beta), one for each of at most 6 of its delays.
+    """A PNG of an atlas in planes of (alpha, beta), one for each of at most 6 delays.
 
-    Fields are drawn at the nodes of gamma and delta that are nearest. ValueError: gamma or delta is
-    outside of the atlas, a delay is not one of the atlas, or the atlas has nothing to draw.
+    Verdicts are those of queries. Fields, if there are any, are drawn at the nodes of gamma and
+    delta that are nearest, at delays of theirs. Without delays these are those of the fields, or
+    whole ones. ValueError: a value is outside of the atlas, or a delay has no fields.
     """
-    indices = _indices_of(atlas, delays)
-    rows = [answer for answer, own in _ANSWERED_BY.items() if not own.isdisjoint(atlas.products)]
-    if not rows:
-        raise ValueError(
-            f"this atlas holds {', '.join(atlas.products)}; a picture needs one of "
-            f"{', '.join(sorted(set().union(*_ANSWERED_BY.values())))}."
-        )
-    size = _WIDTH * len(indices) + 0.9, _HEIGHT * len(rows) + 1.0
+    chosen = _delays(atlas, delays)
+    rows = ["verdict", *(("spectral_radius", *_FIELDS) if atlas.has_fields else ())]
+    table = atlas.table
+    hand = (
+        float(table.gamma[0]) if gamma is None else gamma,
+        float(table.delta[0]) if delta is None else delta,
+    )
+    size = _WIDTH * len(chosen) + 0.9, _HEIGHT * len(rows) + 1.0
     figure = Figure(figsize=size, layout="constrained")
-    panels = figure.subplots(len(rows), len(indices), squeeze=False)
+    panels = figure.subplots(len(rows), len(chosen), squeeze=False)
     filled: dict[str, ScalarMappable] = {}
-    for column, index in zip(panels.T, indices, strict=True):
-        for panel, row in zip(column, rows, strict=True):
-            if row == "verdict":
-                alpha, beta = _raster(atlas, index)
-                hand = by_name(gamma, delta, atlas.delays[index])
-                _draw_verdicts(panel, alpha, beta, atlas.verdict(alpha, beta[:, None], **hand))
-            elif row in _FIELDS:
-                plane = _nodes_of(atlas, row, index, gamma, delta)
-                filled[row] = panel.pcolormesh(*plane, norm=_FIELDS[row][1])
+    for column, delay in zip(panels.T, chosen, strict=True):
+        alpha, beta = _raster(atlas, *hand, delay)
+        plane = by_name(*hand, delay)
+        _draw_verdicts(column[0], alpha, beta, atlas.verdict(alpha, beta[:, None], **plane))
+        for panel, row in zip(column[1:], rows[1:], strict=True):
+            nodes = _nodes_of(atlas, row, *hand, delay)
+            if row in _FIELDS:
+                filled[row] = panel.pcolormesh(*nodes, norm=_FIELDS[row][1])
             else:
-                filled[row] = _draw_radii(panel, *_nodes_of(atlas, row, index, gamma, delta))
+                filled[row] = _draw_radii(panel, *nodes)
+        for panel in column:
             panel.tick_params(labelsize=8)
-        column[0].set_title(f"delay {atlas.delays[index]:g} T", fontsize=10)
+        column[0].set_title(f"delay {delay:g} T", fontsize=10)
         column[-1].set_xlabel(ALPHA_LABEL)
     for panel in panels[:, 0]:
         panel.set_ylabel(BETA_LABEL)
@@ -103,9 +99,8 @@ def draw_atlas(
         bar = figure.colorbar(drawn, ax=list(panels[rows.index(row)]), pad=0.01, ticks=ticks)
         bar.ax.tick_params(labelsize=8)
         bar.set_label("spectral radius (line: 1)" if is_radius else _FIELDS[row][0])
-    if "verdict" in rows:
-        figure.legend(handles=_legend(), loc="outside lower center", ncols=3, frameon=False)
-    figure.suptitle(f"{plain(atlas.filters_in_words)}\n{hand_label(gamma, delta)}", fontsize=10)
+    figure.legend(handles=_legend(), loc="outside lower center", ncols=3, frameon=False)
+    figure.suptitle(f"{plain(atlas.filters_in_words)}\n{hand_label(*hand)}", fontsize=10)
     return picture(figure, "png")
 
 
@@ -113,16 +108,13 @@ def plot_atlas(
     atlas: "Atlas", ax: Axes | None, gamma: float | None, delta: float | None, delay: float | None
 ) -> Axes:
     """Draw the verdicts of an atlas in one plane on axes, or on new ones: ``Atlas.plot``."""
-    if _ANSWERED_BY["verdict"].isdisjoint(atlas.products):
-        raise ValueError(f"this atlas holds {', '.join(atlas.products)}, and no verdicts to draw.")
-    (index,) = _indices_of(atlas, [float(atlas.delays[0]) if delay is None else delay])
-    middle = {name: float(axis[len(axis) // 2]) for name, axis in atlas.nodes(index).items()}
+    table = atlas.table
     hand = (
-        middle["gamma"] if gamma is None else gamma,
-        middle["delta"] if delta is None else delta,
-        float(atlas.delays[index]),
+        float(table.gamma[table.gamma.size // 2]) if gamma is None else gamma,
+        float(table.delta[table.delta.size // 2]) if delta is None else delta,
+        float(table.delay[0]) if delay is None else delay,
     )
-    alpha, beta = _raster(atlas, index)
+    alpha, beta = _raster(atlas, *hand)
     panel = new_axes() if ax is None else ax
     _draw_verdicts(panel, alpha, beta, atlas.verdict(alpha, beta[:, None], **by_name(*hand)))
     panel.set(xlabel=ALPHA_LABEL, ylabel=BETA_LABEL)
@@ -135,13 +127,10 @@ def plot_atlas(
 def plot_walls(walls: "LoopAtlas", ax: Axes | None) -> Axes:
     """Draw the verdicts of an atlas for the walls of one loop, in SI units: ``LoopAtlas.plot``."""
     atlas, loop = walls.atlas, walls.loop
-    nearest = int(np.argmin(np.abs(atlas.delays - loop.delay_samples)))
-    alpha, beta = _raster(atlas, nearest)
+    alpha, beta = _raster(atlas, *loop.slice.values())
     stiffness, damping = loop.stiffness(alpha), loop.damping(beta)
     panel = new_axes() if ax is None else ax
-    _draw_verdicts(
-        panel, stiffness, damping, walls.verdict(stiffness, damping[:, None], "undecided")
-    )
+    _draw_verdicts(panel, stiffness, damping, walls.verdict(stiffness, damping[:, None]))
     panel.set(xlabel=STIFFNESS_LABEL, ylabel=DAMPING_LABEL)
     words = fill(plain(atlas.filters_in_words), _LINE)
     panel.set_title(f"{words}\n{loop.mass:g} kg, delay {1e3 * loop.delay:g} ms", fontsize=9)
@@ -149,22 +138,33 @@ def plot_walls(walls: "LoopAtlas", ax: Axes | None) -> Axes:
     return panel
 
 
-def _raster(atlas: "Atlas", index: int) -> tuple[Floats, Floats]:
-    nodes = atlas.nodes(index)
+def _raster(atlas: "Atlas", gamma: float, delta: float, delay: float) -> tuple[Floats, Floats]:
+    """Return alphas and betas around the stable set of a plant."""
+    plant = [np.array([value]) for value in (gamma, delta, delay)]
+    low, high = atlas.table.ends(*plant)[0]
+    if np.isnan(low):
+        raise ValueError(
+            f"gamma {gamma:g}, delta {delta:g} and delay {delay:g} are outside of this atlas, or "
+            "nothing is stable there."
+        )
+    rows = low + atlas.table.row * (high - low)
+    limits = atlas.table.limits(rows, *(np.repeat(value, rows.size) for value in plant))
+    spans = (np.nanmin(limits.lower), np.nanmax(limits.upper)), (low, high)
     alpha, beta = (
-        np.linspace(nodes[name][0], nodes[name][-1], _RASTER) for name in ("alpha", "beta")
+        np.linspace(a - _ASIDE * (b - a), b + _ASIDE * (b - a), _RASTER) for a, b in spans
     )
     return alpha, beta
 
 
-def _indices_of(atlas: "Atlas", delays: Sequence[float] | None) -> list[int]:
-    nodes = atlas.delays.tolist()
-    chosen = nodes if delays is None else list(delays)
-    for delay in chosen:
-        if delay not in nodes:
-            of_the_atlas = ", ".join(f"{node:g}" for node in nodes)
-            raise ValueError(f"delay {delay:g} is not in this atlas; give some of {of_the_atlas}.")
-    return [nodes.index(delay) for delay in chosen[:_MOST_PLANES]]
+def _delays(atlas: "Atlas", given: Sequence[float]) -> list[float]:
+    """Return the delays of a picture; ValueError for one that has no fields."""
+    nodes = (atlas.fields["delay"] if atlas.has_fields else atlas.table.delay).tolist()
+    for delay in given:
+        if atlas.has_fields and delay not in nodes:
+            listed = ", ".join(f"{node:g}" for node in nodes)
+            raise ValueError(f"delay {delay:g} has no fields in this atlas; give some of {listed}.")
+    whole = [delay for delay in nodes if float(delay).is_integer()]
+    return [*(given or (nodes if atlas.has_fields else whole or nodes))][:_MOST_PLANES]
 
 
 def _draw_verdicts(panel: Axes, alpha: Floats, beta: Floats, verdict: NDArray[np.int8]) -> None:
@@ -186,11 +186,17 @@ def _draw_radii(panel: Axes, alpha: Floats, beta: Floats, radius: Floats) -> Qua
     return filled
 
 
-def _nodes_of(atlas: "Atlas", name: str, index: int, *hand: float) -> tuple[Floats, Floats, Floats]:
-    """Return alpha, beta and a field at the nodes of gamma and delta that are nearest."""
-    alpha, beta, *axes = atlas.nodes(index).values()
-    i, j = (int(np.argmin(np.abs(axis - value))) for axis, value in zip(axes, hand, strict=True))
-    return alpha, beta, atlas.arrays[name][:, :, i, j, index].T.astype(float)
+def _nodes_of(
+    atlas: "Atlas", name: str, gamma: float, delta: float, delay: float
+) -> tuple[Floats, Floats, Floats]:
+    """Return alpha, beta and a field at the nodes of gamma, delta and delay that are nearest."""
+    fields = atlas.fields
+    i, j, k = (
+        int(np.argmin(np.abs(fields[axis] - value)))
+        for axis, value in by_name(gamma, delta, delay).items()
+    )
+    values: Floats = fields[name][:, :, i, j, k].T.astype(float)
+    return fields["alpha"][:, k], fields["beta"][:, k], values
 
 
 def _legend() -> list[Patch]:

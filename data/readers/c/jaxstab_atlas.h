@@ -1,402 +1,271 @@
-/* Stability verdicts from a jaxstab atlas, for a haptic control loop. C99 or C++, no library.
+/* Read an atlas of jaxstab with libhdf5, and answer from it.
+ *
+ *     cc -std=c99 -O2 program.c -lhdf5        (or h5cc; Debian: libhdf5-dev, -lhdf5_serial)
  *
  *     const char *problem;
- *     jaxstab_atlas *atlas = jaxstab_open("atlas.h5", &problem);      once, before the loop
- *     if (!atlas) { fprintf(stderr, "atlas.h5 %s\n", problem); ... }
- *     int code = jaxstab_verdict(atlas, alpha, beta, gamma, delta, delay);
+ *     jaxstab_atlas *atlas = jaxstab_open("atlas.h5", &problem);
+ *     int code = jaxstab_query(atlas, alpha, beta, gamma, delta, delay);
  *     jaxstab_close(atlas);
  *
- * The answers are for walls that take the velocity and the position as atlas->filters says, in
- * words: show it, or compare it with what your software does.
- *
- * With K, B stiffness and damping of the virtual wall, m, b, k mass, damping and stiffness of
- * device and hand, T sampling period and t_d delay:
- *
- *     alpha = K T^2/m    beta = B T/m    gamma = k T^2/m    delta = b T/m    delay = t_d/T
- *
- * jaxstab_open checks the whole file, its SHA-256s included, and keeps the limits of the stable
- * alpha in one block of memory. It takes less than three times the file's size until then. After that the atlas is constant: a query allocates nothing, locks
- * nothing and calls nothing, its time is bounded, and many threads may make queries at once.
- *
- * The answers are those of Python's Atlas.verdict and Atlas.alpha_limits, bit for bit where doubles are IEEE 754 and products are not fused with sums (gcc and clang: -std=c99 or -ffp-contract=off).
- * data/README.md describes the file.
+ * Nodes hold both limits of the stable alpha over (gamma, delta, delay, row) and the ends of the
+ * stable beta over (gamma, delta, delay); between nodes all is multilinear. Each cell has a measured
+ * error: a point that is clear of the limits by four times that is answered by the table. Every other
+ * point is computed by jaxstab_verdict.h, wherever it is; for loops with an estimator or a filter,
+ * which that does not know, the answer is JAXSTAB_UNDECIDED. A query allocates nothing.
  */
 #ifndef JAXSTAB_ATLAS_H
 #define JAXSTAB_ATLAS_H
 
-#ifdef __FAST_MATH__
-#error "jaxstab_atlas.h compares with infinities and NaN: compile it without -ffast-math"
-#endif
-
+#include "jaxstab_verdict.h"
+#include <hdf5.h>
 #include <math.h>
 #include <stdlib.h>
-#include <string.h>
-
-#include "jaxstab_table.h"
-
-enum {
-    /* NaN, between the delays of the atlas, or outside of it: not known; beyond axes that hold all
-     * stable walls the code is JAXSTAB_UNSTABLE */
-    JAXSTAB_OUTSIDE = -1,
-    JAXSTAB_STABLE = 1,    /* proved */
-    JAXSTAB_UNSTABLE = 2,  /* proved */
-    JAXSTAB_UNDECIDED = 3  /* too close to the boundary for the atlas */
-};
-
-/* Of the alphas of the atlas every one from lower + lower_error to upper - upper_error is stable, and
- * every one below lower - lower_error or above upper + upper_error unstable. Where none is stable
- * both limits are NaN with an error of 0; an infinite limit is beyond the atlas, and with an
- * infinite error nothing is known. */
-typedef struct {
-    double lower, lower_error, upper, upper_error;
-} jaxstab_limits;
 
 typedef struct {
-    double lowest_delay, highest_delay, lowest_alpha, highest_alpha, lowest_beta, highest_beta;
-    double cells_per_beta;
-    double whole; /* 1: beyond these alphas every wall is unstable; 2: beyond these betas, too */
-} jaxstab_walls_; /* in one cell of delays */
-
-typedef struct {
-    size_t gammas, deltas; /* nodes */
-    size_t beta_cells, gamma_cells, delta_cells, delay_cells;
-    const jaxstab_walls_ *walls;  /* one for each cell of delays, ascending */
-    const double *gamma, *delta;  /* ascending nodes */
-    const float *limits;          /* [beta_cell][gamma_cell][delta_cell][delay_cell][20] */
-    const char *filters;          /* velocity estimator and position filter, in words */
+    double *axis[3], *alpha_limits, *beta_limits, *row;  /* gamma, delta, delay */
+    float *alpha_error, *beta_error;
+    signed char *beyond;
+    size_t nodes[3], rows;
+    int has_filters;
 } jaxstab_atlas;
 
-enum { JAXSTAB_TERMS_ = 10, JAXSTAB_ROW_ = 20 }; /* of a limit, and of two; in two lines of the cache */
+enum { JAXSTAB_MOST_BYTES = 1 << 30 };
 
-/* ---- queries ---- */
-
-/* How many of some ascending values are not above a number; 0 for NaN. */
-static inline size_t jaxstab_rank_(const double *values, size_t count, double number)
+/* Read a dataset of so many values, of any number if *count is 0; NULL if it is not as it should be. */
+static inline void *jaxstab_read(hid_t file, const char *name, hid_t type, size_t *count)
 {
-    size_t low = 0, high = count;
-    while (low < high) {
-        const size_t middle = low + (high - low) / 2;
-        if (values[middle] <= number)
-            low = middle + 1;
-        else
-            high = middle;
-    }
-    return low;
-}
-
-/* The cell between nodes: an inner node belongs to the cell above it, the last to that below. */
-static inline size_t jaxstab_cell_(const double *nodes, size_t count, double number)
-{
-    size_t cell = 0;
-    if (count > 32)
-        return jaxstab_rank_(nodes + 1, count - 2, number);
-    for (size_t i = 1; i + 1 < count; i++) /* without branches that depend on the number */
-        cell += nodes[i] <= number;
-    return cell;
-}
-
-static inline int jaxstab_holds_(double lowest, double highest, double number)
-{
-    return lowest <= number && number <= highest;
-}
-
-static inline double jaxstab_limit_(const float *terms, double beta, double gamma, double delta,
-                                    double delay)
-{
-    const double rate = (double)terms[4] + (double)terms[5] * delay + (double)terms[6] * beta +
-                        (double)terms[7] * gamma + (double)terms[8] * delta;
-    return (double)terms[0] + (double)terms[1] * beta + (double)terms[2] * gamma +
-           (double)terms[3] * delta + rate * delay;
-}
-
-/* The last cell of delays that begins at a delay or before, and one more; 0 for none and NaN. */
-static inline size_t jaxstab_delay_rank_(const jaxstab_atlas *atlas, double delay)
-{
-    const jaxstab_walls_ *walls = atlas->walls;
-    size_t cell = 0, count = atlas->delay_cells;
-    while (count > 1) { /* without branches that depend on the delay */
-        const size_t half = count / 2;
-        cell += walls[cell + half].lowest_delay <= delay ? half : 0;
-        count -= half;
-    }
-    return walls[cell].lowest_delay <= delay ? cell + 1 : 0;
-}
-
-/* The walls of the cell of delays for a plant; NULL where the atlas says nothing of it. */
-static inline const jaxstab_walls_ *jaxstab_walls_of_(const jaxstab_atlas *atlas, double gamma,
-                                                      double delta, double delay)
-{
-    const size_t rank = jaxstab_delay_rank_(atlas, delay);
-    if (rank == 0 || !(delay <= atlas->walls[rank - 1].highest_delay) ||
-        !jaxstab_holds_(atlas->gamma[0], atlas->gamma[atlas->gammas - 1], gamma) ||
-        !jaxstab_holds_(atlas->delta[0], atlas->delta[atlas->deltas - 1], delta))
+    void *values = NULL;
+    const hid_t dataset = H5Dopen2(file, name, H5P_DEFAULT);
+    if (dataset < 0)
         return NULL;
-    return &atlas->walls[rank - 1];
-}
-
-/* Find the walls of a cell of delays and the limits at a point; 0 where the atlas says nothing. */
-static inline int jaxstab_find_(const jaxstab_atlas *atlas, double beta, double gamma, double delta,
-                                double delay, const jaxstab_walls_ **walls, jaxstab_limits *limits)
-{
-    *walls = jaxstab_walls_of_(atlas, gamma, delta, delay);
-    if (!*walls || !jaxstab_holds_((*walls)->lowest_beta, (*walls)->highest_beta, beta))
-        return 0;
-
-    const size_t delay_cell = (size_t)(*walls - atlas->walls);
-    const double place = (beta - (*walls)->lowest_beta) * (*walls)->cells_per_beta;
-    size_t cell = place < (double)atlas->beta_cells ? (size_t)place : atlas->beta_cells - 1;
-    cell = cell * atlas->gamma_cells + jaxstab_cell_(atlas->gamma, atlas->gammas, gamma);
-    cell = cell * atlas->delta_cells + jaxstab_cell_(atlas->delta, atlas->deltas, delta);
-
-    const float *column = atlas->limits + JAXSTAB_ROW_ * (cell * atlas->delay_cells + delay_cell);
-    limits->lower = jaxstab_limit_(column, beta, gamma, delta, delay);
-    limits->lower_error = column[9];
-    limits->upper = jaxstab_limit_(column + JAXSTAB_TERMS_, beta, gamma, delta, delay);
-    limits->upper_error = column[19];
-    return 1;
-}
-
-/* The code of a wall outside of the walls of a plant, which may be NULL. */
-static inline int jaxstab_beyond_(const jaxstab_walls_ *walls, double alpha, double beta)
-{
-    if (!walls || !isfinite(alpha) || !isfinite(beta))
-        return JAXSTAB_OUTSIDE;
-    const int is_inside = jaxstab_holds_(walls->lowest_beta, walls->highest_beta, beta);
-    return walls->whole >= (is_inside ? 1.0 : 2.0) ? JAXSTAB_UNSTABLE : JAXSTAB_OUTSIDE;
-}
-
-/* Return one of the four codes above. */
-static inline int jaxstab_verdict(const jaxstab_atlas *atlas, double alpha, double beta,
-                                  double gamma, double delta, double delay)
-{
-    const jaxstab_walls_ *walls;
-    jaxstab_limits at;
-    if (!jaxstab_find_(atlas, beta, gamma, delta, delay, &walls, &at) ||
-        !jaxstab_holds_(walls->lowest_alpha, walls->highest_alpha, alpha))
-        return jaxstab_beyond_(walls, alpha, beta);
-    /* Without branches: a wrong guess would wait for the limits, which come from memory. */
-    const int is_unstable =
-        (alpha < at.lower - at.lower_error) | (alpha > at.upper + at.upper_error);
-    const int is_stable =
-        (alpha > at.lower + at.lower_error) & (alpha < at.upper - at.upper_error);
-    return JAXSTAB_UNDECIDED - is_unstable * (JAXSTAB_UNDECIDED - JAXSTAB_UNSTABLE) -
-           is_stable * (JAXSTAB_UNDECIDED - JAXSTAB_STABLE);
-}
-
-/* Fill in the limits of the stable alpha and return 1; or return 0, where the atlas says nothing,
- * with limits of NaN and errors of infinity. */
-static inline int jaxstab_alpha_limits(const jaxstab_atlas *atlas, double beta, double gamma,
-                                       double delta, double delay, jaxstab_limits *limits)
-{
-    const jaxstab_walls_ *walls;
-    if (!jaxstab_find_(atlas, beta, gamma, delta, delay, &walls, limits)) {
-        limits->lower = limits->upper = NAN;
-        limits->lower_error = limits->upper_error = INFINITY;
-        return 0;
-    }
-    /* The surfaces hold for the alphas of the atlas alone: beyond them they say nothing. */
-    if (limits->lower + limits->lower_error <= walls->lowest_alpha) {
-        limits->lower = -INFINITY;
-        limits->lower_error = 0.0;
-    }
-    if (limits->upper - limits->upper_error >= walls->highest_alpha) {
-        limits->upper = INFINITY;
-        limits->upper_error = 0.0;
-    }
-    if (limits->lower == INFINITY)
-        limits->lower = limits->upper = NAN;
-    return 1;
-}
-
-/* ---- what a file may hold ---- */
-
-/* Whether nodes are finite, ascending and not negative. */
-static inline int jaxstab_ascends_(const double *nodes, size_t count)
-{
-    for (size_t i = 0; i < count; i++)
-        if (!isfinite(nodes[i]) || nodes[i] < 0.0 || (i && !(nodes[i - 1] < nodes[i])))
-            return 0;
-    return 1;
-}
-
-enum {
-    JAXSTAB_GAMMA_,
-    JAXSTAB_DELTA_,
-    JAXSTAB_RANGE_,
-    JAXSTAB_WHOLE_,
-    JAXSTAB_LIMITS_,
-    JAXSTAB_ARRAYS_ /* so many */
-};
-
-/* Whether cells between two ends have a width that rounding does not swallow: 2^-24 of an end. */
-static inline int jaxstab_spans_(const double *ends)
-{
-    const double span = ends[1] - ends[0], share = 5.9604644775390625e-08;
-    return isfinite(ends[0]) && isfinite(ends[1]) && isfinite(span) && span >= 1e-300 &&
-           span >= share * fabs(ends[0]) && span >= share * fabs(ends[1]);
-}
-
-/* Whether cells of delays follow each other, in rows of the ends of delay, alpha and beta. */
-static inline int jaxstab_follow_(const double *ends, size_t count)
-{
-    for (size_t i = 0; i < count; i++) {
-        const double *row = ends + 6 * i;
-        if (!isfinite(row[0]) || row[0] < 0.0 || !(row[0] <= row[1]) || !(row[1] <= 100.0) ||
-            !jaxstab_spans_(row + 2) || !jaxstab_spans_(row + 4) ||
-            (i && (!(row[-6] < row[0]) || !(row[-5] <= row[0]))))
-            return 0;
-    }
-    return 1;
-}
-
-/* Whether constants are numbers or infinite, slopes finite, and errors not negative. */
-static inline int jaxstab_are_limits_(const float *terms, size_t count)
-{
-    int are = 1;
-    for (size_t i = 0; are && i < count; i += JAXSTAB_TERMS_) {
-        are = !isnan(terms[i]) && terms[i + 9] >= 0.0f;
-        for (size_t k = 1; are && k < 9; k++)
-            are = isfinite(terms[i + k]);
-    }
-    return are;
-}
-
-/* Whether codes of axes that hold all stable walls may be. */
-static inline int jaxstab_are_codes_(const int32_t *codes, size_t count)
-{
-    int are = 1;
-    for (size_t i = 0; are && i < count; i++)
-        are = codes[i] >= 0 && codes[i] <= 2;
-    return are;
-}
-
-/* Whether shapes and axes fit together, and all numbers may be. */
-static inline int jaxstab_fits_(void *const values[], const size_t shape[][5])
-{
-    const size_t *limits = shape[JAXSTAB_LIMITS_], delays = shape[JAXSTAB_RANGE_][0];
-    int fits = limits[1] == (shape[JAXSTAB_GAMMA_][0] > 1 ? shape[JAXSTAB_GAMMA_][0] - 1 : 1) &&
-               limits[2] == (shape[JAXSTAB_DELTA_][0] > 1 ? shape[JAXSTAB_DELTA_][0] - 1 : 1) &&
-               shape[JAXSTAB_WHOLE_][0] == delays && limits[3] == delays && limits[4] == JAXSTAB_ROW_ && shape[JAXSTAB_RANGE_][1] == 6;
-    for (int i = JAXSTAB_GAMMA_; i <= JAXSTAB_DELTA_; i++)
-        fits = fits && jaxstab_ascends_((const double *)values[i], shape[i][0]);
-    return fits && jaxstab_are_codes_((const int32_t *)values[JAXSTAB_WHOLE_], delays) &&
-           jaxstab_follow_((const double *)values[JAXSTAB_RANGE_], delays) &&
-           jaxstab_are_limits_((const float *)values[JAXSTAB_LIMITS_],
-                               limits[0] * limits[1] * limits[2] * limits[3] * limits[4]);
-}
-
-static inline double *jaxstab_copied_(const void *values, size_t count, double **free_space)
-{
-    double *copy = *free_space;
-    memcpy(copy, values, count * sizeof *copy);
-    *free_space += count;
-    return copy;
-}
-
-/* Return an atlas in one block: itself, walls of each cell of delays, nodes, limits, and words up to
- * a newline. */
-static inline jaxstab_atlas *jaxstab_assembled_(void *const values[], const size_t shape[][5],
-                                                const char *filters)
-{
-    const size_t letters = strcspn(filters, "\n");
-    const size_t *limits = shape[JAXSTAB_LIMITS_];
-    const size_t delays = limits[3], gammas = shape[JAXSTAB_GAMMA_][0];
-    const size_t deltas = shape[JAXSTAB_DELTA_][0];
-    const size_t rows = limits[0] * limits[1] * limits[2] * delays;
-    const size_t head = (sizeof(jaxstab_atlas) + sizeof(double) - 1) / sizeof(double);
-    const size_t walls_size = delays * (sizeof(jaxstab_walls_) / sizeof(double));
-    const size_t line = 64 / sizeof(double), row = JAXSTAB_ROW_ / 2; /* two floats in a double */
-    const size_t count = head + walls_size + gammas + deltas + line + rows * row +
-                         letters / sizeof(double) + 1;
-    double *block = (double *)malloc(count * sizeof *block);
-    if (!block)
-        return NULL;
-    jaxstab_atlas *atlas = (jaxstab_atlas *)(void *)block;
-    jaxstab_walls_ *walls = (jaxstab_walls_ *)(void *)(block + head);
-    double *free_space = block + head + walls_size;
-    atlas->gammas = gammas;
-    atlas->deltas = deltas;
-    atlas->beta_cells = limits[0];
-    atlas->gamma_cells = limits[1];
-    atlas->delta_cells = limits[2];
-    atlas->delay_cells = delays;
-    atlas->walls = walls;
-    atlas->gamma = jaxstab_copied_(values[JAXSTAB_GAMMA_], gammas, &free_space);
-    atlas->delta = jaxstab_copied_(values[JAXSTAB_DELTA_], deltas, &free_space);
-    while ((uintptr_t)free_space % 64)
-        free_space++;
-    atlas->limits = (const float *)(void *)free_space;
-    memcpy(free_space, values[JAXSTAB_LIMITS_], rows * row * sizeof *free_space);
-    free_space += rows * row;
-    memcpy(free_space, filters, letters);
-    ((char *)free_space)[letters] = 0;
-    atlas->filters = (const char *)free_space;
-    for (size_t k = 0; k < delays; k++) {
-        memcpy(&walls[k], (const double *)values[JAXSTAB_RANGE_] + 6 * k, 6 * sizeof(double));
-        walls[k].cells_per_beta =
-            (double)atlas->beta_cells / (walls[k].highest_beta - walls[k].lowest_beta);
-        walls[k].whole = ((const int32_t *)values[JAXSTAB_WHOLE_])[k];
-    }
-    return atlas;
-}
-
-/* Return the atlas of an image and the table after it; or NULL and what is wrong, in words. */
-static inline jaxstab_atlas *jaxstab_loaded_(const unsigned char *bytes, size_t image, char *text,
-                                             size_t length, const char **problem)
-{
-    static const char *const names[] = {"gamma", "delta", "limit_range", "limit_whole",
-                                        "alpha_limits"};
-    static const char *const types[] = {" <f8", " <f8", " <f8", " <i4", " <f4"};
-    static const int ranks[] = {1, 1, 2, 1, 5};
-    jaxstab_file_ file = {bytes, image, {NULL}};
-    void *values[JAXSTAB_ARRAYS_] = {NULL};
-    size_t shape[JAXSTAB_ARRAYS_][5] = {{0}};
-    jaxstab_atlas *atlas = NULL;
-    *problem = jaxstab_parse_(text, length, file.blocks);
-    int is_read = !*problem;
-    for (int i = 0; is_read && i < JAXSTAB_ARRAYS_; i++) {
-        values[i] = jaxstab_read_(&file, image, names[i], types[i], ranks[i], shape[i]);
-        is_read = values[i] != NULL;
-    }
-    if (is_read && jaxstab_fits_(values, (const size_t (*)[5])shape)) {
-        *problem = "does not fit into memory.";
-        atlas = jaxstab_assembled_(values, (const size_t (*)[5])shape,
-                                   strstr(file.blocks[0], JAXSTAB_FILTERS_) +
-                                       strlen(JAXSTAB_FILTERS_));
-    } else if (!*problem) {
-        *problem = jaxstab_damaged_;
-    }
-    for (int i = 0; i < JAXSTAB_ARRAYS_; i++)
-        free(values[i]);
-    return atlas;
-}
-
-/* Return an atlas, to be closed; or NULL, and in *problem what is wrong with the file, in words. */
-static inline jaxstab_atlas *jaxstab_open(const char *path, const char **problem)
-{
-    jaxstab_atlas *atlas = NULL;
-    size_t length, image, end;
-    unsigned char *bytes = jaxstab_bytes_of_(path, &length);
-    *problem = bytes ? jaxstab_damaged_ : "cannot be read.";
-    if (bytes && jaxstab_is_whole_(bytes, length, &image, &end)) {
-        char *text = (char *)malloc(end - image + 1);
-        *problem = "does not fit into memory.";
-        if (text) {
-            memcpy(text, bytes + image, end - image);
-            text[end - image] = 0;
-            atlas = jaxstab_loaded_(bytes, image, text, end - image, problem);
+    const hid_t space = H5Dget_space(dataset), plist = H5Dget_create_plist(dataset);
+    const hssize_t size = H5Sget_simple_extent_npoints(space);
+    const size_t bytes = H5Tget_size(type);
+    const int is_plain = H5Pget_layout(plist) == H5D_CHUNKED && H5Pget_external_count(plist) == 0 &&
+                         H5Pget_nfilters(plist) == 1;  /* Fletcher32 alone: no chunk expands */
+    if (is_plain && size > 0 && (size_t)size <= JAXSTAB_MOST_BYTES / bytes &&
+        H5Dget_storage_size(dataset) >= (hsize_t)size * bytes && (*count == 0 || *count == (size_t)size)) {
+        values = malloc((size_t)size * bytes);
+        if (values && H5Dread(dataset, type, H5S_ALL, H5S_ALL, H5P_DEFAULT, values) < 0) {
+            free(values);
+            values = NULL;
         }
-        free(text);
+        *count = (size_t)size;
     }
-    free(bytes);
-    if (atlas)
-        *problem = NULL;
-    return atlas;
+    H5Pclose(plist);
+    H5Sclose(space);
+    H5Dclose(dataset);
+    return values;
+}
+
+static inline int jaxstab_number(hid_t file, const char *name)
+{
+    long long value = -1;
+    const hid_t attribute = H5Aopen(file, name, H5P_DEFAULT);
+    if (attribute >= 0) {
+        const hid_t space = H5Aget_space(attribute);
+        if (H5Sget_simple_extent_npoints(space) == 1 && H5Aread(attribute, H5T_NATIVE_LLONG, &value) < 0)
+            value = -1;
+        H5Sclose(space);
+        H5Aclose(attribute);
+    }
+    return value < 0 || value > 1000 ? -1 : (int)value;
 }
 
 static inline void jaxstab_close(jaxstab_atlas *atlas)
 {
+    if (!atlas)
+        return;
+    for (int i = 0; i < 3; i++)
+        free(atlas->axis[i]);
+    free(atlas->row);
+    free(atlas->alpha_limits);
+    free(atlas->beta_limits);
+    free(atlas->alpha_error);
+    free(atlas->beta_error);
+    free(atlas->beyond);
     free(atlas);
+}
+
+/* Whether all numbers are as the format says: nodes ascend, errors are not negative. */
+static inline int jaxstab_is_sound(const jaxstab_atlas *atlas)
+{
+    size_t cells = 2;
+    for (int i = 0; i < 3; i++) {
+        const double *nodes = atlas->axis[i];
+        for (size_t k = 0; k < atlas->nodes[i]; k++)
+            if (!isfinite(nodes[k]) || (k > 0 && !(nodes[k] > nodes[k - 1])))
+                return 0;
+        cells *= atlas->nodes[i] > 1 ? atlas->nodes[i] - 1 : 1;
+    }
+    for (size_t k = 0; k < cells; k++)
+        if (!(atlas->beta_error[k] >= 0.0f))
+            return 0;
+    for (size_t k = 0; k < cells * (atlas->rows - 1); k++)
+        if (!(atlas->alpha_error[k] >= 0.0f))
+            return 0;
+    return 1;
+}
+
+static inline int jaxstab_load(hid_t file, jaxstab_atlas *atlas)
+{
+    static const char *const names[3] = {"gamma", "delta", "delay"};
+    size_t plants = 1, cells = 1;
+    for (int i = 0; i < 3; i++) {
+        atlas->axis[i] = (double *)jaxstab_read(file, names[i], H5T_NATIVE_DOUBLE, &atlas->nodes[i]);
+        if (!atlas->axis[i] || plants > JAXSTAB_MOST_BYTES / atlas->nodes[i])
+            return 0;
+        plants *= atlas->nodes[i];
+        cells *= atlas->nodes[i] > 1 ? atlas->nodes[i] - 1 : 1;
+    }
+    atlas->row = (double *)jaxstab_read(file, "row", H5T_NATIVE_DOUBLE, &atlas->rows);
+    if (!atlas->row || atlas->rows < 2 || plants > JAXSTAB_MOST_BYTES / atlas->rows)
+        return 0;
+    size_t ends = 2 * plants, limits = ends * atlas->rows, end_cells = 2 * cells;
+    size_t limit_cells = end_cells * (atlas->rows - 1);
+    atlas->alpha_limits = (double *)jaxstab_read(file, "alpha_limits", H5T_NATIVE_DOUBLE, &limits);
+    atlas->beta_limits = (double *)jaxstab_read(file, "beta_limits", H5T_NATIVE_DOUBLE, &ends);
+    atlas->alpha_error = (float *)jaxstab_read(file, "alpha_error", H5T_NATIVE_FLOAT, &limit_cells);
+    atlas->beta_error = (float *)jaxstab_read(file, "beta_error", H5T_NATIVE_FLOAT, &end_cells);
+    atlas->beyond = (signed char *)jaxstab_read(file, "beyond", H5T_NATIVE_SCHAR, &cells);
+    return atlas->alpha_limits && atlas->beta_limits && atlas->alpha_error && atlas->beta_error &&
+           atlas->beyond && jaxstab_is_sound(atlas);
+}
+
+/* Return an atlas, or NULL and a problem in words. */
+static inline jaxstab_atlas *jaxstab_open(const char *path, const char **problem)
+{
+    jaxstab_atlas *atlas = (jaxstab_atlas *)calloc(1, sizeof *atlas);
+    H5Eset_auto2(H5E_DEFAULT, NULL, NULL);
+    const hid_t file = H5Fopen(path, H5F_ACC_RDONLY, H5P_DEFAULT);
+    *problem = file < 0 ? "cannot be opened as HDF5" : "is damaged, or no atlas of version 4";
+    int is_sound = atlas && file >= 0 && jaxstab_number(file, "schema_version") == 4;
+    if (is_sound) {
+        atlas->has_filters = jaxstab_number(file, "has_filters");
+        is_sound = atlas->has_filters >= 0 && jaxstab_load(file, atlas);
+    }
+    if (file >= 0)
+        H5Fclose(file);
+    if (!is_sound) {
+        jaxstab_close(atlas);
+        return NULL;
+    }
+    return atlas;
+}
+
+/* Where a plant is: its corners with their weights, and its cell. */
+typedef struct {
+    size_t corner[8], cell;
+    double weight[8], ends[2];
+    int corners;
+} jaxstab_place;
+
+static inline int jaxstab_find(const jaxstab_atlas *atlas, const double plant[3], jaxstab_place *at)
+{
+    at->corners = 1;
+    at->corner[0] = at->cell = 0;
+    at->weight[0] = 1.0;
+    for (int i = 0; i < 3; i++) {
+        const double *nodes = atlas->axis[i], value = plant[i];
+        const size_t last = atlas->nodes[i] - 1;
+        size_t low = 0, high = last;
+        if (!(value >= nodes[0] && value <= nodes[last]))
+            return 0;
+        while (high > low + 1) {
+            const size_t middle = (low + high) / 2;
+            *(nodes[middle] <= value ? &low : &high) = middle;
+        }
+        at->cell = at->cell * (last ? last : 1) + low;
+        const int count = at->corners;
+        const double share = last ? (value - nodes[low]) / (nodes[low + 1] - nodes[low]) : 0.0;
+        for (int c = 0; c < count; c++) {
+            const size_t corner = at->corner[c] * (last + 1) + low;
+            const double weight = at->weight[c];
+            at->corner[c] = corner;
+            at->weight[c] = weight * (1.0 - share);
+            if (last) {
+                at->corner[count + c] = corner + 1;
+                at->weight[count + c] = weight * share;
+                at->corners = 2 * count;
+            }
+        }
+    }
+    at->ends[0] = at->ends[1] = 0.0;
+    for (int c = 0; c < at->corners; c++)
+        for (int end = 0; end < 2; end++)
+            at->ends[end] += at->weight[c] * atlas->beta_limits[2 * at->corner[c] + end];
+    return 1;
+}
+
+/* Both limits of the stable alpha at a beta, and the number of the cell; 0 beyond the ends of beta. */
+static inline int jaxstab_limits_in(const jaxstab_atlas *atlas, const jaxstab_place *at, double beta,
+                                    double limits[2], size_t *cell)
+{
+    const size_t count = atlas->rows - 1;
+    const double u = (beta - at->ends[0]) / (at->ends[1] - at->ends[0]) * (double)count;
+    if (!(u >= 0.0 && u <= (double)count))
+        return 0;
+    const size_t row = (size_t)u < count ? (size_t)u : count - 1;
+    const double share = u - (double)row;
+    limits[0] = limits[1] = 0.0;
+    for (int c = 0; c < at->corners; c++) {
+        const double *own = atlas->alpha_limits + 2 * (at->corner[c] * atlas->rows + row);
+        limits[0] += at->weight[c] * (own[0] + share * (own[2] - own[0]));
+        limits[1] += at->weight[c] * (own[1] + share * (own[3] - own[1]));
+    }
+    *cell = at->cell * count + row;
+    return 1;
+}
+
+/* The interpolated limits of the stable alpha, and their measured errors; 0 where nothing is known. */
+static inline int jaxstab_alpha_limits(const jaxstab_atlas *atlas, double beta, double gamma,
+                                       double delta, double delay, double limits[2], double errors[2])
+{
+    const double plant[3] = {gamma, delta, delay};
+    jaxstab_place at;
+    size_t cell;
+    if (!jaxstab_find(atlas, plant, &at) || !jaxstab_limits_in(atlas, &at, beta, limits, &cell))
+        return 0;
+    errors[0] = atlas->alpha_error[2 * cell];
+    errors[1] = atlas->alpha_error[2 * cell + 1];
+    return limits[0] == limits[0] && limits[1] == limits[1];
+}
+
+/* The verdict of the table, or JAXSTAB_UNDECIDED where it is not clear. */
+static inline int jaxstab_table_verdict(const jaxstab_atlas *atlas, double alpha, double beta,
+                                        double gamma, double delta, double delay)
+{
+    const double plant[3] = {gamma, delta, delay}, clear = 4.0, rounding = 5.7e-14;
+    jaxstab_place at;
+    double limits[2];
+    size_t cell;
+    if (!jaxstab_find(atlas, plant, &at))
+        return JAXSTAB_UNDECIDED;
+    const double size = rounding * (fabs(at.ends[0]) + fabs(at.ends[1]));
+    const double low = clear * atlas->beta_error[2 * at.cell] + size;
+    const double high = clear * atlas->beta_error[2 * at.cell + 1] + size;
+    if (beta < at.ends[0] - low || beta > at.ends[1] + high)
+        return atlas->beyond[at.cell] == 1 ? JAXSTAB_UNSTABLE : JAXSTAB_UNDECIDED;
+    if (!(beta > at.ends[0] + low && beta < at.ends[1] - high) ||
+        !jaxstab_limits_in(atlas, &at, beta, limits, &cell))
+        return JAXSTAB_UNDECIDED;
+    const double rest = rounding * (fabs(limits[0]) + fabs(limits[1]) + fabs(alpha));
+    const double lower = clear * atlas->alpha_error[2 * cell] + rest;
+    const double upper = clear * atlas->alpha_error[2 * cell + 1] + rest;
+    if (!isfinite(lower + upper))
+        return JAXSTAB_UNDECIDED;
+    if (alpha > limits[0] + lower && alpha < limits[1] - upper)
+        return JAXSTAB_STABLE;
+    return alpha < limits[0] - lower || alpha > limits[1] + upper ? JAXSTAB_UNSTABLE : JAXSTAB_UNDECIDED;
+}
+
+/* The verdict on a point, by the table or computed. */
+static inline int jaxstab_query(const jaxstab_atlas *atlas, double alpha, double beta, double gamma,
+                                double delta, double delay)
+{
+    const int code = jaxstab_table_verdict(atlas, alpha, beta, gamma, delta, delay);
+    return code != JAXSTAB_UNDECIDED || atlas->has_filters
+               ? code : jaxstab_verdict(alpha, beta, gamma, delta, delay);
 }
 
 #endif

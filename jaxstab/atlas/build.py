@@ -1,0 +1,358 @@
+"""Build an atlas, and verify one.
+
+The limits come first, in runs of cells of delays; then the table of limits is asked about random
+walls, and a build whose table contradicts a computed verdict is given up. Then come the fields,
+tile by tile, each written as soon as it is there. Runs and tiles are computed here, or by any
+executor.
+
+The file takes its place by one rename when it is whole. It replaces only the file that was there
+when the build began: if another process has written one meanwhile, the build is refused. A build
+that fails, or is interrupted, leaves nothing.
+"""
+
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import contextmanager, suppress
+from functools import partial
+from itertools import islice
+from multiprocessing.connection import Connection
+from os import PathLike
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import jaxstab
+from jaxstab.atlas import file
+from jaxstab.atlas.fields import lay_out, packed_fields, wrong_nodes
+from jaxstab.atlas.limits import LimitPlan, joined
+from jaxstab.atlas.query import Atlas, open_atlas
+from jaxstab.atlas.spec import AtlasSpec, words_of
+from jaxstab.atlas.table import LimitTable
+from jaxstab.conventions import AXES, Verdict
+from jaxstab.durable import identity_of, replacing, target_of
+from jaxstab.model.filters import Filters, as_keywords
+from jaxstab.point import verdict
+
+Progress = Callable[[int, int], object]
+
+_SECONDS_TO_CONNECT, _RETRIES = 10, 3  # of dask
+_IN_FLIGHT = 8  # results that are computed ahead of what is written
+_TESTED = 1000, 100  # random plants, and walls of each
+_BESIDE = 0.1  # of the stable intervals: so far beyond them walls are tested
+_CLOSE = 1e-8  # of the largest alpha of a plant: how close to a limit it is verified
+_WALLS = 16  # of a slice whose fields are verified
+
+
+def build_atlas(
+    spec: AtlasSpec,
+    path: str | PathLike[str],
+    progress: Progress | None = None,
+    executor: Executor | None = None,
+) -> Atlas:
+    """Compute an atlas, publish it as one file, and open it.
+
+    The file appears whole and durably, or not at all; a former one of this name is replaced. On one
+    machine, equal specifications give equal bytes, however the work was done. A few tiles are in
+    memory at a time.
+
+    Args:
+        spec: the specification of the atlas.
+        path: of the file.
+        progress: called with the number of finished tiles and of all tiles.
+        executor: computes the tiles; without one, the dask ``Client`` of this process does, or this
+            process. An executor of processes must not fork them.
+
+    Raises:
+        OSError: the folder is missing, read-only or full; a former file is still there.
+            FileExistsError: another process wrote the file meanwhile.
+        ValueError: a parameter is too large for the model, or an axis cannot be fitted.
+        RuntimeError: workers died, or the table contradicts computed verdicts: give more nodes.
+
+    Source: ``jaxstab.atlas.limits``, ``jaxstab.evaluate_grid``.
+
+    Example:
+        >>> spec = jaxstab.AtlasSpec(delay=(1.0,), gamma=(0.0,), delta=(0.0, 0.015))
+        >>> atlas = jaxstab.build_atlas(spec, "atlas.h5")  # doctest: +SKIP
+    """
+    write_atlas(spec, Path(path), progress, executor)
+    return open_atlas(path)
+
+
+def write_atlas(
+    spec: AtlasSpec,
+    path: Path,
+    progress: Progress | None = None,
+    executor: Executor | None = None,
+) -> None:
+    """Build an atlas of any size; see ``build_atlas``, which opens it."""
+    former = identity_of(target_of(path)[0])
+    with replacing(path, former=former) as descriptor:
+        plan = LimitPlan.of(spec)
+        grid = lay_out(spec) if spec.fields is not None else None
+        runs, tiles = plan.runs, grid.tiles if grid is not None else []
+        total, done = len(runs) + len(tiles), 0
+
+        def results(tasks: list[Any]) -> Iterator[Any]:
+            nonlocal done
+            for result in _computed(tasks, executor or _own_client()):
+                done += 1
+                yield result
+                if progress is not None:
+                    progress(done, total)
+
+        parts = list(results([partial(plan.computed, run) for run in runs]))
+        table = joined(spec, parts)
+        tested = asked_at_random(table, spec.filters)
+        if tested["tested_wrong"]:
+            raise RuntimeError(
+                f"{tested['tested_wrong']} of {tested['tested_points']} random walls would be "
+                "answered wrongly between the nodes; give more rows, or more nodes of delay."
+            )
+        with file.written(descriptor) as (stream, image):
+            file.write_head(
+                image,
+                f"jaxstab {jaxstab.__version__}",
+                words_of(spec.filters),
+                tested,
+                has_filters=spec.filters is not None,
+            )
+            file.write_limits(image, spec.to_toml(), table.arrays)
+            if grid is not None:
+                group = file.create_fields(image, grid.arrays, grid.chunk)
+                work = [partial(packed_fields, spec, grid, tile) for tile in tiles]
+                for tile, chunks in zip(tiles, results(work), strict=True):
+                    for name, data in chunks.items():
+                        group[name].id.write_direct_chunk(tile.corner, data)
+                    stream.check()
+
+
+def asked_at_random(table: LimitTable, filters: Filters | None, seed: int = 0) -> dict[str, int]:
+    """Ask a table about random walls, beyond its limits too, and compare with computed verdicts.
+
+    Returns the numbers of walls, of wrong answers, of those that the table leaves to be computed,
+    and of those that stay undecided then; as the attributes of a file.
+    """
+    chance = np.random.default_rng(seed)
+    gamma, delta, delay = (
+        chance.uniform(nodes[0], nodes[-1], (_TESTED[0], 1)) for nodes in table.axes
+    )
+    plant = (gamma, delta, delay)
+    ends = table.ends(*(values.ravel() for values in plant))
+    row = chance.uniform(0.0, 1.0, _TESTED)
+    beta = _beyond(ends[:, :1], ends[:, 1:], chance.uniform(0.0, 1.0, _TESTED))
+    inner = ends[:, :1] + row * (ends[:, 1:] - ends[:, :1])
+    limits = table.limits(*(v.ravel() for v in np.broadcast_arrays(inner, *plant)))
+    lower = np.nanmin(limits.lower.reshape(_TESTED), axis=1, keepdims=True, initial=np.inf)
+    upper = np.nanmax(limits.upper.reshape(_TESTED), axis=1, keepdims=True, initial=-np.inf)
+    alpha = _beyond(lower, upper, chance.uniform(0.0, 1.0, _TESTED))
+    known = np.flatnonzero(np.isfinite(alpha).all(axis=1) & np.isfinite(beta).all(axis=1))
+    point = [v[known] for v in (alpha, beta, *plant)]
+    codes = table.verdicts(*(v.ravel() for v in np.broadcast_arrays(*point))).reshape(
+        -1, _TESTED[1]
+    )
+    named: dict[str, Any] = dict(zip(AXES, point, strict=True))
+    exact = np.asarray(verdict(**named, **as_keywords(filters)))
+    is_open = codes == Verdict.UNDECIDED
+    is_wrong = ~is_open & (codes != exact) & (exact != Verdict.UNDECIDED)
+    counts = (
+        codes.size,
+        np.sum(is_wrong),
+        np.sum(is_open),
+        np.sum(is_open & (exact == Verdict.UNDECIDED)),
+    )
+    return {name: int(count) for name, count in zip(file.TESTED, counts, strict=True)}
+
+
+def _beyond(low: Any, high: Any, share: Any) -> Any:
+    """Numbers between two ends, and a little beyond them."""
+    with np.errstate(invalid="ignore"):
+        return low + (high - low) * ((1.0 + 2.0 * _BESIDE) * share - _BESIDE)
+
+
+# ------------------------------------------------------------------------------- where is computed
+
+
+def _computed(tasks: Iterable[Callable[[], Any]], executor: Executor | None) -> Iterator[Any]:
+    """Yield the results of tasks in order, a few ahead of who takes them."""
+    if executor is None:
+        for task in tasks:
+            yield task()
+        return
+    waiting = iter(tasks)
+    running = deque(executor.submit(task) for task in islice(waiting, _IN_FLIGHT))
+    try:
+        while running:
+            yield running[0].result()
+            running.popleft()
+            running.extend(executor.submit(task) for task in islice(waiting, 1))
+    finally:
+        for future in running:
+            future.cancel()
+
+
+def _own_client() -> Executor | None:
+    """Return the workers of the dask client of this process, if it has opened one."""
+    if "distributed" not in sys.modules:
+        return None
+    from distributed import default_client
+
+    with suppress(ValueError):
+        return _of_client(default_client())
+    return None
+
+
+@contextmanager
+def processes(count: int) -> Iterator[Executor]:
+    """Open worker processes, spawned: a process that has used JAX must not be forked.
+
+    They leave Ctrl-C to this process, and end with it, however it ends; at once where an error
+    leaves the ``with`` statement.
+    """
+    context = multiprocessing.get_context("spawn")
+    theirs, ours = context.Pipe(duplex=False)
+    with theirs, ours:
+        executor = ProcessPoolExecutor(count, context, _end_with, (theirs,))
+        try:
+            with _interrupts_blocked():
+                for _ in range(count):  # each starts a process
+                    executor.submit(os.getpid)
+            yield executor
+        except BaseException:
+            ours.close()
+            executor.shutdown(wait=False, cancel_futures=True)
+            raise
+        executor.shutdown()
+
+
+@contextmanager
+def dask_workers(address: str) -> Iterator[Executor]:
+    """Open the workers of a dask scheduler; a tile whose worker dies is computed by another.
+
+    RuntimeError: dask is not installed; OSError: no scheduler answers at the address; ValueError:
+    it is no address.
+    """
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise RuntimeError(
+            "a dask cluster needs dask: python -m pip install 'jaxstab[distributed]'."
+        ) from error
+    try:
+        client = Client(address, timeout=_SECONDS_TO_CONNECT)
+    except OSError as error:
+        raise OSError(
+            f"no dask scheduler answers at {address}; start one, or correct the address."
+        ) from error
+    except ValueError as error:
+        raise ValueError(
+            f"scheduler is {address!r}; give an address such as tcp://10.0.0.1:8786."
+        ) from error
+    with client:
+        yield _of_client(client)
+
+
+def _of_client(client: Any) -> Executor:
+    made: Executor = client.get_executor(pure=False, retries=_RETRIES)
+    return made
+
+
+@contextmanager
+def _interrupts_blocked() -> Iterator[None]:
+    """Hold Ctrl-C back, and for good from processes that are started meanwhile."""
+    if os.name != "posix":
+        yield
+        return
+    former = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, former)
+
+
+def _end_with(parent: Connection) -> None:
+    """Leave Ctrl-C to the parent, and end when it closes its end of a pipe, or ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def wait_for_end() -> None:
+        with suppress(EOFError, OSError):
+            parent.recv_bytes()
+        os._exit(1)
+
+    threading.Thread(target=wait_for_end, daemon=True).start()
+
+
+# ------------------------------------------------------------------------------------ verification
+
+
+class Check(NamedTuple):
+    """One check: its name, whether it passed, and its finding."""
+
+    name: str
+    passed: bool
+    words: str
+
+    def __str__(self) -> str:
+        return f"{self.name}: {'ok' if self.passed else 'WRONG'}, {self.words}"
+
+
+def verify_atlas(path: str | PathLike[str], sample: int = 1000, seed: int = 0) -> Iterator[Check]:
+    """Yield one check after the other; the first that fails may be the last.
+
+    About ``sample`` limits, answers and nodes of fields are computed again: a wall just inside of a
+    limit must be stable, and one just outside not. OSError: the file is missing or unreadable.
+    """
+    chance = np.random.default_rng(seed)
+    try:
+        atlas = open_atlas(path)
+        yield Check("file", True, f"whole, of version {file.SCHEMA_VERSION} of the format")
+        wrong, count = _wrong_limits(atlas.table, atlas.filters, sample, chance)
+        yield Check("limits", wrong == 0, f"{wrong} of {count} are off by more than {_CLOSE:g}")
+        found = asked_at_random(atlas.table, atlas.filters, seed + 1)
+        words = f"{found['tested_wrong']} of {found['tested_points']} random walls are wrong"
+        yield Check("answers", found["tested_wrong"] == 0, words)
+        if atlas.has_fields:
+            with file.opened(Path(path)) as image:
+                group = image[file.FIELDS]
+                datasets = {v.name: file.checked_dataset(group, v) for v in file.FIELD_VARIABLES}
+                slices = -(-sample // _WALLS)
+                off = sum(
+                    wrong_nodes(datasets, atlas.filters, _WALLS, chance) for _ in range(slices)
+                )
+            yield Check("fields", off == 0, f"{off} of {slices * _WALLS} nodes are wrong")
+    except ValueError as error:
+        yield Check("file", False, str(error))
+
+
+def _wrong_limits(
+    table: LimitTable, filters: Filters | None, sample: int, chance: np.random.Generator
+) -> tuple[int, int]:
+    """Count limits at random nodes that do not part stable walls from unstable ones."""
+    limits = table.alpha_limits
+    known = np.argwhere(np.isfinite(limits[..., 1:-1, :]).all(axis=-1))
+    if not len(known):
+        return 0, 0
+    gamma, delta, delay, row = known[chance.integers(0, len(known), sample)].T
+    low, high = table.beta_limits[gamma, delta, delay].T
+    beta = low + table.row[row + 1] * (high - low)
+    size = np.nanmax(np.abs(limits), axis=(-1, -2))[gamma, delta, delay]
+    lower, upper = limits[gamma, delta, delay, row + 1].T
+    aside = _CLOSE * size
+    plant = {"gamma": table.gamma[gamma], "delta": table.delta[delta], "delay": table.delay[delay]}
+    wrong = np.zeros(sample, bool)
+    for alpha, right in (
+        (np.minimum(lower + aside, 0.5 * (lower + upper)), Verdict.STABLE),
+        (np.maximum(upper - aside, 0.5 * (lower + upper)), Verdict.STABLE),
+        (lower - aside, Verdict.UNSTABLE),
+        (upper + aside, Verdict.UNSTABLE),
+    ):
+        keywords = {"resolve": "exact", **as_keywords(filters)}
+        codes = np.asarray(verdict(alpha, beta, **plant, **keywords))
+        wrong |= (codes != right) & (codes != Verdict.UNDECIDED)
+    return int(wrong.sum()), sample

@@ -1,1 +1,0 @@
-"""What an atlas may hold: one module for each product, and the table of them."""

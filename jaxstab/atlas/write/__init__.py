@@ -1,1 +1,0 @@
-"""Builds, workers, tiles, merge and verification."""
