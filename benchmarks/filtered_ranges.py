@@ -1,12 +1,11 @@
-"""Margins and gaps of columns of loops with estimators, filters and devices, against balls.
+"""Margins of loops with estimators, filters and devices, against balls.
 
 The loops are those of ``benchmarks.truth.random_loops``: windows, low passes, Butterworth filters,
 exponential smoothing, transfer functions and chains of them; hands without damping, too; delays of
 0 to 30 samples with fractions; devices with modes, grips and motors. Walls lie in all components of
 the stable set, islands too, half of them next to the boundary. A margin is wrong where a wall
 within it is unstable, and short where the wall is stable farther by a millionth of the way and by
-1e-9 of the region's size. A gap is wrong where a wall in it has another verdict, for any hand of
-its box.
+1e-9 of the region's size.
 """
 
 from collections.abc import Iterator, Sequence
@@ -22,9 +21,6 @@ from benchmarks.truth.random_loops import DeviceLoop, MassLoop
 from jaxstab.conventions import Verdict
 from jaxstab.loop.margins import WAYS, crossings_of, first_crossings
 from jaxstab.model.filters import given_filters
-from jaxstab.proofs.columns import column_gaps
-from jaxstab.proofs.curve_patches import Domain
-from jaxstab.proofs.plant import HandBoxes
 from jaxstab.results import StableRegion
 
 _PARTS = (0.3, 0.9, 1.0 - 1e-9)  # of the way, judged
@@ -32,8 +28,6 @@ _DELAY_PARTS = (0.1, 0.37, 0.71, 0.93, 1.0 - 1e-9)
 _FARTHER = 1e-6  # of the way
 _SHARE = 1e-9  # of the region's size
 _FARTHEST_DELAY = 20.0
-_CELLS = 16
-_POINTS = 24  # of the gaps of a box
 
 
 class Tally(NamedTuple):
@@ -90,38 +84,6 @@ def device_margins(rng: np.random.Generator, count: int) -> Campaign:
 def steps_to(ends: Sequence[float], wall: np.ndarray) -> np.ndarray:
     """The signed steps from a wall (alpha, beta) to the ends of its ways."""
     return np.array(ends) - [*np.repeat(wall[:2], 2), 0.0]
-
-
-def gaps(rng: np.random.Generator, count: int) -> Campaign:
-    """Judge the gaps of columns of random boxes of hands, with filters."""
-    tally, seconds = Tally(), []
-    for loop, region in _loops(rng, MassLoop, count):
-        filters = given_filters(*loop.filters[:2])
-        points = _finite(region)
-        low, high = points.min(axis=0), points.max(axis=0)
-        beyond = 0.2 * (high - low)
-        domain = Domain(*zip(low - beyond, high + beyond, strict=True))
-        gamma, delta, delay = loop.plant
-        half = np.array([gamma, delta]) * rng.choice([0.0, 1e-3, 1e-2], 2)
-        hands = HandBoxes(*(np.array([value]) for value in (gamma, delta, *half)))
-        beta = np.linspace(*domain.beta, _CELLS + 1)
-        start = process_time()
-        found = column_gaps(beta, hands, delay, domain, filters)
-        seconds.append(process_time() - start)
-        low, high, code = (part[0] for part in found)
-        column, gap = np.nonzero(
-            (low < high) & ((code == Verdict.STABLE) | (code == Verdict.UNSTABLE))
-        )
-        for number in rng.permutation(column.size)[:_POINTS]:
-            k, n = column[number], gap[number]
-            part = rng.choice([1e-9, 1.0 - 1e-9, rng.uniform()])
-            wall = low[k, n] + part * (high[k, n] - low[k, n]), rng.uniform(beta[k], beta[k + 1])
-            hand = np.array([gamma, delta]) + half * rng.choice([-1.0, 1.0, rng.uniform(-1, 1)], 2)
-            one = FilteredLoop(*map(float, hand), delay, *loop.filters.truths).balls()
-            is_stable = one.is_stable(*map(float, wall))
-            if is_stable is not None:
-                tally += Tally(1, int(is_stable != (code[k, n] == Verdict.STABLE)))
-    return Campaign(tally, seconds)
 
 
 def _loops(

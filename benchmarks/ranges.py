@@ -48,7 +48,6 @@ def rows(small: bool) -> Iterator[Row]:
     for name, campaign in (
         ("margins_filtered", filtered_ranges.margins),
         ("margins_devices", filtered_ranges.device_margins),
-        ("gaps_filtered", filtered_ranges.gaps),
     ):
         tally, seconds = campaign(rng, _SMALL_WALLS if small else _WALLS)
         yield _row(name, tally.wrong / max(tally.judged, 1), seconds, **tally._asdict())

@@ -34,14 +34,8 @@ FILTERS = 2.0**-90
 RAISED_FEW = 1.0 + 2.0**-50
 RAISED = 1.0 + 2.0**-40
 RAISED_MANY = 1.0 + 2.0**-20
-RAISED_SERIES = 1.0 + 1e-13  # for 450 operations
 RAISED_MUCH = 1.0 + 1e-9  # for powers and exponentials of bounds, too
 SAFETY = 1.001  # for bounds of recursions, which lose less than 2^-10 of them (lemmas R1 and V3)
-
-# Boxes and cells reach over each other by this share of their width, so that rounding leaves no gap
-# between them: their ends are right to UNIT, so cells wider than 2^-22 of their ends overlap. A gap
-# between narrower ones is of a few UNIT of a parameter, and PLANT_MODEL allows for that.
-OVERLAP = 1e-9
 
 # A parameter of a loop over a box, converted to samples or to units of the device: fewer than 45
 # operations, each of them EPS.
@@ -54,38 +48,15 @@ ELEMENTARY = 4 * EPS
 # A slope of a product is a sum of two products: 4 UNIT of A_k + B_k, A_k = |c s'_k| h_k and B_k =
 # |c' s_k| h_k. They may cancel, but A + B = |A - B| + 2 min(A, B), and the sum of min(A_k, B_k) is
 # at most ((sum A_k)(sum B_k))^(1/2) <= (|c c'| + sum |s_k| h_k sum |s'_k| h_k)/2, which the centre
-# and the rest hold; what moves to products with t stays in the size. Inverses: 12 UNIT. 64 count.
+# and the rest hold; inverses: 12 UNIT. 64 count.
 LINEAR_MODEL = 32 * EPS
-
-# Coefficients of a plant over a box, of their size: they are right to UNIT, the secants to 6, and
-# gamma and delta at the ends of the box to UNIT: at most 100 of d1, as gamma h(1) <= gamma^(1/2).
-PLANT_MODEL = 64 * EPS
-
-# A sum of n weights times cos(k theta), of their sum times pi (1 + k + k^2): ELEMENTARY for each
-# cosine, UNIT pi k for its angle, n UNIT for the sum. Ten operations on gains in columns as well.
-COSINES = 16 * EPS
-
-# A plane over beta, gamma, delta and the delay, evaluated in its parameters: 20 terms, of the sum
-# of their sizes; and the same of a reader of an atlas, in any order.
-PLANES = 1e-14
 
 # The derivative of sin(x/2)/(x/2): -x/12 is right to x^3/480 below x = 1e-3; above, a difference of
 # two numbers near 1, each right to ELEMENTARY, over x.
 SINC_SLOPE = 1e-11
 
-# A sum of n products of complex numbers, n <= 9, of the sum of their sizes: each product is right
-# to 4 EPS, and the sum to n UNIT.
-SERIES = 13 * EPS
-
 # An entry of a transition over a sample, of the sum of the sizes of its terms (lemma M9).
 TRANSITION = 16 * UNIT
-
-# A stiffness in SI units, converted to alpha and back: six operations, each of them UNIT.
-STIFFNESS = 4 * EPS
-
-# Coefficients in powers of z - 1 of a stage of a filter, of the size of those in z: sums of three
-# pairs, themselves right to FILTERS / 16 (lemma V8).
-SHIFTED = 2.0**-94
 
 # More than any sum of numbers that are flushed to zero.
 UNDERFLOW = 1e-290

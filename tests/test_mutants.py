@@ -6,16 +6,9 @@ import numpy as np
 import pytest
 
 import jaxstab
-from benchmarks import truth
-from jaxstab import Filter, Velocity
-from jaxstab.model.filters import known_filters
 from jaxstab.point.fields import _rounded_up
 from jaxstab.point.radius import have_roots_inside, traced_radius_error
 from jaxstab.point.traced_radius import _fitted
-from jaxstab.proofs.columns import _line_strips, columns_of
-from jaxstab.proofs.curve_patches import Domain
-from jaxstab.proofs.filters import Ends, filter_cells, filter_ends, largest_within
-from jaxstab.proofs.plant import HandBoxes, delay_moves
 from jaxstab.region.outline import are_inside as are_within
 from jaxstab.region.pieces import _all_inside
 
@@ -89,20 +82,6 @@ def test_a_recurrence_gives_its_larger_root() -> None:
         assert np.asarray(im) == pytest.approx(np.abs(root.imag), abs=1e-6)
 
 
-@pytest.mark.parametrize("delay", [0.3, 1.75])
-def test_moves_of_a_plant_by_the_delay_are_its_derivatives(delay: float) -> None:
-    """plant: N by differences of the true plant."""
-    gamma, delta, h = np.array([0.5, 3.0, 8.0]), np.array([0.1, 1.0, 0.4]), 1e-3
-    moves = delay_moves(gamma, delta, delay)
-    for k, hand in enumerate(zip(gamma.tolist(), delta.tolist(), strict=True)):
-        plants = [truth.plant(*hand, delay % 1.0 + move) for move in (-h, 0.0, h)]
-        for name in ("n2", "n1", "n0"):
-            low, middle, high = (float(getattr(plant, name)) for plant in plants)
-            assert moves[name][0, k] == pytest.approx((high - low) / (2.0 * h), abs=2e-5)
-            half = 0.5 * (high - 2.0 * middle + low) / h**2
-            assert moves[name][1, k] == pytest.approx(half, abs=2e-5)
-
-
 def test_points_between_two_rings_are_inside() -> None:
     """pieces: the edges between a ring and a hole that no branch draws do not count."""
     theta = np.linspace(0.0, 2.0 * np.pi, 201)
@@ -115,52 +94,6 @@ def test_points_between_two_rings_are_inside() -> None:
     clear = (np.abs(size - 1.0) > 1e-2) & (np.abs(size - 0.5) > 1e-2)
     inside = are_within(edges, walls.T)
     assert inside[clear].tolist() == ((size > 0.5) & (size < 1.0))[clear].tolist()
-
-
-def test_bounds_over_cells_hold_within_them_alone() -> None:
-    """filters: at angles beyond the first or the last cell nothing is known."""
-    cells = filter_cells(known_filters(Velocity.difference(samples=3), None))
-    steepness = cells.steepness
-    last, half = cells.middle[-1], cells.half[-1]
-    theta = np.array([0.1, 1.5, last, 0.1, last, 1.5])
-    away = np.array([0.05, 0.5, 0.9 * half, 0.5, 1.1 * half, 4.0])
-    bounds = largest_within(steepness, cells, theta, away)
-    assert np.isfinite(bounds).all(axis=0).tolist() == [True, True, True, False, False, False]
-
-
-@pytest.mark.parametrize("position", [None, Filter.average(samples=2)])
-@pytest.mark.parametrize("delay", [0.3, 1.5])
-def test_a_wall_with_a_root_at_minus_one_is_in_the_strip_of_its_column(
-    position: Filter | None, delay: float
-) -> None:
-    """columns: with p(-1) from the true plant, for hands inside of boxes, in two domains."""
-    rng = np.random.default_rng(10)
-    filters = position and known_filters(Velocity.difference(samples=1), position)
-    stiff, damped = (1.0, 2.0) if position is None else (0.0, 2.0)  # P(-1), V(-1)
-    ends = filter_ends(filters) if filters else Ends(1.0, (1.0, 2.0), 0.0)
-    gamma, delta = rng.uniform(0.5, 9.0, 40), rng.uniform(0.05, 1.0, 40)
-    hands = HandBoxes(gamma, delta, np.full(40, 1e-2), np.full(40, 1e-2))
-    edges, tried = np.linspace(-4.0, 4.0, 33), 0
-    columns = columns_of(edges, hands, delay)
-    for domain in (Domain((-1.0, 3.0), (-4.0, 4.0)), Domain((-20.0, 20.0), (-4.0, 4.0))):
-        strips = _line_strips(columns, hands, domain, ends)
-        for box in range(40):
-            hand = gamma[box] + rng.uniform(-1e-2, 1e-2), delta[box] + rng.uniform(-1e-2, 1e-2)
-            plant = truth.plant(*hand, delay % 1.0)
-            sign = (-1.0) ** int(delay)
-            force = sign * float(plant.n2 - plant.n1 + plant.n0)
-            free = float(1 - plant.d1 + plant.d0)  # p(-1) = 0: free = force (P alpha + V beta)
-            for beta in rng.uniform(-4.0, 4.0, 20).tolist():
-                alpha = (free / force - damped * beta) / stiff if stiff else rng.uniform(-1.0, 1.0)
-                wall = beta if stiff else free / force / damped
-                if not (domain.alpha[0] < alpha < domain.alpha[1] and -4.0 < wall < 4.0):
-                    continue
-                column = box * 32 + int((wall + 4.0) / 0.25)
-                moves = np.array([wall, *hand]) - columns.centre[column]
-                centre = strips.centre[column, 1] + strips.slope[column, 1] @ moves
-                assert abs(alpha - centre) <= strips.error[column, 1]
-                tried += 1
-    assert tried > 100
 
 
 def test_distances_of_many_walls_are_those_to_the_nearest_points() -> None:

@@ -5,28 +5,19 @@ is compared with what its lemma says.
 """
 
 from fractions import Fraction
-from itertools import pairwise
 from typing import Any
 
-import mpmath
 import numpy as np
 import pytest
 
 from benchmarks import truth
-from jaxstab import Velocity
 from jaxstab.model import polynomial_degree
-from jaxstab.model.filters import known_filters
 from jaxstab.model.linear_loop import Affine, Bounded, LinearLoop
 from jaxstab.point import dominance, fields, radius, verdicts
 from jaxstab.point.dominance import Complex
 from jaxstab.point.radius import _scaled_codes
 from jaxstab.point.schur_cohn import Chain, _step, loop_coefficients
 from jaxstab.point.verdicts import _ends, float_plant, loop_codes
-from jaxstab.proofs import curve_patches
-from jaxstab.proofs.columns import _line_strips, column_gaps, columns_of
-from jaxstab.proofs.curve_patches import Domain
-from jaxstab.proofs.filters import Ends
-from jaxstab.proofs.plant import HandBoxes
 from jaxstab.rounding import UNIT
 
 COUNT = 400
@@ -231,72 +222,3 @@ def test_the_rounding_of_a_value_and_a_slope_is_that_of_lemma_r1(fraction: float
     value = float(dominance.evaluated(at, loop, degree)[0].re[0])
     taken = abs(slope(t)) - degree * (abs(value) + rounding[0]) * dominance._SLACK / distance[0]
     assert taken == pytest.approx(unit * of_slope, rel=1e-2, abs=0.0)
-
-
-def test_columns_leave_no_beta_out() -> None:
-    rng = np.random.default_rng(7)
-    edges = np.sort(drawn(rng, 200))
-    columns = columns_of(edges, HandBoxes(*[np.ones(1)] * 4), 0.0)
-    for k, (low, high) in enumerate(pairwise(exact(edges))):
-        middle, half = Fraction(columns.centre[k, 0]), Fraction(columns.half[k, 0])
-        assert middle - half <= low
-        assert high <= middle + half
-
-
-def test_lines_of_real_roots_hold_for_filters_within_their_errors() -> None:
-    """P(1), P(-1) and V(-1) are known to a share of themselves."""
-    rng, share = np.random.default_rng(8), 1e-3
-    gamma, delta = rng.uniform(0.5, 9.0, (2, 20))
-    hands = HandBoxes(gamma, delta, np.full(20, 1e-6), np.full(20, 1e-6))
-    domain = Domain((-1e3, 1e3), (-20.0, 20.0))
-    columns = columns_of(np.linspace(*domain.beta, 40_001), hands, 0.0)
-    ends = Ends(0.1, (0.0, 2.0), share)
-    strips = _line_strips(columns, hands, domain, ends)
-    error = strips.error.reshape(20, -1, 2)
-    for k in range(20):
-        assert np.all(error[k, :, 0] >= gamma[k] * (1.0 / 0.1 - 1.0 / (0.1 * (1.0 + share))))
-        plant = truth.plant(float(gamma[k]), float(delta[k]), 0)
-        force = plant.n2 - plant.n1 + plant.n0
-        for moved in (-0.9 * share, 0.0, 0.9 * share):
-            beta = float((1 - plant.d1 + plant.d0) / force / (2 * (1 + moved)))
-            if abs(beta) < 20.0:
-                assert error[k, int((beta + 20.0) * 1000.0), 1] == np.inf
-
-
-@pytest.mark.parametrize("delay", [0.0, 1.5])
-def test_the_line_of_a_root_at_1_is_in_no_gap(delay: float) -> None:
-    """Its alpha, -gamma, is known exactly: the rounding of planes alone is left out of gaps."""
-    gamma = np.random.default_rng(9).uniform(0.01, 0.5, 12)
-    hands = HandBoxes(gamma, np.full(12, 0.3), np.zeros(12), np.zeros(12))
-    gaps = column_gaps(np.linspace(0.0, 0.5, 9), hands, delay, Domain((-1.0, 0.2), (0.0, 0.5)))
-    line = -gamma[:, None, None]
-    ends = np.concatenate([gaps.low, gaps.high], axis=2)
-    assert np.mean(np.nanmin(np.abs(ends - line), axis=2) < 1e-12) > 0.5
-    assert not np.any((gaps.low < line) & (line < gaps.high))
-
-
-def test_forces_through_filters_hold_the_errors_of_responses(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    filters, theta = known_filters(Velocity.difference(samples=3), None), np.linspace(0.1, 3.0, 9)
-
-    def responses(cells: Any, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        return np.ones((2, 9), complex), np.zeros((2, 9), complex), np.full((4, 9), 0.25)
-
-    monkeypatch.setattr(curve_patches, "responses", responses)
-    nothing, one = np.zeros(9), np.ones(9)
-    forces = curve_patches._forces(filters, theta, nothing, (one, one, 2.0 * one))
-    assert np.all(forces[:2] >= 2.5)
-
-
-@pytest.mark.parametrize("turns", [8, 60])
-def test_sums_of_cosines_round_by_no_more_than_the_rest_of_their_model(turns: int) -> None:
-    """In patches so narrow that the curvature adds nothing."""
-    theta = np.random.default_rng(10).uniform(0.0, np.pi, 40)
-    half = np.stack([np.full(40, 1e-14), np.zeros(40)])
-    order = np.arange(turns)
-    model = curve_patches._cosines(theta, order, order + 1, half).value
-    with mpmath.workdps(40):
-        for k, angle in enumerate(theta.tolist()):
-            true = sum((j + 1) * mpmath.cos(j * mpmath.mpf(angle)) for j in range(turns))
-            assert abs(true - float(model.centre[k])) <= model.rest[k]

@@ -1,17 +1,8 @@
 """Functions over whole boxes, enclosed: value, slope along each axis, and a bound of the rest.
 
-Proofs over boxes of loops and angles rest on one expansion. The polynomial of any loop, over a
-power of z, is on the unit circle
-
-    g = D + F (alpha P + beta V),
-
-D and F the plant's, P and V the filters'. A plant gives D and F as linear models over boxes, cells
-of the angle give P and V (``jaxstab.proofs.filters``), and the gains are variables or numbers. Sums
-and products of models then enclose g: its value in the middle of each box, its slope along each
-axis, and a bound of what these leave (lemma B13 of docs/proofs.md). The sampled devices of
-``jaxstab.proofs.linear_circle``, the devices in hands of ``jaxstab.boxes.plant`` and the
-curves of ``jaxstab.proofs.curve_patches`` are expanded in this way, that is as Taylor models of
-first order (Makino, Berz 1996), and so is one mass in closed form (``jaxstab.proofs.exclusion``).
+Sums, products and reciprocals of models enclose whatever is composed of them: the value in the
+middle of each box, the slope along each axis, and a bound of what these leave, as Taylor models of
+first order do (Makino, Berz 1996; lemma B13 of docs/proofs.md).
 
 Axes are rows of the slopes, which the functions that make models name. Rounding is counted with
 the rest. In batches, real or complex. NumPy only.
@@ -47,16 +38,12 @@ class LinearModel:
         slope: derivatives there, (variable, *box).
         rest: bound of what these leave, (*box).
         half: half-widths of the boxes, (variable, *box).
-        has_products: whether the variables are x_1 ... x_n, t, the square of t less half of its
-            largest value, and t x_1 ... t x_n. If so, arithmetic keeps these products; otherwise
-            they count as remainder.
     """
 
     centre: Floats
     slope: Floats
     rest: Floats
     half: Floats
-    has_products: bool = False
 
     @property
     def swing(self) -> Floats:
@@ -73,36 +60,17 @@ class LinearModel:
         """A lower bound of a real function."""
         return self.centre - self.swing
 
-    @property
-    def high(self) -> Floats:
-        """An upper bound of a real function."""
-        return self.centre + self.swing
-
     def constant(self, value: Number) -> "LinearModel":
         """Return a number as a model over the same boxes."""
         centre = np.full(self.centre.shape, value)
         zeros = np.zeros(centre.shape)
         return LinearModel(centre, np.zeros(self.slope.shape), zeros, self.half)
 
-    def take(self, boxes: Any) -> "LinearModel":
-        """Return the models of chosen boxes: an index of numbers, of truth values, or a slice."""
-        parts = self.centre[boxes], self.slope[:, boxes], self.rest[boxes], self.half[:, boxes]
-        return LinearModel(*parts, self.has_products)
-
-    @staticmethod
-    def joined(models: "list[LinearModel]") -> "LinearModel":
-        """Return the models of the boxes of one, then of the next, all in the same variables."""
-        centre, slope, rest, half = (
-            np.concatenate([getattr(model, name) for model in models], axis=-1)
-            for name in ("centre", "slope", "rest", "half")
-        )
-        return LinearModel(centre, slope, rest, half, models[0].has_products)
-
     def __add__(self, other: "LinearModel | Number") -> "LinearModel":
         if not isinstance(other, LinearModel):
             return self._with(self.centre + other, self.slope, self.rest)
         rest = self.rest + other.rest
-        return self._like(other)._with(self.centre + other.centre, self.slope + other.slope, rest)
+        return self._with(self.centre + other.centre, self.slope + other.slope, rest)
 
     def __neg__(self) -> "LinearModel":
         return self._model(-self.centre, -self.slope, self.rest)
@@ -120,12 +88,8 @@ class LinearModel:
         with np.errstate(invalid="ignore"):  # what has no bound has none when it is taken 0 times
             rest = abs(self.centre) * other.rest + self.rest * other.size
             rest = rest + self._sloped * other.swing
-            product, like = self.centre * other.centre, self._like(other)
-            if like.has_products:
-                products = _products(self.slope, other.slope)
-                product, slope, rest = like._with_products(products, product, slope, rest)
         rest = np.where(rest >= 0.0, rest, np.inf)
-        return like._with(product, slope, rest)
+        return self._with(self.centre * other.centre, slope, rest)
 
     __radd__ = __add__
     __rmul__ = __mul__
@@ -136,20 +100,9 @@ class LinearModel:
         is_known = clear > 0.0
         clear, centre = np.where(is_known, clear, 1.0), np.where(is_known, self.centre, 1.0)
         square, size = centre**2, abs(centre) ** 2
-        inverse, slope = 1.0 / centre, -self.slope / square
-        if self.has_products:
-            products = (product * inverse**3 for product in _products(self.slope, self.slope))
-            rest = self.swing**2 / (size * abs(centre))
-            inverse, slope, rest = self._with_products(tuple(products), inverse, slope, rest)
-            rest = rest + self.swing**3 / (size * abs(centre) * clear)
-        else:
-            rest = self.swing**2 / (size * clear)
-        bounded = self._with(inverse, slope, rest + self.rest / size)
+        rest = self.swing**2 / (size * clear) + self.rest / size
+        bounded = self._with(1.0 / centre, -self.slope / square, rest)
         return self._model(bounded.centre, bounded.slope, np.where(is_known, bounded.rest, np.inf))
-
-    def is_off(self, low: Number, high: Number) -> Floats:
-        """Return where a real function is proved to be outside an interval."""
-        return (self.high < low) | (self.low > high)
 
     @cached_property
     def _sloped(self) -> Floats:
@@ -163,34 +116,7 @@ class LinearModel:
         return rounded
 
     def _model(self, centre: Floats, slope: Floats, rest: Floats) -> "LinearModel":
-        return LinearModel(centre, slope, rest, self.half, self.has_products)
-
-    def _like(self, other: "LinearModel") -> "LinearModel":
-        """Return one of two models of the same boxes, if possible one that keeps products."""
-        return other if other.has_products else self
-
-    def _with_products(
-        self, products: tuple[Floats, Floats, Floats], centre: Floats, slope: Floats, rest: Floats
-    ) -> tuple[Floats, Floats, Floats]:
-        """Move products of t with the variables from the rest into their own variables.
-
-        The slope is changed in place.
-        """
-        square, *mixed = products
-        t = len(self.half) // 2 - 1
-        half, halves = self.half[t + 1], self.half[t + 2 :]
-        slope[t + 1] += square
-        for term in mixed:
-            slope[t + 2 :] += term
-        taken = 2.0 * abs(square) * half + ((abs(mixed[0]) + abs(mixed[1])) * halves).sum(axis=0)
-        rest = rest * (1.0 + LINEAR_MODEL) - taken
-        return centre + square * half, slope, rest
-
-
-def _products(slope: Floats, other: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return coefficients of the square of t in a product, and twice those of t and the others."""
-    t = len(slope) // 2 - 1
-    return slope[t] * other[t], slope[t] * other[:t], slope[:t] * other[t]
+        return LinearModel(centre, slope, rest, self.half)
 
 
 @dataclass(frozen=True)

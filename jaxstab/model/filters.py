@@ -10,7 +10,7 @@ The numbers that a section computes from its parameters, such as exp(-2 pi f T),
 float64 first: proofs hold for the filter that software with these numbers runs.
 
 A new kind of section is a class here, with its factors by one number, its text and its keys of
-TOML, and a maker beside the others in ``Filter``. Files, pictures, proofs between two loops and
+TOML, and a maker beside the others in ``Filter``. Files, pictures, proofs over ranges and
 explorers take all kinds from the class.
 """
 

@@ -1,1 +1,0 @@
-"""Proofs for all loops of a box."""
