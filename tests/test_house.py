@@ -18,6 +18,8 @@ from benchmarks.calls import COMPUTING_CALLS, PUBLIC
 
 ROOT = Path(__file__).resolve().parents[1]
 LONGEST_FILE = 1000  # lines
+MOST_BOUND = 45  # names in a function: arguments, variables, functions inside of it
+BUSY = {"jaxstab/ranges/hands.py: _unproved_hands"}  # goes with the boxes of one mass
 
 FLOORS_THAT_COMPUTE = tuple(
     f"jaxstab.{floor}"
@@ -238,6 +240,45 @@ def test_no_file_is_longer_than_one_subject() -> None:
     }
     assert lengths
     assert {path: n for path, n in lengths.items() if n > LONGEST_FILE} == {}
+
+
+def bound_names(function: ast.FunctionDef) -> set[str]:
+    """The names that a function binds, with those of the functions inside of it."""
+    names = set()
+    for node in ast.walk(function):
+        if isinstance(node, ast.arg):
+            names.add(node.arg)
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            names.add(node.id)
+        elif isinstance(node, ast.FunctionDef | ast.ClassDef) and node is not function:
+            names.add(node.name)
+        elif isinstance(node, ast.alias):
+            names.add(node.asname or node.name)
+    return names
+
+
+def test_names_of_a_function_are_counted_with_those_inside_of_it() -> None:
+    text = (
+        "def f(a, *b, c=1, **d):\n"
+        "    import e\n"
+        "    for g, (h, _) in a:\n"
+        "        g.i = e.j(k=c)\n"
+        "    def l(m):\n"
+        "        return [n for n in m if (o := n)]\n"
+        "    return lambda p: l(p)\n"
+    )
+    (function,) = ast.parse(text).body
+    assert isinstance(function, ast.FunctionDef)
+    assert bound_names(function) == set("abcdegh_lmnop")
+
+
+def test_no_function_has_more_names_than_a_reader_holds() -> None:
+    busy = set()
+    for path in (ROOT / "jaxstab").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FunctionDef) and len(bound_names(node)) > MOST_BOUND:
+                busy.add(f"{path.relative_to(ROOT).as_posix()}: {node.name}")
+    assert busy == BUSY
 
 
 def test_51_14_all_of_it_is_there_without_docstrings() -> None:

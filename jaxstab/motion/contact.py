@@ -368,23 +368,9 @@ def _motion(
     A step also gives position, velocity and force at its beginning.
     """
     xp = functions(runs.alpha)
-    is_coarse, is_stepped = runs.encoder > 0.0, runs.force_step > 0.0
-    count = xp.where(is_coarse, runs.encoder, 1.0)
-    force_unit = xp.where(is_stepped, runs.force_step, 1.0)
+    read, force_at = _wall(controller, runs, one_sided=one_sided, pulls=pulls)
     quarter = samples // 4
     middle, last = samples - 2 * quarter, samples - quarter
-
-    def read(x: Array) -> Array:
-        return xp.where(is_coarse, count * (xp.rint(x / count + runs.phase) - runs.phase), x)
-
-    def force_at(x: Array, memory: Any) -> tuple[Array, Any]:
-        position = read(x)
-        filtered, velocity, memory = controller.step(position, memory)
-        force = -(runs.alpha * filtered + runs.beta * velocity)
-        if one_sided:
-            force = xp.where(position > 0.0, force if pulls else xp.minimum(force, 0.0), 0.0)
-        force = xp.where(is_stepped, force_unit * xp.rint(force / force_unit), force)
-        return xp.maximum(xp.minimum(force, runs.max_force), -runs.max_force), memory
 
     def step(state: Any) -> tuple[Any, tuple[Array, Array, Array]]:
         sample, body, memory, line, was = state
@@ -429,6 +415,30 @@ def _motion(
         forces = xp.stack(forces)
     body = plant.start(x, runs.velocity)
     return step, (0, body, controller.at_rest(read(x)), forces, start)
+
+
+def _wall(
+    controller: Controller, runs: Runs, *, one_sided: bool, pulls: bool
+) -> tuple[Callable[[Array], Array], Callable[[Array, Any], tuple[Array, Any]]]:
+    """Return what the encoder reads at a position, and the force there with the next memory."""
+    xp = functions(runs.alpha)
+    is_coarse, is_stepped = runs.encoder > 0.0, runs.force_step > 0.0
+    count = xp.where(is_coarse, runs.encoder, 1.0)
+    force_unit = xp.where(is_stepped, runs.force_step, 1.0)
+
+    def read(x: Array) -> Array:
+        return xp.where(is_coarse, count * (xp.rint(x / count + runs.phase) - runs.phase), x)
+
+    def force_at(x: Array, memory: Any) -> tuple[Array, Any]:
+        position = read(x)
+        filtered, velocity, memory = controller.step(position, memory)
+        force = -(runs.alpha * filtered + runs.beta * velocity)
+        if one_sided:
+            force = xp.where(position > 0.0, force if pulls else xp.minimum(force, 0.0), 0.0)
+        force = xp.where(is_stepped, force_unit * xp.rint(force / force_unit), force)
+        return xp.maximum(xp.minimum(force, runs.max_force), -runs.max_force), memory
+
+    return read, force_at
 
 
 def _after(newest: Array, line: Any) -> Any:

@@ -741,11 +741,7 @@ def _turns(loop: Triples, scan: _Scan, component: _Component, axis: Array) -> _T
 
     bulge = jnp.clip(index - count, 0, 2 * SLOTS - 1)
     at = jnp.where(is_top, index, corners.next_to.ravel()[bulge])
-    is_near = of_main & (corners.next_to == at[:, None, None])
-    low = jnp.where(is_near & corners.is_lower, corners.theta, -jnp.inf)
-    high = jnp.where(is_near & ~corners.is_lower, corners.theta, jnp.inf)
-    lower = jnp.maximum(jnp.max(low, axis=(1, 2)), angles[jnp.maximum(at - 1, 0)])
-    upper = jnp.minimum(jnp.min(high, axis=(1, 2)), angles[jnp.minimum(at + 1, count - 1)])
+    lower, upper = _around(angles, component, at)
     between = jnp.stack([corners.theta.ravel()[bulge], next_angle.ravel()[bulge]])
     lower = jnp.where(is_top, lower, jnp.min(between, axis=0))
     upper = jnp.where(is_top, upper, jnp.max(between, axis=0))
@@ -766,6 +762,17 @@ def _turns(loop: Triples, scan: _Scan, component: _Component, axis: Array) -> _T
     is_solved = is_solved & (walls[axis] >= best - _TOLERANCE * size[axis])
     is_in = is_solved & _are_in_quadrant(walls, size, axis)
     return _Turns(walls, theta, jnp.where(is_in, walls[axis], -jnp.inf), is_solved, best, rest)
+
+
+def _around(angles: Array, component: _Component, at: Array) -> tuple[Array, Array]:
+    """Return the neighbours of angles of the scan: other ones of it, or corners between."""
+    corners = component.corners
+    is_near = component.of_main & (corners.next_to == at[:, None, None])
+    low = jnp.where(is_near & corners.is_lower, corners.theta, -jnp.inf)
+    high = jnp.where(is_near & ~corners.is_lower, corners.theta, jnp.inf)
+    lower = jnp.maximum(jnp.max(low, axis=(1, 2)), angles[jnp.maximum(at - 1, 0)])
+    upper = jnp.minimum(jnp.min(high, axis=(1, 2)), angles[jnp.minimum(at + 1, len(angles) - 1)])
+    return lower, upper
 
 
 def _highest(scores: Array) -> tuple[Array, Array, Array]:
@@ -830,22 +837,9 @@ class _Crossing(NamedTuple):
 
 def _on_axis(loop: Triples, scan: _Scan, component: _Component, axis: Array) -> _Crossing:
     """Return where the boundary crosses the axis: by Newton's method, on lines in closed form."""
-    corners, links, of_main = component.corners, component.links, component.of_main
+    corners, of_main = component.corners, component.of_main
     may_be = partial(_are_in_quadrant, size=component.size, axis=axis)
-    first, last = corners.walls[:, 0][:, links.successor], corners.walls[:, 1]
-    middle = jnp.where(links.via, links.crossing[:, None], first)
-
-    def on_axis(gain: Array) -> Array:
-        return jnp.where(jnp.arange(2) == axis, gain, 0.0)
-
-    line = jnp.where(corners.branch[1] == Branch.Z_MINUS_ONE, 1, 0)
-    on_lines = -loop.ends[:, 0] / loop.ends[:, 1 + axis]
-    is_line = of_main & (corners.branch[1] != Branch.CURVE)
-    meets = is_line & jnp.stack([may_be(last) != may_be(middle), may_be(middle) != may_be(first)])
-    lines = jnp.stack([line, 1 - line])
-    on_line = jnp.where(meets, on_lines[lines], -jnp.inf).ravel()
-    best_line = jnp.argmax(on_line)
-
+    on_line, line_angle = _line_on_axis(loop, component, axis)
     beside = corners.next_to
     starts = jnp.concatenate([loop.angles[:-1], corners.theta.ravel()])
     stops = jnp.concatenate([loop.angles[1:], loop.angles[beside].ravel()])
@@ -873,10 +867,26 @@ def _on_axis(loop: Triples, scan: _Scan, component: _Component, axis: Array) -> 
     is_solved = crosses[best] & is_solved & (theta > limits[0]) & (theta < limits[1])
     on_curve = jnp.where(is_solved, _wall(loop, theta)[axis], -jnp.inf)
     rest = jnp.max(jnp.where(is_solved & (jnp.arange(len(most)) == best), -jnp.inf, most))
-    is_on_line = on_line[best_line] > on_curve
-    gain = jnp.where(is_on_line, on_line[best_line], on_curve)
-    theta = jnp.where(is_on_line, jnp.pi * lines.ravel()[best_line], theta)
-    return _Crossing(on_axis(gain), theta, is_on_line, rest)
+    is_on_line = on_line > on_curve
+    gain = jnp.where(is_on_line, on_line, on_curve)
+    wall = jnp.where(jnp.arange(2) == axis, gain, 0.0)
+    return _Crossing(wall, jnp.where(is_on_line, line_angle, theta), is_on_line, rest)
+
+
+def _line_on_axis(loop: Triples, component: _Component, axis: Array) -> tuple[Array, Array]:
+    """Return the largest gain at which a straight part crosses the axis, and its root's angle."""
+    corners, links = component.corners, component.links
+    may_be = partial(_are_in_quadrant, size=component.size, axis=axis)
+    first, last = corners.walls[:, 0][:, links.successor], corners.walls[:, 1]
+    middle = jnp.where(links.via, links.crossing[:, None], first)
+    line = jnp.where(corners.branch[1] == Branch.Z_MINUS_ONE, 1, 0)
+    on_lines = -loop.ends[:, 0] / loop.ends[:, 1 + axis]
+    is_line = component.of_main & (corners.branch[1] != Branch.CURVE)
+    meets = is_line & jnp.stack([may_be(last) != may_be(middle), may_be(middle) != may_be(first)])
+    lines = jnp.stack([line, 1 - line])
+    on_line = jnp.where(meets, on_lines[lines], -jnp.inf).ravel()
+    best = jnp.argmax(on_line)
+    return on_line[best], jnp.pi * lines.ravel()[best]
 
 
 def _vertex(angles: Array, middle: Array, beside: Array) -> Array:
