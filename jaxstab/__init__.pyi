@@ -36,13 +36,10 @@ from .point import spectral_radius as spectral_radius
 from .point import verdict as verdict
 from .region import boundary_curve as boundary_curve
 from .region import stable_region as stable_region
-from .scene.draws import LogNormal as LogNormal
-from .scene.draws import Measured as Measured
-from .scene.draws import Normal as Normal
-from .scene.draws import Uniform as Uniform
+from .scene.contact_table import contact_table as contact_table
 from .scene.identify import identify as identify
-from .scene.study import merge_studies as merge_studies
-from .scene.study import open_study as open_study
+from .scene.study import quantiles as quantiles
+from .scene.study import shares as shares
 from .scene.study import study as study
 from .trace import trace_boundary as trace_boundary
 from .tuning import minimize_radius as minimize_radius

@@ -242,7 +242,7 @@ def named_errors(deed: str, path: Path) -> Iterator[None]:
         raise type(error)(error.errno, f"cannot {deed} {path}: {reason}.") from error
 
 
-def write_all(descriptor: int, data: bytes) -> None:
+def write_all(descriptor: int, data: bytes | memoryview) -> None:
     """Write all of the data, however little the system takes at once."""
     remaining = memoryview(data)
     while remaining:

@@ -31,8 +31,6 @@ from .region import RegionStatus as RegionStatus
 from .region import StableRegion as StableRegion
 from .scene.identified import Estimate as Estimate
 from .scene.identified import Identified as Identified
-from .scene.study import Shares as Shares
-from .scene.study import Study as Study
 from .trace import BoundaryTrace as BoundaryTrace
 from .trace import TraceStatus as TraceStatus
 from .tuning import OptimalGains as OptimalGains

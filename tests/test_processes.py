@@ -1,25 +1,19 @@
-"""The same bits from every process: whatever its threads and devices are; and how they end."""
+"""The same bits from every process, whatever its threads and devices are."""
 
 import os
-import signal
-import subprocess
-import sys
-import time
 from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
-from multiprocessing import Process, active_children, get_context
-from multiprocessing.context import SpawnProcess
+from multiprocessing import get_context
 from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
-from commands import START
 
 import jaxstab
 from benchmarks.truth.problems import PROBLEMS
+from jaxstab.cli.interrupt import processes
 from jaxstab.model import by_name
-from jaxstab.tiles import processes
 
 DELAY = 0.0  # one, for each is compiled in each process
 COUNT = 2**16 + 3  # enough for threads to share it, and no multiple of what they share it by
@@ -128,82 +122,3 @@ def test_a_worker_process_that_sets_nothing_writes_the_same_atlas(tmp_path: Path
     with processes(1) as executor:
         executor.submit(jaxstab.build_atlas, spec, tmp_path / "there.h5").result()
     assert (tmp_path / "there.h5").read_bytes() == (tmp_path / "here.h5").read_bytes()
-
-
-# ------------------------------------------------------------------------------------------- Ctrl-C
-
-
-def _blocked() -> set[int]:
-    """The signals that a worker process blocks."""
-    return set(signal.pthread_sigmask(signal.SIG_BLOCK, []))
-
-
-def _work_for_ever(begun: str) -> None:
-    Path(begun).touch()
-    time.sleep(1e6)
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
-def test_51_workers_never_see_ctrl_c_not_even_while_they_start() -> None:
-    with processes(1) as executor:
-        assert signal.SIGINT in executor.submit(_blocked).result()
-    assert signal.SIGINT not in _blocked()
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-
-
-def test_51_ctrl_c_while_a_worker_starts_comes_when_it_has_started(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    start, started = Process.start, []
-
-    def interrupted(self: Process) -> None:
-        signal.raise_signal(signal.SIGINT)
-        start(self)
-        started.append(self)
-
-    monkeypatch.setattr(SpawnProcess, "start", interrupted)
-    with pytest.raises(KeyboardInterrupt), processes(2) as executor:
-        executor.submit(abs, 1)
-    assert len(started) == 1
-    assert not started[0].is_alive()
-
-
-def test_51_an_error_ends_workers_at_once_whatever_they_compute(tmp_path: Path) -> None:
-    begun = tmp_path / "begun"
-
-    def interrupted() -> None:
-        with processes(1) as executor:
-            executor.submit(_work_for_ever, str(begun))
-            while not begun.exists():
-                time.sleep(0.01)
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        interrupted()
-    assert not active_children()
-
-
-@pytest.mark.parametrize("seconds", [0.7, 2.0, 4.0])
-@pytest.mark.skipif(sys.platform == "win32", reason="groups of processes of POSIX")
-def test_51_ctrl_c_ends_a_command_with_workers(seconds: float, tmp_path: Path) -> None:
-    (tmp_path / "scene.toml").write_text(
-        "[device]\nmass = 0.1\ndamping = 0.1\n[controller]\nsample_time = 0.001\n"
-    )
-    begin = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
-    running = subprocess.Popen(
-        [
-            *(sys.executable, "-c", begin + START, "study", "scene.toml", "--workers", "2"),
-            *("--over", "device.mass=uniform:0.1:0.5", "--samples", "200000", "-o", "a.h5"),
-        ],
-        cwd=tmp_path,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
-    time.sleep(seconds)
-    os.killpg(running.pid, signal.SIGINT)  # as a terminal does, to all of its processes
-    _, told = running.communicate(timeout=100.0)  # stderr is open as long as a worker lives
-    assert running.returncode in (130, -signal.SIGINT)  # the latter while Python imports
-    assert "Process" not in told
-    assert not (tmp_path / "a.h5").exists()

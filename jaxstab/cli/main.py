@@ -18,6 +18,7 @@ import click
 import jaxstab
 from jaxstab.cli.atlas import build, info, spec, verify
 from jaxstab.cli.identify import identify
+from jaxstab.cli.interrupt import prompt_interrupts
 from jaxstab.cli.query import plot, query
 from jaxstab.cli.region import figure, region
 from jaxstab.cli.scene import (
@@ -49,7 +50,7 @@ class OneSentence(click.Group):
             stdout: Any = sys.stdout
             if stdout is None:
                 raise OSError("stdout is closed; redirect it to a file, or to /dev/null.")
-            with warnings.catch_warnings():
+            with prompt_interrupts(), warnings.catch_warnings():
                 warnings.filterwarnings("ignore", "delay is ")  # scenes say so themselves
                 warnings.showwarning = lambda words, *_, **__: warn(str(words).rstrip("."))
                 code = run()
@@ -57,7 +58,7 @@ class OneSentence(click.Group):
         except click.ClickException as error:
             words = error.format_message()
             _fail(words if words.startswith("Usage:") else f"jaxstab: {words}")
-        except click.Abort:
+        except (click.Abort, KeyboardInterrupt):
             _fail("jaxstab: interrupted; nothing was written.", 130)
         except BrokenPipeError:  # the reader of our output has enough
             sys.stderr.close()

@@ -6,8 +6,7 @@ import json
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import Executor
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import reduce
 from pathlib import Path
 from typing import Any, TypeVar
@@ -21,6 +20,7 @@ from jaxstab.tables import text_of
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 _MOST_OF_A_SCHEDULER = 1_000_000  # bytes of its file
+_SECONDS_TO_CONNECT = 10
 
 
 def number_or_range(_: click.Context, option: click.Parameter, text: str | None) -> Any:
@@ -135,7 +135,7 @@ def together(*decorations: Any) -> Callable[[Callable[..., Any]], Callable[..., 
     return decorate
 
 
-# Where tiles are computed, which ``executor_of`` reads.
+# Where blocks are computed, which ``computing`` reads.
 executor_options = together(
     click.option("--workers", type=click.IntRange(1), help="Number of processes to use here."),
     click.option(
@@ -148,10 +148,56 @@ executor_options = together(
 
 
 @contextmanager
-def executor_of(given: Mapping[str, Any]) -> Iterator[Executor | None]:
-    """Open processes or the workers of a dask scheduler; None computes in this process."""
-    from jaxstab.tiles import dask_cluster, processes
+def computing(given: Mapping[str, Any]) -> Iterator[None]:
+    """Let dask compute where options say, and draw a bar on a terminal."""
+    from dask import config
+    from dask.diagnostics import ProgressBar
 
+    from jaxstab.cli.interrupt import processes
+
+    workers, address = _workers_and_address(given)
+    with ExitStack() as stack:
+        if address:
+            stack.enter_context(_client(address))
+            stack.enter_context(at_work(f"computing on {address}"))
+        else:
+            if workers:
+                pool = stack.enter_context(processes(workers))
+                # A task is a block, which no other one should wait for.
+                stack.enter_context(config.set(scheduler="processes", pool=pool, chunksize=1))
+            if sys.stderr.isatty():
+                stack.enter_context(ProgressBar(out=sys.stderr))
+        yield
+
+
+def _client(address: str) -> Any:
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise RuntimeError(
+            "a dask cluster needs dask: python -m pip install 'jaxstab[distributed]'."
+        ) from error
+    try:
+        client = Client(address, timeout=_SECONDS_TO_CONNECT)
+    except OSError as error:
+        raise OSError(
+            f"no dask scheduler answers at {address}; start one, or correct the address."
+        ) from error
+    except ValueError as error:  # of an address that dask cannot read
+        raise ValueError(
+            f"scheduler is {address!r}; give an address such as tcp://10.0.0.1:8786."
+        ) from error
+    if not client.scheduler_info()["workers"]:
+        _tell(f"the dask scheduler at {address} has no workers; the command waits for one.")
+    return client
+
+
+def _tell(words: str) -> None:
+    click.echo(f"jaxstab: {words}", err=True)
+
+
+def _workers_and_address(given: Mapping[str, Any]) -> tuple[int | None, str | None]:
+    """Return the number of processes, or the address of a dask scheduler, that options give."""
     workers, scheduler, file = (given[name] for name in ("workers", "scheduler", "scheduler_file"))
     options = {"--workers": workers, "--scheduler": scheduler, "--scheduler-file": file}
     names = [name for name, value in options.items() if value is not None]
@@ -160,13 +206,7 @@ def executor_of(given: Mapping[str, Any]) -> Iterator[Executor | None]:
     if scheduler == "":
         raise click.UsageError("--scheduler is empty; give an address such as tcp://10.0.0.1:8786.")
     address = _address_in(file) if file else scheduler
-    where: Any = nullcontext()
-    if workers:
-        where = processes(workers)
-    elif address := address or os.environ.get("DASK_SCHEDULER_ADDRESS"):
-        where = dask_cluster(address, lambda words: click.echo(f"jaxstab: {words}", err=True))
-    with where as executor:
-        yield executor
+    return workers, None if workers else address or os.environ.get("DASK_SCHEDULER_ADDRESS")
 
 
 def _address_in(file: Path) -> str:
@@ -176,43 +216,3 @@ def _address_in(file: Path) -> str:
         raise click.UsageError(
             f"{file} is not a scheduler file; give what dask scheduler --scheduler-file wrote."
         ) from None
-
-
-@contextmanager
-def resumable(output: Path | None) -> Iterator[Callable[[int, int], None]]:
-    """Yield a function that draws a bar with rate and time left; say how to continue on Ctrl-C.
-
-    Without an output nothing is stored.
-    """
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    bar = Progress(
-        TextColumn(f"building {output}" if output else "computing"),
-        BarColumn(),
-        TextColumn("{task.completed} of {task.total} tiles, {task.fields[rate]} a second"),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-    )
-    task = bar.add_task("", total=None, rate="?")
-
-    def show(done: int, total: int) -> None:
-        bar.start()  # only now: an early refusal needs no bar
-        speed = bar.tasks[0].speed
-        bar.update(task, completed=done, total=total, rate=f"{speed:.2g}" if speed else "?")
-
-    try:
-        try:
-            yield show
-        finally:
-            if bar.live.is_started:
-                bar.stop()
-    except KeyboardInterrupt:
-        if output is None:
-            raise
-        click.echo(
-            "jaxstab: interrupted; the finished tiles are stored, so give the same command "
-            "again to continue.",
-            err=True,
-        )
-        sys.exit(130)

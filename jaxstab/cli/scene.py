@@ -13,8 +13,8 @@ import click
 
 from jaxstab.cli.options import (
     at_work,
+    computing,
     draw,
-    executor_of,
     executor_options,
     file_in,
     file_option,
@@ -22,7 +22,6 @@ from jaxstab.cli.options import (
     number_or_range,
     plot_option,
     print_with_csv,
-    resumable,
     together,
 )
 from jaxstab.shown import printable, shortened, table_text
@@ -358,8 +357,6 @@ def contact(
 
     With friction, a one-sided wall and the encoder, as the table [contact] of the scene says.
     Nothing is proved. The exit code is 0 if every simulated contact comes to rest, 1 if not.
-
-    A map (--output) continues where it stopped when the command is repeated.
     """
     if output is None:
         return _answer(given, "contact", as_json)
@@ -368,25 +365,25 @@ def contact(
     beside = {"plot": given["plot"], "csv": given["csv_file"], "json": as_json}
     for name in (name for name, value in beside.items() if value):
         raise click.UsageError(f"--{name} is given beside --output; give one of them.")
-    import numpy as np
-
-    from jaxstab.datasets import stored
     from jaxstab.loop import ContactKind
     from jaxstab.scene.contact import map_contacts
     from jaxstab.scene.draws import values_of
+    from jaxstab.scene.labelled import computed, require_free, write
 
+    require_free(output)
     keep_programs()
     scene = scene_of(given)
     warn(*scene.unusual())
-    forces = None if frictions is None else np.array(values_of("friction", frictions), float)
-    dataset = map_contacts(scene, output, count, forces)
+    forces = None if frictions is None else [*map(float, values_of("friction", frictions))]
+    planned = map_contacts(scene, count, forces)
     assert scene.contact is not None  # there is a map
-    axes = " x ".join(f"{len(values)} {name}" for name, values in dataset.coordinates.items())
-    words = f"{np.prod(dataset.shape):,} contacts of {scene.contact.duration:g} s"
+    axes = " x ".join(f"{length} {name}" for name, length in planned.sizes.items())
+    words = f"{planned.kind.size:,} contacts of {scene.contact.duration:g} s"
     click.echo(f"jaxstab: {axes}: {words}, simulated, not proved", err=True)
-    with resumable(output) as show, executor_of(given) as executor:
-        kinds = stored(dataset, show, executor)["kind"]
-    rests = float(np.mean(kinds == ContactKind.RESTS))
+    with computing(given):
+        table = computed(planned)
+    write(table, output)
+    rests = float((table.kind == ContactKind.RESTS).mean())
     click.echo(f"{output}: {100.0 * rests:.1f} % of the contacts come to rest")
     return 0
 

@@ -5,17 +5,11 @@ The kind of a run is read off its last two quarters (``jaxstab.motion.contact``)
 proved: another start, another phase of the encoder or a longer run may end differently.
 """
 
-from collections.abc import Callable, Mapping
-from concurrent.futures import Executor
-from dataclasses import dataclass
-from os import PathLike
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64, Int8
 
-import jaxstab
 from jaxstab.arrays import Numbers, is_any_traced, named
 from jaxstab.conventions import Status
 from jaxstab.loop.jitter import turn_of
@@ -35,17 +29,12 @@ from jaxstab.motion.contact import (
 )
 from jaxstab.motion.response import Column, Controller, Response, answer_text
 from jaxstab.numbers import checked, checked_number
-from jaxstab.shown import shortened
-from jaxstab.tiles import Progress
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from jaxstab.datasets import Block, Dataset
-
 _GROWTH = 1.5  # of the amplitude, from one quarter of a run to the next
 _SHORTEST, _LONGEST = 16, 1e8  # samples
-_BLOCK, _LEAST = 2**26, 1024  # samples of a block of a file; contacts at least
 
 
 class ContactKind(Status):
@@ -184,7 +173,7 @@ class _Setup(NamedTuple):
 
 def contact(loop: LoopParameters, stiffness: Numbers, damping: Numbers, **options: Any) -> Contact:
     """Simulate contacts with their paths: ``HapticLoop.contact``."""
-    setup = _setup(loop, stiffness, damping, **options)
+    setup = setup_of(loop, stiffness, damping, **options)
     runs = setup.runs
     if not setup.shape and isinstance(setup.plant, Plant):
         # Numbers of Python are several times faster here.
@@ -197,39 +186,23 @@ def contact(loop: LoopParameters, stiffness: Numbers, damping: Numbers, **option
 
 
 def contact_map(
-    loop: LoopParameters,
-    stiffness: Numbers,
-    damping: Numbers,
-    *,
-    store: str | PathLike[str] | None = None,
-    progress: Progress | None = None,
-    executor: Executor | None = None,
-    **options: Any,
+    loop: LoopParameters, stiffness: Numbers, damping: Numbers, **options: Any
 ) -> Contact:
     """Simulate contacts with many walls, or with one wall under many conditions.
 
     Large maps are computed by one program of JAX, in float64 whatever its flag says, on all cores,
     tile by tile: about ten million samples of one mass per second and core, in little memory.
 
-    With ``store`` the map goes to a netCDF-4 file, block by block. An interrupted map continues
-    where it stopped when it is called again, and one that is done is read. The file has a dimension
-    for each argument that varies; xarray and h5py open it. Nothing in it is proved.
-
     Args:
         loop: any device with a mass at its handle; one mass alone is simulated much faster.
         stiffness, damping: see ``jaxstab.conventions``.
-        store: the file; each array then varies along an axis of its own, as those of ``np.ix_``.
-        progress: with ``store``, called with the number of finished blocks and of all blocks.
-        executor: with ``store``, computes the blocks; without one, the dask ``Client`` of this
-            process does, or this process. An executor of processes must not fork them.
         **options: those of ``HapticLoop.contact``; numbers may be arrays that broadcast with the
             gains.
 
     Returns:
         Contact of the broadcast shape, without paths.
 
-    Raises: as ``HapticLoop.contact``; with ``store`` ValueError for arrays that share an axis,
-    OSError for a file that cannot be written or is of something else, RuntimeError if workers died.
+    Raises: as ``HapticLoop.contact``.
 
     Source: eqs. (1)-(5) of Hulin, Preusche, Hirzinger (2008); Coulomb friction between the samples.
 
@@ -243,114 +216,13 @@ def contact_map(
         >>> (contact.kind == jaxstab.results.ContactKind.RESTS).tolist()
         [False, True, True]
     """
-    if store is not None:
-        from jaxstab.datasets import stored
-
-        given = {"stiffness": stiffness, "damping": damping, **options}
-        dataset = contact_dataset(loop, given, Path(store))
-        values = stored(dataset, progress, executor)
-        shape = np.broadcast_shapes(*(np.shape(given[name]) for name in given if name in _AXES))
-        kind, *others = (values[name].reshape(shape) for name in _VARIABLES)
-        return Contact._make([named(kind, ContactKind), *others, None])
-    if progress is not None or executor is not None:
-        raise ValueError("progress or executor is given without store; give store, a file.")
-    setup = _setup(loop, stiffness, damping, **options)
+    setup = setup_of(loop, stiffness, damping, **options)
     runs = Runs(*(column.ravel() for column in setup.runs))
     summary = contacts(setup.plant, setup.controller, runs, setup.samples, **setup.sides)
     return setup.answer(summary)
 
 
-@dataclass(frozen=True)
-class _Blocks:
-    """Blocks of a map: the loop, all that is given, and the dimensions in order."""
-
-    loop: LoopParameters
-    given: Mapping[str, Any]
-    dimensions: tuple[str, ...]
-
-    def __call__(self, block: "Block") -> dict[str, np.ndarray]:
-        """Return the contacts of a block."""
-        parts = [
-            self.given[name][values] for name, values in zip(self.dimensions, block, strict=True)
-        ]
-        mesh = dict(zip(self.dimensions, np.ix_(*parts), strict=True))
-        contact = contact_map(self.loop, **{**self.given, **mesh})
-        shape = [len(values) for values in parts]
-        return {name: np.reshape(getattr(contact, name), shape) for name in _VARIABLES}
-
-
-def contact_dataset(
-    loop: LoopParameters,
-    given: Mapping[str, Any],
-    path: Path,
-    in_units: Callable[[str], str] = str,
-) -> "Dataset":
-    """Return the map of contacts as a dataset.
-
-    ``given`` are the arguments of ``contact_map``; ``in_units`` replaces the units of motion along
-    a line.
-    """
-    from jaxstab.datasets import Dataset, Variable, mesh_of
-
-    loop = loop.in_floats()
-    numbers = {name: value for name, value in given.items() if name in _AXES}
-    mesh = mesh_of({name: checked(name, v) for name, v in numbers.items() if np.ndim(v)})
-    if not mesh:
-        raise ValueError("no argument is an array, so there is nothing to map; use loop.contact.")
-    fixed = {name: value for name, value in given.items() if name not in mesh}
-    corner = dict(zip(mesh, np.ix_(*(values[:1] for values in mesh.values())), strict=True))
-    samples = _setup(loop, **{**fixed, **corner}).samples  # refuses what no block can compute
-    return Dataset(
-        path=path,
-        coordinates=mesh,
-        variables={
-            name: Variable(dtype, words, in_units(unit), *flags)
-            for name, (dtype, words, unit, *flags) in (
-                *((name, ("float64", *_AXES[name])) for name in mesh),
-                *_VARIABLES.items(),
-            )
-        },
-        attributes={
-            "title": "Simulated contacts with virtual walls; nothing is proved",
-            "source": f"jaxstab {jaxstab.__version__}, contact_map",
-            "loop": repr(loop),
-            "conditions": ", ".join(f"{name}={shortened(v)}" for name, v in fixed.items()),
-        },
-        identity=repr(
-            [loop, *((name, np.asarray(value).tolist()) for name, value in fixed.items())]
-        ),
-        compute=_Blocks(loop, {**fixed, **mesh}, tuple(mesh)),
-        size=max(_LEAST, _BLOCK // samples),
-    )
-
-
-_KINDS = {kind.value: kind.name.lower() for kind in ContactKind}
-_VARIABLES: dict[str, Any] = {
-    "kind": ("int8", "how the simulated contact ends", "1", _KINDS),
-    "amplitude": ("float64", "half of the peak-to-peak position at the end", "m"),
-    "frequency": ("float64", "frequency of the position at the end", "Hz"),
-    "time_to_rest": ("float64", "from when on it rests", "s"),
-    "penetration": ("float64", "largest position", "m"),
-    "largest_force": ("float64", "largest modulus of the wall's force", "N"),
-    "energy": ("float64", "energy that the wall gave to device and hand", "J"),
-}
-_AXES = {
-    "stiffness": ("stiffness of the virtual wall", "N/m"),
-    "damping": ("damping of the virtual wall", "N s/m"),
-    "friction": ("Coulomb friction", "N"),
-    "static_friction": ("static friction", "N"),
-    "encoder": ("resolution of the encoder", "m"),
-    "phase": ("phase of the encoder, in steps", "1"),
-    "force_step": ("resolution of the force", "N"),
-    "max_force": ("largest force", "N"),
-    "push": ("push of the hand", "N"),
-    "speed": ("speed at the start", "m/s"),
-    "position": ("position at the start", "m"),
-    "tolerance": ("of rest", "m"),
-}
-
-
-def _setup(
+def setup_of(
     loop: LoopParameters,
     stiffness: Numbers,
     damping: Numbers,
@@ -370,6 +242,7 @@ def _setup(
     delays: Any = None,
     tolerance: Numbers = 1e-6,
 ) -> _Setup:
+    """Return the runs that arguments describe, checked."""
     conditions = friction, static_friction, encoder, phase, force_step, max_force, push, speed
     given = (stiffness, damping, *conditions, position, duration, delays, tolerance)
     if is_any_traced(loop, given):

@@ -9,20 +9,19 @@ worst start, which it names.
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from math import isnan
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from jaxtyping import Float64
 
 from jaxstab.loop import Contact, ContactKind, HapticLoop, contact_map
-from jaxstab.loop.contact import contact_dataset
 from jaxstab.scene.answers import Answer, Basis, Frequency, Quantity, basis_of
+from jaxstab.scene.contact_table import plan_contacts
 from jaxstab.scene.loops import hands_of, loop_of, walls_of, with_delay
 from jaxstab.scene.scene import Scene
 
 if TYPE_CHECKING:
-    from jaxstab.datasets import Dataset
+    from xarray import Dataset
 
 _WORST_LAST = (
     ContactKind.UNTOUCHED,
@@ -131,29 +130,29 @@ def simulated_map(scene: Scene, stiffness: Any, damping: Any, **start: Any) -> C
 
 
 def map_contacts(
-    scene: Scene, path: Path, count: int = MAP_COUNT, friction: Floats | None = None
+    scene: Scene, count: int = MAP_COUNT, friction: list[float] | None = None
 ) -> "Dataset":
-    """Return a map of walls around the stable ones, from the scene's own start, as a dataset.
+    """Return a map of walls around the stable ones, from the scene's own start, not yet computed.
 
-    ``friction``, in the unit of the scene's force, is the third dimension if it is given.
+    ``friction``, in the unit of the scene's force, is a dimension of the table if it is given.
     """
     _require_contact(scene)
     loop = contact_loop(scene)
     walls = walls_around(loop, count, walls_of(scene).values())
-    given = {"stiffness": walls[0], "damping": walls[1], **_conditions(scene)}
+    given = {"stiffness": walls[0], "damping": walls[1][:, 0], **_conditions(scene)}
     if friction is not None:
         if given["static_friction"] is not None:
             raise ValueError(
                 "device.static_friction is given beside a range of friction; leave it out: it is "
                 "then equal to friction."
             )
-        given["friction"] = friction[:, None, None]
+        given["friction"] = friction
     units = scene.units
 
     def in_units(unit: str) -> str:
         return f"{units.length}/s" if unit == "m/s" else units.unit(unit)
 
-    return contact_dataset(loop, given, path, in_units)
+    return plan_contacts(loop, given, in_units)
 
 
 def _conditions(scene: Scene) -> dict[str, Any]:

@@ -1,13 +1,14 @@
 """The values of a study: lists, and draws from distributions.
 
-Each quantity is drawn from a separate stream of random numbers, set by the seed and the name of the
-quantity, so its draws do not depend on what else varies or on how the work is divided. Columns of
-one CSV file are drawn row by row: mass and stiffness of a hand stay together.
+A distribution is a frozen one of ``scipy.stats``, or a column of a CSV file, whose rows are drawn
+with replacement: the columns of one file together, so that mass and stiffness of a hand stay
+together (the bootstrap, Efron 1979). Each key is drawn by the inverse of its distribution from a
+stream of random numbers of its own, set by the seed and the name of the key. Its draws do not
+depend on what else varies, on how many follow or on how the work is divided.
 """
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from math import inf, isfinite
+from math import inf, isfinite, log
 from typing import Any
 
 import numpy as np
@@ -17,163 +18,62 @@ from jaxstab.shown import shortened
 from jaxstab.tables import columns_of
 
 Draws = Float64[np.ndarray, " draw"]
-_ROUNDS = 200  # of draws in place of those that are not allowed
 _MOST_VALUES = 100_000  # of a list between two ends
 _FORMS = "normal:MEAN:DEVIATION, uniform:LOW:HIGH, lognormal:MEDIAN:FACTOR or csv:FILE:COLUMN"
 
 
-class Distribution(ABC):
-    """A distribution of a quantity among devices or people."""
-
-    @abstractmethod
-    def _draw(self, generator: np.random.Generator, count: int) -> Draws:
-        """Return independent draws."""
-
-    @property
-    def _stream(self) -> str:
-        """The name of the stream of random numbers; empty for that of the quantity."""
-        return ""
-
-
 @dataclass(frozen=True)
-class Normal(Distribution):
-    """A normal distribution; draws below what a scene allows are drawn again.
+class Column:
+    """A column of a CSV file."""
 
-    Attributes:
-        mean: in the unit of the quantity.
-        deviation: the standard deviation, above 0.
-
-    ValueError: a number is not finite, or the deviation not above 0. Source: textbook.
-
-    Example:
-        >>> jaxstab.Normal(300.0, 100.0)
-        Normal(mean=300.0, deviation=100.0)
-    """
-
-    mean: float
-    deviation: float
-
-    def __post_init__(self) -> None:
-        _require_finite(self)
-        if not self.deviation > 0.0:
-            raise ValueError(f"deviation is {self.deviation:g}; give a number > 0.")
-
-    def _draw(self, generator: np.random.Generator, count: int) -> Draws:
-        return generator.normal(self.mean, self.deviation, count)
-
-
-@dataclass(frozen=True)
-class Uniform(Distribution):
-    """A uniform distribution.
-
-    Attributes:
-        low, high: its ends, in the unit of the quantity.
-
-    ValueError: an end, or their difference, is not finite, or they are out of order. Source:
-    textbook.
-
-    Example:
-        >>> jaxstab.Uniform(100.0, 500.0)
-        Uniform(low=100.0, high=500.0)
-    """
-
-    low: float
-    high: float
-
-    def __post_init__(self) -> None:
-        _require_finite(self)
-        if not self.low < self.high:
-            raise ValueError(f"low is {self.low:g} and high {self.high:g}; give low < high.")
-        if not isfinite(self.high - self.low):
-            raise ValueError(
-                f"low is {self.low:g} and high {self.high:g}; give ends of a finite difference."
-            )
-
-    def _draw(self, generator: np.random.Generator, count: int) -> Draws:
-        return generator.uniform(self.low, self.high, count)
-
-
-@dataclass(frozen=True)
-class LogNormal(Distribution):
-    """A log-normal distribution: its logarithm is normal, so all draws are above 0.
-
-    Attributes:
-        median: in the unit of the quantity, above 0.
-        factor: above 1; 68 % lie between median / factor and median * factor.
-
-    ValueError: a number is out of these. Source: textbook.
-
-    Example:
-        >>> jaxstab.LogNormal(300.0, 1.5)
-        LogNormal(median=300.0, factor=1.5)
-    """
-
-    median: float
-    factor: float
-
-    def __post_init__(self) -> None:
-        _require_finite(self)
-        if not (self.median > 0.0 and self.factor > 1.0):
-            raise ValueError(
-                f"median is {self.median:g} and factor {self.factor:g}; give a median > 0 and a "
-                "factor > 1."
-            )
-
-    def _draw(self, generator: np.random.Generator, count: int) -> Draws:
-        return generator.lognormal(np.log(self.median), np.log(self.factor), count)
-
-
-@dataclass(frozen=True)
-class Measured(Distribution):
-    """Measured values, drawn with replacement; those of one source are drawn row by row.
-
-    Attributes:
-        values: in the unit of the quantity.
-        source: quantities with the same source, such as the columns of one file, are drawn
-            together.
-
-    ValueError: there is no value, or one is not finite. Source: the bootstrap (Efron 1979).
-
-    Example:
-        >>> jaxstab.Measured((250.0, 310.0, 420.0)).values
-        (250.0, 310.0, 420.0)
-    """
-
+    file: str
+    name: str
     values: tuple[float, ...]
-    source: str = ""
-
-    def __post_init__(self) -> None:
-        if not self.values or not all(isfinite(value) for value in self.values):
-            raise ValueError("measured values are missing or not finite; give finite numbers.")
-
-    def _draw(self, generator: np.random.Generator, count: int) -> Draws:
-        rows = generator.integers(len(self.values), size=count)
-        return np.asarray(self.values, np.float64)[rows]
-
-    @property
-    def _stream(self) -> str:
-        """The source, so that its columns are drawn together."""
-        return self.source and f"{self.source} of {len(self.values)}"
 
 
-def distribution_of(text: str) -> Distribution | None:
+def is_distribution(given: Any) -> bool:
+    """Whether something can be drawn from."""
+    return isinstance(given, Column) or hasattr(given, "ppf")
+
+
+def words_of(given: Any) -> str:
+    """What varies, in words: a distribution with its parameters, or some of the values."""
+    if isinstance(given, Column):
+        return f"csv:{given.file}:{given.name}"
+    if is_distribution(given):
+        pairs = (f"{name}={value}" for name, value in given.kwds.items())
+        return f"{given.dist.name}({', '.join([*map(str, given.args), *pairs])})"
+    return shortened(given)
+
+
+def distribution_of(text: str) -> Any:
     """Return the distribution of a text such as ``normal:300:100``; None where it is none.
 
     ValueError: its numbers are bad, or its file has no such column; OSError: it cannot be read.
     """
+    from scipy import stats
+
     kind, *parts = text.split(":")
     if kind == "csv" and len(parts) >= 2:
         file, column = ":".join(parts[:-1]), parts[-1]
-        return Measured(tuple(columns_of(file, [column])[column]), file)
-    kinds: dict[str, Any] = {"normal": Normal, "uniform": Uniform, "lognormal": LogNormal}
+        values = tuple(columns_of(file, [column])[column])
+        if not values:
+            raise ValueError(f"{file} has no rows below its names; give measured values.")
+        return Column(file, column, values)
     if not parts or isinstance(_number_or_text(kind), float):
         return None
     try:
-        make, (a, b) = kinds[kind], map(float, parts)
-    except (KeyError, ValueError):
-        raise ValueError(f"{shortened(text)} is no distribution; give {_FORMS}.") from None
-    made: Distribution = make(a, b)
-    return made
+        a, b = map(float, parts)
+        match kind:
+            case "normal":
+                return stats.norm(a, b)
+            case "uniform":
+                return stats.uniform(a, b - a)
+            case "lognormal":
+                return stats.lognorm(log(b), scale=a)
+    except ValueError:
+        pass
+    raise ValueError(f"{shortened(text)} is no distribution; give {_FORMS}.")
 
 
 def values_of(key: str, text: str) -> list[float | str]:
@@ -202,34 +102,32 @@ def _number_or_text(text: str) -> float | str:
 
 
 def draws_of(
-    name: str, distribution: Distribution, count: int, seed: int, least: float = -inf
-) -> tuple[Draws, int]:
-    """Return draws of a quantity that is at least a number, and how many were drawn again.
+    key: str, given: Any, count: int, seed: int, least: float = -inf
+) -> tuple[Draws, float]:
+    """Return draws of a quantity that is at least a number, and the share that is cut off below it.
 
-    ValueError: another distribution than a normal one goes below it, or most of a normal one; or
-    draws overflow.
+    ValueError: the distribution begins below that number, or most of it lies there; or its
+    parameters make no draws.
     """
-    stream = distribution._stream or name
-    generator = np.random.default_rng([seed, *stream.encode()])
-    values = distribution._draw(generator, count)
-    below = values < least
-    again = int(below.sum())
-    if again and (not isinstance(distribution, Normal) or distribution.mean < least):
+    stream = f"{given.file} of {len(given.values)}" if isinstance(given, Column) else key
+    uniform = np.random.default_rng([seed, *stream.encode()]).random(count)
+    if isinstance(given, Column):
+        draws = np.array(given.values)[(uniform * len(given.values)).astype(np.int64)]
+        low, below = draws.min(), 0.0
+    else:
+        with np.errstate(all="ignore"):  # parameters may be anything
+            low, _ = given.support()
+            if np.ndim(low):
+                raise ValueError(f"{key} is {words_of(given)}; give a distribution of one number.")
+            below = float(given.cdf(np.nextafter(least, -inf)))
+            draws = np.asarray(given.ppf(below + (1.0 - below) * uniform), np.float64)
+    if -inf < low < least or below > 0.5:
         raise ValueError(
-            f"{name} has draws below {least:g}, such as {values.min():g}, which a scene refuses; "
-            "give a distribution that stays above, such as a lognormal one."
+            f"{key} has draws below {least:g}, which a scene refuses; give a distribution that "
+            "stays above, such as a lognormal one."
         )
-    for _ in range(_ROUNDS):
-        if not below.any():
-            break
-        values[below] = distribution._draw(generator, int(below.sum()))
-        below = values < least
-    if not np.isfinite(values).all():
-        raise ValueError(f"{name} has draws that overflow float64; give a narrower distribution.")
-    return values, again
-
-
-def _require_finite(numbers: Any) -> None:
-    for name, value in vars(numbers).items():
-        if not isfinite(value):
-            raise ValueError(f"{name} is {value}; give a finite number.")
+    if not np.isfinite(draws).all():
+        raise ValueError(
+            f"{key} has draws that are not finite; correct the parameters of {words_of(given)}."
+        )
+    return draws, below

@@ -1,0 +1,111 @@
+"""Ctrl-C ends a command soon, whatever it does, and leaves no process, file or folder."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from multiprocessing import active_children
+from pathlib import Path
+
+import numpy as np
+import pytest
+from campaign import many
+from commands import START
+
+from jaxstab.cli.interrupt import processes, prompt_interrupts
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+
+SCENE = """
+[device]
+mass = 0.1
+damping = 0.1
+[controller]
+sample_time = 0.001
+[contact]
+push = 1.0
+"""
+STUDY = ("study", "scene.toml", "--over", "device.mass=uniform:0.1:0.5", "--samples", "200000")
+CONTACT = ("contact", "scene.toml", "--count", "300")
+COMMANDS = {
+    "study": (*STUDY, "-o", "a.h5"),
+    "study with workers": (*STUDY, "-o", "a.h5", "--workers", "2"),
+    "contact with workers": (*CONTACT, "-o", "a.h5", "--workers", "2"),
+}
+MOST = 3.0  # s, where two cores are free
+BUSY = 2.0  # times as long where other tests run
+
+
+def test_51_workers_never_see_ctrl_c() -> None:
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, [])
+    with prompt_interrupts(), processes(1) as pool:
+        assert signal.SIGINT in pool.submit(signal.pthread_sigmask, signal.SIG_BLOCK, []).result()
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, []) == blocked
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_51_an_error_ends_workers_at_once_whatever_they_compute() -> None:
+    began = time.monotonic()
+
+    def interrupted_work() -> None:
+        with processes(1) as pool:
+            pool.submit(time.sleep, 1e3)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted_work()
+    assert time.monotonic() - began < 10.0
+    assert not active_children()
+
+
+def test_what_watches_ends_with_a_command() -> None:
+    before = threading.active_count()
+    for _ in range(5):
+        with prompt_interrupts():
+            pass
+    time.sleep(0.2)
+    assert threading.active_count() == before
+
+
+def interrupted(command: tuple[str, ...], seconds: float, folder: Path) -> tuple[float, str]:
+    """Interrupt a command as a terminal does, all of its processes; the time it takes, stderr."""
+    (folder / "scene.toml").write_text(SCENE)
+    begin = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+    running = subprocess.Popen(
+        [sys.executable, "-c", begin + START, *command],
+        cwd=folder,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    time.sleep(seconds)
+    assert running.poll() is None
+    os.killpg(running.pid, signal.SIGINT)
+    began = time.monotonic()
+    _, told = running.communicate(timeout=60.0)  # stderr is open as long as a worker lives
+    assert running.returncode in (130, -signal.SIGINT)  # the latter while Python imports
+    assert [entry.name for entry in folder.iterdir()] == ["scene.toml"]
+    return time.monotonic() - began, told
+
+
+@pytest.mark.parametrize("seconds", [0.7, 2.0, 5.0])
+@pytest.mark.parametrize("name", COMMANDS)
+def test_51_ctrl_c_ends_a_command(name: str, seconds: float, tmp_path: Path) -> None:
+    took, told = interrupted(COMMANDS[name], seconds, tmp_path)
+    assert took < BUSY * MOST
+    assert "Process" not in told
+
+
+@pytest.mark.campaign
+def test_ctrl_c_at_any_moment_ends_a_command_within_3_s(tmp_path: Path) -> None:
+    rng = np.random.default_rng(53)
+    for k in range(many(300)):
+        folder = tmp_path / str(k)
+        folder.mkdir()
+        command = [*COMMANDS.values()][k % len(COMMANDS)]
+        took, told = interrupted(command, rng.uniform(0.05, 8.0), folder)
+        assert took < MOST, (command, took, told)
+        assert "Process" not in told
