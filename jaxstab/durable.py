@@ -13,100 +13,11 @@ import secrets
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 _OPENED = "/proc/self/fd"
 _TAKEN = "another process has written it meanwhile; remove that file, or give another name"
-
-
-@dataclass(frozen=True)
-class Folder:
-    """A folder by its path, or by the descriptor of the open folder, even if its path changes."""
-
-    path: Path
-    descriptor: int | None = None
-
-    def path_of(self, name: str) -> Path | str:
-        """Return the name of a file for a call of the system with ``dir_fd=descriptor``."""
-        return self.path / name if self.descriptor is None else name
-
-    def open(self, name: str, flags: int, mode: int = 0o666) -> int:
-        """Open a file, no link, and return its descriptor."""
-        flags |= getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0)
-        return os.open(self.path_of(name), flags, mode, dir_fd=self.descriptor)
-
-    def names(self) -> list[str]:
-        """Return the names of all entries."""
-        return os.listdir(self.path if self.descriptor is None else self.descriptor)
-
-    def read(self, name: str) -> bytes:
-        """The bytes of a file; OSError, without waiting, for a link or anything but a file."""
-        descriptor = self.open(name, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
-        with open(descriptor, "rb", buffering=0) as stream:
-            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-                raise OSError(errno.EINVAL, "it is not a file")
-            return stream.readall()
-
-    def remove(self, name: str) -> None:
-        """Remove a file."""
-        os.unlink(self.path_of(name), dir_fd=self.descriptor)
-
-    def has(self, name: str, descriptor: int) -> bool:
-        """Whether a name is that of an open file."""
-        try:
-            named = os.stat(self.path_of(name), dir_fd=self.descriptor, follow_symlinks=False)
-        except FileNotFoundError:
-            return False
-        return os.path.samestat(os.fstat(descriptor), named)
-
-    def put(self, name: str, data: bytes) -> None:
-        """Put a whole file in its place, durably and by one rename, or change nothing."""
-        with _replacing(self, name, self.path_of(name), None) as descriptor:
-            write_all(descriptor, data)
-        self.sync()
-
-    def sync(self) -> None:
-        """Make the names in the folder durable."""
-        if self.descriptor is not None:
-            os.fsync(self.descriptor)
-        elif os.name == "posix":  # elsewhere a folder cannot be opened: the rename is journaled
-            descriptor = os.open(self.path, os.O_RDONLY)
-            try:
-                os.fsync(descriptor)
-            finally:
-                os.close(descriptor)
-
-
-@contextmanager
-def own_folder(path: Path) -> Iterator[Folder]:
-    """Open, or make, a folder of this user alone; OSError for a link or a folder open to others."""
-    with suppress(FileExistsError):
-        os.mkdir(path, 0o700)
-        Folder(path.parent).sync()
-    if os.name != "posix":
-        yield Folder(path)
-        return
-    try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-    except OSError as error:
-        if error.errno in (errno.ELOOP, errno.ENOTDIR):
-            raise PermissionError(errno.EPERM, _not_own(path, "is not a folder")) from error
-        raise
-    try:
-        status = os.fstat(descriptor)
-        if status.st_uid != os.geteuid():
-            raise PermissionError(errno.EPERM, _not_own(path, "belongs to another user"))
-        if status.st_mode & 0o077:
-            raise PermissionError(errno.EPERM, _not_own(path, "is open to other users"))
-        yield Folder(path, descriptor)
-    finally:
-        os.close(descriptor)
-
-
-def _not_own(path: Path, what: str) -> str:
-    return f"{path.name}, where its tiles go, {what}; remove it, or build elsewhere"
 
 
 def publish(data: bytes, path: Path) -> None:
@@ -129,93 +40,97 @@ def identity_of(path: Path) -> Identity:
 
 
 @contextmanager
-def replacing(path: Path, folder: Folder | None = None, former: Identity = _ANY) -> Iterator[int]:
+def replacing(path: Path, former: Identity = _ANY) -> Iterator[int]:
     """Yield the descriptor of a new file, which takes the place of the old one if no error occurs.
 
-    ``folder``, on the same file system, is where the new one is until then; without, beside it.
     ``former`` is the only file that may be replaced: that of another process is not.
     OSError: the folder is missing, read-only or full, the path is not that of a file, or the new
     file was removed; FileExistsError: another file is at the path.
     """
     with named_errors("write", path):
         target, mode = target_of(path)
-        beside = Folder(target.parent)
-        with _replacing(folder or beside, target.name, target, mode, former) as descriptor:
-            yield descriptor
-        beside.sync()
+        temporary = target.parent / f".{target.name}.{secrets.token_hex(8)}.part"
+        try:
+            with _whole(temporary, mode) as descriptor:
+                yield descriptor
+            if former != _ANY and identity_of(target) != former:
+                raise FileExistsError(errno.EEXIST, _TAKEN)
+            if former is None and _linked(temporary, target):
+                temporary.unlink()
+            else:
+                os.replace(temporary, target)
+        except BaseException:
+            with suppress(OSError):
+                temporary.unlink()
+            raise
+        _synchronise(target.parent)
 
 
 @contextmanager
-def _replacing(
-    folder: Folder, name: str, target: Path | str, mode: int | None, former: Identity = _ANY
-) -> Iterator[int]:
-    """Yield the descriptor of a new file in a folder, which is renamed if no error comes up."""
-    temporary = f".{name}.{secrets.token_hex(8)}.part"
-    descriptor, is_named = _new_file(folder, temporary)
+def _whole(temporary: Path, mode: int | None) -> Iterator[int]:
+    """Yield the descriptor of a new file, which has this path when it is on the disk."""
+    descriptor, is_named = _new_file(temporary)
     try:
-        try:
-            if mode is not None and hasattr(os, "fchmod"):
-                os.fchmod(descriptor, mode)
-            yield descriptor
-            os.fsync(descriptor)
-            if not is_named:
-                _name(descriptor, folder, temporary)
-            if not folder.has(temporary, descriptor):
-                raise OSError(errno.ESTALE, "another process took its temporary file away")
-        finally:
-            os.close(descriptor)
-        if former != _ANY and identity_of(Path(target)) != former:
-            raise FileExistsError(errno.EEXIST, _TAKEN)
-        if former is None and _linked(folder, temporary, target):
-            folder.remove(temporary)
-        else:
-            os.replace(
-                folder.path_of(temporary),
-                target,
-                src_dir_fd=folder.descriptor,
-                dst_dir_fd=folder.descriptor,
-            )
-    except BaseException:
-        with suppress(OSError):
-            folder.remove(temporary)
-        raise
+        if mode is not None and hasattr(os, "fchmod"):
+            os.fchmod(descriptor, mode)
+        yield descriptor
+        os.fsync(descriptor)
+        if not is_named:
+            _name(descriptor, temporary)
+        if not _is_at(temporary, descriptor):
+            raise OSError(errno.ESTALE, "another process took its temporary file away")
+    finally:
+        os.close(descriptor)
 
 
-def _new_file(folder: Folder, name: str) -> tuple[int, bool]:
+def _new_file(path: Path) -> tuple[int, bool]:
     """Return the descriptor of a new file, and whether it has a name already.
 
     On Linux it gets its name when it is whole: a process that ends before, however, leaves nothing.
     """
     if hasattr(os, "O_TMPFILE") and os.path.exists(_OPENED):
         with suppress(OSError):  # not every file system has files without names
-            flags = os.O_TMPFILE | os.O_RDWR
-            return os.open(folder.path_of("."), flags, 0o666, dir_fd=folder.descriptor), False
-    return folder.open(name, os.O_RDWR | os.O_CREAT | os.O_EXCL), True
+            return os.open(path.parent, os.O_TMPFILE | os.O_RDWR, 0o666), False
+    flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
+    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o666), True
 
 
-def _name(descriptor: int, folder: Folder, name: str) -> None:
+def _name(descriptor: int, path: Path) -> None:
     """Give a file without a name one."""
     opened = os.open(_OPENED, os.O_RDONLY)  # with it, Python follows the link to the file
     try:
-        os.link(
-            str(descriptor),
-            folder.path_of(name),
-            src_dir_fd=opened,
-            dst_dir_fd=folder.descriptor,
-        )
+        os.link(str(descriptor), path, src_dir_fd=opened)
     finally:
         os.close(opened)
 
 
-def _linked(folder: Folder, name: str, target: Path | str) -> bool:
+def _is_at(path: Path, descriptor: int) -> bool:
+    """Whether a path is that of an open file."""
+    try:
+        return os.path.samestat(os.fstat(descriptor), os.lstat(path))
+    except FileNotFoundError:
+        return False
+
+
+def _linked(path: Path, target: Path) -> bool:
     """Give a file a second name, unless it is taken; False where the file system has no links."""
     try:
-        os.link(folder.path_of(name), target, src_dir_fd=folder.descriptor)
+        os.link(path, target)
     except FileExistsError as error:
         raise FileExistsError(errno.EEXIST, _TAKEN) from error
     except OSError:
         return False
     return True
+
+
+def _synchronise(folder: Path) -> None:
+    """Make the names in a folder durable."""
+    if os.name == "posix":  # elsewhere a folder cannot be opened: the rename is journaled
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
 
 
 def target_of(path: Path) -> tuple[Path, int | None]:

@@ -17,7 +17,8 @@ from commands import START, run
 
 from jaxstab import AtlasSpec, FieldSpec, FittedAxis, build_atlas, open_atlas
 from jaxstab.atlas import build
-from jaxstab.atlas.build import processes, verify_atlas, write_atlas
+from jaxstab.atlas.build import verify_atlas, write_atlas
+from jaxstab.cli.interrupt import processes
 
 TINY = AtlasSpec(gamma=[0.0], delta=[0.015], delay=[0.0, 0.1], rows=5)
 FORMER = b"the former file"

@@ -10,18 +10,13 @@ when the build began: if another process has written one meanwhile, the build is
 that fails, or is interrupted, leaves nothing.
 """
 
-import multiprocessing
-import os
-import signal
 import sys
-import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor
-from contextlib import contextmanager, suppress
+from concurrent.futures import Executor
+from contextlib import suppress
 from functools import partial
 from itertools import islice
-from multiprocessing.connection import Connection
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -42,7 +37,7 @@ from jaxstab.point import verdict
 
 Progress = Callable[[int, int], object]
 
-_SECONDS_TO_CONNECT, _RETRIES = 10, 3  # of dask
+_RETRIES = 3  # by other workers of dask
 _IN_FLIGHT = 8  # results that are computed ahead of what is written
 _TESTED = 1000, 100  # random plants, and walls of each
 _BESIDE = 0.1  # of the stable intervals: so far beyond them walls are tested
@@ -204,88 +199,14 @@ def _own_client() -> Executor | None:
     from distributed import default_client
 
     with suppress(ValueError):
-        return _of_client(default_client())
+        return workers_of(default_client())
     return None
 
 
-@contextmanager
-def processes(count: int) -> Iterator[Executor]:
-    """Open worker processes, spawned: a process that has used JAX must not be forked.
-
-    They leave Ctrl-C to this process, and end with it, however it ends; at once where an error
-    leaves the ``with`` statement.
-    """
-    context = multiprocessing.get_context("spawn")
-    theirs, ours = context.Pipe(duplex=False)
-    with theirs, ours:
-        executor = ProcessPoolExecutor(count, context, _end_with, (theirs,))
-        try:
-            with _interrupts_blocked():
-                for _ in range(count):  # each starts a process
-                    executor.submit(os.getpid)
-            yield executor
-        except BaseException:
-            ours.close()
-            executor.shutdown(wait=False, cancel_futures=True)
-            raise
-        executor.shutdown()
-
-
-@contextmanager
-def dask_workers(address: str) -> Iterator[Executor]:
-    """Open the workers of a dask scheduler; a tile whose worker dies is computed by another.
-
-    RuntimeError: dask is not installed; OSError: no scheduler answers at the address; ValueError:
-    it is no address.
-    """
-    try:
-        from distributed import Client
-    except ImportError as error:
-        raise RuntimeError(
-            "a dask cluster needs dask: python -m pip install 'jaxstab[distributed]'."
-        ) from error
-    try:
-        client = Client(address, timeout=_SECONDS_TO_CONNECT)
-    except OSError as error:
-        raise OSError(
-            f"no dask scheduler answers at {address}; start one, or correct the address."
-        ) from error
-    except ValueError as error:
-        raise ValueError(
-            f"scheduler is {address!r}; give an address such as tcp://10.0.0.1:8786."
-        ) from error
-    with client:
-        yield _of_client(client)
-
-
-def _of_client(client: Any) -> Executor:
+def workers_of(client: Any) -> Executor:
+    """Return the workers of a dask client; a tile whose worker dies is computed by another."""
     made: Executor = client.get_executor(pure=False, retries=_RETRIES)
     return made
-
-
-@contextmanager
-def _interrupts_blocked() -> Iterator[None]:
-    """Hold Ctrl-C back, and for good from processes that are started meanwhile."""
-    if os.name != "posix":
-        yield
-        return
-    former = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, former)
-
-
-def _end_with(parent: Connection) -> None:
-    """Leave Ctrl-C to the parent, and end when it closes its end of a pipe, or ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-    def wait_for_end() -> None:
-        with suppress(EOFError, OSError):
-            parent.recv_bytes()
-        os._exit(1)
-
-    threading.Thread(target=wait_for_end, daemon=True).start()
 
 
 # ------------------------------------------------------------------------------------ verification

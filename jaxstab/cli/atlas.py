@@ -1,34 +1,27 @@
 """The commands that specify, build, describe and verify atlases."""
 
-import os
 import shlex
 import sys
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future
-from contextlib import contextmanager, suppress
-from multiprocessing import active_children
+from contextlib import contextmanager
 from pathlib import Path
-from threading import Thread
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 import jaxstab
-from jaxstab.cli.options import file_option, keep_programs
+from jaxstab.cli.options import executor_of, executor_options, file_option, keep_programs
 from jaxstab.cli.scene import scene_of, warn
 
 if TYPE_CHECKING:
     from jaxstab.atlas import Atlas
 
-_PATIENCE = 0.05  # s between two looks for Ctrl-C
-
 
 @click.command()
 @click.option("--spec", type=Path, help="TOML file; default: the haptic range of the paper.")
 @file_option("-o", "--output", default=Path("atlas.h5"), show_default=True)
-@click.option("--workers", type=click.IntRange(1), help="Number of processes to use here.")
-@click.option("--scheduler", help="Address of a dask scheduler whose workers to use.")
-def build(spec: Path | None, output: Path, workers: int | None, scheduler: str | None) -> None:
+@executor_options
+def build(spec: Path | None, output: Path, **where: Any) -> None:
     """Compute an atlas and write it as one HDF5 file.
 
     The file appears when it is whole. Ctrl-C ends the build at once and leaves nothing.
@@ -39,55 +32,9 @@ def build(spec: Path | None, output: Path, workers: int | None, scheduler: str |
 
     keep_programs()
     chosen = AtlasSpec.from_file(spec) if spec else HAPTIC
-    with _progress(output) as show, _workers(workers, scheduler) as executor:
-        _interruptible(lambda: write_atlas(chosen, output, show, executor))
+    with _progress(output) as show, executor_of(where) as executor:
+        write_atlas(chosen, output, show, executor)
     click.echo(_described(jaxstab.open_atlas(output), output))
-
-
-def _interruptible(work: Callable[[], object]) -> None:
-    """Do work in a thread, and end this process at Ctrl-C, whatever the work is waiting for."""
-    done = Future[None]()
-
-    def run() -> None:
-        try:
-            work()
-        except BaseException as error:  # noqa: BLE001  it is raised where it is waited for
-            done.set_exception(error)
-        else:
-            done.set_result(None)
-
-    Thread(target=run, daemon=True).start()
-    try:
-        while not done.done():
-            with suppress(TimeoutError):
-                done.exception(_PATIENCE)
-    except KeyboardInterrupt:
-        if not done.done():
-            for worker in active_children():
-                worker.kill()
-                worker.join()
-            click.echo("\njaxstab: interrupted; nothing was written.", err=True)
-            os._exit(130)
-    done.result()
-
-
-@contextmanager
-def _workers(count: int | None, scheduler: str | None) -> Iterator[Executor | None]:
-    """Open processes or the workers of a dask scheduler; None computes in this process."""
-    from jaxstab.atlas.build import dask_workers, processes
-
-    if count is not None and scheduler is not None:
-        raise click.UsageError("--workers and --scheduler are given; give one of them.")
-    if count is not None:
-        # Who tidies up after an interrupted process says so, in words of no use.
-        os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker")
-        with processes(count) as executor:
-            yield executor
-    elif scheduler is not None:
-        with dask_workers(scheduler) as executor:
-            yield executor
-    else:
-        yield None
 
 
 @contextmanager

@@ -6,6 +6,7 @@ import json
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import Executor
 from contextlib import ExitStack, contextmanager, suppress
 from functools import reduce
 from pathlib import Path
@@ -135,7 +136,7 @@ def together(*decorations: Any) -> Callable[[Callable[..., Any]], Callable[..., 
     return decorate
 
 
-# Where blocks are computed, which ``computing`` reads.
+# Where tiles and blocks are computed, which ``executor_of`` and ``computing`` read.
 executor_options = together(
     click.option("--workers", type=click.IntRange(1), help="Number of processes to use here."),
     click.option(
@@ -145,6 +146,23 @@ executor_options = together(
     ),
     click.option("--scheduler-file", type=Path, help="JSON file that the dask scheduler wrote."),
 )
+
+
+@contextmanager
+def executor_of(given: Mapping[str, Any]) -> Iterator[Executor | None]:
+    """Open processes, or the workers of a dask scheduler; None computes in this process."""
+    from jaxstab.atlas.build import workers_of
+    from jaxstab.cli.interrupt import processes
+
+    workers, address = _workers_and_address(given)
+    if workers:
+        with processes(workers) as pool:
+            yield pool
+    elif address:
+        with _client(address) as client:
+            yield workers_of(client)
+    else:
+        yield None
 
 
 @contextmanager
