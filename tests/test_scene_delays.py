@@ -363,7 +363,7 @@ def test_walls_are_proved_for_every_hand_and_constant_delay() -> None:
     hard = ["--wall", "hard", str(1.1 * wall[0]), str(wall[1])]
     worst = answered("check", *MOVING, *hands, *hard, code=1)["walls"]["hard"]
     assert worst["verdict"] == "unstable"
-    assert worst["worst_delays"].startswith("a constant delay of 0.001 s")
+    assert worst["worst_delays"].startswith("a constant delay of 1 ms")
 
 
 @pytest.mark.parametrize(("parts", "window"), [(2, 5), (8, 1)])
