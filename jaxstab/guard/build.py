@@ -21,6 +21,7 @@ from jaxstab.guard.grid import CELL_AXES, Grid, grid_boxes, interpolated, step_o
 from jaxstab.guard.guard import Guard
 from jaxstab.guard.limits import boundary_of
 from jaxstab.model import LoopParameters
+from jaxstab.model.device.parts import MassSpringDamper, Modes
 from jaxstab.model.filters import known_filters
 from jaxstab.model.loop import refuse_arrays
 from jaxstab.motion.moving_delays import Delays
@@ -368,6 +369,12 @@ def _check(
 ) -> None:
     checked_range(hands, device=loop.device)
     refuse_arrays(loop)
+    body = loop.held_device.mechanism
+    if not isinstance(body, MassSpringDamper | Modes) or body.mass is None:
+        raise NotImplementedError(
+            "a guard is proved for a mass, with or without vibration modes and actuators; this is "
+            f"{loop.held_device}, which has no mass that could vary."
+        )
     filters = known_filters(**loop.filters)
     gain = 1.0 if filters is None else float(responses_at(filters, np.ones(1, complex))[0][0].real)
     if not gain >= _LEAST_GAIN:
