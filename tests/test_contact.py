@@ -20,7 +20,7 @@ from benchmarks import contact as benchmark
 from benchmarks.truth import contact as truth
 from benchmarks.truth.march import difference_taps, low_pass_taps
 from jaxstab import HapticLoop, Velocity
-from jaxstab.loop.contact import _setup
+from jaxstab.loop.contact import setup_of
 from jaxstab.motion import contact as kernel
 from jaxstab.pictures.scene import scene_figure
 from jaxstab.results import ContactKind
@@ -332,7 +332,7 @@ def test_numbers_numpy_and_jax_agree(
 def test_a_map_is_one_program_that_never_returns_to_the_host(name: str, loops: int) -> None:
     """One loop over samples; of any device, in each piece one over legs and two that search."""
     given: dict[str, Any] = {"friction": 0.1, "push": 1.0}
-    setup = _setup(LOOPS[name], np.full(64, 1000.0), 3.0, **given)
+    setup = setup_of(LOOPS[name], np.full(64, 1000.0), 3.0, **given)
     plant = setup.plant
     arrays = plant._replace(ages=np.array(plant.ages), flows=np.array(plant.flows))
 
