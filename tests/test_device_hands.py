@@ -262,6 +262,15 @@ def test_any_linear_device_is_proved_for_all_hands(device: Device) -> None:
     assert loop.worst_hand(HANDS, 1.1 * limit.limit, limit.damping).verdict == Verdict.UNSTABLE
 
 
+def test_walls_that_all_hands_share_may_be_thin() -> None:
+    """A collision: rows up to 202 N s/m have a wall for each hand, and below 1 for both together."""
+    loop = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=PERIOD)
+    limit = loop.robust_limit(HandRange(stiffness=(0.0, 987000.0)))
+    assert limit.is_proved
+    assert 3300.0 < limit.stiffness < limit.limit < 3360.0
+    assert limit.damping < 1.0
+
+
 def test_all_hands_with_all_constant_delays_of_a_range() -> None:
     """Against loops at random, and one on each side of the limit."""
     light = HapticLoop(device_mass=0.1, device_damping=0.5, sample_time=PERIOD)

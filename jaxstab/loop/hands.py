@@ -238,6 +238,9 @@ def _limit_for_hands(loops: "list[HapticLoop]", hands: LoopsWithHands) -> Robust
 
 # Walls that several sampled loops share, by rows of the damping (``boxes.search``).
 _ROWS, _ZOOMS = 33, 5
+_EVEN = np.linspace(0.0, 1.0, _ROWS + 2)
+_NEAR = 2.0 ** -np.arange(5.0, 24.0)  # what all share may be thin: next to an end
+_FIRST_ROWS = np.unique(np.concatenate([_EVEN, np.linspace(0.0, 1.0, 4 * _ROWS), _NEAR, 1 - _NEAR]))
 
 Rows = Float64[np.ndarray, " row"]
 Intervals = Float64[np.ndarray, "row _ 2"]
@@ -278,10 +281,11 @@ def _stiffest_wall(loops: "Sequence[HapticLoop]", pull: float) -> Guess | None:
     low, high = _common_rows([*regions.values()])
     low = max(low, 0.0)
     wall: tuple[float, float, float] | None = None  # both ends of the stiffness, and the damping
-    for _ in range(_ZOOMS):
+    for zoom in range(_ZOOMS):
         if not low < high:
             break
-        rows = np.linspace(low, high, _ROWS + 2)[1:-1]
+        ends = low + (high - low) * (_EVEN if zoom else _FIRST_ROWS)
+        rows = ends[1:-1]
         left, right = _common_limits([*regions.values()], rows)
         right = np.where((left < right) & (right > 0.0), right, -np.inf)
         best = int(np.argmax(right))
@@ -289,8 +293,7 @@ def _stiffest_wall(loops: "Sequence[HapticLoop]", pull: float) -> Guess | None:
             break
         if wall is None or right[best] >= wall[1]:
             wall = float(left[best]), float(right[best]), float(rows[best])
-        step = rows[1] - rows[0]
-        low, high = rows[best] - step, rows[best] + step
+        low, high = ends[best], ends[best + 2]
     if wall is None:
         return NOTHING
     least, limit, damping = wall
