@@ -263,7 +263,7 @@ def test_any_linear_device_is_proved_for_all_hands(device: Device) -> None:
 
 
 def test_walls_that_all_hands_share_may_be_thin() -> None:
-    """A collision: rows up to 202 N s/m have a wall for each hand, and below 1 for both together."""
+    """A collision: up to 202 N s/m each hand has walls, and below 1 N s/m both share some."""
     loop = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=PERIOD)
     limit = loop.robust_limit(HandRange(stiffness=(0.0, 987000.0)))
     assert limit.is_proved
