@@ -43,10 +43,10 @@ def test_the_main_job_writes_one_file_that_answers(tmp_path: Path) -> None:
     assert "stable" in jaxstab_command(said.splitlines()[-1], tmp_path)
 
     atlas = jaxstab.open_atlas(tmp_path / "atlas.h5")
-    assert atlas.delays.tolist() == [0.0, 1.0, 2.0, 3.0]
-    nodes = atlas.nodes(0)
-    assert (nodes["gamma"][0], nodes["gamma"][-1]) == (0.0, 1e-3)
-    assert (nodes["delta"][0], nodes["delta"][-1]) == (0.0, 0.015)
+    nodes = atlas.table
+    assert (nodes.delay[0], nodes.delay[-1]) == (0.0, 3.0)
+    assert (nodes.gamma[0], nodes.gamma[-1]) == (0.0, 1e-3)
+    assert (nodes.delta[0], nodes.delta[-1]) == (0.0, 0.015)
 
     header, answer = jaxstab_command(blocks("sh")[1].strip(), tmp_path).splitlines()
     assert dict(zip(header.split(","), answer.split(","), strict=True))["verdict"] == "stable"
