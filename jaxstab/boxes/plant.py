@@ -434,10 +434,10 @@ class DeviceBoxes:
         damper, spring = beta * velocity.value, alpha * position.value
         late = sine(place.theta).size * self._late(above, below, others)
         wall = damper + spring
-        most = _widened(below + wall * force, late * wall.size)
+        most = _widened(below + wall * force, _times(late, wall.size))
         if self._first_row is None:
             return most, most
-        return _widened(below + damper * force, late * damper.size), most
+        return _widened(below + damper * force, _times(late, damper.size)), most
 
     def _are_slow(self, boxes: ParameterBoxes) -> tuple[Bool[np.ndarray, " box"], Rows]:
         """Say in which boxes the imaginary part of F grows with theta, from 0 on, where F > 0.
@@ -472,9 +472,11 @@ class DeviceBoxes:
         others = self._others(place, aliases)
         force = sinc(place.theta).value * above + sine(place.theta) * below * others.total
         force = phasor(place.theta * (place.delay + 0.5)) * force * turned
-        late = sine(place.theta).size * self._late(above, below, others) * turned.size
+        late = _times(sine(place.theta).size * self._late(above, below, others), turned.size)
         walls = self._walls(place.theta, *self._wall_of_first_row(boxes))
-        return _rising([(wall.value * force, wall.value.size * late) for wall in walls], below)
+        return _rising(
+            [(wall.value * force, _times(late, wall.value.size)) for wall in walls], below
+        )
 
     def _grow_slowly(self, boxes: ParameterBoxes) -> tuple[Bool[np.ndarray, " box"], Rows]:
         """Say the same next to theta = 0, by the derivative."""
@@ -632,6 +634,12 @@ def _rising(
         is_far = np.abs(below.centre) > _FAR * below.swing
         taken_there = np.where((np.minimum(*most) > 0.0) & ~is_far, taken_there, 0.0)
     return np.minimum(*clear) > 0.0, taken_there
+
+
+def _times(late: Any, size: Any) -> Any:
+    """Return a product of bounds; 0 where nothing is late, though a size may be infinite."""
+    with np.errstate(invalid="ignore"):
+        return np.where(late == 0.0, 0.0, late * size)
 
 
 def _widened(model: LinearModel, by: Any) -> LinearModel:
