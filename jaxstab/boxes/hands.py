@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.boxes.box import ParameterBoxes
+from jaxstab.boxes.box import HAND, ParameterBoxes
 from jaxstab.boxes.plant import Arms, DeviceBoxes, Extent
 from jaxstab.boxes.search import paved
 from jaxstab.conventions import Range
@@ -69,6 +69,13 @@ def spread_hands(hands: HandRange, count: int) -> Float64[np.ndarray, "hand 3"]:
     return np.array(list(product(*axes)))
 
 
+def arms_over(boxes: ParameterBoxes, hands: HandRange, period: float) -> Arms:
+    """The arms of all hands over boxes, with a sampling period in s as the unit of time."""
+    units = 1.0, period**2, period
+    parts = zip(HAND, vars(hands).values(), units, strict=True)
+    return Arms(*(boxes.quantity(name, ends[0], unit) for name, ends, unit in parts))
+
+
 def unproved_members(
     device: Device,
     loop: LoopParameters,
@@ -84,22 +91,17 @@ def unproved_members(
     samples, in each sample anew. NotImplementedError: as ``DeviceBoxes``.
     """
     period = float(loop.sample_time)
-    units = 1.0, period**2, period
 
     def extent(boxes: ParameterBoxes) -> Extent:
-        arm = [
-            boxes.quantity(f"hand_{name}", ends[0], unit)
-            for (name, ends), unit in zip(vars(hands).items(), units, strict=True)
-        ]
         return Extent(
             boxes.quantity("mass", mass[0]),
             boxes.quantity("delay", delay[0]),
-            Arms(*arm),
+            arms_over(boxes, hands, period),
             boxes.constant(wall[0] * period**2),
             boxes.constant(wall[1] * period),
         )
 
-    ends: dict[str, Any] = {f"hand_{name}": pair for name, pair in vars(hands).items()}
+    ends: dict[str, Any] = dict(zip(HAND, vars(hands).values(), strict=True))
     ends |= {"mass": mass, "delay": delay}
     arm = hands.stiffness[1], hands.damping[0]
     boxes = DeviceBoxes(device, loop, mass, arm, extent, jitter=jitter)

@@ -37,6 +37,7 @@ from jaxstab.boxes.enclosures import (
     sine,
 )
 from jaxstab.boxes.filters import Quotient, quotients
+from jaxstab.conventions import Range
 from jaxstab.model import Device, LoopParameters
 from jaxstab.model import Hand as Arm
 from jaxstab.model.device.parts import MassSpringDamper, Modes, working_precision
@@ -305,12 +306,10 @@ def taken(model: LinearModel, moves: Rows) -> Rows:
     return shares
 
 
-Range = tuple[float, float]
-
 _AT_ONCE = 2048
 _ALONE = "damping", "edge", THETA  # axes along which g moves on a line of its own
 _FAST = 0.3  # up to this angle all aliases are small
-_FEWEST, _MOST = 4, 32  # aliases on either side that are followed, beyond that angle
+_FEWEST, _MOST = 2, 32  # aliases on either side that are followed, beyond that angle
 _LAST = pi * (1.0 + 2.0 * BEYOND)  # no angle is larger
 _FAR = 2.0  # times its swing: a larger value is far from 0
 

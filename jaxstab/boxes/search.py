@@ -182,10 +182,9 @@ class RobustLimit(NamedTuple):
             the proof failed closer to it.
         damping: B of that wall.
         is_proved: whether that wall is proved stable for every hand.
-        limit: no stiffer wall with B >= 0 is stable for every hand: every such wall above it,
-            within the span of the sampled hands' stable regions, is proved unstable for one of
-            these hands. With an estimator or a filter the span is that of the components with
-            small gains.
+        limit: the largest stiffness with B >= 0 that was found in the exact stable regions of all
+            tried hands: computed, not proved. With an estimator or a filter it is that of the
+            components with small gains.
         loop: the loop with the hand that sets the limit.
 
     Example:

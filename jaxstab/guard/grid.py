@@ -7,9 +7,10 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from jaxstab.boxes import HandRange
-from jaxstab.boxes.box import HAND, ParameterBoxes, Rows
+from jaxstab.boxes.box import ParameterBoxes, Rows
 from jaxstab.boxes.enclosures import LinearModel
-from jaxstab.boxes.plant import Arms, DeviceBoxes, Extent, FirstRow
+from jaxstab.boxes.hands import arms_over
+from jaxstab.boxes.plant import DeviceBoxes, Extent, FirstRow
 from jaxstab.model import Device, LoopParameters
 
 Ends = Float64[np.ndarray, "axis box"]  # in cells
@@ -52,12 +53,6 @@ def grid_boxes(device: Device, loop: LoopParameters, hands: HandRange, grid: Gri
     )
 
     period = float(loop.sample_time)
-    kinds = {
-        name: (ends, unit)
-        for name, ends, unit in zip(
-            HAND, vars(hands).values(), (1.0, period**2, period), strict=True
-        )
-    }
 
     def limits(boxes: ParameterBoxes, last: Rows) -> tuple[LinearModel, LinearModel]:
         """The largest stiffness and damping, the damping of the boxes between ``last``."""
@@ -75,8 +70,8 @@ def grid_boxes(device: Device, loop: LoopParameters, hands: HandRange, grid: Gri
         )
         center, half = boxes.ends("damping")
         limit, top = limits(boxes, np.stack([center - half, center + half]))
-        arm = (boxes.quantity(name, ends[0], unit) for name, (ends, unit) in kinds.items())
-        return Extent(mass, delay, Arms(*arm), limit, boxes.along("damping", 1.0 / count) * top)
+        arm = arms_over(boxes, hands, period)
+        return Extent(mass, delay, arm, limit, boxes.along("damping", 1.0 / count) * top)
 
     def is_first(boxes: ParameterBoxes) -> Bool[np.ndarray, " box"]:
         column = tuple(np.floor(boxes.ends(name)[0]).astype(int) for name in CELL_AXES[:2])

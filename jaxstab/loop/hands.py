@@ -120,9 +120,10 @@ class LoopsWithHands:
     def robust_limit(self) -> RobustLimit:
         """The stiffest wall that all of them allow: ``HapticLoop.robust_limit``."""
         loops = [self._held(member) for member in self._spread(2)]
-        delays = self.moving.get("delays", (self.loop.delay,))
-        at_delays = [replace(loop, delay=delay) for delay in delays for loop in loops]
-        limit = _limit_for_hands(at_delays, self)
+        tried = [*loops]
+        if self.moving:
+            tried = [replace(loop, delay=d) for d in self.moving["delays"] for loop in loops]
+        limit = _limit_for_hands(tried, self)
         if limit.is_proved or not self.moving:
             return limit
         # Constant delays may allow much more than is proved: what one hand allows comes next.
