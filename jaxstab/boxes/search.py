@@ -246,10 +246,11 @@ def search(
     ``guess`` returns the walls that the sampled loops allow, pulled in by a share; None if unknown.
     ``unproved`` returns loops at which a wall, or a polygon with all that is inside, is not proved;
     none is a proof, and None says that nothing can be proved. ``add`` adds such loops to the sample
-    and says whether one is new; where none is, the next one of the ``pulls`` is tried.
+    and says whether one is new; where none is, or after so many that each only just refuted a wall,
+    the next one of the ``pulls`` is tried.
     """
     index = 0
-    for _ in range(_ATTEMPTS):
+    for attempt in range(1, _ATTEMPTS + 1):
         current = guess(pulls[index])
         if current is None or not len(current.walls):
             break
@@ -258,7 +259,8 @@ def search(
             return SearchResult(current, pulls[index], True)
         if failed is None:
             break
-        if not add(failed):
+        is_new = add(failed)
+        if not is_new or attempt % (_ATTEMPTS // len(pulls)) == 0:
             if index + 1 == len(pulls):
                 break
             index += 1
