@@ -9,7 +9,7 @@ axes (``box``); the plant (``plant``) and the three arguments below are the same
 2. *One proof of stability is enough.* The roots move continuously with the loop, and a range is
    connected: if no loop of it has a root on the circle, all have the same number of roots outside
    of it, and the verdict on a single one holds for all (``verdicts_of_range``, ``worst_of_range``;
-   B21). For a closed polygon it is enough that no wall on its edges has such a root: no curve of
+   B20). For a closed polygon it is enough that no wall on its edges has such a root: no curve of
    walls with a root on the circle can lie inside without crossing the edges (B11).
 3. *Sampled loops bound the answer, the proof confirms it.* The stiffest wall, or the polygon of
    walls, that all sampled loops allow is too large, so it is pulled in a little and proved for the

@@ -29,7 +29,7 @@ from jaxstab.numbers import checked_count, checked_number
 from jaxstab.point.verdicts import linear_verdict
 from jaxstab.region.on_circle import responses_at
 
-# Proof that every wall which a guard lets through is stable (lemmas B15, B20).
+# Proof that every wall which a guard lets through is stable (lemma B20).
 #
 # Boxes of damping, mass and delay (in cells of the grid), of the hand, and of the angle hold all
 # walls from no stiffness up to the limit of the grid (``boxes.search``). All walls of cells that
@@ -186,7 +186,7 @@ def build_guard(
             actuators and one hand of mass, spring and damper, behind a grip or not.
         RuntimeError: no wall at all could be proved.
 
-    Source: lemmas B15 and B20 of docs/proofs.md; J3 for delays that move.
+    Source: lemma B20 of docs/proofs.md; J3 for delays that move.
 
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
