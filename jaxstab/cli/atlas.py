@@ -11,7 +11,7 @@ import click
 
 import jaxstab
 from jaxstab.cli.options import executor_of, executor_options, file_option, keep_programs
-from jaxstab.cli.scene import scene_of, warn
+from jaxstab.cli.scene import SceneCommand, scene_of, warn
 
 if TYPE_CHECKING:
     from jaxstab.atlas import Atlas
@@ -64,10 +64,8 @@ def _progress(output: Path) -> Iterator[Callable[[int, int], None]]:
             bar.stop()
 
 
-@click.command()
+@click.command(cls=SceneCommand, describes=False, wanted=["mass_tolerance", "delay_tolerance"])
 @click.option("--scene", "file", type=Path, required=True, help="TOML file of the scene.")
-@click.option("--mass-tolerance", type=float, help="Of the device; 0.1 means 10 % up and down.")
-@click.option("--delay-tolerance", type=float, help="Of the delay up and down, in s.")
 def spec(file: Path, **tolerances: float | None) -> None:
     """Print the specification of an atlas for the device, hands and delays of a scene.
 

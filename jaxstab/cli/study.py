@@ -13,7 +13,7 @@ from jaxstab.cli.options import (
     keep_programs,
     plot_option,
 )
-from jaxstab.cli.scene import mechanics_options, tables_of
+from jaxstab.cli.scene import SceneCommand, mechanics_options, tables_of
 from jaxstab.shown import shortened
 
 
@@ -49,7 +49,7 @@ def _over(_: click.Context, option: click.Parameter, texts: tuple[str, ...]) -> 
     return over
 
 
-@click.command()
+@click.command(cls=SceneCommand)
 @mechanics_options
 @click.option(
     "--over",

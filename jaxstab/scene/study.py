@@ -43,7 +43,7 @@ from jaxstab.scene.labelled import Variable, computed, read, table_of, xarray_mo
 from jaxstab.scene.loops import loop_of
 from jaxstab.scene.scene import Scene, Units
 from jaxstab.shown import shortened
-from jaxstab.tables import check_keys, checked_label, interval, one_of, read_table
+from jaxstab.tables import Interval, check_keys, checked_label, one_of, read_table
 
 if TYPE_CHECKING:
     from xarray import DataArray, Dataset
@@ -584,7 +584,7 @@ class _Source:
             match self.table.get(section):
                 case {**keys} if isinstance(keys.get(name), list | tuple):
                     with suppress(ValueError):  # the scene refuses it later
-                        low, high = interval("")(keys[name])
+                        low, high = Interval("")(keys[name])
                         ranges |= {key: f"uniform:{low!r}:{high!r}"} if low < high else {}
         return ranges
 
