@@ -2,9 +2,7 @@
 
 import json
 import os
-import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable, Sequence
 from dataclasses import Field, dataclass, fields, replace
 from functools import cache
 from pathlib import Path
@@ -37,7 +35,7 @@ if TYPE_CHECKING:
 @cache
 def _keys() -> dict[str, tuple[str, Field[Any]]]:
     """The keys of a scene that are options, by the names of these: the section and the field."""
-    from jaxstab.scene.scene import TABLES, VelocityTable
+    from jaxstab.scene.scene import INNER, TABLES
 
     names = {
         ("device", "preset"): "device",
@@ -49,7 +47,7 @@ def _keys() -> dict[str, tuple[str, Field[Any]]]:
             section,
             entry,
         )
-        for section, table in {**TABLES, "velocity": VelocityTable}.items()
+        for section, table in {**TABLES, "velocity": INNER["velocity"]}.items()
         for entry in fields(table)
         if entry.metadata["words"]
     }
@@ -86,6 +84,7 @@ def _option(name: str, section: str, entry: Field[Any]) -> click.Option:
     kind = get_args(entry.type)[0] if isinstance(entry.type, UnionType) else entry.type
     reads: dict[str, Any] = {"type": kind}
     words, unit = entry.metadata["words"], unit_of(entry)
+    words = f"velocity: {words}" if section == "velocity" else words
     if unit != "1":
         turning = Units.ROTATION.unit(unit)
         words += f" in {unit}" + (f" ({turning})" if turning != unit and unit != "kg" else "")
@@ -366,14 +365,14 @@ def contact(
         raise click.UsageError(f"--{name} is given beside --output; give one of them.")
     from jaxstab.loop import ContactKind
     from jaxstab.scene.contact import map_contacts
-    from jaxstab.scene.draws import values_of
+    from jaxstab.scene.draws import listed
     from jaxstab.scene.labelled import computed, require_free, write
 
     require_free(output)
     keep_programs()
     scene = scene_of(given)
     warn(*scene.unusual())
-    forces = None if frictions is None else [*map(float, values_of("friction", frictions))]
+    forces = None if frictions is None else [*map(float, listed("friction", frictions))]
     planned = map_contacts(scene, count, forces)
     assert scene.contact is not None  # there is a map
     axes = " x ".join(f"{length} {name}" for name, length in planned.sizes.items())
@@ -595,30 +594,18 @@ def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
 
     name = checked_name(output.stem)  # before the proof, which takes long
     cells, ranges = given["cells"], (given["masses"], given["delays"])
-    with _progress(guard_plan(scene, kind["constant_delay"], cells)) as show:
-        made = scene_guard(scene, *ranges, **kind, progress=show, cells=cells)
+    plan = guard_plan(scene, kind["constant_delay"], cells)
+    with at_work("proving") as show:
+
+        def tell(share: float) -> None:
+            if share == 0.0:  # the proof begins
+                click.echo(plan, err=True)
+            show(share, 1.0)
+
+        made = scene_guard(scene, *ranges, **kind, progress=tell, cells=cells)
     publish(header_of(scene, made, name).encode(), output)
     if plot:
         from jaxstab.pictures.scene import guard_figure
 
         draw(guard_figure(made, scene.units), plot)
     click.echo(f"{output}: {output.stat().st_size / 1e3:.0f} kB\n{guard_about(scene, made)}")
-
-
-@contextmanager
-def _progress(plan: str) -> Iterator[Callable[[float], None]]:
-    """Yield a function that prints the plan when the work begins, and draws a bar on a terminal."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    plans = [plan]
-    bar = Progress(console=Console(stderr=True), transient=True)
-    task = bar.add_task("proving", total=1.0)
-
-    def show(share: float) -> None:
-        if plans:
-            click.echo(plans.pop(), err=True)
-        bar.update(task, completed=share)
-
-    with bar if sys.stderr.isatty() else nullcontext():  # a disabled bar prints an empty line
-        yield show

@@ -28,10 +28,8 @@ def _part(_: click.Context, option: click.Parameter, text: str | None) -> tuple[
     return int(index), int(count)
 
 
-def _over(_: click.Context, option: click.Parameter, texts: tuple[str, ...]) -> dict[str, Any]:
-    from jaxstab.scene.draws import distribution_of, values_of
-
-    over: dict[str, Any] = {}
+def _over(_: click.Context, option: click.Parameter, texts: tuple[str, ...]) -> dict[str, str]:
+    over = dict[str, str]()
     for text in texts:
         key, __, values = text.partition("=")
         if not (key and values):
@@ -39,13 +37,9 @@ def _over(_: click.Context, option: click.Parameter, texts: tuple[str, ...]) -> 
                 f"{shortened(text)} is not KEY=VALUES, such as device.mass=0.1:0.5:20.",
                 param=option,
             )
-        try:
-            given: Any = distribution_of(values) or values_of(key, values)
-        except ValueError as error:
-            raise click.BadParameter(str(error), param=option) from None
         if key in over:
             raise click.BadParameter(f"{key} is given twice; give each key once.", param=option)
-        over[key] = given
+        over[key] = values
     return over
 
 
@@ -83,7 +77,7 @@ def _over(_: click.Context, option: click.Parameter, texts: tuple[str, ...]) -> 
 @click.option("--merge", is_flag=True, help="FILEs are all parts of a study: put them together.")
 @plot_option("PNG or SVG file to draw the study into.")
 def study(
-    over: dict[str, Any],
+    over: dict[str, str],
     samples: int | None,
     seed: int,
     output: Path | None,

@@ -24,7 +24,7 @@ from jaxstab.model.filters import (
 )
 from jaxstab.tables import Table, coefficients, key, one_of, quantity, share, whole
 
-WINDOW = "velocity: window of the difference"  # what that key is
+WINDOW = "length of the window"  # what that key is
 
 _LOW_PASSES: Mapping[str, Callable[..., Filter]] = {
     section.kind: getattr(Filter, section.maker) for section in LOW_PASSES
@@ -55,7 +55,7 @@ class FilterTable(Table):
 
     window_samples: int | None = key(whole(1, LONGEST_WINDOW), None, words=f"{WINDOW} in samples")
     cutoff: float | None = key(
-        quantity("Hz", is_positive=True), None, words="velocity: cut-off of the low pass"
+        quantity("Hz", is_positive=True), None, words="cut-off of the low pass"
     )
     order: int | None = key(whole(1, HIGHEST_ORDER), None)
     kind: str | None = key(one_of(_LOW_PASSES), None)

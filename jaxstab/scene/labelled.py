@@ -12,6 +12,7 @@ one step to a path at which nothing may have appeared meanwhile.
 
 import os
 from collections.abc import Callable, Mapping
+from enum import IntEnum
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -28,24 +29,28 @@ _UNREADABLE = AttributeError, IndexError, KeyError, OSError, RuntimeError, TypeE
 
 
 class Variable(NamedTuple):
-    """What a variable is: its type, its description, its unit, and the names of its codes.
+    """What a variable is: its description, its unit, and its codes, if its numbers are these.
 
     along: a dimension that the function itself adds at the end.
     """
 
-    dtype: str
     long_name: str
     units: str = "1"
-    flags: Mapping[int, str] = {}
+    codes: type[IntEnum] | None = None
     along: tuple[str, ...] = ()
+
+    @property
+    def dtype(self) -> str:
+        """The type of its numbers."""
+        return "int8" if self.codes else "float64"
 
     @property
     def attributes(self) -> dict[str, Any]:
         """The attributes of the variable, as CF names them."""
         attributes: dict[str, Any] = {"long_name": self.long_name, "units": self.units}
-        if self.flags:
-            attributes["flag_values"] = np.array([*self.flags], self.dtype)
-            attributes["flag_meanings"] = " ".join(self.flags.values())
+        if self.codes:
+            attributes["flag_values"] = np.array([*self.codes], self.dtype)
+            attributes["flag_meanings"] = " ".join(code.name.lower() for code in self.codes)
         return attributes
 
 

@@ -349,7 +349,7 @@ class VelocityTable(_TimedTable):
     preset: str | None = key(
         lambda name: one_of(software_presets())(name),
         None,
-        words="velocity as this software estimates it; jaxstab scene presets lists names",
+        words="as this software estimates it; jaxstab scene presets lists names",
     )
 
     names_besides: ClassVar[tuple[str, ...]] = ("preset",)
@@ -693,6 +693,16 @@ TABLES: Mapping[str, type[Table]] = {
     "wanted": Wanted,
     "contact": Contact,
 }
+
+INNER: Mapping[str, type[Table]] = {
+    "encoder": Encoder,
+    "modes": VibrationMode,
+    "actuator": Actuator,
+    "grip": Grip,
+    "velocity": VelocityTable,
+    "position": PositionTable,
+}
+"""The tables in those of a scene, by their keys."""
 
 
 def _tables(table: Mapping[str, Any]) -> dict[str, Any]:
