@@ -20,9 +20,6 @@ from jaxstab.tables import text_of
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
-_MOST_OF_A_SCHEDULER = 1_000_000  # bytes of its file
-_SECONDS_TO_CONNECT = 10
-
 
 def number_or_range(_: click.Context, option: click.Parameter, text: str | None) -> Any:
     """Return one number, or two in a list."""
@@ -209,7 +206,7 @@ def _client(address: str) -> Any:
             "a dask cluster needs dask: python -m pip install 'jaxstab[distributed]'."
         ) from error
     try:
-        client = Client(address, timeout=_SECONDS_TO_CONNECT)
+        client = Client(address, timeout=10)  # s
     except OSError as error:
         raise OSError(
             f"no dask scheduler answers at {address}; start one, or correct the address."
@@ -242,7 +239,7 @@ def _workers_and_address(given: Mapping[str, Any]) -> tuple[int | None, str | No
 
 def _address_in(file: Path) -> str:
     try:
-        return str(json.loads(text_of(file, _MOST_OF_A_SCHEDULER))["address"])
+        return str(json.loads(text_of(file, 1_000_000))["address"])
     except (ValueError, KeyError, TypeError):
         raise click.UsageError(
             f"{file} is not a scheduler file; give what dask scheduler --scheduler-file wrote."

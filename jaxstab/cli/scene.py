@@ -180,20 +180,6 @@ def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
 
 
 # Several scenes in one process: a table, CSV, JSON, and a picture that compares them.
-_SHOWN = {
-    "best.largest_stiffness",
-    "best.at_damping",
-    "most_damped.largest_damping",
-    "all_hands.largest_stiffness",
-    "least_settling.stiffness",
-    "least_settling.damping",
-    "least_settling.settling_time_2_percent",
-    "now_allowed_stiffness",
-    "sample_time.largest_sample_time",
-    "delay.largest_delay",
-}
-
-_SHOWN_OF_WALLS = {"verdict", "stiffness_gain", "settling_time_2_percent"}
 
 
 @dataclass(frozen=True)
@@ -277,7 +263,19 @@ def _json(rows: list[_Row]) -> str:
 
 def _table(rows: list[_Row]) -> str:
     """Return the main numbers of each scene, in columns, or the reason why it was refused."""
-    paths = [path for path in _paths(rows) if path in _SHOWN or _is_of_wall(path)]
+    shown = {
+        "best.largest_stiffness",
+        "best.at_damping",
+        "most_damped.largest_damping",
+        "all_hands.largest_stiffness",
+        "least_settling.stiffness",
+        "least_settling.damping",
+        "least_settling.settling_time_2_percent",
+        "now_allowed_stiffness",
+        "sample_time.largest_sample_time",
+        "delay.largest_delay",
+    }
+    paths = [path for path in _paths(rows) if path in shown or _is_of_wall(path)]
     plain = (path.removeprefix("walls.").replace("_", " ").replace(".", ": ") for path in paths)
     lines = [["scene", *plain, ""]]
     for row in rows:
@@ -289,7 +287,8 @@ def _table(rows: list[_Row]) -> str:
 
 def _is_of_wall(path: str) -> bool:
     outer, _, name = path.rpartition(".")
-    return name in _SHOWN_OF_WALLS and outer.startswith("walls.") and outer.count(".") == 1
+    shown_of_walls = {"verdict", "stiffness_gain", "settling_time_2_percent"}
+    return name in shown_of_walls and outer.startswith("walls.") and outer.count(".") == 1
 
 
 def _paths(rows: list[_Row]) -> list[str]:
@@ -477,21 +476,19 @@ def _answer(
     return 0 if answer.all_stable else 1
 
 
-FUNCTIONS = {
-    "limits": "scene_limits",
-    "check": "check_walls",
-    "tune": "tune_walls",
-    "design": "design_loop",
-    "contact": "simulate_contacts",
-}
-
-
 def _computed(scene: "Scene", name: str) -> Any:
     import jaxstab.scene
 
     every = ", proved for every sequence of delays" if scene.controller.moves else ""
+    functions = {
+        "limits": "scene_limits",
+        "check": "check_walls",
+        "tune": "tune_walls",
+        "design": "design_loop",
+        "contact": "simulate_contacts",
+    }
     with at_work(f"{name} of a loop with {scene.controller.samples:g} samples of delay{every}"):
-        return getattr(jaxstab.scene, FUNCTIONS[name])(scene)
+        return getattr(jaxstab.scene, functions[name])(scene)
 
 
 # The command that writes a page to explore a scene in.
@@ -517,22 +514,20 @@ def explore(file: Path | None, output: Path) -> None:
     from jaxstab.explore import explorer_page
     from jaxstab.scene.answers import delay_notes
 
-    given = {"files": [file]} if file else _OMEGA
+    omega = {
+        "device": "omega",
+        "sample_time": 0.001,
+        "delay_samples": 1.0,
+        "estimator": "force-dimension-sdk",
+        "wall": [("chai3d", 5000.0, 30.0), ("soft", 1000.0, 15.0)],
+    }
+    given = {"files": [file]} if file else omega
     scene = scene_of(given)
     warn(*scene.unusual(), *delay_notes(scene))
     title = f"the scene {file.name}" if file else "an omega-like device at 1 kHz"
     page = explorer_page(scene, title)
     publish(page.encode(), output)
     click.echo(output)
-
-
-_OMEGA = {
-    "device": "omega",
-    "sample_time": 0.001,
-    "delay_samples": 1.0,
-    "estimator": "force-dimension-sdk",
-    "wall": [("chai3d", 5000.0, 30.0), ("soft", 1000.0, 15.0)],
-}
 
 
 # The command that writes a guard for C.

@@ -24,9 +24,6 @@ from jaxstab.durable import named_errors, replacing, write_all
 if TYPE_CHECKING:
     from xarray import DataArray, Dataset
 
-_STORED = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
-_UNREADABLE = AttributeError, IndexError, KeyError, OSError, RuntimeError, TypeError, ValueError
-
 
 class Variable(NamedTuple):
     """What a variable is: its description, its unit, and its codes, if its numbers are these.
@@ -126,7 +123,8 @@ def require_free(path: Path) -> None:
 
 def write(table: "Dataset", path: Path) -> None:
     """Write a table as a netCDF-4 file, whole or not at all; FileExistsError, OSError."""
-    encoding = {name: _STORED for name in table.data_vars if table[name].ndim}
+    stored = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
+    encoding = {name: stored for name in table.data_vars if table[name].ndim}
     with (
         table.to_netcdf(engine="h5netcdf", encoding=encoding) as image,
         replacing(path, former=None) as descriptor,
@@ -139,7 +137,8 @@ def read(path: Path) -> "Dataset":
     xarray = xarray_module()
     with named_errors("read", path), path.open("rb"):
         pass
+    unreadable = AttributeError, IndexError, KeyError, OSError, RuntimeError, TypeError, ValueError
     try:
         return xarray.load_dataset(path, engine="h5netcdf")
-    except _UNREADABLE as error:
+    except unreadable as error:
         raise ValueError(f"{path} is not a netCDF-4 file, or is damaged.") from error

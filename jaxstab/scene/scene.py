@@ -59,8 +59,6 @@ class Units(Enum):
 
 # Devices and software by name: the numbers of data/presets, each with its source.
 
-ASSUMED = "assumed"
-
 
 class Sourced(NamedTuple):
     """A number or a list of coefficients, and where it is from."""
@@ -386,17 +384,12 @@ class VelocityTable(_TimedTable):
         return software_presets()[self.preset].numbers if self.preset else {}
 
     def __str__(self) -> str:
-        is_assumed = any(ASSUMED in entry.source for entry in self.preset_numbers.values())
+        is_assumed = any("assumed" in entry.source for entry in self.preset_numbers.values())
         preset = f" (preset {self.preset}{', assumed in part' if is_assumed else ''})"
         return f"{self.as_velocity()}{preset if self.preset else ''}"
 
 
 MEASURES = ("margins", "distance", "radius", "settling", "oscillation", "chatter", "jitter")
-_FEW_SAMPLES = 0.01  # of delay: more likely s
-_SOFT = 5.0  # N/m: more likely N/mm, of a device above _LIGHT in kg
-_LIGHT = 0.01
-_MANY_SAMPLES = 200  # of delay: more likely a slip of the unit
-_MOST_SAMPLES_OF_HANDS = 128  # the same for each of hundreds of hands of a range
 MOST_WALLS = 1000
 
 
@@ -569,10 +562,11 @@ class Scene:
 
     def __post_init__(self) -> None:
         hand, turns = self.hand or Hand(), self.device.units is Units.ROTATION
-        if hand.varies and self.controller.samples > _MOST_SAMPLES_OF_HANDS:
+        most_samples_of_hands = 128  # the same for each of hundreds of hands of a range
+        if hand.varies and self.controller.samples > most_samples_of_hands:
             raise ValueError(
                 f"controller.delay is {self.controller.samples:g} samples beside a range of hands; "
-                f"give at most {_MOST_SAMPLES_OF_HANDS} samples, or one hand."
+                f"give at most {most_samples_of_hands} samples, or one hand."
             )
         if self.wanted.chatter is not None and self.device.encoder is None:
             raise ValueError(
@@ -680,8 +674,8 @@ class Scene:
                 f"{name} has a damping of {wall.damping:g} {units.damping} beside a stiffness of "
                 f"{wall.stiffness:g} {units.stiffness}; are they swapped?"
             )
-        is_heavy = is_line and self.device.effective_mass[0] > _LIGHT
-        if is_heavy and 0.0 < wall.stiffness < _SOFT:
+        is_heavy = is_line and self.device.effective_mass[0] > 0.01  # kg
+        if is_heavy and 0.0 < wall.stiffness < 5.0:
             return f"{name}.stiffness is {wall.stiffness:g} N/m; is it in N/mm?"
         return ""
 
@@ -731,9 +725,9 @@ def _walls(table: Any) -> dict[str, Wall]:
 def _slips_of_delay(controller: Controller) -> Iterator[str]:
     """Yield warnings for a delay that was given in s and meant in samples, or the other way."""
     words = f"the delay is {controller.samples:g} samples"
-    if controller.samples >= _MANY_SAMPLES:
+    if controller.samples >= 200.0:
         yield f"{words}; one in samples is given as delay_samples"
-    if 0.0 < (controller.delay_samples or (0.0, 0.0))[1] < _FEW_SAMPLES:
+    if 0.0 < (controller.delay_samples or (0.0, 0.0))[1] < 0.01:
         yield f"{words}; one in s is given as delay"
 
 

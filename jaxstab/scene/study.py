@@ -50,11 +50,8 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-MOST_SAMPLES = 10_000_000
 _SAMPLES = 10_000  # by default, or what takes a minute
-_MOST_CORNERS = 4096  # loops that are made before anything is computed
 _BLOCK = 1 << 13  # loops times walls
-_MANY = 64  # loops for which ``limits_of`` runs a program of JAX
 SAMPLE, WALL = "sample", "wall"  # dimensions
 
 _NUMBERS = {  # keys of a scene that are numbers of a loop: its fields
@@ -100,13 +97,6 @@ _FIELDS = {  # of what loops answer, where their names are others than those of 
     "settling_status": "status",
     "spectral_radius": "value",
     "spectral_radius_error": "error",
-}
-_COSTS = {  # CPU seconds of a loop and a wall (of a loop for limits): of one mass, another device
-    "verdict": (1.2e-5, 4e-3),
-    "limits": (1.3e-3, 0.012),
-    "margins": (0.09, 0.4),
-    "settling_time": (4e-4, 0.02),
-    "spectral_radius": (2.5e-4, 7e-3),
 }
 _MINUTE, _SECONDS = 60.0, 4.0  # of all draws by default, and of a block at most
 
@@ -308,7 +298,7 @@ def plan_study(
     seconds = _seconds_of_a_loop(source, _columns(source, given, 1, seed)[0], wanted, len(gains))
     if samples is None:
         samples = _affordable(given, seconds)
-    samples = checked_count("samples", samples, 1, MOST_SAMPLES)
+    samples = checked_count("samples", samples, 1, 10_000_000)
     columns, notes = _columns(source, given, samples, seed)
     notes = source.check(columns) + notes
     notes += [
@@ -575,12 +565,13 @@ class _Source:
 
         Both are the sentences that a scene gives.
         """
+        most_corners = 4096  # loops that are made before anything is computed
         ends = [
-            list(dict.fromkeys(_few(c.values, 2 if c.key in self.numbers else _MOST_CORNERS)))
+            list(dict.fromkeys(_few(c.values, 2 if c.key in self.numbers else most_corners)))
             for c in columns
         ]
         keys = [column.key for column in columns]
-        for corner in islice(product(*ends), _MOST_CORNERS):
+        for corner in islice(product(*ends), most_corners):
             self.made(dict(zip(keys, corner, strict=True)))
         if self.is_loop:
             return []
@@ -621,7 +612,14 @@ def _seconds_of_a_loop(
     """The CPU time of a loop in s, from that of the kind of the first one."""
     loop = source.made({column.key: _few(column.values[:1], 1)[0] for column in columns})
     is_other = loop.device is not None
-    return sum(_COSTS[name][is_other] * (1 if name == "limits" else walls) for name in wanted)
+    costs = {  # CPU s of a loop and a wall (of a loop for limits): of one mass, another device
+        "verdict": (1.2e-5, 4e-3),
+        "limits": (1.3e-3, 0.012),
+        "margins": (0.09, 0.4),
+        "settling_time": (4e-4, 0.02),
+        "spectral_radius": (2.5e-4, 7e-3),
+    }
+    return sum(costs[name][is_other] * (1 if name == "limits" else walls) for name in wanted)
 
 
 def _affordable(given: Mapping[str, Any], seconds: float) -> int:
@@ -728,7 +726,7 @@ class _Block:
             named["delay"] = named.pop("delay_samples") * base.sample_time
         columns: dict[str, Any] = {name: values[:, None] for name, values in named.items()}
         found = self._about_walls(replace(base, **columns))
-        if wants_limits and count >= _MANY:
+        if wants_limits and count >= 64:  # for which ``limits_of`` runs a program of JAX
             found |= _variables("limits", limits_of(base, **named))
         elif wants_limits:
             varied = [dict(zip(named, row, strict=True)) for row in _rows(named, count)]
