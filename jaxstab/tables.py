@@ -8,7 +8,7 @@ import re
 import sys
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import MISSING, Field, dataclass, field, fields
 from difflib import get_close_matches
 from io import StringIO
 from math import inf, isfinite
@@ -141,17 +141,26 @@ def parsed(text: str, source: str = "") -> dict[str, Any]:
 
 
 class Usual(NamedTuple):
-    """The usual range of a quantity, its unit, and the range in a device that turns, if another."""
+    """The usual range of a quantity, and that in a device that turns, if another."""
 
     low: float
     high: float
-    unit: str
     turning: tuple[float, float] | None = None
 
 
-def key(check: Check, default: Any = MISSING, usual: Usual | None = None) -> Any:
-    """Return the field of a Table for a key, with the check of its value and its usual range."""
-    return field(default=default, metadata={"check": check, "usual": usual})
+def key(
+    check: Check, default: Any = MISSING, usual: Usual | None = None, *, words: str = ""
+) -> Any:
+    """Return the field of a Table for a key: the check of its value, its usual range, what it is.
+
+    A key that has ``words`` is an option of the commands, too.
+    """
+    return field(default=default, metadata={"check": check, "usual": usual, "words": words})
+
+
+def unit_of(entry: Field[Any]) -> str:
+    """Return the unit of a key, "1" where it has none."""
+    return getattr(entry.metadata["check"], "unit", "1")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,8 +190,8 @@ class Table:
         """Return a table with its values expanded."""
         return table
 
-    def quantities(self, place: str) -> Iterator[tuple[str, float, Usual]]:
-        """Yield the name, the value and the usual range of each quantity, those inside included."""
+    def quantities(self, place: str) -> Iterator[tuple[str, float, str, Usual]]:
+        """Yield name, value, unit and usual range of each quantity, those inside included."""
         for entry in fields(self):
             value, usual = getattr(self, entry.name), entry.metadata["usual"]
             is_list = isinstance(value, tuple)
@@ -191,7 +200,7 @@ class Table:
                 if isinstance(own, Table):
                     yield from own.quantities(f"{name}.{index}" if is_list else name)
                 elif usual is not None and own is not None:
-                    yield name, own, usual
+                    yield name, own, unit_of(entry), usual
 
 
 def check_keys(place: str, keys: Iterable[str], allowed: list[str]) -> None:
@@ -218,40 +227,50 @@ def checked_label(name: str) -> str:
     return name
 
 
-def number(allowed: str, is_allowed: Callable[[float], bool]) -> Check:
-    """Return the check of a finite number, which says what is allowed."""
+@dataclass(frozen=True)
+class Number:
+    """The check of a finite number in a unit, which says what is allowed."""
 
-    def check(value: Any) -> float:
+    allowed: str
+    is_allowed: Callable[[float], bool]
+    unit: str = "1"
+
+    def __call__(self, value: Any) -> float:
+        """Return the number; ValueError."""
         given = _finite(value)
-        if given == inf or not is_allowed(given):
-            raise ValueError(f"give {allowed}")
+        if given == inf or not self.is_allowed(given):
+            raise ValueError(f"give {self.allowed}")
         return given
 
-    return check
 
-
-def quantity(unit: str, *, is_positive: bool = False) -> Check:
+def quantity(unit: str, *, is_positive: bool = False) -> Number:
     """Return the check of a finite number in a unit, not negative."""
-    allowed = f"a finite number {'> 0' if is_positive else '>= 0'} in {unit}"
-    return number(allowed, lambda value: value > 0.0 or (value == 0.0 and not is_positive))
+    return Number(
+        f"a finite number {'> 0' if is_positive else '>= 0'} in {unit}",
+        lambda value: value > 0.0 or (value == 0.0 and not is_positive),
+        unit,
+    )
 
 
-def interval(unit: str, *, is_positive: bool = False) -> Check:
-    """Return the check of a finite number in a unit, not negative, or of two in order."""
-    allowed = f"a finite number {'> 0' if is_positive else '>= 0'} in {unit}, or [lowest, highest]"
+@dataclass(frozen=True)
+class Interval:
+    """The check of a finite number in a unit, not negative, or of two in order."""
 
-    def check(value: Any) -> tuple[float, float]:
+    unit: str
+    is_positive: bool = False
+
+    def __call__(self, value: Any) -> tuple[float, float]:
+        """Return the two numbers, or the one twice; ValueError."""
         ends = value if isinstance(value, list | tuple) else (value, value)
         numbers = [_finite(end) for end in ends]
         are_allowed = all(0.0 <= end < inf for end in numbers)
-        if len(numbers) != 2 or not are_allowed or (is_positive and 0.0 in numbers):
-            raise ValueError(f"give {allowed}")
+        if len(numbers) != 2 or not are_allowed or (self.is_positive and 0.0 in numbers):
+            sign = "> 0" if self.is_positive else ">= 0"
+            raise ValueError(f"give a finite number {sign} in {self.unit}, or [lowest, highest]")
         low, high = numbers
         if low > high:
             raise ValueError(f"its ends are swapped, so give [{high:g}, {low:g}]")
         return low, high
-
-    return check
 
 
 def one_of(names: Iterable[str]) -> Check:
@@ -275,9 +294,9 @@ def _similar(name: str, names: list[str]) -> str | None:
     return max(begins, key=len) if begins else small[near[0]] if near else None
 
 
-share = number("a number above 0 and at most 1", lambda value: 0.0 < value <= 1.0)
+share = Number("a number above 0 and at most 1", lambda value: 0.0 < value <= 1.0)
 
-tolerance = number(
+tolerance = Number(
     "a number >= 0 and below 1, such as 0.1 for 10 %", lambda value: 0.0 <= value < 1.0
 )
 
@@ -308,9 +327,9 @@ def coefficients(value: Any) -> tuple[float, ...]:
     return tuple(numbers)
 
 
-def not_zero(unit: str) -> Check:
+def not_zero(unit: str) -> Number:
     """Return the check of a finite number in a unit, positive or negative."""
-    return number(f"a finite number in {unit}, not 0", bool)
+    return Number(f"a finite number in {unit}, not 0", bool, unit)
 
 
 def nested(kind: type["Table"]) -> Check:

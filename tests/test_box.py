@@ -121,22 +121,29 @@ class Worst(NamedTuple):
 
 def test_the_worst_loop_is_refuted_only_by_one_that_is_proved_unstable() -> None:
     stable, unstable, unknown = Verdict.STABLE, Verdict.UNSTABLE, Verdict.UNDECIDED
-    sampled = [Worst(code, 0.9) for code in (stable, stable, stable, stable, unstable, unknown)]
-    failed = {1: np.arange(10.0), 2: np.arange(10.0), 3: np.zeros(0)}
-    judged = {}
+    judged, asked = [], []
 
-    def judge(number: int, loops: np.ndarray) -> Worst:
-        judged[number] = loops.tolist()
-        return Worst(unstable, 1.1) if number == 1 else Worst(stable, 0.95)
+    def found(code: Verdict, failed: np.ndarray | None, other: Worst) -> Worst:
+        def judge(loops: np.ndarray) -> Worst:
+            judged.append(loops.tolist())
+            return other
 
-    def unproved(numbers: list[int]) -> dict[int, np.ndarray]:
-        assert numbers == [0, 1, 2, 3]
-        return failed
+        def unproved() -> np.ndarray | None:
+            asked.append(code)
+            return failed
 
-    found = worst_of_range(sampled, unproved, judge, 5)
-    assert [one.verdict for one in found] == [stable, unstable, unknown, unknown, unstable, unknown]
-    assert [one.radius for one in found] == [0.9, 1.1, 0.95, 0.9, 0.9, 0.9]
-    assert judged == {1: [0.0, 2.0, 4.0, 6.0, 8.0], 2: [0.0, 2.0, 4.0, 6.0, 8.0]}
+        return worst_of_range(Worst(code, 0.9), unproved, judge, 5)
+
+    many, refuting, worse = np.arange(10.0), Worst(unstable, 1.1), Worst(stable, 0.95)
+    assert found(stable, np.zeros(0), refuting) == (stable, 0.9)
+    assert found(stable, None, refuting) == (unknown, 0.9)  # no proof is known
+    assert not judged
+    assert found(stable, many, refuting) == (unstable, 1.1)
+    assert found(stable, many, worse) == (unknown, 0.95)
+    assert judged == [[0.0, 2.0, 4.0, 6.0, 8.0]] * 2
+    assert found(unstable, many, worse) == (unstable, 0.9)
+    assert found(unknown, many, worse) == (unknown, 0.9)
+    assert asked == [stable] * 4
 
 
 class Disc:

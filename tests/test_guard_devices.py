@@ -579,5 +579,5 @@ def test_the_command_writes_a_header_of_a_scene_with_modes(tmp_path: Path) -> No
     assert answer.exit_code == 0, answer.output
     assert "stylus_clamp" in (tmp_path / "stylus.h").read_text()
     assert float(answer.output.split("It grants ")[1].split(" %")[0]) > 90.0
-    assert "vibration mode: 80 Hz" in answer.output
+    assert "mode 1: 80 Hz" in answer.output
     assert "grip: 2000 N/m, 4 N s/m" in answer.output

@@ -22,7 +22,7 @@ boxes are halved and the work after which a proof is given up decide how much is
 whether a proof is valid.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from math import inf, nan, pi
 from typing import Any, NamedTuple, TypeVar
 
@@ -132,29 +132,28 @@ def verdicts_of_range(
 
 
 def worst_of_range(
-    sampled: Sequence[_Worst],
-    unproved: Callable[[list[int]], Mapping[int, np.ndarray]],
-    judge: Callable[[int, np.ndarray], _Worst],
+    sampled: _Worst,
+    unproved: Callable[[], np.ndarray | None],
+    judge: Callable[[np.ndarray], _Worst],
     most: int,
-) -> list[_Worst]:
-    """The verdicts on walls for all loops of a range, and the worst loop of each.
+) -> _Worst:
+    """The verdict on a wall for all loops of a range, and the worst loop.
 
-    ``sampled`` has the worst of the sampled loops for each wall. ``unproved`` takes numbers of
-    walls and returns, for those that are not proved, loops at which a root on the circle could not
-    be excluded, if any are known; ``judge`` returns the worst of such loops for a wall, at ``most``
-    of them, spread over all.
+    ``sampled`` is the worst of the sampled loops. ``unproved`` returns the loops at which a root on
+    the circle could not be excluded, none where the wall is proved, and None where no proof is
+    known; ``judge`` returns the worst of such loops, at ``most`` of them, spread over all.
     """
-    answers = list(sampled)
-    hopeful = [n for n, answer in enumerate(answers) if answer.verdict == Verdict.STABLE]
-    for wall, failed in unproved(hopeful).items():
-        worst, count = answers[wall], min(len(failed), most)
-        if count:
-            other = judge(wall, failed[np.arange(count) * len(failed) // count])
-            is_worse = other.verdict == Verdict.UNSTABLE or other.radius > worst.radius
-            worst = other if is_worse else worst
-        is_refuted = worst.verdict == Verdict.UNSTABLE
-        answers[wall] = worst if is_refuted else worst._replace(verdict=Verdict.UNDECIDED)
-    return answers
+    failed = unproved() if sampled.verdict == Verdict.STABLE else np.zeros(0)
+    if failed is not None and not len(failed):
+        return sampled
+    worst = sampled
+    if failed is not None:
+        count = min(len(failed), most)
+        other = judge(failed[np.arange(count) * len(failed) // count])
+        is_worse = other.verdict == Verdict.UNSTABLE or other.radius > worst.radius
+        worst = other if is_worse else worst
+    is_refuted = worst.verdict == Verdict.UNSTABLE
+    return worst if is_refuted else worst._replace(verdict=Verdict.UNDECIDED)
 
 
 # Sampled loops bound the answer, the proof confirms it: limits and regions.
@@ -165,13 +164,13 @@ class RobustStatus(Status):
 
     Example:
         >>> jaxstab.results.RobustStatus(1).words
-        'every wall of the outline is proved stable for every hand or loop'
+        'every wall of the outline is proved stable for every hand'
     """
 
     NOT_COMPUTED = 0, "not computed"
-    PROVED = 1, "every wall of the outline is proved stable for every hand or loop"
-    EMPTY = 2, "no wall was found that is stable for all of the sampled hands or loops"
-    UNPROVED = 3, "stable for the sampled hands or loops, but not proved between them"
+    PROVED = 1, "every wall of the outline is proved stable for every hand"
+    EMPTY = 2, "no wall was found that is stable for all of the sampled hands"
+    UNPROVED = 3, "stable for the sampled hands, but not proved between them"
 
 
 class RobustLimit(NamedTuple):

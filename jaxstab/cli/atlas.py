@@ -2,16 +2,14 @@
 
 import shlex
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 import jaxstab
-from jaxstab.cli.options import executor_of, executor_options, file_option, keep_programs
-from jaxstab.cli.scene import scene_of, warn
+from jaxstab.cli.options import at_work, executor_of, executor_options, file_option, keep_programs
+from jaxstab.cli.scene import SceneCommand, scene_of, warn
 
 if TYPE_CHECKING:
     from jaxstab.atlas import Atlas
@@ -32,42 +30,13 @@ def build(spec: Path | None, output: Path, **where: Any) -> None:
 
     keep_programs()
     chosen = AtlasSpec.from_file(spec) if spec else HAPTIC
-    with _progress(output) as show, executor_of(where) as executor:
+    with at_work(f"building {output}") as show, executor_of(where) as executor:
         write_atlas(chosen, output, show, executor)
     click.echo(_described(jaxstab.open_atlas(output), output))
 
 
-@contextmanager
-def _progress(output: Path) -> Iterator[Callable[[int, int], None]]:
-    """Yield a function that draws a bar with rate and time left."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    bar = Progress(
-        TextColumn(f"building {output}"),
-        BarColumn(),
-        TextColumn("{task.completed} of {task.total} tiles, {task.fields[rate]} a second"),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-    )
-    task = bar.add_task("", total=None, rate="?")
-
-    def show(done: int, total: int) -> None:
-        bar.start()  # only now: an early refusal needs no bar
-        speed = bar.tasks[0].speed
-        bar.update(task, completed=done, total=total, rate=f"{speed:.2g}" if speed else "?")
-
-    try:
-        yield show
-    finally:
-        if bar.live.is_started:
-            bar.stop()
-
-
-@click.command()
+@click.command(cls=SceneCommand, describes=False, wanted=["mass_tolerance", "delay_tolerance"])
 @click.option("--scene", "file", type=Path, required=True, help="TOML file of the scene.")
-@click.option("--mass-tolerance", type=float, help="Of the device; 0.1 means 10 % up and down.")
-@click.option("--delay-tolerance", type=float, help="Of the delay up and down, in s.")
 def spec(file: Path, **tolerances: float | None) -> None:
     """Print the specification of an atlas for the device, hands and delays of a scene.
 

@@ -20,9 +20,6 @@ from jaxstab.tables import text_of
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
-_MOST_OF_A_SCHEDULER = 1_000_000  # bytes of its file
-_SECONDS_TO_CONNECT = 10
-
 
 def number_or_range(_: click.Context, option: click.Parameter, text: str | None) -> Any:
     """Return one number, or two in a list."""
@@ -113,18 +110,28 @@ def keep_programs() -> None:
 
 
 @contextmanager
-def at_work(words: str) -> Iterator[None]:
-    """Show on a terminal the running computation and how long it has taken, until it is done."""
+def at_work(words: str) -> Iterator[Callable[[float, float], None]]:
+    """Show on a terminal what is computed, and for how long, until it is done.
+
+    The function that is yielded takes how much is done, and of how much: it draws a bar.
+    """
     if not sys.stderr.isatty():
-        yield
+        yield lambda done, total: None
         return
     from rich.console import Console
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
 
-    columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
-    with Progress(*columns, console=Console(stderr=True), transient=True) as shown:
-        shown.add_task(words, total=None)
-        yield
+    columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
+    console = Console(stderr=True)
+    with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as shown:
+        task = shown.add_task(words, total=None)
+        yield lambda done, total: shown.update(task, completed=done, total=total)
 
 
 def together(*decorations: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
@@ -169,7 +176,7 @@ def executor_of(given: Mapping[str, Any]) -> Iterator[Executor | None]:
 def computing(given: Mapping[str, Any]) -> Iterator[None]:
     """Let dask compute where options say, and draw a bar on a terminal."""
     from dask import config
-    from dask.diagnostics import ProgressBar
+    from dask.callbacks import Callback
 
     from jaxstab.cli.interrupt import processes
 
@@ -177,14 +184,17 @@ def computing(given: Mapping[str, Any]) -> Iterator[None]:
     with ExitStack() as stack:
         if address:
             stack.enter_context(_client(address))
-            stack.enter_context(at_work(f"computing on {address}"))
-        else:
-            if workers:
-                pool = stack.enter_context(processes(workers))
-                # A task is a block, which no other one should wait for.
-                stack.enter_context(config.set(scheduler="processes", pool=pool, chunksize=1))
-            if sys.stderr.isatty():
-                stack.enter_context(ProgressBar(out=sys.stderr))
+        elif workers:
+            pool = stack.enter_context(processes(workers))
+            # A task is a block, which no other one should wait for.
+            stack.enter_context(config.set(scheduler="processes", pool=pool, chunksize=1))
+        show = stack.enter_context(at_work(f"computing{f' on {address}' * bool(address)}"))
+
+        def count(_: Any, __: Any, ___: Any, state: Any, ____: Any) -> None:
+            done, left = len(state["finished"]), ("waiting", "ready", "running")
+            show(done, done + sum(len(state[kind]) for kind in left))
+
+        stack.enter_context(Callback(posttask=count))  # a cluster's tasks are not counted
         yield
 
 
@@ -196,7 +206,7 @@ def _client(address: str) -> Any:
             "a dask cluster needs dask: python -m pip install 'jaxstab[distributed]'."
         ) from error
     try:
-        client = Client(address, timeout=_SECONDS_TO_CONNECT)
+        client = Client(address, timeout=10)  # s
     except OSError as error:
         raise OSError(
             f"no dask scheduler answers at {address}; start one, or correct the address."
@@ -229,7 +239,7 @@ def _workers_and_address(given: Mapping[str, Any]) -> tuple[int | None, str | No
 
 def _address_in(file: Path) -> str:
     try:
-        return str(json.loads(text_of(file, _MOST_OF_A_SCHEDULER))["address"])
+        return str(json.loads(text_of(file, 1_000_000))["address"])
     except (ValueError, KeyError, TypeError):
         raise click.UsageError(
             f"{file} is not a scheduler file; give what dask scheduler --scheduler-file wrote."

@@ -10,7 +10,6 @@ import click
 from jaxstab.cli.options import at_work, draw, file_option, picture_file
 
 _FIGURES = range(4, 11)
-_INPUTS = "gamma", "delta", "delay", "radius"
 
 
 @click.command()
@@ -56,7 +55,7 @@ def region(
 
         draw(region_figure(gamma, delta, delay, radius), output)
     if as_json:
-        inputs = {name: facts.pop(name) for name in _INPUTS}
+        inputs = {name: facts.pop(name) for name in ("gamma", "delta", "delay", "radius")}
         units = dict.fromkeys([*inputs, *(name for name in facts if facts[name] is not None)], "1")
         inputs = {"velocity": str(Velocity()), **inputs}
         stated = {"inputs": inputs, "units": units, **facts}

@@ -2,12 +2,12 @@
 
 import json
 import os
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import Field, dataclass, fields, replace
+from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import UnionType
+from typing import TYPE_CHECKING, Any, get_args
 
 import click
 
@@ -32,60 +32,73 @@ if TYPE_CHECKING:
 # Options that describe scenes, and the tables of scenes that files and options make.
 
 
-_OPTIONS: dict[str, tuple[str, Any, str]] = {  # key of a scene, kind, help
-    "device": ("device.preset", str, "A device by name; jaxstab scene presets lists them."),
-    "mass": ("device.mass", number_or_range, "Of the device in kg; LOW:HIGH for a range."),
-    "inertia": (
-        "device.inertia",
-        number_or_range,
-        "In kg m^2, for a device that turns; LOW:HIGH for a range.",
-    ),
-    "damping": ("device.damping", float, "Damping of the device in N s/m (N m s/rad)."),
-    "hand_mass": ("hand.mass", number_or_range, "In kg; LOW:HIGH for a range."),
-    "hand_inertia": ("hand.inertia", number_or_range, "In kg m^2; LOW:HIGH for a range."),
-    "hand_stiffness": ("hand.stiffness", number_or_range, "In N/m; LOW:HIGH for a range."),
-    "hand_damping": ("hand.damping", number_or_range, "In N s/m; LOW:HIGH for a range."),
-    "sample_time": ("controller.sample_time", float, "Sampling period T in s."),
-    "delay": (
-        "controller.delay",
-        number_or_range,
-        "Time delay of the loop in s; LOW:HIGH for one that moves from sample to sample.",
-    ),
-    "delay_samples": ("controller.delay_samples", number_or_range, "The same in samples."),
-    "constant_delay": (
-        "controller.delay_is",
-        "constant",
-        "The delay of such a range is constant, but not known.",
-    ),
-    "lost_samples": (
-        "controller.lost_samples",
-        int,
-        "Samples in a row that may never arrive, with a delay that moves.",
-    ),
-    "window": ("velocity.window", float, "Velocity: difference over this window in s."),
-    "window_samples": ("velocity.window_samples", int, "The same in samples."),
-    "cutoff": ("velocity.cutoff", float, "Velocity: low pass at this cut-off in Hz."),
-    "estimator": (
-        "velocity.preset",
-        str,
-        "Velocity as this software estimates it; jaxstab scene presets lists names.",
-    ),
-    "friction": ("device.friction", float, "Coulomb friction in N, of simulated contacts."),
-    "push": ("contact.push", float, "Push of the hand in N, of simulated contacts."),
-    "speed": ("contact.speed", float, "Speed in m/s at which they meet the wall."),
-}
+@cache
+def _keys() -> dict[str, tuple[str, Field[Any]]]:
+    """The keys of a scene that are options, by the names of these: the section and the field."""
+    from jaxstab.scene.scene import INNER, TABLES
+
+    names = {
+        ("device", "preset"): "device",
+        ("velocity", "preset"): "estimator",
+        ("controller", "delay_is"): "constant_delay",
+    }
+    return {
+        names.get((section, entry.name)) or f"{'hand_' * (section == 'hand')}{entry.name}": (
+            section,
+            entry,
+        )
+        for section, table in {**TABLES, "velocity": INNER["velocity"]}.items()
+        for entry in fields(table)
+        if entry.metadata["words"]
+    }
 
 
-def _scene_option(name: str, kind: Any, words: str) -> Any:
-    reads = {"callback": kind} if kind is number_or_range else {"type": kind}
-    reads = {"flag_value": kind} if isinstance(kind, str) else reads
-    return click.option(f"--{name.replace('_', '-')}", **reads, help=words)
+class SceneCommand(click.Command):
+    """A command with the keys of a scene as options; of the table [wanted] only some.
+
+    They are made when it is called: jaxstab --help and other commands do not import scenes.
+    """
+
+    def __init__(
+        self, *given: Any, wanted: Sequence[str] = (), describes: bool = True, **options: Any
+    ) -> None:
+        """Take the keys of [wanted], and whether those of the other tables are options."""
+        super().__init__(*given, **options)
+        self.wanted, self.describes = wanted, describes
+
+    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
+        """Return arguments and options."""
+        made = [
+            _option(name, section, entry)
+            for name, (section, entry) in _keys().items()
+            if (name in self.wanted if section == "wanted" else self.describes)
+        ]
+        return [*made, *super().get_params(ctx)]
 
 
-# What describes a scene: a file, and options that go before it.
+def _option(name: str, section: str, entry: Field[Any]) -> click.Option:
+    """Return the option of a key: its kind is that of the field, its unit that of the check."""
+    from jaxstab.scene.scene import Units
+    from jaxstab.tables import unit_of
+
+    kind = get_args(entry.type)[0] if isinstance(entry.type, UnionType) else entry.type
+    reads: dict[str, Any] = {"type": kind}
+    words, unit = entry.metadata["words"], unit_of(entry)
+    words = f"velocity: {words}" if section == "velocity" else words
+    if unit != "1":
+        turning = Units.ROTATION.unit(unit)
+        words += f" in {unit}" + (f" ({turning})" if turning != unit and unit != "kg" else "")
+    if kind == tuple[float, float]:
+        reads, words = {"callback": number_or_range}, f"{words}; LOW:HIGH for a range"
+    if name == "constant_delay":
+        reads = {"flag_value": "constant"}
+    sentence = f"{words[0].upper()}{words[1:]}."
+    return click.Option([f"--{name.replace('_', '-')}"], **reads, help=sentence)
+
+
+# What describes a scene beside the options of a SceneCommand, which go before the files.
 mechanics_options = together(
     click.argument("files", type=Path, nargs=-1, metavar="[FILE]..."),
-    *(_scene_option(name, kind, words) for name, (_, kind, words) in _OPTIONS.items()),
     click.option(
         "--wall",
         type=(str, float, float),
@@ -106,20 +119,18 @@ scene_options = together(
     click.option("--json", "as_json", is_flag=True, help="Print JSON."),
 )
 
-_DESCRIBES = ("device", "mass", "inertia", "damping", "sample_time", "wall")
-_NOTHING = (
-    "no scene is given; give the FILE of one (jaxstab scene init -o scene.toml writes an example), "
-    "or options, such as --device omega --sample-time 0.001 --delay 0.001."
-)
-
 
 def tables_of(given: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """Return the table of each file, or an empty one, with the options in place of its values."""
     from jaxstab.tables import read_table
 
     files = given.get("files") or ()
-    if not files and all(value in (None, ()) for value in map(given.get, _DESCRIBES)):
-        raise click.UsageError(_NOTHING)
+    describing = "device", "mass", "inertia", "damping", "sample_time", "wall"
+    if not files and all(value in (None, ()) for value in map(given.get, describing)):
+        raise click.UsageError(
+            "no scene is given; give the FILE of one (jaxstab scene init -o scene.toml writes an "
+            "example), or options, such as --device omega --sample-time 0.001 --delay 0.001."
+        )
     tables = {str(file): read_table(file, "scene") for file in files} or {"": {}}
     return {source: _merged(table, given) for source, table in tables.items()}
 
@@ -147,17 +158,11 @@ def sentence_of(error: OSError) -> str:
     return f"cannot {'use' if error.filename else 'write'} {error.filename or 'stdout'}: {reason}."
 
 
-_WANTED = ["at_damping", "at_stiffness", "stiffness", "safety", "mass_tolerance", "delay_tolerance"]
-
-
 def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
-    places = {option: place for option, (place, *_) in _OPTIONS.items()}
-    places |= {option: f"wanted.{option}" for option in _WANTED}
     chosen: dict[str, dict[str, Any]] = {}
-    for option, place in places.items():
+    for option, (section, entry) in _keys().items():
         if given.get(option) is not None:
-            section, _, key = place.partition(".")
-            chosen.setdefault(section, {})[key] = given[option]
+            chosen.setdefault(section, {})[entry.name] = given[option]
     if "velocity" in chosen:  # in place of all that the file says
         chosen.setdefault("controller", {})["velocity"] = chosen.pop("velocity")
     for name, stiffness, damping in given.get("wall", ()):
@@ -175,20 +180,6 @@ def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
 
 
 # Several scenes in one process: a table, CSV, JSON, and a picture that compares them.
-_SHOWN = {
-    "best.largest_stiffness",
-    "best.at_damping",
-    "most_damped.largest_damping",
-    "all_hands.largest_stiffness",
-    "least_settling.stiffness",
-    "least_settling.damping",
-    "least_settling.settling_time_2_percent",
-    "now_allowed_stiffness",
-    "sample_time.largest_sample_time",
-    "delay.largest_delay",
-}
-
-_SHOWN_OF_WALLS = {"verdict", "stiffness_gain", "settling_time_2_percent"}
 
 
 @dataclass(frozen=True)
@@ -272,7 +263,19 @@ def _json(rows: list[_Row]) -> str:
 
 def _table(rows: list[_Row]) -> str:
     """Return the main numbers of each scene, in columns, or the reason why it was refused."""
-    paths = [path for path in _paths(rows) if path in _SHOWN or _is_of_wall(path)]
+    shown = {
+        "best.largest_stiffness",
+        "best.at_damping",
+        "most_damped.largest_damping",
+        "all_hands.largest_stiffness",
+        "least_settling.stiffness",
+        "least_settling.damping",
+        "least_settling.settling_time_2_percent",
+        "now_allowed_stiffness",
+        "sample_time.largest_sample_time",
+        "delay.largest_delay",
+    }
+    paths = [path for path in _paths(rows) if path in shown or _is_of_wall(path)]
     plain = (path.removeprefix("walls.").replace("_", " ").replace(".", ": ") for path in paths)
     lines = [["scene", *plain, ""]]
     for row in rows:
@@ -284,7 +287,8 @@ def _table(rows: list[_Row]) -> str:
 
 def _is_of_wall(path: str) -> bool:
     outer, _, name = path.rpartition(".")
-    return name in _SHOWN_OF_WALLS and outer.startswith("walls.") and outer.count(".") == 1
+    shown_of_walls = {"verdict", "stiffness_gain", "settling_time_2_percent"}
+    return name in shown_of_walls and outer.startswith("walls.") and outer.count(".") == 1
 
 
 def _paths(rows: list[_Row]) -> list[str]:
@@ -293,17 +297,10 @@ def _paths(rows: list[_Row]) -> list[str]:
 
 _plot_option = plot_option("PNG or SVG file to draw the scene into.")
 
-_safety_option = click.option(
-    "--safety", type=float, help="Multiply all limits by this, such as 0.8."
-)
 
-
-@click.command()
+@click.command(cls=SceneCommand, wanted=["safety", "at_damping", "at_stiffness"])
 @scene_options
 @_plot_option
-@_safety_option
-@click.option("--at-damping", type=float, help="Give the stiffness limits at this B in N s/m.")
-@click.option("--at-stiffness", type=float, help="Give the damping limits at this K in N/m.")
 @click.option("--all", "in_full", is_flag=True, help="Print everything, as --json does.")
 @click.option("--islands", is_flag=True, help="Print stable walls not connected to zero gains too.")
 def limits(as_json: bool, in_full: bool, islands: bool, **given: Any) -> int:
@@ -322,7 +319,7 @@ def limits(as_json: bool, in_full: bool, islands: bool, **given: Any) -> int:
     return _answer(given, "limits", as_json, shown)
 
 
-@click.command()
+@click.command(cls=SceneCommand)
 @scene_options
 @_plot_option
 def check(as_json: bool, **given: Any) -> int:
@@ -334,7 +331,7 @@ def check(as_json: bool, **given: Any) -> int:
     return _answer(given, "check", as_json)
 
 
-@click.command()
+@click.command(cls=SceneCommand)
 @scene_options
 @_plot_option
 @file_option(
@@ -367,14 +364,14 @@ def contact(
         raise click.UsageError(f"--{name} is given beside --output; give one of them.")
     from jaxstab.loop import ContactKind
     from jaxstab.scene.contact import map_contacts
-    from jaxstab.scene.draws import values_of
+    from jaxstab.scene.draws import listed
     from jaxstab.scene.labelled import computed, require_free, write
 
     require_free(output)
     keep_programs()
     scene = scene_of(given)
     warn(*scene.unusual())
-    forces = None if frictions is None else [*map(float, values_of("friction", frictions))]
+    forces = None if frictions is None else [*map(float, listed("friction", frictions))]
     planned = map_contacts(scene, count, forces)
     assert scene.contact is not None  # there is a map
     axes = " x ".join(f"{length} {name}" for name, length in planned.sizes.items())
@@ -388,12 +385,9 @@ def contact(
     return 0
 
 
-@click.command()
+@click.command(cls=SceneCommand, wanted=["at_stiffness", "mass_tolerance", "delay_tolerance"])
 @scene_options
 @_plot_option
-@click.option("--at-stiffness", type=float, help="Give the best B at this K in N/m.")
-@click.option("--mass-tolerance", type=float, help="Of the device; 0.1 means 10 % up and down.")
-@click.option("--delay-tolerance", type=float, help="Of the delay up and down, in s.")
 def tune(as_json: bool, **given: Any) -> int:
     """Find the walls that come to rest fastest, and the best damping for each wall.
 
@@ -403,11 +397,9 @@ def tune(as_json: bool, **given: Any) -> int:
     return _answer(given, "tune", as_json)
 
 
-@click.command()
+@click.command(cls=SceneCommand, wanted=["safety", "stiffness"])
 @scene_options
 @_plot_option
-@_safety_option
-@click.option("--stiffness", type=float, help="The stiffness to design for, in N/m.")
 def design(as_json: bool, **given: Any) -> int:
     """Find the largest sample time, and the largest delay, for a wanted stiffness.
 
@@ -484,21 +476,19 @@ def _answer(
     return 0 if answer.all_stable else 1
 
 
-FUNCTIONS = {
-    "limits": "scene_limits",
-    "check": "check_walls",
-    "tune": "tune_walls",
-    "design": "design_loop",
-    "contact": "simulate_contacts",
-}
-
-
 def _computed(scene: "Scene", name: str) -> Any:
     import jaxstab.scene
 
     every = ", proved for every sequence of delays" if scene.controller.moves else ""
+    functions = {
+        "limits": "scene_limits",
+        "check": "check_walls",
+        "tune": "tune_walls",
+        "design": "design_loop",
+        "contact": "simulate_contacts",
+    }
     with at_work(f"{name} of a loop with {scene.controller.samples:g} samples of delay{every}"):
-        return getattr(jaxstab.scene, FUNCTIONS[name])(scene)
+        return getattr(jaxstab.scene, functions[name])(scene)
 
 
 # The command that writes a page to explore a scene in.
@@ -524,22 +514,20 @@ def explore(file: Path | None, output: Path) -> None:
     from jaxstab.explore import explorer_page
     from jaxstab.scene.answers import delay_notes
 
-    given = {"files": [file]} if file else _OMEGA
+    omega = {
+        "device": "omega",
+        "sample_time": 0.001,
+        "delay_samples": 1.0,
+        "estimator": "force-dimension-sdk",
+        "wall": [("chai3d", 5000.0, 30.0), ("soft", 1000.0, 15.0)],
+    }
+    given = {"files": [file]} if file else omega
     scene = scene_of(given)
     warn(*scene.unusual(), *delay_notes(scene))
     title = f"the scene {file.name}" if file else "an omega-like device at 1 kHz"
     page = explorer_page(scene, title)
     publish(page.encode(), output)
     click.echo(output)
-
-
-_OMEGA = {
-    "device": "omega",
-    "sample_time": 0.001,
-    "delay_samples": 1.0,
-    "estimator": "force-dimension-sdk",
-    "wall": [("chai3d", 5000.0, 30.0), ("soft", 1000.0, 15.0)],
-}
 
 
 # The command that writes a guard for C.
@@ -564,7 +552,7 @@ def _cells(_: click.Context, option: click.Parameter, text: str | None) -> Any:
     return counts
 
 
-@click.command()
+@click.command(cls=SceneCommand)
 @scene_options
 @file_option("-o", "--output", required=True, help="Header file; its name begins all names in it.")
 @click.option(
@@ -601,30 +589,18 @@ def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
 
     name = checked_name(output.stem)  # before the proof, which takes long
     cells, ranges = given["cells"], (given["masses"], given["delays"])
-    with _progress(guard_plan(scene, kind["constant_delay"], cells)) as show:
-        made = scene_guard(scene, *ranges, **kind, progress=show, cells=cells)
+    plan = guard_plan(scene, kind["constant_delay"], cells)
+    with at_work("proving") as show:
+
+        def tell(share: float) -> None:
+            if share == 0.0:  # the proof begins
+                click.echo(plan, err=True)
+            show(share, 1.0)
+
+        made = scene_guard(scene, *ranges, **kind, progress=tell, cells=cells)
     publish(header_of(scene, made, name).encode(), output)
     if plot:
         from jaxstab.pictures.scene import guard_figure
 
         draw(guard_figure(made, scene.units), plot)
     click.echo(f"{output}: {output.stat().st_size / 1e3:.0f} kB\n{guard_about(scene, made)}")
-
-
-@contextmanager
-def _progress(plan: str) -> Iterator[Callable[[float], None]]:
-    """Yield a function that prints the plan when the work begins, and draws a bar on a terminal."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    plans = [plan]
-    bar = Progress(console=Console(stderr=True), transient=True)
-    task = bar.add_task("proving", total=1.0)
-
-    def show(share: float) -> None:
-        if plans:
-            click.echo(plans.pop(), err=True)
-        bar.update(task, completed=share)
-
-    with bar if sys.stderr.isatty() else nullcontext():  # a disabled bar prints an empty line
-        yield show

@@ -13,7 +13,7 @@ from jaxstab.cli.options import (
     keep_programs,
     plot_option,
 )
-from jaxstab.cli.scene import mechanics_options, tables_of
+from jaxstab.cli.scene import SceneCommand, mechanics_options, tables_of
 from jaxstab.shown import shortened
 
 
@@ -28,10 +28,8 @@ def _part(_: click.Context, option: click.Parameter, text: str | None) -> tuple[
     return int(index), int(count)
 
 
-def _over(_: click.Context, option: click.Parameter, texts: tuple[str, ...]) -> dict[str, Any]:
-    from jaxstab.scene.draws import distribution_of, values_of
-
-    over: dict[str, Any] = {}
+def _over(_: click.Context, option: click.Parameter, texts: tuple[str, ...]) -> dict[str, str]:
+    over = dict[str, str]()
     for text in texts:
         key, __, values = text.partition("=")
         if not (key and values):
@@ -39,17 +37,13 @@ def _over(_: click.Context, option: click.Parameter, texts: tuple[str, ...]) -> 
                 f"{shortened(text)} is not KEY=VALUES, such as device.mass=0.1:0.5:20.",
                 param=option,
             )
-        try:
-            given: Any = distribution_of(values) or values_of(key, values)
-        except ValueError as error:
-            raise click.BadParameter(str(error), param=option) from None
         if key in over:
             raise click.BadParameter(f"{key} is given twice; give each key once.", param=option)
-        over[key] = given
+        over[key] = values
     return over
 
 
-@click.command()
+@click.command(cls=SceneCommand)
 @mechanics_options
 @click.option(
     "--over",
@@ -83,7 +77,7 @@ def _over(_: click.Context, option: click.Parameter, texts: tuple[str, ...]) -> 
 @click.option("--merge", is_flag=True, help="FILEs are all parts of a study: put them together.")
 @plot_option("PNG or SVG file to draw the study into.")
 def study(
-    over: dict[str, Any],
+    over: dict[str, str],
     samples: int | None,
     seed: int,
     output: Path | None,

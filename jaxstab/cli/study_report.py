@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 _MOST_IN_CSV = 1_048_575  # rows, as in a spreadsheet, with one of names
-_MOST_ROWS = 20  # that are printed
 
 
 def require_few(sizes: Mapping[Any, int], csv_file: Path | None) -> None:
@@ -137,6 +136,7 @@ def _points(table: "Dataset") -> Iterator[list[str]]:
 
 
 def _table(rows: list[list[str]]) -> str:
-    more = len(rows) - 1 - _MOST_ROWS
-    text = table_text(rows[: 1 + _MOST_ROWS])
+    most_rows = 20  # that are printed
+    more = len(rows) - 1 - most_rows
+    text = table_text(rows[: 1 + most_rows])
     return f"{text}\n... and {more:,} more rows; write them with --csv or -o" if more > 0 else text

@@ -104,18 +104,11 @@ class LoopsWithHands:
         """Whether a wall is stable for all of them, and the worst of those tried."""
         wall = stiffness, damping
 
-        def judge(_: int, members: Members) -> WorstHand:
+        def judge(members: Members) -> WorstHand:
             return _worst_of([self._held(member) for member in members], wall, self.moving)
 
-        def unproved(numbers: list[int]) -> dict[int, Members]:
-            left = self._unproved(wall) if numbers else np.zeros((0, 5))
-            if left is None:  # boxes do not cover such a device
-                return {n: np.zeros((0, 5)) for n in numbers}
-            return {n: left for n in numbers if len(left)}
-
-        sampled = [judge(0, self._spread(_VALUES))]
-        (worst,) = worst_of_range(sampled, unproved, judge, _MOST_TRIED)
-        return worst
+        sampled = judge(self._spread(_VALUES))
+        return worst_of_range(sampled, lambda: self._unproved(wall), judge, _MOST_TRIED)
 
     def robust_limit(self) -> RobustLimit:
         """The stiffest wall that all of them allow: ``HapticLoop.robust_limit``."""

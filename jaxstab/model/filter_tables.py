@@ -24,6 +24,8 @@ from jaxstab.model.filters import (
 )
 from jaxstab.tables import Table, coefficients, key, one_of, quantity, share, whole
 
+WINDOW = "length of the window"  # what that key is
+
 _LOW_PASSES: Mapping[str, Callable[..., Filter]] = {
     section.kind: getattr(Filter, section.maker) for section in LOW_PASSES
 }
@@ -51,8 +53,10 @@ class FilterTable(Table):
     Of a velocity the window may be that of a polynomial, or a Kalman filter in its place.
     """
 
-    window_samples: int | None = key(whole(1, LONGEST_WINDOW), None)
-    cutoff: float | None = key(quantity("Hz", is_positive=True), None)
+    window_samples: int | None = key(whole(1, LONGEST_WINDOW), None, words=f"{WINDOW} in samples")
+    cutoff: float | None = key(
+        quantity("Hz", is_positive=True), None, words="cut-off of the low pass"
+    )
     order: int | None = key(whole(1, HIGHEST_ORDER), None)
     kind: str | None = key(one_of(_LOW_PASSES), None)
     factor: float | None = key(share, None)

@@ -64,8 +64,8 @@ from jaxstab.scene.hands import (
     WallVerdict,
     at_lowest,
     common_outline,
+    delays_of,
     loops_over_delays,
-    moving_delays,
 )
 from jaxstab.scene.limits import LimitsOverDelays, passive_walls
 from jaxstab.scene.loops import (
@@ -350,7 +350,7 @@ def _moving_figure(scene: Scene, walls: Walls, basis: Basis) -> Figure:
     """Draw walls that are proved for every sequence of delays, and those of the scene."""
     units, figure = scene.units, Figure(figsize=(_WIDTH, _HEIGHT), layout="constrained")
     panel = figure.subplots()
-    loop = MovingLoop.from_loop(loops_over_delays(scene)[0], **moving_delays(scene))
+    loop = MovingLoop.from_loop(loops_over_delays(scene)[0], **delays_of(scene))
     drawn = plot_moving(loop, panel)
     draw_walls(panel, walls)
     gains = np.array([(wall.stiffness, wall.damping) for wall in walls.values()]).reshape(-1, 2)

@@ -133,11 +133,7 @@ LargestDamping = Annotated[float, Quantity("N s/m", _LIMIT_DIGITS, ROUND_FLOOR)]
 LargestTime = Annotated[float, Quantity("s", _LIMIT_DIGITS, ROUND_FLOOR)]
 StiffnessLimits = Annotated[tuple[float, float], IntervalQuantity("N/m", _LIMIT_DIGITS)]
 DampingLimits = Annotated[tuple[float, float], IntervalQuantity("N s/m", _LIMIT_DIGITS)]
-TimeRange = Annotated[tuple[float, float], IntervalQuantity("s")]
-NumberRange = Annotated[tuple[float, float], IntervalQuantity()]
 MassRange = Annotated[tuple[float, float], IntervalQuantity("kg")]
-StiffnessRange = Annotated[tuple[float, float], IntervalQuantity("N/m")]
-DampingRange = Annotated[tuple[float, float], IntervalQuantity("N s/m")]
 
 
 class Answer:
@@ -249,15 +245,15 @@ class Basis(Answer):
     velocity: str
     position: str | None
     sample_time: Time
-    delay: Time | TimeRange
-    delay_samples: Number | NumberRange
+    delay: Annotated[float | tuple[float, float], IntervalQuantity("s")]
+    delay_samples: Annotated[float | tuple[float, float], IntervalQuantity()]
     delay_is: str | None
     lost_samples: Annotated[int, Quantity()] | None
     mass: MassRange
     damping: Damping
     hand_mass: MassRange | None
-    hand_stiffness: StiffnessRange | None
-    hand_damping: DampingRange | None
+    hand_stiffness: Annotated[tuple[float, float], IntervalQuantity("N/m")] | None
+    hand_damping: Annotated[tuple[float, float], IntervalQuantity("N s/m")] | None
     mechanics: str | None
     postures: str | None
     motion: str | None
@@ -346,7 +342,6 @@ def _quantities(kind: Any) -> dict[str, Quantity]:
 
 # The basis of a scene's answers, stated in front of them.
 
-_ASSUMED = "the difference over one sample (assumed: the scene names no estimator)"
 _NO_DELAY = "assumed: the scene names none"
 
 
@@ -380,8 +375,11 @@ def basis_of(scene: Scene, *, at_longest: bool = False) -> Basis:
     controller, device, hand = scene.controller, scene.device, scene.hand
     low, high = (controller.delays[1],) * 2 if at_longest else controller.delays
     samples = low / controller.sample_time, controller.samples
+    estimator = controller.velocity or (
+        "the difference over one sample (assumed: the scene names no estimator)"
+    )
     return Basis(
-        velocity=_ASSUMED if controller.velocity is None else str(controller.velocity),
+        velocity=str(estimator),
         position=None if controller.position is None else str(controller.position_filter),
         sample_time=controller.sample_time,
         delay=(low, high) if low < high else low,
@@ -399,8 +397,22 @@ def basis_of(scene: Scene, *, at_longest: bool = False) -> Basis:
     )
 
 
-def grip_in_words(grip: Grip, units: Units) -> str:
-    """Return stiffness and damping of a grip."""
+def parts_in_words(scene: Scene) -> dict[str, str]:
+    """Return what moves beside the mass of device and hand: modes, actuator and grip."""
+    device, grip, units = scene.device, scene.hand.grip if scene.hand else None, scene.units
+    parts = {}
+    for index, mode in enumerate(device.modes, 1):
+        mass = Quantity("kg").words(mode.effective_mass, units)
+        words = f"{mode.frequency:g} Hz, damping ratio {mode.damping_ratio:g}, {mass}"
+        parts[f"mode {index}"] = words
+    if device.actuator is not None:
+        parts["actuator"] = f"a first-order lag of {device.actuator.bandwidth:g} Hz of the force"
+    if grip is not None:
+        parts["grip"] = f"{_grip_in_words(grip, units)}, between device and hand"
+    return parts
+
+
+def _grip_in_words(grip: Grip, units: Units) -> str:
     spring = Quantity("N/m").words(grip.stiffness, units)
     return f"{spring}, {Quantity('N s/m').words(grip.damping, units)}"
 
@@ -422,5 +434,5 @@ def _beside_one_mass(scene: Scene) -> str | None:
     if device.actuator is not None:
         words.append(f"an actuator of {device.actuator.bandwidth:g} Hz")
     if grip is not None:
-        words.append(f"a grip of {grip_in_words(grip, units)}")
+        words.append(f"a grip of {_grip_in_words(grip, units)}")
     return "; ".join(words) or None

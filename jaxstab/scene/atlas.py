@@ -12,9 +12,6 @@ from jaxstab.scene.loops import Member, corners_of, loop_of_member, ranges_of
 from jaxstab.scene.scene import Scene, range_in_words
 from jaxstab.shown import printable
 
-_NODES = {"gamma": 3, "delta": 3}  # along a range
-_DELAY_NODES = 8  # to a sample, along a range of delays
-
 
 def atlas_spec(scene: Scene) -> AtlasSpec:
     """The specification of an atlas for all loops of a scene's ranges.
@@ -29,10 +26,11 @@ def atlas_spec(scene: Scene) -> AtlasSpec:
             "device.actuator and hand.grip."
         )
     shortest, *_, longest = sorted(float(loop.delay_samples) for loop in 2 * loops)
-    count = int(_DELAY_NODES * (longest - shortest)) + 2
+    delay_nodes = 8  # to a sample, along a range of delays
+    count = int(delay_nodes * (longest - shortest)) + 2
     return AtlasSpec(
-        gamma=_nodes("gamma", [loop.gamma for loop in loops]),
-        delta=_nodes("delta", [loop.delta for loop in loops]),
+        gamma=_nodes([loop.gamma for loop in loops]),
+        delta=_nodes([loop.delta for loop in loops]),
         delay=np.unique(np.linspace(shortest, longest, count)).tolist(),
         **loops[0].filters,
     )
@@ -77,7 +75,7 @@ def spec_text(scene: Scene, name: str) -> str:
     return "".join(f"# {printable(line)}\n" for line in lines) + "\n" + text
 
 
-def _nodes(name: str, values: list[float]) -> list[float]:
+def _nodes(values: list[float]) -> list[float]:
     low, high = min(values), max(values)
-    nodes: list[float] = [low] if low == high else np.linspace(low, high, _NODES[name]).tolist()
+    nodes: list[float] = [low] if low == high else [low, 0.5 * (low + high), high]
     return nodes

@@ -53,9 +53,6 @@ from jaxstab.scene.loops import (
 )
 from jaxstab.scene.scene import Scene
 
-_HORIZON = 2**17  # samples within which settling is looked for
-_LEVELS = 0.02, 0.05
-
 LargestNumber = Annotated[float, Quantity(rounding=ROUND_FLOOR)]
 Amplitude = Annotated[float, Quantity("m", 3, ROUND_CEILING, "not proved")]
 SettlingTime = Annotated[float, Quantity("s", infinite="never")]
@@ -246,7 +243,8 @@ def check_walls(scene: Scene) -> Check:
         pairs = [(x, wall.gains) for wall, loops in zip(walls, held, strict=True) for x in loops]
         if not pairs:
             break
-        answers, end = _evaluated(method, pairs, apart=name in _APART), 0
+        apart = name in ("distance", "jitter")  # methods that take no loop with arrays
+        answers, end = _evaluated(method, pairs, apart=apart), 0
         for own, wall, loops in zip(measured, walls, held, strict=True):
             begin, end = end, end + len(loops)
             if loops:
@@ -398,7 +396,8 @@ def _jitter(wall: _Wall, _: list[HapticLoop], margin: Floats) -> Jitter:
 
 def _settlings(loop: HapticLoop, *gains: Floats) -> list[MotionSettling]:
     """Return the settling times of walls to each level."""
-    return [loop.settling_time(*gains, level=level, horizon=_HORIZON) for level in _LEVELS]
+    horizon = 2**17  # samples within which settling is looked for
+    return [loop.settling_time(*gains, level=level, horizon=horizon) for level in (0.02, 0.05)]
 
 
 _MEASURES: dict[str, tuple[Callable[..., Any], Callable[..., Answer]]] = {
@@ -411,5 +410,3 @@ _MEASURES: dict[str, tuple[Callable[..., Any], Callable[..., Answer]]] = {
     "jitter": (HapticLoop.jitter_margin, _jitter),
 }
 """The method of a loop that gives a measure, and how it is summarised over the hands."""
-
-_APART = "distance", "jitter"  # of methods that take no loop with arrays

@@ -23,19 +23,8 @@ from jaxstab.scene.scene import Scene
 if TYPE_CHECKING:
     from xarray import Dataset
 
-_WORST_LAST = (
-    ContactKind.UNTOUCHED,
-    ContactKind.OUTSIDE,
-    ContactKind.RESTS,
-    ContactKind.DECAYS,
-    ContactKind.OSCILLATES,
-    ContactKind.BOUNCES,
-    ContactKind.GROWS,
-    ContactKind.PUSHED_THROUGH,
-)
 _PHASES = 0.0, 0.25, 0.5, 0.75
 MAP_COUNT = 60  # walls along each axis of a map
-_WIDER = 1.6  # times the largest gains
 
 Floats = Float64[np.ndarray, " _"]
 
@@ -98,7 +87,17 @@ def contacts_of(scene: Scene) -> dict[str, Simulated]:
     gains = np.array([*walls_of(scene).values()]).T[:, :, None]
     push, speed, phase = np.array(starts).T
     contact = simulated_map(scene, *gains, push=push, speed=speed, phase=phase)
-    ranks = np.argsort(_WORST_LAST)
+    worst_last = (
+        ContactKind.UNTOUCHED,
+        ContactKind.OUTSIDE,
+        ContactKind.RESTS,
+        ContactKind.DECAYS,
+        ContactKind.OSCILLATES,
+        ContactKind.BOUNCES,
+        ContactKind.GROWS,
+        ContactKind.PUSHED_THROUGH,
+    )
+    ranks = np.argsort(worst_last)
     is_thrown = (contact.kind == ContactKind.OUTSIDE) & (push > 0.0)  # further than what returns
     rank = np.where(is_thrown, ranks[ContactKind.BOUNCES - 1], ranks[contact.kind - 1])
     order = (contact.time_to_rest, contact.amplitude, rank)
@@ -179,7 +178,8 @@ def walls_around(
     """Return a grid of walls beyond the stable ones and others, (count,) and (count, 1)."""
     limits = loop.limits()
     gains = np.array([(limits.stiffness, limits.damping), *others])
-    stiffness, damping = _WIDER * np.nanmax(gains, axis=0)
+    wider = 1.6  # times the largest gains
+    stiffness, damping = wider * np.nanmax(gains, axis=0)
     return np.linspace(0.0, stiffness, count + 1)[1:], np.linspace(0.0, damping, count)[:, None]
 
 

@@ -24,17 +24,16 @@ if TYPE_CHECKING:
 
 _BLOCK, _LEAST = 2**26, 1024  # samples of a block; contacts at least
 
-_KINDS = {kind.value: kind.name.lower() for kind in ContactKind}
 _VARIABLES = {
-    "kind": Variable("int8", "how the simulated contact ends", "1", _KINDS),
-    "amplitude": Variable("float64", "half of the peak-to-peak position at the end", "m"),
-    "frequency": Variable("float64", "frequency of the position at the end", "Hz"),
-    "time_to_rest": Variable("float64", "from when on it rests", "s"),
-    "penetration": Variable("float64", "largest position", "m"),
-    "largest_force": Variable("float64", "largest modulus of the wall's force", "N"),
-    "energy": Variable("float64", "energy that the wall gave to device and hand", "J"),
+    "kind": Variable("how the simulated contact ends", "1", ContactKind),
+    "amplitude": Variable("half of the peak-to-peak position at the end", "m"),
+    "frequency": Variable("frequency of the position at the end", "Hz"),
+    "time_to_rest": Variable("from when on it rests", "s"),
+    "penetration": Variable("largest position", "m"),
+    "largest_force": Variable("largest modulus of the wall's force", "N"),
+    "energy": Variable("energy that the wall gave to device and hand", "J"),
 }
-_AXES = {
+_AXES = {  # arguments that may be lists: what they are, and their unit
     "stiffness": ("stiffness of the virtual wall", "N/m"),
     "damping": ("damping of the virtual wall", "N s/m"),
     "friction": ("Coulomb friction", "N"),
@@ -114,7 +113,7 @@ def plan_contacts(
         max(_LEAST, _BLOCK // samples),
         {},
     )
-    axes = {name: Variable("float64", *_AXES[name]) for name in lists}
+    axes = {name: Variable(*_AXES[name]) for name in lists}
     return table.assign_coords(
         {
             name: (name, lists[name], own._replace(units=in_units(own.units)).attributes)

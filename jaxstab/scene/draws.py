@@ -13,10 +13,12 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
+from numpy.typing import NDArray
 
 from jaxstab.shown import shortened
 from jaxstab.tables import columns_of
 
+Values = list[Any] | NDArray[Any]
 Draws = Float64[np.ndarray, " draw"]
 _MOST_VALUES = 100_000  # of a list between two ends
 _FORMS = "normal:MEAN:DEVIATION, uniform:LOW:HIGH, lognormal:MEDIAN:FACTOR or csv:FILE:COLUMN"
@@ -44,6 +46,41 @@ def words_of(given: Any) -> str:
         pairs = (f"{name}={value}" for name, value in given.kwds.items())
         return f"{given.dist.name}({', '.join([*map(str, given.args), *pairs])})"
     return shortened(given)
+
+
+def values_of(key: str, given: Any) -> Any:
+    """Return the distribution or the values that are given for a key, checked.
+
+    A list, ``(low, high, count)``, a distribution, or one of these as a text: ``VALUE,VALUE,...``,
+    ``LOW:HIGH:COUNT``, ``normal:300:100``. ValueError: it is none of these, or not finite; OSError:
+    a file cannot be read.
+    """
+    given = distribution_of(given) or listed(key, given) if isinstance(given, str) else given
+    if is_distribution(given):
+        return given
+    if isinstance(given, tuple) and len(given) == 3 and isinstance(given[2], int):
+        if given[2] < 2:
+            raise ValueError(f"{key} is {given}; give (low, high, count) with a count >= 2.")
+        given = _spaced(*given)
+    if not np.ndim(given):
+        raise ValueError(
+            f"{key} is {shortened(given)}; give a list of values, (low, high, count), or a "
+            "distribution such as scipy.stats.norm(300.0, 100.0)."
+        )
+    values = list(given)
+    if not values:
+        raise ValueError(f"{key} is an empty list; give at least one value.")
+    if all(isinstance(value, str) for value in values):
+        return values
+    try:
+        numbers = np.array(values, np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"{key} is {shortened(values)}; give numbers, or texts, not both."
+        ) from None
+    if not np.isfinite(numbers).all():
+        raise ValueError(f"{key} is {shortened(numbers.tolist())}; give finite numbers.")
+    return numbers
 
 
 def distribution_of(text: str) -> Any:
@@ -76,7 +113,7 @@ def distribution_of(text: str) -> Any:
     raise ValueError(f"{shortened(text)} is no distribution; give {_FORMS}.")
 
 
-def values_of(key: str, text: str) -> list[float | str]:
+def listed(key: str, text: str) -> list[float | str]:
     """Return the values of a text: ``LOW:HIGH:COUNT`` or ``VALUE,VALUE,...``; ValueError."""
     ends = text.split(":")
     if len(ends) == 1 and text:
@@ -84,14 +121,20 @@ def values_of(key: str, text: str) -> list[float | str]:
     try:
         low, high, count = float(ends[0]), float(ends[1]), int(ends[2])
         if len(ends) == 3 and 2 <= count <= _MOST_VALUES and isfinite(high - low):
-            between = np.linspace(low, high, count)[1:-1].tolist()
-            return [low, *(float(f"{value:.15g}") for value in between), high]
+            return [*_spaced(low, high, count)]
     except (ValueError, IndexError):
         pass
     raise ValueError(
         f"{key} is {shortened(text)}; give LOW:HIGH:COUNT with a COUNT from 2 to {_MOST_VALUES}, "
         "or VALUE,VALUE,..."
     )
+
+
+def _spaced(low: float, high: float, count: int) -> list[float]:
+    """Return equally spaced numbers of 15 digits between two ends."""
+    with np.errstate(all="ignore"):  # ends so far apart overflow
+        between = np.linspace(low, high, count)[1:-1].tolist()
+    return [float(low), *(float(f"{value:.15g}") for value in between), float(high)]
 
 
 def _number_or_text(text: str) -> float | str:

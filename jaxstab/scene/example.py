@@ -1,6 +1,6 @@
 """An example of a scene, with comments."""
 
-from jaxstab.scene.answers import IntervalQuantity, Quantity, basis_of, grip_in_words
+from jaxstab.scene.answers import IntervalQuantity, Quantity, basis_of, parts_in_words
 from jaxstab.scene.scene import Hand, Scene, Units
 
 EXAMPLE = """\
@@ -84,49 +84,39 @@ DIAGRAM = """\
                     +---------+         +-------+
 """
 
-_COUNTED = (
-    "includes: encoder reading, transport both ways (USB, network), waiting, computation, DAC",
-    "excludes: the zero-order hold and the window or filter, which are modelled separately",
-)
-
-_OUTSIDE = (
-    "quantisation of encoder and force (check bounds the chatter that an encoder causes)",
-    "Coulomb friction, saturation, bouncing off the wall (simulated by check and contact)",
-    "a mass, hand{} or gain that changes while the wall is touched; several axes at once",
-    "adaptive velocity estimators, a jittering sampling clock",
-)
-
-_UNITS = ("kg", "N/m", "N s/m")
-_NAME = 14  # column of the values of a block
-
 
 def explain_model(scene: Scene) -> str:
     """The loop as a diagram, the values of its blocks, and what the model leaves out."""
-    blocks = [f"{name:{_NAME}}{words}" for name, words in _blocks(scene).items()]
-    counted = [f"{'':{_NAME}}{words}" for words in _COUNTED]
+    column = 14  # of the values of a block
+    blocks = [f"{name:{column}}{words}" for name, words in _blocks(scene).items()]
+    counted = (
+        "includes: encoder reading, transport both ways (USB, network), waiting, computation, DAC",
+        "excludes: the zero-order hold and the window or filter, which are modelled separately",
+    )
+    blocks += [f"{'':{column}}{words}" for words in counted]
     delay = "" if scene.controller.moves else ", delay"
-    every = [", ".join(_not_modelled(scene)), *(words.format(delay) for words in _OUTSIDE)]
-    outside = [f"{'' if k else 'outside':{_NAME}}{w}" for k, w in enumerate(every)]
-    return "\n".join([DIAGRAM, *blocks, *counted, *outside])
+    left_out = (
+        "quantisation of encoder and force (check bounds the chatter that an encoder causes)",
+        "Coulomb friction, saturation, bouncing off the wall (simulated by check and contact)",
+        "a mass, hand{} or gain that changes while the wall is touched; several axes at once",
+        "adaptive velocity estimators, a jittering sampling clock",
+    )
+    every = [", ".join(_not_modelled(scene)), *(words.format(delay) for words in left_out)]
+    outside = [f"{'' if k else 'outside':{column}}{w}" for k, w in enumerate(every)]
+    return "\n".join([DIAGRAM, *blocks, *outside])
 
 
 def _blocks(scene: Scene) -> dict[str, str]:
     device, controller, hand = scene.device, scene.controller, scene.hand or Hand()
     basis, units, time = basis_of(scene), scene.units, Quantity("s")
-    held = zip((hand.effective_mass, hand.stiffness, hand.damping), _UNITS, strict=True)
+    values = hand.effective_mass, hand.stiffness, hand.damping
+    held = zip(values, ("kg", "N/m", "N s/m"), strict=True)
     turning = "" if units is Units.LINE else ", which turns"
     own = _range(device.effective_mass, "kg", units)
-    blocks = {"device": f"{own}, {Quantity('N s/m').words(device.damping, units)}{turning}"}
-    for index, mode in enumerate(device.modes, 1):
-        mass = Quantity("kg").words(mode.effective_mass, units)
-        words = f"{mode.frequency:g} Hz, damping ratio {mode.damping_ratio:g}, {mass}"
-        blocks[f"mode {index}"] = words
-    if device.actuator is not None:
-        blocks["actuator"] = f"a first-order lag of {device.actuator.bandwidth:g} Hz of the force"
-    blocks["hand"] = ", ".join(_range(*pair, units) for pair in held) if scene.hand else "none"
-    if hand.grip is not None:
-        blocks["grip"] = f"{grip_in_words(hand.grip, units)}, between device and hand"
-    return blocks | {
+    return {
+        "device": f"{own}, {Quantity('N s/m').words(device.damping, units)}{turning}",
+        "hand": ", ".join(_range(*pair, units) for pair in held) if scene.hand else "none",
+        **parts_in_words(scene),
         "T": time.words(controller.sample_time),
         "velocity V(z)": basis.velocity,
         "filter P(z)": basis.position or "none",

@@ -13,17 +13,13 @@ from jaxstab.guard.build import CELLS, CONSTANT_CELLS, plan_guard
 from jaxstab.guard.guard import LARGEST_HEADER
 from jaxstab.loop import HapticLoop
 from jaxstab.model.parameters import LONGEST_DELAY
-from jaxstab.scene.answers import Quantity, basis_of
+from jaxstab.scene.answers import Quantity, basis_of, parts_in_words
 from jaxstab.scene.loops import is_one_mass, loop_of, masses_of, range_of_hands, with_delay
 from jaxstab.scene.scene import Scene, range_in_words
 
 _MASSES = 0.8, 1.25  # of the scene's: what postures may make of it
 _DELAYS = 1.0  # samples beside the scene's if it is constant, and beyond it if it moves
 _DEVICE_MASSES, _DEVICE_DELAYS = (0.96, 1.04), 0.1  # the same with modes, an actuator or a grip
-_DEVICE_CELLS = 1, 1, 16
-_FAR = 10.0  # masses beyond this multiple of the scene's are more likely a slip of the unit
-_GRANTED = Quantity("N/m", 4, ROUND_FLOOR)
-_LETTERS = 6  # of a number of the table, with its comma
 
 
 def scene_guard(
@@ -53,7 +49,8 @@ def scene_guard(
     mass, delay, period = scene.device.effective_mass[0], loop.delay, loop.sample_time
     given_delays = controller.delays
     shortest = max(delay - beside * period, 0.0) if constant_delay else delay
-    if masses and not (masses[0] <= _FAR * mass and mass <= _FAR * masses[1]):
+    far = 10.0  # masses beyond this multiple of the scene's are more likely a slip of the unit
+    if masses and not (masses[0] <= far * mass and mass <= far * masses[1]):
         unit = scene.units.kilogram
         warnings.warn(
             f"masses are {masses[0]:g} to {masses[1]:g} {unit}, that of the scene is {mass:g} "
@@ -85,7 +82,7 @@ def _check_size(scene: Scene, delays: Range | None, cells: tuple[int, int, int] 
             f"delays are {delays[0]:g} to {delays[1]:g} s; give at most {LONGEST_DELAY:g} samples, "
             f"{longest:g} s."
         )
-    most = LARGEST_HEADER // _LETTERS
+    most = LARGEST_HEADER // 6  # letters of a number with its comma
     if cells and prod(count + 1 for count in cells) > most:
         raise ValueError(
             f"cells are {','.join(map(str, cells))}; give fewer: the table may have {most} numbers."
@@ -109,7 +106,7 @@ def _is_constant(scene: Scene, constant_delay: bool) -> bool:
 
 def _cells_of(scene: Scene, constant_delay: bool) -> tuple[int, int, int]:
     if not is_one_mass(scene):
-        return _DEVICE_CELLS
+        return 1, 1, 16
     return CONSTANT_CELLS if constant_delay else CELLS
 
 
@@ -122,7 +119,7 @@ def guard_about(scene: Scene, guard: Guard) -> str:
             _line(f"{units.moved} of the device", guard.mass, units.kilogram),
             _line(_delay_of(guard), guard.delay, "s"),
             f"damping of the device: {scene.device.damping:g} {units.damping}",
-            *_beside_a_mass(scene),
+            *(f"{name}: {words}" for name, words in parts_in_words(scene).items()),
             f"sample time: {guard.loop.sample_time:g} s",
             f"velocity: {basis.velocity}",
             *filtered,
@@ -153,12 +150,13 @@ def _granted(scene: Scene, guard: Guard) -> list[str]:
     left = f"Nothing is proved, and granted, in {100.0 * (1.0 - proved):.1f} % of the table."
     at = "any delay" if least.delay is None else f"a delay of {least.delay:g} s"
     stable = "the stable stiffness" if guard.is_delay_constant else "what constant delays allow"
+    granted = Quantity("N/m", 4, ROUND_FLOOR).words(least.granted, units)
     return [
         f"It grants {100.0 * guard.granted:.1f} % of {stable}, in the mean.",
         *([left] if proved < 1.0 else []),
         f"The least stiff corner: {least.mass:g} {units.kilogram}, {at}{',' if is_held else '.'}",
         *(limited if is_held else []),
-        f"It grants {_GRANTED.words(least.granted, units)} there, of {least.exact:.4g}.",
+        f"It grants {granted} there, of {least.exact:.4g}.",
     ]
 
 
@@ -167,24 +165,6 @@ def header_of(scene: Scene, guard: Guard, name: str) -> str:
     units = scene.units
     words = units.kilogram, units.stiffness, units.damping
     return guard.header(name, guard_about(scene, guard), words)
-
-
-def _beside_a_mass(scene: Scene) -> list[str]:
-    """Return the vibration modes, the actuator and the grip of a scene, in lines."""
-    device, units = scene.device, scene.units
-    lines = [
-        f"vibration mode: {mode.frequency:g} Hz, damping ratio {mode.damping_ratio:g}, "
-        f"{mode.effective_mass:g} {units.kilogram}"
-        for mode in device.modes
-    ]
-    if device.actuator is not None:
-        lines.append(f"actuator: {device.actuator.bandwidth:g} Hz")
-    grip = None if scene.hand is None else scene.hand.grip
-    if grip is not None:
-        lines.append(
-            f"grip: {grip.stiffness:g} {units.stiffness}, {grip.damping:g} {units.damping}"
-        )
-    return lines
 
 
 def _line(name: str, ends: Range, unit: str) -> str:

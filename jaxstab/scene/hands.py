@@ -3,9 +3,9 @@
 Hands are tried: what one of them contradicts is proved. For all others a proof is looked for.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import isfinite, isnan
+from math import isfinite, isnan, nan
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from jaxstab.conventions import Verdict
 from jaxstab.loop import Gains, HapticLoop
-from jaxstab.loop.hands import LoopsWithHands
 from jaxstab.model.device.parts import MassSpringDamper, Modes
 from jaxstab.model.linear_loop import loop_without_drift
 from jaxstab.point.verdicts import linear_verdict
@@ -41,7 +40,6 @@ _PROVED = "proved for every hand"
 _TRIED = "no hand that was tried is unstable, but not all others are proved"
 BUT_FOR_DRIFT = "stable but for the position, which nothing holds"
 _DRIFTS = "nothing holds the position of a damper alone; over ranges the rest is not proved"
-_ROWS = 400  # of B, in which walls are stable for all hands
 
 Floats = NDArray[np.float64]
 
@@ -113,28 +111,31 @@ def worst_on(scene: Scene, walls: Sequence[Gains]) -> list[WorstHeld]:
     Of a delay that moves it is for every sequence; of one that is constant, but not known, for each
     constant one.
     """
-    loops, moving, hands = loops_over_delays(scene), moving_delays(scene), hands_of(scene)
-    loop, mass = loops[0], masses_of(scene)
-    if len(loops) > 1 and not moving:
-        return [_worst_delay(scene, gains) for gains in walls]
-    pairs: list[Any]
-    if hands is None and not moving:
+    loop, delays, every = loops_over_delays(scene)[0], delays_of(scene), ranges_of_all(scene)
+    is_alone = hands_of(scene) is None
+    worst: list[tuple[Any, HapticLoop, float]]  # verdict, loop and radius
+    if is_alone and not delays:
         codes = loop.verdict(*np.array(walls).T)
-        pairs = [
-            (verdict_with_drift(loop, w) or c, loop) for w, c in zip(walls, codes, strict=True)
+        worst = [
+            (verdict_with_drift(loop, w) or c, loop, nan) for w, c in zip(walls, codes, strict=True)
         ]
-    elif hands is None:
-        pairs = [(loop.verdict(*gains, **moving), loop) for gains in walls]
+    elif is_alone and scene.controller.moves:
+        worst = [(loop.verdict(*gains, **delays), loop, nan) for gains in walls]
     else:
-        pairs = [loop.worst_hand(hands, *gains, mass=mass, **moving)[:2] for gains in walls]
+        found = [loop.worst_hand(stiffness=k, damping=b, **every) for k, b in walls]
+        worst = [(one.verdict, one.loop, one.radius) for one in found]
     answers = []
-    for gains, (code, worst) in zip(walls, pairs, strict=True):
-        verdict, drifts = _but_for_drift(code, worst, gains)
-        hand = None if hands is None else held_by(worst, scene)
-        tried = drifts or (_TRIED if hand and verdict == Verdict.UNDECIDED else None)
-        grows = bool(moving) and verdict == Verdict.UNSTABLE
-        words = str(worst.worst_delays(*gains, **moving)) if grows else None
-        answers.append(WorstHeld(verdict, worst, hand, tried, words))
+    for gains, (code, held, radius) in zip(walls, worst, strict=True):
+        verdict, drifts = _but_for_drift(code, held, gains)
+        hand, words = None if is_alone else held_by(held, scene), None
+        is_range = not is_alone or "delay" in delays
+        tried = drifts or (_TRIED if is_range and verdict == Verdict.UNDECIDED else None)
+        if delays and verdict == Verdict.UNSTABLE:
+            constant = f"a constant delay of {Quantity('s').words(held.delay)}"
+            words = f"{constant}: a factor of {radius:.6g} per sample"
+            if scene.controller.moves:
+                words = str(held.worst_delays(*gains, **delays))
+        answers.append(WorstHeld(verdict, held, hand, tried, words))
     return answers
 
 
@@ -156,62 +157,65 @@ def _but_for_drift(code: Any, worst: HapticLoop, wall: Gains) -> tuple[Verdict |
     return Verdict(int(code)), None
 
 
-def with_constant_delays(scene: Scene) -> LoopsWithHands:
-    """Return the loop of a scene with all of its hands, masses and constant delays."""
-    hands = hands_of(scene) or range_of_hands(scene)
-    loop = loops_over_delays(scene)[0]
-    return LoopsWithHands(loop, hands, masses_of(scene), scene.controller.delays)
-
-
-def _worst_delay(scene: Scene, gains: Gains) -> WorstHeld:
-    """Return the verdict on a wall for each constant delay of a range, and the worst of them."""
-    worst = with_constant_delays(scene).worst(*gains)
-    delay = Quantity("s").words(worst.loop.delay)
-    words = f"a constant delay of {delay}: a factor of {worst.radius:.6g} per sample"
-    verdict, drifts = _but_for_drift(worst.verdict, worst.loop, gains)
-    hand = None if hands_of(scene) is None else held_by(worst.loop, scene)
-    tried = drifts or (_TRIED if verdict == Verdict.UNDECIDED else None)
-    is_unstable = verdict == Verdict.UNSTABLE
-    return WorstHeld(verdict, worst.loop, hand, tried, words if is_unstable else None)
-
-
 def loops_over_delays(scene: Scene) -> list[HapticLoop]:
     """Return the loops of the shortest and the longest delay; one where these are the same."""
     return [loop_of(with_delay(scene, delay)) for delay in dict.fromkeys(scene.controller.delays)]
 
 
-def moving_delays(scene: Scene) -> dict[str, Any]:
-    """Return the arguments ``delays`` and ``lost`` for a delay that moves; none for another."""
-    moves, delays = scene.controller.moves, scene.controller.delays
-    return {"delays": delays, "lost": scene.controller.lost_samples} if moves else {}
+def delays_of(scene: Scene) -> dict[str, Any]:
+    """Return the arguments of a loop's methods for a range of delays; none for one delay.
+
+    These are ``delays`` and ``lost`` of a delay that moves, ``delay`` of one that is constant.
+    """
+    controller = scene.controller
+    if controller.moves:
+        return {"delays": controller.delays, "lost": controller.lost_samples}
+    return {} if controller.has_one_delay else {"delay": controller.delays}
+
+
+def ranges_of_all(scene: Scene) -> dict[str, Any]:
+    """Return the arguments for all hands, masses and delays of a scene, as ``robust_limit`` has."""
+    hands = hands_of(scene) or range_of_hands(scene)
+    return {"hands": hands, "mass": masses_of(scene), **delays_of(scene)}
 
 
 def limit_for_all(scene: Scene, safety: float) -> AllHands | None:
     """Return what all hands of a scene allow; None where neither the hand nor the mass varies."""
-    hands = hands_of(scene)
-    if hands is None:
+    if hands_of(scene) is None:
         return None
-    loop, mass, moving = loops_over_delays(scene)[0], masses_of(scene), moving_delays(scene)
-    robust = loop.robust_limit(hands, mass=mass, **moving)
+    best, is_proved, limiting = wall_for_all(scene, safety)
+    proved = _PROVED + ("" if masses_of(scene) is None else f" and {scene.units.moved}")
+    proved += " and every sequence of delays" if scene.controller.moves else ""
+    tried = "no wall was found" if isnan(best.stiffness) else "not proved"
+    return AllHands(*best, proved if is_proved else tried, held_by(limiting, scene))
 
-    def is_proved_for_all(stiffness: float, damping: float) -> bool:
-        worst = loop.worst_hand(hands, stiffness, damping, mass=mass, **moving)
+
+def wall_for_all(scene: Scene, safety: float) -> tuple[Gains, bool, HapticLoop]:
+    """Return the stiffest wall for all hands, masses and delays, times the safety.
+
+    Beside it stand whether it is proved, and the loop that limits it.
+    """
+    loop, every = loops_over_delays(scene)[0], ranges_of_all(scene)
+    robust = loop.robust_limit(**every)
+
+    def is_proved(stiffness: float, damping: float) -> bool:
+        worst = loop.worst_hand(stiffness=stiffness, damping=damping, **every)
         return worst.verdict == Verdict.STABLE
 
-    is_proved, stiffness, damping = robust.is_proved, safety * robust.stiffness, robust.damping
-    if safety < 1.0 and not isnan(stiffness):
-        is_proved = is_proved_for_all(stiffness, damping)
-    if is_proved:
-        stiffness, damping = printed_wall(stiffness, damping, is_proved_for_all)
-    proved = _PROVED + ("" if mass is None else f" and {scene.units.moved}")
-    proved += " and every sequence of delays" if moving else ""
-    tried = "no wall was found" if isnan(stiffness) else "not proved"
-    return AllHands(
-        largest_stiffness=stiffness,
-        at_damping=damping,
-        certainty=proved if is_proved else tried,
-        worst_hand=held_by(robust.loop, scene),
-    )
+    best = Gains(robust.stiffness, robust.damping)
+    return *with_safety(best, robust.is_proved, safety, is_proved), robust.loop
+
+
+def with_safety(
+    best: Gains, is_best: bool, safety: float, is_proved: Callable[[float, float], bool]
+) -> tuple[Gains, bool]:
+    """Return a largest stiffness times the safety as it is printed, and whether it is proved."""
+    stiffness = safety * best.stiffness
+    if safety < 1.0 and (is_best or stiffness > 0.0):
+        is_best = is_proved(stiffness, best.damping)
+    if not is_best:
+        return Gains(stiffness, best.damping), False
+    return Gains(*printed_wall(stiffness, best.damping, is_proved)), True
 
 
 def at_lowest(scene: Scene, others: str = " unless stated otherwise") -> str | None:
@@ -240,4 +244,4 @@ def common_outline(loops: list[HapticLoop]) -> Floats:
     regions = [wall_region(loop).reachable for loop in loops]
     if any(region.is_empty for region in regions):
         return np.zeros((0, 2))
-    return common_walls(regions, _ROWS)
+    return common_walls(regions, 400)  # rows of B

@@ -16,9 +16,7 @@ from jaxstab.scene.answers import Quantity
 from jaxstab.scene.scene import Units
 from jaxstab.shown import printable
 
-_NOISE = 1e-6  # of the motion: a smaller residual causes no warning
 _ODD, _SHARP = 1.5, 20.0  # a residual in roundings, its peak in medians of the spectrum
-_EXPLAINED = 0.05  # of a velocity: an estimator with a larger error is only a comment
 
 Rows = Float64[np.ndarray, " row"]
 Segments = Float64[np.ndarray, "segment sample"]
@@ -105,7 +103,8 @@ def doubt_of(
     power = np.mean(abs(np.fft.rfft(window * residual, axis=1)) ** 2, axis=0)[2:]
     peak = int(np.argmax(power))
     times = float(np.sqrt(12.0 * np.mean(residual**2)))
-    is_sharp = power[peak] > _SHARP * np.median(power) and size > _NOISE * extent
+    noise = 1e-6  # of the motion: a smaller residual causes no warning
+    is_sharp = power[peak] > _SHARP * np.median(power) and size > noise * extent
     is_odd = times > _ODD if is_stepped else is_sharp
     if not is_odd:
         return ""
@@ -199,5 +198,6 @@ def _velocity_key(device: Identified) -> list[str]:
         for name, own in (("window_samples", "samples"), ("cutoff", "cutoff"))
         if hasattr(section, own)
     )
-    mark = "" if device.unexplained <= _EXPLAINED else "# not explained: "
+    explained = 0.05  # of a velocity: an estimator with a larger error is only a comment
+    mark = "" if device.unexplained <= explained else "# not explained: "
     return [f"{mark}velocity.{name} = {value:.6g}  # {_unexplained(device)}"]

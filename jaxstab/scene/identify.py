@@ -47,15 +47,9 @@ HISTORY = 100  # samples before the first segment: longer delays are not tried
 _SEGMENTS, _ROWS = (16, 64), 500  # fewest and most; rows of one, between these numbers
 _BUMP, _BUMP_ROWS = 0.04, (16, 200)  # s; samples
 _LEAST_STEPS = 20  # of the encoder, which the device moves at least
-_LOOSE = 0.5  # of the mass: a larger half-width of its interval is refused
 _INERTIA = 0.01  # of the force, which at least must accelerate the device
 _EXCITE = "excite the device more strongly, or with more changes of the force"
 _STATE_STEPS, _MOST_STEPS = 8, 40
-_SETTLED = 1e-6  # encoder steps: a smaller move ends the search for initial states
-_HELD = 1e-6  # of the largest singular value: what a segment tells less of stays as it is
-_LIGHTEST = 1e-3  # of the first guess of the mass
-_TOLERANCES = {"ftol": 1e-12, "xtol": 1e-9, "gtol": None}
-_MISFIT = 0.1  # of the motion: a log with a larger residual is refused
 
 
 def identify(
@@ -117,7 +111,8 @@ def identify(
     middle = float(positions.mean())
     estimates, measured, fitted = _fit(forces, (positions - middle) / unit, period, spring)
     residual = unit * float(np.sqrt(np.mean((measured - fitted) ** 2)))
-    if not residual < _MISFIT * np.std(positions):
+    misfit = 0.1  # of the motion: a log with a larger residual is refused
+    if not residual < misfit * np.std(positions):
         raise ValueError(
             f"a mass with friction does not fit this log: the residual is {residual:g} rms, the "
             f"motion {np.std(positions):g} rms; let go of the handle, and log force and position "
@@ -125,7 +120,8 @@ def identify(
         )
     factors = (period**2 / unit, period / unit, 1.0, 1.0, 1.0 / unit, period)
     mass, damping, friction, offset, stiffness, delay = map(Estimate.times, estimates, factors)
-    if not mass.high - mass.low < 2.0 * _LOOSE * mass.value:
+    loose = 0.5  # of the mass: a larger half-width of its interval is refused
+    if not mass.high - mass.low < 2.0 * loose * mass.value:
         raise ValueError(
             f"the log does not separate the mass from damping and friction: it is {mass.low:.3g} "
             f"to {mass.high:.3g}; {_EXCITE}."
@@ -205,6 +201,8 @@ def _fit(
         values, trial = start.copy(), states.copy()  # the states of values asked for before
         values[free] += sizes[free] * moves
         best = states, np.full(count, np.inf), np.empty_like(measured), np.empty((*shape, 8))
+        settled = 1e-6  # encoder steps: a smaller move ends the search for initial states
+        held = 1e-6  # of the largest singular value: what a segment tells less of stays as it is
         for _ in range(_STATE_STEPS):
             both = np.hstack([np.tile(values, (count, 1)), trial])
             path, slopes = in_float64(_program(), both, pushes)
@@ -213,21 +211,24 @@ def _fit(
             for kept, new in zip(best, (trial, squares, path, slopes), strict=True):
                 kept[is_better[:, 0]] = new[is_better[:, 0]]
             to_states = best[3][:, :, 6:] * scale
-            inverse = np.linalg.pinv(to_states, _HELD)  # a velocity that friction stops is lost
+            inverse = np.linalg.pinv(to_states, held)  # a velocity that friction stops is lost
             step = scale * (inverse @ (measured - best[2])[..., None])[..., 0]
             trial = np.where(is_better, states + step, 0.5 * (states + trial))
-            if np.all(np.abs(trial - states) <= _SETTLED * scale):
+            if np.all(np.abs(trial - states) <= settled * scale):
                 break
         rows = best[3][:, :, free] * sizes[free]
         return best[2], rows - to_states @ (inverse @ rows)
 
+    lightest = 1e-3  # of the first guess of the mass
     found = least_squares(
         lambda moves: (fitted(tuple(moves))[0] - measured).ravel(),
         np.zeros(free.size),
         lambda moves: fitted(tuple(moves))[1].reshape(-1, free.size),
-        bounds=(np.where(free == 0, (_LIGHTEST - 1.0) * start[0] / sizes[0], -np.inf), np.inf),
+        bounds=(np.where(free == 0, (lightest - 1.0) * start[0] / sizes[0], -np.inf), np.inf),
         max_nfev=_MOST_STEPS,
-        **_TOLERANCES,
+        ftol=1e-12,
+        xtol=1e-9,
+        gtol=None,
     )
     rows, residuals = found.jac.reshape(count, length, -1), found.fun.reshape(count, length)
     squares = rows.transpose(0, 2, 1) @ rows

@@ -12,6 +12,7 @@ one step to a path at which nothing may have appeared meanwhile.
 
 import os
 from collections.abc import Callable, Mapping
+from enum import IntEnum
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -23,29 +24,30 @@ from jaxstab.durable import named_errors, replacing, write_all
 if TYPE_CHECKING:
     from xarray import DataArray, Dataset
 
-_STORED = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
-_UNREADABLE = AttributeError, IndexError, KeyError, OSError, RuntimeError, TypeError, ValueError
-
 
 class Variable(NamedTuple):
-    """What a variable is: its type, its description, its unit, and the names of its codes.
+    """What a variable is: its description, its unit, and its codes, if its numbers are these.
 
     along: a dimension that the function itself adds at the end.
     """
 
-    dtype: str
     long_name: str
     units: str = "1"
-    flags: Mapping[int, str] = {}
+    codes: type[IntEnum] | None = None
     along: tuple[str, ...] = ()
+
+    @property
+    def dtype(self) -> str:
+        """The type of its numbers."""
+        return "int8" if self.codes else "float64"
 
     @property
     def attributes(self) -> dict[str, Any]:
         """The attributes of the variable, as CF names them."""
         attributes: dict[str, Any] = {"long_name": self.long_name, "units": self.units}
-        if self.flags:
-            attributes["flag_values"] = np.array([*self.flags], self.dtype)
-            attributes["flag_meanings"] = " ".join(self.flags.values())
+        if self.codes:
+            attributes["flag_values"] = np.array([*self.codes], self.dtype)
+            attributes["flag_meanings"] = " ".join(code.name.lower() for code in self.codes)
         return attributes
 
 
@@ -121,7 +123,8 @@ def require_free(path: Path) -> None:
 
 def write(table: "Dataset", path: Path) -> None:
     """Write a table as a netCDF-4 file, whole or not at all; FileExistsError, OSError."""
-    encoding = {name: _STORED for name in table.data_vars if table[name].ndim}
+    stored = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
+    encoding = {name: stored for name in table.data_vars if table[name].ndim}
     with (
         table.to_netcdf(engine="h5netcdf", encoding=encoding) as image,
         replacing(path, former=None) as descriptor,
@@ -134,7 +137,8 @@ def read(path: Path) -> "Dataset":
     xarray = xarray_module()
     with named_errors("read", path), path.open("rb"):
         pass
+    unreadable = AttributeError, IndexError, KeyError, OSError, RuntimeError, TypeError, ValueError
     try:
         return xarray.load_dataset(path, engine="h5netcdf")
-    except _UNREADABLE as error:
+    except unreadable as error:
         raise ValueError(f"{path} is not a netCDF-4 file, or is damaged.") from error

@@ -33,22 +33,19 @@ from jaxstab.scene.hands import (
     Floats,
     WallVerdict,
     at_lowest,
+    delays_of,
     limit_for_all,
     loops_over_delays,
-    moving_delays,
     verdict_with_drift,
-    with_constant_delays,
+    wall_for_all,
+    with_safety,
     worst_on,
 )
 from jaxstab.scene.loops import hands_of, is_plain, loop_of, wall_region, walls_of
 from jaxstab.scene.scene import Scene
 
-_ISOLATED = "isolated: not connected to zero gains"
 _SEE_BELOW = " (all hands: see below)"
-_UNSTABLE_AT_0 = "small gains are not stable"
 _PROVED = "proved for every"
-_WINDOWS = (10, 20)  # samples: 10 and 20 ms at 1 kHz
-_SOFT = 1e-6  # of the extent of the stable set
 
 
 @dataclass(frozen=True)
@@ -278,15 +275,16 @@ def scene_limits(scene: Scene) -> Limits | LimitsOverDelays:
     rows = _Rows(loop, region, safety)
     has_rules, islands = is_plain(loop), () if wanted.safety else limits.islands
     is_any_stable = isfinite(limits.stiffness)  # with K >= 0 and B >= 0
+    isolated = "isolated: not connected to zero gains"
     return Limits(
         inputs=basis_of(scene),
         safety=wanted.safety,
         hand=at_lowest(scene, _SEE_BELOW),
         best=StiffestWall(*rows.stiffest(limits.stiffness, limits.at_damping)),
         most_damped=MostDampedWall(*rows.most_damped(limits.damping, limits.at_stiffness)),
-        reached=None if limits.is_reachable or region.is_empty else _UNSTABLE_AT_0,
+        reached=None if limits.is_reachable or region.is_empty else "small gains are not stable",
         islands={
-            str(k): Island(*rows.stiffest(*own[:2]), *rows.most_damped(*own[2:4]), _ISOLATED)
+            str(k): Island(*rows.stiffest(*own[:2]), *rows.most_damped(*own[2:4]), isolated)
             for k, own in enumerate(islands, 1)
         },
         passive=_passive(rows) if has_rules else None,
@@ -309,28 +307,19 @@ def _over_delays(scene: Scene) -> LimitsOverDelays:
                 f"wanted.{name} is {getattr(wanted, name):g} beside a range of delays; leave it "
                 "out, or give one delay."
             )
-    members, unstable, every = with_constant_delays(scene), None, "constant delay"
+    unstable, safety, every = None, wanted.safety or 1.0, "constant delay"
     if controller.moves:
+        delays, every = delays_of(scene), "sequence of delays"
         moving = loops[0].limits(delays=controller.delays, lost=controller.lost_samples)
-        best, is_proved = Gains(moving.stiffness, moving.damping), moving.stiffness > 0.0
-        unstable, every = moving.unstable_stiffness, "sequence of delays"
+        unstable, found = moving.unstable_stiffness, Gains(moving.stiffness, moving.damping)
+
+        def is_proved_wall(stiffness: float, damping: float) -> bool:
+            return bool(loops[0].verdict(stiffness, damping, **delays) == Verdict.STABLE)
+
+        best, is_proved = with_safety(found, found.stiffness > 0.0, safety, is_proved_wall)
     else:
-        robust = members.robust_limit()
-        best, is_proved = Gains(robust.stiffness, robust.damping), robust.is_proved
+        best, is_proved, _ = wall_for_all(scene, safety)
         every = "hand and constant delay" if hands_of(scene) else every
-
-    def is_proved_wall(stiffness: float, damping: float) -> bool:
-        if controller.moves:
-            code = loops[0].verdict(stiffness, damping, **moving_delays(scene))
-        else:
-            code = members.worst(stiffness, damping).verdict
-        return bool(code == Verdict.STABLE)
-
-    if is_proved and wanted.safety:
-        best = best._replace(stiffness=wanted.safety * best.stiffness)
-        is_proved = is_proved_wall(*best)
-    if is_proved:
-        best = Gains(*printed_wall(*best, is_proved_wall))
     tried = "not proved" if best.stiffness > 0.0 else "no wall was found"
     return LimitsOverDelays(
         inputs=basis_of(scene),
@@ -341,7 +330,7 @@ def _over_delays(scene: Scene) -> LimitsOverDelays:
             name: worst.on(walls[name])
             for name, worst in zip(walls, worst_on(scene, [*walls.values()]), strict=True)
         },
-        all_hands=limit_for_all(scene, wanted.safety or 1.0) if controller.moves else None,
+        all_hands=limit_for_all(scene, safety) if controller.moves else None,
     )
 
 
@@ -378,7 +367,7 @@ class _Rows:
 
     def verdict(self, stiffness: float, damping: float) -> int:
         """The verdict on a wall; for one without a spring that on a very soft one."""
-        soft = 0.0 if self.region.is_empty else _SOFT * self.region.extent.stiffness
+        soft = 0.0 if self.region.is_empty else 1e-6 * self.region.extent.stiffness
         return int(self.loop.verdict(stiffness or soft, damping))
 
     def is_stable(self, stiffness: float, damping: float) -> bool:
@@ -462,7 +451,7 @@ def _passive(rows: _Rows) -> StiffestWall:
 def _other_windows(loop: HapticLoop, safety: float) -> dict[str, OtherWindow]:
     """The largest stiffness with the windows that haptics software uses."""
     answers = {}
-    for samples in _WINDOWS:
+    for samples in (10, 20):  # 10 and 20 ms at 1 kHz
         other = replace(loop, velocity=Velocity.difference(samples))
         rows, limits = _Rows(other, other.region(), safety), other.limits()
         answers[str(samples)] = OtherWindow(*rows.stiffest(limits.stiffness, limits.at_damping))

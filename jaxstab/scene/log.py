@@ -15,10 +15,6 @@ from jaxstab.model import Velocity
 from jaxstab.scene.identified import Rows
 from jaxstab.tables import columns_of
 
-_MOST_COUNTS = 2.0**31  # of an encoder: finer steps are rounding of float64
-_LONGEST_WINDOW = 200  # samples
-_UNEQUAL = 0.1  # of a sample: the most that a time step may differ from the mean
-
 
 @dataclass(frozen=True)
 class Log:
@@ -39,10 +35,11 @@ def read_log(
     needed += ["velocity"] if needs_velocity else []
     table = columns_of(file, [names[key] for key in needed], optional)
     columns = {key: np.array(table[name]) for key, name in names.items() if name in table}
+    unequal = 0.1  # of a sample: the most that a time step may differ from the mean
     if sample_time is None:
         steps = np.diff(columns["time"])
         sample_time = float(np.mean(steps)) if len(steps) else 0.0
-        odd = np.flatnonzero(~(abs(steps - sample_time) <= _UNEQUAL * sample_time))
+        odd = np.flatnonzero(~(abs(steps - sample_time) <= unequal * sample_time))
         if len(odd) or not sample_time > 0.0:
             line = int(odd[0]) + 3 if len(odd) else 3
             raise ValueError(
@@ -60,7 +57,7 @@ def resolution_of(positions: Rows) -> float | None:
         return None
     step = float(np.diff(places).min())
     most = float(np.rint((places[-1] - places[0]) / step))
-    if most > _MOST_COUNTS:
+    if most > 2.0**31:  # counts of no encoder: such steps are rounding of float64
         return None
     step = float(places[-1] - places[0]) / most
     counts = (places - places[0]) / step
@@ -73,14 +70,15 @@ def estimator_of(
     """Return the window or the low pass that fits velocities best, and its relative error."""
     if velocity is None:
         return None, 0.0
-    late = slice(_LONGEST_WINDOW, None)
+    longest_window = 200  # samples
+    late = slice(longest_window, None)
     differences = np.diff(positions, prepend=positions[0]) / period
     guesses: list[tuple[float, Velocity]] = []
 
     def guess(estimator: Velocity, values: Rows) -> None:
         guesses.append((float(np.mean((values - velocity)[late] ** 2)), estimator))
 
-    for samples in range(1, _LONGEST_WINDOW + 1):
+    for samples in range(1, longest_window + 1):
         values = np.zeros_like(positions)
         values[samples:] = (positions[samples:] - positions[:-samples]) / (samples * period)
         guess(Velocity.difference(samples=samples), values)

@@ -13,16 +13,16 @@ from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 from jaxstab.model import Filter, Velocity
-from jaxstab.model.filter_tables import FilterTable
+from jaxstab.model.filter_tables import WINDOW, FilterTable
 from jaxstab.model.parameters import LONGEST_DELAY
 from jaxstab.shown import shortened
 from jaxstab.tables import (
+    Interval,
     Table,
     Usual,
     check_keys,
     checked_label,
     each,
-    interval,
     key,
     nested,
     not_zero,
@@ -58,8 +58,6 @@ class Units(Enum):
 
 
 # Devices and software by name: the numbers of data/presets, each with its source.
-
-ASSUMED = "assumed"
 
 
 class Sourced(NamedTuple):
@@ -129,25 +127,25 @@ LENGTH = "m, or in rad for a device that turns"
 FORCE = "N, or in N m for a device that turns"
 SPEED = "m/s, or in rad/s for a device that turns"
 _NO_MASS = "mass is missing; give it a value."
-_STIFFNESS = Usual(0.0, 1e6, "N/m", (0.0, 1e5))  # of hands, grips and walls
-_DAMPING_OF_HANDS = Usual(0.0, 1e3, "N s/m", (0.0, 100.0))
+_STIFFNESS = Usual(0.0, 1e6, (0.0, 1e5))  # of hands, grips and walls
+_DAMPING_OF_HANDS = Usual(0.0, 1e3, (0.0, 100.0))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Encoder(Table):
     """The encoder, by its resolution at the handle."""
 
-    resolution: float = key(quantity(LENGTH, is_positive=True), usual=Usual(1e-9, 1e-3, "m"))
+    resolution: float = key(quantity(LENGTH, is_positive=True), usual=Usual(1e-9, 1e-3))
 
 
 @dataclass(frozen=True, kw_only=True)
 class VibrationMode(Table):
     """A vibration mode of the device: its displacement at the handle adds to the rigid body's."""
 
-    frequency: float = key(quantity("Hz", is_positive=True), usual=Usual(0.1, 1e4, "Hz"))
-    damping_ratio: float = key(quantity("1"), usual=Usual(0.0, 1.0, ""))
-    modal_mass: float | None = key(not_zero("kg"), None, Usual(1e-3, 5e3, "kg"))
-    modal_inertia: float | None = key(not_zero("kg m^2"), None, Usual(1e-8, 100.0, "kg m^2"))
+    frequency: float = key(quantity("Hz", is_positive=True), usual=Usual(0.1, 1e4))
+    damping_ratio: float = key(quantity("1"), usual=Usual(0.0, 1.0))
+    modal_mass: float | None = key(not_zero("kg"), None, Usual(1e-3, 5e3))
+    modal_inertia: float | None = key(not_zero("kg m^2"), None, Usual(1e-8, 100.0))
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -168,7 +166,7 @@ class VibrationMode(Table):
 class Actuator(Table):
     """The motor with its amplifier: the bandwidth at which the force is 3 dB too weak."""
 
-    bandwidth: float = key(quantity("Hz", is_positive=True), usual=Usual(1.0, 1e5, "Hz"))
+    bandwidth: float = key(quantity("Hz", is_positive=True), usual=Usual(1.0, 1e5))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,18 +178,27 @@ class Device(Table):
     Vibration modes and an actuator are of any device. Friction is simulated, see ``Contact``.
     """
 
-    preset: str | None = key(lambda name: one_of(device_presets())(name), None)
+    preset: str | None = key(
+        lambda name: one_of(device_presets())(name),
+        None,
+        words="a device by name; jaxstab scene presets lists names",
+    )
     mass: tuple[float, float] | None = key(
-        interval("kg", is_positive=True), None, Usual(1e-3, 50.0, "kg")
+        Interval("kg", is_positive=True), None, Usual(1e-3, 50.0), words="mass of the device"
     )
     inertia: tuple[float, float] | None = key(
-        interval("kg m^2", is_positive=True), None, Usual(1e-8, 50.0, "kg m^2")
+        Interval("kg m^2", is_positive=True),
+        None,
+        Usual(1e-8, 50.0),
+        words="moment of inertia of the device",
     )
-    damping: float = key(quantity("N s/m"), usual=Usual(0.0, 100.0, "N s/m", (0.0, 10.0)))
+    damping: float = key(
+        quantity("N s/m"), usual=Usual(0.0, 100.0, (0.0, 10.0)), words="damping of the device"
+    )
     encoder: Encoder | None = key(nested(Encoder), None)
     modes: tuple[VibrationMode, ...] = key(each(nested(VibrationMode)), ())
     actuator: Actuator | None = key(nested(Actuator), None)
-    friction: float = key(quantity(FORCE), 0.0)
+    friction: float = key(quantity(FORCE), 0.0, words="Coulomb friction of simulated contacts")
     static_friction: float | None = key(quantity(FORCE), None)
 
     def __post_init__(self) -> None:
@@ -275,10 +282,18 @@ class Hand(Table):
     device.
     """
 
-    mass: tuple[float, float] = key(interval("kg"), (0.0, 0.0), Usual(0.0, 20.0, "kg"))
-    inertia: tuple[float, float] | None = key(interval("kg m^2"), None, Usual(0.0, 5.0, "kg m^2"))
-    stiffness: tuple[float, float] = key(interval("N/m"), (0.0, 0.0), _STIFFNESS)
-    damping: tuple[float, float] = key(interval("N s/m"), (0.0, 0.0), _DAMPING_OF_HANDS)
+    mass: tuple[float, float] = key(
+        Interval("kg"), (0.0, 0.0), Usual(0.0, 20.0), words="mass of the hand"
+    )
+    inertia: tuple[float, float] | None = key(
+        Interval("kg m^2"), None, Usual(0.0, 5.0), words="moment of inertia of the hand"
+    )
+    stiffness: tuple[float, float] = key(
+        Interval("N/m"), (0.0, 0.0), _STIFFNESS, words="stiffness of the hand"
+    )
+    damping: tuple[float, float] = key(
+        Interval("N s/m"), (0.0, 0.0), _DAMPING_OF_HANDS, words="damping of the hand"
+    )
     grip: Grip | None = key(nested(Grip), None)
 
     @property
@@ -304,7 +319,7 @@ class Hand(Table):
 class _TimedTable(FilterTable):
     """The keys of a filter, and the window in s."""
 
-    window: float | None = key(quantity("s", is_positive=True), None)
+    window: float | None = key(quantity("s", is_positive=True), None, words=WINDOW)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -329,7 +344,11 @@ class PositionTable(_TimedTable):
 class VelocityTable(_TimedTable):
     """The estimator of the velocity that the wall's damper sees, or that of a software by name."""
 
-    preset: str | None = key(lambda name: one_of(software_presets())(name), None)
+    preset: str | None = key(
+        lambda name: one_of(software_presets())(name),
+        None,
+        words="as this software estimates it; jaxstab scene presets lists names",
+    )
 
     names_besides: ClassVar[tuple[str, ...]] = ("preset",)
 
@@ -365,18 +384,12 @@ class VelocityTable(_TimedTable):
         return software_presets()[self.preset].numbers if self.preset else {}
 
     def __str__(self) -> str:
-        is_assumed = any(ASSUMED in entry.source for entry in self.preset_numbers.values())
+        is_assumed = any("assumed" in entry.source for entry in self.preset_numbers.values())
         preset = f" (preset {self.preset}{', assumed in part' if is_assumed else ''})"
         return f"{self.as_velocity()}{preset if self.preset else ''}"
 
 
 MEASURES = ("margins", "distance", "radius", "settling", "oscillation", "chatter", "jitter")
-_FEW_SAMPLES = 0.01  # of delay: more likely s
-_SOFT = 5.0  # N/m: more likely N/mm, of a device above _LIGHT in kg
-_LIGHT = 0.01
-_DELAY = Usual(0.0, 2.0, "s")
-_MANY_SAMPLES = 200  # of delay: more likely a slip of the unit
-_MOST_SAMPLES_OF_HANDS = 128  # the same for each of hundreds of hands of a range
 MOST_WALLS = 1000
 
 
@@ -394,11 +407,21 @@ class Controller(Table):
     setting the force, unless ``delay_is`` says that it is constant, only unknown.
     """
 
-    sample_time: float = key(quantity("s", is_positive=True), usual=Usual(1e-5, 0.05, "s"))
-    delay: tuple[float, float] | None = key(interval("s"), None)
-    delay_samples: tuple[float, float] | None = key(interval("samples"), None)
-    delay_is: str | None = key(one_of(("moving", "constant")), None)
-    lost_samples: int = key(whole(0, int(LONGEST_DELAY)), 0)
+    sample_time: float = key(
+        quantity("s", is_positive=True), usual=Usual(1e-5, 0.05), words="sampling period"
+    )
+    delay: tuple[float, float] | None = key(Interval("s"), None, words="delay")
+    delay_samples: tuple[float, float] | None = key(Interval("samples"), None, words="delay")
+    delay_is: str | None = key(
+        one_of(("moving", "constant")),
+        None,
+        words="a delay in a range is constant but unknown; else it moves with every sample",
+    )
+    lost_samples: int = key(
+        whole(0, int(LONGEST_DELAY)),
+        0,
+        words="samples in a row that may never arrive, with a delay that moves",
+    )
     max_force: float | None = key(quantity(FORCE, is_positive=True), None)
     force_step: float = key(quantity(FORCE), 0.0)
     velocity: VelocityTable | None = key(nested(VelocityTable), None)
@@ -483,15 +506,17 @@ class Wall(Table):
     """A virtual wall: stiffness K in N/m and damping B in N s/m."""
 
     stiffness: float = key(quantity("N/m"), usual=_STIFFNESS)
-    damping: float = key(quantity("N s/m"), usual=Usual(0.0, 1e4, "N s/m", (0.0, 1e3)))
+    damping: float = key(quantity("N s/m"), usual=Usual(0.0, 1e4, (0.0, 1e3)))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Contact(Table):
     """How the device meets a wall in simulated contacts; see ``Scene.start``."""
 
-    push: float | None = key(quantity(FORCE), None)
-    speed: float | None = key(quantity(SPEED), None)
+    push: float | None = key(quantity(FORCE), None, words="push of the hand in simulated contacts")
+    speed: float | None = key(
+        quantity(SPEED), None, words="speed at which simulated contacts begin"
+    )
     one_sided: bool = key(truth, True)
     duration: float = key(quantity("s", is_positive=True), 4.0)
 
@@ -509,13 +534,19 @@ class Wanted(Table):
     """The measures of a wall beside its verdict, and requirements on the answers."""
 
     measures: tuple[str, ...] = key(each(one_of(MEASURES)), MEASURES)
-    at_damping: float | None = key(quantity("N s/m"), None)
-    at_stiffness: float | None = key(quantity("N/m"), None)
-    stiffness: float | None = key(quantity("N/m", is_positive=True), None)
+    at_damping: float | None = key(quantity("N s/m"), None, words="give the limits of K at this B")
+    at_stiffness: float | None = key(
+        quantity("N/m"), None, words="give the limits of B, or the best B, at this K"
+    )
+    stiffness: float | None = key(
+        quantity("N/m", is_positive=True), None, words="the stiffness to design for"
+    )
     chatter: float | None = key(quantity(LENGTH, is_positive=True), None)
-    safety: float | None = key(share, None)
-    mass_tolerance: float | None = key(tolerance, None)
-    delay_tolerance: float | None = key(quantity("s"), None)
+    safety: float | None = key(share, None, words="multiply all limits by this, such as 0.8")
+    mass_tolerance: float | None = key(
+        tolerance, None, words="of the device; 0.1 means 10 % up and down"
+    )
+    delay_tolerance: float | None = key(quantity("s"), None, words="of the delay, up and down,")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -531,10 +562,11 @@ class Scene:
 
     def __post_init__(self) -> None:
         hand, turns = self.hand or Hand(), self.device.units is Units.ROTATION
-        if hand.varies and self.controller.samples > _MOST_SAMPLES_OF_HANDS:
+        most_samples_of_hands = 128  # the same for each of hundreds of hands of a range
+        if hand.varies and self.controller.samples > most_samples_of_hands:
             raise ValueError(
                 f"controller.delay is {self.controller.samples:g} samples beside a range of hands; "
-                f"give at most {_MOST_SAMPLES_OF_HANDS} samples, or one hand."
+                f"give at most {most_samples_of_hands} samples, or one hand."
             )
         if self.wanted.chatter is not None and self.device.encoder is None:
             raise ValueError(
@@ -612,7 +644,8 @@ class Scene:
 
     def unusual(self) -> list[str]:
         """Describe values that look like a slip of the unit."""
-        controller, delay = self.controller, ("the delay", self.controller.delays[1], _DELAY)
+        controller = self.controller
+        delay = "the delay", controller.delays[1], "s", Usual(0.0, 2.0)
         warnings = [
             *(self._outside(*own) for own in self.device.quantities("device")),
             *(self._outside(*own) for own in (self.hand or Hand()).quantities("hand")),
@@ -625,14 +658,13 @@ class Scene:
             warnings.append(self._slip_of_wall(f"walls.{name}", wall))
         return [words for words in dict.fromkeys(warnings) if words]
 
-    def _outside(self, name: str, value: float, usual: Usual) -> str:
+    def _outside(self, name: str, value: float, unit: str, usual: Usual) -> str:
         """Return a warning for a quantity outside its usual range; a modal mass may be negative."""
-        turns = self.units is Units.ROTATION and usual.turning
-        (low, high), unit = turns or usual[:2], self.units.unit(usual.unit)
+        low, high = (self.units is Units.ROTATION and usual.turning) or usual[:2]
         if low <= (abs(value) if "modal_" in name else value) <= high:
             return ""
-        words = f"{name} is {value:g} {unit}, usual are {low:g} to {high:g} {unit}"
-        return " ".join(words.split()).replace(" ,", ",")
+        own = "" if unit == "1" else f" {self.units.unit(unit.partition(',')[0])}"
+        return f"{name} is {value:g}{own}, usual are {low:g} to {high:g}{own}"
 
     def _slip_of_wall(self, name: str, wall: Wall) -> str:
         """Return a warning for gains that were swapped, or a stiffness in N/mm."""
@@ -642,13 +674,13 @@ class Scene:
                 f"{name} has a damping of {wall.damping:g} {units.damping} beside a stiffness of "
                 f"{wall.stiffness:g} {units.stiffness}; are they swapped?"
             )
-        is_heavy = is_line and self.device.effective_mass[0] > _LIGHT
-        if is_heavy and 0.0 < wall.stiffness < _SOFT:
+        is_heavy = is_line and self.device.effective_mass[0] > 0.01  # kg
+        if is_heavy and 0.0 < wall.stiffness < 5.0:
             return f"{name}.stiffness is {wall.stiffness:g} N/m; is it in N/mm?"
         return ""
 
 
-_TABLES: Mapping[str, type[Table]] = {
+TABLES: Mapping[str, type[Table]] = {
     "device": Device,
     "controller": Controller,
     "hand": Hand,
@@ -656,12 +688,22 @@ _TABLES: Mapping[str, type[Table]] = {
     "contact": Contact,
 }
 
+INNER: Mapping[str, type[Table]] = {
+    "encoder": Encoder,
+    "modes": VibrationMode,
+    "actuator": Actuator,
+    "grip": Grip,
+    "velocity": VelocityTable,
+    "position": PositionTable,
+}
+"""The tables in those of a scene, by their keys."""
+
 
 def _tables(table: Mapping[str, Any]) -> dict[str, Any]:
-    check_keys("", table, [*_TABLES, "walls"])
+    check_keys("", table, [*TABLES, "walls"])
     given = {"device": {}, "controller": {}, **table}  # which must not be left out
     tables: dict[str, Any] = {
-        name: kind.from_table(given[name], name) for name, kind in _TABLES.items() if name in given
+        name: kind.from_table(given[name], name) for name, kind in TABLES.items() if name in given
     }
     return tables | {"walls": _walls(table.get("walls", {}))}
 
@@ -683,9 +725,9 @@ def _walls(table: Any) -> dict[str, Wall]:
 def _slips_of_delay(controller: Controller) -> Iterator[str]:
     """Yield warnings for a delay that was given in s and meant in samples, or the other way."""
     words = f"the delay is {controller.samples:g} samples"
-    if controller.samples >= _MANY_SAMPLES:
+    if controller.samples >= 200.0:
         yield f"{words}; one in samples is given as delay_samples"
-    if 0.0 < (controller.delay_samples or (0.0, 0.0))[1] < _FEW_SAMPLES:
+    if 0.0 < (controller.delay_samples or (0.0, 0.0))[1] < 0.01:
         yield f"{words}; one in s is given as delay"
 
 

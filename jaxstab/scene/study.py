@@ -38,92 +38,65 @@ from jaxstab.motion.settling import SettlingStatus
 from jaxstab.numbers import checked_count
 from jaxstab.region import RegionStatus
 from jaxstab.scene.answers import delay_notes
-from jaxstab.scene.draws import Column, distribution_of, draws_of, is_distribution, words_of
+from jaxstab.scene.draws import Column, Values, draws_of, is_distribution, values_of, words_of
 from jaxstab.scene.labelled import Variable, computed, read, table_of, xarray_module
 from jaxstab.scene.loops import loop_of
-from jaxstab.scene.scene import Scene, Units
+from jaxstab.scene.scene import INNER, TABLES, Scene, Units
 from jaxstab.shown import shortened
-from jaxstab.tables import check_keys, checked_label, interval, one_of, read_table
+from jaxstab.tables import Interval, Table, check_keys, checked_label, one_of, read_table, unit_of
 
 if TYPE_CHECKING:
     from xarray import DataArray, Dataset
 
 Floats = NDArray[np.float64]
-Values = list[Any] | NDArray[Any]
 
-MOST_SAMPLES = 10_000_000
 _SAMPLES = 10_000  # by default, or what takes a minute
-_MOST_CORNERS = 4096  # loops that are made before anything is computed
 _BLOCK = 1 << 13  # loops times walls
-_MANY = 64  # loops for which ``limits_of`` runs a program of JAX
 SAMPLE, WALL = "sample", "wall"  # dimensions
 
-_NUMBERS = {  # keys of a scene that are numbers of a loop: the field, the words, the unit
-    "device.mass": ("device_mass", "mass of the device", "kg"),
-    "device.inertia": ("device_mass", "moment of inertia of the device", "kg"),
-    "device.damping": ("device_damping", "damping of the device", "N s/m"),
-    "hand.mass": ("hand_mass", "mass of the hand", "kg"),
-    "hand.inertia": ("hand_mass", "moment of inertia of the hand", "kg"),
-    "hand.stiffness": ("hand_stiffness", "stiffness of the hand", "N/m"),
-    "hand.damping": ("hand_damping", "damping of the hand", "N s/m"),
-    "controller.delay": ("delay", "delay", "s"),
-    "controller.delay_samples": ("delay_samples", "delay", "samples"),
+_NUMBERS = {  # keys of a scene that are numbers of a loop: its fields
+    "device.mass": "device_mass",
+    "device.inertia": "device_mass",
+    "device.damping": "device_damping",
+    "hand.mass": "hand_mass",
+    "hand.inertia": "hand_mass",
+    "hand.stiffness": "hand_stiffness",
+    "hand.damping": "hand_damping",
+    "controller.delay": "delay",
+    "controller.delay_samples": "delay_samples",
 }
-_RANGES = tuple(key for key in _NUMBERS if "mass" in key or "inertia" in key or key[:5] == "hand.")
-_DELAYS = ("controller.delay", "controller.delay_samples")
-_OF_LOOPS = {field: (field, words, unit) for field, words, unit in _NUMBERS.values()} | {
-    "delay": ("delay", "delay", "s")
-}
-_OTHER_UNITS = {"sample_time": "s", "window": "s", "cutoff": "Hz", "frequency": "Hz"}
-
-_LIMITS = {status.value: status.name.lower() for status in RegionStatus}
-_VERDICTS = {verdict.value: verdict.name.lower() for verdict in Verdict}
-_SETTLING = {status.value: status.name.lower() for status in SettlingStatus}
 
 ANSWERS: dict[str, dict[str, Variable]] = {
-    "verdict": {
-        "verdict": Variable("int8", "whether the wall is stable, proved", "1", _VERDICTS, (WALL,))
-    },
+    "verdict": {"verdict": Variable("whether the wall is stable, proved", "1", Verdict)},
     "limits": {
-        "largest_stiffness": Variable("float64", "largest stiffness of a stable wall", "N/m"),
-        "at_damping": Variable("float64", "damping at the largest stiffness", "N s/m"),
-        "largest_damping": Variable("float64", "largest damping of a stable wall", "N s/m"),
-        "at_stiffness": Variable("float64", "stiffness at the largest damping", "N/m"),
-        "limits_status": Variable("int8", "what is known of the stable walls", "1", _LIMITS),
+        "largest_stiffness": Variable("largest stiffness of a stable wall", "N/m"),
+        "at_damping": Variable("damping at the largest stiffness", "N s/m"),
+        "largest_damping": Variable("largest damping of a stable wall", "N s/m"),
+        "at_stiffness": Variable("stiffness at the largest damping", "N/m"),
+        "limits_status": Variable("what is known of the stable walls", "1", RegionStatus),
     },
     "margins": {
-        name: Variable("float64", words, unit, along=(WALL,))
-        for name, words, unit in (
-            ("stiffness_gain", "factor by which the stiffness may grow", "1"),
-            ("damping_gain", "factor by which the damping may grow", "1"),
-            ("extra_delay", "delay that may be added", "s"),
-        )
+        "stiffness_gain": Variable("factor by which the stiffness may grow"),
+        "damping_gain": Variable("factor by which the damping may grow"),
+        "extra_delay": Variable("delay that may be added", "s"),
     },
     "settling_time": {
-        "settling_time": Variable("float64", "time to settle to 2 percent", "s", {}, (WALL,)),
-        "settling_status": Variable(
-            "int8", "what is known of the settling time", "1", _SETTLING, (WALL,)
-        ),
+        "settling_time": Variable("time to settle to 2 percent", "s"),
+        "settling_status": Variable("what is known of the settling time", "1", SettlingStatus),
     },
     "spectral_radius": {
-        "spectral_radius": Variable(
-            "float64", "largest modulus of the poles, per sample", "1", {}, (WALL,)
-        ),
-        "spectral_radius_error": Variable("float64", "proved bound of its error", "1", {}, (WALL,)),
+        "spectral_radius": Variable("largest modulus of the poles, per sample"),
+        "spectral_radius_error": Variable("proved bound of its error"),
     },
 }
-_FIELDS: dict[str, tuple[str, ...]] = {  # those of what loops answer, in the order of variables
-    "limits": ("stiffness", "at_damping", "damping", "at_stiffness", "status"),
-    "margins": tuple(ANSWERS["margins"]),
-    "settling_time": ("value", "status"),
-    "spectral_radius": ("value", "error"),
-}
-_COSTS = {  # CPU seconds of a loop and a wall (of a loop for limits): of one mass, another device
-    "verdict": (1.2e-5, 4e-3),
-    "limits": (1.3e-3, 0.012),
-    "margins": (0.09, 0.4),
-    "settling_time": (4e-4, 0.02),
-    "spectral_radius": (2.5e-4, 7e-3),
+_FIELDS = {  # of what loops answer, where their names are others than those of the variables
+    "largest_stiffness": "stiffness",
+    "largest_damping": "damping",
+    "limits_status": "status",
+    "settling_time": "value",
+    "settling_status": "status",
+    "spectral_radius": "value",
+    "spectral_radius_error": "error",
 }
 _MINUTE, _SECONDS = 60.0, 4.0  # of all draws by default, and of a block at most
 
@@ -317,13 +290,15 @@ def plan_study(
         raise ValueError("over is empty; give at least one key that varies.")
     source = _Source(_table_of(of))
     over = {**over, **{key: own for key, own in source.ranges.items() if key not in over}}
-    given = {key: _given(source, key, own) for key, own in over.items()}
+    for key in over:
+        source.check_key(key)
+    given = {key: values_of(key, own) for key, own in over.items()}
     gains = source.walls if walls is None else {n: _checked_wall(n, *w) for n, w in walls.items()}
     wanted = _wanted(answers, gains)
-    seconds = _seconds_of_a_loop(source, given, wanted, len(gains))
+    seconds = _seconds_of_a_loop(source, _columns(source, given, 1, seed)[0], wanted, len(gains))
     if samples is None:
         samples = _affordable(given, seconds)
-    samples = checked_count("samples", samples, 1, MOST_SAMPLES)
+    samples = checked_count("samples", samples, 1, 10_000_000)
     columns, notes = _columns(source, given, samples, seed)
     notes = source.check(columns) + notes
     notes += [
@@ -336,8 +311,8 @@ def plan_study(
     numbers = np.arange(samples)[piece if along == SAMPLE else slice(None)]
     columns, draws = _different(columns)
     block = _Block(source, tuple(c.key for c in columns), np.array([*gains.values()]).T, wanted)
-    table = _labelled(_table(block, columns, seconds), columns, gains, source.units)
-    table = table.assign_attrs(
+    size = max(1, min(_BLOCK // max(1, len(gains)), int(_SECONDS / seconds)))
+    table = _table(block, columns, gains, size).assign_attrs(
         title="Stability of haptic loops; verdicts are proved",
         source=f"jaxstab {jaxstab.__version__}, study",
         of=str(source.table),
@@ -411,27 +386,13 @@ class _Column(NamedTuple):
         return self.name if self.drawn_from is None else SAMPLE
 
 
-def _given(source: "_Source", key: str, given: Any) -> Any:
-    """Return the distribution, or the list of values, that is given for a key."""
-    source.check_key(key)
-    drawn = distribution_of(given) if isinstance(given, str) else given
-    if is_distribution(drawn):
-        return drawn
-    listed = _listed(key, given)
-    if key not in source.numbers and not isinstance(listed, list):
-        is_whole = (listed == np.rint(listed)) & (abs(listed) < 2.0**53)  # as a window is
-        listed = listed.astype(np.int64) if is_whole.all() else listed
-    return listed
-
-
 def _columns(
     source: "_Source", given: Mapping[str, Any], samples: int, seed: int
 ) -> tuple[list[_Column], list[str]]:
     """The columns that vary, those of lists first, and notes on the draws."""
     columns, notes = list[_Column](), list[str]()
     for key, own in sorted(given.items(), key=lambda pair: is_distribution(pair[1])):
-        other_unit = _OTHER_UNITS.get(key.rpartition(".")[2], "1")
-        _, words, unit = source.numbers.get(key, ("", key, other_unit))
+        words, unit = _described(key)
         if not is_distribution(own):
             columns.append(_Column(key, own, words, unit, None))
             continue
@@ -484,37 +445,14 @@ def _different(columns: list[_Column]) -> tuple[list[_Column], dict[str, NDArray
     return [c._replace(values=once.get(c.key, c.values)) for c in columns], {SAMPLE: again.ravel()}
 
 
-def _listed(key: str, given: Any) -> Values:
-    """Return the values of a list or of (low, high, count)."""
-    if isinstance(given, tuple) and len(given) == 3 and isinstance(given[2], int):
-        low, high, count = given
-        if count < 2:
-            raise ValueError(f"{key} is {given}; give (low, high, count) with a count >= 2.")
-        with np.errstate(all="ignore"):  # ends so far apart overflow
-            return _finite(key, np.linspace(float(low), float(high), count))
-    if isinstance(given, str) or not np.ndim(given):
-        raise ValueError(
-            f"{key} is {shortened(given)}; give a list of values, (low, high, count), or a "
-            "distribution such as scipy.stats.norm(300.0, 100.0)."
-        )
-    values = list(given)
-    if not values:
-        raise ValueError(f"{key} is an empty list; give at least one value.")
-    if all(isinstance(value, str) for value in values):
-        return values
-    try:
-        numbers = np.array(values, np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(
-            f"{key} is {shortened(values)}; give numbers, or texts, not both."
-        ) from None
-    return _finite(key, numbers)
-
-
-def _finite(key: str, values: Floats) -> Floats:
-    if not np.isfinite(values).all():
-        raise ValueError(f"{key} is {shortened(values.tolist())}; give finite numbers.")
-    return values
+def _described(key: str) -> tuple[str, str]:
+    """Return what a key of a scene, or a field of a loop, is, and its unit."""
+    of_loops = {field: own for own, field in reversed(_NUMBERS.items())}
+    *_, section, name = ["controller", *of_loops.get(key, key).split(".")]
+    section = key.split(".")[-3] if section.isdigit() else section
+    table = {**TABLES, **INNER}.get(section, Table)
+    entry = {entry.name: entry for entry in fields(table)}.get(name)
+    return (key, "1") if entry is None else (entry.metadata["words"] or key, unit_of(entry))
 
 
 def _checked_wall(name: str, stiffness: float, damping: float) -> tuple[float, float]:
@@ -560,9 +498,9 @@ class _Source:
         return isinstance(self.table, HapticLoop)
 
     @property
-    def numbers(self) -> dict[str, tuple[str, str, str]]:
-        """The keys that are numbers of a loop."""
-        return _OF_LOOPS if self.is_loop else _NUMBERS
+    def numbers(self) -> dict[str, str]:
+        """The fields of a loop that are numbers, by their keys."""
+        return {name: name for name in _NUMBERS.values()} if self.is_loop else _NUMBERS
 
     @property
     def units(self) -> Units:
@@ -579,12 +517,14 @@ class _Source:
     def ranges(self) -> dict[str, str]:
         """The ranges of the hand and of the device's mass, as uniform distributions."""
         ranges = dict[str, str]()
-        for key in () if self.is_loop else _RANGES:
+        for key in () if self.is_loop else _NUMBERS:
             section, _, name = key.partition(".")
+            if section == "controller" or key == "device.damping":
+                continue  # a range of delays is the longest one, and there is one damping
             match self.table.get(section):
                 case {**keys} if isinstance(keys.get(name), list | tuple):
                     with suppress(ValueError):  # the scene refuses it later
-                        low, high = interval("")(keys[name])
+                        low, high = Interval("")(keys[name])
                         ranges |= {key: f"uniform:{low!r}:{high!r}"} if low < high else {}
         return ranges
 
@@ -611,7 +551,7 @@ class _Source:
 
     def _scene(self, values: Mapping[str, Any]) -> Scene:
         table: Any = self.table
-        if any(key in _DELAYS for key in values):  # in place of one in either unit
+        if any(key.startswith("controller.delay") for key in values):  # in place of either unit
             own = table.get("controller", {}).items()
             others = {k: v for k, v in own if not k.startswith("delay") and k != "lost_samples"}
             table = {**table, "controller": others}
@@ -625,12 +565,13 @@ class _Source:
 
         Both are the sentences that a scene gives.
         """
+        most_corners = 4096  # loops that are made before anything is computed
         ends = [
-            list(dict.fromkeys(_few(c.values, 2 if c.key in self.numbers else _MOST_CORNERS)))
+            list(dict.fromkeys(_few(c.values, 2 if c.key in self.numbers else most_corners)))
             for c in columns
         ]
         keys = [column.key for column in columns]
-        for corner in islice(product(*ends), _MOST_CORNERS):
+        for corner in islice(product(*ends), most_corners):
             self.made(dict(zip(keys, corner, strict=True)))
         if self.is_loop:
             return []
@@ -666,16 +607,19 @@ def _few(values: Values, most: int) -> list[Any]:
 
 
 def _seconds_of_a_loop(
-    source: "_Source", given: Mapping[str, Any], wanted: Sequence[str], walls: int
+    source: "_Source", columns: Sequence[_Column], wanted: Sequence[str], walls: int
 ) -> float:
     """The CPU time of a loop in s, from that of the kind of the first one."""
-    first = {
-        key: draws_of(key, own, 1, 0, source.least(key))[0] if is_distribution(own) else own[:1]
-        for key, own in given.items()
-    }
-    loop = source.made({key: _few(values, 1)[0] for key, values in first.items()})
+    loop = source.made({column.key: _few(column.values[:1], 1)[0] for column in columns})
     is_other = loop.device is not None
-    return sum(_COSTS[name][is_other] * (1 if name == "limits" else walls) for name in wanted)
+    costs = {  # CPU s of a loop and a wall (of a loop for limits): of one mass, another device
+        "verdict": (1.2e-5, 4e-3),
+        "limits": (1.3e-3, 0.012),
+        "margins": (0.09, 0.4),
+        "settling_time": (4e-4, 0.02),
+        "spectral_radius": (2.5e-4, 7e-3),
+    }
+    return sum(costs[name][is_other] * (1 if name == "limits" else walls) for name in wanted)
 
 
 def _affordable(given: Mapping[str, Any], seconds: float) -> int:
@@ -721,6 +665,16 @@ class _Block:
     gains: Floats  # (2, wall)
     answers: tuple[str, ...]
 
+    @property
+    def variables(self) -> dict[str, Variable]:
+        """What the block returns; all but limits are of walls."""
+        unit = self.source.units.unit
+        return {
+            name: own._replace(units=unit(own.units), along=() if answer == "limits" else (WALL,))
+            for answer in self.answers
+            for name, own in ANSWERS[answer].items()
+        }
+
     def __call__(self, *columns: NDArray[Any]) -> tuple[NDArray[Any], ...]:
         """Return the variables, of the shape to which the columns broadcast, walls last."""
         shape = np.broadcast_shapes(*map(np.shape, columns))
@@ -730,11 +684,9 @@ class _Block:
             for key, column in zip(self.keys, columns, strict=True)
         }
         numbers = {key: flat.pop(key) for key in self.keys if key in self.source.numbers}
-        walls = (len(self.gains.T),)
         found = {
-            name: np.zeros((count, *(walls if variable.along else ())), variable.dtype)
-            for answer in self.answers
-            for name, variable in ANSWERS[answer].items()
+            name: np.zeros((count, len(self.gains.T))[: 1 + len(variable.along)], variable.dtype)
+            for name, variable in self.variables.items()
         }
         loops = dict[int, HapticLoop]()
         rows = [*_rows(flat, count)]
@@ -769,12 +721,12 @@ class _Block:
             loops |= dict(zip(members, own, strict=True)) if wants_limits else {}
             answers = [self._about_walls(loop) for loop in own]
             return {name: np.array([answer[name] for answer in answers]) for name in answers[0]}
-        named = {self.source.numbers[key][0]: values for key, values in numbers.items()}
+        named = {self.source.numbers[key]: values for key, values in numbers.items()}
         if "delay_samples" in named:
             named["delay"] = named.pop("delay_samples") * base.sample_time
         columns: dict[str, Any] = {name: values[:, None] for name, values in named.items()}
         found = self._about_walls(replace(base, **columns))
-        if wants_limits and count >= _MANY:
+        if wants_limits and count >= 64:  # for which ``limits_of`` runs a program of JAX
             found |= _variables("limits", limits_of(base, **named))
         elif wants_limits:
             varied = [dict(zip(named, row, strict=True)) for row in _rows(named, count)]
@@ -799,42 +751,29 @@ def _rows(columns: Mapping[str, NDArray[Any]], count: int) -> Iterator[tuple[Any
 
 def _variables(answer: str, of: Any) -> dict[str, NDArray[Any]]:
     """Return the variables of an answer by their names in a study."""
-    columns = [of] if answer == "verdict" else [getattr(of, name) for name in _FIELDS[answer]]
-    return dict(zip(ANSWERS[answer], map(np.asarray, columns), strict=True))
+    if answer == "verdict":
+        return {answer: np.asarray(of)}
+    return {name: np.asarray(getattr(of, _FIELDS.get(name, name))) for name in ANSWERS[answer]}
 
 
-def _table(block: _Block, columns: Sequence[_Column], seconds: float) -> "Dataset":
-    """Return the answers to be computed, in blocks that take some seconds."""
-    xarray, walls, source = xarray_module(), len(block.gains.T), block.source
-    return table_of(
-        block,
-        {c.name: xarray.DataArray(np.asarray(c.values), dims=c.dimension) for c in columns},
-        {
-            name: variable._replace(units=source.units.unit(variable.units))
-            for answer in block.answers
-            for name, variable in ANSWERS[answer].items()
-        },
-        max(1, min(_BLOCK // max(1, walls), int(_SECONDS / seconds))),
-        {WALL: walls},
-    )
-
-
-def _labelled(
-    table: "Dataset", columns: Sequence[_Column], gains: Mapping[str, Any], units: Units
-) -> "Dataset":
-    """Return a table with the values of what varies, and the walls, as coordinates."""
+def _table(block: _Block, columns: Sequence[_Column], gains: Mapping[str, Any], size: int) -> Any:
+    """Return the answers to be computed in blocks, with what varies and walls as coordinates."""
     labels = {c.name: (c.dimension, np.asarray(c.values), c.words, c.unit) for c in columns}
+    made = xarray_module().DataArray
+    given = {name: made(values, dims=along) for name, (along, values, *_) in labels.items()}
+    table = table_of(block, given, block.variables, size, {WALL: len(gains)})
     if WALL in table.dims:
-        stiffness, damping = np.array([*gains.values()]).T
+        stiffness, damping = block.gains
         labels |= {
             WALL: (WALL, np.array([*gains]), "name of the wall", "1"),
             "wall_stiffness": (WALL, stiffness, "stiffness of the wall", "N/m"),
             "wall_damping": (WALL, damping, "damping of the wall", "N s/m"),
         }
+    unit = block.source.units.unit
     return table.assign_coords(
         {
-            name: (along, values, {"long_name": words, "units": units.unit(unit)})
-            for name, (along, values, words, unit) in labels.items()
+            name: (along, values, Variable(words, unit(of_line)).attributes)
+            for name, (along, values, words, of_line) in labels.items()
         }
     )
 
