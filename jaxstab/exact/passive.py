@@ -11,8 +11,8 @@ no zero in (0, pi) and is positive at 0 (``circle``).
 
 from math import floor
 
-from jaxstab.exact.balls import decided
 from jaxstab.exact.circle import is_positive
+from jaxstab.model.device.parts import decided
 
 
 def is_passive(alpha: float, beta: float, delta: float, delay: float) -> bool:

@@ -17,10 +17,10 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from jaxstab.conventions import Status
-from jaxstab.exact.balls import decided
 from jaxstab.exact.circle import is_positive
 from jaxstab.exact.verdict import roots_outside
 from jaxstab.model.balls import BallLoop, Factored
+from jaxstab.model.device.parts import decided
 
 if TYPE_CHECKING:
     from flint import arb, arb_poly
