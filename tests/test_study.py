@@ -653,7 +653,7 @@ def test_51_13_the_plan_counts_what_it_was_given_and_draws_what_takes_a_minute()
     ):
         table = {**TABLE, "device": {**TABLE["device"], "modes": modes}}
         planned = studies.plan_study(table, over, answers=answers)
-        assert planned.sizes["sample"] == samples
+        assert planned.table.sizes["sample"] == samples
         assert planned.notes[-1].startswith(words), planned.notes
     planned = studies.plan_study(table, over, answers=["margins"], samples=9000)
     assert "18,000 loops, about 4 h of CPU time" in planned.notes[-1]

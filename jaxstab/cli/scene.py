@@ -3,11 +3,11 @@
 import json
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import Field, dataclass, fields, replace
+from dataclasses import Field, fields
 from functools import cache
 from pathlib import Path
 from types import UnionType
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 import click
 
@@ -27,7 +27,7 @@ from jaxstab.cli.options import (
 from jaxstab.shown import printable, shortened, table_text
 
 if TYPE_CHECKING:
-    from jaxstab.scene import Answer, Scene
+    from jaxstab.scene import Scene
 
 # Options that describe scenes, and the tables of scenes that files and options make.
 
@@ -179,17 +179,16 @@ def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
     return merged | {name: merged.get(name, {}) | keys for name, keys in chosen.items()}
 
 
-# Several scenes in one process: a table, CSV, JSON, and a picture that compares them.
+# The answers of one scene in full, or of several in a table; CSV, JSON, and a picture.
 
 
-@dataclass(frozen=True)
-class _Row:
+class _Row(NamedTuple):
     """What a scene answers, or why it was refused."""
 
     source: str
-    scene: "Scene | None" = None
-    answer: "Answer | None" = None
-    refusal: str = ""
+    scene: "Scene | None"
+    answer: Any  # None for a scene that was refused
+    refusal: str
 
     @property
     def leaves(self) -> list[tuple[str, Any, str]]:
@@ -197,44 +196,72 @@ class _Row:
         return list(self.answer.leaves()) if self.answer else []
 
 
-def answer_many(given: dict[str, Any], name: str, as_json: bool) -> list[Any]:
-    """Answer several scenes and print what they allow; UsageError if some were refused."""
-    rows = [_read(source, table) for source, table in tables_of(given).items()]
-    for scene in (row.scene for row in rows if row.scene):
-        warn(*scene.unusual())
-        if given["plot"]:
+def _answer(
+    given: dict[str, Any], name: str, as_json: bool, shown: Callable[[Any], str] = str
+) -> int:
+    """Print what scenes answer, and return the exit code; UsageError if some were refused."""
+    from jaxstab.scene import Scene
+
+    is_one, plot = len(given["files"]) <= 1, given["plot"]
+    refusals = () if is_one else (ValueError, TypeError, RuntimeError)
+
+    def tried(work: Callable[..., Any], *arguments: Any) -> tuple[Any, str]:
+        try:
+            return work(*arguments), ""
+        except refusals as error:
+            return None, str(error)
+
+    rows = list[_Row]()
+    for source, table in tables_of(given).items():
+        scene, refusal = tried(Scene.from_table, table, source if is_one else "")
+        rows.append(_Row(source, scene, None, refusal))
+    is_of_any_delay = is_one and name in ("tune", "design")
+    for scene in filter(None, (row.scene for row in rows if plot)):
+        if not (is_of_any_delay or (is_one and scene.controller.moves)):
             scene.controller.require_one_delay("a picture")
-    rows = [_answered(row, row.scene, name) if row.scene else row for row in rows]
-    words = _json(rows) if as_json else _table(rows)
-    print_with_csv(words, _csv(rows), given["csv_file"])
-    if given["plot"]:
-        from jaxstab.pictures.scene import comparison_figure
+    rows = [
+        _Row(row.source, row.scene, *tried(_computed, row.scene, name)) if row.scene else row
+        for row in rows
+    ]
+    if plot:
+        from jaxstab.pictures.scene import comparison_figure, scene_figure
 
         answered = {row.source: row.scene for row in rows if row.scene and row.answer}
-        draw(comparison_figure(answered), given["plot"])
+        figure = (
+            scene_figure(answered[rows[0].source], rows[0].answer)
+            if is_one
+            else comparison_figure(answered)
+        )
+        draw(figure, plot)
+    warn(*dict.fromkeys(words for row in rows if row.scene for words in row.scene.unusual()))
+    if is_one:
+        answer = rows[0].answer
+        words = json.dumps(answer.as_json(), indent=1) if as_json else shown(answer)
+    else:
+        words = _json(rows) if as_json else _table(rows)
+    print_with_csv(words, _csv(rows), given["csv_file"])
     refused = [row for row in rows if row.refusal]
     if refused:
         raise click.UsageError(
             f"{len(refused)} of {len(rows)} scenes were refused; the first, {refused[0].source}: "
             f"{refused[0].refusal}"
         )
-    return [row.answer for row in rows if row.answer]
+    return 0 if all(row.answer.all_stable for row in rows) else 1
 
 
-def _read(source: str, table: dict[str, Any]) -> _Row:
-    from jaxstab.scene import Scene
+def _computed(scene: "Scene", name: str) -> Any:
+    import jaxstab.scene
 
-    try:
-        return _Row(source, Scene.from_table(table))
-    except ValueError as error:
-        return _Row(source, refusal=str(error))
-
-
-def _answered(row: _Row, scene: "Scene", name: str) -> _Row:
-    try:
-        return replace(row, answer=_computed(scene, name))
-    except (ValueError, TypeError, RuntimeError) as error:
-        return replace(row, refusal=str(error))
+    every = ", proved for every sequence of delays" if scene.controller.moves else ""
+    functions = {
+        "limits": "scene_limits",
+        "check": "check_walls",
+        "tune": "tune_walls",
+        "design": "design_loop",
+        "contact": "simulate_contacts",
+    }
+    with at_work(f"{name} of a loop with {scene.controller.samples:g} samples of delay{every}"):
+        return getattr(jaxstab.scene, functions[name])(scene)
 
 
 def _csv(rows: list[_Row]) -> list[list[Any]]:
@@ -453,42 +480,6 @@ def explain(file: Path) -> None:
     scene = scene_of({"files": [file]})
     warn(*scene.unusual())
     click.echo(explain_model(scene))
-
-
-# --------------------------------------------------------------------------- from options to scene
-def _answer(
-    given: dict[str, Any], name: str, as_json: bool, shown: Callable[[Any], str] = str
-) -> int:
-    if len(given["files"]) > 1:
-        return 0 if all(each.all_stable for each in answer_many(given, name, as_json)) else 1
-    scene, plot = scene_of(given), given.get("plot")
-    if plot and not (scene.controller.moves or name in ("tune", "design")):
-        scene.controller.require_one_delay("a picture")
-    answer = _computed(scene, name)
-    if plot:
-        from jaxstab.pictures.scene import scene_figure
-
-        draw(scene_figure(scene, answer), plot)
-    warn(*scene.unusual())
-    words = json.dumps(answer.as_json(), indent=1) if as_json else shown(answer)
-    source = "".join(map(str, given["files"]))
-    print_with_csv(words, _csv([_Row(source, scene, answer)]), given["csv_file"])
-    return 0 if answer.all_stable else 1
-
-
-def _computed(scene: "Scene", name: str) -> Any:
-    import jaxstab.scene
-
-    every = ", proved for every sequence of delays" if scene.controller.moves else ""
-    functions = {
-        "limits": "scene_limits",
-        "check": "check_walls",
-        "tune": "tune_walls",
-        "design": "design_loop",
-        "contact": "simulate_contacts",
-    }
-    with at_work(f"{name} of a loop with {scene.controller.samples:g} samples of delay{every}"):
-        return getattr(jaxstab.scene, functions[name])(scene)
 
 
 # The command that writes a page to explore a scene in.

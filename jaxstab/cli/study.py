@@ -112,7 +112,7 @@ def study(
         planned = plan_study(
             scene, over, answers=given["answers"], samples=samples, seed=seed, part=part
         )
-        require_few(planned.sizes, csv_file)
+        require_few(planned.table.sizes, csv_file)
         for note in planned.notes:
             click.echo(f"jaxstab: {note}", err=True)
         with computing(given):

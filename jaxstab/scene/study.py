@@ -253,26 +253,14 @@ def _drawn(study: "Dataset", variable: str) -> "DataArray":
 
 
 class StudyPlan(NamedTuple):
-    """A study before it is computed.
-
-    table: of dask; draws: the places in it of draws that repeat, by dimension; numbers: those of
-    the draws; notes: sentences on the draws, warnings, and the cost.
-    """
+    """A study before it is computed: its table, of dask; sentences on draws, warnings, the cost."""
 
     table: "Dataset"
-    draws: dict[str, NDArray[np.int64]]
-    numbers: dict[str, Any]
     notes: list[str]
-
-    @property
-    def sizes(self) -> dict[str, int]:
-        """The dimensions of the study, with their lengths."""
-        own = {name: len(draws) for name, draws in self.draws.items()}
-        return {str(name): length for name, length in self.table.sizes.items()} | own
 
     def compute(self) -> "Dataset":
         """Return the study."""
-        return computed(self.table).isel(self.draws).assign_coords(self.numbers)
+        return computed(self.table)
 
 
 def plan_study(
@@ -309,10 +297,12 @@ def plan_study(
     asked = _digest([source.table, wanted, gains], columns)
     columns, along, piece = _part_of(columns, part)
     numbers = np.arange(samples)[piece if along == SAMPLE else slice(None)]
-    columns, draws = _different(columns)
+    columns, draws = _different(columns)  # and the places in them of draws that repeat
     block = _Block(source, tuple(c.key for c in columns), np.array([*gains.values()]).T, wanted)
     size = max(1, min(_BLOCK // max(1, len(gains)), int(_SECONDS / seconds)))
-    table = _table(block, columns, gains, size).assign_attrs(
+    table = _table(block, columns, gains, size)
+    different = {str(name): length for name, length in table.sizes.items()}
+    table = table.isel(draws).assign_attrs(
         title="Stability of haptic loops; verdicts are proved",
         source=f"jaxstab {jaxstab.__version__}, study",
         of=str(source.table),
@@ -323,10 +313,10 @@ def plan_study(
     )
     if part[1] > 1:
         table = table.assign_attrs(part=str(part[0]), parts=str(part[1]), along=along)
-    about = {"long_name": "number of the draw"}
-    numbered = {SAMPLE: (SAMPLE, numbers, about)} if SAMPLE in table.dims else {}
-    planned = StudyPlan(table, draws, numbered, notes)
-    return planned._replace(notes=[*notes, _cost(planned, seconds)])
+    if SAMPLE in table.dims:
+        about = {"long_name": "number of the draw"}
+        table = table.assign_coords({SAMPLE: (SAMPLE, numbers, about)})
+    return StudyPlan(table, [*notes, _cost(table, different, seconds)])
 
 
 def merged(paths: Sequence[Path]) -> "Dataset":
@@ -633,16 +623,15 @@ def _affordable(given: Mapping[str, Any], seconds: float) -> int:
     return max(1, min(_SAMPLES, most))
 
 
-def _cost(planned: StudyPlan, seconds: float) -> str:
+def _cost(table: "Dataset", different: Mapping[str, int], seconds: float) -> str:
     """The number of loops of a study, their cost and the size of its values, as text."""
-    computed_sizes, sizes = planned.table.sizes, planned.sizes
-    loops = prod(length for name, length in computed_sizes.items() if name != WALL)
-    repeated = prod(sizes.values()) / prod(computed_sizes.values())
-    words = f" of {computed_sizes[SAMPLE]:,} different draws" if planned.draws else ""
-    axes = " x ".join(f"{length} {name}" for name, length in sizes.items())
+    loops = prod(length for name, length in different.items() if name != WALL)
+    is_repeated = table.sizes.get(SAMPLE) != different.get(SAMPLE)
+    words = f" of {different[SAMPLE]:,} different draws" if is_repeated else ""
+    axes = " x ".join(f"{length} {name}" for name, length in table.sizes.items())
     return (
         f"{axes}: {loops:,} loops{words}, about {_time(loops * seconds)} of CPU time, "
-        f"{max(planned.table.nbytes * repeated / 1e6, 1e-3):.3g} MB"
+        f"{max(table.nbytes / 1e6, 1e-3):.3g} MB"
     )
 
 
