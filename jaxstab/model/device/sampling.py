@@ -234,12 +234,6 @@ def _matrix(rows: list[list[Any]]) -> Any:
     return flint.arb_mat(rows)
 
 
-def are_known(balls: "list[arb]", bits: int, nothing: float) -> bool:
-    """Whether balls have this many bits, or are next to 0 compared with the largest of them."""
-    least = max((ball.abs_lower() for ball in balls), key=float, default=0.0) * nothing
-    return all(ball.rel_accuracy_bits() >= bits or ball.abs_upper() <= least for ball in balls)
-
-
 def _binary_digits(ball: Ball) -> int:
     """Return the exponent of a power of two that is at most twice or half as large."""
     mantissa, exponent = abs(ball).mid().man_exp()
