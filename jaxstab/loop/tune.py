@@ -11,7 +11,7 @@ from jaxstab.conventions import Excitation
 from jaxstab.loop.region import TOLERANCE, wall_region
 from jaxstab.model import LoopParameters
 from jaxstab.model.filters import given_filters
-from jaxstab.motion.settling import checked_level
+from jaxstab.motion.settling import checked_level, likely_settling
 from jaxstab.numbers import checked_number, checked_word
 from jaxstab.tuning import OptimalGains, TuningStatus
 from jaxstab.tuning.gains import (
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 _POINTS = 25  # on an axis
 _ZOOMS = 4
+_SLOWER = 64  # than the fastest wall: how slow calm walls are looked for at first
 _RADIUS_POINTS, _EDGE_POINTS = 65, 1025  # on an axis, on K = 0 and B = 0: valleys are narrow
 
 Objective = Callable[[np.ndarray, np.ndarray], Any]  # of alpha and beta; infinite, NaN: no wall
@@ -61,17 +62,17 @@ def fastest_calm_wall(
     for _ in range(_ZOOMS):
         alphas, betas = (np.ravel(gains) for gains in np.broadcast_arrays(*grid.points))
         inside = np.asarray(region.contains(alphas, betas))
-        reached = np.full(alphas.shape, np.inf)
-        reached[inside] = chatter.amplitudes(loop, alphas[inside], betas[inside])
-        calm = np.flatnonzero(reached <= chatter.limit)
-        if calm.size:
-            values = np.nan_to_num(np.asarray(objective(alphas[calm], betas[calm])), nan=np.inf)
-            calmest = np.lexsort((reached[calm], values))[0]
-            value = float(values[calmest]), float(reached[calm[calmest]])
-            if value < least:
-                place = int(calm[calmest])
-                least, best = value, (float(alphas[place]), float(betas[place]))
-                status = TuningStatus.SCANNED
+        alphas, betas = alphas[inside], betas[inside]
+        values = np.asarray(objective(alphas, betas))
+        for value in np.unique(values[values <= least[0]]).tolist():  # the fastest walls first
+            walls = np.flatnonzero(values == value)
+            reached = chatter.amplitudes(loop, alphas[walls], betas[walls])
+            calmest = int(np.argmin(reached))
+            if reached[calmest] <= chatter.limit:
+                if (value, reached[calmest]) < least:
+                    least, place = (value, float(reached[calmest])), int(walls[calmest])
+                    best, status = (float(alphas[place]), float(betas[place])), TuningStatus.SCANNED
+                break
         if not np.isfinite(least[0]):
             break
         grid = grid.around(best)
@@ -143,11 +144,20 @@ def optimal_wall(
     def settling(alphas: Numbers, betas: Numbers) -> np.ndarray:
         return np.asarray(tuned.settling(alphas, betas, level=level, excitation=excitation).value)
 
+    def likely(alphas: Numbers, betas: Numbers) -> np.ndarray:
+        walls = loop.stiffness(alphas), loop.damping(betas)
+        horizon = int(np.clip(_SLOWER * settling(*wall), 1 << 10, 1 << 16))
+        options: dict[str, Any] = {"level": level, "excitation": excitation, "horizon": horizon}
+        return likely_settling(loop.in_floats(), *walls, **options)
+
     reached = np.nan if chatter is None else float(chatter.amplitudes(loop, *wall))
     is_stable = status != TuningStatus.NO_STABLE_GAINS
     if chatter is not None and is_stable and not reached <= chatter.limit:
-        objective = radii if goal == "radius" else settling
-        wall, reached, status = fastest_calm_wall(loop, objective, chatter, alpha)
+        for objective in (radii,) if goal == "radius" else (likely, settling):
+            calm, reached, status = fastest_calm_wall(loop, objective, chatter, alpha)
+            if status != TuningStatus.NOT_CALM:
+                break
+        wall = calm
     if status == TuningStatus.NOT_CALM or np.isnan(wall[0]):
         return OptimalWall(np.nan, np.nan, np.nan, np.inf, np.inf, status)
     radius = tuned.spectral_radius(*wall)
