@@ -55,8 +55,5 @@ LINEAR_MODEL = 32 * EPS
 # two numbers near 1, each right to ELEMENTARY, over x.
 SINC_SLOPE = 1e-11
 
-# An entry of a transition over a sample, of the sum of the sizes of its terms (lemma M9).
-TRANSITION = 16 * UNIT
-
 # More than any sum of numbers that are flushed to zero.
 UNDERFLOW = 1e-290

@@ -21,8 +21,7 @@ from benchmarks.truth.march import (
 )
 from jaxstab import HapticLoop, Velocity
 from jaxstab.model import by_name
-from jaxstab.motion.response import Loops
-from jaxstab.motion.settling import positions
+from jaxstab.motion.response import Loops, positions
 from jaxstab.results import SettlingStatus
 
 LONG = 4000  # samples, enough for every loop below to come to rest

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 _SPARE = 8  # bits of a root beyond half of those that are computed with
 _SHARE = 0.4873  # of an interval, where it is divided: not next to a root that is a simple number
 _HALVINGS = 160
-_MOST_FOR_ROOTS = 1024  # bits: balls that still overlap then hold multiple roots, in practice
+MOST_FOR_ROOTS = 1024  # bits: balls that still overlap then hold multiple roots, in practice
 
 
 class Radius(NamedTuple):
@@ -67,7 +67,7 @@ def spectral_radius(triple: TripleAt, stiffness: float, damping: float) -> Radiu
         roots = isolated_roots(triple().at(stiffness, damping))
         return None if roots is None else _largest_modulus(roots)
 
-    number = decided(largest, most=_MOST_FOR_ROOTS) or decided(
+    number = decided(largest, most=MOST_FOR_ROOTS) or decided(
         lambda: _radius_between(triple().at(stiffness, damping))
     )
     if number is None:
@@ -90,7 +90,7 @@ def poles(triple: TripleAt, stiffness: float, damping: float) -> Poles:
         real = None if roots is None else are_real(roots)
         return None if roots is None or real is None else list(zip(roots, real, strict=True))
 
-    found = decided(told_apart, most=_MOST_FOR_ROOTS)
+    found = decided(told_apart, most=MOST_FOR_ROOTS)
     if found is None:
         return Poles(np.full(triple().degree, complex(np.nan, np.nan)), np.inf)
     values, error = [], 0.0

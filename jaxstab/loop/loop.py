@@ -16,7 +16,6 @@ from jaxstab.loop.region import TOLERANCE, WallLimits, WallRegion, scaled, wall_
 from jaxstab.loop.walls import few_walls
 from jaxstab.model import LoopParameters, by_name, checked_gain
 from jaxstab.model.balls import ball_triple
-from jaxstab.model.filters import known_filters
 from jaxstab.model.loop import refuse_arrays
 from jaxstab.numbers import checked, checked_number, checked_word
 
@@ -703,14 +702,14 @@ class HapticLoop(LoopParameters):
             stiffness, damping: see ``jaxstab.conventions``.
             level: the tolerance, between 0 and 1; 0.02 is the usual one.
             excitation: "force", a constant push, or "impact", a velocity at the wall.
-            horizon: samples after which a loop that is not proved to have settled is given up.
+            horizon: samples; a loop that is not proved to have settled by then is given up.
 
         Returns:
             Settling with ``value`` in s and ``status``, a SettlingStatus.
 
         Raises: see ``jaxstab.conventions``; filters and the horizon must be concrete.
 
-        Source: the loop of eqs. (1)-(5), Table I; lemmas M1 to M3 of docs/proofs.md.
+        Source: the loop of eqs. (1)-(5), Table I; lemma E4 of docs/proofs.md.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -719,12 +718,8 @@ class HapticLoop(LoopParameters):
         """
         self._refuse_tracers("settling_time")
         options: dict[str, Any] = {"level": level, "excitation": excitation, "horizon": horizon}
-        sampled = self.sampled
-        if sampled is not None:
-            filters = known_filters(self.velocity, self.position)
-            samples = motion.device_settling_samples(
-                sampled, filters, stiffness, damping, **options
-            )
+        if self.device is not None and self.body is None:
+            samples = motion.loop_settling_samples(self.in_floats(), stiffness, damping, **options)
         else:
             alpha, beta = scaled(self, stiffness, damping)
             samples = motion.settling_samples(alpha, beta, **self.slice, **options, **self.filters)
@@ -763,7 +758,7 @@ class HapticLoop(LoopParameters):
         must be concrete.
 
         Source: the l1 norm of a linear system (Vidyasagar 1986) for the loop of eqs. (1)-(5);
-        lemmas M3 to M9 of docs/proofs.md.
+        lemmas E4 and M9 of docs/proofs.md.
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -772,12 +767,10 @@ class HapticLoop(LoopParameters):
             '6.3e-06 m, 0.24 N'
         """
         self._refuse_tracers("amplitude")
-        sampled = self.sampled
-        if sampled is not None:
+        if self.device is not None and self.body is None:
             causes = {"encoder": encoder, "force_step": force_step, "friction": friction}
-            filters = known_filters(self.velocity, self.position)
-            return motion.device_amplitude(
-                sampled, filters, stiffness, damping, **causes, noise=noise
+            return motion.loop_amplitude(
+                self.in_floats(), stiffness, damping, **causes, noise=noise
             )
         unit = self.mass / self.sample_time**2  # N that are 1 where 1 m is
         amplitude = motion.amplitude(

@@ -7,7 +7,7 @@ from jaxtyping import Float64
 
 from jaxstab.conventions import Excitation
 from jaxstab.loop.region import TOLERANCE, wall_region
-from jaxstab.motion.settling import checked_level
+from jaxstab.motion.settling import checked_level, likely_settling
 from jaxstab.numbers import checked_number, checked_word
 from jaxstab.tuning import TuningStatus
 from jaxstab.tuning.loops import tuned_loop
@@ -17,6 +17,9 @@ from jaxstab.tuning.settling import shortest_settling
 
 if TYPE_CHECKING:
     from jaxstab.loop.loop import HapticLoop
+
+
+_SLOWER = 64  # than the fastest wall: how slow calm walls are looked for at first
 
 
 def wall_axes(
@@ -50,13 +53,16 @@ def fastest_calm_wall(
         return (np.nan, np.nan), TuningStatus.NO_STABLE_GAINS
 
     def values(alphas: np.ndarray, betas: np.ndarray) -> np.ndarray:
-        inside = np.asarray(region.contains(alphas, betas))
-        reached, values = np.full((2, alphas.size), np.inf)
-        reached[inside] = chatter.amplitudes(loop, alphas[inside], betas[inside])
-        calm = reached <= chatter.limit
-        least = np.nan_to_num(objective(alphas[calm], betas[calm]), nan=np.inf)
-        # Among equally fast walls the calmest one is taken.
-        values[calm] = least + 1e-9 * reached[calm] / chatter.limit
+        values, inside = np.full(alphas.size, np.inf), np.asarray(region.contains(alphas, betas))
+        likely = np.full(alphas.size, np.inf)
+        likely[inside] = np.nan_to_num(objective(alphas[inside], betas[inside]), nan=np.inf)
+        for value in np.unique(likely[np.isfinite(likely)]):  # the fastest walls first
+            walls = np.flatnonzero(likely == value)
+            reached = np.asarray(chatter.amplitudes(loop, alphas[walls], betas[walls]))
+            calm = reached <= chatter.limit
+            if np.any(calm):  # of equally fast walls the calmest one is the least
+                values[walls[calm]] = value + 1e-9 * reached[calm] / chatter.limit
+                break
         return values
 
     wall, _ = minimised(values, wall_axes(region.points, alpha), zooms=3, lowest=0.0)
@@ -108,12 +114,21 @@ def optimal_wall(
     reached = np.nan if chatter is None else float(chatter.amplitudes(loop, *wall))
     is_stable = status != TuningStatus.NO_STABLE_GAINS
     if chatter is not None and is_stable and not reached <= chatter.limit:
+        options: dict[str, Any] = {"level": level, "excitation": excitation}
+        fastest = float(tuned.settling(*wall, **options).value)
 
-        def samples(alphas: np.ndarray, betas: np.ndarray) -> np.ndarray:
-            return np.asarray(tuned.settling(alphas, betas, level=level, excitation=excitation)[0])
+        def likely(alphas: np.ndarray, betas: np.ndarray) -> np.ndarray:
+            walls = loop.stiffness(alphas), loop.damping(betas)
+            horizon = int(np.clip(_SLOWER * fastest, 1 << 10, 1 << 16))
+            return likely_settling(loop.in_floats(), *walls, **options, horizon=horizon)
 
-        objective = tuned.walls.radii if goal == "radius" else samples
-        wall, status = fastest_calm_wall(loop, objective, chatter, alpha)
+        def proved(alphas: np.ndarray, betas: np.ndarray) -> np.ndarray:
+            return np.asarray(tuned.settling(alphas, betas, **options).value)
+
+        for objective in (tuned.walls.radii,) if goal == "radius" else (likely, proved):
+            wall, status = fastest_calm_wall(loop, objective, chatter, alpha)
+            if status != TuningStatus.NOT_CALM:
+                break
         reached = float(chatter.amplitudes(loop, *wall)) if np.isfinite(wall[0]) else np.nan
     if np.isnan(wall[0]):
         return OptimalWall(np.nan, np.nan, np.nan, np.inf, np.inf, status)

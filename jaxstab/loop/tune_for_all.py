@@ -10,7 +10,7 @@ from jaxstab.conventions import Excitation
 from jaxstab.loop.many import in_floats
 from jaxstab.loop.tune import wall_axes
 from jaxstab.model.loop import as_one
-from jaxstab.motion.settling import checked_level
+from jaxstab.motion.settling import checked_level, likely_settling
 from jaxstab.numbers import checked_number
 from jaxstab.tuning import TuningStatus
 from jaxstab.tuning.search import minimised
@@ -139,16 +139,15 @@ def _times(
     excitation: Excitation,
     horizon: int,
 ) -> Float64[np.ndarray, "loop wall"]:
-    """Settling times in s; infinite where none is proved, or one is longer than allowed."""
+    """Likely settling times in s; infinite where there is none, or one is longer than allowed."""
     times = np.full((len(loops), len(walls[0])), np.inf)
     hopeful = np.arange(len(walls[0]))
     for index, loop in enumerate(loops):
         stiffness, damping = (gains[hopeful] for gains in walls)
-        settling = loop.settling_time(
-            stiffness, damping, level=level, excitation=excitation, horizon=horizon
+        value = likely_settling(
+            loop, stiffness, damping, level=level, excitation=excitation, horizon=horizon
         )
-        value = np.asarray(settling.value)
-        value = np.where(value <= longest, value, np.inf)  # NaN is not proved
+        value = np.where(value <= longest, value, np.inf)  # NaN is none
         times[index, hopeful] = value
         hopeful = hopeful[np.isfinite(value)]
         if not len(hopeful):

@@ -12,12 +12,12 @@ off its difference equations, entry by entry, from unit memories.
 """
 
 from bisect import bisect_right
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from decimal import ROUND_HALF_EVEN
 from functools import lru_cache, reduce
 from itertools import pairwise
-from math import prod
+from math import ceil, inf, log2, prod
 from operator import add, mul
 from typing import Any, NamedTuple
 
@@ -50,8 +50,9 @@ from jaxstab.model.filters import (
     Stage,
     Velocity,
     given_filters,
+    known_filters,
 )
-from jaxstab.motion.contraction import Matrices, Systems
+from jaxstab.model.loop import unit_loop
 from jaxstab.numbers import checked, checked_count
 from jaxstab.point.poles import closed_loop_poles
 from jaxstab.shown import rounded_text
@@ -62,6 +63,7 @@ from jaxstab.shown import rounded_text
 # goes through another chain. The coefficients are those of ``jaxstab.model``, rounded to float64.
 
 Memory = tuple[Array, ...]
+Matrices = Float64[np.ndarray, "_ _ _"]
 
 
 class Equation(NamedTuple):
@@ -95,13 +97,6 @@ class Equation(NamedTuple):
             last = memory[0] if memory else 0.0 * value
             memory = (_less(_plus(last, self.inputs[order], value), below, output), *memory)
         return output, memory
-
-    def moduli(self) -> "Equation":
-        """Return the equation with the moduli of its coefficients, in which nothing cancels."""
-        return Equation(
-            tuple(c if c is None else abs(c) for c in self.inputs),
-            tuple(c if c is None else -abs(c) for c in self.outputs),
-        )
 
     def _sums(self, value: Array, output: Array, waiting: Memory) -> Memory:
         triples = zip(waiting, self.inputs[1:], self.outputs, strict=False)
@@ -154,16 +149,12 @@ class Bank(NamedTuple):
     steps: rows for the memory at the next sample.
     at_rest: the memory after a long rest at position 1.
     is_velocity: which entries of the memory are velocities.
-    roundings: how often an entry is rounded at most, including the coefficients' own rounding.
-    sizes: outputs and steps again, with moduli in place of the numbers that make up an entry.
     """
 
     outputs: Float64[np.ndarray, "2 column"]
     steps: Float64[np.ndarray, "memory column"]
     at_rest: Float64[np.ndarray, " memory"]
     is_velocity: np.ndarray
-    roundings: int
-    sizes: tuple[Float64[np.ndarray, "2 column"], Float64[np.ndarray, "memory column"]]
 
 
 PLAIN = Bank(
@@ -171,8 +162,6 @@ PLAIN = Bank(
     steps=np.zeros((0, 2)),
     at_rest=np.zeros(0),
     is_velocity=np.zeros(0, bool),
-    roundings=0,
-    sizes=(np.eye(2), np.zeros((0, 2))),
 )
 
 
@@ -184,7 +173,6 @@ def bank_of(controller: Controller) -> Bank:
     earlier = controller.window - 1
     memories = rests[0][1], rests[1][1]
     outputs, steps = _rows(controller.window, chains, memories)
-    moduli = [tuple(equation.moduli() for equation in chain) for chain in chains]
     at_rest = [np.zeros(earlier), *(np.array(value).ravel() for m in memories for value in m)]
     velocities = earlier + sum(map(len, memories[0]))
     return Bank(
@@ -192,8 +180,6 @@ def bank_of(controller: Controller) -> Bank:
         steps,
         at_rest=np.concatenate(at_rest),
         is_velocity=np.arange(len(steps)) < velocities,
-        roundings=2 + 4 * sum(map(len, chains)),
-        sizes=_rows(controller.window, (moduli[0], moduli[1]), memories),
     )
 
 
@@ -593,10 +579,6 @@ def bank_for(filters: Filters | None, sample_time: float = 1.0) -> Bank:
     """The matrices of an estimator and a filter, concrete ones, for a sampling period."""
     if filters is None:
         return PLAIN
-    if is_any_traced(filters):
-        raise TypeError(
-            "a filter is traced; this is computed outside of JAX: give filters of concrete numbers."
-        )
     is_plain = all(isinstance(leaf, float | int) for leaf in leaves(filters))
     bank = _remembered_bank if is_plain else _bank
     return bank(filters, sample_time)
@@ -639,17 +621,6 @@ def steps_of(
     return step
 
 
-def groups(
-    whole_delay: np.ndarray, is_hopeful: np.ndarray, memory: int, numbers: int
-) -> Iterator[tuple[int, np.ndarray]]:
-    """Yield whole delays and the loops that have them, in groups of limited memory."""
-    for whole in np.unique(whole_delay):
-        together = np.flatnonzero((whole_delay == whole) & is_hopeful)
-        count = max(1, int(numbers // (FORCE + 1 + whole + memory) ** 2))
-        for begin in range(0, together.size, count):
-            yield int(whole), together[begin : begin + count]
-
-
 # Loops without inputs, as matrices: the deviation from rest follows s -> A s from s_0 on.
 
 Lanes = Float64[np.ndarray, " loop"]
@@ -663,13 +634,6 @@ class Loops(NamedTuple):
 
     transition: Matrices
     start: Float64[np.ndarray, "loop state 1"]
-
-    def systems(self) -> Systems:
-        """Return the loops with the start as their input and the position as their output."""
-        outputs = np.zeros((len(self.start), 1, self.start.shape[1]))
-        outputs[:, 0, POSITION] = 1.0
-        sizes = np.abs(np.concatenate(self, axis=2))
-        return Systems(self.transition, self.start, outputs, sizes, outputs, error=0.0)
 
 
 OF_MASS = Starts(np.array([1.0, 0.0]), np.zeros(2, bool), np.array([0.0, 1.0]))
@@ -715,6 +679,91 @@ def _wall(stiffness: Lanes, damping: Lanes, bank: Bank) -> Float64[np.ndarray, "
 
 def _gain(bank: Bank) -> float:
     return float(bank.outputs[0] @ np.array([1.0, 0.0, *bank.at_rest]))
+
+
+# Sampled positions of many loops side by side, in stretches that are doubled by powers of A.
+
+STRETCH = 32  # samples, a power of two
+_BLOCK = 64  # stretches of one product, a power of two
+
+
+def positions(loops: Loops, samples: int) -> Float64[np.ndarray, "loop sample"]:
+    """Return the sampled deviations of loops, at least as many as requested."""
+    outputs = np.zeros((len(loops.start), 1, loops.start.shape[1]))
+    outputs[:, 0, 0] = 1.0
+    motion = Motion.begun(outputs, *loops)
+    stretches = [motion.latest()]
+    computed = motion.samples
+    while computed < samples:
+        blocks = ceil((samples - computed) / (STRETCH * _BLOCK))
+        motion = motion._replace(states=motion.states[:, : blocks * _BLOCK]).doubled()
+        stretches.append(motion.latest())
+        computed += stretches[-1].shape[1]
+    return np.concatenate(stretches, axis=1)
+
+
+class Motion(NamedTuple):
+    """The motion of loops over M stretches of W samples."""
+
+    rows: Float64[np.ndarray, "loop sample state"]  # of the position, times A^i, i < W
+    power: Matrices  # A^(MW)
+    states: Float64[np.ndarray, "loop stretch state"]  # at the beginning of each stretch
+
+    @classmethod
+    def begun(cls, outputs: Matrices, power: Matrices, start: Matrices) -> "Motion":
+        """Return the first stretch."""
+        rows = outputs
+        for _ in range(int(log2(STRETCH))):
+            rows = np.concatenate([rows, rows @ power], axis=1)
+            power = power @ power
+        return cls(rows, power, np.swapaxes(start, 1, 2))
+
+    @property
+    def samples(self) -> int:
+        """The number of computed samples of each loop."""
+        return self.states.shape[1] * STRETCH
+
+    def latest(self) -> Float64[np.ndarray, "loop sample"]:
+        """Return the positions in the second half of the stretches; all, if there is but one."""
+        states = self.states[:, self.states.shape[1] // 2 :]
+        return _mapped(self.rows, states).reshape(len(self.power), -1)
+
+    def doubled(self) -> "Motion":
+        """Return twice as many stretches."""
+        states = np.concatenate([self.states, _mapped(self.power, self.states)], axis=1)
+        return self._replace(power=self.power @ self.power, states=states)
+
+
+def _mapped(matrices: Matrices, states: np.ndarray) -> Float64[np.ndarray, "loop stretch row"]:
+    """Return the products of each loop's matrix and its states."""
+    # They are taken in blocks that BLAS does not share out to threads, which for matrices as small
+    # as these wait for each other longer than they work.
+    loops, stretches, size = states.shape
+    blocks = states.reshape(loops, -1, min(stretches, _BLOCK), size)
+    return (blocks @ np.swapaxes(matrices, 1, 2)[:, None]).reshape(loops, stretches, -1)
+
+
+def unit_loops(
+    velocity: Velocity | None, position: Filter | None
+) -> Callable[[float, float, float], LoopParameters | None]:
+    """Return what gives the loop of gamma, delta and delay, for m = T = 1.
+
+    None where there is none, as where JAX traced the numbers, so that nobody checked them.
+    """
+    if is_any_traced(velocity, position):
+        raise TypeError(
+            "a filter is traced; this is computed outside of JAX: give filters of concrete numbers."
+        )
+
+    filters = known_filters(velocity, position) or (None, None)
+
+    @lru_cache(maxsize=64)
+    def loop_of(gamma: float, delta: float, delay: float) -> LoopParameters | None:
+        if not (min(gamma, delta, delay) >= 0.0 and gamma + delta < inf):
+            return None
+        return unit_loop(gamma, delta, delay, *filters)
+
+    return loop_of
 
 
 # The slowest mode of the loop, as damping ratio and frequency.

@@ -25,6 +25,7 @@ from jaxstab.conventions import Verdict
 from jaxstab.guard import Guard
 from jaxstab.loop import Contact, ContactKind, HapticLoop, WallRegion
 from jaxstab.loop.jitter import MovingLoop
+from jaxstab.motion.settling import likely_settling
 from jaxstab.pictures.style import (
     BLACK,
     BLUE,
@@ -190,7 +191,7 @@ _WIDTH, _ZOOM_WIDTH, _RESPONSE_WIDTH = 6.4, 3.6, 4.8
 _SEEN = 0.05  # of the region, in K or in B: smaller sets are enlarged
 _COLUMNS = 64  # of the map of settling times, and rows
 _ROUND = np.outer(10.0 ** np.arange(-3, 8), [1.0, 2.0, 5.0]).ravel()  # ms
-_CALM_COLUMNS = 40  # of the map of amplitudes, and rows
+_CALM_COLUMNS = 24  # of the map of amplitudes, and rows
 _COUNTS = 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0  # amplitudes that are drawn
 _FOR_ALL = "#8bc0e2"  # darker than the stable set
 _MOST_LEVELS = 3  # of lines of equal values
@@ -464,8 +465,8 @@ def _columns_and_rows(region: WallRegion, count: int) -> Floats:
 def _draw_settling(panel: Axes, loop: HapticLoop, region: WallRegion) -> None:
     """Draw lines of equal settling time to 2 %, in ms."""
     stiffness, damping = _columns_and_rows(region, _COLUMNS)
-    settling = loop.settling_time(stiffness[None, :], damping[:, None], horizon=_HORIZON)
-    times = np.where(np.isfinite(settling.value), 1e3 * np.asarray(settling.value), np.nan)
+    walls = stiffness[None, :], damping[:, None]
+    times = 1e3 * likely_settling(loop.in_floats(), *walls, horizon=_HORIZON)
     if np.isnan(times).all():
         return
     fastest, slowest = float(np.nanmin(times)), float(np.nanmax(times))

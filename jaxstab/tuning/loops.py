@@ -15,7 +15,7 @@ from jaxstab.model import LoopParameters, by_name
 from jaxstab.model.device.mechanics import mechanics
 from jaxstab.model.filters import Filters, as_keywords, given_filters
 from jaxstab.motion.response import OF_MASS, Loops, bank_for, loops_of, propagator
-from jaxstab.motion.settling import Settling, device_settling_samples, settling_samples
+from jaxstab.motion.settling import Settling, loop_settling_samples, settling_samples
 from jaxstab.point.verdicts import linear_verdict
 from jaxstab.region.region import loop_region
 from jaxstab.tuning.radius import Walls, mass_walls
@@ -66,7 +66,7 @@ def _device_loop(loop: LoopParameters) -> TunedLoop:
 
     def settling(alpha: Any, beta: Any, **options: Any) -> Settling:
         wall = np.asarray(alpha) / device.stiffness_unit, np.asarray(beta) / device.damping_unit
-        return device_settling_samples(device, filters, *wall, **options)
+        return loop_settling_samples(loop, *wall, **options)
 
     def deviations(alpha: np.ndarray, beta: np.ndarray, excitation: Excitation) -> Loops:
         moves = mechanics(device.device, device.sample_time, device.delay % 1.0, (1.0,))

@@ -16,7 +16,8 @@ from jaxstab.arrays import Numbers
 from jaxstab.conventions import Excitation
 from jaxstab.model import checked_gain, require_x64
 from jaxstab.model.filters import Filter, Velocity, given_filters
-from jaxstab.motion.settling import STRETCH, checked_level, positions
+from jaxstab.motion.response import STRETCH, positions
+from jaxstab.motion.settling import checked_level
 from jaxstab.numbers import checked_number
 from jaxstab.tuning.loops import TunedLoop, mass_loop
 from jaxstab.tuning.radius import (

@@ -1,0 +1,553 @@
+"""E4. How a wall responds: sums of moduli of responses, and when they have become small for good.
+
+A response of a stable wall is h = num(z)/p(z) = h_0 + h_1/z + ..., num of a disturbance or of a way
+to begin to move. Its first terms are the quotient of two power series. With simple poles z_j, which
+E2 isolates, and residues, the terms from h_K on are sums of geometric series,
+
+    h_(K + t) = sum_j R_j z_j^t,     |h_(K + t)| <= sum_j |R_j| |z_j|^t,
+
+so that what comes after any t is bounded, however close to the boundary the wall is. Millions of
+terms are needed there, so they are evaluated in float64, from numbers that are rounded once: t = i
++ W l takes i + l products of powers of z_j and z_j^W, each of them right to 4 units, and a sum.
+
+Poles that coincide have no residues. Then x^m mod p(x) = q_0 + q_1 x + ... tells the terms from
+those m earlier: h_(k + m) = sum_i q_i h_(k + i). With eta = sum |q_i| below 1 all terms from N on
+are at most the largest of h_N ... h_(N + m - 1), and their moduli add up to at most the sum of
+these, over 1 - eta.
+
+What is summed are combinations of few series, the states of the device at the samples and the
+forces that act: a sample has many times, and a disturbance by friction many inputs.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
+from math import ceil, inf, isfinite, log, nan
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Complex128, Float64
+
+from jaxstab.exact.roots import MOST_FOR_ROOTS, are_real, isolated_roots
+from jaxstab.exact.verdict import roots_outside
+from jaxstab.model.balls import Factored, Triple, ball_loop, ball_triple
+from jaxstab.model.device.mechanics import equations
+from jaxstab.model.device.parts import Answer, decided, exact
+from jaxstab.model.device.sampling import in_samples
+from jaxstab.model.loop import LoopParameters
+from jaxstab.rounding import UNDERFLOW, UNIT
+
+if TYPE_CHECKING:
+    from flint import acb, arb, arb_poly
+
+_MOST_TERMS = 1 << 22  # that are summed; what comes later is bounded
+_MOST_POWERS = 1 << 17  # terms where poles coincide
+_BLOCK = 1 << 20  # numbers that are evaluated at once
+_NOTHING = 1e-12  # a share of a response that is not looked at
+_NARROW = 2.0**-80  # of the largest term: balls of all terms of a quotient
+_UP = 1.0 + 2.0**-50  # for a number that was rounded to float64, or the sum of a few
+
+Causes = tuple[bool, bool, bool]  # errors of the read position, errors of the force, and friction
+
+
+class Modes(NamedTuple):
+    """The terms from h_K on: Re(sum_j R_j z_j^t), one z_j of each pair.
+
+    sizes, errors: bounds of |R_j|, and of what its float64 is wrong by.
+    moduli, gaps: no less than |z_j|, no more than 1 - |z_j|.
+    balls: z_j, and the residues of the first response.
+    """
+
+    poles: Complex128[np.ndarray, " pole"]
+    residues: Complex128[np.ndarray, "input series pole"]
+    sizes: Float64[np.ndarray, "input series pole"]
+    errors: Float64[np.ndarray, "input series pole"]
+    moduli: Float64[np.ndarray, " pole"]
+    gaps: Float64[np.ndarray, " pole"]
+    balls: "list[tuple[acb, acb]]"
+
+    def powers(self, terms: int) -> tuple[np.ndarray, np.ndarray, float]:
+        """z^i for i < W, z^(W l) for W l < terms, and the relative error of values from them."""
+        width = 1 << ceil(0.5 * log(terms, 2))
+        count = ceil(terms / width)
+        far = np.array([complex(ball**width) for ball, _ in self.balls])
+        with np.errstate(under="ignore"):
+            near, late = _powers(self.poles, width), _powers(far, count)
+        return near, late, UNIT * (4 * (width + count) + 2 * len(far) + 16)
+
+    def terms_above(self, limit: float, most: int) -> int:
+        """How many terms of the first response its bound needs to fall to a limit, about."""
+        low, ends = 0, 2 ** np.arange(most.bit_length() + 1)
+        for _ in range(2):
+            with np.errstate(under="ignore"):
+                bounds = self.sizes[0, 0] @ self.moduli[:, None] ** ends * (1.0 + 2.0**-40)
+            place = int(np.argmax(bounds <= limit))
+            if not bounds[place] <= limit:
+                return most + 1
+            low, high = (int(ends[place - 1]) if place else low), int(ends[place])
+            ends = low + np.unique(np.ceil(np.linspace(0.0, 1.0, 65) * (high - low))).astype(int)
+        return high
+
+    def values(self, terms: int) -> tuple[np.ndarray, np.ndarray]:
+        """Terms of the first response, that many at least, and how wrong each may be."""
+        near, late, error = self.powers(terms)
+        with np.errstate(under="ignore"):
+            begins = self.moduli[:, None] ** (near.shape[1] * np.arange(late.shape[1]))
+            wrong = (error * self.sizes[0, 0] + self.errors[0, 0]) @ begins
+            values = ((self.residues[0, 0][:, None] * late).T @ near).real.ravel()
+        return values, np.repeat(wrong, near.shape[1])
+
+
+class Responses(NamedTuple):
+    """Responses of one wall, some series for each of some inputs.
+
+    head: the first terms, to the nearest float64, and in balls for the first response.
+    modes: the later terms; None where poles coincide.
+    late: from this term on, the moduli of all terms of a response, and of any combination of them,
+        add up to at most 1 + growth times those in the head.
+    """
+
+    head: Float64[np.ndarray, "input series term"]
+    balls: "list[arb]"
+    modes: Modes | None
+    late: int
+    growth: float
+
+    def sums(
+        self, rows: Float64[np.ndarray, "row series"], columns: Float64[np.ndarray, "column input"]
+    ) -> Float64[np.ndarray, "column row"]:
+        """No less than the sum over all k of |rows h_k columns'|.
+
+        Rows and columns may be wrong by a unit of each entry, and by 2^-100 of the largest one.
+        """
+        large_rows, large_columns = (
+            np.abs(side) + 2.0**-100 * np.abs(side).max(initial=0.0) for side in (rows, columns)
+        )
+        rounding = UNIT * (sum(rows.shape[1:] + columns.shape[1:]) + 8)
+        values = np.abs(_mixed(rows, columns, self.head))
+        total = values.sum(axis=-1) + self.growth * values[..., self.late :].sum(axis=-1)
+        sizes = np.abs(self.head).sum(axis=-1, keepdims=True) * (1.0 + self.growth)
+        total += rounding * _mixed(large_rows, large_columns, sizes)[..., 0]
+        modes = self.modes
+        if modes is None or not len(modes.poles):
+            return total * (1.0 + 2.0 * values.shape[-1] * UNIT)
+        terms = min(ceil(log(_NOTHING) / log(min(modes.moduli.max(), 1.0 - UNIT))), _MOST_TERMS)
+        near, late, error = modes.powers(max(terms, 2))
+        terms = near.shape[1] * late.shape[1]
+        residues = _mixed(rows, columns, modes.residues)
+        step = max(1, _BLOCK // (near.shape[1] * residues[..., 0].size))
+        for begin in range(0, late.shape[1], step):
+            slow = np.abs(late[:, begin]) > 1e-30  # the others count as errors
+            first = residues[:, :, None, slow] * late[slow, begin : begin + step].T
+            first = np.concatenate([first.real, -first.imag], axis=-1)
+            later = first @ np.concatenate([near[slow].real, near[slow].imag])
+            total += np.abs(later, out=later).sum(axis=(2, 3))
+        wrong = (error + rounding + 2e-30) * modes.sizes + modes.errors
+        wrong = _mixed(large_rows, large_columns, wrong)
+        tail = (np.abs(residues) + wrong) * modes.moduli**terms
+        total += ((wrong + tail) / modes.gaps).sum(axis=-1)
+        return total * (1.0 + 2.0 * (values.shape[-1] + terms) * UNIT)
+
+    def settled(self, level: float, horizon: int, *, is_impact: bool) -> float | None:
+        """The term from which on all are at most ``level``, or ``level`` times the largest one.
+
+        NaN if that is not known of the terms up to twice the horizon, or it is later than the
+        horizon; None where there are not enough terms in the head.
+        """
+        values = self.head[0, 0]
+        wrong = np.abs(values) * (2.0 * UNIT) + _NARROW * np.abs(values).max()
+        limit = level * (np.abs(values).max() if is_impact else 1.0) * (1.0 - 8.0 * UNIT)
+        if self.modes is None:
+            if np.any((np.abs(values) + wrong)[self.late :] > limit):
+                return None
+        else:
+            terms = self.modes.terms_above(limit, 2 * horizon)
+            if terms > 2 * horizon:
+                return nan
+            more, error = self.modes.values(max(terms, 1))
+            values, wrong = np.append(values, more), np.append(wrong, error)
+        largest = np.abs(values).max() if is_impact else 1.0
+        peak = self._largest_ball(values, wrong) if is_impact else None
+        doubt = np.abs(values) + wrong > level * (largest - wrong.max()) * (1.0 - 4.0 * UNIT)
+        for term in np.flatnonzero(doubt)[::-1].tolist():
+            if not self._is_within(term, level, peak):
+                return float(term + 1) if term < horizon else nan
+        return 0.0
+
+    def _ball(self, term: int) -> "arb":
+        """The modulus of a term of the first response."""
+        from flint import arb
+
+        count = len(self.balls)
+        if term < count:
+            return abs(self.balls[term])
+        assert self.modes is not None
+        values = (residue * pole ** (term - count) for pole, residue in self.modes.balls)
+        return abs(sum((value.real for value in values), arb(0)))
+
+    def _largest_ball(self, values: np.ndarray, wrong: np.ndarray) -> "arb":
+        from flint import arb
+
+        size = np.abs(values)
+        near = np.flatnonzero(size + wrong >= (size - wrong).max())
+        largest = arb(0)
+        for term in near.tolist():
+            largest = largest.max(self._ball(term))
+        return largest
+
+    def _is_within(self, term: int, level: float, largest: "arb | None") -> bool:
+        from flint import arb
+
+        return bool(self._ball(term) <= arb(level) * (1 if largest is None else largest))
+
+
+def _mixed(rows: np.ndarray, columns: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Combinations of the series of all inputs: column, row, term."""
+    return rows @ np.tensordot(columns, values, 1)
+
+
+def _powers(numbers: np.ndarray, count: int) -> np.ndarray:
+    """The powers of numbers from the one to 0 on, by multiplications."""
+    powers = np.repeat(numbers[:, None], count, axis=1)
+    powers[:, :1] = 1.0
+    return np.cumprod(powers, axis=1)
+
+
+Quotients = list[tuple[Any, list[Any]]]
+"""Numerators over p(z), for each input: a factor, and what it multiplies for each series."""
+
+
+class _Wall(NamedTuple):
+    """The loop of one wall in balls.
+
+    p: p(z), the roots that are known told apart; whole: multiplied out.
+    force: K Np Dv + B Nv Dp.
+    """
+
+    p: Factored
+    whole: "arb_poly"
+    force: "arb_poly"
+    parts: "_Parts"
+
+    @classmethod
+    def from_loop(cls, loop: LoopParameters, stiffness: float, damping: float) -> "_Wall":
+        import flint
+
+        parts = _parts(loop, flint.ctx.prec)
+        p = parts.triple.at(stiffness, damping)
+        # An actuator's pole that is a zero of the device is no root of p, but of its states.
+        if parts.hidden.degree:
+            p = p.times(parts.hidden)
+        p = p._replace(power=p.power + parts.degree - p.degree)
+        by_stiffness, by_damping = parts.walls
+        force = by_stiffness * flint.arb(stiffness) + by_damping * flint.arb(damping)
+        return cls(p, p.polynomial(), force, parts)
+
+    def is_stable(self) -> bool | None:
+        """Whether all roots of p are inside the circle (E1); None where balls do not tell."""
+        if self.p.is_on_circle:
+            return False
+        outside = roots_outside(self.p.rest, most=0)
+        return None if outside is None else not outside
+
+    def disturbed(self, causes: Causes) -> Quotients:
+        """Numerators of states, acting and arriving force, for each cause of size 1.
+
+        Friction: for each state of the device alone, from 1 at a sample on.
+        """
+        parts, z = self.parts, _z()
+        denominator = parts.denominator
+        series = [*parts.pull, denominator, z * denominator]
+        factors = (-self.force, parts.memory)
+        found = [(one, series) for one, cause in zip(factors, causes, strict=False) if cause]
+        for column in parts.states if causes[2] else []:
+            position = column[0] * self.force
+            states = [
+                (part * self.whole - one * position) // denominator
+                for part, one in zip(column, parts.pull, strict=True)
+            ]
+            found.append((z, [*states, -position, -z * position]))
+        return found
+
+    def begun(self, excitation: str) -> Quotients:
+        """The deviation of the position: of its final value, or after a blow."""
+        parts, z = self.parts, _z()
+        if excitation == "impact":
+            return [(z, [parts.struck])]
+        final = parts.pushed(1) / self.whole(1)
+        return [(z, [(parts.pushed * (1 / final) - self.whole) // (z - 1)])]
+
+    def responses(self, numerators: Quotients) -> Responses | None:
+        """Responses by their modes; None where poles are not told apart, or not inside."""
+        from flint import acb
+
+        roots = isolated_roots(self.p._replace(power=0))
+        real = None if roots is None else are_real(roots)
+        if roots is None or real is None:
+            return None
+        chosen = [
+            (root, is_real)
+            for root, is_real in zip(roots, real, strict=True)
+            if is_real or root.imag > 0
+        ]
+        start = 2 * self.whole.degree() + 2  # after which fast poles no longer count
+        head, balls = self._head(numerators, start)
+        slope = self.whole.derivative()
+        shape = len(numerators), len(numerators[0][1]), len(chosen)
+        residues = np.zeros(shape, np.complex128)
+        sizes, errors = np.zeros(shape), np.zeros(shape)
+        moduli, gaps, first = np.zeros(len(chosen)), np.zeros(len(chosen)), []
+        for k, (root, is_real) in enumerate(chosen):
+            modulus = abs(root)
+            if not modulus < 1 or not (modulus < 1e-40 or modulus.rel_accuracy_bits() >= 70):
+                return None
+            moduli[k], gaps[k] = float(modulus.upper()) * _UP, float((1 - modulus).lower()) / _UP
+            share = root ** (start - 1) * (1 if is_real else 2) / slope(root)
+            for row, (factor, series) in enumerate(numerators):
+                common = factor(root) * share
+                for column, part in enumerate(series):
+                    ball = part(root) * common
+                    number = complex(ball)
+                    residues[row, column, k] = number
+                    sizes[row, column, k] = float(ball.abs_upper()) * _UP
+                    wrong = ball - acb(number.real, number.imag)
+                    errors[row, column, k] = float(wrong.abs_upper()) * _UP
+                    if not row and not column:
+                        first.append((root, ball))
+        if head is None or np.any(errors > 1e-12 * sizes.max(axis=-1, initial=0.0, keepdims=True)):
+            return None
+        poles = np.array([complex(root) for root, _ in first])
+        sizes, errors = sizes + UNDERFLOW, errors + UNDERFLOW
+        return Responses(
+            head, balls, Modes(poles, residues, sizes, errors, moduli, gaps, first), start, 0.0
+        )
+
+    def by_powers(self, numerators: Quotients, terms: int) -> Responses | None:
+        """Responses by x^m mod p, with that many terms before; None where m is too large."""
+        plain = self.p._replace(power=0).polynomial()
+        power, count = _z() % plain, 1
+        while not _size(power) < 2.0**-30:
+            if count > _MOST_POWERS:
+                return None
+            power, count = power * power % plain, 2 * count
+        late = max(terms, self.whole.degree() + 1)
+        head, balls = self._head(numerators, late + count)
+        if head is None:
+            return None
+        size = float(_size(power).upper()) * _UP
+        return Responses(head, balls, None, late, size / (1.0 - size) * _UP)
+
+    def _head(self, numerators: Quotients, terms: int) -> "tuple[np.ndarray | None, list[arb]]":
+        """The first terms of quotients num/p in powers of 1/z, rounded, and the first in balls.
+
+        None where the balls are wide.
+        """
+        from flint import arb, arb_poly
+
+        falling = arb_poly(self.whole.coeffs()[::-1])
+        degree, inverse, known = self.whole.degree(), arb_poly([1 / falling[0]]), 1
+        while known < terms:
+            more = min(known, terms - known)  # by Newton's method
+            rest = (falling.truncate(known + more) * inverse).truncate(known + more)
+            rest = (rest.right_shift(known) * inverse).truncate(more)
+            inverse, known = inverse - rest.left_shift(known), known + more
+        first: list[arb] = []
+        head = np.zeros((len(numerators), len(numerators[0][1]), terms))
+        for place in np.ndindex(head.shape[:2]):
+            factor, series = numerators[place[0]]
+            rising = (factor * series[place[1]]).coeffs()
+            above = arb_poly(([arb(0)] * (degree + 1 - len(rising)) + rising[::-1])[:terms])
+            quotient = (above * inverse).truncate(terms).coeffs()
+            head[place][: len(quotient)] = [float(ball) for ball in quotient]
+            widest = max((float(ball.rad()) for ball in quotient), default=0.0)
+            if widest > _NARROW * np.abs(head[place]).max():
+                return None, first
+            first = first or quotient + [arb(0)] * (terms - len(quotient))
+        return head, first
+
+
+class _Parts(NamedTuple):
+    """A loop without its wall, polynomials of z.
+
+    degree: of p(z) with all powers of z that the sequences have.
+    walls, memory: Np Dv and Nv Dp, over Dp Dv.
+    denominator: D(z) = det(z - F) of the states of ``equations``, F their transition in a sample.
+    hidden: D over that of the loop.
+    states: adj(z - F), by columns.
+    pull: adj(z - F) (g_0 + g_1 z), of the force that acts at first, and of the one that arrives.
+    struck, pushed: the position in the closed loop after a unit blow of the hand, and under its
+        unit force from 0 on, times p(z)/z and p(z) (z - 1)/z.
+    """
+
+    triple: Triple
+    degree: int
+    walls: "tuple[arb_poly, arb_poly]"
+    memory: "arb_poly"
+    denominator: "arb_poly"
+    hidden: Factored
+    states: "list[list[arb_poly]]"
+    pull: "list[arb_poly]"
+    struck: "arb_poly"
+    pushed: "arb_poly"
+
+    @classmethod
+    def from_loop(cls, loop: LoopParameters) -> "_Parts":
+        from flint import arb, arb_mat, arb_poly
+
+        device, period = loop.held_device, float(loop.sample_time)
+        above, below = in_samples(device.handle_compliance(), period)
+        if not above[0] != 0:
+            raise ValueError(
+                "the device has zero DC gain: its transfer function in s is 0 at s = 0; give one "
+                "that moves under a constant force."
+            )
+        matrix = equations(device, above, below, period)
+        size = matrix.ncols() - 2
+        whole = matrix.exp().tolist()
+        late = (matrix * (1 - arb(exact(loop.delay_samples % 1.0)))).exp().tolist()
+        transition = arb_mat([row[:size] for row in whole[:size]])
+        denominator = transition.charpoly()
+        # The part without negative powers of z of D(z) (1/z + F/z^2 + ... + F^(n-1)/z^n).
+        powers = [arb_mat(size, size) + 1]
+        for _ in range(size - 1):
+            powers.append(transition * powers[-1])
+        rows = [power.tolist() for power in powers[::-1]]
+        states = [
+            [
+                (denominator * arb_poly([power[row][column] for power in rows])).right_shift(size)
+                for row in range(size)
+            ]
+            for column in range(size)
+        ]
+
+        def after(vector: "list[arb]") -> "list[arb_poly]":
+            return [
+                sum((states[k][row] * vector[k] for k in range(size)), arb_poly([]))
+                for row in range(size)
+            ]
+
+        newer = [late[row][size] for row in range(size)]
+        older = [whole[row][size] - newer[row] for row in range(size)]
+        blow = [matrix[row, size + 1] for row in range(size)]
+        push = [whole[row][size + 1] for row in range(size)]
+        parts = ball_loop(loop)
+        memory = parts.position[1].times(parts.velocity[1]).polynomial()
+        waiting = int(loop.delay_samples) + 1
+        free = memory.left_shift(waiting)
+        return cls(
+            ball_triple(loop),
+            waiting + size + memory.degree(),
+            (parts.walls[0].polynomial(), parts.walls[1].polynomial()),
+            memory,
+            denominator,
+            Factored(denominator // parts.denominator.polynomial()),
+            states,
+            [a + b.left_shift(1) for a, b in zip(after(older), after(newer), strict=True)],
+            free * after(blow)[0],
+            free * after(push)[0],
+        )
+
+
+@lru_cache(maxsize=128)
+def _parts(loop: LoopParameters, bits: int) -> _Parts:
+    del bits  # the precision is set: here it only tells balls apart
+    return _Parts.from_loop(loop)
+
+
+def _z() -> "arb_poly":
+    from flint import arb_poly
+
+    return arb_poly([0, 1])
+
+
+def _size(polynomial: "arb_poly") -> "arb":
+    from flint import arb
+
+    return sum(map(abs, polynomial.coeffs()), arb(0))
+
+
+def disturbed_responses(
+    loop: LoopParameters, stiffness: float, damping: float, causes: Causes
+) -> Responses | None:
+    """What disturbances do to states and forces of a stable wall; None where it is not proved.
+
+    The inputs: an error of the read position at one sample, one of the force, and each of the
+    device's states at a sample. The series: these states, the force that acts up to the fraction of
+    the delay, and the one from then on.
+    """
+
+    def by_modes(wall: _Wall) -> Responses | None:
+        return wall.responses(wall.disturbed(causes))
+
+    def by_powers(wall: _Wall) -> Responses | None:
+        return wall.by_powers(wall.disturbed(causes), 1)
+
+    return _of_wall(loop, stiffness, damping, [by_modes, by_powers], nothing=None)
+
+
+def settled_after(
+    loop: LoopParameters,
+    stiffness: float,
+    damping: float,
+    excitation: str,
+    level: float,
+    horizon: int,
+) -> float:
+    """The sample from which on a wall stays settled: infinite if unstable, NaN if not proved.
+
+    Example:
+        >>> from jaxstab.exact.response import settled_after
+        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+        >>> settled_after(loop, 1000.0, 20.0, "force", 0.02, 1000)
+        69.0
+    """
+    options: dict[str, Any] = {
+        "level": level,
+        "horizon": horizon,
+        "is_impact": excitation == "impact",
+    }
+
+    def by_modes(wall: _Wall) -> float | None:
+        found = wall.responses(wall.begun(excitation))
+        return None if found is None else found.settled(**options)
+
+    def by_powers(wall: _Wall) -> float | None:
+        terms, numerators = 64, wall.begun(excitation)
+        while terms < _MOST_POWERS and (found := wall.by_powers(numerators, terms)) is not None:
+            if (settled := found.settled(**options)) is not None:
+                return settled
+            terms *= 4
+        return None
+
+    settled = _of_wall(loop, stiffness, damping, [by_modes, by_powers], nothing=inf)
+    return nan if settled is None else settled
+
+
+def _of_wall(
+    loop: LoopParameters,
+    stiffness: float,
+    damping: float,
+    ways: "list[Callable[[_Wall], Answer | None]]",
+    nothing: Answer,
+) -> Answer | None:
+    """The answer of the first way that has one; ``nothing`` for an unstable wall."""
+    if not isfinite(stiffness + damping):
+        return None  # as where JAX traced the numbers, so that nobody checked them
+    if not (damping and stiffness) and (loop.velocity or loop.position):
+        # The filter of a gain that is 0 has poles of its own, which may coincide.
+        kept = loop.velocity if damping else None, loop.position if stiffness else None
+        loop = replace(loop, velocity=kept[0], position=kept[1])
+    for way in ways:
+
+        def question(way: "Callable[[_Wall], Answer | None]" = way) -> tuple[Answer] | None:
+            wall = _Wall.from_loop(loop, stiffness, damping)
+            is_stable = wall.is_stable()
+            if not is_stable:
+                return None if is_stable is None else (nothing,)
+            answer = way(wall)
+            return None if answer is None else (answer,)
+
+        found = decided(question, MOST_FOR_ROOTS)
+        if found is not None:
+            return found[0]
+    return None

@@ -1,0 +1,118 @@
+"""E4: sums of responses and settling against 50 digits, chosen motions and coincident poles."""
+
+import math
+
+import flint
+import numpy as np
+import pytest
+from mpmath import mp, mpf
+
+from benchmarks.truth import impulse
+from jaxstab import HapticLoop, Velocity
+from jaxstab.exact.response import _Wall, disturbed_responses, settled_after
+from jaxstab.model.loop import unit_loop
+
+CASES = {
+    "plain": ((0.004, 0.06, 1e-3, 0.015, 0.0), None, [impulse.difference(1)]),
+    "late": ((0.01, 0.1, 0.1, 0.3, 2.5), None, [impulse.difference(1)]),
+    "window": (
+        (0.004, 0.05, 0.0, 0.01, 1.0),
+        Velocity.difference(samples=20),
+        [impulse.difference(20)],
+    ),
+}
+LONG = 2600  # samples: what comes later is below 1e-9 of the sums
+TRIPLE = 4.0 ** (1 / 3) - 1.0  # the smallest radius of the loop without a hand
+
+
+@pytest.mark.parametrize("by_powers", [False, True])
+@pytest.mark.parametrize("case", CASES)
+def test_sums_are_those_of_50_digits(case: str, by_powers: bool) -> None:
+    """By residues, and by powers of x mod p, which serve where poles coincide."""
+    numbers, velocity, taps = CASES[case]
+    loop = unit_loop(*numbers[2:], velocity, None)
+    if by_powers:
+        with flint.ctx.workprec(384):
+            wall = _Wall.from_loop(loop, *numbers[:2])
+            found = wall.by_powers(wall.disturbed((True, True, False)), 1)
+    else:
+        found = disturbed_responses(loop, *numbers[:2], (True, True, False))
+    assert found is not None
+    assert (found.modes is None) == by_powers
+    sums = found.sums(np.eye(4), np.eye(2))  # position, another state, acting and arriving force
+    exact = impulse.ExactLoop(*numbers, taps)
+    for of_input, cause in zip(sums, ({"error": 1.0}, {"pushed": 1.0}), strict=True):
+        expected = exact.sums(LONG, **cause)
+        with mp.workdps(50):
+            assert 0 <= mpf(float(of_input[0])) / expected[0] - 1 < 2e-9
+            assert 0 <= mpf(float(of_input[2])) / expected[2] - 1 < 2e-9
+        assert of_input[3] == pytest.approx(of_input[2], rel=1e-9)
+
+
+@pytest.mark.parametrize("excitation", ["force", "impact"])
+def test_a_triple_pole_settles_as_its_recursion(excitation: str) -> None:
+    alpha, beta = 6.0 * TRIPLE**2 - 2.0, 2.0 * TRIPLE**3
+    x, v, last = -1.0, 0.0, -1.0  # from rest, by a force that moves it by 1
+    if excitation == "impact":
+        x, v, last = 0.0, 1.0, 0.0
+    positions = []
+    for k in range(200):
+        positions.append(x)
+        force = -alpha * x - beta * (x - last if k or excitation == "impact" else 0.0)
+        x, v, last = x + v + force / 2.0, v + force, x
+    size = np.abs(positions)
+    level = 0.02 * (size.max() if excitation == "impact" else 1.0)
+    loop = unit_loop(0.0, 0.0, 0.0, None, None)
+    expected = np.flatnonzero(size > level)[-1] + 1
+    assert settled_after(loop, alpha, beta, excitation, 0.02, 1000) == expected
+
+
+def test_poles_that_coincide_exactly_are_summed_and_settle() -> None:
+    """A free, critically damped mass: x = 1 - (1 + w t) exp(-w t), and all of it is positive."""
+    w = 0.0625
+    loop = unit_loop(w**2, 2.0 * w, 0.0, None, None)
+    found = disturbed_responses(loop, 0.0, 0.0, (False, False, True))
+    assert found is not None
+    assert found.modes is None
+    times = np.arange(400)
+    deviation = (1.0 + w * times) * np.exp(-w * times)
+    expected = np.flatnonzero(deviation > 0.02)[-1] + 1
+    assert settled_after(loop, 0.0, 0.0, "force", 0.02, 1000) == expected
+    # From position 1 at rest it returns likewise; the sum of (1 + w k) q^k, q = exp(-w).
+    q = math.exp(-w)
+    total = 1.0 / (1.0 - q) + w * q / (1.0 - q) ** 2
+    there = np.linalg.solve([[1.0, 0.0], [-2.0 * w, 1.0]], [1.0, 0.0])  # position 1, velocity 0
+    sums = found.sums(np.eye(4)[:1], there[None])
+    assert 0.0 <= sums[0, 0] / total - 1.0 < 1e-8
+
+
+def test_a_sample_next_to_the_tolerance_is_on_its_side_of_it() -> None:
+    """A free oscillator: a level one float above and below a sample, of 50 digits."""
+    gamma, delta, sample = 0.09, 0.06, 74
+    with mp.workdps(50):
+        g, d = mpf(gamma), mpf(delta)
+        w = mp.sqrt(g - d * d / 4)
+
+        def deviation(k: int) -> mpf:
+            return abs(mp.exp(-d * k / 2) * (mp.cos(w * k) + d / 2 / w * mp.sin(w * k)))
+
+        size = deviation(sample)
+        assert all(deviation(k) < size for k in range(sample + 1, 400))
+        level = float(size)
+        above = level if mpf(level) >= size else np.nextafter(level, 1.0)
+        below = np.nextafter(above, 0.0)
+        assert mpf(float(below)) < size <= mpf(float(above))
+        before = max(k for k in range(sample) if deviation(k) > mpf(float(above))) + 1
+    loop = unit_loop(gamma, delta, 0.0, None, None)
+    assert settled_after(loop, 0.0, 0.0, "force", float(above), 1000) == before
+    assert settled_after(loop, 0.0, 0.0, "force", float(below), 1000) == sample + 1
+
+
+def test_what_is_not_stable_or_no_number_has_no_sums() -> None:
+    loop = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+    for wall, settled in (((1e6, 20.0), math.inf), ((0.0, 10.0), math.inf)):
+        assert disturbed_responses(loop, *wall, (True, True, True)) is None
+        assert settled_after(loop, *wall, "force", 0.02, 1000) == settled
+    assert math.isnan(settled_after(loop, math.nan, 20.0, "force", 0.02, 1000))
+    assert math.isnan(settled_after(loop, 1000.0, 20.0, "force", 0.02, 60))
+    assert settled_after(loop, 1000.0, 20.0, "force", 0.02, 69) == 69.0
