@@ -28,9 +28,9 @@ PAIR_PRODUCT = 2.0**-100
 SOFT_GAMMA, SOFT_DELTA = 40.0, 10.0
 SOFT_PLANT, STIFF_PLANT, DAMPED_PLANT = 2.0**-89, 2.0**-66, 2.0**-56
 
-# Coefficients of filters, relative to the product of their stages' sizes, and of the products of
-# filters with each other and with plants (lemma V8).
-FILTERS = 2.0**-90
+# Coefficients of products of filters, for each stage and four more, relative to the product of
+# the stages' sizes (lemma V8).
+FILTERS = 2.0**-96
 RAISED_FEW = 1.0 + 2.0**-50
 RAISED = 1.0 + 2.0**-40
 RAISED_MANY = 1.0 + 2.0**-20

@@ -168,7 +168,7 @@ def _filters_of(
             "sample_time, or give windows in samples and factors in place of cut-offs."
         )
     for chain in (filters[0].filter, filters[1]):
-        chain.transfer()  # refuses what is too long
+        chain.checked()
     return filters
 
 

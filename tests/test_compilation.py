@@ -33,7 +33,7 @@ WITHOUT_ARRAYS = {
     *(f"HapticLoop.{method}" for method in ("region", "limits", "tune", "robust_limit")),
 }
 
-WITH_FLINT = {  # single walls, lines of walls and regions are answered in balls
+WITH_FLINT = {  # single walls, lines of walls and regions are in balls, filters in exact numbers
     *("amplitude", "limits_of", "margins", "paper.linear_validity"),
     *("regions_of", "robust_region", "stable_region", "tune_for_all"),
     *(f"HapticLoop.{walls}" for walls in ("amplitude", "jitter_margin", "margins", "oscillation")),
@@ -41,6 +41,8 @@ WITH_FLINT = {  # single walls, lines of walls and regions are answered in balls
     *(f"HapticLoop.{line}" for line in ("damping_limits", "stiffness_limits", "limits", "region")),
     *(f"HapticLoop.{line}" for line in ("damping_intervals", "stiffness_intervals")),
     *("HapticLoop.boundary_distance", "HapticLoop.robust_limit", "HapticLoop.worst_hand"),
+    *("HapticLoop.contact", "HapticLoop.tune"),
+    *("contact_map", "minimize_radius", "minimize_settling"),
 }
 
 WITHOUT_JAX = """

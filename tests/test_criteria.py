@@ -22,7 +22,6 @@ from jaxstab.paper import (
     routh_hurwitz_condition,
     validity,
 )
-from jaxstab.paper.rules import largest_value
 from jaxstab.region import boundary_curve
 
 ANCHORS = Path(__file__).parents[1] / "data" / "reference" / "anchors.tsv"
@@ -247,16 +246,6 @@ def test_a_question_that_cannot_be_answered_spoils_no_other(monkeypatch):
 def test_validity_refuses_bad_input(arguments, message):
     with pytest.raises(ValueError, match=message):
         linear_validity(arguments[0], **by_name(*arguments[1:]))
-
-
-def test_the_largest_value_of_random_series_is_that_of_a_dense_scan(rng):
-    theta = np.linspace(0.0, pi, 20_001)
-    series = rng.normal(size=(40, 9))
-    values = series @ np.cos(np.arange(9)[:, None] * theta)
-    top = largest_value(series, np.eye(series.shape[1]))
-    assert np.all(values.max(axis=1) <= top.bound)
-    assert np.all(top.bound - top.value < 1e-11)
-    assert np.max(top.value - values.max(axis=1)) < 1e-5
 
 
 # ----------------------------------------------------------------------------------- passive region

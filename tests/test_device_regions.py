@@ -11,6 +11,7 @@ from benchmarks.truth.random_loops import DeviceLoop
 from jaxstab import Device, Filter, Hand, HapticLoop, Mode, Velocity, Verdict
 from jaxstab.exact.boundary import ScaledLoop
 from jaxstab.model import LoopParameters, by_name
+from jaxstab.model.balls import linear_loop
 from jaxstab.model.device import SampledDevice, sampled_device
 from jaxstab.model.filters import Filters
 from jaxstab.point.verdicts import linear_verdict
@@ -74,7 +75,7 @@ def points_around(region: StableRegion, rng: np.random.Generator) -> np.ndarray:
 
 def assert_region_holds(sampled: SampledDevice, filters: Filters, region: StableRegion) -> None:
     points = points_around(region, np.random.default_rng(len(region.points)))
-    codes = linear_verdict(*points.T, sampled.loop(filters))
+    codes = linear_verdict(*points.T, linear_loop(sampled, filters))
     inside = region.contains(*points.T)
     assert not np.any((codes == Verdict.STABLE) & ~inside)
     assert not np.any((codes == Verdict.UNSTABLE) & inside)

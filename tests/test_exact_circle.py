@@ -7,8 +7,8 @@ import mpmath
 import numpy as np
 import pytest
 
-from jaxstab.exact.balls import decided
 from jaxstab.exact.circle import Zero, _by_cells, _by_powers, _Part, zeros
+from jaxstab.model.device.parts import decided
 
 Isolate = Callable[[list[flint.arb]], list[Zero] | None]
 

@@ -20,12 +20,14 @@ from jaxstab.exact.delay_margin import (
     delay_margin,
 )
 from jaxstab.exact.line import stable_line
-from jaxstab.model.balls import ball_loop, ball_triple, one_sample
+from jaxstab.model.balls import ball_loop, ball_triple
+from jaxstab.model.device.sampling import one_sample
 
 
 def margin_of(loop: HapticLoop, wall: tuple[float, float]) -> DelayMargin:
     delay = float(loop.delay_samples)
-    return delay_margin(partial(ball_loop, loop), partial(one_sample, loop), delay, wall)
+    sample = partial(one_sample, loop.held_device, loop.sample_time)
+    return delay_margin(partial(ball_loop, loop), sample, delay, wall)
 
 
 def delayed(drawn: MassLoop | DeviceLoop, delay: float) -> Loop:
@@ -111,7 +113,7 @@ def test_forms_over_an_interval_hold_the_values_in_it(samples: int) -> None:
     loop = HapticLoop(device_mass=0.1, device_damping=0.3, sample_time=1e-3, velocity=velocity)
     with flint.ctx.workprec(192):
         own, wall = ball_loop(loop), (100.0, 3.0)
-        search = _Search(own, one_sample(loop), 0.0, wall)
+        search = _Search(own, one_sample(loop.held_device, loop.sample_time), 0.0, wall)
         parts = own.wall(*wall), own.denominator.times(own.position[1]).times(own.velocity[1])
         for theta in [(0.0, 0.3), (0.4, 0.41), (1.0, 1.6), (2.9, 3.1)]:
             middle = flint.arb(theta[0]) + (flint.arb(theta[1]) - theta[0]) / 2

@@ -11,9 +11,9 @@ import pytest
 from benchmarks.truth.plain import Loop, is_stable
 from benchmarks.truth.random_loops import DeviceLoop, MassLoop, hostile_walls
 from jaxstab import Device, Filter, HapticLoop, Mode, Verdict
-from jaxstab.exact.balls import FIRST_BITS, MOST_BITS, decided
 from jaxstab.exact.verdict import VerdictStatus, roots_outside, wall_verdict
 from jaxstab.model.balls import Factored, Triple, ball_triple
+from jaxstab.model.device.parts import FIRST_BITS, MOST_BITS, decided
 
 
 def chosen_polynomial(rng: np.random.Generator, pairs: int, reals: int) -> tuple[list[int], int]:

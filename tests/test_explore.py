@@ -363,6 +363,7 @@ def test_an_encoder_rounds_exact_ties_to_the_even_step_as_python_does() -> None:
 
 
 @needs_node
+@pytest.mark.campaign
 def test_contacts_are_those_of_python(rng: np.random.Generator) -> None:
     """To 1e-9 of the largest position; chaotic ones until Python's own roundings part them."""
     away = {"speed": 0.1, "encoder": 1e-4, "oneSided": True}  # it is thrown off, and never pushed

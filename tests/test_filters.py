@@ -26,8 +26,8 @@ from benchmarks.truth.random_loops import DeviceLoop, Filters, MassLoop, hostile
 from jaxstab import Filter, Velocity, Verdict
 from jaxstab.atlas.spec import position_of, toml_of, velocity_of
 from jaxstab.model import by_name, filters
-from jaxstab.model.filters import Section, given_filters
-from jaxstab.model.linear_loop import _values, filtered_loop
+from jaxstab.model.filters import Section, exact_chain, given_filters, rounded
+from jaxstab.model.linear_loop import filter_factors, filtered_loop
 from jaxstab.point.schur_cohn import dense_codes, rounded_loop, without_zeros
 from jaxstab.region.curve import curve_gains
 from jaxstab.rounding import UNIT
@@ -96,10 +96,11 @@ ISLANDS = [
 
 
 def frequency_response(filter_: Filter, frequency: float, sample_time: float) -> complex:
-    transfer = filter_.transfer(sample_time)
-    z = np.exp(2j * np.pi * frequency * sample_time)
-    above, below = (np.polyval([c.rounded() for c in one], z) for one in transfer[:2])
-    return complex(above / below * z**-transfer.lag)
+    back = np.exp(-2j * np.pi * frequency * sample_time)
+    response = 1.0 + 0.0j
+    for above, below in filter_.stages(sample_time):
+        response *= np.polyval(above[::-1], back) / np.polyval(below[::-1], back)
+    return complex(response)
 
 
 @pytest.mark.parametrize("order", [1, 2, 5, 8])
@@ -172,10 +173,10 @@ def test_slopes_of_polynomials_are_those_of_scipy(samples: int, order: int) -> N
     "filter_", [Filter.low_pass(1.0, order=3), Filter.butterworth(1.0, order=4)]
 )
 def test_the_gain_at_rest_is_one_although_the_cut_off_is_low(filter_: Filter) -> None:
-    above, below = (sum(c.hi + c.lo for c in one) for one in filter_.transfer(1e-4)[:2])
+    above, below = (sum(rounded(p)) for p in exact_chain(filter_.checked(1e-4).sections))
     assert above / below == pytest.approx(1.0, abs=1e-2)  # sums of float64; pairs know better
-    numerator, denominator = _values(filter_.transfer(1e-4), 1.0)
-    assert (numerator.value / denominator.value).rounded() == pytest.approx(1.0, abs=1e-13)
+    base, stiffness, _ = filter_factors((Velocity(), filter_.checked(1e-4))).values_at(1)
+    assert (stiffness / base).rounded() == pytest.approx(1.0, abs=1e-13)
 
 
 @pytest.mark.parametrize("plant", PLANTS)
@@ -444,9 +445,9 @@ def test_arrays_of_delays_refuse_traced_filters_in_one_sentence() -> None:
         (lambda: Filter.low_pass(-1.0), "cutoff is -1.0"),
         (lambda: Filter.low_pass("10 Hz"), "cutoff is '10 Hz'"),
         (lambda: Filter.low_pass(1.0, order=0), "order is 0"),
-        (lambda: Filter.low_pass(1e9).transfer(1.0), "closer to 1 / period"),
+        (lambda: Filter.low_pass(1e9).checked(1.0), "closer to 1 / period"),
         (
-            lambda: Filter.butterworth(600.0, order=2).transfer(1e-3),
+            lambda: Filter.butterworth(600.0, order=2).checked(1e-3),
             "below half of the sampling rate",
         ),
         (lambda: Filter.exponential(1.5), "factor is 1.5"),
@@ -455,14 +456,14 @@ def test_arrays_of_delays_refuse_traced_filters_in_one_sentence() -> None:
         (lambda: Velocity.kalman(1e30, 1e-30).per_sample(1.0), "the filter's gain is 1 in float64"),
         (lambda: Velocity.savitzky_golay(1, order=1), "samples is 1"),
         (lambda: Velocity.savitzky_golay(5, order=5), "order is 5"),
-        (lambda: Filter.average(window=15.5e-3).transfer(1e-3), r"0.015 s \(15 .* 0.016 s \(16"),
+        (lambda: Filter.average(window=15.5e-3).checked(1e-3), r"0.015 s \(15 .* 0.016 s \(16"),
         (lambda: Filter.transfer_function([1.0, 2.0, 3.0], [1.0, 0.5]), "proper"),
         (lambda: Filter.transfer_function([1.0], [1.0, -1.0]), "inside the unit circle"),
         (lambda: Filter.transfer_function([0.0], [1.0, 0.5]), "not 0"),
         (lambda: Filter.transfer_function([1.0], [float("nan")]), "denominator is nan"),
         (lambda: Filter.transfer_function([1.0], [1.0] + [0.0] * 41), "degree 41"),
         (
-            lambda: (Filter.low_pass(0.1, order=40) * Filter.low_pass(0.1)).transfer(),
+            lambda: (Filter.low_pass(0.1, order=40) * Filter.low_pass(0.1)).checked(),
             "order 41; give 40 poles",
         ),
         (lambda: Velocity.transfer_function([1.0, -0.9], [1.0, 0.0]), "0 at rest"),
@@ -634,13 +635,18 @@ def test_a_filter_whose_gain_is_lost_in_float64_has_no_region() -> None:
         jaxstab.stable_region(gamma=1e-3, delta=1e-2, delay=1.0, velocity=velocity)
 
 
-def test_filters_have_at_most_80_stages() -> None:
-    gains = Filter.transfer_function([2.0], [1.0])
-    position = gains
-    for _ in range(80):
-        position = position * gains
-    with pytest.raises(ValueError, match="the filter has 81 stages; give 80 at most"):
-        jaxstab.verdict(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0, position=position)
+def test_filters_whose_coefficients_are_beyond_float64_are_refused() -> None:
+    gains = Filter.transfer_function([2.0], [1e-49])
+    assert jaxstab.verdict(
+        1e-100, 0.2, gamma=0.0, delta=0.015, delay=1.0, position=gains * gains
+    ) == jaxstab.verdict(4e-2, 0.2, gamma=0.0, delta=0.015, delay=1.0)
+    with pytest.raises(ValueError, match=r"transfer function .* beyond 1e\+150"):
+        jaxstab.HapticLoop(
+            device_mass=0.1,
+            device_damping=0.1,
+            sample_time=1e-3,
+            position=gains * gains * gains * gains,
+        )
 
 
 @pytest.mark.parametrize("count", [25, pytest.param(300, marks=pytest.mark.campaign)])

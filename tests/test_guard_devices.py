@@ -33,6 +33,7 @@ from jaxstab import (
 from jaxstab.boxes.box import HAND, THETA, ParameterBoxes
 from jaxstab.boxes.plant import _FAST, Arms, DeviceBoxes, Extent, HeldDevice, with_parts
 from jaxstab.guard.grid import Grid, grid_boxes, interpolated
+from jaxstab.model.balls import linear_loop
 from jaxstab.model.device import sampled_device
 from jaxstab.model.device.parts import balls_of, working_precision
 from jaxstab.model.filters import given_filters
@@ -120,7 +121,7 @@ def drawn_loop(rng: np.random.Generator) -> tuple[HapticLoop, HandRange, Grid]:
 def true_value(loop: HapticLoop, wall: tuple[float, float], theta: float) -> mpc:
     """The polynomial of the loop over that without a wall, by balls and mpmath."""
     sampled = sampled_device(loop.device, PERIOD, loop.delay / PERIOD)
-    parts = sampled.loop(given_filters(loop.velocity, loop.position))[:3]
+    parts = linear_loop(sampled, given_filters(loop.velocity, loop.position))[:3]
     z = mp.expj(mpf(theta))
     base, stiffness, damping = (
         mp.polyval([mpf(float(c.hi)) + mpf(float(c.lo)) for c in part[::-1]], z, asc=True)

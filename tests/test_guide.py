@@ -49,6 +49,7 @@ soft = { stiffness = 100.0, damping = 1.0 }
 """
 
 
+@pytest.mark.campaign
 def test_31_10_the_guide_leads_a_steering_wheel_to_a_program_in_c(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

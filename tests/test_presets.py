@@ -8,6 +8,7 @@ import pytest
 from scipy.signal import lfilter
 
 from jaxstab.model import Filter, Velocity
+from jaxstab.model.filters import exact_chain, rounded
 from jaxstab.scene import Scene
 from jaxstab.scene.scene import (
     PositionTable,
@@ -86,10 +87,9 @@ def as_run(name: str, positions: np.ndarray, period: float) -> np.ndarray:
 def test_each_documented_estimator_is_what_its_source_computes(name: str) -> None:
     period = {"ros-force-dimension": 0.0005, "hapkit": 0.0001}.get(name, 0.001)
     positions = np.random.default_rng(0).normal(size=200)
-    smoothing = VelocityTable.from_table({"preset": name}).as_velocity().filter.transfer(period)
-    above, below = ([float(c.hi) for c in part] for part in smoothing[:2])
-    shift = smoothing.lag + len(below) - len(above)  # of z^-lag N(z)/D(z), in powers of 1/z
-    velocities = lfilter([0.0] * shift + above, below, np.diff(positions, prepend=0.0) / period)
+    smoothing = VelocityTable.from_table({"preset": name}).as_velocity().filter.checked(period)
+    sides = map(rounded, exact_chain(smoothing.sections))
+    velocities = lfilter(*sides, np.diff(positions, prepend=0.0) / period)
     expected = as_run(name, positions, period)
     np.testing.assert_allclose(velocities, expected, atol=1e-10 * np.abs(expected).max())
 

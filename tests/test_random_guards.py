@@ -142,6 +142,7 @@ def assert_nothing_unstable(scene: Scene, guard: Guard, seed: int, count: int) -
         assert truth.code(alpha, beta) == Verdict.STABLE
 
 
+@pytest.mark.campaign
 def test_31_10_a_steering_wheel_has_a_guard() -> None:
     guard = guard_of(WHEEL)
     assert np.all(guard.rows == [0, 16])  # all of the table

@@ -12,7 +12,7 @@ import pytest
 
 from benchmarks import truth
 from jaxstab.model import polynomial_degree
-from jaxstab.model.linear_loop import Affine, Bounded, LinearLoop
+from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.point import dominance, fields, radius, verdicts
 from jaxstab.point.dominance import Complex
 from jaxstab.point.radius import _scaled_codes
@@ -138,8 +138,8 @@ def test_sums_of_large_gains_are_within_the_error_of_their_coefficients() -> Non
     rng = np.random.default_rng(5)
     rows = [tuple(drawn(rng, 5, COUNT)) for _ in range(3)]
     nothing = np.zeros(COUNT)
-    end = Affine(*[Bounded(nothing, nothing)] * 3)
-    loop = LinearLoop(*rows, (nothing,) * 3, end, end)
+    end = (nothing,) * 3
+    loop = LinearLoop(*rows, end, end, end, nothing == 1.0)
     alpha, beta = drawn(rng, COUNT), drawn(rng, COUNT)
     made, bound = loop_coefficients(alpha, beta, loop, UNIT)
     for k in range(COUNT):

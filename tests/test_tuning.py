@@ -356,10 +356,15 @@ class TestOptimalGains:
     def test_have_the_radius_that_they_are_given_with(self) -> None:
         for goal in ("radius", "settling"):
             wall = PHANTOM.tune(goal)
-            gains = PHANTOM.alpha(wall.stiffness), PHANTOM.beta(wall.damping)
-            low, high = truth.spectral_radius(*gains, PHANTOM.gamma, PHANTOM.delta, 0.0)
-            assert low - wall.radius_error <= wall.radius <= high + wall.radius_error
-            assert wall.radius_error < 1e-4
+            with mp.workdps(60):
+                period, mass = mpf(PHANTOM.sample_time), mpf(PHANTOM.device_mass)
+                alpha = mpf(wall.stiffness) * period**2 / mass
+                beta, delta = (
+                    mpf(drag) * period / mass for drag in (wall.damping, PHANTOM.device_damping)
+                )
+                low, high = truth.spectral_radius(alpha, beta, 0.0, delta, 0.0)
+                assert low - wall.radius_error <= wall.radius <= high + wall.radius_error
+            assert wall.radius_error < 1e-15
 
     def test_of_six_digits_miss_the_smallest_radius_by_far(self) -> None:
         """As the docstring says: the sixth digit of a gain is worth 0.004 of the radius here."""

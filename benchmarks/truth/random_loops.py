@@ -19,6 +19,7 @@ from benchmarks.truth.balls import BallLoop
 from benchmarks.truth.boundary import Boundary
 from benchmarks.truth.filtered import FilteredLoop, Rational
 from jaxstab.model import Device, Filter, Hand, Mode, Velocity, by_name
+from jaxstab.model.balls import linear_loop
 from jaxstab.model.device import SampledDevice, sampled_device
 from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.point.radius import linear_spectral_radius
@@ -123,7 +124,7 @@ class DeviceLoop:
 
     @cached_property
     def _loop(self) -> LinearLoop:
-        return self.sampled.loop(self.filters[:2])
+        return linear_loop(self.sampled, self.filters[:2])
 
 
 def device_of(drawn: devices.Drawn) -> Device:

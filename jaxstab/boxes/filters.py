@@ -15,15 +15,14 @@ or h^2/2 times the bound of f" itself, where that is less. Its derivative has th
 order more. No tables, and nothing that depends on the degree but the sums.
 """
 
-from fractions import Fraction
-from functools import lru_cache, reduce
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
 
 from jaxstab.boxes.enclosures import LinearModel, Moving
-from jaxstab.model.filters import Filters, Section
+from jaxstab.model.filters import Filter, Filters, exact_chain, rounded
 from jaxstab.rounding import EPS, RAISED_MANY
 
 _TURNS = np.array([1.0, -1j, -1.0, 1j])  # powers of -i
@@ -49,39 +48,16 @@ class Quotient(NamedTuple):
 def quotients(filters: Filters) -> tuple[Quotient, Quotient]:
     """Return P and T V of filters in units of one sample."""
     velocity, position = filters
-    one = [Fraction(1)]
-    return (
-        _quotient(position.sections, one),
-        _quotient(velocity.filter.sections, [*one, Fraction(-1)]),
-    )
+    return _quotient(position, is_velocity=False), _quotient(velocity.filter, is_velocity=True)
 
 
-def _quotient(sections: tuple[Section, ...], above: list[Fraction]) -> Quotient:
-    """The product of sections, and of a polynomial."""
-    below = []
-    for section in sections:
-        for *sides, count in section.per_sample(1.0).rational_factors():
-            rising = [list(map(Fraction, side)) for side in sides]
-            late = [Fraction(0)] * (len(rising[1]) - len(rising[0]))
-            numerator, denominator = [*late, *rising[0][::-1]], rising[1][::-1]
-            above = reduce(_product, [numerator] * count, above)
-            if any(denominator[1:]):
-                below += [_rounded(denominator)] * count
-            else:
-                above = [value / denominator[0] ** count for value in above]
-    return Quotient(_rounded(above), tuple(below))
-
-
-def _product(a: list[Fraction], b: list[Fraction]) -> list[Fraction]:
-    product = [Fraction(0)] * (len(a) + len(b) - 1)
-    for i, x in enumerate(a):
-        for j, y in enumerate(b) if x else ():
-            product[i + j] += x * y
-    return product
-
-
-def _rounded(exact: list[Fraction]) -> Coefficients:
-    return np.array(list(map(float, exact)))
+def _quotient(chain: Filter, *, is_velocity: bool) -> Quotient:
+    """A chain of filters, that of a velocity behind 1 - 1/z."""
+    above, _ = exact_chain(chain.per_sample(1.0).sections)
+    if is_velocity:
+        above -= above.left_shift(1)
+    below = [np.array(side) for _, side in chain.stages() if len(side) > 1]
+    return Quotient(rounded(above), tuple(below))
 
 
 def _over(c: Coefficients, theta: LinearModel) -> Moving:

@@ -1,7 +1,7 @@
 """All hands of a range, all masses of a device and all its delays: which are not proved stable.
 
 The axes of the boxes are what varies of the device's mass, of the delay, and of the hand's mass,
-stiffness and damping (lemma B21 of docs/proofs.md).
+stiffness and damping (lemma B20 of docs/proofs.md).
 """
 
 from dataclasses import dataclass

@@ -9,7 +9,7 @@ axes (``box``); the plant (``plant``) and the three arguments below are the same
 2. *One proof of stability is enough.* The roots move continuously with the loop, and a range is
    connected: if no loop of it has a root on the circle, all have the same number of roots outside
    of it, and the verdict on a single one holds for all (``verdicts_of_range``, ``worst_of_range``;
-   B21). For a closed polygon it is enough that no wall on its edges has such a root: no curve of
+   B20). For a closed polygon it is enough that no wall on its edges has such a root: no curve of
    walls with a root on the circle can lie inside without crossing the edges (B11).
 3. *Sampled loops bound the answer, the proof confirms it.* The stiffest wall, or the polygon of
    walls, that all sampled loops allow is too large, so it is pulled in a little and proved for the
@@ -245,10 +245,11 @@ def search(
     ``guess`` returns the walls that the sampled loops allow, pulled in by a share; None if unknown.
     ``unproved`` returns loops at which a wall, or a polygon with all that is inside, is not proved;
     none is a proof, and None says that nothing can be proved. ``add`` adds such loops to the sample
-    and says whether one is new; where none is, the next one of the ``pulls`` is tried.
+    and says whether one is new; where none is, or after so many that each only just refuted a wall,
+    the next one of the ``pulls`` is tried.
     """
     index = 0
-    for _ in range(_ATTEMPTS):
+    for attempt in range(1, _ATTEMPTS + 1):
         current = guess(pulls[index])
         if current is None or not len(current.walls):
             break
@@ -257,7 +258,8 @@ def search(
             return SearchResult(current, pulls[index], True)
         if failed is None:
             break
-        if not add(failed):
+        is_new = add(failed)
+        if not is_new or attempt % (_ATTEMPTS // len(pulls)) == 0:
             if index + 1 == len(pulls):
                 break
             index += 1

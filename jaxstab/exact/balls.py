@@ -1,44 +1,20 @@
-"""Balls of python-flint: precision is raised until a question is decided.
+"""What questions in balls share: the loop that they ask about, numbers with errors, signs.
 
-A ball is a midpoint and a radius; every operation returns a ball that holds all results for all
-numbers of its arguments (F. Johansson, Arb, 2017). So what is true of balls is true of the numbers,
-at any precision, and no rounding errors are estimated by hand. What is not decided is asked again
-with twice the bits, 192 at first and 3,072 at most. What is open then is UNDECIDED, with the
-reason.
-
-The precision is one number of the process. ``decided`` sets it under one lock and restores it, so
-that threads may ask at the same time; they wait for each other.
+What is not decided at one precision is asked again at twice the bits (``decided``), so what is true
+of balls is true of the numbers; what is open at the most bits is UNDECIDED, with the reason.
 """
 
 from collections.abc import Callable
 from math import inf, nextafter
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple
 
 from jaxstab.model.balls import Triple
-from jaxstab.model.device.parts import working_precision
 
 if TYPE_CHECKING:
     from flint import arb
 
-FIRST_BITS, MOST_BITS = 192, 192 << 4
-
 TripleAt = Callable[[], Triple]
 """Gives the parts of p(z) in balls of the precision that is set, as ``ball_triple(loop)``."""
-
-Answer = TypeVar("Answer")
-
-
-def decided(
-    question: Callable[[], Answer | None], most: int = MOST_BITS, first: int = FIRST_BITS
-) -> Answer | None:
-    """Ask with more and more bits until the answer is not None; None where the most do not do."""
-    bits = first
-    while True:
-        with working_precision(bits):
-            answer = question()
-        if answer is not None or bits >= most:
-            return answer
-        bits *= 2
 
 
 class Number(NamedTuple):

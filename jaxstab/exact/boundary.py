@@ -19,12 +19,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Complex128, Float64
 
-from jaxstab.exact.balls import FIRST_BITS, MOST_BITS, decided
 from jaxstab.exact.line import StableLine, real_quotient_angles, stable_pencil
 from jaxstab.exact.verdict import roots_outside
 from jaxstab.model import LoopParameters
 from jaxstab.model.balls import BallLoop, Factored, Triple, ball_loop
-from jaxstab.model.device.parts import working_precision
+from jaxstab.model.device.parts import FIRST_BITS, MOST_BITS, decided, working_precision
 
 if TYPE_CHECKING:
     from flint import acb, arb, arb_poly

@@ -80,6 +80,14 @@ def zeros(cosines: "list[arb]", *, is_last_try: bool) -> list[Zero] | None:
     return _by_cells(cosines, is_last_try=is_last_try)
 
 
+def is_positive(cosines: "list[arb]") -> bool | None:
+    """Whether c_0 + c_1 cos(theta) + ... > 0 for all angles; None where more bits are needed."""
+    places, at_zero = zeros(cosines, is_last_try=False), sum(cosines[1:], cosines[0])
+    if places is None or at_zero.contains(0):
+        return None
+    return not places and bool(at_zero > 0)
+
+
 def _by_powers(cosines: "list[arb]") -> list[Zero] | None:
     """The zeros from roots in x = 2 cos(theta); None where they are not told apart."""
     from flint import arb_poly

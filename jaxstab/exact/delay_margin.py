@@ -28,9 +28,8 @@ from math import inf, nan, nextafter, pi, ulp
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from jaxstab.conventions import Status
-from jaxstab.exact.balls import FIRST_BITS
 from jaxstab.model.balls import BallLoop, Factored
-from jaxstab.model.device.parts import working_precision
+from jaxstab.model.device.parts import FIRST_BITS, working_precision
 from jaxstab.model.device.sampling import OneSample, force_of, generator, held
 
 if TYPE_CHECKING:

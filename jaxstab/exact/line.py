@@ -44,10 +44,11 @@ from math import inf, nan
 from typing import TYPE_CHECKING, NamedTuple
 
 from jaxstab.conventions import Status
-from jaxstab.exact.balls import FIRST_BITS, Number, TripleAt, decided, sign_of
+from jaxstab.exact.balls import Number, TripleAt, sign_of
 from jaxstab.exact.circle import zeros
 from jaxstab.exact.verdict import roots_outside
 from jaxstab.model.balls import Factored
+from jaxstab.model.device.parts import FIRST_BITS, decided
 
 if TYPE_CHECKING:
     from flint import acb, acb_poly, arb, arb_poly

@@ -19,10 +19,10 @@ import numpy as np
 from jaxtyping import Complex128
 
 from jaxstab.conventions import RadiusStatus
-from jaxstab.exact.balls import FIRST_BITS, Number, TripleAt, decided
+from jaxstab.exact.balls import Number, TripleAt
 from jaxstab.exact.verdict import roots_outside
 from jaxstab.model.balls import Factored
-from jaxstab.model.device.parts import working_precision
+from jaxstab.model.device.parts import FIRST_BITS, decided, working_precision
 
 if TYPE_CHECKING:
     from flint import acb, arb, arb_poly

@@ -17,10 +17,10 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from jaxstab.conventions import Status
-from jaxstab.exact.balls import decided
-from jaxstab.exact.circle import zeros
+from jaxstab.exact.circle import is_positive
 from jaxstab.exact.verdict import roots_outside
 from jaxstab.model.balls import BallLoop, Factored
+from jaxstab.model.device.parts import decided
 
 if TYPE_CHECKING:
     from flint import arb, arb_poly
@@ -68,12 +68,10 @@ def small_gain(
             return SmallGainStatus.PROVED
         steps = Factored(flint.arb_poly([1]), at_one=1).times(wall)
         more = _less(_square(p), _times(_square(steps), late()))
-        places = zeros([more[0], *(2 * c for c in more[1:])], is_last_try=False)
-        at_zero = more[0] + 2 * sum(more[1:], flint.arb(0))
-        if places is None or at_zero.contains(0):
+        holds = is_positive([more[0], *(2 * c for c in more[1:])])
+        if holds is None:
             return None
-        is_positive = not places and at_zero > 0
-        return SmallGainStatus.PROVED if is_positive else SmallGainStatus.NOT_PROVED
+        return SmallGainStatus.PROVED if holds else SmallGainStatus.NOT_PROVED
 
     return decided(answer) or SmallGainStatus.UNDECIDED
 

@@ -21,13 +21,15 @@ precision. Then the roots outside of two circles are counted that are a little l
 smaller: between equal numbers there is no root, and the number is that of the unit circle.
 
 Where the structure says that a root lies at z = 1 or -1 exactly (a free device without a wall),
-the loop is not stable: that is no question for balls.
+the loop is not stable: that is no question for balls. A damper without a spring leaves such a root
+at 1, the position may stay anywhere; whether all others are inside is asked with ``may_drift``.
 """
 
 from typing import TYPE_CHECKING, NamedTuple
 
 from jaxstab.conventions import Status, Verdict
-from jaxstab.exact.balls import TripleAt, decided
+from jaxstab.exact.balls import TripleAt
+from jaxstab.model.device.parts import decided
 
 if TYPE_CHECKING:
     from flint import arb, arb_poly
@@ -49,8 +51,12 @@ class WallVerdict(NamedTuple):
     status: VerdictStatus
 
 
-def wall_verdict(triple: TripleAt, stiffness: float, damping: float) -> WallVerdict:
+def wall_verdict(
+    triple: TripleAt, stiffness: float, damping: float, *, may_drift: bool = False
+) -> WallVerdict:
     """Whether the wall (K, B) is stable: all roots of p(z) inside the unit circle.
+
+    With ``may_drift`` one root that the structure knows at z = 1 does not count.
 
     Example:
         >>> from jaxstab.exact.verdict import wall_verdict
@@ -65,6 +71,8 @@ def wall_verdict(triple: TripleAt, stiffness: float, damping: float) -> WallVerd
         p = parts.at(stiffness, damping)
         if p.degree < parts.degree:
             return WallVerdict(Verdict.UNDECIDED, VerdictStatus.ALGEBRAIC)
+        if may_drift and p.at_one == 1:
+            p = p._replace(at_one=0)
         if p.is_on_circle:
             return WallVerdict(Verdict.UNSTABLE, VerdictStatus.ON_CIRCLE)
         outside = roots_outside(p.rest, most=0)

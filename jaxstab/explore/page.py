@@ -6,7 +6,7 @@ from math import isfinite
 from typing import Any
 
 from jaxstab.model.filter_tables import NO_FILTER
-from jaxstab.model.filters import Velocity
+from jaxstab.model.filters import Velocity, exact_chain, rounded
 from jaxstab.scene import Scene
 from jaxstab.scene.answers import delay_notes
 from jaxstab.scene.loops import hands_of, is_one_mass, loop_of, wall_region, walls_of
@@ -168,14 +168,11 @@ def _estimator(table: VelocityTable | None, period: float) -> dict[str, Any]:
 
 def _coefficients(velocity: Velocity, period: float) -> dict[str, list[float]]:
     """Return V(z) in 1/s by its coefficients, highest power of z first."""
-    transfer = velocity.filter.transfer(period)
-    above, below = ([float(c.rounded()) for c in part] for part in transfer[:2])
-    steps = zip([*above, 0.0], [0.0, *above], strict=True)
-    lag = transfer.lag + 1  # that of (z - 1)/z
-    return {
-        "numerator": [(here - before) / period for here, before in steps] + [0.0] * max(-lag, 0),
-        "denominator": below + [0.0] * max(lag, 0),
-    }
+    above, below = exact_chain(velocity.filter.checked(period).sections)
+    sides = (rounded(above - above.left_shift(1)) / period).tolist(), rounded(below).tolist()
+    length = max(map(len, sides))
+    numerator, denominator = ([*side, *[0.0] * (length - len(side))] for side in sides)
+    return {"numerator": numerator, "denominator": denominator}
 
 
 def _index_of(table: VelocityTable | None) -> int | None:

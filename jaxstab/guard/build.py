@@ -17,19 +17,20 @@ from jaxstab.boxes.hands import checked_range
 from jaxstab.boxes.plant import Arms, with_parts
 from jaxstab.boxes.search import paved
 from jaxstab.conventions import Range, Verdict
+from jaxstab.exact import wall_verdict
 from jaxstab.guard.grid import CELL_AXES, Grid, grid_boxes, interpolated, step_of
 from jaxstab.guard.guard import Guard
 from jaxstab.guard.limits import boundary_of
 from jaxstab.model import LoopParameters
+from jaxstab.model.balls import ball_triple
 from jaxstab.model.device.parts import MassSpringDamper, Modes
 from jaxstab.model.filters import known_filters
 from jaxstab.model.loop import refuse_arrays
 from jaxstab.motion.moving_delays import Delays
 from jaxstab.numbers import checked_count, checked_number
-from jaxstab.point.verdicts import linear_verdict
 from jaxstab.region.on_circle import responses_at
 
-# Proof that every wall which a guard lets through is stable (lemmas B15, B20).
+# Proof that every wall which a guard lets through is stable (lemma B20).
 #
 # Boxes of damping, mass and delay (in cells of the grid), of the hand, and of the angle hold all
 # walls from no stiffness up to the limit of the grid (``boxes.search``). All walls of cells that
@@ -103,8 +104,7 @@ def _is_stable(
         velocity=loop.velocity,
         position=loop.position,
     )
-    code = linear_verdict(held.alpha(wall[0]), held.beta(wall[1]), held.linear)
-    return int(code) == Verdict.STABLE
+    return wall_verdict(partial(ball_triple, held), *wall).verdict == Verdict.STABLE
 
 
 CELLS, CONSTANT_CELLS = (4, 1, 16), (4, 8, 16)
@@ -186,7 +186,7 @@ def build_guard(
             actuators and one hand of mass, spring and damper, behind a grip or not.
         RuntimeError: no wall at all could be proved.
 
-    Source: lemmas B15 and B20 of docs/proofs.md; J3 for delays that move.
+    Source: lemma B20 of docs/proofs.md; J3 for delays that move.
 
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)

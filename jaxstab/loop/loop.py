@@ -345,7 +345,7 @@ class HapticLoop(LoopParameters):
         Raises: see ``jaxstab.conventions``; ValueError also if a range is out of order, or a
         ``device`` has several hands, or no mass that could vary.
 
-        Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); lemmas B21 and J3 of
+        Source: sec. VIII of Hulin, Preusche, Hirzinger (2008); lemmas B20 and J3 of
         docs/proofs.md.
 
         Example:

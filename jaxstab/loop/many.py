@@ -23,9 +23,11 @@ from jaxtyping import Bool, Float64, Int8, Int64
 from jaxstab.arrays import Array, is_any_jax, is_any_traced, leaves, namespace, take, tree_map
 from jaxstab.batches import alike, in_float64, lists, on_cores, one_ahead
 from jaxstab.model import LoopParameters, require_x64
+from jaxstab.model.balls import ball_loop
+from jaxstab.model.device.parts import FIRST_BITS, working_precision
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import NO_FILTERS, Filters, Polynomial, Transfer, given_filters
-from jaxstab.model.linear_loop import LinearLoop, SampledPlant, filtered_loop
+from jaxstab.model.filters import NO_FILTERS, Filters, exact_chain, given_filters
+from jaxstab.model.linear_loop import LinearLoop, Polynomial, filter_factors, filtered_loop
 from jaxstab.model.loop import array_fields, as_one
 from jaxstab.region import RegionStatus
 from jaxstab.region.curve import Angles
@@ -45,7 +47,6 @@ _SCANS = 3  # of a loop, at most
 _MISSED = np.array([1e-5, 3e-5])  # distances of the first angles from where a piece was missed
 _ILL_CONDITIONED = 1e8  # a denominator's coefficients, over its least size on the circle
 _ON_CIRCLE = 1e-6  # a root of Im V this close to the circle is on it
-_DIFFERENCE = DoubleDouble(1.0, 0.0), DoubleDouble(-1.0, 0.0)  # z - 1
 _SLOW, _FARTHEST_ROOT = 0.5, 4.0  # roots of devices: from 1, and from the circle
 _REMEMBERED = 64
 _DEGREES = (5, 9, 17, 25, 41, 65)  # up to which p(z) are filled: each program takes memory
@@ -464,29 +465,23 @@ def _formed(stacks: list[Stack]) -> Iterator[_Formed]:
     Those with filters that leave float64 few digits are left out.
     """
     for members, loop in stacks:
-        sampled = loop.sampled
-        if sampled is not None:
-            transfers = sampled.transfers(given_filters(loop.velocity, loop.position))
-            roots = _device_resonances(sampled.plant).T[None]
-            yield from _group(members, loop.linear, transfers, roots)
-            continue
         filters = given_filters(**loop.filters) or NO_FILTERS
-        transfers = filters[0].filter.transfer(), filters[1].transfer()
+        if loop.body is None:
+            yield from _group(members, loop.linear, filters, _device_resonances(loop).T[None])
+            continue
         gamma, delta, delay = np.broadcast_arrays(*loop.slice.values(), members)[:3]
         for own in map(np.array, alike(zip(delay // 1.0, delay % 1.0 == 0.0, strict=True))):
             for part in np.split(own, range(_FORMED, len(own), _FORMED)):
                 linear, roots = _masses(gamma[part], delta[part], delay[part], filters)
-                yield from _group(members[part], linear, transfers, roots)
+                yield from _group(members[part], linear, filters, roots)
 
 
-def _group(
-    members: Indices, linear: LinearLoop, transfers: tuple[Transfer, Transfer], roots: Array
-) -> list[_Formed]:
+def _group(members: Indices, linear: LinearLoop, filters: Filters, roots: Array) -> list[_Formed]:
     """Return loops with the same filters; none if these leave float64 few digits."""
-    poles = _poles(*transfers)
+    poles = _poles(filters)
     if poles is None:
         return []
-    ends = [[part.value for part in end] for end in (linear.at_one, linear.at_minus_one)]
+    ends = linear.at_one, linear.at_minus_one
     parts, values = (_columns(rows, len(members)) for rows in (linear[:3], ends))
     return [_Formed(members, parts, values.rounded(), poles, roots)]
 
@@ -517,10 +512,8 @@ def common_form(many: Sequence[LoopParameters]) -> Form | None:
 
 def triples_of_masses(gamma: Array, delta: Array, form: Form) -> "Triples | None":
     """Return the triples of loops of one form, also inside of jit; None where none are formed."""
-    velocity, position = form.filters
     linear, roots = _masses(gamma, delta, form.delay, form.filters)
-    transfers = velocity.filter.transfer(), position.transfer()
-    formed = _group(np.arange(len(gamma)), linear, transfers, roots)
+    formed = _group(np.arange(len(gamma)), linear, form.filters, roots)
     degree = _filled_degree(formed[0]) if formed else None
     return None if degree is None else _triples(formed, degree)
 
@@ -541,23 +534,28 @@ def _resonances(gamma: Array, delta: Array) -> Float64[Array, "loop 1 2"]:
     return xp.stack([angle, width], axis=1)[:, None]
 
 
-def _device_resonances(plant: SampledPlant) -> Float64[np.ndarray, "2 root"]:
+def _device_resonances(loop: LoopParameters) -> Float64[np.ndarray, "2 root"]:
     """Return the angles of zeros and poles of a general device, and how far from the circle.
 
     Next to 1 they are found in powers of z - 1: those of slow modes differ by less than the
     coefficients in powers of z tell.
     """
-    assert plant.shifted is not None
     every: list[Array] = []
-    for falling, shifted in zip(
-        (plant.numerator, plant.denominator), plant.shifted[:2], strict=True
-    ):
-        far, near = np.roots(_rounded(falling)), 1.0 + np.roots(_rounded(shifted))
-        every += [far[abs(far - 1.0) > _SLOW], near[abs(near - 1.0) <= _SLOW]]
+    with working_precision(FIRST_BITS):
+        parts = ball_loop(loop)
+        for part in (parts.numerator, parts.denominator):
+            far = np.roots(_middles(part.polynomial()))
+            near = 1.0 + np.roots(_middles(part.around(1)))
+            every += [far[abs(far - 1.0) > _SLOW], near[abs(near - 1.0) <= _SLOW]]
     roots = np.concatenate(every)
     roots = roots[roots.imag >= 0.0]
     distance = np.abs(np.log(np.maximum(np.abs(roots), 1e-300)))
     return np.stack([np.abs(np.angle(roots)), np.clip(distance, 1e-9, _FARTHEST_ROOT)])
+
+
+def _middles(polynomial: Any) -> Float64[np.ndarray, " power"]:
+    """Return the coefficients of a polynomial of balls, highest power first."""
+    return np.array([float(c.mid()) for c in polynomial.coeffs()[::-1]])
 
 
 def _filled_degree(formed: _Formed) -> int | None:
@@ -629,34 +627,24 @@ def _about_one(falling: Polynomial) -> Polynomial:
     return (*quotient, *coefficients[::-1])
 
 
-def _rounded(falling: Polynomial) -> Float64[np.ndarray, " power"]:
-    return np.array([float(coefficient.rounded()) for coefficient in falling])
-
-
 @lru_cache(_REMEMBERED)
-def _poles(velocity: Transfer, position: Transfer) -> Angles | None:
+def _poles(filters: Filters) -> Angles | None:
     """Return the angles in (0, pi) where V/P is real; None for filters left to single answers.
 
     These are filters that leave float64 few digits, and those with P(1) = 0.
 
     The imaginary part of X/Y, times |Y|^2, is a series of sines: the odd part of X(z) Y(1/z).
     """
-    below = reduce(np.polymul, map(_rounded, (velocity.denominator, position.denominator)))
-    circle = np.exp(1j * np.geomspace(1e-3, np.pi, 64))
-    least = np.min(np.abs(np.prod(circle[:, None] - np.roots(below), axis=1))) * abs(below[0])
-    at_rest = reduce(DoubleDouble.__add__, position.numerator).hi
-    if np.sum(np.abs(below)) >= _ILL_CONDITIONED * least or at_rest == 0.0:
-        return None
-    lag = velocity.lag + 1 - position.lag
-    x, y = (
-        np.append(reduce(np.polymul, map(_rounded, factors)), np.zeros(max(power, 0)))
-        for factors, power in (
-            ((velocity.numerator, position.denominator, _DIFFERENCE), -lag),
-            ((velocity.denominator, position.numerator), lag),
-        )
+    below, y, x = (
+        np.array([float(c.rounded()) for c in part]) for part in filter_factors(filters).parts
     )
+    circle = np.exp(1j * np.geomspace(1e-3, np.pi, 64))
+    least = np.min(np.abs(np.prod(circle[:, None] - np.roots(below), axis=1)))
+    at_rest = exact_chain(filters[1].sections)[0](1)
+    if np.sum(np.abs(below)) >= _ILL_CONDITIONED * least or at_rest == 0:
+        return None
     length = max(len(x), len(y))
-    x, y = (np.append(np.zeros(length - len(p)), p) for p in (x, y))
+    x, y = (np.append(p, np.zeros(length - len(p))) for p in (x, y))
     series = np.convolve(x, y[::-1])
     roots = np.roots(series - series[::-1])
     roots = roots[np.abs(np.log(np.maximum(np.abs(roots), 1e-300))) < _ON_CIRCLE]

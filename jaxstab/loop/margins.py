@@ -19,7 +19,8 @@ from jaxstab.conventions import AXES, Verdict
 from jaxstab.exact import delay_margin, stable_line, wall_verdict
 from jaxstab.exact.line import End
 from jaxstab.model import checked_delta, checked_gain, checked_gamma, require_x64
-from jaxstab.model.balls import ball_loop, ball_triple, one_sample
+from jaxstab.model.balls import ball_loop, ball_triple
+from jaxstab.model.device.sampling import one_sample
 from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords, known_filters
 from jaxstab.model.loop import LoopParameters, refuses_loops, unit_loop
 from jaxstab.model.parameters import LONGEST_DELAY, wall_grid
@@ -75,9 +76,9 @@ def crossings_of(loop: LoopParameters, wall: tuple[float, float]) -> list[float]
     if code == Verdict.STABLE:
         row = _ends(loop, wall[0], (0.0, wall[1]), (1.0, 0.0))
         column = _ends(loop, wall[1], (wall[0], 0.0), (0.0, 1.0))
-        later = delay_margin(
-            partial(ball_loop, loop), partial(one_sample, loop), float(loop.delay_samples), wall
-        )
+        sample = partial(one_sample, loop.held_device, float(loop.sample_time))
+        parts = partial(ball_loop, loop)
+        later = delay_margin(parts, sample, float(loop.delay_samples), wall)
         ways = [*row, *column, Crossing(later.samples, later.angle / pi)]
     return [float(code), *(number for way in ways for number in way)]
 

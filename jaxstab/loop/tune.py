@@ -1,38 +1,32 @@
 """The walls of a loop that come to rest fastest, in SI units."""
 
-from collections.abc import Callable
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
+from jaxtyping import Float64
 
-from jaxstab.arrays import Numbers
 from jaxstab.conventions import Excitation
 from jaxstab.loop.region import TOLERANCE, wall_region
-from jaxstab.model import LoopParameters
-from jaxstab.model.filters import given_filters
 from jaxstab.motion.settling import checked_level
 from jaxstab.numbers import checked_number, checked_word
-from jaxstab.tuning import OptimalGains, TuningStatus
-from jaxstab.tuning.gains import (
-    Grid,
-    shortest_settling,
-    smallest_radius_around,
-    smallest_radius_damping,
-)
-from jaxstab.tuning.loops import TunedLoop, device_loop, mass_loop
+from jaxstab.tuning import TuningStatus
+from jaxstab.tuning.loops import tuned_loop
+from jaxstab.tuning.radius import smallest_radius
+from jaxstab.tuning.search import Axis, Values, minimised
+from jaxstab.tuning.settling import shortest_settling
 
 if TYPE_CHECKING:
     from jaxstab.loop.loop import HapticLoop
 
-# The fastest wall that an encoder drives no further than a limit, or with the smallest radius where
-# the best gains are no wall, one being negative: searches on grids.
 
-_POINTS = 25  # on an axis
-_ZOOMS = 4
-_RADIUS_POINTS, _EDGE_POINTS = 65, 1025  # on an axis, on K = 0 and B = 0: valleys are narrow
-
-Objective = Callable[[np.ndarray, np.ndarray], Any]  # of alpha and beta; infinite, NaN: no wall
+def wall_axes(
+    outline: Float64[np.ndarray, "vertex 2"], stiffness: float | None
+) -> tuple[Axis, Axis]:
+    """A grid over the walls, both gains >= 0, that an outline encloses; or those of a stiffness."""
+    low, high = np.maximum([outline.min(axis=0), outline.max(axis=0)], 0.0)
+    if stiffness is None:
+        return np.linspace(low[0], high[0], 25), np.linspace(low[1], high[1], 25)
+    return np.array([stiffness]), np.linspace(low[1], high[1], 25**2)
 
 
 class Chatter(NamedTuple):
@@ -48,52 +42,25 @@ class Chatter(NamedTuple):
 
 
 def fastest_calm_wall(
-    loop: "HapticLoop", objective: Objective, chatter: Chatter, alpha: float | None
-) -> tuple[tuple[float, float], float, TuningStatus]:
-    """The gains of the least objective found within the limit, their amplitude in m, a status."""
-    # The first grid spans the component that contains small gains; each further grid surrounds the
-    # best wall so far. Among equally fast walls the calmest one is taken.
-    best, least, status = (np.nan, np.nan), (np.inf, np.inf), TuningStatus.NOT_CALM
+    loop: "HapticLoop", objective: Values, chatter: Chatter, alpha: float | None
+) -> tuple[tuple[float, float], TuningStatus]:
+    """The gains of the least objective found within the limit, and a status."""
     region = wall_region(loop.in_floats(), TOLERANCE).region.reachable
     if not len(region.points):
-        return best, np.inf, TuningStatus.NO_STABLE_GAINS
-    grid = Grid.over_walls(region.points, _POINTS, alpha)
-    for _ in range(_ZOOMS):
-        alphas, betas = (np.ravel(gains) for gains in np.broadcast_arrays(*grid.points))
+        return (np.nan, np.nan), TuningStatus.NO_STABLE_GAINS
+
+    def values(alphas: np.ndarray, betas: np.ndarray) -> np.ndarray:
         inside = np.asarray(region.contains(alphas, betas))
-        reached = np.full(alphas.shape, np.inf)
+        reached, values = np.full((2, alphas.size), np.inf)
         reached[inside] = chatter.amplitudes(loop, alphas[inside], betas[inside])
-        calm = np.flatnonzero(reached <= chatter.limit)
-        if calm.size:
-            values = np.nan_to_num(np.asarray(objective(alphas[calm], betas[calm])), nan=np.inf)
-            calmest = np.lexsort((reached[calm], values))[0]
-            value = float(values[calmest]), float(reached[calm[calmest]])
-            if value < least:
-                place = int(calm[calmest])
-                least, best = value, (float(alphas[place]), float(betas[place]))
-                status = TuningStatus.SCANNED
-        if not np.isfinite(least[0]):
-            break
-        grid = grid.around(best)
-    return best, least[1], status
+        calm = reached <= chatter.limit
+        least = np.nan_to_num(objective(alphas[calm], betas[calm]), nan=np.inf)
+        # Among equally fast walls the calmest one is taken.
+        values[calm] = least + 1e-9 * reached[calm] / chatter.limit
+        return values
 
-
-def _smallest_radius(loop: LoopParameters, tuned: TunedLoop) -> OptimalGains:
-    """Return the gains >= 0 with the smallest radius."""
-    best = tuned.smallest_radius()
-    if min(best.alpha, best.beta) >= 0.0:
-        return best
-    # The best wall may lie on an edge, in a valley that a grid over both gains steps over.
-    region = wall_region(loop.in_floats(), TOLERANCE).region.reachable
-    grid = Grid.over_walls(region.points, _RADIUS_POINTS)
-    if not all(low < high for low, high in (grid.alphas, grid.betas)):
-        return best._replace(status=np.array(TuningStatus.NO_STABLE_GAINS, np.int8))
-    edges = (
-        replace(grid, alphas=(0.0, 0.0), size=_EDGE_POINTS),
-        replace(grid, betas=(0.0, 0.0), size=_EDGE_POINTS),
-    )
-    found = [smallest_radius_around(tuned, each) for each in (grid, *edges)]
-    return min(found, key=lambda each: float(each.value))
+    wall, _ = minimised(values, wall_axes(region.points, alpha), zooms=3, lowest=0.0)
+    return wall, TuningStatus.NOT_CALM if np.isnan(wall[0]) else TuningStatus.SCANNED
 
 
 class OptimalWall(NamedTuple):
@@ -130,44 +97,32 @@ def optimal_wall(
     checked_word("goal", goal, ("radius", "settling"))
     level = checked_level(level, excitation)
     alpha = None if stiffness is None else loop.alpha(checked_number("stiffness", stiffness, 0.0))
-    tuned = _tuned(loop)
-    tuned = tuned._replace(component=tuned.component._replace(lowest=0.0))
-    best = _smallest_radius(loop, tuned) if alpha is None else smallest_radius_damping(tuned, alpha)
+    tuned = tuned_loop(loop)
+    tuned = tuned._replace(walls=tuned.walls._replace(lowest=0.0))
+    best = smallest_radius(tuned.walls, alpha)
+    wall, status = best.wall, best.status
     if goal == "settling":
-        best = shortest_settling(tuned, best, alpha is not None, level, excitation)
-    wall, status = (float(best.alpha), float(best.beta)), TuningStatus(int(best.status))
-
-    def radii(alphas: Numbers, betas: Numbers) -> np.ndarray:
-        return np.asarray(tuned.spectral_radius(alphas, betas).value)
-
-    def settling(alphas: Numbers, betas: Numbers) -> np.ndarray:
-        return np.asarray(tuned.settling(alphas, betas, level=level, excitation=excitation).value)
-
+        settled = shortest_settling(tuned, best, alpha, level, excitation)
+        wall = float(settled.alpha), float(settled.beta)
+        status = TuningStatus(int(settled.status))
     reached = np.nan if chatter is None else float(chatter.amplitudes(loop, *wall))
     is_stable = status != TuningStatus.NO_STABLE_GAINS
     if chatter is not None and is_stable and not reached <= chatter.limit:
-        objective = radii if goal == "radius" else settling
-        wall, reached, status = fastest_calm_wall(loop, objective, chatter, alpha)
-    if status == TuningStatus.NOT_CALM or np.isnan(wall[0]):
+
+        def samples(alphas: np.ndarray, betas: np.ndarray) -> np.ndarray:
+            return np.asarray(tuned.settling(alphas, betas, level=level, excitation=excitation)[0])
+
+        objective = tuned.walls.radii if goal == "radius" else samples
+        wall, status = fastest_calm_wall(loop, objective, chatter, alpha)
+        reached = float(chatter.amplitudes(loop, *wall)) if np.isfinite(wall[0]) else np.nan
+    if np.isnan(wall[0]):
         return OptimalWall(np.nan, np.nan, np.nan, np.inf, np.inf, status)
-    radius = tuned.spectral_radius(*wall)
+    gains = loop.stiffness(wall[0]), loop.damping(wall[1])
+    radius = loop.spectral_radius(*gains)
+    settling = loop.settling_time(*gains, level=level, excitation=excitation)
     return OptimalWall(
-        loop.stiffness(wall[0]),
-        loop.damping(wall[1]),
-        float(radius.value),
-        float(radius.error),
-        float(settling(*wall)) * loop.sample_time,
-        status,
-        reached,
+        *gains, float(radius.value), float(radius.error), float(settling.value), status, reached
     )
-
-
-def _tuned(loop: LoopParameters) -> TunedLoop:
-    loop = loop.in_floats()
-    if loop.body is None:
-        return device_loop(loop)
-    gamma, delta, delay = loop.slice.values()
-    return mass_loop(gamma, delta, delay, given_filters(**loop.filters))
 
 
 def checked_chatter(encoder: float | None, limit: float | None) -> Chatter | None:

@@ -1,4 +1,4 @@
-"""The wall that settles fastest, at worst, over several loops: a search on grids."""
+"""The wall that settles fastest, at worst, over several loops."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -8,19 +8,17 @@ from jaxtyping import Float64
 
 from jaxstab.conventions import Excitation
 from jaxstab.loop.many import in_floats
+from jaxstab.loop.tune import wall_axes
 from jaxstab.model.loop import as_one
 from jaxstab.motion.settling import checked_level
 from jaxstab.numbers import checked_number
 from jaxstab.tuning import TuningStatus
-from jaxstab.tuning.gains import Grid
+from jaxstab.tuning.search import minimised
 
 if TYPE_CHECKING:  # alone: other loops are refused by sentences, not by the types
     from jaxstab.loop.loop import HapticLoop
 
-_POINTS = 25  # on an axis of the first grid
-_ZOOMS = 4
-_FIRST_HORIZON, _MOST = 64, 2**15  # samples within which a wall must have settled
-_LONGER = 8
+_MOST = 2**15  # samples within which a wall must have settled
 
 Walls = Float64[np.ndarray, " wall"]
 
@@ -90,30 +88,31 @@ def tune_for_all(
         raise ValueError("loops is empty; give at least one loop.")
     loops = [in_floats(loop) for loop in loops]
     level = checked_level(level, excitation)
-    grid = _first_grid(loops[0], stiffness)
-    nothing = CommonWall(np.nan, np.nan, np.inf, loops[0], TuningStatus.NO_STABLE_GAINS)
-    if grid is None:
-        return nothing
-    horizon, best, times = _FIRST_HORIZON, (np.nan, np.nan), np.full(len(loops), np.inf)
-    for zoom in range(_ZOOMS + 1):
-        walls = [np.ravel(gains) for gains in np.broadcast_arrays(*grid.points)]
-        region = loops[0].region()
-        is_reached = np.asarray(region.reachable.contains(*walls))
-        walls = [gains[is_reached] for gains in walls]
-        settling = _times(loops, walls, times.max(), level, excitation, horizon)
-        while not np.isfinite(settling.max(axis=0)).any() and zoom == 0 and horizon < _MOST:
-            horizon *= _LONGER
-            settling = _times(loops, walls, times.max(), level, excitation, horizon)
-        if settling.shape[1]:
-            index = int(np.lexsort((settling.mean(axis=0), settling.max(axis=0)))[0])
-            value = settling[:, index]
-            if (value.max(), value.mean()) < (times.max(), times.mean()):
-                times, best = value, (float(walls[0][index]), float(walls[1][index]))
-        if not np.isfinite(times.max()):
-            return nothing
-        grid = grid.around(best)
+    if stiffness is not None:
+        stiffness = float(checked_number("stiffness", stiffness, 0.0))
+    region = loops[0].region().reachable
+    wall, longest = (np.nan, np.nan), np.inf
+    for horizon in (64, 512, 4096, _MOST) if len(region.outline) else ():
+
+        def values(*gains: Walls, horizon: int = horizon) -> Walls:
+            """The longest settling times; of equal ones, the shortest on average is least."""
+            nonlocal longest
+            values, inside = np.full(gains[0].size, np.inf), region.contains(*gains)
+            walls = [each[inside] for each in gains]
+            settling = _times(loops, walls, longest, level, excitation, horizon)
+            longest = min(longest, settling.max(axis=0).min(initial=np.inf))
+            values[inside] = settling.max(axis=0) + 1e-6 * settling.mean(axis=0)
+            return values
+
+        axes = wall_axes(region.outline, stiffness)
+        wall, _ = minimised(values, axes, zooms=4, lowest=0.0)
+        if np.isfinite(longest):
+            break
+    if np.isnan(wall[0]):
+        return CommonWall(np.nan, np.nan, np.inf, loops[0], TuningStatus.NO_STABLE_GAINS)
+    times = settling_times(loops, *wall, level, excitation)
     slowest = loops[int(np.argmax(times))]
-    return CommonWall(*best, float(times.max()), slowest, TuningStatus.SCANNED)
+    return CommonWall(*wall, float(times.max()), slowest, TuningStatus.SCANNED)
 
 
 def settling_times(
@@ -130,16 +129,6 @@ def settling_times(
         loops = [as_one(loops)]
     settling = [loop.settling_time(stiffness, damping, **options).value for loop in loops]
     return np.nan_to_num(np.hstack(settling), nan=np.inf, posinf=np.inf)
-
-
-def _first_grid(loop: "HapticLoop", stiffness: float | None) -> Grid | None:
-    """A grid that spans the walls of the stable component that contains small gains."""
-    outline = loop.region().reachable.outline
-    if not len(outline):
-        return None
-    if stiffness is not None:
-        stiffness = float(checked_number("stiffness", stiffness, 0.0))
-    return Grid.over_walls(outline, _POINTS, stiffness)
 
 
 def _times(

@@ -23,16 +23,22 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property, lru_cache, reduce
+from math import inf, nextafter
 from typing import TYPE_CHECKING, NamedTuple
 
-from jaxstab.model.device.parts import exact
-from jaxstab.model.device.sampling import OneSample, in_samples
-from jaxstab.model.filters import Filter, Section, Velocity
-from jaxstab.model.loop import LoopParameters
+from jaxstab.model.device.device import Device
+from jaxstab.model.device.parts import decided, exact
+from jaxstab.model.device.sampling import SampledDevice, one_sample
+from jaxstab.model.double_double import DoubleDouble
+from jaxstab.model.filters import NO_FILTERS, Filter, Filters, Section, exact_chain, given_filters
+from jaxstab.model.linear_loop import LinearLoop, Polynomial, size_of
 from jaxstab.model.parameters import GAIN_LIMIT
+from jaxstab.rounding import PAIR_UNIT, RAISED
 
 if TYPE_CHECKING:
     from flint import arb, arb_poly, fmpq_poly
+
+    from jaxstab.model.loop import LoopParameters
 
 
 class Factored(NamedTuple):
@@ -274,57 +280,63 @@ class BallLoop(NamedTuple):
         return Triple(base, stiffness, damping, self.yielding)
 
 
-def ball_triple(loop: LoopParameters) -> Triple:
+def ball_triple(loop: "LoopParameters") -> Triple:
     """The triple of a loop in balls of the precision that is set; the last ones are remembered.
 
     Raises: TypeError if JAX traces the loop or its fields are arrays; ValueError for a device that
     is too fast for balls (``in_samples``).
     """
-    import flint
-
-    return _parts(loop.in_floats(), flint.ctx.prec)[1]
+    return _of_loop(loop)[1]
 
 
-def ball_loop(loop: LoopParameters) -> BallLoop:
+def ball_loop(loop: "LoopParameters") -> BallLoop:
     """The parts of a loop, otherwise as ``ball_triple``."""
+    return _of_loop(loop)[0]
+
+
+def _of_loop(loop: "LoopParameters") -> tuple[BallLoop, Triple]:
     import flint
 
-    return _parts(loop.in_floats(), flint.ctx.prec)[0]
+    return _parts(loop.in_floats(), flint.ctx.prec)
 
 
 @lru_cache(maxsize=128)
-def _parts(loop: LoopParameters, bits: int) -> tuple[BallLoop, Triple]:
+def _parts(loop: "LoopParameters", bits: int) -> tuple[BallLoop, Triple]:
     del bits  # the precision is set: here it only tells balls apart
-    parts = _ball_loop(loop)
+    filters = given_filters(loop.velocity, loop.position) or NO_FILTERS
+    parts = _ball_loop(loop.held_device, loop.sample_time, loop.delay_samples, filters)
     return parts, parts.triple
 
 
-def _ball_loop(loop: LoopParameters) -> BallLoop:
+def _ball_loop(device: Device, period: float, delay: float, filters: Filters) -> BallLoop:
     from flint import arb_poly
 
-    period = exact(float(loop.sample_time))
-    whole, fraction = divmod(loop.delay_samples, 1.0)
-    numerator, denominator = _plant(loop, float(fraction))
-    above, below = _filter((loop.velocity or Velocity()).filter, loop)
-    difference = Factored(arb_poly([1]), at_one=1).scaled(1 / period)
+    whole, fraction = divmod(delay, 1.0)
+    numerator, denominator = _plant(device, period, fraction)
+    velocity, position = (_sections(x, period) for x in (filters[0].filter, filters[1]))
+    above, below = _filter(velocity)
+    difference = Factored(arb_poly([1]), at_one=1).scaled(1 / exact(period))
     late = Factored(arb_poly([1]), power=1)
     return BallLoop(
         numerator,
         denominator,
         int(whole) + (fraction > 0.0),
-        position=_filter(loop.position or Filter(), loop),
+        position=_filter(position),
         velocity=(difference.times(above), late.times(below)),
-        yielding=_yielding(loop),
+        yielding=_yielding(device, position),
     )
 
 
-def _yielding(loop: LoopParameters) -> float | None:
+def _sections(chain: Filter, period: float) -> tuple[Section, ...]:
+    return chain.per_sample(period).sections
+
+
+def _yielding(device: Device, position: tuple[Section, ...]) -> float | None:
     """The K that makes 1 + K P(1) G(1) exactly 0, G(1) the displacement by a constant force."""
-    moved, force = loop.held_device.compliance().at_rest()
-    chain = (loop.position or Filter()).per_sample(loop.sample_time)
-    for section in chain.sections:
+    moved, force = device.compliance().at_rest()
+    for section in position:
         if section.length is None:
-            above, below = _exact_section(section)
+            above, below = exact_chain((section,))
             moved, force = moved * above(1), force * below(1)
     if not moved or not force:
         return None
@@ -335,17 +347,11 @@ def _yielding(loop: LoopParameters) -> float | None:
     return float(number)
 
 
-def one_sample(loop: LoopParameters) -> OneSample:
-    """What the device of a loop does within a sample, in balls of the precision that is set."""
-    compliance = loop.held_device.compliance()
-    return OneSample.from_compliance(*in_samples(compliance, float(loop.sample_time)))
-
-
-def _plant(loop: LoopParameters, fraction: float) -> tuple[Factored, Factored]:
+def _plant(device: Device, period: float, fraction: float) -> tuple[Factored, Factored]:
     """N(z) and D(z), for a fraction of a sample with one sample of delay more."""
     from flint import arb
 
-    sample = one_sample(loop)
+    sample = one_sample(device, period)
     above, below = sample.above, sample.below
     late = arb(exact(fraction)) if fraction else None
     numerator, denominator = sample.of_samples(late)
@@ -370,36 +376,73 @@ def _known_out(polynomial: "arb_poly", root: int, count: int) -> "arb_poly":
     return arb_poly(shifted)(arb_poly([-root, 1]))
 
 
-def _filter(chain: Filter, loop: LoopParameters) -> tuple[Factored, Factored]:
+def _filter(sections: tuple[Section, ...]) -> tuple[Factored, Factored]:
     """Numerator and denominator of a filter in powers of z."""
     from flint import arb_poly
 
-    sections = chain.per_sample(loop.sample_time).sections
     one = Factored(arb_poly([1]))
     sides = zip(*map(_section, sections), strict=True) if sections else ((), ())
     above, below = (reduce(Factored.times, side, one) for side in sides)
     return above, below
 
 
-@lru_cache(maxsize=256)
-def _exact_section(section: Section) -> "tuple[fmpq_poly, fmpq_poly]":
-    from flint import fmpq, fmpq_poly
-
-    whole = [fmpq_poly([1]), fmpq_poly([1])]
-    for *sides, count in section.rational_factors():
-        for side, rising in enumerate(sides):
-            numbers = [fmpq(c.numerator, c.denominator) for c in rising]
-            whole[side] *= fmpq_poly(numbers) ** count
-    return whole[0], whole[1]
-
-
 def _section(section: Section) -> tuple[Factored, Factored]:
     """Numerator and denominator of a section in units of one sample."""
-    from flint import arb_poly, fmpq
+    from flint import arb_poly, fmpq, fmpq_poly
 
     n = section.length
     if n is not None:
         above = Factored(arb_poly([fmpq(1, n)]), windows=(n,) if n > 1 else ())
         return above, Factored(arb_poly([1]), power=n - 1)
-    above, below = map(Factored.from_rational, _exact_section(section))
+    sides = exact_chain((section,))
+    order = max(side.degree() for side in sides)
+    in_z = (fmpq_poly([side[order - k] for k in range(order + 1)]) for side in sides)
+    above, below = map(Factored.from_rational, in_z)
     return above, below
+
+
+# The triple in pairs of float64, for grids of walls of one loop: the middles of its balls, at a
+# precision that is raised until their radii are less than the rounding of pairs.
+
+
+@lru_cache(maxsize=64)
+def linear_loop(device: SampledDevice, filters: Filters | None) -> LinearLoop:
+    """The loop of gains in units of the device, K stiffness_unit and B damping_unit."""
+    plant = device.device, device.sample_time, device.delay
+
+    def asked() -> LinearLoop:
+        triple = _ball_loop(*plant, filters or NO_FILTERS).triple
+        return _rounded(triple, device.stiffness_unit, device.damping_unit)
+
+    def is_known(loop: LinearLoop) -> bool:
+        sizes = map(size_of, loop[:3])
+        return all(error <= PAIR_UNIT * x for error, x in zip(loop.errors, sizes, strict=True))
+
+    return decided(asked, is_answered=is_known)
+
+
+def _rounded(triple: Triple, stiffness_unit: float, damping_unit: float) -> LinearLoop:
+    units = 1.0, stiffness_unit, damping_unit
+    parts = [part.scaled(1 / exact(unit)) for part, unit in zip(triple, units, strict=True)]
+    degree = triple.degree
+    rows = [[part.polynomial()[degree - k] for k in range(degree + 1)] for part in parts]
+    pairs = [list(map(_nearest, row)) for row in rows]
+    ends = [[_nearest(part.at_end(place) * place**degree) for part in parts] for place in (1, -1)]
+    errors = [
+        RAISED * max(sum(error for _, error in row), *(end[k][1] for end in ends))
+        for k, row in enumerate(pairs)
+    ]
+    polynomials: list[Polynomial] = [tuple(pair for pair, _ in row) for row in (*pairs, *ends)]
+    base, stiffness, damping, at_one, at_minus_one = polynomials
+    is_free = triple.base.at_one > 0 and (triple.damping.is_zero or triple.damping.at_one > 0)
+    return LinearLoop(
+        base, stiffness, damping, at_one, at_minus_one, (errors[0], errors[1], errors[2]), is_free
+    )
+
+
+def _nearest(ball: "arb") -> tuple[DoubleDouble, float]:
+    """The pair of float64 next to the middle of a ball, and how far from it the ball reaches."""
+    high = float(ball.mid())
+    low = float((ball - high).mid())
+    rest = ball - high - low
+    return DoubleDouble(high, low), 0.0 if rest == 0 else nextafter(float(rest.abs_upper()), inf)

@@ -18,17 +18,19 @@ import numbers
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import lru_cache, reduce
+from functools import lru_cache
 from itertools import accumulate
 from math import floor, inf, pi
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
+from jaxtyping import Float64
 
 from jaxstab.arrays import (
     Array,
     Numbers,
     fixed,
+    is_any_jax,
     is_any_traced,
     is_jax,
     is_traced,
@@ -40,90 +42,22 @@ from jaxstab.model.double_double import DoubleDouble
 from jaxstab.numbers import checked_count, checked_number, require_x64
 from jaxstab.shown import call_text
 
-# Transfer functions in z as quotients of polynomials, in pairs of float64.
+if TYPE_CHECKING:
+    from flint import fmpq_poly
 
-Polynomial = tuple[DoubleDouble, ...]  # highest power of z first
-
-
-class Transfer(NamedTuple):
-    """z^-lag numerator(z) / denominator(z), the denominator monic.
-
-    ``sizes`` bound the sums of the moduli of the coefficients of numerator and denominator. The
-    coefficients' errors are below 2^-91 of them (lemma V8).
-    """
-
-    numerator: Polynomial
-    denominator: Polynomial
-    lag: int
-    sizes: tuple[Array, Array]
-
-    @classmethod
-    def with_sizes(cls, numerator: Polynomial, denominator: Polynomial, lag: int) -> "Transfer":
-        """Return a transfer function with its sizes."""
-        return cls(numerator, denominator, lag, (size_of(numerator), size_of(denominator)))
-
-    def times(self, other: "Transfer") -> "Transfer":
-        """Return the product of two transfer functions."""
-        return Transfer(
-            product(self.numerator, other.numerator),
-            product(self.denominator, other.denominator),
-            self.lag + other.lag,
-            (self.sizes[0] * other.sizes[0], self.sizes[1] * other.sizes[1]),
-        )
-
-    def scaled(self, factor: DoubleDouble) -> "Transfer":
-        """Return a multiple."""
-        numerator = tuple(coefficient * factor for coefficient in self.numerator)
-        return self._replace(
-            numerator=numerator, sizes=(self.sizes[0] * abs(factor.hi), self.sizes[1])
-        )
-
-    def values_at(self, z: float) -> tuple[DoubleDouble, DoubleDouble]:
-        """Return numerator and denominator at z."""
-        above, below = (reduce(lambda value, c: value * z + c, falling) for falling in self[:2])
-        return above, below
-
-    @property
-    def order(self) -> int:
-        """The number of its poles, those at z = 0 included."""
-        return len(self.denominator) - 1 + max(self.lag, 0)
-
-
-def product(a: Polynomial, b: Polynomial) -> Polynomial:
-    """Return the product of two polynomials; those of windows have few terms that are not 0."""
-    terms: list[list[DoubleDouble]] = [[] for _ in range(len(a) + len(b) - 1)]
-    others = [(j, other) for j, other in enumerate(b) if not _is_zero(other)]
-    for i, value in enumerate(a):
-        for j, other in [] if _is_zero(value) else others:
-            terms[i + j].append(value * other)
-    if not all(terms):
-        nothing = (a[0] * b[0]).scaled(0.0)  # of the shape of all
-        terms = [column or [nothing] for column in terms]
-    return tuple(reduce(DoubleDouble.__add__, column) for column in terms)
-
-
-def _is_zero(value: DoubleDouble) -> bool:
-    return type(value.hi) is float and value.hi == 0.0
-
-
-def size_of(polynomial: Polynomial) -> Array:
-    """Return the sum of the moduli of the coefficients."""
-    return sum((abs(coefficient.hi) for coefficient in polynomial), 0.0)
-
-
-ONE: Polynomial = (DoubleDouble(1.0, 0.0),)
-UNIT = Transfer.with_sizes(ONE, ONE, 0)
 HIGHEST_ORDER = 40  # poles of a filter, but for those at z = 0
 LONGEST_WINDOW = 200  # samples
-MOST_STAGES = 80  # factors of a filter's transfer function: lemma V8 counts them
 _NYQUIST = 0.499  # of the sampling rate: a Butterworth filter ends at 0.5
 _FASTEST = 100.0  # of the sampling rate: a pole that is 0 in float64 is refused
 HIGHEST_POLYNOMIAL = 10  # of a fit to samples
+_LARGEST = 10**150  # of the coefficients: products of them are float64 still
 _WHOLE = 1e-9  # of a sample: windows closer to a whole number of samples are that number
 
 Factor = tuple[list[Any], list[Any], int]
-
 """Numerator and denominator, lowest power of z first, and how often they are multiplied."""
+
+Stage = tuple[tuple[Any, ...], tuple[Any, ...]]
+"""A filter of a low order: numerator and denominator in powers of 1/z, the latter 1 at first."""
 
 
 class Section:
@@ -164,16 +98,22 @@ class Section:
         """The factors of the transfer function, by that number: a pair or a fraction."""
         raise NotImplementedError
 
-    def stages(self) -> list[Transfer]:
-        """Return the transfer functions, in units of one sample, whose product this is."""
-        stages = []
-        for *sides, count in self.factors(DoubleDouble.from_value(self.number)):
-            stages += [_transfer(*sides)] * count
-        return stages
+    def stages(self) -> list[Stage]:
+        """The factors in units of one sample: in exact numbers, or in pairs if JAX has its number.
 
-    def rational_factors(self) -> list[Factor]:
-        """The factors in exact numbers, of the filter that runs: its number is a float64."""
-        return self.factors(Fraction(float(self.number)))
+        They are those of the filter that runs: its number is a float64.
+        """
+        number = self.number
+        if not is_jax(number):
+            return _exact_stages(self)
+        return _stages(self.factors(DoubleDouble.from_value(number)))
+
+    @property
+    def degrees(self) -> tuple[int, int]:
+        """The degrees of numerator and denominator in 1/z, whatever the section's number is."""
+        stages = _stages(self.factors(Fraction(1, 2)))
+        above, below = (sum(len(stage[side]) - 1 for stage in stages) for side in (0, 1))
+        return above, below
 
 
 @pytree
@@ -471,21 +411,56 @@ def butterworth_sine(k: int, order: int) -> float:
     return float(np.sin(pi * (2 * k + 1) / (2 * order)))
 
 
-def _transfer(above: list[Any], below: list[Any]) -> Transfer:
-    """Return a quotient of polynomials, the lowest power of z first; exact zeros are numbers."""
-    lags, sides = [], []
-    for rising in (above, below):
-        lags.append(next(k for k, c in enumerate(rising) if not _is_exactly(0, c)))
-        sides.append([DoubleDouble.from_value(c) for c in rising[lags[-1] :][::-1]])
-    numerator, denominator = sides
-    if not _is_exactly(1, below[-1]):
-        leading = denominator[0]
-        numerator, denominator = ([c / leading for c in side] for side in (numerator, denominator))
-    return Transfer.with_sizes(tuple(numerator), (*ONE, *denominator[1:]), lags[1] - lags[0])
+@lru_cache(maxsize=256)
+def _exact_stages(section: Section) -> list[Stage]:
+    return _stages(section.factors(Fraction(float(section.number))))
+
+
+def _stages(factors: list[Factor]) -> list[Stage]:
+    return [stage for *sides, count in factors for stage in [_in_lags(*sides)] * count]
+
+
+@lru_cache(maxsize=256)
+def exact_chain(sections: tuple[Section, ...]) -> "tuple[fmpq_poly, fmpq_poly]":
+    """Numerator and denominator of a chain in powers of 1/z; ValueError: beyond float64."""
+    from flint import fmpq, fmpq_poly
+
+    sides = [fmpq_poly([1]), fmpq_poly([1])]
+    for section in sections:
+        for stage in section.stages():
+            for side, row in enumerate(stage):
+                sides[side] *= fmpq_poly([fmpq(c.numerator, c.denominator) for c in row])
+    if max(abs(c) for side in sides for c in side.coeffs()) > _LARGEST:
+        raise ValueError(
+            f"the filter ({Filter(sections)}) has coefficients beyond {float(_LARGEST):g} in "
+            "powers of 1/z; give a numerator of the size of its denominator."
+        )
+    return sides[0], sides[1]
+
+
+def rounded(polynomial: "fmpq_poly") -> Float64[np.ndarray, " power"]:
+    """Return the coefficients of a polynomial in float64, lowest power first."""
+    return np.array([int(c.p) / int(c.q) for c in polynomial.coeffs()])
+
+
+def _in_lags(above: list[Any], below: list[Any]) -> Stage:
+    """Return a proper quotient in powers of 1/z by the one in powers of z."""
+    leading = below[-1]
+    sides = [0] * (len(below) - len(above)) + above[::-1], below[::-1]
+    for side in sides:
+        while len(side) > 1 and _is_exactly(0, side[-1]):
+            side.pop()
+    if not _is_exactly(1, leading):
+        sides = [c / leading for c in sides[0]], [c / leading for c in sides[1]]
+    return tuple(sides[0]), (1, *sides[1][1:])
 
 
 def _is_exactly(number: int, coefficient: Any) -> bool:
     return isinstance(coefficient, numbers.Rational) and coefficient == number
+
+
+def _floats(coefficients: tuple[Any, ...]) -> tuple[Array, ...]:
+    return tuple(c.rounded() if isinstance(c, DoubleDouble) else float(c) for c in coefficients)
 
 
 def _float(value: Numbers) -> Array:
@@ -653,28 +628,29 @@ class Filter:
         """
         return Filter(tuple(section.per_sample(sample_time) for section in self.sections))
 
-    def transfer(self, sample_time: Numbers = 1.0) -> Transfer:
-        """The transfer function for a sampling period in s.
+    def checked(self, sample_time: Numbers = 1.0) -> "Filter":
+        """The filter in units of a sampling period, as ``per_sample``, if it is not too long.
 
-        Raises: see ``jaxstab.conventions``; ValueError also if a section is incompatible with the
-        sampling period, or there are too many poles, samples or stages.
+        Raises: as ``per_sample``; RuntimeError see ``jaxstab.conventions``; ValueError also for
+        too many poles or samples.
         """
-        stages = self.stages(sample_time)
-        if len(stages) > MOST_STAGES:
-            raise ValueError(f"the filter has {len(stages)} stages; give {MOST_STAGES} at most.")
-        whole = reduce(Transfer.times, stages, UNIT)
-        if len(whole.denominator) - 1 > HIGHEST_ORDER or whole.lag > LONGEST_WINDOW:
-            raise ValueError(
-                f"the filter ({self}) is of order {whole.order}; give {HIGHEST_ORDER} poles at "
-                f"most, and windows of {LONGEST_WINDOW} samples in all."
-            )
-        return whole
-
-    def stages(self, sample_time: Numbers = 1.0) -> list[Transfer]:
-        """The transfer functions of low orders whose product ``transfer`` is; errors as there."""
         require_x64(*(value for section in self.sections for value in vars(section).values()))
-        sections = self.per_sample(sample_time).sections
-        return [stage for section in sections for stage in section.stages()]
+        chain = self.per_sample(sample_time)
+        degrees = [section.degrees for section in chain.sections]
+        above, below = map(sum, zip((0, 0), *degrees, strict=True))
+        if below > HIGHEST_ORDER or above - below > LONGEST_WINDOW:
+            raise ValueError(
+                f"the filter ({self}) is of order {max(above, below)}; give {HIGHEST_ORDER} poles "
+                f"at most, and windows of {LONGEST_WINDOW} samples in all."
+            )
+        if not is_any_jax(chain):
+            exact_chain(chain.sections)  # refuses coefficients beyond float64
+        return chain
+
+    def stages(self, sample_time: Numbers = 1.0) -> list[Stage]:
+        """The filters of low orders, one after the other, in float64; errors as ``checked``."""
+        stages = [stage for s in self.checked(sample_time).sections for stage in s.stages()]
+        return [(_floats(above), _floats(below)) for above, below in stages]
 
 
 @pytree
@@ -787,8 +763,8 @@ class Velocity:
         """Return the estimator in units of a sampling period: ``Filter.per_sample``."""
         return Velocity(self.filter.per_sample(sample_time))
 
-    def stages(self, sample_time: Numbers = 1.0) -> tuple[int, list[Transfer]]:
-        """A number of samples n, and transfer functions behind (1 - z^-n) / n."""
+    def stages(self, sample_time: Numbers = 1.0) -> tuple[int, list[Stage]]:
+        """A number of samples n, and filters of low orders behind (1 - z^-n) / n, in float64."""
         section, *others = self.filter.per_sample(sample_time).sections or (Average(1, None),)
         if isinstance(section, Average):
             return section.length, Filter(tuple(others)).stages()

@@ -1,35 +1,36 @@
 """Any linear loop as the triple (base, stiffness, damping): p(z) is affine in the wall's gains.
 
-With the plant z^-lag N/D, a position filter P = Np/Dp and a velocity estimator V = (z - 1) Nv/Dv,
+With the plant N/D, a position filter P = Ap/Bp and a velocity estimator V = Av/Bv, all of them in
+powers of 1/z and the denominators 1 at first,
 
-    p(z) = base + alpha stiffness + beta damping
-         = z^lag D Dp Dv + alpha N Np Dv + beta N (z - 1) Nv Dp
+    z^-degree p(z) = base + alpha stiffness + beta damping = D Bp Bv + N (alpha Ap Bv + beta Av Bp).
 
-up to powers of z. All coefficients are formed in pairs of float64, with bounds of their errors
-(lemma V8 of docs/proofs.md).
+What filters multiply is formed in exact numbers, and rounded once; where JAX has their parameters,
+in pairs of float64. One mass multiplies it in pairs too, with bounds of all errors (lemmas V7 and
+V8 of docs/proofs.md), on grids and under transformations of JAX. The triple of a single loop, of
+any device, is the middle of its balls (``balls.linear_loop``).
 """
 
 from collections.abc import Sequence
-from functools import partial, reduce
-from itertools import accumulate
-from typing import NamedTuple
+from functools import lru_cache, partial, reduce
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.arrays import Array, Numbers, float_arrays, is_any_traced, namespace, tree_map
-from jaxstab.batches import MANY, compiled
-from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import (
-    Filter,
-    Filters,
-    Polynomial,
-    Transfer,
-    Velocity,
-    given_filters,
-    product,
-    size_of,
+from jaxstab.arrays import (
+    Array,
+    Numbers,
+    float_arrays,
+    is_any_jax,
+    is_any_traced,
+    namespace,
+    tree_map,
 )
+from jaxstab.batches import MANY, compiled
+from jaxstab.model.device.parts import exact
+from jaxstab.model.double_double import DoubleDouble
+from jaxstab.model.filters import Filter, Filters, Section, Velocity, exact_chain, given_filters
 from jaxstab.model.parameters import (
     TracedDelay,
     checked_delay,
@@ -42,51 +43,10 @@ from jaxstab.model.parameters import (
 from jaxstab.model.plant import PlantPairs, may_cancel, pairs_error, plant_pairs
 from jaxstab.rounding import FILTERS, PAIR_PRODUCT
 
-_DIFFERENCE = (DoubleDouble(1.0, 0.0), DoubleDouble(-1.0, 0.0))  # z - 1
+Polynomial = tuple[DoubleDouble, ...]
+"""Coefficients in powers of 1/z, lowest first; in powers of z they are those, highest first."""
 
-
-class Bounded(NamedTuple):
-    """A number, and a bound of its error."""
-
-    value: DoubleDouble
-    error: Array
-
-    def __mul__(self, other: "Bounded") -> "Bounded":  # type: ignore[override]
-        a, b = abs(self.value.hi), abs(other.value.hi)
-        error = self.error * (b + other.error) + a * other.error + PAIR_PRODUCT * a * b
-        return Bounded(self.value * other.value, error)
-
-    def __neg__(self) -> "Bounded":
-        return Bounded(-self.value, self.error)
-
-
-class Affine(NamedTuple):
-    """The three parts of base + alpha stiffness + beta damping."""
-
-    base: Bounded
-    stiffness: Bounded
-    damping: Bounded
-
-
-class SampledPlant(NamedTuple):
-    """A plant behind a hold and a delay, z^-lag N(z)/D(z), times m/T^2 if it is made of numbers.
-
-    numerator, denominator: coefficients, highest power of z first; the denominator is monic.
-    lag: whole samples.
-    errors: bounds of the errors of the coefficients of N and D, summed.
-    at_one: N(1) and D(1) up to a common positive factor.
-    at_minus_one: N(-1) and D(-1).
-    shifted: N(z), D(z), N(-z) and D(-z) by their coefficients in powers of z - 1, where they are
-        known to more digits than sums of the coefficients are.
-    """
-
-    numerator: Polynomial
-    denominator: Polynomial
-    lag: int
-    errors: tuple[Array, Array]
-    at_one: tuple[Bounded, Bounded]
-    at_minus_one: tuple[Bounded, Bounded]
-    shifted: tuple[Polynomial, Polynomial, Polynomial, Polynomial] | None = None
+_ZERO, _ONE = DoubleDouble(0.0), DoubleDouble(1.0)
 
 
 class LinearLoop(NamedTuple):
@@ -95,17 +55,19 @@ class LinearLoop(NamedTuple):
     base: coefficients of the part without a wall, monic, highest power of z first.
     stiffness: those that alpha multiplies, as many, the first one 0.
     damping: those that beta multiplies, as many, the first one 0.
-    errors: bounds of the errors of the coefficients of the three, summed.
-    at_one: p(1) up to a positive factor.
-    at_minus_one: (-1)^degree p(-1).
+    at_one: the parts of p(1).
+    at_minus_one: the parts of (-1)^degree p(-1).
+    errors: bounds of the errors of the coefficients of each part, summed, and of both its values.
+    is_free: whether p(1) is exactly 0 for alpha = 0: a device that nothing holds.
     """
 
     base: Polynomial
     stiffness: Polynomial
     damping: Polynomial
+    at_one: Polynomial
+    at_minus_one: Polynomial
     errors: tuple[Array, Array, Array]
-    at_one: Affine
-    at_minus_one: Affine
+    is_free: Array
 
     @property
     def degree(self) -> int:
@@ -113,157 +75,144 @@ class LinearLoop(NamedTuple):
         return len(self.base) - 1
 
 
-def sampled_mass(
-    gamma: Array, delta: Array, whole_delay: int, fraction: Array | float
-) -> SampledPlant:
-    """Device and hand of one mass (eq. (9)); the fraction of the delay is 0.0, or nowhere 0."""
-    pairs = plant_pairs(gamma, delta, fraction)
-    xp = namespace(pairs)
-    unit = DoubleDouble.from_value(xp.ones_like(pairs.d0.hi))
-    numerator: Polynomial = (pairs.n2, pairs.n1, pairs.n0)
-    relative = pairs_error(gamma, delta)
-    size = size_of(numerator)
-    rounding = relative * xp.where(may_cancel(gamma, delta), xp.sqrt(size), size)
-    at_minus_one = (
-        Bounded(pairs.difference, rounding),
-        Bounded(unit - pairs.d1 + pairs.d0, 4.0 * relative),
-    )
-    is_whole = isinstance(fraction, float) and fraction == 0.0
-    if is_whole:  # N(0) = 0: a sample less
-        numerator = numerator[:2]
-        at_minus_one = -at_minus_one[0], at_minus_one[1]
-    return SampledPlant(
-        numerator=numerator,
-        denominator=(unit, pairs.d1, pairs.d0),
-        lag=whole_delay + (not is_whole),
-        errors=(3.0 * rounding, 2.0 * relative),
-        at_one=(Bounded(unit, 0.0), Bounded(DoubleDouble.from_value(gamma), 0.0)),
-        at_minus_one=at_minus_one,
-    )
-
-
 def filtered_loop(
     gamma: Array, delta: Array, whole_delay: int, fraction: Array | float, filters: Filters
 ) -> LinearLoop:
-    """Return the loop of device and hand of one mass with filters, for T = 1."""
-    plant = sampled_mass(gamma, delta, whole_delay, fraction)
-    velocity, position = filters
-    return linear_loop(plant, velocity.filter.transfer(), position.transfer())
+    """The loop of device and hand of one mass (eq. (9)) with filters in units of one sample.
 
-
-class LoopFilters(NamedTuple):
-    """The effect of estimator and position filter on the loop of any plant.
-
-    products: the factors of base (beside D), stiffness and damping (beside N).
-    sizes: bounds of the sums of the moduli of their coefficients.
-    lags: powers of 1/z before stiffness and damping.
-    at_one: numerator and denominator of P at z = 1.
-    at_minus_one: the same of V, less its difference, and of P at z = -1.
+    The fraction of the delay is 0.0, or nowhere 0.
     """
-
-    products: tuple[Polynomial, ...]
-    sizes: tuple[Array, ...]
-    lags: tuple[int, int]
-    at_one: tuple[Bounded, Bounded]
-    at_minus_one: tuple[Bounded, Bounded, Bounded, Bounded]
-
-
-def linear_loop(plant: SampledPlant, velocity: Transfer, position: Transfer) -> LinearLoop:
-    """Return the loop of a plant, with T V(z) less its factor (1 - 1/z), and with P(z)."""
-    return loop_of(plant, loop_filters(velocity, position))
-
-
-def loop_filters(velocity: Transfer, position: Transfer) -> LoopFilters:
-    """The parts of all loops that two filters decide, for ``loop_of``."""
-    (above, steady), (below, steady_below) = velocity.sizes, position.sizes
-    return LoopFilters(
-        products=tuple(reduce(product, each) for each in _factors(velocity, position)),
-        sizes=(steady_below * steady, below * steady, 2.0 * above * steady_below),
-        lags=(velocity.lag + 1, position.lag),  # z - 1 is a sample more than 1 - 1/z
-        at_one=_values(position, 1.0),
-        at_minus_one=(*_values(velocity, -1.0), *_values(position, -1.0)),
+    pairs = plant_pairs(gamma, delta, fraction)
+    xp = namespace(pairs)
+    unit = DoubleDouble.from_value(xp.ones_like(pairs.d0.hi))
+    denominator: Polynomial = (unit, pairs.d1, pairs.d0)
+    numerator: Polynomial = (pairs.n2, pairs.n1, pairs.n0)
+    relative, size = pairs_error(gamma, delta), size_of(numerator)
+    rounding = relative * xp.where(may_cancel(gamma, delta), xp.sqrt(size), size)
+    if isinstance(fraction, float) and fraction == 0.0:
+        numerator = numerator[:2]
+    plants = denominator, numerator, numerator
+    errors = 2.0 * relative + gamma * rounding, 3.0 * rounding, 3.0 * rounding  # D(1) = gamma N(1)
+    factors = filter_factors(filters)
+    parts = [product(plant, factor) for plant, factor in zip(plants, factors.parts, strict=True)]
+    zeros = (unit - unit,) * (whole_delay + 1)
+    parts[1:] = [zeros + part for part in parts[1:]]
+    degree = max(map(len, parts)) - 1
+    base, stiffness, damping = (part + zeros[:1] * (degree + 1 - len(part)) for part in parts)
+    late = -1.0 if len(zeros) % 2 else 1.0
+    turned = (unit - pairs.d1 + pairs.d0, *[pairs.difference.scaled(late)] * 2)
+    ends = (pairs.den_at_one, pairs.sum, pairs.sum), turned
+    sizes = [
+        size_of(part) + error for part, error in zip(factors.parts, factors.errors, strict=True)
+    ]
+    bounds = [
+        error * size + size_of(plant) * (inherited + 2.0 * PAIR_PRODUCT * size)
+        for plant, error, size, inherited in zip(plants, errors, sizes, factors.errors, strict=True)
+    ]
+    at_one, at_minus_one = (
+        tuple(map(DoubleDouble.__mul__, end, factors.values_at(z)))
+        for z, end in zip((1, -1), ends, strict=True)
     )
-
-
-def loop_of(plant: SampledPlant, filters: LoopFilters) -> LinearLoop:
-    """Return the loop of a plant with two filters."""
-    powers = _powers(plant.lag, filters.lags)
-    plants = plant.denominator, plant.numerator, plant.numerator
-    zero = plant.denominator[0] - plant.denominator[0]
-    parts = [
-        product(polynomial, factor) + (zero,) * power
-        for polynomial, factor, power in zip(plants, filters.products, powers, strict=True)
-    ]
-    degree = len(parts[0]) - 1
-    base, stiffness, damping = ((zero,) * (degree + 1 - len(terms)) + terms for terms in parts)
-    roundings = plant.errors[1], plant.errors[0], plant.errors[0]
-    errors = [
-        size * (rounding + FILTERS * size_of(polynomial))
-        for size, rounding, polynomial in zip(filters.sizes, roundings, plants, strict=True)
-    ]
     return LinearLoop(
         base,
         stiffness,
         damping,
-        errors=(errors[0], errors[1], errors[2]),
-        at_one=_at_one(plant, filters),
-        at_minus_one=_at_minus_one(plant, filters, [degree + power for power in powers]),
+        at_one=at_one,
+        at_minus_one=at_minus_one,
+        errors=(bounds[0], bounds[1], bounds[2]),
+        is_free=xp.asarray(gamma) == 0.0,
     )
 
 
-def loop_without_drift(loop: LinearLoop) -> LinearLoop:
-    """Return the loop of p(z) z / (z - 1), for alpha = 0 and a device that nothing holds.
+class FilterFactors(NamedTuple):
+    """What estimator and filter multiply, in powers of 1/z.
 
-    Such a device has a pole at z = 1, which a damper leaves there: the position may stay anywhere.
-    The other roots of p are those of the loop returned, and one at 0 (lemma V11).
+    parts: Bp Bv beside D, Ap Bv and Av Bp beside N.
+    errors: bounds of the errors of the coefficients of each, summed, and of its values at 1 and -1.
     """
-    degree, nothing = loop.degree, loop.base[0] - loop.base[0]
-    parts = [(*accumulate(p[:-1], DoubleDouble.__add__), nothing) for p in loop[:3]]
-    rounding = degree * PAIR_PRODUCT
-    errors = [
-        degree * (error + rounding * size_of(polynomial))
-        for error, polynomial in zip(loop.errors, loop[:3], strict=True)
-    ]
-    sums = [reduce(DoubleDouble.__add__, part) for part in parts]
-    base, stiffness, damping = parts
-    bounds = errors[0], errors[1], errors[2]
-    at_one = Affine(*map(Bounded, sums, errors))
-    return LinearLoop(base, stiffness, damping, bounds, at_one, loop.at_minus_one)
+
+    parts: tuple[Polynomial, Polynomial, Polynomial]
+    errors: tuple[Array, Array, Array]
+
+    def values_at(self, z: int) -> Polynomial:
+        """The values at z = 1 or -1, where that of Av at 1 is exactly 0."""
+        values = [
+            reduce(lambda value, c: value.scaled(float(z)) + c, part[::-1], _ZERO)
+            for part in self.parts
+        ]
+        return (*values[:2], _ZERO if z == 1 else values[2])
 
 
-def _powers(lag: int, lags: tuple[int, int]) -> list[int]:
-    powers = [lag + sum(lags), *lags]
-    return [power - min(powers) for power in powers]
-
-
-def _factors(velocity: Transfer, position: Transfer) -> tuple[tuple[Polynomial, ...], ...]:
-    (nv, dv), (np_, dp) = velocity[:2], position[:2]
-    return (dp, dv), (np_, dv), (_DIFFERENCE, nv, dp)
-
-
-def _at_one(plant: SampledPlant, filters: LoopFilters) -> Affine:
-    """Return p(1) over Dv(1), which is positive."""
-    numerator, denominator = plant.at_one
-    above, below = filters.at_one
-    stiffness = numerator * above
-    return Affine(denominator * below, stiffness, Bounded(stiffness.value * 0.0, 0.0))
-
-
-def _at_minus_one(plant: SampledPlant, filters: LoopFilters, powers: list[int]) -> Affine:
-    """Return (-1)^degree p(-1); ``powers`` are those of z before the parts, and the degree more."""
-    numerator, denominator = plant.at_minus_one
-    nv, dv, np_, dp = filters.at_minus_one
-    minus_two = Bounded(DoubleDouble(-2.0, 0.0), 0.0)
-    terms = denominator * dp * dv, numerator * np_ * dv, minus_two * numerator * nv * dp
-    return Affine(
-        *(-term if power % 2 else term for term, power in zip(terms, powers, strict=True))
+def filter_factors(filters: Filters) -> FilterFactors:
+    """The factors of the loop of filters in units of one sample."""
+    velocity, position = filters
+    chains = velocity.filter.sections, position.sections
+    if not is_any_jax(filters):
+        return _exact_factors(*chains)
+    (above_v, below_v, sizes_v), (above_p, below_p, sizes_p) = map(_in_pairs, chains)
+    above_v, size = product((_ONE, -_ONE), above_v), 2.0 * sizes_v[0]
+    # Lemma V8 counts the stages, and what is done with their product.
+    rounding = FILTERS * (4 + sum(len(section.stages()) for chain in chains for section in chain))
+    return FilterFactors(
+        (product(below_p, below_v), product(above_p, below_v), product(above_v, below_p)),
+        (
+            rounding * sizes_p[1] * sizes_v[1],
+            rounding * sizes_p[0] * sizes_v[1],
+            rounding * size * sizes_p[1],
+        ),
     )
 
 
-def _values(transfer: Transfer, z: float) -> tuple[Bounded, Bounded]:
-    both = zip(transfer.values_at(z), transfer.sizes, strict=True)
-    above, below = (Bounded(value, FILTERS * size) for value, size in both)
-    return above, below
+@lru_cache(maxsize=256)
+def _exact_factors(velocity: tuple[Section, ...], position: tuple[Section, ...]) -> FilterFactors:
+    (above_v, below_v), (above_p, below_p) = map(exact_chain, (velocity, position))
+    above_v -= above_v.left_shift(1)
+    exact_parts = below_p * below_v, above_p * below_v, above_v * below_p
+    base, stiffness, damping = (tuple(map(_nearest, part.coeffs())) for part in exact_parts)
+    errors = [4.0 * FILTERS * size_of(part) for part in (base, stiffness, damping)]
+    return FilterFactors((base, stiffness, damping), (errors[0], errors[1], errors[2]))
+
+
+def _nearest(number: Any) -> DoubleDouble:
+    """The pair next to an exact number of python-flint."""
+    high = int(number.p) / int(number.q)
+    rest = number - exact(high)
+    return DoubleDouble(high, int(rest.p) / int(rest.q))
+
+
+def _in_pairs(sections: tuple[Section, ...]) -> tuple[Polynomial, Polynomial, tuple[Array, Array]]:
+    """Numerator and denominator of a chain, and the products of the sizes of its stages."""
+    sides: list[Polynomial] = [(_ONE,), (_ONE,)]
+    sizes: list[Array] = [1.0, 1.0]
+    for section in sections:
+        for stage in section.stages():
+            for side, row in enumerate(stage):
+                factor = tuple(map(DoubleDouble.from_value, row))
+                sides[side] = product(sides[side], factor)
+                sizes[side] = sizes[side] * size_of(factor)
+    return sides[0], sides[1], (sizes[0], sizes[1])
+
+
+def product(a: Polynomial, b: Polynomial) -> Polynomial:
+    """Return the product of two polynomials; those of windows have few terms that are not 0."""
+    terms: list[list[DoubleDouble]] = [[] for _ in range(len(a) + len(b) - 1)]
+    others = [(j, other) for j, other in enumerate(b) if not _is_zero(other)]
+    for i, value in enumerate(a):
+        for j, other in [] if _is_zero(value) else others:
+            terms[i + j].append(value * other)
+    if not all(terms):
+        nothing = (a[0] * b[0]).scaled(0.0)  # of the shape of all
+        terms = [column or [nothing] for column in terms]
+    return tuple(reduce(DoubleDouble.__add__, column) for column in terms)
+
+
+def _is_zero(value: DoubleDouble) -> bool:
+    return type(value.hi) is float and value.hi == 0.0
+
+
+def size_of(polynomial: Polynomial) -> Array:
+    """Return the sum of the moduli of the coefficients."""
+    return sum((abs(coefficient.hi) for coefficient in polynomial), 0.0)
 
 
 # The same with its coefficients summed and rounded: p(z) as arrays, and its companion matrix.

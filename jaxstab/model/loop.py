@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields
-from functools import lru_cache, wraps
+from functools import wraps
 from math import ulp
 from typing import Any, ClassVar, NamedTuple, ParamSpec, TypedDict, TypeVar
 
@@ -17,9 +17,10 @@ from jaxstab.arrays import (
     is_traced,
     namespace,
 )
+from jaxstab.model.balls import linear_loop
 from jaxstab.model.device import Device, Hand, SampledDevice, sampled_device
-from jaxstab.model.filters import NO_FILTERS, Average, Filter, Velocity, given_filters
-from jaxstab.model.linear_loop import LinearLoop, filtered_loop
+from jaxstab.model.filters import Average, Filter, Velocity, given_filters
+from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.model.parameters import LONGEST_DELAY, TracedDelay, by_name
 from jaxstab.numbers import checked, checked_number, require_x64
 from jaxstab.shown import call_text
@@ -40,7 +41,6 @@ _FOR_COMPUTING = frozenset(
 )
 _OF_DEVICE = ("device_mass", "device_damping")
 _OF_HAND = ("hand_mass", "hand_damping", "hand_stiffness")
-_REMEMBERED = 64  # loops
 
 Values = TypeVar("Values", bound=Numbers)
 
@@ -111,7 +111,7 @@ class LoopParameters:
         for chain in (self.velocity.filter if self.velocity else None, self.position):
             if chain is not None:
                 for period in periods:
-                    chain.transfer(period)  # refuses an incompatible filter
+                    chain.checked(period)
 
     def __repr__(self) -> str:
         given = {field.name: getattr(self, field.name) for field in fields(self)}
@@ -217,7 +217,10 @@ class LoopParameters:
     @property
     def linear(self) -> LinearLoop:
         """The loop as p(z) = base + alpha stiffness + beta damping; TypeError if JAX traces it."""
-        return _linear_loop(self.in_floats())
+        loop = self.in_floats()
+        times = loop.sample_time, loop.delay_samples
+        device = loop.sampled or SampledDevice(loop.held_device, *times, *loop._units)
+        return linear_loop(device, given_filters(loop.velocity, loop.position))
 
     def in_floats(self) -> "LoopParameters":
         """The loop in plain numbers; TypeError if JAX traces it, or fields are arrays."""
@@ -382,17 +385,6 @@ def unit_loop(
         velocity=velocity,
         position=position,
     )
-
-
-@lru_cache(_REMEMBERED)
-def _linear_loop(loop: LoopParameters) -> LinearLoop:
-    """Return the parts of p(z); those of the last loops are remembered."""
-    sampled = loop.sampled
-    if sampled is not None:
-        return sampled.loop(given_filters(loop.velocity, loop.position))
-    filters = given_filters(**loop.filters) or NO_FILTERS
-    whole, fraction = divmod(loop.delay_samples, 1.0)
-    return filtered_loop(loop.gamma, loop.delta, int(whole), fraction, filters)
 
 
 def _counted(chain: Any, sample_time: Numbers) -> Any:

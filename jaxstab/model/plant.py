@@ -20,9 +20,8 @@ keep their relative accuracy even at gamma = (2 pi)^2, delta = 0, where N(z) van
 """
 
 from fractions import Fraction
-from functools import partial
+from functools import lru_cache, partial
 from math import factorial
-from threading import Lock
 from typing import NamedTuple
 
 import numpy as np
@@ -48,7 +47,6 @@ from jaxstab.rounding import DAMPED_PLANT, SOFT_DELTA, SOFT_GAMMA, SOFT_PLANT, S
 # From the zeros of N at gamma = (2 pi k)^2 on, the size of N is the root of its coefficients' sum:
 # the terms that cancel there exceed the result (up to SOFT_DELTA).
 _CANCELLING_GAMMA = 36.0
-_REMEMBERED = 1 << 12  # plants in the cache, 0.5 MB of them
 _DUPLICATIONS = 10
 _TERMS = 10
 _PAIR_TERMS = 3  # the terms beyond are below 2^-53 of the sum: float64 is enough for them
@@ -153,47 +151,21 @@ def plant_pairs(gamma: Numbers, delta: Numbers, fraction: Numbers) -> PlantPairs
     values = float_arrays(gamma, delta, fraction)
     values = namespace(values).broadcast_arrays(*values)
     whole = not is_traced(fraction) and not np.any(fraction)
-    if namespace(values) is np and values[0].size <= _REMEMBERED:
-        return _MEMORY.plants(*values)
+    if namespace(values) is np and values[0].size <= 2048:
+        return _remembered(values[0].shape, *(value.tobytes() for value in values))
     return _plant_pairs(*values, whole=whole)
 
 
-class _Memory:
-    """Plants that were computed, a row for each: verdicts and radii of walls ask for the same."""
-
-    def __init__(self) -> None:
-        self._lock = Lock()
-        self._index: dict[tuple[float, float, float], int] = {}
-        self._table = np.empty((_REMEMBERED, 2 * len(PlantPairs._fields)))
-
-    def plants(self, gamma: np.ndarray, delta: np.ndarray, fraction: np.ndarray) -> PlantPairs:
-        """Return plants of one shape, of at most as many as there is room for."""
-        rows = list(zip(*(v.ravel().tolist() for v in (gamma, delta, fraction)), strict=True))
-        with self._lock:
-            unknown = [row for row in dict.fromkeys(rows) if row not in self._index]
-            if len(self._index) + len(unknown) > _REMEMBERED:
-                self._index.clear()
-                unknown = list(dict.fromkeys(rows))
-            for whole in (False, True):
-                group = [row for row in unknown if (row[2] == 0.0) == whole]
-                if group:
-                    start = len(self._index)
-                    self._table[start : start + len(group)] = _computed(group, whole=whole)
-                    self._index.update(zip(group, range(start, start + len(group)), strict=True))
-            values = self._table[[self._index[row] for row in rows]]
-        columns = np.ascontiguousarray(values.T).reshape(-1, *gamma.shape)
-        return PlantPairs(*map(DoubleDouble, columns[::2], columns[1::2]))
-
-
-_MEMORY = _Memory()
-
-
-def _computed(rows: list[tuple[float, float, float]], *, whole: bool) -> np.ndarray:
-    """Return the numbers of plants (plant, high and low of each field)."""
-    single = len(rows) == 1  # plain numbers are many times faster than arrays of one
-    pairs = _plant_pairs(*(rows[0] if single else np.array(rows).T), whole=whole)
-    columns = [values for pair in pairs for values in (pair.hi, pair.lo)]
-    return np.stack(np.broadcast_arrays(*columns), axis=-1)
+@lru_cache(maxsize=128)
+def _remembered(shape: tuple[int, ...], *values: bytes) -> PlantPairs:
+    """Plants of NumPy: verdicts and radii of walls ask for the same."""
+    numbers = [np.frombuffer(each).reshape(shape) for each in values]
+    whole = not np.any(numbers[2])
+    if numbers[0].size != 1:
+        return _plant_pairs(*numbers, whole=whole)
+    # Plain numbers are many times faster than arrays of one.
+    pairs = _plant_pairs(*(each.item() for each in numbers), whole=whole)
+    return tree_map(lambda number: np.full(shape, number), pairs)
 
 
 def pairs_error(gamma: Numbers, delta: Numbers) -> Array:

@@ -47,8 +47,7 @@ from jaxstab.model.filters import (
     NO_FILTERS,
     Filter,
     Filters,
-    Polynomial,
-    Transfer,
+    Stage,
     Velocity,
     given_filters,
 )
@@ -76,17 +75,11 @@ class Equation(NamedTuple):
     outputs: tuple[Array | None, ...]  # a_1 ... a_n
 
     @classmethod
-    def from_transfer(cls, transfer: Transfer) -> "Equation":
-        """Return the difference equation of a proper transfer function."""
-        above, below, lag, _ = transfer
-        delay = lag + len(below) - len(above)
-        order = max(delay + len(above), len(below)) - 1
-        inputs = (None,) * delay + _rounded(above)
-        outputs = _rounded(below)[1:]
-        return cls(
-            inputs + (None,) * (order + 1 - len(inputs)),
-            outputs + (None,) * (order - len(outputs)),
-        )
+    def from_stage(cls, stage: Stage) -> "Equation":
+        """Return the difference equation of a filter in powers of 1/z."""
+        order = max(map(len, stage)) - 1
+        inputs, outputs = ((*map(_present, side), *[None] * (order + 1)) for side in stage)
+        return cls(inputs[: order + 1], outputs[1 : order + 1])
 
     def step(self, value: Array, memory: Memory) -> tuple[Array, Memory]:
         """Return the output for an input, and the new memory."""
@@ -134,7 +127,7 @@ class Controller:
         """Return the difference equations of an estimator and a filter."""
         window, behind = filters[0].stages(sample_time)
         chains = behind, filters[1].stages(sample_time)
-        velocity, position = (tuple(map(Equation.from_transfer, chain)) for chain in chains)
+        velocity, position = (tuple(map(Equation.from_stage, chain)) for chain in chains)
         return cls(velocity, position, window)
 
     def at_rest(self, position: Array) -> Any:
@@ -245,9 +238,8 @@ def _like(memories: tuple[Memory, ...], rows: np.ndarray) -> tuple[Memory, ...]:
     return tuple(tuple(next(remaining) for _ in memory) for memory in memories)
 
 
-def _rounded(polynomial: Polynomial) -> tuple[Array | None, ...]:
-    values = (coefficient.rounded() for coefficient in polynomial)
-    return tuple(value if is_traced(value) else (float(value) or None) for value in values)
+def _present(coefficient: Array) -> Array | None:
+    return coefficient if is_traced(coefficient) else (float(coefficient) or None)
 
 
 def _plus(total: Array, coefficient: Array | None, value: Array) -> Array:

@@ -17,6 +17,7 @@ from jaxstab.arrays import Array, Numbers, float_arrays, named, namespace, take
 from jaxstab.batches import on_host
 from jaxstab.conventions import HORIZON, Excitation, Status, Verdict
 from jaxstab.model import checked_delay, checked_gain, require_x64
+from jaxstab.model.balls import linear_loop
 from jaxstab.model.device import SampledDevice
 from jaxstab.model.device.mechanics import mechanics
 from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
@@ -250,7 +251,7 @@ def device_settling_samples(
     bank = bank_for(filters, device.sample_time)
     scales = device.stiffness_unit, device.damping_unit
     alpha, beta = (gain * scale for gain, scale in zip(gains, scales, strict=True))
-    codes = linear_verdict(alpha, beta, device.loop(filters))
+    codes = linear_verdict(alpha, beta, linear_loop(device, filters))
     xp = namespace(gains)
     is_unstable = xp.asarray(codes == Verdict.UNSTABLE)
     moves = mechanics(device.device, device.sample_time, device.delay % 1.0, (1.0,))

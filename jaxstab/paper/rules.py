@@ -22,17 +22,17 @@ docs/proofs.md.
 """
 
 from dataclasses import dataclass, field
-from math import floor, pi, sqrt
-from typing import NamedTuple
+from math import floor, pi
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from jaxstab.arrays import Array, Numbers, float_arrays, joined
+from jaxstab.arrays import Array, Numbers, float_arrays
+from jaxstab.exact.passive import is_passive
 from jaxstab.model import checked_delay, checked_delta, checked_gain, checked_gamma, require_x64
 from jaxstab.numbers import checked_number
 from jaxstab.region.closed_form import slice_coefficients
-from jaxstab.rounding import EPS
 
 
 def linear_alpha_limit(beta: Numbers, *, delta: Numbers, delay: Numbers) -> Float64[Array, "*grid"]:
@@ -181,103 +181,13 @@ def _line(beta: Numbers, offset: Array, slope: Array) -> Array:
         return offset - damping * slope
 
 
-# Proved facts about cosine series f(theta) = sum_k c_k cos(k theta) on [0, pi].
-#
-# Criteria that hold "for all frequencies" are such series. They are bounded between samples by
-#
-#     |f(theta) - f(t) - f'(t) (theta - t)| <= M (theta - t)^2 / 2,      M = sum_k k^2 |c_k|,
-#
-# so a sample decides for its neighbourhood, and where it cannot decide more samples are taken.
-# Series that are sums of the same few series are evaluated as such: ``weights @ basis``.
-
-Coefficients = Float64[np.ndarray, "batch term"]
-
-Values = Float64[np.ndarray, " batch"]
-
-_LARGEST_GAP = 1e-13  # of the sizes: how far the bound of a largest value may lie above it
-_AT_ONCE = 1 << 18  # cells, and terms at angles, that are held in memory
-
-
-class LargestValue(NamedTuple):
-    """A value that each series takes, its angle, and a proved upper bound of all values."""
-
-    value: Values
-    theta: Values
-    bound: Values
-
-
-def largest_value(
-    weights: Float64[np.ndarray, "batch part"], basis: Float64[np.ndarray, "part term"]
-) -> LargestValue:
-    """Return the largest values of series ``weights @ basis`` over [0, pi], by branch and bound.
-
-    The bound is above the value by at most 1e-13 of the sizes |weights| @ |basis|, summed, and the
-    rounding of the series.
-    """
-    cells = 4 * basis.shape[1]
-    rows = max(1, _AT_ONCE // cells)
-    parts = range(0, len(weights), rows)
-    answers = [_largest_value(weights[start : start + rows], basis, cells) for start in parts]
-    return joined(answers)
-
-
-def _largest_value(weights: np.ndarray, basis: np.ndarray, cells: int) -> LargestValue:
-    batch = len(weights)
-    order = np.arange(basis.shape[1])
-    curvature = np.abs(weights @ basis) @ order**2
-    sizes = np.abs(weights) @ np.abs(basis)
-    gap = _LARGEST_GAP * np.sum(sizes, axis=-1)
-    half = pi / (2 * cells)
-    owner = np.repeat(np.arange(batch), cells)
-    center = np.tile((2 * np.arange(cells) + 1) * half, batch)
-    best, angle = np.full(batch, -np.inf), np.zeros(batch)
-    while owner.size:
-        value, slope = _combined(weights, basis, owner, center)
-        climb = np.argsort(value)  # of equal owners the last one written stays
-        better = climb[value[climb] > best[owner[climb]]]
-        best[owner[better]], angle[owner[better]] = value[better], center[better]
-        above = value + np.abs(slope) * half + 0.5 * curvature[owner] * half**2
-        is_open = above > best[owner] + gap[owner]
-        half /= 2
-        owner = np.repeat(owner[is_open], 2)
-        center = (center[is_open, None] + np.array([-half, half])).ravel()
-    return LargestValue(best, angle, best + gap + _rounding(sizes, len(basis)))
-
-
-def _combined(
-    weights: np.ndarray, basis: np.ndarray, owner: np.ndarray, center: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return values and slopes of series at their centers, of which many have the same."""
-    angles, index = np.unique(center, return_inverse=True)
-    rows = max(1, _AT_ONCE // basis.shape[1])
-    order = np.arange(basis.shape[1])
-    table = np.empty((2, len(angles), len(basis)))
-    for start in range(0, len(angles), rows):
-        block = slice(start, start + rows)
-        phase = angles[block, None] * order
-        table[0, block] = np.cos(phase) @ basis.T
-        table[1, block] = np.sin(phase) @ (-order * basis).T
-    value, slope = np.einsum("kij,ij->ki", table[:, index], weights[owner])
-    return value, slope
-
-
-def _rounding(sizes: Coefficients, parts: int) -> Values:
-    """Bound the rounding error of a computed value: of the phases and of the sums."""
-    order = np.arange(sizes.shape[-1])
-    units = order * pi + len(order) + parts + 5
-    rounding: Values = EPS * (sizes @ units)
-    return rounding
-
-
 # Passive regions.
 
 Points = Float64[np.ndarray, "points 2"]
 
-Needs = Float64[np.ndarray, " points"]  # dampings
-
-_MARGIN = 1e-12  # by which an outline is pulled in, so that rounding does not spoil its proof
-_FIRST_DIRECTIONS = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 1.0]])  # two ends of an edge, beyond
-_CHUNK = 4096  # points tested at once
+_PER_TERM = 16  # angles of a series, for each of its terms
+_SECTIONS = 45  # of the interval of a largest value, by the golden ratio
+_AT_ONCE = 1 << 18  # needs that are held in memory
 
 
 @dataclass(frozen=True)
@@ -309,16 +219,26 @@ class PassiveRegion:
 
     def contains(self, alpha: Numbers, beta: Numbers) -> Bool[np.ndarray, "*grid"]:
         """True where (alpha, beta) is proved passive; each wall is tested anew."""
-        gains = (checked_gain("alpha", alpha), checked_gain("beta", beta))
+        gains = checked_gain("alpha", alpha), checked_gain("beta", beta)
         grid = np.stack(np.broadcast_arrays(*(np.asarray(g, np.float64) for g in gains)), axis=-1)
-        flat = grid.reshape(-1, 2)
-        inside = (flat[:, 0] >= 0.0) & (self.delta > 0.0)
-        for start in range(0, len(flat), _CHUNK):
-            chunk = slice(start, start + _CHUNK)
-            points = flat[chunk] / (self.delta or 1.0)
-            weights = _weights(points, np.ones(len(points)), self.delay)
-            inside[chunk] &= largest_value(weights, _basis(self.delay)).bound < 1
+        walls = grid.reshape(-1, 2)
+        inside = (walls[:, 0] >= 0.0) & (self.delta > 0.0)
+        # Some angle refutes most walls, and the polygon holds most others, for the set is convex.
+        inside[inside] = _most_needed(walls[inside], self.delay) <= self.delta
+        index = np.flatnonzero(inside)
+        for number in index[~self._holds(walls[index])].tolist():
+            own = walls[number].tolist()
+            inside[number] = is_passive(own[0], own[1], self.delta, self.delay)
         return inside.reshape(grid.shape[:-1])
+
+    def _holds(self, walls: Points) -> Bool[np.ndarray, " points"]:
+        """True well within the outline."""
+        holds = np.full(len(walls), len(self.outline) > 0)
+        for start, end in zip(self.outline, np.roll(self.outline, -1, axis=0), strict=True):
+            edge, away = end - start, walls - start
+            products = edge * away[:, ::-1] * [1.0, -1.0]
+            holds &= np.sum(products, axis=1) > 1e-14 * np.sum(np.abs(products), axis=1)
+        return holds
 
 
 def passive_region(
@@ -350,7 +270,8 @@ def passive_region(
     tolerance = checked_number("tolerance", tolerance, 1e-8)
     if delta == 0.0:
         return PassiveRegion(delta, delay, tolerance, np.zeros((0, 2)))
-    points = _boundary_points(_FIRST_DIRECTIONS, delay)
+    first = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 1.0]])  # the ends of an edge, and beyond it
+    points = _boundary_points(first, delay)
     is_open = np.ones(len(points) - 1, bool)
     while is_open.any():
         chords = np.flatnonzero(is_open)
@@ -362,61 +283,64 @@ def passive_region(
         indices = chords[bulges] + 1
         points = np.insert(points, indices, between[bulges], axis=0)
         is_open = np.insert(is_open, indices, True)
-    return PassiveRegion(delta, delay, tolerance, delta * points)
+    outline = [_pulled_in(vertex, delta, delay) for vertex in (delta * points).tolist()]
+    return PassiveRegion(delta, delay, tolerance, np.array(outline))
 
 
 def _boundary_points(directions: Points, delay: float) -> Points:
     """Return the boundary points of the region of delta = 1 in these directions from the origin."""
-    directions = directions / np.hypot(*directions.T)[:, None]
-    basis, fraction = _basis(delay), delay - floor(delay)
-    need = largest_value(directions, basis[:2]).value
-    if fraction:
-        need = np.maximum(need, 0.5 * sqrt(fraction * (1 - fraction)) * np.abs(directions[:, 0]))
-        need = _raised(need, directions, delay)
-    points: Points = directions / (need * (1 + _MARGIN))[:, None]
+    angles = _angles(delay)
+    seen = _needed(directions.T[:, :, None], angles, delay)
+    beside = np.pad(seen, ((0, 0), (1, 1)), constant_values=-np.inf)
+    owner, at = np.nonzero((seen >= beside[:, :-2]) & (seen >= beside[:, 2:]))
+    low, high = angles[np.maximum(at - 1, 0)], angles[np.minimum(at + 1, len(angles) - 1)]
+    own = directions[owner].T
+    for _ in range(_SECTIONS):
+        share = 0.381966 * (high - low)
+        is_left = _needed(own, low + share, delay) > _needed(own, high - share, delay)
+        low, high = np.where(is_left, low, low + share), np.where(is_left, high - share, high)
+    need = np.max(seen, axis=1)
+    np.maximum.at(need, owner, _needed(own, 0.5 * (low + high), delay))
+    points: Points = directions / need[:, None]
     return points
 
 
-def _raised(need: Needs, directions: Points, delay: float) -> Needs:
-    """Return the damping that all thetas need, from one that a theta needs."""
-    # Newton's method, from below on a convex function.
-    for _ in range(60):
-        theta = largest_value(_weights(directions, need, delay), _basis(delay)).theta
-        raised = np.maximum(need, _need_at(theta, directions, delay))
-        if np.all(raised <= need * (1 + 1e-15)):
-            return raised
-        need = raised
-    return need
+def _pulled_in(wall: list[float], delta: float, delay: float) -> list[float]:
+    """Return a wall that is proved passive, next to one of the boundary, towards no gains."""
+    share = 1e-12
+    while True:
+        alpha, beta = (gain * (1.0 - min(share, 1.0)) for gain in wall)
+        if is_passive(alpha, beta, delta, delay):
+            return [alpha, beta]
+        share *= 16.0
 
 
-def _need_at(theta: Float64[np.ndarray, " points"], directions: Points, delay: float) -> Needs:
-    fraction = delay - floor(delay)
-    series = directions @ _basis(delay)[:2]
-    real = np.sum(series * np.cos(theta[:, None] * np.arange(series.shape[-1])), axis=-1)
-    alpha, beta = directions.T
-    wall = alpha**2 + 4 * beta * (alpha + beta) * np.sin(theta / 2) ** 2
-    need: Needs = 0.5 * (real + np.sqrt(real**2 + fraction * (1 - fraction) * wall))
-    return need
+def _most_needed(walls: Points, delay: float) -> Float64[np.ndarray, " points"]:
+    """Return the largest damping that walls need at some angles."""
+    angles = _angles(delay)
+    parts = np.array_split(walls, 1 + len(walls) * angles.size // _AT_ONCE)
+    return np.concatenate(
+        [np.max(_needed(part.T[:, :, None], angles, delay), axis=1) for part in parts]
+    )
 
 
-def _basis(delay: float) -> Float64[np.ndarray, "4 term"]:
-    """Return R of alpha = 1 and of beta = 1, 1 and cos(theta), as cosine series."""
+def _angles(delay: float) -> Float64[np.ndarray, " angle"]:
+    return np.linspace(1e-12, pi, _PER_TERM * (floor(delay) + 2))
+
+
+def _needed(walls: Any, theta: np.ndarray, delay: float) -> np.ndarray:
+    """Return the damping that walls (alpha, beta) need at theta: the larger eigenvalue."""
     whole = floor(delay)
-    fraction = delay - whole
-    basis = np.zeros((4, whole + 3))
-    basis[0, : whole + 2] = [0.5, *[1.0] * whole, fraction]
-    basis[1, whole + 1 :] = fraction - 1.0, -fraction
-    basis[2, 0] = basis[3, 1] = 1.0
-    return basis
+    fraction, half, (alpha, beta) = delay - whole, 0.5 * theta, walls
 
+    def lagged(k: int) -> np.ndarray:
+        lag = np.sin((2 * k + 1) * half) / (2 * np.sin(half))
+        return alpha * lag - beta * np.cos((k + 1) * theta)
 
-def _weights(walls: Points, delta: Needs, delay: float) -> Float64[np.ndarray, "points 4"]:
-    """Return R + f (1 - f) |H|^2 / (4 delta) as sums of the basis."""
-    fraction = delay - floor(delay)
-    alpha, beta = walls.T
-    fold = fraction * (1 - fraction) / (4 * delta)
-    still, moving = (alpha + beta) ** 2 + beta**2, -2 * beta * (alpha + beta)
-    return np.stack([alpha, beta, fold * still, fold * moving], axis=-1)
+    real = (1 - fraction) * lagged(whole) + fraction * lagged(whole + 1)
+    wall = alpha**2 + 4 * beta * (alpha + beta) * np.sin(half) ** 2
+    need: np.ndarray = 0.5 * (real + np.sqrt(real**2 + fraction * (1 - fraction) * wall))
+    return need
 
 
 def _distance(point: Points, start: Points, end: Points) -> Float64[np.ndarray, " points"]:

@@ -41,7 +41,7 @@ from jaxstab.arrays import (
 )
 from jaxstab.conventions import Verdict
 from jaxstab.model import DoubleDouble
-from jaxstab.model.linear_loop import Affine, LinearLoop
+from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.rounding import SAFETY
 
 Number = TypeVar("Number", Array, DoubleDouble)
@@ -308,7 +308,7 @@ def dense_codes(
     The loop's numbers are float64 where alpha and beta are, or pairs. Its degree is told, for
     coefficients may be left out (``without_zeros``).
     """
-    ends = [_affine(end, alpha, beta, unit) for end in (loop.at_one, loop.at_minus_one)]
+    ends = [_end(end, alpha, beta, loop, unit) for end in (loop.at_one, loop.at_minus_one)]
     return polynomial_codes(*loop_coefficients(alpha, beta, loop, unit), ends, unit, degree)
 
 
@@ -409,25 +409,28 @@ def loop_coefficients(
     coefficients = tree_map(
         lambda *values: xp.stack([xp.broadcast_to(value, grid) for value in values]), *columns
     )
-    stiffness, damping = size(alpha), size(beta)
     sizes = [sum(map(size, row)) for row in loop[:3]]
-    # A rounding of each number of the loop, of each product and of each of two sums.
-    rounding = 4.0 * unit * (sizes[0] + stiffness * sizes[1] + damping * sizes[2])
-    inherited = loop.errors[0] + stiffness * loop.errors[1] + damping * loop.errors[2]
-    inherited = inherited + UNDERFLOW * (1.0 + stiffness + damping)
-    return coefficients, xp.broadcast_to(rounding + inherited, grid)
+    return coefficients, xp.broadcast_to(_rounding(alpha, beta, loop, sizes, unit), grid)
 
 
-def _affine(parts: Affine, alpha: Number, beta: Number, unit: float) -> tuple[Array, Array]:
+def _end(
+    parts: Sequence[Number], alpha: Number, beta: Number, loop: LinearLoop, unit: float
+) -> tuple[Array, Array]:
     """Return base + alpha stiffness + beta damping, and a bound of its error."""
-    base, stiff, damp = (row.value for row in parts)
+    base, stiff, damp = parts
     value = base + (stiff * alpha + damp * beta)
-    sizes = size(base) + size(stiff) * size(alpha) + size(damp) * size(beta)
-    errors = (
-        parts.base.error + parts.stiffness.error * size(alpha) + parts.damping.error * size(beta)
+    return leading(value), SAFETY * _rounding(alpha, beta, loop, list(map(size, parts)), unit)
+
+
+def _rounding(
+    alpha: Number, beta: Number, loop: LinearLoop, sizes: Sequence[Array], unit: float
+) -> Array:
+    """Bound the errors of base + alpha stiffness + beta damping, for the sizes of these."""
+    # A rounding of each number of the loop, of each product and of each of two sums.
+    base, stiff, damp = (
+        error + 4.0 * unit * one + UNDERFLOW for error, one in zip(loop.errors, sizes, strict=True)
     )
-    underflow = UNDERFLOW * (1.0 + size(alpha) + size(beta))
-    return leading(value), SAFETY * (errors + 4.0 * unit * sizes + underflow)
+    return base + size(alpha) * stiff + size(beta) * damp
 
 
 def _ends(coefficients: Any, width: int) -> tuple[Any, Any]:

@@ -134,8 +134,7 @@ def linear_verdict(alpha: Array, beta: Array, loop: LinearLoop) -> Int8[Array, "
         pairs = DoubleDouble.from_value(gains[0]), DoubleDouble.from_value(gains[1])
         with np.errstate(all="ignore"):
             codes.flat[block] = dense_codes(*pairs, chosen, unit=PAIR_UNIT, degree=degree)
-    base = loop.at_one.base
-    drifts = (alpha == 0.0) & (base.value.hi == 0.0) & (base.error == 0.0)  # p(1) is 0 exactly
+    drifts = (alpha == 0.0) & loop.is_free  # p(1) is 0 exactly
     codes[np.broadcast_to(drifts, codes.shape)] = Verdict.UNSTABLE
     return xp.asarray(codes)
 

@@ -31,7 +31,6 @@ import numpy as np
 from jaxtyping import Bool, Complex128, Float64
 
 from jaxstab.arrays import PI_REST, Array
-from jaxstab.exact.balls import FIRST_BITS
 from jaxstab.exact.boundary import (
     Around,
     CurveParts,
@@ -42,7 +41,7 @@ from jaxstab.exact.boundary import (
     root_lines,
     undamped_modes,
 )
-from jaxstab.model.device.parts import working_precision
+from jaxstab.model.device.parts import FIRST_BITS, working_precision
 
 _REMEMBERED = 64
 _TINY = 1e-100  # in place of the angle 0, where quotients have a limit

@@ -18,13 +18,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from jaxstab.arrays import PI_REST, Array, Numbers, namespace, repeat
-from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import ONE, Filters, Polynomial, Transfer
+from jaxstab.model.filters import Filters, Stage
 from jaxstab.region.closed_form import SliceCoefficients
-
-_ZERO = DoubleDouble(0.0, 0.0)
-
-Factor = tuple[Polynomial, Polynomial]  # numerator and denominator in 1/z, lowest power first
 
 OverSine = tuple[Array, Array]
 
@@ -50,15 +45,15 @@ class Responses(NamedTuple):
             return cls(np.array(1.0), np.zeros((2, 0, 2, 1)))
         velocity, position = filters
         samples, stages = velocity.stages()
-        both = [[_in_lags(stage) for stage in each] for each in (position.stages(), stages)]
+        both = position.stages(), stages
         longest = max([4, *(len(side) for chain in both for stage in chain for side in stage)])
         count = _power_of_two(max(2, *map(len, both))) if any(both) else 0
         power = _power_of_two(longest)
 
-        def filled(polynomial: Polynomial) -> list[Array]:
-            return [*(c.rounded() for c in polynomial), *[0.0] * (power - len(polynomial))]
+        def filled(side: tuple[Array, ...]) -> list[Array]:
+            return [*side, *[0.0] * (power - len(side))]
 
-        unit = ONE, ONE
+        unit = (1.0,), (1.0,)
         rows = [
             [[filled(side) for side in stage] for stage in (*chain, *[unit] * (count - len(chain)))]
             for chain in both
@@ -112,33 +107,21 @@ def _power_of_two(count: int) -> int:
 
 def responses_at(filters: Filters, z: Array) -> tuple[Array, Array]:
     """Return P and V at points on the circle, of NumPy or JAX, without a bound."""
-    values = []
-    for chain in factors_of(filters):
-        value = 1.0 + 0.0 * z
-        for above, below in chain:
-            value = value * _evaluated(above, 1.0 / z) / _evaluated(below, 1.0 / z)
-        values.append(value)
-    return values[0], values[1]
-
-
-def _evaluated(ascending: Polynomial, back: Array) -> Array:
-    return reduce(lambda value, c: value * back + float(c.rounded()), ascending[::-1], 0.0 * back)
-
-
-def factors_of(filters: Filters, sample_time: float = 1.0) -> tuple[list[Factor], list[Factor]]:
-    """Return short factors of P and of T V, whose first one is (1 - z^-n) / n."""
     velocity, position = filters
-    samples, stages = velocity.stages(sample_time)
-    weight = DoubleDouble.from_value(1.0) / float(samples)
-    over_window = (weight, *(_ZERO,) * (samples - 1), -weight)
-    of_velocity = [(over_window, ONE), *map(_in_lags, stages)]
-    return [_in_lags(stage) for stage in position.stages(sample_time)], of_velocity
+    samples, stages = velocity.stages()
+    back = 1.0 / z
+
+    def through(value: Array, chain: list[Stage]) -> Array:
+        for above, below in chain:
+            value = value * _evaluated(above, back) / _evaluated(below, back)
+        return value
+
+    one = 1.0 + 0.0 * z
+    return through(one, position.stages()), through((one - back**samples) / samples, stages)
 
 
-def _in_lags(transfer: Transfer) -> Factor:
-    """Return numerator and denominator in powers of 1/z."""
-    above, below, lag = transfer[:3]
-    return (_ZERO,) * (lag + len(below) - len(above)) + above, below
+def _evaluated(side: tuple[Array, ...], back: Array) -> Array:
+    return reduce(lambda value, c: value * back + c, side[::-1], 0.0 * back)
 
 
 # g is continuous in all six variables, in the delay too. Re g and Im g / sin(theta) are even and 2

@@ -23,11 +23,11 @@ from jaxtyping import Float64
 
 from jaxstab.arrays import Numbers, is_traced
 from jaxstab.conventions import Verdict
-from jaxstab.exact.balls import FIRST_BITS
 from jaxstab.exact.boundary import ScaledLoop
 from jaxstab.exact.line import End, LineStatus, StableLine, stable_line
 from jaxstab.exact.verdict import wall_verdict
 from jaxstab.model import LoopParameters
+from jaxstab.model.device.parts import FIRST_BITS
 from jaxstab.model.filters import Filter, Velocity, as_keywords, known_filters
 from jaxstab.model.loop import refuses_loops
 from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT, LONGEST_DELAY

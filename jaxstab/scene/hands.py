@@ -5,6 +5,7 @@ Hands are tried: what one of them contradicts is proved. For all others a proof 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import isfinite, isnan, nan
 from typing import Any, NamedTuple
 
@@ -12,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxstab.conventions import Verdict
+from jaxstab.exact import wall_verdict
 from jaxstab.loop import Gains, HapticLoop
+from jaxstab.model.balls import ball_triple
 from jaxstab.model.device.parts import MassSpringDamper, Modes
-from jaxstab.model.linear_loop import loop_without_drift
-from jaxstab.point.verdicts import linear_verdict
 from jaxstab.scene.answers import (
     Answer,
     Damping,
@@ -143,8 +144,8 @@ def verdict_with_drift(loop: HapticLoop, wall: Gains) -> Verdict | str | None:
     """Return the verdict on a damper without a spring on a free device; None for another wall."""
     if wall.stiffness != 0.0 or loop.held_device.static_stiffness() != 0.0:
         return None
-    beta = np.float64(loop.beta(wall.damping))
-    code = Verdict(int(linear_verdict(np.float64(0.0), beta, loop_without_drift(loop.linear))))
+    triple = partial(ball_triple, loop)
+    code = wall_verdict(triple, 0.0, wall.damping, may_drift=True).verdict
     return BUT_FOR_DRIFT if code == Verdict.STABLE else code
 
 

@@ -446,7 +446,7 @@ class Controller(Table):
             if made is not None:
                 filter_ = made.filter if isinstance(made, Velocity) else made
                 try:
-                    filter_.transfer(self.sample_time)
+                    filter_.checked(self.sample_time)
                 except ValueError as error:
                     raise ValueError(f"{name}.{error}") from None
 

@@ -58,10 +58,6 @@ from jaxstab.tuning import TuningStatus
 # between them are tried, and the slowest of those joins the corners. What is printed is the slowest
 # of all.
 
-_BETWEEN = 100  # loops between the corners that are tried
-_ROUNDS = 3  # in which the slowest of them joins the corners
-_SEED = 20081120
-
 
 @dataclass(frozen=True)
 class SlowestLoop(Answer):
@@ -105,7 +101,7 @@ def tune_over_ranges(scene: Scene, fastest: Gains | None) -> WallOverRanges | No
     loops = [loop_of_member(scene, member) for member in corners]
     among = [*corners, *_between(ranges)]
     every = [*loops, *(loop_of_member(scene, member) for member in among[len(corners) :])]
-    for _ in range(_ROUNDS):
+    for _ in range(3):  # rounds, in which the slowest of them joins the corners
         wall = tune_for_all(loops)
         if wall.status == TuningStatus.NO_STABLE_GAINS:
             words = "no wall was found that settles in all of these loops"
@@ -139,8 +135,8 @@ def _are_stable(loops: list[HapticLoop], gains: tuple[float, ...]) -> Iterator[b
 
 def _between(ranges: list[tuple[float, float]]) -> list[Member]:
     """Return random members, and the one in the middle; stiffness evenly in frequency."""
-    rng = np.random.default_rng(_SEED)
-    shares = np.concatenate([np.full((1, len(ranges)), 0.5), rng.random((_BETWEEN, len(ranges)))])
+    rng = np.random.default_rng(20081120)
+    shares = np.concatenate([np.full((1, len(ranges)), 0.5), rng.random((100, len(ranges)))])
     low, high = np.array(ranges).T
     values = low + shares * (high - low)
     roots = sqrt(low[2]) + shares[:, 2] * (sqrt(high[2]) - sqrt(low[2]))
@@ -149,8 +145,6 @@ def _between(ranges: list[tuple[float, float]]) -> list[Member]:
 
 
 Tuning = TypeVar("Tuning", bound="TunedWall")
-
-_ROUNDED = 1e-4  # of a limit, for gains are rounded
 
 
 @dataclass(frozen=True)
@@ -248,7 +242,7 @@ def _best(
     stiffness: float | None = None,
 ) -> BestWall:
     chatter = scene.wanted.chatter
-    limit = None if chatter is None else chatter * (1.0 - _ROUNDED)
+    limit = None if chatter is None else chatter * (1.0 - 1e-4)  # for gains are rounded
     encoder = None if scene.device.encoder is None else scene.device.encoder.resolution
     best = loop.tune(goal, stiffness=stiffness, encoder=encoder, chatter=limit)
     if best.status in (TuningStatus.NO_STABLE_GAINS, TuningStatus.NOT_CALM):
@@ -283,10 +277,7 @@ def _tuned(kind: type[Tuning], loop: HapticLoop, gains: Gains, encoder: float | 
 
 # The largest sample time and the largest delay that allow a wanted stiffness.
 
-_AGREEMENT = 1e-8  # relative, of a designed sample time or delay
 _MOST_SAMPLES = 256.0  # of delay that are tried
-_FACTOR = 1024.0  # by which the sample times that are tried are longer or shorter
-_NO_DELAY = 1e-3  # samples: less than this is tried as none at first
 _AROUND, _POINTS = (0.6, 1.6), 33  # of a picture: shares of its shortest and longest value
 
 Floats = NDArray[np.float64]
@@ -352,8 +343,8 @@ def design_loop(scene: Scene) -> Design:
     sampled, delayed = partial(sampled_loop, scene), partial(delayed_loop, scene)
     period, velocity = loop.sample_time, scene.controller.velocity
     window = velocity.window if velocity else None
-    shortest = max(period / _FACTOR, loop.delay / _MOST_SAMPLES if in_samples is None else 0.0)
-    longest = min(_FACTOR * period, velocity.longest_sample_time if velocity else inf)
+    shortest = max(period / 1024.0, loop.delay / _MOST_SAMPLES if in_samples is None else 0.0)
+    longest = min(1024.0 * period, velocity.longest_sample_time if velocity else inf)
     if window is None:
         largest_period = _largest(sampled, required, period, shortest, longest)
     else:
@@ -425,11 +416,11 @@ def _largest(
         return max(-1.0, _stiffest(loop_at(value)).stiffness / wanted - 1.0)
 
     low = high = start
+    least = 1e-3 * start  # of a delay: less than this is tried as none at first
     while spare(high) >= 0.0 and high < highest:
         low, high = high, min(2.0 * high, highest)
     while spare(low) < 0.0 and low > lowest:
-        half = 0.5 * low
-        low, high = half if half > max(lowest, _NO_DELAY * start) else lowest, low
+        low, high = 0.5 * low if 0.5 * low > max(lowest, least) else lowest, low
     if spare(low) < 0.0:
         return nan, None, DesignStatus.NONE
     largest, status = high, DesignStatus.LONGEST_TRIED
@@ -438,8 +429,7 @@ def _largest(
             root = float(
                 bracketed_root(lambda x: np.array(spare(float(x))), np.array(low), np.array(high))
             )
-        aside = _AGREEMENT * max(root, _NO_DELAY * start)
-        largest, status = max(low, root - aside), DesignStatus.FOUND
+        largest, status = max(low, root - 1e-8 * max(root, least)), DesignStatus.FOUND
     return largest, _stiffest(loop_at(largest)).damping, status
 
 

@@ -21,19 +21,14 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from jaxstab.model.device.device import Device
-from jaxstab.model.device.parts import balls_of, exact, turn, working_precision
-from jaxstab.model.device.sampling import are_known, in_fastest_time, in_samples
+from jaxstab.model.device.parts import balls_of, decided, exact, turn, working_precision
+from jaxstab.model.device.sampling import in_fastest_time, in_samples
 from jaxstab.rounding import RAISED
 
 if TYPE_CHECKING:
     from flint import arb, arb_mat
 
-_FIRST_BITS, _MOST_BITS = 256, 1 << 14
-_WANTED_BITS = 64  # of each entry
-_HANDLE_BITS = 1024  # of the equations at the handle
-_NOTHING = 2.0**-200  # of the largest entry: one that small may be 0
-
-Rows = Float64[np.ndarray, "offset state column"]
+_MOST_BITS = 1 << 14
 
 
 class Starts(NamedTuple):
@@ -62,7 +57,7 @@ class Mechanics(NamedTuple):
         it so.
     """
 
-    rows: Rows
+    rows: Float64[np.ndarray, "offset state column"]
     seen: Float64[np.ndarray, "offset 2 column"]
     starts: Starts
     thrown: Float64[np.ndarray, " state"] | None
@@ -73,31 +68,27 @@ def mechanics(
     device: Device, sample_time: float, fraction: float, offsets: tuple[float, ...]
 ) -> Mechanics:
     """The motion of a device at times in [0, 1] after a sample, for a fraction of the delay."""
-    import flint
 
-    bits = _FIRST_BITS
-    while True:
-        with working_precision(bits):
-            above, below = in_samples(device.handle_compliance(), sample_time)
-            matrix = equations(device, above, below, sample_time)
-            rows = [_held(matrix, fraction, offset) for offset in offsets]
-            if all(map(_are_known, rows)) or bits >= _MOST_BITS:
-                break
-        bits *= 2
-    with working_precision(bits):
+    def asked() -> tuple[list["arb"], list["arb"], "arb_mat", list["arb_mat"]]:
+        above, below = in_samples(device.handle_compliance(), sample_time)
         if not above[0] != 0:
             raise ValueError(
                 "the device has zero DC gain: its transfer function in s is 0 at s = 0; give one "
                 "that moves under a constant force."
             )
-        order, size = len(below) - 1, matrix.ncols() - 2
-        give = below[0] / above[0]
-        resting = [flint.arb(1)]
-        for power in range(order - 1, 0, -1):
-            resting.append(below[power] - give * above[power])
-        at_rest = np.array([*map(_float, resting), *[0.0] * (size - order)])
-        blow = np.array([*map(_float, above[::-1]), *[0.0] * (size - order)])
-        velocity = np.array([_float(matrix[0, column]) for column in range(size + 2)])
+        give, order = below[0] / above[0], len(below) - 1
+        resting = [below[power] - give * above[power] for power in range(order - 1, 0, -1)]
+        matrix = equations(device, above, below, sample_time)
+        return above, resting, matrix, [_held(matrix, fraction, offset) for offset in offsets]
+
+    above, resting, matrix, rows = decided(
+        asked, most=_MOST_BITS, is_answered=lambda found: all(map(_are_known, found[-1]))
+    )
+    order, size = len(above), matrix.ncols() - 2
+    forces = [0.0] * (size - order)
+    at_rest = np.array([1.0, *map(_float, resting), *forces])
+    blow = np.array([*map(_float, above[::-1]), *forces])
+    velocity = np.array([_float(matrix[0, column]) for column in range(size + 2)])
     values = np.array(list(map(_floats, rows)))
     early = (np.array(offsets) < fraction)[:, None]
     acting = velocity[size] * np.where(early, [1.0, 0.0], [0.0, 1.0])
@@ -162,7 +153,7 @@ def handle_equations(device: Device, sample_time: float) -> HandleEquations:
     """Return the equations of a device at its handle; ValueError if no mass is there."""
     import flint
 
-    with working_precision(_HANDLE_BITS):
+    with working_precision(1024):
         of_samples = in_samples(device.handle_compliance(), sample_time)
         turns = (2.0 * pi * width * sample_time for width in device.bandwidths)
         fastest = max(float(in_fastest_time(*of_samples)[2]), *turns, 1.0)
@@ -204,7 +195,10 @@ def _held(matrix: "arb_mat", fraction: float, offset: float) -> "arb_mat":
 
 
 def _are_known(matrix: "arb_mat") -> bool:
-    return are_known(matrix.entries(), _WANTED_BITS, _NOTHING)
+    """Whether each entry is known to 64 bits, or next to 0 compared with the largest of them."""
+    balls = matrix.entries()
+    least = max((ball.abs_lower() for ball in balls), key=float, default=0.0) * 2.0**-200
+    return all(ball.rel_accuracy_bits() >= 64 or ball.abs_upper() <= least for ball in balls)
 
 
 def _float(ball: "arb") -> float:
@@ -217,8 +211,6 @@ def _float(ball: "arb") -> float:
 # and their second derivatives are known at the ends of pieces of the sample, and their fourth
 # derivatives are bounded within the pieces. The effect of a blow at the handle on later states is
 # known likewise.
-
-_MOST_PIECES = 24  # of a sample
 
 
 class Between(NamedTuple):
@@ -255,24 +247,22 @@ class Between(NamedTuple):
 @lru_cache(maxsize=32)
 def between_samples(device: Device, sample_time: float, fraction: float) -> Between:
     """The motion of a device within a sample, for a fraction of the delay."""
-    bits = _FIRST_BITS
-    while True:
-        with working_precision(bits):
-            above, below = in_samples(device.handle_compliance(), sample_time)
-            matrix = equations(device, above, below, sample_time)
-            rates = [
-                in_fastest_time(above, below)[2],
-                *(-matrix[k, k] for k in range(len(above), matrix.ncols() - 2)),
-            ]
-            motion = _Motion(matrix, fraction)
-            pieces = motion.pieces(max(map(float, rates)))
-            rows = [
-                [motion.rows(start, is_late), motion.rows(end % 1.0, is_late and end < 1.0)]
-                for start, end, is_late in pieces
-            ]
-            if all(_are_known(block) for pair in rows for block in pair) or bits >= _MOST_BITS:
-                return _rounded(motion, pieces, rows)
-        bits *= 2
+
+    def asked() -> tuple[bool, Between]:
+        above, below = in_samples(device.handle_compliance(), sample_time)
+        matrix = equations(device, above, below, sample_time)
+        actuators = range(len(above), matrix.ncols() - 2)
+        rates = [in_fastest_time(above, below)[2], *(-matrix[k, k] for k in actuators)]
+        motion = _Motion(matrix, fraction)
+        pieces = motion.pieces(max(map(float, rates)))
+        rows = [
+            [motion.rows(start, is_late), motion.rows(end % 1.0, is_late and end < 1.0)]
+            for start, end, is_late in pieces
+        ]
+        is_known = all(_are_known(block) for pair in rows for block in pair)
+        return is_known, _rounded(motion, pieces, rows)
+
+    return decided(asked, most=_MOST_BITS, is_answered=lambda found: found[0])[1]
 
 
 class _Motion(NamedTuple):
@@ -287,7 +277,7 @@ class _Motion(NamedTuple):
 
     def pieces(self, speed: float) -> list[tuple[float, float, bool]]:
         """Return the ends of pieces, and whether the force has changed by then."""
-        count = min(speed, _MOST_PIECES)
+        count = min(speed, 24.0)
         parts = [(0.0, self.fraction, False), (self.fraction, 1.0, True)]
         pieces = []
         for start, end, is_late in parts:

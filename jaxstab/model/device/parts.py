@@ -7,12 +7,12 @@ it is unstable. ``balls_of`` evaluates the coefficients of such a polynomial in 
 precision. python-flint is imported only where such polynomials are needed.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from threading import RLock
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from flint import arb, fmpq, fmpq_mpoly, fmpq_mpoly_ctx
 
 _PRECISION = RLock()
+FIRST_BITS, MOST_BITS = 192, 192 << 4  # of the balls in which questions are asked
+Answer = TypeVar("Answer")
 
 
 @contextmanager
@@ -35,6 +37,27 @@ def working_precision(bits: int) -> Iterator[None]:
 
     with _PRECISION, flint.ctx.workprec(bits):
         yield
+
+
+def decided(
+    question: Callable[[], Answer],
+    most: int = MOST_BITS,
+    first: int = FIRST_BITS,
+    is_answered: Callable[[Answer], bool] = lambda answer: answer is not None,
+) -> Answer:
+    """Ask with twice the bits again and again until it is answered, with the most bits at last.
+
+    A ball is a midpoint and a radius; every operation returns a ball that holds all results for all
+    numbers of its arguments (F. Johansson, Arb, 2017). So what is true of balls is true of the
+    numbers, at any precision, and no rounding errors are estimated by hand.
+    """
+    bits = first
+    while True:
+        with working_precision(bits):
+            answer = question()
+        if bits >= most or is_answered(answer):
+            return answer
+        bits *= 2
 
 
 class Rational(NamedTuple):

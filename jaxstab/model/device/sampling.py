@@ -1,4 +1,4 @@
-"""A device behind a zero-order hold and a delay: N(z) and D(z) in pairs, with proved bounds.
+"""A device behind a zero-order hold and a delay: N(z) and D(z) in balls of any precision.
 
 In time units of the sampling period T position over force is n(s)/d(s), d monic. With its companion
 form (A, B, C), exp of [[A, B], [0, 0]] over 1 - f and over f, in balls of python-flint, is how the
@@ -6,77 +6,54 @@ state moves and what a held force adds to it, and so
 
     G(z) = z^-w N(z) / D(z),     D(z) = det(z - exp(A))
 
-(lemma V10 of docs/proofs.md). The precision is raised until all coefficients, in powers of z, of
-z - 1 and of z + 1, are known to more digits than pairs of float64 have.
-
-The last section bounds what forces do that arrive late (``late_cosines``).
+(lemma V10 of docs/proofs.md). The last section bounds what forces do that arrive late
+(``late_cosines``).
 """
 
 from dataclasses import dataclass
 from functools import lru_cache
-from math import ceil, floor, inf, isfinite, ldexp, log2, nextafter
+from math import ceil, floor, ldexp, log2
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from jaxstab.model.device.device import Device
-from jaxstab.model.device.parts import Rational, balls_of, exact, working_precision
-from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import NO_FILTERS, Filters, Polynomial, Transfer
-from jaxstab.model.linear_loop import Bounded, LinearLoop, SampledPlant, linear_loop
+from jaxstab.model.device.parts import Rational, balls_of, decided, exact
 from jaxstab.model.parameters import LONGEST_DELAY
 from jaxstab.numbers import checked_number
-from jaxstab.rounding import RAISED_FEW
 
 if TYPE_CHECKING:
     from flint import arb, arb_poly, fmpq
 
 Ball = Any  # of python-flint
 Matrix = Any  # of such balls
-_FIRST_BITS, _MOST_BITS = 256, 1 << 12
-_WANTED_BITS = 112  # of each coefficient: pairs have 107
-_NOTHING = 2.0**-400  # of the size of all: a coefficient that small may be 0
 _MOST_BINARY_DIGITS = 900  # of a unit: products of numbers in it are float64 still
 _FASTEST = 14  # power of two: poles per sampling period
 
 
 @dataclass(frozen=True)
 class SampledDevice:
-    """A device as a sampled controller meets it, for gains in powers of two of SI units.
+    """A device as a sampled controller meets it, and units for the gains of its walls.
 
     Attributes:
-        plant: N(z) and D(z), of one number each; N is what alpha multiplies.
-        sample_time: T in s.
-        stiffness_unit: a power of two in m/N: alpha is K stiffness_unit, without rounding.
-        damping_unit: a power of two in m/(N s): beta is B damping_unit, without rounding.
         device: with its hands and actuators.
+        sample_time: T in s.
         delay: in samples.
+        stiffness_unit: in m/N: alpha is K stiffness_unit.
+        damping_unit: in m/(N s): beta is B damping_unit.
     """
 
-    plant: SampledPlant
+    device: Device
     sample_time: float
+    delay: float
     stiffness_unit: float
     damping_unit: float
-    device: Device
-    delay: float
-
-    def transfers(self, filters: Filters | None = None) -> tuple[Transfer, Transfer]:
-        """The arguments of ``linear_loop``: V(z), for beta, less its difference, and P(z).
-
-        Without filters that is the difference over one sample.
-        """
-        velocity, position = filters or NO_FILTERS
-        estimator = velocity.filter.transfer(self.sample_time)
-        unit = DoubleDouble.from_value(
-            self.stiffness_unit / self.damping_unit
-        )  # the power of two next to T
-        return estimator.scaled(unit / self.sample_time), position.transfer(self.sample_time)
-
-    def loop(self, filters: Filters | None = None) -> LinearLoop:
-        """Return p(z) as base + alpha stiffness + beta damping; see ``transfers``."""
-        return linear_loop(self.plant, *self.transfers(filters))
 
 
+@lru_cache(maxsize=512)
 def sampled_device(device: Device, sample_time: float, delay: float) -> SampledDevice:
-    """A device, with its hands and actuators, behind a zero-order hold and a delay in samples.
+    """A device behind a hold and a delay in samples; its units are powers of two.
+
+    alpha and beta are without rounding: their units are next to the sum of the moduli of the
+    coefficients of N, and to that over T.
 
     Raises: see ``jaxstab.conventions``, the range of the delay being [0, 500]; ValueError also if
     the device moves by more or less within a sample than float64 can say.
@@ -84,64 +61,20 @@ def sampled_device(device: Device, sample_time: float, delay: float) -> SampledD
     Source: the modified z-transform; Van Loan (1978) for the exponential.
     """
     period = checked_number("sample_time", sample_time, 0.0, is_open=True, unit="s")
-    return _sampled(
-        device, period, checked_number("delay", delay, 0.0, LONGEST_DELAY, unit="samples")
-    )
-
-
-class _Balls(NamedTuple):
-    """N(z) and D(z) in balls, and the same in powers of z - 1 and of z + 1."""
-
-    straight: "tuple[arb_poly, arb_poly]"
-    about_one: "tuple[arb_poly, arb_poly]"
-    about_minus_one: "tuple[arb_poly, arb_poly]"
-
-    @property
-    def are_known(self) -> bool:
-        """Whether each coefficient is known to the digits that are wanted, or next to 0."""
-        return all(is_known(polynomial) for pair in self for polynomial in pair)
-
-
-@lru_cache(maxsize=512)
-def _sampled(device: Device, sample_time: float, delay: float) -> SampledDevice:
+    delay = checked_number("delay", delay, 0.0, LONGEST_DELAY, unit="samples")
     import flint
 
-    whole, fraction = divmod(delay, 1.0)
-    bits = _FIRST_BITS
-    while True:
-        with working_precision(bits):
-            balls = _balls(device.compliance(), sample_time, fraction)
-            if balls.are_known or bits >= _MOST_BITS:
-                unit = _binary_digits(sum(map(abs, balls.straight[0].coeffs()), flint.arb(0)))
-                plant = _rounded(balls, unit, lag=int(whole) + (fraction > 0.0))
-                break
-        bits *= 2
-    period = _binary_digits(flint.arb(sample_time))
-    numbers = [pair.hi for pair in (*plant.numerator, *plant.denominator)] + [*plant.errors]
-    is_finite = all(map(isfinite, numbers))
-    if max(abs(unit), abs(unit - period)) > _MOST_BINARY_DIGITS or not is_finite:
+    def size() -> Ball:
+        return sum(map(abs, one_sample(device, period).whole.coeffs()), flint.arb(0))
+
+    unit = _binary_digits(decided(size, is_answered=lambda ball: ball.rel_accuracy_bits() > 1))
+    in_time = unit - _binary_digits(flint.arb(period))
+    if max(abs(unit), abs(in_time)) > _MOST_BINARY_DIGITS:
         raise ValueError(
             f"the device ({device}) moves by about 2^{unit} m per N within a sampling period of "
             f"{sample_time:g} s; give SI units, and no pole so unstable that float64 overflows."
         )
-    units = ldexp(1.0, unit), ldexp(1.0, unit - period)
-    return SampledDevice(plant, sample_time, *units, device, delay)
-
-
-def _balls(compliance: Rational, sample_time: float, fraction: float) -> _Balls:
-    import flint
-
-    above, below = in_samples(compliance, sample_time)
-    late = flint.arb(exact(fraction)) if fraction else None
-    numerator, denominator = OneSample.from_compliance(above, below).of_samples(late)
-    zeros = next(power for power in range(len(below)) if below[power] != 0)
-    zeros_above = 1 if above[0] == 0 else 0
-    plus, minus = flint.arb_poly([1, 1]), flint.arb_poly([-1, 1])
-    return _Balls(
-        (numerator, denominator),
-        (_without(numerator(plus), zeros_above), _without(denominator(plus), zeros)),
-        (numerator(minus), denominator(minus)),
-    )
+    return SampledDevice(device, period, delay, ldexp(1.0, unit), ldexp(1.0, in_time))
 
 
 def in_samples(compliance: Rational, sample_time: float) -> tuple[list["arb"], list["arb"]]:
@@ -176,6 +109,22 @@ def _speed(below: list[Ball]) -> int:
     degree = len(below) - 1
     sizes = [(degree - k, c) for k, c in enumerate(below[:-1]) if c != 0]
     return max((_binary_digits(c) // root for root, c in sizes), default=0)
+
+
+def one_sample(device: Device, sample_time: float) -> "OneSample":
+    """What a device does within a sample, in balls of the precision that is set.
+
+    Raises: as ``in_samples``.
+    """
+    import flint
+
+    return _one_sample(device, sample_time, flint.ctx.prec)
+
+
+@lru_cache(maxsize=64)
+def _one_sample(device: Device, sample_time: float, bits: int) -> "OneSample":
+    del bits  # the precision is set: here it only tells balls apart
+    return OneSample.from_compliance(*in_samples(device.compliance(), sample_time))
 
 
 class OneSample(NamedTuple):
@@ -285,83 +234,10 @@ def _matrix(rows: list[list[Any]]) -> Any:
     return flint.arb_mat(rows)
 
 
-def _without(polynomial: "arb_poly", zeros: int) -> "arb_poly":
-    """Return a polynomial of which that many of the lowest coefficients are known to be 0."""
-    import flint
-
-    return flint.arb_poly([flint.arb(0)] * zeros + polynomial.coeffs()[zeros:])
-
-
-def is_known(polynomial: "arb_poly") -> bool:
-    """Whether each coefficient is known to the digits that are wanted, or next to 0."""
-    return are_known(polynomial.coeffs(), _WANTED_BITS, _NOTHING)
-
-
-def are_known(balls: "list[arb]", bits: int, nothing: float) -> bool:
-    """Whether balls have this many bits, or are next to 0 compared with the largest of them."""
-    least = max((ball.abs_lower() for ball in balls), key=float, default=0.0) * nothing
-    return all(ball.rel_accuracy_bits() >= bits or ball.abs_upper() <= least for ball in balls)
-
-
 def _binary_digits(ball: Ball) -> int:
     """Return the exponent of a power of two that is at most twice or half as large."""
     mantissa, exponent = abs(ball).mid().man_exp()
     return int(exponent) + int(abs(mantissa)).bit_length() - 1
-
-
-# -------------------------------------------------------------------------------------- rounding
-
-
-def _rounded(balls: _Balls, unit: int, lag: int) -> SampledPlant:
-    import flint
-
-    scale = flint.arb(2) ** -unit
-    straight, about_one, about_minus_one = (
-        ([bounded(c * scale) for c in _falling(n)], [bounded(c) for c in _falling(d)])
-        for n, d in balls
-    )
-    return SampledPlant(
-        numerator=_values(straight[0]),
-        denominator=_values(straight[1]),
-        lag=lag,
-        errors=(_errors(straight[0]), _errors(straight[1])),
-        at_one=(about_one[0][-1], about_one[1][-1]),
-        at_minus_one=(about_minus_one[0][-1], about_minus_one[1][-1]),
-        shifted=(
-            _values(about_one[0]),
-            _values(about_one[1]),
-            _turned(_values(about_minus_one[0])),
-            _turned(_values(about_minus_one[1])),
-        ),
-    )
-
-
-def bounded(ball: "arb") -> Bounded:
-    """Return the nearest pair of float64, and a bound of its distance from all of a ball."""
-    high = float(ball.mid())
-    low = float((ball - high).mid()) if isfinite(high) else 0.0
-    total = high + low
-    rest = ball - high - low
-    error = 0.0 if rest == 0 else nextafter(float(rest.abs_upper()) * RAISED_FEW, inf)
-    return Bounded(DoubleDouble(total, low - (total - high)), error)
-
-
-def _falling(polynomial: "arb_poly") -> list["arb"]:
-    return polynomial.coeffs()[::-1]
-
-
-def _values(coefficients: list[Bounded]) -> Polynomial:
-    return tuple(coefficient.value for coefficient in coefficients)
-
-
-def _errors(coefficients: list[Bounded]) -> float:
-    return sum(coefficient.error for coefficient in coefficients) * RAISED_FEW
-
-
-def _turned(falling: Polynomial) -> Polynomial:
-    """Return the coefficients in powers of -z - 1 by those in powers of z + 1."""
-    degree = len(falling) - 1
-    return tuple(-c if (degree - k) % 2 else c for k, c in enumerate(falling))
 
 
 # How strongly a force whose changes arrive late moves the samples of a device.
