@@ -24,7 +24,7 @@ from jaxstab.pictures.study import study_figure
 from jaxstab.results import RegionStatus
 from jaxstab.scene import Scene, loop_of
 from jaxstab.scene import study as studies
-from jaxstab.scene.draws import distribution_of, draws_of
+from jaxstab.scene.draws import distribution_of, draws_of, values_of
 
 LOOP = HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3, delay=1e-3)
 WALLS = {"soft": (1000.0, 10.0), "stiff": (30000.0, 30.0)}
@@ -118,6 +118,12 @@ def test_a_loop_varies_by_its_fields_and_estimators() -> None:
             np.testing.assert_array_equal(
                 row.verdict, own.verdict(*np.transpose([*WALLS.values()]))
             )
+
+
+def test_lists_as_texts_are_lists() -> None:
+    for given in ("0.1:0.3:3", "0.1,0.2,0.3", (0.1, 0.3, 3), [0.1, 0.2, 0.3]):
+        assert values_of("device.mass", given).tolist() == [0.1, 0.2, 0.3]
+    assert values_of("controller.velocity.kind", "butterworth,first") == ["butterworth", "first"]
 
 
 def test_the_delay_of_a_loop_varies_in_one_unit() -> None:

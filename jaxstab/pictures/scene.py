@@ -53,7 +53,6 @@ from jaxstab.scene.answers import (
 )
 from jaxstab.scene.check import Check, WallCheck, check_walls
 from jaxstab.scene.contact import (
-    MAP_COUNT,
     Contacts,
     contact_loop,
     simulated_map,
@@ -595,7 +594,7 @@ _FAINTEST, _STRONGEST = 1e-3, 100.0  # mm, of the colours
 def scene_contacts(scene: Scene) -> Figure:
     """Return the map of simulated contacts of a scene, from its own start, and its walls."""
     loop, gains, units = contact_loop(scene), walls_of(scene), scene.units
-    walls = walls_around(loop, MAP_COUNT, gains.values())
+    walls = walls_around(loop, 60, gains.values())  # along each axis
     friction = Quantity("N").words(scene.device.friction, units)
     title = f"friction {friction}, {start_in_words(scene, *scene.start)}"
     return contact_figure(loop, walls, {title: simulated_map(scene, *walls)}, gains, units)

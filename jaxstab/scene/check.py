@@ -53,7 +53,6 @@ from jaxstab.scene.loops import (
 )
 from jaxstab.scene.scene import Scene
 
-LargestNumber = Annotated[float, Quantity(rounding=ROUND_FLOOR)]
 Amplitude = Annotated[float, Quantity("m", 3, ROUND_CEILING, "not proved")]
 SettlingTime = Annotated[float, Quantity("s", infinite="never")]
 SpareTime = Annotated[float, Quantity("s", 4, ROUND_FLOOR, "any")]
@@ -89,7 +88,7 @@ class Distance(Answer):
     is_part = True
     absent = "not known"
 
-    distance_to_boundary: LargestNumber
+    distance_to_boundary: Annotated[float, Quantity(rounding=ROUND_FLOOR)]
     distance_is: str | None
 
 

@@ -23,8 +23,6 @@ from jaxstab.scene.scene import Scene
 if TYPE_CHECKING:
     from xarray import Dataset
 
-_PHASES = 0.0, 0.25, 0.5, 0.75
-MAP_COUNT = 60  # walls along each axis of a map
 
 Floats = Float64[np.ndarray, " _"]
 
@@ -128,9 +126,7 @@ def simulated_map(scene: Scene, stiffness: Any, damping: Any, **start: Any) -> C
     return contact_map(contact_loop(scene), stiffness, damping, **{**_conditions(scene), **start})
 
 
-def map_contacts(
-    scene: Scene, count: int = MAP_COUNT, friction: list[float] | None = None
-) -> "Dataset":
+def map_contacts(scene: Scene, count: int, friction: list[float] | None = None) -> "Dataset":
     """Return a map of walls around the stable ones, from the scene's own start, not yet computed.
 
     ``friction``, in the unit of the scene's force, is a dimension of the table if it is given.
@@ -192,7 +188,7 @@ def _starts(scene: Scene) -> list[tuple[float, float, float]]:
     """Return pushes, speeds and phases of the encoder to try."""
     push, speed = scene.start
     pairs = dict.fromkeys([(push, 0.0), (0.0, speed), (push, speed)])
-    phases = _PHASES if scene.device.encoder else (0.0,)
+    phases = (0.0, 0.25, 0.5, 0.75) if scene.device.encoder else (0.0,)
     return [(*pair, phase) for pair in pairs if any(pair) for phase in phases]
 
 

@@ -20,8 +20,6 @@ from jaxstab.tables import columns_of
 
 Values = list[Any] | NDArray[Any]
 Draws = Float64[np.ndarray, " draw"]
-_MOST_VALUES = 100_000  # of a list between two ends
-_FORMS = "normal:MEAN:DEVIATION, uniform:LOW:HIGH, lognormal:MEDIAN:FACTOR or csv:FILE:COLUMN"
 
 
 @dataclass(frozen=True)
@@ -110,22 +108,25 @@ def distribution_of(text: str) -> Any:
                 return stats.lognorm(log(b), scale=a)
     except ValueError:
         pass
-    raise ValueError(f"{shortened(text)} is no distribution; give {_FORMS}.")
+    raise ValueError(
+        f"{shortened(text)} is no distribution; give normal:MEAN:DEVIATION, uniform:LOW:HIGH, "
+        "lognormal:MEDIAN:FACTOR or csv:FILE:COLUMN."
+    )
 
 
 def listed(key: str, text: str) -> list[float | str]:
     """Return the values of a text: ``LOW:HIGH:COUNT`` or ``VALUE,VALUE,...``; ValueError."""
-    ends = text.split(":")
+    ends, most = text.split(":"), 100_000
     if len(ends) == 1 and text:
         return [_number_or_text(value) for value in text.split(",")]
     try:
         low, high, count = float(ends[0]), float(ends[1]), int(ends[2])
-        if len(ends) == 3 and 2 <= count <= _MOST_VALUES and isfinite(high - low):
+        if len(ends) == 3 and 2 <= count <= most and isfinite(high - low):
             return [*_spaced(low, high, count)]
     except (ValueError, IndexError):
         pass
     raise ValueError(
-        f"{key} is {shortened(text)}; give LOW:HIGH:COUNT with a COUNT from 2 to {_MOST_VALUES}, "
+        f"{key} is {shortened(text)}; give LOW:HIGH:COUNT with a COUNT from 2 to {most}, "
         "or VALUE,VALUE,..."
     )
 

@@ -17,10 +17,6 @@ from jaxstab.scene.answers import Quantity, basis_of, parts_in_words
 from jaxstab.scene.loops import is_one_mass, loop_of, masses_of, range_of_hands, with_delay
 from jaxstab.scene.scene import Scene, range_in_words
 
-_MASSES = 0.8, 1.25  # of the scene's: what postures may make of it
-_DELAYS = 1.0  # samples beside the scene's if it is constant, and beyond it if it moves
-_DEVICE_MASSES, _DEVICE_DELAYS = (0.96, 1.04), 0.1  # the same with modes, an actuator or a grip
-
 
 def scene_guard(
     scene: Scene,
@@ -45,7 +41,8 @@ def scene_guard(
     loop, controller = _loop_of(scene), scene.controller
     lost, constant_delay = lost or controller.lost_samples, _is_constant(scene, constant_delay)
     is_plain = is_one_mass(scene)
-    shares, beside = (_MASSES, _DELAYS) if is_plain else (_DEVICE_MASSES, _DEVICE_DELAYS)
+    # What postures may make of the mass; samples beside the delay if it is constant, and beyond it.
+    shares, beside = ((0.8, 1.25), 1.0) if is_plain else ((0.96, 1.04), 0.1)
     mass, delay, period = scene.device.effective_mass[0], loop.delay, loop.sample_time
     given_delays = controller.delays
     shortest = max(delay - beside * period, 0.0) if constant_delay else delay

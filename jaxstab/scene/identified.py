@@ -16,8 +16,6 @@ from jaxstab.scene.answers import Quantity
 from jaxstab.scene.scene import Units
 from jaxstab.shown import printable
 
-_ODD, _SHARP = 1.5, 20.0  # a residual in roundings, its peak in medians of the spectrum
-
 Rows = Float64[np.ndarray, " row"]
 Segments = Float64[np.ndarray, "segment sample"]
 
@@ -104,8 +102,9 @@ def doubt_of(
     peak = int(np.argmax(power))
     times = float(np.sqrt(12.0 * np.mean(residual**2)))
     noise = 1e-6  # of the motion: a smaller residual causes no warning
-    is_sharp = power[peak] > _SHARP * np.median(power) and size > noise * extent
-    is_odd = times > _ODD if is_stepped else is_sharp
+    odd, sharp = 1.5, 20.0  # a residual in roundings, its peak in medians of the spectrum
+    is_sharp = power[peak] > sharp * np.median(power) and size > noise * extent
+    is_odd = times > odd if is_stepped else is_sharp
     if not is_odd:
         return ""
     of_rounding = f", {times:.3g} times that of the encoder's rounding" if is_stepped else ""

@@ -44,12 +44,7 @@ from jaxstab.scene.log import estimator_of, resolution_of
 
 FEWEST, MOST = 2000, 64_000  # rows
 HISTORY = 100  # samples before the first segment: longer delays are not tried
-_SEGMENTS, _ROWS = (16, 64), 500  # fewest and most; rows of one, between these numbers
-_BUMP, _BUMP_ROWS = 0.04, (16, 200)  # s; samples
-_LEAST_STEPS = 20  # of the encoder, which the device moves at least
-_INERTIA = 0.01  # of the force, which at least must accelerate the device
 _EXCITE = "excite the device more strongly, or with more changes of the force"
-_STATE_STEPS, _MOST_STEPS = 8, 40
 
 
 def identify(
@@ -103,10 +98,10 @@ def identify(
         )
     resolution, extent = resolution_of(positions), float(np.ptp(positions))
     unit = resolution or 1e-4 * extent
-    if not extent >= _LEAST_STEPS * unit or not np.ptp(forces):
+    if not extent >= 20.0 * unit or not np.ptp(forces):
         raise ValueError(
             f"position spans {extent:g} and force spans {np.ptp(forces):g}; give a log in which "
-            f"the force moves the device by at least {_LEAST_STEPS} encoder steps."
+            f"the force moves the device by at least 20 encoder steps."
         )
     middle = float(positions.mean())
     estimates, measured, fitted = _fit(forces, (positions - middle) / unit, period, spring)
@@ -149,7 +144,7 @@ def _start(
     forces: Rows, positions: Rows, period: float, spring: bool
 ) -> tuple[Float64[np.ndarray, " 6"], Rows]:
     """Return mass, damping, friction, offset, stiffness and delay in samples, and velocities."""
-    half = int(np.clip(_BUMP / period, *_BUMP_ROWS)) // 2
+    half = int(np.clip(0.04 / period, 16, 200)) // 2  # of 40 ms, in samples
     bump = (1.0 - (np.arange(1 - half, half) / half) ** 2) ** 3
     slope, bend = np.convolve(bump, [0.5, 0.0, -0.5]), np.convolve(bump, [1.0, -2.0, 1.0])
     speeds = np.convolve(positions, slope, "same") / bump.sum()
@@ -167,9 +162,9 @@ def _start(
     guesses = np.linalg.lstsq(rows, delayed)[0]
     best = int(np.argmin(np.sum((rows @ guesses - delayed) ** 2, axis=0)))
     values = np.append(guesses[:, best], [0.0] * (not spring))
-    if not abs(values[0]) * np.std(rows[:, 0]) > _INERTIA * np.std(delayed[:, best]):
+    if not abs(values[0]) * np.std(rows[:, 0]) > 0.01 * np.std(delayed[:, best]):
         raise ValueError(
-            f"less than {100.0 * _INERTIA:g} % of the force accelerates the device, so the log "
+            f"less than 1 % of the force accelerates the device, so the log "
             f"does not determine the mass; {_EXCITE}."
         )
     if not values[0] > 0.0:
@@ -186,7 +181,7 @@ def _fit(
 ) -> tuple[list[Estimate], Segments, Segments]:
     """Return estimates for a sampling period of 1; positions in segments, measured and fitted."""
     start, speeds = _start(forces, positions, period, spring)
-    count = int(np.clip((len(positions) - HISTORY - 1) // _ROWS, *_SEGMENTS))
+    count = int(np.clip((len(positions) - HISTORY - 1) // 500, 16, 64))  # of about 500 rows
     length = (len(positions) - HISTORY - 1) // count
     begins = HISTORY + length * np.arange(count)
     measured = positions[begins[:, None] + np.arange(length)]
@@ -203,7 +198,7 @@ def _fit(
         best = states, np.full(count, np.inf), np.empty_like(measured), np.empty((*shape, 8))
         settled = 1e-6  # encoder steps: a smaller move ends the search for initial states
         held = 1e-6  # of the largest singular value: what a segment tells less of stays as it is
-        for _ in range(_STATE_STEPS):
+        for _ in range(8):
             both = np.hstack([np.tile(values, (count, 1)), trial])
             path, slopes = in_float64(_program(), both, pushes)
             squares = np.sum((measured - path) ** 2, axis=1)
@@ -225,7 +220,7 @@ def _fit(
         np.zeros(free.size),
         lambda moves: fitted(tuple(moves))[1].reshape(-1, free.size),
         bounds=(np.where(free == 0, (lightest - 1.0) * start[0] / sizes[0], -np.inf), np.inf),
-        max_nfev=_MOST_STEPS,
+        max_nfev=40,
         ftol=1e-12,
         xtol=1e-9,
         gtol=None,

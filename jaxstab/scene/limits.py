@@ -137,15 +137,14 @@ class AroundWall(DampingsAtStiffness, StiffnessesAtDamping):
         return low < self.at_stiffness < high or self.verdict is not None
 
 
-UnstableStiffness = Annotated[float, Quantity("N/m", infinite="no unstable wall was found there")]
-
-
 @dataclass(frozen=True)
 class ProvedWall(StiffestWall):
     """The stiffest proved wall of the search, and a stiffness at its damping proved unstable."""
 
     certainty: str
-    proved_unstable_at: UnstableStiffness | None
+    proved_unstable_at: (
+        Annotated[float, Quantity("N/m", infinite="no unstable wall was found there")] | None
+    )
 
 
 @dataclass(frozen=True)
@@ -365,13 +364,10 @@ class _Rows:
     def is_inside(self, stiffness: float, damping: float) -> bool:
         return bool(self.region.reachable.contains(stiffness, damping))
 
-    def verdict(self, stiffness: float, damping: float) -> int:
-        """The verdict on a wall; for one without a spring that on a very soft one."""
-        soft = 0.0 if self.region.is_empty else 1e-6 * self.region.extent.stiffness
-        return int(self.loop.verdict(stiffness or soft, damping))
-
     def is_stable(self, stiffness: float, damping: float) -> bool:
-        return self.verdict(stiffness, damping) == Verdict.STABLE
+        """Whether a wall is stable; of one without a spring, a very soft one."""
+        soft = 0.0 if self.region.is_empty else 1e-6 * self.region.extent.stiffness
+        return bool(self.loop.verdict(stiffness or soft, damping) == Verdict.STABLE)
 
     def at_damping(self, damping: float, stiffness: float = nan) -> StiffnessesAtDamping:
         """Return the stable stiffnesses at a damping: first those around one, or small ones."""

@@ -125,7 +125,6 @@ def _folder() -> Traversable:
 
 LENGTH = "m, or in rad for a device that turns"
 FORCE = "N, or in N m for a device that turns"
-SPEED = "m/s, or in rad/s for a device that turns"
 _NO_MASS = "mass is missing; give it a value."
 _STIFFNESS = Usual(0.0, 1e6, (0.0, 1e5))  # of hands, grips and walls
 _DAMPING_OF_HANDS = Usual(0.0, 1e3, (0.0, 100.0))
@@ -390,7 +389,6 @@ class VelocityTable(_TimedTable):
 
 
 MEASURES = ("margins", "distance", "radius", "settling", "oscillation", "chatter", "jitter")
-MOST_WALLS = 1000
 
 
 def range_in_words(ends: tuple[float, float]) -> str:
@@ -515,7 +513,9 @@ class Contact(Table):
 
     push: float | None = key(quantity(FORCE), None, words="push of the hand in simulated contacts")
     speed: float | None = key(
-        quantity(SPEED), None, words="speed at which simulated contacts begin"
+        quantity("m/s, or in rad/s for a device that turns"),
+        None,
+        words="speed at which simulated contacts begin",
     )
     one_sided: bool = key(truth, True)
     duration: float = key(quantity("s", is_positive=True), 4.0)
@@ -711,8 +711,8 @@ def _tables(table: Mapping[str, Any]) -> dict[str, Any]:
 def _walls(table: Any) -> dict[str, Wall]:
     if not isinstance(table, Mapping):
         raise ValueError(f"walls is {shortened(table)}; give a table [walls.NAME] for each wall.")
-    if len(table) > MOST_WALLS:
-        raise ValueError(f"walls has {len(table)} entries; give {MOST_WALLS} at most.")
+    if len(table) > 1000:
+        raise ValueError(f"walls has {len(table)} entries; give 1000 at most.")
     for name, wall in table.items():
         checked_label(name)
         if not isinstance(wall, Mapping):

@@ -50,7 +50,6 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-_SAMPLES = 10_000  # by default, or what takes a minute
 _BLOCK = 1 << 13  # loops times walls
 SAMPLE, WALL = "sample", "wall"  # dimensions
 
@@ -98,7 +97,6 @@ _FIELDS = {  # of what loops answer, where their names are others than those of 
     "spectral_radius": "value",
     "spectral_radius_error": "error",
 }
-_MINUTE, _SECONDS = 60.0, 4.0  # of all draws by default, and of a block at most
 
 
 def study(
@@ -121,8 +119,8 @@ def study(
         of: a scene (a file, or its tables) or a loop.
         over: what varies, by keys of the scene such as "hand.stiffness", or by fields of the loop:
             a list of values, (low, high, count), a frozen distribution of ``scipy.stats``, or a
-            text such as "csv:hands.csv:stiffness" or "normal:300:100". Lists span a grid;
-            distributions are drawn together, ``samples`` times at each of its points.
+            text such as "0.1:0.5:20", "csv:hands.csv:stiffness" or "normal:300:100". Lists span a
+            grid; distributions are drawn together, ``samples`` times at each of its points.
         answers: of "limits", "verdict", "margins", "settling_time", "spectral_radius"; all but the
             first are of walls. By default limits, and verdicts if there are walls.
         walls: stiffness and damping in SI units by name; those of the scene by default.
@@ -299,7 +297,7 @@ def plan_study(
     numbers = np.arange(samples)[piece if along == SAMPLE else slice(None)]
     columns, draws = _different(columns)  # and the places in them of draws that repeat
     block = _Block(source, tuple(c.key for c in columns), np.array([*gains.values()]).T, wanted)
-    size = max(1, min(_BLOCK // max(1, len(gains)), int(_SECONDS / seconds)))
+    size = max(1, min(_BLOCK // max(1, len(gains)), int(4.0 / seconds)))  # of at most 4 s
     table = _table(block, columns, gains, size)
     different = {str(name): length for name, length in table.sizes.items()}
     table = table.isel(draws).assign_attrs(
@@ -616,11 +614,11 @@ def _affordable(given: Mapping[str, Any], seconds: float) -> int:
     """The number of draws that take a minute, at most the usual number."""
     drawn = [own for own in given.values() if is_distribution(own)]
     points = prod(len(own) for own in given.values() if not is_distribution(own))
-    most = int(_MINUTE / (points * seconds))
+    most, usual = int(60.0 / (points * seconds)), 10_000
     if drawn and all(isinstance(own, Column) for own in drawn):  # equal rows are computed once
         rows = {own.file: len(own.values) for own in drawn}
-        most = _SAMPLES if prod(rows.values()) <= most else most
-    return max(1, min(_SAMPLES, most))
+        most = usual if prod(rows.values()) <= most else most
+    return max(1, min(usual, most))
 
 
 def _cost(table: "Dataset", different: Mapping[str, int], seconds: float) -> str:
