@@ -82,7 +82,7 @@ def multiple_root(family: Family, start: Pair, is_triple: bool) -> Pair:
             break
         if count == 4 and change > 0.05:  # no root is near
             break
-    return pair if change < 1e-8 else nothing
+    return pair if change < 1e-6 else nothing
 
 
 def newton_step(family: Family, pair: Pair, is_triple: Array) -> Pair:

@@ -31,7 +31,6 @@ from jaxstab.model import (
     checked_delta,
     checked_gain,
     checked_gamma,
-    companion_matrix,
     require_x64,
 )
 from jaxstab.model.filters import (
@@ -224,9 +223,11 @@ class Walls(NamedTuple):
 
 
 def _largest_moduli(coefficients: Float64[np.ndarray, "polynomial coefficient"]) -> np.ndarray:
-    if coefficients.shape[1] < 2:
-        return np.zeros(len(coefficients))
-    return np.abs(np.linalg.eigvals(companion_matrix(coefficients))).max(axis=-1, initial=0.0)
+    degree = coefficients.shape[1] - 1
+    companion = np.zeros((len(coefficients), degree, degree))
+    companion[:, :1] = -coefficients[:, None, 1:]
+    companion[:, range(1, degree), range(degree - 1)] = 1.0
+    return np.abs(np.linalg.eigvals(companion)).max(axis=-1, initial=0.0)
 
 
 def _quotient(coefficients: Array, pair: Pair) -> Float64[np.ndarray, "coefficient *grid"]:
@@ -325,13 +326,13 @@ def _descended(walls: Walls, angles: Axis, low: float, best: Best) -> Best:
     high, step, stays = min(best.radius, LARGEST), 0.9, ""
     outside, inside = np.inf, np.nan  # at both ends
     for _ in range(100):
-        if not high - low > 1e-9 * high:
+        if not high - low > 1e-8 * high:
             break
         trial = max(step * high, np.sqrt(low * high))
         if np.isfinite(outside - inside):
             share = outside / (outside - inside)
             trial = low + np.clip(share, 0.05, 0.95) * (high - low)
-        near = np.clip(1.0 + 20.0 * (high - low) / high, 1.01, 1.2)
+        near = np.clip(1.0 + 20.0 * (high - low) / high, 1.002, 1.2)
         angle, others = walls.least_others(trial, angles, near, trial)
         if others <= trial:
             high, step, inside = trial, step * step, others - trial

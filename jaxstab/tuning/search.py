@@ -83,7 +83,8 @@ def _reached(axis: Axis, index: np.ndarray, reach: int) -> Axis:
 def _local_minima(values: np.ndarray) -> Int64[np.ndarray, "minimum 2"]:
     """Return the places of values that no neighbour is below, the least first."""
     rows, columns = values.shape
-    padded = np.pad(values, 1, constant_values=np.inf)
+    padded = np.full((rows + 2, columns + 2), np.inf)
+    padded[1:-1, 1:-1] = values
     is_least = np.isfinite(values)
     for row, column in product(range(3), repeat=2):
         is_least &= values <= padded[row : row + rows, column : column + columns]
