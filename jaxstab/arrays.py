@@ -213,17 +213,12 @@ def kept(rounded: Array) -> Array:
 # Inverses, roots and powers of two that XLA fuses with the arithmetic around them: it does not fuse
 # a division whose result is used more than once. They start from the bits of the number.
 
-_RECIPROCAL = 0x7FDE_6238_22FC_16E6  # minus the bits of x: 1/x within 13 %
-_INVERSE_ROOT = 0x5FE6_EB50_C7B5_37A9  # minus half the bits of x: 1/sqrt(x) within 4 %
-_EXPONENT = 0x7FF0_0000_0000_0000
-_LARGEST_EXPONENT = 0x7FE0_0000_0000_0000
-
 
 def reciprocal(x: Array) -> Array:
     """Return 1/x for x > 0, to eight digits in JAX."""
     if not is_jax(x):
         return 1.0 / x
-    y = floats(_RECIPROCAL - bits(x))
+    y = floats(0x7FDE_6238_22FC_16E6 - bits(x))  # within 13 %
     for _ in range(3):
         y = y * (2.0 - x * y)
     return y
@@ -241,7 +236,7 @@ def square_root(x: Array) -> Array:
     """Return the root of x >= 0, to eight digits in JAX."""
     if not is_jax(x):
         return np.sqrt(x)
-    y = floats(_INVERSE_ROOT - (bits(x) >> 1))
+    y = floats(0x5FE6_EB50_C7B5_37A9 - (bits(x) >> 1))  # the inverse root within 4 %
     for _ in range(3):
         y = y * (1.5 - 0.5 * x * y * y)
     return x * y
@@ -249,7 +244,8 @@ def square_root(x: Array) -> Array:
 
 def power_of_two_below_inverse(x: Array) -> Array:
     """Return the power of two that brings x > 0 to [1, 2)."""
-    return floats(_LARGEST_EXPONENT - (bits(x) & _EXPONENT))
+    exponent = bits(x) & 0x7FF0_0000_0000_0000
+    return floats(0x7FE0_0000_0000_0000 - exponent)
 
 
 def bits(x: Array) -> Array:

@@ -34,11 +34,8 @@ MANY = 1 << 15
 MANY_PLANTS = 1 << 16
 MANY_COEFFICIENTS = 1 << 20
 MANY_ANGLES = 1 << 18
-_FOR_A_CORE = 1 << 17  # points from which on a second core pays
-# Options of XLA's compiler for CPUs; ``compiler_options`` leaves out what a release does not have.
-_WIDE: dict[str, Any] = {
-    "xla_cpu_prefer_vector_width": 512
-}  # bits; XLA prefers half of what the CPU has
+
+# An option of XLA's compiler for CPUs; ``compiler_options`` leaves out what a release lacks.
 # For a program of hundreds of kernels: in JAX 0.10 XLA's newer code generator takes 400 MB more
 # and compiles for longer; what it compiles is not faster, and computes the same bits. JAX 0.12 has
 # it alone, and compiles such programs as fast by it.
@@ -70,7 +67,8 @@ def compiled(
         def program(is_wide: bool) -> Callable[..., Any]:
             import jax
 
-            extra = compiler_options(_WIDE) if is_wide else None
+            # In bits; XLA prefers half of what the CPU has.
+            extra = compiler_options({"xla_cpu_prefer_vector_width": 512}) if is_wide else None
             return jax.jit(kernel, static_argnames=tuple(static), compiler_options=extra)
 
         @wraps(kernel)
@@ -124,7 +122,7 @@ def on_few_sizes(function: Callable[..., Result], *arguments: Any) -> Result:
     one core alone.
     """
     shape = np.broadcast_shapes(*map(np.shape, leaves(arguments)))
-    count = min(_cores(), prod(shape) // _FOR_A_CORE)
+    count = min(_cores(), prod(shape) // (1 << 17))  # so many points pay a second core
     filled = partial(filled_up, function)
     return filled(*arguments) if count < 2 else in_pieces(filled, arguments, count)
 

@@ -9,8 +9,8 @@ A proof computes a number and a bound of its error. Three kinds of constants ent
   derive them; ``python -m benchmarks.rounding`` derives those of V7 from balls over boxes.
 - *Raised sums*: a bound is computed in float64 as well, so it may come out below its exact value.
   A sum or product of n numbers of one sign is right to n UNIT, so multiplied by 1 + 2^-k it is no
-  less than the exact one for n up to 2^(52-k). ``RAISED_FEW``, ``RAISED`` and ``RAISED_MANY`` are
-  three such factors, for at most 4, 2^12 and 2^32 operations.
+  less than the exact one for n up to 2^(52-k). ``RAISED`` and ``RAISED_MANY`` are two such
+  factors, for at most 2^12 and 2^32 operations.
 
 Constants of a search (where it starts or ends, what it calls close) bound nothing and stay where
 they are used.
@@ -31,7 +31,6 @@ SOFT_PLANT, STIFF_PLANT, DAMPED_PLANT = 2.0**-89, 2.0**-66, 2.0**-56
 # Coefficients of products of filters, for each stage and four more, relative to the product of
 # the stages' sizes (lemma V8).
 FILTERS = 2.0**-96
-RAISED_FEW = 1.0 + 2.0**-50
 RAISED = 1.0 + 2.0**-40
 RAISED_MANY = 1.0 + 2.0**-20
 RAISED_MUCH = 1.0 + 1e-9  # for powers and exponentials of bounds, too

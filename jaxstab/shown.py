@@ -12,11 +12,8 @@ from math import floor, isfinite, isnan, log10
 from reprlib import repr as short_repr
 from typing import Any
 
-_TRUE_DIGITS = 11  # 2999.9999999999 is 3000 but for rounding
 MOST_DIGITS = 17  # of a float64: more say nothing
 _WRITTEN_OUT = range(-4, 9)  # powers of ten of the first digit
-_LOWERED = 0, 1, 2, 5  # units of the last digit
-_WAYS = ROUND_HALF_EVEN, ROUND_FLOOR, ROUND_CEILING
 _EXACT = Context(prec=1100)  # every float64, and differences of them
 
 
@@ -37,7 +34,8 @@ def rounded_text(
     value: Any, digits: int, rounding: str = ROUND_HALF_EVEN, *, factor: int = 1
 ) -> str:
     """A number times a factor in significant digits, without zeros at the end; see ``decimal``."""
-    exact = Context(prec=max(_TRUE_DIGITS, digits)).multiply(Decimal(value), factor)
+    # Of 11 digits: 2999.9999999999 is 3000 but for rounding.
+    exact = Context(prec=max(11, digits)).multiply(Decimal(value), factor)
     rounded = exact.normalize(Context(prec=digits, rounding=rounding))
     if not rounded:
         return "0"
@@ -79,11 +77,12 @@ def stable_pair(
     if not (isfinite(limit) and isfinite(other)):
         return limit, other
     unit = Decimal(1).scaleb(Decimal(limit).adjusted() + 1 - digits[0])
-    lowered = [_EXACT.subtract(Decimal(limit), count * unit) for count in _LOWERED]
+    lowered = [_EXACT.subtract(Decimal(limit), count * unit) for count in (0, 1, 2, 5)]
     limits = [rounded_text(value, digits[0], ROUND_FLOOR) for value in lowered]
     limits = [text for text in limits if (float(text) < 0.0) == (limit < 0.0)]
     for count in range(digits[1], MOST_DIGITS + 1):
-        others = dict.fromkeys(rounded_text(other, count, way) for way in _WAYS)
+        ways = ROUND_HALF_EVEN, ROUND_FLOOR, ROUND_CEILING
+        others = dict.fromkeys(rounded_text(other, count, way) for way in ways)
         pairs = chain(
             product(limits, others),
             ((text, own) for own in others for text in _within(row(float(own)), digits[0])),

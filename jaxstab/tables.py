@@ -29,10 +29,6 @@ MOST_BYTES = 4_000_000
 MOST_LETTERS = 64
 """Of a name."""
 
-_MOST_BYTES_OF_CSV = 100_000_000
-
-_LONG_KEY = re.compile(r"(?:\.[^.,=\n]{1,64}){100}")
-
 
 def read_table(path: str | PathLike[str], kind: str = "") -> dict[str, Any]:
     """Read a TOML file as it is; one of another ``kind`` ("scene", "specification") is refused."""
@@ -55,7 +51,6 @@ _KINDS = {
     ),
 }
 """The keys by which kinds of files are told apart, what they are and who takes them."""
-_HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
 def text_of(path: str | PathLike[str], most: int) -> str:
@@ -66,7 +61,7 @@ def text_of(path: str | PathLike[str], most: int) -> str:
     try:
         with sys.stdin.buffer if source == "stdin" else Path(path).open("rb") as stream:
             data = stream.read(most + 1)
-        if data.startswith(_HDF5):
+        if data.startswith(b"\x89HDF\r\n\x1a\n"):
             raise ValueError(
                 f"{source} is an atlas (HDF5), not text; jaxstab atlas info, query, verify and "
                 "plot take it."
@@ -93,7 +88,7 @@ def columns_of(
     ValueError: a column is missing or there twice, or holds anything but finite numbers.
     """
     source = "stdin" if str(file) == "-" else file
-    stream = StringIO(text_of(file, _MOST_BYTES_OF_CSV), newline="")
+    stream = StringIO(text_of(file, most=100_000_000), newline="")
     lines = csv.reader(stream, skipinitialspace=True)
     numbers: dict[str, list[float]] = {}
     try:
@@ -127,7 +122,8 @@ def columns_of(
 def parsed(text: str, source: str = "") -> dict[str, Any]:
     """The tables of a TOML text; ValueError, with the source, for bad TOML or too deep nesting."""
     try:
-        if _LONG_KEY.search(text):  # tomllib's time is the square of a key's parts
+        # tomllib's time is the square of a key's parts.
+        if re.search(r"(?:\.[^.,=\n]{1,64}){100}", text):
             raise RecursionError
         return tomllib.loads(text)
     except RecursionError:

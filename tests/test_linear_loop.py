@@ -41,7 +41,7 @@ def assert_within_bounds(loop: LinearLoop, truth: tuple[flint.arb_poly, ...], sl
 
 @pytest.mark.parametrize("count", [60, MORE])
 def test_loops_of_masses_are_within_their_bounds(count: int) -> None:
-    """Lemmas V7 and V8."""
+    """Lemma V8."""
     sharp = []
     for seed in range(count):
         drawn = MassLoop.drawn(np.random.default_rng([52, seed]))

@@ -47,11 +47,7 @@ if TYPE_CHECKING:
 
 HIGHEST_ORDER = 40  # poles of a filter, but for those at z = 0
 LONGEST_WINDOW = 200  # samples
-_NYQUIST = 0.499  # of the sampling rate: a Butterworth filter ends at 0.5
-_FASTEST = 100.0  # of the sampling rate: a pole that is 0 in float64 is refused
 HIGHEST_POLYNOMIAL = 10  # of a fit to samples
-_LARGEST = 10**150  # of the coefficients: products of them are float64 still
-_WHOLE = 1e-9  # of a sample: windows closer to a whole number of samples are that number
 
 Factor = tuple[list[Any], list[Any], int]
 """Numerator and denominator, lowest power of z first, and how often they are multiplied."""
@@ -181,7 +177,7 @@ class LowPass(Section):
 
     @property
     def longest_sample_time(self) -> float:
-        return _FASTEST / float(self.cutoff)
+        return 100.0 / float(self.cutoff)  # beyond some more the pole is 0 in float64
 
     def factors(self, number: Any) -> list[Factor]:
         return [(*_lag(1 - number), self.order)]
@@ -243,7 +239,7 @@ class Butterworth(Section):
 
     @property
     def longest_sample_time(self) -> float:
-        return _NYQUIST / float(self.cutoff)
+        return 0.499 / float(self.cutoff)  # it ends at half of the sampling rate
 
     def factors(self, number: Any) -> list[Factor]:
         w, factors = number, []
@@ -430,9 +426,10 @@ def exact_chain(sections: tuple[Section, ...]) -> "tuple[fmpq_poly, fmpq_poly]":
         for stage in section.stages():
             for side, row in enumerate(stage):
                 sides[side] *= fmpq_poly([fmpq(c.numerator, c.denominator) for c in row])
-    if max(abs(c) for side in sides for c in side.coeffs()) > _LARGEST:
+    largest = 10**150  # products of such coefficients are float64 still
+    if max(abs(c) for side in sides for c in side.coeffs()) > largest:
         raise ValueError(
-            f"the filter ({Filter(sections)}) has coefficients beyond {float(_LARGEST):g} in "
+            f"the filter ({Filter(sections)}) has coefficients beyond {float(largest):g} in "
             "powers of 1/z; give a numerator of the size of its denominator."
         )
     return sides[0], sides[1]
@@ -484,7 +481,7 @@ def _whole_samples(window: float | None, sample_time: Numbers) -> int:
             "them at most."
         )
     nearest = round(samples)
-    if abs(samples - nearest) > _WHOLE * samples:
+    if abs(samples - nearest) > 1e-9 * samples:
         below, above = floor(samples), floor(samples) + 1
         choice = " or ".join(
             f"{k * sample_time:g} s ({k} sample{'s' if k > 1 else ''})" for k in (below, above) if k
@@ -514,10 +511,6 @@ def _call(maker: str, section: Section) -> str:
     period = given.pop("period", 1.0)
     call = call_text(maker, given)
     return f"{call}.per_sample({period!r})" if is_jax(period) or period != 1.0 else call
-
-
-_LEAST_FACTOR = 2.0**-53  # of exponential smoothing
-_ZERO_SUM = 4.0 * 2.0**-53  # of the numerator's size, per coefficient: V(1) as good as zero
 
 
 @pytree
@@ -592,7 +585,7 @@ class Filter:
 
         Raises: see ``jaxstab.conventions``.
         """
-        return cls((Exponential(_positive("factor", factor, _LEAST_FACTOR, 1.0)),))
+        return cls((Exponential(_positive("factor", factor, 2.0**-53, 1.0)),))
 
     @classmethod
     def transfer_function(
@@ -751,8 +744,8 @@ class Velocity:
         Raises: as ``Filter.transfer_function``; ValueError also if V(1) is not 0.
         """
         above, below = _checked_rational(numerator, denominator)
-        total = abs(float(sum(map(Fraction, above))))
-        if len(above) < 2 or total > _ZERO_SUM * len(above) * sum(map(abs, above)):
+        total, size = abs(float(sum(map(Fraction, above)))), sum(map(abs, above))
+        if len(above) < 2 or total > 2.0**-51 * len(above) * size:  # two units per coefficient
             raise ValueError(
                 f"numerator is {list(above)}: its sum, V(1) in z, is {total:.3g}, but a "
                 "velocity is 0 at rest; give one whose coefficients sum to 0."

@@ -40,7 +40,6 @@ _FOR_COMPUTING = frozenset(
     | {"tree_flatten", "tree_unflatten"}
 )
 _OF_DEVICE = ("device_mass", "device_damping")
-_OF_HAND = ("hand_mass", "hand_damping", "hand_stiffness")
 
 Values = TypeVar("Values", bound=Numbers)
 
@@ -137,8 +136,9 @@ class LoopParameters:
         if not isinstance(self.device, Device):
             raise TypeError(f"device is {self.device!r}; give a jaxstab.Device.")
         given = [name for name in _OF_DEVICE if getattr(self, name) is not None]
-        hand = {name: getattr(self, name) for name in _OF_HAND}
-        given += [name for name, value in hand.items() if is_any_traced(value) or value]
+        for name in ("hand_mass", "hand_damping", "hand_stiffness"):
+            value = getattr(self, name)
+            given += [name] if is_any_traced(value) or value else []
         if given:
             raise TypeError(
                 f"{given[0]} is given beside device; a device has its own mass and damping, and is "

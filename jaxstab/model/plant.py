@@ -20,7 +20,7 @@ keep their relative accuracy even at gamma = (2 pi)^2, delta = 0, where N(z) van
 """
 
 from fractions import Fraction
-from functools import lru_cache, partial
+from functools import cache, lru_cache, partial
 from math import factorial
 from typing import NamedTuple
 
@@ -44,12 +44,7 @@ from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.parameters import checked_delay, checked_delta, checked_gamma, require_x64
 from jaxstab.rounding import DAMPED_PLANT, SOFT_DELTA, SOFT_GAMMA, SOFT_PLANT, STIFF_PLANT
 
-# From the zeros of N at gamma = (2 pi k)^2 on, the size of N is the root of its coefficients' sum:
-# the terms that cancel there exceed the result (up to SOFT_DELTA).
-_CANCELLING_GAMMA = 36.0
 _DUPLICATIONS = 10
-_TERMS = 10
-_PAIR_TERMS = 3  # the terms beyond are below 2^-53 of the sum: float64 is enough for them
 
 
 class PlantCoefficients(NamedTuple):
@@ -177,8 +172,9 @@ def pairs_error(gamma: Numbers, delta: Numbers) -> Array:
 
 def may_cancel(gamma: Numbers, delta: Numbers) -> Array:
     """Return True where N may nearly vanish: its size is the root of its coefficients' sum then."""
+    # From the zeros of N at gamma = (2 pi k)^2 on the terms that cancel exceed the result.
     xp = namespace(gamma, delta)
-    return (xp.asarray(gamma) > _CANCELLING_GAMMA) & (xp.asarray(delta) <= SOFT_DELTA)
+    return (xp.asarray(gamma) > 36.0) & (xp.asarray(delta) <= SOFT_DELTA)
 
 
 @compiled(static=["whole"], many=MANY_PLANTS, pointwise=True)
@@ -231,7 +227,7 @@ def _hold(gamma: Array, delta: Array, length: DoubleDouble) -> _Hold:
     x = a * a
     y = x - length * length * gamma
     x, y = x.scaled(4.0**-_DUPLICATIONS), y.scaled(4.0**-_DUPLICATIONS)
-    nodes = _Nodes(x, y, kappa=_series(_KAPPA, x, y), sigma=_series(_SIGMA, x, y))
+    nodes = _Nodes(x, y, kappa=_series(0, x, y), sigma=_series(1, x, y))
     nodes = repeat(_DUPLICATIONS, _duplicate, nodes)
     decay = DoubleDouble.from_value(filled(x.hi, 1.0)) / (nodes.kappa.x + a * nodes.sigma.x)
     return _Hold(length, decay, nodes.kappa.y, nodes.sigma.y, nodes.kappa.xy, a * nodes.sigma.xy)
@@ -268,21 +264,22 @@ def _kappa_of_4(x: DoubleDouble, sigma: DoubleDouble) -> DoubleDouble:
     return (x * (sigma * sigma)).scaled(2.0) + 1.0
 
 
-# Taylor coefficients 1/(2k)! and 1/(2k+1)!.
-_KAPPA = tuple(Fraction(1, factorial(2 * k)) for k in range(_TERMS))
-_SIGMA = tuple(Fraction(1, factorial(2 * k + 1)) for k in range(_TERMS))
+@cache
+def _taylor(odd: int) -> tuple[DoubleDouble, ...]:
+    """Taylor coefficients: 1/(2k)! of kappa, or 1/(2k+1)! of sigma."""
+    return tuple(DoubleDouble.from_value(Fraction(1, factorial(2 * k + odd))) for k in range(10))
 
 
-def _series(coefficients: tuple[Fraction, ...], x: DoubleDouble, y: DoubleDouble) -> _Values:
-    """Evaluate a Taylor series at x and y and its divided difference by Horner's rule."""
+def _series(odd: int, x: DoubleDouble, y: DoubleDouble) -> _Values:
+    """Evaluate kappa or sigma at x and y and its divided difference by Horner's rule."""
     zero = filled(x.hi, 0.0)
     at_x, at_y, between = zero, zero, zero
-    for coefficient in reversed(coefficients[_PAIR_TERMS:]):
+    pairs = 3  # the terms beyond are below 2^-53 of the sum: float64 is enough for them
+    for coefficient in reversed(_taylor(odd)[pairs:]):
         between = at_x + y.hi * between
-        at_x, at_y = float(coefficient) + x.hi * at_x, float(coefficient) + y.hi * at_y
+        at_x, at_y = coefficient.hi + x.hi * at_x, coefficient.hi + y.hi * at_y
     values = _Values(*map(DoubleDouble.from_value, (at_x, at_y, between)))
-    for exact in reversed(coefficients[:_PAIR_TERMS]):
-        pair = DoubleDouble(float(exact), float(exact - Fraction(float(exact))))
+    for pair in reversed(_taylor(odd)[:pairs]):
         values = _Values(
             x=x * values.x + pair,
             y=y * values.y + pair,

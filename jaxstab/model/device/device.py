@@ -174,7 +174,7 @@ class Hand:
         return f"a hand of {self.dynamics}{grip}"
 
 
-_BITS, _POLE_DIGITS = 1024, 200  # of the computation, and behind the point of a pole
+_BITS = 1024
 
 
 @dataclass(frozen=True, repr=False)
@@ -431,5 +431,5 @@ def _pole_balls(device: Device) -> list[tuple[Any, int]]:
         return [
             (root, count)
             for factor, count in factors
-            for root in flint.acb_poly(balls_of(factor)).roots(tol=flint.arb(2) ** -_POLE_DIGITS)
+            for root in flint.acb_poly(balls_of(factor)).roots(tol=flint.arb(2) ** -200)
         ]

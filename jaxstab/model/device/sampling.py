@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 Ball = Any  # of python-flint
 Matrix = Any  # of such balls
-_MOST_BINARY_DIGITS = 900  # of a unit: products of numbers in it are float64 still
 _FASTEST = 14  # power of two: poles per sampling period
 
 
@@ -69,7 +68,7 @@ def sampled_device(device: Device, sample_time: float, delay: float) -> SampledD
 
     unit = _binary_digits(decided(size, is_answered=lambda ball: ball.rel_accuracy_bits() > 1))
     in_time = unit - _binary_digits(flint.arb(period))
-    if max(abs(unit), abs(in_time)) > _MOST_BINARY_DIGITS:
+    if max(abs(unit), abs(in_time)) > 900:  # products of numbers in such units are float64 still
         raise ValueError(
             f"the device ({device}) moves by about 2^{unit} m per N within a sampling period of "
             f"{sample_time:g} s; give SI units, and no pole so unstable that float64 overflows."
