@@ -12,7 +12,7 @@ from jaxtyping import Float64, Int8
 
 from jaxstab.arrays import Array, Numbers, float_arrays, named, namespace
 from jaxstab.batches import on_host
-from jaxstab.conventions import HORIZON, Excitation, Status
+from jaxstab.conventions import HORIZON, Excitation, Status, Verdict
 from jaxstab.exact.response import settled_after
 from jaxstab.model import LoopParameters, checked_delay, checked_gain, require_x64
 from jaxstab.model.device.mechanics import mechanics
@@ -20,6 +20,7 @@ from jaxstab.model.filters import Filter, Velocity, given_filters
 from jaxstab.model.parameters import checked_delta, checked_gamma
 from jaxstab.motion.response import Column, answer_text, bank_for, loops_of, positions, unit_loops
 from jaxstab.numbers import checked_count, checked_number, checked_word
+from jaxstab.point.verdicts import linear_verdict
 
 _NUMBERS = 1 << 20  # of an array that loops side by side fill, about
 
@@ -183,8 +184,10 @@ def likely_settling(
     bank = bank_for(given_filters(loop.velocity, loop.position), period)
     gains = np.broadcast_arrays(*float_arrays(stiffness, damping))
     walls = np.array([np.ravel(gain) for gain in gains])
-    samples = np.full(walls.shape[1], np.nan)
-    for members in np.array_split(np.arange(samples.size), ceil(samples.size * horizon / _NUMBERS)):
+    codes = linear_verdict(loop.alpha(walls[0]), loop.beta(walls[1]), loop.linear)
+    samples, stable = np.full(walls.shape[1], np.nan), np.flatnonzero(codes != Verdict.UNSTABLE)
+    blocks = ceil(stable.size * horizon / _NUMBERS)
+    for members in np.array_split(stable, blocks) if blocks else []:
         own = walls[0, members], walls[1, members] / period
         rows, starts = moves.rows[-1, :, :-1], moves.starts
         loops = loops_of(*own, rows, starts, int(whole), excitation, bank)
