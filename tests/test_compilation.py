@@ -37,6 +37,7 @@ WITH_FLINT = {  # single walls, lines of walls and regions are in balls, filters
     *("amplitude", "limits_of", "margins", "paper.linear_validity"),
     *("regions_of", "robust_region", "stable_region", "tune_for_all"),
     *(f"HapticLoop.{walls}" for walls in ("amplitude", "jitter_margin", "margins", "oscillation")),
+    *("minimize_settling", "settling_samples", "HapticLoop.settling_time", "HapticLoop.tune"),
     *(f"HapticLoop.{walls}" for walls in ("poles", "spectral_radius", "verdict", "worst_delays")),
     *(f"HapticLoop.{line}" for line in ("damping_limits", "stiffness_limits", "limits", "region")),
     *(f"HapticLoop.{line}" for line in ("damping_intervals", "stiffness_intervals")),
