@@ -37,13 +37,13 @@ WITH_FLINT = {  # single walls, lines of walls and regions are in balls, filters
     *("amplitude", "limits_of", "margins", "paper.linear_validity"),
     *("regions_of", "robust_region", "stable_region", "tune_for_all"),
     *(f"HapticLoop.{walls}" for walls in ("amplitude", "jitter_margin", "margins", "oscillation")),
-    *("minimize_settling", "settling_samples", "HapticLoop.settling_time", "HapticLoop.tune"),
+    *("settling_samples", "HapticLoop.settling_time", "paper.passive_region"),
     *(f"HapticLoop.{walls}" for walls in ("poles", "spectral_radius", "verdict", "worst_delays")),
     *(f"HapticLoop.{line}" for line in ("damping_limits", "stiffness_limits", "limits", "region")),
     *(f"HapticLoop.{line}" for line in ("damping_intervals", "stiffness_intervals")),
     *("HapticLoop.boundary_distance", "HapticLoop.robust_limit", "HapticLoop.worst_hand"),
     *("HapticLoop.contact", "HapticLoop.tune"),
-    *("contact_map", "minimize_radius", "minimize_settling"),
+    *("contact_map", "minimize_radius", "minimize_radius_damping", "minimize_settling"),
 }
 
 WITHOUT_JAX = """
