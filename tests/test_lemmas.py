@@ -1,6 +1,8 @@
-"""Lemma V7: its bounds against balls, and the derivation of their constants."""
+"""Lemmas: each names its test; V7's bounds against balls, the derivation of their constants."""
 
+import re
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +14,20 @@ from jaxstab.model.plant import may_cancel, pairs_error
 
 # The worst factors of a long search: their product is wrong by 2^-101.6.
 WORST = (4503614388135502.0, 0.4999936223031387), (4503934500569479.0, 0.499998506378226)
+
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_each_lemma_names_a_test_that_fails_if_it_is_false() -> None:
+    page = (ROOT / "docs" / "proofs.md").read_text(encoding="utf-8")
+    lemmas = page.split("\n### Lemma ")[1:]
+    assert lemmas
+    for lemma in lemmas:
+        said = re.search(r"^If false, `(tests/test_\w+\.py)::(test_\w+)` fails\.$", lemma, re.M)
+        assert said, lemma[:40]
+        file, name = said.groups()
+        assert f"\ndef {name}(" in (ROOT / file).read_text(encoding="utf-8"), name
 
 
 def exact(number: DoubleDouble) -> Fraction:
