@@ -604,7 +604,7 @@ def _seconds_of_a_loop(
         "verdict": (1.2e-5, 4e-3),
         "limits": (1.3e-3, 0.012),
         "margins": (0.09, 0.4),
-        "settling_time": (4e-4, 0.02),
+        "settling_time": (4e-3, 0.02),
         "spectral_radius": (2.5e-4, 7e-3),
     }
     return sum(costs[name][is_other] * (1 if name == "limits" else walls) for name in wanted)
