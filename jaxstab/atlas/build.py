@@ -37,8 +37,6 @@ from jaxstab.point import verdict
 
 Progress = Callable[[int, int], object]
 
-_RETRIES = 3  # by other workers of dask
-_IN_FLIGHT = 8  # results that are computed ahead of what is written
 _TESTED = 1000, 100  # random plants, and walls of each
 _BESIDE = 0.1  # of the stable intervals: so far beyond them walls are tested
 _CLOSE = 1e-8  # of the largest alpha of a plant: how close to a limit it is verified
@@ -176,12 +174,13 @@ def _beyond(low: Any, high: Any, share: Any) -> Any:
 
 def _computed(tasks: Iterable[Callable[[], Any]], executor: Executor | None) -> Iterator[Any]:
     """Yield the results of tasks in order, a few ahead of who takes them."""
+    in_flight = 8  # results that are computed ahead of what is written
     if executor is None:
         for task in tasks:
             yield task()
         return
     waiting = iter(tasks)
-    running = deque(executor.submit(task) for task in islice(waiting, _IN_FLIGHT))
+    running = deque(executor.submit(task) for task in islice(waiting, in_flight))
     try:
         while running:
             yield running[0].result()
@@ -205,7 +204,8 @@ def _own_client() -> Executor | None:
 
 def workers_of(client: Any) -> Executor:
     """Return the workers of a dask client; a tile whose worker dies is computed by another."""
-    made: Executor = client.get_executor(pure=False, retries=_RETRIES)
+    retries = 3  # by other workers of dask
+    made: Executor = client.get_executor(pure=False, retries=retries)
     return made
 
 

@@ -33,11 +33,7 @@ from jaxstab.region import RegionStatus, stable_region
 
 Floats = NDArray[np.float64]
 
-_TILE_NODES = 2**18  # at most, where a tile holds more than one slice
-_FINENESS = 1e-3  # of outlines, whose extremes are exact
 _MARGIN = 0.03  # around the stable region, of its size
-_BAND_GUARD = 0.02  # around the line alpha = -gamma, of the distance of two nodes or of its width
-_MOST_SLICES = 3  # of gamma and of delta, to find the region's size
 _NEAR_CIRCLE, _SAME, _APART = 1e-6, 2e-6, 1e-5  # of poles from the circle, of modes, of two moduli
 
 
@@ -59,7 +55,8 @@ class FieldGrid:
     @property
     def deltas_of_a_tile(self) -> int:
         """The largest number of nodes along delta that are in one tile."""
-        return min(max(1, _TILE_NODES // (len(self.alpha) * len(self.beta))), self.delta.size)
+        tile_nodes = 2**18  # at most, where a tile holds more than one slice
+        return min(max(1, tile_nodes // (len(self.alpha) * len(self.beta))), self.delta.size)
 
     @property
     def chunk(self) -> tuple[int, ...]:
@@ -122,6 +119,7 @@ def _stable_box(
     gamma: Floats, delta: Floats, delay: float, filters: Filters | None
 ) -> tuple[float, float, float]:
     """Return the largest alpha, the lowest and the highest beta of the regions of some hands."""
+    fineness = 1e-3  # of outlines, whose extremes are exact
     # Islands do not count where there is a component that contains small gains. Between these hands
     # a region may extend further; the margin of the axes covers that.
     points = []
@@ -130,7 +128,7 @@ def _stable_box(
             gamma=hand[0],
             delta=hand[1],
             delay=delay,
-            tolerance=_FINENESS,
+            tolerance=fineness,
             **as_keywords(filters),
         )
         if region.status == RegionStatus.UNRESOLVED:
@@ -149,17 +147,21 @@ def _stable_box(
 
 
 def _thinned(nodes: Floats) -> list[float]:
-    count = min(nodes.size, _MOST_SLICES)
+    most_slices = 3  # of gamma and of delta, to find the region's size
+    count = min(nodes.size, most_slices)
     chosen: list[float] = nodes[np.linspace(0, nodes.size - 1, count).round().astype(int)].tolist()
     return chosen
 
 
 def _fitted_alpha(count: int, gamma: Floats, highest: float) -> Floats:
     """Nodes from below the line alpha = -gamma, where stability ends, to above the region."""
+    band_guard = (
+        0.02  # around the line alpha = -gamma, of the distance of two nodes or of its width
+    )
     # The line sweeps a band with gamma. Contours bend at its edges, so these get close nodes.
     low, high = -gamma[-1], max(highest, -gamma[0])
     step = (1.0 + 2.0 * _MARGIN) * (high - low) / (count - 1)
-    guard = _BAND_GUARD * max(gamma[-1] - gamma[0], step)
+    guard = band_guard * max(gamma[-1] - gamma[0], step)
     band = (low - guard, -gamma[0] + guard)
     inside = min(max(1, round((band[1] - band[0]) / step)), count - 3)
     top = max(high, band[1]) + _MARGIN * (high - low)

@@ -35,8 +35,6 @@ FIELDS: Final = "fields"
 NODE: Final = ("alpha_node", "beta_node", "gamma", "delta", "delay")
 _PLANT_CELL = ("gamma_cell", "delta_cell", "delay_cell")
 _FORMAT_VERSIONS = ("v110", "v110")
-_LEVEL = 6  # of compression
-_LARGEST_CHUNK = 2**17  # values of an array that is not laid out in tiles
 _LONGEST_LINE = 2**16  # bytes in a line of the specification
 _MOST_FILTERS = {h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_FLETCHER32}
 
@@ -296,6 +294,7 @@ def create_fields(file: h5py.File, axes: Arrays, chunk: Sequence[int]) -> h5py.G
 
 def _write_all(group: h5py.Group, variables: Sequence[Variable], arrays: Arrays) -> None:
     """Write variables that are not packed, and a scale for each dimension."""
+    largest_chunk = 2**17  # values of an array that is not laid out in tiles
     lengths = {
         dimension: length
         for variable in variables
@@ -308,7 +307,7 @@ def _write_all(group: h5py.Group, variables: Sequence[Variable], arrays: Arrays)
             if values is None:
                 values = np.arange(lengths[variable.name], dtype=variable.dtype)
             count, *others = values.shape
-            rows = max(1, min(count, _LARGEST_CHUNK // prod(others)))
+            rows = max(1, min(count, largest_chunk // prod(others)))
             _created(group, variable, values.shape, (rows, *others), values.dtype)[...] = values
 
 
@@ -320,7 +319,8 @@ def _created(
     dtype: np.dtype[Any],
 ) -> h5py.Dataset:
     """Create a dataset with its attributes, without values; its axes are there already."""
-    packing = {"shuffle": True, "compression": "gzip", "compression_opts": _LEVEL}
+    level = 6  # of compression
+    packing = {"shuffle": True, "compression": "gzip", "compression_opts": level}
     dataset = group.create_dataset(
         variable.name,
         tuple(shape),

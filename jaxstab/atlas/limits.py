@@ -36,12 +36,6 @@ from jaxstab.region.roots import bracketed_root
 if TYPE_CHECKING:
     from jaxstab.atlas.spec import AtlasSpec
 
-_LONGEST_ARC = 1.3  # of the arc of a free mass
-_ARC_POINTS = 96
-_SECANT_STEPS = 5
-_OUTERMOST = 1e-9  # of the interval of beta: so far inside its ends are the outermost rows
-_MOST_ASKED = 12  # delays at which regions are asked whether the range is of arcs
-_CELLS_OF_A_RUN = 8
 
 Arrays = dict[str, NDArray[np.generic]]
 
@@ -60,10 +54,12 @@ class _Arcs:
 
     @np.errstate(invalid="ignore", divide="ignore")  # roots within brackets may step aside
     def __init__(self, gamma: Array, delta: Array, delay: Array) -> None:
+        longest_arc = 1.3  # of the arc of a free mass
+        arc_points = 96
         self.gamma = gamma
         self._curve = slice_coefficients(gamma[:, None], delta[:, None], delay[:, None])
-        longest = np.minimum(_LONGEST_ARC * np.pi / 2.0 / (delay[:, None] + 1.0), np.pi)
-        theta = longest * np.linspace(0.0, 1.0, _ARC_POINTS)
+        longest = np.minimum(longest_arc * np.pi / 2.0 / (delay[:, None] + 1.0), np.pi)
+        theta = longest * np.linspace(0.0, 1.0, arc_points)
         height = self._height(theta)
         falls = height[:, 1:] <= 0.0
         first = np.argmax(falls, axis=1)
@@ -71,7 +67,7 @@ class _Arcs:
             raise _NoArcError
         plant = np.arange(gamma.size)
         end = bracketed_root(self._height, theta[plant, first, None], theta[plant, first + 1, None])
-        self._theta = end * np.linspace(0.0, 1.0, _ARC_POINTS)
+        self._theta = end * np.linspace(0.0, 1.0, arc_points)
         self._beta = np.asarray(curve_point(self._curve, self._theta)[1])
         if not (
             np.all(np.diff(self._beta) > 0.0) and np.all(self._height(self._theta)[:, 1:-1] > 0)
@@ -85,6 +81,7 @@ class _Arcs:
 
     def rows(self, beta: Array) -> Array:
         """The limits of alpha (plant, row, 2) at betas (plant, row), moved to the ends at most."""
+        secant_steps = 5
         goals = np.clip(beta, self._beta[:, :1], self._beta[:, -1:])
         theta = np.stack(
             [np.interp(*pair) for pair in zip(goals, self._beta, self._theta, strict=True)]
@@ -95,7 +92,7 @@ class _Arcs:
         )
         slope = np.take_along_axis(slopes, cells, axis=1)
         missing = np.asarray(curve_point(self._curve, theta)[1]) - goals
-        for _ in range(_SECANT_STEPS):
+        for _ in range(secant_steps):
             following = np.clip(theta - missing / slope, 0.0, self._theta[:, -1:])
             alpha, at = curve_point(self._curve, following)
             step, change = following - theta, np.asarray(at) - goals - missing
@@ -128,12 +125,13 @@ class _Regions:
                 )
 
     def rows(self, beta: Array) -> Array:
+        outermost = 1e-9  # of the interval of beta: so far inside its ends are the outermost rows
         limits = np.full((*beta.shape, 2), np.nan)
         for own, goals, (low, high), region in zip(
             limits, beta, self.ends, self._regions, strict=True
         ):
             if low < high:
-                aside = _OUTERMOST * (high - low)
+                aside = outermost * (high - low)
                 values = np.clip(goals, low + aside, high - aside)
                 found = interval_ends(region.curve, region.outline, values, axis=1)
                 is_one = np.sum(~np.isnan(found), axis=1) == 2
@@ -143,10 +141,11 @@ class _Regions:
 
 def _is_arc(spec: "AtlasSpec") -> bool:
     """Whether regions at the corners of a range, and at some delays, are bounded by an arc."""
+    most_asked = 12  # delays at which regions are asked whether the range is of arcs
     if spec.filters is not None:
         return False
     gamma, delta, delay = spec.nodes
-    count = min(int(np.ptp(delay)) + 2, _MOST_ASKED)
+    count = min(int(np.ptp(delay)) + 2, most_asked)
     asked = np.linspace(delay[0], delay[-1], count)
     delays = np.unique(np.concatenate([asked, np.floor(asked[asked >= np.ceil(delay[0])])]))
     hands = np.unique(gamma[[0, -1]]), np.unique(delta[[0, -1]])
@@ -180,8 +179,9 @@ class LimitPlan(NamedTuple):
     @property
     def runs(self) -> list[range]:
         """The numbers of nodes along delay of each run, of which neighbours share one."""
+        cells_of_a_run = 8
         last = len(self.spec.nodes[2]) - 1
-        step = _CELLS_OF_A_RUN if self.is_arc else 1
+        step = cells_of_a_run if self.is_arc else 1
         starts = range(0, last, step) if last else [0]
         return [range(start, min(start + step, last) + 1) for start in starts]
 

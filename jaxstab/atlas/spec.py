@@ -103,7 +103,6 @@ FEWEST_FITTED = 8
 _SPACINGS: Mapping[str, Callable[..., Any]] = {"linear": np.linspace, "geometric": np.geomspace}
 _RANGE = ("start", "stop", "count", "spacing")
 _FITTED = ("alpha", "beta")
-_LINE_LENGTH = 90
 
 
 @dataclass(frozen=True)
@@ -371,6 +370,7 @@ def _checked_nodes(name: str, values: Any) -> tuple[float, ...]:
 
 
 def _toml(value: Any) -> str:
+    line_length = 90
     if isinstance(value, FittedAxis):
         return f"{{ fitted = {value.count} }}"
     if isinstance(value, Velocity | Filter):
@@ -381,7 +381,7 @@ def _toml(value: Any) -> str:
         return repr(value)
     lines = [""]
     for item in map(repr, value):
-        if len(lines[-1]) + len(item) > _LINE_LENGTH:
+        if len(lines[-1]) + len(item) > line_length:
             lines.append("  ")
         lines[-1] += f"{item}, "
     return "[" + "\n".join(lines).rstrip(", ") + "]"

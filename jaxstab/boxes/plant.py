@@ -51,7 +51,6 @@ from jaxstab.rounding import PARAMETER, RAISED_MUCH
 # Both are polynomials that are affine in the mass of the device and in what the arm is made of.
 
 _BITS = 192  # of coefficients, before they are rounded to float64
-_ALIASES = 4  # on either side, that responses without a bound add up
 
 Function = Any  # a number, an array or a model of a function over boxes
 
@@ -160,7 +159,8 @@ class HeldDevice(NamedTuple):
         theta: Float64[np.ndarray, " angle"],
     ) -> Complex128[np.ndarray, "delay arm angle"]:
         """Sampled position over force on the unit circle, to about 1e-3 (lemma B20)."""
-        turns = theta + 2.0 * pi * np.arange(-_ALIASES, _ALIASES + 1)[:, None]
+        aliases = 4  # on either side, that responses without a bound add up
+        turns = theta + 2.0 * pi * np.arange(-aliases, aliases + 1)[:, None]
         arms = Arms(*(np.reshape(values, (-1, 1, 1)) for values in arm))
         above, below = self.parts(1j * turns, mass, arms)
         terms = above / below * (2.0 * np.sin(0.5 * theta) / turns)
@@ -260,7 +260,6 @@ def _polynomial(falling: tuple[float, ...], s: Function) -> Function:
 # Where a straight line parts all loops of a box, and of all stiffnesses up to a limit, from 0.
 
 BEYOND = 1e-9  # boxes extend the angles and a hand's values by this share
-_ANY_WAY = 0.05  # of how far an axis moves g: halving it may help in another direction
 
 
 def parted(
@@ -270,6 +269,7 @@ def parted(
 
     Between the loops without stiffness and those at the limit g is on straight lines.
     """
+    any_way = 0.05  # of how far an axis moves g: halving it may help in another direction
     models = (most,) if none is most else (none, most)
     # Across a value, or along what moves g most: the stiffness, the damping, the angle, the hand,
     # whose parts move it along the sides of a rectangle.
@@ -292,7 +292,7 @@ def parted(
         parts = [taken(model, by) for model, by in zip(models, moves, strict=True)]
         share = parts[0] if none is most else np.where(distances[0] < distances[1], *parts)
         shares = np.where(better, share, shares)
-    return clear > 0.0, shares + _ANY_WAY * np.abs(most.slope)
+    return clear > 0.0, shares + any_way * np.abs(most.slope)
 
 
 def taken(model: LinearModel, moves: Rows) -> Rows:

@@ -39,12 +39,8 @@ Hands = Float64[np.ndarray, "hands 2"]
 
 Rows = Float64[np.ndarray, " rows"]
 
-_FIRST_FREQUENCIES = 17
-_FIRST_DAMPINGS = 3
 _ROWS = 129
 _SMALLEST = 2.0**-12  # of the ranges: boxes are not halved beyond
-_MOST_BOXES = 60_000  # at once
-_OUTLINE_TOLERANCE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -164,18 +160,21 @@ class _Sample:
     """Sampled hands and their stable regions."""
 
     def __init__(self, gamma: Range, delta: Range, delay: float, filters: Filters | None) -> None:
+        first_frequencies = 17
+        first_dampings = 3
         self.range = gamma, delta, delay
         self.filters = filters
         self.regions: list[StableRegion] = []
         self.hands = np.zeros((0, 2))
-        frequencies = _FIRST_FREQUENCIES if gamma[0] < gamma[1] else 1
+        frequencies = first_frequencies if gamma[0] < gamma[1] else 1
         frequency = np.linspace(sqrt(gamma[0]), sqrt(gamma[1]), frequencies)
         stiffness = np.clip(frequency**2, *gamma)
-        damping = np.linspace(*delta, _FIRST_DAMPINGS if delta[0] < delta[1] else 1)
+        damping = np.linspace(*delta, first_dampings if delta[0] < delta[1] else 1)
         self.add(np.stack(np.meshgrid(stiffness, damping), axis=-1).reshape(-1, 2))
 
     def add(self, hands: Hands) -> bool:
         """Add hands that are not there yet."""
+        outline_tolerance = 1e-4
         before = len(self.hands)
         for hand in hands:
             if not np.any(np.all(self.hands == hand, axis=1)):
@@ -185,7 +184,7 @@ class _Sample:
                     gamma=gamma,
                     delta=delta,
                     delay=self.range[2],
-                    tolerance=_OUTLINE_TOLERANCE,
+                    tolerance=outline_tolerance,
                     **as_keywords(self.filters),
                 )
                 if region.status != RegionStatus.UNRESOLVED:  # the proof covers this hand too
@@ -262,6 +261,7 @@ def failures(
 
     The axes of the boxes are the way along an edge, from -1 to 1, gamma, delta and theta.
     """
+    most_boxes = 60_000  # at once
     following = np.roll(outline, -1, axis=0)
     middle, half = 0.5 * (outline + following), 0.5 * (following - outline)
     is_polygon = len(outline) > 1
@@ -284,7 +284,7 @@ def failures(
         boxes = DeviceBoxes(one.held_device, one, (1.0, 1.0), (gamma[1], delta[0]), extent)
     except NotImplementedError:  # a hand so stiff that the plant has no bound at high frequencies
         return np.array([[gamma[0], delta[0]]])
-    left = paved(boxes.judged, len(outline), _SMALLEST, most=_MOST_BOXES, **ends).boxes
+    left = paved(boxes.judged, len(outline), _SMALLEST, most=most_boxes, **ends).boxes
     if not left.index.size:
         return np.zeros((0, 2))
     sides = left.middles("hand_stiffness", *gamma), left.middles("hand_damping", *delta)

@@ -41,7 +41,6 @@ Judge = Callable[[ParameterBoxes], tuple[Bool[np.ndarray, " box"], Float64[np.nd
 # Next to theta = 0 little of the plant is far from 0: boxes begin smaller there.
 _CELLS = pi * (1.0 + BEYOND) * np.array([0, 1, 2, 3, 4, 6, 8, 12, 16, 20, 24, 32, 48, 64]) / 64.0
 _TOO = 0.2  # of what the best axis helps: then a second one is halved in the same round
-_ATTEMPTS = 24  # proofs of a search
 PULLS = 0.01, 0.02, 0.04, 0.08
 
 """Shares of the stiffness by which the wall that is proved lies below the limit."""
@@ -248,8 +247,9 @@ def search(
     and says whether one is new; where none is, or after so many that each only just refuted a wall,
     the next one of the ``pulls`` is tried.
     """
+    attempts = 24  # proofs of a search
     index = 0
-    for attempt in range(1, _ATTEMPTS + 1):
+    for attempt in range(1, attempts + 1):
         current = guess(pulls[index])
         if current is None or not len(current.walls):
             break
@@ -259,7 +259,7 @@ def search(
         if failed is None:
             break
         is_new = add(failed)
-        if not is_new or attempt % (_ATTEMPTS // len(pulls)) == 0:
+        if not is_new or attempt % (attempts // len(pulls)) == 0:
             if index + 1 == len(pulls):
                 break
             index += 1

@@ -51,9 +51,7 @@ if TYPE_CHECKING:
 _OVERLAP = 9  # a cell reaches to 9/8 of its share: the ends of shares may be moved by 1/16
 _MOVES = (0, 1, -1, 2, -2, 3, -3, 4, -4)  # of an end, in 72ths of a cell
 _SHARES = (6, 7, 9, 10, 8)  # of an interval, in 16ths, where it is divided
-_MOST_FOR_POWERS = 40  # degree: above, roots take longer than a search
 _SHORTEST = 96  # halvings of a cell, at most
-_REFINEMENTS = 80
 
 
 class Zero(NamedTuple):
@@ -71,9 +69,10 @@ def zeros(cosines: "list[arb]", *, is_last_try: bool) -> list[Zero] | None:
 
     ``is_last_try`` has places without a direction reported.
     """
+    most_for_powers = 40  # degree: above, roots take longer than a search
     if all(c.contains(0) for c in cosines[1:]):  # a constant, as far as the balls tell
         return None if sum(cosines[1:], cosines[0]).contains(0) else []
-    if len(cosines) - 1 <= _MOST_FOR_POWERS:
+    if len(cosines) - 1 <= most_for_powers:
         found = _by_powers(cosines)
         if found is not None:
             return found
@@ -311,12 +310,13 @@ def _known_place(part: _Part, a: "arb", b: "arb") -> "tuple[arb, int]":
 
 def _refined(part: _Part, a: "arb", b: "arb", sign_b: int) -> Zero | None:
     """The zero of a monotone part with unlike signs at its ends."""
+    refinements = 80
     from flint import arb, ctx
 
     low, high = a.mid(), b.mid()
     x, smallest = ((low + high) / 2).mid(), arb(2) ** -ctx.prec
     step = high - low
-    for _ in range(_REFINEMENTS):
+    for _ in range(refinements):
         f = part.value(x)
         sign = sign_of(f + part.missed)
         if sign == sign_b:

@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 
 _HALF_TURN = nextafter(pi, 4.0)  # z = -1 is in the last cell
 _GRADES = 0, 1, 2, 3, 4, 6, 8, 12, 16, 20, 24, 32, 40, 48, 64  # 64ths of pi: first cells
-_MOST_BOXES = 20_000
 _SHORT = 2.0**-31  # of a margin: a box that is reported
 _TURNS = 32  # of (n + 1) theta that are looked at
 _TERMS = 8  # of v(f) about the middle of an interval
@@ -75,13 +74,14 @@ def delay_margin(
         delay: of the loop, in samples, at which the wall is stable.
         wall: stiffness and damping.
     """
+    most_boxes = 20_000
     with working_precision(FIRST_BITS):
         search = _Search(loop(), sample(), delay, wall)
         boxes = []
         for theta in pairwise(grade * _HALF_TURN / 64.0 for grade in _GRADES):
             boxes += search.boxes(theta, (0.0, 1.0))
         heapify(boxes)
-        for _ in range(_MOST_BOXES):
+        for _ in range(most_boxes):
             if not boxes:
                 return DelayMargin(inf, nan, DelayStatus.UNLIMITED)
             key, theta, fraction, by_theta = heappop(boxes)

@@ -53,10 +53,7 @@ from jaxstab.model.device.parts import FIRST_BITS, decided
 if TYPE_CHECKING:
     from flint import acb, acb_poly, arb, arb_poly
 
-_ACCURATE = 60  # bits of an end
-_PATIENT = 512  # bits from which on places without a direction are taken as they are
 _BLOCK = 32  # terms of a polynomial that are summed by Horner's rule
-_NOTHING = 2.0**-100  # of the largest end: an error that small is none
 _SHARE = 0.4873  # of a gap, where a count is taken
 
 
@@ -220,16 +217,19 @@ class _Found(NamedTuple):
 
 def _found(line: _Line) -> _Found | None:
     """The crossings, each as accurate as a float64; None for more bits."""
+    accurate = 60  # bits of an end
+    patient = 512  # bits from which on places without a direction are taken as they are
+    nothing = 2.0**-100  # of the largest end: an error that small is none
     from flint import arb, ctx
 
-    is_last_try = ctx.prec >= _PATIENT
+    is_last_try = ctx.prec >= patient
     found = _crossings(line, is_last_try=is_last_try)
     if found is None:
         return None
     crossings = _joined(found[0])
     scale = max((crossing.t.abs_upper() for crossing in crossings), default=arb(0), key=float)
     for t, *_ in crossings:
-        is_known = t.rel_accuracy_bits() >= _ACCURATE or t.rad() < scale * _NOTHING
+        is_known = t.rel_accuracy_bits() >= accurate or t.rad() < scale * nothing
         if not (is_known or is_last_try):
             return None
     between = _between(crossings)

@@ -40,10 +40,8 @@ from jaxstab.rounding import UNDERFLOW, UNIT
 if TYPE_CHECKING:
     from flint import acb, arb, arb_poly
 
-_MOST_TERMS = 1 << 22  # that are summed; what comes later is bounded
 _MOST_POWERS = 1 << 17  # terms where poles coincide
 _BLOCK = 1 << 20  # numbers that are evaluated at once
-_NOTHING = 1e-12  # a share of a response that is not looked at
 _NARROW = 2.0**-80  # of the largest term: balls of all terms of a quotient
 _UP = 1.0 + 2.0**-50  # for a number that was rounded to float64, or the sum of a few
 
@@ -120,6 +118,8 @@ class Responses(NamedTuple):
 
         Rows and columns may be wrong by a unit of each entry, and by 2^-100 of the largest one.
         """
+        most_terms = 1 << 22  # that are summed; what comes later is bounded
+        nothing = 1e-12  # a share of a response that is not looked at
         large_rows, large_columns = (
             np.abs(side) + 2.0**-100 * np.abs(side).max(initial=0.0) for side in (rows, columns)
         )
@@ -131,7 +131,7 @@ class Responses(NamedTuple):
         modes = self.modes
         if modes is None or not len(modes.poles):
             return total * (1.0 + 2.0 * values.shape[-1] * UNIT)
-        terms = min(ceil(log(_NOTHING) / log(min(modes.moduli.max(), 1.0 - UNIT))), _MOST_TERMS)
+        terms = min(ceil(log(nothing) / log(min(modes.moduli.max(), 1.0 - UNIT))), most_terms)
         near, late, error = modes.powers(max(terms, 2))
         terms = near.shape[1] * late.shape[1]
         residues = _mixed(rows, columns, modes.residues)

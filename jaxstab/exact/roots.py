@@ -27,9 +27,7 @@ from jaxstab.model.device.parts import FIRST_BITS, decided, working_precision
 if TYPE_CHECKING:
     from flint import acb, arb, arb_poly
 
-_SPARE = 8  # bits of a root beyond half of those that are computed with
 _SHARE = 0.4873  # of an interval, where it is divided: not next to a root that is a simple number
-_HALVINGS = 160
 MOST_FOR_ROOTS = 1024  # bits: balls that still overlap then hold multiple roots, in practice
 
 
@@ -107,6 +105,7 @@ def poles(triple: TripleAt, stiffness: float, damping: float) -> Poles:
 
 def isolated_roots(p: Factored) -> "list[acb] | None":
     """The roots in balls, those that the structure knows exactly; None where they overlap."""
+    spare = 8  # bits of a root beyond half of those that are computed with
     import flint
 
     known = [flint.acb(0)] * p.power
@@ -116,7 +115,7 @@ def isolated_roots(p: Factored) -> "list[acb] | None":
     if rest.rest.degree() < 1:
         return known
     try:
-        found = flint.acb_poly(rest.rest).roots(tol=flint.arb(2) ** -(flint.ctx.prec // 2 + _SPARE))
+        found = flint.acb_poly(rest.rest).roots(tol=flint.arb(2) ** -(flint.ctx.prec // 2 + spare))
     except ValueError:
         return None
     return known + found
@@ -166,6 +165,7 @@ def _largest_modulus(roots: "list[acb]") -> Number | None:
 
 def _radius_between(p: Factored) -> Number | None:
     """The same by halving with E1; None where the balls do not tell on which side the roots are."""
+    halvings = 160
     from flint import arb, arb_poly
 
     rest = p.without_windows().rest
@@ -173,7 +173,7 @@ def _radius_between(p: Factored) -> Number | None:
     known = arb(1 if p.is_on_circle else 0)
     low = arb(0)
     high = 1 + sum((abs(c / rising[-1]) for c in rising[:-1]), arb(0)).upper()
-    for _ in range(_HALVINGS):
+    for _ in range(halvings):
         middle = (low + (high - low) * _SHARE).mid()
         outside = roots_outside(rest(arb_poly([0, middle])), most=0)
         if outside is None:

@@ -25,7 +25,6 @@ from jaxstab.model.device.parts import decided
 if TYPE_CHECKING:
     from flint import arb, arb_poly
 
-_HALVINGS = 40  # of an interval of jitters
 _CLOSE = 1e-6  # of the jitter that is found
 
 
@@ -87,6 +86,7 @@ def largest_jitter(
     It is 0 where none is proved. ``late`` takes the jitter. Q grows with it, so that all smaller
     ones are proved as well.
     """
+    halvings = 40  # of an interval of jitters
 
     def is_proved(jitter: float) -> bool:
         return small_gain(loop, lambda: late(jitter), *wall) == SmallGainStatus.PROVED
@@ -96,7 +96,7 @@ def largest_jitter(
         if high == most:
             return most
         low, high = high, min(2.0 * high, most)
-    for _ in range(_HALVINGS):
+    for _ in range(halvings):
         if high - low <= _CLOSE * high:
             break
         middle = 0.5 * (low + high)

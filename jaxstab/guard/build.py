@@ -40,7 +40,6 @@ from jaxstab.region.on_circle import responses_at
 Cells = Bool[np.ndarray, "mass delay damping"]
 
 _AT_ONCE = 32  # cells
-_NARROWEST = 2.0**-29  # of a cell: what such boxes have not is next to an instability
 _SMALL = 1e-6  # of the largest limit
 
 
@@ -58,6 +57,7 @@ def proved(
     with the number of cells that are proved. Of the loop, the device's mass, the hand and the delay
     are not used.
     """
+    narrowest = 2.0**-29  # of a cell: what such boxes have not is next to an instability
     boxes = grid_boxes(loop.held_device, loop, hands, grid)
     arm: dict[str, Any] = dict(zip(HAND, vars(hands).values(), strict=True))
     waiting, is_proved, count = np.flatnonzero(cells), np.zeros(cells.size, bool), 0
@@ -66,7 +66,7 @@ def proved(
         block = np.arange(min(waiting.size, _AT_ONCE, (most[1] - count) // effort))
         corners = zip(CELL_AXES, np.unravel_index(waiting[block], cells.shape), strict=True)
         places: dict[str, Any] = {name: (index, index + 1.0) for name, index in corners}
-        paving = paved(boxes.judged, block.size, _NARROWEST, effort=effort, **places, **arm)
+        paving = paved(boxes.judged, block.size, narrowest, effort=effort, **places, **arm)
         is_proved[waiting[block]] = ~np.isin(block, paving.boxes.index)
         waiting, count = waiting[block.size :], count + int(paving.judged.sum())
         tell(int(is_proved.sum()))
@@ -111,19 +111,8 @@ CELLS, CONSTANT_CELLS = (4, 1, 16), (4, 8, 16)
 
 """Cells along mass, delay and damping, powers of two: of delays that move, and of constant ones."""
 
-_PULL = 0.03  # of each limit
-_PULL_ALL = 0.02  # of the largest limit of the same mass and delay
-_PULL_TOP = 0.015  # of the largest damping
 _LOWER = 0.05  # of a limit whose proof was given up, in the first round
-_LOWER_ALL = 0.08  # of the largest limit of the same mass and delay, added to that limit
-_LITTLE = 0.05  # of the largest limit: no less is granted without damping, or at the largest one
-_ATTEMPTS = 12
-_FINER = 4  # parts of a cell, in which largest dampings are computed
-_FEWEST = 2000  # boxes of a cell in the first round, or a part of all boxes
-_MORE = 1.5  # times as many boxes, and as much to take from the limits, in the next round
 _SQUARE = (0, 0), (0, 1), (1, 0), (1, 1)
-_CODES = 0xFFFF
-_LEAST_GAIN = 1e-6  # of a position filter at z = 1
 _PARTS = 2, 2, 4  # of a cell, at whose ends a guard is held against the boundary
 _LEAST_SHARE = 1e-3  # of the largest damping: at none what nothing damps is on the circle
 _ENOUGH = 0.99  # of the stiffness at which a hand becomes unstable
@@ -140,7 +129,6 @@ class _Work(NamedTuple):
 
 _OF_MASS = _Work(2_000_000, 8, 500, 1e-5)
 _OF_DEVICE = _Work(4_000_000, 32, 20_000, 1e-5)
-_SECONDS = 2.0  # that boundaries take
 
 
 def build_guard(
@@ -255,9 +243,10 @@ class GuardPlan(NamedTuple):
 
 def plan_guard(loop: LoopParameters, cells: tuple[int, int, int] = CELLS) -> GuardPlan:
     """The work of ``build_guard``, and about how long it takes."""
+    seconds = 2.0  # that boundaries take
     count, work = int(np.prod(cells)), _work_of(loop)
-    usual = _SECONDS + min(count * work.usual, work.most) * work.seconds
-    return GuardPlan(count, work.most, (usual, _SECONDS + work.most * work.seconds))
+    usual = seconds + min(count * work.usual, work.most) * work.seconds
+    return GuardPlan(count, work.most, (usual, seconds + work.most * work.seconds))
 
 
 def _work_of(loop: LoopParameters) -> _Work:
@@ -272,7 +261,11 @@ def _first_grid(
     jitter: float,
 ) -> tuple[Grid, tuple[float, float]]:
     """Limits a little below the boundaries at the nodes, and the units of the table."""
-    tops = _tops(loop, hands, nodes, jitter) * (1.0 - _PULL_TOP)
+    pull = 0.03  # of each limit
+    pull_all = 0.02  # of the largest limit of the same mass and delay
+    pull_top = 0.015  # of the largest damping
+    little = 0.05  # of the largest limit: no less is granted without damping, or at the largest one
+    tops = _tops(loop, hands, nodes, jitter) * (1.0 - pull_top)
     is_good = np.isfinite(tops) & (tops > 0.0)
     if not is_good.any():
         raise RuntimeError(
@@ -286,11 +279,11 @@ def _first_grid(
     exact = boundary.largest_stiffness(top[..., None] * share)
     exact = np.where(np.isfinite(exact) & is_good[..., None], exact, 0.0)
     largest = exact.max(axis=-1, keepdims=True)
-    limit = np.maximum(exact * (1.0 - _PULL) - _PULL_ALL * largest, 0.0)
+    limit = np.maximum(exact * (1.0 - pull) - pull_all * largest, 0.0)
     # A first row that begins without a wall is proved by lemma B20, however little is damped; next
     # to the largest damping little stiffness takes many boxes.
     for end in (0, -1):
-        is_little = limit[..., end] < _LITTLE * largest[..., 0]
+        is_little = limit[..., end] < little * largest[..., 0]
         limit[..., end] = np.where(is_little, 0.0, limit[..., end])
     limit, unit = _coded(limit)
     return Grid(nodes[0], nodes[1], top, limit, jitter), (unit, damping_unit)
@@ -304,10 +297,12 @@ def _proved(
     progress: Callable[[float], None],
 ) -> tuple[Grid, Cells]:
     """A grid whose limits are lowered until they are proved, and the cells that are."""
+    fewest = 2000  # boxes of a cell in the first round, or a part of all boxes
+    more = 1.5  # times as many boxes, and as much to take from the limits, in the next round
     # Each round may take more boxes for a cell than the one before, of limits that are lower by
     # more. A cell keeps the limits with which it was proved, even if its neighbours are lowered.
     work, is_proved = _work_of(loop), np.zeros(grid.cells, bool)
-    left, each = work.most, float(max(_FEWEST, work.most // (work.rounds * is_proved.size)))
+    left, each = work.most, float(max(fewest, work.most // (work.rounds * is_proved.size)))
     share = _LOWER
     hopeful, limit = ~is_proved, np.full(grid.limit.shape, np.inf)
     while left > 0 and hopeful.any():
@@ -318,7 +313,7 @@ def _proved(
         # A cell whose limits are all 0 cannot be lowered further.
         hopeful = ~is_proved & (np.max(_corners(grid), axis=0) > 0.0)
         grid = _lowered(grid, hopeful, unit, share)
-        each, share = each * _MORE, min(share * _MORE, 1.0)
+        each, share = each * more, min(share * more, 1.0)
     progress(1.0)
     return grid._replace(limit=np.where(np.isfinite(limit), limit, grid.limit)), is_proved
 
@@ -367,6 +362,7 @@ def _check(
     *,
     may_be_one: bool,
 ) -> None:
+    least_gain = 1e-6  # of a position filter at z = 1
     checked_range(hands, device=loop.device)
     refuse_arrays(loop)
     body = loop.held_device.mechanism
@@ -377,7 +373,7 @@ def _check(
         )
     filters = known_filters(**loop.filters)
     gain = 1.0 if filters is None else float(responses_at(filters, np.ones(1, complex))[0][0].real)
-    if not gain >= _LEAST_GAIN:
+    if not gain >= least_gain:
         raise ValueError(
             f"the position filter has the gain {gain:g} at z = 1; give one with a positive gain."
         )
@@ -396,8 +392,9 @@ def _tops(
     loop: LoopParameters, hands: HandRange, nodes: list[np.ndarray], jitter: float
 ) -> np.ndarray:
     """Largest dampings at nodes, low enough for those between nodes."""
+    finer = 4  # parts of a cell, in which largest dampings are computed
     fine = [
-        np.interp(np.arange((axis.size - 1) * _FINER + 1) / _FINER, np.arange(axis.size), axis)
+        np.interp(np.arange((axis.size - 1) * finer + 1) / finer, np.arange(axis.size), axis)
         for axis in nodes
     ]
     exact = np.concatenate(
@@ -406,18 +403,19 @@ def _tops(
             for masses in fine[0][:, None]
         ]
     )
-    top = exact[::_FINER, ::_FINER]
-    places = np.indices(exact.shape).reshape(2, -1) / _FINER
+    top = exact[::finer, ::finer]
+    places = np.indices(exact.shape).reshape(2, -1) / finer
     share = np.minimum(exact / interpolated(top, places).reshape(exact.shape), 1.0)
-    windows = np.pad(share, _FINER, constant_values=1.0)
-    around = np.lib.stride_tricks.sliding_window_view(windows, (2 * _FINER + 1,) * 2)
-    lowest: np.ndarray = top * around[::_FINER, ::_FINER].min(axis=(2, 3))
+    windows = np.pad(share, finer, constant_values=1.0)
+    around = np.lib.stride_tricks.sliding_window_view(windows, (2 * finer + 1,) * 2)
+    lowest: np.ndarray = top * around[::finer, ::finer].min(axis=(2, 3))
     return lowest
 
 
 def _coded(values: np.ndarray) -> tuple[np.ndarray, float]:
     """Values rounded down to multiples of a power of two, and that unit."""
-    unit = 2.0 ** frexp(float(np.max(values)) / _CODES)[1]
+    codes = 0xFFFF
+    unit = 2.0 ** frexp(float(np.max(values)) / codes)[1]
     return np.floor(values / unit) * unit, unit
 
 
@@ -431,13 +429,15 @@ def _are_corners(grid: Grid, cells: Cells) -> Bool[np.ndarray, "_ _ _"]:
 
 def _lowered(grid: Grid, cells: Cells, unit: float, share: float = _LOWER) -> Grid:
     """A grid whose limits at all corners of these cells are lower."""
-    by = share * (grid.limit + _LOWER_ALL * grid.limit.max(axis=-1, keepdims=True))
+    lower_all = 0.08  # of the largest limit of the same mass and delay, added to that limit
+    by = share * (grid.limit + lower_all * grid.limit.max(axis=-1, keepdims=True))
     lower = np.floor(np.maximum(grid.limit - by, 0.0) / unit) * unit
     return grid._replace(limit=np.where(_are_corners(grid, cells), lower, grid.limit))
 
 
 def _below_curves(loop: LoopParameters, hands: HandRange, grid: Grid, unit: float) -> Grid:
     """A grid lowered where it is not below the boundaries between its nodes."""
+    attempts = 12
     counts = tuple(count * finer for count, finer in zip(grid.cells, _PARTS, strict=True))
     sizes = tuple(count + 1 for count in counts)
     places = np.indices(sizes).reshape(3, -1) / np.array(_PARTS)[:, None]
@@ -454,7 +454,7 @@ def _below_curves(loop: LoopParameters, hands: HandRange, grid: Grid, unit: floa
             for value, row in zip(mass, damping, strict=True)
         ]
     )
-    for _ in range(_ATTEMPTS):
+    for _ in range(attempts):
         limit = interpolated(grid.limit, places).reshape(exact.shape)
         above = places[:, (limit > _ENOUGH * exact).ravel()]
         if not above.shape[1]:

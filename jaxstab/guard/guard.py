@@ -20,12 +20,10 @@ from jaxstab.shown import printable, shortened
 
 _SAMPLES = 9  # of mass and of delay
 _DAMPINGS = 64
-_ROUNDED = 1.0 + 1e-12  # the largest damping, however it was summed
 LARGEST_HEADER = 1_000_000
 """Bytes of a header at most."""
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,39}")
-_WIDTH = 96
 _LINE = ("kg", "N/m", "N s/m")
 
 
@@ -141,6 +139,7 @@ class Guard:
         of the device in kg and delay in s have any shape and broadcast. The delay is given if it is
         constant, and only then: TypeError otherwise.
         """
+        rounded = 1.0 + 1e-12  # the largest damping, however it was summed
         if self.is_delay_constant and delay is None:
             raise TypeError("the guard is for constant delays; give delay in s.")
         if not self.is_delay_constant and delay is not None:
@@ -166,7 +165,7 @@ class Guard:
         last = np.array(self.grid.cells[:2])[:, None] - 1
         cell = tuple(np.minimum(index.astype(int), last))
         lowest, highest = top * (self.rows[cell].T / self.grid.cells[2])
-        inside &= (damping_ >= lowest) & (damping_ <= highest * _ROUNDED) & (lowest < highest)
+        inside &= (damping_ >= lowest) & (damping_ <= highest * rounded) & (lowest < highest)
         row = np.where(inside, np.minimum(damping_ / top, 1.0) * self.grid.cells[2], 0.0)
         limits = np.where(inside, interpolated(self.grid.limit, np.vstack([index, row])), 0.0)
         return limits.reshape(values[0].shape)
@@ -328,12 +327,13 @@ def checked_name(name: str) -> str:
 
 def _table(values: np.ndarray) -> str:
     """Return whole numbers as an initialiser; each row of the last axis begins a line."""
+    width = 96
     if values.ndim > 1:
         return ",\n".join("{" + _table(row) + "}" for row in values)
     lines, line = [], ""
     for value in values:
         word = f"{int(value)},"
-        if len(line) + len(word) > _WIDTH:
+        if len(line) + len(word) > width:
             lines.append(line)
             line = ""
         line += word

@@ -20,9 +20,6 @@ from jaxstab.region.on_circle import quick_plant, responses_at
 
 _ANGLES = 800
 _LATE = 5  # delays of a range
-_DEVICE_ANGLES = 1200  # devices have resonances
-_DEVICE_HANDS = 3  # along each range: behind a grip the worst one need not be at a corner
-_BEND = 1.5  # angles are closer to each other near 0
 
 Angles = Float64[np.ndarray, " angle"]
 Curves = Float64[np.ndarray, "mass delay hand angle"]
@@ -128,9 +125,11 @@ def _of_devices(
     delay: np.ndarray,
     late: np.ndarray,
 ) -> Boundary:
+    device_angles = 1200  # devices have resonances
+    device_hands = 3  # along each range: behind a grip the worst one need not be at a corner
     period = loop.sample_time
     units = np.full((1, 1, 1), period**2), np.full((1, 1, 1), period)
-    moved, springs, dampers = spread_hands(hands, _DEVICE_HANDS).T
+    moved, springs, dampers = spread_hands(hands, device_hands).T
     arms = Arms(moved, springs * period**2, dampers * period)
 
     def stiffness(theta: Angles) -> Complex128[np.ndarray, "mass delay hand angle"]:
@@ -140,7 +139,7 @@ def _of_devices(
         ]
         return -1.0 / np.stack(responses)
 
-    return _boundary(loop, stiffness, units, _DEVICE_ANGLES)
+    return _boundary(loop, stiffness, units, device_angles)
 
 
 def _boundary(
@@ -150,13 +149,14 @@ def _boundary(
     count: int,
 ) -> Boundary:
     """Return the boundary from what alpha P + beta V is on it, and from alpha/K and beta/B."""
+    bend = 1.5  # angles are closer to each other near 0
     filters = known_filters(**loop.filters) or NO_FILTERS
 
     def force(theta: Angles) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         position, velocity = responses_at(filters, np.exp(1j * theta))
         return position, velocity, stiffness(theta)
 
-    position, velocity, wanted = force(np.pi * (np.arange(1, count) / count) ** _BEND)
+    position, velocity, wanted = force(np.pi * (np.arange(1, count) / count) ** bend)
     twist = np.imag(np.conj(position) * velocity)
     with np.errstate(divide="ignore", invalid="ignore"):
         alpha = np.imag(np.conj(velocity) * wanted) / -twist

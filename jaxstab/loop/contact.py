@@ -33,7 +33,6 @@ from jaxstab.numbers import checked, checked_number
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_GROWTH = 1.5  # of the amplitude, from one quarter of a run to the next
 _SHORTEST, _LONGEST = 16, 1e8  # samples
 
 
@@ -153,6 +152,7 @@ class _Setup(NamedTuple):
         )
 
     def _kinds(self, values: Summary) -> Int8[np.ndarray, "*grid"]:
+        growth = 1.5  # of the amplitude, from one quarter of a run to the next
         size, earlier = values.high - values.low, values.earlier_high - values.earlier_low
         is_one_sided = self.sides["one_sided"]
         surface = -self.runs.tolerance - 0.5 * self.runs.encoder  # further outside nothing acts
@@ -162,8 +162,8 @@ class _Setup(NamedTuple):
             (is_one_sided & (values.deepest < surface), ContactKind.UNTOUCHED),
             (is_one_sided & (values.high < surface), ContactKind.OUTSIDE),
             (values.since <= self.last, ContactKind.RESTS),
-            (size > _GROWTH * earlier, ContactKind.GROWS),
-            (earlier > _GROWTH * size, ContactKind.DECAYS),
+            (size > growth * earlier, ContactKind.GROWS),
+            (earlier > growth * size, ContactKind.DECAYS),
             (is_one_sided & (values.low <= 0.0), ContactKind.BOUNCES),
         ]
         conditions, kinds = zip(*cases, strict=True)

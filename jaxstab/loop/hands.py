@@ -43,8 +43,6 @@ if TYPE_CHECKING:
 
 Wall = tuple[float, float]
 
-_VALUES = 3  # values of each number that varies
-_MOST_TRIED = 64  # loops of those that could not be proved
 _LOWERED = (1.0, 0.95, 0.9, 0.8, 0.65, 0.5)  # shares of what one hand allows if the delay moves
 _MARGINS = 7  # halvings of what one hand allows, for a margin of all
 
@@ -102,13 +100,15 @@ class LoopsWithHands:
 
     def worst(self, stiffness: float, damping: float) -> WorstHand:
         """Whether a wall is stable for all of them, and the worst of those tried."""
+        values = 3  # values of each number that varies
+        most_tried = 64  # loops of those that could not be proved
         wall = stiffness, damping
 
         def judge(members: Members) -> WorstHand:
             return _worst_of([self._held(member) for member in members], wall, self.moving)
 
-        sampled = judge(self._spread(_VALUES))
-        return worst_of_range(sampled, lambda: self._unproved(wall), judge, _MOST_TRIED)
+        sampled = judge(self._spread(values))
+        return worst_of_range(sampled, lambda: self._unproved(wall), judge, most_tried)
 
     def robust_limit(self) -> RobustLimit:
         """The stiffest wall that all of them allow: ``HapticLoop.robust_limit``."""

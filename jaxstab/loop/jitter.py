@@ -33,7 +33,6 @@ _DAMPINGS = 1.0, 2.0, *(0.5 ** np.arange(1, 8))  # at first, of the best one of 
 _STIFFNESSES = 0.95, 0.8, 0.6, 0.4, 0.2, 0.1, 0.03, 0.01, 1e-3  # at first, of its limit
 _STEPS = 0.5 ** np.arange(1, 11)  # of the damping
 _FINE, _FINEST = 0.03, 1e-5  # differences of the stiffness that count: of a step, and at last
-_COLUMN = 2e-3  # the same, in a picture
 _COARSE = 9  # bisections towards a wall that is unstable
 _COLUMNS, _EVERY = 24, 3  # dampings of a picture, and of walls that are unstable
 
@@ -181,11 +180,12 @@ class MovingLoop(NamedTuple):
 
     def stiffest_walls(self) -> tuple[Float64[np.ndarray, "_ 2"], Float64[np.ndarray, "_ 2"]]:
         """Return the stiffest proved walls of some dampings, and unstable ones above them."""
+        column = 2e-3  # the same, in a picture
         longest, walls = self._longest(), []
         for damping in (longest.damping * np.arange(1, _COLUMNS) / _COLUMNS).tolist():
             first = self._first(0.0, damping, longest.stiffness)
             if first:
-                walls.append((self._raised(first, damping, _COLUMN), damping))
+                walls.append((self._raised(first, damping, column), damping))
         unstable = [(self._lowest_unstable(*wall), wall[1]) for wall in walls[::_EVERY]]
         return np.reshape(walls, (-1, 2)), np.reshape(unstable, (-1, 2))
 

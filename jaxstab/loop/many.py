@@ -39,13 +39,10 @@ if TYPE_CHECKING:
     from jaxstab.region.batch import Extremes, Triples
 
 _VERTICES = 295  # of an outline
-_FEWEST = 64  # loops of a kind: a program takes as long to compile as these take one by one
 _AT_ONCE = 256  # loops that a program takes
 _FORMED = 2048  # loops whose coefficients are held in memory
-_FEWEST_COMPILED = 4  # the same for a program that is compiled
 _SCANS = 3  # of a loop, at most
 _MISSED = np.array([1e-5, 3e-5])  # distances of the first angles from where a piece was missed
-_ILL_CONDITIONED = 1e8  # a denominator's coefficients, over its least size on the circle
 _ON_CIRCLE = 1e-6  # a root of Im V this close to the circle is on it
 _SLOW, _FARTHEST_ROOT = 0.5, 4.0  # roots of devices: from 1, and from the circle
 _REMEMBERED = 64
@@ -371,9 +368,10 @@ def resolved(
     stacks: list[Stack], *, outlines: bool = False
 ) -> "Iterator[tuple[Indices, tuple[Extremes, Any]]]":
     """Yield loops that the program of a batch resolved, and its answers to them."""
+    fewest_compiled = 4  # the same for a program that is compiled
     for formed, triples in one_ahead(_groups(stacks)):
         for _ in range(_SCANS):
-            if len(triples.angles) < _FEWEST_COMPILED:
+            if len(triples.angles) < fewest_compiled:
                 break
             members = np.concatenate([group.members for group in formed])
             missed = np.full((len(members), 2), np.nan)
@@ -415,6 +413,7 @@ def _groups(stacks: list[Stack]) -> Iterator[tuple[list[_Formed], "Triples"]]:
 
     Loops that are too few to compile for are filled up to the next degree.
     """
+    fewest = 64  # loops of a kind: a program takes as long to compile as these take one by one
     waiting: dict[int, list[_Formed]] = {degree: [] for degree in _DEGREES}
     is_compiled = dict.fromkeys(_DEGREES, False)
     for group in _formed(stacks):
@@ -428,7 +427,7 @@ def _groups(stacks: list[Stack]) -> Iterator[tuple[list[_Formed], "Triples"]]:
     few: list[_Formed] = []
     for degree in _DEGREES:
         few += waiting[degree]
-        if few and (is_compiled[degree] or _count(few) >= _FEWEST):
+        if few and (is_compiled[degree] or _count(few) >= fewest):
             yield few, _triples(few, degree)
             few = []
 
@@ -635,13 +634,14 @@ def _poles(filters: Filters) -> Angles | None:
 
     The imaginary part of X/Y, times |Y|^2, is a series of sines: the odd part of X(z) Y(1/z).
     """
+    ill_conditioned = 1e8  # a denominator's coefficients, over its least size on the circle
     below, y, x = (
         np.array([float(c.rounded()) for c in part]) for part in filter_factors(filters).parts
     )
     circle = np.exp(1j * np.geomspace(1e-3, np.pi, 64))
     least = np.min(np.abs(np.prod(circle[:, None] - np.roots(below), axis=1)))
     at_rest = exact_chain(filters[1].sections)[0](1)
-    if np.sum(np.abs(below)) >= _ILL_CONDITIONED * least or at_rest == 0:
+    if np.sum(np.abs(below)) >= ill_conditioned * least or at_rest == 0:
         return None
     length = max(len(x), len(y))
     x, y = (np.append(p, np.zeros(length - len(p))) for p in (x, y))

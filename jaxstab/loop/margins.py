@@ -101,7 +101,6 @@ def _ends(
 # Margins as a table for people: limits rounded inwards, and 0 if they are 0 but for rounding.
 
 _DIGITS = 5
-_MOST_ROWS = 8  # of many walls
 
 
 class MarginNames(NamedTuple):
@@ -118,6 +117,7 @@ IN_SI_UNITS = MarginNames("K (N/m)", "B (N s/m)", "extra delay (s)")
 
 def margins_text(margins: tuple[Numbers, ...], names: MarginNames) -> str:
     """A ``Margins`` as a table: of one wall a row per quantity, of many a row per wall."""
+    most_rows = 8  # of many walls
     if not are_numbers(margins):
         return f"Margins{tuple(margins)}"
     verdict, stiffness, damping, stiffness_gain, damping_gain, extra_delay = margins
@@ -145,8 +145,8 @@ def margins_text(margins: tuple[Numbers, ...], names: MarginNames) -> str:
     table = [("verdict", *heads[0], *heads[1], names.delay)]
     walls = zip(codes, *limits, delays, strict=True)
     table += [(code, *stiff, *damp, delay) for code, stiff, damp, delay in walls]
-    more = f"\n... and {len(codes) - _MOST_ROWS} more" if len(codes) > _MOST_ROWS else ""
-    return f"Margins of {len(codes)} walls\n{table_text(table[: 1 + _MOST_ROWS])}{more}"
+    more = f"\n... and {len(codes) - most_rows} more" if len(codes) > most_rows else ""
+    return f"Margins of {len(codes)} walls\n{table_text(table[: 1 + most_rows])}{more}"
 
 
 def _interval(low: float, high: float) -> tuple[str, str]:

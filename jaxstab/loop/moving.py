@@ -52,7 +52,6 @@ Answer = TypeVar("Answer")
 _Numbers = tuple[Any, Responses]  # of the plant: gamma, delta and the delay
 
 _REAL = 2e-6  # rad: a root this near to the real axis is real; scans of batches begin at 1e-6
-_FEWEST = 512  # loops inside of jit: compiling takes as long as some thousands of them one by one
 _RESOLVED = np.array([RegionStatus.COMPLETE, 1.0, 0.0])  # status, is_reachable, is_single
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 
@@ -142,6 +141,9 @@ def _search(
     structure: Any, form: Form | None, *, outlines: bool
 ) -> Callable[..., tuple[Array, Any]]:
     """Return the search for extreme walls and outlines of loops of one structure, by leaves."""
+    fewest = (
+        512  # loops inside of jit: compiling takes as long as some thousands of them one by one
+    )
     search = _search_alone(structure, outlines=outlines)
 
     @jax.custom_batching.custom_vmap
@@ -154,7 +156,7 @@ def _search(
     def together(size: int, is_batched: list[bool], *leaves: Any) -> tuple[Any, Any]:
         if is_any_traced(*leaves):
             triples = None
-            if form is not None and size >= _FEWEST:
+            if form is not None and size >= fewest:
                 columns = [jnp.broadcast_to(leaf, size) for leaf in leaves]
                 many: Any = jax.tree.unflatten(structure, columns)
                 triples = triples_of_masses(many.gamma, many.delta, form)

@@ -19,9 +19,6 @@ if TYPE_CHECKING:
     from jaxstab.loop.loop import HapticLoop
 
 
-_SLOWER = 64  # than the fastest wall: how slow calm walls are looked for at first
-
-
 def wall_axes(
     outline: Float64[np.ndarray, "vertex 2"], stiffness: float | None
 ) -> tuple[Axis, Axis]:
@@ -100,6 +97,7 @@ def optimal_wall(
     chatter: Chatter | None,
 ) -> OptimalWall:
     """Return the wall that comes to rest fastest: ``HapticLoop.tune``."""
+    slower = 64  # than the fastest wall: how slow calm walls are looked for at first
     checked_word("goal", goal, ("radius", "settling"))
     level = checked_level(level, excitation)
     alpha = None if stiffness is None else loop.alpha(checked_number("stiffness", stiffness, 0.0))
@@ -119,7 +117,7 @@ def optimal_wall(
 
         def likely(alphas: np.ndarray, betas: np.ndarray) -> np.ndarray:
             walls = loop.stiffness(alphas), loop.damping(betas)
-            horizon = int(np.clip(_SLOWER * fastest, 1 << 10, 1 << 16))
+            horizon = int(np.clip(slower * fastest, 1 << 10, 1 << 16))
             return likely_settling(loop.in_floats(), *walls, **options, horizon=horizon)
 
         def proved(alphas: np.ndarray, betas: np.ndarray) -> np.ndarray:

@@ -28,7 +28,6 @@ from jaxstab.arrays import Array, is_jax, kept, namespace, pytree, tree_map
 _UPPER_HALF = np.uint64(0xFFFFFFFFF8000000)  # sign, exponent and 26 bits of the significand
 _UPPER_BITS = int(_UPPER_HALF)
 _FLOAT, _BITS = Struct("<d"), Struct("<Q")
-_HALVES_UNDERFLOW = 1e-270  # below, products of halves are flushed to zero: rounded once instead
 
 
 @pytree
@@ -173,6 +172,7 @@ def two_sum(a: Array, b: Array) -> tuple[Array, Array]:
 
 def two_product(a: Array, b: Array) -> tuple[Array, Array]:
     """Return ``a b`` rounded and the error of it; their sum is right to 2^-101 relative."""
+    halves_underflow = 1e-270  # below, products of halves are flushed to zero: rounded once instead
     # It is summed from products of half significands, which are exact. XLA contracts a product and
     # a sum to one fused operation as it likes: with exact products that changes nothing. A product
     # below 1e-270 is only rounded.
@@ -181,7 +181,7 @@ def two_product(a: Array, b: Array) -> tuple[Array, Array]:
     middle, middle_error = two_sum(a_high * b_low, a_low * b_high)
     product, error = _quick_two_sum(a_high * b_high, middle)
     error = error + (middle_error + a_low * b_low)
-    underflows = abs(product) < _HALVES_UNDERFLOW
+    underflows = abs(product) < halves_underflow
     if type(underflows) is bool:
         return (a * b, 0.0) if underflows else (product, error)
     xp = namespace(a, b)

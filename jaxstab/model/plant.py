@@ -44,8 +44,6 @@ from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.parameters import checked_delay, checked_delta, checked_gamma, require_x64
 from jaxstab.rounding import DAMPED_PLANT, SOFT_DELTA, SOFT_GAMMA, SOFT_PLANT, STIFF_PLANT
 
-_DUPLICATIONS = 10
-
 
 class PlantCoefficients(NamedTuple):
     """The sampled plant: D(z) = z^2 + d1 z + d0 and N(z) = n2 z^2 + n1 z + n0, times m/T^2.
@@ -223,12 +221,13 @@ class _Hold(NamedTuple):
 
 
 def _hold(gamma: Array, delta: Array, length: DoubleDouble) -> _Hold:
+    duplications = 10
     a = length * (0.5 * delta)
     x = a * a
     y = x - length * length * gamma
-    x, y = x.scaled(4.0**-_DUPLICATIONS), y.scaled(4.0**-_DUPLICATIONS)
+    x, y = x.scaled(4.0**-duplications), y.scaled(4.0**-duplications)
     nodes = _Nodes(x, y, kappa=_series(0, x, y), sigma=_series(1, x, y))
-    nodes = repeat(_DUPLICATIONS, _duplicate, nodes)
+    nodes = repeat(duplications, _duplicate, nodes)
     decay = DoubleDouble.from_value(filled(x.hi, 1.0)) / (nodes.kappa.x + a * nodes.sigma.x)
     return _Hold(length, decay, nodes.kappa.y, nodes.sigma.y, nodes.kappa.xy, a * nodes.sigma.xy)
 

@@ -50,9 +50,7 @@ from jaxstab.motion.response import Controller
 FASTEST = 64.0  # max(delta, sqrt(gamma)) that is simulated: as many pieces has a sample
 LIMIT = 1e6  # positions and velocities beyond it are given up
 SMALLEST_TERM = 1e-18  # of a series
-_TRACED_TERMS = 13
 _ARCTAN = tuple((-1.0) ** k / (2 * k + 1) for k in range(13, -1, -1))  # of squares up to 0.066
-_WHOLE = 2.0**52  # larger float64 are whole numbers
 _MANY = 1 << 19  # runs times samples from which on a program of XLA pays
 
 
@@ -245,11 +243,12 @@ def series(
 
     Traced ones, whose size is unknown, get enough for an error of 1e-10 where both are up to 1.
     """
+    traced_terms = 13
     terms, power = [0.0, 1.0], 1.0
 
     def is_short() -> bool:
         if is_traced(gamma):
-            return len(terms) < _TRACED_TERMS
+            return len(terms) < traced_terms
         return abs(terms[-1]) + abs(terms[-2]) * longest > SMALLEST_TERM / power
 
     while len(terms) % 4 != 1 or is_short():
@@ -273,7 +272,8 @@ class _PlainNumbers:
 
     @staticmethod
     def rint(value: float) -> float:
-        return float(round(value)) if abs(value) < _WHOLE else value
+        whole = 2.0**52  # larger float64 are whole numbers
+        return float(round(value)) if abs(value) < whole else value
 
     @staticmethod
     def sign(value: float) -> float:
@@ -476,7 +476,6 @@ def series_at(coefficients: Any, time: Array) -> Array:
 # one extreme within the leg is checked as well; a second one in a piece of at most 2 rad would be
 # missed.
 
-_MOST_MOTION = 2.0  # of a piece, in rad
 _MOST_LEGS, _MOST_STEPS = 32, 64  # of a piece; of a search for a time
 _CLOSE = 2.0**-50  # of a piece: the accuracy of times
 
@@ -505,6 +504,7 @@ class Handle(NamedTuple):
     @classmethod
     def from_device(cls, device: Device, sample_time: float, delays: tuple[float, ...]) -> "Handle":
         """Return a device; delays in samples, in turn. ValueError if no mass is at its handle."""
+        most_motion = 2.0  # of a piece, in rad
         matrix, pull, at_rest, ticks = handle_equations(device, sample_time)
         size, columns = matrix.shape
         load, thrown = matrix[1] / matrix[1, -1], matrix[:, -1] / matrix[1, -1]
@@ -513,7 +513,7 @@ class Handle(NamedTuple):
         rates[1, :2] = 0.0  # exactly
         rows = np.stack([np.vstack([whole[:size], row, whole[pull]]) for row in (whole[1], load)])
         fastest = ticks * float(np.abs(rates[:, :size, :size]).sum(axis=2).max())  # at most
-        ages, lengths = pieces(delays, fastest / _MOST_MOTION)
+        ages, lengths = pieces(delays, fastest / most_motion)
         series, term, motion = [rows], 1.0, fastest * lengths.max()
         while term > SMALLEST_TERM:
             series.append(series[-1] @ rates / len(series))

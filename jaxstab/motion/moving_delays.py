@@ -25,11 +25,7 @@ from jaxstab.rounding import EPS
 Turn = tuple[float, ...]  # of delays in samples; infinite for a sample that is lost
 
 _QUICK, _THOROUGH = 4, 7  # the longest patterns
-_LEVELS = 5  # delays of the range that hill climbing tries
 _LONGEST = 48  # turn of hill climbing
-_TRIES = 300  # changes of the best pattern of each length
-_EFFORT = 20_000_000  # the most changes times the cube of the states
-_GAIN = 1e-9  # of the growth, that a change must bring
 
 
 class Delays(NamedTuple):
@@ -109,17 +105,21 @@ class _Search:
 
     def climbed(self, best: list[Growth]) -> list[Growth]:
         """The fastest turns after hill climbing."""
+        levels = 5  # delays of the range that hill climbing tries
+        tries = 300  # changes of the best pattern of each length
+        effort = 20_000_000  # the most changes times the cube of the states
+        gain = 1e-9  # of the growth, that a change must bring
         random = np.random.default_rng(0)
         low, high, lost = self.delays
-        letters = [*np.linspace(low, high, _LEVELS).tolist(), *[inf] * (lost > 0)]
+        letters = [*np.linspace(low, high, levels).tolist(), *[inf] * (lost > 0)]
         turns, states = best[:1], len(self._matrix(best[0].turn))
         for length in range(2, len(max((growth.turn for growth in best), key=len)) + 1):
             growth = next(g for g in best if len(g.turn) == length)
-            for _ in range(min(_TRIES, _EFFORT // states**3)):
+            for _ in range(min(tries, effort // states**3)):
                 turn = _changed(growth.turn, letters, random)
                 if len(turn) <= _LONGEST and self.delays.allows(turn):
                     other = self.growths([turn])[0]
-                    is_better = other.per_sample > growth.per_sample * (1.0 + _GAIN)
+                    is_better = other.per_sample > growth.per_sample * (1.0 + gain)
                     growth = other if is_better else growth
             turns.append(growth)
         return sorted(turns, key=_fastest_first)

@@ -242,8 +242,6 @@ def _sum(coefficients: tuple[Array | None, ...]) -> Array:
 
 # How answers about motions print themselves: the numbers of one loop, the ranges of many.
 
-_SHOWN_DIGITS = 4
-
 
 class Column(NamedTuple):
     """A field of an answer: its label, the unit, the factor to that unit, the rounding."""
@@ -286,12 +284,13 @@ def answer_text(
 
 def _range_text(value: Numbers, column: Column) -> str:
     """A number with label and unit, the range of several, "" where none is finite."""
+    shown_digits = 4
     flat = np.ravel(value)
     finite = flat[np.isfinite(flat)]
     if not finite.size:
         return ""
     ends = (
-        rounded_text(float(end), _SHOWN_DIGITS, column.rounding, factor=column.factor)
+        rounded_text(float(end), shown_digits, column.rounding, factor=column.factor)
         for end in (finite.min(), finite.max())
     )
     return f"{column.label} {' to '.join(dict.fromkeys(ends))} {column.unit}".strip()

@@ -22,8 +22,6 @@ from jaxstab.motion.response import Column, answer_text, bank_for, loops_of, pos
 from jaxstab.numbers import checked_count, checked_number, checked_word
 from jaxstab.point.verdicts import linear_verdict
 
-_NUMBERS = 1 << 20  # of an array that loops side by side fill, about
-
 
 class SettlingStatus(Status):
     """The status of the settling of a loop; small integers, so that arrays store int8.
@@ -179,6 +177,7 @@ def likely_settling(
 
     They are those of the motion in float64 up to the horizon; NaN where that says too little.
     """
+    numbers = 1 << 20  # of an array that loops side by side fill, about
     period, (whole, fraction) = loop.sample_time, divmod(loop.delay_samples, 1.0)
     moves = mechanics(loop.held_device, period, fraction, (1.0,))
     bank = bank_for(given_filters(loop.velocity, loop.position), period)
@@ -186,7 +185,7 @@ def likely_settling(
     walls = np.array([np.ravel(gain) for gain in gains])
     codes = linear_verdict(loop.alpha(walls[0]), loop.beta(walls[1]), loop.linear)
     samples, stable = np.full(walls.shape[1], np.nan), np.flatnonzero(codes != Verdict.UNSTABLE)
-    blocks = ceil(stable.size * horizon / _NUMBERS)
+    blocks = ceil(stable.size * horizon / numbers)
     for members in np.array_split(stable, blocks) if blocks else []:
         own = walls[0, members], walls[1, members] / period
         rows, starts = moves.rows[-1, :, :-1], moves.starts

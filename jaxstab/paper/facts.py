@@ -13,7 +13,6 @@ from jaxstab.region.stable_set import RegionStatus, StableRegion, printed_extrem
 from jaxstab.shown import Printed
 
 DIGITS = 10  # that are printed
-_FINE = 1e-7  # of delta: the tolerance of the passive region
 _ROUNDING = 1e-15
 
 _kept_region = lru_cache(8)(stable_region)  # who asks for facts asks for a picture, too
@@ -47,6 +46,7 @@ def region_facts(
     alpha = -gamma; None where the region has none. Arguments, errors and sources: as
     ``resolved_region``.
     """
+    fine = 1e-7  # of delta: the tolerance of the passive region
     region = resolved_region(gamma=gamma, delta=delta, delay=delay, radius=radius)
     extent = np.ptp(region.points, axis=0)
     point = partial(_point, extent=extent, line=-gamma if radius == 1.0 else None)
@@ -63,7 +63,7 @@ def region_facts(
     }
     if radius == 1.0:
         facts["largest_passive_alpha"] = _point(
-            passive_region(delta=delta, delay=delay, tolerance=_FINE).max_alpha, extent
+            passive_region(delta=delta, delay=delay, tolerance=fine).max_alpha, extent
         )
         for percent, level in _VALIDITY_LEVELS.items():
             limit = linear_validity(level, gamma=gamma, delta=delta, delay=delay)

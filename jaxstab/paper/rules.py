@@ -185,8 +185,6 @@ def _line(beta: Numbers, offset: Array, slope: Array) -> Array:
 
 Points = Float64[np.ndarray, "points 2"]
 
-_PER_TERM = 16  # angles of a series, for each of its terms
-_SECTIONS = 45  # of the interval of a largest value, by the golden ratio
 _AT_ONCE = 1 << 18  # needs that are held in memory
 
 
@@ -289,13 +287,14 @@ def passive_region(
 
 def _boundary_points(directions: Points, delay: float) -> Points:
     """Return the boundary points of the region of delta = 1 in these directions from the origin."""
+    sections = 45  # of the interval of a largest value, by the golden ratio
     angles = _angles(delay)
     seen = _needed(directions.T[:, :, None], angles, delay)
     beside = np.pad(seen, ((0, 0), (1, 1)), constant_values=-np.inf)
     owner, at = np.nonzero((seen >= beside[:, :-2]) & (seen >= beside[:, 2:]))
     low, high = angles[np.maximum(at - 1, 0)], angles[np.minimum(at + 1, len(angles) - 1)]
     own = directions[owner].T
-    for _ in range(_SECTIONS):
+    for _ in range(sections):
         share = 0.381966 * (high - low)
         is_left = _needed(own, low + share, delay) > _needed(own, high - share, delay)
         low, high = np.where(is_left, low, low + share), np.where(is_left, high - share, high)
@@ -325,7 +324,8 @@ def _most_needed(walls: Points, delay: float) -> Float64[np.ndarray, " points"]:
 
 
 def _angles(delay: float) -> Float64[np.ndarray, " angle"]:
-    return np.linspace(1e-12, pi, _PER_TERM * (floor(delay) + 2))
+    per_term = 16  # angles of a series, for each of its terms
+    return np.linspace(1e-12, pi, per_term * (floor(delay) + 2))
 
 
 def _needed(walls: Any, theta: np.ndarray, delay: float) -> np.ndarray:

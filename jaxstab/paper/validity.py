@@ -40,7 +40,6 @@ if TYPE_CHECKING:
 
 _FIRST_BITS, _MOST_BITS = 192, 6144
 _DIGITS = 60  # bits to which an answer is wanted, at least
-_STEP_BACK = 1e-6  # of alpha + gamma: how far inside of a boundary point its side is tested
 
 
 class ValidityStatus(Status):
@@ -109,6 +108,7 @@ def linear_validity(
 
     Source: sec. VII, eq. (24) and Fig. 7 of Hulin, Preusche, Hirzinger (2008).
     """
+    step_back = 1e-6  # of alpha + gamma: how far inside of a boundary point its side is tested
     require_x64(level, gamma, delta, delay)
     xp = namespace(level, gamma, delta, delay)
     values = (
@@ -124,7 +124,7 @@ def linear_validity(
     status = np.array([rise.status for rise in rises], np.int8)
     there = status == ValidityStatus.FOUND
     (alpha, beta, _), slices = points[:, there], by_name(*questions[1:, there])
-    inner = verdict(alpha - _STEP_BACK * (alpha + slices["gamma"]), beta, **slices)
+    inner = verdict(alpha - step_back * (alpha + slices["gamma"]), beta, **slices)
     status[there] = _STATUS_BY_SIDE[np.asarray(inner)]
     points[:, status == ValidityStatus.NOT_PROVED] = nan
     alpha, beta, theta = (xp.asarray(row.reshape(grids[0].shape)) for row in points)

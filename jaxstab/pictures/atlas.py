@@ -30,9 +30,7 @@ from jaxstab.pictures.style import (
 if TYPE_CHECKING:
     from jaxstab.atlas import Atlas, LoopAtlas
 
-_RASTER = 400  # points along each side of a plane
 _WIDTH, _HEIGHT = 3.3, 2.9  # inches of a panel
-_MOST_PLANES = 6
 _ASIDE = 0.06  # around the stable set, of its size
 _LINE = 60  # letters of a title
 
@@ -140,6 +138,7 @@ def plot_walls(walls: "LoopAtlas", ax: Axes | None) -> Axes:
 
 def _raster(atlas: "Atlas", gamma: float, delta: float, delay: float) -> tuple[Floats, Floats]:
     """Return alphas and betas around the stable set of a plant."""
+    raster = 400  # points along each side of a plane
     plant = [np.array([value]) for value in (gamma, delta, delay)]
     low, high = atlas.table.ends(*plant)[0]
     if np.isnan(low):
@@ -151,20 +150,21 @@ def _raster(atlas: "Atlas", gamma: float, delta: float, delay: float) -> tuple[F
     limits = atlas.table.limits(rows, *(np.repeat(value, rows.size) for value in plant))
     spans = (np.nanmin(limits.lower), np.nanmax(limits.upper)), (low, high)
     alpha, beta = (
-        np.linspace(a - _ASIDE * (b - a), b + _ASIDE * (b - a), _RASTER) for a, b in spans
+        np.linspace(a - _ASIDE * (b - a), b + _ASIDE * (b - a), raster) for a, b in spans
     )
     return alpha, beta
 
 
 def _delays(atlas: "Atlas", given: Sequence[float]) -> list[float]:
     """Return the delays of a picture; ValueError for one that has no fields."""
+    most_planes = 6
     nodes = (atlas.fields["delay"] if atlas.has_fields else atlas.table.delay).tolist()
     for delay in given:
         if atlas.has_fields and delay not in nodes:
             listed = ", ".join(f"{node:g}" for node in nodes)
             raise ValueError(f"delay {delay:g} has no fields in this atlas; give some of {listed}.")
     whole = [delay for delay in nodes if float(delay).is_integer()]
-    return [*(given or (nodes if atlas.has_fields else whole or nodes))][:_MOST_PLANES]
+    return [*(given or (nodes if atlas.has_fields else whole or nodes))][:most_planes]
 
 
 def _draw_verdicts(panel: Axes, alpha: Floats, beta: Floats, verdict: NDArray[np.int8]) -> None:

@@ -29,8 +29,6 @@ from jaxstab.pictures.style import (
 from jaxstab.region.stable_set import printed_extremes
 from jaxstab.scene.answers import Quantity
 
-_NYQUIST_STEPS = 6
-_BELOW_NYQUIST = 1 - 1e-4  # frequency drawn for Nyquist's where only the limit is stable
 _BESIDE: Any = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0), "fontsize": 8, "frameon": False}
 
 Floats = NDArray[np.float64]
@@ -181,12 +179,14 @@ def _up_to_nyquist(rows: Sequence[tuple[float, float]]) -> Figure:
 
 def _frequencies(share: float, delta: float, delay: float) -> list[_Slice]:
     """Evenly spaced oscillation frequencies up to a share of Nyquist's, eq. (26)."""
+    nyquist_steps = 6
+    below_nyquist = 1 - 1e-4  # frequency drawn for Nyquist's where only the limit is stable
     slices = []
-    for index, omega in enumerate(np.linspace(0.0, share * pi, _NYQUIST_STEPS)):
+    for index, omega in enumerate(np.linspace(0.0, share * pi, nyquist_steps)):
         # Without damping a root stays at z = -1 at Nyquist frequency: the limit from below.
         limit = delta == 0.0 and omega == pi
-        gamma = float((omega * _BELOW_NYQUIST) ** 2 if limit else omega**2 + delta**2 / 4)
-        colour = colormaps["viridis"](0.9 * index / (_NYQUIST_STEPS - 1))
+        gamma = float((omega * below_nyquist) ** 2 if limit else omega**2 + delta**2 / 4)
+        colour = colormaps["viridis"](0.9 * index / (nyquist_steps - 1))
         style: _Style = "--" if limit else "-"
         remark = " (limit stable)" if limit else ""
         gamma = gamma if index else 0.0

@@ -87,9 +87,7 @@ if TYPE_CHECKING:
 Walls = Mapping[str, WallVerdict]
 
 _FEWEST, _MOST = 100, 2000  # samples of a response
-_LEVEL = 0.02
 _GONE = 5.0  # final positions: an unstable response is drawn no further
-_MARK = 14.0  # pixels: a wall's mark
 _LIFTS = (0, 10, -10, 20, -20, 32, -32, 44, -44)  # points: how far names are moved up
 
 
@@ -121,9 +119,10 @@ def draw_walls(panel: Axes, checked: Walls) -> None:
 
 def name_walls(panel: Axes, checked: Walls) -> None:
     """Write the name of each wall beside it, where no other name or mark is."""
+    mark = 14.0  # pixels: a wall's mark
     lines = [line for line in panel.get_lines() if line.get_marker() != "None"]
     marks = np.concatenate([panel.transData.transform(line.get_xydata()) for line in lines])
-    taken = [Bbox.from_bounds(x - _MARK / 2, y - _MARK / 2, _MARK, _MARK) for x, y in marks]
+    taken = [Bbox.from_bounds(x - mark / 2, y - mark / 2, mark, mark) for x, y in marks]
     for name, wall in checked.items():
         position = (wall.stiffness, wall.damping)
         if not panel.bbox.contains(*panel.transData.transform(position)):
@@ -161,6 +160,7 @@ def draw_margins(panel: Axes, checked: dict[str, WallCheck]) -> None:
 
 def draw_responses(panel: Axes, scene: Scene, checked: dict[str, WallCheck]) -> None:
     """Draw the response to a step of force, relative to the final displacement."""
+    level = 0.02
     period = scene.controller.sample_time
     times = [wall.settling.settling_time_2_percent for wall in checked.values() if wall.settling]
     settled = [time for time in times if isfinite(time)] or [0.0]
@@ -179,7 +179,7 @@ def draw_responses(panel: Axes, scene: Scene, checked: dict[str, WallCheck]) -> 
         gone = np.logical_or.accumulate(np.abs(relative) > _GONE)
         shown = np.where(gone, np.nan, relative)
         panel.plot(np.asarray(response.time), shown, _LOOKS[wall.verdict][2], label=plain(name))
-    panel.axhspan(1.0 - _LEVEL, 1.0 + _LEVEL, color=BLACK, alpha=0.12, lw=0)
+    panel.axhspan(1.0 - level, 1.0 + level, color=BLACK, alpha=0.12, lw=0)
     panel.set(xlim=(0.0, samples * period), ylim=(-0.3, 2.3))
     panel.set(xlabel="time (s)", ylabel="position / final position")
     panel.legend(fontsize=8, frameon=True)
@@ -188,15 +188,10 @@ def draw_responses(panel: Axes, scene: Scene, checked: dict[str, WallCheck]) -> 
 _HEIGHT = 4.6  # inches
 _WIDTH, _ZOOM_WIDTH, _RESPONSE_WIDTH = 6.4, 3.6, 4.8
 _SEEN = 0.05  # of the region, in K or in B: smaller sets are enlarged
-_COLUMNS = 64  # of the map of settling times, and rows
 _ROUND = np.outer(10.0 ** np.arange(-3, 8), [1.0, 2.0, 5.0]).ravel()  # ms
-_CALM_COLUMNS = 24  # of the map of amplitudes, and rows
 _COUNTS = 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0  # amplitudes that are drawn
 _FOR_ALL = "#8bc0e2"  # darker than the stable set
 _MOST_LEVELS = 3  # of lines of equal values
-_ROOM_ABOVE = 1.6  # of the stiffness that a design is about
-_HORIZON = 4096  # samples
-_LETTERS = 14.0  # of a remark, per inch
 _LARGEST = Quantity("N/m", 4, ROUND_FLOOR)
 _LARGEST_TIME = Quantity("s", 4, ROUND_FLOOR)
 _STIFFNESS, _DAMPING = GivenQuantity("N/m"), GivenQuantity("N s/m")
@@ -298,17 +293,19 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
 
 def _write_basis(figure: Figure, scene: Scene, basis: Basis, more: str = "") -> None:
     """Write the assumptions above a picture: the estimator, the device, the delay, the hand."""
+    letters = 14.0  # of a remark, per inch
     delay, hand = basis.range_of_delays, at_lowest(scene, "")
     remarks = [f"velocity: {basis.velocity}"]
     remarks += [f"delay {delay}" if delay else f"delay: {basis.delay_in_words}"]
     remarks += [remark for remark in (basis.mechanics, basis.postures) if remark]
     remarks += [f"hand {hand}{more}"] if hand else []
-    width = int(_LETTERS * figure.get_figwidth())
+    width = int(letters * figure.get_figwidth())
     figure.suptitle("\n".join(fill(remark, width) for remark in remarks), fontsize=9)
 
 
 def _design_figure(scene: Scene, design: Design, basis: Basis) -> Figure:
     """Draw the largest stiffness over the sample time and over the delay, and the wanted one."""
+    room_above = 1.6  # of the stiffness that a design is about
     units, loop = scene.units, loop_of(scene)
     figure = Figure(figsize=(1.5 * _WIDTH, _HEIGHT), layout="constrained")
     panels = figure.subplots(1, 2, sharey=True)
@@ -332,7 +329,7 @@ def _design_figure(scene: Scene, design: Design, basis: Basis) -> Figure:
         panel.set(xlabel=f"{name} (ms)", title=f"Stiffness over the {name}")
         panel.legend(fontsize=8)
     panels[0].set_ylabel(f"stiffness K ({units.stiffness})")
-    panels[0].set_ylim(0.0, _ROOM_ABOVE * np.nanmax([wanted, now]))
+    panels[0].set_ylim(0.0, room_above * np.nanmax([wanted, now]))
     _write_basis(figure, scene, basis)
     return figure
 
@@ -440,8 +437,9 @@ def _draw_chatter(
     panel: Axes, loop: HapticLoop, region: WallRegion, encoder: Encoder, units: Units
 ) -> None:
     """Draw lines of equal bounds of the chatter that the encoder's resolution causes."""
+    calm_columns = 24  # of the map of amplitudes, and rows
     resolution = encoder.resolution
-    stiffness, damping = _columns_and_rows(region, _CALM_COLUMNS)
+    stiffness, damping = _columns_and_rows(region, calm_columns)
     amplitude = loop.amplitude(stiffness[None, :], damping[:, None], encoder=resolution)
     counts = np.where(np.isfinite(amplitude.position), amplitude.position / resolution, np.nan)
     fewest, most = np.nanmin(counts, initial=np.inf), np.nanmax(counts, initial=0.0)
@@ -463,9 +461,11 @@ def _columns_and_rows(region: WallRegion, count: int) -> Floats:
 
 def _draw_settling(panel: Axes, loop: HapticLoop, region: WallRegion) -> None:
     """Draw lines of equal settling time to 2 %, in ms."""
-    stiffness, damping = _columns_and_rows(region, _COLUMNS)
+    columns = 64  # of the map of settling times, and rows
+    horizon = 4096  # samples
+    stiffness, damping = _columns_and_rows(region, columns)
     walls = stiffness[None, :], damping[:, None]
-    times = 1e3 * likely_settling(loop.in_floats(), *walls, horizon=_HORIZON)
+    times = 1e3 * likely_settling(loop.in_floats(), *walls, horizon=horizon)
     if np.isnan(times).all():
         return
     fastest, slowest = float(np.nanmin(times)), float(np.nanmax(times))
@@ -492,7 +492,6 @@ def _draw_levels(
 
 _SIZE = 10.0, 4.6  # inches
 _COLOURS = BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK
-_MOST_NAMES = 12  # in a legend
 
 
 def comparison_figure(scenes: Mapping[str, Scene]) -> Figure:
@@ -501,6 +500,7 @@ def comparison_figure(scenes: Mapping[str, Scene]) -> Figure:
     Of the components that contain small gains. ValueError: there is no scene, or rotational and
     linear ones.
     """
+    most_names = 12  # in a legend
     if not scenes:
         raise ValueError("no scene was answered; there is nothing to draw.")
     if len({scene.units for scene in scenes.values()}) > 1:
@@ -524,14 +524,13 @@ def comparison_figure(scenes: Mapping[str, Scene]) -> Figure:
     largest.invert_yaxis()
     largest.set_xlabel(f"largest stiffness K ({units.stiffness})")
     largest.set_title("the largest stiffness")
-    if len(scenes) <= _MOST_NAMES:
+    if len(scenes) <= most_names:
         walls.legend(fontsize=8, frameon=True)
     return figure
 
 
 # A picture of a guard: the granted stiffness beside the exact one.
 
-_CURVES = 5
 _POINTS = 400
 
 
@@ -569,8 +568,9 @@ def guard_figure(guard: Guard, units: Units = Units.LINE) -> Figure:
 
 
 def _coloured(ends: tuple[float, float]) -> list[tuple[float, object]]:
-    colours = colormaps["viridis"](np.linspace(0.0, 0.85, _CURVES))
-    return list(zip(np.linspace(*ends, _CURVES).tolist(), colours, strict=True))
+    curves = 5
+    colours = colormaps["viridis"](np.linspace(0.0, 0.85, curves))
+    return list(zip(np.linspace(*ends, curves).tolist(), colours, strict=True))
 
 
 def _draw(

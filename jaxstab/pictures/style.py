@@ -34,7 +34,6 @@ ALPHA_LABEL = r"stiffness  $\alpha = K\,T^2/m$"
 BETA_LABEL = r"damping  $\beta = B\,T/m$"
 FORMATS = ("png", "svg")
 _PANEL = (4.2, 3.5)  # inches
-_DOTS_PER_INCH = 150
 
 
 def panels(
@@ -68,10 +67,11 @@ def plain(text: str) -> str:
 
 def picture(figure: Figure, form: str) -> bytes:
     """A figure as a file of the format "png" or "svg"."""
+    dots_per_inch = 150
     if form not in FORMATS:
         raise ValueError(f"the format is {form!r}; give a name that ends in .png or .svg.")
     image = BytesIO()
-    figure.savefig(image, format=form, dpi=_DOTS_PER_INCH)
+    figure.savefig(image, format=form, dpi=dots_per_inch)
     return image.getvalue()
 
 
@@ -80,7 +80,6 @@ def picture(figure: Figure, form: str) -> bytes:
 _SIZE = 5.0, 3.6  # inches
 _MAP = 0.72, 0.12, 0.26, 0.36  # of the axes: where islands are drawn
 _ROOM = np.array([0.65, 0.35])  # of the main component, beside it for the map and the legend
-_LEGEND_ROOM = 0.25  # of the height of a loop's picture, above it
 STIFFNESS_LABEL, DAMPING_LABEL = "stiffness K (N/m)", "damping B (N s/m)"
 
 Region = StableRegion | WallRegion
@@ -165,6 +164,7 @@ def _draw_map(panel: Axes, main: Region, islands: Sequence[Region]) -> None:
 
 def plot_loop(loop: HapticLoop, ax: Axes | None = None) -> Axes:
     """Draw the stable walls of a loop, the stiffest, and the linear rule: ``HapticLoop.plot``."""
+    legend_room = 0.25  # of the height of a loop's picture, above it
     region = loop.region()
     panel = plot_region(region, ax)
     limits = loop.limits()
@@ -180,7 +180,7 @@ def plot_loop(loop: HapticLoop, ax: Axes | None = None) -> Axes:
     draw_linear_rule(panel, loop)
     if not panel.child_axes:  # a map of islands has made room already
         low, high = panel.get_ylim()
-        panel.set_ylim(low, high + _LEGEND_ROOM * (high - low))
+        panel.set_ylim(low, high + legend_room * (high - low))
     panel.locator_params(axis="x", nbins=6)
     panel.legend(fontsize=8, frameon=False, loc="upper right")
     return panel

@@ -62,10 +62,8 @@ from jaxstab.rounding import SAFETY, UNIT
 
 Column = Any  # an array, or None for zeros
 
-_LONGEST_UNROLLED = 4000  # about as many products; beyond, code was up to 100 times slower
 NEIGHBOURS = 16  # points that share a guess, at most the padding of the axes of a large grid
 _NODES = (1, 4, 8, 11, 14)  # those of them between which roots are interpolated
-_TO_NODES = 2  # steps of Newton's method from the guess
 TILE = 256  # points whose polynomials of a higher degree stay in the cache
 
 
@@ -129,12 +127,13 @@ def dominant_root(loop: Loop, *, degree: int, effort: Effort, shared: int | None
     The imaginary part is >= 0, and 0 for real roots. Of an axis that is ``shared``, the root is
     guessed for one point in NEIGHBOURS.
     """
+    longest_unrolled = 4000  # about as many products; beyond, code was up to 100 times slower
     from jax import lax
 
     from jaxstab.point.traced_radius import guessed_root, largest_root
 
     of_guess = effort.steps + 2 if effort.steps else degree
-    is_unrolled = effort.doublings * of_guess * (of_guess + 10) <= _LONGEST_UNROLLED
+    is_unrolled = effort.doublings * of_guess * (of_guess + 10) <= longest_unrolled
     guessed = partial(guessed_root, doublings=effort.doublings, is_unrolled=is_unrolled)
 
     def root(loop: Loop) -> Array:
@@ -245,7 +244,6 @@ def _real_power(x: Array, exponent: int) -> Array | float:
     return result
 
 
-_LOST_IN_SQUARES = 1e-150  # moduli below are flushed to zero
 _SLACK = 1.0 + 1e-6  # the bounds themselves are rounded
 _BESIDE, _BESIDE_OF_LONG = 2.0**-25, 2.0**-20  # how far inside of the root the circle is, relative
 _NEAR = 2.0**-17  # longest last step of Newton's method, relative
@@ -281,6 +279,7 @@ def at_nodes(root: Array, loop: Loop, *, degree: int, shared: int) -> Array:
 
     The nodes of a block take the place of its neighbours in the axis that is ``shared``.
     """
+    to_nodes = 2  # steps of Newton's method from the guess
     from jax import lax
 
     def nodes(leaf: Array) -> Array:
@@ -292,7 +291,7 @@ def at_nodes(root: Array, loop: Loop, *, degree: int, shared: int) -> Array:
     xp = namespace(root)
     root = xp.expand_dims(root, shared)
     loop, t = tree_map(nodes, loop), Complex(root.real, root.imag)
-    for _ in range(_TO_NODES):
+    for _ in range(to_nodes):
         t = newton(t, loop, degree)
     return lax.complex(t.re, t.im)
 
@@ -368,6 +367,7 @@ def _distance_to_root(
     t: Complex, size: Array, radius: Array, loop: Loop, degree: int
 ) -> tuple[Array, Array]:
     """Return n |p/p'|, raised by what rounding may have changed; and that of p."""
+    lost_in_squares = 1e-150  # moduli below are flushed to zero
     # Each product of complex numbers errs by at most 3 ulp, z^(n-2) therefore by 4 (n - 2), and
     # what it is multiplied with and added to by less than 30 ulp of the same terms taken without
     # their signs.
@@ -391,7 +391,7 @@ def _distance_to_root(
         + numerator_slope * wall
     )
     unit = (4.0 * (degree - 2) + 30.0) * UNIT
-    rounding = unit * (below * radius * denominator + numerator * wall) + _LOST_IN_SQUARES
+    rounding = unit * (below * radius * denominator + numerator * wall) + lost_in_squares
     value_size = xp.sqrt(value.squared_modulus()) + rounding
     slope_size = xp.sqrt(slope.squared_modulus()) - unit * slope_terms
     distance = (_SLACK * degree) * value_size / slope_size
@@ -444,13 +444,9 @@ def _circle(t: Array, rounding: Array, loop: Loop, degree: int) -> tuple[Chain[A
 LONGEST_DELAY = 64.0  # beyond, polynomials of many points do not stay in the cache
 TOLERANCE = 1e-12
 _LIST = 2**18  # up to this many points, lists are filled up to a length compiled once for all
-_SHORTEST_LIST = 8
 _BLOCK = 2**18  # points of a larger grid that a core computes at once
-_LARGE_BLOCK = 2**20  # the same for all cores together
 _SHARED = Effort(14, 2, _BLOCK)  # for a root that neighbours share
-_LONGEST_SHARED = 8.0  # delay; beyond, guesses are little of the work
 _STEADY = 512  # points of an axis that differ by little from their neighbours
-_UNEVEN = 1 / 32  # largest change of such a step to the next, relative: roots are interpolated
 
 Values = np.ndarray[Any, np.dtype[Any]]
 Indices = Int64[np.ndarray, " point"]
@@ -503,7 +499,9 @@ def _on_grid(
     delay: float,
     effort: Effort,
 ) -> Answer:
-    shared = _steady_axis(parameters, shape) if 0.0 < delay <= _LONGEST_SHARED else None
+    large_block = 2**20  # the same for all cores together
+    longest_shared = 8.0  # delay; beyond, guesses are little of the work
+    shared = _steady_axis(parameters, shape) if 0.0 < delay <= longest_shared else None
     # XLA divides a program without loops among the cores by itself.
     is_parallel = polynomial_degree(delay) <= HIGHEST_COUNTED
 
@@ -511,7 +509,7 @@ def _on_grid(
         own = Loop(*piece) if loop else _loop(list(piece), delay)
         return _tried(own, delay, effort, shared)
 
-    count = ceil(prod(shape) / (_LARGE_BLOCK if is_parallel else _BLOCK))
+    count = ceil(prod(shape) / (large_block if is_parallel else _BLOCK))
     return in_pieces(of_piece, tuple(loop or parameters), count, is_parallel=is_parallel)
 
 
@@ -524,7 +522,8 @@ def _try_list(
     effort: Effort,
 ) -> Answer:
     """Return the answer at flat indices."""
-    longest, shortest = effort.longest_list, _SHORTEST_LIST
+    shortest_list = 8
+    longest, shortest = effort.longest_list, shortest_list
     if is_any_jax(parameters):  # an accelerator computes a long list as quickly as a short one
         longest = shortest = longest if is_on_cpu() else _LIST
     columns: list[Answer] = []
@@ -557,9 +556,10 @@ def _steady_axis(parameters: list[Array], shape: tuple[int, ...]) -> int | None:
 
 
 def _is_steady(values: np.ndarray) -> bool:
+    uneven = 1 / 32  # largest change of such a step to the next, relative: roots are interpolated
     steps = np.diff(values)
     longest = np.abs(steps).max()
-    is_even = np.abs(np.diff(steps)).max() <= _UNEVEN * longest
+    is_even = np.abs(np.diff(steps)).max() <= uneven * longest
     return bool(longest < 1.5 / _STEADY * np.ptp(values) and is_even)
 
 

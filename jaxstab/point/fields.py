@@ -41,13 +41,11 @@ from jaxstab.point.verdicts import Form, Points, Values, filtered_loops, gathere
 from jaxstab.rounding import SAFETY, UNIT
 
 UNKNOWN = -1  # poles outside of the circle, where one is too close to it to tell
-_DOUBLINGS = 16  # of the power of the companion matrix, which is degree 2^16
 _LONGEST = 9  # degree up to which these doublings and the proof are compiled without loops
 _BESIDE = 2.0**-17  # how far inside of the root the circle is, relative
 _NEWTON_STEPS = 1
 _BLOCK = 2**18  # points of a part of a grid, which bound the memory
 _CLOSE = 2.0**-22  # relative distance of a pole that is resolved from its approximation
-_QUANTUM = 2.0**-20  # of frequencies and damping ratios: what has fewer digits deflates better
 _LAST_OF_FLOAT32, _LAST_OF_POWER = 1 << 29, 1 << 52  # bits of a float64 that they leave
 _TINY = 2.0**-126  # the least float32 of full precision
 Result = TypeVar("Result")
@@ -139,12 +137,13 @@ def _fields(alpha: Array, beta: Array, loop: LinearLoop, *, method: str) -> Pole
 
 def _pole(columns: list[Array], error: Array, *, is_guessed: bool) -> Array:
     """Return a pole that is probably dominant, its imaginary part >= 0."""
+    doublings = 16  # of the power of the companion matrix, which is degree 2^16
     xp = namespace(columns, error)
     if is_guessed:
         from jaxstab.point.traced_radius import guessed_root
 
         is_unrolled = len(columns) - 1 <= _LONGEST
-        z = Complex(*guessed_root(columns[:0:-1], _DOUBLINGS, is_unrolled=is_unrolled)).shifted(1.0)
+        z = Complex(*guessed_root(columns[:0:-1], doublings, is_unrolled=is_unrolled)).shifted(1.0)
     else:
         root = companion_poles(xp.stack(columns, axis=-1))[..., 0]
         z = Complex(root.real, abs(root.imag))
@@ -231,12 +230,13 @@ def poles_outside(columns: list[Array], error: Array) -> Array:
 
 def _mode(pole: Array, radius: Array, bound: Array) -> tuple[Array, Array]:
     """Return frequency and damping ratio of poles, NaN where the bound is too large."""
+    quantum = 2.0**-20  # of frequencies and damping ratios: what has fewer digits deflates better
     xp = namespace(pole)
     frequency, decay = xp.arctan2(pole.imag, pole.real), -xp.log(radius)
     size = xp.sqrt(decay * decay + frequency * frequency)
     is_resolved = bound <= _CLOSE * xp.minimum(radius, size)
     frequency, ratio = (
-        xp.where(is_resolved, _QUANTUM * xp.round(value / _QUANTUM), xp.nan).astype(np.float32)
+        xp.where(is_resolved, quantum * xp.round(value / quantum), xp.nan).astype(np.float32)
         for value in (frequency, decay / size)
     )
     return xp.minimum(frequency, np.float32(np.pi)), ratio

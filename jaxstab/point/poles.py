@@ -145,9 +145,6 @@ def _scattered(
     return result.reshape((*shape, *longest))
 
 
-_HUGE = 2.0**400
-
-
 def closed_loop_poles(
     alpha: Numbers,
     beta: Numbers,
@@ -212,12 +209,13 @@ def _eigenvalues(
 
 def _unit(coefficients: Float64[Array, "*grid coefficient"]) -> Float64[Array, "*grid"]:
     """Return what to measure roots in: 1, but of huge coefficients about the largest root."""
+    huge = 2.0**400
     # Some builds of LAPACK lose the scale of matrices above 1e138.
     xp = namespace(coefficients)
     sizes = xp.abs(coefficients[..., 1:])
     exponents = xp.log2(sizes) / xp.arange(1, coefficients.shape[-1])
     largest = xp.exp2(xp.floor(xp.max(exponents, axis=-1)))
-    return xp.where(xp.max(sizes, axis=-1) > _HUGE, largest, 1.0)
+    return xp.where(xp.max(sizes, axis=-1) > huge, largest, 1.0)
 
 
 # A bound of the distance to the nearest root of p, by the value of p (lemma R1 of docs/proofs.md).

@@ -126,8 +126,6 @@ def proved_error(codes: Callable[[Array], Array], radius: Array) -> Array:
 # The dominant eigenvalue of the companion matrix is corrected by Newton's method with a residual in
 # double-double, and proved by a ladder of verdicts on p(r z) (lemmas R3 and V8 of docs/proofs.md).
 
-_DENSE_NEWTON_STEPS = 2
-_MATRICES = 1 << 11  # points at once
 
 Values = np.ndarray[Any, np.dtype[Any]]
 
@@ -144,9 +142,10 @@ def filtered_radius(points: Points, filters: Filters) -> tuple[Values, Values]:
 def _listed_radii(
     walls: tuple[Values, Values, LinearLoop], shape: tuple[int, ...], indices: Values
 ) -> tuple[Values, Values]:
+    matrices = 1 << 11  # points at once
     value, error = np.zeros(indices.size), np.full(indices.size, np.inf)
-    for start in range(0, indices.size, _MATRICES):
-        part = slice(start, start + _MATRICES)
+    for start in range(0, indices.size, matrices):
+        part = slice(start, start + matrices)
         alpha, beta, loops = gathered(walls, shape, indices[part])
         gains = DoubleDouble.from_value(alpha), DoubleDouble.from_value(beta)
         with np.errstate(all="ignore"):
@@ -164,9 +163,10 @@ def traced_radius_error(coefficients: Array, radius: Array) -> Array:
 
 
 def _dominant_modulus(coefficients: DoubleDouble) -> Values:
+    dense_newton_steps = 2
     rounded = coefficients.rounded()
     z = companion_poles(np.moveaxis(rounded, 0, -1))[..., 0]
-    for _ in range(_DENSE_NEWTON_STEPS):
+    for _ in range(dense_newton_steps):
         slope = np.polyval(rounded[:-1] * np.arange(len(rounded) - 1, 0, -1)[:, None], z)
         moved = z - _value(coefficients, z) / slope
         z = np.where(np.isfinite(moved), moved, z)

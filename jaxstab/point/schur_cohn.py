@@ -278,7 +278,6 @@ def size_sum(numbers: tuple[Number, ...]) -> Array:
 # the error of forming p(z).
 
 _HIGHEST_UNROLLED = 32  # degree; unrolled steps of 36 took XLA minutes to compile
-_PAYS = 2.5  # degree over the length of an end from which on steps on the ends are less work
 
 
 @pytree
@@ -314,6 +313,7 @@ def dense_codes(
 
 def without_zeros(loop: LinearLoop) -> LinearLoop:
     """Leave out the coefficients in the middle of p(z) that are 0 whatever the gains are."""
+    pays = 2.5  # degree over the length of an end from which on steps on the ends are less work
     # As many stay at the end as at the beginning, less one. Nothing is left out where that would
     # not pay off, nor where JAX traces the numbers.
     if is_any_traced(loop):
@@ -324,7 +324,7 @@ def without_zeros(loop: LinearLoop) -> LinearLoop:
         _is_zero(row[index].hi) for row in loop[:3] for index in (width - 1, last + 2 - width)
     ):
         width -= 1
-    if _PAYS * width > last:
+    if pays * width > last:
         return loop
     base, stiffness, damping = (row[:width] + row[last + 2 - width :] for row in loop[:3])
     return loop._replace(base=base, stiffness=stiffness, damping=damping)

@@ -20,8 +20,6 @@ from jaxstab.point.poles import companion_poles
 # The largest root of real cubics to about eight digits, by additions and products alone. With
 # z = y - a/3 the cubic is y^3 + P y + Q; one root has the sign of -Q, and Newton's method
 # approaches it monotonically from above.
-_THIRD_OF_BITS = 715_094_163  # x^(1/3) within 6 %, from a third of the upper bits of x
-_ABOVE = 1.06
 _STEPS = 5
 
 
@@ -49,9 +47,11 @@ def largest_root(a: Array, b: Array, c: Array) -> tuple[Array, Array]:
 
 
 def _above_cube_root(x: Array) -> Array:
+    third_of_bits = 715_094_163  # x^(1/3) within 6 %, from a third of the upper bits of x
+    above = 1.06
     upper = (lax.bitcast_convert_type(x, jnp.int64) >> 32).astype(jnp.int32)
-    third = (upper.astype(jnp.float64) * (1.0 / 3.0)).astype(jnp.int32) + _THIRD_OF_BITS
-    return _ABOVE * lax.bitcast_convert_type(third.astype(jnp.int64) << 32, jnp.float64)
+    third = (upper.astype(jnp.float64) * (1.0 / 3.0)).astype(jnp.int32) + third_of_bits
+    return above * lax.bitcast_convert_type(third.astype(jnp.int64) << 32, jnp.float64)
 
 
 # A first guess of the dominant root of polynomials: powers of the companion matrix.
@@ -66,7 +66,6 @@ def _above_cube_root(x: Array) -> Array:
 #
 # Source: Henrici, Applied and Computational Complex Analysis I, 7.4, with the powers by squaring.
 
-_ONE_ROOT = 1e-10  # relative determinant below which one real root is left
 
 Column = Array | None
 
@@ -171,6 +170,7 @@ def _rescaled(columns: list[Column]) -> list[Column]:
 
 def _fitted(samples: list[Array]) -> tuple[Array, Array]:
     """Return t of the larger root of the recurrence of order two, or one, that fits best."""
+    one_root = 1e-10  # relative determinant below which one real root is left
     h0, h1, h2, h3 = samples
     determinant = h1 * h1 - h0 * h2
     inverse = reciprocal(jnp.abs(determinant)) * jnp.where(determinant < 0.0, -1.0, 1.0)
@@ -181,7 +181,7 @@ def _fitted(samples: list[Array]) -> tuple[Array, Array]:
     re = jnp.where(is_pair, centre, centre + jnp.where(centre < 0.0, -width, width))
     size = h0 * h0 + h1 * h1 + h2 * h2
     single = (h0 * h1 + h1 * h2 + h2 * h3) * reciprocal(size)
-    is_single = jnp.abs(determinant) < _ONE_ROOT * size
+    is_single = jnp.abs(determinant) < one_root * size
     return jnp.where(is_single, single, re) - 1.0, jnp.where(is_pair & ~is_single, width, 0.0)
 
 
@@ -199,7 +199,6 @@ def _minus(a: Column, b: Array, c: Column) -> Column:
 
 # The largest modulus of a root with a derivative, for JAX's transformations alone.
 
-_ACCURACY = 1e-15  # of Newton's steps
 _NEWTON_STEPS = 3
 _FARTHEST = 1e-6  # that an eigenvalue is from its root; at multiple roots Newton's method may leave
 
@@ -231,11 +230,12 @@ def _dominant_root(
     coefficients: Float64[Array, " coefficient"],
 ) -> Complex128[Array, ""]:
     """Return the dominant eigenvalue of a companion matrix, corrected by Newton's method."""
+    accuracy = 1e-15  # of Newton's steps
     import optimistix  # takes half a second, and dense grids need the guesses above alone
 
     guess = companion_poles(coefficients)[0]
     start = jnp.stack([guess.real, guess.imag])
-    newton: Any = optimistix.Newton(rtol=_ACCURACY, atol=_ACCURACY)
+    newton: Any = optimistix.Newton(rtol=accuracy, atol=accuracy)
     solution: Any = optimistix.root_find(
         _parts, newton, start, coefficients, max_steps=_NEWTON_STEPS, throw=False
     )

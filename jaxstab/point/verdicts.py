@@ -115,11 +115,11 @@ def gathered(values: Any, shape: tuple[int, ...], indices: Int64[np.ndarray, " p
 # Certified verdicts of any linear loop: of any device, velocity estimator and position filter.
 
 _TILE = 512  # points whose polynomials stay in the cache
-_LOOP_PAIRS = 1 << 11  # points at once in double-double
 
 
 def linear_verdict(alpha: Array, beta: Array, loop: LinearLoop) -> Int8[Array, "*grid"]:
     """The codes of walls of one loop: float64 before pairs, or float64 alone if JAX traces them."""
+    loop_pairs = 1 << 11  # points at once in double-double
     degree, loop = loop.degree, without_zeros(loop)
     if is_any_traced(alpha, beta, loop):
         return _loop_float_codes(alpha, beta, rounded_loop(loop), degree=degree)
@@ -128,8 +128,8 @@ def linear_verdict(alpha: Array, beta: Array, loop: LinearLoop) -> Int8[Array, "
         alpha, beta, loop = tree_map(np.asarray, (alpha, beta, loop))
     codes = np.array(_loop_float_codes(alpha, beta, rounded_loop(loop), degree=degree))
     still_open = np.flatnonzero(codes == Verdict.UNDECIDED)
-    for start in range(0, still_open.size, _LOOP_PAIRS):
-        block = still_open[start : start + _LOOP_PAIRS]
+    for start in range(0, still_open.size, loop_pairs):
+        block = still_open[start : start + loop_pairs]
         *gains, chosen = gathered((alpha, beta, loop), codes.shape, block)
         pairs = DoubleDouble.from_value(gains[0]), DoubleDouble.from_value(gains[1])
         with np.errstate(all="ignore"):
@@ -183,12 +183,7 @@ def _loop_float_codes(alpha: Array, beta: Array, loop: LinearLoop, *, degree: in
 # Plants are computed once, in double-double (lemma V7 of docs/proofs.md). Source: eq. (9).
 
 HIGHEST_UNROLLED = 12  # degree up to which XLA compiles the recursion without a loop
-
-# A loop writes all of its state to memory in each step. Without it a point takes a half to a third
-# of the time at delays of 10 and 20, but each degree compiles for about a second.
-_HIGHEST_OF_MANY = 26
 _PAYS_FROM = 1 << 19  # points
-_HIGHEST_UNTILED = 4  # degree up to which a point's numbers stay in registers
 _LOST = 2.0**-25  # of N(1): the error of a stiff plant times its root is an ulp there
 
 
@@ -412,10 +407,14 @@ def verdict(
 
 def _float_codes(arguments: tuple[Any, ...], degree: int) -> Array:
     """Return the codes of points; unless they are many, XLA compiles once for all long delays."""
-    if degree <= _HIGHEST_UNTILED:
+    # A loop writes all of its state to memory in each step. Without it a point takes a half to a
+    # third of the time at delays of 10 and 20, but each degree compiles for about a second.
+    highest_of_many = 26
+    highest_untiled = 4  # degree up to which a point's numbers stay in registers
+    if degree <= highest_untiled:
         return _untiled_codes(arguments, degree=degree)
     is_short = degree <= HIGHEST_UNROLLED
-    if not is_short and degree <= _HIGHEST_OF_MANY:
+    if not is_short and degree <= highest_of_many:
         is_short = prod(np.broadcast_shapes(*map(np.shape, arguments[:3]))) >= _PAYS_FROM
     return _short_codes(arguments, degree=degree) if is_short else _long_codes(arguments, degree)
 

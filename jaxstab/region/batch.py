@@ -51,19 +51,12 @@ from jaxstab.rounding import UNIT
 SLOTS = 6  # pieces of one loop
 _PROGRAMS = 8  # that are kept, one for each degree: each takes 40 to 90 MB
 _VERTICES, _FINE = 48, 192  # of a piece, and angles between which they are spread
-_REFINED = 64  # loops at once: what they need stays in the cache
 _TILE = 64  # angles of a scan at once
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
-_LOWERED = 8  # steps of the recursion between which its arrays get shorter
-_HALVINGS = 8  # of the brackets of ends
 _NEWTON_STEPS = 24
 _TOLERANCE = 1e-10  # of Newton's steps, in radians
 _SLACK = 1e-6  # of angles beside their brackets
-_CANDIDATES = 3  # places where the curve turns that are refined
-_LOWER = 5e-3  # beside the largest value: how much less the others have to be
-_ROUNDED = 1e-10  # of an extreme: the most that rounding may move it by
 _ON_AXIS = 1e-10  # of the component's size: a corner that far beyond an axis is on it
-_APART = 1e-3  # of angles that are those of two ends
 _ASIDE = 1e-6  # of the component's size: where walls beside the extremes are tested
 _SMALL = np.array([1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 3e-2])  # gains, beside the size of the stable set
 _RATIOS = np.array([1e-2, 1e-1, 0.3, 1.0])  # of alpha to beta, in that measure
@@ -147,8 +140,9 @@ def program(degree: int, *, outlines: bool = False) -> Callable[[Triples], Answe
 
 def components(triples: Triples, *, outlines: bool) -> Answers:
     """Return extreme walls of the components that hold small gains, and their outlines."""
+    refined = 64  # loops at once: what they need stays in the cache
     scans = lax.map(_scan, triples)
-    solved = lax.map(lambda pair: _extremes(*pair), (triples, scans), batch_size=_REFINED)
+    solved = lax.map(lambda pair: _extremes(*pair), (triples, scans), batch_size=refined)
     pieces: _Component = solved[0]
     extremes: Extremes = solved[1]
     if not outlines:
@@ -231,6 +225,7 @@ def _reduced(
     Returns:
         These coefficients, and where no step met a root on the circle or outside.
     """
+    lowered = 8  # steps of the recursion between which its arrays get shorter
 
     def divided(last: tuple[Array, Array], part: Array) -> tuple[tuple[Array, Array], Array]:
         value = part[0] + (part[1] * walls[0] + part[2] * walls[1])
@@ -243,7 +238,7 @@ def _reduced(
 
     state = falling, falling[::-1], jnp.ones(nothing.shape, bool)
     while count > least:
-        steps = min(_LOWERED, count - least)
+        steps = min(lowered, count - least)
         falling, rising, inside = repeat(steps, _reflected, state)
         count -= steps
         state = falling[:count], rising[:count], inside
@@ -300,6 +295,7 @@ def _scan(loop: Triples) -> _Scan:
 # ------------------------------------------------------------------------ pieces and loops
 def _ends_of(loop: Triples, scan: _Scan) -> tuple[_Ends, Array]:
     """Return the ends of the pieces, bracketed, and whether there is room for all."""
+    halvings = 8  # of the brackets of ends
     passes, angles = scan.passes, loop.angles
     last = len(angles) - 1
     is_first = passes & ~jnp.append(False, passes[:-1])
@@ -318,7 +314,7 @@ def _ends_of(loop: Triples, scan: _Scan) -> tuple[_Ends, Array]:
         inside = _bounds(loop, middle.ravel())[2].reshape(middle.shape)
         return jnp.where(inside, middle, both[0]), jnp.where(inside, both[1], middle)
 
-    inner, outer = repeat(_HALVINGS, halved, (inner, outer))
+    inner, outer = repeat(halvings, halved, (inner, outer))
     margins = _margins(loop, _wall(loop, outer))
     met = jnp.where(margins[1] <= 0.0, Branch.Z_MINUS_ONE, Branch.CURVE)
     met = jnp.where(margins[0] <= 0.0, Branch.Z_PLUS_ONE, met)
@@ -410,6 +406,7 @@ def _missed(loop: Triples, ends: _Ends) -> Array:
     The recursion of Schur and Cohn keeps a pair on the circle: its last z^2 - 2 cos(th) z + 1 is
     that of the second root. There another piece begins or ends.
     """
+    apart = 1e-3  # of angles that are those of two ends
     total = 2.0 * jnp.cos(ends.theta.ravel())
     walls = _wall(loop, ends.theta.ravel())
     quadratic, _ = _reduced(loop, walls, total, 1.0, 2, least=3)
@@ -418,8 +415,8 @@ def _missed(loop: Triples, ends: _Ends) -> Array:
     distance = jnp.min(jnp.where(jnp.tile(ends.exists, 2), distance, jnp.inf), axis=1)
     is_open = (ends.exists & (ends.branch == Branch.CURVE)).ravel() & jnp.isfinite(other)
     distance, farthest = lax.top_k(jnp.where(is_open, distance, -jnp.inf), 2)
-    angles = jnp.where(distance > _APART, other[farthest], other[farthest[0]])
-    return jnp.where(distance[0] > _APART, angles, jnp.nan)
+    angles = jnp.where(distance > apart, other[farthest], other[farthest[0]])
+    return jnp.where(distance[0] > apart, angles, jnp.nan)
 
 
 def _root(newton: Any, start: Any, args: Any) -> tuple[Any, Array]:
@@ -658,6 +655,8 @@ def _largest(
     loop: Triples, scan: _Scan, component: _Component, axis: Array
 ) -> tuple[Array, Array, Array]:
     """Return the wall of the largest alpha or beta, the angles of the roots, and its tests."""
+    lower = 5e-3  # beside the largest value: how much less the others have to be
+    rounded = 1e-10  # of an extreme: the most that rounding may move it by
     size, unit = component.size, component.size[axis]
     turns = _turns(loop, scan, component, axis)
     corner = _highest_corner(component, axis)
@@ -675,7 +674,7 @@ def _largest(
     errors = jnp.where(is_crossing & crossing.is_on_line, UNIT, errors)
     wall, error = walls[:, jnp.argmin(errors)], jnp.min(errors)
     value = wall[axis]
-    enough, for_turns = (most - _LOWER * abs(most) for most in (value, others))
+    enough, for_turns = (most - lower * abs(most) for most in (value, others))
     # A turn next to the axis may be much higher than the scan's angles and the crossing beside it.
     is_refined = jnp.all(turns.is_solved | (turns.best <= for_turns)) & (turns.rest <= enough)
     is_refined = is_refined & (crossing.rest <= enough)
@@ -686,7 +685,7 @@ def _largest(
     away = _ASIDE * size * jnp.where(is_smooth, straight, into)
     beside = _are_stable(loop, jnp.stack([wall + away, wall - away], axis=1))
     # A component far beyond the quadrant may leave a limit that is small beside its size.
-    is_exact = (error * unit < _ROUNDED * jnp.minimum(unit, abs(value))) & jnp.isfinite(value)
+    is_exact = (error * unit < rounded * jnp.minimum(unit, abs(value))) & jnp.isfinite(value)
     roots = jnp.where(is_smooth, jnp.stack([smooth_angle, jnp.nan]), corner.roots)
     return wall, roots, jnp.stack([is_refined, beside[0] & ~beside[1], is_exact])
 
@@ -776,12 +775,13 @@ def _around(angles: Array, component: _Component, at: Array) -> tuple[Array, Arr
 
 
 def _highest(scores: Array) -> tuple[Array, Array, Array]:
-    """Return the ``_CANDIDATES`` highest scores, their indices, and the next score.
+    """Return the ``candidates`` highest scores, their indices, and the next score.
 
     ``lax.top_k`` sorts them all, which makes the whole search slower by a tenth.
     """
+    candidates = 3  # places where the curve turns that are refined
     chosen = []
-    for _ in range(_CANDIDATES + 1):
+    for _ in range(candidates + 1):
         index = jnp.argmax(scores)
         chosen.append((scores[index], index))
         scores = scores.at[index].set(-jnp.inf)

@@ -82,9 +82,6 @@ def _series(coefficients: tuple[float, ...], x: Array) -> Array:
     return total
 
 
-_VANISHING = 1e-3  # of the terms of N(r): below, alpha is not computed from the line z = r
-
-
 class SliceCoefficients(NamedTuple):
     """What the boundary in one (alpha, beta) plane is made of; arrays of the slice's shape.
 
@@ -208,6 +205,7 @@ def parity(c: SliceCoefficients) -> Array:
 @compiled(many=MANY_ANGLES)
 def curve_point(c: SliceCoefficients, theta: Array) -> tuple[Array, Array]:
     """Return (alpha, beta) of the curve at angles in [0, pi] that broadcast with the slices."""
+    vanishing = 1e-3  # of the terms of N(r): below, alpha is not computed from the line z = r
     xp = namespace(c, theta)
     upper = theta > pi / 2
     # XLA would otherwise add the two parts of pi first.
@@ -227,7 +225,7 @@ def curve_point(c: SliceCoefficients, theta: Array) -> tuple[Array, Array]:
         - circle.far * (c.nu * (c.eps - c.ratio * c.nu) + circle.sine_ratio * slope)
         - (c.num_plus - c.sigma * circle.near) * (c.ratio * c.sigma - c.kappa)
     )
-    vanishes = abs(c.num_plus) < _VANISHING * (abs(c.sigma) + abs(c.nu))
+    vanishes = abs(c.num_plus) < vanishing * (abs(c.sigma) + abs(c.nu))
     return xp.where(upper | vanishes, direct, offset - plus_slope * beta + h * lift), beta
 
 

@@ -48,11 +48,8 @@ _TINY = 1e-100  # in place of the angle 0, where quotients have a limit
 _CLOSEST, _FARTHEST = 1e-12, 2.0  # distances of roots from the circle
 _LOST = 1e-30  # a product of 1 - pole
 UNDAMPED = 1e-6  # distance of a mode from the circle
-_HARDLY = 1e-4  # how far a gain of 1 moves a mode that walls hardly move
 _WIDEST, _SHARE = 1e-2, 0.3  # of a stretch: radians, and of the distance to the next one
-_NEIGHBOURS = 1e-6  # radians: angles closer than that are drawn out as one
 _LEAST = 1e-24  # radians: what the middle of a stretch tells apart
-_SCAN_STEPS = 120  # on each side of the middle
 _HALF_CIRCLE = np.linspace(0.0, 1.5, 151)[1:]  # |zeta - 1|, at most sqrt(2)
 
 Angles = Float64[np.ndarray, " _"]
@@ -82,7 +79,8 @@ class Stretch(NamedTuple):
     @property
     def scan(self) -> Angles:
         """Angles of a scan, at all distances from the middle."""
-        shares = np.arange(1, _SCAN_STEPS) / _SCAN_STEPS
+        scan_steps = 120  # on each side of the middle
+        shares = np.arange(1, scan_steps) / scan_steps
         return self.angle + self.half_width * np.concatenate([-shares[::-1], shares])
 
     def holds(self, size: Angles) -> Bool[np.ndarray, " _"]:
@@ -202,19 +200,21 @@ def curve_of(loop: ScaledLoop) -> Curve:
 
 def _undamped(loop: ScaledLoop, parts: CurveParts) -> list[Stretch]:
     """Return the surroundings of undamped modes that walls hardly move."""
+    hardly = 1e-4  # how far a gain of 1 moves a mode that walls hardly move
     roots = parts.roots[parts.roots.imag > 0.0]
     roots = roots[np.abs(np.abs(roots) / loop.radius - 1.0) < UNDAMPED]
-    centers = curve_around(loop, undamped_modes(loop, roots, _HARDLY))
+    centers = curve_around(loop, undamped_modes(loop, roots, hardly))
     return _stretches(centers, parts.poles, parts.triple.shape[1])
 
 
 def drawn_out(c: Curve, angles: Float64[np.ndarray, "angle 2"]) -> Curve:
     """Return the same curve with angles around others drawn out; each has its rest beside it."""
+    neighbours = 1e-6  # radians: angles closer than that are drawn out as one
     kept: list[tuple[float, float]] = []
     for angle, low in angles.tolist():
         others = [stretch.angle for stretch in c.stretches] + [other for other, _ in kept]
         others += [*c.poles.tolist(), 0.0, np.pi]
-        if min(abs(angle - other) for other in others) > _NEIGHBOURS:
+        if min(abs(angle - other) for other in others) > neighbours:
             kept.append((angle, low))
     centers = [each.around for each in c.stretches] + curve_around(c.loop, kept)
     return c._replace(stretches=_stretches(centers, c.poles, c.degree))

@@ -30,12 +30,9 @@ from jaxstab.region.outline import Outline
 from jaxstab.region.roots import bracketed_root, nonzero
 
 _AT_ONCE = 1 << 20  # pairs of a point and an edge that are held in memory
-_LAST_STEP = 1e-10  # radians
 _STILL = 1e-13  # of the range: steps that are rounding
 _DOUBTED = 1e-8  # of the region's size: how close to the boundary balls decide
-_ABOUT = 1e-3  # of the same: a vertex at which the boundary runs level
 _EDGES = 4  # looked at in one step of the search for the nearest
-_SUBDIVISIONS = 8  # of an edge, and then of its nearest parts
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 Columns = tuple[Array, ...]
@@ -135,6 +132,7 @@ def contains(
 
 def _is_inside(c: Curve, outline: Outline, alpha: Array, beta: Array) -> tuple[Array, Array]:
     """Return whether points are inside, and whether the boundary is too close to tell."""
+    about = 1e-3  # of the same: a vertex at which the boundary runs level
     vertices = outline.vertices
     sizes = np.ptp(vertices, axis=0)
     close, doubt = _DOUBTED * sizes[0], _DOUBTED * sizes
@@ -142,7 +140,7 @@ def _is_inside(c: Curve, outline: Outline, alpha: Array, beta: Array) -> tuple[A
     beyond, behind = ahead > close, ahead <= -close
     is_beyond = beyond[:, :-1] & beyond[:, 1:]
     count = np.sum(met & is_beyond, axis=-1)
-    turns_here = (abs(ahead) <= _ABOUT * sizes[0]) & (
+    turns_here = (abs(ahead) <= about * sizes[0]) & (
         abs(vertices[:, 1] - beta[:, None]) <= doubt[1]
     )
     doubted = np.any(turns_here, axis=-1)
@@ -260,11 +258,12 @@ def _last_steps(c: Curve, theta: Array, goals: Array, axis: int) -> tuple[Array,
 
     Close to pi the steps are what rounding took from an angle.
     """
+    last_step = 1e-10  # radians
     low = np.zeros_like(theta)
     for _ in range(2):  # where the curve flies off, one is not enough
         here, tangent = gains_and_slopes(c, theta, low)
         step = (goals - here[axis]) / nonzero(tangent[axis], 1.0)
-        low = np.clip(low + step, -_LAST_STEP, _LAST_STEP)
+        low = np.clip(low + step, -last_step, last_step)
     return low, tangent[1 - axis] / nonzero(tangent[axis], np.inf)
 
 
@@ -315,6 +314,7 @@ def _feet(c: Curve, outline: Outline, edges: Array, points: Array) -> tuple[Arra
     An edge of the curve is divided, and so is its part with the nearest box, with its neighbours;
     around the nearest of all ends the root of (curve - point) . tangent is the foot.
     """
+    subdivisions = 8  # of an edge, and then of its nearest parts
     angles = outline.angles[edges]
     here, there = outline.vertices[edges], outline.vertices[edges + 1]
     begin, end = angles[..., 0], angles[..., 1]
@@ -324,7 +324,7 @@ def _feet(c: Curve, outline: Outline, edges: Array, points: Array) -> tuple[Arra
         alpha, beta = curve_gains(c, theta)
         return np.hypot(alpha - target[0][..., None], beta - target[1][..., None])
 
-    shares = np.arange(_SUBDIVISIONS + 1) / _SUBDIVISIONS
+    shares = np.arange(subdivisions + 1) / subdivisions
 
     def along(theta: Array) -> Array:
         point, tangent = gains_and_slopes(c, theta)
@@ -333,7 +333,7 @@ def _feet(c: Curve, outline: Outline, edges: Array, points: Array) -> tuple[Arra
     for _ in range(2):
         parts = begin[..., None] + (end - begin)[..., None] * shares
         nearest = np.argmin(gap(parts), axis=-1)[..., None]
-        sides = np.maximum(nearest - 1, 0), np.minimum(nearest + 1, _SUBDIVISIONS)
+        sides = np.maximum(nearest - 1, 0), np.minimum(nearest + 1, subdivisions)
         begin, end = (np.take_along_axis(parts, side, axis=-1)[..., 0] for side in sides)
     candidates = np.stack([begin, bracketed_root(along, begin, end), end], axis=-1)
     gaps = gap(candidates)

@@ -19,7 +19,6 @@ _NODES = 81  # per piece, to see where it bends and turns
 _BESIDE = 1e-8
 _FIRST = np.geomspace(1e-6, 1e-2, 5)  # of a piece: where a curve with zero speed starts
 _ROUNDING = 1e-10  # a coordinate that moves less than that is constant
-_EVENNESS = 0.1  # the share of points that straight parts get
 
 
 class Outline(NamedTuple):
@@ -156,12 +155,13 @@ def _turning_points(c: Curve, nodes: Array, tangents: Array) -> tuple[Array, Ang
 
 def _spread(nodes: Array, tangents: Array, count: int) -> tuple[Array, Angles]:
     """Return points between which the boundary leaves its chord alike: pieces and angles."""
+    evenness = 0.1  # the share of points that straight parts get
     alpha, beta = tangents
     turned = abs(alpha[:, 1:] * beta[:, :-1] - alpha[:, :-1] * beta[:, 1:])
     speed = np.hypot(alpha, beta)
     steps = np.diff(nodes, axis=1)
     bend = np.nan_to_num(np.sqrt(turned * steps / (speed[:, 1:] + speed[:, :-1])))
-    bend = bend + _EVENNESS * np.sum(bend) / bend.size
+    bend = bend + evenness * np.sum(bend) / bend.size
     total = np.cumsum(bend.ravel())
     goal = total[-1] * (np.arange(count) + 0.5) / count
     step = np.minimum(np.searchsorted(total, goal), total.size - 1)

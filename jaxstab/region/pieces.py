@@ -46,14 +46,11 @@ _FIRST = 1e-7  # the angles next to 0 and pi
 _PER_TURN, _FEWEST, _PER_BRANCH = 8, 500, 20  # even angles: of a turn of z^n, and of a branch
 _TO_ENDS, _TO_CENTERS = 12, 14  # angles that come closer and closer
 _TO_POLES, _TO_PROVED = 1e-11, (1e-9, 1e-14)  # how close; in float64, and in balls
-_TO_ROOTS = 16  # angles around a resonance
-_WIDTHS = 8.0  # of a resonance
 _NARROWING, _PROVED_NARROWING = (6, 32), (26, 2)  # of the brackets of ends: rounds and parts
 _NOTHING = 3e-11, 0.0  # radians: shorter arcs and gaps are rounding, in float64; in balls
 _ANGLES_AGREE, _WALLS_AGREE = 1e-6, 1e-8
 _ANGLES_NEAR, _WALLS_NEAR = 1e-4, 1e-3  # an end that is not exact
 _NEWTON_STEPS = 12
-_STRAY = 16.0  # brackets
 _BESIDE = 1e-4  # of an arc, next to its ends
 _ROUNDING = 8.0 * UNIT  # of angles: where the curve flies they round to walls that are apart
 
@@ -145,10 +142,12 @@ def _around(centers: Angles, closest: float, farthest: float) -> Angles:
 
 def _around_resonances(c: Curve) -> Angles:
     """Return angles around roots of the plant, in steps that grow with the distance."""
+    to_roots = 16  # angles around a resonance
+    widths = 8.0  # of a resonance
     angle, width = c.resonances[:, :, None]
-    extent = np.maximum(angle, _WIDTHS * width)
-    growth = np.linspace(0.0, 1.0, _TO_ROOTS)
-    offsets = width / _WIDTHS * (extent / (width / _WIDTHS)) ** growth
+    extent = np.maximum(angle, widths * width)
+    growth = np.linspace(0.0, 1.0, to_roots)
+    offsets = width / widths * (extent / (width / widths)) ** growth
     around: Angles = (angle + np.concatenate([-offsets, offsets], axis=1)).ravel()
     return around
 
@@ -454,6 +453,7 @@ def _corners(
 
     Angles and walls of corners are written.
     """
+    stray = 16.0  # brackets
     count = len(theta) // 2
     begins, lasts = lone[lone < count], lone[lone >= count]
     if not (begins.size and lasts.size):
@@ -480,7 +480,7 @@ def _corners(
     gap = np.max(np.abs(both[:, 0] - both[:, 1]) / size[:, None], axis=0)
     speed = np.max(np.abs(slopes) / size[:, None, None], axis=0)
     enough = _WALLS_AGREE + _ROUNDING * np.max(speed * np.abs(here), axis=0)
-    most = _STRAY * np.max(ends.width[pair], axis=0) + _ANGLES_AGREE
+    most = stray * np.max(ends.width[pair], axis=0) + _ANGLES_AGREE
     is_solved = (gap < enough) & np.all(np.abs(here - start) <= most, axis=0)
     slower = np.argmin(speed, axis=0)
     following = {}

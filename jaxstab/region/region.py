@@ -39,15 +39,11 @@ from jaxstab.region.pieces import Centers, Pieces, find_pieces, line_ends, scan_
 from jaxstab.region.stable_set import StableRegion, components_of, region_within
 
 _SCANS, _PROVED_SCAN = 5, 2  # scans, and from which on roots are counted in balls
-_ROW = 0.47  # of a component's height: where a row is compared
 _BESIDE = 1e-9  # of a limit: how far from it lines are compared
 _LEAST = 1e-12  # of a component's size: the same for limits that are small beside that
 _ASIDE = 1e-5  # of an open end's damping: where a row tells what was missed
-_MOST_OPEN = 6
 _AGREE, _ROUNDED = 1e-6, 1e-11  # of the longest interval, of the region: ends that are the same
-_AT_POLES = 1e-4  # the same where the curve is 0/0 at a pole
 _FROM_CORNERS = 10.0 ** -np.arange(1.0, 8.0, 2.0)  # of the size: rows where modes are hardly damped
-_ROUGH = 1e-3  # of the same: an outline that leaves its curve by more has too few angles
 _SLIM = 1e-9  # of the same: intervals of a row through a component that need not be compared
 _RAYS = (1.0, 0.1), (1.0, 1.0), (1.0, 10.0), (1.0, -1.0), (0.0, 1.0)  # from the wall without gains
 
@@ -58,6 +54,7 @@ Points = Float64[np.ndarray, "point 2"]
 @np.errstate(all="ignore")  # NaN and infinity are answers
 def region_of(loop: ScaledLoop, tolerance: float) -> StableRegion:
     """Return the region of a loop; see ``stable_region`` for the tolerance and what is raised."""
+    rough = 1e-3  # of the same: an outline that leaves its curve by more has too few angles
     c = curve_of(loop)
     if _keeps_a_root(loop):
         return region_within(c, empty_outline(resolved=True))
@@ -72,7 +69,7 @@ def region_of(loop: ScaledLoop, tolerance: float) -> StableRegion:
             more = _angles_beside(lines, pieces.open)
         elif pieces.begin.size:
             outline, deviation = _adapted(c, pieces, tolerance)
-            more = _contradictions(c, lines, outline) if deviation < _ROUGH else None
+            more = _contradictions(c, lines, outline) if deviation < rough else None
             if more is not None and not len(more):
                 return region_within(c, outline)
         elif is_proved:
@@ -127,9 +124,10 @@ def _inner(ends: Iterable[End]) -> Centers:
 
 def _angles_beside(lines: _Lines, walls: Points) -> Centers:
     """Return the angles of roots that cross the circle on rows beside walls."""
+    most_open = 6
     found = [np.empty((0, 2))]
     finite = walls[np.all(np.isfinite(walls), axis=1)]
-    for _, beta in finite[:_MOST_OPEN].tolist():
+    for _, beta in finite[:most_open].tolist():
         for side in (1.0 - _ASIDE, 1.0 + _ASIDE):
             found.append(_angles_on(lines.at(1, beta * side)))
     return np.concatenate(found)
@@ -151,9 +149,11 @@ def _contradictions(c: Curve, lines: _Lines, outline: Outline) -> Centers | None
 
     There are none where all agree.
     """
+    row = 0.47  # of a component's height: where a row is compared
+    at_poles = 1e-4  # the same where the curve is 0/0 at a pole
     main, *islands = components_of(c, outline)
     sizes = np.ptp(outline.vertices, axis=0)
-    rows = [_height(component, _ROW) for component in (main, *islands)]
+    rows = [_height(component, row) for component in (main, *islands)]
     if c.stretches:
         near = np.append(-_FROM_CORNERS, _FROM_CORNERS) * sizes[1]
         rows += (outline.corners[:, 1, None] + near).ravel().tolist()
@@ -170,7 +170,7 @@ def _contradictions(c: Curve, lines: _Lines, outline: Outline) -> Centers | None
             if line.status != LineStatus.PROVED:
                 return None
             slim = 0.0 if k < beside.size else _SLIM * sizes[1 - axis]
-            share = _AGREE if all(line.angle in (0.0, np.pi) for line in c.lines) else _AT_POLES
+            share = _AGREE if all(line.angle in (0.0, np.pi) for line in c.lines) else at_poles
             if not _agree(line, intervals, slim, share, sizes[1 - axis]):
                 return _inner(line.crossings)
     return np.empty((0, 2))
@@ -227,12 +227,12 @@ def _agree(line: StableLine, drawn: Points, slim: float, share: float, size: flo
 # The outline of one loop, with as many points as it needs.
 
 _FEWEST_POINTS, _MOST_POINTS = 256, 65536
-_BULGE = 0.35  # times points^-2 is at most about how far the boundary leaves the polygon
 
 
 def _adapted(c: Curve, pieces: Pieces, tolerance: float) -> tuple[Outline, float]:
     """Return an outline with as many points as the tolerance requires, and its deviation."""
-    points, seen = _enough_points(sqrt(_BULGE / tolerance)), survey(c, pieces)
+    bulge = 0.35  # times points^-2 is at most about how far the boundary leaves the polygon
+    points, seen = _enough_points(sqrt(bulge / tolerance)), survey(c, pieces)
     outline = polygon(c, pieces, seen, points)
     deviation = float(measures.deviation(c, outline))
     if deviation > tolerance:
@@ -244,9 +244,6 @@ def _adapted(c: Curve, pieces: Pieces, tolerance: float) -> tuple[Outline, float
 
 def _enough_points(wanted: float) -> int:
     return max(_FEWEST_POINTS, min(ceil(wanted), _MOST_POINTS))
-
-
-_FINEST = 1e-10
 
 
 @refuses_loops("region()")
@@ -291,6 +288,7 @@ def stable_region(
         >>> round(float(region.max_alpha[0]), 9)  # 12 - 8 sqrt(2)
         0.686291501
     """
+    finest = 1e-10
     if any(map(is_traced, (gamma, delta, delay, radius, tolerance))):
         raise TypeError(
             "stable_region searches outside of JAX; under jit, vmap and grad call regions_of."
@@ -299,7 +297,7 @@ def stable_region(
     damping = checked_number("delta", delta, 0.0, DELTA_LIMIT)
     samples = checked_number("delay", delay, 0.0, LONGEST_DELAY, unit="samples")
     size = checked_number("radius", radius, 0.0, 1.0, is_open=True)
-    smallest = checked_number("tolerance", tolerance, _FINEST, is_open=True)
+    smallest = checked_number("tolerance", tolerance, finest, is_open=True)
     filters = known_filters(velocity, position)
     loop = LoopParameters(
         sample_time=1.0,

@@ -27,7 +27,6 @@ Shown = TypeVar("Shown", bound="ShownRegion")
 # How a region presents itself: four lines of text, and a picture.
 
 _DIGITS = 5
-_MOST_ISLANDS = 2  # that are described
 _ASIDE = 1e-6  # of a stiffness
 
 
@@ -137,10 +136,11 @@ def limits_text(
     is_reachable: bool,
 ) -> str:
     """Return four lines: a head, the two extreme points, and the stiffest point of each island."""
+    most_islands = 2  # that are described
     stiffest, most_damped = extremes
     described = [names.at_largest_stiffness(point) for point in islands]
-    if len(islands) > _MOST_ISLANDS:
-        described[_MOST_ISLANDS:] = ["..."]
+    if len(islands) > most_islands:
+        described[most_islands:] = ["..."]
     return "\n".join(
         [
             head + ("" if is_reachable else "; small gains are not stable"),

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 Ball = Any  # of python-flint
 Matrix = Any  # of such balls
-_FASTEST = 14  # power of two: poles per sampling period
 
 
 @dataclass(frozen=True)
@@ -81,12 +80,13 @@ def in_samples(compliance: Rational, sample_time: float) -> tuple[list["arb"], l
 
     A coefficient that is 0 is the exact 0. ValueError: a pole vanishes within a sampling period.
     """
+    fastest = 14  # power of two: poles per sampling period
     above, below = (balls_of(polynomial) for polynomial in compliance)
     above, below = _monic(above, below, sample_time)
-    if _speed(below) > _FASTEST:
+    if _speed(below) > fastest:
         raise ValueError(
             f"the device has a pole at 2^{_speed(below)} or so per sampling period of "
-            f"{sample_time:g} s; give SI units, and leave out what is faster than 2^{_FASTEST}."
+            f"{sample_time:g} s; give SI units, and leave out what is faster than 2^{fastest}."
         )
     return above, below
 
