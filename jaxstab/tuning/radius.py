@@ -76,7 +76,7 @@ class TuningStatus(Status):
     NOT_COMPUTED = 0, "not computed"
     TRIPLE_ROOT = 1, "best of a search: a triple real pole, to full precision"
     DOUBLE_PAIR = 2, "best of a search: a double pair of poles, to full precision"
-    SCANNED = 3, "best of a search; in 1,000 loops others found radii 0.02 % smaller at most"
+    SCANNED = 3, "best of a search; in 1,000 loops another one found no smaller radius"
     NO_STABLE_GAINS = 4, "no gains found that make the loop stable"
     ISLAND = 5, "best of a search, in an island: small gains are not stable"
     ANY_COMPONENT = 6, "best of a search, perhaps in an island: the region is unresolved"
