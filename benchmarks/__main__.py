@@ -44,7 +44,6 @@ def main() -> int:
         choices=[
             *BENCHMARKS,
             "contact",
-            "golden",
             "jitter",
             "lemmas",
             "limits_of",
@@ -56,7 +55,7 @@ def main() -> int:
             "traces",
         ],
         help="what to measure, or plot: draw all records and put their table into the pages, "
-        "or table: print that table, or golden: compare answers with those recorded, bit by bit, "
+        "or table: print that table, "
         "or jitter: attack proofs for delays that move, "
         "or contact: simulate contacts beside what is proved, "
         "or lemmas: check the lemmas that proofs rest on, or limits_of: print the limits of many "
@@ -67,7 +66,6 @@ def main() -> int:
         "without a name all benchmarks",
     )
     parser.add_argument("--small", action="store_true", help="the smallest sizes, in seconds")
-    parser.add_argument("--record", action="store_true", help="golden: record, do not compare")
     parser.add_argument("--billion", action="store_true", help="scaling goes on to 1e9 points")
     parser.add_argument("--points", type=int, help="how many loops stress judges, or others")
     parser.add_argument(
@@ -79,10 +77,6 @@ def main() -> int:
         papers = import_module("benchmarks.papers")
         print(papers.markdown(papers.CLAIMS))
         return 0
-    if choice.name == "golden":
-        golden = import_module("benchmarks.golden")
-        path = choice.out / "golden" / golden.PATH.name
-        return golden.take(path) if choice.record else golden.compare(choice.small, path)
     if choice.name == "lemmas":
         return import_module("benchmarks.lemmas").main(choice.small)
     if choice.name in ("contact", "jitter", "mutants", "studies"):
