@@ -34,6 +34,7 @@ MANY = 1 << 15
 MANY_PLANTS = 1 << 16
 MANY_COEFFICIENTS = 1 << 20
 MANY_ANGLES = 1 << 18
+_FOR_A_CORE = 1 << 17  # points from which on a second core pays
 
 # An option of XLA's compiler for CPUs; ``compiler_options`` leaves out what a release lacks.
 # For a program of hundreds of kernels: in JAX 0.10 XLA's newer code generator takes 400 MB more
@@ -122,7 +123,7 @@ def on_few_sizes(function: Callable[..., Result], *arguments: Any) -> Result:
     one core alone.
     """
     shape = np.broadcast_shapes(*map(np.shape, leaves(arguments)))
-    count = min(_cores(), prod(shape) // (1 << 17))  # so many points pay a second core
+    count = min(_cores(), prod(shape) // _FOR_A_CORE)
     filled = partial(filled_up, function)
     return filled(*arguments) if count < 2 else in_pieces(filled, arguments, count)
 

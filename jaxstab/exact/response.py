@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Complex128, Float64
 
-from jaxstab.exact.roots import MOST_FOR_ROOTS, are_real, isolated_roots
+from jaxstab.exact.roots import are_real, isolated_roots
 from jaxstab.exact.verdict import roots_outside
 from jaxstab.model.balls import Factored, Triple, ball_loop, ball_triple
 from jaxstab.model.device.mechanics import equations
@@ -547,7 +547,7 @@ def _of_wall(
             answer = way(wall)
             return None if answer is None else (answer,)
 
-        found = decided(question, MOST_FOR_ROOTS)
+        found = decided(question)
         if found is not None:
             return found[0]
     return None

@@ -24,7 +24,6 @@ from math import floor, inf, pi
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from jaxtyping import Float64
 
 from jaxstab.arrays import (
     Array,
@@ -435,7 +434,7 @@ def exact_chain(sections: tuple[Section, ...]) -> "tuple[fmpq_poly, fmpq_poly]":
     return sides[0], sides[1]
 
 
-def rounded(polynomial: "fmpq_poly") -> Float64[np.ndarray, " power"]:
+def rounded(polynomial: "fmpq_poly") -> np.ndarray:
     """Return the coefficients of a polynomial in float64, lowest power first."""
     return np.array([int(c.p) / int(c.q) for c in polynomial.coeffs()])
 
@@ -624,8 +623,12 @@ class Filter:
     def checked(self, sample_time: Numbers = 1.0) -> "Filter":
         """The filter in units of a sampling period, as ``per_sample``, if it is not too long.
 
-        Raises: as ``per_sample``; RuntimeError see ``jaxstab.conventions``; ValueError also for
-        too many poles or samples.
+        Raises: as ``per_sample``; see ``jaxstab.conventions``; ValueError also for too many poles
+        or samples.
+
+        Example:
+            >>> print(jaxstab.Filter.average(window=0.004).checked(1e-3))
+            a window of 4 samples
         """
         require_x64(*(value for section in self.sections for value in vars(section).values()))
         chain = self.per_sample(sample_time)
