@@ -59,6 +59,8 @@ def fastest_calm_wall(
             calm = reached <= chatter.limit
             if np.any(calm):  # of equally fast walls the calmest one is the least
                 values[walls[calm]] = value + 1e-9 * reached[calm] / chatter.limit
+                slower = likely > value  # calm or not, these are not the best
+                values[slower] = likely[slower]
                 break
         return values
 
