@@ -4,6 +4,7 @@ The deviation from rest is the response of a wall, h = num(z)/p(z); all of its s
 time on are bounded by lemma E4 of docs/proofs.md, and those before are looked at.
 """
 
+from collections.abc import Callable
 from math import ceil, nan
 from typing import Any, NamedTuple, get_args
 
@@ -122,17 +123,13 @@ def settling_samples(
     gains = float_arrays(checked_gain("alpha", alpha), checked_gain("beta", beta))
     lanes = *gains, *float_arrays(checked_gamma(gamma), checked_delta(delta)), checked_delay(delay)
 
-    def search(*lanes: np.ndarray) -> np.ndarray:
-        def of_lane(alpha: float, beta: float, *plant: float) -> float:
-            loop = loop_of(*plant)
-            if loop is None:
-                return nan
-            return settled_after(loop, alpha, beta, excitation, level, horizon)
+    def of_lane(alpha: float, beta: float, *plant: float) -> float:
+        loop = loop_of(*plant)
+        if loop is None:
+            return nan
+        return settled_after(loop, alpha, beta, excitation, level, horizon)
 
-        return np.vectorize(of_lane, otypes=[np.float64])(*lanes)
-
-    grid = namespace(lanes).broadcast_shapes(*map(np.shape, lanes))
-    return _settled(on_host(search, *lanes, shape=grid, like=np.float64))
+    return _settled(of_lane, *lanes)
 
 
 def loop_settling_samples(
@@ -154,14 +151,10 @@ def loop_settling_samples(
     checked_count("horizon", horizon, 1)
     gains = float_arrays(checked_gain("stiffness", stiffness), checked_gain("damping", damping))
 
-    def search(*lanes: np.ndarray) -> np.ndarray:
-        def of_lane(stiffness: float, damping: float) -> float:
-            return settled_after(loop, stiffness, damping, excitation, level, horizon)
+    def of_lane(stiffness: float, damping: float) -> float:
+        return settled_after(loop, stiffness, damping, excitation, level, horizon)
 
-        return np.vectorize(of_lane, otypes=[np.float64])(*lanes)
-
-    shape = namespace(gains).broadcast_shapes(*map(np.shape, gains))
-    return _settled(on_host(search, *gains, shape=shape, like=np.float64))
+    return _settled(of_lane, *gains)
 
 
 def likely_settling(
@@ -199,9 +192,15 @@ def likely_settling(
     return samples.reshape(gains[0].shape) * period
 
 
-def _settled(samples: Array) -> Settling:
-    """The settling of loops by their samples: infinite if unstable, NaN if not proved."""
-    xp = namespace(samples)
+def _settled(of_lane: Callable[..., float], *lanes: Array) -> Settling:
+    """The settling of walls, by what tells the samples of one: inf if unstable, NaN if unproved."""
+    xp = namespace(lanes)
+    shape = xp.broadcast_shapes(*map(np.shape, lanes))
+
+    def search(*own: np.ndarray) -> np.ndarray:
+        return np.vectorize(of_lane, otypes=[np.float64])(*own)
+
+    samples = on_host(search, *lanes, shape=shape, like=np.float64)
     unsettled = xp.where(xp.isnan(samples), SettlingStatus.NOT_SETTLED, SettlingStatus.UNSTABLE)
     status = xp.where(xp.isfinite(samples), SettlingStatus.SETTLED, unsettled)
     return Settling(samples, named(status.astype(np.int8), SettlingStatus))
