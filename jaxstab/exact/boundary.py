@@ -67,21 +67,21 @@ _NEAR = 1e-9  # of its size: an imaginary part that may be 0
 
 
 class CurveParts(NamedTuple):
-    """The parts of p = base + N (alpha A + beta B) in float64, for z = zeta and for z = -zeta.
+    """The parts of p = base + N (alpha A + beta B) in float64.
 
     A and B are what estimator and filter make of the wall.
 
     Attributes:
         triple: base, stiffness and damping, p(z) monic, the highest power first.
-        straight: coefficients of base, N, A and B in powers of zeta, the lowest first.
-        shifted: the same in powers of zeta - 1.
+        straight: coefficients of base, N, A and B in powers of z, the lowest first.
+        shifted: the same in powers of zeta - 1, for z = zeta and for z = -zeta.
         ends: the parts of p(1) and of (-1)^n p(-1).
         zeros, roots: of the plant's numerator and of its denominator.
         poles: the angles where V is real.
     """
 
     triple: Float64[np.ndarray, "3 power"]
-    straight: Float64[np.ndarray, "half part power"]
+    straight: Float64[np.ndarray, "part power"]
     shifted: Float64[np.ndarray, "half part power"]
     ends: Float64[np.ndarray, "half part"]
     zeros: Complex128[np.ndarray, " root"]
@@ -98,7 +98,6 @@ def curve_parts(loop: ScaledLoop) -> CurveParts:
         triple = [_floats((part.polynomial() * unit).coeffs(), degree) for part in parts]
         length = max(part.degree for part in factors)
         whole = [_floats(part.polynomial().coeffs(), length) for part in factors]
-        signs = (-1.0) ** np.arange(length + 1.0)
         shifted = [
             [_floats(part.around(place).coeffs(), length) for part in factors] for place in (1, -1)
         ]
@@ -108,9 +107,8 @@ def curve_parts(loop: ScaledLoop) -> CurveParts:
         ]
         roots = _roots(own.numerator), _roots(own.denominator)
         poles = np.array([float(angle.mid()) for angle in _poles(loop, FIRST_BITS)])
-    straight = np.array([whole, np.array(whole) * signs])
     falling = np.array(triple)[:, ::-1]
-    return CurveParts(falling, straight, np.array(shifted), np.array(ends), *roots, poles)
+    return CurveParts(falling, np.array(whole), np.array(shifted), np.array(ends), *roots, poles)
 
 
 def _enough_bits(loop: ScaledLoop) -> AbstractContextManager[None]:
@@ -279,7 +277,7 @@ def root_lines(loop: ScaledLoop, parts: CurveParts) -> list[RootLine]:
         if ends:
             line = stable_pencil(partial(_divided, loop, kept))
             start, along = (np.array([float(arb.mid()) for arb in pair]) for pair in ends)
-            turn = decided(partial(_turn, loop, kept))
+            turn = decided(partial(_turn, loop, kept)) if 0.0 < angle < np.pi else nan
             lines.append(RootLine(angle, start + 0.0, along, line, nan if turn is None else turn))
     return lines
 
