@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from calls import COMPUTING_CALLS, PUBLIC
 
 import jaxstab
-from benchmarks.calls import COMPUTING_CALLS, PUBLIC
 
 ROOT = Path(__file__).resolve().parents[1]
 LONGEST_FILE = 1000  # lines
@@ -78,6 +78,7 @@ def test_the_code_is_formatted() -> None:
     assert_succeeds("-m", "ruff", "format", "--check", ".")
 
 
+@pytest.mark.campaign
 @pytest.mark.skipif(np.__version__ < "2.3", reason="older types of NumPy say less")
 def test_the_types_are_right_under_strict_mypy() -> None:
     assert_succeeds("-m", "mypy")
@@ -279,6 +280,7 @@ def test_no_function_has_more_names_than_a_reader_holds() -> None:
     assert busy == set()
 
 
+@pytest.mark.campaign
 def test_51_14_all_of_it_is_there_without_docstrings() -> None:
     code = (
         "import importlib, pkgutil, jaxstab\n"
