@@ -36,7 +36,7 @@ from .point import spectral_radius as spectral_radius
 from .point import verdict as verdict
 from .region import boundary_curve as boundary_curve
 from .region import stable_region as stable_region
-from .scene.contact_table import contact_table as contact_table
+from .scene.contact import contact_table as contact_table
 from .scene.identify import identify as identify
 from .scene.study import quantiles as quantiles
 from .scene.study import shares as shares

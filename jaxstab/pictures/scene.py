@@ -80,7 +80,7 @@ from jaxstab.scene.scene import Encoder, Scene, Units
 from jaxstab.scene.tune import Design, Tuned, stiffness_over_delays, stiffness_over_sample_times
 
 if TYPE_CHECKING:
-    from jaxstab.scene.identified import Identified
+    from jaxstab.scene.identify import Identified
 
 # The walls of a scene in its picture: marks by their verdicts, names, and responses.
 
