@@ -19,7 +19,6 @@ from jaxstab.scene.scene import Controller, Grip, Scene, Units
 from jaxstab.shown import MOST_DIGITS, Printed, exact_text, rounded_text, stable_pair
 
 _LIMIT_DIGITS = 4
-_COLUMN = 34  # where values begin
 
 _HEADINGS = {
     "walls": "wall {}",
@@ -316,7 +315,8 @@ def _named(name: str, units: Units) -> str:
 
 
 def _line(indent: str, name: str, words: str) -> str:
-    return f"{indent}{name:{_COLUMN - len(indent)}}{words}"
+    column = 34  # where values begin
+    return f"{indent}{name:{column - len(indent)}}{words}"
 
 
 def _for_json(value: Any) -> Any:
