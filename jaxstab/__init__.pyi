@@ -3,7 +3,6 @@ from . import results as results
 from .atlas import Atlas as Atlas
 from .atlas import AtlasSpec as AtlasSpec
 from .atlas import FieldSpec as FieldSpec
-from .atlas import FittedAxis as FittedAxis
 from .atlas import LoopAtlas as LoopAtlas
 from .atlas import build_atlas as build_atlas
 from .atlas import open_atlas as open_atlas
