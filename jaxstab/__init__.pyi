@@ -3,7 +3,6 @@ from . import results as results
 from .atlas import Atlas as Atlas
 from .atlas import AtlasSpec as AtlasSpec
 from .atlas import FieldSpec as FieldSpec
-from .atlas import FittedAxis as FittedAxis
 from .atlas import LoopAtlas as LoopAtlas
 from .atlas import build_atlas as build_atlas
 from .atlas import open_atlas as open_atlas
@@ -36,7 +35,7 @@ from .point import spectral_radius as spectral_radius
 from .point import verdict as verdict
 from .region import boundary_curve as boundary_curve
 from .region import stable_region as stable_region
-from .scene.contact_table import contact_table as contact_table
+from .scene.contact import contact_table as contact_table
 from .scene.identify import identify as identify
 from .scene.study import quantiles as quantiles
 from .scene.study import shares as shares

@@ -29,8 +29,8 @@ from .point import SpectralRadius as SpectralRadius
 from .region import Branch as Branch
 from .region import RegionStatus as RegionStatus
 from .region import StableRegion as StableRegion
-from .scene.identified import Estimate as Estimate
-from .scene.identified import Identified as Identified
+from .scene.identify import Estimate as Estimate
+from .scene.identify import Identified as Identified
 from .trace import BoundaryTrace as BoundaryTrace
 from .trace import TraceStatus as TraceStatus
 from .tuning import OptimalGains as OptimalGains
