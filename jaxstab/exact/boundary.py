@@ -22,6 +22,7 @@ from jaxtyping import Bool, Complex128, Float64
 from jaxstab.exact.line import StableLine, real_quotient_angles, stable_pencil
 from jaxstab.exact.verdict import roots_outside
 from jaxstab.model import LoopParameters
+from jaxstab.model.affine import AffineParts, affine_triple
 from jaxstab.model.balls import BallLoop, Factored, Triple, ball_loop
 from jaxstab.model.device.parts import FIRST_BITS, MOST_BITS, decided, working_precision
 
@@ -34,7 +35,7 @@ Angles = Float64[np.ndarray, " _"]
 class ScaledLoop(NamedTuple):
     """A loop, the units of K and B in SI units, and the radius of the circle."""
 
-    loop: LoopParameters
+    loop: LoopParameters | AffineParts
     units: tuple[float, float]
     radius: float = 1.0
 
@@ -54,7 +55,12 @@ class ScaledLoop(NamedTuple):
 @lru_cache(maxsize=64)
 def _scaled(question: ScaledLoop, bits: int) -> tuple[BallLoop, Triple]:
     del bits  # the precision is set: here it only tells balls apart
-    own = ball_loop(question.loop).scaled(question.units, question.radius)
+    loop = question.loop
+    if isinstance(loop, LoopParameters):
+        own = ball_loop(loop)
+    else:
+        own = BallLoop.from_triple(affine_triple(loop))
+    own = own.scaled(question.units, question.radius)
     return own, own.triple
 
 

@@ -41,6 +41,7 @@ from jaxstab.exact.boundary import (
     root_lines,
     undamped_modes,
 )
+from jaxstab.model import LoopParameters
 from jaxstab.model.device.parts import FIRST_BITS, working_precision
 
 _REMEMBERED = 64
@@ -154,7 +155,7 @@ def curve_of(loop: ScaledLoop) -> Curve:
     """
     with working_precision(FIRST_BITS):
         own = loop.balls()
-    if own.position[0].at_one and loop.radius == 1.0:
+    if isinstance(loop.loop, LoopParameters) and own.position[0].at_one and loop.radius == 1.0:
         raise ValueError(
             "the position filter has P(1) = 0: the wall does not push back at rest. It has no "
             "region and no limits; give a filter of gain 1 at z = 1, or ask for verdicts and radii."
