@@ -38,6 +38,13 @@ class GainNames(NamedTuple):
     stiffness_unit: str = ""
     damping_unit: str = ""
 
+    @property
+    def labels(self) -> tuple[str, str]:
+        """Of the axes of a picture."""
+        sides = (self.stiffness, self.stiffness_unit), (self.damping, self.damping_unit)
+        first, second = (f"{name} ({unit})" if unit else name for name, unit in sides)
+        return first, second
+
     def at_largest_stiffness(self, point: Any) -> str:
         """Return the text of a point, the stiffness first and rounded down."""
         return f"{self._stiffness(point, floors=True)} at {self._damping(point)}"
