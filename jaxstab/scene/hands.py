@@ -38,7 +38,6 @@ from jaxstab.scene.loops import (
 from jaxstab.scene.scene import Scene
 
 _PROVED = "proved for every hand"
-_TRIED = "no hand that was tried is unstable, but not all others are proved"
 BUT_FOR_DRIFT = "stable but for the position, which nothing holds"
 _DRIFTS = "nothing holds the position of a damper alone; over ranges the rest is not proved"
 
@@ -112,6 +111,7 @@ def worst_on(scene: Scene, walls: Sequence[Gains]) -> list[WorstHeld]:
     Of a delay that moves it is for every sequence; of one that is constant, but not known, for each
     constant one.
     """
+    unproved = "no hand that was tried is unstable, but not all others are proved"
     loop, delays, every = loops_over_delays(scene)[0], delays_of(scene), ranges_of_all(scene)
     is_alone = hands_of(scene) is None
     worst: list[tuple[Any, HapticLoop, float]]  # verdict, loop and radius
@@ -130,7 +130,7 @@ def worst_on(scene: Scene, walls: Sequence[Gains]) -> list[WorstHeld]:
         verdict, drifts = _but_for_drift(code, held, gains)
         hand, words = None if is_alone else held_by(held, scene), None
         is_range = not is_alone or "delay" in delays
-        tried = drifts or (_TRIED if is_range and verdict == Verdict.UNDECIDED else None)
+        tried = drifts or (unproved if is_range and verdict == Verdict.UNDECIDED else None)
         if delays and verdict == Verdict.UNSTABLE:
             constant = f"a constant delay of {Quantity('s').words(held.delay)}"
             words = f"{constant}: a factor of {radius:.6g} per sample"
