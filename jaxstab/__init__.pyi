@@ -13,10 +13,15 @@ from .conventions import Verdict as Verdict
 from .guard import Guard as Guard
 from .guard import build_guard as build_guard
 from .loop import HapticLoop as HapticLoop
+from .loop import Loop as Loop
+from .loop import admittance as admittance
 from .loop import contact_map as contact_map
+from .loop import coupling as coupling
 from .loop import limits_of as limits_of
 from .loop import margins as margins
+from .loop import pid as pid
 from .loop import regions_of as regions_of
+from .loop import simulated_pd as simulated_pd
 from .loop import tune_for_all as tune_for_all
 from .model import Device as Device
 from .model import Filter as Filter

@@ -8,6 +8,10 @@ from .conventions import RadiusStatus as RadiusStatus
 from .loop import CommonWall as CommonWall
 from .loop import Contact as Contact
 from .loop import ContactKind as ContactKind
+from .loop import Gain as Gain
+from .loop import GainLimit as GainLimit
+from .loop import GainLimits as GainLimits
+from .loop import GainRegion as GainRegion
 from .loop import Gains as Gains
 from .loop import ManyLimits as ManyLimits
 from .loop import ManyRegions as ManyRegions

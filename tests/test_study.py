@@ -61,11 +61,11 @@ def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("modes", [[], [MODE]])
 def test_every_answer_is_that_of_its_own_loop(modes: list[dict[str, float]]) -> None:
     table = {**TABLE, "device": {**TABLE["device"], "modes": modes}} if modes else TABLE
-    study = jaxstab.study(table, OVER, answers=EVERYTHING, samples=3, seed=4)
+    study = jaxstab.study(table, OVER, answers=EVERYTHING, samples=2, seed=4)
     assert study.verdict.dims[-2:] == ("sample", "wall")
     for window in (1, 5):
         for delay in (0.0, 1.5e-3):
-            for draw in range(3):
+            for draw in range(2):
                 row = study.sel(
                     controller_velocity_window_samples=window, controller_delay=delay, sample=draw
                 )
@@ -340,22 +340,22 @@ def test_undecided_draws_widen_the_interval_on_both_sides(monkeypatch: pytest.Mo
 def test_intervals_cover_the_share_among_all_hands_in_95_of_100_small_studies() -> None:
     over = {"device.mass": "uniform:0.1:0.3", "hand.stiffness": "lognormal:300:1.4"}
     walls = {"x": (12000.0, 40.0)}
-    study = jaxstab.study(TABLE, over, answers=["verdict"], walls=walls, samples=200_000)
+    study = jaxstab.study(TABLE, over, answers=["verdict"], walls=walls, samples=40_000)
     truth = (study.verdict == Verdict.STABLE).mean().item()
     assert 0.1 < truth < 0.9
-    codes = study.verdict.values.reshape(1000, 200)
+    codes = study.verdict.values.reshape(200, 200)
     shares = jaxstab.shares(xarray.Dataset({"verdict": (("study", "sample"), codes)}))
     covered = ((shares.low <= truth) & (truth <= shares.high)).mean()
-    assert 0.93 <= covered <= 0.97
+    assert 0.9 <= covered <= 0.99
 
 
 def test_quantiles_are_those_of_the_draws_and_nothing_stable_counts_as_0() -> None:
     over = {"device.mass": "uniform:0.1:0.3", "controller.delay_samples": [1.0, 3.0]}
-    study = jaxstab.study(TABLE, over, answers=["limits"], samples=40)
+    study = jaxstab.study(TABLE, over, answers=["limits"], samples=11)
     values = np.sort(study.largest_stiffness.values, axis=1)
     found = jaxstab.quantiles(study, at=[0.0, 0.5, 1.0])
     assert found.dims == ("quantile", "controller_delay_samples")
-    np.testing.assert_array_equal(found, values[:, [0, 19, 39]].T)
+    np.testing.assert_array_equal(found, values[:, [0, 5, 10]].T)
     assert "wall" not in study.sizes
 
 
@@ -444,7 +444,10 @@ def test_parts_that_do_not_go_together_are_refused(tmp_path: Path) -> None:
         studies.merged([one, tmp_path / "none.h5"])
 
 
-@pytest.mark.parametrize("missing", ["xarray", "dask", "h5netcdf"])
+@pytest.mark.parametrize(
+    "missing",
+    ["xarray", *(pytest.param(x, marks=pytest.mark.campaign) for x in ("dask", "h5netcdf"))],
+)
 def test_what_is_not_installed_is_named_in_a_sentence(missing: str, tmp_path: Path) -> None:
     code = (
         f"import sys; sys.modules[{missing!r}] = None\n"
@@ -471,9 +474,11 @@ def test_random_studies_have_the_answers_of_single_loops() -> None:
             "controller.delay_samples": [0.0, float(rng.integers(1, 12)), rng.uniform(0.0, 6.0)],
         }
         walls = {"a": (10 ** rng.uniform(2, 4.5), 10 ** rng.uniform(0, 2)), "b": (500.0, 5.0)}
-        study = jaxstab.study(table, over, walls=walls, samples=170, seed=int(rng.integers(1000)))
+        study = jaxstab.study(
+            table, over, walls=walls, samples=many(170, 70), seed=int(rng.integers(1000))
+        )
         for delay in range(3):
-            for draw in range(170):
+            for draw in range(study.sizes["sample"]):
                 row = study.isel(controller_delay_samples=delay, sample=draw)
                 values = {
                     "device.mass": row.device_mass.item(),

@@ -14,7 +14,7 @@ from jaxstab.model import checked_gain, require_x64
 from jaxstab.numbers import without_noise
 from jaxstab.region import measures
 from jaxstab.region.curve import Curve
-from jaxstab.region.outline import Outline, loop_ends
+from jaxstab.region.outline import Outline, loop_ends, polygon_area
 from jaxstab.region.pieces import NO_BRANCH
 from jaxstab.shown import number_text, stable_pair
 
@@ -37,6 +37,13 @@ class GainNames(NamedTuple):
     damping: str = "beta"
     stiffness_unit: str = ""
     damping_unit: str = ""
+
+    @property
+    def labels(self) -> tuple[str, str]:
+        """Of the axes of a picture."""
+        sides = (self.stiffness, self.stiffness_unit), (self.damping, self.damping_unit)
+        first, second = (f"{name} ({unit})" if unit else name for name, unit in sides)
+        return first, second
 
     def at_largest_stiffness(self, point: Any) -> str:
         """Return the text of a point, the stiffness first and rounded down."""
@@ -193,7 +200,7 @@ def components_of(c: Curve, outline: Outline) -> list[Outline]:
     parts = _loops(outline)
     if len(parts) == 1:
         return parts
-    loops = [(loop, float(measures.area(c, loop))) for loop in parts]
+    loops = [(loop, polygon_area(loop)) for loop in parts]
     holes = [pair for pair in loops if pair[1] <= 0.0]
     groups = [
         [outer, *(hole for hole in holes if _holds(c, outer[0], hole[0]))]

@@ -216,7 +216,7 @@ def quantiles(
 
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-        >>> study = jaxstab.study(loop, {"hand_stiffness": "uniform:100:500"}, samples=100)
+        >>> study = jaxstab.study(loop, {"hand_stiffness": "uniform:100:500"}, samples=20)
         >>> low, median, high = jaxstab.quantiles(study).values
         >>> bool(low < median < high)
         True
