@@ -5,7 +5,7 @@ A proof computes a number and a bound of its error. Three kinds of constants ent
 - *Units*: what one operation may be wrong by, relative to its result. float64 rounds to nearest,
   so an operation is right to ``UNIT``; ``EPS`` = 2 UNIT is the distance of 1 from the next number.
   Pairs of float64 (``model.double_double``) are right to ``PAIR_UNIT``.
-- *Models*: what a computed plant or filter may be wrong by. Lemmas V7 and V8 of docs/proofs.md
+- *Models*: what a computed plant or filter may be wrong by. Lemmas V7 and V10 of docs/proofs.md
   derive them; ``python docs/rounding.py`` derives those of V7 from balls over boxes.
 - *Raised sums*: a bound is computed in float64 as well, so it may come out below its exact value.
   A sum or product of n numbers of one sign is right to n UNIT, so multiplied by 1 + 2^-k it is no
@@ -29,7 +29,7 @@ SOFT_GAMMA, SOFT_DELTA = 40.0, 10.0
 SOFT_PLANT, STIFF_PLANT, DAMPED_PLANT = 2.0**-89, 2.0**-66, 2.0**-56
 
 # Coefficients of products of filters, for each stage and four more, relative to the product of
-# the stages' sizes (lemma V8).
+# the stages' sizes (lemma V7).
 FILTERS = 2.0**-96
 RAISED = 1.0 + 2.0**-40
 RAISED_MANY = 1.0 + 2.0**-20

@@ -135,7 +135,7 @@ import json, tempfile
 import jax
 import numpy as np
 import jaxstab
-from jaxstab import AtlasSpec, FieldSpec, FittedAxis
+from jaxstab import AtlasSpec, FieldSpec
 
 def walls(count):
     rng = np.random.default_rng(count)
@@ -153,7 +153,7 @@ def trace(size):
     jaxstab.trace_boundary(("alpha", axis), ((-0.01, 0.2), (0.0, size / 10)), **fixed)
 
 def write(size):
-    fields = FieldSpec(alpha=FittedAxis(size), beta=FittedAxis(size))
+    fields = FieldSpec(alpha=size, beta=size)
     spec = AtlasSpec(gamma=[0.0, 1e-3], delta=[0.0, 0.015], delay=[0.0], rows=9, fields=fields)
     with tempfile.TemporaryDirectory() as folder:
         jaxstab.build_atlas(spec, folder + "/a.h5")

@@ -31,6 +31,8 @@ CONVERSIONS = {  # of a loop: nothing is asked of it
     "tree_unflatten",
 }  # fmt: skip
 
+MAKERS = {"admittance", "coupling", "pid", "simulated_pd"}  # of loops, whose methods compute
+
 
 def run_python(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
@@ -223,7 +225,7 @@ def public_methods(value: object) -> list[Callable[..., Any]]:
 
 def test_every_computing_function_is_in_the_table_of_calls() -> None:
     computing = {name for name in PUBLIC if computes(attrgetter(name)(jaxstab))}
-    assert computing | computing_methods() == set(COMPUTING_CALLS)
+    assert (computing - MAKERS) | computing_methods() == set(COMPUTING_CALLS)
 
 
 def test_tests_import_no_tests() -> None:

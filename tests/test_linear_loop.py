@@ -41,7 +41,7 @@ def assert_within_bounds(loop: LinearLoop, truth: tuple[flint.arb_poly, ...], sl
 
 @pytest.mark.parametrize("count", [60, MORE])
 def test_loops_of_masses_are_within_their_bounds(count: int) -> None:
-    """Lemma V8."""
+    """Lemma V7."""
     sharp = []
     for seed in range(count):
         drawn = MassLoop.drawn(np.random.default_rng([52, seed]))
@@ -86,7 +86,7 @@ def exact_sides(chain: Filter) -> list[flint.fmpq_poly]:
 
 @pytest.mark.parametrize("count", [10, MORE])
 def test_filters_of_jax_are_within_their_bounds(count: int) -> None:
-    """Lemma V8: the products of their stages in pairs, against those in exact numbers."""
+    """Lemma V7: the products of their stages in pairs, against those in exact numbers."""
     for seed in range(count):
         drawn = MassLoop.drawn(np.random.default_rng([54, seed]))
         velocity, position = jax.tree.map(jnp.asarray, drawn.filters[:2])

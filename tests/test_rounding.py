@@ -13,11 +13,11 @@ import pytest
 from benchmarks import truth
 from jaxstab.model import polynomial_degree
 from jaxstab.model.linear_loop import LinearLoop
-from jaxstab.point import dominance, fields, radius, verdicts
+from jaxstab.point import dominance, fields, radius
 from jaxstab.point.dominance import Complex
 from jaxstab.point.radius import _scaled_codes
 from jaxstab.point.schur_cohn import Chain, _step, loop_coefficients
-from jaxstab.point.verdicts import _ends, float_plant, loop_codes
+from jaxstab.point.verdicts import _ends, float_plant
 from jaxstab.rounding import UNIT
 
 COUNT = 400
@@ -33,9 +33,9 @@ def exact(values: Any) -> list[Any]:
     return [Fraction(v) if isinstance(v, float) else exact(v) for v in np.asarray(values).tolist()]
 
 
-def chain_of(gap: Any, head: Any, tail: Any, drift: Any = None) -> Chain[Any]:
+def chain_of(gap: Any, head: Any, tail: Any) -> Chain[Any]:
     nothing = np.zeros(COUNT)
-    return Chain(gap, tuple(head), tuple(tail), nothing, nothing.copy(), drift=drift)
+    return Chain(gap, tuple(head), tuple(tail), nothing, nothing.copy())
 
 
 def test_a_step_rounds_by_no_more_than_lemma_v3_says() -> None:
@@ -61,61 +61,18 @@ def test_a_step_rounds_by_no_more_than_lemma_v3_says() -> None:
         assert sum(away[2:]) + dropped <= Fraction(float(after.error[k]))
 
 
-def test_a_step_drifts_from_exact_steps_by_no_more_than_lemma_v6_says() -> None:
-    rng = np.random.default_rng(2)
-    gap, head, tail = drawn(rng, COUNT), drawn(rng, 2, COUNT), drawn(rng, 3, COUNT)
-    after = _step(chain_of(gap, head, tail, drift=np.zeros(COUNT)), UNIT)
-    for k, (g, (u1, u2), (v0, v1, v2)) in enumerate(
-        zip(exact(gap), exact(head.T), exact(tail.T), strict=True)
-    ):
-        ratio = v0 / (g + u2)
-        made = [Fraction(float(row[k])) for row in (*after.head[:2], after.gap, *after.tail[:2])]
-        made[2] += made[1]
-        true = [
-            u1 - ratio * v1,
-            u2 - ratio * v2,
-            g + u2 - ratio * v0,
-            v1 - ratio * u1,
-            v2 - ratio * u2,
-        ]
-        assert after.drift is not None
-        assert max(abs(a - b) for a, b in zip(made, true, strict=True)) <= after.drift[k]
-
-
 @pytest.fixture
 def chains(monkeypatch: pytest.MonkeyPatch) -> list[Chain[Any]]:
-    """What the recursions of verdicts and radii begin with."""
+    """What the recursions of radii begin with."""
     begun: list[Chain[Any]] = []
-    for module in (verdicts, radius):
-        real = module.decide
+    real = radius.decide
 
-        def decide(chain: Chain[Any], *others: Any, real: Any = real) -> Any:
-            begun.append(chain)
-            return real(chain, *others)
+    def decide(chain: Chain[Any], *others: Any) -> Any:
+        begun.append(chain)
+        return real(chain, *others)
 
-        monkeypatch.setattr(module, "decide", decide)
+    monkeypatch.setattr(radius, "decide", decide)
     return begun
-
-
-def test_the_drift_begins_with_the_error_of_each_coefficient(chains: list[Chain[Any]]) -> None:
-    """Of soft hands, whose d1 and d0 are next to 2 and 1, and small gains."""
-    rng = np.random.default_rng(3)
-    gamma, delta = 10 ** rng.uniform(-8.0, -3.0, (2, 40))
-    plant = float_plant(gamma, delta, np.zeros(40), is_fractional=False)
-    walls = np.full(40, 1e-6), np.full(40, 1e-6)
-    degree = len(plant.stiff) + 20
-    loop_codes(*walls, gamma, plant, unit=UNIT, degree=degree)
-    (chain,) = chains
-    for k in range(40):
-        true = truth.plant(float(gamma[k]), float(delta[k]), 0)
-        away = [abs(chain.head[0][k] + true.d1), abs(chain.head[0][k] - true.d1)]
-        away = [
-            min(away),
-            abs(chain.head[1][k] - true.d0),
-            abs(chain.gap[k] + chain.head[1][k] - 1),
-        ]
-        assert chain.drift is not None
-        assert max(away) <= chain.drift[k]
 
 
 def test_values_at_minus_one_are_within_their_errors() -> None:
@@ -134,7 +91,7 @@ def test_values_at_minus_one_are_within_their_errors() -> None:
 
 
 def test_sums_of_large_gains_are_within_the_error_of_their_coefficients() -> None:
-    """Lemma V8: four roundings."""
+    """Lemma V7: four roundings."""
     rng = np.random.default_rng(5)
     rows = [tuple(drawn(rng, 5, COUNT)) for _ in range(3)]
     nothing = np.zeros(COUNT)

@@ -1,10 +1,11 @@
 """Bounds of errors in the steps of Schur and Cohn, and of distances to roots: each is attained.
 
-Lemmas V3, R1, R4 and R5 of docs/proofs.md. A polynomial is moved by as much as a bound
+Lemmas V3, V4 and R1 of docs/proofs.md. A polynomial is moved by as much as a bound
 allows, in the direction that is worst for it; half of the bound would then be wrong.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from fractions import Fraction
 from itertools import combinations, pairwise
 from typing import Any
@@ -27,9 +28,7 @@ NEAR = [(1, 1e-6), (-1, 1e-6), (1, 1e-9), (-1, 1e-9), (1, 1e-12), (-1, 1e-12), (
 def state(falling: list[float], error: float) -> _State:
     falling = np.array(falling)
     truth = np.array(True)
-    return _State(
-        falling, falling[::-1].copy(), np.array(error), truth, truth, ~truth, np.array(error)
-    )
+    return _State(falling, falling[::-1].copy(), np.array(error), truth, truth, ~truth)
 
 
 @pytest.mark.parametrize("place", range(4))
@@ -47,6 +46,21 @@ def test_an_error_of_a_coefficient_grows_by_one_and_the_ratio(place: int, last: 
     if place != 2:  # the middle one meets itself
         assert after.error <= error * (1 + Fraction(1, 10**6))
     assert after.inside == (abs(last) < 1.0)
+
+
+@pytest.mark.parametrize("share", [0.99, 1.01])
+def test_the_first_last_coefficient_above_the_leading_one_has_a_root_outside(share: float) -> None:
+    """Lemma V4, if it is so beyond the errors of both, and no |K| before was above 1."""
+    above = 2.0**-10
+    falling = [1.0, 0.25, -0.5, 0.125, -1.0 - above]
+    begun = state(falling, share * above)
+    assert schur_cohn._dense_step(begun, unit=UNIT).outside == (share < 1.0)
+    later = replace(begun, inside=np.array(False))
+    assert not schur_cohn._dense_step(later, unit=UNIT).outside
+    errors = {"head_error": np.array(0.5 * share * above), "error": np.array(0.5 * share * above)}
+    sparse = Chain(0.5, (0.25, 0.5), (1.0 + above, -0.5, 0.25), **errors)
+    assert _step(sparse, UNIT).outside == (share < 1.0)
+    assert not _step(replace(sparse, inside=np.array(False)), UNIT).outside
 
 
 def chain(moves: dict[str, float]) -> Chain[Any]:
@@ -100,7 +114,7 @@ def test_a_step_is_that_of_schur_and_cohn_in_fractions() -> None:
     assert lowered[::-1][:3] == [*(Fraction(float(x)) for x in after.tail), Fraction(0)]
 
 
-# ----------------------------------------------------------------------------- dominance (lemma R4)
+# ----------------------------------------------------------------------------- dominance (lemma R1)
 
 
 @pytest.mark.parametrize("array", [np.asarray, jnp.asarray])
@@ -161,7 +175,7 @@ def test_a_pole_is_as_near_as_the_circle_and_real_or_one_of_a_pair() -> None:
 def test_poles_outside_are_counted_up_to_the_error_that_moves_one(
     outside: int, inside: int
 ) -> None:
-    """Lemma R4 by the roots that were put there; with an error of min |p| nothing is counted."""
+    """Lemma V4 by the roots that were put there; with an error of min |p| nothing is counted."""
     roots = [*np.linspace(1.3, 2.0, outside), *np.linspace(-0.6, 0.45, inside)]
     falling = np.poly(roots)
     circle = np.exp(1j * np.linspace(0.0, np.pi, 2001))
@@ -181,7 +195,7 @@ def test_the_error_of_a_single_pole_may_be_its_distance_from_the_circle(
     assert poles_outside([np.ones(2), np.full(2, -root)], error).tolist() == [first, -1]
 
 
-# -------------------------------------------------- the count by the verdict's steps (lemma R5)
+# -------------------------------------------------- the count by the verdict's steps (lemma V4)
 
 
 def sparse(roots: list[float], array: Callable[..., Any], error: float) -> tuple[Any, ...]:
@@ -288,7 +302,7 @@ def test_subsets_of_roots_are_told_apart() -> None:
 def test_the_distance_of_a_dominant_root_is_little_more_than_what_newton_corrects(
     delay: float, off: float
 ) -> None:
-    """Lemmas R1 and R5 next to a simple root, of the loop of the paper, by roots of its p(z)."""
+    """Lemma R1 next to a simple root, of the loop of the paper, by roots of its p(z)."""
     gamma, delta, alpha, beta = 0.02, 0.3, 0.05, 0.1
     with mpmath.workdps(40):
         plant = truth.plant(gamma, delta, 0.0)

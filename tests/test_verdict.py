@@ -122,6 +122,23 @@ def test_enormous_gains_are_unstable(gains: tuple[float, float], delay: float) -
     assert verdict(*gains, gamma=1e-3, delta=0.015, delay=delay) == Verdict.UNSTABLE
 
 
+@pytest.mark.parametrize("window", [None, 30])
+@pytest.mark.parametrize("delay", [20.0, 50.5, 200.0])
+def test_gains_far_above_all_limits_are_decided_at_long_delays(
+    delay: float, window: int | None, rng: np.random.Generator
+) -> None:
+    """Factors of 1 + |K| add up there; roots outside by the turns of p(z) on the circle."""
+    alpha, beta = 10.0 ** rng.uniform(-6.0, 3.0, 300), 10.0 ** rng.uniform(-4.0, 3.0, 300)
+    filters = {} if window is None else {"velocity": Velocity.difference(samples=window)}
+    codes = verdict(alpha, beta, **HAPTIC, delay=delay, **filters)
+    falling = characteristic_polynomial(alpha, beta, **HAPTIC, delay=delay, **filters)
+    values = np.fft.rfft(falling, 1 << 16)  # p(z) / z^n
+    turns = np.angle(values[:, 1:] * values[:, :-1].conj()).sum(axis=1) / np.pi
+    expected = np.where(np.round(-turns) > 0.0, Verdict.UNSTABLE, Verdict.STABLE)
+    assert np.mean(expected == Verdict.UNSTABLE) > 0.8
+    np.testing.assert_array_equal(codes, expected)
+
+
 def test_every_delay_of_an_array_gets_the_verdict_of_its_own(rng: np.random.Generator) -> None:
     alpha, beta = rng.uniform(-0.01, 0.2, (7, 1, 1)), rng.uniform(0, 1, (11, 1))
     codes = verdict(alpha, beta, **HAPTIC, delay=DELAY_OF_MANY)

@@ -6,8 +6,8 @@ powers of 1/z and the denominators 1 at first,
     z^-degree p(z) = base + alpha stiffness + beta damping = D Bp Bv + N (alpha Ap Bv + beta Av Bp).
 
 What filters multiply is formed in exact numbers, and rounded once; where JAX has their parameters,
-in pairs of float64. One mass multiplies it in pairs too, with bounds of all errors (lemmas V7 and
-V8 of docs/proofs.md), on grids and under transformations of JAX. The triple of a single loop, of
+in pairs of float64. One mass multiplies it in pairs too, with bounds of all errors (lemma V7 of
+docs/proofs.md), on grids and under transformations of JAX. The triple of a single loop, of
 any device, is the middle of its balls (``balls.linear_loop``).
 """
 
@@ -151,7 +151,7 @@ def filter_factors(filters: Filters) -> FilterFactors:
         return _exact_factors(*chains)
     (above_v, below_v, sizes_v), (above_p, below_p, sizes_p) = map(_in_pairs, chains)
     above_v, size = product((_ONE, -_ONE), above_v), 2.0 * sizes_v[0]
-    # Lemma V8 counts the stages, and what is done with their product.
+    # Lemma V7 counts the stages, and what is done with their product.
     rounding = FILTERS * (4 + sum(len(section.stages()) for chain in chains for section in chain))
     return FilterFactors(
         (product(below_p, below_v), product(above_p, below_v), product(above_v, below_p)),

@@ -2,7 +2,7 @@
 
 A root lies within n |p(z) / p'(z)| of any z (lemma R1 of docs/proofs.md). The recursion that
 verdicts use, on p(r z), counts the roots outside of a circle whose radius r is a little less than
-|z|. If it counts one where z is real, and two where it is not, all others are inside (lemma R5):
+|z|. If it counts one where z is real, and two where it is not, all others are inside (lemma V4):
 the root is dominant, and about |p(z) / p'(z)| away. The work grows with the degree, not with its
 square.
 
@@ -345,7 +345,7 @@ def with_distance(
         own.beyond - within - 64.0 * UNIT * own.size, xp.where(is_real, xp.inf, t.im)
     )
     is_proved = is_proved & (distance < apart) & (step <= (_NEAR * shortest) ** 2)
-    # All other roots are at least as far from z, so that p'/p has one large term (lemma R5).
+    # All other roots are at least as far from z, so that p'/p has one large term (lemma R1).
     distance = _SLACK * distance / (degree - (degree - 1.0) * (distance / apart))
     return own.radius, xp.where(is_proved, distance + 4.0 * UNIT * own.radius, xp.inf)
 

@@ -6,7 +6,7 @@ dominant pole (``traced_radius``), or the matrix's eigenvalues do; a few steps o
 refine it, and a proof follows that uses nothing of how it was found:
 
 - the steps of Schur and Cohn down to a constant count the poles outside of the unit circle, and of
-  any other circle (lemma R4 of docs/proofs.md);
+  any other circle (lemma V4 of docs/proofs.md);
 - a root lies within n |p/p'| of the pole (lemma R1). If it, or it and its conjugate, are all of the
   roots outside of a circle that is a little smaller, the spectral radius is its modulus.
 
@@ -188,7 +188,7 @@ def poles_outside(columns: list[Array], error: Array) -> Array:
     """Count the roots outside of the unit circle, as int16; UNKNOWN where it is not proved.
 
     ``columns`` are the coefficients, highest power first; ``error`` bounds the sum of their errors.
-    Source: Schur (1917), Cohn (1922); lemma R4 of docs/proofs.md.
+    Source: Schur (1917), Cohn (1922); lemma V4 of docs/proofs.md.
     """
     xp, degree = namespace(columns, error), len(columns) - 1
     ones, zero = xp.ones_like(error), xp.zeros_like(error)

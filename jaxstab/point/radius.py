@@ -5,7 +5,7 @@ elementwise operations alone (``dominance``), otherwise as the largest eigenvalu
 matrix, refined by Newton's method. The bound is a proof that uses nothing of how the value was
 found:
 
-- lemma R5: no other root is outside of a circle a little smaller than that through the dominant
+- lemma V4: no other root is outside of a circle a little smaller than that through the dominant
   root, and lemma R1 bounds the distance of that root from its approximation; or
 - lemma R3: all roots are inside the circle of radius value + error, and not all inside that of
   value - error. Both are verdicts on p(r z), tried for a ladder of errors.
@@ -124,7 +124,7 @@ def proved_error(codes: Callable[[Array], Array], radius: Array) -> Array:
 # Spectral radii of any linear loops, and a bound of the error of each.
 #
 # The dominant eigenvalue of the companion matrix is corrected by Newton's method with a residual in
-# double-double, and proved by a ladder of verdicts on p(r z) (lemmas R3 and V8 of docs/proofs.md).
+# double-double, and proved by a ladder of verdicts on p(r z) (lemmas R3 and V7 of docs/proofs.md).
 
 
 Values = np.ndarray[Any, np.dtype[Any]]

@@ -8,12 +8,12 @@ p -> (p - K z^m p(1/z)) / z with K = v0/u0, lowers the degree m by one and keeps
 
 The K that were computed decide, however wrong they are; ``error`` bounds what the polynomial may
 differ by from exact steps with the same K, and the winding number of the quadratic at the end, with
-the signs of p(1) and p(-1), tells where the roots are: lemmas V1 to V6 of docs/proofs.md.
+the signs of p(1) and p(-1), tells where the roots are: lemmas V1 to V4 of docs/proofs.md.
 
 Near z = 1 u0 and u2 are both close to 1. Their difference, the ``gap``, is carried instead, so
 errors are relative to the gap and to the tail, not to the coefficients of p. Far outside, for long
-delays, factors of 1 + |K| add up to more than float64 has digits, though an early K is certainly
-above 1: ``drift`` bounds the distance to the steps with the exact K.
+delays, factors of 1 + |K| add up to more than float64 has digits; there the first |K| above 1 is
+enough to say UNSTABLE, if it is so beyond the errors up to then.
 
 Sources: Schur (1917), Cohn (1922); Jury (1964), Theory and Application of the z-Transform Method.
 """
@@ -89,8 +89,7 @@ class Chain(Generic[Number]):
     error: Array  # l1 norm of all other errors
     inside: Array | bool = True  # every |K| < 1 so far
     regular: Array | bool = True  # no |K| = 1 so far
-    outside: Array | bool = False  # an exact |K| > 1
-    drift: Array | None = None  # of each coefficient from exact steps; None: not followed
+    outside: Array | bool = False  # the first |K| > 1 was so beyond all errors
     balance: Balance | None = None  # of zeros; None: not followed
 
 
@@ -161,7 +160,7 @@ def _last_gap(chain: Chain[Number], unit: float, *, is_monic: bool) -> tuple[Num
     b0 = chain.gap + head[1]
     b1 = head[0] + tail[2] if len(tail) > 2 else head[0]
     b3 = tail[0] + head[2] if len(head) > 2 else tail[0]
-    ratio = b3 if is_monic else _quotient(b3, b0, is_alone=_is_plain(chain))[0]
+    ratio = b3 if is_monic else _quotient(b3, b0, is_alone=chain.balance is None)
     modulus = size(ratio)
     gap = (chain.gap - tail[1] if len(tail) > 1 else chain.gap) + ratio * (b1 - b3)
     sizes = size(b0) + size(b1) + 2.0 * size(b3) + size_sum(head) + size_sum(tail)
@@ -180,47 +179,44 @@ def _step(
 ) -> Chain[Number]:
     head, tail = chain.head, chain.tail
     lead = chain.gap + head[1]
-    how = {"is_alone": _is_plain(chain), "is_rolled": is_rolled}
-    ratio, inverse = (tail[0], 1.0) if is_monic else _quotient(tail[0], lead, **how)
+    is_alone = chain.balance is None or is_rolled
+    ratio = tail[0] if is_monic else _quotient(tail[0], lead, is_alone=is_alone)
     modulus = size(ratio)
+    errors = chain.error + chain.head_error
     lowered = tail[0] - tail[2] if len(tail) > 2 else tail[0]
     pairs = list(zip_longest(head, tail[1:]))
-    bounds = _bounds_after(chain, lead, inverse, modulus, unit)
+    bounds = _bounds_after(chain, lead, modulus, unit)
     return Chain(
         gap=chain.gap - ratio * lowered,
         head=tuple(_minus(u, ratio, v) for u, v in pairs),
         tail=tuple(_minus(v, ratio, u) for u, v in pairs),
         inside=chain.inside & (modulus < 1.0),
         regular=chain.regular & (modulus != 1.0),
+        outside=chain.outside | (chain.inside & _is_larger(tail[0], lead, errors, unit)),
         balance=chain.balance and chain.balance.after(leading(ratio), modulus),
         **bounds,
     )
 
 
-def _is_plain(chain: Chain[Number]) -> bool:
-    """Whether steps follow neither zeros nor drift: of a quotient they read K alone."""
-    return chain.drift is None and chain.balance is None
+def _is_larger(last: Number, lead: Number, error: Array, unit: float) -> Array:
+    """Whether the last coefficient is larger than the first one, beyond their errors."""
+    return size(last) * (1.0 - 4.0 * unit) - size(lead) > SAFETY * error
 
 
-def _quotient(
-    dividend: Number, divisor: Number, *, is_alone: bool = False, is_rolled: bool = False
-) -> tuple[Number, Array]:
-    """Return a quotient, right to three roundings, and 1 / |divisor|, which ``is_alone`` omits."""
+def _quotient(dividend: Number, divisor: Number, *, is_alone: bool) -> Number:
+    """Return a quotient, right to three roundings."""
     if isinstance(divisor, DoubleDouble) or not is_jax(divisor):
-        return dividend / divisor, 1.0 / size(divisor)
+        return dividend / divisor
     if is_alone:
-        return kept(dividend / divisor), np.nan
-    # A loop that writes its state to memory needs what XLA computes once, so it divides.
-    inverse = 1.0 / size(divisor) if is_rolled else rounded_reciprocal(size(divisor))
-    signed = namespace(divisor).where(divisor < 0.0, -inverse, inverse)
-    return kept(dividend * signed), inverse
+        return kept(dividend / divisor)
+    inverse = rounded_reciprocal(size(divisor))
+    return kept(dividend * namespace(divisor).where(divisor < 0.0, -inverse, inverse))
 
 
 def _bounds_after(
-    chain: Chain[Number], lead: Number, inverse: Array, modulus: Array, unit: float
-) -> dict[str, Any]:
-    """Bound the deviation from exact steps after one more: with the same K, and the exact K."""
-    # Lemma V3 has the terms of the errors, lemma V6 those of the drift.
+    chain: Chain[Number], lead: Number, modulus: Array, unit: float
+) -> dict[str, Array]:
+    """Bound the deviation from exact steps with the same K after one more (lemma V3)."""
     head, tail = chain.head, chain.tail
     sizes = size(lead) + size(tail[0]) + size_sum(head) + size_sum(tail[2:])
     small = size(chain.gap) + size_sum(tail[1:])
@@ -228,24 +224,10 @@ def _bounds_after(
     # Where v_i = 0, u_i stays and is not rounded.
     touched = list(zip(head[:2], tail[1:3], (1.0, 2.0), strict=False))
     rounded = sum(weight * (size(u) + 2.0 * modulus * size(v)) for u, v, weight in touched)
-    outside, drift = chain.outside, chain.drift
-    if drift is not None:
-        outside = outside | (size(tail[0]) - size(lead) > 4.0 * drift)
-        drift = drifted(drift, modulus, inverse, sizes + small, unit)
     return {
         "head_error": chain.head_error + 2.0 * modulus * chain.error + unit * rounded,
         "error": chain.error + modulus * carried + unit * small,
-        "outside": outside,
-        "drift": drift,
     }
-
-
-def drifted(drift: Array, modulus: Array, inverse: Array, total: Array, unit: float) -> Array:
-    """Bound the distance to exact steps after one more, while u0 is large beside its error."""
-    ratio_error = 3.0 * drift * inverse * (1.0 + modulus) + 3.0 * unit * modulus
-    grown = drift * (1.0 + 2.0 * modulus) + 2.0 * ratio_error * total
-    grown = grown + 5.0 * unit * total * (1.0 + modulus)
-    return namespace(drift, grown).where(6.0 * drift * inverse <= 1.0, grown, np.inf)
 
 
 def _minus(a: Number | None, ratio: Number, b: Number | None) -> Number:
@@ -273,9 +255,8 @@ def size_sum(numbers: tuple[Number, ...]) -> Array:
 # Certified verdicts of polynomials without a special form: loops with estimators and filters.
 #
 # The Schur-Cohn steps act on all coefficients, in O(degree^2) operations; where only the first and
-# the last ones are not 0, as with windows and long delays, they act on those alone (lemma V9 of
-# docs/proofs.md). The proof uses the same lemmas as for the loop of the paper, V2 to V6, and V8 for
-# the error of forming p(z).
+# the last ones are not 0, as with windows and long delays, they act on those alone (lemma V1 of
+# docs/proofs.md). The proof uses the same lemmas as for the loop of the paper.
 
 _HIGHEST_UNROLLED = 32  # degree; unrolled steps of 36 took XLA minutes to compile
 
@@ -295,8 +276,7 @@ class _State:
     error: Array  # l1 norm of all errors of the coefficients
     inside: Array  # every |K| < 1 so far
     regular: Array  # no |K| = 1 so far
-    outside: Array  # an exact |K| > 1
-    drift: Array  # of each coefficient from exact steps
+    outside: Array  # the first |K| > 1 was so beyond all errors
 
 
 def dense_codes(
@@ -366,7 +346,6 @@ def polynomial_codes(
         inside=xp.ones(shape, bool),
         regular=xp.ones(shape, bool),
         outside=xp.zeros(shape, bool),
-        drift=error + 4.0 * unit,
     )
     # A coefficient of a stable polynomial is at most binomial(n, i). Numbers stay finite so.
     large = _sum(columns) - error > 8.0 * 2.0**degree
@@ -377,13 +356,13 @@ def polynomial_codes(
     state = repeated(width - 3, partial(_dense_step, unit=unit), state)
     gap = leading(state.falling[0] - state.falling[2])
     is_clear = (abs(gap) > (SAFETY * (degree - 1)) * state.error) & state.regular
-    real_outside, no_real = large, is_clear
+    real_outside, no_real = large | state.outside, is_clear
     for value, bound in ends:
         real_outside = real_outside | (value < -bound)
         no_real = no_real & (value > bound)
     counted = xp.where(state.inside & (gap > 0.0), Verdict.STABLE, Verdict.UNSTABLE)
     codes = xp.where(no_real, counted, Verdict.UNDECIDED)
-    return xp.where(real_outside | state.outside, Verdict.UNSTABLE, codes).astype(np.int8)
+    return xp.where(real_outside, Verdict.UNSTABLE, codes).astype(np.int8)
 
 
 def rounded_loop(loop: Any) -> Any:
@@ -447,7 +426,7 @@ def _ends(coefficients: Any, width: int) -> tuple[Any, Any]:
 
 
 def _joined(state: _State, unit: float) -> _State:
-    """Return the polynomial of a degree so low that its two ends overlap (lemma V9)."""
+    """Return the polynomial of a degree so low that its two ends overlap (lemma V1)."""
     falling, rising = state.falling, state.rising
     rounded = unit * _sum(falling, rising)
     if isinstance(falling, tuple):
@@ -459,7 +438,6 @@ def _joined(state: _State, unit: float) -> _State:
         falling=both,
         rising=both[::-1],
         error=state.error + rounded,
-        drift=2.0 * state.drift + rounded,
     )
 
 
@@ -472,17 +450,15 @@ def _dense_step(state: _State, unit: float, *, is_apart: bool = False) -> _State
     """Lower the degree by one, and bound what exact steps with the same K could differ by."""
     falling, rising = state.falling, state.rising
     lead, last = falling[0], rising[0]
-    ratio, inverse = _quotient(last, lead, is_rolled=not isinstance(falling, tuple))
+    ratio = _quotient(last, lead, is_alone=not isinstance(falling, tuple))
     modulus, lowered = size(ratio), _lowered(falling, rising, ratio, is_apart=is_apart)
     total = _sum(falling, rising) if is_apart else _sum(falling)
-    outside = state.outside | (size(last) - size(lead) > 4.0 * state.drift)
     return _State(
         *lowered,
         error=state.error * (1.0 + modulus) + unit * total * (1.0 + 2.0 * modulus),
         inside=state.inside & (modulus < 1.0),
         regular=state.regular & (modulus != 1.0),
-        outside=outside,
-        drift=drifted(state.drift, modulus, inverse, total, unit),
+        outside=state.outside | (state.inside & _is_larger(last, lead, state.error, unit)),
     )
 
 

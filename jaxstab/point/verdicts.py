@@ -3,7 +3,7 @@
 A verdict takes up to three steps, each for the points that the one before leaves UNDECIDED:
 
 1. The Schur-Cohn recursion in float64 with a running bound of its rounding errors
-   (``schur_cohn``; lemmas V1 to V4, V6, and V8 to V10 for loops with filters and devices). It
+   (``schur_cohn``; lemmas V1 to V4, and V10 for loops with filters and devices). It
    decides all but points next to the boundary.
 2. The same recursion in pairs of float64, with 106 bits.
 3. On request (``resolve="exact"``), the same recursion in balls (``exact.verdict``, lemma E1), one
@@ -15,7 +15,7 @@ operations; other loops take steps over all of their coefficients. Plants are co
 at the degree that its delay gives. NumPy and XLA run the same kernels (``batches``).
 """
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import partial
 from math import prod
 from typing import Any, Generic, NamedTuple
@@ -280,13 +280,10 @@ def loop_codes(
     degree: int | Array,
 ) -> Array:
     """Return the code of each point, computed in numbers of the given unit roundoff."""
-    # The drift from exact steps is followed for high degrees, and where the degree is an array.
     chain = _closed_loop(alpha, beta, plant, unit)
     ends = _ends(alpha, beta, gamma, plant, unit, degree)
     # A coefficient of a stable polynomial is at most binomial(n, i). Numbers stay finite so.
     large = size_sum(chain.tail) - chain.error > 8.0 * 2.0**degree
-    if not isinstance(degree, int) or degree > HIGHEST_UNROLLED:
-        chain = replace(chain, drift=chain.error + chain.head_error + 4.0 * unit)
     codes = decide(chain, ends, unit, degree)
     return namespace(large, codes).where(large, Verdict.UNSTABLE, codes).astype(np.int8)
 
