@@ -18,8 +18,6 @@ from jaxstab.model.balls import ball_triple
 from jaxstab.model.parameters import wall_grid
 from jaxstab.point import SpectralRadius
 
-_FEW = 100
-
 
 class FewWalls(NamedTuple):
     """Walls (K, B) of a loop, one after the other, and the shape of their grid."""
@@ -54,5 +52,5 @@ def few_walls(loop: LoopParameters, stiffness: Numbers, damping: Numbers) -> Few
     grid = wall_grid(stiffness=stiffness, damping=damping)
     walls = grid.reshape(-1, 2).tolist()
     return (
-        FewWalls(partial(ball_triple, loop), walls, grid.shape[:-1]) if len(walls) <= _FEW else None
+        FewWalls(partial(ball_triple, loop), walls, grid.shape[:-1]) if len(walls) <= 100 else None
     )

@@ -91,8 +91,6 @@ from jaxstab.shown import number_text, text_with_bound
 # All roots are inside the circle of radius + error, and not all inside that of radius - error; each
 # side is one verdict (lemma R3 of docs/proofs.md). The steps of the ladder have a ratio of 4.
 
-_STEPS = tuple(2.0**power for power in range(-50, -5, 2))  # relative bounds that are tried
-
 
 def proved_error(codes: Callable[[Array], Array], radius: Array) -> Array:
     """Bounds of the errors of radii > 0, infinite where even 2^-6 of the radius is not proved.
@@ -100,7 +98,7 @@ def proved_error(codes: Callable[[Array], Array], radius: Array) -> Array:
     ``codes`` returns the verdicts on p(r z) / r^n for radii r of shape (2, *radius.shape).
     """
     xp = namespace(radius)
-    steps = xp.asarray(_STEPS)
+    steps = xp.asarray([2.0**power for power in range(-50, -5, 2)])  # bounds tried, relative
     sides = xp.stack([xp.ones_like(radius), -xp.ones_like(radius)])
     wanted = xp.stack(
         [xp.full_like(radius, Verdict.STABLE), xp.full_like(radius, Verdict.UNSTABLE)]
@@ -115,7 +113,7 @@ def proved_error(codes: Callable[[Array], Array], radius: Array) -> Array:
 
     def is_open(state: tuple[Array, Array]) -> Array:
         step, error = state
-        return (step < len(_STEPS)) & xp.any(xp.isinf(error))
+        return (step < len(steps)) & xp.any(xp.isinf(error))
 
     start = xp.asarray(0), xp.full_like(sides, xp.inf)
     return xp.max(repeat_while(is_open, prove, start)[1], axis=0)
@@ -280,11 +278,6 @@ def _scaled_codes(head: Columns, tail: Columns, rest: Array, scale: Array, degre
 
 
 _LIST = 1 << 12  # points whose companion matrices are made at once
-_NEWTON_STEPS = 3
-
-# Strongly damped plants have coefficients of N far below its size, which do not have all their
-# digits; rounding errors beside 1, divided by powers of a small radius, exceed one rounding.
-_DAMPED, _SMALL_RADIUS = 10.0, 0.5
 
 _KNOWN = {
     RadiusStatus.NOT_COMPUTED: "not computed",
@@ -487,7 +480,7 @@ def _polished(parameters: list[Values], delay: Values | float) -> tuple[Values, 
     root = companion_poles(loop.polynomials(degree))[:, 0]
     t = Complex(root.real - 1.0, np.abs(root.imag))
     with np.errstate(all="ignore"):
-        for _ in range(_NEWTON_STEPS):
+        for _ in range(3):
             t = newton(t, loop, degree)
         return with_distance(t, loop, degree)
 
@@ -513,11 +506,14 @@ def _traced_radius_of(
 @compiled()
 def _believed(radius: SpectralRadius, gamma: Array, delta: Array) -> SpectralRadius:
     """Take back the bounds where the plant is not known to an ulp."""
+    # Strongly damped plants have coefficients of N far below its size, which do not have all their
+    # digits; rounding errors beside 1, divided by powers of a small radius, exceed one rounding.
+    damped, small_radius = 10.0, 0.5
     xp, (value, error, _) = namespace(radius, gamma, delta), radius
-    is_damped, is_lost = delta > _DAMPED, is_plant_lost(gamma, delta)
+    is_damped, is_lost = delta > damped, is_plant_lost(gamma, delta)
     if xp is np and not np.any(is_damped) and not np.any(is_lost):
         return radius
-    is_lost = is_lost | (is_damped & (value < _SMALL_RADIUS))
+    is_lost = is_lost | (is_damped & (value < small_radius))
     return _with_status(value, xp.where(is_lost, xp.inf, error))
 
 

@@ -258,8 +258,6 @@ def size_sum(numbers: tuple[Number, ...]) -> Array:
 # the last ones are not 0, as with windows and long delays, they act on those alone (lemma V1 of
 # docs/proofs.md). The proof uses the same lemmas as for the loop of the paper.
 
-_HIGHEST_UNROLLED = 32  # degree; unrolled steps of 36 took XLA minutes to compile
-
 
 @pytree
 @dataclass(frozen=True)
@@ -332,11 +330,12 @@ def polynomial_codes(
         unit: roundoff of the numbers.
         degree: of the polynomials.
     """
+    highest_unrolled = 32  # degree; unrolled steps of 36 took XLA minutes to compile
     xp = namespace(coefficients, error, ends)
     shape = error.shape
     given = len(leading(coefficients))
     width = given if given > degree else (given + 1) // 2
-    is_unrolled = xp is not np and degree <= _HIGHEST_UNROLLED
+    is_unrolled = xp is not np and degree <= highest_unrolled
     columns: Any = (
         tuple(map(coefficients.__getitem__, range(given))) if is_unrolled else coefficients
     )
