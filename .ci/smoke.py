@@ -20,8 +20,8 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 
 def names() -> None:
     """Every public name is there, and each one that computes answers a good call."""
-    sys.path.append(str(REPOSITORY))  # after what is installed
-    from benchmarks.calls import COMPUTING_CALLS, PUBLIC, outcome
+    sys.path.append(str(REPOSITORY / "tests"))  # after what is installed
+    from calls import COMPUTING_CALLS, PUBLIC, outcome
 
     for name in PUBLIC:
         attrgetter(name)(jaxstab)

@@ -21,14 +21,10 @@ BENCHMARKS = (
     "resolution",
     "throughput",
     "accelerator",
-    "estimators",
     "scaling",
-    "verdicts",
     "criteria",
-    "tuning",
     "ranges",
     "loops",
-    "amplitudes",
     "exact",
     "stress",
 )
@@ -43,26 +39,15 @@ def main() -> int:
         nargs="?",
         choices=[
             *BENCHMARKS,
-            "contact",
             "jitter",
-            "lemmas",
-            "limits_of",
             "mutants",
-            "papers",
             "plot",
-            "studies",
             "table",
-            "traces",
         ],
         help="what to measure, or plot: draw all records and put their table into the pages, "
         "or table: print that table, "
         "or jitter: attack proofs for delays that move, "
-        "or contact: simulate contacts beside what is proved, "
-        "or lemmas: check the lemmas that proofs rest on, or limits_of: print the limits of many "
-        "loops beside single ones, or mutants: change single tokens and run the tests, "
-        "or papers: compare published numbers, "
-        "or studies: time a study on two workers of a dask cluster beside one, "
-        "or traces: compare boundaries over delays with limits, and draw them; "
+        "or mutants: change single tokens and run the tests; "
         "without a name all benchmarks",
     )
     parser.add_argument("--small", action="store_true", help="the smallest sizes, in seconds")
@@ -73,19 +58,8 @@ def main() -> int:
     )
     choice = parser.parse_args()
     folder = choice.out / "small" if choice.small else choice.out
-    if choice.name == "papers":
-        papers = import_module("benchmarks.papers")
-        print(papers.markdown(papers.CLAIMS))
-        return 0
-    if choice.name == "lemmas":
-        return import_module("benchmarks.lemmas").main(choice.small)
-    if choice.name in ("contact", "jitter", "mutants", "studies"):
+    if choice.name in ("jitter", "mutants"):
         return import_module(f"benchmarks.{choice.name}").main(choice.small, choice.points)
-    if choice.name == "traces":
-        return import_module("benchmarks.traces").main(choice.small)
-    if choice.name == "limits_of":
-        rows = import_module("benchmarks.limits_of").rows(choice.small, choice.points)
-        return max(int(row["error"] > 0.0) for row in record.shown(rows))
     if choice.name == "table":
         print(table.markdown(record.read_all(folder)))
         return 0

@@ -2,10 +2,9 @@
 
 Each side is a process of its own, since JAX chooses the device when it starts: first one with two
 cores of the CPU, then one with the device that JAX prefers, which is the CPU again where there is
-no other. A call takes arrays of JAX and ends when its result is on the device; nothing is copied to
-the host but the fields of an atlas, which go to a file. ``error`` is the share of answers that the
-two sides prove and that contradict each other: verdicts of walls within 1e-16 to 1e-8 of the
-boundary, radii apart by more than both bounds, numbers of poles outside of the circle.
+no other. A call takes arrays of JAX and ends when its result is on the device. ``error`` is the
+share of answers that the two sides prove and that contradict each other: verdicts of walls within
+1e-16 to 1e-8 of the boundary, radii apart by more than both bounds.
 """
 
 import json
@@ -21,7 +20,6 @@ from typing import Any
 import numpy as np
 
 from benchmarks.record import Row
-from jaxstab.point.fields import fields_of_grid
 
 DELAYS = (0.0, 1.0, 2.0, 5.0, 10.0, 20.0)
 RADII = (1.0, 2.0, 5.0, 20.0)
@@ -29,7 +27,7 @@ MEASURE = "share of proved answers that contradict those of two cores"
 PLANT = {"gamma": 1e-3, "delta": 0.015}
 _CORES = 2
 _HOST_POINTS, _DEVICE_POINTS = 4e6, 1e8
-_SHARES = {"spectral_radius": 0.1, "fields": 0.1}  # of the points
+_SHARES = {"spectral_radius": 0.1}  # of the points
 _JUDGED = 1 << 15
 _WINDOW = 20  # samples
 
@@ -72,12 +70,8 @@ def _contradictions(known: np.ndarray, new: np.ndarray) -> float:
     if known.ndim == 1:  # codes of verdicts
         is_decided = (known != 3) & (new != 3)
         return float(np.mean(is_decided & (known != new)))
-    value, error, *count = known
-    own, bound, *other = new
-    are_apart = abs(value - own) > error + bound
-    for one, two in zip(count, other, strict=True):
-        are_apart |= (one != two) & (one >= 0) & (two >= 0)
-    return float(np.mean(are_apart))
+    (value, error), (own, bound) = known, new
+    return float(np.mean(abs(value - own) > error + bound))
 
 
 def main(path: str, points: str, *cores: str) -> int:
@@ -150,24 +144,7 @@ def _tasks(points: float) -> tuple[dict[str, Call], dict[str, Call]]:
         axes = grid("spectral_radius", 2.0 / (1.0 + delay) ** 2, 1.5 / (1.0 + delay))
         timed[f"spectral_radius {delay:g}"] = partial(own, *axes)
         judged[f"spectral_radius {delay:g}"] = partial(own, *_near_boundary(delay))
-    gains = [np.asarray(axis).ravel() for axis in grid("fields", 0.5, 0.75)]
-    near = [np.sort(np.asarray(gain)[::64]) for gain in _near_boundary(1.0)]
-    timed["fields 1"] = partial(_fields, *gains)
-    judged["fields 1"] = partial(_in_float64, *near)
     return timed, judged
-
-
-def _fields(alpha: np.ndarray, beta: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return the fields of an atlas with one hand at the delay 1."""
-    plant = (np.full(1, value) for value in PLANT.values())
-    return fields_of_grid(alpha, beta, *plant, 1.0, None, longest=1.0, method="fast")
-
-
-def _in_float64(alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
-    """Return the middle and the half-width of what the radii are in, and the poles outside."""
-    fields = _fields(alpha, beta)
-    upper, error = (np.asarray(column, np.float64) for column in fields[:2])
-    return np.stack([upper - 0.5 * error, 0.5 * error, fields.outside])
 
 
 def _near_boundary(delay: float, velocity: Any = None) -> tuple[Any, Any]:

@@ -11,12 +11,15 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from mpmath import mp, mpc, mpf
 
 import jaxstab
+from benchmarks import truth
 from benchmarks.record import Row
 from benchmarks.rivals import LoopFamily, Outline, bisected, contour, eigenvalue_grid
 from benchmarks.timing import interleaved
-from benchmarks.truth.slices import ExactSlice
+from benchmarks.truth.boundary import Boundary
+from benchmarks.truth.filtered import FilteredLoop, average, difference
 from jaxstab.region import stable_region
 from jaxstab.trace import trace_boundary
 
@@ -27,14 +30,79 @@ _COARSE = 25  # cells to a side from which n-cubes are bisected
 _UNSTABLE_IS_ONE = np.array([np.nan, -1.0, 1.0, 1.0])  # by code: what the contour runs between
 _FINEST_TRACE = 1e-3  # of trace_boundary
 _OUTLINE_POINTS = 256
+_STEPS = 6  # of the search for the nearest point
 
 Call = Callable[[], Any]
+
+
+class Judge:
+    """The boundary of one slice: points of it, and how far others are from it, in 50 digits.
+
+    Lengths are relative to the extents of the stable region along alpha and beta.
+    """
+
+    def __init__(self, delay: float) -> None:
+        self.delay, self.plant = delay, (GAMMA, DELTA, delay)
+        loop = FilteredLoop(*self.plant, difference(1), average(1))
+        boundary = Boundary(loop.balls())
+        self.points = boundary.points(np.random.default_rng(20), 2000)
+        self.size = np.ptp(self.points, axis=0)
+        self._theta = np.geomspace(1e-6, np.pi - 1e-6, 4000)
+        self._curve = boundary.solved(np.exp(1j * self._theta)) / self.size
+        walls = (0, 0), (1, 0), (0, 1)
+        with mp.workdps(50):
+            base, *moved = (truth.polynomial(*wall, *self.plant) for wall in walls)
+            parts = [base, *([a - b for a, b in zip(one, base, strict=True)] for one in moved)]
+            self._lines = [[truth.evaluate(part, mpc(z)).real for part in parts] for z in (1, -1)]
+
+    def box(self, margin: float = 0.05) -> tuple[np.ndarray, np.ndarray]:
+        """Return the ends of alpha and of beta around the stable region."""
+        low, high = self.points.min(axis=0), self.points.max(axis=0)
+        alpha, beta = np.stack([low - margin * self.size, high + margin * self.size], axis=1)
+        return alpha, beta
+
+    def distance(self, alpha: float, beta: float) -> float:
+        """Return how far a point is from the curve, or from a line of a real root that is closer.
+
+        A line's distance is p(z) over its slope. From the closest of many points of the curve a
+        few steps go to where the way to the point is square to it; each doubles the digits.
+        """
+        size = [mpf(value) for value in self.size.tolist()]
+        lines = [
+            abs(base + mpf(alpha) * k + mpf(beta) * b) / mp.hypot(k * size[0], b * size[1])
+            for base, k, b in self._lines
+        ]
+
+        def offset(theta: mpf) -> mpc:
+            a, b = truth.boundary_point(theta, *self.plant)
+            return mpc((a - mpf(alpha)) / size[0], (b - mpf(beta)) / size[1])
+
+        away = np.linalg.norm(self._curve - np.array([alpha, beta]) / self.size, axis=1)
+        theta, small = mpf(float(self._theta[np.argmin(away)])), mpf(10) ** -15
+        for _ in range(_STEPS):
+            here = offset(theta)
+            along = (offset(theta + small) - here) / small
+            theta -= (here * mp.conj(along)).real / abs(along) ** 2
+            theta = min(max(theta, mpf(10) ** -9), mp.pi - mpf(10) ** -9)
+        return float(min(abs(offset(theta)), *lines))
+
+    def gap(self, segments: np.ndarray, count: int) -> float:
+        """Return the largest distance of the boundary's points from segments (n, 2, 2)."""
+        start, end = segments[:, 0] / self.size, segments[:, 1] / self.size
+        along = end - start
+        square = np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)
+        largest = 0.0
+        for point in self.points[:: max(len(self.points) // count, 1)] / self.size:
+            part = np.clip(((point - start) * along).sum(axis=1) / square, 0.0, 1.0)
+            nearest = np.linalg.norm(start + part[:, None] * along - point, axis=1).min()
+            largest = max(largest, float(nearest))
+        return largest
 
 
 def rows(small: bool) -> Iterator[Row]:
     delays = (1.0,) if small else (0.0, 1.0, 2.0, 5.0)
     for delay in delays:
-        exact = ExactSlice(GAMMA, DELTA, delay)
+        exact = Judge(delay)
         yield from _outline_rows(exact, small)
         yield from _region_rows(exact, small)
 
@@ -42,7 +110,7 @@ def rows(small: bool) -> Iterator[Row]:
 # ------------------------------------------------------------------------- run time against error
 
 
-def _outline_rows(exact: ExactSlice, small: bool) -> Iterator[Row]:
+def _outline_rows(exact: Judge, small: bool) -> Iterator[Row]:
     """N from coarse to fine for each way to find the boundary."""
     family = LoopFamily(GAMMA, DELTA, exact.delay)
     for count in (_OUTLINE_POINTS,) if small else (50, 100, 200, 400, 800, 1600, 2000):
@@ -67,7 +135,7 @@ def _outline_rows(exact: ExactSlice, small: bool) -> Iterator[Row]:
             }
 
 
-def _grids(exact: ExactSlice, family: LoopFamily, count: int) -> dict[str, Call]:
+def _grids(exact: Judge, family: LoopFamily, count: int) -> dict[str, Call]:
     alpha_ends, beta_ends = exact.box()
     alpha, beta = np.linspace(*alpha_ends, count), np.linspace(*beta_ends, count)
     halvings = max(round(np.log2(count / _COARSE)), 0)
@@ -90,7 +158,7 @@ def verdict_grid(alpha: np.ndarray, beta: np.ndarray, delay: float) -> Outline:
     return contour(alpha, beta, _UNSTABLE_IS_ONE[codes])
 
 
-def _traced(exact: ExactSlice, resolution: float) -> Outline:
+def _traced(exact: Judge, resolution: float) -> Outline:
     """Trace all branches in the box, and keep what bounds the stable set."""
     alpha_ends, beta_ends = exact.box()
     trace = trace_boundary(
@@ -110,19 +178,21 @@ def _outline_of(vertices: np.ndarray) -> Outline:
     return Outline(vertices, np.stack([vertices[:-1], vertices[1:]], axis=1))
 
 
-def _errors(exact: ExactSlice, points: np.ndarray, small: bool) -> dict[str, Any]:
-    sample = 8 if small else 64
+def _errors(exact: Judge, points: np.ndarray, small: bool) -> dict[str, Any]:
+    count = min(8 if small else 64, len(points))
+    some = points[np.linspace(0, len(points) - 1, count).round().astype(int)].tolist()
+    radii = [truth.spectral_radius(*point, GAMMA, DELTA, exact.delay) for point in some]
     return {
-        "error": exact.largest_distance(points, sample),
+        "error": max(exact.distance(*point) for point in some),
         "error_measure": MEASURE,
-        "radius_error": exact.largest_radius_error(points, sample),
+        "radius_error": float(max(abs((low + high) / 2 - 1) for low, high in radii)),
     }
 
 
 # --------------------------------------------------------------------------- regions per second
 
 
-def _region_rows(exact: ExactSlice, small: bool) -> Iterator[Row]:
+def _region_rows(exact: Judge, small: bool) -> Iterator[Row]:
     """One region, and many over a grid of (gamma, delta)."""
     side = 3 if small else 32
     gamma, delta = np.meshgrid(np.linspace(0.0, GAMMA, side), np.linspace(0.0, DELTA, side))

@@ -1,6 +1,6 @@
-"""Draw every record as a PNG beside it, run time and error in one picture."""
+"""Draw records of run times as PNGs beside them, with the errors in the same picture."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,6 @@ _STYLES = {
     "n-cube bisection": ("#D55E00", "D"),
     "numpy.roots": ("#CC79A7", "v"),
     "python-control poles": ("#000000", "P"),
-    "scipy linear": ("#000000", "P"),
     "verdict grid": ("#56B4E9", "^"),
     "verdict": ("#56B4E9", "^"),
     "streamed verdict": ("#56B4E9", "^"),
@@ -40,30 +39,22 @@ _STYLES = {
     "closed form": ("#0072B2", "o"),
     "stable_region": ("#0072B2", "o"),
     "its polygon": ("#E69F00", "s"),
-    "write": ("#000000", "P"),
-    "write, new memory": ("#CC79A7", "v"),
     "verdict, exact": ("#0072B2", "o"),
-    "python-flint roots": ("#E69F00", "s"),
     "eq. (9) as printed": ("#D55E00", "P"),
     "linear_validity": ("#0072B2", "o"),
     "exact": ("#0072B2", "o"),
-    "float64 and pairs": ("#E69F00", "s"),
-}
-_AMPLITUDE_STYLES = {
-    "largest_over_runs": ("#D55E00", "D"),
-    "error": ("#0072B2", "o"),
-    "median_over_signals": ("#009E73", "X"),
 }
 _DOCS, _ON_PAGES = Path(__file__).parents[1] / "docs", ("resolution",)
 _ULPS = (0.1, 1e20)  # smaller and larger errors are drawn here; at 1e16 no digit is right
 
-_SHOWN = (0.0, 0.5, 1.0, 5.0, 20.0, 60.0)  # delays, where all would be too many
 _SMALLEST = 1e-17  # errors of zero are drawn here
 
 
 def draw_all(folder: Path) -> None:
     """Draw the records of a folder."""
     for one in record.read_all(folder):
+        if one["benchmark"] not in DRAWINGS:
+            continue  # counts, which the table has
         figure = draw(one)
         path = record.path_of(one, folder.parent if one["small"] else folder).with_suffix(".png")
         figure.savefig(path, dpi=120)
@@ -75,7 +66,7 @@ def draw_all(folder: Path) -> None:
 def draw(one: Record) -> Figure:
     """Return the picture of a record."""
     with mpl.rc_context({"font.size": 9, "axes.grid": True, "grid.alpha": 0.25}):
-        figure = _DRAWINGS[one["benchmark"]](one["rows"])
+        figure = DRAWINGS[one["benchmark"]](one["rows"])
         machine = one["machine"]
         where = machine["accelerator"] or f"{machine['cpu']}, {machine['cores']} cores"
         figure.suptitle(f"{figure.get_suptitle()}\n{where}", fontsize=11)
@@ -125,42 +116,6 @@ def _accelerator(rows: list[Row]) -> Figure:
     return _with_legend(figure, axes)
 
 
-def _estimators(rows: list[Row]) -> Figure:
-    figure, axes = _panels(1, 2, "Dense slices with velocity estimators beside eigenvalues")
-    columns = {
-        "seconds_per_point": "seconds per point",
-        "error": "distance at which wrong or undecided\n(share of the gains)",
-    }
-    words = [row["section"].replace(" of ", "\nof ") for row in rows]
-    names = [f"{word}\ndegree {row['degree']}" for word, row in zip(words, rows, strict=True)]
-    shown = [row | {"name": name} for row, name in zip(rows, names, strict=True)]
-    for panel, (column, label) in zip(axes[0], columns.items(), strict=True):
-        _lines(panel, shown, "name", column, floor=_SMALLEST, line=" ")
-        panel.set(yscale="log", ylabel=label)
-        panel.tick_params(axis="x", labelsize=7)
-    return _with_legend(figure, axes)
-
-
-def _regions(rows: list[Row]) -> Figure:
-    figure, axes = _panels(1, 2, "Stable regions of random slices against certified root counts")
-    _lines(axes[0, 0], rows[::2], "delay", "seconds")
-    _lines(axes[0, 1], rows, "delay", "error")
-    axes[0, 0].set(yscale="log", ylabel="seconds for a region")
-    axes[0, 1].set(ylim=(-0.01, 0.2), ylabel="share of points misclassified")
-    for panel in axes[0]:
-        panel.set_xlabel("delays up to, in samples")
-    return _with_legend(figure, axes)
-
-
-def _answers(rows: list[Row]) -> Figure:
-    asked, wrong = (sum(row[column] for row in rows) for column in ("asked", "wrong"))
-    figure, axes = _panels(1, 1, f"{asked:,} questions to the default atlas, {wrong} wrong")
-    kinds, shares = zip(*((row["section"], row["computed"]) for row in rows[::-1]), strict=True)
-    axes[0, 0].barh(kinds, shares, color=_STYLES["linear"][0])
-    axes[0, 0].set(xscale="log", xlabel="share that is left to be computed")
-    return figure
-
-
 def _resolution(rows: list[Row]) -> Figure:
     """What nodes give and take: error and share computed, over the size of the table."""
     points = f"{rows[0]['points']:,}"
@@ -190,47 +145,16 @@ def _resolution(rows: list[Row]) -> Figure:
     return _with_legend(figure, axes)
 
 
-def _verdicts(rows: list[Row]) -> Figure:
-    figure, axes = _panels(1, 3, f"{_judged(rows):,} verdicts next to the boundary")
-    _lines(axes[0, 0], rows, "delay", "seconds_per_point")
-    _lines(axes[0, 1], rows, "delay", "wrong")
-    axes[0, 0].set(yscale="log", xlabel="delay in samples", ylabel="seconds per point")
-    axes[0, 1].set(ylim=(-0.05, 1.0), xlabel="delay in samples", ylabel="wrong verdicts")
-    panel = axes[0, 2]
-    prefix = "undecided_beyond_1e-"
-    some = [row for row in rows if row["method"] == "verdict" and row["delay"] in _SHOWN]
-    for row in some:
-        shares = {int(k.removeprefix(prefix)): v for k, v in row.items() if k.startswith(prefix)}
-        panel.plot([10.0**-k for k in shares], list(shares.values()), label=f"{row['delay']:g}")
-    panel.set(xscale="log", xlabel="at least this far from the boundary", ylabel="undecided")
-    panel.legend(title="delay", fontsize=8)
-    return _with_legend(figure, axes[:, :2])
-
-
 def _scaling(rows: list[Row]) -> Figure:
-    figure, axes = _panels(3, 2, "Cost as work grows")
-    for column, section, x in zip(axes.T, ("points", "delay"), ("points", "delay"), strict=True):
-        some = [row for row in rows if row["section"] == section]
-        _lines(column[0], some, x, "seconds_per_point")
-        _lines(column[1], some, x, "error")
-        # Rivals share a process, so one line says what they took together.
-        _lines(column[2], [row for row in some if "verdict" in row["method"]], x, "peak_mib")
-        column[0].set_yscale("log")
-        column[1].set_yscale("symlog", linthresh=1e-3 if x == "points" else 10 * _SMALLEST)
-        column[1].set_ylim(bottom=0.0)
-        column[2].set_ylim(bottom=0.0)
-        for panel in column:
-            panel.set_xscale("log" if x == "points" else "linear")
-        column[2].set_xlabel("points, streamed" if x == "points" else "delay in samples")
-    axes[0, 0].set_ylabel("seconds per point")
-    axes[1, 0].set_ylabel("share wrong or undecided")
-    axes[1, 1].set_ylabel("verdict: share wrong or undecided\nothers: error of the radius")
-    axes[2, 0].set_ylabel("peak memory in MiB")
+    figure, axes = _panels(1, 2, "Cost as work grows")
+    some = [row for row in rows if row["section"] == "points"]
+    labels = {"seconds_per_point": "seconds per point", "peak_mib": "peak memory in MiB"}
+    for panel, (column, label) in zip(axes[0], labels.items(), strict=True):
+        _lines(panel, some, "points", column)
+        panel.set(xscale="log", xlabel="points, streamed", ylabel=label)
+    axes[0, 0].set_yscale("log")
+    axes[0, 1].set_ylim(bottom=0.0)
     return _with_legend(figure, axes)
-
-
-def _judged(rows: list[Row]) -> int:
-    return sum(row["points"] for row in rows if row["method"] == "verdict")
 
 
 def _stress(rows: list[Row]) -> Figure:
@@ -276,115 +200,32 @@ def _latency(rows: list[Row]) -> Figure:
     return _with_legend(figure, axes)
 
 
-def _criteria(rows: list[Row]) -> Figure:
-    wrong = sum(row["wrong"] + row["raised"] for row in rows)
-    questions = sum(row["points"] for row in rows)
-    figure, axes = _panels(1, 1, f"{questions:,} limits of the linear condition, {wrong} wrong")
-    _lines(axes[0, 0], rows, "seed", "error")
-    axes[0, 0].set(yscale="log", xlabel="seed", ylabel="error of theta, times the level")
-    return figure
-
-
-def _tuning(rows: list[Row]) -> Figure:
-    plants = sum(row["repeats"] for row in rows)
-    figure, axes = _panels(1, 2, f"Smallest radii of {plants:,} random plants")
-    panels = {
-        "what is wrong": ("beaten", "region_below", "not_reached", "missed"),
-        "where the smallest radius is": ("triple_root", "double_pair", "scanned"),
-    }
-    for panel, (title, columns) in zip(axes[0], panels.items(), strict=True):
-        counts = [sum(row[column] for row in rows) for column in columns]
-        _counted(panel, columns, counts)
-        panel.set(title=title, xlabel="plants", xlim=(0.0, 1.15 * max(counts) or 1.0))
-    return figure
-
-
-def _counted(panel: Axes, columns: Sequence[str], counts: Sequence[int]) -> None:
-    """Draw a bar with its number for each column: of none there is no bar to be seen."""
-    bars = panel.barh([column.replace("_", " ") for column in columns], counts)
-    panel.bar_label(bars, [f"{count:,}" for count in counts], padding=3)
-
-
-def _ranges(rows: list[Row]) -> Figure:
-    figure, axes = _panels(1, len(rows), "Margins and limits, by certified root counts")
-    for panel, row in zip(axes[0], rows, strict=True):
-        columns = [name for name in ("wrong", "short", "judged") if name in row]
-        counts = [row[name] for name in columns]
-        _counted(panel, columns, counts)
-        panel.set(xscale="symlog", xlabel=row["section"].replace("_", " "))
-        panel.set_xlim(0.0, 10.0 * max(counts))
-    return figure
-
-
-def _amplitudes(rows: list[Row]) -> Figure:
-    runs = sum(row["points"] for row in rows)
-    figure, axes = _panels(1, 1, f"Bounds of amplitudes beside {runs:,} simulated runs")
-    seeds = [row["seed"] for row in rows]
-    for column, label in (
-        ("largest_over_runs", "largest over the worst run"),
-        ("error", "median over the worst run"),
-        ("median_over_signals", "median over the worst known signal"),
-    ):
-        colour, marker = _AMPLITUDE_STYLES[column]
-        heights = [row[column] for row in rows]
-        axes[0, 0].plot(seeds, heights, marker=marker, color=colour, label=label)
-    axes[0, 0].set(ylim=(0.0, None), xlabel="seed", ylabel="bound, over what was driven")
-    return _with_legend(figure, axes)
-
-
-def _loops(rows: list[Row]) -> Figure:
-    figure, axes = _panels(2, len(rows) // 2, "Random loops with estimators and filters, by balls")
-    for panel, row in zip(axes.ravel(), rows, strict=True):
-        words = ("wrong", "undecided", "unbounded", "unresolved", "unjudged", "judged")
-        names = [name for name in words if name in row]
-        panel.barh(names, [row[name] for name in names])
-        panel.set(xscale="symlog", xlabel=f"{row['section']}: {row['method']}")
-    return figure
-
-
 def _exact(rows: list[Row]) -> Figure:
-    """CPU time of balls and of the other answer, and below what each leaves open or gets wrong."""
-    kinds = [row for row in rows if "judged" in row]
-    figure, axes = _panels(1, 2, "Balls beside float64 and pairs, on random loops of all kinds")
+    """CPU time of balls, and what they leave open."""
+    kinds = [row for row in rows if "judged" in row][::-1]
+    judged, wrong = (sum(row[column] for row in kinds) for column in ("judged", "wrong"))
+    title = f"Random loops in balls: {judged:,} answers judged, {wrong} wrong"
+    figure, axes = _panels(1, 2, title)
     figure.set_figheight(2.4 + 0.22 * len(kinds))
-    sections = [row["section"] for row in kinds][::-1]
-    for panel, names, label in (
-        (axes[0, 0], ("seconds", "rival_seconds"), "median CPU time in s"),
-        (axes[0, 1], ("open", "rival_open"), "left open"),
-    ):
-        for name, method in zip(names, ("exact", "float64 and pairs"), strict=True):
-            colour, marker = _STYLES[method]
-            values = [row[name] for row in kinds][::-1]
-            panel.plot(values, sections, marker, color=colour, label=method)
+    sections = [row["section"] for row in kinds]
+    labels = {"seconds": "median CPU time in s", "open": "left open"}
+    for panel, (name, label) in zip(axes[0], labels.items(), strict=True):
+        panel.plot([row[name] for row in kinds], sections, _STYLES["exact"][1])
         panel.set(xlabel=label)
     axes[0, 0].set_xscale("log")
     axes[0, 1].set_yticklabels([])
-    judged, wrong, contradicts = (
-        sum(row[column] for row in kinds) for column in ("judged", "wrong", "contradicts")
-    )
-    words = f"{judged:,} judged, {wrong} wrong,\n{contradicts} contradict the other"
-    axes[0, 1].set_title(words, fontsize=9)
-    return _with_legend(figure, axes)
+    return figure
 
 
-_DRAWINGS: dict[str, Callable[[list[Row]], Figure]] = {
+DRAWINGS: dict[str, Callable[[list[Row]], Figure]] = {
     "latency": _latency,
     "boundary": _boundary,
-    "criteria": _criteria,
-    "tuning": _tuning,
-    "ranges": _ranges,
-    "loops": _loops,
     "exact": _exact,
-    "amplitudes": _amplitudes,
-    "regions": _regions,
-    "answers": _answers,
     "resolution": _resolution,
     "throughput": _throughput,
     "accelerator": _accelerator,
-    "estimators": _estimators,
     "scaling": _scaling,
     "stress": _stress,
-    "verdicts": _verdicts,
 }
 
 
@@ -394,9 +235,7 @@ def _panels(rows: int, columns: int, title: str) -> tuple[Figure, np.ndarray]:
     return figure, figure.subplots(rows, columns, squeeze=False)
 
 
-def _lines(
-    panel: Axes, rows: Iterable[Row], x: str, y: str, *, line: str = "-", floor: float = 0.0
-) -> None:
+def _lines(panel: Axes, rows: Iterable[Row], x: str, y: str, *, floor: float = 0.0) -> None:
     """Draw a line for each method, in the order of the rows."""
     rows = list(rows)
     for method in dict.fromkeys(row["method"] for row in rows):
@@ -406,7 +245,6 @@ def _lines(
         panel.plot(
             [row[x] for row in some],
             heights,
-            line,
             color=colour,
             marker=marker,
             markersize=5,

@@ -1,76 +1,201 @@
-"""Margins and ranges of hands, at random and hostile loops, against certified root counts.
+"""Margins and ranges of hands, at random and hostile loops, against certified roots and balls.
 
-Hands are haptic ones, stiff and undamped ones, and ones next to multiples of the Nyquist frequency;
-delays are whole and fractional; walls lie anywhere in the stable region, half of them next to its
+Margins are those of the loops of ``benchmarks.truth.random_loops``: one mass with windows, low
+passes, Butterworth filters, exponential smoothing, transfer functions and chains of them, or with a
+difference over one sample; devices with modes, grips and motors; delays of 0 to 30 samples with
+fractions. Walls lie in all components of the stable set, islands too, half of them next to the
 boundary. A margin is ``wrong`` where a wall within it is unstable, and ``short`` where the wall is
-stable farther by a millionth of the way and more, p(z) on the circle being larger than 1e-12 of its
-terms for each sample of delay; ``shortest`` is the largest share of the way that was missing. A
-limit is ``wrong`` where the proved wall is unstable for a hand, or a stiffer one stable for all.
-Loops with filters and devices are those of ``filtered_ranges``.
+stable farther by a millionth of the way and by 1e-9 of the region's size.
+
+Ranges are of hands that hold one mass. A limit is ``wrong`` where the proved wall is unstable for a
+hand, or a stiffer one stable for all.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from time import process_time
 from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks import filtered_ranges, truth
+from benchmarks import truth
 from benchmarks.record import Row
 from benchmarks.rivals import largest_modulus
+from benchmarks.truth.balls import BallLoop
+from benchmarks.truth.filtered import FilteredLoop, average, difference
+from benchmarks.truth.plain import Loop
+from benchmarks.truth.random_loops import DeviceLoop, Filters, MassLoop
+from jaxstab import Filter, Velocity
 from jaxstab.boxes import HandRange, RobustLimit
 from jaxstab.conventions import Verdict
 from jaxstab.loop import HapticLoop
-from jaxstab.loop.margins import WAYS, first_crossings
+from jaxstab.loop.margins import WAYS, crossings_of, first_crossings
 from jaxstab.model import by_name, characteristic_polynomial, companion_matrix
-from jaxstab.region import RegionStatus, stable_region
+from jaxstab.model.filters import given_filters
+from jaxstab.results import StableRegion
 
 _WALLS, _SMALL_WALLS = 400, 6
 _RANGES, _SMALL_RANGES = 400, 2
 _PARTS = (0.3, 0.9, 1.0 - 1e-9)  # of the way, judged
-_FARTHER = (1e-6, 1e-4, 1e-2, 0.13)
-_ROUNDING = 1e-12
-_FARTHEST = 20.0  # a way without an end is judged so far
+_DELAY_PARTS = (0.1, 0.37, 0.71, 0.93, 1.0 - 1e-9)
+_FARTHER = 1e-6  # of the way
+_SHARE = 1e-9  # of the region's size
+_FARTHEST_DELAY = 20.0
 _HANDS, _FEW = 200, 6  # of a range, for which a proved wall and many stiffer ones are looked at
 _STIFFER = 1.0 + np.geomspace(1e-3, 4.0, 24)
 _DAMPINGS = np.linspace(-1.0, 3.0, 81)  # in units of m/T
 _CLEAR = 1e-6  # a radius that is as much below 1
 _LIKELY = 4  # stiffer walls of a range that are judged
 
-Wall = tuple[float, ...]
+PLAIN = Filters(Velocity.difference(samples=1), Filter(), (difference(1), average(1)))
 
 
 def rows(small: bool) -> Iterator[Row]:
     rng = np.random.default_rng(20121)
-    yield _margins(rng, _SMALL_WALLS if small else _WALLS)
     yield _limits(rng, _SMALL_RANGES if small else _RANGES)
-    for name, campaign in (
-        ("margins_filtered", filtered_ranges.margins),
-        ("margins_devices", filtered_ranges.device_margins),
-    ):
+    for name, campaign in (("margins", margins), ("margins of devices", device_margins)):
         tally, seconds = campaign(rng, _SMALL_WALLS if small else _WALLS)
         yield _row(name, tally.wrong / max(tally.judged, 1), seconds, **tally._asdict())
 
 
-class Judged(NamedTuple):
-    """How many margins of a wall were judged, are too long, too short, and by which share."""
-
-    judged: int
-    wrong: int
-    short: int
-    shortest: float
+# ------------------------------------------------------------------------------------ margins
 
 
-def judged_margins(wall: Wall, steps: np.ndarray) -> Judged:
+class Tally(NamedTuple):
+    """How many claims were judged, are wrong, and fall short."""
+
+    judged: int = 0
+    wrong: int = 0
+    short: int = 0
+
+    def __add__(self, other: "Tally") -> "Tally":  # type: ignore[override]
+        return Tally(*(a + b for a, b in zip(self, other, strict=True)))
+
+
+class Campaign(NamedTuple):
+    """Totals, and CPU seconds of each question."""
+
+    tally: Tally
+    seconds: list[float]
+
+
+def margins(rng: np.random.Generator, count: int) -> Campaign:
+    """Judge the margins of walls of random loops of one mass, a third of them without filters."""
+    tally, seconds = Tally(), []
+    for loop, region in _loops(rng, _mass_loop, count):
+        filters = given_filters(*loop.filters[:2])
+        wall = _wall(rng, region)
+        start = process_time()
+        code, *found = first_crossings(np.array([[*wall, *loop.plant]]), filters)[0]
+        seconds.append(process_time() - start)
+        if code == Verdict.STABLE:
+            tally += judged_steps(loop, wall, steps_to(found[::2], wall), region)
+    return Campaign(tally, seconds)
+
+
+def device_margins(rng: np.random.Generator, count: int) -> Campaign:
+    """Judge the margins of walls of random devices with filters."""
+    tally, seconds = Tally(), []
+    for loop, region in _loops(rng, DeviceLoop.drawn, count):
+        wall = _wall(rng, region)
+        units = np.array([loop.sampled.stiffness_unit, loop.sampled.damping_unit])
+        start = process_time()
+        code, *found = crossings_of(Loop.of(loop).loop, tuple((wall / units).tolist()))
+        seconds.append(process_time() - start)
+        if code == Verdict.STABLE:
+            ends = np.array(found[::2]) * [*np.repeat(units, 2), 1.0]
+            *steps, later = steps_to(ends, wall)
+            tally += _judged_delay(loop, wall, float(later))
+            size = np.ptp(_finite(region), axis=0)
+            for way, step in enumerate(steps):
+                tally += _judged_gain(loop.balls, wall, way // 2, float(step), size[way // 2])
+    return Campaign(tally, seconds)
+
+
+def steps_to(ends: Sequence[float], wall: np.ndarray) -> np.ndarray:
+    """The signed steps from a wall (alpha, beta) to the ends of its ways."""
+    return np.array(ends) - [*np.repeat(wall[:2], 2), 0.0]
+
+
+def _mass_loop(rng: np.random.Generator) -> MassLoop:
+    loop = MassLoop.drawn(rng)
+    return MassLoop(loop.plant, PLAIN) if rng.random() < 1.0 / 3.0 else loop
+
+
+def _loops(
+    rng: np.random.Generator, draw: Callable[[np.random.Generator], MassLoop], count: int
+) -> Iterator[tuple[MassLoop, StableRegion]]:
+    """Yield random loops that have a region."""
+    given = 0
+    while given < count:
+        loop = draw(rng)
+        region = loop.region()
+        if region.status.name == "COMPLETE" and len(_finite(region)) > 2:
+            given += 1
+            yield loop, region
+
+
+def _finite(region: StableRegion) -> np.ndarray:
+    return region.points[np.isfinite(region.points).all(axis=1)]
+
+
+def _wall(rng: np.random.Generator, region: StableRegion) -> np.ndarray:
+    """Return a wall in or near a component, half of the walls next to the boundary."""
+    components = region.components
+    points = _finite(components[rng.integers(len(components))])
+    one, other = points[rng.integers(len(points), size=2)]
+    wall: np.ndarray = one + rng.choice([rng.uniform(), 10 ** rng.uniform(-9, -1)]) * (other - one)
+    return wall
+
+
+def judged_steps(
+    loop: MassLoop, wall: np.ndarray, steps: np.ndarray, region: StableRegion
+) -> Tally:
     """Judge the steps of a wall, one for each of ``WAYS``."""
-    wrong, missing = 0, []
-    for (axis, sign), step in zip(WAYS, steps, strict=True):
-        way = sign * min(abs(step), _FARTHEST)
-        wrong += sum(not _is_stable(wall, axis, part * way) for part in _PARTS)
-        missing.append(_missing(wall, axis, step) if 0.0 < abs(step) < np.inf else 0.0)
-    count = len(WAYS) * len(_PARTS)
-    return Judged(count, wrong, int(np.count_nonzero(missing)), max(missing, default=0.0))
+    tally, size = Tally(), np.ptp(_finite(region), axis=0)
+    for (axis, _), step in zip(WAYS[:-1], steps, strict=False):
+        tally += _judged_gain(loop.balls, wall, axis, float(step), size[axis])
+    gamma, delta, delay = loop.plant
+    way = min(steps[-1], _FARTHEST_DELAY)
+    for part in _PARTS:
+        later = FilteredLoop(gamma, delta, float(delay + part * way), *loop.filters.truths)
+        is_stable = later.balls().is_stable(*map(float, wall))
+        if is_stable is not None:
+            tally += Tally(1, int(not is_stable))
+    return tally
+
+
+def _judged_delay(loop: DeviceLoop, wall: np.ndarray, step: float) -> Tally:
+    """Judge an extra delay."""
+
+    def is_stable(way: float) -> bool | None:
+        balls = loop.balls_at(float(loop.device.delay + way))
+        return balls.is_stable(*map(float, wall))
+
+    within = [is_stable(part * min(step, _FARTHEST_DELAY)) for part in _DELAY_PARTS]
+    farther = min(step * (1.0 + _FARTHER), _FARTHEST_DELAY) + _SHARE
+    is_short = step < _FARTHEST_DELAY and is_stable(farther) is True
+    return Tally(
+        sum(one is not None for one in within), sum(one is False for one in within), int(is_short)
+    )
+
+
+def _judged_gain(balls: BallLoop, wall: np.ndarray, axis: int, step: float, size: float) -> Tally:
+    def is_stable(way: float) -> bool | None:
+        moved = wall.copy()
+        moved[axis] += way
+        return balls.is_stable(*map(float, moved))
+
+    within = [is_stable(part * step) for part in _PARTS]
+    farther = step + np.copysign(max(_FARTHER * abs(step), _SHARE * size), step)
+    return Tally(
+        sum(one is not None for one in within),
+        sum(one is False for one in within),
+        int(is_stable(farther) is True),
+    )
+
+
+# ------------------------------------------------------------------------------------- limits
 
 
 def is_limit_wrong(
@@ -84,7 +209,7 @@ def is_limit_wrong(
         gains = np.array([[answer.stiffness]]), np.array([answer.damping])
         one = sample[int(np.argmax([_radii(one, *gains).item() for one in sample]))]
         wall = one.alpha(answer.stiffness), one.beta(answer.damping)
-        if not _is_stable((*wall, one.gamma, one.delta, one.delay_samples)):
+        if truth.unstable_count(*wall, one.gamma, one.delta, one.delay_samples) != 0:
             return True
     if not answer.limit > 0.0:
         return False
@@ -111,6 +236,18 @@ def is_limit_wrong(
     return False
 
 
+def _limits(rng: np.random.Generator, count: int) -> Row:
+    seconds, wrong, proved = [], 0, 0
+    for _ in range(count):
+        loop, hands = _random_range(rng)
+        start = process_time()
+        answer = loop.robust_limit(hands)
+        seconds.append(process_time() - start)
+        proved += answer.is_proved
+        wrong += is_limit_wrong(loop, hands, answer, rng)
+    return _row("robust_limit", wrong / count, seconds, judged=count, wrong=wrong, proved=proved)
+
+
 def _row(name: str, error: float, seconds: list[float], **extra: int | float) -> Row:
     return {
         "section": name,
@@ -126,87 +263,10 @@ def _row(name: str, error: float, seconds: list[float], **extra: int | float) ->
     }
 
 
-def _margins(rng: np.random.Generator, count: int) -> Row:
-    seconds: list[float] = []
-    tallies: list[Judged] = []
-    while len(tallies) < count:
-        wall = _random_wall(rng)
-        start = process_time()
-        code, *found = first_crossings(np.array([wall]))[0]
-        seconds.append(process_time() - start)
-        if code == Verdict.STABLE:
-            tallies.append(
-                judged_margins(wall, filtered_ranges.steps_to(found[::2], np.array(wall)))
-            )
-    judged, wrong, short = (sum(column) for column in list(zip(*tallies, strict=True))[:3])
-    shortest = max(tally.shortest for tally in tallies)
-    counts = {"judged": judged, "wrong": wrong, "short": short, "shortest": shortest}
-    return _row("margins", wrong / judged, seconds, **counts)
-
-
-def _limits(rng: np.random.Generator, count: int) -> Row:
-    seconds, wrong, proved = [], 0, 0
-    for _ in range(count):
-        loop, hands = _random_range(rng)
-        start = process_time()
-        answer = loop.robust_limit(hands)
-        seconds.append(process_time() - start)
-        proved += answer.is_proved
-        wrong += is_limit_wrong(loop, hands, answer, rng)
-    return _row("robust_limit", wrong / count, seconds, judged=count, wrong=wrong, proved=proved)
-
-
-def _is_stable(point: Wall, axis: int = 0, step: float = 0.0) -> bool:
-    """Whether no root is outside; where that cannot be told, on the circle, it is not stable."""
-    moved = [value + step * (number == axis) for number, value in enumerate(point)]
-    return truth.unstable_count(*map(float, moved)) == 0
-
-
-def _missing(wall: Wall, axis: int, step: float) -> float:
-    """The largest share of the way by which it could be longer, if rounding does not hide it."""
-    missing = 0.0
-    for part in _FARTHER:
-        if not _is_stable(wall, axis, (1.0 + part) * step):
-            break
-        farther = [v + (1.0 + part) * step * (n == axis) for n, v in enumerate(wall)]
-        if _smallest_on_circle(farther) > _ROUNDING * (1.0 + wall[-1]):
-            missing = part
-    return missing
-
-
-def _smallest_on_circle(point: list[float]) -> float:
-    """The smallest |p(z)| on the circle, in terms of the largest coefficient."""
-    coefficients = np.array([float(part) for part in truth.polynomial(*point)])
-    low, high = 0.0, np.pi
-    for _ in range(5):
-        theta = np.linspace(low, high, 2001)
-        values = np.abs(np.polyval(coefficients, np.exp(1j * theta)))
-        best, width = theta[np.argmin(values)], (high - low) / 500
-        low, high = max(best - width, 0.0), min(best + width, np.pi)
-    return float(values.min() / np.abs(coefficients).max())
-
-
 def _radii(loop: HapticLoop, stiffness: np.ndarray, damping: np.ndarray) -> np.ndarray:
     plant = loop.gamma, loop.delta, loop.delay_samples
     walls = characteristic_polynomial(loop.alpha(stiffness), loop.beta(damping), **by_name(*plant))
     return largest_modulus(np.linalg.eigvals(companion_matrix(walls)))
-
-
-def _random_wall(rng: np.random.Generator) -> Wall:
-    """A loop with a wall in its stable region, or near the region's boundary."""
-    nyquist = (np.pi * rng.integers(1, 5)) ** 2
-    hands = 10 ** rng.uniform(-6, 0), nyquist * rng.uniform(0.99, 1.01), rng.uniform(0, 20)
-    gamma = float(rng.choice(hands))
-    delta = float(rng.choice([10 ** rng.uniform(-4, 0), rng.uniform(0, 2)]))
-    delay = float(rng.choice([rng.integers(0, 8), rng.uniform(0, 8)]))
-    region = stable_region(gamma=gamma, delta=delta, delay=delay)
-    edge = region.points[np.isfinite(region.points[:, 0])]
-    if region.status != RegionStatus.COMPLETE or len(edge) < 2:
-        return _random_wall(rng)
-    one, other = edge[rng.integers(len(edge), size=2)]
-    part = rng.choice([rng.uniform(), 10 ** rng.uniform(-9, -1)])
-    alpha, beta = one + part * (other - one)
-    return float(alpha), float(beta), gamma, delta, delay
 
 
 def _random_range(rng: np.random.Generator) -> tuple[HapticLoop, HandRange]:

@@ -79,7 +79,9 @@ def markdown(records: list[Record], *, brief: bool = False) -> str:
         if not brief or any(part in line[0] and line[1] == method for part, method in _IN_README)
     ]
     table = map(_row, [_HEADING, ("---",) * len(_HEADING), *lines])
-    return "\n".join([_caption(list(chosen.values())), "", *table])
+    return "\n".join(
+        [_caption(chosen.get("throughput") or next(iter(chosen.values()))), "", *table]
+    )
 
 
 def summary(records: list[Record]) -> str:
@@ -134,10 +136,11 @@ def _replaced(text: str, markers: tuple[str, str], table: str) -> str:
     return re.sub(pattern, lambda _: f"{begin}\n{table}\n{end}", text, flags=re.DOTALL)
 
 
-def _caption(records: list[Record]) -> str:
-    machine, versions = records[0]["machine"], records[0]["versions"]
+def _caption(one: Record) -> str:
+    """On what the record that most rows are of was made."""
+    machine, versions = one["machine"], one["versions"]
     device = machine["accelerator"] or machine["cpu"]
-    small = " Small runs: they only show that the benchmarks run." if records[0]["small"] else ""
+    small = " Small runs: they only show that the benchmarks run." if one["small"] else ""
     return (
         f"{device}, {machine['cores']} cores, {machine['memory_gib']:g} GiB; Python "
         f"{versions['python']}, jax {versions['jax']}, NumPy {versions['numpy']}.{small}"
@@ -176,10 +179,11 @@ def _regions(rows: list[Row]) -> Iterator[Line]:
 def _throughput(rows: list[Row]) -> Iterator[Line]:
     for row in rows:
         shown = row["delay"] in _DELAYS and row["method"] in _METHODS
-        if row["section"] == "delay" and shown:
+        if row["section"] != "batch" and shown:
             numpy, jax = row["cpu_times_numpy_eigvals"], row["cpu_times_jax_eigvals"]
             ratios = f"{numpy:,.0f} (NumPy), {jax:,.0f} (jax)"
-            task = f"slice of {row['batch']:,} points, delay {row['delay']:g}"
+            estimator = "" if row["section"] == "delay" else f"{row['section']}, "
+            task = f"slice of {row['batch']:,} points, {estimator}delay {row['delay']:g}"
             time = f"{_time(row['seconds_per_point'])} per point"
             yield task, row["method"], time, _error(row["error"]), ratios
 
@@ -197,16 +201,6 @@ def accelerated(records: list[Record]) -> str:
             lines.append(f"| {' | '.join(cells)} |")
     head = "| task | device | per point | per point, two cores | ratio | contradictions |"
     return "\n".join([head, "| --- | --- | --- | --- | --- | --- |", *lines])
-
-
-def _estimators(rows: list[Row]) -> Iterator[Line]:
-    for row in rows:
-        if row["method"] == "verdict":
-            numpy, jax = row["cpu_times_numpy_eigvals"], row["cpu_times_jax_eigvals"]
-            task = f"slice of {row['points']:,} points, {row['section']}, degree {row['degree']}"
-            time = f"{_time(row['seconds_per_point'])} per point"
-            ratios = f"{numpy:,.0f} (NumPy), {jax:,.0f} (jax)"
-            yield task, row["method"], time, _error(row["error"]), ratios
 
 
 def _answers(rows: list[Row]) -> Iterator[Line]:
@@ -234,16 +228,6 @@ def resolutions(records: list[Record]) -> str:
     )
 
 
-def _verdicts(rows: list[Row]) -> Iterator[Line]:
-    for method in ("verdict", "verdict, exact"):
-        some = [row for row in rows if row["method"] == method]
-        total = sum(row["points"] for row in some)
-        wrong = sum(row["wrong"] for row in some)
-        undecided = sum(row["undecided"] * row["points"] for row in some) / total
-        task = f"{total:,} points next to the boundary, delays 0 to 60"
-        yield task, method, "", f"{wrong} wrong, {undecided:.2%} undecided", ""
-
-
 def _loops(rows: list[Row]) -> Iterator[Line]:
     for row in rows:
         loops, judged = row["repeats"], row["judged"]
@@ -261,12 +245,11 @@ def _exact(rows: list[Row]) -> Iterator[Line]:
     asked = [row for row in rows if row["method"] == "exact"]
     for question in dict.fromkeys(row["section"].split()[0] for row in asked):
         some = [row for row in asked if row["section"].split()[0] == question]
-        total, judged, wrong, contradicts, undecided, others = (
-            sum(row[column] for row in some)
-            for column in ("points", "judged", "wrong", "contradicts", "open", "rival_open")
+        total, judged, wrong, undecided = (
+            sum(row[column] for row in some) for column in ("points", "judged", "wrong", "open")
         )
-        error = f"{undecided:,} open (float64: {others:,}), {contradicts:,} contradict float64"
-        error = f"{wrong:,} of {judged:,} wrong, {error}" if judged else error
+        error = f"{wrong:,} of {judged:,} wrong, " if judged else ""
+        error += f"{undecided:,} open"
         task = f"{total:,} {question} of random loops"
         yield task, "balls", f"{_time(some[0]['seconds'])} of CPU", error, ""
     for row in rows:
@@ -313,8 +296,6 @@ _LINES: dict[str, Callable[[list[Row]], Iterator[Line]]] = {
     "regions": _regions,
     "answers": _answers,
     "throughput": _throughput,
-    "estimators": _estimators,
-    "verdicts": _verdicts,
     "loops": _loops,
     "exact": _exact,
     "scaling": _scaling,

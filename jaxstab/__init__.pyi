@@ -3,7 +3,6 @@ from . import results as results
 from .atlas import Atlas as Atlas
 from .atlas import AtlasSpec as AtlasSpec
 from .atlas import FieldSpec as FieldSpec
-from .atlas import FittedAxis as FittedAxis
 from .atlas import LoopAtlas as LoopAtlas
 from .atlas import build_atlas as build_atlas
 from .atlas import open_atlas as open_atlas
@@ -14,10 +13,15 @@ from .conventions import Verdict as Verdict
 from .guard import Guard as Guard
 from .guard import build_guard as build_guard
 from .loop import HapticLoop as HapticLoop
+from .loop import Loop as Loop
+from .loop import admittance as admittance
 from .loop import contact_map as contact_map
+from .loop import coupling as coupling
 from .loop import limits_of as limits_of
 from .loop import margins as margins
+from .loop import pid as pid
 from .loop import regions_of as regions_of
+from .loop import simulated_pd as simulated_pd
 from .loop import tune_for_all as tune_for_all
 from .model import Device as Device
 from .model import Filter as Filter
@@ -36,7 +40,7 @@ from .point import spectral_radius as spectral_radius
 from .point import verdict as verdict
 from .region import boundary_curve as boundary_curve
 from .region import stable_region as stable_region
-from .scene.contact_table import contact_table as contact_table
+from .scene.contact import contact_table as contact_table
 from .scene.identify import identify as identify
 from .scene.study import quantiles as quantiles
 from .scene.study import shares as shares

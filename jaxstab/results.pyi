@@ -8,6 +8,10 @@ from .conventions import RadiusStatus as RadiusStatus
 from .loop import CommonWall as CommonWall
 from .loop import Contact as Contact
 from .loop import ContactKind as ContactKind
+from .loop import Gain as Gain
+from .loop import GainLimit as GainLimit
+from .loop import GainLimits as GainLimits
+from .loop import GainRegion as GainRegion
 from .loop import Gains as Gains
 from .loop import ManyLimits as ManyLimits
 from .loop import ManyRegions as ManyRegions
@@ -29,8 +33,8 @@ from .point import SpectralRadius as SpectralRadius
 from .region import Branch as Branch
 from .region import RegionStatus as RegionStatus
 from .region import StableRegion as StableRegion
-from .scene.identified import Estimate as Estimate
-from .scene.identified import Identified as Identified
+from .scene.identify import Estimate as Estimate
+from .scene.identify import Identified as Identified
 from .trace import BoundaryTrace as BoundaryTrace
 from .trace import TraceStatus as TraceStatus
 from .tuning import OptimalGains as OptimalGains

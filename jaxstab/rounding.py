@@ -6,7 +6,7 @@ A proof computes a number and a bound of its error. Three kinds of constants ent
   so an operation is right to ``UNIT``; ``EPS`` = 2 UNIT is the distance of 1 from the next number.
   Pairs of float64 (``model.double_double``) are right to ``PAIR_UNIT``.
 - *Models*: what a computed plant or filter may be wrong by. Lemmas V7 and V10 of docs/proofs.md
-  derive them; ``python -m benchmarks.rounding`` derives those of V7 from balls over boxes.
+  derive them; ``python docs/rounding.py`` derives those of V7 from balls over boxes.
 - *Raised sums*: a bound is computed in float64 as well, so it may come out below its exact value.
   A sum or product of n numbers of one sign is right to n UNIT, so multiplied by 1 + 2^-k it is no
   less than the exact one for n up to 2^(52-k). ``RAISED`` and ``RAISED_MANY`` are two such

@@ -9,14 +9,14 @@ from typing import Any
 import h5py
 import numpy as np
 
-from jaxstab.atlas import Atlas, AtlasSpec, FieldSpec, FittedAxis, build_atlas
+from jaxstab.atlas import Atlas, AtlasSpec, FieldSpec, build_atlas
 
 SMALL = AtlasSpec(
     gamma=[0.0, 0.001],
     delta=[0.0, 0.005, 0.015],
     delay=[0.0, 0.25, 0.5, 1.0, 1.5],
     rows=17,
-    fields=FieldSpec(alpha=FittedAxis(24), beta=FittedAxis(20), delay=[0.0, 1.5]),
+    fields=FieldSpec(alpha=24, beta=20, delay=[0.0, 1.5]),
 )
 
 SMALL_TOML = """

@@ -4,6 +4,8 @@ Where a tenth takes minutes, a test names a smaller size for `.ci/run`.
 """
 
 import os
+from collections.abc import Iterable
+from typing import Any
 
 _SHARE = os.environ.get("JAXSTAB_CAMPAIGN")
 
@@ -13,3 +15,8 @@ def many(full: int, small: int | None = None) -> int:
     if _SHARE is None and small is not None:
         return small
     return max(round(float(_SHARE or 0.1) * full), 1)
+
+
+def some(cases: Iterable[Any], few: int) -> list[Any]:
+    """Return all cases of a full campaign, and the first few of them for `.ci/run`."""
+    return list(cases)[: None if _SHARE else few]

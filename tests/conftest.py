@@ -35,7 +35,7 @@ settings.load_profile("reproducible")
 
 
 _STATUS = Path("/proc/self/statm")
-_forget_at = 5 << 28  # bytes of a process, from which on it forgets what it has compiled
+_forget_at = 11 << 26  # bytes of a process, from which on it forgets what it has compiled
 
 
 @pytest.fixture(autouse=True)

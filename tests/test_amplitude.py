@@ -3,16 +3,16 @@
 import math
 from typing import Any
 
+import impulse
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from campaign import many
+from disturbances import excess_of_runs, excess_of_signals, random_case
 from mpmath import mp, mpf
 
 import jaxstab
-from benchmarks.amplitudes import excess_of_runs, excess_of_signals, random_case
-from benchmarks.truth import impulse
 from jaxstab import Filter, HapticLoop, Velocity, amplitude
 from jaxstab.model import by_name
 from jaxstab.pictures.scene import scene_figure
@@ -66,7 +66,7 @@ def test_force_is_the_sum_of_moduli_to_50_digits(
 
 def test_nothing_exceeds_a_bound_and_signals_reach_it(rng: np.random.Generator) -> None:
     """Friction, force and encoder, at the samples and between them, for any estimator."""
-    for _ in range(3):
+    for _ in range(2):
         excess, tight = excess_of_signals(*random_case(rng))
         assert 1.0 - 1e-5 < excess < 1.0 + 1e-9
         assert tight < 1.4
@@ -84,7 +84,7 @@ def test_no_run_with_a_quantised_encoder_and_force_exceeds_a_bound(
 
 @pytest.mark.campaign
 def test_nothing_exceeds_a_bound_in_many_loops(rng: np.random.Generator) -> None:
-    for _ in range(many(100, small=5)):
+    for _ in range(many(100, small=3)):
         case = random_case(rng)
         assert excess_of_signals(*case)[0] < 1.0 + 1e-9
         assert excess_of_runs(*case, 500, rng)[0] < 1.0 + 1e-9

@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from disturbed import Disturbance, Disturbed, largest, worst_signals
+from march import Plant, Taps, difference_taps, low_pass_taps
 
 from benchmarks.truth import devices
-from benchmarks.truth.disturbed import Disturbance, Disturbed, largest, worst_signals
-from benchmarks.truth.march import Plant, Taps, difference_taps, low_pass_taps
 from benchmarks.truth.random_loops import device_of
 from jaxstab import Filter, HapticLoop, Velocity
 from jaxstab.results import AmplitudeStatus

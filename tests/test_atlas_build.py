@@ -15,7 +15,7 @@ import pytest
 from atlases import SMALL, edited, small_file, write_small
 from commands import START, run
 
-from jaxstab import AtlasSpec, FieldSpec, FittedAxis, build_atlas, open_atlas
+from jaxstab import AtlasSpec, FieldSpec, build_atlas, open_atlas
 from jaxstab.atlas import build
 from jaxstab.atlas.build import verify_atlas, write_atlas
 from jaxstab.cli.interrupt import processes
@@ -186,8 +186,8 @@ def test_a_folder_that_is_missing_is_named(tmp_path: Path) -> None:
 def test_fields_that_cannot_be_fitted_are_refused(tmp_path: Path) -> None:
     spec = replace(TINY, fields=FieldSpec(gamma=[0.0], delta=[0.0], delay=[0.0]))
     assert isinstance(spec.fields, FieldSpec)
-    assert isinstance(spec.fields.alpha, FittedAxis)
-    write_atlas(replace(spec, fields=replace(spec.fields, beta=FittedAxis(8))), tmp_path / "a.h5")
+    assert isinstance(spec.fields.alpha, int)
+    write_atlas(replace(spec, fields=replace(spec.fields, beta=8)), tmp_path / "a.h5")
     assert open_atlas(tmp_path / "a.h5").fields["outside"].shape == (128, 8, 1, 1, 1)
 
 

@@ -113,7 +113,7 @@ def test_the_error_of_a_cell_is_what_interpolation_misses(haptic: LimitTable) ->
     assert np.max(ratios) > 1e-2  # else nothing was compared
 
 
-@pytest.mark.parametrize("which", ["haptic", "window"])
+@pytest.mark.parametrize("which", ["haptic", pytest.param("window", marks=pytest.mark.campaign)])
 def test_no_answer_of_a_table_contradicts_a_verdict(
     which: str, request: pytest.FixtureRequest
 ) -> None:

@@ -16,8 +16,9 @@ import pytest
 
 from benchmarks import record
 from benchmarks.__main__ import BENCHMARKS
-from benchmarks.filtered_ranges import steps_to
-from benchmarks.ranges import is_limit_wrong, judged_margins
+from benchmarks.plots import DRAWINGS
+from benchmarks.ranges import PLAIN, is_limit_wrong, judged_steps, steps_to
+from benchmarks.truth.random_loops import MassLoop
 from jaxstab import HandRange, HapticLoop
 from jaxstab.loop.margins import first_crossings
 
@@ -139,14 +140,10 @@ def test_grids_find_the_boundary_within_a_cell(
 
 def test_certified_answers_are_never_wrong(rows: Callable[..., list[dict[str, Any]]]) -> None:
     assert {row["wrong"] for row in rows("throughput", method="verdict")} == {0}
-    assert {row["wrong"] for row in rows("estimators", method="verdict")} == {0}
     assert {row["wrong"] for row in rows("resolution")} == {0}
     assert {row["error"] for row in rows("scaling", method="streamed verdict")} == {0}
-    assert {row["wrong"] for row in rows("verdicts")} == {0}
     assert {row["wrong"] for row in rows("answers")} == {0}
     assert {row["wrong"] for row in rows("regions", method="stable_region")} == {0}
-    for row in rows("tuning"):
-        assert row["beaten"] == row["region_below"] == row["not_reached"] == row["missed"] == 0
     assert {row["wrong"] for row in rows("ranges")} == {0}
     for method in ("verdict", "spectral_radius", "stable_region"):
         assert {row["wrong"] for row in rows("loops", method=method)} == {0}
@@ -190,7 +187,9 @@ def test_times_are_compared_with_those_of_the_same_machine_alone(
 
 def test_plots_and_table_are_made_of_the_records(out: Path) -> None:
     run_benchmarks("plot", "--small", "--out", str(out.parent))
-    for path in out.glob("*.json"):
+    drawn = [path for path in out.glob("*.json") if path.stem.split("-")[0] in DRAWINGS]
+    assert len(drawn) == len(DRAWINGS)
+    for path in drawn:
         assert path.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
     printed = run_benchmarks("table", "--small", "--out", str(out.parent))
     table = [line for line in printed.splitlines() if line.startswith("|")]
@@ -234,10 +233,11 @@ def test_the_judges_of_ranges_find_margins_and_limits_that_are_false(
     rng: np.random.Generator,
 ) -> None:
     """A margin 13 % short, and a limit 2.4 times too low: both were once answers."""
-    steps = steps_to(first_crossings(np.array([WALL]))[0][1::2], np.array(WALL))
-    assert judged_margins(WALL, steps)[1:] == (0, 0, 0.0)
-    assert judged_margins(WALL, 0.87 * steps).short == 5
-    assert judged_margins(WALL, 1.01 * steps).wrong == 5
+    loop, wall = MassLoop(WALL[2:], PLAIN), np.array(WALL[:2])
+    steps = steps_to(first_crossings(np.array([WALL]))[0][1::2], wall)
+    for share, wrong, short in ((1.0, 0, 0), (0.87, 0, 4), (1.01, 5, 0)):  # no delay is short
+        tally = judged_steps(loop, wall, share * steps, loop.region())
+        assert (tally.wrong, tally.short) == (wrong, short)
     answer = LOOP.robust_limit(HANDS)
     assert not is_limit_wrong(LOOP, HANDS, answer, rng)
     assert is_limit_wrong(LOOP, HANDS, answer._replace(limit=0.2757, is_proved=False), rng)

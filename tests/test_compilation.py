@@ -15,9 +15,9 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
+from calls import COMPUTING_CALLS, outcome
 
 import jaxstab
-from benchmarks.calls import COMPUTING_CALLS, outcome
 from jaxstab.batches import compiler_options
 from jaxstab.model.double_double import two_sum
 from jaxstab.point import dominance
@@ -57,14 +57,14 @@ class NoJax:
             raise ImportError("JAX was asked for")
 
 sys.meta_path.insert(0, NoJax())
-from benchmarks.calls import outcome
+from calls import outcome
 print(json.dumps({name: outcome(name) for name in sys.argv[1:]}))
 """
 
 IN_SINGLE_PRECISION = """
 import json, sys
 import jax.numpy as jnp
-from benchmarks.calls import outcome
+from calls import outcome
 
 print(json.dumps({name: outcome(name, jnp.asarray) for name in sys.argv[1:]}))
 """
@@ -72,10 +72,11 @@ print(json.dumps({name: outcome(name, jnp.asarray) for name in sys.argv[1:]}))
 
 def printed_by(script: str, *words: str, **environment: str) -> Any:
     """What a script prints as JSON in a fresh process."""
+    path = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
     completed = subprocess.run(
         [sys.executable, "-c", script, *words],
         cwd=ROOT,
-        env=os.environ | environment,
+        env=os.environ | {"PYTHONPATH": path} | environment,
         capture_output=True,
         text=True,
         check=False,
@@ -134,7 +135,7 @@ import json, tempfile
 import jax
 import numpy as np
 import jaxstab
-from jaxstab import AtlasSpec, FieldSpec, FittedAxis
+from jaxstab import AtlasSpec, FieldSpec
 
 def walls(count):
     rng = np.random.default_rng(count)
@@ -152,7 +153,7 @@ def trace(size):
     jaxstab.trace_boundary(("alpha", axis), ((-0.01, 0.2), (0.0, size / 10)), **fixed)
 
 def write(size):
-    fields = FieldSpec(alpha=FittedAxis(size), beta=FittedAxis(size))
+    fields = FieldSpec(alpha=size, beta=size)
     spec = AtlasSpec(gamma=[0.0, 1e-3], delta=[0.0, 0.015], delay=[0.0], rows=9, fields=fields)
     with tempfile.TemporaryDirectory() as folder:
         jaxstab.build_atlas(spec, folder + "/a.h5")
@@ -238,9 +239,11 @@ print(len(missing))
 @pytest.mark.parametrize(
     ("setting", "environment"),
     [
-        ("jaxstab.use_compilation_cache()", {}),
+        pytest.param("jaxstab.use_compilation_cache()", {}, marks=pytest.mark.campaign),
         ("jaxstab.use_compilation_cache()", {"JAX_COMPILATION_CACHE_DIR": "{folder}/of user"}),
-        ("jaxstab.use_compilation_cache(r'{folder}/given')", {}),
+        pytest.param(
+            "jaxstab.use_compilation_cache(r'{folder}/given')", {}, marks=pytest.mark.campaign
+        ),
     ],
     ids=["default", "environment", "given"],
 )

@@ -11,7 +11,7 @@ from commands import run
 import jaxstab
 from jaxstab import HapticLoop, Velocity, contact_map
 from jaxstab.results import ContactKind
-from jaxstab.scene import contact_table as maps
+from jaxstab.scene import contact as maps
 
 LOOP = HapticLoop(
     device_mass=0.25,

@@ -311,7 +311,10 @@ def test_colgates_formula_with_a_fractional_delay_put_in_is_no_criterion():
     assert gap(2.5, 0.2, -0.4, 1.3) > 0.05
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.3, 1.0, 3.5, 50.0, 300.0])
+@pytest.mark.parametrize(
+    "delay",
+    [0.0, 0.3, 3.5, *(pytest.param(x, marks=pytest.mark.campaign) for x in (1.0, 50.0, 300.0))],
+)
 def test_passive_outline_is_convex_proved_and_tight(delay):
     region = passive_region(delta=0.2, delay=delay)
     outline = region.outline

@@ -230,7 +230,11 @@ def test_outlines_of_devices_that_stray_from_the_curve(number: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("number", "status"), [(861, RegionStatus.EMPTY), (40, RegionStatus.COMPLETE)]
+    ("number", "status"),
+    [
+        (861, RegionStatus.EMPTY),
+        pytest.param(40, RegionStatus.COMPLETE, marks=pytest.mark.campaign),
+    ],
 )
 def test_modes_that_nothing_damps_leave_the_circle_with_the_first_gain(
     number: int, status: RegionStatus

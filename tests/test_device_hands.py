@@ -209,6 +209,7 @@ def test_item_14_the_masses_of_a_device_are_proved_with_its_hands() -> None:
     assert worst.loop.verdict(one.stiffness, one.damping) != Verdict.STABLE
 
 
+@pytest.mark.campaign
 def test_item_14_the_masses_of_one_mass_are_proved_with_its_hands() -> None:
     """Glued, the device's mass and the hand's are one: as a range of the hand alone."""
     loop = HapticLoop(
@@ -244,9 +245,16 @@ def test_what_nothing_damps_is_tried_and_not_proved() -> None:
     "device",
     [
         Device.transfer_function([1.0], [0.25, 0.1, 0.0]),
-        Device.transfer_function([1.0, 0.2, 3e4], np.polymul([0.25, 0.1, 0.0], [1.0, 20.0, 1e5])),
-        Device.state_space([[0.0, 1.0], [-40.0, -3.0]], [0.0, 2.0], [1.0, 0.0]),
-        Device.modes([Mode(frequency=30.0, damping_ratio=0.05, modal_mass=0.3)]),
+        *(
+            pytest.param(device, marks=pytest.mark.campaign)
+            for device in (
+                Device.transfer_function(
+                    [1.0, 0.2, 3e4], np.polymul([0.25, 0.1, 0.0], [1.0, 20.0, 1e5])
+                ),
+                Device.state_space([[0.0, 1.0], [-40.0, -3.0]], [0.0, 2.0], [1.0, 0.0]),
+                Device.modes([Mode(frequency=30.0, damping_ratio=0.05, modal_mass=0.3)]),
+            )
+        ),
     ],
 )
 def test_any_linear_device_is_proved_for_all_hands(device: Device) -> None:
@@ -271,11 +279,17 @@ def test_walls_that_all_hands_share_may_be_thin() -> None:
     assert limit.damping < 1.0
 
 
-def test_all_hands_with_all_constant_delays_of_a_range() -> None:
+@pytest.mark.parametrize(
+    "loop",
+    [
+        HapticLoop(device_mass=0.1, device_damping=0.5, sample_time=PERIOD),
+        pytest.param(LOOP, marks=pytest.mark.campaign),
+    ],
+    ids=["mass", "grip"],
+)
+def test_all_hands_with_all_constant_delays_of_a_range(loop: HapticLoop) -> None:
     """Against loops at random, and one on each side of the limit."""
-    light = HapticLoop(device_mass=0.1, device_damping=0.5, sample_time=PERIOD)
-    for loop in (light, LOOP):
-        delays = {"delay": (0.5 * PERIOD, 1.5 * PERIOD)}
+    for delays in ({"delay": (0.5 * PERIOD, 1.5 * PERIOD)},):
         limit = loop.robust_limit(HANDS, **delays)
         wall = limit.stiffness, limit.damping
         assert limit.is_proved

@@ -144,7 +144,8 @@ def test_a_mode_that_walls_hardly_move_cuts_off_a_corner() -> None:
     assert not loop.region().contains(*wall)
 
 
-@pytest.mark.parametrize("number", [22, pytest.param(25, marks=pytest.mark.campaign)])
+@pytest.mark.campaign
+@pytest.mark.parametrize("number", [22, 25])
 def test_regions_of_modes_that_walls_hardly_move_are_right(number: int) -> None:
     """Of the kind of issue 31, 6: COMPLETE regions held walls of radius 1 + 1e-20 beside a corner,
     or lacked stable ones."""

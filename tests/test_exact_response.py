@@ -3,11 +3,11 @@
 import math
 
 import flint
+import impulse
 import numpy as np
 import pytest
 from mpmath import mp, mpf
 
-from benchmarks.truth import impulse
 from jaxstab import HapticLoop, Velocity
 from jaxstab.exact.response import _Wall, disturbed_responses, settled_after
 from jaxstab.model.loop import unit_loop

@@ -11,9 +11,9 @@ from pkgutil import walk_packages
 
 import numpy as np
 import pytest
+from calls import PUBLIC
 
 import jaxstab
-from benchmarks.calls import PUBLIC
 
 ROOT = Path(__file__).parents[1]
 # Numbers may end in dots: their last digits are those of a machine.

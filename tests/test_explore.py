@@ -368,7 +368,7 @@ def test_contacts_are_those_of_python(rng: np.random.Generator) -> None:
     """To 1e-9 of the largest position; chaotic ones until Python's own roundings part them."""
     away = {"speed": 0.1, "encoder": 1e-4, "oneSided": True}  # it is thrown off, and never pushed
     leaving = contact_without_friction({"damping": 1.5, "period": 1e-3}, (1000.0, 2.0), away)
-    found = [*random_contacts(rng, 30), slow_contact(), leaving]
+    found = [*random_contacts(rng, many(30, 16)), slow_contact(), leaving]
     answers = asked_of_node("contacts", [setup for _, setup in found])
     kinds, chaotic = set(), 0
     for (loop, setup), answer in zip(found, answers, strict=True):
@@ -458,7 +458,7 @@ def test_a_page_says_what_its_simulated_contacts_ignore() -> None:
 @needs_node
 def test_a_page_shows_the_worst_of_the_starts_as_a_scene_does() -> None:
     """Pushed from rest all of these come to rest; at a speed one bounces, one stays outside."""
-    starts = [(0.1, 1.0, 0.1), (0.02, 0.05, 0.3), (0.3, 1.0, 0.1), (0.3, 1.0, 0.0)]
+    starts = [(0.1, 1.0, 0.1), (0.02, 0.05, 0.3), (0.3, 1.0, 0.0)]
     tables = [dict(zip(("friction", "push", "speed"), start, strict=True)) for start in starts]
     wall = {"stiffness": 3000.0, "damping": 2.0}
     setups, worst = [], []

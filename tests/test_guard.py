@@ -213,25 +213,26 @@ RANGES: dict[str, Any] = {"mass": (0.095, 0.105), "delay": (0.0, 1e-3)}
 
 @pytest.fixture
 def little_work(monkeypatch: pytest.MonkeyPatch) -> None:
-    work = jaxstab.guard.build._OF_MASS._replace(most=150_000)
+    work = jaxstab.guard.build._OF_MASS._replace(most=60_000)
     monkeypatch.setattr(jaxstab.guard.build, "_OF_MASS", work)
 
 
 @pytest.mark.usefixtures("little_work")
 def test_no_sequence_of_delays_makes_a_wall_grow_that_a_header_grants(tmp_path: Path) -> None:
-    moving = build_guard(LIGHT, HandRange(), **RANGES, cells=(1, 1, 8))
+    ranges = RANGES | {"mass": (0.099, 0.101)}
+    moving = build_guard(LIGHT, HandRange(), **ranges, cells=(1, 1, 8))
     assert not moving.is_delay_constant
     assert moving.granted > 0.3
-    assert grown(moving, tmp_path, "", 30) == 0
-    constant = build_guard(LIGHT, HandRange(), **RANGES, cells=(1, 1, 8), constant_delay=True)
-    assert grown(constant, tmp_path, ", 0.0", 30) > 10  # as its header says
+    assert grown(moving, tmp_path, "", 12) == 0
+    constant = build_guard(LIGHT, HandRange(), **ranges, cells=(1, 1, 8), constant_delay=True)
+    assert grown(constant, tmp_path, ", 0.0", 12) > 3  # as its header says
 
 
 @pytest.mark.campaign
 def test_of_208_requests_none_grows(tmp_path: Path) -> None:
     """Clamped for constant delays and asked with the delay 0, 88 did."""
     for given in ({}, {"lost": 1}):
-        moving = build_guard(LIGHT, HandRange(), **RANGES, **given, cells=(1, 1, 16))
+        moving = build_guard(LIGHT, HandRange(), **RANGES, **given, cells=(1, 1, many(16, 8)))
         assert grown(moving, tmp_path, "", 208) == 0
     constant = build_guard(LIGHT, HandRange(), **RANGES, cells=(1, 4, 16), constant_delay=True)
     assert grown(constant, tmp_path, ", 1e-3", 208) > 5
@@ -240,14 +241,16 @@ def test_of_208_requests_none_grows(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("little_work")
 def test_a_guard_is_asked_with_a_delay_if_and_only_if_it_is_constant(guard: Guard) -> None:
-    moving = build_guard(LIGHT, HandRange(), mass=(0.09, 0.11), delay=(0.0, 1e-3), cells=(1, 1, 4))
+    moving = build_guard(
+        LIGHT, HandRange(), mass=(0.099, 0.101), delay=(0.0, 1e-4), cells=(1, 1, 2)
+    )
     with pytest.raises(TypeError, match="give no delay"):
         moving.largest_stiffness(10.0, mass=0.1, delay=0.5e-3)
     with pytest.raises(TypeError, match="give delay in s"):
         guard.largest_stiffness(10.0, mass=0.25)
     assert moving.largest_stiffness(10.0, mass=0.1) > 1000.0
     assert moving.costliest.delay is None
-    limits = LIGHT.limits(delays=(0.0, 1e-3))
+    limits = LIGHT.limits(delays=(0.0, 1e-4))
     assert moving.largest_stiffness(np.linspace(0.0, 80.0, 99), mass=0.1).max() < limits.stiffness
     assert "double mass)" in moving.header("one")
     assert "double mass, double delay)" in guard.header("one")
@@ -321,7 +324,7 @@ def test_numbers_that_are_none_and_numbers_out_of_range_leave_no_gains(
 def test_examples_compile_against_stubs(example: str, name: str, tmp_path: Path) -> None:
     if shutil.which("g++") is None:
         pytest.skip("there is no g++")
-    guard = build_guard(LIGHT, HandRange(), **RANGES, cells=(1, 1, 4))
+    guard = build_guard(LIGHT, HandRange(), mass=(0.099, 0.101), delay=(0.0, 1e-4), cells=(1, 1, 2))
     (tmp_path / f"{name}.h").write_text(guard.header(name))
     words = ["g++", "-std=c++17", *STRICT, f"-I{tmp_path}", f"-I{ROOT / 'tests' / 'stubs'}"]
     source = ROOT / "docs" / "examples" / example
@@ -366,12 +369,12 @@ def test_the_command_writes_a_header_and_a_picture(tmp_path: Path) -> None:
     words = [
         "guard", "--mass", "0.25", "--damping", "0.5", "--sample-time", "0.001", "--window-samples",
         "4", "--delay-samples", "1", "-o", tmp_path / "my_guard.h", "--plot", tmp_path / "a.svg",
-        "--cells", "1,1,16", "--masses", "0.24:0.26", "--delays", "0.9e-3:1.1e-3",
+        "--cells", "1,1,4", "--masses", "0.249:0.251", "--delays", "0.99e-3:1.01e-3",
     ]  # fmt: skip
     for kind, said, parameters in (
-        ([], "delay, moving from sample to sample: 0.0009 to 0.0011 s", "double mass)"),
+        ([], "delay, moving from sample to sample: 0.00099 to 0.00101 s", "double mass)"),
         (["--lost-samples", "1"], "up to 1 in a row lost", "double mass)"),
-        (["--constant-delay"], "delay, constant during contact: 0.0009", "mass, double delay)"),
+        (["--constant-delay"], "delay, constant during contact: 0.00099", "mass, double delay)"),
     ):
         answer = run(*words, *kind)
         assert answer.exit_code == 0, answer.output

@@ -265,7 +265,7 @@ def test_31_10_walls_of_a_first_row_take_energy() -> None:
 
 def test_discs_of_late_forces_are_held_by_boxes() -> None:
     """Lemma J3 against lemma J1, of devices at random: of models, of slow boxes, of first rows."""
-    worst = [assert_boxes_hold(seed, 6, moves=True) for seed in range(300, 304)]
+    worst = [assert_boxes_hold(seed, 3, moves=True) for seed in range(300, 303)]
     assert sum(count for _, count in worst) > 1
     assert max(share for share, _ in worst) > 0.5
     assert sum(assert_first_rows_hold(seed, 60, moves=True) for seed in range(400, 405)) > 2

@@ -5,10 +5,12 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
+import plants_in_balls
 import pytest
+from campaign import many
 
-from benchmarks import lemmas, rounding
-from benchmarks.rounding import UNIT, Zone
+from docs import rounding
+from docs.rounding import UNIT, Zone
 from jaxstab.model import DoubleDouble
 from jaxstab.model.plant import may_cancel, pairs_error
 
@@ -42,20 +44,25 @@ def test_a_product_of_pairs_is_right_to_33_units_and_no_better_than_18(make: typ
     assert 2.0**-102 < error < rounding.PRODUCT < 2.0**-100.9
 
 
-def test_no_bound_is_smaller_than_the_error_that_it_bounds(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert lemmas.main(small=True) == 0
-    assert "100 loops of each lemma, 0 bounds smaller than the error" in capsys.readouterr().out
+@pytest.mark.parametrize(
+    "count", [100, pytest.param(many(10_000, 500), marks=pytest.mark.campaign)]
+)
+def test_no_bound_is_smaller_than_the_error_that_it_bounds(count: int) -> None:
+    rng = np.random.default_rng(20081012)
+    for number in range(count):
+        for found in plants_in_balls.polynomial(rng, number % 2 == 1):
+            assert found.slack >= 1.0, found
 
 
 @pytest.mark.parametrize("factor", [1e-3, 1e-12])
 def test_a_bound_that_is_too_small_is_noticed(
     factor: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(lemmas.verdicts, "pairs_error", lambda *hand: pairs_error(*hand) * factor)
+    monkeypatch.setattr(
+        plants_in_balls.verdicts, "pairs_error", lambda *hand: pairs_error(*hand) * factor
+    )
     rng = np.random.default_rng(1)
-    findings = [f for n in range(80) for f in lemmas.polynomial(rng, n % 2 == 1)]
+    findings = [f for n in range(80) for f in plants_in_balls.polynomial(rng, n % 2 == 1)]
     small = [f for f in findings if f.slack < 1.0]
     assert small
     assert {f.lemma for f in small} >= {"V7 D"}
@@ -79,10 +86,10 @@ def test_the_bounds_of_soft_hands_are_derived_for_whole_delays(name: str) -> Non
 @pytest.mark.parametrize("seed", range(20))
 def test_values_and_errors_of_plants_lie_within_the_bounds_of_their_boxes(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    gamma, delta, fraction = lemmas.hand(rng, seed % 2 == 1)
+    gamma, delta, fraction = plants_in_balls.hand(rng, seed % 2 == 1)
     around = [(x * (1.0 - 1e-9), x * (1.0 + 1e-9)) for x in (0.5 * delta, gamma, fraction)]
     bounds = rounding.fractional(*around) if fraction else rounding.whole(*around[:2])
-    findings = {f.lemma: f for f in lemmas.plant_findings(gamma, delta, fraction)}
+    findings = {f.lemma: f for f in plants_in_balls.plant_findings(gamma, delta, fraction)}
     assert findings["V7 D"].error <= bounds.of_d
     assert findings["V7 N"].error <= bounds.of_n
     assert findings["V7 N(-1)"].error <= bounds.of_n

@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from march import difference_taps, march_through_filters
 
 from benchmarks.truth import filtered
 from benchmarks.truth.balls import BallLoop
-from benchmarks.truth.march import difference_taps, march_through_filters
 from jaxstab import HandRange, HapticLoop, Velocity, Verdict
 from jaxstab.results import SettlingStatus
 

@@ -6,16 +6,16 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from numpy.linalg import eigvals
-
-import jaxstab
-from benchmarks.truth.march import (
+from march import (
     Taps,
     butterworth_taps,
     difference_taps,
     low_pass_taps,
     march_through_filters,
 )
+from numpy.linalg import eigvals
+
+import jaxstab
 from jaxstab import Filter, HapticLoop, Velocity, Verdict
 from jaxstab.model import by_name
 from jaxstab.results import RegionStatus

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from campaign import many
+from campaign import many, some
 from mpmath import mp, mpc, mpf
 
 from benchmarks.truth.loop import evaluate, sampled_plant
@@ -126,7 +126,7 @@ def difference(function: Callable[[Numbers], mpf], numbers: Numbers, name: str) 
 
 
 @pytest.mark.campaign
-@pytest.mark.parametrize("name", LOOPS)
+@pytest.mark.parametrize("name", some(LOOPS, 2))
 def test_the_slopes_of_a_radius_are_those_of_50_digits(name: str) -> None:
     loop = LOOPS[name]
     found = gradient(jax.grad(lambda one: one.spectral_radius(*WALL).value)(loop))
@@ -167,7 +167,9 @@ def stacked(loops: list[HapticLoop]) -> HapticLoop:
 
 
 @pytest.mark.campaign
-@pytest.mark.parametrize(("name", "count"), [(name, 1) for name in LOOPS] + [("plain", 64)])
+@pytest.mark.parametrize(
+    ("name", "count"), some([("plain", 64), *((name, 1) for name in reversed(LOOPS))], 3)
+)
 def test_the_slopes_of_limits_are_those_of_50_digits(name: str, count: int) -> None:
     loop = LOOPS[name]
     limits = loop.limits()
@@ -265,7 +267,7 @@ def test_small_systems_are_solved_with_pivots(rng: np.random.Generator) -> None:
 
 
 @pytest.mark.campaign
-@pytest.mark.parametrize(("loop", "count"), [(HELD, 1), (CROSSED, 64)])
+@pytest.mark.parametrize(("loop", "count"), some([(HELD, 1), (CROSSED, 64)], 1))
 def test_outlines_move_as_the_boundary_does_in_50_digits(loop: HapticLoop, count: int) -> None:
     """Corners move as corners do, all other vertices with the boundary, as seen across it."""
     masses = loop.device_mass * np.linspace(1.0, 1.01, count)
@@ -312,7 +314,7 @@ def test_outlines_move_as_the_boundary_does_in_50_digits(loop: HapticLoop, count
 def test_the_region_of_an_undamped_free_mass_grows_as_its_closed_form() -> None:
     """0 < alpha < 2 beta (2 - beta)/(beta + 2), 0 < beta < 2 has the area 12 - 16 ln 2."""
     free = replace(PLAIN, device_damping=0.0, delay=0.0)
-    for count in (1, 64):
+    for count in some((64, 1), 1):
         masses, periods = np.linspace(0.25, 0.5, count), np.full(count, 1e-3)
 
         def regions(mass: Any, period: Any) -> Any:
@@ -333,7 +335,7 @@ def test_the_region_of_an_undamped_free_mass_grows_as_its_closed_form() -> None:
 @pytest.mark.campaign
 def test_limits_of_loops_in_a_list_move_by_all_that_they_are_made_of() -> None:
     """Low passes and a window beside each other; derivatives are loops as well."""
-    loops = [SMOOTH, WINDOW, replace(SMOOTH, device_mass=0.4)]
+    loops = [SMOOTH, WINDOW]
     answers = limits_of(loops)
     found = jax.grad(lambda many: limits_of(many).damping.sum())(loops)
     assert jax.grad(lambda many: limits_of(many).stiffness[1])(loops)[0].device_mass == 0.0
@@ -348,7 +350,7 @@ def test_limits_of_loops_in_a_list_move_by_all_that_they_are_made_of() -> None:
 
 
 @pytest.mark.campaign
-@pytest.mark.parametrize("count", [1, 64])
+@pytest.mark.parametrize("count", some([1, 64], 1))
 def test_limits_on_an_axis_move_as_its_crossing_does(count: int) -> None:
     """A held device has its largest K at B = 0 and its largest B at K = 0."""
     loop = replace(WINDOW, device_mass=0.1, hand_damping=9.0, hand_stiffness=200.0)
@@ -501,7 +503,10 @@ def slopes_by_differences(loop: HapticLoop, direction: Any) -> Any:
 
 @pytest.mark.parametrize(
     "kind",
-    [*list(KINDS)[:1], *(pytest.param(x, marks=pytest.mark.campaign) for x in list(KINDS)[1:])],
+    [
+        *list(KINDS)[:1],
+        *(pytest.param(x, marks=pytest.mark.campaign) for x in some(list(KINDS)[1:], 4)),
+    ],
 )
 def test_limits_of_random_loops_move_as_differences_do(kind: str, rng: np.random.Generator) -> None:
     """Corners and turns of the boundary, crossings of an axis: each has other derivatives."""
@@ -639,6 +644,7 @@ def test_a_traced_whole_delay_is_a_fraction_of_zero() -> None:
     assert jax.jit(lambda loop: loop.verdict(*WALL))(PLAIN) == Verdict.STABLE
 
 
+@pytest.mark.campaign
 def test_jax_may_be_imported_after_jaxstab() -> None:
     """In a process of its own: what a loop is made of is known to JAX by the first use."""
     code = (

@@ -6,16 +6,16 @@ import jax
 import numpy as np
 import pytest
 import scipy.linalg
-
-import jaxstab
-from benchmarks.truth import devices
-from benchmarks.truth.march import (
+from march import (
     Plant,
     Taps,
     difference_taps,
     low_pass_taps,
     march_of_plant,
 )
+
+import jaxstab
+from benchmarks.truth import devices
 from benchmarks.truth.random_loops import device_of
 from jaxstab import Device, Filter, HapticLoop, Velocity
 from jaxstab.model.device.mechanics import mechanics

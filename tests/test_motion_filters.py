@@ -6,15 +6,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-
-import jaxstab
-from benchmarks.truth.march import (
+from march import (
     Taps,
     butterworth_taps,
     difference_taps,
     low_pass_taps,
     march_through_filters,
 )
+
+import jaxstab
 from jaxstab import Filter, Velocity
 from jaxstab.model import by_name
 from jaxstab.results import SettlingStatus

@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 from campaign import many
 from counts import note
-
-from benchmarks.truth import devices
-from benchmarks.truth.march import (
+from march import (
     Plant,
     Taps,
     butterworth_taps,
@@ -20,6 +18,8 @@ from benchmarks.truth.march import (
     low_pass_taps,
     march_of_plant,
 )
+
+from benchmarks.truth import devices
 from benchmarks.truth.random_loops import device_of
 from jaxstab import Filter, HandRange, HapticLoop, Velocity
 from jaxstab.conventions import Verdict

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from mpmath import matrix, mp, mpf
 
-from benchmarks.papers import CLAIMS as PUBLISHED
-from benchmarks.papers import Claim, markdown
+from docs.reproduced.claims import CLAIMS as PUBLISHED
+from docs.reproduced.claims import Claim, markdown
 
 PAGE = Path(__file__).parents[1] / "docs" / "reproduced" / "index.md"
 CLAIMS = tuple(replace(claim, find=cache(claim.find)) for claim in PUBLISHED)

@@ -142,6 +142,7 @@ def test_a_guard_and_an_atlas_are_of_the_masses(monkeypatch: pytest.MonkeyPatch)
     assert (min(nodes), max(nodes)) == (0.0, pytest.approx(300.0 * PERIOD**2 / 0.15))
 
 
+@pytest.mark.campaign
 def test_the_command_line_takes_a_range_of_masses(tmp_path: Path) -> None:
     options = "--damping", "0.1", "--sample-time", "1e-3", "--window", "0.02", "--json"
     found = json.loads(run("limits", "--mass", "0.15:0.25", *options).stdout)

@@ -1,6 +1,7 @@
 """What is printed as stable is so as it is printed: parsed, and given an exact verdict."""
 
 import re
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -111,7 +112,7 @@ def assert_stable(loop: HapticLoop, walls: list[tuple[float, float]]) -> None:
         assert code == Verdict.STABLE, (loop, stiffness, damping, code)
 
 
-def assert_limits_are_stable(seeds: range) -> None:
+def assert_limits_are_stable(seeds: Iterable[int]) -> None:
     for seed in seeds:
         rng = np.random.default_rng([51, 4, seed])
         assert_stable(*walls_of_limits(random_table(rng), rng))
@@ -119,12 +120,12 @@ def assert_limits_are_stable(seeds: range) -> None:
 
 def test_limits_are_stable_as_they_are_printed() -> None:
     """Issue 51, 4; of 11 the corner is a needle, of 15 an island has one."""
-    assert_limits_are_stable(range(7, 17))
+    assert_limits_are_stable((11, 15, 16))
 
 
 @pytest.mark.campaign
 def test_limits_of_many_scenes_are_stable_as_they_are_printed() -> None:
-    assert_limits_are_stable(range(17, 17 + many(1000)))
+    assert_limits_are_stable(range(17, 17 + many(1000, 40)))
 
 
 @pytest.mark.campaign

@@ -10,14 +10,14 @@ from operator import attrgetter
 from typing import Any
 
 import numpy as np
+import problems
 import pytest
+from calls import COMPUTING_CALLS
 from mpmath import mp, mpc, mpf
+from problems import PROBLEMS, Problem
 
 import jaxstab
 from benchmarks import truth
-from benchmarks.calls import COMPUTING_CALLS
-from benchmarks.truth import problems
-from benchmarks.truth.problems import PROBLEMS, Problem
 from jaxstab import Verdict
 from jaxstab.model import by_name
 from jaxstab.results import SettlingStatus

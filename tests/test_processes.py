@@ -9,9 +9,9 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from problems import PROBLEMS
 
 import jaxstab
-from benchmarks.truth.problems import PROBLEMS
 from jaxstab.cli.interrupt import processes
 from jaxstab.model import by_name
 

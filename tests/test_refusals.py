@@ -180,8 +180,8 @@ def test_issue_31_30_a_dollar_sign_of_a_name_begins_no_formula(tmp_path: Path) -
 @pytest.fixture(scope="module")
 def guard() -> jaxstab.Guard:
     loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
-    ranges = {"mass": (0.24, 0.26), "delay": (1e-3, 1.1e-3)}
-    return jaxstab.build_guard(loop, jaxstab.HandRange(), **ranges, cells=(1, 1, 4))
+    ranges = {"mass": (0.24, 0.26), "delay": (1e-3, 1.1e-3), "cells": (1, 1, 4)}
+    return jaxstab.build_guard(loop, jaxstab.HandRange(), **ranges, constant_delay=True)
 
 
 @pytest.mark.parametrize(
@@ -214,6 +214,7 @@ def test_issue_31_31_the_package_runs_as_a_module() -> None:
     assert done.stdout == f"jaxstab, version {jaxstab.__version__}\n", done.stderr
 
 
+@pytest.mark.campaign
 def test_issue_31_31_a_zip_file_on_the_path_can_be_imported(tmp_path: Path) -> None:
     """As it is in a wheel; its dependencies are installed."""
     wheel = tmp_path / "jaxstab.whl"

@@ -356,7 +356,7 @@ def test_many_slices_at_once_are_the_single_ones() -> None:
         return jnp.max(regions.outline[:, 0]), regions.limits.stiffness, regions.area
 
     numbers = jnp.asarray(PLACES).T
-    for mapped in (jax.vmap(largest_alpha_and_area), jax.jit(jax.vmap(largest_alpha_and_area))):
+    for mapped in (jax.jit(jax.vmap(largest_alpha_and_area)),):
         tops, stiffest, areas = mapped(*numbers)
         for index, place in enumerate(PLACES):
             single = stable_region(**by_name(*place, DELAY))

@@ -3,9 +3,9 @@
 import jax
 import numpy as np
 import pytest
+from march import FINE, HELD, OSCILLATING, PHANTOM, march_on_a_fine_grid
 
 from benchmarks import truth
-from benchmarks.truth.march import FINE, HELD, OSCILLATING, PHANTOM, march_on_a_fine_grid
 from jaxstab import HapticLoop
 from jaxstab.model import plant_transition
 

@@ -29,7 +29,10 @@ RANGES = {
 }
 
 
-@pytest.fixture(scope="module", params=RANGES)
+@pytest.fixture(
+    scope="module",
+    params=["figure 9", *(pytest.param(x, marks=pytest.mark.campaign) for x in [*RANGES][1:])],
+)
 def robust(request):
     return robust_region(**by_name(*RANGES[request.param]))
 
@@ -117,7 +120,7 @@ def test_robust_region_refuses_bad_input(arguments, message):
         robust_region(**{"gamma": (0.0, 1.0), "delta": (0.0, 1.0)} | arguments)
 
 
-@pytest.mark.parametrize("samples", [5, pytest.param(20, marks=pytest.mark.campaign)])
+@pytest.mark.parametrize("samples", [2, pytest.param(20, marks=pytest.mark.campaign)])
 def test_a_robust_region_with_a_window_holds_for_hands_that_certified_roots_judge(
     rng: np.random.Generator, samples: int
 ) -> None:
@@ -189,12 +192,21 @@ def test_the_robust_limit_of_a_loop_with_a_window_is_bounded_from_both_sides() -
         assert Verdict.UNSTABLE in codes
 
 
-@pytest.mark.parametrize(("axis", "end"), [("gamma", "low"), ("gamma", "high"), ("delta", "low")])
+@pytest.mark.parametrize(
+    ("axis", "end"),
+    [
+        ("gamma", "high"),
+        *(
+            pytest.param(*x, marks=pytest.mark.campaign)
+            for x in [("gamma", "low"), ("delta", "low")]
+        ),
+    ],
+)
 def test_a_root_near_an_end_of_a_range_is_not_missed(axis: str, end: str) -> None:
     """A small square of walls that only the outer twentieth of a range of hands makes unstable."""
     rng = np.random.default_rng(2012)
     tried = 0
-    while tried < 5:
+    while tried < 2:
         wall = by_name(rng.uniform(-0.1, 0.2), rng.uniform(-0.2, 1.2), 0.02, 0.02, 1.0)
         inner, outer = rng.uniform(0.01, 0.2, 2)
         if (inner < outer) != (end == "high"):
@@ -249,8 +261,8 @@ def test_a_wall_that_few_hands_make_unstable_is_not_proved(axis: str, end: str) 
     far = inner * (0.8 if end == "high" else 1.25)
     shares = np.linspace(0.0, 0.99, 9)
     usable = np.all([is_stable(far + share * (inner - far), k) for share in shares], axis=0)
-    assert usable.sum() >= 4
-    for n in np.flatnonzero(usable)[:4]:
+    assert usable.sum() >= 2
+    for n in np.flatnonzero(usable)[:2]:
         loop = jaxstab.HapticLoop(
             device_mass=1.0, device_damping=0.02, sample_time=1.0, delay=float(delay[k[n]])
         )

@@ -19,7 +19,7 @@ from jaxstab import HapticLoop
 from jaxstab.conventions import Verdict
 from jaxstab.guard import build as guards
 from jaxstab.pictures.scene import scene_figure
-from jaxstab.scene import Scene, check_walls, design_loop, loop_of, scene_limits, tune_walls
+from jaxstab.scene import Scene, check_walls, loop_of, scene_limits, tune_walls
 from jaxstab.scene.limits import LimitsOverDelays
 from jaxstab.scene.loops import corner_loops, with_tolerances
 
@@ -27,6 +27,7 @@ T = 1e-3
 LIGHT = ["--mass", "0.1", "--damping", "0.05", "--sample-time", "0.001"]
 ISSUE = ["--wall", "issue", "6669.1", "71.6"]  # stable for each constant delay from 0 to 1 ms
 MOVING = [*LIGHT, "--delay", "0:0.001"]
+CAMPAIGN = pytest.mark.campaign
 TRUTH = Moving((1.0,), (0.1, 0.05, 0.0), T)
 DEVICE: dict[str, Any] = {"mass": 0.1, "damping": 0.05}
 
@@ -145,6 +146,7 @@ def test_pictures_are_of_one_delay_or_of_one_that_moves(tmp_path: Path) -> None:
     assert file.stat().st_size > 10_000
 
 
+@pytest.mark.campaign
 def test_the_picture_of_a_moving_delay_has_its_walls_in_its_units() -> None:
     turning = scene({"inertia": 0.1, "damping": 0.05}, delay=[0.0, T])
     turning["walls"] = {"soft": {"stiffness": 500.0, "damping": 5.0}}
@@ -366,11 +368,16 @@ def test_walls_are_proved_for_every_hand_and_constant_delay() -> None:
     assert worst["worst_delays"].startswith("a constant delay of 1 ms")
 
 
-@pytest.mark.parametrize(("parts", "window"), [(2, 5), (8, 1)])
-def test_walls_are_proved_for_every_hand_and_every_sequence(parts: int, window: int) -> None:
+@pytest.mark.parametrize(
+    ("parts", "window", "spring"),
+    [(2, 1, 0.0), *(pytest.param(*x, 300.0, marks=CAMPAIGN) for x in [(2, 5), (8, 1)])],
+)
+def test_walls_are_proved_for_every_hand_and_every_sequence(
+    parts: int, window: int, spring: float
+) -> None:
     delays = [0.0, T * parts / TRUTH.parts]
     table = scene(delay=delays, velocity={"window_samples": window})
-    table["hand"] = {"mass": [0.0, 0.1], "stiffness": [0.0, 300.0], "damping": [0.5, 2.0]}
+    table["hand"] = {"mass": [0.0, 0.1], "stiffness": [0.0, spring], "damping": [0.5, 2.0]}
     limits = limits_of(table)
     assert limits.hand == "at its lowest values (all hands: see below)"
     assert limits.all_hands is not None
@@ -385,7 +392,7 @@ def test_walls_are_proved_for_every_hand_and_every_sequence(parts: int, window: 
     assert checked["all"].verdict == Verdict.STABLE
     assert checked["hard"].verdict == Verdict.UNSTABLE
     turns = np.random.default_rng(4).integers(0, parts + 1, (40, 12))
-    for mass, stiffness, damping in product((0.0, 0.1), (0.0, 300.0), (0.5, 2.0)):
+    for mass, stiffness, damping in product((0.0, 0.1), {0.0, spring}, (0.5, 2.0)):
         held = Moving((1.0,), (0.1 + mass, 0.05 + damping, stiffness), T, window)
         motions = held.positions(*wall, np.tile(turns, (1, 120)))
         assert np.all(growth(motions, 12) < 1.0)
@@ -437,7 +444,7 @@ def light_radius(table: dict[str, Any], estimator: tuple[Any, Any], samples: int
 @pytest.mark.parametrize(
     ("table", "estimator", "constant", "unstable"),
     [
-        (BUTTERWORTH, butter(2, 100.0, fs=4000.0), 0.6491e-3, 5),
+        pytest.param(BUTTERWORTH, butter(2, 100.0, fs=4000.0), 0.6491e-3, 5, marks=CAMPAIGN),
         (TURNING, ([0.2] * 5, [1.0] + [0.0] * 4), 1.203e-3, 4),
     ],
 )
@@ -463,8 +470,8 @@ def test_no_sequence_within_the_margin_of_every_hand_makes_one_grow() -> None:
     assert wall.jitter is not None
     parts, rng = int(8e3 * wall.jitter.extra_delay_moving), np.random.default_rng(8)
     assert parts == 9  # eighths of a sample
-    turns = np.where(rng.random((60, 12)) < 0.5, 16, 16 + parts)
-    turns[30:] = rng.integers(16, 17 + parts, (30, 12))
+    turns = np.where(rng.random((20, 12)) < 0.5, 16, 16 + parts)
+    turns[10:] = rng.integers(16, 17 + parts, (10, 12))
     for inertia, stiffness, damping in product((0.0, 0.05), (0.0, 20.0), (0.0, 0.8)):
         held = Moving((1.0,), (0.02 + inertia, 0.02 + damping, stiffness), T, 5)
         assert np.all(growth(held.positions(300.0, 2.0, np.tile(turns, (1, 150))), 12) < 1.0)
@@ -574,10 +581,8 @@ def test_pictures_of_tune_and_design_are_of_the_longest_delay(tmp_path: Path) ->
     given = Scene.from_table(
         scene(delay=[0.0, T], delay_is="constant") | {"wanted": {"stiffness": 1e3}}
     )
-    for answer in (tune_walls(given), design_loop(given)):
-        figure = scene_figure(given, answer)
-        assert "here constant, the longest" in figure.get_suptitle().replace("\n", " ")
-    assert run("tune", *MOVING, "--plot", tmp_path / "a.png").exit_code in (0, 1)
+    figure = scene_figure(given, tune_walls(given))
+    assert "here constant, the longest" in figure.get_suptitle().replace("\n", " ")
 
 
 def test_measures_with_hands_are_the_worst_of_hands_and_delays() -> None:

@@ -383,7 +383,6 @@ def test_item_12_hands_of_several_ranges_are_proved(file: Path) -> None:
     wall = check_walls(scene).walls["soft"]
     assert wall.verdict == Verdict.STABLE
     assert wall.hands_are is None
-    assert run("check", file).exit_code == 0
 
 
 def test_walls_of_the_common_outline_are_stable_for_each_corner(file: Path) -> None:

@@ -61,11 +61,11 @@ def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("modes", [[], [MODE]])
 def test_every_answer_is_that_of_its_own_loop(modes: list[dict[str, float]]) -> None:
     table = {**TABLE, "device": {**TABLE["device"], "modes": modes}} if modes else TABLE
-    study = jaxstab.study(table, OVER, answers=EVERYTHING, samples=3, seed=4)
+    study = jaxstab.study(table, OVER, answers=EVERYTHING, samples=2, seed=4)
     assert study.verdict.dims[-2:] == ("sample", "wall")
     for window in (1, 5):
         for delay in (0.0, 1.5e-3):
-            for draw in range(3):
+            for draw in range(2):
                 row = study.sel(
                     controller_velocity_window_samples=window, controller_delay=delay, sample=draw
                 )
@@ -283,7 +283,7 @@ def test_a_row_that_is_drawn_again_is_computed_once(
         gains = row.wall_stiffness.values, row.wall_damping.values
         np.testing.assert_array_equal(row.verdict, own.verdict(*gains))
     plan = studies.plan_study(TABLE, over, samples=90).notes[-1]
-    assert plan.startswith("2 device_mass x 90 sample x 2 wall: 6 loops of 3 different draws, ")
+    assert plan.startswith("2 device_mass x 90 sample x 2 wall: 6 loops, about ")
 
 
 @pytest.mark.parametrize(
@@ -340,23 +340,22 @@ def test_undecided_draws_widen_the_interval_on_both_sides(monkeypatch: pytest.Mo
 def test_intervals_cover_the_share_among_all_hands_in_95_of_100_small_studies() -> None:
     over = {"device.mass": "uniform:0.1:0.3", "hand.stiffness": "lognormal:300:1.4"}
     walls = {"x": (12000.0, 40.0)}
-    study = jaxstab.study(TABLE, over, answers=["verdict"], walls=walls, samples=200_000)
-    codes = study.verdict.values[:, 0] == Verdict.STABLE
-    truth = codes.mean()
+    study = jaxstab.study(TABLE, over, answers=["verdict"], walls=walls, samples=40_000)
+    truth = (study.verdict == Verdict.STABLE).mean().item()
     assert 0.1 < truth < 0.9
-    counts = codes.reshape(1000, 200).sum(axis=1)
-    low, high = studies._score_interval(xarray.DataArray(counts), 200, 0.95)
-    covered = ((low <= truth) & (truth <= high)).mean()
-    assert 0.93 <= covered <= 0.97
+    codes = study.verdict.values.reshape(200, 200)
+    shares = jaxstab.shares(xarray.Dataset({"verdict": (("study", "sample"), codes)}))
+    covered = ((shares.low <= truth) & (truth <= shares.high)).mean()
+    assert 0.9 <= covered <= 0.99
 
 
 def test_quantiles_are_those_of_the_draws_and_nothing_stable_counts_as_0() -> None:
     over = {"device.mass": "uniform:0.1:0.3", "controller.delay_samples": [1.0, 3.0]}
-    study = jaxstab.study(TABLE, over, answers=["limits"], samples=40)
+    study = jaxstab.study(TABLE, over, answers=["limits"], samples=11)
     values = np.sort(study.largest_stiffness.values, axis=1)
     found = jaxstab.quantiles(study, at=[0.0, 0.5, 1.0])
     assert found.dims == ("quantile", "controller_delay_samples")
-    np.testing.assert_array_equal(found, values[:, [0, 19, 39]].T)
+    np.testing.assert_array_equal(found, values[:, [0, 5, 10]].T)
     assert "wall" not in study.sizes
 
 
@@ -437,7 +436,7 @@ def test_parts_that_do_not_go_together_are_refused(tmp_path: Path) -> None:
         ([one, two, one], r"1\.h5 and .*1\.h5 are the same part"),
         ([one, two, other], r"other\.h5 and .*1\.h5 are parts of different studies"),
         ([one, two, whole], r"whole\.h5 is no part of a study"),
-        ([], "no part is given"),
+        ([], "part 1 of 1 is missing; give the files of all parts"),
     ):
         with pytest.raises(ValueError, match=words):
             studies.merged(parts)
@@ -445,7 +444,10 @@ def test_parts_that_do_not_go_together_are_refused(tmp_path: Path) -> None:
         studies.merged([one, tmp_path / "none.h5"])
 
 
-@pytest.mark.parametrize("missing", ["xarray", "dask", "h5netcdf"])
+@pytest.mark.parametrize(
+    "missing",
+    ["xarray", *(pytest.param(x, marks=pytest.mark.campaign) for x in ("dask", "h5netcdf"))],
+)
 def test_what_is_not_installed_is_named_in_a_sentence(missing: str, tmp_path: Path) -> None:
     code = (
         f"import sys; sys.modules[{missing!r}] = None\n"
@@ -472,9 +474,11 @@ def test_random_studies_have_the_answers_of_single_loops() -> None:
             "controller.delay_samples": [0.0, float(rng.integers(1, 12)), rng.uniform(0.0, 6.0)],
         }
         walls = {"a": (10 ** rng.uniform(2, 4.5), 10 ** rng.uniform(0, 2)), "b": (500.0, 5.0)}
-        study = jaxstab.study(table, over, walls=walls, samples=170, seed=int(rng.integers(1000)))
+        study = jaxstab.study(
+            table, over, walls=walls, samples=many(170, 70), seed=int(rng.integers(1000))
+        )
         for delay in range(3):
-            for draw in range(170):
+            for draw in range(study.sizes["sample"]):
                 row = study.isel(controller_delay_samples=delay, sample=draw)
                 values = {
                     "device.mass": row.device_mass.item(),
@@ -542,7 +546,7 @@ KILL = "import os, sys, time; time.sleep(0.5); os.kill(int(sys.argv[1]), 9)"
         ({"device.mass": []}, {}, "device.mass is an empty list"),
         ({"device.mass": 0.1}, {}, "device.mass is 0.1; give a list of values"),
         ({"device.mass": [0.1, "a"]}, {}, "give numbers, or texts, not both"),
-        ({"device.mass": (0.1, 0.2, 1)}, {}, "with a count >= 2"),
+        ({"device.mass": (0.1, 0.2, 1)}, {}, "with a COUNT from 2 to 100000"),
         ({}, {}, "over is empty"),
         (
             {"walls.soft.damping": [1.0]},
@@ -561,7 +565,11 @@ KILL = "import os, sys, time; time.sleep(0.5); os.kill(int(sys.argv[1]), 9)"
             {},
             "hand.stiffness is norm.*give a distr",
         ),
-        ({"device.mass": [0.1]}, {"answers": ["limit"]}, "answers has 'limit'; did you mean 'lim"),
+        (
+            {"device.mass": [0.1]},
+            {"answers": ["limit"]},
+            "answers.limit is unknown; did you mean .limits",
+        ),
         ({"device.mass": [0.1]}, {"answers": ["verdict"], "walls": {}}, "is of walls; give walls"),
         (
             {"device.mass": [0.1]},
@@ -574,7 +582,11 @@ KILL = "import os, sys, time; time.sleep(0.5); os.kill(int(sys.argv[1]), 9)"
             "the longest dimension, device_mass, has 1 values",
         ),
         ({"device.mass": [0.1]}, {"part": (3, 2)}, "part is 3/2; give 1/2 to 2/2"),
-        ({"device.mass": [0.1]}, {"walls": {"a": (np.nan, 1.0)}}, "wall a is .*give finite"),
+        (
+            {"device.mass": [0.1]},
+            {"walls": {"a": (np.nan, 1.0)}},
+            "the stiffness of wall a is nan; allowed are finite",
+        ),
         ({"controller.delay": [0.1], "controller.delay_samples": [1.0]}, {}, "delay_samples"),
     ],
 )
@@ -634,8 +646,18 @@ def test_the_command_says_the_plan_the_quantiles_and_the_shares(desk: Path) -> N
     result = run(*given, "--plot", plot)
     assert result.exit_code == 0
     assert "80 sample x 1 wall: 80 loops, about 1 s of CPU time" in result.stderr
-    assert "largest stiffness in N/m: 5th percentile  median  95th percentile" in result.stdout
-    assert "soft: stable for 100 % of 80 draws (95 % confidence: 95.42 to 100 %;" in result.stdout
+    lines = [" ".join(line.split()) for line in result.stdout.splitlines()]
+    assert lines[:2] == [
+        "largest stiffness in N/m, of 80 draws:",
+        "of 5th percentile median 95th percentile",
+    ]
+    low, median, high = map(float, lines[2].removeprefix("80 draws ").split())
+    assert low < median < high
+    assert lines[3:] == [
+        "% of 80 draws, and the interval of 95 % confidence; each verdict is proved:",
+        "wall stable low high undecided",
+        "soft 100 95.4182 100 0",
+    ]
     assert plot.read_bytes()[:4] == b"\x89PNG"
     before = output.read_bytes()
     assert xarray.load_dataset(output, engine="h5netcdf").verdict.shape == (80, 1)
@@ -694,7 +716,7 @@ def test_51_14_values_that_overflow_are_refused_in_one_sentence(
 
 
 def test_51_ends_too_far_apart_are_refused_from_python() -> None:
-    with pytest.raises(ValueError, match=r"delay is .*give finite numbers"):
+    with pytest.raises(ValueError, match=r"delay is .*give LOW:HIGH:COUNT"):
         jaxstab.study(LOOP, {"delay": (-1e308, 1e308, 3)})
 
 

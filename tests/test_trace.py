@@ -61,7 +61,15 @@ PLANES = {
 }
 
 
-@pytest.fixture(scope="module", params=PLANES)
+def few_and_campaign(table, *few):
+    """Names of a table: a few, and the others as a campaign."""
+    yield from few
+    yield from (pytest.param(x, marks=pytest.mark.campaign) for x in table if x not in few)
+
+
+@pytest.fixture(
+    scope="module", params=[*few_and_campaign(PLANES, "gamma-delta", "stiffness-time_delay")]
+)
 def traced(request):
     plane, window, fixed, loop_of = PLANES[request.param]
     return trace_boundary(plane, window, **fixed), np.array(window), loop_of
@@ -129,7 +137,7 @@ def test_the_number_of_unstable_roots_changes_only_across_the_trace(traced, rng)
     trace, window, loop_of = traced
     unit = in_window(trace.points, window)
     changes = 0
-    for start, move in zip(rng.uniform(0, 1, (150, 2)), rng.normal(0, 0.05, (150, 2)), strict=True):
+    for start, move in zip(rng.uniform(0, 1, (60, 2)), rng.normal(0, 0.05, (60, 2)), strict=True):
         ends = np.stack([start, np.clip(start + move, 0, 1)])
         counts = [
             roots_outside(loop_of(*(window[:, 0] + end * np.ptp(window, axis=1)))) for end in ends
@@ -190,6 +198,7 @@ def test_a_loop_gives_the_physical_quantities():
     assert np.allclose(by_name.points, by_loop.points, rtol=1e-12, atol=0)
 
 
+@pytest.mark.campaign
 def test_lists_of_fixed_values_give_the_trace_of_each():
     plane, window, fixed, _ = PLANES["gamma-delay"]
     alphas = [0.1, 0.2, 0.3]
@@ -315,7 +324,7 @@ ESTIMATORS = {
 }
 
 
-@pytest.fixture(scope="module", params=ESTIMATORS)
+@pytest.fixture(scope="module", params=[*few_and_campaign(ESTIMATORS, [*ESTIMATORS][1])])
 def with_filters(request):
     (plane, window, fixed), (velocity, position), (true_velocity, true_position), loop_of = (
         ESTIMATORS[request.param]
@@ -370,7 +379,15 @@ def test_with_filters_points_have_a_root_on_the_circle(with_filters, rng):
 
 
 @pytest.mark.parametrize(
-    "velocity", [None, Velocity.difference(samples=5), Velocity.low_pass(100.0)], ids=str
+    "velocity",
+    [
+        Velocity.low_pass(100.0),
+        *(
+            pytest.param(x, marks=pytest.mark.campaign)
+            for x in (None, Velocity.difference(samples=5))
+        ),
+    ],
+    ids=str,
 )
 def test_a_trace_over_delays_has_the_exact_limits_of_each_loop(velocity, rng):
     given = {"device_mass": 0.25, "device_damping": 0.1, "sample_time": 1e-3, "velocity": velocity}
@@ -396,9 +413,13 @@ def test_filters_of_one_kind_share_a_program():
         velocity=Velocity.low_pass(0.1),
         **slices,
     )
-    compiled.clear()
     window = (0.0, 0.1), (0.0, 0.5)
-    for velocity in (Velocity.difference(samples=20), Velocity.butterworth(0.1, order=4)):
+    for velocity in (
+        Velocity.low_pass(0.2),
+        Velocity.difference(samples=20),
+        Velocity.butterworth(0.1, order=4),
+    ):
+        compiled.clear()
         trace_boundary(("alpha", "beta"), window, delay=1.0, velocity=velocity, **slices)
     assert not compiled
 

@@ -8,11 +8,11 @@ import jax
 import numpy as np
 import pytest
 import scipy.optimize
+from march import HELD, PHANTOM
 from mpmath import mp, mpf
 
 import jaxstab
 from benchmarks import truth
-from benchmarks.truth.march import HELD, PHANTOM
 from jaxstab.model import by_name
 from jaxstab.results import TuningStatus
 

@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from descents import radii
 
 from benchmarks.truth import devices, filtered
 from benchmarks.truth.random_loops import device_of
-from benchmarks.tuning import radii
 from jaxstab import Device, HapticLoop, Velocity
 from jaxstab.results import TuningStatus
 

@@ -7,11 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from campaign import many
+from descents import better_wall, descent, ordinary_loop, radii
 from matplotlib.path import Path
 
 import jaxstab
 from benchmarks.truth import filtered as truth
-from benchmarks.tuning import descent, ordinary_loop, radii, wall_tally
 from jaxstab import Filter, Velocity
 from jaxstab.model import by_name
 from jaxstab.results import TuningStatus
@@ -118,8 +119,8 @@ class TestMinimizeRadius:
         )(jnp.asarray(gammas))
         for number, gamma in enumerate(gammas):
             alone = jaxstab.minimize_radius(gamma=gamma, delta=0.01, delay=1.0, **filters)
-            for one, many, traced in zip(alone, together, compiled, strict=True):
-                assert float(one) == pytest.approx(float(many[number]), rel=1e-12)
+            for one, all_, traced in zip(alone, together, compiled, strict=True):
+                assert float(one) == pytest.approx(float(all_[number]), rel=1e-12)
                 assert float(one) == pytest.approx(float(traced[number]), rel=1e-9)
 
     def test_of_a_loop_whose_plant_has_no_zero_near_the_circle(self) -> None:
@@ -228,10 +229,7 @@ class TestTune:
         assert best.radius <= at_zero.radius * (1.0 + 1e-8)
         assert best.stiffness == 0.0
 
-    @pytest.mark.parametrize("count", [12, pytest.param(200, marks=pytest.mark.campaign)])
+    @pytest.mark.parametrize("count", [4, pytest.param(many(1000, 60), marks=pytest.mark.campaign)])
     def test_51_18_other_searches_find_no_more_than_the_status_says(self, count: int) -> None:
-        """The 1,000 loops of ``python -m benchmarks tuning``, or the first of them."""
         rng = np.random.default_rng([20120412, 1])
-        tallies = [wall_tally(ordinary_loop(rng), rng) for _ in range(count)]
-        assert not any(one.missed for one in tallies)
-        assert max(one.gain for one in tallies) < MOST_FOUND
+        assert max(better_wall(ordinary_loop(rng), rng) for _ in range(count)) < MOST_FOUND

@@ -287,7 +287,16 @@ def test_51_10_a_crank_of_a_simulator_has_the_limit_of_the_exact_hold() -> None:
     assert limit == pytest.approx(exact, rel=1e-9)
 
 
-@pytest.mark.parametrize("samples", [60.0, 63.5, 64.0, 90.0, 105.79979179173486])
+@pytest.mark.parametrize(
+    "samples",
+    [
+        60.0,
+        *(
+            pytest.param(x, marks=pytest.mark.campaign)
+            for x in (63.5, 64.0, 90.0, 105.79979179173486)
+        ),
+    ],
+)
 def test_51_11_slow_loops_of_a_device_with_a_mode_are_resolved(samples: float) -> None:
     """So close to a corner rounding decides which roots are inside: no piece ends where it does."""
     name = "11, a mode"
@@ -297,6 +306,7 @@ def test_51_11_slow_loops_of_a_device_with_a_mode_are_resolved(samples: float) -
     assert_largest(name, limits.stiffness, limits.at_damping, samples)
 
 
+@pytest.mark.campaign
 def test_51_11_design_answers_at_40_khz_with_a_slow_filter() -> None:
     name, wanted = "11, a mode", 9000.0
     designed = design_loop(

@@ -8,9 +8,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from calls import COMPUTING_CALLS, OBJECTS
 
 import jaxstab
-from benchmarks.calls import COMPUTING_CALLS, OBJECTS
 from jaxstab.arrays import leaves
 
 WORD = {True: "yes", False: "no"}

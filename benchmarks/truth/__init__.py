@@ -1,16 +1,14 @@
 """What is true of a loop, by routes that share no code with jaxstab; tests and benchmarks ask it.
 
 - ``loop``: 50 digits of the plant, the polynomial, its roots and its boundary, for any loop;
-- ``filtered``: loops with estimators and filters, ``devices``: with any linear device and hand;
+- ``devices``: loops with any linear device and hand, ``plain``: in mpmath and exact fractions;
 - ``balls``: plants and verdicts in balls of python-flint, for many points of one plant;
 - ``filtered``: loops with an estimator and a filter, from difference equations;
 - ``boundary``: walls of any loop that have roots on a circle, by eigenvalues;
 - ``random_loops``: such loops at random, and walls next to their boundary;
 - ``near_boundary``: points close to the boundary, to be judged;
-- ``slices``: the boundary of one slice, all pieces, and distances from it;
-- ``march``: device, hand and wall on a fine grid of time, and loops to move;
+- ``moving``: loops whose delay moves;
 - ``validity``: where the error of the linear condition first rises through a level;
-- ``problems``: the registry of loops that are hard to compute;
 - ``judge``: what each method says of many loops, against the truth.
 """
 

@@ -23,7 +23,7 @@ class Boundary:
         size = self.parts.shape[1]
         low = np.pi * 10.0 ** rng.uniform(-3.0, 0.0, angles // 2) / size
         thetas = np.concatenate([rng.uniform(0.0, np.pi, angles - low.size), low])
-        curve = self._solved(np.exp(1j * thetas))
+        curve = self.solved(np.exp(1j * thetas))
         scale = np.median(np.abs(curve), axis=0) if len(curve) else np.ones(2)
         walls = np.concatenate(
             [
@@ -43,7 +43,7 @@ class Boundary:
         companion[:, 0, :] = -p[:, 1:]
         return np.max(np.abs(np.linalg.eigvals(companion)), axis=1, initial=0.0)
 
-    def _solved(self, z: np.ndarray) -> np.ndarray:
+    def solved(self, z: np.ndarray) -> np.ndarray:
         """Return walls with roots at points of the upper half circle."""
         base, stiffness, damping = (np.polyval(part, z) for part in self.parts)
         with np.errstate(all="ignore"):

@@ -6,7 +6,6 @@ from .query import QueryStatus as QueryStatus
 from .query import open_atlas as open_atlas
 from .spec import AtlasSpec as AtlasSpec
 from .spec import FieldSpec as FieldSpec
-from .spec import FittedAxis as FittedAxis
 from .table import AlphaLimits as AlphaLimits
 
 __all__: list[str]

@@ -37,7 +37,6 @@ from jaxstab.point import verdict
 
 Progress = Callable[[int, int], object]
 
-_TESTED = 1000, 100  # random plants, and walls of each
 _BESIDE = 0.1  # of the stable intervals: so far beyond them walls are tested
 _CLOSE = 1e-8  # of the largest alpha of a plant: how close to a limit it is verified
 _WALLS = 16  # of a slice whose fields are verified
@@ -132,24 +131,23 @@ def asked_at_random(table: LimitTable, filters: Filters | None, seed: int = 0) -
     Returns the numbers of walls, of wrong answers, of those that the table leaves to be computed,
     and of those that stay undecided then; as the attributes of a file.
     """
+    tested = 1000, 100  # random plants, and walls of each
     chance = np.random.default_rng(seed)
     gamma, delta, delay = (
-        chance.uniform(nodes[0], nodes[-1], (_TESTED[0], 1)) for nodes in table.axes
+        chance.uniform(nodes[0], nodes[-1], (tested[0], 1)) for nodes in table.axes
     )
     plant = (gamma, delta, delay)
     ends = table.ends(*(values.ravel() for values in plant))
-    row = chance.uniform(0.0, 1.0, _TESTED)
-    beta = _beyond(ends[:, :1], ends[:, 1:], chance.uniform(0.0, 1.0, _TESTED))
+    row = chance.uniform(0.0, 1.0, tested)
+    beta = _beyond(ends[:, :1], ends[:, 1:], chance.uniform(0.0, 1.0, tested))
     inner = ends[:, :1] + row * (ends[:, 1:] - ends[:, :1])
     limits = table.limits(*(v.ravel() for v in np.broadcast_arrays(inner, *plant)))
-    lower = np.nanmin(limits.lower.reshape(_TESTED), axis=1, keepdims=True, initial=np.inf)
-    upper = np.nanmax(limits.upper.reshape(_TESTED), axis=1, keepdims=True, initial=-np.inf)
-    alpha = _beyond(lower, upper, chance.uniform(0.0, 1.0, _TESTED))
+    lower = np.nanmin(limits.lower.reshape(tested), axis=1, keepdims=True, initial=np.inf)
+    upper = np.nanmax(limits.upper.reshape(tested), axis=1, keepdims=True, initial=-np.inf)
+    alpha = _beyond(lower, upper, chance.uniform(0.0, 1.0, tested))
     known = np.flatnonzero(np.isfinite(alpha).all(axis=1) & np.isfinite(beta).all(axis=1))
     point = [v[known] for v in (alpha, beta, *plant)]
-    codes = table.verdicts(*(v.ravel() for v in np.broadcast_arrays(*point))).reshape(
-        -1, _TESTED[1]
-    )
+    codes = table.verdicts(*(v.ravel() for v in np.broadcast_arrays(*point))).reshape(-1, tested[1])
     named: dict[str, Any] = dict(zip(AXES, point, strict=True))
     exact = np.asarray(verdict(**named, **as_keywords(filters)))
     is_open = codes == Verdict.UNDECIDED

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxstab.atlas.file import PACKED, packed
-from jaxstab.atlas.spec import AtlasSpec, FieldSpec, FittedAxis
+from jaxstab.atlas.spec import AtlasSpec, FieldSpec
 from jaxstab.model import by_name
 from jaxstab.model.filters import Filters, as_keywords
 from jaxstab.motion import dominant_mode
@@ -99,7 +99,7 @@ def lay_out(spec: AtlasSpec) -> FieldGrid:
 
 
 def _wall_axes(own: FieldSpec, filters: Filters | None, delay: float) -> tuple[Floats, Floats]:
-    if not isinstance(own.alpha, FittedAxis) and not isinstance(own.beta, FittedAxis):
+    if not isinstance(own.alpha, int) and not isinstance(own.beta, int):
         return np.array(own.alpha), np.array(own.beta)
     gamma = np.array(own.gamma, float)
     highest, lowest_beta, highest_beta = _stable_box(
@@ -112,7 +112,7 @@ def _wall_axes(own: FieldSpec, filters: Filters | None, delay: float) -> tuple[F
 
 
 def _nodes_of(axis: Any, fitted: Any) -> Floats:
-    return np.asarray(fitted(axis.count) if isinstance(axis, FittedAxis) else axis, float)
+    return np.asarray(fitted(axis) if isinstance(axis, int) else axis, float)
 
 
 def _stable_box(

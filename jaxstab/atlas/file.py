@@ -30,13 +30,10 @@ from jaxstab.durable import PatientStream, named_errors, target_of
 
 FORMAT: Final = "jaxstab atlas"
 SCHEMA_VERSION: Final = 4
-LARGEST_ARRAY: Final = 2**31  # bytes that are read into memory at once
 FIELDS: Final = "fields"
 NODE: Final = ("alpha_node", "beta_node", "gamma", "delta", "delay")
 _PLANT_CELL = ("gamma_cell", "delta_cell", "delay_cell")
-_FORMAT_VERSIONS = ("v110", "v110")
 _LONGEST_LINE = 2**16  # bytes in a line of the specification
-_MOST_FILTERS = {h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_FLETCHER32}
 
 Array = NDArray[Any]
 Arrays = Mapping[str, Array]
@@ -229,7 +226,7 @@ def written(descriptor: int) -> Iterator[tuple[PatientStream, h5py.File]]:
     A long write calls ``PatientStream.check`` often.
     """
     stream = PatientStream(descriptor)
-    with h5py.File(stream, "w", libver=_FORMAT_VERSIONS) as file:
+    with h5py.File(stream, "w", libver=("v110", "v110")) as file:
         yield stream, file
     stream.check()
     os.ftruncate(descriptor, stream.size)
@@ -374,8 +371,6 @@ class Contents:
 
 
 TESTED: Final = ("tested_points", "tested_wrong", "tested_computed", "tested_undecided")
-_ORDERED = frozenset(variable.name for variable in (*_PLANTS, LIMITS[3]))
-_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _HINT = "build it again, or get a fresh copy"
 
 # What HDF5, h5py and their users raise at a file that is not as it should be.
@@ -388,12 +383,13 @@ def opened(path: Path) -> Iterator[h5py.File]:
 
     OSError: it is missing or unreadable.
     """
+    signature = b"\x89HDF\r\n\x1a\n"
     with ExitStack() as stack:
         with named_errors("read", path):
             target_of(path)  # which refuses folders, devices and pipes
             stream = stack.enter_context(path.open("rb", buffering=0))
-            start = stream.read(len(_SIGNATURE))
-        if start != _SIGNATURE:
+            start = stream.read(len(signature))
+        if start != signature:
             raise ValueError(f"{path} is no atlas of jaxstab: it is not HDF5.")
         try:
             file = stack.enter_context(h5py.File(stream, "r"))
@@ -449,14 +445,12 @@ def read_limits(path: Path) -> Contents:
     with opened(path) as file:
         arrays = read_all(file, LIMITS)
         lines = arrays.pop("spec")
-        counts = {name: int(file.attrs[name]) for name in TESTED}
-        own = {"created_by": text_of(file, "created_by"), "filters": text_of(file, "filters")}
         return Contents(
             arrays={name: arrays[name] for name in arrays if not _is_number(name)},
             spec="\n".join(line.decode("utf-8").rstrip() for line in lines.tolist()) + "\n",
-            created_by=own["created_by"],
-            filters=own["filters"],
-            tested=counts,
+            created_by=text_of(file, "created_by"),
+            filters=text_of(file, "filters"),
+            tested={name: int(file.attrs[name]) for name in TESTED},
             has_fields=FIELDS in file,
         )
 
@@ -496,6 +490,8 @@ def _with_cells(
 
 def checked_dataset(group: h5py.Group, variable: Variable) -> h5py.Dataset:
     """A dataset of the type and the storage of its variable, and of a size that memory holds."""
+    most_filters = {h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_FLETCHER32}
+    largest_array = 2**31  # bytes that are read into memory at once
     name = variable.name
     check(isinstance(group.get(name, getlink=True), h5py.HardLink), name)
     dataset = group[name]
@@ -503,15 +499,15 @@ def checked_dataset(group: h5py.Group, variable: Variable) -> h5py.Dataset:
     layout = dataset.id.get_create_plist()
     check(layout.get_layout() == h5py.h5d.CHUNKED and layout.get_external_count() == 0, name)
     filters = {layout.get_filter(index)[0] for index in range(layout.get_nfilters())}
-    allowed = _MOST_FILTERS if variable.is_packed else {h5py.h5z.FILTER_FLETCHER32}
+    allowed = most_filters if variable.is_packed else {h5py.h5z.FILTER_FLETCHER32}
     check(filters == allowed and len(dataset.shape) == len(variable.dimensions), name)
     is_text = variable.dtype == "S"
     kind = dataset.dtype.kind == "S" if is_text else dataset.dtype == np.dtype(variable.dtype)
     check(kind and dataset.dtype.itemsize <= _LONGEST_LINE and dataset.size > 0, name)
     size = dataset.size * dataset.dtype.itemsize
-    if size > LARGEST_ARRAY:
+    if size > largest_array:
         raise RefusalError(
-            f"{name} has {size} bytes, and at most {LARGEST_ARRAY} are read into memory; read "
+            f"{name} has {size} bytes, and at most {largest_array} are read into memory; read "
             "parts of it with h5py or xarray"
         )
     check(variable.is_packed or size <= dataset.id.get_storage_size(), name)
@@ -520,12 +516,13 @@ def checked_dataset(group: h5py.Group, variable: Variable) -> h5py.Dataset:
 
 def _checked_values(variable: Variable, values: Array) -> Array:
     """Return values, read-only, in the range of their variable."""
+    ordered = "gamma", "delta", "delay", "row", "alpha", "beta"
     if variable.dtype != "S":
         known = values[~np.isnan(values)] if variable.has_nan else values
         check(np.all((known >= variable.lowest) & (known <= variable.highest)), variable.name)
         if variable.has_nan and variable.dtype == "float64":
             check(not np.any(np.isinf(values)), variable.name)
-        if variable.name in _ORDERED or variable.name in ("alpha", "beta"):
+        if variable.name in ordered:
             steps = np.diff(values, axis=0)
             check(np.all(np.isfinite(values)) and np.all(steps > 0.0), variable.name)
         if variable.name == "row":

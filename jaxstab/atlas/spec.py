@@ -7,8 +7,8 @@ whole samples among their nodes, while fields take many nodes of alpha and beta.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
-from functools import partial, reduce
+from dataclasses import dataclass, fields, replace
+from functools import reduce
 from itertools import pairwise
 from os import PathLike
 from typing import Any, TypeAlias
@@ -93,36 +93,8 @@ def _inline(section: Section) -> str:
 
 Nodes: TypeAlias = ArrayLike | tuple[float, ...]
 
-LARGEST_DELAY = 100.0
-LARGEST_TABLE = 2**24  # nodes with limits
-LARGEST_FIELDS = 2**38  # nodes with fields
 LARGEST_SLICE = 2**22  # of these along alpha and beta
-LEAST_SPAN = 1e-300  # of alpha and beta: cells to it do not overflow
-LEAST_SHARE = 2.0**-24  # of the larger of its ends: rounding swallows no cell of a span
-FEWEST_FITTED = 8
-_SPACINGS: Mapping[str, Callable[..., Any]] = {"linear": np.linspace, "geometric": np.geomspace}
-_RANGE = ("start", "stop", "count", "spacing")
 _FITTED = ("alpha", "beta")
-
-
-@dataclass(frozen=True)
-class FittedAxis:
-    """An axis of alpha or beta that is fitted to the stable region of each delay.
-
-    Args:
-        count: number of nodes, >= 8.
-
-    Raises: see ``jaxstab.conventions``.
-
-    Example:
-        >>> jaxstab.FieldSpec(alpha=jaxstab.FittedAxis(64)).alpha
-        FittedAxis(count=64)
-    """
-
-    count: int
-
-    def __post_init__(self) -> None:
-        checked_count("fitted", self.count, FEWEST_FITTED, LARGEST_SLICE)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,7 +102,8 @@ class FieldSpec:
     """The nodes at which an atlas has fields, and how these are found.
 
     Args:
-        alpha: nodes, two or more, or a FittedAxis for each delay; so is beta.
+        alpha: nodes, two or more; or how many, at least 8, are fitted to the stable region of each
+            delay. So is beta.
         gamma, delta, delay: nodes, one or more; None for those of the limits. Each delay has its
             own nodes of fitted axes.
         where: which nodes have fields: "near" for corners of cells (in alpha and beta) with a
@@ -145,8 +118,8 @@ class FieldSpec:
         'near'
     """
 
-    alpha: Nodes | FittedAxis = field(default_factory=partial(FittedAxis, 128))
-    beta: Nodes | FittedAxis = field(default_factory=partial(FittedAxis, 112))
+    alpha: Nodes | int = 128
+    beta: Nodes | int = 112
     gamma: Nodes | None = None
     delta: Nodes | None = None
     delay: Nodes | None = None
@@ -156,7 +129,9 @@ class FieldSpec:
     def __post_init__(self) -> None:
         for name in AXES:
             value = getattr(self, name)
-            if value is not None and not (name in _FITTED and isinstance(value, FittedAxis)):
+            if name in _FITTED and isinstance(value, int):
+                checked_count(f"{name}.fitted", value, 8, LARGEST_SLICE)
+            elif value is not None:
                 object.__setattr__(self, name, _checked_nodes(name, value))
         checked_word("where", self.where, ("near", "all"))
         checked_word("method", self.method, ("fast", "companion"))
@@ -209,16 +184,17 @@ class AtlasSpec:
     position: Filter | None = None
 
     def __post_init__(self) -> None:
+        largest_table = 2**24  # nodes with limits
         for name in ("gamma", "delta", "delay"):
             object.__setattr__(self, name, _checked_nodes(name, getattr(self, name)))
         delays = np.array(self.delay)
         whole = np.arange(math.ceil(delays[0]), math.floor(delays[-1]) + 1.0)
         object.__setattr__(self, "delay", tuple(np.union1d(delays, whole).tolist()))
-        checked_count("rows", self.rows, 2, LARGEST_TABLE)
+        checked_count("rows", self.rows, 2, largest_table)
         size = self.rows * math.prod(axis.size for axis in self.nodes)
-        if size > LARGEST_TABLE:
+        if size > largest_table:
             raise ValueError(
-                f"the limits have {size} nodes; at most {LARGEST_TABLE} are allowed, so give fewer."
+                f"the limits have {size} nodes; at most {largest_table} are allowed, so give fewer."
             )
         for name, value in as_keywords(known_filters(self.velocity, self.position)).items():
             object.__setattr__(self, name, _as_written(name, value))
@@ -292,8 +268,9 @@ _MADE: Mapping[str, Callable[[Any], Any]] = {
 
 def check_size(counts: Sequence[int]) -> None:
     """Raise ValueError for more nodes along the axes of fields than an atlas may have."""
+    largest_fields = 2**38  # nodes with fields
     for axes, size, most in (
-        ("axes", math.prod(counts), LARGEST_FIELDS),
+        ("axes", math.prod(counts), largest_fields),
         ("axes alpha and beta", math.prod(counts[:2]), LARGEST_SLICE),
     ):
         if size > most:
@@ -303,12 +280,12 @@ def check_size(counts: Sequence[int]) -> None:
 
 
 def _count(axis: Any) -> int:
-    return axis.count if isinstance(axis, FittedAxis) else len(axis)
+    return axis if isinstance(axis, int) else len(axis)
 
 
 def _entries(holder: Any, names: Sequence[str]) -> list[str]:
     values = {name: getattr(holder, name) for name in names}
-    return [f"{name} = {_toml(value)}" for name, value in values.items() if value is not None]
+    return [f"{name} = {_toml(name, value)}" for name, value in values.items() if value is not None]
 
 
 def _as_written(name: str, value: Velocity | Filter | None) -> Velocity | Filter | None:
@@ -319,15 +296,16 @@ def _as_written(name: str, value: Velocity | Filter | None) -> Velocity | Filter
 
 
 def _axis_of(name: str, entry: Any) -> Any:
+    even = ("start", "stop", "count", "spacing")
     if not isinstance(entry, Mapping):
         return entry
     is_fitted = name in _FITTED
-    check_keys(name, entry, ["values", *_RANGE, *(("fitted",) if is_fitted else ())])
+    check_keys(name, entry, ["values", *even, *(("fitted",) if is_fitted else ())])
     if set(entry) == {"fitted"}:
-        return FittedAxis(entry["fitted"])
+        return entry["fitted"]
     if set(entry) == {"values"}:
         return entry["values"]
-    if set(entry) | {"spacing"} != set(_RANGE):
+    if set(entry) | {"spacing"} != set(even):
         raise ValueError(
             f"axis {name} has {', '.join(entry) or 'nothing'}; give either values, or start, stop "
             f"and count{', or fitted' if is_fitted else ''}."
@@ -336,22 +314,23 @@ def _axis_of(name: str, entry: Any) -> Any:
 
 
 def _spaced(name: str, start: Any, stop: Any, count: Any, spacing: Any = "linear") -> list[float]:
+    spacings: Mapping[str, Callable[..., Any]] = {"linear": np.linspace, "geometric": np.geomspace}
     checked_count(f"count of {name}", count, 2, LARGEST_SLICE)
     ends = [checked_number(f"{end} of {name}", v) for end, v in (("start", start), ("stop", stop))]
-    checked_word(f"spacing of {name}", spacing, _SPACINGS)
+    checked_word(f"spacing of {name}", spacing, spacings)
     if spacing == "geometric" and min(ends) <= 0.0:
         raise ValueError(f"axis {name} is geometric from {ends[0]} to {ends[1]}; give ends > 0.")
-    nodes: list[float] = _SPACINGS[spacing](*ends, count).tolist()
+    nodes: list[float] = spacings[spacing](*ends, count).tolist()
     return nodes
 
 
 def _checked_nodes(name: str, values: Any) -> tuple[float, ...]:
-    if isinstance(values, str | Mapping | FittedAxis) or not isinstance(
-        values, Sequence | np.ndarray
-    ):
+    least_share = 2.0**-24  # of the larger of its ends: rounding swallows no cell of a span
+    least_span = 1e-300  # of alpha and beta: cells to it do not overflow
+    if isinstance(values, str | Mapping) or not isinstance(values, Sequence | np.ndarray):
         raise TypeError(f"axis {name} is {values!r}; give a list of numbers.")
     limits = {"alpha": (-math.inf, math.inf), "beta": (-math.inf, math.inf)}
-    lower, upper = limits.get(name, (0.0, LARGEST_DELAY if name == "delay" else math.inf))
+    lower, upper = limits.get(name, (0.0, 100.0 if name == "delay" else math.inf))
     nodes = tuple(checked_number(f"axis {name}", value, lower, upper) for value in values)
     if len(nodes) < (2 if name in limits else 1):
         fewest = "two" if name in limits else "one"
@@ -361,7 +340,7 @@ def _checked_nodes(name: str, values: Any) -> tuple[float, ...]:
             raise ValueError(
                 f"axis {name} has {following} after {node}; give ascending values, each once."
             )
-    least = max(LEAST_SPAN, LEAST_SHARE * max(abs(nodes[0]), abs(nodes[-1])))
+    least = max(least_span, least_share * max(abs(nodes[0]), abs(nodes[-1])))
     if name in limits and nodes[-1] - nodes[0] < least:
         raise ValueError(
             f"axis {name} is {nodes[-1] - nodes[0]} long; make it {least:g} long at least."
@@ -369,10 +348,10 @@ def _checked_nodes(name: str, values: Any) -> tuple[float, ...]:
     return nodes
 
 
-def _toml(value: Any) -> str:
+def _toml(name: str, value: Any) -> str:
     line_length = 90
-    if isinstance(value, FittedAxis):
-        return f"{{ fitted = {value.count} }}"
+    if name in _FITTED and isinstance(value, int):
+        return f"{{ fitted = {value} }}"
     if isinstance(value, Velocity | Filter):
         return toml_of(value)
     if isinstance(value, str):

@@ -16,6 +16,7 @@ computed by whoever asks (``atlas.query``).
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from functools import cached_property
 from itertools import product
 from typing import Any, Final, NamedTuple
@@ -30,8 +31,6 @@ CLEAR: Final = 4.0
 interpolated limit was wrong by 2.2 times that at most, and by 1.3 times or less at 99.9 %."""
 
 PLANT: Final = ("gamma", "delta", "delay")
-
-_OF_CELLS = ("alpha_error", "beta_error", "beyond")
 
 Array = NDArray[np.float64]
 Errors = NDArray[np.float32]
@@ -71,6 +70,7 @@ class _Place(NamedTuple):
     is_inside: NDArray[np.bool_]
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
 class LimitTable:
     """Limits at nodes with the errors of cells, and what they say of points.
 
@@ -84,28 +84,20 @@ class LimitTable:
         beyond: the same shape without the ends; 1 where no wall beyond the ends of beta is stable.
     """
 
-    def __init__(
-        self,
-        *,
-        row: Array,
-        gamma: Array,
-        delta: Array,
-        delay: Array,
-        alpha_limits: Array,
-        beta_limits: Array,
-        alpha_error: Errors,
-        beta_error: Errors,
-        beyond: Codes,
-    ) -> None:
-        self.row, self.gamma, self.delta, self.delay = row, gamma, delta, delay
-        self.alpha_limits, self.beta_limits = alpha_limits, beta_limits
-        self.alpha_error, self.beta_error, self.beyond = alpha_error, beta_error, beyond
+    row: Array
+    gamma: Array
+    delta: Array
+    delay: Array
+    alpha_limits: Array
+    beta_limits: Array
+    alpha_error: Errors
+    beta_error: Errors
+    beyond: Codes
 
     @property
     def arrays(self) -> dict[str, NDArray[Any]]:
         """The arrays by name, as a file has them."""
-        names = ("row", *PLANT, "alpha_limits", "beta_limits", *_OF_CELLS)
-        return {name: getattr(self, name) for name in names}
+        return {entry.name: getattr(self, entry.name) for entry in fields(self)}
 
     @property
     def axes(self) -> tuple[Array, Array, Array]:

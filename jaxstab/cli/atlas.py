@@ -1,18 +1,32 @@
-"""The commands that specify, build, describe and verify atlases."""
+"""The commands that specify, build, describe, verify, ask and draw atlases."""
 
+import json
+import math
 import shlex
 import sys
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 import jaxstab
-from jaxstab.cli.options import at_work, executor_of, executor_options, file_option, keep_programs
+from jaxstab.cli.options import (
+    at_work,
+    executor_of,
+    executor_options,
+    file_in,
+    file_option,
+    keep_programs,
+    print_with_csv,
+    together,
+)
 from jaxstab.cli.scene import SceneCommand, scene_of, warn
+from jaxstab.conventions import AXES, Verdict
+from jaxstab.tables import columns_of
 
 if TYPE_CHECKING:
-    from jaxstab.atlas import Atlas
+    from jaxstab.atlas import Atlas, AtlasAnswer
 
 
 @click.command()
@@ -105,3 +119,197 @@ def _example(opened: "Atlas") -> dict[str, float]:
         else dict.fromkeys(("alpha", "beta"), 0.1)
     )
     return wall | plant
+
+
+# The commands that ask an atlas and draw it.
+
+_ANSWER = "verdict", "status"
+
+
+@click.command()
+@click.argument("file", type=Path)
+@together(*(click.option(f"--{name}", type=float) for name in AXES))
+@click.option(
+    "--csv", "table", type=Path, help="CSV file of points ('-': stdin), columns in any order."
+)
+@click.option("--format", "form", type=click.Choice(["csv", "json"]), default="csv")
+@click.option(
+    "--scene",
+    "scene_file",
+    type=Path,
+    help="Ask about the walls of a scene in SI units, at each corner of its ranges.",
+)
+@click.option("--stiffness", type=float, help="K of a wall in place of the scene's, in N/m.")
+@click.option("--damping", type=float, help="B of a wall in place of the scene's, in N s/m.")
+def query(
+    file: Path,
+    table: Path | None,
+    form: str,
+    scene_file: Path | None,
+    stiffness: float | None,
+    damping: float | None,
+    **point: float | None,
+) -> int:
+    """Ask an atlas about a point, about the points of a CSV file, or about a scene's walls.
+
+    Where the table of the atlas is not clear, and outside of it, the verdict is computed. An option
+    such as --gamma gives the value of a column that the CSV file does not have.
+
+    The rows for a scene are of its walls with the hands, masses and delays at the corners of its
+    ranges; of those between nothing is said. The exit code is 0 if every verdict is stable, 1 if
+    not.
+    """
+    given = {name: value for name, value in point.items() if value is not None}
+    wall = {"stiffness": stiffness, "damping": damping}
+    if scene_file is not None:
+        for name, value in (given | {"csv": table}).items():
+            if value is not None:
+                raise click.UsageError(
+                    f"--{name} is given beside --scene, which has it; give one of them."
+                )
+        opened = jaxstab.open_atlas(file)
+        stated, rows = _asked_of_scene(opened, scene_file, wall)
+        _write(rows, list(rows[0]), form, stated)
+        return 0 if all(row["verdict"] == "stable" for row in rows) else 1
+    for name, value in wall.items():
+        if value is not None:
+            raise ValueError(f"{name} is {value:g} without a scene; give --scene FILE.")
+    if table:
+        points = _points_in(table, given)
+    else:
+        _check_complete(given, "give it as an option, or points with --csv")
+        points = {name: [given[name]] for name in AXES}
+    opened = jaxstab.open_atlas(file)
+    answer = opened.query(**points)
+    stated = {"inputs": _made_of(opened), "units": dict.fromkeys(AXES, "1")}
+    _write(_answered(points, answer), [*AXES, *_ANSWER], form, stated)
+    return 0 if (answer.verdict == Verdict.STABLE).all() else 1
+
+
+@click.command()
+@click.argument("file", type=Path)
+@file_option("-o", "--output", check=file_in(".png"), required=True, help="PNG file to write.")
+@click.option("--gamma", type=float, help="Physical stiffness; default: the smallest.")
+@click.option("--delta", type=float, help="Physical damping; default: the smallest.")
+@click.option(
+    "--delay", type=float, multiple=True, help="May be repeated; default: some whole ones."
+)
+def plot(
+    file: Path, output: Path, gamma: float | None, delta: float | None, delay: tuple[float, ...]
+) -> None:
+    """Draw verdicts and fields in the (alpha, beta) plane."""
+    from jaxstab.durable import publish
+    from jaxstab.pictures.atlas import draw_atlas
+
+    png = draw_atlas(jaxstab.open_atlas(file), gamma, delta, delay)
+    publish(png, output)
+    click.echo(output)
+
+
+def _points_in(table: Path, given: dict[str, float]) -> dict[str, list[float]]:
+    """Return the points of a CSV file, with an option's value for a column that it lacks."""
+    columns = columns_of(table, (), AXES)
+    both = sorted(columns.keys() & given.keys())
+    if both:
+        raise ValueError(f"{both[0]} is a column of the file and an option; give one of them.")
+    _check_complete(columns.keys() | given.keys(), "give it as a column of the file, or an option")
+    count = max(map(len, columns.values()), default=1)
+    return {name: columns[name] if name in columns else [given[name]] * count for name in AXES}
+
+
+def _check_complete(names: Iterable[str], remedy: str) -> None:
+    missing = [name for name in AXES if name not in names]
+    if missing:
+        raise ValueError(f"{missing[0]} is missing; {remedy}.")
+
+
+def _answered(
+    points: dict[str, list[float]], answer: "AtlasAnswer"
+) -> Iterator[dict[str, float | str]]:
+    """Yield a row of words and numbers for each point."""
+    columns = (*points.values(), *(getattr(answer, name).tolist() for name in _ANSWER))
+    for *numbers, verdict, status in zip(*columns, strict=True):
+        yield dict(zip(AXES, numbers, strict=True)) | _words(verdict, status)
+
+
+def _words(verdict: int, status: int) -> dict[str, float | str]:
+    from jaxstab.atlas import QueryStatus
+
+    return {
+        "verdict": Verdict(verdict).name.lower(),
+        "status": QueryStatus(status).name.lower(),
+    }
+
+
+def _asked_of_scene(
+    opened: "Atlas", scene_file: Path, wall: dict[str, float | None]
+) -> tuple[dict[str, Any], list[dict[str, float | str]]]:
+    """Return inputs and units, and a row for each wall at each corner of the ranges of a scene."""
+    from jaxstab.loop import Gains
+    from jaxstab.scene import Scene
+    from jaxstab.scene.answers import Inputs, basis_of
+    from jaxstab.scene.atlas import ask_atlas
+    from jaxstab.scene.loops import walls_of
+
+    scene = Scene.from_file(scene_file)
+    given = {name: value for name, value in wall.items() if value is not None}
+    if not given:
+        scene.require_walls()
+    elif len(given) == 1:
+        ((name, value),) = given.items()
+        other = "damping" if name == "stiffness" else "stiffness"
+        raise click.UsageError(f"--{name} is {value:g} alone; give --{other}, too.")
+    walls = {"": Gains(**given)} if given else walls_of(scene)
+    si, moved = scene.units, scene.units.moved
+    units = {
+        "stiffness": si.stiffness,
+        "damping": si.damping,
+        moved: si.kilogram,
+        f"hand_{moved}": si.kilogram,
+        "hand_stiffness": si.stiffness,
+        "hand_damping": si.damping,
+        "delay": "s",
+    }
+    rows = []
+    for entry in ask_atlas(scene, opened, walls):
+        mass, hand, delay = entry.member
+        numbers = [*entry.gains, mass, hand.mass, hand.stiffness, hand.damping, delay]
+        answer = (getattr(entry.answer, name).item() for name in _ANSWER)
+        where: dict[str, float | str] = {"wall": entry.name}
+        rows.append(where | dict(zip(units, numbers, strict=True)) | _words(*answer))
+    stated = Inputs(basis_of(scene)).as_json()
+    stated["inputs"] |= {"created_by": opened.created_by}
+    stated["units"] |= units
+    return stated, rows
+
+
+def _made_of(opened: "Atlas") -> dict[str, str]:
+    from jaxstab.model import Filter
+
+    velocity, _, position = opened.filters_in_words.partition("; position: ")
+    filters = {"velocity": velocity.removeprefix("velocity: "), "position": position}
+    if position == str(Filter()):
+        del filters["position"]
+    return filters | {"created_by": opened.created_by}
+
+
+def _write(
+    rows: Iterable[dict[str, float | str]], header: list[str], form: str, stated: dict[str, Any]
+) -> None:
+    every = [{name: row[name] for name in header} for row in rows]
+    if form == "csv":
+        print_with_csv("", [header, *(row.values() for row in every)], Path("-"))
+    else:
+        units = stated["units"]
+        stated["units"] = {
+            name: units[name] for name in units if name in {*stated["inputs"], *header}
+        }
+        click.echo(json.dumps(stated | {"points": [_finite(row) for row in every]}, indent=1))
+
+
+def _finite(row: dict[str, float | str]) -> dict[str, float | str | None]:
+    """Return a row for JSON, which has no NaN and no infinity."""
+    return {
+        name: None if isinstance(value, float) and not math.isfinite(value) else value
+        for name, value in row.items()
+    }

@@ -45,16 +45,15 @@ def identify(
     record one.
     """
     from jaxstab.durable import publish
-    from jaxstab.scene.identified import identified_scene, identified_text
+    from jaxstab.scene.identify import identified_scene, identified_text, read_log
     from jaxstab.scene.identify import identify as fit
-    from jaxstab.scene.log import read_log
     from jaxstab.scene.scene import Scene, Units
     from jaxstab.tables import parsed
 
     keep_programs()
     names = {name: columns[name] or name for name in _NAMES}
     given = read_log(str(log), names, sample_time, columns["velocity"] is not None)
-    device = fit(**vars(given), spring=spring)
+    device = fit(**given, spring=spring)
     units = Units.ROTATION if turns else Units.LINE
     scene = identified_scene(device, units, log.name)
     warn(*filter(None, [device.warning]), *Scene.from_table(parsed(scene)).unusual())

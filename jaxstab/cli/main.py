@@ -16,10 +16,9 @@ from typing import Any, NoReturn
 import click
 
 import jaxstab
-from jaxstab.cli.atlas import build, info, spec, verify
+from jaxstab.cli.atlas import build, info, plot, query, spec, verify
 from jaxstab.cli.identify import identify
 from jaxstab.cli.interrupt import prompt_interrupts
-from jaxstab.cli.query import plot, query
 from jaxstab.cli.region import figure, region
 from jaxstab.cli.scene import (
     check,

@@ -1,20 +1,27 @@
 """The command for studies: many devices, people and controllers as one table."""
 
+from collections.abc import Iterator, Sequence
+from math import inf, nan, prod
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from jaxstab.cli.options import (
     computing,
+    draw,
     executor_options,
     file_in,
     file_option,
     keep_programs,
     plot_option,
+    print_with_csv,
 )
 from jaxstab.cli.scene import SceneCommand, mechanics_options, tables_of
-from jaxstab.shown import shortened
+from jaxstab.shown import printable, shortened, table_text
+
+if TYPE_CHECKING:
+    from xarray import Dataset
 
 
 def _part(_: click.Context, option: click.Parameter, text: str | None) -> tuple[int, int]:
@@ -91,7 +98,6 @@ def study(
 
     Lists of values span a grid, distributions are drawn at each of its points.
     """
-    from jaxstab.cli.study_report import report, require_few
     from jaxstab.scene.labelled import require_free, write
     from jaxstab.scene.study import merged, plan_study
 
@@ -105,18 +111,94 @@ def study(
         require_free(output)
     if merge:
         table = merged(given["files"])
-        require_few(table.sizes, csv_file)
     else:
         ((_, scene),) = tables_of(given).items()
         keep_programs()
         planned = plan_study(
             scene, over, answers=given["answers"], samples=samples, seed=seed, part=part
         )
-        require_few(planned.table.sizes, csv_file)
+        table = planned.table
+    rows, most = prod(table.sizes.values()), 1_048_575  # in a spreadsheet, with one of names
+    if csv_file and rows > most:
+        raise click.UsageError(
+            f"the CSV file would have {rows:,} rows; give --output in place of --csv for more than "
+            f"{most:,}."
+        )
+    if not merge:
         for note in planned.notes:
             click.echo(f"jaxstab: {note}", err=True)
         with computing(given):
             table = planned.compute()
     if output is not None:
         write(table, output)
-    report(table, csv_file, plot)
+    cells = _cells(table) if csv_file else ()
+    print_with_csv(_report(table, is_small=rows <= most), cells, csv_file)
+    if plot:
+        from jaxstab.pictures.study import study_figure
+
+        draw(study_figure(table), plot)
+
+
+# What is printed: the table of a grid; quantiles of draws, and shares of stable walls.
+
+
+def _report(table: "Dataset", *, is_small: bool) -> str:
+    from jaxstab.conventions import Verdict
+    from jaxstab.scene.study import quantiles, shares
+
+    if "sample" not in table.dims:
+        words = [_text(table.drop_vars(["wall_stiffness", "wall_damping"], errors="ignore"))]
+        for wall in table.wall.values if "verdict" in table else ():
+            codes = table.verdict.sel(wall=wall)
+            stable, undecided = (codes == Verdict.STABLE).sum(), (codes == Verdict.UNDECIDED).sum()
+            counts = f"{stable.item():,} of {codes.size:,} loops, {undecided.item():,} undecided"
+            words.append(f"{wall}: stable for {counts}")
+        return "\n".join(words if is_small else words[1:])
+    words, draws = [], f"{table.sizes['sample']:,} draws"
+    if "largest_stiffness" in table:
+        found = quantiles(table)
+        found = found if found.ndim > 1 else found.expand_dims(of=[draws])
+        named = {0.05: "5th percentile", 0.5: "median", 0.95: "95th percentile"}
+        words.append(f"largest stiffness in {found.units}, of {draws}:")
+        words.append(_text(found.to_dataset("quantile").rename(named)))
+    if "verdict" in table:
+        found = shares(table)
+        found = found.drop_vars(["wall_stiffness", "wall_damping"])
+        percent = 100.0 * found[["share", "low", "high"]]
+        words.append(f"% of {draws}, and the interval of 95 % confidence; each verdict is proved:")
+        words.append(_text(percent.rename(share="stable").assign(undecided=found.undecided)))
+    return "\n".join(words)
+
+
+def _frame(table: "Dataset") -> Any:
+    """Return what varies and the answers, a row for each loop and wall, codes as words."""
+    import numpy as np
+
+    from jaxstab.scene.study import lists_of
+
+    words = {}
+    for name, values in table.data_vars.items():
+        if "flag_values" in values.attrs:
+            meanings = np.array(values.attrs["flag_meanings"].split())
+            words[name] = values.copy(data=meanings[np.searchsorted(values.flag_values, values)])
+    order = [name for name in (*lists_of(table), "sample", "wall") if name in table.dims]
+    frame = table.assign(words).to_dataframe(dim_order=order).reset_index()
+    return frame[[*order, *(name for name in table.coords if name not in order), *table.data_vars]]
+
+
+def _text(table: "Dataset") -> str:
+    """Return the first rows of a table in columns, with units."""
+    frame, most = _frame(table), 40
+    units = {name: table[name].attrs.get("units", "1") for name in frame}
+    heads = [f"{name} ({unit})" if unit != "1" else name for name, unit in units.items()]
+    rows = frame.head(most).map(lambda x: printable(x) if isinstance(x, str) else f"{x:.6g}")
+    text = table_text([[head.replace("_", " ") for head in heads], *rows.values.tolist()])
+    more = len(frame) - most
+    return f"{text}\n... and {more:,} more rows; write them with --csv or -o" if more > 0 else text
+
+
+def _cells(table: "Dataset") -> Iterator[Sequence[Any]]:
+    """Yield the rows of a CSV file, names first; a cell is empty for NaN and infinite numbers."""
+    frame = _frame(table).replace([-inf, inf, nan], None)
+    yield [*frame]
+    yield from frame.itertuples(index=False)

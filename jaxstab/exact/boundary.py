@@ -22,6 +22,7 @@ from jaxtyping import Bool, Complex128, Float64
 from jaxstab.exact.line import StableLine, real_quotient_angles, stable_pencil
 from jaxstab.exact.verdict import roots_outside
 from jaxstab.model import LoopParameters
+from jaxstab.model.affine import AffineParts, affine_triple
 from jaxstab.model.balls import BallLoop, Factored, Triple, ball_loop
 from jaxstab.model.device.parts import FIRST_BITS, MOST_BITS, decided, working_precision
 
@@ -34,7 +35,7 @@ Angles = Float64[np.ndarray, " _"]
 class ScaledLoop(NamedTuple):
     """A loop, the units of K and B in SI units, and the radius of the circle."""
 
-    loop: LoopParameters
+    loop: LoopParameters | AffineParts
     units: tuple[float, float]
     radius: float = 1.0
 
@@ -54,7 +55,12 @@ class ScaledLoop(NamedTuple):
 @lru_cache(maxsize=64)
 def _scaled(question: ScaledLoop, bits: int) -> tuple[BallLoop, Triple]:
     del bits  # the precision is set: here it only tells balls apart
-    own = ball_loop(question.loop).scaled(question.units, question.radius)
+    loop = question.loop
+    if isinstance(loop, LoopParameters):
+        own = ball_loop(loop)
+    else:
+        own = BallLoop.from_triple(affine_triple(loop))
+    own = own.scaled(question.units, question.radius)
     return own, own.triple
 
 
@@ -67,21 +73,21 @@ _NEAR = 1e-9  # of its size: an imaginary part that may be 0
 
 
 class CurveParts(NamedTuple):
-    """The parts of p = base + N (alpha A + beta B) in float64, for z = zeta and for z = -zeta.
+    """The parts of p = base + N (alpha A + beta B) in float64.
 
     A and B are what estimator and filter make of the wall.
 
     Attributes:
         triple: base, stiffness and damping, p(z) monic, the highest power first.
-        straight: coefficients of base, N, A and B in powers of zeta, the lowest first.
-        shifted: the same in powers of zeta - 1.
+        straight: coefficients of base, N, A and B in powers of z, the lowest first.
+        shifted: the same in powers of zeta - 1, for z = zeta and for z = -zeta.
         ends: the parts of p(1) and of (-1)^n p(-1).
         zeros, roots: of the plant's numerator and of its denominator.
         poles: the angles where V is real.
     """
 
     triple: Float64[np.ndarray, "3 power"]
-    straight: Float64[np.ndarray, "half part power"]
+    straight: Float64[np.ndarray, "part power"]
     shifted: Float64[np.ndarray, "half part power"]
     ends: Float64[np.ndarray, "half part"]
     zeros: Complex128[np.ndarray, " root"]
@@ -98,7 +104,6 @@ def curve_parts(loop: ScaledLoop) -> CurveParts:
         triple = [_floats((part.polynomial() * unit).coeffs(), degree) for part in parts]
         length = max(part.degree for part in factors)
         whole = [_floats(part.polynomial().coeffs(), length) for part in factors]
-        signs = (-1.0) ** np.arange(length + 1.0)
         shifted = [
             [_floats(part.around(place).coeffs(), length) for part in factors] for place in (1, -1)
         ]
@@ -108,9 +113,8 @@ def curve_parts(loop: ScaledLoop) -> CurveParts:
         ]
         roots = _roots(own.numerator), _roots(own.denominator)
         poles = np.array([float(angle.mid()) for angle in _poles(loop, FIRST_BITS)])
-    straight = np.array([whole, np.array(whole) * signs])
     falling = np.array(triple)[:, ::-1]
-    return CurveParts(falling, straight, np.array(shifted), np.array(ends), *roots, poles)
+    return CurveParts(falling, np.array(whole), np.array(shifted), np.array(ends), *roots, poles)
 
 
 def _enough_bits(loop: ScaledLoop) -> AbstractContextManager[None]:
@@ -279,7 +283,7 @@ def root_lines(loop: ScaledLoop, parts: CurveParts) -> list[RootLine]:
         if ends:
             line = stable_pencil(partial(_divided, loop, kept))
             start, along = (np.array([float(arb.mid()) for arb in pair]) for pair in ends)
-            turn = decided(partial(_turn, loop, kept))
+            turn = decided(partial(_turn, loop, kept)) if 0.0 < angle < np.pi else nan
             lines.append(RootLine(angle, start + 0.0, along, line, nan if turn is None else turn))
     return lines
 

@@ -403,10 +403,10 @@ def _between(crossings: list[Crossing]) -> "list[arb] | None":
     from flint import arb
 
     if not crossings:
-        return [arb(0)]
+        return [arb(_SHARE)]
     first, last = crossings[0].t.lower(), crossings[-1].t.upper()
-    reach = max(last - first, abs(first), abs(last), key=float)
-    reach = reach if reach > 0 else arb(1)
+    reach = max(last - first, abs(first), abs(last), key=float) * (1 + _SHARE)
+    reach = reach if reach > 0 else arb(1 + _SHARE)
     walls = [first - reach]
     for low, high in pairwise(crossing.t for crossing in crossings):
         walls.append((low.upper() + (high.lower() - low.upper()) * _SHARE).mid())
@@ -447,5 +447,9 @@ def _chain(
 
 
 def _outside(line: Callable[[], _Line | None], t: "arb") -> int | None:
+    """The number of roots outside; None also where the leading coefficient is 0 by accident."""
     own = line()
-    return None if own is None else roots_outside(own.at(t))
+    if own is None:
+        return None
+    p = own.at(t)
+    return roots_outside(p) if p.degree() == max(own.p0.degree, own.q.degree) else None

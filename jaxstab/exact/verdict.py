@@ -32,7 +32,7 @@ from jaxstab.exact.balls import TripleAt
 from jaxstab.model.device.parts import decided
 
 if TYPE_CHECKING:
-    from flint import arb, arb_poly
+    from flint import arb, arb_poly, fmpq_poly
 
 
 class VerdictStatus(Status):
@@ -82,6 +82,20 @@ def wall_verdict(
 
     answer = decided(judged)
     return answer or WallVerdict(Verdict.UNDECIDED, VerdictStatus.UNDECIDED)
+
+
+def rational_verdict(p: "fmpq_poly") -> Verdict:
+    """Whether all roots of a polynomial of exact numbers are inside: always decided.
+
+    The first |k| >= 1 says that the roots of that p' have a product of 1 or more.
+    """
+    rising = p.coeffs()
+    while len(rising) > 1:
+        k = rising[0] / rising[-1]
+        if abs(k) >= 1:
+            return Verdict.UNSTABLE
+        rising = [a - k * b for a, b in zip(rising[1:], rising[-2::-1], strict=True)]
+    return Verdict.STABLE
 
 
 def roots_outside(p: "arb_poly", most: int | None = None) -> int | None:

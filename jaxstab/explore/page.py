@@ -25,7 +25,6 @@ SCRIPTS = (
 )
 """The page's scripts, in their order; those of the first line need no page."""
 
-_HALF = 0.5
 _LONGEST_DELAY = 200.0  # samples
 
 
@@ -149,7 +148,7 @@ def _cursor(scene: Scene) -> tuple[float, float]:
     limits = wall_region(loop_of(scene.at_longest_delay)).limits()
     if not isfinite(limits.stiffness):  # no wall is stable
         return 0.0, 0.0
-    return _rounded(_HALF * limits.stiffness), _rounded(limits.at_damping)
+    return _rounded(0.5 * limits.stiffness), _rounded(limits.at_damping)
 
 
 def _rounded(gain: float) -> float:

@@ -175,9 +175,10 @@ def build_guard(
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
         >>> hands, mass, delay = jaxstab.HandRange(), (0.24, 0.26), (1e-3, 1.1e-3)
-        >>> guard = jaxstab.build_guard(loop, hands, mass=mass, delay=delay, cells=(1, 1, 4))
-        >>> print(f"{guard.largest_stiffness(10.0, mass=0.25):.0f} N/m")
-        4575 N/m
+        >>> ranges = {"mass": mass, "delay": delay, "cells": (1, 1, 4)}
+        >>> guard = jaxstab.build_guard(loop, hands, **ranges, constant_delay=True)
+        >>> print(f"{guard.largest_stiffness(10.0, mass=0.25, delay=1e-3):.0f} N/m")
+        4846 N/m
     """
     lost = checked_count("lost", lost, 0)
     cells = cells or (CONSTANT_CELLS if constant_delay else CELLS)

@@ -99,9 +99,10 @@ class Guard:
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
         >>> hands, mass, delay = jaxstab.HandRange(), (0.24, 0.26), (1e-3, 1.1e-3)
-        >>> guard = jaxstab.build_guard(loop, hands, mass=mass, delay=delay, cells=(1, 1, 4))
-        >>> guard.largest_stiffness([0.0, 20.0], mass=0.25).round().tolist()
-        [0.0, 9149.0]
+        >>> ranges = {"mass": mass, "delay": delay, "cells": (1, 1, 4)}
+        >>> guard = jaxstab.build_guard(loop, hands, **ranges, constant_delay=True)
+        >>> guard.largest_stiffness([0.0, 20.0], mass=0.25, delay=1e-3).round().tolist()
+        [0.0, 9692.0]
         >>> place = {"mass": np.array([0.25]), "delay": np.array([1e-3])}
         >>> print(f"{guard.exact_stiffness(np.full((1, 1, 1), 20.0), **place).item():.3g} N/m")
         1.14e+04 N/m

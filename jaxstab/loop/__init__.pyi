@@ -1,3 +1,12 @@
+from .affine import Gain as Gain
+from .affine import GainLimit as GainLimit
+from .affine import GainLimits as GainLimits
+from .affine import GainRegion as GainRegion
+from .affine import Loop as Loop
+from .affine import admittance as admittance
+from .affine import coupling as coupling
+from .affine import pid as pid
+from .affine import simulated_pd as simulated_pd
 from .contact import Contact as Contact
 from .contact import ContactKind as ContactKind
 from .contact import contact_map as contact_map

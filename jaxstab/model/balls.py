@@ -236,6 +236,27 @@ class BallLoop(NamedTuple):
     velocity: tuple[Factored, Factored]
     yielding: float | None = None
 
+    @classmethod
+    def from_plant(
+        cls, plant: tuple[Factored, Factored, int], period: float, filters: Filters
+    ) -> "BallLoop":
+        """A plant behind an estimator and a filter."""
+        from flint import arb_poly
+
+        velocity, position = (filter_in_balls(x, period) for x in (filters[0].filter, filters[1]))
+        above, below = velocity
+        difference = Factored(arb_poly([1]), at_one=1).scaled(1 / exact(period))
+        late = Factored(arb_poly([1]), power=1)
+        return cls(*plant, position, (difference.times(above), late.times(below)))
+
+    @classmethod
+    def from_triple(cls, triple: Triple) -> "BallLoop":
+        """A loop of which only the parts of p(z) are known."""
+        from flint import arb_poly
+
+        one = Factored(arb_poly([1]))
+        return cls(one, triple.base, 0, (triple.stiffness, one), (triple.damping, one))
+
     def scaled(self, units: tuple[float, float], radius: float) -> "BallLoop":
         """The loop of K and B in these units, around a circle of this radius."""
         from flint import arb
@@ -309,26 +330,9 @@ def _parts(loop: "LoopParameters", bits: int) -> tuple[BallLoop, Triple]:
 
 
 def _ball_loop(device: Device, period: float, delay: float, filters: Filters) -> BallLoop:
-    from flint import arb_poly
-
-    whole, fraction = divmod(delay, 1.0)
-    numerator, denominator = _plant(device, period, fraction)
-    velocity, position = (_sections(x, period) for x in (filters[0].filter, filters[1]))
-    above, below = _filter(velocity)
-    difference = Factored(arb_poly([1]), at_one=1).scaled(1 / exact(period))
-    late = Factored(arb_poly([1]), power=1)
-    return BallLoop(
-        numerator,
-        denominator,
-        int(whole) + (fraction > 0.0),
-        position=_filter(position),
-        velocity=(difference.times(above), late.times(below)),
-        yielding=_yielding(device, position),
-    )
-
-
-def _sections(chain: Filter, period: float) -> tuple[Section, ...]:
-    return chain.per_sample(period).sections
+    own = BallLoop.from_plant(plant_in_balls(device, period, delay), period, filters)
+    position = filters[1].per_sample(period).sections
+    return own._replace(yielding=_yielding(device, position))
 
 
 def _yielding(device: Device, position: tuple[Section, ...]) -> float | None:
@@ -347,10 +351,11 @@ def _yielding(device: Device, position: tuple[Section, ...]) -> float | None:
     return float(number)
 
 
-def _plant(device: Device, period: float, fraction: float) -> tuple[Factored, Factored]:
-    """N(z) and D(z), for a fraction of a sample with one sample of delay more."""
+def plant_in_balls(device: Device, period: float, delay: float) -> tuple[Factored, Factored, int]:
+    """N(z), D(z) and the lag of a device behind its hold and a delay in samples."""
     from flint import arb
 
+    whole, fraction = divmod(delay, 1.0)
     sample = one_sample(device, period)
     above, below = sample.above, sample.below
     late = arb(exact(fraction)) if fraction else None
@@ -363,6 +368,7 @@ def _plant(device: Device, period: float, fraction: float) -> tuple[Factored, Fa
     return (
         Factored(numerator, 0, zeros, at_minus_one),
         Factored(_known_out(denominator, 1, rigid), 0, rigid),
+        int(whole) + (fraction > 0.0),
     )
 
 
@@ -376,11 +382,12 @@ def _known_out(polynomial: "arb_poly", root: int, count: int) -> "arb_poly":
     return arb_poly(shifted)(arb_poly([-root, 1]))
 
 
-def _filter(sections: tuple[Section, ...]) -> tuple[Factored, Factored]:
+def filter_in_balls(chain: Filter, period: float) -> tuple[Factored, Factored]:
     """Numerator and denominator of a filter in powers of z."""
     from flint import arb_poly
 
     one = Factored(arb_poly([1]))
+    sections = chain.per_sample(period).sections
     sides = zip(*map(_section, sections), strict=True) if sections else ((), ())
     above, below = (reduce(Factored.times, side, one) for side in sides)
     return above, below

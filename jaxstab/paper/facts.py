@@ -17,8 +17,6 @@ _ROUNDING = 1e-15
 
 _kept_region = lru_cache(8)(stable_region)  # who asks for facts asks for a picture, too
 
-_VALIDITY_LEVELS = {"2": 0.02, "5": 0.05}  # percent, sec. VII
-
 
 def resolved_region(
     *, gamma: int | float, delta: int | float, delay: int | float, radius: int | float = 1.0
@@ -46,6 +44,7 @@ def region_facts(
     alpha = -gamma; None where the region has none. Arguments, errors and sources: as
     ``resolved_region``.
     """
+    validity_levels = {"2": 0.02, "5": 0.05}  # percent, sec. VII
     fine = 1e-7  # of delta: the tolerance of the passive region
     region = resolved_region(gamma=gamma, delta=delta, delay=delay, radius=radius)
     extent = np.ptp(region.points, axis=0)
@@ -65,7 +64,7 @@ def region_facts(
         facts["largest_passive_alpha"] = _point(
             passive_region(delta=delta, delay=delay, tolerance=fine).max_alpha, extent
         )
-        for percent, level in _VALIDITY_LEVELS.items():
+        for percent, level in validity_levels.items():
             limit = linear_validity(level, gamma=gamma, delta=delta, delay=delay)
             is_found = int(limit.status) == ValidityStatus.FOUND
             name = f"linear_condition_within_{percent}_percent_up_to"

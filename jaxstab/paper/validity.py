@@ -38,7 +38,6 @@ from jaxstab.point import verdict
 if TYPE_CHECKING:
     from flint import arb, arb_poly
 
-_FIRST_BITS, _MOST_BITS = 192, 6144
 _DIGITS = 60  # bits to which an answer is wanted, at least
 
 
@@ -152,8 +151,9 @@ class _TooWideError(Exception):
 
 
 def _first_rise(level: float, gamma: float, delta: float, delay: float) -> _Rise:
-    bits = _FIRST_BITS
-    while bits <= _MOST_BITS:
+    first_bits, most_bits = 192, 6144
+    bits = first_bits
+    while bits <= most_bits:
         with working_precision(bits):
             try:
                 return _largest_root(_curve(level, gamma, delta, delay), gamma)

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from jaxstab.atlas import Atlas, LoopAtlas
 
 _WIDTH, _HEIGHT = 3.3, 2.9  # inches of a panel
-_ASIDE = 0.06  # around the stable set, of its size
 _LINE = 60  # letters of a title
 
 # Fields at nodes: the label of their colours, and the map from values to colours.
@@ -138,6 +137,7 @@ def plot_walls(walls: "LoopAtlas", ax: Axes | None) -> Axes:
 
 def _raster(atlas: "Atlas", gamma: float, delta: float, delay: float) -> tuple[Floats, Floats]:
     """Return alphas and betas around the stable set of a plant."""
+    aside = 0.06  # around the stable set, of its size
     raster = 400  # points along each side of a plane
     plant = [np.array([value]) for value in (gamma, delta, delay)]
     low, high = atlas.table.ends(*plant)[0]
@@ -149,9 +149,7 @@ def _raster(atlas: "Atlas", gamma: float, delta: float, delay: float) -> tuple[F
     rows = low + atlas.table.row * (high - low)
     limits = atlas.table.limits(rows, *(np.repeat(value, rows.size) for value in plant))
     spans = (np.nanmin(limits.lower), np.nanmax(limits.upper)), (low, high)
-    alpha, beta = (
-        np.linspace(a - _ASIDE * (b - a), b + _ASIDE * (b - a), raster) for a, b in spans
-    )
+    alpha, beta = (np.linspace(a - aside * (b - a), b + aside * (b - a), raster) for a, b in spans)
     return alpha, beta
 
 

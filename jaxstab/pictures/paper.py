@@ -65,18 +65,18 @@ def paper_figure(number: int) -> Figure:
 
 
 # --------------------------------------------------------------------------- figures 4, 5 and 6
-_LIMITS: tuple[tuple[float, float, str, _Style, float], ...] = (  # of the haptic range (15)
-    (0.0, 0.0, BLUE, "-", 3.6),  # wide, for the others hide parts of it
-    (1e-3, 0.0, ORANGE, "--", 1.6),
-    (0.0, 0.015, GREEN, "-", 1.6),
-    (1e-3, 0.015, RED, "--", 1.6),
-)
 
 
 def _limit_slices(delay: float) -> list[_Slice]:
+    limits: tuple[tuple[float, float, str, _Style, float], ...] = (  # of the haptic range (15)
+        (0.0, 0.0, BLUE, "-", 3.6),  # wide, for the others hide parts of it
+        (1e-3, 0.0, ORANGE, "--", 1.6),
+        (0.0, 0.015, GREEN, "-", 1.6),
+        (1e-3, 0.015, RED, "--", 1.6),
+    )
     return [
         _Slice(gamma, delta, delay, colour, style, hand_label(gamma, delta), width)
-        for gamma, delta, colour, style, width in _LIMITS
+        for gamma, delta, colour, style, width in limits
     ]
 
 
@@ -117,7 +117,6 @@ def _delayed_range() -> Figure:
 # -------------------------------------------------------------------------------------- figure 7
 _DAMPINGS = ((0.0, BLUE), (0.005, GREEN), (0.01, ORANGE), (0.015, RED))
 _LEVELS = ((0.02, "o"), (0.05, "s"))
-_VALIDITY_WINDOWS = {0.0: (0.16, 0.07), 1.0: (0.05, 0.07)}
 
 
 def _linear_validity() -> Figure:
@@ -139,7 +138,8 @@ def _linear_validity() -> Figure:
 
 
 def _draw_validity(panel: Axes, gamma: float, delay: float) -> None:
-    window = _VALIDITY_WINDOWS[delay]
+    validity_windows = {0.0: (0.16, 0.07), 1.0: (0.05, 0.07)}
+    window = validity_windows[delay]
     beta = np.array([-0.02, window[1]])
     for delta, colour in _DAMPINGS:
         _draw(panel, [_Slice(gamma, delta, delay, colour)])

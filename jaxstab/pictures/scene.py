@@ -80,15 +80,13 @@ from jaxstab.scene.scene import Encoder, Scene, Units
 from jaxstab.scene.tune import Design, Tuned, stiffness_over_delays, stiffness_over_sample_times
 
 if TYPE_CHECKING:
-    from jaxstab.scene.identified import Identified
+    from jaxstab.scene.identify import Identified
 
 # The walls of a scene in its picture: marks by their verdicts, names, and responses.
 
 Walls = Mapping[str, WallVerdict]
 
-_FEWEST, _MOST = 100, 2000  # samples of a response
 _GONE = 5.0  # final positions: an unstable response is drawn no further
-_LIFTS = (0, 10, -10, 20, -20, 32, -32, 44, -44)  # points: how far names are moved up
 
 
 _LOOKS: dict[Verdict | str, tuple[str, str, str]] = {  # colour, mark and line of a wall
@@ -119,6 +117,7 @@ def draw_walls(panel: Axes, checked: Walls) -> None:
 
 def name_walls(panel: Axes, checked: Walls) -> None:
     """Write the name of each wall beside it, where no other name or mark is."""
+    lifts = (0, 10, -10, 20, -20, 32, -32, 44, -44)  # points: how far names are moved up
     mark = 14.0  # pixels: a wall's mark
     lines = [line for line in panel.get_lines() if line.get_marker() != "None"]
     marks = np.concatenate([panel.transData.transform(line.get_xydata()) for line in lines])
@@ -137,7 +136,7 @@ def name_walls(panel: Axes, checked: Walls) -> None:
             zorder=6,
             bbox={"boxstyle": "round,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.75},
         )
-        for across, along in product((1, -1), _LIFTS):
+        for across, along in product((1, -1), lifts):
             text.set(ha="left" if across > 0 else "right")
             text.xyann = (8 * across, along)
             box = text.get_window_extent()
@@ -160,12 +159,13 @@ def draw_margins(panel: Axes, checked: dict[str, WallCheck]) -> None:
 
 def draw_responses(panel: Axes, scene: Scene, checked: dict[str, WallCheck]) -> None:
     """Draw the response to a step of force, relative to the final displacement."""
+    fewest, most = 100, 2000  # samples of a response
     level = 0.02
     period = scene.controller.sample_time
     times = [wall.settling.settling_time_2_percent for wall in checked.values() if wall.settling]
     settled = [time for time in times if isfinite(time)] or [0.0]
     longest = min(1.2 * max(settled), 6.0 * min(settled))
-    samples = int(np.clip(longest / period, _FEWEST, _MOST))
+    samples = int(np.clip(longest / period, fewest, most))
     panel.set_prop_cycle(color=_COLOURS)
     for name, wall in checked.items():
         held = loop_of(scene, wall.worst_hand)
@@ -173,7 +173,7 @@ def draw_responses(panel: Axes, scene: Scene, checked: dict[str, WallCheck]) -> 
         if wall.stiffness + spring == 0.0:  # there is no final displacement
             continue
         response = held.simulate(
-            wall.stiffness, wall.damping, samples=samples, force=1.0, between=_MOST // samples
+            wall.stiffness, wall.damping, samples=samples, force=1.0, between=most // samples
         )
         relative = np.asarray(response.position) * (wall.stiffness + spring)
         gone = np.logical_or.accumulate(np.abs(relative) > _GONE)
@@ -188,12 +188,9 @@ def draw_responses(panel: Axes, scene: Scene, checked: dict[str, WallCheck]) -> 
 _HEIGHT = 4.6  # inches
 _WIDTH, _ZOOM_WIDTH, _RESPONSE_WIDTH = 6.4, 3.6, 4.8
 _SEEN = 0.05  # of the region, in K or in B: smaller sets are enlarged
-_ROUND = np.outer(10.0 ** np.arange(-3, 8), [1.0, 2.0, 5.0]).ravel()  # ms
 _COUNTS = 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0  # amplitudes that are drawn
-_FOR_ALL = "#8bc0e2"  # darker than the stable set
 _MOST_LEVELS = 3  # of lines of equal values
 _LARGEST = Quantity("N/m", 4, ROUND_FLOOR)
-_LARGEST_TIME = Quantity("s", 4, ROUND_FLOOR)
 _STIFFNESS, _DAMPING = GivenQuantity("N/m"), GivenQuantity("N s/m")
 _TIME, _LENGTH = Quantity("s", 3), Quantity("m", 3)
 
@@ -305,6 +302,7 @@ def _write_basis(figure: Figure, scene: Scene, basis: Basis, more: str = "") -> 
 
 def _design_figure(scene: Scene, design: Design, basis: Basis) -> Figure:
     """Draw the largest stiffness over the sample time and over the delay, and the wanted one."""
+    largest_time = Quantity("s", 4, ROUND_FLOOR)
     room_above = 1.6  # of the stiffness that a design is about
     units, loop = scene.units, loop_of(scene)
     figure = Figure(figsize=(1.5 * _WIDTH, _HEIGHT), layout="constrained")
@@ -322,7 +320,7 @@ def _design_figure(scene: Scene, design: Design, basis: Basis) -> Figure:
         label = f"now: {_LARGEST.words(now, units)}" if isfinite(now) else "now: no stable wall"
         panel.plot(1e3 * present, now, "o", color=SKY, mec=BLACK, ms=8, ls="", label=label)
         if isfinite(designed):
-            label = f"largest {name}: {_LARGEST_TIME.words(designed)}"
+            label = f"largest {name}: {largest_time.words(designed)}"
             panel.plot(
                 1e3 * designed, wanted, "D", color=ORANGE, mec=BLACK, ms=8, label=label, ls=""
             )
@@ -382,9 +380,10 @@ class _Area(NamedTuple):
 
 def _common(scene: Scene) -> _Area:
     """The walls that are stable for the hands at all corners; empty without a range of hands."""
+    for_all = "#8bc0e2"  # darker than the stable set
     outline = common_outline(corner_loops(scene)) if hands_of(scene) else np.zeros((0, 2))
     label = "stable for the hands at all corners of the range"
-    look = {"facecolor": _FOR_ALL, "lw": 0.0, "label": label}
+    look = {"facecolor": for_all, "lw": 0.0, "label": label}
     return _Area(outline, look)
 
 
@@ -461,6 +460,7 @@ def _columns_and_rows(region: WallRegion, count: int) -> Floats:
 
 def _draw_settling(panel: Axes, loop: HapticLoop, region: WallRegion) -> None:
     """Draw lines of equal settling time to 2 %, in ms."""
+    even = np.outer(10.0 ** np.arange(-3, 8), [1.0, 2.0, 5.0]).ravel()  # ms
     columns = 64  # of the map of settling times, and rows
     horizon = 4096  # samples
     stiffness, damping = _columns_and_rows(region, columns)
@@ -469,7 +469,7 @@ def _draw_settling(panel: Axes, loop: HapticLoop, region: WallRegion) -> None:
     if np.isnan(times).all():
         return
     fastest, slowest = float(np.nanmin(times)), float(np.nanmax(times))
-    levels = [time for time in _ROUND if 1.5 * fastest < time < slowest][:_MOST_LEVELS]
+    levels = [time for time in even if 1.5 * fastest < time < slowest][:_MOST_LEVELS]
     _draw_levels(panel, (stiffness, damping, times), levels, "%g ms", BLACK, "dotted")
     panel.plot([], [], color=BLACK, lw=1.0, ls="dotted", label="settling time to 2 %")
 
@@ -531,8 +531,6 @@ def comparison_figure(scenes: Mapping[str, Scene]) -> Figure:
 
 # A picture of a guard: the granted stiffness beside the exact one.
 
-_POINTS = 400
-
 
 def guard_figure(guard: Guard, units: Units = Units.LINE) -> Figure:
     """The largest stiffness over the damping: exact, and as granted by the guard.
@@ -577,7 +575,7 @@ def _draw(
     panel: Axes, guard: Guard, place: tuple[float, float | None], colour: object, label: str
 ) -> None:
     mass, delay = place
-    damping = np.linspace(0.0, 1.1 * float(guard.grid.top.max()), _POINTS)
+    damping = np.linspace(0.0, 1.1 * float(guard.grid.top.max()), 400)
     delays = np.array([guard.delay[0] if delay is None else delay])
     exact = guard.exact_stiffness(damping[None, None], mass=np.array([mass]), delay=delays)[0, 0]
     panel.plot(damping, np.where(exact > 0.0, exact, np.nan), color=colour, lw=0.8, ls="--")
@@ -588,7 +586,6 @@ def _draw(
 # Simulated contacts: where in (K, B) a device rests.
 
 _PANEL = (4.6, 3.6)  # inches
-_FAINTEST, _STRONGEST = 1e-3, 100.0  # mm, of the colours
 
 
 def scene_contacts(scene: Scene) -> Figure:
@@ -635,18 +632,19 @@ def _draw_map(
     panel: Axes, loop: HapticLoop, walls: tuple[Floats, Floats], contact: Contact
 ) -> QuadMesh:
     """Draw where contacts rest, how far others move, and the edge of the stable set."""
+    faintest, strongest = 1e-3, 100.0  # mm, of the colours
     stiffness, damping = (np.ravel(gains) for gains in walls)
     does_rest = contact.kind == ContactKind.RESTS
     is_through = contact.kind == ContactKind.PUSHED_THROUGH
     amplitude = np.where(is_through, np.inf, contact.amplitude)  # nothing holds it
-    size = np.clip(1000.0 * amplitude, _FAINTEST, _STRONGEST)
+    size = np.clip(1000.0 * amplitude, faintest, strongest)
     panel.pcolormesh(
         stiffness, damping, np.where(does_rest, 1.0, np.nan),
         cmap="Greens", vmin=0.0, vmax=2.5, shading="nearest", rasterized=True,
     )  # fmt: skip
     mesh = panel.pcolormesh(
         stiffness, damping, np.where(does_rest, np.nan, size),
-        cmap="inferno_r", norm=LogNorm(_FAINTEST, _STRONGEST), shading="nearest", rasterized=True,
+        cmap="inferno_r", norm=LogNorm(faintest, strongest), shading="nearest", rasterized=True,
     )  # fmt: skip
     panel.fill([], [], color=GREEN, alpha=0.4, label="rests, simulated")
     panel.plot(*closed_outline(loop.region()).T, color=BLUE, lw=1.6, label="edge of stability")
@@ -657,14 +655,13 @@ def _draw_map(
 
 # A fitted log: measured and fitted positions, and the residual over time.
 
-_FIT_SIZE = (7.0, 4.6)  # inches
-
 
 def identified_figure(device: "Identified", units: Units) -> Figure:
     """Return the first two segments, and the residual of the whole log."""
+    fit_size = (7.0, 4.6)  # inches
     from jaxstab.scene.identify import HISTORY
 
-    figure = Figure(figsize=_FIT_SIZE, layout="constrained")
+    figure = Figure(figsize=fit_size, layout="constrained")
     above, below = figure.subplots(2, 1, height_ratios=[3, 2])
     milli, micro = f"m{units.length}", f"u{units.length}"
     times = device.sample_time * (HISTORY + np.arange(device.measured.size))

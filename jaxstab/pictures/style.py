@@ -32,7 +32,6 @@ HALO: list[AbstractPathEffect] = [withStroke(linewidth=2.5, foreground="white")]
 
 ALPHA_LABEL = r"stiffness  $\alpha = K\,T^2/m$"
 BETA_LABEL = r"damping  $\beta = B\,T/m$"
-FORMATS = ("png", "svg")
 _PANEL = (4.2, 3.5)  # inches
 
 
@@ -67,8 +66,9 @@ def plain(text: str) -> str:
 
 def picture(figure: Figure, form: str) -> bytes:
     """A figure as a file of the format "png" or "svg"."""
+    formats = ("png", "svg")
     dots_per_inch = 150
-    if form not in FORMATS:
+    if form not in formats:
         raise ValueError(f"the format is {form!r}; give a name that ends in .png or .svg.")
     image = BytesIO()
     figure.savefig(image, format=form, dpi=dots_per_inch)
@@ -78,8 +78,6 @@ def picture(figure: Figure, form: str) -> bytes:
 # Pictures that regions and loops draw of themselves, on axes or in a notebook.
 
 _SIZE = 5.0, 3.6  # inches
-_MAP = 0.72, 0.12, 0.26, 0.36  # of the axes: where islands are drawn
-_ROOM = np.array([0.65, 0.35])  # of the main component, beside it for the map and the legend
 STIFFNESS_LABEL, DAMPING_LABEL = "stiffness K (N/m)", "damping B (N s/m)"
 
 Region = StableRegion | WallRegion
@@ -150,15 +148,17 @@ def plot_moving(loop: MovingLoop, panel: Axes) -> NDArray[np.float64]:
 
 def _draw_map(panel: Axes, main: Region, islands: Sequence[Region]) -> None:
     """Let the main component fill the axes, and draw it with its islands in a small map."""
+    room = np.array([0.65, 0.35])  # of the main component, beside it for the map and the legend
+    map = 0.72, 0.12, 0.26, 0.36  # of the axes: where islands are drawn
     panel.autoscale(False)
-    inset = panel.inset_axes(_MAP)
+    inset = panel.inset_axes(map)
     draw_stable(inset, main)
     draw_islands(inset, islands)
     inset.set_title("with islands", fontsize=7, pad=2)
     inset.tick_params(labelsize=6)
     inset.locator_params(nbins=3)
     low, high = (np.nanquantile(closed_outline(main), end, axis=0) for end in (0.0, 1.0))
-    (left, bottom), (right, top) = low - 0.04 * (high - low), high + _ROOM * (high - low)
+    (left, bottom), (right, top) = low - 0.04 * (high - low), high + room * (high - low)
     panel.set(xlim=(left, right), ylim=(bottom, top))
 
 

@@ -6,7 +6,7 @@ what filter and estimator make of the wall, reads, by Cramer's rule,
     q = base/N,   alpha = Im(conj(B) q)/det,   beta = -Im(conj(A) q)/det,   det = Im(conj(A) B).
 
 The polynomials come from balls, rounded once: on each half of the circle, z = +-zeta with
-|arg zeta| <= pi/2, in powers of zeta and of s = zeta - 1, of which the one with the smaller terms
+|arg zeta| <= pi/2, in powers of z and of s = zeta - 1, of which the one with the smaller terms
 is evaluated. Real and imaginary parts keep their own digits next to s = 0, so that nothing cancels.
 
 Where det < 0 the stable side of the curve is its right one: such angles count as negative ones,
@@ -41,6 +41,7 @@ from jaxstab.exact.boundary import (
     root_lines,
     undamped_modes,
 )
+from jaxstab.model import LoopParameters
 from jaxstab.model.device.parts import FIRST_BITS, working_precision
 
 _REMEMBERED = 64
@@ -116,10 +117,10 @@ class Curve(NamedTuple):
 
     Attributes:
         parts: base, stiffness and damping of p(z), monic, the highest power first.
-        straight: base, N, A and B in powers of zeta, the lowest first, for z = zeta and z = -zeta;
-            order 0 are the polynomials, order 1 their derivatives, times zeta.
-        shifted: the same in powers of zeta - 1; derivatives are not multiplied.
-        close: where |zeta - 1| is less, powers of zeta - 1 have the smaller terms.
+        straight: base, N, A and B in powers of z, the lowest first, and their derivatives times z.
+        shifted: the same in powers of s, for z = zeta and z = -zeta; derivatives are not
+            multiplied.
+        close: where |s| is less, powers of s have the smaller terms.
         ends: the parts of p(1) and of (-1)^n p(-1), positive for stable walls.
         lines: the straight parts of the boundary.
         poles: the angles where V is real.
@@ -129,8 +130,8 @@ class Curve(NamedTuple):
     """
 
     parts: Float64[np.ndarray, "3 power"]
-    straight: Float64[np.ndarray, "half order part power"]
-    shifted: Float64[np.ndarray, "half order part power"]
+    straight: Float64[np.ndarray, "row power"]
+    shifted: Float64[np.ndarray, "half row power"]
     close: Float64[np.ndarray, "half part"]
     ends: Float64[np.ndarray, "half part"]
     lines: list[RootLine]
@@ -154,7 +155,7 @@ def curve_of(loop: ScaledLoop) -> Curve:
     """
     with working_precision(FIRST_BITS):
         own = loop.balls()
-    if own.position[0].at_one and loop.radius == 1.0:
+    if isinstance(loop.loop, LoopParameters) and own.position[0].at_one and loop.radius == 1.0:
         raise ValueError(
             "the position filter has P(1) = 0: the wall does not push back at rest. It has no "
             "region and no limits; give a filter of gain 1 at z = 1, or ask for verdicts and radii."
@@ -176,7 +177,7 @@ def curve_of(loop: ScaledLoop) -> Curve:
                 "region and no limits; give a higher cut-off, a larger factor or a lower order."
             )
     parts = curve_parts(loop)
-    order = np.arange(float(parts.straight.shape[2]))
+    order = np.arange(float(parts.straight.shape[1]))
     moved = np.zeros_like(parts.shifted)
     moved[..., :-1] = (parts.shifted * order)[..., 1:]
     sizes = np.sum(np.abs(parts.straight), axis=-1)
@@ -186,9 +187,9 @@ def curve_of(loop: ScaledLoop) -> Curve:
     distance = np.abs(np.log(np.maximum(np.abs(roots) / loop.radius, 1e-300)))
     return Curve(
         parts=parts.triple,
-        straight=np.stack([parts.straight, parts.straight * order], axis=1),
-        shifted=np.stack([parts.shifted, moved], axis=1),
-        close=np.max(np.where(terms < sizes[..., None], _HALF_CIRCLE, 0.0), axis=-1),
+        straight=np.concatenate([parts.straight, parts.straight * order]),
+        shifted=np.concatenate([parts.shifted, moved], axis=1),
+        close=np.max(np.where(terms < sizes[:, None], _HALF_CIRCLE, 0.0), axis=-1),
         ends=parts.ends,
         lines=root_lines(loop, parts),
         poles=parts.poles,
@@ -258,21 +259,21 @@ def curve_gains(c: Curve, theta: Array, low: Array | float = 0.0) -> Array:
 
     ``low`` is what rounding took from the angles.
     """
-    base, n, a, b = _values(c, theta, low, orders=1)[0]
-    walls = _crossed(a, b, base / n) / _cross(a, b)
-    for held, _, (own, _) in _drawn(c, theta, low):
+    values = _values(c, theta, low, orders=1)[0]
+    walls = _crossed(values, values[0] / values[1])
+    for held, _, (own, _) in _drawn(c, theta, low) if c.stretches else ():
         walls[:, held] = own
     return walls.reshape(2, *np.shape(theta))
 
 
 def gains_and_slopes(c: Curve, theta: Array, low: Array | float = 0.0) -> tuple[Array, Array]:
     """Return alpha and beta, and their derivatives by the angle."""
-    (base, n, a, b), (base_slope, n_slope, a_slope, b_slope) = _values(c, theta, low, orders=2)
-    quotient, det = base / n, _cross(a, b)
-    walls = _crossed(a, b, quotient) / det
-    moved = (base_slope - quotient * n_slope) / n + (walls[0] * a_slope + walls[1] * b_slope)
-    steps = _crossed(a, b, moved) / det
-    for held, turned, (own, own_steps) in _drawn(c, theta, low):
+    values, (base_slope, n_slope, a_slope, b_slope) = _values(c, theta, low, orders=2)
+    quotient = values[0] / values[1]
+    walls = _crossed(values, quotient)
+    moved = (base_slope - quotient * n_slope) / values[1]
+    steps = _crossed(values, moved + (walls[0] * a_slope + walls[1] * b_slope))
+    for held, turned, (own, own_steps) in _drawn(c, theta, low) if c.stretches else ():
         walls[:, held], steps[:, held] = own, own_steps * turned
     return walls.reshape(2, *np.shape(theta)), steps.reshape(2, *np.shape(theta))
 
@@ -302,9 +303,12 @@ def is_oriented(c: Curve, theta: Angles) -> Bool[np.ndarray, " angle"]:
     return oriented
 
 
-def _crossed(a: Array, b: Array, quotient: Array) -> Array:
-    """Return det times the alpha and beta with alpha A + beta B = -quotient."""
-    return np.stack([_cross(b, quotient), -_cross(a, quotient)])
+def _crossed(values: Array, quotient: Array) -> Array:
+    """Return the alpha and beta with alpha A + beta B = -quotient."""
+    a, b = values[2:]
+    walls = _cross(values[:1:-1], quotient) / _cross(a, b)
+    walls[1] = -walls[1]
+    return walls
 
 
 def _cross(one: Array, other: Array) -> Array:
@@ -314,41 +318,28 @@ def _cross(one: Array, other: Array) -> Array:
 
 def _values(c: Curve, theta: Array, low: Array | float, orders: int) -> Array:
     """Return the parts (order, part, angle), of conjugate z beyond pi/2; order 1 is by theta."""
-    flat = np.ravel(np.asarray(theta, float))
-    size, turned = np.abs(flat), np.where(flat < 0.0, -1.0, 1.0)
-    rest = np.broadcast_to(low, np.shape(theta)).ravel() * turned
+    flat, count, rows = np.ravel(theta), c.straight.shape[1], 4 * orders
+    way = np.where(flat < 0.0, -1.0, 1.0)
+    size, rest = np.abs(flat), 0.0 if isinstance(low, float) else np.ravel(low) * way
     is_upper = size > np.pi / 2
     u = np.where(is_upper, (np.pi - size) + (PI_REST - rest), size + rest)
     u = np.where(u == 0.0, _TINY, u)
-    values = np.empty((orders, 4, len(u)), complex)
-    for half, chosen in enumerate((~is_upper, is_upper)):
-        if np.any(chosen):
-            values[..., chosen] = _on_half(c, half, u[chosen], orders)
+    zeta, half_turn, side = np.exp(1j * u), np.exp(0.5j * u), np.where(is_upper, -1.0, 1.0)
+    chord = 2.0 * half_turn.imag
+    straight = _product(c.straight[:rows], _powers(side * zeta, count))
+    powers = _powers(1j * chord * half_turn, count)
+    shifted = np.where(is_upper, *(_product(c.shifted[half, :rows], powers) for half in (1, 0)))
+    shifted[4:] *= zeta
+    is_close = chord < np.where(is_upper, *c.close[::-1, :, None])
+    parts: Array = np.where(is_close, *(x.reshape(orders, 4, -1) for x in (shifted, straight)))
     if orders > 1:
-        values[1] *= 1j * np.where(is_upper, -turned, turned)
-    return values
-
-
-def _on_half(c: Curve, half: int, u: Angles, orders: int) -> Array:
-    """Return the parts by the angles of zeta, and derivatives times zeta."""
-    count = c.straight.shape[3]
-    zeta = np.exp(1j * u)
-    size = 2.0 * np.sin(0.5 * u)
-    values = _product(c.straight[half, :orders], _powers(zeta, count))
-    near = np.flatnonzero(size < np.max(c.close[half]))
-    if near.size:
-        s = 1j * size[near] * np.exp(0.5j * u[near])
-        shifted = _product(c.shifted[half, :orders], _powers(s, count))
-        shifted[1:] *= zeta[near]
-        is_close = size[near] < c.close[half][:, None]
-        values[..., near] = np.where(is_close, shifted, values[..., near])
-    return values
+        parts[1] *= 1j * side * way
+    return parts
 
 
 def _product(rows: Array, columns: Complex128[np.ndarray, "power angle"]) -> Array:
-    """Return real matrices times a complex one; NumPy would make them complex first."""
-    product = np.ascontiguousarray(rows).reshape(-1, len(columns)) @ columns.view(float)
-    return product.view(complex).reshape(*rows.shape[:2], -1)
+    """Return a real matrix times a complex one; NumPy would make the first complex, too."""
+    return (rows @ columns.view(float)).view(complex)
 
 
 def _powers(base: Array, count: int) -> Complex128[np.ndarray, "power angle"]:

@@ -19,7 +19,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int
 
 from jaxstab.arrays import Array, constant, joined, namespace, tree_map
 from jaxstab.batches import on_host
@@ -36,6 +36,7 @@ _EDGES = 4  # looked at in one step of the search for the nearest
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 Columns = tuple[Array, ...]
+Axis = int | Int[np.ndarray, " row"]
 
 
 def limits(
@@ -93,7 +94,7 @@ def _extreme(c: Curve, outline: Outline, axis: int) -> Extreme:
     crossing, met = np.nan, _met(outline, np.zeros(1), 1 - axis)[0]
     boxes = np.maximum(vertices[:-1, axis], vertices[1:, axis])
     if np.max(boxes, where=met, initial=-np.inf) > largest:
-        crossing = limits(c, outline, np.zeros(1), axis=1 - axis)[0, 1]
+        crossing = np.nanmax(interval_ends(c, outline, np.zeros(1), axis=1 - axis))
     if crossing - largest > _STILL * abs(crossing):
         vertex, largest, point = None, crossing, np.array([crossing, 0.0][:: 1 - 2 * axis])
     sizes = _STILL * np.max(abs(np.nan_to_num(vertices)), axis=0)
@@ -102,9 +103,16 @@ def _extreme(c: Curve, outline: Outline, axis: int) -> Extreme:
 
 
 def interval_ends(
-    c: Curve, outline: Outline, values: Float64[np.ndarray, " row"], *, axis: int
+    c: Curve,
+    outline: Outline,
+    values: Float64[np.ndarray, " row"],
+    *,
+    axis: Axis,
 ) -> Float64[np.ndarray, "row crossing"]:
-    """Return the ends of all intervals on lines as in ``limits``, ascending, then NaN."""
+    """Return the ends of all intervals on lines as in ``limits``, ascending, then NaN.
+
+    Each line may have an axis of its own.
+    """
     with np.errstate(all="ignore"):  # NaN and infinity are answers
         coordinates, _, _ = _crossings(c, outline, values, axis, _met(outline, values, axis))
     return np.sort(coordinates, axis=-1)
@@ -223,7 +231,7 @@ def _moved(values: Array, *pairs: tuple[Array, Array]) -> Array:
 
 
 def _crossings(
-    c: Curve, outline: Outline, values: Array, axis: int, met: Array
+    c: Curve, outline: Outline, values: Array, axis: Axis, met: Array
 ) -> tuple[Array, Array, Array]:
     """Return where rows meet edges, in the other coordinate (row, crossing), and which exist.
 
@@ -235,25 +243,35 @@ def _crossings(
     edges = np.where(exist, edges, 0)
     goals = np.broadcast_to(values[:, None], edges.shape)
     begin, end = np.moveaxis(outline.angles[edges], -1, 0)
-    theta = bracketed_root(lambda angle: curve_gains(c, angle)[axis] - goals, begin, end)
+    here, there = (_turned(outline.vertices.T[:, edges + k], axis) for k in (0, 1))
+    theta = bracketed_root(
+        lambda angle: _turned(curve_gains(c, angle), axis)[0] - goals,
+        begin,
+        end,
+        (here[0] - goals, there[0] - goals),
+    )
     low, slope = _last_steps(c, theta, goals, axis)
-    on_curve = curve_gains(c, theta, low)[1 - axis]
-    here = outline.vertices[edges]
-    run = outline.vertices[edges + 1] - here
-    divisor = nonzero(run[..., axis], 1.0)
-    on_line = here[..., 1 - axis] + (goals - here[..., axis]) / divisor * run[..., 1 - axis]
+    on_curve = _turned(curve_gains(c, theta, low), axis)[1]
+    run = there - here
+    divisor = nonzero(run[0], 1.0)
+    on_line = here[1] + (goals - here[0]) / divisor * run[1]
     is_curve = outline.is_curved[edges]
     coordinates = np.where(exist, np.where(is_curve, on_curve, on_line), np.nan)
-    return coordinates, np.where(is_curve, slope, run[..., 1 - axis] / divisor), exist
+    return coordinates, np.where(is_curve, slope, run[1] / divisor), exist
 
 
-def _met(outline: Outline, values: Array, axis: int) -> Array:
+def _turned(gains: Array, axis: Axis) -> Array:
+    """Return gains (2, row, crossing) with that of each row's line first."""
+    return np.where(np.reshape(axis, (-1, 1)) == 0, gains, gains[::-1])
+
+
+def _met(outline: Outline, values: Array, axis: Axis) -> Array:
     """Return which edges (row, edge) rows meet."""
-    above = outline.vertices[:, axis] > values[:, None]
+    above = outline.vertices.T[np.reshape(axis, -1)] > values[:, None]
     return (above[:, :-1] != above[:, 1:]) & (outline.branches >= 0)
 
 
-def _last_steps(c: Curve, theta: Array, goals: Array, axis: int) -> tuple[Array, Array]:
+def _last_steps(c: Curve, theta: Array, goals: Array, axis: Axis) -> tuple[Array, Array]:
     """Return Newton's steps from crossings' angles, and the slopes of the other coordinate there.
 
     Close to pi the steps are what rounding took from an angle.
@@ -261,10 +279,10 @@ def _last_steps(c: Curve, theta: Array, goals: Array, axis: int) -> tuple[Array,
     last_step = 1e-10  # radians
     low = np.zeros_like(theta)
     for _ in range(2):  # where the curve flies off, one is not enough
-        here, tangent = gains_and_slopes(c, theta, low)
-        step = (goals - here[axis]) / nonzero(tangent[axis], 1.0)
+        here, tangent = (_turned(pair, axis) for pair in gains_and_slopes(c, theta, low))
+        step = (goals - here[0]) / nonzero(tangent[0], 1.0)
         low = np.clip(low + step, -last_step, last_step)
-    return low, tangent[1 - axis] / nonzero(tangent[axis], np.inf)
+    return low, tangent[1] / nonzero(tangent[0], np.inf)
 
 
 # ------------------------------------------------------------------------ the nearest point

@@ -181,6 +181,12 @@ def loop_ends(outline: Outline) -> list[tuple[int, int]]:
     return list(zip([0, *(end + 1 for end in breaks)], [*breaks, last], strict=True))
 
 
+def polygon_area(loop: Outline) -> float:
+    """Return the area of one loop's polygon, negative for a hole."""
+    alpha, beta = (loop.vertices - loop.vertices[0]).T
+    return 0.5 * float(np.sum(alpha[:-1] * beta[1:] - alpha[1:] * beta[:-1]))
+
+
 def vertex_roots(
     c: Curve, outline: Outline
 ) -> tuple[Float64[np.ndarray, "vertex 2"], Bool[np.ndarray, " vertex"]]:

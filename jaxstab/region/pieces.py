@@ -272,6 +272,7 @@ def _arc_ends(
     is_pinned &= (inner - limit) * np.repeat([1.0, -1.0], len(begins)) >= 0.0
     outer = np.where(is_pinned, inner, outer)
     rounds, parts = narrowing
+    enough = 0.1 * nothing
     shares = np.arange(1.0, parts)[:, None] / parts
     # Poles end arcs, too.
     for pole in np.concatenate([c.poles, -c.poles]):
@@ -279,6 +280,8 @@ def _arc_ends(
         outer = np.where(is_between, pole, outer)
     for _ in range(rounds if len(inner) else 0):
         width = inner - outer
+        if np.max(np.abs(width)) < enough:
+            break
         failed = np.cumprod(~inside(outer + width * shares), axis=0)
         last = np.sum(failed, axis=0)  # up to the first that passes
         inner = np.where(last == parts - 1, inner, outer + width * (last + 1.0) / parts)
@@ -475,7 +478,10 @@ def _corners(
                 alpha_slope[0] * along - beta_slope[0] * across,
             ]
         )
-        here = here - np.nan_to_num(step / turn)
+        step = np.nan_to_num(step / turn)
+        here = here - step
+        if np.all(np.abs(step) <= UNIT * np.abs(here)):
+            break
     both, slopes = gains_and_slopes(c, here)
     gap = np.max(np.abs(both[:, 0] - both[:, 1]) / size[:, None], axis=0)
     speed = np.max(np.abs(slopes) / size[:, None, None], axis=0)

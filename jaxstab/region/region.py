@@ -17,9 +17,10 @@ proved is that no island was missed between angles and rows.
 
 from collections.abc import Iterable
 from math import ceil, sqrt
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64, Int
 
 from jaxstab.arrays import Numbers, is_traced
 from jaxstab.conventions import Verdict
@@ -27,13 +28,13 @@ from jaxstab.exact.boundary import ScaledLoop
 from jaxstab.exact.line import End, LineStatus, StableLine, stable_line
 from jaxstab.exact.verdict import wall_verdict
 from jaxstab.model import LoopParameters
-from jaxstab.model.device.parts import FIRST_BITS
+from jaxstab.model.device.parts import FIRST_BITS, working_precision
 from jaxstab.model.filters import Filter, Velocity, as_keywords, known_filters
 from jaxstab.model.loop import refuses_loops
 from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT, LONGEST_DELAY
 from jaxstab.numbers import checked_number
 from jaxstab.region import measures
-from jaxstab.region.curve import Angles, Curve, curve_of, drawn_out
+from jaxstab.region.curve import Curve, curve_of, drawn_out
 from jaxstab.region.outline import Outline, empty_outline, polygon, survey
 from jaxstab.region.pieces import Centers, Pieces, find_pieces, line_ends, scan_angles
 from jaxstab.region.stable_set import StableRegion, components_of, region_within
@@ -86,7 +87,8 @@ def region_of(loop: ScaledLoop, tolerance: float) -> StableRegion:
 
 def _keeps_a_root(loop: ScaledLoop) -> bool:
     """Return whether all walls leave a root at z = 1 or -1, by the structure of the loop."""
-    parts = [part.without_windows() for part in loop.triple()]
+    with working_precision(FIRST_BITS):
+        parts = [part.without_windows() for part in loop.triple()]
     return min(p.at_one for p in parts) > 0 or min(p.at_minus_one for p in parts) > 0
 
 
@@ -144,35 +146,56 @@ def _angles_of_rays(lines: _Lines) -> Centers | None:
     return np.concatenate([_angles_on(ray) for ray in rays])
 
 
+class _Compared(NamedTuple):
+    """Lines that are compared: the gain that each keeps (0 is alpha), and its value.
+
+    ``is_inner``: on the inner side of a limit, where one stable wall is enough. ``slim``: shorter
+    intervals need not be compared.
+    """
+
+    axis: Int[np.ndarray, " line"]
+    value: Float64[np.ndarray, " line"]
+    is_inner: Bool[np.ndarray, " line"]
+    slim: Float64[np.ndarray, " line"]
+
+
+def _compared(c: Curve, outline: Outline) -> _Compared:
+    """Return the lines on both sides of the limits, and rows through each component."""
+    row = 0.47  # of a component's height: where a row is compared
+    main, *islands = components_of(c, outline)
+    sizes = np.ptp(outline.vertices, axis=0)
+    lines: list[tuple[int, float, bool, float]] = []
+    for axis, extreme in enumerate(measures.quadrant_extremes(c, main)):
+        limit, extent = float(extreme.point[axis]), float(np.ptp(main.vertices[:, axis]))
+        aside = max(_BESIDE * limit, _LEAST * extent)
+        if np.isfinite(limit):
+            lines += [(axis, limit + aside, False, 0.0), (axis, limit - aside, True, 0.0)]
+    rows = [_height(component, row) for component in (main, *islands)]
+    if c.stretches:
+        near = np.append(-_FROM_CORNERS, _FROM_CORNERS) * sizes[1]
+        rows += (outline.corners[:, 1, None] + near).ravel().tolist()
+    lines += [(1, value, False, _SLIM * sizes[0]) for value in rows]
+    return _Compared(*map(np.array, zip(*lines, strict=True)))
+
+
 def _contradictions(c: Curve, lines: _Lines, outline: Outline) -> Centers | None:
     """Return the angles of roots on lines that an outline does not agree with; None: not known.
 
     There are none where all agree.
     """
-    row = 0.47  # of a component's height: where a row is compared
-    at_poles = 1e-4  # the same where the curve is 0/0 at a pole
-    main, *islands = components_of(c, outline)
-    sizes = np.ptp(outline.vertices, axis=0)
-    rows = [_height(component, row) for component in (main, *islands)]
-    if c.stretches:
-        near = np.append(-_FROM_CORNERS, _FROM_CORNERS) * sizes[1]
-        rows += (outline.corners[:, 1, None] + near).ravel().tolist()
-    for axis, extreme in enumerate(measures.quadrant_extremes(c, main)):
-        limit, extent = float(extreme.point[axis]), float(np.ptp(main.vertices[:, axis]))
-        aside = max(_BESIDE * limit, _LEAST * extent)
-        beside = limit + np.array([aside, -aside]) if np.isfinite(limit) else np.empty(0)
-        values = np.concatenate([beside, rows if axis == 1 else []])
-        drawn = _drawn(c, outline, values, axis)
-        for k, (value, intervals) in enumerate(zip(values.tolist(), drawn, strict=True)):
-            if k == 1 and beside.size and _is_any_stable(c, axis, value, intervals):
-                continue
-            line = lines.at(axis, value)
-            if line.status != LineStatus.PROVED:
-                return None
-            slim = 0.0 if k < beside.size else _SLIM * sizes[1 - axis]
-            share = _AGREE if all(line.angle in (0.0, np.pi) for line in c.lines) else at_poles
-            if not _agree(line, intervals, slim, share, sizes[1 - axis]):
-                return _inner(line.crossings)
+    at_poles = 1e-4  # ``_AGREE`` where the curve is 0/0 at a pole
+    share = _AGREE if all(line.angle in (0.0, np.pi) for line in c.lines) else at_poles
+    sizes, asked = np.ptp(outline.vertices, axis=0), _compared(c, outline)
+    ends = measures.interval_ends(c, outline, asked.value, axis=asked.axis)
+    for own, axis, value, is_inner, slim in zip(ends, *(x.tolist() for x in asked), strict=True):
+        drawn = own[np.isfinite(own)].reshape(-1, 2)
+        if is_inner and _is_any_stable(c, axis, value, drawn):
+            continue
+        line = lines.at(axis, value)
+        if line.status != LineStatus.PROVED:
+            return None
+        if not _agree(line, drawn, slim, share, sizes[1 - axis]):
+            return _inner(line.crossings)
     return np.empty((0, 2))
 
 
@@ -198,13 +221,6 @@ def proved_extremes(region: StableRegion) -> tuple[Point, Point]:
 def _height(component: Outline, share: float) -> float:
     beta = component.vertices[:, 1]
     return float(np.min(beta) + np.ptp(beta) * share)
-
-
-def _drawn(c: Curve, outline: Outline, values: Angles, axis: int) -> list[Points]:
-    """Return the intervals of an outline on lines."""
-    ends = measures.interval_ends(c, outline, values, axis=axis)
-    intervals = ends[:, : ends.shape[1] // 2 * 2].reshape(len(values), ends.shape[1] // 2, 2)
-    return [own[np.isfinite(own[:, 0])] for own in intervals]
 
 
 def _is_any_stable(c: Curve, axis: int, value: float, intervals: Points) -> bool:

@@ -14,7 +14,7 @@ from jaxstab.model import checked_gain, require_x64
 from jaxstab.numbers import without_noise
 from jaxstab.region import measures
 from jaxstab.region.curve import Curve
-from jaxstab.region.outline import Outline, loop_ends
+from jaxstab.region.outline import Outline, loop_ends, polygon_area
 from jaxstab.region.pieces import NO_BRANCH
 from jaxstab.shown import number_text, stable_pair
 
@@ -193,7 +193,7 @@ def components_of(c: Curve, outline: Outline) -> list[Outline]:
     parts = _loops(outline)
     if len(parts) == 1:
         return parts
-    loops = [(loop, float(measures.area(c, loop))) for loop in parts]
+    loops = [(loop, polygon_area(loop)) for loop in parts]
     holes = [pair for pair in loops if pair[1] <= 0.0]
     groups = [
         [outer, *(hole for hole in holes if _holds(c, outer[0], hole[0]))]

@@ -19,7 +19,6 @@ from jaxstab.scene.scene import Controller, Grip, Scene, Units
 from jaxstab.shown import MOST_DIGITS, Printed, exact_text, rounded_text, stable_pair
 
 _LIMIT_DIGITS = 4
-_COLUMN = 34  # where values begin
 
 _HEADINGS = {
     "walls": "wall {}",
@@ -139,9 +138,9 @@ MassRange = Annotated[tuple[float, float], IntervalQuantity("kg")]
 class Answer:
     """A dataclass of quantities, descriptions and further answers.
 
-    A field is left out where it is None; one that is a dictionary has answers by their names. An
-    answer that ``is_part`` of another one has no heading. An answer with a field ``inputs`` has its
-    units, and so have the answers in it.
+    A field is left out where it is None; one that is a dictionary has answers, or quantities, by
+    their names. An answer that ``is_part`` of another one has no heading. An answer with a field
+    ``inputs`` has its units, and so have the answers in it.
     """
 
     is_part: ClassVar[bool] = False
@@ -177,7 +176,7 @@ class Answer:
                 else _LABELS.get(name) or _named(name, units).replace("_", " ")
             )
             if not isinstance(value, Answer):
-                lines.append(_line(indent, words, self._words(name, value, units)))
+                lines.append(_line(indent, words, self._words([*outer, name][0], value, units)))
             elif value.is_part or name == "inputs":
                 lines += value.lines(indent, units)
             else:
@@ -195,7 +194,7 @@ class Answer:
             if isinstance(value, Answer):
                 yield from value.leaves(prefix if value.is_part else f"{path}.", units)
                 continue
-            words = self._words(name, value, units)
+            words = self._words([*outer, name][0], value, units)
             ends = ("_low", "_high") if isinstance(value, tuple) else ("",)
             values = value if isinstance(value, tuple) else (value,)
             for end, entry in zip(ends, values, strict=True):
@@ -220,7 +219,7 @@ class Answer:
     def _units_of_keys(self, units: Units) -> dict[str, str]:
         """Return the unit of each key of a number, "1" where it has none."""
         units_by_key: dict[str, str] = {}
-        for (*_, name), value in self._entries():
+        for (name, *_), value in self._entries():
             if isinstance(value, Answer):
                 units_by_key |= value._units_of_keys(units)
             elif not isinstance(value, str | IntEnum):
@@ -316,7 +315,8 @@ def _named(name: str, units: Units) -> str:
 
 
 def _line(indent: str, name: str, words: str) -> str:
-    return f"{indent}{name:{_COLUMN - len(indent)}}{words}"
+    column = 34  # where values begin
+    return f"{indent}{name:{column - len(indent)}}{words}"
 
 
 def _for_json(value: Any) -> Any:

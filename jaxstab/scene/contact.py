@@ -4,21 +4,31 @@ Each wall is simulated from rest under the scene's push, and at its speed with a
 and from four phases of the encoder if there is one. The hand and the device's mass are at the
 lowest ends of their ranges, the delay is constant and the longest one. The answer is that of the
 worst start, which it names.
+
+A table of contacts has a dimension for each list of numbers; ``jaxstab.scene.labelled`` computes
+``jaxstab.contact_map`` over their grid, block by block.
 """
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from math import isnan
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from jaxtyping import Float64
 
+import jaxstab
+from jaxstab.arrays import Numbers
 from jaxstab.loop import Contact, ContactKind, HapticLoop, contact_map
+from jaxstab.loop.contact import setup_of
+from jaxstab.model import LoopParameters
+from jaxstab.numbers import checked
 from jaxstab.scene.answers import Answer, Basis, Frequency, Quantity, basis_of
-from jaxstab.scene.contact_table import plan_contacts
+from jaxstab.scene.labelled import Variable, computed, table_of, xarray_module
 from jaxstab.scene.loops import hands_of, loop_of, walls_of, with_delay
-from jaxstab.scene.scene import Scene
+from jaxstab.scene.scene import Scene, Units
+from jaxstab.shown import shortened
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -142,12 +152,7 @@ def map_contacts(scene: Scene, count: int, friction: list[float] | None = None) 
                 "then equal to friction."
             )
         given["friction"] = friction
-    units = scene.units
-
-    def in_units(unit: str) -> str:
-        return f"{units.length}/s" if unit == "m/s" else units.unit(unit)
-
-    return plan_contacts(loop, given, in_units)
+    return plan_contacts(loop, given, scene.units)
 
 
 def _conditions(scene: Scene) -> dict[str, Any]:
@@ -221,3 +226,115 @@ def _simulated(scene: Scene, contact: Contact, start: tuple[float, float, float]
         ", ".join(words),
         "; ".join(about),
     )
+
+
+# Contacts as a labelled table.
+
+_BLOCK, _LEAST = 2**26, 1024  # samples of a block; contacts at least
+
+_VARIABLES = {
+    "kind": Variable("how the simulated contact ends", "1", ContactKind),
+    "amplitude": Variable("half of the peak-to-peak position at the end", "m"),
+    "frequency": Variable("frequency of the position at the end", "Hz"),
+    "time_to_rest": Variable("from when on it rests", "s"),
+    "penetration": Variable("largest position", "m"),
+    "largest_force": Variable("largest modulus of the wall's force", "N"),
+    "energy": Variable("energy that the wall gave to device and hand", "J"),
+}
+_AXES = {  # arguments that may be lists: what they are, and their unit
+    "stiffness": ("stiffness of the virtual wall", "N/m"),
+    "damping": ("damping of the virtual wall", "N s/m"),
+    "friction": ("Coulomb friction", "N"),
+    "static_friction": ("static friction", "N"),
+    "encoder": ("resolution of the encoder", "m"),
+    "phase": ("phase of the encoder, in steps", "1"),
+    "force_step": ("resolution of the force", "N"),
+    "max_force": ("largest force", "N"),
+    "push": ("push of the hand", "N"),
+    "speed": ("speed at the start", "m/s"),
+    "position": ("position at the start", "m"),
+    "tolerance": ("of rest", "m"),
+}
+
+
+def contact_table(
+    loop: LoopParameters, stiffness: Numbers, damping: Numbers, **options: Any
+) -> "Dataset":
+    """Simulate contacts as one labelled table, in blocks that dask computes.
+
+    Its workers are those of ``jaxstab.study``. Nothing in the table is proved.
+
+    Args:
+        loop: any device with a mass at its handle.
+        stiffness, damping: see ``jaxstab.conventions``.
+        **options: those of ``HapticLoop.contact``. Gains and options may be lists of numbers, each
+            of which is a dimension of its name.
+
+    Returns:
+        ``xarray.Dataset`` over a dimension for each list, in their order, with the fields of
+        ``Contact``; names, units and the meaning of codes are attributes.
+
+    Raises: as ``HapticLoop.contact``; ValueError for arrays of several dimensions, or no list;
+    RuntimeError if xarray, dask or h5netcdf is missing, or a worker died.
+
+    Source: eqs. (1)-(5) of Hulin, Preusche, Hirzinger (2008); Coulomb friction between the samples.
+
+    Example:
+        >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
+        >>> table = jaxstab.contact_table(
+        ...     loop, [1000.0, 2000.0], 5.0, friction=[0.0, 0.1, 0.3], push=1.0, duration=1.0
+        ... )
+        >>> table.penetration.dims, table.penetration.units
+        (('stiffness', 'friction'), 'm')
+    """
+    return computed(plan_contacts(loop, {"stiffness": stiffness, "damping": damping, **options}))
+
+
+def plan_contacts(
+    loop: LoopParameters, given: Mapping[str, Any], units: Units = Units.LINE
+) -> "Dataset":
+    """Return the table of contacts, to be computed by dask; ``given`` as for ``contact_map``."""
+    xarray, loop = xarray_module(), loop.in_floats()
+    lists = {
+        name: checked(name, value)
+        for name, value in given.items()
+        if name in _AXES and np.ndim(value)
+    }
+    if not lists:
+        raise ValueError("no argument is a list, so there is nothing to map; use loop.contact.")
+    for name, values in lists.items():
+        if values.ndim > 1 or not values.size:
+            raise ValueError(
+                f"{name} has the shape {values.shape}; give a number or a list of numbers."
+            )
+    fixed = {name: value for name, value in given.items() if name not in lists}
+    corner = {name: values[0] for name, values in lists.items()}
+    samples = setup_of(loop, **fixed, **corner).samples  # refuses what no block can compute
+    table = table_of(
+        partial(_fields, loop, fixed, tuple(lists)),
+        {name: xarray.DataArray(values, dims=name) for name, values in lists.items()},
+        {name: own._replace(units=units.unit(own.units)) for name, own in _VARIABLES.items()},
+        max(_LEAST, _BLOCK // samples),
+        {},
+    )
+    axes = {name: Variable(*_AXES[name]) for name in lists}
+    return table.assign_coords(
+        {
+            name: (name, lists[name], own._replace(units=units.unit(own.units)).attributes)
+            for name, own in axes.items()
+        }
+    ).assign_attrs(
+        title="Simulated contacts with virtual walls; nothing is proved",
+        source=f"jaxstab {jaxstab.__version__}, contact_table",
+        loop=repr(loop),
+        conditions=", ".join(f"{name}={shortened(value)}" for name, value in fixed.items()),
+    )
+
+
+def _fields(
+    loop: LoopParameters, fixed: Mapping[str, Any], names: tuple[str, ...], *columns: np.ndarray
+) -> tuple[np.ndarray, ...]:
+    """Return the fields of the contacts in a block of a table."""
+    contact = contact_map(loop, **fixed, **dict(zip(names, columns, strict=True)))
+    shape = np.broadcast_shapes(*map(np.shape, columns))
+    return tuple(np.reshape(getattr(contact, name), shape) for name in _VARIABLES)

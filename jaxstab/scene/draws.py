@@ -13,12 +13,10 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
-from numpy.typing import NDArray
 
 from jaxstab.shown import shortened
 from jaxstab.tables import columns_of
 
-Values = list[Any] | NDArray[Any]
 Draws = Float64[np.ndarray, " draw"]
 
 
@@ -53,13 +51,11 @@ def values_of(key: str, given: Any) -> Any:
     ``LOW:HIGH:COUNT``, ``normal:300:100``. ValueError: it is none of these, or not finite; OSError:
     a file cannot be read.
     """
+    if isinstance(given, tuple) and len(given) == 3 and isinstance(given[2], int):
+        given = ":".join(map(str, given))
     given = distribution_of(given) or listed(key, given) if isinstance(given, str) else given
     if is_distribution(given):
         return given
-    if isinstance(given, tuple) and len(given) == 3 and isinstance(given[2], int):
-        if given[2] < 2:
-            raise ValueError(f"{key} is {given}; give (low, high, count) with a count >= 2.")
-        given = _spaced(*given)
     if not np.ndim(given):
         raise ValueError(
             f"{key} is {shortened(given)}; give a list of values, (low, high, count), or a "
@@ -115,27 +111,24 @@ def distribution_of(text: str) -> Any:
 
 
 def listed(key: str, text: str) -> list[float | str]:
-    """Return the values of a text: ``LOW:HIGH:COUNT`` or ``VALUE,VALUE,...``; ValueError."""
+    """Return the values of a text: ``LOW:HIGH:COUNT`` or ``VALUE,VALUE,...``; ValueError.
+
+    Spaced ones have 15 digits: 0.2, not 0.20000000000000001.
+    """
     ends, most = text.split(":"), 100_000
     if len(ends) == 1 and text:
         return [_number_or_text(value) for value in text.split(",")]
     try:
         low, high, count = float(ends[0]), float(ends[1]), int(ends[2])
         if len(ends) == 3 and 2 <= count <= most and isfinite(high - low):
-            return [*_spaced(low, high, count)]
+            between = np.linspace(low, high, count)[1:-1].tolist()
+            return [low, *(float(f"{value:.15g}") for value in between), high]
     except (ValueError, IndexError):
         pass
     raise ValueError(
         f"{key} is {shortened(text)}; give LOW:HIGH:COUNT with a COUNT from 2 to {most}, "
         "or VALUE,VALUE,..."
     )
-
-
-def _spaced(low: float, high: float, count: int) -> list[float]:
-    """Return equally spaced numbers of 15 digits between two ends."""
-    with np.errstate(all="ignore"):  # ends so far apart overflow
-        between = np.linspace(low, high, count)[1:-1].tolist()
-    return [float(low), *(float(f"{value:.15g}") for value in between), float(high)]
 
 
 def _number_or_text(text: str) -> float | str:

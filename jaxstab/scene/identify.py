@@ -23,10 +23,20 @@ therefore the jackknife's over segments (Efron, Stein 1981), from the Jacobian: 
 segment s, A_s = J_s' J_s, A their sum and g_s = J_s' r_s, leaving the segment out moves the
 estimate by (A - A_s)^-1 g_s. Nothing is assumed of the residuals within a segment. Intervals are
 Student's, with one degree of freedom fewer than there are segments.
+
+A log is a CSV file with a header and one row for each sample. An encoder reads multiples of a step,
+which the smallest difference of two readings tells. The velocity that software logs beside it
+follows from the readings, by a window or a low pass: each window is tried, and a low pass is fitted
+by a linear regression for its factor. The one with the smaller error is taken.
+
+A scene takes mass and delay as ranges: the ends of their intervals. Where a warning says that the
+model lacks something, intervals do not hold, and the scene has the values alone.
 """
 
+from dataclasses import dataclass
 from functools import cache, lru_cache
-from typing import Any
+from math import floor, inf, log, log10, pi, sqrt
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -37,14 +47,93 @@ from scipy.special import stdtrit
 
 from jaxstab.arrays import Array, Numbers
 from jaxstab.batches import in_float64
+from jaxstab.model import Velocity
 from jaxstab.motion.contact import Flow, Plant, Runs, Seen, series, series_at
 from jaxstab.numbers import checked, checked_number
-from jaxstab.scene.identified import Estimate, Identified, Rows, Segments, doubt_of
-from jaxstab.scene.log import estimator_of, resolution_of
+from jaxstab.scene.answers import Quantity
+from jaxstab.scene.scene import Units
+from jaxstab.shown import printable
+from jaxstab.tables import columns_of
+
+Rows = Float64[np.ndarray, " row"]
+Segments = Float64[np.ndarray, "segment sample"]
 
 FEWEST, MOST = 2000, 64_000  # rows
 HISTORY = 100  # samples before the first segment: longer delays are not tried
 _EXCITE = "excite the device more strongly, or with more changes of the force"
+
+
+class Estimate(NamedTuple):
+    """A value and the ends of its 95 % confidence interval, which holds if the model does.
+
+    Example:
+        >>> print(jaxstab.results.Estimate(0.25012, 0.2493, 0.2509))
+        0.25012 (0.24930 to 0.25090)
+        >>> print(jaxstab.results.Estimate(0.25012, 0.2493, 0.2509).times(1e3))
+        250.12 (249.30 to 250.90)
+    """
+
+    value: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        half = 0.5 * (self.high - self.low)
+        places = max(0, 1 - floor(log10(half))) if half > 0.0 else 6
+        value, low, high = (f"{end:.{places}f}" for end in self)
+        return f"{value} ({low} to {high})"
+
+    def times(self, factor: float, least: float = -inf) -> "Estimate":
+        """Return the estimate in another unit, all three values at least ``least``."""
+        return Estimate(*(max(factor * end, least) for end in self))
+
+
+@dataclass(frozen=True, repr=False)
+class Identified:
+    """A device as identified from a log, in SI units; see ``jaxstab.identify``.
+
+    Attributes:
+        mass, damping, friction, offset, stiffness, delay: estimates in kg, N s/m, N, N, N/m and s
+            (kg m^2, N m s/rad, N m, N m, N m/rad and s if it turns). The offset is a constant
+            force against the command, at the mean position. The stiffness of the device's spring is
+            0 unless one was fitted.
+        sample_time: in s.
+        resolution: the step of the encoder in m or rad; None where positions are not multiples of
+            one.
+        residual: the rms of measured minus fitted positions in m or rad.
+        warning: a sentence if the residual contradicts the model; empty otherwise.
+        velocity: the estimator that fits the logged velocity best; None without one.
+        unexplained: the rms of the logged minus the estimated velocity, over that of the velocity.
+        measured, fitted: positions in m or rad, (segment, sample), from row 100 of the log on.
+
+    Example:
+        >>> push = np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 200), 10)
+        >>> speed = np.cumsum(push) * 1e-3 / 0.25  # of 0.25 kg, without friction and delay
+        >>> place = np.cumsum(speed - push * 0.5e-3 / 0.25) * 1e-3
+        >>> found = jaxstab.identify(
+        ...     force=push, position=np.append(0.0, place[:-1]), sample_time=1e-3
+        ... )
+        >>> print(f"{found.mass.value:.4f} kg")
+        0.2500 kg
+    """
+
+    mass: Estimate
+    damping: Estimate
+    friction: Estimate
+    offset: Estimate
+    stiffness: Estimate
+    delay: Estimate
+    sample_time: float
+    resolution: float | None
+    residual: float
+    warning: str
+    velocity: Velocity | None
+    unexplained: float
+    measured: Segments
+    fitted: Segments
+
+    def __repr__(self) -> str:
+        return f"Identified(mass={self.mass}, damping={self.damping}, delay={self.delay})"
 
 
 def identify(
@@ -96,7 +185,7 @@ def identify(
             f"rows of the log: {len(positions)}; give {FEWEST} to {MOST}, such as those of ten "
             "seconds."
         )
-    resolution, extent = resolution_of(positions), float(np.ptp(positions))
+    resolution, extent = _resolution(positions), float(np.ptp(positions))
     unit = resolution or 1e-4 * extent
     if not extent >= 20.0 * unit or not np.ptp(forces):
         raise ValueError(
@@ -121,7 +210,7 @@ def identify(
             f"the log does not separate the mass from damping and friction: it is {mass.low:.3g} "
             f"to {mass.high:.3g}; {_EXCITE}."
         )
-    estimator, unexplained = estimator_of(positions, columns.get("velocity"), period)
+    estimator, unexplained = _estimator(positions, columns.get("velocity"), period)
     return Identified(
         mass,
         damping.times(1.0, 0.0),
@@ -132,12 +221,15 @@ def identify(
         period,
         resolution,
         residual,
-        doubt_of(measured - fitted, resolution is not None, residual, extent, period),
+        _doubt(measured - fitted, resolution is not None, residual, extent, period),
         estimator,
         unexplained,
         middle + unit * measured,
         middle + unit * fitted,
     )
+
+
+# The fit: a start by a regression, and least squares from there.
 
 
 def _start(
@@ -277,3 +369,188 @@ def _program() -> Any:
         return positions, slopes
 
     return jax.jit(jax.vmap(with_slopes))
+
+
+# Logs: their columns, the step of the encoder, and what the residual and the velocity tell.
+
+
+def read_log(
+    file: str, names: dict[str, str], sample_time: float | None, needs_velocity: bool
+) -> dict[str, Any]:
+    """Return the sampling period and the columns of a log, by their names in ``identify``.
+
+    ValueError: the file is bad, or its time steps differ.
+    """
+    needed = ["force", "position", *(["time"] if sample_time is None else [])]
+    optional = [] if needs_velocity else [names["velocity"]]
+    needed += ["velocity"] if needs_velocity else []
+    table = columns_of(file, [names[key] for key in needed], optional)
+    columns = {key: np.array(table[name]) for key, name in names.items() if name in table}
+    unequal = 0.1  # of a sample: the most that a time step may differ from the mean
+    if sample_time is None:
+        steps = np.diff(columns["time"])
+        sample_time = float(np.mean(steps)) if len(steps) else 0.0
+        odd = np.flatnonzero(~(abs(steps - sample_time) <= unequal * sample_time))
+        if len(odd) or not sample_time > 0.0:
+            line = int(odd[0]) + 3 if len(odd) else 3
+            raise ValueError(
+                f"{file}, line {line}: the time does not grow by the mean step of "
+                f"{sample_time:.6g} s; give a log with equal steps, or --sample-time if no row is "
+                "missing."
+            )
+    columns.pop("time", None)
+    return {"sample_time": sample_time, **columns}
+
+
+def _resolution(positions: Rows) -> float | None:
+    """Return the step of which positions are multiples, up to a constant offset."""
+    places = np.unique(positions)
+    if len(places) < 2:
+        return None
+    step = float(np.diff(places).min())
+    most = float(np.rint((places[-1] - places[0]) / step))
+    if most > 2.0**31:  # counts of no encoder: such steps are rounding of float64
+        return None
+    step = float(places[-1] - places[0]) / most
+    counts = (places - places[0]) / step
+    return step if np.all(abs(counts - np.rint(counts)) < 0.1) else None
+
+
+def _estimator(
+    positions: Rows, velocity: Rows | None, period: float
+) -> tuple[Velocity | None, float]:
+    """Return the window or the low pass that fits velocities best, and its relative error."""
+    if velocity is None:
+        return None, 0.0
+    longest_window = 200  # samples
+    late = slice(longest_window, None)
+    differences = np.diff(positions, prepend=positions[0]) / period
+    guesses: list[tuple[float, Velocity]] = []
+
+    def guess(estimator: Velocity, values: Rows) -> None:
+        guesses.append((float(np.mean((values - velocity)[late] ** 2)), estimator))
+
+    for samples in range(1, longest_window + 1):
+        values = np.zeros_like(positions)
+        values[samples:] = (positions[samples:] - positions[:-samples]) / (samples * period)
+        guess(Velocity.difference(samples=samples), values)
+    # v_k - d_k = q (v_(k-1) - d_k) of a low pass is linear in q.
+    before, now = velocity[:-1] - differences[1:], velocity[1:] - differences[1:]
+    share = float(before @ now) / max(float(before @ before), np.finfo(float).tiny)
+    if 0.0 < share < 1.0:
+        values = velocity.copy()
+        for row in range(1, len(values)):
+            values[row] = share * values[row - 1] + (1.0 - share) * differences[row]
+        guess(Velocity.low_pass(-log(share) / (2.0 * pi * period)), values)
+    error, best = min(guesses, key=lambda guess: guess[0])
+    return best, float(np.sqrt(error / max(np.mean(velocity[late] ** 2), np.finfo(float).tiny)))
+
+
+def _doubt(residual: Segments, is_stepped: bool, size: float, extent: float, period: float) -> str:
+    """Return a warning with the residual's main frequency if rounding does not explain it."""
+    window = np.hanning(residual.shape[1])
+    power = np.mean(abs(np.fft.rfft(window * residual, axis=1)) ** 2, axis=0)[2:]
+    peak = int(np.argmax(power))
+    times = float(np.sqrt(12.0 * np.mean(residual**2)))
+    noise = 1e-6  # of the motion: a smaller residual causes no warning
+    odd, sharp = 1.5, 20.0  # a residual in roundings, its peak in medians of the spectrum
+    is_sharp = power[peak] > sharp * np.median(power) and size > noise * extent
+    is_odd = times > odd if is_stepped else is_sharp
+    if not is_odd:
+        return ""
+    of_rounding = f", {times:.3g} times that of the encoder's rounding" if is_stepped else ""
+    return (
+        f"the residual is {size:.3g} rms{of_rounding}, with its largest peak at "
+        f"{(peak + 2) / (residual.shape[1] * period):.3g} Hz: the model lacks something, such as a "
+        "vibration mode, a hand on the handle or a varying delay"
+    )
+
+
+# What is identified, as text and as a scene.
+
+
+def identified_text(device: Identified, units: Units) -> str:
+    """Return the identified quantities, one on each line, with units."""
+    period, length = device.sample_time, Quantity("m", digits=3)
+    rounding = length.words((device.resolution or 0.0) / sqrt(12.0), units)
+    explained = f" (encoder rounding alone: {rounding})" if device.resolution else ""
+    lines = {
+        units.moved: f"{device.mass} {units.kilogram}",
+        "damping": f"{device.damping} {units.damping}",
+        "friction": f"{device.friction} {units.force}",
+        "constant force": f"{device.offset} {units.force}",
+        "spring": f"{device.stiffness} {units.stiffness}" if device.stiffness.value else "",
+        "delay": f"{device.delay.times(1e3)} ms; in samples {device.delay.times(1.0 / period)}",
+        "residual": f"{length.words(device.residual, units)} rms{explained}",
+        "velocity": f"{device.velocity}; {_unexplained(device)}" if device.velocity else "",
+    }
+    shown = [f"{name:16}{words}" for name, words in lines.items() if words]
+    doubt = "; by the warning it does not" if device.warning else ""
+    return "\n".join([*shown, f"in brackets: 95 % confidence intervals, if the model holds{doubt}"])
+
+
+def _unexplained(device: Identified) -> str:
+    percent = 100.0 * device.unexplained
+    return f"{f'{percent:.2g}' if percent >= 1e-3 else '< 0.001'} % rms unexplained"
+
+
+def identified_scene(device: Identified, units: Units, source: str) -> str:
+    """Return the text of a scene: intervals as ranges where it takes them, else as comments.
+
+    The delay becomes a range in which it may vary, because those proofs cover ranges of mass, too.
+    With a warning there is no range: what the model lacks moves estimates out of their intervals.
+    """
+    period, resolution, velocity = device.sample_time, device.resolution, _velocity_key(device)
+    remarks, taken, ranges = [], _range, " and as ranges"
+    if device.warning:
+        remarks = [f"Warning: {device.warning}. So mass and delay have no range here."]
+        taken, ranges = _best, ""
+    if device.stiffness.value:
+        remarks.append(
+            f"The device has a spring of {device.stiffness} {units.stiffness}: add it to the "
+            "stiffness of the hand."
+        )
+    lines = [
+        f"# From {printable(source)} by jaxstab identify. In brackets{ranges}: 95 %",
+        "# confidence intervals, if the model holds.",
+        *(f"# {remark}" for remark in remarks),
+        "",
+        "[device]",
+        f"{units.moved} = {taken(device.mass)}  # {units.kilogram}; {device.mass}",
+        f"damping = {device.damping.value:.6g}  # {units.damping}; {device.damping}",
+        f"friction = {device.friction.value:.6g}  # {units.force}; {device.friction}",
+        *([f"encoder.resolution = {resolution:.6g}  # {units.length}"] if resolution else []),
+        "",
+        "[controller]",
+        f"sample_time = {period:.9g}  # s",
+        f"delay = {taken(device.delay)}  # s; in samples {device.delay.times(1.0 / period)}",
+        *velocity,
+    ]
+    if device.friction.value:
+        speed = float(np.std(np.diff(device.fitted, axis=1))) / period
+        words = f"{units.length}/s, of simulated contacts; that of the log"
+        lines += ["", "[contact]", f"speed = {speed:.2g}  # {words}"]
+    return "\n".join([*lines, ""])
+
+
+def _range(estimate: Estimate) -> str:
+    return f"[{max(estimate.low, 0.0):.7g}, {max(estimate.high, 0.0):.7g}]"
+
+
+def _best(estimate: Estimate) -> str:
+    return f"{max(estimate.value, 0.0):.7g}"
+
+
+def _velocity_key(device: Identified) -> list[str]:
+    """Return the key of the velocity's estimator, as a comment if it explains too little."""
+    if device.velocity is None:
+        return []
+    (section,) = device.velocity.filter.sections
+    name, value = next(
+        (name, getattr(section, own))
+        for name, own in (("window_samples", "samples"), ("cutoff", "cutoff"))
+        if hasattr(section, own)
+    )
+    explained = 0.05  # of a velocity: an estimator with a larger error is only a comment
+    mark = "" if device.unexplained <= explained else "# not explained: "
+    return [f"{mark}velocity.{name} = {value:.6g}  # {_unexplained(device)}"]

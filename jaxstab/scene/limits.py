@@ -1,8 +1,9 @@
 """The limits of a scene: the largest stiffness and damping, beside the simple rules."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from math import isfinite, nan
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from jaxstab.scene.answers import (
     DampingLimits,
     GivenDamping,
     GivenStiffness,
+    IntervalQuantity,
     LargestDamping,
     LargestStiffness,
     Number,
@@ -89,29 +91,16 @@ class Island(MostDampedWall, StiffestWall):
 
 
 @dataclass(frozen=True)
-class OtherStiffnesses(Answer):
-    """Another interval of stable stiffnesses at the same damping; unstable ones lie between."""
-
-    stiffness_limits: StiffnessLimits
-
-
-@dataclass(frozen=True)
-class OtherDampings(Answer):
-    """Another interval of stable dampings at the same stiffness; unstable ones lie between."""
-
-    damping_limits: DampingLimits
-
-
-@dataclass(frozen=True)
 class StiffnessesAtDamping(Answer):
     """The stable stiffnesses at a damping, and the largest one of the linear rule.
 
-    Of several intervals the one that holds small gains, or a wall, comes first.
+    Of several intervals the one that holds small gains, or a wall, comes first; unstable gains lie
+    between it and the others.
     """
 
     at_damping: GivenDamping
     stiffness_limits: StiffnessLimits
-    other_stiffnesses: dict[str, OtherStiffnesses]
+    other_stiffnesses: Annotated[dict[str, tuple[float, float]], IntervalQuantity("N/m", 4)]
     linear_rule_stiffness: LargestStiffness | None
 
 
@@ -121,7 +110,7 @@ class DampingsAtStiffness(Answer):
 
     at_stiffness: GivenStiffness
     damping_limits: DampingLimits
-    other_dampings: dict[str, OtherDampings]
+    other_dampings: Annotated[dict[str, tuple[float, float]], IntervalQuantity("N s/m", 4)]
 
 
 @dataclass(frozen=True)
@@ -282,10 +271,10 @@ def scene_limits(scene: Scene) -> Limits | LimitsOverDelays:
         best=StiffestWall(*rows.stiffest(limits.stiffness, limits.at_damping)),
         most_damped=MostDampedWall(*rows.most_damped(limits.damping, limits.at_stiffness)),
         reached=None if limits.is_reachable or region.is_empty else "small gains are not stable",
-        islands={
-            str(k): Island(*rows.stiffest(*own[:2]), *rows.most_damped(*own[2:4]), isolated)
-            for k, own in enumerate(islands, 1)
-        },
+        islands=_numbered(
+            Island(*rows.stiffest(*own[:2]), *rows.most_damped(*own[2:4]), isolated)
+            for own in islands
+        ),
         passive=_passive(rows) if has_rules else None,
         linear_rule=(_linear_rule(rows, limits, safety) if has_rules and is_any_stable else None),
         windows=_other_windows(loop, safety) if scene.controller.velocity is None else {},
@@ -373,14 +362,12 @@ class _Rows:
         """Return the stable stiffnesses at a damping: first those around one, or small ones."""
         first, *others = self._intervals(self.loop.stiffness_intervals(damping), stiffness)
         rule = self.linear_rule(damping) if is_plain(self.loop) else None
-        named = {str(k): OtherStiffnesses(own) for k, own in enumerate(others, 1)}
-        return StiffnessesAtDamping(damping, first, named, rule)
+        return StiffnessesAtDamping(damping, first, _numbered(others), rule)
 
     def at_stiffness(self, stiffness: float, damping: float = nan) -> DampingsAtStiffness:
         """Return the stable dampings at a stiffness: first those around one, or small ones."""
         first, *others = self._intervals(self.loop.damping_intervals(stiffness), damping)
-        named = {str(k): OtherDampings(own) for k, own in enumerate(others, 1)}
-        return DampingsAtStiffness(stiffness, first, named)
+        return DampingsAtStiffness(stiffness, first, _numbered(others))
 
     def _intervals(self, line: StableLine, value: float) -> list[tuple[float, float]]:
         """Return the intervals of a line, times the safety: that of a value comes first.
@@ -413,6 +400,10 @@ class _Rows:
             loop.beta(damping), delta=loop.delta, delay=loop.delay_samples
         )
         return self.safety * loop.stiffness(float(limit))
+
+
+def _numbered(values: Iterable[Any]) -> dict[str, Any]:
+    return {str(number): value for number, value in enumerate(values, 1)}
 
 
 def inwards(low: float, high: float, safety: float) -> tuple[float, float]:

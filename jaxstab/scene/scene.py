@@ -50,6 +50,8 @@ class Units(Enum):
 
     def unit(self, of_line: str) -> str:
         """Return the unit that replaces one of linear motion."""
+        if of_line == "m/s":
+            return f"{self.length}/s"
         return dict(zip(Units.LINE.value, self.value, strict=True)).get(of_line, of_line)
 
     def translated(self, sentence: str) -> str:

@@ -4,11 +4,10 @@ A study varies keys of a scene, or fields of a loop. Each list is a separate dim
 distributions share the dimension ``sample``: a study with three lists and two distributions has
 four dimensions, and walls are one more. ``jaxstab.scene.labelled`` computes it block by block.
 
-Within a block, a scene is made for each combination of the values that decide the filters and the
-sampling period. Masses, dampings, stiffnesses and delays are arrays beside the resulting loop, and
-answers are computed for all of them at once. Limits of combinations with few loops are computed
-together, whatever their filters. Walls on devices that are not one mass are computed loop by loop.
-Where all draws are rows of CSV files, equal ones are computed once.
+Within a block, combinations that differ in masses, dampings, stiffnesses and delays alone are one
+loop that has arrays, and walls are asked of all of them at once; devices that are not one mass are
+asked loop by loop. Limits of combinations with few loops are computed together, whatever their
+filters. Where all draws are rows of CSV files, equal ones are computed once.
 
 A part of a study is a piece of its longest dimension, with the draws of the whole. So it is a
 smaller study, and parts are put together by ``xarray.open_mfdataset`` or by ``jaxstab study
@@ -16,7 +15,8 @@ smaller study, and parts are put together by ``xarray.open_mfdataset`` or by ``j
 """
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from hashlib import sha256
@@ -24,31 +24,29 @@ from itertools import islice, product
 from math import inf, prod
 from os import PathLike
 from pathlib import Path
-from statistics import NormalDist
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 import jaxstab
 from jaxstab.batches import alike
 from jaxstab.conventions import Verdict
 from jaxstab.loop import HapticLoop, limits_of
 from jaxstab.motion.settling import SettlingStatus
-from jaxstab.numbers import checked_count
+from jaxstab.numbers import checked_count, checked_number
 from jaxstab.region import RegionStatus
 from jaxstab.scene.answers import delay_notes
-from jaxstab.scene.draws import Column, Values, draws_of, is_distribution, values_of, words_of
+from jaxstab.scene.draws import Column, draws_of, is_distribution, values_of, words_of
 from jaxstab.scene.labelled import Variable, computed, read, table_of, xarray_module
 from jaxstab.scene.loops import loop_of
 from jaxstab.scene.scene import INNER, TABLES, Scene, Units
 from jaxstab.shown import shortened
-from jaxstab.tables import Interval, Table, check_keys, checked_label, one_of, read_table, unit_of
+from jaxstab.tables import Interval, Table, check_keys, checked_label, read_table, unit_of
 
 if TYPE_CHECKING:
     from xarray import DataArray, Dataset
-
-Floats = NDArray[np.float64]
 
 _BLOCK = 1 << 13  # loops times walls
 SAMPLE, WALL = "sample", "wall"  # dimensions
@@ -180,12 +178,11 @@ def shares(study: "Dataset", *, confidence: float = 0.95) -> "Dataset":
         raise ValueError(f"confidence is {confidence:g}; give a number between 0 and 1.")
     if "verdict" not in study:
         raise ValueError("the study has no verdicts; give walls, and verdict among answers.")
-    verdict = _drawn(study, "verdict")
+    verdict = _drawn(study, "verdict").drop_attrs(deep=False)  # counts are no verdicts
     count = verdict.sizes[SAMPLE]
     stable = (verdict == Verdict.STABLE).sum(SAMPLE).compute()
     undecided = (verdict == Verdict.UNDECIDED).sum(SAMPLE).compute()
-    low, _ = _score_interval(stable, count, confidence)
-    _, high = _score_interval(stable + undecided, count, confidence)
+    low, high = _score_interval(stable, stable + undecided, count, ndtri(0.5 + 0.5 * confidence))
     return xarray_module().Dataset(
         {"share": stable / count, "low": low, "high": high, "undecided": undecided},
         attrs={"draws": count, "confidence": confidence},
@@ -219,7 +216,7 @@ def quantiles(
 
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-        >>> study = jaxstab.study(loop, {"hand_stiffness": "uniform:100:500"}, samples=100)
+        >>> study = jaxstab.study(loop, {"hand_stiffness": "uniform:100:500"}, samples=20)
         >>> low, median, high = jaxstab.quantiles(study).values
         >>> bool(low < median < high)
         True
@@ -239,6 +236,19 @@ def quantiles(
 def lists_of(study: "Dataset") -> list[str]:
     """Return the dimensions that are lists of values: neither draws nor walls."""
     return [str(name) for name in study.dims if name not in (SAMPLE, WALL)]
+
+
+def _score_interval(
+    least: "DataArray", most: "DataArray", total: int, z: float
+) -> tuple["DataArray", "DataArray"]:
+    """Return Wilson's interval of a share; 0 and 1 exactly where nothing and all was counted."""
+
+    def end(count: "DataArray", side: float) -> "DataArray":
+        share = count / total
+        half = np.sqrt(share * (1.0 - share) / total + 0.25 * (z / total) ** 2)
+        return (share + 0.5 * z * z / total + side * z * half) / (1.0 + z * z / total)
+
+    return end(least, -1.0).where(least > 0, 0.0), end(most, 1.0).where(most < total, 1.0)
 
 
 def _drawn(study: "Dataset", variable: str) -> "DataArray":
@@ -275,46 +285,40 @@ def plan_study(
     if not over:
         raise ValueError("over is empty; give at least one key that varies.")
     source = _Source(_table_of(of))
-    over = {**over, **{key: own for key, own in source.ranges.items() if key not in over}}
-    for key in over:
+    ranges = {key: own for key, own in source.ranges.items() if key not in over}
+    given = {key: values_of(key, own) for key, own in {**over, **ranges}.items()}
+    for key in given:
         source.check_key(key)
-    given = {key: values_of(key, own) for key, own in over.items()}
-    gains = source.walls if walls is None else {n: _checked_wall(n, *w) for n, w in walls.items()}
+    gains = source.walls if walls is None else _checked_walls(walls)
     wanted = _wanted(answers, gains)
-    seconds = _seconds_of_a_loop(source, _columns(source, given, 1, seed)[0], wanted, len(gains))
-    if samples is None:
-        samples = _affordable(given, seconds)
-    samples = checked_count("samples", samples, 1, 10_000_000)
-    columns, notes = _columns(source, given, samples, seed)
+    seconds = _seconds_of_a_loop(source, given, wanted, len(gains))
+    samples = _affordable(given, seconds) if samples is None else samples
+    columns, notes = _columns(source, given, checked_count("samples", samples, 1, 10_000_000), seed)
     notes = source.check(columns) + notes
-    notes += [
-        f"{key}: drawn from the range of the scene, {words}."
-        for key, words in source.ranges.items()
-        if over[key] == words
-    ]
-    asked = _digest([source.table, wanted, gains], columns)
-    columns, along, piece = _part_of(columns, part)
-    numbers = np.arange(samples)[piece if along == SAMPLE else slice(None)]
-    columns, draws = _different(columns)  # and the places in them of draws that repeat
+    notes += [f"{key}: drawn from the range of the scene, {own}." for key, own in ranges.items()]
+    columns, about, begin = _part_of(columns, part, [source.table, wanted, gains])
+    different, draws = _different(columns, given)
     block = _Block(source, tuple(c.key for c in columns), np.array([*gains.values()]).T, wanted)
     size = max(1, min(_BLOCK // max(1, len(gains)), int(4.0 / seconds)))  # of at most 4 s
-    table = _table(block, columns, gains, size)
-    different = {str(name): length for name, length in table.sizes.items()}
+    table = _table(block, different, gains, size)
+    loops = prod(length for name, length in table.sizes.items() if name != WALL)
     table = table.isel(draws).assign_attrs(
         title="Stability of haptic loops; verdicts are proved",
         source=f"jaxstab {jaxstab.__version__}, study",
         of=str(source.table),
-        over=json.dumps({key: words_of(own) for key, own in over.items()}),
+        over=json.dumps({key: words_of(own) for key, own in {**over, **ranges}.items()}),
         seed=str(seed),
         notes="\n".join(notes),
-        study=asked,
+        **about,
     )
-    if part[1] > 1:
-        table = table.assign_attrs(part=str(part[0]), parts=str(part[1]), along=along)
     if SAMPLE in table.dims:
-        about = {"long_name": "number of the draw"}
-        table = table.assign_coords({SAMPLE: (SAMPLE, numbers, about)})
-    return StudyPlan(table, [*notes, _cost(table, different, seconds)])
+        numbers = begin + np.arange(table.sizes[SAMPLE])
+        table = table.assign_coords(
+            {SAMPLE: (SAMPLE, numbers, {"long_name": "number of the draw"})}
+        )
+    axes = " x ".join(f"{length} {name}" for name, length in table.sizes.items())
+    cost = f"{axes}: {loops:,} loops, about {_time(loops * seconds)} of CPU time"
+    return StudyPlan(table, [*notes, f"{cost}, {max(table.nbytes / 1e6, 1e-3):.3g} MB"])
 
 
 def merged(paths: Sequence[Path]) -> "Dataset":
@@ -323,55 +327,45 @@ def merged(paths: Sequence[Path]) -> "Dataset":
     ValueError: parts are of different studies, missing or given twice; OSError: a file cannot be
     read.
     """
-    parts = dict[int, tuple[Path, Any]]()
+    parts, about, along = dict[int, tuple[Path, Any]](), "1", ""
     for path in paths:
         table = read(path)
-        if not {"part", "parts", "study"} <= table.attrs.keys():
+        found = re.fullmatch(_PART, str(table.attrs.pop("part", "")))
+        if found is None:
             raise ValueError(f"{path} is no part of a study; give the files that --part wrote.")
-        number = int(table.attrs["part"])
-        first = next(iter(parts.values()), (path, table))
-        if any(first[1].attrs[name] != table.attrs[name] for name in ("study", "parts")):
+        number, own, along = int(found[1]), found[2], found[4]
+        first, _ = next(iter(parts.values()), (path, table))
+        if parts and own != about:
             raise ValueError(
-                f"{path} and {first[0]} are parts of different studies; give those of one."
+                f"{path} and {first} are parts of different studies; give those of one."
             )
         if number in parts:
             raise ValueError(f"{path} and {parts[number][0]} are the same part; give each once.")
-        parts[number] = path, table
-    if not parts:
-        raise ValueError("no part is given; give the files of all parts.")
+        parts[number], about = (path, table), own
+    count = int(about.split()[0])
+    missing = next((k for k in range(1, count + 1) if k not in parts), None)
+    if missing is not None:
+        raise ValueError(f"part {missing} of {count} is missing; give the files of all parts.")
     tables = [table for _, (_, table) in sorted(parts.items())]
-    about = tables[0].attrs
-    missing = [k for k in range(1, int(about["parts"]) + 1) if k not in parts]
-    if missing:
-        raise ValueError(
-            f"part {missing[0]} of {about['parts']} is missing; give the files of all parts."
-        )
     same = {"data_vars": "minimal", "coords": "minimal", "compat": "override", "join": "exact"}
-    whole = xarray_module().concat(tables, about["along"], combine_attrs="override", **same)
-    for name in ("part", "parts", "along"):
-        del whole.attrs[name]
-    return whole
+    return xarray_module().concat(tables, along, combine_attrs="override", **same)
 
 
 # What varies, checked.
 
+_PART = r"(\d{1,7}) of ((\d{1,7}) along (\w+) of study .*)"  # as an attribute of its table
+
 
 class _Column(NamedTuple):
-    """A key that varies: its values, what they are, and whether they are drawn."""
+    """A key that varies, its values, and their dimension."""
 
     key: str
-    values: Values
-    words: str
-    unit: str
-    drawn_from: Any  # None for a list
+    values: NDArray[Any]
+    dimension: str
 
     @property
     def name(self) -> str:
         return self.key.replace(".", "_")
-
-    @property
-    def dimension(self) -> str:
-        return self.name if self.drawn_from is None else SAMPLE
 
 
 def _columns(
@@ -380,16 +374,14 @@ def _columns(
     """The columns that vary, those of lists first, and notes on the draws."""
     columns, notes = list[_Column](), list[str]()
     for key, own in sorted(given.items(), key=lambda pair: is_distribution(pair[1])):
-        words, unit = _described(key)
         if not is_distribution(own):
-            columns.append(_Column(key, own, words, unit, None))
+            columns.append(_Column(key, np.asarray(own), key.replace(".", "_")))
             continue
-        draws, below = draws_of(key, own, samples, seed, source.least(key))
-        columns.append(_Column(key, draws, words, unit, own))
+        least = 0.0 if key in source.numbers else -inf
+        draws, below = draws_of(key, own, samples, seed, least)
+        columns.append(_Column(key, draws, SAMPLE))
         if below > 0.0:
             notes.append(f"{key}: {100.0 * below:.2g} % of the distribution, below 0, is left out.")
-    if source.is_loop and {"delay", "delay_samples"} <= given.keys():
-        raise ValueError("delay is given beside delay_samples; give one.")
     names = [column.name for column in columns]
     doubled = next((n for n in names if names.count(n) > 1 or n in (SAMPLE, WALL)), None)
     if doubled is not None:
@@ -397,8 +389,10 @@ def _columns(
     return columns, notes
 
 
-def _part_of(columns: list[_Column], part: tuple[int, int]) -> tuple[list[_Column], str, slice]:
-    """Return the columns of a part, the longest dimension, and its piece."""
+def _part_of(
+    columns: list[_Column], part: tuple[int, int], asked: Any
+) -> tuple[list[_Column], dict[str, str], int]:
+    """Return the columns of a part, the attribute that says of what it is, and its first draw."""
     index, count = part
     lengths = {column.dimension: len(column.values) for column in columns}
     along = max(lengths, key=lambda name: lengths[name])
@@ -409,59 +403,50 @@ def _part_of(columns: list[_Column], part: tuple[int, int]) -> tuple[list[_Colum
             f"part is {index}/{count}, and the longest dimension, {along}, has {lengths[along]} "
             "values; give fewer parts."
         )
-    piece = slice(*(lengths[along] * k // count for k in (index - 1, index)))
-    cut = [c._replace(values=c.values[piece]) if c.dimension == along else c for c in columns]
-    return cut, along, piece
-
-
-def _digest(asked: Any, columns: Sequence[_Column]) -> str:
-    """Return what tells a study from others, so that their parts are not mixed up."""
+    if count == 1:
+        return columns, {}, 0
     digest = sha256(repr([asked, [column.key for column in columns]]).encode())
     for column in columns:
-        values = column.values
-        digest.update(repr(values).encode() if isinstance(values, list) else values.tobytes())
-    return digest.hexdigest()[:16]
+        digest.update(column.values.tobytes())
+    piece = slice(*(lengths[along] * k // count for k in (index - 1, index)))
+    cut = [c._replace(values=c.values[piece]) if c.dimension == along else c for c in columns]
+    about = f"{index} of {count} along {along} of study {digest.hexdigest()[:16]}"
+    return cut, {"part": about}, piece.start if along == SAMPLE else 0
 
 
-def _different(columns: list[_Column]) -> tuple[list[_Column], dict[str, NDArray[np.int64]]]:
+def _different(
+    columns: list[_Column], given: Mapping[str, Any]
+) -> tuple[list[_Column], dict[str, NDArray[np.int64]]]:
     """Return columns in which equal rows of CSV files are once, and the place of each draw."""
-    drawn = [column for column in columns if column.drawn_from is not None]
-    if not drawn or not all(isinstance(column.drawn_from, Column) for column in drawn):
+    drawn = [column for column in columns if column.dimension == SAMPLE]
+    if not drawn or not all(isinstance(given[column.key], Column) for column in drawn):
         return columns, {}
     rows, again = np.unique([column.values for column in drawn], axis=1, return_inverse=True)
     once = dict(zip((column.key for column in drawn), rows, strict=True))
     return [c._replace(values=once.get(c.key, c.values)) for c in columns], {SAMPLE: again.ravel()}
 
 
-def _described(key: str) -> tuple[str, str]:
-    """Return what a key of a scene, or a field of a loop, is, and its unit."""
-    of_loops = {field: own for own, field in reversed(_NUMBERS.items())}
-    *_, section, name = ["controller", *of_loops.get(key, key).split(".")]
-    section = key.split(".")[-3] if section.isdigit() else section
-    table = {**TABLES, **INNER}.get(section, Table)
-    entry = {entry.name: entry for entry in fields(table)}.get(name)
-    return (key, "1") if entry is None else (entry.metadata["words"] or key, unit_of(entry))
-
-
-def _checked_wall(name: str, stiffness: float, damping: float) -> tuple[float, float]:
-    checked_label(name)
-    pair = float(stiffness), float(damping)
-    if not np.isfinite(pair).all():
-        raise ValueError(f"wall {name} is {pair}; give finite numbers.")
-    return pair
+def _checked_walls(walls: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+    return {
+        checked_label(name): (
+            checked_number(f"the stiffness of wall {name}", stiffness),
+            checked_number(f"the damping of wall {name}", damping),
+        )
+        for name, (stiffness, damping) in walls.items()
+    }
 
 
 def _wanted(answers: Sequence[str] | None, gains: Mapping[str, Any]) -> tuple[str, ...]:
     """Return the answers that are wanted, checked, each once."""
     wanted = answers or ("limits", *(["verdict"] if gains else []))
-    for name in wanted:
-        try:
-            one_of(ANSWERS)(name)
-        except ValueError as error:
-            raise ValueError(f"answers has {shortened(name)}; {error}") from None
-        if name != "limits" and not gains:
-            raise ValueError(f"answers has {name}, which is of walls; give walls.")
+    check_keys("answers", map(str, wanted), [*ANSWERS])
+    of_walls = [name for name in wanted if name != "limits"]
+    if of_walls and not gains:
+        raise ValueError(f"answers has {of_walls[0]}, which is of walls; give walls.")
     return tuple(name for name in ANSWERS if name in wanted)
+
+
+# Where loops come from: a loop, or the tables of a scene.
 
 
 def _table_of(source: Any) -> Any:
@@ -516,10 +501,6 @@ class _Source:
                         ranges |= {key: f"uniform:{low!r}:{high!r}"} if low < high else {}
         return ranges
 
-    def least(self, key: str) -> float:
-        """The least value that can be drawn for a key."""
-        return 0.0 if key in self.numbers else -inf
-
     def check_key(self, key: str) -> None:
         if self.is_loop:
             names = [*self.numbers, *(f.name for f in fields(HapticLoop) if f.name != "delay")]
@@ -530,11 +511,7 @@ class _Source:
     def made(self, values: Mapping[str, Any]) -> HapticLoop:
         """The loop with these values in place of those of the source."""
         if self.is_loop:
-            given = {key: value for key, value in values.items() if key != "delay_samples"}
-            if "delay_samples" in values:
-                period = given.get("sample_time", self.table.sample_time)
-                given["delay"] = values["delay_samples"] * period
-            return replace(self.table, **given)
+            return _with(self.table, values)
         return loop_of(self._scene(values).at_longest_delay)
 
     def _scene(self, values: Mapping[str, Any]) -> Scene:
@@ -553,20 +530,28 @@ class _Source:
 
         Both are the sentences that a scene gives.
         """
-        most_corners = 4096  # loops that are made before anything is computed
-        ends = [
-            list(dict.fromkeys(_few(c.values, 2 if c.key in self.numbers else most_corners)))
-            for c in columns
-        ]
         keys = [column.key for column in columns]
+        ends = [_ends(c.values, 2 if c.key in self.numbers else 64) for c in columns]
+        most_corners = 4096  # loops that are made before anything is computed
         for corner in islice(product(*ends), most_corners):
             self.made(dict(zip(keys, corner, strict=True)))
         if self.is_loop:
             return []
         outer = [self._scene(dict(zip(keys, [v[k] for v in ends], strict=True))) for k in (0, -1)]
-        notes = [f"{note}." for note in dict.fromkeys(n for s in outer for n in delay_notes(s))]
-        words = dict.fromkeys(words for scene in outer for words in scene.unusual())
-        return notes + [f"warning: {said}{'' if said.endswith('?') else '.'}" for said in words]
+        notes = [f"{note}." for scene in outer for note in delay_notes(scene)]
+        unusual = [words for scene in outer for words in scene.unusual()]
+        notes += [f"warning: {said}{'' if said.endswith('?') else '.'}" for said in unusual]
+        return list(dict.fromkeys(notes))
+
+
+def _with(loop: HapticLoop, given: Mapping[str, Any]) -> HapticLoop:
+    """Return a loop with other fields; ``delay_samples`` are of its sampling period."""
+    own = {**given}
+    if "delay_samples" in own:
+        if "delay" in own:
+            raise ValueError("delay is given beside delay_samples; give one.")
+        own["delay"] = own.pop("delay_samples") * own.get("sample_time", loop.sample_time)
+    return replace(loop, **own)
 
 
 def _with_value(table: Any, key: str, value: Any, path: Sequence[str]) -> Any:
@@ -584,21 +569,21 @@ def _with_value(table: Any, key: str, value: Any, path: Sequence[str]) -> Any:
     return {**table, name: own}
 
 
-def _few(values: Values, most: int) -> list[Any]:
-    """Return values as Python's own; of more numbers than ``most``, the ends."""
-    if isinstance(values, list):
-        return values
-    return values.tolist() if len(values) <= most else [values.min().item(), values.max().item()]
+def _ends(values: NDArray[Any], most: int) -> list[Any]:
+    """Return the different values as Python's own, the first and the last of more than ``most``."""
+    different = np.unique(values)
+    return (different if len(different) <= most else different[[0, -1]]).tolist()
 
 
 # What it costs.
 
 
 def _seconds_of_a_loop(
-    source: "_Source", columns: Sequence[_Column], wanted: Sequence[str], walls: int
+    source: _Source, given: Mapping[str, Any], wanted: Sequence[str], walls: int
 ) -> float:
     """The CPU time of a loop in s, from that of the kind of the first one."""
-    loop = source.made({column.key: _few(column.values[:1], 1)[0] for column in columns})
+    columns, _ = _columns(source, given, 1, 0)
+    loop = source.made({column.key: column.values[0].item() for column in columns})
     is_other = loop.device is not None
     costs = {  # CPU s of a loop and a wall (of a loop for limits): of one mass, another device
         "verdict": (1.2e-5, 4e-3),
@@ -611,26 +596,9 @@ def _seconds_of_a_loop(
 
 
 def _affordable(given: Mapping[str, Any], seconds: float) -> int:
-    """The number of draws that take a minute, at most the usual number."""
-    drawn = [own for own in given.values() if is_distribution(own)]
+    """The number of draws that take a minute, at most 10,000."""
     points = prod(len(own) for own in given.values() if not is_distribution(own))
-    most, usual = int(60.0 / (points * seconds)), 10_000
-    if drawn and all(isinstance(own, Column) for own in drawn):  # equal rows are computed once
-        rows = {own.file: len(own.values) for own in drawn}
-        most = usual if prod(rows.values()) <= most else most
-    return max(1, min(usual, most))
-
-
-def _cost(table: "Dataset", different: Mapping[str, int], seconds: float) -> str:
-    """The number of loops of a study, their cost and the size of its values, as text."""
-    loops = prod(length for name, length in different.items() if name != WALL)
-    is_repeated = table.sizes.get(SAMPLE) != different.get(SAMPLE)
-    words = f" of {different[SAMPLE]:,} different draws" if is_repeated else ""
-    axes = " x ".join(f"{length} {name}" for name, length in table.sizes.items())
-    return (
-        f"{axes}: {loops:,} loops{words}, about {_time(loops * seconds)} of CPU time, "
-        f"{max(table.nbytes / 1e6, 1e-3):.3g} MB"
-    )
+    return max(1, min(10_000, int(60.0 / (points * seconds))))
 
 
 def _time(seconds: float) -> str:
@@ -649,7 +617,7 @@ class _Block:
 
     source: _Source
     keys: tuple[str, ...]
-    gains: Floats  # (2, wall)
+    gains: NDArray[np.float64]  # (2, wall)
     answers: tuple[str, ...]
 
     @property
@@ -670,70 +638,40 @@ class _Block:
             key: np.broadcast_to(column, shape).ravel()
             for key, column in zip(self.keys, columns, strict=True)
         }
-        numbers = {key: flat.pop(key) for key in self.keys if key in self.source.numbers}
         found = {
             name: np.zeros((count, len(self.gains.T))[: 1 + len(variable.along)], variable.dtype)
             for name, variable in self.variables.items()
         }
-        loops = dict[int, HapticLoop]()
-        rows = [*_rows(flat, count)]
-        for members in alike(rows):
-            fixed = dict(zip(flat, rows[members[0]], strict=True))
-            own = {key: values[members] for key, values in numbers.items()}
-            for name, values in self._answered(fixed, own, members, loops).items():
+
+        def tell(answer: str, members: list[int], of: Any) -> None:
+            for name, values in _variables(answer, of).items():
                 found[name][members] = values
-        if loops:
-            for name, values in _variables("limits", limits_of([*loops.values()])).items():
-                found[name][[*loops]] = values
+
+        numbers, alone = self.source.numbers, dict[int, HapticLoop]()
+        others = [values.tolist() for key, values in flat.items() if key not in numbers]
+        groups = alike(zip(*others, strict=True) if others else [()] * count)
+        while groups:
+            members = groups.pop()
+            base = self.source.made({key: own[members[0]].item() for key, own in flat.items()})
+            varied = {numbers[key]: own[members] for key, own in flat.items() if key in numbers}
+            if base.device is not None:
+                groups += [[k] for k in members[1:]]  # each by itself
+                members, varied = members[:1], {}
+            for answer in self.answers:
+                if answer != "limits":
+                    stack = _with(base, {name: own[:, None] for name, own in varied.items()})
+                    tell(answer, members, getattr(stack, answer)(*self.gains))
+                elif len(members) >= 64:  # for which ``limits_of`` runs a program of JAX
+                    tell(answer, members, limits_of(_with(base, varied)))
+                else:
+                    rows = (
+                        {name: own[k].item() for name, own in varied.items()}
+                        for k in range(len(members))
+                    )
+                    alone |= zip(members, (_with(base, row) for row in rows), strict=True)
+        if alone:
+            tell("limits", [*alone], limits_of([*alone.values()]))
         return tuple(values.reshape(*shape, *values.shape[1:]) for values in found.values())
-
-    def _answered(
-        self,
-        fixed: Mapping[str, Any],
-        numbers: Mapping[str, Floats],
-        members: list[int],
-        loops: dict[int, HapticLoop],
-    ) -> dict[str, NDArray[Any]]:
-        """Return answers of loops that have filters and sampling period in common.
-
-        Loops too few for a program of JAX of their own, and those of general devices, are put among
-        ``loops`` where limits are wanted.
-        """
-        count = len(members)
-        rows = [dict(zip(numbers, row, strict=True)) for row in _rows(numbers, count)]
-        base = self.source.made({**fixed, **rows[0]})
-        wants_limits = "limits" in self.answers
-        if base.device is not None:
-            own = [base, *(self.source.made({**fixed, **row}) for row in rows[1:])]
-            loops |= dict(zip(members, own, strict=True)) if wants_limits else {}
-            answers = [self._about_walls(loop) for loop in own]
-            return {name: np.array([answer[name] for answer in answers]) for name in answers[0]}
-        named = {self.source.numbers[key]: values for key, values in numbers.items()}
-        if "delay_samples" in named:
-            named["delay"] = named.pop("delay_samples") * base.sample_time
-        columns: dict[str, Any] = {name: values[:, None] for name, values in named.items()}
-        found = self._about_walls(replace(base, **columns))
-        if wants_limits and count >= 64:  # for which ``limits_of`` runs a program of JAX
-            found |= _variables("limits", limits_of(base, **named))
-        elif wants_limits:
-            varied = [dict(zip(named, row, strict=True)) for row in _rows(named, count)]
-            own = [replace(base, **fields) for fields in varied]
-            loops |= dict(zip(members, own, strict=True))
-        return found
-
-    def _about_walls(self, loop: HapticLoop) -> dict[str, NDArray[Any]]:
-        """Return the answers of a loop, or of many as one, about walls."""
-        values: dict[str, NDArray[Any]] = {}
-        for name in self.answers:
-            if name != "limits":
-                values |= _variables(name, getattr(loop, name)(*self.gains))
-        return values
-
-
-def _rows(columns: Mapping[str, NDArray[Any]], count: int) -> Iterator[tuple[Any, ...]]:
-    if not columns:
-        return iter([()] * count)
-    return zip(*(values.tolist() for values in columns.values()), strict=True)
 
 
 def _variables(answer: str, of: Any) -> dict[str, NDArray[Any]]:
@@ -743,12 +681,14 @@ def _variables(answer: str, of: Any) -> dict[str, NDArray[Any]]:
     return {name: np.asarray(getattr(of, _FIELDS.get(name, name))) for name in ANSWERS[answer]}
 
 
-def _table(block: _Block, columns: Sequence[_Column], gains: Mapping[str, Any], size: int) -> Any:
+def _table(
+    block: _Block, columns: Sequence[_Column], gains: Mapping[str, Any], size: int
+) -> "Dataset":
     """Return the answers to be computed in blocks, with what varies and walls as coordinates."""
-    labels = {c.name: (c.dimension, np.asarray(c.values), c.words, c.unit) for c in columns}
     made = xarray_module().DataArray
-    given = {name: made(values, dims=along) for name, (along, values, *_) in labels.items()}
+    given = {column.name: made(column.values, dims=column.dimension) for column in columns}
     table = table_of(block, given, block.variables, size, {WALL: len(gains)})
+    labels = {c.name: (c.dimension, c.values, *_described(c.key)) for c in columns}
     if WALL in table.dims:
         stiffness, damping = block.gains
         labels |= {
@@ -765,13 +705,11 @@ def _table(block: _Block, columns: Sequence[_Column], gains: Mapping[str, Any], 
     )
 
 
-def _score_interval(
-    count: "DataArray", total: int, confidence: float
-) -> tuple["DataArray", "DataArray"]:
-    """Return Wilson's interval of a share; 0 and 1 exactly where nothing and all was counted."""
-    z = NormalDist().inv_cdf(0.5 + 0.5 * confidence)
-    share, weight = count / total, z * z / total
-    middle = (share + 0.5 * weight) / (1.0 + weight)
-    half = z * np.sqrt(share * (1.0 - share) / total + 0.25 * weight / total) / (1.0 + weight)
-    low, high = middle - half, middle + half
-    return low.where(count > 0, 0.0), high.where(count < total, 1.0)
+def _described(key: str) -> tuple[str, str]:
+    """Return what a key of a scene, or a field of a loop, is, and its unit."""
+    of_loops = {field: own for own, field in reversed(_NUMBERS.items())}
+    *_, section, name = ["controller", *of_loops.get(key, key).split(".")]
+    section = key.split(".")[-3] if section.isdigit() else section
+    table = {**TABLES, **INNER}.get(section, Table)
+    entry = {entry.name: entry for entry in fields(table)}.get(name)
+    return (key, "1") if entry is None else (entry.metadata["words"] or key, unit_of(entry))

@@ -277,7 +277,6 @@ def _tuned(kind: type[Tuning], loop: HapticLoop, gains: Gains, encoder: float | 
 
 # The largest sample time and the largest delay that allow a wanted stiffness.
 
-_MOST_SAMPLES = 256.0  # of delay that are tried
 _AROUND, _POINTS = (0.6, 1.6), 33  # of a picture: shares of its shortest and longest value
 
 Floats = NDArray[np.float64]
@@ -329,6 +328,7 @@ class Design(Answer):
 
 def design_loop(scene: Scene) -> Design:
     """The largest sample time, and the largest delay, that allow the wanted stiffness."""
+    most_samples = 256.0  # of delay that are tried
     # A delay given in samples grows with the sample time. The damping is that of the stiffest wall.
     # The stiffness is taken to fall as the sample time or the delay grows. Where the velocity is
     # taken over a window in s, only sample times that divide it are tried. Of a range of delays it
@@ -343,14 +343,14 @@ def design_loop(scene: Scene) -> Design:
     sampled, delayed = partial(sampled_loop, scene), partial(delayed_loop, scene)
     period, velocity = loop.sample_time, scene.controller.velocity
     window = velocity.window if velocity else None
-    shortest = max(period / 1024.0, loop.delay / _MOST_SAMPLES if in_samples is None else 0.0)
+    shortest = max(period / 1024.0, loop.delay / most_samples if in_samples is None else 0.0)
     longest = min(1024.0 * period, velocity.longest_sample_time if velocity else inf)
     if window is None:
         largest_period = _largest(sampled, required, period, shortest, longest)
     else:
         periods = [window / n for n in range(1, LONGEST_WINDOW + 1)]
         largest_period = _largest_of(sampled, required, [p for p in periods if p >= shortest])
-    largest_delay = _largest(delayed, required, period, 0.0, _MOST_SAMPLES * period)
+    largest_delay = _largest(delayed, required, period, 0.0, most_samples * period)
     return Design(
         inputs=basis_of(given, at_longest=True),
         stiffness=wanted,

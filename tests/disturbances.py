@@ -1,72 +1,26 @@
-"""Proved amplitudes of random loops with estimators, against signals and runs that try to exceed.
+"""Random loops with estimators, driven by the worst signals and by simulated encoders and forces.
 
 Each loop is driven by the worst signals of errors, forces and friction that are known, and by a
 quantised encoder and a quantised force from many starts and phases of the encoder, of which the
-furthest are varied. ``above`` counts loops in which one of these exceeds what is called proved.
-``error`` is the median of the bound of the position over the furthest that a run with an encoder
-alone gets from the same run without; ``seconds`` the CPU time of the first bound of a loop.
+furthest are varied.
 """
 
-from collections.abc import Iterator
-from time import process_time
 from typing import Any
 
 import numpy as np
+from disturbed import Disturbance, Disturbed, largest, worst_signals
+from march import Taps, butterworth_taps, difference_taps, low_pass_taps
 
-from benchmarks.record import Row
-from benchmarks.truth.disturbed import Disturbance, Disturbed, largest, worst_signals
-from benchmarks.truth.march import Taps, butterworth_taps, difference_taps, low_pass_taps
 from jaxstab import Filter, Velocity, amplitude, stable_region
 from jaxstab.model import by_name
 from jaxstab.point import spectral_radius
 
-_LOOPS, _STARTS = 200, 5000
-_SMALL_LOOPS, _SMALL_STARTS = 4, 100
-_CHUNK = 25
 _SLOWEST = 0.99  # spectral radius: runs are long enough to come to rest
 _DECAYED = 1e-6  # of a start: how long runs are
 _FAR = 30.0  # encoder counts: the largest position at the start
 _ROUNDS = 5  # of a search
-_ROUNDING = 1e-9  # of simulations
 
 Case = tuple[dict[str, Any], Disturbed]
-
-
-def rows(small: bool) -> Iterator[Row]:
-    loops, starts = (_SMALL_LOOPS, _SMALL_STARTS) if small else (_LOOPS, _STARTS)
-    for seed in range(0, loops, _CHUNK):
-        yield _row(seed, min(_CHUNK, loops - seed), starts)
-
-
-def _row(seed: int, loops: int, starts: int) -> Row:
-    rng = np.random.default_rng([20260711, seed])
-    above, tight, shares, seconds = 0, [], [], []
-    for _ in range(loops):
-        filters, loop = random_case(rng)
-        start = process_time()
-        amplitude(*loop.wall, **by_name(*loop.plant), encoder=1.0, **filters)
-        seconds.append(process_time() - start)
-        of_signals, share = excess_of_signals(filters, loop)
-        tight.append(share)
-        of_runs, share = excess_of_runs(filters, loop, starts, rng)
-        shares.append(share)
-        above += max(of_signals, of_runs) > 1.0 + _ROUNDING
-    return {
-        "section": "amplitudes",
-        "method": "amplitude",
-        "delay": 2.5,
-        "points": loops * starts,
-        "seconds": float(np.median(seconds)),
-        "seconds_quartiles": np.quantile(seconds, [0.25, 0.75]).tolist(),
-        "repeats": loops,
-        "error": float(np.median(shares)),
-        "error_measure": "median of the bound over the worst of the runs",
-        "seed": seed,
-        "above": int(above),
-        "largest_over_runs": float(np.max(shares)),
-        "median_over_signals": float(np.median(tight)),
-        "largest_over_signals": float(np.max(tight)),
-    }
 
 
 def excess_of_signals(filters: dict[str, Any], loop: Disturbed) -> tuple[float, float]:

@@ -1,8 +1,9 @@
 """Published numbers compared with jaxstab: the paper's claims, and those of others as far as seen.
 
-`python -m benchmarks papers` prints the table of docs/reproduced/index.md.
+`python docs/reproduced/claims.py` prints the table of docs/reproduced/index.md.
 """
 
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -327,3 +328,7 @@ CLAIMS: tuple[Claim, ...] = (
     ),
 )
 """Published claims; * marks what follows from a stated formula and is not printed itself."""
+
+
+if __name__ == "__main__":
+    sys.stdout.write(markdown(CLAIMS) + "\n")

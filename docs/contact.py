@@ -17,8 +17,11 @@ Within them (no wall damping, no delay): contacts by the two ratios that the sec
 with 1. K T / (2 b) is what the hold gives beside what viscous damping takes, K q / (2 f_c) what the
 encoder gives beside what friction takes. Diolaiti et al. (2006) describe regions of such effects;
 theirs were not seen, and these are simulated.
+
+`python docs/contact.py [--small]` prints the tables of docs/contact.md and draws its picture.
 """
 
+import sys
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -31,7 +34,7 @@ import jaxstab
 from jaxstab import HapticLoop, Velocity, Verdict
 from jaxstab.results import Contact
 
-PICTURE = Path(__file__).resolve().parents[1] / "docs" / "contact.png"
+PICTURE = Path(__file__).with_suffix(".png")
 _T = 1e-3
 _DEVICES, _SMALL_DEVICES = 300, 3
 _WALLS, _STARTS = 40, 84  # of a device, and of a wall: 1e6 runs of 300 devices
@@ -56,12 +59,12 @@ class Device(NamedTuple):
     verdict: np.ndarray
 
 
-def main(small: bool, points: int | None = None) -> int:
+def main(small: bool) -> int:
     """Print what was found for so many devices; how many amplitudes exceeded their bound."""
     rng = np.random.default_rng(36)
     counts: Counter[str] = Counter()
     start, widest = perf_counter(), 0.0
-    for _ in range(_SMALL_DEVICES if small else points or _DEVICES):
+    for _ in range(_SMALL_DEVICES if small else _DEVICES):
         device = random_device(rng, 12 if small else _WALLS)
         above, runs, share = amplitudes(device, rng, 6 if small else _STARTS)
         counts.update({"above": above, "bounded": runs})
@@ -238,3 +241,7 @@ def draw() -> None:
         for friction in (0.0, 0.03, 0.1)
     }
     contact_figure(loop, walls, maps).savefig(PICTURE, dpi=130)
+
+
+if __name__ == "__main__":
+    sys.exit(main("--small" in sys.argv))

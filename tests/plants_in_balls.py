@@ -1,13 +1,9 @@
-"""Lemma V7 against balls: is a bound of the package ever smaller than the error?
+"""Bounds of lemma V7 beside the errors that they bound: plants and polynomials in balls.
 
-    python -m benchmarks lemmas             10,000 polynomials and plants
-    python -m benchmarks lemmas --small     a hundredth of them
-
-Plants and polynomials are computed again in python-flint's balls, by matrix exponentials in
-state space; nothing of the package enters them. Half of the loops are ordinary, half lie where the
-bounds are nearest to what they bound: next to the limits of gamma and delta, to critical damping,
-to the zeros of N at gamma = (2 pi k)^2, and to whole delays. The slack is a bound over the error
-that it bounds; a slack below 1 refutes the lemma.
+These are computed again by matrix exponentials in state space; nothing of the package enters them.
+Half of the loops are ordinary, half lie where the bounds are nearest to what they bound: next to
+the limits of gamma and delta, to critical damping, to the zeros of N at gamma = (2 pi k)^2, and to
+whole delays. The slack is a bound over the error that it bounds; below 1 it refutes the lemma.
 """
 
 import math
@@ -37,23 +33,6 @@ class Finding(NamedTuple):
     @property
     def slack(self) -> float:
         return self.bound / self.error if self.error > _TINY else math.inf
-
-
-def main(small: bool) -> int:
-    """Print the least slack of each bound, and return 1 if one is below 1."""
-    count = 100 if small else 10_000
-    rng = np.random.default_rng(20081012)
-    least: dict[str, Finding] = {}
-    wrong = 0
-    for number in range(count):
-        for found in polynomial(rng, number % 2 == 1):
-            wrong += not found.slack >= 1.0
-            if found.lemma not in least or not found.slack >= least[found.lemma].slack:
-                least[found.lemma] = found
-    for found in sorted(least.values()):
-        print(f"{found.lemma:44} least slack {found.slack:12.8g}  at {found.loop}")
-    print(f"{count} loops of each lemma, {wrong} bounds smaller than the error")
-    return int(wrong > 0)
 
 
 # ------------------------------------------------------------------------------------ loops, drawn

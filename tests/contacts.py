@@ -13,8 +13,7 @@ from math import inf
 import numpy as np
 import scipy.integrate
 import scipy.signal
-
-from benchmarks.truth.march import Taps
+from march import Taps
 
 CLOSE = 1e-9  # a decision that is closer may fall otherwise in another arithmetic
 

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
-
-from benchmarks.truth.march import Plant, Taps
+from march import Plant, Taps
 
 PARTS = 4  # of a sample between events: as many moments are looked at
 

@@ -1,7 +1,7 @@
 """Derivation of the constants of lemma V7: rounding of sampled plants, over all boxes of hands.
 
-    python -m benchmarks.rounding [N]  proves the bounds in at most N boxes each, and writes
-                                       results/proofs/rounding.json
+    python docs/rounding.py [N]  proves the bounds in at most N boxes each, and writes
+                                 docs/rounding.json
 
 ``jaxstab.model.plant`` forms a hold of a length t from A = t delta/2 and G = t^2 gamma alone. Over
 a box of (A, G) the true value of each intermediate number is enclosed in balls, from closed forms
@@ -21,11 +21,10 @@ import json
 import math
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import NamedTuple
 
 import flint
-
-from benchmarks import record
 
 UNIT = 2.0**-53
 SAFETY = 1.0 + 1e-10
@@ -33,7 +32,7 @@ SAFETY = 1.0 + 1e-10
 # the sums. The quotient's first remainder has a product's error, its last sum that of a sum.
 PRODUCT, SUM, SUM_WITH_FLOAT, QUOTIENT = (n * 1.001 * UNIT**2 for n in (33.0, 3.0, 2.0, 37.0))
 DUPLICATIONS = 10
-PATH = record.RESULTS / "proofs" / "rounding.json"
+PATH = Path(__file__).with_suffix(".json")
 
 Range = tuple[float, float]
 

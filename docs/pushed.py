@@ -1,8 +1,8 @@
 """A mass with friction under commanded forces, from force to force in closed form, and its log.
 
 Nothing is shared with jaxstab: the velocity under a constant force is an exponential, solved for
-the instant at which it is 0. ``python -m benchmarks.truth.pushed log.csv`` writes the log of the
-page "Measure mass, friction, delay and estimator".
+the instant at which it is 0. ``python docs/pushed.py log.csv`` writes the log of the page "Measure
+mass, friction, delay and estimator".
 """
 
 import sys

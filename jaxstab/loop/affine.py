@@ -1,0 +1,701 @@
+"""Any sampled loop that is affine in two gains, its answers named by the gains.
+
+Verdicts, radii, poles and intervals are those of lemmas E1 to E3 of docs/proofs.md, which ask
+nothing of the three parts of p(z) = base + a S + b R but that the leading coefficient does not
+vanish. Regions are searched where p(z) is monic: the set of stable polynomials of one degree with
+the leading coefficient 1 is bounded, and so is what two gains can reach of it. Where the gains move
+the leading coefficient, other coordinates do not (``model.affine``): an admittance has its region
+in the coordinates 1/M and D/M, and its least mass and damping are looked up there, then proved in
+the row in which they lie.
+
+Coefficients that are exact numbers have one more proof: where some roots have the product 1 for
+all gains, as without damping, no precision of balls decides, and fractions do.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from functools import cached_property, partial
+from math import inf
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Complex128, Float64, Int8
+
+from jaxstab.arrays import Array, Numbers, named
+from jaxstab.conventions import RadiusStatus, Verdict
+from jaxstab.exact import VerdictStatus, poles, spectral_radius, stable_line, wall_verdict
+from jaxstab.exact.boundary import ScaledLoop
+from jaxstab.exact.line import LineStatus, StableLine
+from jaxstab.exact.verdict import rational_verdict
+from jaxstab.model.affine import (
+    INTEGRATORS,
+    RULES,
+    AdmittanceParts,
+    AffineParts,
+    Coefficient,
+    CouplingParts,
+    GivenParts,
+    PidParts,
+    SimulatedParts,
+    affine_triple,
+)
+from jaxstab.model.device import Device
+from jaxstab.model.device.parts import working_precision
+from jaxstab.model.filters import Filter, Velocity
+from jaxstab.model.parameters import LONGEST_DELAY, wall_grid
+from jaxstab.numbers import checked_count, checked_number, checked_word, without_noise
+from jaxstab.point import SpectralRadius
+from jaxstab.region.region import proved_extremes, region_of
+from jaxstab.region.stable_set import GainNames, RegionStatus, ShownRegion, StableRegion
+from jaxstab.shown import number_text
+
+if TYPE_CHECKING:
+    from jaxstab.loop.loop import HapticLoop
+
+
+class Gain(NamedTuple):
+    """A gain of a loop: its name, its unit, and whether users look for its largest value.
+
+    Example:
+        >>> jaxstab.simulated_pd(0.1, step=2e-3).gains[0]
+        Gain(name='kp', unit='N m/rad', sense='largest')
+    """
+
+    name: str
+    unit: str = ""
+    sense: Literal["largest", "least"] = "largest"
+
+
+class GainLimit(NamedTuple):
+    """The largest or least stable value of a gain, and the other gain there; NaN if none is stable.
+
+    Infinite where there is no limit.
+
+    Example:
+        >>> round(jaxstab.simulated_pd(0.1, step=2e-3).limits().second.value, 6)
+        100.0
+    """
+
+    gain: Gain
+    value: float
+    at: float
+
+
+class GainLimits(NamedTuple):
+    """The limits of both gains; stable gains come as close to them as one likes.
+
+    They hold for the component that contains small gains, and where small gains are not stable,
+    ``is_reachable`` False, for all stable gains. Gains are >= 0.
+
+    Example:
+        >>> jaxstab.simulated_pd(0.1, step=2e-3, substeps=4).limits()
+        GainLimits: the boundary closes to loops
+          largest kp = 6250 N m/rad at kd = 18.75 N m s/rad
+          largest kd = 25 N m s/rad at kp = 0 N m/rad
+    """
+
+    first: GainLimit
+    second: GainLimit
+    status: RegionStatus
+    is_reachable: bool
+
+    def __repr__(self) -> str:
+        head = f"GainLimits: {self.status.words}"
+        lines = [head + ("" if self.is_reachable else "; small gains are not stable")]
+        for own, other in ((self.first, self.second), (self.second, self.first)):
+            name, unit, sense = own.gain
+            value = number_text(own.value, 6, unit=unit)
+            at = number_text(own.at, 6, unit=other.gain.unit)
+            lines.append(f"  {sense} {name} = {value} at {other.gain.name} = {at}")
+        return "\n".join(lines)
+
+
+@dataclass(frozen=True, repr=False)
+class GainRegion(ShownRegion):
+    """The stable gains of a loop, in coordinates in which they are bounded.
+
+    Attributes:
+        loop: the loop.
+        region: the same set in dimensionless numbers.
+        units: what 1 of these is, in the coordinates.
+
+    Example:
+        >>> region = jaxstab.simulated_pd(0.1, step=2e-3).region()
+        >>> region.status.name, region.contains(kp=[1000.0, 1e5], kd=50.0).tolist()
+        ('COMPLETE', [True, False])
+        >>> region.outline.max(axis=0).round(3).tolist(), len(region.components)
+        ([100000.0, 100.0], 1)
+    """
+
+    loop: "Loop"
+    region: StableRegion
+    units: tuple[float, float]
+
+    @property
+    def names(self) -> GainNames:  # type: ignore[override]
+        """The names and units of the coordinates."""
+        first, second = self.loop.coordinates
+        return GainNames(first.name, second.name, first.unit, second.unit)
+
+    @property
+    def status(self) -> RegionStatus:
+        """What is known of the region."""
+        return self.region.status
+
+    @cached_property
+    def outline(self) -> Float64[np.ndarray, "point 2"]:
+        """The outline, loop after loop, counter-clockwise, in the coordinates."""
+        return self.region.points * np.array(self.units)
+
+    @cached_property
+    def components(self) -> list["GainRegion"]:
+        """The connected parts: the one that holds small gains, then islands by their area."""
+        return [GainRegion(self.loop, part, self.units) for part in self.region.components]
+
+    @property
+    def main(self) -> "GainRegion | None":
+        """The gains that are reached from small ones; None where small gains are not stable."""
+        return self.components[0] if self.region.main is not None else None
+
+    @property
+    def islands(self) -> list["GainRegion"]:
+        """All other components."""
+        return self.components[self.main is not None :]
+
+    @property
+    def extremes(self) -> Any:
+        """The points of the largest first and second coordinate, both >= 0."""
+        extent = np.ptp(self.outline, axis=0)
+        points = [point * np.array(self.units) for point in proved_extremes(self.region)]
+        return tuple(
+            np.array([without_noise(c, size) for c, size in zip(point, extent, strict=True)])
+            for point in points
+        )
+
+    def contains(self, **gains: Numbers) -> Bool[Array, "*grid"]:
+        """Whether gains lie inside the exact boundary."""
+        grid = self.loop._grid(gains)
+        first, second = self.loop.parts.in_chart(grid[..., 0], grid[..., 1])
+        return self.region.contains(first / self.units[0], second / self.units[1])
+
+    def __repr__(self) -> str:
+        """Return status, extremes and the number of islands."""
+        if not self.components:
+            return f"GainRegion: {self.status.words}"
+        names, (first, second) = self.names, (self.main or self.components[0]).extremes
+        small = "" if self.main else "; small gains are not stable"
+        return "\n".join(
+            [
+                f"GainRegion ({names.stiffness}, {names.damping}): {self.status.words}{small}",
+                f"  largest  {names.at_largest_stiffness(first)}",
+                f"  largest  {names.at_largest_damping(second)}",
+                f"  islands  {len(self.islands) or 'none found'}",
+            ]
+        )
+
+
+@dataclass(frozen=True, repr=False)
+class Loop:
+    """A sampled loop whose characteristic polynomial is affine in two gains.
+
+    p(z) = base + a S + b R, with any polynomials. Make one with ``from_coefficients``, or by
+    ``jaxstab.simulated_pd`` (PD control in a simulator), ``jaxstab.admittance`` (a robot that moves
+    like a mass and a damper), ``jaxstab.pid`` (two gains of PID on a held device) and
+    ``jaxstab.coupling`` (a spring and a damper between two devices). A wall on a held device is
+    ``jaxstab.HapticLoop``. Gains are given by their names.
+
+    Source: eq. (9) of Hulin, Preusche, Hirzinger (2008) is affine in alpha and beta; all that
+    follows from that holds for any two gains. Lemmas E1 to E3 of docs/proofs.md.
+
+    Attributes:
+        gains: names, units, and whether the largest or the least value is looked for.
+        sample_time: of the controller in s.
+
+    Example:
+        >>> loop = jaxstab.simulated_pd(0.1, step=2e-3, substeps=4)
+        >>> loop
+        Loop of (kp, kd): PD of a simulated joint (semi-implicit), outside of it, every 4 steps
+        >>> line = loop.intervals(kd=10.0)
+        >>> [(low.value, round(high.value, 6)) for low, high in line.intervals]
+        [(0.0, 3333.333333)]
+    """
+
+    parts: AffineParts = field(repr=False)
+    gains: tuple[Gain, Gain]
+    sample_time: float
+    words: str = "a loop"
+    bounded: tuple[Gain, Gain] | None = field(default=None, repr=False)
+
+    @property
+    def coordinates(self) -> tuple[Gain, Gain]:
+        """In which the stable gains are bounded, and drawn."""
+        return self.bounded or self.gains
+
+    @classmethod
+    def from_coefficients(
+        cls,
+        *,
+        base: Sequence[Coefficient],
+        first: Sequence[Coefficient],
+        second: Sequence[Coefficient],
+        sample_time: float,
+        gains: tuple[str, str] = ("a", "b"),
+        units: tuple[str, str] = ("", ""),
+    ) -> "Loop":
+        """A loop with p(z) = base + a first + b second, the highest power of z first.
+
+        Args:
+            base: its coefficients: float64 and fractions are taken as exact, a pair (low, high) is
+                an interval; the answers then hold for all of its numbers.
+            first: those of what a multiplies.
+            second: those of what b multiplies.
+            sample_time: in s.
+            gains: the names of a and b.
+            units: of a and b.
+
+        Raises: TypeError for what is not a number, ValueError for one that is not finite, parts
+        without any coefficient but 0, and names that are not two different identifiers.
+
+        Source: eq. (9), likewise.
+
+        Example:
+            >>> double = jaxstab.Loop.from_coefficients(
+            ...     base=[1, -2, 1], first=[1, 0], second=[1, -1],
+            ...     sample_time=1.0, gains=("kp", "kd"),
+            ... )
+            >>> double.verdict(kp=1.0, kd=1.0)
+            <Verdict.STABLE: 1>
+        """
+        sides = {"base": base, "first": first, "second": second}
+        checked = [
+            tuple(_coefficient(f"{name}[{k}]", c) for k, c in enumerate(side))
+            for name, side in sides.items()
+        ]
+        for name, side in zip(sides, checked, strict=True):
+            if not any(c != 0 and c != (0, 0) for c in side):
+                raise ValueError(f"{name} is 0; give a polynomial with a coefficient that is not.")
+        if len(set(gains)) != 2 or not all(str(gain).isidentifier() for gain in gains):
+            raise ValueError(f'gains is {gains!r}; give two different names such as ("kp", "kd").')
+        period = checked_number("sample_time", sample_time, 0.0, is_open=True, unit="s")
+        named_gains = Gain(gains[0], units[0]), Gain(gains[1], units[1])
+        return cls(GivenParts(*checked), named_gains, period, "given polynomials")
+
+    def __repr__(self) -> str:
+        names = ", ".join(gain.name for gain in self.gains)
+        return f"Loop of ({names}): {self.words}"
+
+    def verdict(self, **gains: Numbers) -> Int8[Array, "*grid"]:
+        """Whether gains are stable, proved: codes of ``jaxstab.Verdict``, of any shape.
+
+        Each takes about 0.1 ms. UNDECIDED where 3,072 bits do not tell, where interval coefficients
+        leave it open, and where the leading coefficient vanishes: the loop is algebraic there.
+
+        Raises: TypeError for other names, or gains that are not numbers; ValueError for gains that
+        are not finite.
+
+        Source: the criterion of Schur and Cohn; lemma E1 of docs/proofs.md.
+
+        Example:
+            >>> loop = jaxstab.simulated_pd(0.1, step=2e-3)
+            >>> loop.verdict(kp=1000.0, kd=[0.0, 10.0, 200.0]).tolist()
+            [2, 1, 2]
+        """
+        grid = self._grid(gains)
+        codes = [self._verdict(a, b) for a, b in grid.reshape(-1, 2).tolist()]
+        return named(np.array(codes, np.int8).reshape(grid.shape[:-1]), Verdict)
+
+    def _verdict(self, first: float, second: float) -> Verdict:
+        answer = wall_verdict(partial(affine_triple, self.parts), first, second)
+        if answer.status == VerdictStatus.UNDECIDED:
+            exact = self.parts.polynomial(first, second)
+            return answer.verdict if exact is None else rational_verdict(exact)
+        return answer.verdict
+
+    def spectral_radius(self, **gains: Numbers) -> SpectralRadius:
+        """The largest modulus of the poles per sample, with the bound of its error.
+
+        Raises: as ``verdict``. Source: the roots of eq. (9), likewise; lemma E2 of docs/proofs.md.
+
+        Example:
+            >>> loop = jaxstab.simulated_pd(0.1, step=2e-3)
+            >>> round(float(loop.spectral_radius(kp=1000.0, kd=20.0).value), 6)
+            0.871652
+        """
+        grid = self._grid(gains)
+        triple = partial(affine_triple, self.parts)
+        radii = [spectral_radius(triple, *pair) for pair in grid.reshape(-1, 2).tolist()]
+        value, error, status = np.reshape(np.transpose(radii), (3, *grid.shape[:-1]))
+        return SpectralRadius(value, error, named(status.astype(np.int8), RadiusStatus))
+
+    def poles(self, **gains: Numbers) -> Complex128[np.ndarray, "*grid pole"]:
+        """All poles per sample, the largest first; NaN where some coincide and are not told apart.
+
+        Raises: as ``verdict``. Source: the roots of eq. (9), likewise; lemma E2 of docs/proofs.md.
+
+        Example:
+            >>> loop = jaxstab.simulated_pd(0.1, step=2e-3)
+            >>> loop.poles(kp=1000.0, kd=20.0).round(6).tolist()
+            [(0.871652+0j), (0.688348+0j)]
+        """
+        grid = self._grid(gains)
+        triple = partial(affine_triple, self.parts)
+        found = [poles(triple, *pair).values for pair in grid.reshape(-1, 2).tolist()]
+        return np.reshape(found, (*grid.shape[:-1], -1))
+
+    def intervals(self, **gain: float) -> StableLine:
+        """All stable values of one gain at a value of the other: complete and proved.
+
+        Each end has a bound of its error and the angle of the root that crosses the circle there.
+
+        Raises: as ``verdict``; TypeError unless one gain is given, and for an array.
+
+        Source: the D-decomposition of eq. (9), likewise; lemma E3 of docs/proofs.md.
+
+        Example:
+            >>> loop = jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=4)
+            >>> line = loop.intervals(mass=2.0)
+            >>> [(round(low.value, 9), high.value) for low, high in line.intervals]
+            [(39.515919035, 3995.0)]
+        """
+        names = [each.name for each in self.gains]
+        if len(gain) != 1 or not set(gain) <= set(names):
+            given = ", ".join(gain) or "none"
+            raise TypeError(f"gains given: {given}; give one of {names[0]} and {names[1]}.")
+        ((name, value),) = gain.items()
+        axis = names.index(name)
+        number = checked_number(name, value)
+        start = (number, 0.0) if axis == 0 else (0.0, number)
+        along = (0.0, 1.0) if axis == 0 else (1.0, 0.0)
+        line = stable_line(partial(affine_triple, self.parts), start, along)
+        if line.status == LineStatus.UNDECIDED and self.parts.is_reciprocal(start, along):
+            return line._replace(status=LineStatus.PROVED, horizon=inf)
+        return line
+
+    def region(self, *, tolerance: float = 1e-6) -> GainRegion:
+        """The set of all stable gains, in its connected parts.
+
+        It is computed, and drawn, in coordinates in which it is bounded: for admittances, where
+        light and heavy masses may both be stable, these are 1/mass and damping/mass.
+
+        Args:
+            tolerance: largest distance between outline and boundary, as a share of the diameter.
+
+        Raises: ValueError where the gains move the leading coefficient of p(z), so that the set is
+        not bounded: ``intervals`` and ``verdict`` answer there.
+
+        Source: the D-decomposition of eq. (9), likewise.
+
+        Example:
+            >>> jaxstab.simulated_pd(0.1, step=2e-3).region()
+            GainRegion (kp, kd): the boundary closes to loops
+              largest  kp = 100000 N m/rad at kd = 0 N m s/rad
+              largest  kd = 100 N m s/rad at kp = 0 N m/rad
+              islands  none found
+        """
+        chart = self.parts.chart()
+        if chart is None:
+            raise ValueError(
+                f"the stable gains of {self.words} are not bounded: the gains move the leading "
+                "coefficient of p(z). Ask for intervals and verdicts."
+            )
+        checked_number("tolerance", tolerance, 1e-10, is_open=True)
+        units = _units(chart)
+        return GainRegion(self, region_of(ScaledLoop(chart, units), tolerance), units)
+
+    def limits(self) -> GainLimits:
+        """The largest stable value of each gain, or the least where that is what is looked for.
+
+        Raises: as ``region``. Source: the D-decomposition of eq. (9), likewise.
+
+        Example:
+            >>> jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=4).limits()
+            GainLimits: the boundary closes to loops
+              least mass = 0.0158504 kg at damping = 26.7009 N s/m
+              least damping = 26.7009 N s/m at mass = 0.0158504 kg
+        """
+        region = self.region()
+        main = region.main or region
+        if not region.components:
+            nothing = [GainLimit(gain, np.nan, np.nan) for gain in self.gains]
+            return GainLimits(nothing[0], nothing[1], region.status, is_reachable=False)
+        is_own = self.coordinates == self.gains
+        found = main.extremes if is_own else self._in_rows(main)
+        limits = [
+            GainLimit(gain, float(point[axis]), float(point[1 - axis]))
+            for axis, (gain, point) in enumerate(zip(self.gains, found, strict=True))
+        ]
+        return GainLimits(limits[0], limits[1], region.status, region.main is not None)
+
+    def _in_rows(self, main: GainRegion) -> list[Float64[np.ndarray, "2"]]:
+        """The extreme points of an outline in other coordinates, as ends of proved rows."""
+        with np.errstate(all="ignore"):  # 0/0 where the first of them is 0
+            gains = np.stack(self.parts.in_gains(*main.outline.T), axis=-1)
+        gains = gains[np.all(np.isfinite(gains) & (gains >= 0.0), axis=1)]
+        points = []
+        for axis, gain in enumerate(self.gains):
+            is_least = gain.sense == "least"
+            best = gains[(np.argmin if is_least else np.argmax)(gains[:, axis])].copy()
+            row = self.intervals(**{self.gains[1 - axis].name: float(best[1 - axis])})
+            ends = [(low if is_least else high).value for low, high in row.intervals]
+            if ends:  # at a corner the row may have none
+                best[axis] = min(ends, key=lambda end: abs(end - best[axis]))
+            points.append(best)
+        return points
+
+    def _grid(self, gains: Mapping[str, Numbers]) -> Float64[np.ndarray, "*grid 2"]:
+        names = [gain.name for gain in self.gains]
+        if sorted(gains) != sorted(names):
+            given = ", ".join(gains) or "none"
+            raise TypeError(f"gains given: {given}; give both {names[0]} and {names[1]}.")
+        return wall_grid(**{name: gains[name] for name in names})
+
+
+def _coefficient(name: str, value: Any) -> Coefficient:
+    if isinstance(value, Fraction):
+        return value
+    if isinstance(value, tuple):
+        low, high = (checked_number(name, end) for end in value)
+        if not low <= high:
+            raise ValueError(f"{name} is {value}; give (lowest, highest).")
+        return (low, high)
+    return checked_number(name, value)
+
+
+def _units(chart: AffineParts) -> tuple[float, float]:
+    """Units in which gains of a loop are of size 1: powers of two."""
+    with working_precision(128):
+        _, *sides = affine_triple(chart)
+        sizes = [sum(abs(float(c.mid())) for c in side.polynomial().coeffs()) for side in sides]
+    first, second = (2.0 ** -round(float(np.log2(size))) for size in sizes)
+    return first, second
+
+
+# ------------------------------------------------------------------------------------------- doors
+def simulated_pd(
+    inertia: float,
+    *,
+    step: float,
+    damping: float = 0.0,
+    stiffness: float = 0.0,
+    integrator: str = "semi-implicit",
+    outside: bool = False,
+    substeps: int = 1,
+    delay_steps: int = 0,
+) -> Loop:
+    """PD control of a joint in a physics engine; the gains are ``kp`` and ``kd``.
+
+    The torque is -kp q - kd v, v the engine's own velocity. By default the PD is part of the
+    engine's step, as a position actuator is. With ``outside``, ``substeps`` or ``delay_steps`` it
+    is computed outside: its torque is held through ``substeps`` steps and acts ``delay_steps``
+    later.
+
+    Args:
+        inertia: of the joint with its armature in kg m^2, > 0 (or a mass in kg). Of several joints
+            under the same gains: 1 over the largest eigenvalue of the inverse mass matrix, not the
+            diagonal.
+        step: of the engine in s, > 0.
+        damping: of the joint in N m s/rad, >= 0.
+        stiffness: of a passive spring in N m/rad, >= 0.
+        integrator: "semi-implicit", MuJoCo's Euler with eulerdamp disabled; "implicit-joint", its
+            Euler as shipped, in which joint damping is implicit; "implicit-damping", its implicit
+            and implicitfast, in which kd is implicit, too; "implicit", kp and kd both, the stable
+            PD of Tan, Liu, Turk (2011); "explicit", forward Euler; "rk4", Runge-Kutta, outside
+            only.
+        outside: whether the PD is computed outside of the engine.
+        substeps: engine steps per control step, from 1 on; more than 1 is outside.
+        delay_steps: engine steps by which the torque is late, 0 or more; not 0 is outside.
+
+    Raises: see ``jaxstab.conventions``; ValueError also for "rk4" inside of the engine: p(z) is not
+    affine in the gains there.
+
+    Source: eq. (9), likewise, with an engine's step in place of the exact one.
+
+    Example:
+        >>> loop = jaxstab.simulated_pd(2.216e-5, step=5e-3)
+        >>> round(loop.limits().first.value, 2)
+        3.55
+    """
+    numbers = (
+        checked_number("inertia", inertia, 0.0, is_open=True, unit="kg m^2"),
+        checked_number("damping", damping, 0.0),
+        checked_number("stiffness", stiffness, 0.0),
+        checked_number("step", step, 0.0, is_open=True, unit="s"),
+    )
+    checked_word("integrator", integrator, INTEGRATORS)
+    substeps = checked_count("substeps", substeps, 1, 1000)
+    delay_steps = checked_count("delay_steps", delay_steps, 0, int(LONGEST_DELAY) * substeps)
+    is_outside = outside or substeps > 1 or delay_steps > 0
+    if integrator == "rk4" and not is_outside:
+        raise ValueError(
+            'integrator is "rk4" and the PD is inside of the engine, whose stages ask for it '
+            "again: p(z) is not affine in the gains; give outside=True if the torque is held, or "
+            "another integrator."
+        )
+    parts = SimulatedParts(*numbers, integrator, is_outside, substeps, delay_steps)
+    gains = Gain("kp", "N m/rad"), Gain("kd", "N m s/rad")
+    where = f"outside of it, every {substeps} steps" if is_outside else "inside its step"
+    words = f"PD of a simulated joint ({integrator}), {where}"
+    return Loop(parts, gains, numbers[3] * substeps, words)
+
+
+def admittance(
+    environment: float,
+    *,
+    sample_time: float,
+    delay_samples: int = 0,
+    rule: str = "forward",
+    stiffness: float = 0.0,
+    robot: Filter | None = None,
+    force_filter: Filter | None = None,
+) -> Loop:
+    """A robot that moves like a mass and a damper under the measured force: ``mass``, ``damping``.
+
+    At every sample the force of an environment of stiffness Ke moves the virtual mass, and the
+    robot follows it ``delay_samples`` later: F = -Ke x. Stiff environments ask for a large mass and
+    damping; below a damping of Ke times the whole delay in s the mass has a largest value, too.
+
+    Args:
+        environment: its stiffness Ke in N/m, > 0.
+        sample_time: T in s, > 0.
+        delay_samples: how much later the robot is where it is told to be, 0 or more.
+        rule: "forward", v + T/M (F - D v), then x + T v with the new v; "backward", with the new v
+            in the damper's force; "explicit", x with the old v; "trapezoid", both by the mean. The
+            exact exponential of D T/M is not affine in the gains.
+        stiffness: of a virtual spring beside mass and damper in N/m, >= 0.
+        robot: from command to position, as a filter of the samples; None for the delay alone.
+        force_filter: of the measured force; None for none.
+
+    Raises: see ``jaxstab.conventions``.
+
+    Source: eq. (9), likewise; the virtual mass in place of the device's.
+
+    Example:
+        >>> loop = jaxstab.admittance(1e3, sample_time=2e-3, delay_samples=10)
+        >>> line = loop.intervals(mass=10.0)
+        >>> [(round(low.value, 6), round(high.value, 6)) for low, high in line.intervals]
+        [(19.870572, 9999.0)]
+    """
+    wall = checked_number("environment", environment, 0.0, is_open=True, unit="N/m")
+    period = checked_number("sample_time", sample_time, 0.0, is_open=True, unit="s")
+    late = checked_count("delay_samples", delay_samples, 0, int(LONGEST_DELAY))
+    checked_word("rule", rule, RULES)
+    spring = checked_number("stiffness", stiffness, 0.0, unit="N/m")
+    filters = [_filter("robot", robot, period), _filter("force_filter", force_filter, period)]
+    parts = AdmittanceParts(wall, period, late, rule, spring, filters[0], filters[1])
+    gains = Gain("mass", "kg", "least"), Gain("damping", "N s/m", "least")
+    mass = {"backward": "(mass + T damping)", "trapezoid": "(mass + T damping/2)"}.get(rule, "mass")
+    chart = Gain(f"1/{mass}", "1/kg"), Gain(f"damping/{mass}", "1/s")
+    return Loop(parts, gains, period, f"admittance control against {wall:g} N/m", chart)
+
+
+def _filter(name: str, value: Any, period: float) -> Filter:
+    if value is None:
+        return Filter()
+    if not isinstance(value, Filter):
+        raise TypeError(f"{name} is {value!r}; give a jaxstab.Filter.")
+    value.checked(period)
+    return value
+
+
+def pid(
+    loop: "HapticLoop",
+    *,
+    kp: float | None = None,
+    ki: float | None = None,
+    kd: float | None = None,
+    rule: str = "backward",
+) -> Loop:
+    """PID control of a held device, one gain given; the gains are the two others.
+
+    The force is -(kp x + ki I + kd v), x the position, filtered if there is a filter, v the
+    estimated velocity, and I the sum of T x by a rule of integration. Without a spring a free
+    device has no stable integrator alone: kp must exceed about (m/(kd + b)) ki.
+
+    Args:
+        loop: device, sample time, delay, estimator and filter; its hand belongs to the device.
+        kp: in N/m, if it is the gain that is given.
+        ki: in N/(m s), if it is.
+        kd: in N s/m, if it is.
+        rule: of the integrator: "backward" adds the new sample, "forward" the last one,
+            "trapezoid" the mean of both.
+
+    Raises: TypeError unless one gain is given; see also ``jaxstab.conventions``.
+
+    Source: eq. (9), likewise.
+
+    Example:
+        >>> device = jaxstab.HapticLoop(
+        ...     device_mass=0.25, device_damping=0.1, sample_time=1e-3, delay=1e-3
+        ... )
+        >>> line = jaxstab.pid(device, kd=50.0).intervals(kp=5000.0)
+        >>> [(low.value, round(high.value, 4)) for low, high in line.intervals]
+        [(0.0, 1024414.8031)]
+    """
+    given = {
+        name: value for name, value in (("kp", kp), ("ki", ki), ("kd", kd)) if value is not None
+    }
+    if len(given) != 1:
+        raise TypeError(
+            f"gains given: {', '.join(given) or 'none'}; give one of kp, ki and kd, the two others "
+            "are the gains of the loop."
+        )
+    ((name, value),) = given.items()
+    number = checked_number(name, value)
+    checked_word("rule", rule, tuple(rule for rule in RULES if rule != "explicit"))
+    units = {"kp": "N/m", "ki": "N/(m s)", "kd": "N s/m"}
+    others = [Gain(other, unit) for other, unit in units.items() if other != name]
+    parts = PidParts(loop.in_floats(), name, number, rule)
+    words = f"PID with {name} = {number:g} {units[name]}"
+    return Loop(parts, (others[0], others[1]), float(parts.loop.sample_time), words)
+
+
+def coupling(
+    first: Device,
+    second: Device,
+    *,
+    sample_time: float,
+    delays_samples: Sequence[float] = (1.0, 0.0),
+    velocity: Velocity | None = None,
+) -> Loop:
+    """A virtual spring and damper between two devices; the gains are ``stiffness`` and ``damping``.
+
+    Both devices are computed in one place: the force on the one is the opposite of that on the
+    other, each behind its own hold and delay. What both have of rigid motion, a common drift, no
+    gain moves: it is left out, and the answers are about all other roots.
+
+    Args:
+        first: a device, hands included.
+        second: the other one.
+        sample_time: T in s, > 0.
+        delays_samples: of each device, from its position to its force, in samples.
+        velocity: the estimator of the relative velocity; None for the difference over one sample.
+
+    Raises: see ``jaxstab.conventions``.
+
+    Source: eq. (9), likewise, for the plant G1 + G2.
+
+    Example:
+        >>> left = jaxstab.Device.mass_spring_damper(mass=0.25, damping=0.1)
+        >>> right = jaxstab.Device.mass_spring_damper(mass=0.5, damping=0.2)
+        >>> loop = jaxstab.coupling(left, right, sample_time=1e-3, delays_samples=(1.0, 2.0))
+        >>> line = loop.intervals(damping=30.0)
+        >>> [(low.value, round(high.value, 6)) for low, high in line.intervals]
+        [(0.0, 12779.059143)]
+    """
+    for name, device in (("first", first), ("second", second)):
+        if not isinstance(device, Device):
+            raise TypeError(f"{name} is {device!r}; give a jaxstab.Device.")
+    period = checked_number("sample_time", sample_time, 0.0, is_open=True, unit="s")
+    if len(delays_samples) != 2:
+        raise ValueError(f"delays_samples is {delays_samples}; give one delay for each device.")
+    delays = [
+        checked_number("delays_samples", delay, 0.0, LONGEST_DELAY) for delay in delays_samples
+    ]
+    if velocity is not None and not isinstance(velocity, Velocity):
+        raise TypeError(f"velocity is {velocity!r}; give a jaxstab.Velocity.")
+    if velocity is not None:
+        velocity.filter.checked(period)
+    parts = CouplingParts((first, second), period, (delays[0], delays[1]), velocity)
+    gains = Gain("stiffness", "N/m"), Gain("damping", "N s/m")
+    return Loop(parts, gains, period, "a coupling between two devices")

@@ -1,0 +1,427 @@
+"""Loops that are affine in two gains: p(z) = base + a S + b R, each part in balls.
+
+A wall on a held device is one of them (``balls``). So are PD control inside a simulator, admittance
+control, PID with one gain given, and two devices that a spring and a damper couple. Each class here
+holds the numbers of one kind, and makes the three parts at the precision that is set.
+
+Engines of rigid bodies step an inertia J with a damper c and a spring k (g = ch/J, s = kh^2/J) by
+one of several rules. Where the PD acts inside the step, a = kp h^2/J, b = kd h/J:
+
+    rule              base                         a by      b by
+    explicit          (z-1)^2 + g (z-1) + s        1         z-1
+    semi-implicit     (z-1)^2 + g (z-1) + s z      z         z-1
+    implicit-joint    (z-1)^2 + g z (z-1) + s z    z         z-1
+    implicit-damping  (z-1)^2 + g z (z-1) + s z    z         z (z-1)
+    implicit          the same                     z^2       z (z-1)
+
+Outside of the engine the torque is held through n steps and acts d steps late. With F and G the
+engine's step, x = (q, v), and d = w n + f, Gamma_j = G + F G + ... + F^(j-1) G:
+
+    p = z^lag det(z - F^n) + (a, b) adj(z - F^n) (Gamma_(n-f) z + F^(n-f) Gamma_f).
+
+The velocity is the engine's own. An admittance moves a robot as a mass M on a damper D would move
+under the measured force -Ke x, w samples late:
+
+    p = z^w (M (z-1)^2/T + D V + K T X) + Ke T X,
+
+V and X the two sides of its rule of integration: z - 1 and z for the forward rule. PID control
+adds an integrator T/(z - 1) to the position. Two devices under forces +-f, f of e = x1 - x2, are
+one plant G1 + G2; what both have of rigid motion is a common factor of all parts, since their
+common drift does not change e: it is divided out.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+from jaxstab.arrays import Array
+from jaxstab.model.balls import (
+    BallLoop,
+    Factored,
+    Triple,
+    ball_loop,
+    filter_in_balls,
+    plant_in_balls,
+)
+from jaxstab.model.device.device import Device
+from jaxstab.model.device.parts import FIRST_BITS, working_precision
+from jaxstab.model.filters import NO_FILTERS, Filter, Velocity, given_filters
+
+if TYPE_CHECKING:
+    from flint import arb, fmpq, fmpq_mat, fmpq_poly
+
+    from jaxstab.model.loop import LoopParameters
+
+Rationals = tuple["fmpq_poly", "fmpq_poly", "fmpq_poly"]
+
+Coefficient = int | float | Fraction | tuple[float, float]
+"""An exact number, or the lowest and the highest of an interval."""
+
+
+class AffineParts:
+    """What makes base, S and R in balls of the precision that is set; its values are hashable."""
+
+    def triple(self) -> Triple:
+        """The parts of p(z), without a common power of z."""
+        raise NotImplementedError
+
+    def rational(self) -> "Rationals | None":
+        """The parts in exact numbers, if they are such, with common powers of z."""
+        return None
+
+    def chart(self) -> "AffineParts | None":
+        """The loop in two gains that do not move the leading coefficient; None: there are none.
+
+        The stable ones are bounded.
+        """
+        with working_precision(FIRST_BITS):
+            base, *others = self.triple()
+        return self if base.degree > max(other.degree for other in others) else None
+
+    def in_chart(self, first: Array, second: Array) -> tuple[Array, Array]:
+        """Gains as those of the chart."""
+        return first, second
+
+    def in_gains(self, first: Array, second: Array) -> tuple[Array, Array]:
+        """Gains of the chart as those of the loop."""
+        return first, second
+
+    def polynomial(self, first: float, second: float) -> "fmpq_poly | None":
+        """p(z) in exact numbers, if the parts are such."""
+        parts = self.rational()
+        if parts is None:
+            return None
+        base, by_first, by_second = parts
+        a, b = _exact((first, second))
+        return base + a * by_first + b * by_second
+
+    def is_reciprocal(self, start: tuple[float, float], along: tuple[float, float]) -> bool:
+        """Whether the roots of p(z) have the product 1 or -1 for all gains start + t along.
+
+        Then some root is on the circle or outside for all t.
+        """
+        parts, p0 = self.rational(), self.polynomial(*start)
+        if parts is None or p0 is None:
+            return False
+        a, b = _exact(along)
+        q = a * parts[1] + b * parts[2]
+        n = max(part.degree() for part in parts)
+        return any(p0[0] == sign * p0[n] and q[0] == sign * q[n] for sign in (1, -1))
+
+
+@lru_cache(maxsize=128)
+def _triple(parts: AffineParts, bits: int) -> Triple:
+    del bits  # the precision is set: here it only tells balls apart
+    return parts.triple()
+
+
+def affine_triple(parts: AffineParts) -> Triple:
+    """The parts of p(z) in balls of the precision that is set; the last ones are remembered."""
+    import flint
+
+    return _triple(parts, flint.ctx.prec)
+
+
+@dataclass(frozen=True)
+class GivenParts(AffineParts):
+    """Polynomials that are given, the highest power first."""
+
+    base: tuple[Coefficient, ...]
+    first: tuple[Coefficient, ...]
+    second: tuple[Coefficient, ...]
+
+    def triple(self) -> Triple:
+        """The parts of p(z)."""
+        return _without_common_power(*map(_given, (self.base, self.first, self.second)))
+
+    def rational(self) -> "Rationals | None":
+        """The parts in exact numbers; None if some are intervals."""
+        sides = self.base, self.first, self.second
+        if any(isinstance(c, tuple) for side in sides for c in side):
+            return None
+        base, first, second = map(_rational, sides)
+        return base, first, second
+
+
+def _given(falling: tuple[Coefficient, ...]) -> Factored:
+    from flint import arb, arb_poly
+
+    rising = falling[::-1]
+    if not any(isinstance(c, tuple) for c in rising):
+        return Factored.from_rational(_rational(falling))
+    balls = [
+        arb(c[0]).union(arb(c[1])) if isinstance(c, tuple) else _ball(Fraction(c)) for c in rising
+    ]
+    power = next(k for k, ball in enumerate(balls) if ball != 0)
+    return Factored(arb_poly(balls[power:]), power)
+
+
+def _rational(falling: tuple[Coefficient, ...]) -> "fmpq_poly":
+    from flint import fmpq_poly
+
+    return fmpq_poly(_exact(falling[::-1]))
+
+
+def _ball(number: Fraction) -> "arb":
+    from flint import arb, fmpq
+
+    return arb(fmpq(number.numerator, number.denominator))
+
+
+def _without_common_power(*parts: Factored) -> Triple:
+    common = min(part.power for part in parts if not part.is_zero)
+    base, first, second = (part if part.is_zero else part.divided(common, 0, 0) for part in parts)
+    return Triple(base, first, second)
+
+
+# ------------------------------------------------------------------------------------- simulators
+INTEGRATORS = ("explicit", "semi-implicit", "implicit-joint", "implicit-damping", "implicit", "rk4")
+
+
+@dataclass(frozen=True)
+class SimulatedParts(AffineParts):
+    """PD control of a simulated joint; ``is_outside`` of its engine, or inside of its step."""
+
+    inertia: float
+    damping: float
+    stiffness: float
+    step: float
+    integrator: str
+    is_outside: bool
+    substeps: int
+    delay_steps: int
+
+    def triple(self) -> Triple:
+        """The parts of p(z), by kp and kd."""
+        return _without_common_power(*map(Factored.from_rational, self.rational()))
+
+    def rational(self) -> "Rationals":
+        """The parts in exact numbers."""
+        return self._outside() if self.is_outside else self._inside()
+
+    def _numbers(self) -> "list[fmpq]":
+        return _exact((self.inertia, self.damping, self.stiffness, self.step))
+
+    def _inside(self) -> "tuple[fmpq_poly, fmpq_poly, fmpq_poly]":
+        from flint import fmpq_poly
+
+        z, one = fmpq_poly([0, 1]), fmpq_poly([1])
+        inertia, damping, stiffness, step = self._numbers()
+        by_kp = {"explicit": one, "implicit": z * z}.get(self.integrator, z)
+        by_kd = z if self.integrator in ("implicit-damping", "implicit") else one
+        damped = one if self.integrator in ("explicit", "semi-implicit") else z
+        sprung = one if self.integrator == "explicit" else z
+        base = (z - 1) ** 2 + damped * (z - 1) * (damping * step / inertia)
+        base += sprung * (stiffness * step**2 / inertia)
+        return base, by_kp * (step**2 / inertia), by_kd * (z - 1) * (step / inertia)
+
+    def _outside(self) -> "tuple[fmpq_poly, fmpq_poly, fmpq_poly]":
+        from flint import fmpq_mat, fmpq_poly
+
+        z = fmpq_poly([0, 1])
+        move, push = self._step()
+        count, (whole, late) = self.substeps, divmod(self.delay_steps, self.substeps)
+        powers = [fmpq_mat([[1, 0], [0, 1]])]
+        for _ in range(count):
+            powers.append(move * powers[-1])
+        pushes = [fmpq_mat(2, 1)]  # Gamma_j
+        for power in powers[:-1]:
+            pushes.append(pushes[-1] + power * push)
+        newer, older = pushes[count - late], powers[count - late] * pushes[late]
+        ((a, b), (c, d)) = powers[count].tolist()
+        denominator = (z - a) * (z - d) - b * c
+        adjugate = [[z - d, fmpq_poly([b])], [fmpq_poly([c]), z - a]]
+        sides = [
+            sum((row[k] * (newer[k, 0] * z + older[k, 0]) for k in range(2)), fmpq_poly([]))
+            for row in adjugate
+        ]
+        return denominator * z ** (whole + 1), sides[0], sides[1]
+
+    def _step(self) -> "tuple[fmpq_mat, fmpq_mat]":
+        """What a step of the engine does to position and velocity, and what a torque adds."""
+        from flint import fmpq_mat
+
+        inertia, damping, stiffness, step = self._numbers()
+        rate = fmpq_mat([[0, 1], [-stiffness / inertia, -damping / inertia]])
+        one = fmpq_mat([[1, 0], [0, 1]])
+        torque = fmpq_mat([[0], [1 / inertia]])
+        if self.integrator == "rk4":
+            halves = [one, rate * (step / 2), rate**2 * (step**2 / 6), rate**3 * (step**3 / 24)]
+            response = halves[0] + halves[1] + halves[2] + halves[3]
+            return one + rate * response * step, response * torque * step
+        if self.integrator == "explicit":
+            return one + rate * step, torque * step
+        is_joint_implicit = self.integrator != "semi-implicit"
+        moved = inertia + step * damping if is_joint_implicit else inertia
+        kept = inertia if is_joint_implicit else inertia - step * damping
+        velocity = [-step * stiffness / moved, kept / moved]
+        by_torque = step / moved
+        move = fmpq_mat([[1 + step * velocity[0], step * velocity[1]], velocity])
+        return move, fmpq_mat([[step * by_torque], [by_torque]])
+
+
+def _exact(numbers: Iterable[Any]) -> "list[fmpq]":
+    from flint import fmpq
+
+    return [fmpq(*number.as_integer_ratio()) for number in numbers]
+
+
+# ------------------------------------------------------------------------------------- admittance
+RULES = ("forward", "backward", "explicit", "trapezoid")
+
+
+@dataclass(frozen=True)
+class AdmittanceParts(AffineParts):
+    """A virtual mass and damper that a robot follows, against an environment; by M and D.
+
+    ``environment`` is its stiffness, ``robot`` from command to position.
+    """
+
+    environment: float
+    sample_time: float
+    delay_samples: int
+    rule: str
+    stiffness: float
+    robot: Filter
+    force_filter: Filter
+
+    def triple(self) -> Triple:
+        """The parts of p(z), by M and D."""
+        wall, below = self._wall_and_below()
+        return _without_common_power(wall, self._inertial(below), below.times(self._rates()[0]))
+
+    def chart(self) -> AffineParts | None:
+        """The same by 1/M' and D/M', M' the mass that moves the leading coefficient."""
+        return AdmittanceChart(self).chart()
+
+    def in_chart(self, first: Array, second: Array) -> tuple[Array, Array]:
+        """1/M' and D/M' of M and D."""
+        leading = first + self._share * second
+        return 1.0 / leading, second / leading
+
+    def in_gains(self, first: Array, second: Array) -> tuple[Array, Array]:
+        """M and D of 1/M' and D/M'."""
+        return (1.0 - self._share * second) / first, second / first
+
+    @property
+    def _share(self) -> float:
+        """M' = M + share D."""
+        return {"backward": 1.0, "trapezoid": 0.5}.get(self.rule, 0.0) * self.sample_time
+
+    def _rates(self) -> tuple[Factored, Factored]:
+        """V and X."""
+        from flint import fmpq_poly
+
+        z = fmpq_poly([0, 1])
+        rates = {
+            "forward": (z - 1, z),
+            "backward": (z * (z - 1), z),
+            "explicit": (z - 1, z**0),
+            "trapezoid": ((z * z - 1) / 2, (z + 1) ** 2 / 4),
+        }[self.rule]
+        return Factored.from_rational(rates[0]), Factored.from_rational(rates[1])
+
+    def _wall_and_below(self) -> tuple[Factored, Factored]:
+        """What does not depend on the gains, and z^w with the denominators of the filters."""
+        (robot, slow), (read, smooth) = (
+            filter_in_balls(each, self.sample_time) for each in (self.robot, self.force_filter)
+        )
+        below = _late(slow.times(smooth), self.delay_samples)
+        position = self._rates()[1].scaled(_ball(Fraction(self.sample_time)))
+        wall = position.times(robot).times(read).scaled(self.environment)
+        if self.stiffness:
+            wall = wall.plus(below.times(position).scaled(self.stiffness))
+        return wall, below
+
+    def _inertial(self, below: Factored) -> Factored:
+        from flint import fmpq_poly
+
+        (period,) = _exact((self.sample_time,))
+        return below.times(Factored.from_rational(fmpq_poly([1, -2, 1]) / period))
+
+
+@dataclass(frozen=True)
+class AdmittanceChart(AffineParts):
+    """An admittance by 1/M' and D/M': p/M' = z^w (z-1)^2/T + wall/M' + z^w (z-1) D/M'."""
+
+    of: AdmittanceParts
+
+    def triple(self) -> Triple:
+        """The parts of p(z)/M'."""
+        from flint import fmpq_poly
+
+        wall, below = self.of._wall_and_below()
+        rate = Factored.from_rational(fmpq_poly([-1, 1]))
+        return _without_common_power(self.of._inertial(below), wall, below.times(rate))
+
+
+# -------------------------------------------------------------------------------------------- PID
+@dataclass(frozen=True)
+class PidParts(AffineParts):
+    """A held device under kp x + ki I + kd V x, one of the three given; by the two others."""
+
+    loop: "LoopParameters"
+    given: str
+    value: float
+    rule: str
+
+    def triple(self) -> Triple:
+        """The parts of p(z), by the two other gains in the order kp, ki, kd."""
+        from flint import fmpq_poly
+
+        own = ball_loop(self.loop)
+        z = fmpq_poly([0, 1])
+        (period,) = _exact((float(self.loop.sample_time),))
+        summed = {"backward": z, "forward": fmpq_poly([1]), "trapezoid": (z + 1) / 2}[self.rule]
+        pole = Factored.from_rational(z - 1)
+        by_position, by_velocity = own.walls
+        parts = {
+            "kp": pole.times(by_position),
+            "ki": by_position.times(Factored.from_rational(summed * period)),
+            "kd": pole.times(by_velocity),
+        }
+        parts = {name: own.numerator.times(part) for name, part in parts.items()}
+        base = pole.times(own.free)
+        if self.value:
+            base = base.plus(parts[self.given].scaled(self.value))
+        return _without_common_power(
+            base, *(part for name, part in parts.items() if name != self.given)
+        )
+
+
+# ---------------------------------------------------------------------------------------- coupling
+@dataclass(frozen=True)
+class CouplingParts(AffineParts):
+    """Two held devices, a spring and a damper between them; by stiffness and damping."""
+
+    devices: tuple[Device, Device]
+    sample_time: float
+    delays_samples: tuple[float, float]
+    velocity: Velocity | None
+
+    @property
+    def drift(self) -> int:
+        """How many roots at z = 1 the common motion of both has, which no gain moves."""
+        return min(denominator.at_one for _, denominator, _ in self._plants())
+
+    def triple(self) -> Triple:
+        """The parts of p(z) without the common motion, by stiffness and damping."""
+        (n1, d1, lag1), (n2, d2, lag2) = self._plants()
+        shared, drift = min(lag1, lag2), min(d1.at_one, d2.at_one)
+        first, second = (d.divided(0, drift, 0) for d in (d1, d2))
+        plant = _late(n1, lag2 - shared).times(second).plus(_late(n2, lag1 - shared).times(first))
+        filters = given_filters(self.velocity, None) or NO_FILTERS
+        whole = plant, d1.times(second), max(lag1, lag2)
+        return BallLoop.from_plant(whole, self.sample_time, filters).triple
+
+    def _plants(self) -> list[tuple[Factored, Factored, int]]:
+        return [
+            plant_in_balls(device, self.sample_time, delay)
+            for device, delay in zip(self.devices, self.delays_samples, strict=True)
+        ]
+
+
+def _late(part: Factored, samples: int) -> Factored:
+    return part._replace(power=part.power + samples)

@@ -1,0 +1,401 @@
+"""Loops of any two gains: truths of 40 digits, and what engines and controllers compute."""
+
+from collections.abc import Callable
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+from campaign import many
+
+import jaxstab
+from benchmarks.truth import recursions
+from jaxstab import Verdict
+from jaxstab.results import RegionStatus
+
+DEVICE = jaxstab.Device.mass_spring_damper(mass=0.25, damping=0.1)
+OTHER = jaxstab.Device.mass_spring_damper(mass=0.5, damping=0.2)
+ON_SPRING = jaxstab.Device.mass_spring_damper(mass=0.1, damping=0.5, stiffness=20.0)
+SLOW, READ = jaxstab.Filter.exponential(0.1), jaxstab.Filter.exponential(0.2)
+
+
+def held(window: int = 1) -> jaxstab.HapticLoop:
+    velocity = jaxstab.Velocity.difference(samples=window)
+    return jaxstab.HapticLoop(device=DEVICE, sample_time=1e-3, delay=1e-3, velocity=velocity)
+
+
+def joint(**options: Any) -> jaxstab.Loop:
+    return jaxstab.simulated_pd(0.1, step=2e-3, **options)
+
+
+def sprung(integrator: str) -> jaxstab.Loop:
+    return joint(damping=0.5, stiffness=20.0, integrator=integrator)
+
+
+def robot(wall: float, period: float, late: int, **options: Any) -> jaxstab.Loop:
+    return jaxstab.admittance(wall, sample_time=period, delay_samples=late, **options)
+
+
+def couple(second: jaxstab.Device, *delays: float) -> jaxstab.Loop:
+    return jaxstab.coupling(DEVICE, second, sample_time=1e-3, delays_samples=delays)  # type: ignore[arg-type]
+
+
+# Flint and Newton's method in mpmath on the determinants of recursions, 40 digits.
+INF = np.inf
+TRUTHS = {
+    "simulator": (joint(outside=True), {"kd": 10.0}, (0.0, 90000.0)),
+    "a step late": (joint(delay_steps=1), {"kd": 10.0}, (0.0, 4000.0)),
+    "every 4 steps": (joint(substeps=4), {"kd": 10.0}, (0.0, 3333.33333333)),
+    "2 of 4 late": (joint(substeps=4, delay_steps=2), {"kd": 5.0}, (0.0, 573.306746431)),
+    "every 10": (joint(substeps=10), {"kd": 3.0}, (0.0, 333.333333333)),
+    "7 late": (joint(substeps=5, delay_steps=7), {"kd": 2.0}, (0.0, 93.7822657774)),
+    "kd": (joint(substeps=4), {"kp": 100.0}, (0.3, 24.9)),
+    "damped joint": (
+        joint(substeps=4, damping=0.5, integrator="implicit-joint"),
+        {"kd": 10.0},
+        (0.0, 3529.26362974),
+    ),
+    "explicit": (sprung("explicit"), {"kd": 10.0}, (-20.0, 5230.0)),
+    "semi-implicit": (sprung("semi-implicit"), {"kd": 10.0}, (-20.0, 89480.0)),
+    "implicit-joint": (sprung("implicit-joint"), {"kd": 10.0}, (-20.0, 90480.0)),
+    "implicit-damping": (sprung("implicit-damping"), {"kd": 10.0}, (-20.0, 110480.0)),
+    "implicit": (sprung("implicit"), {"kd": 10.0}, (-20.0, INF)),
+    "admittance": (robot(1e3, 2e-3, 10), {"mass": 10.0}, (19.8705717619, 9999.0)),
+    "light": (robot(1e4, 1e-3, 4), {"mass": 2.0}, (39.515919035, 3995.0)),
+    "heavy": (robot(1e5, 8e-3, 3), {"mass": 20.0}, (1885.37212481, 5400.0)),
+    "slow robot": (
+        robot(1e4, 1e-3, 5, robot=SLOW),
+        {"mass": 2.0},
+        (105.305296453, 4000.26315789),
+    ),
+    "read slowly": (
+        robot(1e4, 1e-3, 5, robot=SLOW, force_filter=READ),
+        {"mass": 2.0},
+        (130.346545413, 4000.02923977),
+    ),
+    "backward": (robot(1e4, 1e-3, 4, rule="backward"), {"mass": 2.0}, (39.5250081919, INF)),
+    "explicit rule": (robot(1e4, 1e-3, 4, rule="explicit"), {"mass": 2.0}, (49.0520521062, 4005.0)),
+    "trapezoid": (robot(1e4, 1e-3, 4, rule="trapezoid"), {"mass": 2.0}, (39.4736011392, INF)),
+    "spring": (robot(1e4, 1e-3, 4, stiffness=1e3), {"mass": 2.0}, (39.4676599975, 3994.5)),
+    "least mass": (robot(1e4, 1e-3, 4), {"damping": 100.0}, (0.0525, INF)),
+    "largest mass": (robot(1e4, 1e-3, 4), {"damping": 39.5}, (0.02225, 1.934237439)),
+    "kp": (jaxstab.pid(held(), kd=50.0), {"ki": 1e5}, (405.297223468, 25486.3735143)),
+    "ki": (jaxstab.pid(held(), kd=50.0), {"kp": 5e3}, (0.0, 1024414.8031)),
+    "ki forward": (
+        jaxstab.pid(held(), kd=50.0, rule="forward"),
+        {"kp": 5e3},
+        (0.0, 877851.0471),
+    ),
+    "ki trapezoid": (
+        jaxstab.pid(held(), kd=50.0, rule="trapezoid"),
+        {"kp": 5e3},
+        (0.0, 947132.805048),
+    ),
+    "kd by ki": (jaxstab.pid(held(), ki=1e5), {"kp": 5e3}, (12.549777558, 200.179086276)),
+    "kp by a window": (jaxstab.pid(held(20), kd=10.0), {"ki": 1e4}, (166.449488818, 1735.72184324)),
+    "ki by a window": (jaxstab.pid(held(20), kd=10.0), {"kp": 1e3}, (0.0, 25790.8393688)),
+    "two devices": (couple(OTHER, 1.0, 1.0), {"damping": 30.0}, (0.0, 15979.5226371)),
+    "one later": (couple(OTHER, 1.0, 2.0), {"damping": 30.0}, (0.0, 12779.0591429)),
+    "fractions": (couple(OTHER, 1.5, 2.25), {"damping": 20.0}, (0.0, 7452.67931977)),
+    "one at once": (couple(OTHER, 0.0, 3.0), {"damping": 20.0}, (0.0, 11945.8674067)),
+    "equal devices": (couple(DEVICE, 1.0, 1.0), {"damping": 30.0}, (0.0, 14587.3519408)),
+    "one is held": (couple(ON_SPRING, 1.0, 1.0), {"damping": 20.0}, (0.0, 9227.15324243)),
+    "and late": (couple(ON_SPRING, 2.0, 1.4), {"damping": 10.0}, (0.0, 4050.9052908)),
+}
+
+
+@pytest.mark.parametrize("name", TRUTHS)
+def test_54_intervals_are_those_of_40_digits(name: str) -> None:
+    loop, given, expected = TRUTHS[name]
+    line = loop.intervals(**given)
+    assert line.status.name == "PROVED"
+    low, high = line.intervals[-1]
+    assert (low.value, high.value) == pytest.approx(expected, rel=2e-11)
+
+
+def test_54_stable_pd_has_a_second_interval_through_infinity() -> None:
+    beyond, here = sprung("implicit").intervals(kd=10.0).intervals
+    assert (beyond.low.value, beyond.high.value) == (-INF, pytest.approx(-110480.0))
+    assert here.high.value == INF
+
+
+@pytest.mark.parametrize("rule", ["semi-implicit", "implicit"])
+def test_54_pd_without_damping_is_unstable_exactly(rule: str) -> None:
+    loop = joint(integrator=rule)
+    line = loop.intervals(kd=0.0)
+    if rule == "semi-implicit":  # the two roots have the product 1: no ball tells
+        assert loop.verdict(kp=1000.0, kd=0.0) == Verdict.UNSTABLE
+        assert (line.status.name, line.intervals) == ("PROVED", ())
+    else:
+        assert loop.verdict(kp=1000.0, kd=0.0) == Verdict.STABLE
+
+
+# ----------------------------------------------------------------------- against step by step
+def a_simulator(rng: np.random.Generator) -> tuple[jaxstab.Loop, Callable[..., np.ndarray]]:
+    engine: dict[str, Any] = {
+        "inertia": 10 ** rng.uniform(-5, 1),
+        "step": 10 ** rng.uniform(-4, -2),
+        "integrator": str(rng.choice(["explicit", "semi-implicit", "implicit-joint", "rk4"])),
+    }
+    size = engine["inertia"] / engine["step"]
+    engine["damping"] = float(rng.choice([0.0, 0.1])) * size
+    engine["stiffness"] = float(rng.choice([0.0, 0.1])) * size / engine["step"]
+    timing = {"substeps": int(rng.integers(1, 9)), "delay_steps": int(rng.integers(0, 10))}
+    loop = jaxstab.simulated_pd(**engine, outside=True, **timing)
+    return loop, lambda kp, kd: recursions.simulated(kp, kd, inside=False, **timing, **engine)
+
+
+def inside_an_engine(rng: np.random.Generator) -> tuple[jaxstab.Loop, Callable[..., np.ndarray]]:
+    rules = ["explicit", "semi-implicit", "implicit-joint", "implicit-damping", "implicit"]
+    engine: dict[str, Any] = {
+        "inertia": 10 ** rng.uniform(-5, 1),
+        "step": 10 ** rng.uniform(-4, -2),
+        "integrator": str(rng.choice(rules)),
+    }
+    size = engine["inertia"] / engine["step"]
+    engine["damping"] = float(rng.choice([0.0, 0.1])) * size
+    engine["stiffness"] = float(rng.choice([0.0, 0.1])) * size / engine["step"]
+    loop = jaxstab.simulated_pd(**engine)
+    return loop, lambda kp, kd: recursions.simulated(kp, kd, inside=True, **engine)
+
+
+def an_admittance(rng: np.random.Generator) -> tuple[jaxstab.Loop, Callable[..., np.ndarray]]:
+    given: dict[str, Any] = {
+        "environment": 10 ** rng.uniform(2, 5),
+        "sample_time": 10 ** rng.uniform(-4, -2),
+        "delay_samples": int(rng.integers(1, 12)),
+        "rule": str(rng.choice(["forward", "backward", "explicit", "trapezoid"])),
+    }
+    given["stiffness"] = float(rng.choice([0.0, 0.1])) * given["environment"]
+    return jaxstab.admittance(**given), lambda mass, damping: recursions.admittance(
+        mass, damping, **given
+    )
+
+
+def a_mass(rng: np.random.Generator) -> dict[str, float]:
+    mass = 10 ** rng.uniform(-2, 1)
+    damping = float(rng.choice([0.0, 0.1, 10.0])) * mass
+    return {"mass": mass, "damping": damping, "stiffness": float(rng.choice([0.0, 100.0])) * mass}
+
+
+def a_pid(rng: np.random.Generator) -> tuple[jaxstab.Loop, Callable[..., np.ndarray]]:
+    body, period = a_mass(rng), 10 ** rng.uniform(-4, -2)
+    delay, window = float(rng.choice([0.0, 0.5, 1.0, 2.25])), int(rng.integers(1, 6))
+    loop = jaxstab.HapticLoop(
+        device=jaxstab.Device.mass_spring_damper(**body),
+        sample_time=period,
+        delay=delay * period,
+        velocity=jaxstab.Velocity.difference(samples=window),
+    )
+    name = str(rng.choice(["kp", "ki", "kd"]))
+    size = body["mass"] / period
+    given = {name: 0.1 * size * {"kp": 1 / period, "ki": 0.01 / period**2, "kd": 1.0}[name]}
+    rule = str(rng.choice(["backward", "forward", "trapezoid"]))
+    plant = recursions.HeldMass(*body.values(), period, loop.delay_samples)
+
+    def truth(**gains: float) -> np.ndarray:
+        return recursions.pid(
+            **gains, **given, plant=plant, period=period, rule=rule, window=window
+        )
+
+    return jaxstab.pid(loop, **given, rule=rule), truth  # type: ignore[arg-type]
+
+
+def a_coupling(rng: np.random.Generator) -> tuple[jaxstab.Loop, Callable[..., np.ndarray]]:
+    bodies, period = [a_mass(rng), a_mass(rng)], 10 ** rng.uniform(-4, -2)
+    bodies[1]["stiffness"] = 100.0 * bodies[1]["mass"]  # held: without drift
+    delays = rng.choice([0.0, 0.5, 1.0, 2.25], 2).tolist()
+    devices = [jaxstab.Device.mass_spring_damper(**body) for body in bodies]
+    plants = [
+        recursions.HeldMass(*body.values(), period, delay)
+        for body, delay in zip(bodies, delays, strict=True)
+    ]
+    loop = jaxstab.coupling(*devices, sample_time=period, delays_samples=tuple(delays))
+    return loop, lambda stiffness, damping: recursions.coupling(
+        stiffness, damping, *plants, period=period
+    )
+
+
+KINDS = {
+    "outside": a_simulator,
+    "inside": inside_an_engine,
+    "admittance": an_admittance,
+    "pid": a_pid,
+    "coupling": a_coupling,
+}
+
+
+def disagreements(kind: str, count: int) -> tuple[int, list[str]]:
+    """Compare rows of random loops with recursions, 1 % on either side of each end."""
+    rng, compared, wrong = np.random.default_rng(54), 0, []
+    for index in range(count):
+        loop, truth = KINDS[kind](rng)
+        first, second = (gain.name for gain in loop.gains)
+        scale = _scale(loop)
+        for axis, (own, other) in enumerate(((first, second), (second, first))):
+            at = scale[1 - axis] * float(rng.choice([0.03, 0.3, 1.0]))
+            line = loop.intervals(**{other: at})
+            assert line.status.name == "PROVED", (kind, index)
+            ends = [end.value for ends in line.intervals for end in ends if np.isfinite(end.value)]
+            tried = [1e-3 * scale[axis], scale[axis]]
+            tried += [end * side for end in ends for side in (0.99, 1.01)]
+            for value in tried:
+                radius = recursions.radius(truth(**{own: value, other: at}))
+                if abs(radius - 1.0) < 1e-6:
+                    continue
+                compared += 1
+                if (line.holding(value) is not None) != (radius < 1.0):
+                    wrong.append(f"{kind} {index} {own}={value} {other}={at}: {radius}")
+    return compared, wrong
+
+
+def _scale(loop: jaxstab.Loop) -> tuple[float, float]:
+    """Gains of a size that matters."""
+    from jaxstab.loop.affine import _units
+
+    return _units(loop.parts)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_54_rows_agree_with_recursions(kind: str) -> None:
+    compared, wrong = disagreements(kind, 25)
+    assert not wrong
+    assert compared > 60
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("kind", KINDS)
+def test_54_rows_of_many_loops_agree_with_recursions(kind: str) -> None:
+    compared, wrong = disagreements(kind, many(2000))
+    assert not wrong
+    assert compared > many(4000)
+
+
+# --------------------------------------------------------------------------------------- regions
+LIMITS = {  # the largest of both gains, and the other one there, in closed form
+    "semi-implicit": (joint(), (1e5, 0.0), (100.0, 0.0)),  # 0 < a < 4 - 2 b
+    "a step late": (joint(delay_steps=1), (6250.0, 25.0), (50.0, 0.0)),  # 0 < a < b (1 - b)
+    "every 4 steps": (joint(substeps=4), (6250.0, 18.75), (25.0, 0.0)),  # two lines
+    "explicit": (joint(integrator="explicit"), (1e5, 200.0), (200.0, 1e5)),  # a corner
+}
+
+
+@pytest.mark.parametrize("name", LIMITS)
+def test_54_limits_of_simulators_are_those_in_closed_form(name: str) -> None:
+    loop, *expected = LIMITS[name]
+    limits = loop.limits()
+    assert limits.status == RegionStatus.COMPLETE
+    for limit, pair in zip(limits[:2], expected, strict=True):
+        assert (limit.value, limit.at) == pytest.approx(pair, rel=1e-9, abs=1e-6)
+
+
+def test_54_an_admittance_has_its_region_by_the_inverse_of_its_mass() -> None:
+    loop = robot(1e4, 1e-3, 4)
+    region = loop.region()
+    assert region.names.stiffness == "1/mass"
+    masses = np.array([0.01, 0.1, 2.0, 50.0])
+    dampings = np.array([20.0, 39.5, 45.0, 3000.0])
+    grid = np.meshgrid(masses, dampings)
+    inside = region.contains(mass=grid[0], damping=grid[1])
+    verdicts = loop.verdict(mass=grid[0], damping=grid[1])
+    assert np.array_equal(inside, verdicts == Verdict.STABLE)
+    least = loop.limits().first.value
+    assert loop.intervals(mass=1.001 * least).intervals
+    assert not loop.intervals(mass=0.999 * least).intervals
+
+
+@pytest.mark.parametrize("rule", ["forward", "backward", "explicit", "trapezoid"])
+def test_54_regions_of_admittances_agree_with_verdicts(rule: str) -> None:
+    loop = robot(1e4, 1e-3, 3, rule=rule)
+    region, rng = loop.region(), np.random.default_rng(3)
+    gains = {"mass": 10 ** rng.uniform(-3, 2, 200), "damping": 10 ** rng.uniform(0, 4, 200)}
+    verdicts = loop.verdict(**gains)
+    assert np.array_equal(region.contains(**gains), verdicts == Verdict.STABLE)
+    assert set(np.unique(verdicts)) == {Verdict.STABLE, Verdict.UNSTABLE}
+
+
+@pytest.mark.parametrize("loop", [jaxstab.pid(held(), kd=50.0), jaxstab.pid(held(), ki=1e5)])
+def test_54_regions_of_pid_agree_with_verdicts(loop: jaxstab.Loop) -> None:
+    region, rng = loop.region(), np.random.default_rng(4)
+    low, high = region.outline.min(axis=0), region.outline.max(axis=0)
+    points = low + (high - low) * rng.uniform(-0.2, 1.2, (200, 2))
+    gains = dict(zip((gain.name for gain in loop.gains), points.T, strict=True))
+    verdicts = loop.verdict(**gains)
+    assert np.array_equal(region.contains(**gains), verdicts == Verdict.STABLE)
+    assert set(np.unique(verdicts)) == {Verdict.STABLE, Verdict.UNSTABLE}
+    assert loop.limits().is_reachable == (loop.gains[1].name == "ki")
+
+
+def test_54_an_equal_device_on_a_wall_that_moves_is_the_wall_of_an_endless_mass() -> None:
+    heavy = jaxstab.Device.mass_spring_damper(mass=1e9)
+    limits = jaxstab.coupling(DEVICE, heavy, sample_time=1e-3).limits()
+    wall = jaxstab.HapticLoop(device=DEVICE, sample_time=1e-3, delay=1e-3).limits()
+    assert limits.first.value == pytest.approx(wall.stiffness, rel=1e-6)
+    assert limits.second.value == pytest.approx(wall.damping, rel=1e-6)
+
+
+# ------------------------------------------------------------------------------------ coefficients
+def test_54_coefficients_may_be_fractions_or_intervals() -> None:
+    half = jaxstab.Loop.from_coefficients(
+        base=[1, -2, 1], first=[Fraction(1, 2), 0], second=[1, -1], sample_time=1.0
+    )
+    line = half.intervals(b=1.0)
+    assert [(low.value, high.value) for low, high in line.intervals] == [(0.0, 4.0)]
+    wide = jaxstab.Loop.from_coefficients(
+        base=[1, -2, 1], first=[(0.5, 1.0), 0], second=[1, -1], sample_time=1.0, gains=("kp", "kd")
+    )
+    codes = wide.verdict(kp=[1.0, 3.0, 5.0, -1.0], kd=1.0)
+    assert codes.tolist() == [
+        Verdict.STABLE,
+        Verdict.UNDECIDED,  # stable for some of the interval
+        Verdict.UNSTABLE,
+        Verdict.UNSTABLE,
+    ]
+
+
+def test_54_an_algebraic_loop_has_no_verdict() -> None:
+    loop = jaxstab.Loop.from_coefficients(
+        base=[1, 0], first=[1, 0.5], second=[0, 1], sample_time=1.0
+    )
+    assert loop.verdict(a=-1.0, b=0.1) == Verdict.UNDECIDED
+    with pytest.raises(ValueError, match="not bounded"):
+        loop.region()
+
+
+REFUSALS = [
+    (lambda: joint(integrator="rk4"), "not affine in the gains"),
+    (lambda: joint(integrator="euler"), "integrator is"),
+    (lambda: joint(substeps=0), "substeps is 0"),
+    (lambda: robot(-1.0, 1e-3, 4), "environment is -1"),
+    (lambda: robot(1e3, 1e-3, 4, rule="exact"), "rule is"),
+    (lambda: jaxstab.pid(held()), "give one of kp, ki and kd"),
+    (lambda: jaxstab.pid(held(), kp=1.0, ki=2.0), "kp, ki; give one"),
+    (lambda: couple(OTHER, 1.0), "one delay for each"),
+    (lambda: joint().verdict(kp=1.0), "give both kp and kd"),
+    (lambda: joint().verdict(K=1.0, B=2.0), "give both kp and kd"),
+    (lambda: joint().intervals(kp=1.0, kd=2.0), "give one of kp and kd"),
+    (lambda: joint().intervals(kd=np.nan), "kd is nan"),
+    (lambda: joint(integrator="implicit").region(), "not bounded"),
+    (
+        lambda: jaxstab.Loop.from_coefficients(base=[1], first=[0], second=[1], sample_time=1.0),
+        "first is 0",
+    ),
+    (
+        lambda: jaxstab.Loop.from_coefficients(
+            base=[1], first=[np.inf], second=[1], sample_time=1.0
+        ),
+        "first.0. is inf",
+    ),
+    (
+        lambda: jaxstab.Loop.from_coefficients(
+            base=[1, 1], first=[1], second=[1], sample_time=1.0, gains=("a", "a")
+        ),
+        "two different names",
+    ),
+]
+
+
+@pytest.mark.parametrize(("call", "words"), REFUSALS)
+def test_54_bad_input_is_refused_in_a_sentence(call: Callable[[], object], words: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=words):
+        call()
