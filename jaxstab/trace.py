@@ -339,8 +339,6 @@ def halved(maps: Monomials, edges: Edges, filters: Filters | None) -> Edges:
 _CONVERGED = 1e-9  # of an edge, and of pi
 _BEYOND = 0.01  # of an edge: how far the larger circle may move a bracket
 
-Rows = Float64[np.ndarray, "edge 2 2"]
-
 
 def _values(
     c: SliceCoefficients, gains: tuple[Array, Array], turn: Array, branch: Array, filters: Responses

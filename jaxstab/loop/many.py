@@ -45,9 +45,7 @@ _SCANS = 3  # of a loop, at most
 _DEGREES = (5, 9, 17, 25, 41, 65)  # up to which p(z) are filled: each program takes memory
 
 
-Floats = Float64[Array, "loop part power"]
 Indices = Int64[np.ndarray, " _"]
-Walls = Float64[np.ndarray, "loop 2 2"]
 Outlines = tuple[
     Float64[np.ndarray, "*loop vertex 2"],
     Float64[np.ndarray, "*loop vertex 2"],
@@ -242,7 +240,9 @@ def _no_limits(count: int) -> ManyLimits:
     return ManyLimits._make([*np.full((4, count), np.nan), unresolved, *flags])
 
 
-def _write_limits(limits: ManyLimits, members: Indices, walls: Walls, units: Units) -> None:
+def _write_limits(
+    limits: ManyLimits, members: Indices, walls: Float64[np.ndarray, "loop 2 2"], units: Units
+) -> None:
     """Write what a program resolved."""
     (stiffest, damped) = np.moveaxis(walls * units[:, None], 1, 0)
     limits.stiffness[members], limits.at_damping[members] = stiffest.T
@@ -567,7 +567,9 @@ def _triples(formed: list[_Formed], degree: int) -> "Triples":
     return Triples(rounded, shifted, _close(rounded, shifted), ends, xp.concatenate(scans))
 
 
-def _close(straight: Floats, shifted: Floats) -> Float64[Array, "loop part"]:
+def _close(
+    straight: Float64[Array, "loop part power"], shifted: Float64[Array, "loop part power"]
+) -> Float64[Array, "loop part"]:
     """Return up to which abs(z - 1) powers of z - 1 have the smaller terms, by bisection."""
     farthest, halvings = 1.5, 8  # of z - 1, for which its powers may have the smaller terms
     xp = namespace(straight, shifted)
@@ -602,7 +604,7 @@ def _columns(rows: Sequence[Sequence[DoubleDouble]], count: int) -> DoubleDouble
     return tree_map(stacked, *chain(*rows))
 
 
-def _shifted(falling: DoubleDouble) -> Floats:
+def _shifted(falling: DoubleDouble) -> Float64[Array, "loop part power"]:
     """Return the coefficients in powers of z - 1, in float64."""
     powers = range(falling.hi.shape[-1])
     columns = tuple(DoubleDouble(falling.hi[..., k], falling.lo[..., k]) for k in powers)

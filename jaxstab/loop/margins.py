@@ -27,8 +27,6 @@ from jaxstab.model.parameters import LONGEST_DELAY, wall_grid
 from jaxstab.numbers import checked, without_noise
 from jaxstab.shown import number_text, table_text
 
-Walls = Float64[np.ndarray, "wall 5"]
-
 WAYS = ((0, -1.0), (0, 1.0), (1, -1.0), (1, 1.0), (4, 1.0))
 """The axes (alpha, beta, delay) along which a wall is changed, and the signs."""
 
@@ -45,7 +43,7 @@ class Crossing(NamedTuple):
 
 
 def first_crossings(
-    walls: Walls, filters: Filters | None = None
+    walls: Float64[np.ndarray, "wall 5"], filters: Filters | None = None
 ) -> Float64[np.ndarray, "wall column"]:
     """The verdict on each wall of five numbers and then, each way of ``WAYS``, end and angle.
 

@@ -447,7 +447,6 @@ _LIST = 2**18  # up to this many points, lists are filled up to a length compile
 _BLOCK = 2**18  # points of a larger grid that a core computes at once
 _STEADY = 512  # points of an axis that differ by little from their neighbours
 
-Values = np.ndarray[Any, np.dtype[Any]]
 Indices = Int64[np.ndarray, " point"]
 Answer = tuple[Array, Array]  # value and error
 

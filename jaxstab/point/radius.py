@@ -19,7 +19,7 @@ from collections.abc import Callable
 from decimal import ROUND_CEILING
 from functools import partial, reduce
 from math import prod
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int8
@@ -78,6 +78,7 @@ from jaxstab.point.schur_cohn import (
 from jaxstab.point.verdicts import (
     HIGHEST_UNROLLED,
     Points,
+    Values,
     filtered_loops,
     float_plant,
     gathered,
@@ -123,9 +124,6 @@ def proved_error(codes: Callable[[Array], Array], radius: Array) -> Array:
 #
 # The dominant eigenvalue of the companion matrix is corrected by Newton's method with a residual in
 # double-double, and proved by a ladder of verdicts on p(r z) (lemmas R3 and V7 of docs/proofs.md).
-
-
-Values = np.ndarray[Any, np.dtype[Any]]
 
 
 def filtered_radius(points: Points, filters: Filters) -> tuple[Values, Values]:
@@ -210,10 +208,9 @@ def scaled_codes(coefficients: Number, error: Array, scale: Array, unit: float) 
     degree = len(columns) - 1
     rounding = SAFETY * error * xp.maximum(1.0, size(inverse) ** degree)
     rounding = rounding + (2 * degree + 6) * unit * sizes + UNDERFLOW
-    ends = [
-        (leading(reduce(operator.add, terms)), rounding + degree * unit * sizes)
-        for terms in (scaled, signed)
-    ]
+    at_one, at_minus_one = (leading(reduce(operator.add, terms)) for terms in (scaled, signed))
+    end_error = rounding + degree * unit * sizes
+    ends = Ends(at_one, end_error, at_minus_one, end_error)
     return polynomial_codes(tree_map(lambda *c: xp.stack(c), *scaled), rounding, ends, unit, degree)
 
 
@@ -223,9 +220,6 @@ def scaled_codes(coefficients: Number, error: Array, scale: Array, unit: float) 
 # are not 0 (lemma R3 of docs/proofs.md).
 #
 # Source: Schur-Cohn criterion (Jury 1964) for p(r z).
-
-
-Columns = tuple[Array, ...]
 
 
 @compiled()
@@ -250,13 +244,17 @@ def radius_error(
     tail = columns[: max(2, degree - 4) : -1]
     rest = sum(map(abs, columns[3 : degree + 1 - len(tail)]), xp.zeros_like(radius))
 
-    def ladder(head: Columns, tail: Columns, rest: Array, radius: Array) -> Array:
+    def ladder(
+        head: tuple[Array, ...], tail: tuple[Array, ...], rest: Array, radius: Array
+    ) -> Array:
         return proved_error(lambda scale: _scaled_codes(head, tail, rest, scale, degree), radius)
 
     return over_tiles(ladder, (tuple(columns[1:3]), tuple(tail), rest, radius))
 
 
-def _scaled_codes(head: Columns, tail: Columns, rest: Array, scale: Array, degree: int) -> Array:
+def _scaled_codes(
+    head: tuple[Array, ...], tail: tuple[Array, ...], rest: Array, scale: Array, degree: int
+) -> Array:
     """Return the codes of p(scale z) / scale^degree, of which ``rest`` is left out."""
     xp = namespace(scale)
     inverse = 1.0 / scale
