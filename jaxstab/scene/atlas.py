@@ -8,9 +8,9 @@ import numpy as np
 
 from jaxstab.atlas import Atlas, AtlasSpec
 from jaxstab.loop import Gains
-from jaxstab.scene.answers import basis_of
-from jaxstab.scene.loops import corners_of, loop_of_member, ranges_of
-from jaxstab.scene.scene import Scene, range_in_words
+from jaxstab.scene.answers import blocks_of
+from jaxstab.scene.loops import corners_of, loop_of_member, with_tolerances
+from jaxstab.scene.scene import Scene
 from jaxstab.shown import printable
 
 
@@ -69,18 +69,8 @@ def ask_atlas(
 def spec_text(scene: Scene, name: str) -> str:
     """The text of a scene's specification, which begins with a description."""
     text = atlas_spec(scene).to_toml()
-    units, basis = scene.units, basis_of(scene)
-    mass, hand_mass, stiffness, damping, delay = (range_in_words(ends) for ends in ranges_of(scene))
-    lines = [
-        f"{name}",
-        f"{units.moved} of the device: {mass} {units.kilogram}",
-        f"damping of the device: {scene.device.damping:g} {units.damping}",
-        f"hand: {hand_mass} {units.kilogram}, {stiffness} {units.stiffness}, "
-        f"{damping} {units.damping}",
-        f"sample time: {scene.controller.sample_time:g} s; delay: {delay} s",
-        f"velocity: {basis.velocity}",
-        *([] if basis.position is None else [f"position: {basis.position}"]),
-    ]
+    blocks = blocks_of(with_tolerances(scene))
+    lines = [name, *(f"{block}: {words}" for block, words in blocks.items())]
     # A control character would end the comment.
     return "".join(f"# {printable(line)}\n" for line in lines) + "\n" + text
 
