@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+import recursions
 from campaign import many
 
 import jaxstab
-from benchmarks.truth import recursions
 from jaxstab import Verdict
 from jaxstab.results import RegionStatus
 

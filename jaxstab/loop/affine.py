@@ -23,11 +23,12 @@ import numpy as np
 from jaxtyping import Bool, Complex128, Float64, Int8
 
 from jaxstab.arrays import Array, Numbers, named
-from jaxstab.conventions import RadiusStatus, Verdict
-from jaxstab.exact import VerdictStatus, poles, spectral_radius, stable_line, wall_verdict
+from jaxstab.conventions import Verdict
+from jaxstab.exact import VerdictStatus, stable_line, wall_verdict
 from jaxstab.exact.boundary import ScaledLoop
 from jaxstab.exact.line import LineStatus, StableLine
 from jaxstab.exact.verdict import rational_verdict
+from jaxstab.loop.walls import FewWalls
 from jaxstab.model.affine import (
     INTEGRATORS,
     RULES,
@@ -322,11 +323,7 @@ class Loop:
             >>> round(float(loop.spectral_radius(kp=1000.0, kd=20.0).value), 6)
             0.871652
         """
-        grid = self._grid(gains)
-        triple = partial(affine_triple, self.parts)
-        radii = [spectral_radius(triple, *pair) for pair in grid.reshape(-1, 2).tolist()]
-        value, error, status = np.reshape(np.transpose(radii), (3, *grid.shape[:-1]))
-        return SpectralRadius(value, error, named(status.astype(np.int8), RadiusStatus))
+        return FewWalls(partial(affine_triple, self.parts), self._grid(gains)).spectral_radii()
 
     def poles(self, **gains: Numbers) -> Complex128[np.ndarray, "*grid pole"]:
         """All poles per sample, the largest first; NaN where some coincide and are not told apart.
@@ -338,10 +335,7 @@ class Loop:
             >>> loop.poles(kp=1000.0, kd=20.0).round(6).tolist()
             [(0.871652+0j), (0.688348+0j)]
         """
-        grid = self._grid(gains)
-        triple = partial(affine_triple, self.parts)
-        found = [poles(triple, *pair).values for pair in grid.reshape(-1, 2).tolist()]
-        return np.reshape(found, (*grid.shape[:-1], -1))
+        return FewWalls(partial(affine_triple, self.parts), self._grid(gains)).poles()
 
     def intervals(self, **gain: float) -> StableLine:
         """All stable values of one gain at a value of the other: complete and proved.

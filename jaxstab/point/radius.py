@@ -19,7 +19,7 @@ from collections.abc import Callable
 from decimal import ROUND_CEILING
 from functools import partial, reduce
 from math import prod
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int8
@@ -78,6 +78,7 @@ from jaxstab.point.schur_cohn import (
 from jaxstab.point.verdicts import (
     HIGHEST_UNROLLED,
     Points,
+    Values,
     filtered_loops,
     float_plant,
     gathered,
@@ -91,8 +92,6 @@ from jaxstab.shown import number_text, text_with_bound
 # All roots are inside the circle of radius + error, and not all inside that of radius - error; each
 # side is one verdict (lemma R3 of docs/proofs.md). The steps of the ladder have a ratio of 4.
 
-_STEPS = tuple(2.0**power for power in range(-50, -5, 2))  # relative bounds that are tried
-
 
 def proved_error(codes: Callable[[Array], Array], radius: Array) -> Array:
     """Bounds of the errors of radii > 0, infinite where even 2^-6 of the radius is not proved.
@@ -100,7 +99,7 @@ def proved_error(codes: Callable[[Array], Array], radius: Array) -> Array:
     ``codes`` returns the verdicts on p(r z) / r^n for radii r of shape (2, *radius.shape).
     """
     xp = namespace(radius)
-    steps = xp.asarray(_STEPS)
+    steps = xp.asarray([2.0**power for power in range(-50, -5, 2)])  # bounds tried, relative
     sides = xp.stack([xp.ones_like(radius), -xp.ones_like(radius)])
     wanted = xp.stack(
         [xp.full_like(radius, Verdict.STABLE), xp.full_like(radius, Verdict.UNSTABLE)]
@@ -115,7 +114,7 @@ def proved_error(codes: Callable[[Array], Array], radius: Array) -> Array:
 
     def is_open(state: tuple[Array, Array]) -> Array:
         step, error = state
-        return (step < len(_STEPS)) & xp.any(xp.isinf(error))
+        return (step < len(steps)) & xp.any(xp.isinf(error))
 
     start = xp.asarray(0), xp.full_like(sides, xp.inf)
     return xp.max(repeat_while(is_open, prove, start)[1], axis=0)
@@ -125,9 +124,6 @@ def proved_error(codes: Callable[[Array], Array], radius: Array) -> Array:
 #
 # The dominant eigenvalue of the companion matrix is corrected by Newton's method with a residual in
 # double-double, and proved by a ladder of verdicts on p(r z) (lemmas R3 and V7 of docs/proofs.md).
-
-
-Values = np.ndarray[Any, np.dtype[Any]]
 
 
 def filtered_radius(points: Points, filters: Filters) -> tuple[Values, Values]:
@@ -212,10 +208,9 @@ def scaled_codes(coefficients: Number, error: Array, scale: Array, unit: float) 
     degree = len(columns) - 1
     rounding = SAFETY * error * xp.maximum(1.0, size(inverse) ** degree)
     rounding = rounding + (2 * degree + 6) * unit * sizes + UNDERFLOW
-    ends = [
-        (leading(reduce(operator.add, terms)), rounding + degree * unit * sizes)
-        for terms in (scaled, signed)
-    ]
+    at_one, at_minus_one = (leading(reduce(operator.add, terms)) for terms in (scaled, signed))
+    end_error = rounding + degree * unit * sizes
+    ends = Ends(at_one, end_error, at_minus_one, end_error)
     return polynomial_codes(tree_map(lambda *c: xp.stack(c), *scaled), rounding, ends, unit, degree)
 
 
@@ -225,9 +220,6 @@ def scaled_codes(coefficients: Number, error: Array, scale: Array, unit: float) 
 # are not 0 (lemma R3 of docs/proofs.md).
 #
 # Source: Schur-Cohn criterion (Jury 1964) for p(r z).
-
-
-Columns = tuple[Array, ...]
 
 
 @compiled()
@@ -252,13 +244,17 @@ def radius_error(
     tail = columns[: max(2, degree - 4) : -1]
     rest = sum(map(abs, columns[3 : degree + 1 - len(tail)]), xp.zeros_like(radius))
 
-    def ladder(head: Columns, tail: Columns, rest: Array, radius: Array) -> Array:
+    def ladder(
+        head: tuple[Array, ...], tail: tuple[Array, ...], rest: Array, radius: Array
+    ) -> Array:
         return proved_error(lambda scale: _scaled_codes(head, tail, rest, scale, degree), radius)
 
     return over_tiles(ladder, (tuple(columns[1:3]), tuple(tail), rest, radius))
 
 
-def _scaled_codes(head: Columns, tail: Columns, rest: Array, scale: Array, degree: int) -> Array:
+def _scaled_codes(
+    head: tuple[Array, ...], tail: tuple[Array, ...], rest: Array, scale: Array, degree: int
+) -> Array:
     """Return the codes of p(scale z) / scale^degree, of which ``rest`` is left out."""
     xp = namespace(scale)
     inverse = 1.0 / scale
@@ -280,11 +276,6 @@ def _scaled_codes(head: Columns, tail: Columns, rest: Array, scale: Array, degre
 
 
 _LIST = 1 << 12  # points whose companion matrices are made at once
-_NEWTON_STEPS = 3
-
-# Strongly damped plants have coefficients of N far below its size, which do not have all their
-# digits; rounding errors beside 1, divided by powers of a small radius, exceed one rounding.
-_DAMPED, _SMALL_RADIUS = 10.0, 0.5
 
 _KNOWN = {
     RadiusStatus.NOT_COMPUTED: "not computed",
@@ -487,7 +478,7 @@ def _polished(parameters: list[Values], delay: Values | float) -> tuple[Values, 
     root = companion_poles(loop.polynomials(degree))[:, 0]
     t = Complex(root.real - 1.0, np.abs(root.imag))
     with np.errstate(all="ignore"):
-        for _ in range(_NEWTON_STEPS):
+        for _ in range(3):
             t = newton(t, loop, degree)
         return with_distance(t, loop, degree)
 
@@ -513,11 +504,14 @@ def _traced_radius_of(
 @compiled()
 def _believed(radius: SpectralRadius, gamma: Array, delta: Array) -> SpectralRadius:
     """Take back the bounds where the plant is not known to an ulp."""
+    # Strongly damped plants have coefficients of N far below its size, which do not have all their
+    # digits; rounding errors beside 1, divided by powers of a small radius, exceed one rounding.
+    damped, small_radius = 10.0, 0.5
     xp, (value, error, _) = namespace(radius, gamma, delta), radius
-    is_damped, is_lost = delta > _DAMPED, is_plant_lost(gamma, delta)
+    is_damped, is_lost = delta > damped, is_plant_lost(gamma, delta)
     if xp is np and not np.any(is_damped) and not np.any(is_lost):
         return radius
-    is_lost = is_lost | (is_damped & (value < _SMALL_RADIUS))
+    is_lost = is_lost | (is_damped & (value < small_radius))
     return _with_status(value, xp.where(is_lost, xp.inf, error))
 
 

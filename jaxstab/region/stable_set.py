@@ -387,8 +387,9 @@ class StableRegion(ShownRegion):
     def area(self) -> Float64[Array, ""]:
         """The area in the (alpha, beta) plane without its holes; NaN for UNRESOLVED.
 
-        It is right to rounding, except for undamped hands next to the Nyquist frequency: there
-        the relative error is up to about 1e-16/e, with e = |sqrt(gamma)/pi - 1|.
+        It is right to rounding, except for undamped hands next to the Nyquist frequency, where the
+        relative error is up to about 1e-16/e, with e = |sqrt(gamma)/pi - 1|, and next to modes that
+        walls hardly move: there it is as right as the polygon, or better.
         """
         return measures.area(self.curve, self.outline)
 
