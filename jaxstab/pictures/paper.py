@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.typing import ColorType
-from numpy.typing import NDArray
 
 from jaxstab.paper import linear_alpha_limit, linear_validity, passive_region
 from jaxstab.paper.facts import resolved_region
@@ -31,7 +30,6 @@ from jaxstab.scene.answers import Quantity
 
 _BESIDE: Any = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0), "fontsize": 8, "frameon": False}
 
-Floats = NDArray[np.float64]
 
 _Style = Literal["-", "--"]
 

@@ -19,7 +19,6 @@ from matplotlib.collections import QuadMesh
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
-from numpy.typing import NDArray
 
 from jaxstab.conventions import Verdict
 from jaxstab.guard import Guard
@@ -35,6 +34,7 @@ from jaxstab.pictures.style import (
     PURPLE,
     RED,
     SKY,
+    Floats,
     closed_outline,
     draw_islands,
     draw_linear_rule,
@@ -190,8 +190,6 @@ _MOST_LEVELS = 3  # of lines of equal values
 _LARGEST = Quantity("N/m", 4, ROUND_FLOOR)
 _STIFFNESS, _DAMPING = GivenQuantity("N/m"), GivenQuantity("N s/m")
 _TIME, _LENGTH = Quantity("s", 3), Quantity("m", 3)
-
-Floats = NDArray[np.float64]
 
 
 def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
