@@ -52,6 +52,7 @@ def test_limits_of_a_free_device_are_those_of_the_closed_form_in_si_units() -> N
     assert given["linear_rule_stiffness"] == pytest.approx(10 / (GRID / 2))  # eq. (22)
 
 
+@pytest.mark.campaign
 def test_a_scene_without_any_stable_wall_is_answered_with_none() -> None:
     # Sec. VIII: at gamma = pi^2 without damping a root stays at z = -1 whatever the wall.
     scene = ["--mass", "0.1", "--damping", "0", "--sample-time", "0.001"]

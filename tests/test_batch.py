@@ -36,11 +36,15 @@ from jaxstab.results import RegionStatus
 
 PERIOD = 1e-3
 COUNT = 72  # loops, enough for a batch
+MASSES = np.linspace(0.1, 2.0, 6).tolist()  # of those that are undamped and free
 
 
 def loops(rng: np.random.Generator) -> list[HapticLoop]:
-    """Masses with a window of 3 samples and delays to 3 samples, some of them on springs."""
-    return [
+    """Masses with a window of 3 samples and delays to 3 samples, some of them on springs.
+
+    The last ones are undamped and free, with a window of 2 samples and no delay.
+    """
+    damped = [
         HapticLoop(
             device_mass=float(rng.uniform(0.05, 2.0)),
             device_damping=float(10 ** rng.uniform(-2, 0.5)),
@@ -49,7 +53,12 @@ def loops(rng: np.random.Generator) -> list[HapticLoop]:
             sample_time=PERIOD,
             velocity=Velocity.difference(samples=3),
         )
-        for _ in range(COUNT)
+        for _ in range(COUNT - len(MASSES))
+    ]
+    window = Velocity.difference(samples=2)
+    return damped + [
+        HapticLoop(device_mass=mass, device_damping=0.0, sample_time=PERIOD, velocity=window)
+        for mass in MASSES
     ]
 
 
@@ -140,15 +149,11 @@ def test_the_area_of_an_undamped_free_mass_is_the_known_one() -> None:
     assert area == pytest.approx(known * masses**2 / PERIOD**3, rel=1e-7)
 
 
-def test_an_undamped_free_mass_has_the_known_limits() -> None:
-    masses = np.linspace(0.1, 2.0, COUNT)
-    window = Velocity.difference(samples=2)
-    many = [
-        HapticLoop(device_mass=m, device_damping=0.0, sample_time=PERIOD, velocity=window)
-        for m in masses.tolist()
-    ]
-    known = (6.0 - 4.0 * np.sqrt(2.0)) * masses / PERIOD**2
-    assert limits_of(many).stiffness == pytest.approx(known, rel=1e-9)
+def test_an_undamped_free_mass_has_the_known_limits(
+    batch: tuple[list[HapticLoop], jaxstab.results.ManyLimits],
+) -> None:
+    known = (6.0 - 4.0 * np.sqrt(2.0)) * np.array(MASSES) / PERIOD**2
+    assert batch[1].stiffness[-len(MASSES) :] == pytest.approx(known, rel=1e-9)
 
 
 MASS, DAMPING, FREQUENCY, MODAL_MASS, CUTOFF = 0.134, 0.0356, 112.0, 0.152, 57.5
@@ -217,6 +222,7 @@ def test_a_turn_of_the_boundary_next_to_an_axis_is_not_passed_over() -> None:
         assert own.verdict(wall[0] * (1.0 + 1e-7), wall[1]) == Verdict.UNSTABLE
 
 
+@pytest.mark.campaign
 def test_a_turn_between_a_corner_and_the_nearest_angle_of_the_scan_is_not_passed_over() -> None:
     mode = Mode(frequency=237.72537, damping_ratio=0.012839809, modal_mass=0.046769950)
     loop = HapticLoop(

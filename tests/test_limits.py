@@ -342,10 +342,12 @@ def test_regions_and_limits_do_not_import_jax() -> None:
     [
         lambda delay: jaxstab.verdict(0.1, 0.1, gamma=0.0, delta=0.0, delay=delay),
         lambda delay: jaxstab.margins(0.1, 0.1, gamma=0.0, delta=0.0, delay=delay),
-        lambda delay: jaxstab.spectral_radius(0.1, 0.1, gamma=0.0, delta=0.0, delay=delay),
-        pytest.param(
-            lambda delay: stable_region(gamma=0.0, delta=0.0, delay=delay),
-            marks=pytest.mark.campaign,
+        *(
+            pytest.param(ask, marks=pytest.mark.campaign)
+            for ask in (
+                lambda delay: jaxstab.spectral_radius(0.1, 0.1, gamma=0.0, delta=0.0, delay=delay),
+                lambda delay: stable_region(gamma=0.0, delta=0.0, delay=delay),
+            )
         ),
         lambda delay: HapticLoop(
             device_mass=0.1, device_damping=0.1, sample_time=1e-3, delay=1e-3 * delay

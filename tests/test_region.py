@@ -10,6 +10,7 @@ import pytest
 from mpmath import mp, mpf
 
 from benchmarks import truth
+from benchmarks.regions import tally
 from benchmarks.truth.random_loops import DeviceLoop
 from jaxstab import HapticLoop, limits_of, regions_of
 from jaxstab.model import by_name
@@ -215,6 +216,23 @@ def test_cuts_between_two_angles_of_the_scan_are_found(
     assert region.status == RegionStatus.COMPLETE
     assert not region.contains(*wall)
     assert float(region.distance(*wall)) < -1e-7
+
+
+@pytest.mark.parametrize(
+    "place",
+    [
+        (8.416954640942166, 5.189279770319287, 22.0),
+        (39.45784151884654, 0.09757097589868004, 17.00000009328043),
+        (39.054645212842246, 1.7450258156957736, 15.0),
+    ],
+)
+def test_boundaries_of_many_narrow_arcs_are_followed_from_arc_to_arc(
+    place: tuple[float, float, float],
+) -> None:
+    """Of about 30 arcs a first scan finds 3 to 13. The second and the third were UNRESOLVED."""
+    found = tally((*place, 1.0), np.random.default_rng(7))
+    assert (found.status, found.wrong) == (RegionStatus.COMPLETE, 0)
+    assert found.judged > 0
 
 
 @pytest.mark.campaign

@@ -116,7 +116,7 @@ def tune_over_ranges(scene: Scene, fastest: Gains | None) -> WallOverRanges | No
         if times[slowest] <= wall.settling_time or every[slowest] in loops:
             break
         loops.append(every[slowest])
-    member, (worst,) = among[slowest], worst_on(with_tolerances(given), [rounded])
+    member, ((worst, _),) = among[slowest], worst_on(with_tolerances(given), [rounded])
     return WallOverRanges(
         *rounded,
         float(times[slowest]),
@@ -250,7 +250,7 @@ def _best(
     gains = Gains(best.stiffness, best.damping)
     rounded = Gains(*rounded_wall(*gains, lambda *gains: all(_are_stable([loop], gains))))
     over_hands, over_delays = hands_of(scene) is not None, not scene.controller.has_one_delay
-    worst = worst_on(scene, [rounded])[0] if over_hands or over_delays else None
+    worst = worst_on(scene, [rounded])[0][0] if over_hands or over_delays else None
     return BestWall(
         _tuned(TunedWall, loop, gains, encoder),
         _tuned(RoundedWall, loop, rounded, encoder),
