@@ -18,7 +18,7 @@ enough to say UNSTABLE, if it is so beyond the errors up to then.
 Sources: Schur (1917), Cohn (1922); Jury (1964), Theory and Application of the z-Transform Method.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import zip_longest
@@ -295,21 +295,25 @@ def dense_codes(
 
 def without_zeros(loop: LinearLoop) -> LinearLoop:
     """Leave out the coefficients in the middle of p(z) that are 0 whatever the gains are."""
-    pays = 2.5  # degree over the length of an end from which on steps on the ends are less work
-    # As many stay at the end as at the beginning, less one. Nothing is left out where that would
-    # not pay off, nor where JAX traces the numbers.
     if is_any_traced(loop):
         return loop
-    last = loop.degree
-    width = (last + 3) // 2
-    while width > 3 and all(
-        _is_zero(row[index].hi) for row in loop[:3] for index in (width - 1, last + 2 - width)
-    ):
-        width -= 1
-    if pays * width > last:
-        return loop
-    base, stiffness, damping = (row[:width] + row[last + 2 - width :] for row in loop[:3])
+    places = kept_places(loop.degree, lambda k: all(_is_zero(row[k].hi) for row in loop[:3]))
+    base, stiffness, damping = (tuple(row[k] for k in places) for row in loop[:3])
     return loop._replace(base=base, stiffness=stiffness, damping=damping)
+
+
+def kept_places(degree: int, is_zero: Callable[[int], bool]) -> list[int]:
+    """Return which coefficients stay if those in the middle that are 0 are left out.
+
+    As many stay at the end as at the beginning, less one. All stay where steps on the ends would
+    not be less work.
+    """
+    pays = 2.5  # degree over the length of an end from which on they are
+    width = (degree + 3) // 2
+    while width > 3 and is_zero(width - 1) and is_zero(degree + 2 - width):
+        width -= 1
+    places = list(range(degree + 1))
+    return places if pays * width > degree else places[:width] + places[degree + 2 - width :]
 
 
 def _is_zero(values: Array) -> bool:
