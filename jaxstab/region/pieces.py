@@ -305,20 +305,28 @@ def _arc_ends(
     return _Ends(theta, abs(inner - outer)[chosen], is_pinned[chosen], curve_gains(c, theta).T)
 
 
-def second_pairs(c: Curve, theta: Angles) -> Centers:
+def second_pairs(c: Curve, theta: Angles) -> Angles:
     """Return the angles of the second pairs on the circle at ends of arcs, by eigenvalues.
 
-    Arcs begin there. Angles are not drawn out; of very many ends only some are asked.
+    Arcs begin there. NaN where none is found. Angles are not drawn out, and of very many ends only
+    some are asked.
     """
     about, work = 1e-6, 2e8  # what rounding may move roots by; operations for eigenvalues
-    found = []
-    for angle in theta[: int(work / c.degree**3)].tolist():
+    found = np.full(len(theta), nan)
+    for k, angle in enumerate(theta[: int(work / c.degree**3)].tolist()):
         wall = np.append(1.0, curve_gains(c, np.array([angle])))
         z = np.roots(wall @ c.parts) if np.all(np.isfinite(wall)) else np.empty(0)
         aside = np.abs(np.abs(z) - 1.0)
         is_other = (z.imag > 0.0) & (np.abs(np.angle(z) - angle) > about) & (aside < about)
-        found += [(float(np.angle(z[k])), 0.0) for k in np.argsort(aside) if is_other[k]][:1]
-    return np.array(found).reshape(-1, 2)
+        if np.any(is_other):
+            found[k] = np.angle(z[is_other][np.argmin(aside[is_other])])
+    return found
+
+
+def _is_cut_off(c: Curve, pair: Float64[np.ndarray, "2"]) -> bool:
+    """Whether the second pair at one of two ends is not that of the other one's arc."""
+    told = second_pairs(c, pair)
+    return bool(np.any(np.abs(told - pair[::-1]) > _ANGLES_NEAR))
 
 
 # ------------------------------------------------------------------------------------- joining
@@ -485,9 +493,10 @@ def _corners(
 ) -> tuple[dict[int, int], list[int]]:
     """Solve for corners of arcs; return which begin follows which end, and the ends left alone.
 
-    Angles and walls of corners are written.
+    Angles and walls of corners are written. Where ends are not quite at their corner another arc
+    may cut it off.
     """
-    stray = 16.0  # brackets
+    stray, certain = 16.0, 1e-8  # brackets, and radians, that ends may be from their corner
     count = len(theta) // 2
     begins, lasts = lone[lone < count], lone[lone >= count]
     if not (begins.size and lasts.size):
@@ -517,11 +526,13 @@ def _corners(
     gap = np.max(np.abs(both[:, 0] - both[:, 1]) / size[:, None], axis=0)
     speed = np.max(np.abs(slopes) / size[:, None, None], axis=0)
     enough = _WALLS_AGREE + _ROUNDING * np.max(speed * np.abs(here), axis=0)
-    most = stray * np.max(ends.width[pair], axis=0) + _ANGLES_AGREE
-    is_solved = (gap < enough) & np.all(np.abs(here - start) <= most, axis=0)
+    moved = np.max(np.abs(here - start), axis=0) - stray * np.max(ends.width[pair], axis=0)
+    is_solved = (gap < enough) & (moved <= _ANGLES_AGREE)
     slower = np.argmin(speed, axis=0)
     following = {}
     for k in np.flatnonzero(is_solved).tolist():
+        if moved[k] > certain and not c.stretches and _is_cut_off(c, np.abs(start[:, k])):
+            continue
         theta[pair[:, k]] = here[:, k]
         walls[pair[:, k]] = both[:, slower[k], k]
         following[int(pair[0, k])] = int(pair[1, k])

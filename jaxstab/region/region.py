@@ -105,10 +105,12 @@ def _followed(c: Curve, centers: Centers, *, is_proved: bool) -> tuple[Pieces, C
         if is_proved or not pieces.lone.size or len(pieces.begin) <= arcs:
             return pieces, centers
         told = second_pairs(c, pieces.lone)
-        away = np.min(np.abs(told[:, None, 0] - centers[:, 0]), axis=1, initial=np.inf)
-        if not np.any(away > known):
+        away = np.min(np.abs(told[:, None] - centers[:, 0]), axis=1, initial=np.inf)
+        new = told[(away > known) & np.isfinite(told)]
+        if not new.size:
             return pieces, centers
-        arcs, centers = len(pieces.begin), np.concatenate([centers, told[away > known]])
+        new_centers = np.stack([new, np.zeros_like(new)], axis=1)
+        arcs, centers = len(pieces.begin), np.concatenate([centers, new_centers])
 
 
 def _keeps_a_root(loop: ScaledLoop) -> bool:
