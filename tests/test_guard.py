@@ -225,7 +225,7 @@ def test_no_sequence_of_delays_makes_a_wall_grow_that_a_header_grants(tmp_path: 
     assert moving.granted > 0.3
     assert grown(moving, tmp_path, "", 12) == 0
     constant = build_guard(LIGHT, HandRange(), **ranges, cells=(1, 1, 8), constant_delay=True)
-    assert grown(constant, tmp_path, ", 0.0", 12) > 3  # as its header says
+    assert grown(constant, tmp_path, ", 0.0", 12) > 1  # as its header says
 
 
 @pytest.mark.campaign
