@@ -21,7 +21,7 @@ from scipy.interpolate import make_interp_spline
 import jaxstab
 from benchmarks.record import Row
 from benchmarks.timing import interleaved
-from jaxstab.atlas.limits import exact_limits, table_of
+from jaxstab.atlas.limits import Arcs, table_of
 from jaxstab.atlas.table import CLEAR, LimitTable
 from jaxstab.conventions import AXES, Verdict
 
@@ -110,7 +110,8 @@ def _asked(plants: int, walls: int) -> Asked:
     rng = np.random.default_rng(20120412)
     axes = jaxstab.AtlasSpec().nodes
     own = [rng.uniform(nodes[0], nodes[-1], plants) for nodes in axes]
-    ends, limits_at = exact_limits(*own)
+    arcs = Arcs(*own)
+    ends, limits_at = arcs.ends, arcs.rows
     low, high = ends[:, :1], ends[:, 1:]
     beta = low + rng.uniform(-_ASIDE[0], 1.0 + _ASIDE[1], (plants, walls)) * (high - low)
     inside = (beta > low) & (beta < high)
@@ -174,10 +175,10 @@ def _errors(table: LimitTable, weights: Weights) -> tuple[np.ndarray, np.ndarray
         of_rows = np.einsum("ai,bj,ck,ijkrs->abcrs", *by_plant, table.alpha_limits, optimize=True)
         alpha = np.einsum("dr,abcrs->abcds", weights(table.row, places[3]), of_rows, optimize=True)
         plants = [values.ravel() for values in np.meshgrid(*fine[:3], indexing="ij")]
-        exact_ends, limits_at = exact_limits(*plants)
+        arcs = Arcs(*plants)
         beta = ends[..., :1] + fine[3] * (ends[..., 1:] - ends[..., :1])
-        exact = limits_at(beta.reshape(-1, fine[3].size)).reshape(alpha.shape)
-        found.append((np.abs(alpha - exact), np.abs(ends - exact_ends.reshape(ends.shape))))
+        exact = arcs.rows(beta.reshape(-1, fine[3].size)).reshape(alpha.shape)
+        found.append((np.abs(alpha - exact), np.abs(ends - arcs.ends.reshape(ends.shape))))
     alpha_error, beta_error = (np.maximum(*pair) for pair in zip(*found, strict=True))
     return _of_cells(alpha_error, 4), _of_cells(beta_error, 3)
 

@@ -13,8 +13,6 @@ import numpy as np
 from jaxstab.arrays import Numbers, is_jax, is_traced
 from jaxstab.shown import shortened
 
-_NOISE = 1e-9
-
 
 def require_x64(*values: Numbers) -> None:
     """Raise RuntimeError for JAX arrays or tracers while JAX is in its default single precision."""
@@ -90,7 +88,7 @@ def checked_number(
 def without_noise(values: Numbers, extent: int | float) -> np.ndarray[Any, np.dtype[np.float64]]:
     """Coordinates along one axis, with 0 for those below 1e-9 of a finite extent; NaN stays."""
     coordinates = np.asarray(values, np.float64)
-    noise = _NOISE * extent if extent < inf else 0.0
+    noise = 1e-9 * extent if extent < inf else 0.0
     return np.where(np.abs(coordinates) <= noise, 0.0, coordinates)
 
 

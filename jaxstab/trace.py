@@ -60,7 +60,6 @@ PHYSICAL = {  # Table I: powers of the quantities in each parameter
 }
 
 DIMENSIONLESS = {name: {name: 1} for name in AXES}
-SIGNED = {"alpha", "beta", "stiffness", "damping"}  # all others are >= 0
 POSITIVE = {"mass", "sample_time"}
 
 Window = tuple[tuple[float, float], tuple[float, float]]
@@ -191,7 +190,8 @@ def _check_names(plane: tuple[str, str], fixed: Mapping[str, Numbers]) -> None:
 
 
 def _checked(name: str, value: Numbers) -> Float64[np.ndarray, "*values"]:
-    least, is_open = -inf if name in SIGNED else 0.0, name in POSITIVE
+    signed = {"alpha", "beta", "stiffness", "damping"}  # all others are >= 0
+    least, is_open = -inf if name in signed else 0.0, name in POSITIVE
     if is_traced(value):
         return np.array(checked_number(name, value))  # which refuses it
     require_x64(value)
@@ -201,12 +201,6 @@ def _checked(name: str, value: Numbers) -> Float64[np.ndarray, "*values"]:
 # Counts of roots outside of the circle, and the edges of a grid on which they change.
 
 Points = Float64[np.ndarray, "point 2"]  # of the window's unit square
-Counts = Int64[np.ndarray, "4 *point"]  # by ``Branch``: pairs, real roots beyond 1, -1; all
-
-_CIRCLE = 1.0 + 2.0**-30  # roots beyond it are counted
-_AT_ONCE, _FEW = 1 << 14, 1 << 9  # polynomials that are held in memory, and many values of each
-_ANGLES, _PER_TURN = 1 << 12, 64  # on the circle, at least; of a turn of z^n
-_HALVINGS = 8  # of the edges: a change of count is then known to 1/256 of one
 
 
 class Edges(NamedTuple):
@@ -245,23 +239,28 @@ def on_circle(
     falling: Float64[np.ndarray, "point coefficient"],
 ) -> Complex128[np.ndarray, "point angle"]:
     """Return p(z) / z^n at angles from 0 to pi."""
+    angles, per_turn = 1 << 12, 64  # on the circle, at least; of a turn of z^n
     values: Complex128[np.ndarray, "point angle"]
-    values = np.fft.rfft(falling, max(_ANGLES, _PER_TURN * falling.shape[1]))
+    values = np.fft.rfft(falling, max(angles, per_turn * falling.shape[1]))
     return values
 
 
-def counted(maps: Monomials, positions: Points, filters: Filters | None) -> Counts:
-    """Count the roots outside of the circle, by their kind and in all."""
+def counted(
+    maps: Monomials, positions: Points, filters: Filters | None
+) -> Int64[np.ndarray, "4 *point"]:
+    """Count the roots outside of the circle: pairs, real ones beyond 1 and -1 (``Branch``), all."""
+    circle = 1.0 + 2.0**-30  # roots beyond it are counted
+    at_once, few_at_once = 1 << 14, 1 << 9  # polynomials in memory, and with many values of each
     parts = []
-    for rows in np.array_split(np.arange(len(positions)), 1 + len(positions) // _AT_ONCE):
+    for rows in np.array_split(np.arange(len(positions)), 1 + len(positions) // at_once):
         own = maps.select(rows) if maps.factor.shape[1] > 1 else maps
         falling = polynomials(own, positions[rows], filters)
         powers = np.arange(falling.shape[1])
-        scaled = falling * _CIRCLE ** -powers.astype(float)
+        scaled = falling * circle ** -powers.astype(float)
         columns = list(scaled.T)
         outside = poles_outside(columns, 4.0 * UNIT * sum(map(abs, columns))).astype(np.int64)
         unknown = np.flatnonzero(outside == UNKNOWN)
-        for few in np.array_split(unknown, 1 + len(unknown) // _FEW):
+        for few in np.array_split(unknown, 1 + len(unknown) // few_at_once):
             values = on_circle(scaled[few])  # their phase turns back once for each root outside
             turns = np.angle(values[:, 1:] * values[:, :-1].conj()).sum(axis=1) / pi
             outside[few] = -np.round(turns).astype(int)
@@ -310,11 +309,12 @@ def halved(maps: Monomials, edges: Edges, filters: Filters | None) -> Edges:
     Where a real root crosses to the inside while another one stays outside, the count of pairs
     changes as well.
     """
+    halvings = 8  # of the edges: a change of count is then known to 1/256 of one
     if not len(edges.trace):
         return edges
     below, above = edges.shares.T
     rows, maps = np.arange(len(below)), maps.select(edges.trace)
-    for _ in range(_HALVINGS):
+    for _ in range(halvings):
         middle = 0.5 * (below + above)
         counts = counted(maps, edges.at(middle), filters)
         is_above = counts[edges.branch, rows] > edges.level
@@ -337,12 +337,7 @@ def halved(maps: Monomials, edges: Edges, filters: Filters | None) -> Edges:
 # of a program that is compiled once: the plane, its window and the fixed quantities are arguments.
 
 _CONVERGED = 1e-9  # of an edge, and of pi
-_DIFFERENCE = 2.0**-25  # of the same: derivatives are then good to about 1e-7
-_MOST_STEPS = 16
 _BEYOND = 0.01  # of an edge: how far the larger circle may move a bracket
-_LANES = 512  # are compiled, nothing else
-
-Rows = Float64[np.ndarray, "edge 2 2"]
 
 
 def _values(
@@ -359,13 +354,14 @@ def _values(
 @cache
 def _corrector() -> Callable[..., tuple[Array, Array, Array]]:
     """Return the compiled program that solves for the point on the edge of each lane."""
+    difference = 2.0**-25  # of the same: derivatives are then good to about 1e-7
     import jax
     import jax.numpy as jnp
     import lineax
     import optimistix
 
     newton: Any = optimistix.Newton(rtol=0.0, atol=_CONVERGED)
-    shift = _DIFFERENCE * np.eye(3, 2, -1)
+    shift = difference * np.eye(3, 2, -1)
 
     def correct(
         start: Array, ends: Array, branch: Array, maps: Monomials, filters: Responses
@@ -375,7 +371,7 @@ def _corrector() -> Callable[..., tuple[Array, Array, Array]]:
             share, turn = (here + shift).T
             alpha, beta, *plant = maps.parameters(ends[0] + share[:, None] * (ends[1] - ends[0]))
             value = _values(quick_slice(*plant), (alpha, beta), turn, branch, filters)
-            rows = (value[:, 1:] - value[:, :1]) / _DIFFERENCE
+            rows = (value[:, 1:] - value[:, :1]) / difference
             # The derivatives are at hand: solved for, the equations have those of u itself.
             return (u - here) + jnp.stack(_solution(rows, value[:, 0])), rows
 
@@ -384,7 +380,7 @@ def _corrector() -> Callable[..., tuple[Array, Array, Array]]:
             newton,
             start,
             has_aux=True,
-            max_steps=_MOST_STEPS,
+            max_steps=16,
             throw=False,
             tags=frozenset({lineax.diagonal_tag}),
         )
@@ -413,11 +409,12 @@ def solved(
     maps: Monomials, edges: Edges, filters: Filters | None
 ) -> tuple[Points, Float64[np.ndarray, " edge"], Bool[np.ndarray, " edge"]]:
     """Return shares of edges and theta / pi, |g| there, and where Newton's method converged."""
+    lanes_at_once = 512  # are compiled, nothing else
     if not len(edges.trace):
         return np.zeros((0, 2)), np.zeros(0), np.zeros(0, bool)
     start, responses = _starts(maps, edges, filters), Responses.from_filters(filters)
     parts = []
-    for chunk, filled in lists(np.arange(len(start)), _LANES):
+    for chunk, filled in lists(np.arange(len(start)), lanes_at_once):
         lanes = start[filled], edges.ends[filled], edges.branch[filled], maps.select(filled)
         parts.append([column[: chunk.size] for column in _corrector()(*lanes, responses)])
     u, rows, is_solved = map(np.concatenate, zip(*parts, strict=True))

@@ -271,6 +271,39 @@ def test_54_rows_of_many_loops_agree_with_recursions(kind: str) -> None:
     assert compared > many(4000)
 
 
+MANY = [sprung("implicit-joint"), joint(substeps=4, delay_steps=2), jaxstab.pid(held(), kd=50.0)]
+
+
+@pytest.mark.parametrize("loop", [*MANY, couple(OTHER, 1.5, 2.25)])
+def test_54_grids_of_gains_are_answered_as_pairs_are(loop: jaxstab.Loop) -> None:
+    rng = np.random.default_rng(5)
+    gains = {
+        gain.name: scale * rng.choice([0.0, 0.01, 0.1, 1.0], 200) * rng.uniform(-0.3, 1.5, 200)
+        for gain, scale in zip(loop.gains, _scale(loop), strict=True)
+    }
+    codes, radii = loop.verdict(**gains), loop.spectral_radius(**gains)
+    for k in range(0, 200, 3):
+        pair = {name: values[k] for name, values in gains.items()}
+        assert loop.verdict(**pair) == codes[k]
+        radius = loop.spectral_radius(**pair)
+        assert abs(radius.value - radii.value[k]) <= radius.error + radii.error[k]
+
+
+def test_54_grids_of_gains_go_through_jit_and_vmap() -> None:
+    jax = pytest.importorskip("jax")
+    loop = joint(substeps=4)
+    kp = np.linspace(100.0, 7000.0, 7)
+    plain = loop.verdict(kp=kp, kd=10.0)
+    with jax.enable_x64():
+        ours = jax.jit(jax.vmap(lambda kp: loop.verdict(kp=kp, kd=10.0)))(jax.numpy.asarray(kp))
+        slope = jax.grad(lambda kp: loop.spectral_radius(kp=kp, kd=10.0).value)(2000.0)
+    assert np.array_equal(ours, plain)
+    sides = [loop.spectral_radius(kp=2000.0 + step, kd=10.0).value for step in (-1e-3, 1e-3)]
+    assert slope == pytest.approx((sides[1] - sides[0]) / 2e-3, rel=1e-4)
+    with pytest.raises(TypeError, match="move the leading coefficient"):
+        robot(1e4, 1e-3, 4).verdict(mass=jax.numpy.ones(3), damping=1.0)
+
+
 # --------------------------------------------------------------------------------------- regions
 LIMITS = {  # the largest of both gains, and the other one there, in closed form
     "semi-implicit": (joint(), (1e5, 0.0), (100.0, 0.0)),  # 0 < a < 4 - 2 b
@@ -292,7 +325,9 @@ def test_54_limits_of_simulators_are_those_in_closed_form(name: str) -> None:
 def test_54_an_admittance_has_its_region_by_the_inverse_of_its_mass() -> None:
     loop = robot(1e4, 1e-3, 4)
     region = loop.region()
-    assert region.names.stiffness == "1/mass"
+    panel = region.plot()
+    assert panel.get_xlabel() == "1/mass (1/kg)"
+    assert panel.get_ylabel() == "damping/mass (1/s)"
     masses = np.array([0.01, 0.1, 2.0, 50.0])
     dampings = np.array([20.0, 39.5, 45.0, 3000.0])
     grid = np.meshgrid(masses, dampings)

@@ -7,7 +7,7 @@ import pytest
 
 import jaxstab
 from jaxstab.point.fields import _rounded_up
-from jaxstab.point.radius import have_roots_inside, traced_radius_error
+from jaxstab.point.radius import have_roots_inside, radius_error
 from jaxstab.point.traced_radius import _fitted
 from jaxstab.region.outline import are_inside as are_within
 from jaxstab.region.pieces import _all_inside
@@ -55,14 +55,11 @@ def test_bounds_of_radii_hold_for_grids_of_polynomials() -> None:
     """radius: bounds of a grid are those of each polynomial, and bound the true error."""
     falling, moduli = drawn_polynomials(np.random.default_rng(6), 60)
     moved = moduli * (1.0 + np.random.default_rng(7).choice([-1e-7, 0.0, 1e-9], 60))
-    grid = np.asarray(traced_radius_error(falling.T.reshape(12, 5, 6), moved.reshape(12, 5)))
+    grid = np.asarray(radius_error(falling.T.reshape(12, 5, 6), moved.reshape(12, 5)))
     assert grid.shape == (12, 5)
     assert np.mean(np.isfinite(grid)) > 0.9
     assert np.all(np.abs(moved - moduli) <= grid.ravel() + 1e-12)
-    alone = [
-        float(traced_radius_error(row, np.array(r)))
-        for row, r in zip(falling.T, moved, strict=True)
-    ]
+    alone = [float(radius_error(row, np.array(r))) for row, r in zip(falling.T, moved, strict=True)]
     assert grid.ravel().tolist() == alone
 
 

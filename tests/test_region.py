@@ -10,6 +10,8 @@ import pytest
 from mpmath import mp, mpf
 
 from benchmarks import truth
+from benchmarks.regions import tally
+from benchmarks.truth.filtered import FilteredLoop, average, difference
 from benchmarks.truth.random_loops import DeviceLoop
 from jaxstab import HapticLoop, limits_of, regions_of
 from jaxstab.model import by_name
@@ -215,6 +217,35 @@ def test_cuts_between_two_angles_of_the_scan_are_found(
     assert region.status == RegionStatus.COMPLETE
     assert not region.contains(*wall)
     assert float(region.distance(*wall)) < -1e-7
+
+
+@pytest.mark.parametrize(
+    "place",
+    [
+        (8.416954640942166, 5.189279770319287, 22.0),
+        (39.45784151884654, 0.09757097589868004, 17.00000009328043),
+        (39.054645212842246, 1.7450258156957736, 15.0),
+    ],
+)
+def test_boundaries_of_many_narrow_arcs_are_followed_from_arc_to_arc(
+    place: tuple[float, float, float],
+) -> None:
+    """Of about 30 arcs a first scan finds 3 to 13. The second and the third were UNRESOLVED."""
+    found = tally((*place, 1.0), np.random.default_rng(7))
+    assert (found.status, found.wrong) == (RegionStatus.COMPLETE, 0)
+    assert found.judged > 0
+
+
+def test_corners_that_other_arcs_cut_off_are_not_taken_for_corners() -> None:
+    """Arcs whose ends are 1e-6 from where they would meet: a third one lies between."""
+    place = 88.83540206421945, 0.49043601580164486, 13.0
+    walls = [(-88.8332312321222, 49.83736469051329), (-88.83537838122415, 49.837969998446034)]
+    balls = FilteredLoop(*place, difference(1), average(1)).balls()
+    region = stable_region(**by_name(*place))
+    assert region.status == RegionStatus.COMPLETE
+    for wall in walls:
+        assert balls.is_stable(*wall) is False
+        assert not region.contains(*wall)
 
 
 @pytest.mark.campaign

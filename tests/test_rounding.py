@@ -15,7 +15,7 @@ from jaxstab.model import polynomial_degree
 from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.point import dominance, fields, radius
 from jaxstab.point.dominance import Complex
-from jaxstab.point.radius import _scaled_codes
+from jaxstab.point.radius import scaled_codes
 from jaxstab.point.schur_cohn import Chain, _step, loop_coefficients
 from jaxstab.point.verdicts import _ends, float_plant
 from jaxstab.rounding import UNIT
@@ -61,20 +61,6 @@ def test_a_step_rounds_by_no_more_than_lemma_v3_says() -> None:
         assert sum(away[2:]) + dropped <= Fraction(float(after.error[k]))
 
 
-@pytest.fixture
-def chains(monkeypatch: pytest.MonkeyPatch) -> list[Chain[Any]]:
-    """What the recursions of radii begin with."""
-    begun: list[Chain[Any]] = []
-    real = radius.decide
-
-    def decide(chain: Chain[Any], *others: Any) -> Any:
-        begun.append(chain)
-        return real(chain, *others)
-
-    monkeypatch.setattr(radius, "decide", decide)
-    return begun
-
-
 def test_values_at_minus_one_are_within_their_errors() -> None:
     """For large gains, at which these values are large."""
     rng = np.random.default_rng(4)
@@ -109,20 +95,26 @@ def test_sums_of_large_gains_are_within_the_error_of_their_coefficients() -> Non
         assert away <= Fraction(float(bound[k]))
 
 
-def test_coefficients_of_small_circles_are_within_their_errors(chains: list[Chain[Any]]) -> None:
-    """Lemma R3: of p(r z) / r^n, of which the second and the third are large."""
+def test_coefficients_of_small_circles_are_within_their_errors(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Lemma R3: of p(r z) / r^n, with and without zeros in the middle."""
     rng = np.random.default_rng(6)
-    head, tail = drawn(rng, 2, COUNT), 1e-9 * drawn(rng, 3, COUNT)
+    given: list[Any] = []
+    monkeypatch.setattr(radius, "polynomial_codes", lambda *values: given.extend(values))
     scale = rng.uniform(0.02, 0.3, COUNT)
-    _scaled_codes(tuple(head), tuple(tail), np.zeros(COUNT), scale, 8)
-    (chain,) = chains
-    for k in range(COUNT):
-        made = [Fraction(float(row[k])) for row in chain.head]
-        true = [
-            Fraction(float(c)) / Fraction(float(scale[k])) ** n for n, c in enumerate(head[:, k], 1)
-        ]
-        away = [abs(a - b) for a, b in zip(made, true, strict=True)]
-        assert away[0] + 2 * away[1] <= Fraction(float(chain.head_error[k]))
+    for places in (range(8), (0, 1, 2, 19, 20)):
+        rows = [np.ones(COUNT), *drawn(rng, len(places) - 1, COUNT)]
+        scaled_codes(np.array(rows), np.zeros(COUNT), scale, UNIT, places)
+        made, bound, ends = given[-5:-2]
+        for k in range(COUNT):
+            r = Fraction(float(scale[k]))
+            true = [Fraction(float(row[k])) / r**n for n, row in zip(places, rows, strict=True)]
+            away = (abs(a - Fraction(float(b[k]))) for a, b in zip(true, made, strict=True))
+            assert sum(away) <= Fraction(float(bound[k]))
+            turned = sum(value * (-1) ** n for n, value in zip(places, true, strict=True))
+            for end, value in ((ends[:2], sum(true)), (ends[2:], turned)):
+                assert abs(Fraction(float(end[0][k])) - value) <= Fraction(float(end[1][k]))
 
 
 @pytest.mark.parametrize("degree", [3, 12, 30])

@@ -38,6 +38,13 @@ def random_scenes(rng: np.random.Generator, count: int) -> np.ndarray:
 
 
 class TestPoles:
+    @pytest.mark.parametrize("shape", [(0,), (2, 0)])
+    def test_of_no_loop_there_are_no_poles(self, shape: tuple[int, ...]) -> None:
+        poles = jaxstab.closed_loop_poles(np.ones(shape), 0.3, gamma=0.0, delta=0.1, delay=1.0)
+        assert poles.shape == (*shape, 4)
+        loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+        assert loop.poles(np.ones(shape), 1.0).shape == (*shape, 3)
+
     def test_are_the_certified_roots(self) -> None:
         for scene in [
             (0.1, 0.3, 0.2, 0.1, 0),

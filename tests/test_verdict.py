@@ -234,6 +234,11 @@ def test_the_bound_of_a_radius_holds_at_a_triple_root() -> None:
         assert max(abs(lower - radius), abs(upper - radius)) <= error < 1e-3
 
 
-def test_coefficients_that_the_recursion_does_not_follow_give_no_bound() -> None:
-    coefficients = np.array([1.0, 0, 0, 0.5, 0, 0, 0, 0.1])
-    assert np.isinf(radius_error(coefficients, np.asarray(0.9)))
+@pytest.mark.parametrize("middle", [0.0, 0.5])
+def test_the_bound_of_a_radius_follows_coefficients_in_the_middle(middle: float) -> None:
+    """Where there are none, steps go over both ends alone."""
+    coefficients = np.array([1.0, -0.2, *[0.0] * 8, middle, *[0.0] * 8, 0.1, -0.3])
+    roots = mp.polyroots(coefficients[::-1].tolist(), maxsteps=500, extraprec=400, asc=True)
+    largest = float(max(map(abs, roots)))
+    error = radius_error(coefficients, np.asarray(largest * (1.0 + 1e-9)))
+    assert 1e-9 * largest <= error < 1e-8

@@ -39,7 +39,6 @@ Progress = Callable[[int, int], object]
 
 _BESIDE = 0.1  # of the stable intervals: so far beyond them walls are tested
 _CLOSE = 1e-8  # of the largest alpha of a plant: how close to a limit it is verified
-_WALLS = 16  # of a slice whose fields are verified
 
 
 def build_atlas(
@@ -227,6 +226,7 @@ def verify_atlas(path: str | PathLike[str], sample: int = 1000, seed: int = 0) -
     About ``sample`` limits, answers and nodes of fields are computed again: a wall just inside of a
     limit must be stable, and one just outside not. OSError: the file is missing or unreadable.
     """
+    walls = 16  # of a slice whose fields are verified
     chance = np.random.default_rng(seed)
     try:
         atlas = open_atlas(path)
@@ -240,11 +240,11 @@ def verify_atlas(path: str | PathLike[str], sample: int = 1000, seed: int = 0) -
             with file.opened(Path(path)) as image:
                 group = image[file.FIELDS]
                 datasets = {v.name: file.checked_dataset(group, v) for v in file.FIELD_VARIABLES}
-                slices = -(-sample // _WALLS)
+                slices = -(-sample // walls)
                 off = sum(
-                    wrong_nodes(datasets, atlas.filters, _WALLS, chance) for _ in range(slices)
+                    wrong_nodes(datasets, atlas.filters, walls, chance) for _ in range(slices)
                 )
-            yield Check("fields", off == 0, f"{off} of {slices * _WALLS} nodes are wrong")
+            yield Check("fields", off == 0, f"{off} of {slices * walls} nodes are wrong")
     except ValueError as error:
         yield Check("file", False, str(error))
 

@@ -34,7 +34,6 @@ from jaxstab.region import RegionStatus, stable_region
 Floats = NDArray[np.float64]
 
 _MARGIN = 0.03  # around the stable region, of its size
-_NEAR_CIRCLE, _SAME, _APART = 1e-6, 2e-6, 1e-5  # of poles from the circle, of modes, of two moduli
 
 
 @dataclass(frozen=True)
@@ -220,6 +219,7 @@ def wrong_nodes(
 
     Radius and poles are those of eigenvalues of the companion matrix, all at nodes of one slice.
     """
+    near_circle, same, apart = 1e-6, 2e-6, 1e-5  # of poles from the circle, of modes, of two moduli
     shape, keywords = group["outside"].shape, as_keywords(filters)
     i, j = (chance.integers(0, n, count) for n in shape[:2])
     place = [int(chance.integers(0, n)) for n in shape[2:]]
@@ -236,13 +236,13 @@ def wrong_nodes(
     off = ~(np.isnan(upper) | is_within)  # NaN in the new computation is wrong, too
     moduli = np.abs(poles)
     off |= (given["outside"] == 0) & np.isnan(error) | np.isnan(upper) & np.isfinite(error)
-    counted = (np.min(np.abs(moduli - 1.0), axis=-1) > _NEAR_CIRCLE) & (given["outside"] >= 0)
+    counted = (np.min(np.abs(moduli - 1.0), axis=-1) > near_circle) & (given["outside"] >= 0)
     off |= counted & (np.sum(moduli > 1.0, axis=-1) != given["outside"])
     # Eigenvalues tell the dominant pole, and its frequency, where it is simple.
     others = np.min(np.abs(poles[:, :1] - poles[:, 1:]), axis=-1)
     rival = np.where(poles[:, 0].imag == 0.0, moduli[:, 1], moduli[:, 2])
-    simple = (moduli[:, 0] - rival > _APART) & (others > _APART**0.5)
+    simple = (moduli[:, 0] - rival > apart) & (others > apart**0.5)
     mode = dominant_mode(**point, **keywords)
     for name, value in (("frequency", mode.frequency), ("damping_ratio", mode.damping_ratio)):
-        off |= simple & (np.abs(value - given[name]) > _SAME)
+        off |= simple & (np.abs(value - given[name]) > same)
     return int(np.sum(off))

@@ -373,9 +373,6 @@ class Contents:
 TESTED: Final = ("tested_points", "tested_wrong", "tested_computed", "tested_undecided")
 _HINT = "build it again, or get a fresh copy"
 
-# What HDF5, h5py and their users raise at a file that is not as it should be.
-_TROUBLES = RefusalError, ValueError, LookupError, TypeError, ArithmeticError, RuntimeError
-
 
 @contextmanager
 def opened(path: Path) -> Iterator[h5py.File]:
@@ -383,6 +380,8 @@ def opened(path: Path) -> Iterator[h5py.File]:
 
     OSError: it is missing or unreadable.
     """
+    # What HDF5, h5py and their users raise at a file that is not as it should be.
+    troubles = RefusalError, ValueError, LookupError, TypeError, ArithmeticError, RuntimeError
     signature = b"\x89HDF\r\n\x1a\n"
     with ExitStack() as stack:
         with named_errors("read", path):
@@ -399,7 +398,7 @@ def opened(path: Path) -> Iterator[h5py.File]:
             raise MemoryError(f"there is not enough memory to read {path}.") from None
         except _ForeignError:
             raise
-        except (*_TROUBLES, OSError) as error:
+        except (*troubles, OSError) as error:
             if "alloc" in str(error):  # libhdf5 raises the same errors for both
                 raise MemoryError(f"there is not enough memory to read {path}.") from error
             words = f"{path} is damaged, or no atlas ({_word(error)}); {_HINT}."

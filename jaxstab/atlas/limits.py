@@ -18,7 +18,7 @@ its nodes, and at the middles of its cells and of their faces and edges: at the 
 interpolates, so that what the ends of beta miss is part of the error.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from itertools import product
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -44,8 +44,10 @@ class _NoArcError(Exception):
     """A plant's stable set is not what lies between the line and the first arc."""
 
 
-class _Arcs:
+class Arcs:
     """Stable sets of plants between the line alpha = -gamma and the first arc of the curve.
+
+    Those of the haptic range are; ``_NoArcError`` for others.
 
     Attributes:
         ends: (plant, 2), the ends of beta; NaN where nothing is stable.
@@ -106,7 +108,7 @@ class _Arcs:
 
 
 class _Regions:
-    """Stable sets of plants by their exact regions; attributes and ``rows`` as of ``_Arcs``."""
+    """Stable sets of plants by their exact regions; attributes and ``rows`` as of ``Arcs``."""
 
     def __init__(self, plants: Sequence[Array], filters: Filters | None) -> None:
         keywords = as_keywords(filters)
@@ -213,10 +215,10 @@ class LimitPlan(NamedTuple):
             "beyond": (-_largest_in_cells(-is_all, 3)).astype(np.int8),
         }
 
-    def _stable(self, *plants: Array) -> _Arcs | _Regions:
+    def _stable(self, *plants: Array) -> Arcs | _Regions:
         if self.is_arc:
             with suppress(_NoArcError):
-                return _Arcs(*plants)
+                return Arcs(*plants)
         return _Regions(plants, self.spec.filters)
 
 
@@ -224,17 +226,6 @@ def table_of(spec: "AtlasSpec") -> LimitTable:
     """The table of a specification, computed here."""
     plan = LimitPlan.of(spec)
     return joined(spec, [plan.computed(run) for run in plan.runs])
-
-
-def exact_limits(
-    gamma: Array, delta: Array, delay: Array
-) -> tuple[Array, Callable[[Array], Array]]:
-    """Ends of beta (plant, 2), and a function from betas (plant, row) to limits (plant, row, 2).
-
-    For plants of the haptic range, whose stable sets are bounded by an arc.
-    """
-    arcs = _Arcs(gamma, delta, delay)
-    return arcs.ends, arcs.rows
 
 
 def joined(spec: "AtlasSpec", parts: Sequence[Mapping[str, NDArray[np.generic]]]) -> LimitTable:

@@ -260,23 +260,8 @@ def _asked_of_scene(
         other = "damping" if name == "stiffness" else "stiffness"
         raise click.UsageError(f"--{name} is {value:g} alone; give --{other}, too.")
     walls = {"": Gains(**given)} if given else walls_of(scene)
-    si, moved = scene.units, scene.units.moved
-    units = {
-        "stiffness": si.stiffness,
-        "damping": si.damping,
-        moved: si.kilogram,
-        f"hand_{moved}": si.kilogram,
-        "hand_stiffness": si.stiffness,
-        "hand_damping": si.damping,
-        "delay": "s",
-    }
-    rows = []
-    for entry in ask_atlas(scene, opened, walls):
-        mass, hand, delay = entry.member
-        numbers = [*entry.gains, mass, hand.mass, hand.stiffness, hand.damping, delay]
-        answer = (getattr(entry.answer, name).item() for name in _ANSWER)
-        where: dict[str, float | str] = {"wall": entry.name}
-        rows.append(where | dict(zip(units, numbers, strict=True)) | _words(*answer))
+    units, found = ask_atlas(scene, opened, walls)
+    rows = [row | _words(row["verdict"], row["status"]) for row in found]
     stated = Inputs(basis_of(scene)).as_json()
     stated["inputs"] |= {"created_by": opened.created_by}
     stated["units"] |= units

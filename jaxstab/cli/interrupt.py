@@ -18,8 +18,6 @@ from contextlib import contextmanager
 from multiprocessing import active_children, get_context, parent_process, resource_tracker
 from typing import Any
 
-_PATIENCE = 1.0  # s
-
 
 @contextmanager
 def prompt_interrupts() -> Iterator[None]:
@@ -43,13 +41,14 @@ def prompt_interrupts() -> Iterator[None]:
 
 
 def _watch(done: threading.Event) -> None:
+    patience = 1.0  # s
     signal.sigwait({signal.SIGINT})
     if done.is_set():
         return
     main = threading.main_thread().ident
     assert main is not None  # it runs
     signal.pthread_kill(main, signal.SIGUSR1)
-    time.sleep(_PATIENCE)
+    time.sleep(patience)
     end_workers()
     os._exit(130)
 

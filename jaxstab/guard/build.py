@@ -40,7 +40,6 @@ from jaxstab.region.on_circle import responses_at
 Cells = Bool[np.ndarray, "mass delay damping"]
 
 _AT_ONCE = 32  # cells
-_SMALL = 1e-6  # of the largest limit
 
 
 def proved(
@@ -83,7 +82,7 @@ def are_stable(
     arms = [low + (high - low) * along for (low, high), along in zip(ranges, share, strict=True)]
     masses = grid.mass[0] + places[0] * step_of(grid.mass)
     delays = grid.delay[0] + places[1] * step_of(grid.delay)
-    least = _SMALL * np.max(grid.limit)  # without, a free device drifts
+    least = 1e-6 * np.max(grid.limit)  # without stiffness a free device drifts
     stiffness = np.maximum(interpolated(grid.limit, places), least)
     damping = places[2] / grid.cells[2] * interpolated(grid.top, places[:2])
     rows = np.stack([stiffness, damping, masses, delays, *arms]).T.tolist()
@@ -112,10 +111,7 @@ CELLS, CONSTANT_CELLS = (4, 1, 16), (4, 8, 16)
 """Cells along mass, delay and damping, powers of two: of delays that move, and of constant ones."""
 
 _LOWER = 0.05  # of a limit whose proof was given up, in the first round
-_SQUARE = (0, 0), (0, 1), (1, 0), (1, 1)
-_PARTS = 2, 2, 4  # of a cell, at whose ends a guard is held against the boundary
 _LEAST_SHARE = 1e-3  # of the largest damping: at none what nothing damps is on the circle
-_ENOUGH = 0.99  # of the stiffness at which a hand becomes unstable
 
 
 class _Work(NamedTuple):
@@ -339,7 +335,9 @@ def _granted_rows(
     # Of several such stretches it is the one that grants most. One verdict per cell of mass and
     # delay is enough for all of its walls.
     rows = np.zeros((*grid.cells[:2], 2), np.int64)
-    corners = [grid.limit[a : a + grid.cells[0], d : d + grid.cells[1]] for a, d in _SQUARE]
+    corners = [
+        grid.limit[a : a + grid.cells[0], d : d + grid.cells[1]] for a, d in np.ndindex(2, 2)
+    ]
     least = np.min(corners, axis=0)
     for place in np.ndindex(*grid.cells[:2]):
         edges = np.flatnonzero(np.diff(np.concatenate([[False], is_proved[place], [False]])))
@@ -438,10 +436,12 @@ def _lowered(grid: Grid, cells: Cells, unit: float, share: float = _LOWER) -> Gr
 
 def _below_curves(loop: LoopParameters, hands: HandRange, grid: Grid, unit: float) -> Grid:
     """A grid lowered where it is not below the boundaries between its nodes."""
+    parts = 2, 2, 4  # of a cell, at whose ends a guard is held against the boundary
+    enough = 0.99  # of the stiffness at which a hand becomes unstable
     attempts = 12
-    counts = tuple(count * finer for count, finer in zip(grid.cells, _PARTS, strict=True))
+    counts = tuple(count * finer for count, finer in zip(grid.cells, parts, strict=True))
     sizes = tuple(count + 1 for count in counts)
-    places = np.indices(sizes).reshape(3, -1) / np.array(_PARTS)[:, None]
+    places = np.indices(sizes).reshape(3, -1) / np.array(parts)[:, None]
     mass, delay = (
         np.linspace(nodes[0], nodes[-1], count + 1)
         for nodes, count in zip((grid.mass, grid.delay), counts[:2], strict=True)
@@ -457,7 +457,7 @@ def _below_curves(loop: LoopParameters, hands: HandRange, grid: Grid, unit: floa
     )
     for _ in range(attempts):
         limit = interpolated(grid.limit, places).reshape(exact.shape)
-        above = places[:, (limit > _ENOUGH * exact).ravel()]
+        above = places[:, (limit > enough * exact).ravel()]
         if not above.shape[1]:
             break
         is_above = np.zeros(grid.cells, bool)

@@ -18,13 +18,8 @@ from jaxstab.guard.limits import Boundary, boundary_of
 from jaxstab.model import LoopParameters
 from jaxstab.shown import printable, shortened
 
-_SAMPLES = 9  # of mass and of delay
-_DAMPINGS = 64
 LARGEST_HEADER = 1_000_000
 """Bytes of a header at most."""
-
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,39}")
-_LINE = ("kg", "N/m", "N s/m")
 
 
 class _Kind(NamedTuple):
@@ -195,8 +190,9 @@ class Guard:
 
         Where the delay moves, stable is what some constant delays of the range all allow.
         """
+        samples = 9  # of mass and of delay
         mass, delay = (
-            low + (high - low) * (np.arange(_SAMPLES) + 0.5) / _SAMPLES
+            low + (high - low) * (np.arange(samples) + 0.5) / samples
             for low, high in (self.mass, self._delays)
         )
         damping, exact = self._stable(mass, delay)
@@ -242,13 +238,16 @@ class Guard:
 
     def _stable(self, mass: np.ndarray, delay: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return some dampings at each mass and delay, and the largest stiffness there."""
+        dampings = 64
         boundary = self._boundary(mass, delay)
-        share = (np.arange(_DAMPINGS) + 0.5) / _DAMPINGS
+        share = (np.arange(dampings) + 0.5) / dampings
         damping = boundary.largest_damping()[..., None] * share
         limits = boundary.largest_stiffness(damping)
         return damping, np.where(np.isfinite(limits), limits, 0.0)
 
-    def header(self, name: str, about: str = "", units: tuple[str, str, str] = _LINE) -> str:
+    def header(
+        self, name: str, about: str = "", units: tuple[str, str, str] = ("kg", "N/m", "N s/m")
+    ) -> str:
         """A C99 header with NAME_clamp and NAME_largest_stiffness.
 
         Args:
@@ -318,7 +317,7 @@ class Guard:
 
 def checked_name(name: str) -> str:
     """Return a name that is valid in C, or raise ValueError."""
-    if not _NAME.fullmatch(name):
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,39}", name):
         raise ValueError(
             f"name is {shortened(name)}; give at most 40 letters, digits and underscores, a letter "
             "first."

@@ -18,9 +18,6 @@ from jaxstab.model import LoopParameters
 from jaxstab.model.filters import NO_FILTERS, known_filters
 from jaxstab.region.on_circle import quick_plant, responses_at
 
-_ANGLES = 800
-_LATE = 5  # delays of a range
-
 Angles = Float64[np.ndarray, " angle"]
 Curves = Float64[np.ndarray, "mass delay hand angle"]
 
@@ -88,7 +85,7 @@ def boundary_of(
 
     With ``jitter`` each hand is taken with some delays up to so many samples longer, too.
     """
-    late = np.linspace(0.0, jitter, _LATE if jitter else 1)
+    late = np.linspace(0.0, jitter, 5 if jitter else 1)
     if loop.device is None:
         return _of_masses(loop, hands, mass, delay, late)
     device = HeldDevice.from_device(loop.device, loop.sample_time)
@@ -98,6 +95,7 @@ def boundary_of(
 def _of_masses(
     loop: LoopParameters, hands: HandRange, mass: np.ndarray, delay: np.ndarray, late: np.ndarray
 ) -> Boundary:
+    angles = 800
     period = loop.sample_time
     ends = (sorted(set(pair)) for pair in vars(hands).values())
     corners = np.array(list(product(*ends, late.tolist())))
@@ -114,7 +112,7 @@ def _of_masses(
         d1, d0, n2, n1, n0, turns = (coefficient[..., None] for coefficient in parts)
         return -(z**turns) * (z + d1 + d0 / z) / (n2 * z + n1 + n0 / z)
 
-    return _boundary(loop, stiffness, units, _ANGLES)
+    return _boundary(loop, stiffness, units, angles)
 
 
 def _of_devices(

@@ -22,12 +22,13 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Complex128, Float64, Int8
 
-from jaxstab.arrays import Array, Numbers, named
-from jaxstab.conventions import RadiusStatus, Verdict
-from jaxstab.exact import VerdictStatus, poles, spectral_radius, stable_line, wall_verdict
+from jaxstab.arrays import Array, Numbers, float_arrays, is_any_jax, named
+from jaxstab.conventions import Verdict
+from jaxstab.exact import VerdictStatus, stable_line, wall_verdict
 from jaxstab.exact.boundary import ScaledLoop
 from jaxstab.exact.line import LineStatus, StableLine
 from jaxstab.exact.verdict import rational_verdict
+from jaxstab.loop.walls import FewWalls
 from jaxstab.model.affine import (
     INTEGRATORS,
     RULES,
@@ -40,18 +41,28 @@ from jaxstab.model.affine import (
     SimulatedParts,
     affine_triple,
 )
+from jaxstab.model.balls import rounded_triple
 from jaxstab.model.device import Device
 from jaxstab.model.device.parts import working_precision
 from jaxstab.model.filters import Filter, Velocity
-from jaxstab.model.parameters import LONGEST_DELAY, wall_grid
-from jaxstab.numbers import checked_count, checked_number, checked_word, without_noise
-from jaxstab.point import SpectralRadius
+from jaxstab.model.linear_loop import LinearLoop
+from jaxstab.model.parameters import LONGEST_DELAY, checked_gain, wall_grid
+from jaxstab.numbers import (
+    checked_count,
+    checked_number,
+    checked_word,
+    require_x64,
+    without_noise,
+)
+from jaxstab.point import SpectralRadius, linear_spectral_radius, linear_verdict
 from jaxstab.region.region import proved_extremes, region_of
 from jaxstab.region.stable_set import GainNames, RegionStatus, ShownRegion, StableRegion
 from jaxstab.shown import number_text
 
 if TYPE_CHECKING:
     from jaxstab.loop.loop import HapticLoop
+
+_FEW = 100  # pairs of gains, which balls answer one by one
 
 
 class Gain(NamedTuple):
@@ -288,11 +299,13 @@ class Loop:
     def verdict(self, **gains: Numbers) -> Int8[Array, "*grid"]:
         """Whether gains are stable, proved: codes of ``jaxstab.Verdict``, of any shape.
 
-        Each takes about 0.1 ms. UNDECIDED where 3,072 bits do not tell, where interval coefficients
-        leave it open, and where the leading coefficient vanishes: the loop is algebraic there.
+        Each takes about 0.1 ms; more than a hundred, and JAX arrays, are a grid that takes less
+        than 0.1 us each where the gains do not move the leading coefficient of p(z). UNDECIDED
+        where 3,072 bits do not tell (JAX: pairs of float64), where interval coefficients leave it
+        open, and where the leading coefficient vanishes: the loop is algebraic there.
 
-        Raises: TypeError for other names, or gains that are not numbers; ValueError for gains that
-        are not finite.
+        Raises: TypeError for other names, gains that are not numbers, and JAX arrays where the
+        gains move the leading coefficient; ValueError for gains that are not finite.
 
         Source: the criterion of Schur and Cohn; lemma E1 of docs/proofs.md.
 
@@ -301,9 +314,15 @@ class Loop:
             >>> loop.verdict(kp=1000.0, kd=[0.0, 10.0, 200.0]).tolist()
             [2, 1, 2]
         """
+        if is_any_jax(*gains.values()):
+            return named(linear_verdict(*self._in_units(gains), self._pairs), Verdict)
         grid = self._grid(gains)
-        codes = [self._verdict(a, b) for a, b in grid.reshape(-1, 2).tolist()]
-        return named(np.array(codes, np.int8).reshape(grid.shape[:-1]), Verdict)
+        codes = np.full(grid.shape[:-1], Verdict.UNDECIDED, np.int8)
+        if codes.size > _FEW and self.parts.chart() is self.parts:
+            codes = np.array(linear_verdict(*self._in_units(gains), self._pairs))
+        for place in np.flatnonzero(codes == Verdict.UNDECIDED):
+            codes.flat[place] = self._verdict(*grid.reshape(-1, 2)[place].tolist())
+        return named(codes, Verdict)
 
     def _verdict(self, first: float, second: float) -> Verdict:
         answer = wall_verdict(partial(affine_triple, self.parts), first, second)
@@ -315,6 +334,8 @@ class Loop:
     def spectral_radius(self, **gains: Numbers) -> SpectralRadius:
         """The largest modulus of the poles per sample, with the bound of its error.
 
+        JAX arrays, and more than a hundred pairs of gains, are a grid, as for ``verdict``.
+
         Raises: as ``verdict``. Source: the roots of eq. (9), likewise; lemma E2 of docs/proofs.md.
 
         Example:
@@ -322,11 +343,11 @@ class Loop:
             >>> round(float(loop.spectral_radius(kp=1000.0, kd=20.0).value), 6)
             0.871652
         """
-        grid = self._grid(gains)
-        triple = partial(affine_triple, self.parts)
-        radii = [spectral_radius(triple, *pair) for pair in grid.reshape(-1, 2).tolist()]
-        value, error, status = np.reshape(np.transpose(radii), (3, *grid.shape[:-1]))
-        return SpectralRadius(value, error, named(status.astype(np.int8), RadiusStatus))
+        is_jax = is_any_jax(*gains.values())
+        grid = None if is_jax else self._grid(gains)
+        if grid is None or (grid.size > 2 * _FEW and self.parts.chart() is self.parts):
+            return linear_spectral_radius(*self._in_units(gains), self._pairs)
+        return FewWalls(partial(affine_triple, self.parts), grid).spectral_radii()
 
     def poles(self, **gains: Numbers) -> Complex128[np.ndarray, "*grid pole"]:
         """All poles per sample, the largest first; NaN where some coincide and are not told apart.
@@ -338,10 +359,7 @@ class Loop:
             >>> loop.poles(kp=1000.0, kd=20.0).round(6).tolist()
             [(0.871652+0j), (0.688348+0j)]
         """
-        grid = self._grid(gains)
-        triple = partial(affine_triple, self.parts)
-        found = [poles(triple, *pair).values for pair in grid.reshape(-1, 2).tolist()]
-        return np.reshape(found, (*grid.shape[:-1], -1))
+        return FewWalls(partial(affine_triple, self.parts), self._grid(gains)).poles()
 
     def intervals(self, **gain: float) -> StableLine:
         """All stable values of one gain at a value of the other: complete and proved.
@@ -443,12 +461,33 @@ class Loop:
             points.append(best)
         return points
 
-    def _grid(self, gains: Mapping[str, Numbers]) -> Float64[np.ndarray, "*grid 2"]:
+    def _in_order(self, gains: Mapping[str, Numbers]) -> dict[str, Numbers]:
         names = [gain.name for gain in self.gains]
         if sorted(gains) != sorted(names):
             given = ", ".join(gains) or "none"
             raise TypeError(f"gains given: {given}; give both {names[0]} and {names[1]}.")
-        return wall_grid(**{name: gains[name] for name in names})
+        return {name: gains[name] for name in names}
+
+    def _grid(self, gains: Mapping[str, Numbers]) -> Float64[np.ndarray, "*grid 2"]:
+        return wall_grid(**self._in_order(gains))
+
+    def _in_units(self, gains: Mapping[str, Numbers]) -> tuple[Array, Array]:
+        """Gains as those of ``_pairs``: without rounding, for the units are powers of two."""
+        require_x64(*gains.values())
+        if self.parts.chart() is not self.parts:
+            raise TypeError(
+                f"gains are JAX arrays, and those of {self.words} move the leading coefficient of "
+                "p(z); give NumPy arrays."
+            )
+        given = [checked_gain(name, gain) for name, gain in self._in_order(gains).items()]
+        units = _units(self.parts)
+        first, second = float_arrays(*given)
+        return first / units[0], second / units[1]
+
+    @cached_property
+    def _pairs(self) -> LinearLoop:
+        first, second = _units(self.parts)
+        return rounded_triple(lambda: affine_triple(self.parts).monic(), 1.0 / first, 1.0 / second)
 
 
 def _coefficient(name: str, value: Any) -> Coefficient:

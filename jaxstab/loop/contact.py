@@ -33,8 +33,6 @@ from jaxstab.numbers import checked, checked_number
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_SHORTEST, _LONGEST = 16, 1e8  # samples
-
 
 class ContactKind(Status):
     """How a simulated contact ends.
@@ -243,6 +241,7 @@ def setup_of(
     tolerance: Numbers = 1e-6,
 ) -> _Setup:
     """Return the runs that arguments describe, checked."""
+    shortest, longest = 16, 1e8  # samples
     conditions = friction, static_friction, encoder, phase, force_step, max_force, push, speed
     given = (stiffness, damping, *conditions, position, duration, delays, tolerance)
     if is_any_traced(loop, given):
@@ -258,10 +257,10 @@ def setup_of(
     stiffness, damping = checked_gain("stiffness", stiffness), checked_gain("damping", damping)
     is_mass = loop.body is not None
     count = checked_number("duration", duration, 0.0, unit="s") / period
-    if not _SHORTEST <= count <= _LONGEST:
+    if not shortest <= count <= longest:
         raise ValueError(
-            f"duration is {duration:g} s, {count:.3g} samples; give {_SHORTEST} samples at least "
-            f"and {_LONGEST:g} at most."
+            f"duration is {duration:g} s, {count:.3g} samples; give {shortest} samples at least "
+            f"and {longest:g} at most."
         )
     samples = round(count)
     friction = checked("friction", friction, 0.0)

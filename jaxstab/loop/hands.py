@@ -43,9 +43,6 @@ if TYPE_CHECKING:
 
 Wall = tuple[float, float]
 
-_LOWERED = (1.0, 0.95, 0.9, 0.8, 0.65, 0.5)  # shares of what one hand allows if the delay moves
-_MARGINS = 7  # halvings of what one hand allows, for a margin of all
-
 
 class WorstHand(NamedTuple):
     """The verdict on a wall for all hands of a range, with the worst hand that was tried.
@@ -119,9 +116,9 @@ class LoopsWithHands:
         limit = _limit_for_hands(tried, self)
         if limit.is_proved or not self.moving:
             return limit
-        # Constant delays may allow much more than is proved: what one hand allows comes next.
+        # Constant delays may allow much more than is proved: shares of one hand's limit are next.
         wall = loops[0].limits(**self.moving)
-        for share in _LOWERED if wall.stiffness > 0.0 else ():
+        for share in (1.0, 0.95, 0.9, 0.8, 0.65, 0.5) if wall.stiffness > 0.0 else ():
             stiffness = share * wall.stiffness
             worst = self.worst(stiffness, wall.damping)
             if worst.verdict == Verdict.STABLE:
@@ -141,7 +138,7 @@ class LoopsWithHands:
         if most == 0.0 or is_proved(1.0):
             return most
         low, high = 0.0, 1.0
-        for _ in range(_MARGINS):
+        for _ in range(7):  # halvings of what one hand allows
             share = 0.5 * (low + high)
             low, high = (share, high) if is_proved(share) else (low, share)
         return low * most if low > 0.0 else 0.0
@@ -231,10 +228,7 @@ def _limit_for_hands(loops: "list[HapticLoop]", hands: LoopsWithHands) -> Robust
 
 
 # Walls that several sampled loops share, by rows of the damping (``boxes.search``).
-_ROWS, _ZOOMS = 33, 5
-_EVEN = np.linspace(0.0, 1.0, _ROWS + 2)
-_NEAR = 2.0 ** -np.arange(5.0, 24.0)  # what all share may be thin: next to an end
-_FIRST_ROWS = np.unique(np.concatenate([_EVEN, np.linspace(0.0, 1.0, 4 * _ROWS), _NEAR, 1 - _NEAR]))
+_ROWS = 33
 
 Rows = Float64[np.ndarray, " row"]
 Intervals = Float64[np.ndarray, "row _ 2"]
@@ -270,15 +264,19 @@ def _stiffest_wall(loops: "Sequence[HapticLoop]", pull: float) -> Guess | None:
     regions = _walls_of(loops)
     if not regions:
         return None
+    even, dense = np.linspace(0.0, 1.0, _ROWS + 2), np.linspace(0.0, 1.0, 4 * _ROWS)
+    near = 2.0 ** -np.arange(5.0, 24.0)  # what all share may be thin: next to an end
     if any(region.is_empty for region in regions.values()):
         return NOTHING
     low, high = _common_rows([*regions.values()])
     low = max(low, 0.0)
     wall: tuple[float, float, float] | None = None  # both ends of the stiffness, and the damping
-    for zoom in range(_ZOOMS):
+    for zoom in range(5):
         if not low < high:
             break
-        ends = low + (high - low) * (_EVEN if zoom else _FIRST_ROWS)
+        ends = low + (high - low) * (
+            even if zoom else np.unique([*even, *dense, *near, *(1.0 - near)])
+        )
         rows = ends[1:-1]
         left, right = _common_limits([*regions.values()], rows)
         right = np.where((left < right) & (right > 0.0), right, -np.inf)

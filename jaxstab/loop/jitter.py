@@ -28,14 +28,6 @@ from jaxstab.numbers import checked_number
 from jaxstab.rounding import EPS
 from jaxstab.shown import exact_text, shortened
 
-_CONSTANT = 5  # constant delays of a range that are tried
-_DAMPINGS = 1.0, 2.0, *(0.5 ** np.arange(1, 8))  # at first, of the best one of the longest delay
-_STIFFNESSES = 0.95, 0.8, 0.6, 0.4, 0.2, 0.1, 0.03, 0.01, 1e-3  # at first, of its limit
-_STEPS = 0.5 ** np.arange(1, 11)  # of the damping
-_FINE, _FINEST = 0.03, 1e-5  # differences of the stiffness that count: of a step, and at last
-_COARSE = 9  # bisections towards a wall that is unstable
-_COLUMNS, _EVERY = 24, 3  # dampings of a picture, and of walls that are unstable
-
 
 @dataclass(frozen=True, repr=False)
 class WorstDelays:
@@ -123,7 +115,7 @@ class MovingLoop(NamedTuple):
         if status == SmallGainStatus.PROVED:
             return Verdict.STABLE
         is_unstable = status == SmallGainStatus.UNSTABLE
-        for delay in np.linspace(*self.ends, _CONSTANT)[1:].tolist():
+        for delay in np.linspace(*self.ends, 5)[1:].tolist():
             triple = partial(ball_triple, replace(self.loop, delay=delay))
             is_unstable = is_unstable or (
                 wall_verdict(triple, stiffness, damping).verdict == Verdict.UNSTABLE
@@ -162,31 +154,35 @@ class MovingLoop(NamedTuple):
 
     def limits(self) -> MovingLimits:
         """Return the stiffest proved wall that a search finds: ``HapticLoop.limits``."""
+        dampings = 1.0, 2.0, *(0.5 ** np.arange(1, 8))  # of the best one of the longest delay
+        steps = 0.5 ** np.arange(1, 11)  # of the damping
+        fine, finest = 0.03, 1e-5  # differences of the stiffness that count: of a step, and at last
         # From the stiffest of some walls the search climbs: to dampings at which walls that are a
         # little stiffer are proved.
         longest = self._longest()
         best, at = 0.0, nan
-        for damping in dict.fromkeys(share * longest.at_damping for share in _DAMPINGS):
+        for damping in dict.fromkeys(share * longest.at_damping for share in dampings):
             first = self._first(best, damping, longest.stiffness)
             best, at = (first, damping) if first > best else (best, at)
         if not best:
             return MovingLimits(nan, nan, nan)
-        for step in _STEPS.tolist():
+        for step in steps.tolist():
             for damping in (at, at * (1.0 + step), at / (1.0 + step)):
-                raised = self._raised(best, damping, _FINE * step)
+                raised = self._raised(best, damping, fine * step)
                 best, at = (raised, damping) if raised > best else (best, at)
-        best = self._raised(best, at, _FINEST)
+        best = self._raised(best, at, finest)
         return MovingLimits(best, at, self._lowest_unstable(best, at))
 
     def stiffest_walls(self) -> tuple[Float64[np.ndarray, "_ 2"], Float64[np.ndarray, "_ 2"]]:
         """Return the stiffest proved walls of some dampings, and unstable ones above them."""
+        columns, every = 24, 3  # dampings of a picture, and of walls that are unstable
         column = 2e-3  # the same, in a picture
         longest, walls = self._longest(), []
-        for damping in (longest.damping * np.arange(1, _COLUMNS) / _COLUMNS).tolist():
+        for damping in (longest.damping * np.arange(1, columns) / columns).tolist():
             first = self._first(0.0, damping, longest.stiffness)
             if first:
                 walls.append((self._raised(first, damping, column), damping))
-        unstable = [(self._lowest_unstable(*wall), wall[1]) for wall in walls[::_EVERY]]
+        unstable = [(self._lowest_unstable(*wall), wall[1]) for wall in walls[::every]]
         return np.reshape(walls, (-1, 2)), np.reshape(unstable, (-1, 2))
 
     def _longest(self) -> WallLimits:
@@ -195,7 +191,8 @@ class MovingLoop(NamedTuple):
 
     def _first(self, stiffness: float, damping: float, most: float) -> float:
         """Return the first proved of some stiffnesses below ``most``, above one; else that one."""
-        tried = (share * most for share in _STIFFNESSES)
+        shares = 0.95, 0.8, 0.6, 0.4, 0.2, 0.1, 0.03, 0.01, 1e-3  # at first, of its limit
+        tried = (share * most for share in shares)
         above = (k for k in tried if k > stiffness and self.is_proved(k, damping))
         return next(above, stiffness)
 
@@ -213,7 +210,7 @@ class MovingLoop(NamedTuple):
     def _lowest_unstable(self, stiffness: float, damping: float) -> float:
         """Return a stiffness above one that is STABLE, proved UNSTABLE, by bisection."""
         low, high = stiffness, inf
-        for _ in range(_COARSE):
+        for _ in range(9):
             tried = min(0.5 * (low + high), 2.0 * low)
             is_unstable = self.code(tried, damping) == Verdict.UNSTABLE
             low, high = (low, tried) if is_unstable else (tried, high)

@@ -42,24 +42,10 @@ _VERTICES = 295  # of an outline
 _AT_ONCE = 256  # loops that a program takes
 _FORMED = 2048  # loops whose coefficients are held in memory
 _SCANS = 3  # of a loop, at most
-_MISSED = np.array([1e-5, 3e-5])  # distances of the first angles from where a piece was missed
-_ON_CIRCLE = 1e-6  # a root of Im V this close to the circle is on it
-_SLOW, _FARTHEST_ROOT = 0.5, 4.0  # roots of devices: from 1, and from the circle
-_REMEMBERED = 64
 _DEGREES = (5, 9, 17, 25, 41, 65)  # up to which p(z) are filled: each program takes memory
-_FIRST, _CLOSEST = 1e-6, 1e-7  # angles of a scan, and their distances from poles
-_TO_ENDS, _TO_POLES, _TO_ROOTS = 12, 6, 8  # angles that come closer and closer
 
-_MIRRORED = 0.97  # angles beyond an end, so that none is there twice
-_NARROWEST, _NO_RESONANCE = 1e-6, 0.05  # distances from the circle
-_FILTERS = ("velocity", "position")
 
-_FARTHEST, _HALVINGS = 1.5, 8  # of z - 1, for which its powers may have the smaller terms
-
-Column = Float64[np.ndarray, " loop"]
-Floats = Float64[Array, "loop part power"]
 Indices = Int64[np.ndarray, " _"]
-Walls = Float64[np.ndarray, "loop 2 2"]
 Outlines = tuple[
     Float64[np.ndarray, "*loop vertex 2"],
     Float64[np.ndarray, "*loop vertex 2"],
@@ -254,7 +240,9 @@ def _no_limits(count: int) -> ManyLimits:
     return ManyLimits._make([*np.full((4, count), np.nan), unresolved, *flags])
 
 
-def _write_limits(limits: ManyLimits, members: Indices, walls: Walls, units: Units) -> None:
+def _write_limits(
+    limits: ManyLimits, members: Indices, walls: Float64[np.ndarray, "loop 2 2"], units: Units
+) -> None:
     """Write what a program resolved."""
     (stiffest, damped) = np.moveaxis(walls * units[:, None], 1, 0)
     limits.stiffness[members], limits.at_damping[members] = stiffest.T
@@ -328,13 +316,14 @@ def _varied(given: Any, fields: dict[str, Any], shape: tuple[int, ...]) -> list[
 
 def _stacks(given: Any, fields: dict[str, Any], shape: tuple[int, ...]) -> list[Stack]:
     """Return loops that JAX does not trace, in stacks."""
+    filters = "velocity", "position"
     if isinstance(given, list) or given.device is not None or "device" in fields:
         return stacked(_varied(given, fields, shape))
     require_x64(*leaves(fields, plain=False))
     loop = in_floats(given)
     columns = {name: np.broadcast_to(np.asarray(x), shape).ravel() for name, x in fields.items()}
-    is_plain = not (loop.velocity or loop.position) and set(_FILTERS).isdisjoint(fields)
-    shared = [name for name in ("sample_time", *_FILTERS) if name in fields and not is_plain]
+    is_plain = not (loop.velocity or loop.position) and set(filters).isdisjoint(fields)
+    shared = [name for name in ("sample_time", *filters) if name in fields and not is_plain]
     kinds = zip(*(columns[name].tolist() for name in shared), strict=True)
     stacks = []
     for members in map(np.array, alike(kinds if shared else [()] * prod(shape))):
@@ -443,9 +432,10 @@ def _rescanned(
 
     The coefficients of a loop stay; a scan has as many angles as before.
     """
+    first_angles = np.array([1e-5, 3e-5])  # their distances from where a piece was missed
     degree = triples.straight.shape[-1] - 1
     again, chosen, scans, start = [], [np.empty(0, int)], [triples.angles[:0]], 0
-    more = np.stack(np.broadcast_arrays(missed, _MISSED), axis=-1)
+    more = np.stack(np.broadcast_arrays(missed, first_angles), axis=-1)
     for group in formed:
         own = np.flatnonzero(np.isfinite(missed[start : start + len(group.members), 0]))
         roots = np.broadcast_to(group.roots, (len(group.members), *group.roots.shape[1:]))[own]
@@ -486,7 +476,7 @@ def _group(members: Indices, linear: LinearLoop, filters: Filters, roots: Array)
 
 
 def _masses(
-    gamma: Array, delta: Array, delay: Column | float, filters: Filters
+    gamma: Array, delta: Array, delay: Float64[np.ndarray, " loop"] | float, filters: Filters
 ) -> tuple[LinearLoop, Array]:
     """Return loops of one mass with the same whole samples of delay, and their resonances."""
     whole = int(np.min(delay))
@@ -527,9 +517,10 @@ def _kind(loop: "HapticLoop") -> Hashable:
 
 def _resonances(gamma: Array, delta: Array) -> Float64[Array, "loop 1 2"]:
     """Return angle and distance from the circle of the poles of masses on springs."""
+    narrowest, no_resonance = 1e-6, 0.05  # distances from the circle
     xp = namespace(gamma, delta)
     angle = xp.sqrt(xp.maximum(gamma - 0.25 * delta**2, 0.0))
-    width = xp.where(angle > 0.0, xp.maximum(0.5 * delta, _NARROWEST), _NO_RESONANCE)
+    width = xp.where(angle > 0.0, xp.maximum(0.5 * delta, narrowest), no_resonance)
     return xp.stack([angle, width], axis=1)[:, None]
 
 
@@ -539,17 +530,18 @@ def _device_resonances(loop: LoopParameters) -> Float64[np.ndarray, "2 root"]:
     Next to 1 they are found in powers of z - 1: those of slow modes differ by less than the
     coefficients in powers of z tell.
     """
+    slow, farthest = 0.5, 4.0  # roots of devices: from 1, and from the circle
     every: list[Array] = []
     with working_precision(FIRST_BITS):
         parts = ball_loop(loop)
         for part in (parts.numerator, parts.denominator):
             far = np.roots(_middles(part.polynomial()))
             near = 1.0 + np.roots(_middles(part.around(1)))
-            every += [far[abs(far - 1.0) > _SLOW], near[abs(near - 1.0) <= _SLOW]]
+            every += [far[abs(far - 1.0) > slow], near[abs(near - 1.0) <= slow]]
     roots = np.concatenate(every)
     roots = roots[roots.imag >= 0.0]
     distance = np.abs(np.log(np.maximum(np.abs(roots), 1e-300)))
-    return np.stack([np.abs(np.angle(roots)), np.clip(distance, 1e-9, _FARTHEST_ROOT)])
+    return np.stack([np.abs(np.angle(roots)), np.clip(distance, 1e-9, farthest)])
 
 
 def _middles(polynomial: Any) -> Float64[np.ndarray, " power"]:
@@ -575,12 +567,15 @@ def _triples(formed: list[_Formed], degree: int) -> "Triples":
     return Triples(rounded, shifted, _close(rounded, shifted), ends, xp.concatenate(scans))
 
 
-def _close(straight: Floats, shifted: Floats) -> Float64[Array, "loop part"]:
+def _close(
+    straight: Float64[Array, "loop part power"], shifted: Float64[Array, "loop part power"]
+) -> Float64[Array, "loop part"]:
     """Return up to which abs(z - 1) powers of z - 1 have the smaller terms, by bisection."""
+    farthest, halvings = 1.5, 8  # of z - 1, for which its powers may have the smaller terms
     xp = namespace(straight, shifted)
     most, sizes = xp.sum(abs(straight), axis=-1), xp.moveaxis(abs(shifted), -1, 0)
-    low, high = xp.zeros_like(most), xp.full_like(most, _FARTHEST)
-    for _ in range(_HALVINGS):
+    low, high = xp.zeros_like(most), xp.full_like(most, farthest)
+    for _ in range(halvings):
         middle = 0.5 * (low + high)
         is_less = reduce(lambda total, size: total * middle + size, sizes) < most
         low, high = xp.where(is_less, middle, low), xp.where(is_less, high, middle)
@@ -609,7 +604,7 @@ def _columns(rows: Sequence[Sequence[DoubleDouble]], count: int) -> DoubleDouble
     return tree_map(stacked, *chain(*rows))
 
 
-def _shifted(falling: DoubleDouble) -> Floats:
+def _shifted(falling: DoubleDouble) -> Float64[Array, "loop part power"]:
     """Return the coefficients in powers of z - 1, in float64."""
     powers = range(falling.hi.shape[-1])
     columns = tuple(DoubleDouble(falling.hi[..., k], falling.lo[..., k]) for k in powers)
@@ -626,7 +621,7 @@ def _about_one(falling: Polynomial) -> Polynomial:
     return (*quotient, *coefficients[::-1])
 
 
-@lru_cache(_REMEMBERED)
+@lru_cache(64)
 def _poles(filters: Filters) -> Angles | None:
     """Return the angles in (0, pi) where V/P is real; None for filters left to single answers.
 
@@ -634,6 +629,7 @@ def _poles(filters: Filters) -> Angles | None:
 
     The imaginary part of X/Y, times |Y|^2, is a series of sines: the odd part of X(z) Y(1/z).
     """
+    on_circle = 1e-6  # a root of Im V this close to the circle is on it
     ill_conditioned = 1e8  # a denominator's coefficients, over its least size on the circle
     below, y, x = (
         np.array([float(c.rounded()) for c in part]) for part in filter_factors(filters).parts
@@ -647,31 +643,32 @@ def _poles(filters: Filters) -> Angles | None:
     x, y = (np.append(p, np.zeros(length - len(p))) for p in (x, y))
     series = np.convolve(x, y[::-1])
     roots = np.roots(series - series[::-1])
-    roots = roots[np.abs(np.log(np.maximum(np.abs(roots), 1e-300))) < _ON_CIRCLE]
+    roots = roots[np.abs(np.log(np.maximum(np.abs(roots), 1e-300))) < on_circle]
     angles = np.angle(roots)
-    poles: Angles = np.sort(angles[(angles > _ON_CIRCLE) & (angles < np.pi - _ON_CIRCLE)])
+    poles: Angles = np.sort(angles[(angles > on_circle) & (angles < np.pi - on_circle)])
     return poles
 
 
 def _scans(formed: _Formed, degree: int) -> Float64[Array, "loop angle"]:
     """Return the angles of the scans: even steps, finer to both ends, to poles and resonances."""
-    roots, count = formed.roots.shape[1], 2 * _TO_ENDS + 24 + (8 + 2 * _TO_POLES) * degree
-    even_count = (
-        count - 2 * _TO_ENDS - len(formed.poles) * (2 * _TO_POLES + 1) - roots * 2 * _TO_ROOTS
-    )
+    first, closest = 1e-6, 1e-7  # angles of a scan, and their distances from poles
+    to_ends, to_poles, to_roots = 12, 6, 8  # angles that come closer and closer
+    beyond = 0.97  # angles beyond an end, so that none is there twice
+    roots, count = formed.roots.shape[1], 2 * to_ends + 24 + (8 + 2 * to_poles) * degree
+    even_count = count - 2 * to_ends - len(formed.poles) * (2 * to_poles + 1) - roots * 2 * to_roots
     step = np.pi / even_count
     even = step * (np.arange(even_count) + 0.5)
-    to_end = np.geomspace(_FIRST, even[0], _TO_ENDS, endpoint=False)
-    to_pole = np.geomspace(_CLOSEST, step, _TO_POLES)
+    to_end = np.geomspace(first, even[0], to_ends, endpoint=False)
+    to_pole = np.geomspace(closest, step, to_poles)
     near = formed.poles[:, None] + np.concatenate([-to_pole, [0.0], to_pole])
     shared = np.concatenate([to_end, even, np.pi - to_end, near.ravel()])
     xp = namespace(formed.roots)
     angle, width = xp.moveaxis(formed.roots, 2, 0)[..., None]
-    growth = np.linspace(-1.0, 1.0, 2 * _TO_ROOTS)
+    growth = np.linspace(-1.0, 1.0, 2 * to_roots)
     reach = xp.maximum(angle, 2.0 * step) * (1.0 + 0.01 * np.arange(roots))[:, None]
     farthest = xp.maximum(xp.arcsinh(reach / width), 1.0)  # no two angles are the same
     around = angle + width * xp.sinh(farthest * growth)
-    mirrored = xp.where(around < 0.0, -_MIRRORED * around, around)
-    mirrored = xp.where(around > np.pi, np.pi - _MIRRORED * (around - np.pi), mirrored)
-    own = xp.clip(mirrored, 2.0 * _FIRST, np.pi - 2.0 * _FIRST).reshape(len(angle), -1)
+    mirrored = xp.where(around < 0.0, -beyond * around, around)
+    mirrored = xp.where(around > np.pi, np.pi - beyond * (around - np.pi), mirrored)
+    own = xp.clip(mirrored, 2.0 * first, np.pi - 2.0 * first).reshape(len(angle), -1)
     return xp.sort(xp.concatenate([xp.tile(shared, (len(own), 1)), own], axis=1))

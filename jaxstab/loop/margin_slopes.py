@@ -20,8 +20,6 @@ from jaxstab.region.on_circle import Responses, circle_equations, quick_slice
 
 Search = Callable[..., Float64[np.ndarray, "wall column"]]
 
-_REAL = 2.0**-29  # of pi: a root this near to the real axis is taken for real
-
 
 def moving_ends(
     search: Search,
@@ -83,11 +81,12 @@ def _moving_jvp(
 @lru_cache(maxsize=16)
 def _slopes(filters: Filters | None) -> Callable[..., Array]:
     """A function for the derivatives of a step by the point, from p(z) = 0 at the crossing."""
+    nearly_real = 2.0**-29  # of pi: a root this near to the real axis is taken for real
     responses = Responses.from_filters(filters)
 
     def slopes(point: Array, step: Array, angle: Array, axis: Array) -> Array:
         end = jnp.round(angle)
-        is_real = jnp.abs(angle - end) < _REAL
+        is_real = jnp.abs(angle - end) < nearly_real
         start = pi * jnp.where(is_real, end, angle)
 
         def equations(crossing: Array, point: Array) -> Array:

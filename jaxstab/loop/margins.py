@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float64, Int8
 
 from jaxstab.arrays import Array, Numbers, are_numbers, float_arrays, is_jax, namespace
-from jaxstab.conventions import AXES, Verdict
+from jaxstab.conventions import Verdict
 from jaxstab.exact import delay_margin, stable_line, wall_verdict
 from jaxstab.exact.line import End
 from jaxstab.model import checked_delta, checked_gain, checked_gamma, require_x64
@@ -27,12 +27,8 @@ from jaxstab.model.parameters import LONGEST_DELAY, wall_grid
 from jaxstab.numbers import checked, without_noise
 from jaxstab.shown import number_text, table_text
 
-Walls = Float64[np.ndarray, "wall 5"]
-
-_ALPHA, _BETA, _DELAY = (AXES.index(name) for name in ("alpha", "beta", "delay"))
-WAYS = ((_ALPHA, -1.0), (_ALPHA, 1.0), (_BETA, -1.0), (_BETA, 1.0), (_DELAY, 1.0))
-
-"""The axes along which a wall is changed, and the signs."""
+WAYS = ((0, -1.0), (0, 1.0), (1, -1.0), (1, 1.0), (4, 1.0))
+"""The axes (alpha, beta, delay) along which a wall is changed, and the signs."""
 
 
 class Crossing(NamedTuple):
@@ -47,7 +43,7 @@ class Crossing(NamedTuple):
 
 
 def first_crossings(
-    walls: Walls, filters: Filters | None = None
+    walls: Float64[np.ndarray, "wall 5"], filters: Filters | None = None
 ) -> Float64[np.ndarray, "wall column"]:
     """The verdict on each wall of five numbers and then, each way of ``WAYS``, end and angle.
 
@@ -109,10 +105,6 @@ class MarginNames(NamedTuple):
     stiffness: str
     damping: str
     delay: str
-
-
-DIMENSIONLESS = MarginNames("alpha", "beta", "extra delay (samples)")
-IN_SI_UNITS = MarginNames("K (N/m)", "B (N s/m)", "extra delay (s)")
 
 
 def margins_text(margins: tuple[Numbers, ...], names: MarginNames) -> str:
@@ -197,7 +189,7 @@ class Margins(NamedTuple):
 
     def __repr__(self) -> str:
         """A table: a row for each quantity of one wall, or one for each of several walls."""
-        return margins_text(self, DIMENSIONLESS)
+        return margins_text(self, MarginNames("alpha", "beta", "extra delay (samples)"))
 
 
 class WallMargins(Margins):
@@ -205,7 +197,7 @@ class WallMargins(Margins):
 
     def __repr__(self) -> str:
         """The table of ``Margins`` with units."""
-        return margins_text(self, IN_SI_UNITS)
+        return margins_text(self, MarginNames("K (N/m)", "B (N s/m)", "extra delay (s)"))
 
 
 @refuses_loops("margins(K, B)")

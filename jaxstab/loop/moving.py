@@ -53,7 +53,6 @@ _Numbers = tuple[Any, Responses]  # of the plant: gamma, delta and the delay
 
 _REAL = 2e-6  # rad: a root this near to the real axis is real; scans of batches begin at 1e-6
 _RESOLVED = np.array([RegionStatus.COMPLETE, 1.0, 0.0])  # status, is_reachable, is_single
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
 class _Extreme(NamedTuple):
@@ -68,9 +67,6 @@ class _Extreme(NamedTuple):
     status: Array
     is_reachable: Array
     is_single: Array
-
-
-_FIELDS = len(_Extreme._fields)
 
 
 def moved_together(answer: Callable[..., Answer], given: list[Any]) -> Answer:
@@ -189,7 +185,7 @@ def _in_one_program(triples: Triples, *, outlines: bool) -> Any:
 
 
 def _empty(*shape: int, outlines: bool) -> tuple[Float64[np.ndarray, "*loop 2 field"], Any]:
-    return np.ones((*shape, 2, _FIELDS)), empty_outlines(*shape) if outlines else None
+    return np.ones((*shape, 2, len(_Extreme._fields))), empty_outlines(*shape) if outlines else None
 
 
 def _stacks_of(structure: Any, size: int, is_batched: list[bool], leaves: Any) -> list[Stack]:
@@ -276,6 +272,7 @@ def _moved_outline(loop: LoopParameters, outline: tuple[Array, Array, Array]) ->
 
     The area grows by what its edges pass over: curves by Gauss's rule, at constant angles.
     """
+    nodes_of_rule, weights = np.polynomial.legendre.leggauss(4)
     vertices, roots, area = outline
     numbers = _numbers(loop)
     fixed = jax.lax.stop_gradient(numbers)
@@ -295,11 +292,11 @@ def _moved_outline(loop: LoopParameters, outline: tuple[Array, Array, Array]) ->
     begin, end = roots[:-1, 1], roots[1:, 0]
     is_curve = (begin != end) & jnp.any(roots[1:] != roots[:-1], axis=1)
     middle, half = jnp.where(is_curve, 0.5 * jnp.stack([begin + end, end - begin]), 1.0)
-    nodes = (middle + half * _NODES[:, None]).ravel()
+    nodes = (middle + half * nodes_of_rule[:, None]).ravel()
     walls, slopes = jax.jvp(partial(_curve, fixed), (nodes,), (jnp.ones_like(nodes),))
-    passed = cross(_curve(numbers, nodes) - walls, slopes).reshape(len(_NODES), -1)
+    passed = cross(_curve(numbers, nodes) - walls, slopes).reshape(len(nodes_of_rule), -1)
     straight = 0.5 * cross((moves[1:] + moves[:-1]).T, jnp.diff(vertices, axis=0).T)
-    grown = jnp.sum(jnp.where(is_curve, half * (_WEIGHTS @ passed), straight))
+    grown = jnp.sum(jnp.where(is_curve, half * (weights @ passed), straight))
     units = jnp.stack([loop.stiffness(1.0), loop.damping(1.0)])
     return (vertices + moves) * units, (area + _change(grown)) * jnp.prod(units)
 

@@ -17,7 +17,6 @@ from jaxstab.region.region import loop_region, proved_extremes
 from jaxstab.region.stable_set import GainNames, ShownRegion, limits_text, printed_extremes
 
 TOLERANCE = 1e-6  # of the outline, by default
-_REMEMBERED = 64  # regions
 _NAMES = GainNames("K", "B", "N/m", "N s/m")
 
 
@@ -305,7 +304,7 @@ def _limits_of(stiffest: Gains, damped: Gains, status: RegionStatus) -> WallLimi
     return WallLimits(*stiffest, damped.damping, damped.stiffness, status, is_reachable=False)
 
 
-@lru_cache(maxsize=_REMEMBERED)
+@lru_cache(maxsize=64)
 def wall_region(loop: LoopParameters, tolerance: float) -> WallRegion:
     """Return the stable walls of a loop; the most recent ones are remembered."""
     return WallRegion(loop, loop_region(loop, tolerance))

@@ -4,11 +4,12 @@ A wall takes 0.1 to some milliseconds, whatever the device. More than a hundred 
 that JAX has, are a grid for ``jaxstab.point``.
 """
 
+from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Complex128, Int8
+from jaxtyping import Complex128, Float64, Int8
 
 from jaxstab.arrays import Array, Numbers, is_any_jax, named
 from jaxstab.conventions import RadiusStatus, Verdict
@@ -18,41 +19,36 @@ from jaxstab.model.balls import ball_triple
 from jaxstab.model.parameters import wall_grid
 from jaxstab.point import SpectralRadius
 
-_FEW = 100
-
 
 class FewWalls(NamedTuple):
-    """Walls (K, B) of a loop, one after the other, and the shape of their grid."""
+    """Pairs of gains of a loop, such as (K, B), answered one after the other."""
 
     triple: TripleAt
-    walls: list[list[float]]
-    shape: tuple[int, ...]
+    grid: Float64[np.ndarray, "*grid 2"]
 
     def verdicts(self) -> Int8[Array, "*grid"]:
         """Their verdicts."""
-        codes = [wall_verdict(self.triple, *wall).verdict for wall in self.walls]
-        return named(np.array(codes, np.int8).reshape(self.shape), Verdict)
+        codes = [answer.verdict for answer in self._each(wall_verdict)]
+        return named(np.array(codes, np.int8).reshape(self.grid.shape[:-1]), Verdict)
 
     def spectral_radii(self) -> SpectralRadius:
         """Their spectral radii."""
-        radii = [spectral_radius(self.triple, *wall) for wall in self.walls]
-        value, error, status = np.reshape(np.transpose(radii), (3, *self.shape))
+        radii = np.transpose(self._each(spectral_radius))
+        value, error, status = np.reshape(radii, (3, *self.grid.shape[:-1]))
         return SpectralRadius(value, error, named(status.astype(np.int8), RadiusStatus))
 
-    def poles(self) -> Complex128[np.ndarray, "*grid degree"] | None:
-        """Their poles; None if some coincide, and cannot be told apart."""
-        found = [poles(self.triple, *wall) for wall in self.walls]
-        if not found or not all(np.isfinite(one.error) for one in found):
-            return None
-        return np.reshape([one.values for one in found], (*self.shape, -1))
+    def poles(self) -> Complex128[np.ndarray, "*grid pole"]:
+        """Their poles; NaN where some coincide and are not told apart."""
+        values = [answer.values for answer in self._each(poles)]
+        return np.reshape(values, (*self.grid.shape[:-1], -1))
+
+    def _each(self, question: Callable[[TripleAt, float, float], Any]) -> list[Any]:
+        return [question(self.triple, *pair) for pair in self.grid.reshape(-1, 2).tolist()]
 
 
 def few_walls(loop: LoopParameters, stiffness: Numbers, damping: Numbers) -> FewWalls | None:
-    """Up to a hundred walls of one loop; None for more, for many loops, and where JAX has them."""
+    """One to a hundred walls of one loop; None for more, for many loops, and where JAX has them."""
     if is_any_jax(loop, stiffness, damping) or loop.shape:
         return None
     grid = wall_grid(stiffness=stiffness, damping=damping)
-    walls = grid.reshape(-1, 2).tolist()
-    return (
-        FewWalls(partial(ball_triple, loop), walls, grid.shape[:-1]) if len(walls) <= _FEW else None
-    )
+    return FewWalls(partial(ball_triple, loop), grid) if 0 < grid.size <= 200 else None

@@ -19,7 +19,7 @@ what the structure says is kept beside the rest (``Factored``):
 - the mean over n samples is (z^n - 1)/(z - 1), with its n - 1 roots on the circle.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property, lru_cache, reduce
@@ -186,6 +186,17 @@ class Triple:
 
     def __iter__(self) -> Iterator[Factored]:
         return iter((self.base, self.stiffness, self.damping))
+
+    def monic(self) -> "Triple":
+        """The parts over the leading coefficient of the base, which no gain moves."""
+        from flint import arb, arb_poly
+
+        base, *others = (part.without_windows() for part in self)
+        leading = base.rest[base.rest.degree()]
+        rising = [c / leading for c in base.rest.coeffs()[:-1]]
+        by_stiffness, by_damping = (part.scaled(1 / leading) for part in others)
+        base = base._replace(rest=arb_poly([*rising, arb(1)]))
+        return Triple(base, by_stiffness, by_damping, self.yielding)
 
     @cached_property
     def degree(self) -> int:
@@ -417,9 +428,19 @@ def linear_loop(device: SampledDevice, filters: Filters | None) -> LinearLoop:
     """The loop of gains in units of the device, K stiffness_unit and B damping_unit."""
     plant = device.device, device.sample_time, device.delay
 
+    def triple() -> Triple:
+        return _ball_loop(*plant, filters or NO_FILTERS).triple
+
+    return rounded_triple(triple, device.stiffness_unit, device.damping_unit)
+
+
+def rounded_triple(
+    triple: Callable[[], Triple], stiffness_unit: float, damping_unit: float
+) -> LinearLoop:
+    """The loop of a triple in pairs, of gains in units: alpha is K stiffness_unit."""
+
     def asked() -> LinearLoop:
-        triple = _ball_loop(*plant, filters or NO_FILTERS).triple
-        return _rounded(triple, device.stiffness_unit, device.damping_unit)
+        return _rounded(triple(), stiffness_unit, damping_unit)
 
     def is_known(loop: LinearLoop) -> bool:
         sizes = map(size_of, loop[:3])

@@ -40,8 +40,6 @@ NO_FILTER: Mapping[str, Any] = {
 }
 """The keys of a table but for the window, with values that filter nothing."""
 
-_BESIDE = ("order", "kind")  # keys of a low pass that need its cut-off
-_FRACTION = ("numerator", "denominator")
 _NOISES = ("acceleration_variance", "position_variance")
 _ESTIMATOR = ("polynomial", *_NOISES)  # keys of velocities alone
 
@@ -70,15 +68,17 @@ class FilterTable(Table):
     """Keys that make no filter."""
 
     def __post_init__(self) -> None:
+        of_low_pass = "order", "kind"  # keys that need its cut-off
+        of_fraction = "numerator", "denominator"
         super().__post_init__()
         given = [name for name in self._names() if getattr(self, name) is not None]
-        for name in _BESIDE:
+        for name in of_low_pass:
             if name in given and self.cutoff is None:
                 raise ValueError(
                     f"{name} is {getattr(self, name)} without cutoff; give cutoff, too."
                 )
-        fraction = [name for name in given if name in _FRACTION]
-        others = [name for name in given if name not in _FRACTION]
+        fraction = [name for name in given if name in of_fraction]
+        others = [name for name in given if name not in of_fraction]
         if len(fraction) == 1:
             raise ValueError(f"{fraction[0]} is given alone; give numerator and denominator.")
         if fraction and others:
@@ -93,7 +93,7 @@ class FilterTable(Table):
         if noises and "window_samples" in given:
             raise ValueError(f"window_samples is given beside {noises[0]}; give one of them.")
         if not given:
-            beside = *_BESIDE, *_FRACTION, *_ESTIMATOR
+            beside = *of_low_pass, *of_fraction, *_ESTIMATOR
             needed, *more = (name for name in self._names() if name not in beside)
             raise ValueError(
                 f"{needed} is missing; give it, or {', '.join(more)}, or numerator and denominator."

@@ -35,10 +35,6 @@ _LEAST = {  # the least allowed value, and whether it is excluded
     "delay": (0.0, False),
 }
 
-_FOR_COMPUTING = frozenset(
-    {"body", "filters", "held_device", "in_floats", "linear", "sampled"}
-    | {"tree_flatten", "tree_unflatten"}
-)
 _OF_DEVICE = ("device_mass", "device_damping")
 
 Values = TypeVar("Values", bound=Numbers)
@@ -125,7 +121,9 @@ class LoopParameters:
         )
 
     def __dir__(self) -> list[str]:
-        return [name for name in super().__dir__() if name not in _FOR_COMPUTING]
+        for_computing = {"body", "filters", "held_device", "in_floats", "linear", "sampled"}
+        for_computing |= {"tree_flatten", "tree_unflatten"}
+        return [name for name in super().__dir__() if name not in for_computing]
 
     def _refuse_mixed_fields(self) -> None:
         if self.device is None:

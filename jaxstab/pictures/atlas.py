@@ -21,6 +21,7 @@ from jaxstab.pictures.style import (
     DAMPING_LABEL,
     SKY,
     STIFFNESS_LABEL,
+    Floats,
     hand_label,
     new_axes,
     picture,
@@ -47,8 +48,6 @@ _COLOURS = {
     Verdict.UNDECIDED: "#444444",
 }
 _RADII = (0.6, 0.7, 0.8, 0.85, 0.9, 0.94, 0.97, 1.0, 1.02, 1.05, 1.1)  # finer towards the boundary
-
-Floats = NDArray[np.float64]
 
 
 def draw_atlas(

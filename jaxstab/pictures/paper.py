@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.typing import ColorType
-from numpy.typing import NDArray
 
 from jaxstab.paper import linear_alpha_limit, linear_validity, passive_region
 from jaxstab.paper.facts import resolved_region
@@ -31,7 +30,6 @@ from jaxstab.scene.answers import Quantity
 
 _BESIDE: Any = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0), "fontsize": 8, "frameon": False}
 
-Floats = NDArray[np.float64]
 
 _Style = Literal["-", "--"]
 
@@ -208,8 +206,6 @@ def _draw(panel: Axes, slices: Iterable[_Slice]) -> None:
 
 # One stable region, annotated with the facts about it.
 
-_LIMIT = Quantity(digits=5)
-
 
 def region_figure(gamma: float, delta: float, delay: float, radius: float = 1.0) -> Figure:
     """A stable region, of roots below a radius, with its corners, extremes and the paper's rules.
@@ -217,6 +213,7 @@ def region_figure(gamma: float, delta: float, delay: float, radius: float = 1.0)
     ValueError: the region is empty or unresolved, or an argument is bad. Source: sec. V to VIII of
     Hulin, Preusche, Hirzinger (2008).
     """
+    five_digits = Quantity(digits=5)
     region = resolved_region(gamma=gamma, delta=delta, delay=delay, radius=radius)
     figure, ((panel,),) = panels(1, 1, width=1.35, height=1.25)
     inside = "stable region" if radius == 1.0 else f"all roots within {radius:g}"
@@ -233,7 +230,7 @@ def region_figure(gamma: float, delta: float, delay: float, radius: float = 1.0)
     for point, name, mark in zip(
         printed_extremes(region), ("alpha", "beta"), (">", "^"), strict=True
     ):
-        numbers = ", ".join(map(_LIMIT.words, point))
+        numbers = ", ".join(map(five_digits.words, point))
         label = rf"largest $\{name}$: ({numbers})"
         panel.plot(*point, mark, color=ORANGE, markersize=8, label=label)
     panel.set(xlim=window[0], ylim=window[1])

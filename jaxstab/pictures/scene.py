@@ -19,7 +19,6 @@ from matplotlib.collections import QuadMesh
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
-from numpy.typing import NDArray
 
 from jaxstab.conventions import Verdict
 from jaxstab.guard import Guard
@@ -35,6 +34,7 @@ from jaxstab.pictures.style import (
     PURPLE,
     RED,
     SKY,
+    Floats,
     closed_outline,
     draw_islands,
     draw_linear_rule,
@@ -85,8 +85,6 @@ if TYPE_CHECKING:
 # The walls of a scene in its picture: marks by their verdicts, names, and responses.
 
 Walls = Mapping[str, WallVerdict]
-
-_GONE = 5.0  # final positions: an unstable response is drawn no further
 
 
 _LOOKS: dict[Verdict | str, tuple[str, str, str]] = {  # colour, mark and line of a wall
@@ -159,6 +157,7 @@ def draw_margins(panel: Axes, checked: dict[str, WallCheck]) -> None:
 
 def draw_responses(panel: Axes, scene: Scene, checked: dict[str, WallCheck]) -> None:
     """Draw the response to a step of force, relative to the final displacement."""
+    far_off = 5.0  # final positions: an unstable response is drawn no further
     fewest, most = 100, 2000  # samples of a response
     level = 0.02
     period = scene.controller.sample_time
@@ -176,7 +175,7 @@ def draw_responses(panel: Axes, scene: Scene, checked: dict[str, WallCheck]) -> 
             wall.stiffness, wall.damping, samples=samples, force=1.0, between=most // samples
         )
         relative = np.asarray(response.position) * (wall.stiffness + spring)
-        gone = np.logical_or.accumulate(np.abs(relative) > _GONE)
+        gone = np.logical_or.accumulate(np.abs(relative) > far_off)
         shown = np.where(gone, np.nan, relative)
         panel.plot(np.asarray(response.time), shown, _LOOKS[wall.verdict][2], label=plain(name))
     panel.axhspan(1.0 - level, 1.0 + level, color=BLACK, alpha=0.12, lw=0)
@@ -187,14 +186,10 @@ def draw_responses(panel: Axes, scene: Scene, checked: dict[str, WallCheck]) -> 
 
 _HEIGHT = 4.6  # inches
 _WIDTH, _ZOOM_WIDTH, _RESPONSE_WIDTH = 6.4, 3.6, 4.8
-_SEEN = 0.05  # of the region, in K or in B: smaller sets are enlarged
-_COUNTS = 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0  # amplitudes that are drawn
 _MOST_LEVELS = 3  # of lines of equal values
 _LARGEST = Quantity("N/m", 4, ROUND_FLOOR)
 _STIFFNESS, _DAMPING = GivenQuantity("N/m"), GivenQuantity("N s/m")
 _TIME, _LENGTH = Quantity("s", 3), Quantity("m", 3)
-
-Floats = NDArray[np.float64]
 
 
 def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
@@ -208,6 +203,7 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
     simulated contacts. For a delay that moves it has the walls that are proved for every sequence.
     ValueError: no wall is stable.
     """
+    visible = 0.05  # of the region, in K or in B: smaller sets are enlarged
     if isinstance(answer, Contacts):
         return scene_contacts(scene)
     basis = basis_of(scene, at_longest=isinstance(answer, Tuned | Design))
@@ -229,7 +225,9 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
     if not (tuned or checked):
         areas.append(_passive(scene, loop))
     areas = [area for area in areas if len(area.outline)]
-    is_small = [(np.ptp(area.outline, axis=0) < _SEEN * np.array(region.extent)) for area in areas]
+    is_small = [
+        (np.ptp(area.outline, axis=0) < visible * np.array(region.extent)) for area in areas
+    ]
     small = [area.outline for area, axes in zip(areas, is_small, strict=True) if axes.any()]
 
     beside = [("enlarged", np.concatenate(small))] if small else []
@@ -249,8 +247,7 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
         panel.locator_params(axis="x", nbins=5)
         panel.set_title(title)
     for panel in planes:
-        panel.set_xlabel(f"stiffness K ({scene.units.stiffness})")
-        panel.set_ylabel(f"damping B ({scene.units.damping})")
+        _label_gains(panel, scene.units)
         draw_stable(panel, region)
         for area in areas:
             panel.fill(*area.outline.T, **area.look)
@@ -280,12 +277,7 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
         draw_walls(panel, walls)
     of_responses = "; responses: worst hand of each wall" if checked else ""
     _write_basis(figure, scene, basis, of_responses)
-    _draw_legend(figure, panels[0], min(1 + len(widths), 4))
-    if walls:
-        figure.draw_without_rendering()  # positions are known only now
-        for panel in planes:
-            name_walls(panel, walls)
-    return figure
+    return _with_legend(figure, planes, walls, min(1 + len(widths), 4))
 
 
 def _write_basis(figure: Figure, scene: Scene, basis: Basis, more: str = "") -> None:
@@ -343,32 +335,38 @@ def _judged(scene: Scene, answer: Answer | None) -> Walls:
 
 def _moving_figure(scene: Scene, walls: Walls, basis: Basis) -> Figure:
     """Draw walls that are proved for every sequence of delays, and those of the scene."""
-    units, figure = scene.units, Figure(figsize=(_WIDTH, _HEIGHT), layout="constrained")
+    figure = Figure(figsize=(_WIDTH, _HEIGHT), layout="constrained")
     panel = figure.subplots()
     loop = MovingLoop.from_loop(loops_over_delays(scene)[0], **delays_of(scene))
     drawn = plot_moving(loop, panel)
     draw_walls(panel, walls)
     gains = np.array([(wall.stiffness, wall.damping) for wall in walls.values()]).reshape(-1, 2)
     _set_window(panel, np.concatenate([drawn, gains, np.zeros((1, 2))]))
+    _label_gains(panel, scene.units)
+    _write_basis(figure, scene, basis)
+    return _with_legend(figure, [panel], walls, 3)
+
+
+def _label_gains(panel: Axes, units: Units) -> None:
     panel.set_xlabel(f"stiffness K ({units.stiffness})")
     panel.set_ylabel(f"damping B ({units.damping})")
-    _draw_legend(figure, panel, 3)
-    _write_basis(figure, scene, basis)
-    if walls:
-        figure.draw_without_rendering()  # positions are known only now
-        name_walls(panel, walls)
-    return figure
 
 
-def _draw_legend(figure: Figure, panel: Axes, most: int) -> None:
-    handles, labels = panel.get_legend_handles_labels()
+def _with_legend(figure: Figure, panels: list[Axes], walls: Walls, most: int) -> Figure:
+    """Write a legend of the first panel, in as many columns as fit, and the names of walls."""
+    handles, labels = panels[0].get_legend_handles_labels()
     for columns in range(most, 0, -1):
         legend = figure.legend(
             handles, labels, fontsize=8, frameon=False, ncols=columns, loc="outside lower center"
         )
         if columns == 1 or legend.get_window_extent().width <= figure.bbox.width:
-            return
+            break
         legend.remove()
+    if walls:
+        figure.draw_without_rendering()  # positions are known only now
+        for panel in panels:
+            name_walls(panel, walls)
+    return figure
 
 
 class _Area(NamedTuple):
@@ -436,13 +434,14 @@ def _draw_chatter(
     panel: Axes, loop: HapticLoop, region: WallRegion, encoder: Encoder, units: Units
 ) -> None:
     """Draw lines of equal bounds of the chatter that the encoder's resolution causes."""
+    drawn = 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0  # amplitudes that are drawn
     calm_columns = 24  # of the map of amplitudes, and rows
     resolution = encoder.resolution
     stiffness, damping = _columns_and_rows(region, calm_columns)
     amplitude = loop.amplitude(stiffness[None, :], damping[:, None], encoder=resolution)
     counts = np.where(np.isfinite(amplitude.position), amplitude.position / resolution, np.nan)
     fewest, most = np.nanmin(counts, initial=np.inf), np.nanmax(counts, initial=0.0)
-    levels = [count for count in _COUNTS if fewest < count < most][:_MOST_LEVELS]
+    levels = [count for count in drawn if fewest < count < most][:_MOST_LEVELS]
     if not levels:
         return
 
@@ -515,8 +514,7 @@ def comparison_figure(scenes: Mapping[str, Scene]) -> Figure:
         if not region.is_empty:
             walls.plot(*closed_outline(region).T, color=colour, lw=1.2, label=name)
     walls.set_title("stable walls")
-    walls.set_xlabel(f"stiffness K ({units.stiffness})")
-    walls.set_ylabel(f"damping B ({units.damping})")
+    _label_gains(walls, units)
     places = np.arange(len(scenes))
     stiffnesses = [region.stiffest.stiffness for region in regions]
     largest.barh(places, np.nan_to_num(stiffnesses), color=colours)

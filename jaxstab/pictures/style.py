@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import AbstractPathEffect, withStroke
 from numpy.typing import NDArray
 
-from jaxstab.loop import Contact, ContactKind, HapticLoop, WallRegion
+from jaxstab.loop import Contact, ContactKind, GainRegion, HapticLoop, WallRegion
 from jaxstab.loop.jitter import MovingLoop
 from jaxstab.model.filters import given_filters
 from jaxstab.region import StableRegion
@@ -80,16 +80,16 @@ def picture(figure: Figure, form: str) -> bytes:
 _SIZE = 5.0, 3.6  # inches
 STIFFNESS_LABEL, DAMPING_LABEL = "stiffness K (N/m)", "damping B (N s/m)"
 
-Region = StableRegion | WallRegion
+Region = StableRegion | WallRegion | GainRegion
 
 Floats = NDArray[np.float64]
 
 
 def closed_outline(region: Region) -> Floats:
     """Return the outline of a region, with NaN between two loops."""
-    plain = region.region if isinstance(region, WallRegion) else region
+    plain = region if isinstance(region, StableRegion) else region.region
     jumps = np.flatnonzero(np.asarray(plain.branch) < 0)
-    points = region.outline if isinstance(region, WallRegion) else region.points
+    points = region.points if isinstance(region, StableRegion) else region.outline
     broken: Floats = np.insert(np.asarray(points), jumps + 1, np.nan, axis=0)
     return broken
 
@@ -122,9 +122,12 @@ def plot_region(region: Region, ax: Axes | None = None) -> Axes:
         if region.islands:
             _draw_map(panel, region.main, region.islands)
     draw_islands(panel, region.islands)
-    is_in_si_units = isinstance(region, WallRegion)
-    panel.set_xlabel(STIFFNESS_LABEL if is_in_si_units else ALPHA_LABEL)
-    panel.set_ylabel(DAMPING_LABEL if is_in_si_units else BETA_LABEL)
+    labels = ALPHA_LABEL, BETA_LABEL
+    if isinstance(region, WallRegion):
+        labels = STIFFNESS_LABEL, DAMPING_LABEL
+    elif isinstance(region, GainRegion):
+        labels = region.names.labels
+    panel.set(xlabel=labels[0], ylabel=labels[1])
     return panel
 
 

@@ -64,7 +64,6 @@ Column = Any  # an array, or None for zeros
 
 NEIGHBOURS = 16  # points that share a guess, at most the padding of the axes of a large grid
 _NODES = (1, 4, 8, 11, 14)  # those of them between which roots are interpolated
-TILE = 256  # points whose polynomials of a higher degree stay in the cache
 
 
 class Effort(NamedTuple):
@@ -127,6 +126,7 @@ def dominant_root(loop: Loop, *, degree: int, effort: Effort, shared: int | None
     The imaginary part is >= 0, and 0 for real roots. Of an axis that is ``shared``, the root is
     guessed for one point in NEIGHBOURS.
     """
+    tile = 256  # points whose polynomials of a higher degree stay in the cache
     longest_unrolled = 4000  # about as many products; beyond, code was up to 100 times slower
     from jax import lax
 
@@ -149,7 +149,7 @@ def dominant_root(loop: Loop, *, degree: int, effort: Effort, shared: int | None
     if shared is not None:
         middle = _along(shared, slice(NEIGHBOURS // 2, None, NEIGHBOURS))
         loop = tree_map(lambda leaf: leaf[middle] if _has_axis(leaf, shared) else leaf, loop)
-    return root(loop) if is_unrolled else over_tiles(root, (loop,), TILE)
+    return root(loop) if is_unrolled else over_tiles(root, (loop,), tile)
 
 
 def _has_axis(leaf: Array, axis: int) -> bool:
@@ -245,8 +245,6 @@ def _real_power(x: Array, exponent: int) -> Array | float:
 
 
 _SLACK = 1.0 + 1e-6  # the bounds themselves are rounded
-_BESIDE, _BESIDE_OF_LONG = 2.0**-25, 2.0**-20  # how far inside of the root the circle is, relative
-_NEAR = 2.0**-17  # longest last step of Newton's method, relative
 
 
 @compiled(static=["degree", "corrections", "shared"], many=0, wide=True)
@@ -327,12 +325,14 @@ def with_distance(
     The circle of the proof is inside of 1 + ``before``, a point next to 1 + t: a processor counts
     the zeros outside of it while it still computes t.
     """
+    of_short, of_long = 2.0**-25, 2.0**-20  # how far inside of the root the circle is, relative
+    near = 2.0**-17  # longest last step of Newton's method, relative
     xp = namespace(t, loop)
     own = _moduli(t)
     last = own if before is None else _moduli(before)
     distance, rounding = _distance_to_root(t, own.size, own.radius, loop, degree)
     # The counts of long polynomials have fewer digits.
-    beside = _BESIDE if degree <= HIGHEST_COUNTED else _BESIDE_OF_LONG
+    beside = of_short if degree <= HIGHEST_COUNTED else of_long
     shortest = xp.minimum(last.size, last.radius)
     within = last.beyond - beside * shortest
     is_real = t.im == 0.0
@@ -344,7 +344,7 @@ def with_distance(
     apart = xp.minimum(
         own.beyond - within - 64.0 * UNIT * own.size, xp.where(is_real, xp.inf, t.im)
     )
-    is_proved = is_proved & (distance < apart) & (step <= (_NEAR * shortest) ** 2)
+    is_proved = is_proved & (distance < apart) & (step <= (near * shortest) ** 2)
     # All other roots are at least as far from z, so that p'/p has one large term (lemma R1).
     distance = _SLACK * distance / (degree - (degree - 1.0) * (distance / apart))
     return own.radius, xp.where(is_proved, distance + 4.0 * UNIT * own.radius, xp.inf)
@@ -445,10 +445,8 @@ LONGEST_DELAY = 64.0  # beyond, polynomials of many points do not stay in the ca
 TOLERANCE = 1e-12
 _LIST = 2**18  # up to this many points, lists are filled up to a length compiled once for all
 _BLOCK = 2**18  # points of a larger grid that a core computes at once
-_SHARED = Effort(14, 2, _BLOCK)  # for a root that neighbours share
 _STEADY = 512  # points of an axis that differ by little from their neighbours
 
-Values = np.ndarray[Any, np.dtype[Any]]
 Indices = Int64[np.ndarray, " point"]
 Answer = tuple[Array, Array]  # value and error
 
@@ -571,7 +569,7 @@ def _tried(loop: Loop, delay: float, effort: Effort, shared: int | None = None) 
         axis, own = None, effort
         shape = np.broadcast_shapes(*map(np.shape, leaves(loop)))
         if shared is not None and shape[shared] % NEIGHBOURS == 0:
-            axis, own = shared, _SHARED
+            axis, own = shared, Effort(14, 2, _BLOCK)  # for a root that neighbours share
         root = dominant_root(loop, degree=degree, effort=own, shared=axis)
         if axis is not None:
             root = at_nodes(root, loop, degree=degree, shared=axis)

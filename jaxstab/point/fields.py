@@ -43,11 +43,7 @@ from jaxstab.rounding import SAFETY, UNIT
 UNKNOWN = -1  # poles outside of the circle, where one is too close to it to tell
 _LONGEST = 9  # degree up to which these doublings and the proof are compiled without loops
 _BESIDE = 2.0**-17  # how far inside of the root the circle is, relative
-_NEWTON_STEPS = 1
 _BLOCK = 2**18  # points of a part of a grid, which bound the memory
-_CLOSE = 2.0**-22  # relative distance of a pole that is resolved from its approximation
-_LAST_OF_FLOAT32, _LAST_OF_POWER = 1 << 29, 1 << 52  # bits of a float64 that they leave
-_TINY = 2.0**-126  # the least float32 of full precision
 Result = TypeVar("Result")
 
 
@@ -147,10 +143,9 @@ def _pole(columns: list[Array], error: Array, *, is_guessed: bool) -> Array:
     else:
         root = companion_poles(xp.stack(columns, axis=-1))[..., 0]
         z = Complex(root.real, abs(root.imag))
-    for _ in range(_NEWTON_STEPS):
-        value, slope = evaluated(columns, z)
-        inverse = reciprocal(slope.squared_modulus())
-        z = z.plus(value.times(Complex(slope.re, -slope.im)).scaled(-inverse))
+    value, slope = evaluated(columns, z)  # a step of Newton's method
+    inverse = reciprocal(slope.squared_modulus())
+    z = z.plus(value.times(Complex(slope.re, -slope.im)).scaled(-inverse))
     return z.re + 1j * z.im
 
 
@@ -230,11 +225,12 @@ def poles_outside(columns: list[Array], error: Array) -> Array:
 
 def _mode(pole: Array, radius: Array, bound: Array) -> tuple[Array, Array]:
     """Return frequency and damping ratio of poles, NaN where the bound is too large."""
+    close = 2.0**-22  # relative distance of a pole that is resolved from its approximation
     quantum = 2.0**-20  # of frequencies and damping ratios: what has fewer digits deflates better
     xp = namespace(pole)
     frequency, decay = xp.arctan2(pole.imag, pole.real), -xp.log(radius)
     size = xp.sqrt(decay * decay + frequency * frequency)
-    is_resolved = bound <= _CLOSE * xp.minimum(radius, size)
+    is_resolved = bound <= close * xp.minimum(radius, size)
     frequency, ratio = (
         xp.where(is_resolved, quantum * xp.round(value / quantum), xp.nan).astype(np.float32)
         for value in (frequency, decay / size)
@@ -244,10 +240,12 @@ def _mode(pole: Array, radius: Array, bound: Array) -> tuple[Array, Array]:
 
 def _outwards(radius: Array, bound: Array) -> tuple[Array, Array]:
     """Return radii, rounded up, and their bounds, rounded up to powers of two, in float32."""
-    xp, bound = namespace(radius, bound), bound + _TINY
+    last_of_float32, last_of_power = 1 << 29, 1 << 52  # bits of a float64 that they leave
+    tiny = 2.0**-126  # the least float32 of full precision
+    xp, bound = namespace(radius, bound), bound + tiny
     is_known = xp.isfinite(bound)
-    upper = _rounded_up((radius + bound) * (1.0 + 2.0 * UNIT), _LAST_OF_FLOAT32)
-    error = _rounded_up(3.0 * bound + 2.0**-23 * upper, _LAST_OF_POWER)
+    upper = _rounded_up((radius + bound) * (1.0 + 2.0 * UNIT), last_of_float32)
+    error = _rounded_up(3.0 * bound + 2.0**-23 * upper, last_of_power)
     unknown = np.float32(np.nan), np.float32(np.inf)
     return tuple(
         xp.where(is_known, value.astype(np.float32), other)

@@ -106,8 +106,9 @@ def over_grid(
     shape = np.broadcast_shapes(*(argument.shape for argument in arguments))
     degrees = np.broadcast_to(np.ceil(delay), shape)
     members = [np.flatnonzero(degrees == degree) for degree in np.unique(degrees)]
-    chunks, results = [], []
-    for chunk, padded in (pair for same in members for pair in lists(same, CHUNK, fewest=MANY)):
+    chunks, results, nothing = [], [], np.zeros(0, int)
+    pairs = [pair for same in members for pair in lists(same, CHUNK, fewest=MANY)]
+    for chunk, padded in pairs or [(nothing, nothing)]:
         listed = looked_up(arguments, shape, padded)
         whole = kernel(polynomial(**by_name(*listed)))
         chunks.append(chunk)

@@ -15,11 +15,11 @@ or with an infinite one (NO_BOUND).
 """
 
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from decimal import ROUND_CEILING
-from functools import partial, reduce
+from functools import reduce
 from math import prod
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int8
@@ -38,7 +38,7 @@ from jaxstab.arrays import (
     tree_map,
     with_values,
 )
-from jaxstab.batches import MANY, compiled, over_tiles
+from jaxstab.batches import MANY, compiled
 from jaxstab.conventions import RadiusStatus, Verdict
 from jaxstab.model import (
     DoubleDouble,
@@ -65,19 +65,17 @@ from jaxstab.point.dominance import (
 from jaxstab.point.poles import Complex, companion_poles, looked_up, over_grid
 from jaxstab.point.schur_cohn import (
     UNDERFLOW,
-    Chain,
     Ends,
     Number,
-    decide,
+    kept_places,
     leading,
     loop_coefficients,
     polynomial_codes,
     size,
-    size_sum,
 )
 from jaxstab.point.verdicts import (
-    HIGHEST_UNROLLED,
     Points,
+    Values,
     filtered_loops,
     float_plant,
     gathered,
@@ -91,8 +89,6 @@ from jaxstab.shown import number_text, text_with_bound
 # All roots are inside the circle of radius + error, and not all inside that of radius - error; each
 # side is one verdict (lemma R3 of docs/proofs.md). The steps of the ladder have a ratio of 4.
 
-_STEPS = tuple(2.0**power for power in range(-50, -5, 2))  # relative bounds that are tried
-
 
 def proved_error(codes: Callable[[Array], Array], radius: Array) -> Array:
     """Bounds of the errors of radii > 0, infinite where even 2^-6 of the radius is not proved.
@@ -100,7 +96,7 @@ def proved_error(codes: Callable[[Array], Array], radius: Array) -> Array:
     ``codes`` returns the verdicts on p(r z) / r^n for radii r of shape (2, *radius.shape).
     """
     xp = namespace(radius)
-    steps = xp.asarray(_STEPS)
+    steps = xp.asarray([2.0**power for power in range(-50, -5, 2)])  # bounds tried, relative
     sides = xp.stack([xp.ones_like(radius), -xp.ones_like(radius)])
     wanted = xp.stack(
         [xp.full_like(radius, Verdict.STABLE), xp.full_like(radius, Verdict.UNSTABLE)]
@@ -115,7 +111,7 @@ def proved_error(codes: Callable[[Array], Array], radius: Array) -> Array:
 
     def is_open(state: tuple[Array, Array]) -> Array:
         step, error = state
-        return (step < len(_STEPS)) & xp.any(xp.isinf(error))
+        return (step < len(steps)) & xp.any(xp.isinf(error))
 
     start = xp.asarray(0), xp.full_like(sides, xp.inf)
     return xp.max(repeat_while(is_open, prove, start)[1], axis=0)
@@ -125,9 +121,6 @@ def proved_error(codes: Callable[[Array], Array], radius: Array) -> Array:
 #
 # The dominant eigenvalue of the companion matrix is corrected by Newton's method with a residual in
 # double-double, and proved by a ladder of verdicts on p(r z) (lemmas R3 and V7 of docs/proofs.md).
-
-
-Values = np.ndarray[Any, np.dtype[Any]]
 
 
 def filtered_radius(points: Points, filters: Filters) -> tuple[Values, Values]:
@@ -155,8 +148,20 @@ def _listed_radii(
     return value, error
 
 
-def traced_radius_error(coefficients: Array, radius: Array) -> Array:
-    """Return bounds of the errors of radii in float64, for coefficients of (*grid, coefficient)."""
+def radius_error(
+    coefficients: Float64[Array, "*grid coefficient"], radius: Float64[Array, "*grid"]
+) -> Float64[Array, "*grid"]:
+    """Prove how far spectral radii > 0 can be from the true ones, in float64.
+
+    Bounds from a ladder of ratio 4 are tried, so the result is up to 4 times larger than the
+    smallest bound that could be proved, and never smaller than the true error. It is infinite if
+    even 2^-6 of the radius cannot be proved.
+
+    ``coefficients`` are of monic polynomials of degree >= 3, highest power first, each within two
+    roundings of the true one.
+
+    Source: Schur-Cohn criterion (Jury 1964) for p(r z).
+    """
     xp = namespace(coefficients, radius)
     rounding = 2.0 * UNIT * xp.sum(abs(coefficients), axis=-1)
     return dense_radius_error(xp.moveaxis(coefficients, -1, 0), rounding, radius, unit=UNIT)
@@ -186,105 +191,51 @@ def _value(coefficients: DoubleDouble, z: Values) -> Values:
     return real.rounded() + 1j * (before * z.imag).rounded()
 
 
-@compiled(static=["unit"])
 def dense_radius_error(coefficients: Number, error: Array, radius: Array, *, unit: float) -> Array:
-    """Prove how far spectral radii can be from the true ones; infinite where 2^-6 of them is more.
+    """Prove the same for coefficients on the first axis, in numbers of a unit roundoff.
 
-    ``coefficients`` are those of monic polynomials, on the first axis, highest power first;
-    ``error`` bounds the sum of their errors, and ``unit`` is the roundoff of their numbers.
+    ``error`` bounds the sum of their errors.
     """
+    numbers = leading(coefficients)
+    places = list(range(len(numbers)))
+    if not is_any_traced(numbers):
+        zeros = ~np.any(np.asarray(numbers), axis=tuple(range(1, np.ndim(numbers))))
+        places = kept_places(len(numbers) - 1, zeros.__getitem__)
+    given = coefficients if len(places) == len(numbers) else take(coefficients, np.array(places))
+    return _proved_error(given, error, radius, unit=unit, places=tuple(places))
+
+
+@compiled(static=["unit", "places"])
+def _proved_error(
+    coefficients: Number, error: Array, radius: Array, *, unit: float, places: tuple[int, ...]
+) -> Array:
     xp = namespace(coefficients, error, radius)
     both = tree_map(lambda values: xp.stack([values, values], axis=1), coefficients)
-    return proved_error(lambda scale: scaled_codes(both, error, scale, unit), radius)
+    return proved_error(lambda scale: scaled_codes(both, error, scale, unit, places), radius)
 
 
-def scaled_codes(coefficients: Number, error: Array, scale: Array, unit: float) -> Array:
-    """Return the codes of p(scale z) / scale^n; see ``dense_radius_error`` for the arguments."""
+def scaled_codes(
+    coefficients: Number, error: Array, scale: Array, unit: float, places: Sequence[int]
+) -> Array:
+    """Return the codes of p(scale z) / scale^n; coefficients elsewhere than at places are 0."""
     xp = namespace(coefficients, error, scale)
-    columns = [take(coefficients, index) for index in range(len(leading(coefficients)))]
-    inverse, power = columns[0] / scale, columns[0]  # the first coefficient is 1
-    scaled: list[Number] = []
-    for column in columns:
-        scaled.append(column * power)
-        power = power * inverse
-    signed = [-value if index % 2 else value for index, value in enumerate(scaled)]
+    inverse, degree = take(coefficients, 0) / scale, places[-1]  # the first coefficient is 1
+    powers = [take(coefficients, 0)]
+    for _ in range(degree):
+        powers.append(powers[-1] * inverse)
+    scaled: list[Number] = [take(coefficients, k) * powers[at] for k, at in enumerate(places)]
+    signed = [-value if at % 2 else value for at, value in zip(places, scaled, strict=True)]
     sizes = sum(map(size, scaled))
-    degree = len(columns) - 1
     rounding = SAFETY * error * xp.maximum(1.0, size(inverse) ** degree)
     rounding = rounding + (2 * degree + 6) * unit * sizes + UNDERFLOW
-    ends = [
-        (leading(reduce(operator.add, terms)), rounding + degree * unit * sizes)
-        for terms in (scaled, signed)
-    ]
-    return polynomial_codes(tree_map(lambda *c: xp.stack(c), *scaled), rounding, ends, unit, degree)
-
-
-# The error bound of a spectral radius, for the loop of the paper.
-#
-# The verdicts of the ladder are those of the certified recursion on the few coefficients of p that
-# are not 0 (lemma R3 of docs/proofs.md).
-#
-# Source: Schur-Cohn criterion (Jury 1964) for p(r z).
-
-
-Columns = tuple[Array, ...]
-
-
-@compiled()
-def radius_error(
-    coefficients: Float64[Array, "*grid coefficient"], radius: Float64[Array, "*grid"]
-) -> Float64[Array, "*grid"]:
-    """Prove how far a spectral radius > 0 can be from the true one.
-
-    Bounds from a ladder of ratio 4 are tried, so the result is up to 4 times larger than the
-    smallest bound that could be proved, and never smaller than the true error. It is inf if even
-    2^-6 radius cannot be proved, as when coefficients other than the first three and the last four
-    are not zero.
-
-    ``coefficients`` are those of ``characteristic_polynomial`` for one delay, of degree >= 3, each
-    within two roundings of the true one.
-    """
-    degree = coefficients.shape[-1] - 1
-    if degree < 3:
-        raise ValueError(f"coefficients are of degree {degree}; give polynomials of degree >= 3.")
-    xp = namespace(coefficients, radius)
-    columns = [coefficients[..., index] for index in range(degree + 1)]
-    tail = columns[: max(2, degree - 4) : -1]
-    rest = sum(map(abs, columns[3 : degree + 1 - len(tail)]), xp.zeros_like(radius))
-
-    def ladder(head: Columns, tail: Columns, rest: Array, radius: Array) -> Array:
-        return proved_error(lambda scale: _scaled_codes(head, tail, rest, scale, degree), radius)
-
-    return over_tiles(ladder, (tuple(columns[1:3]), tuple(tail), rest, radius))
-
-
-def _scaled_codes(head: Columns, tail: Columns, rest: Array, scale: Array, degree: int) -> Array:
-    """Return the codes of p(scale z) / scale^degree, of which ``rest`` is left out."""
-    xp = namespace(scale)
-    inverse = 1.0 / scale
-    head = tuple(value * inverse**power for power, value in enumerate(head, start=1))
-    tail = tuple(value * inverse ** (degree - power) for power, value in enumerate(tail))
-    head_error = 12.0 * UNIT * size_sum(head)
-    tail_error = (2 * degree + 8) * UNIT * size_sum(tail)
-    left_out = rest * xp.maximum(inverse**3, inverse**degree)
-    error = head_error + 2.0 * tail_error + 2.0 * left_out + 2.0 * UNIT + UNDERFLOW
-    chain = Chain(1.0 - head[1], head, tail, 2.0 * head_error, error)
-    at_one = sum((*head, *tail), xp.ones_like(scale))
-    signs = [(-1.0) ** power for power in range(len(tail))]
-    wall = sum(sign * value for sign, value in zip(signs, tail, strict=True))
-    at_minus_one = 1.0 - head[0] + head[1] + (-1.0) ** degree * wall
-    end_error = error + 8.0 * UNIT * (1.0 + size_sum(head) + size_sum(tail))
+    at_one, at_minus_one = (leading(reduce(operator.add, terms)) for terms in (scaled, signed))
+    end_error = rounding + degree * unit * sizes
     ends = Ends(at_one, end_error, at_minus_one, end_error)
-    is_rolled = xp is not np and degree > HIGHEST_UNROLLED
-    return decide(chain, ends, UNIT, xp.asarray(degree) if is_rolled else degree)
+    stacked = tree_map(lambda *c: xp.stack(c), *scaled)
+    return polynomial_codes(stacked, rounding, ends, unit, degree)
 
 
 _LIST = 1 << 12  # points whose companion matrices are made at once
-_NEWTON_STEPS = 3
-
-# Strongly damped plants have coefficients of N far below its size, which do not have all their
-# digits; rounding errors beside 1, divided by powers of a small radius, exceed one rounding.
-_DAMPED, _SMALL_RADIUS = 10.0, 0.5
 
 _KNOWN = {
     RadiusStatus.NOT_COMPUTED: "not computed",
@@ -394,7 +345,7 @@ def spectral_radius(
 def linear_spectral_radius(alpha: Array, beta: Array, loop: LinearLoop) -> SpectralRadius:
     """Spectral radii of walls of one loop, of any device and filters; both may be traced."""
     if is_any_traced(alpha, beta, loop):
-        both = _traced_radius_of(loop_polynomial(alpha, beta, loop), traced_radius_error)
+        both = _traced_radius_of(loop_polynomial(alpha, beta, loop))
     else:
         xp = namespace(alpha, beta, loop)
         walls = tree_map(np.asarray, (alpha, beta, loop))
@@ -487,37 +438,35 @@ def _polished(parameters: list[Values], delay: Values | float) -> tuple[Values, 
     root = companion_poles(loop.polynomials(degree))[:, 0]
     t = Complex(root.real - 1.0, np.abs(root.imag))
     with np.errstate(all="ignore"):
-        for _ in range(_NEWTON_STEPS):
+        for _ in range(3):
             t = newton(t, loop, degree)
         return with_distance(t, loop, degree)
 
 
 def _traced_radius(*arguments: Numbers, filters: Filters | None) -> SpectralRadius:
     velocity, position = filters or (None, None)
-    bound = traced_radius_error if filters else radius_error
-
-    radius = partial(_traced_radius_of, bound=bound)
-    both = over_grid(radius, *arguments, velocity=velocity, position=position)
+    both = over_grid(_traced_radius_of, *arguments, velocity=velocity, position=position)
     return _believed(_with_status(*both), *arguments[2:4])
 
 
-def _traced_radius_of(
-    coefficients: Array, bound: Callable[[Array, Array], Array]
-) -> tuple[Array, Array]:
+def _traced_radius_of(coefficients: Array) -> tuple[Array, Array]:
     from jaxstab.point.traced_radius import largest_modulus
 
     value = largest_modulus(coefficients)
-    return value, bound(*constant((coefficients, value)))
+    return value, radius_error(*constant((coefficients, value)))
 
 
 @compiled()
 def _believed(radius: SpectralRadius, gamma: Array, delta: Array) -> SpectralRadius:
     """Take back the bounds where the plant is not known to an ulp."""
+    # Strongly damped plants have coefficients of N far below its size, which do not have all their
+    # digits; rounding errors beside 1, divided by powers of a small radius, exceed one rounding.
+    damped, small_radius = 10.0, 0.5
     xp, (value, error, _) = namespace(radius, gamma, delta), radius
-    is_damped, is_lost = delta > _DAMPED, is_plant_lost(gamma, delta)
+    is_damped, is_lost = delta > damped, is_plant_lost(gamma, delta)
     if xp is np and not np.any(is_damped) and not np.any(is_lost):
         return radius
-    is_lost = is_lost | (is_damped & (value < _SMALL_RADIUS))
+    is_lost = is_lost | (is_damped & (value < small_radius))
     return _with_status(value, xp.where(is_lost, xp.inf, error))
 
 

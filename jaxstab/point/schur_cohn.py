@@ -18,7 +18,7 @@ enough to say UNSTABLE, if it is so beyond the errors up to then.
 Sources: Schur (1917), Cohn (1922); Jury (1964), Theory and Application of the z-Transform Method.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import zip_longest
@@ -104,17 +104,20 @@ class Ends(NamedTuple):
 
 def decide(chain: Chain[Number], ends: Ends, unit: float, degree: int | Array) -> Array:
     """Return the codes of monic polynomials of a degree >= 3, computed with a unit roundoff."""
-    xp = namespace(chain, degree)
     chain, gap, ratio, is_clear = _at_the_end(chain, unit, degree)
     is_inside = chain.inside & (size(ratio) < 1.0) & (leading(gap) > 0.0)
+    return _codes(is_inside, chain.outside, is_clear, ends)
+
+
+def _codes(is_inside: Array, is_outside: Array, is_clear: Array, ends: Ends) -> Array:
+    """Return codes by what the steps say of the roots, if they are clear, and by real roots."""
+    xp = namespace(is_clear, ends)
     # With no error p(1) = 0 is a root at 1, which is not inside.
-    real_outside = (ends.at_one <= -ends.at_one_error) | (
-        ends.at_minus_one < -ends.at_minus_one_error
-    )
+    is_real = (ends.at_one <= -ends.at_one_error) | (ends.at_minus_one < -ends.at_minus_one_error)
     no_real = (ends.at_one > ends.at_one_error) & (ends.at_minus_one > ends.at_minus_one_error)
     counted = xp.where(is_inside, Verdict.STABLE, Verdict.UNSTABLE)
     codes = xp.where(no_real & is_clear, counted, Verdict.UNDECIDED)
-    return xp.where(real_outside | chain.outside, Verdict.UNSTABLE, codes).astype(np.int8)
+    return xp.where(is_real | is_outside, Verdict.UNSTABLE, codes).astype(np.int8)
 
 
 def zeros_outside(chain: Chain[Array], ends: Ends, unit: float, degree: int) -> Array:
@@ -258,8 +261,6 @@ def size_sum(numbers: tuple[Number, ...]) -> Array:
 # the last ones are not 0, as with windows and long delays, they act on those alone (lemma V1 of
 # docs/proofs.md). The proof uses the same lemmas as for the loop of the paper.
 
-_HIGHEST_UNROLLED = 32  # degree; unrolled steps of 36 took XLA minutes to compile
-
 
 @pytree
 @dataclass(frozen=True)
@@ -287,27 +288,32 @@ def dense_codes(
     The loop's numbers are float64 where alpha and beta are, or pairs. Its degree is told, for
     coefficients may be left out (``without_zeros``).
     """
-    ends = [_end(end, alpha, beta, loop, unit) for end in (loop.at_one, loop.at_minus_one)]
+    one, minus_one = (_end(x, alpha, beta, loop, unit) for x in (loop.at_one, loop.at_minus_one))
+    ends = Ends(*one, *minus_one)
     return polynomial_codes(*loop_coefficients(alpha, beta, loop, unit), ends, unit, degree)
 
 
 def without_zeros(loop: LinearLoop) -> LinearLoop:
     """Leave out the coefficients in the middle of p(z) that are 0 whatever the gains are."""
-    pays = 2.5  # degree over the length of an end from which on steps on the ends are less work
-    # As many stay at the end as at the beginning, less one. Nothing is left out where that would
-    # not pay off, nor where JAX traces the numbers.
     if is_any_traced(loop):
         return loop
-    last = loop.degree
-    width = (last + 3) // 2
-    while width > 3 and all(
-        _is_zero(row[index].hi) for row in loop[:3] for index in (width - 1, last + 2 - width)
-    ):
-        width -= 1
-    if pays * width > last:
-        return loop
-    base, stiffness, damping = (row[:width] + row[last + 2 - width :] for row in loop[:3])
+    places = kept_places(loop.degree, lambda k: all(_is_zero(row[k].hi) for row in loop[:3]))
+    base, stiffness, damping = (tuple(row[k] for k in places) for row in loop[:3])
     return loop._replace(base=base, stiffness=stiffness, damping=damping)
+
+
+def kept_places(degree: int, is_zero: Callable[[int], bool]) -> list[int]:
+    """Return which coefficients stay if those in the middle that are 0 are left out.
+
+    As many stay at the end as at the beginning, less one. All stay where steps on the ends would
+    not be less work.
+    """
+    pays = 2.5  # degree over the length of an end from which on they are
+    width = (degree + 3) // 2
+    while width > 3 and is_zero(width - 1) and is_zero(degree + 2 - width):
+        width -= 1
+    places = list(range(degree + 1))
+    return places if pays * width > degree else places[:width] + places[degree + 2 - width :]
 
 
 def _is_zero(values: Array) -> bool:
@@ -318,7 +324,7 @@ def _is_zero(values: Array) -> bool:
 def polynomial_codes(
     coefficients: Number,
     error: Array,
-    ends: Sequence[tuple[Array, Array]],
+    ends: Ends,
     unit: float,
     degree: int,
 ) -> Array:
@@ -328,15 +334,16 @@ def polynomial_codes(
         coefficients: on the first axis, highest power first; either all of them, or an odd number,
             the middle one of them the last before a gap of zeros.
         error: bound of the sum of their errors.
-        ends: p(1) and (-1)^n p(-1) up to positive factors, each with a bound of its error.
+        ends: the values at 1 and -1.
         unit: roundoff of the numbers.
         degree: of the polynomials.
     """
+    highest_unrolled = 32  # degree; unrolled steps of 36 took XLA minutes to compile
     xp = namespace(coefficients, error, ends)
     shape = error.shape
     given = len(leading(coefficients))
     width = given if given > degree else (given + 1) // 2
-    is_unrolled = xp is not np and degree <= _HIGHEST_UNROLLED
+    is_unrolled = xp is not np and degree <= highest_unrolled
     columns: Any = (
         tuple(map(coefficients.__getitem__, range(given))) if is_unrolled else coefficients
     )
@@ -356,13 +363,7 @@ def polynomial_codes(
     state = repeated(width - 3, partial(_dense_step, unit=unit), state)
     gap = leading(state.falling[0] - state.falling[2])
     is_clear = (abs(gap) > (SAFETY * (degree - 1)) * state.error) & state.regular
-    real_outside, no_real = large | state.outside, is_clear
-    for value, bound in ends:
-        real_outside = real_outside | (value < -bound)
-        no_real = no_real & (value > bound)
-    counted = xp.where(state.inside & (gap > 0.0), Verdict.STABLE, Verdict.UNSTABLE)
-    codes = xp.where(no_real, counted, Verdict.UNDECIDED)
-    return xp.where(real_outside, Verdict.UNSTABLE, codes).astype(np.int8)
+    return _codes(state.inside & (gap > 0.0), large | state.outside, is_clear, ends)
 
 
 def rounded_loop(loop: Any) -> Any:

@@ -20,7 +20,6 @@ from jaxstab.point.poles import companion_poles
 # The largest root of real cubics to about eight digits, by additions and products alone. With
 # z = y - a/3 the cubic is y^3 + P y + Q; one root has the sign of -Q, and Newton's method
 # approaches it monotonically from above.
-_STEPS = 5
 
 
 def largest_root(a: Array, b: Array, c: Array) -> tuple[Array, Array]:
@@ -30,7 +29,7 @@ def largest_root(a: Array, b: Array, c: Array) -> tuple[Array, Array]:
     constant = c - b * shift + 2.0 * shift * shift * shift
     size = jnp.abs(constant)
     y = _above_cube_root(size) + square_root(jnp.maximum(-linear, 0.0))
-    for _ in range(_STEPS):
+    for _ in range(5):
         square = y * y
         y = (2.0 * y * square + size) * reciprocal(3.0 * square + linear)
     y = jnp.where(constant < 0.0, y, -y)
@@ -199,9 +198,6 @@ def _minus(a: Column, b: Array, c: Column) -> Column:
 
 # The largest modulus of a root with a derivative, for JAX's transformations alone.
 
-_NEWTON_STEPS = 3
-_FARTHEST = 1e-6  # that an eigenvalue is from its root; at multiple roots Newton's method may leave
-
 
 @jax.custom_jvp
 def largest_modulus(
@@ -230,6 +226,7 @@ def _dominant_root(
     coefficients: Float64[Array, " coefficient"],
 ) -> Complex128[Array, ""]:
     """Return the dominant eigenvalue of a companion matrix, corrected by Newton's method."""
+    farthest = 1e-6  # an eigenvalue from its root; at multiple roots Newton's method may leave
     accuracy = 1e-15  # of Newton's steps
     import optimistix  # takes half a second, and dense grids need the guesses above alone
 
@@ -237,10 +234,10 @@ def _dominant_root(
     start = jnp.stack([guess.real, guess.imag])
     newton: Any = optimistix.Newton(rtol=accuracy, atol=accuracy)
     solution: Any = optimistix.root_find(
-        _parts, newton, start, coefficients, max_steps=_NEWTON_STEPS, throw=False
+        _parts, newton, start, coefficients, max_steps=3, throw=False
     )
     root = jax.lax.complex(*solution.value)
-    return jnp.where(jnp.abs(root - guess) < _FARTHEST * jnp.abs(guess), root, guess)
+    return jnp.where(jnp.abs(root - guess) < farthest * jnp.abs(guess), root, guess)
 
 
 def _parts(point: Float64[Array, "2"], coefficients: Array) -> Float64[Array, "2"]:

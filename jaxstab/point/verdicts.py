@@ -184,7 +184,6 @@ def _loop_float_codes(alpha: Array, beta: Array, loop: LinearLoop, *, degree: in
 
 HIGHEST_UNROLLED = 12  # degree up to which XLA compiles the recursion without a loop
 _PAYS_FROM = 1 << 19  # points
-_LOST = 2.0**-25  # of N(1): the error of a stiff plant times its root is an ulp there
 
 
 @pytree
@@ -263,11 +262,12 @@ def _plant_of(
 
 def is_plant_lost(gamma: Array, delta: Array) -> Array:
     """Return True where N(z) nearly vanishes, so that an ulp of it cannot be relied on."""
+    lost = 2.0**-25  # of N(1): the error of a stiff plant times its root is an ulp there
     xp = namespace(gamma, delta)
     rate = xp.sqrt(xp.maximum(gamma - 0.25 * delta**2, 0.0))
     half = xp.expm1(-0.5 * delta)
     gamma_sum = half**2 + 4.0 * (1.0 + half) * xp.sin(0.5 * rate) ** 2  # gamma N(1)
-    return may_cancel(gamma, delta) & (gamma_sum < _LOST * gamma)
+    return may_cancel(gamma, delta) & (gamma_sum < lost * gamma)
 
 
 def loop_codes(
@@ -333,7 +333,6 @@ def _ends(
 # The verdict of the five numbers: points of a grid go to the kernels by their delays.
 
 _LIST = 1 << 16  # points of one list that is gathered from a grid
-_PAIRS = 1 << 12  # the same in double-double
 
 
 def verdict(
@@ -448,9 +447,10 @@ def _grouped_verdict(points: Points) -> Int8[np.ndarray, "*grid"]:
 
 def _resolved(codes: Int8[np.ndarray, "*grid"], points: Points) -> Int8[np.ndarray, "*grid"]:
     """Repeat UNDECIDED points in double-double."""
+    points_at_once = 1 << 12
     for form, indices in points.groups(np.asarray(codes == Verdict.UNDECIDED)):
-        for start in range(0, indices.size, _PAIRS):
-            block = indices[start : start + _PAIRS]
+        for start in range(0, indices.size, points_at_once):
+            block = indices[start : start + points_at_once]
             codes.flat[block] = _pair_codes(gathered(points, points.shape, block), form)
     return codes
 

@@ -9,7 +9,7 @@ ends. The polygon only brackets; the numbers are those of the curve:
   balls prove the wall stable;
 - distances are to the nearest point of the edges, taken in the order of the distances of their
   boxes, up to where a box is farther than the nearest point so far;
-- the area is the integral of alpha d(beta), by Gauss' rule on each edge.
+- the area is that of the polygon and of what lies between it and the curve, by Gauss' rule.
 
 All is computed by NumPy. Gains of JAX are answered on the host, with slopes: limits move along the
 boundary, distances along the way to it.
@@ -26,7 +26,7 @@ from jaxstab.batches import on_host
 from jaxstab.conventions import Verdict
 from jaxstab.exact.verdict import wall_verdict
 from jaxstab.region.curve import Curve, curve_gains, gains_and_slopes
-from jaxstab.region.outline import Outline
+from jaxstab.region.outline import Outline, polygon_area
 from jaxstab.region.roots import bracketed_root, nonzero
 
 _AT_ONCE = 1 << 20  # pairs of a point and an edge that are held in memory
@@ -179,17 +179,18 @@ def distance(c: Curve, outline: Outline, alpha: Array, beta: Array) -> Array:
 
 @np.errstate(all="ignore")  # NaN and infinity are answers
 def area(c: Curve, outline: Outline) -> Array:
-    """Return the integral of alpha d(beta) around the boundary, by Gauss' rule on each piece."""
-    begin, end = outline.angles[:, :1], outline.angles[:, 1:]
+    """Return the area of the polygon and of what lies between it and the curve.
+
+    That is half the integral of (w - w0) x dw on each edge from w0, by Gauss' rule. It is small, so
+    that it needs few digits where angles are drawn out.
+    """
+    begin, end = outline.angles[outline.is_curved].T[..., None]
     half = 0.5 * (end - begin)
-    theta = begin + half * (1.0 + _GAUSS_NODES)
-    (alpha, _), (_, slope) = gains_and_slopes(c, theta)
-    on_curve = np.sum(half * alpha * slope * _GAUSS_WEIGHTS, axis=1)
-    here, there = outline.vertices[:-1], outline.vertices[1:]
-    on_line = 0.5 * (here[:, 0] + there[:, 0]) * (there[:, 1] - here[:, 1])
-    pieces = np.where(outline.is_curved, on_curve, on_line)
-    enclosed = np.sum(np.where(outline.branches < 0, 0.0, pieces))
-    return np.where(outline.resolved, enclosed, np.nan)
+    (alpha, beta), slopes = gains_and_slopes(c, begin + half * (1.0 + _GAUSS_NODES))
+    first = outline.vertices[:-1][outline.is_curved].T[..., None]
+    turned = (alpha - first[0]) * slopes[1] - (beta - first[1]) * slopes[0]
+    bulges = np.sum(half * turned * _GAUSS_WEIGHTS)
+    return np.where(outline.resolved, polygon_area(outline) + 0.5 * bulges, np.nan)
 
 
 def deviation(c: Curve, outline: Outline) -> Array:

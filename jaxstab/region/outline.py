@@ -181,10 +181,11 @@ def loop_ends(outline: Outline) -> list[tuple[int, int]]:
     return list(zip([0, *(end + 1 for end in breaks)], [*breaks, last], strict=True))
 
 
-def polygon_area(loop: Outline) -> float:
-    """Return the area of one loop's polygon, negative for a hole."""
-    alpha, beta = (loop.vertices - loop.vertices[0]).T
-    return 0.5 * float(np.sum(alpha[:-1] * beta[1:] - alpha[1:] * beta[:-1]))
+def polygon_area(outline: Outline) -> float:
+    """Return the area that the polygon encloses; holes count as less, a hole alone is negative."""
+    alpha, beta = (outline.vertices - outline.vertices[0]).T
+    swept = alpha[:-1] * beta[1:] - alpha[1:] * beta[:-1]
+    return 0.5 * float(np.sum(np.where(outline.branches >= 0, swept, 0.0)))
 
 
 def vertex_roots(

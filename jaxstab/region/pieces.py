@@ -8,7 +8,8 @@ pass are one *arc*. Its ends are narrowed by dividing their brackets.
 An arc ends where another root reaches the circle. If that is the root of one of the lines, the end
 of a straight part of the boundary has the arc's angle, and balls know both (``Curve.lines``).
 Otherwise another arc begins there, and Newton's method finds the corner of the two. Where all ends
-are joined the boundary consists of closed loops; what stays open has been missed by the angles.
+are joined the boundary consists of closed loops; what stays open has been missed by the angles. At
+such an end the angle of the second pair on the circle tells where the arc that was missed begins.
 """
 
 from collections.abc import Callable, Iterator
@@ -55,7 +56,7 @@ _BESIDE = 1e-4  # of an arc, next to its ends
 _ROUNDING = 8.0 * UNIT  # of angles: where the curve flies they round to walls that are apart
 
 
-Centers = Float64[np.ndarray, "angle 2"]  # and what rounding took from them
+Centers = Float64[np.ndarray, "_ 2"]  # angles, and what rounding took from them
 
 
 class Branch(IntEnum):
@@ -92,6 +93,7 @@ class Pieces(NamedTuple):
         edges: the straight parts that follow.
         successor: the arc that begins at the end of these.
         open: walls at ends that nothing joins; without any the boundary is closed.
+        lone: the angles of such ends of arcs.
     """
 
     begin: Angles
@@ -101,6 +103,7 @@ class Pieces(NamedTuple):
     edges: list[list[Edge]]
     successor: list[int]
     open: Float64[np.ndarray, "wall 2"]
+    lone: Angles
 
 
 # ----------------------------------------------------------------------- the angles of a scan
@@ -218,11 +221,16 @@ def _all_inside(falling: Array) -> Array:
         falling, index = falling[:, open_ones], index[open_ones]
         inside = np.ones(index.size, bool)
         for _ in range(min(_ROUND, len(falling) - 1)):
-            reflection = falling[-1] / falling[0]
+            falling, reflection = _lowered(falling)
             inside &= abs(reflection) < 1.0 - MARGIN
-            falling = falling[:-1] - reflection * falling[:0:-1]
         passes[index] = inside
     return passes
+
+
+def _lowered(falling: Array) -> tuple[Array, Array]:
+    """Return polynomials of a degree less, by one step of Schur and Cohn, and its reflections."""
+    reflection = falling[-1] / falling[0]
+    return falling[:-1] - reflection * falling[:0:-1], reflection
 
 
 # ---------------------------------------------------------------------------------- the arcs
@@ -295,6 +303,30 @@ def _arc_ends(
     chosen = np.concatenate([firsts[is_long], len(begin) + lasts[is_long]])
     theta = theta[chosen]
     return _Ends(theta, abs(inner - outer)[chosen], is_pinned[chosen], curve_gains(c, theta).T)
+
+
+def second_pairs(c: Curve, theta: Angles) -> Angles:
+    """Return the angles of the second pairs on the circle at ends of arcs, by eigenvalues.
+
+    Arcs begin there. NaN where none is found. Angles are not drawn out, and of very many ends only
+    some are asked.
+    """
+    about, work = 1e-6, 2e8  # what rounding may move roots by; operations for eigenvalues
+    found = np.full(len(theta), nan)
+    for k, angle in enumerate(theta[: int(work / c.degree**3)].tolist()):
+        wall = np.append(1.0, curve_gains(c, np.array([angle])))
+        z = np.roots(wall @ c.parts) if np.all(np.isfinite(wall)) else np.empty(0)
+        aside = np.abs(np.abs(z) - 1.0)
+        is_other = (z.imag > 0.0) & (np.abs(np.angle(z) - angle) > about) & (aside < about)
+        if np.any(is_other):
+            found[k] = np.angle(z[is_other][np.argmin(aside[is_other])])
+    return found
+
+
+def _is_cut_off(c: Curve, pair: Float64[np.ndarray, "2"]) -> bool:
+    """Whether the second pair at one of two ends is not that of the other one's arc."""
+    told = second_pairs(c, pair)
+    return bool(np.any(np.abs(told - pair[::-1]) > _ANGLES_NEAR))
 
 
 # ------------------------------------------------------------------------------------- joining
@@ -395,7 +427,14 @@ def _joined(c: Curve, ends: _Ends) -> Pieces:
         opened = opened or list(walls)
     (begin, close), (begin_wall, end_wall) = theta.reshape(2, -1), walls.reshape(2, -1, 2)
     return Pieces(
-        begin, close, begin_wall, end_wall, edges, successor, np.array(opened).reshape(-1, 2)
+        begin=begin,
+        end=close,
+        begin_wall=begin_wall,
+        end_wall=end_wall,
+        edges=edges,
+        successor=successor,
+        open=np.array(opened).reshape(-1, 2),
+        lone=np.abs(ends.theta[is_left]),
     )
 
 
@@ -454,9 +493,10 @@ def _corners(
 ) -> tuple[dict[int, int], list[int]]:
     """Solve for corners of arcs; return which begin follows which end, and the ends left alone.
 
-    Angles and walls of corners are written.
+    Angles and walls of corners are written. Where ends are not quite at their corner another arc
+    may cut it off.
     """
-    stray = 16.0  # brackets
+    stray, certain = 16.0, 1e-8  # brackets, and radians, that ends may be from their corner
     count = len(theta) // 2
     begins, lasts = lone[lone < count], lone[lone >= count]
     if not (begins.size and lasts.size):
@@ -486,11 +526,13 @@ def _corners(
     gap = np.max(np.abs(both[:, 0] - both[:, 1]) / size[:, None], axis=0)
     speed = np.max(np.abs(slopes) / size[:, None, None], axis=0)
     enough = _WALLS_AGREE + _ROUNDING * np.max(speed * np.abs(here), axis=0)
-    most = stray * np.max(ends.width[pair], axis=0) + _ANGLES_AGREE
-    is_solved = (gap < enough) & np.all(np.abs(here - start) <= most, axis=0)
+    moved = np.max(np.abs(here - start), axis=0) - stray * np.max(ends.width[pair], axis=0)
+    is_solved = (gap < enough) & (moved <= _ANGLES_AGREE)
     slower = np.argmin(speed, axis=0)
     following = {}
     for k in np.flatnonzero(is_solved).tolist():
+        if moved[k] > certain and not c.stretches and _is_cut_off(c, np.abs(start[:, k])):
+            continue
         theta[pair[:, k]] = here[:, k]
         walls[pair[:, k]] = both[:, slower[k], k]
         following[int(pair[0, k])] = int(pair[1, k])

@@ -8,11 +8,12 @@ exact boundary (``stable_set``).
 Whether that is right is decided by lines of walls whose stable intervals are all known and proved
 (``exact.line``): some rows through each component, and, on the inner and the outer side of each
 limit, 1e-9 beside it, the line of that gain. There the outline must have the same intervals. Where
-it has others, or arcs do not join, the angles of the roots that cross the circle on such lines tell
-where to look closer, and the scan is repeated: from the third time on the other roots are counted
-in balls, and these angles are drawn out (``curve``), for an arc may be narrower than float64 tells
-two angles apart. A region that fails to the end is UNRESOLVED and claims nothing. What is not
-proved is that no island was missed between angles and rows.
+arcs do not join, the roots that meet at their ends tell where others begin, and the scan is
+repeated from arc to arc. Where that is not enough, or a line has other intervals, the angles of the
+roots that cross the circle on such lines tell where to look closer: from the third time on the
+other roots are counted in balls, and these angles are drawn out (``curve``), for an arc may be
+narrower than float64 tells two angles apart. A region that fails to the end is UNRESOLVED and
+claims nothing. What is not proved is that no island was missed between angles and rows.
 """
 
 from collections.abc import Iterable
@@ -36,7 +37,14 @@ from jaxstab.numbers import checked_number
 from jaxstab.region import measures
 from jaxstab.region.curve import Curve, curve_of, drawn_out
 from jaxstab.region.outline import Outline, empty_outline, polygon, survey
-from jaxstab.region.pieces import Centers, Pieces, find_pieces, line_ends, scan_angles
+from jaxstab.region.pieces import (
+    Centers,
+    Pieces,
+    find_pieces,
+    line_ends,
+    scan_angles,
+    second_pairs,
+)
 from jaxstab.region.stable_set import StableRegion, components_of, region_within
 
 _SCANS, _PROVED_SCAN = 5, 2  # scans, and from which on roots are counted in balls
@@ -64,7 +72,7 @@ def region_of(loop: ScaledLoop, tolerance: float) -> StableRegion:
         is_proved = is_proved or scan >= _PROVED_SCAN
         if scan >= _PROVED_SCAN:
             c = drawn_out(c, np.concatenate([_inner(line_ends(c)), centers]))
-        pieces = find_pieces(c, scan_angles(c, centers, is_proved=is_proved), is_proved=is_proved)
+        pieces, centers = _followed(c, centers, is_proved=is_proved)
         more: Centers | None = np.empty((0, 2))
         if pieces.open.size:
             more = _angles_beside(lines, pieces.open)
@@ -83,6 +91,26 @@ def region_of(loop: ScaledLoop, tolerance: float) -> StableRegion:
             break
         centers = np.concatenate([centers, more])
     return region_within(c, empty_outline(resolved=False))
+
+
+def _followed(c: Curve, centers: Centers, *, is_proved: bool) -> tuple[Pieces, Centers]:
+    """Return the pieces that scans find, and the centres with those that arcs told of.
+
+    As long as a scan in float64 finds more arcs for them, it is repeated.
+    """
+    known = 1e-7  # radians: a centre is there
+    arcs = -1
+    while True:
+        pieces = find_pieces(c, scan_angles(c, centers, is_proved=is_proved), is_proved=is_proved)
+        if is_proved or not pieces.lone.size or len(pieces.begin) <= arcs:
+            return pieces, centers
+        told = second_pairs(c, pieces.lone)
+        away = np.min(np.abs(told[:, None] - centers[:, 0]), axis=1, initial=np.inf)
+        new = told[(away > known) & np.isfinite(told)]
+        if not new.size:
+            return pieces, centers
+        new_centers = np.stack([new, np.zeros_like(new)], axis=1)
+        arcs, centers = len(pieces.begin), np.concatenate([centers, new_centers])
 
 
 def _keeps_a_root(loop: ScaledLoop) -> bool:

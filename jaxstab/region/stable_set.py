@@ -38,6 +38,13 @@ class GainNames(NamedTuple):
     stiffness_unit: str = ""
     damping_unit: str = ""
 
+    @property
+    def labels(self) -> tuple[str, str]:
+        """Of the axes of a picture."""
+        sides = (self.stiffness, self.stiffness_unit), (self.damping, self.damping_unit)
+        first, second = (f"{name} ({unit})" if unit else name for name, unit in sides)
+        return first, second
+
     def at_largest_stiffness(self, point: Any) -> str:
         """Return the text of a point, the stiffness first and rounded down."""
         return f"{self._stiffness(point, floors=True)} at {self._damping(point)}"
@@ -380,8 +387,9 @@ class StableRegion(ShownRegion):
     def area(self) -> Float64[Array, ""]:
         """The area in the (alpha, beta) plane without its holes; NaN for UNRESOLVED.
 
-        It is right to rounding, except for undamped hands next to the Nyquist frequency: there
-        the relative error is up to about 1e-16/e, with e = |sqrt(gamma)/pi - 1|.
+        It is right to rounding, except for undamped hands next to the Nyquist frequency, where the
+        relative error is up to about 1e-16/e, with e = |sqrt(gamma)/pi - 1|, and next to modes that
+        walls hardly move: there it is as right as the polygon, or better.
         """
         return measures.area(self.curve, self.outline)
 

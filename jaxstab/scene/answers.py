@@ -15,7 +15,7 @@ from functools import cache
 from math import isfinite, isinf, isnan
 from typing import Annotated, Any, ClassVar, get_args, get_type_hints
 
-from jaxstab.scene.scene import Controller, Grip, Scene, Units
+from jaxstab.scene.scene import Controller, Grip, Hand, Scene, Units
 from jaxstab.shown import MOST_DIGITS, Printed, exact_text, rounded_text, stable_pair
 
 _LIMIT_DIGITS = 4
@@ -397,19 +397,38 @@ def basis_of(scene: Scene, *, at_longest: bool = False) -> Basis:
     )
 
 
-def parts_in_words(scene: Scene) -> dict[str, str]:
-    """Return what moves beside the mass of device and hand: modes, actuator and grip."""
-    device, grip, units = scene.device, scene.hand.grip if scene.hand else None, scene.units
-    parts = {}
+def blocks_of(scene: Scene) -> dict[str, str]:
+    """Return what a scene says of each block of the model, in words: device, hand, controller."""
+    device, controller, hand = scene.device, scene.controller, scene.hand or Hand()
+    basis, units = basis_of(scene), scene.units
+    mass, *own = (
+        words.words(ends if ends[0] < ends[1] else ends[0], units)
+        for words, ends in (
+            (IntervalQuantity("kg"), device.effective_mass),
+            (IntervalQuantity("kg"), hand.effective_mass),
+            (IntervalQuantity("N/m"), hand.stiffness),
+            (IntervalQuantity("N s/m"), hand.damping),
+        )
+    )
+    turning = "" if units is Units.LINE else ", which turns"
+    blocks = {
+        "device": f"{mass}, {Quantity('N s/m').words(device.damping, units)}{turning}",
+        "hand": ", ".join(own) if scene.hand else "none",
+    }
     for index, mode in enumerate(device.modes, 1):
-        mass = Quantity("kg").words(mode.effective_mass, units)
-        words = f"{mode.frequency:g} Hz, damping ratio {mode.damping_ratio:g}, {mass}"
-        parts[f"mode {index}"] = words
+        modal = Quantity("kg").words(mode.effective_mass, units)
+        words = f"{mode.frequency:g} Hz, damping ratio {mode.damping_ratio:g}, {modal}"
+        blocks[f"mode {index}"] = words
     if device.actuator is not None:
-        parts["actuator"] = f"a first-order lag of {device.actuator.bandwidth:g} Hz of the force"
-    if grip is not None:
-        parts["grip"] = f"{_grip_in_words(grip, units)}, between device and hand"
-    return parts
+        blocks["actuator"] = f"a first-order lag of {device.actuator.bandwidth:g} Hz of the force"
+    if hand.grip is not None:
+        blocks["grip"] = f"{_grip_in_words(hand.grip, units)}, between device and hand"
+    return blocks | {
+        "sample time T": Quantity("s").words(controller.sample_time),
+        "velocity V(z)": basis.velocity,
+        "filter P(z)": basis.position or "none",
+        "delay": "; ".join(filter(None, [basis.delay_in_words, basis.range_of_delays])),
+    }
 
 
 def _grip_in_words(grip: Grip, units: Units) -> str:

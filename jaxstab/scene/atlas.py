@@ -1,15 +1,16 @@
 """An atlas for the device, the hands and the delays of a scene: its specification, its answers."""
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from itertools import product
+from typing import Any
 
 import numpy as np
 
-from jaxstab.atlas import Atlas, AtlasAnswer, AtlasSpec
+from jaxstab.atlas import Atlas, AtlasSpec
 from jaxstab.loop import Gains
-from jaxstab.scene.answers import basis_of
-from jaxstab.scene.loops import Member, corners_of, loop_of_member, ranges_of
-from jaxstab.scene.scene import Scene, range_in_words
+from jaxstab.scene.answers import blocks_of
+from jaxstab.scene.loops import corners_of, loop_of_member, with_tolerances
+from jaxstab.scene.scene import Scene
 from jaxstab.shown import printable
 
 
@@ -36,41 +37,40 @@ def atlas_spec(scene: Scene) -> AtlasSpec:
     )
 
 
-class AskedWall(NamedTuple):
-    """The answer of an atlas about a wall at a corner of a scene's ranges."""
+def ask_atlas(
+    scene: Scene, atlas: Atlas, walls: Mapping[str, Gains]
+) -> tuple[dict[str, str], list[dict[str, Any]]]:
+    """Answers of ``Atlas.query`` about walls, for the loop at each corner of a scene's ranges.
 
-    name: str
-    gains: Gains
-    member: Member
-    answer: AtlasAnswer
-
-
-def ask_atlas(scene: Scene, atlas: Atlas, walls: Mapping[str, Gains]) -> list[AskedWall]:
-    """Answers of ``Atlas.query`` about walls, for the loop at each corner of a scene's ranges."""
+    Returns the units of what varies, by its name, and a row for each wall and corner.
+    """
+    si, moved = scene.units, scene.units.moved
+    units = {
+        "stiffness": si.stiffness,
+        "damping": si.damping,
+        moved: si.kilogram,
+        f"hand_{moved}": si.kilogram,
+        "hand_stiffness": si.stiffness,
+        "hand_damping": si.damping,
+        "delay": "s",
+    }
     corners = corners_of(scene)
     views = [atlas.for_loop(loop_of_member(scene, corner)) for corner in corners]
-    return [
-        AskedWall(name, gains, corner, view.query(*gains))
-        for name, gains in walls.items()
-        for corner, view in zip(corners, views, strict=True)
-    ]
+    rows = []
+    for (name, gains), (corner, view) in product(walls.items(), zip(corners, views, strict=True)):
+        hand, answer = corner.hand, view.query(*gains)
+        varied = corner.mass, hand.mass, hand.stiffness, hand.damping, corner.delay
+        row = dict(zip(units, (*gains, *varied), strict=True))
+        codes = {"verdict": answer.verdict.item(), "status": answer.status.item()}
+        rows.append({"wall": name} | row | codes)
+    return units, rows
 
 
 def spec_text(scene: Scene, name: str) -> str:
     """The text of a scene's specification, which begins with a description."""
     text = atlas_spec(scene).to_toml()
-    units, basis = scene.units, basis_of(scene)
-    mass, hand_mass, stiffness, damping, delay = (range_in_words(ends) for ends in ranges_of(scene))
-    lines = [
-        f"{name}",
-        f"{units.moved} of the device: {mass} {units.kilogram}",
-        f"damping of the device: {scene.device.damping:g} {units.damping}",
-        f"hand: {hand_mass} {units.kilogram}, {stiffness} {units.stiffness}, "
-        f"{damping} {units.damping}",
-        f"sample time: {scene.controller.sample_time:g} s; delay: {delay} s",
-        f"velocity: {basis.velocity}",
-        *([] if basis.position is None else [f"position: {basis.position}"]),
-    ]
+    blocks = blocks_of(with_tolerances(scene))
+    lines = [name, *(f"{block}: {words}" for block, words in blocks.items())]
     # A control character would end the comment.
     return "".join(f"# {printable(line)}\n" for line in lines) + "\n" + text
 

@@ -38,7 +38,6 @@ from jaxstab.scene.contact import NotSimulated, Simulated, contacts_or_reasons
 from jaxstab.scene.hands import (
     Floats,
     WallVerdict,
-    WorstHeld,
     held_by,
     loops_over_delays,
     worst_on,
@@ -218,7 +217,8 @@ class _Wall:
     scene: Scene
     gains: Gains
     loops: list[HapticLoop]
-    worst: WorstHeld
+    worst: WallVerdict
+    worst_loop: HapticLoop
 
 
 def check_walls(scene: Scene) -> Check:
@@ -251,7 +251,7 @@ def check_walls(scene: Scene) -> Check:
     felt = contacts_or_reasons(scene) if scene.wanted.measures else {}
     checked = {
         name: WallCheck(
-            **vars(wall.worst.on(wall.gains)),
+            **vars(wall.worst),
             measures_are=reason or (_measures_are(wall) if answers else None),
             **answers,
             simulated=felt.get(name),
@@ -269,8 +269,8 @@ def _walls_of(scene: Scene) -> list[_Wall]:
         loops = list(dict.fromkeys([*loops, *(loop for corners in every for loop in corners)]))
     gains = list(walls_of(scene).values())
     return [
-        _Wall(scene, pair, list(dict.fromkeys([*loops, held.loop])), held)
-        for pair, held in zip(gains, worst_on(scene, gains), strict=True)
+        _Wall(scene, pair, list(dict.fromkeys([*loops, held])), verdict, held)
+        for pair, (verdict, held) in zip(gains, worst_on(scene, gains), strict=True)
     ]
 
 
@@ -287,8 +287,8 @@ def _loops_for(wall: _Wall, measure: str) -> list[HapticLoop]:
     """Return the loops of a wall that a measure is for: all of them, or the worst alone."""
     controller = wall.scene.controller
     if measure == "jitter":
-        return [replace(wall.worst.loop, delay=controller.delays[0])]
-    return [wall.worst.loop] if measure == "radius" and not controller.moves else wall.loops
+        return [replace(wall.worst_loop, delay=controller.delays[0])]
+    return [wall.worst_loop] if measure == "radius" and not controller.moves else wall.loops
 
 
 def _among(words: str, loops: list[HapticLoop]) -> str | None:
@@ -309,7 +309,7 @@ def _measures_are(wall: _Wall) -> str | None:
 
 
 def _hand_of(wall: _Wall, loop: HapticLoop) -> OneHand | None:
-    return None if wall.worst.hand is None else held_by(loop, wall.scene)
+    return None if wall.worst.worst_hand is None else held_by(loop, wall.scene)
 
 
 def _least_margins(wall: _Wall, loops: list[HapticLoop], margins: LoopMargins) -> Margins:

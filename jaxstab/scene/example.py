@@ -1,7 +1,7 @@
 """An example of a scene, with comments."""
 
-from jaxstab.scene.answers import IntervalQuantity, Quantity, basis_of, parts_in_words
-from jaxstab.scene.scene import Hand, Scene, Units
+from jaxstab.scene.answers import blocks_of
+from jaxstab.scene.scene import Scene
 
 EXAMPLE = """\
 # A haptic scene for jaxstab. All quantities are in SI units.
@@ -88,7 +88,7 @@ DIAGRAM = """\
 def explain_model(scene: Scene) -> str:
     """The loop as a diagram, the values of its blocks, and what the model leaves out."""
     column = 14  # of the values of a block
-    blocks = [f"{name:{column}}{words}" for name, words in _blocks(scene).items()]
+    blocks = [f"{name:{column}}{words}" for name, words in blocks_of(scene).items()]
     counted = (
         "includes: encoder reading, transport both ways (USB, network), waiting, computation, DAC",
         "excludes: the zero-order hold and the window or filter, which are modelled separately",
@@ -104,30 +104,6 @@ def explain_model(scene: Scene) -> str:
     every = [", ".join(_not_modelled(scene)), *(words.format(delay) for words in left_out)]
     outside = [f"{'' if k else 'outside':{column}}{w}" for k, w in enumerate(every)]
     return "\n".join([DIAGRAM, *blocks, *outside])
-
-
-def _blocks(scene: Scene) -> dict[str, str]:
-    device, controller, hand = scene.device, scene.controller, scene.hand or Hand()
-    basis, units, time = basis_of(scene), scene.units, Quantity("s")
-    values = hand.effective_mass, hand.stiffness, hand.damping
-    held = zip(values, ("kg", "N/m", "N s/m"), strict=True)
-    turning = "" if units is Units.LINE else ", which turns"
-    own = _range(device.effective_mass, "kg", units)
-    return {
-        "device": f"{own}, {Quantity('N s/m').words(device.damping, units)}{turning}",
-        "hand": ", ".join(_range(*pair, units) for pair in held) if scene.hand else "none",
-        **parts_in_words(scene),
-        "T": time.words(controller.sample_time),
-        "velocity V(z)": basis.velocity,
-        "filter P(z)": basis.position or "none",
-        "delay": "; ".join(filter(None, [basis.delay_in_words, basis.range_of_delays])),
-    }
-
-
-def _range(ends: tuple[float, float], unit: str, units: Units) -> str:
-    if ends[0] == ends[1]:
-        return Quantity(unit).words(ends[0], units)
-    return IntervalQuantity(unit).words(ends, units)
 
 
 def _not_modelled(scene: Scene) -> list[str]:

@@ -13,7 +13,7 @@ from jaxstab.guard.build import CELLS, CONSTANT_CELLS, plan_guard
 from jaxstab.guard.guard import LARGEST_HEADER
 from jaxstab.loop import HapticLoop
 from jaxstab.model.parameters import LONGEST_DELAY
-from jaxstab.scene.answers import Quantity, basis_of, parts_in_words
+from jaxstab.scene.answers import Quantity, blocks_of
 from jaxstab.scene.loops import is_one_mass, loop_of, masses_of, range_of_hands, with_delay
 from jaxstab.scene.scene import Scene, range_in_words
 
@@ -109,24 +109,13 @@ def _cells_of(scene: Scene, constant_delay: bool) -> tuple[int, int, int]:
 
 def guard_about(scene: Scene, guard: Guard) -> str:
     """Return what a guard is of, in lines."""
-    units, basis, hands = scene.units, basis_of(scene), guard.hands
-    filtered = [] if basis.position is None else [f"position: {basis.position}"]
-    return "\n".join(
-        [
-            _line(f"{units.moved} of the device", guard.mass, units.kilogram),
-            _line(_delay_of(guard), guard.delay, "s"),
-            f"damping of the device: {scene.device.damping:g} {units.damping}",
-            *(f"{name}: {words}" for name, words in parts_in_words(scene).items()),
-            f"sample time: {guard.loop.sample_time:g} s",
-            f"velocity: {basis.velocity}",
-            *filtered,
-            _line(f"{units.moved} of the hand", hands.mass, units.kilogram),
-            _line("stiffness of the hand", hands.stiffness, units.stiffness),
-            _line("damping of the hand", hands.damping, units.damping),
-            "",
-            *_granted(scene, guard),
-        ]
-    )
+    units, blocks = scene.units, blocks_of(scene)
+    damping = Quantity("N s/m").words(scene.device.damping, units)
+    blocks["device"] = f"{range_in_words(guard.mass)} {units.kilogram}, {damping}"
+    del blocks["delay"]
+    blocks[_delay_of(guard)] = f"{range_in_words(guard.delay)} s"
+    lines = (f"{name}: {words}" for name, words in blocks.items())
+    return "\n".join([*lines, "", *_granted(scene, guard)])
 
 
 def _delay_of(guard: Guard) -> str:
@@ -162,7 +151,3 @@ def header_of(scene: Scene, guard: Guard, name: str) -> str:
     units = scene.units
     words = units.kilogram, units.stiffness, units.damping
     return guard.header(name, guard_about(scene, guard), words)
-
-
-def _line(name: str, ends: Range, unit: str) -> str:
-    return f"{name}: {range_in_words(ends)} {unit}"

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from math import isfinite, isnan, nan
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +38,6 @@ from jaxstab.scene.loops import (
 from jaxstab.scene.scene import Scene
 
 _PROVED = "proved for every hand"
-_TRIED = "no hand that was tried is unstable, but not all others are proved"
 BUT_FOR_DRIFT = "stable but for the position, which nothing holds"
 _DRIFTS = "nothing holds the position of a damper alone; over ranges the rest is not proved"
 
@@ -62,7 +61,12 @@ class AllHands(Answer):
 
 @dataclass(frozen=True)
 class WallVerdict(Answer):
-    """The verdict on a wall for all hands and delays, and the worst of them."""
+    """The verdict on a wall for all hands and delays, and the worst of them.
+
+    The verdict is ``BUT_FOR_DRIFT`` for a stable damper on a device that nothing holds.
+    ``hands_are`` describes the search where a verdict over ranges is UNDECIDED; ``worst_hand`` is
+    None where neither a hand nor the mass varies; with ``worst_delays`` a motion grows.
+    """
 
     stiffness: GivenStiffness
     damping: GivenDamping
@@ -76,42 +80,24 @@ class WallVerdict(Answer):
         """Whether the wall is proved for all hands and delays, but for a position that drifts."""
         return self.verdict in (Verdict.STABLE, BUT_FOR_DRIFT) and self.hands_are is None
 
-
-class WorstHeld(NamedTuple):
-    """The verdict on a wall for all hands, the worst of them, and the loop that it holds.
-
-    The verdict is ``BUT_FOR_DRIFT`` for a stable damper on a device that nothing holds. ``hand`` is
-    None where neither a hand nor the mass varies; ``tried`` describes the search where the verdict
-    is UNDECIDED, and ``delays`` those of a range with which a motion grows.
-    """
-
-    verdict: Verdict | str
-    loop: HapticLoop
-    hand: OneHand | None
-    tried: str | None
-    delays: str | None = None
-
     @property
     def drifts(self) -> bool:
         """Whether nothing holds the position, and no other root of a loop that was tried grows."""
-        return self.verdict == BUT_FOR_DRIFT or self.tried == _DRIFTS
+        return self.verdict == BUT_FOR_DRIFT or self.hands_are == _DRIFTS
 
     @property
     def for_all(self) -> Verdict | str:
         """The verdict for all hands, or why there is none."""
-        return self.verdict if self.verdict == Verdict.UNSTABLE else self.tried or self.verdict
-
-    def on(self, wall: Gains) -> WallVerdict:
-        """Return the verdict as an answer about the wall."""
-        return WallVerdict(*wall, self.verdict, self.tried, self.hand, self.delays)
+        return self.verdict if self.verdict == Verdict.UNSTABLE else self.hands_are or self.verdict
 
 
-def worst_on(scene: Scene, walls: Sequence[Gains]) -> list[WorstHeld]:
-    """The verdict on each wall for all hands, masses and delays of a scene, and the worst of them.
+def worst_on(scene: Scene, walls: Sequence[Gains]) -> list[tuple[WallVerdict, HapticLoop]]:
+    """The verdict on each wall for all hands, masses and delays of a scene, and the worst loop.
 
     Of a delay that moves it is for every sequence; of one that is constant, but not known, for each
     constant one.
     """
+    unproved = "no hand that was tried is unstable, but not all others are proved"
     loop, delays, every = loops_over_delays(scene)[0], delays_of(scene), ranges_of_all(scene)
     is_alone = hands_of(scene) is None
     worst: list[tuple[Any, HapticLoop, float]]  # verdict, loop and radius
@@ -130,13 +116,13 @@ def worst_on(scene: Scene, walls: Sequence[Gains]) -> list[WorstHeld]:
         verdict, drifts = _but_for_drift(code, held, gains)
         hand, words = None if is_alone else held_by(held, scene), None
         is_range = not is_alone or "delay" in delays
-        tried = drifts or (_TRIED if is_range and verdict == Verdict.UNDECIDED else None)
+        tried = drifts or (unproved if is_range and verdict == Verdict.UNDECIDED else None)
         if delays and verdict == Verdict.UNSTABLE:
             constant = f"a constant delay of {Quantity('s').words(held.delay)}"
             words = f"{constant}: a factor of {radius:.6g} per sample"
             if scene.controller.moves:
                 words = str(held.worst_delays(*gains, **delays))
-        answers.append(WorstHeld(verdict, held, hand, tried, words))
+        answers.append((WallVerdict(*gains, verdict, tried, hand, words), held))
     return answers
 
 

@@ -58,7 +58,6 @@ from jaxstab.tables import columns_of
 Rows = Float64[np.ndarray, " row"]
 Segments = Float64[np.ndarray, "segment sample"]
 
-FEWEST, MOST = 2000, 64_000  # rows
 HISTORY = 100  # samples before the first segment: longer delays are not tried
 _EXCITE = "excite the device more strongly, or with more changes of the force"
 
@@ -169,6 +168,7 @@ def identify(
         Traceback (most recent call last):
         ValueError: rows of the log: 1; give 2000 to 64000, such as those of ten seconds.
     """
+    fewest, most = 2000, 64_000  # rows
     period = checked_number("sample_time", sample_time, 0.0, is_open=True, unit="s")
     given = {"force": force, "position": position}
     given |= {} if velocity is None else {"velocity": velocity}
@@ -180,9 +180,9 @@ def identify(
                 f"{name} has {len(column)} rows but position has {len(positions)}; give columns of "
                 "one length."
             )
-    if not FEWEST <= len(positions) <= MOST:
+    if not fewest <= len(positions) <= most:
         raise ValueError(
-            f"rows of the log: {len(positions)}; give {FEWEST} to {MOST}, such as those of ten "
+            f"rows of the log: {len(positions)}; give {fewest} to {most}, such as those of ten "
             "seconds."
         )
     resolution, extent = _resolution(positions), float(np.ptp(positions))

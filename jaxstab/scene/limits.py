@@ -315,8 +315,8 @@ def _over_delays(scene: Scene) -> LimitsOverDelays:
         hand=at_lowest(scene, _SEE_BELOW) if controller.moves else None,
         best=ProvedWall(*best, f"{_PROVED} {every}" if is_proved else tried, unstable),
         walls={
-            name: worst.on(walls[name])
-            for name, worst in zip(walls, worst_on(scene, [*walls.values()]), strict=True)
+            name: verdict
+            for name, (verdict, _) in zip(walls, worst_on(scene, [*walls.values()]), strict=True)
         },
         all_hands=limit_for_all(scene, safety) if controller.moves else None,
     )

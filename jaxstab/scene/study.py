@@ -327,10 +327,11 @@ def merged(paths: Sequence[Path]) -> "Dataset":
     ValueError: parts are of different studies, missing or given twice; OSError: a file cannot be
     read.
     """
+    part = r"(\d{1,7}) of ((\d{1,7}) along (\w+) of study .*)"  # as an attribute of its table
     parts, about, along = dict[int, tuple[Path, Any]](), "1", ""
     for path in paths:
         table = read(path)
-        found = re.fullmatch(_PART, str(table.attrs.pop("part", "")))
+        found = re.fullmatch(part, str(table.attrs.pop("part", "")))
         if found is None:
             raise ValueError(f"{path} is no part of a study; give the files that --part wrote.")
         number, own, along = int(found[1]), found[2], found[4]
@@ -352,8 +353,6 @@ def merged(paths: Sequence[Path]) -> "Dataset":
 
 
 # What varies, checked.
-
-_PART = r"(\d{1,7}) of ((\d{1,7}) along (\w+) of study .*)"  # as an attribute of its table
 
 
 class _Column(NamedTuple):

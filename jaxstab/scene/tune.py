@@ -9,10 +9,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from math import inf, nan, sqrt
-from typing import Literal, TypeVar
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jaxstab.conventions import Status, Verdict
 from jaxstab.loop import Gains, HapticLoop, tune_for_all
@@ -36,7 +35,7 @@ from jaxstab.scene.answers import (
     rounded_wall,
 )
 from jaxstab.scene.check import Amplitude, SettlingTime, settled
-from jaxstab.scene.hands import at_lowest, worst_on
+from jaxstab.scene.hands import Floats, at_lowest, worst_on
 from jaxstab.scene.loops import (
     Member,
     OneHand,
@@ -116,7 +115,7 @@ def tune_over_ranges(scene: Scene, fastest: Gains | None) -> WallOverRanges | No
         if times[slowest] <= wall.settling_time or every[slowest] in loops:
             break
         loops.append(every[slowest])
-    member, (worst,) = among[slowest], worst_on(with_tolerances(given), [rounded])
+    member, ((worst, _),) = among[slowest], worst_on(with_tolerances(given), [rounded])
     return WallOverRanges(
         *rounded,
         float(times[slowest]),
@@ -142,9 +141,6 @@ def _between(ranges: list[tuple[float, float]]) -> list[Member]:
     roots = sqrt(low[2]) + shares[:, 2] * (sqrt(high[2]) - sqrt(low[2]))
     values[:, 2] = np.clip(roots**2, low[2], high[2])
     return [member_of(row) for row in values.tolist()]
-
-
-Tuning = TypeVar("Tuning", bound="TunedWall")
 
 
 @dataclass(frozen=True)
@@ -250,10 +246,10 @@ def _best(
     gains = Gains(best.stiffness, best.damping)
     rounded = Gains(*rounded_wall(*gains, lambda *gains: all(_are_stable([loop], gains))))
     over_hands, over_delays = hands_of(scene) is not None, not scene.controller.has_one_delay
-    worst = worst_on(scene, [rounded])[0] if over_hands or over_delays else None
+    worst = worst_on(scene, [rounded])[0][0] if over_hands or over_delays else None
     return BestWall(
-        _tuned(TunedWall, loop, gains, encoder),
-        _tuned(RoundedWall, loop, rounded, encoder),
+        _tuned(loop, gains, encoder),
+        RoundedWall(**vars(_tuned(loop, rounded, encoder))),
         best.stiffness / wall_region(loop).reachable.stiffest.stiffness,
         best.status,
         worst.for_all if worst and over_hands else None,
@@ -261,11 +257,11 @@ def _best(
     )
 
 
-def _tuned(kind: type[Tuning], loop: HapticLoop, gains: Gains, encoder: float | None) -> Tuning:
+def _tuned(loop: HapticLoop, gains: Gains, encoder: float | None) -> TunedWall:
     radius, chatter = loop.spectral_radius(*gains), None
     if encoder is not None:
         chatter = float(loop.amplitude(*gains, encoder=encoder).position)
-    return kind(
+    return TunedWall(
         stiffness=gains.stiffness,
         damping=gains.damping,
         spectral_radius=float(radius.value),
@@ -278,8 +274,6 @@ def _tuned(kind: type[Tuning], loop: HapticLoop, gains: Gains, encoder: float | 
 # The largest sample time and the largest delay that allow a wanted stiffness.
 
 _AROUND, _POINTS = (0.6, 1.6), 33  # of a picture: shares of its shortest and longest value
-
-Floats = NDArray[np.float64]
 
 
 class DesignStatus(Status):
