@@ -68,12 +68,6 @@ def spectral_radius() -> list[float]:
     return [float(abs(np.roots(polynomial(ALPHA, BETA))).max())]
 
 
-def largest_alpha() -> list[float]:
-    alpha, beta = grid()
-    stable = radius(polynomial(alpha, beta)) < 1.0
-    return [float(alpha[stable.any(axis=1)].max())]
-
-
 def outline() -> list[float]:
     import contourpy
 
@@ -130,7 +124,7 @@ def robust_region() -> list[float]:
 QUESTIONS: dict[str, Callable[[], list[float]]] = {
     each.__name__: each
     for each in (
-        verdict, spectral_radius, largest_alpha, outline, picture, margins, best_gains,
+        verdict, spectral_radius, outline, picture, margins, best_gains,
         robust_region,
     )
 }  # fmt: skip

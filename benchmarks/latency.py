@@ -117,7 +117,7 @@ def _questions() -> list[Question]:
         ), _judge_margin, "margins"),
         Question("wall_limits", 2.0, _python(
             "print(loop.alpha(float(loop.limits().stiffness)))"
-        ), _judge_largest, "largest_alpha"),
+        ), _judge_largest, "outline"),
         Question("optimal_gains", 3.0, _python(
             "best = loop.tune('radius')\n"
             "print(best.radius, loop.alpha(best.stiffness), loop.beta(best.damping))"

@@ -75,7 +75,7 @@ def draw(one: Record) -> Figure:
 
 def _boundary(rows: list[Row]) -> Figure:
     rows = [row for row in rows if row["section"] == "outline"]
-    delays = _values(rows, "delay")
+    delays = sorted({row["delay"] for row in rows})
     figure, axes = _panels(2, len(delays), "The boundary of one slice: run time against error")
     for column, delay in zip(axes.T, delays, strict=True):
         some = [row for row in rows if row["delay"] == delay]
@@ -253,10 +253,6 @@ def _lines(panel: Axes, rows: Iterable[Row], x: str, y: str, *, floor: float = 0
             clip_on=False,
             zorder=3,
         )
-
-
-def _values(rows: Iterable[Row], column: str) -> list[Any]:
-    return sorted({row[column] for row in rows})
 
 
 def _with_legend(figure: Figure, axes: np.ndarray) -> Figure:

@@ -17,16 +17,8 @@ Record = dict[str, Any]
 
 RESULTS = Path(__file__).parent / "results"
 PACKAGES = (
-    "jax",
-    "jaxlib",
-    "numpy",
-    "scipy",
-    "optimistix",
-    "contourpy",
-    "control",
-    "h5py",
-    "python-flint",
-    "mpmath",
+    *("jax", "jaxlib", "numpy", "scipy", "optimistix", "contourpy", "control", "h5py"),
+    *("python-flint", "mpmath"),
 )
 ROW_COLUMNS = {
     "section": str,  # rows of one section are rivals

@@ -50,7 +50,9 @@ COMPUTING_CALLS: dict[str, list[Any]] = {
     "paper.linear_error": [0.1, 0.2, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
     "paper.linear_validity": [0.02, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
     "paper.passive_region": [{"delta": 0.015, "delay": 1.0}],
-    "robust_region": [{"gamma": (0.0, 0.001), "delta": (0.0, 0.015), "delay": 1.0}],
+    "robust_region": [
+        {"gamma": (0.0, 0.001), "delta": (0.01, 0.015), "delay": 1.0, "tolerance": 0.1}
+    ],
     "paper.routh_hurwitz_condition": [0.1, 0.2, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
     "trace_boundary": [
         ("gamma", "delta"),

@@ -179,6 +179,7 @@ def test_design_returns_the_sample_time_at_which_the_wanted_stiffness_is_the_lar
     )
 
 
+@pytest.mark.campaign
 def test_design_says_up_to_where_it_looked() -> None:
     found = answered("design", *PHANTOM, "--stiffness", 1e-3)["delay"]
     assert found["largest_delay"] == pytest.approx(0.256)

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -28,12 +29,14 @@ def entries(folder: Path) -> list[str]:
     return sorted(entry.name for entry in folder.iterdir())
 
 
-def test_equal_specifications_give_equal_bytes_however_they_are_computed(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "workers", [ThreadPoolExecutor, pytest.param(processes, marks=pytest.mark.campaign)]
+)
+def test_equal_specifications_give_equal_bytes_however_they_are_computed(
+    workers: Callable[[int], Any], tmp_path: Path
+) -> None:
     path = tmp_path / "a.h5"
-    with ThreadPoolExecutor(3) as executor:
-        write_atlas(SMALL, path, executor=executor)
-    assert path.read_bytes() == small_file()
-    with processes(2) as executor:
+    with workers(2) as executor:
         write_atlas(SMALL, path, executor=executor)
     assert path.read_bytes() == small_file()
     assert entries(tmp_path) == ["a.h5"]

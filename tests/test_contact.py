@@ -621,6 +621,7 @@ damping = 30.0
 [contact]
 push = 1.0
 speed = 0.1
+duration = 1.0
 """
 
 
@@ -649,7 +650,7 @@ def test_a_scene_answers_with_the_worst_of_its_starts() -> None:
     slowest = [float(one.penetration) for one in resting if one.time_to_rest == longest]
     assert np.isclose(soft.penetration, slowest, rtol=1e-12, atol=0.0).any()
     assert "at 0.1 m/s" in soft.worst_start
-    assert soft.contact_is == "simulated for 4 s, not proved"
+    assert soft.contact_is == "simulated for 1 s, not proved"
 
 
 def test_check_adds_the_simulated_contact_below_what_is_proved() -> None:

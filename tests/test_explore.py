@@ -455,6 +455,7 @@ def test_a_page_says_what_its_simulated_contacts_ignore() -> None:
     assert "ignore" not in " ".join(initial_of(page_of(CONTACTS[0]))["notes"])
 
 
+@pytest.mark.campaign
 @needs_node
 def test_a_page_shows_the_worst_of_the_starts_as_a_scene_does() -> None:
     """Pushed from rest all of these come to rest; at a speed one bounces, one stays outside."""

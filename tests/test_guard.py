@@ -225,7 +225,7 @@ def test_no_sequence_of_delays_makes_a_wall_grow_that_a_header_grants(tmp_path: 
     assert moving.granted > 0.3
     assert grown(moving, tmp_path, "", 12) == 0
     constant = build_guard(LIGHT, HandRange(), **ranges, cells=(1, 1, 8), constant_delay=True)
-    assert grown(constant, tmp_path, ", 0.0", 12) > 1  # as its header says
+    assert grown(constant, tmp_path, ", 0.0", 12) > 2  # as its header says
 
 
 @pytest.mark.campaign
@@ -373,7 +373,6 @@ def test_the_command_writes_a_header_and_a_picture(tmp_path: Path) -> None:
     ]  # fmt: skip
     for kind, said, parameters in (
         ([], "delay, moving from sample to sample: 0.00099 to 0.00101 s", "double mass)"),
-        (["--lost-samples", "1"], "up to 1 in a row lost", "double mass)"),
         (["--constant-delay"], "delay, constant during contact: 0.00099", "mass, double delay)"),
     ):
         answer = run(*words, *kind)

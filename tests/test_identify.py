@@ -103,7 +103,10 @@ def test_a_mass_without_friction_is_found_to_rounding() -> None:
     assert (found.resolution, found.warning) == (None, "")
 
 
-@pytest.mark.parametrize("name", ["friction that holds it often", "a coarse encoder"])
+@pytest.mark.parametrize(
+    "name",
+    ["a coarse encoder", pytest.param("friction that holds it often", marks=pytest.mark.campaign)],
+)
 def test_what_is_left_is_the_rounding_of_the_encoder(name: str) -> None:
     """In no segment the search ends in a motion that friction stopped elsewhere."""
     device = DEVICES[name]

@@ -501,13 +501,8 @@ def slopes_by_differences(loop: HapticLoop, direction: Any) -> Any:
     return slopes
 
 
-@pytest.mark.parametrize(
-    "kind",
-    [
-        *list(KINDS)[:1],
-        *(pytest.param(x, marks=pytest.mark.campaign) for x in some(list(KINDS)[1:], 4)),
-    ],
-)
+@pytest.mark.campaign
+@pytest.mark.parametrize("kind", some(KINDS, 4))
 def test_limits_of_random_loops_move_as_differences_do(kind: str, rng: np.random.Generator) -> None:
     """Corners and turns of the boundary, crossings of an axis: each has other derivatives."""
     loops = [random_loop(rng, kind) for _ in range(OF_A_KIND)]

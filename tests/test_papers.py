@@ -14,7 +14,17 @@ PAGE = Path(__file__).parents[1] / "docs" / "reproduced" / "index.md"
 CLAIMS = tuple(replace(claim, find=cache(claim.find)) for claim in PUBLISHED)
 
 
-@pytest.mark.parametrize("claim", CLAIMS, ids=lambda claim: f"{claim.source}, {claim.says}")
+LONG = "largest passive", "simulated contacts", "best 2 % settling", "of the best pair"  # to find
+
+
+@pytest.mark.parametrize(
+    "claim",
+    [
+        pytest.param(one, marks=pytest.mark.campaign if any(x in one.says for x in LONG) else ())
+        for one in CLAIMS
+    ],
+    ids=lambda claim: f"{claim.source}, {claim.says}",
+)
 def test_a_claim_agrees_or_is_a_misprint(claim: Claim) -> None:
     assert claim.words(claim.find()) == ("misprint" if claim.is_misprint else "agrees")
 
@@ -40,5 +50,6 @@ def test_the_frequency_of_eq_25_is_that_of_the_roots() -> None:
     assert claim_of("eq. (25)").find().answer.startswith(f"{frequency:.4f} rad/s")
 
 
+@pytest.mark.campaign
 def test_the_page_has_the_table_of_today() -> None:
     assert markdown(CLAIMS) in PAGE.read_text(encoding="utf-8")

@@ -114,6 +114,7 @@ def test_issue_31_21_tune_draws_what_it_answers() -> None:
     assert by_word["best damping at a given stiffness"].tolist() == expected
 
 
+@pytest.mark.campaign
 def test_issue_31_21_design_draws_what_it_answers() -> None:
     scene = Scene.from_table(TABLE | {"wanted": {"stiffness": 20000.0}})
     design = design_loop(scene)

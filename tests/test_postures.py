@@ -100,6 +100,7 @@ def test_masses_without_a_hand_are_proved() -> None:
         assert code_of(wall_found, mass, (0.0, 0.0, 0.0)) == Verdict.STABLE
 
 
+@pytest.mark.campaign
 def test_every_answer_says_for_which_masses_it_is() -> None:
     scene = Scene.from_table(table())
     words = "a device of 0.15 to 0.25 kg, constant while a wall is touched"

@@ -57,9 +57,14 @@ def test_the_main_job_writes_one_file_that_answers(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "code", [code for code in blocks("python") if "open_atlas" not in code],
+    "code",
+    [
+        pytest.param(code, marks=pytest.mark.campaign if "trace_boundary" in code else ())
+        for code in blocks("python")
+        if "open_atlas" not in code
+    ],
     ids=lambda code: code.splitlines()[-1],
-)  # fmt: skip
+)
 def test_the_lines_of_python_run(code: str, tmp_path: Path) -> None:
     assert_prints_what_it_promises(code, tmp_path)
 

@@ -291,7 +291,6 @@ def test_issue_31_31_names_reach_a_stdout_of_ascii(tmp_path: Path) -> None:
     for words in (
         ["check", str(file)],
         ["limits", str(file), "--csv", "-"],
-        ["limits", str(file), "--json"],
         ["atlas", "query", str(ROOT / "data/golden/atlas-v4.h5"), "--scene", str(file)],
     ):
         done = subprocess.run(

@@ -381,6 +381,7 @@ UNIT = HapticLoop(device_mass=1.0, device_damping=0.1, sample_time=1.0, delay=DE
 PLACES = [(0.05, 0.1), (1e-3, 0.015), (0.1, 0.0), (0.3, 0.2)]
 
 
+@pytest.mark.campaign
 def test_many_slices_at_once_are_the_single_ones() -> None:
     def largest_alpha_and_area(gamma: Any, delta: Any) -> Any:
         regions = regions_of(UNIT, hand_stiffness=gamma, device_damping=delta)

@@ -465,6 +465,7 @@ def test_the_extra_delay_of_a_moving_one_is_proved_for_every_hand(
     assert 0.95 * min(each) < extra <= min(each)
 
 
+@pytest.mark.campaign
 def test_no_sequence_within_the_margin_of_every_hand_makes_one_grow() -> None:
     (wall,) = check_walls(Scene.from_table(TURNING)).walls.values()
     assert wall.jitter is not None

@@ -376,6 +376,7 @@ def test_hands_of_one_range_are_proved(file: Path) -> None:
     assert check_walls(Scene.from_file(higher)).walls["soft"].verdict == Verdict.UNSTABLE
 
 
+@pytest.mark.campaign
 def test_item_12_hands_of_several_ranges_are_proved(file: Path) -> None:
     text = TEXT.replace("mass = 0.3", "mass = [0.1, 0.4]").replace("= 100.0", "= [90.0, 110.0]")
     file.write_text(text)

@@ -58,7 +58,7 @@ def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(studies, "_BLOCK", 20)
 
 
-@pytest.mark.parametrize("modes", [[], [MODE]])
+@pytest.mark.parametrize("modes", [[], pytest.param([MODE], marks=pytest.mark.campaign)])
 def test_every_answer_is_that_of_its_own_loop(modes: list[dict[str, float]]) -> None:
     table = {**TABLE, "device": {**TABLE["device"], "modes": modes}} if modes else TABLE
     study = jaxstab.study(table, OVER, answers=EVERYTHING, samples=2, seed=4)

@@ -181,8 +181,8 @@ class TestMinimizeRadius:
     @pytest.mark.parametrize(
         ("plant", "angle"),
         [
-            (TRIPLE_ROOTS[2], 0.0),  # of one delay, for which all is compiled
             DOUBLE_PAIRS[1],
+            pytest.param(TRIPLE_ROOTS[2], 0.0, marks=pytest.mark.campaign),
             pytest.param(TRIPLE_ROOTS[1], 0.0, marks=pytest.mark.campaign),
             pytest.param(*DOUBLE_PAIRS[0], marks=pytest.mark.campaign),
         ],
@@ -207,6 +207,7 @@ class TestMinimizeRadius:
         backwards, forwards = jax.grad(smallest)(plant[0]), jax.jacfwd(smallest)(plant[0])
         assert float(backwards) == pytest.approx(float(forwards), rel=1e-12)
 
+    @pytest.mark.campaign
     def test_derivative_can_be_taken_backwards(self) -> None:
         """It is traced, and not compiled, which takes long."""
         smallest = lambda gamma: jaxstab.minimize_radius(gamma=gamma, delta=0.1, delay=1.0).value  # noqa: E731

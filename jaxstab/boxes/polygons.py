@@ -60,6 +60,8 @@ class RobustRegion:
         >>> region = jaxstab.robust_region(gamma=(0.0, 0.001), delta=(0.01, 0.015), delay=1.0)
         >>> region.max_alpha.round(3).tolist(), region.verdict([0.05, 0.2], 0.3).tolist()
         ([0.147, 0.426], [1, 2])
+        >>> bool(region.contains(0.05, 0.3))
+        True
     """
 
     gamma: Range

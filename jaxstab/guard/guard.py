@@ -105,9 +105,9 @@ class Guard:
         [0.0, 9692.0]
         >>> place = {"mass": np.array([0.25]), "delay": np.array([1e-3])}
         >>> print(f"{guard.exact_stiffness(np.full((1, 1, 1), 20.0), **place).item():.3g} N/m")
-        1.14e+04 N/m
+        1.22e+04 N/m
         >>> round(guard.granted, 2), guard.costliest.mass, guard.is_delay_constant
-        (0.71, 0.24, False)
+        (0.88, 0.24, True)
         >>> "double omega_guard_largest_stiffness(double damping" in guard.header("omega_guard")
         True
     """

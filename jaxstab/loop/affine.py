@@ -137,6 +137,10 @@ class GainRegion(ShownRegion):
         ('COMPLETE', [True, False])
         >>> region.outline.max(axis=0).round(3).tolist(), len(region.components)
         ([100000.0, 100.0], 1)
+        >>> region.main is None, region.islands, region.names.labels
+        (False, [], ('kp (N m/rad)', 'kd (N m s/rad)'))
+        >>> [point.round(3).tolist() for point in region.extremes]
+        [[100000.0, 0.0], [0.0, 100.0]]
     """
 
     loop: "Loop"
@@ -227,6 +231,8 @@ class Loop:
         >>> loop = jaxstab.simulated_pd(0.1, step=2e-3, substeps=4)
         >>> loop
         Loop of (kp, kd): PD of a simulated joint (semi-implicit), outside of it, every 4 steps
+        >>> [gain.name for gain in loop.coordinates]
+        ['kp', 'kd']
         >>> line = loop.intervals(kd=10.0)
         >>> [(low.value, round(high.value, 6)) for low, high in line.intervals]
         [(0.0, 3333.333333)]
