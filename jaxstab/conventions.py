@@ -80,13 +80,13 @@ class Status(Code):
 
 
 class RadiusStatus(Status):
-    """How far the error of a spectral radius can be trusted.
+    """How the error of a spectral radius is known; it is infinite without a bound.
 
     Example:
         >>> jaxstab.results.RadiusStatus(1).words
-        'the error bound is proved'
+        'proved'
     """
 
     NOT_COMPUTED = 0, "not computed"
-    PROVED = 1, "the error bound is proved"
-    NO_BOUND = 2, "no error bound could be proved: the error is infinite"
+    PROVED = 1, "proved"
+    NO_BOUND = 2, "no bound proved"

@@ -237,12 +237,6 @@ def scaled_codes(
 
 _LIST = 1 << 12  # points whose companion matrices are made at once
 
-_KNOWN = {
-    RadiusStatus.NOT_COMPUTED: "not computed",
-    RadiusStatus.PROVED: "proved",
-    RadiusStatus.NO_BOUND: "no bound proved",
-}
-
 
 class SpectralRadius(NamedTuple):
     """The largest modulus of a root of p(z), a bound of its error, and how the bound is known.
@@ -267,12 +261,14 @@ class SpectralRadius(NamedTuple):
         values, errors, codes = map(np.ravel, self)
         if np.ndim(self.value) == 0:
             shown = text_with_bound(float(values[0]), float(errors[0]))
-            return f"{shown} ({_KNOWN[RadiusStatus(int(codes[0]))]})"
+            return f"{shown} ({RadiusStatus(int(codes[0])).words})"
         if not len(values):
             return "SpectralRadius of no loop"
         bound = number_text(float(errors.max()), 2, ROUND_CEILING)
         counts = ", ".join(
-            f"{count} {words}" for code, words in _KNOWN.items() if (count := np.sum(codes == code))
+            f"{count} {status.words}"
+            for status in RadiusStatus
+            if (count := np.sum(codes == status))
         )
         ends = f"{values.min():.6g} to {values.max():.6g}"
         return f"SpectralRadius of {len(values)} loops: {ends}, bound {bound} at most ({counts})"
