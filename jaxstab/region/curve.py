@@ -44,15 +44,6 @@ from jaxstab.exact.boundary import (
 from jaxstab.model import LoopParameters
 from jaxstab.model.device.parts import FIRST_BITS, working_precision
 
-_REMEMBERED = 64
-_TINY = 1e-100  # in place of the angle 0, where quotients have a limit
-_CLOSEST, _FARTHEST = 1e-12, 2.0  # distances of roots from the circle
-_LOST = 1e-30  # a product of 1 - pole
-UNDAMPED = 1e-6  # distance of a mode from the circle
-_WIDEST, _SHARE = 1e-2, 0.3  # of a stretch: radians, and of the distance to the next one
-_LEAST = 1e-24  # radians: what the middle of a stretch tells apart
-_HALF_CIRCLE = np.linspace(0.0, 1.5, 151)[1:]  # |zeta - 1|, at most sqrt(2)
-
 Angles = Float64[np.ndarray, " _"]
 
 
@@ -75,7 +66,8 @@ class Stretch(NamedTuple):
     @property
     def growth(self) -> float:
         """By how much the middle is drawn out, as a logarithm."""
-        return float(np.log(2.0 * self.half_width / _LEAST))
+        least = 1e-24  # radians: what it tells apart
+        return float(np.log(2.0 * self.half_width / least))
 
     @property
     def scan(self) -> Angles:
@@ -146,13 +138,16 @@ class Curve(NamedTuple):
         return self.parts.shape[1] - 1
 
 
-@lru_cache(_REMEMBERED)
+@lru_cache(64)
 def curve_of(loop: ScaledLoop) -> Curve:
     """Return the curve of a loop.
 
     Raises: ValueError for a wall that does not push back at rest, P(1) = 0 or G(0) = 0, and for
     filters so slow that their product of poles less 1 is next to nothing.
     """
+    lost = 1e-30  # a product of 1 - pole
+    nearest, farthest = 1e-12, 2.0  # distances of roots from the circle
+    half_circle = np.linspace(0.0, 1.5, 151)[1:]  # |zeta - 1|, at most sqrt(2)
     with working_precision(FIRST_BITS):
         own = loop.balls()
     if isinstance(loop.loop, LoopParameters) and own.position[0].at_one and loop.radius == 1.0:
@@ -171,7 +166,7 @@ def curve_of(loop: ScaledLoop) -> Curve:
     ):
         with working_precision(FIRST_BITS):
             poles = below.at_end(1) / below.polynomial()[below.degree]
-        if not abs(poles) > _LOST:
+        if not abs(poles) > lost:
             raise ValueError(
                 f"the {name} is so slow that its gain or 1 - pole is lost in float64: it has no "
                 "region and no limits; give a higher cut-off, a larger factor or a lower order."
@@ -181,7 +176,7 @@ def curve_of(loop: ScaledLoop) -> Curve:
     moved = np.zeros_like(parts.shifted)
     moved[..., :-1] = (parts.shifted * order)[..., 1:]
     sizes = np.sum(np.abs(parts.straight), axis=-1)
-    terms = np.abs(parts.shifted) @ _HALF_CIRCLE ** order[:, None]
+    terms = np.abs(parts.shifted) @ half_circle ** order[:, None]
     roots = np.concatenate([parts.zeros, parts.roots])
     roots = roots[roots.imag >= 0.0]
     distance = np.abs(np.log(np.maximum(np.abs(roots) / loop.radius, 1e-300)))
@@ -189,11 +184,11 @@ def curve_of(loop: ScaledLoop) -> Curve:
         parts=parts.triple,
         straight=np.concatenate([parts.straight, parts.straight * order]),
         shifted=np.concatenate([parts.shifted, moved], axis=1),
-        close=np.max(np.where(terms < sizes[:, None], _HALF_CIRCLE, 0.0), axis=-1),
+        close=np.max(np.where(terms < sizes[:, None], half_circle, 0.0), axis=-1),
         ends=parts.ends,
         lines=root_lines(loop, parts),
         poles=parts.poles,
-        resonances=np.stack([np.abs(np.angle(roots)), np.clip(distance, _CLOSEST, _FARTHEST)]),
+        resonances=np.stack([np.abs(np.angle(roots)), np.clip(distance, nearest, farthest)]),
         stretches=_undamped(loop, parts),
         loop=loop,
     )
@@ -201,9 +196,10 @@ def curve_of(loop: ScaledLoop) -> Curve:
 
 def _undamped(loop: ScaledLoop, parts: CurveParts) -> list[Stretch]:
     """Return the surroundings of undamped modes that walls hardly move."""
+    closest = 1e-6  # to the circle
     hardly = 1e-4  # how far a gain of 1 moves a mode that walls hardly move
     roots = parts.roots[parts.roots.imag > 0.0]
-    roots = roots[np.abs(np.abs(roots) / loop.radius - 1.0) < UNDAMPED]
+    roots = roots[np.abs(np.abs(roots) / loop.radius - 1.0) < closest]
     centers = curve_around(loop, undamped_modes(loop, roots, hardly))
     return _stretches(centers, parts.poles, parts.triple.shape[1])
 
@@ -223,12 +219,13 @@ def drawn_out(c: Curve, angles: Float64[np.ndarray, "angle 2"]) -> Curve:
 
 def _stretches(centers: list[Around], poles: Angles, degree: int) -> list[Stretch]:
     """Return disjoint intervals around angles."""
+    widest, share = 1e-2, 0.3  # radians, and of the distance to the next one
     limits = np.concatenate([[center.angle for center in centers], poles, [0.0, np.pi]])
     stretches = []
     for center in centers:
         away = np.abs(limits - center.angle)
         nearest = float(np.min(away[away > 0.0]))
-        stretches.append(Stretch(center, min(_WIDEST, 0.5 / degree, _SHARE * nearest)))
+        stretches.append(Stretch(center, min(widest, 0.5 / degree, share * nearest)))
     return stretches
 
 
@@ -318,12 +315,13 @@ def _cross(one: Array, other: Array) -> Array:
 
 def _values(c: Curve, theta: Array, low: Array | float, orders: int) -> Array:
     """Return the parts (order, part, angle), of conjugate z beyond pi/2; order 1 is by theta."""
+    tiny = 1e-100  # in place of the angle 0, where quotients have a limit
     flat, count, rows = np.ravel(theta), c.straight.shape[1], 4 * orders
     way = np.where(flat < 0.0, -1.0, 1.0)
     size, rest = np.abs(flat), 0.0 if isinstance(low, float) else np.ravel(low) * way
     is_upper = size > np.pi / 2
     u = np.where(is_upper, (np.pi - size) + (PI_REST - rest), size + rest)
-    u = np.where(u == 0.0, _TINY, u)
+    u = np.where(u == 0.0, tiny, u)
     zeta, half_turn, side = np.exp(1j * u), np.exp(0.5j * u), np.where(is_upper, -1.0, 1.0)
     chord = 2.0 * half_turn.imag
     straight = _product(c.straight[:rows], _powers(side * zeta, count))

@@ -29,11 +29,7 @@ from jaxstab.region.curve import Curve, curve_gains, gains_and_slopes
 from jaxstab.region.outline import Outline, polygon_area
 from jaxstab.region.roots import bracketed_root, nonzero
 
-_AT_ONCE = 1 << 20  # pairs of a point and an edge that are held in memory
 _STILL = 1e-13  # of the range: steps that are rounding
-_DOUBTED = 1e-8  # of the region's size: how close to the boundary balls decide
-_EDGES = 4  # looked at in one step of the search for the nearest
-_GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 Columns = tuple[Array, ...]
 Axis = int | Int[np.ndarray, " row"]
@@ -140,10 +136,11 @@ def contains(
 
 def _is_inside(c: Curve, outline: Outline, alpha: Array, beta: Array) -> tuple[Array, Array]:
     """Return whether points are inside, and whether the boundary is too close to tell."""
+    doubted_share = 1e-8  # of the region's size: how close to the boundary balls decide
     about = 1e-3  # of the same: a vertex at which the boundary runs level
     vertices = outline.vertices
     sizes = np.ptp(vertices, axis=0)
-    close, doubt = _DOUBTED * sizes[0], _DOUBTED * sizes
+    close, doubt = doubted_share * sizes[0], doubted_share * sizes
     met, ahead = _met(outline, beta, 1), vertices[:, 0] - alpha[:, None]
     beyond, behind = ahead > close, ahead <= -close
     is_beyond = beyond[:, :-1] & beyond[:, 1:]
@@ -184,12 +181,13 @@ def area(c: Curve, outline: Outline) -> Array:
     That is half the integral of (w - w0) x dw on each edge from w0, by Gauss' rule. It is small, so
     that it needs few digits where angles are drawn out.
     """
+    places, weights = np.polynomial.legendre.leggauss(16)
     begin, end = outline.angles[outline.is_curved].T[..., None]
     half = 0.5 * (end - begin)
-    (alpha, beta), slopes = gains_and_slopes(c, begin + half * (1.0 + _GAUSS_NODES))
+    (alpha, beta), slopes = gains_and_slopes(c, begin + half * (1.0 + places))
     first = outline.vertices[:-1][outline.is_curved].T[..., None]
     turned = (alpha - first[0]) * slopes[1] - (beta - first[1]) * slopes[0]
-    bulges = np.sum(half * turned * _GAUSS_WEIGHTS)
+    bulges = np.sum(half * turned * weights)
     return np.where(outline.resolved, polygon_area(outline) + 0.5 * bulges, np.nan)
 
 
@@ -208,7 +206,8 @@ def _columns(function: Callable[..., Any], outline: Outline, count: int, *gains:
 
     As many gains as fit into memory are answered at a time; those of JAX on the host.
     """
-    size = max(1, _AT_ONCE // len(outline.angles))
+    at_once = 1 << 20  # pairs of a point and an edge that are held in memory
+    size = max(1, at_once // len(outline.angles))
 
     @np.errstate(all="ignore")  # NaN and infinity are answers
     def answered(*gains: Array) -> Any:
@@ -295,6 +294,7 @@ def _nearest(c: Curve, outline: Outline, points: Array) -> Array:
     Edges are looked at in the order of the distances of their boxes, up to where a box is farther
     than the nearest point so far.
     """
+    at_once = 4  # edges
     here, there = outline.vertices[:-1], outline.vertices[1:]
     far = _box_distances(here, there, points[:, None])
     far = np.where(outline.branches >= 0, far, np.inf)
@@ -302,10 +302,10 @@ def _nearest(c: Curve, outline: Outline, points: Array) -> Array:
     bounds = np.take_along_axis(far, order, axis=-1)
     rows, best = np.arange(len(points)), np.full(len(points), np.inf)
     edge, theta = np.zeros(len(points), int), np.ones(len(points))
-    for start in range(0, len(here), _EDGES):
+    for start in range(0, len(here), at_once):
         if not np.any(bounds[:, start] < best):
             break
-        columns = np.minimum(start + np.arange(_EDGES), len(here) - 1)
+        columns = np.minimum(start + np.arange(at_once), len(here) - 1)
         edges = order[:, columns]
         away, feet = _feet(c, outline, edges, points)
         away = np.where(bounds[:, columns] < np.inf, away, np.inf)

@@ -15,11 +15,6 @@ from jaxstab.region.curve import Angles, Curve, curve_gains, gains_and_slopes, t
 from jaxstab.region.pieces import NO_BRANCH, Branch, Pieces
 from jaxstab.region.roots import bracketed_root
 
-_NODES = 81  # per piece, to see where it bends and turns
-_BESIDE = 1e-8
-_FIRST = np.geomspace(1e-6, 1e-2, 5)  # of a piece: where a curve with zero speed starts
-_ROUNDING = 1e-10  # a coordinate that moves less than that is constant
-
 
 class Outline(NamedTuple):
     """A polygon with its corners on the exact boundary, counter-clockwise, in arrays of one length.
@@ -122,15 +117,17 @@ def polygon(c: Curve, pieces: Pieces, seen: Survey, points: int) -> Outline:
 
 def _tangents(c: Curve, pieces: Pieces) -> tuple[Array, Array]:
     """Return angles (piece, node) and the tangents (alpha', beta') there (2, piece, node)."""
-    count = _NODES
+    count = 81  # per piece, to see where it bends and turns
+    first = np.geomspace(1e-6, 1e-2, 5)  # of a piece: where a curve with zero speed starts
+    aside = 1e-8  # of the same
     # At th = 0 and pi the curve has zero speed: look beside.
-    beside = _BESIDE * (pieces.end - pieces.begin)[:, None]
+    beside = aside * (pieces.end - pieces.begin)[:, None]
     begin, end = pieces.begin[:, None] + beside, pieces.end[:, None] - beside
     even = np.linspace(0.0, 1.0, count - 2 * (count // 4))
-    nodes = [begin + (end - begin) * np.concatenate([_FIRST, even, 1.0 - _FIRST])]
+    nodes = [begin + (end - begin) * np.concatenate([first, even, 1.0 - first])]
     # Half of them close in on the angles at which the curve flies off.
     shares = (np.arange(count // 4) + 0.5) / (count // 4)
-    poles = np.stack([c.poles, np.full(len(c.poles), _BESIDE)])
+    poles = np.stack([c.poles, np.full(len(c.poles), aside)])
     angle, apart = np.concatenate([poles, c.resonances], axis=1)
     for place, width in zip(np.append(angle, -angle), np.tile(apart, 2), strict=True):
         low, high = (np.arcsinh((limit - place) / width) for limit in (begin, end))
@@ -141,7 +138,8 @@ def _tangents(c: Curve, pieces: Pieces) -> tuple[Array, Array]:
 
 def _turning_points(c: Curve, nodes: Array, tangents: Array) -> tuple[Array, Angles]:
     """Return where alpha or beta turns: pieces and angles."""
-    moves = abs(tangents) > _ROUNDING * np.hypot(*tangents)
+    rounding = 1e-10  # a coordinate that moves less than that is constant
+    moves = abs(tangents) > rounding * np.hypot(*tangents)
     turns = (tangents[..., 1:] * tangents[..., :-1] < 0.0) & (moves[..., 1:] | moves[..., :-1])
     is_beta, piece, node = np.nonzero(turns)
 

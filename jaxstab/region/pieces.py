@@ -39,22 +39,10 @@ from jaxstab.rounding import UNIT
 
 NO_BRANCH = -1
 MARGIN = 1e-12  # reflection coefficients closer to 1 are taken for roots on the circle
-_SLACK = 1e-6  # of coefficients
 _AT_ONCE = 1 << 18  # coefficients of polynomials that are held in memory
-_ROUND = 32  # steps of the test after which the polynomials that failed are dropped
-
 _FIRST = 1e-7  # the angles next to 0 and pi
-_PER_TURN, _FEWEST, _PER_BRANCH = 8, 500, 20  # even angles: of a turn of z^n, and of a branch
-_TO_ENDS, _TO_CENTERS = 12, 14  # angles that come closer and closer
-_TO_POLES, _TO_PROVED = 1e-11, (1e-9, 1e-14)  # how close; in float64, and in balls
-_NARROWING, _PROVED_NARROWING = (6, 32), (26, 2)  # of the brackets of ends: rounds and parts
-_NOTHING = 3e-11, 0.0  # radians: shorter arcs and gaps are rounding, in float64; in balls
 _ANGLES_AGREE, _WALLS_AGREE = 1e-6, 1e-8
 _ANGLES_NEAR, _WALLS_NEAR = 1e-4, 1e-3  # an end that is not exact
-_NEWTON_STEPS = 12
-_BESIDE = 1e-4  # of an arc, next to its ends
-_ROUNDING = 8.0 * UNIT  # of angles: where the curve flies they round to walls that are apart
-
 
 Centers = Float64[np.ndarray, "_ 2"]  # angles, and what rounding took from them
 
@@ -112,17 +100,20 @@ def scan_angles(c: Curve, centers: Centers, *, is_proved: bool = False) -> Angle
 
     Where the other roots are counted in balls, angles come closer to ends that are proved.
     """
-    count = max(_PER_TURN * c.degree, _FEWEST, _PER_BRANCH * (len(c.poles) + 1))
+    per_turn, fewest, per_branch = 8, 500, 20  # even angles: of a turn of z^n, and of a branch
+    to_ends = 12  # angles that come closer and closer
+    to_poles, to_proved = 1e-11, 1e-14 if is_proved else 1e-9  # how close
+    count = max(per_turn * c.degree, fewest, per_branch * (len(c.poles) + 1))
     step = np.pi / count
     even = step * (np.arange(count) + 0.5)
-    start = np.geomspace(_FIRST, even[0], _TO_ENDS, endpoint=False)
+    start = np.geomspace(_FIRST, even[0], to_ends, endpoint=False)
     proved = np.array(
         [(end.angle, end.angle_rest) for end in line_ends(c) if np.isfinite(end.angle)]
     ).reshape(-1, 2)
     around = [
-        _around(c.poles, _TO_POLES, step),
-        _around(drawn_angles(c, *proved.T), _TO_PROVED[is_proved], step),
-        _around(drawn_angles(c, *centers.T), _TO_POLES, step),
+        _around(c.poles, to_poles, step),
+        _around(drawn_angles(c, *proved.T), to_proved, step),
+        _around(drawn_angles(c, *centers.T), to_poles, step),
         _around_resonances(c),
         *(stretch.scan for stretch in c.stretches),
     ]
@@ -138,7 +129,8 @@ def line_ends(c: Curve) -> list[End]:
 
 
 def _around(centers: Angles, closest: float, farthest: float) -> Angles:
-    offsets = np.geomspace(closest, farthest, _TO_CENTERS)
+    to_centers = 14  # angles that come closer and closer
+    offsets = np.geomspace(closest, farthest, to_centers)
     around: Angles = (centers[:, None] + np.concatenate([-offsets, offsets])).ravel()
     return around
 
@@ -199,7 +191,8 @@ def _quotient(falling: Array, total: Array) -> Array:
 
 def _may_be_stable(falling: Array) -> Bool[np.ndarray, "*walls"]:
     """Return False where not all roots of p are inside, by the coefficients of (z + 1)^n alone."""
-    largest = (1.0 + _SLACK) * _binomials(len(falling) + 1)[:-2, None]
+    slack = 1e-6  # of coefficients
+    largest = (1.0 + slack) * _binomials(len(falling) + 1)[:-2, None]
     fits: np.ndarray = np.all(np.abs(falling) <= largest, axis=0)
     return fits
 
@@ -214,13 +207,14 @@ def _all_inside(falling: Array) -> Array:
 
     The recursion runs on fewer and fewer polynomials, which are shorter and shorter.
     """
+    at_once = 32  # steps after which the polynomials that failed are dropped
     passes = np.ones(falling.shape[1], bool)
     index = np.arange(passes.size)
     while len(falling) > 1 and index.size:
         open_ones = passes[index]
         falling, index = falling[:, open_ones], index[open_ones]
         inside = np.ones(index.size, bool)
-        for _ in range(min(_ROUND, len(falling) - 1)):
+        for _ in range(min(at_once, len(falling) - 1)):
             falling, reflection = _lowered(falling)
             inside &= abs(reflection) < 1.0 - MARGIN
         passes[index] = inside
@@ -256,8 +250,9 @@ def find_pieces(c: Curve, angles: Angles, *, is_proved: bool = False) -> Pieces:
     Cohn for the other roots.
     """
     inside = partial(others_inside, c, is_proved=is_proved)
-    narrowing = _PROVED_NARROWING if is_proved else _NARROWING
-    return _joined(c, _arc_ends(c, inside, narrowing, _NOTHING[is_proved], angles))
+    narrowing = (26, 2) if is_proved else (6, 32)  # of the brackets of ends: rounds and parts
+    nothing = 0.0 if is_proved else 3e-11  # radians: shorter arcs and gaps are rounding
+    return _joined(c, _arc_ends(c, inside, narrowing, nothing, angles))
 
 
 def _arc_ends(
@@ -478,8 +473,9 @@ def _matches(
 
 def _tangents(c: Curve, ends: _Ends) -> Float64[np.ndarray, "2 end"]:
     """Return the directions of arcs next to their ends."""
+    beside = 1e-4  # of an arc
     begin, end = ends.theta.reshape(2, -1)
-    aside = _BESIDE * (end - begin)
+    aside = beside * (end - begin)
     return gains_and_slopes(c, np.concatenate([begin + aside, end - aside]))[1]
 
 
@@ -496,6 +492,8 @@ def _corners(
     Angles and walls of corners are written. Where ends are not quite at their corner another arc
     may cut it off.
     """
+    steps = 12  # of Newton's method
+    rounding = 8.0 * UNIT  # of angles: where the curve flies they round to walls that are apart
     stray, certain = 16.0, 1e-8  # brackets, and radians, that ends may be from their corner
     count = len(theta) // 2
     begins, lasts = lone[lone < count], lone[lone >= count]
@@ -507,7 +505,7 @@ def _corners(
     is_mutual = np.argmin(gaps, axis=0)[nearest] == np.arange(len(lasts))
     pair = np.stack([lasts, begins[nearest]])[:, is_mutual]
     start = here = theta[pair]
-    for _ in range(_NEWTON_STEPS):
+    for _ in range(steps):
         (alpha, beta), (alpha_slope, beta_slope) = gains_and_slopes(c, here)
         across, along = alpha[0] - alpha[1], beta[0] - beta[1]
         turn = beta_slope[0] * alpha_slope[1] - alpha_slope[0] * beta_slope[1]
@@ -525,7 +523,7 @@ def _corners(
     both, slopes = gains_and_slopes(c, here)
     gap = np.max(np.abs(both[:, 0] - both[:, 1]) / size[:, None], axis=0)
     speed = np.max(np.abs(slopes) / size[:, None, None], axis=0)
-    enough = _WALLS_AGREE + _ROUNDING * np.max(speed * np.abs(here), axis=0)
+    enough = _WALLS_AGREE + rounding * np.max(speed * np.abs(here), axis=0)
     moved = np.max(np.abs(here - start), axis=0) - stray * np.max(ends.width[pair], axis=0)
     is_solved = (gap < enough) & (moved <= _ANGLES_AGREE)
     slower = np.argmin(speed, axis=0)

@@ -47,14 +47,8 @@ from jaxstab.region.pieces import (
 )
 from jaxstab.region.stable_set import StableRegion, components_of, region_within
 
-_SCANS, _PROVED_SCAN = 5, 2  # scans, and from which on roots are counted in balls
 _BESIDE = 1e-9  # of a limit: how far from it lines are compared
 _LEAST = 1e-12  # of a component's size: the same for limits that are small beside that
-_ASIDE = 1e-5  # of an open end's damping: where a row tells what was missed
-_AGREE, _ROUNDED = 1e-6, 1e-11  # of the longest interval, of the region: ends that are the same
-_FROM_CORNERS = 10.0 ** -np.arange(1.0, 8.0, 2.0)  # of the size: rows where modes are hardly damped
-_SLIM = 1e-9  # of the same: intervals of a row through a component that need not be compared
-_RAYS = (1.0, 0.1), (1.0, 1.0), (1.0, 10.0), (1.0, -1.0), (0.0, 1.0)  # from the wall without gains
 
 Point = Float64[np.ndarray, "2"]
 Points = Float64[np.ndarray, "point 2"]
@@ -63,14 +57,15 @@ Points = Float64[np.ndarray, "point 2"]
 @np.errstate(all="ignore")  # NaN and infinity are answers
 def region_of(loop: ScaledLoop, tolerance: float) -> StableRegion:
     """Return the region of a loop; see ``stable_region`` for the tolerance and what is raised."""
+    scans, proved = 5, 2  # and from which on roots are counted in balls
     rough = 1e-3  # of the same: an outline that leaves its curve by more has too few angles
     c = curve_of(loop)
     if _keeps_a_root(loop):
         return region_within(c, empty_outline(resolved=True))
     centers, is_proved, lines = np.empty((0, 2)), bool(c.stretches), _Lines(loop)
-    for scan in range(_SCANS):
-        is_proved = is_proved or scan >= _PROVED_SCAN
-        if scan >= _PROVED_SCAN:
+    for scan in range(scans):
+        is_proved = is_proved or scan >= proved
+        if scan >= proved:
             c = drawn_out(c, np.concatenate([_inner(line_ends(c)), centers]))
         pieces, centers = _followed(c, centers, is_proved=is_proved)
         more: Centers | None = np.empty((0, 2))
@@ -154,11 +149,12 @@ def _inner(ends: Iterable[End]) -> Centers:
 
 def _angles_beside(lines: _Lines, walls: Points) -> Centers:
     """Return the angles of roots that cross the circle on rows beside walls."""
+    aside = 1e-5  # of an open end's damping: where a row tells what was missed
     most_open = 6
     found = [np.empty((0, 2))]
     finite = walls[np.all(np.isfinite(walls), axis=1)]
     for _, beta in finite[:most_open].tolist():
-        for side in (1.0 - _ASIDE, 1.0 + _ASIDE):
+        for side in (1.0 - aside, 1.0 + aside):
             found.append(_angles_on(lines.at(1, beta * side)))
     return np.concatenate(found)
 
@@ -168,7 +164,8 @@ def _angles_of_rays(lines: _Lines) -> Centers | None:
 
     There are none where no wall of these rays is stable.
     """
-    rays = [lines.along((0.0, 0.0), along) for along in _RAYS]
+    slopes = (1.0, 0.1), (1.0, 1.0), (1.0, 10.0), (1.0, -1.0), (0.0, 1.0)
+    rays = [lines.along((0.0, 0.0), along) for along in slopes]
     if any(ray.status != LineStatus.PROVED for ray in rays):
         return None
     return np.concatenate([_angles_on(ray) for ray in rays])
@@ -189,6 +186,9 @@ class _Compared(NamedTuple):
 
 def _compared(c: Curve, outline: Outline) -> _Compared:
     """Return the lines on both sides of the limits, and rows through each component."""
+    slim = 1e-9  # of the region's width: shorter intervals need not be compared
+    # In shares of its height, from corners: rows where modes are hardly damped.
+    from_corners = 10.0 ** -np.arange(1.0, 8.0, 2.0)
     row = 0.47  # of a component's height: where a row is compared
     main, *islands = components_of(c, outline)
     sizes = np.ptp(outline.vertices, axis=0)
@@ -200,9 +200,9 @@ def _compared(c: Curve, outline: Outline) -> _Compared:
             lines += [(axis, limit + aside, False, 0.0), (axis, limit - aside, True, 0.0)]
     rows = [_height(component, row) for component in (main, *islands)]
     if c.stretches:
-        near = np.append(-_FROM_CORNERS, _FROM_CORNERS) * sizes[1]
+        near = np.append(-from_corners, from_corners) * sizes[1]
         rows += (outline.corners[:, 1, None] + near).ravel().tolist()
-    lines += [(1, value, False, _SLIM * sizes[0]) for value in rows]
+    lines += [(1, value, False, slim * sizes[0]) for value in rows]
     return _Compared(*map(np.array, zip(*lines, strict=True)))
 
 
@@ -211,8 +211,8 @@ def _contradictions(c: Curve, lines: _Lines, outline: Outline) -> Centers | None
 
     There are none where all agree.
     """
-    at_poles = 1e-4  # ``_AGREE`` where the curve is 0/0 at a pole
-    share = _AGREE if all(line.angle in (0.0, np.pi) for line in c.lines) else at_poles
+    agree, at_poles = 1e-6, 1e-4  # of the longest interval; where the curve is 0/0 at a pole
+    share = agree if all(line.angle in (0.0, np.pi) for line in c.lines) else at_poles
     sizes, asked = np.ptp(outline.vertices, axis=0), _compared(c, outline)
     ends = measures.interval_ends(c, outline, asked.value, axis=asked.axis)
     for own, axis, value, is_inner, slim in zip(ends, *(x.tolist() for x in asked), strict=True):
@@ -262,15 +262,14 @@ def _is_any_stable(c: Curve, axis: int, value: float, intervals: Points) -> bool
 
 def _agree(line: StableLine, drawn: Points, slim: float, share: float, size: float) -> bool:
     """Return whether a line has the intervals that are drawn, but for slim ones."""
+    rounded = 1e-11  # of the region's size: ends that are the same
     proved = np.array([[low.value, high.value] for low, high in line.intervals]).reshape(-1, 2)
     proved, drawn = (x[x[:, 1] - x[:, 0] > slim] for x in (proved, drawn))
-    tolerance = share * np.max(np.ptp(drawn, axis=1), initial=0.0) + _ROUNDED * size
+    tolerance = share * np.max(np.ptp(drawn, axis=1), initial=0.0) + rounded * size
     return len(proved) == len(drawn) and not np.any(np.abs(proved - drawn) > tolerance)
 
 
 # The outline of one loop, with as many points as it needs.
-
-_FEWEST_POINTS, _MOST_POINTS = 256, 65536
 
 
 def _adapted(c: Curve, pieces: Pieces, tolerance: float) -> tuple[Outline, float]:
@@ -287,7 +286,8 @@ def _adapted(c: Curve, pieces: Pieces, tolerance: float) -> tuple[Outline, float
 
 
 def _enough_points(wanted: float) -> int:
-    return max(_FEWEST_POINTS, min(ceil(wanted), _MOST_POINTS))
+    fewest, most = 256, 65536
+    return max(fewest, min(ceil(wanted), most))
 
 
 @refuses_loops("region()")

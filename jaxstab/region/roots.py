@@ -10,10 +10,6 @@ import numpy as np
 from jaxstab.arrays import Array
 from jaxstab.rounding import UNIT
 
-_STEPS = 60  # bisection alone would take 53 from any bracket of like ends
-_STILL = 4.0 * UNIT
-_ENOUGH = 1e-10  # of a step of the secant method: what is left after it is below rounding
-
 
 def nonzero(divisor: Array, instead: float) -> Array:
     """Return a divisor without zeros: 1 or infinity in their place keeps quotients finite."""
@@ -34,6 +30,9 @@ def bracketed_root(
 
     Source: the safeguards of Press et al., Numerical Recipes, 9.4.
     """
+    steps = 60  # bisection alone would take 53 from any bracket of like ends
+    still = 4.0 * UNIT
+    enough = 1e-10  # of a step of the secant method: what is left after it is below rounding
     if not lower.size:
         return lower
     at_lower, at_upper = ends or (function(lower), function(upper))
@@ -49,7 +48,7 @@ def bracketed_root(
     low: Array = lower
     high: Array = upper
     moving = has_root & (lower < upper)
-    for _ in range(_STEPS):
+    for _ in range(steps):
         if not np.any(moving):
             break
         value = function(x)
@@ -58,7 +57,7 @@ def bracketed_root(
         following = x - value * (x - last) / (value - at_last)  # NaN or infinite: bisected
         step = abs(following - x)
         inside = (following > low) & (following < high)
-        done = (step <= _ENOUGH * abs(x)) | (value == 0.0) | (high - low <= _STILL * high)
+        done = (step <= enough * abs(x)) | (value == 0.0) | (high - low <= still * high)
         usable = (done & np.isfinite(following)) | (inside & (2.0 * step < abs(x - last)))
         following = np.where(usable, np.clip(following, low, high), 0.5 * (low + high))
         following = np.where(moving & (value != 0.0), following, x)

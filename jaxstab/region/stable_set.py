@@ -27,7 +27,6 @@ Shown = TypeVar("Shown", bound="ShownRegion")
 # How a region presents itself: four lines of text, and a picture.
 
 _DIGITS = 5
-_ASIDE = 1e-6  # of a stiffness
 
 
 class GainNames(NamedTuple):
@@ -122,7 +121,7 @@ def printed_extremes(region: Any, digits: int = _DIGITS) -> tuple[Any, Any]:
         without_noise(gains, float(np.abs(gains).max())).tolist()
         for gains in np.transpose(region.extremes)
     )
-    aside = _ASIDE * max(abs(alpha), abs(at_alpha))
+    aside = 1e-6 * max(abs(alpha), abs(at_alpha))
 
     def is_inside(stiffness: float, damping: float) -> Any:
         return region.contains(stiffness or aside, damping)  # an axis may be the edge: a limit
@@ -191,9 +190,6 @@ class RegionStatus(Status):
 
 # The connected components of a stable set, each bounded by a loop, and by those around its holes.
 
-_SMALL = 1e-8  # of what a set spans
-_RATIOS = 10.0 ** np.arange(-6.0, 1.0)  # of alpha to beta, in that measure
-
 
 def components_of(c: Curve, outline: Outline) -> list[Outline]:
     """Return the outlines of the components: first the one with small gains, then by area."""
@@ -216,9 +212,11 @@ def components_of(c: Curve, outline: Outline) -> list[Outline]:
 
 def holds_small_gains(c: Curve, outline: Outline) -> bool:
     """Return whether a set holds positive gains that are small beside its own size."""
+    small = 1e-8  # of what a set spans
+    ratios = 10.0 ** np.arange(-6.0, 1.0)  # of alpha to beta, in that measure
     extent = np.max(np.abs(outline.vertices[: outline.size]), axis=0)
-    alpha = _SMALL * extent[0] * _RATIOS
-    beta = np.full_like(alpha, _SMALL * extent[1])
+    alpha = small * extent[0] * ratios
+    beta = np.full_like(alpha, small * extent[1])
     return bool(np.any(measures.contains(c, outline, alpha, beta)))
 
 
