@@ -80,7 +80,6 @@ def test_the_code_is_formatted() -> None:
     assert_succeeds("-m", "ruff", "format", "--check", ".")
 
 
-@pytest.mark.campaign
 @pytest.mark.skipif(np.__version__ < "2.3", reason="older types of NumPy say less")
 def test_the_types_are_right_under_strict_mypy() -> None:
     assert_succeeds("-m", "mypy")
