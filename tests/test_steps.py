@@ -58,7 +58,7 @@ def test_the_first_last_coefficient_above_the_leading_one_has_a_root_outside(sha
     later = replace(begun, inside=np.array(False))
     assert not schur_cohn._dense_step(later, unit=UNIT).outside
     errors = {"head_error": np.array(0.5 * share * above), "error": np.array(0.5 * share * above)}
-    sparse = Chain(0.5, (0.25, 0.5), (1.0 + above, -0.5, 0.25), **errors)
+    sparse = Chain(0.5, (0.25, 0.5), (1.0 + above, -0.5, 0.25), **errors, outside=False)
     assert _step(sparse, UNIT).outside == (share < 1.0)
     assert not _step(replace(sparse, inside=np.array(False)), UNIT).outside
 

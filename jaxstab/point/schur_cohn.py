@@ -89,7 +89,7 @@ class Chain(Generic[Number]):
     error: Array  # l1 norm of all other errors
     inside: Array | bool = True  # every |K| < 1 so far
     regular: Array | bool = True  # no |K| = 1 so far
-    outside: Array | bool = False  # the first |K| > 1 was so beyond all errors
+    outside: Array | bool | None = None  # a first |K| > 1, beyond all errors; None: not followed
     balance: Balance | None = None  # of zeros; None: not followed
 
 
@@ -106,10 +106,11 @@ def decide(chain: Chain[Number], ends: Ends, unit: float, degree: int | Array) -
     """Return the codes of monic polynomials of a degree >= 3, computed with a unit roundoff."""
     chain, gap, ratio, is_clear = _at_the_end(chain, unit, degree)
     is_inside = chain.inside & (size(ratio) < 1.0) & (leading(gap) > 0.0)
-    return _codes(is_inside, chain.outside, is_clear, ends)
+    is_outside = False if chain.outside is None else chain.outside
+    return _codes(is_inside, is_outside, is_clear, ends)
 
 
-def _codes(is_inside: Array, is_outside: Array, is_clear: Array, ends: Ends) -> Array:
+def _codes(is_inside: Array, is_outside: Array | bool, is_clear: Array, ends: Ends) -> Array:
     """Return codes by what the steps say of the roots, if they are clear, and by real roots."""
     xp = namespace(is_clear, ends)
     # With no error p(1) = 0 is a root at 1, which is not inside.
@@ -185,7 +186,10 @@ def _step(
     is_alone = chain.balance is None or is_rolled
     ratio = tail[0] if is_monic else _quotient(tail[0], lead, is_alone=is_alone)
     modulus = size(ratio)
-    errors = chain.error + chain.head_error
+    outside = chain.outside
+    if outside is not None:
+        errors = chain.error + chain.head_error
+        outside = outside | (chain.inside & _is_larger(tail[0], lead, errors, unit))
     lowered = tail[0] - tail[2] if len(tail) > 2 else tail[0]
     pairs = list(zip_longest(head, tail[1:]))
     bounds = _bounds_after(chain, lead, modulus, unit)
@@ -195,7 +199,7 @@ def _step(
         tail=tuple(_minus(v, ratio, u) for u, v in pairs),
         inside=chain.inside & (modulus < 1.0),
         regular=chain.regular & (modulus != 1.0),
-        outside=chain.outside | (chain.inside & _is_larger(tail[0], lead, errors, unit)),
+        outside=outside,
         balance=chain.balance and chain.balance.after(leading(ratio), modulus),
         **bounds,
     )

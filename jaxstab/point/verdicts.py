@@ -15,7 +15,7 @@ operations; other loops take steps over all of their coefficients. Plants are co
 at the degree that its delay gives. NumPy and XLA run the same kernels (``batches``).
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from math import prod
 from typing import Any, Generic, NamedTuple
@@ -284,6 +284,8 @@ def loop_codes(
     ends = _ends(alpha, beta, gamma, plant, unit, degree)
     # A coefficient of a stable polynomial is at most binomial(n, i). Numbers stay finite so.
     large = size_sum(chain.tail) - chain.error > 8.0 * 2.0**degree
+    if not isinstance(degree, int) or degree > HIGHEST_UNROLLED:
+        chain = replace(chain, outside=False)  # a short recursion decides without it
     codes = decide(chain, ends, unit, degree)
     return namespace(large, codes).where(large, Verdict.UNSTABLE, codes).astype(np.int8)
 
