@@ -51,7 +51,7 @@ import pytest
 from coverage import CoverageData
 
 ROOT = Path(__file__).resolve().parents[1]
-ROOMS = os.environ.get("JAXSTAB_MUTANTS_ROOMS", "exact boxes point proofs region").split()
+ROOMS = os.environ.get("JAXSTAB_MUTANTS_ROOMS", "exact boxes point region").split()
 FOLDER = Path(os.environ.get("JAXSTAB_MUTANTS", "."))
 
 _RECORDED = 30.0  # seconds that the tests of one mutant took when they were recorded
