@@ -38,6 +38,7 @@ from jaxstab.point import verdict
 if TYPE_CHECKING:
     from flint import arb, arb_poly
 
+_MOST_BITS = 6144
 _DIGITS = 60  # bits to which an answer is wanted, at least
 
 
@@ -151,9 +152,8 @@ class _TooWideError(Exception):
 
 
 def _first_rise(level: float, gamma: float, delta: float, delay: float) -> _Rise:
-    first_bits, most_bits = 192, 6144
-    bits = first_bits
-    while bits <= most_bits:
+    bits = 192
+    while bits <= _MOST_BITS:
         with working_precision(bits):
             try:
                 return _largest_root(_curve(level, gamma, delta, delay), gamma)

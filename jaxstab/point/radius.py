@@ -17,7 +17,7 @@ or with an infinite one (NO_BOUND).
 import operator
 from collections.abc import Callable, Sequence
 from decimal import ROUND_CEILING
-from functools import reduce
+from functools import partial, reduce
 from math import prod
 from typing import NamedTuple
 
@@ -163,6 +163,15 @@ def radius_error(
     Source: Schur-Cohn criterion (Jury 1964) for p(r z).
     """
     xp = namespace(coefficients, radius)
+    columns = xp.moveaxis(coefficients, -1, 0)  # their errors are relative: with those of powers
+    return dense_radius_error(columns, xp.zeros_like(radius), radius, unit=UNIT)
+
+
+def _summed_radius_error(
+    coefficients: Float64[Array, "*grid coefficient"], radius: Float64[Array, "*grid"]
+) -> Float64[Array, "*grid"]:
+    """Prove the same for coefficients right to two roundings of the sum of their moduli."""
+    xp = namespace(coefficients, radius)
     rounding = 2.0 * UNIT * xp.sum(abs(coefficients), axis=-1)
     return dense_radius_error(xp.moveaxis(coefficients, -1, 0), rounding, radius, unit=UNIT)
 
@@ -227,7 +236,7 @@ def scaled_codes(
     signed = [-value if at % 2 else value for at, value in zip(places, scaled, strict=True)]
     sizes = sum(map(size, scaled))
     rounding = SAFETY * error * xp.maximum(1.0, size(inverse) ** degree)
-    rounding = rounding + (2 * degree + 6) * unit * sizes + UNDERFLOW
+    rounding = rounding + (2 * degree + 8) * unit * sizes + UNDERFLOW
     at_one, at_minus_one = (leading(reduce(operator.add, terms)) for terms in (scaled, signed))
     end_error = rounding + degree * unit * sizes
     ends = Ends(at_one, end_error, at_minus_one, end_error)
@@ -341,7 +350,7 @@ def spectral_radius(
 def linear_spectral_radius(alpha: Array, beta: Array, loop: LinearLoop) -> SpectralRadius:
     """Spectral radii of walls of one loop, of any device and filters; both may be traced."""
     if is_any_traced(alpha, beta, loop):
-        both = _traced_radius_of(loop_polynomial(alpha, beta, loop))
+        both = _traced_radius_of(loop_polynomial(alpha, beta, loop), _summed_radius_error)
     else:
         xp = namespace(alpha, beta, loop)
         walls = tree_map(np.asarray, (alpha, beta, loop))
@@ -441,15 +450,19 @@ def _polished(parameters: list[Values], delay: Values | float) -> tuple[Values, 
 
 def _traced_radius(*arguments: Numbers, filters: Filters | None) -> SpectralRadius:
     velocity, position = filters or (None, None)
-    both = over_grid(_traced_radius_of, *arguments, velocity=velocity, position=position)
+    bound = _summed_radius_error if filters else radius_error
+    radius = partial(_traced_radius_of, bound=bound)
+    both = over_grid(radius, *arguments, velocity=velocity, position=position)
     return _believed(_with_status(*both), *arguments[2:4])
 
 
-def _traced_radius_of(coefficients: Array) -> tuple[Array, Array]:
+def _traced_radius_of(
+    coefficients: Array, bound: Callable[[Array, Array], Array]
+) -> tuple[Array, Array]:
     from jaxstab.point.traced_radius import largest_modulus
 
     value = largest_modulus(coefficients)
-    return value, radius_error(*constant((coefficients, value)))
+    return value, bound(*constant((coefficients, value)))
 
 
 @compiled()
