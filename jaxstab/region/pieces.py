@@ -308,13 +308,18 @@ def second_pairs(c: Curve, theta: Angles) -> Angles:
     """
     about, work = 1e-6, 2e8  # what rounding may move roots by; operations for eigenvalues
     found = np.full(len(theta), nan)
-    for k, angle in enumerate(theta[: int(work / c.degree**3)].tolist()):
-        wall = np.append(1.0, curve_gains(c, np.array([angle])))
-        z = np.roots(wall @ c.parts) if np.all(np.isfinite(wall)) else np.empty(0)
-        aside = np.abs(np.abs(z) - 1.0)
-        is_other = (z.imag > 0.0) & (np.abs(np.angle(z) - angle) > about) & (aside < about)
-        if np.any(is_other):
-            found[k] = np.angle(z[is_other][np.argmin(aside[is_other])])
+    asked = theta[: int(work / c.degree**3)]
+    walls = np.vstack([np.ones(len(asked)), curve_gains(c, asked)])
+    finite = np.flatnonzero(np.all(np.isfinite(walls), axis=0))
+    companions = np.tile(np.eye(c.degree, k=-1), (len(finite), 1, 1))
+    companions[:, 0] = -(walls[:, finite].T @ c.parts)[:, 1:]
+    z = np.linalg.eigvals(companions)
+    aside = np.abs(np.abs(z) - 1.0)
+    is_other = (z.imag > 0.0) & (np.abs(np.angle(z) - asked[finite, None]) > about)
+    aside = np.where(is_other & (aside < about), aside, np.inf)
+    nearest = np.argmin(aside, axis=1)[:, None]
+    told = np.take_along_axis(np.angle(z), nearest, axis=1)[:, 0]
+    found[finite] = np.where(np.isfinite(np.min(aside, axis=1, initial=np.inf)), told, nan)
     return found
 
 

@@ -91,21 +91,22 @@ def region_of(loop: ScaledLoop, tolerance: float) -> StableRegion:
 def _followed(c: Curve, centers: Centers, *, is_proved: bool) -> tuple[Pieces, Centers]:
     """Return the pieces that scans find, and the centres with those that arcs told of.
 
-    As long as a scan in float64 finds more arcs for them, it is repeated.
+    As long as a scan in float64 finds more arcs for them, it is repeated, some times.
     """
-    known = 1e-7  # radians: a centre is there
+    known, scans = 1e-7, 4  # radians: a centre is there
     arcs = -1
-    while True:
+    for _ in range(scans):
         pieces = find_pieces(c, scan_angles(c, centers, is_proved=is_proved), is_proved=is_proved)
         if is_proved or not pieces.lone.size or len(pieces.begin) <= arcs:
-            return pieces, centers
+            break
         told = second_pairs(c, pieces.lone)
         away = np.min(np.abs(told[:, None] - centers[:, 0]), axis=1, initial=np.inf)
         new = told[(away > known) & np.isfinite(told)]
         if not new.size:
-            return pieces, centers
+            break
         new_centers = np.stack([new, np.zeros_like(new)], axis=1)
         arcs, centers = len(pieces.begin), np.concatenate([centers, new_centers])
+    return pieces, centers
 
 
 def _keeps_a_root(loop: ScaledLoop) -> bool:
