@@ -93,7 +93,7 @@ def _followed(c: Curve, centers: Centers, *, is_proved: bool) -> tuple[Pieces, C
 
     As long as a scan in float64 finds more arcs for them, it is repeated, some times.
     """
-    known, scans = 1e-7, 4  # radians: a centre is there
+    known, scans = 1e-7, 8  # radians: a centre is there
     arcs = -1
     for _ in range(scans):
         pieces = find_pieces(c, scan_angles(c, centers, is_proved=is_proved), is_proved=is_proved)
