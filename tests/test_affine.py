@@ -361,6 +361,15 @@ def test_54_regions_of_pid_agree_with_verdicts(loop: jaxstab.Loop) -> None:
     assert loop.limits().is_reachable == (loop.gains[1].name == "ki")
 
 
+def test_54_printed_limits_are_rounded_to_the_stable_side() -> None:
+    limits = jaxstab.pid(held(), kd=50.0).limits()
+    assert limits.first.value == pytest.approx(25860.6638, abs=1e-4)
+    assert "largest kp = 25860.6 N/m" in repr(limits)
+    limits = robot(1e4, 1e-3, 4).limits()
+    assert 0.0158504 < limits.first.value < 0.0158505
+    assert "least mass = 0.0158505 kg" in repr(limits)
+
+
 def test_54_an_equal_device_on_a_wall_that_moves_is_the_wall_of_an_endless_mass() -> None:
     heavy = jaxstab.Device.mass_spring_damper(mass=1e9)
     limits = jaxstab.coupling(DEVICE, heavy, sample_time=1e-3).limits()

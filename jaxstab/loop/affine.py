@@ -5,8 +5,8 @@ nothing of the three parts of p(z) = base + a S + b R but that the leading coeff
 vanish. Regions are searched where p(z) is monic: the set of stable polynomials of one degree with
 the leading coefficient 1 is bounded, and so is what two gains can reach of it. Where the gains move
 the leading coefficient, other coordinates do not (``model.affine``): an admittance has its region
-in the coordinates 1/M and D/M, and its least mass and damping are looked up there, then proved in
-the row in which they lie.
+in the coordinates 1/M and D/M. Its least mass and damping are looked up in that outline, to its
+tolerance; where the row of gains through such a point has a proved end, that is taken.
 
 Coefficients that are exact numbers have one more proof: where some roots have the product 1 for
 all gains, as without damping, no precision of balls decides, and fractions do.
@@ -14,6 +14,7 @@ all gains, as without damping, no precision of balls decides, and fractions do.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from decimal import ROUND_CEILING, ROUND_FLOOR
 from fractions import Fraction
 from functools import cached_property, partial
 from math import inf
@@ -116,7 +117,8 @@ class GainLimits(NamedTuple):
         lines = [head + ("" if self.is_reachable else "; small gains are not stable")]
         for own, other in ((self.first, self.second), (self.second, self.first)):
             name, unit, sense = own.gain
-            value = number_text(own.value, 6, unit=unit)
+            rounding = ROUND_FLOOR if sense == "largest" else ROUND_CEILING
+            value = number_text(own.value, 6, rounding, unit)
             at = number_text(own.at, 6, unit=other.gain.unit)
             lines.append(f"  {sense} {name} = {value} at {other.gain.name} = {at}")
         return "\n".join(lines)
@@ -430,12 +432,15 @@ class Loop:
     def limits(self) -> GainLimits:
         """The largest stable value of each gain, or the least where that is what is looked for.
 
+        They are read off the region: that no stable gains were missed beyond is searched, not
+        proved. Printed, largest values are rounded down and least ones up.
+
         Raises: as ``region``. Source: the D-decomposition of eq. (9), likewise.
 
         Example:
             >>> jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=4).limits()
             GainLimits: the boundary closes to loops
-              least mass = 0.0158504 kg at damping = 26.7009 N s/m
+              least mass = 0.0158505 kg at damping = 26.7009 N s/m
               least damping = 26.7009 N s/m at mass = 0.0158504 kg
         """
         region = self.region()
