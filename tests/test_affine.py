@@ -361,6 +361,15 @@ def test_54_regions_of_pid_agree_with_verdicts(loop: jaxstab.Loop) -> None:
     assert loop.limits().is_reachable == (loop.gains[1].name == "ki")
 
 
+@pytest.mark.parametrize("rule", ["backward", "trapezoid"])
+def test_54_the_least_damping_of_an_admittance_may_be_that_of_no_mass(rule: str) -> None:
+    loop = robot(1e4, 1e-3, 4, rule=rule)
+    mass, damping = loop.limits()[:2]
+    assert (mass.value, damping.at) == (0.0, 0.0)
+    light = 10.0 ** np.linspace(-9.0, -1.0, 30)
+    assert np.all(loop.verdict(mass=light, damping=0.9999 * damping.value) == Verdict.UNSTABLE)
+
+
 def test_54_printed_limits_are_rounded_to_the_stable_side() -> None:
     limits = jaxstab.pid(held(), kd=50.0).limits()
     assert limits.first.value == pytest.approx(25860.6638, abs=1e-4)

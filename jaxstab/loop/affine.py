@@ -458,8 +458,16 @@ class Loop:
 
     def _in_rows(self, main: GainRegion) -> list[Float64[np.ndarray, "2"]]:
         """The extreme points of an outline in other coordinates, as ends of proved rows."""
+        here = main.outline
         with np.errstate(all="ignore"):  # 0/0 where the first of them is 0
-            gains = np.stack(self.parts.in_gains(*main.outline.T), axis=-1)
+            gains = np.stack(self.parts.in_gains(*here.T), axis=-1)
+            scaled = gains * here[:, :1]  # which is linear in the coordinates
+            share = scaled / (scaled - np.roll(scaled, -1, axis=0))
+            at_zero = here[:, None] + share[..., None] * (np.roll(here, -1, axis=0) - here)[:, None]
+            at_zero = at_zero[(share > 0.0) & (share < 1.0)]  # where the outline leaves gains >= 0
+            crossed = np.stack(self.parts.in_gains(*at_zero.T), axis=-1)
+        crossed = np.where(np.abs(crossed) < 1e-9 * np.abs(crossed[:, ::-1]), 0.0, crossed)
+        gains = np.concatenate([gains, crossed])
         gains = gains[np.all(np.isfinite(gains) & (gains >= 0.0), axis=1)]
         points = []
         for axis, gain in enumerate(self.gains):
@@ -468,7 +476,7 @@ class Loop:
             row = self.intervals(**{self.gains[1 - axis].name: float(best[1 - axis])})
             ends = [(low if is_least else high).value for low, high in row.intervals]
             if ends:  # at a corner the row may have none
-                best[axis] = min(ends, key=lambda end: abs(end - best[axis]))
+                best[axis] = max(0.0, min(ends, key=lambda end: abs(end - best[axis])))
             points.append(best)
         return points
 
