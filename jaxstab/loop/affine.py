@@ -31,7 +31,6 @@ from jaxstab.exact.line import LineStatus, StableLine
 from jaxstab.exact.verdict import rational_verdict
 from jaxstab.loop.walls import FewWalls
 from jaxstab.model.affine import (
-    INTEGRATORS,
     RULES,
     AdmittanceParts,
     AffineParts,
@@ -574,13 +573,9 @@ def simulated_pd(
         >>> round(loop.limits().first.value, 2)
         3.55
     """
-    numbers = (
-        checked_number("inertia", inertia, 0.0, is_open=True, unit="kg m^2"),
-        checked_number("damping", damping, 0.0),
-        checked_number("stiffness", stiffness, 0.0),
-        checked_number("step", step, 0.0, is_open=True, unit="s"),
-    )
-    checked_word("integrator", integrator, INTEGRATORS)
+    joint: Any = Device.simulated(
+        inertia, step=step, damping=damping, stiffness=stiffness, integrator=integrator
+    ).mechanism
     substeps = checked_count("substeps", substeps, 1, 1000)
     delay_steps = checked_count("delay_steps", delay_steps, 0, int(LONGEST_DELAY) * substeps)
     is_outside = outside or substeps > 1 or delay_steps > 0
@@ -590,11 +585,11 @@ def simulated_pd(
             "again: p(z) is not affine in the gains; give outside=True if the torque is held, or "
             "another integrator."
         )
-    parts = SimulatedParts(*numbers, integrator, is_outside, substeps, delay_steps)
+    parts = SimulatedParts(joint, is_outside, substeps, delay_steps)
     gains = Gain("kp", "N m/rad"), Gain("kd", "N m s/rad")
     where = f"outside of it, every {substeps} steps" if is_outside else "inside its step"
     words = f"PD of a simulated joint ({integrator}), {where}"
-    return Loop(parts, gains, numbers[3] * substeps, words)
+    return Loop(parts, gains, joint.step * substeps, words)
 
 
 def admittance(

@@ -625,12 +625,14 @@ def _about_one(falling: Polynomial) -> Polynomial:
 def _poles(filters: Filters) -> Angles | None:
     """Return the angles in (0, pi) where V/P is real; None for filters left to single answers.
 
-    These are filters that leave float64 few digits, and those with P(1) = 0.
+    These are filters that leave float64 few digits, those with P(1) = 0, and measured velocities.
 
     The imaginary part of X/Y, times |Y|^2, is a series of sines: the odd part of X(z) Y(1/z).
     """
     on_circle = 1e-6  # a root of Im V this close to the circle is on it
     ill_conditioned = 1e8  # a denominator's coefficients, over its least size on the circle
+    if filters[0].behind_measured is not None:
+        return None
     below, y, x = (
         np.array([float(c.rounded()) for c in part]) for part in filter_factors(filters).parts
     )

@@ -14,12 +14,8 @@ one of several rules. Where the PD acts inside the step, a = kp h^2/J, b = kd h/
     implicit-damping  (z-1)^2 + g z (z-1) + s z    z         z (z-1)
     implicit          the same                     z^2       z (z-1)
 
-Outside of the engine the torque is held through n steps and acts d steps late. With F and G the
-engine's step, x = (q, v), and d = w n + f, Gamma_j = G + F G + ... + F^(j-1) G:
-
-    p = z^lag det(z - F^n) + (a, b) adj(z - F^n) (Gamma_(n-f) z + F^(n-f) Gamma_f).
-
-The velocity is the engine's own. An admittance moves a robot as a mass M on a damper D would move
+Outside of the engine the joint is a device in z (``device.discrete``), and the velocity the
+engine's own. An admittance moves a robot as a mass M on a damper D would move
 under the measured force -Ke x, w samples late:
 
     p = z^w (M (z-1)^2/T + D V + K T X) + Ke T X,
@@ -40,12 +36,14 @@ from jaxstab.arrays import Array
 from jaxstab.model.balls import (
     BallLoop,
     Factored,
+    Plant,
     Triple,
     ball_loop,
     filter_in_balls,
     plant_in_balls,
 )
 from jaxstab.model.device.device import Device
+from jaxstab.model.device.discrete import Simulated, sampled_steps
 from jaxstab.model.device.parts import FIRST_BITS, working_precision
 from jaxstab.model.filters import NO_FILTERS, Filter, Velocity, given_filters
 
@@ -177,18 +175,11 @@ def _without_common_power(*parts: Factored) -> Triple:
 
 
 # ------------------------------------------------------------------------------------- simulators
-INTEGRATORS = ("explicit", "semi-implicit", "implicit-joint", "implicit-damping", "implicit", "rk4")
-
-
 @dataclass(frozen=True)
 class SimulatedParts(AffineParts):
     """PD control of a simulated joint; ``is_outside`` of its engine, or inside of its step."""
 
-    inertia: float
-    damping: float
-    stiffness: float
-    step: float
-    integrator: str
+    joint: Simulated
     is_outside: bool
     substeps: int
     delay_steps: int
@@ -201,65 +192,27 @@ class SimulatedParts(AffineParts):
         """The parts in exact numbers."""
         return self._outside() if self.is_outside else self._inside()
 
-    def _numbers(self) -> "list[fmpq]":
-        return _exact((self.inertia, self.damping, self.stiffness, self.step))
-
     def _inside(self) -> "tuple[fmpq_poly, fmpq_poly, fmpq_poly]":
         from flint import fmpq_poly
 
         z, one = fmpq_poly([0, 1]), fmpq_poly([1])
-        inertia, damping, stiffness, step = self._numbers()
-        by_kp = {"explicit": one, "implicit": z * z}.get(self.integrator, z)
-        by_kd = z if self.integrator in ("implicit-damping", "implicit") else one
-        damped = one if self.integrator in ("explicit", "semi-implicit") else z
-        sprung = one if self.integrator == "explicit" else z
+        inertia, damping, stiffness, step = self.joint.numbers()
+        integrator = self.joint.integrator
+        by_kp = {"explicit": one, "implicit": z * z}.get(integrator, z)
+        by_kd = z if integrator in ("implicit-damping", "implicit") else one
+        damped = one if integrator in ("explicit", "semi-implicit") else z
+        sprung = one if integrator == "explicit" else z
         base = (z - 1) ** 2 + damped * (z - 1) * (damping * step / inertia)
         base += sprung * (stiffness * step**2 / inertia)
         return base, by_kp * (step**2 / inertia), by_kd * (z - 1) * (step / inertia)
 
     def _outside(self) -> "tuple[fmpq_poly, fmpq_poly, fmpq_poly]":
-        from flint import fmpq_mat, fmpq_poly
+        from flint import fmpq_poly
 
-        z = fmpq_poly([0, 1])
-        move, push = self._step()
-        count, (whole, late) = self.substeps, divmod(self.delay_steps, self.substeps)
-        powers = [fmpq_mat([[1, 0], [0, 1]])]
-        for _ in range(count):
-            powers.append(move * powers[-1])
-        pushes = [fmpq_mat(2, 1)]  # Gamma_j
-        for power in powers[:-1]:
-            pushes.append(pushes[-1] + power * push)
-        newer, older = pushes[count - late], powers[count - late] * pushes[late]
-        ((a, b), (c, d)) = powers[count].tolist()
-        denominator = (z - a) * (z - d) - b * c
-        adjugate = [[z - d, fmpq_poly([b])], [fmpq_poly([c]), z - a]]
-        sides = [
-            sum((row[k] * (newer[k, 0] * z + older[k, 0]) for k in range(2)), fmpq_poly([]))
-            for row in adjugate
-        ]
-        return denominator * z ** (whole + 1), sides[0], sides[1]
-
-    def _step(self) -> "tuple[fmpq_mat, fmpq_mat]":
-        """What a step of the engine does to position and velocity, and what a torque adds."""
-        from flint import fmpq_mat
-
-        inertia, damping, stiffness, step = self._numbers()
-        rate = fmpq_mat([[0, 1], [-stiffness / inertia, -damping / inertia]])
-        one = fmpq_mat([[1, 0], [0, 1]])
-        torque = fmpq_mat([[0], [1 / inertia]])
-        if self.integrator == "rk4":
-            halves = [one, rate * (step / 2), rate**2 * (step**2 / 6), rate**3 * (step**3 / 24)]
-            response = halves[0] + halves[1] + halves[2] + halves[3]
-            return one + rate * response * step, response * torque * step
-        if self.integrator == "explicit":
-            return one + rate * step, torque * step
-        is_joint_implicit = self.integrator != "semi-implicit"
-        moved = inertia + step * damping if is_joint_implicit else inertia
-        kept = inertia if is_joint_implicit else inertia - step * damping
-        velocity = [-step * stiffness / moved, kept / moved]
-        by_torque = step / moved
-        move = fmpq_mat([[1 + step * velocity[0], step * velocity[1]], velocity])
-        return move, fmpq_mat([[step * by_torque], [by_torque]])
+        denominator, (by_kp, by_kd), lag = sampled_steps(
+            self.joint, self.substeps, self.delay_steps
+        )
+        return denominator * fmpq_poly([0, 1]) ** lag, by_kp, by_kd
 
 
 def _exact(numbers: Iterable[Any]) -> "list[fmpq]":
@@ -404,19 +357,24 @@ class CouplingParts(AffineParts):
     @property
     def drift(self) -> int:
         """How many roots at z = 1 the common motion of both has, which no gain moves."""
-        return min(denominator.at_one for _, denominator, _ in self._plants())
+        return min(plant.denominator.at_one for plant in self._plants())
 
     def triple(self) -> Triple:
         """The parts of p(z) without the common motion, by stiffness and damping."""
-        (n1, d1, lag1), (n2, d2, lag2) = self._plants()
+        (n1, d1, lag1, v1), (n2, d2, lag2, v2) = self._plants()
         shared, drift = min(lag1, lag2), min(d1.at_one, d2.at_one)
         first, second = (d.divided(0, drift, 0) for d in (d1, d2))
-        plant = _late(n1, lag2 - shared).times(second).plus(_late(n2, lag1 - shared).times(first))
+
+        def both(one: Factored, other: Factored) -> Factored:
+            one = _late(one, lag2 - shared).times(second)
+            return one.plus(_late(other, lag1 - shared).times(first))
+
+        velocity = both(v1, v2) if v1 and v2 else None
+        whole = Plant(both(n1, n2), d1.times(second), max(lag1, lag2), velocity)
         filters = given_filters(self.velocity, None) or NO_FILTERS
-        whole = plant, d1.times(second), max(lag1, lag2)
         return BallLoop.from_plant(whole, self.sample_time, filters).triple
 
-    def _plants(self) -> list[tuple[Factored, Factored, int]]:
+    def _plants(self) -> list[Plant]:
         return [
             plant_in_balls(device, self.sample_time, delay)
             for device, delay in zip(self.devices, self.delays_samples, strict=True)

@@ -393,6 +393,23 @@ def _slope_weights(samples: int, order: int) -> tuple[float, ...]:
     return tuple(map(float, accumulate(exact)))
 
 
+@pytree
+@dataclass(frozen=True)
+class Measured(Section):
+    """The device's own velocity in place of a difference of its positions."""
+
+    estimator: ClassVar[str] = "measured"
+
+    def __str__(self) -> str:
+        return "the device's own velocity"
+
+    def factors(self, number: Any) -> list[Factor]:
+        raise ValueError(
+            "velocity is measured, an output of a device in z in a HapticLoop; what is asked for here "
+            "needs an estimator from positions, and a device in s."
+        )
+
+
 LOW_PASSES = (LowPass, Butterworth)  # by ``kind``, which a table gives beside the cut-off
 
 
@@ -655,7 +672,7 @@ class Velocity:
     """A velocity estimator, from sampled positions: (1 - 1/z)/T, then a filter.
 
     Make one with ``difference``, ``low_pass``, ``butterworth``, ``exponential``, ``kalman``,
-    ``savitzky_golay`` or ``transfer_function``; multiply by a ``Filter`` to smooth it further.
+    ``savitzky_golay``, ``transfer_function`` or, from no positions, ``measured``; multiply by a ``Filter`` to smooth it further.
 
     Example:
         >>> str(jaxstab.Velocity.difference(samples=20) * jaxstab.Filter.low_pass(100.0))
@@ -672,6 +689,8 @@ class Velocity:
         the slope of a polynomial of order 2 through 9 samples
         >>> print(jaxstab.Velocity.transfer_function([500.0, -500.0], [1.0, 0.0]))
         a transfer function of order 1
+        >>> jaxstab.Velocity.measured() * jaxstab.Filter.low_pass(100.0)
+        Velocity.measured() * Filter.low_pass(cutoff=100.0, order=1)
     """
 
     filter: Filter = Filter()
@@ -754,6 +773,20 @@ class Velocity:
                 "velocity is 0 at rest; give one whose coefficients sum to 0."
             )
         return cls(Filter((Differentiator(above, below),)))
+
+    @classmethod
+    def measured(cls) -> "Velocity":
+        """The velocity that the device has as a second output: an engine's own, a tachometer's.
+
+        Of ``Device.simulated``, and of ``Device.discrete`` with two outputs.
+        """
+        return cls(Filter((Measured(),)))
+
+    @property
+    def behind_measured(self) -> Filter | None:
+        """What filters the device's own velocity; None for one from positions."""
+        sections = self.filter.sections
+        return Filter(sections[1:]) if sections[:1] == (Measured(),) else None
 
     def per_sample(self, sample_time: Numbers) -> "Velocity":
         """Return the estimator in units of a sampling period: ``Filter.per_sample``."""

@@ -103,7 +103,18 @@ class LoopParameters:
         given_filters(self.velocity, self.position)
         is_one = is_one or is_traced(self.sample_time)
         periods = [self.sample_time] if is_one else np.unique(self.sample_time).tolist()
-        for chain in (self.velocity.filter if self.velocity else None, self.position):
+        own = self.device.in_steps if self.device else None
+        if own and is_one and not is_any_traced(self.delay, self.sample_time):
+            own.steps(self.sample_time, self.delay_samples)
+        velocity = self.velocity.filter if self.velocity else None
+        if self.velocity and self.velocity.behind_measured is not None:
+            velocity = self.velocity.behind_measured
+            if not getattr(self.device and self.device.mechanism, "has_velocity", False):
+                raise ValueError(
+                    "velocity is measured, but the device has no velocity output, as "
+                    "Device.simulated and Device.discrete with two outputs have; give an estimator."
+                )
+        for chain in (velocity, self.position):
             if chain is not None:
                 for period in periods:
                     chain.checked(period)

@@ -19,6 +19,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Complex128
 
+from jaxstab.model.device.discrete import (
+    INTEGRATORS,
+    InSteps,
+    Simulated,
+    checked_discrete,
+)
 from jaxstab.model.device.parts import (
     Coefficients,
     MassSpringDamper,
@@ -36,23 +42,31 @@ from jaxstab.model.device.parts import (
     turn,
     working_precision,
 )
-from jaxstab.numbers import checked_number
+from jaxstab.numbers import checked_number, checked_word
 
 # Systems of python-control and of scipy.signal as numbers; neither of them is imported.
 
 
-def matrices_of(system: Any) -> tuple[Any, Any, Any] | None:
-    """A, B and C of a state space, None for a system of another kind."""
+def step_of(system: Any) -> float | None:
+    """The sampling period of a system in z; None for one in s."""
+    step = getattr(system, "dt", None)
+    if step is True:
+        raise ValueError("the system is sampled, with dt = True; give its sampling period in s.")
+    return step or None
+
+
+def matrices_of(system: Any) -> tuple[Any, Any, Any, Any] | None:
+    """A, B, C and D of a state space, None for a system of another kind."""
     if not all(hasattr(system, name) for name in "ABCD"):
         return None
-    _refuse_sampled(system)
     a, b, c, d = (np.atleast_2d(getattr(system, name)) for name in "ABCD")
-    _refuse_many(b.shape[1], c.shape[0])
-    if np.any(d):
+    is_sampled = step_of(system) is not None
+    _refuse_many(b.shape[1], c.shape[0], 2 if is_sampled else 1)
+    if np.any(d) and not is_sampled:
         raise ValueError(
             f"D is {d.tolist()}; position over force is strictly proper in s: give D = 0."
         )
-    return a, b, c
+    return a, b, c, d
 
 
 def coefficients_of(system: Any) -> tuple[Any, Any]:
@@ -64,7 +78,6 @@ def coefficients_of(system: Any) -> tuple[Any, Any]:
             f"system is {system!r}; give a TransferFunction or StateSpace of python-control or "
             "scipy.signal."
         )
-    _refuse_sampled(system)
     numerator, denominator = system.num, system.den
     if isinstance(numerator, list):  # python-control: a row of lists for each output
         _refuse_many(len(numerator[0]), len(numerator))
@@ -72,17 +85,15 @@ def coefficients_of(system: Any) -> tuple[Any, Any]:
     return np.atleast_1d(numerator), np.atleast_1d(denominator)
 
 
-def _refuse_sampled(system: Any) -> None:
-    if getattr(system, "dt", None) not in (None, 0):
+def _refuse_many(inputs: int, outputs: int, most: int = 1) -> None:
+    if inputs != 1 or not 1 <= outputs <= most:
         raise ValueError(
-            f"the system is sampled, with dt = {system.dt}; give the device itself, in s, not in z."
-        )
-
-
-def _refuse_many(inputs: int, outputs: int) -> None:
-    if (inputs, outputs) != (1, 1):
-        raise ValueError(
-            f"the system has {inputs} inputs and {outputs} outputs; give one force, one position."
+            f"the system has {inputs} inputs and {outputs} outputs; give one force, one position"
+            + (
+                ", or a state space in z with its velocity, too."
+                if most == 1
+                else ", one velocity."
+            )
         )
 
 
@@ -182,7 +193,8 @@ class Device:
     """A haptic device as a linear system in SI units: the force in N moves the position in m.
 
     Make one with ``mass_spring_damper``, ``modes``, ``transfer_function``, ``state_space`` or
-    ``from_control``; ``held_by`` attaches a hand, ``with_actuator`` a motor of finite bandwidth:
+    ``from_control``, or in z with ``discrete`` or ``simulated``; ``held_by`` attaches a hand,
+    ``with_actuator`` a motor of finite bandwidth:
 
         wall's force --> [actuator] --> (+) --> [device] --+--> position, to the encoder
                                          ^                 |
@@ -218,9 +230,16 @@ class Device:
         >>> import control
         >>> len(jaxstab.Device.from_control(control.tf([1], [0.25, 0.1, 0.0])).poles())
         2
+        >>> print(jaxstab.Device.discrete([2e-6, 2e-6], [1.0, -2.0, 1.0], step=1e-3))
+        a device in z of order 2, steps of 0.001 s
+        >>> joint = jaxstab.Device.simulated(0.1, step=2e-3)
+        >>> velocity = jaxstab.Velocity.measured()
+        >>> loop = jaxstab.HapticLoop(device=joint, sample_time=8e-3, velocity=velocity)
+        >>> round(loop.limits().stiffness)
+        6250
     """
 
-    mechanism: MassSpringDamper | Modes | TransferFunction | StateSpace
+    mechanism: MassSpringDamper | Modes | TransferFunction | StateSpace | InSteps
     hands: tuple[Hand, ...] = ()
     bandwidths: tuple[float, ...] = ()
 
@@ -288,19 +307,63 @@ class Device:
         return cls(checked_state_space(A, B, C))._checked()
 
     @classmethod
-    def from_control(cls, system: Any) -> "Device":
-        """A device from a continuous-time system of python-control or ``scipy.signal``.
+    def discrete(cls, *system: Any, step: float) -> "Device":
+        """A device in z: numerator and denominator, or A, B, C and D, and its step in s.
 
-        It is a TransferFunction, StateSpace or (scipy's) ZerosPolesGain in s, of one force in N and
-        one position in m. ``held_by`` lets the hand's force act at its input and the hand move with
-        its output; where the hand is elsewhere, give the system with the hand in it.
+        A loop asks it every whole number of its steps, and is late by a whole number of them. It is
+        the device between the computed force and the position, hold, hand and actuator included,
+        but without the delay of the loop. Coefficients have the highest power first; a second row
+        of the numerator, or of C and D, is the velocity (``Velocity.measured``).
 
-        Raises: TypeError if it is of another kind; ValueError if it is sampled (in z), not strictly
-        proper, or has more inputs or outputs.
+        Raises: see ``jaxstab.conventions``; ValueError also if shapes do not fit, it is not proper,
+        of an order above 40, never moves, or has a hidden state that does not die out.
         """
-        matrices = matrices_of(system)
+        return cls(checked_discrete(system, step))
+
+    @classmethod
+    def simulated(
+        cls,
+        inertia: float,
+        *,
+        step: float,
+        damping: float = 0.0,
+        stiffness: float = 0.0,
+        integrator: str = "semi-implicit",
+    ) -> "Device":
+        """A joint, or a mass, of a physics engine under a torque that is computed outside of it.
+
+        The arguments are those of ``jaxstab.simulated_pd``; mass and N/m do for a tool. Its second
+        output is the engine's own velocity (``Velocity.measured``).
+
+        Raises: see ``jaxstab.conventions``.
+        """
+        return cls(
+            Simulated(
+                checked_number("step", step, 0.0, is_open=True, unit="s"),
+                checked_number("inertia", inertia, 0.0, is_open=True, unit="kg m^2"),
+                checked_number("damping", damping, 0.0),
+                checked_number("stiffness", stiffness, 0.0),
+                checked_word("integrator", integrator, INTEGRATORS),
+            )
+        )
+
+    @classmethod
+    def from_control(cls, system: Any) -> "Device":
+        """A device from a system of python-control or ``scipy.signal``, in s or in z.
+
+        It is a TransferFunction, StateSpace or (scipy's) ZerosPolesGain, of one force in N and one
+        position in m; one that is sampled, with its dt in s, is ``discrete``. ``held_by`` lets the
+        hand's force act at its input and the hand move with its output; where the hand is
+        elsewhere, give the system with the hand in it.
+
+        Raises: TypeError if it is of another kind; ValueError if it is not (in s: strictly) proper,
+        or has more inputs or outputs.
+        """
+        step, matrices = step_of(system), matrices_of(system)
+        if step is not None:
+            return cls.discrete(*(matrices or coefficients_of(system)), step=step)
         return (
-            cls.state_space(*matrices)
+            cls.state_space(*matrices[:3])
             if matrices
             else cls.transfer_function(*coefficients_of(system))
         )
@@ -339,6 +402,14 @@ class Device:
     def handle_compliance(self) -> Rational:
         """Return position over a force at the handle, where no actuator is, in exact numbers."""
         return _compliance(replace(self, bandwidths=()))
+
+    @property
+    def in_steps(self) -> InSteps | None:
+        """The device in z alone; None for one in s."""
+        body = self.mechanism
+        if not isinstance(body, InSteps) or self.hands or self.bandwidths:
+            return None
+        return body
 
     def static_stiffness(self) -> float:
         """Force in N that holds the handle 1 m from its rest position, without a wall.

@@ -63,7 +63,11 @@ def sampled_device(device: Device, sample_time: float, delay: float) -> SampledD
     import flint
 
     def size() -> Ball:
-        return sum(map(abs, one_sample(device, period).whole.coeffs()), flint.arb(0))
+        own = device.in_steps
+        whole = (
+            own.sampled(period, delay).numerators[0] if own else one_sample(device, period).whole
+        )
+        return sum(map(abs, whole.coeffs()), flint.arb(0))
 
     unit = _binary_digits(decided(size, is_answered=lambda ball: ball.rel_accuracy_bits() > 1))
     in_time = unit - _binary_digits(flint.arb(period))
