@@ -48,7 +48,7 @@ from jaxstab.model.device.parts import FIRST_BITS, working_precision
 from jaxstab.model.filters import NO_FILTERS, Filter, Velocity, given_filters
 
 if TYPE_CHECKING:
-    from flint import arb, fmpq, fmpq_mat, fmpq_poly
+    from flint import arb, fmpq, fmpq_poly
 
     from jaxstab.model.loop import LoopParameters
 

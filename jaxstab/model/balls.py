@@ -27,8 +27,7 @@ from math import inf, nextafter
 from typing import TYPE_CHECKING, NamedTuple
 
 from jaxstab.model.device.device import Device
-from jaxstab.model.device.discrete import sampled_steps
-from jaxstab.model.device.parts import decided, exact, polynomial
+from jaxstab.model.device.parts import decided, exact
 from jaxstab.model.device.sampling import SampledDevice, one_sample
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import NO_FILTERS, Filter, Filters, Section, exact_chain, given_filters
@@ -365,12 +364,8 @@ def _ball_loop(device: Device, period: float, delay: float, filters: Filters) ->
 
 def _yielding(device: Device, position: tuple[Section, ...]) -> float | None:
     """The K that makes 1 + K P(1) G(1) exactly 0, G(1) the displacement by a constant force."""
-    steps = device.in_steps
-    if steps:
-        below, above, _ = sampled_steps(steps, 1, 0)
-        moved, force = polynomial([above[0](1)]), polynomial([below(1)])
-    else:
-        moved, force = device.compliance().at_rest()
+    own = device.in_steps
+    moved, force = own.at_rest() if own else device.compliance().at_rest()
     for section in position:
         if section.length is None:
             above, below = exact_chain((section,))
@@ -389,9 +384,9 @@ def plant_in_balls(device: Device, period: float, delay: float) -> Plant:
     from flint import arb
 
     if device.in_steps:
-        below, above, lag = device.in_steps.sampled(period, delay)
-        position, *velocity = map(Factored.from_rational, above)
-        return Plant(position, Factored.from_rational(below), lag, *velocity)
+        own = device.in_steps.sampled(period, delay)
+        position, *velocity = map(Factored.from_rational, own.numerators)
+        return Plant(position, Factored.from_rational(own.denominator), own.lag, *velocity)
     whole, fraction = divmod(delay, 1.0)
     sample = one_sample(device, period)
     above, below = sample.above, sample.below

@@ -405,7 +405,7 @@ class Measured(Section):
 
     def factors(self, number: Any) -> list[Factor]:
         raise ValueError(
-            "velocity is measured, an output of a device in z in a HapticLoop; what is asked for here "
+            "velocity is measured, an output of a device in z in a HapticLoop; what is asked for "
             "needs an estimator from positions, and a device in s."
         )
 
@@ -672,7 +672,8 @@ class Velocity:
     """A velocity estimator, from sampled positions: (1 - 1/z)/T, then a filter.
 
     Make one with ``difference``, ``low_pass``, ``butterworth``, ``exponential``, ``kalman``,
-    ``savitzky_golay``, ``transfer_function`` or, from no positions, ``measured``; multiply by a ``Filter`` to smooth it further.
+    ``savitzky_golay``, ``transfer_function`` or, without positions, ``measured``; multiply by a
+    ``Filter`` to smooth it further.
 
     Example:
         >>> str(jaxstab.Velocity.difference(samples=20) * jaxstab.Filter.low_pass(100.0))

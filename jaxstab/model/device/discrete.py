@@ -17,9 +17,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from jaxstab.model.device.parts import HIGHEST_ORDER, Part, Rational, exact
+from jaxstab.model.device.parts import HIGHEST_ORDER, Part, Rational, exact, polynomial
 from jaxstab.numbers import checked, checked_number
-from jaxstab.shown import call_text
 
 if TYPE_CHECKING:
     from flint import fmpq, fmpq_mat, fmpq_poly
@@ -91,6 +90,11 @@ class InSteps(Part):
             )
         return whole, late
 
+    def at_rest(self) -> tuple[Any, Any]:
+        """Position and constant force at rest, as ``Rational.at_rest``."""
+        below, above, _ = sampled_steps(self, 1, 0)
+        return polynomial([above[0](1)]), polynomial([below(1)])
+
     def sampled(self, sample_time: float, delay_samples: float) -> Sampled:
         """The device behind its hold and a delay."""
         return sampled_steps(self, *self.steps(sample_time, delay_samples))
@@ -107,8 +111,7 @@ def sampled_steps(device: InSteps, count: int, delay: int) -> Sampled:
     move, push, outputs = device.one_step()
     whole, late = divmod(delay, count)
     size = move.nrows()
-    one = fmpq_mat([[int(i == j) for j in range(size)] for i in range(size)])
-    powers, pushes = [one], [fmpq_mat(size, 1)]
+    powers, pushes = [move**0], [fmpq_mat(size, 1)]
     for _ in range(count):
         pushes.append(pushes[-1] + powers[-1] * push)
         powers.append(move * powers[-1])
@@ -124,7 +127,8 @@ def sampled_steps(device: InSteps, count: int, delay: int) -> Sampled:
     if not all(numerators):
         raise ValueError(f"the device ({device}) does not move at samples; give a force that acts.")
     common = reduce(lambda p, q: p.gcd(q), numerators, denominator)
-    if not all(abs(root) < 1 for root, _ in common.complex_roots()):
+    roots: list[Any] = common.complex_roots()  # each with its multiplicity
+    if not all(abs(root) < 1 for root, _ in roots):
         raise ValueError(
             f"the device ({device}) has a part that does not die out by itself and that no output "
             "shows at samples, a common factor in z: leave it out, or show it."
@@ -179,43 +183,42 @@ def checked_discrete(system: tuple[Any, ...], step: float) -> Discrete:
             f"the device in z is given by {len(system)} arguments; give numerator and denominator, "
             "or A, B, C and D."
         )
-    if len(system) == 2:
-        sides = _checked_polynomials(*system)
-    else:
-        sides = _checked_matrices(*system)
-    device = Discrete(step, sides)
-    if not 1 <= len(sides[2] if len(sides) == 4 else sides[0]) <= 2:
-        raise ValueError("a device in z has one output, its position, or two, its velocity, too.")
-    sampled_steps(device, 1, 0)  # which it refuses if nothing moves
+    check = _polynomials if len(system) == 2 else _matrices
+    device = Discrete(step, check(*system))
+    sampled_steps(device, 1, 0)  # which refuses what does not move
     return device
 
 
-def _checked_polynomials(numerator: Any, denominator: Any) -> tuple[Any, ...]:
-    above = np.atleast_2d(np.asarray(checked("numerator", numerator)))
-    below = np.trim_zeros(np.atleast_1d(checked("denominator", denominator)), "f")
+def _polynomials(numerator: Any, denominator: Any) -> tuple[Any, ...]:
+    above = np.atleast_2d(checked("numerator", numerator))
+    below = np.trim_zeros(np.ravel(checked("denominator", denominator)), "f")
     rows = [np.trim_zeros(row, "f") for row in above]
-    for row in rows:
-        if below.ndim != 1 or not 1 <= len(below) - 1 <= HIGHEST_ORDER or len(row) > len(below):
-            raise ValueError(
-                f"numerator has degree {len(row) - 1} in z and denominator {len(below) - 1}; give a "
-                f"device that is proper, of order 1 to {HIGHEST_ORDER}."
-            )
+    most, order = max(map(len, rows)) - 1, len(below) - 1
+    if len(rows) > 2 or not max(most, 1) <= order <= HIGHEST_ORDER:
+        raise ValueError(
+            f"the numerator has {len(rows)} rows of degree {most} in z and the denominator degree "
+            f"{order}; give one row, of the position, or two, and a denominator of the same degree "
+            f"or a higher one, 1 to {HIGHEST_ORDER}."
+        )
     return tuple(tuple(row.tolist()) for row in rows), tuple(below.tolist())
 
 
-def _checked_matrices(a: Any, b: Any, c: Any, d: Any = 0.0) -> tuple[Any, ...]:
+def _matrices(a: Any, b: Any, c: Any, d: Any = 0.0) -> tuple[Any, ...]:
     a, b, c, d = (
-        np.asarray(checked(name, x)) for name, x in zip("ABCD", (a, b, c, d), strict=True)
+        np.atleast_1d(checked(name, x)) for name, x in zip("ABCD", (a, b, c, d), strict=True)
     )
-    order = len(a) if a.ndim == 2 else 0
-    b, c = b.reshape(-1, 1) if b.ndim < 2 else b, np.atleast_2d(c)
-    d = np.zeros((len(c), 1)) if not np.any(d) else d.reshape(-1, 1)
-    shapes = a.shape == (order, order), b.shape == (order, 1), c.shape[1:] == (order,)
-    if not all(shapes) or len(d) != len(c) or not 1 <= order <= HIGHEST_ORDER:
+    b, c = b.reshape(len(b), -1), np.atleast_2d(c)
+    order, outputs = b.shape[0], c.shape[0]
+    d = d.reshape(-1, 1) if np.any(d) else np.zeros((outputs, 1))
+    given, shapes = (
+        (a.shape, b.shape, c.shape, d.shape),
+        ((order, order), (order, 1), (outputs, order), (outputs, 1)),
+    )
+    if given != shapes or not order <= HIGHEST_ORDER or not outputs <= 2:
         raise ValueError(
-            f"A, B, C and D have shapes {a.shape}, {b.shape}, {c.shape} and {d.shape}; a device in "
-            f"z of n states, 1 to {HIGHEST_ORDER}, and one force has (n, n), (n, 1), (1, n) and "
-            "(1, 1), or (2, n) and (2, 1) with its velocity."
+            f"A, B, C and D have the shapes {given}; a device in z of n states, 1 to "
+            f"{HIGHEST_ORDER}, and one force has (n, n), (n, 1), (1, n) and (1, 1), or (2, n) and "
+            "(2, 1) with its velocity."
         )
     return tuple(tuple(map(tuple, x.tolist())) for x in (a, b, c, d))
 
