@@ -313,9 +313,13 @@ class AdmittanceChart(AffineParts):
 # -------------------------------------------------------------------------------------------- PID
 @dataclass(frozen=True)
 class PidParts(AffineParts):
-    """A held device under kp x + ki I + kd V x, one of the three given; by the two others."""
+    """A held device under kp x + ki I + kd V x, one of the three given; by the two others.
+
+    ``late`` is the loop with the delay of kd.
+    """
 
     loop: "LoopParameters"
+    late: "LoopParameters"
     given: str
     value: float
     rule: str
@@ -324,19 +328,20 @@ class PidParts(AffineParts):
         """The parts of p(z), by the two other gains in the order kp, ki, kd."""
         from flint import fmpq_poly
 
-        own = ball_loop(self.loop)
-        z = fmpq_poly([0, 1])
+        own, late = ball_loop(self.loop), ball_loop(self.late)
+        lag, z = max(own.lag, late.lag), fmpq_poly([0, 1])
         (period,) = _exact((float(self.loop.sample_time),))
         summed = {"backward": z, "forward": fmpq_poly([1]), "trapezoid": (z + 1) / 2}[self.rule]
-        pole = Factored.from_rational(z - 1)
-        by_position, by_velocity = own.walls
+        has_sum = self.given != "ki" or self.value != 0.0
+        pole = Factored.from_rational(z - 1 if has_sum else z**0)
+        by_position = _late(own.numerator.times(own.walls[0]), lag - own.lag)
+        by_velocity = _late(late.numerator.times(late.walls[1]), lag - late.lag)
         parts = {
             "kp": pole.times(by_position),
             "ki": by_position.times(Factored.from_rational(summed * period)),
             "kd": pole.times(by_velocity),
         }
-        parts = {name: own.numerator.times(part) for name, part in parts.items()}
-        base = pole.times(own.free)
+        base = _late(pole.times(own.free), lag - own.lag)
         if self.value:
             base = base.plus(parts[self.given].scaled(self.value))
         return _without_common_power(

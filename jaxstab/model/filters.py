@@ -789,6 +789,20 @@ class Velocity:
         sections = self.filter.sections
         return Filter(sections[1:]) if sections[:1] == (Measured(),) else None
 
+    def filter_on(self, *devices: Any) -> Filter:
+        """What filters positions, or a velocity of the devices, which all must have: ValueError."""
+        behind = self.behind_measured
+        if behind is None:
+            return self.filter
+        if not all(
+            getattr(device and device.mechanism, "has_velocity", False) for device in devices
+        ):
+            raise ValueError(
+                "velocity is measured, but the device has no velocity output, as Device.simulated "
+                "and Device.discrete with two outputs have; give another estimator."
+            )
+        return behind
+
     def per_sample(self, sample_time: Numbers) -> "Velocity":
         """Return the estimator in units of a sampling period: ``Filter.per_sample``."""
         return Velocity(self.filter.per_sample(sample_time))

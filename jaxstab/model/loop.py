@@ -106,14 +106,7 @@ class LoopParameters:
         own = self.device.in_steps if self.device else None
         if own and is_one and not is_any_traced(self.delay, self.sample_time):
             own.steps(self.sample_time, self.delay_samples)
-        velocity = self.velocity.filter if self.velocity else None
-        if self.velocity and self.velocity.behind_measured is not None:
-            velocity = self.velocity.behind_measured
-            if not getattr(self.device and self.device.mechanism, "has_velocity", False):
-                raise ValueError(
-                    "velocity is measured, but the device has no velocity output, as "
-                    "Device.simulated and Device.discrete with two outputs have; give an estimator."
-                )
+        velocity = self.velocity.filter_on(self.device) if self.velocity else None
         for chain in (velocity, self.position):
             if chain is not None:
                 for period in periods:
