@@ -704,9 +704,9 @@ def pid(
     checked_word("rule", rule, tuple(rule for rule in RULES if rule != "explicit"))
     units = {"kp": "N/m", "ki": "N/(m s)", "kd": "N s/m"}
     others = [Gain(other, unit) for other, unit in units.items() if other != name]
-    loop = loop.in_floats()
-    late = loop if kd_delay is None else replace(loop, delay=kd_delay)
-    parts = PidParts(loop, late, name, number, rule)
+    plain = loop.in_floats()
+    late = plain if kd_delay is None else replace(plain, delay=kd_delay)
+    parts = PidParts(plain, late, name, number, rule)
     words = f"PID with {name} = {number:g} {units[name]}"
     return Loop(parts, (others[0], others[1]), float(parts.loop.sample_time), words)
 

@@ -399,15 +399,20 @@ class Measured(Section):
     """The device's own velocity in place of a difference of its positions."""
 
     estimator: ClassVar[str] = "measured"
+    refusal: ClassVar[str] = (
+        "velocity is measured, an output of a device in z in a HapticLoop; what is asked for needs "
+        "an estimator from positions, and a device in s."
+    )
 
     def __str__(self) -> str:
         return "the device's own velocity"
 
+    @property
+    def toml(self) -> dict[str, Any]:
+        raise ValueError(self.refusal)
+
     def factors(self, number: Any) -> list[Factor]:
-        raise ValueError(
-            "velocity is measured, an output of a device in z in a HapticLoop; what is asked for "
-            "needs an estimator from positions, and a device in s."
-        )
+        raise ValueError(self.refusal)
 
 
 LOW_PASSES = (LowPass, Butterworth)  # by ``kind``, which a table gives beside the cut-off
