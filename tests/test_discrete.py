@@ -247,6 +247,13 @@ def test_54_regions_and_grids_agree_with_verdicts(velocity: Velocity | None) -> 
     assert many_limits.stiffness[1] == pytest.approx(limits.stiffness, rel=1e-8)
 
 
+def test_54_a_part_that_no_output_shows_counts() -> None:
+    for hidden, code in ((0.5, Verdict.STABLE), (1.0, Verdict.UNSTABLE), (2.0, Verdict.UNSTABLE)):
+        above, below = np.poly([hidden]), np.poly([hidden, 0.25])
+        device = Device.discrete(above.tolist(), below.tolist(), step=1e-3)
+        assert HapticLoop(device=device, sample_time=1e-3).verdict(0.1, 0.0) == code
+
+
 # -------------------------------------------------------------------------------------- refusals
 LOOP = HapticLoop(device=JOINT, sample_time=2e-3)
 WITH_ITS_OWN = HapticLoop(device=JOINT, sample_time=2e-3, velocity=MEASURED)
@@ -285,13 +292,14 @@ REFUSALS: list[tuple[Callable[[], object], str]] = [
     (lambda: LOOP.robust_limit(HandRange()), "at its steps alone"),
     (lambda: WITH_ITS_OWN.simulate(100.0, 1.0, initial_velocity=1.0), "a device in s"),
     (lambda: WITH_ITS_OWN.worst_hand(HandRange(), 100.0, 1.0), "at its steps alone"),
-    (lambda: Device.discrete([1.0, 0.0, 0.0], [1.0, 2.0], step=1e-3), "degree 2 in z"),
-    (lambda: Device.discrete([1.0], [1.0], step=1e-3), "the same degree or a higher one"),
+    (lambda: Device.discrete([1.0, 0.0, 0.0], [1.0, 2.0], step=1e-3), "of no lower degree"),
+    (lambda: Device.discrete([1.0], [1.0], step=1e-3), "n from 1 to 40"),
     (lambda: Device.discrete([0.0], [1.0, 2.0], step=1e-3), "does not move"),
-    (lambda: Device.discrete([1.0, -2.0], [1.0, -2.5, 1.0], step=1e-3), "does not die out"),
-    (lambda: Device.discrete([1.0, -1.0], [1.0, -1.5, 0.5], step=1e-3), "does not die out"),
-    (lambda: Device.discrete(np.eye(2), [1.0], [1.0, 0.0], step=1e-3), "have the shapes"),
-    (lambda: Device.discrete([1.0], step=1e-3), "numerator and denominator"),
+    (
+        lambda: Device.discrete(np.eye(2), [1.0], [1.0, 0.0], step=1e-3),
+        r"shapes \(2, 2\), \(1,\), \(2,\)",
+    ),
+    (lambda: Device.discrete([1.0], step=1e-3), "of no lower degree"),
     (lambda: Device.discrete([np.nan], [1.0, 0.5], step=1e-3), "numerator is nan"),
     (lambda: Device.discrete([1.0], [1.0, 0.5], step=0.0), "step is 0.0"),
     (lambda: Device.simulated(0.0, step=1e-3), "inertia is 0.0"),

@@ -761,7 +761,7 @@ def coupling(
     if velocity is not None and not isinstance(velocity, Velocity):
         raise TypeError(f"velocity is {velocity!r}; give a jaxstab.Velocity.")
     if velocity is not None:
-        velocity.filter_on(first, second).checked(period)
+        velocity.filter_on(first.mechanism, second.mechanism).checked(period)
     for device, delay in zip((first, second), delays, strict=True):
         if device.in_steps:
             device.in_steps.steps(period, delay)

@@ -4,19 +4,11 @@ A wall on a held device is one of them (``balls``). So are PD control inside a s
 control, PID with one gain given, and two devices that a spring and a damper couple. Each class here
 holds the numbers of one kind, and makes the three parts at the precision that is set.
 
-Engines of rigid bodies step an inertia J with a damper c and a spring k (g = ch/J, s = kh^2/J) by
-one of several rules. Where the PD acts inside the step, a = kp h^2/J, b = kd h/J:
-
-    rule              base                         a by      b by
-    explicit          (z-1)^2 + g (z-1) + s        1         z-1
-    semi-implicit     (z-1)^2 + g (z-1) + s z      z         z-1
-    implicit-joint    (z-1)^2 + g z (z-1) + s z    z         z-1
-    implicit-damping  (z-1)^2 + g z (z-1) + s z    z         z (z-1)
-    implicit          the same                     z^2       z (z-1)
-
-Outside of the engine the joint is a device in z (``device.discrete``), and the velocity the
-engine's own. An admittance moves a robot as a mass M on a damper D would move
-under the measured force -Ke x, w samples late:
+A simulated joint under a torque that is held and late is a device in z (``device.discrete``), its
+velocity the engine's own. PD inside of the engine's step is a torque of the same step, but for what
+the rules "implicit-damping" and "implicit" take after the step: the velocity, and by the latter the
+position, z times as much. An admittance moves a robot as a mass M on a damper D would move under
+the measured force -Ke x, w samples late:
 
     p = z^w (M (z-1)^2/T + D V + K T X) + Ke T X,
 
@@ -190,29 +182,13 @@ class SimulatedParts(AffineParts):
 
     def rational(self) -> "Rationals":
         """The parts in exact numbers."""
-        return self._outside() if self.is_outside else self._inside()
-
-    def _inside(self) -> "tuple[fmpq_poly, fmpq_poly, fmpq_poly]":
         from flint import fmpq_poly
 
-        z, one = fmpq_poly([0, 1]), fmpq_poly([1])
-        inertia, damping, stiffness, step = self.joint.numbers()
-        integrator = self.joint.integrator
-        by_kp = {"explicit": one, "implicit": z * z}.get(integrator, z)
-        by_kd = z if integrator in ("implicit-damping", "implicit") else one
-        damped = one if integrator in ("explicit", "semi-implicit") else z
-        sprung = one if integrator == "explicit" else z
-        base = (z - 1) ** 2 + damped * (z - 1) * (damping * step / inertia)
-        base += sprung * (stiffness * step**2 / inertia)
-        return base, by_kp * (step**2 / inertia), by_kd * (z - 1) * (step / inertia)
-
-    def _outside(self) -> "tuple[fmpq_poly, fmpq_poly, fmpq_poly]":
-        from flint import fmpq_poly
-
-        denominator, (by_kp, by_kd), lag = sampled_steps(
-            self.joint, self.substeps, self.delay_steps
-        )
-        return denominator * fmpq_poly([0, 1]) ** lag, by_kp, by_kd
+        below, (by_kp, by_kd), lag = sampled_steps(self.joint, self.substeps, self.delay_steps)
+        z, rule = fmpq_poly([0, 1]), "" if self.is_outside else self.joint.integrator
+        by_kp *= z if rule == "implicit" else 1
+        by_kd *= z if rule in ("implicit-damping", "implicit") else 1
+        return below * z**lag, by_kp, by_kd
 
 
 def _exact(numbers: Iterable[Any]) -> "list[fmpq]":
@@ -358,11 +334,6 @@ class CouplingParts(AffineParts):
     sample_time: float
     delays_samples: tuple[float, float]
     velocity: Velocity | None
-
-    @property
-    def drift(self) -> int:
-        """How many roots at z = 1 the common motion of both has, which no gain moves."""
-        return min(plant.denominator.at_one for plant in self._plants())
 
     def triple(self) -> Triple:
         """The parts of p(z) without the common motion, by stiffness and damping."""

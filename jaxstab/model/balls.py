@@ -263,16 +263,15 @@ class BallLoop(NamedTuple):
         from flint import arb_poly
 
         one, behind = Factored(arb_poly([1])), filters[0].behind_measured
-        position = filter_in_balls(filters[1], period)
+        chains = filters[1], filters[0].filter if behind is None else behind
+        (above_p, below_p), (above, below) = (filter_in_balls(x, period) for x in chains)
         if behind is not None and plant.velocity is not None:
-            above, below = filter_in_balls(behind, period)
-            position = plant.numerator.times(position[0]), position[1]
-            velocity = plant.velocity.times(above), below
-            return cls(one, plant.denominator, plant.lag, position, velocity)
-        above, below = filter_in_balls(filters[0].filter, period)
-        velocity = one._replace(at_one=1).scaled(1 / exact(period)).times(above), below
-        velocity = velocity[0], one._replace(power=1).times(velocity[1])
-        return cls(*plant[:3], position, velocity)
+            position, velocity = plant.numerator.times(above_p), plant.velocity.times(above)
+            return cls(one, *plant[1:3], (position, below_p), (velocity, below))
+        difference = one._replace(at_one=1).scaled(1 / exact(period)).times(above)
+        return cls(
+            *plant[:3], (above_p, below_p), (difference, below._replace(power=below.power + 1))
+        )
 
     @classmethod
     def from_triple(cls, triple: Triple) -> "BallLoop":
@@ -384,9 +383,9 @@ def plant_in_balls(device: Device, period: float, delay: float) -> Plant:
     from flint import arb
 
     if device.in_steps:
-        own = device.in_steps.sampled(period, delay)
-        position, *velocity = map(Factored.from_rational, own.numerators)
-        return Plant(position, Factored.from_rational(own.denominator), own.lag, *velocity)
+        rational, outputs, lag = device.in_steps.sampled(period, delay)
+        position, *velocity = map(Factored.from_rational, outputs)
+        return Plant(position, Factored.from_rational(rational), lag, *velocity)
     whole, fraction = divmod(delay, 1.0)
     sample = one_sample(device, period)
     above, below = sample.above, sample.below

@@ -782,10 +782,7 @@ class Velocity:
 
     @classmethod
     def measured(cls) -> "Velocity":
-        """The velocity that the device has as a second output: an engine's own, a tachometer's.
-
-        Of ``Device.simulated``, and of ``Device.discrete`` with two outputs.
-        """
+        """The second output of ``Device.simulated``, or of a ``Device.discrete`` that has one."""
         return cls(Filter((Measured(),)))
 
     @property
@@ -794,19 +791,15 @@ class Velocity:
         sections = self.filter.sections
         return Filter(sections[1:]) if sections[:1] == (Measured(),) else None
 
-    def filter_on(self, *devices: Any) -> Filter:
-        """What filters positions, or a velocity of the devices, which all must have: ValueError."""
+    def filter_on(self, *mechanisms: Any) -> Filter:
+        """What filters positions, or the velocities that all devices must have: ValueError."""
         behind = self.behind_measured
-        if behind is None:
-            return self.filter
-        if not all(
-            getattr(device and device.mechanism, "has_velocity", False) for device in devices
-        ):
+        if behind is not None and not all(getattr(x, "has_velocity", False) for x in mechanisms):
             raise ValueError(
                 "velocity is measured, but the device has no velocity output, as Device.simulated "
                 "and Device.discrete with two outputs have; give another estimator."
             )
-        return behind
+        return self.filter if behind is None else behind
 
     def per_sample(self, sample_time: Numbers) -> "Velocity":
         """Return the estimator in units of a sampling period: ``Filter.per_sample``."""

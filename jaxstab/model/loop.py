@@ -105,8 +105,9 @@ class LoopParameters:
         periods = [self.sample_time] if is_one else np.unique(self.sample_time).tolist()
         own = self.device.in_steps if self.device else None
         if own and is_one and not is_any_traced(self.delay, self.sample_time):
-            own.steps(self.sample_time, self.delay_samples)
-        velocity = self.velocity.filter_on(self.device) if self.velocity else None
+            own.steps(float(self.sample_time), float(self.delay_samples))
+        mechanism = self.device.mechanism if self.device else None
+        velocity = self.velocity.filter_on(mechanism) if self.velocity else None
         for chain in (velocity, self.position):
             if chain is not None:
                 for period in periods:

@@ -19,12 +19,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Complex128
 
-from jaxstab.model.device.discrete import (
-    INTEGRATORS,
-    InSteps,
-    Simulated,
-    checked_discrete,
-)
+from jaxstab.model.device.discrete import INTEGRATORS, InSteps, Simulated, checked_discrete
 from jaxstab.model.device.parts import (
     Coefficients,
     MassSpringDamper,
@@ -47,20 +42,12 @@ from jaxstab.numbers import checked_number, checked_word
 # Systems of python-control and of scipy.signal as numbers; neither of them is imported.
 
 
-def step_of(system: Any) -> float | None:
-    """The sampling period of a system in z; None for one in s."""
-    step = getattr(system, "dt", None)
-    if step is True:
-        raise ValueError("the system is sampled, with dt = True; give its sampling period in s.")
-    return step or None
-
-
 def matrices_of(system: Any) -> tuple[Any, Any, Any, Any] | None:
     """A, B, C and D of a state space, None for a system of another kind."""
     if not all(hasattr(system, name) for name in "ABCD"):
         return None
     a, b, c, d = (np.atleast_2d(getattr(system, name)) for name in "ABCD")
-    is_sampled = step_of(system) is not None
+    is_sampled = bool(getattr(system, "dt", None))
     _refuse_many(b.shape[1], c.shape[0], 2 if is_sampled else 1)
     if np.any(d) and not is_sampled:
         raise ValueError(
@@ -88,12 +75,8 @@ def coefficients_of(system: Any) -> tuple[Any, Any]:
 def _refuse_many(inputs: int, outputs: int, most: int = 1) -> None:
     if inputs != 1 or not 1 <= outputs <= most:
         raise ValueError(
-            f"the system has {inputs} inputs and {outputs} outputs; give one force, one position"
-            + (
-                ", or a state space in z with its velocity, too."
-                if most == 1
-                else ", one velocity."
-            )
+            f"the system has {inputs} inputs and {outputs} outputs; give one force, one position, "
+            "and a velocity in z alone."
         )
 
 
@@ -310,13 +293,13 @@ class Device:
     def discrete(cls, *system: Any, step: float) -> "Device":
         """A device in z: numerator and denominator, or A, B, C and D, and its step in s.
 
-        A loop asks it every whole number of its steps, and is late by a whole number of them. It is
-        the device between the computed force and the position, hold, hand and actuator included,
-        but without the delay of the loop. Coefficients have the highest power first; a second row
-        of the numerator, or of C and D, is the velocity (``Velocity.measured``).
+        The highest power comes first. It leads from the force, held for a step, to the position at
+        the steps, hand and actuator included; a second row of C and D is the velocity
+        (``Velocity.measured``). Of a loop, sample time and delay are whole numbers of its steps.
+        Parts that no output shows count as all others do.
 
         Raises: see ``jaxstab.conventions``; ValueError also if shapes do not fit, it is not proper,
-        of an order above 40, never moves, or has a hidden state that does not die out.
+        of an order above 40, or never moves.
         """
         return cls(checked_discrete(system, step))
 
@@ -330,12 +313,10 @@ class Device:
         stiffness: float = 0.0,
         integrator: str = "semi-implicit",
     ) -> "Device":
-        """A joint, or a mass, of a physics engine under a torque that is computed outside of it.
+        """A joint of a physics engine, or a mass, under a force that is computed outside of it.
 
-        The arguments are those of ``jaxstab.simulated_pd``; mass and N/m do for a tool. Its second
-        output is the engine's own velocity (``Velocity.measured``).
-
-        Raises: see ``jaxstab.conventions``.
+        Args and Raises: as ``jaxstab.simulated_pd``. The engine's own velocity is its second output
+        (``Velocity.measured``).
         """
         return cls(
             Simulated(
@@ -359,14 +340,14 @@ class Device:
         Raises: TypeError if it is of another kind; ValueError if it is not (in s: strictly) proper,
         or has more inputs or outputs.
         """
-        step, matrices = step_of(system), matrices_of(system)
-        if step is not None:
-            return cls.discrete(*(matrices or coefficients_of(system)), step=step)
-        return (
-            cls.state_space(*matrices[:3])
-            if matrices
-            else cls.transfer_function(*coefficients_of(system))
-        )
+        matrices = matrices_of(system)
+        sides = matrices or coefficients_of(system)
+        step = getattr(system, "dt", None)
+        if step is True:
+            raise ValueError("the system is sampled, with dt = True; give its step in s.")
+        if step:
+            return cls.discrete(*sides, step=step)
+        return cls.state_space(*sides[:3]) if matrices else cls.transfer_function(*sides)
 
     def held_by(self, hand: Hand) -> "Device":
         """The device with a hand at its handle: G / (1 + G Z), G without the actuators.
@@ -406,10 +387,8 @@ class Device:
     @property
     def in_steps(self) -> InSteps | None:
         """The device in z alone; None for one in s."""
-        body = self.mechanism
-        if not isinstance(body, InSteps) or self.hands or self.bandwidths:
-            return None
-        return body
+        body, is_alone = self.mechanism, not (self.hands or self.bandwidths)
+        return body if isinstance(body, InSteps) and is_alone else None
 
     def static_stiffness(self) -> float:
         """Force in N that holds the handle 1 m from its rest position, without a wall.

@@ -64,9 +64,7 @@ def sampled_device(device: Device, sample_time: float, delay: float) -> SampledD
 
     def size() -> Ball:
         own = device.in_steps
-        whole = (
-            own.sampled(period, delay).numerators[0] if own else one_sample(device, period).whole
-        )
+        whole = own.sampled(period, delay)[1][0] if own else one_sample(device, period).whole
         return sum(map(abs, whole.coeffs()), flint.arb(0))
 
     unit = _binary_digits(decided(size, is_answered=lambda ball: ball.rel_accuracy_bits() > 1))
