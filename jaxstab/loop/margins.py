@@ -20,6 +20,7 @@ from jaxstab.exact import delay_margin, stable_line, wall_verdict
 from jaxstab.exact.line import End
 from jaxstab.model import checked_delta, checked_gain, checked_gamma, require_x64
 from jaxstab.model.balls import ball_loop, ball_triple
+from jaxstab.model.device.device import in_steps
 from jaxstab.model.device.sampling import one_sample
 from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords, known_filters
 from jaxstab.model.loop import LoopParameters, refuses_loops, unit_loop
@@ -73,7 +74,7 @@ def crossings_of(loop: LoopParameters, wall: tuple[float, float]) -> list[float]
         row = _ends(loop, wall[0], (0.0, wall[1]), (1.0, 0.0))
         column = _ends(loop, wall[1], (wall[0], 0.0), (0.0, 1.0))
         ways = [*row, *column, Crossing(nan, nan)]
-        if not loop.held_device.in_steps:  # which has no delays between its steps
+        if not in_steps(loop.held_device):  # which has no delays between its steps
             sample = partial(one_sample, loop.held_device, float(loop.sample_time))
             parts = partial(ball_loop, loop)
             later = delay_margin(parts, sample, float(loop.delay_samples), wall)

@@ -26,11 +26,19 @@ from functools import cached_property, lru_cache, reduce
 from math import inf, nextafter
 from typing import TYPE_CHECKING, NamedTuple
 
-from jaxstab.model.device.device import Device
+from jaxstab.model.device.device import Device, in_steps
 from jaxstab.model.device.parts import decided, exact
 from jaxstab.model.device.sampling import SampledDevice, one_sample
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import NO_FILTERS, Filter, Filters, Section, exact_chain, given_filters
+from jaxstab.model.filters import (
+    NO_FILTERS,
+    Filter,
+    Filters,
+    Section,
+    behind_measured,
+    exact_chain,
+    given_filters,
+)
 from jaxstab.model.linear_loop import LinearLoop, Polynomial, size_of
 from jaxstab.model.parameters import GAIN_LIMIT
 from jaxstab.rounding import PAIR_UNIT, RAISED
@@ -262,7 +270,7 @@ class BallLoop(NamedTuple):
         """A plant behind an estimator and a filter."""
         from flint import arb_poly
 
-        one, behind = Factored(arb_poly([1])), filters[0].behind_measured
+        one, behind = Factored(arb_poly([1])), behind_measured(filters[0])
         chains = filters[1], filters[0].filter if behind is None else behind
         (above_p, below_p), (above, below) = (filter_in_balls(x, period) for x in chains)
         if behind is not None and plant.velocity is not None:
@@ -363,7 +371,7 @@ def _ball_loop(device: Device, period: float, delay: float, filters: Filters) ->
 
 def _yielding(device: Device, position: tuple[Section, ...]) -> float | None:
     """The K that makes 1 + K P(1) G(1) exactly 0, G(1) the displacement by a constant force."""
-    own = device.in_steps
+    own = in_steps(device)
     moved, force = own.at_rest() if own else device.compliance().at_rest()
     for section in position:
         if section.length is None:
@@ -382,8 +390,9 @@ def plant_in_balls(device: Device, period: float, delay: float) -> Plant:
     """A device behind its hold and a delay in samples."""
     from flint import arb
 
-    if device.in_steps:
-        rational, outputs, lag = device.in_steps.sampled(period, delay)
+    own = in_steps(device)
+    if own:
+        rational, outputs, lag = own.sampled(period, delay)
         position, *velocity = map(Factored.from_rational, outputs)
         return Plant(position, Factored.from_rational(rational), lag, *velocity)
     whole, fraction = divmod(delay, 1.0)

@@ -399,20 +399,17 @@ class Measured(Section):
     """The device's own velocity in place of a difference of its positions."""
 
     estimator: ClassVar[str] = "measured"
-    refusal: ClassVar[str] = (
-        "velocity is measured, an output of a device in z in a HapticLoop; what is asked for needs "
-        "an estimator from positions, and a device in s."
-    )
 
     def __str__(self) -> str:
         return "the device's own velocity"
 
-    @property
-    def toml(self) -> dict[str, Any]:
-        raise ValueError(self.refusal)
+    def factors(self, number: Any = None) -> Any:
+        raise ValueError(
+            "velocity is measured, an output of a device in z in a HapticLoop; what is asked for "
+            "needs an estimator from positions, and a device in s."
+        )
 
-    def factors(self, number: Any) -> list[Factor]:
-        raise ValueError(self.refusal)
+    toml = property(factors)
 
 
 LOW_PASSES = (LowPass, Butterworth)  # by ``kind``, which a table gives beside the cut-off
@@ -785,22 +782,6 @@ class Velocity:
         """The second output of ``Device.simulated``, or of a ``Device.discrete`` that has one."""
         return cls(Filter((Measured(),)))
 
-    @property
-    def behind_measured(self) -> Filter | None:
-        """What filters the device's own velocity; None for one from positions."""
-        sections = self.filter.sections
-        return Filter(sections[1:]) if sections[:1] == (Measured(),) else None
-
-    def filter_on(self, *mechanisms: Any) -> Filter:
-        """What filters positions, or the velocities that all devices must have: ValueError."""
-        behind = self.behind_measured
-        if behind is not None and not all(getattr(x, "has_velocity", False) for x in mechanisms):
-            raise ValueError(
-                "velocity is measured, but the device has no velocity output, as Device.simulated "
-                "and Device.discrete with two outputs have; give another estimator."
-            )
-        return self.filter if behind is None else behind
-
     def per_sample(self, sample_time: Numbers) -> "Velocity":
         """Return the estimator in units of a sampling period: ``Filter.per_sample``."""
         return Velocity(self.filter.per_sample(sample_time))
@@ -832,6 +813,23 @@ class Velocity:
         if isinstance(section, Differentiator) or section.maker is None:
             return str(self.filter)
         return f"the difference over one sample, {self.filter}"
+
+
+def behind_measured(velocity: Velocity) -> Filter | None:
+    """What filters the device's own velocity; None for one from positions."""
+    sections = velocity.filter.sections
+    return Filter(sections[1:]) if sections[:1] == (Measured(),) else None
+
+
+def filter_on(velocity: Velocity, *mechanisms: Any) -> Filter:
+    """What filters positions, or the velocities that all devices must have: ValueError."""
+    behind = behind_measured(velocity)
+    if behind is not None and not all(getattr(x, "has_velocity", False) for x in mechanisms):
+        raise ValueError(
+            "velocity is measured, but the device has no velocity output, as Device.simulated "
+            "and Device.discrete with two outputs have; give another estimator."
+        )
+    return velocity.filter if behind is None else behind
 
 
 Filters = tuple[Velocity, Filter]

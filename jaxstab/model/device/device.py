@@ -215,11 +215,8 @@ class Device:
         2
         >>> print(jaxstab.Device.discrete([2e-6, 2e-6], [1.0, -2.0, 1.0], step=1e-3))
         a device in z of order 2, steps of 0.001 s
-        >>> joint = jaxstab.Device.simulated(0.1, step=2e-3)
-        >>> velocity = jaxstab.Velocity.measured()
-        >>> loop = jaxstab.HapticLoop(device=joint, sample_time=8e-3, velocity=velocity)
-        >>> round(loop.limits().stiffness)
-        6250
+        >>> print(jaxstab.Device.simulated(0.1, step=2e-3))
+        a simulated inertia of 0.1, steps of 0.002 s
     """
 
     mechanism: MassSpringDamper | Modes | TransferFunction | StateSpace | InSteps
@@ -318,15 +315,12 @@ class Device:
         Args and Raises: as ``jaxstab.simulated_pd``. The engine's own velocity is its second output
         (``Velocity.measured``).
         """
-        return cls(
-            Simulated(
-                checked_number("step", step, 0.0, is_open=True, unit="s"),
-                checked_number("inertia", inertia, 0.0, is_open=True, unit="kg m^2"),
-                checked_number("damping", damping, 0.0),
-                checked_number("stiffness", stiffness, 0.0),
-                checked_word("integrator", integrator, INTEGRATORS),
-            )
-        )
+        step = checked_number("step", step, 0.0, is_open=True, unit="s")
+        inertia = checked_number("inertia", inertia, 0.0, is_open=True, unit="kg m^2")
+        damping = checked_number("damping", damping, 0.0)
+        stiffness = checked_number("stiffness", stiffness, 0.0)
+        rule = checked_word("integrator", integrator, INTEGRATORS)
+        return cls(Simulated(step, inertia, damping, stiffness, rule))
 
     @classmethod
     def from_control(cls, system: Any) -> "Device":
@@ -383,12 +377,6 @@ class Device:
     def handle_compliance(self) -> Rational:
         """Return position over a force at the handle, where no actuator is, in exact numbers."""
         return _compliance(replace(self, bandwidths=()))
-
-    @property
-    def in_steps(self) -> InSteps | None:
-        """The device in z alone; None for one in s."""
-        body, is_alone = self.mechanism, not (self.hands or self.bandwidths)
-        return body if isinstance(body, InSteps) and is_alone else None
 
     def static_stiffness(self) -> float:
         """Force in N that holds the handle 1 m from its rest position, without a wall.
@@ -459,6 +447,12 @@ class Device:
     def __str__(self) -> str:
         actuators = [f"an actuator of {bandwidth:g} Hz" for bandwidth in self.bandwidths]
         return "; ".join([str(self.mechanism), *actuators, *map(str, self.hands)])
+
+
+def in_steps(device: Device) -> InSteps | None:
+    """A device in z alone; None for one in s."""
+    body, is_alone = device.mechanism, not (device.hands or device.bandwidths)
+    return body if isinstance(body, InSteps) and is_alone else None
 
 
 @lru_cache(maxsize=256)
