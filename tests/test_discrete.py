@@ -258,6 +258,7 @@ def test_54_a_part_that_no_output_shows_counts() -> None:
 LOOP = HapticLoop(device=JOINT, sample_time=2e-3)
 WITH_ITS_OWN = HapticLoop(device=JOINT, sample_time=2e-3, velocity=MEASURED)
 ONE = Device.discrete([1.0], [1.0, -0.5], step=1e-3)
+ONE_STATE = Device.discrete([[0.5]], [1.0], [[1.0], [2.0]], step=1e-3)
 DIRECT = Device.discrete([1.0, 0.0], [1.0, -0.5], step=1e-3)
 HAND = jaxstab.Hand.mass_spring_damper(1.0)
 
@@ -306,6 +307,7 @@ REFUSALS: list[tuple[Callable[[], object], str]] = [
     (lambda: Device.simulated(1.0, step=1e-3, integrator="euler"), "integrator is"),
     (lambda: Device.from_control(control.tf([1.0], [1.0, 0.5], True)), "dt = True"),
     (lambda: late(1, -1), "delay is"),
+    (lambda: HapticLoop(device=ONE_STATE, sample_time=1e-3, velocity=MEASURED).region(), "alike"),
 ]
 
 
