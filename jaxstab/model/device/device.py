@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Complex128
 
+from jaxstab.model.device.discrete import INTEGRATORS, InSteps, Simulated, checked_discrete
 from jaxstab.model.device.parts import (
     Coefficients,
     MassSpringDamper,
@@ -45,24 +46,23 @@ from jaxstab.model.device.parts import (
     turn,
     working_precision,
 )
-from jaxstab.numbers import checked_number
+from jaxstab.numbers import checked_number, checked_word
 
 # Systems of python-control and of scipy.signal as numbers; neither of them is imported.
 
 
-def matrices_of(system: Any) -> tuple[Any, Any, Any] | None:
-    """A, B and C of a state space, None for a system of another kind."""
+def matrices_of(system: Any) -> tuple[Any, Any, Any, Any] | None:
+    """A, B, C and D of a state space, None for a system of another kind."""
     if not all(hasattr(system, name) for name in "ABCD"):
         return None
-    _refuse_sampled(system)
     a, b, c, d = (np.atleast_2d(getattr(system, name)) for name in "ABCD")
-    if (b.shape[1], c.shape[0]) != (2, 2):  # motor and hand, encoder and handle
-        _refuse_many(b.shape[1], c.shape[0])
-    if np.any(d):
+    is_sampled = bool(getattr(system, "dt", None))
+    _refuse_many(b.shape[1], c.shape[0], (1, 2) if is_sampled else (2, 2))
+    if np.any(d) and not is_sampled:
         raise ValueError(
             f"D is {d.tolist()}; position over force is strictly proper in s: give D = 0."
         )
-    return a, b, c
+    return a, b, c, d
 
 
 def coefficients_of(system: Any) -> tuple[Any, Any]:
@@ -74,7 +74,6 @@ def coefficients_of(system: Any) -> tuple[Any, Any]:
             f"system is {system!r}; give a TransferFunction or StateSpace of python-control or "
             "scipy.signal."
         )
-    _refuse_sampled(system)
     numerator, denominator = system.num, system.den
     if isinstance(numerator, list):  # python-control: a row of lists for each output
         _refuse_many(len(numerator[0]), len(numerator))
@@ -82,18 +81,12 @@ def coefficients_of(system: Any) -> tuple[Any, Any]:
     return np.atleast_1d(numerator), np.atleast_1d(denominator)
 
 
-def _refuse_sampled(system: Any) -> None:
-    if getattr(system, "dt", None) not in (None, 0):
-        raise ValueError(
-            f"the system is sampled, with dt = {system.dt}; give the device itself, in s, not in z."
-        )
-
-
-def _refuse_many(inputs: int, outputs: int) -> None:
-    if (inputs, outputs) != (1, 1):
+def _refuse_many(inputs: int, outputs: int, other: tuple[int, int] = (1, 1)) -> None:
+    if (inputs, outputs) not in ((1, 1), other):
         raise ValueError(
             f"the system has {inputs} inputs and {outputs} outputs; give one force and one "
-            "position, or a state space of two, the hand's second."
+            "position; a state space in s may have those of the hand beside them, one in z the "
+            "velocity."
         )
 
 
@@ -193,7 +186,8 @@ class Device:
     """A haptic device as a linear system in SI units: the force in N moves the position in m.
 
     Make one with ``mass_spring_damper``, ``modes``, ``transfer_function``, ``state_space`` or
-    ``from_control``; ``held_by`` attaches a hand, ``with_actuator`` a motor of finite bandwidth:
+    ``from_control``, or in z with ``discrete`` or ``simulated``; ``held_by`` attaches a hand,
+    ``with_actuator`` a motor of finite bandwidth:
 
         wall's force --> [actuator] --> motor  [device]  encoder --> position
                                        handle <--------> hands
@@ -226,9 +220,13 @@ class Device:
         >>> import control
         >>> len(jaxstab.Device.from_control(control.tf([1], [0.25, 0.1, 0.0])).poles())
         2
+        >>> print(jaxstab.Device.discrete([2e-6, 2e-6], [1.0, -2.0, 1.0], step=1e-3))
+        a device in z of order 2, steps of 0.001 s
+        >>> print(jaxstab.Device.simulated(0.1, step=2e-3))
+        a simulated inertia of 0.1, steps of 0.002 s
     """
 
-    mechanism: MassSpringDamper | Modes | TransferFunction | StateSpace
+    mechanism: MassSpringDamper | Modes | TransferFunction | StateSpace | InSteps
     hands: tuple[Hand, ...] = ()
     bandwidths: tuple[float, ...] = ()
 
@@ -298,22 +296,61 @@ class Device:
         return cls(checked_state_space(A, B, C))._checked()
 
     @classmethod
+    def discrete(cls, *system: Any, step: float) -> "Device":
+        """A device in z: numerator and denominator, or A, B, C and D, and its step in s.
+
+        The highest power comes first. It leads from the force, held for a step, to the position at
+        the steps, hand and actuator included; a second row of C and D is the velocity
+        (``Velocity.measured``). Of a loop, sample time and delay are whole numbers of its steps.
+        Parts that no output shows count as all others do.
+
+        Raises: see ``jaxstab.conventions``; ValueError also if shapes do not fit, it is not proper,
+        of an order above 40, or never moves.
+        """
+        return cls(checked_discrete(system, step))
+
+    @classmethod
+    def simulated(
+        cls,
+        inertia: float,
+        *,
+        step: float,
+        damping: float = 0.0,
+        stiffness: float = 0.0,
+        integrator: str = "semi-implicit",
+    ) -> "Device":
+        """A joint of a physics engine, or a mass, under a force that is computed outside of it.
+
+        Args and Raises: as ``jaxstab.simulated_pd``. The engine's own velocity is its second output
+        (``Velocity.measured``).
+        """
+        step = checked_number("step", step, 0.0, is_open=True, unit="s")
+        inertia = checked_number("inertia", inertia, 0.0, is_open=True, unit="kg m^2")
+        damping = checked_number("damping", damping, 0.0)
+        stiffness = checked_number("stiffness", stiffness, 0.0)
+        rule = checked_word("integrator", integrator, INTEGRATORS)
+        return cls(Simulated(step, inertia, damping, stiffness, rule))
+
+    @classmethod
     def from_control(cls, system: Any) -> "Device":
-        """A device from a continuous-time system of python-control or ``scipy.signal``.
+        """A device from a system of python-control or ``scipy.signal``, in s or in z.
 
-        It is a TransferFunction, StateSpace or (scipy's) ZerosPolesGain in s, of one force in N and
-        one position in m, where ``held_by`` lets the hand act, too. Where the hand is elsewhere, it
-        is a StateSpace whose second input and output are the hand's force and its position.
+        It is a TransferFunction, StateSpace or (scipy's) ZerosPolesGain, of one force in N and one
+        position in m; one that is sampled, with its dt in s, is ``discrete``. ``held_by`` lets the
+        hand act at these; where it is elsewhere, give a StateSpace in s whose second input and
+        output are the hand's force and its position.
 
-        Raises: TypeError if it is of another kind; ValueError if it is sampled (in z), not strictly
-        proper, or has more inputs or outputs.
+        Raises: TypeError if it is of another kind; ValueError if it is not (in s: strictly) proper,
+        or has more inputs or outputs.
         """
         matrices = matrices_of(system)
-        return (
-            cls.state_space(*matrices)
-            if matrices
-            else cls.transfer_function(*coefficients_of(system))
-        )
+        sides = matrices or coefficients_of(system)
+        step = getattr(system, "dt", None)
+        if step is True:
+            raise ValueError("the system is sampled, with dt = True; give its step in s.")
+        if step:
+            return cls.discrete(*sides, step=step)
+        return cls.state_space(*sides[:3]) if matrices else cls.transfer_function(*sides)
 
     def held_by(self, hand: Hand) -> "Device":
         """The device with a hand at its handle: G / (1 + G Z), G without the actuators.
@@ -422,6 +459,12 @@ class Device:
     def __str__(self) -> str:
         actuators = [f"an actuator of {bandwidth:g} Hz" for bandwidth in self.bandwidths]
         return "; ".join([str(self.mechanism), *actuators, *map(str, self.hands)])
+
+
+def in_steps(device: Device) -> InSteps | None:
+    """A device in z alone; None for one in s."""
+    body, is_alone = device.mechanism, not (device.hands or device.bandwidths)
+    return body if isinstance(body, InSteps) and is_alone else None
 
 
 @lru_cache(maxsize=256)
