@@ -36,11 +36,13 @@ from jaxstab.model.affine import (
     AdmittanceParts,
     AffineParts,
     Coefficient,
+    Coordinates,
     CouplingParts,
     GivenParts,
     PidParts,
     SimulatedParts,
     affine_triple,
+    coordinates_of,
 )
 from jaxstab.model.balls import rounded_triple
 from jaxstab.model.device import Device
@@ -193,7 +195,7 @@ class GainRegion(ShownRegion):
     def contains(self, **gains: Numbers) -> Bool[Array, "*grid"]:
         """Whether gains lie inside the exact boundary."""
         grid = self.loop._grid(gains)
-        first, second = self.loop.parts.in_chart(grid[..., 0], grid[..., 1])
+        first, second = self.loop._chart.of_gains(grid[..., 0], grid[..., 1])
         return self.region.contains(first / self.units[0], second / self.units[1])
 
     def __repr__(self) -> str:
@@ -326,7 +328,7 @@ class Loop:
             return named(linear_verdict(*self._in_units(gains), self._pairs), Verdict)
         grid = self._grid(gains)
         codes = np.full(grid.shape[:-1], Verdict.UNDECIDED, np.int8)
-        if codes.size > _FEW and self.parts.chart() is self.parts:
+        if codes.size > _FEW and self._chart.are_gains:
             codes = np.array(linear_verdict(*self._in_units(gains), self._pairs))
         for place in np.flatnonzero(codes == Verdict.UNDECIDED):
             codes.flat[place] = self._verdict(*grid.reshape(-1, 2)[place].tolist())
@@ -353,7 +355,7 @@ class Loop:
         """
         is_jax = is_any_jax(*gains.values())
         grid = None if is_jax else self._grid(gains)
-        if grid is None or (grid.size > 2 * _FEW and self.parts.chart() is self.parts):
+        if grid is None or (grid.size > 2 * _FEW and self._chart.are_gains):
             return linear_spectral_radius(*self._in_units(gains), self._pairs)
         return FewWalls(partial(affine_triple, self.parts), grid).spectral_radii()
 
@@ -419,15 +421,10 @@ class Loop:
               largest  kd = 100 N m s/rad at kp = 0 N m/rad
               islands  none found
         """
-        chart = self.parts.chart()
-        if chart is None:
-            raise ValueError(
-                f"the stable gains of {self.words} are not bounded: the gains move the leading "
-                "coefficient of p(z). Ask for intervals and verdicts."
-            )
+        self._require_bounded()
         checked_number("tolerance", tolerance, 1e-10, is_open=True)
-        units = _units(chart)
-        return GainRegion(self, region_of(ScaledLoop(chart, units), tolerance), units)
+        loop = ScaledLoop(self._chart.chart, self._scale)
+        return GainRegion(self, region_of(loop, tolerance), self._scale)
 
     def limits(self) -> GainLimits:
         """The largest stable value of each gain, or the least where that is what is looked for.
@@ -460,12 +457,12 @@ class Loop:
         """The extreme points of an outline in other coordinates, as ends of proved rows."""
         here = main.outline
         with np.errstate(all="ignore"):  # 0/0 where the first of them is 0
-            gains = np.stack(self.parts.in_gains(*here.T), axis=-1)
+            gains = np.stack(self._chart.gains(*here.T), axis=-1)
             scaled = gains * here[:, :1]  # which is linear in the coordinates
             share = scaled / (scaled - np.roll(scaled, -1, axis=0))
             at_zero = here[:, None] + share[..., None] * (np.roll(here, -1, axis=0) - here)[:, None]
             at_zero = at_zero[(share > 0.0) & (share < 1.0)]  # where the outline leaves gains >= 0
-            crossed = np.stack(self.parts.in_gains(*at_zero.T), axis=-1)
+            crossed = np.stack(self._chart.gains(*at_zero.T), axis=-1)
         crossed = np.where(np.abs(crossed) < 1e-9 * np.abs(crossed[:, ::-1]), 0.0, crossed)
         gains = np.concatenate([gains, crossed])
         gains = gains[np.all(np.isfinite(gains) & (gains >= 0.0), axis=1)]
@@ -491,22 +488,33 @@ class Loop:
         return wall_grid(**self._in_order(gains))
 
     def _in_units(self, gains: Mapping[str, Numbers]) -> tuple[Array, Array]:
-        """Gains as those of ``_pairs``: without rounding, for the units are powers of two."""
+        """Gains as those of ``_pairs``: without rounding where they are those of the chart."""
         require_x64(*gains.values())
-        if self.parts.chart() is not self.parts:
-            raise TypeError(
-                f"gains are JAX arrays, and those of {self.words} move the leading coefficient of "
-                "p(z); give NumPy arrays."
-            )
         given = [checked_gain(name, gain) for name, gain in self._in_order(gains).items()]
-        units = _units(self.parts)
-        first, second = float_arrays(*given)
-        return first / units[0], second / units[1]
+        first, second = self._chart.of_gains(*float_arrays(*given))
+        return first / self._scale[0], second / self._scale[1]
+
+    def _require_bounded(self) -> None:
+        if not (self._chart.are_gains or self.bounded):
+            raise ValueError(
+                f"the stable gains of {self.words} are not bounded: the gains move the leading "
+                "coefficient of p(z). Ask for intervals and verdicts."
+            )
+
+    @cached_property
+    def _chart(self) -> Coordinates:
+        return coordinates_of(self.parts)
+
+    @cached_property
+    def _scale(self) -> tuple[float, float]:
+        """Units in which gains of the chart are of size 1."""
+        return _units(self._chart.chart)
 
     @cached_property
     def _pairs(self) -> LinearLoop:
-        first, second = _units(self.parts)
-        return rounded_triple(lambda: affine_triple(self.parts).monic(), 1.0 / first, 1.0 / second)
+        first, second = self._scale
+        chart = partial(affine_triple, self._chart.chart)
+        return rounded_triple(lambda: chart().monic(), 1.0 / first, 1.0 / second)
 
 
 def _coefficient(name: str, value: Any) -> Coefficient:
