@@ -17,9 +17,7 @@ from scipy.linalg import expm
 Vector = NDArray[np.float64]
 
 
-def matrix_of(
-    step: Callable[[Vector], Vector], size: int, one: Any = 1.0
-) -> NDArray[np.float64]:
+def matrix_of(step: Callable[[Vector], Vector], size: int, one: Any = 1.0) -> NDArray[np.float64]:
     """The matrix of a linear step."""
     units = np.eye(size) if isinstance(one, float) else np.eye(size, dtype=int).astype(object) * one
     return np.transpose([step(unit) for unit in units])

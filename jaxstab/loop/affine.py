@@ -23,13 +23,22 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Complex128, Float64, Int8
 
-from jaxstab.arrays import Array, Numbers, float_arrays, is_any_jax, named
+from jaxstab.arrays import (
+    Array,
+    Numbers,
+    float_arrays,
+    is_any_jax,
+    named,
+    namespace,
+    repeat_and_keep,
+)
 from jaxstab.conventions import Verdict
 from jaxstab.exact import VerdictStatus, stable_line, wall_verdict
 from jaxstab.exact.boundary import ScaledLoop
 from jaxstab.exact.line import LineStatus, StableLine
 from jaxstab.exact.verdict import rational_verdict
-from jaxstab.loop.walls import FewWalls
+from jaxstab.loop.margins import GainMargins
+from jaxstab.loop.walls import FewWalls, open_loop
 from jaxstab.model.affine import (
     INTEGRATORS,
     RULES,
@@ -61,8 +70,13 @@ from jaxstab.point import SpectralRadius, linear_spectral_radius, linear_verdict
 from jaxstab.region.region import proved_extremes, region_of
 from jaxstab.region.stable_set import GainNames, RegionStatus, ShownRegion, StableRegion
 from jaxstab.shown import number_text
+from jaxstab.tuning import TuningStatus
+from jaxstab.tuning.multiple_roots import family_of_loop
+from jaxstab.tuning.radius import Walls, smallest_radius
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from jaxstab.loop.loop import HapticLoop
 
 _FEW = 100  # pairs of gains, which balls answer one by one
@@ -154,8 +168,7 @@ class GainRegion(ShownRegion):
     @property
     def names(self) -> GainNames:  # type: ignore[override]
         """The names and units of the coordinates."""
-        first, second = self.loop.coordinates
-        return GainNames(first.name, second.name, first.unit, second.unit)
+        return _names(self.loop.coordinates)
 
     @property
     def status(self) -> RegionStatus:
@@ -212,6 +225,21 @@ class GainRegion(ShownRegion):
                 f"  islands  {len(self.islands) or 'none found'}",
             ]
         )
+
+
+class TunedGains(NamedTuple):
+    """The gains of the smallest spectral radius by their names, and what exactly these achieve.
+
+    Example:
+        >>> best = jaxstab.simulated_pd(0.1, step=2e-3).tune()
+        >>> best.status.name, bool(best.radius < 1e-6)  # deadbeat
+        ('DOUBLE', True)
+    """
+
+    gains: dict[str, float]
+    radius: float
+    radius_error: float
+    status: TuningStatus
 
 
 @dataclass(frozen=True, repr=False)
@@ -477,6 +505,149 @@ class Loop:
             points.append(best)
         return points
 
+    def margins(self, **gains: Numbers) -> GainMargins:
+        """By what factors each gain, and both at once, may grow and shrink: proved.
+
+        A margin of the delay is that of a plant between samples, which a loop of given polynomials
+        does not have: ``HapticLoop.margins`` has it.
+
+        Raises: as ``verdict``; TypeError for JAX arrays.
+
+        Source: lemma E3 of docs/proofs.md.
+
+        Example:
+            >>> loop = jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=4)
+            >>> loop.margins(mass=2.0, damping=50.0)
+            Margins: stable  least   largest    factors
+            mass (kg)        0.0275  unlimited  0.01375 to unlimited
+            damping (N s/m)  39.516  3995       0.79032 to 79.9
+            both                                0.79208 to unlimited
+        """
+        grid = self._grid(gains)
+        codes = np.asarray(self.verdict(**dict(zip(self._in_order(gains), grid.T, strict=True)))).T
+        triple = partial(affine_triple, self.parts)
+        return GainMargins.of_pairs(triple, codes, grid, _names(self.gains).labels)
+
+    def tune(self) -> TunedGains:
+        """The gains >= 0 of the smallest spectral radius: the fastest decay.
+
+        The search covers the component that contains small gains; where these are not stable, all
+        gains, and the status says so. It is that of ``HapticLoop.tune("radius")``: what is said
+        there of gains that are rounded holds here, too.
+
+        Raises: as ``region``.
+
+        Source: the theorem of Blondel et al. (2012), IEEE TAC 57(12).
+
+        Example:
+            >>> jaxstab.simulated_pd(0.1, step=2e-3, substeps=4).tune()
+            TunedGains(gains={'kp': ...
+        """
+        region = self.region().region
+        linear = self._pairs
+
+        def verdicts(first: Any, second: Any) -> np.ndarray:
+            return np.asarray(linear_verdict(np.asarray(first), np.asarray(second), linear))
+
+        most = 1.0 / (self._chart.weights[2] * self._scale[1]) if self._chart.weights[2] else np.inf
+        walls = Walls.of_loop(linear, verdicts, region)._replace(lowest=0.0, most=most)
+        best = smallest_radius(walls)
+        units = np.array(best.wall) * self._scale
+        pair = [float(gain) for gain in self._chart.gains(*units)]
+        gains = dict(zip((gain.name for gain in self.gains), pair, strict=True))
+        if not np.all(np.isfinite(pair)):
+            return TunedGains(gains, np.nan, np.inf, best.status)
+        radius = self.spectral_radius(**gains)
+        return TunedGains(gains, float(radius.value), float(radius.error), best.status)
+
+    def simulate(self, *, samples: int = 200, **gains: Numbers) -> Float64[Array, "*grid sample"]:
+        """The motion of the loop's poles from an impulse, sample by sample.
+
+        It is the recursion that p(z) is: c_0 y_k + c_1 y_(k-1) + ... + c_n y_(k-n) = 0 from y_0 = 1
+        on, with y_k = 0 before, so that all poles take part. What a position does of it depends on
+        where the loop is entered and left, which p(z) does not say. In float64.
+
+        Args:
+            samples: how many, from y_0 on, at the loop's sample time.
+            **gains: both, of any shapes; JAX may trace them.
+
+        Raises: as ``verdict``; ValueError also if there is no sample.
+
+        Source: eq. (9), likewise.
+
+        Example:
+            >>> loop = jaxstab.simulated_pd(0.1, step=2e-3)
+            >>> loop.simulate(samples=4, kp=1000.0, kd=20.0).round(4).tolist()
+            [1.0, 1.56, 1.8336, 1.9244]
+        """
+        count = checked_count("samples", samples, 1)
+        polynomial = family_of_loop(self._pairs).polynomial(*self._in_units(gains))
+        xp = namespace(polynomial)
+        start = xp.zeros_like(polynomial[..., 1:])
+
+        def step(past: Array) -> tuple[Array, Array]:
+            now = past[..., :1]
+            following = -xp.sum(polynomial[..., 1:] * past, axis=-1, keepdims=True)
+            return xp.concatenate([following, past[..., :-1]], axis=-1), now[..., 0]
+
+        unit = xp.concatenate([xp.ones_like(start[..., :1]), start[..., 1:]], axis=-1)
+        return xp.moveaxis(repeat_and_keep(count, step, unit)[1], 0, -1)
+
+    def boundary(self, *, tolerance: float = 1e-6) -> Float64[np.ndarray, "point 2"]:
+        """The outline of the stable gains, loop after loop, each of them closed.
+
+        It is the ``outline`` of ``region`` in the gains themselves: NaN or infinite where these
+        are, as an admittance's endless mass.
+
+        Args and Raises: as ``region``. Source: the D-decomposition of eq. (9), likewise.
+
+        Example:
+            >>> robot = jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=4)
+            >>> mass, damping = robot.boundary().T
+            >>> print(f"{mass[mass > 0].min():.4f} kg")
+            0.0159 kg
+        """
+        with np.errstate(all="ignore"):
+            outline = self.region(tolerance=tolerance).outline
+            return np.stack(self._chart.gains(*outline.T), axis=-1)
+
+    def plot(self, ax: "Axes | None" = None) -> "Axes":
+        """Draw the stable gains, islands, and where the first coordinate is largest.
+
+        Args:
+            ax: the axes of matplotlib to draw in; None makes a figure with matplotlib.pyplot.
+
+        Raises: as ``region``; ValueError also if no gains are stable.
+
+        Source: the D-decomposition of eq. (9), likewise.
+
+        Example:
+            >>> jaxstab.simulated_pd(0.1, step=2e-3).plot().get_xlabel()
+            'kp (N m/rad)'
+        """
+        from jaxstab.pictures.style import plot_loop
+
+        return plot_loop(self, ax)
+
+    def to_control(self, **gains: float) -> Any:
+        """The open loop L(z) = (a S + b R)/base as a transfer function of python-control.
+
+        Closed with a feedback of -1 it has the poles of the loop. Where the gains move the leading
+        coefficient of p(z), the parts are those of p over it, by the ``coordinates``: an
+        admittance is opened at its acceleration.
+
+        Raises: as ``verdict``; ImportError without python-control. The gains are single numbers.
+
+        Returns: ``control.TransferFunction`` with dt, the sample time; rounded to float64.
+
+        Example:
+            >>> loop = jaxstab.simulated_pd(0.1, step=2e-3)
+            >>> loop.to_control(kp=1000.0, kd=20.0).dt  # doctest: +SKIP
+        """
+        numbers = {name: checked_number(name, gain) for name, gain in gains.items()}
+        first, second = map(float, self._in_units(numbers))
+        return open_loop(self._pairs, (first, second), self.sample_time)
+
     def _in_order(self, gains: Mapping[str, Numbers]) -> dict[str, Numbers]:
         names = [gain.name for gain in self.gains]
         if sorted(gains) != sorted(names):
@@ -515,6 +686,11 @@ class Loop:
         first, second = self._scale
         chart = partial(affine_triple, self._chart.chart)
         return rounded_triple(lambda: chart().monic(), 1.0 / first, 1.0 / second)
+
+
+def _names(gains: tuple[Gain, Gain]) -> GainNames:
+    first, second = gains
+    return GainNames(first.name, second.name, first.unit, second.unit)
 
 
 def _coefficient(name: str, value: Any) -> Coefficient:
