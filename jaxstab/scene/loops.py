@@ -120,6 +120,9 @@ def _device(scene: Scene, hand: OneHand) -> Device:
             frequency=mode.frequency,
             damping_ratio=mode.damping_ratio,
             modal_mass=mode.effective_mass,
+            motor=mode.motor,
+            encoder=mode.encoder,
+            handle=mode.handle,
         )
         for mode in table.modes
     ]

@@ -4,6 +4,14 @@ A device G, hands Z_i and actuators w_j / (s + w_j) make one compliance, positio
 
     H(s) = G / (1 + G (Z_1 + Z_2 + ...))  *  product of the w_j / (s + w_j)
 
+where motor, encoder and handle are one point. Where they are not, with the compliances G_em from
+the motor to the encoder, and so on, a hand makes of G_em
+
+    G_em - G_eh Z G_hm / (1 + Z G_hh) = (e_m y + z E) / (d y + z h_h),  E = (e_m h_h - e_h h_m)/d,
+
+in numerators over their denominator d, and Z = z/y (``Ports``). E is a polynomial: each mode is of
+rank one, and so is each pole of a state space.
+
 It is a quotient of polynomials whose coefficients are exact (``parts``), with the common factors
 removed. A common factor is a state that the force does not move or the position does not show; the
 device is refused if such a state is unstable. Poles are certified: the denominator is divided into
@@ -25,6 +33,7 @@ from jaxstab.model.device.parts import (
     MassSpringDamper,
     Mode,
     Modes,
+    Ports,
     Rational,
     StateSpace,
     TransferFunction,
@@ -48,7 +57,7 @@ def matrices_of(system: Any) -> tuple[Any, Any, Any, Any] | None:
         return None
     a, b, c, d = (np.atleast_2d(getattr(system, name)) for name in "ABCD")
     is_sampled = bool(getattr(system, "dt", None))
-    _refuse_many(b.shape[1], c.shape[0], 2 if is_sampled else 1)
+    _refuse_many(b.shape[1], c.shape[0], (1, 2) if is_sampled else (2, 2))
     if np.any(d) and not is_sampled:
         raise ValueError(
             f"D is {d.tolist()}; position over force is strictly proper in s: give D = 0."
@@ -72,11 +81,12 @@ def coefficients_of(system: Any) -> tuple[Any, Any]:
     return np.atleast_1d(numerator), np.atleast_1d(denominator)
 
 
-def _refuse_many(inputs: int, outputs: int, most: int = 1) -> None:
-    if inputs != 1 or not 1 <= outputs <= most:
+def _refuse_many(inputs: int, outputs: int, other: tuple[int, int] = (1, 1)) -> None:
+    if (inputs, outputs) not in ((1, 1), other):
         raise ValueError(
-            f"the system has {inputs} inputs and {outputs} outputs; give one force, one position, "
-            "and a velocity in z alone."
+            f"the system has {inputs} inputs and {outputs} outputs; give one force and one "
+            "position; a state space in s may have those of the hand beside them, one in z the "
+            "velocity."
         )
 
 
@@ -179,16 +189,13 @@ class Device:
     ``from_control``, or in z with ``discrete`` or ``simulated``; ``held_by`` attaches a hand,
     ``with_actuator`` a motor of finite bandwidth:
 
-        wall's force --> [actuator] --> (+) --> [device] --+--> position, to the encoder
-                                         ^                 |
-                                         +--- -Z(s) <------+   hands
+        wall's force --> [actuator] --> motor  [device]  encoder --> position
+                                       handle <--------> hands
 
-    Motor, encoder and hands meet the device at one point, the handle: a hand's force acts where the
-    motor's does, and it moves with the position that the encoder shows. Where they do not meet,
-    give a state space of the whole, hand included. A mode of negative modal mass says that they do
-    not, so a hand beside one is refused. A device may be unstable or marginal without a wall
-    (``stability``). The numbers are taken as exact, and everything computed from them has error
-    bounds.
+    Motor, encoder and handle are one point, unless modes have shapes there, or a state space has a
+    second force and position: those of the hand. A device may be unstable or marginal without a
+    wall (``stability``). The numbers are taken as exact, and everything computed from them has
+    error bounds.
 
     Example:
         >>> arm = jaxstab.Hand.mass_spring_damper(mass=1.0, damping=5.0, stiffness=300.0)
@@ -279,7 +286,9 @@ class Device:
         States that the force does not move, or that the position does not show, are removed,
         exactly for the given numbers. A device with such a state that is unstable is refused.
 
-        A is of shape (n, n), n from 1 to 40, B of (n, 1) or (n,), C of (1, n) or (n,).
+        A is of shape (n, n), n from 1 to 40, B of (n, 1) or (n,), C of (1, n) or (n,). Where the
+        hand is elsewhere, B is of (n, 2), its second column for the hand's force, and C of (2, n),
+        its second row for the position there; the first ones are motor and encoder.
 
         Raises: see ``jaxstab.conventions``; ValueError also if the shapes do not fit, the position
         never moves, or a hidden state is unstable.
@@ -328,8 +337,8 @@ class Device:
 
         It is a TransferFunction, StateSpace or (scipy's) ZerosPolesGain, of one force in N and one
         position in m; one that is sampled, with its dt in s, is ``discrete``. ``held_by`` lets the
-        hand's force act at its input and the hand move with its output; where the hand is
-        elsewhere, give the system with the hand in it.
+        hand act at these; where it is elsewhere, give a StateSpace in s whose second input and
+        output are the hand's force and its position.
 
         Raises: TypeError if it is of another kind; ValueError if it is not (in s: strictly) proper,
         or has more inputs or outputs.
@@ -349,13 +358,13 @@ class Device:
         The forces of several hands add up.
 
         Raises: TypeError if it is not a Hand; ValueError if hand and device cancel out, are of an
-        order above 40, or a mode has a negative mass: motor and encoder are then apart, and it is
-        not known where the hand acts.
+        order above 40, if a mode has a negative mass: motor and encoder are then apart, and it is
+        not known where the hand acts; or if the handle has a negative mass that the hand's exceeds.
         """
         if not isinstance(hand, Hand):
             raise TypeError(f"hand is {hand!r}; give a jaxstab.Hand.")
         if degree_of(hand.dynamic_stiffness().numerator) >= 0:  # it does anything
-            self.require_one_handle()
+            self.require_handle()
         return replace(self, hands=(*self.hands, hand))._checked()
 
     def with_actuator(self, bandwidth: float) -> "Device":
@@ -374,17 +383,19 @@ class Device:
         """Return position over the wall's force in exact numbers, without a common factor."""
         return _compliance(self)
 
-    def handle_compliance(self) -> Rational:
-        """Return position over a force at the handle, where no actuator is, in exact numbers."""
-        return _compliance(replace(self, bandwidths=()))
+    def ports(self) -> Ports:
+        """Return what forces do at motor and handle, without actuators, in exact numbers."""
+        return _held(self).reduced()
 
     def static_stiffness(self) -> float:
         """Force in N that holds the handle 1 m from its rest position, without a wall.
 
         It is 0 for a free mass, and infinite where a constant force moves nothing.
         """
+        ports = self.ports()
+        held, _ = Rational(ports.handle_by_hand, ports.below).reduced()
         with working_precision(_BITS):
-            above, below = (balls_of(side)[0] for side in self.handle_compliance())
+            above, below = (balls_of(side)[0] for side in held)
             return inf if above == 0 else float((below / above).mid())
 
     def poles(self) -> Complex128[np.ndarray, " pole"]:
@@ -421,8 +432,8 @@ class Device:
             sum(body.stiffness for body in bodies),
         )
 
-    def require_one_handle(self) -> None:
-        """Refuse a device whose modes move motor and encoder against each other, where it is held.
+    def require_handle(self) -> None:
+        """Refuse a device of which nobody says where it is held.
 
         Raises: ValueError if a mode has a negative mass.
         """
@@ -431,8 +442,9 @@ class Device:
             if mode.modal_mass < 0.0:
                 raise ValueError(
                     f"modal_mass is {mode.modal_mass:g} beside a hand: such a mode moves motor and "
-                    "encoder against each other, and the hand's place is not known; leave out the "
-                    "hand, or give a state space of the device with the hand in it."
+                    "encoder against each other, and the hand's place is not known; give "
+                    f"modal_mass = {-mode.modal_mass:g} with the shapes motor = 1, encoder = -1, "
+                    "and handle = 1 or -1, where the hand is."
                 )
 
     def _checked(self) -> "Device":
@@ -457,13 +469,39 @@ def in_steps(device: Device) -> InSteps | None:
 
 @lru_cache(maxsize=256)
 def _compliance(device: Device) -> Rational:
-    function = checked_compliance(device.mechanism.compliance(), f"the device ({device.mechanism})")
-    for hand in device.hands:
-        function = function.held_by(hand.dynamic_stiffness())
+    ports = _held(device)
+    function = Rational(ports.encoder, ports.below)
     for bandwidth in device.bandwidths:
         w = turn(bandwidth)
         function = function.times(Rational(w, polynomial([1.0, 0.0]) + w))
     return checked_compliance(function, f"the device ({device})")
+
+
+@lru_cache(maxsize=256)
+def _held(device: Device) -> Ports:
+    """Mechanism and hands, without the actuators."""
+    ports = device.mechanism.ports()
+    checked_compliance(Rational(ports.encoder, ports.below), f"the device ({device.mechanism})")
+    ports = ports.reduced()
+    for hand in device.hands:
+        stiffness = hand.dynamic_stiffness()
+        free, ports = ports.below * stiffness.denominator, ports.held_by(*stiffness)
+        if not _has_mass_left(free, ports.below):
+            raise ValueError(
+                f"the handle of the device ({device.mechanism}) moves under fast forces as a "
+                f"negative mass would, which {hand} makes 0 or exceeds; give shapes or ports of "
+                "one sense to motor, encoder and handle."
+            )
+    return ports
+
+
+def _has_mass_left(free: Any, held: Any) -> bool:
+    """Whether a hand leaves the sense of the leading coefficient of the denominator."""
+    if degree_of(held) > degree_of(free):
+        return True  # a mass on a device without one
+    with working_precision(_BITS):
+        before, after = balls_of(free), balls_of(held)
+        return len(after) == len(before) and bool(after[-1] / before[-1] > 0)
 
 
 @lru_cache(maxsize=256)

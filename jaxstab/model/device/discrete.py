@@ -8,7 +8,7 @@ meets with Gamma_j = G + F G + ... + F^(j-1) G
 
 and C adj(z - F^n) Gamma_n, one sample less late, for f = 0. c adj(z - M) v is det(z - M + v c) -
 det(z - M). There is no motion between the steps: hands, actuators and whatever else needs a
-function of s are refused by ``compliance``, which they all ask for.
+function of s are refused by ``ports``, which they all ask for.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxstab.model.device.parts import HIGHEST_ORDER, Part, Rational, exact, polynomial
+from jaxstab.model.device.parts import HIGHEST_ORDER, Part, Ports, exact, polynomial
 from jaxstab.numbers import checked, checked_number
 
 if TYPE_CHECKING:
@@ -45,8 +45,8 @@ class InSteps(Part):
         """Whether the velocity is a second output."""
         return len(self.one_step()[2]) == 2
 
-    def compliance(self) -> Rational:
-        """There is none in s: ValueError."""
+    def ports(self) -> Ports:
+        """There are none in s: ValueError."""
         raise ValueError(
             f"the device ({self}) is known at its steps alone: its poles in s, motion between "
             "samples, delays that move, hands and actuators are not; give a device in s "
