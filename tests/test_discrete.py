@@ -301,6 +301,7 @@ REFUSALS: list[tuple[Callable[[], object], str]] = [
         r"shapes \(2, 2\), \(1,\), \(2,\)",
     ),
     (lambda: Device.discrete([1.0], step=1e-3), "of no lower degree"),
+    (lambda: Device.discrete(*np.eye(5), step=1e-3), "of no lower degree"),
     (lambda: Device.discrete([np.nan], [1.0, 0.5], step=1e-3), "numerator is nan"),
     (lambda: Device.discrete([1.0], [1.0, 0.5], step=0.0), "step is 0.0"),
     (lambda: Device.simulated(0.0, step=1e-3), "inertia is 0.0"),

@@ -89,14 +89,16 @@ def sampled_steps(device: InSteps, count: int, delay: int) -> Sampled:
 
     move, push, outputs = device.one_step()
     whole, late = divmod(delay, count)
-    powers, pushes = [move**0], [fmpq_mat(move.nrows(), 1)]
-    for _ in range(count):
-        pushes.append(pushes[-1] + powers[-1] * push)
-        powers.append(move * powers[-1])
-    columns = pushes[count - late], powers[count - late] * pushes[late]
-    below, numerators = powers[count].charpoly(), []
+    last = [0] * move.nrows() + [1]  # [[F, G], [0, 1]]^j is [[F^j, Gamma_j], [0, 1]]
+    rows = [row + column for row, column in zip(move.tolist(), push.tolist(), strict=True)]
+    powers = [(fmpq_mat([*rows, last]) ** j).tolist()[:-1] for j in (count, count - late)]
+    everything, newest = (fmpq_mat([row[-1:] for row in power]) for power in powers)
+    onward = fmpq_mat([row[:-1] for row in powers[0]])
+    below, numerators = onward.charpoly(), []
     for row, direct in outputs:
-        newer, older = ((powers[count] - column * row).charpoly() - below for column in columns)
+        newer, older = (
+            (onward - column * row).charpoly() - below for column in (newest, everything - newest)
+        )
         moved = newer * fmpq_poly([0, 1]) + older if late else newer
         numerators.append(moved + direct * below)
     if not all(numerators):
@@ -143,8 +145,8 @@ def _exact(numbers: Any) -> Any:
 def checked_discrete(system: tuple[Any, ...], step: float) -> Discrete:
     """A device by numerator and denominator, or by A, B, C and D, and its step in s."""
     step = checked_number("step", step, 0.0, is_open=True, unit="s")
-    names = ("numerator", "denominator") if len(system) == 2 else "ABCD"[: len(system)]
-    given = [np.atleast_1d(checked(*each)) for each in zip(names, system, strict=len(system) < 5)]
+    names = {2: ("numerator", "denominator"), 3: "ABC", 4: "ABCD"}.get(len(system), ())
+    given = [np.atleast_1d(checked(*each)) for each in zip(names, system, strict=False)]
     order = 0
     if len(given) == 2:
         given = [np.trim_zeros(side.ravel(), "f") for side in given]
