@@ -14,7 +14,8 @@ from io import StringIO
 from math import inf, isfinite
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from types import MappingProxyType
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 from jaxstab.conventions import AXES
 from jaxstab.shown import printable, shortened
@@ -41,7 +42,7 @@ def read_table(path: str | PathLike[str], kind: str = "") -> dict[str, Any]:
 
 _KINDS = {
     "scene": (
-        {"device", "controller", "hand", "walls"},
+        {"device", "controller", "hand", "walls", "loop"},
         "a scene; jaxstab limits, check, tune, design and guard take it, and jaxstab atlas spec "
         "--scene prints the specification of its atlas.",
     ),
@@ -163,6 +164,9 @@ def unit_of(entry: Field[Any]) -> str:
 class Table:
     """A checked table of a file; ValueError on the first value that is not allowed."""
 
+    elsewhere: ClassVar[Mapping[str, str]] = {}
+    """What to give in place of keys that are not of this table, by these keys."""
+
     def __post_init__(self) -> None:
         _checked_values(type(self), vars(self))
 
@@ -171,7 +175,7 @@ class Table:
         """Check a table of a file at a place; ValueError on the first bad key."""
         if not isinstance(table, Mapping):
             raise ValueError(f"{place} is {shortened(table)}; give a table.")
-        check_keys(place, table, [entry.name for entry in fields(cls)])
+        check_keys(place, table, [entry.name for entry in fields(cls)], cls.elsewhere)
         try:
             values = _checked_values(cls, cls.filled_in(table))
             for entry in fields(cls):
@@ -199,14 +203,35 @@ class Table:
                     yield name, own, unit_of(entry), usual
 
 
-def check_keys(place: str, keys: Iterable[str], allowed: list[str]) -> None:
-    """Refuse a key that is not allowed, and suggest the most similar one."""
+def check_keys(
+    place: str,
+    keys: Iterable[str],
+    allowed: list[str],
+    elsewhere: Mapping[str, str] = MappingProxyType({}),
+) -> None:
+    """Refuse a key that is not allowed, and say what to give, or suggest the most similar one."""
     for name in keys:
         if name not in allowed:
             near = _similar(name, allowed)
             hint = f"did you mean {near!r}?" if near else f"known are {', '.join(allowed)}."
+            hint = elsewhere.get(name, hint)
             unknown = shortened(name) if len(name) > MOST_LETTERS else printable(name)
             raise ValueError(f"{_path(place, unknown)} is unknown; {hint}")
+
+
+def with_value(table: Any, key: str, value: Any, path: Sequence[str]) -> Any:
+    """Return a table with the value of a key; ``path`` leads there, by numbers through lists."""
+    name, *inner = path
+    if isinstance(table, list):
+        if not (name.isdigit() and int(name) < len(table)):
+            raise ValueError(f"{key} is not in the scene; that list has {len(table)} entries.")
+        changed = [*table]
+        changed[int(name)] = with_value(table[int(name)], key, value, inner) if inner else value
+        return changed
+    if not isinstance(table, Mapping):
+        raise ValueError(f"{key} is not in the scene, which has {shortened(table)} in its place.")
+    own = with_value(table.get(name, {}), key, value, inner) if inner else value
+    return {**table, name: own}
 
 
 def checked_label(name: str) -> str:
@@ -350,7 +375,7 @@ def each(check: Check) -> Check:
     def check_list(value: Any) -> tuple[Any, ...]:
         if not isinstance(value, list | tuple):
             raise ValueError("give a list")
-        return tuple(_checked(str(index), entry, check) for index, entry in enumerate(value))
+        return tuple(checked(str(index), entry, check) for index, entry in enumerate(value))
 
     return check_list
 
@@ -360,12 +385,13 @@ def _checked_values(kind: type[Table], values: Mapping[str, Any]) -> dict[str, A
     return {
         name: value
         if value is entries[name].default
-        else _checked(name, value, entries[name].metadata["check"])
+        else checked(name, value, entries[name].metadata["check"])
         for name, value in values.items()
     }
 
 
-def _checked(name: str, value: Any, check: Check) -> Any:
+def checked(name: str, value: Any, check: Check) -> Any:
+    """Return a checked value; ValueError: the name, the value and what is allowed."""
     try:
         return check(value)
     except _Sentence as error:

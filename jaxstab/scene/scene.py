@@ -50,8 +50,8 @@ class Units(Enum):
 
     def unit(self, of_line: str) -> str:
         """Return the unit that replaces one of linear motion."""
-        if of_line == "m/s":
-            return f"{self.length}/s"
+        if of_line in ("m/s", "N/(m s)"):
+            return f"{self.length}/s" if of_line == "m/s" else f"{self.force}/({self.length} s)"
         return dict(zip(Units.LINE.value, self.value, strict=True)).get(of_line, of_line)
 
     def translated(self, sentence: str) -> str:
@@ -105,7 +105,7 @@ def software_presets() -> Mapping[str, Preset]:
 
 @cache
 def _presets(file: str) -> Mapping[str, Preset]:
-    tables = parsed((_folder() / file).read_text(encoding="utf-8"), f"{file}: ")
+    tables = parsed((folder_of("presets") / file).read_text(encoding="utf-8"), f"{file}: ")
     return {
         name: Preset(
             table.pop("title"),
@@ -116,10 +116,10 @@ def _presets(file: str) -> Mapping[str, Preset]:
     }
 
 
-def _folder() -> Traversable:
-    """Return the folder of the presets: in the package where it is installed, or in a checkout."""
-    installed = files("jaxstab") / "presets"
-    in_checkout = Path(__file__).parents[2] / "data" / "presets"
+def folder_of(name: str) -> Traversable:
+    """Return a folder of data/: in the package where it is installed, or in a checkout."""
+    installed = files("jaxstab") / name
+    in_checkout = Path(__file__).parents[2] / "data" / name
     return installed if installed.is_dir() else in_checkout
 
 
@@ -390,6 +390,13 @@ class VelocityTable(_TimedTable):
         return f"{self.as_velocity()}{preset if self.preset else ''}"
 
 
+_GAINS: Mapping[str, str] = {
+    "kp": "give the stiffness of a wall, [walls.NAME].",
+    "kd": "give the damping of a wall, [walls.NAME].",
+    "ki": 'an integrator is another loop: give [loop] with kind = "pid" and one of kp, ki and kd.',
+}
+"""What stands for the gains of PID, by these."""
+
 MEASURES = ("margins", "distance", "radius", "settling", "oscillation", "chatter", "jitter")
 
 
@@ -426,6 +433,8 @@ class Controller(Table):
     force_step: float = key(quantity(FORCE), 0.0)
     velocity: VelocityTable | None = key(nested(VelocityTable), None)
     position: PositionTable | None = key(nested(PositionTable), None)
+
+    elsewhere = _GAINS
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -507,6 +516,8 @@ class Wall(Table):
 
     stiffness: float = key(quantity("N/m"), usual=_STIFFNESS)
     damping: float = key(quantity("N s/m"), usual=Usual(0.0, 1e4, (0.0, 1e3)))
+
+    elsewhere = _GAINS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -622,6 +633,11 @@ class Scene:
     def from_table(cls, table: Mapping[str, Any], source: str = "") -> "Scene":
         """Check a table of tables; ValueError on the first key that is unknown, missing or bad."""
         try:
+            if "loop" in table:
+                raise ValueError(
+                    "loop is there, and this answer is for walls; limits, check, design and study "
+                    "answer for other loops."
+                )
             return cls(**_tables(table))
         except ValueError as error:
             device = table.get("device")
@@ -702,7 +718,9 @@ INNER: Mapping[str, type[Table]] = {
 
 
 def _tables(table: Mapping[str, Any]) -> dict[str, Any]:
-    check_keys("", table, [*TABLES, "walls"])
+    elsewhere = {name: f"give [controller.{name}]." for name in ("velocity", "position")}
+    elsewhere["gains"] = "give [walls.NAME], or [loop] for another loop than that of a wall."
+    check_keys("", table, [*TABLES, "walls"], elsewhere)
     given = {"device": {}, "controller": {}, **table}  # which must not be left out
     tables: dict[str, Any] = {
         name: kind.from_table(given[name], name) for name, kind in TABLES.items() if name in given
