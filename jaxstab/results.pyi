@@ -11,6 +11,7 @@ from .loop import ContactKind as ContactKind
 from .loop import Gain as Gain
 from .loop import GainLimit as GainLimit
 from .loop import GainLimits as GainLimits
+from .loop import GainMargins as GainMargins
 from .loop import GainRegion as GainRegion
 from .loop import Gains as Gains
 from .loop import ManyLimits as ManyLimits
@@ -18,6 +19,7 @@ from .loop import ManyRegions as ManyRegions
 from .loop import Margins as Margins
 from .loop import MovingLimits as MovingLimits
 from .loop import OptimalWall as OptimalWall
+from .loop import TunedGains as TunedGains
 from .loop import WallLimits as WallLimits
 from .loop import WallRegion as WallRegion
 from .loop import WorstDelays as WorstDelays

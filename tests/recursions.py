@@ -3,9 +3,12 @@
 Each function returns the matrix by which one control step moves all that is remembered: it is made
 by stepping unit vectors, and knows nothing of polynomials. A loop is stable where all eigenvalues
 are inside the circle. Plants between samples move by a matrix exponential of scipy.
+
+Numbers may be fractions or of mpmath as well, ``one`` of them: the matrix then is of such numbers.
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +17,10 @@ from scipy.linalg import expm
 Vector = NDArray[np.float64]
 
 
-def matrix_of(step: Callable[[Vector], Vector], size: int) -> NDArray[np.float64]:
+def matrix_of(step: Callable[[Vector], Vector], size: int, one: Any = 1.0) -> NDArray[np.float64]:
     """The matrix of a linear step."""
-    return np.transpose([step(unit) for unit in np.eye(size)])
+    units = np.eye(size) if isinstance(one, float) else np.eye(size, dtype=int).astype(object) * one
+    return np.transpose([step(unit) for unit in units])
 
 
 def radius(matrix: NDArray[np.float64]) -> float:
@@ -72,13 +76,13 @@ def simulated(
     inside: bool,
     substeps: int = 1,
     delay_steps: int = 0,
-    **engine: float | str,
+    one: Any = 1.0,
+    **engine: Any,
 ) -> NDArray[np.float64]:
     """PD control of a simulated joint."""
     if inside:
         return matrix_of(
-            lambda x: np.array(engine_step(*x, 0.0, kp=kp, kd=kd, **engine)),  # type: ignore[arg-type]
-            2,
+            lambda x: np.array(engine_step(*x, 0 * one, kp=kp, kd=kd, **engine)), 2, one
         )
     waiting = delay_steps // substeps + 1
 
@@ -86,10 +90,10 @@ def simulated(
         (q, v), past = x[:2], [-(kp * x[0] + kd * x[1]), *x[2:]]  # the newest first
         for step in range(substeps):
             older = step < delay_steps % substeps
-            q, v = engine_step(q, v, past[waiting - 1 + older], **engine)  # type: ignore[arg-type]
+            q, v = engine_step(q, v, past[waiting - 1 + older], kp=0 * one, kd=0 * one, **engine)
         return np.array([q, v, *past[:waiting]])
 
-    return matrix_of(control, 2 + waiting)
+    return matrix_of(control, 2 + waiting, one)
 
 
 def admittance(
@@ -101,6 +105,7 @@ def admittance(
     delay_samples: int,
     rule: str,
     stiffness: float = 0.0,
+    one: Any = 1.0,
 ) -> NDArray[np.float64]:
     """A virtual mass and damper whose positions a robot takes some samples later."""
     t, w = sample_time, delay_samples
@@ -120,23 +125,30 @@ def admittance(
             v += t / mass * (force - damping * v)
         else:  # trapezoid: the new force is that of a position that is known, w >= 1
             later = -environment * past[w - 1]
-            system = np.array([[mass + t / 2 * damping, t / 2 * stiffness], [-t / 2, 1.0]])
-            known = [mass * v + t / 2 * (force + later - damping * v), here + t / 2 * v]
-            v, new = np.linalg.solve(system, known)
+            moved, at = mass + t / 2 * damping, here + t / 2 * v
+            known = mass * v + t / 2 * (force + later - damping * v)
+            v = (known - t / 2 * stiffness * at) / (moved + t * t / 4 * stiffness)
+            new = at + t / 2 * v
         return np.array([v, new, *past[:-1]])
 
-    return matrix_of(control, 2 + w + 1)
+    return matrix_of(control, 2 + w + 1, one)
 
 
 class HeldMass:
     """A mass on a damper and a spring, behind a hold and a delay in samples."""
 
     def __init__(
-        self, mass: float, damping: float, stiffness: float, period: float, delay: float
+        self,
+        mass: float,
+        damping: float,
+        stiffness: float,
+        period: float,
+        delay: float,
+        exponential: Callable[[Any], Any] = expm,
     ) -> None:
         rates = np.array([[0, 1, 0], [-stiffness / mass, -damping / mass, 1 / mass], [0, 0, 0]])
         whole, late = int(delay // 1), delay % 1
-        self.older, self.newer = expm(rates * period * late), expm(rates * period * (1 - late))
+        self.older, self.newer = (exponential(rates * period * x) for x in (late, 1 - late))
         self.waiting = whole + 1
 
     def moved(self, x: Vector, forces: list[float]) -> Vector:
@@ -145,8 +157,26 @@ class HeldMass:
         return np.asarray((self.newer @ [*state, forces[self.waiting - 1]])[:2])
 
 
+class Wall:
+    """What nothing moves."""
+
+    waiting = 0
+
+    def moved(self, x: Vector, forces: list[float]) -> Vector:
+        """Its state, which is 0."""
+        return 0 * np.array([x[0], forces[0]])
+
+
 def pid(
-    kp: float, ki: float, kd: float, plant: HeldMass, *, period: float, rule: str, window: int
+    kp: float,
+    ki: float,
+    kd: float,
+    plant: HeldMass,
+    *,
+    period: float,
+    rule: str,
+    window: int,
+    one: Any = 1.0,
 ) -> NDArray[np.float64]:
     """PID control of a held mass, its velocity the difference over a window."""
     waiting = plant.waiting
@@ -161,25 +191,39 @@ def pid(
         moved = plant.moved(state, forces)
         return np.array([*moved, new, here, *earlier[:-1], *forces[:waiting]])
 
-    return matrix_of(control, 3 + window + waiting)
+    return matrix_of(control, 3 + window + waiting, one)
 
 
 def coupling(
-    stiffness: float, damping: float, first: HeldMass, second: HeldMass, *, period: float
+    stiffness: float,
+    damping: float,
+    first: HeldMass,
+    second: HeldMass | Wall,
+    *,
+    period: float,
+    window: int = 1,
+    drift: int = 0,
+    one: Any = 1.0,
 ) -> NDArray[np.float64]:
-    """A spring and a damper between two held masses, by the difference over one sample.
+    """A spring and a damper between two held masses, or to a wall; difference over a window.
 
-    The state is that of both, with the distance in place of the second position: their common drift
-    is left out where nothing holds them.
+    The first ``drift`` roots of both, of a motion that they share, are left out: where no spring
+    holds either of them, the state has their distance in place of both positions; where nothing
+    does, or with a wall, their relative velocity in place of both.
     """
     waiting = max(first.waiting, second.waiting)
 
     def control(x: Vector) -> Vector:
-        one, other, before, forces = x[:2], x[2:4], x[4], list(x[5:])
+        own, earlier = x[: 4 - drift], list(x[4 - drift : 4 - drift + window])
+        forces = list(x[4 - drift + window :])
+        zero = 0 * own[0]
+        bodies = {0: own, 1: [*own[:2], zero, own[-1]], 2: [*own, zero, zero]}[drift]
+        one, other = bodies[:2], bodies[2:]
         apart = one[0] - other[0]
-        force = -(stiffness * apart + damping * (apart - before) / period)
+        force = -(stiffness * apart + damping * (apart - earlier[-1]) / (window * period))
         forces = [force, *forces]
-        moved = first.moved(one, forces), second.moved(other, [-each for each in forces])
-        return np.array([*moved[0], *moved[1], apart, *forces[:waiting]])
+        (p, v), (q, w) = first.moved(one, forces), second.moved(other, [-each for each in forces])
+        moved = {0: [p, v, q, w], 1: [p - q, v, w], 2: [p - q, v - w]}[drift]
+        return np.array([*moved, apart, *earlier[:-1], *forces[:waiting]])
 
-    return matrix_of(control, 5 + waiting)
+    return matrix_of(control, 4 - drift + window + waiting, one)

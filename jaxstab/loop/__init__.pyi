@@ -3,6 +3,7 @@ from .affine import GainLimit as GainLimit
 from .affine import GainLimits as GainLimits
 from .affine import GainRegion as GainRegion
 from .affine import Loop as Loop
+from .affine import TunedGains as TunedGains
 from .affine import admittance as admittance
 from .affine import coupling as coupling
 from .affine import pid as pid
@@ -18,6 +19,7 @@ from .many import ManyLimits as ManyLimits
 from .many import ManyRegions as ManyRegions
 from .many import limits_of as limits_of
 from .many import regions_of as regions_of
+from .margins import GainMargins as GainMargins
 from .margins import Margins as Margins
 from .margins import margins as margins
 from .region import Gains as Gains

@@ -23,24 +23,35 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Complex128, Float64, Int8
 
-from jaxstab.arrays import Array, Numbers, float_arrays, is_any_jax, named
+from jaxstab.arrays import (
+    Array,
+    Numbers,
+    float_arrays,
+    is_any_jax,
+    named,
+    namespace,
+    repeat_and_keep,
+)
 from jaxstab.conventions import Verdict
 from jaxstab.exact import VerdictStatus, stable_line, wall_verdict
 from jaxstab.exact.boundary import ScaledLoop
 from jaxstab.exact.line import LineStatus, StableLine
 from jaxstab.exact.verdict import rational_verdict
-from jaxstab.loop.walls import FewWalls
+from jaxstab.loop.margins import GainMargins
+from jaxstab.loop.walls import FewWalls, open_loop
 from jaxstab.model.affine import (
     INTEGRATORS,
     RULES,
     AdmittanceParts,
     AffineParts,
     Coefficient,
+    Coordinates,
     CouplingParts,
     GivenParts,
     PidParts,
     SimulatedParts,
     affine_triple,
+    coordinates_of,
 )
 from jaxstab.model.balls import rounded_triple
 from jaxstab.model.device import Device
@@ -59,8 +70,13 @@ from jaxstab.point import SpectralRadius, linear_spectral_radius, linear_verdict
 from jaxstab.region.region import proved_extremes, region_of
 from jaxstab.region.stable_set import GainNames, RegionStatus, ShownRegion, StableRegion
 from jaxstab.shown import number_text
+from jaxstab.tuning import TuningStatus
+from jaxstab.tuning.multiple_roots import family_of_loop
+from jaxstab.tuning.radius import Walls, smallest_radius
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from jaxstab.loop.loop import HapticLoop
 
 _FEW = 100  # pairs of gains, which balls answer one by one
@@ -152,8 +168,7 @@ class GainRegion(ShownRegion):
     @property
     def names(self) -> GainNames:  # type: ignore[override]
         """The names and units of the coordinates."""
-        first, second = self.loop.coordinates
-        return GainNames(first.name, second.name, first.unit, second.unit)
+        return _names(self.loop.coordinates)
 
     @property
     def status(self) -> RegionStatus:
@@ -193,7 +208,7 @@ class GainRegion(ShownRegion):
     def contains(self, **gains: Numbers) -> Bool[Array, "*grid"]:
         """Whether gains lie inside the exact boundary."""
         grid = self.loop._grid(gains)
-        first, second = self.loop.parts.in_chart(grid[..., 0], grid[..., 1])
+        first, second = self.loop._chart.of_gains(grid[..., 0], grid[..., 1])
         return self.region.contains(first / self.units[0], second / self.units[1])
 
     def __repr__(self) -> str:
@@ -210,6 +225,21 @@ class GainRegion(ShownRegion):
                 f"  islands  {len(self.islands) or 'none found'}",
             ]
         )
+
+
+class TunedGains(NamedTuple):
+    """The gains of the smallest spectral radius by their names, and what exactly these achieve.
+
+    Example:
+        >>> best = jaxstab.simulated_pd(0.1, step=2e-3).tune()
+        >>> best.status.name, bool(best.radius < 1e-6)  # deadbeat
+        ('DOUBLE', True)
+    """
+
+    gains: dict[str, float]
+    radius: float
+    radius_error: float
+    status: TuningStatus
 
 
 @dataclass(frozen=True, repr=False)
@@ -326,7 +356,7 @@ class Loop:
             return named(linear_verdict(*self._in_units(gains), self._pairs), Verdict)
         grid = self._grid(gains)
         codes = np.full(grid.shape[:-1], Verdict.UNDECIDED, np.int8)
-        if codes.size > _FEW and self.parts.chart() is self.parts:
+        if codes.size > _FEW and self._chart.are_gains:
             codes = np.array(linear_verdict(*self._in_units(gains), self._pairs))
         for place in np.flatnonzero(codes == Verdict.UNDECIDED):
             codes.flat[place] = self._verdict(*grid.reshape(-1, 2)[place].tolist())
@@ -353,7 +383,7 @@ class Loop:
         """
         is_jax = is_any_jax(*gains.values())
         grid = None if is_jax else self._grid(gains)
-        if grid is None or (grid.size > 2 * _FEW and self.parts.chart() is self.parts):
+        if grid is None or (grid.size > 2 * _FEW and self._chart.are_gains):
             return linear_spectral_radius(*self._in_units(gains), self._pairs)
         return FewWalls(partial(affine_triple, self.parts), grid).spectral_radii()
 
@@ -419,15 +449,10 @@ class Loop:
               largest  kd = 100 N m s/rad at kp = 0 N m/rad
               islands  none found
         """
-        chart = self.parts.chart()
-        if chart is None:
-            raise ValueError(
-                f"the stable gains of {self.words} are not bounded: the gains move the leading "
-                "coefficient of p(z). Ask for intervals and verdicts."
-            )
+        self._require_bounded()
         checked_number("tolerance", tolerance, 1e-10, is_open=True)
-        units = _units(chart)
-        return GainRegion(self, region_of(ScaledLoop(chart, units), tolerance), units)
+        loop = ScaledLoop(self._chart.chart, self._scale)
+        return GainRegion(self, region_of(loop, tolerance), self._scale)
 
     def limits(self) -> GainLimits:
         """The largest stable value of each gain, or the least where that is what is looked for.
@@ -460,12 +485,12 @@ class Loop:
         """The extreme points of an outline in other coordinates, as ends of proved rows."""
         here = main.outline
         with np.errstate(all="ignore"):  # 0/0 where the first of them is 0
-            gains = np.stack(self.parts.in_gains(*here.T), axis=-1)
+            gains = np.stack(self._chart.gains(*here.T), axis=-1)
             scaled = gains * here[:, :1]  # which is linear in the coordinates
             share = scaled / (scaled - np.roll(scaled, -1, axis=0))
             at_zero = here[:, None] + share[..., None] * (np.roll(here, -1, axis=0) - here)[:, None]
             at_zero = at_zero[(share > 0.0) & (share < 1.0)]  # where the outline leaves gains >= 0
-            crossed = np.stack(self.parts.in_gains(*at_zero.T), axis=-1)
+            crossed = np.stack(self._chart.gains(*at_zero.T), axis=-1)
         crossed = np.where(np.abs(crossed) < 1e-9 * np.abs(crossed[:, ::-1]), 0.0, crossed)
         gains = np.concatenate([gains, crossed])
         gains = gains[np.all(np.isfinite(gains) & (gains >= 0.0), axis=1)]
@@ -480,6 +505,149 @@ class Loop:
             points.append(best)
         return points
 
+    def margins(self, **gains: Numbers) -> GainMargins:
+        """By what factors each gain, and both at once, may grow and shrink: proved.
+
+        A margin of the delay is that of a plant between samples, which a loop of given polynomials
+        does not have: ``HapticLoop.margins`` has it.
+
+        Raises: as ``verdict``; TypeError for JAX arrays.
+
+        Source: lemma E3 of docs/proofs.md.
+
+        Example:
+            >>> loop = jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=4)
+            >>> loop.margins(mass=2.0, damping=50.0)
+            Margins: stable  least   largest    factors
+            mass (kg)        0.0275  unlimited  0.01375 to unlimited
+            damping (N s/m)  39.516  3995       0.79032 to 79.9
+            both                                0.79208 to unlimited
+        """
+        grid = self._grid(gains)
+        codes = np.asarray(self.verdict(**dict(zip(self._in_order(gains), grid.T, strict=True)))).T
+        triple = partial(affine_triple, self.parts)
+        return GainMargins.of_pairs(triple, codes, grid, _names(self.gains).labels)
+
+    def tune(self) -> TunedGains:
+        """The gains >= 0 of the smallest spectral radius: the fastest decay.
+
+        The search covers the component that contains small gains; where these are not stable, all
+        gains, and the status says so. It is that of ``HapticLoop.tune("radius")``: what is said
+        there of gains that are rounded holds here, too.
+
+        Raises: as ``region``.
+
+        Source: the theorem of Blondel et al. (2012), IEEE TAC 57(12).
+
+        Example:
+            >>> jaxstab.simulated_pd(0.1, step=2e-3, substeps=4).tune()
+            TunedGains(gains={'kp': ...
+        """
+        region = self.region().region
+        linear = self._pairs
+
+        def verdicts(first: Any, second: Any) -> np.ndarray:
+            return np.asarray(linear_verdict(np.asarray(first), np.asarray(second), linear))
+
+        most = 1.0 / (self._chart.weights[2] * self._scale[1]) if self._chart.weights[2] else np.inf
+        walls = Walls.of_loop(linear, verdicts, region)._replace(lowest=0.0, most=most)
+        best = smallest_radius(walls)
+        units = np.array(best.wall) * self._scale
+        pair = [float(gain) for gain in self._chart.gains(*units)]
+        gains = dict(zip((gain.name for gain in self.gains), pair, strict=True))
+        if not np.all(np.isfinite(pair)):
+            return TunedGains(gains, np.nan, np.inf, best.status)
+        radius = self.spectral_radius(**gains)
+        return TunedGains(gains, float(radius.value), float(radius.error), best.status)
+
+    def simulate(self, *, samples: int = 200, **gains: Numbers) -> Float64[Array, "*grid sample"]:
+        """The motion of the loop's poles from an impulse, sample by sample.
+
+        It is the recursion that p(z) is: c_0 y_k + c_1 y_(k-1) + ... + c_n y_(k-n) = 0 from y_0 = 1
+        on, with y_k = 0 before, so that all poles take part. What a position does of it depends on
+        where the loop is entered and left, which p(z) does not say. In float64.
+
+        Args:
+            samples: how many, from y_0 on, at the loop's sample time.
+            **gains: both, of any shapes; JAX may trace them.
+
+        Raises: as ``verdict``; ValueError also if there is no sample.
+
+        Source: eq. (9), likewise.
+
+        Example:
+            >>> loop = jaxstab.simulated_pd(0.1, step=2e-3)
+            >>> loop.simulate(samples=4, kp=1000.0, kd=20.0).round(4).tolist()
+            [1.0, 1.56, 1.8336, 1.9244]
+        """
+        count = checked_count("samples", samples, 1)
+        polynomial = family_of_loop(self._pairs).polynomial(*self._in_units(gains))
+        xp = namespace(polynomial)
+        start = xp.zeros_like(polynomial[..., 1:])
+
+        def step(past: Array) -> tuple[Array, Array]:
+            now = past[..., :1]
+            following = -xp.sum(polynomial[..., 1:] * past, axis=-1, keepdims=True)
+            return xp.concatenate([following, past[..., :-1]], axis=-1), now[..., 0]
+
+        unit = xp.concatenate([xp.ones_like(start[..., :1]), start[..., 1:]], axis=-1)
+        return xp.moveaxis(repeat_and_keep(count, step, unit)[1], 0, -1)
+
+    def boundary(self, *, tolerance: float = 1e-6) -> Float64[np.ndarray, "point 2"]:
+        """The outline of the stable gains, loop after loop, each of them closed.
+
+        It is the ``outline`` of ``region`` in the gains themselves: NaN or infinite where these
+        are, as an admittance's endless mass.
+
+        Args and Raises: as ``region``. Source: the D-decomposition of eq. (9), likewise.
+
+        Example:
+            >>> robot = jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=4)
+            >>> mass, damping = robot.boundary().T
+            >>> print(f"{mass[mass > 0].min():.4f} kg")
+            0.0159 kg
+        """
+        with np.errstate(all="ignore"):
+            outline = self.region(tolerance=tolerance).outline
+            return np.stack(self._chart.gains(*outline.T), axis=-1)
+
+    def plot(self, ax: "Axes | None" = None) -> "Axes":
+        """Draw the stable gains, islands, and where the first coordinate is largest.
+
+        Args:
+            ax: the axes of matplotlib to draw in; None makes a figure with matplotlib.pyplot.
+
+        Raises: as ``region``; ValueError also if no gains are stable.
+
+        Source: the D-decomposition of eq. (9), likewise.
+
+        Example:
+            >>> jaxstab.simulated_pd(0.1, step=2e-3).plot().get_xlabel()
+            'kp (N m/rad)'
+        """
+        from jaxstab.pictures.style import plot_loop
+
+        return plot_loop(self, ax)
+
+    def to_control(self, **gains: float) -> Any:
+        """The open loop L(z) = (a S + b R)/base as a transfer function of python-control.
+
+        Closed with a feedback of -1 it has the poles of the loop. Where the gains move the leading
+        coefficient of p(z), the parts are those of p over it, by the ``coordinates``: an
+        admittance is opened at its acceleration.
+
+        Raises: as ``verdict``; ImportError without python-control. The gains are single numbers.
+
+        Returns: ``control.TransferFunction`` with dt, the sample time; rounded to float64.
+
+        Example:
+            >>> loop = jaxstab.simulated_pd(0.1, step=2e-3)
+            >>> loop.to_control(kp=1000.0, kd=20.0).dt  # doctest: +SKIP
+        """
+        numbers = {name: checked_number(name, gain) for name, gain in gains.items()}
+        first, second = map(float, self._in_units(numbers))
+        return open_loop(self._pairs, (first, second), self.sample_time)
+
     def _in_order(self, gains: Mapping[str, Numbers]) -> dict[str, Numbers]:
         names = [gain.name for gain in self.gains]
         if sorted(gains) != sorted(names):
@@ -491,22 +659,38 @@ class Loop:
         return wall_grid(**self._in_order(gains))
 
     def _in_units(self, gains: Mapping[str, Numbers]) -> tuple[Array, Array]:
-        """Gains as those of ``_pairs``: without rounding, for the units are powers of two."""
+        """Gains as those of ``_pairs``: without rounding where they are those of the chart."""
         require_x64(*gains.values())
-        if self.parts.chart() is not self.parts:
-            raise TypeError(
-                f"gains are JAX arrays, and those of {self.words} move the leading coefficient of "
-                "p(z); give NumPy arrays."
-            )
         given = [checked_gain(name, gain) for name, gain in self._in_order(gains).items()]
-        units = _units(self.parts)
-        first, second = float_arrays(*given)
-        return first / units[0], second / units[1]
+        first, second = self._chart.of_gains(*float_arrays(*given))
+        return first / self._scale[0], second / self._scale[1]
+
+    def _require_bounded(self) -> None:
+        if not (self._chart.are_gains or self.bounded):
+            raise ValueError(
+                f"the stable gains of {self.words} are not bounded: the gains move the leading "
+                "coefficient of p(z). Ask for intervals and verdicts."
+            )
+
+    @cached_property
+    def _chart(self) -> Coordinates:
+        return coordinates_of(self.parts)
+
+    @cached_property
+    def _scale(self) -> tuple[float, float]:
+        """Units in which gains of the chart are of size 1."""
+        return _units(self._chart.chart)
 
     @cached_property
     def _pairs(self) -> LinearLoop:
-        first, second = _units(self.parts)
-        return rounded_triple(lambda: affine_triple(self.parts).monic(), 1.0 / first, 1.0 / second)
+        first, second = self._scale
+        chart = partial(affine_triple, self._chart.chart)
+        return rounded_triple(lambda: chart().monic(), 1.0 / first, 1.0 / second)
+
+
+def _names(gains: tuple[Gain, Gain]) -> GainNames:
+    first, second = gains
+    return GainNames(first.name, second.name, first.unit, second.unit)
 
 
 def _coefficient(name: str, value: Any) -> Coefficient:

@@ -13,7 +13,7 @@ from jaxstab.arrays import Array, Numbers, is_any_jax, is_any_traced, named, pyt
 from jaxstab.conventions import HORIZON, Excitation, Range, Verdict
 from jaxstab.exact import stable_line
 from jaxstab.loop.region import TOLERANCE, WallLimits, WallRegion, scaled, wall_region
-from jaxstab.loop.walls import few_walls
+from jaxstab.loop.walls import few_walls, open_loop
 from jaxstab.model import LoopParameters, by_name, checked_gain
 from jaxstab.model.balls import ball_triple
 from jaxstab.model.loop import refuse_arrays
@@ -454,19 +454,9 @@ class HapticLoop(LoopParameters):
             >>> loop.to_control(1000.0, 10.0).dt  # doctest: +SKIP
         """
         self._refuse_many("to_control")
-        try:
-            from control import TransferFunction
-        except ImportError as error:
-            raise ImportError(
-                "python-control is not installed; pip install 'jaxstab[control]'."
-            ) from error
-        alpha = self.alpha(checked_number("stiffness", stiffness))
-        beta = self.beta(checked_number("damping", damping))
-        loop = self.linear
-        pairs = zip(loop.stiffness, loop.damping, strict=True)
-        numerator = [float((k * alpha + b * beta).rounded()) for k, b in pairs]
-        denominator = [float(coefficient.rounded()) for coefficient in loop.base]
-        return TransferFunction(numerator, denominator, dt=float(self.sample_time))
+        wall = checked_number("stiffness", stiffness), checked_number("damping", damping)
+        gains = self.alpha(wall[0]), self.beta(wall[1])
+        return open_loop(self.linear, gains, float(self.sample_time))
 
     def verdict(
         self,

@@ -16,7 +16,7 @@ from jaxtyping import Float64, Int8
 
 from jaxstab.arrays import Array, Numbers, are_numbers, float_arrays, is_jax, namespace
 from jaxstab.conventions import Verdict
-from jaxstab.exact import delay_margin, stable_line, wall_verdict
+from jaxstab.exact import TripleAt, delay_margin, stable_line, wall_verdict
 from jaxstab.exact.line import End
 from jaxstab.model import checked_delta, checked_gain, checked_gamma, require_x64
 from jaxstab.model.balls import ball_loop, ball_triple
@@ -70,21 +70,27 @@ def crossings_of(loop: LoopParameters, wall: tuple[float, float]) -> list[float]
     code = wall_verdict(partial(ball_triple, loop), *wall).verdict
     ways = [Crossing(nan, nan)] * len(WAYS)
     if code == Verdict.STABLE:
-        row = _ends(loop, wall[0], (0.0, wall[1]), (1.0, 0.0))
-        column = _ends(loop, wall[1], (wall[0], 0.0), (0.0, 1.0))
+        gains = ends_of_gains(partial(ball_triple, loop), wall)
         sample = partial(one_sample, loop.held_device, float(loop.sample_time))
         parts = partial(ball_loop, loop)
         later = delay_margin(parts, sample, float(loop.delay_samples), wall)
-        ways = [*row, *column, Crossing(later.samples, later.angle / pi)]
+        ways = [*gains, Crossing(later.samples, later.angle / pi)]
     return [float(code), *(number for way in ways for number in way)]
 
 
+def ends_of_gains(triple: TripleAt, gains: tuple[float, float]) -> list[Crossing]:
+    """The ends of both gains of a stable pair, each changed alone."""
+    first, second = gains
+    along_first = _ends(triple, first, (0.0, second), (1.0, 0.0))
+    return [*along_first, *_ends(triple, second, (first, 0.0), (0.0, 1.0))]
+
+
 def _ends(
-    loop: LoopParameters, gain: float, start: tuple[float, float], along: tuple[float, float]
+    triple: TripleAt, here: float, start: tuple[float, float], along: tuple[float, float]
 ) -> Iterator[Crossing]:
-    """The ends of the interval that holds a gain, less their errors; where none does, the gain."""
-    line = stable_line(partial(ball_triple, loop), start, along)
-    interval = line.holding(gain) or (End(gain, 0.0, nan),) * 2
+    """The ends of the interval of a line that holds a place, less their errors; or the place."""
+    line = stable_line(triple, start, along)
+    interval = line.holding(here) or (End(here, 0.0, nan),) * 2
     for end, inwards in zip(interval, (1.0, -1.0), strict=True):
         value = end.value + inwards * end.error
         if not isfinite(value):
@@ -145,6 +151,10 @@ def _interval(low: float, high: float) -> tuple[str, str]:
     extent = float(high) - float(low)
     least, largest = without_noise((low, high), extent).tolist()
     return _least(least), _largest(largest)
+
+
+def _range(low: float, high: float) -> str:
+    return "none" if np.isnan(low) else " to ".join(_interval(low, high))
 
 
 def _least(value: float) -> str:
@@ -291,3 +301,76 @@ def _factor(xp: Any, most: Array, gain: Array) -> Array:
     without = xp.where(xp.isnan(most), most, inf)
     is_positive = gain > 0.0
     return xp.where(is_positive, most / xp.where(is_positive, gain, 1.0), without)
+
+
+class GainMargins(NamedTuple):
+    """How much two gains of a loop may change; NaN throughout where they are not proved stable.
+
+    All numbers are proved, as those of ``Margins``: the loop is stable between any two. A factor
+    is 0 where a gain may be turned down to 0, or beyond; with 0 times a gain nothing changes.
+
+    Attributes:
+        verdict: certified codes of ``Verdict``.
+        first: the smallest and the largest first gain between which the loop stays stable at this
+            second one.
+        second: the same of the second gain.
+        first_factors: by what the first gain may be multiplied, the least and the largest factor.
+        second_factors: the same of the second gain.
+        both_factors: by what both may be multiplied at once: the gain margins of the open loop.
+        names: those of the gains, with their units.
+
+    Example:
+        >>> jaxstab.simulated_pd(0.1, step=2e-3, substeps=4).margins(kp=500.0, kd=10.0)
+        Margins: stable  least  largest  factors
+        kp (N m/rad)     0      3333.3   0 to 6.6666
+        kd (N m s/rad)   1.5    23       0.15 to 2.3
+        both                             0 to 2.0833
+    """
+
+    verdict: Int8[Array, "*grid"]
+    first: Float64[Array, "*grid 2"]
+    second: Float64[Array, "*grid 2"]
+    first_factors: Float64[Array, "*grid 2"]
+    second_factors: Float64[Array, "*grid 2"]
+    both_factors: Float64[Array, "*grid 2"]
+    names: tuple[str, str]
+
+    @classmethod
+    def of_pairs(
+        cls,
+        triple: TripleAt,
+        codes: Int8[np.ndarray, "*grid"],
+        pairs: Float64[np.ndarray, "*grid 2"],
+        names: tuple[str, str],
+    ) -> "GainMargins":
+        """The margins of pairs of gains with these verdicts."""
+        ends = np.full((codes.size, 3, 2), nan)
+        for k in np.flatnonzero(codes == Verdict.STABLE):
+            pair = tuple(pairs.reshape(-1, 2)[k].tolist())
+            ways = ends_of_gains(triple, pair)
+            ways += _ends(triple, 1.0, (0.0, 0.0), pair) if any(pair) else [Crossing(inf, nan)] * 2
+            ends[k] = np.reshape([way.end for way in ways], (3, 2))
+        ends = ends.reshape(*codes.shape, 3, 2)
+        alone = ends[..., :2, :]
+        with np.errstate(all="ignore"):
+            factors = np.sort(alone / pairs[..., None], axis=-1)
+        factors = np.where((pairs[..., None] == 0.0) & ~np.isnan(alone), [0.0, inf], factors)
+        factors = np.maximum(np.concatenate([factors, ends[..., 2:, :]], axis=-2), 0.0)
+        columns = np.moveaxis(np.concatenate([alone, factors], axis=-2), -2, 0)
+        return cls._make([codes, *columns, names])
+
+    def __repr__(self) -> str:
+        """A table: a row for each gain of one pair, or one for each of several pairs."""
+        codes = [Verdict(int(code)).name.lower() for code in np.ravel(self.verdict)]
+        pairs = np.stack(self[1:6], axis=-2).reshape(-1, 5, 2).tolist()
+        limits = [[_interval(*ends) for ends in own[:2]] for own in pairs]
+        factors = [[_range(*ends) for ends in own[2:]] for own in pairs]
+        names, most_rows = (*self.names, "both"), 8  # of many pairs
+        if np.ndim(self.verdict) == 0:
+            rows = zip(names, [*limits[0], ("", "")], factors[0], strict=True)
+            own = [(name, *ends, factor) for name, ends, factor in rows]
+            return table_text([(f"Margins: {codes[0]}", "least", "largest", "factors"), *own])
+        every = [(code, *row) for code, row in zip(codes, factors, strict=True)]
+        table = [("verdict", *(f"factors of {name}" for name in names)), *every[:most_rows]]
+        more = f"\n... and {len(codes) - most_rows} more" if len(codes) > most_rows else ""
+        return f"Margins of {len(codes)} pairs of gains\n{table_text(table)}{more}"

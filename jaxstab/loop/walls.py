@@ -16,6 +16,7 @@ from jaxstab.conventions import RadiusStatus, Verdict
 from jaxstab.exact import TripleAt, poles, spectral_radius, wall_verdict
 from jaxstab.model import LoopParameters
 from jaxstab.model.balls import ball_triple
+from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.model.parameters import wall_grid
 from jaxstab.point import SpectralRadius
 
@@ -52,3 +53,17 @@ def few_walls(loop: LoopParameters, stiffness: Numbers, damping: Numbers) -> Few
         return None
     grid = wall_grid(stiffness=stiffness, damping=damping)
     return FewWalls(partial(ball_triple, loop), grid) if 0 < grid.size <= 200 else None
+
+
+def open_loop(loop: LinearLoop, gains: tuple[float, float], period: float) -> Any:
+    """The open loop (a S + b R)/base of two gains in units of the loop, for python-control."""
+    try:
+        from control import TransferFunction
+    except ImportError as error:
+        raise ImportError(
+            "python-control is not installed; pip install 'jaxstab[control]'."
+        ) from error
+    pairs = zip(loop.stiffness, loop.damping, strict=True)
+    numerator = [float((k * gains[0] + b * gains[1]).rounded()) for k, b in pairs]
+    denominator = [float(coefficient.rounded()) for coefficient in loop.base]
+    return TransferFunction(numerator, denominator, dt=period)

@@ -34,7 +34,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from jaxstab.arrays import Array
 from jaxstab.model.balls import (
@@ -71,23 +71,6 @@ class AffineParts:
         """The parts in exact numbers, if they are such, with common powers of z."""
         return None
 
-    def chart(self) -> "AffineParts | None":
-        """The loop in two gains that do not move the leading coefficient; None: there are none.
-
-        The stable ones are bounded.
-        """
-        with working_precision(FIRST_BITS):
-            base, *others = self.triple()
-        return self if base.degree > max(other.degree for other in others) else None
-
-    def in_chart(self, first: Array, second: Array) -> tuple[Array, Array]:
-        """Gains as those of the chart."""
-        return first, second
-
-    def in_gains(self, first: Array, second: Array) -> tuple[Array, Array]:
-        """Gains of the chart as those of the loop."""
-        return first, second
-
     def polynomial(self, first: float, second: float) -> "fmpq_poly | None":
         """p(z) in exact numbers, if the parts are such."""
         parts = self.rational()
@@ -122,6 +105,80 @@ def affine_triple(parts: AffineParts) -> Triple:
     import flint
 
     return _triple(parts, flint.ctx.prec)
+
+
+@dataclass(frozen=True)
+class Chart(AffineParts):
+    """A loop p = base + a S + b R over what moves its leading coefficient, by two other gains.
+
+    Let l = w_0 + a w_1 + b w_2 be that coefficient, in units of that of the part ``pivot``. The two
+    others of 1/l, a/l and b/l are the gains of p/l, in which the stable set is bounded.
+    """
+
+    of: AffineParts
+    pivot: int
+
+    def triple(self) -> Triple:
+        """The parts of p/l."""
+        whole = affine_triple(self.of)
+        parts = [part.without_windows() for part in whole]
+        pivot = parts.pop(self.pivot)
+        leading = pivot.rest[pivot.rest.degree()]
+        others = [
+            part if part.degree < whole.degree else _lowered(part, pivot, leading) for part in parts
+        ]
+        return _without_common_power(pivot, *others)
+
+
+def _lowered(part: Factored, pivot: Factored, leading: "arb") -> Factored:
+    """A part less so much of another one of its degree that the highest powers cancel."""
+    from flint import arb_poly
+
+    own = part.plus(pivot.scaled(-part.rest[part.rest.degree()] / leading))
+    return own._replace(rest=arb_poly(own.rest.coeffs()[: part.degree - sum(own[1:4])]))
+
+
+class Coordinates(NamedTuple):
+    """The chart of a loop, and the way from gains to those of the chart and back."""
+
+    chart: AffineParts
+    pivot: int = 0
+    weights: tuple[float, float, float] = (1.0, 0.0, 0.0)
+
+    @property
+    def are_gains(self) -> bool:
+        """Whether the gains do not move the leading coefficient: they are those of the chart."""
+        return self.weights == (1.0, 0.0, 0.0)
+
+    def of_gains(self, first: Array, second: Array) -> tuple[Array, Array]:
+        """Gains as those of the chart."""
+        if self.are_gains:
+            return first, second
+        whole = [1.0, first, second]
+        leading = sum(weight * x for weight, x in zip(self.weights, whole, strict=True))
+        del whole[self.pivot]
+        return whole[0] / leading, whole[1] / leading
+
+    def gains(self, first: Array, second: Array) -> tuple[Array, Array]:
+        """Gains of the chart as those of the loop."""
+        if self.are_gains:
+            return first, second
+        weights = [weight for k, weight in enumerate(self.weights) if k != self.pivot]
+        whole = [first, second]
+        whole.insert(self.pivot, 1.0 - weights[0] * first - weights[1] * second)
+        return whole[1] / whole[0], whole[2] / whole[0]
+
+
+@lru_cache(maxsize=128)
+def coordinates_of(parts: AffineParts) -> Coordinates:
+    """The chart of a loop; the base is the pivot where it has the degree of p(z)."""
+    with working_precision(FIRST_BITS):
+        whole = affine_triple(parts)
+        pivot = next(k for k, part in enumerate(whole) if part.degree == whole.degree)
+        leading = [part.polynomial()[whole.degree] for part in whole]
+        first, second, third = (float((value / leading[pivot]).mid()) for value in leading)
+    is_own = max(whole.stiffness.degree, whole.damping.degree) < whole.degree
+    return Coordinates(parts if is_own else Chart(parts, pivot), pivot, (first, second, third))
 
 
 @dataclass(frozen=True)
@@ -292,24 +349,6 @@ class AdmittanceParts(AffineParts):
         wall, below = self._wall_and_below()
         return _without_common_power(wall, self._inertial(below), below.times(self._rates()[0]))
 
-    def chart(self) -> AffineParts | None:
-        """The same by 1/M' and D/M', M' the mass that moves the leading coefficient."""
-        return AdmittanceChart(self).chart()
-
-    def in_chart(self, first: Array, second: Array) -> tuple[Array, Array]:
-        """1/M' and D/M' of M and D."""
-        leading = first + self._share * second
-        return 1.0 / leading, second / leading
-
-    def in_gains(self, first: Array, second: Array) -> tuple[Array, Array]:
-        """M and D of 1/M' and D/M'."""
-        return (1.0 - self._share * second) / first, second / first
-
-    @property
-    def _share(self) -> float:
-        """M' = M + share D."""
-        return {"backward": 1.0, "trapezoid": 0.5}.get(self.rule, 0.0) * self.sample_time
-
     def _rates(self) -> tuple[Factored, Factored]:
         """V and X."""
         from flint import fmpq_poly
@@ -340,21 +379,6 @@ class AdmittanceParts(AffineParts):
 
         (period,) = _exact((self.sample_time,))
         return below.times(Factored.from_rational(fmpq_poly([1, -2, 1]) / period))
-
-
-@dataclass(frozen=True)
-class AdmittanceChart(AffineParts):
-    """An admittance by 1/M' and D/M': p/M' = z^w (z-1)^2/T + wall/M' + z^w (z-1) D/M'."""
-
-    of: AdmittanceParts
-
-    def triple(self) -> Triple:
-        """The parts of p(z)/M'."""
-        from flint import fmpq_poly
-
-        wall, below = self.of._wall_and_below()
-        rate = Factored.from_rational(fmpq_poly([-1, 1]))
-        return _without_common_power(self.of._inertial(below), wall, below.times(rate))
 
 
 # -------------------------------------------------------------------------------------------- PID

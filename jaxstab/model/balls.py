@@ -450,10 +450,13 @@ def rounded_triple(
 
 
 def _rounded(triple: Triple, stiffness_unit: float, damping_unit: float) -> LinearLoop:
+    from flint import arb
+
     units = 1.0, stiffness_unit, damping_unit
     parts = [part.scaled(1 / exact(unit)) for part, unit in zip(triple, units, strict=True)]
-    degree = triple.degree
-    rows = [[part.polynomial()[degree - k] for k in range(degree + 1)] for part in parts]
+    degree, least = triple.degree, 2  # the least for which the kernels are written
+    more = [arb(0)] * (least - degree)  # so often z
+    rows = [[part.polynomial()[degree - k] for k in range(degree + 1)] + more for part in parts]
     pairs = [list(map(_nearest, row)) for row in rows]
     ends = [[_nearest(part.at_end(place) * place**degree) for part in parts] for place in (1, -1)]
     errors = [

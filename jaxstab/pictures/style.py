@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import AbstractPathEffect, withStroke
 from numpy.typing import NDArray
 
-from jaxstab.loop import Contact, ContactKind, GainRegion, HapticLoop, WallRegion
+from jaxstab.loop import Contact, ContactKind, GainRegion, HapticLoop, Loop, WallRegion
 from jaxstab.loop.jitter import MovingLoop
 from jaxstab.model.filters import given_filters
 from jaxstab.region import StableRegion
@@ -165,22 +165,19 @@ def _draw_map(panel: Axes, main: Region, islands: Sequence[Region]) -> None:
     panel.set(xlim=(left, right), ylim=(bottom, top))
 
 
-def plot_loop(loop: HapticLoop, ax: Axes | None = None) -> Axes:
-    """Draw the stable walls of a loop, the stiffest, and the linear rule: ``HapticLoop.plot``."""
+def plot_loop(loop: HapticLoop | Loop, ax: Axes | None = None) -> Axes:
+    """Draw the stable gains of a loop, the stiffest wall, and its linear rule: ``loop.plot``."""
     legend_room = 0.25  # of the height of a loop's picture, above it
     region = loop.region()
     panel = plot_region(region, ax)
-    limits = loop.limits()
-    panel.plot(
-        limits.stiffness,
-        limits.at_damping,
-        ">",
-        color=ORANGE,
-        mec=BLACK,
-        ms=8,
-        label=f"stiffest: {region.names.at_largest_stiffness(limits[:2])}",
-    )
-    draw_linear_rule(panel, loop)
+    if isinstance(region, WallRegion):
+        word, largest = "stiffest", region.limits()[:2]
+    else:
+        word, largest = "largest", region.reachable.extremes[0]
+    words = f"{word}: {region.names.at_largest_stiffness(largest)}"
+    panel.plot(*largest, ">", color=ORANGE, mec=BLACK, ms=8, label=words)
+    if isinstance(loop, HapticLoop):
+        draw_linear_rule(panel, loop)
     if not panel.child_axes:  # a map of islands has made room already
         low, high = panel.get_ylim()
         panel.set_ylim(low, high + legend_room * (high - low))

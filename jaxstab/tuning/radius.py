@@ -116,6 +116,7 @@ class Walls(NamedTuple):
     main: the component that the search covers; None for all gains.
     status: of gains that are found; NOT_COMPUTED leaves it to the search.
     lowest: alpha and beta of searches; 0 where gains must be those of walls.
+    most: beta of searches.
     """
 
     family: Family
@@ -123,6 +124,7 @@ class Walls(NamedTuple):
     main: StableRegion | None = None
     status: TuningStatus = TuningStatus.NOT_COMPUTED
     lowest: float = -np.inf
+    most: float = np.inf
 
     @classmethod
     def of_loop(
@@ -147,10 +149,14 @@ class Walls(NamedTuple):
 
     def holds(self, alpha: np.ndarray, beta: np.ndarray) -> Bool[np.ndarray, "*grid"]:
         """Return which stable gains are searched: those inside of the component."""
-        is_wall = np.minimum(alpha, beta) >= self.lowest
+        is_wall = self.are_searched(alpha, beta)
         if self.main is None or not is_wall.size:
             return is_wall
         return is_wall & np.asarray(contains(self.main.curve, self.main.outline, alpha, beta))
+
+    def are_searched(self, alpha: Array, beta: Array) -> Bool[np.ndarray, "*grid"]:
+        """Return which gains are between the least and the most; NaN is not."""
+        return np.asarray((np.minimum(alpha, beta) >= self.lowest) & (beta <= self.most))
 
     def are_inside(self, alpha: Array, beta: Array, radius: float) -> Bool[np.ndarray, "*grid"]:
         """Return where all poles seem to be inside of a circle; not proved."""
@@ -160,7 +166,7 @@ class Walls(NamedTuple):
     def radii(self, alpha: Array, beta: Array, below: float = np.inf) -> np.ndarray:
         """The largest modulus of poles; infinite for others than searched, or not ``below``."""
         coefficients = self.family.polynomial(alpha, beta)
-        searched = np.isfinite(coefficients).all(axis=-1) & ~(np.minimum(alpha, beta) < self.lowest)
+        searched = np.isfinite(coefficients).all(axis=-1) & self.are_searched(alpha, beta)
         if below < np.inf:
             searched &= self.are_inside(alpha, beta, below)
         radii = np.full(searched.shape, np.inf)
@@ -195,7 +201,7 @@ class Walls(NamedTuple):
         """The largest modulus of the poles beside a pair; infinite beyond ``near`` radii."""
         pair = self.pairs(radius, angle)
         quotient = _quotient(self.family.polynomial(pair.alpha, pair.beta), pair)
-        searched = np.minimum(pair.alpha, pair.beta) >= self.lowest
+        searched = self.are_searched(pair.alpha, pair.beta)
         searched &= have_roots_inside(quotient, near * radius) & np.isfinite(quotient).all(axis=0)
         others = np.full(radius.shape, np.inf)
         others[searched] = _largest_moduli(quotient[:, searched].T)
@@ -266,10 +272,11 @@ def smallest_radius(walls: Walls, alpha: float | None = None) -> Best:
     if alpha is not None:
         return _best_damping(walls, alpha)
     with np.errstate(all="ignore"):  # gains overflow where no pair can be
-        best = _smallest(walls._replace(lowest=-np.inf))
-        if walls.lowest > min(best.wall):
+        best = _smallest(walls._replace(lowest=-np.inf, most=np.inf))
+        if not walls.are_searched(*best.wall):
             zero, edge = np.zeros(1), np.append(0.0, _GAINS)
-            on_edges = [_on_line(walls, axes, below=1.0) for axes in ((zero, edge), (edge, zero))]
+            edges = [(zero, edge), (edge, zero), (edge, np.full(1, walls.most))]
+            on_edges = [_on_line(walls, axes, below=1.0) for axes in edges]
             best = min([_smallest(walls), *on_edges], key=lambda each: each.radius)
     if not best.radius < LARGEST or walls.verdicts(*best.wall) != Verdict.STABLE:
         return best._replace(status=TuningStatus.NO_STABLE_GAINS)
