@@ -291,7 +291,7 @@ def _gain_figure(scene: GainScene) -> Figure:
     for name, pair in scene.pairs.items():
         colour, mark, _ = _LOOKS[scene.verdict(*pair.values())]
         with np.errstate(all="ignore"):  # of a mass of 0
-            x, y = scene.loop.parts.in_chart(*np.array([*pair.values()]))
+            x, y = scene.loop._chart.of_gains(*np.array([*pair.values()]))
         panel.plot(x, y, mark, color=colour, ms=9, mec=BLACK, ls="", label=plain(name))
     panel.legend(fontsize=8)
     return figure

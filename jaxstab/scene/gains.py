@@ -13,7 +13,7 @@ stable for all of the range where one of them holds that piece.
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, field, make_dataclass, replace
-from functools import partial
+from functools import cache, partial
 from inspect import Parameter, signature
 from math import inf, isfinite, nan
 from typing import Any
@@ -26,7 +26,14 @@ from jaxstab.loop import Gain, GainLimit, Loop
 from jaxstab.model.affine import affine_triple
 from jaxstab.region import RegionStatus
 from jaxstab.rounding import EPS
-from jaxstab.scene.answers import Answer, GivenQuantity, IntervalQuantity, Quantity, basis_of
+from jaxstab.scene.answers import (
+    Answer,
+    GivenQuantity,
+    IntervalQuantity,
+    Quantity,
+    basis_of,
+    rounded_wall,
+)
 from jaxstab.scene.check import Radius
 from jaxstab.scene.limits import numbered, stable_intervals
 from jaxstab.scene.loops import device_of, hands_of, loop_of
@@ -129,15 +136,16 @@ class GainScene:
         t.check_keys("", tables, ["loop", "gains", "wanted", *beside], elsewhere)
         of_device = {name: tables[name] for name in beside if name in tables}
         held = _single(Scene.from_table(of_device)) if beside else None
-        (loop, ends), units = _loop(table, held), held.units if held else Units.LINE
+        (loop, (low, high)), units = _loop(table, held), held.units if held else Units.LINE
+        words = loop.words.replace(f"{high:g} N/m", f"{low:g} to {high:g} N/m")
         first, second = (gain._replace(unit=units.unit(gain.unit)) for gain in loop.gains)
         both = {gain.name: t.quantity(gain.unit) for gain in (first, second)}
         wishes = {"safety": t.share, **both, **{f"at_{name}": own for name, own in both.items()}}
         return cls(
             tables,
             held,
-            ends,
-            replace(loop, gains=(first, second)),
+            (low, high),
+            replace(loop, gains=(first, second), words=words if low < high else loop.words),
             {
                 t.checked_label(name): _checked(both, pair, f"gains.{name}")
                 for name, pair in pairs.items()
@@ -224,11 +232,10 @@ class GainAnswer(Answer):
 def gain_limits(scene: GainScene) -> GainAnswer:
     """The limits of both gains, the stable values of one at the other, and around each pair."""
     values = _stated(scene)
-    if scene.loop.parts.chart() is None:
-        values["limits"] = "none: the stable gains are not bounded; give at_, or pairs"
-    else:
-        limits = _limits(scene)
-        values |= {limit.gain.name: _limit(scene, limit) for limit in limits}
+    try:
+        values |= {limit.gain.name: _limit(scene, limit) for limit in _limits(scene)}
+    except ValueError as error:  # the gains are not bounded
+        values["limits"] = str(error)
     for gain in scene.loop.gains:
         at = scene.wanted[f"at_{gain.name}"]
         if at is not None and scene.is_range:
@@ -264,10 +271,10 @@ def _stated(scene: GainScene) -> dict[str, Any]:
 
 
 def _limits(scene: GainScene) -> tuple[GainLimit, GainLimit]:
-    """The limits of both gains, times the safety; ValueError where they are not resolved."""
+    """The limits of both gains, times the safety; RuntimeError where they are not resolved."""
     limits, safety = scene.loop.limits(), scene.wanted["safety"] or 1.0
     if limits.status == RegionStatus.UNRESOLVED:
-        raise ValueError("the stable region was not resolved; change one value a little.")
+        raise RuntimeError("the stable region was not resolved; change one value a little.")
     first, second = (
         limit._replace(
             value=limit.value * (safety if limit.gain.sense == "largest" else 1.0 / safety)
@@ -349,70 +356,85 @@ def _around(scene: GainScene, pair: dict[str, float], *, in_full: bool = False) 
     return GainAnswer(values, formats, verdict == Verdict.STABLE)
 
 
-def gain_design(scene: GainScene) -> GainAnswer:
-    """The largest sample time, and the largest delay, that allow the wanted value of a gain.
+def tune_gains(scene: GainScene) -> GainAnswer:
+    """The gains of the smallest spectral radius, and what is stable around them."""
+    best = scene.loop.tune()
+    values = _stated(scene) | {"status": best.status}
+    if not isfinite(best.radius):
+        return GainAnswer(values, is_stable=False)
+    (first, kp), (second, kd) = best.gains.items()
+    pair = rounded_wall(kp, kd, lambda *gains: scene.verdict(*gains) == Verdict.STABLE)
+    rounded = dict(zip((first, second), pair, strict=True))
+    return GainAnswer(values | {"least_radius": _around(scene, rounded, in_full=True)})
 
-    The limit is taken to become worse as either grows.
-    """
+
+def design_gains(scene: GainScene) -> GainAnswer:
+    """The largest sample time, and the largest delay, that allow the wanted value of a gain."""
     asked = [gain for gain in scene.loop.gains if scene.wanted[gain.name] is not None]
     if len(asked) != 1:
         both = " and ".join(gain.name for gain in scene.loop.gains)
         raise ValueError(f"wanted has {len(asked)} of {both}; give the one to design for.")
-    own, goal, other = asked[0], scene.wanted[asked[0].name], _other(scene, asked[0])
     section = scene.tables["controller" if scene.held else "loop"]
-    names = (
-        next(name for name in ("step", "sample_time") if name in section),
-        "delay_steps" if "step" in section else "delay" if "delay" in section else "delay_samples",
+    period = "step" if "step" in section else "sample_time"
+    late = "delay_steps" if period == "step" else "delay" if "delay" in section else "delay_samples"
+    now = _limit(scene, _limits(scene)[scene.loop.gains.index(asked[0])])
+    values = {asked[0].name: scene.wanted[asked[0].name], "now": replace(now, is_stable=True)}
+    values |= {name: _largest(scene, asked[0], section[period], name) for name in (period, late)}
+    return GainAnswer(_stated(scene) | values, {asked[0].name: GivenQuantity(asked[0].unit)})
+
+
+def _largest(scene: GainScene, own: Gain, period: float, name: str) -> GainAnswer:
+    """The largest value of a key that allows the wanted gain, which is taken to fall with it."""
+    axis, goal, other = scene.loop.gains.index(own), scene.wanted[own.name], _other(scene, own)
+    place = ["controller" if scene.held else "loop", name]
+    is_whole, is_time = (
+        name == "delay_steps" or (not scene.held and "delay" in name),
+        "_s" not in name[5:],
     )
 
-    def at(name: str, value: float) -> GainScene:
-        kind = int if name.startswith("delay") and not scene.held else float
-        place = ["controller" if scene.held else "loop", name]
+    @cache
+    def at(value: float) -> GainScene:
+        kind = int if is_whole else float
         return scene.from_table(t.with_value(scene.tables, ".".join(place), kind(value), place))
 
-    def spare(name: str, value: float) -> float:
+    def spare(value: float) -> float:
         """Return what is left of the limit, relative; -1 where no gains are stable."""
         try:
-            limit = _limits(at(name, value))[scene.loop.gains.index(own)].value
+            limit = _limits(at(value))[axis].value
         except ValueError:  # beyond what a filter, or the longest delay, allows
             return -1.0
         share = limit / goal if own.sense == "largest" else goal / max(limit, 1e-300)
         return max(-1.0, share - 1.0) if isfinite(share) else -1.0
 
-    def allows(name: str, value: float, second: float) -> bool:
-        return _is_stable(at(name, value), own, goal, second)
-
-    now, answers = _limits(scene)[scene.loop.gains.index(own)], dict[str, GainAnswer]()
-    at(names[0], 0.7317 * section[names[0]])  # refuses a window in s: few sample times divide it
-    for name in names:
-        is_time = name in ("step", "sample_time", "delay")
-        start = section[names[0]] if is_time else 1.0
-        ends = (0.0, 256.0 * start) if "delay" in name else (start / 1024.0, 1024.0 * start)
-        value, status = largest_value(partial(spare, name), start, *ends)
-        near = nan
-        if status != DesignStatus.NONE:
-            value = value if is_time or scene.held else float(int(value))
-            near = _limits(at(name, value))[scene.loop.gains.index(own)].at
-            near = _beside(at(name, value * (1.0 - 2e-4)).loop.intervals(**{own.name: goal}), near)
-            value, near = stable_pair(value, near, (4, 6), partial(allows, name))
-        answers[name] = GainAnswer(
-            {
-                f"largest_{name}": value,
-                f"at_{other.name}": near,
-                "status": status.words.replace("stiffness", "gain"),
-            },
-            {
-                f"largest_{name}": Quantity("s" if is_time else ""),
-                f"at_{other.name}": Quantity(other.unit),
-            },
-            status != DesignStatus.NONE,
+    if "delay" in name:
+        start = period if is_time else 1.0
+        ends = 0.0, 256.0 * start
+    else:
+        at(0.7317 * period)  # refuses a window in s, which goes with few sample times
+        start, ends = period, (period / 1024.0, 1024.0 * period)
+    value, status = largest_value(spare, start, *ends)
+    near = nan
+    if status != DesignStatus.NONE:
+        value = float(int(value)) if is_whole else value
+        row = at(value * (1.0 - 2e-4)).loop.intervals(**{own.name: goal})
+        value, near = stable_pair(
+            value,
+            _beside(row, _limits(at(value))[axis].at),
+            (4, 6),
+            lambda one, two: _is_stable(at(one), own, goal, two),
         )
-    values = {own.name: goal, "now": replace(_limit(scene, now), is_stable=True), **answers}
-    return GainAnswer(_stated(scene) | values, {own.name: GivenQuantity(own.unit)})
+    names = f"largest_{name}", f"at_{other.name}"
+    words = status.words.replace("stiffness", "gain")
+    return GainAnswer(
+        {names[0]: value, names[1]: near, "status": words},
+        {names[0]: Quantity("s" if is_time else ""), names[1]: Quantity(other.unit)},
+        status != DesignStatus.NONE,
+    )
 
 
 _ANSWERS: Mapping[str, Callable[[GainScene], GainAnswer]] = {
     "limits": gain_limits,
     "check": check_gains,
-    "design": gain_design,
+    "tune": tune_gains,
+    "design": design_gains,
 }
