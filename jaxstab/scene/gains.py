@@ -72,7 +72,9 @@ def _loop(table: Any, held: Scene | None) -> tuple[Loop, tuple[float, float]]:
     for name in {"robot", "force_filter"} & given.keys():
         given[name] = PositionTable.from_table(given[name], f"loop.{name}").as_filter()
     if "environment" in given:
-        ends = t.checked("environment", given["environment"], t.Interval("N/m", is_positive=True))
+        ends = t.checked(
+            "loop.environment", given["environment"], t.Interval("N/m", is_positive=True)
+        )
         given["environment"] = ends[1]
         if given.get("stiffness") and ends[0] < ends[1]:
             raise ValueError(
@@ -387,23 +389,23 @@ def _largest(scene: GainScene, own: Gain, period: float, name: str) -> GainAnswe
     """The largest value of a key that allows the wanted gain, which is taken to fall with it."""
     axis, goal, other = scene.loop.gains.index(own), scene.wanted[own.name], _other(scene, own)
     place = ["controller" if scene.held else "loop", name]
-    is_whole, is_time = (
-        name == "delay_steps" or (not scene.held and "delay" in name),
-        "_s" not in name[5:],
-    )
+    kind: Any = int if "delay" in name and not scene.held else float  # of steps, or samples
+    is_time = name in ("step", "sample_time", "delay")
+
+    def at(value: float) -> GainScene:
+        return scene.from_table(t.with_value(scene.tables, ".".join(place), kind(value), place))
 
     @cache
-    def at(value: float) -> GainScene:
-        kind = int if is_whole else float
-        return scene.from_table(t.with_value(scene.tables, ".".join(place), kind(value), place))
+    def limit(value: float) -> GainLimit:
+        return _limits(at(value))[axis]
 
     def spare(value: float) -> float:
         """Return what is left of the limit, relative; -1 where no gains are stable."""
         try:
-            limit = _limits(at(value))[axis].value
+            found = limit(float(kind(value))).value
         except ValueError:  # beyond what a filter, or the longest delay, allows
             return -1.0
-        share = limit / goal if own.sense == "largest" else goal / max(limit, 1e-300)
+        share = found / goal if own.sense == "largest" else goal / max(found, 1e-300)
         return max(-1.0, share - 1.0) if isfinite(share) else -1.0
 
     if "delay" in name:
@@ -415,13 +417,11 @@ def _largest(scene: GainScene, own: Gain, period: float, name: str) -> GainAnswe
     value, status = largest_value(spare, start, *ends)
     near = nan
     if status != DesignStatus.NONE:
-        value = float(int(value)) if is_whole else value
-        row = at(value * (1.0 - 2e-4)).loop.intervals(**{own.name: goal})
+        value = float(kind(value))
+        row = at(value if kind is int else value * (1.0 - 2e-4)).loop.intervals(**{own.name: goal})
+        near = _beside(row, limit(value).at)
         value, near = stable_pair(
-            value,
-            _beside(row, _limits(at(value))[axis].at),
-            (4, 6),
-            lambda one, two: _is_stable(at(one), own, goal, two),
+            value, near, (4, 6), lambda one, two: _is_stable(at(one), own, goal, two)
         )
     names = f"largest_{name}", f"at_{other.name}"
     words = status.words.replace("stiffness", "gain")

@@ -635,8 +635,8 @@ class Scene:
         try:
             if "loop" in table:
                 raise ValueError(
-                    "loop is there, and this answer is for walls; limits, check, design and study "
-                    "answer for other loops."
+                    "loop is there, and this answer is for walls; limits, check, tune, design and "
+                    "study answer for other loops."
                 )
             return cls(**_tables(table))
         except ValueError as error:
