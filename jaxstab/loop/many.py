@@ -22,6 +22,8 @@ from jaxtyping import Bool, Float64, Int8, Int64
 
 from jaxstab.arrays import Array, is_any_jax, is_any_traced, leaves, namespace, take, tree_map
 from jaxstab.batches import alike, in_float64, lists, on_cores, one_ahead
+from jaxstab.loop.affine import GainLimits, Loop
+from jaxstab.loop.samples import sampled_loops
 from jaxstab.model import LoopParameters, require_x64
 from jaxstab.model.balls import ball_loop
 from jaxstab.model.device.parts import FIRST_BITS, working_precision
@@ -52,7 +54,7 @@ Outlines = tuple[
     Float64[np.ndarray, "*loop"],
 ]
 Units = Float64[np.ndarray, "loop 2"]
-Answer = TypeVar("Answer", "ManyLimits", "ManyRegions")
+Answer = TypeVar("Answer", "ManyLimits", "ManyGainLimits", "ManyRegions")
 
 
 class ManyLimits(NamedTuple):
@@ -143,11 +145,40 @@ def limits_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> Many
         return _in_shape(moved_together(moving_limits, many), shape)
     stacks = _stacks(many, fields, shape)
     limits, units = _no_limits(prod(shape)), _units(stacks)
+    if _are_of_gains(many):
+        limits = ManyGainLimits._make(limits)
     for members, (extremes, _) in resolved(stacks):
-        _write_limits(limits, members, extremes.walls, units[members])
+        _write_limits(limits, members, extremes, units[members])
     for index, loop in singles(stacks, limits.is_single):
         _write_single(limits, index, loop.limits())
     return _in_shape(limits, shape)
+
+
+class ManyGainLimits(NamedTuple):
+    """The limits of both gains of each of many loops of any two gains; arrays of one length.
+
+    Attributes:
+        first: the largest stable first gain, or the least, as ``Loop.limits`` has it.
+        at_second: the second gain at which it is reached.
+        second: the same of the second gain.
+        at_first: the first gain at which it is reached.
+        status: codes of ``RegionStatus``.
+        is_reachable: whether small gains are stable.
+        is_single: which loops were answered one by one, by ``Loop.limits``.
+
+    Example:
+        >>> loops = [jaxstab.simulated_pd(0.1, step=step) for step in (1e-3, 2e-3)]
+        >>> jaxstab.limits_of(loops).first.round().tolist()
+        [400000.0, 100000.0]
+    """
+
+    first: Float64[Array, "*loop"]
+    at_second: Float64[Array, "*loop"]
+    second: Float64[Array, "*loop"]
+    at_first: Float64[Array, "*loop"]
+    status: Int8[Array, "*loop"]
+    is_reachable: Bool[Array, "*loop"]
+    is_single: Bool[Array, "*loop"]
 
 
 class ManyRegions(NamedTuple):
@@ -206,7 +237,7 @@ def regions_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> Man
     limits, units = _no_limits(prod(shape)), _units(stacks)
     vertices, area = np.full((prod(shape), _VERTICES, 2), np.nan), np.full(prod(shape), np.nan)
     for members, (extremes, outline) in resolved(stacks, outlines=True):
-        _write_limits(limits, members, extremes.walls, units[members])
+        _write_limits(limits, members, extremes, units[members])
         vertices[members], area[members] = outline.vertices * units[members, None], outline.area
     for index, loop in singles(stacks, limits.is_single):
         region = loop.region()
@@ -241,17 +272,19 @@ def _no_limits(count: int) -> ManyLimits:
 
 
 def _write_limits(
-    limits: ManyLimits, members: Indices, walls: Float64[np.ndarray, "loop 2 2"], units: Units
+    limits: ManyLimits | ManyGainLimits, members: Indices, extremes: "Extremes", units: Units
 ) -> None:
     """Write what a program resolved."""
-    (stiffest, damped) = np.moveaxis(walls * units[:, None], 1, 0)
-    limits.stiffness[members], limits.at_damping[members] = stiffest.T
-    limits.at_stiffness[members], limits.damping[members] = damped.T
+    (stiffest, damped) = np.moveaxis(extremes.walls * units[:, None], 1, 0)
+    for column, values in zip(limits, (*stiffest.T, *damped.T[::-1]), strict=False):
+        column[members] = values
     limits.status[members] = RegionStatus.COMPLETE
-    limits.is_reachable[members], limits.is_single[members] = True, False
+    limits.is_reachable[members], limits.is_single[members] = extremes.failures == 0, False
 
 
-def _write_single(limits: ManyLimits, index: int, own: "WallLimits") -> None:
+def _write_single(limits: ManyLimits | ManyGainLimits, index: int, own: Any) -> None:
+    if isinstance(own, GainLimits):
+        own = (*own.first[1:], *own.second[1:], *own[2:])
     for column, value in zip(limits, own[:6], strict=False):
         column[index] = value
 
@@ -265,6 +298,7 @@ class Stack(NamedTuple):
     """Loops with one estimator, filter and device: ``loop`` has columns in place of some numbers.
 
     With filters the sampling period is one number; a device that is not one mass has no columns.
+    Loops of any two gains are one stack, ``loop`` their list.
     """
 
     members: Indices
@@ -274,6 +308,9 @@ class Stack(NamedTuple):
 def singles(stacks: list[Stack], chosen: Bool[np.ndarray, " loop"]) -> Iterator[tuple[int, Any]]:
     """Yield the indices of the chosen loops, and these one by one."""
     for members, loop in stacks:
+        if isinstance(loop, list):
+            yield from ((int(k), loop[k]) for k in np.flatnonzero(chosen))
+            continue
         columns = {name: value for name, value in vars(loop).items() if np.ndim(value)}
         for place in np.flatnonzero(chosen[members]).tolist():
             one = {name: float(value[place]) for name, value in columns.items()}
@@ -282,10 +319,16 @@ def singles(stacks: list[Stack], chosen: Bool[np.ndarray, " loop"]) -> Iterator[
 
 def _units(stacks: list[Stack]) -> Units:
     """Return K in N/m and B in N s/m for alpha = 1 and beta = 1."""
-    units = np.empty((sum(len(members) for members, _ in stacks), 2))
+    units = np.ones((sum(len(members) for members, _ in stacks), 2))
     for members, loop in stacks:
-        units[members, 0], units[members, 1] = loop.stiffness(1.0), loop.damping(1.0)
+        if not isinstance(loop, list):  # those of any two gains are answered in their gains
+            units[members, 0], units[members, 1] = loop.stiffness(1.0), loop.damping(1.0)
     return units
+
+
+def _are_of_gains(many: Any) -> bool:
+    """Whether these are loops of any two gains, and no walls."""
+    return isinstance(many, list) and len(many) > 0 and all(isinstance(x, Loop) for x in many)
 
 
 def _given(loops: Any, fields: dict[str, Any]) -> tuple[Any, dict[str, Any], tuple[int, ...]]:
@@ -317,6 +360,8 @@ def _varied(given: Any, fields: dict[str, Any], shape: tuple[int, ...]) -> list[
 def _stacks(given: Any, fields: dict[str, Any], shape: tuple[int, ...]) -> list[Stack]:
     """Return loops that JAX does not trace, in stacks."""
     filters = "velocity", "position"
+    if _are_of_gains(given):
+        return [Stack(np.arange(len(given)), given)]
     if isinstance(given, list) or given.device is not None or "device" in fields:
         return stacked(_varied(given, fields, shape))
     require_x64(*leaves(fields, plain=False))
@@ -357,19 +402,31 @@ def resolved(
     stacks: list[Stack], *, outlines: bool = False
 ) -> "Iterator[tuple[Indices, tuple[Extremes, Any]]]":
     """Yield loops that the program of a batch resolved, and its answers to them."""
+    from jaxstab.region.batch import ISLAND
+
     fewest_compiled = 4  # the same for a program that is compiled
     for formed, triples in one_ahead(_groups(stacks)):
         for _ in range(_SCANS):
             if len(triples.angles) < fewest_compiled:
                 break
             members = np.concatenate([group.members for group in formed])
+            counts = [len(group.members) for group in formed]
+            flags = [(group.is_turned, group.is_unstable) for group in formed]
+            turned, unstable = np.repeat(flags, counts, axis=0).T
+            units = np.concatenate(
+                [np.broadcast_to(group.units, (len(group.members), 2)) for group in formed]
+            )
             missed = np.full((len(members), 2), np.nan)
             for indices, answer in _answers(triples, outlines):
-                is_open = answer[0].failures[: indices.size] != 0
-                missed[indices[is_open]] = answer[0].missed[: indices.size][is_open]
+                extremes = take(answer[0], np.arange(indices.size))
+                extremes.failures[(extremes.failures == 0) & unstable[indices]] = ISLAND
+                is_open = ~np.isin(extremes.failures, [0] if outlines else [0, ISLAND])
+                missed[indices[is_open]] = extremes.missed[is_open]
+                extremes.walls[:] *= units[indices, None]
+                extremes.walls[turned[indices]] = extremes.walls[turned[indices], ::-1, ::-1]
                 own = np.flatnonzero(~is_open)
                 if own.size:
-                    yield members[indices[own]], take(answer, own)
+                    yield members[indices[own]], (take(extremes, own), take(answer[1], own))
             formed, triples = _rescanned(formed, triples, missed)
 
 
@@ -393,8 +450,11 @@ class _Formed(NamedTuple):
     members: Indices
     parts: DoubleDouble  # (loop, part, power) coefficients of p(z)
     ends: Float64[Array, "loop 2 3"]
-    poles: Angles  # where the curve goes to infinity
+    poles: Float64[np.ndarray, "*loop pole"]  # angles where the curve goes to infinity
     roots: Float64[Array, "loop root 2"]  # next to the circle: angles and distances
+    units: Float64[Array, "*loop 2"] = np.ones(2)  # of gains, where they are not those of the loop
+    is_turned: bool = False  # whether the second gain takes the place of the first one
+    is_unstable: bool = False  # with small gains
 
 
 def _groups(stacks: list[Stack]) -> Iterator[tuple[list[_Formed], "Triples"]]:
@@ -440,8 +500,9 @@ def _rescanned(
         own = np.flatnonzero(np.isfinite(missed[start : start + len(group.members), 0]))
         roots = np.broadcast_to(group.roots, (len(group.members), *group.roots.shape[1:]))[own]
         roots = np.concatenate([roots, more[start + own]], axis=1)
-        if own.size and len(group.poles) + roots.shape[1] <= degree + 2:
-            again.append(group._replace(members=group.members[own], roots=roots))
+        if own.size and group.poles.shape[-1] + roots.shape[1] <= degree + 2:
+            poles = group.poles[own] if group.poles.ndim > 1 else group.poles
+            again.append(group._replace(members=group.members[own], poles=poles, roots=roots))
             chosen.append(start + own)
             scans.append(_scans(again[-1], degree))
         start += len(group.members)
@@ -454,6 +515,9 @@ def _formed(stacks: list[Stack]) -> Iterator[_Formed]:
     Those with filters that leave float64 few digits are left out.
     """
     for members, loop in stacks:
+        if isinstance(loop, list):
+            yield from _of_gains(members, loop)
+            continue
         filters = given_filters(**loop.filters) or NO_FILTERS
         if loop.body is None:
             yield from _group(members, loop.linear, filters, _device_resonances(loop).T[None])
@@ -463,6 +527,14 @@ def _formed(stacks: list[Stack]) -> Iterator[_Formed]:
             for part in np.split(own, range(_FORMED, len(own), _FORMED)):
                 linear, roots = _masses(gamma[part], delta[part], delay[part], filters)
                 yield from _group(members[part], linear, filters, roots)
+
+
+def _of_gains(members: Indices, loops: "list[Loop]") -> Iterator[_Formed]:
+    """Yield loops of any two gains, if the gains are those in which they are bounded."""
+    for start in range(0, len(loops), _AT_ONCE):
+        block = [k for k in members[start : start + _AT_ONCE] if loops[k]._chart.are_gains]
+        own = np.array(block), [loops[k] for k in block]
+        yield from map(_Formed._make, sampled_loops(*own, _DEGREES))
 
 
 def _group(members: Indices, linear: LinearLoop, filters: Filters, roots: Array) -> list[_Formed]:
@@ -552,7 +624,7 @@ def _middles(polynomial: Any) -> Float64[np.ndarray, " power"]:
 def _filled_degree(formed: _Formed) -> int | None:
     """Return the degree up to which p(z) is filled; None where that or its poles are too many."""
     enough = (degree for degree in _DEGREES if degree >= formed.parts.hi.shape[-1] - 1)
-    poles, roots = len(formed.poles), formed.roots.shape[1]
+    poles, roots = formed.poles.shape[-1], formed.roots.shape[1]
     return next((degree for degree in enough if poles + roots <= degree + 2), None)
 
 
@@ -655,13 +727,14 @@ def _scans(formed: _Formed, degree: int) -> Float64[Array, "loop angle"]:
     to_ends, to_poles, to_roots = 12, 6, 8  # angles that come closer and closer
     beyond = 0.97  # angles beyond an end, so that none is there twice
     roots, count = formed.roots.shape[1], 2 * to_ends + 24 + (8 + 2 * to_poles) * degree
-    even_count = count - 2 * to_ends - len(formed.poles) * (2 * to_poles + 1) - roots * 2 * to_roots
+    poles = formed.poles.shape[-1] * (2 * to_poles + 1)
+    even_count = count - 2 * to_ends - poles - roots * 2 * to_roots
     step = np.pi / even_count
     even = step * (np.arange(even_count) + 0.5)
     to_end = np.geomspace(first, even[0], to_ends, endpoint=False)
     to_pole = np.geomspace(closest, step, to_poles)
-    near = formed.poles[:, None] + np.concatenate([-to_pole, [0.0], to_pole])
-    shared = np.concatenate([to_end, even, np.pi - to_end, near.ravel()])
+    shared = np.concatenate([to_end, even, np.pi - to_end])
+    near = formed.poles[..., None] + np.concatenate([-to_pole, [0.0], to_pole])
     xp = namespace(formed.roots)
     angle, width = xp.moveaxis(formed.roots, 2, 0)[..., None]
     growth = np.linspace(-1.0, 1.0, 2 * to_roots)
@@ -671,4 +744,5 @@ def _scans(formed: _Formed, degree: int) -> Float64[Array, "loop angle"]:
     mirrored = xp.where(around < 0.0, -beyond * around, around)
     mirrored = xp.where(around > np.pi, np.pi - beyond * (around - np.pi), mirrored)
     own = xp.clip(mirrored, 2.0 * first, np.pi - 2.0 * first).reshape(len(angle), -1)
-    return xp.sort(xp.concatenate([xp.tile(shared, (len(own), 1)), own], axis=1))
+    near = np.broadcast_to(near.reshape(*near.shape[:-2], -1), (len(own), poles))
+    return xp.sort(xp.concatenate([xp.tile(shared, (len(own), 1)), near, own], axis=1))

@@ -20,7 +20,7 @@ branches are known before the scan. The program, for each loop:
    the one that begins where it ends, or by the next one along the line of a real root, or around
    the crossing of both lines. Each piece must follow exactly one.
 4. *Component.* A wall with small gains is enclosed by one of the loops: that is the component of
-   walls that are reached by turning gains up from 0.
+   walls that are reached by turning gains up from 0. One loop far from 0 is an island.
 5. *Extremes.* The largest alpha where beta >= 0, and the largest beta where alpha >= 0, are at
    corners, where the curve turns, or where the boundary crosses the axis of that gain: the best
    angles of the scan are refined by Newton's method.
@@ -49,6 +49,7 @@ from jaxstab.region.pieces import MARGIN, Branch
 from jaxstab.rounding import UNIT
 
 SLOTS = 6  # pieces of one loop
+ISLAND = 1 << 10  # in place of failures: resolved, but small gains are not stable
 _PROGRAMS = 8  # that are kept, one for each degree: each takes 40 to 90 MB
 _VERTICES, _FINE = 48, 192  # of a piece, and angles between which they are spread
 _TILE = 64  # angles of a scan at once
@@ -536,11 +537,13 @@ class _Component(NamedTuple):
     main: Array  # its first piece
     in_main: Array  # (angle,)
     of_main: Array  # (piece,)
+    is_island: Array
     tests: Array
     missed: Array
 
 
 def _component(loop: Triples, scan: _Scan) -> _Component:
+    far_away = 1e-3  # of the set's size: no small gains are this far from 0
     size = jnp.max(jnp.where(scan.passes, abs(scan.walls), 0.0), axis=1)
     size = jnp.where(size > 0.0, size, 1.0)
     ends, has_room = _ends_of(loop, scan)
@@ -552,16 +555,19 @@ def _component(loop: Triples, scan: _Scan) -> _Component:
 
     piece = jnp.cumsum(scan.passes & ~jnp.append(False, scan.passes[:-1])) - 1
     of_angles = label[jnp.clip(piece, 0, SLOTS - 1)]
-    small, starts = _small_walls(loop, size)
+    small, count = _small_walls(loop, size)
     around = _are_around(scan, corners, links, (label, of_angles), small)
     around = around & (jnp.arange(SLOTS) == label)
-    main = jnp.argmax(around[0])
-    is_around = starts & jnp.all(jnp.sum(around, axis=1) == 1) & jnp.all(around[:, main])
+    firsts = corners.exists & (label == jnp.arange(SLOTS))
+    nearest = jnp.min(jnp.where(scan.passes, jnp.hypot(*scan.walls / size[:, None]), jnp.inf))
+    is_island = (count == 0) & (nearest > far_away) & (jnp.sum(firsts) == 1)
+    main = jnp.argmax(jnp.where(is_island, firsts, around[0]))
+    is_around = (count >= 3) & jnp.all(jnp.sum(around, axis=1) == 1) & jnp.all(around[:, main])
     in_main = scan.passes & (of_angles == main)
     of_main = corners.exists & (label == main)
-    tests = jnp.stack([has_room, corners.exists[0], is_joined, is_around])
+    tests = jnp.stack([has_room, corners.exists[0], is_joined, is_around | is_island])
     missed = _missed(loop, ends)
-    return _Component(size, corners, links, main, in_main, of_main, tests, missed)
+    return _Component(size, corners, links, main, in_main, of_main, is_island, tests, missed)
 
 
 def _extremes(loop: Triples, scan: _Scan) -> tuple[_Component, Extremes]:
@@ -571,6 +577,7 @@ def _extremes(loop: Triples, scan: _Scan) -> tuple[_Component, Extremes]:
     walls, angles, are_sound = jax.vmap(largest)(jnp.arange(2))
     tests = jnp.append(component.tests, are_sound)
     failures = jnp.sum((~tests).astype(jnp.int32) << jnp.arange(len(tests)))
+    failures = failures + jnp.where(component.is_island, ISLAND, 0)
     return component, Extremes(walls, angles, failures, component.missed)
 
 
@@ -640,15 +647,24 @@ def _outline(loop: Triples, component: _Component) -> MainOutline:
 
 
 def _small_walls(loop: Triples, size: Array) -> tuple[Array, Array]:
-    """Return two walls (2, point) that are stable with all smaller ones, and whether there are."""
+    """Return two walls (2, point) that are stable with all smaller ones, and how many there are.
+
+    Float64 hardly tells whether the smallest are: they are as larger ones, as to first order in the
+    gains roots move in proportion to these, unless a root of base is outside.
+    """
+    hardly = 3  # the smallest walls, which float64 may not tell
     alpha = _SMALL * _RATIOS[:, None] * size[0]
     beta = jnp.broadcast_to(_SMALL * size[1], alpha.shape)
-    stable = _are_stable(loop, jnp.stack([alpha.ravel(), beta.ravel()])).reshape(alpha.shape)
+    walls = jnp.stack([alpha, beta])
+    stable = _are_stable(loop, walls.reshape(2, -1)).reshape(alpha.shape)
+    likely = stable[:, hardly : hardly + 2].all(axis=1, keepdims=True)
+    likely = likely & jnp.all(_margins(loop, walls) > 0.0, axis=0)
+    stable = stable | (likely & (jnp.arange(len(_SMALL)) < hardly))
     counts = jnp.sum(jnp.cumprod(stable, axis=1), axis=1)
     best = jnp.argmax(counts)
     count = counts[best]
     two = jnp.clip(jnp.stack([count - 1, count - 2]), 0)
-    return jnp.stack([alpha[best, two], beta[best, two]]), count >= 3
+    return jnp.stack([alpha[best, two], beta[best, two]]), count
 
 
 def _largest(

@@ -213,7 +213,7 @@ def components_of(c: Curve, outline: Outline) -> list[Outline]:
 def holds_small_gains(c: Curve, outline: Outline) -> bool:
     """Return whether a set holds positive gains that are small beside its own size."""
     small = 1e-8  # of what a set spans
-    ratios = 10.0 ** np.arange(-6.0, 1.0)  # of alpha to beta, in that measure
+    ratios = 10.0 ** np.arange(-6.0, 7.0)  # of alpha to beta, in that measure
     extent = np.max(np.abs(outline.vertices[: outline.size]), axis=0)
     alpha = small * extent[0] * ratios
     beta = np.full_like(alpha, small * extent[1])

@@ -1,0 +1,171 @@
+"""Many loops of any two gains as a batch needs them: coefficients, and angles that tell of them.
+
+Their parts come from balls one by one, rounded once to pairs of float64. All else is found for all
+loops of one degree at once, in float64, from samples of base and S around the circle:
+
+- *poles*, the angles where Im(conj(S) R) changes its sign: the curve goes to infinity there;
+- *roots* of base and of S next to the circle: where one of them is small between two neighbours,
+  Newton's method leads to the root; the slowest pair follows from the last powers of z - 1.
+
+A loop of which an angle is missed is not resolved by a batch, and is answered by itself.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Complex128, Float64, Int64
+
+from jaxstab.batches import alike
+from jaxstab.exact.verdict import roots_outside
+from jaxstab.model.affine import AffineParts, affine_triple
+from jaxstab.model.device.parts import FIRST_BITS, working_precision
+from jaxstab.model.double_double import DoubleDouble
+
+if TYPE_CHECKING:
+    from jaxstab.loop.affine import Loop
+
+_SAMPLES = 512  # of half the circle
+_NO_ROOT = 0.0, 0.05  # its angle, and its distance from the circle
+
+Rows = Float64[np.ndarray, "loop power"]
+Angles = Float64[np.ndarray, "loop _"]
+
+
+class SampledLoops(NamedTuple):
+    """Loops of one degree and of one number of poles."""
+
+    members: Int64[np.ndarray, " loop"]
+    parts: DoubleDouble  # (loop, part, power), the highest power first
+    ends: Float64[np.ndarray, "loop 2 3"]
+    poles: Float64[np.ndarray, "loop pole"]
+    roots: Float64[np.ndarray, "loop root 2"]  # angles, and distances from the circle
+    units: Float64[np.ndarray, "loop 2"]  # of the gains
+    is_turned: bool  # S is what the second gain multiplies: it alone moves p(1)
+    is_unstable: bool  # with small gains: a root of base is outside
+
+
+def sampled_loops(
+    members: Int64[np.ndarray, " loop"],
+    loops: "Sequence[Loop]",
+    degrees: Sequence[int],
+) -> Iterator[SampledLoops]:
+    """Loops filled up to one of the degrees, those of a kind together."""
+    every = [_in_floats(loop._chart.chart) for loop in loops]
+    filled = [min((n for n in degrees if n >= len(row[0][0]) - 1), default=0) for row in every]
+    for own in map(np.array, alike(filled)):
+        degree = filled[own[0]]
+        if not degree:
+            continue
+        rows = np.zeros((2, own.size, 3, degree + 1))
+        for k, place in enumerate(own):
+            rows[:, k, :, : len(every[place][0][0])] = every[place][:2]
+        scale = 2.0 ** -np.round(np.log2(np.abs(rows[0]).sum(axis=-1)))
+        scale[:, 0] = 1.0
+        parts, ends = rows * scale[..., None], np.array([every[k][2] for k in own]) * scale[:, None]
+        turned = (ends[:, 0, 1] == 0.0) & (ends[:, 0, 2] != 0.0)
+        for rest in (parts[0], parts[1], scale, ends.transpose(0, 2, 1)):
+            rest[turned, 1:] = rest[turned, :0:-1]
+        with np.errstate(all="ignore"):  # NaN tells where nothing is found
+            values = np.fft.rfft(parts[0], 2 * _SAMPLES)[..., 1:-1]
+            poles, near = _poles(parts[0], values), [_near(parts[0], values, k) for k in (0, 1)]
+            roots = np.concatenate([_slowest(parts[0, :, 0]), *near], axis=1)
+        counts = np.sum(np.isfinite(poles), axis=1)
+        unstable = (every[place][3] for place in own)
+        for kind in map(np.array, alike(zip(counts, turned, unstable, strict=True))):
+            first = kind[0]
+            yield SampledLoops(
+                members[own[kind]],
+                DoubleDouble(*parts[:, kind]),
+                ends[kind],
+                poles[kind, : counts[first]],
+                _those_there(roots[kind]),
+                scale[kind, 1:],
+                is_turned=bool(turned[first]),
+                is_unstable=every[own[first]][3],
+            )
+
+
+def _in_floats(chart: AffineParts) -> tuple[Any, Any, Any, bool]:
+    """Coefficients of the parts, highest power first, what rounding took from them, and ends.
+
+    Last whether roots of base are outside.
+    """
+    with working_precision(FIRST_BITS):
+        triple = affine_triple(chart).monic()
+        degree, sign = triple.degree, (-1) ** triple.degree
+        balls = [[p[degree - k] for k in range(degree + 1)] for p in (q.polynomial() for q in triple)]
+        high = [list(map(float, row)) for row in balls]
+        low = [[float(c - h) for c, h in zip(*x, strict=True)] for x in zip(balls, high, strict=True)]
+        ends = [[float(part.at_end(z)) * s for part in triple] for z, s in ((1, 1), (-1, sign))]
+        outside = roots_outside(triple.base.rest, most=0)
+    return high, low, ends, bool(outside)
+
+
+def _at(rows: Rows, z: Complex128[np.ndarray, " row"]) -> Complex128[np.ndarray, " row"]:
+    """The values of polynomials at one place each."""
+    powers = np.arange(rows.shape[1])[::-1]
+    return np.einsum("rp,rp->r", rows, z[:, None] ** powers)
+
+
+def _poles(parts: Float64[np.ndarray, "loop 3 power"], values: Any) -> Angles:
+    """The angles where Im(conj(S) R) changes its sign, and NaN behind them."""
+    halvings = 20  # of the steps between samples
+    det = np.sign((values[:, 1].conj() * values[:, 2]).imag)
+    loop, place = np.nonzero(det[:, 1:] * det[:, :-1] < 0.0)
+    low, high = ((place + k) * (np.pi / _SAMPLES) for k in (1.0, 2.0))
+    first, second, before = parts[loop, 1], parts[loop, 2], det[loop, place]
+    for _ in range(halvings):
+        middle = 0.5 * (low + high)
+        z = np.exp(1j * middle)
+        is_before = (_at(first, z).conj() * _at(second, z)).imag * before > 0.0
+        low, high = np.where(is_before, middle, low), np.where(is_before, high, middle)
+    return _in_rows(loop, low, len(parts))
+
+
+def _near(parts: Float64[np.ndarray, "loop 3 power"], values: Any, part: int) -> Any:
+    """The roots of a part next to the circle."""
+    most, steps = 3, 6
+    rows, size = parts[:, part], np.abs(values[:, part])
+    loop, place = np.nonzero((size[:, 1:-1] < size[:, :-2]) & (size[:, 1:-1] < size[:, 2:]))
+    slopes = np.roll(rows * np.arange(rows.shape[1])[::-1], 1, axis=1)  # the last of them is 0
+    z = np.exp(1j * (place + 2) * (np.pi / _SAMPLES))
+    for _ in range(steps):
+        z = z - _at(rows[loop], z) / _at(slopes[loop], z)
+    found = _in_rows(loop, _places(z), len(rows))
+    order = np.argsort(np.nan_to_num(found[..., 1], nan=np.inf), axis=1)[:, :most, None]
+    found = np.take_along_axis(found, order, axis=1)
+    return np.where(np.isnan(found), _NO_ROOT, found)
+
+
+def _slowest(base: Rows) -> Any:
+    """The pair of roots of base next to 1, by its last powers of z - 1."""
+    powers = np.arange(base.shape[1])[::-1]
+    a, b, c = (base @ weight for weight in (0.5 * powers * (powers - 1), powers, powers**0))
+    return _places(1.0 + (np.sqrt(b * b - 4.0 * a * c + 0j) - b) / (2.0 * a))[:, None]
+
+
+def _places(root: Complex128[np.ndarray, " root"]) -> Float64[np.ndarray, "root 2"]:
+    """Angles of roots, and distances from the circle; far from it, or real, they are none."""
+    narrowest, farthest, real = 1e-9, 0.3, 1e-6
+    angle, distance = np.abs(np.angle(root)), np.abs(np.log(np.abs(root)))
+    is_one: Bool[np.ndarray, " root"] = (angle > real) & (angle < np.pi - real)
+    is_one &= distance < farthest
+    places = np.stack([angle, np.maximum(distance, narrowest)], axis=-1)
+    return np.where(is_one[:, None], places, _NO_ROOT)
+
+
+def _those_there(roots: Float64[np.ndarray, "loop root 2"]) -> Float64[np.ndarray, "loop root 2"]:
+    """As few columns as the roots that there are need, and one at least."""
+    is_none = roots[..., 0] == 0.0
+    order = np.argsort(is_none, axis=1, kind="stable")[..., None]
+    most: int = np.sum(~is_none, axis=1).max()
+    return np.take_along_axis(roots, order, axis=1)[:, : max(most, 1)]
+
+
+def _in_rows(loop: Int64[np.ndarray, " _"], found: Any, count: int) -> Any:
+    """What was found for loops, in their order, as a row for each; NaN fills them up."""
+    counts = np.bincount(loop, minlength=count)
+    rows = np.full((count, counts.max(initial=0), *found.shape[1:]), np.nan)
+    rows[loop, np.arange(loop.size) - (np.cumsum(counts) - counts)[loop]] = found
+    return rows
