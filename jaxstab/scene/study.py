@@ -34,7 +34,8 @@ from scipy.special import ndtri
 import jaxstab
 from jaxstab.batches import alike
 from jaxstab.conventions import Verdict
-from jaxstab.loop import GainLimits, HapticLoop, Loop, limits_of
+from jaxstab.loop import HapticLoop, Loop, limits_of
+from jaxstab.loop.many import ManyGainLimits
 from jaxstab.motion.settling import SettlingStatus
 from jaxstab.numbers import checked_count, checked_number
 from jaxstab.region import RegionStatus
@@ -684,7 +685,7 @@ class _Block:
             for name, values in _variables(self.source.answers[answer], of).items():
                 found[name][members] = values
 
-        numbers, alone = self.source.numbers, dict[int, HapticLoop]()
+        numbers, alone = self.source.numbers, dict[int, Any]()
         others = [values.tolist() for key, values in flat.items() if key not in numbers]
         groups = alike(zip(*others, strict=True) if others else [()] * count)
         while groups:
@@ -692,9 +693,9 @@ class _Block:
             base = self.source.made({key: own[members[0]].item() for key, own in flat.items()})
             if isinstance(base, Loop):
                 pairs: Any = dict(zip((gain.name for gain in base.gains), self.gains, strict=True))
-                for answer in self.answers:
-                    asked = {} if answer == "limits" else pairs
-                    tell(answer, members, getattr(base, answer)(**asked))
+                for answer in {*self.answers} - {"limits"}:
+                    tell(answer, members, getattr(base, answer)(**pairs))
+                alone |= dict.fromkeys(members if "limits" in self.answers else (), base)
                 continue
             varied = {numbers[key]: own[members] for key, own in flat.items() if key in numbers}
             if base.device is not None:
@@ -721,9 +722,8 @@ def _variables(names: Mapping[str, Variable], of: Any) -> dict[str, NDArray[Any]
     """Return the variables of an answer by their names in a study."""
     if "verdict" in names:
         return {"verdict": np.asarray(of)}
-    if isinstance(of, GainLimits):
-        values = *of.first[1:], *of.second[1:], of.status
-        return {name: np.asarray(value) for name, value in zip(names, values, strict=True)}
+    if isinstance(of, ManyGainLimits):
+        return dict(zip(names, map(np.asarray, of), strict=False))
     return {name: np.asarray(getattr(of, _FIELDS.get(name, name))) for name in names}
 
 
