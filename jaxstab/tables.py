@@ -14,8 +14,7 @@ from io import StringIO
 from math import inf, isfinite
 from os import PathLike
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from jaxstab.conventions import AXES
 from jaxstab.shown import printable, shortened
@@ -164,9 +163,6 @@ def unit_of(entry: Field[Any]) -> str:
 class Table:
     """A checked table of a file; ValueError on the first value that is not allowed."""
 
-    elsewhere: ClassVar[Mapping[str, str]] = {}
-    """What to give in place of keys that are not of this table, by these keys."""
-
     def __post_init__(self) -> None:
         _checked_values(type(self), vars(self))
 
@@ -175,7 +171,7 @@ class Table:
         """Check a table of a file at a place; ValueError on the first bad key."""
         if not isinstance(table, Mapping):
             raise ValueError(f"{place} is {shortened(table)}; give a table.")
-        check_keys(place, table, [entry.name for entry in fields(cls)], cls.elsewhere)
+        check_keys(place, table, [entry.name for entry in fields(cls)])
         try:
             values = _checked_values(cls, cls.filled_in(table))
             for entry in fields(cls):
@@ -203,18 +199,28 @@ class Table:
                     yield name, own, unit_of(entry), usual
 
 
-def check_keys(
-    place: str,
-    keys: Iterable[str],
-    allowed: list[str],
-    elsewhere: Mapping[str, str] = MappingProxyType({}),
-) -> None:
-    """Refuse a key that is not allowed, and say what to give, or suggest the most similar one."""
+_WALL = "give the stiffness or the damping of a wall, [walls.NAME]."
+_PID = 'an integrator is another loop: give [loop] with kind = "pid" and one of kp, ki and kd.'
+_INSTEAD = {
+    "controller": {"kp": _WALL, "kd": _WALL, "ki": _PID},
+    "walls": {"kp": "give stiffness.", "kd": "give damping.", "ki": _PID},
+    "": {
+        "time_constant": "give cutoff, which is 1/(2 pi time_constant) in Hz.",
+        "velocity": "give [controller.velocity].",
+        "gains": "give [walls.NAME], or [loop] for another loop than that of a wall.",
+        "walls": "give [gains.NAME] beside [loop].",
+    },
+}
+"""What to give in place of keys of other programs or loops, by the table in which they stand."""
+
+
+def check_keys(place: str, keys: Iterable[str], allowed: list[str]) -> None:
+    """Refuse a key that is not allowed; say what to give, or suggest the most similar one."""
     for name in keys:
         if name not in allowed:
             near = _similar(name, allowed)
             hint = f"did you mean {near!r}?" if near else f"known are {', '.join(allowed)}."
-            hint = elsewhere.get(name, hint)
+            hint = _INSTEAD.get(place.partition(".")[0], {}).get(name, hint)
             unknown = shortened(name) if len(name) > MOST_LETTERS else printable(name)
             raise ValueError(f"{_path(place, unknown)} is unknown; {hint}")
 
@@ -232,6 +238,14 @@ def with_value(table: Any, key: str, value: Any, path: Sequence[str]) -> Any:
         raise ValueError(f"{key} is not in the scene, which has {shortened(table)} in its place.")
     own = with_value(table.get(name, {}), key, value, inner) if inner else value
     return {**table, name: own}
+
+
+def value_of(text: str) -> Any:
+    """Return a value of TOML; what is none is a text."""
+    try:
+        return parsed(f"value = {text}")["value"]
+    except ValueError:
+        return text.strip()
 
 
 def checked_label(name: str) -> str:

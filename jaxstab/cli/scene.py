@@ -19,6 +19,7 @@ from jaxstab.cli.options import (
     file_in,
     file_option,
     keep_programs,
+    key_values,
     number_or_range,
     plot_option,
     print_with_csv,
@@ -96,22 +97,6 @@ def _option(name: str, section: str, entry: Field[Any]) -> click.Option:
     return click.Option([f"--{name.replace('_', '-')}"], **reads, help=sentence)
 
 
-def _lines(_: click.Context, option: click.Parameter, texts: tuple[str, ...]) -> dict[str, Any]:
-    """Return the value of each key; what is no value of TOML is a text."""
-    from jaxstab.tables import parsed
-
-    values = dict[str, Any]()
-    for text in texts:
-        key, equals, value = text.partition("=")
-        if not (key.strip() and equals):
-            raise click.BadParameter(f"{shortened(text)} is not KEY=VALUE.", param=option)
-        try:
-            values[key.strip()] = parsed(f"value = {value}")["value"]
-        except ValueError:
-            values[key.strip()] = value.strip()
-    return values
-
-
 # What describes a scene beside the options of a SceneCommand, which go before the files.
 mechanics_options = together(
     click.argument("files", type=Path, nargs=-1, metavar="[FILE]..."),
@@ -126,7 +111,7 @@ mechanics_options = together(
         "--set",
         "lines",
         multiple=True,
-        callback=_lines,
+        callback=key_values,
         metavar="KEY=VALUE",
         help="Any key of a scene, such as loop.substeps=4 or gains.soft.kp=300; may be repeated.",
     ),
@@ -183,7 +168,7 @@ def sentence_of(error: OSError) -> str:
 
 
 def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
-    from jaxstab.tables import with_value
+    from jaxstab.tables import value_of, with_value
 
     chosen: dict[str, dict[str, Any]] = {}
     for option, (section, entry) in _keys().items():
@@ -204,7 +189,7 @@ def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
         merged["controller"] = {key: value for key, value in kept if "delay" not in key}
     merged |= {name: merged.get(name, {}) | keys for name, keys in chosen.items()}
     for name, value in given.get("lines", {}).items():
-        merged = with_value(merged, name, value, name.split("."))
+        merged = with_value(merged, name, value_of(value), name.split("."))
     return merged
 
 

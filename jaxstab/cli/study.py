@@ -14,11 +14,12 @@ from jaxstab.cli.options import (
     file_in,
     file_option,
     keep_programs,
+    key_values,
     plot_option,
     print_with_csv,
 )
 from jaxstab.cli.scene import SceneCommand, mechanics_options, tables_of
-from jaxstab.shown import printable, shortened, table_text
+from jaxstab.shown import printable, table_text
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -35,27 +36,12 @@ def _part(_: click.Context, option: click.Parameter, text: str | None) -> tuple[
     return int(index), int(count)
 
 
-def _over(_: click.Context, option: click.Parameter, texts: tuple[str, ...]) -> dict[str, str]:
-    over = dict[str, str]()
-    for text in texts:
-        key, __, values = text.partition("=")
-        if not (key and values):
-            raise click.BadParameter(
-                f"{shortened(text)} is not KEY=VALUES, such as device.mass=0.1:0.5:20.",
-                param=option,
-            )
-        if key in over:
-            raise click.BadParameter(f"{key} is given twice; give each key once.", param=option)
-        over[key] = values
-    return over
-
-
 @click.command(cls=SceneCommand)
 @mechanics_options
 @click.option(
     "--over",
     multiple=True,
-    callback=_over,
+    callback=key_values,
     metavar="KEY=VALUES",
     help="What varies: LOW:HIGH:COUNT, V,V,..., normal:MEAN:DEVIATION, uniform:LOW:HIGH, "
     "lognormal:MEDIAN:FACTOR or csv:FILE:COLUMN; may be repeated.",

@@ -94,13 +94,9 @@ def _in_floats(chart: AffineParts) -> tuple[Any, Any, Any, bool]:
     with working_precision(FIRST_BITS):
         triple = affine_triple(chart).monic()
         degree, sign = triple.degree, (-1) ** triple.degree
-        balls = [
-            [p[degree - k] for k in range(degree + 1)] for p in (q.polynomial() for q in triple)
-        ]
+        balls = [[p[degree - k] for k in range(degree + 1)] for p in (q.polynomial() for q in triple)]
         high = [list(map(float, row)) for row in balls]
-        low = [
-            [float(c - h) for c, h in zip(*x, strict=True)] for x in zip(balls, high, strict=True)
-        ]
+        low = [[float(c - h) for c, h in zip(*x, strict=True)] for x in zip(balls, high, strict=True)]
         ends = [[float(part.at_end(z)) * s for part in triple] for z, s in ((1, 1), (-1, sign))]
         outside = roots_outside(triple.base.rest, most=0)
     return high, low, ends, bool(outside)

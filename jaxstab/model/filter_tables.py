@@ -12,7 +12,6 @@ give its window in s as well:
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from types import MappingProxyType
 from typing import Any, ClassVar
 
 from jaxstab.model.filters import (
@@ -67,9 +66,6 @@ class FilterTable(Table):
 
     names_besides: ClassVar[tuple[str, ...]] = ()
     """Keys that make no filter."""
-    elsewhere = MappingProxyType(
-        {"time_constant": "give cutoff, which is 1/(2 pi time_constant) in Hz."}
-    )
 
     def __post_init__(self) -> None:
         of_low_pass = "order", "kind"  # keys that need its cut-off

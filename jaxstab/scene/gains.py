@@ -134,8 +134,7 @@ class GainScene:
         beside = (
             _HELD if _DOORS[t.checked("loop.kind", table.get("kind"), t.one_of(_DOORS))][1] else ()
         )
-        elsewhere = {"walls": "give [gains.NAME] beside [loop]."}
-        t.check_keys("", tables, ["loop", "gains", "wanted", *beside], elsewhere)
+        t.check_keys("", tables, ["loop", "gains", "wanted", *beside])
         of_device = {name: tables[name] for name in beside if name in tables}
         held = _single(Scene.from_table(of_device)) if beside else None
         (loop, (low, high)), units = _loop(table, held), held.units if held else Units.LINE

@@ -390,13 +390,6 @@ class VelocityTable(_TimedTable):
         return f"{self.as_velocity()}{preset if self.preset else ''}"
 
 
-_GAINS: Mapping[str, str] = {
-    "kp": "give the stiffness of a wall, [walls.NAME].",
-    "kd": "give the damping of a wall, [walls.NAME].",
-    "ki": 'an integrator is another loop: give [loop] with kind = "pid" and one of kp, ki and kd.',
-}
-"""What stands for the gains of PID, by these."""
-
 MEASURES = ("margins", "distance", "radius", "settling", "oscillation", "chatter", "jitter")
 
 
@@ -433,8 +426,6 @@ class Controller(Table):
     force_step: float = key(quantity(FORCE), 0.0)
     velocity: VelocityTable | None = key(nested(VelocityTable), None)
     position: PositionTable | None = key(nested(PositionTable), None)
-
-    elsewhere = _GAINS
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -516,8 +507,6 @@ class Wall(Table):
 
     stiffness: float = key(quantity("N/m"), usual=_STIFFNESS)
     damping: float = key(quantity("N s/m"), usual=Usual(0.0, 1e4, (0.0, 1e3)))
-
-    elsewhere = _GAINS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -718,9 +707,7 @@ INNER: Mapping[str, type[Table]] = {
 
 
 def _tables(table: Mapping[str, Any]) -> dict[str, Any]:
-    elsewhere = {name: f"give [controller.{name}]." for name in ("velocity", "position")}
-    elsewhere["gains"] = "give [walls.NAME], or [loop] for another loop than that of a wall."
-    check_keys("", table, [*TABLES, "walls"], elsewhere)
+    check_keys("", table, [*TABLES, "walls"])
     given = {"device": {}, "controller": {}, **table}  # which must not be left out
     tables: dict[str, Any] = {
         name: kind.from_table(given[name], name) for name, kind in TABLES.items() if name in given
