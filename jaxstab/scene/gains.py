@@ -69,6 +69,8 @@ def _loop(table: Any, held: Scene | None) -> tuple[Loop, tuple[float, float]]:
     for name, own in keys.items():
         if own.default is Parameter.empty and name not in given:
             raise ValueError(f"loop.{name} is missing; give it a value.")
+    if "outside" in given:
+        t.checked("loop.outside", given["outside"], t.truth)
     for name in {"robot", "force_filter"} & given.keys():
         given[name] = PositionTable.from_table(given[name], f"loop.{name}").as_filter()
     if "environment" in given:
@@ -180,7 +182,12 @@ class GainScene:
         if command not in _ANSWERS:
             others = ", ".join(_ANSWERS)
             raise ValueError(f"{command} has no answer for {self.loop.words}; {others}, study do.")
-        return _ANSWERS[command](self)
+        try:
+            return _ANSWERS[command](self)
+        except OverflowError:
+            raise ValueError(
+                "the numbers are too large or small to compute with; check the units."
+            ) from None
 
 
 def any_scene(tables: Mapping[str, Any], source: str = "") -> Scene | GainScene:
