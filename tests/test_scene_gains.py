@@ -492,7 +492,10 @@ REFUSED = [
     (couple({"inertia": 0.5, "damping": 0.1}, 1.0, 0.0), "moves in another way"),
     # Keys of other loops in a scene of walls.
     ({**WALLS, "controller": {"sample_time": 1e-3, "ki": 1.0}}, '[loop] with kind = "pid"'),
-    ({**WALLS, "controller": {"sample_time": 1e-3, "kp": 1.0}}, "give the stiffness or the damping of a wall"),
+    (
+        {**WALLS, "controller": {"sample_time": 1e-3, "kp": 1.0}},
+        "give the stiffness or the damping of a wall",
+    ),
     ({**WALLS, "walls": {"a": {"kp": 1.0}}}, "walls.a.kp is unknown; give stiffness."),
     (
         {**WALLS, "controller": {"sample_time": 1e-3, "velocity": {"time_constant": 1.0}}},
