@@ -322,10 +322,7 @@ def _table(rows: list[_Row]) -> str:
         "delay.largest_delay",
     }
     paths = [path for path in _paths(rows) if path in shown or _is_of_wall(path)]
-    plain = (
-        path.removeprefix("walls.").removeprefix("gains.").replace("_", " ").replace(".", ": ")
-        for path in paths
-    )
+    plain = (path.removeprefix("walls.").replace("_", " ").replace(".", ": ") for path in paths)
     lines = [["scene", *plain, ""]]
     for row in rows:
         words = {path: text for path, _, text in row.leaves}
@@ -481,9 +478,8 @@ def init(output: Path | None, kind: str) -> None:
     from jaxstab.scene import EXAMPLE
     from jaxstab.scene.scene import folder_of
 
-    text = EXAMPLE
-    if kind != "wall":
-        text = (folder_of("scenes/gains") / f"{kind}.toml").read_text(encoding="utf-8")
+    file = folder_of("scenes/gains") / f"{kind}.toml"
+    text = EXAMPLE if kind == "wall" else file.read_text(encoding="utf-8")
     if output is None or str(output) == "-":
         click.echo(text, nl=False)
         return

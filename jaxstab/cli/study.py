@@ -178,7 +178,7 @@ def _text(table: "Dataset") -> str:
     """Return the first rows of a table in columns, with units."""
     frame, most = _frame(table), 40
     units = {name: table[name].attrs.get("units", "1") for name in frame}
-    heads = [f"{name} ({unit})" if unit != "1" else name for name, unit in units.items()]
+    heads = [f"{name} ({unit})" if unit.strip("1") else name for name, unit in units.items()]
     rows = frame.head(most).map(lambda x: printable(x) if isinstance(x, str) else f"{x:.6g}")
     text = table_text([[head.replace("_", " ") for head in heads], *rows.values.tolist()])
     more = len(frame) - most

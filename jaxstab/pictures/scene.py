@@ -287,7 +287,8 @@ def _gain_figure(scene: GainScene) -> Figure:
     """The stable gains of a loop, in the coordinates of its region, with the pairs of a scene."""
     figure = Figure(figsize=(6.0, 4.6), layout="constrained")
     panel = scene.loop.region().plot(figure.subplots())
-    panel.set_title(fill(plain(scene.loop.words), 70), fontsize=9)
+    stiffest = ", the stiffest" if scene.is_range else ""
+    panel.set_title(fill(plain(scene.loop.words + stiffest), 70), fontsize=9)
     for name, pair in scene.pairs.items():
         colour, mark, _ = _LOOKS[scene.verdict(*pair.values())]
         with np.errstate(all="ignore"):  # of a mass of 0

@@ -69,7 +69,7 @@ def study_figure(study: "Dataset") -> Figure:
 
 def _label(values: "DataArray") -> str:
     long_name, unit = values.attrs["long_name"], values.attrs["units"]
-    return plain(long_name if unit == "1" else f"{long_name} in {unit}")
+    return plain(long_name if unit in ("", "1") else f"{long_name} in {unit}")
 
 
 def _is_number(values: "DataArray") -> bool:
@@ -99,7 +99,7 @@ def _value_text(value: "DataArray") -> str:
     if not _is_number(value):
         return plain(str(value.item()))
     unit = value.attrs["units"]
-    return f"{value:g}" if unit == "1" else f"{value:g} {unit}"
+    return f"{value:g}" if unit in ("", "1") else f"{value:g} {unit}"
 
 
 def _draw_map(panel: Axes, values: "DataArray", label: str) -> None:

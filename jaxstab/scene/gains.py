@@ -283,13 +283,12 @@ def _limits(scene: GainScene) -> tuple[GainLimit, GainLimit]:
     limits, safety = scene.loop.limits(), scene.wanted["safety"] or 1.0
     if limits.status == RegionStatus.UNRESOLVED:
         raise RuntimeError("the stable region was not resolved; change one value a little.")
-    first, second = (
-        limit._replace(
-            value=limit.value * (safety if limit.gain.sense == "largest" else 1.0 / safety)
-        )
-        for limit in limits[:2]
+    factors = {"largest": safety, "least": 1.0 / safety}
+    first, second = limits[:2]
+    return (
+        first._replace(value=first.value * factors[first.gain.sense]),
+        second._replace(value=second.value * factors[second.gain.sense]),
     )
-    return first, second
 
 
 def _limit(scene: GainScene, limit: GainLimit) -> GainAnswer:
@@ -350,9 +349,7 @@ def _around(scene: GainScene, pair: dict[str, float], *, in_full: bool = False) 
     """The verdict on a pair, and the stable values of each gain at the other one."""
     verdict = scene.verdict(*pair.values())
     values: dict[str, Any] = {**pair, "verdict": verdict}
-    formats: dict[str, Quantity] = {
-        each.name: GivenQuantity(each.unit) for each in scene.loop.gains
-    }
+    formats: dict[str, Quantity] = {x.name: GivenQuantity(x.unit) for x in scene.loop.gains}
     if in_full and not scene.is_range:
         radius = scene.loop.spectral_radius(**pair)
         values["radius"] = Radius(float(radius.value), float(radius.error))

@@ -757,4 +757,6 @@ def _described(key: str) -> tuple[str, str]:
     section = key.split(".")[-3] if section.isdigit() else section
     table = {**TABLES, **INNER}.get(section, Table)
     entry = {entry.name: entry for entry in fields(table)}.get(name)
+    if key.startswith("loop."):
+        return key, ""  # as the function of the loop has it
     return (key, "1") if entry is None else (entry.metadata["words"] or key, unit_of(entry))
