@@ -12,7 +12,7 @@ stable for all of the range where one of them holds that piece.
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import MISSING, dataclass, field, make_dataclass, replace
+from dataclasses import dataclass, field, make_dataclass, replace
 from functools import cache, partial
 from inspect import Parameter, signature
 from math import inf, isfinite, nan
@@ -142,18 +142,17 @@ class GainScene:
         (loop, (low, high)), units = _loop(table, held), held.units if held else Units.LINE
         words = loop.words.replace(f"{high:g} N/m", f"{low:g} to {high:g} N/m")
         first, second = (gain._replace(unit=units.unit(gain.unit)) for gain in loop.gains)
-        both = {gain.name: t.quantity(gain.unit) for gain in (first, second)}
-        wishes = {"safety": t.share, **both, **{f"at_{name}": own for name, own in both.items()}}
+        pair, wanted = _tables_of(first, second)
         return cls(
             tables,
             held,
             (low, high),
             replace(loop, gains=(first, second), words=words if low < high else loop.words),
             {
-                t.checked_label(name): _checked(both, pair, f"gains.{name}")
-                for name, pair in pairs.items()
+                t.checked_label(name): dict(vars(pair.from_table(own, f"gains.{name}")))
+                for name, own in pairs.items()
             },
-            _checked(wishes, tables.get("wanted", {}), "wanted", None),
+            dict(vars(wanted.from_table(tables.get("wanted", {}), "wanted"))),
         )
 
     @property
@@ -200,13 +199,16 @@ def any_scene(tables: Mapping[str, Any], source: str = "") -> Scene | GainScene:
         raise ValueError(f"{source}: {error}" if source else str(error)) from None
 
 
-def _checked(
-    checks: Mapping[str, t.Check], table: Any, place: str, default: Any = MISSING
-) -> dict[str, Any]:
-    """Return the values of a table whose keys are those of some checks."""
-    entries = [(name, Any, t.key(check, default)) for name, check in checks.items()]
-    made: Any = make_dataclass("Named", entries, bases=(t.Table,), frozen=True, kw_only=True)
-    return dict(vars(made.from_table(table, place)))
+@cache
+def _tables_of(*gains: Gain) -> tuple[Any, Any]:
+    """Return the tables of a pair of gains, and of wishes about them."""
+    both = {gain.name: t.quantity(gain.unit) for gain in gains}
+    wishes = {"safety": t.share, **both, **{f"at_{name}": own for name, own in both.items()}}
+    made: Any = partial(make_dataclass, bases=(t.Table,), frozen=True, kw_only=True)
+    return (
+        made("Pair", [(name, Any, t.key(own)) for name, own in both.items()]),
+        made("Wanted", [(name, Any, t.key(own, None)) for name, own in wishes.items()]),
+    )
 
 
 # Answers, whose names are those of the gains.
