@@ -300,8 +300,24 @@ def test_54_grids_of_gains_go_through_jit_and_vmap() -> None:
     assert np.array_equal(ours, plain)
     sides = [loop.spectral_radius(kp=2000.0 + step, kd=10.0).value for step in (-1e-3, 1e-3)]
     assert slope == pytest.approx((sides[1] - sides[0]) / 2e-3, rel=1e-4)
-    with pytest.raises(TypeError, match="move the leading coefficient"):
-        robot(1e4, 1e-3, 4).verdict(mass=jax.numpy.ones(3), damping=1.0)
+
+
+MOVING = [robot(1e4, 1e-3, 4), robot(1e4, 1e-3, 4, rule="trapezoid"), sprung("implicit")]
+
+
+@pytest.mark.parametrize("loop", MOVING)
+def test_54_jit_and_vmap_take_gains_that_move_the_leading_coefficient(loop: jaxstab.Loop) -> None:
+    jax = pytest.importorskip("jax")
+    rng, names = np.random.default_rng(7), [gain.name for gain in loop.gains]
+    sizes = (0.1, 100.0) if names[0] == "mass" else (1e5, 50.0)
+    gains = [size * rng.uniform(-0.2, 2.0, 120) for size in sizes]
+    plain = loop.verdict(**dict(zip(names, gains, strict=True)))
+    assert set(np.unique(plain)) == {Verdict.STABLE, Verdict.UNSTABLE}
+    with jax.enable_x64():
+        one = jax.vmap(lambda a, b: loop.verdict(**{names[0]: a, names[1]: b}))
+        assert np.array_equal(jax.jit(one)(*map(jax.numpy.asarray, gains)), plain)
+        nothing = loop.verdict(**{names[0]: jax.numpy.zeros(1), names[1]: 0.0})
+    assert names[0] != "mass" or nothing[0] == Verdict.UNDECIDED  # algebraic
 
 
 # --------------------------------------------------------------------------------------- regions

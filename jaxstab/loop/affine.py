@@ -549,8 +549,9 @@ class Loop:
         def verdicts(first: Any, second: Any) -> np.ndarray:
             return np.asarray(linear_verdict(np.asarray(first), np.asarray(second), linear))
 
-        most = 1.0 / (self._chart.weights[2] * self._scale[1]) if self._chart.weights[2] else np.inf
-        walls = Walls.of_loop(linear, verdicts, region)._replace(lowest=0.0, most=most)
+        base, _, second = self._chart.weights if self.bounded else (0.0, 1.0, 0.0)
+        shares = base * self._scale[0], second * self._scale[1]  # masses are >= 0
+        walls = Walls.of_loop(linear, verdicts, region)._replace(lowest=0.0, shares=shares)
         best = smallest_radius(walls)
         units = np.array(best.wall) * self._scale
         pair = [float(gain) for gain in self._chart.gains(*units)]
@@ -826,7 +827,9 @@ def admittance(
     filters = [_filter("robot", robot, period), _filter("force_filter", force_filter, period)]
     parts = AdmittanceParts(wall, period, late, rule, spring, filters[0], filters[1])
     gains = Gain("mass", "kg", "least"), Gain("damping", "N s/m", "least")
-    mass = {"backward": "(mass + T damping)", "trapezoid": "(mass + T damping/2)"}.get(rule, "mass")
+    sides = {"backward": " + T damping", "trapezoid": " + T damping/2"}.get(rule, "")
+    sides += " + T^2 stiffness/4" if spring and rule == "trapezoid" else ""
+    mass = f"(mass{sides})" if sides else "mass"
     chart = Gain(f"1/{mass}", "1/kg"), Gain(f"damping/{mass}", "1/s")
     return Loop(parts, gains, period, f"admittance control against {wall:g} N/m", chart)
 

@@ -15,7 +15,7 @@ from dataclasses import replace
 from functools import lru_cache, reduce
 from itertools import accumulate, chain
 from math import prod
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, overload
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
@@ -25,6 +25,7 @@ from jaxstab.batches import alike, in_float64, lists, on_cores, one_ahead
 from jaxstab.loop.affine import GainLimits, Loop
 from jaxstab.loop.samples import sampled_loops
 from jaxstab.model import LoopParameters, require_x64
+from jaxstab.model.affine import AdmittanceParts
 from jaxstab.model.balls import ball_loop
 from jaxstab.model.device.parts import FIRST_BITS, working_precision
 from jaxstab.model.double_double import DoubleDouble
@@ -37,7 +38,7 @@ from jaxstab.region.outline import vertex_roots
 
 if TYPE_CHECKING:
     from jaxstab.loop.loop import HapticLoop
-    from jaxstab.loop.region import WallLimits, WallRegion
+    from jaxstab.loop.region import WallRegion
     from jaxstab.region.batch import Extremes, Triples
 
 _VERTICES = 295  # of an outline
@@ -85,10 +86,19 @@ class ManyLimits(NamedTuple):
     is_single: Bool[Array, "*loop"]
 
 
-def limits_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> ManyLimits:
+@overload
+def limits_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> ManyLimits: ...
+
+
+@overload
+def limits_of(loops: Sequence[Loop]) -> "ManyGainLimits": ...
+
+
+def limits_of(loops: Any, **fields: Any) -> "ManyLimits | ManyGainLimits":
     """Return the largest stiffness and the largest damping that each of many loops allows.
 
-    Give a list of loops, or one whose fields are arrays that broadcast.
+    Give a list of loops, or one whose fields are arrays that broadcast; or a list of ``Loop``, of
+    any two gains each.
 
     The answers are those of ``HapticLoop.limits`` to 1e-9, without islands. Batches of at least 64
     loops of about the same degree are computed by one program of JAX, in float64 whatever its flag
@@ -113,7 +123,9 @@ def limits_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> Many
             lists that broadcast with the others: numbers, estimators or devices.
 
     Returns:
-        ManyLimits of arrays in the order of the loops, or of the shape of the fields.
+        ManyLimits of arrays in the order of the loops, or of the shape of the fields;
+        ManyGainLimits for loops of any two gains. Admittances that differ in T and Ke alone, or in
+        a spring in proportion to Ke, are computed once.
 
     Raises:
         TypeError: this is no list, or an item is no HapticLoop; a field is unknown, or beside a
@@ -144,13 +156,11 @@ def limits_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> Many
         many = _varied(many, fields, shape)
         return _in_shape(moved_together(moving_limits, many), shape)
     stacks = _stacks(many, fields, shape)
-    limits, units = _no_limits(prod(shape)), _units(stacks)
-    if _are_of_gains(many):
-        limits = ManyGainLimits._make(limits)
+    limits, units = _no_limits(prod(shape), _are_of_gains(many)), _units(stacks)
     for members, (extremes, _) in resolved(stacks):
         _write_limits(limits, members, extremes, units[members])
     for index, loop in singles(stacks, limits.is_single):
-        _write_single(limits, index, loop.limits())
+        _write_single(limits, index, _limits_alone(loop))
     return _in_shape(limits, shape)
 
 
@@ -199,10 +209,12 @@ class ManyRegions(NamedTuple):
 
     outline: Float64[Array, "*loop vertex 2"]
     area: Float64[Array, "*loop"]
-    limits: ManyLimits
+    limits: ManyLimits | ManyGainLimits
 
 
-def regions_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> ManyRegions:
+def regions_of(
+    loops: "Sequence[HapticLoop] | Sequence[Loop] | HapticLoop", **fields: Any
+) -> ManyRegions:
     """Return outlines and areas of the stable regions of many loops.
 
     They are those of ``HapticLoop.region().main``, computed as ``limits_of`` computes limits; see
@@ -234,16 +246,21 @@ def regions_of(loops: "Sequence[HapticLoop] | HapticLoop", **fields: Any) -> Man
         many = _varied(many, fields, shape)
         return _in_shape(moved_together(moving_regions, many), shape)
     stacks = _stacks(many, fields, shape)
-    limits, units = _no_limits(prod(shape)), _units(stacks)
+    limits, units = _no_limits(prod(shape), _are_of_gains(many)), _units(stacks)
     vertices, area = np.full((prod(shape), _VERTICES, 2), np.nan), np.full(prod(shape), np.nan)
     for members, (extremes, outline) in resolved(stacks, outlines=True):
         _write_limits(limits, members, extremes, units[members])
         vertices[members], area[members] = outline.vertices * units[members, None], outline.area
+    is_open = limits.is_single.copy()
+    if _are_of_gains(many):
+        limits.is_single[[not loop._chart.are_gains for loop in many]] = True
     for index, loop in singles(stacks, limits.is_single):
-        region = loop.region()
-        _write_single(limits, index, region.limits())
-        own, _, area[index] = outline_of(region)
-        vertices[index] = own * units[index]
+        _write_single(limits, index, _limits_alone(loop))
+        if is_open[index]:
+            region = loop.region()
+            own, _, area[index] = outline_of(region)
+            units[index] = region.units if isinstance(loop, Loop) else units[index]
+            vertices[index] = own * units[index]
     return _in_shape(ManyRegions(vertices, area * units.prod(axis=1), limits), shape)
 
 
@@ -265,10 +282,11 @@ def outline_of(region: "WallRegion") -> Outlines:
     return main.points[chosen], roots[chosen], main.area
 
 
-def _no_limits(count: int) -> ManyLimits:
+def _no_limits(count: int, are_of_gains: bool) -> Any:
+    kind = ManyGainLimits if are_of_gains else ManyLimits
     unresolved = np.full(count, RegionStatus.UNRESOLVED, np.int8)
     flags = np.zeros(count, bool), np.ones(count, bool)
-    return ManyLimits._make([*np.full((4, count), np.nan), unresolved, *flags])
+    return kind._make([*np.full((4, count), np.nan), unresolved, *flags])
 
 
 def _write_limits(
@@ -280,6 +298,25 @@ def _write_limits(
         column[members] = values
     limits.status[members] = RegionStatus.COMPLETE
     limits.is_reachable[members], limits.is_single[members] = extremes.failures == 0, False
+
+
+def _limits_alone(loop: Any) -> Any:
+    """The limits of one loop; those of admittances follow from one with T = 1 and Ke = 1."""
+    if not (isinstance(loop, Loop) and isinstance(loop.parts, AdmittanceParts)):
+        return loop.limits()
+    parts, (mass, damping) = loop.parts.in_units()
+    (_, least, at), (_, other, beside), *_ = limits = _unit_limits(
+        replace(loop, parts=parts, sample_time=1.0, words="")
+    )
+    return limits._replace(
+        first=limits.first._replace(value=least * mass, at=at * damping),
+        second=limits.second._replace(value=other * damping, at=beside * mass),
+    )
+
+
+@lru_cache(1024)
+def _unit_limits(loop: Loop) -> GainLimits:
+    return loop.limits()
 
 
 def _write_single(limits: ManyLimits | ManyGainLimits, index: int, own: Any) -> None:
@@ -405,7 +442,9 @@ def resolved(
     from jaxstab.region.batch import ISLAND
 
     fewest_compiled = 4  # the same for a program that is compiled
-    for formed, triples in one_ahead(_groups(stacks)):
+    are_walls = not any(isinstance(loop, list) for _, loop in stacks)
+    accepted = [0] if outlines or are_walls else [0, ISLAND]
+    for formed, triples in one_ahead(_groups(stacks, in_charts=outlines)):
         for _ in range(_SCANS):
             if len(triples.angles) < fewest_compiled:
                 break
@@ -413,17 +452,22 @@ def resolved(
             counts = [len(group.members) for group in formed]
             flags = [(group.is_turned, group.is_unstable) for group in formed]
             turned, unstable = np.repeat(flags, counts, axis=0).T
-            units = np.concatenate(
-                [np.broadcast_to(group.units, (len(group.members), 2)) for group in formed]
-            )
+            units = np.concatenate([group.units for group in formed])
             missed = np.full((len(members), 2), np.nan)
             for indices, answer in _answers(triples, outlines):
                 extremes = take(answer[0], np.arange(indices.size))
                 extremes.failures[(extremes.failures == 0) & unstable[indices]] = ISLAND
-                is_open = ~np.isin(extremes.failures, [0] if outlines else [0, ISLAND])
+                is_open = ~np.isin(extremes.failures, accepted)
                 missed[indices[is_open]] = extremes.missed[is_open]
                 extremes.walls[:] *= units[indices, None]
                 extremes.walls[turned[indices]] = extremes.walls[turned[indices], ::-1, ::-1]
+                if outlines:
+                    outline = take(answer[1], np.arange(indices.size))
+                    outline.vertices[:] *= units[indices, None]
+                    outline.area[:] *= units[indices].prod(axis=1)
+                    turn = turned[indices]
+                    outline.vertices[turn] = outline.vertices[turn, ::-1, ::-1]
+                    answer = answer[0], outline
                 own = np.flatnonzero(~is_open)
                 if own.size:
                     yield members[indices[own]], (take(extremes, own), take(answer[1], own))
@@ -450,14 +494,14 @@ class _Formed(NamedTuple):
     members: Indices
     parts: DoubleDouble  # (loop, part, power) coefficients of p(z)
     ends: Float64[Array, "loop 2 3"]
-    poles: Float64[np.ndarray, "*loop pole"]  # angles where the curve goes to infinity
+    poles: Float64[np.ndarray, "loop pole"]  # angles where the curve goes to infinity
     roots: Float64[Array, "loop root 2"]  # next to the circle: angles and distances
-    units: Float64[Array, "*loop 2"] = np.ones(2)  # of gains, where they are not those of the loop
+    units: Float64[np.ndarray, "loop 2"]  # in which gains are answered, in those of the parts
     is_turned: bool = False  # whether the second gain takes the place of the first one
     is_unstable: bool = False  # with small gains
 
 
-def _groups(stacks: list[Stack]) -> Iterator[tuple[list[_Formed], "Triples"]]:
+def _groups(stacks: list[Stack], *, in_charts: bool) -> Iterator[tuple[list[_Formed], "Triples"]]:
     """Yield loops that are filled up to one degree, and their triples, when there are enough.
 
     Loops that are too few to compile for are filled up to the next degree.
@@ -465,7 +509,7 @@ def _groups(stacks: list[Stack]) -> Iterator[tuple[list[_Formed], "Triples"]]:
     fewest = 64  # loops of a kind: a program takes as long to compile as these take one by one
     waiting: dict[int, list[_Formed]] = {degree: [] for degree in _DEGREES}
     is_compiled = dict.fromkeys(_DEGREES, False)
-    for group in _formed(stacks):
+    for group in _formed(stacks, in_charts=in_charts):
         degree = _filled_degree(group)
         if degree is None:
             continue
@@ -501,22 +545,22 @@ def _rescanned(
         roots = np.broadcast_to(group.roots, (len(group.members), *group.roots.shape[1:]))[own]
         roots = np.concatenate([roots, more[start + own]], axis=1)
         if own.size and group.poles.shape[-1] + roots.shape[1] <= degree + 2:
-            poles = group.poles[own] if group.poles.ndim > 1 else group.poles
-            again.append(group._replace(members=group.members[own], poles=poles, roots=roots))
+            columns = {name: getattr(group, name)[own] for name in ("members", "poles", "units")}
+            again.append(group._replace(**columns, roots=roots))
             chosen.append(start + own)
             scans.append(_scans(again[-1], degree))
         start += len(group.members)
     return again, take(triples, np.concatenate(chosen))._replace(angles=np.concatenate(scans))
 
 
-def _formed(stacks: list[Stack]) -> Iterator[_Formed]:
+def _formed(stacks: list[Stack], *, in_charts: bool) -> Iterator[_Formed]:
     """Yield loops that differ in mass, damping, stiffness and fraction of the delay alone.
 
     Those with filters that leave float64 few digits are left out.
     """
     for members, loop in stacks:
         if isinstance(loop, list):
-            yield from _of_gains(members, loop)
+            yield from _of_gains(members, loop, in_charts=in_charts)
             continue
         filters = given_filters(**loop.filters) or NO_FILTERS
         if loop.body is None:
@@ -529,11 +573,14 @@ def _formed(stacks: list[Stack]) -> Iterator[_Formed]:
                 yield from _group(members[part], linear, filters, roots)
 
 
-def _of_gains(members: Indices, loops: "list[Loop]") -> Iterator[_Formed]:
-    """Yield loops of any two gains, if the gains are those in which they are bounded."""
+def _of_gains(members: Indices, loops: list[Loop], *, in_charts: bool) -> Iterator[_Formed]:
+    """Yield loops of any two gains, if these are bounded, or all of them in their charts."""
     for start in range(0, len(loops), _AT_ONCE):
-        block = [k for k in members[start : start + _AT_ONCE] if loops[k]._chart.are_gains]
-        own = np.array(block), [loops[k] for k in block]
+        block = members[start : start + _AT_ONCE].tolist()
+        for k in block:
+            loops[k]._require_bounded()
+        block = [k for k in block if in_charts or loops[k]._chart.are_gains]
+        own = np.array(block, int), [loops[k] for k in block]
         yield from map(_Formed._make, sampled_loops(*own, _DEGREES))
 
 
@@ -544,7 +591,9 @@ def _group(members: Indices, linear: LinearLoop, filters: Filters, roots: Array)
         return []
     ends = linear.at_one, linear.at_minus_one
     parts, values = (_columns(rows, len(members)) for rows in (linear[:3], ends))
-    return [_Formed(members, parts, values.rounded(), poles, roots)]
+    count = len(members)
+    every = np.broadcast_to(poles, (count, poles.size))
+    return [_Formed(members, parts, values.rounded(), every, roots, np.ones((count, 2)))]
 
 
 def _masses(
@@ -744,5 +793,5 @@ def _scans(formed: _Formed, degree: int) -> Float64[Array, "loop angle"]:
     mirrored = xp.where(around < 0.0, -beyond * around, around)
     mirrored = xp.where(around > np.pi, np.pi - beyond * (around - np.pi), mirrored)
     own = xp.clip(mirrored, 2.0 * first, np.pi - 2.0 * first).reshape(len(angle), -1)
-    near = np.broadcast_to(near.reshape(*near.shape[:-2], -1), (len(own), poles))
+    near = near.reshape(len(own), poles)
     return xp.sort(xp.concatenate([xp.tile(shared, (len(own), 1)), near, own], axis=1))

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from jaxstab.loop.affine import Loop
 
 _SAMPLES = 512  # of half the circle
+_STEPS = 4  # of Newton's method
 _NO_ROOT = 0.0, 0.05  # its angle, and its distance from the circle
 
 Rows = Float64[np.ndarray, "loop power"]
@@ -94,44 +95,53 @@ def _in_floats(chart: AffineParts) -> tuple[Any, Any, Any, bool]:
     with working_precision(FIRST_BITS):
         triple = affine_triple(chart).monic()
         degree, sign = triple.degree, (-1) ** triple.degree
-        balls = [[p[degree - k] for k in range(degree + 1)] for p in (q.polynomial() for q in triple)]
+        balls = [
+            [p[degree - k] for k in range(degree + 1)] for p in (q.polynomial() for q in triple)
+        ]
         high = [list(map(float, row)) for row in balls]
-        low = [[float(c - h) for c, h in zip(*x, strict=True)] for x in zip(balls, high, strict=True)]
+        low = [
+            [float(c - h) for c, h in zip(*x, strict=True)] for x in zip(balls, high, strict=True)
+        ]
         ends = [[float(part.at_end(z)) * s for part in triple] for z, s in ((1, 1), (-1, sign))]
         outside = roots_outside(triple.base.rest, most=0)
     return high, low, ends, bool(outside)
 
 
-def _at(rows: Rows, z: Complex128[np.ndarray, " row"]) -> Complex128[np.ndarray, " row"]:
-    """The values of polynomials at one place each."""
-    powers = np.arange(rows.shape[1])[::-1]
-    return np.einsum("rp,rp->r", rows, z[:, None] ** powers)
+def _at(z: Complex128[np.ndarray, " row"], *parts: Rows) -> list[tuple[Any, Any]]:
+    """The values of polynomials at one place each, and their derivatives times z."""
+    count = parts[0].shape[1]
+    powers = np.ones((z.size, count), complex)
+    powers[:, :-1] = np.cumprod(np.broadcast_to(z[:, None], (z.size, count - 1)), axis=1)[:, ::-1]
+    order = np.arange(count)[::-1]
+    terms = (rows * powers for rows in parts)
+    return [(own.sum(axis=1), np.einsum("rp,p->r", own, order)) for own in terms]
 
 
 def _poles(parts: Float64[np.ndarray, "loop 3 power"], values: Any) -> Angles:
     """The angles where Im(conj(S) R) changes its sign, and NaN behind them."""
-    halvings = 20  # of the steps between samples
-    det = np.sign((values[:, 1].conj() * values[:, 2]).imag)
+    det = values[:, 1].real * values[:, 2].imag - values[:, 1].imag * values[:, 2].real
     loop, place = np.nonzero(det[:, 1:] * det[:, :-1] < 0.0)
-    low, high = ((place + k) * (np.pi / _SAMPLES) for k in (1.0, 2.0))
-    first, second, before = parts[loop, 1], parts[loop, 2], det[loop, place]
-    for _ in range(halvings):
-        middle = 0.5 * (low + high)
-        z = np.exp(1j * middle)
-        is_before = (_at(first, z).conj() * _at(second, z)).imag * before > 0.0
-        low, high = np.where(is_before, middle, low), np.where(is_before, high, middle)
-    return _in_rows(loop, low, len(parts))
+    share = det[loop, place] / (det[loop, place] - det[loop, place + 1])
+    step, low = np.pi / _SAMPLES, (place + 1) * (np.pi / _SAMPLES)
+    angle = low + share * step
+    for _ in range(_STEPS):
+        (s, s_slope), (r, r_slope) = _at(np.exp(1j * angle), parts[loop, 1], parts[loop, 2])
+        slope = (s.conj() * r_slope - s_slope.conj() * r).real  # d/dtheta is iz d/dz
+        angle = np.clip(angle - (s.conj() * r).imag / slope, low, low + step)
+    return _in_rows(loop, angle, len(parts))
 
 
 def _near(parts: Float64[np.ndarray, "loop 3 power"], values: Any, part: int) -> Any:
     """The roots of a part next to the circle."""
-    most, steps = 3, 6
-    rows, size = parts[:, part], np.abs(values[:, part])
-    loop, place = np.nonzero((size[:, 1:-1] < size[:, :-2]) & (size[:, 1:-1] < size[:, 2:]))
-    slopes = np.roll(rows * np.arange(rows.shape[1])[::-1], 1, axis=1)  # the last of them is 0
-    z = np.exp(1j * (place + 2) * (np.pi / _SAMPLES))
-    for _ in range(steps):
-        z = z - _at(rows[loop], z) / _at(slopes[loop], z)
+    most, step, farthest = 3, np.pi / _SAMPLES, 0.05
+    rows, squares = parts[:, part], np.abs(values[:, part]) ** 2
+    before, here, after = squares[:, :-2], squares[:, 1:-1], squares[:, 2:]
+    bend = (before + after - 2.0 * here) / (2.0 * step**2)  # here is that times distance squared
+    loop, place = np.nonzero((here < before) & (here < after) & (here < bend * farthest**2))
+    z = np.exp(1j * (place + 2) * step)
+    for _ in range(_STEPS):
+        ((value, slope),) = _at(z, rows[loop])
+        z = z - z * value / slope
     found = _in_rows(loop, _places(z), len(rows))
     order = np.argsort(np.nan_to_num(found[..., 1], nan=np.inf), axis=1)[:, :most, None]
     found = np.take_along_axis(found, order, axis=1)
@@ -147,7 +157,7 @@ def _slowest(base: Rows) -> Any:
 
 def _places(root: Complex128[np.ndarray, " root"]) -> Float64[np.ndarray, "root 2"]:
     """Angles of roots, and distances from the circle; far from it, or real, they are none."""
-    narrowest, farthest, real = 1e-9, 0.3, 1e-6
+    narrowest, farthest, real = 1e-9, 0.1, 1e-6
     angle, distance = np.abs(np.angle(root)), np.abs(np.log(np.abs(root)))
     is_one: Bool[np.ndarray, " root"] = (angle > real) & (angle < np.pi - real)
     is_one &= distance < farthest
@@ -155,12 +165,12 @@ def _places(root: Complex128[np.ndarray, " root"]) -> Float64[np.ndarray, "root 
     return np.where(is_one[:, None], places, _NO_ROOT)
 
 
-def _those_there(roots: Float64[np.ndarray, "loop root 2"]) -> Float64[np.ndarray, "loop root 2"]:
+def _those_there(roots: Float64[np.ndarray, "loop root 2"]) -> Float64[np.ndarray, "loop _ 2"]:
     """As few columns as the roots that there are need, and one at least."""
     is_none = roots[..., 0] == 0.0
     order = np.argsort(is_none, axis=1, kind="stable")[..., None]
-    most: int = np.sum(~is_none, axis=1).max()
-    return np.take_along_axis(roots, order, axis=1)[:, : max(most, 1)]
+    most = max(1, int(np.max(np.sum(~is_none, axis=1))))
+    return np.take_along_axis(roots, order, axis=1)[:, :most]
 
 
 def _in_rows(loop: Int64[np.ndarray, " _"], found: Any, count: int) -> Any:

@@ -34,7 +34,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from jaxstab.arrays import Array
 from jaxstab.model.balls import (
@@ -61,7 +61,12 @@ Coefficient = int | float | Fraction | tuple[float, float]
 
 
 class AffineParts:
-    """What makes base, S and R in balls of the precision that is set; its values are hashable."""
+    """What makes base, S and R in balls of the precision that is set; its values are hashable.
+
+    ``pivot`` is the part of its chart, where that has the degree of p(z).
+    """
+
+    pivot: ClassVar[int] = 0
 
     def triple(self) -> Triple:
         """The parts of p(z), without a common power of z."""
@@ -111,18 +116,18 @@ def affine_triple(parts: AffineParts) -> Triple:
 class Chart(AffineParts):
     """A loop p = base + a S + b R over what moves its leading coefficient, by two other gains.
 
-    Let l = w_0 + a w_1 + b w_2 be that coefficient, in units of that of the part ``pivot``. The two
+    Let l = w_0 + a w_1 + b w_2 be that coefficient, in units of that of the part ``by``. The two
     others of 1/l, a/l and b/l are the gains of p/l, in which the stable set is bounded.
     """
 
     of: AffineParts
-    pivot: int
+    by: int
 
     def triple(self) -> Triple:
         """The parts of p/l."""
         whole = affine_triple(self.of)
         parts = [part.without_windows() for part in whole]
-        pivot = parts.pop(self.pivot)
+        pivot = parts.pop(self.by)
         leading = pivot.rest[pivot.rest.degree()]
         others = [
             part if part.degree < whole.degree else _lowered(part, pivot, leading) for part in parts
@@ -171,10 +176,11 @@ class Coordinates(NamedTuple):
 
 @lru_cache(maxsize=128)
 def coordinates_of(parts: AffineParts) -> Coordinates:
-    """The chart of a loop; the base is the pivot where it has the degree of p(z)."""
+    """The chart of a loop."""
     with working_precision(FIRST_BITS):
         whole = affine_triple(parts)
-        pivot = next(k for k, part in enumerate(whole) if part.degree == whole.degree)
+        highest = [k for k, part in enumerate(whole) if part.degree == whole.degree]
+        pivot = parts.pivot if parts.pivot in highest else highest[0]
         leading = [part.polynomial()[whole.degree] for part in whole]
         first, second, third = (float((value / leading[pivot]).mid()) for value in leading)
     is_own = max(whole.stiffness.degree, whole.damping.degree) < whole.degree
@@ -336,6 +342,8 @@ class AdmittanceParts(AffineParts):
     ``environment`` is its stiffness, ``robot`` from command to position.
     """
 
+    pivot = 1  # endless masses are the small gains of the chart
+
     environment: float
     sample_time: float
     delay_samples: int
@@ -348,6 +356,14 @@ class AdmittanceParts(AffineParts):
         """The parts of p(z), by M and D."""
         wall, below = self._wall_and_below()
         return _without_common_power(wall, self._inertial(below), below.times(self._rates()[0]))
+
+    def in_units(self) -> tuple["AdmittanceParts", tuple[float, float]]:
+        """The same loop with T = 1 and Ke = 1, and what 1 of its M and D is."""
+        period, wall = self.sample_time, self.environment
+        filters = self.robot.per_sample(period), self.force_filter.per_sample(period)
+        spring = self.stiffness / wall
+        unit = AdmittanceParts(1.0, 1.0, self.delay_samples, self.rule, spring, *filters)
+        return unit, (wall * period**2, wall * period)
 
     def _rates(self) -> tuple[Factored, Factored]:
         """V and X."""

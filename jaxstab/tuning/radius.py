@@ -116,7 +116,7 @@ class Walls(NamedTuple):
     main: the component that the search covers; None for all gains.
     status: of gains that are found; NOT_COMPUTED leaves it to the search.
     lowest: alpha and beta of searches; 0 where gains must be those of walls.
-    most: beta of searches.
+    shares: of alpha and beta, whose sum is at most 1 in searches.
     """
 
     family: Family
@@ -124,7 +124,7 @@ class Walls(NamedTuple):
     main: StableRegion | None = None
     status: TuningStatus = TuningStatus.NOT_COMPUTED
     lowest: float = -np.inf
-    most: float = np.inf
+    shares: tuple[float, float] = (0.0, 0.0)
 
     @classmethod
     def of_loop(
@@ -155,8 +155,9 @@ class Walls(NamedTuple):
         return is_wall & np.asarray(contains(self.main.curve, self.main.outline, alpha, beta))
 
     def are_searched(self, alpha: Array, beta: Array) -> Bool[np.ndarray, "*grid"]:
-        """Return which gains are between the least and the most; NaN is not."""
-        return np.asarray((np.minimum(alpha, beta) >= self.lowest) & (beta <= self.most))
+        """Return which gains are none too small or too large; NaN is not."""
+        used = self.shares[0] * alpha + self.shares[1] * beta
+        return np.asarray((np.minimum(alpha, beta) >= self.lowest) & (used <= 1.0))
 
     def are_inside(self, alpha: Array, beta: Array, radius: float) -> Bool[np.ndarray, "*grid"]:
         """Return where all poles seem to be inside of a circle; not proved."""
@@ -272,10 +273,11 @@ def smallest_radius(walls: Walls, alpha: float | None = None) -> Best:
     if alpha is not None:
         return _best_damping(walls, alpha)
     with np.errstate(all="ignore"):  # gains overflow where no pair can be
-        best = _smallest(walls._replace(lowest=-np.inf, most=np.inf))
+        best = _smallest(walls._replace(lowest=-np.inf, shares=(0.0, 0.0)))
         if not walls.are_searched(*best.wall):
             zero, edge = np.zeros(1), np.append(0.0, _GAINS)
-            edges = [(zero, edge), (edge, zero), (edge, np.full(1, walls.most))]
+            edges = [(zero, edge), (edge, zero)]
+            edges += [(edge, np.full(1, 1.0 / share)) for share in walls.shares[1:] if share]
             on_edges = [_on_line(walls, axes, below=1.0) for axes in edges]
             best = min([_smallest(walls), *on_edges], key=lambda each: each.radius)
     if not best.radius < LARGEST or walls.verdicts(*best.wall) != Verdict.STABLE:

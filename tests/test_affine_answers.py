@@ -1,0 +1,245 @@
+"""Margins, tuning, motion, pictures and batches of any two gains, against recursions.
+
+The recursions of ``affine_kinds`` share nothing with p(z): their matrices give poles, polynomials
+and growth.
+"""
+
+import numpy as np
+import pytest
+from affine_kinds import KINDS, Case, is_stable_exactly, judged
+from campaign import many
+from scipy.signal import lfilter
+
+import jaxstab
+from jaxstab import Verdict
+from jaxstab.results import TuningStatus
+
+OF_GAINS = [kind for kind in KINDS if kind != "wall"]
+
+
+def drawn(kind: str, count: int, seed: int = 1) -> list[Case]:
+    """Loops that are bounded in gains or coordinates, of which some are stable."""
+    rng, found = np.random.default_rng([seed, list(KINDS).index(kind)]), []
+    while len(found) < count:
+        case = KINDS[kind](rng)
+        is_bounded = case.loop._chart.are_gains or case.loop.bounded
+        if is_bounded and (count > 10 or case.loop.region().components):
+            found.append(case)
+    return found
+
+
+def radius(case: Case, *gains: float) -> float:
+    return float(np.abs(np.linalg.eigvals(case.matrix(*gains))).max())
+
+
+def stable_gains(case: Case) -> dict[str, float]:
+    """Gains well inside of the stable set."""
+    region = case.loop.region().reachable
+    middle = region.outline.mean(axis=0)
+    inside = [middle, *(0.5 * (middle + point) for point in region.outline[::40])]
+    for point in inside:
+        pair = [float(x) for x in case.loop._chart.gains(*point)]
+        gains = dict(zip(case.gains, pair, strict=True))
+        if case.loop.verdict(**gains) == Verdict.STABLE and radius(case, *pair) < 0.9999:
+            return gains
+    return {}
+
+
+@pytest.mark.parametrize("kind", OF_GAINS)
+def test_54_margins_end_where_recursions_lose_stability(kind: str) -> None:
+    ways = {"first_factors": (1, 0), "second_factors": (0, 1), "both_factors": (1, 1)}
+    compared = 0
+    for case in drawn(kind, 6):
+        gains = stable_gains(case)
+        if not gains:
+            continue
+        margins = case.loop.margins(**gains)
+        pair = np.array(list(gains.values()))
+        assert margins.verdict == Verdict.STABLE
+        for name, way in ways.items():
+            for factor, beyond in zip(getattr(margins, name), (0.999, 1.001), strict=True):
+                if not 0.0 < factor < np.inf:
+                    continue
+                for side, is_inside in ((1.0 / beyond, True), (beyond, False)):
+                    changed = np.where(way, pair * factor * side, pair)
+                    found = radius(case, *changed.tolist())
+                    if abs(found - 1.0) > 1e-7:
+                        assert (found < 1.0) == is_inside, (kind, name, gains)
+                        compared += 1
+    assert compared > 8
+
+
+def test_54_margins_of_a_simulator_are_those_in_closed_form() -> None:
+    loop = jaxstab.simulated_pd(0.1, step=2e-3, substeps=4)  # kp < 2 kd/(3 h), kd + kp h/2 < 25
+    margins = loop.margins(kp=500.0, kd=10.0)
+    assert margins.first == pytest.approx([0.0, 10000.0 / 3.0], abs=1e-9)
+    assert margins.second == pytest.approx([1.5, 24.5])
+    assert margins.both_factors == pytest.approx([0.0, 25.0 / 10.5])
+    grid = loop.margins(kp=[500.0, 1e5], kd=[[10.0], [5.0]])
+    assert grid.verdict.shape == (2, 2)
+    assert np.all(np.isnan(grid.first[:, 1]))
+    assert grid.both_factors[0, 0] == pytest.approx(margins.both_factors)
+    assert "and 4 more" in repr(loop.margins(kp=np.linspace(1.0, 900.0, 12), kd=10.0))
+    held = jaxstab.simulated_pd(0.1, step=2e-3, damping=0.5, stiffness=20.0)
+    assert held.margins(kp=0.0, kd=0.0).first == pytest.approx([-20.0, 99480.0])
+
+
+@pytest.mark.parametrize("kind", OF_GAINS)
+def test_54_no_gains_that_recursions_try_decay_faster_than_the_best(kind: str) -> None:
+    rng = np.random.default_rng(2)
+    for case in drawn(kind, 3, seed=3):
+        best = case.loop.tune()
+        if best.status == TuningStatus.NO_STABLE_GAINS:
+            continue
+        pair = np.array(list(best.gains.values()))
+        assert np.all(pair >= 0.0)
+        assert radius(case, *pair.tolist()) == pytest.approx(best.radius, abs=2e-3)
+        region = case.loop.region().reachable
+        low, high = np.maximum([region.outline.min(axis=0), region.outline.max(axis=0)], 0.0)
+        for share in rng.uniform(0.0, 1.0, (200, 2)):
+            gains = [float(x) for x in case.loop._chart.gains(*(low + share * (high - low)))]
+            if min(gains) > 0.0 and region.contains(**dict(zip(case.gains, gains, strict=True))):
+                assert radius(case, *gains) > best.radius - 1e-6
+
+
+def test_54_tuning_of_a_simulated_joint_is_deadbeat() -> None:
+    best = jaxstab.simulated_pd(0.1, step=2e-3).tune()  # a = b = 1: p = z^2
+    assert best.gains["kp"] == pytest.approx(25000.0, rel=1e-3)
+    assert best.gains["kd"] == pytest.approx(50.0, rel=1e-3)
+    assert best.radius < 1e-3
+
+
+@pytest.mark.parametrize("kind", OF_GAINS)
+def test_54_simulations_are_those_of_the_recursion_s_polynomial(kind: str) -> None:
+    for case in drawn(kind, 3, seed=5):
+        gains = stable_gains(case)
+        if not gains:
+            continue
+        samples = case.loop.simulate(samples=60, **gains)
+        unit = np.zeros(60)
+        unit[0] = 1.0
+        truth = lfilter([1.0], np.poly(case.matrix(*gains.values())).real, unit)
+        assert np.allclose(samples, truth, rtol=1e-5, atol=1e-5 * np.abs(truth).max())
+
+
+def test_54_simulations_broadcast_and_are_differentiable() -> None:
+    jax = pytest.importorskip("jax")
+    loop = jaxstab.simulated_pd(0.1, step=2e-3)
+    grid = loop.simulate(samples=30, kp=[[100.0], [1e3]], kd=[5.0, 10.0, 20.0])
+    assert grid.shape == (2, 3, 30)
+    alone = loop.simulate(samples=30, kp=1e3, kd=20.0)
+    assert np.array_equal(grid[1, 2], alone)
+    with jax.enable_x64():
+        last = jax.jit(lambda kp: loop.simulate(samples=30, kp=kp, kd=20.0)[-1])
+        assert last(1e3) == pytest.approx(alone[-1], rel=1e-12)
+        slope = jax.grad(last)(1e3)
+    sides = [loop.simulate(samples=30, kp=1e3 + step, kd=20.0)[-1] for step in (-1e-2, 1e-2)]
+    assert slope == pytest.approx((sides[1] - sides[0]) / 2e-2, rel=1e-6)
+    with pytest.raises(ValueError, match="samples is 0"):
+        loop.simulate(samples=0, kp=1.0, kd=1.0)
+
+
+@pytest.mark.parametrize("kind", OF_GAINS)
+def test_54_points_of_the_boundary_have_a_pole_on_the_circle(kind: str) -> None:
+    for case in drawn(kind, 2, seed=6):
+        points = case.loop.boundary()
+        finite = points[np.all(np.isfinite(points), axis=1)]
+        sizes = np.ptp(np.abs(case.loop.region().outline), axis=0)
+        assert len(finite) > 0.9 * len(points) or not len(points)
+        for pair in finite[:: max(1, len(finite) // 12)].tolist():
+            chart = np.array(case.loop._chart.of_gains(*pair))
+            if np.all(np.abs(chart) > 1e-3 * sizes):
+                assert radius(case, *pair) == pytest.approx(1.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("kind", OF_GAINS)
+def test_54_open_loops_close_to_the_poles_of_the_recursion(kind: str) -> None:
+    pytest.importorskip("control")
+    for case in drawn(kind, 2, seed=8):
+        gains = stable_gains(case)
+        if not gains:
+            continue
+        system = case.loop.to_control(**gains)
+        assert system.dt == case.loop.sample_time
+        closed = np.abs(system.feedback(1).poles()).max()
+        assert closed == pytest.approx(radius(case, *gains.values()), abs=1e-5)
+
+
+def test_54_pictures_say_gains_and_units() -> None:
+    device = jaxstab.Device.mass_spring_damper(mass=0.25, damping=0.1)
+    held = jaxstab.HapticLoop(device=device, sample_time=1e-3, delay=1e-3)
+    panel = jaxstab.pid(held, ki=1e5).plot()
+    assert (panel.get_xlabel(), panel.get_ylabel()) == ("kp (N/m)", "kd (N s/m)")
+    words = [text.get_text() for text in panel.get_legend().get_texts()]
+    assert words == [
+        "stable, not connected to zero gains",
+        "largest: kp = 36068 N/m at kd = 106.51 N s/m",
+    ]
+    panel = jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=4).plot()
+    assert (panel.get_xlabel(), panel.get_ylabel()) == ("1/mass (1/kg)", "damping/mass (1/s)")
+
+
+# ------------------------------------------------------------------------------------- many loops
+@pytest.mark.parametrize("kind", OF_GAINS)
+def test_54_limits_of_many_loops_are_those_of_each(kind: str) -> None:
+    loops = [case.loop for case in drawn(kind, 66, seed=9)]
+    limits = jaxstab.limits_of(loops)
+    assert kind == "admittance" or not np.all(limits.is_single)
+    for k in range(0, 66, 8):
+        alone = loops[k].limits()
+        assert limits.status[k] == alone.status
+        assert limits.is_reachable[k] == alone.is_reachable
+        own = limits.first[k], limits.second[k], limits.at_second[k], limits.at_first[k]
+        values = alone.first.value, alone.second.value, alone.first.at, alone.second.at
+        assert own[:2] == pytest.approx(values[:2], rel=1e-9, nan_ok=True)
+        assert own[2:] == pytest.approx(values[2:], rel=1e-5, abs=1e-6 * max(own), nan_ok=True)
+
+
+def test_54_regions_of_many_loops_are_those_of_each() -> None:
+    for kind in ("kp-ki", "admittance"):
+        loops = [case.loop for case in drawn(kind, 66, seed=10)]
+        regions = jaxstab.regions_of(loops)
+        for k in range(0, 66, 15):
+            main = loops[k].region().main
+            if main is None:
+                assert np.isnan(regions.area[k])
+                continue
+            area = float(main.region.area) * np.prod(main.units)
+            assert regions.area[k] == pytest.approx(area, rel=1e-5)
+            assert regions.outline[k].max(axis=0) == pytest.approx(
+                main.outline.max(axis=0), rel=1e-2
+            )
+
+
+def test_54_walls_and_other_loops_are_asked_apart() -> None:
+    device = jaxstab.Device.mass_spring_damper(mass=0.25, damping=0.1)
+    held = jaxstab.HapticLoop(device=device, sample_time=1e-3)
+    with pytest.raises(TypeError, match="give a HapticLoop for each"):
+        jaxstab.limits_of([held, jaxstab.simulated_pd(0.1, step=1e-3)])  # type: ignore[list-item]
+    with pytest.raises(ValueError, match="not bounded"):
+        jaxstab.limits_of([jaxstab.simulated_pd(0.1, step=1e-3, integrator="implicit")])
+
+
+# --------------------------------------------------------------------------------------- campaign
+def test_54_exact_recursions_know_closed_forms() -> None:
+    case = KINDS["simulator"](np.random.default_rng(0))
+    device = np.array([[2, -1], [1, 0]], object)  # (z - 1)^2
+    assert is_stable_exactly(device) is None
+    assert is_stable_exactly(np.array([[0.5, 0.0], [0.0, -0.99]], object)) is True
+    assert is_stable_exactly(np.array([[0.5, 0.0], [0.0, -1.01]], object)) is False
+    assert case.loop.gains[0].name == "kp"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_54_verdicts_of_random_gains_are_right(kind: str) -> None:
+    counts = judged(kind, 6, 256, exactly=3, seed=12)
+    assert counts["wrong"] == 0, counts
+    assert counts["by eigenvalues"] > 700
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("kind", KINDS)
+def test_54_verdicts_of_many_random_gains_are_right(kind: str) -> None:
+    counts = judged(kind, many(600), 256, exactly=8)
+    assert counts["wrong"] == 0, counts
+    assert counts["by eigenvalues"] > 100 * counts["loops"]
