@@ -270,6 +270,15 @@ def test_54_a_range_of_environments_is_proved_for_all_of_it() -> None:
     assert seen == {"stable", "unstable"}
 
 
+@pytest.mark.parametrize("mass", [0.1, 1.0, 1000.0])
+def test_54_a_sample_late_the_least_damping_of_a_range_is_that_of_its_stiffest(mass: float) -> None:
+    """One sample late it is D > Ke T for every mass (if D < 2 M/T)."""
+    table = ROBOT | {"environment": [1.0, 1e4], "delay_samples": 1}
+    pairs = {name: {"mass": mass, "damping": d} for name, d in (("on", 10.001), ("off", 9.999))}
+    found = answered({"loop": table, "gains": pairs}, "check").as_json()["gains"]
+    assert (found["on"]["verdict"], found["off"]["verdict"]) == ("stable", "unstable")
+
+
 def test_54_limits_of_a_range_of_environments_are_those_of_the_stiffest_one_and_proved() -> None:
     ranged = answered(loop(ROBOT | {"environment": [10.0, 1e4]})).as_json()
     assert ranged["inputs"]["loop"] == "admittance control against 10 to 10000 N/m"
