@@ -171,7 +171,7 @@ class Answer:
         units = self._units(units)
         for (*outer, name), value in self._entries():
             words = (
-                _HEADINGS[outer[0]].format(name)
+                _HEADINGS.get(outer[0], f"{outer[0].replace('_', ' ')} {{}}").format(name)
                 if outer
                 else _LABELS.get(name) or _named(name, units).replace("_", " ")
             )

@@ -51,8 +51,8 @@ class Units(Enum):
 
     def unit(self, of_line: str) -> str:
         """Return the unit that replaces one of linear motion."""
-        if of_line == "m/s":
-            return f"{self.length}/s"
+        if of_line in ("m/s", "N/(m s)"):
+            return f"{self.length}/s" if of_line == "m/s" else f"{self.force}/({self.length} s)"
         return dict(zip(Units.LINE.value, self.value, strict=True)).get(of_line, of_line)
 
     def translated(self, sentence: str) -> str:
@@ -106,7 +106,7 @@ def software_presets() -> Mapping[str, Preset]:
 
 @cache
 def _presets(file: str) -> Mapping[str, Preset]:
-    tables = parsed((_folder() / file).read_text(encoding="utf-8"), f"{file}: ")
+    tables = parsed((folder_of("presets") / file).read_text(encoding="utf-8"), f"{file}: ")
     return {
         name: Preset(
             table.pop("title"),
@@ -117,10 +117,10 @@ def _presets(file: str) -> Mapping[str, Preset]:
     }
 
 
-def _folder() -> Traversable:
-    """Return the folder of the presets: in the package where it is installed, or in a checkout."""
-    installed = files("jaxstab") / "presets"
-    in_checkout = Path(__file__).parents[2] / "data" / "presets"
+def folder_of(name: str) -> Traversable:
+    """Return a folder of data/: in the package where it is installed, or in a checkout."""
+    installed = files("jaxstab") / name
+    in_checkout = Path(__file__).parents[2] / "data" / name
     return installed if installed.is_dir() else in_checkout
 
 
@@ -630,6 +630,11 @@ class Scene:
     def from_table(cls, table: Mapping[str, Any], source: str = "") -> "Scene":
         """Check a table of tables; ValueError on the first key that is unknown, missing or bad."""
         try:
+            if "loop" in table:
+                raise ValueError(
+                    "loop is there, and this answer is for walls; limits, check, tune, design and "
+                    "study answer for other loops."
+                )
             return cls(**_tables(table))
         except ValueError as error:
             device = table.get("device")
