@@ -84,7 +84,7 @@ class Loop(NamedTuple):
     alpha: Array
     beta: Array
     gamma: Array
-    plant: Plant[Array]
+    plant: Plant
 
     @property
     def numerator(self) -> tuple[Array, ...]:
