@@ -161,14 +161,8 @@ def amplitude(
     sizes = _checked_disturbances(encoder, force_step, friction, noise)
     gains = float_arrays(checked_gain("alpha", alpha), checked_gain("beta", beta))
     lanes = *gains, *float_arrays(checked_gamma(gamma), checked_delta(delta)), delay
-    loop_of, causes = unit_loops(velocity, position), _causes(sizes)
-    bank = bank_for(given_filters(velocity, position))
-
-    def of_lane(alpha: float, beta: float, *plant: float) -> np.ndarray:
-        loop = loop_of(*plant)
-        return np.full((3, 3), np.inf) if loop is None else _bounds(loop, alpha, beta, causes)
-
-    return _answered(Amplitude, of_lane, lanes, sizes, gains, bank)
+    loop_of, bank = unit_loops(velocity, position), bank_for(given_filters(velocity, position))
+    return _answered(Amplitude, loop_of, lanes, sizes, gains, bank)
 
 
 class _Sizes(NamedTuple):
@@ -199,13 +193,18 @@ def _causes(sizes: _Sizes) -> Causes:
 
 def _answered(
     kind: type[Kind],
-    of_lane: Callable[..., np.ndarray],
+    loop_of: Callable[..., LoopParameters | None],
     lanes: Sequence[Array],
     sizes: _Sizes,
     gains: Sequence[Array],
     bank: Bank,
 ) -> Kind:
     """The sums of the bounds of all causes, infinite where one is not proved."""
+    causes = _causes(sizes)
+
+    def of_lane(stiffness: float, damping: float, *plant: float) -> np.ndarray:
+        loop = loop_of(*plant)
+        return np.full((3, 3), np.inf) if not loop else _bounds(loop, stiffness, damping, causes)
 
     def search(*lanes: np.ndarray) -> tuple[Bounds, Bounds, Bounds]:
         columns = np.array([np.ravel(lane) for lane in lanes]).T.tolist()
@@ -248,14 +247,10 @@ def loop_amplitude(
     require_x64(stiffness, damping)
     sizes = _checked_disturbances(encoder, force_step, friction, noise)
     gains = float_arrays(checked_gain("stiffness", stiffness), checked_gain("damping", damping))
-    period, causes = loop.sample_time, _causes(sizes)
+    period = loop.sample_time
     bank = bank_for(given_filters(loop.velocity, loop.position), period)
-
-    def of_lane(stiffness: float, damping: float) -> np.ndarray:
-        return _bounds(loop, stiffness, damping, causes)
-
     samples = gains[0], gains[1] / period
-    return _answered(WallAmplitude, of_lane, gains, sizes, samples, bank)
+    return _answered(WallAmplitude, lambda: loop, gains, sizes, samples, bank)
 
 
 def _bounds(

@@ -226,8 +226,7 @@ def _plant_of(
     unit = DoubleDouble.from_value(xp.ones_like(pairs.d0.hi))
     zero = unit - unit
     stiff = (zero, pairs.n0, pairs.n1, pairs.n2)
-    # n2 - n1 vanishes with delta for a whole delay; N(-1) knows it to all of its digits.
-    damp = (pairs.n0, pairs.n1 - pairs.n0, pairs.difference - pairs.n0, -pairs.n2)
+    damp = pairs.falls[::-1]
     sum_n = sum(abs(n.hi) for n in stiff[1:])
     return Plant(
         gap=unit - pairs.d0,
