@@ -9,7 +9,6 @@ import jaxstab
 from jaxstab.point.fields import _rounded_up
 from jaxstab.point.radius import radius_error
 from jaxstab.point.traced_radius import _fitted
-from jaxstab.region.outline import are_inside as are_within
 from jaxstab.region.pieces import all_inside
 
 
@@ -77,20 +76,6 @@ def test_a_recurrence_gives_its_larger_root() -> None:
         re, im = _fitted([jnp.asarray(row) for row in samples])
         assert np.asarray(re) == pytest.approx(root.real - 1.0, abs=1e-6)
         assert np.asarray(im) == pytest.approx(np.abs(root.imag), abs=1e-6)
-
-
-def test_points_between_two_rings_are_inside() -> None:
-    """pieces: the edges between a ring and a hole that no branch draws do not count."""
-    theta = np.linspace(0.0, 2.0 * np.pi, 201)
-    ring = np.column_stack([np.cos(theta), np.sin(theta)])
-    points = np.concatenate([ring, 0.5 * ring[::-1]])
-    first, last = points[:-1], points[1:]
-    edges = np.delete(np.concatenate([first, last], axis=1), 200, axis=0)
-    walls = np.random.default_rng(9).uniform(-1.2, 1.2, (500, 2))
-    size = np.hypot(*walls.T)
-    clear = (np.abs(size - 1.0) > 1e-2) & (np.abs(size - 0.5) > 1e-2)
-    inside = are_within(edges, walls.T)
-    assert inside[clear].tolist() == ((size > 0.5) & (size < 1.0))[clear].tolist()
 
 
 def test_distances_of_many_walls_are_those_to_the_nearest_points() -> None:

@@ -37,7 +37,6 @@ Errors = NDArray[np.float32]
 Codes = NDArray[np.int8]
 Cells = NDArray[np.intp]
 _BLOCK = 2**14  # points: what a block needs stays in the cache
-_ROUNDING = 2.0**-44  # of the largest gain of a cell: what interpolation rounds, many times over
 
 
 class AlphaLimits(NamedTuple):
@@ -114,11 +113,12 @@ class LimitTable:
     @cached_property
     def _allowed(self) -> tuple[Array, Array]:
         """CLEAR times the errors of alpha and of beta, with room for what is rounded."""
+        rounding = 2.0**-44  # of the largest gain of a cell: many times what interpolation rounds
         sizes = np.nan_to_num(np.max(np.abs(self.alpha_limits), initial=0.0, axis=(-1, -2)))
         spans = np.nan_to_num(np.max(np.abs(self.beta_limits), initial=0.0, axis=-1))
         alpha_size, beta_size = (largest_of_cells(values) for values in (sizes, spans))
-        alpha = CLEAR * self.alpha_error.astype(float) + _ROUNDING * alpha_size[..., None, None]
-        beta = CLEAR * self.beta_error.astype(float) + _ROUNDING * beta_size[..., None]
+        alpha = CLEAR * self.alpha_error.astype(float) + rounding * alpha_size[..., None, None]
+        beta = CLEAR * self.beta_error.astype(float) + rounding * beta_size[..., None]
         return alpha.reshape(-1, 2), beta.reshape(-1, 2)
 
     def verdicts(

@@ -65,11 +65,7 @@ def _scaled(question: ScaledLoop) -> tuple[BallLoop, Triple]:
     return own, own.triple
 
 
-_SHORT = 32  # degree of p(z)
-_DIGITS = 2.0**-70  # of the largest coefficient
-_SLOW = 0.3  # roots closer to 1 are found in powers of z - 1
 _LAST_BITS = 768  # a plant that is real to that precision is real
-_NEWTON_STEPS = 8
 _NEAR = 1e-9  # of its size: an imaginary part that may be 0
 
 
@@ -120,10 +116,11 @@ def curve_parts(loop: ScaledLoop) -> CurveParts:
 
 def _enough_bits(loop: ScaledLoop) -> AbstractContextManager[None]:
     """Set a precision for coefficients in powers of z - 1: so many of them are sums that cancel."""
+    short = 32  # degree of p(z)
     bits = _bits_for_digits(loop)
     with working_precision(bits):
         degree = loop.triple().degree
-    return working_precision(bits + (2 * degree if degree > _SHORT else 0))
+    return working_precision(bits + (2 * degree if degree > short else 0))
 
 
 @lru_cache(maxsize=64)
@@ -139,8 +136,9 @@ def _bits_for_digits(loop: ScaledLoop) -> int:
 
 
 def _has_digits(part: Factored) -> bool:
+    digits = 2.0**-70  # of the largest coefficient
     rising = part.rest.coeffs()
-    enough = max(c.abs_upper() for c in rising) * _DIGITS if rising else 0
+    enough = max(c.abs_upper() for c in rising) * digits if rising else 0
     return all(c.rad() <= enough for c in rising)
 
 
@@ -156,13 +154,14 @@ def _floats(rising: "list[arb]", degree: int) -> list[float]:
 
 def _roots(part: Factored) -> Complex128[np.ndarray, " root"]:
     """The roots but for those at 0, 1 and -1, roughly."""
+    slow = 0.3  # roots closer to 1 are found in powers of z - 1
     plain = Factored(part.without_windows().rest)
     straight, shifted = (
         np.array([float(c.mid()) for c in polynomial.coeffs()])[::-1]
         for polynomial in (plain.rest, plain.around(1))
     )
     far, near = np.roots(straight) + 0j, 1.0 + 0j + np.roots(shifted)
-    return np.concatenate([far[abs(far - 1.0) > _SLOW], near[abs(near - 1.0) <= _SLOW]])
+    return np.concatenate([far[abs(far - 1.0) > slow], near[abs(near - 1.0) <= slow]])
 
 
 class Around(NamedTuple):
@@ -224,6 +223,7 @@ def undamped_modes(
     The curve passes gains of all sizes next to such a mode that is hardly damped. Each angle has
     what rounding took from it beside it.
     """
+    newton_steps = 8
     from flint import acb, acb_poly
 
     angles = []
@@ -234,7 +234,7 @@ def undamped_modes(
         moving = base.derivative()
         for root in roots.tolist():
             z = acb(root.real, root.imag)
-            for _ in range(_NEWTON_STEPS):
+            for _ in range(newton_steps):
                 z = (z - below(z) / slope(z)).mid()
             angle = float(z.arg().mid())
             if abs(n(z) * a(z)) < abs(moving(z)) * most:

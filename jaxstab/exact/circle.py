@@ -48,8 +48,6 @@ if TYPE_CHECKING:
     from flint import arb, arb_mat, arb_poly
 
 _OVERLAP = 9  # a cell reaches to 9/8 of its share: the ends of shares may be moved by 1/16
-_MOVES = (0, 1, -1, 2, -2, 3, -3, 4, -4)  # of an end, in 72ths of a cell
-_SHARES = (6, 7, 9, 10, 8)  # of an interval, in 16ths, where it is divided
 _SHORTEST = 96  # halvings of a cell, at most
 
 
@@ -242,13 +240,14 @@ class _End(NamedTuple):
 
 def _end(index: int, signs: list[int], parts: "dict[int, _Part]") -> _End:
     """The end between two cells, or an outermost one."""
+    moves = (0, 1, -1, 2, -2, 3, -3, 4, -4)  # of an end, in 72ths of a cell
     known = [signs[cell] for cell in (index - 1, index) if 0 <= cell < len(signs)]
     sign = known[0] or known[-1]
     if sign:
         return _End(index, 0, sign)
     cell = max(index - 1, 0)
     is_outermost = len(known) == 1
-    for moved in _MOVES[: 1 if is_outermost else None]:
+    for moved in moves[: 1 if is_outermost else None]:
         end = _End(index, moved, 0)
         sign = parts[cell].sign(end.of_cell(cell)[0])
         if sign:
@@ -299,7 +298,8 @@ def _isolated(part: _Part, first: "tuple[arb, int]", last: "tuple[arb, int]") ->
 
 def _known_place(part: _Part, a: "arb", b: "arb") -> "tuple[arb, int]":
     """A place about the middle of an interval, and the sign there, if one can be known."""
-    for share in _SHARES:
+    shares = (6, 7, 9, 10, 8)  # of an interval, in 16ths, where it is divided
+    for share in shares:
         place = (a + (b - a) * share / 16).mid()
         sign = part.sign(place)
         if sign:

@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from flint import acb, arb, arb_mat, arb_poly
 
 _HALF_TURN = nextafter(pi, 4.0)  # z = -1 is in the last cell
-_GRADES = 0, 1, 2, 3, 4, 6, 8, 12, 16, 20, 24, 32, 40, 48, 64  # 64ths of pi: first cells
-_SHORT = 2.0**-31  # of a margin: a box that is reported
 _TURNS = 32  # of (n + 1) theta that are looked at
 _TERMS = 8  # of v(f) about the middle of an interval
 
@@ -74,11 +72,13 @@ def delay_margin(
         delay: of the loop, in samples, at which the wall is stable.
         wall: stiffness and damping.
     """
+    short = 2.0**-31  # of a margin: a box that is reported
+    grades = 0, 1, 2, 3, 4, 6, 8, 12, 16, 20, 24, 32, 40, 48, 64  # 64ths of pi: first cells
     most_boxes = 20_000
     with working_precision(FIRST_BITS):
         search = _Search(loop(), sample(), delay, wall)
         boxes = []
-        for theta in pairwise(grade * _HALF_TURN / 64.0 for grade in _GRADES):
+        for theta in pairwise(grade * _HALF_TURN / 64.0 for grade in grades):
             boxes += search.boxes(theta, (0.0, 1.0))
         heapify(boxes)
         for _ in range(most_boxes):
@@ -86,7 +86,7 @@ def delay_margin(
                 return DelayMargin(inf, nan, DelayStatus.UNLIMITED)
             key, theta, fraction, by_theta = heappop(boxes)
             margin = max(key - delay - 2.0 * ulp(key), 0.0)  # what was rounded
-            if fraction[1] - fraction[0] < _SHORT * max(margin, _SHORT):
+            if fraction[1] - fraction[0] < short * max(margin, short):
                 return DelayMargin(margin, 0.5 * sum(theta), DelayStatus.PROVED)
             for halves in _halves(theta, fraction, by_theta=by_theta):
                 for box in search.boxes(*halves):

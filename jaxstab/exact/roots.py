@@ -27,7 +27,6 @@ from jaxstab.model.device.parts import FIRST_BITS, decided, working_precision
 if TYPE_CHECKING:
     from flint import acb, arb, arb_poly
 
-_SHARE = 0.4873  # of an interval, where it is divided: not next to a root that is a simple number
 MOST_FOR_ROOTS = 1024  # bits: balls that still overlap then hold multiple roots, in practice
 
 
@@ -184,6 +183,7 @@ def _largest_modulus(roots: "list[acb]") -> Number | None:
 
 def _radius_between(p: Factored) -> Number | None:
     """The same by halving with E1; None where the balls do not tell on which side the roots are."""
+    share = 0.4873  # of an interval, where it is divided: not next to a simple number
     halvings = 160
     from flint import arb, arb_poly
 
@@ -193,7 +193,7 @@ def _radius_between(p: Factored) -> Number | None:
     low = arb(0)
     high = 1 + sum((abs(c / rising[-1]) for c in rising[:-1]), arb(0)).upper()
     for _ in range(halvings):
-        middle = (low + (high - low) * _SHARE).mid()
+        middle = (low + (high - low) * share).mid()
         outside = roots_outside(rest(arb_poly([0, middle])), most=0)
         if outside is None:
             return None

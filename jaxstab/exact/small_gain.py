@@ -33,8 +33,6 @@ from jaxstab.model.device.parts import decided
 if TYPE_CHECKING:
     from flint import arb, arb_poly
 
-_CLOSE = 1e-6  # of the jitter that is found
-
 
 class SmallGainStatus(Status):
     """What the small-gain theorem says of a wall."""
@@ -94,6 +92,7 @@ def largest_jitter(
     It is 0 where none is proved. ``late`` takes the jitter. Q grows with it, so that all smaller
     ones are proved as well.
     """
+    close = 1e-6  # of the jitter that is found
     halvings = 40  # of an interval of jitters
 
     def is_proved(jitter: float) -> bool:
@@ -105,7 +104,7 @@ def largest_jitter(
             return most
         low, high = high, min(2.0 * high, most)
     for _ in range(halvings):
-        if high - low <= _CLOSE * high:
+        if high - low <= close * high:
             break
         middle = 0.5 * (low + high)
         low, high = (middle, high) if is_proved(middle) else (low, middle)

@@ -477,7 +477,6 @@ def series_at(coefficients: Any, time: Array) -> Array:
 # missed.
 
 _MOST_LEGS, _MOST_STEPS = 32, 64  # of a piece; of a search for a time
-_CLOSE = 2.0**-50  # of a piece: the accuracy of times
 
 
 class Handle(NamedTuple):
@@ -668,6 +667,7 @@ def _time_of(terms: Array, target: Array, low: Array, high: Array, is_open: Arra
 
     Newton's method, within a bracket that shrinks; a step that leaves it is to its middle.
     """
+    close = 2.0**-50  # of a piece: the accuracy of times
     xp = functions(target)
     slope, rises, length = _slope(terms), _value(terms, high) > target, high - low
 
@@ -679,7 +679,7 @@ def _time_of(terms: Array, target: Array, low: Array, high: Array, is_open: Arra
         after = time - value / _value(slope, time)
         after = xp.where((after >= low) & (after <= high), after, 0.5 * (low + high))
         after = xp.where(is_open, after, time)
-        return count + 1, low, high, after, is_open & (abs(after - time) > _CLOSE * length)
+        return count + 1, low, high, after, is_open & (abs(after - time) > close * length)
 
     def is_on(search: Any) -> Array:
         return (search[0] < _MOST_STEPS) & xp.any(search[-1])

@@ -54,11 +54,9 @@ _PROGRAMS = 8  # that are kept, one for each degree: each takes 40 to 90 MB
 _VERTICES, _FINE = 48, 192  # of a piece, and angles between which they are spread
 _TILE = 64  # angles of a scan at once
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
-_NEWTON_STEPS = 24
 _TOLERANCE = 1e-10  # of Newton's steps, in radians
 _SLACK = 1e-6  # of angles beside their brackets
 _ON_AXIS = 1e-10  # of the component's size: a corner that far beyond an axis is on it
-_ASIDE = 1e-6  # of the component's size: where walls beside the extremes are tested
 _SMALL = np.array([1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 3e-2])  # gains, beside the size of the stable set
 _RATIOS = np.array([1e-2, 1e-1, 0.3, 1.0])  # of alpha to beta, in that measure
 
@@ -422,9 +420,10 @@ def _missed(loop: Triples, ends: _Ends) -> Array:
 
 def _root(newton: Any, start: Any, args: Any) -> tuple[Any, Array]:
     """Return the fixed point of Newton's step, and whether it was reached."""
+    newton_steps = 24
     solver: Any = optx.FixedPointIteration(rtol=_TOLERANCE, atol=_TOLERANCE)
     solution: Any = optx.fixed_point(
-        newton, solver, start, args=args, max_steps=_NEWTON_STEPS, throw=False
+        newton, solver, start, args=args, max_steps=newton_steps, throw=False
     )
     return solution.value, solution.result == optx.RESULTS.successful
 
@@ -671,6 +670,7 @@ def _largest(
     loop: Triples, scan: _Scan, component: _Component, axis: Array
 ) -> tuple[Array, Array, Array]:
     """Return the wall of the largest alpha or beta, the angles of the roots, and its tests."""
+    aside = 1e-6  # of the component's size: where walls beside the extremes are tested
     lower = 5e-3  # beside the largest value: how much less the others have to be
     rounded = 1e-10  # of an extreme: the most that rounding may move it by
     size, unit = component.size, component.size[axis]
@@ -698,7 +698,7 @@ def _largest(
     # Stable walls on one side, unstable ones on the other.
     straight = jnp.where(jnp.arange(2) == axis, -1.0, 0.0)
     into = _bisector(loop, component.corners, corner.index, size)
-    away = _ASIDE * size * jnp.where(is_smooth, straight, into)
+    away = aside * size * jnp.where(is_smooth, straight, into)
     beside = _are_stable(loop, jnp.stack([wall + away, wall - away], axis=1))
     # A component far beyond the quadrant may leave a limit that is small beside its size.
     is_exact = (error * unit < rounded * jnp.minimum(unit, abs(value))) & jnp.isfinite(value)

@@ -44,9 +44,6 @@ from jaxstab.numbers import checked
 _SINC = tuple((-1.0) ** k / factorial(2 * k + 1) for k in range(10))
 _COSINE = tuple((-1.0) ** k / factorial(2 * k) for k in range(10))
 
-# A quarter turn in parts of 27 bits: multiples of the first two are exact.
-_QUARTER_TURN = (1.570796325802803, 9.920935739593517e-10, 5.721188726109832e-18)
-
 
 def sines(x: Array) -> tuple[Array, Array, Array]:
     """Return sin(x), cos(x) and sin(x) / x for x >= 0, with derivatives to full precision.
@@ -54,10 +51,12 @@ def sines(x: Array) -> tuple[Array, Array, Array]:
     A quotient would lose digits of the derivative of sin(x) / x next to 0; a series is used there.
     XLA makes vectors of this, and not of calls of sin and cos; most of the run time is here.
     """
+    # A quarter turn in parts of 27 bits: multiples of the first two are exact.
+    quarter_turn = (1.570796325802803, 9.920935739593517e-10, 5.721188726109832e-18)
     xp = namespace(x)
     quarters = constant(xp.round(x * (2.0 / pi)))
     reduced = x
-    for digits in _QUARTER_TURN:
+    for digits in quarter_turn:
         reduced = reduced - quarters * digits
     sine, cosine, sinc = _sines_of_small(reduced)
     odd = quarters % 2.0 == 1.0

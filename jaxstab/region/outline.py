@@ -211,18 +211,3 @@ def vertex_roots(
     is_corner = (angles[:, 0] != angles[:, 1]) | (branches[:, 0] != branches[:, 1])
     true = np.add(*true_angles(c, angles.ravel())).reshape(angles.shape)
     return true, is_corner
-
-
-# Which points lie inside an outline's polygon; the same answer as the curve, except next to it.
-
-
-def are_inside(edges: np.ndarray, points: np.ndarray) -> Bool[np.ndarray, " point"]:
-    """Count the edges to the right of each point: an odd number of them encloses it."""
-    alpha, beta = points[:, None]
-    first_alpha, first_beta, last_alpha, last_beta = edges.T[..., None]
-    crosses = (first_beta > beta) != (last_beta > beta)
-    with np.errstate(all="ignore"):  # edges that run level are not crossed
-        share = (beta - first_beta) / (last_beta - first_beta)
-        is_right = first_alpha + share * (last_alpha - first_alpha) > alpha
-    inside: np.ndarray = np.sum(crosses & is_right, axis=0) % 2 == 1
-    return inside
