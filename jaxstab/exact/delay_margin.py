@@ -135,7 +135,8 @@ class _Search:
         self.sample, self.delay = sample, delay
         about_one = arb_poly([1, 1])
         self.whole = sample.whole(about_one)
-        self.above = [_about_one(part) for part in _terms(loop, wall)]
+        scaled = (part.scaled(gain) for part, gain in zip(loop.walls, wall, strict=True))
+        self.above = [_about_one(part) for part in scaled if not part.is_zero]
         below = loop.denominator.times(loop.position[1]).times(loop.velocity[1])
         self.below = _about_one(below)
         self.over_theta = cache(self._over_theta)
@@ -237,12 +238,6 @@ def _around(interval: Interval) -> "arb":
 
     low, high = arb(interval[0]), arb(interval[1])
     return arb((low + high).mid() / 2, (high - low) / 2)
-
-
-def _terms(loop: BallLoop, wall: tuple[float, float]) -> list[Factored]:
-    """K Np Dv and B Nv Dp, those that are not 0, N's known zero at -1 left to N."""
-    scaled = (part.scaled(gain) for part, gain in zip(loop.walls, wall, strict=True))
-    return [part for part in scaled if not part.is_zero]
 
 
 def _about_one(p: Factored) -> Factored:

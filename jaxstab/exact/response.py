@@ -152,6 +152,8 @@ class Responses(NamedTuple):
         NaN if that is not known of the terms up to twice the horizon, or it is later than the
         horizon; None where there are not enough terms in the head.
         """
+        from flint import arb
+
         values = self.head[0, 0]
         wrong = np.abs(values) * (2.0 * UNIT) + _NARROW * np.abs(values).max()
         limit = level * (np.abs(values).max() if is_impact else 1.0) * (1.0 - 8.0 * UNIT)
@@ -165,10 +167,10 @@ class Responses(NamedTuple):
             more, error = self.modes.values(max(terms, 1))
             values, wrong = np.append(values, more), np.append(wrong, error)
         largest = np.abs(values).max() if is_impact else 1.0
-        peak = self._largest_ball(values, wrong) if is_impact else None
+        bound = arb(level) * (self._largest_ball(values, wrong) if is_impact else 1)
         doubt = np.abs(values) + wrong > level * (largest - wrong.max()) * (1.0 - 4.0 * UNIT)
         for term in np.flatnonzero(doubt)[::-1].tolist():
-            if not self._is_within(term, level, peak):
+            if not self._ball(term) <= bound:
                 return float(term + 1) if term < horizon else nan
         return 0.0
 
@@ -192,11 +194,6 @@ class Responses(NamedTuple):
         for term in near.tolist():
             largest = largest.max(self._ball(term))
         return largest
-
-    def _is_within(self, term: int, level: float, largest: "arb | None") -> bool:
-        from flint import arb
-
-        return bool(self._ball(term) <= arb(level) * (1 if largest is None else largest))
 
 
 def _mixed(rows: np.ndarray, columns: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -248,7 +248,4 @@ def _parts(point: Float64[Array, "2"], coefficients: Array) -> Float64[Array, "2
 def _evaluated(
     coefficients: Float64[Array, "*grid coefficient"], z: Complex128[Array, "*grid"]
 ) -> Complex128[Array, "*grid"]:
-    value = jnp.zeros_like(z)
-    for power in range(coefficients.shape[-1]):
-        value = value * z + coefficients[..., power]
-    return value
+    return jnp.polyval(jnp.moveaxis(coefficients, -1, 0), z)

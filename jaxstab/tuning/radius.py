@@ -252,10 +252,8 @@ def _places_and_factors(size: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _value(coefficients: Array, z: Array) -> Array:
     """Return the value of a polynomial."""
-    result = 0.0 * z
-    for power in range(coefficients.shape[-1]):
-        result = result * z + coefficients[..., power]
-    return result
+    xp = namespace(coefficients, z)
+    return xp.polyval(xp.moveaxis(coefficients, -1, 0), z)
 
 
 # Walls, and the search over the dominant pair.

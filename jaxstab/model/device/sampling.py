@@ -83,26 +83,20 @@ def in_samples(compliance: Rational, sample_time: float) -> tuple[list["arb"], l
     A coefficient that is 0 is the exact 0. ValueError: a pole vanishes within a sampling period.
     """
     fastest = 14  # power of two: poles per sampling period
+    import flint
+
+    period = flint.arb(exact(sample_time))
     above, below = (balls_of(polynomial) for polynomial in compliance)
-    above, below = _monic(above, below, sample_time)
+    degree, leading = len(below) - 1, below[-1]
+    below = [value / leading * period ** (degree - k) for k, value in enumerate(below)]
+    above = [value / leading * period ** (degree - k) for k, value in enumerate(above)]
+    above, below = above + [flint.arb(0)] * (degree - len(above)), [*below[:-1], flint.arb(1)]
     if _speed(below) > fastest:
         raise ValueError(
             f"the device has a pole at 2^{_speed(below)} or so per sampling period of "
             f"{sample_time:g} s; give SI units, and leave out what is faster than 2^{fastest}."
         )
     return above, below
-
-
-def _monic(
-    above: list[Ball], below: list[Ball], sample_time: float
-) -> tuple[list[Ball], list[Ball]]:
-    import flint
-
-    period = flint.arb(exact(sample_time))
-    degree, leading = len(below) - 1, below[-1]
-    below = [value / leading * period ** (degree - k) for k, value in enumerate(below)]
-    above = [value / leading * period ** (degree - k) for k, value in enumerate(above)]
-    return above + [flint.arb(0)] * (degree - len(above)), [*below[:-1], flint.arb(1)]
 
 
 def _speed(below: list[Ball]) -> int:
