@@ -367,6 +367,11 @@ def not_zero(unit: str) -> Number:
     return Number(f"a finite number in {unit}, not 0", bool, unit)
 
 
+def any_number() -> Number:
+    """Return the check of a finite number, without a unit."""
+    return Number("a finite number", lambda value: True, "1")
+
+
 def nested(kind: type["Table"]) -> Check:
     """Return the check of a table within a table."""
 

@@ -124,6 +124,9 @@ def device_of(scene: Scene, hand: OneHand | None = None) -> Device:
             frequency=mode.frequency,
             damping_ratio=mode.damping_ratio,
             modal_mass=mode.effective_mass,
+            motor=mode.motor,
+            encoder=mode.encoder,
+            handle=mode.handle,
         )
         for mode in table.modes
     ]

@@ -20,6 +20,7 @@ from jaxstab.tables import (
     Interval,
     Table,
     Usual,
+    any_number,
     check_keys,
     checked_label,
     each,
@@ -141,12 +142,18 @@ class Encoder(Table):
 
 @dataclass(frozen=True, kw_only=True)
 class VibrationMode(Table):
-    """A vibration mode of the device: its displacement at the handle adds to the rigid body's."""
+    """A vibration mode of the device: its displacement adds to the rigid body's.
+
+    ``motor``, ``encoder`` and ``handle`` are its shapes there, 1 where they are one point.
+    """
 
     frequency: float = key(quantity("Hz", is_positive=True), usual=Usual(0.1, 1e4))
     damping_ratio: float = key(quantity("1"), usual=Usual(0.0, 1.0))
     modal_mass: float | None = key(not_zero("kg"), None, Usual(1e-3, 5e3))
     modal_inertia: float | None = key(not_zero("kg m^2"), None, Usual(1e-8, 100.0))
+    motor: float = key(any_number(), 1.0, words="shape of the mode at the motor")
+    encoder: float = key(any_number(), 1.0, words="shape of the mode at the encoder")
+    handle: float = key(any_number(), 1.0, words="shape of the mode where the hand is")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -590,7 +597,8 @@ class Scene:
                 raise ValueError(
                     f"device.modes.{index}.modal_{self.units.moved} is {mode.effective_mass:g} "
                     "beside a hand: such a mode moves motor and encoder against each other, and "
-                    "the hand's place is not known; leave out the hand."
+                    f"the hand's place is not known; give {-mode.effective_mass:g} with motor = 1, "
+                    "encoder = -1, and handle = 1 or -1, where the hand is."
                 )
         if hand.inertia is not None and not turns:
             raise ValueError(
