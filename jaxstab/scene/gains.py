@@ -13,6 +13,7 @@ stable for all of the range where one of them holds that piece.
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, make_dataclass, replace
+from decimal import ROUND_CEILING, ROUND_FLOOR
 from functools import cache, partial
 from inspect import Parameter, signature
 from math import inf, isfinite, nan
@@ -285,14 +286,13 @@ def _limits(scene: GainScene) -> tuple[GainLimit, GainLimit]:
 def _limit(scene: GainScene, limit: GainLimit) -> GainAnswer:
     """A limit and the other gain there, to be printed as a stable pair."""
     own, value, at = limit
-    other, sign = _other(scene, own), 1.0 if own.sense == "largest" else -1.0
+    other, is_largest = _other(scene, own), own.sense == "largest"
     if isfinite(value):
-        at = _beside(scene.loop.intervals(**{own.name: value * (1.0 - 2e-4 * sign)}), at)
-    signed, at = stable_pair(
-        sign * value, at, (4, 6), lambda one, two: _is_stable(scene, own, sign * one, two)
-    )
-    is_proved = isinstance(signed, Printed)
-    value = Printed(value, signed.text.lstrip("-")) if isinstance(signed, Printed) else value
+        inside = value * (1.0 - 2e-4 if is_largest else 1.0 + 2e-4)
+        at = _beside(scene.loop.intervals(**{own.name: inside}), at)
+    way, allows = ROUND_FLOOR if is_largest else ROUND_CEILING, partial(_is_stable, scene, own)
+    value, at = stable_pair(value, at, (4, 6), allows, way=way)
+    is_proved = isinstance(value, Printed)
     certainty = "proved for every environment" if is_proved else "not proved"
     return GainAnswer(
         {
