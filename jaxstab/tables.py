@@ -41,7 +41,7 @@ def read_table(path: str | PathLike[str], kind: str = "") -> dict[str, Any]:
 
 _KINDS = {
     "scene": (
-        {"device", "controller", "hand", "walls"},
+        {"device", "controller", "hand", "walls", "loop"},
         "a scene; jaxstab limits, check, tune, design and guard take it, and jaxstab atlas spec "
         "--scene prints the specification of its atlas.",
     ),
@@ -199,14 +199,53 @@ class Table:
                     yield name, own, unit_of(entry), usual
 
 
+_WALL = "give the stiffness or the damping of a wall, [walls.NAME]."
+_PID = 'an integrator is another loop: give [loop] with kind = "pid" and one of kp, ki and kd.'
+_INSTEAD = {
+    "controller": {"kp": _WALL, "kd": _WALL, "ki": _PID},
+    "walls": {"kp": "give stiffness.", "kd": "give damping.", "ki": _PID},
+    "": {
+        "time_constant": "give cutoff, which is 1/(2 pi time_constant) in Hz.",
+        "velocity": "give [controller.velocity].",
+        "gains": "give [walls.NAME], or [loop] for another loop than that of a wall.",
+        "walls": "give [gains.NAME] beside [loop].",
+    },
+}
+"""What to give in place of keys of other programs or loops, by the table in which they stand."""
+
+
 def check_keys(place: str, keys: Iterable[str], allowed: list[str]) -> None:
-    """Refuse a key that is not allowed, and suggest the most similar one."""
+    """Refuse a key that is not allowed; say what to give, or suggest the most similar one."""
     for name in keys:
         if name not in allowed:
             near = _similar(name, allowed)
             hint = f"did you mean {near!r}?" if near else f"known are {', '.join(allowed)}."
+            hint = _INSTEAD.get(place.partition(".")[0], {}).get(name, hint)
             unknown = shortened(name) if len(name) > MOST_LETTERS else printable(name)
             raise ValueError(f"{_path(place, unknown)} is unknown; {hint}")
+
+
+def with_value(table: Any, key: str, value: Any, path: Sequence[str]) -> Any:
+    """Return a table with the value of a key; ``path`` leads there, by numbers through lists."""
+    name, *inner = path
+    if isinstance(table, list):
+        if not (name.isdigit() and int(name) < len(table)):
+            raise ValueError(f"{key} is not in the scene; that list has {len(table)} entries.")
+        changed = [*table]
+        changed[int(name)] = with_value(table[int(name)], key, value, inner) if inner else value
+        return changed
+    if not isinstance(table, Mapping):
+        raise ValueError(f"{key} is not in the scene, which has {shortened(table)} in its place.")
+    own = with_value(table.get(name, {}), key, value, inner) if inner else value
+    return {**table, name: own}
+
+
+def value_of(text: str) -> Any:
+    """Return a value of TOML; what is none is a text."""
+    try:
+        return parsed(f"value = {text}")["value"]
+    except ValueError:
+        return text.strip()
 
 
 def checked_label(name: str) -> str:
@@ -328,6 +367,11 @@ def not_zero(unit: str) -> Number:
     return Number(f"a finite number in {unit}, not 0", bool, unit)
 
 
+def any_number() -> Number:
+    """Return the check of a finite number, without a unit."""
+    return Number("a finite number", lambda value: True, "1")
+
+
 def nested(kind: type["Table"]) -> Check:
     """Return the check of a table within a table."""
 
@@ -350,7 +394,7 @@ def each(check: Check) -> Check:
     def check_list(value: Any) -> tuple[Any, ...]:
         if not isinstance(value, list | tuple):
             raise ValueError("give a list")
-        return tuple(_checked(str(index), entry, check) for index, entry in enumerate(value))
+        return tuple(checked(str(index), entry, check) for index, entry in enumerate(value))
 
     return check_list
 
@@ -360,12 +404,13 @@ def _checked_values(kind: type[Table], values: Mapping[str, Any]) -> dict[str, A
     return {
         name: value
         if value is entries[name].default
-        else _checked(name, value, entries[name].metadata["check"])
+        else checked(name, value, entries[name].metadata["check"])
         for name, value in values.items()
     }
 
 
-def _checked(name: str, value: Any, check: Check) -> Any:
+def checked(name: str, value: Any, check: Check) -> Any:
+    """Return a checked value; ValueError: the name, the value and what is allowed."""
     try:
         return check(value)
     except _Sentence as error:

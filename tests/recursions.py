@@ -227,3 +227,39 @@ def coupling(
         return np.array([*moved, apart, *earlier[:-1], *forces[:waiting]])
 
     return matrix_of(control, 4 - drift + window + waiting, one)
+
+
+def in_steps(
+    stiffness: float,
+    damping: float,
+    plant: tuple[Vector, Vector, Vector, Vector],
+    *,
+    period: float,
+    count: int,
+    late: int,
+    window: int | None,
+    smoothing: float,
+) -> NDArray[np.float64]:
+    """A wall on a plant A, B, C, D in steps of its own, ``count`` a sample, ``late`` of them late.
+
+    The velocity is the smoothed difference over a window, or the second output; no window.
+    """
+    a, b, c, d = plant
+    order, (whole, older) = len(a), divmod(late, count)
+
+    def control(x: Vector) -> Vector:
+        state, smooth = x[:order], x[order]
+        earlier, past = (
+            list(x[order + 1 : order + 1 + (window or 0)]),
+            x[order + 1 + (window or 0) :],
+        )
+        acting = past[whole - (not older)] if late else 0.0
+        seen = c @ state + d[:, 0] * acting
+        speed = seen[1] if window is None else (seen[0] - earlier[-1]) / (window * period)
+        smooth += smoothing * (speed - smooth)
+        forces = [-(stiffness * seen[0] + damping * smooth), *past]
+        for step in range(count):
+            state = a @ state + b[:, 0] * forces[whole + (step < older)]
+        return np.array([*state, smooth, *[seen[0], *earlier][: window or 0], *forces[: whole + 1]])
+
+    return matrix_of(control, order + 1 + (window or 0) + whole + 1)

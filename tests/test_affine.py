@@ -446,6 +446,12 @@ REFUSALS = [
     (lambda: joint().intervals(kd=np.nan), "kd is nan"),
     (lambda: joint(integrator="implicit").region(), "not bounded"),
     (
+        lambda: jaxstab.Loop.from_coefficients(
+            base=[1, -0.5, 0, 0], first=[1, 0.3], second=[2, 0.6], sample_time=1.0
+        ).region(),
+        "both gains act alike",
+    ),
+    (
         lambda: jaxstab.Loop.from_coefficients(base=[1], first=[0], second=[1], sample_time=1.0),
         "first is 0",
     ),

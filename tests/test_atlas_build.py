@@ -22,6 +22,7 @@ from jaxstab.atlas.build import verify_atlas, write_atlas
 from jaxstab.cli.interrupt import processes
 
 TINY = AtlasSpec(gamma=[0.0], delta=[0.015], delay=[0.0, 0.1], rows=5)
+LONG = AtlasSpec(gamma=np.linspace(0.0, 1e-3, 9), delta=np.linspace(0.0, 0.015, 9))
 FORMER = b"the former file"
 
 
@@ -159,7 +160,10 @@ def living(group: int) -> list[str]:
 def test_ctrl_c_ends_a_build_within_3_s_and_leaves_nothing(
     more: list[str], delay: float, tmp_path: Path
 ) -> None:
-    words = [sys.executable, "-c", START, "atlas", "build", "-o", str(tmp_path / "a.h5"), *more]
+    (tmp_path / "out").mkdir()
+    (tmp_path / "long.toml").write_text(LONG.to_toml())
+    words = [sys.executable, "-c", START, "atlas", "build", "--spec", str(tmp_path / "long.toml")]
+    words += ["-o", str(tmp_path / "out" / "a.h5"), *more]
     child = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, start_new_session=True)
     time.sleep(delay)
     os.killpg(child.pid, signal.SIGINT)  # as a terminal sends it: to all processes
@@ -168,7 +172,7 @@ def test_ctrl_c_ends_a_build_within_3_s_and_leaves_nothing(
     assert "leaked" not in said
     assert time.perf_counter() - start < 3.0
     assert child.returncode in (130, -signal.SIGINT)  # the latter before Python is up
-    assert entries(tmp_path) == []
+    assert entries(tmp_path / "out") == []
     time.sleep(0.5)
     assert living(child.pid) == []
 

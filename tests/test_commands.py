@@ -26,6 +26,7 @@ OMEGA = ["--device", "omega", "--sample-time", "0.001", "--delay", "0.001"]
 HANDS = ["--hand-mass", "0:0.2"]
 GOOD, BAD = ["--wall", "good", "1000", "10"], ["--wall", "bad", "90000", "10"]
 SLOW = ["--mass", "0.1", "--damping", "0", "--sample-time", "0.001", "--delay", "0"]
+JOINT = str(Path(__file__).parents[1] / "data" / "scenes" / "gains" / "simulator.toml")
 LATE = [*SLOW[:-1], "0.001", "--hand-stiffness", "80000"]  # spring and damper feed the hand's mode
 
 
@@ -50,6 +51,13 @@ COMMANDS: list[tuple[str, list[str], int]] = [
     ("limits", LATE, 1),
     ("limits", [*LATE, *GOOD, "--at-damping", "10"], 1),
     ("limits", [*OMEGA, "--mass", "-1"], 2),
+    ("limits", [JOINT, "--set", "gains.soft.kp=10"], 1),  # the other pair is not stable
+    ("check", [JOINT, "--set", "gains.stiff.kp=3500"], 0),
+    ("check", [JOINT], 1),
+    ("tune", [JOINT, "--set", "loop.integrator=implicit", "--set", "loop.substeps=1"], 2),
+    ("design", [JOINT], 0),
+    ("design", [JOINT, "--set", "wanted.kp=1e12", "--set", "loop.substeps=1000"], 1),
+    ("explore", [JOINT], 2),
     ("check", [*OMEGA, *GOOD], 0),
     ("check", [*OMEGA, *GOOD, *BAD], 1),
     ("check", ["scene.toml", "scene.toml", *GOOD, *BAD], 1),

@@ -24,11 +24,11 @@ INTERNAL = {
     "AtlasAnswer": {"reshaped"},
     "AtlasSpec": {"filters", "nodes"},
     "FieldSpec": {"from_table"},
-    "Device": {"compliance", "handle_compliance", "require_one_handle"},
+    "Device": {"compliance", "ports", "require_handle"},
     "Filter": {"stages", "transfer"},
     "Hand": {"dynamic_stiffness"},
     "HapticLoop": {"body", "filters", "held_device", "linear", "sampled"},
-    "Mode": {"compliance"},
+    "Mode": {"response", "shapes"},
     "Plan": {
         *("boxes", "chunk", "deltas_of_a_tile", "hands", "is_gridded", "numbers"),
         *("points", "shape", "variables"),

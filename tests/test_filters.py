@@ -844,7 +844,10 @@ def test_files_outside_of_one_do_not_name_a_kind_of_filter() -> None:
     assert naming == {*own, "model/loop.py"}  # which counts windows
 
 
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind is not Section])
+OF_POSITIONS = [kind for kind in KINDS if kind not in (Section, filters.Measured)]
+
+
+@pytest.mark.parametrize("kind", OF_POSITIONS)
 def test_every_kind_of_section_has_makers_a_text_and_keys(kind: type[Section]) -> None:
     given = {
         "samples": 3, "window": None, "cutoff": 0.1, "order": 2, "factor": 0.5,
@@ -866,3 +869,16 @@ def test_every_kind_of_section_has_makers_a_text_and_keys(kind: type[Section]) -
             position_of(parsed(f"position = {toml_of(chain)}")["position"])
     elif kind is not filters.Differentiator:
         assert position_of(parsed(f"position = {toml_of(chain)}")["position"]) == chain
+
+
+def test_54_a_measured_velocity_is_no_filter_of_positions() -> None:
+    velocity = Velocity.measured() * Filter.average(samples=2)
+    assert str(velocity) == "the device's own velocity, a window of 2 samples"
+    assert eval(repr(velocity), {"Velocity": Velocity, "Filter": Filter}) == velocity
+    for call in (toml_of, Velocity.stages):
+        with pytest.raises(ValueError, match="needs an estimator from positions"):
+            call(velocity)
+    with pytest.raises(ValueError, match="needs an estimator from positions"):
+        jaxstab.HapticLoop(
+            device_mass=1.0, device_damping=0.0, sample_time=1e-3, position=velocity.filter
+        )

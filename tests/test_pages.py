@@ -19,7 +19,7 @@ from transforms import ESTIMATORS, check_values, rows, with_estimator
 import jaxstab
 from benchmarks import record, table
 from jaxstab.guard import build
-from jaxstab.scene import Scene
+from jaxstab.scene import any_scene
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -51,8 +51,8 @@ def test_the_lines_of_python_run_one_after_the_other(page: Path) -> None:
 
 
 def scenes(page: Path) -> Iterator[str]:
-    """The scenes of a page that have a device and a controller."""
-    yield from (text for text in blocks(page, "toml") if "[controller]" in text)
+    """The scenes of a page that have a device and a controller, or a loop."""
+    yield from (t for t in blocks(page, "toml") if "[controller]" in t or "[loop]" in t)
 
 
 @pytest.mark.parametrize(
@@ -60,7 +60,7 @@ def scenes(page: Path) -> Iterator[str]:
 )
 def test_the_scenes_are_read_and_nothing_about_them_is_unusual(page: Path) -> None:
     for text in scenes(page):
-        assert Scene.from_table(tomllib.loads(text)).unusual() == []
+        assert any_scene(tomllib.loads(text)).unusual() == []
 
 
 @pytest.mark.campaign

@@ -146,6 +146,9 @@ class Moving:
             return Moving(self.value * other.value, rate)
         return Moving(self.value * other, self.rate * other)
 
+    __radd__ = __add__
+    __rmul__ = __mul__
+
     def reciprocal(self) -> "Moving":
         """Return 1/f; unbounded where f may vanish."""
         inverse = self.value.reciprocal()

@@ -42,8 +42,8 @@ class HandRange:
 def checked_range(hands: object, mass: Range | None = None, device: Device | None = None) -> None:
     """Validate hands, and the masses or the device that they hold.
 
-    TypeError unless a HandRange; ValueError unless ends are in order and not negative, and the
-    device, if there is a hand, has one handle.
+    TypeError unless a HandRange; ValueError unless ends are in order and not negative, and it is
+    known where a hand holds the device.
     """
     if mass is not None and not 0.0 < mass[0] <= mass[1] < inf:
         raise ValueError(
@@ -57,7 +57,7 @@ def checked_range(hands: object, mass: Range | None = None, device: Device | Non
                 f"hands.{name} is ({low}, {high}); give the lowest, >= 0, and the highest value."
             )
         if device is not None and high > 0.0:
-            device.require_one_handle()
+            device.require_handle()
 
 
 def spread_hands(hands: HandRange, count: int) -> Float64[np.ndarray, "hand 3"]:

@@ -40,7 +40,14 @@ from jaxstab.boxes.filters import Quotient, quotients
 from jaxstab.conventions import Range
 from jaxstab.model import Device, LoopParameters
 from jaxstab.model import Hand as Arm
-from jaxstab.model.device.parts import MassSpringDamper, Modes, working_precision
+from jaxstab.model.device.parts import (
+    MassSpringDamper,
+    Modes,
+    Ports,
+    Rational,
+    Shapes,
+    working_precision,
+)
 from jaxstab.model.device.sampling import in_samples
 from jaxstab.model.filters import known_filters
 from jaxstab.rounding import PARAMETER, RAISED_MUCH
@@ -67,10 +74,11 @@ class HeldDevice(NamedTuple):
     """A device of any mass in the hand of any arm, in units of one sample and kg.
 
     The rigid body has the damping b T and the stiffness k T^2 to the ground. ``modes`` are angular
-    frequency, damping ratio and mass of the vibration modes, ``lags`` angular frequencies of the
-    actuators, ``grip`` its stiffness and damping; None if the arm is rigidly attached. Another
-    linear device has, in place of body and modes, ``own`` numerator and denominator, highest power
-    of s first, the latter monic.
+    frequency, damping ratio and mass of the vibration modes, ``shapes`` where they are at motor,
+    encoder and handle, if these are not one point, ``lags`` angular frequencies of the actuators,
+    ``grip`` its stiffness and damping; None if the arm is rigidly attached. Another linear device
+    has, in place of body and modes, ``own`` ports, highest powers of s first, the denominator
+    monic.
     """
 
     damping: float
@@ -78,7 +86,8 @@ class HeldDevice(NamedTuple):
     modes: tuple[tuple[float, float, float], ...]
     lags: tuple[float, ...]
     grip: tuple[float, float] | None
-    own: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    own: Ports | None = None
+    shapes: tuple[Shapes, ...] | None = None
 
     @classmethod
     def from_device(cls, device: Device, period: float) -> "HeldDevice":
@@ -98,34 +107,22 @@ class HeldDevice(NamedTuple):
                 (2.0 * pi * mode.frequency * period, mode.damping_ratio, mode.modal_mass)
                 for mode in body.modes
             )
-            return cls(body.damping * period, 0.0, modes, lags, grip)
+            shapes = tuple(mode.shapes for mode in body.modes) if body.has_shapes else None
+            return cls(body.damping * period, 0.0, modes, lags, grip, None, shapes)
         with working_precision(_BITS):
-            above, below = in_samples(body.compliance(), period)
-            sides = [c / period**2 for c in above], below
-            numbers = [tuple(float(c.mid()) for c in side[::-1]) for side in sides]
-        return cls(0.0, 0.0, (), lags, grip, (numbers[0], numbers[1]))
+            own = _in_floats(body.ports().reduced(), period)
+        return cls(0.0, 0.0, (), lags, grip, own)
 
     def parts(self, s: Function, mass: Function, arm: Arms) -> tuple[Function, Function]:
         """Return N(s) and D(s) in 1/kg, of numbers, arrays or models."""
-        held = s * (s * arm.mass + arm.damping) + arm.stiffness
-        if self.own is not None:
-            above, below = (_polynomial(side, s) for side in self.own)
-        else:
-            # The square comes last: only it takes from the stiffness, which is rounded.
-            body = (s * self.damping + self.stiffness) + s * s * mass
-            above, below = 1.0, body
-            if self.modes:
-                give, whole = self._vibrations(s)
-                above, below = body * give + whole, body * whole
-        if self.grip is None:
-            below = below + held * above
-        else:
+        held, both = s * (s * arm.mass + arm.damping) + arm.stiffness, 1.0
+        if self.grip is not None:
             # Of a unit of the stiffer one, so that a pure spring and a pure damper are of size 1.
             unit = 1.0 / (self.grip[0] + self.grip[1])
             between = s * (self.grip[1] * unit) + self.grip[0] * unit
-            both = held * unit + between
-            below = below * both + held * between * above
-            above = both * above
+            held, both = held * between, held * unit + between
+        ports = self._ports(s, mass).held_by(held, both)
+        above, below = ports.encoder, ports.below
         if self.lags:
             below = below * self.lag(s)
         return above, below
@@ -140,14 +137,32 @@ class HeldDevice(NamedTuple):
     @property
     def is_passive(self) -> bool:
         """Whether device and arm, without actuators, are passive."""
-        return self.own is None and all(moved > 0.0 for _, _, moved in self.modes)
+        is_one_point = self.own is None and self.shapes is None
+        return is_one_point and all(moved > 0.0 for _, _, moved in self.modes)
+
+    def _ports(self, s: Function, mass: Function) -> Ports:
+        """Return what forces do at motor and handle, without the arm."""
+        if self.own is not None:
+            return Ports(*(None if x is None else _polynomial(x, s) for x in self.own))
+        # The square comes last: only it takes from the stiffness, which is rounded.
+        body = (s * self.damping + self.stiffness) + s * s * mass
+        if self.shapes is not None:
+            ports = Ports(body, 1.0, 1.0, 1.0, 1.0, 0.0)
+            for mode, shapes in zip(self.modes, self.shapes, strict=True):
+                frequency, _, moved = mode
+                share = 1.0 / (moved * frequency**2)
+                ports = ports.beside((share, _vibration(mode, s)), shapes)
+            return ports
+        if not self.modes:
+            return Ports.at_one_point(1.0, body)
+        give, whole = self._vibrations(s)
+        return Ports.at_one_point(body * give + whole, body * whole)
 
     def _vibrations(self, s: Function) -> tuple[Function, Function]:
         """Return numerator and denominator of the sum of the modes' displacements over force."""
         give, whole = 0.0, 1.0
-        for frequency, damping_ratio, moved in self.modes:
-            ratio = s * (1.0 / frequency)
-            below = ratio * (ratio + 2.0 * damping_ratio) + 1.0
+        for mode in self.modes:
+            (frequency, _, moved), below = mode, _vibration(mode, s)
             give, whole = below * give + whole * (1.0 / (moved * frequency**2)), below * whole
         return give, whole
 
@@ -177,7 +192,8 @@ class HeldDevice(NamedTuple):
         and the smallest damping of the arm, of any mass; ``beyond`` an angle in rad per sample.
         """
         light, off = self._leading(mass[0], beyond)
-        if off == inf:
+        least = light - (1.0 / mass[0] - 1.0 / mass[1]) - off  # of w^2 |h_h/d|, without the arm
+        if not least > 0.0:
             return inf
         stiff = arm[0]
         if self.grip is not None:
@@ -185,15 +201,21 @@ class HeldDevice(NamedTuple):
             damped = beyond * (self.grip[1] + arm[1])
             stiff = grip * (1.0 + grip / damped) if damped else inf
         clear = 1.0 / (light + off) - stiff / beyond**2
+        if not clear > 0.0:
+            return inf
+        most = 1.0 / clear  # of the handle that is held
+        if not self._is_one_point:
+            # G_em - G_eh G_hm Z/(1 + Z G_hh), and that quotient is (1 - held/free)/free.
+            seen, moved, pushed = (self._largest(mass[0], beyond, *pair) for pair in _APART)
+            most = seen + moved * pushed / least * (1.0 + most / least)
         weaker = prod(hypot(1.0, beyond / lag) for lag in self.lags)
-        is_known = off < light - (1.0 / mass[0] - 1.0 / mass[1]) and clear > 0.0
-        return 1.0 / (clear * weaker) if is_known else inf
+        return most / weaker
 
     def _leading(self, mass: float, beyond: float) -> tuple[float, float]:
-        """Return what -w^2 N/D of the device alone tends to, and how far off it may be."""
+        """Return what -w^2 h_h/d of the device alone tends to, and how far off it may be."""
         if self.own is not None:
-            (third, *above), below = self.own  # of one degree less, and of two
-            if third or not (above and above[0] > 0.0):
+            (third, *above), below = self.own.handle_by_hand, self.own.below
+            if third or not (above and above[0] > 0.0):  # of one degree less, and of two
                 return 0.0, inf
             over, under = (
                 sum(abs(c / side[0]) * beyond**-k for k, c in enumerate(side) if k)
@@ -201,20 +223,37 @@ class HeldDevice(NamedTuple):
             )
             return above[0], above[0] * (over + under) / (1.0 - under) if under < 1.0 else inf
         light = off = 0.0
-        for moved, damper, spring in self._bodies(mass, beyond):
+        for moved, damper, spring, shapes in self._bodies(mass, beyond):
             if damper + spring >= 1.0:
                 return 0.0, inf
-            light += 1.0 / moved
-            off += (damper + spring) / (abs(moved) * (1.0 - damper - spring))
+            light += shapes.handle**2 / moved
+            off += shapes.handle**2 * (damper + spring) / (abs(moved) * (1.0 - damper - spring))
         return light, off
 
-    def _bodies(self, mass: float, beyond: float) -> list[tuple[float, float, float]]:
-        """Return moving masses, each with bounds of its damping and spring forces over inertia."""
-        own = mass, self.damping / (mass * beyond), self.stiffness / (mass * beyond**2)
-        ratios = [frequency / beyond for frequency, _, _ in self.modes]
-        return [own] + [
-            (moved, 2.0 * damping_ratio * ratio, ratio**2)
-            for (_, damping_ratio, moved), ratio in zip(self.modes, ratios, strict=True)
+    @property
+    def _is_one_point(self) -> bool:
+        return self.shapes is None and (self.own is None or self.own.excess is None)
+
+    def _largest(self, mass: float, beyond: float, name: str, to: str, by: str) -> float:
+        """A bound of w^2 |numerator/d| for w >= beyond, of the device alone."""
+        if self.own is not None:
+            (third, *above), below = getattr(self.own, name), self.own.below
+            over, under = (
+                sum(abs(c) * beyond**-k for k, c in enumerate(side)) for side in (above, below)
+            )
+            return over / (2.0 - under) if not third and under < 2.0 else inf
+        return sum(
+            abs(getattr(shapes, to) * getattr(shapes, by) / moved) / (1.0 - damper - spring)
+            for moved, damper, spring, shapes in self._bodies(mass, beyond)
+        )
+
+    def _bodies(self, mass: float, beyond: float) -> list[tuple[float, float, float, Shapes]]:
+        """Return moving masses, bounds of damping and spring forces over inertia, and shapes."""
+        damper, spring = self.damping / (mass * beyond), self.stiffness / (mass * beyond**2)
+        shapes = self.shapes or (Shapes(),) * len(self.modes)
+        return [(mass, damper, spring, Shapes())] + [
+            (moved, 2.0 * damping_ratio * frequency / beyond, (frequency / beyond) ** 2, shape)
+            for (frequency, damping_ratio, moved), shape in zip(self.modes, shapes, strict=True)
         ]
 
 
@@ -235,6 +274,32 @@ def _check_hand(device: Device) -> None:
             "ranges are proved for a device in one hand of mass, spring and damper, behind a grip "
             f"with a spring or rigidly attached; this is {device}."
         )
+
+
+_APART = (
+    ("encoder", "encoder", "motor"),
+    ("handle", "handle", "motor"),
+    (*("encoder_by_hand", "encoder", "handle"),),
+)
+
+
+def _in_floats(ports: Ports, period: float) -> Ports:
+    """Ports in units of one sample, coefficients highest power first."""
+    below, *numerators = ports
+    units = 2, 2, 2, 2, 4  # powers of the period: the excess is a compliance squared
+    falling = []
+    for above, unit in zip(numerators, units, strict=True):
+        rising = None if above is None else in_samples(Rational(above, below), period)
+        falling.append(rising and tuple(float((c / period**unit).mid()) for c in rising[0][::-1]))
+    monic = in_samples(Rational(numerators[0], below), period)[1]
+    return Ports(tuple(float(c.mid()) for c in monic[::-1]), *falling)
+
+
+def _vibration(mode: tuple[float, float, float], s: Function) -> Function:
+    """The denominator of a mode, 1 at s = 0."""
+    frequency, damping_ratio, _ = mode
+    ratio = s * (1.0 / frequency)
+    return ratio * (ratio + 2.0 * damping_ratio) + 1.0
 
 
 def _polynomial(falling: tuple[float, ...], s: Function) -> Function:

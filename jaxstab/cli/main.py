@@ -4,6 +4,7 @@ Exit codes: 0, answered, and everything is stable; 1, answered, and something is
 2, not answered. Ctrl-C ends with 130.
 """
 
+import atexit
 import io
 import os
 import sys
@@ -57,8 +58,12 @@ class OneSentence(click.Group):
         except click.ClickException as error:
             words = error.format_message()
             _fail(words if words.startswith("Usage:") else f"jaxstab: {words}")
-        except (click.Abort, KeyboardInterrupt):
-            _fail("jaxstab: interrupted; nothing was written.", 130)
+        except click.Abort:
+            _fail(_INTERRUPTED, 130)
+        except KeyboardInterrupt:
+            _say(_INTERRUPTED)
+            atexit._run_exitfuncs()
+            os._exit(130)  # threads of XLA that still compute crash a process that ends in order
         except BrokenPipeError:  # the reader of our output has enough
             sys.stderr.close()
             sys.exit(2)
@@ -79,8 +84,17 @@ def _open_what_is_closed() -> None:
     sys.stderr = sys.stderr or io.StringIO()
 
 
+_INTERRUPTED = "jaxstab: interrupted; nothing was written."
+
+
 def _fail(words: str, code: int = 2) -> NoReturn:
-    """End with a sentence on stderr, in which nothing commands the terminal."""
+    """End with a sentence on stderr."""
+    _say(words)
+    sys.exit(code)
+
+
+def _say(words: str) -> None:
+    """Print a sentence on stderr, in which nothing commands the terminal; flush stdout."""
     click.echo(printable(words, "\n"), err=True)
     try:
         sys.stdout.flush()
@@ -88,7 +102,6 @@ def _fail(words: str, code: int = 2) -> NoReturn:
         pass
     except OSError:  # what could not be written is not tried again
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    sys.exit(code)
 
 
 @click.group(cls=OneSentence)

@@ -16,6 +16,7 @@ import click
 
 import jaxstab
 from jaxstab.durable import publish, target_of
+from jaxstab.shown import shortened
 from jaxstab.tables import text_of
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -30,6 +31,22 @@ def number_or_range(_: click.Context, option: click.Parameter, text: str | None)
             f"{text!r} is neither a number nor LOW:HIGH.", param=option
         ) from None
     return numbers if len(numbers) > 1 else numbers[0]
+
+
+def key_values(_: click.Context, option: click.Parameter, texts: tuple[str, ...]) -> dict[str, str]:
+    """Return the texts of KEY=VALUE by their keys."""
+    given = dict[str, str]()
+    for text in texts:
+        key, __, value = text.partition("=")
+        if not (key and value):
+            raise click.BadParameter(
+                f"{shortened(text)} is not KEY=VALUES, such as device.mass=0.1:0.5:20.",
+                param=option,
+            )
+        if key in given:
+            raise click.BadParameter(f"{key} is given twice; give each key once.", param=option)
+        given[key] = value
+    return given
 
 
 def file_in(*endings: str) -> Callable[..., Path | None]:

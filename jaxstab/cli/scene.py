@@ -19,6 +19,7 @@ from jaxstab.cli.options import (
     file_in,
     file_option,
     keep_programs,
+    key_values,
     number_or_range,
     plot_option,
     print_with_csv,
@@ -106,6 +107,14 @@ mechanics_options = together(
         metavar="NAME K B",
         help="A wall: its name, N/m and N s/m; may be repeated.",
     ),
+    click.option(
+        "--set",
+        "lines",
+        multiple=True,
+        callback=key_values,
+        metavar="KEY=VALUE",
+        help="Any key of a scene, such as loop.substeps=4 or gains.soft.kp=300; may be repeated.",
+    ),
 )
 
 # The same of several, and the form of the answer.
@@ -125,8 +134,8 @@ def tables_of(given: dict[str, Any]) -> dict[str, dict[str, Any]]:
     from jaxstab.tables import read_table
 
     files = given.get("files") or ()
-    describing = "device", "mass", "inertia", "damping", "sample_time", "wall"
-    if not files and all(value in (None, ()) for value in map(given.get, describing)):
+    describing = "device", "mass", "inertia", "damping", "sample_time", "wall", "lines"
+    if not files and all(value in (None, (), {}) for value in map(given.get, describing)):
         raise click.UsageError(
             "no scene is given; give the FILE of one (jaxstab scene init -o scene.toml writes an "
             "example), or options, such as --device omega --sample-time 0.001 --delay 0.001."
@@ -159,6 +168,8 @@ def sentence_of(error: OSError) -> str:
 
 
 def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
+    from jaxstab.tables import value_of, with_value
+
     chosen: dict[str, dict[str, Any]] = {}
     for option, (section, entry) in _keys().items():
         if given.get(option) is not None:
@@ -170,13 +181,16 @@ def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
         if name in walls:
             raise ValueError(f"wall {name} is given twice; give each wall another name.")
         walls[name] = {"stiffness": stiffness, "damping": damping}
-    merged = {"device": {}, "controller": {}} | table
+    merged = dict(table)
     if any(not isinstance(merged.get(section, {}), dict) for section in chosen):
         return merged  # which is refused
     if {"delay", "delay_samples"} & chosen.get("controller", {}).keys():  # in either unit
-        kept = merged["controller"].items()
+        kept = merged.get("controller", {}).items()
         merged["controller"] = {key: value for key, value in kept if "delay" not in key}
-    return merged | {name: merged.get(name, {}) | keys for name, keys in chosen.items()}
+    merged |= {name: merged.get(name, {}) | keys for name, keys in chosen.items()}
+    for name, value in given.get("lines", {}).items():
+        merged = with_value(merged, name, value_of(value), name.split("."))
+    return merged
 
 
 # The answers of one scene in full, or of several in a table; CSV, JSON, and a picture.
@@ -186,7 +200,7 @@ class _Row(NamedTuple):
     """What a scene answers, or why it was refused."""
 
     source: str
-    scene: "Scene | None"
+    scene: Any  # None for one that was refused
     answer: Any  # None for a scene that was refused
     refusal: str
 
@@ -200,7 +214,7 @@ def _answer(
     given: dict[str, Any], name: str, as_json: bool, shown: Callable[[Any], str] = str
 ) -> int:
     """Print what scenes answer, and return the exit code; UsageError if some were refused."""
-    from jaxstab.scene import Scene
+    from jaxstab.scene import GainScene, any_scene
 
     is_one, plot = len(given["files"]) <= 1, given["plot"]
     refusals = () if is_one else (ValueError, TypeError, RuntimeError)
@@ -213,11 +227,14 @@ def _answer(
 
     rows = list[_Row]()
     for source, table in tables_of(given).items():
-        scene, refusal = tried(Scene.from_table, table, source if is_one else "")
+        scene, refusal = tried(any_scene, table, source if is_one else "")
         rows.append(_Row(source, scene, None, refusal))
     is_of_any_delay = is_one and name in ("tune", "design")
     for scene in filter(None, (row.scene for row in rows if plot)):
-        if not (is_of_any_delay or (is_one and scene.controller.moves)):
+        if isinstance(scene, GainScene):
+            if not is_one:
+                raise click.UsageError("a picture of several scenes is for walls; give one FILE.")
+        elif not (is_of_any_delay or (is_one and scene.controller.moves)):
             scene.controller.require_one_delay("a picture")
     rows = [
         _Row(row.source, row.scene, *tried(_computed, row.scene, name)) if row.scene else row
@@ -249,9 +266,11 @@ def _answer(
     return 0 if all(row.answer.all_stable for row in rows) else 1
 
 
-def _computed(scene: "Scene", name: str) -> Any:
+def _computed(scene: Any, name: str) -> Any:
     import jaxstab.scene
 
+    if isinstance(scene, jaxstab.scene.GainScene):
+        return scene.answer(name)
     every = ", proved for every sequence of delays" if scene.controller.moves else ""
     functions = {
         "limits": "scene_limits",
@@ -313,9 +332,11 @@ def _table(rows: list[_Row]) -> str:
 
 
 def _is_of_wall(path: str) -> bool:
+    """Whether a path is one of a wall's main numbers, or of gains: a limit, a verdict."""
     outer, _, name = path.rpartition(".")
     shown_of_walls = {"verdict", "stiffness_gain", "settling_time_2_percent"}
-    return name in shown_of_walls and outer.startswith("walls.") and outer.count(".") == 1
+    is_of_one = outer.startswith(("walls.", "gains.")) and outer.count(".") == 1
+    return name in (shown_of_walls if is_of_one else {f"largest_{outer}", f"least_{outer}"})
 
 
 def _paths(rows: list[_Row]) -> list[str]:
@@ -339,9 +360,11 @@ def limits(as_json: bool, in_full: bool, islands: bool, **given: Any) -> int:
     """
 
     def shown(answer: Any) -> str:
+        from jaxstab.scene import GainAnswer
         from jaxstab.scene.limits import brief
 
-        return str(answer) if in_full else brief(answer, islands=islands)
+        is_long = in_full or isinstance(answer, GainAnswer)
+        return str(answer) if is_long else brief(answer, islands=islands)
 
     return _answer(given, "limits", as_json, shown)
 
@@ -443,17 +466,26 @@ def scene() -> None:
 
 @scene.command()
 @file_option("-o", "--output", help="File to write, which must not exist; default: print it.")
-def init(output: Path | None) -> None:
+@click.option(
+    "--kind",
+    type=click.Choice(["wall", "simulator", "admittance", "pid", "coupling"]),
+    default="wall",
+    help="Of the loop; default: a wall.",
+)
+def init(output: Path | None, kind: str) -> None:
     """Write a commented example of a scene."""
     from jaxstab.durable import publish
     from jaxstab.scene import EXAMPLE
+    from jaxstab.scene.scene import folder_of
 
+    file = folder_of("scenes/gains") / f"{kind}.toml"
+    text = EXAMPLE if kind == "wall" else file.read_text(encoding="utf-8")
     if output is None or str(output) == "-":
-        click.echo(EXAMPLE, nl=False)
+        click.echo(text, nl=False)
         return
     if os.path.lexists(output):
         raise click.UsageError(f"{output} exists; remove it, or give another name.")
-    publish(EXAMPLE.encode(), output)
+    publish(text.encode(), output)
     click.echo(output)
 
 
@@ -475,11 +507,12 @@ def presets() -> None:
 @click.argument("file", type=Path)
 def explain(file: Path) -> None:
     """Print the model of a scene FILE: its blocks with their values, and what it leaves out."""
-    from jaxstab.scene import explain_model
+    from jaxstab.scene import GainScene, any_scene, explain_gains, explain_model
 
-    scene = scene_of({"files": [file]})
+    ((source, table),) = tables_of({"files": [file]}).items()
+    scene = any_scene(table, source)
     warn(*scene.unusual())
-    click.echo(explain_model(scene))
+    click.echo(explain_gains(scene) if isinstance(scene, GainScene) else explain_model(scene))
 
 
 # The command that writes a page to explore a scene in.

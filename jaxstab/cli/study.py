@@ -14,11 +14,12 @@ from jaxstab.cli.options import (
     file_in,
     file_option,
     keep_programs,
+    key_values,
     plot_option,
     print_with_csv,
 )
 from jaxstab.cli.scene import SceneCommand, mechanics_options, tables_of
-from jaxstab.shown import printable, shortened, table_text
+from jaxstab.shown import printable, table_text
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -35,27 +36,12 @@ def _part(_: click.Context, option: click.Parameter, text: str | None) -> tuple[
     return int(index), int(count)
 
 
-def _over(_: click.Context, option: click.Parameter, texts: tuple[str, ...]) -> dict[str, str]:
-    over = dict[str, str]()
-    for text in texts:
-        key, __, values = text.partition("=")
-        if not (key and values):
-            raise click.BadParameter(
-                f"{shortened(text)} is not KEY=VALUES, such as device.mass=0.1:0.5:20.",
-                param=option,
-            )
-        if key in over:
-            raise click.BadParameter(f"{key} is given twice; give each key once.", param=option)
-        over[key] = values
-    return over
-
-
 @click.command(cls=SceneCommand)
 @mechanics_options
 @click.option(
     "--over",
     multiple=True,
-    callback=_over,
+    callback=key_values,
     metavar="KEY=VALUES",
     help="What varies: LOW:HIGH:COUNT, V,V,..., normal:MEAN:DEVIATION, uniform:LOW:HIGH, "
     "lognormal:MEDIAN:FACTOR or csv:FILE:COLUMN; may be repeated.",
@@ -144,26 +130,28 @@ def study(
 
 def _report(table: "Dataset", *, is_small: bool) -> str:
     from jaxstab.conventions import Verdict
-    from jaxstab.scene.study import quantiles, shares
+    from jaxstab.scene.study import limit_in, quantiles, shares, walls_in
 
+    walls, limit = walls_in(table), limit_in(table)
+    of_walls = [name for name in table.coords if str(name).startswith(f"{walls}_")]
     if "sample" not in table.dims:
-        words = [_text(table.drop_vars(["wall_stiffness", "wall_damping"], errors="ignore"))]
-        for wall in table.wall.values if "verdict" in table else ():
-            codes = table.verdict.sel(wall=wall)
+        words = [_text(table.drop_vars(of_walls))]
+        for wall in table[walls].values if "verdict" in table else ():
+            codes = table.verdict.sel({walls: wall})
             stable, undecided = (codes == Verdict.STABLE).sum(), (codes == Verdict.UNDECIDED).sum()
             counts = f"{stable.item():,} of {codes.size:,} loops, {undecided.item():,} undecided"
             words.append(f"{wall}: stable for {counts}")
         return "\n".join(words if is_small else words[1:])
     words, draws = [], f"{table.sizes['sample']:,} draws"
-    if "largest_stiffness" in table:
-        found = quantiles(table)
+    if limit:
+        found = quantiles(table, limit)
         found = found if found.ndim > 1 else found.expand_dims(of=[draws])
         named = {0.05: "5th percentile", 0.5: "median", 0.95: "95th percentile"}
-        words.append(f"largest stiffness in {found.units}, of {draws}:")
+        words.append(f"{limit.replace('_', ' ')} in {found.units}, of {draws}:")
         words.append(_text(found.to_dataset("quantile").rename(named)))
     if "verdict" in table:
         found = shares(table)
-        found = found.drop_vars(["wall_stiffness", "wall_damping"])
+        found = found.drop_vars(of_walls)
         percent = 100.0 * found[["share", "low", "high"]]
         words.append(f"% of {draws}, and the interval of 95 % confidence; each verdict is proved:")
         words.append(_text(percent.rename(share="stable").assign(undecided=found.undecided)))
@@ -181,7 +169,7 @@ def _frame(table: "Dataset") -> Any:
         if "flag_values" in values.attrs:
             meanings = np.array(values.attrs["flag_meanings"].split())
             words[name] = values.copy(data=meanings[np.searchsorted(values.flag_values, values)])
-    order = [name for name in (*lists_of(table), "sample", "wall") if name in table.dims]
+    order = [n for n in (*lists_of(table), "sample", "wall", "gains") if n in table.dims]
     frame = table.assign(words).to_dataframe(dim_order=order).reset_index()
     return frame[[*order, *(name for name in table.coords if name not in order), *table.data_vars]]
 
@@ -190,7 +178,7 @@ def _text(table: "Dataset") -> str:
     """Return the first rows of a table in columns, with units."""
     frame, most = _frame(table), 40
     units = {name: table[name].attrs.get("units", "1") for name in frame}
-    heads = [f"{name} ({unit})" if unit != "1" else name for name, unit in units.items()]
+    heads = [f"{name} ({unit})" if unit.strip("1") else name for name, unit in units.items()]
     rows = frame.head(most).map(lambda x: printable(x) if isinstance(x, str) else f"{x:.6g}")
     text = table_text([[head.replace("_", " ") for head in heads], *rows.values.tolist()])
     more = len(frame) - most

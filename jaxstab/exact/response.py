@@ -31,9 +31,8 @@ from jaxtyping import Complex128, Float64
 from jaxstab.exact.roots import are_real, isolated_roots
 from jaxstab.exact.verdict import roots_outside
 from jaxstab.model.balls import Factored, Triple, ball_loop, ball_triple
-from jaxstab.model.device.mechanics import equations
+from jaxstab.model.device.mechanics import equations, sides_in_samples
 from jaxstab.model.device.parts import Answer, decided, exact
-from jaxstab.model.device.sampling import in_samples
 from jaxstab.model.loop import LoopParameters
 from jaxstab.rounding import UNDERFLOW, UNIT
 
@@ -395,13 +394,7 @@ class _Parts(NamedTuple):
         from flint import arb, arb_mat, arb_poly
 
         device, period = loop.held_device, float(loop.sample_time)
-        above, below = in_samples(device.handle_compliance(), period)
-        if not above[0] != 0:
-            raise ValueError(
-                "the device has zero DC gain: its transfer function in s is 0 at s = 0; give one "
-                "that moves under a constant force."
-            )
-        matrix = equations(device, above, below, period)
+        matrix = equations(device, sides_in_samples(device, period), period)
         size = matrix.ncols() - 2
         whole = matrix.exp().tolist()
         late = (matrix * (1 - arb(exact(loop.delay_samples % 1.0)))).exp().tolist()

@@ -13,7 +13,7 @@ all gains, as without damping, no precision of balls decides, and fractions do.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from decimal import ROUND_CEILING, ROUND_FLOOR
 from fractions import Fraction
 from functools import cached_property, partial
@@ -40,7 +40,6 @@ from jaxstab.exact.verdict import rational_verdict
 from jaxstab.loop.margins import GainMargins
 from jaxstab.loop.walls import FewWalls, open_loop
 from jaxstab.model.affine import (
-    INTEGRATORS,
     RULES,
     AdmittanceParts,
     AffineParts,
@@ -55,8 +54,9 @@ from jaxstab.model.affine import (
 )
 from jaxstab.model.balls import rounded_triple
 from jaxstab.model.device import Device
+from jaxstab.model.device.device import in_steps
 from jaxstab.model.device.parts import working_precision
-from jaxstab.model.filters import Filter, Velocity
+from jaxstab.model.filters import Filter, Velocity, filter_on
 from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.model.parameters import LONGEST_DELAY, checked_gain, wall_grid
 from jaxstab.numbers import (
@@ -759,13 +759,9 @@ def simulated_pd(
         >>> round(loop.limits().first.value, 2)
         3.55
     """
-    numbers = (
-        checked_number("inertia", inertia, 0.0, is_open=True, unit="kg m^2"),
-        checked_number("damping", damping, 0.0),
-        checked_number("stiffness", stiffness, 0.0),
-        checked_number("step", step, 0.0, is_open=True, unit="s"),
-    )
-    checked_word("integrator", integrator, INTEGRATORS)
+    joint: Any = Device.simulated(
+        inertia, step=step, damping=damping, stiffness=stiffness, integrator=integrator
+    ).mechanism
     substeps = checked_count("substeps", substeps, 1, 1000)
     delay_steps = checked_count("delay_steps", delay_steps, 0, int(LONGEST_DELAY) * substeps)
     is_outside = outside or substeps > 1 or delay_steps > 0
@@ -775,11 +771,11 @@ def simulated_pd(
             "again: p(z) is not affine in the gains; give outside=True if the torque is held, or "
             "another integrator."
         )
-    parts = SimulatedParts(*numbers, integrator, is_outside, substeps, delay_steps)
+    parts = SimulatedParts(joint, is_outside, substeps, delay_steps)
     gains = Gain("kp", "N m/rad"), Gain("kd", "N m s/rad")
     where = f"outside of it, every {substeps} steps" if is_outside else "inside its step"
     words = f"PD of a simulated joint ({integrator}), {where}"
-    return Loop(parts, gains, numbers[3] * substeps, words)
+    return Loop(parts, gains, joint.step * substeps, words)
 
 
 def admittance(
@@ -850,12 +846,14 @@ def pid(
     ki: float | None = None,
     kd: float | None = None,
     rule: str = "backward",
+    kd_delay: float | None = None,
 ) -> Loop:
     """PID control of a held device, one gain given; the gains are the two others.
 
     The force is -(kp x + ki I + kd v), x the position, filtered if there is a filter, v the
     estimated velocity, and I the sum of T x by a rule of integration. Without a spring a free
-    device has no stable integrator alone: kp must exceed about (m/(kd + b)) ki.
+    device has no stable integrator alone: kp must exceed about (m/(kd + b)) ki. Given ki = 0 there
+    is no integrator: kp and kd are those of a wall, and may have delays of their own.
 
     Args:
         loop: device, sample time, delay, estimator and filter; its hand belongs to the device.
@@ -864,6 +862,7 @@ def pid(
         kd: in N s/m, if it is.
         rule: of the integrator: "backward" adds the new sample, "forward" the last one,
             "trapezoid" the mean of both.
+        kd_delay: delay of the derivative's force in s; None for that of the loop.
 
     Raises: TypeError unless one gain is given; see also ``jaxstab.conventions``.
 
@@ -876,6 +875,9 @@ def pid(
         >>> line = jaxstab.pid(device, kd=50.0).intervals(kp=5000.0)
         >>> [(low.value, round(high.value, 4)) for low, high in line.intervals]
         [(0.0, 1024414.8031)]
+        >>> fast = jaxstab.pid(device, ki=0.0, kd_delay=0.0)  # the drive adds the damping itself
+        >>> [round(loop.limits().first.value) for loop in (jaxstab.pid(device, ki=0.0), fast)]
+        [36168, 171706]
     """
     given = {
         name: value for name, value in (("kp", kp), ("ki", ki), ("kd", kd)) if value is not None
@@ -890,7 +892,9 @@ def pid(
     checked_word("rule", rule, tuple(rule for rule in RULES if rule != "explicit"))
     units = {"kp": "N/m", "ki": "N/(m s)", "kd": "N s/m"}
     others = [Gain(other, unit) for other, unit in units.items() if other != name]
-    parts = PidParts(loop.in_floats(), name, number, rule)
+    plain = loop.in_floats()
+    late = plain if kd_delay is None else replace(plain, delay=kd_delay)
+    parts = PidParts(plain, late, name, number, rule)
     words = f"PID with {name} = {number:g} {units[name]}"
     return Loop(parts, (others[0], others[1]), float(parts.loop.sample_time), words)
 
@@ -910,11 +914,12 @@ def coupling(
     gain moves: it is left out, and the answers are about all other roots.
 
     Args:
-        first: a device, hands included.
+        first: a device, hands included, or one in z, such as a tool of a simulation.
         second: the other one.
         sample_time: T in s, > 0.
         delays_samples: of each device, from its position to its force, in samples.
-        velocity: the estimator of the relative velocity; None for the difference over one sample.
+        velocity: the estimator of the relative velocity; None for the difference over one sample,
+            ``Velocity.measured()`` if both devices have a velocity of their own.
 
     Raises: see ``jaxstab.conventions``.
 
@@ -927,6 +932,10 @@ def coupling(
         >>> line = loop.intervals(damping=30.0)
         >>> [(low.value, round(high.value, 6)) for low, high in line.intervals]
         [(0.0, 12779.059143)]
+        >>> tool = jaxstab.Device.simulated(0.05, step=1e-3)
+        >>> line = jaxstab.coupling(left, tool, sample_time=1e-3).intervals(damping=8.0)
+        >>> [(round(low.value), round(high.value)) for low, high in line.intervals]
+        [(0, 34312), (130060, 184003)]
     """
     for name, device in (("first", first), ("second", second)):
         if not isinstance(device, Device):
@@ -940,7 +949,10 @@ def coupling(
     if velocity is not None and not isinstance(velocity, Velocity):
         raise TypeError(f"velocity is {velocity!r}; give a jaxstab.Velocity.")
     if velocity is not None:
-        velocity.filter.checked(period)
+        filter_on(velocity, first.mechanism, second.mechanism).checked(period)
+    for device, delay in zip((first, second), delays, strict=True):
+        if own := in_steps(device):
+            own.steps(period, delay)
     parts = CouplingParts((first, second), period, (delays[0], delays[1]), velocity)
     gains = Gain("stiffness", "N/m"), Gain("damping", "N s/m")
     return Loop(parts, gains, period, "a coupling between two devices")

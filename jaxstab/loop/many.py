@@ -29,7 +29,13 @@ from jaxstab.model.affine import AdmittanceParts
 from jaxstab.model.balls import ball_loop
 from jaxstab.model.device.parts import FIRST_BITS, working_precision
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import NO_FILTERS, Filters, exact_chain, given_filters
+from jaxstab.model.filters import (
+    NO_FILTERS,
+    Filters,
+    behind_measured,
+    exact_chain,
+    given_filters,
+)
 from jaxstab.model.linear_loop import LinearLoop, Polynomial, filter_factors, filtered_loop
 from jaxstab.model.loop import array_fields, as_one
 from jaxstab.region import RegionStatus
@@ -746,12 +752,14 @@ def _about_one(falling: Polynomial) -> Polynomial:
 def _poles(filters: Filters) -> Angles | None:
     """Return the angles in (0, pi) where V/P is real; None for filters left to single answers.
 
-    These are filters that leave float64 few digits, and those with P(1) = 0.
+    These are filters that leave float64 few digits, those with P(1) = 0, and measured velocities.
 
     The imaginary part of X/Y, times |Y|^2, is a series of sines: the odd part of X(z) Y(1/z).
     """
     on_circle = 1e-6  # a root of Im V this close to the circle is on it
     ill_conditioned = 1e8  # a denominator's coefficients, over its least size on the circle
+    if behind_measured(filters[0]) is not None:
+        return None
     below, y, x = (
         np.array([float(c.rounded()) for c in part]) for part in filter_factors(filters).parts
     )

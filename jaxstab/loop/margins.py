@@ -20,6 +20,7 @@ from jaxstab.exact import TripleAt, delay_margin, stable_line, wall_verdict
 from jaxstab.exact.line import End
 from jaxstab.model import checked_delta, checked_gain, checked_gamma, require_x64
 from jaxstab.model.balls import ball_loop, ball_triple
+from jaxstab.model.device.device import in_steps
 from jaxstab.model.device.sampling import one_sample
 from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords, known_filters
 from jaxstab.model.loop import LoopParameters, refuses_loops, unit_loop
@@ -70,11 +71,12 @@ def crossings_of(loop: LoopParameters, wall: tuple[float, float]) -> list[float]
     code = wall_verdict(partial(ball_triple, loop), *wall).verdict
     ways = [Crossing(nan, nan)] * len(WAYS)
     if code == Verdict.STABLE:
-        gains = ends_of_gains(partial(ball_triple, loop), wall)
-        sample = partial(one_sample, loop.held_device, float(loop.sample_time))
-        parts = partial(ball_loop, loop)
-        later = delay_margin(parts, sample, float(loop.delay_samples), wall)
-        ways = [*gains, Crossing(later.samples, later.angle / pi)]
+        ways = [*ends_of_gains(partial(ball_triple, loop), wall), Crossing(nan, nan)]
+        if not in_steps(loop.held_device):  # which has no delays between its steps
+            sample = partial(one_sample, loop.held_device, float(loop.sample_time))
+            parts = partial(ball_loop, loop)
+            later = delay_margin(parts, sample, float(loop.delay_samples), wall)
+            ways[-1] = Crossing(later.samples, later.angle / pi)
     return [float(code), *(number for way in ways for number in way)]
 
 
@@ -180,7 +182,8 @@ class Margins(NamedTuple):
         damping: the smallest and the largest B between which it stays stable at this K.
         stiffness_gain: the factor by which K may be multiplied; infinite for K <= 0.
         damping_gain: the factor by which B may be multiplied; infinite for B <= 0.
-        extra_delay: the time by which the delay may grow; infinite if no delay is too long.
+        extra_delay: the time by which the delay may grow; infinite if no delay is too long, NaN
+            for a device in z.
 
     Example:
         >>> jaxstab.margins(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0)

@@ -4,23 +4,11 @@ A wall on a held device is one of them (``balls``). So are PD control inside a s
 control, PID with one gain given, and two devices that a spring and a damper couple. Each class here
 holds the numbers of one kind, and makes the three parts at the precision that is set.
 
-Engines of rigid bodies step an inertia J with a damper c and a spring k (g = ch/J, s = kh^2/J) by
-one of several rules. Where the PD acts inside the step, a = kp h^2/J, b = kd h/J:
-
-    rule              base                         a by      b by
-    explicit          (z-1)^2 + g (z-1) + s        1         z-1
-    semi-implicit     (z-1)^2 + g (z-1) + s z      z         z-1
-    implicit-joint    (z-1)^2 + g z (z-1) + s z    z         z-1
-    implicit-damping  (z-1)^2 + g z (z-1) + s z    z         z (z-1)
-    implicit          the same                     z^2       z (z-1)
-
-Outside of the engine the torque is held through n steps and acts d steps late. With F and G the
-engine's step, x = (q, v), and d = w n + f, Gamma_j = G + F G + ... + F^(j-1) G:
-
-    p = z^lag det(z - F^n) + (a, b) adj(z - F^n) (Gamma_(n-f) z + F^(n-f) Gamma_f).
-
-The velocity is the engine's own. An admittance moves a robot as a mass M on a damper D would move
-under the measured force -Ke x, w samples late:
+A simulated joint under a torque that is held and late is a device in z (``device.discrete``), its
+velocity the engine's own. PD inside of the engine's step is a torque of the same step, but for what
+the rules "implicit-damping" and "implicit" take after the step: the velocity, and by the latter the
+position, z times as much. An admittance moves a robot as a mass M on a damper D would move under
+the measured force -Ke x, w samples late:
 
     p = z^w (M (z-1)^2/T + D V + K T X) + Ke T X,
 
@@ -40,17 +28,19 @@ from jaxstab.arrays import Array
 from jaxstab.model.balls import (
     BallLoop,
     Factored,
+    Plant,
     Triple,
     ball_loop,
     filter_in_balls,
     plant_in_balls,
 )
 from jaxstab.model.device.device import Device
+from jaxstab.model.device.discrete import Simulated, sampled_steps
 from jaxstab.model.device.parts import FIRST_BITS, working_precision
 from jaxstab.model.filters import NO_FILTERS, Filter, Velocity, given_filters
 
 if TYPE_CHECKING:
-    from flint import arb, fmpq, fmpq_mat, fmpq_poly
+    from flint import arb, fmpq, fmpq_poly
 
     from jaxstab.model.loop import LoopParameters
 
@@ -240,18 +230,11 @@ def _without_common_power(*parts: Factored) -> Triple:
 
 
 # ------------------------------------------------------------------------------------- simulators
-INTEGRATORS = ("explicit", "semi-implicit", "implicit-joint", "implicit-damping", "implicit", "rk4")
-
-
 @dataclass(frozen=True)
 class SimulatedParts(AffineParts):
     """PD control of a simulated joint; ``is_outside`` of its engine, or inside of its step."""
 
-    inertia: float
-    damping: float
-    stiffness: float
-    step: float
-    integrator: str
+    joint: Simulated
     is_outside: bool
     substeps: int
     delay_steps: int
@@ -262,67 +245,13 @@ class SimulatedParts(AffineParts):
 
     def rational(self) -> "Rationals":
         """The parts in exact numbers."""
-        return self._outside() if self.is_outside else self._inside()
-
-    def _numbers(self) -> "list[fmpq]":
-        return _exact((self.inertia, self.damping, self.stiffness, self.step))
-
-    def _inside(self) -> "tuple[fmpq_poly, fmpq_poly, fmpq_poly]":
         from flint import fmpq_poly
 
-        z, one = fmpq_poly([0, 1]), fmpq_poly([1])
-        inertia, damping, stiffness, step = self._numbers()
-        by_kp = {"explicit": one, "implicit": z * z}.get(self.integrator, z)
-        by_kd = z if self.integrator in ("implicit-damping", "implicit") else one
-        damped = one if self.integrator in ("explicit", "semi-implicit") else z
-        sprung = one if self.integrator == "explicit" else z
-        base = (z - 1) ** 2 + damped * (z - 1) * (damping * step / inertia)
-        base += sprung * (stiffness * step**2 / inertia)
-        return base, by_kp * (step**2 / inertia), by_kd * (z - 1) * (step / inertia)
-
-    def _outside(self) -> "tuple[fmpq_poly, fmpq_poly, fmpq_poly]":
-        from flint import fmpq_mat, fmpq_poly
-
-        z = fmpq_poly([0, 1])
-        move, push = self._step()
-        count, (whole, late) = self.substeps, divmod(self.delay_steps, self.substeps)
-        powers = [fmpq_mat([[1, 0], [0, 1]])]
-        for _ in range(count):
-            powers.append(move * powers[-1])
-        pushes = [fmpq_mat(2, 1)]  # Gamma_j
-        for power in powers[:-1]:
-            pushes.append(pushes[-1] + power * push)
-        newer, older = pushes[count - late], powers[count - late] * pushes[late]
-        ((a, b), (c, d)) = powers[count].tolist()
-        denominator = (z - a) * (z - d) - b * c
-        adjugate = [[z - d, fmpq_poly([b])], [fmpq_poly([c]), z - a]]
-        sides = [
-            sum((row[k] * (newer[k, 0] * z + older[k, 0]) for k in range(2)), fmpq_poly([]))
-            for row in adjugate
-        ]
-        return denominator * z ** (whole + 1), sides[0], sides[1]
-
-    def _step(self) -> "tuple[fmpq_mat, fmpq_mat]":
-        """What a step of the engine does to position and velocity, and what a torque adds."""
-        from flint import fmpq_mat
-
-        inertia, damping, stiffness, step = self._numbers()
-        rate = fmpq_mat([[0, 1], [-stiffness / inertia, -damping / inertia]])
-        one = fmpq_mat([[1, 0], [0, 1]])
-        torque = fmpq_mat([[0], [1 / inertia]])
-        if self.integrator == "rk4":
-            halves = [one, rate * (step / 2), rate**2 * (step**2 / 6), rate**3 * (step**3 / 24)]
-            response = halves[0] + halves[1] + halves[2] + halves[3]
-            return one + rate * response * step, response * torque * step
-        if self.integrator == "explicit":
-            return one + rate * step, torque * step
-        is_joint_implicit = self.integrator != "semi-implicit"
-        moved = inertia + step * damping if is_joint_implicit else inertia
-        kept = inertia if is_joint_implicit else inertia - step * damping
-        velocity = [-step * stiffness / moved, kept / moved]
-        by_torque = step / moved
-        move = fmpq_mat([[1 + step * velocity[0], step * velocity[1]], velocity])
-        return move, fmpq_mat([[step * by_torque], [by_torque]])
+        below, (by_kp, by_kd), lag = sampled_steps(self.joint, self.substeps, self.delay_steps)
+        z, rule = fmpq_poly([0, 1]), "" if self.is_outside else self.joint.integrator
+        by_kp *= z if rule == "implicit" else 1
+        by_kd *= z if rule in ("implicit-damping", "implicit") else 1
+        return below * z**lag, by_kp, by_kd
 
 
 def _exact(numbers: Iterable[Any]) -> "list[fmpq]":
@@ -400,9 +329,13 @@ class AdmittanceParts(AffineParts):
 # -------------------------------------------------------------------------------------------- PID
 @dataclass(frozen=True)
 class PidParts(AffineParts):
-    """A held device under kp x + ki I + kd V x, one of the three given; by the two others."""
+    """A held device under kp x + ki I + kd V x, one of the three given; by the two others.
+
+    ``late`` is the loop with the delay of kd.
+    """
 
     loop: "LoopParameters"
+    late: "LoopParameters"
     given: str
     value: float
     rule: str
@@ -411,19 +344,20 @@ class PidParts(AffineParts):
         """The parts of p(z), by the two other gains in the order kp, ki, kd."""
         from flint import fmpq_poly
 
-        own = ball_loop(self.loop)
-        z = fmpq_poly([0, 1])
+        own, late = ball_loop(self.loop), ball_loop(self.late)
+        lag, z = max(own.lag, late.lag), fmpq_poly([0, 1])
         (period,) = _exact((float(self.loop.sample_time),))
         summed = {"backward": z, "forward": fmpq_poly([1]), "trapezoid": (z + 1) / 2}[self.rule]
-        pole = Factored.from_rational(z - 1)
-        by_position, by_velocity = own.walls
+        has_sum = self.given != "ki" or self.value != 0.0
+        pole = Factored.from_rational(z - 1 if has_sum else z**0)
+        by_position = _late(own.numerator.times(own.walls[0]), lag - own.lag)
+        by_velocity = _late(late.numerator.times(late.walls[1]), lag - late.lag)
         parts = {
             "kp": pole.times(by_position),
             "ki": by_position.times(Factored.from_rational(summed * period)),
             "kd": pole.times(by_velocity),
         }
-        parts = {name: own.numerator.times(part) for name, part in parts.items()}
-        base = pole.times(own.free)
+        base = _late(pole.times(own.free), lag - own.lag)
         if self.value:
             base = base.plus(parts[self.given].scaled(self.value))
         return _without_common_power(
@@ -441,22 +375,22 @@ class CouplingParts(AffineParts):
     delays_samples: tuple[float, float]
     velocity: Velocity | None
 
-    @property
-    def drift(self) -> int:
-        """How many roots at z = 1 the common motion of both has, which no gain moves."""
-        return min(denominator.at_one for _, denominator, _ in self._plants())
-
     def triple(self) -> Triple:
         """The parts of p(z) without the common motion, by stiffness and damping."""
-        (n1, d1, lag1), (n2, d2, lag2) = self._plants()
+        (n1, d1, lag1, v1), (n2, d2, lag2, v2) = self._plants()
         shared, drift = min(lag1, lag2), min(d1.at_one, d2.at_one)
         first, second = (d.divided(0, drift, 0) for d in (d1, d2))
-        plant = _late(n1, lag2 - shared).times(second).plus(_late(n2, lag1 - shared).times(first))
+
+        def both(one: Factored, other: Factored) -> Factored:
+            one = _late(one, lag2 - shared).times(second)
+            return one.plus(_late(other, lag1 - shared).times(first))
+
+        velocity = both(v1, v2) if v1 and v2 else None
+        whole = Plant(both(n1, n2), d1.times(second), max(lag1, lag2), velocity)
         filters = given_filters(self.velocity, None) or NO_FILTERS
-        whole = plant, d1.times(second), max(lag1, lag2)
         return BallLoop.from_plant(whole, self.sample_time, filters).triple
 
-    def _plants(self) -> list[tuple[Factored, Factored, int]]:
+    def _plants(self) -> list[Plant]:
         return [
             plant_in_balls(device, self.sample_time, delay)
             for device, delay in zip(self.devices, self.delays_samples, strict=True)

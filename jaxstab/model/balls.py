@@ -26,11 +26,19 @@ from functools import cached_property, lru_cache, reduce
 from math import inf, nextafter
 from typing import TYPE_CHECKING, NamedTuple
 
-from jaxstab.model.device.device import Device
+from jaxstab.model.device.device import Device, in_steps
 from jaxstab.model.device.parts import decided, exact
 from jaxstab.model.device.sampling import SampledDevice, one_sample
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import NO_FILTERS, Filter, Filters, Section, exact_chain, given_filters
+from jaxstab.model.filters import (
+    NO_FILTERS,
+    Filter,
+    Filters,
+    Section,
+    behind_measured,
+    exact_chain,
+    given_filters,
+)
 from jaxstab.model.linear_loop import LinearLoop, Polynomial, size_of
 from jaxstab.model.parameters import GAIN_LIMIT
 from jaxstab.rounding import PAIR_UNIT, RAISED
@@ -233,11 +241,21 @@ def _over_shared(parts: Iterable[Factored]) -> "tuple[list[arb_poly], tuple[int,
     return [part.polynomial() for part in divided], shared
 
 
+class Plant(NamedTuple):
+    """A device z^-lag N/D behind its hold; ``velocity`` is N of a second output, if it has one."""
+
+    numerator: Factored
+    denominator: Factored
+    lag: int
+    velocity: Factored | None = None
+
+
 class BallLoop(NamedTuple):
     """A loop by its parts: the plant z^-lag N/D, P = Np/Dp and V = Nv/Dv, V in 1/s.
 
-    N is in m/N; D, Dp and Dv have no roots at 1 or -1 but those that are counted. ``yielding`` is
-    that of the triple.
+    N is in m/N; D, Dp and Dv have no roots at 1 or -1 but those that are counted. Where the
+    velocity is an output of the device, N is 1, and Np and Nv hold what force does to both outputs.
+    ``yielding`` is that of the triple.
     """
 
     numerator: Factored
@@ -248,17 +266,20 @@ class BallLoop(NamedTuple):
     yielding: float | None = None
 
     @classmethod
-    def from_plant(
-        cls, plant: tuple[Factored, Factored, int], period: float, filters: Filters
-    ) -> "BallLoop":
+    def from_plant(cls, plant: Plant, period: float, filters: Filters) -> "BallLoop":
         """A plant behind an estimator and a filter."""
         from flint import arb_poly
 
-        velocity, position = (filter_in_balls(x, period) for x in (filters[0].filter, filters[1]))
-        above, below = velocity
-        difference = Factored(arb_poly([1]), at_one=1).scaled(1 / exact(period))
-        late = Factored(arb_poly([1]), power=1)
-        return cls(*plant, position, (difference.times(above), late.times(below)))
+        one, behind = Factored(arb_poly([1])), behind_measured(filters[0])
+        chains = filters[1], filters[0].filter if behind is None else behind
+        (above_p, below_p), (above, below) = (filter_in_balls(x, period) for x in chains)
+        if behind is not None and plant.velocity is not None:
+            position, velocity = plant.numerator.times(above_p), plant.velocity.times(above)
+            return cls(one, *plant[1:3], (position, below_p), (velocity, below))
+        difference = one._replace(at_one=1).scaled(1 / exact(period)).times(above)
+        return cls(
+            *plant[:3], (above_p, below_p), (difference, below._replace(power=below.power + 1))
+        )
 
     @classmethod
     def from_triple(cls, triple: Triple) -> "BallLoop":
@@ -342,13 +363,16 @@ def _parts(loop: "LoopParameters", bits: int) -> tuple[BallLoop, Triple]:
 
 def _ball_loop(device: Device, period: float, delay: float, filters: Filters) -> BallLoop:
     own = BallLoop.from_plant(plant_in_balls(device, period, delay), period, filters)
+    if not own.velocity[0].at_one:  # a second output that is not 0 at rest
+        return own
     position = filters[1].per_sample(period).sections
     return own._replace(yielding=_yielding(device, position))
 
 
 def _yielding(device: Device, position: tuple[Section, ...]) -> float | None:
     """The K that makes 1 + K P(1) G(1) exactly 0, G(1) the displacement by a constant force."""
-    moved, force = device.compliance().at_rest()
+    own = in_steps(device)
+    moved, force = own.at_rest() if own else device.compliance().at_rest()
     for section in position:
         if section.length is None:
             above, below = exact_chain((section,))
@@ -362,10 +386,15 @@ def _yielding(device: Device, position: tuple[Section, ...]) -> float | None:
     return float(number)
 
 
-def plant_in_balls(device: Device, period: float, delay: float) -> tuple[Factored, Factored, int]:
-    """N(z), D(z) and the lag of a device behind its hold and a delay in samples."""
+def plant_in_balls(device: Device, period: float, delay: float) -> Plant:
+    """A device behind its hold and a delay in samples."""
     from flint import arb
 
+    own = in_steps(device)
+    if own:
+        rational, outputs, lag = own.sampled(period, delay)
+        position, *velocity = map(Factored.from_rational, outputs)
+        return Plant(position, Factored.from_rational(rational), lag, *velocity)
     whole, fraction = divmod(delay, 1.0)
     sample = one_sample(device, period)
     above, below = sample.above, sample.below
@@ -376,7 +405,7 @@ def plant_in_balls(device: Device, period: float, delay: float) -> tuple[Factore
     is_even = all(c == 0 for side in (above[1::2], below[1::2]) for c in side)
     at_minus_one = 1 if is_even and late is None else 0
     numerator = _known_out(_known_out(numerator, 1, zeros), -1, at_minus_one)
-    return (
+    return Plant(
         Factored(numerator, 0, zeros, at_minus_one),
         Factored(_known_out(denominator, 1, rigid), 0, rigid),
         int(whole) + (fraction > 0.0),

@@ -393,6 +393,25 @@ def _slope_weights(samples: int, order: int) -> tuple[float, ...]:
     return tuple(map(float, accumulate(exact)))
 
 
+@pytree
+@dataclass(frozen=True)
+class Measured(Section):
+    """The device's own velocity in place of a difference of its positions."""
+
+    estimator: ClassVar[str] = "measured"
+
+    def __str__(self) -> str:
+        return "the device's own velocity"
+
+    def factors(self, number: Any = None) -> Any:
+        raise ValueError(
+            "velocity is measured, an output of a device in z in a HapticLoop; what is asked for "
+            "needs an estimator from positions, and a device in s."
+        )
+
+    toml = property(factors)
+
+
 LOW_PASSES = (LowPass, Butterworth)  # by ``kind``, which a table gives beside the cut-off
 
 
@@ -655,7 +674,8 @@ class Velocity:
     """A velocity estimator, from sampled positions: (1 - 1/z)/T, then a filter.
 
     Make one with ``difference``, ``low_pass``, ``butterworth``, ``exponential``, ``kalman``,
-    ``savitzky_golay`` or ``transfer_function``; multiply by a ``Filter`` to smooth it further.
+    ``savitzky_golay``, ``transfer_function`` or, without positions, ``measured``; multiply by a
+    ``Filter`` to smooth it further.
 
     Example:
         >>> str(jaxstab.Velocity.difference(samples=20) * jaxstab.Filter.low_pass(100.0))
@@ -672,6 +692,8 @@ class Velocity:
         the slope of a polynomial of order 2 through 9 samples
         >>> print(jaxstab.Velocity.transfer_function([500.0, -500.0], [1.0, 0.0]))
         a transfer function of order 1
+        >>> jaxstab.Velocity.measured() * jaxstab.Filter.low_pass(100.0)
+        Velocity.measured() * Filter.low_pass(cutoff=100.0, order=1)
     """
 
     filter: Filter = Filter()
@@ -755,6 +777,11 @@ class Velocity:
             )
         return cls(Filter((Differentiator(above, below),)))
 
+    @classmethod
+    def measured(cls) -> "Velocity":
+        """The second output of ``Device.simulated``, or of a ``Device.discrete`` that has one."""
+        return cls(Filter((Measured(),)))
+
     def per_sample(self, sample_time: Numbers) -> "Velocity":
         """Return the estimator in units of a sampling period: ``Filter.per_sample``."""
         return Velocity(self.filter.per_sample(sample_time))
@@ -786,6 +813,23 @@ class Velocity:
         if isinstance(section, Differentiator) or section.maker is None:
             return str(self.filter)
         return f"the difference over one sample, {self.filter}"
+
+
+def behind_measured(velocity: Velocity) -> Filter | None:
+    """What filters the device's own velocity; None for one from positions."""
+    sections = velocity.filter.sections
+    return Filter(sections[1:]) if sections[:1] == (Measured(),) else None
+
+
+def filter_on(velocity: Velocity, *mechanisms: Any) -> Filter:
+    """What filters positions, or the velocities that all devices must have: ValueError."""
+    behind = behind_measured(velocity)
+    if behind is not None and not all(getattr(x, "has_velocity", False) for x in mechanisms):
+        raise ValueError(
+            "velocity is measured, but the device has no velocity output, as Device.simulated "
+            "and Device.discrete with two outputs have; give another estimator."
+        )
+    return velocity.filter if behind is None else behind
 
 
 Filters = tuple[Velocity, Filter]

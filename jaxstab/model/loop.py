@@ -19,7 +19,8 @@ from jaxstab.arrays import (
 )
 from jaxstab.model.balls import linear_loop
 from jaxstab.model.device import Device, Hand, SampledDevice, sampled_device
-from jaxstab.model.filters import Average, Filter, Velocity, given_filters
+from jaxstab.model.device.device import in_steps
+from jaxstab.model.filters import Average, Filter, Velocity, filter_on, given_filters
 from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.model.parameters import LONGEST_DELAY, TracedDelay, by_name
 from jaxstab.numbers import checked, checked_number, require_x64
@@ -103,7 +104,12 @@ class LoopParameters:
         given_filters(self.velocity, self.position)
         is_one = is_one or is_traced(self.sample_time)
         periods = [self.sample_time] if is_one else np.unique(self.sample_time).tolist()
-        for chain in (self.velocity.filter if self.velocity else None, self.position):
+        own = in_steps(self.device) if self.device else None
+        if own and is_one and not is_any_traced(self.delay, self.sample_time):
+            own.steps(float(self.sample_time), float(self.delay_samples))
+        mechanism = self.device.mechanism if self.device else None
+        velocity = filter_on(self.velocity, mechanism) if self.velocity else None
+        for chain in (velocity, self.position):
             if chain is not None:
                 for period in periods:
                     chain.checked(period)

@@ -59,6 +59,7 @@ from jaxstab.scene.contact import (
     start_in_words,
     walls_around,
 )
+from jaxstab.scene.gains import GainScene
 from jaxstab.scene.hands import (
     BUT_FOR_DRIFT,
     WallVerdict,
@@ -192,7 +193,7 @@ _STIFFNESS, _DAMPING = GivenQuantity("N/m"), GivenQuantity("N s/m")
 _TIME, _LENGTH = Quantity("s", 3), Quantity("m", 3)
 
 
-def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
+def scene_figure(scene: Scene | GainScene, answer: Answer | None = None) -> Figure:
     """The picture of an answer: one for each question, in SI units.
 
     Of ``scene_limits``, or without an answer, it is the stable set in the plane of K and B, the
@@ -201,8 +202,10 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
     their step responses, of ``tune_walls`` settling times and the best walls, of ``design_loop``
     the largest stiffness over the sample time and the delay, of ``simulate_contacts`` the map of
     simulated contacts. For a delay that moves it has the walls that are proved for every sequence.
-    ValueError: no wall is stable.
+    ValueError: no wall is stable. Of another loop it is the stable set of its gains.
     """
+    if isinstance(scene, GainScene):
+        return _gain_figure(scene)
     visible = 0.05  # of the region, in K or in B: smaller sets are enlarged
     if isinstance(answer, Contacts):
         return scene_contacts(scene)
@@ -278,6 +281,21 @@ def scene_figure(scene: Scene, answer: Answer | None = None) -> Figure:
     of_responses = "; responses: worst hand of each wall" if checked else ""
     _write_basis(figure, scene, basis, of_responses)
     return _with_legend(figure, planes, walls, min(1 + len(widths), 4))
+
+
+def _gain_figure(scene: GainScene) -> Figure:
+    """The stable gains of a loop, in the coordinates of its region, with the pairs of a scene."""
+    figure = Figure(figsize=(6.0, 4.6), layout="constrained")
+    panel = scene.loop.region().plot(figure.subplots())
+    stiffest = ", the stiffest" if scene.is_range else ""
+    panel.set_title(fill(plain(scene.loop.words + stiffest), 70), fontsize=9)
+    for name, pair in scene.pairs.items():
+        colour, mark, _ = _LOOKS[scene.verdict(*pair.values())]
+        with np.errstate(all="ignore"):  # of a mass of 0
+            x, y = scene.loop._chart.of_gains(*np.array([*pair.values()]))
+        panel.plot(x, y, mark, color=colour, ms=9, mec=BLACK, ls="", label=plain(name))
+    panel.legend(fontsize=8)
+    return figure
 
 
 def _write_basis(figure: Figure, scene: Scene, basis: Basis, more: str = "") -> None:

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from jaxstab.conventions import Verdict
 from jaxstab.pictures.style import BLUE, plain
-from jaxstab.scene.study import SAMPLE, WALL, lists_of, quantiles, shares
+from jaxstab.scene.study import SAMPLE, limit_in, lists_of, quantiles, shares, walls_in
 
 if TYPE_CHECKING:
     from xarray import DataArray, Dataset
@@ -31,7 +31,8 @@ def study_figure(study: "Dataset") -> Figure:
     figure = Figure(figsize=(6.0, 4.2), layout="constrained")
     panel = figure.subplots()
     panel.grid(visible=True, lw=0.3)
-    if "largest_stiffness" not in study:
+    limit: Any = limit_in(study)
+    if limit is None:
         if len(lists) != 1 or "verdict" not in study:
             raise ValueError(
                 "the study has nothing to draw: give limits among answers, or verdict over one "
@@ -39,20 +40,21 @@ def study_figure(study: "Dataset") -> Figure:
             )
         found: Any = shares(study) if is_drawn else study.verdict == Verdict.STABLE
         bands = [found.low, found.share, found.high] if is_drawn else [found]
-        _draw_lines(panel, study, [100.0 * band.transpose(..., WALL) for band in bands])
+        _draw_lines(panel, study, [100.0 * band.transpose(..., walls_in(study)) for band in bands])
         panel.set_ylabel("% of the draws for which the wall is stable\n(band: 95 % confidence)")
         panel.set_ylim(-2.0, 103.0)
         return figure
-    label = _label(study.largest_stiffness)
+    label = _label(study[limit])
     if not lists:
         below = np.linspace(0.0, 1.0, 1001)
-        panel.plot(quantiles(study, at=below.tolist()), 100.0 * (1.0 - below), color=BLUE, lw=1.5)
+        allowed = below if limit.startswith("least") else 1.0 - below
+        panel.plot(quantiles(study, limit, at=below.tolist()), 100.0 * allowed, color=BLUE, lw=1.5)
         panel.set_xlabel(label)
-        panel.set_ylabel("% of the draws that allow it, at some damping")
+        panel.set_ylabel("% of the draws that allow it, at some other gain")
         panel.set_ylim(0.0, 103.0)
         panel.set_title(f"{study.sizes[SAMPLE]:,} draws", fontsize=9)
         return figure
-    bands = [*quantiles(study)] if is_drawn else [study.largest_stiffness]
+    bands = [*quantiles(study, limit)] if is_drawn else [study[limit]]
     bands = [band.transpose(*lists) for band in bands]
     if len(lists) == 2 and study.sizes[lists[1]] > 6:  # lines in one panel
         _draw_map(
@@ -67,7 +69,7 @@ def study_figure(study: "Dataset") -> Figure:
 
 def _label(values: "DataArray") -> str:
     long_name, unit = values.attrs["long_name"], values.attrs["units"]
-    return plain(long_name if unit == "1" else f"{long_name} in {unit}")
+    return plain(long_name if unit in ("", "1") else f"{long_name} in {unit}")
 
 
 def _is_number(values: "DataArray") -> bool:
@@ -97,7 +99,7 @@ def _value_text(value: "DataArray") -> str:
     if not _is_number(value):
         return plain(str(value.item()))
     unit = value.attrs["units"]
-    return f"{value:g}" if unit == "1" else f"{value:g} {unit}"
+    return f"{value:g}" if unit in ("", "1") else f"{value:g} {unit}"
 
 
 def _draw_map(panel: Axes, values: "DataArray", label: str) -> None:

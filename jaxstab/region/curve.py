@@ -172,6 +172,12 @@ def curve_of(loop: ScaledLoop) -> Curve:
                 "region and no limits; give a higher cut-off, a larger factor or a lower order."
             )
     parts = curve_parts(loop)
+    acting = parts.triple[1:] / np.maximum(np.abs(parts.triple[1:]).max(axis=1), 1e-300)[:, None]
+    if np.linalg.matrix_rank(acting) < 2:
+        raise ValueError(
+            "the stable gains are not bounded: both gains act alike, or one of them does not act. "
+            "Ask for intervals and verdicts."
+        )
     order = np.arange(float(parts.straight.shape[1]))
     moved = np.zeros_like(parts.shifted)
     moved[..., :-1] = (parts.shifted * order)[..., 1:]

@@ -210,11 +210,6 @@ def vertex_roots(
 # Which points lie inside an outline's polygon; the same answer as the curve, except next to it.
 
 
-def edges_of(points: np.ndarray, branch: np.ndarray) -> Float64[np.ndarray, "edge 4"]:
-    """Return the edges of an outline, without those between its loops."""
-    return np.concatenate([points[:-1], points[1:]], axis=1)[branch != NO_BRANCH]
-
-
 def are_inside(edges: np.ndarray, points: np.ndarray) -> Bool[np.ndarray, " point"]:
     """Count the edges to the right of each point: an odd number of them encloses it."""
     alpha, beta = points[:, None]

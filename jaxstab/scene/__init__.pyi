@@ -8,6 +8,10 @@ from .contact import Contacts as Contacts
 from .contact import simulate_contacts as simulate_contacts
 from .example import EXAMPLE as EXAMPLE
 from .example import explain_model as explain_model
+from .gains import GainAnswer as GainAnswer
+from .gains import GainScene as GainScene
+from .gains import any_scene as any_scene
+from .gains import explain_gains as explain_gains
 from .limits import Limits as Limits
 from .limits import LimitsOverDelays as LimitsOverDelays
 from .limits import scene_limits as scene_limits

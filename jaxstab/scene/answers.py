@@ -171,7 +171,7 @@ class Answer:
         units = self._units(units)
         for (*outer, name), value in self._entries():
             words = (
-                _HEADINGS[outer[0]].format(name)
+                _HEADINGS.get(outer[0], f"{outer[0].replace('_', ' ')} {{}}").format(name)
                 if outer
                 else _LABELS.get(name) or _named(name, units).replace("_", " ")
             )
@@ -418,6 +418,9 @@ def blocks_of(scene: Scene) -> dict[str, str]:
     for index, mode in enumerate(device.modes, 1):
         modal = Quantity("kg").words(mode.effective_mass, units)
         words = f"{mode.frequency:g} Hz, damping ratio {mode.damping_ratio:g}, {modal}"
+        shapes = {name: getattr(mode, name) for name in ("motor", "encoder", "handle")}
+        if {*shapes.values()} != {1.0}:
+            words += f", {', '.join(f'{value:g} at the {name}' for name, value in shapes.items())}"
         blocks[f"mode {index}"] = words
     if device.actuator is not None:
         blocks["actuator"] = f"a first-order lag of {device.actuator.bandwidth:g} Hz of the force"

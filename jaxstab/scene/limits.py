@@ -271,7 +271,7 @@ def scene_limits(scene: Scene) -> Limits | LimitsOverDelays:
         best=StiffestWall(*rows.stiffest(limits.stiffness, limits.at_damping)),
         most_damped=MostDampedWall(*rows.most_damped(limits.damping, limits.at_stiffness)),
         reached=None if limits.is_reachable or region.is_empty else "small gains are not stable",
-        islands=_numbered(
+        islands=numbered(
             Island(*rows.stiffest(*own[:2]), *rows.most_damped(*own[2:4]), isolated)
             for own in islands
         ),
@@ -360,31 +360,16 @@ class _Rows:
 
     def at_damping(self, damping: float, stiffness: float = nan) -> StiffnessesAtDamping:
         """Return the stable stiffnesses at a damping: first those around one, or small ones."""
-        first, *others = self._intervals(self.loop.stiffness_intervals(damping), stiffness)
+        line = self.loop.stiffness_intervals(damping)
+        first, *others = stable_intervals(line, self.safety, stiffness)
         rule = self.linear_rule(damping) if is_plain(self.loop) else None
-        return StiffnessesAtDamping(damping, first, _numbered(others), rule)
+        return StiffnessesAtDamping(damping, first, numbered(others), rule)
 
     def at_stiffness(self, stiffness: float, damping: float = nan) -> DampingsAtStiffness:
         """Return the stable dampings at a stiffness: first those around one, or small ones."""
-        first, *others = self._intervals(self.loop.damping_intervals(stiffness), damping)
-        return DampingsAtStiffness(stiffness, first, _numbered(others))
-
-    def _intervals(self, line: StableLine, value: float) -> list[tuple[float, float]]:
-        """Return the intervals of a line, times the safety: that of a value comes first.
-
-        Else that of small gains does, or the farthest. ValueError where they are not proved.
-        """
-        if line.status != LineStatus.PROVED:
-            raise ValueError(
-                "the intervals of stable gains were not resolved; change one value a little."
-            )
-        ends = [(low.value + low.error, high.value - high.error) for low, high in line.intervals]
-        scaled = [inwards(low, high, self.safety) for low, high in ends]
-        scaled = [(low, high) for low, high in scaled if low <= high] or [(nan, nan)]
-        holding = [k for k, (low, high) in enumerate(scaled) if low <= value <= high]
-        small = [k for k, (low, high) in enumerate(scaled) if low <= 0.0 < high]
-        (first,) = (holding or small or [len(scaled) - 1])[:1]
-        return [scaled[first], *scaled[:first], *scaled[first + 1 :]]
+        line = self.loop.damping_intervals(stiffness)
+        first, *others = stable_intervals(line, self.safety, damping)
+        return DampingsAtStiffness(stiffness, first, numbered(others))
 
     def around(self, stiffness: float, damping: float) -> AroundWall:
         by_damping = self.at_damping(damping, stiffness)
@@ -402,8 +387,27 @@ class _Rows:
         return self.safety * loop.stiffness(float(limit))
 
 
-def _numbered(values: Iterable[Any]) -> dict[str, Any]:
+def numbered(values: Iterable[Any]) -> dict[str, Any]:
+    """Return values by their numbers, from 1 on."""
     return {str(number): value for number, value in enumerate(values, 1)}
+
+
+def stable_intervals(line: StableLine, safety: float, value: float) -> list[tuple[float, float]]:
+    """Return the intervals of a line, times the safety: that of a value comes first.
+
+    Else that of small gains does, or the farthest. ValueError where they are not proved.
+    """
+    if line.status != LineStatus.PROVED:
+        raise ValueError(
+            "the intervals of stable gains were not resolved; change one value a little."
+        )
+    ends = [(low.value + low.error, high.value - high.error) for low, high in line.intervals]
+    scaled = [inwards(low, high, safety) for low, high in ends]
+    scaled = [(low, high) for low, high in scaled if low <= high] or [(nan, nan)]
+    holding = [k for k, (low, high) in enumerate(scaled) if low <= value <= high]
+    small = [k for k, (low, high) in enumerate(scaled) if low <= 0.0 < high]
+    (first,) = (holding or small or [len(scaled) - 1])[:1]
+    return [scaled[first], *scaled[:first], *scaled[first + 1 :]]
 
 
 def inwards(low: float, high: float, safety: float) -> tuple[float, float]:

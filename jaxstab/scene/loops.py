@@ -40,12 +40,10 @@ def wall_region(loop: HapticLoop) -> WallRegion:
 
 def loop_of(scene: Scene, hand: OneHand | None = None) -> HapticLoop:
     """The loop of a scene with a hand; without, the one at the lowest ends of the ranges."""
-    if hand is None:
-        held = scene.hand or Hand()
-        hand = OneHand(held.effective_mass[0], held.stiffness[0], held.damping[0])
+    hand = hand or _lowest_hand(scene)
     _check_scale(scene)
     controller = scene.controller
-    mechanics = _one_mass(scene, hand) if is_one_mass(scene) else {"device": _device(scene, hand)}
+    mechanics = _one_mass(scene, hand) if is_one_mass(scene) else {"device": device_of(scene, hand)}
     return HapticLoop(
         **mechanics,
         sample_time=controller.sample_time,
@@ -112,14 +110,23 @@ def _one_mass(scene: Scene, hand: OneHand) -> dict[str, float]:
     }
 
 
-def _device(scene: Scene, hand: OneHand) -> Device:
-    """Return the device with its modes and its actuator, held by a hand."""
+def _lowest_hand(scene: Scene) -> OneHand:
+    held = scene.hand or Hand()
+    return OneHand(held.effective_mass[0], held.stiffness[0], held.damping[0])
+
+
+def device_of(scene: Scene, hand: OneHand | None = None) -> Device:
+    """Return the device with its modes and its actuator, held by a hand; as ``loop_of``."""
+    hand = hand or _lowest_hand(scene)
     table = scene.device
     modes = [
         Mode(
             frequency=mode.frequency,
             damping_ratio=mode.damping_ratio,
             modal_mass=mode.effective_mass,
+            motor=mode.motor,
+            encoder=mode.encoder,
+            handle=mode.handle,
         )
         for mode in table.modes
     ]

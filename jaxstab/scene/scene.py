@@ -20,6 +20,7 @@ from jaxstab.tables import (
     Interval,
     Table,
     Usual,
+    any_number,
     check_keys,
     checked_label,
     each,
@@ -50,8 +51,8 @@ class Units(Enum):
 
     def unit(self, of_line: str) -> str:
         """Return the unit that replaces one of linear motion."""
-        if of_line == "m/s":
-            return f"{self.length}/s"
+        if of_line in ("m/s", "N/(m s)"):
+            return f"{self.length}/s" if of_line == "m/s" else f"{self.force}/({self.length} s)"
         return dict(zip(Units.LINE.value, self.value, strict=True)).get(of_line, of_line)
 
     def translated(self, sentence: str) -> str:
@@ -105,7 +106,7 @@ def software_presets() -> Mapping[str, Preset]:
 
 @cache
 def _presets(file: str) -> Mapping[str, Preset]:
-    tables = parsed((_folder() / file).read_text(encoding="utf-8"), f"{file}: ")
+    tables = parsed((folder_of("presets") / file).read_text(encoding="utf-8"), f"{file}: ")
     return {
         name: Preset(
             table.pop("title"),
@@ -116,10 +117,10 @@ def _presets(file: str) -> Mapping[str, Preset]:
     }
 
 
-def _folder() -> Traversable:
-    """Return the folder of the presets: in the package where it is installed, or in a checkout."""
-    installed = files("jaxstab") / "presets"
-    in_checkout = Path(__file__).parents[2] / "data" / "presets"
+def folder_of(name: str) -> Traversable:
+    """Return a folder of data/: in the package where it is installed, or in a checkout."""
+    installed = files("jaxstab") / name
+    in_checkout = Path(__file__).parents[2] / "data" / name
     return installed if installed.is_dir() else in_checkout
 
 
@@ -141,12 +142,18 @@ class Encoder(Table):
 
 @dataclass(frozen=True, kw_only=True)
 class VibrationMode(Table):
-    """A vibration mode of the device: its displacement at the handle adds to the rigid body's."""
+    """A vibration mode of the device: its displacement adds to the rigid body's.
+
+    ``motor``, ``encoder`` and ``handle`` are its shapes there, 1 where they are one point.
+    """
 
     frequency: float = key(quantity("Hz", is_positive=True), usual=Usual(0.1, 1e4))
     damping_ratio: float = key(quantity("1"), usual=Usual(0.0, 1.0))
     modal_mass: float | None = key(not_zero("kg"), None, Usual(1e-3, 5e3))
     modal_inertia: float | None = key(not_zero("kg m^2"), None, Usual(1e-8, 100.0))
+    motor: float = key(any_number(), 1.0, words="shape of the mode at the motor")
+    encoder: float = key(any_number(), 1.0, words="shape of the mode at the encoder")
+    handle: float = key(any_number(), 1.0, words="shape of the mode where the hand is")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -590,7 +597,8 @@ class Scene:
                 raise ValueError(
                     f"device.modes.{index}.modal_{self.units.moved} is {mode.effective_mass:g} "
                     "beside a hand: such a mode moves motor and encoder against each other, and "
-                    "the hand's place is not known; leave out the hand."
+                    f"the hand's place is not known; give {-mode.effective_mass:g} with motor = 1, "
+                    "encoder = -1, and handle = 1 or -1, where the hand is."
                 )
         if hand.inertia is not None and not turns:
             raise ValueError(
@@ -622,6 +630,11 @@ class Scene:
     def from_table(cls, table: Mapping[str, Any], source: str = "") -> "Scene":
         """Check a table of tables; ValueError on the first key that is unknown, missing or bad."""
         try:
+            if "loop" in table:
+                raise ValueError(
+                    "loop is there, and this answer is for walls; limits, check, tune, design and "
+                    "study answer for other loops."
+                )
             return cls(**_tables(table))
         except ValueError as error:
             device = table.get("device")

@@ -19,6 +19,7 @@ import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from hashlib import sha256
 from itertools import islice, product
 from math import inf, prod
@@ -33,23 +34,33 @@ from scipy.special import ndtri
 import jaxstab
 from jaxstab.batches import alike
 from jaxstab.conventions import Verdict
-from jaxstab.loop import HapticLoop, limits_of
+from jaxstab.loop import HapticLoop, Loop, limits_of
+from jaxstab.loop.many import ManyGainLimits
 from jaxstab.motion.settling import SettlingStatus
 from jaxstab.numbers import checked_count, checked_number
 from jaxstab.region import RegionStatus
 from jaxstab.scene.answers import delay_notes
 from jaxstab.scene.draws import Column, draws_of, is_distribution, values_of, words_of
+from jaxstab.scene.gains import GainScene, any_scene
 from jaxstab.scene.labelled import Variable, computed, read, table_of, xarray_module
 from jaxstab.scene.loops import loop_of
 from jaxstab.scene.scene import INNER, TABLES, Scene, Units
 from jaxstab.shown import shortened
-from jaxstab.tables import Interval, Table, check_keys, checked_label, read_table, unit_of
+from jaxstab.tables import (
+    Interval,
+    Table,
+    check_keys,
+    checked_label,
+    read_table,
+    unit_of,
+    with_value,
+)
 
 if TYPE_CHECKING:
     from xarray import DataArray, Dataset
 
 _BLOCK = 1 << 13  # loops times walls
-SAMPLE, WALL = "sample", "wall"  # dimensions
+SAMPLE, WALL, GAINS = "sample", "wall", "gains"  # dimensions
 
 _NUMBERS = {  # keys of a scene that are numbers of a loop: its fields
     "device.mass": "device_mass",
@@ -227,15 +238,26 @@ def quantiles(
         names = ", ".join(map(str, study.variables))
         raise KeyError(f"{variable} is no variable of the study; it has {names}.")
     values = _drawn(study, variable).astype(np.float64).compute()
-    if variable in ("largest_stiffness", "largest_damping"):
+    if variable.startswith("largest_"):
         values = values.where(study.limits_status.compute() != RegionStatus.EMPTY, 0.0)
     found = values.quantile([*at], SAMPLE, method="inverted_cdf", skipna=True)
     return found.assign_attrs(study[variable].attrs)
 
 
 def lists_of(study: "Dataset") -> list[str]:
-    """Return the dimensions that are lists of values: neither draws nor walls."""
-    return [str(name) for name in study.dims if name not in (SAMPLE, WALL)]
+    """Return the dimensions that are lists of values: neither draws nor walls or gains."""
+    return [str(name) for name in study.dims if name not in (SAMPLE, WALL, GAINS)]
+
+
+def walls_in(study: "Dataset") -> str:
+    """Return the dimension of walls, or of pairs of gains."""
+    return GAINS if GAINS in study.dims else WALL
+
+
+def limit_in(study: "Dataset") -> str | None:
+    """Return the first limit of a study, such as ``largest_stiffness``, if it has limits."""
+    names = map(str, study.data_vars)
+    return next((name for name in names if name.startswith(("largest_", "least_"))), None)
 
 
 def _score_interval(
@@ -290,7 +312,7 @@ def plan_study(
     for key in given:
         source.check_key(key)
     gains = source.walls if walls is None else _checked_walls(walls)
-    wanted = _wanted(answers, gains)
+    wanted = _wanted(answers, gains, source.answers)
     seconds = _seconds_of_a_loop(source, given, wanted, len(gains))
     samples = _affordable(given, seconds) if samples is None else samples
     columns, notes = _columns(source, given, checked_count("samples", samples, 1, 10_000_000), seed)
@@ -316,6 +338,8 @@ def plan_study(
         table = table.assign_coords(
             {SAMPLE: (SAMPLE, numbers, {"long_name": "number of the draw"})}
         )
+    if source.of_gains:
+        table = table.rename({WALL: GAINS}) if WALL in table.dims else table
     axes = " x ".join(f"{length} {name}" for name, length in table.sizes.items())
     cost = f"{axes}: {loops:,} loops, about {_time(loops * seconds)} of CPU time"
     return StudyPlan(table, [*notes, f"{cost}, {max(table.nbytes / 1e6, 1e-3):.3g} MB"])
@@ -435,10 +459,12 @@ def _checked_walls(walls: Mapping[str, tuple[float, float]]) -> dict[str, tuple[
     }
 
 
-def _wanted(answers: Sequence[str] | None, gains: Mapping[str, Any]) -> tuple[str, ...]:
+def _wanted(
+    answers: Sequence[str] | None, gains: Mapping[str, Any], known: Mapping[str, Any]
+) -> tuple[str, ...]:
     """Return the answers that are wanted, checked, each once."""
     wanted = answers or ("limits", *(["verdict"] if gains else []))
-    check_keys("answers", map(str, wanted), [*ANSWERS])
+    check_keys("answers", map(str, wanted), [*known])
     of_walls = [name for name in wanted if name != "limits"]
     if of_walls and not gains:
         raise ValueError(f"answers has {of_walls[0]}, which is of walls; give walls.")
@@ -469,9 +495,31 @@ class _Source:
     def is_loop(self) -> bool:
         return isinstance(self.table, HapticLoop)
 
+    @cached_property
+    def of_gains(self) -> GainScene | None:
+        """The scene, if it is of another loop than that of a wall."""
+        scene = None if self.is_loop or "loop" not in self.table else any_scene(self.table)
+        return scene if isinstance(scene, GainScene) else None
+
+    @property
+    def answers(self) -> dict[str, dict[str, Variable]]:
+        """What may be asked, by its name."""
+        if self.of_gains is None:
+            return ANSWERS
+        first, second = self.of_gains.loop.gains
+        limits = dict[str, Variable]()
+        for own, other in ((first, second), (second, first)):
+            name = f"{own.sense} {own.name}"
+            limits[name.replace(" ", "_")] = Variable(f"{name} of stable gains", own.unit)
+            limits[f"at_{other.name}"] = Variable(f"{other.name} at the {name}", other.unit)
+        limits["limits_status"] = ANSWERS["limits"]["limits_status"]
+        return {"limits": limits, **{k: ANSWERS[k] for k in ("verdict", "spectral_radius")}}
+
     @property
     def numbers(self) -> dict[str, str]:
         """The fields of a loop that are numbers, by their keys."""
+        if self.of_gains:
+            return {}
         return {name: name for name in _NUMBERS.values()} if self.is_loop else _NUMBERS
 
     @property
@@ -482,6 +530,8 @@ class _Source:
     @property
     def walls(self) -> dict[str, tuple[float, float]]:
         """The walls of the scene; they are checked with it."""
+        if self.of_gains:
+            return {name: (*pair.values(),) for name, pair in self.of_gains.pairs.items()}  # type: ignore[misc]
         walls = {} if self.is_loop else self.table.get("walls", {})
         return {name: (wall["stiffness"], wall["damping"]) for name, wall in walls.items()}
 
@@ -489,6 +539,8 @@ class _Source:
     def ranges(self) -> dict[str, str]:
         """The ranges of the hand and of the device's mass, as uniform distributions."""
         ranges = dict[str, str]()
+        if self.of_gains and self.of_gains.is_range:
+            return {"loop.environment": "uniform:{}:{}".format(*self.of_gains.environment)}
         for key in () if self.is_loop else _NUMBERS:
             section, _, name = key.partition(".")
             if section == "controller" or key == "device.damping":
@@ -504,16 +556,17 @@ class _Source:
         if self.is_loop:
             names = [*self.numbers, *(f.name for f in fields(HapticLoop) if f.name != "delay")]
             check_keys("", [key], list(dict.fromkeys(names)))
-        elif key.partition(".")[0] in ("walls", "wanted", "contact"):
+        elif key == "loop.kind" or key.partition(".")[0] in ("walls", "wanted", "contact", "gains"):
             raise ValueError(f"{key} cannot vary in a study; give a wall for each value.")
 
-    def made(self, values: Mapping[str, Any]) -> HapticLoop:
+    def made(self, values: Mapping[str, Any]) -> Any:
         """The loop with these values in place of those of the source."""
         if self.is_loop:
             return _with(self.table, values)
-        return loop_of(self._scene(values).at_longest_delay)
+        scene = self._scene(values)
+        return scene.loop if isinstance(scene, GainScene) else loop_of(scene.at_longest_delay)
 
-    def _scene(self, values: Mapping[str, Any]) -> Scene:
+    def _scene(self, values: Mapping[str, Any]) -> Scene | GainScene:
         table: Any = self.table
         if any(key.startswith("controller.delay") for key in values):  # in place of either unit
             own = table.get("controller", {}).items()
@@ -521,8 +574,8 @@ class _Source:
             table = {**table, "controller": others}
         for key, value in values.items():
             is_whole = isinstance(value, float) and value.is_integer()  # as a window in samples
-            table = _with_value(table, key, int(value) if is_whole else value, key.split("."))
-        return Scene.from_table(table)
+            table = with_value(table, key, int(value) if is_whole else value, key.split("."))
+        return any_scene(table)
 
     def check(self, columns: "Sequence[_Column]") -> list[str]:
         """Refuse bad values at the corners of what varies; return warnings of unusual values.
@@ -537,7 +590,8 @@ class _Source:
         if self.is_loop:
             return []
         outer = [self._scene(dict(zip(keys, [v[k] for v in ends], strict=True))) for k in (0, -1)]
-        notes = [f"{note}." for scene in outer for note in delay_notes(scene)]
+        walls = (scene for scene in outer if isinstance(scene, Scene))
+        notes = [f"{note}." for scene in walls for note in delay_notes(scene)]
         unusual = [words for scene in outer for words in scene.unusual()]
         notes += [f"warning: {said}{'' if said.endswith('?') else '.'}" for said in unusual]
         return list(dict.fromkeys(notes))
@@ -551,21 +605,6 @@ def _with(loop: HapticLoop, given: Mapping[str, Any]) -> HapticLoop:
             raise ValueError("delay is given beside delay_samples; give one.")
         own["delay"] = own.pop("delay_samples") * own.get("sample_time", loop.sample_time)
     return replace(loop, **own)
-
-
-def _with_value(table: Any, key: str, value: Any, path: Sequence[str]) -> Any:
-    """Return a table with the value of a key; ``path`` leads there, by numbers through lists."""
-    name, *inner = path
-    if isinstance(table, list):
-        if not (name.isdigit() and int(name) < len(table)):
-            raise ValueError(f"{key} is not in the scene; that list has {len(table)} entries.")
-        changed = [*table]
-        changed[int(name)] = _with_value(table[int(name)], key, value, inner) if inner else value
-        return changed
-    if not isinstance(table, Mapping):
-        raise ValueError(f"{key} is not in the scene, which has {shortened(table)} in its place.")
-    own = _with_value(table.get(name, {}), key, value, inner) if inner else value
-    return {**table, name: own}
 
 
 def _ends(values: NDArray[Any], most: int) -> list[Any]:
@@ -583,7 +622,7 @@ def _seconds_of_a_loop(
     """The CPU time of a loop in s, from that of the kind of the first one."""
     columns, _ = _columns(source, given, 1, 0)
     loop = source.made({column.key: column.values[0].item() for column in columns})
-    is_other = loop.device is not None
+    is_other = isinstance(loop, Loop) or loop.device is not None
     costs = {  # CPU s of a loop and a wall (of a loop for limits): of one mass, another device
         "verdict": (1.2e-5, 4e-3),
         "limits": (1.3e-3, 0.012),
@@ -626,7 +665,7 @@ class _Block:
         return {
             name: own._replace(units=unit(own.units), along=() if answer == "limits" else (WALL,))
             for answer in self.answers
-            for name, own in ANSWERS[answer].items()
+            for name, own in self.source.answers[answer].items()
         }
 
     def __call__(self, *columns: NDArray[Any]) -> tuple[NDArray[Any], ...]:
@@ -643,15 +682,21 @@ class _Block:
         }
 
         def tell(answer: str, members: list[int], of: Any) -> None:
-            for name, values in _variables(answer, of).items():
+            for name, values in _variables(self.source.answers[answer], of).items():
                 found[name][members] = values
 
-        numbers, alone = self.source.numbers, dict[int, HapticLoop]()
+        numbers, alone = self.source.numbers, dict[int, Any]()
         others = [values.tolist() for key, values in flat.items() if key not in numbers]
         groups = alike(zip(*others, strict=True) if others else [()] * count)
         while groups:
             members = groups.pop()
             base = self.source.made({key: own[members[0]].item() for key, own in flat.items()})
+            if isinstance(base, Loop):
+                pairs: Any = dict(zip((gain.name for gain in base.gains), self.gains, strict=True))
+                for answer in {*self.answers} - {"limits"}:
+                    tell(answer, members, getattr(base, answer)(**pairs))
+                alone |= dict.fromkeys(members if "limits" in self.answers else (), base)
+                continue
             varied = {numbers[key]: own[members] for key, own in flat.items() if key in numbers}
             if base.device is not None:
                 groups += [[k] for k in members[1:]]  # each by itself
@@ -673,11 +718,13 @@ class _Block:
         return tuple(values.reshape(*shape, *values.shape[1:]) for values in found.values())
 
 
-def _variables(answer: str, of: Any) -> dict[str, NDArray[Any]]:
+def _variables(names: Mapping[str, Variable], of: Any) -> dict[str, NDArray[Any]]:
     """Return the variables of an answer by their names in a study."""
-    if answer == "verdict":
-        return {answer: np.asarray(of)}
-    return {name: np.asarray(getattr(of, _FIELDS.get(name, name))) for name in ANSWERS[answer]}
+    if "verdict" in names:
+        return {"verdict": np.asarray(of)}
+    if isinstance(of, ManyGainLimits):
+        return dict(zip(names, map(np.asarray, of), strict=False))
+    return {name: np.asarray(getattr(of, _FIELDS.get(name, name))) for name in names}
 
 
 def _table(
@@ -689,12 +736,11 @@ def _table(
     table = table_of(block, given, block.variables, size, {WALL: len(gains)})
     labels = {c.name: (c.dimension, c.values, *_described(c.key)) for c in columns}
     if WALL in table.dims:
-        stiffness, damping = block.gains
-        labels |= {
-            WALL: (WALL, np.array([*gains]), "name of the wall", "1"),
-            "wall_stiffness": (WALL, stiffness, "stiffness of the wall", "N/m"),
-            "wall_damping": (WALL, damping, "damping of the wall", "N s/m"),
-        }
+        scene, what = block.source.of_gains, "gains" if block.source.of_gains else "wall"
+        labels[WALL] = WALL, np.array([*gains]), f"name of the {what}", "1"
+        named = scene.loop.gains if scene else (("stiffness", "N/m"), ("damping", "N s/m"))
+        for (name, own, *_), values in zip(named, block.gains, strict=True):
+            labels[f"{what}_{name}"] = WALL, values, f"{name} of the {what}", own
     unit = block.source.units.unit
     return table.assign_coords(
         {
@@ -711,4 +757,6 @@ def _described(key: str) -> tuple[str, str]:
     section = key.split(".")[-3] if section.isdigit() else section
     table = {**TABLES, **INNER}.get(section, Table)
     entry = {entry.name: entry for entry in fields(table)}.get(name)
+    if key.startswith("loop."):
+        return key, ""  # as the function of the loop has it
     return (key, "1") if entry is None else (entry.metadata["words"] or key, unit_of(entry))

@@ -404,19 +404,26 @@ def _largest(
 ) -> tuple[float, float | None, DesignStatus]:
     """The largest value that allows the wanted stiffness, with the damping and the status."""
 
-    @cache
     def spare(value: float) -> float:
-        """Return what is left of the stiffness, relative; -1 where no wall is stable."""
         return max(-1.0, _stiffest(loop_at(value)).stiffness / wanted - 1.0)
 
-    low = high = start
+    largest, status = largest_value(spare, start, lowest, highest)
+    is_found = status != DesignStatus.NONE
+    return largest, _stiffest(loop_at(largest)).damping if is_found else None, status
+
+
+def largest_value(
+    spare: Callable[[float], float], start: float, lowest: float, highest: float
+) -> tuple[float, DesignStatus]:
+    """The largest value that leaves a limit something to spare, relative; -1 where it has none."""
+    spare, low, high = cache(spare), start, start
     least = 1e-3 * start  # of a delay: less than this is tried as none at first
     while spare(high) >= 0.0 and high < highest:
         low, high = high, min(2.0 * high, highest)
     while spare(low) < 0.0 and low > lowest:
         low, high = 0.5 * low if 0.5 * low > max(lowest, least) else lowest, low
     if spare(low) < 0.0:
-        return nan, None, DesignStatus.NONE
+        return nan, DesignStatus.NONE
     largest, status = high, DesignStatus.LONGEST_TRIED
     if spare(high) < 0.0:
         with np.errstate(all="ignore"):  # where no wall is stable the secant has no slope
@@ -424,7 +431,7 @@ def _largest(
                 bracketed_root(lambda x: np.array(spare(float(x))), np.array(low), np.array(high))
             )
         largest, status = max(low, root - 1e-8 * max(root, least)), DesignStatus.FOUND
-    return largest, _stiffest(loop_at(largest)).damping, status
+    return largest, status
 
 
 def _printed(

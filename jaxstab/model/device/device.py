@@ -4,6 +4,14 @@ A device G, hands Z_i and actuators w_j / (s + w_j) make one compliance, positio
 
     H(s) = G / (1 + G (Z_1 + Z_2 + ...))  *  product of the w_j / (s + w_j)
 
+where motor, encoder and handle are one point. Where they are not, with the compliances G_em from
+the motor to the encoder, and so on, a hand makes of G_em
+
+    G_em - G_eh Z G_hm / (1 + Z G_hh) = (e_m y + z E) / (d y + z h_h),  E = (e_m h_h - e_h h_m)/d,
+
+in numerators over their denominator d, and Z = z/y (``Ports``). E is a polynomial: each mode is of
+rank one, and so is each pole of a state space.
+
 It is a quotient of polynomials whose coefficients are exact (``parts``), with the common factors
 removed. A common factor is a state that the force does not move or the position does not show; the
 device is refused if such a state is unstable. Poles are certified: the denominator is divided into
@@ -19,11 +27,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Complex128
 
+from jaxstab.model.device.discrete import INTEGRATORS, InSteps, Simulated, checked_discrete
 from jaxstab.model.device.parts import (
     Coefficients,
     MassSpringDamper,
     Mode,
     Modes,
+    Ports,
     Rational,
     StateSpace,
     TransferFunction,
@@ -36,23 +46,23 @@ from jaxstab.model.device.parts import (
     turn,
     working_precision,
 )
-from jaxstab.numbers import checked_number
+from jaxstab.numbers import checked_number, checked_word
 
 # Systems of python-control and of scipy.signal as numbers; neither of them is imported.
 
 
-def matrices_of(system: Any) -> tuple[Any, Any, Any] | None:
-    """A, B and C of a state space, None for a system of another kind."""
+def matrices_of(system: Any) -> tuple[Any, Any, Any, Any] | None:
+    """A, B, C and D of a state space, None for a system of another kind."""
     if not all(hasattr(system, name) for name in "ABCD"):
         return None
-    _refuse_sampled(system)
     a, b, c, d = (np.atleast_2d(getattr(system, name)) for name in "ABCD")
-    _refuse_many(b.shape[1], c.shape[0])
-    if np.any(d):
+    is_sampled = bool(getattr(system, "dt", None))
+    _refuse_many(b.shape[1], c.shape[0], (1, 2) if is_sampled else (2, 2))
+    if np.any(d) and not is_sampled:
         raise ValueError(
             f"D is {d.tolist()}; position over force is strictly proper in s: give D = 0."
         )
-    return a, b, c
+    return a, b, c, d
 
 
 def coefficients_of(system: Any) -> tuple[Any, Any]:
@@ -64,7 +74,6 @@ def coefficients_of(system: Any) -> tuple[Any, Any]:
             f"system is {system!r}; give a TransferFunction or StateSpace of python-control or "
             "scipy.signal."
         )
-    _refuse_sampled(system)
     numerator, denominator = system.num, system.den
     if isinstance(numerator, list):  # python-control: a row of lists for each output
         _refuse_many(len(numerator[0]), len(numerator))
@@ -72,17 +81,12 @@ def coefficients_of(system: Any) -> tuple[Any, Any]:
     return np.atleast_1d(numerator), np.atleast_1d(denominator)
 
 
-def _refuse_sampled(system: Any) -> None:
-    if getattr(system, "dt", None) not in (None, 0):
+def _refuse_many(inputs: int, outputs: int, other: tuple[int, int] = (1, 1)) -> None:
+    if (inputs, outputs) not in ((1, 1), other):
         raise ValueError(
-            f"the system is sampled, with dt = {system.dt}; give the device itself, in s, not in z."
-        )
-
-
-def _refuse_many(inputs: int, outputs: int) -> None:
-    if (inputs, outputs) != (1, 1):
-        raise ValueError(
-            f"the system has {inputs} inputs and {outputs} outputs; give one force, one position."
+            f"the system has {inputs} inputs and {outputs} outputs; give one force and one "
+            "position; a state space in s may have those of the hand beside them, one in z the "
+            "velocity."
         )
 
 
@@ -182,18 +186,16 @@ class Device:
     """A haptic device as a linear system in SI units: the force in N moves the position in m.
 
     Make one with ``mass_spring_damper``, ``modes``, ``transfer_function``, ``state_space`` or
-    ``from_control``; ``held_by`` attaches a hand, ``with_actuator`` a motor of finite bandwidth:
+    ``from_control``, or in z with ``discrete`` or ``simulated``; ``held_by`` attaches a hand,
+    ``with_actuator`` a motor of finite bandwidth:
 
-        wall's force --> [actuator] --> (+) --> [device] --+--> position, to the encoder
-                                         ^                 |
-                                         +--- -Z(s) <------+   hands
+        wall's force --> [actuator] --> motor  [device]  encoder --> position
+                                       handle <--------> hands
 
-    Motor, encoder and hands meet the device at one point, the handle: a hand's force acts where the
-    motor's does, and it moves with the position that the encoder shows. Where they do not meet,
-    give a state space of the whole, hand included. A mode of negative modal mass says that they do
-    not, so a hand beside one is refused. A device may be unstable or marginal without a wall
-    (``stability``). The numbers are taken as exact, and everything computed from them has error
-    bounds.
+    Motor, encoder and handle are one point, unless modes have shapes there, or a state space has a
+    second force and position: those of the hand. A device may be unstable or marginal without a
+    wall (``stability``). The numbers are taken as exact, and everything computed from them has
+    error bounds.
 
     Example:
         >>> arm = jaxstab.Hand.mass_spring_damper(mass=1.0, damping=5.0, stiffness=300.0)
@@ -218,9 +220,13 @@ class Device:
         >>> import control
         >>> len(jaxstab.Device.from_control(control.tf([1], [0.25, 0.1, 0.0])).poles())
         2
+        >>> print(jaxstab.Device.discrete([2e-6, 2e-6], [1.0, -2.0, 1.0], step=1e-3))
+        a device in z of order 2, steps of 0.001 s
+        >>> print(jaxstab.Device.simulated(0.1, step=2e-3))
+        a simulated inertia of 0.1, steps of 0.002 s
     """
 
-    mechanism: MassSpringDamper | Modes | TransferFunction | StateSpace
+    mechanism: MassSpringDamper | Modes | TransferFunction | StateSpace | InSteps
     hands: tuple[Hand, ...] = ()
     bandwidths: tuple[float, ...] = ()
 
@@ -280,7 +286,9 @@ class Device:
         States that the force does not move, or that the position does not show, are removed,
         exactly for the given numbers. A device with such a state that is unstable is refused.
 
-        A is of shape (n, n), n from 1 to 40, B of (n, 1) or (n,), C of (1, n) or (n,).
+        A is of shape (n, n), n from 1 to 40, B of (n, 1) or (n,), C of (1, n) or (n,). Where the
+        hand is elsewhere, B is of (n, 2), its second column for the hand's force, and C of (2, n),
+        its second row for the position there; the first ones are motor and encoder.
 
         Raises: see ``jaxstab.conventions``; ValueError also if the shapes do not fit, the position
         never moves, or a hidden state is unstable.
@@ -288,22 +296,61 @@ class Device:
         return cls(checked_state_space(A, B, C))._checked()
 
     @classmethod
+    def discrete(cls, *system: Any, step: float) -> "Device":
+        """A device in z: numerator and denominator, or A, B, C and D, and its step in s.
+
+        The highest power comes first. It leads from the force, held for a step, to the position at
+        the steps, hand and actuator included; a second row of C and D is the velocity
+        (``Velocity.measured``). Of a loop, sample time and delay are whole numbers of its steps.
+        Parts that no output shows count as all others do.
+
+        Raises: see ``jaxstab.conventions``; ValueError also if shapes do not fit, it is not proper,
+        of an order above 40, or never moves.
+        """
+        return cls(checked_discrete(system, step))
+
+    @classmethod
+    def simulated(
+        cls,
+        inertia: float,
+        *,
+        step: float,
+        damping: float = 0.0,
+        stiffness: float = 0.0,
+        integrator: str = "semi-implicit",
+    ) -> "Device":
+        """A joint of a physics engine, or a mass, under a force that is computed outside of it.
+
+        Args and Raises: as ``jaxstab.simulated_pd``. The engine's own velocity is its second output
+        (``Velocity.measured``).
+        """
+        step = checked_number("step", step, 0.0, is_open=True, unit="s")
+        inertia = checked_number("inertia", inertia, 0.0, is_open=True, unit="kg m^2")
+        damping = checked_number("damping", damping, 0.0)
+        stiffness = checked_number("stiffness", stiffness, 0.0)
+        rule = checked_word("integrator", integrator, INTEGRATORS)
+        return cls(Simulated(step, inertia, damping, stiffness, rule))
+
+    @classmethod
     def from_control(cls, system: Any) -> "Device":
-        """A device from a continuous-time system of python-control or ``scipy.signal``.
+        """A device from a system of python-control or ``scipy.signal``, in s or in z.
 
-        It is a TransferFunction, StateSpace or (scipy's) ZerosPolesGain in s, of one force in N and
-        one position in m. ``held_by`` lets the hand's force act at its input and the hand move with
-        its output; where the hand is elsewhere, give the system with the hand in it.
+        It is a TransferFunction, StateSpace or (scipy's) ZerosPolesGain, of one force in N and one
+        position in m; one that is sampled, with its dt in s, is ``discrete``. ``held_by`` lets the
+        hand act at these; where it is elsewhere, give a StateSpace in s whose second input and
+        output are the hand's force and its position.
 
-        Raises: TypeError if it is of another kind; ValueError if it is sampled (in z), not strictly
-        proper, or has more inputs or outputs.
+        Raises: TypeError if it is of another kind; ValueError if it is not (in s: strictly) proper,
+        or has more inputs or outputs.
         """
         matrices = matrices_of(system)
-        return (
-            cls.state_space(*matrices)
-            if matrices
-            else cls.transfer_function(*coefficients_of(system))
-        )
+        sides = matrices or coefficients_of(system)
+        step = getattr(system, "dt", None)
+        if step is True:
+            raise ValueError("the system is sampled, with dt = True; give its step in s.")
+        if step:
+            return cls.discrete(*sides, step=step)
+        return cls.state_space(*sides[:3]) if matrices else cls.transfer_function(*sides)
 
     def held_by(self, hand: Hand) -> "Device":
         """The device with a hand at its handle: G / (1 + G Z), G without the actuators.
@@ -311,13 +358,13 @@ class Device:
         The forces of several hands add up.
 
         Raises: TypeError if it is not a Hand; ValueError if hand and device cancel out, are of an
-        order above 40, or a mode has a negative mass: motor and encoder are then apart, and it is
-        not known where the hand acts.
+        order above 40, if a mode has a negative mass: motor and encoder are then apart, and it is
+        not known where the hand acts; or if the handle has a negative mass that the hand's exceeds.
         """
         if not isinstance(hand, Hand):
             raise TypeError(f"hand is {hand!r}; give a jaxstab.Hand.")
         if degree_of(hand.dynamic_stiffness().numerator) >= 0:  # it does anything
-            self.require_one_handle()
+            self.require_handle()
         return replace(self, hands=(*self.hands, hand))._checked()
 
     def with_actuator(self, bandwidth: float) -> "Device":
@@ -336,17 +383,19 @@ class Device:
         """Return position over the wall's force in exact numbers, without a common factor."""
         return _compliance(self)
 
-    def handle_compliance(self) -> Rational:
-        """Return position over a force at the handle, where no actuator is, in exact numbers."""
-        return _compliance(replace(self, bandwidths=()))
+    def ports(self) -> Ports:
+        """Return what forces do at motor and handle, without actuators, in exact numbers."""
+        return _held(self).reduced()
 
     def static_stiffness(self) -> float:
         """Force in N that holds the handle 1 m from its rest position, without a wall.
 
         It is 0 for a free mass, and infinite where a constant force moves nothing.
         """
+        ports = self.ports()
+        held, _ = Rational(ports.handle_by_hand, ports.below).reduced()
         with working_precision(_BITS):
-            above, below = (balls_of(side)[0] for side in self.handle_compliance())
+            above, below = (balls_of(side)[0] for side in held)
             return inf if above == 0 else float((below / above).mid())
 
     def poles(self) -> Complex128[np.ndarray, " pole"]:
@@ -383,8 +432,8 @@ class Device:
             sum(body.stiffness for body in bodies),
         )
 
-    def require_one_handle(self) -> None:
-        """Refuse a device whose modes move motor and encoder against each other, where it is held.
+    def require_handle(self) -> None:
+        """Refuse a device of which nobody says where it is held.
 
         Raises: ValueError if a mode has a negative mass.
         """
@@ -393,8 +442,9 @@ class Device:
             if mode.modal_mass < 0.0:
                 raise ValueError(
                     f"modal_mass is {mode.modal_mass:g} beside a hand: such a mode moves motor and "
-                    "encoder against each other, and the hand's place is not known; leave out the "
-                    "hand, or give a state space of the device with the hand in it."
+                    "encoder against each other, and the hand's place is not known; give "
+                    f"modal_mass = {-mode.modal_mass:g} with the shapes motor = 1, encoder = -1, "
+                    "and handle = 1 or -1, where the hand is."
                 )
 
     def _checked(self) -> "Device":
@@ -411,15 +461,47 @@ class Device:
         return "; ".join([str(self.mechanism), *actuators, *map(str, self.hands)])
 
 
+def in_steps(device: Device) -> InSteps | None:
+    """A device in z alone; None for one in s."""
+    body, is_alone = device.mechanism, not (device.hands or device.bandwidths)
+    return body if isinstance(body, InSteps) and is_alone else None
+
+
 @lru_cache(maxsize=256)
 def _compliance(device: Device) -> Rational:
-    function = checked_compliance(device.mechanism.compliance(), f"the device ({device.mechanism})")
-    for hand in device.hands:
-        function = function.held_by(hand.dynamic_stiffness())
+    ports = _held(device)
+    function = Rational(ports.encoder, ports.below)
     for bandwidth in device.bandwidths:
         w = turn(bandwidth)
         function = function.times(Rational(w, polynomial([1.0, 0.0]) + w))
     return checked_compliance(function, f"the device ({device})")
+
+
+@lru_cache(maxsize=256)
+def _held(device: Device) -> Ports:
+    """Mechanism and hands, without the actuators."""
+    ports = device.mechanism.ports()
+    checked_compliance(Rational(ports.encoder, ports.below), f"the device ({device.mechanism})")
+    ports = ports.reduced()
+    for hand in device.hands:
+        stiffness = hand.dynamic_stiffness()
+        free, ports = ports.below * stiffness.denominator, ports.held_by(*stiffness)
+        if not _has_mass_left(free, ports.below):
+            raise ValueError(
+                f"the handle of the device ({device.mechanism}) moves under fast forces as a "
+                f"negative mass would, which {hand} makes 0 or exceeds; give shapes or ports of "
+                "one sense to motor, encoder and handle."
+            )
+    return ports
+
+
+def _has_mass_left(free: Any, held: Any) -> bool:
+    """Whether a hand leaves the sense of the leading coefficient of the denominator."""
+    if degree_of(held) > degree_of(free):
+        return True  # a mass on a device without one
+    with working_precision(_BITS):
+        before, after = balls_of(free), balls_of(held)
+        return len(after) == len(before) and bool(after[-1] / before[-1] > 0)
 
 
 @lru_cache(maxsize=256)

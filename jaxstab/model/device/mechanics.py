@@ -1,15 +1,17 @@
 """How a general device moves while forces are held, exact up to the rounding of coefficients.
 
-The handle's compliance (b_1 s^(n-1) + ... + b_n)/(s^n + a_1 s^(n-1) + ... + a_n) is realised in the
-observer's canonical form, in units of one sample, with the position as its first state:
+The encoder's position over the motor's force, (b_1 s^(n-1) + ... + b_n)/(s^n + ... + a_n), and over
+the hand's, with c_i, are realised together in the observer's canonical form, in units of one
+sample, with the position as its first state:
 
-    x_i' = -a_i x_1 + x_(i+1) + b_i f,     x_(n+1) = 0,     f the sum of the forces at the handle
+    x_i' = -a_i x_1 + x_(i+1) + b_i f + c_i h,     x_(n+1) = 0,     f and h the two forces
 
-and each actuator adds its force as a state, u' = w (input - u). With A of all states and B of the
-wall's and the hand's force, exp(t [[A, B], [0, 0]]) is the motion for a time t while both are held.
-The wall's force changes within the sample, at the fraction of the delay: what the new force adds by
-time t is the exponential over t - fraction, and the old force has the rest. The exponentials are
-computed in balls, at a precision that is doubled until every entry is known, and rounded once.
+(c = b where motor, encoder and handle are one point), and each actuator adds its force as a state,
+u' = w (input - u). With A of all states and B of the wall's and the hand's force, exp(t [[A, B],
+[0, 0]]) is the motion for a time t while both are held. The wall's force changes within the sample,
+at the fraction of the delay: what the new force adds by time t is the exponential over t -
+fraction, and the old force has the rest. The exponentials are computed in balls, at a precision
+that is doubled until every entry is known, and rounded once.
 """
 
 from functools import lru_cache
@@ -21,7 +23,14 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from jaxstab.model.device.device import Device
-from jaxstab.model.device.parts import balls_of, decided, exact, turn, working_precision
+from jaxstab.model.device.parts import (
+    Rational,
+    balls_of,
+    decided,
+    exact,
+    turn,
+    working_precision,
+)
 from jaxstab.model.device.sampling import in_fastest_time, in_samples
 from jaxstab.rounding import RAISED
 
@@ -70,15 +79,11 @@ def mechanics(
     """The motion of a device at times in [0, 1] after a sample, for a fraction of the delay."""
 
     def asked() -> tuple[list["arb"], list["arb"], "arb_mat", list["arb_mat"]]:
-        above, below = in_samples(device.handle_compliance(), sample_time)
-        if not above[0] != 0:
-            raise ValueError(
-                "the device has zero DC gain: its transfer function in s is 0 at s = 0; give one "
-                "that moves under a constant force."
-            )
+        sides = sides_in_samples(device, sample_time)
+        matrix = equations(device, sides, sample_time)
+        _, above, below = sides
         give, order = below[0] / above[0], len(below) - 1
         resting = [below[power] - give * above[power] for power in range(order - 1, 0, -1)]
-        matrix = equations(device, above, below, sample_time)
         return above, resting, matrix, [_held(matrix, fraction, offset) for offset in offsets]
 
     above, resting, matrix, rows = decided(
@@ -105,22 +110,43 @@ def mechanics(
     )
 
 
-def equations(
-    device: Device, above: list["arb"], below: list["arb"], sample_time: float
-) -> "arb_mat":
+Sides = tuple[list["arb"], list["arb"], list["arb"]]
+
+
+def sides_in_samples(device: Device, sample_time: float) -> Sides:
+    """What motor and hand move the encoder by, and the denominator of both, as ``in_samples``.
+
+    Raises: as ``in_samples``; ValueError also if the hand's constant force does not move it.
+    """
+    ports = device.ports()
+    by_motor, by_hand = (
+        in_samples(Rational(above, ports.below), sample_time)
+        for above in (ports.encoder, ports.encoder_by_hand)
+    )
+    if not by_hand[0][0] != 0:
+        raise ValueError(
+            "the device has zero DC gain: its transfer function in s is 0 at s = 0; give one "
+            "that moves under a constant force."
+        )
+    return by_motor[0], *by_hand
+
+
+def equations(device: Device, sides: Sides, sample_time: float) -> "arb_mat":
     """[[A, B], [0, 0]] for the states, the wall's force and the hand's."""
     import flint
 
+    by_motor, by_hand, below = sides
     order, actuators = len(below) - 1, len(device.bandwidths)
     size = order + actuators
     wall, hand = size, size + 1
-    pull = size - 1 if actuators else wall  # the force at the handle beside the hand's
+    pull = size - 1 if actuators else wall  # the motor's force
     matrix = flint.arb_mat(size + 2, size + 2)
     for state in range(order):
         matrix[state, 0] = -below[order - 1 - state]
         if state + 1 < order:
             matrix[state, state + 1] = flint.arb(1)
-        matrix[state, pull] = matrix[state, hand] = above[order - 1 - state]
+        matrix[state, pull] = by_motor[order - 1 - state]
+        matrix[state, hand] = by_hand[order - 1 - state]
     for index, bandwidth in enumerate(device.bandwidths):
         (rate,) = balls_of(turn(bandwidth))
         rate = rate * flint.arb(exact(sample_time))
@@ -137,7 +163,7 @@ class HandleEquations(NamedTuple):
     position and velocity.
 
     matrix: rates of the states, of these, of the wall's force and of the hand's.
-    pull: the column of the force that pulls at the handle beside the hand's.
+    pull: the column of the motor's force.
     at_rest: the states of a device at rest at position 1 without a wall's force.
     ticks: how many make a sample, a power of 2.
     """
@@ -150,17 +176,27 @@ class HandleEquations(NamedTuple):
 
 @lru_cache(maxsize=64)
 def handle_equations(device: Device, sample_time: float) -> HandleEquations:
-    """Return the equations of a device at its handle; ValueError if no mass is there."""
+    """Return the equations of a device at its handle.
+
+    ValueError if no mass is there, or its encoder does not show the handle: friction acts there.
+    """
     import flint
 
+    ports = device.ports()
+    if (ports.encoder, ports.encoder_by_hand) != (ports.handle, ports.handle_by_hand):
+        raise ValueError(
+            f"the encoder of the device ({device}) does not show the handle, where friction acts "
+            "and contacts are simulated; give modes of one shape at encoder and handle, or use "
+            "simulate, settling_time and amplitude."
+        )
     with working_precision(1024):
-        of_samples = in_samples(device.handle_compliance(), sample_time)
+        of_samples = sides_in_samples(device, sample_time)[1:]
         turns = (2.0 * pi * width * sample_time for width in device.bandwidths)
         fastest = max(float(in_fastest_time(*of_samples)[2]), *turns, 1.0)
         ticks = 2.0 ** ceil(log2(fastest))
         tick = sample_time / ticks
         moves = mechanics(device, tick, 0.0, (0.0,))
-        matrix = equations(device, *in_samples(device.handle_compliance(), tick), tick)
+        matrix = equations(device, sides_in_samples(device, tick), tick)
         columns = matrix.ncols()
         if moves.thrown is None or not matrix[1, columns - 1] > 0:
             raise ValueError(
@@ -249,10 +285,10 @@ def between_samples(device: Device, sample_time: float, fraction: float) -> Betw
     """The motion of a device within a sample, for a fraction of the delay."""
 
     def asked() -> tuple[bool, Between]:
-        above, below = in_samples(device.handle_compliance(), sample_time)
-        matrix = equations(device, above, below, sample_time)
-        actuators = range(len(above), matrix.ncols() - 2)
-        rates = [in_fastest_time(above, below)[2], *(-matrix[k, k] for k in actuators)]
+        sides = sides_in_samples(device, sample_time)
+        matrix = equations(device, sides, sample_time)
+        actuators = range(len(sides[0]), matrix.ncols() - 2)
+        rates = [in_fastest_time(*sides[1:])[2], *(-matrix[k, k] for k in actuators)]
         motion = _Motion(matrix, fraction)
         pieces = motion.pieces(max(map(float, rates)))
         rows = [

@@ -88,11 +88,6 @@ class Rational(NamedTuple):
         """Numerator and denominator at s = 0."""
         return self.numerator.subs({"s": 0}), self.denominator.subs({"s": 0})
 
-    def held_by(self, stiffness: "Rational") -> "Rational":
-        """Return the compliance G / (1 + G Z) of what a dynamic stiffness Z holds."""
-        (n, d), (z, y) = self, stiffness
-        return Rational(n * y, d * y + n * z)
-
     def reduced(self) -> tuple["Rational", "fmpq_mpoly"]:
         """Return the function without its common factor, and that factor; equals are equal then."""
         common = self.numerator.gcd(self.denominator)
@@ -104,6 +99,80 @@ class Rational(NamedTuple):
     def degrees(self) -> tuple[int, int]:
         """The degrees in s of numerator and denominator; -1 for 0."""
         return degree_of(self.numerator), degree_of(self.denominator)
+
+
+Polynomial = Any
+"""In s and pi, or its values: numbers, arrays or models over boxes."""
+
+
+class Ports(NamedTuple):
+    """What forces at the motor and at the handle do to the encoder and to the handle.
+
+    Each is a numerator over the same denominator ``below``: the encoder and the handle by the
+    motor's force, both by the hand's, and the determinant of these four over ``below``, a
+    polynomial, too. ``excess`` is None where motor, encoder and handle are one point: it is 0 then,
+    and the four are one.
+    """
+
+    below: Polynomial
+    encoder: Polynomial
+    handle: Polynomial
+    encoder_by_hand: Polynomial
+    handle_by_hand: Polynomial
+    excess: Polynomial | None = None
+
+    @classmethod
+    def at_one_point(cls, above: Polynomial, below: Polynomial) -> "Ports":
+        """A device of which motor, encoder and handle are one point."""
+        return cls(below, above, above, above, above)
+
+    def beside(self, body: "tuple[Polynomial, Polynomial]", shapes: "Shapes") -> "Ports":
+        """The device with another body or mode, whose displacement, above/below, adds up."""
+        (above, below), (motor, encoder, handle) = body, shapes
+        one = above * self.below
+        excess = above * (
+            self.encoder * (handle * handle)
+            + self.handle_by_hand * (encoder * motor)
+            - self.encoder_by_hand * (handle * motor)
+            - self.handle * (encoder * handle)
+        )
+        return Ports(
+            self.below * below,
+            self.encoder * below + one * (encoder * motor),
+            self.handle * below + one * (handle * motor),
+            self.encoder_by_hand * below + one * (encoder * handle),
+            self.handle_by_hand * below + one * (handle * handle),
+            excess if self.excess is None else excess + self.excess * below,
+        )
+
+    def held_by(self, above: Polynomial, below: Polynomial) -> "Ports":
+        """The device whose handle a dynamic stiffness above/below holds."""
+        closed = self.below * below + self.handle_by_hand * above
+        if self.excess is None:
+            return Ports.at_one_point(self.encoder * below, closed)
+        return Ports(
+            closed,
+            self.encoder * below + self.excess * above,
+            self.handle * below,
+            self.encoder_by_hand * below,
+            self.handle_by_hand * below,
+            self.excess * below,
+        )
+
+    def reduced(self) -> "Ports":
+        """The same without the common factor of all, of polynomials."""
+        shared = self.below
+        for above in self[1:5]:
+            shared = shared.gcd(above)
+        return Ports(*(side if side is None else side / shared for side in self))
+
+
+class Shapes(NamedTuple):
+    """By how much a mode moves motor, encoder and handle for 1 of its coordinate."""
+
+    motor: Any = 1.0
+    encoder: Any = 1.0
+    handle: Any = 1.0
 
 
 def degree_of(polynomial: "fmpq_mpoly") -> int:
@@ -159,27 +228,44 @@ Coefficients = Sequence[float] | Sequence[int] | np.ndarray[Any, np.dtype[Any]]
 _IN_S = "in s, highest power first"
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Mode:
     """A vibration mode as a modal analysis gives it.
 
-    Its share of the displacement is 1 / (m s^2 + 2 zeta m w s + m w^2) times the force.
+    A force F at the motor moves the encoder by motor encoder F / (m s^2 + 2 zeta m w s + m w^2);
+    the hand's force and its displacement are at the handle. Where all three are the same place, the
+    shapes are 1; a mode of two bodies moves one of them by 1, the other one by -1 if they are
+    alike.
 
     Args:
         frequency: w / (2 pi) in Hz, > 0.
         damping_ratio: zeta, >= 0; 0.01 is 1 % of critical damping.
-        modal_mass: m in kg; negative where the mode moves motor and encoder against each other.
+        modal_mass: m in kg, of shapes as they are given. A negative one, of a mode that moves
+            motor and encoder against each other, does not say where the hand is: none may be there.
+        motor: the mode's shape at the motor.
+        encoder: at the encoder.
+        handle: where the hand is.
 
     Raises: see ``jaxstab.conventions``.
 
     Example:
         >>> jaxstab.Mode(frequency=80.0, damping_ratio=0.01, modal_mass=0.5)
         Mode(frequency=80.0, damping_ratio=0.01, modal_mass=0.5)
+        >>> link = jaxstab.Mode(
+        ...     frequency=35.0, damping_ratio=0.05, modal_mass=8e-4, encoder=-1.0, handle=-1.0
+        ... )
+        >>> device = jaxstab.Device.modes([link], mass=8e-4, damping=2e-3)
+        >>> hand = jaxstab.Hand.mass_spring_damper(damping=0.005)
+        >>> round(device.held_by(hand).static_stiffness(), 6)
+        0.0
     """
 
     frequency: float
     damping_ratio: float
     modal_mass: float
+    motor: float = 1.0
+    encoder: float = 1.0
+    handle: float = 1.0
 
     def __post_init__(self) -> None:
         numbers = {
@@ -187,16 +273,26 @@ class Mode:
             "damping_ratio": checked_number("damping_ratio", self.damping_ratio, 0.0),
             "modal_mass": checked_number("modal_mass", self.modal_mass),
         }
+        numbers |= {name: checked_number(name, getattr(self, name)) for name in Shapes._fields}
         for name, value in numbers.items():
             object.__setattr__(self, name, value)
         if self.modal_mass == 0.0:
             raise ValueError("modal_mass is 0.0; give the mass in kg that the mode moves.")
 
-    def compliance(self) -> Rational:
-        """Return displacement over force."""
+    @property
+    def shapes(self) -> Shapes:
+        """The shapes at motor, encoder and handle."""
+        return Shapes(self.motor, self.encoder, self.handle)
+
+    def response(self) -> Rational:
+        """Return its coordinate over a force of shape 1."""
         mass, damping = exact(self.modal_mass), 2 * exact(self.damping_ratio)
         s, w = polynomial([1.0, 0.0]), turn(self.frequency)
         return Rational(polynomial([1.0]), mass * (s * s + damping * w * s + w * w))
+
+    def __repr__(self) -> str:
+        given = {name: v for name, v in vars(self).items() if name not in Shapes._fields or v != 1}
+        return call_text("Mode", given)
 
 
 class Part:
@@ -227,9 +323,10 @@ class MassSpringDamper(Part):
         """Return force over displacement."""
         return rational([self.mass, self.damping, self.stiffness], [1.0])
 
-    def compliance(self) -> Rational:
+    def ports(self) -> Ports:
         """Return displacement over force."""
-        return rational([1.0], [self.mass, self.damping, self.stiffness])
+        own = [self.mass, self.damping, self.stiffness]
+        return Ports.at_one_point(polynomial([1.0]), polynomial(own))
 
 
 @dataclass(frozen=True)
@@ -248,15 +345,21 @@ class Modes(Part):
             [*body, f"modes at {', '.join(f'{m.frequency:g}' for m in self.modes)} Hz"]
         )
 
-    def compliance(self) -> Rational:
-        """Return displacement over force."""
-        shares = [mode.compliance() for mode in self.modes]
+    @property
+    def has_shapes(self) -> bool:
+        """Whether motor, encoder and handle are not all one point."""
+        return any(len({*mode.shapes}) > 1 for mode in self.modes)
+
+    def ports(self) -> Ports:
+        """Return what forces do to the sum of body and modes."""
+        one, nothing = polynomial([1.0]), polynomial([0.0])
+        parts = [(mode.response(), Shapes(*map(exact, mode.shapes))) for mode in self.modes]
         if self.mass is not None:
-            shares.append(rational([1.0], [self.mass, self.damping, 0.0]))
-        total = shares[0]
-        for share in shares[1:]:
-            total = total.plus(share)
-        return total
+            parts.insert(0, (rational([1.0], [self.mass, self.damping, 0.0]), Shapes(1, 1, 1)))
+        ports = Ports(one, nothing, nothing, nothing, nothing)
+        for body, shapes in parts:
+            ports = ports.beside(body, shapes)
+        return ports if self.has_shapes else ports._replace(excess=None)
 
 
 @dataclass(frozen=True)
@@ -275,20 +378,20 @@ class TransferFunction(Part):
         """Return the function itself, of a hand."""
         return rational(self.numerator, self.denominator)
 
-    def compliance(self) -> Rational:
+    def ports(self) -> Ports:
         """Return the function itself, of a device."""
-        return rational(self.numerator, self.denominator)
+        return Ports.at_one_point(*rational(self.numerator, self.denominator))
 
 
 @dataclass(frozen=True)
 class StateSpace(Part):
-    """The position C x of x' = A x + B u, u the force."""
+    """x' = A x + B u, the forces u at the motor and, if given, at the handle, and C x there."""
 
     maker = "state_space"
 
     a: tuple[tuple[float, ...], ...]
-    b: tuple[float, ...]
-    c: tuple[float, ...]
+    b: tuple[tuple[float, ...], ...]
+    c: tuple[tuple[float, ...], ...]
 
     def call(self, kind: str) -> str:
         """Return the call that makes a device of it."""
@@ -297,19 +400,29 @@ class StateSpace(Part):
     def __str__(self) -> str:
         return f"a state space of order {len(self.b)}"
 
-    def compliance(self) -> Rational:
-        """Return C (s - A)^-1 B: det(s - A + B C) over det(s - A), less 1."""
+    def ports(self) -> Ports:
+        """Return C (s - A)^-1 B."""
+        (encoder, *handle), (motor, *hand) = self.c, zip(*self.b, strict=True)
+        below = self._characteristic()
+        if not handle:
+            return Ports.at_one_point(self._above(encoder, motor), below)
+        pairs = [(c, b) for b in (motor, hand[0]) for c in (encoder, handle[0])]
+        seen, moved, pushed, held = (self._above(c, b) for c, b in pairs)
+        return Ports(below, seen, moved, pushed, held, (seen * held - moved * pushed) / below)
+
+    def _above(self, c: tuple[float, ...], b: tuple[float, ...]) -> "fmpq_mpoly":
+        """The numerator of c (s - A)^-1 b: det(s - A + b c), less det(s - A)."""
+        return self._characteristic([[x * y for y in map(exact, c)] for x in map(exact, b)])
+
+    def _characteristic(self, fed_back: "list[list[fmpq]] | None" = None) -> "fmpq_mpoly":
+        """det(s - A), or what a feedback adds to it."""
         from flint import fmpq_mat
 
-        a = [[exact(value) for value in row] for row in self.a]
-        b, c = ([exact(value) for value in vector] for vector in (self.b, self.c))
-        closed = [
-            [x - y * z for x, z in zip(row, c, strict=True)] for row, y in zip(a, b, strict=True)
-        ]
-        without, within = (
-            polynomial(fmpq_mat(matrix).charpoly().coeffs()[::-1]) for matrix in (a, closed)
-        )
-        return Rational(within - without, without)
+        a = fmpq_mat([[exact(value) for value in row] for row in self.a])
+        plain = polynomial(a.charpoly().coeffs()[::-1])
+        if fed_back is None:
+            return plain
+        return polynomial((a - fmpq_mat(fed_back)).charpoly().coeffs()[::-1]) - plain
 
 
 def _description(mass: float, damping: float, stiffness: float) -> str:
@@ -354,21 +467,28 @@ def _row(name: str, values: Coefficients) -> list[Any]:
 
 
 def checked_state_space(a: Any, b: Any, c: Any) -> StateSpace:
-    """A state space of one force and one position."""
+    """A state space of one force and one position, or of two, the hand's second."""
     matrices = [np.asarray(checked(name, m)) for name, m in zip("ABC", (a, b, c), strict=True)]
     order = matrices[0].shape[0] if matrices[0].ndim == 2 else 0
-    shapes = ((order, order),), ((order,), (order, 1)), ((order,), (1, order))
-    for name, matrix, allowed in zip("ABC", matrices, shapes, strict=True):
-        if not order or matrix.shape not in allowed:
+    sides = [m[:, None] if m.ndim == 1 else m for m in (matrices[1], matrices[2].T)]
+    ports = sides[0].shape[1] if sides[0].ndim == 2 else 0
+    allowed = (order, order), (order, ports), (order, ports)
+    for name, given, matrix, shape in zip(
+        "ABC", matrices, (matrices[0], *sides), allowed, strict=True
+    ):
+        if not order or matrix.shape != shape or ports not in (1, 2):
             raise ValueError(
-                f"{name} has shape {matrix.shape}; a state space in s of one force and one "
-                "position has A of (n, n), B of (n, 1) and C of (1, n)."
+                f"{name} has shape {given.shape}; a state space in s of one force and one "
+                "position has A of (n, n), B of (n, 1) and C of (1, n); with the force and the "
+                "position of the hand B is of (n, 2) and C of (2, n)."
             )
     if order > HIGHEST_ORDER:
         raise ValueError(f"A has {order} states; give {HIGHEST_ORDER} at most.")
-    rows = [[float(value) for value in matrix.reshape(order, -1).ravel()] for matrix in matrices]
-    square = tuple(tuple(rows[0][k : k + order]) for k in range(0, order * order, order))
-    return StateSpace(square, tuple(rows[1]), tuple(rows[2]))
+    rows = [
+        tuple(tuple(float(value) for value in row) for row in matrix)
+        for matrix in (matrices[0], sides[0], sides[1].T)
+    ]
+    return StateSpace(*rows)
 
 
 def checked_compliance(function: Rational, what: str) -> Rational:

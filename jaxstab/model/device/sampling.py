@@ -15,7 +15,7 @@ from functools import lru_cache
 from math import ceil, floor, ldexp, log2
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from jaxstab.model.device.device import Device
+from jaxstab.model.device.device import Device, in_steps
 from jaxstab.model.device.parts import Rational, balls_of, decided, exact
 from jaxstab.model.parameters import LONGEST_DELAY
 from jaxstab.numbers import checked_number
@@ -63,7 +63,9 @@ def sampled_device(device: Device, sample_time: float, delay: float) -> SampledD
     import flint
 
     def size() -> Ball:
-        return sum(map(abs, one_sample(device, period).whole.coeffs()), flint.arb(0))
+        own = in_steps(device)
+        whole = own.sampled(period, delay)[1][0] if own else one_sample(device, period).whole
+        return sum(map(abs, whole.coeffs()), flint.arb(0))
 
     unit = _binary_digits(decided(size, is_answered=lambda ball: ball.rel_accuracy_bits() > 1))
     in_time = unit - _binary_digits(flint.arb(period))

@@ -1,0 +1,445 @@
+"""Scenes of other loops than walls: ``[loop] kind = ...``, pairs of gains, and their answers.
+
+A table [loop] has the arguments of the function that makes the loop, which checks them. PID and a
+coupling take their device from [device], [hand] and [controller], as walls do. [gains.NAME] has
+both gains, as the loop calls them; at_NAME in [wanted] asks for the stable values of the other one.
+
+Limits are printed as a stable pair, proved. An admittance may have a range of environments; its
+loop is that of the stiffest. Without a virtual spring p(z) is homogeneous in mass M, damping D and
+stiffness Ke, so all Ke of [low, high] at one pair of gains are the pairs (s M, s D), s from 1 to
+high/low, at Ke = high: a piece of a line, whose stable intervals are complete and proved. A pair is
+stable for all of the range where one of them holds that piece.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, make_dataclass, replace
+from functools import cache, partial
+from inspect import Parameter, signature
+from math import inf, isfinite, nan
+from typing import Any
+
+from jaxstab import loop as doors
+from jaxstab import tables as t
+from jaxstab.conventions import Verdict
+from jaxstab.exact import LineStatus, StableLine, stable_line
+from jaxstab.loop import Gain, GainLimit, Loop
+from jaxstab.model.affine import affine_triple
+from jaxstab.region import RegionStatus
+from jaxstab.rounding import EPS
+from jaxstab.scene.answers import (
+    Answer,
+    GivenQuantity,
+    IntervalQuantity,
+    Quantity,
+    basis_of,
+    rounded_wall,
+)
+from jaxstab.scene.check import Radius
+from jaxstab.scene.limits import numbered, stable_intervals
+from jaxstab.scene.loops import device_of, hands_of, loop_of
+from jaxstab.scene.scene import Device, Hand, PositionTable, Scene, Units
+from jaxstab.scene.tune import DesignStatus, largest_value
+from jaxstab.shown import Printed, stable_pair
+
+_HELD = "device", "hand", "controller"
+_DOORS: Mapping[str, tuple[Any, tuple[str, ...]]] = {
+    "simulator": (doors.simulated_pd, ()),
+    "admittance": (doors.admittance, ()),
+    "pid": (doors.pid, ("loop",)),
+    "coupling": (doors.coupling, ("first", "sample_time", "delays_samples", "velocity")),
+}
+"""The function of each kind of loop, and what it takes from the tables of a held device."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class OtherDevice(Device):
+    """The second device of a coupling, with its hand and its delay."""
+
+    hand: Hand | None = t.key(t.nested(Hand), None)
+    delay_samples: float = t.key(t.quantity("samples"), 0.0)
+
+
+def _loop(table: Any, held: Scene | None) -> tuple[Loop, tuple[float, float]]:
+    """Return the loop of a table [loop], and the range of its environment; 1 twice without one."""
+    given, ends = dict(table), (1.0, 1.0)
+    door, provided = _DOORS[given.pop("kind")]
+    arguments = signature(door).parameters.values()
+    keys = {own.name: own for own in arguments if own.name not in provided}
+    t.check_keys("loop", given, [*keys])
+    for name, own in keys.items():
+        if own.default is Parameter.empty and name not in given:
+            raise ValueError(f"loop.{name} is missing; give it a value.")
+    if "outside" in given:
+        t.checked("loop.outside", given["outside"], t.truth)
+    for name in {"robot", "force_filter"} & given.keys():
+        given[name] = PositionTable.from_table(given[name], f"loop.{name}").as_filter()
+    if "environment" in given:
+        ends = t.checked(
+            "loop.environment", given["environment"], t.Interval("N/m", is_positive=True)
+        )
+        given["environment"] = ends[1]
+        if given.get("stiffness") and ends[0] < ends[1]:
+            raise ValueError(
+                "loop.stiffness is given beside a range of environments, which is proved without "
+                "a virtual spring; give one environment."
+            )
+    if held and "loop" in provided:
+        given["loop"] = loop_of(held)
+    elif held:
+        controller, second = held.controller, OtherDevice.from_table(given["second"], "loop.second")
+        other = _single(replace(held, device=second, hand=second.hand))
+        if other.units is not held.units or controller.position is not None:
+            raise ValueError(
+                "loop.second moves in another way than device, or controller.position is given; a "
+                "coupling is of two devices that both turn, or both do not, without a filter."
+            )
+        given |= {"first": device_of(held), "second": device_of(other)}
+        given |= {"sample_time": controller.sample_time, "velocity": controller.estimator}
+        given["delays_samples"] = controller.samples, second.delay_samples
+    try:
+        return door(**given), ends
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"loop: {error}") from None
+
+
+def _single(scene: Scene) -> Scene:
+    """Return a scene without ranges, and without what is of simulated contacts; ValueError."""
+    if hands_of(scene) is not None or scene.contact is not None:
+        raise ValueError(
+            "beside [loop] a mass or a hand is a range, or friction, max_force or force_step is "
+            "given, which are of simulated contacts; give one number for each, and no contacts."
+        )
+    scene.controller.require_one_delay("an answer about [loop]")
+    return scene
+
+
+@dataclass(frozen=True)
+class GainScene:
+    """A loop of two gains (that of the stiffest environment), pairs of gains by name, and wishes.
+
+    ``tables`` are those of the file, and ``held`` is the scene of the device, if there is one.
+    """
+
+    tables: Mapping[str, Any]
+    held: Scene | None
+    environment: tuple[float, float]
+    loop: Loop
+    pairs: dict[str, dict[str, float]]
+    wanted: dict[str, Any]
+
+    @classmethod
+    def from_table(cls, tables: Mapping[str, Any]) -> "GainScene":
+        """Check a table of tables; ValueError on the first key that is unknown, missing or bad."""
+        table, pairs = tables["loop"], tables.get("gains", {})
+        if not isinstance(table, Mapping) or not isinstance(pairs, Mapping):
+            raise ValueError("loop or gains is no table; give [loop], and [gains.NAME] for pairs.")
+        beside = (
+            _HELD if _DOORS[t.checked("loop.kind", table.get("kind"), t.one_of(_DOORS))][1] else ()
+        )
+        t.check_keys("", tables, ["loop", "gains", "wanted", *beside])
+        of_device = {name: tables[name] for name in beside if name in tables}
+        held = _single(Scene.from_table(of_device)) if beside else None
+        (loop, (low, high)), units = _loop(table, held), held.units if held else Units.LINE
+        words = loop.words.replace(f"{high:g} N/m", f"{low:g} to {high:g} N/m")
+        first, second = (gain._replace(unit=units.unit(gain.unit)) for gain in loop.gains)
+        pair, wanted = _tables_of(first, second)
+        return cls(
+            tables,
+            held,
+            (low, high),
+            replace(loop, gains=(first, second), words=words if low < high else loop.words),
+            {
+                t.checked_label(name): dict(vars(pair.from_table(own, f"gains.{name}")))
+                for name, own in pairs.items()
+            },
+            dict(vars(wanted.from_table(tables.get("wanted", {}), "wanted"))),
+        )
+
+    @property
+    def is_range(self) -> bool:
+        """Whether the environments are a range."""
+        return self.environment[0] < self.environment[1]
+
+    def unusual(self) -> list[str]:
+        """Describe values that look like a slip of the unit."""
+        return self.held.unusual() if self.held else []
+
+    def verdict(self, first: float, second: float) -> Verdict:
+        """Whether both gains are stable, with every environment of the range."""
+        pair = dict(zip((gain.name for gain in self.loop.gains), (first, second), strict=True))
+        verdict = Verdict(int(self.loop.verdict(**pair)))
+        if verdict != Verdict.STABLE or not self.is_range:
+            return verdict
+        line = stable_line(partial(affine_triple, self.loop.parts), (0.0, 0.0), (first, second))
+        most = self.environment[1] / self.environment[0] * (1.0 + EPS)
+        if any(low.value < 1.0 and high.value - high.error > most for low, high in line.intervals):
+            return verdict
+        return Verdict.UNSTABLE if line.status == LineStatus.PROVED else Verdict.UNDECIDED
+
+    def answer(self, command: str) -> "GainAnswer":
+        """What a command answers; ValueError for one that does not."""
+        if command not in _ANSWERS:
+            others = ", ".join(_ANSWERS)
+            raise ValueError(f"{command} has no answer for {self.loop.words}; {others}, study do.")
+        try:
+            return _ANSWERS[command](self)
+        except OverflowError:
+            raise ValueError(
+                "the numbers are too large or small to compute with; check the units."
+            ) from None
+
+
+def any_scene(tables: Mapping[str, Any], source: str = "") -> Scene | GainScene:
+    """The scene of walls or, with a table [loop], of another loop; ValueError with its source."""
+    if "loop" not in tables:
+        return Scene.from_table(tables, source)
+    try:
+        return GainScene.from_table(tables)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{source}: {error}" if source else str(error)) from None
+
+
+@cache
+def _tables_of(*gains: Gain) -> tuple[Any, Any]:
+    """Return the tables of a pair of gains, and of wishes about them."""
+    both = {gain.name: t.quantity(gain.unit) for gain in gains}
+    wishes = {"safety": t.share, **both, **{f"at_{name}": own for name, own in both.items()}}
+    made: Any = partial(make_dataclass, bases=(t.Table,), frozen=True, kw_only=True)
+    return (
+        made("Pair", [(name, Any, t.key(own)) for name, own in both.items()]),
+        made("Wanted", [(name, Any, t.key(own, None)) for name, own in wishes.items()]),
+    )
+
+
+# Answers, whose names are those of the gains.
+
+
+@dataclass(frozen=True)
+class GainAnswer(Answer):
+    """Values by their names, the formats of numbers, and whether the gains in it are stable."""
+
+    values: dict[str, Any]
+    formats: Mapping[str, Quantity] = field(default_factory=dict)
+    is_stable: bool = True
+
+    @property
+    def all_stable(self) -> bool:
+        """Whether the gains in it, and in all answers in it, are stable."""
+        inner = (value for _, value in self._entries() if isinstance(value, GainAnswer))
+        return self.is_stable and all(answer.all_stable for answer in inner)
+
+    def _entries(self) -> Iterator[tuple[tuple[str, ...], Any]]:
+        for name, value in self.values.items():
+            if isinstance(value, dict):
+                yield from (((name, own), entry) for own, entry in value.items())
+            elif value is not None:
+                yield (name,), value
+
+    def _quantity(self, name: str) -> Quantity:
+        return self.formats[name]
+
+
+def gain_limits(scene: GainScene) -> GainAnswer:
+    """The limits of both gains, the stable values of one at the other, and around each pair."""
+    values = _stated(scene)
+    try:
+        values |= {limit.gain.name: _limit(scene, limit) for limit in _limits(scene)}
+    except ValueError as error:  # the gains are not bounded
+        values["limits"] = str(error)
+    for gain in scene.loop.gains:
+        at = scene.wanted[f"at_{gain.name}"]
+        if at is not None and scene.is_range:
+            raise ValueError(
+                f"wanted.at_{gain.name} is {at:g} beside a range of environments, for which pairs "
+                "of gains are proved; give one environment, or [gains.NAME]."
+            )
+        values[f"at_given_{gain.name}"] = None if at is None else _row(scene, gain, at)
+    return GainAnswer(values | {"gains": {k: _around(scene, p) for k, p in scene.pairs.items()}})
+
+
+def check_gains(scene: GainScene) -> GainAnswer:
+    """The verdict on each pair, its spectral radius, and the stable values around it."""
+    if not scene.pairs:
+        names = " and ".join(gain.name for gain in scene.loop.gains)
+        raise ValueError(f"gains is empty; give at least one pair, [gains.NAME] with {names}.")
+    pairs = {name: _around(scene, pair, in_full=True) for name, pair in scene.pairs.items()}
+    return GainAnswer(_stated(scene) | {"gains": pairs})
+
+
+def explain_gains(scene: GainScene) -> str:
+    """The loop, its numbers and its gains."""
+    gains = ", ".join(f"{gain.name} in {gain.unit}" for gain in scene.loop.gains)
+    return str(GainAnswer(_stated(scene) | {"gains": gains}))
+
+
+def _stated(scene: GainScene) -> dict[str, Any]:
+    """What answers hold for."""
+    given = ", ".join(f"{name} = {value}" for name, value in scene.tables["loop"].items())
+    values = {"loop": scene.loop.words, "given": given, "safety": scene.wanted["safety"]}
+    values["device"] = basis_of(scene.held) if scene.held else None
+    return {"inputs": GainAnswer(values, {"safety": Quantity()})}
+
+
+def _limits(scene: GainScene) -> tuple[GainLimit, GainLimit]:
+    """The limits of both gains, times the safety; RuntimeError where they are not resolved."""
+    limits, safety = scene.loop.limits(), scene.wanted["safety"] or 1.0
+    if limits.status == RegionStatus.UNRESOLVED:
+        raise RuntimeError("the stable region was not resolved; change one value a little.")
+    factors = {"largest": safety, "least": 1.0 / safety}
+    first, second = limits[:2]
+    return (
+        first._replace(value=first.value * factors[first.gain.sense]),
+        second._replace(value=second.value * factors[second.gain.sense]),
+    )
+
+
+def _limit(scene: GainScene, limit: GainLimit) -> GainAnswer:
+    """A limit and the other gain there, to be printed as a stable pair."""
+    own, value, at = limit
+    other, sign = _other(scene, own), 1.0 if own.sense == "largest" else -1.0
+    if isfinite(value):
+        at = _beside(scene.loop.intervals(**{own.name: value * (1.0 - 2e-4 * sign)}), at)
+    signed, at = stable_pair(
+        sign * value, at, (4, 6), lambda one, two: _is_stable(scene, own, sign * one, two)
+    )
+    is_proved = isinstance(signed, Printed)
+    value = Printed(value, signed.text.lstrip("-")) if isinstance(signed, Printed) else value
+    certainty = "proved for every environment" if is_proved else "not proved"
+    return GainAnswer(
+        {
+            f"{own.sense}_{own.name}": value,
+            f"at_{other.name}": at,
+            "certainty": certainty if scene.is_range or not is_proved else None,
+        },
+        {f"{own.sense}_{own.name}": Quantity(own.unit), f"at_{other.name}": Quantity(other.unit)},
+        is_proved,
+    )
+
+
+def _beside(row: StableLine, at: float) -> float:
+    """A gain inside of a row: a given one or, where that is in a corner, one between the ends."""
+    if not row.intervals or row.holding(at):
+        return at
+    low, high = (max(end.value, 0.0) for end in row.intervals[-1])
+    return 0.5 * (low + min(high, 3.0 * low + 1.0))
+
+
+def _other(scene: GainScene, own: Gain) -> Gain:
+    return scene.loop.gains[1 - scene.loop.gains.index(own)]
+
+
+def _is_stable(scene: GainScene, own: Gain, value: float, other: float) -> bool:
+    """Whether a value of a gain, and one of the other, are >= 0 and stable."""
+    pair = (value, other) if own == scene.loop.gains[0] else (other, value)
+    return min(pair) >= 0.0 and scene.verdict(*pair) == Verdict.STABLE
+
+
+def _row(scene: GainScene, fixed: Gain, value: float, around: float = nan) -> GainAnswer:
+    """The stable values of the other gain: first those around one, or small ones."""
+    own, line = _other(scene, fixed), scene.loop.intervals(**{fixed.name: value})
+    found = stable_intervals(line, scene.wanted["safety"] or 1.0, around)
+    least = 0.0 if own.sense == "least" else -inf  # a mass is not negative
+    first, *others = [(max(low, least), high) for low, high in found if high > 0.0] or [(nan, nan)]
+    names, limits = (f"{own.name}_limits", f"other_{own.name}"), IntervalQuantity(own.unit, 4)
+    return GainAnswer(
+        {f"at_{fixed.name}": value, names[0]: first, names[1]: numbered(others)},
+        {f"at_{fixed.name}": GivenQuantity(fixed.unit), **dict.fromkeys(names, limits)},
+    )
+
+
+def _around(scene: GainScene, pair: dict[str, float], *, in_full: bool = False) -> GainAnswer:
+    """The verdict on a pair, and the stable values of each gain at the other one."""
+    verdict = scene.verdict(*pair.values())
+    values: dict[str, Any] = {**pair, "verdict": verdict}
+    formats: dict[str, Quantity] = {x.name: GivenQuantity(x.unit) for x in scene.loop.gains}
+    if in_full and not scene.is_range:
+        radius = scene.loop.spectral_radius(**pair)
+        values["radius"] = Radius(float(radius.value), float(radius.error))
+    for own in () if scene.is_range else scene.loop.gains:
+        fixed = _other(scene, own)
+        row = _row(scene, fixed, pair[fixed.name], pair[own.name])
+        values |= {name: value for name, value in row.values.items() if name[:3] != "at_"}
+        formats |= row.formats
+    return GainAnswer(values, formats, verdict == Verdict.STABLE)
+
+
+def tune_gains(scene: GainScene) -> GainAnswer:
+    """The gains of the smallest spectral radius, and what is stable around them."""
+    best = scene.loop.tune()
+    values = _stated(scene) | {"status": best.status}
+    if not isfinite(best.radius):
+        return GainAnswer(values, is_stable=False)
+    (first, kp), (second, kd) = best.gains.items()
+    pair = rounded_wall(kp, kd, lambda *gains: scene.verdict(*gains) == Verdict.STABLE)
+    rounded = dict(zip((first, second), pair, strict=True))
+    return GainAnswer(values | {"least_radius": _around(scene, rounded, in_full=True)})
+
+
+def design_gains(scene: GainScene) -> GainAnswer:
+    """The largest sample time, and the largest delay, that allow the wanted value of a gain."""
+    asked = [gain for gain in scene.loop.gains if scene.wanted[gain.name] is not None]
+    if len(asked) != 1:
+        both = " and ".join(gain.name for gain in scene.loop.gains)
+        raise ValueError(f"wanted has {len(asked)} of {both}; give the one to design for.")
+    section = scene.tables["controller" if scene.held else "loop"]
+    period = "step" if "step" in section else "sample_time"
+    late = "delay_steps" if period == "step" else "delay" if "delay" in section else "delay_samples"
+    now = _limit(scene, _limits(scene)[scene.loop.gains.index(asked[0])])
+    values = {asked[0].name: scene.wanted[asked[0].name], "now": replace(now, is_stable=True)}
+    values |= {name: _largest(scene, asked[0], section[period], name) for name in (period, late)}
+    return GainAnswer(_stated(scene) | values, {asked[0].name: GivenQuantity(asked[0].unit)})
+
+
+def _largest(scene: GainScene, own: Gain, period: float, name: str) -> GainAnswer:
+    """The largest value of a key that allows the wanted gain, which is taken to fall with it."""
+    axis, goal, other = scene.loop.gains.index(own), scene.wanted[own.name], _other(scene, own)
+    place = ["controller" if scene.held else "loop", name]
+    kind: Any = int if "delay" in name and not scene.held else float  # of steps, or samples
+    is_time = name in ("step", "sample_time", "delay")
+
+    def at(value: float) -> GainScene:
+        return scene.from_table(t.with_value(scene.tables, ".".join(place), kind(value), place))
+
+    @cache
+    def limit(value: float) -> GainLimit:
+        return _limits(at(value))[axis]
+
+    def spare(value: float) -> float:
+        """Return what is left of the limit, relative; -1 where no gains are stable."""
+        try:
+            found = limit(float(kind(value))).value
+        except ValueError:  # beyond what a filter, or the longest delay, allows
+            return -1.0
+        share = found / goal if own.sense == "largest" else goal / max(found, 1e-300)
+        return max(-1.0, share - 1.0) if isfinite(share) else -1.0
+
+    if "delay" in name:
+        start = period if is_time else 1.0
+        ends = 0.0, 256.0 * start
+    else:
+        at(0.7317 * period)  # refuses a window in s, which goes with few sample times
+        start, ends = period, (period / 1024.0, 1024.0 * period)
+    value, status = largest_value(spare, start, *ends)
+    near = nan
+    if status != DesignStatus.NONE:
+        value = float(kind(value))
+        row = at(value if kind is int else value * (1.0 - 2e-4)).loop.intervals(**{own.name: goal})
+        near = _beside(row, limit(value).at)
+        value, near = stable_pair(
+            value, near, (4, 6), lambda one, two: _is_stable(at(one), own, goal, two)
+        )
+    names = f"largest_{name}", f"at_{other.name}"
+    words = status.words.replace("stiffness", "gain")
+    return GainAnswer(
+        {names[0]: value, names[1]: near, "status": words},
+        {names[0]: Quantity("s" if is_time else ""), names[1]: Quantity(other.unit)},
+        status != DesignStatus.NONE,
+    )
+
+
+_ANSWERS: Mapping[str, Callable[[GainScene], GainAnswer]] = {
+    "limits": gain_limits,
+    "check": check_gains,
+    "tune": tune_gains,
+    "design": design_gains,
+}

@@ -1,0 +1,564 @@
+"""Scenes of simulators, admittance, PID and couplings: what commands answer, and in which words."""
+
+import csv
+import json
+import tomllib
+from decimal import Decimal
+from fractions import Fraction
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import affine_kinds
+import mpmath
+import numpy as np
+import pytest
+import recursions
+from commands import assert_one_sentence, run
+
+import jaxstab
+from jaxstab import Verdict
+from jaxstab.scene import GainScene, any_scene
+
+FOLDER = Path(__file__).parents[1] / "data" / "scenes" / "gains"
+KINDS = "simulator", "admittance", "pid", "coupling"
+Tables = dict[str, Any]
+
+JOINT = {"kind": "simulator", "inertia": 0.1, "step": 2e-3}
+SPRUNG = JOINT | {"damping": 0.5, "stiffness": 20.0}
+ROBOT = {"kind": "admittance", "environment": 1e4, "sample_time": 1e-3, "delay_samples": 4}
+SLOW = {"delay_samples": 5, "robot": {"factor": 0.1}}
+DEVICE = {
+    "device": {"mass": 0.25, "damping": 0.1},
+    "controller": {"sample_time": 1e-3, "delay_samples": 1.0},
+}
+WINDOW = {
+    "device": DEVICE["device"],
+    "controller": DEVICE["controller"] | {"velocity": {"window_samples": 20}},
+}
+OTHER, SPRING = {"mass": 0.5, "damping": 0.2}, {"mass": 0.1, "damping": 0.5}
+
+
+def loop(table: Tables, **wanted: float) -> Tables:
+    return {"loop": table, "wanted": wanted}
+
+
+def pid(gains: Tables, of: Tables = DEVICE, **wanted: float) -> Tables:
+    return of | loop({"kind": "pid", **gains}, **wanted)
+
+
+def couple(second: Tables, first_late: float, late: float, **wanted: float) -> Tables:
+    controller = {"sample_time": 1e-3, "delay_samples": first_late}
+    second = second | {"delay_samples": late}
+    table = loop({"kind": "coupling", "second": second}, **wanted)
+    return table | {"device": DEVICE["device"], "controller": controller}
+
+
+HELD = SPRING | {"hand": {"stiffness": 20.0}}  # 20 N/m hold it
+INF = float("inf")
+# Of 40 digits, by Newton's method in mpmath on the determinants of recursions.
+TRUTHS = {
+    "every 4 steps": (loop(JOINT | {"substeps": 4}, at_kd=10.0), "kp", (0.0, 3333.33333333)),
+    "late": (
+        loop(JOINT | {"substeps": 4, "delay_steps": 2}, at_kd=5.0),
+        "kp",
+        (0.0, 573.306746431),
+    ),
+    "outside": (loop(JOINT | {"outside": True}, at_kd=10.0), "kp", (0.0, 90000.0)),
+    "kd": (loop(JOINT | {"substeps": 4}, at_kp=100.0), "kd", (0.3, 24.9)),
+    "shipped": (
+        loop(SPRUNG | {"integrator": "implicit-joint"}, at_kd=10.0),
+        "kp",
+        (-20.0, 90480.0),
+    ),
+    "implicit": (loop(SPRUNG | {"integrator": "implicit"}, at_kd=10.0), "kp", (-20.0, INF)),
+    "damping": (loop(ROBOT, at_mass=2.0), "damping", (39.515919035, 3995.0)),
+    "mass": (loop(ROBOT, at_damping=39.5), "mass", (0.02225, 1.934237439)),
+    "backward": (loop(ROBOT | {"rule": "backward"}, at_mass=2.0), "damping", (39.5250081919, INF)),
+    "virtual spring": (
+        loop(ROBOT | {"stiffness": 1e3}, at_mass=2.0),
+        "damping",
+        (39.4676599975, 3994.5),
+    ),
+    "slow robot": (loop(ROBOT | SLOW, at_mass=2.0), "damping", (105.305296453, 4000.26315789)),
+    "slow and filtered": (
+        loop(ROBOT | SLOW | {"force_filter": {"factor": 0.2}}, at_mass=2.0),
+        "damping",
+        (130.346545413, 4000.02923977),
+    ),
+    "kp": (pid({"kd": 50.0}, at_ki=1e5), "kp", (405.297223468, 25486.3735143)),
+    "ki": (pid({"kd": 50.0, "rule": "trapezoid"}, at_kp=5e3), "ki", (0.0, 947132.805048)),
+    "kd by ki": (pid({"ki": 1e5}, at_kp=5e3), "kd", (12.549777558, 200.179086276)),
+    "a window": (pid({"kd": 10.0}, WINDOW, at_ki=1e4), "kp", (166.449488818, 1735.72184324)),
+    "two devices": (couple(OTHER, 1.0, 2.0, at_damping=30.0), "stiffness", (0.0, 12779.0591429)),
+    "fractions": (couple(OTHER, 1.5, 2.25, at_damping=20.0), "stiffness", (0.0, 7452.67931977)),
+    "a hand": (couple(HELD, 2.0, 1.4, at_damping=10.0), "stiffness", (0.0, 4050.9052908)),
+}
+
+
+def answered(tables: Tables, command: str = "limits") -> Any:
+    scene = any_scene(tables)
+    assert isinstance(scene, GainScene)
+    return scene.answer(command)
+
+
+@pytest.mark.parametrize("name", TRUTHS)
+def test_54_stable_values_of_a_gain_are_those_of_40_digits(name: str) -> None:
+    tables, gain, expected = TRUTHS[name]
+    ((at, value),) = tables["wanted"].items()
+    row = answered(tables).as_json()[at.replace("at_", "at_given_")]
+    assert row[at] == value
+    low, high = row[f"{gain}_limits"]
+    assert (low, INF if high is None else high) == pytest.approx(expected, rel=2e-11, abs=1e-9)
+
+
+# ---------------------------------------------------------------------- printed numbers are stable
+def held_mass(numbers: tuple[float, ...], late: float) -> recursions.HeldMass:
+    return affine_kinds._exact_plant(*numbers, 1e-3, late)
+
+
+def judged(tables: Tables, pair: dict[str, Fraction], wall: float = 0.0) -> bool | None:
+    """Whether exact gains are stable in the recursion of a scene, in exact numbers."""
+    own, exact = {**tables["loop"]}, {"one": Fraction(1)}
+    match own.pop("kind"):
+        case "simulator":
+            timing = {name: own.pop(name, default) for name, default in TIMING.items()}
+            inside = not own.pop("outside", False) and timing == TIMING
+            engine = {"damping": 0.0, "stiffness": 0.0, "integrator": "semi-implicit"} | own
+            numbers = {k: v if k == "integrator" else Fraction(v) for k, v in engine.items()}
+            matrix = recursions.simulated(**pair, inside=inside, **timing, **numbers, **exact)
+        case "admittance":
+            own = {"rule": "forward", "stiffness": 0.0} | own | {"environment": wall}
+            kept = "rule", "delay_samples"
+            numbers = {k: v if k in kept else Fraction(v) for k, v in own.items()}
+            matrix = recursions.admittance(**pair, **numbers, **exact)
+        case "pid":
+            plant = held_mass((0.25, 0.1, 0.0), 1.0)
+            gains = {name: mpf(value) for name, value in pair.items()}
+            gains |= {name: mpf(own[name]) for name in ("kp", "ki", "kd") if name in own}
+            matrix = recursions.pid(
+                **gains, plant=plant, period=mpf(1e-3), rule="backward", window=1, one=mpf(1)
+            )
+        case _:
+            second = own["second"]
+            bodies = (0.25, 0.1, 0.0), (second["mass"], second["damping"], 0.0)
+            lates = tables["controller"]["delay_samples"], second["delay_samples"]
+            plants = [held_mass(*both) for both in zip(bodies, lates, strict=True)]
+            gains = {name: mpf(value) for name, value in pair.items()}
+            matrix = recursions.coupling(
+                **gains, first=plants[0], second=plants[1], period=mpf(1e-3), drift=1, one=mpf(1)
+            )
+    with mpmath.workdps(60):
+        return affine_kinds.is_stable_exactly(matrix)
+
+
+TIMING = {"substeps": 1, "delay_steps": 0}
+
+
+def mpf(number: Any) -> Any:
+    with mpmath.workdps(60):
+        exact = Fraction(number)
+        return mpmath.mpf(exact.numerator) / exact.denominator
+
+
+def printed_pairs(text: str) -> list[dict[str, Fraction]]:
+    """The pairs of gains that an answer prints as limits: a largest or least one, and where."""
+    found, lines = list[dict[str, Fraction]](), text.splitlines()
+    for line, following in pairwise(lines):
+        words, place = line.split(), following.split()
+        if words[0] in ("largest", "least"):
+            assert place[0] == "at"
+            found.append({words[1]: Fraction(Decimal(words[2])), place[1]: Fraction(place[2])})
+    return found
+
+
+RANDOM = {
+    "simulator": lambda rng: loop(
+        JOINT
+        | {
+            "inertia": float(10 ** rng.uniform(-4, 0)),
+            "damping": float(rng.choice([0.0, 0.01])),
+            "integrator": str(rng.choice(["semi-implicit", "implicit-joint"])),
+            "substeps": int(rng.integers(1, 5)),
+            "delay_steps": int(rng.integers(0, 6)),
+        }
+    ),
+    "admittance": lambda rng: loop(
+        ROBOT
+        | {
+            "environment": float(10 ** rng.uniform(2, 5)),
+            "delay_samples": int(rng.integers(1, 6)),
+            "rule": str(rng.choice(["forward", "explicit", "backward"])),
+        }
+    ),
+    "pid": lambda rng: pid({"kd": float(rng.uniform(5.0, 100.0))}),
+    "coupling": lambda rng: couple(
+        {"mass": float(10 ** rng.uniform(-1, 1)), "damping": 0.2},
+        1.0,
+        float(rng.choice([0.0, 2.5])),
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_54_limits_are_stable_as_they_are_printed(kind: str) -> None:
+    """In exact fractions, or numbers of 60 digits: by the recursion of software and device."""
+    rng = np.random.default_rng(54)
+    for _ in range(8):
+        tables = RANDOM[kind](rng)
+        tables["wanted"] = {"safety": 0.7} if rng.random() < 0.3 else {}
+        answer = answered(tables)
+        pairs = printed_pairs(str(answer))
+        assert len(pairs) == 2, str(answer)
+        assert answer.all_stable
+        for pair in pairs:
+            assert judged(tables, pair, tables["loop"].get("environment", 0.0)), (tables, pair)
+
+
+@pytest.mark.parametrize("kind", ["simulator", "admittance"])
+def test_54_no_gains_are_stable_beyond_the_limits(kind: str) -> None:
+    rng = np.random.default_rng(55)
+    for _ in range(8):
+        tables = RANDOM[kind](rng)
+        scene, wall = any_scene(tables), tables["loop"].get("environment", 0.0)
+        assert isinstance(scene, GainScene)
+        numbers = scene.answer("limits").as_json()
+        for own, other in (scene.loop.gains, scene.loop.gains[::-1]):
+            limit = numbers[own.name][f"{own.sense}_{own.name}"]
+            if limit == 0.0:  # of a mass, with a rule that needs none
+                continue
+            beyond = limit * (1.02 if own.sense == "largest" else 0.98)
+            near = numbers[own.name][f"at_{other.name}"]
+            most = numbers[other.name].get(f"largest_{other.name}", 100.0 * near)
+            for at in np.linspace(0.0, 1.5 * most, 7) + near:
+                assert not judged(
+                    tables, {own.name: Fraction(beyond), other.name: Fraction(at)}, wall
+                )
+
+
+def test_54_a_safety_moves_all_limits_to_the_stable_side() -> None:
+    for tables in (loop(JOINT | {"substeps": 4}), loop(ROBOT)):
+        plain = answered(tables).as_json()
+        careful = answered(tables | {"wanted": {"safety": 0.8}}).as_json()
+        for name in ("kp", "kd", "mass", "damping"):
+            for key, value in plain.get(name, {}).items():
+                factor = {"largest": 0.8, "least": 1.25}.get(key.split("_")[0])
+                assert factor is None or careful[name][key] == pytest.approx(factor * value)
+
+
+# ------------------------------------------------------------------------- a range of environments
+def test_54_a_range_of_environments_is_proved_for_all_of_it() -> None:
+    """Gains that are called stable are so with each of 25 environments, in exact fractions."""
+    rng, seen = np.random.default_rng(56), set()
+    for _ in range(12):
+        low, high = sorted((10 ** rng.uniform(2, 5, 2)).tolist())
+        table = ROBOT | {"environment": [low, high], "delay_samples": int(rng.integers(0, 6))}
+        least = high * 1e-3 * table["delay_samples"]
+        pair = {
+            "mass": float(10 ** rng.uniform(-2, 1)),
+            "damping": float(least * rng.uniform(0.7, 2.0) + 1.0),
+        }
+        tables = {"loop": table, "gains": {"own": pair}}
+        answer = answered(tables, "check")
+        walls = [Fraction(wall) for wall in np.geomspace(low, high, 25)[1:-1]]
+        walls += [Fraction(low), Fraction(high)]
+        exact = {name: Fraction(value) for name, value in pair.items()}
+        own = [bool(judged(tables, exact, wall)) for wall in walls]
+        verdict = answer.as_json()["gains"]["own"]["verdict"]
+        assert (verdict == "stable") == all(own) == answer.all_stable
+        seen.add(verdict)
+    assert seen == {"stable", "unstable"}
+
+
+@pytest.mark.parametrize("mass", [0.1, 1.0, 1000.0])
+def test_54_a_sample_late_the_least_damping_of_a_range_is_that_of_its_stiffest(mass: float) -> None:
+    """One sample late it is D > Ke T for every mass (if D < 2 M/T)."""
+    table = ROBOT | {"environment": [1.0, 1e4], "delay_samples": 1}
+    pairs = {name: {"mass": mass, "damping": d} for name, d in (("on", 10.001), ("off", 9.999))}
+    found = answered({"loop": table, "gains": pairs}, "check").as_json()["gains"]
+    assert (found["on"]["verdict"], found["off"]["verdict"]) == ("stable", "unstable")
+
+
+def test_54_limits_of_a_range_of_environments_are_those_of_the_stiffest_one_and_proved() -> None:
+    ranged = answered(loop(ROBOT | {"environment": [10.0, 1e4]})).as_json()
+    assert ranged["inputs"]["loop"] == "admittance control against 10 to 10000 N/m"
+    stiffest = answered(loop(ROBOT)).as_json()
+    for name in ("mass", "damping"):
+        assert ranged[name].pop("certainty") == "proved for every environment"
+        assert ranged[name] == stiffest[name]
+
+
+# ---------------------------------------------------------------------------------------- commands
+def file_of(folder: Path, tables: Tables) -> Path:
+    """A scene as a file, in inline tables."""
+
+    def text(value: Any) -> str:
+        if isinstance(value, dict):
+            return "{" + ", ".join(f"{key} = {text(own)}" for key, own in value.items()) + "}"
+        return json.dumps(value)
+
+    file = folder / "scene.toml"
+    lines = (f"{name} = {text(table)}" for name, table in tables.items())
+    file.write_text("\n".join(lines), encoding="utf-8")
+    return file
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_54_the_scenes_that_come_along_are_answered(kind: str, tmp_path: Path) -> None:
+    file = FOLDER / f"{kind}.toml"
+    scene = any_scene(tomllib.loads(file.read_text(encoding="utf-8")))
+    assert isinstance(scene, GainScene)
+    assert scene.unusual() == []
+    for command, code in (("limits", 1), ("check", 1), ("tune", 0), ("design", 0)):
+        done = run(command, file)
+        assert (done.exit_code, done.stderr) == (code, ""), done.stdout
+        assert done.stdout.splitlines()[0].split(maxsplit=1) == ["loop", scene.loop.words]
+        printed = json.loads(run(command, file, "--json").stdout)
+        assert printed["units"].keys() & {gain.name for gain in scene.loop.gains}
+    explained = run("scene", "explain", file).stdout
+    assert all(f"{gain.name} in {gain.unit}" in explained for gain in scene.loop.gains)
+    assert run("scene", "init", "--kind", kind).stdout == file.read_text(encoding="utf-8")
+    picture = tmp_path / "region.png"
+    assert run("limits", file, "--plot", picture).exit_code == 1
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_54_a_check_has_verdict_radius_and_all_stable_values() -> None:
+    """A device of 25 g, a window of 11: two intervals of kp at this ki, by a recursion as well."""
+    controller = {"sample_time": 1e-3, "velocity": {"window_samples": 11}}
+    light = {"device": {"mass": 0.025, "damping": 5.0}, "controller": controller}
+    pairs = {f"at {kp:g}": {"kp": kp, "ki": 1500.0} for kp in (1000.0, 4500.0, 9000.0)}
+    answer = answered(pid({"kd": 13.5}, light) | {"gains": pairs}, "check")
+    plant = recursions.HeldMass(0.025, 5.0, 0.0, 1e-3, 0.0)
+    for name, found in answer.as_json()["gains"].items():
+        gains = {"plant": plant, "period": 1e-3, "rule": "backward", "window": 11, "kd": 13.5}
+        radius = recursions.radius(recursions.pid(**pairs[name], **gains))
+        assert found["spectral_radius"] == pytest.approx(radius, rel=1e-9)
+        assert (found["verdict"] == "stable") == (radius < 1.0)
+        (low, high), other = found["kp_limits"], found["other_kp"]["1"]
+        assert len(found["other_kp"]) == 1
+        assert (low < found["kp"] < high) == (radius < 1.0)
+        assert other[1] < low or high < other[0]
+    assert "other kp 1" in str(answer)
+
+
+@pytest.mark.parametrize(
+    ("command", "pair", "code"),
+    [
+        ("check", {"kp": 3333.0, "kd": 10.0}, 0),
+        ("check", {"kp": 3334.0, "kd": 10.0}, 1),
+        ("limits", {"kp": 3333.0, "kd": 10.0}, 0),
+        ("limits", {"kp": 3334.0, "kd": 10.0}, 1),
+    ],
+)
+def test_54_the_exit_code_is_that_of_the_verdicts(
+    command: str, pair: dict[str, float], code: int, tmp_path: Path
+) -> None:
+    """The largest kp is 2 kd/((n - 1) h) = 3333.3."""
+    file = file_of(tmp_path, {"loop": JOINT | {"substeps": 4}, "gains": {"own": pair}})
+    assert run(command, file).exit_code == code
+
+
+def test_54_options_replace_what_a_file_says(tmp_path: Path) -> None:
+    file = file_of(tmp_path, loop(JOINT | {"substeps": 10}))
+    given = ["--set", "loop.substeps=4", "--set", "wanted.at_kd=10", "--json"]
+    limits = json.loads(run("limits", file, *given).stdout)["at_given_kd"]["kp_limits"]
+    assert limits == pytest.approx([0.0, 3333.33333333])
+    words = [f"--set=loop.{key}={value}" for key, value in (JOINT | {"substeps": 4}).items()]
+    alone = run("limits", *words, "--set", "wanted.at_kd=10", "--json").stdout
+    assert json.loads(alone)["at_given_kd"]["kp_limits"] == limits
+    file = file_of(tmp_path, pid({"kd": 50.0}))
+    heavy = json.loads(run("limits", file, "--mass", "0.5", "--json").stdout)
+    device = DEVICE | {"device": {"mass": 0.5, "damping": 0.1}}
+    own = answered(pid({"kd": 50.0}, device)).as_json()
+    assert heavy["ki"] == own["ki"]
+    assert heavy["inputs"]["device"]["mass"] == [0.5, 0.5]
+
+
+def test_54_several_scenes_are_compared(tmp_path: Path) -> None:
+    files = [FOLDER / f"{kind}.toml" for kind in KINDS]
+    done = run("limits", *files, "--csv", "-")
+    rows = list(csv.DictReader(done.stdout.splitlines()))
+    assert float(rows[0]["kp.largest_kp"]) == pytest.approx(6407.9, abs=1.0)
+    assert rows[1]["gains.heavy.verdict"] == "stable"
+    table = run("limits", *files, FOLDER.parent / "phantom.toml").stdout
+    assert "largest kp" in table.splitlines()[0]
+    assert run("limits", *files, "--plot", tmp_path / "a.png").exit_code == 2
+
+
+def test_54_what_turns_has_units_of_rotation(tmp_path: Path) -> None:
+    device = {"device": {"inertia": 0.01, "damping": 0.01}, "controller": DEVICE["controller"]}
+    text = run("limits", file_of(tmp_path, pid({"kd": 1.0}, device))).stdout
+    assert "N m/rad" in text
+    assert "N m/(rad s)" in text
+
+
+# ----------------------------------------------------------------------------------------- design
+@pytest.mark.parametrize(
+    ("tables", "name"),
+    [
+        (loop(JOINT | {"substeps": 4}, kp=5000.0), "step"),
+        (loop(JOINT | {"substeps": 4}, kp=500.0), "delay_steps"),
+        (loop(ROBOT, damping=100.0), "sample_time"),
+        (loop(ROBOT, mass=0.1), "delay_samples"),
+        (pid({"kd": 50.0}, kp=20000.0), "sample_time"),
+        (couple(OTHER, 1.0, 2.0, stiffness=10000.0), "delay_samples"),
+    ],
+)
+def test_54_design_gives_the_largest_value_that_allows_a_gain(tables: Tables, name: str) -> None:
+    answer = answered(tables, "design").as_json()[name]
+    largest, ((gain, goal),) = answer[f"largest_{name}"], tables["wanted"].items()
+    section = "controller" if "device" in tables else "loop"
+    is_whole = "delay" in name and section == "loop"
+
+    def limit(value: float) -> float:
+        changed = tables[section] | {name: int(value) if is_whole else value}
+        found = answered(tables | {section: changed, "wanted": {}}).as_json()[gain]
+        value = next(found[key] for key in found if key.startswith(("largest", "least")))
+        return (
+            value / goal
+            if gain not in ("mass",) and "admittance" not in str(tables)
+            else goal / value
+        )
+
+    assert limit(largest) >= 1.0 - 1e-7
+    assert limit(largest + 1 if is_whole else 1.001 * largest) < 1.0
+
+
+def test_54_the_largest_step_of_a_simulator_is_the_closed_one() -> None:
+    """Inside the step kp h^2/J < 4 - 2 kd h/J: at kd = 0 the largest step is 2 (J/kp)^(1/2)."""
+    answer = answered(loop(JOINT, kp=1000.0), "design")
+    assert answer.as_json()["step"]["largest_step"] == pytest.approx(0.02, rel=1e-6)
+    (pair,) = [line for line in str(answer).splitlines() if "largest step" in line]
+    assert pair.split() == ["largest", "step", "19.99", "ms"]
+
+
+# ------------------------------------------------------------------------------------------ study
+def test_54_a_study_has_the_limits_and_verdicts_of_its_loops(tmp_path: Path) -> None:
+    file, table = FOLDER / "simulator.toml", tmp_path / "table.csv"
+    over = ["--over", "loop.inertia=0.05,0.2", "--over", "loop.substeps=1,4"]
+    done = run("study", file, *over, "--csv", table, "--answer", "limits", "--answer", "verdict")
+    assert done.exit_code == 0, done.stderr
+    rows = list(csv.DictReader(table.read_text(encoding="utf-8").splitlines()))
+    assert len(rows) == 8
+    for row in rows:
+        tables = tomllib.loads(file.read_text(encoding="utf-8"))
+        tables["loop"] |= {
+            "inertia": float(row["loop_inertia"]),
+            "substeps": int(float(row["loop_substeps"])),
+        }
+        answer = answered(tables).as_json()
+        assert float(row["largest_kp"]) == answer["kp"]["largest_kp"]
+        assert row["verdict"] == answer["gains"][row["gains"]]["verdict"]
+
+
+def test_54_a_study_draws_environments_from_a_range() -> None:
+    tables = loop(ROBOT | {"environment": [1e3, 1e4]})
+    tables["gains"] = {"own": {"mass": 2.0, "damping": 30.0}}
+    study = jaxstab.study(tables, {"loop.delay_samples": [2, 4]}, samples=20)
+    assert dict(study.sizes) == {"loop_delay_samples": 2, "sample": 20, "gains": 1}
+    walls = study.loop_environment.values
+    late = study.verdict.sel(loop_delay_samples=4, gains="own").values
+    loops = [jaxstab.admittance(wall, sample_time=1e-3, delay_samples=4) for wall in walls]
+    expected = [int(loop.verdict(mass=2.0, damping=30.0)) for loop in loops]
+    assert late.tolist() == expected
+    assert set(expected) == {Verdict.STABLE, Verdict.UNSTABLE}
+    low, median, high = jaxstab.quantiles(study, "least_damping").sel(loop_delay_samples=4).values
+    assert 0.0 < low < median < high
+
+
+# --------------------------------------------------------------------------------------- refusals
+WALLS: Tables = {"device": DEVICE["device"], "controller": {"sample_time": 1e-3}}
+REFUSED = [
+    (loop({"inertia": 0.1}), "loop.kind is None; give simulator, admittance, pid, coupling."),
+    (loop({"kind": "simulater"}), "loop.kind is 'simulater'; did you mean 'simulator'?"),
+    (loop({"kind": "simulator", "step": 1e-3}), "loop.inertia is missing; give it a value."),
+    (loop(JOINT | {"substep": 4}), "loop.substep is unknown; did you mean 'substeps'?"),
+    (
+        loop(JOINT | {"inertia": -1.0}),
+        "loop: inertia is -1.0; allowed are finite values > 0 kg m^2.",
+    ),
+    (loop(JOINT | {"integrator": "rk4"}), "not affine in the gains"),
+    (loop(JOINT, at_mass=1.0), "wanted.at_mass is unknown"),
+    (loop(JOINT) | {"device": WALLS["device"]}, "device is unknown"),
+    (loop(JOINT) | {"walls": {}}, "walls is unknown; give [gains.NAME] beside [loop]."),
+    (loop(JOINT) | {"gains": {"a": {"kp": 1.0}}}, "gains.a.kd is missing; give it a value."),
+    (
+        loop(JOINT) | {"gains": {"a": {"kp": 1.0, "kd": -1.0}}},
+        "gains.a.kd is -1.0; give a finite number >= 0 in N m s/rad.",
+    ),
+    (
+        loop(ROBOT | {"environment": [1e4, 1e3]}),
+        "loop.environment is [10000.0, 1000.0]; its ends are swapped, so give [1000, 10000].",
+    ),
+    (loop(ROBOT | {"environment": [1e3, 1e4], "stiffness": 1.0}), "without a virtual spring"),
+    (loop(ROBOT | {"environment": [1e3, 1e4]}, at_mass=1.0), "give one environment"),
+    (loop(ROBOT | {"rule": "exact"}), "rule is"),
+    (pid({}), "give one of kp, ki and kd"),
+    (pid({"kp": 1.0, "ki": 1.0}), "give one of kp, ki and kd"),
+    (pid({"kd": 1.0}, {**DEVICE, "hand": {"mass": [0.0, 1.0]}}), "is a range"),
+    (couple({"mass": 0.5}, 1.0, 0.0), "loop.second.damping is missing; give it a value."),
+    (couple({"inertia": 0.5, "damping": 0.1}, 1.0, 0.0), "moves in another way"),
+    # Keys of other loops in a scene of walls.
+    ({**WALLS, "controller": {"sample_time": 1e-3, "ki": 1.0}}, '[loop] with kind = "pid"'),
+    (
+        {**WALLS, "controller": {"sample_time": 1e-3, "kp": 1.0}},
+        "give the stiffness or the damping of a wall",
+    ),
+    ({**WALLS, "walls": {"a": {"kp": 1.0}}}, "walls.a.kp is unknown; give stiffness."),
+    (
+        {**WALLS, "controller": {"sample_time": 1e-3, "velocity": {"time_constant": 1.0}}},
+        "controller.velocity.time_constant is unknown; give cutoff, which is 1/(2 pi",
+    ),
+    ({**WALLS, "velocity": {"time_constant": 1.0}}, "give [controller.velocity]"),
+    ({**WALLS, "gains": {}}, "gains is unknown; give [walls.NAME]"),
+]
+
+
+@pytest.mark.parametrize(("tables", "words"), REFUSED, ids=lambda value: str(value)[-40:])
+def test_54_what_is_wrong_is_said_in_one_sentence(
+    tables: Tables, words: str, tmp_path: Path
+) -> None:
+    done = run("limits", file_of(tmp_path, tables))
+    assert done.exit_code == 2
+    assert done.stdout == ""
+    assert_one_sentence(done.stderr)
+    assert words in done.stderr
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["explore"],
+        ["guard", "-o", "guard.h"],
+        ["contact"],
+        ["contact", "-o", "map.h5"],
+        ["atlas", "spec", "--scene"],
+    ],
+    ids=" ".join,
+)
+def test_54_commands_for_walls_refuse_and_name_what_serves(
+    command: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = run(*command, FOLDER / "simulator.toml")
+    assert done.exit_code == 2
+    assert_one_sentence(done.stderr)
+    assert "limits, check, tune, design" in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_54_other_answers_say_what_they_need(tmp_path: Path) -> None:
+    file = file_of(tmp_path, loop(JOINT))
+    assert "[gains.NAME] with kp and kd" in run("check", file).stderr
+    assert "wanted has 0 of kp and kd" in run("design", file).stderr
+    unbounded = file_of(tmp_path, loop(JOINT | {"integrator": "implicit"}, at_kd=10.0))
+    limits = run("limits", unbounded)
+    assert limits.exit_code == 0
+    assert "not bounded" in limits.stdout
+    assert "0 to unlimited" in limits.stdout
+    late = DEVICE | {"controller": {"sample_time": 1e-3, "velocity": {"window": 0.02}}}
+    assert (
+        "give a whole number of them"
+        in run("design", file_of(tmp_path, pid({"kd": 5.0}, late, kp=100.0))).stderr
+    )
