@@ -90,8 +90,9 @@ def sampled_loops(
 def _in_floats(chart: AffineParts) -> tuple[Any, Any, Any, bool]:
     """Coefficients of the parts, highest power first, what rounding took from them, and ends.
 
-    Last whether roots of base are outside.
+    Last whether roots of base are outside, so far that small gains do not bring them in.
     """
+    small = 1e-9
     with working_precision(FIRST_BITS):
         triple = affine_triple(chart).monic()
         degree, sign = triple.degree, (-1) ** triple.degree
@@ -103,7 +104,8 @@ def _in_floats(chart: AffineParts) -> tuple[Any, Any, Any, bool]:
             [float(c - h) for c, h in zip(*x, strict=True)] for x in zip(balls, high, strict=True)
         ]
         ends = [[float(part.at_end(z)) * s for part in triple] for z, s in ((1, 1), (-1, sign))]
-        outside = roots_outside(triple.base.rest, most=0)
+        base = triple.base._replace(at_one=0, at_minus_one=0).of_radius(1.0 + small)
+        outside = roots_outside(base.rest, most=0)
     return high, low, ends, bool(outside)
 
 
@@ -169,7 +171,7 @@ def _those_there(roots: Float64[np.ndarray, "loop root 2"]) -> Float64[np.ndarra
     """As few columns as the roots that there are need, and one at least."""
     is_none = roots[..., 0] == 0.0
     order = np.argsort(is_none, axis=1, kind="stable")[..., None]
-    most = max(1, int(np.max(np.sum(~is_none, axis=1))))
+    most = max([1, *np.sum(~is_none, axis=1).tolist()])
     return np.take_along_axis(roots, order, axis=1)[:, :most]
 
 
