@@ -499,9 +499,10 @@ class Loop:
             is_least = gain.sense == "least"
             best = gains[(np.argmin if is_least else np.argmax)(gains[:, axis])].copy()
             row = self.intervals(**{self.gains[1 - axis].name: float(best[1 - axis])})
-            ends = [(low if is_least else high).value for low, high in row.intervals]
-            if ends:  # at a corner the row may have none
-                best[axis] = max(0.0, min(ends, key=lambda end: abs(end - best[axis])))
+            ends = [low if is_least else high for low, high in row.intervals]
+            values = [end.value if end.value > end.error else 0.0 for end in ends]
+            if values:  # at a corner the row may have none
+                best[axis] = min(values, key=lambda value: abs(value - best[axis]))
             points.append(best)
         return points
 
