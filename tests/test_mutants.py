@@ -7,10 +7,10 @@ import pytest
 
 import jaxstab
 from jaxstab.point.fields import _rounded_up
-from jaxstab.point.radius import have_roots_inside, radius_error
+from jaxstab.point.radius import radius_error
 from jaxstab.point.traced_radius import _fitted
 from jaxstab.region.outline import are_inside as are_within
-from jaxstab.region.pieces import _all_inside
+from jaxstab.region.pieces import all_inside
 
 
 def test_batched_counts_of_roots_are_those_of_numpys_roots() -> None:
@@ -21,7 +21,7 @@ def test_batched_counts_of_roots_are_those_of_numpys_roots() -> None:
     falling = np.stack([np.poly(column).real for column in roots.T], axis=1)
     inside = np.abs(roots).max(axis=0) < 1.0
     assert 50 < inside.sum() < 350
-    assert _all_inside(falling).tolist() == inside.tolist()
+    assert all_inside(falling).tolist() == inside.tolist()
 
 
 @pytest.mark.parametrize("samples", [0.0, 0.25, 1.0, 1.3, 2.9])
@@ -48,7 +48,7 @@ def test_a_sieve_of_polynomials_lets_through_those_with_all_roots_inside() -> No
     """radius: of each degree all reflections, of circles of any size."""
     falling, moduli = drawn_polynomials(np.random.default_rng(5), 300)
     for radius in (0.8, 1.0, 1.3):
-        assert have_roots_inside(falling, np.array(radius)).tolist() == (moduli < radius).tolist()
+        assert all_inside(falling, radius).tolist() == (moduli < radius).tolist()
 
 
 def test_bounds_of_radii_hold_for_grids_of_polynomials() -> None:

@@ -24,7 +24,13 @@ from jaxstab.exact.verdict import roots_outside
 from jaxstab.model import LoopParameters
 from jaxstab.model.affine import AffineParts, affine_triple
 from jaxstab.model.balls import BallLoop, Factored, Triple, ball_loop
-from jaxstab.model.device.parts import FIRST_BITS, MOST_BITS, decided, working_precision
+from jaxstab.model.device.parts import (
+    FIRST_BITS,
+    MOST_BITS,
+    decided,
+    remembered,
+    working_precision,
+)
 
 if TYPE_CHECKING:
     from flint import acb, arb, arb_poly
@@ -41,20 +47,15 @@ class ScaledLoop(NamedTuple):
 
     def balls(self) -> BallLoop:
         """The parts of the loop in balls of the precision that is set."""
-        from flint import ctx
-
-        return _scaled(self, ctx.prec)[0]
+        return _scaled(self)[0]
 
     def triple(self) -> Triple:
         """The parts of p(z), likewise."""
-        from flint import ctx
-
-        return _scaled(self, ctx.prec)[1]
+        return _scaled(self)[1]
 
 
-@lru_cache(maxsize=64)
-def _scaled(question: ScaledLoop, bits: int) -> tuple[BallLoop, Triple]:
-    del bits  # the precision is set: here it only tells balls apart
+@remembered(64)
+def _scaled(question: ScaledLoop) -> tuple[BallLoop, Triple]:
     loop = question.loop
     if isinstance(loop, LoopParameters):
         own = ball_loop(loop)

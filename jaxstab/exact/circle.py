@@ -38,12 +38,11 @@ interval that is too short to be halved. It is reported as one place, without a 
 is asked for; else the answer is that more bits are needed.
 """
 
-from functools import lru_cache
 from itertools import cycle
 from typing import TYPE_CHECKING, NamedTuple
 
-from jaxstab.exact.balls import sign_of
-from jaxstab.exact.roots import real_roots
+from jaxstab.exact.roots import real_roots, sign_of
+from jaxstab.model.device.parts import remembered
 
 if TYPE_CHECKING:
     from flint import arb, arb_mat, arb_poly
@@ -153,12 +152,12 @@ class _Cells:
 
     def polynomials(self, chosen: list[int]) -> "dict[int, _Part]":
         """The Taylor polynomials of cells, in t."""
-        from flint import arb, arb_mat, arb_poly, ctx
+        from flint import arb, arb_mat, arb_poly
 
         if not chosen:
             return {}
-        even, odd, last = _weights(self.degree, self.count, ctx.prec)
-        roots = _roots_of_unity(4 * self.count, ctx.prec)
+        even, odd, last = _weights(self.degree, self.count)
+        roots = _roots_of_unity(4 * self.count)
         powers = range(self.degree + 1)
         turns = [[k * (2 * cell + 1) % len(roots) for k in powers] for cell in chosen]
         terms = []  # of cos(k theta), the even ones, and of sin(k theta)
@@ -342,9 +341,9 @@ def _refined(part: _Part, a: "arb", b: "arb", sign_b: int) -> Zero | None:
 
 def _sums(even: "list[arb]", odd: "list[arb]", cells: int) -> "list[list[arb]]":
     """Sums of ``even`` times cos(k theta), of ``odd`` times -sin(k theta), at middles of cells."""
-    from flint import acb, ctx
+    from flint import acb
 
-    roots = _roots_of_unity(4 * cells, ctx.prec)
+    roots = _roots_of_unity(4 * cells)
     given = [
         acb(a, b) * acb(z[0], -z[1]) for a, b, z in zip(even, odd, roots[: len(even)], strict=True)
     ]
@@ -353,25 +352,24 @@ def _sums(even: "list[arb]", odd: "list[arb]", cells: int) -> "list[list[arb]]":
     return [[(a + b) / 2 for a, b in pairs], [(b - a) / 2 for a, b in pairs]]
 
 
-@lru_cache(maxsize=16)
-def _roots_of_unity(count: int, bits: int) -> "list[tuple[arb, arb]]":
+@remembered(16)
+def _roots_of_unity(count: int) -> "list[tuple[arb, arb]]":
     """Cosines and sines of the parts of a turn."""
     from flint import arb, fmpq
 
-    del bits  # the precision is set
     angles = [fmpq(2 * part, count) for part in range(count)]
     return [(arb.cos_pi_fmpq(angle), arb.sin_pi_fmpq(angle)) for angle in angles]
 
 
-@lru_cache(maxsize=64)
-def _weights(degree: int, cells: int, bits: int) -> "tuple[arb_mat, arb_mat, arb_mat]":
+@remembered(64)
+def _weights(degree: int, cells: int) -> "tuple[arb_mat, arb_mat, arb_mat]":
     """(k h)^d/d!, columns for the even d below D and for the odd ones, and that of D."""
-    from flint import arb, arb_mat
+    from flint import arb, arb_mat, ctx
 
     steps = [arb.pi() * (_OVERLAP * k) / (16 * cells) for k in range(degree + 1)]
     last = [arb(1)] * (degree + 1)
     rows: list[list[arb]] = []
-    while len(rows) % 2 or not last[-1] < arb(2) ** -(2 * bits // 3):
+    while len(rows) % 2 or not last[-1] < arb(2) ** -(2 * ctx.prec // 3):
         rows.append(last)
         last = [value * step / len(rows) for value, step in zip(last, steps, strict=True)]
     even, odd, missed = map(arb_mat, (rows[::2], rows[1::2], [last]))

@@ -44,9 +44,9 @@ from math import inf, nan
 from typing import TYPE_CHECKING, NamedTuple
 
 from jaxstab.conventions import Status
-from jaxstab.exact.balls import Number, TripleAt, sign_of
 from jaxstab.exact.circle import zeros
-from jaxstab.exact.verdict import roots_outside
+from jaxstab.exact.roots import Number, sign_of
+from jaxstab.exact.verdict import TripleAt, roots_outside
 from jaxstab.model.balls import Factored
 from jaxstab.model.device.parts import FIRST_BITS, decided
 

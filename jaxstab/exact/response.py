@@ -21,7 +21,6 @@ forces that act: a sample has many times, and a disturbance by friction many inp
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import lru_cache
 from math import ceil, inf, isfinite, log, nan
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -32,7 +31,7 @@ from jaxstab.exact.roots import are_real, isolated_roots
 from jaxstab.exact.verdict import roots_outside
 from jaxstab.model.balls import Factored, Triple, ball_loop, ball_triple
 from jaxstab.model.device.mechanics import equations, sides_in_samples
-from jaxstab.model.device.parts import Answer, decided, exact
+from jaxstab.model.device.parts import Answer, decided, exact, remembered
 from jaxstab.model.loop import LoopParameters
 from jaxstab.rounding import UNDERFLOW, UNIT
 
@@ -230,16 +229,16 @@ class _Wall(NamedTuple):
 
     @classmethod
     def from_loop(cls, loop: LoopParameters, stiffness: float, damping: float) -> "_Wall":
-        import flint
+        from flint import arb
 
-        parts = _parts(loop, flint.ctx.prec)
+        parts = _parts(loop)
         p = parts.triple.at(stiffness, damping)
         # An actuator's pole that is a zero of the device is no root of p, but of its states.
         if parts.hidden.degree:
             p = p.times(parts.hidden)
         p = p._replace(power=p.power + parts.degree - p.degree)
         by_stiffness, by_damping = parts.walls
-        force = by_stiffness * flint.arb(stiffness) + by_damping * flint.arb(damping)
+        force = by_stiffness * arb(stiffness) + by_damping * arb(damping)
         return cls(p, p.polynomial(), force, parts)
 
     def is_stable(self) -> bool | None:
@@ -441,9 +440,8 @@ class _Parts(NamedTuple):
         )
 
 
-@lru_cache(maxsize=128)
-def _parts(loop: LoopParameters, bits: int) -> _Parts:
-    del bits  # the precision is set: here it only tells balls apart
+@remembered(128)
+def _parts(loop: LoopParameters) -> _Parts:
     return _Parts.from_loop(loop)
 
 

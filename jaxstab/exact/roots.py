@@ -13,14 +13,14 @@ The radius is enclosed by halving, between 0 and Cauchy's bound 1 + max |a_k/a_n
 """
 
 from itertools import compress
+from math import inf, nextafter
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Complex128
 
 from jaxstab.conventions import RadiusStatus
-from jaxstab.exact.balls import Number, TripleAt
-from jaxstab.exact.verdict import roots_outside
+from jaxstab.exact.verdict import TripleAt, roots_outside
 from jaxstab.model.balls import Factored
 from jaxstab.model.device.parts import FIRST_BITS, decided, working_precision
 
@@ -29,6 +29,25 @@ if TYPE_CHECKING:
 
 _SHARE = 0.4873  # of an interval, where it is divided: not next to a root that is a simple number
 MOST_FOR_ROOTS = 1024  # bits: balls that still overlap then hold multiple roots, in practice
+
+
+class Number(NamedTuple):
+    """A float64, and how far from it the true number may at most be."""
+
+    value: float
+    error: float
+
+    @classmethod
+    def of(cls, ball: "arb") -> "Number":
+        """The float64 next to the middle of a ball."""
+        value = float(ball.mid())
+        rest = (ball - value).abs_upper()
+        return cls(value, nextafter(float(rest), inf) if rest > 0 else 0.0)
+
+
+def sign_of(ball: "arb") -> int:
+    """1 or -1 where all of a ball has that sign, else 0."""
+    return (1 if ball > 0 else 0) - (1 if ball < 0 else 0)
 
 
 class Radius(NamedTuple):

@@ -11,9 +11,17 @@ the loop of delay L is stable, and on the whole unit circle
 then it is stable for every sequence. On the circle |a|^2 is the cosine sum with the coefficients of
 a(z) a(1/z), and so is all of the difference. It has no zero in (0, pi) and is positive at 0 and pi:
 that is the inequality (``circle``). Nothing is divided, so that a free device is no special case.
+
+C6 is asked in the same way: a wall behind a sampler, a delay n + f and a hold is passive with the
+damping delta where, in the notation of ``paper.rules``,
+
+    delta - R - f (1 - f) |H|^2 / (4 delta) > 0
+
+for all angles. R and |H|^2 are cosine sums, so the left side is one.
 """
 
 from collections.abc import Callable
+from math import floor
 from typing import TYPE_CHECKING
 
 from jaxstab.conventions import Status
@@ -131,3 +139,30 @@ def _less(a: "list[arb]", b: "list[arb]") -> "list[arb]":
 
     difference = arb_poly(a) - arb_poly(b)
     return [difference[k] for k in range(max(len(a), len(b)))]
+
+
+def is_passive(alpha: float, beta: float, delta: float, delay: float) -> bool:
+    """Whether a wall is proved passive with a damping > 0; False also where balls do not tell.
+
+    Example:
+        >>> from jaxstab.exact.small_gain import is_passive
+        >>> is_passive(1.9, 0.0, delta=1.0, delay=0.0), is_passive(2.1, 0.0, delta=1.0, delay=0.0)
+        (True, False)
+    """
+    from flint import arb
+
+    whole = floor(delay)
+
+    def answer() -> bool | None:
+        a, b, damping = arb(alpha), arb(beta), arb(delta)
+        fraction = arb(delay) - whole
+        needed = [arb(0)] * (whole + 3)  # coefficients of cos(k theta)
+        needed[: whole + 2] = [a / 2, *[a] * whole, a * fraction]
+        needed[whole + 1] -= b * (1 - fraction)
+        needed[whole + 2] -= b * fraction
+        fold = fraction * (1 - fraction) / (4 * damping)
+        needed[0] += fold * ((a + b) ** 2 + b**2)
+        needed[1] -= fold * 2 * b * (a + b)
+        return is_positive([damping - needed[0], *(-c for c in needed[1:])])
+
+    return bool(alpha >= 0.0 and decided(answer))

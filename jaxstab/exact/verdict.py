@@ -25,14 +25,19 @@ the loop is not stable: that is no question for balls. A damper without a spring
 at 1, the position may stay anywhere; whether all others are inside is asked with ``may_drift``.
 """
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
 from jaxstab.conventions import Status, Verdict
-from jaxstab.exact.balls import TripleAt
+from jaxstab.model.balls import Triple
 from jaxstab.model.device.parts import decided
 
 if TYPE_CHECKING:
     from flint import arb, arb_poly, fmpq_poly
+
+
+TripleAt = Callable[[], Triple]
+"""Gives the parts of p(z) in balls of the precision that is set, as ``ball_triple(loop)``."""
 
 
 class VerdictStatus(Status):

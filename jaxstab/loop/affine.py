@@ -71,8 +71,7 @@ from jaxstab.region.region import proved_extremes, region_of
 from jaxstab.region.stable_set import GainNames, RegionStatus, ShownRegion, StableRegion
 from jaxstab.shown import number_text
 from jaxstab.tuning import TuningStatus
-from jaxstab.tuning.multiple_roots import family_of_loop
-from jaxstab.tuning.radius import Walls, smallest_radius
+from jaxstab.tuning.radius import Walls, family_of_loop, smallest_radius
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

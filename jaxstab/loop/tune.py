@@ -10,10 +10,8 @@ from jaxstab.loop.region import TOLERANCE, wall_region
 from jaxstab.motion.settling import checked_level, likely_settling
 from jaxstab.numbers import checked_number, checked_word
 from jaxstab.tuning import TuningStatus
-from jaxstab.tuning.loops import tuned_loop
-from jaxstab.tuning.radius import smallest_radius
-from jaxstab.tuning.search import Axis, Values, minimised
-from jaxstab.tuning.settling import shortest_settling
+from jaxstab.tuning.radius import Axis, Values, minimised, smallest_radius
+from jaxstab.tuning.settling import shortest_settling, tuned_loop
 
 if TYPE_CHECKING:
     from jaxstab.loop.loop import HapticLoop

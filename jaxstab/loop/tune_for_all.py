@@ -13,7 +13,7 @@ from jaxstab.model.loop import as_one
 from jaxstab.motion.settling import checked_level, likely_settling
 from jaxstab.numbers import checked_number
 from jaxstab.tuning import TuningStatus
-from jaxstab.tuning.search import minimised
+from jaxstab.tuning.radius import minimised
 
 if TYPE_CHECKING:  # alone: other loops are refused by sentences, not by the types
     from jaxstab.loop.loop import HapticLoop

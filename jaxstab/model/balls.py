@@ -27,7 +27,7 @@ from math import inf, nextafter
 from typing import TYPE_CHECKING, NamedTuple
 
 from jaxstab.model.device.device import Device, in_steps
-from jaxstab.model.device.parts import decided, exact
+from jaxstab.model.device.parts import decided, exact, remembered
 from jaxstab.model.device.sampling import SampledDevice, one_sample
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import (
@@ -62,7 +62,7 @@ class Factored(NamedTuple):
     windows: tuple[int, ...] = ()
 
     @classmethod
-    def from_rational(cls, polynomial: "fmpq_poly", windows: tuple[int, ...] = ()) -> "Factored":
+    def from_rational(cls, polynomial: "fmpq_poly") -> "Factored":
         """A polynomial of exact numbers, its roots at 0, 1 and -1 counted; it is not 0."""
         from flint import arb_poly, fmpq_poly
 
@@ -73,7 +73,7 @@ class Factored(NamedTuple):
                 polynomial //= fmpq_poly([-place, 1])
                 counts[-1] += 1
         zeros, at_one, at_minus_one = counts
-        return cls(arb_poly(polynomial), zeros, at_one, at_minus_one, windows)
+        return cls(arb_poly(polynomial), zeros, at_one, at_minus_one)
 
     @property
     def is_zero(self) -> bool:
@@ -339,23 +339,16 @@ def ball_triple(loop: "LoopParameters") -> Triple:
     Raises: TypeError if JAX traces the loop or its fields are arrays; ValueError for a device that
     is too fast for balls (``in_samples``).
     """
-    return _of_loop(loop)[1]
+    return _parts(loop.in_floats())[1]
 
 
 def ball_loop(loop: "LoopParameters") -> BallLoop:
     """The parts of a loop, otherwise as ``ball_triple``."""
-    return _of_loop(loop)[0]
+    return _parts(loop.in_floats())[0]
 
 
-def _of_loop(loop: "LoopParameters") -> tuple[BallLoop, Triple]:
-    import flint
-
-    return _parts(loop.in_floats(), flint.ctx.prec)
-
-
-@lru_cache(maxsize=128)
-def _parts(loop: "LoopParameters", bits: int) -> tuple[BallLoop, Triple]:
-    del bits  # the precision is set: here it only tells balls apart
+@remembered(128)
+def _parts(loop: "LoopParameters") -> tuple[BallLoop, Triple]:
     filters = given_filters(loop.velocity, loop.position) or NO_FILTERS
     parts = _ball_loop(loop.held_device, loop.sample_time, loop.delay_samples, filters)
     return parts, parts.triple

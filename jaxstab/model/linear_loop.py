@@ -40,7 +40,7 @@ from jaxstab.model.parameters import (
     require_x64,
     whole_and_fraction,
 )
-from jaxstab.model.plant import PlantPairs, may_cancel, pairs_error, plant_pairs
+from jaxstab.model.plant import PlantCoefficients, may_cancel, pairs_error, plant_pairs
 from jaxstab.rounding import FILTERS, PAIR_PRODUCT
 
 Polynomial = tuple[DoubleDouble, ...]
@@ -315,7 +315,7 @@ def companion_matrix(coefficients: Numbers) -> Float64[Array, "*grid degree degr
 def _polynomial(
     alpha: Array,
     beta: Array,
-    plant: PlantPairs,
+    plant: PlantCoefficients,
     whole_delay: Array,
     *,
     degree: int,
@@ -387,7 +387,7 @@ def loop_polynomial(
     return xp.stack(xp.broadcast_arrays(*columns), axis=-1)
 
 
-def _times_wall(alpha: Array, beta: Array, plant: PlantPairs) -> tuple[DoubleDouble, ...]:
+def _times_wall(alpha: Array, beta: Array, plant: PlantCoefficients) -> tuple[DoubleDouble, ...]:
     """Return the coefficients of N(z) ((alpha + beta) z - beta), highest power first."""
     stiffness, damping = DoubleDouble.from_value(alpha), DoubleDouble.from_value(beta)
     # b2 - b1 vanishes with delta for a whole delay; N(-1) knows it to all of its digits.

@@ -49,7 +49,8 @@ class PlantCoefficients(NamedTuple):
     """The sampled plant: D(z) = z^2 + d1 z + d0 and N(z) = n2 z^2 + n1 z + n0, times m/T^2.
 
     For a whole delay N(z) is z times the zero-order-hold numerator, so n0 = 0. The remaining fields
-    are N(1), N(-1) and D(1) = gamma N(1), each with its own relative accuracy.
+    are N(1), N(-1) and D(1) = gamma N(1), each with its own relative accuracy. Arrays of the grid,
+    or pairs of them for sums that may still cancel.
 
     Example:
         >>> plant = jaxstab.plant_coefficients(gamma=0.0, delta=0.0)
@@ -57,27 +58,14 @@ class PlantCoefficients(NamedTuple):
         (0.5, 0.0)
     """
 
-    d1: Float64[Array, "*grid"]
-    d0: Float64[Array, "*grid"]
-    n2: Float64[Array, "*grid"]
-    n1: Float64[Array, "*grid"]
-    n0: Float64[Array, "*grid"]
-    sum: Float64[Array, "*grid"]
-    difference: Float64[Array, "*grid"]
-    den_at_one: Float64[Array, "*grid"]
-
-
-class PlantPairs(NamedTuple):
-    """The fields of PlantCoefficients before rounding, for sums that may still cancel."""
-
-    d1: DoubleDouble
-    d0: DoubleDouble
-    n2: DoubleDouble
-    n1: DoubleDouble
-    n0: DoubleDouble
-    sum: DoubleDouble
-    difference: DoubleDouble
-    den_at_one: DoubleDouble
+    d1: Array
+    d0: Array
+    n2: Array
+    n1: Array
+    n0: Array
+    sum: Array
+    difference: Array
+    den_at_one: Array
 
 
 def plant_coefficients(
@@ -136,7 +124,7 @@ def _plant_transition(gamma: Array, delta: Array, time: Array) -> Array:
     return xp.stack([xp.stack([x.rounded() for x in row], axis=-1) for row in rows], axis=-2)
 
 
-def plant_pairs(gamma: Numbers, delta: Numbers, fraction: Numbers) -> PlantPairs:
+def plant_pairs(gamma: Numbers, delta: Numbers, fraction: Numbers) -> PlantCoefficients:
     """The plant coefficients as double-double pairs, for sums that may still cancel.
 
     A concrete ``fraction`` (of the delay, in [0, 1)) that is zero throughout costs a third.
@@ -150,7 +138,7 @@ def plant_pairs(gamma: Numbers, delta: Numbers, fraction: Numbers) -> PlantPairs
 
 
 @lru_cache(maxsize=128)
-def _remembered(shape: tuple[int, ...], *values: bytes) -> PlantPairs:
+def _remembered(shape: tuple[int, ...], *values: bytes) -> PlantCoefficients:
     """Plants of NumPy: verdicts and radii of walls ask for the same."""
     numbers = [np.frombuffer(each).reshape(shape) for each in values]
     whole = not np.any(numbers[2])
@@ -176,7 +164,7 @@ def may_cancel(gamma: Numbers, delta: Numbers) -> Array:
 
 
 @compiled(static=["whole"], many=MANY_PLANTS, pointwise=True)
-def _plant_pairs(gamma: Array, delta: Array, fraction: Array, *, whole: bool) -> PlantPairs:
+def _plant_pairs(gamma: Array, delta: Array, fraction: Array, *, whole: bool) -> PlantCoefficients:
     xp = namespace(gamma, delta, fraction)
     full = DoubleDouble.from_value(filled(fraction, 1.0))
     if whole:
@@ -199,7 +187,7 @@ def _plant_pairs(gamma: Array, delta: Array, fraction: Array, *, whole: bool) ->
         odd = constant(odd) + (at_minus_one.hi - constant(at_minus_one.hi))
     difference = tree_map(partial(xp.where, fraction == 0.0), odd, at_minus_one)
     n1 = total - n2 - n0
-    return PlantPairs(d1, d0, n2, n1, n0, total, difference, total * gamma)
+    return PlantCoefficients(d1, d0, n2, n1, n0, total, difference, total * gamma)
 
 
 class _Hold(NamedTuple):

@@ -29,7 +29,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from jaxstab.arrays import Array, Numbers, float_arrays
-from jaxstab.exact.passive import is_passive
+from jaxstab.exact.small_gain import is_passive
 from jaxstab.model import checked_delay, checked_delta, checked_gain, checked_gamma, require_x64
 from jaxstab.numbers import checked_number
 from jaxstab.region.closed_form import slice_coefficients

@@ -22,7 +22,7 @@ from math import prod
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int8
+from jaxtyping import Float64, Int8
 
 from jaxstab.arrays import (
     Array,
@@ -483,26 +483,3 @@ def _with_status(value: Array, error: Array) -> SpectralRadius:
     xp = namespace(value, error)
     status = xp.where(error < xp.inf, np.int8(RadiusStatus.PROVED), np.int8(RadiusStatus.NO_BOUND))
     return SpectralRadius(value, error, named(status, RadiusStatus))
-
-
-# Which polynomials have all roots in a circle, in float64 and not proved: a sieve.
-
-
-def have_roots_inside(
-    coefficients: Float64[np.ndarray, "coefficient *grid"], radius: Float64[np.ndarray, "..."]
-) -> Bool[np.ndarray, "*grid"]:
-    """Where all roots of monic polynomials, highest power first, seem to be within a radius.
-
-    Source: Schur-Cohn criterion (Jury 1964) for p(r z).
-    """
-    degree = len(coefficients) - 1
-    inside = np.ones(coefficients.shape[1:], bool)
-    scaled = coefficients.copy()
-    for power in range(1, degree + 1):
-        scaled[power:] /= radius
-    with np.errstate(all="ignore"):
-        for count in range(degree, 0, -1):
-            ratio = scaled[count] / scaled[0]
-            inside &= np.abs(ratio) < 1.0
-            scaled = (scaled - ratio * scaled[::-1])[:count]
-    return inside

@@ -29,7 +29,7 @@ from jaxstab.conventions import Verdict
 from jaxstab.exact import wall_verdict
 from jaxstab.model import (
     DoubleDouble,
-    PlantPairs,
+    PlantCoefficients,
     TracedDelay,
     checked_delta,
     checked_gain,
@@ -215,7 +215,7 @@ def float_plant(
 
 @compiled(static=["is_fractional"])
 def _rounded_plant(
-    gamma: Array, delta: Array, pairs: PlantPairs, *, is_fractional: bool
+    gamma: Array, delta: Array, pairs: PlantCoefficients, *, is_fractional: bool
 ) -> Plant[Array]:
     plant = _plant_of(gamma, delta, pairs, is_fractional=is_fractional)
     rounded = {field.name: _rounded(getattr(plant, field.name)) for field in fields(plant)}
@@ -237,7 +237,7 @@ def pair_plant(
 
 
 def _plant_of(
-    gamma: Array, delta: Array, pairs: PlantPairs, *, is_fractional: bool
+    gamma: Array, delta: Array, pairs: PlantCoefficients, *, is_fractional: bool
 ) -> Plant[DoubleDouble]:
     xp = namespace(gamma, delta, pairs)
     unit = DoubleDouble.from_value(xp.ones_like(pairs.d0.hi))

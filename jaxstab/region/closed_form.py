@@ -37,7 +37,7 @@ from jaxstab.batches import MANY_ANGLES, compiled
 from jaxstab.model import checked_delta, checked_gamma, require_x64
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.parameters import whole_and_fraction
-from jaxstab.model.plant import PlantPairs, plant_pairs
+from jaxstab.model.plant import PlantCoefficients, plant_pairs
 from jaxstab.numbers import checked
 
 # sin(x) / x and cos(x) as series in x^2, for all x up to pi/4 and derivatives, too.
@@ -167,7 +167,7 @@ def slice_coefficients(
 
 @compiled(many=MANY_ANGLES)
 def _slice_coefficients(
-    gamma: Array, radius: Array, turns: Array, plant: PlantPairs
+    gamma: Array, radius: Array, turns: Array, plant: PlantCoefficients
 ) -> SliceCoefficients:
     xp = namespace(gamma, radius, turns, plant)
     r = DoubleDouble.from_value(radius)

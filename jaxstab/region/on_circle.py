@@ -4,8 +4,8 @@ With z = e^(i theta), m = floor(delay) + 1 and the notation of ``jaxstab.region.
 
     g = D/z + z^-m (N/z) H,      H = alpha P + beta V,
 
-P = 1 and V = 1 - 1/z without filters; then g = p(z) / z^(m + 2). ``quick_plant`` computes D, N and
-their slopes by a Taylor series of the step response and doublings of its time; ``Responses`` has P
+P = 1 and V = 1 - 1/z without filters; then g = p(z) / z^(m + 2). ``quick_plant`` computes D and N
+by a Taylor series of the step response and doublings of its time; ``Responses`` has P
 and V as numbers that a compiled program takes, and ``circle_equations`` the two real equations of a
 root on the circle. Nothing here is a bound: searches and derivatives start from it.
 """
@@ -19,6 +19,7 @@ from jaxtyping import Float64
 
 from jaxstab.arrays import PI_REST, Array, Numbers, namespace, repeat
 from jaxstab.model.filters import Filters, Stage
+from jaxstab.model.plant import PlantCoefficients
 from jaxstab.region.closed_form import SliceCoefficients
 
 OverSine = tuple[Array, Array]
@@ -178,27 +179,8 @@ def _doublings(gamma: Array, delta: Array) -> Array:
     return np.ceil(np.log2(np.fmax(np.fmin(rates, 2.0**_DOUBLINGS), 1.0)))  # whatever is NaN
 
 
-class QuickPlant(NamedTuple):
-    """D(z) = z^2 + d1 z + d0 and N(z) = n2 z^2 + n1 z + n0, with some slopes, in plain float64.
-
-    ``impulse`` and ``impulse_rate`` are position and velocity one sample after an impulse. The
-    slopes by the delay are -``early`` of n2, ``late`` of n0 and their difference of n1.
-    """
-
-    d1: Float64[Array, "*grid"]
-    d0: Float64[Array, "*grid"]
-    n2: Float64[Array, "*grid"]
-    n1: Float64[Array, "*grid"]
-    n0: Float64[Array, "*grid"]
-    sum: Float64[Array, "*grid"]
-    impulse: Float64[Array, "*grid"]
-    impulse_rate: Float64[Array, "*grid"]
-    early: Float64[Array, "*grid"]
-    late: Float64[Array, "*grid"]
-
-
-def quick_plant(gamma: Array, delta: Array, delay: Array) -> QuickPlant:
-    """Return the sampled plant, good to about 1e-14 of one."""
+def quick_plant(gamma: Array, delta: Array, delay: Array) -> PlantCoefficients:
+    """Return the sampled plant in plain float64, good to about 1e-14 of one."""
     xp = namespace(gamma, delta, delay)
     rest_of_sample = xp.floor(delay) + 1.0 - delay
     times = xp.stack(xp.broadcast_arrays(xp.ones_like(gamma + delta), rest_of_sample))
@@ -209,10 +191,8 @@ def quick_plant(gamma: Array, delta: Array, delay: Array) -> QuickPlant:
     n2, early = held
     n1 = later + full.velocity * early - impulse_rate * n2
     n0 = full.velocity * (full.velocity - early) - impulse_rate * later
-    late = full.velocity * (1.0 - gamma * n2) - early * (1.0 - gamma * full.position)
     d1, d0 = gamma * full.position - 1.0 - impulse_rate, xp.exp(-delta)
-    slopes = (full.velocity, impulse_rate, early, late)
-    return QuickPlant(d1, d0, n2, n1, n0, total, *slopes)
+    return PlantCoefficients(d1, d0, n2, n1, n0, total, n2 - n1 + n0, gamma * total)
 
 
 def quick_slice(gamma: Array, delta: Array, delay: Array) -> SliceCoefficients:
@@ -232,10 +212,10 @@ def quick_slice(gamma: Array, delta: Array, delay: Array) -> SliceCoefficients:
         eps=-xp.expm1(-delta),
         sigma=plant.n2 + plant.n0,
         nu=plant.n2 - plant.n0,
-        den_plus=gamma * plant.sum,
+        den_plus=plant.den_at_one,
         den_minus=1.0 - plant.d1 + plant.d0,
         num_plus=plant.sum,
-        num_minus=plant.n2 - plant.n1 + plant.n0,
+        num_minus=plant.difference,
     )
 
 

@@ -172,19 +172,19 @@ def others_inside(c: Curve, theta: Array, *, is_proved: bool = False) -> Array:
         inside[inside] = balls_inside(c.loop, *(x[inside] for x in true))
     else:
         pair = 2.0 * np.cos(true[0][inside] + true[1][inside])
-        inside[inside] = _all_inside(_quotient(falling[:, fits], pair))
+        inside[inside] = all_inside(without_pair(falling[:, fits], pair))
     return inside.reshape(theta.shape)
 
 
-def _quotient(falling: Array, total: Array) -> Array:
-    """Divide polynomials by z^2 - total z + 1, two roots of each; both highest power first.
+def without_pair(falling: Array, total: Array, product: Array | float = 1.0) -> Array:
+    """Divide polynomials by z^2 - total z + product, two roots of each; highest power first.
 
     The last two coefficients of a polynomial do not count, and are not given.
     """
     quotient = np.empty_like(falling)
     before = last = np.zeros_like(falling[0])
     for power, coefficient in enumerate(falling):
-        before, last = last, coefficient + total * last - before
+        before, last = last, coefficient + total * last - product * before
         quotient[power] = last
     return quotient
 
@@ -202,12 +202,15 @@ def _binomials(degree: int) -> Float64[np.ndarray, " coefficient"]:
     return np.array([comb(degree, k) for k in range(degree + 1)], float)
 
 
-def _all_inside(falling: Array) -> Array:
-    """Return where all roots of polynomials (coefficient, ...) lie inside of the unit circle.
+@np.errstate(all="ignore")  # NaN and infinity are answers
+def all_inside(falling: Array, radius: Array | float = 1.0) -> Bool[np.ndarray, " polynomial"]:
+    """Return where all roots of polynomials (coefficient, polynomial) lie inside of a circle.
 
-    The recursion runs on fewer and fewer polynomials, which are shorter and shorter.
+    In float64, and not proved. The recursion runs on fewer and fewer polynomials, which are shorter
+    and shorter.
     """
     at_once = 32  # steps after which the polynomials that failed are dropped
+    falling = falling / radius ** np.arange(len(falling))[:, None]
     passes = np.ones(falling.shape[1], bool)
     index = np.arange(passes.size)
     while len(falling) > 1 and index.size:

@@ -17,10 +17,11 @@ See Blondel, Gurbuzbalaban, Megretski, Overton (2012) for why roots coalesce.
 
 from collections.abc import Callable
 from functools import cache, lru_cache, partial
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int8
+from jaxtyping import Bool, Float64, Int8, Int64
 
 from jaxstab.arrays import Array, Numbers, constant, float_arrays, is_any_traced, namespace, take
 from jaxstab.batches import on_host
@@ -43,22 +44,221 @@ from jaxstab.model.filters import (
 )
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.numbers import checked_number
-from jaxstab.point.radius import have_roots_inside
 from jaxstab.point.verdicts import verdict
 from jaxstab.region import RegionStatus, StableRegion, stable_region
 from jaxstab.region.measures import contains
-from jaxstab.tuning.multiple_roots import (
-    LARGEST,
-    NEARLY_REAL,
-    Family,
-    Pair,
-    family_of_loop,
-    multiple_root,
-    newton_step,
-    triple_roots,
-    value,
-)
-from jaxstab.tuning.search import Axis, minimised
+from jaxstab.region.pieces import all_inside, without_pair
+
+# The one minimiser: a grid over two coordinates, and finer grids around its best points.
+#
+# Radii and settling times have kinks, edges, and narrow valleys where poles meet, so no slopes are
+# asked for. All points of a grid are computed at once. Around the best of its local minima finer
+# grids follow, each a quarter or less as wide as the last one; a minimum that cannot become the
+# best one is given up. One coordinate may be fixed.
+
+Axis = Float64[np.ndarray, " _"]
+Values = Callable[[np.ndarray, np.ndarray], np.ndarray]  # at lists of both coordinates
+
+
+def minimised(
+    values: Values,
+    axes: tuple[Axis, Axis],
+    *,
+    starts: int = 1,
+    points: int = 33,
+    reach: int = 4,
+    zooms: int = 12,
+    enough: float = -np.inf,
+    lowest: float = -np.inf,
+) -> tuple[tuple[float, float], float]:
+    """Return the point of the smallest value that grids find, and this value.
+
+    They are NaN and infinite where no value of the first grid is finite.
+
+    Args:
+        values: infinite where a point does not count.
+        axes: the first grid, increasing; an axis of one value is fixed.
+        starts: how many local minima of the first grid are followed.
+        points: on an axis of finer grids.
+        reach: steps of a grid, to each side of its best point, over which the next one extends.
+        zooms: how many finer grids there are at most.
+        enough: a value at which the search ends; minima that cannot reach it are given up.
+        lowest: no coordinate of a finer grid is below it.
+    """
+    first = values(*(mesh.ravel() for mesh in np.meshgrid(*axes, indexing="ij")))
+    first = first.reshape([axis.size for axis in axes])
+    places = _local_minima(first)[:starts].T
+    if not places.size:
+        return (np.nan, np.nan), np.inf
+    centres, least = np.array([axes[0][places[0]], axes[1][places[1]]]), first[tuple(places)]
+    halves = np.array([_extent(*pair, reach) for pair in zip(axes, places, strict=True)])
+    steps = np.linspace(-1.0, 1.0, points)
+    shares = np.meshgrid(*(steps if axis.size > 1 else np.zeros(1) for axis in axes), indexing="ij")
+    offsets = np.stack([mesh.ravel() for mesh in shares])[:, None, :]
+    best, value = centres[:, 0], float(least[0])
+    for _ in range(zooms):
+        if value <= enough or not least.size:
+            break
+        finer = np.maximum(centres[..., None] + halves[..., None] * offsets, lowest)
+        found = values(*finer.reshape(2, -1)).reshape(finer.shape[1:])
+        boxes, place = np.arange(least.size), np.argmin(found, axis=1)
+        is_better = found[boxes, place] < least
+        centres = np.where(is_better, finer[:, boxes, place], centres)
+        least = np.minimum(least, found[boxes, place])
+        smallest = np.argmin(least)
+        if least[smallest] < value:
+            best, value = centres[:, smallest], float(least[smallest])
+        # Between two points, slopes go down by no more than about what they do over the grid.
+        spread = np.where(np.isfinite(found), found, -np.inf).max(axis=1) - least
+        lower = least - np.maximum(spread, 0.0) * (4.0 / points)
+        is_open = lower < (enough if enough > -np.inf else value)
+        centres, least, halves = centres[:, is_open], least[is_open], halves[:, is_open]
+        halves = halves * (reach / (points // 2))
+    return (float(best[0]), float(best[1])), value
+
+
+def _extent(axis: Axis, index: np.ndarray, reach: int) -> Axis:
+    """Return how far some steps along an axis reach from points of it."""
+    sides = [np.clip(index + side * reach, 0, axis.size - 1) for side in (-1, 1)]
+    return np.max([np.abs(axis[side] - axis[index]) for side in sides], axis=0)
+
+
+def _local_minima(values: np.ndarray) -> Int64[np.ndarray, "minimum 2"]:
+    """Return the places of values that no neighbour is below, the least first."""
+    rows, columns = values.shape
+    padded = np.full((rows + 2, columns + 2), np.inf)
+    padded[1:-1, 1:-1] = values
+    is_least = np.isfinite(values)
+    for row, column in product(range(3), repeat=2):
+        is_least &= values <= padded[row : row + rows, column : column + columns]
+    places = np.argwhere(is_least)
+    return places[np.argsort(values[is_least], kind="stable")]
+
+
+# Multiple roots of p(z), which the best gains have, as equations for Newton's method.
+#
+# A triple real root solves p = p' = p'' = 0, a double complex pair p = p' = 0, for the gains and z.
+# p is affine in the gains, so that triple roots are those of one polynomial: all of them are known.
+
+_LARGEST = 1.3  # radius of the search; a root beyond it is no longer the one that was followed
+_NEARLY_REAL = 1e-3  # imaginary parts of real roots of polynomials with rounded coefficients
+
+
+class Family(NamedTuple):
+    """p(z) = base + alpha stiff + beta damp, each with the highest power first."""
+
+    base: Float64[Array, "*grid coefficient"]
+    stiff: Float64[Array, "*grid coefficient"]
+    damp: Float64[Array, "*grid coefficient"]
+
+    def polynomial(self, alpha: Array, beta: Array) -> Float64[Array, "*grid coefficient"]:
+        """Return the coefficients for arrays of gains, on a new last axis."""
+        return self.base + alpha[..., None] * self.stiff + beta[..., None] * self.damp
+
+
+class Pair(NamedTuple):
+    """The gains that put a pair of poles at x +- i y."""
+
+    alpha: Float64[Array, "*grid"]
+    beta: Float64[Array, "*grid"]
+    x: Float64[Array, "*grid"]
+    y: Float64[Array, "*grid"]
+
+
+def family_of_loop(loop: LinearLoop) -> Family:
+    """Return the polynomials of all walls at any linear loop."""
+    xp = namespace(loop[:3])
+    parts = ([coefficient.rounded() for coefficient in polynomial] for polynomial in loop[:3])
+    return Family(*(xp.stack(polynomial, axis=-1) for polynomial in parts))
+
+
+def _triple_roots(family: Family) -> Pair:
+    """Return all triple real roots, with y = 0, to the accuracy of the roots of a polynomial."""
+    # The equations are linear in the gains and 1, so that the determinant of the three is a
+    # polynomial in z that vanishes at the triple roots of all gains.
+    base, stiff, damp = map(_derivatives, family)
+    determinant: Array = np.zeros(1)
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        minor = np.convolve(stiff[j], damp[k]), np.convolve(stiff[k], damp[j])
+        determinant = np.polyadd(determinant, np.convolve(base[i], np.polysub(*minor)))
+    roots = np.roots(determinant)
+    z = roots[(abs(roots.imag) < _NEARLY_REAL * abs(roots)) & (abs(roots) < _LARGEST)].real
+    p, stiff, damp = (
+        [_value(polynomials, z) for polynomials in parts[:2]] for parts in (base, stiff, damp)
+    )
+    divisor = stiff[0] * damp[1] - stiff[1] * damp[0]
+    alpha = (p[1] * damp[0] - p[0] * damp[1]) / divisor
+    beta = (p[0] * stiff[1] - p[1] * stiff[0]) / divisor
+    return Pair(alpha, beta, z, np.zeros_like(z))
+
+
+def _solved(family: Family, start: Pair, is_triple: bool) -> Pair:
+    """Solve for the multiple root; NaN where the steps do not become small."""
+    nothing = Pair(*(np.float64(np.nan),) * 4)
+    pair = start._replace(y=np.float64(0.0)) if is_triple else start
+    change = np.inf
+    for count in range(10):
+        try:
+            step = _newton_step(family, pair, np.asarray(is_triple))
+        except np.linalg.LinAlgError:
+            return nothing
+        pair = Pair(*(a + b for a, b in zip(pair, step, strict=True)))
+        change = np.hypot(step.x, step.y) / np.hypot(pair.x, pair.y)
+        size = max(abs(entry) for entry in pair)
+        if not max(abs(entry) for entry in step) > 1e-15 * size or abs(pair.x) > _LARGEST:
+            break
+        if count == 4 and change > 0.05:  # no root is near
+            break
+    return pair if change < 1e-6 else nothing
+
+
+def _newton_step(family: Family, pair: Pair, is_triple: Array) -> Pair:
+    """Return the step of Newton's method to a triple real root, or to a double complex pair."""
+    # The equations are p = p' = p'' = y = 0 or p = p' = 0, those for alpha, beta, x and y.
+    xp = namespace(family, pair)
+    z = pair.x + 1j * pair.y
+    whole = family.polynomial(pair.alpha, pair.beta)
+    # The polynomial and its derivatives, and those of its derivatives in alpha and beta.
+    every = xp.stack(xp.broadcast_arrays(whole, family.stiff, family.damp))
+    p, stiff, damp = _value(_derivatives(every), z[..., None])
+    orders, after = slice(0, 3), slice(1, 4)
+    columns = stiff[..., orders], damp[..., orders], p[..., after], 1j * p[..., after]
+    rows = xp.stack([*columns, p[..., orders]], axis=-1)
+    zero = xp.zeros_like(pair.y)
+    last = xp.stack([zero, zero, zero, zero + 1.0, pair.y], axis=-1)
+    triple = xp.concatenate([rows.real, last[..., None, :]], axis=-2)
+    pairs = xp.stack([rows.real[..., :2, :], rows.imag[..., :2, :]], axis=-2)
+    system = xp.where(xp.asarray(is_triple)[..., None, None], triple, pairs.reshape(triple.shape))
+    step = xp.linalg.solve(constant(system[..., :4]), -system[..., 4:])[..., 0]
+    return Pair(*(step[..., column] for column in range(4)))
+
+
+def _derivatives(coefficients: Array) -> Float64[Array, "*grid 4 coefficient"]:
+    """Return polynomials and their first three derivatives, with zeros in front."""
+    places, factors = _places_and_factors(coefficients.shape[-1])
+    return coefficients[..., places] * factors
+
+
+@cache
+def _places_and_factors(size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return where the coefficients of derivatives come from, and times what."""
+    order, place = np.arange(4)[:, None], np.arange(size) - np.arange(4)[:, None]
+    powers = size - 1.0 - place
+    factors = np.ones(place.shape)
+    for below in range(3):
+        factors *= np.where(order > below, powers - below, 1.0)
+    return np.maximum(place, 0), np.where(place >= 0, factors, 0.0)
+
+
+def _value(coefficients: Array, z: Array) -> Array:
+    """Return the value of a polynomial."""
+    result = 0.0 * z
+    for power in range(coefficients.shape[-1]):
+        result = result * z + coefficients[..., power]
+    return result
+
+
+# Walls, and the search over the dominant pair.
 
 
 class TuningStatus(Status):
@@ -162,7 +362,7 @@ class Walls(NamedTuple):
     def are_inside(self, alpha: Array, beta: Array, radius: float) -> Bool[np.ndarray, "*grid"]:
         """Return where all poles seem to be inside of a circle; not proved."""
         coefficients = np.moveaxis(self.family.polynomial(alpha, beta), -1, 0)
-        return have_roots_inside(coefficients, np.array(radius))
+        return all_inside(coefficients, radius)
 
     def radii(self, alpha: Array, beta: Array, below: float = np.inf) -> np.ndarray:
         """The largest modulus of poles; infinite for others than searched, or not ``below``."""
@@ -192,7 +392,7 @@ class Walls(NamedTuple):
         angle = np.clip(angle, _CLOSEST, np.pi - _CLOSEST)
         x, y = radius * np.cos(angle), radius * np.sin(angle)
         parts = np.stack(self.family)
-        base, stiff, damp = value(parts.reshape(len(parts), *(1,) * x.ndim, -1), x + 1j * y)
+        base, stiff, damp = _value(parts.reshape(len(parts), *(1,) * x.ndim, -1), x + 1j * y)
         determinant = stiff.real * damp.imag - stiff.imag * damp.real
         alpha = (base.imag * damp.real - base.real * damp.imag) / determinant
         beta = (stiff.imag * base.real - stiff.real * base.imag) / determinant
@@ -201,9 +401,10 @@ class Walls(NamedTuple):
     def others(self, radius: Array, angle: Array, near: float = 1.2) -> np.ndarray:
         """The largest modulus of the poles beside a pair; infinite beyond ``near`` radii."""
         pair = self.pairs(radius, angle)
-        quotient = _quotient(self.family.polynomial(pair.alpha, pair.beta), pair)
+        falling = np.moveaxis(self.family.polynomial(pair.alpha, pair.beta), -1, 0)
+        quotient = without_pair(falling[:-2], 2.0 * pair.x, pair.x**2 + pair.y**2)
         searched = self.are_searched(pair.alpha, pair.beta)
-        searched &= have_roots_inside(quotient, near * radius) & np.isfinite(quotient).all(axis=0)
+        searched &= all_inside(quotient, near * radius) & np.isfinite(quotient).all(axis=0)
         others = np.full(radius.shape, np.inf)
         others[searched] = _largest_moduli(quotient[:, searched].T)
         # Gains that lost digits to cancellation do not have the pair; gains elsewhere do not count.
@@ -237,18 +438,6 @@ def _largest_moduli(coefficients: Float64[np.ndarray, "polynomial coefficient"])
     return np.abs(np.linalg.eigvals(companion)).max(axis=-1, initial=0.0)
 
 
-def _quotient(coefficients: Array, pair: Pair) -> Float64[np.ndarray, "coefficient *grid"]:
-    """Divide by z^2 - 2 x z + x^2 + y^2."""
-    last, before, parts = np.zeros_like(pair.x), np.zeros_like(pair.x), []
-    for power in range(coefficients.shape[-1] - 2):
-        coefficient = (
-            coefficients[..., power] + 2.0 * pair.x * last - (pair.x**2 + pair.y**2) * before
-        )
-        parts.append(coefficient)
-        last, before = coefficient, last
-    return np.stack(parts)
-
-
 class Best(NamedTuple):
     """A pair of poles, with the gains and their radius as far as it is known, and a status."""
 
@@ -280,7 +469,7 @@ def smallest_radius(walls: Walls, alpha: float | None = None) -> Best:
             edges += [(edge, np.full(1, 1.0 / share)) for share in walls.shares[1:] if share]
             on_edges = [_on_line(walls, axes, below=1.0) for axes in edges]
             best = min([_smallest(walls), *on_edges], key=lambda each: each.radius)
-    if not best.radius < LARGEST or walls.verdicts(*best.wall) != Verdict.STABLE:
+    if not best.radius < _LARGEST or walls.verdicts(*best.wall) != Verdict.STABLE:
         return best._replace(status=TuningStatus.NO_STABLE_GAINS)
     return best._replace(status=walls.status or best.status)
 
@@ -289,9 +478,9 @@ def _smallest(walls: Walls) -> Best:
     """Return the best pair of a loop; a last scan of all angles must find no better one."""
     found, low, angles = _triple_root(walls), 1e-4, walls.angles
     for _ in range(4):
-        trial = min(found.radius, LARGEST) * (1.0 - _AGREEMENT)
+        trial = min(found.radius, _LARGEST) * (1.0 - _AGREEMENT)
         angle, others = walls.least_others(trial, angles, enough=trial)
-        if found.radius < LARGEST and others > trial:
+        if found.radius < _LARGEST and others > trial:
             break
         other = _descended(walls, angles, low, _reached(walls, _pair_at(walls, trial, angle)))
         gain, low = found.radius - other.radius, 0.9 * other.radius
@@ -303,7 +492,7 @@ def _smallest(walls: Walls) -> Best:
 
 def _triple_root(walls: Walls) -> Best:
     """Return the smallest triple real root without a larger pole."""
-    roots = triple_roots(walls.family)
+    roots = _triple_roots(walls.family)
     sizes = abs(roots.x)
     is_real = walls.radii(roots.alpha, roots.beta) <= sizes * (1.0 + _NOISE)
     for index in np.argsort(np.where(is_real, sizes, np.inf))[: np.sum(is_real)]:
@@ -315,11 +504,11 @@ def _triple_root(walls: Walls) -> Best:
 
 def _multiple_root(walls: Walls, start: Pair) -> Best:
     """Return the multiple root next to a pair; nothing where there is none without larger poles."""
-    is_triple = bool(abs(start.y) < NEARLY_REAL * abs(start.x))
-    pair = multiple_root(walls.family, start, is_triple)
+    is_triple = bool(abs(start.y) < _NEARLY_REAL * abs(start.x))
+    pair = _solved(walls.family, start, is_triple)
     radius, angle = np.hypot(pair.x, pair.y), np.arctan2(pair.y, pair.x)
-    is_kind = is_triple or pair.y > NEARLY_REAL * radius
-    if not (radius < LARGEST and is_kind):
+    is_kind = is_triple or pair.y > _NEARLY_REAL * radius
+    if not (radius < _LARGEST and is_kind):
         return _NOTHING
     if not walls.others(radius[None], angle[None])[0] <= radius * (1.0 + _AGREEMENT):
         return _NOTHING
@@ -332,7 +521,7 @@ def _descended(walls: Walls, angles: Axis, low: float, best: Best) -> Best:
     # The radius is taken down until no pair is left. The least one is then the root of how far the
     # other poles are outside of the circle: the secant method between two circles, in which an end
     # that stays weighs less and less.
-    high, step, stays = min(best.radius, LARGEST), 0.9, ""
+    high, step, stays = min(best.radius, _LARGEST), 0.9, ""
     outside, inside = np.inf, np.nan  # at both ends
     for _ in range(100):
         if not high - low > 1e-8 * high:
@@ -486,7 +675,7 @@ def _followed(family: Family, best: Pair, kind: Array) -> Pair:
     """Return the pair with its derivatives: those of one more step of Newton's method."""
     # Where no equations are known that it solves, they are NaN.
     is_triple = kind == TuningStatus.TRIPLE_ROOT
-    step = newton_step(family, constant(best), is_triple)
+    step = _newton_step(family, constant(best), is_triple)
     moved = [a + b for a, b in zip(constant(best), step, strict=True)]
     exact = is_triple | (kind == TuningStatus.DOUBLE_PAIR)
     return Pair(*_chosen()(moved, list(best), exact))

@@ -10,9 +10,9 @@ precision. python-flint is imported only where such polynomials are needed.
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache, wraps
 from threading import RLock
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar, cast
 
 import numpy as np
 
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 _PRECISION = RLock()
 FIRST_BITS, MOST_BITS = 192, 192 << 4  # of the balls in which questions are asked
 Answer = TypeVar("Answer")
+Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 @contextmanager
@@ -58,6 +59,25 @@ def decided(
         if bits >= most or is_answered(answer):
             return answer
         bits *= 2
+
+
+def remembered(count: int) -> Callable[[Function], Function]:
+    """Keep so many answers of a function in balls, each for the precision that was set."""
+
+    def decorate(function: Function) -> Function:
+        @lru_cache(maxsize=count)
+        def of_bits(bits: int, *given: Any) -> Any:
+            return function(*given)
+
+        @wraps(function)
+        def call(*given: Any) -> Any:
+            import flint
+
+            return of_bits(flint.ctx.prec, *given)
+
+        return cast(Function, call)
+
+    return decorate
 
 
 class Rational(NamedTuple):

@@ -16,7 +16,7 @@ from math import ceil, floor, ldexp, log2
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from jaxstab.model.device.device import Device, in_steps
-from jaxstab.model.device.parts import Rational, balls_of, decided, exact
+from jaxstab.model.device.parts import Rational, balls_of, decided, exact, remembered
 from jaxstab.model.parameters import LONGEST_DELAY
 from jaxstab.numbers import checked_number
 
@@ -112,19 +112,12 @@ def _speed(below: list[Ball]) -> int:
     return max((_binary_digits(c) // root for root, c in sizes), default=0)
 
 
+@remembered(64)
 def one_sample(device: Device, sample_time: float) -> "OneSample":
     """What a device does within a sample, in balls of the precision that is set.
 
     Raises: as ``in_samples``.
     """
-    import flint
-
-    return _one_sample(device, sample_time, flint.ctx.prec)
-
-
-@lru_cache(maxsize=64)
-def _one_sample(device: Device, sample_time: float, bits: int) -> "OneSample":
-    del bits  # the precision is set: here it only tells balls apart
     return OneSample.from_compliance(*in_samples(device.compliance(), sample_time))
 
 
@@ -260,6 +253,7 @@ def _binary_digits(ball: Ball) -> int:
 # missing. Q is finite where D vanishes.
 
 
+@remembered(256)
 def late_cosines(device: Device, sample_time: float, delay: float, jitter: float) -> list["arb"]:
     """Return q of Q = q_0 + 2 q_1 cos(theta) + 2 q_2 cos(2 theta) + ..., in SI units.
 
@@ -267,16 +261,6 @@ def late_cosines(device: Device, sample_time: float, delay: float, jitter: float
     """
     import flint
 
-    return _late_cosines(device, sample_time, delay, jitter, flint.ctx.prec)
-
-
-@lru_cache(maxsize=256)
-def _late_cosines(
-    device: Device, sample_time: float, delay: float, jitter: float, bits: int
-) -> list["arb"]:
-    import flint
-
-    del bits  # the precision is set: here it only tells balls apart
     given = in_samples(device.compliance(), sample_time)
     above, below, speed = in_fastest_time(*given)
     order = len(below) - 1
