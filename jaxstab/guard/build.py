@@ -18,7 +18,7 @@ from jaxstab.boxes.plant import Arms, with_parts
 from jaxstab.boxes.search import paved
 from jaxstab.conventions import Range, Verdict
 from jaxstab.exact import wall_verdict
-from jaxstab.guard.grid import CELL_AXES, Grid, grid_boxes, interpolated, step_of
+from jaxstab.guard.grid import CELL_AXES, Grid, cell_corners, grid_boxes, interpolated, step_of
 from jaxstab.guard.guard import Guard
 from jaxstab.guard.limits import boundary_of
 from jaxstab.model import LoopParameters
@@ -308,20 +308,11 @@ def _proved(
         is_proved, left = is_proved | newly, left - count
         limit = np.where(_are_corners(grid, newly), np.minimum(limit, grid.limit), limit)
         # A cell whose limits are all 0 cannot be lowered further.
-        hopeful = ~is_proved & (np.max(_corners(grid), axis=0) > 0.0)
+        hopeful = ~is_proved & (np.max(cell_corners(grid.limit, 3), axis=0) > 0.0)
         grid = _lowered(grid, hopeful, unit, share)
         each, share = each * more, min(share * more, 1.0)
     progress(1.0)
     return grid._replace(limit=np.where(np.isfinite(limit), limit, grid.limit)), is_proved
-
-
-def _corners(grid: Grid) -> list[np.ndarray]:
-    """The limits at the eight corners of each cell."""
-    masses, delays, dampings = grid.cells
-    return [
-        grid.limit[a : a + masses, b : b + delays, c : c + dampings]
-        for a, b, c in np.ndindex(2, 2, 2)
-    ]
 
 
 def _tell(progress: Callable[[float], None], before: int, cells: int, more: int) -> None:
@@ -335,10 +326,7 @@ def _granted_rows(
     # Of several such stretches it is the one that grants most. One verdict per cell of mass and
     # delay is enough for all of its walls.
     rows = np.zeros((*grid.cells[:2], 2), np.int64)
-    corners = [
-        grid.limit[a : a + grid.cells[0], d : d + grid.cells[1]] for a, d in np.ndindex(2, 2)
-    ]
-    least = np.min(corners, axis=0)
+    least = np.min(cell_corners(grid.limit, 2), axis=0)
     for place in np.ndindex(*grid.cells[:2]):
         edges = np.flatnonzero(np.diff(np.concatenate([[False], is_proved[place], [False]])))
         stretches = edges.reshape(-1, 2)

@@ -47,11 +47,7 @@ def grid_boxes(device: Device, loop: LoopParameters, hands: HandRange, grid: Gri
     The first three axes are in cells; lemma B20 of docs/proofs.md. Errors: as ``DeviceBoxes``.
     """
     count = grid.cells[2]
-    corners = grid.limit[:, :, 0]
-    begins = np.max(
-        [corners[:-1, :-1], corners[1:, :-1], corners[:-1, 1:], corners[1:, 1:]], axis=0
-    )
-
+    begins = np.max(cell_corners(grid.limit[:, :, 0], 2), axis=0)
     period = float(loop.sample_time)
 
     def limits(boxes: ParameterBoxes, last: Rows) -> tuple[LinearModel, LinearModel]:
@@ -94,6 +90,14 @@ def _limits_over(grid: Grid, low: Ends, high: Ends, axes: tuple[str, ...]) -> Li
     model = _model(grid.limit, low, high, axes)
     slack = _SLACK * float(np.max(grid.limit))
     return replace(model, centre=model.centre + model.rest + slack, rest=np.zeros_like(model.rest))
+
+
+def cell_corners(nodes: np.ndarray, axes: int) -> list[np.ndarray]:
+    """Return the values at each corner of the cells along the first axes."""
+    return [
+        nodes[tuple(slice(k, size - 1 + k) for k, size in zip(corner, nodes.shape, strict=False))]
+        for corner in np.ndindex(*(2,) * axes)
+    ]
 
 
 def step_of(nodes: Float64[np.ndarray, " node"]) -> float:
