@@ -1,5 +1,6 @@
 """J2: the matrices of delays in turn, against a mass whose forces arrive one by one."""
 
+from itertools import pairwise
 from math import inf
 
 import numpy as np
@@ -10,9 +11,7 @@ from jaxstab import HapticLoop
 from jaxstab.exact.turns import PeriodicLoop, is_growing
 
 T, MASS, DAMPING, STIFFNESS = 1e-3, 0.25, 0.1, 40.0
-LOOP = HapticLoop(
-    device_mass=MASS, device_damping=DAMPING, hand_stiffness=STIFFNESS, sample_time=T
-)
+LOOP = HapticLoop(device_mass=MASS, device_damping=DAMPING, hand_stiffness=STIFFNESS, sample_time=T)
 TURNS = [[0.0], [0.3], [1.0], [2.6], [0.3, 2.6], [0.2, 0.0, 3.1], [1.5, inf, 0.5], [2.2, 1.9, 0.1]]
 
 
@@ -30,7 +29,7 @@ def multipliers(wall: tuple[float, float], delays: list[float]) -> np.ndarray:
             changes = [delays[(sample - age) % len(delays)] - age for age in range(kept + 1)]
             times = sorted({0.0, 1.0, *(t for t in changes if 0.0 < t < 1.0)})
             moving = np.array([x, v])
-            for start, end in zip(times[:-1], times[1:], strict=True):
+            for start, end in pairwise(times):
                 newest = next(age for age, t in enumerate(changes) if t <= start)
                 moving = (expm(rates * (end - start) * T) @ [*moving, forces[newest]])[:2]
             step.append([*moving, x, *forces[:kept]])
