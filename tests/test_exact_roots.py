@@ -59,6 +59,18 @@ def test_chosen_roots_come_back() -> None:
     assert found.error < 1e-17
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_the_error_of_the_poles_is_that_of_the_worst_of_them(seed: int) -> None:
+    truth = Loop.of(MassLoop.drawn(np.random.default_rng([524, seed])))
+    found = poles(lambda: ball_triple(truth.loop), 0.01, 0.01)
+    with mp.workdps(60):
+        falling = truth.polynomial(0.01, 0.01)
+        exact = mp.polyroots(falling[::-1], maxsteps=500, extraprec=800, asc=True)
+        values = [mp.mpc(complex(value)) for value in found.values]
+        errors = [min(abs(value - root) for root in exact) for value in values]
+        assert max(errors) <= found.error < max(4 * max(errors), mpf(2) ** -60)
+
+
 @pytest.mark.parametrize("at_minus_one", [0, 1, 2])
 @pytest.mark.parametrize("windows", [(), (4,), (5,), (4, 6)])
 def test_roots_of_the_structure_are_poles_as_often_as_it_says(
