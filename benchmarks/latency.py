@@ -102,7 +102,7 @@ def _questions() -> list[Question]:
         Question("atlas, one verdict", 0.5, ("-c",
             "import jaxstab\n"
             f"atlas = jaxstab.open_atlas({str(golden)!r})\n"
-            "print(int(atlas.verdict(0.05, 0.3, gamma=0.0004, delta=0.01, delay=1.1)))"
+            "print(int(atlas.query(0.05, 0.3, gamma=0.0004, delta=0.01, delay=1.1).verdict))"
         ), lambda answer: float(answer[0] not in (1.0, 2.0))),
         Question("verdict", 1.2, _python(f"print(int(jaxstab.verdict({five})))"),
                  _judge_verdict, "verdict"),

@@ -80,7 +80,7 @@ def test_the_golden_atlases_are_read_and_answer() -> None:
         spec = jaxstab.AtlasSpec.from_file(GOLDEN / f"{name}.toml")
         assert jaxstab.AtlasSpec.from_toml(atlas.spec) == spec
         assert (atlas.filters is not None) == filters
-        code = atlas.verdict(0.01, 0.2, gamma=0.0005, delta=0.01, delay=1.2)
+        code = atlas.query(0.01, 0.2, gamma=0.0005, delta=0.01, delay=1.2).verdict
         assert code == jaxstab.Verdict.STABLE
 
 

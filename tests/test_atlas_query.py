@@ -47,7 +47,7 @@ def test_points_broadcast_and_the_answer_has_their_shape(atlas: Atlas) -> None:
     answer = atlas.query(alpha, beta, **PLANT)
     assert answer.verdict.shape == answer.status.shape == (5, 7)
     assert answer.verdict.dtype == np.int8
-    each = [[int(atlas.verdict(a, b, **PLANT)) for a in alpha] for b in beta[:, 0]]
+    each = [[int(atlas.query(a, b, **PLANT).verdict) for a in alpha] for b in beta[:, 0]]
     np.testing.assert_array_equal(answer.verdict, each)
     assert atlas.query(0.05, 0.3, **PLANT).verdict.shape == ()
     assert atlas.query([], 0.3, **PLANT).verdict.shape == (0,)
@@ -97,13 +97,13 @@ def test_walls_of_a_loop_are_asked_in_si_units(atlas: Atlas) -> None:
     walls = atlas.for_loop(loop)
     stiffness, damping = np.array([100.0, 6000.0, 40_000.0]), 30.0
     np.testing.assert_array_equal(
-        walls.verdict(stiffness, damping), loop.verdict(stiffness, damping)
+        walls.query(stiffness, damping).verdict, loop.verdict(stiffness, damping)
     )
     low, high = walls.stiffness_limits(damping)
     np.testing.assert_allclose([low, high], loop.stiffness_limits(damping), rtol=0.1)
     assert walls.query(stiffness, damping).status[0] == QueryStatus.INTERPOLATED
     with pytest.raises(ValueError, match="stiffness is nan"):
-        walls.verdict(np.nan, 30.0)
+        walls.query(np.nan, 30.0)
 
 
 def test_a_loop_outside_of_the_atlas_is_computed_and_another_estimator_is_refused(

@@ -57,7 +57,7 @@ def test_axes_without_width_are_refused_and_hands_next_to_each_other_are_not(
         assert f"axis {name} is 5e-324 long" in answer.stderr
     atlas = build_atlas(AtlasSpec.from_toml(hands), tmp_path / "a.h5")
     plant = {"gamma": 5e-324, "delta": 0.0, "delay": 0.0}
-    assert atlas.verdict(0.1, 0.15, **plant) == Verdict.STABLE
+    assert atlas.query(0.1, 0.15, **plant).verdict == Verdict.STABLE
 
 
 def test_a_table_where_a_number_should_be_is_named_by_its_key(tmp_path: Path) -> None:

@@ -30,8 +30,8 @@ from jaxstab.atlas.table import PLANT, Array, LimitTable
 from jaxstab.model.filters import Filters, as_keywords
 from jaxstab.region import Branch, RegionStatus, stable_region
 from jaxstab.region.closed_form import curve_point, slice_coefficients
+from jaxstab.region.curve import bracketed_root
 from jaxstab.region.measures import interval_ends
-from jaxstab.region.roots import bracketed_root
 
 if TYPE_CHECKING:
     from jaxstab.atlas.spec import AtlasSpec

@@ -86,8 +86,6 @@ class Atlas:
         >>> statuses = map(jaxstab.results.QueryStatus, answer.status.tolist())
         >>> answer.verdict.tolist(), [status.name for status in statuses]
         ([1, 2], ['INTERPOLATED', 'INTERPOLATED'])
-        >>> jaxstab.Verdict(atlas.verdict(0.05, 0.3, **hand))
-        <Verdict.STABLE: 1>
         >>> limits = atlas.alpha_limits([0.3, 0.5], **hand)
         >>> limits.upper.round(3).tolist()
         [0.137, 0.144]
@@ -163,15 +161,6 @@ class Atlas:
             status[pending] = QueryStatus.COMPUTED
         return AtlasAnswer(codes.reshape(shape), status.reshape(shape))
 
-    def verdict(
-        self, alpha: Numbers, beta: Numbers, *, gamma: Numbers, delta: Numbers, delay: Numbers
-    ) -> NDArray[np.int8]:
-        """The verdicts of ``query`` alone, int8 codes of ``jaxstab.Verdict``.
-
-        Arguments, errors and source: as ``query``.
-        """
-        return self.query(alpha, beta, gamma=gamma, delta=delta, delay=delay).verdict
-
     def _computed(self, point: Sequence[Floats]) -> NDArray[np.int8]:
         from jaxstab.point import verdict
 
@@ -208,7 +197,7 @@ class Atlas:
             >>> window = jaxstab.Velocity.difference(window=0.005)
             >>> device = {"device_mass": 0.2, "device_damping": 2.0, "sample_time": 1e-3}
             >>> loop = jaxstab.HapticLoop(**device, delay=1e-3, velocity=window)
-            >>> jaxstab.Verdict(atlas.for_loop(loop).verdict(2000.0, 20.0))
+            >>> jaxstab.Verdict(atlas.for_loop(loop).query(2000.0, 20.0).verdict)
             <Verdict.STABLE: 1>
         """
         return LoopAtlas(self, loop)
@@ -289,7 +278,7 @@ class LoopAtlas:
         >>> device = {"device_mass": 0.1, "device_damping": 1.0}
         >>> loop = jaxstab.HapticLoop(**device, sample_time=1e-3, delay=1e-3)
         >>> walls = atlas.for_loop(loop)
-        >>> walls.verdict([5000.0, 18000.0], 30.0).tolist()
+        >>> walls.query([5000.0, 18000.0], 30.0).verdict.tolist()
         [1, 2]
         >>> walls.stiffness_limits(30.0).round(-2).tolist()
         [0.0, 13700.0]
@@ -321,13 +310,6 @@ class LoopAtlas:
         """
         return self.atlas.query(*self._wall(stiffness, damping), **self._slice)
 
-    def verdict(self, stiffness: Numbers, damping: Numbers) -> NDArray[np.int8]:
-        """The verdicts of ``query`` alone: int8 codes of ``jaxstab.Verdict``.
-
-        Arguments, errors and source: as ``query``.
-        """
-        return self.query(stiffness, damping).verdict
-
     def stiffness_limits(self, damping: Numbers) -> Floats:
         """The interval of stable stiffness, interpolated.
 
@@ -346,7 +328,7 @@ class LoopAtlas:
         Args:
             ax: the axes of matplotlib to draw in; None makes a figure with matplotlib.pyplot.
 
-        Raises: ValueError if the loop is outside of the atlas. Source: as ``verdict``.
+        Raises: ValueError if the loop is outside of the atlas. Source: as ``query``.
         """
         from jaxstab.pictures.atlas import plot_walls
 

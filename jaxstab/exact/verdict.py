@@ -31,6 +31,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from jaxstab.conventions import Status, Verdict
 from jaxstab.model.balls import Triple
 from jaxstab.model.device.parts import decided
+from jaxstab.model.filters import has_roots_inside
 
 if TYPE_CHECKING:
     from flint import arb, arb_poly, fmpq_poly
@@ -90,17 +91,8 @@ def wall_verdict(
 
 
 def rational_verdict(p: "fmpq_poly") -> Verdict:
-    """Whether all roots of a polynomial of exact numbers are inside: always decided.
-
-    The first |k| >= 1 says that the roots of that p' have a product of 1 or more.
-    """
-    rising = p.coeffs()
-    while len(rising) > 1:
-        k = rising[0] / rising[-1]
-        if abs(k) >= 1:
-            return Verdict.UNSTABLE
-        rising = [a - k * b for a, b in zip(rising[1:], rising[-2::-1], strict=True)]
-    return Verdict.STABLE
+    """Whether all roots of a polynomial of exact numbers are inside: always decided."""
+    return Verdict.STABLE if has_roots_inside(p.coeffs()[::-1]) else Verdict.UNSTABLE
 
 
 def roots_outside(p: "arb_poly", most: int | None = None) -> int | None:

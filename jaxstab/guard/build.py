@@ -359,7 +359,7 @@ def _check(
             f"{loop.held_device}, which has no mass that could vary."
         )
     filters = known_filters(**loop.filters)
-    gain = 1.0 if filters is None else float(responses_at(filters, np.ones(1, complex))[0][0].real)
+    gain = 1.0 if filters is None else float(responses_at(filters, np.zeros(1))[0][0].real)
     if not gain >= least_gain:
         raise ValueError(
             f"the position filter has the gain {gain:g} at z = 1; give one with a positive gain."

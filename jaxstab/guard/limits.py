@@ -151,7 +151,7 @@ def _boundary(
     filters = known_filters(**loop.filters) or NO_FILTERS
 
     def force(theta: Angles) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        position, velocity = responses_at(filters, np.exp(1j * theta))
+        position, velocity = responses_at(filters, theta)
         return position, velocity, stiffness(theta)
 
     position, velocity, wanted = force(np.pi * (np.arange(1, count) / count) ** bend)

@@ -890,7 +890,7 @@ def _checked_rational(
         )
     if len(below) - 1 > HIGHEST_ORDER:
         raise ValueError(f"denominator has degree {len(below) - 1}; give {HIGHEST_ORDER} at most.")
-    if not _has_roots_inside(below):
+    if not has_roots_inside(list(map(Fraction, below))):
         raise ValueError(
             f"denominator is {list(below)}: not all of its roots in z are inside the unit circle; "
             "give a stable filter, in powers of z, not of s or 1/z."
@@ -907,9 +907,11 @@ def _coefficients(name: str, values: Sequence[float]) -> tuple[float, ...]:
     return tuple(numbers)
 
 
-def _has_roots_inside(denominator: tuple[float, ...]) -> bool:
-    """Whether all roots are inside the unit circle, decided exactly (Schur 1917, Cohn 1922)."""
-    falling = list(map(Fraction, denominator))
+def has_roots_inside(falling: Sequence[Any]) -> bool:
+    """Whether all roots are inside the unit circle, of exact numbers (Schur 1917, Cohn 1922).
+
+    The first |ratio| >= 1 says that the roots of what is left have a product of 1 or more.
+    """
     while len(falling) > 1:
         ratio = falling[-1] / falling[0]
         if abs(ratio) >= 1:

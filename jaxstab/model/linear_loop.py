@@ -390,15 +390,10 @@ def loop_polynomial(
 def _times_wall(alpha: Array, beta: Array, plant: PlantCoefficients) -> tuple[DoubleDouble, ...]:
     """Return the coefficients of N(z) ((alpha + beta) z - beta), highest power first."""
     stiffness, damping = DoubleDouble.from_value(alpha), DoubleDouble.from_value(beta)
-    # b2 - b1 vanishes with delta for a whole delay; N(-1) knows it to all of its digits.
-    falls = (-plant.n2, plant.difference - plant.n0, plant.n1 - plant.n0, plant.n0)
-    lowered = tuple(stiffness * n for n in (plant.n2, plant.n1, plant.n0))
-    return (
-        lowered[0] - damping * falls[0],
-        lowered[1] - damping * falls[1],
-        lowered[2] - damping * falls[2],
-        -(damping * falls[3]),
-    )
+    *falls, last = plant.falls
+    lowered = (stiffness * n for n in (plant.n2, plant.n1, plant.n0))
+    walls = (n - damping * fall for n, fall in zip(lowered, falls, strict=True))
+    return *walls, -(damping * last)
 
 
 def _chosen(place: Array, values: tuple[DoubleDouble, ...]) -> DoubleDouble:

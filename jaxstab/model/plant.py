@@ -67,6 +67,14 @@ class PlantCoefficients(NamedTuple):
     difference: Array
     den_at_one: Array
 
+    @property
+    def falls(self) -> tuple[Array, ...]:
+        """The coefficients of (1 - z) N(z), highest power first.
+
+        n2 - n1 vanishes with delta for a whole delay; N(-1) knows it to all of its digits.
+        """
+        return -self.n2, self.difference - self.n0, self.n1 - self.n0, self.n0
+
 
 def plant_coefficients(
     *, gamma: Numbers, delta: Numbers, delay: Numbers = 0.0

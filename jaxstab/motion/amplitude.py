@@ -48,8 +48,6 @@ class Bounds(NamedTuple):
     force: Array
 
 
-_LIKE = (Bounds(*[np.float64] * 3),) * 3
-
 Kind = TypeVar("Kind", bound="Amplitude")
 
 
@@ -163,28 +161,8 @@ def amplitude(
     sizes = _checked_disturbances(encoder, force_step, friction, noise)
     gains = float_arrays(checked_gain("alpha", alpha), checked_gain("beta", beta))
     lanes = *gains, *float_arrays(checked_gamma(gamma), checked_delta(delta)), delay
-    loop_of, causes = unit_loops(velocity, position), _causes(sizes)
-    bank = bank_for(given_filters(velocity, position))
-
-    def search(*lanes: np.ndarray) -> tuple[Bounds, Bounds, Bounds]:
-        def of_lane(alpha: float, beta: float, *plant: float) -> np.ndarray:
-            loop = loop_of(*plant)
-            return np.full((3, 3), np.inf) if loop is None else _bounds(loop, alpha, beta, causes)
-
-        return _of_lanes(of_lane, lanes)
-
-    grid = namespace(lanes).broadcast_shapes(*map(np.shape, lanes))
-    bounds = on_host(search, *lanes, shape=grid, like=_LIKE, is_count=False)
-    return _answered(Amplitude, bounds, sizes, gains, bank)
-
-
-def _of_lanes(
-    of_lane: Callable[..., np.ndarray], lanes: Sequence[np.ndarray]
-) -> tuple[Bounds, Bounds, Bounds]:
-    columns = np.array([np.ravel(lane) for lane in lanes]).T.tolist()
-    bounds = np.reshape([of_lane(*lane) for lane in columns], (*lanes[0].shape, 3, 3))
-    position, force, friction = np.moveaxis(bounds, (-2, -1), (0, 1))
-    return Bounds(*position), Bounds(*force), Bounds(*friction)
+    loop_of, bank = unit_loops(velocity, position), bank_for(given_filters(velocity, position))
+    return _answered(Amplitude, loop_of, lanes, sizes, gains, bank)
 
 
 class _Sizes(NamedTuple):
@@ -215,12 +193,28 @@ def _causes(sizes: _Sizes) -> Causes:
 
 def _answered(
     kind: type[Kind],
-    bounds: tuple[Bounds, Bounds, Bounds],
+    loop_of: Callable[..., LoopParameters | None],
+    lanes: Sequence[Array],
     sizes: _Sizes,
     gains: Sequence[Array],
     bank: Bank,
 ) -> Kind:
     """The sums of the bounds of all causes, infinite where one is not proved."""
+    causes = _causes(sizes)
+
+    def of_lane(stiffness: float, damping: float, *plant: float) -> np.ndarray:
+        loop = loop_of(*plant)
+        return np.full((3, 3), np.inf) if not loop else _bounds(loop, stiffness, damping, causes)
+
+    def search(*lanes: np.ndarray) -> tuple[Bounds, Bounds, Bounds]:
+        columns = np.array([np.ravel(lane) for lane in lanes]).T.tolist()
+        bounds = np.reshape([of_lane(*lane) for lane in columns], (*lanes[0].shape, 3, 3))
+        position, force, friction = np.moveaxis(bounds, (-2, -1), (0, 1))
+        return Bounds(*position), Bounds(*force), Bounds(*friction)
+
+    grid = namespace(lanes).broadcast_shapes(*map(np.shape, lanes))
+    like = (Bounds(*[np.float64] * 3),) * 3
+    bounds = on_host(search, *lanes, shape=grid, like=like, is_count=False)
     xp = namespace(bounds, sizes, gains)
     is_proved = xp.isfinite(sum(of_cause.position for of_cause in bounds))
     totals = []
@@ -253,18 +247,10 @@ def loop_amplitude(
     require_x64(stiffness, damping)
     sizes = _checked_disturbances(encoder, force_step, friction, noise)
     gains = float_arrays(checked_gain("stiffness", stiffness), checked_gain("damping", damping))
-    period, causes = loop.sample_time, _causes(sizes)
+    period = loop.sample_time
     bank = bank_for(given_filters(loop.velocity, loop.position), period)
-
-    def search(*lanes: np.ndarray) -> tuple[Bounds, Bounds, Bounds]:
-        def of_lane(stiffness: float, damping: float) -> np.ndarray:
-            return _bounds(loop, stiffness, damping, causes)
-
-        return _of_lanes(of_lane, lanes)
-
-    grid = namespace(gains).broadcast_shapes(*map(np.shape, gains))
-    bounds = on_host(search, *gains, shape=grid, like=_LIKE, is_count=False)
-    return _answered(WallAmplitude, bounds, sizes, (gains[0], gains[1] / period), bank)
+    samples = gains[0], gains[1] / period
+    return _answered(WallAmplitude, lambda: loop, gains, sizes, samples, bank)
 
 
 def _bounds(

@@ -148,21 +148,14 @@ class Bank(NamedTuple):
     outputs: rows for the filtered position and for the velocity.
     steps: rows for the memory at the next sample.
     at_rest: the memory after a long rest at position 1.
-    is_velocity: which entries of the memory are velocities.
     """
 
     outputs: Float64[np.ndarray, "2 column"]
     steps: Float64[np.ndarray, "memory column"]
     at_rest: Float64[np.ndarray, " memory"]
-    is_velocity: np.ndarray
 
 
-PLAIN = Bank(
-    outputs=np.eye(2),
-    steps=np.zeros((0, 2)),
-    at_rest=np.zeros(0),
-    is_velocity=np.zeros(0, bool),
-)
+PLAIN = Bank(outputs=np.eye(2), steps=np.zeros((0, 2)), at_rest=np.zeros(0))
 
 
 def bank_of(controller: Controller) -> Bank:
@@ -174,13 +167,7 @@ def bank_of(controller: Controller) -> Bank:
     memories = rests[0][1], rests[1][1]
     outputs, steps = _rows(controller.window, chains, memories)
     at_rest = [np.zeros(earlier), *(np.array(value).ravel() for m in memories for value in m)]
-    velocities = earlier + sum(map(len, memories[0]))
-    return Bank(
-        outputs,
-        steps,
-        at_rest=np.concatenate(at_rest),
-        is_velocity=np.arange(len(steps)) < velocities,
-    )
+    return Bank(outputs, steps, np.concatenate(at_rest))
 
 
 def _rows(

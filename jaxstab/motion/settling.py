@@ -4,7 +4,7 @@ The deviation from rest is the response of a wall, h = num(z)/p(z); all of its s
 time on are bounded by lemma E4 of docs/proofs.md, and those before are looked at.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import ceil, nan
 from typing import Any, NamedTuple, get_args
 
@@ -117,19 +117,10 @@ def settling_samples(
         15
     """
     require_x64(alpha, beta, gamma, delta)
-    level = checked_level(level, excitation)
-    checked_count("horizon", horizon, 1)
-    loop_of = unit_loops(velocity, position)
     gains = float_arrays(checked_gain("alpha", alpha), checked_gain("beta", beta))
     lanes = *gains, *float_arrays(checked_gamma(gamma), checked_delta(delta)), checked_delay(delay)
 
-    def of_lane(alpha: float, beta: float, *plant: float) -> float:
-        loop = loop_of(*plant)
-        if loop is None:
-            return nan
-        return settled_after(loop, alpha, beta, excitation, level, horizon)
-
-    return _settled(of_lane, *lanes)
+    return _settled(unit_loops(velocity, position), lanes, level, excitation, horizon)
 
 
 def loop_settling_samples(
@@ -147,14 +138,9 @@ def loop_settling_samples(
     actuators. ValueError also if the device has zero DC gain.
     """
     require_x64(stiffness, damping)
-    level = checked_level(level, excitation)
-    checked_count("horizon", horizon, 1)
     gains = float_arrays(checked_gain("stiffness", stiffness), checked_gain("damping", damping))
 
-    def of_lane(stiffness: float, damping: float) -> float:
-        return settled_after(loop, stiffness, damping, excitation, level, horizon)
-
-    return _settled(of_lane, *gains)
+    return _settled(lambda: loop, gains, level, excitation, horizon)
 
 
 def likely_settling(
@@ -192,8 +178,23 @@ def likely_settling(
     return samples.reshape(gains[0].shape) * period
 
 
-def _settled(of_lane: Callable[..., float], *lanes: Array) -> Settling:
-    """The settling of walls, by what tells the samples of one: inf if unstable, NaN if unproved."""
+def _settled(
+    loop_of: Callable[..., LoopParameters | None],
+    lanes: Sequence[Array],
+    level: float,
+    excitation: Excitation,
+    horizon: int,
+) -> Settling:
+    """The settling of walls, two gains and the numbers of a loop each."""
+    level = checked_level(level, excitation)
+    checked_count("horizon", horizon, 1)
+
+    def of_lane(stiffness: float, damping: float, *plant: float) -> float:
+        loop = loop_of(*plant)
+        if loop is None:
+            return nan
+        return settled_after(loop, stiffness, damping, excitation, level, horizon)
+
     xp = namespace(lanes)
     shape = xp.broadcast_shapes(*map(np.shape, lanes))
 

@@ -76,7 +76,7 @@ def draw_atlas(
     for column, delay in zip(panels.T, chosen, strict=True):
         alpha, beta = _raster(atlas, *hand, delay)
         plane = by_name(*hand, delay)
-        _draw_verdicts(column[0], alpha, beta, atlas.verdict(alpha, beta[:, None], **plane))
+        _draw_verdicts(column[0], alpha, beta, atlas.query(alpha, beta[:, None], **plane).verdict)
         for panel, row in zip(column[1:], rows[1:], strict=True):
             nodes = _nodes_of(atlas, row, *hand, delay)
             if row in _FIELDS:
@@ -112,7 +112,7 @@ def plot_atlas(
     )
     alpha, beta = _raster(atlas, *hand)
     panel = new_axes() if ax is None else ax
-    _draw_verdicts(panel, alpha, beta, atlas.verdict(alpha, beta[:, None], **by_name(*hand)))
+    _draw_verdicts(panel, alpha, beta, atlas.query(alpha, beta[:, None], **by_name(*hand)).verdict)
     panel.set(xlabel=ALPHA_LABEL, ylabel=BETA_LABEL)
     words = fill(plain(atlas.filters_in_words), _LINE)
     panel.set_title(f"{words}\n{hand_label(*hand[:2])}, $d = {hand[2]:g}$", fontsize=9)
@@ -126,7 +126,7 @@ def plot_walls(walls: "LoopAtlas", ax: Axes | None) -> Axes:
     alpha, beta = _raster(atlas, *loop.slice.values())
     stiffness, damping = loop.stiffness(alpha), loop.damping(beta)
     panel = new_axes() if ax is None else ax
-    _draw_verdicts(panel, stiffness, damping, walls.verdict(stiffness, damping[:, None]))
+    _draw_verdicts(panel, stiffness, damping, walls.query(stiffness, damping[:, None]).verdict)
     panel.set(xlabel=STIFFNESS_LABEL, ylabel=DAMPING_LABEL)
     words = fill(plain(atlas.filters_in_words), _LINE)
     panel.set_title(f"{words}\n{loop.mass:g} kg, delay {1e3 * loop.delay:g} ms", fontsize=9)

@@ -84,7 +84,7 @@ class Loop(NamedTuple):
     alpha: Array
     beta: Array
     gamma: Array
-    plant: Plant[Array]
+    plant: Plant
 
     @property
     def numerator(self) -> tuple[Array, ...]:
@@ -234,16 +234,6 @@ def _to_power(z: Complex, exponent: int) -> Complex | None:
     return result
 
 
-def _real_power(x: Array, exponent: int) -> Array | float:
-    result: Array | float = 1.0
-    while exponent:
-        if exponent % 2:
-            result = x * result
-        exponent //= 2
-        x = x * x
-    return result
-
-
 _SLACK = 1.0 + 1e-6  # the bounds themselves are rounded
 
 
@@ -384,7 +374,7 @@ def _distance_to_root(
         numerator_slope = 2.0 * first * size + inner[0]
     stiffness, damping = abs(loop.alpha), abs(loop.beta)
     wall = stiffness * radius + damping * size
-    below = _real_power(radius, degree - 3)
+    below = radius ** (degree - 3)
     slope_terms = (
         below * ((degree - 2.0) * denominator + radius * (2.0 * size + linear))
         + numerator * (stiffness + damping)
@@ -407,7 +397,7 @@ def _circle(t: Array, rounding: Array, loop: Loop, degree: int) -> tuple[Chain[A
     xp, plant, radius = namespace(t, loop), loop.plant, 1.0 + t
     inverse = 1.0 / radius
     squared = inverse * inverse
-    powers = [_real_power(inverse, degree + 1 - len(plant.stiff))]
+    powers = [inverse ** (degree + 1 - len(plant.stiff))]
     for _ in plant.stiff[1:]:
         powers.append(powers[-1] * inverse)
     walls = (s * loop.alpha - d * loop.beta for s, d in zip(plant.stiff, plant.damp, strict=True))

@@ -15,7 +15,7 @@ or with an infinite one (NO_BOUND).
 """
 
 import operator
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from decimal import ROUND_CEILING
 from functools import partial, reduce
 from math import prod
@@ -84,39 +84,6 @@ from jaxstab.point.verdicts import (
 from jaxstab.rounding import PAIR_UNIT, SAFETY, UNIT
 from jaxstab.shown import number_text, text_with_bound
 
-# The error bound of a spectral radius, from verdicts on p(r z) for a ladder of radii r.
-#
-# All roots are inside the circle of radius + error, and not all inside that of radius - error; each
-# side is one verdict (lemma R3 of docs/proofs.md). The steps of the ladder have a ratio of 4.
-
-
-def proved_error(codes: Callable[[Array], Array], radius: Array) -> Array:
-    """Bounds of the errors of radii > 0, infinite where even 2^-6 of the radius is not proved.
-
-    ``codes`` returns the verdicts on p(r z) / r^n for radii r of shape (2, *radius.shape).
-    """
-    xp = namespace(radius)
-    steps = xp.asarray([2.0**power for power in range(-50, -5, 2)])  # bounds tried, relative
-    sides = xp.stack([xp.ones_like(radius), -xp.ones_like(radius)])
-    wanted = xp.stack(
-        [xp.full_like(radius, Verdict.STABLE), xp.full_like(radius, Verdict.UNSTABLE)]
-    )
-
-    def prove(state: tuple[Array, Array]) -> tuple[Array, Array]:
-        step, error = state
-        scale = radius * (1.0 + sides * steps[step])
-        tried = abs(scale - radius) * (1.0 + 4.0 * UNIT)
-        is_proved = xp.isinf(error) & (codes(scale) == wanted)
-        return step + 1, xp.where(is_proved, tried, error)
-
-    def is_open(state: tuple[Array, Array]) -> Array:
-        step, error = state
-        return (step < len(steps)) & xp.any(xp.isinf(error))
-
-    start = xp.asarray(0), xp.full_like(sides, xp.inf)
-    return xp.max(repeat_while(is_open, prove, start)[1], axis=0)
-
-
 # Spectral radii of any linear loops, and a bound of the error of each.
 #
 # The dominant eigenvalue of the companion matrix is corrected by Newton's method with a residual in
@@ -149,7 +116,10 @@ def _listed_radii(
 
 
 def radius_error(
-    coefficients: Float64[Array, "*grid coefficient"], radius: Float64[Array, "*grid"]
+    coefficients: Float64[Array, "*grid coefficient"],
+    radius: Float64[Array, "*grid"],
+    *,
+    is_summed: bool = False,
 ) -> Float64[Array, "*grid"]:
     """Prove how far spectral radii > 0 can be from the true ones, in float64.
 
@@ -158,22 +128,15 @@ def radius_error(
     even 2^-6 of the radius cannot be proved.
 
     ``coefficients`` are of monic polynomials of degree >= 3, highest power first, each within two
-    roundings of the true one.
+    roundings of the true one or, if ``is_summed``, of the sum of the moduli of all.
 
     Source: Schur-Cohn criterion (Jury 1964) for p(r z).
     """
     xp = namespace(coefficients, radius)
-    columns = xp.moveaxis(coefficients, -1, 0)  # their errors are relative: with those of powers
-    return dense_radius_error(columns, xp.zeros_like(radius), radius, unit=UNIT)
-
-
-def _summed_radius_error(
-    coefficients: Float64[Array, "*grid coefficient"], radius: Float64[Array, "*grid"]
-) -> Float64[Array, "*grid"]:
-    """Prove the same for coefficients right to two roundings of the sum of their moduli."""
-    xp = namespace(coefficients, radius)
-    rounding = 2.0 * UNIT * xp.sum(abs(coefficients), axis=-1)
-    return dense_radius_error(xp.moveaxis(coefficients, -1, 0), rounding, radius, unit=UNIT)
+    columns = xp.moveaxis(coefficients, -1, 0)
+    # Errors that are relative to each coefficient are counted with those of powers.
+    rounding = 2.0 * UNIT * xp.sum(abs(columns), axis=0) if is_summed else xp.zeros_like(radius)
+    return dense_radius_error(columns, rounding, radius, unit=UNIT)
 
 
 def _dominant_modulus(coefficients: DoubleDouble) -> Values:
@@ -203,7 +166,9 @@ def _value(coefficients: DoubleDouble, z: Values) -> Values:
 def dense_radius_error(coefficients: Number, error: Array, radius: Array, *, unit: float) -> Array:
     """Prove the same for coefficients on the first axis, in numbers of a unit roundoff.
 
-    ``error`` bounds the sum of their errors.
+    All roots are inside the circle of radius + error, and not all inside that of radius - error:
+    each side is one verdict on p(r z), tried for a ladder of errors in steps of a ratio of 4 (lemma
+    R3 of docs/proofs.md). ``error`` bounds the sum of the errors of the coefficients.
     """
     numbers = leading(coefficients)
     places = list(range(len(numbers)))
@@ -220,7 +185,23 @@ def _proved_error(
 ) -> Array:
     xp = namespace(coefficients, error, radius)
     both = tree_map(lambda values: xp.stack([values, values], axis=1), coefficients)
-    return proved_error(lambda scale: scaled_codes(both, error, scale, unit, places), radius)
+    steps = xp.asarray([2.0**power for power in range(-50, -5, 2)])  # bounds tried, relative
+    sides = xp.stack([xp.ones_like(radius), -xp.ones_like(radius)])
+    wanted = xp.where(sides > 0.0, Verdict.STABLE, Verdict.UNSTABLE)
+
+    def prove(state: tuple[Array, Array]) -> tuple[Array, Array]:
+        step, found = state
+        scale = radius * (1.0 + sides * steps[step])
+        tried = abs(scale - radius) * (1.0 + 4.0 * UNIT)
+        is_proved = xp.isinf(found) & (scaled_codes(both, error, scale, unit, places) == wanted)
+        return step + 1, xp.where(is_proved, tried, found)
+
+    def is_open(state: tuple[Array, Array]) -> Array:
+        step, found = state
+        return (step < len(steps)) & xp.any(xp.isinf(found))
+
+    start = xp.asarray(0), xp.full_like(sides, xp.inf)
+    return xp.max(repeat_while(is_open, prove, start)[1], axis=0)
 
 
 def scaled_codes(
@@ -350,7 +331,7 @@ def spectral_radius(
 def linear_spectral_radius(alpha: Array, beta: Array, loop: LinearLoop) -> SpectralRadius:
     """Spectral radii of walls of one loop, of any device and filters; both may be traced."""
     if is_any_traced(alpha, beta, loop):
-        both = _traced_radius_of(loop_polynomial(alpha, beta, loop), _summed_radius_error)
+        both = _traced_radius_of(loop_polynomial(alpha, beta, loop), is_summed=True)
     else:
         xp = namespace(alpha, beta, loop)
         walls = tree_map(np.asarray, (alpha, beta, loop))
@@ -450,19 +431,16 @@ def _polished(parameters: list[Values], delay: Values | float) -> tuple[Values, 
 
 def _traced_radius(*arguments: Numbers, filters: Filters | None) -> SpectralRadius:
     velocity, position = filters or (None, None)
-    bound = _summed_radius_error if filters else radius_error
-    radius = partial(_traced_radius_of, bound=bound)
+    radius = partial(_traced_radius_of, is_summed=filters is not None)
     both = over_grid(radius, *arguments, velocity=velocity, position=position)
     return _believed(_with_status(*both), *arguments[2:4])
 
 
-def _traced_radius_of(
-    coefficients: Array, bound: Callable[[Array, Array], Array]
-) -> tuple[Array, Array]:
+def _traced_radius_of(coefficients: Array, *, is_summed: bool) -> tuple[Array, Array]:
     from jaxstab.point.traced_radius import largest_modulus
 
     value = largest_modulus(coefficients)
-    return value, bound(*constant((coefficients, value)))
+    return value, radius_error(*constant((coefficients, value)), is_summed=is_summed)
 
 
 @compiled()

@@ -15,15 +15,15 @@ operations; other loops take steps over all of their coefficients. Plants are co
 at the degree that its delay gives. NumPy and XLA run the same kernels (``batches``).
 """
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from functools import partial
 from math import prod
-from typing import Any, Generic, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Int8, Int64
 
-from jaxstab.arrays import Array, Numbers, is_any_traced, named, namespace, pytree, tree_map
+from jaxstab.arrays import Array, Numbers, is_any_traced, named, namespace, tree_map
 from jaxstab.batches import MANY, TILE, compiled, lists, over_tiles
 from jaxstab.conventions import Verdict
 from jaxstab.exact import wall_verdict
@@ -186,65 +186,47 @@ HIGHEST_UNROLLED = 12  # degree up to which XLA compiles the recursion without a
 _PAYS_FROM = 1 << 19  # points
 
 
-@pytree
-@dataclass(frozen=True)
-class Plant(Generic[Number]):
-    """A sampled plant, with N(z) ((alpha + beta) z - beta) = stiff(z) alpha - damp(z) beta."""
+class Plant(NamedTuple):
+    """A sampled plant, with N(z) ((alpha + beta) z - beta) = stiff(z) alpha - damp(z) beta.
 
-    gap: Number  # 1 - d0
-    d1: Number
-    d0: Number
-    stiff: tuple[Number, ...]  # lowest power of z first
-    damp: tuple[Number, ...]
-    difference: Number  # N(-1)
-    at_minus_one: Number  # D(-1)
+    In float64 or, but for the last three, in pairs.
+    """
+
+    gap: Array  # 1 - d0
+    d1: Array
+    d0: Array
+    stiff: tuple[Array, ...]  # lowest power of z first
+    damp: tuple[Array, ...]
+    difference: Array  # N(-1)
+    at_minus_one: Array  # D(-1)
     error: Array  # of the numbers above, relative to 1, or to the size of N
     size: Array  # of N
     sum: Array  # N(1)
 
 
-def float_plant(
-    gamma: Array, delta: Array, fraction: Array, *, is_fractional: bool
-) -> Plant[Array]:
+def float_plant(gamma: Array, delta: Array, fraction: Array, *, is_fractional: bool) -> Plant:
     """Return the plant rounded to float64; without a fraction, ``fraction`` is not read."""
     # Not in one jit: plant_pairs takes long to compile, and others share what was compiled.
     pairs = plant_pairs(gamma, delta, fraction if is_fractional else 0.0)
-    plant: Plant[Array] = _rounded_plant(gamma, delta, pairs, is_fractional=is_fractional)
-    return plant
+    return _rounded_plant(gamma, delta, pairs, is_fractional=is_fractional)
 
 
 @compiled(static=["is_fractional"])
 def _rounded_plant(
     gamma: Array, delta: Array, pairs: PlantCoefficients, *, is_fractional: bool
-) -> Plant[Array]:
-    plant = _plant_of(gamma, delta, pairs, is_fractional=is_fractional)
-    rounded = {field.name: _rounded(getattr(plant, field.name)) for field in fields(plant)}
-    return Plant(**rounded)
-
-
-def _rounded(value: Any) -> Any:
-    if isinstance(value, tuple):
-        return tuple(map(_rounded, value))
-    return value.rounded() if isinstance(value, DoubleDouble) else value
-
-
-def pair_plant(
-    gamma: Array, delta: Array, fraction: Array, *, is_fractional: bool
-) -> Plant[DoubleDouble]:
-    """Return the plant in double-double; without a fraction, ``fraction`` is not read."""
-    pairs = plant_pairs(gamma, delta, fraction if is_fractional else 0.0)
-    return _plant_of(gamma, delta, pairs, is_fractional=is_fractional)
+) -> Plant:
+    plant: Plant = rounded_loop(_plant_of(gamma, delta, pairs, is_fractional=is_fractional))
+    return plant
 
 
 def _plant_of(
     gamma: Array, delta: Array, pairs: PlantCoefficients, *, is_fractional: bool
-) -> Plant[DoubleDouble]:
+) -> Plant:
     xp = namespace(gamma, delta, pairs)
     unit = DoubleDouble.from_value(xp.ones_like(pairs.d0.hi))
     zero = unit - unit
     stiff = (zero, pairs.n0, pairs.n1, pairs.n2)
-    # n2 - n1 vanishes with delta for a whole delay; N(-1) knows it to all of its digits.
-    damp = (pairs.n0, pairs.n1 - pairs.n0, pairs.difference - pairs.n0, -pairs.n2)
+    damp = pairs.falls[::-1]
     sum_n = sum(abs(n.hi) for n in stiff[1:])
     return Plant(
         gap=unit - pairs.d0,
@@ -274,7 +256,7 @@ def loop_codes(
     alpha: Number,
     beta: Number,
     gamma: Array,
-    plant: Plant[Number],
+    plant: Plant,
     *,
     unit: float,
     degree: int | Array,
@@ -290,7 +272,7 @@ def loop_codes(
     return namespace(large, codes).where(large, Verdict.UNSTABLE, codes).astype(np.int8)
 
 
-def _closed_loop(alpha: Number, beta: Number, plant: Plant[Number], unit: float) -> Chain[Number]:
+def _closed_loop(alpha: Number, beta: Number, plant: Plant, unit: float) -> Chain[Number]:
     """Return p(z) and the rounding errors of its coefficients."""
     tail = tuple(
         stiff * alpha - damp * beta for stiff, damp in zip(plant.stiff, plant.damp, strict=True)
@@ -305,7 +287,7 @@ def _closed_loop(alpha: Number, beta: Number, plant: Plant[Number], unit: float)
     )
 
 
-def tail_error(alpha: Number, beta: Number, plant: Plant[Number], unit: float) -> Array:
+def tail_error(alpha: Number, beta: Number, plant: Plant, unit: float) -> Array:
     """Return the sum of the rounding errors of the last coefficients of p(z)."""
     # Three roundings: of the plant's coefficient, of the product, of the difference.
     per_alpha = 3.0 * unit * size_sum(plant.stiff) + 4.0 * plant.error * plant.size
@@ -317,7 +299,7 @@ def _ends(
     alpha: Number,
     beta: Number,
     gamma: Array,
-    plant: Plant[Number],
+    plant: Plant,
     unit: float,
     degree: int | Array,
 ) -> Ends:
@@ -471,7 +453,8 @@ def _decided(
 
 def _pair_codes(points: Points, form: Form) -> Int8[np.ndarray, " point"]:
     alpha, beta, gamma, delta, delay = points
-    plant = pair_plant(gamma, delta, delay % 1.0, is_fractional=form.is_fractional)
+    pairs = plant_pairs(gamma, delta, delay % 1.0 if form.is_fractional else 0.0)
+    plant = _plant_of(gamma, delta, pairs, is_fractional=form.is_fractional)
     gains = DoubleDouble.from_value(alpha), DoubleDouble.from_value(beta)
     with np.errstate(all="ignore"):
         return loop_codes(*gains, gamma, plant, unit=PAIR_UNIT, degree=form.degree)

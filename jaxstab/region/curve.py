@@ -23,7 +23,7 @@ they are.
 A circle of radius r is the unit circle of the polynomials of r z.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -43,6 +43,7 @@ from jaxstab.exact.boundary import (
 )
 from jaxstab.model import LoopParameters
 from jaxstab.model.device.parts import FIRST_BITS, working_precision
+from jaxstab.rounding import UNIT
 
 Angles = Float64[np.ndarray, " _"]
 
@@ -356,3 +357,60 @@ def _powers(base: Array, count: int) -> Complex128[np.ndarray, "power angle"]:
         np.multiply(powers[1 : 1 + more], powers[filled - 1], out=powers[filled : filled + more])
         filled += more
     return powers
+
+
+# Bracketed roots of many smooth functions of one angle at once, to full precision.
+
+
+def nonzero(divisor: Array, instead: float) -> Array:
+    """Return a divisor without zeros: 1 or infinity in their place keeps quotients finite."""
+    return np.where(divisor == 0.0, instead, divisor)
+
+
+def bracketed_root(
+    function: Callable[[Array], Array],
+    lower: Array,
+    upper: Array,
+    ends: tuple[Array, Array] | None = None,
+) -> Array:
+    """Return a root of an elementwise function between two angles at which its signs differ.
+
+    It is the secant method, with a bisection wherever that would leave the bracket or crawl. Where
+    the signs at the ends agree, the result is the end of the smaller value. ``ends`` are the values
+    at the ends, if they are known.
+
+    Source: the safeguards of Press et al., Numerical Recipes, 9.4.
+    """
+    steps = 60  # bisection alone would take 53 from any bracket of like ends
+    still = 4.0 * UNIT
+    enough = 1e-10  # of a step of the secant method: what is left after it is below rounding
+    if not lower.size:
+        return lower
+    at_lower, at_upper = ends or (function(lower), function(upper))
+    sign = np.sign(at_upper)
+    rise = at_upper - at_lower
+    product = at_lower * at_upper
+    share = np.where(product < 0.0, -at_lower / nonzero(rise, 1.0), 0.5)
+    is_lower_nearer = abs(at_lower) < abs(at_upper)
+    last = np.where(is_lower_nearer, lower, upper)
+    at_last = np.where(is_lower_nearer, at_lower, at_upper)
+    has_root = product <= 0.0
+    x: Array = np.where(has_root, lower + share * (upper - lower), last)
+    low: Array = lower
+    high: Array = upper
+    moving = has_root & (lower < upper)
+    for _ in range(steps):
+        if not np.any(moving):
+            break
+        value = function(x)
+        above = value * sign > 0.0
+        low, high = np.where(above, low, x), np.where(above, x, high)
+        following = x - value * (x - last) / (value - at_last)  # NaN or infinite: bisected
+        step = abs(following - x)
+        inside = (following > low) & (following < high)
+        done = (step <= enough * abs(x)) | (value == 0.0) | (high - low <= still * high)
+        usable = (done & np.isfinite(following)) | (inside & (2.0 * step < abs(x - last)))
+        following = np.where(usable, np.clip(following, low, high), 0.5 * (low + high))
+        following = np.where(moving & (value != 0.0), following, x)
+        x, last, at_last, moving = following, x, value, moving & ~done
+    return x

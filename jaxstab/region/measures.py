@@ -25,9 +25,8 @@ from jaxstab.arrays import Array, constant, joined, namespace, tree_map
 from jaxstab.batches import on_host
 from jaxstab.conventions import Verdict
 from jaxstab.exact.verdict import wall_verdict
-from jaxstab.region.curve import Curve, curve_gains, gains_and_slopes
+from jaxstab.region.curve import Curve, bracketed_root, curve_gains, gains_and_slopes, nonzero
 from jaxstab.region.outline import Outline, polygon_area
-from jaxstab.region.roots import bracketed_root, nonzero
 
 _STILL = 1e-13  # of the range: steps that are rounding
 

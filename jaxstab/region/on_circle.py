@@ -10,7 +10,7 @@ and V as numbers that a compiled program takes, and ``circle_equations`` the two
 root on the circle. Nothing here is a bound: searches and derivatives start from it.
 """
 
-from functools import partial, reduce
+from functools import partial
 from math import pi
 from typing import NamedTuple
 
@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from jaxstab.arrays import PI_REST, Array, Numbers, namespace, repeat
-from jaxstab.model.filters import Filters, Stage
+from jaxstab.model.filters import Filters
 from jaxstab.model.plant import PlantCoefficients
 from jaxstab.region.closed_form import SliceCoefficients
 
@@ -106,23 +106,11 @@ def _power_of_two(count: int) -> int:
     return 1 << max(count - 1, 0).bit_length()
 
 
-def responses_at(filters: Filters, z: Array) -> tuple[Array, Array]:
-    """Return P and V at points on the circle, of NumPy or JAX, without a bound."""
-    velocity, position = filters
-    samples, stages = velocity.stages()
-    back = 1.0 / z
-
-    def through(value: Array, chain: list[Stage]) -> Array:
-        for above, below in chain:
-            value = value * _evaluated(above, back) / _evaluated(below, back)
-        return value
-
-    one = 1.0 + 0.0 * z
-    return through(one, position.stages()), through((one - back**samples) / samples, stages)
-
-
-def _evaluated(side: tuple[Array, ...], back: Array) -> Array:
-    return reduce(lambda value, c: value * back + c, side[::-1], 0.0 * back)
+def responses_at(filters: Filters, theta: Array) -> tuple[Array, Array]:
+    """Return P and V at e^(i theta), of NumPy or JAX, without a bound."""
+    turn = 1j * namespace(theta).sin(theta)
+    position, velocity = Responses.from_filters(filters).over_sine(theta)
+    return position[0] + turn * position[1], velocity[0] + turn * velocity[1]
 
 
 # g is continuous in all six variables, in the delay too. Re g and Im g / sin(theta) are even and 2

@@ -11,9 +11,15 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from jaxstab.arrays import Array
-from jaxstab.region.curve import Angles, Curve, curve_gains, gains_and_slopes, true_angles
+from jaxstab.region.curve import (
+    Angles,
+    Curve,
+    bracketed_root,
+    curve_gains,
+    gains_and_slopes,
+    true_angles,
+)
 from jaxstab.region.pieces import NO_BRANCH, Branch, Pieces
-from jaxstab.region.roots import bracketed_root
 
 
 class Outline(NamedTuple):

@@ -32,9 +32,9 @@ from jaxstab.region.curve import (
     drawn_angles,
     gains_and_slopes,
     is_oriented,
+    nonzero,
     true_angles,
 )
-from jaxstab.region.roots import nonzero
 from jaxstab.rounding import UNIT
 
 NO_BRANCH = -1

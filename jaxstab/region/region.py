@@ -31,7 +31,7 @@ from jaxstab.exact.verdict import wall_verdict
 from jaxstab.model import LoopParameters
 from jaxstab.model.device.parts import FIRST_BITS, working_precision
 from jaxstab.model.filters import Filter, Velocity, as_keywords, known_filters
-from jaxstab.model.loop import refuses_loops
+from jaxstab.model.loop import refuses_loops, unit_loop
 from jaxstab.model.parameters import DELTA_LIMIT, GAMMA_LIMIT, LONGEST_DELAY
 from jaxstab.numbers import checked_number
 from jaxstab.region import measures
@@ -344,14 +344,7 @@ def stable_region(
     size = checked_number("radius", radius, 0.0, 1.0, is_open=True)
     smallest = checked_number("tolerance", tolerance, finest, is_open=True)
     filters = known_filters(velocity, position)
-    loop = LoopParameters(
-        sample_time=1.0,
-        device_mass=1.0,
-        device_damping=damping,
-        hand_stiffness=stiffness,
-        delay=samples,
-        **as_keywords(filters),
-    )
+    loop = unit_loop(stiffness, damping, samples, **as_keywords(filters))
     return region_of(ScaledLoop(loop, (1.0, 1.0), size), smallest)
 
 

@@ -17,7 +17,7 @@ from jaxstab.conventions import Status, Verdict
 from jaxstab.loop import Gains, HapticLoop, tune_for_all
 from jaxstab.loop.tune_for_all import settling_times
 from jaxstab.model.filters import LONGEST_WINDOW
-from jaxstab.region.roots import bracketed_root
+from jaxstab.region.curve import bracketed_root
 from jaxstab.scene.answers import (
     Answer,
     Basis,

@@ -86,15 +86,6 @@ class Rational(NamedTuple):
     numerator: "fmpq_mpoly"
     denominator: "fmpq_mpoly"
 
-    def plus(self, other: "Rational") -> "Rational":
-        """Return the sum."""
-        if self.denominator == other.denominator:
-            return Rational(self.numerator + other.numerator, self.denominator)
-        return Rational(
-            self.numerator * other.denominator + other.numerator * self.denominator,
-            self.denominator * other.denominator,
-        )
-
     def times(self, other: "Rational") -> "Rational":
         """Return the product."""
         return Rational(self.numerator * other.numerator, self.denominator * other.denominator)
