@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from commands import EXAMPLE
 
-from jaxstab.scene import EXAMPLE, Scene
+from jaxstab.scene import Scene
 from jaxstab.scene.scene import device_presets
 
 SCENES = sorted((Path(__file__).parents[1] / "data" / "scenes").glob("*.toml"))

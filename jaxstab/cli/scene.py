@@ -475,11 +475,9 @@ def scene() -> None:
 def init(output: Path | None, kind: str) -> None:
     """Write a commented example of a scene."""
     from jaxstab.durable import publish
-    from jaxstab.scene import EXAMPLE
     from jaxstab.scene.scene import folder_of
 
-    file = folder_of("scenes/gains") / f"{kind}.toml"
-    text = EXAMPLE if kind == "wall" else file.read_text(encoding="utf-8")
+    text = (folder_of("scenes/gains") / f"{kind}.toml").read_text(encoding="utf-8")
     if output is None or str(output) == "-":
         click.echo(text, nl=False)
         return

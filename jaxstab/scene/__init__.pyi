@@ -1,13 +1,12 @@
 from .answers import Answer as Answer
 from .answers import Basis as Basis
 from .answers import basis_of as basis_of
+from .answers import explain_model as explain_model
 from .check import Check as Check
 from .check import WallCheck as WallCheck
 from .check import check_walls as check_walls
 from .contact import Contacts as Contacts
 from .contact import simulate_contacts as simulate_contacts
-from .example import EXAMPLE as EXAMPLE
-from .example import explain_model as explain_model
 from .gains import GainAnswer as GainAnswer
 from .gains import GainScene as GainScene
 from .gains import any_scene as any_scene
