@@ -490,15 +490,12 @@ def init(output: Path | None, kind: str) -> None:
 @scene.command()
 def presets() -> None:
     """List devices and velocity estimators by name: their numbers, and where these are from."""
-    from jaxstab.scene.scene import device_presets, software_presets
+    from jaxstab.scene.scene import presets as presets_of
 
-    for heading, by_name in (
-        ("[device] preset =", device_presets()),
-        ("[controller.velocity] preset =", software_presets()),
-    ):
-        for name, preset in by_name.items():
+    for place, kind in (("device", "devices"), ("controller.velocity", "software")):
+        for name, preset in presets_of(kind).items():
             title, *lines = preset.lines()
-            click.echo("\n".join([f'{heading} "{name}"', f"  {title}", *lines, ""]))
+            click.echo("\n".join([f'[{place}] preset = "{name}"', f"  {title}", *lines, ""]))
 
 
 @scene.command()
