@@ -18,9 +18,16 @@ from jaxstab.boxes.plant import Arms, with_parts
 from jaxstab.boxes.search import paved
 from jaxstab.conventions import Range, Verdict
 from jaxstab.exact import wall_verdict
-from jaxstab.guard.grid import CELL_AXES, Grid, cell_corners, grid_boxes, interpolated, step_of
+from jaxstab.guard.grid import (
+    CELL_AXES,
+    Grid,
+    boundary_of,
+    cell_corners,
+    grid_boxes,
+    interpolated,
+    step_of,
+)
 from jaxstab.guard.guard import Guard
-from jaxstab.guard.limits import boundary_of
 from jaxstab.model import LoopParameters
 from jaxstab.model.balls import ball_triple
 from jaxstab.model.device.parts import MassSpringDamper, Modes
