@@ -31,7 +31,6 @@ from jaxstab.pictures.style import (
 if TYPE_CHECKING:
     from jaxstab.atlas import Atlas, LoopAtlas
 
-_WIDTH, _HEIGHT = 3.3, 2.9  # inches of a panel
 
 # Fields at nodes: the label of their colours, and the map from values to colours.
 _FIELDS = {
@@ -68,7 +67,7 @@ def draw_atlas(
         float(table.gamma[0]) if gamma is None else gamma,
         float(table.delta[0]) if delta is None else delta,
     )
-    size = _WIDTH * len(chosen) + 0.9, _HEIGHT * len(rows) + 1.0
+    size = 3.3 * len(chosen) + 0.9, 2.9 * len(rows) + 1.0  # inches
     figure = Figure(figsize=size, layout="constrained")
     panels = figure.subplots(len(rows), len(chosen), squeeze=False)
     filled: dict[str, ScalarMappable] = {}
