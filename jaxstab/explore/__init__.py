@@ -25,8 +25,6 @@ SCRIPTS = (
 )
 """The page's scripts, in their order; those of the first line need no page."""
 
-_LONGEST_DELAY = 200.0  # samples
-
 
 def explorer_page(scene: Scene, title: str = "") -> str:
     """A self-contained page of HTML that begins with a scene, at the lowest values of its ranges.
@@ -69,6 +67,7 @@ def _initial(scene: Scene, title: str) -> dict[str, Any]:
 
 
 def _refuse_others(scene: Scene) -> None:
+    longest_delay = 200.0  # samples
     remedy = "leave it out, or draw the scene with jaxstab limits --plot."
     if scene.controller.position is not None:
         raise ValueError(
@@ -80,10 +79,10 @@ def _refuse_others(scene: Scene) -> None:
             "the device has a mode, an actuator or a grip, but the explorer knows of devices and "
             f"hands of one mass only; {remedy}"
         )
-    if scene.controller.samples > _LONGEST_DELAY:
+    if scene.controller.samples > longest_delay:
         raise ValueError(
             f"the delay is {scene.controller.samples:g} samples, and the explorer computes at most "
-            f"{_LONGEST_DELAY:g}; draw the scene with jaxstab limits --plot."
+            f"{longest_delay:g}; draw the scene with jaxstab limits --plot."
         )
 
 
