@@ -142,9 +142,9 @@ class VibrationMode(Table):
     damping_ratio: float = key(quantity("1"), usual=Usual(0.0, 1.0))
     modal_mass: float | None = key(not_zero("kg"), None, Usual(1e-3, 5e3))
     modal_inertia: float | None = key(not_zero("kg m^2"), None, Usual(1e-8, 100.0))
-    motor: float = key(any_number(), 1.0, words="shape of the mode at the motor")
-    encoder: float = key(any_number(), 1.0, words="shape of the mode at the encoder")
-    handle: float = key(any_number(), 1.0, words="shape of the mode where the hand is")
+    motor: float = key(any_number, 1.0, words="shape of the mode at the motor")
+    encoder: float = key(any_number, 1.0, words="shape of the mode at the encoder")
+    handle: float = key(any_number, 1.0, words="shape of the mode where the hand is")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -652,13 +652,10 @@ class Scene:
         """Describe values that look like a slip of the unit."""
         controller = self.controller
         delay = "the delay", controller.delays[1], "s", Usual(0.0, 2.0)
-        warnings = [
-            *(self._outside(*own) for own in self.device.quantities("device")),
-            *(self._outside(*own) for own in (self.hand or Hand()).quantities("hand")),
-            *(self._outside(*own) for own in (*controller.quantities("controller"), delay)),
-            *_slips_of_delay(controller),
-            _other_period(controller),
-        ]
+        tables = {"device": self.device, "hand": self.hand or Hand(), "controller": controller}
+        found = [own for name, table in tables.items() for own in table.quantities(name)]
+        warnings = [self._outside(*own) for own in (*found, delay)]
+        warnings += [*_slips_of_delay(controller), _other_period(controller)]
         for name, wall in self.walls.items():
             warnings += [self._outside(*own) for own in wall.quantities(f"walls.{name}")]
             warnings.append(self._slip_of_wall(f"walls.{name}", wall))
