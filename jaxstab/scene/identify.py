@@ -501,10 +501,15 @@ def identified_scene(device: Identified, units: Units, source: str) -> str:
     With a warning there is no range: what the model lacks moves estimates out of their intervals.
     """
     period, resolution, velocity = device.sample_time, device.resolution, _velocity_key(device)
-    remarks, taken, ranges = [], _range, " and as ranges"
+    remarks, ranges = [], " and as ranges"
     if device.warning:
         remarks = [f"Warning: {device.warning}. So mass and delay have no range here."]
-        taken, ranges = _best, ""
+        ranges = ""
+
+    def taken(estimate: Estimate) -> str:
+        value, low, high = (f"{max(end, 0.0):.7g}" for end in estimate)
+        return f"[{low}, {high}]" if ranges else value
+
     if device.stiffness.value:
         remarks.append(
             f"The device has a spring of {device.stiffness} {units.stiffness}: add it to the "
@@ -533,24 +538,13 @@ def identified_scene(device: Identified, units: Units, source: str) -> str:
     return "\n".join([*lines, ""])
 
 
-def _range(estimate: Estimate) -> str:
-    return f"[{max(estimate.low, 0.0):.7g}, {max(estimate.high, 0.0):.7g}]"
-
-
-def _best(estimate: Estimate) -> str:
-    return f"{max(estimate.value, 0.0):.7g}"
-
-
 def _velocity_key(device: Identified) -> list[str]:
     """Return the key of the velocity's estimator, as a comment if it explains too little."""
     if device.velocity is None:
         return []
     (section,) = device.velocity.filter.sections
-    name, value = next(
-        (name, getattr(section, own))
-        for name, own in (("window_samples", "samples"), ("cutoff", "cutoff"))
-        if hasattr(section, own)
-    )
+    samples, cutoff = (getattr(section, name, 0.0) for name in ("samples", "cutoff"))
+    key = f"window_samples = {samples}" if samples else f"cutoff = {cutoff:.6g}"
     explained = 0.05  # of a velocity: an estimator with a larger error is only a comment
     mark = "" if device.unexplained <= explained else "# not explained: "
-    return [f"{mark}velocity.{name} = {value:.6g}  # {_unexplained(device)}"]
+    return [f"{mark}velocity.{key}  # {_unexplained(device)}"]
