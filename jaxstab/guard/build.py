@@ -18,9 +18,16 @@ from jaxstab.boxes.plant import Arms, with_parts
 from jaxstab.boxes.search import paved
 from jaxstab.conventions import Range, Verdict
 from jaxstab.exact import wall_verdict
-from jaxstab.guard.grid import CELL_AXES, Grid, cell_corners, grid_boxes, interpolated, step_of
+from jaxstab.guard.grid import (
+    CELL_AXES,
+    Grid,
+    boundary_of,
+    cell_corners,
+    grid_boxes,
+    interpolated,
+    step_of,
+)
 from jaxstab.guard.guard import Guard
-from jaxstab.guard.limits import boundary_of
 from jaxstab.model import LoopParameters
 from jaxstab.model.balls import ball_triple
 from jaxstab.model.device.parts import MassSpringDamper, Modes
@@ -39,8 +46,6 @@ from jaxstab.region.on_circle import responses_at
 
 Cells = Bool[np.ndarray, "mass delay damping"]
 
-_AT_ONCE = 32  # cells
-
 
 def proved(
     loop: LoopParameters,
@@ -56,13 +61,14 @@ def proved(
     with the number of cells that are proved. Of the loop, the device's mass, the hand and the delay
     are not used.
     """
+    at_once = 32  # cells
     narrowest = 2.0**-29  # of a cell: what such boxes have not is next to an instability
     boxes = grid_boxes(loop.held_device, loop, hands, grid)
     arm: dict[str, Any] = dict(zip(HAND, vars(hands).values(), strict=True))
     waiting, is_proved, count = np.flatnonzero(cells), np.zeros(cells.size, bool), 0
     while waiting.size and count < most[1]:
         effort = min(most[0], most[1] - count)
-        block = np.arange(min(waiting.size, _AT_ONCE, (most[1] - count) // effort))
+        block = np.arange(min(waiting.size, at_once, (most[1] - count) // effort))
         corners = zip(CELL_AXES, np.unravel_index(waiting[block], cells.shape), strict=True)
         places: dict[str, Any] = {name: (index, index + 1.0) for name, index in corners}
         paving = paved(boxes.judged, block.size, narrowest, effort=effort, **places, **arm)
@@ -115,16 +121,15 @@ _LEAST_SHARE = 1e-3  # of the largest damping: at none what nothing damps is on 
 
 
 class _Work(NamedTuple):
-    """The largest number of boxes, its parts for rounds, the usual number per cell, s per box."""
+    """The largest number of boxes, its parts for rounds, and the usual number per cell."""
 
     most: int
     rounds: int
     usual: int
-    seconds: float
 
 
-_OF_MASS = _Work(2_000_000, 8, 500, 1e-5)
-_OF_DEVICE = _Work(4_000_000, 32, 20_000, 1e-5)
+_OF_MASS = _Work(2_000_000, 8, 500)
+_OF_DEVICE = _Work(4_000_000, 32, 20_000)
 
 
 def build_guard(
@@ -240,10 +245,10 @@ class GuardPlan(NamedTuple):
 
 def plan_guard(loop: LoopParameters, cells: tuple[int, int, int] = CELLS) -> GuardPlan:
     """The work of ``build_guard``, and about how long it takes."""
-    seconds = 2.0  # that boundaries take
+    boundaries, box = 2.0, 1e-5  # s that they take
     count, work = int(np.prod(cells)), _work_of(loop)
-    usual = seconds + min(count * work.usual, work.most) * work.seconds
-    return GuardPlan(count, work.most, (usual, seconds + work.most * work.seconds))
+    usual = boundaries + min(count * work.usual, work.most) * box
+    return GuardPlan(count, work.most, (usual, boundaries + work.most * box))
 
 
 def _work_of(loop: LoopParameters) -> _Work:

@@ -13,8 +13,7 @@ import jaxstab
 from jaxstab.arrays import Numbers
 from jaxstab.boxes import HandRange
 from jaxstab.conventions import Range
-from jaxstab.guard.grid import Grid, interpolated
-from jaxstab.guard.limits import Boundary, boundary_of
+from jaxstab.guard.grid import Boundary, Grid, boundary_of, interpolated
 from jaxstab.model import LoopParameters
 from jaxstab.shown import printable, shortened
 

@@ -35,7 +35,6 @@ from jaxstab.scene.scene import Device, Hand, PositionTable, Scene, Units
 from jaxstab.scene.tune import DesignStatus, largest_value
 from jaxstab.shown import Printed, stable_pair
 
-_HELD = "device", "hand", "controller"
 _DOORS: Mapping[str, tuple[Any, tuple[str, ...]]] = {
     "simulator": (doors.simulated_pd, ()),
     "admittance": (doors.admittance, ()),
@@ -128,7 +127,7 @@ class GainScene:
         if not isinstance(table, Mapping) or not isinstance(pairs, Mapping):
             raise ValueError("loop or gains is no table; give [loop], and [gains.NAME] for pairs.")
         kind = t.checked("loop.kind", table.get("kind"), t.one_of(_DOORS))
-        beside = _HELD if _DOORS[kind][1] else ()
+        beside = ("device", "hand", "controller") if _DOORS[kind][1] else ()
         t.check_keys("", tables, ["loop", "gains", "wanted", *beside])
         of_device = {name: tables[name] for name in beside if name in tables}
         held = _single(Scene.from_table(of_device)) if beside else None
