@@ -14,6 +14,7 @@ from .loop import GainLimits as GainLimits
 from .loop import GainMargins as GainMargins
 from .loop import GainRegion as GainRegion
 from .loop import Gains as Gains
+from .loop import ManyGainLimits as ManyGainLimits
 from .loop import ManyLimits as ManyLimits
 from .loop import ManyRegions as ManyRegions
 from .loop import Margins as Margins

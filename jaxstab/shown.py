@@ -66,19 +66,22 @@ def stable_pair(
     digits: tuple[int, int],
     is_stable: Callable[[float, float], Any],
     row: Callable[[float], Iterable[Any]] = lambda _: (),
+    way: str = ROUND_FLOOR,
 ) -> tuple[float, float]:
     """Two gains, the first one a largest one, to be printed as a pair that is stable.
 
-    The first is rounded down. Where ``is_stable`` (of the two gains) denies the pair, as in a
-    narrow corner, the second is rounded to either side, the first is lowered by units of its last
-    digit, or has the digits that the intervals of a ``row`` of the second need, or the second has
-    more digits. Without such a pair both are printed as other numbers.
+    The first is rounded down (a least one, by its ``way``, up). Where ``is_stable`` (of the two
+    gains) denies the pair, as in a narrow corner, the second is rounded to either side, the first
+    is moved inwards by units of its last digit, or has the digits that the intervals of a ``row``
+    of the second need, or the second has more digits. Without such a pair both
+    are printed as other numbers.
     """
     if not (isfinite(limit) and isfinite(other)):
         return limit, other
-    unit = Decimal(1).scaleb(Decimal(limit).adjusted() + 1 - digits[0])
-    lowered = [_EXACT.subtract(Decimal(limit), count * unit) for count in (0, 1, 2, 5)]
-    limits = [rounded_text(value, digits[0], ROUND_FLOOR) for value in lowered]
+    inwards = -1 if way == ROUND_FLOOR else 1
+    unit = Decimal(inwards).scaleb(Decimal(limit).adjusted() + 1 - digits[0])
+    lowered = [_EXACT.add(Decimal(limit), count * unit) for count in (0, 1, 2, 5)]
+    limits = [rounded_text(value, digits[0], way) for value in lowered]
     limits = [text for text in limits if (float(text) < 0.0) == (limit < 0.0)]
     for count in range(digits[1], MOST_DIGITS + 1):
         ways = ROUND_HALF_EVEN, ROUND_FLOOR, ROUND_CEILING

@@ -30,11 +30,11 @@ MOST_LETTERS = 64
 """Of a name."""
 
 
-def read_table(path: str | PathLike[str], kind: str = "") -> dict[str, Any]:
+def read_table(path: str | PathLike[str], kind: str) -> dict[str, Any]:
     """Read a TOML file as it is; one of another ``kind`` ("scene", "specification") is refused."""
     table = parsed(text_of(path, MOST_BYTES), f"{path}: ")
     for other, (keys, words) in _KINDS.items():
-        if kind not in ("", other) and keys & {*table} and not _KINDS[kind][0] & {*table}:
+        if kind != other and keys & {*table} and not _KINDS[kind][0] & {*table}:
             raise ValueError(f"{path} is {words}")
     return table
 
@@ -329,6 +329,8 @@ def _similar(name: str, names: list[str]) -> str | None:
     return max(begins, key=len) if begins else small[near[0]] if near else None
 
 
+any_number = Number("a finite number", lambda value: True)
+
 share = Number("a number above 0 and at most 1", lambda value: 0.0 < value <= 1.0)
 
 tolerance = Number(
@@ -365,11 +367,6 @@ def coefficients(value: Any) -> tuple[float, ...]:
 def not_zero(unit: str) -> Number:
     """Return the check of a finite number in a unit, positive or negative."""
     return Number(f"a finite number in {unit}, not 0", bool, unit)
-
-
-def any_number() -> Number:
-    """Return the check of a finite number, without a unit."""
-    return Number("a finite number", lambda value: True, "1")
 
 
 def nested(kind: type["Table"]) -> Check:

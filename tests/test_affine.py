@@ -386,6 +386,13 @@ def test_54_the_least_damping_of_an_admittance_may_be_that_of_no_mass(rule: str)
     assert np.all(loop.verdict(mass=light, damping=0.9999 * damping.value) == Verdict.UNSTABLE)
 
 
+def test_54_an_admittance_without_delay_needs_a_mass_and_no_damping() -> None:
+    """M > T D/2 + Ke T^2/4 in closed form."""
+    limits = jaxstab.admittance(1e4, sample_time=1e-3).limits()
+    assert limits.first.value == pytest.approx(1e4 * 1e-6 / 4.0, rel=1e-9)
+    assert limits.second.value == 0.0
+
+
 def test_54_printed_limits_are_rounded_to_the_stable_side() -> None:
     limits = jaxstab.pid(held(), kd=50.0).limits()
     assert limits.first.value == pytest.approx(25860.6638, abs=1e-4)

@@ -211,6 +211,40 @@ def test_54_regions_of_many_loops_are_those_of_each() -> None:
             )
 
 
+def test_54_small_gains_are_small_in_both() -> None:
+    device = jaxstab.Device.mass_spring_damper(mass=0.15, damping=1.5)
+    held = jaxstab.HapticLoop(device=device, sample_time=8e-3, delay=56e-3)
+    limits = jaxstab.pid(held, ki=0.5).limits()  # unstable below kp = ki m/b
+    assert not limits.is_reachable
+    assert limits.first.value > 0.0
+
+
+def test_54_a_batch_leaves_out_islands_of_negative_gains() -> None:
+    def joint(inertia: float) -> jaxstab.Loop:
+        options = {"integrator": "explicit", "outside": True, "substeps": 3, "delay_steps": 80}
+        return jaxstab.simulated_pd(inertia, step=2.87e-3, stiffness=3.95, **options)
+
+    loops = [joint(0.0324 * (1.0 + 1e-4 * k)) for k in range(64)]
+    limits = jaxstab.limits_of(loops)
+    for k in (0, 30, 63):
+        assert np.isnan(limits.first[k]) == np.isnan(loops[k].limits().first.value)
+    assert not np.any(limits.first < 0.0)
+
+
+def test_54_equal_undamped_devices_are_unresolved_and_no_error() -> None:
+    bodies = [
+        jaxstab.Device.mass_spring_damper(mass=0.11523382810001558, stiffness=11.523382810001557),
+        jaxstab.Device.mass_spring_damper(mass=8.975307160618526, stiffness=897.5307160618526),
+    ]
+    loop = jaxstab.coupling(
+        *bodies,
+        sample_time=0.0024367275909945875,
+        delays_samples=(8.5, 7.0),
+        velocity=jaxstab.Velocity.difference(samples=3),
+    )
+    assert loop.region().status.name in ("UNRESOLVED", "EMPTY")
+
+
 def test_54_walls_and_other_loops_are_asked_apart() -> None:
     device = jaxstab.Device.mass_spring_damper(mass=0.25, damping=0.1)
     held = jaxstab.HapticLoop(device=device, sample_time=1e-3)
@@ -240,6 +274,6 @@ def test_54_verdicts_of_random_gains_are_right(kind: str) -> None:
 @pytest.mark.campaign
 @pytest.mark.parametrize("kind", KINDS)
 def test_54_verdicts_of_many_random_gains_are_right(kind: str) -> None:
-    counts = judged(kind, many(600), 256, exactly=8)
+    counts = judged(kind, many(500), 256, exactly=6)
     assert counts["wrong"] == 0, counts
     assert counts["by eigenvalues"] > 100 * counts["loops"]

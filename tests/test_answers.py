@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
+from commands import EXAMPLE
 from march import FINE, march_on_a_fine_grid
 from mpmath import mp
 
@@ -22,7 +23,7 @@ from jaxstab.model import Velocity, by_name
 from jaxstab.model.loop import as_one
 from jaxstab.pictures.scene import scene_figure
 from jaxstab.point import spectral_radius, verdict
-from jaxstab.scene import EXAMPLE, Scene, check_walls, scene_limits
+from jaxstab.scene import Scene, check_walls, scene_limits
 from jaxstab.scene.answers import Answer, Bound, LargestStiffness, StiffnessLimits, Time
 
 FREE = ["--mass", "1", "--damping", "0", "--sample-time", "0.05", "--delay", "0"]

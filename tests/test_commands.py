@@ -14,12 +14,12 @@ import click
 import numpy as np
 import pytest
 from atlases import SMALL_TOML, write_small
-from commands import POINT, START, assert_one_sentence, run, run_process
+from commands import EXAMPLE, POINT, START, assert_one_sentence, run, run_process
 
 from jaxstab import HapticLoop, Velocity, durable
 from jaxstab.cli.main import main
 from jaxstab.region.pieces import others_inside
-from jaxstab.scene import EXAMPLE, Scene, design_loop, scene_limits
+from jaxstab.scene import Scene, design_loop, scene_limits
 from jaxstab.scene.guard import scene_guard
 
 OMEGA = ["--device", "omega", "--sample-time", "0.001", "--delay", "0.001"]

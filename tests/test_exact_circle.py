@@ -7,7 +7,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from jaxstab.exact.circle import Zero, _by_cells, _by_powers, _Part, zeros
+from jaxstab.exact.circle import Zero, _by_cells, _by_powers, _Cells, _Part, zeros
 from jaxstab.model.device.parts import decided
 
 Isolate = Callable[[list[flint.arb]], list[Zero] | None]
@@ -115,3 +115,21 @@ def test_intervals_are_called_without_zeros_or_monotone_only_if_they_are() -> No
             said[2 * k + is_without] += 1
             assert not (is_without and gap < half * (1.0 - 1e-9))
     assert np.all(said > 300)
+
+
+@pytest.mark.parametrize("degree", [3, 20, 61])
+def test_cells_know_their_sum_and_how_much_its_fourth_derivative_can_be(degree: int) -> None:
+    """At the ends and in the middle of cells; sum k^4 |c_k| is reached where all terms agree."""
+    rng = np.random.default_rng([524, degree])
+    numbers = rng.normal(size=degree + 1)
+    cells = _Cells([flint.arb(c) for c in numbers])
+    powers = np.arange(degree + 1)
+    most = np.sum(powers**4 * np.abs(numbers))
+    assert float(cells.fourth.mid()) == pytest.approx(most, rel=1e-12)
+    parts = cells.polynomials(list(range(cells.count)))
+    for cell, part in parts.items():
+        for t in (-1.0, 0.0, 1.0):
+            angle = float(cells.angle(cell, flint.arb(t)).mid())
+            value = np.sum(numbers * np.cos(powers * angle))
+            rounding = flint.arb(0, 1e-12 * degree)
+            assert (part.value(flint.arb(t)) + part.missed + rounding).contains(flint.arb(value))

@@ -12,7 +12,7 @@ from benchmarks.truth import filtered
 from benchmarks.truth.plain import Loop, is_stable, outside
 from benchmarks.truth.random_loops import DeviceLoop, Filters, MassLoop, long_window
 from jaxstab import Device, Filter, HapticLoop, Velocity
-from jaxstab.exact.line import LineStatus, StableLine, stable_line
+from jaxstab.exact.line import LineStatus, StableLine, _chain, _Line, _OnCircle, stable_line
 from jaxstab.model.balls import Factored, Triple, ball_triple
 
 NOTHING = Factored(flint.arb_poly([]))
@@ -266,3 +266,25 @@ def test_directions_between_stiffness_and_damping() -> None:
     # 0 < t < 2 t (2 - t)/(t + 2): t = 2/3
     assert low == 0.0
     assert high == pytest.approx(2.0 / 3.0, rel=1e-15)
+
+
+@pytest.mark.parametrize("changes", [[0, 1], [1, 0], [2, 0], [0, 2], [0, 1, 1], [0, 2, 2]])
+def test_counts_in_gaps_that_contradict_their_changes_are_no_counts(changes: list[int]) -> None:
+    """z - t has its root inside, on the circle and outside: walls at t = 0.5, 2 and 3."""
+    p0, q = Factored.from_rational(fmpq_poly([0, 1])), Factored.from_rational(fmpq_poly([-1]))
+    walls = [flint.arb(t) for t in (0.5, 2.0, 3.0)[: len(changes)]]
+    truth = [0, 1, 1][: len(changes)]
+    is_right = len({own - count for own, count in zip(changes, truth, strict=True)}) == 1
+    found = _chain(lambda: _Line(p0, q, 0), walls, changes, 128)
+    assert found == (truth if is_right else None)
+
+
+@pytest.mark.parametrize("degree", [3, 40, 200])
+def test_values_on_the_circle_are_those_of_the_polynomial(degree: int) -> None:
+    rng = np.random.default_rng([525, degree])
+    p = Factored(flint.arb_poly(rng.normal(size=degree + 1).tolist()), 2, 1, 1, (4,))
+    rising = [float(c.mid()) for c in p.polynomial().coeffs()]
+    for angle in (0.1, 1.3, 2.9):
+        value = complex(_OnCircle.of(p).at(flint.arb(angle)).mid())
+        truth = np.polynomial.polynomial.polyval(np.exp(1j * angle), rising)
+        assert value == pytest.approx(truth, rel=1e-9)

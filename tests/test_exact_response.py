@@ -86,26 +86,41 @@ def test_poles_that_coincide_exactly_are_summed_and_settle() -> None:
     assert 0.0 <= sums[0, 0] / total - 1.0 < 1e-8
 
 
-def test_a_sample_next_to_the_tolerance_is_on_its_side_of_it() -> None:
+@pytest.mark.parametrize("excitation", ["force", "impact"])
+def test_a_sample_next_to_the_tolerance_is_on_its_side_of_it(excitation: str) -> None:
     """A free oscillator: a level one float above and below a sample, of 50 digits."""
-    gamma, delta, sample = 0.09, 0.06, 74
+    gamma, delta, sample = 0.09, 0.06, 74 if excitation == "force" else 79
     with mp.workdps(50):
         g, d = mpf(gamma), mpf(delta)
         w = mp.sqrt(g - d * d / 4)
 
-        def deviation(k: int) -> mpf:
+        def moved(k: int) -> mpf:
+            if excitation == "impact":
+                return abs(mp.exp(-d * k / 2) * mp.sin(w * k))
             return abs(mp.exp(-d * k / 2) * (mp.cos(w * k) + d / 2 / w * mp.sin(w * k)))
 
-        size = deviation(sample)
-        assert all(deviation(k) < size for k in range(sample + 1, 400))
+        largest = max(map(moved, range(400))) if excitation == "impact" else mpf(1)
+        size = moved(sample) / largest
+        assert all(moved(k) / largest < size for k in range(sample + 1, 400))
         level = float(size)
         above = level if mpf(level) >= size else np.nextafter(level, 1.0)
         below = np.nextafter(above, 0.0)
         assert mpf(float(below)) < size <= mpf(float(above))
-        before = max(k for k in range(sample) if deviation(k) > mpf(float(above))) + 1
+        before = max(k for k in range(sample) if moved(k) / largest > mpf(float(above))) + 1
     loop = unit_loop(gamma, delta, 0.0, None, None)
-    assert settled_after(loop, 0.0, 0.0, "force", float(above), 1000) == before
-    assert settled_after(loop, 0.0, 0.0, "force", float(below), 1000) == sample + 1
+    assert settled_after(loop, 0.0, 0.0, excitation, float(above), 1000) == before
+    assert settled_after(loop, 0.0, 0.0, excitation, float(below), 1000) == sample + 1
+
+
+@pytest.mark.parametrize("excitation", ["force", "impact"])
+@pytest.mark.parametrize("slow", [0.0625, 0.001])
+def test_poles_that_coincide_settle_as_late_as_they_do(slow: float, excitation: str) -> None:
+    """Critically damped, so that powers bound what is left; 7 or 400 samples, or thousands."""
+    loop = unit_loop(slow**2, 2.0 * slow, 0.0, None, None)
+    times = slow * np.arange(20000)
+    size = (1.0 + times if excitation == "force" else times) * np.exp(-times)
+    expected = np.flatnonzero(size > 0.02 * size.max())[-1] + 1
+    assert settled_after(loop, 0.0, 0.0, excitation, 0.02, 20000) == expected
 
 
 def test_what_is_not_stable_or_no_number_has_no_sums() -> None:

@@ -9,7 +9,7 @@ from benchmarks.truth.plain import Loop, radius
 from benchmarks.truth.random_loops import DeviceLoop, MassLoop
 from jaxstab import Filter, HapticLoop, Velocity
 from jaxstab.conventions import RadiusStatus
-from jaxstab.exact.roots import are_real, poles, spectral_radius
+from jaxstab.exact.roots import are_real, isolated_roots, poles, spectral_radius
 from jaxstab.model.balls import Factored, Triple, ball_triple
 
 NOTHING = Factored(flint.arb_poly([]))
@@ -57,6 +57,31 @@ def test_chosen_roots_come_back() -> None:
     found = poles(lambda: triple, 0.0, 0.0)
     assert sorted(found.values.real.tolist()) == sorted(chosen)
     assert found.error < 1e-17
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_error_of_the_poles_is_that_of_the_worst_of_them(seed: int) -> None:
+    truth = Loop.of(MassLoop.drawn(np.random.default_rng([524, seed])))
+    found = poles(lambda: ball_triple(truth.loop), 0.01, 0.01)
+    with mp.workdps(60):
+        falling = truth.polynomial(0.01, 0.01)
+        exact = mp.polyroots(falling[::-1], maxsteps=500, extraprec=800, asc=True)
+        values = [mp.mpc(complex(value)) for value in found.values]
+        errors = [min(abs(value - root) for root in exact) for value in values]
+        assert max(errors) <= found.error < max(4 * max(errors), mpf(2) ** -60)
+
+
+@pytest.mark.parametrize("at_minus_one", [0, 1, 2])
+@pytest.mark.parametrize("windows", [(), (4,), (5,), (4, 6)])
+def test_roots_of_the_structure_are_poles_as_often_as_it_says(
+    at_minus_one: int, windows: tuple[int, ...]
+) -> None:
+    p = Factored(flint.arb_poly([-0.5, 1.0]), 2, 1, at_minus_one, windows)
+    rising = [float(c.mid()) for c in p.polynomial().coeffs()]
+    found = isolated_roots(p) or []
+    counts = {place: sum(root == place for root in found) for place in (0, 1, -1)}
+    expected = {0: 2, 1: 1, -1: at_minus_one + sum(n % 2 == 0 for n in windows)}
+    assert (counts, len(found)) == (expected, len(rising) - 1)
 
 
 def test_poles_that_coincide_have_a_radius_but_are_not_told_apart() -> None:

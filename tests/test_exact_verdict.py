@@ -11,7 +11,12 @@ import pytest
 from benchmarks.truth.plain import Loop, is_stable
 from benchmarks.truth.random_loops import DeviceLoop, MassLoop, hostile_walls
 from jaxstab import Device, Filter, HapticLoop, Mode, Verdict
-from jaxstab.exact.verdict import VerdictStatus, roots_outside, wall_verdict
+from jaxstab.exact.verdict import (
+    VerdictStatus,
+    rational_verdict,
+    roots_outside,
+    wall_verdict,
+)
 from jaxstab.model.balls import Factored, Triple, ball_triple
 from jaxstab.model.device.parts import FIRST_BITS, MOST_BITS, decided
 
@@ -37,6 +42,19 @@ def test_the_roots_outside_are_those_that_were_chosen(seed: int) -> None:
     rng = np.random.default_rng([521, seed])
     rising, outside = chosen_polynomial(rng, int(rng.integers(0, 20)), int(rng.integers(1, 6)))
     assert decided(lambda: roots_outside(flint.arb_poly(rising))) == outside
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_exact_numbers_are_always_decided_by_the_roots_that_were_chosen(seed: int) -> None:
+    """All inside, or one outside, or one on the circle."""
+    rng = np.random.default_rng([523, seed])
+    p = flint.fmpz_poly([1])
+    for x in rng.integers(-31, 32, rng.integers(1, 9)).tolist():
+        y = int(rng.integers(0, int((1023 - x * x) ** 0.5)))
+        p *= flint.fmpz_poly([x * x + y * y, -64 * x, 1024] if y else [-x, 32])
+    assert rational_verdict(flint.fmpq_poly(p)) == Verdict.STABLE
+    for other in ([33, 32], [-5, 4], [1, 1], [25, -14, 25], [40, 0, 32]):
+        assert rational_verdict(flint.fmpq_poly(p * flint.fmpz_poly(other))) == Verdict.UNSTABLE
 
 
 def test_roots_of_which_the_moduli_have_the_product_one_are_counted() -> None:

@@ -14,13 +14,12 @@ from jaxstab.scene.scene import (
     PositionTable,
     Preset,
     VelocityTable,
-    device_presets,
-    software_presets,
+    presets,
 )
 
 DATA = Path(__file__).parents[1] / "data" / "presets"
-ALL = {**device_presets(), **software_presets()}
-DOCUMENTED = [name for name, preset in software_presets().items() if preset.numbers]
+ALL = {**presets("devices"), **presets("software")}
+DOCUMENTED = [name for name, preset in presets("software").items() if preset.numbers]
 
 
 @pytest.mark.parametrize("name", ALL)
@@ -37,14 +36,14 @@ def test_each_preset_has_a_title_and_each_number_a_unit_a_source_and_a_date(name
 
 def test_what_no_maker_publishes_is_called_assumed() -> None:
     for name in ("omega", "falcon"):
-        numbers = device_presets()[name].numbers
+        numbers = presets("devices")[name].numbers
         assert numbers["mass"].source == numbers["damping"].source == "assumed"
-    assert "assumed" in software_presets()["force-dimension-sdk"].numbers["window"].source
+    assert "assumed" in presets("software")["force-dimension-sdk"].numbers["window"].source
     assert "assumed" in str(VelocityTable.from_table({"preset": "force-dimension-sdk"}))
 
 
 def test_the_limits_of_chai3d_are_there_for_each_device_but_none_is_used() -> None:
-    for preset in device_presets().values():
+    for preset in presets("devices").values():
         assert {"largest_stiffness", "largest_damping"} <= preset.numbers.keys()
     device = Scene.from_table({"device": {"preset": "omega"}, "controller": {"sample_time": 1e-3}})
     assert device.walls == {}
@@ -52,7 +51,7 @@ def test_the_limits_of_chai3d_are_there_for_each_device_but_none_is_used() -> No
 
 @pytest.mark.parametrize("name", DOCUMENTED)
 def test_each_documented_estimator_makes_a_scene_at_its_own_rate(name: str) -> None:
-    meant = software_presets()[name].values(("sample_time",)).get("sample_time", 1e-3)
+    meant = presets("software")[name].values(("sample_time",)).get("sample_time", 1e-3)
     scene = Scene.from_table(
         {
             "device": {"preset": "omega"},

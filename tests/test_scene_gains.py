@@ -433,6 +433,14 @@ def test_54_the_largest_step_of_a_simulator_is_the_closed_one() -> None:
     assert pair.split() == ["largest", "step", "19.99", "ms"]
 
 
+def test_54_tune_finds_the_deadbeat_gains_of_a_simulator() -> None:
+    """z^2 = (z-1)^2 + a z + b (z-1) at a = b = 1: kp = J/h^2, kd = J/h."""
+    best = answered(loop(JOINT), "tune").as_json()["least_radius"]
+    assert (best["kp"], best["kd"]) == pytest.approx((25000.0, 50.0), rel=1e-3)
+    assert best["verdict"] == "stable"
+    assert best["spectral_radius"] < 0.02
+
+
 # ------------------------------------------------------------------------------------------ study
 def test_54_a_study_has_the_limits_and_verdicts_of_its_loops(tmp_path: Path) -> None:
     file, table = FOLDER / "simulator.toml", tmp_path / "table.csv"

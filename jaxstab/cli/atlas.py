@@ -168,7 +168,11 @@ def query(
                     f"--{name} is given beside --scene, which has it; give one of them."
                 )
         opened = jaxstab.open_atlas(file)
-        stated, rows = _asked_of_scene(opened, scene_file, wall)
+        from jaxstab.scene import Scene
+        from jaxstab.scene.atlas import ask_atlas
+
+        stated, found = ask_atlas(Scene.from_file(scene_file), opened, wall)
+        rows = [row | _words(row["verdict"], row["status"]) for row in found]
         _write(rows, list(rows[0]), form, stated)
         return 0 if all(row["verdict"] == "stable" for row in rows) else 1
     for name, value in wall.items():
@@ -239,33 +243,6 @@ def _words(verdict: int, status: int) -> dict[str, float | str]:
         "verdict": Verdict(verdict).name.lower(),
         "status": QueryStatus(status).name.lower(),
     }
-
-
-def _asked_of_scene(
-    opened: "Atlas", scene_file: Path, wall: dict[str, float | None]
-) -> tuple[dict[str, Any], list[dict[str, float | str]]]:
-    """Return inputs and units, and a row for each wall at each corner of the ranges of a scene."""
-    from jaxstab.loop import Gains
-    from jaxstab.scene import Scene
-    from jaxstab.scene.answers import Inputs, basis_of
-    from jaxstab.scene.atlas import ask_atlas
-    from jaxstab.scene.loops import walls_of
-
-    scene = Scene.from_file(scene_file)
-    given = {name: value for name, value in wall.items() if value is not None}
-    if not given:
-        scene.require_walls()
-    elif len(given) == 1:
-        ((name, value),) = given.items()
-        other = "damping" if name == "stiffness" else "stiffness"
-        raise click.UsageError(f"--{name} is {value:g} alone; give --{other}, too.")
-    walls = {"": Gains(**given)} if given else walls_of(scene)
-    units, found = ask_atlas(scene, opened, walls)
-    rows = [row | _words(row["verdict"], row["status"]) for row in found]
-    stated = Inputs(basis_of(scene)).as_json()
-    stated["inputs"] |= {"created_by": opened.created_by}
-    stated["units"] |= units
-    return stated, rows
 
 
 def _made_of(opened: "Atlas") -> dict[str, str]:

@@ -18,7 +18,6 @@ import click
 
 import jaxstab
 from jaxstab.cli.atlas import build, info, plot, query, spec, verify
-from jaxstab.cli.identify import identify
 from jaxstab.cli.interrupt import prompt_interrupts
 from jaxstab.cli.region import figure, region
 from jaxstab.cli.scene import (
@@ -27,6 +26,7 @@ from jaxstab.cli.scene import (
     design,
     explore,
     guard,
+    identify,
     limits,
     scene,
     sentence_of,
@@ -110,21 +110,10 @@ def main() -> None:
     """Stability of haptic rendering loops."""
 
 
-_COMMANDS = (
-    limits,
-    check,
-    contact,
-    tune,
-    design,
-    study,
-    scene,
-    identify,
-    explore,
-    guard,
-    region,
-    figure,
-)
-for _command in _COMMANDS:
+for _command in (
+    *(limits, check, contact, tune, design, study),
+    *(scene, identify, explore, guard, region, figure),
+):
     main.add_command(_command)
 
 

@@ -233,12 +233,9 @@ def _client(address: str) -> Any:
             f"scheduler is {address!r}; give an address such as tcp://10.0.0.1:8786."
         ) from error
     if not client.scheduler_info()["workers"]:
-        _tell(f"the dask scheduler at {address} has no workers; the command waits for one.")
+        words = f"the dask scheduler at {address} has no workers; the command waits for one."
+        click.echo(f"jaxstab: {words}", err=True)
     return client
-
-
-def _tell(words: str) -> None:
-    click.echo(f"jaxstab: {words}", err=True)
 
 
 def _workers_and_address(given: Mapping[str, Any]) -> tuple[int | None, str | None]:

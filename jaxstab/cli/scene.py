@@ -475,11 +475,9 @@ def scene() -> None:
 def init(output: Path | None, kind: str) -> None:
     """Write a commented example of a scene."""
     from jaxstab.durable import publish
-    from jaxstab.scene import EXAMPLE
     from jaxstab.scene.scene import folder_of
 
-    file = folder_of("scenes/gains") / f"{kind}.toml"
-    text = EXAMPLE if kind == "wall" else file.read_text(encoding="utf-8")
+    text = (folder_of("scenes/gains") / f"{kind}.toml").read_text(encoding="utf-8")
     if output is None or str(output) == "-":
         click.echo(text, nl=False)
         return
@@ -492,15 +490,12 @@ def init(output: Path | None, kind: str) -> None:
 @scene.command()
 def presets() -> None:
     """List devices and velocity estimators by name: their numbers, and where these are from."""
-    from jaxstab.scene.scene import device_presets, software_presets
+    from jaxstab.scene.scene import presets as presets_of
 
-    for heading, by_name in (
-        ("[device] preset =", device_presets()),
-        ("[controller.velocity] preset =", software_presets()),
-    ):
-        for name, preset in by_name.items():
+    for place, kind in (("device", "devices"), ("controller.velocity", "software")):
+        for name, preset in presets_of(kind).items():
             title, *lines = preset.lines()
-            click.echo("\n".join([f'{heading} "{name}"', f"  {title}", *lines, ""]))
+            click.echo("\n".join([f'[{place}] preset = "{name}"', f"  {title}", *lines, ""]))
 
 
 @scene.command()
@@ -609,7 +604,7 @@ def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
     warn(*scene.unusual())
     from jaxstab.durable import publish
     from jaxstab.guard.guard import checked_name
-    from jaxstab.scene.guard import guard_about, guard_plan, header_of, scene_guard
+    from jaxstab.scene.guard import guard_about, guard_plan, scene_guard
 
     name = checked_name(output.stem)  # before the proof, which takes long
     cells, ranges = given["cells"], (given["masses"], given["delays"])
@@ -622,9 +617,72 @@ def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
             show(share, 1.0)
 
         made = scene_guard(scene, *ranges, **kind, progress=tell, cells=cells)
-    publish(header_of(scene, made, name).encode(), output)
+    about = guard_about(scene, made)
+    publish(made.header(name, about, scene.units.value[:3]).encode(), output)
     if plot:
         from jaxstab.pictures.scene import guard_figure
 
         draw(guard_figure(made, scene.units), plot)
-    click.echo(f"{output}: {output.stat().st_size / 1e3:.0f} kB\n{guard_about(scene, made)}")
+    click.echo(f"{output}: {output.stat().st_size / 1e3:.0f} kB\n{about}")
+
+
+# The command that identifies a device: a scene from a log of forces and positions.
+
+_LOGGED = ("time", "force", "position", "velocity")
+
+
+@click.command()
+@click.argument("log", type=Path)
+@file_option("-o", "--output", help="Scene (TOML) to write; '-': stdout.")
+@together(
+    *(
+        click.option(
+            f"--{name}", metavar="COLUMN", help=f'Column of the {name}; default: "{name}".'
+        )
+        for name in _LOGGED
+    )
+)
+@click.option("--sample-time", type=float, help="Sampling period in s, in place of a time column.")
+@click.option("--turns", is_flag=True, help="Rotary device: rad and N m in place of m and N.")
+@click.option(
+    "--spring", is_flag=True, help="Also fit a spring of the device, such as a centring spring."
+)
+@plot_option("PNG or SVG file: measured against fitted.")
+def identify(
+    log: Path,
+    output: Path | None,
+    sample_time: float | None,
+    turns: bool,
+    spring: bool,
+    plot: Path | None,
+    **columns: str | None,
+) -> None:
+    """Fit mass, damping, friction and delay to a LOG, with 95 % confidence intervals.
+
+    The log is a CSV file with a header and a row for each sample: time in s, commanded force in N,
+    position in m, and, if logged, the velocity of the software. docs/identify.md says how to
+    record one.
+    """
+    from jaxstab.durable import publish
+    from jaxstab.scene.identify import identified_scene, identified_text, read_log
+    from jaxstab.scene.identify import identify as fit
+    from jaxstab.scene.scene import Scene, Units
+    from jaxstab.tables import parsed
+
+    keep_programs()
+    names = {name: columns[name] or name for name in _LOGGED}
+    given = read_log(str(log), names, sample_time, columns["velocity"] is not None)
+    device = fit(**given, spring=spring)
+    units = Units.ROTATION if turns else Units.LINE
+    scene = identified_scene(device, units, log.name)
+    warn(*filter(None, [device.warning]), *Scene.from_table(parsed(scene)).unusual())
+    if plot:
+        from jaxstab.pictures.scene import identified_figure
+
+        draw(identified_figure(device, units), plot)
+    if str(output) == "-":
+        click.echo(scene, nl=False)
+        return
+    if output:
+        publish(scene.encode(), output)
+    click.echo(identified_text(device, units))

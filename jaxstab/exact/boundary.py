@@ -277,7 +277,7 @@ class _Kept(NamedTuple):
 def root_lines(loop: ScaledLoop, parts: CurveParts) -> list[RootLine]:
     """Return the lines of walls with a root at 1, at -1, and at poles where the plant is real."""
     places = [(0.0, partial(_at_end, loop, 1)), (np.pi, partial(_at_end, loop, -1))]
-    places += [(parts.poles[k], partial(_at_pole, loop, k)) for k in _real_poles(loop, parts)]
+    places += [(pole, partial(_at_pole, loop, pole)) for pole in _real_poles(loop, parts)]
     lines = []
     for angle, kept in places:
         ends = decided(lambda: _start_and_along(kept()))  # noqa: B023
@@ -309,10 +309,11 @@ def _at_end(loop: ScaledLoop, place: int) -> _Kept:
     return _Kept(b, s, r, Factored(one, at_one=1) if place == 1 else Factored(one, at_minus_one=1))
 
 
-def _at_pole(loop: ScaledLoop, index: int) -> _Kept:
+def _at_pole(loop: ScaledLoop, pole: float) -> _Kept:
     from flint import acb, arb, arb_poly
 
-    angle = _poles(loop, _LAST_BITS)[index]
+    known = _pole_at(loop, pole)
+    angle = arb(pole) if known is None else known
     z = acb(0, angle).exp()
     base, stiffness, damping = (acb(1) * part.polynomial()(z) for part in loop.triple())
     unit = (damping if stiffness.contains(0) else stiffness).conjugate()
@@ -369,22 +370,32 @@ def _poles(loop: ScaledLoop, bits: int) -> "list[arb]":
     return found or []
 
 
-def _real_poles(loop: ScaledLoop, parts: CurveParts) -> list[int]:
-    """Return which poles keep a pair for all walls of a line."""
+def _pole_at(loop: ScaledLoop, angle: float) -> "arb | None":
+    """The pole at an angle to the most bits, which may tell that there is none."""
+    apart = 1e-9
+    near = (pole for pole in _poles(loop, _LAST_BITS) if abs(float(pole.mid()) - angle) < apart)
+    return next(near, None)
+
+
+def _real_poles(loop: ScaledLoop, parts: CurveParts) -> list[float]:
+    """Return the poles that keep a pair for all walls of a line."""
     if not parts.poles.size:
         return []
     z = np.exp(1j * parts.poles)
     base, stiffness, damping = (np.polyval(part, z) for part in parts.triple)
     unit = np.where(abs(stiffness) > abs(damping), stiffness, damping).conj()
     is_near = abs((base * unit).imag) <= _NEAR * abs(base) * abs(unit)
-    return [index for index in np.flatnonzero(is_near).tolist() if _is_real(loop, index)]
+    return [angle for angle in parts.poles[is_near].tolist() if _is_real(loop, angle)]
 
 
-def _is_real(loop: ScaledLoop, index: int) -> bool:
+def _is_real(loop: ScaledLoop, angle: float) -> bool:
     from flint import acb
 
+    pole = _pole_at(loop, angle)
+    if pole is None:
+        return False
     with working_precision(_LAST_BITS):
-        z = acb(0, _poles(loop, _LAST_BITS)[index]).exp()
+        z = acb(0, pole).exp()
         base, stiffness, damping = (acb(1) * part.polynomial()(z) for part in loop.triple())
         unit = (damping if stiffness.contains(0) else stiffness).conjugate()
         return bool(not unit.contains(0) and (base * unit).imag.contains(0))

@@ -1,5 +1,215 @@
-"""A page that draws the stable walls of a scene in any browser, without a network."""
+"""One self-contained page that draws the stable walls of a scene while sliders move it."""
 
-from jaxstab.lazy import attach_stub
+import json
+from importlib.resources import files
+from math import isfinite
+from typing import Any
 
-__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)
+from jaxstab.model.filter_tables import NO_FILTER
+from jaxstab.model.filters import Velocity, exact_chain, rounded
+from jaxstab.scene import Scene
+from jaxstab.scene.answers import delay_notes
+from jaxstab.scene.loops import hands_of, is_one_mass, loop_of, wall_region, walls_of
+from jaxstab.scene.scene import (
+    FINGER,
+    Contact,
+    Hand,
+    Units,
+    VelocityTable,
+    presets,
+)
+
+SCRIPTS = (
+    *("plant", "polynomial", "loop", "region", "wall", "contact", "rules", "state"),
+    *("picture", "controls", "words", "page"),
+)
+"""The page's scripts, in their order; those of the first line need no page."""
+
+
+def explorer_page(scene: Scene, title: str = "") -> str:
+    """A self-contained page of HTML that begins with a scene, at the lowest values of its ranges.
+
+    Of a range of delays it takes the longest one, as a constant delay.
+
+    ValueError: a quantity is out of range, or the page cannot compute the scene: it has a filter of
+    the position, a device that is not one mass, or more than 200 samples of delay.
+    """
+    initial = json.dumps(_initial(scene, title), allow_nan=False)
+    parts = {
+        "/*STYLE*/": _text("page.css"),
+        "/*SCRIPT*/": "\n".join(map(script, SCRIPTS)),
+        "/*INITIAL*/": initial.replace("<", "\\u003c"),  # nothing in it ends the script
+    }
+    page = _text("page.html")
+    for marker, text in parts.items():
+        page = page.replace(marker, text)
+    return page
+
+
+def script(name: str) -> str:
+    """Return one of the page's scripts."""
+    return _text(f"{name}.js")
+
+
+def _text(name: str) -> str:
+    return files("jaxstab.explore").joinpath(name).read_text(encoding="utf-8")
+
+
+def _initial(scene: Scene, title: str) -> dict[str, Any]:
+    _refuse_others(scene)
+    return {
+        "state": _state(scene),
+        "units": {"line": _units(Units.LINE), "rotation": _units(Units.ROTATION)},
+        "software": _software(),
+        "hands": _hands(scene),
+        "notes": _notes(scene, title),
+    }
+
+
+def _refuse_others(scene: Scene) -> None:
+    longest_delay = 200.0  # samples
+    remedy = "leave it out, or draw the scene with jaxstab limits --plot."
+    if scene.controller.position is not None:
+        raise ValueError(
+            "controller.position is given, but the explorer knows of no filter of the position; "
+            f"{remedy}"
+        )
+    if not is_one_mass(scene):
+        raise ValueError(
+            "the device has a mode, an actuator or a grip, but the explorer knows of devices and "
+            f"hands of one mass only; {remedy}"
+        )
+    if scene.controller.samples > longest_delay:
+        raise ValueError(
+            f"the delay is {scene.controller.samples:g} samples, and the explorer computes at most "
+            f"{longest_delay:g}; draw the scene with jaxstab limits --plot."
+        )
+
+
+def _units(units: Units) -> dict[str, str]:
+    return {"stiffness": units.stiffness, "damping": units.damping}
+
+
+def _state(scene: Scene) -> dict[str, Any]:
+    loop, device = loop_of(scene.at_longest_delay), scene.device
+    stiffness, damping = _cursor(scene)
+    return {
+        "mass": device.effective_mass[0],
+        "damping": device.damping,
+        **_hand(scene, 0),
+        "period": scene.controller.sample_time,
+        "delay": loop.delay_samples,
+        **_estimator(scene.controller.velocity, scene.controller.sample_time),
+        "software": _index_of(scene.controller.velocity),
+        "cursorStiffness": stiffness,
+        "cursorDamping": damping,
+        "motion": "line" if scene.units is Units.LINE else "rotation",
+        "view": "near",
+        **_contact(scene),
+        "walls": [
+            {"name": name, "stiffness": wall.stiffness, "damping": wall.damping}
+            for name, wall in walls_of(scene).items()
+        ],
+    }
+
+
+def _contact(scene: Scene) -> dict[str, Any]:
+    """Return what the page simulates of contacts; with an ordinary push where there is none."""
+    device, (push, speed) = scene.device, scene.start
+    return {
+        "contact": "on" if scene.contact and push else "off",
+        "friction": device.friction,
+        "push": push or FINGER[scene.units][0],
+        "speed": speed,
+        "encoder": device.encoder.resolution if device.encoder else 0.0,
+    }
+
+
+def _hand(scene: Scene, end: int) -> dict[str, float]:
+    """Return the hand at the lowest (0) or highest (1) ends of its range."""
+    hand = scene.hand or Hand()
+    ranges = {
+        "handMass": hand.effective_mass,
+        "handStiffness": hand.stiffness,
+        "handDamping": hand.damping,
+    }
+    return {name: ends[end] for name, ends in ranges.items()}
+
+
+def _hands(scene: Scene) -> dict[str, dict[str, float]] | None:
+    if scene.hand is None or not scene.hand.varies:
+        return None
+    return {"lowest": _hand(scene, 0), "highest": _hand(scene, 1)}
+
+
+def _cursor(scene: Scene) -> tuple[float, float]:
+    """K and B of the first wall shown: half as stiff as the stiffest."""
+    limits = wall_region(loop_of(scene.at_longest_delay)).limits()
+    if not isfinite(limits.stiffness):  # no wall is stable
+        return 0.0, 0.0
+    return _rounded(0.5 * limits.stiffness), _rounded(limits.at_damping)
+
+
+def _rounded(gain: float) -> float:
+    return float(f"{gain:.2g}")
+
+
+def _estimator(table: VelocityTable | None, period: float) -> dict[str, Any]:
+    window = None if table is None else table.window
+    samples = None if table is None else table.window_samples
+    length = samples or (1 if window is None else max(1, round(window / period)))
+    given = {key: getattr(table, key, None) or usual for key, usual in NO_FILTER.items()}
+    if table is not None and table.is_other_estimator:
+        length, given = 1, {**NO_FILTER, **_coefficients(table.as_velocity(), period)}
+    return {"window": length, **given}
+
+
+def _coefficients(velocity: Velocity, period: float) -> dict[str, list[float]]:
+    """Return V(z) in 1/s by its coefficients, highest power of z first."""
+    above, below = exact_chain(velocity.filter.checked(period).sections)
+    sides = (rounded(above - above.left_shift(1)) / period).tolist(), rounded(below).tolist()
+    length = max(map(len, sides))
+    numerator, denominator = ([*side, *[0.0] * (length - len(side))] for side in sides)
+    return {"numerator": numerator, "denominator": denominator}
+
+
+def _index_of(table: VelocityTable | None) -> int | None:
+    names = [software["title"] for software in _software()]
+    return names.index(table.preset) if table is not None and table.preset in names else None
+
+
+def _software() -> list[dict[str, Any]]:
+    """Return the velocity estimators of software, as far as their makers document them."""
+    keys = ("window", *NO_FILTER)
+    estimators = {name: preset.values(keys) for name, preset in presets("software").items()}
+    plain: list[dict[str, Any]] = [{"title": "the difference over one sample, as in the paper"}]
+    return plain + [{"title": name, **values} for name, values in estimators.items() if values]
+
+
+def _notes(scene: Scene, title: str) -> list[str]:
+    """Return what has to be known of the numbers that the page begins with."""
+    notes = [f"{note.capitalize()}." for note in delay_notes(scene)]
+    notes += [f"It begins with {title}."] if title else []
+    if hands_of(scene) is not None:
+        notes.append("The scene has ranges: the page begins with their lowest values.")
+    if scene.controller.velocity is None:
+        notes.append("The scene names no estimator: the difference over one sample is assumed.")
+    ignored = _ignored_of_contacts(scene)
+    if ignored:
+        notes.append(f"Simulated contacts on this page ignore {', '.join(ignored)} of the scene.")
+    return notes
+
+
+def _ignored_of_contacts(scene: Scene) -> list[str]:
+    """Return what only Python simulates: the page pushes against a one-sided wall."""
+    given, device, controller = scene.contact, scene.device, scene.controller
+    if given is None:
+        return []
+    is_given = {
+        "device.static_friction": device.static_friction is not None,
+        "controller.max_force": controller.max_force is not None,
+        "controller.force_step": controller.force_step > 0.0,
+        "contact.one_sided": not given.one_sided,
+        "contact.duration": given.duration != Contact.duration,
+    }
+    return [name for name, is_so in is_given.items() if is_so]

@@ -18,9 +18,16 @@ from jaxstab.boxes.plant import Arms, with_parts
 from jaxstab.boxes.search import paved
 from jaxstab.conventions import Range, Verdict
 from jaxstab.exact import wall_verdict
-from jaxstab.guard.grid import CELL_AXES, Grid, grid_boxes, interpolated, step_of
+from jaxstab.guard.grid import (
+    CELL_AXES,
+    Grid,
+    boundary_of,
+    cell_corners,
+    grid_boxes,
+    interpolated,
+    step_of,
+)
 from jaxstab.guard.guard import Guard
-from jaxstab.guard.limits import boundary_of
 from jaxstab.model import LoopParameters
 from jaxstab.model.balls import ball_triple
 from jaxstab.model.device.parts import MassSpringDamper, Modes
@@ -39,8 +46,6 @@ from jaxstab.region.on_circle import responses_at
 
 Cells = Bool[np.ndarray, "mass delay damping"]
 
-_AT_ONCE = 32  # cells
-
 
 def proved(
     loop: LoopParameters,
@@ -56,13 +61,14 @@ def proved(
     with the number of cells that are proved. Of the loop, the device's mass, the hand and the delay
     are not used.
     """
+    at_once = 32  # cells
     narrowest = 2.0**-29  # of a cell: what such boxes have not is next to an instability
     boxes = grid_boxes(loop.held_device, loop, hands, grid)
     arm: dict[str, Any] = dict(zip(HAND, vars(hands).values(), strict=True))
     waiting, is_proved, count = np.flatnonzero(cells), np.zeros(cells.size, bool), 0
     while waiting.size and count < most[1]:
         effort = min(most[0], most[1] - count)
-        block = np.arange(min(waiting.size, _AT_ONCE, (most[1] - count) // effort))
+        block = np.arange(min(waiting.size, at_once, (most[1] - count) // effort))
         corners = zip(CELL_AXES, np.unravel_index(waiting[block], cells.shape), strict=True)
         places: dict[str, Any] = {name: (index, index + 1.0) for name, index in corners}
         paving = paved(boxes.judged, block.size, narrowest, effort=effort, **places, **arm)
@@ -115,16 +121,15 @@ _LEAST_SHARE = 1e-3  # of the largest damping: at none what nothing damps is on 
 
 
 class _Work(NamedTuple):
-    """The largest number of boxes, its parts for rounds, the usual number per cell, s per box."""
+    """The largest number of boxes, its parts for rounds, and the usual number per cell."""
 
     most: int
     rounds: int
     usual: int
-    seconds: float
 
 
-_OF_MASS = _Work(2_000_000, 8, 500, 1e-5)
-_OF_DEVICE = _Work(4_000_000, 32, 20_000, 1e-5)
+_OF_MASS = _Work(2_000_000, 8, 500)
+_OF_DEVICE = _Work(4_000_000, 32, 20_000)
 
 
 def build_guard(
@@ -240,10 +245,10 @@ class GuardPlan(NamedTuple):
 
 def plan_guard(loop: LoopParameters, cells: tuple[int, int, int] = CELLS) -> GuardPlan:
     """The work of ``build_guard``, and about how long it takes."""
-    seconds = 2.0  # that boundaries take
+    boundaries, box = 2.0, 1e-5  # s that they take
     count, work = int(np.prod(cells)), _work_of(loop)
-    usual = seconds + min(count * work.usual, work.most) * work.seconds
-    return GuardPlan(count, work.most, (usual, seconds + work.most * work.seconds))
+    usual = boundaries + min(count * work.usual, work.most) * box
+    return GuardPlan(count, work.most, (usual, boundaries + work.most * box))
 
 
 def _work_of(loop: LoopParameters) -> _Work:
@@ -308,20 +313,11 @@ def _proved(
         is_proved, left = is_proved | newly, left - count
         limit = np.where(_are_corners(grid, newly), np.minimum(limit, grid.limit), limit)
         # A cell whose limits are all 0 cannot be lowered further.
-        hopeful = ~is_proved & (np.max(_corners(grid), axis=0) > 0.0)
+        hopeful = ~is_proved & (np.max(cell_corners(grid.limit, 3), axis=0) > 0.0)
         grid = _lowered(grid, hopeful, unit, share)
         each, share = each * more, min(share * more, 1.0)
     progress(1.0)
     return grid._replace(limit=np.where(np.isfinite(limit), limit, grid.limit)), is_proved
-
-
-def _corners(grid: Grid) -> list[np.ndarray]:
-    """The limits at the eight corners of each cell."""
-    masses, delays, dampings = grid.cells
-    return [
-        grid.limit[a : a + masses, b : b + delays, c : c + dampings]
-        for a, b, c in np.ndindex(2, 2, 2)
-    ]
 
 
 def _tell(progress: Callable[[float], None], before: int, cells: int, more: int) -> None:
@@ -335,10 +331,7 @@ def _granted_rows(
     # Of several such stretches it is the one that grants most. One verdict per cell of mass and
     # delay is enough for all of its walls.
     rows = np.zeros((*grid.cells[:2], 2), np.int64)
-    corners = [
-        grid.limit[a : a + grid.cells[0], d : d + grid.cells[1]] for a, d in np.ndindex(2, 2)
-    ]
-    least = np.min(corners, axis=0)
+    least = np.min(cell_corners(grid.limit, 2), axis=0)
     for place in np.ndindex(*grid.cells[:2]):
         edges = np.flatnonzero(np.diff(np.concatenate([[False], is_proved[place], [False]])))
         stretches = edges.reshape(-1, 2)

@@ -1,17 +1,21 @@
-"""The grid of a guard: limits at its nodes, and its loops over boxes in cells."""
+"""The grid of a guard: limits at its nodes, its loops over boxes in cells, and the exact limits."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Complex128, Float64
 
 from jaxstab.boxes import HandRange
 from jaxstab.boxes.box import ParameterBoxes, Rows
 from jaxstab.boxes.enclosures import LinearModel
-from jaxstab.boxes.hands import arms_over
-from jaxstab.boxes.plant import DeviceBoxes, Extent, FirstRow
+from jaxstab.boxes.hands import arms_over, spread_hands
+from jaxstab.boxes.plant import Arms, DeviceBoxes, Extent, FirstRow, HeldDevice
 from jaxstab.model import Device, LoopParameters
+from jaxstab.model.filters import NO_FILTERS, known_filters
+from jaxstab.region.on_circle import quick_plant, responses_at
 
 Ends = Float64[np.ndarray, "axis box"]  # in cells
 
@@ -47,11 +51,7 @@ def grid_boxes(device: Device, loop: LoopParameters, hands: HandRange, grid: Gri
     The first three axes are in cells; lemma B20 of docs/proofs.md. Errors: as ``DeviceBoxes``.
     """
     count = grid.cells[2]
-    corners = grid.limit[:, :, 0]
-    begins = np.max(
-        [corners[:-1, :-1], corners[1:, :-1], corners[:-1, 1:], corners[1:, 1:]], axis=0
-    )
-
+    begins = np.max(cell_corners(grid.limit[:, :, 0], 2), axis=0)
     period = float(loop.sample_time)
 
     def limits(boxes: ParameterBoxes, last: Rows) -> tuple[LinearModel, LinearModel]:
@@ -96,6 +96,14 @@ def _limits_over(grid: Grid, low: Ends, high: Ends, axes: tuple[str, ...]) -> Li
     return replace(model, centre=model.centre + model.rest + slack, rest=np.zeros_like(model.rest))
 
 
+def cell_corners(nodes: np.ndarray, axes: int) -> list[np.ndarray]:
+    """Return the values at each corner of the cells along the first axes."""
+    return [
+        nodes[tuple(slice(k, size - 1 + k) for k, size in zip(corner, nodes.shape, strict=False))]
+        for corner in np.ndindex(*(2,) * axes)
+    ]
+
+
 def step_of(nodes: Float64[np.ndarray, " node"]) -> float:
     """Return the step of evenly spaced nodes."""
     return float(nodes[-1] - nodes[0]) / (len(nodes) - 1)
@@ -136,3 +144,158 @@ def _at_corners(nodes: np.ndarray, ends: tuple[Ends, Ends]) -> np.ndarray:
         values = np.moveaxis(np.stack(parts), 0, axis)
     corners: np.ndarray = values.reshape(2 ** len(cell), -1)
     return corners
+
+
+# Where the stable walls of a loop end, for many devices, hands and delays at once. The closed form
+# of the boundary is taken at some angles and joined by straight lines; the first nodes of a guard
+# come from it. Nothing here is a bound; the proof is in ``jaxstab.guard.build``.
+
+Angles = Float64[np.ndarray, " angle"]
+Curves = Float64[np.ndarray, "mass delay hand angle"]
+
+
+class Boundary(NamedTuple):
+    """Walls with a root on the unit circle, for each mass, delay and corner of the hands.
+
+    ``stiffness`` in N/m and ``damping`` in N s/m are of walls with a pair of roots; two consecutive
+    points are on one branch where ``joined``. ``line``: the coefficients of K and B of walls with a
+    root at -1, and their sum.
+    """
+
+    stiffness: Curves
+    damping: Curves
+    joined: np.ndarray
+    line: tuple[np.ndarray, np.ndarray, np.ndarray]
+
+    def largest_damping(self) -> Float64[np.ndarray, "mass delay"]:
+        """Return the damping at which, without stiffness, the first hand becomes unstable."""
+        before, after = self.stiffness[..., :-1], self.stiffness[..., 1:]
+        crosses = self.joined & ((before > 0.0) != (after > 0.0))
+        share = before / np.where(crosses, before - after, 1.0)
+        damping = self.damping[..., :-1] + share * np.diff(self.damping, axis=-1)
+        # A hand on a spring that nothing damps is on the circle without a wall: there, both gains
+        # change their sign.
+        crosses &= (self.damping[..., :-1] > 0.0) & (self.damping[..., 1:] > 0.0)
+        curve = np.min(np.where(crosses, damping, np.inf), axis=-1)
+        _, per_damping, total = self.line
+        line = total / np.where(per_damping == 0.0, np.inf, per_damping)
+        line = np.where(line > 0.0, line, np.inf)
+        largest: np.ndarray = np.minimum(curve, line).min(axis=-1)
+        return largest
+
+    def largest_stiffness(
+        self, damping: Float64[np.ndarray, "mass delay damping"]
+    ) -> Float64[np.ndarray, "mass delay damping"]:
+        """Return the stiffness at which, from 0 upwards, the first hand becomes unstable."""
+        rises = np.diff(self.damping, axis=-1), np.diff(self.stiffness, axis=-1)
+        rows = [self._first_stiffness(row, *rises) for row in np.moveaxis(damping, -1, 0)]
+        return np.stack(rows, axis=-1)
+
+    def _first_stiffness(
+        self, damping: Float64[np.ndarray, "mass delay"], run: Curves, rise: Curves
+    ) -> Float64[np.ndarray, "mass delay"]:
+        here = damping[..., None]
+        share = (here[..., None] - self.damping[..., :-1]) / np.where(run == 0.0, np.inf, run)
+        stiffness = self.stiffness[..., :-1] + share * rise
+        meets = self.joined & (share >= 0.0) & (share <= 1.0) & (stiffness > 0.0)
+        curve = np.min(np.where(meets, stiffness, np.inf), axis=-1)
+        per_stiffness, per_damping, total = self.line
+        line = (total - per_damping * here) / np.where(per_stiffness == 0.0, np.inf, per_stiffness)
+        line = np.where(line > 0.0, line, np.inf)
+        lowest: np.ndarray = np.minimum(curve, line).min(axis=-1)
+        return lowest
+
+
+def boundary_of(
+    loop: LoopParameters,
+    hands: HandRange,
+    mass: Float64[np.ndarray, " mass"],
+    delay: Float64[np.ndarray, " delay"],
+    jitter: float = 0.0,
+) -> Boundary:
+    """Return the boundary for devices of some masses, at delays in samples.
+
+    With ``jitter`` each hand is taken with some delays up to so many samples longer, too.
+    """
+    late = np.linspace(0.0, jitter, 5 if jitter else 1)
+    if loop.device is None:
+        return _of_masses(loop, hands, mass, delay, late)
+    device = HeldDevice.from_device(loop.device, loop.sample_time)
+    return _of_devices(device, loop, hands, mass, delay, late)
+
+
+def _of_masses(
+    loop: LoopParameters, hands: HandRange, mass: np.ndarray, delay: np.ndarray, late: np.ndarray
+) -> Boundary:
+    angles = 800
+    period = loop.sample_time
+    ends = (sorted(set(pair)) for pair in vars(hands).values())
+    corners = np.array(list(product(*ends, late.tolist())))
+    moved = mass[:, None, None] + corners[:, 0]
+    units = period**2 / moved, period / moved
+    lag = np.broadcast_to(delay[:, None] + corners[:, 3], (len(mass), len(delay), len(corners)))
+    gamma = np.broadcast_to(corners[:, 1] * units[0], lag.shape)
+    delta = np.broadcast_to((loop.device_damping + corners[:, 2]) * units[1], lag.shape)
+    plant = quick_plant(gamma, delta, lag)
+    parts = plant.d1, plant.d0, plant.n2, plant.n1, plant.n0, np.floor(lag) + 1.0
+
+    def stiffness(theta: Angles) -> Complex128[np.ndarray, "mass delay hand angle"]:
+        z = np.exp(1j * theta)
+        d1, d0, n2, n1, n0, turns = (coefficient[..., None] for coefficient in parts)
+        return -(z**turns) * (z + d1 + d0 / z) / (n2 * z + n1 + n0 / z)
+
+    return _boundary(loop, stiffness, units, angles)
+
+
+def _of_devices(
+    device: HeldDevice,
+    loop: LoopParameters,
+    hands: HandRange,
+    mass: np.ndarray,
+    delay: np.ndarray,
+    late: np.ndarray,
+) -> Boundary:
+    device_angles = 1200  # devices have resonances
+    device_hands = 3  # along each range: behind a grip the worst one need not be at a corner
+    period = loop.sample_time
+    units = np.full((1, 1, 1), period**2), np.full((1, 1, 1), period)
+    moved, springs, dampers = spread_hands(hands, device_hands).T
+    arms = Arms(moved, springs * period**2, dampers * period)
+
+    def stiffness(theta: Angles) -> Complex128[np.ndarray, "mass delay hand angle"]:
+        responses = [
+            np.concatenate([device.response(body, arms, delay + by, theta) for by in late], axis=1)
+            for body in mass
+        ]
+        return -1.0 / np.stack(responses)
+
+    return _boundary(loop, stiffness, units, device_angles)
+
+
+def _boundary(
+    loop: LoopParameters,
+    stiffness: Callable[[Angles], np.ndarray],
+    units: tuple[np.ndarray, np.ndarray],
+    count: int,
+) -> Boundary:
+    """Return the boundary from what alpha P + beta V is on it, and from alpha/K and beta/B."""
+    bend = 1.5  # angles are closer to each other near 0
+    filters = known_filters(**loop.filters) or NO_FILTERS
+
+    def force(theta: Angles) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        position, velocity = responses_at(filters, theta)
+        return position, velocity, stiffness(theta)
+
+    position, velocity, wanted = force(np.pi * (np.arange(1, count) / count) ** bend)
+    twist = np.imag(np.conj(position) * velocity)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        alpha = np.imag(np.conj(velocity) * wanted) / -twist
+        beta = np.imag(np.conj(position) * wanted) / twist
+    per_force, per_speed = units
+    per_alpha, per_beta, total = (column[..., 0].real for column in force(np.array([np.pi])))
+    return Boundary(
+        np.nan_to_num(alpha / per_force[..., None]),
+        np.nan_to_num(beta / per_speed[..., None]),
+        np.signbit(twist[1:]) == np.signbit(twist[:-1]),
+        (per_alpha * per_force, per_beta * per_speed, total),
+    )

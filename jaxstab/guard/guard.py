@@ -13,51 +13,12 @@ import jaxstab
 from jaxstab.arrays import Numbers
 from jaxstab.boxes import HandRange
 from jaxstab.conventions import Range
-from jaxstab.guard.grid import Grid, interpolated
-from jaxstab.guard.limits import Boundary, boundary_of
+from jaxstab.guard.grid import Boundary, Grid, boundary_of, interpolated
 from jaxstab.model import LoopParameters
 from jaxstab.shown import printable, shortened
 
 LARGEST_HEADER = 1_000_000
 """Bytes of a header at most."""
-
-
-class _Kind(NamedTuple):
-    """What differs between headers of guards for constant delays and for those that move, in C."""
-
-    proved: str
-    parameter: str
-    argument: str
-    find: str
-
-
-_MOVING = _Kind(
-    """\
- * @NAME@_clamp leaves is stable for every sequence of delays of their range, which may change from
- * sample to sample (the newest sample sets the force), if mass, hand and gains are constant while
- * the wall is touched: call it when contact begins, and keep both gains until contact ends, for no
- * proof covers gains that change.""",
-    "",
-    "",
-    """    place->delay = 0;
-    place->delay_share = 0.0;""",
-)
-_CONSTANT = _Kind(
-    """\
- * @NAME@_clamp leaves is stable, if mass, hand, delay and gains are constant while the wall is
- * touched: call it when contact begins, and keep both gains until contact ends. Neither mass nor
- * delay may change during contact: delays that move from sample to sample are not covered, nor is
- * a guard that is asked again with the delay of the moment.""",
-    ", double delay",
-    ", delay",
-    """    if (!@NAME@_is_finite_(delay))
-        return 0;
-    if (delay < @MACRO@_SHORTEST_DELAY || delay > @MACRO@_LONGEST_DELAY)
-        return 0;
-    along = (delay - @MACRO@_SHORTEST_DELAY) * @PER_DELAY@;
-    place->delay = along < @D_LAST@.0 ? (int)along : @D_LAST@;
-    place->delay_share = along - place->delay;""",
-)
 
 
 class Costliest(NamedTuple):
@@ -267,8 +228,7 @@ class Guard:
         kept = slice(None if self.is_delay_constant else 1)  # both nodes of a moving delay are one
         tops, limits, granted = grid.top[:, kept], grid.limit[:, kept], self.rows[:, kept]
         masses, delays, rows = limits.shape
-        words = _CONSTANT if self.is_delay_constant else _MOVING
-        values = {
+        values: dict[str, object] = {
             "NAME": name,
             "MACRO": name.upper(),
             "VERSION": jaxstab.__version__,
@@ -276,40 +236,43 @@ class Guard:
             "KG": units[0],
             "STIFFNESS_UNIT": units[1],
             "DAMPING_UNIT": units[2],
-            "MASS_LOW": repr(float(self.mass[0])),
-            "MASS_HIGH": repr(float(self.mass[1])),
-            "DELAY_LOW": repr(float(self.delay[0])),
-            "DELAY_HIGH": repr(float(self.delay[1])),
-            "PER_MASS": repr((masses - 1) / (self.mass[1] - self.mass[0])),
-            "STIFFNESS": repr(float(grid.limit.max())),
-            "DAMPING": repr(float(grid.top.max())),
-            "TOP_STEP": repr(damping_step),
-            "LIMIT_STEP": repr(stiffness_step),
-            "M": str(masses),
-            "D": str(delays),
-            "B": str(rows),
-            "M_CELLS": str(masses - 1),
-            "D_CELLS": str(granted.shape[1]),
-            "D_NEXT": str(min(delays - 1, 1)),
-            "M_LAST": str(masses - 2),
-            "B_LAST": str(rows - 2),
-            "ROWS": str(rows - 1),
+            "MASS_LOW": float(self.mass[0]),
+            "MASS_HIGH": float(self.mass[1]),
+            "DELAY_LOW": float(self.delay[0]),
+            "DELAY_HIGH": float(self.delay[1]),
+            "PER_MASS": (masses - 1) / (self.mass[1] - self.mass[0]),
+            "STIFFNESS": float(grid.limit.max()),
+            "DAMPING": float(grid.top.max()),
+            "TOP_STEP": damping_step,
+            "LIMIT_STEP": stiffness_step,
+            "M": masses,
+            "D": delays,
+            "B": rows,
+            "M_CELLS": masses - 1,
+            "D_CELLS": granted.shape[1],
+            "D_NEXT": min(delays - 1, 1),
+            "M_LAST": masses - 2,
+            "B_LAST": rows - 2,
+            "ROWS": rows - 1,
             "TOP": _table(tops / damping_step),
             "GRANTED": _table(granted),
             "LIMIT": _table(limits / stiffness_step),
-            "PROVED": words.proved,
-            "DELAY_PARAMETER": words.parameter,
-            "DELAY": words.argument,
-            "AND_DELAY": " and delay" if self.is_delay_constant else "",
-            "FIND_DELAY": words.find,
         }
+        kind = "MOVING"
+        values |= dict.fromkeys(("DELAY_PARAMETER", "DELAY", "AND_DELAY"), "")
         if self.is_delay_constant:
-            values["PER_DELAY"] = repr((delays - 1) / (self.delay[1] - self.delay[0]))
-            values["D_LAST"] = str(delays - 2)
+            kind = "CONSTANT"
+            values |= {
+                "DELAY_PARAMETER": ", double delay",
+                "DELAY": ", delay",
+                "AND_DELAY": " and delay",
+                "PER_DELAY": (delays - 1) / (self.delay[1] - self.delay[0]),
+                "D_LAST": delays - 2,
+            }
         template = files("jaxstab.guard").joinpath("guard.h.in").read_text(encoding="utf-8")
-        for _ in range(2):  # what is put in has names of its own
-            template = re.sub(r"@([A-Z_]+)@", lambda match: values[match[1]], template)
-        text = template
+        # Lines that begin with MOVING| or CONSTANT| are of one kind of guard.
+        lines = re.sub(rf"(?m)^(?:{kind}\||[A-Z]+\|.*\n)", "", template)
+        text = re.sub(r"@([A-Z_]+)@", lambda match: str(values[match[1]]), lines)
         if len(text.encode()) > LARGEST_HEADER:
             raise ValueError(f"the header would have {len(text)} bytes; give fewer cells.")
         return text

@@ -15,6 +15,7 @@ from .hands import WorstHand as WorstHand
 from .jitter import MovingLimits as MovingLimits
 from .jitter import WorstDelays as WorstDelays
 from .loop import HapticLoop as HapticLoop
+from .many import ManyGainLimits as ManyGainLimits
 from .many import ManyLimits as ManyLimits
 from .many import ManyRegions as ManyRegions
 from .many import limits_of as limits_of

@@ -12,7 +12,7 @@ groups too small to compile for, are answered as ``HapticLoop.limits`` answers.
 
 from collections.abc import Hashable, Iterable, Iterator, Sequence
 from dataclasses import replace
-from functools import lru_cache, reduce
+from functools import lru_cache, partial, reduce
 from itertools import accumulate, chain
 from math import prod
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, overload
@@ -23,11 +23,10 @@ from jaxtyping import Bool, Float64, Int8, Int64
 from jaxstab.arrays import Array, is_any_jax, is_any_traced, leaves, namespace, take, tree_map
 from jaxstab.batches import alike, in_float64, lists, on_cores, one_ahead
 from jaxstab.loop.affine import GainLimits, Loop
-from jaxstab.loop.samples import sampled_loops
+from jaxstab.loop.samples import Formed, sampled_loops
 from jaxstab.model import LoopParameters, require_x64
-from jaxstab.model.affine import AdmittanceParts
-from jaxstab.model.balls import ball_loop
-from jaxstab.model.device.parts import FIRST_BITS, working_precision
+from jaxstab.model.affine import AdmittanceParts, affine_triple
+from jaxstab.model.balls import ball_triple
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import (
     NO_FILTERS,
@@ -455,15 +454,15 @@ def resolved(
             if len(triples.angles) < fewest_compiled:
                 break
             members = np.concatenate([group.members for group in formed])
-            counts = [len(group.members) for group in formed]
-            flags = [(group.is_turned, group.is_unstable) for group in formed]
-            turned, unstable = np.repeat(flags, counts, axis=0).T
-            units = np.concatenate([group.units for group in formed])
+            units, turned, unstable = (
+                np.concatenate(x) for x in list(zip(*formed, strict=True))[5:]
+            )
             missed = np.full((len(members), 2), np.nan)
             for indices, answer in _answers(triples, outlines):
                 extremes = take(answer[0], np.arange(indices.size))
                 extremes.failures[(extremes.failures == 0) & unstable[indices]] = ISLAND
                 is_open = ~np.isin(extremes.failures, accepted)
+                is_open |= np.any(np.diagonal(extremes.walls, axis1=1, axis2=2) < 0.0, axis=1)
                 missed[indices[is_open]] = extremes.missed[is_open]
                 extremes.walls[:] *= units[indices, None]
                 extremes.walls[turned[indices]] = extremes.walls[turned[indices], ::-1, ::-1]
@@ -494,26 +493,15 @@ def _answers(triples: "Triples", outlines: bool) -> "Iterator[tuple[Indices, Any
     yield from zip((members for members, _ in padded), answers, strict=True)
 
 
-class _Formed(NamedTuple):
-    """Loops that are formed together, as arrays: while they wait, these take the least memory."""
-
-    members: Indices
-    parts: DoubleDouble  # (loop, part, power) coefficients of p(z)
-    ends: Float64[Array, "loop 2 3"]
-    poles: Float64[np.ndarray, "loop pole"]  # angles where the curve goes to infinity
-    roots: Float64[Array, "loop root 2"]  # next to the circle: angles and distances
-    units: Float64[np.ndarray, "loop 2"]  # in which gains are answered, in those of the parts
-    is_turned: bool = False  # whether the second gain takes the place of the first one
-    is_unstable: bool = False  # with small gains
-
-
-def _groups(stacks: list[Stack], *, in_charts: bool) -> Iterator[tuple[list[_Formed], "Triples"]]:
+def _groups(
+    stacks: list[Stack], *, in_charts: bool = False
+) -> Iterator[tuple[list[Formed], "Triples"]]:
     """Yield loops that are filled up to one degree, and their triples, when there are enough.
 
     Loops that are too few to compile for are filled up to the next degree.
     """
     fewest = 64  # loops of a kind: a program takes as long to compile as these take one by one
-    waiting: dict[int, list[_Formed]] = {degree: [] for degree in _DEGREES}
+    waiting: dict[int, list[Formed]] = {degree: [] for degree in _DEGREES}
     is_compiled = dict.fromkeys(_DEGREES, False)
     for group in _formed(stacks, in_charts=in_charts):
         degree = _filled_degree(group)
@@ -523,7 +511,7 @@ def _groups(stacks: list[Stack], *, in_charts: bool) -> Iterator[tuple[list[_For
         if _count(waiting[degree]) >= _FORMED:
             yield waiting[degree], _triples(waiting[degree], degree)
             waiting[degree], is_compiled[degree] = [], True
-    few: list[_Formed] = []
+    few: list[Formed] = []
     for degree in _DEGREES:
         few += waiting[degree]
         if few and (is_compiled[degree] or _count(few) >= fewest):
@@ -531,13 +519,13 @@ def _groups(stacks: list[Stack], *, in_charts: bool) -> Iterator[tuple[list[_For
             few = []
 
 
-def _count(formed: list[_Formed]) -> int:
+def _count(formed: list[Formed]) -> int:
     return sum(len(group.members) for group in formed)
 
 
 def _rescanned(
-    formed: list[_Formed], triples: "Triples", missed: Float64[np.ndarray, "loop 2"]
-) -> "tuple[list[_Formed], Triples]":
+    formed: list[Formed], triples: "Triples", missed: Float64[np.ndarray, "loop 2"]
+) -> "tuple[list[Formed], Triples]":
     """Return the loops of which a piece was missed, with scans that are finer next to it.
 
     The coefficients of a loop stay; a scan has as many angles as before.
@@ -551,46 +539,53 @@ def _rescanned(
         roots = np.broadcast_to(group.roots, (len(group.members), *group.roots.shape[1:]))[own]
         roots = np.concatenate([roots, more[start + own]], axis=1)
         if own.size and group.poles.shape[-1] + roots.shape[1] <= degree + 2:
-            columns = {name: getattr(group, name)[own] for name in ("members", "poles", "units")}
-            again.append(group._replace(**columns, roots=roots))
+            columns = (column[own] for column in group[5:])
+            members, poles = group.members[own], group.poles[own]
+            again.append(Formed(members, group.parts, group.ends, poles, roots, *columns))
             chosen.append(start + own)
             scans.append(_scans(again[-1], degree))
         start += len(group.members)
     return again, take(triples, np.concatenate(chosen))._replace(angles=np.concatenate(scans))
 
 
-def _formed(stacks: list[Stack], *, in_charts: bool) -> Iterator[_Formed]:
+def _formed(stacks: list[Stack], *, in_charts: bool = False) -> Iterator[Formed]:
     """Yield loops that differ in mass, damping, stiffness and fraction of the delay alone.
 
     Those with filters that leave float64 few digits are left out.
     """
+    devices: list[tuple[Indices, Any]] = []
     for members, loop in stacks:
         if isinstance(loop, list):
             yield from _of_gains(members, loop, in_charts=in_charts)
             continue
         filters = given_filters(**loop.filters) or NO_FILTERS
         if loop.body is None:
-            yield from _group(members, loop.linear, filters, _device_resonances(loop).T[None])
+            devices += [(members, loop)] if _poles(filters) is not None else []
             continue
         gamma, delta, delay = np.broadcast_arrays(*loop.slice.values(), members)[:3]
         for own in map(np.array, alike(zip(delay // 1.0, delay % 1.0 == 0.0, strict=True))):
             for part in np.split(own, range(_FORMED, len(own), _FORMED)):
                 linear, roots = _masses(gamma[part], delta[part], delay[part], filters)
                 yield from _group(members[part], linear, filters, roots)
+    for start in range(0, len(devices), _AT_ONCE):
+        block, loops = zip(*devices[start : start + _AT_ONCE], strict=True)
+        units = np.array([(loop.stiffness(1.0), loop.damping(1.0)) for loop in loops])
+        triples = [partial(ball_triple, loop) for loop in loops]
+        yield from sampled_loops(np.concatenate(block), triples, _DEGREES, units)
 
 
-def _of_gains(members: Indices, loops: list[Loop], *, in_charts: bool) -> Iterator[_Formed]:
+def _of_gains(members: Indices, loops: list[Loop], *, in_charts: bool = False) -> Iterator[Formed]:
     """Yield loops of any two gains, if these are bounded, or all of them in their charts."""
     for start in range(0, len(loops), _AT_ONCE):
         block = members[start : start + _AT_ONCE].tolist()
         for k in block:
             loops[k]._require_bounded()
         block = [k for k in block if in_charts or loops[k]._chart.are_gains]
-        own = np.array(block, int), [loops[k] for k in block]
-        yield from map(_Formed._make, sampled_loops(*own, _DEGREES))
+        triples = [partial(affine_triple, loops[k]._chart.chart) for k in block]
+        yield from sampled_loops(np.array(block, int), triples, _DEGREES)
 
 
-def _group(members: Indices, linear: LinearLoop, filters: Filters, roots: Array) -> list[_Formed]:
+def _group(members: Indices, linear: LinearLoop, filters: Filters, roots: Array) -> list[Formed]:
     """Return loops with the same filters; none if these leave float64 few digits."""
     poles = _poles(filters)
     if poles is None:
@@ -599,7 +594,8 @@ def _group(members: Indices, linear: LinearLoop, filters: Filters, roots: Array)
     parts, values = (_columns(rows, len(members)) for rows in (linear[:3], ends))
     count = len(members)
     every = np.broadcast_to(poles, (count, poles.size))
-    return [_Formed(members, parts, values.rounded(), every, roots, np.ones((count, 2)))]
+    flags = np.zeros((2, count), bool)
+    return [Formed(members, parts, values.rounded(), every, roots, np.ones((count, 2)), *flags)]
 
 
 def _masses(
@@ -651,39 +647,14 @@ def _resonances(gamma: Array, delta: Array) -> Float64[Array, "loop 1 2"]:
     return xp.stack([angle, width], axis=1)[:, None]
 
 
-def _device_resonances(loop: LoopParameters) -> Float64[np.ndarray, "2 root"]:
-    """Return the angles of zeros and poles of a general device, and how far from the circle.
-
-    Next to 1 they are found in powers of z - 1: those of slow modes differ by less than the
-    coefficients in powers of z tell.
-    """
-    slow, farthest = 0.5, 4.0  # roots of devices: from 1, and from the circle
-    every: list[Array] = []
-    with working_precision(FIRST_BITS):
-        parts = ball_loop(loop)
-        for part in (parts.numerator, parts.denominator):
-            far = np.roots(_middles(part.polynomial()))
-            near = 1.0 + np.roots(_middles(part.around(1)))
-            every += [far[abs(far - 1.0) > slow], near[abs(near - 1.0) <= slow]]
-    roots = np.concatenate(every)
-    roots = roots[roots.imag >= 0.0]
-    distance = np.abs(np.log(np.maximum(np.abs(roots), 1e-300)))
-    return np.stack([np.abs(np.angle(roots)), np.clip(distance, 1e-9, farthest)])
-
-
-def _middles(polynomial: Any) -> Float64[np.ndarray, " power"]:
-    """Return the coefficients of a polynomial of balls, highest power first."""
-    return np.array([float(c.mid()) for c in polynomial.coeffs()[::-1]])
-
-
-def _filled_degree(formed: _Formed) -> int | None:
+def _filled_degree(formed: Formed) -> int | None:
     """Return the degree up to which p(z) is filled; None where that or its poles are too many."""
     enough = (degree for degree in _DEGREES if degree >= formed.parts.hi.shape[-1] - 1)
     poles, roots = formed.poles.shape[-1], formed.roots.shape[1]
     return next((degree for degree in enough if poles + roots <= degree + 2), None)
 
 
-def _triples(formed: list[_Formed], degree: int) -> "Triples":
+def _triples(formed: list[Formed], degree: int) -> "Triples":
     from jaxstab.region.batch import Triples
 
     straight = _joined([group.parts for group in formed], degree)
@@ -778,7 +749,7 @@ def _poles(filters: Filters) -> Angles | None:
     return poles
 
 
-def _scans(formed: _Formed, degree: int) -> Float64[Array, "loop angle"]:
+def _scans(formed: Formed, degree: int) -> Float64[Array, "loop angle"]:
     """Return the angles of the scans: even steps, finer to both ends, to poles and resonances."""
     first, closest = 1e-6, 1e-7  # angles of a scan, and their distances from poles
     to_ends, to_poles, to_roots = 12, 6, 8  # angles that come closer and closer

@@ -326,8 +326,8 @@ class GainMargins(NamedTuple):
         >>> jaxstab.simulated_pd(0.1, step=2e-3, substeps=4).margins(kp=500.0, kd=10.0)
         Margins: stable  least  largest  factors
         kp (N m/rad)     0      3333.3   0 to 6.6666
-        kd (N m s/rad)   1.5    23       0.15 to 2.3
-        both                             0 to 2.0833
+        kd (N m s/rad)   1.5    24.5     0.15 to 2.45
+        both                             0 to 2.3809
     """
 
     verdict: Int8[Array, "*grid"]
@@ -337,30 +337,6 @@ class GainMargins(NamedTuple):
     second_factors: Float64[Array, "*grid 2"]
     both_factors: Float64[Array, "*grid 2"]
     names: tuple[str, str]
-
-    @classmethod
-    def of_pairs(
-        cls,
-        triple: TripleAt,
-        codes: Int8[np.ndarray, "*grid"],
-        pairs: Float64[np.ndarray, "*grid 2"],
-        names: tuple[str, str],
-    ) -> "GainMargins":
-        """The margins of pairs of gains with these verdicts."""
-        ends = np.full((codes.size, 3, 2), nan)
-        for k in np.flatnonzero(codes == Verdict.STABLE):
-            pair = tuple(pairs.reshape(-1, 2)[k].tolist())
-            ways = ends_of_gains(triple, pair)
-            ways += _ends(triple, 1.0, (0.0, 0.0), pair) if any(pair) else [Crossing(inf, nan)] * 2
-            ends[k] = np.reshape([way.end for way in ways], (3, 2))
-        ends = ends.reshape(*codes.shape, 3, 2)
-        alone = ends[..., :2, :]
-        with np.errstate(all="ignore"):
-            factors = np.sort(alone / pairs[..., None], axis=-1)
-        factors = np.where((pairs[..., None] == 0.0) & ~np.isnan(alone), [0.0, inf], factors)
-        factors = np.maximum(np.concatenate([factors, ends[..., 2:, :]], axis=-2), 0.0)
-        columns = np.moveaxis(np.concatenate([alone, factors], axis=-2), -2, 0)
-        return cls._make([codes, *columns, names])
 
     def __repr__(self) -> str:
         """A table: a row for each gain of one pair, or one for each of several pairs."""
@@ -377,3 +353,26 @@ class GainMargins(NamedTuple):
         table = [("verdict", *(f"factors of {name}" for name in names)), *every[:most_rows]]
         more = f"\n... and {len(codes) - most_rows} more" if len(codes) > most_rows else ""
         return f"Margins of {len(codes)} pairs of gains\n{table_text(table)}{more}"
+
+
+def margins_of_gains(
+    triple: TripleAt,
+    codes: Int8[np.ndarray, "*grid"],
+    pairs: Float64[np.ndarray, "*grid 2"],
+    names: tuple[str, str],
+) -> "GainMargins":
+    """The margins of pairs of gains with these verdicts."""
+    ends = np.full((codes.size, 3, 2), nan)
+    for k in np.flatnonzero(codes == Verdict.STABLE):
+        pair = tuple(pairs.reshape(-1, 2)[k].tolist())
+        ways = ends_of_gains(triple, pair)
+        ways += _ends(triple, 1.0, (0.0, 0.0), pair) if any(pair) else [Crossing(inf, nan)] * 2
+        ends[k] = np.reshape([way.end for way in ways], (3, 2))
+    ends = ends.reshape(*codes.shape, 3, 2)
+    alone = ends[..., :2, :]
+    with np.errstate(all="ignore"):
+        factors = np.sort(alone / pairs[..., None], axis=-1)
+    factors = np.where((pairs[..., None] == 0.0) & ~np.isnan(alone), [0.0, inf], factors)
+    factors = np.maximum(np.concatenate([factors, ends[..., 2:, :]], axis=-2), 0.0)
+    columns = np.moveaxis(np.concatenate([alone, factors], axis=-2), -2, 0)
+    return GainMargins._make([codes, *columns, names])

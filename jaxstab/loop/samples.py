@@ -1,4 +1,4 @@
-"""Many loops of any two gains as a batch needs them: coefficients, and angles that tell of them.
+"""Many loops as a batch needs them, by their balls: coefficients, and angles that tell of them.
 
 Their parts come from balls one by one, rounded once to pairs of float64. All else is found for all
 loops of one degree at once, in float64, from samples of base and S around the circle:
@@ -11,19 +11,17 @@ A loop of which an angle is missed is not resolved by a batch, and is answered b
 """
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Complex128, Float64, Int64
 
+from jaxstab.arrays import Array
 from jaxstab.batches import alike
+from jaxstab.exact import TripleAt
 from jaxstab.exact.verdict import roots_outside
-from jaxstab.model.affine import AffineParts, affine_triple
 from jaxstab.model.device.parts import FIRST_BITS, working_precision
 from jaxstab.model.double_double import DoubleDouble
-
-if TYPE_CHECKING:
-    from jaxstab.loop.affine import Loop
 
 _SAMPLES = 512  # of half the circle
 _STEPS = 4  # of Newton's method
@@ -33,26 +31,31 @@ Rows = Float64[np.ndarray, "loop power"]
 Angles = Float64[np.ndarray, "loop _"]
 
 
-class SampledLoops(NamedTuple):
-    """Loops of one degree and of one number of poles."""
+class Formed(NamedTuple):
+    """Loops that are formed together, as arrays: while they wait, these take the least memory."""
 
     members: Int64[np.ndarray, " loop"]
-    parts: DoubleDouble  # (loop, part, power), the highest power first
-    ends: Float64[np.ndarray, "loop 2 3"]
-    poles: Float64[np.ndarray, "loop pole"]
-    roots: Float64[np.ndarray, "loop root 2"]  # angles, and distances from the circle
-    units: Float64[np.ndarray, "loop 2"]  # of the gains
-    is_turned: bool  # S is what the second gain multiplies: it alone moves p(1)
-    is_unstable: bool  # with small gains: a root of base is outside
+    parts: DoubleDouble  # (loop, part, power) coefficients of p(z)
+    ends: Float64[Array, "loop 2 3"]
+    poles: Float64[np.ndarray, "loop pole"]  # angles where the curve goes to infinity
+    roots: Float64[Array, "loop root 2"]  # next to the circle: angles and distances
+    units: Float64[np.ndarray, "loop 2"]  # of answers, in those of the parts
+    turned: Bool[np.ndarray, " loop"]  # the second gain takes the place of the first one
+    unstable: Bool[np.ndarray, " loop"]  # with small gains
 
 
 def sampled_loops(
     members: Int64[np.ndarray, " loop"],
-    loops: "Sequence[Loop]",
+    triples: Sequence[TripleAt],
     degrees: Sequence[int],
-) -> Iterator[SampledLoops]:
-    """Loops filled up to one of the degrees, those of a kind together."""
-    every = [_in_floats(loop._chart.chart) for loop in loops]
+    units: Float64[np.ndarray, "loop 2"] | None = None,
+) -> Iterator[Formed]:
+    """Loops filled up to one of the degrees, those with as many poles together.
+
+    Gains are in the units that are given, or in such that make them of size 1. Where the second one
+    alone moves p(1), it takes the place of the first.
+    """
+    every = list(map(_in_floats, triples))
     filled = [min((n for n in degrees if n >= len(row[0][0]) - 1), default=0) for row in every]
     for own in map(np.array, alike(filled)):
         degree = filled[own[0]]
@@ -63,37 +66,43 @@ def sampled_loops(
             rows[:, k, :, : len(every[place][0][0])] = every[place][:2]
         scale = 2.0 ** -np.round(np.log2(np.abs(rows[0]).sum(axis=-1)))
         scale[:, 0] = 1.0
+        if units is not None:
+            scale[:, 1:] = units[own]
         parts, ends = rows * scale[..., None], np.array([every[k][2] for k in own]) * scale[:, None]
+        unstable = np.array([every[k][3] for k in own])
         turned = (ends[:, 0, 1] == 0.0) & (ends[:, 0, 2] != 0.0)
         for rest in (parts[0], parts[1], scale, ends.transpose(0, 2, 1)):
             rest[turned, 1:] = rest[turned, :0:-1]
         with np.errstate(all="ignore"):  # NaN tells where nothing is found
             values = np.fft.rfft(parts[0], 2 * _SAMPLES)[..., 1:-1]
-            poles, near = _poles(parts[0], values), [_near(parts[0], values, k) for k in (0, 1)]
-            roots = np.concatenate([_slowest(parts[0, :, 0]), *near], axis=1)
+            poles = _poles(parts[0], values)
+            near = [_slowest(parts[0, :, 0]), *(_near(parts[0], values, k) for k in (0, 1))]
+        roots = np.concatenate(near, axis=1)
+        order = np.argsort(roots[..., 1], axis=1)[..., None]
+        roots = np.take_along_axis(roots, order, axis=1)
         counts = np.sum(np.isfinite(poles), axis=1)
-        unstable = (every[place][3] for place in own)
-        for kind in map(np.array, alike(zip(counts, turned, unstable, strict=True))):
-            first = kind[0]
-            yield SampledLoops(
+        for kind in map(np.array, alike(counts.tolist())):
+            there = np.any(roots[kind, :, 0] != 0.0, axis=0)
+            yield Formed(
                 members[own[kind]],
                 DoubleDouble(*parts[:, kind]),
                 ends[kind],
-                poles[kind, : counts[first]],
-                _those_there(roots[kind]),
-                scale[kind, 1:],
-                is_turned=bool(turned[first]),
-                is_unstable=every[own[first]][3],
+                poles[kind, : counts[kind[0]]],
+                roots[kind, : max(1, int(np.sum(there)))],
+                scale[kind, 1:] if units is None else np.ones((kind.size, 2)),
+                turned[kind],
+                unstable[kind],
             )
 
 
-def _in_floats(chart: AffineParts) -> tuple[Any, Any, Any, bool]:
+def _in_floats(triple_at: TripleAt) -> tuple[Any, Any, Any, bool]:
     """Coefficients of the parts, highest power first, what rounding took from them, and ends.
 
-    Last whether roots of base are outside.
+    Last whether roots of base are outside, so far that small gains do not bring them in.
     """
+    small = 1e-9
     with working_precision(FIRST_BITS):
-        triple = affine_triple(chart).monic()
+        triple = triple_at().monic()
         degree, sign = triple.degree, (-1) ** triple.degree
         balls = [
             [p[degree - k] for k in range(degree + 1)] for p in (q.polynomial() for q in triple)
@@ -103,7 +112,8 @@ def _in_floats(chart: AffineParts) -> tuple[Any, Any, Any, bool]:
             [float(c - h) for c, h in zip(*x, strict=True)] for x in zip(balls, high, strict=True)
         ]
         ends = [[float(part.at_end(z)) * s for part in triple] for z, s in ((1, 1), (-1, sign))]
-        outside = roots_outside(triple.base.rest, most=0)
+        base = triple.base._replace(at_one=0, at_minus_one=0).of_radius(1.0 + small)
+        outside = roots_outside(base.rest, most=0)
     return high, low, ends, bool(outside)
 
 
@@ -133,7 +143,7 @@ def _poles(parts: Float64[np.ndarray, "loop 3 power"], values: Any) -> Angles:
 
 def _near(parts: Float64[np.ndarray, "loop 3 power"], values: Any, part: int) -> Any:
     """The roots of a part next to the circle."""
-    most, step, farthest = 3, np.pi / _SAMPLES, 0.05
+    step, farthest = np.pi / _SAMPLES, 0.05
     rows, squares = parts[:, part], np.abs(values[:, part]) ** 2
     before, here, after = squares[:, :-2], squares[:, 1:-1], squares[:, 2:]
     bend = (before + after - 2.0 * here) / (2.0 * step**2)  # here is that times distance squared
@@ -143,8 +153,6 @@ def _near(parts: Float64[np.ndarray, "loop 3 power"], values: Any, part: int) ->
         ((value, slope),) = _at(z, rows[loop])
         z = z - z * value / slope
     found = _in_rows(loop, _places(z), len(rows))
-    order = np.argsort(np.nan_to_num(found[..., 1], nan=np.inf), axis=1)[:, :most, None]
-    found = np.take_along_axis(found, order, axis=1)
     return np.where(np.isnan(found), _NO_ROOT, found)
 
 
@@ -157,7 +165,7 @@ def _slowest(base: Rows) -> Any:
 
 def _places(root: Complex128[np.ndarray, " root"]) -> Float64[np.ndarray, "root 2"]:
     """Angles of roots, and distances from the circle; far from it, or real, they are none."""
-    narrowest, farthest, real = 1e-9, 0.1, 1e-6
+    narrowest, farthest, real = 1e-9, _NO_ROOT[1], 1e-6
     angle, distance = np.abs(np.angle(root)), np.abs(np.log(np.abs(root)))
     is_one: Bool[np.ndarray, " root"] = (angle > real) & (angle < np.pi - real)
     is_one &= distance < farthest
@@ -165,17 +173,9 @@ def _places(root: Complex128[np.ndarray, " root"]) -> Float64[np.ndarray, "root 
     return np.where(is_one[:, None], places, _NO_ROOT)
 
 
-def _those_there(roots: Float64[np.ndarray, "loop root 2"]) -> Float64[np.ndarray, "loop _ 2"]:
-    """As few columns as the roots that there are need, and one at least."""
-    is_none = roots[..., 0] == 0.0
-    order = np.argsort(is_none, axis=1, kind="stable")[..., None]
-    most = max(1, int(np.max(np.sum(~is_none, axis=1))))
-    return np.take_along_axis(roots, order, axis=1)[:, :most]
-
-
 def _in_rows(loop: Int64[np.ndarray, " _"], found: Any, count: int) -> Any:
     """What was found for loops, in their order, as a row for each; NaN fills them up."""
     counts = np.bincount(loop, minlength=count)
-    rows = np.full((count, counts.max(initial=0), *found.shape[1:]), np.nan)
+    rows = np.full((count, int(np.max(counts, initial=0)), *found.shape[1:]), np.nan)
     rows[loop, np.arange(loop.size) - (np.cumsum(counts) - counts)[loop]] = found
     return rows

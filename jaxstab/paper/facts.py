@@ -13,7 +13,6 @@ from jaxstab.region.stable_set import RegionStatus, StableRegion, printed_extrem
 from jaxstab.shown import Printed
 
 DIGITS = 10  # that are printed
-_ROUNDING = 1e-15
 
 _kept_region = lru_cache(8)(stable_region)  # who asks for facts asks for a picture, too
 
@@ -84,6 +83,6 @@ def _point(point: Any, extent: Any, line: float | None = None) -> list[float]:
     """The numbers of a point; one that rounding took off the line alpha = -gamma is on it."""
     # What is 0 but for rounding, beside the extent of the region, is 0, and zeros lose their sign.
     alpha, beta = (float(without_noise(*pair)) for pair in zip(point, extent, strict=True))
-    if line is not None and abs(alpha - line) <= _ROUNDING * (abs(alpha) + abs(beta)):
+    if line is not None and abs(alpha - line) <= 1e-15 * (abs(alpha) + abs(beta)):
         alpha = line
     return [alpha + 0.0, beta + 0.0]

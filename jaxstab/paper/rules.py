@@ -185,8 +185,6 @@ def _line(beta: Numbers, offset: Array, slope: Array) -> Array:
 
 Points = Float64[np.ndarray, "points 2"]
 
-_AT_ONCE = 1 << 18  # needs that are held in memory
-
 
 @dataclass(frozen=True)
 class PassiveRegion:
@@ -316,8 +314,9 @@ def _pulled_in(wall: list[float], delta: float, delay: float) -> list[float]:
 
 def _most_needed(walls: Points, delay: float) -> Float64[np.ndarray, " points"]:
     """Return the largest damping that walls need at some angles."""
+    at_once = 1 << 18  # needs that are held in memory
     angles = _angles(delay)
-    parts = np.array_split(walls, 1 + len(walls) * angles.size // _AT_ONCE)
+    parts = np.array_split(walls, 1 + len(walls) * angles.size // at_once)
     return np.concatenate(
         [np.max(_needed(part.T[:, :, None], angles, delay), axis=1) for part in parts]
     )

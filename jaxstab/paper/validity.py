@@ -15,13 +15,14 @@ x = 1 for gamma = 0, and for delta = 0 with a whole delay or one with half a sam
 divided by 1 - x. The error rises through the level where E changes its sign in the direction of H:
 the first rise is at the largest such root.
 
-python-flint encloses the coefficients in balls, from the plant as the exponential of a matrix of
-three rows, and isolates all roots, complex ones too, so that the first root where the error rises
-is the first one indeed. Where balls are too wide to tell two roots apart, or a root and an end,
-twice as many bits are taken.
+python-flint encloses the coefficients in balls, and isolates all roots, complex ones too, so that
+the first root where the error rises is the first one indeed. Where balls are too wide to tell two
+roots apart, or a root and an end, twice as many bits are taken.
 """
 
-from math import floor, nan
+from collections.abc import Sequence
+from functools import partial
+from math import nan
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -30,8 +31,9 @@ from jaxtyping import Float64, Int8
 from jaxstab.arrays import Array, Numbers, namespace
 from jaxstab.conventions import Status, Verdict
 from jaxstab.exact.roots import real_roots
-from jaxstab.model import by_name, checked_delay, checked_delta, checked_gamma, require_x64
-from jaxstab.model.device.parts import working_precision
+from jaxstab.model import Device, by_name, checked_delay, checked_delta, checked_gamma, require_x64
+from jaxstab.model.balls import plant_in_balls
+from jaxstab.model.device.parts import decided
 from jaxstab.numbers import checked
 from jaxstab.point import verdict
 
@@ -39,7 +41,6 @@ if TYPE_CHECKING:
     from flint import arb, arb_poly
 
 _MOST_BITS = 6144
-_DIGITS = 60  # bits to which an answer is wanted, at least
 
 
 class ValidityStatus(Status):
@@ -55,11 +56,6 @@ class ValidityStatus(Status):
     NEVER = 2, "the error never rises through this level: NaN"
     OFF_THE_EDGE = 3, "on the boundary curve, but the stable region does not reach this point"
     NOT_PROVED = 4, "rounding hides which point is the first, or its side: NaN"
-
-
-_STATUS_BY_SIDE = np.full(4, ValidityStatus.NOT_PROVED, np.int8)  # by the verdict beside a point
-_STATUS_BY_SIDE[Verdict.STABLE] = ValidityStatus.FOUND
-_STATUS_BY_SIDE[Verdict.UNSTABLE] = ValidityStatus.OFF_THE_EDGE
 
 
 class LinearValidity(NamedTuple):
@@ -119,13 +115,19 @@ def linear_validity(
     )
     grids = np.broadcast_arrays(*(np.asarray(value, np.float64) for value in values))
     questions = np.stack([np.ravel(grid) for grid in grids])
-    rises = [_first_rise(*question) for question in questions.T.tolist()]
+    not_proved = _Rise(ValidityStatus.NOT_PROVED)
+    rises = [
+        decided(partial(_first_rise, *question), _MOST_BITS) or not_proved
+        for question in questions.T.tolist()
+    ]
     points = np.array([rise.point for rise in rises]).reshape(-1, 3).T
     status = np.array([rise.status for rise in rises], np.int8)
     there = status == ValidityStatus.FOUND
     (alpha, beta, _), slices = points[:, there], by_name(*questions[1:, there])
     inner = verdict(alpha - step_back * (alpha + slices["gamma"]), beta, **slices)
-    status[there] = _STATUS_BY_SIDE[np.asarray(inner)]
+    by_side = {Verdict.STABLE: ValidityStatus.FOUND, Verdict.UNSTABLE: ValidityStatus.OFF_THE_EDGE}
+    sides = np.ravel(inner).tolist()
+    status[there] = [by_side.get(side, ValidityStatus.NOT_PROVED) for side in sides]
     points[:, status == ValidityStatus.NOT_PROVED] = nan
     alpha, beta, theta = (xp.asarray(row.reshape(grids[0].shape)) for row in points)
     return LinearValidity(alpha, beta, theta, status.reshape(grids[0].shape))
@@ -147,26 +149,13 @@ class _Curve(NamedTuple):
     square: "arb_poly"  # |N|^2
 
 
-class _TooWideError(Exception):
-    """Balls are too wide to decide."""
-
-
-def _first_rise(level: float, gamma: float, delta: float, delay: float) -> _Rise:
-    bits = 192
-    while bits <= _MOST_BITS:
-        with working_precision(bits):
-            try:
-                return _largest_root(_curve(level, gamma, delta, delay), gamma)
-            except _TooWideError:
-                bits *= 2
-    return _Rise(ValidityStatus.NOT_PROVED)
-
-
-def _largest_root(curve: _Curve, gamma: float) -> _Rise:
-    """Return the largest root x in (-1, 1) where the error rises, that is the smallest theta."""
+def _first_rise(level: float, gamma: float, delta: float, delay: float) -> _Rise | None:
+    """Return the largest root x in (-1, 1) where the error rises; None where balls do not tell."""
+    digits = 60  # bits to which an answer is wanted, at least
+    curve = _curve(level, gamma, delta, delay)
     slope, roots = curve.excess.derivative(), real_roots(curve.excess)
     if roots is None:
-        raise _TooWideError
+        return None
     for x in sorted(roots, key=float, reverse=True):
         if x > 1 or x < -1:
             continue
@@ -175,11 +164,11 @@ def _largest_root(curve: _Curve, gamma: float) -> _Rise:
         alpha = curve.real(x) / square - beta * (1 - x)
         rising = -slope(x) * (alpha + gamma)  # of the sign of d error/d theta
         if not (-1 < x < 1 and (rising > 0 or rising < 0)):
-            raise _TooWideError
+            return None
         if rising > 0:
             theta = x.acos()
-            if min(theta.rel_accuracy_bits(), beta.rel_accuracy_bits()) < _DIGITS:
-                raise _TooWideError
+            if min(theta.rel_accuracy_bits(), beta.rel_accuracy_bits()) < digits:
+                return None
             return _Rise(ValidityStatus.FOUND, (float(alpha), float(beta), float(theta)))
     return _Rise(ValidityStatus.NEVER)
 
@@ -188,49 +177,32 @@ def _curve(level: float, gamma: float, delta: float, delay: float) -> _Curve:
     """Return the curve and its excess over a level."""
     import flint
 
-    polynomial, cosines = flint.arb_poly, flint.fmpz_poly.chebyshev_t
-    whole, fraction = floor(delay), delay % 1.0
-    numerator, denominator = _plant(gamma, delta, fraction)
-    n0, n1, n2 = numerator
-    damping = real = polynomial(0)
-    waves = -polynomial(denominator) * polynomial(numerator[::-1])  # W by powers of z, over z^m-2
-    for power, size in enumerate(waves.coeffs(), whole - 1):
-        real += size * polynomial(cosines(abs(power)))
-        if power:  # sin(k theta) / sin(theta)
-            ratio = flint.fmpz_poly.chebyshev_u(abs(power) - 1)
-            damping += (size if power > 0 else -size) * polynomial(ratio)
-    square = n0**2 + n1**2 + n2**2 + polynomial([0, 2 * n1 * (n0 + n2)])
-    square += 2 * n0 * n2 * polynomial(cosines(2))
+    polynomial = flint.arb_poly
+    plant = plant_in_balls(
+        Device.mass_spring_damper(1.0, damping=delta, stiffness=gamma), 1.0, delay
+    )
+    rising, denominator = plant.numerator.polynomial().coeffs(), plant.denominator.polynomial()
+    mirrored, degree = polynomial(rising[::-1]), len(rising) - 1  # z^degree N(1/z)
+    waves = (-denominator * mirrored).coeffs()
+    real, damping = _in_cosines(waves, plant.lag - degree)
+    square, _ = _in_cosines((polynomial(rising) * mirrored).coeffs(), -degree)
     lag = flint.arb(delay) + 0.5
     kappa = (1 + flint.arb(level)) * lag
     excess = (1 + kappa * polynomial([1, -1])) * damping - kappa * real
     excess += (delta - flint.arb(level) * lag * gamma) * square
-    if gamma == 0.0 or (delta == 0.0 and fraction in (0.0, 0.5)):
-        excess = _without_root_at_1(excess)
+    if gamma == 0.0 or (delta == 0.0 and delay % 1.0 in (0.0, 0.5)):
+        excess //= polynomial([1, -1])  # exactly: the sign stays
     return _Curve(excess, damping, real, square)
 
 
-def _plant(gamma: float, delta: float, fraction: float) -> tuple[list["arb"], list["arb"]]:
-    """Return N and D of the plant with a fraction of delay, in balls, the lowest power first."""
-    import flint
+def _in_cosines(sizes: Sequence["arb"], lowest: int) -> "tuple[arb_poly, arb_poly]":
+    """Return Re S and Im S / sin(theta), of S = sum of s_k z^k from the lowest k, in cos(theta)."""
+    from flint import arb_poly, fmpz_poly
 
-    # Position, velocity and force of a mass over a time t: the exponential of these rates times t.
-    rates = flint.arb_mat([[0, 1, 0], [-gamma, -delta, 1], [0, 0, 0]])
-    time = flint.arb(fraction)
-    early, late, sample = ((rates * t).exp() for t in (time, 1 - time, flint.arb(1)))
-    new = late[0, 2], late[1, 2]  # of the force that arrives within the sample; and of the old one
-    old = [late[row, 0] * early[0, 2] + late[row, 1] * early[1, 2] for row in (0, 1)]
-    n1 = sample[0, 1] * new[1] - sample[1, 1] * new[0] + old[0]
-    n0 = sample[0, 1] * old[1] - sample[1, 1] * old[0]
-    decay = (-flint.arb(delta)).exp()
-    return [n0, n1, new[0]], [decay, -sample[0, 0] - sample[1, 1], flint.arb(1)]
-
-
-def _without_root_at_1(polynomial: "arb_poly") -> "arb_poly":
-    """Divide a polynomial that is 0 at x = 1 by 1 - x: its sign stays."""
-    import flint
-
-    quotient = list[flint.arb]()
-    for coefficient in reversed(polynomial.coeffs()[1:]):
-        quotient.insert(0, coefficient + quotient[0] if quotient else coefficient)
-    return -flint.arb_poly(quotient)
+    real = imaginary = arb_poly(0)
+    for power, size in enumerate(sizes, lowest):
+        real += size * arb_poly(fmpz_poly.chebyshev_t(abs(power)))
+        if power:
+            ratio = arb_poly(fmpz_poly.chebyshev_u(abs(power) - 1))
+            imaginary += (size if power > 0 else -size) * ratio
+    return real, imaginary

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from textwrap import fill
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -31,8 +31,6 @@ from jaxstab.pictures.style import (
 if TYPE_CHECKING:
     from jaxstab.atlas import Atlas, LoopAtlas
 
-_WIDTH, _HEIGHT = 3.3, 2.9  # inches of a panel
-_LINE = 60  # letters of a title
 
 # Fields at nodes: the label of their colours, and the map from values to colours.
 _FIELDS = {
@@ -69,7 +67,7 @@ def draw_atlas(
         float(table.gamma[0]) if gamma is None else gamma,
         float(table.delta[0]) if delta is None else delta,
     )
-    size = _WIDTH * len(chosen) + 0.9, _HEIGHT * len(rows) + 1.0
+    size = 3.3 * len(chosen) + 0.9, 2.9 * len(rows) + 1.0  # inches
     figure = Figure(figsize=size, layout="constrained")
     panels = figure.subplots(len(rows), len(chosen), squeeze=False)
     filled: dict[str, ScalarMappable] = {}
@@ -111,25 +109,29 @@ def plot_atlas(
         float(table.delay[0]) if delay is None else delay,
     )
     alpha, beta = _raster(atlas, *hand)
-    panel = new_axes() if ax is None else ax
-    _draw_verdicts(panel, alpha, beta, atlas.query(alpha, beta[:, None], **by_name(*hand)).verdict)
-    panel.set(xlabel=ALPHA_LABEL, ylabel=BETA_LABEL)
-    words = fill(plain(atlas.filters_in_words), _LINE)
-    panel.set_title(f"{words}\n{hand_label(*hand[:2])}, $d = {hand[2]:g}$", fontsize=9)
-    panel.legend(handles=_legend(), fontsize=8, loc="upper right")
-    return panel
+    verdict = atlas.query(alpha, beta[:, None], **by_name(*hand)).verdict
+    words = f"{hand_label(*hand[:2])}, $d = {hand[2]:g}$"
+    return _plot_plane(ax, atlas, (alpha, beta, verdict), (ALPHA_LABEL, BETA_LABEL), words)
 
 
 def plot_walls(walls: "LoopAtlas", ax: Axes | None) -> Axes:
     """Draw the verdicts of an atlas for the walls of one loop, in SI units: ``LoopAtlas.plot``."""
-    atlas, loop = walls.atlas, walls.loop
-    alpha, beta = _raster(atlas, *loop.slice.values())
+    loop = walls.loop
+    alpha, beta = _raster(walls.atlas, *loop.slice.values())
     stiffness, damping = loop.stiffness(alpha), loop.damping(beta)
+    plane = stiffness, damping, walls.query(stiffness, damping[:, None]).verdict
+    words = f"{loop.mass:g} kg, delay {1e3 * loop.delay:g} ms"
+    return _plot_plane(ax, walls.atlas, plane, (STIFFNESS_LABEL, DAMPING_LABEL), words)
+
+
+def _plot_plane(
+    ax: Axes | None, atlas: "Atlas", plane: Any, labels: tuple[str, str], words: str
+) -> Axes:
     panel = new_axes() if ax is None else ax
-    _draw_verdicts(panel, stiffness, damping, walls.query(stiffness, damping[:, None]).verdict)
-    panel.set(xlabel=STIFFNESS_LABEL, ylabel=DAMPING_LABEL)
-    words = fill(plain(atlas.filters_in_words), _LINE)
-    panel.set_title(f"{words}\n{loop.mass:g} kg, delay {1e3 * loop.delay:g} ms", fontsize=9)
+    _draw_verdicts(panel, *plane)
+    panel.set(xlabel=labels[0], ylabel=labels[1])
+    filters = fill(plain(atlas.filters_in_words), 60)
+    panel.set_title(f"{filters}\n{words}", fontsize=9)
     panel.legend(handles=_legend(), fontsize=8, loc="upper right")
     return panel
 

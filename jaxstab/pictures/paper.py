@@ -1,17 +1,14 @@
 """The paper's figures 4 to 10."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from math import pi
-from typing import Any, Literal, NamedTuple
+from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
-from matplotlib.typing import ColorType
 
 from jaxstab.paper import linear_alpha_limit, linear_validity, passive_region
 from jaxstab.paper.facts import resolved_region
@@ -27,23 +24,6 @@ from jaxstab.pictures.style import (
 )
 from jaxstab.region.stable_set import printed_extremes
 from jaxstab.scene.answers import Quantity
-
-_BESIDE: Any = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0), "fontsize": 8, "frameon": False}
-
-
-_Style = Literal["-", "--"]
-
-
-class _Slice(NamedTuple):
-    """One stable region of a panel and how it is drawn."""
-
-    gamma: float
-    delta: float
-    delay: float
-    colour: ColorType
-    style: _Style = "-"
-    label: str = ""
-    width: float = 1.6
 
 
 def paper_figure(number: int) -> Figure:
@@ -62,34 +42,37 @@ def paper_figure(number: int) -> Figure:
     return drawings[number]()
 
 
+def _draw(panel: Axes, gamma: float, delta: float, delay: float, **look: Any) -> None:
+    region = resolved_region(gamma=gamma, delta=delta, delay=delay)
+    panel.plot(*closed_outline(region).T, **{"lw": 1.6, **look})
+
+
 # --------------------------------------------------------------------------- figures 4, 5 and 6
 
 
-def _limit_slices(delay: float) -> list[_Slice]:
-    limits: tuple[tuple[float, float, str, _Style, float], ...] = (  # of the haptic range (15)
-        (0.0, 0.0, BLUE, "-", 3.6),  # wide, for the others hide parts of it
-        (1e-3, 0.0, ORANGE, "--", 1.6),
-        (0.0, 0.015, GREEN, "-", 1.6),
-        (1e-3, 0.015, RED, "--", 1.6),
-    )
-    return [
-        _Slice(gamma, delta, delay, colour, style, hand_label(gamma, delta), width)
-        for gamma, delta, colour, style, width in limits
-    ]
+def _draw_limits(panel: Axes, delay: float) -> None:
+    """Draw the regions at the limits of the haptic range (15)."""
+    for gamma, delta, look in (
+        (0.0, 0.0, {"color": BLUE, "lw": 3.6}),  # wide, for the others hide parts of it
+        (1e-3, 0.0, {"color": ORANGE, "ls": "--"}),
+        (0.0, 0.015, {"color": GREEN}),
+        (1e-3, 0.015, {"color": RED, "ls": "--"}),
+    ):
+        _draw(panel, gamma, delta, delay, label=hand_label(gamma, delta), **look)
+    panel.set_title(f"$d = {delay:g}$")
 
 
 def _haptic_range() -> Figure:
     figure, ((panel,),) = panels(1, 1, width=1.4, height=1.3)
-    _draw(panel, _limit_slices(0.0))
-    panel.set_title("$d = 0$")
+    _draw_limits(panel, 0.0)
     panel.legend(frameon=False)
     return figure
 
 
 def _close_up() -> Figure:
-    figure, ((panel,),) = panels(1, 1, width=1.4, height=1.3)
-    _draw(panel, _limit_slices(0.0))
-    panel.set(xlim=(-2.5e-3, 6e-3), ylim=(-0.018, 0.012))
+    figure = _haptic_range()
+    (panel,) = figure.axes
+    panel.set(xlim=(-2.5e-3, 6e-3), ylim=(-0.018, 0.012), title="$d = 0$, around the origin")
     panel.ticklabel_format(style="sci", scilimits=(-3, -3), axis="x")
     panel.annotate(
         r"$\alpha = -\gamma$",
@@ -97,32 +80,33 @@ def _close_up() -> Figure:
         xytext=(-2.3e-3, 0.0095),
         arrowprops={"arrowstyle": "->"},
     )
-    panel.set_title("$d = 0$, around the origin")
     panel.legend(frameon=False, loc="center right")
     return figure
 
 
 def _delayed_range() -> Figure:
-    figure, ((left, right),) = panels(1, 2)
-    for panel, delay in ((left, 1.0), (right, 2.0)):
-        _draw(panel, _limit_slices(delay))
-        panel.set_title(f"$d = {delay:g}$")
-    handles, labels = left.get_legend_handles_labels()
+    figure, (row,) = panels(1, 2)
+    for panel, delay in zip(row, (1.0, 2.0), strict=True):
+        _draw_limits(panel, delay)
+    handles, labels = row[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
     return figure
 
 
 # -------------------------------------------------------------------------------------- figure 7
-_DAMPINGS = ((0.0, BLUE), (0.005, GREEN), (0.01, ORANGE), (0.015, RED))
 _LEVELS = ((0.02, "o"), (0.05, "s"))
 
 
 def _linear_validity() -> Figure:
     figure, grid = panels(2, 2)
-    for row, delay in zip(grid, (0.0, 1.0), strict=True):
+    dampings = ((0.0, BLUE), (0.005, GREEN), (0.01, ORANGE), (0.015, RED))
+    for row, delay, width in zip(grid, (0.0, 1.0), (0.16, 0.05), strict=True):
         for panel, gamma in zip(row, (0.0, 1e-3), strict=True):
-            _draw_validity(panel, gamma, delay)
-    handles = [Line2D([], [], color=c, label=rf"$\delta = {delta:g}$") for delta, c in _DAMPINGS]
+            for delta, colour in dampings:
+                _draw_validity(panel, gamma, delta, delay, colour)
+            panel.set(xlim=(-0.03 * width, width), ylim=(-0.02, 0.07))
+            panel.set_title(rf"$d = {delay:g}$, $\gamma = {gamma:g}$")
+    handles = [Line2D([], [], color=c, label=rf"$\delta = {delta:g}$") for delta, c in dampings]
     handles += [
         Line2D([], [], color=BLACK, label="exact"),
         Line2D([], [], color=BLACK, linestyle="--", label="linear"),
@@ -135,20 +119,14 @@ def _linear_validity() -> Figure:
     return figure
 
 
-def _draw_validity(panel: Axes, gamma: float, delay: float) -> None:
-    validity_windows = {0.0: (0.16, 0.07), 1.0: (0.05, 0.07)}
-    window = validity_windows[delay]
-    beta = np.array([-0.02, window[1]])
-    for delta, colour in _DAMPINGS:
-        _draw(panel, [_Slice(gamma, delta, delay, colour)])
-        panel.plot(
-            np.asarray(linear_alpha_limit(beta, delta=delta, delay=delay)), beta, "--", color=colour
-        )
-        for level, mark in _LEVELS:
-            point = linear_validity(level, gamma=gamma, delta=delta, delay=delay)
-            panel.plot(float(point.alpha), float(point.beta), mark, color=colour, markersize=6)
-    panel.set(xlim=(-0.03 * window[0], window[0]), ylim=(-0.02, window[1]))
-    panel.set_title(rf"$d = {delay:g}$, $\gamma = {gamma:g}$")
+def _draw_validity(panel: Axes, gamma: float, delta: float, delay: float, colour: str) -> None:
+    _draw(panel, gamma, delta, delay, color=colour)
+    beta = np.array([-0.02, 0.07])
+    limit = np.asarray(linear_alpha_limit(beta, delta=delta, delay=delay))
+    panel.plot(limit, beta, "--", color=colour)
+    for level, mark in _LEVELS:
+        point = linear_validity(level, gamma=gamma, delta=delta, delay=delay)
+        panel.plot(float(point.alpha), float(point.beta), mark, color=colour, markersize=6)
 
 
 # --------------------------------------------------------------------------- figures 8, 9 and 10
@@ -157,51 +135,32 @@ def _up_to_nyquist(rows: Sequence[tuple[float, float]]) -> Figure:
     figure, grid = panels(len(rows), 2)
     for row, (delta, delay) in zip(grid, rows, strict=True):
         for panel, share in zip(row, (0.5, 1.0), strict=True):
-            slices = _frequencies(share, delta, delay)
-            _draw(panel, slices)
+            _draw_frequencies(panel, share, delta, delay)
             passive = passive_region(delta=delta, delay=delay).outline
             if len(passive):
-                panel.fill(*passive.T, facecolor=GREEN, alpha=0.45, zorder=3)
+                look: Any = {"facecolor": GREEN, "alpha": 0.45, "label": "passive"}
+                panel.fill(*passive.T, zorder=3, **look)
             panel.plot(0, 0, "+", color=BLACK, markersize=9, zorder=4)
             to = r"(\pi/2)^2" if share < 1 else r"\pi^2"
             to += r" + \delta^2/4" if delta else ""
             panel.set_title(rf"$d = {delay:g}$, $\delta = {delta:g}$, $\gamma = 0 \ldots {to}$")
-            handles: list[Artist] = [
-                Line2D([], [], color=s.colour, linestyle=s.style, label=s.label) for s in slices
-            ]
-            if len(passive):
-                handles.append(Patch(facecolor=GREEN, alpha=0.45, label="passive"))
-            panel.legend(handles=handles, title=r"$\gamma$", **_BESIDE)
+            beside: Any = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0), "fontsize": 8}
+            panel.legend(title=r"$\gamma$", frameon=False, **beside)
     return figure
 
 
-def _frequencies(share: float, delta: float, delay: float) -> list[_Slice]:
-    """Evenly spaced oscillation frequencies up to a share of Nyquist's, eq. (26)."""
-    nyquist_steps = 6
+def _draw_frequencies(panel: Axes, share: float, delta: float, delay: float) -> None:
+    """Draw evenly spaced oscillation frequencies up to a share of Nyquist's, eq. (26)."""
     below_nyquist = 1 - 1e-4  # frequency drawn for Nyquist's where only the limit is stable
-    slices = []
-    for index, omega in enumerate(np.linspace(0.0, share * pi, nyquist_steps)):
+    frequencies = np.linspace(0.0, share * pi, 6).tolist()
+    colours = colormaps["viridis"](np.linspace(0.0, 0.9, len(frequencies)))
+    for omega, colour in zip(frequencies, colours, strict=True):
         # Without damping a root stays at z = -1 at Nyquist frequency: the limit from below.
-        limit = delta == 0.0 and omega == pi
-        gamma = float((omega * below_nyquist) ** 2 if limit else omega**2 + delta**2 / 4)
-        colour = colormaps["viridis"](0.9 * index / (nyquist_steps - 1))
-        style: _Style = "--" if limit else "-"
-        remark = " (limit stable)" if limit else ""
-        gamma = gamma if index else 0.0
-        slices.append(_Slice(gamma, delta, delay, colour, style, f"{gamma:.3g}{remark}"))
-    return slices
-
-
-def _draw(panel: Axes, slices: Iterable[_Slice]) -> None:
-    for slice_ in slices:
-        region = resolved_region(gamma=slice_.gamma, delta=slice_.delta, delay=slice_.delay)
-        panel.plot(
-            *closed_outline(region).T,
-            slice_.style,
-            color=slice_.colour,
-            label=slice_.label,
-            lw=slice_.width,
-        )
+        is_limit = delta == 0.0 and omega == pi
+        gamma = (omega * below_nyquist) ** 2 if is_limit else omega**2 + delta**2 / 4
+        gamma = gamma if omega else 0.0
+        words = f"{gamma:.3g}{' (limit stable)' * is_limit}"
+        _draw(panel, gamma, delta, delay, color=colour, ls="--" if is_limit else "-", label=words)
 
 
 # One stable region, annotated with the facts about it.

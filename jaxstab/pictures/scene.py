@@ -10,7 +10,7 @@ from decimal import ROUND_FLOOR
 from itertools import product
 from math import isfinite
 from textwrap import fill
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib import colormaps
@@ -186,11 +186,10 @@ def draw_responses(panel: Axes, scene: Scene, checked: dict[str, WallCheck]) -> 
 
 
 _HEIGHT = 4.6  # inches
-_WIDTH, _ZOOM_WIDTH, _RESPONSE_WIDTH = 6.4, 3.6, 4.8
+_WIDTH = 6.4
 _MOST_LEVELS = 3  # of lines of equal values
 _LARGEST = Quantity("N/m", 4, ROUND_FLOOR)
-_STIFFNESS, _DAMPING = GivenQuantity("N/m"), GivenQuantity("N s/m")
-_TIME, _LENGTH = Quantity("s", 3), Quantity("m", 3)
+_STIFFNESS = GivenQuantity("N/m")
 
 
 def scene_figure(scene: Scene | GainScene, answer: Answer | None = None) -> Figure:
@@ -227,17 +226,14 @@ def scene_figure(scene: Scene | GainScene, answer: Answer | None = None) -> Figu
     areas = [] if tuned else [_common(scene)]
     if not (tuned or checked):
         areas.append(_passive(scene, loop))
-    areas = [area for area in areas if len(area.outline)]
-    is_small = [
-        (np.ptp(area.outline, axis=0) < visible * np.array(region.extent)) for area in areas
-    ]
-    small = [area.outline for area, axes in zip(areas, is_small, strict=True) if axes.any()]
-
+    areas = [area for area in areas if len(area[0])]
+    least = visible * np.array(region.extent)
+    small = [outline for outline, _ in areas if (np.ptp(outline, axis=0) < least).any()]
     beside = [("enlarged", np.concatenate(small))] if small else []
     if islands and not (small or tuned or checked):
         outlines = [each.outline for each in (region, *islands)]
         beside.append(("with islands", np.maximum(np.concatenate(outlines), 0.0)))
-    widths = [_WIDTH] + [_ZOOM_WIDTH] * len(beside) + [_RESPONSE_WIDTH] * (checked is not None)
+    widths = [_WIDTH] + [3.6] * len(beside) + [4.8] * (checked is not None)  # inches
     figure = Figure(figsize=(sum(widths), _HEIGHT), layout="constrained")
     panels = figure.subplots(1, len(widths), squeeze=False, width_ratios=widths)[0]
     gains = np.array([(wall.stiffness, wall.damping) for wall in walls.values()]).reshape(-1, 2)
@@ -252,8 +248,8 @@ def scene_figure(scene: Scene | GainScene, answer: Answer | None = None) -> Figu
     for panel in planes:
         _label_gains(panel, scene.units)
         draw_stable(panel, region)
-        for area in areas:
-            panel.fill(*area.outline.T, **area.look)
+        for outline, look in areas:
+            panel.fill(*outline.T, **look)
         if not (tuned or checked):
             draw_islands(panel, islands)
             draw_linear_rule(panel, loop)
@@ -387,11 +383,7 @@ def _with_legend(figure: Figure, panels: list[Axes], walls: Walls, most: int) ->
     return figure
 
 
-class _Area(NamedTuple):
-    """A set of stable walls, and how it is drawn."""
-
-    outline: Floats  # (K, B)
-    look: dict[str, Any]
+_Area = tuple[Floats, dict[str, Any]]  # the outline (K, B) of a set of stable walls, and its look
 
 
 def _common(scene: Scene) -> _Area:
@@ -399,8 +391,7 @@ def _common(scene: Scene) -> _Area:
     for_all = "#8bc0e2"  # darker than the stable set
     outline = common_outline(corner_loops(scene)) if hands_of(scene) else np.zeros((0, 2))
     label = "stable for the hands at all corners of the range"
-    look = {"facecolor": for_all, "lw": 0.0, "label": label}
-    return _Area(outline, look)
+    return outline, {"facecolor": for_all, "lw": 0.0, "label": label}
 
 
 def _passive(scene: Scene, loop: HapticLoop) -> _Area:
@@ -408,7 +399,7 @@ def _passive(scene: Scene, loop: HapticLoop) -> _Area:
     outline = passive_walls(loop) if is_plain(loop) else np.zeros((0, 2))
     largest = _LARGEST.words(np.max(outline[:, 0], initial=0.0), scene.units)
     label = f"passive: up to {largest}"
-    return _Area(outline, {"facecolor": GREEN, "edgecolor": GREEN, "alpha": 0.6, "label": label})
+    return outline, {"facecolor": GREEN, "edgecolor": GREEN, "alpha": 0.6, "label": label}
 
 
 def _set_window(panel: Axes, points: Floats) -> None:
@@ -436,7 +427,7 @@ def _draw_tuned(panel: Axes, tuned: Tuned, units: Units) -> None:
             label += f": {_gains_text(float(gains[0, 0]), float(gains[0, 1]), units)}"
         if label.startswith("fastest:") and tuned.least_settling.rounded:
             time = tuned.least_settling.rounded.settling_time_2_percent
-            label += f", settles in {_TIME.words(time)}"
+            label += f", settles in {Quantity('s', 3).words(time)}"
         if len(gains):
             size = 13 if mark == "*" else 8
             panel.plot(*gains.T, mark, color=colour, ms=size, mec=BLACK, ls="", label=label)
@@ -445,7 +436,7 @@ def _draw_tuned(panel: Axes, tuned: Tuned, units: Units) -> None:
 def _gains_text(
     stiffness: float, damping: float, units: Units, quantity: Quantity = _STIFFNESS
 ) -> str:
-    return f"{quantity.words(stiffness, units)}, {_DAMPING.words(damping, units)}"
+    return f"{quantity.words(stiffness, units)}, {GivenQuantity('N s/m').words(damping, units)}"
 
 
 def _draw_chatter(
@@ -454,7 +445,7 @@ def _draw_chatter(
     """Draw lines of equal bounds of the chatter that the encoder's resolution causes."""
     drawn = 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0  # amplitudes that are drawn
     calm_columns = 24  # of the map of amplitudes, and rows
-    resolution = encoder.resolution
+    resolution, length = encoder.resolution, Quantity("m", 3)
     stiffness, damping = _columns_and_rows(region, calm_columns)
     amplitude = loop.amplitude(stiffness[None, :], damping[:, None], encoder=resolution)
     counts = np.where(np.isfinite(amplitude.position), amplitude.position / resolution, np.nan)
@@ -464,10 +455,10 @@ def _draw_chatter(
         return
 
     def words(count: float) -> str:
-        return _LENGTH.words(count * resolution, units)
+        return length.words(count * resolution, units)
 
     _draw_levels(panel, (stiffness, damping, counts), levels, words, PURPLE, "dashed")
-    label = f"encoder of {_LENGTH.words(resolution, units)}: chatters by less, proved"
+    label = f"encoder of {length.words(resolution, units)}: chatters by less, proved"
     panel.plot([], [], color=PURPLE, lw=0.7, ls="dashed", label=label)
 
 
@@ -601,8 +592,6 @@ def _draw(
 
 # Simulated contacts: where in (K, B) a device rests.
 
-_PANEL = (4.6, 3.6)  # inches
-
 
 def scene_contacts(scene: Scene) -> Figure:
     """Return the map of simulated contacts of a scene, from its own start, and its walls."""
@@ -621,8 +610,7 @@ def contact_figure(
     units: Units = Units.LINE,
 ) -> Figure:
     """Return a figure with a panel for each map of walls, by its title; some walls are named."""
-    size = _PANEL[0] * len(maps), _PANEL[1]
-    figure = Figure(figsize=size, layout="constrained")
+    figure = Figure(figsize=(4.6 * len(maps), 3.6), layout="constrained")
     panels = np.atleast_1d(figure.subplots(1, len(maps), sharey=True))
     for panel, (title, contact) in zip(panels, maps.items(), strict=True):
         mesh = _draw_map(panel, loop, walls, contact)

@@ -32,14 +32,13 @@ HALO: list[AbstractPathEffect] = [withStroke(linewidth=2.5, foreground="white")]
 
 ALPHA_LABEL = r"stiffness  $\alpha = K\,T^2/m$"
 BETA_LABEL = r"damping  $\beta = B\,T/m$"
-_PANEL = (4.2, 3.5)  # inches
 
 
 def panels(
     rows: int, columns: int, width: float = 1.0, height: float = 1.0
 ) -> tuple[Figure, list[list[Axes]]]:
     """Return a figure with panels of the (alpha, beta) plane, row by row."""
-    size = (_PANEL[0] * columns * width, (_PANEL[1] * rows + 0.4) * height)
+    size = (4.2 * columns * width, (3.5 * rows + 0.4) * height)  # inches
     figure = Figure(figsize=size, layout="constrained")
     grid = figure.subplots(rows, columns, squeeze=False)
     for panel in grid[-1]:

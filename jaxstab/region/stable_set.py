@@ -215,8 +215,8 @@ def holds_small_gains(c: Curve, outline: Outline) -> bool:
     small = 1e-8  # of what a set spans
     ratios = 10.0 ** np.arange(-6.0, 7.0)  # of alpha to beta, in that measure
     extent = np.max(np.abs(outline.vertices[: outline.size]), axis=0)
-    alpha = small * extent[0] * ratios
-    beta = np.full_like(alpha, small * extent[1])
+    alpha = small * extent[0] * np.minimum(ratios, 1.0)
+    beta = small * extent[1] * np.minimum(1.0 / ratios, 1.0)
     return bool(np.any(measures.contains(c, outline, alpha, beta)))
 
 

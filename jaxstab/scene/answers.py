@@ -458,3 +458,53 @@ def _beside_one_mass(scene: Scene) -> str | None:
     if grip is not None:
         words.append(f"a grip of {_grip_in_words(grip, units)}")
     return "; ".join(words) or None
+
+
+# A description of the model with the numbers of a scene; docs/model.md says more.
+
+_DIAGRAM = """\
+  push of the hand                            +-------------+   +---+
+       |                                 +--->| filter P(z) |-->| K |--+
+       v         x(t)              x_k   |    +-------------+   +---+  |
+  +----------+      +---------+          |                             v
+  | device   |----->| sampled |----------+                            (+)--+ f_k
+  | and hand |      | every T |          |                             ^   |
+  +----------+      +---------+          |    +-------------+   +---+  |   |
+       ^                                 +--->| velocity    |-->| B |--+   |
+       | -f(t)                                | V(z)        |   +---+      |
+       |            +---------+               +-------------+              |
+       +------------| held    |         +-------+                          |
+                    | for T   |<--------| delay |<-------------------------+
+                    +---------+         +-------+
+"""
+
+
+def explain_model(scene: Scene) -> str:
+    """The loop as a diagram, the values of its blocks, and what the model leaves out."""
+    column = 14  # of the values of a block
+    blocks = [f"{name:{column}}{words}" for name, words in blocks_of(scene).items()]
+    counted = (
+        "includes: encoder reading, transport both ways (USB, network), waiting, computation, DAC",
+        "excludes: the zero-order hold and the window or filter, which are modelled separately",
+    )
+    blocks += [f"{'':{column}}{words}" for words in counted]
+    delay = "" if scene.controller.moves else ", delay"
+    left_out = (
+        "quantisation of encoder and force (check bounds the chatter that an encoder causes)",
+        "Coulomb friction, saturation, bouncing off the wall (simulated by check and contact)",
+        "a mass, hand{} or gain that changes while the wall is touched; several axes at once",
+        "adaptive velocity estimators, a jittering sampling clock",
+    )
+    every = [", ".join(_not_modelled(scene)), *(words.format(delay) for words in left_out)]
+    outside = [f"{'' if k else 'outside':{column}}{w}" for k, w in enumerate(every)]
+    return "\n".join([_DIAGRAM, *blocks, *outside])
+
+
+def _not_modelled(scene: Scene) -> list[str]:
+    """The aspects of device and hand that the scene could describe but does not."""
+    device, hand = scene.device, scene.hand
+    return [
+        "vibration modes other than these" if device.modes else "vibration modes",
+        *([] if device.actuator else ["bandwidth of motor and amplifier"]),
+        *([] if hand is None or hand.grip else ["a compliant grip"]),
+    ]

@@ -8,8 +8,8 @@ import numpy as np
 
 from jaxstab.atlas import Atlas, AtlasSpec
 from jaxstab.loop import Gains
-from jaxstab.scene.answers import blocks_of
-from jaxstab.scene.loops import corners_of, loop_of_member, with_tolerances
+from jaxstab.scene.answers import Inputs, basis_of, blocks_of
+from jaxstab.scene.loops import corners_of, loop_of_member, walls_of, with_tolerances
 from jaxstab.scene.scene import Scene
 from jaxstab.shown import printable
 
@@ -38,12 +38,21 @@ def atlas_spec(scene: Scene) -> AtlasSpec:
 
 
 def ask_atlas(
-    scene: Scene, atlas: Atlas, walls: Mapping[str, Gains]
-) -> tuple[dict[str, str], list[dict[str, Any]]]:
-    """Answers of ``Atlas.query`` about walls, for the loop at each corner of a scene's ranges.
+    scene: Scene, atlas: Atlas, wall: Mapping[str, float | None]
+) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Ask ``Atlas.query`` about the walls of a scene, at each corner of its ranges.
 
-    Returns the units of what varies, by its name, and a row for each wall and corner.
+    A ``wall`` given by its gains takes the place of the scene's. Returns inputs and units as JSON
+    has them, and a row for each wall and corner.
     """
+    given = {name: value for name, value in wall.items() if value is not None}
+    if len(given) == 1:
+        ((name, value),) = given.items()
+        other = "damping" if name == "stiffness" else "stiffness"
+        raise ValueError(f"--{name} is {value:g} alone; give --{other}, too.")
+    if not given:
+        scene.require_walls()
+    walls = {"": Gains(**given)} if given else walls_of(scene)
     si, moved = scene.units, scene.units.moved
     units = {
         "stiffness": si.stiffness,
@@ -63,7 +72,10 @@ def ask_atlas(
         row = dict(zip(units, (*gains, *varied), strict=True))
         codes = {"verdict": answer.verdict.item(), "status": answer.status.item()}
         rows.append({"wall": name} | row | codes)
-    return units, rows
+    stated = Inputs(basis_of(scene)).as_json()
+    stated["inputs"] |= {"created_by": atlas.created_by}
+    stated["units"] |= units
+    return stated, rows
 
 
 def spec_text(scene: Scene, name: str) -> str:

@@ -17,8 +17,6 @@ from jaxtyping import Float64
 from jaxstab.shown import shortened
 from jaxstab.tables import columns_of
 
-Draws = Float64[np.ndarray, " draw"]
-
 
 @dataclass(frozen=True)
 class Column:
@@ -140,7 +138,7 @@ def _number_or_text(text: str) -> float | str:
 
 def draws_of(
     key: str, given: Any, count: int, seed: int, least: float = -inf
-) -> tuple[Draws, float]:
+) -> tuple[Float64[np.ndarray, " draw"], float]:
     """Return draws of a quantity that is at least a number, and the share that is cut off below it.
 
     ValueError: the distribution begins below that number, or most of it lies there; or its

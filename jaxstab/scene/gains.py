@@ -13,6 +13,7 @@ stable for all of the range where one of them holds that piece.
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, make_dataclass, replace
+from decimal import ROUND_CEILING, ROUND_FLOOR
 from functools import cache, partial
 from inspect import Parameter, signature
 from math import inf, isfinite, nan
@@ -26,14 +27,7 @@ from jaxstab.loop import Gain, GainLimit, Loop
 from jaxstab.model.affine import affine_triple
 from jaxstab.region import RegionStatus
 from jaxstab.rounding import EPS
-from jaxstab.scene.answers import (
-    Answer,
-    GivenQuantity,
-    IntervalQuantity,
-    Quantity,
-    basis_of,
-    rounded_wall,
-)
+from jaxstab.scene.answers import Answer, GivenQuantity, IntervalQuantity, Quantity, basis_of
 from jaxstab.scene.check import Radius
 from jaxstab.scene.limits import numbered, stable_intervals
 from jaxstab.scene.loops import device_of, hands_of, loop_of
@@ -41,7 +35,6 @@ from jaxstab.scene.scene import Device, Hand, PositionTable, Scene, Units
 from jaxstab.scene.tune import DesignStatus, largest_value
 from jaxstab.shown import Printed, stable_pair
 
-_HELD = "device", "hand", "controller"
 _DOORS: Mapping[str, tuple[Any, tuple[str, ...]]] = {
     "simulator": (doors.simulated_pd, ()),
     "admittance": (doors.admittance, ()),
@@ -133,27 +126,23 @@ class GainScene:
         table, pairs = tables["loop"], tables.get("gains", {})
         if not isinstance(table, Mapping) or not isinstance(pairs, Mapping):
             raise ValueError("loop or gains is no table; give [loop], and [gains.NAME] for pairs.")
-        beside = (
-            _HELD if _DOORS[t.checked("loop.kind", table.get("kind"), t.one_of(_DOORS))][1] else ()
-        )
+        kind = t.checked("loop.kind", table.get("kind"), t.one_of(_DOORS))
+        beside = ("device", "hand", "controller") if _DOORS[kind][1] else ()
         t.check_keys("", tables, ["loop", "gains", "wanted", *beside])
         of_device = {name: tables[name] for name in beside if name in tables}
         held = _single(Scene.from_table(of_device)) if beside else None
         (loop, (low, high)), units = _loop(table, held), held.units if held else Units.LINE
-        words = loop.words.replace(f"{high:g} N/m", f"{low:g} to {high:g} N/m")
         first, second = (gain._replace(unit=units.unit(gain.unit)) for gain in loop.gains)
+        every = f"{low:g} to {high:g} N/m" if low < high else f"{high:g} N/m"
+        words = loop.words.replace(f"{high:g} N/m", every)
+        loop = replace(loop, gains=(first, second), words=words)
         pair, wanted = _tables_of(first, second)
-        return cls(
-            tables,
-            held,
-            (low, high),
-            replace(loop, gains=(first, second), words=words if low < high else loop.words),
-            {
-                t.checked_label(name): dict(vars(pair.from_table(own, f"gains.{name}")))
-                for name, own in pairs.items()
-            },
-            dict(vars(wanted.from_table(tables.get("wanted", {}), "wanted"))),
-        )
+        both = {
+            t.checked_label(name): dict(vars(pair.from_table(own, f"gains.{name}")))
+            for name, own in pairs.items()
+        }
+        wishes = dict(vars(wanted.from_table(tables.get("wanted", {}), "wanted")))
+        return cls(tables, held, (low, high), loop, both, wishes)
 
     @property
     def is_range(self) -> bool:
@@ -296,14 +285,13 @@ def _limits(scene: GainScene) -> tuple[GainLimit, GainLimit]:
 def _limit(scene: GainScene, limit: GainLimit) -> GainAnswer:
     """A limit and the other gain there, to be printed as a stable pair."""
     own, value, at = limit
-    other, sign = _other(scene, own), 1.0 if own.sense == "largest" else -1.0
+    other, is_largest = _other(scene, own), own.sense == "largest"
     if isfinite(value):
-        at = _beside(scene.loop.intervals(**{own.name: value * (1.0 - 2e-4 * sign)}), at)
-    signed, at = stable_pair(
-        sign * value, at, (4, 6), lambda one, two: _is_stable(scene, own, sign * one, two)
-    )
-    is_proved = isinstance(signed, Printed)
-    value = Printed(value, signed.text.lstrip("-")) if isinstance(signed, Printed) else value
+        inside = value * (1.0 - 2e-4 if is_largest else 1.0 + 2e-4)
+        at = _beside(scene.loop.intervals(**{own.name: inside}), at)
+    way, allows = ROUND_FLOOR if is_largest else ROUND_CEILING, partial(_is_stable, scene, own)
+    value, at = stable_pair(value, at, (4, 6), allows, way=way)
+    is_proved = isinstance(value, Printed)
     certainty = "proved for every environment" if is_proved else "not proved"
     return GainAnswer(
         {
@@ -367,12 +355,10 @@ def tune_gains(scene: GainScene) -> GainAnswer:
     """The gains of the smallest spectral radius, and what is stable around them."""
     best = scene.loop.tune()
     values = _stated(scene) | {"status": best.status}
-    if not isfinite(best.radius):
-        return GainAnswer(values, is_stable=False)
-    (first, kp), (second, kd) = best.gains.items()
-    pair = rounded_wall(kp, kd, lambda *gains: scene.verdict(*gains) == Verdict.STABLE)
-    rounded = dict(zip((first, second), pair, strict=True))
-    return GainAnswer(values | {"least_radius": _around(scene, rounded, in_full=True)})
+    if isfinite(best.radius):
+        pair = {name: float(f"{gain:.6g}") for name, gain in best.gains.items()}
+        values["least_radius"] = _around(scene, pair, in_full=True)
+    return GainAnswer(values, is_stable="least_radius" in values)
 
 
 def design_gains(scene: GainScene) -> GainAnswer:

@@ -113,16 +113,15 @@ def guard_about(scene: Scene, guard: Guard) -> str:
     damping = Quantity("N s/m").words(scene.device.damping, units)
     blocks["device"] = f"{range_in_words(guard.mass)} {units.kilogram}, {damping}"
     del blocks["delay"]
-    blocks[_delay_of(guard)] = f"{range_in_words(guard.delay)} s"
+    lost = f", up to {guard.lost} in a row lost" if guard.lost else ""
+    motion = (
+        "constant during contact"
+        if guard.is_delay_constant
+        else f"moving from sample to sample{lost}"
+    )
+    blocks[f"delay, {motion}"] = f"{range_in_words(guard.delay)} s"
     lines = (f"{name}: {words}" for name, words in blocks.items())
     return "\n".join([*lines, "", *_granted(scene, guard)])
-
-
-def _delay_of(guard: Guard) -> str:
-    if guard.is_delay_constant:
-        return "delay, constant during contact"
-    lost = f", up to {guard.lost} in a row lost" if guard.lost else ""
-    return f"delay, moving from sample to sample{lost}"
 
 
 def _granted(scene: Scene, guard: Guard) -> list[str]:
@@ -144,10 +143,3 @@ def _granted(scene: Scene, guard: Guard) -> list[str]:
         *(limited if is_held else []),
         f"It grants {granted} there, of {least.exact:.4g}.",
     ]
-
-
-def header_of(scene: Scene, guard: Guard, name: str) -> str:
-    """Return the header of a scene's guard, with what it is of: ``Guard.header``."""
-    units = scene.units
-    words = units.kilogram, units.stiffness, units.damping
-    return guard.header(name, guard_about(scene, guard), words)

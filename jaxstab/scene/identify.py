@@ -43,6 +43,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float64
 from scipy.optimize import least_squares
+from scipy.signal import lfilter
 from scipy.special import stdtrit
 
 from jaxstab.arrays import Array, Numbers
@@ -423,27 +424,26 @@ def _estimator(
     if velocity is None:
         return None, 0.0
     longest_window = 200  # samples
-    late = slice(longest_window, None)
-    differences = np.diff(positions, prepend=positions[0]) / period
-    guesses: list[tuple[float, Velocity]] = []
+    late, tiny = slice(longest_window, None), np.finfo(float).tiny
+    wanted, now = velocity[late], positions[late]
 
-    def guess(estimator: Velocity, values: Rows) -> None:
-        guesses.append((float(np.mean((values - velocity)[late] ** 2)), estimator))
+    def error(values: Rows) -> float:
+        return float(np.mean((values - wanted) ** 2))
 
-    for samples in range(1, longest_window + 1):
-        values = np.zeros_like(positions)
-        values[samples:] = (positions[samples:] - positions[:-samples]) / (samples * period)
-        guess(Velocity.difference(samples=samples), values)
+    guesses = [
+        (error((now - positions[longest_window - n : -n]) / (n * period)), Velocity.difference(n))
+        for n in range(1, longest_window + 1)
+    ]
     # v_k - d_k = q (v_(k-1) - d_k) of a low pass is linear in q.
-    before, now = velocity[:-1] - differences[1:], velocity[1:] - differences[1:]
-    share = float(before @ now) / max(float(before @ before), np.finfo(float).tiny)
+    speeds = np.diff(positions) / period
+    before, after = velocity[:-1] - speeds, velocity[1:] - speeds
+    share = float(before @ after) / max(float(before @ before), tiny)
     if 0.0 < share < 1.0:
-        values = velocity.copy()
-        for row in range(1, len(values)):
-            values[row] = share * values[row - 1] + (1.0 - share) * differences[row]
-        guess(Velocity.low_pass(-log(share) / (2.0 * pi * period)), values)
-    error, best = min(guesses, key=lambda guess: guess[0])
-    return best, float(np.sqrt(error / max(np.mean(velocity[late] ** 2), np.finfo(float).tiny)))
+        low, _ = lfilter([1.0 - share], [1.0, -share], speeds, zi=[share * velocity[0]])
+        estimator = Velocity.low_pass(-log(share) / (2.0 * pi * period))
+        guesses.append((error(low[longest_window - 1 :]), estimator))
+    least, best = min(guesses, key=lambda guess: guess[0])
+    return best, float(np.sqrt(least / max(np.mean(wanted**2), tiny)))
 
 
 def _doubt(residual: Segments, is_stepped: bool, size: float, extent: float, period: float) -> str:
@@ -501,10 +501,15 @@ def identified_scene(device: Identified, units: Units, source: str) -> str:
     With a warning there is no range: what the model lacks moves estimates out of their intervals.
     """
     period, resolution, velocity = device.sample_time, device.resolution, _velocity_key(device)
-    remarks, taken, ranges = [], _range, " and as ranges"
+    remarks, ranges = [], " and as ranges"
     if device.warning:
         remarks = [f"Warning: {device.warning}. So mass and delay have no range here."]
-        taken, ranges = _best, ""
+        ranges = ""
+
+    def taken(estimate: Estimate) -> str:
+        value, low, high = (f"{max(end, 0.0):.7g}" for end in estimate)
+        return f"[{low}, {high}]" if ranges else value
+
     if device.stiffness.value:
         remarks.append(
             f"The device has a spring of {device.stiffness} {units.stiffness}: add it to the "
@@ -533,24 +538,13 @@ def identified_scene(device: Identified, units: Units, source: str) -> str:
     return "\n".join([*lines, ""])
 
 
-def _range(estimate: Estimate) -> str:
-    return f"[{max(estimate.low, 0.0):.7g}, {max(estimate.high, 0.0):.7g}]"
-
-
-def _best(estimate: Estimate) -> str:
-    return f"{max(estimate.value, 0.0):.7g}"
-
-
 def _velocity_key(device: Identified) -> list[str]:
     """Return the key of the velocity's estimator, as a comment if it explains too little."""
     if device.velocity is None:
         return []
     (section,) = device.velocity.filter.sections
-    name, value = next(
-        (name, getattr(section, own))
-        for name, own in (("window_samples", "samples"), ("cutoff", "cutoff"))
-        if hasattr(section, own)
-    )
+    samples, cutoff = (getattr(section, name, 0.0) for name in ("samples", "cutoff"))
+    key = f"window_samples = {samples}" if samples else f"cutoff = {cutoff:.6g}"
     explained = 0.05  # of a velocity: an estimator with a larger error is only a comment
     mark = "" if device.unexplained <= explained else "# not explained: "
-    return [f"{mark}velocity.{name} = {value:.6g}  # {_unexplained(device)}"]
+    return [f"{mark}velocity.{key}  # {_unexplained(device)}"]

@@ -94,26 +94,17 @@ class Preset:
         return [self.title, *numbers, *([f"  {self.note}"] if self.note else [])]
 
 
-def device_presets() -> Mapping[str, Preset]:
-    """Return the devices by their names."""
-    return _presets("devices.toml")
-
-
-def software_presets() -> Mapping[str, Preset]:
-    """Return the velocity estimators of software by their names."""
-    return _presets("software.toml")
-
-
 @cache
-def _presets(file: str) -> Mapping[str, Preset]:
-    tables = parsed((folder_of("presets") / file).read_text(encoding="utf-8"), f"{file}: ")
+def presets(kind: str) -> Mapping[str, Preset]:
+    """Return the "devices", or the velocity estimators of "software", by their names."""
+    text = (folder_of("presets") / f"{kind}.toml").read_text(encoding="utf-8")
     return {
         name: Preset(
             table.pop("title"),
             table.pop("note", ""),
             {key: Sourced(**entry) for key, entry in table.items()},
         )
-        for name, table in tables.items()
+        for name, table in parsed(text, f"{kind}.toml: ").items()
     }
 
 
@@ -151,9 +142,9 @@ class VibrationMode(Table):
     damping_ratio: float = key(quantity("1"), usual=Usual(0.0, 1.0))
     modal_mass: float | None = key(not_zero("kg"), None, Usual(1e-3, 5e3))
     modal_inertia: float | None = key(not_zero("kg m^2"), None, Usual(1e-8, 100.0))
-    motor: float = key(any_number(), 1.0, words="shape of the mode at the motor")
-    encoder: float = key(any_number(), 1.0, words="shape of the mode at the encoder")
-    handle: float = key(any_number(), 1.0, words="shape of the mode where the hand is")
+    motor: float = key(any_number, 1.0, words="shape of the mode at the motor")
+    encoder: float = key(any_number, 1.0, words="shape of the mode at the encoder")
+    handle: float = key(any_number, 1.0, words="shape of the mode where the hand is")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -187,7 +178,7 @@ class Device(Table):
     """
 
     preset: str | None = key(
-        lambda name: one_of(device_presets())(name),
+        lambda name: one_of(presets("devices"))(name),
         None,
         words="a device by name; jaxstab scene presets lists names",
     )
@@ -234,7 +225,7 @@ class Device(Table):
     @classmethod
     def filled_in(cls, table: Mapping[str, Any]) -> Mapping[str, Any]:
         """Take the values that are missing in the table from its preset."""
-        preset = device_presets().get(str(table["preset"])) if "preset" in table else None
+        preset = presets("devices").get(str(table["preset"])) if "preset" in table else None
         if preset is None:
             if not {"preset", "mass", "inertia"} & {*table}:
                 raise ValueError(_NO_MASS)
@@ -353,7 +344,7 @@ class VelocityTable(_TimedTable):
     """The estimator of the velocity that the wall's damper sees, or that of a software by name."""
 
     preset: str | None = key(
-        lambda name: one_of(software_presets())(name),
+        lambda name: one_of(presets("software"))(name),
         None,
         words="as this software estimates it; jaxstab scene presets lists names",
     )
@@ -367,7 +358,7 @@ class VelocityTable(_TimedTable):
     @classmethod
     def filled_in(cls, table: Mapping[str, Any]) -> Mapping[str, Any]:
         """Take the values that are missing in the table from its preset."""
-        preset = software_presets().get(str(table["preset"])) if "preset" in table else None
+        preset = presets("software").get(str(table["preset"])) if "preset" in table else None
         if preset is None:
             return table
         defaults = preset.values(tuple(entry.name for entry in fields(cls)))
@@ -389,7 +380,7 @@ class VelocityTable(_TimedTable):
     @property
     def preset_numbers(self) -> Mapping[str, Sourced]:
         """The numbers of the preset by key, each with its source."""
-        return software_presets()[self.preset].numbers if self.preset else {}
+        return presets("software")[self.preset].numbers if self.preset else {}
 
     def __str__(self) -> str:
         is_assumed = any("assumed" in entry.source for entry in self.preset_numbers.values())
@@ -661,13 +652,10 @@ class Scene:
         """Describe values that look like a slip of the unit."""
         controller = self.controller
         delay = "the delay", controller.delays[1], "s", Usual(0.0, 2.0)
-        warnings = [
-            *(self._outside(*own) for own in self.device.quantities("device")),
-            *(self._outside(*own) for own in (self.hand or Hand()).quantities("hand")),
-            *(self._outside(*own) for own in (*controller.quantities("controller"), delay)),
-            *_slips_of_delay(controller),
-            _other_period(controller),
-        ]
+        tables = {"device": self.device, "hand": self.hand or Hand(), "controller": controller}
+        found = [own for name, table in tables.items() for own in table.quantities(name)]
+        warnings = [self._outside(*own) for own in (*found, delay)]
+        warnings += [*_slips_of_delay(controller), _other_period(controller)]
         for name, wall in self.walls.items():
             warnings += [self._outside(*own) for own in wall.quantities(f"walls.{name}")]
             warnings.append(self._slip_of_wall(f"walls.{name}", wall))

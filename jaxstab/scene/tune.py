@@ -5,7 +5,7 @@ largest sample time and the largest delay that allow a wanted stiffness.
 """
 
 from bisect import bisect_left
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from math import inf, nan, sqrt
@@ -48,7 +48,7 @@ from jaxstab.scene.loops import (
     wall_region,
     with_tolerances,
 )
-from jaxstab.scene.scene import Scene, Units
+from jaxstab.scene.scene import Scene, Units, VelocityTable
 from jaxstab.tuning import TuningStatus
 
 # The wall that is fastest at worst over the device's mass, the hands and the delay of a scene.
@@ -331,29 +331,29 @@ def design_loop(scene: Scene) -> Design:
     wanted = scene.wanted.stiffness
     if wanted is None:
         raise ValueError("wanted.stiffness is missing; give the stiffness to design for in N/m.")
-    loop = loop_of(scene)
-    in_samples, safety = scene.controller.delay_samples, scene.wanted.safety or 1.0
-    required = wanted / safety
-    sampled, delayed = partial(sampled_loop, scene), partial(delayed_loop, scene)
-    period, velocity = loop.sample_time, scene.controller.velocity
-    window = velocity.window if velocity else None
+    loop, safety = loop_of(scene), scene.wanted.safety or 1.0
+    in_samples, velocity = scene.controller.delay_samples, scene.controller.velocity
+    period, largest = loop.sample_time, partial(_largest, wanted, safety)
     shortest = max(period / 1024.0, loop.delay / most_samples if in_samples is None else 0.0)
     longest = min(1024.0 * period, velocity.longest_sample_time if velocity else inf)
-    if window is None:
-        largest_period = _largest(sampled, required, period, shortest, longest)
-    else:
-        periods = [window / n for n in range(1, LONGEST_WINDOW + 1)]
-        largest_period = _largest_of(sampled, required, [p for p in periods if p >= shortest])
-    largest_delay = _largest(delayed, required, period, 0.0, most_samples * period)
+    sampled, delayed = partial(sampled_loop, scene), partial(delayed_loop, scene)
+    periods = _periods(velocity)
+    periods = None if periods is None else [value for value in periods if value >= shortest]
     return Design(
         inputs=basis_of(given, at_longest=True),
         stiffness=wanted,
         safety=scene.wanted.safety,
         now_allowed_stiffness=safety * _stiffest(loop).stiffness,
-        sample_time=LargestSampleTime(*_printed(sampled, required, largest_period)),
-        delay=LargestDelay(*_printed(delayed, required, largest_delay)),
+        sample_time=LargestSampleTime(*largest(sampled, period, (shortest, longest), periods)),
+        delay=LargestDelay(*largest(delayed, period, (0.0, most_samples * period))),
         hand=at_lowest(scene),
     )
+
+
+def _periods(velocity: VelocityTable | None) -> list[float] | None:
+    """Return the sample times that divide the window in s of an estimator; None without one."""
+    window = velocity.window if velocity else None
+    return [window / count for count in range(1, LONGEST_WINDOW + 1)] if window else None
 
 
 def stiffness_over_sample_times(scene: Scene, design: Design) -> tuple[Floats, Floats]:
@@ -364,9 +364,9 @@ def stiffness_over_sample_times(scene: Scene, design: Design) -> tuple[Floats, F
     low, high = _AROUND[0] * ends[0], _AROUND[1] * ends[1]
     high = min(high, velocity.longest_sample_time) if velocity else high
     values = np.linspace(low, high, _POINTS)
-    if velocity and velocity.window:
-        values = velocity.window / np.arange(LONGEST_WINDOW, 0, -1)
-        values = values[(low <= values) & (values <= high)]
+    periods = _periods(velocity)
+    if periods is not None:
+        values = np.array([value for value in periods[::-1] if low <= value <= high])
     return values, _stiffnesses(scene, partial(sampled_loop, scene), values)
 
 
@@ -396,20 +396,34 @@ def delayed_loop(scene: Scene, delay: float) -> HapticLoop:
 
 
 def _largest(
-    loop_at: Callable[[float], HapticLoop],
     wanted: float,
+    safety: float,
+    loop_at: Callable[[float], HapticLoop],
     start: float,
-    lowest: float,
-    highest: float,
+    ends: tuple[float, float],
+    among: Sequence[float] | None = None,
 ) -> tuple[float, float | None, DesignStatus]:
-    """The largest value that allows the wanted stiffness, with the damping and the status."""
+    """The largest value that allows the wanted stiffness, with the damping, as printed; a status.
+
+    Of values ``among`` which it is, if they are given, the largest comes first.
+    """
 
     def spare(value: float) -> float:
-        return max(-1.0, _stiffest(loop_at(value)).stiffness / wanted - 1.0)
+        return max(-1.0, _stiffest(loop_at(value)).stiffness * safety / wanted - 1.0)
 
-    largest, status = largest_value(spare, start, lowest, highest)
-    is_found = status != DesignStatus.NONE
-    return largest, _stiffest(loop_at(largest)).damping if is_found else None, status
+    def is_stable(value: float, damping: float) -> bool:
+        return all(_are_stable([loop_at(value)], (wanted, damping)))
+
+    if among is not None:
+        index = bisect_left(among, True, key=lambda value: spare(value) >= 0.0)
+        status = DesignStatus.FOUND if index else DesignStatus.LONGEST_TRIED
+        status = status if index < len(among) else DesignStatus.NONE
+        largest = [*among, nan][index]
+    else:
+        largest, status = largest_value(spare, start, *ends)
+    if status == DesignStatus.NONE:
+        return largest, None, status
+    return *printed_wall(largest, _stiffest(loop_at(largest)).damping, is_stable), status
 
 
 def largest_value(
@@ -432,37 +446,6 @@ def largest_value(
             )
         largest, status = max(low, root - 1e-8 * max(root, least)), DesignStatus.FOUND
     return largest, status
-
-
-def _printed(
-    loop_at: Callable[[float], HapticLoop],
-    wanted: float,
-    found: tuple[float, float | None, DesignStatus],
-) -> tuple[float, float | None, DesignStatus]:
-    """Return a largest value and its damping as they are printed: the wanted wall is stable."""
-    largest, damping, status = found
-    if damping is None:
-        return found
-
-    def is_stable(value: float, damping: float) -> bool:
-        return all(_are_stable([loop_at(value)], (wanted, damping)))
-
-    return *printed_wall(largest, damping, is_stable), status
-
-
-def _largest_of(
-    loop_at: Callable[[float], HapticLoop], wanted: float, values: list[float]
-) -> tuple[float, float | None, DesignStatus]:
-    """The same for a list of values, the largest first, by bisection."""
-
-    def allows(value: float) -> bool:
-        return _stiffest(loop_at(value)).stiffness >= wanted
-
-    index = bisect_left(values, True, key=allows)
-    if index == len(values):
-        return nan, None, DesignStatus.NONE
-    status = DesignStatus.FOUND if index else DesignStatus.LONGEST_TRIED
-    return values[index], _stiffest(loop_at(values[index])).damping, status
 
 
 def _stiffest(loop: HapticLoop) -> Gains:

@@ -486,7 +486,7 @@ def _held(device: Device) -> Ports:
     for hand in device.hands:
         stiffness = hand.dynamic_stiffness()
         free, ports = ports.below * stiffness.denominator, ports.held_by(*stiffness)
-        if not _has_mass_left(free, ports.below):
+        if ports.excess is not None and not _has_mass_left(free, ports.below):
             raise ValueError(
                 f"the handle of the device ({device.mechanism}) moves under fast forces as a "
                 f"negative mass would, which {hand} makes 0 or exceeds; give shapes or ports of "

@@ -172,10 +172,12 @@ class Ports(NamedTuple):
 
     def reduced(self) -> "Ports":
         """The same without the common factor of all, of polynomials."""
-        shared = self.below
-        for above in self[1:5]:
+        shared = self.below.gcd(self.encoder)
+        if self.excess is None:
+            return Ports.at_one_point(self.encoder / shared, self.below / shared)
+        for above in self[2:5]:
             shared = shared.gcd(above)
-        return Ports(*(side if side is None else side / shared for side in self))
+        return Ports(*(side / shared for side in self))
 
 
 class Shapes(NamedTuple):
