@@ -18,11 +18,10 @@ one plant G1 + G2; what both have of rigid motion is a common factor of all part
 common drift does not change e: it is divided out.
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 from jaxstab.arrays import Array
 from jaxstab.model.balls import (
@@ -36,11 +35,11 @@ from jaxstab.model.balls import (
 )
 from jaxstab.model.device.device import Device
 from jaxstab.model.device.discrete import Simulated, sampled_steps
-from jaxstab.model.device.parts import FIRST_BITS, working_precision
+from jaxstab.model.device.parts import FIRST_BITS, exact, remembered, working_precision
 from jaxstab.model.filters import NO_FILTERS, Filter, Velocity, given_filters
 
 if TYPE_CHECKING:
-    from flint import arb, fmpq, fmpq_poly
+    from flint import arb, fmpq_poly
 
     from jaxstab.model.loop import LoopParameters
 
@@ -72,7 +71,7 @@ class AffineParts:
         if parts is None:
             return None
         base, by_first, by_second = parts
-        a, b = _exact((first, second))
+        a, b = exact(first), exact(second)
         return base + a * by_first + b * by_second
 
     def is_reciprocal(self, start: tuple[float, float], along: tuple[float, float]) -> bool:
@@ -83,23 +82,16 @@ class AffineParts:
         parts, p0 = self.rational(), self.polynomial(*start)
         if parts is None or p0 is None:
             return False
-        a, b = _exact(along)
+        a, b = map(exact, along)
         q = a * parts[1] + b * parts[2]
         n = max(part.degree() for part in parts)
         return any(p0[0] == sign * p0[n] and q[0] == sign * q[n] for sign in (1, -1))
 
 
-@lru_cache(maxsize=128)
-def _triple(parts: AffineParts, bits: int) -> Triple:
-    del bits  # the precision is set: here it only tells balls apart
-    return parts.triple()
-
-
+@remembered(128)
 def affine_triple(parts: AffineParts) -> Triple:
     """The parts of p(z) in balls of the precision that is set; the last ones are remembered."""
-    import flint
-
-    return _triple(parts, flint.ctx.prec)
+    return parts.triple()
 
 
 @dataclass(frozen=True)
@@ -122,7 +114,7 @@ class Chart(AffineParts):
         others = [
             part if part.degree < whole.degree else _lowered(part, pivot, leading) for part in parts
         ]
-        return _without_common_power(pivot, *others)
+        return Triple.from_parts(pivot, *others)
 
 
 def _lowered(part: Factored, pivot: Factored, leading: "arb") -> Factored:
@@ -187,7 +179,7 @@ class GivenParts(AffineParts):
 
     def triple(self) -> Triple:
         """The parts of p(z)."""
-        return _without_common_power(*map(_given, (self.base, self.first, self.second)))
+        return Triple.from_parts(*map(_given, (self.base, self.first, self.second)))
 
     def rational(self) -> "Rationals | None":
         """The parts in exact numbers; None if some are intervals."""
@@ -204,9 +196,7 @@ def _given(falling: tuple[Coefficient, ...]) -> Factored:
     rising = falling[::-1]
     if not any(isinstance(c, tuple) for c in rising):
         return Factored.from_rational(_rational(falling))
-    balls = [
-        arb(c[0]).union(arb(c[1])) if isinstance(c, tuple) else _ball(Fraction(c)) for c in rising
-    ]
+    balls = [arb(c[0]).union(arb(c[1])) if isinstance(c, tuple) else arb(exact(c)) for c in rising]
     power = next(k for k, ball in enumerate(balls) if ball != 0)
     return Factored(arb_poly(balls[power:]), power)
 
@@ -214,19 +204,7 @@ def _given(falling: tuple[Coefficient, ...]) -> Factored:
 def _rational(falling: tuple[Coefficient, ...]) -> "fmpq_poly":
     from flint import fmpq_poly
 
-    return fmpq_poly(_exact(falling[::-1]))
-
-
-def _ball(number: Fraction) -> "arb":
-    from flint import arb, fmpq
-
-    return arb(fmpq(number.numerator, number.denominator))
-
-
-def _without_common_power(*parts: Factored) -> Triple:
-    common = min(part.power for part in parts if not part.is_zero)
-    base, first, second = (part if part.is_zero else part.divided(common, 0, 0) for part in parts)
-    return Triple(base, first, second)
+    return fmpq_poly(list(map(exact, falling[::-1])))
 
 
 # ------------------------------------------------------------------------------------- simulators
@@ -241,7 +219,7 @@ class SimulatedParts(AffineParts):
 
     def triple(self) -> Triple:
         """The parts of p(z), by kp and kd."""
-        return _without_common_power(*map(Factored.from_rational, self.rational()))
+        return Triple.from_parts(*map(Factored.from_rational, self.rational()))
 
     def rational(self) -> "Rationals":
         """The parts in exact numbers."""
@@ -252,12 +230,6 @@ class SimulatedParts(AffineParts):
         by_kp *= z if rule == "implicit" else 1
         by_kd *= z if rule in ("implicit-damping", "implicit") else 1
         return below * z**lag, by_kp, by_kd
-
-
-def _exact(numbers: Iterable[Any]) -> "list[fmpq]":
-    from flint import fmpq
-
-    return [fmpq(*number.as_integer_ratio()) for number in numbers]
 
 
 # ------------------------------------------------------------------------------------- admittance
@@ -284,7 +256,7 @@ class AdmittanceParts(AffineParts):
     def triple(self) -> Triple:
         """The parts of p(z), by M and D."""
         wall, below = self._wall_and_below()
-        return _without_common_power(wall, self._inertial(below), below.times(self._rates()[0]))
+        return Triple.from_parts(wall, self._inertial(below), below.times(self._rates()[0]))
 
     def in_units(self) -> tuple["AdmittanceParts", tuple[float, float]]:
         """The same loop with T = 1 and Ke = 1, and what 1 of its M and D is."""
@@ -313,7 +285,7 @@ class AdmittanceParts(AffineParts):
             filter_in_balls(each, self.sample_time) for each in (self.robot, self.force_filter)
         )
         below = _late(slow.times(smooth), self.delay_samples)
-        position = self._rates()[1].scaled(_ball(Fraction(self.sample_time)))
+        position = self._rates()[1].scaled(self.sample_time)
         wall = position.times(robot).times(read).scaled(self.environment)
         if self.stiffness:
             wall = wall.plus(below.times(position).scaled(self.stiffness))
@@ -322,8 +294,8 @@ class AdmittanceParts(AffineParts):
     def _inertial(self, below: Factored) -> Factored:
         from flint import fmpq_poly
 
-        (period,) = _exact((self.sample_time,))
-        return below.times(Factored.from_rational(fmpq_poly([1, -2, 1]) / period))
+        inertia = fmpq_poly([1, -2, 1]) / exact(self.sample_time)
+        return below.times(Factored.from_rational(inertia))
 
 
 # -------------------------------------------------------------------------------------------- PID
@@ -346,7 +318,7 @@ class PidParts(AffineParts):
 
         own, late = ball_loop(self.loop), ball_loop(self.late)
         lag, z = max(own.lag, late.lag), fmpq_poly([0, 1])
-        (period,) = _exact((float(self.loop.sample_time),))
+        period = exact(float(self.loop.sample_time))
         summed = {"backward": z, "forward": fmpq_poly([1]), "trapezoid": (z + 1) / 2}[self.rule]
         has_sum = self.given != "ki" or self.value != 0.0
         pole = Factored.from_rational(z - 1 if has_sum else z**0)
@@ -360,7 +332,7 @@ class PidParts(AffineParts):
         base = _late(pole.times(own.free), lag - own.lag)
         if self.value:
             base = base.plus(parts[self.given].scaled(self.value))
-        return _without_common_power(
+        return Triple.from_parts(
             base, *(part for name, part in parts.items() if name != self.given)
         )
 

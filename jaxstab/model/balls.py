@@ -192,6 +192,14 @@ class Triple:
     damping: Factored
     yielding: float | None = None
 
+    @classmethod
+    def from_parts(cls, *parts: Factored, yielding: float | None = None) -> "Triple":
+        """The three parts without their common power of z."""
+        common = min(part.power for part in parts if not part.is_zero)
+        own = (part if part.is_zero else part.divided(common, 0, 0) for part in parts)
+        base, stiffness, damping = own
+        return cls(base, stiffness, damping, yielding)
+
     def __iter__(self) -> Iterator[Factored]:
         return iter((self.base, self.stiffness, self.damping))
 
@@ -327,10 +335,8 @@ class BallLoop(NamedTuple):
     @property
     def triple(self) -> Triple:
         """The three parts of p(z)."""
-        parts = [self.free, *(self.numerator.times(wall) for wall in self.walls)]
-        common = min(part.power for part in parts)
-        base, stiffness, damping = (part.divided(common, 0, 0) for part in parts)
-        return Triple(base, stiffness, damping, self.yielding)
+        by_gains = (self.numerator.times(wall) for wall in self.walls)
+        return Triple.from_parts(self.free, *by_gains, yielding=self.yielding)
 
 
 def ball_triple(loop: "LoopParameters") -> Triple:

@@ -210,11 +210,11 @@ def turn(hertz: float) -> "fmpq_mpoly":
     return 2 * exact(hertz) * _ring().gen(1)
 
 
-def exact(value: "float | fmpq") -> Any:
-    """Return the rational number that a float64 is."""
+def exact(value: Any) -> Any:
+    """Return the rational number that a float64, or another exact number, is."""
     from flint import fmpq
 
-    return fmpq(*value.as_integer_ratio()) if isinstance(value, float) else value
+    return value if isinstance(value, fmpq) else fmpq(*value.as_integer_ratio())
 
 
 def balls_of(polynomial: "fmpq_mpoly") -> list["arb"]:
