@@ -40,7 +40,7 @@ from jaxstab.model.parameters import (
     require_x64,
     whole_and_fraction,
 )
-from jaxstab.model.plant import PlantCoefficients, may_cancel, pairs_error, plant_pairs
+from jaxstab.model.plant import PlantCoefficients, falls_of, may_cancel, pairs_error, plant_pairs
 from jaxstab.rounding import FILTERS, PAIR_PRODUCT
 
 Polynomial = tuple[DoubleDouble, ...]
@@ -390,7 +390,7 @@ def loop_polynomial(
 def _times_wall(alpha: Array, beta: Array, plant: PlantCoefficients) -> tuple[DoubleDouble, ...]:
     """Return the coefficients of N(z) ((alpha + beta) z - beta), highest power first."""
     stiffness, damping = DoubleDouble.from_value(alpha), DoubleDouble.from_value(beta)
-    *falls, last = plant.falls
+    *falls, last = falls_of(plant)
     lowered = (stiffness * n for n in (plant.n2, plant.n1, plant.n0))
     walls = (n - damping * fall for n, fall in zip(lowered, falls, strict=True))
     return *walls, -(damping * last)

@@ -67,14 +67,6 @@ class PlantCoefficients(NamedTuple):
     difference: Array
     den_at_one: Array
 
-    @property
-    def falls(self) -> tuple[Array, ...]:
-        """The coefficients of (1 - z) N(z), highest power first.
-
-        n2 - n1 vanishes with delta for a whole delay; N(-1) knows it to all of its digits.
-        """
-        return -self.n2, self.difference - self.n0, self.n1 - self.n0, self.n0
-
 
 def plant_coefficients(
     *, gamma: Numbers, delta: Numbers, delay: Numbers = 0.0
@@ -155,6 +147,14 @@ def _remembered(shape: tuple[int, ...], *values: bytes) -> PlantCoefficients:
     # Plain numbers are many times faster than arrays of one.
     pairs = _plant_pairs(*(each.item() for each in numbers), whole=whole)
     return tree_map(lambda number: np.full(shape, number), pairs)
+
+
+def falls_of(plant: PlantCoefficients) -> tuple[Array, ...]:
+    """The coefficients of (1 - z) N(z), highest power first.
+
+    n2 - n1 vanishes with delta for a whole delay; N(-1) knows it to all of its digits.
+    """
+    return -plant.n2, plant.difference - plant.n0, plant.n1 - plant.n0, plant.n0
 
 
 def pairs_error(gamma: Numbers, delta: Numbers) -> Array:

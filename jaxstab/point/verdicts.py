@@ -42,7 +42,7 @@ from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords, given_
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.model.loop import unit_loop
 from jaxstab.model.parameters import whole_and_fraction
-from jaxstab.model.plant import may_cancel, pairs_error
+from jaxstab.model.plant import falls_of, may_cancel, pairs_error
 from jaxstab.point.schur_cohn import (
     UNDERFLOW,
     Chain,
@@ -219,6 +219,12 @@ def _rounded_plant(
     return plant
 
 
+def pair_plant(gamma: Array, delta: Array, fraction: Array, *, is_fractional: bool) -> Plant:
+    """Return the plant in double-double; without a fraction, ``fraction`` is not read."""
+    pairs = plant_pairs(gamma, delta, fraction if is_fractional else 0.0)
+    return _plant_of(gamma, delta, pairs, is_fractional=is_fractional)
+
+
 def _plant_of(
     gamma: Array, delta: Array, pairs: PlantCoefficients, *, is_fractional: bool
 ) -> Plant:
@@ -226,7 +232,7 @@ def _plant_of(
     unit = DoubleDouble.from_value(xp.ones_like(pairs.d0.hi))
     zero = unit - unit
     stiff = (zero, pairs.n0, pairs.n1, pairs.n2)
-    damp = pairs.falls[::-1]
+    damp = falls_of(pairs)[::-1]
     sum_n = sum(abs(n.hi) for n in stiff[1:])
     return Plant(
         gap=unit - pairs.d0,
@@ -453,8 +459,7 @@ def _decided(
 
 def _pair_codes(points: Points, form: Form) -> Int8[np.ndarray, " point"]:
     alpha, beta, gamma, delta, delay = points
-    pairs = plant_pairs(gamma, delta, delay % 1.0 if form.is_fractional else 0.0)
-    plant = _plant_of(gamma, delta, pairs, is_fractional=form.is_fractional)
+    plant = pair_plant(gamma, delta, delay % 1.0, is_fractional=form.is_fractional)
     gains = DoubleDouble.from_value(alpha), DoubleDouble.from_value(beta)
     with np.errstate(all="ignore"):
         return loop_codes(*gains, gamma, plant, unit=PAIR_UNIT, degree=form.degree)
