@@ -97,16 +97,18 @@ def _option(name: str, section: str, entry: Field[Any]) -> click.Option:
     return click.Option([f"--{name.replace('_', '-')}"], **reads, help=sentence)
 
 
+wall_option = click.option(
+    "--wall",
+    type=(str, float, float),
+    multiple=True,
+    metavar="NAME K B",
+    help="A wall: its name, N/m and N s/m; may be repeated.",
+)
+
 # What describes a scene beside the options of a SceneCommand, which go before the files.
 mechanics_options = together(
     click.argument("files", type=Path, nargs=-1, metavar="[FILE]..."),
-    click.option(
-        "--wall",
-        type=(str, float, float),
-        multiple=True,
-        metavar="NAME K B",
-        help="A wall: its name, N/m and N s/m; may be repeated.",
-    ),
+    wall_option,
     click.option(
         "--set",
         "lines",
