@@ -81,7 +81,7 @@ def test_issue_31_29_a_hundred_thousand_walls_are_refused() -> None:
             ["check", *LOOP, "--delay-samples", "129", "--hand-mass", "0:1", *A_WALL],
             "129 samples beside a range of hands; give at most 128 samples, or one hand",
         ),
-        (["guard", *LOOP, "-o", "g.h", "--delays", "0:1e9"], "give at most 500 samples, 0.5 s"),
+        (["guard", *LOOP, "-o", "g.h", "--delay", "0:1e9"], "give at most 500 samples"),
         (["guard", *LOOP, "-o", "g.h", "--cells", "1048576,1024,1024"], "give fewer"),
         (["guard", *LOOP, "-o", "g.h", "--cells", "64,64,64"], "may have 166666 numbers"),
         (["atlas", "verify", str(ATLAS), "--sample", "1000000000"], "not in the range"),

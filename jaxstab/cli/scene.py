@@ -554,13 +554,6 @@ def explore(file: Path | None, output: Path) -> None:
 # The command that writes a guard for C.
 
 
-def _range(context: click.Context, option: click.Parameter, text: str | None) -> Any:
-    ends = number_or_range(context, option, text)
-    if ends is not None and (not isinstance(ends, list) or len(ends) != 2):
-        raise click.BadParameter(f"{text!r} is not a range; give LOW:HIGH.", param=option)
-    return ends and tuple(ends)
-
-
 def _cells(_: click.Context, option: click.Parameter, text: str | None) -> Any:
     if text is None:
         return None
@@ -577,23 +570,15 @@ def _cells(_: click.Context, option: click.Parameter, text: str | None) -> Any:
 @scene_options
 @file_option("-o", "--output", required=True, help="Header file; its name begins all names in it.")
 @click.option(
-    "--masses",
-    callback=_range,
-    help="LOW:HIGH in kg; default: 0.8 to 1.25 times the mass; 0.96 to 1.04 times that of a device "
-    "with modes, an actuator or a grip.",
-)
-@click.option(
-    "--delays",
-    callback=_range,
-    help="LOW:HIGH in s; default: the delay to one sample more, and from one less if it is "
-    "constant; a tenth of one for such a device.",
-)
-@click.option(
     "--cells", callback=_cells, help="Cells along mass, delay and damping: powers of two."
 )
 @plot_option("PNG or SVG file of the limits.")
 def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
     """Write a C header that clamps K and B to what is proved stable, for a running loop.
+
+    It is for the ranges of the scene, such as --mass 0.22:0.28 --delay 0.0008:0.0012. Of one mass
+    it takes 0.8 to 1.25 times it; of one delay that to one sample more, and from one less if it is
+    constant. With modes, an actuator or a grip it is 0.96 to 1.04 times and a tenth of a sample.
 
     Its walls are proved for every sequence of the delays; with --constant-delay for delays that do
     not change during contact, and the function takes the delay.
@@ -609,7 +594,7 @@ def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
     from jaxstab.scene.guard import guard_about, guard_plan, scene_guard
 
     name = checked_name(output.stem)  # before the proof, which takes long
-    cells, ranges = given["cells"], (given["masses"], given["delays"])
+    cells = given["cells"]
     plan = guard_plan(scene, kind["constant_delay"], cells)
     with at_work("proving") as show:
 
@@ -618,7 +603,7 @@ def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
                 click.echo(plan, err=True)
             show(share, 1.0)
 
-        made = scene_guard(scene, *ranges, **kind, progress=tell, cells=cells)
+        made = scene_guard(scene, **kind, progress=tell, cells=cells)
     about = guard_about(scene, made)
     publish(made.header(name, about, scene.units.value[:3]).encode(), output)
     if plot:
