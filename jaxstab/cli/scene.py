@@ -585,8 +585,7 @@ def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
     """
     if len(given["files"]) > 1 or given["csv_file"] or as_json:
         raise click.UsageError("a guard is for one scene; give one FILE, and no --csv or --json.")
-    kind: Any = {"constant_delay": given["constant_delay"] is not None}
-    kind["lost"] = given.pop("lost_samples") or 0  # beside one delay of the scene, too
+    lost = given.pop("lost_samples") or 0  # beside one delay of the scene, too
     scene = scene_of(given)
     warn(*scene.unusual())
     from jaxstab.durable import publish
@@ -595,7 +594,7 @@ def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
 
     name = checked_name(output.stem)  # before the proof, which takes long
     cells = given["cells"]
-    plan = guard_plan(scene, kind["constant_delay"], cells)
+    plan = guard_plan(scene, cells)
     with at_work("proving") as show:
 
         def tell(share: float) -> None:
@@ -603,7 +602,7 @@ def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
                 click.echo(plan, err=True)
             show(share, 1.0)
 
-        made = scene_guard(scene, **kind, progress=tell, cells=cells)
+        made = scene_guard(scene, lost=lost, progress=tell, cells=cells)
     about = guard_about(scene, made)
     publish(made.header(name, about, scene.units.value[:3]).encode(), output)
     if plot:

@@ -19,7 +19,6 @@ def scene_guard(
     scene: Scene,
     *,
     lost: int = 0,
-    constant_delay: bool = False,
     progress: Callable[[float], None] | None = None,
     cells: tuple[int, int, int] | None = None,
 ) -> Guard:
@@ -37,12 +36,12 @@ def scene_guard(
             f"cells are {','.join(map(str, cells))}; give fewer: the table may have {most} numbers."
         )
     loop, delays = _loop_of(scene), scene.controller.delays
-    constant_delay = _is_constant(scene, constant_delay)
+    is_constant = scene.controller.delay_is == "constant"
     # What postures may make of the mass; samples beside the delay if it is constant, and beyond it.
     shares, beside = ((0.8, 1.25), 1.0) if is_one_mass(scene) else ((0.96, 1.04), 0.1)
     mass, aside = scene.device.effective_mass[0], beside * loop.sample_time
     if delays[0] == delays[1]:
-        shortest = max(delays[0] - aside, 0.0) if constant_delay else delays[0]
+        shortest = max(delays[0] - aside, 0.0) if is_constant else delays[0]
         delays = shortest, delays[0] + aside
     return build_guard(
         loop,
@@ -50,16 +49,15 @@ def scene_guard(
         mass=masses_of(scene) or (shares[0] * mass, shares[1] * mass),
         delay=delays,
         lost=lost or scene.controller.lost_samples,
-        constant_delay=constant_delay,
+        constant_delay=is_constant,
         progress=progress,
-        cells=cells or _cells_of(scene, constant_delay),
+        cells=cells or _cells_of(scene),
     )
 
 
-def guard_plan(scene: Scene, constant_delay: bool, cells: tuple[int, int, int] | None) -> str:
+def guard_plan(scene: Scene, cells: tuple[int, int, int] | None) -> str:
     """Describe what ``scene_guard`` will compute, and about how long that takes."""
-    cells = cells or _cells_of(scene, _is_constant(scene, constant_delay))
-    return str(plan_guard(_loop_of(scene), cells))
+    return str(plan_guard(_loop_of(scene), cells or _cells_of(scene)))
 
 
 def _loop_of(scene: Scene) -> HapticLoop:
@@ -67,14 +65,10 @@ def _loop_of(scene: Scene) -> HapticLoop:
     return loop_of(with_delay(scene, scene.controller.delays[0]))
 
 
-def _is_constant(scene: Scene, constant_delay: bool) -> bool:
-    return constant_delay or scene.controller.delay_is == "constant"
-
-
-def _cells_of(scene: Scene, constant_delay: bool) -> tuple[int, int, int]:
+def _cells_of(scene: Scene) -> tuple[int, int, int]:
     if not is_one_mass(scene):
         return 1, 1, 16
-    return CONSTANT_CELLS if constant_delay else CELLS
+    return CONSTANT_CELLS if scene.controller.delay_is == "constant" else CELLS
 
 
 def guard_about(scene: Scene, guard: Guard) -> str:
