@@ -367,9 +367,9 @@ def test_bad_names_are_refused(guard: Guard) -> None:
 @pytest.mark.usefixtures("little_work")
 def test_the_command_writes_a_header_and_a_picture(tmp_path: Path) -> None:
     words = [
-        "guard", "--mass", "0.25", "--damping", "0.5", "--sample-time", "0.001", "--window-samples",
-        "4", "--delay-samples", "1", "-o", tmp_path / "my_guard.h", "--plot", tmp_path / "a.svg",
-        "--cells", "1,1,4", "--masses", "0.249:0.251", "--delays", "0.99e-3:1.01e-3",
+        "guard", "--mass", "0.249:0.251", "--damping", "0.5", "--sample-time", "0.001",
+        "--window-samples", "4", "--delay", "0.99e-3:1.01e-3", "-o", tmp_path / "my_guard.h",
+        "--plot", tmp_path / "a.svg", "--cells", "1,1,4",
     ]  # fmt: skip
     for kind, said, parameters in (
         ([], "delay, moving from sample to sample: 0.00099 to 0.00101 s", "double mass)"),
@@ -388,8 +388,7 @@ def test_the_command_writes_a_header_and_a_picture(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "words",
     [
-        ["--masses", "0.2"],
-        ["--masses", "0.3:0.2"],
+        ["--mass", "0.3:0.2"],
         ["--cells", "1,2"],
         ["--cells", "3,3,3"],
         ["--output", "my-guard.h"],

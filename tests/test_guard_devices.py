@@ -575,7 +575,7 @@ def test_the_command_writes_a_header_of_a_scene_with_modes(tmp_path: Path) -> No
         velocity.window_samples = 4
         """
     )
-    words = ["--masses", "0.249:0.251", "--delays", "0.00099:0.00101", "--cells", "1,1,8"]
+    words = ["--mass", "0.249:0.251", "--delay", "0.00099:0.00101", "--cells", "1,1,8"]
     answer = run("guard", scene, "-o", tmp_path / "stylus.h", *words)
     assert answer.exit_code == 0, answer.output
     assert "stylus_clamp" in (tmp_path / "stylus.h").read_text()

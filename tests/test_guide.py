@@ -61,7 +61,7 @@ def test_31_10_the_guide_leads_a_steering_wheel_to_a_program_in_c(
         _, *arguments = shlex.split(line, comments=True)
         if arguments[0] == "tune":
             continue
-        own = arguments[: arguments.index("--masses")] if "--masses" in arguments else arguments
+        own = arguments[: arguments.index("--mass")] if "--mass" in arguments else arguments
         answer = run(*own)
         assert answer.exit_code == 0, answer.stderr
         said += answer.stdout

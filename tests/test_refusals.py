@@ -2,6 +2,7 @@
 
 import csv
 import io
+import json
 import os
 import subprocess
 import sys
@@ -80,7 +81,7 @@ def test_issue_31_29_a_hundred_thousand_walls_are_refused() -> None:
             ["check", *LOOP, "--delay-samples", "129", "--hand-mass", "0:1", *A_WALL],
             "129 samples beside a range of hands; give at most 128 samples, or one hand",
         ),
-        (["guard", *LOOP, "-o", "g.h", "--delays", "0:1e9"], "give at most 500 samples, 0.5 s"),
+        (["guard", *LOOP, "-o", "g.h", "--delay", "0:1e9"], "give at most 500 samples"),
         (["guard", *LOOP, "-o", "g.h", "--cells", "1048576,1024,1024"], "give fewer"),
         (["guard", *LOOP, "-o", "g.h", "--cells", "64,64,64"], "may have 166666 numbers"),
         (["atlas", "verify", str(ATLAS), "--sample", "1000000000"], "not in the range"),
@@ -318,3 +319,17 @@ def test_issue_31_31_a_scheduler_that_is_no_address_is_named() -> None:
 
     with pytest.raises(ValueError, match="scheduler is 'inproc://'; give an address"):
         _client("inproc://")
+
+
+def test_an_atlas_is_asked_about_a_wall_beside_those_of_a_scene(tmp_path: Path) -> None:
+    file, atlas = tmp_path / "scene.toml", ROOT / "data/golden/atlas-v4.h5"
+    file.write_text(scene_text("soft"), encoding="utf-8")
+    wall = ["--wall", "stiff", "1e9", "20"]
+    done = run("atlas", "query", atlas, "--scene", file, *wall, "--format", "json")
+    assert done.exit_code == 1
+    points = json.loads(done.stdout)["points"]
+    assert {point["wall"]: point["verdict"] for point in points}["stiff"] == "unstable"
+    assert {point["wall"] for point in points} == {"soft", "stiff"}
+    alone = run("atlas", "query", atlas, *wall)
+    assert alone.exit_code == 2
+    assert "give --scene FILE" in alone.stderr

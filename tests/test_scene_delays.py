@@ -631,7 +631,7 @@ def test_a_guard_takes_the_range_of_its_scene(
         ("", ["--delay", "1e-3", "--lost-samples", "1"], "in a row lost: 0.001 to 0.002 s"),
     ):
         file.write_text(f"{text}sample_time = 0.001\ndelay = [0.9e-3, 1.1e-3]\n{keys}\n", "utf-8")
-        narrow = ["--masses", "0.0999:0.1", "--cells", "1,1,16", "-o", header]
+        narrow = ["--mass", "0.0999:0.1", "--cells", "1,1,16", "-o", header]
         answer = run("guard", file, *options, *narrow)
         assert answer.exit_code == 0, answer.stderr
         assert words in answer.stdout

@@ -12,5 +12,5 @@ jaxstab atlas plot "$scratch/atlas.h5" -o atlas.png
 
 python pages.py
 awk '/^```toml/ { inside = 1; next } /^```/ { inside = 0 } inside' ../../docs/guide.md >"$scratch/my_device.toml"
-jaxstab guard "$scratch/my_device.toml" -o "$scratch/my_guard.h" --masses 0.22:0.28 --delays 0.0008:0.0012 \
+jaxstab guard "$scratch/my_device.toml" -o "$scratch/my_guard.h" --mass 0.22:0.28 --delay 0.0008:0.0012 \
     --plot ../../docs/guard.png

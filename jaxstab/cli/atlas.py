@@ -21,7 +21,7 @@ from jaxstab.cli.options import (
     print_with_csv,
     together,
 )
-from jaxstab.cli.scene import SceneCommand, scene_of, warn
+from jaxstab.cli.scene import SceneCommand, scene_of, wall_option, warn
 from jaxstab.conventions import AXES, Verdict
 from jaxstab.tables import columns_of
 
@@ -139,15 +139,13 @@ _ANSWER = "verdict", "status"
     type=Path,
     help="Ask about the walls of a scene in SI units, at each corner of its ranges.",
 )
-@click.option("--stiffness", type=float, help="K of a wall in place of the scene's, in N/m.")
-@click.option("--damping", type=float, help="B of a wall in place of the scene's, in N s/m.")
+@wall_option
 def query(
     file: Path,
     table: Path | None,
     form: str,
     scene_file: Path | None,
-    stiffness: float | None,
-    damping: float | None,
+    wall: tuple[tuple[str, float, float], ...],
     **point: float | None,
 ) -> int:
     """Ask an atlas about a point, about the points of a CSV file, or about a scene's walls.
@@ -160,7 +158,8 @@ def query(
     not.
     """
     given = {name: value for name, value in point.items() if value is not None}
-    wall = {"stiffness": stiffness, "damping": damping}
+    if wall and scene_file is None:
+        raise click.UsageError("--wall is given without a scene; give --scene FILE.")
     if scene_file is not None:
         for name, value in (given | {"csv": table}).items():
             if value is not None:
@@ -168,16 +167,12 @@ def query(
                     f"--{name} is given beside --scene, which has it; give one of them."
                 )
         opened = jaxstab.open_atlas(file)
-        from jaxstab.scene import Scene
         from jaxstab.scene.atlas import ask_atlas
 
-        stated, found = ask_atlas(Scene.from_file(scene_file), opened, wall)
+        stated, found = ask_atlas(scene_of({"files": [scene_file], "wall": wall}), opened)
         rows = [row | _words(row["verdict"], row["status"]) for row in found]
         _write(rows, list(rows[0]), form, stated)
         return 0 if all(row["verdict"] == "stable" for row in rows) else 1
-    for name, value in wall.items():
-        if value is not None:
-            raise ValueError(f"{name} is {value:g} without a scene; give --scene FILE.")
     if table:
         points = _points_in(table, given)
     else:

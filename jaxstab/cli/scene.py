@@ -97,16 +97,18 @@ def _option(name: str, section: str, entry: Field[Any]) -> click.Option:
     return click.Option([f"--{name.replace('_', '-')}"], **reads, help=sentence)
 
 
+wall_option = click.option(
+    "--wall",
+    type=(str, float, float),
+    multiple=True,
+    metavar="NAME K B",
+    help="A wall: its name, N/m and N s/m; may be repeated.",
+)
+
 # What describes a scene beside the options of a SceneCommand, which go before the files.
 mechanics_options = together(
     click.argument("files", type=Path, nargs=-1, metavar="[FILE]..."),
-    click.option(
-        "--wall",
-        type=(str, float, float),
-        multiple=True,
-        metavar="NAME K B",
-        help="A wall: its name, N/m and N s/m; may be repeated.",
-    ),
+    wall_option,
     click.option(
         "--set",
         "lines",
@@ -552,13 +554,6 @@ def explore(file: Path | None, output: Path) -> None:
 # The command that writes a guard for C.
 
 
-def _range(context: click.Context, option: click.Parameter, text: str | None) -> Any:
-    ends = number_or_range(context, option, text)
-    if ends is not None and (not isinstance(ends, list) or len(ends) != 2):
-        raise click.BadParameter(f"{text!r} is not a range; give LOW:HIGH.", param=option)
-    return ends and tuple(ends)
-
-
 def _cells(_: click.Context, option: click.Parameter, text: str | None) -> Any:
     if text is None:
         return None
@@ -575,31 +570,22 @@ def _cells(_: click.Context, option: click.Parameter, text: str | None) -> Any:
 @scene_options
 @file_option("-o", "--output", required=True, help="Header file; its name begins all names in it.")
 @click.option(
-    "--masses",
-    callback=_range,
-    help="LOW:HIGH in kg; default: 0.8 to 1.25 times the mass; 0.96 to 1.04 times that of a device "
-    "with modes, an actuator or a grip.",
-)
-@click.option(
-    "--delays",
-    callback=_range,
-    help="LOW:HIGH in s; default: the delay to one sample more, and from one less if it is "
-    "constant; a tenth of one for such a device.",
-)
-@click.option(
     "--cells", callback=_cells, help="Cells along mass, delay and damping: powers of two."
 )
 @plot_option("PNG or SVG file of the limits.")
 def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
     """Write a C header that clamps K and B to what is proved stable, for a running loop.
 
+    It is for the ranges of the scene, such as --mass 0.22:0.28 --delay 0.0008:0.0012. Of one mass
+    it takes 0.8 to 1.25 times it; of one delay that to one sample more, and from one less if it is
+    constant. With modes, an actuator or a grip it is 0.96 to 1.04 times and a tenth of a sample.
+
     Its walls are proved for every sequence of the delays; with --constant-delay for delays that do
     not change during contact, and the function takes the delay.
     """
     if len(given["files"]) > 1 or given["csv_file"] or as_json:
         raise click.UsageError("a guard is for one scene; give one FILE, and no --csv or --json.")
-    kind: Any = {"constant_delay": given["constant_delay"] is not None}
-    kind["lost"] = given.pop("lost_samples") or 0  # beside one delay of the scene, too
+    lost = given.pop("lost_samples") or 0  # beside one delay of the scene, too
     scene = scene_of(given)
     warn(*scene.unusual())
     from jaxstab.durable import publish
@@ -607,8 +593,8 @@ def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
     from jaxstab.scene.guard import guard_about, guard_plan, scene_guard
 
     name = checked_name(output.stem)  # before the proof, which takes long
-    cells, ranges = given["cells"], (given["masses"], given["delays"])
-    plan = guard_plan(scene, kind["constant_delay"], cells)
+    cells = given["cells"]
+    plan = guard_plan(scene, cells)
     with at_work("proving") as show:
 
         def tell(share: float) -> None:
@@ -616,7 +602,7 @@ def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
                 click.echo(plan, err=True)
             show(share, 1.0)
 
-        made = scene_guard(scene, *ranges, **kind, progress=tell, cells=cells)
+        made = scene_guard(scene, lost=lost, progress=tell, cells=cells)
     about = guard_about(scene, made)
     publish(made.header(name, about, scene.units.value[:3]).encode(), output)
     if plot:

@@ -1,13 +1,11 @@
 """An atlas for the device, the hands and the delays of a scene: its specification, its answers."""
 
-from collections.abc import Mapping
 from itertools import product
 from typing import Any
 
 import numpy as np
 
 from jaxstab.atlas import Atlas, AtlasSpec
-from jaxstab.loop import Gains
 from jaxstab.scene.answers import Inputs, basis_of, blocks_of
 from jaxstab.scene.loops import corners_of, loop_of_member, walls_of, with_tolerances
 from jaxstab.scene.scene import Scene
@@ -37,23 +35,13 @@ def atlas_spec(scene: Scene) -> AtlasSpec:
     )
 
 
-def ask_atlas(
-    scene: Scene, atlas: Atlas, wall: Mapping[str, float | None]
-) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+def ask_atlas(scene: Scene, atlas: Atlas) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """Ask ``Atlas.query`` about the walls of a scene, at each corner of its ranges.
 
-    A ``wall`` given by its gains takes the place of the scene's. Returns inputs and units as JSON
-    has them, and a row for each wall and corner.
+    Returns inputs and units as JSON has them, and a row for each wall and corner.
     """
-    given = {name: value for name, value in wall.items() if value is not None}
-    if len(given) == 1:
-        ((name, value),) = given.items()
-        other = "damping" if name == "stiffness" else "stiffness"
-        raise ValueError(f"--{name} is {value:g} alone; give --{other}, too.")
-    if not given:
-        scene.require_walls()
-    walls = {"": Gains(**given)} if given else walls_of(scene)
-    si, moved = scene.units, scene.units.moved
+    scene.require_walls()
+    walls, si, moved = walls_of(scene), scene.units, scene.units.moved
     units = {
         "stiffness": si.stiffness,
         "damping": si.damping,

@@ -1,18 +1,15 @@
 """The guard of a scene: for the masses of its device and the delays of its loop."""
 
-import warnings
 from collections.abc import Callable
 from decimal import ROUND_FLOOR
 from math import prod
 
 import numpy as np
 
-from jaxstab.conventions import Range
 from jaxstab.guard import Guard, build_guard
 from jaxstab.guard.build import CELLS, CONSTANT_CELLS, plan_guard
 from jaxstab.guard.guard import LARGEST_HEADER
 from jaxstab.loop import HapticLoop
-from jaxstab.model.parameters import LONGEST_DELAY
 from jaxstab.scene.answers import Quantity, blocks_of
 from jaxstab.scene.loops import is_one_mass, loop_of, masses_of, range_of_hands, with_delay
 from jaxstab.scene.scene import Scene, range_in_words
@@ -20,76 +17,47 @@ from jaxstab.scene.scene import Scene, range_in_words
 
 def scene_guard(
     scene: Scene,
-    masses: Range | None = None,
-    delays: Range | None = None,
     *,
     lost: int = 0,
-    constant_delay: bool = False,
     progress: Callable[[float], None] | None = None,
     cells: tuple[int, int, int] | None = None,
 ) -> Guard:
-    """The guard of a scene, for its hands: see ``jaxstab.build_guard``.
+    """The guard of a scene, for its hands, masses and delays: see ``jaxstab.build_guard``.
 
-    The masses, in kg, are by default those of the scene, and if that is a single one 0.8 to 1.25
-    times it. The delays, in s, are by default the scene's range. If that is a single delay, they
-    are that one to one sample more, and one sample less to one sample more if it is constant. For a
-    device with modes, an actuator or a grip it is 0.96 to 1.04, and a tenth of a sample. The cells
-    are by default those of ``build_guard``, a single one of mass and delay for such a device.
-    ``progress`` is called with the completed share of the proof.
+    Of a single mass it covers 0.8 to 1.25 times it. Of a single delay it covers that one to one
+    sample more, and one sample less to one sample more if it is constant. For a device with modes,
+    an actuator or a grip it is 0.96 to 1.04, and a tenth of a sample. The cells are by default
+    those of ``build_guard``, a single one of mass and delay for such a device. ``progress`` is
+    called with the completed share of the proof.
     """
-    _check_size(scene, delays, cells)
-    loop, controller = _loop_of(scene), scene.controller
-    lost, constant_delay = lost or controller.lost_samples, _is_constant(scene, constant_delay)
-    is_plain = is_one_mass(scene)
-    # What postures may make of the mass; samples beside the delay if it is constant, and beyond it.
-    shares, beside = ((0.8, 1.25), 1.0) if is_plain else ((0.96, 1.04), 0.1)
-    mass, delay, period = scene.device.effective_mass[0], loop.delay, loop.sample_time
-    given_delays = controller.delays
-    shortest = max(delay - beside * period, 0.0) if constant_delay else delay
-    far = 10.0  # masses beyond this multiple of the scene's are more likely a slip of the unit
-    if masses and not (masses[0] <= far * mass and mass <= far * masses[1]):
-        unit = scene.units.kilogram
-        warnings.warn(
-            f"masses are {masses[0]:g} to {masses[1]:g} {unit}, that of the scene is {mass:g} "
-            f"{unit}; give them in {unit}.",
-            stacklevel=2,
-        )
-    return build_guard(
-        loop,
-        range_of_hands(scene),
-        mass=masses or masses_of(scene) or (shares[0] * mass, shares[1] * mass),
-        delay=delays
-        or (
-            given_delays
-            if given_delays[0] < given_delays[1]
-            else (shortest, delay + beside * period)
-        ),
-        lost=lost,
-        constant_delay=constant_delay,
-        progress=progress,
-        cells=cells or _cells_of(scene, constant_delay),
-    )
-
-
-def _check_size(scene: Scene, delays: Range | None, cells: tuple[int, int, int] | None) -> None:
-    """Refuse before the proof what would take too long, or too much memory."""
-    longest = LONGEST_DELAY * scene.controller.sample_time
-    if delays and not max(delays) <= longest:
-        raise ValueError(
-            f"delays are {delays[0]:g} to {delays[1]:g} s; give at most {LONGEST_DELAY:g} samples, "
-            f"{longest:g} s."
-        )
     most = LARGEST_HEADER // 6  # letters of a number with its comma
     if cells and prod(count + 1 for count in cells) > most:
         raise ValueError(
             f"cells are {','.join(map(str, cells))}; give fewer: the table may have {most} numbers."
         )
+    loop, delays = _loop_of(scene), scene.controller.delays
+    is_constant = scene.controller.delay_is == "constant"
+    # What postures may make of the mass; samples beside the delay if it is constant, and beyond it.
+    shares, beside = ((0.8, 1.25), 1.0) if is_one_mass(scene) else ((0.96, 1.04), 0.1)
+    mass, aside = scene.device.effective_mass[0], beside * loop.sample_time
+    if delays[0] == delays[1]:
+        shortest = max(delays[0] - aside, 0.0) if is_constant else delays[0]
+        delays = shortest, delays[0] + aside
+    return build_guard(
+        loop,
+        range_of_hands(scene),
+        mass=masses_of(scene) or (shares[0] * mass, shares[1] * mass),
+        delay=delays,
+        lost=lost or scene.controller.lost_samples,
+        constant_delay=is_constant,
+        progress=progress,
+        cells=cells or _cells_of(scene),
+    )
 
 
-def guard_plan(scene: Scene, constant_delay: bool, cells: tuple[int, int, int] | None) -> str:
+def guard_plan(scene: Scene, cells: tuple[int, int, int] | None) -> str:
     """Describe what ``scene_guard`` will compute, and about how long that takes."""
-    cells = cells or _cells_of(scene, _is_constant(scene, constant_delay))
-    return str(plan_guard(_loop_of(scene), cells))
+    return str(plan_guard(_loop_of(scene), cells or _cells_of(scene)))
 
 
 def _loop_of(scene: Scene) -> HapticLoop:
@@ -97,14 +65,10 @@ def _loop_of(scene: Scene) -> HapticLoop:
     return loop_of(with_delay(scene, scene.controller.delays[0]))
 
 
-def _is_constant(scene: Scene, constant_delay: bool) -> bool:
-    return constant_delay or scene.controller.delay_is == "constant"
-
-
-def _cells_of(scene: Scene, constant_delay: bool) -> tuple[int, int, int]:
+def _cells_of(scene: Scene) -> tuple[int, int, int]:
     if not is_one_mass(scene):
         return 1, 1, 16
-    return CONSTANT_CELLS if constant_delay else CELLS
+    return CONSTANT_CELLS if scene.controller.delay_is == "constant" else CELLS
 
 
 def guard_about(scene: Scene, guard: Guard) -> str:
