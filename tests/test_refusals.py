@@ -314,11 +314,14 @@ def test_issue_31_31_a_file_that_is_not_utf_8_is_named_with_its_line(tmp_path: P
 
 
 def test_issue_31_31_a_scheduler_that_is_no_address_is_named() -> None:
-    pytest.importorskip("distributed")
+    distributed = pytest.importorskip("distributed")
     from jaxstab.cli.options import _client
 
     with pytest.raises(ValueError, match="scheduler is 'inproc://'; give an address"):
         _client("inproc://")
+    distributed.default_client().close(
+        timeout=0
+    )  # dask keeps it for all that this process computes
 
 
 def test_an_atlas_is_asked_about_a_wall_beside_those_of_a_scene(tmp_path: Path) -> None:

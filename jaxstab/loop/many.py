@@ -444,15 +444,15 @@ def resolved(
     stacks: list[Stack], *, outlines: bool = False
 ) -> "Iterator[tuple[Indices, tuple[Extremes, Any]]]":
     """Yield loops that the program of a batch resolved, and its answers to them."""
-    from jaxstab.region.batch import ISLAND
-
     fewest_compiled = 4  # the same for a program that is compiled
     are_walls = not any(isinstance(loop, list) for _, loop in stacks)
-    accepted = [0] if outlines or are_walls else [0, ISLAND]
     for formed, triples in one_ahead(_groups(stacks, in_charts=outlines)):
         for _ in range(_SCANS):
             if len(triples.angles) < fewest_compiled:
                 break
+            from jaxstab.region.batch import ISLAND  # fewer need no JAX
+
+            accepted = [0] if outlines or are_walls else [0, ISLAND]
             members = np.concatenate([group.members for group in formed])
             units, turned, unstable = (
                 np.concatenate(x) for x in list(zip(*formed, strict=True))[5:]
