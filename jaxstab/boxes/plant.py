@@ -206,7 +206,9 @@ class HeldDevice(NamedTuple):
         most = 1.0 / clear  # of the handle that is held
         if not self._is_one_point:
             # G_em - G_eh G_hm Z/(1 + Z G_hh), and that quotient is (1 - held/free)/free.
-            seen, moved, pushed = (self._largest(mass[0], beyond, *pair) for pair in _APART)
+            seen = self._largest(mass[0], beyond, "encoder", "encoder", "motor")
+            moved = self._largest(mass[0], beyond, "handle", "handle", "motor")
+            pushed = self._largest(mass[0], beyond, "encoder_by_hand", "encoder", "handle")
             most = seen + moved * pushed / least * (1.0 + most / least)
         weaker = prod(hypot(1.0, beyond / lag) for lag in self.lags)
         return most / weaker
@@ -276,23 +278,17 @@ def _check_hand(device: Device) -> None:
         )
 
 
-_APART = (
-    ("encoder", "encoder", "motor"),
-    ("handle", "handle", "motor"),
-    (*("encoder_by_hand", "encoder", "handle"),),
-)
-
-
 def _in_floats(ports: Ports, period: float) -> Ports:
     """Ports in units of one sample, coefficients highest power first."""
     below, *numerators = ports
     units = 2, 2, 2, 2, 4  # powers of the period: the excess is a compliance squared
-    falling = []
-    for above, unit in zip(numerators, units, strict=True):
-        rising = None if above is None else in_samples(Rational(above, below), period)
-        falling.append(rising and tuple(float((c / period**unit).mid()) for c in rising[0][::-1]))
-    monic = in_samples(Rational(numerators[0], below), period)[1]
-    return Ports(tuple(float(c.mid()) for c in monic[::-1]), *falling)
+    sides = [None if x is None else in_samples(Rational(x, below), period) for x in numerators]
+    falling = [
+        side and tuple(float((c / period**unit).mid()) for c in side[0][::-1])
+        for side, unit in zip(sides, units, strict=True)
+    ]
+    assert sides[0] is not None
+    return Ports(tuple(float(c.mid()) for c in sides[0][1][::-1]), *falling)
 
 
 def _vibration(mode: tuple[float, float, float], s: Function) -> Function:
