@@ -623,8 +623,8 @@ class Scene:
         try:
             if "loop" in table:
                 raise ValueError(
-                    "loop is there, and this answer is for walls; limits, check, tune, design and "
-                    "study answer for other loops."
+                    "the scene has a table [loop], but this answer is for walls; limits, check, "
+                    "tune, design and study answer for other loops."
                 )
             return cls(**_tables(table))
         except ValueError as error:
