@@ -21,7 +21,7 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 def names() -> None:
     """Every public name is there, and each one that computes answers a good call."""
     sys.path.append(str(REPOSITORY / "tests"))  # after what is installed
-    from calls import COMPUTING_CALLS, PUBLIC, outcome
+    from calls import COMPUTING_CALLS, PUBLIC, outcome  # type: ignore[import-not-found]
 
     for name in PUBLIC:
         attrgetter(name)(jaxstab)
@@ -90,7 +90,8 @@ def atlas() -> None:
     spec = jaxstab.AtlasSpec(gamma=(0.0,), delta=(0.015,), delay=(1.0,))
     with tempfile.TemporaryDirectory() as folder:
         built = jaxstab.build_atlas(spec, Path(folder) / "atlas.h5")
-        assert built.verdict(0.05, 0.3, gamma=0.0, delta=0.015, delay=1.0) == jaxstab.Verdict.STABLE
+        answer = built.query(0.05, 0.3, gamma=0.0, delta=0.015, delay=1.0)
+        assert answer.verdict == jaxstab.Verdict.STABLE
 
 
 names()
