@@ -451,7 +451,6 @@ REFUSALS = [
     (lambda: joint().verdict(K=1.0, B=2.0), "give both kp and kd"),
     (lambda: joint().intervals(kp=1.0, kd=2.0), "give one of kp and kd"),
     (lambda: joint().intervals(kd=np.nan), "kd is nan"),
-    (lambda: joint(integrator="implicit").region(), "not bounded"),
     (
         lambda: jaxstab.Loop.from_coefficients(
             base=[1, -0.5, 0, 0], first=[1, 0.3], second=[2, 0.6], sample_time=1.0

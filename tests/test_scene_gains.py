@@ -563,8 +563,9 @@ def test_54_other_answers_say_what_they_need(tmp_path: Path) -> None:
     unbounded = file_of(tmp_path, loop(JOINT | {"integrator": "implicit"}, at_kd=10.0))
     limits = run("limits", unbounded)
     assert limits.exit_code == 0
-    assert "not bounded" in limits.stdout
+    assert "largest kp                      unlimited" in limits.stdout
     assert "0 to unlimited" in limits.stdout
+    assert "ever larger ones decay ever faster" in run("tune", unbounded).stdout
     late = DEVICE | {"controller": {"sample_time": 1e-3, "velocity": {"window": 0.02}}}
     assert (
         "give a whole number of them"

@@ -67,6 +67,7 @@ from jaxstab.numbers import (
     without_noise,
 )
 from jaxstab.point import SpectralRadius, linear_spectral_radius, linear_verdict
+from jaxstab.region.pieces import NO_BRANCH
 from jaxstab.region.region import proved_extremes, region_of
 from jaxstab.region.stable_set import GainNames, RegionStatus, ShownRegion, StableRegion
 from jaxstab.shown import number_text
@@ -134,8 +135,8 @@ class GainLimits(NamedTuple):
             name, unit, sense = own.gain
             rounding = ROUND_FLOOR if sense == "largest" else ROUND_CEILING
             value = number_text(own.value, 6, rounding, unit)
-            at = number_text(own.at, 6, unit=other.gain.unit)
-            lines.append(f"  {sense} {name} = {value} at {other.gain.name} = {at}")
+            at = f" at {other.gain.name} = {number_text(own.at, 6, unit=other.gain.unit)}"
+            lines.append(f"  {sense} {name} = {value}{'' if own.value == inf else at}")
         return "\n".join(lines)
 
 
@@ -278,7 +279,9 @@ class Loop:
     @property
     def coordinates(self) -> tuple[Gain, Gain]:
         """In which the stable gains are bounded, and drawn."""
-        return self.bounded or self.gains
+        if self._chart.are_gains:
+            return self.gains
+        return self.bounded or _over_leading(self.gains, self._chart)
 
     @classmethod
     def from_coefficients(
@@ -430,14 +433,14 @@ class Loop:
     def region(self, *, tolerance: float = 1e-6) -> GainRegion:
         """The set of all stable gains, in its connected parts.
 
-        It is computed, and drawn, in coordinates in which it is bounded: for admittances, where
-        light and heavy masses may both be stable, these are 1/mass and damping/mass.
+        It is computed, and drawn, in coordinates in which it is bounded: where the gains move the
+        leading coefficient l of p(z), these are two of 1/l, a/l and b/l. For admittances, where
+        light and heavy masses may both be stable, they are 1/mass and damping/mass.
 
         Args:
             tolerance: largest distance between outline and boundary, as a share of the diameter.
 
-        Raises: ValueError where the gains move the leading coefficient of p(z), so that the set is
-        not bounded: ``intervals`` and ``verdict`` answer there.
+        Raises: ValueError for a tolerance below 1e-10, and for gains that act alike.
 
         Source: the D-decomposition of eq. (9), likewise.
 
@@ -448,7 +451,6 @@ class Loop:
               largest  kd = 100 N m s/rad at kp = 0 N m/rad
               islands  none found
         """
-        self._require_bounded()
         checked_number("tolerance", tolerance, 1e-10, is_open=True)
         loop = ScaledLoop(self._chart.chart, self._scale)
         return GainRegion(self, region_of(loop, tolerance), self._scale)
@@ -481,29 +483,44 @@ class Loop:
         return GainLimits(limits[0], limits[1], region.status, region.main is not None)
 
     def _in_rows(self, main: GainRegion) -> list[Float64[np.ndarray, "2"]]:
-        """The extreme points of an outline in other coordinates, as ends of proved rows."""
-        here = main.outline
-        with np.errstate(all="ignore"):  # 0/0 where the first of them is 0
-            gains = np.stack(self._chart.gains(*here.T), axis=-1)
-            scaled = gains * here[:, :1]  # which is linear in the coordinates
-            share = scaled / (scaled - np.roll(scaled, -1, axis=0))
-            at_zero = here[:, None] + share[..., None] * (np.roll(here, -1, axis=0) - here)[:, None]
-            at_zero = at_zero[(share > 0.0) & (share < 1.0)]  # where the outline leaves gains >= 0
-            crossed = np.stack(self._chart.gains(*at_zero.T), axis=-1)
-        crossed = np.where(np.abs(crossed) < 1e-9 * np.abs(crossed[:, ::-1]), 0.0, crossed)
-        gains = np.concatenate([gains, crossed])
-        gains = gains[np.all(np.isfinite(gains) & (gains >= 0.0), axis=1)]
-        points = []
-        for axis, gain in enumerate(self.gains):
-            is_least = gain.sense == "least"
-            best = gains[(np.argmin if is_least else np.argmax)(gains[:, axis])].copy()
-            row = self.intervals(**{self.gains[1 - axis].name: float(best[1 - axis])})
-            ends = [low if is_least else high for low, high in row.intervals]
-            values = [end.value if end.value > end.error else 0.0 for end in ends]
-            if values:  # at a corner the row may have none
-                best[axis] = min(values, key=lambda value: abs(value - best[axis]))
-            points.append(best)
-        return points
+        """The extreme gains >= 0 of an outline in other coordinates, as ends of proved rows.
+
+        1/l, a/l and b/l are >= 0 in a triangle. Linear fractions as a and b are the largest and the
+        least at vertices of what the outline and the triangle share; infinite where 1/l is 0.
+        """
+        here = np.stack(self._chart.whole(*main.outline.T), axis=-1)
+        ahead, is_edge = here[1:], main.region.branch != NO_BRANCH
+        with np.errstate(all="ignore"):  # 0/0 along the sides, and at the corners of infinite gains
+            share = here[:-1] / (here[:-1] - ahead)
+            crossed = here[:-1, None] + share[..., None] * (ahead - here[:-1])[:, None]
+            crossed = crossed[(share > 0.0) & (share < 1.0) & is_edge[:, None]]
+            weights = np.array(self._chart.weights)
+            corners = np.diag(1.0 / weights)[weights > 0.0]
+            chart = np.delete(corners, self._chart.pivot, axis=1) / main.units
+            corners = corners[main.region.contains(*chart.T)]
+            whole = np.concatenate([here, crossed, corners])
+            whole[np.abs(whole) < 1e-9 * np.abs(whole).max(axis=0)] = 0.0
+            gains = whole[:, 1:] / whole[:, :1]
+        gains = gains[np.all(whole >= 0.0, axis=1)]
+        return [self._extreme(axis, gains) for axis in (0, 1)]
+
+    def _extreme(
+        self, axis: int, gains: Float64[np.ndarray, "point 2"]
+    ) -> Float64[np.ndarray, "2"]:
+        """Of some gains those of the largest or least one; finite ones are the end of a row."""
+        is_least = self.gains[axis].sense == "least"
+        gains = gains[~np.isnan(gains[:, axis])]
+        if not gains.size:
+            return np.full(2, np.nan)
+        best = gains[(np.argmin if is_least else np.argmax)(gains[:, axis])].copy()
+        if not np.all(np.isfinite(best)):
+            return best
+        row = self.intervals(**{self.gains[1 - axis].name: float(best[1 - axis])})
+        ends = [low if is_least else high for low, high in row.intervals]
+        values = [end.value if end.value > end.error else 0.0 for end in ends]
+        if values:  # at a corner the row may have none
+            best[axis] = min(values, key=lambda value: abs(value - best[axis]))
+        return best
 
     def margins(self, **gains: Numbers) -> GainMargins:
         """By what factors each gain, and both at once, may grow and shrink: proved.
@@ -533,7 +550,8 @@ class Loop:
 
         The search covers the component that contains small gains; where these are not stable, all
         gains, and the status says so. It is that of ``HapticLoop.tune("radius")``: what is said
-        there of gains that are rounded holds here, too.
+        there of gains that are rounded holds here, too. Gains are infinite where ever larger ones
+        decay ever faster, as in simulators that are implicit.
 
         Raises: as ``region``.
 
@@ -551,15 +569,15 @@ class Loop:
         def verdicts(first: Any, second: Any) -> np.ndarray:
             return np.asarray(linear_verdict(np.asarray(first), np.asarray(second), linear))
 
-        base, _, second = self._chart.weights if self.bounded else (0.0, 1.0, 0.0)
-        shares = base * self._scale[0], second * self._scale[1]  # masses are >= 0
+        shares = self._chart.shares[0] * self._scale[0], self._chart.shares[1] * self._scale[1]
         walls = Walls.of_loop(linear, verdicts, region)._replace(lowest=0.0, shares=shares)
         best = smallest_radius(walls)
-        units = np.array(best.wall) * self._scale
-        pair = [float(gain) for gain in self._chart.gains(*units)]
+        with np.errstate(all="ignore"):
+            pair = [float(gain) for gain in self._chart.gains(*np.array(best.wall) * self._scale)]
         gains = dict(zip((gain.name for gain in self.gains), pair, strict=True))
         if not np.all(np.isfinite(pair)):
-            return TunedGains(gains, np.nan, np.inf, best.status)
+            status = TuningStatus.ENDLESS if best.radius < 1.0 else best.status
+            return TunedGains(gains, np.nan, np.inf, status)
         radius = self.spectral_radius(**gains)
         return TunedGains(gains, float(radius.value), float(radius.error), best.status)
 
@@ -668,13 +686,6 @@ class Loop:
         first, second = self._chart.of_gains(*float_arrays(*given))
         return first / self._scale[0], second / self._scale[1]
 
-    def _require_bounded(self) -> None:
-        if not (self._chart.are_gains or self.bounded):
-            raise ValueError(
-                f"the stable gains of {self.words} are not bounded: the gains move the leading "
-                "coefficient of p(z). Ask for intervals and verdicts."
-            )
-
     @cached_property
     def _chart(self) -> Coordinates:
         return coordinates_of(self.parts)
@@ -694,6 +705,24 @@ class Loop:
 def _names(gains: tuple[Gain, Gain]) -> GainNames:
     first, second = gains
     return GainNames(first.name, second.name, first.unit, second.unit)
+
+
+def _over_leading(gains: tuple[Gain, Gain], chart: Coordinates) -> tuple[Gain, Gain]:
+    """The gains of a chart, named by what they are over the leading coefficient."""
+    names, units = ("", *(gain.name for gain in gains)), ("", *(gain.unit for gain in gains))
+    terms = [
+        f"{'-' if weight < 0.0 else '+'} {abs(weight):.4g} {name}".rstrip().replace(" 1 ", " ")
+        for weight, name in zip(chart.weights, names, strict=True)
+        if weight
+    ]
+    leading = " ".join(terms).removeprefix("+ ")
+    per = f"/({units[chart.pivot]})" if units[chart.pivot] else ""
+    first, second = (
+        Gain(f"{name or 1}/({leading})", f"{unit or 1}{per}" if per else unit)
+        for k, (name, unit) in enumerate(zip(names, units, strict=True))
+        if k != chart.pivot
+    )
+    return first, second
 
 
 def _coefficient(name: str, value: Any) -> Coefficient:

@@ -575,11 +575,9 @@ def _formed(stacks: list[Stack], *, in_charts: bool = False) -> Iterator[Formed]
 
 
 def _of_gains(members: Indices, loops: list[Loop], *, in_charts: bool = False) -> Iterator[Formed]:
-    """Yield loops of any two gains, if these are bounded, or all of them in their charts."""
+    """Yield loops of any two gains, if these are those of the chart, or all in their charts."""
     for start in range(0, len(loops), _AT_ONCE):
         block = members[start : start + _AT_ONCE].tolist()
-        for k in block:
-            loops[k]._require_bounded()
         block = [k for k in block if in_charts or loops[k]._chart.are_gains]
         triples = [partial(affine_triple, loops[k]._chart.chart) for k in block]
         yield from sampled_loops(np.array(block, int), triples, _DEGREES)

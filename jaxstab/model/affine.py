@@ -23,6 +23,8 @@ from fractions import Fraction
 from functools import lru_cache
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
+import numpy as np
+
 from jaxstab.arrays import Array
 from jaxstab.model.balls import (
     BallLoop,
@@ -146,14 +148,25 @@ class Coordinates(NamedTuple):
         del whole[self.pivot]
         return whole[0] / leading, whole[1] / leading
 
+    @property
+    def shares(self) -> tuple[float, float]:
+        """Of the gains of the chart in 1: what is left of it is that of the pivot."""
+        first, second = (weight for k, weight in enumerate(self.weights) if k != self.pivot)
+        return first, second
+
+    def whole(self, first: Array, second: Array) -> list[Array]:
+        """1/l, a/l and b/l at gains of the chart."""
+        left = 1.0 - self.shares[0] * first - self.shares[1] * second
+        parts = [first, second]
+        parts.insert(self.pivot, np.where(np.abs(left) < 1e-7, 0.0, left))  # digits are lost
+        return parts
+
     def gains(self, first: Array, second: Array) -> tuple[Array, Array]:
         """Gains of the chart as those of the loop."""
         if self.are_gains:
             return first, second
-        weights = [weight for k, weight in enumerate(self.weights) if k != self.pivot]
-        whole = [first, second]
-        whole.insert(self.pivot, 1.0 - weights[0] * first - weights[1] * second)
-        return whole[1] / whole[0], whole[2] / whole[0]
+        unit, first, second = self.whole(first, second)
+        return first / unit, second / unit
 
 
 @lru_cache(maxsize=128)

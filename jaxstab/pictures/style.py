@@ -126,6 +126,7 @@ def plot_region(region: Region, ax: Axes | None = None) -> Axes:
         labels = STIFFNESS_LABEL, DAMPING_LABEL
     elif isinstance(region, GainRegion):
         labels = region.names.labels
+        _leave_out_negative(panel, region.loop)
     panel.set(xlabel=labels[0], ylabel=labels[1])
     return panel
 
@@ -173,8 +174,9 @@ def plot_loop(loop: HapticLoop | Loop, ax: Axes | None = None) -> Axes:
         word, largest = "stiffest", region.limits()[:2]
     else:
         word, largest = "largest", region.reachable.extremes[0]
-    words = f"{word}: {region.names.at_largest_stiffness(largest)}"
-    panel.plot(*largest, ">", color=ORANGE, mec=BLACK, ms=8, label=words)
+    if isinstance(loop, HapticLoop) or np.dot(loop._chart.shares, largest) < 1.0:
+        words = f"{word}: {region.names.at_largest_stiffness(largest)}"
+        panel.plot(*largest, ">", color=ORANGE, mec=BLACK, ms=8, label=words)
     if isinstance(loop, HapticLoop):
         draw_linear_rule(panel, loop)
     if not panel.child_axes:  # a map of islands has made room already
@@ -183,6 +185,22 @@ def plot_loop(loop: HapticLoop | Loop, ax: Axes | None = None) -> Axes:
     panel.locator_params(axis="x", nbins=6)
     panel.legend(fontsize=8, frameon=False, loc="upper right")
     return panel
+
+
+def _leave_out_negative(panel: Axes, loop: Loop) -> None:
+    """Cover the coordinates beyond infinite gains, or beyond the one of the chart that is 0."""
+    chart, window = loop._chart, (panel.get_xlim(), panel.get_ylim())
+    x, y = np.meshgrid(*(np.linspace(*ends, 200) for ends in window))
+    used = chart.shares[0] * x + chart.shares[1] * y
+    if not np.min(used) < 1.0 < np.max(used):
+        return
+    over_outlines = 2.2
+    panel.contourf(x, y, used, [1.0, np.inf], colors="white", zorder=over_outlines)
+    panel.contour(
+        x, y, used, [1.0], colors=RED, linestyles="--", linewidths=1.4, zorder=over_outlines
+    )
+    names = "infinite gains", *(f"{gain.name} = 0" for gain in loop.gains)
+    panel.plot([], [], "--", color=RED, lw=1.4, label=names[chart.pivot])
 
 
 def draw_linear_rule(panel: Axes, loop: HapticLoop) -> None:

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, make_dataclass, replace
 from decimal import ROUND_CEILING, ROUND_FLOOR
 from functools import cache, partial
 from inspect import Parameter, signature
-from math import inf, isfinite, nan
+from math import inf, isfinite, isnan, nan
 from typing import Any
 
 from jaxstab import loop as doors
@@ -233,7 +233,7 @@ def gain_limits(scene: GainScene) -> GainAnswer:
     values = _stated(scene)
     try:
         values |= {limit.gain.name: _limit(scene, limit) for limit in _limits(scene)}
-    except ValueError as error:  # the gains are not bounded
+    except ValueError as error:  # both gains act alike
         values["limits"] = str(error)
     for gain in scene.loop.gains:
         at = scene.wanted[f"at_{gain.name}"]
@@ -286,6 +286,9 @@ def _limit(scene: GainScene, limit: GainLimit) -> GainAnswer:
     """A limit and the other gain there, to be printed as a stable pair."""
     own, value, at = limit
     other, is_largest = _other(scene, own), own.sense == "largest"
+    name = f"{own.sense}_{own.name}"
+    if value == inf:
+        return GainAnswer({name: value}, {name: Quantity(own.unit)})
     if isfinite(value):
         inside = value * (1.0 - 2e-4 if is_largest else 1.0 + 2e-4)
         at = _beside(scene.loop.intervals(**{own.name: inside}), at)
@@ -295,11 +298,11 @@ def _limit(scene: GainScene, limit: GainLimit) -> GainAnswer:
     certainty = "proved for every environment" if is_proved else "not proved"
     return GainAnswer(
         {
-            f"{own.sense}_{own.name}": value,
+            name: value,
             f"at_{other.name}": at,
             "certainty": certainty if scene.is_range or not is_proved else None,
         },
-        {f"{own.sense}_{own.name}": Quantity(own.unit), f"at_{other.name}": Quantity(other.unit)},
+        {name: Quantity(own.unit), f"at_{other.name}": Quantity(other.unit)},
         is_proved,
     )
 
@@ -397,7 +400,7 @@ def _largest(scene: GainScene, own: Gain, period: float, name: str) -> GainAnswe
         except ValueError:  # beyond what a filter, or the longest delay, allows
             return -1.0
         share = found / goal if own.sense == "largest" else goal / max(found, 1e-300)
-        return max(-1.0, share - 1.0) if isfinite(share) else -1.0
+        return -1.0 if isnan(share) else min(max(share - 1.0, -1.0), 1e6)
 
     if "delay" in name:
         start = period if is_time else 1.0

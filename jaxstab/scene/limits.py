@@ -10,6 +10,7 @@ import numpy as np
 from jaxstab import paper
 from jaxstab.conventions import Verdict
 from jaxstab.exact import LineStatus, StableLine
+from jaxstab.exact.line import End
 from jaxstab.loop import Gains, HapticLoop, WallLimits, WallRegion
 from jaxstab.model import Velocity
 from jaxstab.scene.answers import (
@@ -401,13 +402,18 @@ def stable_intervals(line: StableLine, safety: float, value: float) -> list[tupl
         raise ValueError(
             "the intervals of stable gains were not resolved; change one value a little."
         )
-    ends = [(low.value + low.error, high.value - high.error) for low, high in line.intervals]
+    ends = [(_inner(low, 1.0), _inner(high, -1.0)) for low, high in line.intervals]
     scaled = [inwards(low, high, safety) for low, high in ends]
     scaled = [(low, high) for low, high in scaled if low <= high] or [(nan, nan)]
     holding = [k for k, (low, high) in enumerate(scaled) if low <= value <= high]
     small = [k for k, (low, high) in enumerate(scaled) if low <= 0.0 < high]
     (first,) = (holding or small or [len(scaled) - 1])[:1]
     return [scaled[first], *scaled[:first], *scaled[first + 1 :]]
+
+
+def _inner(end: End, way: float) -> float:
+    """An end, or the next number inside that is proved; 0 where it cannot be told from that."""
+    return 0.0 if abs(end.value) <= end.error else end.value + way * end.error
 
 
 def inwards(low: float, high: float, safety: float) -> tuple[float, float]:

@@ -279,6 +279,7 @@ class TuningStatus(Status):
     ISLAND = 5, "best of a search, in an island: small gains are not stable"
     ANY_COMPONENT = 6, "best of a search, perhaps in an island: the region is unresolved"
     NOT_CALM = 7, "no gains found that keep encoder chatter within the limit"
+    ENDLESS = 8, "no gains are best: ever larger ones decay ever faster"
 
 
 class OptimalGains(NamedTuple):
