@@ -47,7 +47,6 @@ from .scene.study import shares as shares
 from .scene.study import study as study
 from .trace import trace_boundary as trace_boundary
 from .tuning import minimize_radius as minimize_radius
-from .tuning import minimize_radius_damping as minimize_radius_damping
 from .tuning import minimize_settling as minimize_settling
 
 __version__: str

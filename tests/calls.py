@@ -42,7 +42,6 @@ COMPUTING_CALLS: dict[str, list[Any]] = {
     ],
     "dominant_mode": [0.1, 0.2, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
     "minimize_radius": [{"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
-    "minimize_radius_damping": [0.1, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
     "minimize_settling": [{"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
     "margins": [0.1, 0.2, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
     "paper.linear_alpha_limit": [0.2, {"delta": 0.015, "delay": 1.0}],

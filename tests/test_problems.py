@@ -59,7 +59,7 @@ LIMITS: dict[str, dict[str, str]] = {
 ELSEWHERE = {
     "companion_matrix": "test_model: a matrix of given coefficients",
     "evaluate_grid": "test_spectrum: the same answers in chunks",
-    "minimize_radius": "test_tuning", "minimize_radius_damping": "test_tuning",
+    "minimize_radius": "test_tuning",
     "minimize_settling": "test_tuning", "margins": "test_margins",
     "paper.linear_alpha_limit": "test_criteria", "paper.linear_error": "test_criteria",
     "paper.linear_validity": "test_criteria", "paper.passive_region": "test_criteria",

@@ -232,7 +232,7 @@ class TestMinimizeRadiusDamping:
         [(0.1, (0.0, 0.0, 0.0)), (0.02, (1e-3, 0.015, 1.5)), (0.0, (1.0, 0.0, 1.0))],
     )
     def test_is_the_minimum_over_beta(self, alpha: float, plant: Plant) -> None:
-        best = jaxstab.minimize_radius_damping(alpha, **by_name(*plant))
+        best = jaxstab.minimize_radius(alpha=alpha, **by_name(*plant))
         betas = np.linspace(-1.0, 2.0, 30_001)
         values = radii(plant, np.array(alpha), betas)
         middle = values.argmin()
@@ -245,8 +245,14 @@ class TestMinimizeRadiusDamping:
         assert float(best.value) <= refined.fun + 1e-6
         assert float(best.beta) == pytest.approx(refined.x, abs=1e-6)
 
+    def test_is_that_of_each_plant_of_an_array(self) -> None:
+        best = jaxstab.minimize_radius(alpha=0.05, gamma=0.0, delta=[0.0, 0.015], delay=1.0)
+        for k, delta in enumerate((0.0, 0.015)):
+            alone = jaxstab.minimize_radius(alpha=0.05, gamma=0.0, delta=delta, delay=1.0)
+            assert (best.alpha[k], best.beta[k], best.value[k]) == alone[:3]
+
     def test_of_a_wall_that_is_too_stiff_says_so(self) -> None:
-        best = jaxstab.minimize_radius_damping(0.8, gamma=0.0, delta=0.0, delay=0.0)
+        best = jaxstab.minimize_radius(alpha=0.8, gamma=0.0, delta=0.0, delay=0.0)
         assert int(best.status) == TuningStatus.NO_STABLE_GAINS
         assert float(best.value) > 1
 
@@ -395,7 +401,7 @@ class TestOptimalGains:
         if alpha is None:
             free = jaxstab.minimize_radius(**loop.slice)
         else:
-            free = jaxstab.minimize_radius_damping(alpha, **loop.slice)
+            free = jaxstab.minimize_radius(alpha=alpha, **loop.slice)
         assert getattr(free, is_negative) < 0.0
         calm, quick = (loop.tune(goal, stiffness=stiffness) for goal in ("radius", "settling"))
         limits = loop.limits()

@@ -143,7 +143,7 @@ class TestMinimizeRadiusDamping:
     def test_is_the_least_of_a_dense_scan(self, case: str) -> None:
         filters, exact, plant = CASES[case]
         alpha = 5e-4
-        best = jaxstab.minimize_radius_damping(alpha, **by_name(*plant), **filters)
+        best = jaxstab.minimize_radius(alpha=alpha, **by_name(*plant), **filters)
         betas = np.linspace(0.0, 0.1, 4001)
         values = radii(polynomials(plant, exact), np.stack([np.full_like(betas, alpha), betas], 1))
         assert float(best.value) <= values.min() + 1e-6
@@ -152,10 +152,10 @@ class TestMinimizeRadiusDamping:
         assert abs(reached - flint.arb(float(best.value))) < 1e-6
 
     def test_of_a_stiffness_that_only_an_island_has_says_so(self) -> None:
-        best = jaxstab.minimize_radius_damping(0.6, gamma=0.0, delta=0.0, delay=0.0, **LOW_PASS)
+        best = jaxstab.minimize_radius(alpha=0.6, gamma=0.0, delta=0.0, delay=0.0, **LOW_PASS)
         assert int(best.status) == TuningStatus.ISLAND
         assert float(best.value) < 1.0
-        none = jaxstab.minimize_radius_damping(0.6, gamma=0.0, delta=0.0, delay=0.0, **WINDOW)
+        none = jaxstab.minimize_radius(alpha=0.6, gamma=0.0, delta=0.0, delay=0.0, **WINDOW)
         assert int(none.status) == TuningStatus.NO_STABLE_GAINS
 
 

@@ -1,7 +1,6 @@
 from .radius import OptimalGains as OptimalGains
 from .radius import TuningStatus as TuningStatus
 from .radius import minimize_radius as minimize_radius
-from .radius import minimize_radius_damping as minimize_radius_damping
 from .settling import minimize_settling as minimize_settling
 
 __all__: list[str]

@@ -574,7 +574,7 @@ def _on_line(walls: Walls, axes: tuple[Axis, Axis], below: float) -> Best:
 
 
 def _best_damping(walls: Walls, alpha: float) -> Best:
-    """Return the damping with the smallest radius for a stiffness: ``minimize_radius_damping``."""
+    """Return the damping with the smallest radius for a stiffness."""
     betas = np.concatenate([-_GAINS[::-1], [0.0], _GAINS])
     axes = np.array([alpha]), betas[betas >= walls.lowest]
     best = _on_line(walls, axes, below=1.0)
@@ -591,10 +591,11 @@ def minimize_radius(
     gamma: Numbers,
     delta: Numbers,
     delay: Numbers,
+    alpha: float | None = None,
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> OptimalGains:
-    """The gains (alpha, beta) with the smallest spectral radius: the fastest decay.
+    """The gains (alpha, beta) with the smallest spectral radius, or beta for an alpha.
 
     In the haptic range the best gains make a triple real pole; with a stiff hand and a delay, a
     double complex pair. Both are solved for to full precision. The best alpha may be negative if
@@ -604,11 +605,13 @@ def minimize_radius(
 
     With an estimator or a filter the stable set may have several components. The best gains are
     then those of the component that holds small positive gains; if there is none, those of the
-    islands, and the status says so.
+    islands, and the status says so. Damping for a given stiffness is scanned over both signs and
+    nine decades: where two real poles meet, to about 1e-14 of beta and 1e-8 of the radius.
 
     Args:
         gamma, delta, velocity, position: see ``jaxstab.conventions``.
         delay: time delay t_d/T >= 0 in samples, one concrete number; filters are concrete, too.
+        alpha: the stiffness, one concrete number, where only the damping is chosen.
 
     Returns:
         OptimalGains of the broadcast shape. ``value`` is the radius at the exact multiple root: at
@@ -624,9 +627,14 @@ def minimize_radius(
         >>> best = jaxstab.minimize_radius(gamma=0.0, delta=0.0, delay=0.0)
         >>> round(float(best.value), 9)  # 4^(1/3) - 1
         0.587401052
+        >>> best = jaxstab.minimize_radius(alpha=0.05, gamma=0.0, delta=0.015, delay=1.0)
+        >>> round(float(best.beta), 4), round(float(best.value), 4)
+        (0.3203, 0.823)
     """
-    require_x64(gamma, delta)
+    require_x64(gamma, delta, *(() if alpha is None else (alpha,)))
     checked_delay(delay)
+    if alpha is not None:
+        alpha = checked_number("alpha", checked_gain("alpha", alpha))
     delay = checked_number("delay", delay, 0.0)
     filters = given_filters(velocity, position)
     gamma, delta = float_arrays(checked_gamma(gamma), checked_delta(delta))
@@ -637,7 +645,7 @@ def minimize_radius(
         )
     xp = namespace(gamma, delta)
     plants = xp.broadcast_arrays(gamma, delta)
-    search = partial(_searched, delay=delay, filters=filters)
+    search = partial(_searched, delay=delay, filters=filters, alpha=alpha)
     like = (np.float64,) * 4 + (np.int8,)
     *fields, kind = on_host(search, *plants, shape=plants[0].shape, like=like)
     best = Pair(*fields)
@@ -647,11 +655,11 @@ def minimize_radius(
 
 
 def _searched(
-    gamma: Array, delta: Array, *, delay: float, filters: Filters | None
+    gamma: Array, delta: Array, *, delay: float, filters: Filters | None, alpha: float | None
 ) -> tuple[Array, ...]:
     """Return alpha, beta, x and y of the best pairs of plants, and how each is known."""
     plants = zip(gamma.ravel().tolist(), delta.ravel().tolist(), strict=True)
-    best = [smallest_radius(mass_walls(*plant, delay, filters)) for plant in plants]
+    best = [smallest_radius(mass_walls(*plant, delay, filters), alpha) for plant in plants]
     pairs = np.array([each.pair for each in best]).reshape(-1, 4).T
     kinds = np.array([each.status for each in best], np.int8)
     return *(column.reshape(gamma.shape) for column in pairs), kinds.reshape(gamma.shape)
@@ -695,39 +703,6 @@ def _chosen() -> Any:
         return chosen(*primals), [tangent * exactly for tangent in tangents[0]]
 
     return chosen
-
-
-def minimize_radius_damping(
-    alpha: float,
-    *,
-    gamma: float,
-    delta: float,
-    delay: float,
-    velocity: Velocity | None = None,
-    position: Filter | None = None,
-) -> OptimalGains:
-    """The damping beta with the smallest spectral radius, ``value``, for a given stiffness alpha.
-
-    It is found by a scan over both signs and nine decades of beta, which zooms in on its best
-    point. If two real poles meet there, beta is right to about 1e-14 and the radius to about 1e-8.
-    With an estimator or a filter it is the best damping in the component that holds small positive
-    gains; if that has no gains of this stiffness, the best one of an island, and the status says
-    so. Source: eq. (9).
-
-    beta may be negative, as of a strongly damped hand; ``HapticLoop.tune`` gives walls of B >= 0.
-
-    Args and Raises: see ``jaxstab.conventions``; all are single numbers.
-
-    Example:
-        >>> best = jaxstab.minimize_radius_damping(0.05, gamma=0.0, delta=0.015, delay=1.0)
-        >>> round(float(best.beta), 4), round(float(best.value), 4)
-        (0.3203, 0.823)
-    """
-    require_x64(alpha, gamma, delta)
-    walls = mass_walls(*one_plant(gamma, delta, delay), given_filters(velocity, position))
-    alpha = checked_number("alpha", checked_gain("alpha", alpha))
-    best = smallest_radius(walls, alpha)
-    return found_gains(best.wall, best.radius, best.status)
 
 
 def one_plant(gamma: Numbers, delta: Numbers, delay: Numbers) -> tuple[float, float, float]:
