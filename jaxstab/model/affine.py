@@ -90,7 +90,7 @@ class AffineParts:
         return any(p0[0] == sign * p0[n] and q[0] == sign * q[n] for sign in (1, -1))
 
 
-@remembered(128)
+@remembered(512)
 def affine_triple(parts: AffineParts) -> Triple:
     """The parts of p(z) in balls of the precision that is set; the last ones are remembered."""
     return parts.triple()
