@@ -24,6 +24,7 @@ from jaxstab.cli.options import (
     plot_option,
     print_with_csv,
     together,
+    write_beside,
 )
 from jaxstab.shown import printable, shortened, table_text
 
@@ -374,12 +375,24 @@ def limits(as_json: bool, in_full: bool, islands: bool, **given: Any) -> int:
 @click.command(cls=SceneCommand)
 @scene_options
 @_plot_option
-def check(as_json: bool, **given: Any) -> int:
+@file_option(
+    "--certificate",
+    check=file_in(".json"),
+    help="JSON file for data/check/check_wall.py, which confirms the verdicts without jaxstab.",
+)
+def check(as_json: bool, certificate: Path | None, **given: Any) -> int:
     """Check each wall: stable or not, its margins, how fast it settles.
 
     The exit code is 0 if every wall is proved stable, if only but for a position that nothing
     holds, 1 if not.
     """
+    if certificate:
+        from jaxstab.scene.certificate import certificate as certified
+
+        if len(given["files"]) > 1:
+            raise click.UsageError("a certificate is of one scene; give one FILE.")
+        claims = certified(scene_of(given))
+        write_beside(json.dumps(claims, indent=1).encode() + b"\n", certificate)
     return _answer(given, "check", as_json)
 
 

@@ -1,0 +1,181 @@
+"""Certificates of walls, and the program that confirms them in fractions, without jaxstab."""
+
+import importlib.util
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from campaign import many
+from click.testing import CliRunner
+
+from jaxstab.cli.main import main
+from jaxstab.scene import Scene
+from jaxstab.scene.certificate import certificate
+
+READER = Path(__file__).parents[1] / "data" / "check" / "check_wall.py"
+SCENE = {
+    "device": {"mass": 0.25, "damping": 0.1},
+    "hand": {"mass": 0.1, "stiffness": 50.0, "damping": 1.0},
+    "controller": {"sample_time": 1e-3, "delay": 1.5e-3, "velocity": {"window_samples": 8}},
+    "walls": {"soft": {"stiffness": 500.0, "damping": 5.0}},
+}
+
+
+@pytest.fixture(scope="module")
+def reader() -> Any:
+    spec = importlib.util.spec_from_file_location("check_wall", READER)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def said_of(reader: Any, claims: dict[str, Any], folder: Path) -> int:
+    """The exit code of the program for a file with these claims."""
+    file = folder / "wall.json"
+    file.write_text(json.dumps(claims))
+    return int(reader.main(file))
+
+
+def scene(seed: int) -> dict[str, Any]:
+    """A loop of one mass with a hand, a delay and an estimator, and a wall of any size."""
+    rng = np.random.default_rng([56, seed])
+    period, mass = 10.0 ** rng.uniform(-4.0, -2.0), 10.0 ** rng.uniform(-2.0, 1.0)
+    late = float(rng.integers(0, 6)) + float(rng.choice([0.0, 0.5, rng.uniform()]))
+    size = 10.0 ** rng.uniform(-2.0, 0.5)
+    estimators: list[dict[str, Any]] = [
+        {"window_samples": int(rng.integers(1, 18))},
+        {"cutoff": float(rng.uniform(0.005, 0.4)) / period, "order": int(rng.integers(1, 4))},
+    ]
+    return {
+        "device": {"mass": mass, "damping": float(rng.uniform(0.0, 0.1)) * mass / period},
+        "hand": {
+            "mass": float(rng.uniform(0.0, 1.0)) * mass,
+            "stiffness": float(rng.uniform(0.0, 0.01)) * mass / period**2,
+            "damping": float(rng.uniform(0.01, 0.1)) * mass / period,
+        },
+        "controller": {
+            "sample_time": period,
+            "delay_samples": late,
+            "velocity": estimators[int(rng.integers(2))],
+        },
+        "walls": {
+            "one": {
+                "stiffness": float(rng.uniform(0.0, 0.1)) * size * mass / period**2,
+                "damping": float(rng.uniform(0.0, 0.5)) * size * mass / period,
+            }
+        },
+    }
+
+
+def test_the_program_is_short_and_imports_the_standard_library_alone() -> None:
+    lines = READER.read_text().splitlines()
+    imports = [line for line in lines if line.startswith(("import ", "from "))]
+    assert len(lines) <= 250
+    assert {line.split()[1] for line in imports} <= {"json", "sys", "fractions", "math", "operator"}
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_claims_are_confirmed(seed: int, reader: Any, tmp_path: Path) -> None:
+    assert said_of(reader, certificate(Scene.from_table(scene(seed))), tmp_path) == 0
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("seed", range(100, 100 + many(1000, 40)))
+def test_claims_are_confirmed_at_large(seed: int, reader: Any, tmp_path: Path) -> None:
+    assert said_of(reader, certificate(Scene.from_table(scene(seed))), tmp_path) == 0
+
+
+def test_both_verdicts_and_unstable_gaps_are_among_the_claims() -> None:
+    claims = [certificate(Scene.from_table(scene(seed)))["walls"]["one"] for seed in range(40)]
+    assert {claim["verdict"] for claim in claims} == {"stable", "unstable"}
+
+
+def changed(claims: dict[str, Any], path: str, value: str) -> dict[str, Any]:
+    """A copy of claims with one value in it replaced."""
+    copy = json.loads(json.dumps(claims))
+    *outer, last = path.split(".")
+    place = copy
+    for key in outer:
+        place = place[int(key) if key.isdigit() else key]
+    place[int(last) if last.isdigit() else last] = value
+    return dict(copy)
+
+
+def test_what_was_changed_is_refused(
+    reader: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    claims = certificate(Scene.from_table(SCENE))
+    assert said_of(reader, claims, tmp_path) == 0
+    ((low, high),) = claims["walls"]["soft"]["stiffness_intervals"]
+    place = "walls.soft.stiffness_intervals.0"
+    for path, value in (
+        ("walls.soft.verdict", "unstable"),
+        (f"{place}.1", repr(float(high) * (1.0 + 3e-9))),
+        (f"{place}.1", repr(float(high) * (1.0 - 3e-9))),
+        (f"{place}.0", repr(float(low) + 3e-9 * float(high))),
+        (f"{place}.0", repr(float(low) - 3e-9 * float(high))),
+        ("loop.mass", "1/3"),
+        ("loop.damping", "1"),
+        ("loop.stiffness", "51"),
+        ("loop.sample_time", "1/999"),
+        ("loop.delay_samples", "8/5"),
+        ("loop.velocity.difference", "9"),
+    ):
+        assert said_of(reader, changed(claims, path, value), tmp_path) == 1, path
+        assert "REFUSED" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        ("format", "other"),
+        ("walls.soft.verdict", "maybe"),
+        ("loop.mass", "0"),
+        ("loop.velocity", {"butterworth": 1}),
+        ("walls.soft.stiffness_intervals.0", ["2", "1"]),
+        ("walls.soft.stiffness", "much"),
+    ],
+)
+def test_a_file_that_cannot_be_read_is_named(
+    path: str, value: Any, reader: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    claims = certificate(Scene.from_table(SCENE))
+    assert said_of(reader, changed(claims, path, value), tmp_path) == 2
+    assert "wall.json: " in capsys.readouterr().err
+    assert reader.main(tmp_path / "absent.json") == 2
+
+
+def test_check_writes_a_certificate(reader: Any, tmp_path: Path) -> None:
+    phantom = READER.parents[1] / "scenes" / "phantom.toml"
+    file = tmp_path / "wall.json"
+    done = CliRunner().invoke(main, ["check", str(phantom), "--certificate", str(file)])
+    assert done.exit_code == 1  # one of its walls is unstable
+    assert [*json.loads(file.read_text())["walls"]] == ["passive", "chai3d", "too_stiff"]
+    assert reader.main(file) == 0
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ({"hand": {"mass": [0.0, 0.2], "stiffness": 0.0, "damping": 0.0}}, "leave out modes"),
+        ({"device": {"mass": 0.1, "damping": 0.1, "actuator": {"bandwidth": 90.0}}}, "actuator"),
+        ({"controller": {"sample_time": 1e-3, "delay": [1e-3, 2e-3]}}, "one constant delay"),
+        (
+            {
+                "controller": {
+                    "sample_time": 1e-3,
+                    "velocity": {"cutoff": 30.0, "kind": "butterworth", "order": 2},
+                }
+            },
+            "difference or a low pass",
+        ),
+        ({"walls": {}}, "at least one wall"),
+    ],
+)
+def test_what_the_program_cannot_follow_is_refused(table: dict[str, Any], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        certificate(Scene.from_table(SCENE | table))
