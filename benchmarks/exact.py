@@ -217,6 +217,12 @@ def _limits(tally: Tally, loop: HapticLoop) -> None:
         tally.asked += 1
         tally.open += line.status != LineStatus.PROVED
         ends += [abs(interval.high.value / stiffness - 1.0) for interval in line.intervals]
+    if not ends:  # a corner that is thinner than that: columns beside it
+        beside = [
+            stable_line(triple, (stiffness * (1.0 + side), 0.0), (0.0, 1.0)).intervals
+            for side in (-1e-9, 1e-9)
+        ]
+        ends = [0.0] if beside[0] and not beside[1] else []
     tally.compared(min(ends, default=inf), (loop, stiffness, damping))
 
 
