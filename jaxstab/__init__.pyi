@@ -38,6 +38,8 @@ from .point import closed_loop_poles as closed_loop_poles
 from .point import evaluate_grid as evaluate_grid
 from .point import spectral_radius as spectral_radius
 from .point import verdict as verdict
+from .point.polynomials import is_schur as is_schur
+from .point.polynomials import radius as radius
 from .region import boundary_curve as boundary_curve
 from .region import stable_region as stable_region
 from .scene.contact import contact_table as contact_table

@@ -30,6 +30,8 @@ COMPUTING_CALLS: dict[str, list[Any]] = {
     "plant_coefficients": [{"gamma": 0.001, "delta": 0.015}],
     "characteristic_polynomial": [0.1, 0.2, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
     "companion_matrix": [[1.0, -0.5, 0.25]],
+    "is_schur": [[1.0, -0.5, 0.25]],
+    "radius": [[1.0, -0.5, 0.25]],
     "closed_loop_poles": [0.1, 0.2, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
     "spectral_radius": [0.1, 0.2, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],
     "evaluate_grid": ["function", 0.1, 0.2, {"gamma": 0.001, "delta": 0.015, "delay": 1.0}],

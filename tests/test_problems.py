@@ -59,6 +59,7 @@ LIMITS: dict[str, dict[str, str]] = {
 ELSEWHERE = {
     "companion_matrix": "test_model: a matrix of given coefficients",
     "evaluate_grid": "test_spectrum: the same answers in chunks",
+    "is_schur": "test_polynomials", "radius": "test_polynomials",
     "minimize_radius": "test_tuning",
     "minimize_settling": "test_tuning", "margins": "test_margins",
     "paper.linear_alpha_limit": "test_criteria", "paper.linear_error": "test_criteria",

@@ -1,0 +1,169 @@
+"""Any real polynomials: are all roots inside the unit circle, and how large is the largest one?
+
+The kernels of walls (``verdicts``, ``radius``) take coefficients as they are, divided by the first
+one: a rounding each, which lemmas V10 and R3 of docs/proofs.md count. What float64 leaves open is
+asked in balls, one polynomial after the other, and roots that are exactly on the circle in
+fractions. Where JAX has the coefficients, float64 is all there is.
+"""
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64, Int8
+
+from jaxstab.arrays import Array, Numbers, constant, float_arrays, is_any_jax, named, namespace
+from jaxstab.batches import MANY_COEFFICIENTS, compiled
+from jaxstab.conventions import RadiusStatus, Verdict
+from jaxstab.exact import TripleAt, spectral_radius, wall_verdict
+from jaxstab.exact.verdict import rational_verdict
+from jaxstab.model.affine import GivenParts, affine_triple
+from jaxstab.numbers import require_x64
+from jaxstab.point.radius import SpectralRadius, radius_error
+from jaxstab.point.schur_cohn import UNDERFLOW, Ends, polynomial_codes
+from jaxstab.rounding import SAFETY, UNIT
+
+_LEAST_DEGREE = 3  # of the kernels: lower ones get roots at 0
+_COARSE = 1e-9  # bounds beyond it are asked for in balls
+
+
+def is_schur(coefficients: Numbers) -> Int8[Array, "*grid"]:
+    """Prove for each polynomial whether all its roots lie inside the unit circle.
+
+    Args:
+        coefficients: of shape (..., n + 1), real, the highest power first; the first one is not 0.
+            An array of JAX is answered by one compiled program, also under jit and vmap.
+
+    Returns:
+        int8 codes of ``jaxstab.Verdict``, of shape (...): STABLE or UNSTABLE for the numbers as
+        they are. Of JAX arrays, what float64 leaves open is UNDECIDED: roots within about 1e-12 of
+        the circle, or closer together, and polynomials whose first coefficient is 0.
+
+    Raises: ValueError for less than two coefficients, one that is not finite, and a first one of 0
+        (arrays of JAX apart); TypeError without float64, and for what is not a number.
+
+    Source: the criterion of Schur and Cohn (Jury 1964); lemmas V2, V4, V10 and E1 of
+    docs/proofs.md.
+
+    Example:
+        >>> jaxstab.is_schur([[1.0, -0.5, 0.06], [1.0, -2.5, 1.0], [1.0, 0.0, 1.0]]).tolist()
+        [1, 2, 2]
+    """
+    given = _checked(coefficients)
+    if is_any_jax(given):
+        return _codes(given)
+    codes = np.array(_codes(given))
+    for place in np.flatnonzero(codes == Verdict.UNDECIDED):
+        codes.flat[place] = _exactly(given.reshape(-1, given.shape[-1])[place].tolist())
+    return named(codes, Verdict)
+
+
+def radius(coefficients: Numbers) -> SpectralRadius:
+    """The largest modulus of a root of each polynomial, with a proved bound of its error.
+
+    Args:
+        coefficients: as for ``is_schur``. JAX differentiates ``value`` by them where the largest
+            root is simple.
+
+    Returns:
+        SpectralRadius of shape (...). Of JAX arrays the bound is infinite where float64 proves
+        none, as for multiple roots.
+
+    Raises: as ``is_schur``: ValueError, TypeError.
+
+    Source: the criterion of Schur and Cohn on two circles; lemmas R3 and E2 of docs/proofs.md.
+
+    Example:
+        >>> jaxstab.radius([1.0, -0.5, 0.06])
+        0.30000000000000... +/- ... (proved)
+        >>> jaxstab.radius([[1.0, 0.0, -0.25], [1.0, -1.0, 0.25]]).value.round(9).tolist()
+        [0.5, 0.5]
+    """
+    given = _checked(coefficients)
+    value, error = _radii(given)
+    if not is_any_jax(given):
+        value, error = np.array(value), np.array(error)
+        rows = given.reshape(-1, given.shape[-1])
+        for place in np.flatnonzero(~(error <= _COARSE * value)):
+            found = spectral_radius(_triple(rows[place].tolist()), 0.0, 0.0)
+            value.flat[place], error.flat[place] = found.value, found.error
+    xp = namespace(value)
+    status = xp.where(error < xp.inf, np.int8(RadiusStatus.PROVED), np.int8(RadiusStatus.NO_BOUND))
+    return SpectralRadius(value, error, named(status, RadiusStatus))
+
+
+def _checked(coefficients: Numbers) -> Float64[Array, "*grid coefficient"]:
+    require_x64(coefficients)
+    (given,) = float_arrays(coefficients)
+    if given.ndim == 0 or given.shape[-1] < 2:
+        raise ValueError(
+            f"coefficients have the shape {given.shape}; give (..., n + 1), n >= 1, the highest "
+            "power first."
+        )
+    if is_any_jax(given):
+        return given
+    if not np.all(np.isfinite(given)):
+        raise ValueError("coefficients holds a number that is not finite; leave such ones out.")
+    if np.any(given[..., 0] == 0.0):
+        raise ValueError("the first coefficient is 0; give polynomials of one degree.")
+    return given
+
+
+def _monic(coefficients: Array) -> Array:
+    """Polynomials with the first coefficient 1, with roots at 0 where the degree is low."""
+    xp = namespace(coefficients)
+    given = coefficients / coefficients[..., :1]
+    missing = max(0, _LEAST_DEGREE + 1 - given.shape[-1])
+    return xp.concatenate([given, xp.zeros((*given.shape[:-1], missing))], axis=-1)
+
+
+@compiled(many=MANY_COEFFICIENTS)
+def _codes(coefficients: Array) -> Array:
+    xp = namespace(coefficients)
+    with np.errstate(all="ignore"):
+        columns = xp.moveaxis(_monic(coefficients), -1, 0)
+        degree = len(columns) - 1
+        size = xp.sum(abs(columns), axis=0)
+        error = SAFETY * UNIT * size + UNDERFLOW
+        signs = (-1.0) ** xp.arange(degree + 1)  # of p(-1), times that of its first power
+        at_one, at_minus_one = (
+            xp.sum(columns * sign.reshape(-1, *(1,) * size.ndim), axis=0)
+            for sign in (signs**2, signs)
+        )
+        end_error = error + degree * UNIT * size
+        ends = Ends(at_one, end_error, at_minus_one, end_error)
+        codes = polynomial_codes(columns, error, ends, UNIT, degree)
+        is_one = xp.all(xp.isfinite(coefficients), axis=-1) & (coefficients[..., 0] != 0.0)
+    return xp.where(is_one, codes, np.int8(Verdict.UNDECIDED))
+
+
+@compiled(many=MANY_COEFFICIENTS)
+def _radii(coefficients: Array) -> tuple[Array, Array]:
+    xp = namespace(coefficients)
+    monic = _monic(coefficients)
+    if xp is np:
+        from jaxstab.point.poles import companion_poles
+
+        value = np.abs(companion_poles(monic)[..., 0])
+    else:
+        from jaxstab.point.traced_radius import largest_modulus
+
+        value = largest_modulus(monic)
+    with np.errstate(all="ignore"):
+        return value, radius_error(*constant((monic, value)))
+
+
+def _triple(coefficients: list[float]) -> TripleAt:
+    """A polynomial as the base of a loop of two gains, which are 0."""
+    return partial(affine_triple, _parts(coefficients))
+
+
+def _parts(coefficients: list[float]) -> GivenParts:
+    return GivenParts(tuple(coefficients), (1.0,), (1.0,))
+
+
+def _exactly(coefficients: list[float]) -> Verdict:
+    parts = _parts(coefficients)
+    verdict = wall_verdict(partial(affine_triple, parts), 0.0, 0.0).verdict
+    exact: Any = parts.polynomial(0.0, 0.0)
+    return rational_verdict(exact) if verdict == Verdict.UNDECIDED else verdict
