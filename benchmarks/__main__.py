@@ -26,6 +26,7 @@ BENCHMARKS = (
     "ranges",
     "loops",
     "exact",
+    "polynomials",
     "stress",
 )
 
