@@ -22,7 +22,7 @@ from benchmarks.timing import interleaved
 
 DEGREES = 3, 5, 10, 20, 40, 60
 _MANY, _SOME = 1 << 16, 1 << 10  # polynomials of a call: of jaxstab, and of rivals that are slower
-_JUDGED = 40
+_JUDGED = 10
 MEASURE = "largest relative error of a radius; of is_schur the share of wrong verdicts"
 
 
