@@ -100,6 +100,18 @@ def test_the_largest_damping_on_the_line_of_a_real_root_is_where_that_crosses_th
     assert limits.damping == pytest.approx(base / (base - damping), rel=1e-12)
 
 
+def test_a_limit_without_damping_that_is_small_beside_the_region_is_right() -> None:
+    slow = Velocity.difference(samples=1) * Filter.butterworth(cutoff=0.003673671000105174, order=3)
+    body = {"device_mass": 1.0, "device_damping": 2.5185587900846804e-09}
+    loop = HapticLoop(
+        **body, hand_stiffness=1.5748095492260936, sample_time=1.0, delay=2.0, velocity=slow
+    )
+    limits = loop.limits()
+    assert limits.at_damping == 0.0
+    verdicts = loop.verdict(limits.stiffness * np.array([1.0 - 1e-12, 1.0 + 1e-12]), 0.0)
+    assert verdicts.tolist() == [Verdict.STABLE, Verdict.UNSTABLE]
+
+
 def test_an_island_of_negative_damping_has_no_stiffest_wall_but_limits() -> None:
     window = Velocity.difference(samples=20)
     omega = {"device_mass": 0.25, "device_damping": 0.1, "sample_time": 1e-3, "delay": 1e-3}

@@ -241,8 +241,9 @@ def proved_extremes(region: StableRegion) -> tuple[Point, Point]:
             limit, extent = float(point[axis]), float(np.ptp(outline.vertices[:, axis]))
             row = _Lines(c.loop).at(1 - axis, float(point[1 - axis]))
             ends = np.array([high.value for _, high in row.intervals])
-            near = ends[np.abs(ends - limit) < max(_BESIDE * limit, _LEAST * extent)]
-            point[axis] = near[0] if near.size else limit
+            apart = np.abs(ends - limit)  # an outline is right to some 1e-11 of its size
+            if np.min(apart, initial=np.inf) < _BESIDE * max(limit, extent):
+                point[axis] = ends[np.argmin(apart)]
         points.append(point)
     return points[0], points[1]
 
