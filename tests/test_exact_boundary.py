@@ -1,11 +1,26 @@
-"""Lines of the boundary whose root is known: the polynomial that is left, by products."""
+"""The curve's parts by closed forms, and lines of the boundary whose root is known, by products."""
+
+import math
+from collections import Counter
+from fractions import Fraction
+from itertools import product
 
 import flint
 import numpy as np
 import pytest
+from mpmath import mp, mpc, mpf
 
-from jaxstab.exact.boundary import _without
+from jaxstab import Filter, HapticLoop
+from jaxstab.exact.boundary import (
+    ScaledLoop,
+    _Kept,
+    _start_and_along,
+    _without,
+    curve_around,
+    curve_parts,
+)
 from jaxstab.model.balls import Factored
+from jaxstab.model.loop import unit_loop
 
 DIVISORS = [
     Factored(flint.arb_poly([1]), at_one=1),
@@ -31,3 +46,69 @@ def test_a_part_without_its_root_times_the_root_is_the_part(
     found = [float(c.mid()) for c in _without(product, divisor).polynomial().coeffs()]
     truth = [float(c.mid()) for c in quotient.polynomial().coeffs()]
     np.testing.assert_allclose(found, truth, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("gamma", [0.0, 1e-100])
+def test_the_parts_of_a_free_mass_are_its_closed_form(gamma: float) -> None:
+    """A delay of 1: z^2 (z - 1)^2 + (z + 1)/2 ((alpha + beta) z - beta); a hand of next to 0."""
+    parts = curve_parts(ScaledLoop(unit_loop(gamma, 0.0, 1.0, None, None), (1.0, 1.0)))
+    base, plant, stiffness, damping = [0, 0, 1, -2, 1], [0.5, 0.5], [0, 1], [-1, 1]
+    about_one = [0, 0, 1, 2, 1], [1, 0.5], [1, 1], [0, 1]
+    about_minus_one = [4, 12, 13, 6, 1], [0, -0.5], [-1, -1], [-2, -1]
+    whole = [base[::-1], [0, 0, 0.5, 0.5, 0], [0, 0, 0.5, 0, -0.5]]
+    straight = base, plant, stiffness, damping
+    for found, truth in (
+        (parts.triple, whole),
+        (parts.straight, straight),
+        (parts.shifted[0], about_one),
+        (parts.shifted[1], about_minus_one),
+        (parts.ends, ([0, 1, 0], [4, 0, 0])),
+    ):
+        padded = [[*row, *[0] * (found.shape[1] - len(row))] for row in truth]
+        np.testing.assert_allclose(found, padded, rtol=1e-15, atol=1e-90)
+
+
+def test_a_long_filter_has_the_digits_of_float64_about_one() -> None:
+    """(z - 1) (z - q)^40 with q next to 1: in powers of z - 1 the terms of z cancel by 200 bits."""
+    loop = HapticLoop(
+        device_mass=0.25, device_damping=0.1, sample_time=1.0,
+        position=Filter.low_pass(0.01, order=40),
+    )  # fmt: skip
+    q = Fraction(float(np.exp(-2.0 * np.pi * 0.01)))  # of the filter that runs
+    truth = [float(math.comb(40, k) * (1 - q) ** (40 - k)) for k in range(41)]
+    found = curve_parts(ScaledLoop(loop, (1.0, 1.0))).shifted[0][3]
+    np.testing.assert_allclose(found[1:42], truth, rtol=4e-16)
+
+
+@pytest.mark.parametrize("angle", [0.3, 3.0])
+def test_series_about_an_angle_are_those_of_the_closed_form(angle: float) -> None:
+    """A free mass with a delay of 1: sums of sin(k theta), whose derivatives are known."""
+    loop = ScaledLoop(unit_loop(0.0, 0.0, 1.0, None, None), (1.0, 1.0))
+    (found,) = curve_around(loop, [(angle, 1e-20)])
+    base, a, b = [0, 0, 1, -2, 1], [0, 0.5, 0.5], [-0.5, 0, 0.5]  # times N, but for the first
+    of_curve = (base, b, 1), (base, a, -1), (b, a, 1)  # Im(left(z) conj(right(z)))
+    for series, (left, right, sign) in zip(found.series, of_curve, strict=True):
+        sines: Counter[int] = Counter()
+        for (j, c), (k, d) in product(enumerate(left), enumerate(right)):
+            sines[j - k] += sign * c * d
+        with mp.workdps(40):
+            turn = mpf(angle) + mpf(1e-20)
+            for order, term in enumerate(series.tolist()):
+                turned = (c * mpc(0, k) ** order * mp.expj(k * turn) for k, c in sines.items())
+                exact = mp.fsum(turned).imag / mp.factorial(order)
+                assert abs(term - exact) <= 1e-15 * max(abs(exact), mpf(1e-20))
+
+
+@pytest.mark.parametrize("kept", [(3.0, 2.0, 5.0), (3.0, 0.0, 5.0), (3.0, 2.0, 0.0)])
+def test_all_walls_of_a_line_keep_its_root(kept: tuple[float, float, float]) -> None:
+    """b + alpha s + beta r = 0; without s and r there is no line."""
+    b, s, r = map(flint.arb, kept)
+    start, along = _start_and_along(_Kept(b, s, r, DIVISORS[0])) or ((), ())
+    assert 0 in start  # on an axis
+    for t in (-2.0, 0.0, 0.5):
+        alpha, beta = (at + t * slope for at, slope in zip(start, along, strict=True))
+        assert (b + alpha * s + beta * r).contains(0)
+    assert _start_and_along(_Kept(b, flint.arb(0), flint.arb(0), DIVISORS[0])) == ()
+    wide = flint.arb(0, 1)
+    assert _start_and_along(_Kept(b, wide, r, DIVISORS[0])) is None
+    assert _start_and_along(_Kept(b, flint.arb(0), wide, DIVISORS[0])) is None

@@ -120,7 +120,7 @@ def _enough_bits(loop: ScaledLoop) -> AbstractContextManager[None]:
     bits = _bits_for_digits(loop)
     with working_precision(bits):
         degree = loop.triple().degree
-    return working_precision(bits + (2 * degree if degree > short else 0))
+    return working_precision(bits + 2 * degree if degree > short else bits)
 
 
 @lru_cache(maxsize=64)
@@ -160,8 +160,9 @@ def _roots(part: Factored) -> Complex128[np.ndarray, " root"]:
         np.array([float(c.mid()) for c in polynomial.coeffs()])[::-1]
         for polynomial in (plain.rest, plain.around(1))
     )
-    far, near = np.roots(straight) + 0j, 1.0 + 0j + np.roots(shifted)
-    return np.concatenate([far[abs(far - 1.0) > slow], near[abs(near - 1.0) <= slow]])
+    far, from_one = np.roots(straight), np.roots(shifted)
+    parts = far[abs(far - 1.0) > slow], 1.0 + from_one[abs(from_one) <= slow]
+    return np.concatenate(parts, dtype=complex)
 
 
 class Around(NamedTuple):
