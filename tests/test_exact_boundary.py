@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from mpmath import mp, mpc, mpf
 
-from jaxstab import Filter, HapticLoop
+from jaxstab import Filter, HapticLoop, Velocity
 from jaxstab.exact.boundary import (
     ScaledLoop,
     _Kept,
@@ -18,6 +18,7 @@ from jaxstab.exact.boundary import (
     _without,
     curve_around,
     curve_parts,
+    others_inside,
 )
 from jaxstab.model.balls import Factored
 from jaxstab.model.loop import unit_loop
@@ -97,6 +98,23 @@ def test_series_about_an_angle_are_those_of_the_closed_form(angle: float) -> Non
                 turned = (c * mpc(0, k) ** order * mp.expj(k * turn) for k, c in sines.items())
                 exact = mp.fsum(turned).imag / mp.factorial(order)
                 assert abs(term - exact) <= 1e-15 * max(abs(exact), mpf(1e-20))
+
+
+@pytest.mark.parametrize("samples", [2, 3, 6, 7])
+def test_the_poles_of_a_window_are_the_angles_at_which_it_is_real(samples: int) -> None:
+    """The imaginary part of (1 - z^-n)/n is sin(n theta)/n."""
+    loop = unit_loop(0.0, 0.0, 1.0, Velocity.difference(samples=samples), None)
+    poles = curve_parts(ScaledLoop(loop, (1.0, 1.0))).poles
+    np.testing.assert_allclose(poles, np.pi / samples * np.arange(1, samples), rtol=1e-15)
+
+
+def test_the_third_root_of_a_free_mass_is_inside_below_a_right_angle() -> None:
+    """Without delay p = (z^2 - 2 cos(theta) z + 1) (z - r) has r = tan(theta/2)^2."""
+    loop = ScaledLoop(unit_loop(0.0, 0.0, 0.0, None, None), (1.0, 1.0))
+    angles, low = np.array([0.01, 1.0, np.pi / 2, np.pi / 2, 1.6, 3.1]), np.zeros(6)
+    low[2:4] = -1e-20, 1e-16  # the float64 is 6e-17 below a right angle
+    found = others_inside(loop, angles, low)
+    assert found.tolist() == [True, True, True, False, False, False]
 
 
 @pytest.mark.parametrize("kept", [(3.0, 2.0, 5.0), (3.0, 0.0, 5.0), (3.0, 2.0, 0.0)])

@@ -173,7 +173,7 @@ def test_sums_of_many_small_terms_are_no_less_than_those_of_fractions() -> None:
     """Beside 1 each of them is lost by float64, and 15 of 127 where eight sums run side by side."""
     head = np.full(128, 2.0**-53)
     head[0] = 1.0
-    found = Responses(head[None, None], [], None, 128, 0.0).sums(np.eye(1), np.eye(1))
+    found = Responses(head[None, None], []).sums(np.eye(1), np.eye(1))
     exact = 1 + 127 * Fraction(1, 2**53)
     assert 0 <= Fraction(float(found[0, 0])) - exact < Fraction(1, 2**43)
 
@@ -185,5 +185,16 @@ def test_without_poles_all_of_the_last_terms_must_be_small(
     """1, 0, 1/2, 0, 1/4, 0, 1/8: later terms are no larger than the last two in the head."""
     head = [2.0 ** -(k // 2) if k % 2 == 0 else 0.0 for k in range(7)]
     balls = [flint.arb(value) for value in head]
-    found = Responses(np.array(head)[None, None], balls, None, 5, 0.0)
+    found = Responses(np.array(head)[None, None], balls, late=5)
     assert found.settled(level, 10, is_impact=False) == expected
+
+
+def test_a_mode_that_is_next_to_the_circle_is_summed() -> None:
+    """A swing that loses 1e-17 a sample: |cos| is 2/pi in the mean, and 1 at most."""
+    delta = 2e-17
+    found = disturbed_responses(
+        unit_loop(0.09, delta, 0.0, None, None), 0.0, 0.0, (False, False, True)
+    )
+    assert found is not None
+    (total,) = found.sums(np.eye(4)[:1], np.array([[1.0, 0.0]]))
+    assert 2.0 / np.pi * (2.0 / delta) * 0.999 < total < 2.0 / delta * 1.2

@@ -316,7 +316,7 @@ def _at_pole(loop: ScaledLoop, pole: float) -> _Kept:
     known = _pole_at(loop, pole)
     angle = arb(pole) if known is None else known
     z = acb(0, angle).exp()
-    base, stiffness, damping = (acb(1) * part.polynomial()(z) for part in loop.triple())
+    base, stiffness, damping = (part.polynomial()(z) for part in loop.triple())
     unit = (damping if stiffness.contains(0) else stiffness).conjugate()
     s = arb(0) if stiffness.contains(0) else (stiffness * unit).real
     divisor = Factored(arb_poly([1, -2 * angle.cos(), 1]))
@@ -397,7 +397,7 @@ def _is_real(loop: ScaledLoop, angle: float) -> bool:
         return False
     with working_precision(_LAST_BITS):
         z = acb(0, pole).exp()
-        base, stiffness, damping = (acb(1) * part.polynomial()(z) for part in loop.triple())
+        base, stiffness, damping = (part.polynomial()(z) for part in loop.triple())
         unit = (damping if stiffness.contains(0) else stiffness).conjugate()
         return bool(not unit.contains(0) and (base * unit).imag.contains(0))
 
@@ -432,7 +432,7 @@ def _is_inside(
     base, stiffness, damping = parts()
     theta = arb(angle) + arb(low)
     z = acb(0, theta).exp()
-    p, s, r = (acb(1) * part(z) for part in (base, stiffness, damping))
+    p, s, r = (part(z) for part in (base, stiffness, damping))
     det = (s.conjugate() * r).imag
     if det.contains(0):
         return None

@@ -97,15 +97,15 @@ class Responses(NamedTuple):
 
     head: the first terms, to the nearest float64, and in balls for the first response.
     modes: the later terms; None where poles coincide.
-    late: from this term on, the moduli of all terms of a response, and of any combination of them,
-        add up to at most 1 + growth times those in the head.
+    late: without modes, the moduli of all terms from this one on, of a response and of any
+        combination of them, add up to at most 1 + growth times those in the head.
     """
 
     head: Float64[np.ndarray, "input series term"]
     balls: "list[arb]"
-    modes: Modes | None
-    late: int
-    growth: float
+    modes: Modes | None = None
+    late: int = 0
+    growth: float = 0.0
 
     def sums(
         self, rows: Float64[np.ndarray, "row series"], columns: Float64[np.ndarray, "column input"]
@@ -308,9 +308,7 @@ class _Wall(NamedTuple):
             return None
         poles = np.array([complex(root) for root, _ in first])
         sizes, errors = sizes + UNDERFLOW, errors + UNDERFLOW
-        return Responses(
-            head, balls, Modes(poles, residues, sizes, errors, moduli, gaps, first), start, 0.0
-        )
+        return Responses(head, balls, Modes(poles, residues, sizes, errors, moduli, gaps, first))
 
     def by_powers(self, numerators: Quotients, terms: int) -> Responses | None:
         """Responses by x^m mod p, with that many terms before; None where m is too large."""
