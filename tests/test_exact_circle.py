@@ -7,7 +7,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from jaxstab.exact.circle import Zero, _by_cells, _by_powers, _Cells, _Part, zeros
+from jaxstab.exact.circle import Zero, _by_cells, _by_powers, _Cells, _End, _Part, zeros
 from jaxstab.model.device.parts import decided
 
 Isolate = Callable[[list[flint.arb]], list[Zero] | None]
@@ -133,3 +133,15 @@ def test_cells_know_their_sum_and_how_much_its_fourth_derivative_can_be(degree: 
             value = np.sum(numbers * np.cos(powers * angle))
             rounding = flint.arb(0, 1e-12 * degree)
             assert (part.value(flint.arb(t)) + part.missed + rounding).contains(flint.arb(value))
+
+
+def test_cells_meet_at_their_ends_wherever_these_are_moved_to() -> None:
+    cells = _Cells([flint.arb(1)] * 4)
+    for number in range(1, cells.count):
+        for moved in (0, 1, 8):
+            end = _End(number, moved, 1)
+            left, right = (cells.angle(cell, end.of_cell(cell)[0]) for cell in (number - 1, number))
+            truth = np.pi * (number / cells.count + moved / 128 / cells.count)
+            assert left.overlaps(right)
+            assert float(left.mid()) == pytest.approx(truth, rel=1e-15)
+            assert end.of_cell(number - 1)[0] <= 1

@@ -173,7 +173,7 @@ def test_sums_of_many_small_terms_are_no_less_than_those_of_fractions() -> None:
     """Beside 1 each of them is lost by float64, and 15 of 127 where eight sums run side by side."""
     head = np.full(128, 2.0**-53)
     head[0] = 1.0
-    found = Responses(head[None, None], []).sums(np.eye(1), np.eye(1))
+    found = Responses(head[None, None], flint.arb_poly([])).sums(np.eye(1), np.eye(1))
     exact = 1 + 127 * Fraction(1, 2**53)
     assert 0 <= Fraction(float(found[0, 0])) - exact < Fraction(1, 2**43)
 
@@ -184,8 +184,7 @@ def test_without_poles_all_of_the_last_terms_must_be_small(
 ) -> None:
     """1, 0, 1/2, 0, 1/4, 0, 1/8: later terms are no larger than the last two in the head."""
     head = [2.0 ** -(k // 2) if k % 2 == 0 else 0.0 for k in range(7)]
-    balls = [flint.arb(value) for value in head]
-    found = Responses(np.array(head)[None, None], balls, late=5)
+    found = Responses(np.array(head)[None, None], flint.arb_poly(head), late=5)
     assert found.settled(level, 10, is_impact=False) == expected
 
 
@@ -198,3 +197,28 @@ def test_a_mode_that_is_next_to_the_circle_is_summed() -> None:
     assert found is not None
     (total,) = found.sums(np.eye(4)[:1], np.array([[1.0, 0.0]]))
     assert 2.0 / np.pi * (2.0 / delta) * 0.999 < total < 2.0 / delta * 1.2
+
+
+def test_sums_allow_for_what_rows_and_columns_may_be_wrong_by() -> None:
+    """By 2^-150 of the largest entry, which a series of 2^150 makes as large as the other's 1."""
+    head = np.array([[[1.0], [2.0**150]]])
+    for values, side in ((head, 0), (head.reshape(2, 1, 1), 1)):
+        sides = [np.eye(1), np.eye(1)]
+        sides[side] = np.array([[1.0, 0.0]])
+        found = Responses(values, flint.arb_poly([])).sums(*sides)
+        assert 2.0 <= found[0, 0] < 3.0
+
+
+@pytest.mark.parametrize(("horizon", "expected"), [(30, math.nan), (36, math.nan), (37, 0.0)])
+def test_what_is_not_known_up_to_twice_the_horizon_is_not_settled(
+    horizon: int, expected: float
+) -> None:
+    """0.9001^t - 0.9^t is below 1e-3 from the first on, its bound, the sum, from 73 on."""
+    poles = [Fraction(9001, 10000), Fraction(9, 10)]
+    modes = modes_of(poles)
+    (first, one), (second, _) = modes.balls
+    modes = modes._replace(
+        residues=np.array([[[1.0, -1.0]]], complex), balls=[(first, one), (second, -one)]
+    )
+    found = Responses(np.zeros((1, 1, 1)), flint.arb_poly([]), modes)
+    assert found.settled(1e-3, horizon, is_impact=False) == pytest.approx(expected, nan_ok=True)

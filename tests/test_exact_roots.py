@@ -122,3 +122,10 @@ def test_a_large_radius_is_between_the_bounds_that_are_halved() -> None:
     found = spectral_radius(lambda: triple, 0.0, 0.0)
     assert found.status == RadiusStatus.PROVED
     assert abs(found.value - 3.0) <= found.error < 1e-15
+
+
+@pytest.mark.parametrize("power", [0, 3])
+def test_without_poles_but_for_those_at_0_the_radius_is_0(power: int) -> None:
+    triple = Triple(Factored(flint.arb_poly([2]), power), NOTHING, NOTHING)
+    assert spectral_radius(lambda: triple, 0.0, 0.0) == (0.0, 0.0, RadiusStatus.PROVED)
+    assert poles(lambda: triple, 0.0, 0.0).values.tolist() == [0.0] * power

@@ -102,7 +102,7 @@ class Responses(NamedTuple):
     """
 
     head: Float64[np.ndarray, "input series term"]
-    balls: "list[arb]"
+    balls: "arb_poly"
     modes: Modes | None = None
     late: int = 0
     growth: float = 0.0
@@ -112,16 +112,16 @@ class Responses(NamedTuple):
     ) -> Float64[np.ndarray, "column row"]:
         """No less than the sum over all k of |rows h_k columns'|.
 
-        Rows and columns may be wrong by a unit of each entry, and by 2^-100 of the largest one.
+        Rows and columns may be wrong by a unit of each entry, and by 2^-150 of the largest one.
         """
         most_terms = 1 << 22  # that are summed; what comes later is bounded
         nothing = 1e-12  # a share of a response that is not looked at
         large_rows, large_columns = (
             np.abs(side) + 2.0**-100 * np.abs(side).max(initial=0.0) for side in (rows, columns)
         )
-        rounding = UNIT * (sum(rows.shape[1:] + columns.shape[1:]) + 8)
+        inputs, series, summed = self.head.shape
+        rounding = UNIT * (inputs + series + 8)
         values = np.abs(_mixed(rows, columns, self.head))
-        *_, summed = values.shape
         total = values.sum(axis=-1) + self.growth * values[..., self.late :].sum(axis=-1)
         sizes = np.abs(self.head).sum(axis=-1, keepdims=True) * (1.0 + self.growth)
         total += rounding * _mixed(large_rows, large_columns, sizes)[..., 0]
@@ -177,7 +177,7 @@ class Responses(NamedTuple):
         """The modulus of a term of the first response."""
         from flint import arb
 
-        count = len(self.balls)
+        count = self.head.shape[-1]
         if term < count:
             return abs(self.balls[term])
         assert self.modes is not None
@@ -325,7 +325,7 @@ class _Wall(NamedTuple):
         size = float(_size(power).upper()) * _UP
         return Responses(head, balls, None, late, size / (1.0 - size) * _UP)
 
-    def _head(self, numerators: Quotients, terms: int) -> "tuple[np.ndarray | None, list[arb]]":
+    def _head(self, numerators: Quotients, terms: int) -> "tuple[np.ndarray | None, arb_poly]":
         """The first terms of quotients num/p in powers of 1/z, rounded, and the first in balls.
 
         None where the balls are wide.
@@ -339,19 +339,19 @@ class _Wall(NamedTuple):
             rest = (falling.truncate(known + more) * inverse).truncate(known + more)
             rest = (rest.right_shift(known) * inverse).truncate(more)
             inverse, known = inverse - rest.left_shift(known), known + more
-        first: list[arb] = []
+        quotients = []
         head = np.zeros((len(numerators), len(numerators[0][1]), terms))
         for place in np.ndindex(head.shape[:2]):
             factor, series = numerators[place[0]]
             rising = (factor * series[place[1]]).coeffs()
             above = arb_poly(([arb(0)] * (degree + 1 - len(rising)) + rising[::-1])[:terms])
-            quotient = (above * inverse).truncate(terms).coeffs()
-            head[place][: len(quotient)] = [float(ball) for ball in quotient]
-            widest = max((float(ball.rad()) for ball in quotient), default=0.0)
+            quotients.append((above * inverse).truncate(terms))
+            balls = quotients[-1].coeffs()
+            head[place][: len(balls)] = [float(ball) for ball in balls]
+            widest = max((float(ball.rad()) for ball in balls), default=0.0)
             if widest > _NARROW * np.abs(head[place]).max():
-                return None, first
-            first = first or quotient + [arb(0)] * (terms - len(quotient))
-        return head, first
+                return None, quotients[-1]
+        return head, quotients[0]
 
 
 class _Parts(NamedTuple):
