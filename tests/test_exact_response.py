@@ -178,7 +178,9 @@ def test_sums_of_many_small_terms_are_no_less_than_those_of_fractions() -> None:
     assert 0 <= Fraction(float(found[0, 0])) - exact < Fraction(1, 2**43)
 
 
-@pytest.mark.parametrize(("level", "expected"), [(0.25, 3.0), (0.0625, None)])
+@pytest.mark.parametrize(
+    ("level", "expected"), [(0.25, 3.0), (0.0625, None), (0.125 * (1.0 - 2.0**-51), None)]
+)
 def test_without_poles_all_of_the_last_terms_must_be_small(
     level: float, expected: float | None
 ) -> None:

@@ -281,7 +281,7 @@ class _Wall(NamedTuple):
             return None
         chosen = [(root, is_real) for root, is_real in told if is_real or root.imag > 0]
         start = 2 * self.whole.degree() + 2  # after which fast poles no longer count
-        head, balls = self._head(numerators, start)
+        head = self._head(numerators, start)
         slope = self.whole.derivative()
         shape = len(numerators), len(numerators[0][1]), len(chosen)
         residues = np.zeros(shape, np.complex128)
@@ -308,7 +308,7 @@ class _Wall(NamedTuple):
             return None
         poles = np.array([complex(root) for root, _ in first])
         sizes, errors = sizes + UNDERFLOW, errors + UNDERFLOW
-        return Responses(head, balls, Modes(poles, residues, sizes, errors, moduli, gaps, first))
+        return Responses(*head, Modes(poles, residues, sizes, errors, moduli, gaps, first))
 
     def by_powers(self, numerators: Quotients, terms: int) -> Responses | None:
         """Responses by x^m mod p, with that many terms before; None where m is too large."""
@@ -319,13 +319,13 @@ class _Wall(NamedTuple):
                 return None
             power, count = power * power % plain, 2 * count
         late = max(terms, self.whole.degree() + 1)
-        head, balls = self._head(numerators, late + count)
+        head = self._head(numerators, late + count)
         if head is None:
             return None
         size = float(_size(power).upper()) * _UP
-        return Responses(head, balls, None, late, size / (1.0 - size) * _UP)
+        return Responses(*head, None, late, size / (1.0 - size) * _UP)
 
-    def _head(self, numerators: Quotients, terms: int) -> "tuple[np.ndarray | None, arb_poly]":
+    def _head(self, numerators: Quotients, terms: int) -> "tuple[np.ndarray, arb_poly] | None":
         """The first terms of quotients num/p in powers of 1/z, rounded, and the first in balls.
 
         None where the balls are wide.
@@ -350,7 +350,7 @@ class _Wall(NamedTuple):
             head[place][: len(balls)] = [float(ball) for ball in balls]
             widest = max((float(ball.rad()) for ball in balls), default=0.0)
             if widest > _NARROW * np.abs(head[place]).max():
-                return None, quotients[-1]
+                return None
         return head, quotients[0]
 
 
