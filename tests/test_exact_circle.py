@@ -7,7 +7,16 @@ import mpmath
 import numpy as np
 import pytest
 
-from jaxstab.exact.circle import Zero, _by_cells, _by_powers, _Cells, _End, _Part, zeros
+from jaxstab.exact.circle import (
+    Zero,
+    _by_cells,
+    _by_powers,
+    _Cells,
+    _End,
+    _Part,
+    is_positive,
+    zeros,
+)
 from jaxstab.model.device.parts import decided
 
 Isolate = Callable[[list[flint.arb]], list[Zero] | None]
@@ -147,6 +156,14 @@ def test_a_zero_that_may_be_at_an_end_is_not_left_out() -> None:
         assert _by_powers(next_to_zero()) is None
     (found,) = decided(lambda: zeros(next_to_zero(), is_last_try=False)) or []
     assert found.angle.contains(1e-30)
+
+
+@pytest.mark.parametrize("height", [1e-35, 0.5])
+def test_a_sum_is_positive_however_close_to_0_it_comes(height: float) -> None:
+    above = chosen([], [complex(1.0, height)])
+    assert decided(lambda: is_positive(above())) is True
+    assert decided(lambda: is_positive([-c for c in above()])) is False
+    assert decided(lambda: is_positive(chosen([1.0], [])())) is False
 
 
 def test_cells_meet_at_their_ends_wherever_these_are_moved_to() -> None:

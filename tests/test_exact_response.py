@@ -224,3 +224,4 @@ def test_what_is_not_known_up_to_twice_the_horizon_is_not_settled(
     )
     found = Responses(np.zeros((1, 1, 1)), flint.arb_poly([]), modes)
     assert found.settled(1e-3, horizon, is_impact=False) == pytest.approx(expected, nan_ok=True)
+    assert found.settled(2.5, horizon, is_impact=False) == 0.0  # the bound is 2 at first

@@ -282,6 +282,8 @@ class _Wall(NamedTuple):
         chosen = [(root, is_real) for root, is_real in told if is_real or root.imag > 0]
         start = 2 * self.whole.degree() + 2  # after which fast poles no longer count
         head = self._head(numerators, start)
+        if head is None:
+            return None
         slope = self.whole.derivative()
         shape = len(numerators), len(numerators[0][1]), len(chosen)
         residues = np.zeros(shape, np.complex128)
@@ -304,7 +306,7 @@ class _Wall(NamedTuple):
                     errors[row, column, k] = float(wrong.abs_upper()) * _UP
                     if not row and not column:
                         first.append((root, ball))
-        if head is None or np.any(errors > 1e-12 * sizes.max(axis=-1, initial=0.0, keepdims=True)):
+        if np.any(errors > 1e-12 * sizes.max(axis=-1, initial=0.0, keepdims=True)):
             return None
         poles = np.array([complex(root) for root, _ in first])
         sizes, errors = sizes + UNDERFLOW, errors + UNDERFLOW

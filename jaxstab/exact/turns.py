@@ -86,8 +86,7 @@ class PeriodicLoop:
             above = parts.wall(stiffness, damping).polynomial()
             lags = range(below.degree(), -1, -1)
             numerator, denominator = (
-                np.array([side[power] / below[below.degree()] for power in lags])
-                for side in (above, below)
+                np.array([side[power] for power in lags]) for side in (above, below)
             )
         given = loop.held_device, float(loop.sample_time)
         return cls(partial(_held, *given), numerator, denominator)
