@@ -19,7 +19,9 @@ from jaxstab.exact.boundary import (
     curve_around,
     curve_parts,
     others_inside,
+    root_lines,
 )
+from jaxstab.exact.line import _cosines_of
 from jaxstab.model.balls import Factored
 from jaxstab.model.loop import unit_loop
 
@@ -115,6 +117,52 @@ def test_the_third_root_of_a_free_mass_is_inside_below_a_right_angle() -> None:
     low[2:4] = -1e-20, 1e-16  # the float64 is 6e-17 below a right angle
     found = others_inside(loop, angles, low)
     assert found.tolist() == [True, True, True, False, False, False]
+
+
+@pytest.mark.parametrize(
+    ("delay", "samples", "gamma", "angles"),
+    [
+        (1.0, 3, 0.0, [0, 2 / 3]),  # W = 4 z^(3/2) sin(theta/2)^2/cos(theta/2) is real there
+        (0.5, 4, 0.0, [0, 1]),
+        (2.0, 10, 0.1, [0, 2 / 5, 4 / 5]),
+    ],
+)
+def test_lines_keep_a_root_and_are_stable_where_all_others_are_inside(
+    delay: float, samples: int, gamma: float, angles: list[float]
+) -> None:
+    """Undamped hands; beside a line its root goes to the other side where the line turns."""
+    loop = unit_loop(gamma, 0.0, delay, Velocity.difference(samples=samples), None)
+    question = ScaledLoop(loop, (1.0, 1.0))
+    parts = curve_parts(question)
+
+    def roots(alpha: float, beta: float) -> np.ndarray:
+        return np.roots(np.array([1.0, alpha, beta]) @ parts.triple)
+
+    lines = root_lines(question, parts)
+    assert [line.angle for line in lines] == pytest.approx(np.pi * np.array(angles))
+    for line in lines:
+        z = np.exp(1j * line.angle)
+        for t in (-3.0, 0.1, 0.4, 2.0):
+            known = roots(*line.wall(t))
+            is_kept = np.minimum(abs(known - z), abs(known - z.conj())) < 1e-7
+            assert is_kept.sum() == (1 if abs(z.imag) < 1e-9 else 2)
+            expected = np.all(abs(known[~is_kept]) < 1.0)
+            assert (line.line.holding(t) is not None) == expected
+        if abs(z.imag) > 1e-9:
+            moved = []
+            for side in (-0.1, 0.1):
+                near = roots(*(line.wall(line.turn + side) + np.array([1e-6, 0.0])))
+                moved.append(abs(near[np.argmin(abs(near - z))]) - 1.0)
+            assert moved[0] * moved[1] < 0.0
+    if delay == 1.0:
+        assert lines[1].start == pytest.approx([-6.0, 0.0])
+
+
+def test_a_cosine_sum_of_parts_with_one_phase_is_0() -> None:
+    """(z - 1)^2/z is real on all of the circle."""
+    one = flint.arb_poly([1])
+    parts = Factored(one, at_one=2), Factored(one, power=1)
+    assert all(c == 0 for c in _cosines_of(*parts))
 
 
 @pytest.mark.parametrize("kept", [(3.0, 2.0, 5.0), (3.0, 0.0, 5.0), (3.0, 2.0, 0.0)])
