@@ -20,6 +20,7 @@ from jaxstab.exact.boundary import (
     curve_parts,
     others_inside,
     root_lines,
+    undamped_modes,
 )
 from jaxstab.exact.line import _cosines_of
 from jaxstab.model.balls import Factored
@@ -163,6 +164,22 @@ def test_a_cosine_sum_of_parts_with_one_phase_is_0() -> None:
     one = flint.arb_poly([1])
     parts = Factored(one, at_one=2), Factored(one, power=1)
     assert all(c == 0 for c in _cosines_of(*parts))
+
+
+def test_modes_that_gains_hardly_move_are_known_to_more_digits_than_a_float_has() -> None:
+    """z = e^(i sqrt(gamma)) of an undamped hand; a gain moves it by N A over the slope of base."""
+    loop = ScaledLoop(unit_loop(0.1, 0.0, 1.0, None, None), (1.0, 1.0))
+    base, plant, stiffness, _ = curve_parts(loop).straight
+    near = np.array([np.exp(0.31j)])  # 0.316 is the mode
+    with mp.workdps(50):
+        truth = mp.sqrt(mpf(0.1))
+        value = np.polynomial.polynomial.polyval
+        z = complex(mp.expj(truth))
+        moved = abs(value(z, plant) * value(z, stiffness))
+        moved /= abs(value(z, np.polynomial.polynomial.polyder(base)))
+        ((angle, low),) = undamped_modes(loop, near, 1.001 * moved)
+        assert abs(mpf(angle) + mpf(low) - truth) < mpf(10) ** -31
+    assert undamped_modes(loop, near, 0.999 * moved) == []
 
 
 @pytest.mark.parametrize("kept", [(3.0, 2.0, 5.0), (3.0, 0.0, 5.0), (3.0, 2.0, 0.0)])
