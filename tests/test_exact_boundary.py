@@ -72,6 +72,16 @@ def test_the_parts_of_a_free_mass_are_its_closed_form(gamma: float) -> None:
         np.testing.assert_allclose(found, padded, rtol=1e-15, atol=1e-90)
 
 
+@pytest.mark.parametrize("radius", [0.5, 2.0])
+def test_the_parts_of_another_circle_are_monic_too(radius: float) -> None:
+    """p(r z)/r^n of the same mass, and its values at 1 and -1."""
+    loop = unit_loop(0.0, 0.0, 1.0, None, None)
+    plain, found = (curve_parts(ScaledLoop(loop, (1.0, 1.0), r)) for r in (1.0, radius))
+    truth = plain.triple / radius ** np.arange(5)
+    np.testing.assert_allclose(found.triple, truth, rtol=1e-15)
+    np.testing.assert_allclose(found.ends, [truth.sum(axis=1), truth @ [1, -1, 1, -1, 1]])
+
+
 def test_a_long_filter_has_the_digits_of_float64_about_one() -> None:
     """(z - 1) (z - q)^40 with q next to 1: in powers of z - 1 the terms of z cancel by 200 bits."""
     loop = HapticLoop(

@@ -169,6 +169,15 @@ def test_terms_from_poles_are_those_of_fractions_but_for_a_bound_that_falls(
     assert np.all(wrong <= (1e-13 + 2.0 * error) * count * 0.5**late)
 
 
+@pytest.mark.parametrize("gap", [3e-6, 1e-6, 2e-7])
+def test_millions_of_products_are_wrong_by_less_than_is_said(gap: float) -> None:
+    (pole,) = modes_of([Fraction(1.0 - gap)]).poles.real.tolist()
+    values, wrong = modes_of([Fraction(pole)]).values(1 << 20)
+    with mp.workdps(40):
+        error = abs(float(values[-1]) - mpf(pole) ** (len(values) - 1))
+        assert values[-1] * 2.0**-48 < error <= wrong[-1] < values[-1] * 2.0**-39
+
+
 def test_sums_of_many_small_terms_are_no_less_than_those_of_fractions() -> None:
     """Beside 1 each of them is lost by float64, and 15 of 127 where eight sums run side by side."""
     head = np.full(128, 2.0**-53)
@@ -201,14 +210,23 @@ def test_a_mode_that_is_next_to_the_circle_is_summed() -> None:
     assert 2.0 / np.pi * (2.0 / delta) * 0.999 < total < 2.0 / delta * 1.2
 
 
-def test_sums_allow_for_what_rows_and_columns_may_be_wrong_by() -> None:
+@pytest.mark.parametrize("growth", [0.0, 0.9])
+def test_sums_allow_for_what_rows_and_columns_may_be_wrong_by(growth: float) -> None:
     """By 2^-150 of the largest entry, which a series of 2^150 makes as large as the other's 1."""
     head = np.array([[[1.0], [2.0**150]]])
     for values, side in ((head, 0), (head.reshape(2, 1, 1), 1)):
         sides = [np.eye(1), np.eye(1)]
         sides[side] = np.array([[1.0, 0.0]])
-        found = Responses(values, flint.arb_poly([])).sums(*sides)
-        assert 2.0 <= found[0, 0] < 3.0
+        found = Responses(values, flint.arb_poly([]), growth=growth).sums(*sides)
+        assert 2.0 <= found[0, 0] / (1.0 + growth) < 3.0
+
+
+@pytest.mark.parametrize("error", [0.0, 2.0**-10])
+def test_sums_allow_for_what_residues_may_be_wrong_by(error: float) -> None:
+    """A half to the power of t, times 1 or as much more as is allowed: their sum is 2."""
+    modes = modes_of([Fraction(1, 2)], error)
+    found = Responses(np.zeros((1, 1, 1)), flint.arb_poly([]), modes).sums(np.eye(1), np.eye(1))
+    assert 0.0 <= found[0, 0] / (2.0 * (1.0 + error)) - 1.0 < 1e-11
 
 
 @pytest.mark.parametrize(("horizon", "expected"), [(30, math.nan), (36, math.nan), (37, 0.0)])

@@ -121,7 +121,7 @@ class PeriodicLoop:
             step[states + k - 1] = self.below[k] * force
             step[states + k - 1, :states] += self.above[k] * position
             step[states + k - 1, states + k : states + min(k + 1, memory)] += 1
-        step[forces : forces + 1] = force if oldest else 0
+        step[forces : forces + 1] = force
         for age in range(1, oldest):
             step[forces + age, forces + age - 1] = 1
         return step
