@@ -243,3 +243,12 @@ def test_what_is_not_known_up_to_twice_the_horizon_is_not_settled(
     found = Responses(np.zeros((1, 1, 1)), flint.arb_poly([]), modes)
     assert found.settled(1e-3, horizon, is_impact=False) == pytest.approx(expected, nan_ok=True)
     assert found.settled(2.5, horizon, is_impact=False) == 0.0  # the bound is 2 at first
+
+
+def test_after_a_blow_the_level_is_a_share_of_the_largest_deviation() -> None:
+    """A tenth of 0.5; 0.15 is above it, and below a tenth over 0.5."""
+    head = [0.5, 0.15, 0.01, 0.0]
+    found = Responses(np.array(head)[None, None], flint.arb_poly(head), late=2)
+    assert found.settled(0.1, 10, is_impact=True) == 2.0
+    assert found.settled(0.1, 10, is_impact=False) == 2.0
+    assert found.settled(0.2, 10, is_impact=False) == 1.0
