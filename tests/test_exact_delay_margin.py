@@ -152,6 +152,8 @@ def test_boxes_that_hold_a_root_on_the_circle_are_kept(
                 fraction = max(0.3 - low[1], 0.0), min(0.3 + high[1], 1.0)
                 ((key, *_),) = search.boxes(theta, fraction)
                 assert key <= 3.3 + 1e-12
+            ((key, *_),) = search.boxes((0.0, np.pi), (0.0, 1.0))
+            assert 1.1 <= key <= 3.3
 
 
 @pytest.mark.parametrize("samples", [2, 7, 30])
