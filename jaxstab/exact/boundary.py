@@ -264,7 +264,7 @@ class RootLine(NamedTuple):
 class _Kept(NamedTuple):
     """What keeps a root: b + alpha s + beta r = 0, and the polynomial that it is a root of.
 
-    The root z leaves the disc beside the line by the sign of Re(``direction`` conj(p'(z))).
+    The root z leaves the disc beside the line by the sign of Im(``direction`` conj(p/divisor)).
     """
 
     b: "arb"
@@ -296,9 +296,8 @@ def _turn(loop: ScaledLoop, at_root: Callable[[], _Kept]) -> float | None:
     parts = _divided(loop, at_root)
     if kept.z is None or kept.direction is None or parts is None:
         return nan
-    # p' at the root is z - conj(z) times p without the pair.
-    p0, q = (part.polynomial()(kept.z) for part in parts)
-    rest, slope = ((kept.direction * value.conjugate()).real for value in (p0, q))
+    p0, q = (part.polynomial()(kept.z) for part in parts)  # p' at the root over 2i sin(theta)
+    rest, slope = ((kept.direction * value.conjugate()).imag for value in (p0, q))
     return nan if slope.contains(0) else float((-rest / slope).mid())
 
 
@@ -320,8 +319,7 @@ def _at_pole(loop: ScaledLoop, pole: float) -> _Kept:
     unit = (damping if stiffness.contains(0) else stiffness).conjugate()
     s = arb(0) if stiffness.contains(0) else (stiffness * unit).real
     divisor = Factored(arb_poly([1, -2 * angle.cos(), 1]))
-    direction = (z * unit * acb(0, 2)).conjugate()
-    return _Kept((base * unit).real, s, (damping * unit).real, divisor, z, direction)
+    return _Kept((base * unit).real, s, (damping * unit).real, divisor, z, (z * unit).conjugate())
 
 
 def _start_and_along(kept: _Kept) -> "tuple[tuple[arb, arb], tuple[arb, arb]] | tuple[()] | None":

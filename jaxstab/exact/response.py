@@ -160,8 +160,9 @@ class Responses(NamedTuple):
             if np.any((np.abs(values) + wrong)[self.late :] > limit):
                 return None
         else:
-            terms = self.modes.terms_above(limit, 2 * horizon)
-            if terms > 2 * horizon:
+            most = 2 * horizon
+            terms = self.modes.terms_above(limit, most)
+            if terms > most:
                 return nan
             more, error = self.modes.values(max(terms, 1))
             values, wrong = np.append(values, more), np.append(wrong, error)
