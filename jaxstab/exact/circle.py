@@ -314,7 +314,6 @@ def _refined(part: _Part, a: "arb", b: "arb", sign_b: int) -> Zero | None:
 
     low, high = a.mid(), b.mid()
     x, smallest = ((low + high) / 2).mid(), arb(2) ** -ctx.prec
-    step = high - low
     for _ in range(refinements):
         f = part.value(x)
         sign = sign_of(f + part.missed)

@@ -402,7 +402,7 @@ def _between(crossings: list[Crossing]) -> "list[arb] | None":
     if not crossings:
         return [arb(_SHARE)]
     first, last = crossings[0].t.lower(), crossings[-1].t.upper()
-    reach = max(last - first, abs(first), abs(last), key=float) * _SHARE
+    reach = max(abs(first), abs(last), key=float) * _SHARE
     reach = reach if reach > 0 else arb(_SHARE)
     walls = [first - reach]
     for low, high in pairwise(crossing.t for crossing in crossings):
