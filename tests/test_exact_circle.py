@@ -7,7 +7,16 @@ import mpmath
 import numpy as np
 import pytest
 
-from jaxstab.exact.circle import Zero, _by_cells, _by_powers, _Cells, _Part, zeros
+from jaxstab.exact.circle import (
+    Zero,
+    _by_cells,
+    _by_powers,
+    _Cells,
+    _End,
+    _Part,
+    is_positive,
+    zeros,
+)
 from jaxstab.model.device.parts import decided
 
 Isolate = Callable[[list[flint.arb]], list[Zero] | None]
@@ -126,6 +135,11 @@ def test_cells_know_their_sum_and_how_much_its_fourth_derivative_can_be(degree: 
     powers = np.arange(degree + 1)
     most = np.sum(powers**4 * np.abs(numbers))
     assert float(cells.fourth.mid()) == pytest.approx(most, rel=1e-12)
+    middles = np.pi * (np.arange(cells.count) + 0.5) / cells.count
+    cosines, sines = np.cos(np.outer(middles, powers)), -np.sin(np.outer(middles, powers))
+    for order, found in enumerate(cells.values):  # derivatives, those from the second on negated
+        truth = (sines if order % 2 else cosines) @ (powers**order * numbers)
+        assert [float(ball.mid()) for ball in found] == pytest.approx(truth, abs=1e-12 * most)
     parts = cells.polynomials(list(range(cells.count)))
     for cell, part in parts.items():
         for t in (-1.0, 0.0, 1.0):
@@ -133,3 +147,32 @@ def test_cells_know_their_sum_and_how_much_its_fourth_derivative_can_be(degree: 
             value = np.sum(numbers * np.cos(powers * angle))
             rounding = flint.arb(0, 1e-12 * degree)
             assert (part.value(flint.arb(t)) + part.missed + rounding).contains(flint.arb(value))
+
+
+def test_a_zero_that_may_be_at_an_end_is_not_left_out() -> None:
+    """2 - 2 cos(1e-30) is less than 192 bits tell of it."""
+    next_to_zero = chosen([1e-30], [])
+    with flint.ctx.workprec(192):
+        assert _by_powers(next_to_zero()) is None
+    (found,) = decided(lambda: zeros(next_to_zero(), is_last_try=False)) or []
+    assert found.angle.contains(1e-30)
+
+
+@pytest.mark.parametrize("height", [1e-35, 0.5])
+def test_a_sum_is_positive_however_close_to_0_it_comes(height: float) -> None:
+    above = chosen([], [complex(1.0, height)])
+    assert decided(lambda: is_positive(above())) is True
+    assert decided(lambda: is_positive([-c for c in above()])) is False
+    assert decided(lambda: is_positive(chosen([1.0], [])())) is False
+
+
+def test_cells_meet_at_their_ends_wherever_these_are_moved_to() -> None:
+    cells = _Cells([flint.arb(1)] * 4)
+    for number in range(1, cells.count):
+        for moved in (0, 1, 8):
+            end = _End(number, moved, 1)
+            left, right = (cells.angle(cell, end.of_cell(cell)[0]) for cell in (number - 1, number))
+            truth = np.pi * (number / cells.count + moved / 128 / cells.count)
+            assert left.overlaps(right)
+            assert float(left.mid()) == pytest.approx(truth, rel=1e-15)
+            assert end.of_cell(number - 1)[0] <= 1

@@ -9,7 +9,7 @@ import pytest
 from benchmarks.truth import filtered
 from benchmarks.truth.plain import Loop
 from benchmarks.truth.random_loops import DeviceLoop, Filters, MassLoop
-from jaxstab import Filter, HapticLoop, Velocity
+from jaxstab import Device, Filter, HapticLoop, Mode, Velocity
 from jaxstab.exact.delay_margin import (
     DelayMargin,
     DelayStatus,
@@ -125,6 +125,35 @@ def test_forms_over_an_interval_hold_the_values_in_it(samples: int) -> None:
                 for form, value in zip(forms, values, strict=True):
                     assert form.all.overlaps(value)
                     assert (form.middle + form.by_theta * (angle - middle)).overlaps(value)
+
+
+@pytest.mark.parametrize("samples", [1, 7])
+@pytest.mark.parametrize("frequencies", [[], [400.0]])
+def test_boxes_that_hold_a_root_on_the_circle_are_kept(
+    samples: int, frequencies: list[float]
+) -> None:
+    """The crossings of a row with a delay of 3.3 samples have one there: boxes of all sizes."""
+    modes = [Mode(frequency=own, damping_ratio=0.05, modal_mass=0.5) for own in frequencies]
+    loop = HapticLoop(
+        device=Device.modes(modes, mass=0.25, damping=0.2), sample_time=1e-3, delay=3.3e-3,
+        velocity=Velocity.difference(samples=samples),
+    )  # fmt: skip
+    row = stable_line(partial(ball_triple, loop), (0.0, 3.0), (1.0, 0.0))
+    crossings = [one for one in row.crossings if 0.0 < one.angle < 3.0]
+    assert len(crossings) > 1
+    rng = np.random.default_rng(19)
+    with flint.ctx.workprec(192):
+        sample = one_sample(loop.held_device, loop.sample_time)
+        for value, _, angle, *_ in crossings:
+            search = _Search(ball_loop(loop), sample, 1.1, (value, 3.0))
+            for size in 10.0 ** rng.uniform(-6.0, -0.5, 40):
+                low, high = rng.uniform(0.01, 1.0, (2, 2)) * size
+                theta = max(angle - low[0], 0.0), min(angle + high[0], np.pi)
+                fraction = max(0.3 - low[1], 0.0), min(0.3 + high[1], 1.0)
+                ((key, *_),) = search.boxes(theta, fraction)
+                assert key <= 3.3 + 1e-12
+            ((key, *_),) = search.boxes((0.0, np.pi), (0.0, 1.0))
+            assert 1.1 <= key <= 3.3
 
 
 @pytest.mark.parametrize("samples", [2, 7, 30])

@@ -12,7 +12,17 @@ from benchmarks.truth import filtered
 from benchmarks.truth.plain import Loop, is_stable, outside
 from benchmarks.truth.random_loops import DeviceLoop, Filters, MassLoop, long_window
 from jaxstab import Device, Filter, HapticLoop, Velocity
-from jaxstab.exact.line import LineStatus, StableLine, _chain, _Line, _OnCircle, stable_line
+from jaxstab.exact.line import (
+    End,
+    Interval,
+    LineStatus,
+    StableLine,
+    _chain,
+    _found,
+    _Line,
+    _OnCircle,
+    stable_line,
+)
 from jaxstab.model.balls import Factored, Triple, ball_triple
 
 NOTHING = Factored(flint.arb_poly([]))
@@ -288,3 +298,24 @@ def test_values_on_the_circle_are_those_of_the_polynomial(degree: int) -> None:
         value = complex(_OnCircle.of(p).at(flint.arb(angle)).mid())
         truth = np.polynomial.polynomial.polyval(np.exp(1j * angle), rising)
         assert value == pytest.approx(truth, rel=1e-9)
+
+
+def test_ends_that_are_not_known_to_a_float_are_no_ends() -> None:
+    """z^2 - 4/3 z + 1/3 + t z: t is 0 and 8/3, by 40 bits and by 192."""
+    rising = [fmpq_poly([fmpq(1, 3), fmpq(-4, 3), 1]), fmpq_poly([0, 1])]
+    with flint.ctx.workprec(40):
+        assert _found(_Line.of(*(Factored(flint.arb_poly(p)) for p in rising))) is None
+    with flint.ctx.workprec(192):
+        found = _found(_Line.of(*(Factored(flint.arb_poly(p)) for p in rising)))
+        assert found is not None
+        low, high = (crossing.t for crossing in found.crossings)
+        assert low.contains(0)
+        assert low.rad() < flint.arb(2) ** -100
+        assert high.contains(fmpq(8, 3))
+
+
+def test_an_interval_holds_what_is_beyond_the_errors_of_its_ends() -> None:
+    ends = End(0.0, 0.25, 0.1), End(2.0, 0.5, 0.2)
+    line = StableLine((Interval(*ends),), ends, 0, np.inf, LineStatus.PROVED, 192)
+    held = [line.holding(t) is not None for t in (-0.1, 0.2, 0.25, 0.3, 1.4, 1.5, 1.7, 2.2)]
+    assert held == [False, False, False, True, True, False, False, False]

@@ -1,6 +1,7 @@
 """E4: sums of responses and settling against 50 digits, chosen motions and coincident poles."""
 
 import math
+from fractions import Fraction
 
 import flint
 import impulse
@@ -9,7 +10,7 @@ import pytest
 from mpmath import mp, mpf
 
 from jaxstab import HapticLoop, Velocity
-from jaxstab.exact.response import _Wall, disturbed_responses, settled_after
+from jaxstab.exact.response import Modes, Responses, _Wall, disturbed_responses, settled_after
 from jaxstab.model.loop import unit_loop
 
 CASES = {
@@ -131,3 +132,123 @@ def test_what_is_not_stable_or_no_number_has_no_sums() -> None:
     assert math.isnan(settled_after(loop, math.nan, 20.0, "force", 0.02, 1000))
     assert math.isnan(settled_after(loop, 1000.0, 20.0, "force", 0.02, 60))
     assert settled_after(loop, 1000.0, 20.0, "force", 0.02, 69) == 69.0
+
+
+def modes_of(poles: list[Fraction], error: float = 0.0) -> Modes:
+    """Real poles, each with the residue 1, which may be wrong by an error."""
+    values, ones = np.array(poles, float), np.ones((1, 1, len(poles)))
+    balls = [(flint.acb(value), flint.acb(1)) for value in values.tolist()]
+    sizes, errors, gaps = ones * (1.0 + error), ones * error, 1.0 - abs(values)
+    return Modes(values + 0j, ones + 0j, sizes, errors, abs(values), gaps, balls)
+
+
+@pytest.mark.parametrize("share", [Fraction(-1, 2**41), Fraction(0), Fraction(1, 2**39)])
+def test_a_bound_has_fallen_to_a_limit_where_fractions_have_it(share: Fraction) -> None:
+    """Of a half to the power of t: a limit a little below that of 10 is met by 11 alone."""
+    limit = float(Fraction(1, 2**10) * (1 + share))
+    found = modes_of([Fraction(1, 2)]).terms_above(limit, 1000)
+    assert Fraction(1, 2**found) <= Fraction(limit)
+    assert found == (10 if share > 0 else 11)
+    assert modes_of([Fraction(1, 2)]).terms_above(limit, 8) == 9  # none of so few
+
+
+@pytest.mark.parametrize("error", [0.0, 2.0**-30])
+@pytest.mark.parametrize("count", [1, 40])
+def test_terms_from_poles_are_those_of_fractions_but_for_a_bound_that_falls(
+    count: int, error: float
+) -> None:
+    poles = [Fraction(k + 1, 2 * count) * (-1) ** k for k in range(count)]
+    modes = modes_of(poles, error)
+    values, wrong = modes.values(256)
+    poles = [Fraction(pole) for pole in modes.poles.real.tolist()]  # as they were rounded
+    assert len(values) >= 256
+    for t in (0, 1, 15, 16, 17, 100, 255):
+        exact = (1 + Fraction(error)) * sum(pole**t for pole in poles)
+        assert abs(Fraction(float(values[t])) - exact) <= Fraction(float(wrong[t]))
+    late = np.arange(len(values)) // 16 * 16
+    assert np.all(wrong <= (1e-13 + 2.0 * error) * count * 0.5**late)
+
+
+@pytest.mark.parametrize("gap", [3e-6, 1e-6, 2e-7])
+def test_millions_of_products_are_wrong_by_less_than_is_said(gap: float) -> None:
+    (pole,) = modes_of([Fraction(1.0 - gap)]).poles.real.tolist()
+    values, wrong = modes_of([Fraction(pole)]).values(1 << 20)
+    with mp.workdps(40):
+        error = abs(float(values[-1]) - mpf(pole) ** (len(values) - 1))
+        assert values[-1] * 2.0**-48 < error <= wrong[-1] < values[-1] * 2.0**-39
+
+
+def test_sums_of_many_small_terms_are_no_less_than_those_of_fractions() -> None:
+    """Beside 1 each of them is lost by float64, and 15 of 127 where eight sums run side by side."""
+    head = np.full(128, 2.0**-53)
+    head[0] = 1.0
+    found = Responses(head[None, None], flint.arb_poly([])).sums(np.eye(1), np.eye(1))
+    exact = 1 + 127 * Fraction(1, 2**53)
+    assert 0 <= Fraction(float(found[0, 0])) - exact < Fraction(1, 2**43)
+
+
+@pytest.mark.parametrize(
+    ("level", "expected"), [(0.25, 3.0), (0.0625, None), (0.125 * (1.0 - 2.0**-51), None)]
+)
+def test_without_poles_all_of_the_last_terms_must_be_small(
+    level: float, expected: float | None
+) -> None:
+    """1, 0, 1/2, 0, 1/4, 0, 1/8: later terms are no larger than the last two in the head."""
+    head = [2.0 ** -(k // 2) if k % 2 == 0 else 0.0 for k in range(7)]
+    found = Responses(np.array(head)[None, None], flint.arb_poly(head), late=5)
+    assert found.settled(level, 10, is_impact=False) == expected
+
+
+def test_a_mode_that_is_next_to_the_circle_is_summed() -> None:
+    """A swing that loses 1e-17 a sample: |cos| is 2/pi in the mean, and 1 at most."""
+    delta = 2e-17
+    found = disturbed_responses(
+        unit_loop(0.09, delta, 0.0, None, None), 0.0, 0.0, (False, False, True)
+    )
+    assert found is not None
+    (total,) = found.sums(np.eye(4)[:1], np.array([[1.0, 0.0]]))
+    assert 2.0 / np.pi * (2.0 / delta) * 0.999 < total < 2.0 / delta * 1.2
+
+
+@pytest.mark.parametrize("growth", [0.0, 0.9])
+def test_sums_allow_for_what_rows_and_columns_may_be_wrong_by(growth: float) -> None:
+    """By 2^-150 of the largest entry, which a series of 2^150 makes as large as the other's 1."""
+    head = np.array([[[1.0], [2.0**150]]])
+    for values, side in ((head, 0), (head.reshape(2, 1, 1), 1)):
+        sides = [np.eye(1), np.eye(1)]
+        sides[side] = np.array([[1.0, 0.0]])
+        found = Responses(values, flint.arb_poly([]), growth=growth).sums(*sides)
+        assert 2.0 <= found[0, 0] / (1.0 + growth) < 3.0
+
+
+@pytest.mark.parametrize("error", [0.0, 2.0**-10])
+def test_sums_allow_for_what_residues_may_be_wrong_by(error: float) -> None:
+    """A half to the power of t, times 1 or as much more as is allowed: their sum is 2."""
+    modes = modes_of([Fraction(1, 2)], error)
+    found = Responses(np.zeros((1, 1, 1)), flint.arb_poly([]), modes).sums(np.eye(1), np.eye(1))
+    assert 0.0 <= found[0, 0] / (2.0 * (1.0 + error)) - 1.0 < 1e-11
+
+
+@pytest.mark.parametrize(("horizon", "expected"), [(30, math.nan), (36, math.nan), (37, 0.0)])
+def test_what_is_not_known_up_to_twice_the_horizon_is_not_settled(
+    horizon: int, expected: float
+) -> None:
+    """0.9001^t - 0.9^t is below 1e-3 from the first on, its bound, the sum, from 73 on."""
+    poles = [Fraction(9001, 10000), Fraction(9, 10)]
+    modes = modes_of(poles)
+    (first, one), (second, _) = modes.balls
+    modes = modes._replace(
+        residues=np.array([[[1.0, -1.0]]], complex), balls=[(first, one), (second, -one)]
+    )
+    found = Responses(np.zeros((1, 1, 1)), flint.arb_poly([]), modes)
+    assert found.settled(1e-3, horizon, is_impact=False) == pytest.approx(expected, nan_ok=True)
+    assert found.settled(2.5, horizon, is_impact=False) == 0.0  # the bound is 2 at first
+
+
+def test_after_a_blow_the_level_is_a_share_of_the_largest_deviation() -> None:
+    """A tenth of 0.5; 0.15 is above it, and below a tenth over 0.5."""
+    head = [0.5, 0.15, 0.01, 0.0]
+    found = Responses(np.array(head)[None, None], flint.arb_poly(head), late=2)
+    assert found.settled(0.1, 10, is_impact=True) == 2.0
+    assert found.settled(0.1, 10, is_impact=False) == 2.0
+    assert found.settled(0.2, 10, is_impact=False) == 1.0

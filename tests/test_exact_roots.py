@@ -9,7 +9,7 @@ from benchmarks.truth.plain import Loop, radius
 from benchmarks.truth.random_loops import DeviceLoop, MassLoop
 from jaxstab import Filter, HapticLoop, Velocity
 from jaxstab.conventions import RadiusStatus
-from jaxstab.exact.roots import are_real, isolated_roots, poles, spectral_radius
+from jaxstab.exact.roots import isolated_roots, poles, real_or_not, spectral_radius
 from jaxstab.model.balls import Factored, Triple, ball_triple
 
 NOTHING = Factored(flint.arb_poly([]))
@@ -107,12 +107,12 @@ def test_a_ball_that_meets_the_real_axis_may_hold_one_of_a_pair() -> None:
         return flint.acb(real, flint.arb((low + high) / 2.0, (high - low) / 2.0))
 
     far = [flint.acb(0.5), ball(-0.5, -1e-9, 1e-9)]
-    assert are_real(far) == [True, True]
+    assert real_or_not(far) == [(root, True) for root in far]
     pair = [ball(0.25, -0.001, 0.003), ball(0.25, -0.003, -0.0015)]  # at +-0.002i, or one beside
-    assert are_real([*far, *pair]) is None
-    assert are_real([*far, ball(0.25, 0.001, 0.003), ball(0.25, -0.003, -0.001)]) == [
-        *(True, True), *(False, False)
-    ]  # fmt: skip
+    assert real_or_not([*far, *pair]) is None
+    pair = [ball(0.25, 0.001, 0.003), ball(0.25, -0.003, -0.001)]
+    told = [(root, root in far) for root in far + pair]
+    assert real_or_not(far + pair) == told
 
 
 def test_a_large_radius_is_between_the_bounds_that_are_halved() -> None:
@@ -122,3 +122,10 @@ def test_a_large_radius_is_between_the_bounds_that_are_halved() -> None:
     found = spectral_radius(lambda: triple, 0.0, 0.0)
     assert found.status == RadiusStatus.PROVED
     assert abs(found.value - 3.0) <= found.error < 1e-15
+
+
+@pytest.mark.parametrize("power", [0, 3])
+def test_without_poles_but_for_those_at_0_the_radius_is_0(power: int) -> None:
+    triple = Triple(Factored(flint.arb_poly([2]), power), NOTHING, NOTHING)
+    assert spectral_radius(lambda: triple, 0.0, 0.0) == (0.0, 0.0, RadiusStatus.PROVED)
+    assert poles(lambda: triple, 0.0, 0.0).values.tolist() == [0.0] * power

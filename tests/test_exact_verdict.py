@@ -120,6 +120,20 @@ def test_a_free_device_without_stiffness_drifts_by_structure() -> None:
         assert answer == (Verdict.UNSTABLE, VerdictStatus.ON_CIRCLE)
 
 
+def test_one_root_at_1_may_drift_if_that_is_allowed() -> None:
+    damped = HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
+    undamped = HapticLoop(device_mass=0.25, device_damping=0.0, sample_time=1e-3)
+    for loop, damping, expected in (
+        (damped, 10.0, Verdict.STABLE),
+        (damped, 1e4, Verdict.UNSTABLE),
+        (undamped, 10.0, Verdict.STABLE),
+        (undamped, 0.0, Verdict.UNSTABLE),  # the velocity stays anywhere, too
+    ):
+        triple = partial(ball_triple, loop)
+        assert wall_verdict(triple, 0.0, damping, may_drift=True).verdict == expected
+        assert wall_verdict(triple, 0.0, damping).verdict == Verdict.UNSTABLE
+
+
 @pytest.mark.parametrize("delay", [0.0, 0.4e-3, 2e-3])
 @pytest.mark.parametrize(
     ("position", "stiffness"),

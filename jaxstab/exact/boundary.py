@@ -120,7 +120,7 @@ def _enough_bits(loop: ScaledLoop) -> AbstractContextManager[None]:
     bits = _bits_for_digits(loop)
     with working_precision(bits):
         degree = loop.triple().degree
-    return working_precision(bits + (2 * degree if degree > short else 0))
+    return working_precision(bits + 2 * degree if degree > short else bits)
 
 
 @lru_cache(maxsize=64)
@@ -160,8 +160,9 @@ def _roots(part: Factored) -> Complex128[np.ndarray, " root"]:
         np.array([float(c.mid()) for c in polynomial.coeffs()])[::-1]
         for polynomial in (plain.rest, plain.around(1))
     )
-    far, near = np.roots(straight) + 0j, 1.0 + 0j + np.roots(shifted)
-    return np.concatenate([far[abs(far - 1.0) > slow], near[abs(near - 1.0) <= slow]])
+    far, from_one = np.roots(straight), np.roots(shifted)
+    parts = far[abs(far - 1.0) > slow], 1.0 + from_one[abs(from_one) <= slow]
+    return np.concatenate(parts, dtype=complex)
 
 
 class Around(NamedTuple):
@@ -263,7 +264,7 @@ class RootLine(NamedTuple):
 class _Kept(NamedTuple):
     """What keeps a root: b + alpha s + beta r = 0, and the polynomial that it is a root of.
 
-    The root z leaves the disc beside the line by the sign of Re(``direction`` conj(p'(z))).
+    The root z leaves the disc beside the line by the sign of Im(``direction`` conj(p/divisor)).
     """
 
     b: "arb"
@@ -295,9 +296,8 @@ def _turn(loop: ScaledLoop, at_root: Callable[[], _Kept]) -> float | None:
     parts = _divided(loop, at_root)
     if kept.z is None or kept.direction is None or parts is None:
         return nan
-    # p' at the root is z - conj(z) times p without the pair.
-    p0, q = (part.polynomial()(kept.z) for part in parts)
-    rest, slope = ((kept.direction * value.conjugate()).real for value in (p0, q))
+    p0, q = (part.polynomial()(kept.z) for part in parts)  # p' at the root over 2i sin(theta)
+    rest, slope = ((kept.direction * value.conjugate()).imag for value in (p0, q))
     return nan if slope.contains(0) else float((-rest / slope).mid())
 
 
@@ -315,12 +315,11 @@ def _at_pole(loop: ScaledLoop, pole: float) -> _Kept:
     known = _pole_at(loop, pole)
     angle = arb(pole) if known is None else known
     z = acb(0, angle).exp()
-    base, stiffness, damping = (acb(1) * part.polynomial()(z) for part in loop.triple())
+    base, stiffness, damping = (part.polynomial()(z) for part in loop.triple())
     unit = (damping if stiffness.contains(0) else stiffness).conjugate()
     s = arb(0) if stiffness.contains(0) else (stiffness * unit).real
     divisor = Factored(arb_poly([1, -2 * angle.cos(), 1]))
-    direction = (z * unit * acb(0, 2)).conjugate()
-    return _Kept((base * unit).real, s, (damping * unit).real, divisor, z, direction)
+    return _Kept((base * unit).real, s, (damping * unit).real, divisor, z, (z * unit).conjugate())
 
 
 def _start_and_along(kept: _Kept) -> "tuple[tuple[arb, arb], tuple[arb, arb]] | tuple[()] | None":
@@ -396,7 +395,7 @@ def _is_real(loop: ScaledLoop, angle: float) -> bool:
         return False
     with working_precision(_LAST_BITS):
         z = acb(0, pole).exp()
-        base, stiffness, damping = (acb(1) * part.polynomial()(z) for part in loop.triple())
+        base, stiffness, damping = (part.polynomial()(z) for part in loop.triple())
         unit = (damping if stiffness.contains(0) else stiffness).conjugate()
         return bool(not unit.contains(0) and (base * unit).imag.contains(0))
 
@@ -431,7 +430,7 @@ def _is_inside(
     base, stiffness, damping = parts()
     theta = arb(angle) + arb(low)
     z = acb(0, theta).exp()
-    p, s, r = (acb(1) * part(z) for part in (base, stiffness, damping))
+    p, s, r = (part(z) for part in (base, stiffness, damping))
     det = (s.conjugate() * r).imag
     if det.contains(0):
         return None

@@ -47,7 +47,7 @@ from jaxstab.model.device.parts import remembered
 if TYPE_CHECKING:
     from flint import arb, arb_mat, arb_poly
 
-_OVERLAP = 9  # a cell reaches to 9/8 of its share: the ends of shares may be moved by 1/16
+_OVERLAP = 9  # a cell reaches to 9/8 of its share: the ends of shares may be moved by 1/8
 _SHORTEST = 96  # halvings of a cell, at most
 
 
@@ -78,10 +78,10 @@ def zeros(cosines: "list[arb]", *, is_last_try: bool) -> list[Zero] | None:
 
 def is_positive(cosines: "list[arb]") -> bool | None:
     """Whether c_0 + c_1 cos(theta) + ... > 0 for all angles; None where more bits are needed."""
-    places, at_zero = zeros(cosines, is_last_try=False), sum(cosines[1:], cosines[0])
-    if places is None or at_zero.contains(0):
+    places, at_zero = zeros(cosines, is_last_try=False), sign_of(sum(cosines[1:], cosines[0]))
+    if places is None or not at_zero:
         return None
-    return not places and bool(at_zero > 0)
+    return not places and at_zero == 1
 
 
 def _by_powers(cosines: "list[arb]") -> list[Zero] | None:
@@ -240,14 +240,14 @@ class _End(NamedTuple):
 
 def _end(index: int, signs: list[int], parts: "dict[int, _Part]") -> _End:
     """The end between two cells, or an outermost one."""
-    moves = (0, 1, -1, 2, -2, 3, -3, 4, -4)  # of an end, in 72ths of a cell
+    moves = 9  # of an end, in 72ths of a cell
     known = [signs[cell] for cell in (index - 1, index) if 0 <= cell < len(signs)]
     sign = known[0] or known[-1]
     if sign:
         return _End(index, 0, sign)
     cell = max(index - 1, 0)
     is_outermost = len(known) == 1
-    for moved in moves[: 1 if is_outermost else None]:
+    for moved in range(1 if is_outermost else moves):
         end = _End(index, moved, 0)
         sign = parts[cell].sign(end.of_cell(cell)[0])
         if sign:
@@ -314,7 +314,6 @@ def _refined(part: _Part, a: "arb", b: "arb", sign_b: int) -> Zero | None:
 
     low, high = a.mid(), b.mid()
     x, smallest = ((low + high) / 2).mid(), arb(2) ** -ctx.prec
-    step = high - low
     for _ in range(refinements):
         f = part.value(x)
         sign = sign_of(f + part.missed)
@@ -330,13 +329,9 @@ def _refined(part: _Part, a: "arb", b: "arb", sign_b: int) -> Zero | None:
             break
     f = part.value(x) + part.missed
     radius = max(4 * (f / part.slope(x)).abs_upper(), smallest)
-    for _ in range(4):
-        around = arb(x, radius)
-        place = x - f / (part.slope(around) + part.slope_missed)
-        if around.contains(place):
-            return Zero(place, sign_b)
-        radius = radius * 256
-    return None
+    around = arb(x, radius)
+    place = x - f / (part.slope(around) + part.slope_missed)
+    return Zero(place, sign_b) if around.contains(place) else None
 
 
 def _sums(even: "list[arb]", odd: "list[arb]", cells: int) -> "list[list[arb]]":

@@ -91,8 +91,7 @@ def delay_margin(
             for halves in _halves(theta, fraction, by_theta=by_theta):
                 for box in search.boxes(*halves):
                     heappush(boxes, box)
-        key = boxes[0][0]
-        return DelayMargin(max(key - delay - 2.0 * ulp(key), 0.0), nan, DelayStatus.NOT_SHARP)
+        return DelayMargin(margin, nan, DelayStatus.NOT_SHARP)
 
 
 def _halves(

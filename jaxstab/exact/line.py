@@ -328,15 +328,12 @@ def _cosines(u: "arb_poly", v: "arb_poly", phase: int, *, is_odd: bool) -> "list
     if is_odd and phase % 2 == 0:
         return [sums.get(w, arb(0)) for w in range(0, max(sums) + 1, 2)]
     total, rising = arb(0), []
-    others = arb(0)  # terms of the other parity
-    for w in range(max(sums), 0, -1):
-        if w % 2 != phase % 2:
-            continue
+    others = arb(0)  # terms of k of the other parity
+    for w in range(max(sums), 0, -2):
         k = w // 2  # sin(k theta), sin or cos((k + 1/2) theta)
         here = sums.get(w, arb(0))
-        if (
-            phase % 2 == 0
-        ):  # sin(k theta) = sin(theta) (2 cos((k-1) theta) + 2 cos((k-3) theta) ...)
+        # sin(k theta) = sin(theta) (2 cos((k - 1) theta) + 2 cos((k - 3) theta) + ...)
+        if phase % 2 == 0:
             total, others = others + here, total
             rising.append(total)
         else:
@@ -405,8 +402,8 @@ def _between(crossings: list[Crossing]) -> "list[arb] | None":
     if not crossings:
         return [arb(_SHARE)]
     first, last = crossings[0].t.lower(), crossings[-1].t.upper()
-    reach = max(last - first, abs(first), abs(last), key=float) * (1 + _SHARE)
-    reach = reach if reach > 0 else arb(1 + _SHARE)
+    reach = max(abs(first), abs(last), key=float) * _SHARE
+    reach = reach if reach > 0 else arb(_SHARE)
     walls = [first - reach]
     for low, high in pairwise(crossing.t for crossing in crossings):
         walls.append((low.upper() + (high.lower() - low.upper()) * _SHARE).mid())

@@ -19,6 +19,7 @@ What is summed are combinations of few series, the states of the device at the s
 forces that act: a sample has many times, and a disturbance by friction many inputs.
 """
 
+from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import replace
 from math import ceil, inf, isfinite, log, nan
@@ -27,13 +28,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Complex128, Float64
 
-from jaxstab.exact.roots import are_real, isolated_roots
+from jaxstab.exact.roots import isolated_roots, real_or_not
 from jaxstab.exact.verdict import roots_outside
 from jaxstab.model.balls import Factored, Triple, ball_loop, ball_triple
 from jaxstab.model.device.mechanics import equations, sides_in_samples
 from jaxstab.model.device.parts import Answer, decided, exact, remembered
 from jaxstab.model.loop import LoopParameters
-from jaxstab.rounding import UNDERFLOW, UNIT
+from jaxstab.rounding import EPS, UNDERFLOW, UNIT
 
 if TYPE_CHECKING:
     from flint import acb, arb, arb_poly
@@ -72,17 +73,14 @@ class Modes(NamedTuple):
         return near, late, UNIT * (4 * (width + count) + 2 * len(far) + 16)
 
     def terms_above(self, limit: float, most: int) -> int:
-        """How many terms of the first response its bound needs to fall to a limit, about."""
-        low, ends = 0, 2 ** np.arange(most.bit_length() + 1)
-        for _ in range(2):
+        """How many terms of the first response its bound takes to fall to a limit, or most + 1."""
+
+        def is_low(terms: int) -> bool:
             with np.errstate(under="ignore"):
-                bounds = self.sizes[0, 0] @ self.moduli[:, None] ** ends * (1.0 + 2.0**-40)
-            place = int(np.argmax(bounds <= limit))
-            if not bounds[place] <= limit:
-                return most + 1
-            low, high = (int(ends[place - 1]) if place else low), int(ends[place])
-            ends = low + np.unique(np.ceil(np.linspace(0.0, 1.0, 65) * (high - low))).astype(int)
-        return high
+                bound = self.sizes[0, 0] @ self.moduli**terms * (1.0 + 2.0**-40)
+            return bool(bound <= limit)
+
+        return bisect_left(range(most + 1), True, key=is_low)
 
     def values(self, terms: int) -> tuple[np.ndarray, np.ndarray]:
         """Terms of the first response, that many at least, and how wrong each may be."""
@@ -99,52 +97,53 @@ class Responses(NamedTuple):
 
     head: the first terms, to the nearest float64, and in balls for the first response.
     modes: the later terms; None where poles coincide.
-    late: from this term on, the moduli of all terms of a response, and of any combination of them,
-        add up to at most 1 + growth times those in the head.
+    late: without modes, the moduli of all terms from this one on, of a response and of any
+        combination of them, add up to at most 1 + growth times those in the head.
     """
 
     head: Float64[np.ndarray, "input series term"]
-    balls: "list[arb]"
-    modes: Modes | None
-    late: int
-    growth: float
+    balls: "arb_poly"
+    modes: Modes | None = None
+    late: int = 0
+    growth: float = 0.0
 
     def sums(
         self, rows: Float64[np.ndarray, "row series"], columns: Float64[np.ndarray, "column input"]
     ) -> Float64[np.ndarray, "column row"]:
         """No less than the sum over all k of |rows h_k columns'|.
 
-        Rows and columns may be wrong by a unit of each entry, and by 2^-100 of the largest one.
+        Rows and columns may be wrong by a unit of each entry, and by 2^-150 of the largest one.
         """
         most_terms = 1 << 22  # that are summed; what comes later is bounded
         nothing = 1e-12  # a share of a response that is not looked at
         large_rows, large_columns = (
             np.abs(side) + 2.0**-100 * np.abs(side).max(initial=0.0) for side in (rows, columns)
         )
-        rounding = UNIT * (sum(rows.shape[1:] + columns.shape[1:]) + 8)
+        inputs, series, summed = self.head.shape
+        rounding = UNIT * (inputs + series + 8)
         values = np.abs(_mixed(rows, columns, self.head))
         total = values.sum(axis=-1) + self.growth * values[..., self.late :].sum(axis=-1)
         sizes = np.abs(self.head).sum(axis=-1, keepdims=True) * (1.0 + self.growth)
         total += rounding * _mixed(large_rows, large_columns, sizes)[..., 0]
         modes = self.modes
-        if modes is None or not len(modes.poles):
-            return total * (1.0 + 2.0 * values.shape[-1] * UNIT)
-        terms = min(ceil(log(nothing) / log(min(modes.moduli.max(), 1.0 - UNIT))), most_terms)
-        near, late, error = modes.powers(max(terms, 2))
-        terms = near.shape[1] * late.shape[1]
-        residues = _mixed(rows, columns, modes.residues)
-        step = max(1, _BLOCK // (near.shape[1] * residues[..., 0].size))
-        for begin in range(0, late.shape[1], step):
-            slow = np.abs(late[:, begin]) > 1e-30  # the others count as errors
-            first = residues[:, :, None, slow] * late[slow, begin : begin + step].T
-            first = np.concatenate([first.real, -first.imag], axis=-1)
-            later = first @ np.concatenate([near[slow].real, near[slow].imag])
-            total += np.abs(later, out=later).sum(axis=(2, 3))
-        wrong = (error + rounding + 2e-30) * modes.sizes + modes.errors
-        wrong = _mixed(large_rows, large_columns, wrong)
-        tail = (np.abs(residues) + wrong) * modes.moduli**terms
-        total += ((wrong + tail) / modes.gaps).sum(axis=-1)
-        return total * (1.0 + 2.0 * (values.shape[-1] + terms) * UNIT)
+        if modes is not None and len(modes.poles):
+            terms = min(ceil(log(nothing) / log(min(modes.moduli.max(), 1.0 - UNIT))), most_terms)
+            near, late, error = modes.powers(max(terms, 2))
+            terms = near.shape[1] * late.shape[1]
+            residues = _mixed(rows, columns, modes.residues)
+            step = max(1, _BLOCK // (near.shape[1] * residues[..., 0].size))
+            for begin in range(0, late.shape[1], step):
+                slow = np.abs(late[:, begin]) > 1e-30  # the others count as errors
+                first = residues[:, :, None, slow] * late[slow, begin : begin + step].T
+                first = np.concatenate([first.real, -first.imag], axis=-1)
+                later = first @ np.concatenate([near[slow].real, near[slow].imag])
+                total += np.abs(later, out=later).sum(axis=(2, 3))
+            wrong = (error + rounding + 2e-30) * modes.sizes + modes.errors
+            wrong = _mixed(large_rows, large_columns, wrong)
+            tail = (np.abs(residues) + wrong) * modes.moduli**terms
+            total += ((wrong + tail) / modes.gaps).sum(axis=-1)
+            summed += terms
+        return total * (1.0 + summed * EPS)
 
     def settled(self, level: float, horizon: int, *, is_impact: bool) -> float | None:
         """The term from which on all are at most ``level``, or ``level`` times the largest one.
@@ -155,14 +154,15 @@ class Responses(NamedTuple):
         from flint import arb
 
         values = self.head[0, 0]
-        wrong = np.abs(values) * (2.0 * UNIT) + _NARROW * np.abs(values).max()
+        wrong = np.abs(values) * EPS + _NARROW * np.abs(values).max()
         limit = level * (np.abs(values).max() if is_impact else 1.0) * (1.0 - 8.0 * UNIT)
         if self.modes is None:
             if np.any((np.abs(values) + wrong)[self.late :] > limit):
                 return None
         else:
-            terms = self.modes.terms_above(limit, 2 * horizon)
-            if terms > 2 * horizon:
+            most = 2 * horizon
+            terms = self.modes.terms_above(limit, most)
+            if terms > most:
                 return nan
             more, error = self.modes.values(max(terms, 1))
             values, wrong = np.append(values, more), np.append(wrong, error)
@@ -178,7 +178,7 @@ class Responses(NamedTuple):
         """The modulus of a term of the first response."""
         from flint import arb
 
-        count = len(self.balls)
+        count = self.head.shape[-1]
         if term < count:
             return abs(self.balls[term])
         assert self.modes is not None
@@ -277,16 +277,14 @@ class _Wall(NamedTuple):
         from flint import acb
 
         roots = isolated_roots(self.p._replace(power=0))
-        real = None if roots is None else are_real(roots)
-        if roots is None or real is None:
+        told = None if roots is None else real_or_not(roots)
+        if told is None:
             return None
-        chosen = [
-            (root, is_real)
-            for root, is_real in zip(roots, real, strict=True)
-            if is_real or root.imag > 0
-        ]
+        chosen = [(root, is_real) for root, is_real in told if is_real or root.imag > 0]
         start = 2 * self.whole.degree() + 2  # after which fast poles no longer count
-        head, balls = self._head(numerators, start)
+        head = self._head(numerators, start)
+        if head is None:
+            return None
         slope = self.whole.derivative()
         shape = len(numerators), len(numerators[0][1]), len(chosen)
         residues = np.zeros(shape, np.complex128)
@@ -309,13 +307,11 @@ class _Wall(NamedTuple):
                     errors[row, column, k] = float(wrong.abs_upper()) * _UP
                     if not row and not column:
                         first.append((root, ball))
-        if head is None or np.any(errors > 1e-12 * sizes.max(axis=-1, initial=0.0, keepdims=True)):
+        if np.any(errors > 1e-12 * sizes.max(axis=-1, initial=0.0, keepdims=True)):
             return None
         poles = np.array([complex(root) for root, _ in first])
         sizes, errors = sizes + UNDERFLOW, errors + UNDERFLOW
-        return Responses(
-            head, balls, Modes(poles, residues, sizes, errors, moduli, gaps, first), start, 0.0
-        )
+        return Responses(*head, Modes(poles, residues, sizes, errors, moduli, gaps, first))
 
     def by_powers(self, numerators: Quotients, terms: int) -> Responses | None:
         """Responses by x^m mod p, with that many terms before; None where m is too large."""
@@ -326,13 +322,13 @@ class _Wall(NamedTuple):
                 return None
             power, count = power * power % plain, 2 * count
         late = max(terms, self.whole.degree() + 1)
-        head, balls = self._head(numerators, late + count)
+        head = self._head(numerators, late + count)
         if head is None:
             return None
         size = float(_size(power).upper()) * _UP
-        return Responses(head, balls, None, late, size / (1.0 - size) * _UP)
+        return Responses(*head, None, late, size / (1.0 - size) * _UP)
 
-    def _head(self, numerators: Quotients, terms: int) -> "tuple[np.ndarray | None, list[arb]]":
+    def _head(self, numerators: Quotients, terms: int) -> "tuple[np.ndarray, arb_poly] | None":
         """The first terms of quotients num/p in powers of 1/z, rounded, and the first in balls.
 
         None where the balls are wide.
@@ -346,19 +342,19 @@ class _Wall(NamedTuple):
             rest = (falling.truncate(known + more) * inverse).truncate(known + more)
             rest = (rest.right_shift(known) * inverse).truncate(more)
             inverse, known = inverse - rest.left_shift(known), known + more
-        first: list[arb] = []
+        quotients = []
         head = np.zeros((len(numerators), len(numerators[0][1]), terms))
         for place in np.ndindex(head.shape[:2]):
             factor, series = numerators[place[0]]
             rising = (factor * series[place[1]]).coeffs()
             above = arb_poly(([arb(0)] * (degree + 1 - len(rising)) + rising[::-1])[:terms])
-            quotient = (above * inverse).truncate(terms).coeffs()
-            head[place][: len(quotient)] = [float(ball) for ball in quotient]
-            widest = max((float(ball.rad()) for ball in quotient), default=0.0)
+            quotients.append((above * inverse).truncate(terms))
+            balls = quotients[-1].coeffs()
+            head[place][: len(balls)] = [float(ball) for ball in balls]
+            widest = max((float(ball.rad()) for ball in balls), default=0.0)
             if widest > _NARROW * np.abs(head[place]).max():
-                return None, first
-            first = first or quotient + [arb(0)] * (terms - len(quotient))
-        return head, first
+                return None
+        return head, quotients[0]
 
 
 class _Parts(NamedTuple):
@@ -521,7 +517,7 @@ def _of_wall(
     """The answer of the first way that has one; ``nothing`` for an unstable wall."""
     if not isfinite(stiffness + damping):
         return None  # as where JAX traced the numbers, so that nobody checked them
-    if not (damping and stiffness) and (loop.velocity or loop.position):
+    if not (damping and stiffness):
         # The filter of a gain that is 0 has poles of its own, which may coincide.
         kept = loop.velocity if damping else None, loop.position if stiffness else None
         loop = replace(loop, velocity=kept[0], position=kept[1])

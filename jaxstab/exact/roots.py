@@ -12,7 +12,6 @@ r if and only if those of p(r z) lie inside the unit circle, which E1 decides on
 The radius is enclosed by halving, between 0 and Cauchy's bound 1 + max |a_k/a_n|.
 """
 
-from itertools import compress
 from math import inf, nextafter
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -103,8 +102,7 @@ def poles(triple: TripleAt, stiffness: float, damping: float) -> Poles:
 
     def told_apart() -> "list[tuple[acb, bool]] | None":
         roots = isolated_roots(triple().at(stiffness, damping))
-        real = None if roots is None else are_real(roots)
-        return None if roots is None or real is None else list(zip(roots, real, strict=True))
+        return None if roots is None else real_or_not(roots)
 
     found = decided(told_apart, most=MOST_FOR_ROOTS)
     if found is None:
@@ -123,7 +121,6 @@ def poles(triple: TripleAt, stiffness: float, damping: float) -> Poles:
 
 def isolated_roots(p: Factored) -> "list[acb] | None":
     """The roots in balls, those that the structure knows exactly; None where they overlap."""
-    spare = 8  # bits of a root beyond half of those that are computed with
     import flint
 
     known = [flint.acb(0)] * p.power
@@ -132,15 +129,21 @@ def isolated_roots(p: Factored) -> "list[acb] | None":
     known += [flint.acb(-1)] * (rest.at_minus_one - p.at_minus_one)
     if rest.rest.degree() < 1:
         return known
+    found = _isolated(rest.rest)
+    return None if found is None else known + found
+
+
+def _isolated(polynomial: "arb_poly") -> "list[acb] | None":
+    from flint import acb_poly, arb, ctx
+
     try:
-        found = flint.acb_poly(rest.rest).roots(tol=flint.arb(2) ** -(flint.ctx.prec // 2 + spare))
+        return list(acb_poly(polynomial).roots(tol=arb(2) ** -(ctx.prec // 2)))
     except ValueError:
         return None
-    return known + found
 
 
-def are_real(roots: "list[acb]") -> list[bool] | None:
-    """Which of all roots of a real polynomial are real; None where the balls do not tell.
+def real_or_not(roots: "list[acb]") -> "list[tuple[acb, bool]] | None":
+    """All roots of a real polynomial, each with whether it is real; None where balls do not tell.
 
     The mirror image of a root is a root, too. Where it can be in the same ball alone it is the root
     itself; a ball that meets the real axis may also hold one of a pair, with the other beside it.
@@ -149,24 +152,20 @@ def are_real(roots: "list[acb]") -> list[bool] | None:
 
     answers = []
     for root in roots:
-        answers.append(bool(root.imag.contains(0)))
-        if answers[-1] and root.imag.rad() > 0:
+        is_real = bool(root.imag.contains(0))
+        if is_real and root.imag.rad() > 0:
             mirrored = acb(root.real, -root.imag)
             if sum(mirrored.overlaps(other) for other in roots) > 1:
                 return None
+        answers.append((root, is_real))
     return answers
 
 
 def real_roots(polynomial: "arb_poly") -> "list[arb] | None":
     """All real roots, in balls that do not touch; None where they are not told apart."""
-    from flint import acb_poly, arb, ctx
-
-    try:
-        roots = acb_poly(polynomial).roots(tol=arb(2) ** -(ctx.prec // 2))
-    except ValueError:
-        return None
-    real = are_real(roots)
-    return None if real is None else [root.real for root in compress(roots, real)]
+    roots = _isolated(polynomial)
+    told = None if roots is None else real_or_not(roots)
+    return None if told is None else [root.real for root, is_real in told if is_real]
 
 
 def _largest_modulus(roots: "list[acb]") -> Number | None:
@@ -198,7 +197,7 @@ def _radius_between(p: Factored) -> Number | None:
         if outside is None:
             return None
         low, high = (middle, high) if outside else (low, middle)
-        if high - low < high * arb(2) ** -60:
+        radius = low.union(high)
+        if radius.rel_accuracy_bits() > 60:
             break
-    radius = low.union(high).max(known)
-    return Number.of(radius)
+    return Number.of(radius.max(known))

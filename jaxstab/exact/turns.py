@@ -86,8 +86,7 @@ class PeriodicLoop:
             above = parts.wall(stiffness, damping).polynomial()
             lags = range(below.degree(), -1, -1)
             numerator, denominator = (
-                np.array([side[power] / below[below.degree()] for power in lags])
-                for side in (above, below)
+                np.array([side[power] for power in lags]) for side in (above, below)
             )
         given = loop.held_device, float(loop.sample_time)
         return cls(partial(_held, *given), numerator, denominator)
@@ -122,7 +121,7 @@ class PeriodicLoop:
             step[states + k - 1] = self.below[k] * force
             step[states + k - 1, :states] += self.above[k] * position
             step[states + k - 1, states + k : states + min(k + 1, memory)] += 1
-        step[forces : forces + 1] = force if oldest else 0
+        step[forces : forces + 1] = force
         for age in range(1, oldest):
             step[forces + age, forces + age - 1] = 1
         return step
