@@ -12,7 +12,7 @@ from benchmarks.truth import filtered
 from benchmarks.truth.plain import Loop, is_stable, outside
 from benchmarks.truth.random_loops import DeviceLoop, Filters, MassLoop, long_window
 from jaxstab import Device, Filter, HapticLoop, Velocity
-from jaxstab.exact.line import LineStatus, StableLine, _chain, _Line, _OnCircle, stable_line
+from jaxstab.exact.line import LineStatus, StableLine, _chain, _Line, OnCircle, stable_line
 from jaxstab.model.balls import Factored, Triple, ball_triple
 
 NOTHING = Factored(flint.arb_poly([]))
@@ -285,6 +285,6 @@ def test_values_on_the_circle_are_those_of_the_polynomial(degree: int) -> None:
     p = Factored(flint.arb_poly(rng.normal(size=degree + 1).tolist()), 2, 1, 1, (4,))
     rising = [float(c.mid()) for c in p.polynomial().coeffs()]
     for angle in (0.1, 1.3, 2.9):
-        value = complex(_OnCircle.of(p).at(flint.arb(angle)).mid())
+        value = complex(OnCircle.of(p).at(flint.arb(angle)).mid())
         truth = np.polynomial.polynomial.polyval(np.exp(1j * angle), rising)
         assert value == pytest.approx(truth, rel=1e-9)

@@ -37,6 +37,7 @@ from jaxstab.exact import VerdictStatus, stable_line, wall_verdict
 from jaxstab.exact.boundary import ScaledLoop
 from jaxstab.exact.line import LineStatus, StableLine
 from jaxstab.exact.verdict import rational_verdict
+from jaxstab.loop.frequency import FrequencyMargins, margins_at_frequencies
 from jaxstab.loop.margins import GainMargins, margins_of_gains
 from jaxstab.loop.walls import FewWalls, open_loop
 from jaxstab.model.affine import (
@@ -51,6 +52,7 @@ from jaxstab.model.affine import (
     SimulatedParts,
     affine_triple,
     coordinates_of,
+    opened_loop,
 )
 from jaxstab.model.balls import rounded_triple
 from jaxstab.model.device import Device
@@ -527,6 +529,25 @@ class Loop:
         codes = np.asarray(self.verdict(**dict(zip(self._in_order(gains), grid.T, strict=True)))).T
         triple = partial(affine_triple, self.parts)
         return margins_of_gains(triple, codes, grid, _names(self.gains).labels)
+
+    def frequency_margins(self, **gains: Numbers) -> FrequencyMargins:
+        """Gain, phase, delay and disk margin, and the peaks of |S| and |T|: proved.
+
+        The loop is opened as by ``to_control``; its delay is one of whole samples.
+
+        Raises: as ``margins``.
+
+        Source: the criterion of Nyquist; lemma E5 of docs/proofs.md.
+
+        Example:
+            >>> loop = jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=4)
+            >>> loop.frequency_margins(mass=2.0, damping=50.0)
+            Frequency margins: stable
+        """
+        grid = self._grid(gains)
+        both = dict(zip(self._in_order(gains), np.moveaxis(grid, -1, 0), strict=True))
+        codes, opened = np.asarray(self.verdict(**both)), partial(opened_loop, self.parts)
+        return margins_at_frequencies(opened, codes, grid, self.sample_time)
 
     def tune(self) -> TunedGains:
         """The gains >= 0 of the smallest spectral radius: the fastest decay.

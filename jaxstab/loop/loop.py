@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from jaxstab.boxes import HandRange, RobustLimit
     from jaxstab.exact import StableLine
     from jaxstab.loop.contact import Contact
+    from jaxstab.loop.frequency import FrequencyMargins
     from jaxstab.loop.hands import LoopsWithHands, WorstHand
     from jaxstab.loop.jitter import MovingLimits, MovingLoop, WorstDelays
     from jaxstab.loop.margins import Margins
@@ -38,8 +39,8 @@ class HapticLoop(LoopParameters):
 
     At every sample the wall's force is -(K P(z) + B V(z)) x: K times the position, filtered if
     there is a filter, and B times the estimated velocity. Methods about one wall (K, B):
-    ``verdict``, ``spectral_radius``, ``poles``, ``margins``, ``settling_time``, ``oscillation``,
-    ``amplitude``, ``simulate``, ``contact``; about all walls: ``region``, ``limits``,
+    ``verdict``, ``spectral_radius``, ``poles``, ``margins``, ``frequency_margins``,
+    ``settling_time``, ``oscillation``, ``amplitude``, ``simulate``, ``contact``; about all walls: ``region``, ``limits``,
     ``stiffness_limits``, ``damping_limits``, ``stiffness_intervals``, ``damping_intervals``,
     ``boundary_distance``, ``tune``; about all hands of a range: ``worst_hand``, ``robust_limit``;
     and ``to_control``. Numbers are finite and in SI units.
@@ -584,6 +585,27 @@ class HapticLoop(LoopParameters):
         found = margins(*scaled(self, stiffness, damping), **by_name(*plant), **self.filters)
         units = self.stiffness(1.0), self.damping(1.0), self.sample_time
         return in_si_units(found, *units)
+
+    def frequency_margins(self, stiffness: Numbers, damping: Numbers) -> "FrequencyMargins":
+        """Gain, phase, delay and disk margin of walls, and the peaks of |S| and |T|: proved.
+
+        Args and Raises: see ``jaxstab.conventions``; TypeError also if JAX traces the loop or the
+        gains. Source: the open loop of eq. (9) on the unit circle; lemma E5 of docs/proofs.md.
+
+        Returns:
+            FrequencyMargins, each with the bound of its error and its frequency in Hz.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> loop.frequency_margins(1000.0, 10.0)
+            Frequency margins: stable
+        """
+        self._refuse_many("frequency_margins")
+        from jaxstab.loop.frequency import wall_frequency_margins
+        from jaxstab.loop.jitter import refuse_traced
+
+        refuse_traced(stiffness, damping)
+        return wall_frequency_margins(self.in_floats(), self.verdict, stiffness, damping)
 
     def jitter_margin(
         self,

@@ -163,10 +163,28 @@ def coordinates_of(parts: AffineParts) -> Coordinates:
         whole = affine_triple(parts)
         highest = [k for k, part in enumerate(whole) if part.degree == whole.degree]
         pivot = parts.pivot if parts.pivot in highest else highest[0]
-        leading = [part.polynomial()[whole.degree] for part in whole]
-        first, second, third = (float((value / leading[pivot]).mid()) for value in leading)
+        first, second, third = (float(weight.mid()) for weight in _weights(whole, pivot))
     is_own = max(whole.stiffness.degree, whole.damping.degree) < whole.degree
     return Coordinates(parts if is_own else Chart(parts, pivot), pivot, (first, second, third))
+
+
+def _weights(whole: Triple, pivot: int) -> "list[arb]":
+    """What base and gains are in the leading coefficient of p(z), over that of one part."""
+    leading = [part.polynomial()[whole.degree] for part in whole]
+    return [value / leading[pivot] for value in leading]
+
+
+def opened_loop(parts: AffineParts, first: float, second: float) -> tuple[Factored, Factored]:
+    """D and N of the open loop N/D, opened where no gain moves the leading coefficient of p(z)."""
+    from flint import arb
+
+    coordinates, gains = coordinates_of(parts), (arb(first), arb(second))
+    triple = affine_triple(coordinates.chart)
+    if not coordinates.are_gains:
+        w0, w1, w2 = _weights(affine_triple(parts), coordinates.pivot)
+        gains = coordinates._replace(weights=(w0, w1, w2)).of_gains(*gains)
+    a, b = gains
+    return triple.base, triple.stiffness.scaled(a).plus(triple.damping.scaled(b))
 
 
 @dataclass(frozen=True)
