@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from decimal import ROUND_CEILING, ROUND_FLOOR
 from functools import partial
-from math import atan, degrees, inf, isfinite, isnan, log10, nan, pi, ulp
+from math import degrees, inf, isfinite, isnan, log10, nan, pi, ulp
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -78,16 +78,23 @@ class FrequencyMargins(NamedTuple):
     def __repr__(self) -> str:
         """A table: a row for each margin of one pair of gains, or one for each of several pairs."""
         codes = [Verdict(int(code)).name.lower() for code in np.ravel(self.verdict)]
+        if codes == ["unstable"]:
+            return "Frequency margins: none, the loop is unstable"
         columns = [[_words(k, float(v)) for v in np.ravel(x.value)] for k, x in enumerate(self[1:])]
         if np.ndim(self.verdict) == 0:
-            where = [number_text(float(x.frequency), 5).replace("none", "") for x in self[1:]]
-            rows = zip(_ROWS, (column[0] for column in columns), where, strict=True)
-            head = f"Frequency margins: {codes[0]}", "", "at Hz"
-            return table_text([head, *((row[0], *own) for row, *own in rows)])
+            places = [number_text(float(x.frequency), 5, unit="Hz") for x in self[1:]]
+            rows = [(f"Frequency margins: {codes[0]}", "", "at")]
+            for (name, _), column, place in zip(_ROWS, columns, places, strict=True):
+                rows.append((name, column[0], place.replace("none", "")))
+            return table_text(rows)
         most_rows = 8  # of many pairs
-        rows = [*zip(codes, *columns, strict=True)][:most_rows]
+        rows = [("verdict", *(name for name, _ in _ROWS))]
+        rows += [
+            (code, *(["none"] * len(_ROWS) if code == "unstable" else own))
+            for code, *own in zip(codes, *columns, strict=True)
+        ]
         more = f"\n... and {len(codes) - most_rows} more" if len(codes) > most_rows else ""
-        table = table_text([("verdict", *(name for name, _ in _ROWS)), *rows])
+        table = table_text(rows[: 1 + most_rows])
         return f"Frequency margins of {len(codes)} pairs of gains\n{table}{more}"
 
 
@@ -104,17 +111,13 @@ _ROWS = (
 
 
 def _words(row: int, value: float) -> str:
-    """A margin, rounded to its safe side, with what a reader would compute from it."""
+    """A margin, rounded to its safe side, the gain margin also in dB."""
     name, rounding = _ROWS[row]
     text = number_text(max(value, 0.0), 5, rounding)
     if not isfinite(value):
         return "not proved" if isnan(value) else text
     if name == "gain margin":
         return f"{text} ({rounded_text(20.0 * log10(value), 3, ROUND_FLOOR)} dB)"
-    if name == "disk margin" and value < 2.0:
-        factor = rounded_text((2.0 + value) / (2.0 - value), 4, ROUND_FLOOR)
-        turn = rounded_text(degrees(2.0 * atan(0.5 * value)), 3, ROUND_FLOOR)
-        return f"{text} (a factor of {factor}, {turn} degrees)"
     return text
 
 
@@ -134,7 +137,8 @@ def margins_at_frequencies(
     units = np.array([1.0, 1.0, degrees(1.0), period, 1.0, 1.0, 1.0])[:, None]
     values, errors, angles = np.moveaxis(found, 1, 0)
     values, errors = values * units, errors * units
-    errors += np.where(np.isfinite(values), 4.0 * UNIT * np.abs(values) * (units != 1.0), 0.0)
+    is_rounded = np.isfinite(values) & (units != 1.0)
+    errors += np.where(is_rounded, 4.0 * UNIT * np.abs(values), 0.0)
     columns = np.stack([values, errors, angles / (2.0 * pi * period)], axis=1)
     columns = columns.reshape(7, 3, *codes.shape)
     return FrequencyMargins(named(codes, Verdict), *(AtFrequency(*own) for own in columns))

@@ -602,9 +602,7 @@ class HapticLoop(LoopParameters):
         """
         self._refuse_many("frequency_margins")
         from jaxstab.loop.frequency import wall_frequency_margins
-        from jaxstab.loop.jitter import refuse_traced
 
-        refuse_traced(stiffness, damping)
         return wall_frequency_margins(self.in_floats(), self.verdict, stiffness, damping)
 
     def jitter_margin(
