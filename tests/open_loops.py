@@ -7,7 +7,7 @@ is dense next to the claimed angle and next to the closed loop's poles.
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
+from functools import partial, reduce
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -24,6 +24,11 @@ DIGITS = 60
 Falling = list[mpf]
 
 
+def horner(falling: Falling, z: mpc) -> mpc:
+    """The value of a polynomial, the highest power first."""
+    return reduce(lambda value, c: value * z + c, falling)
+
+
 class OpenLoop(NamedTuple):
     """D and W, the highest power first, of one degree; the period, and the loop of another delay."""
 
@@ -35,7 +40,7 @@ class OpenLoop(NamedTuple):
     def at(self, angle: Any) -> tuple[mpc, mpc]:
         """D and N."""
         z = mp.expj(angle)
-        below, whole = (mp.polyval(side, z) for side in self[:2])
+        below, whole = (horner(side, z) for side in self[:2])
         return below, whole - below
 
     def times(self, factor: mpf) -> Falling:
@@ -197,7 +202,7 @@ def _wrong_delay(own: AtFrequency, truth: OpenLoop) -> Iterator[str]:
     assert truth.later is not None
     extra = float(own.value) / truth.period
     most = min(extra, 40.0)
-    for share in (0.1, 0.4, 0.7, 0.9, 0.999):
+    for share in (0.1, 0.4, 0.7, 0.9, 1.0 - 1e-8):
         if is_stable_in_digits(truth.later(share * most)) is False:
             yield f"delay: {own} but unstable at {share} of it"
     if np.isfinite(own.error) and np.isfinite(extra) and extra < 400.0:
@@ -208,8 +213,8 @@ def _wrong_delay(own: AtFrequency, truth: OpenLoop) -> Iterator[str]:
 
 def _wrong_gains(margins: Any, truth: OpenLoop) -> Iterator[str]:
     low, high = float(margins.least_gain.value), float(margins.largest_gain.value)
-    inside = [0.999 + 0.001 * low, 0.5 + 0.5 * low, 1.0 - 0.99999 * (1.0 - low)] * (low > -1e6)
-    inside += [1.0 + share * (min(high, 1e6) - 1.0) for share in (0.001, 0.5, 0.99999)]
+    inside = [0.999 + 0.001 * low, 0.5 + 0.5 * low, 1.0 - (1.0 - 1e-9) * (1.0 - low)] * (low > -1e6)
+    inside += [1.0 + share * (min(high, 1e6) - 1.0) for share in (0.001, 0.5, 1.0 - 1e-9)]
     inside = [t for t in inside if t > -1e3]
     if any(is_stable_in_digits(_plain(truth.times(mpf(t)))) is False for t in inside):
         yield f"gains: {margins.least_gain}, {margins.largest_gain} but unstable between"

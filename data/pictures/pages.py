@@ -20,7 +20,7 @@ BLUE, ORANGE, GREY = "#0072b2", "#b35c00", "#4a5366"
 def quickstart(loop: jaxstab.HapticLoop) -> None:
     """What loop.plot() draws."""
     figure, ax = pyplot.subplots(figsize=(7, 4.2), layout="constrained")
-    loop.plot(ax)
+    loop.plot(ax=ax)
     figure.savefig(DOCS / "quickstart.png", dpi=130)
 
 

@@ -25,17 +25,20 @@ The disk margin is a = 2/max |S - T|: 1 + f L has no zero on the circle for f = 
 Every number is a ball that is as narrow as a float64, or more bits are asked for.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from functools import partial
 from math import inf, nan
 from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from jaxtyping import Complex128, Float64
 
 from jaxstab.exact.circle import zeros
 from jaxstab.exact.line import OnCircle, real_quotient_angles, stable_pencil
 from jaxstab.exact.roots import Number
 from jaxstab.exact.small_gain import squared
 from jaxstab.model.balls import Factored
-from jaxstab.model.device.parts import decided
+from jaxstab.model.device.parts import FIRST_BITS, decided, working_precision
 
 if TYPE_CHECKING:
     from flint import arb
@@ -99,6 +102,18 @@ def readings(parts: Callable[[], tuple[Factored, Factored]]) -> Readings:
         decided(partial(_peak, opened, *signs)) or Reading() for signs in ((1, 0), (0, 1), (1, -1))
     ]
     return Readings(*(Reading(*end[:3]) for end in ends), phase, delay, *peaks)
+
+
+def frequency_response(
+    parts: Callable[[], tuple[Factored, Factored]], angles: Float64[np.ndarray, " angle"]
+) -> Complex128[np.ndarray, " angle"]:
+    """L at angles in (0, pi], for pictures: each to some digits more than float64 has."""
+    from flint import arb
+
+    with working_precision(FIRST_BITS):
+        below, above = map(OnCircle.of, parts())
+        places = map(arb, angles.tolist())
+        return np.array([complex(above.at(place) / below.at(place)) for place in places])
 
 
 class _Place(NamedTuple):

@@ -37,7 +37,7 @@ from jaxstab.exact import VerdictStatus, stable_line, wall_verdict
 from jaxstab.exact.boundary import ScaledLoop
 from jaxstab.exact.line import LineStatus, StableLine
 from jaxstab.exact.verdict import rational_verdict
-from jaxstab.loop.frequency import FrequencyMargins, margins_at_frequencies
+from jaxstab.loop.frequency import FrequencyMargins, margins_at_frequencies, plot
 from jaxstab.loop.margins import GainMargins, margins_of_gains
 from jaxstab.loop.walls import FewWalls, open_loop
 from jaxstab.model.affine import (
@@ -635,23 +635,27 @@ class Loop:
             outline = self.region(tolerance=tolerance).outline
             return np.stack(self._chart.gains(*outline.T), axis=-1)
 
-    def plot(self, ax: "Axes | None" = None) -> "Axes":
+    def plot(
+        self, kind: str = "region", *, ax: "Axes | None" = None, **gains: float
+    ) -> "Axes":
         """Draw the stable gains, islands, and where the first coordinate is largest.
 
         Args:
+            kind: "region", or "nyquist" or "bode" for the open loop of one pair of gains.
             ax: the axes of matplotlib to draw in; None makes a figure with matplotlib.pyplot.
+            **gains: both gains of that pair.
 
-        Raises: as ``region``; ValueError also if no gains are stable.
+        Raises: as ``region``; ValueError also if no gains are stable, or the kind is none.
 
-        Source: the D-decomposition of eq. (9), likewise.
+        Source: the D-decomposition of eq. (9), likewise; the criterion of Nyquist.
 
         Example:
-            >>> jaxstab.simulated_pd(0.1, step=2e-3).plot().get_xlabel()
-            'kp (N m/rad)'
+            >>> loop = jaxstab.simulated_pd(0.1, step=2e-3)
+            >>> loop.plot().get_xlabel(), loop.plot("bode", kp=1000.0, kd=20.0).get_xlabel()
+            ('kp (N m/rad)', 'frequency (Hz)')
         """
-        from jaxstab.pictures.style import plot_loop
-
-        return plot_loop(self, ax)
+        pair = gains if kind == "region" else self._in_order(gains)
+        return plot(self, kind, pair, partial(opened_loop, self.parts), ax)
 
     def to_control(self, **gains: float) -> Any:
         """The open loop L(z) = (a S + b R)/base as a transfer function of python-control.

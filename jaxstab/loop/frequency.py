@@ -6,26 +6,40 @@ theta is a frequency of theta/(2 pi T) Hz. The margin of the delay of a held dev
 ``margins``: an extra delay is no lag alone, for the force then acts between the samples.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from decimal import ROUND_CEILING, ROUND_FLOOR
 from functools import partial
 from math import degrees, inf, isfinite, isnan, log10, nan, pi, ulp
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64, Int8
 
 from jaxstab.arrays import Numbers, named
 from jaxstab.conventions import Verdict
-from jaxstab.exact import DelayStatus, Reading, delay_margin, readings, wall_verdict
+from jaxstab.exact import (
+    DelayStatus,
+    Reading,
+    delay_margin,
+    frequency_response,
+    readings,
+    wall_verdict,
+)
 from jaxstab.model.balls import Factored, ball_loop, ball_triple
 from jaxstab.model.device.device import in_steps
 from jaxstab.model.device.sampling import one_sample
 from jaxstab.model.loop import LoopParameters
 from jaxstab.model.parameters import LONGEST_DELAY, wall_grid
 from jaxstab.rounding import UNIT
+from jaxstab.numbers import checked_number, checked_word
 from jaxstab.shown import number_text, rounded_text, table_text
+
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+OpenLoop = tuple[Factored, Factored]
 
 
 class AtFrequency(NamedTuple):
@@ -80,12 +94,12 @@ class FrequencyMargins(NamedTuple):
         codes = [Verdict(int(code)).name.lower() for code in np.ravel(self.verdict)]
         if codes == ["unstable"]:
             return "Frequency margins: none, the loop is unstable"
-        columns = [[_words(k, float(v)) for v in np.ravel(x.value)] for k, x in enumerate(self[1:])]
+        columns = [_words(*row, own) for row, own in zip(_ROWS, self[1:], strict=True)]
         if np.ndim(self.verdict) == 0:
-            places = [number_text(float(x.frequency), 5, unit="Hz") for x in self[1:]]
             rows = [(f"Frequency margins: {codes[0]}", "", "at")]
-            for (name, _), column, place in zip(_ROWS, columns, places, strict=True):
-                rows.append((name, column[0], place.replace("none", "")))
+            for (name, _), [words], own in zip(_ROWS, columns, self[1:], strict=True):
+                place = number_text(float(own.frequency), 5, unit="Hz")
+                rows.append((name, words, "" if words == "0" else place.replace("none", "")))
             return table_text(rows)
         most_rows = 8  # of many pairs
         rows = [("verdict", *(name for name, _ in _ROWS))]
@@ -110,19 +124,22 @@ _ROWS = (
 """The names of the margins, and the safe side of each."""
 
 
-def _words(row: int, value: float) -> str:
-    """A margin, rounded to its safe side, the gain margin also in dB."""
-    name, rounding = _ROWS[row]
-    text = number_text(max(value, 0.0), 5, rounding)
-    if not isfinite(value):
-        return "not proved" if isnan(value) else text
-    if name == "gain margin":
-        return f"{text} ({rounded_text(20.0 * log10(value), 3, ROUND_FLOOR)} dB)"
-    return text
+def _words(name: str, rounding: str, own: AtFrequency) -> list[str]:
+    """Margins to the safe side of their errors, the gain margin also in dB."""
+    texts = []
+    for value, error in zip(*map(np.ravel, own[:2]), strict=True):
+        is_bound = not isfinite(error) and isfinite(value)
+        moved = error if isfinite(error) else 0.0
+        safe = max(float(value + (moved if rounding == ROUND_CEILING else -moved)), 0.0)
+        text = "not proved" if isnan(value) else number_text(safe, 5, rounding)
+        if name == "gain margin" and isfinite(value):
+            text += f" ({rounded_text(20.0 * log10(safe), 3, ROUND_FLOOR)} dB)"
+        texts.append(f"at least {text}" if is_bound else text)
+    return texts
 
 
 def margins_at_frequencies(
-    opened: Callable[[float, float], tuple[Factored, Factored]],
+    opened: Callable[[float, float], OpenLoop],
     codes: Int8[np.ndarray, "*grid"],
     pairs: Float64[np.ndarray, "*grid 2"],
     period: float,
@@ -144,19 +161,21 @@ def margins_at_frequencies(
     return FrequencyMargins(named(codes, Verdict), *(AtFrequency(*own) for own in columns))
 
 
+def opened_wall(loop: LoopParameters, stiffness: float, damping: float) -> OpenLoop:
+    """D and N of a wall's open loop."""
+    triple = ball_triple(loop)
+    return triple.base, triple.stiffness.scaled(stiffness).plus(triple.damping.scaled(damping))
+
+
 def wall_frequency_margins(
     loop: LoopParameters, verdict: Callable[..., Any], stiffness: Numbers, damping: Numbers
 ) -> FrequencyMargins:
     """The margins of walls (K, B) of a loop with a function that judges them."""
     grid = wall_grid(stiffness=stiffness, damping=damping)
     codes = np.asarray(verdict(grid[..., 0], grid[..., 1]))
-
-    def opened(*wall: float) -> tuple[Factored, Factored]:
-        triple = ball_triple(loop)
-        return triple.base, triple.stiffness.scaled(wall[0]).plus(triple.damping.scaled(wall[1]))
-
     delay = None if in_steps(loop.held_device) else partial(_delay, loop)
-    return margins_at_frequencies(opened, codes, grid, float(loop.sample_time), delay)
+    period, opened = float(loop.sample_time), partial(opened_wall, loop)
+    return margins_at_frequencies(opened, codes, grid, period, delay)
 
 
 def _delay(loop: LoopParameters, *wall: float) -> Reading:
@@ -173,3 +192,26 @@ def _delay(loop: LoopParameters, *wall: float) -> Reading:
         if wall_verdict(partial(ball_triple, later), K, B).verdict == Verdict.UNSTABLE:
             return Reading(most, beyond - now - most + 4.0 * ulp(beyond), angle)
     return Reading(most, inf, angle)
+
+
+def plot(
+    loop: Any,
+    kind: str,
+    gains: Mapping[str, Any],
+    opened: Callable[[float, float], OpenLoop],
+    ax: "Axes | None",
+) -> "Axes":
+    """Draw the stable gains of a loop, or L of one pair of gains: ``loop.plot``."""
+    checked_word("kind", kind, ("region", "nyquist", "bode"))
+    if kind == "region":
+        from jaxstab.pictures.style import plot_loop
+
+        if any(gain is not None for gain in gains.values()):
+            raise TypeError('gains are given beside kind "region", which is of all gains.')
+        return plot_loop(loop, ax)
+    from jaxstab.pictures.frequency import plot_open_loop
+
+    pair = [checked_number(name, gain) for name, gain in gains.items()]
+    margins = loop.frequency_margins(**dict(zip(gains, pair, strict=True)))
+    response = partial(frequency_response, partial(opened, *pair))
+    return plot_open_loop(kind, margins, response, float(loop.sample_time), ax)

@@ -412,30 +412,39 @@ class HapticLoop(LoopParameters):
         loop = self._moving("hands with delays", delays, lost).loop
         return LoopsWithHands(loop, hands, mass, moving={"delays": delays, "lost": lost})
 
-    def plot(self, ax: "Axes | None" = None) -> "Axes":
-        """Draw the stable walls, the stiffest of them, islands and, if it applies, the linear rule.
+    def plot(
+        self,
+        kind: str = "region",
+        stiffness: float | None = None,
+        damping: float | None = None,
+        *,
+        ax: "Axes | None" = None,
+    ) -> "Axes":
+        """Draw the stable walls, or how one wall answers at each frequency.
 
         Args:
+            kind: "region" for the stable walls, the stiffest of them, islands and, if it applies,
+                the linear rule; "nyquist" and "bode" for the open loop of one wall.
+            stiffness: of that wall in N/m.
+            damping: of that wall in N s/m.
             ax: the axes of matplotlib to draw in; None makes a figure with matplotlib.pyplot.
 
-        Returns:
-            The axes, K in N/m and B in N s/m.
-
         Raises:
-            ValueError: no wall is stable, or the region is unresolved.
-            TypeError: JAX traces the loop.
+            ValueError: no wall is stable, or the region is unresolved, or the kind is none.
+            TypeError: JAX traces the loop, or a wall is missing, or one too many.
 
         Source: sec. V and VI of Hulin, Preusche, Hirzinger (2008).
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> loop.plot().get_xlabel()
-            'stiffness K (N/m)'
+            >>> loop.plot().get_xlabel(), loop.plot("nyquist", 1000.0, 10.0).get_xlabel()
+            ('stiffness K (N/m)', 'Re L')
         """
         self._refuse_many("plot")
-        from jaxstab.pictures.style import plot_loop
+        from jaxstab.loop.frequency import opened_wall, plot
 
-        return plot_loop(self, ax)
+        wall = {"stiffness": stiffness, "damping": damping}
+        return plot(self, kind, wall, partial(opened_wall, self.in_floats()), ax)
 
     def to_control(self, stiffness: float, damping: float) -> Any:
         """The open loop of a wall as a transfer function in z of python-control.

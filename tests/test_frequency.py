@@ -1,0 +1,317 @@
+"""Margins in the language of frequency are true by mpmath, and say so where they are not proved."""
+
+import re
+import warnings
+from math import inf, isnan, nan
+from typing import Any
+
+import jax
+import numpy as np
+import open_loops
+import pytest
+from campaign import many
+from mpmath import mp
+
+import jaxstab
+from jaxstab import Device, HapticLoop, Loop, Mode, Velocity
+
+WINDOW = HapticLoop(
+    device_mass=0.25,
+    device_damping=0.1,
+    sample_time=1e-3,
+    delay=1e-3,
+    velocity=Velocity.difference(window=0.02),
+)
+
+
+def pure_delay(samples: int) -> Loop:
+    """L = a z^-n + b z^(1-n)."""
+    base = [1.0, *[0.0] * samples]
+    return Loop.from_coefficients(base=base, first=[1], second=[1, 0], sample_time=1.0)
+
+
+# ------------------------------------------------------------------------------------------ mpmath
+@pytest.mark.parametrize("number", range(20))
+def test_margins_and_peaks_are_those_of_mpmath(number: int) -> None:
+    *_, asked = open_loops.drawn(number + 1, seed=55)
+    assert list(open_loops.wrong(asked)) == [], asked.words
+
+
+@pytest.mark.campaign
+def test_no_margin_of_random_loops_is_wrong() -> None:
+    for asked in open_loops.drawn(many(1000, small=60), seed=551):
+        assert list(open_loops.wrong(asked)) == [], asked.words
+
+
+def test_the_truth_denies_what_is_wrong() -> None:
+    asked = open_loops.of_kind("kp-kd", np.random.default_rng(1))
+    assert list(open_loops.wrong(asked)) == []
+    for name in asked.margins._fields[1:]:
+        own = getattr(asked.margins, name)
+        for factor in (1.0 - 1e-6, 1.0 + 1e-6):
+            if name == "least_gain" and own.value == 0.0:
+                continue
+            moved = own._replace(value=own.value * factor)
+            claims = asked.margins._replace(**{name: moved})
+            assert [*open_loops.wrong(asked._replace(margins=claims))], (name, factor)
+
+
+# -------------------------------------------------------------------------------------- other tools
+def by_control(truth: open_loops.OpenLoop) -> tuple[float, float, float]:
+    """Gain margin, phase margin in degrees and least |1 + L| of python-control."""
+    import control
+
+    sides = [truth.below, [w - d for w, d in zip(truth.whole, truth.below, strict=True)]]
+    floats = [[float(c) if abs(c) > 1e-60 * max(map(abs, p)) else 0.0 for c in p] for p in sides]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        loop = control.TransferFunction(np.trim_zeros(floats[1], "f"), floats[0], truth.period)
+        gain, phase, distance, *_ = control.stability_margins(loop)
+    return float(gain), abs(float(phase)), float(distance)
+
+
+@pytest.mark.campaign
+def test_python_control_agrees_or_mpmath_denies_it() -> None:
+    pytest.importorskip("control")
+    agreed = asked_for = 0
+    for asked in open_loops.drawn(many(500, small=54), seed=552):
+        margins = asked.margins
+        own = margins.largest_gain.value, margins.phase.value, 1.0 / margins.sensitivity.value
+        theirs = by_control(asked.truth)
+        is_same = np.isclose(theirs, np.array(own, float), rtol=1e-6)
+        is_same[0] |= np.isclose(theirs[0], margins.least_gain.value, rtol=1e-6)  # which is nearer
+        agreed, asked_for = agreed + int(is_same.sum()), asked_for + 3
+        if not is_same.all():
+            assert list(open_loops.wrong(asked)) == [], asked.words
+    assert agreed > 0.7 * asked_for
+
+
+# ------------------------------------------------------------------------------------- closed forms
+def test_a_pure_delay_has_the_margins_of_its_gain() -> None:
+    margins = pure_delay(4).frequency_margins(a=0.5, b=0.0)
+    expected = {
+        "least_gain": -2.0,
+        "largest_gain": 2.0,
+        "phase": inf,
+        "delay": inf,
+        "sensitivity": 2.0,
+        "complementary": 1.0,
+        "disk": 2.0 / 3.0,
+    }
+    for name, value in expected.items():
+        assert getattr(margins, name).value == pytest.approx(value, rel=1e-15), name
+    assert margins.largest_gain.frequency == pytest.approx(1.0 / 8.0, rel=1e-15)  # e^(4 i th) = -1
+    assert margins.sensitivity.frequency == pytest.approx(1.0 / 8.0, rel=1e-15)
+    assert isnan(margins.phase.frequency)
+
+
+@pytest.mark.parametrize("gain", [0.1, 0.5, 1.0, 1.9])
+def test_an_integrator_has_margins_in_closed_form(gain: float) -> None:
+    """L = g/(z - 1): |L| = 1 at 2 sin(th/2) = g, where arg L = -(pi + th)/2; p = z - 1 + g."""
+    loop = Loop.from_coefficients(base=[1, -1], first=[1], second=[2], sample_time=0.01)
+    margins = loop.frequency_margins(a=gain, b=0.0)
+    angle = 2.0 * np.arcsin(gain / 2.0)
+    assert margins.largest_gain.value == pytest.approx(2.0 / gain, rel=1e-15)
+    assert margins.phase.value == pytest.approx(np.degrees(np.pi - angle) / 2.0, rel=1e-14)
+    assert margins.phase.frequency == pytest.approx(angle / (2.0 * np.pi * 0.01), rel=1e-14)
+    lag = (np.pi - angle) / 2.0 / angle
+    assert margins.delay.value == pytest.approx(0.01 * lag, rel=1e-14)
+    assert margins.sensitivity.value == pytest.approx(max(2.0 / (2.0 - gain), 1.0), rel=1e-15)
+
+
+def test_whole_samples_of_delay_below_the_margin_are_stable_and_one_more_is_not() -> None:
+    loop = Loop.from_coefficients(base=[1, -1], first=[1], second=[2], sample_time=1.0)
+    more = float(loop.frequency_margins(a=0.11, b=0.0).delay.value)
+    radii = [
+        np.abs(np.roots([1.0, -1.0, *[0.0] * (samples - 1), 0.11])).max()
+        for samples in range(1, int(more) + 2)
+    ]
+    assert more > 5.0
+    assert [radius < 1.0 for radius in radii] == [True] * int(more) + [False]
+
+
+def test_where_the_gain_is_above_one_at_half_the_sampling_rate_no_sample_more_is_allowed() -> None:
+    loop = Loop.from_coefficients(base=[1, 1.5], first=[1], second=[2], sample_time=0.5)
+    margins = loop.frequency_margins(a=-1.25, b=0.0)  # L(-1) = -2.5
+    assert margins.verdict == jaxstab.Verdict.STABLE
+    assert 0.0 < margins.delay.value <= 0.5
+    assert np.abs(np.roots([1.0, 1.5, -1.25])).max() > 1.0
+
+
+# -------------------------------------------------------------------------------------------- edges
+def test_an_unstable_wall_has_no_margins_and_says_so() -> None:
+    margins = WINDOW.frequency_margins(5000.0, 30.0)
+    assert margins.verdict == jaxstab.Verdict.UNSTABLE
+    assert all(isnan(own.value) for own in margins[1:])
+    assert repr(margins) == "Frequency margins: none, the loop is unstable"
+
+
+def test_without_a_wall_nothing_is_fed_back() -> None:
+    held = HapticLoop(
+        device_mass=0.25, device_damping=0.1, hand_stiffness=300.0, sample_time=1e-3
+    ).frequency_margins(0.0, 0.0)
+    values = [float(own.value) for own in held[1:]]
+    assert values == [-inf, inf, inf, inf, 1.0, 0.0, 2.0]
+    free = WINDOW.frequency_margins(0.0, 0.0)
+    assert free.verdict == jaxstab.Verdict.UNSTABLE
+
+
+@pytest.mark.parametrize(
+    ("loop", "wall"),
+    [
+        (  # L(1) = 1: |L| = 1 at an end of the circle as well
+            HapticLoop(
+                device_mass=0.25, device_damping=0.1, hand_stiffness=300.0, sample_time=1e-3
+            ),
+            (300.0, 10.0),
+        ),
+        (  # poles of L on the circle
+            HapticLoop(
+                device_mass=0.25, device_damping=0.0, hand_stiffness=500.0, sample_time=1e-3
+            ),
+            (100.0, 5.0),
+        ),
+        (  # three zeros of L at z = -1, where S has a value of 1 to the fourth order
+            HapticLoop(
+                device_mass=0.25,
+                device_damping=0.1,
+                sample_time=1e-3,
+                velocity=Velocity.butterworth(100.0, order=3),
+            ),
+            (100.0, 5.0),
+        ),
+    ],
+)
+def test_ends_of_the_circle_and_poles_on_it_are_no_obstacle(
+    loop: HapticLoop, wall: tuple[float, float]
+) -> None:
+    margins = loop.frequency_margins(*wall)
+    assert all(np.isfinite(own.error) and own.error < 1e-9 for own in margins[1:])
+    frequencies = np.geomspace(0.01, 500.0, 4000)
+    response = frequency_response(loop, wall, frequencies)
+    assert 1.0 / abs(1.0 + response).min() == pytest.approx(margins.sensitivity.value, rel=1e-4)
+    assert abs(response / (1 + response)).max() == pytest.approx(
+        margins.complementary.value, rel=1e-4
+    )
+
+
+def frequency_response(loop: HapticLoop, wall: tuple[float, float], frequencies: Any) -> np.ndarray:
+    """L of one mass behind the difference or a filter, from its own poles in 40 digits."""
+    from jaxstab.model.balls import ball_triple
+    from jaxstab.model.device.parts import working_precision
+
+    with working_precision(400), mp.workdps(40):
+        base, *sides = (
+            [mp.mpf(c.mid().str(60, radius=False)) for c in part.polynomial().coeffs()[::-1]]
+            for part in ball_triple(loop)
+        )
+        found = []
+        for frequency in frequencies:
+            z = mp.expjpi(2 * frequency * loop.sample_time)
+            k, b = (open_loops.horner(side, z) for side in sides)
+            found.append(complex((wall[0] * k + wall[1] * b) / open_loops.horner(base, z)))
+    return np.array(found)
+
+
+def test_a_sharp_resonance_is_not_missed() -> None:
+    device = Device.modes([Mode(frequency=34.7, damping_ratio=1e-7, modal_mass=2.9)], mass=0.12)
+    loop = HapticLoop(device=device, sample_time=1e-3, delay=1e-3)
+    margins = loop.frequency_margins(20.0, 2.0)
+    assert margins.verdict == 1
+    spread = 34.7 * (1.0 + np.linspace(-1e-5, 1e-5, 2001))
+    response = frequency_response(loop, (20.0, 2.0), spread)
+    assert 1.0 / abs(1.0 + response).min() <= margins.sensitivity.value * (1.0 + 1e-12)
+
+
+@pytest.mark.parametrize(
+    "margins",
+    [
+        pytest.param(lambda: pure_delay(200).frequency_margins(a=0.5, b=0.2), id="delay"),
+        pytest.param(
+            lambda: HapticLoop(
+                device_mass=0.25,
+                device_damping=0.1,
+                sample_time=1e-3,
+                velocity=Velocity.difference(samples=200),
+            ).frequency_margins(1.0, 1.0),
+            id="window",
+        ),
+    ],
+)
+def test_high_degrees_are_answered(margins: Any) -> None:
+    found = margins()
+    assert found.verdict == 1
+    assert all(own.error < 1e-9 for own in found[1:])
+
+
+def test_what_is_not_proved_is_nan_and_is_called_so() -> None:
+    wide = Loop.from_coefficients(base=[1, -1], first=[(0.4, 0.5)], second=[1], sample_time=1.0)
+    margins = wide.frequency_margins(a=0.5, b=0.0)
+    assert margins.verdict == 1
+    assert isnan(margins.sensitivity.value)
+    assert re.search(r"peak sensitivity +not proved", repr(margins))
+
+
+def test_a_delay_that_is_too_long_to_be_tried_is_a_bound() -> None:
+    late = HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3, delay=0.1)
+    slow = late.frequency_margins(0.02, 0.02)
+    assert slow.delay.error == inf
+    assert slow.delay.value == late.margins(0.02, 0.02).extra_delay
+    assert "at least" in repr(slow)
+
+
+# -------------------------------------------------------------------------------- shapes, refusals
+def test_gains_broadcast_as_those_of_margins_do() -> None:
+    many_walls = WINDOW.frequency_margins([[1000.0], [5000.0]], [10.0, 15.0, 12.0])
+    assert many_walls.verdict.shape == many_walls.phase.value.shape == (2, 3)
+    assert many_walls.verdict.tolist() == [[1, 1, 1], [2, 2, 2]]
+    assert many_walls.phase.value[0, 1] == WINDOW.frequency_margins(1000.0, 15.0).phase.value
+    assert repr(many_walls).splitlines()[-1].split() == ["unstable", *["none"] * 7]
+    robots = jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=4)
+    assert robots.frequency_margins(mass=[2.0, 3.0], damping=50.0).disk.error.shape == (2,)
+
+
+def test_gain_and_delay_margins_are_those_of_margins() -> None:
+    margins, own = WINDOW.margins(1000.0, 10.0), WINDOW.frequency_margins(1000.0, 10.0)
+    assert own.delay.value == margins.extra_delay
+    assert own.delay.error < 1e-8 * own.delay.value
+    pd = jaxstab.simulated_pd(0.1, step=2e-3, substeps=4)
+    both = pd.margins(kp=500.0, kd=10.0).both_factors
+    found = pd.frequency_margins(kp=500.0, kd=10.0)
+    assert found.largest_gain.value == pytest.approx(both[1], rel=1e-14)
+
+
+def test_an_admittance_is_opened_at_its_acceleration() -> None:
+    robot = jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=4)
+    factor = float(robot.frequency_margins(mass=2.0, damping=50.0).largest_gain.value)
+    masses = [2.0 / (factor * near) for near in (1.0 - 1e-9, 1.0 + 1e-9)]
+    assert robot.verdict(mass=masses, damping=50.0).tolist() == [1, 2]
+
+
+@pytest.mark.parametrize(
+    ("ask", "error", "sentence"),
+    [
+        (lambda: WINDOW.frequency_margins(nan, 1.0), ValueError, "stiffness is nan; allowed"),
+        (lambda: WINDOW.frequency_margins("stiff", 1.0), TypeError, "stiffness is 'stiff'; give"),
+        (
+            lambda: HapticLoop(
+                device_mass=[0.1, 0.2], device_damping=0.1, sample_time=1e-3
+            ).frequency_margins(1.0, 1.0),
+            TypeError,
+            "one loop is needed here",
+        ),
+        (
+            lambda: jax.jit(lambda k: WINDOW.frequency_margins(k, 1.0).phase.value)(1.0),
+            TypeError,
+            "stiffness or damping is traced; give concrete gains",
+        ),
+        (
+            lambda: jaxstab.simulated_pd(0.1, step=2e-3).frequency_margins(kp=1.0),
+            TypeError,
+            "gains given: kp; give both kp and kd",
+        ),
+    ],
+)
+def test_what_is_wrong_is_said_in_a_sentence(ask: Any, error: type, sentence: str) -> None:
+    with pytest.raises(error, match=sentence):
+        ask()
