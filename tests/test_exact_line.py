@@ -12,7 +12,7 @@ from benchmarks.truth import filtered
 from benchmarks.truth.plain import Loop, is_stable, outside
 from benchmarks.truth.random_loops import DeviceLoop, Filters, MassLoop, long_window
 from jaxstab import Device, Filter, HapticLoop, Velocity
-from jaxstab.exact.line import LineStatus, StableLine, _chain, _Line, OnCircle, stable_line
+from jaxstab.exact.line import LineStatus, OnCircle, StableLine, _chain, _Line, stable_line
 from jaxstab.model.balls import Factored, Triple, ball_triple
 
 NOTHING = Factored(flint.arb_poly([]))

@@ -65,8 +65,8 @@ class Readings(NamedTuple):
     phase: Reading
     delay: Reading
     sensitivity: Reading
-    complementary: Reading
-    disk: Reading
+    complementary: Reading = Reading()
+    disk: Reading = Reading()
 
 
 _OF_NOTHING = Readings(
@@ -75,8 +75,10 @@ _OF_NOTHING = Readings(
 )
 
 
-def readings(parts: Callable[[], tuple[Factored, Factored]]) -> Readings:
+def readings(parts: Callable[[], tuple[Factored, Factored]], *, in_full: bool = True) -> Readings:
     """The margins and peaks of a loop that is stable, from D and N in balls.
+
+    Not ``in_full`` they are phase, delay and the peak of S, which take a third of the time.
 
     Example:
         >>> from jaxstab.exact.frequency import readings
@@ -96,11 +98,10 @@ def readings(parts: Callable[[], tuple[Factored, Factored]]) -> Readings:
 
     if parts()[1].is_zero:
         return _OF_NOTHING
-    ends = stable_pencil(opened).holding(1.0) or [Reading()] * 2
+    ends = (in_full and stable_pencil(opened).holding(1.0)) or [Reading()] * 2
     phase, delay = decided(lambda: _crossovers(*opened())) or [Reading()] * 2
-    peaks = [
-        decided(partial(_peak, opened, *signs)) or Reading() for signs in ((1, 0), (0, 1), (1, -1))
-    ]
+    kinds = ((1, 0), (0, 1), (1, -1)) if in_full else ((1, 0),)
+    peaks = [decided(partial(_peak, opened, *kind)) or Reading() for kind in kinds]
     return Readings(*(Reading(*end[:3]) for end in ends), phase, delay, *peaks)
 
 
@@ -146,7 +147,7 @@ def _crossovers(below: Factored, above: Factored) -> tuple[Reading, Reading] | N
         delays.append(_Place(lag / angle if angle > 0 else lag / angle.upper(), angle, slope != 0))
     if not abs(above.at_end(-1)) < abs(below.at_end(-1)):
         delays.append(_Place(arb(1), pi))
-    margins = _extreme(phases, 1), _extreme(delays, 1)
+    margins = _extreme(phases), _extreme(delays)
     return None if None in margins else margins
 
 
@@ -173,21 +174,22 @@ def _peak(
     places = [_Place(abs(sides[0].at(t) / sides[1].at(t)), t) for t in angles]
     for place, angle in ((1, arb(0)), (-1, arb.pi())):
         places.append(_Place(abs(x.at_end(place) / p.at_end(place)), angle))
-    if of_below * of_above:
-        return _extreme([_Place(2 / ball, angle) for ball, angle, _ in places if ball > 0], 1)
-    return _extreme(places, -1)
+    return _extreme(places, is_largest=True, of=2 if of_below * of_above else None)
 
 
-def _extreme(places: "list[_Place]", sign: int) -> Reading | None:
-    """The least number, or with -1 the largest one; where equals are, at the smallest angle."""
+def _extreme(
+    places: "list[_Place]", *, is_largest: bool = False, of: int | None = None
+) -> Reading | None:
+    """The least number, or the largest, or ``of`` over it; of equals that at the smallest angle."""
     if not places:
         return Reading(inf, 0.0)
     best = places[0].ball
     for ball, *_ in places[1:]:
-        best = best.min(ball) if sign > 0 else best.max(ball)
-    if not best.rel_accuracy_bits() >= _ACCURATE:
+        best = best.max(ball) if is_largest else best.min(ball)
+    equal = [place for place in places if place.ball.overlaps(best)]
+    best = best if of is None else of / best
+    if not equal or not best.rel_accuracy_bits() >= _ACCURATE:
         return None
-    equal = (place for place in places if place.ball.overlaps(best))
     _, angle, is_known = min(equal, key=lambda place: float(place.angle.mid()))
     value, error = Number.of(best)
     return Reading(value, error if is_known else inf, float(angle.mid()))

@@ -635,9 +635,7 @@ class Loop:
             outline = self.region(tolerance=tolerance).outline
             return np.stack(self._chart.gains(*outline.T), axis=-1)
 
-    def plot(
-        self, kind: str = "region", *, ax: "Axes | None" = None, **gains: float
-    ) -> "Axes":
+    def plot(self, kind: str = "region", *, ax: "Axes | None" = None, **gains: float) -> "Axes":
         """Draw the stable gains, islands, and where the first coordinate is largest.
 
         Args:

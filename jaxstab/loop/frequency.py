@@ -31,10 +31,9 @@ from jaxstab.model.device.device import in_steps
 from jaxstab.model.device.sampling import one_sample
 from jaxstab.model.loop import LoopParameters
 from jaxstab.model.parameters import LONGEST_DELAY, wall_grid
-from jaxstab.rounding import UNIT
 from jaxstab.numbers import checked_number, checked_word
+from jaxstab.rounding import UNIT
 from jaxstab.shown import number_text, rounded_text, table_text
-
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -144,12 +143,14 @@ def margins_at_frequencies(
     pairs: Float64[np.ndarray, "*grid 2"],
     period: float,
     delay: Callable[[float, float], Reading] | None = None,
+    *,
+    in_full: bool = True,
 ) -> FrequencyMargins:
     """The margins of pairs of gains with these verdicts; ``delay`` has its own in samples."""
     found = np.full((7, 3, codes.size), nan)
     for k in np.flatnonzero(codes == Verdict.STABLE):
         pair = pairs.reshape(-1, 2)[k].tolist()
-        own = readings(partial(opened, *pair))
+        own = readings(partial(opened, *pair), in_full=in_full)
         found[..., k] = own._replace(delay=delay(*pair)) if delay else own
     units = np.array([1.0, 1.0, degrees(1.0), period, 1.0, 1.0, 1.0])[:, None]
     values, errors, angles = np.moveaxis(found, 1, 0)
@@ -168,14 +169,14 @@ def opened_wall(loop: LoopParameters, stiffness: float, damping: float) -> OpenL
 
 
 def wall_frequency_margins(
-    loop: LoopParameters, verdict: Callable[..., Any], stiffness: Numbers, damping: Numbers
+    loop: Any, stiffness: Numbers, damping: Numbers, *, in_full: bool = True
 ) -> FrequencyMargins:
-    """The margins of walls (K, B) of a loop with a function that judges them."""
+    """The margins of walls of a HapticLoop; not ``in_full`` phase and sensitivity alone."""
     grid = wall_grid(stiffness=stiffness, damping=damping)
-    codes = np.asarray(verdict(grid[..., 0], grid[..., 1]))
-    delay = None if in_steps(loop.held_device) else partial(_delay, loop)
-    period, opened = float(loop.sample_time), partial(opened_wall, loop)
-    return margins_at_frequencies(opened, codes, grid, period, delay)
+    codes, plain = np.asarray(loop.verdict(grid[..., 0], grid[..., 1])), loop.in_floats()
+    delay = partial(_delay, plain) if in_full and not in_steps(plain.held_device) else None
+    period, opened = float(plain.sample_time), partial(opened_wall, plain)
+    return margins_at_frequencies(opened, codes, grid, period, delay, in_full=in_full)
 
 
 def _delay(loop: LoopParameters, *wall: float) -> Reading:

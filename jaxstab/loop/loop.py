@@ -612,7 +612,7 @@ class HapticLoop(LoopParameters):
         self._refuse_many("frequency_margins")
         from jaxstab.loop.frequency import wall_frequency_margins
 
-        return wall_frequency_margins(self.in_floats(), self.verdict, stiffness, damping)
+        return wall_frequency_margins(self, stiffness, damping)
 
     def jitter_margin(
         self,

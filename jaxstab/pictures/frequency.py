@@ -108,5 +108,7 @@ def _bode(
             own = getattr(margins, name)
             size = 1.0 / (1.0 + places[name]) if name == "sensitivity" else places[name]
             height = 20.0 * np.log10(abs(size))
-            panel.plot(own.frequency, height, mark, color=colour, mec=BLACK, label=_label(name, own))
+            panel.plot(
+                own.frequency, height, mark, color=colour, mec=BLACK, label=_label(name, own)
+            )
     panel.legend(fontsize=7, frameon=False, loc="lower left")

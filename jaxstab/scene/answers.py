@@ -36,6 +36,7 @@ _LABELS = {
     "settling_time_5_percent": "settling time (5 %)",
     "reached": "connection",
     "margins_are": "margins",
+    "frequency_is": "frequency margins",
     "distance_is": "distance",
     "settling_is": "settling",
     "oscillation_is": "oscillation",
