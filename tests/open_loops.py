@@ -30,7 +30,7 @@ def horner(falling: Falling, z: mpc) -> mpc:
 
 
 class OpenLoop(NamedTuple):
-    """D and W, the highest power first, of one degree; the period, and the loop of another delay."""
+    """D and W, the highest power first, of one degree; the period, and W of a later loop."""
 
     below: Falling
     whole: Falling

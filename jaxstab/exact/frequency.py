@@ -4,8 +4,8 @@ The loop is opened at its force: L = N/D, p = D + N, S = D/p and T = N/p, D and 
 at 0, 1 and -1 that they share. On the circle:
 
 - Gain margins: D + t N is a line of walls, and the interval of t that holds 1 is known (E3).
-- Phase margin: |L| = 1 at the zeros of |N|^2 - |D|^2, a cosine sum. There L is -1 after a lag of pi +
-  arg L, arg L in (-pi, pi], or after a lead of what is left of 2 pi. The least of all counts.
+- Phase margin: |L| = 1 at the zeros of |N|^2 - |D|^2, a cosine sum. There L is -1 after a lag of
+  pi + arg L, arg L in (-pi, pi], or after a lead of what is left of 2 pi. The least of all counts.
 - Delay margin of a loop that is known at its samples alone: the least of these lags over their
   angles. While |N| < |D| at z = -1, D + e^(-i t theta) N is at theta = pi on the side of D(-1): its
   turns around 0 from -pi to pi, closed there, are a whole number, the same for all t below that
@@ -102,7 +102,8 @@ def readings(parts: Callable[[], tuple[Factored, Factored]], *, in_full: bool = 
     phase, delay = decided(lambda: _crossovers(*opened())) or [Reading()] * 2
     kinds = ((1, 0), (0, 1), (1, -1)) if in_full else ((1, 0),)
     peaks = [decided(partial(_peak, opened, *kind)) or Reading() for kind in kinds]
-    return Readings(*(Reading(*end[:3]) for end in ends), phase, delay, *peaks)
+    least, largest = (Reading(*end[:3]) for end in ends)
+    return Readings(least, largest, phase, delay, *peaks)
 
 
 def frequency_response(
@@ -147,8 +148,8 @@ def _crossovers(below: Factored, above: Factored) -> tuple[Reading, Reading] | N
         delays.append(_Place(lag / angle if angle > 0 else lag / angle.upper(), angle, slope != 0))
     if not abs(above.at_end(-1)) < abs(below.at_end(-1)):
         delays.append(_Place(arb(1), pi))
-    margins = _extreme(phases), _extreme(delays)
-    return None if None in margins else margins
+    phase, delay = _extreme(phases), _extreme(delays)
+    return None if phase is None or delay is None else (phase, delay)
 
 
 def _peak(
@@ -164,12 +165,10 @@ def _peak(
     minus, plus = (z - 1 if a else 1), (z + 1 if b else 1)
     rising = (x.rest.derivative() * p.rest - x.rest * p.rest.derivative()) * minus * plus
     rising += both * (a * plus + b * minus)
-    angles = []
-    if rising.length():
-        turning = Factored(both, 0, min(a, 1), min(b, 1)), Factored(rising, 1)
-        angles = real_quotient_angles(*turning)
-        if angles is None:
-            return None
+    turning = Factored(both, 0, min(a, 1), min(b, 1)), Factored(rising, 1)
+    angles = real_quotient_angles(*turning) if rising.length() else list[arb]()
+    if angles is None:
+        return None
     sides = OnCircle.of(x), OnCircle.of(p)
     places = [_Place(abs(sides[0].at(t) / sides[1].at(t)), t) for t in angles]
     for place, angle in ((1, arb(0)), (-1, arb.pi())):

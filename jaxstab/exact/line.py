@@ -358,6 +358,7 @@ class OnCircle(NamedTuple):
 
     @classmethod
     def of(cls, p: Factored) -> "OnCircle":
+        """The values of a polynomial."""
         from flint import acb_poly, arb
 
         rising = p.rest.coeffs()

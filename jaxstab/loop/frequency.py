@@ -60,7 +60,7 @@ class AtFrequency(NamedTuple):
 
 
 class FrequencyMargins(NamedTuple):
-    """How far the open loop L of a stable loop stays from -1; NaN for one that is not proved stable.
+    """How far the open loop L of a stable loop stays from -1; NaN for one not proved stable.
 
     Attributes:
         verdict: certified codes of ``Verdict``.
@@ -95,17 +95,13 @@ class FrequencyMargins(NamedTuple):
             return "Frequency margins: none, the loop is unstable"
         columns = [_words(*row, own) for row, own in zip(_ROWS, self[1:], strict=True)]
         if np.ndim(self.verdict) == 0:
-            rows = [(f"Frequency margins: {codes[0]}", "", "at")]
+            rows: list[tuple[str, ...]] = [(f"Frequency margins: {codes[0]}", "", "at")]
             for (name, _), [words], own in zip(_ROWS, columns, self[1:], strict=True):
-                place = number_text(float(own.frequency), 5, unit="Hz")
-                rows.append((name, words, "" if words == "0" else place.replace("none", "")))
+                place = number_text(float(own.frequency), 5, unit="Hz") if own.frequency > 0 else ""
+                rows.append((name, words, place))
             return table_text(rows)
         most_rows = 8  # of many pairs
-        rows = [("verdict", *(name for name, _ in _ROWS))]
-        rows += [
-            (code, *(["none"] * len(_ROWS) if code == "unstable" else own))
-            for code, *own in zip(codes, *columns, strict=True)
-        ]
+        rows = [("verdict", *(name for name, _ in _ROWS)), *zip(codes, *columns, strict=True)]
         more = f"\n... and {len(codes) - most_rows} more" if len(codes) > most_rows else ""
         table = table_text(rows[: 1 + most_rows])
         return f"Frequency margins of {len(codes)} pairs of gains\n{table}{more}"

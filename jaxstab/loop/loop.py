@@ -39,11 +39,11 @@ class HapticLoop(LoopParameters):
 
     At every sample the wall's force is -(K P(z) + B V(z)) x: K times the position, filtered if
     there is a filter, and B times the estimated velocity. Methods about one wall (K, B):
-    ``verdict``, ``spectral_radius``, ``poles``, ``margins``, ``frequency_margins``,
-    ``settling_time``, ``oscillation``, ``amplitude``, ``simulate``, ``contact``; about all walls: ``region``, ``limits``,
-    ``stiffness_limits``, ``damping_limits``, ``stiffness_intervals``, ``damping_intervals``,
-    ``boundary_distance``, ``tune``; about all hands of a range: ``worst_hand``, ``robust_limit``;
-    and ``to_control``. Numbers are finite and in SI units.
+    ``verdict``, ``spectral_radius``, ``poles``, ``margins``, ``settling_time``, ``oscillation``,
+    ``amplitude``, ``frequency_margins``, ``simulate``, ``contact``; about all walls:
+    ``region``, ``limits``, ``stiffness_limits``, ``damping_limits``, ``stiffness_intervals``,
+    ``damping_intervals``, ``boundary_distance``, ``tune``; about all hands of a range:
+    ``worst_hand``, ``robust_limit``; and ``to_control``. Numbers are finite and in SI units.
 
     Fields may be arrays that broadcast; the loop then stands for many loops. The methods from
     ``verdict`` to ``amplitude`` broadcast them with the walls, if the device is one mass and the

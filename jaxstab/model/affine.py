@@ -21,7 +21,7 @@ common drift does not change e: it is divided out.
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from jaxstab.arrays import Array
 from jaxstab.model.balls import (
@@ -178,12 +178,11 @@ def opened_loop(parts: AffineParts, first: float, second: float) -> tuple[Factor
     """D and N of the open loop N/D, opened where no gain moves the leading coefficient of p(z)."""
     from flint import arb
 
-    coordinates, gains = coordinates_of(parts), (arb(first), arb(second))
+    coordinates, a, b = coordinates_of(parts), arb(first), arb(second)
     triple = affine_triple(coordinates.chart)
     if not coordinates.are_gains:
-        w0, w1, w2 = _weights(affine_triple(parts), coordinates.pivot)
-        gains = coordinates._replace(weights=(w0, w1, w2)).of_gains(*gains)
-    a, b = gains
+        weights: Any = tuple(_weights(affine_triple(parts), coordinates.pivot))
+        a, b = coordinates._replace(weights=weights).of_gains(a, b)
     return triple.base, triple.stiffness.scaled(a).plus(triple.damping.scaled(b))
 
 

@@ -83,62 +83,49 @@ class NoMargins(Margins):
 
 
 @dataclass(frozen=True)
-class Robustness(Answer):
-    """How far the open loop stays from -1, at its worst over some hands: one line."""
-
-    is_part = True
-    absent = "not proved"
-
-    phase_margin: Annotated[float, Quantity("degrees", 3, ROUND_FLOOR, "any")]
-    peak_sensitivity: Annotated[float, Quantity("", 3, ROUND_CEILING)]
-    robustness_is: str | None
-
-    def lines(self, indent: str = "", units: Units = Units.LINE) -> list[str]:
-        """The phase margin and, behind it, all else."""
-        first, second, *_ = super().lines(indent, units)
-        if isnan(self.phase_margin):
-            return [first]
-        return [", ".join([first, " ".join(second.split()), *filter(None, [self.robustness_is])])]
-
-
-class NoRobustness(Robustness):
-    """The same of a wall that is not stable."""
-
-    absent = "none: the wall is not stable"
-
-
-@dataclass(frozen=True)
 class FrequencyMargins(Answer):
-    """All margins and peaks, each the worst over some hands, with its frequency there."""
+    """How far the open loop stays from -1, and where: each the worst over some hands.
+
+    Without a gain margin it is one line, of two numbers.
+    """
 
     is_part = True
     absent = "not proved"
 
-    least_gain: Annotated[float, Quantity("", 4, ROUND_CEILING)]
-    gain_margin: SpareGain
-    gain_margin_at: Frequency | None
     phase_margin: Annotated[float, Quantity("degrees", 4, ROUND_FLOOR, "any")]
     phase_margin_at: Frequency | None
-    delay_margin: SpareTime
-    delay_margin_at: Frequency | None
     peak_sensitivity: Annotated[float, Quantity("", 4, ROUND_CEILING)]
     peak_sensitivity_at: Frequency | None
-    peak_complementary: Annotated[float, Quantity("", 4, ROUND_CEILING)]
+    gain_margin: SpareGain | None
+    gain_margin_at: Frequency | None
+    least_gain: Annotated[float, Quantity("", 4, ROUND_CEILING)] | None
+    delay_margin: SpareTime | None
+    delay_margin_at: Frequency | None
+    peak_complementary: Annotated[float, Quantity("", 4, ROUND_CEILING)] | None
     peak_complementary_at: Frequency | None
-    disk_margin: Annotated[float, Quantity("", 4, ROUND_FLOOR)]
+    disk_margin: Annotated[float, Quantity("", 4, ROUND_FLOOR)] | None
     disk_margin_at: Frequency | None
     frequency_is: str | None
 
     def lines(self, indent: str = "", units: Units = Units.LINE) -> list[str]:
-        """A line for each, with the frequency behind it."""
+        """A line for each number, the frequency behind it."""
         lines = list[str]()
         for line in super().lines(indent, units):
             name, is_place, frequency = line.partition(" at ")
-            if is_place:
-                lines[-1] += f" at {frequency.strip()}"
-            else:
-                lines.append(name)
+            lines = (
+                [*lines[:-1], f"{lines[-1]} at {frequency.strip()}"] if is_place else [*lines, name]
+            )
+        if self.gain_margin is None:
+            first, second, *_ = lines
+            rest = [" ".join(second.split()), *filter(None, [self.frequency_is])]
+            lines = [first if isnan(self.phase_margin) else ", ".join([first, *rest])]
         return lines
+
+
+class NoFrequencyMargins(FrequencyMargins):
+    """Those of a wall that is not stable."""
+
+    absent = "none: the wall is not stable"
 
 
 @dataclass(frozen=True)
@@ -227,7 +214,7 @@ class WallCheck(WallVerdict):
 
     measures_are: str | None
     margins: Margins | None = None
-    frequency: Robustness | FrequencyMargins | None = None
+    frequency: FrequencyMargins | None = None
     distance: Distance | None = None
     radius: Radius | None = None
     settling: Settling | None = None
@@ -388,32 +375,31 @@ def _least_margins(wall: _Wall, loops: list[HapticLoop], margins: LoopMargins) -
 
 def _worst_frequencies(
     wall: _Wall, loops: list[HapticLoop], found: LoopFrequencyMargins
-) -> Robustness | FrequencyMargins:
+) -> FrequencyMargins:
     return frequency_answer(found, _among("worst", loops), in_full=wall.scene.wanted.frequency)
 
 
 def frequency_answer(
     found: LoopFrequencyMargins, words: str | None, *, in_full: bool
-) -> Robustness | FrequencyMargins:
-    """The worst of some margins of frequency; two numbers, or ``in_full`` all of them."""
-    values = {"least_gain": max(float(np.max(found.least_gain.value)), 0.0)}
-    places: dict[str, float | None] = {}
+) -> FrequencyMargins:
+    """The worst of some margins over frequency."""
+    answer = dict[str, Any]()
     for name, own, worst in (
-        ("gain_margin", found.largest_gain, np.argmin),
         ("phase_margin", found.phase, np.argmin),
-        ("delay_margin", found.delay, np.argmin),
         ("peak_sensitivity", found.sensitivity, np.argmax),
+        ("gain_margin", found.largest_gain, np.argmin),
+        ("least_gain", found.least_gain, np.argmax),
+        ("delay_margin", found.delay, np.argmin),
         ("peak_complementary", found.complementary, np.argmax),
         ("disk_margin", found.disk, np.argmin),
     ):
-        place = int(worst(own.value))  # NaN comes first
-        values[name], at = (float(np.ravel(each)[place]) for each in (own.value, own.frequency))
-        places[f"{name}_at"] = None if isnan(at) else at
-    if not np.all(found.verdict == Verdict.STABLE) or not in_full:
-        is_unstable = np.any(found.verdict == Verdict.UNSTABLE)
-        kind = NoRobustness if is_unstable else Robustness
-        return kind(values["phase_margin"], values["peak_sensitivity"], words)
-    return FrequencyMargins(**values, **places, frequency_is=words)
+        value, _, place = (float(np.ravel(each)[worst(own.value)]) for each in own)  # NaN first
+        is_shown = in_full or name in ("phase_margin", "peak_sensitivity")
+        answer[name] = max(value, 0.0) if is_shown else None
+        answer[f"{name}_at"] = place if is_shown and place > 0.0 else None
+    del answer["least_gain_at"]
+    is_unstable = np.any(found.verdict == Verdict.UNSTABLE)
+    return (NoFrequencyMargins if is_unstable else FrequencyMargins)(**answer, frequency_is=words)
 
 
 def _common(limits: Float64[np.ndarray, "hand 2"]) -> tuple[float, float]:

@@ -192,12 +192,8 @@ def any_scene(tables: Mapping[str, Any], source: str = "") -> Scene | GainScene:
 def _tables_of(*gains: Gain) -> tuple[Any, Any]:
     """Return the tables of a pair of gains, and of wishes about them."""
     both = {gain.name: t.quantity(gain.unit) for gain in gains}
-    wishes = {
-        "safety": t.share,
-        "frequency": t.truth,
-        **both,
-        **{f"at_{name}": own for name, own in both.items()},
-    }
+    wishes: dict[str, Any] = {"safety": t.share, "frequency": t.truth, **both}
+    wishes |= {f"at_{name}": own for name, own in both.items()}
     made: Any = partial(make_dataclass, bases=(t.Table,), frozen=True, kw_only=True)
     return (
         made("Pair", [(name, Any, t.key(own)) for name, own in both.items()]),
