@@ -541,8 +541,8 @@ class Loop:
 
         Example:
             >>> loop = jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=4)
-            >>> loop.frequency_margins(mass=2.0, damping=50.0)
-            Frequency margins: stable
+            >>> print(f"{loop.frequency_margins(mass=2.0, damping=50.0).sensitivity.value:.2f}")
+            13.32
         """
         grid = self._grid(gains)
         both = dict(zip(self._in_order(gains), np.moveaxis(grid, -1, 0), strict=True))
