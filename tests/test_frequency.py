@@ -10,10 +10,14 @@ import numpy as np
 import open_loops
 import pytest
 from campaign import many
+from click.testing import CliRunner
+from matplotlib.figure import Figure
 from mpmath import mp
 
 import jaxstab
 from jaxstab import Device, HapticLoop, Loop, Mode, Velocity
+from jaxstab.cli.main import main
+from jaxstab.scene import Scene, check_walls
 
 WINDOW = HapticLoop(
     device_mass=0.25,
@@ -45,16 +49,18 @@ def test_no_margin_of_random_loops_is_wrong() -> None:
 
 
 def test_the_truth_denies_what_is_wrong() -> None:
-    asked = open_loops.of_kind("kp-kd", np.random.default_rng(1))
+    asked = open_loops.of_kind("kp-ki", np.random.default_rng(3))
     assert list(open_loops.wrong(asked)) == []
-    for name in asked.margins._fields[1:]:
-        own = getattr(asked.margins, name)
-        for factor in (1.0 - 1e-6, 1.0 + 1e-6):
-            if name == "least_gain" and own.value == 0.0:
-                continue
-            moved = own._replace(value=own.value * factor)
-            claims = asked.margins._replace(**{name: moved})
-            assert [*open_loops.wrong(asked._replace(margins=claims))], (name, factor)
+    moved = {
+        (name, factor): own._replace(value=own.value * factor)
+        for name, own in asked.margins._asdict().items()
+        if name != "verdict" and np.isfinite(own.value) and own.value
+        for factor in (1.0 - 1e-6, 1.0 + 1e-6)
+    }
+    assert len(moved) >= 12
+    for (name, _), own in moved.items():
+        claims = asked.margins._replace(**{name: own})
+        assert [*open_loops.wrong(asked._replace(margins=claims), grid=60)], name
 
 
 # -------------------------------------------------------------------------------------- other tools
@@ -317,3 +323,89 @@ def test_an_admittance_is_opened_at_its_acceleration() -> None:
 def test_what_is_wrong_is_said_in_a_sentence(ask: Any, error: type, sentence: str) -> None:
     with pytest.raises(error, match=sentence):
         ask()
+
+
+# ---------------------------------------------------------------------------------------- pictures
+@pytest.mark.parametrize(
+    ("kind", "labels"),
+    [("nyquist", ("Re L", "Im L")), ("bode", ("frequency (Hz)", "magnitude (dB)"))],
+)
+def test_pictures_name_the_margins_and_their_places(kind: str, labels: tuple[str, str]) -> None:
+    axes = WINDOW.plot(kind, 1000.0, 12.0, ax=Figure().subplots())
+    assert (axes.get_xlabel(), axes.get_ylabel()) == labels
+    words = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert "phase margin 12.7 degrees at 13.4 Hz" in words
+    assert "peak sensitivity 4.84 at 14.1 Hz" in words
+    assert axes.get_title() == ""
+    unstable = WINDOW.plot(kind, 5000.0, 30.0, ax=Figure().subplots())
+    assert unstable.get_title() == "not proved stable: there are no margins"
+
+
+def test_the_curve_of_a_picture_is_the_open_loop() -> None:
+    """L = g/(z - 1) at every frequency that is drawn."""
+    loop = Loop.from_coefficients(base=[1, -1], first=[1], second=[2], sample_time=1.0)
+    axes = loop.plot("nyquist", a=0.5, b=0.0, ax=Figure().subplots())
+    (curve,) = (line for line in axes.lines if line.get_label() == "L")
+    drawn = curve.get_xdata() + 1j * curve.get_ydata()
+    turns = 1.0 + 0.5 / drawn
+    np.testing.assert_allclose(np.abs(turns), 1.0, rtol=1e-12)
+    assert np.angle(turns).max() == pytest.approx(np.pi)
+
+
+@pytest.mark.parametrize(
+    ("draw", "error", "sentence"),
+    [
+        (lambda: WINDOW.plot("nichols"), ValueError, "kind is 'nichols'; give one of \"region\""),
+        (lambda: WINDOW.plot("bode", 1000.0), TypeError, "damping is None; give real numbers"),
+        (lambda: WINDOW.plot("region", 1.0, 1.0), TypeError, "gains are given beside kind"),
+        (
+            lambda: jaxstab.simulated_pd(0.1, step=2e-3).plot("bode", kp=1.0),
+            TypeError,
+            "gains given: kp; give both kp and kd",
+        ),
+    ],
+)
+def test_pictures_that_cannot_be_drawn_are_refused(draw: Any, error: type, sentence: str) -> None:
+    with pytest.raises(error, match=sentence):
+        draw()
+
+
+# ------------------------------------------------------------------------------------- command line
+SOFT = {"device": {"mass": 0.25, "damping": 0.1}, "walls": {"a": {"stiffness": 1e3, "damping": 12}}}
+SOFT["controller"] = {"sample_time": 1e-3, "delay": 1e-3, "velocity": {"window_samples": 20}}  # type: ignore[dict-item]
+
+
+def test_check_has_a_line_of_phase_margin_and_peak_sensitivity() -> None:
+    lines = str(check_walls(Scene.from_table(SOFT))).splitlines()
+    (line,) = (line for line in lines if "phase margin" in line)
+    words = "12.72 degrees at 13.3916 Hz, peak sensitivity 4.837 at 14.138 Hz"
+    assert line.split("phase margin")[1].strip() == words
+
+
+def test_check_prints_all_margins_on_request_for_the_worst_hand() -> None:
+    hand = {"mass": [0.0, 0.5], "stiffness": [0.0, 100.0], "damping": [0.0, 1.0]}
+    table = SOFT | {"hand": hand, "wanted": {"frequency": True, "measures": ["frequency"]}}
+    (wall,) = check_walls(Scene.from_table(table)).walls.values()
+    found = wall.frequency
+    assert found is not None
+    assert found.frequency_is == "worst over 8 hands"
+    every = [
+        HapticLoop(**own, device_mass=0.25, device_damping=0.1, sample_time=1e-3, delay=1e-3,
+                   velocity=Velocity.difference(samples=20)).frequency_margins(1e3, 12.0)
+        for own in (
+            {"hand_mass": m, "hand_stiffness": k, "hand_damping": b}
+            for m in (0.0, 0.5) for k in (0.0, 100.0) for b in (0.0, 1.0)
+        )
+    ]  # fmt: skip
+    assert found.phase_margin == min(float(own.phase.value) for own in every)
+    assert found.peak_sensitivity == max(float(own.sensitivity.value) for own in every)
+    assert found.disk_margin == min(float(own.disk.value) for own in every)
+    assert found.gain_margin == min(float(own.largest_gain.value) for own in every)
+    assert re.search(r"(?m)^peak complementary +[\d.]+ at [\d.]+ Hz$", str(wall))
+
+
+def test_check_of_other_gains_has_them_too_and_an_unstable_wall_has_none() -> None:
+    pid = "data/scenes/gains/pid.toml"
+    result = CliRunner().invoke(main, ["check", pid, "--frequency"])
+    assert re.search(r"(?m)^  disk margin +0.9167 at 24.9245 Hz$", result.output)
+    assert re.search(r"(?m)^  phase margin +none: the wall is not stable$", result.output)

@@ -1,4 +1,4 @@
-"""Draw pictures of docs/quickstart.md, which.md, joints.md and frequency.md: python data/pictures/pages.py."""
+"""Draw pictures of four pages, such as docs/frequency.md: python data/pictures/pages.py."""
 
 from dataclasses import replace
 from pathlib import Path
