@@ -108,7 +108,9 @@ class FrequencyMargins(NamedTuple):
                 rows.append((name, words, place))
             return table_text(rows)
         most_rows = 8  # of many pairs
-        rows = [("verdict", *(name for name, _ in _ROWS)), *zip(codes, *columns, strict=True)]
+        rows = [("verdict", *(name for name, _ in _ROWS))]
+        for code, *own in zip(codes, *columns, strict=True):
+            rows.append((code, *(own if code == "stable" else ["none"] * len(own))))
         more = f"\n... and {len(codes) - most_rows} more" if len(codes) > most_rows else ""
         table = table_text(rows[: 1 + most_rows])
         return f"Frequency margins of {len(codes)} pairs of gains\n{table}{more}"
