@@ -103,14 +103,15 @@ class FrequencyMargins(NamedTuple):
         columns = [_words(*row, own) for row, own in zip(_ROWS, self[1:], strict=True)]
         if np.ndim(self.verdict) == 0:
             rows: list[tuple[str, ...]] = [(f"Frequency margins: {codes[0]}", "", "at")]
-            for (name, _), [words], own in zip(_ROWS, columns, self[1:], strict=True):
-                place = number_text(float(own.frequency), 5, unit="Hz") if own.frequency > 0 else ""
-                rows.append((name, words, place))
+            for (name, _), [text], own in zip(_ROWS, columns, self[1:], strict=True):
+                is_there = own.frequency >= 0.0 and text != "0"
+                place = number_text(float(own.frequency), 5, unit="Hz") if is_there else ""
+                rows.append((name, text, place))
             return table_text(rows)
         most_rows = 8  # of many pairs
         rows = [("verdict", *(name for name, _ in _ROWS))]
-        for code, *own in zip(codes, *columns, strict=True):
-            rows.append((code, *(own if code == "stable" else ["none"] * len(own))))
+        for code, *words in zip(codes, *columns, strict=True):
+            rows.append((code, *(words if code == "stable" else ["none"] * len(words))))
         more = f"\n... and {len(codes) - most_rows} more" if len(codes) > most_rows else ""
         table = table_text(rows[: 1 + most_rows])
         return f"Frequency margins of {len(codes)} pairs of gains\n{table}{more}"

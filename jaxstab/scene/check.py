@@ -396,7 +396,7 @@ def frequency_answer(
         value, _, place = (float(np.ravel(each)[worst(own.value)]) for each in own)  # NaN first
         is_shown = in_full or name in ("phase_margin", "peak_sensitivity")
         answer[name] = max(value, 0.0) if is_shown else None
-        answer[f"{name}_at"] = place if is_shown and place > 0.0 else None
+        answer[f"{name}_at"] = place if is_shown and place >= 0.0 else None
     del answer["least_gain_at"]
     is_unstable = np.any(found.verdict == Verdict.UNSTABLE)
     return (NoFrequencyMargins if is_unstable else FrequencyMargins)(**answer, frequency_is=words)
