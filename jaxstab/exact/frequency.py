@@ -96,8 +96,9 @@ def readings(parts: Callable[[], tuple[Factored, Factored]], *, in_full: bool = 
         shared = [min(counts) for counts in zip(below[1:4], above[1:4], strict=True)]
         return below.divided(*shared), above.divided(*shared)
 
-    if parts()[1].is_zero:
-        return _OF_NOTHING
+    with working_precision(FIRST_BITS):
+        if parts()[1].is_zero:
+            return _OF_NOTHING
     ends = (in_full and stable_pencil(opened).holding(1.0)) or [Reading()] * 2
     phase, delay = decided(lambda: _crossovers(*opened())) or [Reading()] * 2
     kinds = ((1, 0), (0, 1), (1, -1)) if in_full else ((1, 0),)
