@@ -5,9 +5,11 @@ from .boxes import RobustLimit as RobustLimit
 from .boxes import RobustRegion as RobustRegion
 from .boxes import RobustStatus as RobustStatus
 from .conventions import RadiusStatus as RadiusStatus
+from .loop import AtFrequency as AtFrequency
 from .loop import CommonWall as CommonWall
 from .loop import Contact as Contact
 from .loop import ContactKind as ContactKind
+from .loop import FrequencyMargins as FrequencyMargins
 from .loop import Gain as Gain
 from .loop import GainLimit as GainLimit
 from .loop import GainLimits as GainLimits

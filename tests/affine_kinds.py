@@ -217,8 +217,8 @@ KINDS = {
 }
 
 
-def is_stable_exactly(matrix: np.ndarray) -> bool | None:
-    """Whether all eigenvalues are inside; None within 1e-40 of the circle."""
+def polynomial_exactly(matrix: np.ndarray) -> list[Any]:
+    """The characteristic polynomial in fractions, as numbers of mpmath, the highest power first."""
     from flint import fmpq, fmpq_mat
 
     def rational(number: Any) -> Any:
@@ -230,9 +230,14 @@ def is_stable_exactly(matrix: np.ndarray) -> bool | None:
 
     size = len(matrix)
     coefficients = fmpq_mat(size, size, [rational(x) for x in matrix.ravel()]).charpoly().coeffs()
-    while coefficients[0] == 0:
-        coefficients = coefficients[1:]
-    rising = [mpmath.mpf(int(c.p)) / int(c.q) for c in coefficients]
+    return [mpmath.mpf(int(c.p)) / int(c.q) for c in coefficients[::-1]]
+
+
+def is_stable_exactly(matrix: np.ndarray) -> bool | None:
+    """Whether all eigenvalues are inside; None within 1e-40 of the circle."""
+    rising = polynomial_exactly(matrix)[::-1]
+    while rising[0] == 0:
+        rising = rising[1:]
     while len(rising) > 1:
         k = rising[0] / rising[-1]
         if abs(abs(k) - 1) < mpmath.mpf(10) ** -40:

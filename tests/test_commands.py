@@ -316,7 +316,7 @@ def test_31_19_json_has_inputs_units_and_one_style_of_keys(
     walk(answer)
     assert numbers == units.keys()
     assert units["delay"] == units["sample_time"] == "s"
-    assert set(units.values()) <= {"1", "s", "m", "kg", "Hz", "N", "N/m", "N s/m"}
+    assert set(units.values()) <= {"1", "s", "m", "kg", "Hz", "N", "N/m", "N s/m", "degrees"}
 
 
 def test_31_19_units_are_those_of_rotation() -> None:

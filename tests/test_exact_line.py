@@ -16,11 +16,11 @@ from jaxstab.exact.line import (
     End,
     Interval,
     LineStatus,
+    OnCircle,
     StableLine,
     _chain,
     _found,
     _Line,
-    _OnCircle,
     stable_line,
 )
 from jaxstab.model.balls import Factored, Triple, ball_triple
@@ -295,7 +295,7 @@ def test_values_on_the_circle_are_those_of_the_polynomial(degree: int) -> None:
     p = Factored(flint.arb_poly(rng.normal(size=degree + 1).tolist()), 2, 1, 1, (4,))
     rising = [float(c.mid()) for c in p.polynomial().coeffs()]
     for angle in (0.1, 1.3, 2.9):
-        value = complex(_OnCircle.of(p).at(flint.arb(angle)).mid())
+        value = complex(OnCircle.of(p).at(flint.arb(angle)).mid())
         truth = np.polynomial.polynomial.polyval(np.exp(1j * angle), rising)
         assert value == pytest.approx(truth, rel=1e-9)
 

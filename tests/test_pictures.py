@@ -52,7 +52,7 @@ def test_issue_31_21_the_main_component_fills_the_axes(delay: float) -> None:
     main = region.main
     assert main is not None
     assert region.islands
-    for axes in (loop.plot(Figure().subplots()), region.plot(Figure().subplots())):
+    for axes in (loop.plot(ax=Figure().subplots()), region.plot(Figure().subplots())):
         for (low, high), ends, extent in zip(
             (axes.get_xlim(), axes.get_ylim()), main.outline.T, main.extent, strict=True
         ):
@@ -66,7 +66,7 @@ def test_issue_31_21_the_main_component_fills_the_axes(delay: float) -> None:
             assert left < least_k < most_k < right
             assert bottom < least_b < most_b < top
     without = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
-    assert not without.plot(Figure().subplots()).child_axes
+    assert not without.plot(ax=Figure().subplots()).child_axes
 
 
 def test_issue_31_21_limits_draw_the_walls_and_what_all_hands_allow() -> None:

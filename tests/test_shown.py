@@ -167,12 +167,12 @@ def test_plots_draw_what_is_asked_on_the_axes_that_are_given() -> None:
     outline = axes.lines[0].get_xydata()
     assert np.nanmax(outline[:, 0]) == pytest.approx(WINDOW.limits().stiffness, rel=1e-6)
     axes = Figure().subplots()
-    labels = [line.get_label() for line in PLAIN.plot(axes).lines]
+    labels = [line.get_label() for line in PLAIN.plot(ax=axes).lines]
     assert "linear rule" in labels
     linear = axes.lines[labels.index("linear rule")].get_xydata()
     assert linear[:, 0] == pytest.approx((linear[:, 1] + 0.1) / 1.5e-3)
     assert "linear rule" not in [
-        line.get_label() for line in WINDOW.plot(Figure().subplots()).lines
+        line.get_label() for line in WINDOW.plot(ax=Figure().subplots()).lines
     ]
 
 

@@ -1,4 +1,4 @@
-"""Draw pictures of docs/quickstart.md, which.md and joints.md: python data/pictures/pages.py."""
+"""Draw pictures of four pages, such as docs/frequency.md: python data/pictures/pages.py."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -20,8 +20,16 @@ BLUE, ORANGE, GREY = "#0072b2", "#b35c00", "#4a5366"
 def quickstart(loop: jaxstab.HapticLoop) -> None:
     """What loop.plot() draws."""
     figure, ax = pyplot.subplots(figsize=(7, 4.2), layout="constrained")
-    loop.plot(ax)
+    loop.plot(ax=ax)
     figure.savefig(DOCS / "quickstart.png", dpi=130)
+
+
+def frequency(loop: jaxstab.HapticLoop) -> None:
+    """What loop.plot("nyquist", ...) and loop.plot("bode", ...) draw."""
+    figure, (plane, magnitudes) = pyplot.subplots(1, 2, figsize=(10, 4), layout="constrained")
+    loop.plot("nyquist", 1000.0, 12.0, ax=plane)
+    loop.plot("bode", 1000.0, 12.0, ax=magnitudes)
+    figure.savefig(DOCS / "frequency.png", dpi=110)
 
 
 def which(loop: jaxstab.HapticLoop) -> None:
@@ -88,5 +96,6 @@ if __name__ == "__main__":
         velocity=jaxstab.Velocity.difference(window=0.02),
     )
     quickstart(omega)
+    frequency(omega)
     which(omega)
     joints(Scene.from_file(ROOT / "data" / "scenes" / "joint.toml"))

@@ -92,8 +92,9 @@ def _option(name: str, section: str, entry: Field[Any]) -> click.Option:
         words += f" in {unit}" + (f" ({turning})" if turning != unit and unit != "kg" else "")
     if kind == tuple[float, float]:
         reads, words = {"callback": number_or_range}, f"{words}; LOW:HIGH for a range"
-    if name == "constant_delay":
-        reads = {"flag_value": "constant"}
+    flags: dict[str, Any] = {"constant_delay": "constant", "frequency": True}
+    if name in flags:
+        reads = {"flag_value": flags[name], "default": None}
     sentence = f"{words[0].upper()}{words[1:]}."
     return click.Option([f"--{name.replace('_', '-')}"], **reads, help=sentence)
 
@@ -372,7 +373,7 @@ def limits(as_json: bool, in_full: bool, islands: bool, **given: Any) -> int:
     return _answer(given, "limits", as_json, shown)
 
 
-@click.command(cls=SceneCommand)
+@click.command(cls=SceneCommand, wanted=["frequency"])
 @scene_options
 @_plot_option
 @file_option(

@@ -1,6 +1,9 @@
 from .delay_margin import DelayMargin as DelayMargin
 from .delay_margin import DelayStatus as DelayStatus
 from .delay_margin import delay_margin as delay_margin
+from .frequency import Reading as Reading
+from .frequency import frequency_response as frequency_response
+from .frequency import readings as readings
 from .line import Interval as Interval
 from .line import LineStatus as LineStatus
 from .line import StableLine as StableLine

@@ -265,7 +265,7 @@ def _crossings(line: _Line, *, is_last_try: bool) -> tuple[list[Crossing], float
     places = zeros(_cosines_of(p0, q), is_last_try=is_last_try)
     if places is None:
         return None
-    above, below = _OnCircle.of(p0), _OnCircle.of(q)
+    above, below = OnCircle.of(p0), OnCircle.of(q)
     at = [(place.angle, above.at(place.angle), below.at(place.angle)) for place in places]
     sign = 2 if turn // 2 % 2 else -2  # of i^turn, but for i
     sides = [place.slope * _real_sign(q, place.angle) * sign for place in places]
@@ -343,7 +343,7 @@ def _cosines(u: "arb_poly", v: "arb_poly", phase: int, *, is_odd: bool) -> "list
     return [rising[0], *(2 * c for c in rising[1:])]
 
 
-class _OnCircle(NamedTuple):
+class OnCircle(NamedTuple):
     """A polynomial for values on the circle, its rest in blocks, and a bound of the rest's slope.
 
     A ball of angles has values without what powers of it would lose to wrapping.
@@ -354,7 +354,8 @@ class _OnCircle(NamedTuple):
     slope: "arb"
 
     @classmethod
-    def of(cls, p: Factored) -> "_OnCircle":
+    def of(cls, p: Factored) -> "OnCircle":
+        """The values of a polynomial."""
         from flint import acb_poly, arb
 
         rising = p.rest.coeffs()

@@ -72,7 +72,7 @@ def small_gain(
         if wall.is_zero:
             return SmallGainStatus.PROVED
         steps = Factored(flint.arb_poly([1]), at_one=1).times(wall)
-        more = _less(_square(p), _times(_square(steps), late()))
+        more = _less(squared(p), _times(squared(steps), late()))
         holds = is_positive([more[0], *(2 * c for c in more[1:])])
         if holds is None:
             return None
@@ -111,7 +111,7 @@ def largest_jitter(
     return low
 
 
-def _square(p: Factored) -> "list[arb]":
+def squared(p: Factored) -> "list[arb]":
     """The coefficients of |p|^2 = s_0 + 2 s_1 cos(theta) + 2 s_2 cos(2 theta) + ..."""
     from flint import arb_poly
 

@@ -11,6 +11,8 @@ from .affine import simulated_pd as simulated_pd
 from .contact import Contact as Contact
 from .contact import ContactKind as ContactKind
 from .contact import contact_map as contact_map
+from .frequency import AtFrequency as AtFrequency
+from .frequency import FrequencyMargins as FrequencyMargins
 from .hands import WorstHand as WorstHand
 from .jitter import MovingLimits as MovingLimits
 from .jitter import WorstDelays as WorstDelays

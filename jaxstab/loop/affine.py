@@ -37,6 +37,7 @@ from jaxstab.exact import VerdictStatus, stable_line, wall_verdict
 from jaxstab.exact.boundary import ScaledLoop
 from jaxstab.exact.line import LineStatus, StableLine
 from jaxstab.exact.verdict import rational_verdict
+from jaxstab.loop.frequency import FrequencyMargins, margins_at_frequencies, plot
 from jaxstab.loop.margins import GainMargins, margins_of_gains
 from jaxstab.loop.walls import FewWalls, open_loop
 from jaxstab.model.affine import (
@@ -51,6 +52,7 @@ from jaxstab.model.affine import (
     SimulatedParts,
     affine_triple,
     coordinates_of,
+    opened_loop,
 )
 from jaxstab.model.balls import rounded_triple
 from jaxstab.model.device import Device
@@ -545,6 +547,25 @@ class Loop:
         triple = partial(affine_triple, self.parts)
         return margins_of_gains(triple, codes, grid, _names(self.gains).labels)
 
+    def frequency_margins(self, **gains: Numbers) -> FrequencyMargins:
+        """Gain, phase, delay and disk margin, and the peaks of |S| and |T|: proved.
+
+        The loop is opened as by ``to_control``; its delay is one of whole samples.
+
+        Raises: as ``margins``.
+
+        Source: the criterion of Nyquist; lemma E5 of docs/proofs.md.
+
+        Example:
+            >>> loop = jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=4)
+            >>> print(f"{loop.frequency_margins(mass=2.0, damping=50.0).sensitivity.value:.2f}")
+            13.32
+        """
+        grid = self._grid(gains)
+        both = dict(zip(self._in_order(gains), np.moveaxis(grid, -1, 0), strict=True))
+        codes, opened = np.asarray(self.verdict(**both)), partial(opened_loop, self.parts)
+        return margins_at_frequencies(opened, codes, grid, self.sample_time)
+
     def tune(self) -> TunedGains:
         """The gains >= 0 of the smallest spectral radius: the fastest decay.
 
@@ -632,23 +653,25 @@ class Loop:
             outline = self.region(tolerance=tolerance).outline
             return np.stack(self._chart.gains(*outline.T), axis=-1)
 
-    def plot(self, ax: "Axes | None" = None) -> "Axes":
+    def plot(self, kind: str = "region", *, ax: "Axes | None" = None, **gains: float) -> "Axes":
         """Draw the stable gains, islands, and where the first coordinate is largest.
 
         Args:
+            kind: "region", or "nyquist" or "bode" for the open loop of one pair of gains.
             ax: the axes of matplotlib to draw in; None makes a figure with matplotlib.pyplot.
+            **gains: both gains of that pair.
 
-        Raises: as ``region``; ValueError also if no gains are stable.
+        Raises: as ``region``; ValueError also if no gains are stable, or the kind is none.
 
-        Source: the D-decomposition of eq. (9), likewise.
+        Source: the D-decomposition of eq. (9), likewise; the criterion of Nyquist.
 
         Example:
-            >>> jaxstab.simulated_pd(0.1, step=2e-3).plot().get_xlabel()
-            'kp (N m/rad)'
+            >>> loop = jaxstab.simulated_pd(0.1, step=2e-3)
+            >>> loop.plot().get_xlabel(), loop.plot("bode", kp=1000.0, kd=20.0).get_xlabel()
+            ('kp (N m/rad)', 'frequency (Hz)')
         """
-        from jaxstab.pictures.style import plot_loop
-
-        return plot_loop(self, ax)
+        pair = gains if kind == "region" else self._in_order(gains)
+        return plot(self, kind, pair, partial(opened_loop, self.parts), ax)
 
     def to_control(self, **gains: float) -> Any:
         """The open loop L(z) = (a S + b R)/base as a transfer function of python-control.

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from jaxstab.boxes import HandRange, RobustLimit
     from jaxstab.exact import StableLine
     from jaxstab.loop.contact import Contact
+    from jaxstab.loop.frequency import FrequencyMargins
     from jaxstab.loop.hands import LoopsWithHands, WorstHand
     from jaxstab.loop.jitter import MovingLimits, MovingLoop, WorstDelays
     from jaxstab.loop.margins import Margins
@@ -39,10 +40,10 @@ class HapticLoop(LoopParameters):
     At every sample the wall's force is -(K P(z) + B V(z)) x: K times the position, filtered if
     there is a filter, and B times the estimated velocity. Methods about one wall (K, B):
     ``verdict``, ``spectral_radius``, ``poles``, ``margins``, ``settling_time``, ``oscillation``,
-    ``amplitude``, ``simulate``, ``contact``; about all walls: ``region``, ``limits``,
-    ``stiffness_limits``, ``damping_limits``, ``stiffness_intervals``, ``damping_intervals``,
-    ``boundary_distance``, ``tune``; about all hands of a range: ``worst_hand``, ``robust_limit``;
-    and ``to_control``. Numbers are finite and in SI units.
+    ``amplitude``, ``frequency_margins``, ``simulate``, ``contact``; about all walls:
+    ``region``, ``limits``, ``stiffness_limits``, ``damping_limits``, ``stiffness_intervals``,
+    ``damping_intervals``, ``boundary_distance``, ``tune``; about all hands of a range:
+    ``worst_hand``, ``robust_limit``; and ``to_control``. Numbers are finite and in SI units.
 
     Fields may be arrays that broadcast; the loop then stands for many loops. The methods from
     ``verdict`` to ``amplitude`` broadcast them with the walls, if the device is one mass and the
@@ -411,30 +412,39 @@ class HapticLoop(LoopParameters):
         loop = self._moving("hands with delays", delays, lost).loop
         return LoopsWithHands(loop, hands, mass, moving={"delays": delays, "lost": lost})
 
-    def plot(self, ax: "Axes | None" = None) -> "Axes":
-        """Draw the stable walls, the stiffest of them, islands and, if it applies, the linear rule.
+    def plot(
+        self,
+        kind: str = "region",
+        stiffness: float | None = None,
+        damping: float | None = None,
+        *,
+        ax: "Axes | None" = None,
+    ) -> "Axes":
+        """Draw the stable walls, or how one wall answers at each frequency.
 
         Args:
+            kind: "region" for the stable walls, the stiffest of them, islands and, if it applies,
+                the linear rule; "nyquist" and "bode" for the open loop of one wall.
+            stiffness: of that wall in N/m.
+            damping: of that wall in N s/m.
             ax: the axes of matplotlib to draw in; None makes a figure with matplotlib.pyplot.
 
-        Returns:
-            The axes, K in N/m and B in N s/m.
-
         Raises:
-            ValueError: no wall is stable, or the region is unresolved.
-            TypeError: JAX traces the loop.
+            ValueError: no wall is stable, or the region is unresolved, or the kind is none.
+            TypeError: JAX traces the loop, or a wall is missing, or one too many.
 
         Source: sec. V and VI of Hulin, Preusche, Hirzinger (2008).
 
         Example:
             >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> loop.plot().get_xlabel()
-            'stiffness K (N/m)'
+            >>> loop.plot().get_xlabel(), loop.plot("nyquist", 1000.0, 10.0).get_xlabel()
+            ('stiffness K (N/m)', 'Re L')
         """
         self._refuse_many("plot")
-        from jaxstab.pictures.style import plot_loop
+        from jaxstab.loop.frequency import opened_wall, plot
 
-        return plot_loop(self, ax)
+        wall = {"stiffness": stiffness, "damping": damping}
+        return plot(self, kind, wall, partial(opened_wall, self.in_floats()), ax)
 
     def to_control(self, stiffness: float, damping: float) -> Any:
         """The open loop of a wall as a transfer function in z of python-control.
@@ -584,6 +594,26 @@ class HapticLoop(LoopParameters):
         found = margins(*scaled(self, stiffness, damping), **by_name(*plant), **self.filters)
         units = self.stiffness(1.0), self.damping(1.0), self.sample_time
         return in_si_units(found, *units)
+
+    def frequency_margins(self, stiffness: Numbers, damping: Numbers) -> "FrequencyMargins":
+        """Gain, phase, delay and disk margin of walls, and the peaks of |S| and |T|: proved.
+
+        Args and Raises: see ``jaxstab.conventions``; TypeError also if JAX traces the loop or the
+        gains. Source: the open loop of eq. (9) on the unit circle; lemma E5 of docs/proofs.md.
+
+        Returns:
+            FrequencyMargins, each with the bound of its error and its frequency in Hz.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> phase = loop.frequency_margins(1000.0, 10.0).phase
+            >>> print(f"{phase.value:.1f} degrees at {phase.frequency:.1f} Hz")
+            52.9 degrees at 20.6 Hz
+        """
+        self._refuse_many("frequency_margins")
+        from jaxstab.loop.frequency import wall_frequency_margins
+
+        return wall_frequency_margins(self, stiffness, damping)
 
     def jitter_margin(
         self,

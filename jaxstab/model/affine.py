@@ -21,7 +21,7 @@ common drift does not change e: it is divided out.
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -176,10 +176,27 @@ def coordinates_of(parts: AffineParts) -> Coordinates:
         whole = affine_triple(parts)
         highest = [k for k, part in enumerate(whole) if part.degree == whole.degree]
         pivot = parts.pivot if parts.pivot in highest else highest[0]
-        leading = [part.polynomial()[whole.degree] for part in whole]
-        first, second, third = (float((value / leading[pivot]).mid()) for value in leading)
+        first, second, third = (float(weight.mid()) for weight in _weights(whole, pivot))
     is_own = max(whole.stiffness.degree, whole.damping.degree) < whole.degree
     return Coordinates(parts if is_own else Chart(parts, pivot), pivot, (first, second, third))
+
+
+def _weights(whole: Triple, pivot: int) -> "list[arb]":
+    """What base and gains are in the leading coefficient of p(z), over that of one part."""
+    leading = [part.polynomial()[whole.degree] for part in whole]
+    return [value / leading[pivot] for value in leading]
+
+
+def opened_loop(parts: AffineParts, first: float, second: float) -> tuple[Factored, Factored]:
+    """D and N of the open loop N/D, opened where no gain moves the leading coefficient of p(z)."""
+    from flint import arb
+
+    coordinates, a, b = coordinates_of(parts), arb(first), arb(second)
+    triple = affine_triple(coordinates.chart)
+    if not coordinates.are_gains:
+        weights: Any = tuple(_weights(affine_triple(parts), coordinates.pivot))
+        a, b = coordinates._replace(weights=weights).of_gains(a, b)
+    return triple.base, triple.stiffness.scaled(a).plus(triple.damping.scaled(b))
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,10 @@ def checked_gain(name: str, value: Numbers) -> Numbers:
 
 def wall_grid(**gains: Numbers) -> Float64[np.ndarray, "*grid 2"]:
     """Both gains of walls, by their names, on the grid to which they broadcast; never traced."""
+    require_x64(*gains.values())
+    if is_any_traced(*gains.values()):
+        names = " or ".join(gains)
+        raise TypeError(f"{names} is traced; give concrete gains, outside of jit, vmap and grad.")
     values = (np.asarray(checked_gain(name, gain), np.float64) for name, gain in gains.items())
     return np.stack(np.broadcast_arrays(*values), axis=-1)
 

@@ -3,8 +3,8 @@
 An answer is a frozen dataclass. The annotation of a number has its Quantity: the unit, the digits
 that are printed and the side to which they are rounded. Limits are rounded inwards, and two gains
 that are printed as a stable wall are one (``jaxstab.shown.stable_pair``). JSON has all digits, in
-SI units, and the unit of each key. Answers of a scene that turns have the units of rotation, and
-inertia for mass.
+SI units but for a phase in degrees, and the unit of each key. Answers of a scene that turns have
+the units of rotation, and inertia for mass.
 """
 
 from collections.abc import Iterator
@@ -36,6 +36,7 @@ _LABELS = {
     "settling_time_5_percent": "settling time (5 %)",
     "reached": "connection",
     "margins_are": "margins",
+    "frequency_is": "frequency margins",
     "distance_is": "distance",
     "settling_is": "settling",
     "oscillation_is": "oscillation",

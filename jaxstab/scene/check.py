@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from decimal import ROUND_CEILING, ROUND_FLOOR
 from functools import partial
-from math import inf, isinf, nan
+from math import inf, isinf, isnan, nan
 from typing import Annotated, Any
 
 import numpy as np
@@ -13,8 +13,10 @@ from jaxtyping import Float64
 from jaxstab.arrays import take, tree_map
 from jaxstab.batches import alike
 from jaxstab.conventions import Verdict
+from jaxstab.loop import FrequencyMargins as LoopFrequencyMargins
 from jaxstab.loop import Gains, HapticLoop
 from jaxstab.loop import Margins as LoopMargins
+from jaxstab.loop.frequency import wall_frequency_margins
 from jaxstab.model.loop import as_one
 from jaxstab.motion import Amplitude as Amplitudes
 from jaxstab.motion import Oscillation as Mode
@@ -50,7 +52,7 @@ from jaxstab.scene.loops import (
     walls_of,
     with_delay,
 )
-from jaxstab.scene.scene import Scene
+from jaxstab.scene.scene import Scene, Units
 
 Amplitude = Annotated[float, Quantity("m", 3, ROUND_CEILING, "not proved")]
 SettlingTime = Annotated[float, Quantity("s", infinite="never")]
@@ -76,6 +78,52 @@ class Margins(Answer):
 @dataclass(frozen=True)
 class NoMargins(Margins):
     """The margins of a wall that is not stable."""
+
+    absent = "none: the wall is not stable"
+
+
+@dataclass(frozen=True)
+class FrequencyMargins(Answer):
+    """How far the open loop stays from -1, and where: each the worst over some hands.
+
+    Without a gain margin it is one line, of two numbers.
+    """
+
+    is_part = True
+    absent = "not proved"
+
+    phase_margin: Annotated[float, Quantity("degrees", 4, ROUND_FLOOR, "any")]
+    phase_margin_at: Frequency | None
+    peak_sensitivity: Annotated[float, Quantity("", 4, ROUND_CEILING)]
+    peak_sensitivity_at: Frequency | None
+    gain_margin: SpareGain | None
+    gain_margin_at: Frequency | None
+    least_gain: Annotated[float, Quantity("", 4, ROUND_CEILING)] | None
+    delay_margin: SpareTime | None
+    delay_margin_at: Frequency | None
+    peak_complementary: Annotated[float, Quantity("", 4, ROUND_CEILING)] | None
+    peak_complementary_at: Frequency | None
+    disk_margin: Annotated[float, Quantity("", 4, ROUND_FLOOR)] | None
+    disk_margin_at: Frequency | None
+    frequency_is: str | None
+
+    def lines(self, indent: str = "", units: Units = Units.LINE) -> list[str]:
+        """A line for each number, the frequency behind it."""
+        lines = list[str]()
+        for line in super().lines(indent, units):
+            name, is_place, frequency = line.partition(" at ")
+            lines = (
+                [*lines[:-1], f"{lines[-1]} at {frequency.strip()}"] if is_place else [*lines, name]
+            )
+        if self.gain_margin is None:
+            first, second, *_ = lines
+            rest = [" ".join(second.split()), *filter(None, [self.frequency_is])]
+            lines = [first if isnan(self.phase_margin) else ", ".join([first, *rest])]
+        return lines
+
+
+class NoFrequencyMargins(FrequencyMargins):
+    """Those of a wall that is not stable."""
 
     absent = "none: the wall is not stable"
 
@@ -166,6 +214,7 @@ class WallCheck(WallVerdict):
 
     measures_are: str | None
     margins: Margins | None = None
+    frequency: FrequencyMargins | None = None
     distance: Distance | None = None
     radius: Radius | None = None
     settling: Settling | None = None
@@ -233,6 +282,8 @@ def check_walls(scene: Scene) -> Check:
             if encoder is None:
                 continue
             method = partial(method, encoder=encoder.resolution)
+        if name == "frequency":
+            method = partial(method, in_full=scene.wanted.frequency)
         if name == "jitter":
             method = partial(method, hands=hands_of(scene), mass=masses_of(scene))
         held = [
@@ -242,7 +293,7 @@ def check_walls(scene: Scene) -> Check:
         pairs = [(x, wall.gains) for wall, loops in zip(walls, held, strict=True) for x in loops]
         if not pairs:
             break
-        apart = name in ("distance", "jitter")  # methods that take no loop with arrays
+        apart = name in ("frequency", "distance", "jitter")  # methods that take no loop with arrays
         answers, end = _evaluated(method, pairs, apart=apart), 0
         for own, wall, loops in zip(measured, walls, held, strict=True):
             begin, end = end, end + len(loops)
@@ -320,6 +371,35 @@ def _least_margins(wall: _Wall, loops: list[HapticLoop], margins: LoopMargins) -
     kind = NoMargins if wall.worst.verdict == Verdict.UNSTABLE else Margins
     words = _among("smallest", loops)
     return kind(stiffer, damper, *limits, extra_delay, words)
+
+
+def _worst_frequencies(
+    wall: _Wall, loops: list[HapticLoop], found: LoopFrequencyMargins
+) -> FrequencyMargins:
+    return frequency_answer(found, _among("worst", loops), in_full=wall.scene.wanted.frequency)
+
+
+def frequency_answer(
+    found: LoopFrequencyMargins, words: str | None, *, in_full: bool
+) -> FrequencyMargins:
+    """The worst of some margins over frequency."""
+    answer = dict[str, Any]()
+    for name, own, worst in (
+        ("phase_margin", found.phase, np.argmin),
+        ("peak_sensitivity", found.sensitivity, np.argmax),
+        ("gain_margin", found.largest_gain, np.argmin),
+        ("least_gain", found.least_gain, np.argmax),
+        ("delay_margin", found.delay, np.argmin),
+        ("peak_complementary", found.complementary, np.argmax),
+        ("disk_margin", found.disk, np.argmin),
+    ):
+        value, _, place = (float(np.ravel(each)[worst(own.value)]) for each in own)  # NaN first
+        is_shown = in_full or name in ("phase_margin", "peak_sensitivity")
+        answer[name] = max(value, 0.0) if is_shown else None
+        answer[f"{name}_at"] = place if is_shown and place >= 0.0 else None
+    del answer["least_gain_at"]
+    is_unstable = np.any(found.verdict == Verdict.UNSTABLE)
+    return (NoFrequencyMargins if is_unstable else FrequencyMargins)(**answer, frequency_is=words)
 
 
 def _common(limits: Float64[np.ndarray, "hand 2"]) -> tuple[float, float]:
@@ -401,6 +481,7 @@ def _settlings(loop: HapticLoop, *gains: Floats) -> list[MotionSettling]:
 
 _MEASURES: dict[str, tuple[Callable[..., Any], Callable[..., Answer]]] = {
     "margins": (HapticLoop.margins, _least_margins),
+    "frequency": (wall_frequency_margins, _worst_frequencies),
     "distance": (HapticLoop.boundary_distance, _least_distance),
     "radius": (HapticLoop.spectral_radius, _radius),
     "settling": (_settlings, _longest),

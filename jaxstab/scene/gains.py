@@ -28,7 +28,7 @@ from jaxstab.model.affine import affine_triple
 from jaxstab.region import RegionStatus
 from jaxstab.rounding import EPS
 from jaxstab.scene.answers import Answer, GivenQuantity, IntervalQuantity, Quantity, basis_of
-from jaxstab.scene.check import Radius
+from jaxstab.scene.check import Radius, frequency_answer
 from jaxstab.scene.limits import numbered, stable_intervals
 from jaxstab.scene.loops import device_of, hands_of, loop_of
 from jaxstab.scene.scene import Device, Hand, PositionTable, Scene, Units
@@ -192,7 +192,8 @@ def any_scene(tables: Mapping[str, Any], source: str = "") -> Scene | GainScene:
 def _tables_of(*gains: Gain) -> tuple[Any, Any]:
     """Return the tables of a pair of gains, and of wishes about them."""
     both = {gain.name: t.quantity(gain.unit) for gain in gains}
-    wishes = {"safety": t.share, **both, **{f"at_{name}": own for name, own in both.items()}}
+    wishes: dict[str, Any] = {"safety": t.share, "frequency": t.truth, **both}
+    wishes |= {f"at_{name}": own for name, own in both.items()}
     made: Any = partial(make_dataclass, bases=(t.Table,), frozen=True, kw_only=True)
     return (
         made("Pair", [(name, Any, t.key(own)) for name, own in both.items()]),
@@ -346,6 +347,8 @@ def _around(scene: GainScene, pair: dict[str, float], *, in_full: bool = False) 
     if in_full and not scene.is_range:
         radius = scene.loop.spectral_radius(**pair)
         values["radius"] = Radius(float(radius.value), float(radius.error))
+        margins, is_long = scene.loop.frequency_margins(**pair), scene.wanted["frequency"]
+        values["frequency"] = frequency_answer(margins, None, in_full=bool(is_long))
     for own in () if scene.is_range else scene.loop.gains:
         fixed = _other(scene, own)
         row = _row(scene, fixed, pair[fixed.name], pair[own.name])

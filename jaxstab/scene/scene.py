@@ -388,7 +388,9 @@ class VelocityTable(_TimedTable):
         return f"{self.as_velocity()}{preset if self.preset else ''}"
 
 
-MEASURES = ("margins", "distance", "radius", "settling", "oscillation", "chatter", "jitter")
+MEASURES = (
+    *("margins", "frequency", "distance", "radius", "settling", "oscillation", "chatter", "jitter"),
+)
 
 
 def range_in_words(ends: tuple[float, float]) -> str:
@@ -534,6 +536,9 @@ class Wanted(Table):
     """The measures of a wall beside its verdict, and requirements on the answers."""
 
     measures: tuple[str, ...] = key(each(one_of(MEASURES)), MEASURES)
+    frequency: bool = key(
+        truth, False, words="print all frequency margins, peaks of |S| and |T|, and the disk margin"
+    )
     at_damping: float | None = key(quantity("N s/m"), None, words="give the limits of K at this B")
     at_stiffness: float | None = key(
         quantity("N/m"), None, words="give the limits of B, or the best B, at this K"
