@@ -42,6 +42,7 @@ WITH_FLINT = {  # single walls, lines of walls and regions are in balls, filters
     *(f"HapticLoop.{line}" for line in ("damping_limits", "stiffness_limits", "limits", "region")),
     *(f"HapticLoop.{line}" for line in ("damping_intervals", "stiffness_intervals")),
     *("HapticLoop.boundary_distance", "HapticLoop.robust_limit", "HapticLoop.worst_hand"),
+    "HapticLoop.range_of",
     *("HapticLoop.contact", "HapticLoop.tune"),
     *("contact_map", "minimize_radius", "minimize_radius_damping", "minimize_settling"),
 }

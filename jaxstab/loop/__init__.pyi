@@ -8,6 +8,8 @@ from .affine import admittance as admittance
 from .affine import coupling as coupling
 from .affine import pid as pid
 from .affine import simulated_pd as simulated_pd
+from .backwards import StableEnd as StableEnd
+from .backwards import StableValues as StableValues
 from .contact import Contact as Contact
 from .contact import ContactKind as ContactKind
 from .contact import contact_map as contact_map

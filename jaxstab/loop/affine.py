@@ -32,12 +32,13 @@ from jaxstab.arrays import (
     namespace,
     repeat_and_keep,
 )
-from jaxstab.conventions import Verdict
+from jaxstab.conventions import Range, Verdict
 from jaxstab.exact import VerdictStatus, stable_line, wall_verdict
 from jaxstab.exact.boundary import ScaledLoop
 from jaxstab.exact.line import LineStatus, StableLine
 from jaxstab.exact.verdict import rational_verdict
 from jaxstab.loop.margins import GainMargins, margins_of_gains
+from jaxstab.loop.region import Gains
 from jaxstab.loop.walls import FewWalls, open_loop
 from jaxstab.model.affine import (
     RULES,
@@ -76,6 +77,7 @@ from jaxstab.tuning.radius import Walls, family_of_loop, smallest_radius
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from jaxstab.loop.backwards import StableValues
     from jaxstab.loop.loop import HapticLoop
 
 _FEW = 100  # pairs of gains, which balls answer one by one
@@ -426,6 +428,28 @@ class Loop:
         if line.status == LineStatus.UNDECIDED and self.parts.is_reciprocal(start, along):
             return line._replace(status=LineStatus.PROVED, horizon=inf)
         return line
+
+    def range_of(
+        self, quantity: str, *, between: Range | None = None, count: int = 500, **gains: float
+    ) -> "StableValues":
+        """The values of one number of the loop with which gains are stable.
+
+        It is an argument of the function that made the loop, such as "inertia", "environment" or,
+        of PID, "delay", scanned from 1e-4 to 1e4 times what it is now; see ``HapticLoop.range_of``.
+
+        Raises: as ``verdict``; ValueError also for what is no number of the loop.
+
+        Source: eq. (9), likewise; lemma E1 of docs/proofs.md.
+
+        Example:
+            >>> loop = jaxstab.simulated_pd(0.1, step=2e-3)
+            >>> round(loop.range_of("inertia", kp=1000.0, kd=10.0).least, 9)  # kd h/2 + kp h^2/4
+            0.011
+        """
+        from jaxstab.loop.backwards import range_of_number
+
+        pair = Gains(*(checked_number(name, x) for name, x in self._in_order(gains).items()))
+        return range_of_number(self, quantity, pair, between, count)
 
     def region(self, *, tolerance: float = 1e-6) -> GainRegion:
         """The set of all stable gains, in its connected parts.

@@ -109,7 +109,7 @@ class LoopsWithHands:
 
     def robust_limit(self) -> RobustLimit:
         """The stiffest wall that all of them allow: ``HapticLoop.robust_limit``."""
-        loops = [self._held(member) for member in self._spread(2)]
+        loops = self.corners
         tried = [*loops]
         if self.moving:
             tried = [replace(loop, delay=d) for d in self.moving["delays"] for loop in loops]
@@ -142,6 +142,11 @@ class LoopsWithHands:
             share = 0.5 * (low + high)
             low, high = (share, high) if is_proved(share) else (low, share)
         return low * most if low > 0.0 else 0.0
+
+    @property
+    def corners(self) -> "list[HapticLoop]":
+        """The loops at the corners of the ranges."""
+        return [self._held(member) for member in self._spread(2)]
 
     @property
     def _own_mass(self) -> float | None:

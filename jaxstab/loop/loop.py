@@ -12,7 +12,7 @@ from jaxstab import motion, point
 from jaxstab.arrays import Array, Numbers, is_any_jax, is_any_traced, named, pytree
 from jaxstab.conventions import HORIZON, Excitation, Range, Verdict
 from jaxstab.exact import stable_line
-from jaxstab.loop.region import TOLERANCE, WallLimits, WallRegion, scaled, wall_region
+from jaxstab.loop.region import TOLERANCE, Gains, WallLimits, WallRegion, scaled, wall_region
 from jaxstab.loop.walls import few_walls, open_loop
 from jaxstab.model import LoopParameters, by_name, checked_gain
 from jaxstab.model.balls import ball_triple
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from jaxstab.boxes import HandRange, RobustLimit
     from jaxstab.exact import StableLine
+    from jaxstab.loop.backwards import StableValues
     from jaxstab.loop.contact import Contact
     from jaxstab.loop.hands import LoopsWithHands, WorstHand
     from jaxstab.loop.jitter import MovingLimits, MovingLoop, WorstDelays
@@ -42,7 +43,7 @@ class HapticLoop(LoopParameters):
     ``amplitude``, ``simulate``, ``contact``; about all walls: ``region``, ``limits``,
     ``stiffness_limits``, ``damping_limits``, ``stiffness_intervals``, ``damping_intervals``,
     ``boundary_distance``, ``tune``; about all hands of a range: ``worst_hand``, ``robust_limit``;
-    and ``to_control``. Numbers are finite and in SI units.
+    what a wall needs: ``range_of``; and ``to_control``. Numbers are finite and in SI units.
 
     Fields may be arrays that broadcast; the loop then stands for many loops. The methods from
     ``verdict`` to ``amplitude`` broadcast them with the walls, if the device is one mass and the
@@ -234,6 +235,48 @@ class HapticLoop(LoopParameters):
     def _line(self, start: tuple[float, float], axis: int) -> "StableLine":
         along = (1.0, 0.0) if axis == 0 else (0.0, 1.0)
         return stable_line(partial(ball_triple, self), start, along)
+
+    def range_of(
+        self,
+        quantity: str,
+        stiffness: float,
+        damping: float,
+        *,
+        hands: "HandRange | None" = None,
+        mass: Range | None = None,
+        between: Range | None = None,
+        count: int = 500,
+    ) -> "StableValues":
+        """The values of one quantity with which a wall is stable, such as the least mass.
+
+        Each end is proved from both sides; that there is no other interval is a scan.
+
+        Args:
+            quantity: "device_mass", "device_damping", "hand_mass", "hand_damping",
+                "hand_stiffness", "delay", "sample_time" (the delay in s stays), "cutoff" or
+                "window": of the velocity, in Hz and in samples.
+            stiffness, damping: see ``jaxstab.conventions``.
+            hands: a range of hands, for all of which the wall shall be stable.
+            mass: of the device, likewise, beside hands.
+            between: the lowest and the highest value to try; None chooses them.
+            count: how many values to try.
+
+        Raises: see ``jaxstab.conventions``; ValueError also for a quantity the loop does not have.
+
+        Source: eq. (9); lemma E1 of docs/proofs.md.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> f"{1e3 * loop.range_of('delay', 1000.0, 10.0).largest:.6f} ms"
+            '9.974867 ms'
+        """
+        self._refuse_many("range_of")
+        from jaxstab.loop.backwards import range_of
+
+        gains = checked_gain("stiffness", stiffness), checked_gain("damping", damping)
+        wall = Gains(*map(checked_number, ("stiffness", "damping"), gains))
+        options: dict[str, Any] = {"hands": hands, "mass": mass, "between": between, "count": count}
+        return range_of(self.in_floats(), quantity, wall, **options)
 
     def boundary_distance(self, stiffness: Numbers, damping: Numbers) -> Float64[Array, "*grid"]:
         """How far walls are from the edge of the stable set, in the (alpha, beta) plane.
