@@ -431,3 +431,13 @@ def test_check_says_where_an_unstable_wall_would_be_stable() -> None:
     assert low == 0.0
     assert verdicts == ["STABLE", "UNSTABLE"]
     assert wall["stable_at_its_stiffness"] == [None, None]
+
+
+def test_the_longest_delay_is_that_of_the_delay_margin() -> None:
+    """The margin is the first crossing in a box search over angle and fraction, without a scan."""
+    for loop in (OMEGA, JOINT):
+        wall = (1000.0, 10.0) if loop is OMEGA else (10.0, 1.0)
+        loop = replace(loop, device_mass=0.25)
+        longest = loop.delay + float(loop.margins(*wall).extra_delay)
+        (_, high) = loop.range_of("delay", *wall).intervals[0]
+        assert high.stable == pytest.approx(longest, rel=1e-8)

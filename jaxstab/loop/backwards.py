@@ -87,6 +87,8 @@ class StableValues(NamedTuple):
         ...     device_mass=1.0, device_damping=0.0, sample_time=2e-3, delay=2e-3
         ... )
         >>> found = joint.range_of("device_mass", 40.0, 2.0)
+        >>> found.largest == found.between[1]  # the scan ends, not what is stable
+        True
         >>> print(f"{found.least:.8g} kg, {found.scan}")
         0.0051069302 kg, no other found by a scan of 500 values from 4e-06 to 4000 kg
     """
