@@ -191,10 +191,11 @@ def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
         if "sample_time" in chosen.get("controller", {}) or not given["rate"] > 0.0:
             raise click.UsageError("--rate is not above 0, or beside --sample-time; give one.")
         chosen.setdefault("controller", {})["sample_time"] = 1.0 / given["rate"]
-    only = ("gains", *given["gains"]) if given.get("gains") else ()
-    if only:
+    named = [*given.get("wall", ())]
+    if given.get("gains"):
         table = {name: own for name, own in table.items() if name != "walls"}
-    for name, stiffness, damping in (*given.get("wall", ()), *([only] if only else [])):
+        named.append(("gains", *given["gains"]))
+    for name, stiffness, damping in named:
         walls = chosen.setdefault("walls", {})
         if name in walls:
             raise ValueError(f"wall {name} is given twice; give each wall another name.")
@@ -250,8 +251,12 @@ def _answer(
         except refusals as error:
             return None, str(error)
 
-    if asked and plot:
-        raise click.UsageError("--plot is of walls, and the answer is of one quantity; leave it.")
+    for option in ("plot", "safety", "stiffness", "at_damping", "at_stiffness") if asked else ():
+        if given.get(option) is not None:
+            raise click.UsageError(
+                f"--{option.replace('_', '-')} is given, but what walls need of one quantity is "
+                "asked for; leave it out."
+            )
     rows, make = list[_Row](), partial(Backwards.from_table, asked=asked) if asked else any_scene
     for source, table in tables_of(given).items():
         scene, refusal = tried(make, table, source if is_one else "")
@@ -362,8 +367,9 @@ def _is_of_wall(path: str) -> bool:
     """Whether a path is one of a wall's main numbers, or of gains: a limit, a verdict."""
     outer, _, name = path.rpartition(".")
     shown_of_walls = {"verdict", "stiffness_gain", "settling_time_2_percent"}
-    is_of_one = outer.startswith(("walls.", "gains.")) and outer.count(".") == 1
-    return name in (shown_of_walls if is_of_one else {f"largest_{outer}", f"least_{outer}"})
+    if outer.startswith(("walls.", "gains.")) and outer.count(".") == 1:
+        return name in shown_of_walls or name.startswith(("least_", "largest_"))
+    return name in {f"largest_{outer}", f"least_{outer}"}
 
 
 def _paths(rows: list[_Row]) -> list[str]:

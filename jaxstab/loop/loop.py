@@ -252,12 +252,11 @@ class HapticLoop(LoopParameters):
         Each end is proved from both sides; that there is no other interval is a scan.
 
         Args:
-            quantity: "device_mass", "device_damping", "hand_mass", "hand_damping",
-                "hand_stiffness", "delay", "sample_time" (the delay in s stays), "cutoff" or
-                "window": of the velocity, in Hz and in samples.
+            quantity: a field of the loop that is a number, or "cutoff" in Hz or "window" in samples
+                of its velocity. The delay in s stays where it is "sample_time".
             stiffness, damping: see ``jaxstab.conventions``.
             hands: a range of hands, for all of which the wall shall be stable.
-            mass: of the device, likewise, beside hands.
+            mass: a range of the device's mass beside it.
             between: the lowest and the highest value to try; None chooses them.
             count: how many values to try.
 
@@ -273,9 +272,8 @@ class HapticLoop(LoopParameters):
         self._refuse_many("range_of")
         from jaxstab.loop.backwards import range_of
 
-        gains = checked_gain("stiffness", stiffness), checked_gain("damping", damping)
-        wall = Gains(*map(checked_number, ("stiffness", "damping"), gains))
-        options: dict[str, Any] = {"hands": hands, "mass": mass, "between": between, "count": count}
+        wall = Gains(*map(checked_number, ("stiffness", "damping"), (stiffness, damping)))
+        options: Any = {"hands": hands, "mass": mass, "between": between, "count": count}
         return range_of(self.in_floats(), quantity, wall, **options)
 
     def boundary_distance(self, stiffness: Numbers, damping: Numbers) -> Float64[Array, "*grid"]:

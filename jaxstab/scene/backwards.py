@@ -11,20 +11,13 @@ from decimal import ROUND_CEILING, ROUND_FLOOR
 from math import nan
 from typing import Any
 
-from jaxstab.loop import Gains, HapticLoop
+from jaxstab.loop import Gains, StableValues
 from jaxstab.loop.backwards import range_of
-from jaxstab.scene.answers import (
-    Answer,
-    Basis,
-    GivenQuantity,
-    IntervalQuantity,
-    Quantity,
-    basis_of,
-)
+from jaxstab.scene.answers import Answer, Basis, GivenQuantity, IntervalQuantity, Quantity, basis_of
 from jaxstab.scene.gains import GainAnswer
 from jaxstab.scene.limits import numbered
 from jaxstab.scene.loops import loop_of, masses_of, range_of_hands, walls_of
-from jaxstab.scene.scene import Scene, presets
+from jaxstab.scene.scene import Scene, Units, presets
 
 QUANTITIES: Mapping[str, str] = {
     "inertia": "device_mass",
@@ -87,45 +80,52 @@ class Backwards:
     def answer(self, _: str) -> Needs:
         """What each wall needs."""
         scene, quantity = self.scene, QUANTITIES[self.asked]
-        is_mass, hand = quantity == "device_mass", scene.hand
-        mass = None if is_mass else masses_of(scene)
-        varies = mass is not None or (hand is not None and hand.varies)
-        hands = range_of_hands(scene) if varies else None
-        inputs = basis_of(scene, at_longest=True)
-        given = scene.controller.delay_samples is not None
-        options: Any = {"hands": hands, "mass": mass, "in_samples": given}
+        inputs, controller = basis_of(scene, at_longest=True), scene.controller
+        options: Any = {
+            "in_samples": controller.delay_samples is not None,
+            "mass": masses_of(scene),
+        }
+        if quantity == "device_mass":
+            inputs, options["mass"] = replace(inputs, mass=(nan, nan)), None
+        if options["mass"] or (scene.hand and scene.hand.varies):
+            options["hands"] = range_of_hands(scene)
+        found = {
+            name: (wall, range_of(loop_of(scene), quantity, wall, **options))
+            for name, wall in walls_of(scene).items()
+        }
         return Needs(
-            inputs=replace(inputs, mass=(nan, nan)) if is_mass else inputs,
+            inputs=inputs,
             device_damping="0, assumed: the scene names none" if self.has_no_damping else None,
             walls={
-                name: self._needs(loop_of(scene), wall, options)
-                for name, wall in walls_of(scene).items()
+                name: _needs(wall, values, scene.units, is_range="hands" in options)
+                for name, (wall, values) in found.items()
             },
         )
 
-    def _needs(self, loop: HapticLoop, wall: Gains, options: Any) -> GainAnswer:
-        quantity, digits = QUANTITIES[self.asked], 10
-        name = quantity.removeprefix("device_").replace("damping", "device_damping")
-        found = range_of(loop, quantity, wall, **options)
-        scan = found._replace(unit=self.scene.units.unit(found.unit)).scan
-        values: dict[str, Any] = {"stiffness": wall.stiffness, "damping": wall.damping}
+
+def _needs(wall: Gains, found: StableValues, units: Units, *, is_range: bool) -> GainAnswer:
+    """What one wall needs: the first interval, and others if there are some."""
+    name = {"device_mass": "mass"}.get(found.quantity, found.quantity)
+    least, largest, others, digits = f"least_{name}", f"largest_{name}", f"other_{name}", 10
+    values: dict[str, Any] = {"stiffness": wall.stiffness, "damping": wall.damping}
+    if found.intervals:
         inner = [(low.stable, high.stable) for low, high in found.intervals]
-        if not inner:
-            values["status"] = f"stable with no {name.replace('_', ' ')} of these"
-        else:
-            low, high = inner[0]
-            values[f"least_{name}"] = low if low > found.between[0] else None
-            values[f"largest_{name}"] = high if high < found.between[1] else None
-            values[f"other_{name}"] = numbered(inner[1:])
-            if options["hands"]:
-                words = "each end is proved for every hand", "not proved for every hand"
-                values["certainty"] = words[not found.is_proved]
-        values["scan"] = scan
-        ends = {f"least_{name}": ROUND_CEILING, f"largest_{name}": ROUND_FLOOR}
-        formats: dict[str, Quantity] = {
-            "stiffness": GivenQuantity("N/m"),
-            "damping": GivenQuantity("N s/m"),
-            f"other_{name}": IntervalQuantity(found.unit, digits),
-            **{end: Quantity(found.unit, digits, way) for end, way in ends.items()},
-        }
-        return GainAnswer(values, formats, bool(found.intervals) and found.is_proved)
+        (low, high), *more = inner
+        values[least] = low if low > found.between[0] else None
+        values[largest] = high if high < found.between[1] else None
+        values[others] = numbered(more)
+        is_all = len(inner) == 1 and inner[0] == found.between
+        values["status"] = "every value tried is stable" if is_all else None
+        words = "each end is proved for every hand", "not proved for every hand"
+        values["certainty"] = words[not found.is_proved] if is_range else None
+    else:
+        values["status"] = "no value tried is stable"
+    values["scan"] = found._replace(unit=units.unit(found.unit)).scan
+    formats: dict[str, Quantity] = {
+        "stiffness": GivenQuantity("N/m"),
+        "damping": GivenQuantity("N s/m"),
+        least: Quantity(found.unit, digits, ROUND_CEILING),
+        largest: Quantity(found.unit, digits, ROUND_FLOOR),
+        others: IntervalQuantity(found.unit, digits),
+    }
+    return GainAnswer(values, formats, bool(found.intervals) and found.is_proved)
