@@ -99,7 +99,7 @@ def test_the_least_inertia_of_a_joint_of_500_hz(
     found = replace(JOINT, delay=delay).range_of("device_mass", *gains)
     assert found.least == pytest.approx(least, rel=2e-8)
     assert len(found.intervals) == 1
-    assert "no other found by a scan of 500 values" in found.scan
+    assert "no other found by a scan of 5,000 values" in found.scan
 
 
 def test_the_least_mass_without_a_delay_is_the_closed_form() -> None:
@@ -223,10 +223,10 @@ def test_ends_of_40_random_loops_are_ends() -> None:
 
 @pytest.mark.campaign
 def test_no_interval_that_a_finer_scan_finds_is_missed() -> None:
-    for seed in range(40):
+    for seed in range(12):
         loop, wall, _ = random_case(seed)
         for quantity in ("device_mass", "device_damping", "hand_stiffness"):
-            found, fine = (loop.range_of(quantity, *wall, count=n) for n in (500, 20_000))
+            found, fine = (loop.range_of(quantity, *wall, count=n) for n in (None, 20_000))
             assert len(found.intervals) == len(fine.intervals), (seed, quantity)
             for own, other in zip(found.intervals, fine.intervals, strict=True):
                 assert np.allclose([e.stable for e in own], [e.stable for e in other], rtol=1e-9)

@@ -90,7 +90,7 @@ class StableValues(NamedTuple):
         >>> found.largest == found.between[1]  # the scan ends, not what is stable
         True
         >>> print(f"{found.least:.8g} kg, {found.scan}")
-        0.0051069302 kg, no other found by a scan of 500 values from 4e-06 to 4000 kg
+        0.0051069302 kg, no other found by a scan of 5,000 values from 4e-06 to 4000 kg
     """
 
     quantity: str
@@ -205,7 +205,7 @@ def range_of(
     hands: "HandRange | None" = None,
     mass: Range | None = None,
     between: Range | None = None,
-    count: int = 500,
+    count: int | None = None,
     in_samples: bool = False,
 ) -> StableValues:
     """The values of a quantity with which a wall is stable; a delay ``in_samples`` goes with T."""
@@ -217,7 +217,10 @@ def range_of(
     change = partial(_changed, quantity, in_samples)
     every: Any = None if hands is None else LoopsWithHands(loop, hands, mass)
     loops = [loop] if every is None else every.corners
-    scan = _scan(loop, quantity, wall, checked_count("count", count, 2)).within(between, count)
+    is_of_mechanics = quantity.partition("_")[0] in ("device", "hand")  # p(z) keeps its degree
+    at_once = is_of_mechanics and loop.device is None and wall.stiffness != 0.0
+    tried = (5000 if at_once else 500) if count is None else checked_count("count", count, 2)
+    scan = _scan(loop, quantity, wall, tried).within(between, tried)
 
     def judge(value: float) -> Verdict:
         triples = (partial(ball_triple, change(each, value)) for each in loops)
@@ -228,7 +231,7 @@ def range_of(
         return replace(every, loop=change(loop, value)).worst(*wall)
 
     for _ in range(rounds):
-        known = _verdicts(loops, quantity, wall, scan)
+        known = _verdicts(loops, quantity, wall, scan) if at_once else None
         found = _stable_values((quantity, UNITS[quantity]), scan, judge, known)
         found, refuting = (found, []) if every is None else _for_all(found, worst)
         if not refuting:
@@ -259,10 +262,7 @@ def _for_all(found: StableValues, worst: Callable[[float], Any]) -> tuple[Stable
 
 
 def _verdicts(loops: list[Any], quantity: str, wall: Gains, scan: _Scan) -> Any:
-    """Verdicts on a scan, all at once where p(z) keeps its degree; None asks one by one."""
-    is_one_mass = quantity.partition("_")[0] in ("device", "hand") and loops[0].device is None
-    if not is_one_mass or wall.stiffness == 0.0:
-        return None
+    """Verdicts on a scan, all at once."""
     values = np.array(scan.values)
     codes = [np.asarray(replace(each, **{quantity: values}).verdict(*wall)) for each in loops]
     is_unstable = np.any(np.equal(codes, Verdict.UNSTABLE), axis=0)
@@ -287,10 +287,13 @@ def _scan(loop: Any, quantity: str, wall: Gains, count: int) -> _Scan:
         return _Scan(whole, is_complete=True)
     damping, stiffness = loop.damping(1.0), loop.stiffness(1.0)
     mass = max(spring * period**2, damper * period) or damping * period
+    low = 1e-3
+    if quantity == "device_mass" and loop.body:  # below, it swings above half of the sampling rate
+        low = max(low, loop.body.stiffness * period**2 / mass / 10.0)
     size, low, high = {
-        "mass": (mass, 1e-3, 1e6),
+        "mass": (mass, low, 1e6),
         "damping": (max(damper, spring * period, damping), 1e-7, 1e2),
-        "stiffness": (max(spring, stiffness), 1e-7, 1e1),
+        "stiffness": (max(spring, stiffness), 1e-7, 5.0),
         "cutoff": (1.0 / period, 1e-4, 1e2),
         "delay": (period, 1e-2, most / period),
         "time": (period, max(2.0**-10, loop.delay_samples / most), 2.0**10),

@@ -245,7 +245,7 @@ class HapticLoop(LoopParameters):
         hands: "HandRange | None" = None,
         mass: Range | None = None,
         between: Range | None = None,
-        count: int = 500,
+        count: int | None = None,
     ) -> "StableValues":
         """The values of one quantity with which a wall is stable, such as the least mass.
 
@@ -258,7 +258,7 @@ class HapticLoop(LoopParameters):
             hands: a range of hands, for all of which the wall shall be stable.
             mass: a range of the device's mass beside it.
             between: the lowest and the highest value to try; None chooses them.
-            count: how many values to try.
+            count: how many values to try; None for 500, or 5,000 where they are tried at once.
 
         Raises: see ``jaxstab.conventions``; ValueError also for a quantity the loop does not have.
 

@@ -104,12 +104,13 @@ class Backwards:
 
 
 def _needs(wall: Gains, found: StableValues, units: Units, *, is_range: bool) -> GainAnswer:
-    """What one wall needs: the first interval, and others if there are some."""
+    """What one wall needs: the interval that is widest by its ratio, and others."""
     name = {"device_mass": "mass"}.get(found.quantity, found.quantity)
     least, largest, others, digits = f"least_{name}", f"largest_{name}", f"other_{name}", 10
     values: dict[str, Any] = {"stiffness": wall.stiffness, "damping": wall.damping}
     if found.intervals:
         inner = [(low.stable, high.stable) for low, high in found.intervals]
+        inner.sort(key=lambda ends: ends[0] / ends[1] if ends[1] else 0.0)
         (low, high), *more = inner
         values[least] = low if low > found.between[0] else None
         values[largest] = high if high < found.between[1] else None
