@@ -22,6 +22,8 @@ from .loop import ManyRegions as ManyRegions
 from .loop import Margins as Margins
 from .loop import MovingLimits as MovingLimits
 from .loop import OptimalWall as OptimalWall
+from .loop import StableEnd as StableEnd
+from .loop import StableValues as StableValues
 from .loop import TunedGains as TunedGains
 from .loop import WallLimits as WallLimits
 from .loop import WallRegion as WallRegion

@@ -79,6 +79,10 @@ COMPUTING_CALLS: dict[str, list[Any]] = {
     "HapticLoop.damping_limits": ["loop", 1000.0],
     "HapticLoop.stiffness_intervals": ["loop", 10.0],
     "HapticLoop.damping_intervals": ["loop", 1000.0],
+    "HapticLoop.range_of": [
+        "loop",
+        {"quantity": "delay", "stiffness": 1000.0, "damping": 10.0, "count": 50},
+    ],
     "HapticLoop.boundary_distance": ["loop", 1000.0, 10.0],
     "HapticLoop.tune": ["loop"],
     "HapticLoop.worst_hand": ["loop", "hands", 1000.0, 10.0],

@@ -42,8 +42,8 @@ WITH_FLINT = {  # single walls, lines of walls and regions are in balls, filters
     *(f"HapticLoop.{line}" for line in ("damping_limits", "stiffness_limits", "limits", "region")),
     *(f"HapticLoop.{line}" for line in ("damping_intervals", "stiffness_intervals")),
     *("HapticLoop.boundary_distance", "HapticLoop.robust_limit", "HapticLoop.worst_hand"),
-    *("HapticLoop.contact", "HapticLoop.frequency_margins", "HapticLoop.tune"),
-    *("contact_map", "minimize_radius", "minimize_settling"),
+    *("HapticLoop.contact", "HapticLoop.frequency_margins", "HapticLoop.range_of"),
+    *("HapticLoop.tune", "contact_map", "minimize_radius", "minimize_settling"),
 }
 
 WITHOUT_JAX = """

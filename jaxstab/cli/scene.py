@@ -4,7 +4,7 @@ import json
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import Field, fields
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from types import UnionType
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
@@ -107,10 +107,15 @@ wall_option = click.option(
     help="A wall: its name, N/m and N s/m; may be repeated.",
 )
 
-# What describes a scene beside the options of a SceneCommand, which go before the files.
-mechanics_options = together(
-    click.argument("files", type=Path, nargs=-1, metavar="[FILE]..."),
-    wall_option,
+
+def _gains_option(*names: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    words = "One wall in place of the scene's: N/m and N s/m (kp and kd: N m/rad and N m s/rad)."
+    return click.option(*names, "gains", type=(float, float), metavar="K B", help=words)
+
+
+_file_argument = click.argument("files", type=Path, nargs=-1, metavar="[FILE]...")
+_more_options = together(
+    click.option("--rate", type=float, help="Sampling rate in Hz, in place of the sample time."),
     click.option(
         "--set",
         "lines",
@@ -121,9 +126,10 @@ mechanics_options = together(
     ),
 )
 
-# The same of several, and the form of the answer.
-scene_options = together(
-    mechanics_options,
+# What describes a scene beside the options of a SceneCommand, which go before the files.
+mechanics_options = together(_file_argument, wall_option, _gains_option("--gains"), _more_options)
+
+_form_options = together(
     file_option(
         "--csv",
         "csv_file",
@@ -132,13 +138,16 @@ scene_options = together(
     click.option("--json", "as_json", is_flag=True, help="Print JSON."),
 )
 
+# The same of several, and the form of the answer.
+scene_options = together(mechanics_options, _form_options)
+
 
 def tables_of(given: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """Return the table of each file, or an empty one, with the options in place of its values."""
     from jaxstab.tables import read_table
 
     files = given.get("files") or ()
-    describing = "device", "mass", "inertia", "damping", "sample_time", "wall", "lines"
+    describing = "device", "mass", "inertia", "damping", "sample_time", "wall", "gains", "lines"
     if not files and all(value in (None, (), {}) for value in map(given.get, describing)):
         raise click.UsageError(
             "no scene is given; give the FILE of one (jaxstab scene init -o scene.toml writes an "
@@ -180,7 +189,15 @@ def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
             chosen.setdefault(section, {})[entry.name] = given[option]
     if "velocity" in chosen:  # in place of all that the file says
         chosen.setdefault("controller", {})["velocity"] = chosen.pop("velocity")
-    for name, stiffness, damping in given.get("wall", ()):
+    if given.get("rate") is not None:
+        if "sample_time" in chosen.get("controller", {}) or not given["rate"] > 0.0:
+            raise click.UsageError("--rate is not above 0, or beside --sample-time; give one.")
+        chosen.setdefault("controller", {})["sample_time"] = 1.0 / given["rate"]
+    named = [*given.get("wall", ())]
+    if given.get("gains"):
+        table = {name: own for name, own in table.items() if name != "walls"}
+        named.append(("gains", *given["gains"]))
+    for name, stiffness, damping in named:
         walls = chosen.setdefault("walls", {})
         if name in walls:
             raise ValueError(f"wall {name} is given twice; give each wall another name.")
@@ -215,10 +232,17 @@ class _Row(NamedTuple):
 
 
 def _answer(
-    given: dict[str, Any], name: str, as_json: bool, shown: Callable[[Any], str] = str
+    given: dict[str, Any],
+    name: str,
+    as_json: bool,
+    shown: Callable[[Any], str] = str,
+    asked: str | None = None,
 ) -> int:
-    """Print what scenes answer, and return the exit code; UsageError if some were refused."""
-    from jaxstab.scene import GainScene, any_scene
+    """Print what scenes answer, and return the exit code; UsageError if some were refused.
+
+    ``asked`` is the quantity that walls are to be stable with, in place of what ``name`` answers.
+    """
+    from jaxstab.scene import Backwards, GainScene, any_scene
 
     is_one, plot = len(given["files"]) <= 1, given["plot"]
     refusals = () if is_one else (ValueError, TypeError, RuntimeError)
@@ -229,9 +253,15 @@ def _answer(
         except refusals as error:
             return None, str(error)
 
-    rows = list[_Row]()
+    for option in ("plot", "safety", "stiffness", "at_damping", "at_stiffness") if asked else ():
+        if given.get(option) is not None:
+            raise click.UsageError(
+                f"--{option.replace('_', '-')} is given, but what walls need of one quantity is "
+                "asked for; leave it out."
+            )
+    rows, make = list[_Row](), partial(Backwards.from_table, asked=asked) if asked else any_scene
     for source, table in tables_of(given).items():
-        scene, refusal = tried(any_scene, table, source if is_one else "")
+        scene, refusal = tried(make, table, source if is_one else "")
         rows.append(_Row(source, scene, None, refusal))
     is_of_any_delay = is_one and name in ("tune", "design")
     for scene in filter(None, (row.scene for row in rows if plot)):
@@ -273,7 +303,7 @@ def _answer(
 def _computed(scene: Any, name: str) -> Any:
     import jaxstab.scene
 
-    if isinstance(scene, jaxstab.scene.GainScene):
+    if not isinstance(scene, jaxstab.scene.Scene):
         return scene.answer(name)
     every = ", proved for every sequence of delays" if scene.controller.moves else ""
     functions = {
@@ -339,8 +369,9 @@ def _is_of_wall(path: str) -> bool:
     """Whether a path is one of a wall's main numbers, or of gains: a limit, a verdict."""
     outer, _, name = path.rpartition(".")
     shown_of_walls = {"verdict", "stiffness_gain", "settling_time_2_percent"}
-    is_of_one = outer.startswith(("walls.", "gains.")) and outer.count(".") == 1
-    return name in (shown_of_walls if is_of_one else {f"largest_{outer}", f"least_{outer}"})
+    if outer.startswith(("walls.", "gains.")) and outer.count(".") == 1:
+        return name in shown_of_walls or name.startswith(("least_", "largest_"))
+    return name in {f"largest_{outer}", f"least_{outer}"}
 
 
 def _paths(rows: list[_Row]) -> list[str]:
@@ -360,17 +391,20 @@ def limits(as_json: bool, in_full: bool, islands: bool, **given: Any) -> int:
 
     All limits are of walls with K >= 0 and B >= 0. The exit code is 0 if there are stable walls,
     for all hands and delays of the scene by proof, and the walls of the scene are among them, 1 if
-    not.
+    not. --gains without a mass or inertia asks for the least inertia that these need.
     """
 
     def shown(answer: Any) -> str:
-        from jaxstab.scene import GainAnswer
-        from jaxstab.scene.limits import brief
+        from jaxstab.scene.limits import Limits, LimitsOverDelays, brief
 
-        is_long = in_full or isinstance(answer, GainAnswer)
-        return str(answer) if is_long else brief(answer, islands=islands)
+        is_short = isinstance(answer, Limits | LimitsOverDelays) and not in_full
+        return brief(answer, islands=islands) if is_short else str(answer)
 
-    return _answer(given, "limits", as_json, shown)
+    from jaxstab.scene.backwards import known_of
+
+    tables = tables_of(given).values() if given["gains"] else ()
+    is_asked = tables and not any({"mass", "inertia"} & known_of(table) for table in tables)
+    return _answer(given, "limits", as_json, shown, "inertia" if is_asked else None)
 
 
 @click.command(cls=SceneCommand, wanted=["frequency"])
@@ -464,15 +498,27 @@ def tune(as_json: bool, **given: Any) -> int:
 
 
 @click.command(cls=SceneCommand, wanted=["safety", "stiffness"])
-@scene_options
+@_file_argument
+@_gains_option("--wall", "--gains")
+@_more_options
+@_form_options
 @_plot_option
-def design(as_json: bool, **given: Any) -> int:
+@click.option(
+    "--for",
+    "asked",
+    type=click.Choice(["inertia", "mass", "damping", "delay", "sample-time", "cutoff", "window"]),
+    help="Find the values of this quantity with which each wall is stable, for every hand.",
+)
+def design(as_json: bool, asked: str | None, **given: Any) -> int:
     """Find the largest sample time, and the largest delay, for a wanted stiffness.
 
-    Of a range of delays it takes the longest one as a constant delay. The exit code is 0 if both
-    are found, 1 if not.
+    With --for, find what a wall needs: all values of one quantity that a scan finds, each end of
+    them proved. Of a range of delays it takes the longest one as a constant delay. The exit code is
+    0 if all are found, 1 if not.
     """
-    return _answer(given, "design", as_json)
+    if given["gains"] and not asked:
+        raise click.UsageError("--wall is given without --for; give the quantity that it needs.")
+    return _answer(given, "design", as_json, asked=asked)
 
 
 @click.group()

@@ -95,6 +95,24 @@ class LoopsWithHands:
                 "leave it out."
             )
 
+    @classmethod
+    def from_loop(
+        cls,
+        loop: Any,
+        hands: HandRange,
+        mass: Range | None,
+        delay: Range | None,
+        delays: Range | None,
+        lost: int,
+    ) -> "LoopsWithHands":
+        """A loop of concrete numbers with all hands, its delay constant or moving."""
+        if delays is None and not lost:
+            return cls(loop.in_floats(), hands, mass, delay)
+        if delay is not None:
+            raise TypeError(f"delay is {delay} beside delays; give those that move, or the others.")
+        own = MovingLoop.from_loop(loop, delays, lost).loop
+        return cls(own, hands, mass, moving={"delays": delays, "lost": lost})
+
     def worst(self, stiffness: float, damping: float) -> WorstHand:
         """Whether a wall is stable for all of them, and the worst of those tried."""
         values = 3  # values of each number that varies
@@ -109,7 +127,7 @@ class LoopsWithHands:
 
     def robust_limit(self) -> RobustLimit:
         """The stiffest wall that all of them allow: ``HapticLoop.robust_limit``."""
-        loops = [self._held(member) for member in self._spread(2)]
+        loops = self.corners
         tried = [*loops]
         if self.moving:
             tried = [replace(loop, delay=d) for d in self.moving["delays"] for loop in loops]
@@ -142,6 +160,11 @@ class LoopsWithHands:
             share = 0.5 * (low + high)
             low, high = (share, high) if is_proved(share) else (low, share)
         return low * most if low > 0.0 else 0.0
+
+    @property
+    def corners(self) -> "list[HapticLoop]":
+        """The loops at the corners of the ranges."""
+        return [self._held(member) for member in self._spread(2)]
 
     @property
     def _own_mass(self) -> float | None:

@@ -12,7 +12,7 @@ from jaxstab import motion, point
 from jaxstab.arrays import Array, Numbers, is_any_jax, is_any_traced, named, pytree
 from jaxstab.conventions import HORIZON, Excitation, Range, Verdict
 from jaxstab.exact import stable_line
-from jaxstab.loop.region import TOLERANCE, WallLimits, WallRegion, scaled, wall_region
+from jaxstab.loop.region import TOLERANCE, Gains, WallLimits, WallRegion, scaled, wall_region
 from jaxstab.loop.walls import few_walls, open_loop
 from jaxstab.model import LoopParameters, by_name, checked_gain
 from jaxstab.model.balls import ball_triple
@@ -24,9 +24,10 @@ if TYPE_CHECKING:
 
     from jaxstab.boxes import HandRange, RobustLimit
     from jaxstab.exact import StableLine
+    from jaxstab.loop.backwards import StableValues
     from jaxstab.loop.contact import Contact
     from jaxstab.loop.frequency import FrequencyMargins
-    from jaxstab.loop.hands import LoopsWithHands, WorstHand
+    from jaxstab.loop.hands import WorstHand
     from jaxstab.loop.jitter import MovingLimits, MovingLoop, WorstDelays
     from jaxstab.loop.margins import Margins
     from jaxstab.loop.tune import OptimalWall
@@ -43,7 +44,8 @@ class HapticLoop(LoopParameters):
     ``amplitude``, ``frequency_margins``, ``simulate``, ``contact``; about all walls:
     ``region``, ``limits``, ``stiffness_limits``, ``damping_limits``, ``stiffness_intervals``,
     ``damping_intervals``, ``boundary_distance``, ``tune``; about all hands of a range:
-    ``worst_hand``, ``robust_limit``; and ``to_control``. Numbers are finite and in SI units.
+    ``worst_hand``, ``robust_limit``; what a wall needs: ``range_of``; and ``to_control``. Numbers
+    are finite and in SI units.
 
     Fields may be arrays that broadcast; the loop then stands for many loops. The methods from
     ``verdict`` to ``amplitude`` broadcast them with the walls, if the device is one mass and the
@@ -236,6 +238,46 @@ class HapticLoop(LoopParameters):
         along = (1.0, 0.0) if axis == 0 else (0.0, 1.0)
         return stable_line(partial(ball_triple, self), start, along)
 
+    def range_of(
+        self,
+        quantity: str,
+        stiffness: float,
+        damping: float,
+        *,
+        hands: "HandRange | None" = None,
+        mass: Range | None = None,
+        between: Range | None = None,
+        count: int | None = None,
+    ) -> "StableValues":
+        """The values of one quantity with which a wall is stable, such as the least mass.
+
+        Each end is proved from both sides; that there is no other interval is a scan.
+
+        Args:
+            quantity: a field of the loop that is a number, or "cutoff" in Hz or "window" in samples
+                of its velocity. The delay in s stays where it is "sample_time".
+            stiffness, damping: see ``jaxstab.conventions``.
+            hands: a range of hands, for all of which the wall shall be stable.
+            mass: a range of the device's mass beside it.
+            between: the lowest and the highest value to try; None chooses them.
+            count: how many values to try; None for 500, or 5,000 where they are tried at once.
+
+        Raises: see ``jaxstab.conventions``; ValueError also for a quantity the loop does not have.
+
+        Source: eq. (9); lemma E1 of docs/proofs.md.
+
+        Example:
+            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+            >>> f"{1e3 * loop.range_of('delay', 1000.0, 10.0).largest:.6f} ms"
+            '7.136955 ms'
+        """
+        self._refuse_many("range_of")
+        from jaxstab.loop.backwards import range_of
+
+        wall = Gains(*map(checked_number, ("stiffness", "damping"), (stiffness, damping)))
+        options: Any = {"hands": hands, "mass": mass, "between": between, "count": count}
+        return range_of(self.in_floats(), quantity, wall, **options)
+
     def boundary_distance(self, stiffness: Numbers, damping: Numbers) -> Float64[Array, "*grid"]:
         """How far walls are from the edge of the stable set, in the (alpha, beta) plane.
 
@@ -356,7 +398,9 @@ class HapticLoop(LoopParameters):
         """
         self._refuse_many("worst_hand")
         wall = (checked_number("stiffness", stiffness), checked_number("damping", damping))
-        return self._with_hands(hands, mass, delay, delays, lost).worst(*wall)
+        from jaxstab.loop.hands import LoopsWithHands
+
+        return LoopsWithHands.from_loop(self, hands, mass, delay, delays, lost).worst(*wall)
 
     def robust_limit(
         self,
@@ -392,25 +436,9 @@ class HapticLoop(LoopParameters):
             True
         """
         self._refuse_many("robust_limit")
-        return self._with_hands(hands, mass, delay, delays, lost).robust_limit()
-
-    def _with_hands(
-        self,
-        hands: "HandRange",
-        mass: Range | None,
-        delay: Range | None,
-        delays: Range | None,
-        lost: int,
-    ) -> "LoopsWithHands":
-        """Return the loop with all hands."""
         from jaxstab.loop.hands import LoopsWithHands
 
-        if delays is None and not lost:
-            return LoopsWithHands(self.in_floats(), hands, mass, delay)
-        if delay is not None:
-            raise TypeError(f"delay is {delay} beside delays; give those that move, or the others.")
-        loop = self._moving("hands with delays", delays, lost).loop
-        return LoopsWithHands(loop, hands, mass, moving={"delays": delays, "lost": lost})
+        return LoopsWithHands.from_loop(self, hands, mass, delay, delays, lost).robust_limit()
 
     def plot(
         self,
@@ -656,7 +684,10 @@ class HapticLoop(LoopParameters):
                 raise TypeError(f"mass is {mass} without hands; give hands=jaxstab.HandRange().")
             return jitter_margin(self, stiffness, damping)
         refuse_traced(stiffness, damping)
-        with_hands = self._with_hands(hands, mass, None, (self.delay, self.delay), 0)
+        from jaxstab.loop.hands import LoopsWithHands
+
+        constant = self.delay, self.delay
+        with_hands = LoopsWithHands.from_loop(self, hands, mass, None, constant, 0)
         return np.vectorize(with_hands.jitter_margin, otypes=[np.float64])(stiffness, damping)
 
     def worst_delays(
@@ -944,24 +975,11 @@ class HapticLoop(LoopParameters):
         from jaxstab.loop.contact import contact
 
         return contact(
-            self,
-            stiffness,
-            damping,
-            friction=friction,
-            static_friction=static_friction,
-            encoder=encoder,
-            phase=phase,
-            force_step=force_step,
-            max_force=max_force,
-            push=push,
-            speed=speed,
-            position=position,
-            one_sided=one_sided,
-            pulls=pulls,
-            duration=duration,
-            delays=delays,
-            tolerance=tolerance,
-        )
+            self, stiffness, damping, friction=friction, static_friction=static_friction,
+            encoder=encoder, phase=phase, force_step=force_step, max_force=max_force, push=push,
+            speed=speed, position=position, one_sided=one_sided, pulls=pulls, duration=duration,
+            delays=delays, tolerance=tolerance,
+        )  # fmt: skip
 
     def _moving(self, method: str, delays: Range | None, lost: int) -> "MovingLoop":
         """Return the loop with delays that move."""

@@ -51,7 +51,7 @@ from jaxstab.scene.answers import (
     in_words,
     printed_wall,
 )
-from jaxstab.scene.check import Check, WallCheck, check_walls
+from jaxstab.scene.check import Check, Margins, WallCheck, check_walls
 from jaxstab.scene.contact import (
     Contacts,
     contact_loop,
@@ -149,7 +149,7 @@ def draw_margins(panel: Axes, checked: dict[str, WallCheck]) -> None:
     """Draw from each stable wall how far K alone, and B alone, may go."""
     label = "K alone, or B alone, may go this far"
     for wall in checked.values():
-        if wall.margins is not None and np.isfinite(wall.margins.stiffness_limits).all():
+        if isinstance(wall.margins, Margins) and np.isfinite(wall.margins.stiffness_limits).all():
             stiffness, damping = wall.margins.stiffness_limits, wall.margins.damping_limits
             panel.plot(stiffness, [wall.damping] * 2, "|-", color=BLACK, lw=1.2, ms=9, label=label)
             panel.plot([wall.stiffness] * 2, damping, "_-", color=BLACK, lw=1.2, ms=9)

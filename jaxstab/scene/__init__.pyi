@@ -1,4 +1,5 @@
 from .answers import explain_model as explain_model
+from .backwards import Backwards as Backwards
 from .check import check_walls as check_walls
 from .contact import simulate_contacts as simulate_contacts
 from .gains import GainAnswer as GainAnswer

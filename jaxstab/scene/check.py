@@ -31,6 +31,7 @@ from jaxstab.scene.answers import (
     Bound,
     DampingLimits,
     Frequency,
+    IntervalQuantity,
     Number,
     Quantity,
     StiffnessLimits,
@@ -44,6 +45,7 @@ from jaxstab.scene.hands import (
     loops_over_delays,
     worst_on,
 )
+from jaxstab.scene.limits import numbered
 from jaxstab.scene.loops import (
     OneHand,
     corner_loops,
@@ -76,10 +78,20 @@ class Margins(Answer):
 
 
 @dataclass(frozen=True)
-class NoMargins(Margins):
-    """The margins of a wall that is not stable."""
+class NoMargins(Answer):
+    """Where walls are stable beside one that is not: all K at its B, all B at its K.
 
-    absent = "none: the wall is not stable"
+    Proved for each of some hands; of several intervals the lowest comes first.
+    """
+
+    is_part = True
+    absent = "none is proved"
+
+    stable_at_its_damping: StiffnessLimits
+    other_stiffnesses: Annotated[dict[str, tuple[float, float]], IntervalQuantity("N/m", 4)]
+    stable_at_its_stiffness: DampingLimits
+    other_dampings: Annotated[dict[str, tuple[float, float]], IntervalQuantity("N s/m", 4)]
+    margins_are: str | None
 
 
 @dataclass(frozen=True)
@@ -213,7 +225,7 @@ class WallCheck(WallVerdict):
     """
 
     measures_are: str | None
-    margins: Margins | None = None
+    margins: Margins | NoMargins | None = None
     frequency: FrequencyMargins | None = None
     distance: Distance | None = None
     radius: Radius | None = None
@@ -363,14 +375,30 @@ def _hand_of(wall: _Wall, loop: HapticLoop) -> OneHand | None:
     return None if wall.worst.worst_hand is None else held_by(loop, wall.scene)
 
 
-def _least_margins(wall: _Wall, loops: list[HapticLoop], margins: LoopMargins) -> Margins:
+def _least_margins(
+    wall: _Wall, loops: list[HapticLoop], margins: LoopMargins
+) -> Margins | NoMargins:
+    if wall.worst.verdict == Verdict.UNSTABLE:
+        first, *stiffnesses = _stable_beside(wall.gains.damping, loops, "stiffness_intervals")
+        second, *dampings = _stable_beside(wall.gains.stiffness, loops, "damping_intervals")
+        words = _among("stable", loops)
+        return NoMargins(first, numbered(stiffnesses), second, numbered(dampings), words)
     spare = np.array([margins.stiffness_gain, margins.damping_gain, margins.extra_delay])
     # NaN, of a hand with which the wall is not stable, goes through.
     stiffer, damper, extra_delay = spare.min(axis=1).tolist()
     limits = _common(margins.stiffness), _common(margins.damping)
-    kind = NoMargins if wall.worst.verdict == Verdict.UNSTABLE else Margins
-    words = _among("smallest", loops)
-    return kind(stiffer, damper, *limits, extra_delay, words)
+    return Margins(stiffer, damper, *limits, extra_delay, _among("smallest", loops))
+
+
+def _stable_beside(gain: float, loops: list[HapticLoop], method: str) -> list[tuple[float, float]]:
+    """The gains beside another one, from 0 on, with which all loops are stable; NaN for none."""
+    common = [(0.0, inf)]
+    for loop in loops:
+        own = getattr(loop, method)(gain).intervals  # none where they are not resolved
+        ends = [(low.value + low.error, high.value - high.error) for low, high in own]
+        pairs = ((max(a, c), min(b, d)) for a, b in common for c, d in ends)
+        common = [(low, high) for low, high in pairs if low < high]
+    return common or [(nan, nan)]
 
 
 def _worst_frequencies(

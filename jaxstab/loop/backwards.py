@@ -1,0 +1,370 @@
+"""Backwards: the values of one quantity with which given gains are stable.
+
+p(z) is affine in two gains, and all stable intervals of these are known (lemma E3 of
+docs/proofs.md). Each mass, delay or cut-off makes another plant or filter, and no theorem tells its
+crossings of the circle beforehand. So values are scanned, evenly in their logarithm, and every end
+is enclosed by halving, between a value that is proved stable and one that is proved unstable (lemma
+E1). Windows and steps are whole: all of them are tried. An interval, or a gap, that is narrower
+than a step of the scan may be missed; an answer says how many values were tried.
+
+Where a value makes no loop, as a cut-off above half of the sampling rate, an interval ends without
+a proof of instability beyond. A root at 1 that a damper alone leaves there, of a device that
+nothing holds, does not count: the intervals are those of all other roots.
+
+Of a range of hands those at its corners are scanned. A value at each end, or next to it, is then
+proved for all hands in boxes (``loop.hands``); a hand that refutes one joins the corners.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from decimal import ROUND_CEILING, ROUND_FLOOR
+from functools import cache, partial
+from itertools import groupby
+from math import nan
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from jaxstab.conventions import Range, Verdict
+from jaxstab.exact import wall_verdict
+from jaxstab.loop.hands import LoopsWithHands
+from jaxstab.loop.region import Gains
+from jaxstab.model.balls import ball_triple
+from jaxstab.model.device.device import in_steps
+from jaxstab.model.device.parts import MassSpringDamper, Modes
+from jaxstab.model.filters import LOW_PASSES, Average, Filter, Velocity
+from jaxstab.model.parameters import LONGEST_DELAY
+from jaxstab.numbers import checked_count, checked_number, checked_word
+from jaxstab.shown import number_text
+
+if TYPE_CHECKING:
+    from jaxstab.boxes import HandRange
+
+UNITS = {
+    "device_mass": "kg",
+    "device_damping": "N s/m",
+    "hand_mass": "kg",
+    "hand_damping": "N s/m",
+    "hand_stiffness": "N/m",
+    "sample_time": "s",
+    "delay": "s",
+    "cutoff": "Hz",
+    "window": "samples",
+}
+"""The quantities of a held device and its controller, and their units."""
+
+
+class StableEnd(NamedTuple):
+    """The last stable value, and the first one beyond that is unstable: each proved.
+
+    The second is NaN where the scan ends, and where values beyond make no loop.
+
+    Example:
+        >>> jaxstab.results.StableEnd(stable=12.0, unstable=13.0).stable
+        12.0
+    """
+
+    stable: float
+    unstable: float
+
+
+class StableValues(NamedTuple):
+    """The intervals of a quantity that a scan found stable, from the lowest to the highest.
+
+    Attributes:
+        quantity: its name.
+        unit: its unit.
+        intervals: the low and the high end of each. The two sides of an end are less than 1e-9 of
+            it apart, or neighbours where values are whole.
+        between: the lowest and the highest value tried.
+        tried: how many were.
+        is_complete: whether these are all that there are.
+        is_proved: whether the stable side of each end is proved, for all hands where there is a
+            range of them; it then lies inside of what the hands that were tried allow.
+
+    Example:
+        >>> joint = jaxstab.HapticLoop(
+        ...     device_mass=1.0, device_damping=0.0, sample_time=2e-3, delay=2e-3
+        ... )
+        >>> found = joint.range_of("device_mass", 40.0, 2.0)
+        >>> found.largest == found.between[1]  # the scan ends, not what is stable
+        True
+        >>> print(f"{found.least:.8g} kg, {found.scan}")
+        0.0051069302 kg, no other found by a scan of 5,000 values from 4e-06 to 4000 kg
+    """
+
+    quantity: str
+    unit: str
+    intervals: tuple[tuple[StableEnd, StableEnd], ...]
+    between: Range
+    tried: int
+    is_complete: bool
+    is_proved: bool = True
+
+    @property
+    def least(self) -> float:
+        """The lowest stable value; NaN if none is."""
+        return self.intervals[0][0].stable if self.intervals else nan
+
+    @property
+    def largest(self) -> float:
+        """The highest stable value; NaN if none is."""
+        return self.intervals[-1][1].stable if self.intervals else nan
+
+    @property
+    def scan(self) -> str:
+        """What was tried, in words."""
+        low, high = (number_text(end, 4) for end in self.between)
+        words = "of all" if self.is_complete else "no other found by a scan of"
+        return f"{words} {self.tried:,} values from {low} to {high} {self.unit}".rstrip()
+
+    def __repr__(self) -> str:
+        ways = ROUND_CEILING, ROUND_FLOOR
+        ends = [
+            [number_text(end.stable, 10, way) for end, way in zip(pair, ways, strict=True)]
+            for pair in self.intervals
+        ]
+        lines = [f"  {low} to {high} {self.unit}".rstrip() for low, high in ends] or ["  none"]
+        return "\n".join([f"StableValues of {self.quantity}:", *lines, f"  {self.scan}"])
+
+
+class _Scan(NamedTuple):
+    """Values to try in their order, and whether there are no others."""
+
+    values: list[float]
+    is_complete: bool = False
+
+    @classmethod
+    def of(cls, low: float, high: float, count: int, *before: float) -> "_Scan":
+        """Some values, and others between two ends, evenly in their logarithm, or from 0 on."""
+        spread = np.geomspace if low > 0.0 else np.linspace
+        return cls([*before, *spread(low, high, count - len(before)).tolist()])
+
+    def within(self, between: Range | None, count: int) -> "_Scan":
+        """The scan in other limits, if these are given."""
+        if between is None:
+            return self
+        low, high = (checked_number("between", end, 0.0) for end in between)
+        kept = [value for value in self.values if low <= value <= high]
+        if not low < high or (self.is_complete and not kept):
+            raise ValueError(f"between is {between}; give the lowest value, and a higher one.")
+        return _Scan(kept, is_complete=True) if self.is_complete else _Scan.of(low, high, count)
+
+
+def _stable_values(
+    named: tuple[str, str], scan: _Scan, judge: Callable[[float], Verdict], known: Any = None
+) -> StableValues:
+    """The stable intervals of a quantity of some name and unit; ValueError: no value makes a loop.
+
+    Verdicts on the scan that are ``known`` only suggest.
+    """
+    refusals: list[ValueError] = []
+
+    @cache
+    def judged(value: float) -> Verdict:
+        try:
+            return judge(value)
+        except ValueError as error:
+            refusals.append(error)
+            return Verdict.NOT_COMPUTED
+
+    def end(index: int, step: int) -> StableEnd:
+        close, (stable, beyond) = 2.0**-40, (values[index], values[index])
+        if 0 <= index + step < len(values):
+            beyond = values[index + step]
+        while not scan.is_complete and abs(beyond - stable) > close * max(stable, beyond):
+            middle = 0.5 * (stable + beyond)
+            code = judged(middle)
+            if code == Verdict.UNDECIDED:
+                break
+            stable, beyond = (middle, beyond) if code == Verdict.STABLE else (stable, middle)
+        return StableEnd(stable, beyond if judged(beyond) == Verdict.UNSTABLE else nan)
+
+    values, intervals, first = scan.values, [], 0
+    pairs = zip(values, known or [Verdict.UNDECIDED] * len(values), strict=True)
+    codes = [judged(value) if code == Verdict.UNDECIDED else code for value, code in pairs]
+    if len(refusals) == len(values):
+        raise refusals[0]
+    for code, group in groupby(codes):
+        last = first + len(list(group)) - 1
+        if code == Verdict.STABLE:
+            low, high = end(first, -1), end(last, 1)
+            if judged(low.stable) == judged(high.stable) == Verdict.STABLE:
+                intervals.append((low, high))
+        first = last + 1
+    ends = values[0], values[-1]
+    return StableValues(*named, tuple(intervals), ends, len(values), scan.is_complete)
+
+
+# ----------------------------------------------------------------------------------- held devices
+def range_of(
+    loop: Any,
+    quantity: str,
+    wall: Gains,
+    *,
+    hands: "HandRange | None" = None,
+    mass: Range | None = None,
+    between: Range | None = None,
+    count: int | None = None,
+    in_samples: bool = False,
+) -> StableValues:
+    """The values of a quantity with which a wall is stable; a delay ``in_samples`` goes with T."""
+    rounds = 4  # in which hands join the corners
+    checked_word("quantity", quantity, UNITS)
+    varied = {"hand" if hands else "", "device_mass" if mass else ""}
+    if (mass and not hands) or varied & {quantity, quantity.partition("_")[0]}:
+        raise ValueError(f"quantity is {quantity!r} beside a range of it, or mass without hands.")
+    change = partial(_changed, quantity, in_samples)
+    every: Any = None if hands is None else LoopsWithHands(loop, hands, mass)
+    loops = [loop] if every is None else every.corners
+    is_of_mechanics = quantity.partition("_")[0] in ("device", "hand")  # p(z) keeps its degree
+    at_once = is_of_mechanics and loop.device is None and wall.stiffness != 0.0
+    tried = (5000 if at_once else 500) if count is None else checked_count("count", count, 2)
+    scan = _scan(loop, quantity, wall, tried).within(between, tried)
+
+    def judge(value: float) -> Verdict:
+        triples = (partial(ball_triple, change(each, value)) for each in loops)
+        codes = (wall_verdict(triple, *wall, may_drift=True).verdict for triple in triples)
+        return next((code for code in codes if code != Verdict.STABLE), Verdict.STABLE)
+
+    def worst(value: float) -> Any:
+        return replace(every, loop=change(loop, value)).worst(*wall)
+
+    for _ in range(rounds):
+        known = _verdicts(loops, quantity, wall, scan) if at_once else None
+        found = _stable_values((quantity, UNITS[quantity]), scan, judge, known)
+        found, refuting = (found, []) if every is None else _for_all(found, worst)
+        if not refuting:
+            break
+        loops += refuting
+    return found
+
+
+def _for_all(found: StableValues, worst: Callable[[float], Any]) -> tuple[StableValues, list[Any]]:
+    """The intervals with ends that are proved for all hands, or a hand that refutes one."""
+    shares = (0.0,) if found.is_complete else (0.0, 1e-6, 1e-4, 1e-2, 0.05)  # of an end, inwards
+    intervals, is_proved = [], True
+    for low, high in found.intervals:
+        ends = []
+        for own, way in ((low, 1.0), (high, -1.0)):
+            for share in shares:
+                value = own.stable * (1.0 + way * share)
+                value = min(max(value, low.stable), high.stable)
+                hand = worst(value)
+                if hand.verdict == Verdict.UNSTABLE:
+                    return found._replace(is_proved=False), [hand.loop]
+                if hand.verdict == Verdict.STABLE:
+                    break
+            is_proved &= hand.verdict == Verdict.STABLE
+            ends.append(own._replace(stable=value))
+        intervals.append((ends[0], ends[1]))
+    return found._replace(intervals=tuple(intervals), is_proved=is_proved), []
+
+
+def _verdicts(loops: list[Any], quantity: str, wall: Gains, scan: _Scan) -> Any:
+    """Verdicts on a scan, all at once."""
+    values = np.array(scan.values)
+    codes = [np.asarray(replace(each, **{quantity: values}).verdict(*wall)) for each in loops]
+    is_unstable = np.any(np.equal(codes, Verdict.UNSTABLE), axis=0)
+    return np.where(is_unstable, Verdict.UNSTABLE, np.max(codes, axis=0)).tolist()
+
+
+def _scan(loop: Any, quantity: str, wall: Gains, count: int) -> _Scan:
+    """The values to try: around those at which numbers such as K T^2/m are of size 1."""
+    most = 128.0  # samples of delay, where it is not longer now
+    period, (spring, damper), counts = loop.sample_time, map(abs, wall), range(1, 201)
+    body = loop.device and in_steps(loop.device)
+    whole: list[float] | None = [float(n) for n in counts] if quantity == "window" else None
+    if quantity == "delay":
+        most = min(max(most, 2.0 * loop.delay_samples), LONGEST_DELAY) * period
+        whole = [n * body.step for n in range(round(most / body.step) + 1)] if body else None
+    elif quantity == "sample_time":  # few have whole samples in a window in s, or whole steps
+        chain = (loop.velocity or Velocity()).filter * (loop.position or Filter())
+        windows = [own.window for own in chain.sections if isinstance(own, Average) and own.window]
+        whole = [n * body.step for n in counts] if body else None
+        whole = [windows[0] / n for n in counts][::-1] if windows else whole
+    if whole:
+        return _Scan(whole, is_complete=True)
+    damping, stiffness = loop.damping(1.0), loop.stiffness(1.0)
+    mass = max(spring * period**2, damper * period) or damping * period
+    low = 1e-3
+    if quantity == "device_mass" and loop.body:  # below, it swings above half of the sampling rate
+        low = max(low, loop.body.stiffness * period**2 / mass / 10.0)
+    size, low, high = {
+        "mass": (mass, low, 1e6),
+        "damping": (max(damper, spring * period, damping), 1e-7, 1e2),
+        "stiffness": (max(spring, stiffness), 1e-7, 5.0),
+        "cutoff": (1.0 / period, 1e-4, 1e2),
+        "delay": (period, 1e-2, most / period),
+        "time": (period, max(2.0**-10, loop.delay_samples / most), 2.0**10),
+    }[quantity.rpartition("_")[2]]
+    zero = [] if quantity in ("device_mass", "sample_time", "cutoff") else [0.0]
+    return _Scan.of(low * size, high * size, count, *zero)
+
+
+def _changed(quantity: str, in_samples: bool, loop: Any, value: float) -> Any:
+    """The loop with another value of a quantity."""
+    if quantity in ("cutoff", "window"):
+        return replace(loop, velocity=_estimator(loop.velocity or Velocity(), quantity, value))
+    if quantity == "sample_time" and in_samples:
+        return replace(loop, sample_time=value, delay=loop.delay_samples * value)
+    if loop.device is None or quantity in ("sample_time", "delay"):
+        return replace(loop, **{quantity: value})
+    owner, _, name = quantity.partition("_")
+    body = loop.device.mechanism
+    if owner != "device" or not isinstance(body, MassSpringDamper | Modes) or body.mass is None:
+        raise ValueError(
+            f"quantity is {quantity!r}, which the device ({loop.device}) does not have as one "
+            "number; give numbers of one mass, or a device that is a mass with or without modes."
+        )
+    changed: Any = {name: value}
+    return replace(loop, device=replace(loop.device, mechanism=replace(body, **changed)))
+
+
+def _estimator(velocity: Velocity, quantity: str, value: float) -> Velocity:
+    """An estimator with another cut-off in Hz, or with another window in samples."""
+    sections: list[Any] = list(velocity.filter.sections)
+    kinds: Any = LOW_PASSES if quantity == "cutoff" else Average
+    places = [k for k, section in enumerate(sections) if isinstance(section, kinds)]
+    if not places and quantity == "window" and all(section.maker for section in sections):
+        sections, places = [Average(1, None), *sections], [0]  # the difference over one sample
+    if len(places) != 1:
+        raise ValueError(
+            f"quantity is {quantity!r}, but the velocity ({velocity}) has {len(places)} of it; "
+            "give an estimator with one, such as jaxstab.Velocity.low_pass(100.0)."
+        )
+    (place,) = places
+    of_window = {"samples": int(value), "window": None}
+    changed = of_window if quantity == "window" else {"cutoff": value}
+    sections[place] = replace(sections[place], **changed)
+    return Velocity(Filter(tuple(sections)))
+
+
+# --------------------------------------------------------------------------- any loop of two gains
+def range_of_number(
+    loop: Any, quantity: str, pair: Gains, between: Range | None, count: int
+) -> StableValues:
+    """The values of a number of a loop, of its device or engine, with which gains are stable."""
+    inner = {name: getattr(loop.parts, name, None) for name in ("joint", "late", "loop")}
+    owners = [vars(owner) for owner in (loop.parts, *inner.values()) if owner]
+    numbers = {k: x for own in owners for k, x in own.items() if type(x) in (int, float)}
+    numbers.pop("value", None)  # the gain of PID that is given
+    if not numbers:
+        raise ValueError(f"quantity is {quantity!r}, but {loop.words} have no number that varies.")
+    now = numbers[checked_word("quantity", quantity, numbers)]
+    scan = _Scan.of(1e-4 * (now or 1.0), 1e4 * (now or 1.0), checked_count("count", count, 2))
+    if isinstance(now, int):
+        least = int(quantity == "substeps")
+        scan = _Scan([float(n) for n in range(least, 201)], is_complete=True)
+
+    def judge(value: float) -> Verdict:
+        changed: dict[str, Any] = {
+            name: replace(owner, **{quantity: value})
+            for name, owner in inner.items()
+            if owner and getattr(owner, quantity, None) == now  # kd may have a delay of its own
+        }
+        parts = replace(loop.parts, **(changed or {quantity: type(now)(value)}))
+        verdict: Verdict = replace(loop, parts=parts)._verdict(*pair)
+        return verdict
+
+    return _stable_values((quantity, ""), scan.within(between, count), judge)

@@ -1,0 +1,132 @@
+"""What walls of a scene need: the values of one quantity with which they are stable.
+
+``design --for`` asks for any quantity, ``limits --gains`` without an inertia for that. What is
+asked for may be missing in the scene, and a damping that is missing counts as 0: the answer says
+so. Of a range of delays it is the longest one, as a constant delay.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from decimal import ROUND_CEILING, ROUND_FLOOR
+from math import nan
+from typing import Any
+
+from jaxstab.loop import Gains, StableValues
+from jaxstab.loop.backwards import range_of
+from jaxstab.scene.answers import Answer, Basis, GivenQuantity, IntervalQuantity, Quantity, basis_of
+from jaxstab.scene.gains import GainAnswer
+from jaxstab.scene.limits import numbered
+from jaxstab.scene.loops import loop_of, masses_of, range_of_hands, walls_of
+from jaxstab.scene.scene import Scene, Units, presets
+
+QUANTITIES: Mapping[str, str] = {
+    "inertia": "device_mass",
+    "mass": "device_mass",
+    "damping": "device_damping",
+    "delay": "delay",
+    "sample-time": "sample_time",
+    "cutoff": "cutoff",
+    "window": "window",
+}
+"""What may be asked for, as commands call it."""
+
+
+def known_of(table: Mapping[str, Any]) -> set[str]:
+    """The keys of the device of a table, with those that its preset has."""
+    device = table.get("device", {})
+    own = device if isinstance(device, Mapping) else {}
+    preset = presets("devices").get(str(own.get("preset")))
+    return {*own, *(preset.numbers if preset else ())}
+
+
+@dataclass(frozen=True)
+class Needs(Answer):
+    """The values that each wall needs, by its name."""
+
+    inputs: Basis | None
+    device_damping: str | None
+    walls: dict[str, GainAnswer]
+
+    @property
+    def all_stable(self) -> bool:
+        """Whether each wall is stable with some values, proved for all hands."""
+        return all(wall.is_stable for wall in self.walls.values())
+
+
+@dataclass(frozen=True)
+class Backwards:
+    """A scene, the quantity that is asked for, and whether its damping is assumed to be 0."""
+
+    scene: Scene
+    asked: str
+    has_no_damping: bool
+
+    @classmethod
+    def from_table(cls, table: Mapping[str, Any], source: str, asked: str) -> "Backwards":
+        """Check a scene in which what is asked for may be missing; ValueError: ``Scene``."""
+        known, device = known_of(table), table.get("device", {})
+        missing = {} if "damping" in known else {"damping": 0.0}
+        if QUANTITIES[asked] == "device_mass" and not {"mass", "inertia"} & known:
+            missing[asked] = 1.0  # any
+        device = {**device, **missing} if isinstance(device, Mapping) else device  # is refused
+        scene = Scene.from_table({**table, "device": device}, source)
+        scene.require_walls()
+        return cls(scene.at_longest_delay, asked, "damping" in missing and asked != "damping")
+
+    def unusual(self) -> list[str]:
+        """Describe values that look like a slip of the unit."""
+        return self.scene.unusual()
+
+    def answer(self, _: str) -> Needs:
+        """What each wall needs."""
+        scene, quantity = self.scene, QUANTITIES[self.asked]
+        inputs, controller = basis_of(scene, at_longest=True), scene.controller
+        options: Any = {
+            "in_samples": controller.delay_samples is not None,
+            "mass": masses_of(scene),
+        }
+        if quantity == "device_mass":
+            inputs, options["mass"] = replace(inputs, mass=(nan, nan)), None
+        if options["mass"] or (scene.hand and scene.hand.varies):
+            options["hands"] = range_of_hands(scene)
+        found = {
+            name: (wall, range_of(loop_of(scene), quantity, wall, **options))
+            for name, wall in walls_of(scene).items()
+        }
+        return Needs(
+            inputs=inputs,
+            device_damping="0, assumed: the scene names none" if self.has_no_damping else None,
+            walls={
+                name: _needs(wall, values, scene.units, is_range="hands" in options)
+                for name, (wall, values) in found.items()
+            },
+        )
+
+
+def _needs(wall: Gains, found: StableValues, units: Units, *, is_range: bool) -> GainAnswer:
+    """What one wall needs: the interval that is widest by its ratio, and others."""
+    name = {"device_mass": "mass"}.get(found.quantity, found.quantity)
+    least, largest, others, digits = f"least_{name}", f"largest_{name}", f"other_{name}", 10
+    values: dict[str, Any] = {"stiffness": wall.stiffness, "damping": wall.damping}
+    if found.intervals:
+        inner = [(low.stable, high.stable) for low, high in found.intervals]
+        inner.sort(key=lambda ends: ends[0] / ends[1] if ends[1] else 0.0)
+        (low, high), *more = inner
+        values[least] = low if low > found.between[0] else None
+        values[largest] = high if high < found.between[1] else None
+        values[others] = numbered(more)
+        is_all = len(inner) == 1 and inner[0] == found.between
+        values["status"] = "every value tried is stable" if is_all else None
+        words = "each end is proved for every hand", "not proved for every hand"
+        values["certainty"] = words[not found.is_proved] if is_range else None
+    else:
+        values["status"] = "no value tried is stable"
+    values["scan"] = found._replace(unit=units.unit(found.unit)).scan
+    formats: dict[str, Quantity] = {
+        "stiffness": GivenQuantity("N/m"),
+        "damping": GivenQuantity("N s/m"),
+        least: Quantity(found.unit, digits, ROUND_CEILING),
+        largest: Quantity(found.unit, digits, ROUND_FLOOR),
+        others: IntervalQuantity(found.unit, digits),
+    }
+    return GainAnswer(values, formats, bool(found.intervals) and found.is_proved)
