@@ -42,6 +42,8 @@ from .region import RegionStatus as RegionStatus
 from .region import StableRegion as StableRegion
 from .scene.identify import Estimate as Estimate
 from .scene.identify import Identified as Identified
+from .scene.joints import JointAnswer as JointAnswer
+from .scene.joints import Joints as Joints
 from .trace import BoundaryTrace as BoundaryTrace
 from .trace import TraceStatus as TraceStatus
 from .tuning import OptimalGains as OptimalGains

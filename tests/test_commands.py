@@ -26,6 +26,7 @@ HANDS = ["--hand-mass", "0:0.2"]
 GOOD, BAD = ["--wall", "good", "1000", "10"], ["--wall", "bad", "90000", "10"]
 SLOW = ["--mass", "0.1", "--damping", "0", "--sample-time", "0.001", "--delay", "0"]
 JOINT = str(Path(__file__).parents[1] / "data" / "scenes" / "gains" / "simulator.toml")
+ARM = str(Path(__file__).parents[1] / "data" / "robots" / "arm.xml")
 LATE = [*SLOW[:-1], "0.001", "--hand-stiffness", "80000"]  # spring and damper feed the hand's mode
 
 
@@ -82,6 +83,9 @@ COMMANDS: list[tuple[str, list[str], int]] = [
     ("scene presets", ["more"], 2),
     ("identify", ["--help"], 0),  # tests/test_identify.py fits logs
     ("identify", ["none.csv"], 2),
+    ("joints", [ARM, "--simulated"], 0),
+    ("joints", [ARM, "--rate", "500", "--delay", "2e-3"], 1),
+    ("joints", [ARM], 2),
     ("explore", ["scene.toml"], 0),
     ("explore", ["none.toml"], 2),
     ("guard", ["--help"], 0),  # tests/test_guard.py builds some

@@ -28,6 +28,8 @@ INTERNAL = {
     "Filter": {"stages", "transfer"},
     "Hand": {"dynamic_stiffness"},
     "HapticLoop": {"body", "filters", "held_device", "linear", "sampled"},
+    "JointAnswer": {"leaves", "lines"},
+    "Joints": {"leaves", "lines"},
     "Mode": {"response", "shapes"},
     "Plan": {
         *("boxes", "chunk", "deltas_of_a_tile", "hands", "is_gridded", "numbers"),

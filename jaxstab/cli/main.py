@@ -19,6 +19,7 @@ import click
 import jaxstab
 from jaxstab.cli.atlas import build, info, plot, query, spec, verify
 from jaxstab.cli.interrupt import prompt_interrupts
+from jaxstab.cli.joints import joints
 from jaxstab.cli.region import figure, region
 from jaxstab.cli.scene import (
     check,
@@ -112,7 +113,7 @@ def main() -> None:
 
 for _command in (
     *(limits, check, contact, tune, design, study),
-    *(scene, identify, explore, guard, region, figure),
+    *(joints, scene, identify, explore, guard, region, figure),
 ):
     main.add_command(_command)
 

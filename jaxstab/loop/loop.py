@@ -686,8 +686,7 @@ class HapticLoop(LoopParameters):
         refuse_traced(stiffness, damping)
         from jaxstab.loop.hands import LoopsWithHands
 
-        constant = self.delay, self.delay
-        with_hands = LoopsWithHands.from_loop(self, hands, mass, None, constant, 0)
+        with_hands = LoopsWithHands.from_loop(self, hands, mass, None, (self.delay,) * 2, 0)
         return np.vectorize(with_hands.jitter_margin, otypes=[np.float64])(stiffness, damping)
 
     def worst_delays(
@@ -700,8 +699,7 @@ class HapticLoop(LoopParameters):
 
         Args:
             stiffness, damping: see ``jaxstab.conventions``.
-            delays: as for ``verdict``.
-            lost: as for ``verdict``.
+            delays, lost: as for ``verdict``.
 
         Returns:
             WorstDelays, whose delays ``simulate`` takes.

@@ -1,0 +1,520 @@
+"""The joints of robot files: inertias in closed form, and verdicts against MuJoCo itself."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from campaign import many
+from commands import assert_one_sentence, run
+
+import jaxstab
+from jaxstab import Verdict
+from jaxstab.results import JointAnswer, Joints
+
+mujoco = pytest.importorskip("mujoco")
+
+RULES = {  # of jaxstab; MuJoCo's integrator, and whether it takes joint damping as implicit
+    "semi-implicit": ("Euler", "disable"),
+    "implicit-joint": ("Euler", "enable"),
+    "implicit-damping": ("implicitfast", "enable"),
+}
+ARM = """
+<mujoco>
+  <option timestep="{step!r}" integrator="{integrator}" gravity="0 0 0">
+    <flag autoreset="disable" eulerdamp="{eulerdamp}" contact="disable"/>
+  </option>
+  <worldbody>
+    <body>
+      <joint name="shoulder" axis="0 1 0" armature="{shoulder!r}" damping="{damping!r}"
+             stiffness="{spring!r}"/>
+      <inertial pos="0.15 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>
+      <body pos="0.3 0 0">
+        <joint name="elbow" axis="0 1 0" armature="{elbow!r}" damping="{slack!r}" range="-150 150"
+               stiffness="{elbow_spring!r}"/>
+        <inertial pos="0.1 0 0" mass="0.5" diaginertia="0.005 0.005 0.005"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>{actuators}</actuator>
+</mujoco>
+"""
+HUGE = 1e9  # kg m^2, an armature that holds a joint
+START = 1e-6  # rad
+
+
+def arm(**given: Any) -> Any:
+    """A planar arm of two links, whose mass matrix is known in closed form."""
+    plain = {"step": 1e-3, "integrator": "Euler", "eulerdamp": "enable", "actuators": ""}
+    plain |= {"shoulder": 0.01, "elbow": 0.002, "damping": 0.0, "slack": 0.0}
+    plain |= {"spring": 0.0, "elbow_spring": 0.0}
+    return mujoco.MjModel.from_xml_string(ARM.format(**plain | given))
+
+
+def mass_matrix(elbow: float, armatures: tuple[float, float] = (0.01, 0.002)) -> np.ndarray:
+    """That of the arm, from its kinetic energy."""
+    second = 0.005 + 0.5 * 0.1**2
+    cross = 0.5 * 0.3 * 0.1 * np.cos(elbow)
+    first = 0.01 + 1.0 * 0.15**2 + 0.5 * 0.3**2 + second + 2.0 * cross
+    return np.array(
+        [[first + armatures[0], second + cross], [second + cross, second + armatures[1]]]
+    )
+
+
+def test_55_inertias_are_those_of_the_mass_matrix_over_postures() -> None:
+    answer = jaxstab.joints(arm(), rate=500.0, postures=5000).joints
+    matrices = [mass_matrix(angle) for angle in np.radians(np.linspace(-150.0, 150.0, 3001))]
+    for index, joint in enumerate(answer.values()):
+        free = min(1.0 / np.linalg.inv(matrix)[index, index] for matrix in matrices)
+        held = max(matrix[index, index] for matrix in matrices)
+        assert joint.inertia[0] == pytest.approx(free, rel=1e-3)
+        assert joint.inertia[1] == pytest.approx(held, rel=1e-3)
+        assert joint.inertia[0] >= free * (1.0 - 1e-6)
+        assert joint.inertia[1] <= held * (1.0 + 1e-6)
+
+
+@pytest.mark.parametrize(
+    ("delay", "gains", "least"),
+    [
+        (2e-3, (10.0, 1.0), 0.0024816383),
+        (2e-3, (20.0, 2.0), 0.0049632767),
+        (2e-3, (40.0, 2.0), 0.0051069302),
+        (6e-3, (10.0, 1.0), 0.0052609807),
+        (6e-3, (20.0, 2.0), 0.0105219615),
+        (6e-3, (40.0, 2.0), 0.0110740324),
+    ],
+)
+def test_55_the_least_inertia_is_the_known_one(
+    delay: float, gains: tuple[float, float], least: float
+) -> None:
+    given = {"elbow": dict(zip(("kp", "kd"), gains, strict=True))}
+    plain = jaxstab.joints(arm(), rate=500.0, delay=delay, gains=given).joints["elbow"]
+    assert plain.least_inertia == pytest.approx(least, abs=1e-10)
+    # A damping of nearly nothing takes the other way: boxes, and verdicts on both sides.
+    damped = jaxstab.joints(arm(slack=1e-9), rate=500.0, delay=delay, gains=given).joints["elbow"]
+    assert damped.least_inertia == pytest.approx(least, rel=1e-6)
+    assert plain.verdict == damped.verdict
+
+
+def settles(model: Any, joint: str, step_torque: Any = None) -> bool | None:
+    """Whether a joint comes to rest; None: neither in time."""
+    data = mujoco.MjData(model)
+    place = model.joint(joint).qposadr[0]
+    data.qpos[place] = START
+    for count in range(400_000):
+        if step_torque:
+            step_torque(data, count)
+        mujoco.mj_step(model, data)
+        if count % 500 == 499:
+            size = max(abs(data.qpos[place]), abs(data.qvel[place]) * model.opt.timestep)
+            if not size < 1e3 * START:
+                return False
+            if size < 1e-3 * START:
+                return True
+    return None
+
+
+class Case:
+    """A joint of the arm under random gains, with others free or held, in one kind of loop."""
+
+    def __init__(self, rng: np.random.Generator, kind: str) -> None:
+        self.kind = kind
+        self.joint = str(rng.choice(["shoulder", "elbow"]))
+        self.other = "elbow" if self.joint == "shoulder" else "shoulder"
+        self.holds = bool(rng.integers(2))
+        self.step = float(10 ** rng.uniform(-3.3, -2.5))
+        self.substeps, self.late = 1, 0
+        frequency, least_kp = 1.0 / self.step, 0.3
+        if kind in ("held", "outside"):
+            self.substeps, self.late = int(rng.integers(1, 5)), int(rng.integers(0, 7))
+            frequency, least_kp = 0.25 / (self.step * (self.substeps + self.late)), 0.1
+        kp, kd = rng.uniform(least_kp, 1.0), rng.uniform(0.05, 0.15)
+        self.gains = float(kp * frequency**2), float(kd * frequency)
+        if kind in ("held", "outside"):
+            self.gains = self.gains[0], 6.0 * self.gains[1]
+        is_damped = kind != "outside" and rng.integers(2)
+        self.damping = float(0.1 * self.gains[1]) if is_damped else 0.0
+        has_spring = kind != "outside" and rng.integers(2)
+        self.spring = float(0.1 * self.gains[0]) if has_spring else 0.0
+        rules = ["semi-implicit", "implicit-joint"]
+        self.rule = str(rng.choice(rules)) if kind == "outside" else kind
+        # The least inertia grows in proportion to gains, damping and spring.
+        plain = self.asked(self.model(0.0, self.actuators()))
+        share = rng.uniform(1.5, 3.0) * plain.inertia[0] / plain.least_inertia
+        self.gains = self.gains[0] * share, self.gains[1] * share
+        self.damping, self.spring = self.damping * share, self.spring * share
+
+    def model(self, armature: float, actuators: str) -> Any:
+        """The arm with an armature of the joint; the other one is held by a huge armature."""
+        integrator, damp = ("RK4", "enable") if self.kind == "held" else RULES[self.rule]
+        armatures = {self.joint: armature, self.other: HUGE if self.holds else 0.01}
+        names = ("damping", "spring") if self.joint == "shoulder" else ("slack", "elbow_spring")
+        damping = dict(zip(names, (self.damping, self.spring), strict=True))
+        options = {"step": self.step, "integrator": integrator, "eulerdamp": damp}
+        return arm(**options, **armatures, **damping, actuators=actuators)
+
+    def asked(self, model: Any) -> JointAnswer:
+        """What is answered at the posture of the file alone."""
+        timing: dict[str, Any] = {"simulated": self.kind != "held"}
+        if self.kind in ("held", "outside"):
+            timing |= {
+                "rate": 1.0 / (self.substeps * self.step),
+                "delay": self.late * self.step,
+                "gains": {self.joint: {"kp": self.gains[0], "kd": self.gains[1]}},
+            }
+        return jaxstab.joints(model, **timing, postures=1).joints[self.joint]
+
+    def actuators(self) -> str:
+        if self.kind in RULES:
+            kp, kd = self.gains
+            return f'<position joint="{self.joint}" kp="{kp!r}" kv="{kd!r}"/>'
+        return f'<motor joint="{self.joint}"/>'
+
+    def settles(self, model: Any) -> bool | None:
+        """Whether MuJoCo brings it to rest: with its own actuator, or under torques of samples."""
+        if self.kind in RULES:
+            return settles(model, self.joint)
+        place, (kp, kd) = model.joint(self.joint).qposadr[0], self.gains
+        late, before = [0.0] * (self.late + 1), [START]
+
+        def apply(data: Any, count: int) -> None:
+            if count % self.substeps == 0:
+                here = float(data.qpos[place])
+                speed = (here - before[0]) / (self.substeps * self.step)
+                if self.kind == "outside":
+                    speed = float(data.qvel[place])
+                before[0] = here
+                late[self.late :] = [-kp * here - kd * speed] * self.substeps
+            data.ctrl[0] = late.pop(0)
+
+        return settles(model, self.joint, apply)
+
+
+def disagreements(kind: str, count: int) -> tuple[int, list[str]]:
+    """Armatures that give a joint 0.98 and 1.02 of the least inertia, and what MuJoCo does."""
+    rng, decided, wrong = np.random.default_rng([55, *kind.encode()]), 0, []
+    for _ in range(count):
+        case = Case(rng, kind)
+        plain = case.asked(case.model(0.0, case.actuators()))
+        least = plain.least_inertia
+        own = plain.inertia[0]  # free, or held: the other one then hardly moves
+        assert least > own
+        for side in (0.98, 1.02):
+            model = case.model(side * least - own, case.actuators())
+            answer = case.asked(model)
+            assert answer.inertia[0] == pytest.approx(side * least, rel=1e-6)
+            settled = case.settles(model)
+            expected = side > 1.0
+            assert answer.verdict == (Verdict.STABLE if expected else Verdict.UNSTABLE)
+            if settled is not None:
+                decided += 1
+                if settled != expected:
+                    wrong.append(f"{vars(case)} {side} {settled}")
+    return decided, wrong
+
+
+KINDS = ["held", "outside", *RULES]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_55_mujoco_settles_above_the_least_inertia_and_not_below(kind: str) -> None:
+    decided, wrong = disagreements(kind, 3)
+    assert not wrong
+    assert decided >= 5
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("kind", KINDS)
+def test_55_many_joints_of_mujoco_agree_with_their_least_inertia(kind: str) -> None:
+    decided, wrong = disagreements(kind, count := many(50))
+    assert not wrong
+    assert decided >= 1.8 * count
+
+
+# ------------------------------------------------------------------------------- what files contain
+TANGLED = """
+<mujoco>
+  <worldbody>
+    <body>
+      <freejoint name="base"/><geom size="0.1"/>
+      <body pos="0.2 0 0"><joint name="ball" type="ball"/><geom size="0.05"/></body>
+      <body pos="0 0.2 0"><joint name="plain"/><geom size="0.05" pos="0.1 0 0"/></body>
+      <body pos="0 0 0.2"><joint name="lead"/><geom size="0.05" pos="0.1 0 0"/></body>
+      <body pos="0 0 0.4"><joint name="mimic"/><geom size="0.05" pos="0.1 0 0"/></body>
+      <body pos="0 0 0.6"><joint name="pulled"/><geom size="0.05" pos="0.1 0 0"/></body>
+      <body pos="0 0 0.8"><joint name="pushed"/><geom size="0.05" pos="0.1 0 0"/></body>
+      <body pos="0.5 0 0">
+        <joint name="upper"/><geom size="0.05" pos="0.1 0 0"/>
+        <body name="left" pos="0.2 0 0"><joint name="left"/><geom size="0.05" pos="0.1 0 0"/></body>
+        <body name="right" pos="0.2 0.1 0">
+          <joint name="right"/><geom size="0.05" pos="0.1 0 0"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <tendon><fixed name="cable"><joint joint="pulled" coef="1"/><joint joint="pushed" coef="-1"/>
+  </fixed></tendon>
+  <equality>
+    <connect name="loop" body1="left" body2="right" anchor="0.2 0 0"/>
+    <joint name="same" joint1="lead" joint2="mimic"/>
+    <joint name="off" joint1="plain" joint2="upper" active="false"/>
+  </equality>
+  <actuator>
+    <position joint="plain" kp="3" kv="0.2" gear="2"/>
+    <velocity joint="upper" kv="0.3"/>
+    <position tendon="cable" kp="5"/>
+  </actuator>
+</mujoco>
+"""
+
+
+def test_55_every_joint_is_answered_or_has_its_reason() -> None:
+    model = mujoco.MjModel.from_xml_string(TANGLED)
+    answer = jaxstab.joints(model, rate=1000.0, delay=1e-3)
+    verdicts = {name: joint.verdict for name, joint in answer.joints.items()}
+    assert verdicts == {
+        "base": "it moves freely",
+        "ball": "a ball, of three axes",
+        "plain": Verdict.STABLE,
+        "lead": "equality same ties it to another joint",
+        "mimic": "equality same ties it to another joint",
+        "pulled": "tendon cable moves it with other joints",
+        "pushed": "tendon cable moves it with other joints",
+        "upper": "stable but for the position, which nothing holds",
+        "left": "equality loop closes a chain that it is in",
+        "right": "equality loop closes a chain that it is in",
+    }
+    assert (answer.joints["plain"].kp, answer.joints["plain"].kd) == (12.0, 0.8)  # gear squared
+    assert answer.all_stable
+    assert {*answer.safe_gains()} == {"plain", "upper"}
+
+
+def test_55_a_joint_that_cannot_be_computed_is_named_and_the_others_are_answered() -> None:
+    gains = {name: {"kp": 20.0, "kd": 1.0} for name in ("shoulder", "elbow")}
+    answer = jaxstab.joints(arm(slack=1e6), rate=500.0, delay=2e-3, gains=gains)
+    assert answer.joints["shoulder"].verdict == Verdict.STABLE
+    assert "a pole at 2^" in str(answer.joints["elbow"].verdict)
+    assert not answer.all_stable
+    assert {*answer.safe_gains()} == {"shoulder"}
+
+
+def test_55_a_velocity_servo_is_stable_but_for_its_position_unless_the_delay_varies() -> None:
+    _, plain = answered((0.0, 1.0))
+    assert plain.verdict == "stable but for the position, which nothing holds"
+    assert answered((0.0, plain.kd_growth * 1.001))[1].verdict == Verdict.UNSTABLE
+    assert answered((0.0, 0.1), jitter=1e-3)[1].verdict == Verdict.UNDECIDED
+
+
+def test_55_a_joint_without_gains_is_not_called_stable() -> None:
+    answer = jaxstab.joints(arm(), rate=500.0)
+    assert [joint.verdict for joint in answer.joints.values()] == ["no gains"] * 2
+    assert not answer.all_stable
+
+
+URDF = """
+<robot name="lift">
+  <link name="world"/>
+  <link name="base"><inertial><mass value="3"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0"
+   iyz="0"/></inertial><visual><geometry><mesh filename="package://none/none.dae"/></geometry>
+   </visual><collision><geometry><mesh filename="package://none/none.stl"/></geometry></collision>
+  </link>
+  <joint name="slide" type="prismatic"><parent link="world"/><child link="base"/>
+   <axis xyz="0 0 1"/><limit lower="0" upper="1" effort="1" velocity="1"/>
+   <dynamics damping="2" friction="4"/></joint>
+</robot>
+"""
+
+
+def test_55_urdf_is_read_without_its_meshes_and_slides_have_units_of_their_own(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "lift.urdf").write_text(URDF)
+    (tmp_path / "gains.yaml").write_text("slide: {kp: 1e3, kd: 60.0}\n")  # 1e3 is a text to YAML
+    command = [
+        "joints",
+        tmp_path / "lift.urdf",
+        "--gains",
+        tmp_path / "gains.yaml",
+        "--rate",
+        "500",
+    ]
+    done = run(*command, "--json")
+    joint = json.loads(done.stdout)["joints"]["slide"]
+    assert (done.exit_code, joint["verdict"], joint["motion"]) == (0, "stable", "slides")
+    assert joint["inertia"] == [3.0, 3.0]
+    assert (joint["damping"], joint["friction"], joint["kp"]) == (2.0, 4.0, 1000.0)
+    assert (joint["units"]["kp"], joint["units"]["friction"]) == ("N/m", "N")
+    assert "slide  slides  3" in run(*command).stdout
+
+
+def test_55_the_page_shows_what_the_command_prints(monkeypatch: pytest.MonkeyPatch) -> None:
+    root = Path(__file__).parents[1]
+    monkeypatch.chdir(root)
+    page = (root / "docs" / "robots.md").read_text(encoding="utf-8")
+    done = run("joints", "data/robots/arm.xml", "--rate", "500", "--delay", "2e-3")
+    assert f"```text\n{done.stdout}```" in page
+
+
+# ---------------------------------------------------------------------- what follows from an answer
+def answered(gains: tuple[float, float], **given: Any) -> tuple[Joints, JointAnswer]:
+    """The arm with gains of the elbow at 500 Hz and 2 ms."""
+    timing: dict[str, Any] = {"rate": 500.0, "delay": 2e-3}
+    own = {"elbow": {"kp": gains[0], "kd": gains[1]}}
+    answer = jaxstab.joints(arm(), **timing | given, gains=own)
+    return answer, answer.joints["elbow"]
+
+
+@pytest.mark.parametrize("side", [0.999, 1.001])
+def test_55_gains_and_delay_may_grow_by_what_is_said(side: float) -> None:
+    expected = Verdict.STABLE if side < 1.0 else Verdict.UNSTABLE
+    _, elbow = answered((20.0, 1.0))
+    assert answered((20.0 * elbow.kp_growth * side, 1.0))[1].verdict == expected
+    assert answered((20.0, elbow.kd_growth * side))[1].verdict == expected
+    later = 2e-3 + elbow.extra_delay * side
+    assert answered((20.0, 1.0), delay=later)[1].verdict == expected
+
+
+def test_55_safe_gains_have_a_factor_of_two_left(tmp_path: Path) -> None:
+    answer, elbow = answered((200.0, 10.0))
+    assert elbow.verdict == Verdict.UNSTABLE
+    safe = answer.safe_gains()["elbow"]
+    assert answered((2.0 * safe["kp"], 2.0 * safe["kd"]))[1].verdict == Verdict.STABLE
+    ratio = safe["kd"] / safe["kp"] ** 0.5
+    assert ratio == pytest.approx(10.0 / 200.0**0.5, rel=1e-3)  # that of the damping
+    (tmp_path / "safe.yaml").write_text(answer.as_yaml())
+    (tmp_path / "arm.xml").write_text(ARM.format(**PLAIN))
+    robot, timing = tmp_path / "arm.xml", ["--rate", "500", "--delay", "2e-3"]
+    done = run("joints", robot, *timing, "--gains", tmp_path / "safe.yaml")
+    assert done.exit_code == 0
+    assert done.stdout.count(" stable ") == 2
+
+
+def test_55_what_lacks_armature_is_stable_with_it() -> None:
+    _, elbow = answered((40.0, 4.0))
+    missing = elbow.missing_armature
+    for armature, verdict in ((1.001, Verdict.STABLE), (0.999, Verdict.UNSTABLE)):
+        model = arm(elbow=0.002 + missing * armature)
+        own = {"elbow": {"kp": 40.0, "kd": 4.0}}
+        answer = jaxstab.joints(model, rate=500.0, delay=2e-3, gains=own)
+        assert answer.joints["elbow"].verdict == verdict
+
+
+def test_55_a_delay_that_varies_allows_less() -> None:
+    _, constant = answered((20.0, 1.0), delay=3e-3)
+    _, moving = answered((20.0, 1.0), jitter=1e-3)
+    assert moving.verdict == Verdict.STABLE
+    assert moving.least_inertia > constant.least_inertia
+    _, elbow = answered((20.0, 1.0), jitter=0.03)
+    assert elbow.verdict != Verdict.STABLE
+
+
+# --------------------------------------------------------------------------------- what is refused
+PLAIN = {
+    "step": 1e-3,
+    "integrator": "Euler",
+    "eulerdamp": "enable",
+    "actuators": '<position joint="elbow" kp="900" kv="9"/>',
+    "shoulder": 0.01,
+    "elbow": 0.002,
+    "damping": 0.0,
+    "slack": 0.0,
+    "spring": 0.0,
+    "elbow_spring": 0.0,
+}
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ([], "rate is missing"),
+        (["--rate", "0"], "rate is 0"),
+        (["--rate", "500", "--delay", "-1"], "delay is -1"),
+        (["--rate", "500", "--jitter", "nan"], "jitter is nan"),
+        (["--simulated", "--delay", "1e-3"], "rate is missing"),
+        (["--simulated", "--rate", "500", "--jitter", "1e-3"], "simulated"),
+        (["--simulated", "--rate", "333"], "whole numbers of steps"),
+        (["--rate", "500", "--gains", "none.yaml"], "cannot read none.yaml"),
+        (["--rate", "500", "--gains", "{folder}/bad.yaml"], "not YAML"),
+        (["--rate", "500", "--gains", "{folder}/list.yaml"], "kp and kd by the names of joints"),
+        (["--rate", "500", "--gains", "{folder}/slip.yaml"], "give elbow, for instance"),
+        (["--rate", "500", "--gains", "{folder}/half.yaml"], "give kp and kd"),
+        (["--rate", "500", "--gains", "{folder}/word.yaml"], "kp of elbow"),
+        (["--rate", "500", "--safe-gains", "safe.txt"], "ends in neither .yaml nor .yml"),
+    ],
+)
+def test_55_bad_input_is_one_sentence(options: list[str], words: str, tmp_path: Path) -> None:
+    files = {
+        "bad": "elbow: {kp: 1",
+        "list": "- elbow",
+        "slip": "ellbow: {kp: 1, kd: 1}",
+        "half": "elbow: {kp: 1}",
+        "word": "elbow: {kp: soft, kd: 1}",
+    }
+    for name, text in files.items():
+        (tmp_path / f"{name}.yaml").write_text(text)
+    (tmp_path / "arm.xml").write_text(ARM.format(**PLAIN))
+    done = run("joints", tmp_path / "arm.xml", *(each.format(folder=tmp_path) for each in options))
+    assert done.exit_code == 2
+    assert_one_sentence(done.stderr)
+    assert words in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("<robot>", "reads no robot from"),
+        ("<mujoco><worldbody/></mujoco>", "no joint"),
+        ("<mujoco><nonsense/></mujoco>", "nonsense"),
+        ("<robot name='a'><link name='a'/><link name='b'/><joint name='j' type='continuous'>"
+         "<parent link='a'/><child link='b'/></joint></robot>", "mass and inertia"),
+    ],
+)  # fmt: skip
+def test_55_files_that_mujoco_does_not_read_are_named(
+    text: str, words: str, tmp_path: Path
+) -> None:
+    (tmp_path / "robot.xml").write_text(text)
+    done = run("joints", tmp_path / "robot.xml", "--rate", "500")
+    assert done.exit_code == 2
+    assert_one_sentence(done.stderr)
+    assert words in done.stderr
+
+
+def test_55_without_mujoco_the_sentence_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    done = run("joints", tmp_path / "robot.xml", "--rate", "500")
+    assert done.exit_code == 2
+    assert_one_sentence(done.stderr)
+    assert "jaxstab[robots]" in done.stderr
+
+
+def test_55_rules_whose_gains_are_not_affine_are_refused() -> None:
+    with pytest.raises(ValueError, match="RK4"):
+        jaxstab.joints(arm(integrator="RK4"), simulated=True)
+
+
+def test_55_a_damped_joint_under_held_torques_of_an_engine_is_not_called_proved() -> None:
+    timing: dict[str, Any] = {"rate": 250.0, "delay": 2e-3, "simulated": True}
+    gains = {"elbow": {"kp": 5.0, "kd": 0.5}}
+    for slack, verdict in ((0.0, Verdict.STABLE), (0.01, Verdict.UNDECIDED)):
+        answer = jaxstab.joints(arm(slack=slack), **timing, gains=gains)
+        assert answer.joints["elbow"].verdict == verdict
+        assert answer.all_stable == (verdict == Verdict.STABLE)
+
+
+def test_55_the_exit_code_tells_a_ci_of_a_joint_that_is_not_stable(tmp_path: Path) -> None:
+    (tmp_path / "arm.xml").write_text(ARM.format(**PLAIN))
+    command = ["joints", tmp_path / "arm.xml", "--rate", "500", "--delay", "2e-3"]
+    done = run(*command, "--csv", "-", "--safe-gains", tmp_path / "safe.yaml")
+    assert done.exit_code == 1
+    header, shoulder, elbow = (line.split(",") for line in done.stdout.splitlines())
+    assert dict(zip(header, shoulder, strict=True))["verdict"] == "no gains"
+    assert dict(zip(header, elbow, strict=True))["verdict"] == "unstable"
+    safe = [*command, "--gains", tmp_path / "safe.yaml"]
+    assert run(*safe).exit_code == 0
+    assert run(*command, "--simulated").exit_code == 1
+    simulated = run("joints", tmp_path / "arm.xml", "--simulated")
+    assert "inside of the simulation's step of 1 ms" in simulated.stdout
