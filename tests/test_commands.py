@@ -54,7 +54,7 @@ COMMANDS: list[tuple[str, list[str], int]] = [
     ("limits", [JOINT, "--set", "gains.soft.kp=10"], 1),  # the other pair is not stable
     ("check", [JOINT, "--set", "gains.stiff.kp=3500"], 0),
     ("check", [JOINT], 1),
-    ("tune", [JOINT, "--set", "loop.integrator=implicit", "--set", "loop.substeps=1"], 2),
+    ("tune", [JOINT, "--set", "loop.integrator=implicit", "--set", "loop.substeps=1"], 1),
     ("design", [JOINT], 0),
     ("design", [JOINT, "--set", "wanted.kp=1e12", "--set", "loop.substeps=1000"], 1),
     ("explore", [JOINT], 2),

@@ -44,8 +44,7 @@ class HapticLoop(LoopParameters):
     ``amplitude``, ``frequency_margins``, ``simulate``, ``contact``; about all walls:
     ``region``, ``limits``, ``stiffness_limits``, ``damping_limits``, ``stiffness_intervals``,
     ``damping_intervals``, ``boundary_distance``, ``tune``; about all hands of a range:
-    ``worst_hand``, ``robust_limit``; what a wall needs: ``range_of``; and ``to_control``. Numbers
-    are finite and in SI units.
+    ``worst_hand``, ``robust_limit``; and ``range_of``, ``to_control``. Numbers are in SI units.
 
     Fields may be arrays that broadcast; the loop then stands for many loops. The methods from
     ``verdict`` to ``amplitude`` broadcast them with the walls, if the device is one mass and the
@@ -699,7 +698,8 @@ class HapticLoop(LoopParameters):
 
         Args:
             stiffness, damping: see ``jaxstab.conventions``.
-            delays, lost: as for ``verdict``.
+            delays: as for ``verdict``.
+            lost: as for ``verdict``.
 
         Returns:
             WorstDelays, whose delays ``simulate`` takes.
