@@ -123,7 +123,7 @@ def test_what_was_changed_is_refused(
         ("loop.stiffness", "51"),
         ("loop.sample_time", "1/999"),
         ("loop.delay_samples", "8/5"),
-        ("loop.velocity.difference", "9"),
+        ("loop.velocity.window_samples", "9"),
     ):
         assert said_of(reader, changed(claims, path, value), tmp_path) == 1, path
         assert "REFUSED" in capsys.readouterr().out
@@ -135,7 +135,7 @@ def test_what_was_changed_is_refused(
         ("format", "other"),
         ("walls.soft.verdict", "maybe"),
         ("loop.mass", "0"),
-        ("loop.velocity", {"butterworth": 1}),
+        ("loop.velocity", {"butterworth": "1"}),
         ("walls.soft.stiffness_intervals.0", ["2", "1"]),
         ("walls.soft.stiffness", "much"),
     ],

@@ -7,8 +7,8 @@ standard library of Python alone. It exits with 0 if it confirms all claims.
 The loop. m x'' + b x' + k x = F (device and hand). The position is sampled every T seconds; a
 sample y_j makes the force -(K y_j + B v_j), which begins d = w + f sampling periods later (w whole,
 0 <= f < 1) and is held for T. v is the difference over n samples, or that over one behind
-first-order low passes of the pole exp(-2 pi c T), c the cut-off. With T as the unit of time and
-m/T^2 as that of K, only kT^2/m, bT/m, KT^2/m and BT/m are left. The state (x, x', F) moves by
+first-order low passes of the pole exp(-2 pi c), c the cut-off times T. With T as the unit of time
+and m/T^2 as that of K, only kT^2/m, bT/m, KT^2/m and BT/m are left. The state (x, x', F) moves by
 e^(rates h) over h. From the force that was before during f, and the new one during 1 - f, follow
 x_(j+1) = Phi x_j + new u_(j-w) + old u_(j-w-1) and the polynomial whose roots are the poles:
 
@@ -152,14 +152,13 @@ def numbers(*values):
 
 def velocity(loop):
     """V_above and V_below in units of 1/T."""
-    if "difference" in loop["velocity"]:
-        n = int(loop["velocity"]["difference"])
+    given = {name: Fraction(value) for name, value in loop["velocity"].items()}
+    if "window_samples" in given:
+        n = int(given["window_samples"])
         return numbers(Fraction(-1, n), *[0] * (n - 1), Fraction(1, n)), numbers(*[0] * n, 1)
-    cutoff, order = loop["velocity"]["low_pass"]
-    turn = Real.of(-2 * Fraction(cutoff) * Fraction(loop["sample_time"]))
-    pole = exponential_of(turn * pi())
+    pole = exponential_of(Real.of(-2 * given["cutoff"]) * pi())  # in cycles per sample
     above, below = numbers(-1, 1), numbers(0, 1)
-    for _ in range(int(order)):
+    for _ in range(int(given["order"])):
         above = times(above, [Real.of(0), Real.of(1) - pole])
         below = times(below, [-pole, Real.of(1)])
     return above, below

@@ -32,7 +32,7 @@ from jaxstab.loop.region import Gains
 from jaxstab.model.balls import ball_triple
 from jaxstab.model.device.device import in_steps
 from jaxstab.model.device.parts import MassSpringDamper, Modes
-from jaxstab.model.filters import LOW_PASSES, Average, Filter, Velocity
+from jaxstab.model.filters import Filter, Velocity
 from jaxstab.model.parameters import LONGEST_DELAY
 from jaxstab.numbers import checked_count, checked_number, checked_word
 from jaxstab.shown import number_text
@@ -280,7 +280,7 @@ def _scan(loop: Any, quantity: str, wall: Gains, count: int) -> _Scan:
         whole = [n * body.step for n in range(round(most / body.step) + 1)] if body else None
     elif quantity == "sample_time":  # few have whole samples in a window in s, or whole steps
         chain = (loop.velocity or Velocity()).filter * (loop.position or Filter())
-        windows = [own.window for own in chain.sections if isinstance(own, Average) and own.window]
+        windows = chain.windows
         whole = [n * body.step for n in counts] if body else None
         whole = [windows[0] / n for n in counts][::-1] if windows else whole
     if whole:
@@ -305,7 +305,8 @@ def _scan(loop: Any, quantity: str, wall: Gains, count: int) -> _Scan:
 def _changed(quantity: str, in_samples: bool, loop: Any, value: float) -> Any:
     """The loop with another value of a quantity."""
     if quantity in ("cutoff", "window"):
-        return replace(loop, velocity=_estimator(loop.velocity or Velocity(), quantity, value))
+        velocity = loop.velocity or Velocity()
+        return replace(loop, velocity=velocity.with_number(quantity, value))
     if quantity == "sample_time" and in_samples:
         return replace(loop, sample_time=value, delay=loop.delay_samples * value)
     if loop.device is None or quantity in ("sample_time", "delay"):
@@ -319,25 +320,6 @@ def _changed(quantity: str, in_samples: bool, loop: Any, value: float) -> Any:
         )
     changed: Any = {name: value}
     return replace(loop, device=replace(loop.device, mechanism=replace(body, **changed)))
-
-
-def _estimator(velocity: Velocity, quantity: str, value: float) -> Velocity:
-    """An estimator with another cut-off in Hz, or with another window in samples."""
-    sections: list[Any] = list(velocity.filter.sections)
-    kinds: Any = LOW_PASSES if quantity == "cutoff" else Average
-    places = [k for k, section in enumerate(sections) if isinstance(section, kinds)]
-    if not places and quantity == "window" and all(section.maker for section in sections):
-        sections, places = [Average(1, None), *sections], [0]  # the difference over one sample
-    if len(places) != 1:
-        raise ValueError(
-            f"quantity is {quantity!r}, but the velocity ({velocity}) has {len(places)} of it; "
-            "give an estimator with one, such as jaxstab.Velocity.low_pass(100.0)."
-        )
-    (place,) = places
-    of_window = {"samples": int(value), "window": None}
-    changed = of_window if quantity == "window" else {"cutoff": value}
-    sections[place] = replace(sections[place], **changed)
-    return Velocity(Filter(tuple(sections)))
 
 
 # --------------------------------------------------------------------------- any loop of two gains

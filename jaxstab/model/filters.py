@@ -631,6 +631,12 @@ class Filter:
     def __str__(self) -> str:
         return ", ".join(map(str, self.sections)) or "no filter"
 
+    @property
+    def windows(self) -> list[float]:
+        """The windows that are given in s."""
+        averages = (section for section in self.sections if isinstance(section, Average))
+        return [average.window for average in averages if average.window]
+
     def per_sample(self, sample_time: Numbers) -> "Filter":
         """The filter in units of a sampling period in s, as five-number functions take it.
 
@@ -785,6 +791,27 @@ class Velocity:
     def per_sample(self, sample_time: Numbers) -> "Velocity":
         """Return the estimator in units of a sampling period: ``Filter.per_sample``."""
         return Velocity(self.filter.per_sample(sample_time))
+
+    def with_number(self, quantity: str, value: float) -> "Velocity":
+        """The estimator with another "cutoff" in Hz, or with another "window" in samples.
+
+        Raises: ValueError unless one section has such a number.
+        """
+        sections: list[Any] = list(self.filter.sections)
+        kinds: Any = LOW_PASSES if quantity == "cutoff" else Average
+        places = [k for k, section in enumerate(sections) if isinstance(section, kinds)]
+        if not places and quantity == "window" and all(section.maker for section in sections):
+            sections, places = [Average(1, None), *sections], [0]  # the difference over one sample
+        if len(places) != 1:
+            raise ValueError(
+                f"quantity is {quantity!r}, but the velocity ({self}) has {len(places)} of it; "
+                "give an estimator with one, such as jaxstab.Velocity.low_pass(100.0)."
+            )
+        (place,) = places
+        of_window = {"samples": int(value), "window": None}
+        changed = of_window if quantity == "window" else {"cutoff": value}
+        sections[place] = replace(sections[place], **changed)
+        return Velocity(Filter(tuple(sections)))
 
     def stages(self, sample_time: Numbers = 1.0) -> tuple[int, list[Stage]]:
         """A number of samples n, and filters of low orders behind (1 - z^-n) / n, in float64."""

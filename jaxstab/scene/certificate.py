@@ -12,7 +12,6 @@ from typing import Any
 from jaxstab.conventions import Verdict
 from jaxstab.loop import Gains, HapticLoop
 from jaxstab.model import Velocity
-from jaxstab.model.filters import Average, LowPass
 from jaxstab.scene.limits import stable_intervals
 from jaxstab.scene.loops import hands_of, loop_of, walls_of
 from jaxstab.scene.scene import Scene
@@ -47,19 +46,15 @@ def certificate(scene: Scene) -> dict[str, Any]:
     }
 
 
-def _estimator(loop: HapticLoop) -> dict[str, Any]:
+def _estimator(loop: HapticLoop) -> dict[str, str]:
+    """The keys of the estimator as in scenes, a cut-off in cycles per sample."""
     sections = (loop.velocity or Velocity()).filter.per_sample(loop.sample_time).sections
-    match sections:
-        case ():
-            return {"difference": 1}
-        case (Average(),):
-            return {"difference": sections[0].length}
-        case (LowPass(),):
-            given: Any = loop.velocity.filter.sections[0]  # type: ignore[union-attr]
-            return {"low_pass": [str(Fraction(float(given.cutoff))), given.order]}
-    raise ValueError(
-        f"velocity is {loop.velocity}; a certificate is of a difference or a low pass."
-    )
+    keys = {**sections[0].toml} if sections else {"window_samples": 1}
+    if len(sections) > 1 or {*keys} not in ({"window_samples"}, {"cutoff", "order"}):
+        raise ValueError(
+            f"velocity is {loop.velocity}; a certificate is of a difference or a low pass."
+        )
+    return {name: str(Fraction(value)) for name, value in keys.items()}
 
 
 def _claims(loop: HapticLoop, wall: Gains) -> dict[str, Any]:
