@@ -218,6 +218,13 @@ def test_options_replace_the_delay_of_a_file(tmp_path: Path) -> None:
     assert "delay_is" not in answered("limits", file, "--delay", "0.001")["inputs"]
 
 
+def test_a_delay_that_is_given_beside_a_file_stays_constant(tmp_path: Path) -> None:
+    file = written(tmp_path, "delay = [0.0, 0.001]\ndelay_is = 'constant'")
+    for delay in (["--delay", "0.0:0.0005"], ["--delay-samples", "0:2"], ["--delay", "0.0005"]):
+        assert "moves" not in run("limits", file, *delay).stdout
+    assert "for every constant delay" in run("limits", file, "--delay", "0.0:0.0005").stdout
+
+
 def test_samples_may_be_lost_of_a_delay_that_is_otherwise_constant() -> None:
     lossy = limits_of(scene(delay=T, delay_is="moving", lost_samples=1))
     assert lossy.inputs is not None

@@ -206,8 +206,12 @@ def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
     if any(not isinstance(merged.get(section, {}), dict) for section in chosen):
         return merged  # which is refused
     if {"delay", "delay_samples"} & chosen.get("controller", {}).keys():  # in either unit
-        kept = merged.get("controller", {}).items()
-        merged["controller"] = {key: value for key, value in kept if "delay" not in key}
+        kept, lost = merged.get("controller", {}).items(), chosen["controller"].get("lost_samples")
+        merged["controller"] = {
+            key: value
+            for key, value in kept
+            if "delay" not in key or (value == "constant" and not lost)
+        }
     merged |= {name: merged.get(name, {}) | keys for name, keys in chosen.items()}
     for name, value in given.get("lines", {}).items():
         merged = with_value(merged, name, value_of(value), name.split("."))
