@@ -32,7 +32,7 @@ from jaxstab.loop.region import Gains
 from jaxstab.model.balls import ball_triple
 from jaxstab.model.device.device import in_steps
 from jaxstab.model.device.parts import MassSpringDamper, Modes
-from jaxstab.model.filters import Filter, Velocity
+from jaxstab.model.filters import Filter, Velocity, windows_in_seconds, with_number
 from jaxstab.model.parameters import LONGEST_DELAY
 from jaxstab.numbers import checked_count, checked_number, checked_word
 from jaxstab.shown import number_text
@@ -280,7 +280,7 @@ def _scan(loop: Any, quantity: str, wall: Gains, count: int) -> _Scan:
         whole = [n * body.step for n in range(round(most / body.step) + 1)] if body else None
     elif quantity == "sample_time":  # few have whole samples in a window in s, or whole steps
         chain = (loop.velocity or Velocity()).filter * (loop.position or Filter())
-        windows = chain.windows
+        windows = windows_in_seconds(chain)
         whole = [n * body.step for n in counts] if body else None
         whole = [windows[0] / n for n in counts][::-1] if windows else whole
     if whole:
@@ -306,7 +306,7 @@ def _changed(quantity: str, in_samples: bool, loop: Any, value: float) -> Any:
     """The loop with another value of a quantity."""
     if quantity in ("cutoff", "window"):
         velocity = loop.velocity or Velocity()
-        return replace(loop, velocity=velocity.with_number(quantity, value))
+        return replace(loop, velocity=with_number(velocity, quantity, value))
     if quantity == "sample_time" and in_samples:
         return replace(loop, sample_time=value, delay=loop.delay_samples * value)
     if loop.device is None or quantity in ("sample_time", "delay"):

@@ -631,12 +631,6 @@ class Filter:
     def __str__(self) -> str:
         return ", ".join(map(str, self.sections)) or "no filter"
 
-    @property
-    def windows(self) -> list[float]:
-        """The windows that are given in s."""
-        averages = (section for section in self.sections if isinstance(section, Average))
-        return [average.window for average in averages if average.window]
-
     def per_sample(self, sample_time: Numbers) -> "Filter":
         """The filter in units of a sampling period in s, as five-number functions take it.
 
@@ -792,27 +786,6 @@ class Velocity:
         """Return the estimator in units of a sampling period: ``Filter.per_sample``."""
         return Velocity(self.filter.per_sample(sample_time))
 
-    def with_number(self, quantity: str, value: float) -> "Velocity":
-        """The estimator with another "cutoff" in Hz, or with another "window" in samples.
-
-        Raises: ValueError unless one section has such a number.
-        """
-        sections: list[Any] = list(self.filter.sections)
-        kinds: Any = LOW_PASSES if quantity == "cutoff" else Average
-        places = [k for k, section in enumerate(sections) if isinstance(section, kinds)]
-        if not places and quantity == "window" and all(section.maker for section in sections):
-            sections, places = [Average(1, None), *sections], [0]  # the difference over one sample
-        if len(places) != 1:
-            raise ValueError(
-                f"quantity is {quantity!r}, but the velocity ({self}) has {len(places)} of it; "
-                "give an estimator with one, such as jaxstab.Velocity.low_pass(100.0)."
-            )
-        (place,) = places
-        of_window = {"samples": int(value), "window": None}
-        changed = of_window if quantity == "window" else {"cutoff": value}
-        sections[place] = replace(sections[place], **changed)
-        return Velocity(Filter(tuple(sections)))
-
     def stages(self, sample_time: Numbers = 1.0) -> tuple[int, list[Stage]]:
         """A number of samples n, and filters of low orders behind (1 - z^-n) / n, in float64."""
         section, *others = self.filter.per_sample(sample_time).sections or (Average(1, None),)
@@ -840,6 +813,34 @@ class Velocity:
         if isinstance(section, Differentiator) or section.maker is None:
             return str(self.filter)
         return f"the difference over one sample, {self.filter}"
+
+
+def windows_in_seconds(filter_: Filter) -> list[float]:
+    """The windows of a filter that are given in s."""
+    averages = (section for section in filter_.sections if isinstance(section, Average))
+    return [average.window for average in averages if average.window]
+
+
+def with_number(velocity: Velocity, quantity: str, value: float) -> Velocity:
+    """An estimator with another "cutoff" in Hz, or with another "window" in samples.
+
+    Raises: ValueError unless one section has such a number.
+    """
+    sections: list[Any] = list(velocity.filter.sections)
+    kinds: Any = LOW_PASSES if quantity == "cutoff" else Average
+    places = [k for k, section in enumerate(sections) if isinstance(section, kinds)]
+    if not places and quantity == "window" and all(section.maker for section in sections):
+        sections, places = [Average(1, None), *sections], [0]  # the difference over one sample
+    if len(places) != 1:
+        raise ValueError(
+            f"quantity is {quantity!r}, but the velocity ({velocity}) has {len(places)} of it; "
+            "give an estimator with one, such as jaxstab.Velocity.low_pass(100.0)."
+        )
+    (place,) = places
+    of_window = {"samples": int(value), "window": None}
+    changed = of_window if quantity == "window" else {"cutoff": value}
+    sections[place] = replace(sections[place], **changed)
+    return Velocity(Filter(tuple(sections)))
 
 
 def behind_measured(velocity: Velocity) -> Filter | None:
