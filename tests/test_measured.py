@@ -44,9 +44,16 @@ def test_the_errors_of_the_record_follow_from_its_limits_and_the_data() -> None:
 
 
 def test_the_inertia_of_the_ultimate_gains_is_gain_over_squared_frequency() -> None:
-    for gain, period in ((0.07, 23e-3), (0.01345, 45e-3)):
+    for gain, period in ((0.07, 23e-3), (0.01345, 45e-3), (1.8, 23e-3)):
         inertia = gain * DEGREES * (period / (2.0 * np.pi)) ** 2
         assert f"{inertia:.1e} kg m^2" in PAGE
+
+
+def test_the_curves_of_levant_and_of_the_difference_are_a_factor_of_two_apart() -> None:
+    read = measured.curves()
+    (at, low), (more, high) = read["difference_low_pass"], read["levant"]
+    np.testing.assert_array_equal(at, more[: len(at)])
+    assert (high[: len(at)] > 2.0 * low).all()
 
 
 def steady_kalman() -> tuple[np.ndarray, np.ndarray]:
