@@ -28,6 +28,7 @@ BENCHMARKS = (
     "exact",
     "polynomials",
     "stress",
+    "measured",
 )
 
 
