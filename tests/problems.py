@@ -299,3 +299,14 @@ PROBLEMS: tuple[Problem, ...] = tuple(
 def points() -> np.ndarray:
     """The parameters of all problems in their order, shape (problem, 5)."""
     return np.array([problem.point for problem in PROBLEMS])
+
+
+LEAST_INERTIAS = [
+    (2e-3, (10.0, 1.0), 0.0024816383),
+    (2e-3, (20.0, 2.0), 0.0049632767),
+    (2e-3, (40.0, 2.0), 0.0051069302),
+    (6e-3, (10.0, 1.0), 0.0052609807),
+    (6e-3, (20.0, 2.0), 0.0105219615),
+    (6e-3, (40.0, 2.0), 0.0110740324),
+]
+"""Of an undamped joint at 500 Hz with a one-sample difference: delay in s, kp and kd, kg m^2."""

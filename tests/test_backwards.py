@@ -14,10 +14,10 @@ import mpmath
 import numpy as np
 import pytest
 from campaign import many
-from click.testing import CliRunner, Result
+from commands import run
+from problems import LEAST_INERTIAS
 
 import jaxstab
-from jaxstab.cli.main import main
 from jaxstab.results import StableValues
 
 JOINT = jaxstab.HapticLoop(device_mass=1.0, device_damping=0.0, sample_time=2e-3, delay=2e-3)
@@ -83,17 +83,7 @@ def times(p: list[Any], q: list[Any]) -> list[Any]:
     return product
 
 
-@pytest.mark.parametrize(
-    ("delay", "gains", "least"),
-    [
-        (2e-3, (10.0, 1.0), 0.0024816383),
-        (2e-3, (20.0, 2.0), 0.0049632767),
-        (2e-3, (40.0, 2.0), 0.0051069302),
-        (6e-3, (10.0, 1.0), 0.0052609807),
-        (6e-3, (20.0, 2.0), 0.0105219615),
-        (6e-3, (40.0, 2.0), 0.0110740324),
-    ],
-)
+@pytest.mark.parametrize(("delay", "gains", "least"), LEAST_INERTIAS)
 def test_the_least_inertia_of_a_joint_of_500_hz(
     delay: float, gains: tuple[float, float], least: float
 ) -> None:
@@ -339,10 +329,6 @@ def test_what_cannot_be_asked_is_refused_in_a_sentence(ask: Callable[[], Any], w
 
 
 # ---------------------------------------------------------------------------------------- commands
-def run(*arguments: str) -> Result:
-    return CliRunner().invoke(main, [*arguments], catch_exceptions=False)
-
-
 def test_limits_of_gains_without_an_inertia_answer_the_least_one() -> None:
     shown = run("limits", "--gains", "40", "2", "--rate", "500", "--delay", "0.002")
     assert (shown.exit_code, shown.stderr) == (0, "")

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from campaign import many
-from click.testing import CliRunner
+from commands import run
 
-from jaxstab.cli.main import main
 from jaxstab.scene import Scene
 from jaxstab.scene.certificate import certificate
 
@@ -152,7 +151,7 @@ def test_a_file_that_cannot_be_read_is_named(
 def test_check_writes_a_certificate(reader: Any, tmp_path: Path) -> None:
     phantom = READER.parents[1] / "scenes" / "phantom.toml"
     file = tmp_path / "wall.json"
-    done = CliRunner().invoke(main, ["check", str(phantom), "--certificate", str(file)])
+    done = run("check", phantom, "--certificate", file)
     assert done.exit_code == 1  # one of its walls is unstable
     assert [*json.loads(file.read_text())["walls"]] == ["passive", "chai3d", "too_stiff"]
     assert reader.main(file) == 0

@@ -10,13 +10,12 @@ import numpy as np
 import open_loops
 import pytest
 from campaign import many
-from click.testing import CliRunner
+from commands import run
 from matplotlib.figure import Figure
 from mpmath import mp
 
 import jaxstab
 from jaxstab import Device, HapticLoop, Loop, Mode, Velocity
-from jaxstab.cli.main import main
 from jaxstab.scene import Scene, check_walls
 
 WINDOW = HapticLoop(
@@ -406,6 +405,6 @@ def test_check_prints_all_margins_on_request_for_the_worst_hand() -> None:
 
 def test_check_of_other_gains_has_them_too_and_an_unstable_wall_has_none() -> None:
     pid = "data/scenes/gains/pid.toml"
-    result = CliRunner().invoke(main, ["check", pid, "--frequency"])
+    result = run("check", pid, "--frequency")
     assert re.search(r"(?m)^  disk margin +0.9167 at 24.9245 Hz$", result.output)
     assert re.search(r"(?m)^  phase margin +none: the wall is not stable$", result.output)

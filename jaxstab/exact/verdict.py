@@ -26,9 +26,11 @@ at 1, the position may stay anywhere; whether all others are inside is asked wit
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from jaxstab.conventions import Status, Verdict
+from jaxstab.model.affine import AffineParts, affine_triple
 from jaxstab.model.balls import Triple
 from jaxstab.model.device.parts import decided
 from jaxstab.model.filters import has_roots_inside
@@ -88,6 +90,15 @@ def wall_verdict(
 
     answer = decided(judged)
     return answer or WallVerdict(Verdict.UNDECIDED, VerdictStatus.UNDECIDED)
+
+
+def affine_verdict(parts: AffineParts, first: float, second: float) -> Verdict:
+    """The verdict on two gains of a loop, in fractions where balls leave it open."""
+    answer = wall_verdict(partial(affine_triple, parts), first, second)
+    if answer.status == VerdictStatus.UNDECIDED:
+        exact = parts.polynomial(first, second)
+        return answer.verdict if exact is None else rational_verdict(exact)
+    return answer.verdict
 
 
 def rational_verdict(p: "fmpq_poly") -> Verdict:

@@ -33,10 +33,10 @@ from jaxstab.arrays import (
     repeat_and_keep,
 )
 from jaxstab.conventions import Range, Verdict
-from jaxstab.exact import VerdictStatus, stable_line, wall_verdict
+from jaxstab.exact import stable_line
 from jaxstab.exact.boundary import ScaledLoop
 from jaxstab.exact.line import LineStatus, StableLine
-from jaxstab.exact.verdict import rational_verdict
+from jaxstab.exact.verdict import affine_verdict
 from jaxstab.loop.frequency import FrequencyMargins, margins_at_frequencies, plot
 from jaxstab.loop.margins import GainMargins, margins_of_gains
 from jaxstab.loop.region import Gains
@@ -359,11 +359,7 @@ class Loop:
         return named(codes, Verdict)
 
     def _verdict(self, first: float, second: float) -> Verdict:
-        answer = wall_verdict(partial(affine_triple, self.parts), first, second)
-        if answer.status == VerdictStatus.UNDECIDED:
-            exact = self.parts.polynomial(first, second)
-            return answer.verdict if exact is None else rational_verdict(exact)
-        return answer.verdict
+        return affine_verdict(self.parts, first, second)
 
     def spectral_radius(self, **gains: Numbers) -> SpectralRadius:
         """The largest modulus of the poles per sample, with the bound of its error.

@@ -7,19 +7,18 @@ fractions. Where JAX has the coefficients, float64 is all there is.
 """
 
 from functools import partial
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float64, Int8
 
 from jaxstab.arrays import Array, Numbers, constant, float_arrays, is_any_jax, named, namespace
 from jaxstab.batches import MANY_COEFFICIENTS, compiled
-from jaxstab.conventions import RadiusStatus, Verdict
-from jaxstab.exact import TripleAt, spectral_radius, wall_verdict
-from jaxstab.exact.verdict import rational_verdict
+from jaxstab.conventions import Verdict
+from jaxstab.exact import spectral_radius
+from jaxstab.exact.verdict import affine_verdict
 from jaxstab.model.affine import GivenParts, affine_triple
 from jaxstab.numbers import require_x64
-from jaxstab.point.radius import SpectralRadius, radius_error
+from jaxstab.point.radius import SpectralRadius, radius_error, with_status
 from jaxstab.point.schur_cohn import UNDERFLOW, Ends, polynomial_codes
 from jaxstab.rounding import SAFETY, UNIT
 
@@ -54,7 +53,8 @@ def is_schur(coefficients: Numbers) -> Int8[Array, "*grid"]:
         return _codes(given)
     codes = np.array(_codes(given))
     for place in np.flatnonzero(codes == Verdict.UNDECIDED):
-        codes.flat[place] = _exactly(given.reshape(-1, given.shape[-1])[place].tolist())
+        row = given.reshape(-1, given.shape[-1])[place].tolist()
+        codes.flat[place] = affine_verdict(_parts(row), 0.0, 0.0)
     return named(codes, Verdict)
 
 
@@ -85,11 +85,10 @@ def radius(coefficients: Numbers) -> SpectralRadius:
         value, error = np.array(value), np.array(error)
         rows = given.reshape(-1, given.shape[-1])
         for place in np.flatnonzero(~(error <= _COARSE * value)):
-            found = spectral_radius(_triple(rows[place].tolist()), 0.0, 0.0)
+            triple = partial(affine_triple, _parts(rows[place].tolist()))
+            found = spectral_radius(triple, 0.0, 0.0)
             value.flat[place], error.flat[place] = found.value, found.error
-    xp = namespace(value)
-    status = xp.where(error < xp.inf, np.int8(RadiusStatus.PROVED), np.int8(RadiusStatus.NO_BOUND))
-    return SpectralRadius(value, error, named(status, RadiusStatus))
+    return with_status(value, error)
 
 
 def _checked(coefficients: Numbers) -> Float64[Array, "*grid coefficient"]:
@@ -125,13 +124,9 @@ def _codes(coefficients: Array) -> Array:
         degree = len(columns) - 1
         size = xp.sum(abs(columns), axis=0)
         error = SAFETY * UNIT * size + UNDERFLOW
-        signs = (-1.0) ** xp.arange(degree + 1)  # of p(-1), times that of its first power
-        at_one, at_minus_one = (
-            xp.sum(columns * sign.reshape(-1, *(1,) * size.ndim), axis=0)
-            for sign in (signs**2, signs)
-        )
+        even, odd = xp.sum(columns[::2], axis=0), xp.sum(columns[1::2], axis=0)
         end_error = error + degree * UNIT * size
-        ends = Ends(at_one, end_error, at_minus_one, end_error)
+        ends = Ends(even + odd, end_error, even - odd, end_error)  # (-1)^n p(-1)
         codes = polynomial_codes(columns, error, ends, UNIT, degree)
         is_one = xp.all(xp.isfinite(coefficients), axis=-1) & (coefficients[..., 0] != 0.0)
     return xp.where(is_one, codes, np.int8(Verdict.UNDECIDED))
@@ -153,17 +148,6 @@ def _radii(coefficients: Array) -> tuple[Array, Array]:
         return value, radius_error(*constant((monic, value)))
 
 
-def _triple(coefficients: list[float]) -> TripleAt:
-    """A polynomial as the base of a loop of two gains, which are 0."""
-    return partial(affine_triple, _parts(coefficients))
-
-
 def _parts(coefficients: list[float]) -> GivenParts:
+    """A polynomial as the base of a loop of two gains, which are 0."""
     return GivenParts(tuple(coefficients), (1.0,), (1.0,))
-
-
-def _exactly(coefficients: list[float]) -> Verdict:
-    parts = _parts(coefficients)
-    verdict = wall_verdict(partial(affine_triple, parts), 0.0, 0.0).verdict
-    exact: Any = parts.polynomial(0.0, 0.0)
-    return rational_verdict(exact) if verdict == Verdict.UNDECIDED else verdict

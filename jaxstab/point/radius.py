@@ -321,7 +321,7 @@ def spectral_radius(
     points = [own.asarray(value, np.float64) for value in checked_arguments[:-1]]
     points.append(np.asarray(checked_arguments[-1], np.float64))
     if filters:
-        radius = _with_status(*filtered_radius(Points(*points), filters))
+        radius = with_status(*filtered_radius(Points(*points), filters))
     else:
         radius = _concrete_radius(points, is_fast=is_fast)
     answer = _believed(radius, points[2], points[3])
@@ -338,7 +338,7 @@ def linear_spectral_radius(alpha: Array, beta: Array, loop: LinearLoop) -> Spect
         shape = np.broadcast_shapes(*map(np.shape, leaves(walls)))
         value, error = _listed_radii(walls, shape, np.arange(prod(shape)))
         both = xp.asarray(value.reshape(shape)), xp.asarray(error.reshape(shape))
-    return _with_status(*both)
+    return with_status(*both)
 
 
 def _concrete_radius(points: list[Array], *, is_fast: bool) -> SpectralRadius:
@@ -386,7 +386,7 @@ def _of_delay(
     # The error of all others is at most TOLERANCE.
     status = namespace(value).full(shape, np.int8(RadiusStatus.PROVED))
     if still_open.size:
-        listed = _with_status(value.ravel()[still_open], error.ravel()[still_open]).status
+        listed = with_status(value.ravel()[still_open], error.ravel()[still_open]).status
         status = with_values(status, still_open, listed)
     return SpectralRadius(value, error, named(status, RadiusStatus))
 
@@ -433,7 +433,7 @@ def _traced_radius(*arguments: Numbers, filters: Filters | None) -> SpectralRadi
     velocity, position = filters or (None, None)
     radius = partial(_traced_radius_of, is_summed=filters is not None)
     both = over_grid(radius, *arguments, velocity=velocity, position=position)
-    return _believed(_with_status(*both), *arguments[2:4])
+    return _believed(with_status(*both), *arguments[2:4])
 
 
 def _traced_radius_of(coefficients: Array, *, is_summed: bool) -> tuple[Array, Array]:
@@ -454,10 +454,11 @@ def _believed(radius: SpectralRadius, gamma: Array, delta: Array) -> SpectralRad
     if xp is np and not np.any(is_damped) and not np.any(is_lost):
         return radius
     is_lost = is_lost | (is_damped & (value < small_radius))
-    return _with_status(value, xp.where(is_lost, xp.inf, error))
+    return with_status(value, xp.where(is_lost, xp.inf, error))
 
 
-def _with_status(value: Array, error: Array) -> SpectralRadius:
+def with_status(value: Array, error: Array) -> SpectralRadius:
+    """Radii with what their bounds say: proved, or none."""
     xp = namespace(value, error)
     status = xp.where(error < xp.inf, np.int8(RadiusStatus.PROVED), np.int8(RadiusStatus.NO_BOUND))
     return SpectralRadius(value, error, named(status, RadiusStatus))

@@ -45,7 +45,7 @@ from jaxstab.scene.hands import (
     loops_over_delays,
     worst_on,
 )
-from jaxstab.scene.limits import numbered
+from jaxstab.scene.limits import inner_ends, numbered
 from jaxstab.scene.loops import (
     OneHand,
     corner_loops,
@@ -394,8 +394,7 @@ def _stable_beside(gain: float, loops: list[HapticLoop], method: str) -> list[tu
     """The gains beside another one, from 0 on, with which all loops are stable; NaN for none."""
     common = [(0.0, inf)]
     for loop in loops:
-        own = getattr(loop, method)(gain).intervals  # none where they are not resolved
-        ends = [(low.value + low.error, high.value - high.error) for low, high in own]
+        ends = inner_ends(getattr(loop, method)(gain))  # none where they are not resolved
         pairs = ((max(a, c), min(b, d)) for a, b in common for c, d in ends)
         common = [(low, high) for low, high in pairs if low < high]
     return common or [(nan, nan)]

@@ -402,13 +402,17 @@ def stable_intervals(line: StableLine, safety: float, value: float) -> list[tupl
         raise ValueError(
             "the intervals of stable gains were not resolved; change one value a little."
         )
-    ends = [(_inner(low, 1.0), _inner(high, -1.0)) for low, high in line.intervals]
-    scaled = [inwards(low, high, safety) for low, high in ends]
+    scaled = [inwards(low, high, safety) for low, high in inner_ends(line)]
     scaled = [(low, high) for low, high in scaled if low <= high] or [(nan, nan)]
     holding = [k for k, (low, high) in enumerate(scaled) if low <= value <= high]
     small = [k for k, (low, high) in enumerate(scaled) if low <= 0.0 < high]
     (first,) = (holding or small or [len(scaled) - 1])[:1]
     return [scaled[first], *scaled[:first], *scaled[first + 1 :]]
+
+
+def inner_ends(line: StableLine) -> list[tuple[float, float]]:
+    """The ends of the intervals of a line, within their errors."""
+    return [(_inner(low, 1.0), _inner(high, -1.0)) for low, high in line.intervals]
 
 
 def _inner(end: End, way: float) -> float:
