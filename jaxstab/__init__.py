@@ -6,6 +6,6 @@ loads what it needs when it is first used, so a program that only queries an atl
 
 from jaxstab.lazy import attach_stub
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
 __getattr__, __dir__, __all__ = attach_stub(__name__, __file__)
