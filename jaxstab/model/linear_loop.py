@@ -270,7 +270,7 @@ def characteristic_polynomial(
     hand = checked_gamma(gamma), checked_delta(delta)
     filters = given_filters(velocity, position) or NO_FILTERS
     if isinstance(delay, TracedDelay):
-        return _polynomial(*gains, *hand, fraction, filters, whole_delay=delay.whole)
+        return _polynomial((*gains, *hand), fraction, filters, whole_delay=delay.whole)
     return _polynomials((*gains, *hand), np.asarray(whole_part + fraction), filters)
 
 
@@ -311,11 +311,11 @@ def _polynomials(
 ) -> Array:
     """The coefficients, one form after the other where the delays have several."""
     twice = np.floor(delay) + np.ceil(delay)
-    forms = np.unique(twice).tolist()
+    forms = np.unique(twice).tolist() or [0.0]
     if len(forms) == 1:
         whole, is_late = divmod(int(forms[0]), 2)
         fraction = delay - whole if is_late else None
-        return _polynomial(*point, fraction, filters, whole_delay=whole)
+        return _polynomial(point, fraction, filters, whole_delay=whole)
     xp = namespace(point, filters)
     grid = np.broadcast_shapes(delay.shape, *map(xp.shape, point))
     every = [xp.broadcast_to(value, grid).ravel() for value in (*point, delay)]
@@ -334,15 +334,13 @@ def _polynomials(
 
 @compiled(static=["whole_delay"])
 def _polynomial(
-    alpha: Array,
-    beta: Array,
-    gamma: Array,
-    delta: Array,
+    point: tuple[Array, ...],
     fraction: Array | None,
     filters: Filters,
     *,
     whole_delay: int,
 ) -> Array:
+    alpha, beta, gamma, delta = point
     late = 0.0 if fraction is None else fraction
     return loop_polynomial(alpha, beta, filtered_loop(gamma, delta, whole_delay, late, filters))
 

@@ -388,7 +388,7 @@ def _distance_to_root(
     return xp.where(slope_size > 0.0, distance, xp.inf), rounding
 
 
-def _circle(t: Array, rounding: Array, loop: Loop, degree: int) -> tuple[Chain[Array], Ends]:
+def _circle(t: Array, rounding: Array, loop: Loop, degree: int) -> tuple[Chain, Ends]:
     """Return p(r z) / r^n with r = 1 + t, real: its coefficients, and its values at 1 and -1.
 
     ``rounding`` is that of p at a point about as far from 1 as r, and from 0, or farther.
@@ -407,7 +407,7 @@ def _circle(t: Array, rounding: Array, loop: Loop, degree: int) -> tuple[Chain[A
     sizes = size_sum(head), size_sum(tail)
     head_error = 20.0 * UNIT * sizes[0] + 4.0 * plant.error * xp.maximum(inverse, squared)
     gap_error = (12.0 * UNIT * (abs(plant.gap) + abs(moved)) + plant.error) * squared
-    wall_error = tail_error(loop.alpha, loop.beta, plant, UNIT) * xp.maximum(powers[0], powers[-1])
+    wall_error = tail_error(loop.alpha, loop.beta, plant) * xp.maximum(powers[0], powers[-1])
     error = gap_error + wall_error + (3.0 * degree + 8.0) * UNIT * sizes[1] + UNDERFLOW
 
     linear, constant = loop.denominator

@@ -128,7 +128,7 @@ def looked_up(
         return namespace(values).broadcast_to(values, shape or (1,))[index]
 
     def kept(values: Any) -> Any:
-        return values.reshape(()) if values.size == 1 else repeated(values)
+        return namespace(values).reshape(values, ()) if np.size(values) == 1 else repeated(values)
 
     return [repeated(arguments[0]), *tree_map(kept, list(arguments[1:]))]
 

@@ -78,7 +78,6 @@ from jaxstab.point.verdicts import (
     Values,
     filtered_loops,
     float_plant,
-    gathered,
     is_plant_lost,
 )
 from jaxstab.rounding import PAIR_UNIT, SAFETY, UNIT
@@ -106,7 +105,7 @@ def _listed_radii(
     value, error = np.zeros(indices.size), np.full(indices.size, np.inf)
     for start in range(0, indices.size, matrices):
         part = slice(start, start + matrices)
-        alpha, beta, loops = gathered(walls, shape, indices[part])
+        alpha, beta, loops = looked_up(walls, shape, indices[part])
         gains = DoubleDouble.from_value(alpha), DoubleDouble.from_value(beta)
         with np.errstate(all="ignore"):
             coefficients, rounding = loop_coefficients(*gains, loops, PAIR_UNIT)
