@@ -165,24 +165,18 @@ def _roots(part: Factored) -> Complex128[np.ndarray, " root"]:
     return np.concatenate(parts, dtype=complex)
 
 
-class Around(NamedTuple):
-    """The curve around theta_0 = ``angle`` + ``low``, by series in u = theta - theta_0.
-
-    They are those of |N|^2 Im(conj(B) q), of -|N|^2 Im(conj(A) q) and of |N|^2 det, whose quotients
-    are alpha and beta: nothing is left to cancel. For |u| < 1/(2 degree) what is cut off is below
-    2^-96 of the sizes of the parts.
-    """
-
-    angle: float
-    low: float
-    series: Float64[np.ndarray, "3 order"]
-
-
 _ORDERS = 29  # of a series: 1/29! is below 2^-102
 
 
-def curve_around(loop: ScaledLoop, angles: list[tuple[float, float]]) -> list[Around]:
-    """Return the curve around angles, each given with what rounding took from it."""
+def curve_around(
+    loop: ScaledLoop, angles: list[tuple[float, float]]
+) -> list[Float64[np.ndarray, "3 order"]]:
+    """The curve around angles theta_0, each given with what rounding took from it, by series.
+
+    In u = theta - theta_0, they are those of |N|^2 Im(conj(B) q), of -|N|^2 Im(conj(A) q) and of
+    |N|^2 det, whose quotients are alpha and beta: nothing is left to cancel. For |u| < 1/(2 degree)
+    what is cut off is below 2^-96 of the sizes of the parts.
+    """
     from flint import acb, acb_poly, arb
 
     found = []
@@ -196,7 +190,7 @@ def curve_around(loop: ScaledLoop, angles: list[tuple[float, float]]) -> list[Ar
             det = [c.conjugate() for c in b.coeffs()]
             parts = b * n * base, -(a * n * base), a * acb_poly(det) * square
             series = [[float(c.imag.mid()) for c in part.coeffs()[:_ORDERS]] for part in parts]
-            found.append(Around(angle, low, np.array(series)))
+            found.append(np.array(series))
     return found
 
 
