@@ -17,7 +17,7 @@ or with an infinite one (NO_BOUND).
 import operator
 from collections.abc import Sequence
 from decimal import ROUND_CEILING
-from functools import partial, reduce
+from functools import reduce
 from math import prod
 from typing import NamedTuple
 
@@ -51,7 +51,7 @@ from jaxstab.model import (
     polynomial_degree,
     require_x64,
 )
-from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
+from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords, given_filters
 from jaxstab.model.linear_loop import LinearLoop, loop_polynomial
 from jaxstab.numbers import checked_word
 from jaxstab.point.dominance import (
@@ -62,7 +62,7 @@ from jaxstab.point.dominance import (
     newton,
     with_distance,
 )
-from jaxstab.point.poles import Complex, companion_poles, looked_up, over_grid
+from jaxstab.point.poles import Complex, companion_poles, looked_up
 from jaxstab.point.schur_cohn import (
     UNDERFLOW,
     Ends,
@@ -429,9 +429,8 @@ def _polished(parameters: list[Values], delay: Values | float) -> tuple[Values, 
 
 
 def _traced_radius(*arguments: Numbers, filters: Filters | None) -> SpectralRadius:
-    velocity, position = filters or (None, None)
-    radius = partial(_traced_radius_of, is_summed=filters is not None)
-    both = over_grid(radius, *arguments, velocity=velocity, position=position)
+    coefficients = characteristic_polynomial(**by_name(*arguments), **as_keywords(filters))
+    both = _traced_radius_of(coefficients, is_summed=filters is not None)
     return _believed(with_status(*both), *arguments[2:4])
 
 
