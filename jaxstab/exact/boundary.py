@@ -24,13 +24,7 @@ from jaxstab.exact.verdict import roots_outside
 from jaxstab.model import LoopParameters
 from jaxstab.model.affine import AffineParts, affine_triple
 from jaxstab.model.balls import BallLoop, Factored, Triple, ball_loop
-from jaxstab.model.device.parts import (
-    FIRST_BITS,
-    MOST_BITS,
-    decided,
-    remembered,
-    working_precision,
-)
+from jaxstab.model.device.parts import FIRST_BITS, MOST_BITS, decided, remembered, working_precision
 
 if TYPE_CHECKING:
     from flint import acb, arb, arb_poly
@@ -143,7 +137,6 @@ def _has_digits(part: Factored) -> bool:
 
 
 def _factors(loop: ScaledLoop) -> tuple[Factored, ...]:
-    """Return base, N, A and B; powers of z that all terms of p have are left in them."""
     own = loop.balls()
     return own.free, own.numerator, *own.walls
 

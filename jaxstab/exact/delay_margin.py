@@ -214,7 +214,6 @@ class _Search:
         return self.sample.moved(force_of(matrix))(arb_poly([1, 1]))
 
     def _over_theta(self, theta: Interval) -> tuple[_Form, _Form, _Form]:
-        """Z - 1, and H's and D's polynomials, over an interval of theta."""
         from flint import acb
 
         everywhere = _around(theta)
@@ -232,7 +231,6 @@ _Pair = tuple["arb_poly", "arb_poly"]
 
 
 def _around(interval: Interval) -> "arb":
-    """The ball of an interval, about its middle."""
     from flint import arb
 
     low, high = arb(interval[0]), arb(interval[1])

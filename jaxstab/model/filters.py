@@ -516,7 +516,6 @@ def _filter_calls(sections: Sequence[Section]) -> list[str]:
 
 
 def _call(maker: str, section: Section) -> str:
-    """Return the call that makes a filter, or an estimator, of one section."""
     given = {key: value for key, value in vars(section).items() if value is not None}
     period = given.pop("period", 1.0)
     call = call_text(maker, given)

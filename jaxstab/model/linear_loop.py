@@ -17,13 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.arrays import (
-    Array,
-    Numbers,
-    float_arrays,
-    is_any_jax,
-    namespace,
-)
+from jaxstab.arrays import Array, Numbers, float_arrays, is_any_jax, namespace
 from jaxstab.batches import MANY, compiled
 from jaxstab.model.device.parts import exact
 from jaxstab.model.double_double import DoubleDouble
@@ -334,11 +328,7 @@ def _polynomials(
 
 @compiled(static=["whole_delay"])
 def _polynomial(
-    point: tuple[Array, ...],
-    fraction: Array | None,
-    filters: Filters,
-    *,
-    whole_delay: int,
+    point: tuple[Array, ...], fraction: Array | None, filters: Filters, *, whole_delay: int
 ) -> Array:
     alpha, beta, gamma, delta = point
     late = 0.0 if fraction is None else fraction

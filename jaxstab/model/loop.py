@@ -392,7 +392,6 @@ def unit_loop(
 
 
 def _counted(chain: Any, sample_time: Numbers) -> Any:
-    """Return an estimator or filter with its windows in samples."""
     if isinstance(chain, Velocity):
         return Velocity(_counted(chain.filter, sample_time))
     if not isinstance(chain, Filter):

@@ -475,17 +475,12 @@ def fast_radius(
 
 
 def _shared_loop(parameters: list[Array], delay: float) -> Loop | None:
-    """Return the loops of a grid with few plants, which are computed once."""
     plants = prod(np.broadcast_shapes(*(hand.shape for hand in parameters[2:])))
     return _loop(parameters, delay) if plants <= _LIST else None
 
 
 def _on_grid(
-    loop: Loop | None,
-    parameters: list[Array],
-    shape: tuple[int, ...],
-    delay: float,
-    effort: Effort,
+    loop: Loop | None, parameters: list[Array], shape: tuple[int, ...], delay: float, effort: Effort
 ) -> Answer:
     large_block = 2**20  # the same for all cores together
     longest_shared = 8.0  # delay; beyond, guesses are little of the work
@@ -509,7 +504,6 @@ def _try_list(
     delay: float,
     effort: Effort,
 ) -> Answer:
-    """Return the answer at flat indices."""
     shortest_list = 8
     longest, shortest = effort.longest_list, shortest_list
     if is_any_jax(parameters):  # an accelerator computes a long list as quickly as a short one
@@ -525,7 +519,6 @@ def _try_list(
 
 
 def _loop(parameters: list[Array], delay: float) -> Loop:
-    """Return loops with their plants, which are computed on the smallest grid that holds them."""
     alpha, beta, gamma, delta = parameters
     fraction = delay % 1.0
     plant = float_plant(gamma, delta, np.float64(fraction), is_fractional=fraction > 0.0)

@@ -132,7 +132,6 @@ def _fields(alpha: Array, beta: Array, loop: LinearLoop, *, method: str) -> Pole
 
 
 def _pole(columns: list[Array], error: Array, *, is_guessed: bool) -> Array:
-    """Return a pole that is probably dominant, its imaginary part >= 0."""
     doublings = 16  # of the power of the companion matrix, which is degree 2^16
     xp = namespace(columns, error)
     if is_guessed:

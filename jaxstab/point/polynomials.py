@@ -149,5 +149,4 @@ def _radii(coefficients: Array) -> tuple[Array, Array]:
 
 
 def _parts(coefficients: list[float]) -> GivenParts:
-    """A polynomial as the base of a loop of two gains, which are 0."""
     return GivenParts(tuple(coefficients), (1.0,), (1.0,))

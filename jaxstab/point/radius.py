@@ -73,13 +73,7 @@ from jaxstab.point.schur_cohn import (
     polynomial_codes,
     size,
 )
-from jaxstab.point.verdicts import (
-    Points,
-    Values,
-    filtered_loops,
-    float_plant,
-    is_plant_lost,
-)
+from jaxstab.point.verdicts import Points, Values, filtered_loops, float_plant, is_plant_lost
 from jaxstab.rounding import PAIR_UNIT, SAFETY, UNIT
 from jaxstab.shown import number_text, text_with_bound
 
@@ -391,7 +385,6 @@ def _of_delay(
 
 
 def _is_for_many(shape: tuple[int, ...], delay: Values | float) -> bool:
-    """Return whether points are enough to compile for, and of one delay that is not too long."""
     return prod(shape) >= MANY and np.size(delay) == 1 and bool(delay <= LONGEST_DELAY)
 
 

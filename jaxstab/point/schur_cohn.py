@@ -204,7 +204,6 @@ def _step(chain: Chain, unit: float, *, is_monic: bool = False, is_rolled: bool 
 
 
 def _is_larger(last: Number, lead: Number, error: Array, unit: float) -> Array:
-    """Whether the last coefficient is larger than the first one, beyond their errors."""
     return size(last) * (1.0 - 4.0 * unit) - size(lead) > SAFETY * error
 
 
@@ -322,11 +321,7 @@ def _is_zero(values: Array) -> bool:
 
 
 def polynomial_codes(
-    coefficients: Number,
-    error: Array,
-    ends: Ends,
-    unit: float,
-    degree: int,
+    coefficients: Number, error: Array, ends: Ends, unit: float, degree: int
 ) -> Array:
     """The codes of monic polynomials of degree >= 3.
 
@@ -396,7 +391,6 @@ def loop_coefficients(
 def _end(
     parts: Sequence[Number], alpha: Number, beta: Number, loop: LinearLoop, unit: float
 ) -> tuple[Array, Array]:
-    """Return base + alpha stiffness + beta damping, and a bound of its error."""
     base, stiff, damp = parts
     value = base + (stiff * alpha + damp * beta)
     return leading(value), SAFETY * _rounding(alpha, beta, loop, list(map(size, parts)), unit)
@@ -434,12 +428,7 @@ def _joined(state: _State, unit: float) -> _State:
         both: Any = (falling[0], *map(add, falling[1:], rising[::-1]))
     else:
         both = joined([falling[:1], falling[1:] + rising[-2::-1]])
-    return replace(
-        state,
-        falling=both,
-        rising=both[::-1],
-        error=state.error + rounded,
-    )
+    return replace(state, falling=both, rising=both[::-1], error=state.error + rounded)
 
 
 def _sum(*numbers: Number | tuple[Number, ...]) -> Array:

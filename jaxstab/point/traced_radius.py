@@ -199,9 +199,7 @@ def _minus(a: Column, b: Array, c: Column) -> Column:
 
 
 @jax.custom_jvp
-def largest_modulus(
-    coefficients: Float64[Array, "*grid coefficient"],
-) -> Float64[Array, "*grid"]:
+def largest_modulus(coefficients: Float64[Array, "*grid coefficient"]) -> Float64[Array, "*grid"]:
     """Return the largest modulus of a root of monic polynomials, highest power first."""
     return jnp.abs(_dominant_root(coefficients))
 
@@ -218,10 +216,7 @@ def _largest_modulus_jvp(
     return modulus, (root.conj() * motion).real / modulus
 
 
-def _dominant_root(
-    coefficients: Float64[Array, "*grid coefficient"],
-) -> Complex128[Array, "*grid"]:
-    """The dominant eigenvalue of a companion matrix, corrected by Newton's method."""
+def _dominant_root(coefficients: Float64[Array, "*grid coefficient"]) -> Complex128[Array, "*grid"]:
     farthest, steps = 1e-6, 3  # from its root: at multiple roots Newton's method may leave
     guess = root = companion_poles(coefficients)[..., 0]
     for _ in range(steps):

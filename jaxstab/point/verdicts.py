@@ -38,14 +38,7 @@ from jaxstab.model import (
     require_x64,
 )
 from jaxstab.model.balls import ball_triple
-from jaxstab.model.filters import (
-    NO_FILTERS,
-    Filter,
-    Filters,
-    Velocity,
-    as_keywords,
-    given_filters,
-)
+from jaxstab.model.filters import NO_FILTERS, Filter, Filters, Velocity, as_keywords, given_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.model.loop import unit_loop
 from jaxstab.model.parameters import whole_and_fraction
@@ -267,7 +260,6 @@ def loop_codes(
 
 
 def _closed_loop(alpha: Array, beta: Array, plant: Plant) -> Chain:
-    """p(z) and the rounding errors of its coefficients."""
     tail = tuple(
         stiff * alpha - damp * beta for stiff, damp in zip(plant.stiff, plant.damp, strict=True)
     )
@@ -405,7 +397,6 @@ def _long_codes(arguments: tuple[Any, ...], degree: int | Array) -> Array:
 
 
 def _grouped_verdict(points: Points) -> Int8[np.ndarray, "*grid"]:
-    """Run the kernel once for each delay, whose degree differs."""
     codes = np.zeros(points.shape, np.int8)
     for form, indices in points.groups(np.full(points.shape, True)):
         # Plants on the smallest grid that holds them, then gathered like the points.
@@ -421,7 +412,6 @@ def _grouped_verdict(points: Points) -> Int8[np.ndarray, "*grid"]:
 def _decided(
     codes: Int8[np.ndarray, "*grid"], points: Points, filters: Filters | None
 ) -> Int8[np.ndarray, "*grid"]:
-    """Ask balls for UNDECIDED points."""
     indices = np.flatnonzero(codes == Verdict.UNDECIDED)
     rows = np.stack(np.broadcast_arrays(*looked_up(points, points.shape, indices)), axis=-1)
     for index, (alpha, beta, *plant) in zip(indices, rows.tolist(), strict=True):

@@ -151,7 +151,6 @@ def components(triples: Triples, *, outlines: bool) -> Answers:
 
 # ------------------------------------------------------------------------ the curve and its roots
 def _curve(loop: Triples, theta: Array) -> tuple[Array, Array]:
-    """Return alpha and beta (2, angle), and det, at angles of any shape."""
     (base, stiffness, damping) = _values(loop, theta)
     det = cross(stiffness, damping)
     walls = jnp.stack([cross(damping, base), -cross(stiffness, base)]) / det
@@ -163,7 +162,6 @@ def _wall(loop: Triples, theta: Array) -> Array:
 
 
 def _with_slopes(loop: Triples, theta: Array) -> tuple[Array, Array]:
-    """Return alpha and beta, and their derivatives by the angle."""
     both: tuple[Array, Array] = jax.jvp(partial(_wall, loop), (theta,), (jnp.ones_like(theta),))
     return both
 
@@ -267,7 +265,6 @@ def _bounds(loop: Triples, theta: Array) -> tuple[Array, Array, Array]:
 
 
 def _are_stable(loop: Triples, walls: Array) -> Array:
-    """Return which walls (2, wall) are stable."""
     inside = _are_inside(loop, walls, jnp.zeros_like(walls[0]), 0.0, 0)
     return inside & jnp.all(_margins(loop, walls) > 0.0, axis=0)
 
@@ -344,7 +341,6 @@ class _Corners(NamedTuple):
 
 
 def _corners_of(loop: Triples, ends: _Ends, sense: Array, size: Array) -> _Corners:
-    """Return the corners at the ends of pieces, solved for."""
     forward = sense > 0.0
 
     def turned(rows: Array) -> Array:
@@ -497,11 +493,7 @@ def _loops(successor: Array) -> Array:
 
 
 def _are_around(
-    scan: _Scan,
-    corners: _Corners,
-    links: _Links,
-    labels: tuple[Array, Array],
-    points: Array,
+    scan: _Scan, corners: _Corners, links: _Links, labels: tuple[Array, Array], points: Array
 ) -> Array:
     """Return which loops (point, label) enclose points (2, point), by the rule of odd crossings.
 
@@ -570,7 +562,6 @@ def _component(loop: Triples, scan: _Scan) -> _Component:
 
 
 def _extremes(loop: Triples, scan: _Scan) -> tuple[_Component, Extremes]:
-    """Return the pieces and the extreme walls of one loop."""
     component = _component(loop, scan)
     largest = partial(_largest, loop, scan, component)
     walls, angles, are_sound = jax.vmap(largest)(jnp.arange(2))
@@ -669,7 +660,6 @@ def _small_walls(loop: Triples, size: Array) -> tuple[Array, Array]:
 def _largest(
     loop: Triples, scan: _Scan, component: _Component, axis: Array
 ) -> tuple[Array, Array, Array]:
-    """Return the wall of the largest alpha or beta, the angles of the roots, and its tests."""
     aside = 1e-6  # of the component's size: where walls beside the extremes are tested
     lower = 5e-3  # beside the largest value: how much less the others have to be
     rounded = 1e-10  # of an extreme: the most that rounding may move it by
@@ -707,7 +697,6 @@ def _largest(
 
 
 def _are_in_quadrant(walls: Array, size: Array, axis: Array) -> Array:
-    """Return which walls have the other gain >= 0."""
     return walls[1 - axis] >= -_ON_AXIS * size[1 - axis]
 
 
@@ -819,7 +808,6 @@ class _Corner(NamedTuple):
 
 
 def _highest_corner(component: _Component, axis: Array) -> _Corner:
-    """Return the corner with the largest alpha or beta."""
     corners, links, of_main = component.corners, component.links, component.of_main
     crossing = jnp.broadcast_to(links.crossing[:, None], (2, SLOTS))
     every = jnp.concatenate([corners.walls[:, 0], corners.walls[:, 1], crossing], axis=1)

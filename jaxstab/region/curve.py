@@ -195,7 +195,6 @@ def curve_of(loop: ScaledLoop) -> Curve:
 
 
 def _undamped(loop: ScaledLoop, parts: CurveParts) -> list[Stretch]:
-    """Return the surroundings of undamped modes that walls hardly move."""
     closest = 1e-6  # to the circle
     hardly = 1e-4  # how far a gain of 1 moves a mode that walls hardly move
     roots = parts.roots[parts.roots.imag > 0.0]
@@ -218,7 +217,6 @@ def drawn_out(c: Curve, angles: Float64[np.ndarray, "angle 2"]) -> Curve:
 def _stretches(
     loop: ScaledLoop, centers: list[tuple[float, float]], poles: Angles, degree: int
 ) -> list[Stretch]:
-    """Disjoint intervals around angles."""
     widest, share = 1e-2, 0.3  # radians, and of the distance to the next one
     limits = np.concatenate([[angle for angle, _ in centers], poles, [0.0, np.pi]])
     stretches = []

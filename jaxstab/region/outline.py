@@ -135,7 +135,6 @@ def survey(c: Curve, pieces: Pieces) -> Survey:
 
 
 def _turning_points(c: Curve, nodes: Array, tangents: Array) -> tuple[Array, Angles]:
-    """Return where alpha or beta turns: pieces and angles."""
     rounding = 1e-10  # a coordinate that moves less than that is constant
     moves = abs(tangents) > rounding * np.hypot(*tangents)
     turns = (tangents[..., 1:] * tangents[..., :-1] < 0.0) & (moves[..., 1:] | moves[..., :-1])

@@ -225,7 +225,6 @@ def all_inside(falling: Array, radius: Array | float = 1.0) -> Bool[np.ndarray, 
 
 
 def _lowered(falling: Array) -> tuple[Array, Array]:
-    """Return polynomials of a degree less, by one step of Schur and Cohn, and its reflections."""
     reflection = falling[-1] / falling[0]
     return falling[:-1] - reflection * falling[:0:-1], reflection
 
@@ -463,7 +462,6 @@ def _matches(
 
 
 def _tangents(c: Curve, ends: _Ends) -> Float64[np.ndarray, "2 end"]:
-    """Return the directions of arcs next to their ends."""
     beside = 1e-4  # of an arc
     begin, end = ends.theta.reshape(2, -1)
     aside = beside * (end - begin)

@@ -36,14 +36,7 @@ from jaxstab.numbers import checked_number
 from jaxstab.region import measures
 from jaxstab.region.curve import Curve, curve_of, drawn_out
 from jaxstab.region.outline import Outline, empty_outline, polygon, survey
-from jaxstab.region.pieces import (
-    Centers,
-    Pieces,
-    find_pieces,
-    line_ends,
-    scan_angles,
-    second_pairs,
-)
+from jaxstab.region.pieces import Centers, Pieces, find_pieces, line_ends, scan_angles, second_pairs
 from jaxstab.region.stable_set import StableRegion, components_of, region_within
 
 _BESIDE = 1e-9  # of a limit: how far from it lines are compared
@@ -109,7 +102,6 @@ def _followed(c: Curve, centers: Centers, *, is_proved: bool) -> tuple[Pieces, C
 
 
 def _keeps_a_root(loop: ScaledLoop) -> bool:
-    """Return whether all walls leave a root at z = 1 or -1, by the structure of the loop."""
     with working_precision(FIRST_BITS):
         parts = [part.without_windows() for part in loop.triple()]
     return min(p.at_one for p in parts) > 0 or min(p.at_minus_one for p in parts) > 0
@@ -252,7 +244,6 @@ def _is_any_stable(c: Curve, axis: int, value: float, intervals: Points) -> bool
 
 
 def _agree(line: StableLine, drawn: Points, slim: float, share: float, size: float) -> bool:
-    """Return whether a line has the intervals that are drawn, but for slim ones."""
     rounded = 1e-11  # of the region's size: ends that are the same
     proved = np.array([[low.value, high.value] for low, high in line.intervals]).reshape(-1, 2)
     proved, drawn = (x[x[:, 1] - x[:, 0] > slim] for x in (proved, drawn))
@@ -264,7 +255,6 @@ def _agree(line: StableLine, drawn: Points, slim: float, share: float, size: flo
 
 
 def _adapted(c: Curve, pieces: Pieces, tolerance: float) -> tuple[Outline, float]:
-    """Return an outline with as many points as the tolerance requires, and its deviation."""
     bulge = 0.35  # times points^-2 is at most about how far the boundary leaves the polygon
     points, seen = _enough_points(sqrt(bulge / tolerance)), survey(c, pieces)
     outline = polygon(c, pieces, seen, points)

@@ -23,14 +23,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from jaxstab.model.device.device import Device
-from jaxstab.model.device.parts import (
-    Rational,
-    balls_of,
-    decided,
-    exact,
-    turn,
-    working_precision,
-)
+from jaxstab.model.device.parts import Rational, balls_of, decided, exact, turn, working_precision
 from jaxstab.model.device.sampling import in_fastest_time, in_samples
 from jaxstab.rounding import RAISED
 
@@ -215,7 +208,6 @@ def handle_equations(device: Device, sample_time: float) -> HandleEquations:
 
 
 def _held(matrix: "arb_mat", fraction: float, offset: float) -> "arb_mat":
-    """Return the rows of the states at a time after a sample."""
     import flint
 
     size = matrix.ncols() - 2
@@ -413,7 +405,6 @@ def _rounded(
 
 
 def _over(start: float, end: float) -> "arb":
-    """Return a ball of all times of a piece."""
     import flint
 
     return flint.arb(0.5 * (start + end), 0.5 * (end - start) * RAISED + 2.0**-60)
