@@ -331,17 +331,11 @@ class LoopParameters:
 
     def stiffness(self, alpha: Values) -> Values:
         """Wall stiffness K in N/m for a dimensionless stiffness alpha (Table I)."""
-        sampled = self.sampled
-        if sampled is not None:
-            return alpha / sampled.stiffness_unit
-        return alpha * (self.mass / self.sample_time**2)
+        return alpha / self._units[0]
 
     def damping(self, beta: Values) -> Values:
         """Wall damping B in N s/m for a dimensionless damping beta (Table I)."""
-        sampled = self.sampled
-        if sampled is not None:
-            return beta / sampled.damping_unit
-        return beta * (self.mass / self.sample_time)
+        return beta / self._units[1]
 
 
 def array_fields(loop: LoopParameters) -> dict[str, Numbers]:

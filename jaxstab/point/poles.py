@@ -5,6 +5,7 @@ They serve unproved answers (mode shapes, frequencies) and starting values for p
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -129,16 +130,22 @@ def closed_loop_poles(
     point = by_name(alpha, beta, gamma, delta, delay)
     require_x64(*point.values())
 
-    def poles(**points: Numbers) -> Array:
-        given = characteristic_polynomial(**points, velocity=velocity, position=position)
-        xp = namespace(given)
-        are_zero = xp.cumprod(given[..., :0:-1] == 0.0, axis=-1)[..., ::-1] == 1
-        return xp.where(are_zero, 0.0, companion_poles(given))
-
+    polynomial = partial(characteristic_polynomial, velocity=velocity, position=position)
     if is_any_traced(*point.values(), velocity, position):
-        return poles(**point)
+        return companion_poles(polynomial(**point))
+
+    def poles(**points: Numbers) -> Complex128[np.ndarray, "point degree"]:
+        given = np.asarray(polynomial(**points))
+        degree = given.shape[1] - 1
+        zeros = np.sum(np.cumprod(given[:, :1:-1] == 0.0, axis=1), axis=1)  # so many roots at 0
+        found = np.zeros((len(given), degree), complex)
+        for count in np.unique(zeros).tolist():
+            own, rest = zeros == count, degree - count
+            found[own, :rest] = companion_poles(given[own, : rest + 1])
+        return found
+
     shape = np.broadcast_shapes(*map(np.shape, point.values()))
-    rows = [np.asarray(part) for _, part in evaluate_grid(poles, **point, chunk=CHUNK)]
+    rows = [part for _, part in evaluate_grid(poles, **point, chunk=CHUNK)]
     longest = max((row.shape[1] for row in rows), default=polynomial_degree(delay))
     rows = [np.pad(row, [(0, 0), (0, longest - row.shape[1])]) for row in rows]
     every = np.concatenate(rows) if rows else np.zeros((0, longest), complex)

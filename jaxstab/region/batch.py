@@ -201,11 +201,6 @@ def _margins(loop: Triples, walls: Array) -> Array:
     return base + (stiffness * walls[0] + damping * walls[1])
 
 
-def _are_inside(loop: Triples, walls: Array, total: Array, product: float, removed: int) -> Array:
-    """Return where all roots are inside but two, which p is divided by; see ``_reduced``."""
-    return _reduced(loop, walls, total, product, removed)[1]
-
-
 def _reduced(
     loop: Triples, walls: Array, total: Array, product: float, removed: int, least: int = 1
 ) -> tuple[Array, Array]:
@@ -260,12 +255,12 @@ def _reflected(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
 def _bounds(loop: Triples, theta: Array) -> tuple[Array, Array, Array]:
     """Return the curve, det, and where it bounds the stable set: all other roots are inside."""
     walls, det = _curve(loop, theta)
-    inside = _are_inside(loop, walls, 2.0 * jnp.cos(theta), 1.0, 2)
+    inside = _reduced(loop, walls, 2.0 * jnp.cos(theta), 1.0, 2)[1]
     return walls, det, inside & jnp.all(_margins(loop, walls) > 0.0, axis=0)
 
 
 def _are_stable(loop: Triples, walls: Array) -> Array:
-    inside = _are_inside(loop, walls, jnp.zeros_like(walls[0]), 0.0, 0)
+    inside = _reduced(loop, walls, jnp.zeros_like(walls[0]), 0.0, 0)[1]
     return inside & jnp.all(_margins(loop, walls) > 0.0, axis=0)
 
 
@@ -281,7 +276,7 @@ def _scan(loop: Triples) -> _Scan:
         own = lax.dynamic_slice(index, (tile * _TILE,), (_TILE,))
         chosen = jnp.minimum(own, count - 1)
         pair = 2.0 * jnp.cos(loop.angles[chosen])
-        inside = _are_inside(loop, walls[:, chosen], pair, 1.0, 2)
+        inside = _reduced(loop, walls[:, chosen], pair, 1.0, 2)[1]
         return passes.at[own].set(inside, mode="drop")
 
     passes = lax.fori_loop(0, -(-total // _TILE), next_tile, jnp.zeros(count, bool))
@@ -478,7 +473,7 @@ def _linked(loop: Triples, corners: _Corners) -> _Links:
     predecessors = jnp.sum(corners.exists[:, None] & (successor[:, None] == pieces), axis=0)
     # Where the lines cross all other roots are inside.
     zero = jnp.zeros(1)
-    is_stable = _are_inside(loop, crossing[:, None], zero, -1.0, 2)[0]
+    is_stable = _reduced(loop, crossing[:, None], zero, -1.0, 2)[1][0]
     via = via & ~on_curve & corners.exists
     is_linked = (on_curve | is_linked) & (predecessors == 1) & (~via | is_stable)
     return _Links(successor, via, is_linked, crossing)

@@ -12,7 +12,7 @@ are joined the boundary consists of closed loops; what stays open has been misse
 such an end the angle of the second pair on the circle tells where the arc that was missed begins.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from enum import IntEnum
 from functools import cache, partial
 from itertools import product
@@ -251,19 +251,13 @@ def find_pieces(c: Curve, angles: Angles, *, is_proved: bool = False) -> Pieces:
     Source: the D-decomposition of Gryazina, Polyak, Tremba (2008), with the criterion of Schur and
     Cohn for the other roots.
     """
+    return _joined(c, _arc_ends(c, angles, is_proved=is_proved))
+
+
+def _arc_ends(c: Curve, angles: Angles, *, is_proved: bool) -> _Ends:
     inside = partial(others_inside, c, is_proved=is_proved)
-    narrowing = (26, 2) if is_proved else (6, 32)  # of the brackets of ends: rounds and parts
+    rounds, parts = (26, 2) if is_proved else (6, 32)  # of the brackets of ends
     nothing = 0.0 if is_proved else 3e-11  # radians: shorter arcs and gaps are rounding
-    return _joined(c, _arc_ends(c, inside, narrowing, nothing, angles))
-
-
-def _arc_ends(
-    c: Curve,
-    inside: Callable[[Array], Array],
-    narrowing: tuple[int, int],
-    nothing: float,
-    angles: Angles,
-) -> _Ends:
     passes = inside(angles)
     branch = np.searchsorted(np.concatenate([-c.poles[::-1], [0.0], c.poles]), angles)
     goes_on = passes[:-1] & passes[1:] & (branch[:-1] == branch[1:])
@@ -276,7 +270,6 @@ def _arc_ends(
     is_pinned = np.abs(inner - limit) <= 1.001 * _FIRST
     is_pinned &= (inner - limit) * np.repeat([1.0, -1.0], len(begins)) >= 0.0
     outer = np.where(is_pinned, inner, outer)
-    rounds, parts = narrowing
     enough = 0.1 * nothing
     shares = np.arange(1.0, parts)[:, None] / parts
     # Poles end arcs, too.
