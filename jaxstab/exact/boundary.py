@@ -60,7 +60,6 @@ def _scaled(question: ScaledLoop) -> tuple[BallLoop, Triple]:
 
 
 _LAST_BITS = 768  # a plant that is real to that precision is real
-_NEAR = 1e-9  # of its size: an imaginary part that may be 0
 
 
 class CurveParts(NamedTuple):
@@ -365,12 +364,13 @@ def _pole_at(loop: ScaledLoop, angle: float) -> "arb | None":
 
 def _real_poles(loop: ScaledLoop, parts: CurveParts) -> list[float]:
     """Return the poles that keep a pair for all walls of a line."""
+    near = 1e-9  # of its size: an imaginary part that may be 0
     if not parts.poles.size:
         return []
     z = np.exp(1j * parts.poles)
     base, stiffness, damping = (np.polyval(part, z) for part in parts.triple)
     unit = np.where(abs(stiffness) > abs(damping), stiffness, damping).conj()
-    is_near = abs((base * unit).imag) <= _NEAR * abs(base) * abs(unit)
+    is_near = abs((base * unit).imag) <= near * abs(base) * abs(unit)
     return [angle for angle in parts.poles[is_near].tolist() if _is_real(loop, angle)]
 
 

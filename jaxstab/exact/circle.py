@@ -48,7 +48,6 @@ if TYPE_CHECKING:
     from flint import arb, arb_mat, arb_poly
 
 _OVERLAP = 9  # a cell reaches to 9/8 of its share: the ends of shares may be moved by 1/8
-_SHORTEST = 96  # halvings of a cell, at most
 
 
 class Zero(NamedTuple):
@@ -266,8 +265,9 @@ def _isolated(part: _Part, first: "tuple[arb, int]", last: "tuple[arb, int]") ->
     """The zeros of a part between two places with their signs, from left to right, in t."""
     from flint import arb, ctx
 
+    most_halvings = 96
     found: list[Zero] = []
-    shortest = arb(2) ** -min(ctx.prec // 3, _SHORTEST)
+    shortest = arb(2) ** -min(ctx.prec // 3, most_halvings)
     intervals = [(first, last)]
     while intervals:
         (a, sign_a), (b, sign_b) = intervals.pop()

@@ -35,7 +35,6 @@ from jaxstab.model.device.sampling import OneSample, force_of, generator, held
 if TYPE_CHECKING:
     from flint import acb, arb, arb_mat, arb_poly
 
-_HALF_TURN = nextafter(pi, 4.0)  # z = -1 is in the last cell
 _TURNS = 32  # of (n + 1) theta that are looked at
 _TERMS = 8  # of v(f) about the middle of an interval
 
@@ -78,7 +77,8 @@ def delay_margin(
     with working_precision(FIRST_BITS):
         search = _Search(loop(), sample(), delay, wall)
         boxes = []
-        for theta in pairwise(grade * _HALF_TURN / 64.0 for grade in grades):
+        half_turn = nextafter(pi, 4.0)  # z = -1 is in the last cell
+        for theta in pairwise(grade * half_turn / 64.0 for grade in grades):
             boxes += search.boxes(theta, (0.0, 1.0))
         heapify(boxes)
         for _ in range(most_boxes):

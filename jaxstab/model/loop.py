@@ -36,8 +36,6 @@ _LEAST = {  # the least allowed value, and whether it is excluded
     "delay": (0.0, False),
 }
 
-_OF_DEVICE = ("device_mass", "device_damping")
-
 Values = TypeVar("Values", bound=Numbers)
 
 Arguments = ParamSpec("Arguments")
@@ -132,14 +130,15 @@ class LoopParameters:
         return [name for name in super().__dir__() if name not in for_computing]
 
     def _refuse_mixed_fields(self) -> None:
+        of_device = "device_mass", "device_damping"
         if self.device is None:
-            missing = [name for name in _OF_DEVICE if getattr(self, name) is None]
+            missing = [name for name in of_device if getattr(self, name) is None]
             if missing:
                 raise TypeError(f"{missing[0]} is missing; give it, or device=jaxstab.Device....")
             return
         if not isinstance(self.device, Device):
             raise TypeError(f"device is {self.device!r}; give a jaxstab.Device.")
-        given = [name for name in _OF_DEVICE if getattr(self, name) is not None]
+        given = [name for name in of_device if getattr(self, name) is not None]
         for name in ("hand_mass", "hand_damping", "hand_stiffness"):
             value = getattr(self, name)
             given += [name] if is_any_traced(value) or value else []

@@ -8,7 +8,7 @@ p -> (p - K z^m p(1/z)) / z with K = v0/u0, lowers the degree m by one and keeps
 
 The K that were computed decide, however wrong they are; ``error`` bounds what the polynomial may
 differ by from exact steps with the same K, and the winding number of the quadratic at the end, with
-the signs of p(1) and p(-1), tells where the roots are: lemmas V1 to V4 of docs/proofs.md.
+the signs of p(1) and p(-1), tells where the roots are: lemmas V2 to V4 of docs/proofs.md.
 
 Near z = 1 u0 and u2 are both close to 1. Their difference, the ``gap``, is carried instead, so
 errors are relative to the gap and to the tail, not to the coefficients of p. Far outside, for long
@@ -257,7 +257,7 @@ def size_sum(numbers: tuple[Number, ...]) -> Array:
 # Certified verdicts of polynomials without a special form: loops with estimators and filters.
 #
 # The Schur-Cohn steps act on all coefficients, in O(degree^2) operations; where only the first and
-# the last ones are not 0, as with windows and long delays, they act on those alone (lemma V1 of
+# the last ones are not 0, as with windows and long delays, they act on those alone (lemma V2 of
 # docs/proofs.md). The proof uses the same lemmas as for the loop of the paper.
 
 
@@ -421,7 +421,7 @@ def _ends(coefficients: Any, width: int) -> tuple[Any, Any]:
 
 
 def _joined(state: _State, unit: float) -> _State:
-    """Return the polynomial of a degree so low that its two ends overlap (lemma V1)."""
+    """Return the polynomial of a degree so low that its two ends overlap (lemma V2)."""
     falling, rising = state.falling, state.rising
     rounded = unit * _sum(falling, rising)
     if isinstance(falling, tuple):

@@ -3,7 +3,7 @@
 A verdict takes up to three steps, each for the points that the one before leaves UNDECIDED:
 
 1. The Schur-Cohn recursion in float64 with a running bound of its rounding errors
-   (``schur_cohn``; lemmas V1 to V4, and V10 for loops with filters and devices). It
+   (``schur_cohn``; lemmas V2 to V4, and V10 for loops with filters and devices). It
    decides all but points next to the boundary.
 2. The same recursion in pairs of float64, with 106 bits.
 3. On request (``resolve="exact"``), the same recursion in balls (``exact.verdict``, lemma E1), one

@@ -50,15 +50,11 @@ from jaxstab.rounding import UNIT
 
 SLOTS = 6  # pieces of one loop
 ISLAND = 1 << 10  # in place of failures: resolved, but small gains are not stable
-_PROGRAMS = 8  # that are kept, one for each degree: each takes 40 to 90 MB
 _VERTICES, _FINE = 48, 192  # of a piece, and angles between which they are spread
 _TILE = 64  # angles of a scan at once
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 _TOLERANCE = 1e-10  # of Newton's steps, in radians
 _SLACK = 1e-6  # of angles beside their brackets
 _ON_AXIS = 1e-10  # of the component's size: a corner that far beyond an axis is on it
-_SMALL = np.array([1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 3e-2])  # gains, beside the size of the stable set
-_RATIOS = np.array([1e-2, 1e-1, 0.3, 1.0])  # of alpha to beta, in that measure
 
 
 class Triples(NamedTuple):
@@ -130,7 +126,7 @@ class MainOutline(NamedTuple):
 Answers = tuple[Extremes, MainOutline | None]
 
 
-@lru_cache(maxsize=_PROGRAMS)
+@lru_cache(maxsize=8)  # each takes 40 to 90 MB
 def program(degree: int, *, outlines: bool = False) -> Callable[[Triples], Answers]:
     """Return the compiled program for triples of one degree; the oldest of many are dropped."""
     solve = partial(components, outlines=outlines)
@@ -574,6 +570,7 @@ def _outline(loop: Triples, component: _Component) -> MainOutline:
     is the integral of (alpha dbeta - beta dalpha) / 2, by Gauss's rule between the vertices of a
     piece, and exact on straight edges.
     """
+    nodes, weights = np.polynomial.legendre.leggauss(4)
     size, corners, links, main, *_ = component
 
     def followed(piece: Array, _: None) -> tuple[Array, Array]:
@@ -592,8 +589,8 @@ def _outline(loop: Triples, component: _Component) -> MainOutline:
         length = jnp.append(0.0, jnp.cumsum(jnp.hypot(*steps)))
         theta = jnp.interp(jnp.linspace(0.0, length[-1], _VERTICES), length, fine).at[-1].set(end)
         middle, half = 0.5 * (theta[1:] + theta[:-1]), 0.5 * jnp.diff(theta)
-        at_nodes, slopes = _with_slopes(loop, middle + half * _NODES[:, None])
-        return theta, _wall(loop, theta), jnp.sum(half * (_WEIGHTS @ cross(at_nodes, slopes)))
+        at_nodes, slopes = _with_slopes(loop, middle + half * nodes[:, None])
+        return theta, _wall(loop, theta), jnp.sum(half * (weights @ cross(at_nodes, slopes)))
 
     def nothing(_: tuple[Array, Array]) -> tuple[Array, Array, Array]:
         return jnp.zeros(_VERTICES), jnp.zeros((2, _VERTICES)), jnp.zeros(())
@@ -638,13 +635,15 @@ def _small_walls(loop: Triples, size: Array) -> tuple[Array, Array]:
     gains roots move in proportion to these, unless a root of base is outside.
     """
     hardly = 3  # the smallest walls, which float64 may not tell
-    alpha = _SMALL * _RATIOS[:, None] * size[0]
-    beta = jnp.broadcast_to(_SMALL * size[1], alpha.shape)
+    small = np.array([1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 3e-2])  # beside the size of the stable set
+    ratios = np.array([1e-2, 1e-1, 0.3, 1.0])  # of alpha to beta, in that measure
+    alpha = small * ratios[:, None] * size[0]
+    beta = jnp.broadcast_to(small * size[1], alpha.shape)
     walls = jnp.stack([alpha, beta])
     stable = _are_stable(loop, walls.reshape(2, -1)).reshape(alpha.shape)
     likely = stable[:, hardly : hardly + 2].all(axis=1, keepdims=True)
     likely = likely & jnp.all(_margins(loop, walls) > 0.0, axis=0)
-    stable = stable | (likely & (jnp.arange(len(_SMALL)) < hardly))
+    stable = stable | (likely & (jnp.arange(len(small)) < hardly))
     counts = jnp.sum(jnp.cumprod(stable, axis=1), axis=1)
     best = jnp.argmax(counts)
     count = counts[best]
