@@ -393,7 +393,6 @@ class OnCircle(NamedTuple):
 
 
 def _joined(crossings: list[Crossing]) -> list[Crossing]:
-    """Crossings in the order of t, those that are not told apart as one."""
     joined: list[Crossing] = []
     for crossing in sorted(crossings, key=lambda c: float(c.t.lower())):
         if joined and not joined[-1].t < crossing.t:
