@@ -7,7 +7,8 @@ infinity: these *poles* follow from the filters alone.
 The walls that keep a root at z = 1 or z = -1 are a line. So are those that keep a pair at a pole at
 which the plant is real as well (windows, undamped hands, delays of whole or half samples). Divided
 by that root, p0 + t q is a line like any other (``line``): its stable intervals are the straight
-pieces of the boundary, all of them, proved, each with the angle of the root that ends it.
+pieces of the boundary, all of them, proved, each with the angle of the root that ends it (lemma G2
+of docs/proofs.md).
 """
 
 from collections.abc import Callable

@@ -1,9 +1,9 @@
 """The arcs of the curve that bound the stable set, and how they join with its straight parts.
 
 A point of the curve bounds the stable set exactly where the other roots of p lie inside of the
-circle, and the set is then on the left (lemma G1). So the search is one-dimensional: angles are
-tested by the recursion of Schur and Cohn of p without its pair, in float64, and neighbours that
-pass are one *arc*. Its ends are narrowed by dividing their brackets.
+circle, and the set is then on the left (lemmas G1 and G3 of docs/proofs.md). So the search is
+one-dimensional: angles are tested by the recursion of Schur and Cohn of p without its pair, in
+float64, and neighbours that pass are one *arc*. Its ends are narrowed by dividing their brackets.
 
 An arc ends where another root reaches the circle. If that is the root of one of the lines, the end
 of a straight part of the boundary has the arc's angle, and balls know both (``Curve.lines``).
