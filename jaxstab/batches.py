@@ -209,7 +209,7 @@ def one_ahead(items: Iterator[Item]) -> Iterator[Item]:
 
 
 def is_on_cpu() -> bool:
-    """Whether JAX computes on the CPU."""
+    """True if JAX computes on the CPU."""
     import jax
 
     return jax.default_backend() == "cpu"

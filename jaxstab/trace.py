@@ -450,7 +450,7 @@ def _starts(maps: Monomials, edges: Edges, filters: Filters | None) -> Points:
 
 
 class TraceStatus(Status):
-    """What is known about one point of a trace.
+    """The status of one point of a trace.
 
     Example:
         >>> [status.name for status in jaxstab.results.TraceStatus]

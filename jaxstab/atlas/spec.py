@@ -138,7 +138,7 @@ class FieldSpec:
 
     @classmethod
     def from_table(cls, table: Any) -> "FieldSpec":
-        """Return what the table ``fields`` of a specification says; errors as of ``AtlasSpec``."""
+        """The fields in the table ``fields`` of a specification; errors as of ``AtlasSpec``."""
         if not isinstance(table, Mapping):
             raise TypeError(f"fields is {table!r}; give a table, such as [fields].")
         check_keys("fields", table, [entry.name for entry in fields(cls)])
@@ -148,7 +148,7 @@ class FieldSpec:
 
 @dataclass(frozen=True, kw_only=True)
 class AtlasSpec:
-    """What an atlas holds; without arguments, limits for the paper's haptic range (15).
+    """The contents of an atlas; without arguments, limits for the paper's haptic range (15).
 
     Args:
         gamma: nodes, one or more; so is delta.

@@ -36,7 +36,7 @@ from jaxstab.conventions import Status, Verdict
 Points = Float64[np.ndarray, "point 2"]
 
 Judge = Callable[[ParameterBoxes], tuple[Bool[np.ndarray, " box"], Float64[np.ndarray, "axis box"]]]
-"""Says which boxes are free of roots, and what halving along each axis would help."""
+"""Gives True for boxes that are free of roots, and what halving along each axis would help."""
 
 # Next to theta = 0 little of the plant is far from 0: boxes begin smaller there.
 _CELLS = pi * (1.0 + BEYOND) * np.array([0, 1, 2, 3, 4, 6, 8, 12, 16, 20, 24, 32, 48, 64]) / 64.0

@@ -43,7 +43,7 @@ Interval = tuple[float, float]
 
 
 class DelayStatus(Status):
-    """How far a margin of the delay can be trusted."""
+    """The status of a margin of the delay."""
 
     PROVED = 1, "no shorter delay has a root on the circle, proved"
     UNLIMITED = 2, "no delay is too long, proved"

@@ -100,7 +100,7 @@ def are_stable(
 def _is_stable(
     loop: LoopParameters, wall: tuple[float, float], place: tuple[float, float], arm: Arms
 ) -> bool:
-    """Whether a wall (K, B) of a device with a mass and an arm is proved stable at a delay."""
+    """True if a wall (K, B) of a device with a mass and an arm is proved stable at a delay."""
     mass, delay = place
     held = LoopParameters(
         sample_time=loop.sample_time,
@@ -412,7 +412,7 @@ def _coded(values: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def _are_corners(grid: Grid, cells: Cells) -> Bool[np.ndarray, "_ _ _"]:
-    """Which nodes are corners of these cells."""
+    """True for nodes at corners of these cells."""
     corners = np.zeros(grid.limit.shape, bool)
     for corner in np.ndindex(2, 2, 2):
         corners[tuple(np.stack(np.nonzero(cells)) + np.array(corner)[:, None])] = True

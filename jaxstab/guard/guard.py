@@ -84,7 +84,7 @@ class Guard:
 
     @property
     def is_delay_constant(self) -> bool:
-        """Whether walls are proved for constant delays alone."""
+        """True if walls are proved for constant delays alone."""
         return not self.grid.jitter
 
     def largest_stiffness(

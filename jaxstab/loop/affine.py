@@ -166,7 +166,7 @@ class GainRegion(ShownRegion):
 
     @property
     def status(self) -> RegionStatus:
-        """What is known of the region."""
+        """The status of the region."""
         return self.region.status
 
     @cached_property
@@ -200,7 +200,7 @@ class GainRegion(ShownRegion):
         )
 
     def contains(self, **gains: Numbers) -> Bool[Array, "*grid"]:
-        """Whether gains lie inside the exact boundary."""
+        """True where gains lie inside the exact boundary."""
         grid = self.loop._grid(gains)
         first, second = self.loop._chart.of_gains(grid[..., 0], grid[..., 1])
         return self.region.contains(first / self.units[0], second / self.units[1])
@@ -331,7 +331,7 @@ class Loop:
         return f"Loop of ({names}): {self.words}"
 
     def verdict(self, **gains: Numbers) -> Int8[Array, "*grid"]:
-        """Whether gains are stable, proved: codes of ``jaxstab.Verdict``, of any shape.
+        """Proved verdicts on gains: codes of ``jaxstab.Verdict``, of any shape.
 
         Each takes about 0.1 ms; more than a hundred, and JAX arrays, are a grid that takes less
         than 0.1 us each where the gains do not move the leading coefficient of p(z). UNDECIDED

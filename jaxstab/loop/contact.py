@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 class ContactKind(Status):
-    """How a simulated contact ends.
+    """The end of a simulated contact.
 
     Example:
         >>> jaxstab.results.ContactKind(1).words
@@ -299,7 +299,7 @@ def setup_of(
 def _mechanism(
     loop: LoopParameters, period: float, turn: tuple[float, ...]
 ) -> tuple[Mechanism, float, float]:
-    """Return what moves, how many N are 1, and its stiffness without a wall."""
+    """The mechanism that moves, its unit of force in N, and its stiffness without a wall."""
     device = loop.device
     if loop.body is None and device is not None:
         _refuse_fast(handle_equations(device, period).ticks)

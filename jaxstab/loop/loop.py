@@ -278,7 +278,7 @@ class HapticLoop(LoopParameters):
         return range_of(self.in_floats(), quantity, wall, **options)
 
     def boundary_distance(self, stiffness: Numbers, damping: Numbers) -> Float64[Array, "*grid"]:
-        """How far walls are from the edge of the stable set, in the (alpha, beta) plane.
+        """The distance of walls from the edge of the stable set, in the (alpha, beta) plane.
 
         Args and Raises: see ``jaxstab.conventions``.
 
@@ -365,7 +365,7 @@ class HapticLoop(LoopParameters):
         delays: Range | None = None,
         lost: int = 0,
     ) -> "WorstHand":
-        """Whether a wall is stable for every hand of a range, and the worst of the sampled hands.
+        """The verdict on a wall for every hand of a range, and the worst of the sampled hands.
 
         Each hand, like the rest of the loop, is constant while the wall is touched; with ``delays``
         the delay may change from sample to sample.
@@ -593,7 +593,7 @@ class HapticLoop(LoopParameters):
         return point.closed_loop_poles(*wall, **self.slice, **self.filters)
 
     def margins(self, stiffness: Numbers, damping: Numbers) -> "Margins":
-        """How far stiffness, damping and delay of the loop at walls may change, each alone.
+        """The changes of stiffness, damping and delay, each alone, up to the loss of stability.
 
         Args and Raises: see ``jaxstab.conventions``; TypeError also if JAX traces gains and the
         device is not one mass. Source: eq. (9) on the unit circle.
@@ -650,7 +650,7 @@ class HapticLoop(LoopParameters):
         hands: "HandRange | None" = None,
         mass: Range | None = None,
     ) -> Float64[np.ndarray, "*grid"]:
-        """How far the delay of each sample may exceed the loop's own, in s, proved.
+        """The proved range, in s, by which the delay of each sample may exceed the loop's own.
 
         The delay may change from sample to sample between ``delay`` and ``delay`` plus the margin;
         the wall is stable for every such sequence. A lost sample counts as one sampling period.

@@ -369,7 +369,7 @@ def _units(stacks: list[Stack]) -> Units:
 
 
 def _are_of_gains(many: Any) -> bool:
-    """Whether these are loops of any two gains, and no walls."""
+    """True for loops of any two gains, and no walls."""
     return isinstance(many, list) and len(many) > 0 and all(isinstance(x, Loop) for x in many)
 
 
@@ -606,7 +606,7 @@ def _masses(
 
 
 class Form(NamedTuple):
-    """What decides the form of p(z) for one mass: the delay in samples, estimator and filter."""
+    """The form of p(z) for one mass: the delay in samples, estimator and filter."""
 
     delay: float
     filters: Filters
@@ -629,7 +629,7 @@ def triples_of_masses(gamma: Array, delta: Array, form: Form) -> "Triples | None
 
 
 def _kind(loop: "HapticLoop") -> Hashable:
-    """Return what loops of a stack have in common: a device that is not one mass is by itself."""
+    """The kind that loops of a stack share: a device that is not one mass is by itself."""
     if loop.body is None:
         return loop
     is_filtered = loop.velocity is not None or loop.position is not None

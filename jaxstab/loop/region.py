@@ -141,7 +141,7 @@ class WallRegion(ShownRegion):
 
     @property
     def is_empty(self) -> bool:
-        """Whether no wall is stable."""
+        """True if no wall is stable."""
         return self.region.is_empty
 
     @cached_property
@@ -251,7 +251,7 @@ class WallRegion(ShownRegion):
         return self._intervals(columns, self.loop.damping, axis=0)
 
     def contains(self, stiffness: Numbers, damping: Numbers) -> Bool[Array, "*grid"]:
-        """Whether walls (K, B) lie inside the exact boundary; all False if UNRESOLVED."""
+        """True where walls (K, B) lie inside the exact boundary; all False if UNRESOLVED."""
         return self.region.contains(*scaled(self.loop, stiffness, damping))
 
     def distance(self, stiffness: Numbers, damping: Numbers) -> Float64[Array, "*grid"]:

@@ -186,7 +186,7 @@ def _checked_disturbances(
 
 
 def _causes(sizes: _Sizes) -> Causes:
-    """Whether each cause is present."""
+    """True for each cause that is present."""
     position, force, friction = (is_traced(x) or bool(np.any(x)) for x in sizes.causes)
     return position, force, friction
 

@@ -392,7 +392,7 @@ def _of_delay(
 
 
 def _is_for_many(shape: tuple[int, ...], delay: Values | float) -> bool:
-    """Return whether points are enough to compile for, and of one delay that is not too long."""
+    """True for points enough to compile for, and of one delay that is not too long."""
     return prod(shape) >= MANY and np.size(delay) == 1 and bool(delay <= LONGEST_DELAY)
 
 

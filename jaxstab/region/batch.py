@@ -267,7 +267,7 @@ def _bounds(loop: Triples, theta: Array) -> tuple[Array, Array, Array]:
 
 
 def _are_stable(loop: Triples, walls: Array) -> Array:
-    """Return which walls (2, wall) are stable."""
+    """True for walls (2, wall) that are stable."""
     inside = _are_inside(loop, walls, jnp.zeros_like(walls[0]), 0.0, 0)
     return inside & jnp.all(_margins(loop, walls) > 0.0, axis=0)
 
@@ -455,7 +455,7 @@ class _Links(NamedTuple):
 
 
 def _linked(loop: Triples, corners: _Corners) -> _Links:
-    """Return what follows each piece, and whether by way of the crossing of both lines."""
+    """The piece that follows each, and True where by way of the crossing of both lines."""
     base, stiffness, damping = loop.ends.T
     along = jnp.stack([damping, -stiffness], axis=1)  # the stable side is on the left
     crossing = jnp.stack([cross(damping, base), cross(base, stiffness)]) / cross(stiffness, damping)
@@ -503,7 +503,7 @@ def _are_around(
     labels: tuple[Array, Array],
     points: Array,
 ) -> Array:
-    """Return which loops (point, label) enclose points (2, point), by the rule of odd crossings.
+    """True where loops (point, label) enclose points (2, point), by the rule of odd crossings.
 
     ``labels``: of the pieces, and of the angles of the scan.
     """
@@ -707,7 +707,7 @@ def _largest(
 
 
 def _are_in_quadrant(walls: Array, size: Array, axis: Array) -> Array:
-    """Return which walls have the other gain >= 0."""
+    """True for walls whose other gain is >= 0."""
     return walls[1 - axis] >= -_ON_AXIS * size[1 - axis]
 
 

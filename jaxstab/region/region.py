@@ -110,7 +110,7 @@ def _followed(c: Curve, centers: Centers, *, is_proved: bool) -> tuple[Pieces, C
 
 
 def _keeps_a_root(loop: ScaledLoop) -> bool:
-    """Return whether all walls leave a root at z = 1 or -1, by the structure of the loop."""
+    """True if all walls leave a root at z = 1 or -1, by the structure of the loop."""
     with working_precision(FIRST_BITS):
         parts = [part.without_windows() for part in loop.triple()]
     return min(p.at_one for p in parts) > 0 or min(p.at_minus_one for p in parts) > 0
@@ -254,7 +254,7 @@ def _height(component: Outline, share: float) -> float:
 
 
 def _is_any_stable(c: Curve, axis: int, value: float, intervals: Points) -> bool:
-    """Return whether the middle of an interval is proved stable."""
+    """True if the middle of an interval is proved stable."""
     for middle in np.mean(intervals, axis=1).tolist():
         wall = (value, middle) if axis == 0 else (middle, value)
         if wall_verdict(c.loop.triple, *wall).verdict == Verdict.STABLE:
@@ -263,7 +263,7 @@ def _is_any_stable(c: Curve, axis: int, value: float, intervals: Points) -> bool
 
 
 def _agree(line: StableLine, drawn: Points, slim: float, share: float, size: float) -> bool:
-    """Return whether a line has the intervals that are drawn, but for slim ones."""
+    """True if a line has the intervals that are drawn, but for slim ones."""
     rounded = 1e-11  # of the region's size: ends that are the same
     proved = np.array([[low.value, high.value] for low, high in line.intervals]).reshape(-1, 2)
     proved, drawn = (x[x[:, 1] - x[:, 0] > slim] for x in (proved, drawn))

@@ -30,7 +30,7 @@ _DIGITS = 5
 
 
 class GainNames(NamedTuple):
-    """What stiffness and damping of a plane are called, and their units."""
+    """The names of stiffness and damping of a plane, and their units."""
 
     stiffness: str = "alpha"
     damping: str = "beta"
@@ -167,7 +167,7 @@ def _text(value: float, unit: str, *, floors: bool = False) -> str:
 
 
 class RegionStatus(Status):
-    """What is known of a stable region.
+    """The status of a stable region.
 
     COMPLETE: the boundary that was found closes to loops; all stable intervals of a row through
     each component are proved to be the region's, and so are those of the line 1e-9 beyond each
@@ -211,7 +211,7 @@ def components_of(c: Curve, outline: Outline) -> list[Outline]:
 
 
 def holds_small_gains(c: Curve, outline: Outline) -> bool:
-    """Return whether a set holds positive gains that are small beside its own size."""
+    """True if a set holds positive gains that are small beside its own size."""
     small = 1e-8  # of what a set spans
     ratios = 10.0 ** np.arange(-6.0, 7.0)  # of alpha to beta, in that measure
     extent = np.max(np.abs(outline.vertices[: outline.size]), axis=0)
@@ -311,7 +311,7 @@ class StableRegion(ShownRegion):
 
     @property
     def is_empty(self) -> bool:
-        """Whether no (alpha, beta) is stable."""
+        """True if no (alpha, beta) is stable."""
         return self.status == RegionStatus.EMPTY
 
     @property
@@ -369,12 +369,12 @@ class StableRegion(ShownRegion):
 
     @property
     def rows_are_intervals(self) -> bool:
-        """Whether every line of constant beta meets the region in at most one interval of alpha."""
+        """True if every line of constant beta meets the region in at most one interval of alpha."""
         return self._are_intervals(axis=1)
 
     @property
     def columns_are_intervals(self) -> bool:
-        """Whether every line of constant alpha meets the region in one interval of beta at most."""
+        """True if every line of constant alpha meets the region in one interval of beta at most."""
         return self._are_intervals(axis=0)
 
     def _are_intervals(self, axis: int) -> bool:
@@ -417,7 +417,7 @@ class StableRegion(ShownRegion):
         return measures.limits(self.curve, self.outline, columns, axis=0)
 
     def contains(self, alpha: Numbers, beta: Numbers) -> Bool[Array, "*grid"]:
-        """Return whether points lie inside the exact boundary; all False for UNRESOLVED.
+        """True where points lie inside the exact boundary; all False for UNRESOLVED.
 
         Args and Raises: see ``jaxstab.conventions``.
         """

@@ -503,7 +503,7 @@ class _Source:
 
     @property
     def answers(self) -> dict[str, dict[str, Variable]]:
-        """What may be asked, by its name."""
+        """The answers that may be asked for, by name."""
         if self.of_gains is None:
             return ANSWERS
         first, second = self.of_gains.loop.gains
@@ -660,7 +660,7 @@ class _Block:
 
     @property
     def variables(self) -> dict[str, Variable]:
-        """What the block returns; all but limits are of walls."""
+        """The variables that the block returns; all but limits are of walls."""
         unit = self.source.units.unit
         return {
             name: own._replace(units=unit(own.units), along=() if answer == "limits" else (WALL,))
@@ -751,7 +751,7 @@ def _table(
 
 
 def _described(key: str) -> tuple[str, str]:
-    """Return what a key of a scene, or a field of a loop, is, and its unit."""
+    """The description and the unit of a key of a scene, or of a field of a loop."""
     of_loops = {field: own for own, field in reversed(_NUMBERS.items())}
     *_, section, name = ["controller", *of_loops.get(key, key).split(".")]
     section = key.split(".")[-3] if section.isdigit() else section
