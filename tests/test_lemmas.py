@@ -42,6 +42,7 @@ def test_each_lemma_opens_with_words_the_code_that_uses_it_and_a_test_of_it(lemm
     code, test = ((ROOT / opening[part]).read_text(encoding="utf-8") for part in ("code", "file"))
     assert re.search(rf"^ *(def|class) {opening['function']}\b", code, re.MULTILINE)
     assert f"\ndef {opening['test']}(" in test
+    assert f"@pytest.mark.campaign\ndef {opening['test']}(" not in test, "it runs in campaigns only"
     numbers = re.findall(r"\b([A-Z])(\d+)(?: to \1(\d+))?\b", code)
     cited = {f"{k}{n}" for k, a, b in numbers for n in range(int(a), int(b or a) + 1)}
     assert opening["name"] in cited, f"{opening['code']} does not cite it"
