@@ -64,7 +64,7 @@ class Verdict(Code):
 
 
 class Status(Code):
-    """The trust that an answer deserves: a small integer with a description.
+    """A status: a small integer with a description.
 
     A member is written ``NAME = number, "words"``.
     """

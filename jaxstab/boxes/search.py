@@ -179,7 +179,7 @@ class RobustLimit(NamedTuple):
         stiffness: K of a wall 1 % below the stiffest wall of the search, or up to 8 % below where
             the proof failed closer to it.
         damping: B of that wall.
-        is_proved: whether that wall is proved stable for every hand.
+        is_proved: True if that wall is proved stable for every hand.
         limit: the largest stiffness with B >= 0 that was found in the exact stable regions of all
             tried hands: computed, not proved. With an estimator or a filter it is that of the
             components with small gains.

@@ -161,8 +161,8 @@ def build_guard(
         mass: the lowest and the highest mass of the device in kg, over its postures for example.
         delay: the shortest and the longest delay of the loop in s. The newest sample that has
             arrived sets the force.
-        lost: how many samples in a row may never arrive.
-        constant_delay: whether the delay is constant while the wall is touched.
+        lost: the number of samples in a row that may never arrive.
+        constant_delay: True for a delay that is constant while the wall is touched.
         cells: the number of cells along mass, delay and damping, powers of two: (4, 1, 16), or (4,
             8, 16) for a constant delay; one of delay if it moves. More cells grant more, but the
             table is larger and takes longer to prove.

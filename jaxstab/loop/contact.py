@@ -54,16 +54,17 @@ class ContactKind(Status):
 
 
 class Contact(NamedTuple):
-    """Simulated contacts with walls: how they end, in the last quarter of the run.
+    """Simulated contacts with walls: their ends, in the last quarter of the run.
 
     Attributes:
         kind: codes of ``ContactKind``.
         amplitude: half of the peak-to-peak position at the end in m; infinite if it was given up.
         frequency: of the maxima of the position at the end in Hz; NaN if it rests, or has not two.
-        time_to_rest: from when on it rests, in the wall or outside, in s; infinite if it does not.
+        time_to_rest: the time in s from which on it rests, in the wall or outside; infinite if it
+            does not.
         penetration: the largest position of the run in m; 0 if none is positive.
         largest_force: the largest modulus of the wall's force in N.
-        energy: in J, what the wall gave to device and hand; negative if it took.
+        energy: given by the wall to device and hand, in J; negative if it took.
         path: the motion at the samples, the force as it is computed there; None for maps.
 
     Example:

@@ -36,7 +36,7 @@ class WorstDelays:
     Attributes:
         delays: one turn, in s; infinite for a sample that is lost.
         growth: the factor per sample by which the motion grows, below 1 if it decays.
-        is_proved: whether it is proved that a motion grows.
+        is_proved: True if it is proved that a motion grows.
 
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=0.05, sample_time=1e-3)

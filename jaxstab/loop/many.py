@@ -73,8 +73,8 @@ class ManyLimits(NamedTuple):
         damping: the largest stable B in N s/m of walls with K >= 0.
         at_stiffness: the K in N/m at which it is reached.
         status: codes of ``RegionStatus``.
-        is_reachable: whether the walls are reached by turning gains up from 0.
-        is_single: which loops were answered one by one, by ``HapticLoop.limits``.
+        is_reachable: True for walls that are connected to zero gains.
+        is_single: True for loops that were answered one by one, by ``HapticLoop.limits``.
 
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -178,8 +178,8 @@ class ManyGainLimits(NamedTuple):
         second: the same of the second gain.
         at_first: the first gain at which it is reached.
         status: codes of ``RegionStatus``.
-        is_reachable: whether small gains are stable.
-        is_single: which loops were answered one by one, by ``Loop.limits``.
+        is_reachable: True where small gains are stable.
+        is_single: True for loops that were answered one by one, by ``Loop.limits``.
 
     Example:
         >>> loops = [jaxstab.simulated_pd(0.1, step=step) for step in (1e-3, 2e-3)]
@@ -197,7 +197,7 @@ class ManyGainLimits(NamedTuple):
 
 
 class ManyRegions(NamedTuple):
-    """The stable walls of each loop that are reached by turning gains up from 0, without islands.
+    """The stable walls of each loop that are connected to zero gains, without islands.
 
     Attributes:
         outline: closed polygons of walls (K, B) on the exact boundary, counter-clockwise, of the

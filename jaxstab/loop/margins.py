@@ -317,9 +317,9 @@ class GainMargins(NamedTuple):
         first: the smallest and the largest first gain between which the loop stays stable at this
             second one.
         second: the same of the second gain.
-        first_factors: by what the first gain may be multiplied, the least and the largest factor.
+        first_factors: the least and the largest factor by which the first gain may be multiplied.
         second_factors: the same of the second gain.
-        both_factors: by what both may be multiplied at once: the gain margins of the open loop.
+        both_factors: the factors of both at once: the gain margins of the open loop.
         names: those of the gains, with their units.
 
     Example:

@@ -20,7 +20,7 @@ branches are known before the scan. The program, for each loop:
    the one that begins where it ends, or by the next one along the line of a real root, or around
    the crossing of both lines. Each piece must follow exactly one.
 4. *Component.* A wall with small gains is enclosed by one of the loops: that is the component of
-   walls that are reached by turning gains up from 0. One loop far from 0 is an island.
+   walls that are connected to zero gains. One loop far from 0 is an island.
 5. *Extremes.* The largest alpha where beta >= 0, and the largest beta where alpha >= 0, are at
    corners, where the curve turns, or where the boundary crosses the axis of that gain: the best
    angles of the scan are refined by Newton's method.

@@ -266,9 +266,9 @@ class StableRegion(ShownRegion):
     computed on the host and differentiable once.
 
     Attributes:
-        curve: what the exact boundary is made of.
+        curve: of the exact boundary.
         outline: the polygon.
-        status: what is known of the region.
+        status: a RegionStatus.
         max_alpha: the point (alpha, beta) of the largest alpha, over negative betas as well (the
             limits of a ``HapticLoop`` are of walls with K >= 0 and B >= 0); NaN if there is none.
         max_beta: the same of the largest beta.
@@ -324,7 +324,7 @@ class StableRegion(ShownRegion):
 
     @property
     def branch(self) -> Int[np.ndarray, " piece"]:
-        """The Branch of each piece between two points: which root is on the circle there."""
+        """The Branch of each piece between two points: the root that is on the circle there."""
         return self.outline.branches[: max(self.outline.size - 1, 0)]
 
     @property
@@ -350,7 +350,7 @@ class StableRegion(ShownRegion):
 
     @property
     def main(self) -> "StableRegion | None":
-        """The component with small positive gains: the walls reached by turning gains up from 0.
+        """The component with small positive gains: the walls that are connected to zero gains.
 
         None where small positive gains are not stable.
         """
@@ -358,7 +358,7 @@ class StableRegion(ShownRegion):
 
     @property
     def islands(self) -> list["StableRegion"]:
-        """The components that turning gains up from 0 does not reach, the largest first."""
+        """The components that are not connected to zero gains, the largest first."""
         components = self.components
         return components[any(map(_holds_small_gains, components[:1])) :]
 

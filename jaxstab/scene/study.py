@@ -126,7 +126,7 @@ def study(
 
     Args:
         of: a scene (a file, or its tables) or a loop.
-        over: what varies, by keys of the scene such as "hand.stiffness", or by fields of the loop:
+        over: variations, by keys of the scene such as "hand.stiffness", or by fields of the loop:
             a list of values, (low, high, count), a frozen distribution of ``scipy.stats``, or a
             text such as "0.1:0.5:20", "csv:hands.csv:stiffness" or "normal:300:100". Lists span a
             grid; distributions are drawn together, ``samples`` times at each of its points.
@@ -162,7 +162,7 @@ def study(
 
 
 def shares(study: "Dataset", *, confidence: float = 0.95) -> "Dataset":
-    """Return the share of draws for which each wall is proved stable, with its interval.
+    """The share of draws for which each wall is proved stable, with its interval.
 
     Args:
         study: of draws, with verdicts, from ``jaxstab.study`` or from its file.
@@ -171,7 +171,7 @@ def shares(study: "Dataset", *, confidence: float = 0.95) -> "Dataset":
     Returns:
         ``xarray.Dataset`` over the other dimensions: ``share`` of all draws; ``low`` and ``high``,
         the interval of the share among all that could be drawn, whose lower end takes what is
-        undecided for unstable, and its upper end for stable; ``undecided``, how many verdicts are.
+        undecided for unstable, and its upper end for stable; ``undecided``, their number.
 
     Raises:
         ValueError: the study has no draws or no verdicts, or the confidence is not between 0 and 1.

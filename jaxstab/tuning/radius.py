@@ -263,8 +263,8 @@ class TuningStatus(Status):
     """The status of the best gains; small integers, so that arrays store int8.
 
     None of them proves that no other gains are better. With filters the stable set may have several
-    components: the search covers the one that holds small positive gains, which is reached by
-    turning gains up from 0, and other components only where the status says so.
+    components: the search covers the one that is connected to zero gains through positive ones, and
+    other components only where the status says so.
 
     Example:
         >>> jaxstab.results.TuningStatus(1).words
@@ -283,7 +283,7 @@ class TuningStatus(Status):
 
 
 class OptimalGains(NamedTuple):
-    """The best gains, what they achieve (a radius, or samples) and how they are known.
+    """The best gains, their radius or settling time in samples, and a status.
 
     Example:
         >>> best = jaxstab.minimize_radius(gamma=0.0, delta=0.0, delay=0.0)

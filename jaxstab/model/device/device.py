@@ -433,7 +433,7 @@ class Device:
         )
 
     def require_handle(self) -> None:
-        """Refuse a device of which nobody says where it is held.
+        """Refuse a device whose handle is not known.
 
         Raises: ValueError if a mode has a negative mass.
         """
