@@ -503,6 +503,7 @@ class DeviceBoxes:
         """True for boxes in which the imaginary part of F grows with theta, from 0 on, where F > 0.
 
         Walls from no stiffness on begin with a device that may be free; there F(0) is 0 by itself.
+        With modes of unlike shapes a stiffness may push the encoder away, N(0) < 0.
         """
         place, alpha, beta = self._parts(boxes)
         above, below = self._device.parts(_moving_s(place.theta), place.mass, place.arm)
@@ -513,10 +514,11 @@ class DeviceBoxes:
         free, shares = _rising(
             [((below + wall * force).rate, wall.value.size * taken_away) for wall in (least, most)]
         )
-        if self._first_row is None:
-            above, below = self._device.parts(place.theta.constant(0.0), place.mass, place.arm)
-            free &= (below + alpha * self._gain_at_rest * above).low > 0.0
-        return free, shares
+        above, below = self._device.parts(place.theta.constant(0.0), place.mass, place.arm)
+        holds = (below + alpha * self._gain_at_rest * above).low > 0.0
+        if self._first_row is not None:  # D(0) >= 0, and any stiffness adds to it
+            holds |= above.low > 0.0
+        return free & holds, shares
 
     def _begin_without_wall(self, boxes: ParameterBoxes) -> Bool[np.ndarray, " box"]:
         """True for boxes in a first row that begins without a wall, of a passive device."""
