@@ -515,6 +515,7 @@ class DeviceBoxes:
             [((below + wall * force).rate, wall.value.size * taken_away) for wall in (least, most)]
         )
         above, below = self._device.parts(place.theta.constant(0.0), place.mass, place.arm)
+        above = place.theta.constant(1.0) * above
         holds = (below + alpha * self._gain_at_rest * above).low > 0.0
         if self._first_row is not None:  # D(0) >= 0, and any stiffness adds to it
             holds |= above.low > 0.0
