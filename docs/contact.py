@@ -190,7 +190,7 @@ def table(counts: Counter[str], widest: float) -> Iterator[str]:
         f"largest was {100.0 * widest:.0f} % of its bound."
     )
     yield ""
-    yield "| friction in N | proved stable, rests | proved unstable, rests |"
+    yield "| friction in N | stable, rests | unstable, rests |"
     yield "|---|---|---|"
     for number, high in enumerate(_BINS):
         name = "0" if number == 0 else f"{_BINS[number - 1]:g} to {high:g}"

@@ -63,7 +63,7 @@ _unregistered: list[type] = []
 
 
 def is_jax(value: object) -> bool:
-    """Whether a value is a JAX array or a tracer; this does not import JAX."""
+    """True for a JAX array or a tracer; this does not import JAX."""
     if type(value) in _PLAIN:  # most values, at once
         return False
     jax = sys.modules.get("jax")
@@ -71,23 +71,23 @@ def is_jax(value: object) -> bool:
 
 
 def is_any_jax(*trees: object) -> bool:
-    """Whether a leaf of nested values is a JAX array or a tracer."""
+    """True if a leaf of nested values is a JAX array or a tracer."""
     return "jax" in sys.modules and any(map(is_jax, leaves(trees, plain=False)))
 
 
 def is_traced(value: object) -> bool:
-    """Whether JAX traces a value, so that only jit, vmap or grad know it."""
+    """True if JAX traces a value, so that only jit, vmap or grad know it."""
     return is_jax(value) and isinstance(value, sys.modules["jax"].core.Tracer)
 
 
 def is_any_traced(*trees: object) -> bool:
-    """Whether JAX traces a leaf of nested values."""
+    """True if JAX traces a leaf of nested values."""
     _register_once()
     return "jax" in sys.modules and any(map(is_traced, leaves(trees, plain=False)))
 
 
 def are_numbers(*trees: object) -> bool:
-    """Whether all leaves of nested values are concrete real numbers, as a repr needs."""
+    """True if all leaves of nested values are concrete real numbers, as a repr needs."""
     if is_any_traced(*trees):
         return False
     return all(np.asarray(leaf).dtype.kind in "biuf" for tree in trees for leaf in leaves(tree))

@@ -209,7 +209,7 @@ def one_ahead(items: Iterator[Item]) -> Iterator[Item]:
 
 
 def is_on_cpu() -> bool:
-    """Whether JAX computes on the CPU."""
+    """True if JAX computes on the CPU."""
     import jax
 
     return jax.default_backend() == "cpu"
@@ -358,7 +358,7 @@ def alike(kinds: Iterable[Hashable]) -> list[list[int]]:
 
 
 def use_compilation_cache(folder: str | os.PathLike[str] | None = None) -> Path:
-    """Keep what XLA compiles in a folder, for this process, its children and later ones.
+    """Keep compiled programs of XLA in a folder, for this process, its children and later ones.
 
     Every command of ``jaxstab`` does the same. JAX is not imported for this: it reads the setting
     when it is imported, or at once if it is already loaded. Numbers and small NumPy arrays never

@@ -64,7 +64,7 @@ class Verdict(Code):
 
 
 class Status(Code):
-    """How far an answer can be trusted: a small integer with a description.
+    """A status: a small integer with a description.
 
     A member is written ``NAME = number, "words"``.
     """
@@ -80,7 +80,7 @@ class Status(Code):
 
 
 class RadiusStatus(Status):
-    """How the error of a spectral radius is known; it is infinite without a bound.
+    """The origin of the error of a spectral radius; it is infinite without a bound.
 
     Example:
         >>> jaxstab.results.RadiusStatus(1).words

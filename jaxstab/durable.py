@@ -31,7 +31,7 @@ _ANY: Identity = ()
 
 
 def identity_of(path: Path) -> Identity:
-    """Return what tells a file from every later one of its name; None without one."""
+    """The identity of a file, unlike that of any later one of its name; None without one."""
     try:
         status = os.stat(path)
     except FileNotFoundError:
@@ -105,7 +105,7 @@ def _name(descriptor: int, path: Path) -> None:
 
 
 def _is_at(path: Path, descriptor: int) -> bool:
-    """Whether a path is that of an open file."""
+    """True if a path is that of an open file."""
     try:
         return os.path.samestat(os.fstat(descriptor), os.lstat(path))
     except FileNotFoundError:

@@ -1,4 +1,4 @@
-"""What a package exports: the names in the stub beside it, each loaded when it is first used."""
+"""The names that a package exports: those in the stub beside it, each loaded at its first use."""
 
 import re
 import sys

@@ -1,4 +1,4 @@
-"""How answers are printed for people: numbers with as many digits as are known, and tables.
+"""Answers printed for people: numbers with as many digits as are known, and tables.
 
 The printed text claims no more than what was computed: limits are rounded to a given side, two
 gains so that the wall that is printed is stable, and the rounding of a value is added to its

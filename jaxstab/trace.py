@@ -450,7 +450,7 @@ def _starts(maps: Monomials, edges: Edges, filters: Filters | None) -> Points:
 
 
 class TraceStatus(Status):
-    """What is known about one point of a trace.
+    """The status of one point of a trace.
 
     Example:
         >>> [status.name for status in jaxstab.results.TraceStatus]
@@ -532,7 +532,7 @@ def trace_boundary(
     resolution: int | float = 1 / 64,
     **fixed: Numbers,
 ) -> BoundaryTrace | list[BoundaryTrace]:
-    """Trace where a root lies on the unit circle, in a plane of two quantities.
+    """Trace the points with a root on the unit circle, in a plane of two quantities.
 
     Args:
         plane: names of the two axes, either both dimensionless (alpha, beta, gamma, delta, delay)

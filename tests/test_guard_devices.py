@@ -31,7 +31,16 @@ from jaxstab import (
     build_guard,
 )
 from jaxstab.boxes.box import HAND, THETA, ParameterBoxes
-from jaxstab.boxes.plant import _FAST, Arms, DeviceBoxes, Extent, HeldDevice, with_parts
+from jaxstab.boxes.plant import (
+    _FAST,
+    Arms,
+    DeviceBoxes,
+    Extent,
+    FirstRow,
+    HeldDevice,
+    with_parts,
+)
+from jaxstab.boxes.search import paved
 from jaxstab.guard.grid import Grid, grid_boxes, interpolated
 from jaxstab.model.balls import linear_loop
 from jaxstab.model.device import sampled_device
@@ -310,6 +319,36 @@ def test_boxes_that_hold_a_root_on_the_circle_are_never_free() -> None:
         beside = replace(at_root, center=np.clip(angle + 0.05, 0.0, np.pi))  # the narrow ones are
         count += int(proof.judged(beside)[0].sum())
     assert count > 60
+
+
+@pytest.mark.parametrize(
+    ("share", "is_free"), [(0.5, True), (0.99, True), (1.01, False), (1.5, False)]
+)
+def test_a_stiffness_that_pushes_the_encoder_away_is_free_below_the_root_at_1(
+    share: float, is_free: bool
+) -> None:
+    """Lemma B20 at theta = 0, N(0) < 0: motor and encoder on either side of the handle."""
+    arm, mass, damping = Arms(0.1, 1000.0, 30.0), 0.3, 1.0
+    mode = Mode(
+        frequency=10.0, damping_ratio=1.0, modal_mass=0.05, motor=1.0, encoder=-1.0, handle=0.0
+    )
+    device = Device.modes([mode], mass=mass, damping=1.0)
+    loop = HapticLoop(device=with_parts(device, mass, arm), sample_time=PERIOD)
+    limit = arm.stiffness / (arm.stiffness / (0.05 * (20.0 * np.pi) ** 2) - 1.0)
+    assert loop.stiffness_intervals(damping).intervals[0].high.value == pytest.approx(limit)
+
+    def extent(boxes: ParameterBoxes) -> Extent:
+        one = boxes.constant
+        in_samples = Arms(*map(one, (arm.mass, arm.stiffness * PERIOD**2, arm.damping * PERIOD)))
+        gains = one(share * limit * PERIOD**2), one(damping * PERIOD)
+        return Extent(one(mass), one(0.0), in_samples, *gains)
+
+    def walls(boxes: ParameterBoxes) -> Any:
+        raise NotImplementedError
+
+    never = FirstRow(lambda boxes: np.zeros(boxes.index.size, bool), walls)
+    boxes = DeviceBoxes(loop.held_device, loop, (mass, mass), (1000.0, 30.0), extent, never)
+    assert (paved(boxes.judged, 1, 2.0**-16).boxes.index.size == 0) == is_free
 
 
 def test_a_wide_delay_is_halved_before_what_is_narrow() -> None:

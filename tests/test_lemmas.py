@@ -21,15 +21,31 @@ WORST = (4503614388135502.0, 0.4999936223031387), (4503934500569479.0, 0.4999985
 ROOT = Path(__file__).parents[1]
 
 
-def test_each_lemma_names_a_test_that_fails_if_it_is_false() -> None:
+def lemmas() -> list[str]:
     page = (ROOT / "docs" / "proofs.md").read_text(encoding="utf-8")
-    lemmas = page.split("\n### Lemma ")[1:]
-    assert lemmas
-    for lemma in lemmas:
-        said = re.search(r"^If false, `(tests/test_\w+\.py)::(test_\w+)` fails\.$", lemma, re.M)
-        assert said, lemma[:40]
-        file, name = said.groups()
-        assert f"\ndef {name}(" in (ROOT / file).read_text(encoding="utf-8"), name
+    return page.split("\n### Lemma ")[1:]
+
+
+LEMMA = re.compile(
+    r"""(?P<name>[A-Z]\d+)\ \(.+\)\n\n
+    -\ \*\*In\ words\*\*:\ (?P<words>.+\n(\ \ .+\n)?)
+    -\ \*\*Used\ by\*\*\ `(?P<code>jaxstab/[\w/]+\.py)::(?P<function>\w+)`\.\n
+    -\ \*\*If\ false\*\*,\ `(?P<file>tests/test_\w+\.py)::(?P<test>test_\w+)`\ fails\.\n\n""",
+    re.VERBOSE,
+)
+
+
+@pytest.mark.parametrize("lemma", lemmas(), ids=lambda lemma: lemma.split()[0])
+def test_each_lemma_opens_with_words_the_code_that_uses_it_and_a_test_of_it(lemma: str) -> None:
+    opening = LEMMA.match(lemma)
+    assert opening, lemma[:300]
+    code, test = ((ROOT / opening[part]).read_text(encoding="utf-8") for part in ("code", "file"))
+    assert re.search(rf"^ *(def|class) {opening['function']}\b", code, re.MULTILINE)
+    assert f"\ndef {opening['test']}(" in test
+    assert f"@pytest.mark.campaign\ndef {opening['test']}(" not in test, "it runs in campaigns only"
+    numbers = re.findall(r"\b([A-Z])(\d+)(?: to \1(\d+))?\b", code)
+    cited = {f"{k}{n}" for k, a, b in numbers for n in range(int(a), int(b or a) + 1)}
+    assert opening["name"] in cited, f"{opening['code']} does not cite it"
 
 
 def exact(number: DoubleDouble) -> Fraction:

@@ -41,7 +41,6 @@ def random_hands(region, rng, count):
     return rng.uniform(*region.gamma, count), rng.uniform(*region.delta, count)
 
 
-@pytest.mark.campaign
 def test_walls_of_a_proved_outline_are_stable_for_every_hand(robust, rng):
     assert robust.status == RobustStatus.PROVED
     walls = robust.outline[rng.integers(0, len(robust.outline), 60)]

@@ -202,7 +202,7 @@ def packed_fields(spec: AtlasSpec, grid: FieldGrid, tile: Tile) -> dict[str, byt
 
 
 def _near(stable: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return which nodes are corners of cells along the first two axes with a stable corner."""
+    """True for nodes at corners of cells along the first two axes with a stable corner."""
     near = stable.copy()
     for axis in (0, 1):
         along = near.swapaxes(0, axis)

@@ -55,12 +55,12 @@ class Variable:
 
     @property
     def is_axis(self) -> bool:
-        """Whether this is the coordinate of the dimension of its name (an HDF5 dimension scale)."""
+        """True for the coordinate of the dimension of its name (an HDF5 dimension scale)."""
         return self.dimensions == (self.name,)
 
     @property
     def is_packed(self) -> bool:
-        """Whether its chunks are shuffled and deflated; those of others are plain numbers."""
+        """True if its chunks are shuffled and deflated; those of others are plain numbers."""
         return self.dimensions == NODE
 
     @property

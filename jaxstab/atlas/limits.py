@@ -142,7 +142,7 @@ class _Regions:
 
 
 def _is_arc(spec: "AtlasSpec") -> bool:
-    """Whether regions at the corners of a range, and at some delays, are bounded by an arc."""
+    """True if regions at the corners of a range, and at some delays, are bounded by an arc."""
     most_asked = 12  # delays at which regions are asked whether the range is of arcs
     if spec.filters is not None:
         return False
@@ -168,7 +168,7 @@ def _is_bounded_by_an_arc(gamma: float, delta: float, delay: float) -> bool:
 
 
 class LimitPlan(NamedTuple):
-    """How the limits of an atlas are computed: by arcs where that may be, in runs of cells."""
+    """The computation of an atlas's limits: by arcs where that may be, in runs of cells."""
 
     spec: "AtlasSpec"
     is_arc: bool

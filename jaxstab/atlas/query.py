@@ -72,10 +72,9 @@ class Atlas:
         spec: the TOML text from which the atlas was built.
         created_by: the program and version that built it.
         filters_in_words: the velocity estimator and the position filter of its loops.
-        tested: what the build found at random walls: their number, and how many of them the table
-            answered wrongly (0, or the atlas would not be), left to be computed, and of these how
-            many stayed undecided.
-        has_fields: whether there are ``fields``.
+        tested: random walls of the build: their number, the number that the table answered wrongly
+            (0, or the build fails), that it left to be computed, and that stayed undecided.
+        has_fields: True with ``fields``.
 
     Example:
         >>> atlas = jaxstab.open_atlas("data/golden/atlas-v4.h5")
@@ -132,7 +131,7 @@ class Atlas:
     def query(
         self, alpha: Numbers, beta: Numbers, *, gamma: Numbers, delta: Numbers, delay: Numbers
     ) -> AtlasAnswer:
-        """Verdicts of points of any broadcast shape, and how each is known.
+        """Verdicts of points of any broadcast shape, and the origin of each.
 
         The atlas answers for its own estimator and filter (``filters``; ``for_loop`` checks them).
         Between the nodes the table answers where a point is clear of the interpolated limits by
@@ -304,7 +303,7 @@ class LoopAtlas:
         return f"{self.atlas!r}\nfor {self.loop!r}"
 
     def query(self, stiffness: Numbers, damping: Numbers) -> AtlasAnswer:
-        """Verdicts of walls (K, B) of any broadcast shape, and how each is known.
+        """Verdicts of walls (K, B) of any broadcast shape, and the origin of each.
 
         Args and Raises: see ``jaxstab.conventions``. Source: as ``Atlas.query``.
         """

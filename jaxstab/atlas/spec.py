@@ -99,16 +99,16 @@ _FITTED = ("alpha", "beta")
 
 @dataclass(frozen=True, kw_only=True)
 class FieldSpec:
-    """The nodes at which an atlas has fields, and how these are found.
+    """The nodes at which an atlas has fields, and the method that finds these.
 
     Args:
         alpha: nodes, two or more; or how many, at least 8, are fitted to the stable region of each
             delay. So is beta.
         gamma, delta, delay: nodes, one or more; None for those of the limits. Each delay has its
             own nodes of fitted axes.
-        where: which nodes have fields: "near" for corners of cells (in alpha and beta) with a
+        where: the nodes that have fields: "near" for corners of cells (in alpha and beta) with a
             stable corner, "all" for all.
-        method: how the dominant poles are found: "fast", by powers of the companion matrix, or
+        method: of finding the dominant poles: "fast", by powers of the companion matrix, or
             "companion", by its eigenvalues; proved alike.
 
     Raises: as ``AtlasSpec``.
@@ -138,7 +138,7 @@ class FieldSpec:
 
     @classmethod
     def from_table(cls, table: Any) -> "FieldSpec":
-        """Return what the table ``fields`` of a specification says; errors as of ``AtlasSpec``."""
+        """The fields in the table ``fields`` of a specification; errors as of ``AtlasSpec``."""
         if not isinstance(table, Mapping):
             raise TypeError(f"fields is {table!r}; give a table, such as [fields].")
         check_keys("fields", table, [entry.name for entry in fields(cls)])
@@ -148,7 +148,7 @@ class FieldSpec:
 
 @dataclass(frozen=True, kw_only=True)
 class AtlasSpec:
-    """What an atlas holds; without arguments, limits for the paper's haptic range (15).
+    """The contents of an atlas; without arguments, limits for the paper's haptic range (15).
 
     Args:
         gamma: nodes, one or more; so is delta.

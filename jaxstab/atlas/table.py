@@ -40,7 +40,7 @@ _BLOCK = 2**14  # points: what a block needs stays in the cache
 
 
 class AlphaLimits(NamedTuple):
-    """The smallest and the largest stable alpha, and how wrong each may be.
+    """The smallest and the largest stable alpha, and the error of each.
 
     Attributes:
         lower, upper: interpolated limits; NaN where no alpha is stable, or nothing is known.

@@ -47,7 +47,7 @@ class LinearModel:
 
     @property
     def swing(self) -> Floats:
-        """How far the function can be from its centre."""
+        """The largest distance of the function from its centre."""
         return self._sloped + self.rest
 
     @property
@@ -156,7 +156,7 @@ class Moving:
 
 
 def clearances(normal: Floats, models: Sequence[LinearModel]) -> tuple[list[Floats], list[Floats]]:
-    """How far functions are, in all of a box, on one side of a line through 0 across a direction.
+    """Distances of functions, in all of a box, from a line through 0 across a direction.
 
     All are on one side where all distances are positive. Then how far each axis moves each model
     along the direction.

@@ -12,7 +12,8 @@ so that around theta_0, |theta - theta_0| <= h, with f, f' and f" evaluated ther
     |r| <= h^2/2 (|f"(theta_0)| + h sum k^3 |c_k|),
 
 or h^2/2 times the bound of f" itself, where that is less. Its derivative has the bounds of one
-order more. No tables, and nothing that depends on the degree but the sums.
+order more (lemma B14 of docs/proofs.md). No tables, and nothing that depends on the degree but the
+sums.
 """
 
 from functools import lru_cache

@@ -63,7 +63,7 @@ Function = Any  # a number, an array or a model of a function over boxes
 
 
 class Arms(NamedTuple):
-    """What the arm is made of: mass in kg; stiffness and damping in units of one sample, too."""
+    """The parts of the arm: mass in kg; stiffness and damping in units of one sample, too."""
 
     mass: Function
     stiffness: Function
@@ -136,12 +136,12 @@ class HeldDevice(NamedTuple):
 
     @property
     def is_passive(self) -> bool:
-        """Whether device and arm, without actuators, are passive."""
+        """True if device and arm, without actuators, are passive."""
         is_one_point = self.own is None and self.shapes is None
         return is_one_point and all(moved > 0.0 for _, _, moved in self.modes)
 
     def _ports(self, s: Function, mass: Function) -> Ports:
-        """Return what forces do at motor and handle, without the arm."""
+        """The responses to forces at motor and handle, without the arm."""
         if self.own is not None:
             return Ports(*(None if x is None else _polynomial(x, s) for x in self.own))
         # The square comes last: only it takes from the stiffness, which is rounded.
@@ -214,7 +214,7 @@ class HeldDevice(NamedTuple):
         return most / weaker
 
     def _leading(self, mass: float, beyond: float) -> tuple[float, float]:
-        """Return what -w^2 h_h/d of the device alone tends to, and how far off it may be."""
+        """The limit of -w^2 h_h/d of the device alone, and the largest distance from it."""
         if self.own is not None:
             (third, *above), below = self.own.handle_by_hand, self.own.below
             if third or not (above and above[0] > 0.0):  # of one degree less, and of two
@@ -326,7 +326,7 @@ BEYOND = 1e-9  # boxes extend the angles and a hand's values by this share
 def parted(
     none: LinearModel, most: LinearModel, axes: tuple[str, ...]
 ) -> tuple[Bool[np.ndarray, " box"], Rows]:
-    """Say where a straight line parts all of g from 0, and what each axis takes from the distance.
+    """True where a straight line parts all of g from 0, and what each axis takes from the distance.
 
     Between the loops without stiffness and those at the limit g is on straight lines.
     """
@@ -357,7 +357,7 @@ def parted(
 
 
 def taken(model: LinearModel, moves: Rows) -> Rows:
-    """Return what each axis takes: its move along a normal, and its part of the rest.
+    """The share of each axis: its move along a normal, and its part of the rest.
 
     The rest counts as that of the axes that move the model in any direction.
     """
@@ -401,7 +401,7 @@ class FirstRow(NamedTuple):
 
 
 class _Place(NamedTuple):
-    """What the plant depends on, over boxes."""
+    """The variables of the plant, over boxes."""
 
     mass: LinearModel
     delay: LinearModel
@@ -456,7 +456,7 @@ class DeviceBoxes:
         )
 
     def judged(self, boxes: ParameterBoxes) -> tuple[Bool[np.ndarray, " box"], Rows]:
-        """Say which boxes are free of roots, and what halving along each axis would help."""
+        """True for boxes that are free of roots, and what halving along each axis would help."""
         beyond = [1.0 + BEYOND * (axis == THETA or axis in HAND) for axis in boxes.axes]
         boxes = replace(boxes, half=boxes.half * np.array(beyond)[:, None])  # ends are rounded
         theta, by_theta = boxes.ends(THETA)
@@ -500,9 +500,10 @@ class DeviceBoxes:
         return _widened(below + damper * force, _times(late, damper.size)), most
 
     def _are_slow(self, boxes: ParameterBoxes) -> tuple[Bool[np.ndarray, " box"], Rows]:
-        """Say in which boxes the imaginary part of F grows with theta, from 0 on, where F > 0.
+        """True for boxes in which the imaginary part of F grows with theta, from 0 on, where F > 0.
 
         Walls from no stiffness on begin with a device that may be free; there F(0) is 0 by itself.
+        With modes of unlike shapes a stiffness may push the encoder away, N(0) < 0.
         """
         place, alpha, beta = self._parts(boxes)
         above, below = self._device.parts(_moving_s(place.theta), place.mass, place.arm)
@@ -513,19 +514,21 @@ class DeviceBoxes:
         free, shares = _rising(
             [((below + wall * force).rate, wall.value.size * taken_away) for wall in (least, most)]
         )
-        if self._first_row is None:
-            above, below = self._device.parts(place.theta.constant(0.0), place.mass, place.arm)
-            free &= (below + alpha * self._gain_at_rest * above).low > 0.0
-        return free, shares
+        above, below = self._device.parts(place.theta.constant(0.0), place.mass, place.arm)
+        above = place.theta.constant(1.0) * above
+        holds = (below + alpha * self._gain_at_rest * above).low > 0.0
+        if self._first_row is not None:  # D(0) >= 0, and any stiffness adds to it
+            holds |= above.low > 0.0
+        return free & holds, shares
 
     def _begin_without_wall(self, boxes: ParameterBoxes) -> Bool[np.ndarray, " box"]:
-        """Say which boxes are in a first row that begins without a wall, of a passive device."""
+        """True for boxes in a first row that begins without a wall, of a passive device."""
         if self._first_row is None or not self._device.is_passive:
             return np.zeros(boxes.index.shape, bool)
         return self._first_row.holds(boxes)
 
     def _grow(self, boxes: ParameterBoxes) -> tuple[Bool[np.ndarray, " box"], Rows]:
-        """Say in which boxes of a first row all walls dissipate energy (lemma B20)."""
+        """True for boxes of a first row in which all walls dissipate energy (lemma B20)."""
         place, aliases = self._parts(boxes)[0], self._slow
         above, below = self._device.parts(place.theta * 1j, place.mass, place.arm)
         turned = conjugate(boxes.constant(1.0) * above * self._device.lag(place.theta * 1j))
@@ -539,7 +542,7 @@ class DeviceBoxes:
         )
 
     def _grow_slowly(self, boxes: ParameterBoxes) -> tuple[Bool[np.ndarray, " box"], Rows]:
-        """Say the same next to theta = 0, by the derivative."""
+        """The same next to theta = 0, by the derivative."""
         place = self._parts(boxes)[0]
         s = _moving_s(place.theta)
         above, below = self._device.parts(s, place.mass, place.arm)
@@ -575,7 +578,7 @@ class DeviceBoxes:
         return damper, damper + position * alpha
 
     def _parts(self, boxes: ParameterBoxes) -> tuple[_Place, LinearModel, LinearModel]:
-        """Return what the plant depends on, and the largest stiffness and the damping."""
+        """The variables of the plant, the largest stiffness and the damping."""
         mass, delay, arm, stiffness, damping = self._extent(boxes)
         return _Place(mass, delay, arm, boxes.along(THETA)), stiffness, damping
 
@@ -679,7 +682,7 @@ class _Aliases(NamedTuple):
 def _rising(
     rates: list[tuple[LinearModel, Any]], below: LinearModel | None = None
 ) -> tuple[Bool[np.ndarray, " box"], Rows]:
-    """Say where all imaginary parts exceed the other terms, and what each axis takes.
+    """True where all imaginary parts exceed the other terms, and what each axis takes.
 
     That is 0 where halving cannot help, or need not because ``below`` is far from 0.
     """

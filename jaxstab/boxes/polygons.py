@@ -82,7 +82,7 @@ class RobustRegion:
         return vertex
 
     def contains(self, alpha: Numbers, beta: Numbers) -> Bool[np.ndarray, "*grid"]:
-        """Where walls are proved stable for all hands of the range, outside the outline too.
+        """True where walls are proved stable for all hands of the range, outside the outline too.
 
         Args and Raises: see ``jaxstab.conventions``.
         """
@@ -123,7 +123,7 @@ def robust_region(
             is at pi^2 + delta^2/4. Equal ends fix it.
         delta: lower and upper end of the physical damping b T/m in [0, 1e3].
         delay, velocity, position: see ``jaxstab.conventions``.
-        tolerance: how far the polygon is pulled in to be proved, as a share of its size, in
+        tolerance: the share of its size by which the polygon is pulled in to be proved, in
             [1e-3, 0.5].
 
     Returns:

@@ -37,7 +37,7 @@ from jaxstab.shown import exact_text, number_text
 Points = Float64[np.ndarray, "point 2"]
 
 Judge = Callable[[ParameterBoxes], tuple[Bool[np.ndarray, " box"], Float64[np.ndarray, "axis box"]]]
-"""Says which boxes are free of roots, and what halving along each axis would help."""
+"""Gives True for boxes that are free of roots, and what halving along each axis would help."""
 
 # Next to theta = 0 little of the plant is far from 0: boxes begin smaller there.
 _CELLS = pi * (1.0 + BEYOND) * np.array([0, 1, 2, 3, 4, 6, 8, 12, 16, 20, 24, 32, 48, 64]) / 64.0
@@ -180,7 +180,7 @@ class RobustLimit(NamedTuple):
         stiffness: K of a wall 1 % below the stiffest wall of the search, or up to 8 % below where
             the proof failed closer to it.
         damping: B of that wall.
-        is_proved: whether that wall is proved stable for every hand.
+        is_proved: True if that wall is proved stable for every hand.
         limit: the largest stiffness with B >= 0 that was found in the exact stable regions of all
             tried hands: computed, not proved. With an estimator or a filter it is that of the
             components with small gains.

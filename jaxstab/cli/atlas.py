@@ -93,7 +93,7 @@ def verify(file: Path, sample: int) -> None:
 
 
 def _described(opened: "Atlas", file: Path) -> str:
-    """Return what an atlas holds, ending in a line to query it."""
+    """The contents of an atlas, ending in a line to query it."""
     options = " ".join(f"--{name} {value:g}" for name, value in _example(opened).items())
     lines = [
         f"{file}: {file.stat().st_size / 1e6:.2f} MB",

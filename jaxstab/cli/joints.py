@@ -31,7 +31,7 @@ def joints(
     safe_gains: Path | None,
     **asked: Any,
 ) -> int:
-    """Say of each joint of a ROBOT (MJCF or URDF) whether kp and kd are stable.
+    """Judge kp and kd of each joint of a ROBOT (MJCF or URDF).
 
     For every inertia that a joint has over its postures. Gains are those of the file's position
     actuators, or of --gains. With --simulated and no --rate they are inside of the simulation's

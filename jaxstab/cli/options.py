@@ -1,4 +1,4 @@
-"""What commands share: values of options, checked before anything is computed, and the cache."""
+"""Shared by commands: values of options, checked before anything is computed, and the cache."""
 
 import csv
 import io

@@ -222,7 +222,7 @@ def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
 
 
 class _Row(NamedTuple):
-    """What a scene answers, or why it was refused."""
+    """The answers of a scene, or why it was refused."""
 
     source: str
     scene: Any  # None for one that was refused
@@ -370,7 +370,7 @@ def _table(rows: list[_Row]) -> str:
 
 
 def _is_of_wall(path: str) -> bool:
-    """Whether a path is one of a wall's main numbers, or of gains: a limit, a verdict."""
+    """True for the path of a wall's main number, or of gains: a limit, a verdict."""
     outer, _, name = path.rpartition(".")
     shown_of_walls = {"verdict", "stiffness_gain", "settling_time_2_percent"}
     if outer.startswith(("walls.", "gains.")) and outer.count(".") == 1:

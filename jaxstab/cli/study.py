@@ -159,7 +159,7 @@ def _report(table: "Dataset", *, is_small: bool) -> str:
 
 
 def _frame(table: "Dataset") -> Any:
-    """Return what varies and the answers, a row for each loop and wall, codes as words."""
+    """Parameters and answers, a row for each loop and wall, codes as words."""
     import numpy as np
 
     from jaxstab.scene.study import lists_of

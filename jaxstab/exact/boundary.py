@@ -1,4 +1,4 @@
-"""What balls tell of the boundary of a stable set: its curve in float64, and its straight lines.
+"""The boundary of a stable set from balls: its curve in float64, and its straight lines.
 
 The curve of a loop has the walls at which a pair of roots is on the circle, p(e^(i theta)) = 0. Its
 coefficients are rounded once (``curve_parts``). Where V is real on the circle the curve goes to
@@ -7,7 +7,8 @@ infinity: these *poles* follow from the filters alone.
 The walls that keep a root at z = 1 or z = -1 are a line. So are those that keep a pair at a pole at
 which the plant is real as well (windows, undamped hands, delays of whole or half samples). Divided
 by that root, p0 + t q is a line like any other (``line``): its stable intervals are the straight
-pieces of the boundary, all of them, proved, each with the angle of the root that ends it.
+pieces of the boundary, all of them, proved, each with the angle of the root that ends it (lemma G2
+of docs/proofs.md).
 """
 
 from collections.abc import Callable
@@ -86,7 +87,7 @@ class CurveParts(NamedTuple):
 
 
 def curve_parts(loop: ScaledLoop) -> CurveParts:
-    """Return what the curve of a loop is made of."""
+    """The polynomials and numbers that make the curve of a loop."""
     with _enough_bits(loop):
         own, degree = loop.balls(), loop.triple().degree
         parts, factors = loop.triple(), _factors(loop)
@@ -248,7 +249,7 @@ class RootLine(NamedTuple):
 
 
 class _Kept(NamedTuple):
-    """What keeps a root: b + alpha s + beta r = 0, and the polynomial that it is a root of.
+    """The walls that keep a root: b + alpha s + beta r = 0, and the polynomial that has it.
 
     The root z leaves the disc beside the line by the sign of Im(``direction`` conj(p/divisor)).
     """

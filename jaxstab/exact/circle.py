@@ -76,7 +76,7 @@ def zeros(cosines: "list[arb]", *, is_last_try: bool) -> list[Zero] | None:
 
 
 def is_positive(cosines: "list[arb]") -> bool | None:
-    """Whether c_0 + c_1 cos(theta) + ... > 0 for all angles; None where more bits are needed."""
+    """True if c_0 + c_1 cos(theta) + ... > 0 for all angles; None where more bits are needed."""
     places, at_zero = zeros(cosines, is_last_try=False), sign_of(sum(cosines[1:], cosines[0]))
     if places is None or not at_zero:
         return None
@@ -197,7 +197,7 @@ class _Part(NamedTuple):
         return cls(p, slope, bend, third, missed, missed * p.length())
 
     def on(self, centre: "arb", half: "arb") -> tuple[bool, bool]:
-        """Whether there is no zero, or at most one, so far around a centre; by three terms."""
+        """True for no zero, and for at most one, so far around a centre; by three terms."""
         f, slope = self.value(centre) + self.missed, self.slope(centre) + self.slope_missed
         bend, third = abs(self.bend(centre)), half * self.third(abs(centre) + half)
         return (

@@ -1,4 +1,4 @@
-"""By how much the delay of a stable wall may grow: the first delay with a root on the circle.
+"""B5. The largest extra delay of a stable wall, up to the first one with a root on the circle.
 
 For a delay of n + f samples, n whole and 0 <= f < 1, a root lies at z = e^(i theta) if
 
@@ -42,7 +42,7 @@ Interval = tuple[float, float]
 
 
 class DelayStatus(Status):
-    """How far a margin of the delay can be trusted."""
+    """The status of a margin of the delay."""
 
     PROVED = 1, "no shorter delay has a root on the circle, proved"
     UNLIMITED = 2, "no delay is too long, proved"

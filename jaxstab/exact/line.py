@@ -59,7 +59,7 @@ _SHARE = 0.4873  # of a gap, where a count is taken
 
 
 class LineStatus(Status):
-    """How complete a line of walls is."""
+    """The completeness of a line of walls."""
 
     PROVED = 1, "all stable intervals of the line, proved"
     UNDECIDED = (
@@ -296,7 +296,7 @@ def _crossings(line: _Line, *, is_last_try: bool) -> tuple[list[Crossing], float
 
 
 def _side_at_end(line: _Line, place: int) -> int:
-    """How many more roots are outside beyond the wall with one at z = 1 or -1; 0 if not known."""
+    """The change of the roots outside at the wall with one at z = 1 or -1; 0 if not known."""
     p0, q, _ = line
     size = q.at_end(place)
     slope = line.at(-p0.at_end(place) / size).derivative()(place)

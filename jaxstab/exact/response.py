@@ -1,4 +1,4 @@
-"""E4. How a wall responds: sums of moduli of responses, and when they have become small for good.
+"""E4. Responses of a wall: sums of their moduli, and the time from which on they stay small.
 
 A response of a stable wall is h = num(z)/p(z) = h_0 + h_1/z + ..., num of a disturbance or of a way
 to begin to move. Its first terms are the quotient of two power series. With simple poles z_j, which
@@ -73,7 +73,7 @@ class Modes(NamedTuple):
         return near, late, UNIT * (4 * (width + count) + 2 * len(far) + 16)
 
     def terms_above(self, limit: float, most: int) -> int:
-        """How many terms of the first response its bound takes to fall to a limit, or most + 1."""
+        """The terms of the first response before its bound falls to a limit, or most + 1."""
 
         def is_low(terms: int) -> bool:
             with np.errstate(under="ignore"):
@@ -237,7 +237,7 @@ class _Wall(NamedTuple):
         return cls(p, p.polynomial(), force, parts)
 
     def is_stable(self) -> bool | None:
-        """Whether all roots of p are inside the circle (E1); None where balls do not tell."""
+        """True if all roots of p are inside the circle (E1); None where balls do not tell."""
         if self.p.is_on_circle:
             return False
         outside = roots_outside(self.p.rest, most=0)
@@ -451,7 +451,7 @@ def _size(polynomial: "arb_poly") -> "arb":
 def disturbed_responses(
     loop: LoopParameters, stiffness: float, damping: float, causes: Causes
 ) -> Responses | None:
-    """What disturbances do to states and forces of a stable wall; None where it is not proved.
+    """Responses of states and forces to disturbances of a stable wall; None if not proved.
 
     The inputs: an error of the read position at one sample, one of the force, and each of the
     device's states at a sample. The series: these states, the force that acts up to the fraction of

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 class SmallGainStatus(Status):
-    """What the small-gain theorem says of a wall."""
+    """The verdict of the small-gain theorem on a wall."""
 
     PROVED = 1, "stable for every sequence of delays, proved"
     NOT_PROVED = 2, "the inequality does not hold: nothing is said"
@@ -46,7 +46,7 @@ class SmallGainStatus(Status):
 def small_gain(
     loop: Callable[[], BallLoop], late: "Callable[[], list[arb]]", stiffness: float, damping: float
 ) -> SmallGainStatus:
-    """Whether the wall (K, B) is stable for every sequence of delays.
+    """The verdict on the wall (K, B) for every sequence of delays.
 
     Args:
         loop: the loop of the shortest delay, in balls of the precision that is set.
@@ -137,7 +137,7 @@ def _less(a: "list[arb]", b: "list[arb]") -> "list[arb]":
 
 
 def is_passive(alpha: float, beta: float, delta: float, delay: float) -> bool:
-    """Whether a wall is proved passive with a damping > 0; False also where balls do not tell.
+    """True if a wall is proved passive with a damping > 0; False also where balls do not tell.
 
     Example:
         >>> from jaxstab.exact.small_gain import is_passive

@@ -122,7 +122,7 @@ class PeriodicLoop:
 
 
 def is_growing(loop: PeriodicLoop, delays: Delays) -> bool:
-    """Whether a motion is proved to grow with delays in turn, of a loop in balls."""
+    """True if a motion is proved to grow with delays in turn, of a loop in balls."""
     import flint
 
     with working_precision(_BITS):

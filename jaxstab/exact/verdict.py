@@ -1,4 +1,4 @@
-"""E1. Whether all roots of p(z) lie inside the unit circle, and how many lie outside.
+"""E1. The verdict on a wall: the number of roots of p(z) outside the unit circle.
 
 The criterion of Schur (1917) and Cohn (1922). Let p = a_n z^n + ... + a_0 be real and p* the same
 coefficients backwards; on the circle |p| = |p*|. With k = a_0/a_n the constant term of p - k p* is
@@ -53,7 +53,7 @@ class VerdictStatus(Status):
 
 
 class WallVerdict(NamedTuple):
-    """Whether a wall is stable, and the reason."""
+    """The verdict on a wall, and the reason."""
 
     verdict: Verdict
     status: VerdictStatus
@@ -62,7 +62,7 @@ class WallVerdict(NamedTuple):
 def wall_verdict(
     triple: TripleAt, stiffness: float, damping: float, *, may_drift: bool = False
 ) -> WallVerdict:
-    """Whether the wall (K, B) is stable: all roots of p(z) inside the unit circle.
+    """The verdict on the wall (K, B): stable with all roots of p(z) inside the unit circle.
 
     With ``may_drift`` one root that the structure knows at z = 1 does not count.
 
@@ -102,7 +102,7 @@ def affine_verdict(parts: AffineParts, first: float, second: float) -> Verdict:
 
 
 def rational_verdict(p: "fmpq_poly") -> Verdict:
-    """Whether all roots of a polynomial of exact numbers are inside: always decided."""
+    """The verdict on a polynomial of exact numbers: always decided."""
     return Verdict.STABLE if has_roots_inside(p.coeffs()[::-1]) else Verdict.UNSTABLE
 
 

@@ -114,7 +114,7 @@ def _state(scene: Scene) -> dict[str, Any]:
 
 
 def _contact(scene: Scene) -> dict[str, Any]:
-    """Return what the page simulates of contacts; with an ordinary push where there is none."""
+    """The contact that the page simulates; with an ordinary push where there is none."""
     device, (push, speed) = scene.device, scene.start
     return {
         "contact": "on" if scene.contact and push else "off",
@@ -187,7 +187,7 @@ def _software() -> list[dict[str, Any]]:
 
 
 def _notes(scene: Scene, title: str) -> list[str]:
-    """Return what has to be known of the numbers that the page begins with."""
+    """Notes on the numbers that the page begins with."""
     notes = [f"{note.capitalize()}." for note in delay_notes(scene)]
     notes += [f"It begins with {title}."] if title else []
     if hands_of(scene) is not None:
@@ -201,7 +201,7 @@ def _notes(scene: Scene, title: str) -> list[str]:
 
 
 def _ignored_of_contacts(scene: Scene) -> list[str]:
-    """Return what only Python simulates: the page pushes against a one-sided wall."""
+    """The parts that only Python simulates: the page pushes against a one-sided wall."""
     given, device, controller = scene.contact, scene.device, scene.controller
     if given is None:
         return []

@@ -100,7 +100,7 @@ def are_stable(
 def _is_stable(
     loop: LoopParameters, wall: tuple[float, float], place: tuple[float, float], arm: Arms
 ) -> bool:
-    """Whether a wall (K, B) of a device with a mass and an arm is proved stable at a delay."""
+    """True if a wall (K, B) of a device with a mass and an arm is proved stable at a delay."""
     mass, delay = place
     held = LoopParameters(
         sample_time=loop.sample_time,
@@ -161,8 +161,8 @@ def build_guard(
         mass: the lowest and the highest mass of the device in kg, over its postures for example.
         delay: the shortest and the longest delay of the loop in s. The newest sample that has
             arrived sets the force.
-        lost: how many samples in a row may never arrive.
-        constant_delay: whether the delay is constant while the wall is touched.
+        lost: the number of samples in a row that may never arrive.
+        constant_delay: True for a delay that is constant while the wall is touched.
         cells: the number of cells along mass, delay and damping, powers of two: (4, 1, 16), or (4,
             8, 16) for a constant delay; one of delay if it moves. More cells grant more, but the
             table is larger and takes longer to prove.
@@ -412,7 +412,7 @@ def _coded(values: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def _are_corners(grid: Grid, cells: Cells) -> Bool[np.ndarray, "_ _ _"]:
-    """Which nodes are corners of these cells."""
+    """True for nodes at corners of these cells."""
     corners = np.zeros(grid.limit.shape, bool)
     for corner in np.ndindex(2, 2, 2):
         corners[tuple(np.stack(np.nonzero(cells)) + np.array(corner)[:, None])] = True

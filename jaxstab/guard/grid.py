@@ -40,7 +40,7 @@ class Grid(NamedTuple):
 
     @property
     def cells(self) -> tuple[int, int, int]:
-        """How many cells there are along mass, delay and damping."""
+        """The number of cells along mass, delay and damping."""
         masses, delays, dampings = (size - 1 for size in self.limit.shape)
         return masses, delays, dampings
 

@@ -55,7 +55,7 @@ class Guard:
         units: steps of stiffness and damping: all numbers of the grid are whole multiples.
         rows: for each cell of mass and delay, the first and the last node of the damping between
             which walls are proved; no wall is granted elsewhere.
-        lost: how many samples in a row may never arrive.
+        lost: the number of samples in a row that may never arrive.
 
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
@@ -84,7 +84,7 @@ class Guard:
 
     @property
     def is_delay_constant(self) -> bool:
-        """Whether walls are proved for constant delays alone."""
+        """True if walls are proved for constant delays alone."""
         return not self.grid.jitter
 
     def largest_stiffness(

@@ -141,7 +141,7 @@ class GainRegion(ShownRegion):
     Attributes:
         loop: the loop.
         region: the same set in dimensionless numbers.
-        units: what 1 of these is, in the coordinates.
+        units: the size of 1 of these, in the coordinates.
 
     Example:
         >>> region = jaxstab.simulated_pd(0.1, step=2e-3).region()
@@ -166,7 +166,7 @@ class GainRegion(ShownRegion):
 
     @property
     def status(self) -> RegionStatus:
-        """What is known of the region."""
+        """The status of the region."""
         return self.region.status
 
     @cached_property
@@ -200,7 +200,7 @@ class GainRegion(ShownRegion):
         )
 
     def contains(self, **gains: Numbers) -> Bool[Array, "*grid"]:
-        """Whether gains lie inside the exact boundary."""
+        """True where gains lie inside the exact boundary."""
         grid = self.loop._grid(gains)
         first, second = self.loop._chart.of_gains(grid[..., 0], grid[..., 1])
         return self.region.contains(first / self.units[0], second / self.units[1])
@@ -222,7 +222,7 @@ class GainRegion(ShownRegion):
 
 
 class TunedGains(NamedTuple):
-    """The gains of the smallest spectral radius by their names, and what exactly these achieve.
+    """The gains of the smallest spectral radius by their names, and the radius of exactly these.
 
     Example:
         >>> best = jaxstab.simulated_pd(0.1, step=2e-3).tune()
@@ -278,7 +278,7 @@ class Loop:
 
     @property
     def coordinates(self) -> tuple[Gain, Gain]:
-        """In which the stable gains are bounded, and drawn."""
+        """The coordinates in which the stable gains are bounded, and drawn."""
         if self._chart.are_gains:
             return self.gains
         return self.bounded or _over_leading(self.gains, self._chart)
@@ -299,8 +299,8 @@ class Loop:
         Args:
             base: its coefficients: float64 and fractions are taken as exact, a pair (low, high) is
                 an interval; the answers then hold for all of its numbers.
-            first: those of what a multiplies.
-            second: those of what b multiplies.
+            first: those of S, which a multiplies.
+            second: those of R, which b multiplies.
             sample_time: in s.
             gains: the names of a and b.
             units: of a and b.
@@ -337,7 +337,7 @@ class Loop:
         return f"Loop of ({names}): {self.words}"
 
     def verdict(self, **gains: Numbers) -> Int8[Array, "*grid"]:
-        """Whether gains are stable, proved: codes of ``jaxstab.Verdict``, of any shape.
+        """Proved verdicts on gains: codes of ``jaxstab.Verdict``, of any shape.
 
         Each takes about 0.1 ms; more than a hundred, and JAX arrays, are a grid that takes less
         than 0.1 us each where the gains do not move the leading coefficient of p(z). UNDECIDED
@@ -474,10 +474,10 @@ class Loop:
         return GainRegion(self, region_of(loop, tolerance), self._scale)
 
     def limits(self) -> GainLimits:
-        """The largest stable value of each gain, or the least where that is what is looked for.
+        """The largest stable value of each gain, or the least, as of an admittance.
 
-        They are read off the region: that no stable gains were missed beyond is searched, not
-        proved. Printed, largest values are rounded down and least ones up.
+        They are read off the region: it is not proved that no stable gains were missed beyond.
+        Printed, largest values are rounded down and least ones up.
 
         Raises: as ``region``. Source: the D-decomposition of eq. (9), likewise.
 
@@ -541,7 +541,7 @@ class Loop:
         return best
 
     def margins(self, **gains: Numbers) -> GainMargins:
-        """By what factors each gain, and both at once, may grow and shrink: proved.
+        """Proved factors by which each gain, and both at once, may grow and shrink.
 
         A margin of the delay is that of a plant between samples, which a loop of given polynomials
         does not have: ``HapticLoop.margins`` has it.
@@ -586,8 +586,8 @@ class Loop:
         """The gains >= 0 of the smallest spectral radius: the fastest decay.
 
         The search covers the component that contains small gains; where these are not stable, all
-        gains, and the status says so. It is that of ``HapticLoop.tune("radius")``: what is said
-        there of gains that are rounded holds here, too. Gains are infinite where ever larger ones
+        gains, and the status says so. It is that of ``HapticLoop.tune("radius")``, whose
+        remarks on rounded gains hold here, too. Gains are infinite where ever larger ones
         decay ever faster, as in simulators that are implicit.
 
         Raises: as ``region``.
@@ -622,11 +622,11 @@ class Loop:
         """The motion of the loop's poles from an impulse, sample by sample.
 
         It is the recursion that p(z) is: c_0 y_k + c_1 y_(k-1) + ... + c_n y_(k-n) = 0 from y_0 = 1
-        on, with y_k = 0 before, so that all poles take part. What a position does of it depends on
+        on, with y_k = 0 before, so that all poles take part. The motion of a position depends on
         where the loop is entered and left, which p(z) does not say. In float64.
 
         Args:
-            samples: how many, from y_0 on, at the loop's sample time.
+            samples: their number, from y_0 on, at the loop's sample time.
             **gains: both, of any shapes; JAX may trace them.
 
         Raises: as ``verdict``; ValueError also if there is no sample.

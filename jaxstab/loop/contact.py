@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 class ContactKind(Status):
-    """How a simulated contact ends.
+    """The end of a simulated contact.
 
     Example:
         >>> jaxstab.results.ContactKind(1).words
@@ -54,16 +54,17 @@ class ContactKind(Status):
 
 
 class Contact(NamedTuple):
-    """Simulated contacts with walls: how they end, in the last quarter of the run.
+    """Simulated contacts with walls: their ends, in the last quarter of the run.
 
     Attributes:
         kind: codes of ``ContactKind``.
         amplitude: half of the peak-to-peak position at the end in m; infinite if it was given up.
         frequency: of the maxima of the position at the end in Hz; NaN if it rests, or has not two.
-        time_to_rest: from when on it rests, in the wall or outside, in s; infinite if it does not.
+        time_to_rest: the time in s from which on it rests, in the wall or outside; infinite if it
+            does not.
         penetration: the largest position of the run in m; 0 if none is positive.
         largest_force: the largest modulus of the wall's force in N.
-        energy: in J, what the wall gave to device and hand; negative if it took.
+        energy: given by the wall to device and hand, in J; negative if it took.
         path: the motion at the samples, the force as it is computed there; None for maps.
 
     Example:
@@ -299,7 +300,7 @@ def setup_of(
 def _mechanism(
     loop: LoopParameters, period: float, turn: tuple[float, ...]
 ) -> tuple[Mechanism, float, float]:
-    """Return what moves, how many N are 1, and its stiffness without a wall."""
+    """The mechanism that moves, its unit of force in N, and its stiffness without a wall."""
     device = loop.device
     if loop.body is None and device is not None:
         _refuse_fast(handle_equations(device, period).ticks)

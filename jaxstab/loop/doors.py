@@ -56,7 +56,7 @@ def simulated_pd(
             and implicitfast, in which kd is implicit, too; "implicit", kp and kd both, the stable
             PD of Tan, Liu, Turk (2011); "explicit", forward Euler; "rk4", Runge-Kutta, outside
             only.
-        outside: whether the PD is computed outside of the engine.
+        outside: True for a PD that is computed outside of the engine.
         substeps: engine steps per control step, from 1 on; more than 1 is outside.
         delay_steps: engine steps by which the torque is late, 0 or more; not 0 is outside.
 
@@ -108,12 +108,12 @@ def admittance(
     Args:
         environment: its stiffness Ke in N/m, > 0.
         sample_time: T in s, > 0.
-        delay_samples: how much later the robot is where it is told to be, 0 or more.
+        delay_samples: samples by which the robot follows its command, 0 or more.
         rule: "forward", v + T/M (F - D v), then x + T v with the new v; "backward", with the new v
             in the damper's force; "explicit", x with the old v; "trapezoid", both by the mean. The
             exact exponential of D T/M is not affine in the gains.
         stiffness: of a virtual spring beside mass and damper in N/m, >= 0.
-        robot: from command to position, as a filter of the samples; None for the delay alone.
+        robot: its response from command to position, a filter; None for the delay alone.
         force_filter: of the measured force; None for none.
 
     Raises: see ``jaxstab.conventions``.
@@ -221,8 +221,8 @@ def coupling(
     """A virtual spring and damper between two devices; the gains are ``stiffness`` and ``damping``.
 
     Both devices are computed in one place: the force on the one is the opposite of that on the
-    other, each behind its own hold and delay. What both have of rigid motion, a common drift, no
-    gain moves: it is left out, and the answers are about all other roots.
+    other, each behind its own hold and delay. A rigid motion that both share, a common
+    drift, is moved by no gain: it is left out, and the answers are about all other roots.
 
     Args:
         first: a device, hands included, or one in z, such as a tool of a simulation.

@@ -124,7 +124,7 @@ class LoopsWithHands:
         return cls(own, hands, mass, moving={"delays": delays, "lost": lost})
 
     def worst(self, stiffness: float, damping: float) -> WorstHand:
-        """Whether a wall is stable for all of them, and the worst of those tried."""
+        """The verdict on a wall for all of them, and the worst of those tried."""
         values = 3  # values of each number that varies
         most_tried = 64  # loops of those that could not be proved
         wall = stiffness, damping
@@ -154,7 +154,7 @@ class LoopsWithHands:
         return limit
 
     def jitter_margin(self, stiffness: float, damping: float) -> float:
-        """How far the delay may move for all of them, in s: ``HapticLoop.jitter_margin``."""
+        """The proved range of the delay for all of them, in s: ``HapticLoop.jitter_margin``."""
         wall, delay = (stiffness, damping), float(self.loop.delay)
         most = float(self._held(self._spread(1)[0]).jitter_margin(*wall))
 

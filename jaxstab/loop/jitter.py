@@ -36,7 +36,7 @@ class WorstDelays:
     Attributes:
         delays: one turn, in s; infinite for a sample that is lost.
         growth: the factor per sample by which the motion grows, below 1 if it decays.
-        is_proved: whether it is proved that a motion grows.
+        is_proved: True if it is proved that a motion grows.
 
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=0.05, sample_time=1e-3)
@@ -105,7 +105,7 @@ class MovingLoop(NamedTuple):
         return cls(shortest, ends, samples)
 
     def late_cosines(self, jitter: float) -> list[Any]:
-        """Return how the device answers changes that come so many samples late."""
+        """The response of the device to changes that come so many samples late."""
         period = float(self.loop.sample_time)
         return late_cosines(self.loop.held_device, period, self.delays.low, jitter)
 
@@ -125,7 +125,7 @@ class MovingLoop(NamedTuple):
         return Verdict.UNDECIDED
 
     def is_proved(self, stiffness: float, damping: float) -> bool:
-        """Return whether a wall is proved for every sequence of delays."""
+        """True if a wall is proved for every sequence of delays."""
         return self._small_gain(stiffness, damping) == SmallGainStatus.PROVED
 
     def _small_gain(self, stiffness: float, damping: float) -> SmallGainStatus:
@@ -220,7 +220,7 @@ class MovingLoop(NamedTuple):
 def jitter_margin(
     loop: LoopParameters, stiffness: Numbers, damping: Numbers
 ) -> Float64[np.ndarray, "*grid"]:
-    """Return how far the delay may move above the loop's, in s: ``HapticLoop.jitter_margin``."""
+    """The proved range of the delay above the loop's, in s: ``HapticLoop.jitter_margin``."""
     moving = MovingLoop.from_loop(loop, (float(loop.delay), float(loop.delay)))
     parts, most = partial(ball_loop, moving.loop), LONGEST_DELAY - moving.delays.low
 
@@ -236,7 +236,7 @@ def jitter_margin(
 def _each(
     judge: Callable[[float, float], float], kind: type, stiffness: Numbers, damping: Numbers
 ) -> np.ndarray:
-    """Return what is said of each wall, as numbers of a kind."""
+    """The answer for each wall, as numbers of a kind."""
     require_x64(stiffness, damping)
     refuse_traced(stiffness, damping)
     grid = wall_grid(stiffness=stiffness, damping=damping)

@@ -72,9 +72,9 @@ class HapticLoop(LoopParameters):
         hand_damping: damping of the hand in N s/m, >= 0.
         hand_stiffness: stiffness of the hand in N/m, >= 0.
         delay: time delay t_d of the loop in s, >= 0, in addition to the half sample of the hold.
-        velocity: how the controller estimates the velocity, windows in samples or s, cut-offs in
+        velocity: the controller's velocity estimator, windows in samples or s, cut-offs in
             Hz; None for the difference over one sample, the wall of the paper.
-        position: how the controller filters the position; None for no filter.
+        position: the controller's position filter; None for no filter.
         device: any linear device, in place of the masses, dampings and stiffness above. A device
             that is one mass with hands rigidly attached gets the same answers, bit for bit.
 
@@ -259,7 +259,7 @@ class HapticLoop(LoopParameters):
             hands: a range of hands, for all of which the wall shall be stable.
             mass: a range of the device's mass beside it.
             between: the lowest and the highest value to try; None chooses them.
-            count: how many values to try; None for 500, or 5,000 where they are tried at once.
+            count: the number of values to try; None for 500, or 5,000 where they are tried at once.
 
         Raises: see ``jaxstab.conventions``; ValueError also for a quantity the loop does not have.
 
@@ -278,7 +278,7 @@ class HapticLoop(LoopParameters):
         return range_of(self.in_floats(), quantity, wall, **options)
 
     def boundary_distance(self, stiffness: Numbers, damping: Numbers) -> Float64[Array, "*grid"]:
-        """How far walls are from the edge of the stable set, in the (alpha, beta) plane.
+        """The distance of walls from the edge of the stable set, in the (alpha, beta) plane.
 
         Args and Raises: see ``jaxstab.conventions``.
 
@@ -327,16 +327,16 @@ class HapticLoop(LoopParameters):
             goal: "radius", the smallest spectral radius, or "settling", the smallest settling time.
             stiffness: K in N/m if it is given; only the damping is then chosen.
             level: half width of the band of the settling time, between 0 and 1.
-            excitation: what the settling time refers to, see ``jaxstab.settling_samples``.
+            excitation: of the settling time, see ``jaxstab.settling_samples``.
             encoder: resolution of the position in m, if it is known; see ``amplitude``.
-            chatter: how far the encoder may drive the position, in m. Where it would drive the best
-                wall further, the best wall on grids of walls that are proved to stay within this
+            chatter: the limit on the motion that the encoder may cause, in m. Where the best wall
+                exceeds it, the best wall on grids of walls that are proved to stay within this
                 limit is returned.
 
         Returns:
             OptimalWall: stiffness in N/m, damping in N s/m, spectral radius per sample with its
-            bound, settling time in s (infinite without a stable wall), a TuningStatus, and how far
-            in m the encoder can drive the position, proved.
+            bound, settling time in s (infinite without a stable wall), a TuningStatus, and a proved
+            bound in m of the motion that the encoder causes.
 
         Raises: see ``jaxstab.conventions``; ValueError also for an unknown word. All are single
         numbers.
@@ -365,7 +365,7 @@ class HapticLoop(LoopParameters):
         delays: Range | None = None,
         lost: int = 0,
     ) -> "WorstHand":
-        """Whether a wall is stable for every hand of a range, and the worst of the sampled hands.
+        """The verdict on a wall for every hand of a range, and the worst of the sampled hands.
 
         Each hand, like the rest of the loop, is constant while the wall is touched; with ``delays``
         the delay may change from sample to sample.
@@ -447,7 +447,7 @@ class HapticLoop(LoopParameters):
         *,
         ax: "Axes | None" = None,
     ) -> "Axes":
-        """Draw the stable walls, or how one wall answers at each frequency.
+        """Draw the stable walls, or the open loop of one wall over frequency.
 
         Args:
             kind: "region" for the stable walls, the stiffest of them, islands and, if it applies,
@@ -514,7 +514,7 @@ class HapticLoop(LoopParameters):
             stiffness, damping: see ``jaxstab.conventions``.
             delays: the shortest and the longest delay in s, in place of the loop's; the newest
                 sample that has arrived sets the force.
-            lost: how many samples in a row may never arrive, with ``delays``.
+            lost: the number of samples in a row that may never arrive, with ``delays``.
             resolve: "exact" decides more of the walls next to the boundary; see
                 ``jaxstab.verdict``.
 
@@ -593,7 +593,7 @@ class HapticLoop(LoopParameters):
         return point.closed_loop_poles(*wall, **self.slice, **self.filters)
 
     def margins(self, stiffness: Numbers, damping: Numbers) -> "Margins":
-        """How far stiffness, damping and delay of the loop at walls may change, each alone.
+        """The changes of stiffness, damping and delay, each alone, up to the loss of stability.
 
         Args and Raises: see ``jaxstab.conventions``; TypeError also if JAX traces gains and the
         device is not one mass. Source: eq. (9) on the unit circle.
@@ -650,7 +650,7 @@ class HapticLoop(LoopParameters):
         hands: "HandRange | None" = None,
         mass: Range | None = None,
     ) -> Float64[np.ndarray, "*grid"]:
-        """How far the delay of each sample may exceed the loop's own, in s, proved.
+        """The proved range, in s, by which the delay of each sample may exceed the loop's own.
 
         The delay may change from sample to sample between ``delay`` and ``delay`` plus the margin;
         the wall is stable for every such sequence. A lost sample counts as one sampling period.
@@ -787,7 +787,7 @@ class HapticLoop(LoopParameters):
         """Bound the effect of a quantised encoder, a quantised force, friction and noise at walls.
 
         The loop is compared with the same loop without any of these, started and pushed alike. The
-        answer bounds how far the two are apart at all times; as the undisturbed one comes to rest
+        answer bounds the distance of the two at all times; as the undisturbed one comes to rest
         under a constant push, it bounds the chatter that the hand feels in the long run. See
         ``jaxstab.amplitude``.
 
@@ -861,12 +861,12 @@ class HapticLoop(LoopParameters):
 
         Args:
             stiffness, damping: see ``jaxstab.conventions``.
-            samples: how many samples to simulate, from time 0 on.
+            samples: the number of samples to simulate, from time 0 on.
             force: a step in N from time 0 on: the hand begins to push, at the handle.
             initial_velocity: in m/s at time 0: an impact on the wall, or a blow of this velocity
                 times the mass. A device of several masses was struck at the handle.
             initial_position: in m at time 0, the penetration if positive.
-            between: how many equidistant points to return between two samples.
+            between: the number of equidistant points to return between two samples.
             unilateral: the wall pushes or pulls only while the sampled position is positive
                 (Remark 1); otherwise it holds the device from both sides, as in the rest of the
                 paper.
@@ -939,20 +939,20 @@ class HapticLoop(LoopParameters):
                 least ``friction``; None for the same.
             encoder: resolution of the position in m, which is rounded to the nearest step; 0 for
                 none.
-            phase: where the steps of the encoder lie, as a share of its resolution.
+            phase: place of the encoder's steps, as a share of its resolution.
             force_step: resolution of the force in N; 0 for none.
             max_force: the largest force of the actuator in N; None for no limit.
             push: constant force of the hand in N, from time 0 on, positive into the wall.
             speed: velocity at time 0 in m/s, positive into the wall.
             position: position at time 0 in m, the penetration if positive.
             one_sided: the wall acts only where the sampled position is positive.
-            pulls: whether a one-sided wall may pull; otherwise such forces are 0.
-            duration: how long to simulate, in s, from 16 samples on.
+            pulls: True for a one-sided wall that may pull; otherwise such forces are 0.
+            duration: of the simulation in s, 16 samples at least.
             delays: as for ``simulate``.
             tolerance: the device rests while it stays within this distance of one place, in m.
 
         Returns:
-            Contact of NumPy arrays: how the run ends, and its path.
+            Contact of NumPy arrays: the end of the run, and its path.
 
         Raises: see ``jaxstab.conventions``; TypeError also if JAX traces anything. ValueError also
         if nothing moves, a push meets neither wall nor hand stiffness, static friction is below

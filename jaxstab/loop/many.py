@@ -73,8 +73,8 @@ class ManyLimits(NamedTuple):
         damping: the largest stable B in N s/m of walls with K >= 0.
         at_stiffness: the K in N/m at which it is reached.
         status: codes of ``RegionStatus``.
-        is_reachable: whether the walls are reached by turning gains up from 0.
-        is_single: which loops were answered one by one, by ``HapticLoop.limits``.
+        is_reachable: True for walls that are connected to zero gains.
+        is_single: True for loops that were answered one by one, by ``HapticLoop.limits``.
 
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
@@ -178,8 +178,8 @@ class ManyGainLimits(NamedTuple):
         second: the same of the second gain.
         at_first: the first gain at which it is reached.
         status: codes of ``RegionStatus``.
-        is_reachable: whether small gains are stable.
-        is_single: which loops were answered one by one, by ``Loop.limits``.
+        is_reachable: True where small gains are stable.
+        is_single: True for loops that were answered one by one, by ``Loop.limits``.
 
     Example:
         >>> loops = [jaxstab.simulated_pd(0.1, step=step) for step in (1e-3, 2e-3)]
@@ -197,7 +197,7 @@ class ManyGainLimits(NamedTuple):
 
 
 class ManyRegions(NamedTuple):
-    """The stable walls of each loop that are reached by turning gains up from 0, without islands.
+    """The stable walls of each loop that are connected to zero gains, without islands.
 
     Attributes:
         outline: closed polygons of walls (K, B) on the exact boundary, counter-clockwise, of the
@@ -369,7 +369,7 @@ def _units(stacks: list[Stack]) -> Units:
 
 
 def _are_of_gains(many: Any) -> bool:
-    """Whether these are loops of any two gains, and no walls."""
+    """True for loops of any two gains, and no walls."""
     return isinstance(many, list) and len(many) > 0 and all(isinstance(x, Loop) for x in many)
 
 
@@ -606,7 +606,7 @@ def _masses(
 
 
 class Form(NamedTuple):
-    """What decides the form of p(z) for one mass: the delay in samples, estimator and filter."""
+    """The form of p(z) for one mass: the delay in samples, estimator and filter."""
 
     delay: float
     filters: Filters
@@ -629,7 +629,7 @@ def triples_of_masses(gamma: Array, delta: Array, form: Form) -> "Triples | None
 
 
 def _kind(loop: "HapticLoop") -> Hashable:
-    """Return what loops of a stack have in common: a device that is not one mass is by itself."""
+    """The kind that loops of a stack share: a device that is not one mass is by itself."""
     if loop.body is None:
         return loop
     is_filtered = loop.velocity is not None or loop.position is not None

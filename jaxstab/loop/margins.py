@@ -1,4 +1,4 @@
-"""How far a wall can be changed before it loses stability: in stiffness, damping or delay.
+"""Margins of a wall: the changes of stiffness, damping or delay before it loses stability.
 
 One quantity is changed, starting from a wall that is proved stable. Along a gain all stable
 intervals are known (``exact.line``), and the one that holds the wall counts; along the delay, the
@@ -168,7 +168,7 @@ def _largest(value: float) -> str:
 
 
 class Margins(NamedTuple):
-    """How much a wall may change; NaN throughout for a wall that is not proved stable.
+    """The changes that a wall allows; NaN throughout for a wall that is not proved stable.
 
     All numbers are proved: the wall stays stable that far. Intervals end at the first root on the
     circle, to the last digits; an extra delay falls short of it by about 1e-9 of the way at most,
@@ -224,7 +224,7 @@ def margins(
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> Margins:
-    """How far alpha, beta and delay may change, one at a time, before a loop is unstable.
+    """The changes of alpha, beta and delay, one at a time, before a loop is unstable.
 
     With JAX arrays the search is called back from JAX, so it works under jit and vmap. It is
     differentiable once in every argument, the delay too. Where two crossings come first at once,
@@ -307,7 +307,7 @@ def _factor(xp: Any, most: Array, gain: Array) -> Array:
 
 
 class GainMargins(NamedTuple):
-    """How much two gains of a loop may change; NaN throughout where they are not proved stable.
+    """The changes that two gains of a loop allow; NaN throughout where not proved stable.
 
     All numbers are proved, as those of ``Margins``: the loop is stable between any two. A factor
     is 0 where a gain may be turned down to 0, or beyond; with 0 times a gain nothing changes.
@@ -317,9 +317,9 @@ class GainMargins(NamedTuple):
         first: the smallest and the largest first gain between which the loop stays stable at this
             second one.
         second: the same of the second gain.
-        first_factors: by what the first gain may be multiplied, the least and the largest factor.
+        first_factors: the least and the largest factor by which the first gain may be multiplied.
         second_factors: the same of the second gain.
-        both_factors: by what both may be multiplied at once: the gain margins of the open loop.
+        both_factors: the factors of both at once: the gain margins of the open loop.
         names: those of the gains, with their units.
 
     Example:

@@ -350,7 +350,7 @@ def _values(numbers: _Numbers, wall: Array, angle: Array) -> Array:
 def _equations(
     start: Array, is_corner: Array, axis: Array, unknown: Array, numbers: _Numbers
 ) -> Array:
-    """Return what is 0 at an extreme wall, of alpha, beta and the angles of its roots."""
+    """Functions of alpha, beta and the angles of the roots that are 0 at an extreme wall."""
     wall, angles = unknown[:2], unknown[2:]
     other = (jnp.arange(2) != axis).astype(float)
 

@@ -47,7 +47,7 @@ class WallLimits(NamedTuple):
         damping: the largest stable B in N s/m.
         at_stiffness: the K in N/m at which it is reached; 0 where the boundary crosses K = 0.
         status: of the region; if it is UNRESOLVED all four are NaN, though walls may be stable.
-        is_reachable: whether the walls are reached by turning gains up from 0.
+        is_reachable: True for walls that are connected to zero gains.
         islands: the limits of each component that is not reached so. An island without walls of
             K >= 0 and B >= 0 has those of all its walls, with a negative gain.
 
@@ -141,7 +141,7 @@ class WallRegion(ShownRegion):
 
     @property
     def is_empty(self) -> bool:
-        """Whether no wall is stable."""
+        """True if no wall is stable."""
         return self.region.is_empty
 
     @cached_property
@@ -197,12 +197,12 @@ class WallRegion(ShownRegion):
 
     @cached_property
     def main(self) -> "WallRegion | None":
-        """The walls reached by turning gains up from 0; None where small gains are not stable."""
+        """The walls connected to zero gains; None where small gains are not stable."""
         return next((each for each in self.components[:1] if each.region.main is not None), None)
 
     @property
     def islands(self) -> list["WallRegion"]:
-        """The components that are not reachable by turning gains up from 0, the largest first."""
+        """The components that are not connected to zero gains, the largest first."""
         return self.components[self.main is not None :]
 
     def limits(self) -> WallLimits:
@@ -251,7 +251,7 @@ class WallRegion(ShownRegion):
         return self._intervals(columns, self.loop.damping, axis=0)
 
     def contains(self, stiffness: Numbers, damping: Numbers) -> Bool[Array, "*grid"]:
-        """Whether walls (K, B) lie inside the exact boundary; all False if UNRESOLVED."""
+        """True where walls (K, B) lie inside the exact boundary; all False if UNRESOLVED."""
         return self.region.contains(*scaled(self.loop, stiffness, damping))
 
     def distance(self, stiffness: Numbers, damping: Numbers) -> Float64[Array, "*grid"]:

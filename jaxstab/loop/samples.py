@@ -174,7 +174,7 @@ def _places(root: Complex128[np.ndarray, " root"]) -> Float64[np.ndarray, "root 
 
 
 def _in_rows(loop: Int64[np.ndarray, " _"], found: Any, count: int) -> Any:
-    """What was found for loops, in their order, as a row for each; NaN fills them up."""
+    """The values found for loops, in their order, as a row for each; NaN fills them up."""
     counts = np.bincount(loop, minlength=count)
     rows = np.full((count, int(np.max(counts, initial=0)), *found.shape[1:]), np.nan)
     rows[loop, np.arange(loop.size) - (np.cumsum(counts) - counts)[loop]] = found

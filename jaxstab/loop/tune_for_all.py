@@ -68,7 +68,7 @@ def tune_for_all(
         loops: at least one.
         stiffness: K in N/m if it is given; only the damping is then chosen.
         level: half width of the band of the settling time, between 0 and 1.
-        excitation: what the settling time refers to, see ``jaxstab.settling_samples``.
+        excitation: of the settling time, see ``jaxstab.settling_samples``.
 
     Raises: see ``jaxstab.conventions``; ValueError also if there is no loop, or for an unknown
     word.

@@ -52,7 +52,7 @@ Coefficient = int | float | Fraction | tuple[float, float]
 
 
 class AffineParts:
-    """What makes base, S and R in balls of the precision that is set; its values are hashable.
+    """The source of base, S and R in balls of the precision that is set; it is hashable.
 
     ``pivot`` is the part of its chart, where that has the degree of p(z).
     """
@@ -77,7 +77,7 @@ class AffineParts:
         return base + a * by_first + b * by_second
 
     def is_reciprocal(self, start: tuple[float, float], along: tuple[float, float]) -> bool:
-        """Whether the roots of p(z) have the product 1 or -1 for all gains start + t along.
+        """True if the roots of p(z) have the product 1 or -1 for all gains start + t along.
 
         Then some root is on the circle or outside for all t.
         """
@@ -136,7 +136,7 @@ class Coordinates(NamedTuple):
 
     @property
     def are_gains(self) -> bool:
-        """Whether the gains do not move the leading coefficient: they are those of the chart."""
+        """True if the gains do not move the leading coefficient: they are those of the chart."""
         return self.weights == (1.0, 0.0, 0.0)
 
     def of_gains(self, first: Array, second: Array) -> tuple[Array, Array]:
@@ -182,7 +182,7 @@ def coordinates_of(parts: AffineParts) -> Coordinates:
 
 
 def _weights(whole: Triple, pivot: int) -> "list[arb]":
-    """What base and gains are in the leading coefficient of p(z), over that of one part."""
+    """The weights of base and gains in the leading coefficient of p(z), over that of one part."""
     leading = [part.polynomial()[whole.degree] for part in whole]
     return [value / leading[pivot] for value in leading]
 
@@ -309,7 +309,7 @@ class AdmittanceParts(AffineParts):
         return Factored.from_rational(rates[0]), Factored.from_rational(rates[1])
 
     def _wall_and_below(self) -> tuple[Factored, Factored]:
-        """What does not depend on the gains, and z^w with the denominators of the filters."""
+        """The part without the gains, and z^w with the denominators of the filters."""
         (robot, slow), (read, smooth) = (
             filter_in_balls(each, self.sample_time) for each in (self.robot, self.force_filter)
         )

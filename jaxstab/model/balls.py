@@ -77,7 +77,7 @@ class Factored(NamedTuple):
 
     @property
     def is_zero(self) -> bool:
-        """Whether it is the polynomial 0."""
+        """True for the polynomial 0."""
         return bool(self.rest.length() == 0)
 
     @property
@@ -90,12 +90,12 @@ class Factored(NamedTuple):
 
     @property
     def order_at_minus_one(self) -> int:
-        """How many roots lie at -1, those of windows of an even length included."""
+        """The number of roots at -1, those of windows of an even length included."""
         return self.at_minus_one + sum(n % 2 == 0 for n in self.windows)
 
     @property
     def is_on_circle(self) -> bool:
-        """Whether a root lies on the unit circle by structure."""
+        """True if a root lies on the unit circle by structure."""
         return bool(self.at_one or self.at_minus_one or self.windows)
 
     def times(self, other: "Factored") -> "Factored":

@@ -119,7 +119,7 @@ class FilterTable(Table):
 
     @property
     def is_other_estimator(self) -> bool:
-        """Whether the velocity is not a difference, smoothed."""
+        """True if the velocity is not a difference, smoothed."""
         return any(getattr(self, name) is not None for name in _ESTIMATOR)
 
     @property

@@ -78,7 +78,7 @@ class Section:
 
     @property
     def length(self) -> int | None:
-        """How many samples the section is the mean of; None of other kinds."""
+        """The number of samples that the section averages; None of other kinds."""
         return None
 
     @property
@@ -835,13 +835,13 @@ def with_number(velocity: Velocity, quantity: str, value: float) -> Velocity:
 
 
 def behind_measured(velocity: Velocity) -> Filter | None:
-    """What filters the device's own velocity; None for one from positions."""
+    """The filter of the device's own velocity; None for one from positions."""
     sections = velocity.filter.sections
     return Filter(sections[1:]) if sections[:1] == (Measured(),) else None
 
 
 def filter_on(velocity: Velocity, *mechanisms: Any) -> Filter:
-    """What filters positions, or the velocities that all devices must have: ValueError."""
+    """The filter of positions, or of the velocities that all devices must have: ValueError."""
     behind = behind_measured(velocity)
     if behind is not None and not all(getattr(x, "has_velocity", False) for x in mechanisms):
         raise ValueError(
@@ -927,7 +927,7 @@ def _coefficients(name: str, values: Sequence[float]) -> tuple[float, ...]:
 
 
 def has_roots_inside(falling: Sequence[Any]) -> bool:
-    """Whether all roots are inside the unit circle, of exact numbers (Schur 1917, Cohn 1922).
+    """True if all roots are inside the unit circle, of exact numbers (Schur 1917, Cohn 1922).
 
     The first |ratio| >= 1 says that the roots of what is left have a product of 1 or more.
     """

@@ -123,7 +123,7 @@ def filtered_loop(
 
 
 class FilterFactors(NamedTuple):
-    """What estimator and filter multiply, in powers of 1/z.
+    """The factors that estimator and filter put beside D and N, in powers of 1/z.
 
     parts: Bp Bv beside D, Ap Bv and Av Bp beside N.
     errors: bounds of the errors of the coefficients of each, summed, and of its values at 1 and -1.

@@ -155,7 +155,7 @@ def falls_of(plant: PlantCoefficients) -> tuple[Array, ...]:
 
 
 def pairs_error(gamma: Numbers, delta: Numbers) -> Array:
-    """Return a bound of the error of plant_pairs, in D and relative to the size of N."""
+    """A bound of the error of plant_pairs, in D and relative to the size of N (lemma V7)."""
     xp = namespace(gamma, delta)
     soft_error = xp.where(xp.asarray(gamma) <= SOFT_GAMMA, SOFT_PLANT, STIFF_PLANT)
     return xp.where(xp.asarray(delta) <= SOFT_DELTA, soft_error, DAMPED_PLANT)

@@ -1,4 +1,4 @@
-"""How a loop moves: response, settling, oscillation."""
+"""The motion of a loop: response, settling, oscillation."""
 
 from jaxstab.lazy import attach_stub
 

@@ -1,4 +1,4 @@
-"""Proved amplitudes: how far an encoder, an amplifier and friction can drive the loop.
+"""Proved amplitudes: the motion that an encoder, an amplifier and friction can cause.
 
 The encoder's rounding e makes the loop see x + e, the amplifier's rounding adds to the force, and
 friction pushes the device. Only the size of the three is known. Let two equal loops be started and
@@ -65,7 +65,7 @@ class AmplitudeStatus(Status):
 
 
 class Amplitude(NamedTuple):
-    """The most by which disturbances can drive a loop away from its undisturbed motion.
+    """The largest distances of a disturbed loop from its undisturbed motion.
 
     All are infinite where nothing is proved. Position, velocity and force (of the wall) hold at all
     times; ``force_per_count`` is the jump of the computed force at one count of the encoder.
@@ -119,10 +119,10 @@ def amplitude(
     velocity: Velocity | None = None,
     position: Filter | None = None,
 ) -> Amplitude:
-    """Bound what a quantised encoder, a quantised force, friction and noise do to a loop.
+    """Bound the effect of a quantised encoder, a quantised force, friction and noise on a loop.
 
     The loop is compared with the same loop without any of these, started and pushed alike. The
-    answer bounds how far the two are apart, at all times and not only at the samples. As the
+    answer bounds the distance of the two, at all times and not only at the samples. As the
     undisturbed loop comes to rest under a constant push, this bounds the chatter that the hand
     feels in the long run. It holds while the hand is in the wall. Where it is infinite, nothing is
     proved.
@@ -186,7 +186,7 @@ def _checked_disturbances(
 
 
 def _causes(sizes: _Sizes) -> Causes:
-    """Whether each cause is present."""
+    """True for each cause that is present."""
     position, force, friction = (is_traced(x) or bool(np.any(x)) for x in sizes.causes)
     return position, force, friction
 

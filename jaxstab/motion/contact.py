@@ -420,7 +420,7 @@ def _motion(
 def _wall(
     controller: Controller, runs: Runs, *, one_sided: bool, pulls: bool
 ) -> tuple[Callable[[Array], Array], Callable[[Array, Any], tuple[Array, Any]]]:
-    """Return what the encoder reads at a position, and the force there with the next memory."""
+    """The encoder's reading at a position, and the force there with the next memory."""
     xp = functions(runs.alpha)
     is_coarse, is_stepped = runs.encoder > 0.0, runs.force_step > 0.0
     count = xp.where(is_coarse, runs.encoder, 1.0)

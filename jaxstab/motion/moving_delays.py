@@ -52,7 +52,7 @@ class Delays(NamedTuple):
         return ((self.high - self.low) * (1.0 + 4.0 * EPS) + self.lost) * (1.0 + EPS)
 
     def allows(self, turn: Turn) -> bool:
-        """Whether no more samples in a row are lost, around the turn."""
+        """True if no more samples in a row are lost, around the turn."""
         if all(map(isinf, turn)):
             return False
         rows = groupby((*turn, *turn), isinf)

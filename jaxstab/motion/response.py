@@ -732,7 +732,7 @@ def _mapped(matrices: Matrices, states: np.ndarray) -> Float64[np.ndarray, "loop
 def unit_loops(
     velocity: Velocity | None, position: Filter | None
 ) -> Callable[[float, float, float], LoopParameters | None]:
-    """Return what gives the loop of gamma, delta and delay, for m = T = 1.
+    """A function that makes the loop of gamma, delta and delay, for m = T = 1.
 
     None where there is none, as where JAX traced the numbers, so that nobody checked them.
     """

@@ -1,4 +1,4 @@
-"""How long the sampled loop rings: settling in the time domain, with the tail proved.
+"""Settling of the sampled loop in the time domain, with the tail proved.
 
 The deviation from rest is the response of a wall, h = num(z)/p(z); all of its samples from some
 time on are bounded by lemma E4 of docs/proofs.md, and those before are looked at.

@@ -1,4 +1,4 @@
-"""What is the paper's alone: the linear rule and its validity, passivity, facts of its figures.
+"""The paper's own: the linear rule and its validity, passivity, facts of its figures.
 
 Hulin, Preusche, Hirzinger: Stability Boundary for Haptic Rendering (IROS 2008).
 """

@@ -247,8 +247,8 @@ def passive_region(
 
     Args:
         delta, delay: see ``jaxstab.conventions``.
-        tolerance: how far the region may bulge beyond the chords of its outline, times delta; at
-            least 1e-8.
+        tolerance: the bulge of the region beyond the chords of its outline, times delta; at least
+            1e-8.
 
     Raises: see ``jaxstab.conventions``; TypeError also for an array.
 

@@ -44,7 +44,7 @@ _MOST_BITS = 6144
 
 
 class ValidityStatus(Status):
-    """What is known about the point where the linear condition loses its validity.
+    """The status of the point where the linear condition loses its validity.
 
     Example:
         >>> jaxstab.paper.ValidityStatus(1).words
@@ -134,7 +134,7 @@ def linear_validity(
 
 
 class _Rise(NamedTuple):
-    """What is known about a first rise, and its alpha, beta and theta."""
+    """The status of a first rise, and its alpha, beta and theta."""
 
     status: ValidityStatus
     point: tuple[float, float, float] = (nan, nan, nan)

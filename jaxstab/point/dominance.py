@@ -67,7 +67,7 @@ _NODES = (1, 4, 8, 11, 14)  # those of them between which roots are interpolated
 
 
 class Effort(NamedTuple):
-    """What is spent on finding the dominant root.
+    """The work that is spent on finding the dominant root.
 
     Each doubling halves the number of points where two roots of nearly one modulus are confused.
     """

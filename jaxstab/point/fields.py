@@ -48,7 +48,7 @@ Result = TypeVar("Result")
 
 
 class PoleFields(NamedTuple):
-    """What a grid of points holds, in float32 and int16.
+    """The fields of a grid of points, in float32 and int16.
 
     Attributes:
         radius: an upper bound of the spectral radius; NaN where none is proved.

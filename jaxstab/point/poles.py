@@ -186,7 +186,7 @@ def _eigenvalues(
 
 
 def _unit(coefficients: Float64[Array, "*grid coefficient"]) -> Float64[Array, "*grid"]:
-    """Return what to measure roots in: 1, but of huge coefficients about the largest root."""
+    """The unit of roots: 1, but of huge coefficients about the largest root."""
     huge = 2.0**400
     # Some builds of LAPACK lose the scale of matrices above 1e138.
     xp = namespace(coefficients)

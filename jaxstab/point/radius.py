@@ -222,7 +222,7 @@ _LIST = 1 << 12  # points whose companion matrices are made at once
 
 
 class SpectralRadius(NamedTuple):
-    """The largest modulus of a root of p(z), a bound of its error, and how the bound is known.
+    """The largest modulus of a root of p(z), a bound of its error, and the status of the bound.
 
     Attributes:
         value: the largest modulus, per sample.

@@ -53,7 +53,7 @@ HIGHEST_COUNTED = 28  # degree up to which XLA compiles the steps of a count wit
 @pytree
 @dataclass(frozen=True)
 class Balance:
-    """How many zeros are inside, less those outside: of p, ``total`` and ``sign`` times a step's.
+    """Zeros inside less those outside: of p, ``total`` and ``sign`` times a step's.
 
     A step with |K| < 1 leaves one zero less inside; one with |K| > 1 exchanges the sides (lemma V2
     of docs/proofs.md). Of all fields but ``total`` the signs alone count.
@@ -122,7 +122,7 @@ def _codes(is_inside: Array, is_outside: Array | bool, is_clear: Array, ends: En
 
 
 def zeros_outside(chain: Chain, ends: Ends, unit: float, degree: int) -> Array:
-    """Return how many zeros of polynomials are outside the circle, NaN where it is not proved."""
+    """The number of zeros of polynomials outside the circle, NaN where it is not proved."""
     xp = namespace(chain)
     one, length, parity = xp.ones_like(chain.error), degree, (-1.0) ** degree
     if xp is not np and degree > HIGHEST_COUNTED:
@@ -302,7 +302,7 @@ def without_zeros(loop: LinearLoop) -> LinearLoop:
 
 
 def kept_places(degree: int, is_zero: Callable[[int], bool]) -> list[int]:
-    """Return which coefficients stay if those in the middle that are 0 are left out.
+    """The places of the coefficients that stay if those in the middle that are 0 are left out.
 
     As many stay at the end as at the beginning, less one. All stay where steps on the ends would
     not be less work.

@@ -60,7 +60,7 @@ Values = np.ndarray[Any, np.dtype[Any]]
 
 
 class Form(NamedTuple):
-    """What sets the form of p(z)."""
+    """The form of p(z)."""
 
     whole_delay: int
     is_fractional: bool

@@ -20,7 +20,7 @@ branches are known before the scan. The program, for each loop:
    the one that begins where it ends, or by the next one along the line of a real root, or around
    the crossing of both lines. Each piece must follow exactly one.
 4. *Component.* A wall with small gains is enclosed by one of the loops: that is the component of
-   walls that are reached by turning gains up from 0. One loop far from 0 is an island.
+   walls that are connected to zero gains. One loop far from 0 is an island.
 5. *Extremes.* The largest alpha where beta >= 0, and the largest beta where alpha >= 0, are at
    corners, where the curve turns, or where the boundary crosses the axis of that gain: the best
    angles of the scan are refined by Newton's method.
@@ -442,7 +442,7 @@ class _Links(NamedTuple):
 
 
 def _linked(loop: Triples, corners: _Corners) -> _Links:
-    """Return what follows each piece, and whether by way of the crossing of both lines."""
+    """The piece that follows each, and True where by way of the crossing of both lines."""
     base, stiffness, damping = loop.ends.T
     along = jnp.stack([damping, -stiffness], axis=1)  # the stable side is on the left
     crossing = jnp.stack([cross(damping, base), cross(base, stiffness)]) / cross(stiffness, damping)
@@ -486,7 +486,7 @@ def _loops(successor: Array) -> Array:
 def _are_around(
     scan: _Scan, corners: _Corners, links: _Links, labels: tuple[Array, Array], points: Array
 ) -> Array:
-    """Return which loops (point, label) enclose points (2, point), by the rule of odd crossings.
+    """True where loops (point, label) enclose points (2, point), by the rule of odd crossings.
 
     ``labels``: of the pieces, and of the angles of the scan.
     """

@@ -82,7 +82,7 @@ def _series(coefficients: tuple[float, ...], x: Array) -> Array:
 
 
 class SliceCoefficients(NamedTuple):
-    """What the boundary in one (alpha, beta) plane is made of; arrays of the slice's shape.
+    """The coefficients of the boundary in one (alpha, beta) plane; arrays of the slice's shape.
 
     ``radius`` is r, ``turns`` is m, ``gain`` is r^m; ``ratio`` is D(r)/N(r), which is gamma for
     r = 1; ``den_plus`` is D(r)/r and ``den_minus`` is D(-r)/r, likewise for the numerator N.

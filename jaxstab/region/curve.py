@@ -72,7 +72,7 @@ class Stretch(NamedTuple):
         return self.angle + self.half_width * np.concatenate([-shares[::-1], shares])
 
     def holds(self, size: Angles) -> Bool[np.ndarray, " _"]:
-        """Whether angles between 0 and pi are drawn out."""
+        """True for angles between 0 and pi that are drawn out."""
         held: np.ndarray = np.abs(size - self.angle) < self.half_width
         return held
 

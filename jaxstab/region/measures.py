@@ -112,7 +112,7 @@ def interval_ends(
 def contains(
     c: Curve, outline: Outline, alpha: Array, beta: Array, *, is_proved: bool = False
 ) -> Array:
-    """Return whether an odd number of crossings of the row lies beyond alpha.
+    """True where an odd number of crossings of the row lies beyond alpha.
 
     ``is_proved``: next to the boundary balls decide whether the wall is stable.
     """
@@ -130,7 +130,7 @@ def contains(
 
 
 def _is_inside(c: Curve, outline: Outline, alpha: Array, beta: Array) -> tuple[Array, Array]:
-    """Return whether points are inside, and whether the boundary is too close to tell."""
+    """True for points that are inside; then True for those too close to the boundary to tell."""
     doubted_share = 1e-8  # of the region's size: how close to the boundary balls decide
     about = 1e-3  # of the same: a vertex at which the boundary runs level
     vertices = outline.vertices
@@ -187,7 +187,7 @@ def area(c: Curve, outline: Outline) -> Array:
 
 
 def deviation(c: Curve, outline: Outline) -> Array:
-    """Return how far the boundary leaves the polygon, as a share of the region's diameter."""
+    """The distance of the boundary from the polygon, as a share of the region's diameter."""
     middle = curve_gains(c, np.mean(outline.angles, axis=1)).T
     here, there = outline.vertices[:-1], outline.vertices[1:]
     away = middle - _foot_on_chord(here, there, middle)
@@ -366,7 +366,7 @@ def _foot_on_chord(here: Array, there: Array, points: Array) -> Array:
 
 
 def turns(coordinate: Array) -> int:
-    """Return how often a closed sequence changes between rising and falling."""
+    """The number of changes of a closed sequence between rising and falling."""
     if not coordinate.size:
         return 0
     steps = np.diff(coordinate)

@@ -162,7 +162,7 @@ def motion(gamma: Array, delta: Array, time: Array) -> Motion:
 
 
 def _doublings(gamma: Array, delta: Array) -> Array:
-    """Return how often to double the time in which a plant moves by no more than about 1/4."""
+    """The doublings of the time in which a plant moves by no more than about 1/4."""
     rates = 4.0 * (np.sqrt(np.abs(gamma)) + np.abs(delta))
     return np.ceil(np.log2(np.fmax(np.fmin(rates, 2.0**_DOUBLINGS), 1.0)))  # whatever is NaN
 

@@ -42,7 +42,7 @@ class Outline(NamedTuple):
 
     @property
     def is_curved(self) -> Bool[np.ndarray, " edge"]:
-        """Which edges are parts of the curve."""
+        """True for edges that are parts of the curve."""
         return (self.branches == Branch.CURVE) & (self.angles[:, 0] != self.angles[:, 1])
 
 

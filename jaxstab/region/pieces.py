@@ -1,9 +1,9 @@
 """The arcs of the curve that bound the stable set, and how they join with its straight parts.
 
 A point of the curve bounds the stable set exactly where the other roots of p lie inside of the
-circle, and the set is then on the left (lemma G1). So the search is one-dimensional: angles are
-tested by the recursion of Schur and Cohn of p without its pair, in float64, and neighbours that
-pass are one *arc*. Its ends are narrowed by dividing their brackets.
+circle, and the set is then on the left (lemmas G1 and G3 of docs/proofs.md). So the search is
+one-dimensional: angles are tested by the recursion of Schur and Cohn of p without its pair, in
+float64, and neighbours that pass are one *arc*. Its ends are narrowed by dividing their brackets.
 
 An arc ends where another root reaches the circle. If that is the root of one of the lines, the end
 of a straight part of the boundary has the arc's angle, and balls know both (``Curve.lines``).
@@ -48,7 +48,7 @@ Centers = Float64[np.ndarray, "_ 2"]  # angles, and what rounding took from them
 
 
 class Branch(IntEnum):
-    """Which root lies on the circle along a piece of the boundary.
+    """The root that lies on the circle along a piece of the boundary.
 
     Example:
         >>> [branch.name for branch in jaxstab.results.Branch]
@@ -68,7 +68,7 @@ class Edge(NamedTuple):
 
     @property
     def branch(self) -> Branch:
-        """Which root stays; a pair at a pole counts as the curve."""
+        """The root that stays; a pair at a pole counts as the curve."""
         return {0.0: Branch.Z_PLUS_ONE, np.pi: Branch.Z_MINUS_ONE}.get(self.angle, Branch.CURVE)
 
 
@@ -319,7 +319,7 @@ def second_pairs(c: Curve, theta: Angles) -> Angles:
 
 
 def _is_cut_off(c: Curve, pair: Float64[np.ndarray, "2"]) -> bool:
-    """Whether the second pair at one of two ends is not that of the other one's arc."""
+    """True if the second pair at one of two ends is not that of the other one's arc."""
     told = second_pairs(c, pair)
     return bool(np.any(np.abs(told - pair[::-1]) > _ANGLES_NEAR))
 

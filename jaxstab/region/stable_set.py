@@ -30,7 +30,7 @@ _DIGITS = 5
 
 
 class GainNames(NamedTuple):
-    """What stiffness and damping of a plane are called, and their units."""
+    """The names of stiffness and damping of a plane, and their units."""
 
     stiffness: str = "alpha"
     damping: str = "beta"
@@ -166,7 +166,7 @@ def _text(value: float, unit: str, *, floors: bool = False) -> str:
 
 
 class RegionStatus(Status):
-    """What is known of a stable region.
+    """The status of a stable region.
 
     COMPLETE: the boundary that was found closes to loops; all stable intervals of a row through
     each component are proved to be the region's, and so are those of the line 1e-9 beyond each
@@ -210,7 +210,7 @@ def components_of(c: Curve, outline: Outline) -> list[Outline]:
 
 
 def holds_small_gains(c: Curve, outline: Outline) -> bool:
-    """Return whether a set holds positive gains that are small beside its own size."""
+    """True if a set holds positive gains that are small beside its own size."""
     small = 1e-8  # of what a set spans
     ratios = 10.0 ** np.arange(-6.0, 7.0)  # of alpha to beta, in that measure
     extent = np.max(np.abs(outline.vertices[: outline.size]), axis=0)
@@ -264,9 +264,9 @@ class StableRegion(ShownRegion):
     computed on the host and differentiable once.
 
     Attributes:
-        curve: what the exact boundary is made of.
+        curve: of the exact boundary.
         outline: the polygon.
-        status: what is known of the region.
+        status: a RegionStatus.
         max_alpha: the point (alpha, beta) of the largest alpha, over negative betas as well (the
             limits of a ``HapticLoop`` are of walls with K >= 0 and B >= 0); NaN if there is none.
         max_beta: the same of the largest beta.
@@ -309,7 +309,7 @@ class StableRegion(ShownRegion):
 
     @property
     def is_empty(self) -> bool:
-        """Whether no (alpha, beta) is stable."""
+        """True if no (alpha, beta) is stable."""
         return self.status == RegionStatus.EMPTY
 
     @property
@@ -322,7 +322,7 @@ class StableRegion(ShownRegion):
 
     @property
     def branch(self) -> Int[np.ndarray, " piece"]:
-        """The Branch of each piece between two points: which root is on the circle there."""
+        """The Branch of each piece between two points: the root that is on the circle there."""
         return self.outline.branches[: max(self.outline.size - 1, 0)]
 
     @property
@@ -348,7 +348,7 @@ class StableRegion(ShownRegion):
 
     @property
     def main(self) -> "StableRegion | None":
-        """The component with small positive gains: the walls reached by turning gains up from 0.
+        """The component with small positive gains: the walls that are connected to zero gains.
 
         None where small positive gains are not stable.
         """
@@ -356,7 +356,7 @@ class StableRegion(ShownRegion):
 
     @property
     def islands(self) -> list["StableRegion"]:
-        """The components that turning gains up from 0 does not reach, the largest first."""
+        """The components that are not connected to zero gains, the largest first."""
         components = self.components
         return components[any(map(_holds_small_gains, components[:1])) :]
 
@@ -367,12 +367,12 @@ class StableRegion(ShownRegion):
 
     @property
     def rows_are_intervals(self) -> bool:
-        """Whether every line of constant beta meets the region in at most one interval of alpha."""
+        """True if every line of constant beta meets the region in at most one interval of alpha."""
         return self._are_intervals(axis=1)
 
     @property
     def columns_are_intervals(self) -> bool:
-        """Whether every line of constant alpha meets the region in one interval of beta at most."""
+        """True if every line of constant alpha meets the region in one interval of beta at most."""
         return self._are_intervals(axis=0)
 
     def _are_intervals(self, axis: int) -> bool:
@@ -415,7 +415,7 @@ class StableRegion(ShownRegion):
         return measures.limits(self.curve, self.outline, columns, axis=0)
 
     def contains(self, alpha: Numbers, beta: Numbers) -> Bool[Array, "*grid"]:
-        """Return whether points lie inside the exact boundary; all False for UNRESOLVED.
+        """True where points lie inside the exact boundary; all False for UNRESOLVED.
 
         Args and Raises: see ``jaxstab.conventions``.
         """

@@ -1,4 +1,4 @@
-"""What jaxstab says of a scene's walls, for a reader that does not trust it: ``check_wall.py``.
+"""The claims about a scene's walls, for a reader that does not trust them: ``check_wall.py``.
 
 The file has the numbers of one loop as exact fractions, and of each wall its verdict and between
 which stiffnesses, at its damping, walls are stable: proved here (``exact``), and confirmed by a

@@ -28,12 +28,12 @@ class Column:
 
 
 def is_distribution(given: Any) -> bool:
-    """Whether something can be drawn from."""
+    """True if values can be drawn from it."""
     return isinstance(given, Column) or hasattr(given, "ppf")
 
 
 def words_of(given: Any) -> str:
-    """What varies, in words: a distribution with its parameters, or some of the values."""
+    """A variation in words: a distribution with its parameters, or some of the values."""
     if isinstance(given, Column):
         return f"csv:{given.file}:{given.name}"
     if is_distribution(given):

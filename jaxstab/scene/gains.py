@@ -146,7 +146,7 @@ class GainScene:
 
     @property
     def is_range(self) -> bool:
-        """Whether the environments are a range."""
+        """True if the environments are a range."""
         return self.environment[0] < self.environment[1]
 
     def unusual(self) -> list[str]:
@@ -154,7 +154,7 @@ class GainScene:
         return self.held.unusual() if self.held else []
 
     def verdict(self, first: float, second: float) -> Verdict:
-        """Whether both gains are stable, with every environment of the range."""
+        """The verdict on both gains, with every environment of the range."""
         pair = dict(zip((gain.name for gain in self.loop.gains), (first, second), strict=True))
         verdict = Verdict(int(self.loop.verdict(**pair)))
         if verdict != Verdict.STABLE or not self.is_range:
@@ -166,7 +166,7 @@ class GainScene:
         return Verdict.UNSTABLE if line.status == LineStatus.PROVED else Verdict.UNDECIDED
 
     def answer(self, command: str) -> "GainAnswer":
-        """What a command answers; ValueError for one that does not."""
+        """The answer of a command; ValueError for one that has none."""
         if command not in _ANSWERS:
             others = ", ".join(_ANSWERS)
             raise ValueError(f"{command} has no answer for {self.loop.words}; {others}, study do.")
@@ -214,7 +214,7 @@ class GainAnswer(Answer):
 
     @property
     def all_stable(self) -> bool:
-        """Whether the gains in it, and in all answers in it, are stable."""
+        """True if the gains in it, and in all answers in it, are stable."""
         inner = (value for _, value in self._entries() if isinstance(value, GainAnswer))
         return self.is_stable and all(answer.all_stable for answer in inner)
 
@@ -263,7 +263,7 @@ def explain_gains(scene: GainScene) -> str:
 
 
 def _stated(scene: GainScene) -> dict[str, Any]:
-    """What answers hold for."""
+    """The range for which answers hold, in words."""
     given = ", ".join(f"{name} = {value}" for name, value in scene.tables["loop"].items())
     values = {"loop": scene.loop.words, "given": given, "safety": scene.wanted["safety"]}
     values["device"] = basis_of(scene.held) if scene.held else None
@@ -321,7 +321,7 @@ def _other(scene: GainScene, own: Gain) -> Gain:
 
 
 def _is_stable(scene: GainScene, own: Gain, value: float, other: float) -> bool:
-    """Whether a value of a gain, and one of the other, are >= 0 and stable."""
+    """True if a value of a gain, and one of the other, are >= 0 and stable."""
     pair = (value, other) if own == scene.loop.gains[0] else (other, value)
     return min(pair) >= 0.0 and scene.verdict(*pair) == Verdict.STABLE
 
@@ -397,7 +397,7 @@ def _largest(scene: GainScene, own: Gain, period: float, name: str) -> GainAnswe
         return _limits(at(value))[axis]
 
     def spare(value: float) -> float:
-        """Return what is left of the limit, relative; -1 where no gains are stable."""
+        """The rest of the limit, relative; -1 where no gains are stable."""
         try:
             found = limit(float(kind(value))).value
         except ValueError:  # beyond what a filter, or the longest delay, allows

@@ -72,7 +72,7 @@ def _cells_of(scene: Scene) -> tuple[int, int, int]:
 
 
 def guard_about(scene: Scene, guard: Guard) -> str:
-    """Return what a guard is of, in lines."""
+    """The device, ranges and table of a guard, in lines."""
     units, blocks = scene.units, blocks_of(scene)
     damping = Quantity("N s/m").words(scene.device.damping, units)
     blocks["device"] = f"{range_in_words(guard.mass)} {units.kilogram}, {damping}"
@@ -89,7 +89,7 @@ def guard_about(scene: Scene, guard: Guard) -> str:
 
 
 def _granted(scene: Scene, guard: Guard) -> list[str]:
-    """Return what share of the stable walls is granted, and where it is least, in lines."""
+    """The share of the stable walls that is granted, and the place where it is least, in lines."""
     units, least = scene.units, guard.costliest
     kinds = units.kilogram, units.stiffness, units.damping
     hand = [f"{value:g} {unit}" for value, unit in zip(least.hand, kinds, strict=True)]

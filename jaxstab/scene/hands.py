@@ -55,7 +55,7 @@ class AllHands(Answer):
 
     @property
     def all_stable(self) -> bool:
-        """Whether the wall is proved stable for every hand."""
+        """True if the wall is proved stable for every hand."""
         return self.certainty.startswith(_PROVED) and isfinite(self.largest_stiffness)
 
 
@@ -77,12 +77,12 @@ class WallVerdict(Answer):
 
     @property
     def is_stable(self) -> bool:
-        """Whether the wall is proved for all hands and delays, but for a position that drifts."""
+        """True if the wall is proved for all hands and delays, but for a position that drifts."""
         return self.verdict in (Verdict.STABLE, BUT_FOR_DRIFT) and self.hands_are is None
 
     @property
     def drifts(self) -> bool:
-        """Whether nothing holds the position, and no other root of a loop that was tried grows."""
+        """True if nothing holds the position, and no other root of a loop that was tried grows."""
         return self.verdict == BUT_FOR_DRIFT or self.hands_are == _DRIFTS
 
     @property
@@ -167,7 +167,7 @@ def ranges_of_all(scene: Scene) -> dict[str, Any]:
 
 
 def limit_for_all(scene: Scene, safety: float) -> AllHands | None:
-    """Return what all hands of a scene allow; None where neither the hand nor the mass varies."""
+    """The limit for all hands of a scene; None where neither the hand nor the mass varies."""
     if hands_of(scene) is None:
         return None
     best, is_proved, limiting = wall_for_all(scene, safety)

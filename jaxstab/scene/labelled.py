@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class Variable(NamedTuple):
-    """What a variable is: its description, its unit, and its codes, if its numbers are these.
+    """A variable: its description, its unit, and its codes, if its numbers are these.
 
     along: a dimension that the function itself adds at the end.
     """

@@ -54,13 +54,13 @@ def loop_of(scene: Scene, hand: OneHand | None = None) -> HapticLoop:
 
 
 def is_one_mass(scene: Scene) -> bool:
-    """Whether the device and a hand rigidly attached to it are one mass."""
+    """True if the device and a hand rigidly attached to it are one mass."""
     device, hand = scene.device, scene.hand or Hand()
     return not device.modes and device.actuator is None and hand.grip is None
 
 
 def is_plain(loop: HapticLoop) -> bool:
-    """Whether the simple rules hold for the loop: one mass, one-sample difference, no filters."""
+    """True if the simple rules hold for the loop: one mass, one-sample difference, no filters."""
     return loop.body is not None and given_filters(**loop.filters) is None
 
 

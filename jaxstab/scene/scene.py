@@ -256,7 +256,7 @@ class Device(Table):
 
     @property
     def varies(self) -> bool:
-        """Whether the mass is a range."""
+        """True if the mass is a range."""
         return self.effective_mass[0] < self.effective_mass[1]
 
 
@@ -302,12 +302,12 @@ class Hand(Table):
 
     @property
     def varies(self) -> bool:
-        """Whether this is more than one hand."""
+        """True for more than one hand."""
         return any(low < high for low, high in (self.effective_mass, self.stiffness, self.damping))
 
     @property
     def is_there(self) -> bool:
-        """Whether a hand of the range does anything."""
+        """True if a hand of the range does anything."""
         return any(high for _, high in (self.effective_mass, self.stiffness, self.damping))
 
 
@@ -460,13 +460,13 @@ class Controller(Table):
 
     @property
     def moves(self) -> bool:
-        """Whether the delay changes from sample to sample."""
+        """True if the delay changes from sample to sample."""
         low, high = self.delays
         return self.delay_is != "constant" and (low < high or self.delay_is == "moving")
 
     @property
     def has_one_delay(self) -> bool:
-        """Whether the delay is known and constant."""
+        """True if the delay is known and constant."""
         return not self.moves and self.delays[0] == self.delays[1]
 
     @property
@@ -511,7 +511,7 @@ class Wall(Table):
 
 @dataclass(frozen=True, kw_only=True)
 class Contact(Table):
-    """How the device meets a wall in simulated contacts; see ``Scene.start``."""
+    """The way in which the device meets a wall in simulated contacts; see ``Scene.start``."""
 
     push: float | None = key(quantity(FORCE), None, words="push of the hand in simulated contacts")
     speed: float | None = key(

@@ -127,7 +127,7 @@ def study(
 
     Args:
         of: a scene (a file, or its tables) or a loop.
-        over: what varies, by keys of the scene such as "hand.stiffness", or by fields of the loop:
+        over: variations, by keys of the scene such as "hand.stiffness", or by fields of the loop:
             a list of values, (low, high, count), a frozen distribution of ``scipy.stats``, or a
             text such as "0.1:0.5:20", "csv:hands.csv:stiffness" or "normal:300:100". Lists span a
             grid; distributions are drawn together, ``samples`` times at each of its points.
@@ -167,7 +167,7 @@ def study(
 
 
 def shares(study: "Dataset", *, confidence: float = 0.95) -> "Dataset":
-    """Return the share of draws for which each wall is proved stable, with its interval.
+    """The share of draws for which each wall is proved stable, with its interval.
 
     Args:
         study: of draws, with verdicts, from ``jaxstab.study`` or from its file.
@@ -176,7 +176,7 @@ def shares(study: "Dataset", *, confidence: float = 0.95) -> "Dataset":
     Returns:
         ``xarray.Dataset`` over the other dimensions: ``share`` of all draws; ``low`` and ``high``,
         the interval of the share among all that could be drawn, whose lower end takes what is
-        undecided for unstable, and its upper end for stable; ``undecided``, how many verdicts are.
+        undecided for unstable, and its upper end for stable; ``undecided``, their number.
 
     Raises:
         ValueError: the study has no draws or no verdicts, or the confidence is not between 0 and 1.
@@ -508,7 +508,7 @@ class _Source:
 
     @property
     def answers(self) -> dict[str, dict[str, Variable]]:
-        """What may be asked, by its name."""
+        """The answers that may be asked for, by name."""
         if self.of_gains is None:
             return ANSWERS
         first, second = self.of_gains.loop.gains
@@ -665,7 +665,7 @@ class _Block:
 
     @property
     def variables(self) -> dict[str, Variable]:
-        """What the block returns; all but limits are of walls."""
+        """The variables that the block returns; all but limits are of walls."""
         unit = self.source.units.unit
         return {
             name: own._replace(units=unit(own.units), along=() if answer == "limits" else (WALL,))
@@ -756,7 +756,7 @@ def _table(
 
 
 def _described(key: str) -> tuple[str, str]:
-    """Return what a key of a scene, or a field of a loop, is, and its unit."""
+    """The description and the unit of a key of a scene, or of a field of a loop."""
     of_loops = {field: own for own, field in reversed(_NUMBERS.items())}
     *_, section, name = ["controller", *of_loops.get(key, key).split(".")]
     section = key.split(".")[-3] if section.isdigit() else section

@@ -118,7 +118,7 @@ def minimised(
 
 
 def _extent(axis: Axis, index: np.ndarray, reach: int) -> Axis:
-    """Return how far some steps along an axis reach from points of it."""
+    """The reach of some steps along an axis from points of it."""
     sides = [np.clip(index + side * reach, 0, axis.size - 1) for side in (-1, 1)]
     return np.max([np.abs(axis[side] - axis[index]) for side in sides], axis=0)
 
@@ -260,11 +260,11 @@ def _value(coefficients: Array, z: Array) -> Array:
 
 
 class TuningStatus(Status):
-    """How the best gains are known; small integers, so that arrays store int8.
+    """The status of the best gains; small integers, so that arrays store int8.
 
     None of them proves that no other gains are better. With filters the stable set may have several
-    components: the search covers the one that holds small positive gains, which is reached by
-    turning gains up from 0, and other components only where the status says so.
+    components: the search covers the one that is connected to zero gains through positive ones, and
+    other components only where the status says so.
 
     Example:
         >>> jaxstab.results.TuningStatus(1).words
@@ -283,7 +283,7 @@ class TuningStatus(Status):
 
 
 class OptimalGains(NamedTuple):
-    """The best gains, what they achieve (a radius, or samples) and how they are known.
+    """The best gains, their radius or settling time in samples, and a status.
 
     Example:
         >>> best = jaxstab.minimize_radius(gamma=0.0, delta=0.0, delay=0.0)
@@ -347,14 +347,14 @@ class Walls(NamedTuple):
         return self._replace(main=None)
 
     def holds(self, alpha: np.ndarray, beta: np.ndarray) -> Bool[np.ndarray, "*grid"]:
-        """Return which stable gains are searched: those inside of the component."""
+        """True for the stable gains that are searched: those inside of the component."""
         is_wall = self.are_searched(alpha, beta)
         if self.main is None or not is_wall.size:
             return is_wall
         return is_wall & np.asarray(contains(self.main.curve, self.main.outline, alpha, beta))
 
     def are_searched(self, alpha: Array, beta: Array) -> Bool[np.ndarray, "*grid"]:
-        """Return which gains are none too small or too large; NaN is not."""
+        """True for gains that are neither too small nor too large; NaN is not."""
         used = self.shares[0] * alpha + self.shares[1] * beta
         return np.asarray((np.minimum(alpha, beta) >= self.lowest) & (used <= 1.0))
 

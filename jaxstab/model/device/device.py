@@ -384,7 +384,7 @@ class Device:
         return _compliance(self)
 
     def ports(self) -> Ports:
-        """Return what forces do at motor and handle, without actuators, in exact numbers."""
+        """The responses to forces at motor and handle, without actuators, in exact numbers."""
         return _held(self).reduced()
 
     def static_stiffness(self) -> float:
@@ -433,7 +433,7 @@ class Device:
         )
 
     def require_handle(self) -> None:
-        """Refuse a device of which nobody says where it is held.
+        """Refuse a device whose handle is not known.
 
         Raises: ValueError if a mode has a negative mass.
         """
@@ -495,7 +495,7 @@ def _held(device: Device) -> Ports:
 
 
 def _has_mass_left(free: Any, held: Any) -> bool:
-    """Whether a hand leaves the sense of the leading coefficient of the denominator."""
+    """True if a hand leaves the sense of the leading coefficient of the denominator."""
     if degree_of(held) > degree_of(free):
         return True  # a mass on a device without one
     with working_precision(_BITS):

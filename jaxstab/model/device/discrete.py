@@ -42,7 +42,7 @@ class InSteps(Part):
 
     @property
     def has_velocity(self) -> bool:
-        """Whether the velocity is a second output."""
+        """True if the velocity is a second output."""
         return len(self.one_step()[2]) == 2
 
     def ports(self) -> Ports:
@@ -59,7 +59,7 @@ class InSteps(Part):
         return polynomial([above[0](1)]), polynomial([below(1)])
 
     def steps(self, sample_time: float, delay_samples: float) -> tuple[int, int]:
-        """How many steps a sample has, and how many the force is late; both are whole.
+        """The steps of a sample, and those by which the force is late; both are whole.
 
         Raises: ValueError if they are not, or the loop is algebraic.
         """

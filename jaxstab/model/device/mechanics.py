@@ -1,4 +1,4 @@
-"""How a general device moves while forces are held, exact up to the rounding of coefficients.
+"""The motion of a general device under held forces, exact up to the rounding of coefficients.
 
 The encoder's position over the motor's force, (b_1 s^(n-1) + ... + b_n)/(s^n + ... + a_n), and over
 the hand's, with c_i, are realised together in the observer's canonical form, in units of one
@@ -107,7 +107,7 @@ Sides = tuple[list["arb"], list["arb"], list["arb"]]
 
 
 def sides_in_samples(device: Device, sample_time: float) -> Sides:
-    """What motor and hand move the encoder by, and the denominator of both, as ``in_samples``.
+    """Numerators of the encoder by motor and by hand, and their denominator, as ``in_samples``.
 
     Raises: as ``in_samples``; ValueError also if the hand's constant force does not move it.
     """
@@ -223,7 +223,7 @@ def _held(matrix: "arb_mat", fraction: float, offset: float) -> "arb_mat":
 
 
 def _are_known(matrix: "arb_mat") -> bool:
-    """Whether each entry is known to 64 bits, or next to 0 compared with the largest of them."""
+    """True if each entry is known to 64 bits, or next to 0 compared with the largest of them."""
     balls = matrix.entries()
     least = max((ball.abs_lower() for ball in balls), key=float, default=0.0) * 2.0**-200
     return all(ball.rel_accuracy_bits() >= 64 or ball.abs_upper() <= least for ball in balls)

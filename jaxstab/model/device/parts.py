@@ -117,7 +117,7 @@ Polynomial = Any
 
 
 class Ports(NamedTuple):
-    """What forces at the motor and at the handle do to the encoder and to the handle.
+    """The responses of encoder and handle to forces at the motor and at the handle.
 
     Each is a numerator over the same denominator ``below``: the encoder and the handle by the
     motor's force, both by the hand's, and the determinant of these four over ``below``, a
@@ -360,11 +360,11 @@ class Modes(Part):
 
     @property
     def has_shapes(self) -> bool:
-        """Whether motor, encoder and handle are not all one point."""
+        """True if motor, encoder and handle are not all one point."""
         return any(len({*mode.shapes}) > 1 for mode in self.modes)
 
     def ports(self) -> Ports:
-        """Return what forces do to the sum of body and modes."""
+        """The responses of the sum of body and modes to forces."""
         one, nothing = polynomial([1.0]), polynomial([0.0])
         parts = [(mode.response(), Shapes(*map(exact, mode.shapes))) for mode in self.modes]
         if self.mass is not None:
@@ -529,7 +529,7 @@ def checked_compliance(function: Rational, what: str) -> Rational:
 
 
 def _grows(common: "fmpq_mpoly") -> bool:
-    """Whether a factor has a root in the right half plane; one with pi has none."""
+    """True if a factor has a root in the right half plane; one with pi has none."""
     from flint import fmpq_poly
 
     if degree_of(common) < 1 or any(power_of_pi for _, power_of_pi in common.monoms()):

@@ -108,7 +108,7 @@ def _speed(below: list[Ball]) -> int:
 
 @remembered(64)
 def one_sample(device: Device, sample_time: float) -> "OneSample":
-    """What a device does within a sample, in balls of the precision that is set.
+    """The motion of a device within a sample, in balls of the precision that is set.
 
     Raises: as ``in_samples``.
     """
@@ -139,7 +139,7 @@ class OneSample(NamedTuple):
         return one._replace(whole=one.moved(force_of(sample)))
 
     def moved(self, column: Matrix) -> Any:
-        """What states do to the position, as a polynomial in z."""
+        """The response of the position to states, as a polynomial in z."""
         import flint
 
         return flint.arb_poly(position_after(self.above, self.transition, self.denominator, column))
