@@ -57,6 +57,8 @@ class Printed(float):
 
 def exact_text(value: float) -> str:
     """Return a number with all of its digits, the fewest that tell it from its neighbours."""
+    if not isfinite(value):
+        return number_text(value, MOST_DIGITS)
     return rounded_text(Decimal(repr(float(value))), MOST_DIGITS)
 
 

@@ -202,7 +202,12 @@ class Table:
 _WALL = "give the stiffness or the damping of a wall, [walls.NAME]."
 _PID = 'an integrator is another loop: give [loop] with kind = "pid" and one of kp, ki and kd.'
 _INSTEAD = {
-    "controller": {"kp": _WALL, "kd": _WALL, "ki": _PID},
+    "controller": {
+        "kp": _WALL,
+        "kd": _WALL,
+        "ki": _PID,
+        "rate": "give sample_time, which is 1/rate in s.",
+    },
     "walls": {"kp": "give stiffness.", "kd": "give damping.", "ki": _PID},
     "": {
         "time_constant": "give cutoff, which is 1/(2 pi time_constant) in Hz.",

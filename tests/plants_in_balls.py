@@ -16,7 +16,7 @@ import numpy as np
 from benchmarks.truth.balls import ExactPlant
 from jaxstab.model import DoubleDouble
 from jaxstab.point import verdicts
-from jaxstab.rounding import PAIR_UNIT, UNIT
+from jaxstab.rounding import UNIT
 
 _BITS = 700
 _TINY = 1e-300  # an error below it counts as none
@@ -71,15 +71,16 @@ def plant_findings(gamma: float, delta: float, fraction: float) -> Iterator[Find
     """Compare the plant's pairs with balls."""
     loop = gamma, delta, fraction
     is_fractional = fraction > 0.0
-    plant = verdicts.pair_plant(gamma, delta, fraction, is_fractional=is_fractional)
+    pairs = verdicts.plant_pairs(gamma, delta, fraction)
+    plant = verdicts._plant_of(gamma, delta, pairs, is_fractional=is_fractional)
     error, size = float(plant.error), float(plant.size)
     with flint.ctx.workprec(_BITS):
         true = ExactPlant.of(gamma, delta, fraction, _BITS)
         n = [true.n0, true.n1, true.n2] if is_fractional else [true.n1, true.n2]
-        pairs = list(plant.stiff)[-len(n) :]
+        numerator = list(plant.stiff)[-len(n) :]
         difference = true.n2 - true.n1 + true.n0
         yield _finding("V7 D", error, [plant.d1, plant.d0], [true.d1, true.d0], loop, max)
-        yield _finding("V7 N", error * size, pairs, n, loop, max)
+        yield _finding("V7 N", error * size, numerator, n, loop, max)
         yield _finding("V7 N(-1)", error * size, [plant.difference], [difference], loop)
 
 
@@ -99,23 +100,17 @@ def polynomial(rng: np.random.Generator, hostile: bool) -> Iterator[Finding]:
         tail = [(a + b) * up - b * down for up, down in zip(*shifted, strict=True)]
         difference = true.n2 - true.n1 + true.n0
         d_minus = 1 - true.d1 + true.d0
-        for words, unit, make in (
-            ("float64", UNIT, verdicts.float_plant),
-            ("pairs", PAIR_UNIT, verdicts.pair_plant),
-        ):
-            plant = make(gamma, delta, fraction, is_fractional=is_fractional)
-            gains = (alpha, beta) if unit == UNIT else map(DoubleDouble.from_value, (alpha, beta))
-            alpha_, beta_ = gains
-            chain = verdicts._closed_loop(alpha_, beta_, plant, unit)
-            got, exact = [chain.gap, *chain.tail], [1 - true.d0, *tail]
-            yield _finding(f"V7 tail, {words}", float(chain.error), got, exact, loop)
-            heads = [chain.head[0], chain.head[1], chain.head[1]], [true.d1, true.d0, true.d0]
-            yield _finding(f"V7 head, {words}", float(chain.head_error), *heads, loop)
-            ends = verdicts._ends(alpha_, beta_, gamma, plant, unit, degree)
-            at_end = d_minus - (a + 2 * b) * difference * (-1) ** (degree - len(plant.stiff))
-            # Its sign counts, so that it may be rounded to float64.
-            off = _distance(ends.at_minus_one, at_end) - UNIT * abs(float(ends.at_minus_one))
-            yield Finding(f"V7 p(-1), {words}", float(ends.at_minus_one_error), off, loop)
+        plant = verdicts.float_plant(gamma, delta, fraction, is_fractional=is_fractional)
+        chain = verdicts._closed_loop(alpha, beta, plant)
+        got, exact = [chain.gap, *chain.tail], [1 - true.d0, *tail]
+        yield _finding("V7 tail", float(chain.error), got, exact, loop)
+        heads = [chain.head[0], chain.head[1], chain.head[1]], [true.d1, true.d0, true.d0]
+        yield _finding("V7 head", float(chain.head_error), *heads, loop)
+        ends = verdicts._ends(alpha, beta, gamma, plant, degree)
+        at_end = d_minus - (a + 2 * b) * difference * (-1) ** (degree - len(plant.stiff))
+        # Its sign counts, so that it may be rounded to float64.
+        off = _distance(ends.at_minus_one, at_end) - UNIT * abs(float(ends.at_minus_one))
+        yield Finding("V7 p(-1)", float(ends.at_minus_one_error), off, loop)
 
 
 def _finding(

@@ -265,12 +265,12 @@ def test_filters_over_boxes_hold_their_values_and_derivatives(
             z = mpmath.expj(x)
             total = 1 - 1 / z if is_velocity else mpmath.mpf(1)
             for section in chain:  # type: ignore[attr-defined]
-                for *sides, times in section.factors(Fraction(float(section.number))):
+                for sides in section.factors(Fraction(float(section.number))):
                     above, below = (
-                        sum(mpmath.mpf(c.numerator) / c.denominator * z**k for k, c in enumerate(p))
+                        sum(mpmath.mpf(c.numerator) / c.denominator / z**k for k, c in enumerate(p))
                         for p in (map(Fraction, side) for side in sides)
                     )
-                    total *= (above / below) ** times
+                    total *= above / below
             return total
 
         found = quotient.over(theta)

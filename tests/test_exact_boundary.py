@@ -101,7 +101,7 @@ def test_series_about_an_angle_are_those_of_the_closed_form(angle: float) -> Non
     (found,) = curve_around(loop, [(angle, 1e-20)])
     base, a, b = [0, 0, 1, -2, 1], [0, 0.5, 0.5], [-0.5, 0, 0.5]  # times N, but for the first
     of_curve = (base, b, 1), (base, a, -1), (b, a, 1)  # Im(left(z) conj(right(z)))
-    for series, (left, right, sign) in zip(found.series, of_curve, strict=True):
+    for series, (left, right, sign) in zip(found, of_curve, strict=True):
         sines: Counter[int] = Counter()
         for (j, c), (k, d) in product(enumerate(left), enumerate(right)):
             sines[j - k] += sign * c * d

@@ -14,7 +14,6 @@ from jaxstab.exact.delay_margin import (
     DelayMargin,
     DelayStatus,
     _least_whole,
-    _narrowed,
     _Search,
     _window,
     delay_margin,
@@ -165,7 +164,7 @@ def test_a_window_over_an_interval_has_its_values_and_slopes(
     around = flint.arb(sum(theta) / 2.0, (theta[1] - theta[0]) / 2.0)
     form = _window(samples, (around.mid(), around))
     spread = flint.acb(flint.arb(0, around.rad())), flint.acb(0)
-    narrowed = _narrowed(form._replace(all=flint.acb(0)), spread)
+    narrowed = form._replace(all=flint.acb(0)).narrowed(spread)
     for angle in np.linspace(*theta, 9).tolist():
         turns = np.exp(1j * k * angle)
         for ball, value in (

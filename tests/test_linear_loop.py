@@ -75,12 +75,9 @@ def exact_sides(chain: Filter) -> list[flint.fmpq_poly]:
     """Numerator and denominator in 1/z of a chain whose numbers JAX has computed."""
     sides = [flint.fmpq_poly([1]), flint.fmpq_poly([1])]
     for section in chain.sections:
-        for above, below, count in section.factors(Fraction(float(section.number))):
-            length = max(len(above), len(below))
-            for index, rising in enumerate((above, below)):
-                falling = [*[0] * (length - len(rising)), *rising[::-1]]
-                row = [exact(c) / exact(below[-1]) for c in falling]
-                sides[index] *= flint.fmpq_poly(row) ** count
+        for stage in section.factors(Fraction(float(section.number))):
+            for index, row in enumerate(stage):
+                sides[index] *= flint.fmpq_poly(list(map(exact, row)))
     return sides
 
 

@@ -33,7 +33,7 @@ def exact(values: Any) -> list[Any]:
     return [Fraction(v) if isinstance(v, float) else exact(v) for v in np.asarray(values).tolist()]
 
 
-def chain_of(gap: Any, head: Any, tail: Any) -> Chain[Any]:
+def chain_of(gap: Any, head: Any, tail: Any) -> Chain:
     nothing = np.zeros(COUNT)
     return Chain(gap, tuple(head), tuple(tail), nothing, nothing.copy())
 

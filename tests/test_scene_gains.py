@@ -513,6 +513,7 @@ REFUSED = [
         {**WALLS, "controller": {"sample_time": 1e-3, "kp": 1.0}},
         "give the stiffness or the damping of a wall",
     ),
+    ({**WALLS, "controller": {"rate": 1000.0}}, "controller.rate is unknown; give sample_time"),
     ({**WALLS, "walls": {"a": {"kp": 1.0}}}, "walls.a.kp is unknown; give stiffness."),
     (
         {**WALLS, "controller": {"sample_time": 1e-3, "velocity": {"time_constant": 1.0}}},

@@ -332,3 +332,28 @@ def test_issue_31_22_limits_print_as_a_region_does() -> None:
         device_mass=1.0, device_damping=0.0, hand_stiffness=np.pi**2, sample_time=1.0
     ).limits()
     assert "\n" not in repr(none)
+
+
+def test_answers_print_themselves_as_a_person_would_write_them() -> None:
+    loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
+    hands = jaxstab.HandRange(mass=(0.0, 1.0))
+    row = repr(loop.stiffness_intervals(20.0)).splitlines()
+    assert row[0] == "StableLine: all stable intervals of the line, proved"
+    assert row[1].startswith("  0 to 35324.95892")
+    assert " +/- " in row[1]
+    assert repr(loop.stiffness_intervals(2000.0)).splitlines()[1] == "  none"
+    best = loop.tune("radius")
+    assert f"K = {best.stiffness!r} N/m at B = {best.damping!r} N s/m" in repr(best)
+    assert repr(best).splitlines()[2] == f"  settling time    {best.settling_time:.6g} s"
+    worst = repr(loop.worst_hand(hands, 1000.0, 10.0))
+    assert worst.startswith("WorstHand: stable, proved for all hands\n  largest radius tried  0.")
+    assert repr(loop.worst_hand(hands, 1e5, 10.0)).startswith("WorstHand: unstable with the hand")
+    limit = loop.robust_limit(hands)
+    assert f"K = {limit.stiffness!r} N/m" in repr(limit)
+    assert "proved for all hands\n" in repr(limit)
+    gains = repr(jaxstab.simulated_pd(0.1, step=1e-3).tune())
+    assert gains.startswith("TunedGains: kp = ")
+    assert "\n  spectral radius  " in gains
+    endless = repr(jaxstab.simulated_pd(0.1, step=1e-3, integrator="implicit").tune())
+    assert endless.startswith("TunedGains: kp = unlimited at kd = unlimited (no gains are best")
+    assert len(endless.splitlines()) == 1

@@ -11,10 +11,8 @@ from mpmath import mp, mpf
 
 import jaxstab
 from benchmarks import truth
-from jaxstab.batches import MANY
 from jaxstab.conventions import AXES, RadiusStatus, Verdict
 from jaxstab.model import by_name
-from jaxstab.point.poles import CHUNK, over_grid
 
 REFERENCE = Path(__file__).parents[1] / "data" / "reference"
 SCENE = (0.05, 0.3, 1e-3, 0.015)
@@ -195,20 +193,6 @@ class TestEvaluateGrid:
         axes = np.ix_(axis, axis, axis, [0.0], [0.0])
         points, part = next(jaxstab.evaluate_grid(jaxstab.verdict, **by_name(*axes), chunk=100))
         assert (points, part.shape) == (slice(0, 100), (100,))
-
-    @pytest.mark.campaign
-    def test_compiles_once_per_degree(self) -> None:
-        shapes = set()
-
-        def kernel(coefficients: np.ndarray) -> np.ndarray:
-            shapes.add(coefficients.shape)
-            return coefficients[..., 0]
-
-        alpha = np.linspace(0.0, 0.1, MANY // 3 * 2)
-        for gamma in (0.0, 0.1, 0.2):
-            over_grid(kernel, alpha, 0.1, gamma, 0.0, np.array([[0.0], [0.0], [1.0], [0.5]]))
-        # Parts below MANY points are NumPy's: nothing is compiled for their shapes.
-        assert {shape for shape in shapes if shape[0] >= MANY} == {(CHUNK, 4), (CHUNK, 5)}
 
     @pytest.mark.parametrize("chunk", [0, -3])
     def test_refuses_an_empty_chunk(self, chunk: int) -> None:

@@ -63,7 +63,7 @@ def test_the_first_last_coefficient_above_the_leading_one_has_a_root_outside(sha
     assert not _step(replace(sparse, inside=np.array(False)), UNIT).outside
 
 
-def chain(moves: dict[str, float]) -> Chain[Any]:
+def chain(moves: dict[str, float]) -> Chain:
     """u = 1, 0.25, 0.5 and v = 0.75, -0.5, 0.25, moved."""
     u = [1.0 + moves.get("u2", 0.0) + moves.get("gap", 0.0), 0.25, 0.5]
     return Chain(
@@ -82,7 +82,7 @@ def test_an_error_of_head_or_tail_grows_as_lemma_v3_says(name: str) -> None:
     moved = chain({name: MOVE})
     bound = _step(moved, UNIT)
 
-    def exact(given: Chain[Any]) -> tuple[list[Fraction], list[Fraction]]:
+    def exact(given: Chain) -> tuple[list[Fraction], list[Fraction]]:
         gap, (u1, u2) = Fraction(given.gap), map(Fraction, given.head)
         v0, v1, v2 = map(Fraction, given.tail)
         tail = [v1 - ratio * u1, v2 - ratio * u2, Fraction(0)]

@@ -174,6 +174,19 @@ def test_draws_depend_on_seed_and_name_alone() -> None:
     assert np.corrcoef(first, other.hand_damping)[0, 1] < 0.5
 
 
+def test_rng_is_a_seed_or_a_generator_in_place_of_the_seed() -> None:
+    def drawn(**chosen: Any) -> Any:
+        return jaxstab.study(TABLE, OVER, answers=["verdict"], samples=5, **chosen).hand_stiffness
+
+    first = drawn(rng=7)
+    np.testing.assert_array_equal(first, drawn(rng=np.random.default_rng(7)))
+    np.testing.assert_array_equal(first, drawn(seed=3, rng=7))
+    assert (first != drawn(rng=8)).all()
+    chance = np.random.default_rng(7)
+    drawn(rng=chance)
+    assert (first != drawn(rng=chance)).all()  # it is drawn from, so it goes on
+
+
 @pytest.mark.parametrize(
     ("text", "quantiles"),
     [

@@ -32,6 +32,7 @@ from jaxtyping import Bool, Float64, Int8, Int64
 from jaxstab.boxes.box import ParameterBoxes, joined
 from jaxstab.boxes.plant import BEYOND
 from jaxstab.conventions import Status, Verdict
+from jaxstab.shown import exact_text, number_text
 
 Points = Float64[np.ndarray, "point 2"]
 
@@ -197,6 +198,12 @@ class RobustLimit(NamedTuple):
     is_proved: bool
     limit: float
     loop: Any  # of the class of the given one
+
+    def __repr__(self) -> str:
+        wall = f"K = {exact_text(self.stiffness)} N/m at B = {exact_text(self.damping)} N s/m"
+        words = "proved for all hands" if self.is_proved else "not proved for all hands"
+        limit = number_text(self.limit, 5, unit="N/m")
+        return f"RobustLimit: {wall}, {words}\n  limit of hands tried  {limit}, {self.loop!r}"
 
 
 class Guess(NamedTuple):

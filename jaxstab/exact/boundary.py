@@ -25,13 +25,7 @@ from jaxstab.exact.verdict import roots_outside
 from jaxstab.model import LoopParameters
 from jaxstab.model.affine import AffineParts, affine_triple
 from jaxstab.model.balls import BallLoop, Factored, Triple, ball_loop
-from jaxstab.model.device.parts import (
-    FIRST_BITS,
-    MOST_BITS,
-    decided,
-    remembered,
-    working_precision,
-)
+from jaxstab.model.device.parts import FIRST_BITS, MOST_BITS, decided, remembered, working_precision
 
 if TYPE_CHECKING:
     from flint import acb, arb, arb_poly
@@ -67,7 +61,6 @@ def _scaled(question: ScaledLoop) -> tuple[BallLoop, Triple]:
 
 
 _LAST_BITS = 768  # a plant that is real to that precision is real
-_NEAR = 1e-9  # of its size: an imaginary part that may be 0
 
 
 class CurveParts(NamedTuple):
@@ -144,7 +137,6 @@ def _has_digits(part: Factored) -> bool:
 
 
 def _factors(loop: ScaledLoop) -> tuple[Factored, ...]:
-    """Return base, N, A and B; powers of z that all terms of p have are left in them."""
     own = loop.balls()
     return own.free, own.numerator, *own.walls
 
@@ -166,24 +158,18 @@ def _roots(part: Factored) -> Complex128[np.ndarray, " root"]:
     return np.concatenate(parts, dtype=complex)
 
 
-class Around(NamedTuple):
-    """The curve around theta_0 = ``angle`` + ``low``, by series in u = theta - theta_0.
-
-    They are those of |N|^2 Im(conj(B) q), of -|N|^2 Im(conj(A) q) and of |N|^2 det, whose quotients
-    are alpha and beta: nothing is left to cancel. For |u| < 1/(2 degree) what is cut off is below
-    2^-96 of the sizes of the parts.
-    """
-
-    angle: float
-    low: float
-    series: Float64[np.ndarray, "3 order"]
-
-
 _ORDERS = 29  # of a series: 1/29! is below 2^-102
 
 
-def curve_around(loop: ScaledLoop, angles: list[tuple[float, float]]) -> list[Around]:
-    """Return the curve around angles, each given with what rounding took from it."""
+def curve_around(
+    loop: ScaledLoop, angles: list[tuple[float, float]]
+) -> list[Float64[np.ndarray, "3 order"]]:
+    """The curve around angles theta_0, each given with what rounding took from it, by series.
+
+    In u = theta - theta_0, they are those of |N|^2 Im(conj(B) q), of -|N|^2 Im(conj(A) q) and of
+    |N|^2 det, whose quotients are alpha and beta: nothing is left to cancel. For |u| < 1/(2 degree)
+    what is cut off is below 2^-96 of the sizes of the parts.
+    """
     from flint import acb, acb_poly, arb
 
     found = []
@@ -197,7 +183,7 @@ def curve_around(loop: ScaledLoop, angles: list[tuple[float, float]]) -> list[Ar
             det = [c.conjugate() for c in b.coeffs()]
             parts = b * n * base, -(a * n * base), a * acb_poly(det) * square
             series = [[float(c.imag.mid()) for c in part.coeffs()[:_ORDERS]] for part in parts]
-            found.append(Around(angle, low, np.array(series)))
+            found.append(np.array(series))
     return found
 
 
@@ -379,12 +365,13 @@ def _pole_at(loop: ScaledLoop, angle: float) -> "arb | None":
 
 def _real_poles(loop: ScaledLoop, parts: CurveParts) -> list[float]:
     """Return the poles that keep a pair for all walls of a line."""
+    near = 1e-9  # of its size: an imaginary part that may be 0
     if not parts.poles.size:
         return []
     z = np.exp(1j * parts.poles)
     base, stiffness, damping = (np.polyval(part, z) for part in parts.triple)
     unit = np.where(abs(stiffness) > abs(damping), stiffness, damping).conj()
-    is_near = abs((base * unit).imag) <= _NEAR * abs(base) * abs(unit)
+    is_near = abs((base * unit).imag) <= near * abs(base) * abs(unit)
     return [angle for angle in parts.poles[is_near].tolist() if _is_real(loop, angle)]
 
 

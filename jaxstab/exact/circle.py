@@ -48,7 +48,6 @@ if TYPE_CHECKING:
     from flint import arb, arb_mat, arb_poly
 
 _OVERLAP = 9  # a cell reaches to 9/8 of its share: the ends of shares may be moved by 1/8
-_SHORTEST = 96  # halvings of a cell, at most
 
 
 class Zero(NamedTuple):
@@ -110,7 +109,6 @@ def _by_powers(cosines: "list[arb]") -> list[Zero] | None:
 
 
 def _by_cells(cosines: "list[arb]", *, is_last_try: bool) -> list[Zero] | None:
-    """The zeros from a search over the half circle."""
     cells = _Cells(cosines)
     signs = [_sign_on_cell(cells, cell) for cell in range(cells.count)]
     parts = cells.polynomials([cell for cell, sign in enumerate(signs) if not sign])
@@ -239,7 +237,6 @@ class _End(NamedTuple):
 
 
 def _end(index: int, signs: list[int], parts: "dict[int, _Part]") -> _End:
-    """The end between two cells, or an outermost one."""
     moves = 9  # of an end, in 72ths of a cell
     known = [signs[cell] for cell in (index - 1, index) if 0 <= cell < len(signs)]
     sign = known[0] or known[-1]
@@ -268,8 +265,9 @@ def _isolated(part: _Part, first: "tuple[arb, int]", last: "tuple[arb, int]") ->
     """The zeros of a part between two places with their signs, from left to right, in t."""
     from flint import arb, ctx
 
+    most_halvings = 96
     found: list[Zero] = []
-    shortest = arb(2) ** -min(ctx.prec // 3, _SHORTEST)
+    shortest = arb(2) ** -min(ctx.prec // 3, most_halvings)
     intervals = [(first, last)]
     while intervals:
         (a, sign_a), (b, sign_b) = intervals.pop()
@@ -349,7 +347,6 @@ def _sums(even: "list[arb]", odd: "list[arb]", cells: int) -> "list[list[arb]]":
 
 @remembered(16)
 def _roots_of_unity(count: int) -> "list[tuple[arb, arb]]":
-    """Cosines and sines of the parts of a turn."""
     from flint import arb, fmpq
 
     angles = [fmpq(2 * part, count) for part in range(count)]

@@ -35,7 +35,6 @@ from jaxstab.model.device.sampling import OneSample, force_of, generator, held
 if TYPE_CHECKING:
     from flint import acb, arb, arb_mat, arb_poly
 
-_HALF_TURN = nextafter(pi, 4.0)  # z = -1 is in the last cell
 _TURNS = 32  # of (n + 1) theta that are looked at
 _TERMS = 8  # of v(f) about the middle of an interval
 
@@ -78,7 +77,8 @@ def delay_margin(
     with working_precision(FIRST_BITS):
         search = _Search(loop(), sample(), delay, wall)
         boxes = []
-        for theta in pairwise(grade * _HALF_TURN / 64.0 for grade in grades):
+        half_turn = nextafter(pi, 4.0)  # z = -1 is in the last cell
+        for theta in pairwise(grade * half_turn / 64.0 for grade in grades):
             boxes += search.boxes(theta, (0.0, 1.0))
         heapify(boxes)
         for _ in range(most_boxes):
@@ -88,19 +88,12 @@ def delay_margin(
             margin = max(key - delay - 2.0 * ulp(key), 0.0)  # what was rounded
             if fraction[1] - fraction[0] < short * max(margin, short):
                 return DelayMargin(margin, 0.5 * sum(theta), DelayStatus.PROVED)
-            for halves in _halves(theta, fraction, by_theta=by_theta):
-                for box in search.boxes(*halves):
+            low, high = theta if by_theta else fraction
+            middle = 0.5 * (low + high)
+            for half in ((low, middle), (middle, high)):
+                for box in search.boxes(*((half, fraction) if by_theta else (theta, half))):
                     heappush(boxes, box)
         return DelayMargin(margin, nan, DelayStatus.NOT_SHARP)
-
-
-def _halves(
-    theta: Interval, fraction: Interval, *, by_theta: bool
-) -> list[tuple[Interval, Interval]]:
-    cut = theta if by_theta else fraction
-    middle = 0.5 * (cut[0] + cut[1])
-    parts = (cut[0], middle), (middle, cut[1])
-    return [(part, fraction) if by_theta else (theta, part) for part in parts]
 
 
 class _Form(NamedTuple):
@@ -121,6 +114,11 @@ class _Form(NamedTuple):
 
     def plus(self, other: "_Form") -> "_Form":
         return _Form(*(a + b for a, b in zip(self, other, strict=True)))
+
+    def narrowed(self, spread: "tuple[acb, acb]") -> "_Form":
+        """The same with its values by the mean-value form."""
+        wide = self.middle + self.by_theta * spread[0] + self.by_fraction * spread[1]
+        return self._replace(all=wide)
 
 
 class _Search:
@@ -149,9 +147,8 @@ class _Search:
         place, above, below = self.over_theta(theta)
         half = _around(theta).rad(), _around(fraction).rad()
         spread = acb(arb(0, half[0])), acb(arb(0, half[1]))
-        forces = self._force(place, late, late_slope).times(above)
-        x = _narrowed(forces, spread)
-        y = _narrowed(below, spread)
+        x = self._force(place, late, late_slope).times(above).narrowed(spread)
+        y = below.narrowed(spread)
         if x.all.abs_upper() < y.all.abs_lower() or x.all.abs_lower() > y.all.abs_upper():
             return []
         least = self.delay - fraction[1]
@@ -214,7 +211,6 @@ class _Search:
         return self.sample.moved(force_of(matrix))(arb_poly([1, 1]))
 
     def _over_theta(self, theta: Interval) -> tuple[_Form, _Form, _Form]:
-        """Z - 1, and H's and D's polynomials, over an interval of theta."""
         from flint import acb
 
         everywhere = _around(theta)
@@ -222,9 +218,8 @@ class _Search:
         turn = acb(0, everywhere).exp()
         place = _Form(acb(0, middle).exp() - 1, acb(0, 1) * turn, acb(0), turn - 1)
         phases = middle, everywhere
-        terms = [_value(term, place, phases) for term in self.above]
-        zero = acb(0)
-        above = reduce(_Form.plus, terms, _Form(zero, zero, zero, zero))
+        terms = (_value(term, place, phases) for term in self.above)
+        above = reduce(_Form.plus, terms, _Form(*[acb(0)] * 4))
         return place, above, _value(self.below, place, phases)
 
 
@@ -232,7 +227,6 @@ _Pair = tuple["arb_poly", "arb_poly"]
 
 
 def _around(interval: Interval) -> "arb":
-    """The ball of an interval, about its middle."""
     from flint import arb
 
     low, high = arb(interval[0]), arb(interval[1])
@@ -274,12 +268,6 @@ def _window(n: int, phases: "tuple[arb, arb]") -> _Form:
     middle = terms(z)
     slope = acb(0, 1) * z * terms.derivative()(z) + acb(arb(0, bend), arb(0, bend))
     return _Form(middle, slope, acb(0), middle + slope * acb(arb(0, spread)))
-
-
-def _narrowed(form: _Form, spread: "tuple[acb, acb]") -> _Form:
-    """The same with its values by the mean-value form."""
-    wide = form.middle + form.by_theta * spread[0] + form.by_fraction * spread[1]
-    return form._replace(all=wide)
 
 
 def _least_whole(angle: "arb", theta: Interval, least: float) -> float:

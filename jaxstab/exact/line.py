@@ -49,6 +49,7 @@ from jaxstab.exact.roots import Number, sign_of
 from jaxstab.exact.verdict import TripleAt, roots_outside
 from jaxstab.model.balls import Factored
 from jaxstab.model.device.parts import FIRST_BITS, decided
+from jaxstab.shown import text_with_bound
 
 if TYPE_CHECKING:
     from flint import acb, acb_poly, arb, arb_poly
@@ -107,6 +108,15 @@ class StableLine(NamedTuple):
     horizon: float
     status: LineStatus
     bits: int
+
+    def __repr__(self) -> str:
+        intervals = [
+            " to ".join(
+                text_with_bound(end.value, end.error).removesuffix(" +/- 0") for end in interval
+            )
+            for interval in self.intervals
+        ]
+        return "\n  ".join([f"StableLine: {self.status.words}", *(intervals or ["none"])])
 
     def holding(self, t: float) -> Interval | None:
         """The interval that holds a number, if one does for certain."""
@@ -383,7 +393,6 @@ class OnCircle(NamedTuple):
 
 
 def _joined(crossings: list[Crossing]) -> list[Crossing]:
-    """Crossings in the order of t, those that are not told apart as one."""
     joined: list[Crossing] = []
     for crossing in sorted(crossings, key=lambda c: float(c.t.lower())):
         if joined and not joined[-1].t < crossing.t:

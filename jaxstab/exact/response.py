@@ -175,7 +175,6 @@ class Responses(NamedTuple):
         return 0.0
 
     def _ball(self, term: int) -> "arb":
-        """The modulus of a term of the first response."""
         from flint import arb
 
         count = self.head.shape[-1]
@@ -202,7 +201,6 @@ def _mixed(rows: np.ndarray, columns: np.ndarray, values: np.ndarray) -> np.ndar
 
 
 def _powers(numbers: np.ndarray, count: int) -> np.ndarray:
-    """The powers of numbers from the one to 0 on, by multiplications."""
     powers = np.repeat(numbers[:, None], count, axis=1)
     powers[:, :1] = 1.0
     return np.cumprod(powers, axis=1)

@@ -44,10 +44,7 @@ class SmallGainStatus(Status):
 
 
 def small_gain(
-    loop: Callable[[], BallLoop],
-    late: "Callable[[], list[arb]]",
-    stiffness: float,
-    damping: float,
+    loop: Callable[[], BallLoop], late: "Callable[[], list[arb]]", stiffness: float, damping: float
 ) -> SmallGainStatus:
     """The verdict on the wall (K, B) for every sequence of delays.
 
@@ -121,7 +118,6 @@ def squared(p: Factored) -> "list[arb]":
 
 
 def _times(a: "list[arb]", b: "list[arb]") -> "list[arb]":
-    """The product of such sums."""
     both = _mirrored(a) * _mirrored(b)
     middle = len(a) + len(b) - 2
     return [both[middle + lag] for lag in range(middle + 1)]

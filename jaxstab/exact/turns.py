@@ -24,13 +24,7 @@ from jaxstab.exact.verdict import roots_outside
 from jaxstab.model.balls import ball_loop
 from jaxstab.model.device.device import Device
 from jaxstab.model.device.parts import exact, working_precision
-from jaxstab.model.device.sampling import (
-    force_of,
-    held,
-    in_fastest_time,
-    in_samples,
-    without_force,
-)
+from jaxstab.model.device.sampling import force_of, held, in_fastest_time, in_samples, without_force
 from jaxstab.model.loop import LoopParameters
 
 _BITS = 512

@@ -64,7 +64,7 @@ from jaxstab.point import SpectralRadius, linear_spectral_radius, linear_verdict
 from jaxstab.region.pieces import NO_BRANCH
 from jaxstab.region.region import proved_extremes, region_of
 from jaxstab.region.stable_set import GainNames, RegionStatus, ShownRegion, StableRegion
-from jaxstab.shown import number_text
+from jaxstab.shown import exact_text, number_text, text_with_bound
 from jaxstab.tuning import TuningStatus
 from jaxstab.tuning.radius import Walls, family_of_loop, smallest_radius
 
@@ -234,6 +234,12 @@ class TunedGains(NamedTuple):
     radius: float
     radius_error: float
     status: TuningStatus
+
+    def __repr__(self) -> str:
+        pair = " at ".join(f"{name} = {exact_text(gain)}" for name, gain in self.gains.items())
+        radius = f"\n  spectral radius  {text_with_bound(self.radius, self.radius_error)}"
+        is_endless = self.status == TuningStatus.ENDLESS
+        return f"TunedGains: {pair} ({self.status.words}){'' if is_endless else radius}"
 
 
 @dataclass(frozen=True, repr=False)

@@ -37,6 +37,7 @@ from jaxstab.model.balls import ball_triple
 from jaxstab.model.device.parts import MassSpringDamper, Modes
 from jaxstab.numbers import checked_number
 from jaxstab.region import RegionStatus
+from jaxstab.shown import rounded_text
 
 if TYPE_CHECKING:
     from jaxstab.loop.loop import HapticLoop
@@ -60,6 +61,15 @@ class WorstHand(NamedTuple):
     verdict: Verdict
     loop: Any  # of the class of the given one
     radius: float
+
+    def __repr__(self) -> str:
+        words = {
+            Verdict.STABLE: "stable, proved for all hands",
+            Verdict.UNSTABLE: "unstable with the hand below",
+            Verdict.UNDECIDED: "not proved for all hands",
+        }
+        radius = rounded_text(self.radius, 6)
+        return f"WorstHand: {words[self.verdict]}\n  largest radius tried  {radius}, {self.loop!r}"
 
 
 @dataclass(frozen=True)

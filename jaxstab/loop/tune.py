@@ -1,5 +1,7 @@
 """The walls of a loop that come to rest fastest, in SI units."""
 
+from decimal import ROUND_CEILING
+from math import isnan
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
@@ -9,6 +11,7 @@ from jaxstab.conventions import Excitation
 from jaxstab.loop.region import TOLERANCE, wall_region
 from jaxstab.motion.settling import checked_level, likely_settling
 from jaxstab.numbers import checked_number, checked_word
+from jaxstab.shown import exact_text, number_text, text_with_bound
 from jaxstab.tuning import TuningStatus
 from jaxstab.tuning.radius import Axis, Values, minimised, smallest_radius
 from jaxstab.tuning.settling import shortest_settling, tuned_loop
@@ -86,6 +89,16 @@ class OptimalWall(NamedTuple):
     settling_time: float
     status: TuningStatus
     chatter: float = np.nan
+
+    def __repr__(self) -> str:
+        wall = f"K = {exact_text(self.stiffness)} N/m at B = {exact_text(self.damping)} N s/m"
+        lines = [
+            f"OptimalWall: {wall} ({self.status.words})",
+            f"  spectral radius  {text_with_bound(self.radius, self.radius_error)}",
+            f"  settling time    {number_text(self.settling_time, 6, unit='s')}",
+            f"  encoder chatter  {number_text(self.chatter, 3, ROUND_CEILING, 'm')}",
+        ]
+        return "\n".join(lines[: 3 if isnan(self.chatter) else 4])
 
 
 def optimal_wall(

@@ -297,7 +297,6 @@ class AdmittanceParts(AffineParts):
         return unit, (wall * period**2, wall * period)
 
     def _rates(self) -> tuple[Factored, Factored]:
-        """V and X."""
         from flint import fmpq_poly
 
         z = fmpq_poly([0, 1])

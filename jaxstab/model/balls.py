@@ -433,7 +433,6 @@ def filter_in_balls(chain: Filter, period: float) -> tuple[Factored, Factored]:
 
 
 def _section(section: Section) -> tuple[Factored, Factored]:
-    """Numerator and denominator of a section in units of one sample."""
     from flint import arb_poly, fmpq, fmpq_poly
 
     n = section.length

@@ -26,7 +26,6 @@ import numpy as np
 from jaxstab.arrays import Array, is_jax, kept, namespace, pytree, tree_map
 
 _UPPER_HALF = np.uint64(0xFFFFFFFFF8000000)  # sign, exponent and 26 bits of the significand
-_UPPER_BITS = int(_UPPER_HALF)
 _FLOAT, _BITS = Struct("<d"), Struct("<Q")
 
 
@@ -197,7 +196,7 @@ def _halves(a: Array) -> tuple[Array, Array]:
     bits: Array
     if type(a) is float:
         (bits,) = _BITS.unpack(_FLOAT.pack(a))
-        (high,) = _FLOAT.unpack(_BITS.pack(bits & _UPPER_BITS))
+        (high,) = _FLOAT.unpack(_BITS.pack(bits & int(_UPPER_HALF)))
     elif is_jax(a):
         from jax import lax
 

@@ -124,7 +124,6 @@ class FilterTable(Table):
 
     @property
     def _difference(self) -> Velocity:
-        """The estimator that the filters smooth."""
         if self.polynomial is not None:
             return Velocity.savitzky_golay(**self._length, order=self.polynomial)
         if self.acceleration_variance is not None and self.position_variance is not None:
@@ -138,7 +137,6 @@ class FilterTable(Table):
 
     @property
     def _smoothing(self) -> Filter:
-        """The filter after the window."""
         chain = Filter()
         if self.cutoff is not None:
             chain *= _LOW_PASSES[self.kind or LOW_PASSES[0].kind](

@@ -48,9 +48,6 @@ HIGHEST_ORDER = 40  # poles of a filter, but for those at z = 0
 LONGEST_WINDOW = 200  # samples
 HIGHEST_POLYNOMIAL = 10  # of a fit to samples
 
-Factor = tuple[list[Any], list[Any], int]
-"""Numerator and denominator, lowest power of z first, and how often they are multiplied."""
-
 Stage = tuple[tuple[Any, ...], tuple[Any, ...]]
 """A filter of a low order: numerator and denominator in powers of 1/z, the latter 1 at first."""
 
@@ -89,7 +86,7 @@ class Section:
         """The number that a section in units of one sample computes from its parameters."""
         return 1.0
 
-    def factors(self, number: Any) -> list[Factor]:
+    def factors(self, number: Any) -> list[Stage]:
         """The factors of the transfer function, by that number: a pair or a fraction."""
         raise NotImplementedError
 
@@ -101,12 +98,12 @@ class Section:
         number = self.number
         if not is_jax(number):
             return _exact_stages(self)
-        return _stages(self.factors(DoubleDouble.from_value(number)))
+        return self.factors(DoubleDouble.from_value(number))
 
     @property
     def degrees(self) -> tuple[int, int]:
         """The degrees of numerator and denominator in 1/z, whatever the section's number is."""
-        stages = _stages(self.factors(Fraction(1, 2)))
+        stages = self.factors(Fraction(1, 2))
         above, below = (sum(len(stage[side]) - 1 for stage in stages) for side in (0, 1))
         return above, below
 
@@ -139,9 +136,9 @@ class Average(Section):
     def toml(self) -> dict[str, Any]:
         return {"window_samples": self.length}
 
-    def factors(self, number: Any) -> list[Factor]:
+    def factors(self, number: Any) -> list[Stage]:
         count = self.length
-        return [([Fraction(1, count)] * count, [0] * (count - 1) + [1], 1)]
+        return [_stage([Fraction(1, count)] * count, [1] + [0] * (count - 1))]
 
 
 @pytree
@@ -178,8 +175,8 @@ class LowPass(Section):
     def longest_sample_time(self) -> float:
         return 100.0 / float(self.cutoff)  # beyond some more the pole is 0 in float64
 
-    def factors(self, number: Any) -> list[Factor]:
-        return [(*_lag(1 - number), self.order)]
+    def factors(self, number: Any) -> list[Stage]:
+        return [_lag(1 - number)] * self.order
 
 
 @pytree
@@ -199,8 +196,8 @@ class Exponential(Section):
     def number(self) -> Array:
         return _float(self.factor)
 
-    def factors(self, number: Any) -> list[Factor]:
-        return [(*_lag(number), 1)]
+    def factors(self, number: Any) -> list[Stage]:
+        return [_lag(number)]
 
 
 @pytree
@@ -240,14 +237,14 @@ class Butterworth(Section):
     def longest_sample_time(self) -> float:
         return 0.499 / float(self.cutoff)  # it ends at half of the sampling rate
 
-    def factors(self, number: Any) -> list[Factor]:
+    def factors(self, number: Any) -> list[Stage]:
         w, factors = number, []
         for k in range(self.order // 2):
             gain, turn = w * w, 2 * w * type(w)(butterworth_sine(k, self.order))
-            below = [gain + 1 - turn, 2 * (gain - 1), gain + 1 + turn]
-            factors.append(([gain, 2 * gain, gain], below, 1))
+            below = [gain + 1 + turn, 2 * (gain - 1), gain + 1 - turn]
+            factors.append(_stage([gain, 2 * gain, gain], below))
         if self.order % 2:
-            factors.append(([w, w], [w - 1, w + 1], 1))
+            factors.append(_stage([w, w], [w + 1, w - 1]))
         return factors
 
 
@@ -264,9 +261,9 @@ class Rational(Section):
     def __str__(self) -> str:
         return f"a transfer function of order {len(self.denominator) - 1}"
 
-    def factors(self, number: Any) -> list[Factor]:
-        above, below = (list(map(Fraction, p[::-1])) for p in (self.numerator, self.denominator))
-        return [(above, below, 1)]
+    def factors(self, number: Any) -> list[Stage]:
+        sides = self.numerator, self.denominator
+        return [_stage(*(list(map(Fraction, side)) for side in sides))]
 
     @property
     def toml(self) -> dict[str, Any]:
@@ -289,10 +286,10 @@ class Differentiator(Rational):
     def number(self) -> Array:
         return _float(self.period)
 
-    def factors(self, number: Any) -> list[Factor]:
-        steps = list(accumulate(map(Fraction, self.numerator[:-1])))
-        above = [number * step if step else 0 for step in steps[::-1]]
-        return [([0, *above], list(map(Fraction, self.denominator[::-1])), 1)]
+    def factors(self, number: Any) -> list[Stage]:
+        steps = accumulate(map(Fraction, self.numerator[:-1]))
+        above = [number * step if step else 0 for step in steps]
+        return [_stage([*above, 0], list(map(Fraction, self.denominator)))]
 
     @property
     def toml(self) -> dict[str, Any]:
@@ -338,9 +335,9 @@ class Kalman(Section):
         index = xp.sqrt(ratio)
         return _float(2.0 / (1.0 + xp.sqrt(1.0 + 8.0 / index)))
 
-    def factors(self, number: Any) -> list[Factor]:
+    def factors(self, number: Any) -> list[Stage]:
         s = number
-        return [([0, 0, 2 * s * s], [(1 - s) * (1 - s), s * s + 2 * s - 2, 1], 1)]
+        return [_stage([2 * s * s, 0, 0], [1, s * s + 2 * s - 2, (1 - s) * (1 - s)])]
 
     @property
     def toml(self) -> dict[str, Any]:
@@ -370,9 +367,8 @@ class SavitzkyGolay(Section):
         """The weights of differences, that of the newest first."""
         return _slope_weights(self.samples, self.order)
 
-    def factors(self, number: Any) -> list[Factor]:
-        delays = [0] * (self.samples - 2) + [1]
-        return [(list(map(Fraction, self.weights[::-1])), delays, 1)]
+    def factors(self, number: Any) -> list[Stage]:
+        return [_stage(list(map(Fraction, self.weights)), [1] + [0] * (self.samples - 2))]
 
     @property
     def toml(self) -> dict[str, Any]:
@@ -415,9 +411,9 @@ class Measured(Section):
 LOW_PASSES = (LowPass, Butterworth)  # by ``kind``, which a table gives beside the cut-off
 
 
-def _lag(factor: Any) -> tuple[list[Any], list[Any]]:
-    """Return y_k = y_(k-1) + factor (x_k - y_(k-1)) in powers of z, the lowest first."""
-    return [0, factor], [factor - 1, 1]
+def _lag(factor: Any) -> Stage:
+    """y_k = y_(k-1) + factor (x_k - y_(k-1))."""
+    return _stage([factor, 0], [1, factor - 1])
 
 
 def butterworth_sine(k: int, order: int) -> float:
@@ -427,11 +423,7 @@ def butterworth_sine(k: int, order: int) -> float:
 
 @lru_cache(maxsize=256)
 def _exact_stages(section: Section) -> list[Stage]:
-    return _stages(section.factors(Fraction(float(section.number))))
-
-
-def _stages(factors: list[Factor]) -> list[Stage]:
-    return [stage for *sides, count in factors for stage in [_in_lags(*sides)] * count]
+    return section.factors(Fraction(float(section.number)))
 
 
 @lru_cache(maxsize=256)
@@ -458,10 +450,10 @@ def rounded(polynomial: "fmpq_poly") -> np.ndarray:
     return np.array([int(c.p) / int(c.q) for c in polynomial.coeffs()])
 
 
-def _in_lags(above: list[Any], below: list[Any]) -> Stage:
-    """Return a proper quotient in powers of 1/z by the one in powers of z."""
-    leading = below[-1]
-    sides = [0] * (len(below) - len(above)) + above[::-1], below[::-1]
+def _stage(above: list[Any], below: list[Any]) -> Stage:
+    """A proper quotient by its coefficients, highest power of z first."""
+    leading = below[0]
+    sides = [0] * (len(below) - len(above)) + above, below
     for side in sides:
         while len(side) > 1 and _is_exactly(0, side[-1]):
             side.pop()
@@ -524,7 +516,6 @@ def _filter_calls(sections: Sequence[Section]) -> list[str]:
 
 
 def _call(maker: str, section: Section) -> str:
-    """Return the call that makes a filter, or an estimator, of one section."""
     given = {key: value for key, value in vars(section).items() if value is not None}
     period = given.pop("period", 1.0)
     call = call_text(maker, given)

@@ -11,26 +11,25 @@ docs/proofs.md), on grids and under transformations of JAX. The triple of a sing
 any device, is the middle of its balls (``balls.linear_loop``).
 """
 
-from collections.abc import Sequence
-from functools import lru_cache, partial, reduce
+from functools import lru_cache, reduce
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.arrays import (
-    Array,
-    Numbers,
-    float_arrays,
-    is_any_jax,
-    is_any_traced,
-    namespace,
-    tree_map,
-)
+from jaxstab.arrays import Array, Numbers, float_arrays, is_any_jax, namespace
 from jaxstab.batches import MANY, compiled
 from jaxstab.model.device.parts import exact
 from jaxstab.model.double_double import DoubleDouble
-from jaxstab.model.filters import Filter, Filters, Section, Velocity, exact_chain, given_filters
+from jaxstab.model.filters import (
+    NO_FILTERS,
+    Filter,
+    Filters,
+    Section,
+    Velocity,
+    exact_chain,
+    given_filters,
+)
 from jaxstab.model.parameters import (
     TracedDelay,
     checked_delay,
@@ -40,7 +39,7 @@ from jaxstab.model.parameters import (
     require_x64,
     whole_and_fraction,
 )
-from jaxstab.model.plant import PlantCoefficients, falls_of, may_cancel, pairs_error, plant_pairs
+from jaxstab.model.plant import may_cancel, pairs_error, plant_pairs
 from jaxstab.rounding import FILTERS, PAIR_PRODUCT
 
 Polynomial = tuple[DoubleDouble, ...]
@@ -84,8 +83,7 @@ def filtered_loop(
     """
     pairs = plant_pairs(gamma, delta, fraction)
     xp = namespace(pairs)
-    unit = DoubleDouble.from_value(xp.ones_like(pairs.d0.hi))
-    denominator: Polynomial = (unit, pairs.d1, pairs.d0)
+    denominator: Polynomial = (_ONE, pairs.d1, pairs.d0)
     numerator: Polynomial = (pairs.n2, pairs.n1, pairs.n0)
     relative, size = pairs_error(gamma, delta), size_of(numerator)
     rounding = relative * xp.where(may_cancel(gamma, delta), xp.sqrt(size), size)
@@ -95,12 +93,12 @@ def filtered_loop(
     errors = 2.0 * relative + gamma * rounding, 3.0 * rounding, 3.0 * rounding  # D(1) = gamma N(1)
     factors = filter_factors(filters)
     parts = [product(plant, factor) for plant, factor in zip(plants, factors.parts, strict=True)]
-    zeros = (unit - unit,) * (whole_delay + 1)
+    zeros = (_ZERO,) * (whole_delay + 1)
     parts[1:] = [zeros + part for part in parts[1:]]
     degree = max(map(len, parts)) - 1
     base, stiffness, damping = (part + zeros[:1] * (degree + 1 - len(part)) for part in parts)
     late = -1.0 if len(zeros) % 2 else 1.0
-    turned = (unit - pairs.d1 + pairs.d0, *[pairs.difference.scaled(late)] * 2)
+    turned = (-pairs.d1 + _ONE + pairs.d0, *[pairs.difference.scaled(late)] * 2)
     ends = (pairs.den_at_one, pairs.sum, pairs.sum), turned
     sizes = [
         size_of(part) + error for part, error in zip(factors.parts, factors.errors, strict=True)
@@ -199,11 +197,9 @@ def product(a: Polynomial, b: Polynomial) -> Polynomial:
     others = [(j, other) for j, other in enumerate(b) if not _is_zero(other)]
     for i, value in enumerate(a):
         for j, other in [] if _is_zero(value) else others:
-            terms[i + j].append(value * other)
-    if not all(terms):
-        nothing = (a[0] * b[0]).scaled(0.0)  # of the shape of all
-        terms = [column or [nothing] for column in terms]
-    return tuple(reduce(DoubleDouble.__add__, column) for column in terms)
+            is_sign = type(other.hi) is float and abs(other.hi) == 1.0 and other.lo == 0.0
+            terms[i + j].append(value.scaled(other.hi) if is_sign else value * other)
+    return tuple(reduce(DoubleDouble.__add__, column) if column else _ZERO for column in terms)
 
 
 def _is_zero(value: DoubleDouble) -> bool:
@@ -266,17 +262,10 @@ def characteristic_polynomial(
     whole_part, fraction = whole_and_fraction(delay)
     gains = float_arrays(checked_gain("alpha", alpha), checked_gain("beta", beta))
     hand = checked_gamma(gamma), checked_delta(delta)
-    filters = given_filters(velocity, position)
-    if filters:
-        if isinstance(delay, TracedDelay):
-            return _filtered_polynomial(
-                gains[0], gains[1], hand, fraction, filters, whole_delay=delay.whole
-            )
-        delays = np.asarray(whole_part + fraction)
-        return _filtered_polynomials((*gains, *hand), delays, filters)
-    plant = plant_pairs(*hand, fraction)
-    degree = polynomial_degree(delay)
-    return _polynomial(gains[0], gains[1], plant, whole_part, degree=degree)
+    filters = given_filters(velocity, position) or NO_FILTERS
+    if isinstance(delay, TracedDelay):
+        return _polynomial((*gains, *hand), fraction, filters, whole_delay=delay.whole)
+    return _polynomials((*gains, *hand), np.asarray(whole_part + fraction), filters)
 
 
 def companion_matrix(coefficients: Numbers) -> Float64[Array, "*grid degree degree"]:
@@ -311,95 +300,49 @@ def companion_matrix(coefficients: Numbers) -> Float64[Array, "*grid degree degr
     return xp.concatenate([-coefficients[..., None, 1:], below], axis=-2)
 
 
-@compiled(static=["degree"], many=MANY)
-def _polynomial(
-    alpha: Array,
-    beta: Array,
-    plant: PlantCoefficients,
-    whole_delay: Array,
-    *,
-    degree: int,
-) -> Array:
-    wall = _times_wall(alpha, beta, plant)
-    xp = namespace(alpha, beta, plant)
-    unit = DoubleDouble.from_value(xp.ones_like(plant.d0.hi))
-    denominator = (unit, plant.d1, plant.d0)
-    grid = xp.broadcast_shapes(wall[0].hi.shape, whole_delay.shape)
-    columns = []
-    for power in range(degree + 1):
-        place = power - 1 - whole_delay  # the wall acts a sample after the hold and the delay
-        column = _chosen(place, wall)
-        if power < len(denominator):
-            column = column + denominator[power]
-        columns.append(xp.broadcast_to(column.rounded(), grid))
-    return xp.stack(columns, axis=-1)
-
-
-def _filtered_polynomials(
+def _polynomials(
     point: tuple[Array, ...], delay: Float64[np.ndarray, "*grid"], filters: Filters
 ) -> Array:
-    """Return p(z) with filters, one form after the other where the delays have several."""
+    """The coefficients, one form after the other where the delays have several."""
     twice = np.floor(delay) + np.ceil(delay)
-    forms = np.unique(twice)
-    if forms.size == 1:
-        whole = int(forms[0] // 2)
-        fraction = delay - whole if forms[0] % 2 else 0.0
-        alpha, beta, *hand = point
-        return _filtered_polynomial(alpha, beta, hand, fraction, filters, whole_delay=whole)
-    if is_any_traced(point, filters):
-        raise TypeError("filters take an array of delays with concrete arguments only.")
-    grid = np.broadcast_shapes(delay.shape, *(np.shape(value) for value in point))
-    arguments = [np.broadcast_to(np.asarray(value), grid) for value in (*point, delay)]
-    members = [np.broadcast_to(twice == form, grid) for form in forms]
-    blocks = []
-    for chosen in members:
-        *listed, delays = (argument[chosen] for argument in arguments)
-        blocks.append(_filtered_polynomials(tuple(listed), delays, filters))
-    result = np.zeros((*grid, max(block.shape[-1] for block in blocks)))
-    for chosen, block in zip(members, blocks, strict=True):
-        result[chosen, : block.shape[-1]] = block
-    return namespace(point).asarray(result)
+    forms = np.unique(twice).tolist() or [0.0]
+    if len(forms) == 1:
+        whole, is_late = divmod(int(forms[0]), 2)
+        fraction = delay - whole if is_late else None
+        return _polynomial(point, fraction, filters, whole_delay=whole)
+    xp = namespace(point, filters)
+    grid = np.broadcast_shapes(delay.shape, *map(xp.shape, point))
+    every = [xp.broadcast_to(value, grid).ravel() for value in (*point, delay)]
+    members = [np.flatnonzero(np.broadcast_to(twice == form, grid)) for form in forms]
+    rows = [
+        _polynomials(
+            tuple(x[own] for x in every[:-1]), np.broadcast_to(delay, grid).flat[own], filters
+        )
+        for own in members
+    ]
+    length = max((row.shape[-1] for row in rows), default=1)
+    rows = [xp.pad(row, [(0, 0), (0, length - row.shape[-1])]) for row in rows]
+    order = np.argsort(np.concatenate(members))
+    return xp.concatenate(rows)[order].reshape(*grid, length)
 
 
 @compiled(static=["whole_delay"])
-def _filtered_polynomial(
-    alpha: Array,
-    beta: Array,
-    hand: Sequence[Array],
-    fraction: Array | float,
-    filters: Filters,
-    *,
-    whole_delay: int,
+def _polynomial(
+    point: tuple[Array, ...], fraction: Array | None, filters: Filters, *, whole_delay: int
 ) -> Array:
-    gamma, delta = hand
-    return loop_polynomial(alpha, beta, filtered_loop(gamma, delta, whole_delay, fraction, filters))
+    alpha, beta, gamma, delta = point
+    late = 0.0 if fraction is None else fraction
+    return loop_polynomial(alpha, beta, filtered_loop(gamma, delta, whole_delay, late, filters))
 
 
+@compiled(many=MANY)
 def loop_polynomial(
     alpha: Array, beta: Array, loop: LinearLoop
 ) -> Float64[Array, "*grid coefficient"]:
-    """Return p(z) of walls of one loop, summed in pairs and rounded once; for numbers unchecked."""
+    """p(z) of walls of one loop, summed in pairs and rounded once; for numbers unchecked."""
     columns = [
-        (base + (stiff * alpha + damp * beta)).rounded()
+        base if _is_zero(stiff) and _is_zero(damp) else base + (stiff * alpha + damp * beta)
         for base, stiff, damp in zip(loop.base, loop.stiffness, loop.damping, strict=True)
     ]
-    xp = namespace(columns)
-    return xp.stack(xp.broadcast_arrays(*columns), axis=-1)
-
-
-def _times_wall(alpha: Array, beta: Array, plant: PlantCoefficients) -> tuple[DoubleDouble, ...]:
-    """Return the coefficients of N(z) ((alpha + beta) z - beta), highest power first."""
-    stiffness, damping = DoubleDouble.from_value(alpha), DoubleDouble.from_value(beta)
-    *falls, last = falls_of(plant)
-    lowered = (stiffness * n for n in (plant.n2, plant.n1, plant.n0))
-    walls = (n - damping * fall for n, fall in zip(lowered, falls, strict=True))
-    return *walls, -(damping * last)
-
-
-def _chosen(place: Array, values: tuple[DoubleDouble, ...]) -> DoubleDouble:
-    """Return ``values[place]``, and zero where ``place`` is outside of the tuple."""
-    chosen = DoubleDouble.from_value(0.0)
-    for index, value in enumerate(values):
-        here = place == index
-        chosen = tree_map(partial(namespace(here, value).where, here), value, chosen)
-    return chosen
+    xp = namespace(alpha, beta, loop)
+    return xp.stack(xp.broadcast_arrays(*(column.rounded() for column in columns)), axis=-1)

@@ -36,8 +36,6 @@ _LEAST = {  # the least allowed value, and whether it is excluded
     "delay": (0.0, False),
 }
 
-_OF_DEVICE = ("device_mass", "device_damping")
-
 Values = TypeVar("Values", bound=Numbers)
 
 Arguments = ParamSpec("Arguments")
@@ -132,14 +130,15 @@ class LoopParameters:
         return [name for name in super().__dir__() if name not in for_computing]
 
     def _refuse_mixed_fields(self) -> None:
+        of_device = "device_mass", "device_damping"
         if self.device is None:
-            missing = [name for name in _OF_DEVICE if getattr(self, name) is None]
+            missing = [name for name in of_device if getattr(self, name) is None]
             if missing:
                 raise TypeError(f"{missing[0]} is missing; give it, or device=jaxstab.Device....")
             return
         if not isinstance(self.device, Device):
             raise TypeError(f"device is {self.device!r}; give a jaxstab.Device.")
-        given = [name for name in _OF_DEVICE if getattr(self, name) is not None]
+        given = [name for name in of_device if getattr(self, name) is not None]
         for name in ("hand_mass", "hand_damping", "hand_stiffness"):
             value = getattr(self, name)
             given += [name] if is_any_traced(value) or value else []
@@ -331,17 +330,11 @@ class LoopParameters:
 
     def stiffness(self, alpha: Values) -> Values:
         """Wall stiffness K in N/m for a dimensionless stiffness alpha (Table I)."""
-        sampled = self.sampled
-        if sampled is not None:
-            return alpha / sampled.stiffness_unit
-        return alpha * (self.mass / self.sample_time**2)
+        return alpha / self._units[0]
 
     def damping(self, beta: Values) -> Values:
         """Wall damping B in N s/m for a dimensionless damping beta (Table I)."""
-        sampled = self.sampled
-        if sampled is not None:
-            return beta / sampled.damping_unit
-        return beta * (self.mass / self.sample_time)
+        return beta / self._units[1]
 
 
 def array_fields(loop: LoopParameters) -> dict[str, Numbers]:
@@ -392,7 +385,6 @@ def unit_loop(
 
 
 def _counted(chain: Any, sample_time: Numbers) -> Any:
-    """Return an estimator or filter with its windows in samples."""
     if isinstance(chain, Velocity):
         return Velocity(_counted(chain.filter, sample_time))
     if not isinstance(chain, Filter):

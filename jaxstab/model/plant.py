@@ -116,10 +116,7 @@ def _plant_transition(gamma: Array, delta: Array, time: Array) -> Array:
     even = hold.decay * hold.kappa
     odd = length * (hold.decay * hold.sigma)  # the position after a unit impulse
     lag = odd * (0.5 * delta)
-    rows = (
-        (even + lag, odd, hold.response()),
-        (-(odd * gamma), even - lag, odd),
-    )
+    rows = ((even + lag, odd, hold.response()), (-(odd * gamma), even - lag, odd))
     xp = namespace(odd)
     return xp.stack([xp.stack([x.rounded() for x in row], axis=-1) for row in rows], axis=-2)
 
@@ -275,9 +272,5 @@ def _series(odd: int, x: DoubleDouble, y: DoubleDouble) -> _Values:
         at_x, at_y = coefficient.hi + x.hi * at_x, coefficient.hi + y.hi * at_y
     values = _Values(*map(DoubleDouble.from_value, (at_x, at_y, between)))
     for pair in reversed(_taylor(odd)[:pairs]):
-        values = _Values(
-            x=x * values.x + pair,
-            y=y * values.y + pair,
-            xy=y * values.xy + values.x,
-        )
+        values = _Values(x=x * values.x + pair, y=y * values.y + pair, xy=y * values.xy + values.x)
     return values

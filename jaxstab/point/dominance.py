@@ -388,7 +388,7 @@ def _distance_to_root(
     return xp.where(slope_size > 0.0, distance, xp.inf), rounding
 
 
-def _circle(t: Array, rounding: Array, loop: Loop, degree: int) -> tuple[Chain[Array], Ends]:
+def _circle(t: Array, rounding: Array, loop: Loop, degree: int) -> tuple[Chain, Ends]:
     """Return p(r z) / r^n with r = 1 + t, real: its coefficients, and its values at 1 and -1.
 
     ``rounding`` is that of p at a point about as far from 1 as r, and from 0, or farther.
@@ -407,7 +407,7 @@ def _circle(t: Array, rounding: Array, loop: Loop, degree: int) -> tuple[Chain[A
     sizes = size_sum(head), size_sum(tail)
     head_error = 20.0 * UNIT * sizes[0] + 4.0 * plant.error * xp.maximum(inverse, squared)
     gap_error = (12.0 * UNIT * (abs(plant.gap) + abs(moved)) + plant.error) * squared
-    wall_error = tail_error(loop.alpha, loop.beta, plant, UNIT) * xp.maximum(powers[0], powers[-1])
+    wall_error = tail_error(loop.alpha, loop.beta, plant) * xp.maximum(powers[0], powers[-1])
     error = gap_error + wall_error + (3.0 * degree + 8.0) * UNIT * sizes[1] + UNDERFLOW
 
     linear, constant = loop.denominator
@@ -475,17 +475,12 @@ def fast_radius(
 
 
 def _shared_loop(parameters: list[Array], delay: float) -> Loop | None:
-    """Return the loops of a grid with few plants, which are computed once."""
     plants = prod(np.broadcast_shapes(*(hand.shape for hand in parameters[2:])))
     return _loop(parameters, delay) if plants <= _LIST else None
 
 
 def _on_grid(
-    loop: Loop | None,
-    parameters: list[Array],
-    shape: tuple[int, ...],
-    delay: float,
-    effort: Effort,
+    loop: Loop | None, parameters: list[Array], shape: tuple[int, ...], delay: float, effort: Effort
 ) -> Answer:
     large_block = 2**20  # the same for all cores together
     longest_shared = 8.0  # delay; beyond, guesses are little of the work
@@ -509,7 +504,6 @@ def _try_list(
     delay: float,
     effort: Effort,
 ) -> Answer:
-    """Return the answer at flat indices."""
     shortest_list = 8
     longest, shortest = effort.longest_list, shortest_list
     if is_any_jax(parameters):  # an accelerator computes a long list as quickly as a short one
@@ -525,7 +519,6 @@ def _try_list(
 
 
 def _loop(parameters: list[Array], delay: float) -> Loop:
-    """Return loops with their plants, which are computed on the smallest grid that holds them."""
     alpha, beta, gamma, delta = parameters
     fraction = delay % 1.0
     plant = float_plant(gamma, delta, np.float64(fraction), is_fractional=fraction > 0.0)

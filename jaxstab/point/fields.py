@@ -34,10 +34,10 @@ from jaxstab.arrays import (
 from jaxstab.batches import MANY, compiled, over_rows
 from jaxstab.model.filters import NO_FILTERS, Filters
 from jaxstab.model.linear_loop import LinearLoop
-from jaxstab.point.poles import Complex, companion_poles, distance_to_root, evaluated
+from jaxstab.point.poles import Complex, companion_poles, distance_to_root, evaluated, looked_up
 from jaxstab.point.radius import dense_radius_error
 from jaxstab.point.schur_cohn import UNDERFLOW, loop_coefficients, rounded_loop
-from jaxstab.point.verdicts import Form, Points, Values, filtered_loops, gathered
+from jaxstab.point.verdicts import Form, Points, Values, filtered_loops
 from jaxstab.rounding import SAFETY, UNIT
 
 UNKNOWN = -1  # poles outside of the circle, where one is too close to it to tell
@@ -132,7 +132,6 @@ def _fields(alpha: Array, beta: Array, loop: LinearLoop, *, method: str) -> Pole
 
 
 def _pole(columns: list[Array], error: Array, *, is_guessed: bool) -> Array:
-    """Return a pole that is probably dominant, its imaginary part >= 0."""
     doublings = 16  # of the power of the companion matrix, which is degree 2^16
     xp = namespace(columns, error)
     if is_guessed:
@@ -264,7 +263,7 @@ def _with_ladder(fields: PoleFields, alpha: Array, beta: Array, loop: LinearLoop
     if not still_open.size:
         return fields
     radius, error = (np.array(column) for column in fields[:2])
-    stiff, damp, listed = gathered((alpha, beta, loop), radius.shape, still_open)
+    stiff, damp, listed = looked_up((alpha, beta, loop), radius.shape, still_open)
     with np.errstate(all="ignore"):
         coefficients, rounding = loop_coefficients(stiff, damp, listed, UNIT)
         value = abs(companion_poles(np.moveaxis(coefficients, 0, -1))[..., 0])

@@ -12,12 +12,12 @@ import numpy as np
 from jaxtyping import Complex128, Float64, Int64
 
 from jaxstab.arrays import Array, Numbers, is_any_traced, namespace, tree_map
-from jaxstab.batches import MANY, MANY_COEFFICIENTS, compiled, lists
+from jaxstab.batches import MANY_COEFFICIENTS, compiled
 from jaxstab.model import (
     by_name,
     characteristic_polynomial,
-    checked_delay,
     companion_matrix,
+    polynomial_degree,
     require_x64,
 )
 from jaxstab.model.filters import Filter, Velocity
@@ -86,37 +86,6 @@ def evaluate_grid(
     )
 
 
-def over_grid(
-    kernel: Callable[[Array], Result],
-    *parameters: Numbers,
-    velocity: Velocity | None = None,
-    position: Filter | None = None,
-) -> Result:
-    """Apply a kernel of coefficients (point, degree + 1) to every point of a grid.
-
-    The results have the point as their first axis; if further axes are longer for a higher degree,
-    shorter results are padded with zeros. Traced parameters form one padded batch.
-    """
-    require_x64(*parameters)
-    polynomial = partial(characteristic_polynomial, velocity=velocity, position=position)
-    if is_any_traced(parameters, velocity, position):
-        return kernel(polynomial(**by_name(*parameters)))
-    delay = checked_delay(parameters[-1])
-    arguments = [np.asarray(value, np.float64) for value in parameters]
-    shape = np.broadcast_shapes(*(argument.shape for argument in arguments))
-    degrees = np.broadcast_to(np.ceil(delay), shape)
-    members = [np.flatnonzero(degrees == degree) for degree in np.unique(degrees)]
-    chunks, results, nothing = [], [], np.zeros(0, int)
-    pairs = [pair for same in members for pair in lists(same, CHUNK, fewest=MANY)]
-    for chunk, padded in pairs or [(nothing, nothing)]:
-        listed = looked_up(arguments, shape, padded)
-        whole = kernel(polynomial(**by_name(*listed)))
-        chunks.append(chunk)
-        results.append(tree_map(lambda array, count=chunk.size: array[:count], whole))
-    xp = namespace(parameters)
-    return tree_map(lambda *arrays: xp.asarray(_scattered(chunks, arrays, shape)), *results)
-
-
 def looked_up(
     arguments: Sequence[Any], shape: tuple[int, ...], points: Int64[np.ndarray, " point"]
 ) -> list[Any]:
@@ -128,22 +97,9 @@ def looked_up(
         return namespace(values).broadcast_to(values, shape or (1,))[index]
 
     def kept(values: Any) -> Any:
-        return values.reshape(()) if values.size == 1 else repeated(values)
+        return namespace(values).reshape(values, ()) if np.size(values) == 1 else repeated(values)
 
     return [repeated(arguments[0]), *tree_map(kept, list(arguments[1:]))]
-
-
-def _scattered(
-    points: list[Int64[np.ndarray, "_"]],
-    results: tuple[Any, ...],
-    shape: tuple[int, ...],
-) -> np.ndarray:
-    longest = max((values.shape[1:] for values in results), default=())
-    result = np.zeros((math.prod(shape), *longest), results[0].dtype)
-    for index, values in zip(points, results, strict=True):
-        missing = [(0, full - own) for full, own in zip(longest, values.shape[1:], strict=True)]
-        result[index] = np.pad(values, [(0, 0), *missing])
-    return result.reshape((*shape, *longest))
 
 
 def closed_loop_poles(
@@ -171,8 +127,29 @@ def closed_loop_poles(
         >>> float(abs(jaxstab.closed_loop_poles(0.1, 0.2, gamma=0.0, delta=0.015, delay=1.0)).max())
         0.98712203...
     """
-    point = alpha, beta, gamma, delta, delay
-    return over_grid(companion_poles, *point, velocity=velocity, position=position)
+    point = by_name(alpha, beta, gamma, delta, delay)
+    require_x64(*point.values())
+
+    polynomial = partial(characteristic_polynomial, velocity=velocity, position=position)
+    if is_any_traced(*point.values(), velocity, position):
+        return companion_poles(polynomial(**point))
+
+    def poles(**points: Numbers) -> Complex128[np.ndarray, "point degree"]:
+        given = np.asarray(polynomial(**points))
+        degree = given.shape[1] - 1
+        zeros = np.sum(np.cumprod(given[:, :1:-1] == 0.0, axis=1), axis=1)  # so many roots at 0
+        found = np.zeros((len(given), degree), complex)
+        for count in np.unique(zeros).tolist():
+            own, rest = zeros == count, degree - count
+            found[own, :rest] = companion_poles(given[own, : rest + 1])
+        return found
+
+    shape = np.broadcast_shapes(*map(np.shape, point.values()))
+    rows = [part for _, part in evaluate_grid(poles, **point, chunk=CHUNK)]
+    longest = max((row.shape[1] for row in rows), default=polynomial_degree(delay))
+    rows = [np.pad(row, [(0, 0), (0, longest - row.shape[1])]) for row in rows]
+    every = np.concatenate(rows) if rows else np.zeros((0, longest), complex)
+    return namespace(*point.values()).asarray(every.reshape(*shape, longest))
 
 
 def linear_poles(alpha: Array, beta: Array, loop: LinearLoop) -> Complex128[Array, "*grid degree"]:
@@ -192,7 +169,7 @@ def companion_poles(
     unit = _unit(coefficients)[..., None]
     matrix = companion_matrix(coefficients / unit ** xp.arange(coefficients.shape[-1]))
     poles = unit * _eigenvalues(matrix)
-    order = xp.argsort(-xp.abs(poles), axis=-1)
+    order = xp.argsort(-xp.abs(poles), axis=-1, stable=True)  # pairs stay in order
     return xp.take_along_axis(poles, order, axis=-1)
 
 

@@ -22,9 +22,6 @@ from jaxstab.point.radius import SpectralRadius, radius_error, with_status
 from jaxstab.point.schur_cohn import UNDERFLOW, Ends, polynomial_codes
 from jaxstab.rounding import SAFETY, UNIT
 
-_LEAST_DEGREE = 3  # of the kernels: lower ones get roots at 0
-_COARSE = 1e-9  # bounds beyond it are asked for in balls
-
 
 def is_schur(coefficients: Numbers) -> Int8[Array, "*grid"]:
     """Prove for each polynomial whether all its roots lie inside the unit circle.
@@ -79,12 +76,13 @@ def radius(coefficients: Numbers) -> SpectralRadius:
         >>> jaxstab.radius([[1.0, 0.0, -0.25], [1.0, -1.0, 0.25]]).value.round(9).tolist()
         [0.5, 0.5]
     """
+    coarse = 1e-9  # bounds beyond it are asked for in balls
     given = _checked(coefficients)
     value, error = _radii(given)
     if not is_any_jax(given):
         value, error = np.array(value), np.array(error)
         rows = given.reshape(-1, given.shape[-1])
-        for place in np.flatnonzero(~(error <= _COARSE * value)):
+        for place in np.flatnonzero(~(error <= coarse * value)):
             triple = partial(affine_triple, _parts(rows[place].tolist()))
             found = spectral_radius(triple, 0.0, 0.0)
             value.flat[place], error.flat[place] = found.value, found.error
@@ -110,9 +108,10 @@ def _checked(coefficients: Numbers) -> Float64[Array, "*grid coefficient"]:
 
 def _monic(coefficients: Array) -> Array:
     """Polynomials with the first coefficient 1, with roots at 0 where the degree is low."""
+    least_degree = 3  # of the kernels
     xp = namespace(coefficients)
     given = coefficients / coefficients[..., :1]
-    missing = max(0, _LEAST_DEGREE + 1 - given.shape[-1])
+    missing = max(0, least_degree + 1 - given.shape[-1])
     return xp.concatenate([given, xp.zeros((*given.shape[:-1], missing))], axis=-1)
 
 
@@ -149,5 +148,4 @@ def _radii(coefficients: Array) -> tuple[Array, Array]:
 
 
 def _parts(coefficients: list[float]) -> GivenParts:
-    """A polynomial as the base of a loop of two gains, which are 0."""
     return GivenParts(tuple(coefficients), (1.0,), (1.0,))

@@ -17,7 +17,7 @@ or with an infinite one (NO_BOUND).
 import operator
 from collections.abc import Sequence
 from decimal import ROUND_CEILING
-from functools import partial, reduce
+from functools import reduce
 from math import prod
 from typing import NamedTuple
 
@@ -51,7 +51,7 @@ from jaxstab.model import (
     polynomial_degree,
     require_x64,
 )
-from jaxstab.model.filters import Filter, Filters, Velocity, given_filters
+from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords, given_filters
 from jaxstab.model.linear_loop import LinearLoop, loop_polynomial
 from jaxstab.numbers import checked_word
 from jaxstab.point.dominance import (
@@ -62,7 +62,7 @@ from jaxstab.point.dominance import (
     newton,
     with_distance,
 )
-from jaxstab.point.poles import Complex, companion_poles, looked_up, over_grid
+from jaxstab.point.poles import Complex, companion_poles, looked_up
 from jaxstab.point.schur_cohn import (
     UNDERFLOW,
     Ends,
@@ -73,14 +73,7 @@ from jaxstab.point.schur_cohn import (
     polynomial_codes,
     size,
 )
-from jaxstab.point.verdicts import (
-    Points,
-    Values,
-    filtered_loops,
-    float_plant,
-    gathered,
-    is_plant_lost,
-)
+from jaxstab.point.verdicts import Points, Values, filtered_loops, float_plant, is_plant_lost
 from jaxstab.rounding import PAIR_UNIT, SAFETY, UNIT
 from jaxstab.shown import number_text, text_with_bound
 
@@ -106,7 +99,7 @@ def _listed_radii(
     value, error = np.zeros(indices.size), np.full(indices.size, np.inf)
     for start in range(0, indices.size, matrices):
         part = slice(start, start + matrices)
-        alpha, beta, loops = gathered(walls, shape, indices[part])
+        alpha, beta, loops = looked_up(walls, shape, indices[part])
         gains = DoubleDouble.from_value(alpha), DoubleDouble.from_value(beta)
         with np.errstate(all="ignore"):
             coefficients, rounding = loop_coefficients(*gains, loops, PAIR_UNIT)
@@ -392,7 +385,6 @@ def _of_delay(
 
 
 def _is_for_many(shape: tuple[int, ...], delay: Values | float) -> bool:
-    """True for points enough to compile for, and of one delay that is not too long."""
     return prod(shape) >= MANY and np.size(delay) == 1 and bool(delay <= LONGEST_DELAY)
 
 
@@ -430,9 +422,8 @@ def _polished(parameters: list[Values], delay: Values | float) -> tuple[Values, 
 
 
 def _traced_radius(*arguments: Numbers, filters: Filters | None) -> SpectralRadius:
-    velocity, position = filters or (None, None)
-    radius = partial(_traced_radius_of, is_summed=filters is not None)
-    both = over_grid(radius, *arguments, velocity=velocity, position=position)
+    coefficients = characteristic_polynomial(**by_name(*arguments), **as_keywords(filters))
+    both = _traced_radius_of(coefficients, is_summed=filters is not None)
     return _believed(with_status(*both), *arguments[2:4])
 
 

@@ -8,7 +8,7 @@ p -> (p - K z^m p(1/z)) / z with K = v0/u0, lowers the degree m by one and keeps
 
 The K that were computed decide, however wrong they are; ``error`` bounds what the polynomial may
 differ by from exact steps with the same K, and the winding number of the quadratic at the end, with
-the signs of p(1) and p(-1), tells where the roots are: lemmas V1 to V4 of docs/proofs.md.
+the signs of p(1) and p(-1), tells where the roots are: lemmas V2 to V4 of docs/proofs.md.
 
 Near z = 1 u0 and u2 are both close to 1. Their difference, the ``gap``, is carried instead, so
 errors are relative to the gap and to the tail, not to the coefficients of p. Far outside, for long
@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import zip_longest
 from operator import add
-from typing import Any, Generic, NamedTuple, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 
@@ -79,12 +79,12 @@ class Balance:
 
 @pytree
 @dataclass(frozen=True)
-class Chain(Generic[Number]):
+class Chain:
     """A polynomial in the form of the recursion, with the error bounds of its coefficients."""
 
-    gap: Number  # u0 - u2
-    head: tuple[Number, ...]  # u1, u2 and u3 where it is not zero
-    tail: tuple[Number, ...]  # v0, v1, ... as far as they are not zero
+    gap: Array  # u0 - u2
+    head: tuple[Array, ...]  # u1, u2 and u3 where it is not zero
+    tail: tuple[Array, ...]  # v0, v1, ... as far as they are not zero
     head_error: Array  # of u1 and twice that of u2
     error: Array  # l1 norm of all other errors
     inside: Array | bool = True  # every |K| < 1 so far
@@ -102,10 +102,10 @@ class Ends(NamedTuple):
     at_minus_one_error: Array
 
 
-def decide(chain: Chain[Number], ends: Ends, unit: float, degree: int | Array) -> Array:
+def decide(chain: Chain, ends: Ends, unit: float, degree: int | Array) -> Array:
     """Return the codes of monic polynomials of a degree >= 3, computed with a unit roundoff."""
     chain, gap, ratio, is_clear = _at_the_end(chain, unit, degree)
-    is_inside = chain.inside & (size(ratio) < 1.0) & (leading(gap) > 0.0)
+    is_inside = chain.inside & (abs(ratio) < 1.0) & (gap > 0.0)
     is_outside = False if chain.outside is None else chain.outside
     return _codes(is_inside, is_outside, is_clear, ends)
 
@@ -121,7 +121,7 @@ def _codes(is_inside: Array, is_outside: Array | bool, is_clear: Array, ends: En
     return xp.where(is_real | is_outside, Verdict.UNSTABLE, codes).astype(np.int8)
 
 
-def zeros_outside(chain: Chain[Array], ends: Ends, unit: float, degree: int) -> Array:
+def zeros_outside(chain: Chain, ends: Ends, unit: float, degree: int) -> Array:
     """The number of zeros of polynomials outside the circle, NaN where it is not proved."""
     xp = namespace(chain)
     one, length, parity = xp.ones_like(chain.error), degree, (-1.0) ** degree
@@ -130,7 +130,7 @@ def zeros_outside(chain: Chain[Array], ends: Ends, unit: float, degree: int) -> 
     balance = Balance(0.0 * one, one, ends.at_one, ends.at_minus_one, parity)
     chain, gap, ratio, is_clear = _at_the_end(replace(chain, balance=balance), unit, length)
     assert chain.balance is not None
-    last = chain.balance.after(ratio, size(ratio))
+    last = chain.balance.after(ratio, abs(ratio))
     sign, at_one, at_minus_one = map(xp.sign, (last.sign, last.at_one, last.at_minus_one))
     inside = last.total + sign * xp.sign(gap) * (at_one + at_minus_one)
     is_clear = is_clear & (sign * at_one * at_minus_one != 0.0)  # products may underflow
@@ -140,8 +140,8 @@ def zeros_outside(chain: Chain[Array], ends: Ends, unit: float, degree: int) -> 
 
 
 def _at_the_end(
-    chain: Chain[Number], unit: float, degree: int | Array
-) -> tuple[Chain[Number], Number, Number, Array]:
+    chain: Chain, unit: float, degree: int | Array
+) -> tuple[Chain, Array, Array, Array]:
     """Return the cubic, u0 - u2 of the quadratic and the last K, and whether their signs count."""
     # A degree that is an array sets the length of a loop, one compilation serving all above 3.
     is_cubic = isinstance(degree, int) and degree == 3
@@ -153,11 +153,11 @@ def _at_the_end(
     else:
         chain = _steps(chain, unit, degree - 4)
     gap, error, ratio = _last_gap(chain, unit, is_monic=is_cubic)
-    is_clear = size(gap) > (SAFETY * (degree - 1)) * error
-    return chain, gap, ratio, is_clear & chain.regular & (size(ratio) != 1.0)
+    is_clear = abs(gap) > (SAFETY * (degree - 1)) * error
+    return chain, gap, ratio, is_clear & chain.regular & (abs(ratio) != 1.0)
 
 
-def _last_gap(chain: Chain[Number], unit: float, *, is_monic: bool) -> tuple[Number, Array, Number]:
+def _last_gap(chain: Chain, unit: float, *, is_monic: bool) -> tuple[Array, Array, Array]:
     """Return u0 - u2 of the quadratic, a bound of all errors there, and the last K."""
     # The step from a cubic b0 z^3 + b1 z^2 + b2 z + b3.
     head, tail = chain.head, chain.tail
@@ -165,27 +165,25 @@ def _last_gap(chain: Chain[Number], unit: float, *, is_monic: bool) -> tuple[Num
     b1 = head[0] + tail[2] if len(tail) > 2 else head[0]
     b3 = tail[0] + head[2] if len(head) > 2 else tail[0]
     ratio = b3 if is_monic else _quotient(b3, b0, is_alone=chain.balance is None)
-    modulus = size(ratio)
+    modulus = abs(ratio)
     gap = (chain.gap - tail[1] if len(tail) > 1 else chain.gap) + ratio * (b1 - b3)
-    sizes = size(b0) + size(b1) + 2.0 * size(b3) + size_sum(head) + size_sum(tail)
+    sizes = abs(b0) + abs(b1) + 2.0 * abs(b3) + size_sum(head) + size_sum(tail)
     error = chain.error + modulus * (chain.error + chain.head_error + 4.0 * unit * sizes)
-    return gap, error + 2.0 * unit * (size(chain.gap) + size_sum(tail[1:2])), ratio
+    return gap, error + 2.0 * unit * (abs(chain.gap) + size_sum(tail[1:2])), ratio
 
 
-def _steps(chain: Chain[Number], unit: float, count: Array) -> Chain[Number]:
+def _steps(chain: Chain, unit: float, count: Array) -> Chain:
     xp = namespace(chain, count)
     start = tree_map(lambda value: xp.broadcast_to(value, xp.shape(chain.error)), chain)
     return repeat(count, lambda state: _step(state, unit, is_rolled=True), start)
 
 
-def _step(
-    chain: Chain[Number], unit: float, *, is_monic: bool = False, is_rolled: bool = False
-) -> Chain[Number]:
+def _step(chain: Chain, unit: float, *, is_monic: bool = False, is_rolled: bool = False) -> Chain:
     head, tail = chain.head, chain.tail
     lead = chain.gap + head[1]
     is_alone = chain.balance is None or is_rolled
     ratio = tail[0] if is_monic else _quotient(tail[0], lead, is_alone=is_alone)
-    modulus = size(ratio)
+    modulus = abs(ratio)
     outside = chain.outside
     if outside is not None:
         errors = chain.error + chain.head_error
@@ -200,13 +198,12 @@ def _step(
         inside=chain.inside & (modulus < 1.0),
         regular=chain.regular & (modulus != 1.0),
         outside=outside,
-        balance=chain.balance and chain.balance.after(leading(ratio), modulus),
+        balance=chain.balance and chain.balance.after(ratio, modulus),
         **bounds,
     )
 
 
 def _is_larger(last: Number, lead: Number, error: Array, unit: float) -> Array:
-    """True where the last coefficient is larger than the first one, beyond their errors."""
     return size(last) * (1.0 - 4.0 * unit) - size(lead) > SAFETY * error
 
 
@@ -220,17 +217,15 @@ def _quotient(dividend: Number, divisor: Number, *, is_alone: bool) -> Number:
     return kept(dividend * namespace(divisor).where(divisor < 0.0, -inverse, inverse))
 
 
-def _bounds_after(
-    chain: Chain[Number], lead: Number, modulus: Array, unit: float
-) -> dict[str, Array]:
+def _bounds_after(chain: Chain, lead: Array, modulus: Array, unit: float) -> dict[str, Array]:
     """Bound the deviation from exact steps with the same K after one more (lemma V3)."""
     head, tail = chain.head, chain.tail
-    sizes = size(lead) + size(tail[0]) + size_sum(head) + size_sum(tail[2:])
-    small = size(chain.gap) + size_sum(tail[1:])
+    sizes = abs(lead) + abs(tail[0]) + size_sum(head) + size_sum(tail[2:])
+    small = abs(chain.gap) + size_sum(tail[1:])
     carried = chain.error + chain.head_error + 4.0 * unit * sizes
     # Where v_i = 0, u_i stays and is not rounded.
     touched = list(zip(head[:2], tail[1:3], (1.0, 2.0), strict=False))
-    rounded = sum(weight * (size(u) + 2.0 * modulus * size(v)) for u, v, weight in touched)
+    rounded = sum(weight * (abs(u) + 2.0 * modulus * abs(v)) for u, v, weight in touched)
     return {
         "head_error": chain.head_error + 2.0 * modulus * chain.error + unit * rounded,
         "error": chain.error + modulus * carried + unit * small,
@@ -262,7 +257,7 @@ def size_sum(numbers: tuple[Number, ...]) -> Array:
 # Verdicts of polynomials without a special form: loops with estimators and filters.
 #
 # The Schur-Cohn steps act on all coefficients, in O(degree^2) operations; where only the first and
-# the last ones are not 0, as with windows and long delays, they act on those alone (lemma V1 of
+# the last ones are not 0, as with windows and long delays, they act on those alone (lemma V2 of
 # docs/proofs.md). The proof uses the same lemmas as for the loop of the paper.
 
 
@@ -326,11 +321,7 @@ def _is_zero(values: Array) -> bool:
 
 
 def polynomial_codes(
-    coefficients: Number,
-    error: Array,
-    ends: Ends,
-    unit: float,
-    degree: int,
+    coefficients: Number, error: Array, ends: Ends, unit: float, degree: int
 ) -> Array:
     """The codes of monic polynomials of degree >= 3.
 
@@ -400,7 +391,6 @@ def loop_coefficients(
 def _end(
     parts: Sequence[Number], alpha: Number, beta: Number, loop: LinearLoop, unit: float
 ) -> tuple[Array, Array]:
-    """Return base + alpha stiffness + beta damping, and a bound of its error."""
     base, stiff, damp = parts
     value = base + (stiff * alpha + damp * beta)
     return leading(value), SAFETY * _rounding(alpha, beta, loop, list(map(size, parts)), unit)
@@ -431,19 +421,14 @@ def _ends(coefficients: Any, width: int) -> tuple[Any, Any]:
 
 
 def _joined(state: _State, unit: float) -> _State:
-    """Return the polynomial of a degree so low that its two ends overlap (lemma V1)."""
+    """Return the polynomial of a degree so low that its two ends overlap (lemma V2)."""
     falling, rising = state.falling, state.rising
     rounded = unit * _sum(falling, rising)
     if isinstance(falling, tuple):
         both: Any = (falling[0], *map(add, falling[1:], rising[::-1]))
     else:
         both = joined([falling[:1], falling[1:] + rising[-2::-1]])
-    return replace(
-        state,
-        falling=both,
-        rising=both[::-1],
-        error=state.error + rounded,
-    )
+    return replace(state, falling=both, rising=both[::-1], error=state.error + rounded)
 
 
 def _sum(*numbers: Number | tuple[Number, ...]) -> Array:

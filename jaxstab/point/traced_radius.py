@@ -5,9 +5,8 @@ the powers of the companion matrix guess the dominant root (of degree 3 a closed
 Newton's method refines it. The derivative is that of the root by the implicit function theorem.
 """
 
-from functools import partial, reduce
+from functools import reduce
 from operator import add
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -200,9 +199,7 @@ def _minus(a: Column, b: Array, c: Column) -> Column:
 
 
 @jax.custom_jvp
-def largest_modulus(
-    coefficients: Float64[Array, "*grid coefficient"],
-) -> Float64[Array, "*grid"]:
+def largest_modulus(coefficients: Float64[Array, "*grid coefficient"]) -> Float64[Array, "*grid"]:
     """Return the largest modulus of a root of monic polynomials, highest power first."""
     return jnp.abs(_dominant_root(coefficients))
 
@@ -213,36 +210,23 @@ def _largest_modulus_jvp(
 ) -> tuple[Float64[Array, "*grid"], Float64[Array, "*grid"]]:
     """Differentiate p(z) = 0 at the dominant root: eigvals has no derivative at double roots."""
     (coefficients,), (change,) = primals, tangents
-    degree = coefficients.shape[-1] - 1
     root = _dominant_root(coefficients)
-    slope = _evaluated(coefficients[..., :-1] * jnp.arange(degree, 0, -1), root)
-    motion = -_evaluated(change, root) / slope
+    motion = -_evaluated(change, root) / _slope(coefficients, root)
     modulus = jnp.abs(root)
     return modulus, (root.conj() * motion).real / modulus
 
 
-@partial(jnp.vectorize, signature="(coefficient)->()")
-def _dominant_root(
-    coefficients: Float64[Array, " coefficient"],
-) -> Complex128[Array, ""]:
-    """Return the dominant eigenvalue of a companion matrix, corrected by Newton's method."""
-    farthest = 1e-6  # an eigenvalue from its root; at multiple roots Newton's method may leave
-    accuracy = 1e-15  # of Newton's steps
-    import optimistix  # takes half a second, and dense grids need the guesses above alone
-
-    guess = companion_poles(coefficients)[0]
-    start = jnp.stack([guess.real, guess.imag])
-    newton: Any = optimistix.Newton(rtol=accuracy, atol=accuracy)
-    solution: Any = optimistix.root_find(
-        _parts, newton, start, coefficients, max_steps=3, throw=False
-    )
-    root = jax.lax.complex(*solution.value)
+def _dominant_root(coefficients: Float64[Array, "*grid coefficient"]) -> Complex128[Array, "*grid"]:
+    farthest, steps = 1e-6, 3  # from its root: at multiple roots Newton's method may leave
+    guess = root = companion_poles(coefficients)[..., 0]
+    for _ in range(steps):
+        root = root - _evaluated(coefficients, root) / _slope(coefficients, root)
     return jnp.where(jnp.abs(root - guess) < farthest * jnp.abs(guess), root, guess)
 
 
-def _parts(point: Float64[Array, "2"], coefficients: Array) -> Float64[Array, "2"]:
-    value = _evaluated(coefficients, jax.lax.complex(point[0], point[1]))
-    return jnp.stack([value.real, value.imag])
+def _slope(coefficients: Array, z: Array) -> Complex128[Array, "*grid"]:
+    degree = coefficients.shape[-1] - 1
+    return _evaluated(coefficients[..., :-1] * jnp.arange(degree, 0, -1), z)
 
 
 def _evaluated(

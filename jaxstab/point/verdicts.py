@@ -3,7 +3,7 @@
 A verdict takes up to three steps, each for the points that the one before leaves UNDECIDED:
 
 1. The Schur-Cohn recursion in float64 with a running bound of its rounding errors
-   (``schur_cohn``; lemmas V1 to V4, and V10 for loops with filters and devices). It
+   (``schur_cohn``; lemmas V2 to V4, and V10 for loops with filters and devices). It
    decides all but points next to the boundary.
 2. The same recursion in pairs of float64, with 106 bits.
 3. On request (``resolve="exact"``), the same recursion in balls (``exact.verdict``, lemma E1), one
@@ -38,21 +38,19 @@ from jaxstab.model import (
     require_x64,
 )
 from jaxstab.model.balls import ball_triple
-from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords, given_filters
+from jaxstab.model.filters import NO_FILTERS, Filter, Filters, Velocity, as_keywords, given_filters
 from jaxstab.model.linear_loop import LinearLoop, filtered_loop
 from jaxstab.model.loop import unit_loop
 from jaxstab.model.parameters import whole_and_fraction
 from jaxstab.model.plant import falls_of, may_cancel, pairs_error
+from jaxstab.point.poles import looked_up
 from jaxstab.point.schur_cohn import (
     UNDERFLOW,
     Chain,
     Ends,
-    Number,
     decide,
     dense_codes,
-    leading,
     rounded_loop,
-    size,
     size_sum,
     without_zeros,
 )
@@ -106,12 +104,6 @@ class Points(NamedTuple):
         ]
 
 
-def gathered(values: Any, shape: tuple[int, ...], indices: Int64[np.ndarray, " point"]) -> Any:
-    """Return arrays that broadcast to a grid, at flat indices of it."""
-    index = np.unravel_index(indices, shape or (1,))
-    return tree_map(lambda value: np.broadcast_to(value, shape or (1,))[index], values)
-
-
 # Verdicts of any linear loop: of any device, velocity estimator and position filter.
 
 _TILE = 512  # points whose polynomials stay in the cache
@@ -130,7 +122,7 @@ def linear_verdict(alpha: Array, beta: Array, loop: LinearLoop) -> Int8[Array, "
     still_open = np.flatnonzero(codes == Verdict.UNDECIDED)
     for start in range(0, still_open.size, loop_pairs):
         block = still_open[start : start + loop_pairs]
-        *gains, chosen = gathered((alpha, beta, loop), codes.shape, block)
+        *gains, chosen = looked_up((alpha, beta, loop), codes.shape, block)
         pairs = DoubleDouble.from_value(gains[0]), DoubleDouble.from_value(gains[1])
         with np.errstate(all="ignore"):
             codes.flat[block] = dense_codes(*pairs, chosen, unit=PAIR_UNIT, degree=degree)
@@ -149,15 +141,16 @@ def traced_filtered_verdict(
     return _loop_float_codes(alpha, beta, rounded_loop(without_zeros(loop)), degree=loop.degree)
 
 
-def filtered_verdict(points: Points, filters: Filters) -> Int8[np.ndarray, "*grid"]:
-    """Return the codes of points of one mass; each delay has its own degree of p."""
-    codes = np.zeros(points.shape, np.int8)
-    for form, indices in points.groups(np.full(points.shape, True)):
+def _resolved(
+    codes: Int8[np.ndarray, "*grid"], points: Points, filters: Filters
+) -> Int8[np.ndarray, "*grid"]:
+    """Answer UNDECIDED points of one mass, in pairs, too; each delay has its own degree of p."""
+    for form, indices in points.groups(np.asarray(codes == Verdict.UNDECIDED)):
         walls = points.alpha, points.beta, filtered_loops(points, form, filters)
         if indices.size == codes.size:  # a grid of one delay is not taken apart
             codes[...] = linear_verdict(*walls)
         else:
-            codes.flat[indices] = linear_verdict(*gathered(walls, points.shape, indices))
+            codes.flat[indices] = linear_verdict(*looked_up(walls, points.shape, indices))
     if filters[1] == Filter():  # p(1) is alpha + gamma, times what is positive
         codes[np.broadcast_to(points.alpha == -points.gamma, codes.shape)] = Verdict.UNSTABLE
     return codes
@@ -205,7 +198,7 @@ class Plant(NamedTuple):
 
 
 def float_plant(gamma: Array, delta: Array, fraction: Array, *, is_fractional: bool) -> Plant:
-    """Return the plant rounded to float64; without a fraction, ``fraction`` is not read."""
+    """The plant rounded to float64; without a fraction, ``fraction`` is not read."""
     # Not in one jit: plant_pairs takes long to compile, and others share what was compiled.
     pairs = plant_pairs(gamma, delta, fraction if is_fractional else 0.0)
     return _rounded_plant(gamma, delta, pairs, is_fractional=is_fractional)
@@ -217,12 +210,6 @@ def _rounded_plant(
 ) -> Plant:
     plant: Plant = rounded_loop(_plant_of(gamma, delta, pairs, is_fractional=is_fractional))
     return plant
-
-
-def pair_plant(gamma: Array, delta: Array, fraction: Array, *, is_fractional: bool) -> Plant:
-    """Return the plant in double-double; without a fraction, ``fraction`` is not read."""
-    pairs = plant_pairs(gamma, delta, fraction if is_fractional else 0.0)
-    return _plant_of(gamma, delta, pairs, is_fractional=is_fractional)
 
 
 def _plant_of(
@@ -259,65 +246,50 @@ def is_plant_lost(gamma: Array, delta: Array) -> Array:
 
 
 def loop_codes(
-    alpha: Number,
-    beta: Number,
-    gamma: Array,
-    plant: Plant,
-    *,
-    unit: float,
-    degree: int | Array,
+    alpha: Array, beta: Array, gamma: Array, plant: Plant, *, degree: int | Array
 ) -> Array:
-    """Return the code of each point, computed in numbers of the given unit roundoff."""
-    chain = _closed_loop(alpha, beta, plant, unit)
-    ends = _ends(alpha, beta, gamma, plant, unit, degree)
+    """The code of each point."""
+    chain = _closed_loop(alpha, beta, plant)
+    ends = _ends(alpha, beta, gamma, plant, degree)
     # A coefficient of a stable polynomial is at most binomial(n, i). Numbers stay finite so.
     large = size_sum(chain.tail) - chain.error > 8.0 * 2.0**degree
     if not isinstance(degree, int) or degree > HIGHEST_UNROLLED:
         chain = replace(chain, outside=False)  # a short recursion decides without it
-    codes = decide(chain, ends, unit, degree)
+    codes = decide(chain, ends, UNIT, degree)
     return namespace(large, codes).where(large, Verdict.UNSTABLE, codes).astype(np.int8)
 
 
-def _closed_loop(alpha: Number, beta: Number, plant: Plant, unit: float) -> Chain[Number]:
-    """Return p(z) and the rounding errors of its coefficients."""
+def _closed_loop(alpha: Array, beta: Array, plant: Plant) -> Chain:
     tail = tuple(
         stiff * alpha - damp * beta for stiff, damp in zip(plant.stiff, plant.damp, strict=True)
     )
-    error = unit * size(plant.gap) + plant.error + UNDERFLOW
+    error = UNIT * abs(plant.gap) + plant.error + UNDERFLOW
     return Chain(
         gap=plant.gap,
         head=(plant.d1, plant.d0),
         tail=tail,
-        head_error=unit * (size(plant.d1) + 2.0 * size(plant.d0)) + 4.0 * plant.error,
-        error=error + tail_error(alpha, beta, plant, unit),
+        head_error=UNIT * (abs(plant.d1) + 2.0 * abs(plant.d0)) + 4.0 * plant.error,
+        error=error + tail_error(alpha, beta, plant),
     )
 
 
-def tail_error(alpha: Number, beta: Number, plant: Plant, unit: float) -> Array:
-    """Return the sum of the rounding errors of the last coefficients of p(z)."""
+def tail_error(alpha: Array, beta: Array, plant: Plant) -> Array:
+    """The sum of the rounding errors of the last coefficients of p(z)."""
     # Three roundings: of the plant's coefficient, of the product, of the difference.
-    per_alpha = 3.0 * unit * size_sum(plant.stiff) + 4.0 * plant.error * plant.size
-    per_beta = 3.0 * unit * size_sum(plant.damp) + 8.0 * plant.error * plant.size
-    return per_alpha * size(alpha) + per_beta * size(beta)
+    per_alpha = 3.0 * UNIT * size_sum(plant.stiff) + 4.0 * plant.error * plant.size
+    per_beta = 3.0 * UNIT * size_sum(plant.damp) + 8.0 * plant.error * plant.size
+    return per_alpha * abs(alpha) + per_beta * abs(beta)
 
 
-def _ends(
-    alpha: Number,
-    beta: Number,
-    gamma: Array,
-    plant: Plant,
-    unit: float,
-    degree: int | Array,
-) -> Ends:
-    """Return (gamma + alpha) N(1) and D(-1) - (-1)^floor(delay) N(-1) (alpha + 2 beta)."""
+def _ends(alpha: Array, beta: Array, gamma: Array, plant: Plant, degree: int | Array) -> Ends:
+    """(gamma + alpha) N(1) and D(-1) - (-1)^floor(delay) N(-1) (alpha + 2 beta)."""
     whole_delay = degree - len(plant.stiff)
-    sign = 1.0 - 2.0 * (whole_delay % 2)
-    gain = (alpha + (beta + beta)) * sign
+    gain = (alpha + (beta + beta)) * (1.0 - 2.0 * (whole_delay % 2))
     wall = plant.difference * gain
-    error = unit * (2.0 * size(plant.at_minus_one) + 5.0 * size(wall))
-    error = error + plant.error * (8.0 + plant.size * size(gain)) + UNDERFLOW
-    at_one = leading(alpha) + gamma  # N(1) > 0, and the sign of a sum of two is exact
-    return Ends(at_one, 0.0, leading(plant.at_minus_one - wall), error)
+    error = UNIT * (2.0 * abs(plant.at_minus_one) + 5.0 * abs(wall))
+    error = error + plant.error * (8.0 + plant.size * abs(gain)) + UNDERFLOW
+    # N(1) > 0, and the sign of a sum of two is exact.
+    return Ends(alpha + gamma, 0.0, plant.at_minus_one - wall, error)
 
 
 # The verdict of the five numbers: points of a grid go to the kernels by their delays.
@@ -385,9 +357,12 @@ def verdict(
     if is_any_traced(point, delay, filters):
         raise TypeError("verdict takes traced arguments with one delay and without resolve only.")
     points = Points(*(np.asarray(value, np.float64) for value in (*point, delay)))
-    codes = filtered_verdict(points, filters) if filters else _grouped_verdict(points)
-    if resolve == "exact":
-        codes = _decided(codes if filters else _resolved(codes, points), points, filters)
+    codes = np.full(points.shape, Verdict.UNDECIDED, np.int8)
+    codes = codes if filters else _grouped_verdict(points)
+    if filters or resolve:
+        codes = _resolved(codes, points, filters or NO_FILTERS)
+    if resolve:
+        codes = _decided(codes, points, filters)
     return named(xp.asarray(codes), Verdict)
 
 
@@ -407,22 +382,21 @@ def _float_codes(arguments: tuple[Any, ...], degree: int) -> Array:
 
 @compiled(static=["degree"], many=MANY, wide=True, pointwise=True, parallel=True)
 def _untiled_codes(arguments: tuple[Any, ...], *, degree: int) -> Array:
-    return loop_codes(*arguments, unit=UNIT, degree=degree)
+    return loop_codes(*arguments, degree=degree)
 
 
 @compiled(static=["degree"], many=MANY, wide=True, pointwise=True)
 def _short_codes(arguments: tuple[Any, ...], *, degree: int) -> Array:
-    codes = partial(loop_codes, unit=UNIT, degree=degree)
+    codes = partial(loop_codes, degree=degree)
     return over_tiles(codes, arguments, TILE if degree <= HIGHEST_UNROLLED else _TILE)
 
 
 @compiled(many=MANY, wide=True, pointwise=True)
 def _long_codes(arguments: tuple[Any, ...], degree: int | Array) -> Array:
-    return over_tiles(partial(loop_codes, unit=UNIT, degree=degree), arguments)
+    return over_tiles(partial(loop_codes, degree=degree), arguments)
 
 
 def _grouped_verdict(points: Points) -> Int8[np.ndarray, "*grid"]:
-    """Run the kernel once for each delay, whose degree differs."""
     codes = np.zeros(points.shape, np.int8)
     for form, indices in points.groups(np.full(points.shape, True)):
         # Plants on the smallest grid that holds them, then gathered like the points.
@@ -430,36 +404,17 @@ def _grouped_verdict(points: Points) -> Int8[np.ndarray, "*grid"]:
             points.gamma, points.delta, points.delay % 1.0, is_fractional=form.is_fractional
         )
         for block, padded in lists(indices, _LIST, fewest=MANY):
-            values = gathered((*points[:3], plants), points.shape, padded)
+            values = tuple(looked_up((*points[:3], plants), points.shape, padded))
             codes.flat[block] = _float_codes(values, form.degree)[: block.size]
-    return codes
-
-
-def _resolved(codes: Int8[np.ndarray, "*grid"], points: Points) -> Int8[np.ndarray, "*grid"]:
-    """Repeat UNDECIDED points in double-double."""
-    points_at_once = 1 << 12
-    for form, indices in points.groups(np.asarray(codes == Verdict.UNDECIDED)):
-        for start in range(0, indices.size, points_at_once):
-            block = indices[start : start + points_at_once]
-            codes.flat[block] = _pair_codes(gathered(points, points.shape, block), form)
     return codes
 
 
 def _decided(
     codes: Int8[np.ndarray, "*grid"], points: Points, filters: Filters | None
 ) -> Int8[np.ndarray, "*grid"]:
-    """Ask balls for UNDECIDED points."""
     indices = np.flatnonzero(codes == Verdict.UNDECIDED)
-    rows = np.stack(gathered(points, points.shape, indices), axis=-1)
+    rows = np.stack(np.broadcast_arrays(*looked_up(points, points.shape, indices)), axis=-1)
     for index, (alpha, beta, *plant) in zip(indices, rows.tolist(), strict=True):
         loop = unit_loop(*plant, **as_keywords(filters))
         codes.flat[index] = wall_verdict(partial(ball_triple, loop), alpha, beta).verdict
     return codes
-
-
-def _pair_codes(points: Points, form: Form) -> Int8[np.ndarray, " point"]:
-    alpha, beta, gamma, delta, delay = points
-    plant = pair_plant(gamma, delta, delay % 1.0, is_fractional=form.is_fractional)
-    gains = DoubleDouble.from_value(alpha), DoubleDouble.from_value(beta)
-    with np.errstate(all="ignore"):
-        return loop_codes(*gains, gamma, plant, unit=PAIR_UNIT, degree=form.degree)

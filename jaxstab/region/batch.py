@@ -50,15 +50,11 @@ from jaxstab.rounding import UNIT
 
 SLOTS = 6  # pieces of one loop
 ISLAND = 1 << 10  # in place of failures: resolved, but small gains are not stable
-_PROGRAMS = 8  # that are kept, one for each degree: each takes 40 to 90 MB
 _VERTICES, _FINE = 48, 192  # of a piece, and angles between which they are spread
 _TILE = 64  # angles of a scan at once
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 _TOLERANCE = 1e-10  # of Newton's steps, in radians
 _SLACK = 1e-6  # of angles beside their brackets
 _ON_AXIS = 1e-10  # of the component's size: a corner that far beyond an axis is on it
-_SMALL = np.array([1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 3e-2])  # gains, beside the size of the stable set
-_RATIOS = np.array([1e-2, 1e-1, 0.3, 1.0])  # of alpha to beta, in that measure
 
 
 class Triples(NamedTuple):
@@ -130,7 +126,7 @@ class MainOutline(NamedTuple):
 Answers = tuple[Extremes, MainOutline | None]
 
 
-@lru_cache(maxsize=_PROGRAMS)
+@lru_cache(maxsize=8)  # each takes 40 to 90 MB
 def program(degree: int, *, outlines: bool = False) -> Callable[[Triples], Answers]:
     """Return the compiled program for triples of one degree; the oldest of many are dropped."""
     solve = partial(components, outlines=outlines)
@@ -151,7 +147,6 @@ def components(triples: Triples, *, outlines: bool) -> Answers:
 
 # ------------------------------------------------------------------------ the curve and its roots
 def _curve(loop: Triples, theta: Array) -> tuple[Array, Array]:
-    """Return alpha and beta (2, angle), and det, at angles of any shape."""
     (base, stiffness, damping) = _values(loop, theta)
     det = cross(stiffness, damping)
     walls = jnp.stack([cross(damping, base), -cross(stiffness, base)]) / det
@@ -163,7 +158,6 @@ def _wall(loop: Triples, theta: Array) -> Array:
 
 
 def _with_slopes(loop: Triples, theta: Array) -> tuple[Array, Array]:
-    """Return alpha and beta, and their derivatives by the angle."""
     both: tuple[Array, Array] = jax.jvp(partial(_wall, loop), (theta,), (jnp.ones_like(theta),))
     return both
 
@@ -201,11 +195,6 @@ def _margins(loop: Triples, walls: Array) -> Array:
         loop.ends[:, k].reshape(2, *(1 for _ in walls.shape[1:])) for k in range(3)
     )
     return base + (stiffness * walls[0] + damping * walls[1])
-
-
-def _are_inside(loop: Triples, walls: Array, total: Array, product: float, removed: int) -> Array:
-    """Return where all roots are inside but two, which p is divided by; see ``_reduced``."""
-    return _reduced(loop, walls, total, product, removed)[1]
 
 
 def _reduced(
@@ -262,13 +251,12 @@ def _reflected(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
 def _bounds(loop: Triples, theta: Array) -> tuple[Array, Array, Array]:
     """Return the curve, det, and where it bounds the stable set: all other roots are inside."""
     walls, det = _curve(loop, theta)
-    inside = _are_inside(loop, walls, 2.0 * jnp.cos(theta), 1.0, 2)
+    inside = _reduced(loop, walls, 2.0 * jnp.cos(theta), 1.0, 2)[1]
     return walls, det, inside & jnp.all(_margins(loop, walls) > 0.0, axis=0)
 
 
 def _are_stable(loop: Triples, walls: Array) -> Array:
-    """True for walls (2, wall) that are stable."""
-    inside = _are_inside(loop, walls, jnp.zeros_like(walls[0]), 0.0, 0)
+    inside = _reduced(loop, walls, jnp.zeros_like(walls[0]), 0.0, 0)[1]
     return inside & jnp.all(_margins(loop, walls) > 0.0, axis=0)
 
 
@@ -284,7 +272,7 @@ def _scan(loop: Triples) -> _Scan:
         own = lax.dynamic_slice(index, (tile * _TILE,), (_TILE,))
         chosen = jnp.minimum(own, count - 1)
         pair = 2.0 * jnp.cos(loop.angles[chosen])
-        inside = _are_inside(loop, walls[:, chosen], pair, 1.0, 2)
+        inside = _reduced(loop, walls[:, chosen], pair, 1.0, 2)[1]
         return passes.at[own].set(inside, mode="drop")
 
     passes = lax.fori_loop(0, -(-total // _TILE), next_tile, jnp.zeros(count, bool))
@@ -344,7 +332,6 @@ class _Corners(NamedTuple):
 
 
 def _corners_of(loop: Triples, ends: _Ends, sense: Array, size: Array) -> _Corners:
-    """Return the corners at the ends of pieces, solved for."""
     forward = sense > 0.0
 
     def turned(rows: Array) -> Array:
@@ -482,7 +469,7 @@ def _linked(loop: Triples, corners: _Corners) -> _Links:
     predecessors = jnp.sum(corners.exists[:, None] & (successor[:, None] == pieces), axis=0)
     # Where the lines cross all other roots are inside.
     zero = jnp.zeros(1)
-    is_stable = _are_inside(loop, crossing[:, None], zero, -1.0, 2)[0]
+    is_stable = _reduced(loop, crossing[:, None], zero, -1.0, 2)[1][0]
     via = via & ~on_curve & corners.exists
     is_linked = (on_curve | is_linked) & (predecessors == 1) & (~via | is_stable)
     return _Links(successor, via, is_linked, crossing)
@@ -497,11 +484,7 @@ def _loops(successor: Array) -> Array:
 
 
 def _are_around(
-    scan: _Scan,
-    corners: _Corners,
-    links: _Links,
-    labels: tuple[Array, Array],
-    points: Array,
+    scan: _Scan, corners: _Corners, links: _Links, labels: tuple[Array, Array], points: Array
 ) -> Array:
     """True where loops (point, label) enclose points (2, point), by the rule of odd crossings.
 
@@ -570,7 +553,6 @@ def _component(loop: Triples, scan: _Scan) -> _Component:
 
 
 def _extremes(loop: Triples, scan: _Scan) -> tuple[_Component, Extremes]:
-    """Return the pieces and the extreme walls of one loop."""
     component = _component(loop, scan)
     largest = partial(_largest, loop, scan, component)
     walls, angles, are_sound = jax.vmap(largest)(jnp.arange(2))
@@ -588,6 +570,7 @@ def _outline(loop: Triples, component: _Component) -> MainOutline:
     is the integral of (alpha dbeta - beta dalpha) / 2, by Gauss's rule between the vertices of a
     piece, and exact on straight edges.
     """
+    nodes, weights = np.polynomial.legendre.leggauss(4)
     size, corners, links, main, *_ = component
 
     def followed(piece: Array, _: None) -> tuple[Array, Array]:
@@ -606,8 +589,8 @@ def _outline(loop: Triples, component: _Component) -> MainOutline:
         length = jnp.append(0.0, jnp.cumsum(jnp.hypot(*steps)))
         theta = jnp.interp(jnp.linspace(0.0, length[-1], _VERTICES), length, fine).at[-1].set(end)
         middle, half = 0.5 * (theta[1:] + theta[:-1]), 0.5 * jnp.diff(theta)
-        at_nodes, slopes = _with_slopes(loop, middle + half * _NODES[:, None])
-        return theta, _wall(loop, theta), jnp.sum(half * (_WEIGHTS @ cross(at_nodes, slopes)))
+        at_nodes, slopes = _with_slopes(loop, middle + half * nodes[:, None])
+        return theta, _wall(loop, theta), jnp.sum(half * (weights @ cross(at_nodes, slopes)))
 
     def nothing(_: tuple[Array, Array]) -> tuple[Array, Array, Array]:
         return jnp.zeros(_VERTICES), jnp.zeros((2, _VERTICES)), jnp.zeros(())
@@ -652,13 +635,15 @@ def _small_walls(loop: Triples, size: Array) -> tuple[Array, Array]:
     gains roots move in proportion to these, unless a root of base is outside.
     """
     hardly = 3  # the smallest walls, which float64 may not tell
-    alpha = _SMALL * _RATIOS[:, None] * size[0]
-    beta = jnp.broadcast_to(_SMALL * size[1], alpha.shape)
+    small = np.array([1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 3e-2])  # beside the size of the stable set
+    ratios = np.array([1e-2, 1e-1, 0.3, 1.0])  # of alpha to beta, in that measure
+    alpha = small * ratios[:, None] * size[0]
+    beta = jnp.broadcast_to(small * size[1], alpha.shape)
     walls = jnp.stack([alpha, beta])
     stable = _are_stable(loop, walls.reshape(2, -1)).reshape(alpha.shape)
     likely = stable[:, hardly : hardly + 2].all(axis=1, keepdims=True)
     likely = likely & jnp.all(_margins(loop, walls) > 0.0, axis=0)
-    stable = stable | (likely & (jnp.arange(len(_SMALL)) < hardly))
+    stable = stable | (likely & (jnp.arange(len(small)) < hardly))
     counts = jnp.sum(jnp.cumprod(stable, axis=1), axis=1)
     best = jnp.argmax(counts)
     count = counts[best]
@@ -669,7 +654,6 @@ def _small_walls(loop: Triples, size: Array) -> tuple[Array, Array]:
 def _largest(
     loop: Triples, scan: _Scan, component: _Component, axis: Array
 ) -> tuple[Array, Array, Array]:
-    """Return the wall of the largest alpha or beta, the angles of the roots, and its tests."""
     aside = 1e-6  # of the component's size: where walls beside the extremes are tested
     lower = 5e-3  # beside the largest value: how much less the others have to be
     rounded = 1e-10  # of an extreme: the most that rounding may move it by
@@ -707,7 +691,6 @@ def _largest(
 
 
 def _are_in_quadrant(walls: Array, size: Array, axis: Array) -> Array:
-    """True for walls whose other gain is >= 0."""
     return walls[1 - axis] >= -_ON_AXIS * size[1 - axis]
 
 
@@ -819,7 +802,6 @@ class _Corner(NamedTuple):
 
 
 def _highest_corner(component: _Component, axis: Array) -> _Corner:
-    """Return the corner with the largest alpha or beta."""
     corners, links, of_main = component.corners, component.links, component.of_main
     crossing = jnp.broadcast_to(links.crossing[:, None], (2, SLOTS))
     every = jnp.concatenate([corners.walls[:, 0], corners.walls[:, 1], crossing], axis=1)

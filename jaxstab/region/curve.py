@@ -32,7 +32,6 @@ from jaxtyping import Bool, Complex128, Float64
 
 from jaxstab.arrays import PI_REST, Array
 from jaxstab.exact.boundary import (
-    Around,
     CurveParts,
     RootLine,
     ScaledLoop,
@@ -49,20 +48,15 @@ Angles = Float64[np.ndarray, " _"]
 
 
 class Stretch(NamedTuple):
-    """An interval of angles around one, drawn out; see ``exact.boundary.Around``."""
+    """An interval of angles around one, drawn out, and what rounding took from that.
 
-    around: Around
+    ``series``: see ``exact.boundary.curve_around``.
+    """
+
+    angle: float
+    low: float
+    series: Float64[np.ndarray, "3 order"]
     half_width: float
-
-    @property
-    def angle(self) -> float:
-        """The middle."""
-        return self.around.angle
-
-    @property
-    def low(self) -> float:
-        """The part that rounding took from it."""
-        return self.around.low
 
     @property
     def growth(self) -> float:
@@ -91,17 +85,16 @@ class Stretch(NamedTuple):
     def gains_and_slopes(self, size: Angles, low: Angles) -> tuple[Array, Array]:
         """Return alpha and beta, stacked, and their derivatives by drawn angles."""
         offset, speed = self.offsets(size, low)
-        series = self.around.series
-        orders = np.arange(float(series.shape[1]))
+        orders = np.arange(float(self.series.shape[1]))
         columns = offset ** orders[:, None]
-        values, slopes = series @ columns, (series * orders)[:, 1:] @ columns[:-1]
+        values, slopes = self.series @ columns, (self.series * orders)[:, 1:] @ columns[:-1]
         gains = values[:2] / values[2]
         return gains, (slopes[:2] - gains * slopes[2]) / values[2] * speed
 
     def is_upwards(self, size: Angles) -> Bool[np.ndarray, " angle"]:
         """Where det > 0."""
         offset = self.offsets(size, np.zeros(1))[0]
-        upwards: np.ndarray = np.polyval(self.around.series[2, ::-1], offset) > 0.0
+        upwards: np.ndarray = np.polyval(self.series[2, ::-1], offset) > 0.0
         return upwards
 
 
@@ -202,37 +195,35 @@ def curve_of(loop: ScaledLoop) -> Curve:
 
 
 def _undamped(loop: ScaledLoop, parts: CurveParts) -> list[Stretch]:
-    """Return the surroundings of undamped modes that walls hardly move."""
     closest = 1e-6  # to the circle
     hardly = 1e-4  # how far a gain of 1 moves a mode that walls hardly move
     roots = parts.roots[parts.roots.imag > 0.0]
     roots = roots[np.abs(np.abs(roots) / loop.radius - 1.0) < closest]
-    centers = curve_around(loop, undamped_modes(loop, roots, hardly))
-    return _stretches(centers, parts.poles, parts.triple.shape[1])
+    angles = undamped_modes(loop, roots, hardly)
+    return _stretches(loop, angles, parts.poles, parts.triple.shape[1])
 
 
 def drawn_out(c: Curve, angles: Float64[np.ndarray, "angle 2"]) -> Curve:
     """Return the same curve with angles around others drawn out; each has its rest beside it."""
     neighbours = 1e-6  # radians: angles closer than that are drawn out as one
-    kept: list[tuple[float, float]] = []
+    centers = [(stretch.angle, stretch.low) for stretch in c.stretches]
     for angle, low in angles.tolist():
-        others = [stretch.angle for stretch in c.stretches] + [other for other, _ in kept]
-        others += [*c.poles.tolist(), 0.0, np.pi]
+        others = [*(other for other, _ in centers), *c.poles.tolist(), 0.0, np.pi]
         if min(abs(angle - other) for other in others) > neighbours:
-            kept.append((angle, low))
-    centers = [each.around for each in c.stretches] + curve_around(c.loop, kept)
-    return c._replace(stretches=_stretches(centers, c.poles, c.degree))
+            centers.append((angle, low))
+    return c._replace(stretches=_stretches(c.loop, centers, c.poles, c.degree))
 
 
-def _stretches(centers: list[Around], poles: Angles, degree: int) -> list[Stretch]:
-    """Return disjoint intervals around angles."""
+def _stretches(
+    loop: ScaledLoop, centers: list[tuple[float, float]], poles: Angles, degree: int
+) -> list[Stretch]:
     widest, share = 1e-2, 0.3  # radians, and of the distance to the next one
-    limits = np.concatenate([[center.angle for center in centers], poles, [0.0, np.pi]])
+    limits = np.concatenate([[angle for angle, _ in centers], poles, [0.0, np.pi]])
     stretches = []
-    for center in centers:
-        away = np.abs(limits - center.angle)
+    for center, series in zip(centers, curve_around(loop, centers), strict=True):
+        away = np.abs(limits - center[0])
         nearest = float(np.min(away[away > 0.0]))
-        stretches.append(Stretch(center, min(widest, 0.5 / degree, share * nearest)))
+        stretches.append(Stretch(*center, series, min(widest, 0.5 / degree, share * nearest)))
     return stretches
 
 

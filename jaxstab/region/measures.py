@@ -98,11 +98,7 @@ def _extreme(c: Curve, outline: Outline, axis: int) -> Extreme:
 
 
 def interval_ends(
-    c: Curve,
-    outline: Outline,
-    values: Float64[np.ndarray, " row"],
-    *,
-    axis: Axis,
+    c: Curve, outline: Outline, values: Float64[np.ndarray, " row"], *, axis: Axis
 ) -> Float64[np.ndarray, "row crossing"]:
     """Return the ends of all intervals on lines as in ``limits``, ascending, then NaN.
 
@@ -265,7 +261,6 @@ def _turned(gains: Array, axis: Axis) -> Array:
 
 
 def _met(outline: Outline, values: Array, axis: Axis) -> Array:
-    """True for the edges (row, edge) that rows meet."""
     above = outline.vertices.T[np.reshape(axis, -1)] > values[:, None]
     return (above[:, :-1] != above[:, 1:]) & (outline.branches >= 0)
 
@@ -320,7 +315,6 @@ def _nearest(c: Curve, outline: Outline, points: Array) -> Array:
 
 
 def _box_distances(here: Array, there: Array, points: Array) -> Array:
-    """Return the distances of points to boxes, given by two opposite corners."""
     low, high = np.minimum(here, there), np.maximum(here, there)
     beside = np.maximum(np.maximum(low - points, points - high), 0.0)
     return np.hypot(beside[..., 0], beside[..., 1])
@@ -365,7 +359,6 @@ def _feet(c: Curve, outline: Outline, edges: Array, points: Array) -> tuple[Arra
 
 
 def _foot_on_chord(here: Array, there: Array, points: Array) -> Array:
-    """Return the nearest points of chords between two points each."""
     chord = there - here
     square = nonzero(np.sum(chord**2, axis=-1), 1.0)
     share = np.sum((points - here) * chord, axis=-1) / square

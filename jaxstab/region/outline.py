@@ -52,18 +52,8 @@ def empty_outline(*, resolved: bool) -> Outline:
     return Outline(vertices, np.array([NO_BRANCH]), np.zeros((1, 2)), 0, 0, corners, resolved)
 
 
-class Survey(NamedTuple):
-    """Angles (piece, node), the tangents there (2, piece, node), and where alpha or beta turns."""
-
-    nodes: Array
-    tangents: Array
-    turns: tuple[Array, Angles]
-
-
-def survey(c: Curve, pieces: Pieces) -> Survey:
-    """Look where pieces bend and turn."""
-    nodes, tangents = _tangents(c, pieces)
-    return Survey(nodes, tangents, _turning_points(c, nodes, tangents))
+Survey = tuple[Array, Array, tuple[Array, Angles]]
+"""Angles (piece, node), the tangents there (2, piece, node), and where alpha or beta turns."""
 
 
 def polygon(c: Curve, pieces: Pieces, seen: Survey, points: int) -> Outline:
@@ -71,7 +61,8 @@ def polygon(c: Curve, pieces: Pieces, seen: Survey, points: int) -> Outline:
 
     It has corners and turning points besides. The pieces are closed.
     """
-    marks = [seen.turns, _spread(seen.nodes, seen.tangents, points)]
+    nodes, tangents, turns = seen
+    marks = [turns, _spread(nodes, tangents, points)]
     piece, theta = (np.concatenate(column) for column in zip(*marks, strict=True))
     is_within = (theta > pieces.begin[piece]) & (theta < pieces.end[piece])
     piece, theta = piece[is_within], theta[is_within]
@@ -121,8 +112,8 @@ def polygon(c: Curve, pieces: Pieces, seen: Survey, points: int) -> Outline:
     )
 
 
-def _tangents(c: Curve, pieces: Pieces) -> tuple[Array, Array]:
-    """Return angles (piece, node) and the tangents (alpha', beta') there (2, piece, node)."""
+def survey(c: Curve, pieces: Pieces) -> Survey:
+    """Look where pieces bend and turn."""
     count = 81  # per piece, to see where it bends and turns
     first = np.geomspace(1e-6, 1e-2, 5)  # of a piece: where a curve with zero speed starts
     aside = 1e-8  # of the same
@@ -139,11 +130,11 @@ def _tangents(c: Curve, pieces: Pieces) -> tuple[Array, Array]:
         low, high = (np.arcsinh((limit - place) / width) for limit in (begin, end))
         nodes.append(np.clip(place + width * np.sinh(low + (high - low) * shares), begin, end))
     ordered = np.sort(np.concatenate(nodes, axis=1), axis=1)
-    return ordered, gains_and_slopes(c, ordered)[1]
+    tangents = gains_and_slopes(c, ordered)[1]
+    return ordered, tangents, _turning_points(c, ordered, tangents)
 
 
 def _turning_points(c: Curve, nodes: Array, tangents: Array) -> tuple[Array, Angles]:
-    """Return where alpha or beta turns: pieces and angles."""
     rounding = 1e-10  # a coordinate that moves less than that is constant
     moves = abs(tangents) > rounding * np.hypot(*tangents)
     turns = (tangents[..., 1:] * tangents[..., :-1] < 0.0) & (moves[..., 1:] | moves[..., :-1])

@@ -12,7 +12,7 @@ are joined the boundary consists of closed loops; what stays open has been misse
 such an end the angle of the second pair on the circle tells where the arc that was missed begins.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from enum import IntEnum
 from functools import cache, partial
 from itertools import product
@@ -225,7 +225,6 @@ def all_inside(falling: Array, radius: Array | float = 1.0) -> Bool[np.ndarray, 
 
 
 def _lowered(falling: Array) -> tuple[Array, Array]:
-    """Return polynomials of a degree less, by one step of Schur and Cohn, and its reflections."""
     reflection = falling[-1] / falling[0]
     return falling[:-1] - reflection * falling[:0:-1], reflection
 
@@ -252,19 +251,13 @@ def find_pieces(c: Curve, angles: Angles, *, is_proved: bool = False) -> Pieces:
     Source: the D-decomposition of Gryazina, Polyak, Tremba (2008), with the criterion of Schur and
     Cohn for the other roots.
     """
+    return _joined(c, _arc_ends(c, angles, is_proved=is_proved))
+
+
+def _arc_ends(c: Curve, angles: Angles, *, is_proved: bool) -> _Ends:
     inside = partial(others_inside, c, is_proved=is_proved)
-    narrowing = (26, 2) if is_proved else (6, 32)  # of the brackets of ends: rounds and parts
+    rounds, parts = (26, 2) if is_proved else (6, 32)  # of the brackets of ends
     nothing = 0.0 if is_proved else 3e-11  # radians: shorter arcs and gaps are rounding
-    return _joined(c, _arc_ends(c, inside, narrowing, nothing, angles))
-
-
-def _arc_ends(
-    c: Curve,
-    inside: Callable[[Array], Array],
-    narrowing: tuple[int, int],
-    nothing: float,
-    angles: Angles,
-) -> _Ends:
     passes = inside(angles)
     branch = np.searchsorted(np.concatenate([-c.poles[::-1], [0.0], c.poles]), angles)
     goes_on = passes[:-1] & passes[1:] & (branch[:-1] == branch[1:])
@@ -277,7 +270,6 @@ def _arc_ends(
     is_pinned = np.abs(inner - limit) <= 1.001 * _FIRST
     is_pinned &= (inner - limit) * np.repeat([1.0, -1.0], len(begins)) >= 0.0
     outer = np.where(is_pinned, inner, outer)
-    rounds, parts = narrowing
     enough = 0.1 * nothing
     shares = np.arange(1.0, parts)[:, None] / parts
     # Poles end arcs, too.
@@ -334,7 +326,7 @@ def _is_cut_off(c: Curve, pair: Float64[np.ndarray, "2"]) -> bool:
 
 # ------------------------------------------------------------------------------------- joining
 class _Stop(NamedTuple):
-    """An end of a straight part: its line, its number there, its side, the angle that ends it.
+    """An end of a straight part: the line, the angle that ends it, and the wall there.
 
     The angle is NaN where several roots reach the circle: the next arc begins with one of them.
     Where stable walls turn from one side of a line to the other, the curve passes the line. Such an
@@ -342,50 +334,34 @@ class _Stop(NamedTuple):
     """
 
     line: int
-    interval: int
-    side: int
     angle: float
     angle_rest: float
     wall: Float64[np.ndarray, "2"]
-
     inwards: Float64[np.ndarray, "2"] | None = None
-
-    @property
-    def opposite(self) -> tuple[int, int, int]:
-        """The other end of the same part."""
-        return self.line, self.interval, 1 - self.side
 
 
 def _stops(c: Curve) -> Iterator[_Stop]:
+    """Both ends of each straight part, one after the other: that of number k has another, k ^ 1."""
     for number, line in enumerate(c.lines):
-        count = 0
         for interval in line.line.intervals:
             low, high = (
                 _Stop(
-                    line=number,
-                    interval=0,
-                    side=0,
-                    angle=nan if end.is_shared else end.angle,
-                    angle_rest=end.angle_rest,
-                    wall=line.wall(end.value),
+                    number,
+                    nan if end.is_shared else end.angle,
+                    end.angle_rest,
+                    line.wall(end.value),
                 )
                 for end in interval
             )
-            parts = [(low, high)]
+            yield low
             if interval.low.value < line.turn < interval.high.value:
-                turn = low._replace(angle=line.angle, angle_rest=0.0, wall=line.wall(line.turn))
-                parts = [
-                    (low, turn._replace(inwards=-line.along)),
-                    (turn._replace(inwards=line.along), high),
-                ]
-            for part in parts:
-                for side, stop in enumerate(part):
-                    yield stop._replace(interval=count, side=side)
-                count += 1
+                turn = _Stop(number, line.angle, 0.0, line.wall(line.turn))
+                yield turn._replace(inwards=-line.along)
+                yield turn._replace(inwards=line.along)
+            yield high
 
 
 def _stop_angles(c: Curve, stops: list[_Stop]) -> Angles:
-    """Return the angles that end straight parts, drawn out."""
     pairs = np.array([(stop.angle, stop.angle_rest) for stop in stops]).reshape(-1, 2)
     return drawn_angles(c, *pairs.T)
 
@@ -411,7 +387,6 @@ def _joined(c: Curve, ends: _Ends) -> Pieces:
     opened = [walls[end] for end in is_left]
     opened += [stop.wall for number, stop in enumerate(stops) if number not in of_stop]
 
-    index = {(stop.line, stop.interval, stop.side): number for number, stop in enumerate(stops)}
     end_at = {number: end for end, number in of_end.items()}
     edges: list[list[Edge]] = []
     successor: list[int] = []
@@ -419,7 +394,7 @@ def _joined(c: Curve, ends: _Ends) -> Pieces:
         own: list[Edge] = []
         goal, stop = following.get(count + arc), of_end.get(count + arc)
         while stop is not None and len(own) <= len(stops):
-            there = index[stops[stop].opposite]
+            there = stop ^ 1
             own.append(Edge(c.lines[stops[there].line].angle, stops[there].wall))
             goal = end_at.get(there)
             stop = of_stop.get(there) if goal is None else None
@@ -480,7 +455,6 @@ def _matches(
 
 
 def _tangents(c: Curve, ends: _Ends) -> Float64[np.ndarray, "2 end"]:
-    """Return the directions of arcs next to their ends."""
     beside = 1e-4  # of an arc
     begin, end = ends.theta.reshape(2, -1)
     aside = beside * (end - begin)

@@ -18,10 +18,9 @@ claims nothing. What is not proved is that no island was missed between angles a
 
 from collections.abc import Iterable
 from math import ceil, sqrt
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int
+from jaxtyping import Float64
 
 from jaxstab.arrays import Numbers, is_traced
 from jaxstab.conventions import Verdict
@@ -37,14 +36,7 @@ from jaxstab.numbers import checked_number
 from jaxstab.region import measures
 from jaxstab.region.curve import Curve, curve_of, drawn_out
 from jaxstab.region.outline import Outline, empty_outline, polygon, survey
-from jaxstab.region.pieces import (
-    Centers,
-    Pieces,
-    find_pieces,
-    line_ends,
-    scan_angles,
-    second_pairs,
-)
+from jaxstab.region.pieces import Centers, Pieces, find_pieces, line_ends, scan_angles, second_pairs
 from jaxstab.region.stable_set import StableRegion, components_of, region_within
 
 _BESIDE = 1e-9  # of a limit: how far from it lines are compared
@@ -110,7 +102,6 @@ def _followed(c: Curve, centers: Centers, *, is_proved: bool) -> tuple[Pieces, C
 
 
 def _keeps_a_root(loop: ScaledLoop) -> bool:
-    """True if all walls leave a root at z = 1 or -1, by the structure of the loop."""
     with working_precision(FIRST_BITS):
         parts = [part.without_windows() for part in loop.triple()]
     return min(p.at_one for p in parts) > 0 or min(p.at_minus_one for p in parts) > 0
@@ -139,7 +130,6 @@ class _Lines:
 
 
 def _angles_on(line: StableLine) -> Centers:
-    """Return the angles of roots at the ends of stable intervals."""
     return _inner(end for ends in line.intervals for end in ends)
 
 
@@ -172,21 +162,12 @@ def _angles_of_rays(lines: _Lines) -> Centers | None:
     return np.concatenate([_angles_on(ray) for ray in rays])
 
 
-class _Compared(NamedTuple):
-    """Lines that are compared: the gain that each keeps (0 is alpha), and its value.
+def _compared(c: Curve, outline: Outline) -> list[tuple[int, float, bool, float]]:
+    """The lines on both sides of the limits, and rows through each component.
 
-    ``is_inner``: on the inner side of a limit, where one stable wall is enough. ``slim``: shorter
-    intervals need not be compared.
+    Each has the gain that it keeps (0 is alpha), its value, whether it is on the inner side of a
+    limit, where one stable wall is enough, and how short intervals are that need not be compared.
     """
-
-    axis: Int[np.ndarray, " line"]
-    value: Float64[np.ndarray, " line"]
-    is_inner: Bool[np.ndarray, " line"]
-    slim: Float64[np.ndarray, " line"]
-
-
-def _compared(c: Curve, outline: Outline) -> _Compared:
-    """Return the lines on both sides of the limits, and rows through each component."""
     slim = 1e-9  # of the region's width: shorter intervals need not be compared
     # In shares of its height, from corners: rows where modes are hardly damped.
     from_corners = 10.0 ** -np.arange(1.0, 8.0, 2.0)
@@ -204,7 +185,7 @@ def _compared(c: Curve, outline: Outline) -> _Compared:
         near = np.append(-from_corners, from_corners) * sizes[1]
         rows += (outline.corners[:, 1, None] + near).ravel().tolist()
     lines += [(1, value, False, slim * sizes[0]) for value in rows]
-    return _Compared(*map(np.array, zip(*lines, strict=True)))
+    return lines
 
 
 def _contradictions(c: Curve, lines: _Lines, outline: Outline) -> Centers | None:
@@ -215,8 +196,9 @@ def _contradictions(c: Curve, lines: _Lines, outline: Outline) -> Centers | None
     agree, at_poles = 1e-6, 1e-4  # of the longest interval; where the curve is 0/0 at a pole
     share = agree if all(line.angle in (0.0, np.pi) for line in c.lines) else at_poles
     sizes, asked = np.ptp(outline.vertices, axis=0), _compared(c, outline)
-    ends = measures.interval_ends(c, outline, asked.value, axis=asked.axis)
-    for own, axis, value, is_inner, slim in zip(ends, *(x.tolist() for x in asked), strict=True):
+    axes, values, *_ = map(np.array, zip(*asked, strict=True))
+    ends = measures.interval_ends(c, outline, values, axis=axes)
+    for own, (axis, value, is_inner, slim) in zip(ends, asked, strict=True):
         drawn = own[np.isfinite(own)].reshape(-1, 2)
         if is_inner and _is_any_stable(c, axis, value, drawn):
             continue
@@ -254,7 +236,6 @@ def _height(component: Outline, share: float) -> float:
 
 
 def _is_any_stable(c: Curve, axis: int, value: float, intervals: Points) -> bool:
-    """True if the middle of an interval is proved stable."""
     for middle in np.mean(intervals, axis=1).tolist():
         wall = (value, middle) if axis == 0 else (middle, value)
         if wall_verdict(c.loop.triple, *wall).verdict == Verdict.STABLE:
@@ -263,7 +244,6 @@ def _is_any_stable(c: Curve, axis: int, value: float, intervals: Points) -> bool
 
 
 def _agree(line: StableLine, drawn: Points, slim: float, share: float, size: float) -> bool:
-    """True if a line has the intervals that are drawn, but for slim ones."""
     rounded = 1e-11  # of the region's size: ends that are the same
     proved = np.array([[low.value, high.value] for low, high in line.intervals]).reshape(-1, 2)
     proved, drawn = (x[x[:, 1] - x[:, 0] > slim] for x in (proved, drawn))
@@ -275,7 +255,6 @@ def _agree(line: StableLine, drawn: Points, slim: float, share: float, size: flo
 
 
 def _adapted(c: Curve, pieces: Pieces, tolerance: float) -> tuple[Outline, float]:
-    """Return an outline with as many points as the tolerance requires, and its deviation."""
     bulge = 0.35  # times points^-2 is at most about how far the boundary leaves the polygon
     points, seen = _enough_points(sqrt(bulge / tolerance)), survey(c, pieces)
     outline = polygon(c, pieces, seen, points)

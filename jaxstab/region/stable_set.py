@@ -95,7 +95,6 @@ class ShownRegion:
         return limits_text(head, self.names, extremes, islands, is_reachable=is_main)
 
     def _repr_html_(self) -> str:
-        """Return the picture and the words for a notebook."""
         from jaxstab.pictures.style import html_of
 
         return html_of(self, self.plot)
@@ -225,7 +224,6 @@ def _loops(outline: Outline) -> list[Outline]:
 
 
 def _loop(outline: Outline, start: int, end: int) -> Outline:
-    """Return one loop, from its start to its end, which are the same point."""
     vertices = outline.vertices[start : end + 1]
     is_own = np.any(np.all(outline.corners[:, None] == vertices, axis=-1), axis=1)
     return outline._replace(

@@ -116,6 +116,7 @@ def study(
     walls: Mapping[str, tuple[float, float]] | None = None,
     samples: int | None = None,
     seed: int = 0,
+    rng: "int | np.random.Generator | None" = None,
     part: tuple[int, int] = (1, 1),
 ) -> "Dataset":
     """Answer for many devices, people and controllers, as one labelled table.
@@ -135,6 +136,8 @@ def study(
         walls: stiffness and damping in SI units by name; those of the scene by default.
         samples: the number of draws; by default 10,000, or as many as take about a minute.
         seed: of the draws, a whole number >= 0.
+        rng: in place of it, what ``numpy.random.default_rng`` takes: a seed, or a generator, from
+            which a seed is drawn (SPEC 7). Parts of one study need the same seed.
         part: (3, 64) computes the third of 64 parts, a piece of the longest dimension.
 
     Returns:
@@ -156,6 +159,8 @@ def study(
         >>> study.largest_stiffness.dims, study.at_damping.units
         (('device_mass',), 'N s/m')
     """
+    if rng is not None:
+        seed = int(np.random.default_rng(rng).integers(2**32))
     return plan_study(
         of, over, answers=answers, walls=walls, samples=samples, seed=seed, part=part
     ).compute()

@@ -479,7 +479,6 @@ def _compliance(device: Device) -> Rational:
 
 @lru_cache(maxsize=256)
 def _held(device: Device) -> Ports:
-    """Mechanism and hands, without the actuators."""
     ports = device.mechanism.ports()
     checked_compliance(Rational(ports.encoder, ports.below), f"the device ({device.mechanism})")
     ports = ports.reduced()

@@ -23,14 +23,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from jaxstab.model.device.device import Device
-from jaxstab.model.device.parts import (
-    Rational,
-    balls_of,
-    decided,
-    exact,
-    turn,
-    working_precision,
-)
+from jaxstab.model.device.parts import Rational, balls_of, decided, exact, turn, working_precision
 from jaxstab.model.device.sampling import in_fastest_time, in_samples
 from jaxstab.rounding import RAISED
 
@@ -215,7 +208,6 @@ def handle_equations(device: Device, sample_time: float) -> HandleEquations:
 
 
 def _held(matrix: "arb_mat", fraction: float, offset: float) -> "arb_mat":
-    """Return the rows of the states at a time after a sample."""
     import flint
 
     size = matrix.ncols() - 2
@@ -324,81 +316,63 @@ class _Motion(NamedTuple):
         return pieces
 
     def rows(self, time: "float | arb", is_late: bool) -> "arb_mat":
-        """Return the position and its derivatives up to the fifth, of states and two forces."""
+        """The position and its derivatives up to the fifth, of states and two forces."""
         import flint
 
         wall = self.states
-        whole = self._derivatives(time)
-        late = self._derivatives(time - flint.arb(exact(self.fraction))) if is_late else None
+        whole = _derivatives(self.matrix, self._unit(0), time).tolist()
+        since = time - flint.arb(exact(self.fraction))
+        late = _derivatives(self.matrix, self._unit(0), since).tolist() if is_late else None
         rows = []
         for order, (*states, force, _) in enumerate(whole):
             arrived = late[order][wall] if late is not None else flint.arb(0)
             rows.append([*states, force - arrived, arrived])
         return flint.arb_mat(rows)
 
-    def _derivatives(self, time: "float | arb") -> list[list["arb"]]:
+    def blows(self, time: "float | arb") -> "arb_mat":
+        """The states a time after a unit impulse at the handle, and their derivatives."""
         import flint
 
-        row = flint.arb_mat([[int(k == 0) for k in range(self.states + 2)]])
-        row = row * (self.matrix * flint.arb(time)).exp()
-        rows = []
-        for _ in range(6):
-            rows.append(row.entries())
-            row = row * self.matrix
-        return rows
+        turned = self.matrix.transpose()
+        found = _derivatives(turned, self._unit(self.states + 1) * turned, time)
+        return flint.arb_mat([row[: self.states] for row in found.tolist()])
 
-    def blows(self, time: "float | arb") -> list[list["arb"]]:
-        """Return the states a time after a unit impulse at the handle, and their derivatives."""
+    def _unit(self, index: int) -> "arb_mat":
         import flint
 
-        unit = flint.arb_mat([[int(k == self.states + 1)] for k in range(self.states + 2)])
-        column = (self.matrix * flint.arb(time)).exp() * (self.matrix * unit)
-        columns = []
-        for _ in range(6):
-            columns.append(column.entries()[: self.states])
-            column = self.matrix * column
-        return columns
+        return flint.arb_mat([[int(k == index) for k in range(self.states + 2)]])
+
+
+def _derivatives(matrix: "arb_mat", row: "arb_mat", time: "float | arb") -> "arb_mat":
+    """A row times exp(matrix time), and its derivatives by time up to the fifth."""
+    import flint
+
+    rows = []
+    for _ in range(6):
+        rows.append(row.entries())
+        row = row * matrix
+    return flint.arb_mat(rows) * (matrix * flint.arb(time)).exp()
 
 
 def _rounded(
     motion: _Motion, pieces: list[tuple[float, float, bool]], rows: list[list["arb_mat"]]
 ) -> Between:
-    import flint
-
     ends = np.array([[_floats(matrix)[:4] for matrix in pair] for pair in rows])
     columns, states = ends.shape[-1], motion.states + 1
-    unique, index = np.unique(
-        np.concatenate([ends.reshape(-1, columns), np.eye(states, columns)]),
-        axis=0,
-        return_inverse=True,
-    )
+    every = np.concatenate([ends.reshape(-1, columns), np.eye(states, columns)])
+    unique, index = np.unique(every, axis=0, return_inverse=True)
     index = np.ravel(index)
     half = np.array([0.5 * (end - start) for start, end, _ in pieces]) * RAISED
     remainder = np.array([_sizes(motion.rows(_over(*piece[:2]), piece[2]))[4:] for piece in pieces])
     count = len(pieces)
     times = [k / count for k in range(count + 1)]
-    blows = np.array(
-        [np.array([[float(x.mid()) for x in column] for column in motion.blows(t)]) for t in times]
-    )
-    widest = np.array(
-        [
-            [[float(abs(x).upper()) for x in column] for column in motion.blows(_over(a, b))]
-            for a, b in pairwise(times)
-        ]
-    )
+    blows = np.array([_floats(motion.blows(time)) for time in times])
+    widest = np.array([_sizes(motion.blows(_over(*ends))) for ends in pairwise(times)])
     size = 0.5 / count * RAISED
     # The integral of a modulus: that of the chord, and what the second derivative adds.
-    path = [
-        float(
-            sum(
-                size * (abs(blows[k, order, 0]) + abs(blows[k + 1, order, 0]))
-                + (2.0 * size) ** 3 / 12.0 * widest[k, order + 2, 0]
-                for k in range(count)
-            )
-        )
-        for order in (0, 1)
-    ]
-    direct = float(abs(motion.blows(flint.arb(0))[0][0]).upper())
+    chords = size * (abs(blows[:-1, :2, 0]) + abs(blows[1:, :2, 0]))
+    path = np.sum(chords + (2.0 * size) ** 3 / 12.0 * widest[:, 2:4, 0], axis=0)
+    path[1] += _sizes(motion.blows(0.0))[0, 0]
     return Between(
         rows=unique,
         ends=index[:-states].reshape(ends.shape[:-1]),
@@ -408,12 +382,11 @@ def _rounded(
         blows=np.moveaxis(blows[:, [0, 2]], 1, 0),
         blow_half=size,
         blow_remainder=widest[:, 4].sum(axis=0) * RAISED,
-        path=(path[0] * RAISED, (path[1] + direct) * RAISED),
+        path=(float(path[0]) * RAISED, float(path[1]) * RAISED),
     )
 
 
 def _over(start: float, end: float) -> "arb":
-    """Return a ball of all times of a piece."""
     import flint
 
     return flint.arb(0.5 * (start + end), 0.5 * (end - start) * RAISED + 2.0**-60)

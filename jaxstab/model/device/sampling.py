@@ -170,10 +170,7 @@ def in_fastest_time(above: list[Ball], below: list[Ball]) -> "tuple[list[Ball], 
 
 
 def position_after(
-    above: list[Ball],
-    transition: Matrix,
-    denominator: "arb_poly",
-    column: Matrix,
+    above: list[Ball], transition: Matrix, denominator: "arb_poly", column: Matrix
 ) -> list[Ball]:
     """Return C adj(z - A) v, the lowest power first, by det(z - A): what a state v does to z^k."""
     import flint
