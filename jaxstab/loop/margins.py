@@ -177,7 +177,7 @@ class Margins(NamedTuple):
     interval, such as a least stiffness that the root at z = 1 sets.
 
     Attributes:
-        verdict: certified codes of ``Verdict``.
+        verdict: codes of ``Verdict``.
         stiffness: the smallest and the largest K between which the wall stays stable at this B.
         damping: the smallest and the largest B between which it stays stable at this K.
         stiffness_gain: the factor by which K may be multiplied; infinite for K <= 0.
@@ -313,7 +313,7 @@ class GainMargins(NamedTuple):
     is 0 where a gain may be turned down to 0, or beyond; with 0 times a gain nothing changes.
 
     Attributes:
-        verdict: certified codes of ``Verdict``.
+        verdict: codes of ``Verdict``.
         first: the smallest and the largest first gain between which the loop stays stable at this
             second one.
         second: the same of the second gain.

@@ -254,7 +254,7 @@ def size_sum(numbers: tuple[Number, ...]) -> Array:
     return sum(map(size, numbers), 0.0)
 
 
-# Certified verdicts of polynomials without a special form: loops with estimators and filters.
+# Verdicts of polynomials without a special form: loops with estimators and filters.
 #
 # The Schur-Cohn steps act on all coefficients, in O(degree^2) operations; where only the first and
 # the last ones are not 0, as with windows and long delays, they act on those alone (lemma V2 of

@@ -1,4 +1,4 @@
-"""Certified verdicts of walls: STABLE and UNSTABLE are proofs, rounding included.
+"""Verdicts of many walls: STABLE and UNSTABLE are proofs, rounding included.
 
 A verdict takes up to three steps, each for the points that the one before leaves UNDECIDED:
 
@@ -104,7 +104,7 @@ class Points(NamedTuple):
         ]
 
 
-# Certified verdicts of any linear loop: of any device, velocity estimator and position filter.
+# Verdicts of any linear loop: of any device, velocity estimator and position filter.
 
 _TILE = 512  # points whose polynomials stay in the cache
 
@@ -171,7 +171,7 @@ def _loop_float_codes(alpha: Array, beta: Array, loop: LinearLoop, *, degree: in
     return over_tiles(codes, (alpha, beta, loop), _TILE)
 
 
-# The loop's p(z) in the form of the certified recursion, and the rounding errors of forming it.
+# The loop's p(z) in the form of the recursion, and the rounding errors of forming it.
 #
 # Plants are computed once, in double-double (lemma V7 of docs/proofs.md). Source: eq. (9).
 
