@@ -126,6 +126,16 @@ def test_an_integrator_has_margins_in_closed_form(gain: float) -> None:
     assert margins.sensitivity.value == pytest.approx(max(2.0 / (2.0 - gain), 1.0), rel=1e-15)
 
 
+def test_a_lead_that_makes_the_loop_unstable_is_the_phase_margin() -> None:
+    """L = -a/(z + 1/2), a = 1.2: |L| is 1 at cos(theta) = a^2 - 5/4; L is -1 by arg(z + 1/2)."""
+    loop = Loop.from_coefficients(base=[1.0, 0.5], first=[1.0], second=[1.0, 0.0], sample_time=1.0)
+    theta = np.arccos(1.2**2 - 1.25)
+    lead = np.degrees(np.angle(np.exp(1j * theta) + 0.5))
+    phase = loop.frequency_margins(a=-1.2, b=0.0).phase
+    assert float(phase.value) == pytest.approx(lead, abs=1e-12)
+    assert float(phase.frequency) == pytest.approx(theta / (2.0 * np.pi), rel=1e-14)
+
+
 def test_whole_samples_of_delay_below_the_margin_are_stable_and_one_more_is_not() -> None:
     loop = Loop.from_coefficients(base=[1, -1], first=[1], second=[2], sample_time=1.0)
     more = float(loop.frequency_margins(a=0.11, b=0.0).delay.value)
