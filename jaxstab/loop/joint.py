@@ -13,9 +13,10 @@ greatest, and of all gains between two:
 The least inertia is searched as other values of one quantity are (``loop.backwards``).
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
-from math import isfinite, nan
+from math import isfinite, isnan, nan
 from typing import Any, NamedTuple
 
 from jaxstab.boxes.hands import HandRange
@@ -74,14 +75,6 @@ class JointControl(NamedTuple):
         own = f"the engine's velocity; steps of {1e3 * self.step:g} ms, {self.rule}"
         velocity = str(self.velocity or (own if self.rule else Velocity()))
         return f"{1.0 / self.sample_time:g} Hz, delay {late}, {velocity}"
-
-
-class Spare(NamedTuple):
-    """The factors by which kp and kd may grow, and by how many s the delay; NaN for none."""
-
-    kp: float
-    kd: float
-    delay: float
 
 
 @dataclass(frozen=True)
@@ -156,37 +149,37 @@ class JointLoop:
         found = stable_values(("inertia", ""), scan, self.verdict_at).intervals
         return next((low.stable for low, high in found if high.stable >= most), nan)
 
-    def spare(self) -> tuple[Spare, bool]:
-        """What is left of stable gains at both ends of the range, at a constant delay.
+    def spare(self) -> tuple[float, float, float, bool]:
+        """By which factors kp and kd may grow, and by how many s a constant delay; NaN for none.
 
-        If it can be proved for every inertia, growth is a little less: as far as it is.
+        They are those of both ends of the range. Where growth is proved for every inertia, which is
+        said last, it is a little less.
         """
-        kp, kd, later = map(min, zip(*map(self._spare_at, self._inertias), strict=True))
+        *growth, later = map(min, zip(*map(self._ends_at, self._inertias), strict=True))
         shares = (1.0 - 2.0**-20, 0.9) if self._axis else (0.99, 0.9)  # of the growth
-        proved = [self._proved(index, factor, shares) for index, factor in enumerate((kp, kd))]
-        is_proved = None not in proved
-        kp, kd = (own or end for own, end in zip(proved, (kp, kd), strict=True))
-        return Spare(kp, kd, later), is_proved
+        proved = [next(self._proved(n, growth[n], shares), nan) for n in (0, 1) if self.gains[n]]
+        if isnan(sum(proved)):
+            return growth[0], growth[1], later, False
+        kp, kd = (proved.pop(0) if gain else nan for gain in self.gains)
+        return kp, kd, later, True
 
-    def _proved(self, index: int, factor: float, shares: tuple[float, ...]) -> float | None:
-        """A factor by which one gain may grow for every inertia; None if none is proved."""
-        if not isfinite(factor):
-            return factor if self.gains[index] == 0.0 else None
-        for share in shares:
-            upper, own = [*self.gains], 1.0 + share * (factor - 1.0)
-            upper[index] *= own
+    def _proved(self, index: int, factor: float, shares: tuple[float, ...]) -> Iterator[float]:
+        """Factors by which one gain may grow with every inertia, the largest first."""
+        for share in shares if isfinite(factor) else ():
+            grown, upper = 1.0 + share * (factor - 1.0), [*self.gains]
+            upper[index] *= grown
             if self.verdict((upper[0], upper[1])) == Verdict.STABLE:
-                return own * (1.0 - EPS)
-        return None
+                yield grown * (1.0 - EPS)
 
-    def _spare_at(self, inertia: float) -> Spare:
+    def _ends_at(self, inertia: float) -> tuple[float, float, float]:
+        """The growth of both gains, and of the delay, with one inertia."""
         loop, (kp, kd), later = self.loop(inertia), self.gains, nan
         if isinstance(loop, Loop) or self.control.rule or self.drifts:
             ends = [crossing.end for crossing in ends_of_gains(_triple(loop), self.gains)]
         else:
             ends = crossings_of(loop.in_floats(), self.gains)[1::2]
             later = ends[4] * self.control.sample_time
-        return Spare(ends[1] / kp if kp else nan, ends[3] / kd if kd else nan, later)
+        return ends[1] / kp if kp else nan, ends[3] / kd if kd else nan, later
 
     @property
     def _inertias(self) -> tuple[float, float]:

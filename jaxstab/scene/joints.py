@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from jaxstab.conventions import Verdict
-from jaxstab.loop.joint import PD, Joint, JointControl, JointLoop, Spare
+from jaxstab.loop.joint import PD, Joint, JointControl, JointLoop
 from jaxstab.model.filters import Velocity
 from jaxstab.numbers import checked_count, checked_number
 from jaxstab.scene.answers import (
@@ -320,32 +320,27 @@ class Joints(Answer):
 
 
 def _answer(question: JointLoop) -> JointAnswer:
-    joint, (kp, kd) = question.joint, question.gains
-    answer = JointAnswer(
-        motion="turns" if joint.turns else "slides",
-        inertia=(joint.least, joint.greatest),
-        damping=joint.damping,
-        friction=joint.friction,
-        kp=kp if kp or kd else None,
-        kd=kd if kp or kd else None,
-        verdict=joint.reason or "no gains",
-    )
-    if joint.reason or answer.kp is None:
+    joint, has_gains = question.joint, any(question.gains)
+    motion, inertia = "turns" if joint.turns else "slides", (joint.least, joint.greatest)
+    kp, kd = question.gains if has_gains else (None, None)
+    words = joint.reason or "no gains"
+    answer = JointAnswer(motion, inertia, joint.damping, joint.friction, kp, kd, words)
+    if joint.reason or not has_gains:
         return answer
     try:
         code, least = question.verdict(), question.least_inertia()
         is_stable = code == Verdict.STABLE
-        left, is_proved = question.spare() if is_stable else (Spare(nan, nan, nan), False)
+        *growth, later, is_proved = question.spare() if is_stable else (nan, nan, nan, False)
     except ValueError as error:  # of numbers that are too large or small to compute with
         return replace(answer, verdict=str(error), kp_growth=nan)
     words = "for every inertia" if is_proved else _AT_ENDS
     return replace(
         answer,
         verdict=BUT_FOR_DRIFT if is_stable and question.drifts else code,
-        kp_growth=left.kp,
-        kd_growth=left.kd,
+        kp_growth=growth[0],
+        kd_growth=growth[1],
         growth_is=words if is_stable else None,
-        extra_delay=None if question.control.rule else left.delay,
+        extra_delay=None if question.control.rule else later,
         least_inertia=least,
         missing_armature=max(least - joint.least, 0.0) if isfinite(least) else nan,
     )
