@@ -90,3 +90,13 @@ def test_a_root_outside_of_all_corners_and_nodes_is_found() -> None:
         return Factored(arb_poly([arb(0.75), arb(fmpq(1751, 1000) * 4 * t * (1 - t)), arb(1)]))
 
     assert stable_over(p, Axis(1.0, 2.0, 2), Axis(1.0, 1.0)) == Verdict.UNSTABLE
+
+
+def test_a_range_as_narrow_as_rounding_is_proved() -> None:
+    """z^2 + a z + b at |a| < 1 + b."""
+
+    def p(a: float, b: float) -> Factored:
+        return Factored(arb_poly([b, a, 1]))
+
+    a, b = Axis(1.0, float(np.nextafter(1.0, 2.0)), 3), Axis(0.5, 0.5)
+    assert stable_over(p, a, b) == Verdict.STABLE

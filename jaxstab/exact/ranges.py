@@ -16,9 +16,8 @@ negative, or a node with a root outside, is a loop that is not stable.
 """
 
 from collections.abc import Callable
-from itertools import accumulate, product
-from math import comb
-from operator import mul
+from itertools import product
+from math import prod
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -28,10 +27,11 @@ from jaxstab.model.balls import Factored
 from jaxstab.model.device.parts import decided, exact
 
 if TYPE_CHECKING:
-    from flint import arb, arb_mat
+    from flint import arb, arb_mat, arb_poly
 
 _MOST_BITS = 1024
 _MOST_PIECES = 1000  # of the rectangle
+_MOST_WORK = 2**22  # products of balls: seconds
 
 
 class Axis(NamedTuple):
@@ -46,30 +46,36 @@ class Axis(NamedTuple):
         """As many values as a polynomial of some degree in each coefficient of p(z) needs."""
         if self.low == self.high:
             return [self.low]
-        return np.geomspace(self.low, self.high, self.degree * degree + 1).tolist()
+        high = max(self.high, self._apart)
+        return np.geomspace(self.low, high, self.degree * degree + 1).tolist()
+
+    @property
+    def is_narrow(self) -> bool:
+        """Whether nodes need a wider range, in which a loop that is not stable says nothing."""
+        return self.low < self.high < self._apart
+
+    @property
+    def _apart(self) -> float:
+        return self.low * (1.0 + 2.0**-20)
 
     def to_bernstein(self, nodes: list[float]) -> "arb_mat":
         """From values at nodes to coefficients on the axis."""
-        from flint import arb_mat
+        from flint import arb_mat, arb_poly
 
-        places, n = [self.coordinate(exact(node)) for node in nodes], len(nodes) - 1
-        spread = places[-1] - places[0] or 1
-        sides = [((t - places[0]) / spread, (places[-1] - t) / spread) for t in places]
-        weights, basis = [comb(n, j) for j in range(n + 1)], []
-        for t, u in sides:
-            terms = zip(weights, _powers(t, n), _powers(u, n)[::-1], strict=True)
-            basis.append([weight * x * y for weight, x, y in terms])
-        return arb_mat(basis).inv()
+        first, *_, last = places = [self.coordinate(exact(node)) for node in (*nodes, nodes[-1])]
+        spread = last - first or 1
+        sides = [arb_poly([(last - t) / spread, (t - first) / spread]) for t in places[:-1]]
+        return arb_mat([_coefficients(side, len(nodes)) for side in sides]).inv()
 
 
-def _powers(base: Any, most: int) -> "list[arb]":
-    from flint import arb
-
-    return list(accumulate([arb(base)] * most, mul, initial=arb(1)))
+def _coefficients(side: "arb_poly", count: int, power: int | None = None) -> "list[arb]":
+    """The values of the basis of Bernstein: those of (1 - t + t y)^n for all powers of y."""
+    own = side ** (count - 1 if power is None else power)
+    return [own[j] for j in range(count)]
 
 
 def stable_over(p: Callable[[float, float], Factored], first: Axis, second: Axis) -> Verdict:
-    """The verdict on all pairs of two values.
+    """The verdict on all pairs of two values; UNDECIDED where it takes too long, too.
 
     Example:
         >>> from flint import arb_poly
@@ -84,17 +90,25 @@ def stable_over(p: Callable[[float, float], Factored], first: Axis, second: Axis
     def judged() -> Verdict | None:
         from flint import arb, arb_mat
 
-        degree = p(first.low, second.low).degree + 1
-        nodes, values = (first.nodes(degree), second.nodes(degree)), list[arb]()
+        degree, values = p(first.low, second.low).degree, list[arb]()
+        nodes = first.nodes(degree + 1), second.nodes(degree + 1)
+        counts = len(nodes[0]), len(nodes[1])
+        if sum(n**3 for n in counts) + 4 * prod(counts) * degree**2 > _MOST_WORK:
+            return Verdict.UNDECIDED
         for pair in product(*nodes):
             value = _clearance(p(*pair))
             if value is None or value < 0:
                 return None if value is None else Verdict.UNSTABLE
             values.append(value)
-        left, right = first.to_bernstein(nodes[0]), second.to_bernstein(nodes[1])
-        return _sign(left * arb_mat(len(nodes[0]), len(nodes[1]), values) * right.transpose())
+        try:
+            left, right = first.to_bernstein(nodes[0]), second.to_bernstein(nodes[1])
+        except ZeroDivisionError:  # these bits do not tell the nodes apart
+            return None
+        return _sign(left * arb_mat(*counts, values) * right.transpose())
 
-    return decided(judged, most=_MOST_BITS) or Verdict.UNDECIDED
+    code = decided(judged, most=_MOST_BITS) or Verdict.UNDECIDED
+    is_wider = first.is_narrow or second.is_narrow
+    return Verdict.UNDECIDED if is_wider and code == Verdict.UNSTABLE else code
 
 
 def _clearance(p: Factored) -> "arb | None":
@@ -138,7 +152,8 @@ def _sign(coefficients: "arb_mat") -> Verdict | None:
 
 def _halves(count: int) -> "list[arb_mat]":
     """From the coefficients on an interval to those on its two halves."""
-    from flint import arb_mat, fmpq
+    from flint import arb_mat, arb_poly
 
-    lower = [[fmpq(comb(i, j), 2**i) for j in range(count)] for i in range(count)]
+    middle = arb_poly([0.5, 0.5])
+    lower = [_coefficients(middle, count, power) for power in range(count)]
     return [arb_mat(lower), arb_mat([row[::-1] for row in lower[::-1]])]
