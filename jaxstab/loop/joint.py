@@ -13,10 +13,9 @@ greatest, and of all gains between two:
 The least inertia is searched as other values of one quantity are (``loop.backwards``).
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
-from math import isfinite, isnan, nan
+from math import isfinite, nan
 from typing import Any, NamedTuple
 
 from jaxstab.boxes.hands import HandRange
@@ -114,8 +113,7 @@ class JointLoop:
 
     def verdict(self, until: PD | None = None) -> Verdict:
         """The verdict for every inertia, ``until`` other gains: proved, if not UNDECIDED."""
-        ends = [self.verdict_at(inertia) for inertia in self._inertias]
-        if until is None and Verdict.UNSTABLE in ends:
+        if until is None and Verdict.UNSTABLE in map(self.verdict_at, self._inertias):
             return Verdict.UNSTABLE
         axis, upper = self._axis, until or self.gains
         if axis:
@@ -156,20 +154,19 @@ class JointLoop:
         said last, it is a little less.
         """
         *growth, later = map(min, zip(*map(self._ends_at, self._inertias), strict=True))
-        shares = (1.0 - 2.0**-20, 0.9) if self._axis else (0.99, 0.9)  # of the growth
-        proved = [next(self._proved(n, growth[n], shares), nan) for n in (0, 1) if self.gains[n]]
-        if isnan(sum(proved)):
-            return growth[0], growth[1], later, False
-        kp, kd = (proved.pop(0) if gain else nan for gain in self.gains)
-        return kp, kd, later, True
+        proved = [self._proved(index, factor) for index, factor in enumerate(growth)]
+        pairs = zip(proved, self.gains, strict=True)
+        is_proved = all(isfinite(own) or gain == 0.0 for own, gain in pairs)
+        kp, kd = proved if is_proved else growth
+        return kp, kd, later, is_proved
 
-    def _proved(self, index: int, factor: float, shares: tuple[float, ...]) -> Iterator[float]:
-        """Factors by which one gain may grow with every inertia, the largest first."""
-        for share in shares if isfinite(factor) else ():
-            grown, upper = 1.0 + share * (factor - 1.0), [*self.gains]
-            upper[index] *= grown
-            if self.verdict((upper[0], upper[1])) == Verdict.STABLE:
-                yield grown * (1.0 - EPS)
+    def _proved(self, index: int, factor: float) -> float:
+        """Nearly this growth of one gain, if it is proved for every inertia; else NaN."""
+        share = 1.0 - 2.0**-20 if self._axis else 0.99
+        grown, upper = 1.0 + share * (factor - 1.0), [*self.gains]
+        upper[index] *= grown
+        is_proved = isfinite(grown) and self.verdict((upper[0], upper[1])) == Verdict.STABLE
+        return grown * (1.0 - EPS) if is_proved else nan
 
     def _ends_at(self, inertia: float) -> tuple[float, float, float]:
         """The growth of both gains, and of the delay, with one inertia."""

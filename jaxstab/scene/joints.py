@@ -70,8 +70,8 @@ def joints(
     Raises: see ``jaxstab.conventions``; RuntimeError without MuJoCo; ValueError also for files that
     it does not read, and joints and rules of integration that are not known.
 
-    Source: the paper's eq. (9), as ``HapticLoop`` and ``simulated_pd``; MuJoCo's mass matrix; lemmas
-    B20 and E6 of docs/proofs.md.
+    Source: the paper's eq. (9), as ``HapticLoop`` and ``simulated_pd``; MuJoCo's mass matrix; B20
+    and E6 of docs/proofs.md.
 
     Example:
         >>> answer = jaxstab.joints("data/robots/arm.xml", rate=500.0, delay=2e-3)
