@@ -177,7 +177,7 @@ def _largest_near(function: Callable[[Any], Any], angle: float) -> Any:
     if angle in (0.0, np.pi):
         return function(mp.pi if angle else mpf(0))
     low, high = mpf(angle) * (1 - mpf(10) ** -12), min(mpf(angle) * (1 + mpf(10) ** -12), mp.pi)
-    for _ in range(50):
+    for _ in range(75):
         third = (high - low) / 3
         left, right = function(low + third), function(high - third)
         low, high = (low + third, high) if left < right else (low, high - third)

@@ -1,6 +1,7 @@
 """The joints of robot files: inertias in closed form, and verdicts against MuJoCo itself."""
 
 import json
+import math
 import sys
 from pathlib import Path
 from typing import Any
@@ -125,10 +126,8 @@ class Case:
         self.gains = float(kp * frequency**2), float(kd * frequency)
         if kind in ("held", "outside"):
             self.gains = self.gains[0], 6.0 * self.gains[1]
-        is_damped = kind != "outside" and rng.integers(2)
-        self.damping = float(0.1 * self.gains[1]) if is_damped else 0.0
-        has_spring = kind != "outside" and rng.integers(2)
-        self.spring = float(0.1 * self.gains[0]) if has_spring else 0.0
+        self.damping = float(0.1 * self.gains[1]) if rng.integers(2) else 0.0
+        self.spring = float(0.1 * self.gains[0]) if rng.integers(2) else 0.0
         rules = ["semi-implicit", "implicit-joint"]
         self.rule = str(rng.choice(rules)) if kind == "outside" else kind
         # The least inertia grows in proportion to gains, damping and spring.
@@ -487,13 +486,42 @@ def test_55_rules_whose_gains_are_not_affine_are_refused() -> None:
         jaxstab.joints(arm(integrator="RK4"), simulated=True)
 
 
-def test_55_a_damped_joint_under_held_torques_of_an_engine_is_not_called_proved() -> None:
+@pytest.mark.parametrize("integrator", ["Euler", "implicitfast", "RK4"])
+def test_55_a_damped_joint_under_held_torques_of_an_engine_is_proved(integrator: str) -> None:
     timing: dict[str, Any] = {"rate": 250.0, "delay": 2e-3, "simulated": True}
-    gains = {"elbow": {"kp": 5.0, "kd": 0.5}}
-    for slack, verdict in ((0.0, Verdict.STABLE), (0.01, Verdict.UNDECIDED)):
-        answer = jaxstab.joints(arm(slack=slack), **timing, gains=gains)
-        assert answer.joints["elbow"].verdict == verdict
-        assert answer.all_stable == (verdict == Verdict.STABLE)
+    for kp, verdict in ((5.0, Verdict.STABLE), (400.0, Verdict.UNSTABLE)):
+        gains = {"elbow": {"kp": kp, "kd": 0.5}}
+        model = arm(slack=0.01, integrator=integrator)
+        elbow = jaxstab.joints(model, **timing, gains=gains, postures=9).joints["elbow"]
+        assert elbow.verdict == verdict
+
+
+def test_55_growth_is_of_every_inertia_between_the_ends() -> None:
+    """The elbow held by RK4 at 1 ms, every 4th step, two steps late: the radius of one period."""
+    timing: dict[str, Any] = {"rate": 250.0, "delay": 2e-3, "simulated": True}
+    kp, kd, damping, spring = 5.0, 0.1, 0.05, 3.0
+    model = arm(slack=damping, elbow_spring=spring, integrator="RK4")
+    gains = {"elbow": {"kp": kp, "kd": kd}}
+    elbow = jaxstab.joints(model, **timing, gains=gains, postures=9).joints["elbow"]
+    assert elbow.growth_is == "for every inertia"
+    factors = elbow.kp_growth, elbow.kd_growth
+    assert min(factors) > 1.0
+
+    def radius(inertia: float, kp: float, kd: float) -> float:
+        rate = np.array([[0, 1, 0], [-spring / inertia, -damping / inertia, 1 / inertia], [0] * 3])
+        terms = (np.linalg.matrix_power(rate * 1e-3, k) / math.factorial(k) for k in range(5))
+        step, gains = sum(terms), np.array([[kp, kd]])
+        half = np.linalg.matrix_power(step, 2)  # under the torque of before, then under that of now
+        move, push = half[:2, :2], half[:2, 2:]
+        period = np.block([[move @ move - push @ gains, move @ push], [-gains, np.zeros((1, 1))]])
+        return float(np.abs(np.linalg.eigvals(period)).max())
+
+    inertias = np.linspace(*elbow.inertia, 60).tolist()
+    for index, factor in enumerate(factors):
+        for share, is_stable in ((0.3, True), (0.99, True), (1.01, False)):
+            grown = [kp, kd]
+            grown[index] *= 1.0 + share * (factor - 1.0)
+            assert all(radius(inertia, *grown) < 1.0 for inertia in inertias) == is_stable
 
 
 def test_55_the_exit_code_tells_a_ci_of_a_joint_that_is_not_stable(tmp_path: Path) -> None:

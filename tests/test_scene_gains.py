@@ -323,6 +323,18 @@ def test_54_the_scenes_that_come_along_are_answered(kind: str, tmp_path: Path) -
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+def test_55_a_check_of_stable_gains_has_the_factors_of_each_and_of_both() -> None:
+    """PD by semi-implicit Euler: kp h^2/J < 4 - 2 kd h/J, 0 < kd h/J < 2."""
+    tables = loop(JOINT) | {"gains": {"a": {"kp": 1e4, "kd": 20.0}, "b": {"kp": 1e5, "kd": 20.0}}}
+    answers = GainScene.from_table(tables).answer("check").values
+    alpha, beta, found = 0.4, 0.4, answers["gains"]["a"].as_json()
+    assert found["kp_factors"] == pytest.approx([0.0, (4.0 - 2.0 * beta) / alpha])
+    assert found["kd_factors"] == pytest.approx([0.0, min(2.0, (4.0 - alpha) / 2.0) / beta])
+    assert found["both_factors"] == pytest.approx([0.0, 4.0 / (alpha + 2.0 * beta)])
+    assert "both factors" in str(answers["gains"]["a"])
+    assert "factors" not in str(answers["gains"]["b"])
+
+
 def test_54_a_check_has_verdict_radius_and_all_stable_values() -> None:
     """A device of 25 g, a window of 11: two intervals of kp at this ki, by a recursion as well."""
     controller = {"sample_time": 1e-3, "velocity": {"window_samples": 11}}

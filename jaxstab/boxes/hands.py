@@ -84,26 +84,34 @@ def unproved_members(
     delay: Range,
     wall: tuple[float, float],
     jitter: float = 0.0,
+    until: tuple[float, float] | None = None,
 ) -> Members:
     """Members of the ranges at which a root on the circle is not excluded; none is a proof.
 
     The delay in samples is constant within its range; with ``jitter`` it may exceed that by so many
-    samples, in each sample anew. NotImplementedError: as ``DeviceBoxes``.
+    samples, in each sample anew. With ``until`` of all walls between two. NotImplementedError: as
+    ``DeviceBoxes``.
     """
     period = float(loop.sample_time)
+    units = period**2, period
 
     def extent(boxes: ParameterBoxes) -> Extent:
+        walls = [boxes.constant(gain * unit) for gain, unit in zip(wall, units, strict=True)]
+        if until:
+            way = boxes.along("edge")
+            moves = [(b - a) * unit for a, b, unit in zip(wall, until, units, strict=True)]
+            walls = [gain + way * boxes.constant(by) for gain, by in zip(walls, moves, strict=True)]
         return Extent(
             boxes.quantity("mass", mass[0]),
             boxes.quantity("delay", delay[0]),
             arms_over(boxes, hands, period),
-            boxes.constant(wall[0] * period**2),
-            boxes.constant(wall[1] * period),
+            *walls,
         )
 
     ends: dict[str, Any] = dict(zip(HAND, vars(hands).values(), strict=True))
     ends |= {"mass": mass, "delay": delay}
+    edge: dict[str, Any] = {"edge": (0.0, 1.0)} if until else {}
     arm = hands.stiffness[1], hands.damping[0]
     boxes = DeviceBoxes(device, loop, mass, arm, extent, jitter=jitter)
-    left = paved(boxes.judged, 1, _SMALLEST, most=_MOST, **ends).boxes
+    left = paved(boxes.judged, 1, _SMALLEST, most=_MOST, **ends, **edge).boxes
     return np.stack([left.middles(name, *pair) for name, pair in ends.items()], axis=1)

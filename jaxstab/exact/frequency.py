@@ -1,26 +1,15 @@
 """E5. The open loop on the circle: gain, phase and delay margins, and peaks of the closed loop.
 
 The loop is opened at its force: L = N/D, p = D + N, S = D/p and T = N/p, D and N without the roots
-at 0, 1 and -1 that they share. On the circle:
+at 0, 1 and -1 that they share. On the circle (docs/proofs.md has the reasons):
 
 - Gain margins: D + t N is a line of walls, and the interval of t that holds 1 is known (E3).
 - Phase margin: |L| = 1 at the zeros of |N|^2 - |D|^2, a cosine sum. There L is -1 after a lag of
   pi + arg L, arg L in (-pi, pi], or after a lead of what is left of 2 pi. The least of all counts.
 - Delay margin of a loop that is known at its samples alone: the least of these lags over their
-  angles. While |N| < |D| at z = -1, D + e^(-i t theta) N is at theta = pi on the side of D(-1): its
-  turns around 0 from -pi to pi, closed there, are a whole number, the same for all t below that
-  least one. So the loop is stable with every whole number of samples below it. Where |N| is larger
-  at z = -1 the turns change by one from one sample to the next: a root is outside after the first.
-- Peaks of |X/p|, X = D, N or D - N. With X = (z-1)^a (z+1)^b u and p = w but for a power of z,
-  z d/dz log(X/p) is Q/P, P = (z-1) (z+1) u w and
-
-      Q = z (a (z+1) + b (z-1)) u w + z (z-1) (z+1) (u' w - u w'),
-
-  without the factor whose order, a or b, is 0. |X/p| is largest where Q/P is real, at angles that
-  E3 has, or at z = 1 or -1.
-
-The disk margin is a = 2/max |S - T|: 1 + f L has no zero on the circle for f = (1 + e)/(1 - e), |e|
-< a/2, since (1 - e) D + (1 + e) N = p - e (D - N).
+  angles while |N| < |D| at z = -1, else one sample at most.
+- Peaks of |X/p|, X = D, N or D - N: where z d/dz log(X/p) is real, at angles that E3 has, or at
+  z = 1 or -1. The disk margin is 2/max |S - T|.
 
 Every number is a ball that is as narrow as a float64, or more bits are asked for.
 """
@@ -156,7 +145,12 @@ def _crossovers(below: Factored, above: Factored) -> tuple[Reading, Reading] | N
 def _peak(
     opened: Callable[[], tuple[Factored, Factored]], of_below: int, of_above: int
 ) -> Reading | None:
-    """The largest modulus of a multiple of D and one of N over p, or 2 over it for the two."""
+    """The largest modulus of a multiple of D and one of N over p, or 2 over it for the two.
+
+    With X = (z-1)^a (z+1)^b u and p = w but for a power of z, z d/dz log(X/p) = Q/P with
+    P = (z-1) (z+1) u w and Q = z (a (z+1) + b (z-1)) u w + z (z-1) (z+1) (u' w - u w'), without the
+    factor whose order, a or b, is 0.
+    """
     from flint import arb, arb_poly
 
     below, above = opened()

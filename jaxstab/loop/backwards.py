@@ -128,19 +128,19 @@ class StableValues(NamedTuple):
         return "\n".join([f"StableValues of {self.quantity}:", *lines, f"  {self.scan}"])
 
 
-class _Scan(NamedTuple):
+class Scan(NamedTuple):
     """Values to try in their order, and whether there are no others."""
 
     values: list[float]
     is_complete: bool = False
 
     @classmethod
-    def of(cls, low: float, high: float, count: int, *before: float) -> "_Scan":
+    def of(cls, low: float, high: float, count: int, *before: float) -> "Scan":
         """Some values, and others between two ends, evenly in their logarithm, or from 0 on."""
         spread = np.geomspace if low > 0.0 else np.linspace
         return cls([*before, *spread(low, high, count - len(before)).tolist()])
 
-    def within(self, between: Range | None, count: int) -> "_Scan":
+    def within(self, between: Range | None, count: int) -> "Scan":
         """The scan in other limits, if these are given."""
         if between is None:
             return self
@@ -148,11 +148,11 @@ class _Scan(NamedTuple):
         kept = [value for value in self.values if low <= value <= high]
         if not low < high or (self.is_complete and not kept):
             raise ValueError(f"between is {between}; give the lowest value, and a higher one.")
-        return _Scan(kept, is_complete=True) if self.is_complete else _Scan.of(low, high, count)
+        return Scan(kept, is_complete=True) if self.is_complete else Scan.of(low, high, count)
 
 
-def _stable_values(
-    named: tuple[str, str], scan: _Scan, judge: Callable[[float], Verdict], known: Any = None
+def stable_values(
+    named: tuple[str, str], scan: Scan, judge: Callable[[float], Verdict], known: Any = None
 ) -> StableValues:
     """The stable intervals of a quantity of some name and unit; ValueError: no value makes a loop.
 
@@ -232,7 +232,7 @@ def range_of(
 
     for _ in range(rounds):
         known = _verdicts(loops, quantity, wall, scan) if at_once else None
-        found = _stable_values((quantity, UNITS[quantity]), scan, judge, known)
+        found = stable_values((quantity, UNITS[quantity]), scan, judge, known)
         found, refuting = (found, []) if every is None else _for_all(found, worst)
         if not refuting:
             break
@@ -261,7 +261,7 @@ def _for_all(found: StableValues, worst: Callable[[float], Any]) -> tuple[Stable
     return found._replace(intervals=tuple(intervals), is_proved=is_proved), []
 
 
-def _verdicts(loops: list[Any], quantity: str, wall: Gains, scan: _Scan) -> Any:
+def _verdicts(loops: list[Any], quantity: str, wall: Gains, scan: Scan) -> Any:
     """Verdicts on a scan, all at once."""
     values = np.array(scan.values)
     codes = [np.asarray(replace(each, **{quantity: values}).verdict(*wall)) for each in loops]
@@ -269,7 +269,7 @@ def _verdicts(loops: list[Any], quantity: str, wall: Gains, scan: _Scan) -> Any:
     return np.where(is_unstable, Verdict.UNSTABLE, np.max(codes, axis=0)).tolist()
 
 
-def _scan(loop: Any, quantity: str, wall: Gains, count: int) -> _Scan:
+def _scan(loop: Any, quantity: str, wall: Gains, count: int) -> Scan:
     """The values to try: around those at which numbers such as K T^2/m are of size 1."""
     most = 128.0  # samples of delay, where it is not longer now
     period, (spring, damper), counts = loop.sample_time, map(abs, wall), range(1, 201)
@@ -284,7 +284,7 @@ def _scan(loop: Any, quantity: str, wall: Gains, count: int) -> _Scan:
         whole = [n * body.step for n in counts] if body else None
         whole = [windows[0] / n for n in counts][::-1] if windows else whole
     if whole:
-        return _Scan(whole, is_complete=True)
+        return Scan(whole, is_complete=True)
     damping, stiffness = loop.damping(1.0), loop.stiffness(1.0)
     mass = max(spring * period**2, damper * period) or damping * period
     low = 1e-3
@@ -299,7 +299,7 @@ def _scan(loop: Any, quantity: str, wall: Gains, count: int) -> _Scan:
         "time": (period, max(2.0**-10, loop.delay_samples / most), 2.0**10),
     }[quantity.rpartition("_")[2]]
     zero = [] if quantity in ("device_mass", "sample_time", "cutoff") else [0.0]
-    return _Scan.of(low * size, high * size, count, *zero)
+    return Scan.of(low * size, high * size, count, *zero)
 
 
 def _changed(quantity: str, in_samples: bool, loop: Any, value: float) -> Any:
@@ -334,10 +334,10 @@ def range_of_number(
     if not numbers:
         raise ValueError(f"quantity is {quantity!r}, but {loop.words} have no number that varies.")
     now = numbers[checked_word("quantity", quantity, numbers)]
-    scan = _Scan.of(1e-4 * (now or 1.0), 1e4 * (now or 1.0), checked_count("count", count, 2))
+    scan = Scan.of(1e-4 * (now or 1.0), 1e4 * (now or 1.0), checked_count("count", count, 2))
     if isinstance(now, int):
         least = int(quantity == "substeps")
-        scan = _Scan([float(n) for n in range(least, 201)], is_complete=True)
+        scan = Scan([float(n) for n in range(least, 201)], is_complete=True)
 
     def judge(value: float) -> Verdict:
         changed: dict[str, Any] = {
@@ -349,4 +349,4 @@ def range_of_number(
         verdict: Verdict = replace(loop, parts=parts)._verdict(*pair)
         return verdict
 
-    return _stable_values((quantity, ""), scan.within(between, count), judge)
+    return stable_values((quantity, ""), scan.within(between, count), judge)

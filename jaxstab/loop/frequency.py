@@ -18,17 +18,10 @@ from jaxtyping import Float64, Int8
 
 from jaxstab.arrays import Numbers, named
 from jaxstab.conventions import Verdict
-from jaxstab.exact import (
-    DelayStatus,
-    Reading,
-    delay_margin,
-    frequency_response,
-    readings,
-    wall_verdict,
-)
-from jaxstab.model.balls import Factored, ball_loop, ball_triple
+from jaxstab.exact import DelayStatus, Reading, frequency_response, readings, wall_verdict
+from jaxstab.loop.margins import longer_delay, many_text, stable_pairs, verdict_words
+from jaxstab.model.balls import Factored, ball_triple
 from jaxstab.model.device.device import in_steps
-from jaxstab.model.device.sampling import one_sample
 from jaxstab.model.loop import LoopParameters
 from jaxstab.model.parameters import LONGEST_DELAY, wall_grid
 from jaxstab.numbers import checked_number, checked_word
@@ -97,24 +90,23 @@ class FrequencyMargins(NamedTuple):
 
     def __repr__(self) -> str:
         """A table: a row for each margin of one pair of gains, or one for each of several pairs."""
-        codes = [Verdict(int(code)).name.lower() for code in np.ravel(self.verdict)]
+        codes = verdict_words(self.verdict)
         if codes == ["unstable"]:
             return "Frequency margins: none, the loop is unstable"
+        names = [name for name, _ in _ROWS]
         columns = [_words(*row, own) for row, own in zip(_ROWS, self[1:], strict=True)]
         if np.ndim(self.verdict) == 0:
-            rows: list[tuple[str, ...]] = [(f"Frequency margins: {codes[0]}", "", "at")]
-            for (name, _), [text], own in zip(_ROWS, columns, self[1:], strict=True):
+            rows = [(f"Frequency margins: {codes[0]}", "", "at")]
+            for name, [text], own in zip(names, columns, self[1:], strict=True):
                 is_there = own.frequency >= 0.0 and text != "0"
                 place = number_text(float(own.frequency), 5, unit="Hz") if is_there else ""
                 rows.append((name, text, place))
             return table_text(rows)
-        most_rows = 8  # of many pairs
-        rows = [("verdict", *(name for name, _ in _ROWS))]
-        for code, *words in zip(codes, *columns, strict=True):
-            rows.append((code, *(words if code == "stable" else ["none"] * len(words))))
-        more = f"\n... and {len(codes) - most_rows} more" if len(codes) > most_rows else ""
-        table = table_text(rows[: 1 + most_rows])
-        return f"Frequency margins of {len(codes)} pairs of gains\n{table}{more}"
+        every = [
+            (code, *(words if code == "stable" else ["none"] * len(words)))
+            for code, *words in zip(codes, *columns, strict=True)
+        ]
+        return many_text("Frequency margins", "pairs of gains", names, every)
 
 
 _ROWS = (
@@ -154,8 +146,7 @@ def margins_at_frequencies(
 ) -> FrequencyMargins:
     """The margins of pairs of gains with these verdicts; ``delay`` has its own in samples."""
     found = np.full((7, 3, codes.size), nan)
-    for k in np.flatnonzero(codes == Verdict.STABLE):
-        pair = pairs.reshape(-1, 2)[k].tolist()
+    for k, pair in stable_pairs(codes, pairs):
         own = readings(partial(opened, *pair), in_full=in_full)
         found[..., k] = own._replace(delay=delay(*pair)) if delay else own
     units = np.array([1.0, 1.0, degrees(1.0), period, 1.0, 1.0, 1.0])[:, None]
@@ -188,9 +179,8 @@ def wall_frequency_margins(
 def _delay(loop: LoopParameters, *wall: float) -> Reading:
     """The delay margin in samples: proved from below, and by an unstable loop from above."""
     short = 2.0**-29  # of a margin, beyond which the loop is tried
-    sample = partial(one_sample, loop.held_device, float(loop.sample_time))
     now, (K, B) = float(loop.delay_samples), wall
-    most, angle, status = delay_margin(partial(ball_loop, loop), sample, now, (K, B))
+    most, angle, status = longer_delay(loop, (K, B))
     if status == DelayStatus.UNLIMITED:
         return Reading(most, 0.0)
     beyond = now + most + max(short * most, 16.0 * ulp(now + most))

@@ -133,7 +133,7 @@ class LoopsWithHands:
             return _worst_of([self._held(member) for member in members], wall, self.moving)
 
         sampled = judge(self._spread(values))
-        return worst_of_range(sampled, lambda: self._unproved(wall), judge, most_tried)
+        return worst_of_range(sampled, lambda: self.unproved(wall), judge, most_tried)
 
     def robust_limit(self) -> RobustLimit:
         """The stiffest wall that all of them allow: ``HapticLoop.robust_limit``."""
@@ -160,7 +160,7 @@ class LoopsWithHands:
 
         def is_proved(share: float) -> bool:
             delays = (delay, delay + share * most if isfinite(most) else delay)
-            left = replace(self, moving={"delays": delays})._unproved(wall)
+            left = replace(self, moving={"delays": delays}).unproved(wall)
             return left is not None and not len(left)
 
         if most == 0.0 or is_proved(1.0):
@@ -215,15 +215,18 @@ class LoopsWithHands:
             changes["device"] = with_parts(self.loop.device, mass, Arms(*arm))
         return replace(self.loop, **changes)
 
-    def _unproved(self, wall: Wall) -> Members | None:
-        """Members at which a root on the circle is not excluded; None if boxes do not apply."""
+    def unproved(self, wall: Wall, until: Wall | None = None) -> Members | None:
+        """Members at which a root on the circle is not excluded; None if boxes do not apply.
+
+        With ``until`` for all walls between two.
+        """
         jitter = 0.0
         if self.moving:
             jitter = MovingLoop.from_loop(self.loop, **self.moving).delays.jitter
         device = with_parts(self.loop.held_device, None, Arms(0.0, 0.0, 0.0))
         ranges = self.hands, self._masses, self._delays
         try:
-            return unproved_members(device, self.loop, *ranges, wall, jitter)
+            return unproved_members(device, self.loop, *ranges, wall, jitter, until)
         except NotImplementedError:
             return None
 

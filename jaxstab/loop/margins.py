@@ -5,7 +5,7 @@ intervals are known (``exact.line``), and the one that holds the wall counts; al
 first root on the circle (``exact.delay_margin``, lemma B5 of docs/proofs.md).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from decimal import ROUND_CEILING, ROUND_FLOOR
 from functools import partial
 from math import inf, isfinite, nan, nextafter, pi
@@ -16,7 +16,7 @@ from jaxtyping import Float64, Int8
 
 from jaxstab.arrays import Array, Numbers, are_numbers, float_arrays, is_jax, namespace
 from jaxstab.conventions import Verdict
-from jaxstab.exact import TripleAt, delay_margin, stable_line, wall_verdict
+from jaxstab.exact import DelayMargin, TripleAt, delay_margin, stable_line, wall_verdict
 from jaxstab.exact.line import End
 from jaxstab.model import checked_delta, checked_gain, checked_gamma, require_x64
 from jaxstab.model.balls import ball_loop, ball_triple
@@ -73,11 +73,15 @@ def crossings_of(loop: LoopParameters, wall: tuple[float, float]) -> list[float]
     if code == Verdict.STABLE:
         ways = [*ends_of_gains(partial(ball_triple, loop), wall), Crossing(nan, nan)]
         if not in_steps(loop.held_device):  # which has no delays between its steps
-            sample = partial(one_sample, loop.held_device, float(loop.sample_time))
-            parts = partial(ball_loop, loop)
-            later = delay_margin(parts, sample, float(loop.delay_samples), wall)
+            later = longer_delay(loop, wall)
             ways[-1] = Crossing(later.samples, later.angle / pi)
     return [float(code), *(number for way in ways for number in way)]
+
+
+def longer_delay(loop: LoopParameters, wall: tuple[float, float]) -> DelayMargin:
+    """By how many samples the delay of a stable wall of a held device may grow."""
+    sample = partial(one_sample, loop.held_device, float(loop.sample_time))
+    return delay_margin(partial(ball_loop, loop), sample, float(loop.delay_samples), wall)
 
 
 def ends_of_gains(triple: TripleAt, gains: tuple[float, float]) -> list[Crossing]:
@@ -117,11 +121,10 @@ class MarginNames(NamedTuple):
 
 def margins_text(margins: tuple[Numbers, ...], names: MarginNames) -> str:
     """A ``Margins`` as a table: of one wall a row per quantity, of many a row per wall."""
-    most_rows = 8  # of many walls
     if not are_numbers(margins):
         return f"Margins{tuple(margins)}"
     verdict, stiffness, damping, stiffness_gain, damping_gain, extra_delay = margins
-    codes = [Verdict(int(code)).name.lower() for code in np.ravel(verdict)]
+    codes = verdict_words(verdict)
     delays = [
         "not known" if code == "stable" and np.isnan(delay) else _largest(delay)
         for code, delay in zip(codes, np.ravel(extra_delay), strict=True)
@@ -141,12 +144,23 @@ def margins_text(margins: tuple[Numbers, ...], names: MarginNames) -> str:
             (names.delay, "", delays[0], ""),
         ]
         return table_text(rows)
-    heads = [(name, "to", "factor") for name in (names.stiffness, names.damping)]
-    table = [("verdict", *heads[0], *heads[1], names.delay)]
+    heads = [head for name in names[:2] for head in (name, "to", "factor")]
     walls = zip(codes, *limits, delays, strict=True)
-    table += [(code, *stiff, *damp, delay) for code, stiff, damp, delay in walls]
-    more = f"\n... and {len(codes) - most_rows} more" if len(codes) > most_rows else ""
-    return f"Margins of {len(codes)} walls\n{table_text(table[: 1 + most_rows])}{more}"
+    rows = [(code, *stiff, *damp, delay) for code, stiff, damp, delay in walls]
+    return many_text("Margins", "walls", [*heads, names.delay], rows)
+
+
+def verdict_words(verdict: Numbers) -> list[str]:
+    """The names of verdicts, in a list."""
+    return [Verdict(int(code)).name.lower() for code in np.ravel(verdict)]
+
+
+def many_text(title: str, kind: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table of many walls, a row for each of the first: its verdict, and what is below heads."""
+    most = 8
+    table = table_text([("verdict", *heads), *rows[:most]])
+    more = f"\n... and {len(rows) - most} more" if len(rows) > most else ""
+    return f"{title} of {len(rows)} {kind}\n{table}{more}"
 
 
 def _interval(low: float, high: float) -> tuple[str, str]:
@@ -340,19 +354,23 @@ class GainMargins(NamedTuple):
 
     def __repr__(self) -> str:
         """A table: a row for each gain of one pair, or one for each of several pairs."""
-        codes = [Verdict(int(code)).name.lower() for code in np.ravel(self.verdict)]
+        codes = verdict_words(self.verdict)
         pairs = np.stack(self[1:6], axis=-2).reshape(-1, 5, 2).tolist()
         limits = [[_interval(*ends) for ends in own[:2]] for own in pairs]
         factors = [[_range(*ends) for ends in own[2:]] for own in pairs]
-        names, most_rows = (*self.names, "both"), 8  # of many pairs
+        names = *self.names, "both"
         if np.ndim(self.verdict) == 0:
             rows = zip(names, [*limits[0], ("", "")], factors[0], strict=True)
             own = [(name, *ends, factor) for name, ends, factor in rows]
             return table_text([(f"Margins: {codes[0]}", "least", "largest", "factors"), *own])
         every = [(code, *row) for code, row in zip(codes, factors, strict=True)]
-        table = [("verdict", *(f"factors of {name}" for name in names)), *every[:most_rows]]
-        more = f"\n... and {len(codes) - most_rows} more" if len(codes) > most_rows else ""
-        return f"Margins of {len(codes)} pairs of gains\n{table_text(table)}{more}"
+        return many_text("Margins", "pairs of gains", [f"factors of {x}" for x in names], every)
+
+
+def stable_pairs(codes: Array, pairs: Array) -> Iterator[tuple[int, tuple[float, float]]]:
+    """The numbers of the pairs of gains that are proved stable, and these."""
+    every = pairs.reshape(-1, 2).tolist()
+    return ((k, (*every[k],)) for k in np.flatnonzero(codes == Verdict.STABLE).tolist())
 
 
 def margins_of_gains(
@@ -363,8 +381,7 @@ def margins_of_gains(
 ) -> "GainMargins":
     """The margins of pairs of gains with these verdicts."""
     ends = np.full((codes.size, 3, 2), nan)
-    for k in np.flatnonzero(codes == Verdict.STABLE):
-        pair = tuple(pairs.reshape(-1, 2)[k].tolist())
+    for k, pair in stable_pairs(codes, pairs):
         ways = ends_of_gains(triple, pair)
         ways += _ends(triple, 1.0, (0.0, 0.0), pair) if any(pair) else [Crossing(inf, nan)] * 2
         ends[k] = np.reshape([way.end for way in ways], (3, 2))

@@ -25,6 +25,7 @@ from jaxstab.conventions import Verdict
 from jaxstab.exact import LineStatus, StableLine, stable_line
 from jaxstab.loop import Gain, GainLimit, Loop
 from jaxstab.model.affine import affine_triple
+from jaxstab.numbers import without_noise
 from jaxstab.region import RegionStatus
 from jaxstab.rounding import EPS
 from jaxstab.scene.answers import Answer, GivenQuantity, IntervalQuantity, Quantity, basis_of
@@ -354,6 +355,11 @@ def _around(scene: GainScene, pair: dict[str, float], *, in_full: bool = False) 
         row = _row(scene, fixed, pair[fixed.name], pair[own.name])
         values |= {name: value for name, value in row.values.items() if name[:3] != "at_"}
         formats |= row.formats
+    if in_full and not scene.is_range and verdict == Verdict.STABLE:
+        factors = dict(zip((*pair, "both"), scene.loop.margins(**pair)[3:6], strict=True))
+        shown = ((name, without_noise(ends, ends[1] - ends[0])) for name, ends in factors.items())
+        values |= {f"{name}_factors": (*ends.tolist(),) for name, ends in shown}
+        formats |= {f"{name}_factors": IntervalQuantity("", 4) for name in factors}
     return GainAnswer(values, formats, verdict == Verdict.STABLE)
 
 

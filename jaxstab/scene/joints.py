@@ -1,51 +1,24 @@
 """The joints of a robot file: are their gains stable, for every inertia that a joint may have?
 
-MuJoCo reads MJCF and URDF and gives the mass matrix M of a posture. One joint under kp and kd, the
-others without torque, moves as an inertia 1/(M^-1)_ii; with the others held as M_ii, which is never
-less. Both are sampled over postures; armature is in M, and adds to both (Sherman, Morrison). What
-is proved holds for every constant inertia between the least and the greatest that were seen. Left
-out are gravity, and that other joints are controlled at the same time.
-
-The loop is a wall on a held inertia (``HapticLoop``) or, ``simulated``, on the file's own step and
-rule of integration: position actuators inside of the step (``simulated_pd``), or a torque that a
-program holds (``Device.simulated``). A range of inertia is proved by one of two lemmas:
-
-- Without damping and spring p(z) depends on (kp, kd)/J alone: all inertias are a ray of gains at
-  one of them, whose stable intervals are complete (E3), and its end is the least inertia. Inside of
-  a step, damping c adds to kd and a spring to kp; where c alone is implicit, J + h c is the inertia
-  of a semi-implicit step.
-- Otherwise a held joint has boxes, ``worst_hand`` with a range of mass, also for a delay that
-  moves. Its least inertia is bracketed by verdicts.
-
-A damped joint under a torque that is held for steps of an engine is tried, not proved.
+The file is read by MuJoCo (``scene.robots``), each joint is judged alone (``loop.joint``). Left out
+are gravity, and that other joints are controlled at the same time.
 """
 
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from copy import copy
 from dataclasses import dataclass, field, fields, replace
 from decimal import ROUND_CEILING
 from difflib import get_close_matches
-from functools import cached_property, partial
-from importlib import import_module
-from math import inf, isfinite, isnan, nan, pi
+from math import isfinite, isnan, nan
 from os import PathLike
-from typing import Annotated, Any, NamedTuple
-from xml.etree import ElementTree
+from typing import Annotated, Any
 
 import numpy as np
 
-from jaxstab.boxes.hands import HandRange
 from jaxstab.conventions import Verdict
-from jaxstab.exact import LineStatus, StableLine, TripleAt, stable_line, wall_verdict
-from jaxstab.loop import HapticLoop, Loop, simulated_pd
-from jaxstab.loop.margins import crossings_of, ends_of_gains
-from jaxstab.model import Device
-from jaxstab.model.affine import affine_triple
-from jaxstab.model.balls import ball_triple
+from jaxstab.loop.joint import PD, Joint, JointControl, JointLoop
 from jaxstab.model.filters import Velocity
 from jaxstab.numbers import checked_count, checked_number
-from jaxstab.rounding import EPS
 from jaxstab.scene.answers import (
     Answer,
     Damping,
@@ -57,342 +30,12 @@ from jaxstab.scene.answers import (
 from jaxstab.scene.check import SpareGain, SpareTime
 from jaxstab.scene.gains import GainAnswer
 from jaxstab.scene.hands import BUT_FOR_DRIFT
+from jaxstab.scene.robots import MOST_BYTES, joints_of, model_of, optional
 from jaxstab.scene.scene import Units
 from jaxstab.shown import rounded_text, shortened, table_text
 from jaxstab.tables import text_of
 
-_SEED = 55  # of the postures
-_TRIED = 17  # inertias where a range is not proved
-_MOST_BYTES = 100_000_000  # of a file
 
-Gains = tuple[float, float]
-
-
-class Joint(NamedTuple):
-    """A joint of a file, and the ``reason`` why it is not answered for, if there is one."""
-
-    turns: bool
-    least: float
-    greatest: float
-    damping: float
-    spring: float
-    friction: float
-    gains: Gains
-    reason: str | None
-
-
-# ------------------------------------------------------------------------------------- robot files
-def _model_of(robot: Any) -> Any:
-    """The model of a file, or a copy of one; of URDF neither shapes nor meshes are read."""
-    mujoco = _optional("mujoco")
-    if isinstance(robot, mujoco.MjModel):
-        return copy(robot)
-    if not isinstance(robot, str | PathLike):
-        raise TypeError(f"robot is {shortened(robot)}; give a file name or a mujoco.MjModel.")
-    try:
-        root = ElementTree.fromstring(text_of(robot, _MOST_BYTES))
-        if root.tag != "robot":
-            return mujoco.MjModel.from_xml_path(str(robot))
-        for link in root.iter("link"):
-            for shape in [*link.findall("visual"), *link.findall("collision")]:
-                link.remove(shape)
-        return mujoco.MjModel.from_xml_string(ElementTree.tostring(root, encoding="unicode"))
-    except (ElementTree.ParseError, ValueError) as error:
-        words = " ".join(str(error).split()).rstrip(".")
-        raise ValueError(f"MuJoCo reads no robot from {robot}: {words}.") from error
-
-
-def _optional(name: str) -> Any:
-    try:
-        return import_module(name)
-    except ImportError as error:
-        raise RuntimeError(
-            f"robot files need the package {name}: python -m pip install 'jaxstab[robots]'."
-        ) from error
-
-
-def _joints_of(model: Any, postures: int) -> dict[str, Joint]:
-    import mujoco
-
-    least, greatest = _inertias(model, postures)
-    reasons, joints = _reasons(model), {}
-    for index, kind in enumerate(model.jnt_type.tolist()):
-        own, place = model.joint(index), model.jnt_dofadr[index]
-        gains, damping = _actuators(model, index)
-        joints[own.name or f"joint {index}"] = Joint(
-            kind != mujoco.mjtJoint.mjJNT_SLIDE,
-            float(least[place]),
-            float(greatest[place]),
-            float(model.dof_damping[place]) + damping,
-            float(model.jnt_stiffness[index]),
-            float(model.dof_frictionloss[place]),
-            gains,
-            reasons.get(index),
-        )
-    return joints
-
-
-def _actuators(model: Any, joint: int) -> tuple[Gains, float]:
-    """The gains of the position and velocity actuators of a joint, and the damping they add."""
-    import mujoco
-
-    places = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
-    own = np.isin(model.actuator_trntype, [*map(int, places)]) & (
-        model.actuator_trnid[:, 0] == joint
-    )
-    gear = model.actuator_gear[own, 0] ** 2  # of the angle, and of the torque
-    damping = getattr(model, "actuator_damping", np.zeros(model.nu))[own]  # new versions have it
-    is_pd = model.actuator_biastype[own] == int(mujoco.mjtBias.mjBIAS_AFFINE)
-    kp, kd = -(gear * is_pd) @ model.actuator_biasprm[own, 1:3]
-    return (float(kp) + 0.0, float(kd) + 0.0), float(gear @ damping)
-
-
-def _reasons(model: Any) -> dict[int, str]:
-    """Why joints are not answered for: several of them, or several axes, move together."""
-    import mujoco
-
-    kinds, ways, along = mujoco.mjtJoint, mujoco.mjtEq, _along_tendons(model)
-    reasons = dict[int, str]()
-    driven = model.actuator_trnid[model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_TENDON), 0]
-    for index in range(model.ntendon):
-        if index in driven or model.tendon_stiffness[index] or model.tendon_damping[index]:
-            words = f"tendon {model.tendon(index).name or index} moves it with other joints"
-            reasons |= dict.fromkeys(along[index], words)
-    for index in np.flatnonzero(model.eq_active0).tolist():
-        kind, pair = int(model.eq_type[index]), (model.eq_obj1id[index], model.eq_obj2id[index])
-        ends, words = [end for end in map(int, pair) if end >= 0], "ties it to another joint"
-        tied = {*ends} if kind == ways.mjEQ_JOINT else set[int]()
-        if kind == ways.mjEQ_TENDON:
-            tied = tied.union(*(along[end] for end in ends))
-        elif kind in (ways.mjEQ_CONNECT, ways.mjEQ_WELD):
-            if int(model.eq_objtype[index]) == mujoco.mjtObj.mjOBJ_SITE:
-                ends = model.site_bodyid[ends].tolist()
-            first, second = (_above(model, body) for body in ends)
-            tied, words = first ^ second, "closes a chain that it is in"
-        words = f"equality {model.equality(index).name or index} {words}"
-        reasons |= dict.fromkeys(tied, words)
-    several = {kinds.mjJNT_FREE: "it moves freely", kinds.mjJNT_BALL: "a ball, of three axes"}
-    types = enumerate(map(kinds, model.jnt_type.tolist()))
-    return reasons | {index: several[kind] for index, kind in types if kind in several}
-
-
-def _above(model: Any, body: int) -> set[int]:
-    """The joints between the world and a body."""
-    joints = set[int]()
-    while body:
-        start = int(model.body_jntadr[body])
-        joints |= {*range(start, start + int(model.body_jntnum[body]))}
-        body = int(model.body_parentid[body])
-    return joints
-
-
-def _along_tendons(model: Any) -> list[set[int]]:
-    """The joints that change the length of each tendon, next to some posture."""
-    import mujoco
-
-    data, near = mujoco.MjData(model), 1e-4
-    here, lengths = _posture(model, np.random.default_rng(_SEED)), list[np.ndarray]()
-    for place in (0, *model.jnt_qposadr.tolist()):
-        data.qpos[:] = here
-        data.qpos[place] += near if lengths else 0.0
-        mujoco.mj_fwdPosition(model, data)
-        lengths.append(data.ten_length.copy())
-    changes = np.abs(np.array(lengths[1:]) - lengths[0]) > 1e-6 * near
-    return [{*np.flatnonzero(changed).tolist()} for changed in changes.T]
-
-
-def _inertias(model: Any, postures: int) -> tuple[np.ndarray, np.ndarray]:
-    """The least 1/(M^-1)_ii and the greatest M_ii over postures, the file's own among them."""
-    import mujoco
-
-    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    data, rng, units = mujoco.MjData(model), np.random.default_rng(_SEED), np.eye(model.nv)
-    mass, (least, greatest) = np.zeros_like(units), (np.full(model.nv, inf), np.zeros(model.nv))
-    for number in range(postures):
-        data.qpos[:] = _posture(model, rng) if number else model.qpos0
-        mujoco.mj_fwdPosition(model, data)
-        for row, unit in zip(mass, units, strict=True):
-            mujoco.mj_mulM(model, data, row, unit)
-        least = np.minimum(least, 1.0 / np.diag(np.linalg.inv(mass)))
-        greatest = np.maximum(greatest, np.diag(mass))
-    if not (model.nv and np.all((least > 0.0) & np.isfinite(greatest))):
-        raise ValueError(
-            "the robot has no joint, or its mass matrix is not positive; give one that moves, with "
-            "masses and inertias of all bodies."
-        )
-    return np.minimum(least, greatest), greatest
-
-
-def _posture(model: Any, rng: np.random.Generator) -> np.ndarray:
-    """Joints anywhere in their ranges, hinges without one anywhere in a turn."""
-    import mujoco
-
-    place, kinds = model.qpos0.copy(), mujoco.mjtJoint
-    for index, kind in enumerate(model.jnt_type.tolist()):
-        at = model.jnt_qposadr[index]
-        if kind == kinds.mjJNT_BALL:
-            turn = rng.standard_normal(4)
-            place[at : at + 4] = turn / np.linalg.norm(turn)
-        elif model.jnt_limited[index] and kind != kinds.mjJNT_FREE:
-            place[at] = rng.uniform(*model.jnt_range[index])
-        elif kind == kinds.mjJNT_HINGE:
-            place[at] = rng.uniform(-pi, pi)
-    return place
-
-
-# ------------------------------------------------------------------------------------------- loops
-class _Control(NamedTuple):
-    """What closes the loop of every joint; in a simulation the rule of its steps.
-
-    ``is_inside``: the gains are part of the step. Times are in s.
-    """
-
-    sample_time: float
-    delay: float
-    jitter: float
-    velocity: Velocity | None
-    step: float
-    rule: str = ""
-    is_inside: bool = False
-
-    @property
-    def words(self) -> str:
-        """Where and when the gains act."""
-        if self.is_inside:
-            return f"inside of the simulation's step of {1e3 * self.step:g} ms, {self.rule}"
-        late = f"{1e3 * self.delay:g} ms"
-        if self.jitter:
-            late += f" to {1e3 * (self.delay + self.jitter):g} ms, varying"
-        own = f"the engine's velocity; steps of {1e3 * self.step:g} ms, {self.rule}"
-        velocity = str(self.velocity or (own if self.rule else Velocity()))
-        return f"{1.0 / self.sample_time:g} Hz, delay {late}, {velocity}"
-
-
-@dataclass(frozen=True)
-class _Question:
-    """A joint under two gains."""
-
-    control: _Control
-    joint: Joint
-    gains: Gains
-
-    @property
-    def drifts(self) -> bool:
-        """Whether nothing holds the position: one root at 1 does not count then."""
-        return self.gains[0] == 0.0 and self.joint.spring == 0.0
-
-    def loop(self, inertia: float) -> HapticLoop | Loop:
-        """The loop with an inertia, at its longest delay."""
-        period, delay, jitter, velocity, step, rule, is_inside = self.control
-        damping, spring = self.joint.damping, self.joint.spring
-        timing: Any = {"sample_time": period, "delay": delay + jitter, "velocity": velocity}
-        if not rule:
-            timing |= {"device_damping": damping, "hand_stiffness": spring}
-            return HapticLoop(device_mass=inertia, **timing)
-        given: Any = {"step": step, "integrator": rule, "damping": damping, "stiffness": spring}
-        if is_inside:
-            return simulated_pd(inertia, **given)
-        timing["velocity"] = velocity or Velocity.measured()
-        return HapticLoop(device=Device.simulated(inertia, **given), **timing)
-
-    def verdict_at(self, inertia: float) -> Verdict:
-        """The verdict with one inertia: proved, if not UNDECIDED."""
-        loop, (_, delay, jitter, *_) = self.loop(inertia), self.control
-        if jitter and not self.drifts and isinstance(loop, HapticLoop):
-            return Verdict(int(loop.verdict(*self.gains, delays=(delay, delay + jitter))))
-        verdict = wall_verdict(_triple(loop), *self.gains, may_drift=self.drifts).verdict
-        return Verdict.UNDECIDED if jitter and verdict == Verdict.STABLE else verdict
-
-    def verdict(self) -> Verdict:
-        """The verdict for every inertia: proved, if not UNDECIDED."""
-        joint = self.joint
-        if self._ray is None and not (self.control.rule or self.drifts):
-            loop: Any = self.loop(joint.greatest)
-            moves = {"delays": (self.control.delay, loop.delay)} if self.control.jitter else {}
-            springs, inertias = (joint.spring, joint.spring), (joint.least, joint.greatest)
-            own = HandRange(stiffness=springs)
-            return Verdict(loop.worst_hand(own, *self.gains, mass=inertias, **moves).verdict)
-        if self._ray is not None:
-            line, reach, shift = self._ray
-            rounded = (joint.greatest, 1.0 - 4.0 * EPS), (joint.least, 1.0 + 4.0 * EPS)
-            ends = [line.holding(outwards * reach / (own + shift)) for own, outwards in rounded]
-            if ends[0] and ends[0] == ends[1]:
-                return Verdict.STABLE
-        tried = np.geomspace(joint.least, joint.greatest, _TRIED).tolist()
-        codes = {self.verdict_at(inertia) for inertia in tried}
-        return Verdict.UNSTABLE if Verdict.UNSTABLE in codes else Verdict.UNDECIDED
-
-    def least_inertia(self) -> float:
-        """From which inertia on these gains are stable, to the greatest at least; NaN from none."""
-        joint, period = self.joint, self.control.sample_time
-        if self._ray is None:
-            fast = max(joint.damping * period, joint.spring * period**2, 2e-12 * joint.greatest)
-            return self._bracketed(fast / 2**12)  # faster ones are refused
-        line, reach, shift = self._ray
-        # The greatest inertia is nearest to 0, and what begins at 0 has all heavier ones.
-        heavy = (i for i in line.intervals if i.high.value > 0.0 and i.low.value <= i.low.error)
-        held = line.holding(reach / (joint.greatest + shift)) or next(heavy, None)
-        if held is None or line.status != LineStatus.PROVED:
-            return nan
-        return max((1.0 + 4.0 * EPS) * reach / (held.high.value - held.high.error) - shift, 0.0)
-
-    def _bracketed(self, lightest: float) -> float:
-        """The least inertia that is stable with all that were tried above, or the lightest one.
-
-        1e-9 of it below, it is not proved stable. NaN if none to 2^40 times the greatest is.
-        """
-
-        def is_stable(inertia: float) -> bool:
-            return self.verdict_at(inertia) == Verdict.STABLE
-
-        high = self.joint.greatest
-        while not is_stable(high):
-            high *= 2.0
-            if high > self.joint.greatest * 2.0**40:
-                return nan
-        low = 0.5 * high
-        while is_stable(low):
-            high, low = low, 0.5 * low
-            if low < lightest:
-                return high
-        while high - low > 1e-9 * high:
-            middle = 0.5 * (low + high)
-            low, high = (low, middle) if is_stable(middle) else (middle, high)
-        return high
-
-    def spare(self, inertia: float) -> tuple[float, float, float]:
-        """By which factors kp and kd may grow, and for how many s more the delay; NaN for none."""
-        loop, (kp, kd), later = self.loop(inertia), self.gains, nan
-        if isinstance(loop, Loop) or self.control.rule or self.drifts:
-            ends = [crossing.end for crossing in ends_of_gains(_triple(loop), self.gains)]
-        else:
-            ends = crossings_of(loop.in_floats(), self.gains)[1::2]
-            later = ends[4] * self.control.sample_time
-        return ends[1] / kp if kp > 0.0 else nan, ends[3] / kd if kd > 0.0 else nan, later
-
-    @cached_property
-    def _ray(self) -> tuple[StableLine, float, float] | None:
-        """The stable gains along (kp, kd)/J, J times the place on it, and what adds to J."""
-        control, joint, (kp, kd), shift = self.control, self.joint, self.gains, 0.0
-        if control.is_inside:
-            kp, kd = kp + joint.spring, kd + joint.damping
-            if control.rule == "implicit-joint":
-                shift = control.step * joint.damping
-                control = control._replace(rule="semi-implicit")
-        elif joint.damping or joint.spring or control.jitter:
-            return None
-        alone = replace(self, control=control, joint=joint._replace(damping=0.0, spring=0.0))
-        line = stable_line(_triple(alone.loop(joint.greatest)), (0.0, 0.0), (kp, kd))
-        return line, joint.greatest, shift
-
-
-def _triple(loop: HapticLoop | Loop) -> TripleAt:
-    if isinstance(loop, Loop):
-        return partial(affine_triple, loop.parts)
-    return partial(ball_triple, loop.in_floats())
-
-
-# ----------------------------------------------------------------------------------------- answers
 def joints(
     robot: Any,
     *,
@@ -427,33 +70,34 @@ def joints(
     Raises: see ``jaxstab.conventions``; RuntimeError without MuJoCo; ValueError also for files that
     it does not read, and joints and rules of integration that are not known.
 
-    Source: the paper's eq. (9), as ``HapticLoop`` and ``simulated_pd``; MuJoCo's mass matrix.
+    Source: the paper's eq. (9), as ``HapticLoop`` and ``simulated_pd``; MuJoCo's mass matrix; B20
+    and E6 of docs/proofs.md.
 
     Example:
         >>> answer = jaxstab.joints("data/robots/arm.xml", rate=500.0, delay=2e-3)
         >>> shoulder, elbow = answer.joints.values()
         >>> shoulder.verdict, round(shoulder.kp_growth, 1), elbow.verdict
-        (<Verdict.STABLE: 1>, 13.6, <Verdict.UNSTABLE: 2>)
+        (<Verdict.STABLE: 1>, 13.5, <Verdict.UNSTABLE: 2>)
     """
-    model = _model_of(robot)
-    found = _joints_of(model, checked_count("postures", postures, 1, 100_000))
+    model = model_of(robot)
+    found = joints_of(model, checked_count("postures", postures, 1, 100_000))
     timing = {"rate": rate, "delay": delay, "jitter": jitter, "velocity": velocity}
     control = _control(model, simulated=simulated, **timing)
     given = _checked_gains({} if gains is None else gains, [*found])
     plain = Joint(True, 1.0, 1.0, 0.0, 0.0, 0.0, (1.0, 1.0), None)
-    _Question(control, plain, plain.gains).verdict_at(1.0)  # refuses timing that no joint can have
+    JointLoop(control, plain, plain.gains).verdict_at(1.0)  # refuses timing that no joint can have
     questions = {
-        name: _Question(control, own, given.get(name, own.gains)) for name, own in found.items()
+        name: JointLoop(control, own, given.get(name, own.gains)) for name, own in found.items()
     }
     source = str(robot) if isinstance(robot, str | PathLike) else "a model"
     sampled = f"at {postures} postures, with the other joints free to held; armature included"
-    inputs = GainAnswer({"robot": source, "loop": control.words, "inertia": sampled})
+    inputs = GainAnswer({"robot": source, "loop": str(control), "inertia": sampled})
     return Joints(inputs, {name: _answer(own) for name, own in questions.items()}, questions)
 
 
 def _control(
     model: Any, *, simulated: bool, rate: Any, delay: Any, jitter: Any, velocity: Any
-) -> _Control:
+) -> JointControl:
     import mujoco
 
     delay = checked_number("delay", delay, 0.0, unit="s")
@@ -467,7 +111,7 @@ def _control(
     hertz = None if is_inside else checked_number("rate", rate, 0.0, is_open=True, unit="Hz")
     period = 1.0 / hertz if hertz else step
     if not simulated:
-        return _Control(period, delay, jitter, velocity, step)
+        return JointControl(period, delay, jitter, velocity, step)
     plain = model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
     own = mujoco.mjtIntegrator(model.opt.integrator).name[6:]
     rule = "semi-implicit" if own == "EULER" and plain else _RULES.get(own)
@@ -476,7 +120,7 @@ def _control(
             f"simulated with the integrator {own}{' and jitter' * (jitter > 0.0)} is not "
             "answered; give Euler, implicit or implicitfast (RK4 beside a rate), and no jitter."
         )
-    return _Control(period, delay, jitter, velocity, step, rule, is_inside)
+    return JointControl(period, delay, jitter, velocity, step, rule, is_inside)
 
 
 _RULES = {
@@ -488,11 +132,11 @@ _RULES = {
 """The names of ``Device.simulated`` for MuJoCo's integrators."""
 
 
-def _checked_gains(gains: Any, names: list[str]) -> dict[str, Gains]:
+def _checked_gains(gains: Any, names: list[str]) -> dict[str, PD]:
     """Pairs of gains of joints that there are."""
     if not isinstance(gains, Mapping):
         raise TypeError(f"gains is {shortened(gains)}; give kp and kd by the names of joints.")
-    checked = dict[str, Gains]()
+    checked = dict[str, PD]()
     for name, pair in gains.items():
         if name not in names:
             near = get_close_matches(str(name), names, 1) or names
@@ -516,22 +160,23 @@ def _number(name: str, value: Any) -> float:
 
 def read_gains(file: str | PathLike[str]) -> Any:
     """What a YAML file holds, which ``joints`` checks; ValueError if it is not YAML."""
-    yaml = _optional("yaml")
+    yaml = optional("yaml")
     try:
-        return yaml.safe_load(text_of(file, _MOST_BYTES)) or []  # which are no gains
+        return yaml.safe_load(text_of(file, MOST_BYTES)) or []  # which are no gains
     except yaml.YAMLError as error:
         raise ValueError(f"{file} is not YAML: {' '.join(str(error).split())}.") from error
 
 
 Inertia = Annotated[float, Quantity("kg", 4, ROUND_CEILING)]
+_AT_ENDS = "at both ends of its range"
 
 
 @dataclass(frozen=True)
 class JointAnswer(Answer):
     """A joint: its inertias, the verdict on its gains, and what is left of them.
 
-    In kg m^2, N m/rad and N m s/rad, of a slide in kg, N/m and N s/m. Growth and extra delay are
-    the lesser of both ends of the range, at the longest delay; NaN where not stable.
+    In kg m^2, N m/rad and N m s/rad, of a slide in kg, N/m and N s/m. Growth and extra delay are at
+    the longest delay, as a constant one; NaN where not stable.
 
     Attributes:
         motion: "turns" or "slides".
@@ -541,7 +186,9 @@ class JointAnswer(Answer):
         kp, kd: None where there are none.
         verdict: for every inertia; a text where nothing is asked, or nothing holds the position.
         kp_growth, kd_growth: the factor by which one gain may grow alone.
-        extra_delay: by how many s the delay may be longer; None in a simulation.
+        growth_is: "for every inertia" where growth is proved so, else "at both ends of its range".
+        extra_delay: by how many s the delay may be longer at both ends of the range; None in a
+            simulation.
         least_inertia: from which on the gains are stable, or the least tried; NaN from none.
         missing_armature: what the least inertia of the joint lacks of that.
 
@@ -563,6 +210,7 @@ class JointAnswer(Answer):
     verdict: Verdict | str
     kp_growth: SpareGain | None = None
     kd_growth: SpareGain | None = None
+    growth_is: str | None = None
     extra_delay: SpareTime | None = None
     least_inertia: Inertia | None = None
     missing_armature: Inertia | None = None
@@ -613,7 +261,7 @@ class Joints(Answer):
 
     inputs: GainAnswer
     joints: dict[str, JointAnswer]
-    questions: dict[str, _Question] = field(repr=False)
+    questions: dict[str, JointLoop] = field(repr=False)
 
     @property
     def all_stable(self) -> bool:
@@ -640,7 +288,7 @@ class Joints(Answer):
     def as_yaml(self) -> str:
         """The safe gains as a YAML file."""
         head = f"# {self.inputs.values['loop']}\n# The doubles of these gains are proved, too.\n"
-        return head + str(_optional("yaml").safe_dump(self.safe_gains(), sort_keys=False))
+        return head + str(optional("yaml").safe_dump(self.safe_gains(), sort_keys=False))
 
     def rows(self) -> list[list[Any]]:
         """All values for a CSV file, a row for each joint."""
@@ -651,8 +299,10 @@ class Joints(Answer):
 
     def __str__(self) -> str:
         answers = self.joints.values()
-        given = {name for own in answers for (name,), _ in own._entries()}
+        given = {name for own in answers for (name,), _ in own._entries()} - {"growth_is"}
         names = [each.name for each in fields(JointAnswer) if each.name in given]
+        at_ends = ["extra delay"] * ("extra_delay" in given)
+        at_ends += [f"growth of {x}" for x, own in self.joints.items() if own.growth_is == _AT_ENDS]
         rows = [[name, *map(own._cell, names)] for name, own in self.joints.items()]
         robot, loop, sampled = self.inputs.values.values()
         return "\n".join(
@@ -661,7 +311,8 @@ class Joints(Answer):
                 table_text([["joint", *(name.replace("_", " ") for name in names)], *rows]),
                 "Turning in kg m^2, N m/rad, N m s/rad and N m, sliding in kg, N/m, N s/m and N.",
                 f"Inertia: sampled {sampled}.",
-                "Stable: proved for every inertia of the range, one joint at a time.",
+                "Stable, growth: proved for every inertia of the range, one joint at a time.",
+                *([f"Of both ends of the range alone: {', '.join(at_ends)}."] if at_ends else []),
             ]
         )
 
@@ -669,27 +320,34 @@ class Joints(Answer):
         return (entry for entry in super()._entries() if entry[0][0] != "questions")
 
 
-def _answer(question: _Question) -> JointAnswer:
-    joint, control, gains = question.joint, question.control, question.gains
+def _answer(question: JointLoop) -> JointAnswer:
+    joint, has_gains = question.joint, any(question.gains)
     motion, inertia = "turns" if joint.turns else "slides", (joint.least, joint.greatest)
-    kp, kd = gains if any(gains) else (None, None)
-    facts = motion, inertia, joint.damping, joint.friction, kp, kd
-    if joint.reason or kp is None:
-        return JointAnswer(*facts, joint.reason or "no gains")
+    kp, kd = question.gains if has_gains else (None, None)
+    words = joint.reason or "no gains"
+    answer = JointAnswer(motion, inertia, joint.damping, joint.friction, kp, kd, words)
+    if joint.reason or not has_gains:
+        return answer
     try:
         code, least = question.verdict(), question.least_inertia()
         is_stable = code == Verdict.STABLE
-        spare = [question.spare(own) for own in inertia] if is_stable else [(nan, nan, nan)]
+        *growth, later, is_proved = question.spare() if is_stable else (nan, nan, nan, False)
     except ValueError as error:  # of numbers that are too large or small to compute with
-        return JointAnswer(*facts, str(error), nan)
-    verdict = BUT_FOR_DRIFT if is_stable and question.drifts else code
-    kp_growth, kd_growth, later = map(min, zip(*spare, strict=True))
-    missing = max(least - joint.least, 0.0) if isfinite(least) else nan
-    delay = None if control.rule else later
-    return JointAnswer(*facts, verdict, kp_growth, kd_growth, delay, least, missing)
+        return replace(answer, verdict=str(error), kp_growth=nan)
+    words = "for every inertia" if is_proved else _AT_ENDS
+    return replace(
+        answer,
+        verdict=BUT_FOR_DRIFT if is_stable and question.drifts else code,
+        kp_growth=growth[0],
+        kd_growth=growth[1],
+        growth_is=words if is_stable else None,
+        extra_delay=None if question.control.rule else later,
+        least_inertia=least,
+        missing_armature=max(least - joint.least, 0.0) if isfinite(least) else nan,
+    )
 
 
-def _safe(question: _Question) -> Gains | None:
+def _safe(question: JointLoop) -> PD | None:
     """Gains of which the doubles are stable, too: the first of a sequence of halves."""
     joint, period = question.joint, question.control.sample_time
     critical = joint.least / period**2, 2.0 * joint.least / period

@@ -1,0 +1,184 @@
+"""Robot files: the joints of MJCF and URDF, as MuJoCo reads them.
+
+MuJoCo gives the mass matrix M of a posture. One joint under kp and kd, the others without torque,
+moves as an inertia 1/(M^-1)_ii; with the others held as M_ii, which is never less. Both are sampled
+over postures; armature is in M, and adds to both (Sherman, Morrison). Joints that move only with
+others are named with the reason.
+"""
+
+from copy import copy
+from importlib import import_module
+from math import inf, pi
+from os import PathLike
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from jaxstab.loop.joint import PD, Joint
+from jaxstab.shown import shortened
+from jaxstab.tables import text_of
+
+_SEED = 55  # of the postures
+MOST_BYTES = 100_000_000
+"""Of a file."""
+
+
+def model_of(robot: Any) -> Any:
+    """The model of a file, or a copy of one; of URDF neither shapes nor meshes are read."""
+    mujoco = optional("mujoco")
+    if isinstance(robot, mujoco.MjModel):
+        return copy(robot)
+    if not isinstance(robot, str | PathLike):
+        raise TypeError(f"robot is {shortened(robot)}; give a file name or a mujoco.MjModel.")
+    try:
+        root = ElementTree.fromstring(text_of(robot, MOST_BYTES))
+        if root.tag != "robot":
+            return mujoco.MjModel.from_xml_path(str(robot))
+        for link in root.iter("link"):
+            for shape in [*link.findall("visual"), *link.findall("collision")]:
+                link.remove(shape)
+        return mujoco.MjModel.from_xml_string(ElementTree.tostring(root, encoding="unicode"))
+    except (ElementTree.ParseError, ValueError) as error:
+        words = " ".join(str(error).split()).rstrip(".")
+        raise ValueError(f"MuJoCo reads no robot from {robot}: {words}.") from error
+
+
+def optional(name: str) -> Any:
+    """A package of the extra ``robots``; RuntimeError without it."""
+    try:
+        return import_module(name)
+    except ImportError as error:
+        raise RuntimeError(
+            f"robot files need the package {name}: python -m pip install 'jaxstab[robots]'."
+        ) from error
+
+
+def joints_of(model: Any, postures: int) -> dict[str, Joint]:
+    """The joints by their names, with their inertias over postures."""
+    import mujoco
+
+    least, greatest = _inertias(model, postures)
+    reasons, joints = _reasons(model), {}
+    for index, kind in enumerate(model.jnt_type.tolist()):
+        own, place = model.joint(index), model.jnt_dofadr[index]
+        gains, damping = _actuators(model, index)
+        joints[own.name or f"joint {index}"] = Joint(
+            kind != mujoco.mjtJoint.mjJNT_SLIDE,
+            float(least[place]),
+            float(greatest[place]),
+            float(model.dof_damping[place]) + damping,
+            float(model.jnt_stiffness[index]),
+            float(model.dof_frictionloss[place]),
+            gains,
+            reasons.get(index),
+        )
+    return joints
+
+
+def _actuators(model: Any, joint: int) -> tuple[PD, float]:
+    """The gains of the position and velocity actuators of a joint, and the damping they add."""
+    import mujoco
+
+    places = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+    own = np.isin(model.actuator_trntype, [*map(int, places)]) & (
+        model.actuator_trnid[:, 0] == joint
+    )
+    gear = model.actuator_gear[own, 0] ** 2  # of the angle, and of the torque
+    damping = getattr(model, "actuator_damping", np.zeros(model.nu))[own]  # new versions have it
+    is_pd = model.actuator_biastype[own] == int(mujoco.mjtBias.mjBIAS_AFFINE)
+    kp, kd = -(gear * is_pd) @ model.actuator_biasprm[own, 1:3]
+    return (float(kp) + 0.0, float(kd) + 0.0), float(gear @ damping)
+
+
+def _reasons(model: Any) -> dict[int, str]:
+    """Why joints are not answered for: several of them, or several axes, move together."""
+    import mujoco
+
+    kinds, ways, along = mujoco.mjtJoint, mujoco.mjtEq, _along_tendons(model)
+    reasons = dict[int, str]()
+    driven = model.actuator_trnid[model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_TENDON), 0]
+    for index in range(model.ntendon):
+        if index in driven or model.tendon_stiffness[index] or model.tendon_damping[index]:
+            words = f"tendon {model.tendon(index).name or index} moves it with other joints"
+            reasons |= dict.fromkeys(along[index], words)
+    for index in np.flatnonzero(model.eq_active0).tolist():
+        kind, pair = int(model.eq_type[index]), (model.eq_obj1id[index], model.eq_obj2id[index])
+        ends, words = [end for end in map(int, pair) if end >= 0], "ties it to another joint"
+        tied = {*ends} if kind == ways.mjEQ_JOINT else set[int]()
+        if kind == ways.mjEQ_TENDON:
+            tied = tied.union(*(along[end] for end in ends))
+        elif kind in (ways.mjEQ_CONNECT, ways.mjEQ_WELD):
+            if int(model.eq_objtype[index]) == mujoco.mjtObj.mjOBJ_SITE:
+                ends = model.site_bodyid[ends].tolist()
+            first, second = (_above(model, body) for body in ends)
+            tied, words = first ^ second, "closes a chain that it is in"
+        words = f"equality {model.equality(index).name or index} {words}"
+        reasons |= dict.fromkeys(tied, words)
+    several = {kinds.mjJNT_FREE: "it moves freely", kinds.mjJNT_BALL: "a ball, of three axes"}
+    types = enumerate(map(kinds, model.jnt_type.tolist()))
+    return reasons | {index: several[kind] for index, kind in types if kind in several}
+
+
+def _above(model: Any, body: int) -> set[int]:
+    """The joints between the world and a body."""
+    joints = set[int]()
+    while body:
+        start = int(model.body_jntadr[body])
+        joints |= {*range(start, start + int(model.body_jntnum[body]))}
+        body = int(model.body_parentid[body])
+    return joints
+
+
+def _along_tendons(model: Any) -> list[set[int]]:
+    """The joints that change the length of each tendon, next to some posture."""
+    import mujoco
+
+    data, near = mujoco.MjData(model), 1e-4
+    here, lengths = _posture(model, np.random.default_rng(_SEED)), list[np.ndarray]()
+    for place in (0, *model.jnt_qposadr.tolist()):
+        data.qpos[:] = here
+        data.qpos[place] += near if lengths else 0.0
+        mujoco.mj_fwdPosition(model, data)
+        lengths.append(data.ten_length.copy())
+    changes = np.abs(np.array(lengths[1:]) - lengths[0]) > 1e-6 * near
+    return [{*np.flatnonzero(changed).tolist()} for changed in changes.T]
+
+
+def _inertias(model: Any, postures: int) -> tuple[np.ndarray, np.ndarray]:
+    """The least 1/(M^-1)_ii and the greatest M_ii over postures, the file's own among them."""
+    import mujoco
+
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    data, rng, units = mujoco.MjData(model), np.random.default_rng(_SEED), np.eye(model.nv)
+    mass, (least, greatest) = np.zeros_like(units), (np.full(model.nv, inf), np.zeros(model.nv))
+    for number in range(postures):
+        data.qpos[:] = _posture(model, rng) if number else model.qpos0
+        mujoco.mj_fwdPosition(model, data)
+        for row, unit in zip(mass, units, strict=True):
+            mujoco.mj_mulM(model, data, row, unit)
+        least = np.minimum(least, 1.0 / np.diag(np.linalg.inv(mass)))
+        greatest = np.maximum(greatest, np.diag(mass))
+    if not (model.nv and np.all((least > 0.0) & np.isfinite(greatest))):
+        raise ValueError(
+            "the robot has no joint, or its mass matrix is not positive; give one that moves, with "
+            "masses and inertias of all bodies."
+        )
+    return np.minimum(least, greatest), greatest
+
+
+def _posture(model: Any, rng: np.random.Generator) -> np.ndarray:
+    """Joints anywhere in their ranges, hinges without one anywhere in a turn."""
+    import mujoco
+
+    place, kinds = model.qpos0.copy(), mujoco.mjtJoint
+    for index, kind in enumerate(model.jnt_type.tolist()):
+        at = model.jnt_qposadr[index]
+        if kind == kinds.mjJNT_BALL:
+            turn = rng.standard_normal(4)
+            place[at : at + 4] = turn / np.linalg.norm(turn)
+        elif model.jnt_limited[index] and kind != kinds.mjJNT_FREE:
+            place[at] = rng.uniform(*model.jnt_range[index])
+        elif kind == kinds.mjJNT_HINGE:
+            place[at] = rng.uniform(-pi, pi)
+    return place

@@ -1,0 +1,102 @@
+"""Verdicts on all values of two numbers, against roots of NumPy on grids, and a closed form."""
+
+from collections import Counter
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+from campaign import many
+from flint import arb, arb_poly, fmpq
+
+from jaxstab.conventions import Verdict
+from jaxstab.exact.ranges import Axis, stable_over
+from jaxstab.model.balls import Factored
+
+
+class Family:
+    """p(z) with random coefficients that are polynomials in 1/(1 + a) and b."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        pairs, powers = int(rng.integers(1, 4)), rng.integers(1, 4, 2)
+        roots = rng.uniform(0.2, 0.98, pairs) * np.exp(1j * rng.uniform(0.0, np.pi, pairs))
+        middle = np.real(np.poly([*roots, *roots.conj()])[::-1])
+        spread = 10 ** rng.uniform(-3.0, -0.5)
+        self.parts = spread * rng.standard_normal((*(powers + 1), len(middle)))
+        self.parts[..., -1] = 0.0  # it is monic
+        self.parts[0, 0] = middle
+        self.ends = [(float(rng.uniform(0.05, 0.5)), float(rng.uniform(0.5, 1.0))) for _ in "ab"]
+
+    def verdict(self) -> Verdict:
+        degrees = [size - 1 for size in self.parts.shape[:2]]
+        first = Axis(*self.ends[0], degrees[0], lambda a: 1 / (1 + a))
+        return stable_over(self.balls, first, Axis(*self.ends[1], degrees[1]))
+
+    def balls(self, *pair: float) -> Factored:
+        a, b = (fmpq(*Fraction(value).as_integer_ratio()) for value in pair)
+        total = arb_poly([])
+        for i, j in np.ndindex(self.parts.shape[:2]):
+            total += arb_poly(self.parts[i, j].tolist()) * arb((1 / (1 + a)) ** i * b**j)
+        return Factored(total)
+
+    def largest_radius(self, count: int) -> float:
+        def radius(a: float, b: float) -> float:
+            ways: Any = ((1.0 / (1.0 + a)) ** np.arange(9), b ** np.arange(9))
+            ways = [way[:size] for way, size in zip(ways, self.parts.shape, strict=False)]
+            return float(np.abs(np.roots(np.einsum("i,j,ijk", *ways, self.parts)[::-1])).max())
+
+        first, second = (np.linspace(*ends, count).tolist() for ends in self.ends)
+        return max(radius(a, b) for a in first for b in second)
+
+
+def judged(count: int) -> Counter[Verdict]:
+    found = Counter[Verdict]()
+    for seed in range(count):
+        family = Family(np.random.default_rng([6, seed]))
+        verdict, largest = family.verdict(), family.largest_radius(13)
+        found[verdict] += 1
+        assert verdict != Verdict.STABLE or largest < 1.0, seed
+        assert verdict != Verdict.UNSTABLE or max(largest, family.largest_radius(61)) > 0.999, seed
+    return found
+
+
+def test_verdicts_over_rectangles_are_those_of_roots() -> None:
+    found = judged(12)
+    assert min(found[Verdict.STABLE], found[Verdict.UNSTABLE]) >= 3
+
+
+@pytest.mark.campaign
+def test_verdicts_over_many_rectangles_are_those_of_roots() -> None:
+    found = judged(count := many(400, small=40))
+    assert found[Verdict.UNDECIDED] <= 0.02 * count
+
+
+@pytest.mark.parametrize("side", [1.0 - 1e-6, 1.0 + 1e-6])
+def test_the_corner_of_a_triangle_is_met(side: float) -> None:
+    """z^2 + a z + b: stable where |a| < 1 + b and |b| < 1."""
+
+    def p(a: float, b: float) -> Factored:
+        return Factored(arb_poly([b, a, 1]))
+
+    verdict = stable_over(p, Axis(0.25, 1.5 * side), Axis(0.5, 0.75))
+    assert verdict == (Verdict.STABLE if side < 1.0 else Verdict.UNSTABLE)
+
+
+def test_a_root_outside_of_all_corners_and_nodes_is_found() -> None:
+    """z^2 + a z + b, a from 0 to 1.9 and back: 1 + b - a is negative next to the middle alone."""
+
+    def p(x: float, _: float) -> Factored:
+        t = fmpq(*Fraction(x).as_integer_ratio()) - 1
+        return Factored(arb_poly([arb(0.75), arb(fmpq(1751, 1000) * 4 * t * (1 - t)), arb(1)]))
+
+    assert stable_over(p, Axis(1.0, 2.0, 2), Axis(1.0, 1.0)) == Verdict.UNSTABLE
+
+
+def test_a_range_as_narrow_as_rounding_is_proved() -> None:
+    """z^2 + a z + b at |a| < 1 + b."""
+
+    def p(a: float, b: float) -> Factored:
+        return Factored(arb_poly([b, a, 1]))
+
+    a, b = Axis(1.0, float(np.nextafter(1.0, 2.0)), 3), Axis(0.5, 0.5)
+    assert stable_over(p, a, b) == Verdict.STABLE
