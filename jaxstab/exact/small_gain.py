@@ -22,16 +22,15 @@ for all angles. R and |H|^2 are cosine sums, so the left side is one.
 
 from collections.abc import Callable
 from math import floor
-from typing import TYPE_CHECKING
+
+import flint
+from flint import arb, arb_poly
 
 from jaxstab.conventions import Status
 from jaxstab.exact.circle import is_positive
 from jaxstab.exact.verdict import roots_outside
 from jaxstab.model.balls import BallLoop, Factored
 from jaxstab.model.device.parts import decided
-
-if TYPE_CHECKING:
-    from flint import arb, arb_poly
 
 
 class SmallGainStatus(Status):
@@ -53,7 +52,6 @@ def small_gain(
         late: the coefficients of Q, as ``late_cosines`` has them.
         stiffness, damping: see ``jaxstab.conventions``.
     """
-    import flint
 
     def answer() -> SmallGainStatus | None:
         parts = loop()
@@ -110,8 +108,6 @@ def largest_jitter(
 
 def squared(p: Factored) -> "list[arb]":
     """The coefficients of |p|^2 = s_0 + 2 s_1 cos(theta) + 2 s_2 cos(2 theta) + ..."""
-    from flint import arb_poly
-
     rising = p._replace(power=0).polynomial().coeffs()
     product = arb_poly(rising) * arb_poly(rising[::-1])
     return [product[len(rising) - 1 + lag] for lag in range(len(rising))]
@@ -124,14 +120,10 @@ def _times(a: "list[arb]", b: "list[arb]") -> "list[arb]":
 
 
 def _mirrored(s: "list[arb]") -> "arb_poly":
-    from flint import arb_poly
-
     return arb_poly([*s[:0:-1], *s])
 
 
 def _less(a: "list[arb]", b: "list[arb]") -> "list[arb]":
-    from flint import arb_poly
-
     difference = arb_poly(a) - arb_poly(b)
     return [difference[k] for k in range(max(len(a), len(b)))]
 
@@ -144,8 +136,6 @@ def is_passive(alpha: float, beta: float, delta: float, delay: float) -> bool:
         >>> is_passive(1.9, 0.0, delta=1.0, delay=0.0), is_passive(2.1, 0.0, delta=1.0, delay=0.0)
         (True, False)
     """
-    from flint import arb
-
     whole = floor(delay)
 
     def answer() -> bool | None:
