@@ -297,7 +297,7 @@ def test_the_roots_of_a_dense_grid_are_corrected_and_proved_by_one_kernel(delay:
     """More than one write what they share to memory, and take two to four times as long."""
     loop = jax.tree.map(
         jax.numpy.asarray,
-        dominance._loop([np.full(shape, 0.1) for shape in ((64, 1), (1, 64), (1,), (1,))], delay),
+        dominance.loop_of([np.full(shape, 0.1) for shape in ((64, 1), (1, 64), (1,), (1,))], delay),
     )
     degree = jaxstab.model.polynomial_degree(delay)
     program = jax.jit(lambda t, loop: dominance.polished(t, loop, degree=degree, corrections=2))
