@@ -279,7 +279,9 @@ class AdmittanceParts(AffineParts):
     def triple(self) -> Triple:
         """The parts of p(z), by M and D."""
         wall, below = self._wall_and_below()
-        return Triple.from_parts(wall, self._inertial(below), below.times(self._rates()[0]))
+        inertia = flint.fmpq_poly([1, -2, 1]) / exact(self.sample_time)
+        by_mass = below.times(Factored.from_rational(inertia))
+        return Triple.from_parts(wall, by_mass, below.times(self._rates()[0]))
 
     def in_units(self) -> tuple["AdmittanceParts", tuple[float, float]]:
         """The same loop with T = 1 and Ke = 1, and what 1 of its M and D is."""
@@ -310,10 +312,6 @@ class AdmittanceParts(AffineParts):
         if self.stiffness:
             wall = wall.plus(below.times(position).scaled(self.stiffness))
         return wall, below
-
-    def _inertial(self, below: Factored) -> Factored:
-        inertia = flint.fmpq_poly([1, -2, 1]) / exact(self.sample_time)
-        return below.times(Factored.from_rational(inertia))
 
 
 # -------------------------------------------------------------------------------------------- PID
@@ -367,7 +365,10 @@ class CouplingParts(AffineParts):
 
     def triple(self) -> Triple:
         """The parts of p(z) without the common motion, by stiffness and damping."""
-        (n1, d1, lag1, v1), (n2, d2, lag2, v2) = self._plants()
+        (n1, d1, lag1, v1), (n2, d2, lag2, v2) = (
+            plant_in_balls(device, self.sample_time, delay)
+            for device, delay in zip(self.devices, self.delays_samples, strict=True)
+        )
         shared, drift = min(lag1, lag2), min(d1.at_one, d2.at_one)
         first, second = (d.divided(0, drift, 0) for d in (d1, d2))
 
@@ -379,12 +380,6 @@ class CouplingParts(AffineParts):
         whole = Plant(both(n1, n2), d1.times(second), max(lag1, lag2), velocity)
         filters = given_filters(self.velocity, None) or NO_FILTERS
         return BallLoop.from_plant(whole, self.sample_time, filters).triple
-
-    def _plants(self) -> list[Plant]:
-        return [
-            plant_in_balls(device, self.sample_time, delay)
-            for device, delay in zip(self.devices, self.delays_samples, strict=True)
-        ]
 
 
 def _late(part: Factored, samples: int) -> Factored:
