@@ -33,7 +33,7 @@ WITHOUT_ARRAYS = {
     *(f"HapticLoop.{method}" for method in ("region", "limits", "tune", "robust_limit")),
 }
 
-WITH_FLINT = {  # single walls, lines of walls and regions are in balls, filters in exact numbers
+WITH_FLINT = {  # loops, lines of walls and regions are in balls, filters in exact numbers
     *("amplitude", "limits_of", "margins", "paper.linear_validity"),
     *("regions_of", "robust_region", "stable_region", "tune_for_all"),
     *(f"HapticLoop.{walls}" for walls in ("amplitude", "jitter_margin", "margins", "oscillation")),
@@ -43,7 +43,13 @@ WITH_FLINT = {  # single walls, lines of walls and regions are in balls, filters
     *(f"HapticLoop.{line}" for line in ("damping_intervals", "stiffness_intervals")),
     *("HapticLoop.boundary_distance", "HapticLoop.robust_limit", "HapticLoop.worst_hand"),
     *("HapticLoop.contact", "HapticLoop.frequency_margins", "HapticLoop.range_of"),
-    *("HapticLoop.tune", "contact_map", "minimize_radius", "minimize_settling"),
+    *(
+        "HapticLoop.simulate",
+        "HapticLoop.tune",
+        "contact_map",
+        "minimize_radius",
+        "minimize_settling",
+    ),
 }
 
 WITHOUT_JAX = """
@@ -291,7 +297,7 @@ def test_the_roots_of_a_dense_grid_are_corrected_and_proved_by_one_kernel(delay:
     """More than one write what they share to memory, and take two to four times as long."""
     loop = jax.tree.map(
         jax.numpy.asarray,
-        dominance._loop([np.full(shape, 0.1) for shape in ((64, 1), (1, 64), (1,), (1,))], delay),
+        dominance.loop_of([np.full(shape, 0.1) for shape in ((64, 1), (1, 64), (1,), (1,))], delay),
     )
     degree = jaxstab.model.polynomial_degree(delay)
     program = jax.jit(lambda t, loop: dominance.polished(t, loop, degree=degree, corrections=2))

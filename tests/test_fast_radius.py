@@ -245,7 +245,7 @@ def test_a_loop_of_long_steps_has_about_the_dominant_root(
     rng: np.random.Generator, delay: float
 ) -> None:
     alpha, beta = gains_around_the_stable_set(rng, delay, 200)
-    loop = dominance._loop([alpha, beta, np.asarray(1e-3), np.asarray(0.015)], delay)
+    loop = dominance.loop_of([alpha, beta, np.asarray(1e-3), np.asarray(0.015)], delay)
     degree = jaxstab.model.polynomial_degree(delay)
     loop = jax.tree.map(jnp.asarray, loop)
     effort = dominance.Effort(doublings=10, corrections=0, longest_list=1, steps=8)

@@ -131,7 +131,7 @@ def test_at_a_root_rounding_alone_is_the_distance(degree: int, root: float) -> N
 def test_the_rounding_of_a_value_and_a_slope_is_that_of_lemma_r1(fraction: float) -> None:
     """(4 (n - 2) + 30) u of all terms without their signs, and of the derivatives of these."""
     delay = 6.0 + fraction
-    loop = dominance._loop([np.array([v]) for v in (-0.1, 0.1, 0.5, 0.3)], delay)
+    loop = dominance.loop_of([np.array([v]) for v in (-0.1, 0.1, 0.5, 0.3)], delay)
     degree = polynomial_degree(delay)
     linear, constant = (float(c[0]) for c in loop.denominator)
     numerator = [abs(float(c[0])) for c in loop.numerator]

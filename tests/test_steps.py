@@ -251,7 +251,7 @@ def test_roots_outside_of_any_circle_are_counted(array: Callable[..., Any], dela
         moduli = sorted(abs(root) for root in truth.roots(alpha, beta, gamma, delta, delay))
         near = [float(m * (1 + sign * off)) for m in moduli[-3:] for sign, off in NEAR]
         radii = np.array([float(mpmath.sqrt(a * b)) for a, b in pairwise(moduli[-4:])] + near)
-        loop = dominance._loop([array([x]) for x in (alpha, beta, gamma, delta)], delay)
+        loop = dominance.loop_of([array([x]) for x in (alpha, beta, gamma, delta)], delay)
         chain, ends = dominance._circle(array(radii - 1.0), array(1e-14), loop, degree)
         counts = zeros_outside(chain, ends, UNIT, degree)
         exact = [sum(m > 1 + mpmath.mpf(float(t)) for m in moduli) for t in radii - 1.0]
@@ -314,7 +314,7 @@ def test_the_distance_of_a_dominant_root_is_little_more_than_what_newton_correct
         roots = mpmath.polyroots(falling[::-1], maxsteps=200, extraprec=200, asc=True)
         largest = max((r for r in roots if r.imag >= 0), key=abs)
     root = complex(largest) - 1.0 + off
-    loop = dominance._loop([np.array([x]) for x in (alpha, beta, gamma, delta)], delay)
+    loop = dominance.loop_of([np.array([x]) for x in (alpha, beta, gamma, delta)], delay)
     degree = 3 + int(delay)
     t = fields.Complex(np.array([root.real]), np.array([root.imag]))
     (bound,) = dominance.with_distance(t, loop, degree)[1]

@@ -15,9 +15,10 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from functools import lru_cache, partial
 from math import nan
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from flint import acb, acb_poly, arb, arb_poly, ctx
 from jaxtyping import Bool, Complex128, Float64
 
 from jaxstab.exact.line import StableLine, real_quotient_angles, stable_pencil
@@ -26,9 +27,6 @@ from jaxstab.model import LoopParameters
 from jaxstab.model.affine import AffineParts, affine_triple
 from jaxstab.model.balls import BallLoop, Factored, Triple, ball_loop
 from jaxstab.model.device.parts import FIRST_BITS, MOST_BITS, decided, remembered, working_precision
-
-if TYPE_CHECKING:
-    from flint import acb, arb, arb_poly
 
 Angles = Float64[np.ndarray, " _"]
 
@@ -170,8 +168,6 @@ def curve_around(
     |N|^2 det, whose quotients are alpha and beta: nothing is left to cancel. For |u| < 1/(2 degree)
     what is cut off is below 2^-96 of the sizes of the parts.
     """
-    from flint import acb, acb_poly, arb
-
     found = []
     with _enough_bits(loop):
         factors = [part.polynomial().coeffs() for part in _factors(loop)]
@@ -189,8 +185,6 @@ def curve_around(
 
 def _in_u(rising: "list[arb]", turn: "acb") -> "list[acb]":
     """Return a polynomial of z = turn e^(iu) in powers of u."""
-    from flint import acb
-
     terms, power = [], acb(1)
     for c in rising:
         terms.append(c * power)
@@ -212,8 +206,6 @@ def undamped_modes(
     what rounding took from it beside it.
     """
     newton_steps = 8
-    from flint import acb, acb_poly
-
     angles = []
     with _enough_bits(loop):
         below = acb_poly(loop.balls().denominator.polynomial())
@@ -289,16 +281,12 @@ def _turn(loop: ScaledLoop, at_root: Callable[[], _Kept]) -> float | None:
 
 
 def _at_end(loop: ScaledLoop, place: int) -> _Kept:
-    from flint import arb_poly
-
     b, s, r = (part.at_end(place) for part in loop.triple())
     one = arb_poly([1])
     return _Kept(b, s, r, Factored(one, at_one=1) if place == 1 else Factored(one, at_minus_one=1))
 
 
 def _at_pole(loop: ScaledLoop, pole: float) -> _Kept:
-    from flint import acb, arb, arb_poly
-
     known = _pole_at(loop, pole)
     angle = arb(pole) if known is None else known
     z = acb(0, angle).exp()
@@ -311,8 +299,6 @@ def _at_pole(loop: ScaledLoop, pole: float) -> _Kept:
 
 def _start_and_along(kept: _Kept) -> "tuple[tuple[arb, arb], tuple[arb, arb]] | tuple[()] | None":
     """Return where a line starts and where it leads; () if there is none, None for more bits."""
-    from flint import arb
-
     b, s, r = kept[:3]
     if s == 0:
         if r == 0:
@@ -376,8 +362,6 @@ def _real_poles(loop: ScaledLoop, parts: CurveParts) -> list[float]:
 
 
 def _is_real(loop: ScaledLoop, angle: float) -> bool:
-    from flint import acb
-
     pole = _pole_at(loop, angle)
     if pole is None:
         return False
@@ -396,8 +380,6 @@ def others_inside(loop: ScaledLoop, angles: Angles, low: Angles) -> Bool[np.ndar
     known: dict[int, list[arb_poly]] = {}
 
     def parts() -> "list[arb_poly]":
-        from flint import ctx
-
         if ctx.prec not in known:
             known[ctx.prec] = [part.polynomial() for part in loop.triple()]
         return known[ctx.prec]
@@ -413,8 +395,6 @@ def others_inside(loop: ScaledLoop, angles: Angles, low: Angles) -> Bool[np.ndar
 def _is_inside(
     parts: "Callable[[], list[arb_poly]]", angle: float, low: float
 ) -> tuple[bool, int] | None:
-    from flint import acb, arb, arb_poly, ctx
-
     base, stiffness, damping = parts()
     theta = arb(angle) + arb(low)
     z = acb(0, theta).exp()

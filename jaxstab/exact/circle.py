@@ -39,13 +39,12 @@ is asked for; else the answer is that more bits are needed.
 """
 
 from itertools import cycle
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
+
+from flint import acb, arb, arb_mat, arb_poly, ctx, fmpq
 
 from jaxstab.exact.roots import real_roots, sign_of
 from jaxstab.model.device.parts import remembered
-
-if TYPE_CHECKING:
-    from flint import arb, arb_mat, arb_poly
 
 _OVERLAP = 9  # a cell reaches to 9/8 of its share: the ends of shares may be moved by 1/8
 
@@ -85,8 +84,6 @@ def is_positive(cosines: "list[arb]") -> bool | None:
 
 def _by_powers(cosines: "list[arb]") -> list[Zero] | None:
     """The zeros from roots in x = 2 cos(theta); None where they are not told apart."""
-    from flint import arb_poly
-
     x, before, power = arb_poly([0, 1]), arb_poly([2]), arb_poly([0, 1])  # 2 cos(k theta)
     total = arb_poly([cosines[0]])
     for c in cosines[1:]:
@@ -126,8 +123,6 @@ class _Cells:
     """A cosine sum on equal cells of the half circle."""
 
     def __init__(self, cosines: "list[arb]") -> None:
-        from flint import arb
-
         self.cosines = cosines
         self.degree = len(cosines) - 1
         self.count = 1 << (2 * self.degree - 1).bit_length()
@@ -142,14 +137,10 @@ class _Cells:
 
     def angle(self, cell: int, t: "arb") -> "arb":
         """The angle at t of a cell, from -1 to 1."""
-        from flint import arb
-
         return arb.pi() * (2 * cell + 1) / (2 * self.count) + self.half * t
 
     def polynomials(self, chosen: list[int]) -> "dict[int, _Part]":
         """The Taylor polynomials of cells, in t."""
-        from flint import arb, arb_mat, arb_poly
-
         if not chosen:
             return {}
         even, odd, last = _weights(self.degree, self.count)
@@ -189,8 +180,6 @@ class _Part(NamedTuple):
     @classmethod
     def of(cls, p: "arb_poly", missed: "arb") -> "_Part":
         """The part of a polynomial."""
-        from flint import arb, arb_poly
-
         slope = p.derivative()
         bend = slope.derivative() * arb(0.5)
         third = arb_poly([c.abs_upper() / 3 for c in bend.derivative().coeffs()])
@@ -207,8 +196,6 @@ class _Part(NamedTuple):
 
     def on_closely(self, centre: "arb", half: "arb") -> tuple[bool, bool]:
         """The same by all terms."""
-        from flint import arb, arb_poly
-
         f, slope, *others = self.value(arb_poly([centre, half])).coeffs()
         sizes = [abs(c) for c in others]
         bend = sum((k * size for k, size in enumerate(sizes, start=2)), arb(0))
@@ -231,8 +218,6 @@ class _End(NamedTuple):
 
     def of_cell(self, cell: int) -> "tuple[arb, int]":
         """The end as a place of one of its cells, and the sign."""
-        from flint import arb
-
         return arb((64 if cell < self.number else -64) + self.moved) / 72, self.sign
 
 
@@ -263,8 +248,6 @@ def _sign_on_cell(cells: _Cells, cell: int) -> int:
 
 def _isolated(part: _Part, first: "tuple[arb, int]", last: "tuple[arb, int]") -> list[Zero] | None:
     """The zeros of a part between two places with their signs, from left to right, in t."""
-    from flint import arb, ctx
-
     most_halvings = 96
     found: list[Zero] = []
     shortest = arb(2) ** -min(ctx.prec // 3, most_halvings)
@@ -308,8 +291,6 @@ def _known_place(part: _Part, a: "arb", b: "arb") -> "tuple[arb, int]":
 def _refined(part: _Part, a: "arb", b: "arb", sign_b: int) -> Zero | None:
     """The zero of a monotone part with unlike signs at its ends."""
     refinements = 80
-    from flint import arb, ctx
-
     low, high = a.mid(), b.mid()
     x, smallest = ((low + high) / 2).mid(), arb(2) ** -ctx.prec
     for _ in range(refinements):
@@ -334,8 +315,6 @@ def _refined(part: _Part, a: "arb", b: "arb", sign_b: int) -> Zero | None:
 
 def _sums(even: "list[arb]", odd: "list[arb]", cells: int) -> "list[list[arb]]":
     """Sums of ``even`` times cos(k theta), of ``odd`` times -sin(k theta), at middles of cells."""
-    from flint import acb
-
     roots = _roots_of_unity(4 * cells)
     given = [
         acb(a, b) * acb(z[0], -z[1]) for a, b, z in zip(even, odd, roots[: len(even)], strict=True)
@@ -347,8 +326,6 @@ def _sums(even: "list[arb]", odd: "list[arb]", cells: int) -> "list[list[arb]]":
 
 @remembered(16)
 def _roots_of_unity(count: int) -> "list[tuple[arb, arb]]":
-    from flint import arb, fmpq
-
     angles = [fmpq(2 * part, count) for part in range(count)]
     return [(arb.cos_pi_fmpq(angle), arb.sin_pi_fmpq(angle)) for angle in angles]
 
@@ -356,8 +333,6 @@ def _roots_of_unity(count: int) -> "list[tuple[arb, arb]]":
 @remembered(64)
 def _weights(degree: int, cells: int) -> "tuple[arb_mat, arb_mat, arb_mat]":
     """(k h)^d/d!, columns for the even d below D and for the odd ones, and that of D."""
-    from flint import arb, arb_mat, ctx
-
     steps = [arb.pi() * (_OVERLAP * k) / (16 * cells) for k in range(degree + 1)]
     last = [arb(1)] * (degree + 1)
     rows: list[list[arb]] = []

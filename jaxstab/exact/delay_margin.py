@@ -25,15 +25,14 @@ from functools import cache, reduce
 from heapq import heapify, heappop, heappush
 from itertools import pairwise
 from math import inf, nan, nextafter, pi, ulp
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
+
+from flint import acb, acb_poly, arb, arb_mat, arb_poly
 
 from jaxstab.conventions import Status
 from jaxstab.model.balls import BallLoop, Factored
 from jaxstab.model.device.parts import FIRST_BITS, working_precision
 from jaxstab.model.device.sampling import OneSample, force_of, generator, held
-
-if TYPE_CHECKING:
-    from flint import acb, arb, arb_mat, arb_poly
 
 _TURNS = 32  # of (n + 1) theta that are looked at
 _TERMS = 8  # of v(f) about the middle of an interval
@@ -127,8 +126,6 @@ class _Search:
     def __init__(
         self, loop: BallLoop, sample: OneSample, delay: float, wall: tuple[float, float]
     ) -> None:
-        from flint import arb_poly
-
         self.sample, self.delay = sample, delay
         about_one = arb_poly([1, 1])
         self.whole = sample.whole(about_one)
@@ -141,8 +138,6 @@ class _Search:
 
     def boxes(self, theta: Interval, fraction: Interval) -> list[Any]:
         """The box with its key, and which side of it to halve; none if no root can be there."""
-        from flint import acb, arb
-
         late, late_slope = self.over_fraction(fraction)
         place, above, below = self.over_theta(theta)
         half = _around(theta).rad(), _around(fraction).rad()
@@ -185,8 +180,6 @@ class _Search:
         Both are Taylor polynomials about the middle, N[.] of each coefficient: over all of a wide
         interval the exponential alone, of what its last term misses, is enclosed.
         """
-        from flint import arb
-
         sample, around = self.sample, _around(fraction)
         middle, offset = 1 - around.mid(), arb(0, around.rad())
         step = generator(sample.below)
@@ -206,13 +199,9 @@ class _Search:
 
     def _moved(self, matrix: "arb_mat") -> "arb_poly":
         """N[.] of the last column of a matrix, the force's, in powers of z - 1."""
-        from flint import arb_poly
-
         return self.sample.moved(force_of(matrix))(arb_poly([1, 1]))
 
     def _over_theta(self, theta: Interval) -> tuple[_Form, _Form, _Form]:
-        from flint import acb
-
         everywhere = _around(theta)
         middle = everywhere.mid()
         turn = acb(0, everywhere).exp()
@@ -227,23 +216,17 @@ _Pair = tuple["arb_poly", "arb_poly"]
 
 
 def _around(interval: Interval) -> "arb":
-    from flint import arb
-
     low, high = arb(interval[0]), arb(interval[1])
     return arb((low + high).mid() / 2, (high - low) / 2)
 
 
 def _about_one(p: Factored) -> Factored:
     """The rest in powers of z - 1."""
-    from flint import arb_poly
-
     return p._replace(rest=p.rest(arb_poly([1, 1])))
 
 
 def _value(p: Factored, place: _Form, phases: "tuple[arb, arb]") -> _Form:
     """A polynomial of which the rest is in powers of z - 1, over an interval of theta."""
-    from flint import acb
-
     zero = acb(0)
     w, all_w = place.middle, place.all
     value = _Form(p.rest(w), p.rest.derivative()(all_w) * place.by_theta, zero, p.rest(all_w))
@@ -260,8 +243,6 @@ def _value(p: Factored, place: _Form, phases: "tuple[arb, arb]") -> _Form:
 
 def _window(n: int, phases: "tuple[arb, arb]") -> _Form:
     """1 + z + ... + z^(n-1): its second derivative by theta is at most 1 + 4 + ... + (n-1)^2."""
-    from flint import acb, acb_poly, arb
-
     z, spread = acb(0, phases[0]).exp(), phases[1].rad()
     terms = acb_poly([1] * n)
     bend = spread * (n * (n - 1) * (2 * n - 1) // 6)
@@ -272,8 +253,6 @@ def _window(n: int, phases: "tuple[arb, arb]") -> _Form:
 
 def _least_whole(angle: "arb", theta: Interval, least: float) -> float:
     """A whole n >= ``least`` and 0 below which none has (n + 1) theta = angle + 2 pi l."""
-    from flint import arb
-
     first = max(arb(least).ceil(), arb(0)) + 1
     turn = 2 * arb.pi()
     start = ((first * arb(theta[0]) - angle.upper()) / turn).lower().ceil()

@@ -41,7 +41,9 @@ from fractions import Fraction
 from functools import partial
 from itertools import accumulate, pairwise
 from math import inf, nan
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
+
+from flint import acb, acb_poly, arb, arb_poly, ctx
 
 from jaxstab.conventions import Status
 from jaxstab.exact.circle import zeros
@@ -50,9 +52,6 @@ from jaxstab.exact.verdict import TripleAt, roots_outside
 from jaxstab.model.balls import Factored
 from jaxstab.model.device.parts import FIRST_BITS, decided
 from jaxstab.shown import text_with_bound
-
-if TYPE_CHECKING:
-    from flint import acb, acb_poly, arb, arb_poly
 
 _BLOCK = 32  # terms of a polynomial that are summed by Horner's rule
 _SHARE = 0.4873  # of a gap, where a count is taken
@@ -230,8 +229,6 @@ def _found(line: _Line) -> _Found | None:
     accurate = 60  # bits of an end
     patient = 512  # bits from which on places without a direction are taken as they are
     nothing = 2.0**-100  # of the largest end: an error that small is none
-    from flint import arb, ctx
-
     is_last_try = ctx.prec >= patient
     found = _crossings(line, is_last_try=is_last_try)
     if found is None:
@@ -254,8 +251,6 @@ def _end(crossing: Crossing) -> End:
 
 def real_quotient_angles(p0: Factored, q: Factored) -> "list[arb] | None":
     """The angles in (0, pi) where q/p0 is real, 0 or infinite, in order; None for more bits."""
-    from flint import arb
-
     places = zeros(_cosines_of(p0, q), is_last_try=True)
     if places is None:
         return None
@@ -268,8 +263,6 @@ def real_quotient_angles(p0: Factored, q: Factored) -> "list[arb] | None":
 # --------------------------------------------------------------------------------------- crossings
 def _crossings(line: _Line, *, is_last_try: bool) -> tuple[list[Crossing], float] | None:
     """All crossings, in any order, and how far out the line was looked at; None for more bits."""
-    from flint import acb, arb
-
     p0, q, _ = line
     turn = p0.at_one - q.at_one
     places = zeros(_cosines_of(p0, q), is_last_try=is_last_try)
@@ -328,8 +321,6 @@ def _cosines(u: "arb_poly", v: "arb_poly", phase: int, *, is_odd: bool) -> "list
     The terms are g_j e^(i w theta/2), w = 2j + phase. Their sines and cosines, over those of theta
     or theta/2, are sums of cosines (Dirichlet's kernel).
     """
-    from flint import arb, arb_poly
-
     product = u * arb_poly(v.coeffs()[::-1])
     sums: dict[int, arb] = {}
     for power, g in enumerate(product.coeffs()):
@@ -366,8 +357,6 @@ class OnCircle(NamedTuple):
     @classmethod
     def of(cls, p: Factored) -> "OnCircle":
         """The values of a polynomial."""
-        from flint import acb_poly, arb
-
         rising = p.rest.coeffs()
         starts = range(0, len(rising), _BLOCK)
         slope = sum((k * abs(c) for k, c in enumerate(rising)), arb(0)).abs_upper()
@@ -375,8 +364,6 @@ class OnCircle(NamedTuple):
 
     def at(self, angle: "arb") -> "acb":
         """The value at e^(i theta)."""
-        from flint import acb, arb
-
         p, half, middle = self.p, angle / 2, angle.mid()
         z, spread = acb(0, middle).exp(), angle.rad() * self.slope
         rest = acb(arb(0, spread), arb(0, spread))
@@ -407,8 +394,6 @@ def _joined(crossings: list[Crossing]) -> list[Crossing]:
 # ------------------------------------------------------------------------------------------ counts
 def _between(crossings: list[Crossing]) -> "list[arb] | None":
     """A wall in each gap; None where a gap is too short for the precision."""
-    from flint import arb
-
     if not crossings:
         return [arb(_SHARE)]
     first, last = crossings[0].t.lower(), crossings[-1].t.upper()

@@ -23,9 +23,10 @@ from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import replace
 from math import ceil, inf, isfinite, log, nan
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from flint import acb, arb, arb_mat, arb_poly
 from jaxtyping import Complex128, Float64
 
 from jaxstab.exact.roots import isolated_roots, real_or_not
@@ -35,9 +36,6 @@ from jaxstab.model.device.mechanics import equations, sides_in_samples
 from jaxstab.model.device.parts import Answer, decided, exact, remembered
 from jaxstab.model.loop import LoopParameters
 from jaxstab.rounding import EPS, UNDERFLOW, UNIT
-
-if TYPE_CHECKING:
-    from flint import acb, arb, arb_poly
 
 _MOST_POWERS = 1 << 17  # terms where poles coincide
 _BLOCK = 1 << 20  # numbers that are evaluated at once
@@ -151,8 +149,6 @@ class Responses(NamedTuple):
         NaN if that is not known of the terms up to twice the horizon, or it is later than the
         horizon; None where there are not enough terms in the head.
         """
-        from flint import arb
-
         values = self.head[0, 0]
         wrong = np.abs(values) * EPS + _NARROW * np.abs(values).max()
         limit = level * (np.abs(values).max() if is_impact else 1.0) * (1.0 - 8.0 * UNIT)
@@ -175,8 +171,6 @@ class Responses(NamedTuple):
         return 0.0
 
     def _ball(self, term: int) -> "arb":
-        from flint import arb
-
         count = self.head.shape[-1]
         if term < count:
             return abs(self.balls[term])
@@ -185,8 +179,6 @@ class Responses(NamedTuple):
         return abs(sum((value.real for value in values), arb(0)))
 
     def _largest_ball(self, values: np.ndarray, wrong: np.ndarray) -> "arb":
-        from flint import arb
-
         size = np.abs(values)
         near = np.flatnonzero(size + wrong >= (size - wrong).max())
         largest = arb(0)
@@ -224,8 +216,6 @@ class _Wall(NamedTuple):
 
     @classmethod
     def from_loop(cls, loop: LoopParameters, stiffness: float, damping: float) -> "_Wall":
-        from flint import arb
-
         parts = _parts(loop)
         p = parts.triple.at(stiffness, damping)
         # An actuator's pole that is a zero of the device is no root of p, but of its states.
@@ -272,8 +262,6 @@ class _Wall(NamedTuple):
 
     def responses(self, numerators: Quotients) -> Responses | None:
         """Responses by their modes; None where poles are not told apart, or not inside."""
-        from flint import acb
-
         roots = isolated_roots(self.p._replace(power=0))
         told = None if roots is None else real_or_not(roots)
         if told is None:
@@ -331,8 +319,6 @@ class _Wall(NamedTuple):
 
         None where the balls are wide.
         """
-        from flint import arb, arb_poly
-
         falling = arb_poly(self.whole.coeffs()[::-1])
         degree, inverse, known = self.whole.degree(), arb_poly([1 / falling[0]]), 1
         while known < terms:
@@ -381,8 +367,6 @@ class _Parts(NamedTuple):
 
     @classmethod
     def from_loop(cls, loop: LoopParameters) -> "_Parts":
-        from flint import arb, arb_mat, arb_poly
-
         device, period = loop.held_device, float(loop.sample_time)
         matrix = equations(device, sides_in_samples(device, period), period)
         size = matrix.ncols() - 2
@@ -437,14 +421,10 @@ def _parts(loop: LoopParameters) -> _Parts:
 
 
 def _z() -> "arb_poly":
-    from flint import arb_poly
-
     return arb_poly([0, 1])
 
 
 def _size(polynomial: "arb_poly") -> "arb":
-    from flint import arb
-
     return sum(map(abs, polynomial.coeffs()), arb(0))
 
 

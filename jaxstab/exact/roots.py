@@ -21,7 +21,7 @@ from jaxtyping import Complex128
 from jaxstab.conventions import RadiusStatus
 from jaxstab.exact.verdict import TripleAt, roots_outside
 from jaxstab.model.balls import Factored
-from jaxstab.model.device.parts import FIRST_BITS, decided, working_precision
+from jaxstab.model.device.parts import FIRST_BITS, decided, flint, working_precision
 
 if TYPE_CHECKING:
     from flint import acb, arb, arb_poly
@@ -121,8 +121,6 @@ def poles(triple: TripleAt, stiffness: float, damping: float) -> Poles:
 
 def isolated_roots(p: Factored) -> "list[acb] | None":
     """The roots in balls, those that the structure knows exactly; None where they overlap."""
-    import flint
-
     known = [flint.acb(0)] * p.power
     known += [flint.acb(1)] * p.at_one + [flint.acb(-1)] * p.at_minus_one
     rest = p.without_windows()
@@ -134,10 +132,8 @@ def isolated_roots(p: Factored) -> "list[acb] | None":
 
 
 def _isolated(polynomial: "arb_poly") -> "list[acb] | None":
-    from flint import acb_poly, arb, ctx
-
     try:
-        return list(acb_poly(polynomial).roots(tol=arb(2) ** -(ctx.prec // 2)))
+        return list(flint.acb_poly(polynomial).roots(tol=flint.arb(2) ** -(flint.ctx.prec // 2)))
     except ValueError:
         return None
 
@@ -148,13 +144,11 @@ def real_or_not(roots: "list[acb]") -> "list[tuple[acb, bool]] | None":
     The mirror image of a root is a root, too. Where it can be in the same ball alone it is the root
     itself; a ball that meets the real axis may also hold one of a pair, with the other beside it.
     """
-    from flint import acb
-
     answers = []
     for root in roots:
         is_real = bool(root.imag.contains(0))
         if is_real and root.imag.rad() > 0:
-            mirrored = acb(root.real, -root.imag)
+            mirrored = flint.acb(root.real, -root.imag)
             if sum(mirrored.overlaps(other) for other in roots) > 1:
                 return None
         answers.append((root, is_real))
@@ -170,11 +164,9 @@ def real_roots(polynomial: "arb_poly") -> "list[arb] | None":
 
 def _largest_modulus(roots: "list[acb]") -> Number | None:
     """The largest modulus; None where it is not known to a float64."""
-    from flint import arb
-
     if not roots:
         return Number(0.0, 0.0)
-    radius = arb(0)
+    radius = flint.arb(0)
     for root in roots:
         radius = radius.max(abs(root))
     return Number.of(radius) if radius.rel_accuracy_bits() > 60 or radius == 0 else None
@@ -184,16 +176,14 @@ def _radius_between(p: Factored) -> Number | None:
     """The same by halving with E1; None where the balls do not tell on which side the roots are."""
     share = 0.4873  # of an interval, where it is divided: not next to a simple number
     halvings = 160
-    from flint import arb, arb_poly
-
     rest = p.without_windows().rest
     rising = rest.coeffs()
-    known = arb(1 if p.is_on_circle else 0)
-    low = arb(0)
-    high = 1 + sum((abs(c / rising[-1]) for c in rising[:-1]), arb(0)).upper()
+    known = flint.arb(1 if p.is_on_circle else 0)
+    low = flint.arb(0)
+    high = 1 + sum((abs(c / rising[-1]) for c in rising[:-1]), flint.arb(0)).upper()
     for _ in range(halvings):
         middle = (low + (high - low) * share).mid()
-        outside = roots_outside(rest(arb_poly([0, middle])), most=0)
+        outside = roots_outside(rest(flint.arb_poly([0, middle])), most=0)
         if outside is None:
             return None
         low, high = (middle, high) if outside else (low, middle)

@@ -22,16 +22,14 @@ for all angles. R and |H|^2 are cosine sums, so the left side is one.
 
 from collections.abc import Callable
 from math import floor
-from typing import TYPE_CHECKING
+
+from flint import arb, arb_poly
 
 from jaxstab.conventions import Status
 from jaxstab.exact.circle import is_positive
 from jaxstab.exact.verdict import roots_outside
 from jaxstab.model.balls import BallLoop, Factored
 from jaxstab.model.device.parts import decided
-
-if TYPE_CHECKING:
-    from flint import arb, arb_poly
 
 
 class SmallGainStatus(Status):
@@ -53,7 +51,6 @@ def small_gain(
         late: the coefficients of Q, as ``late_cosines`` has them.
         stiffness, damping: see ``jaxstab.conventions``.
     """
-    import flint
 
     def answer() -> SmallGainStatus | None:
         parts = loop()
@@ -68,9 +65,11 @@ def small_gain(
             return SmallGainStatus.UNSTABLE
         if wall.is_zero:
             return SmallGainStatus.PROVED
-        steps = Factored(flint.arb_poly([1]), at_one=1).times(wall)
-        more = _less(squared(p), _times(squared(steps), late()))
-        holds = is_positive([more[0], *(2 * c for c in more[1:])])
+        steps = Factored(arb_poly([1]), at_one=1).times(wall)
+        change, q = squared(steps), late()
+        both = arb_poly([*change[:0:-1], *change]) * arb_poly([*q[:0:-1], *q])
+        more = arb_poly(squared(p)) - both.right_shift(len(change) + len(q) - 2)
+        holds = is_positive([more[0], *(2 * c for c in more.coeffs()[1:])])
         if holds is None:
             return None
         return SmallGainStatus.PROVED if holds else SmallGainStatus.NOT_PROVED
@@ -110,30 +109,9 @@ def largest_jitter(
 
 def squared(p: Factored) -> "list[arb]":
     """The coefficients of |p|^2 = s_0 + 2 s_1 cos(theta) + 2 s_2 cos(2 theta) + ..."""
-    from flint import arb_poly
-
     rising = p._replace(power=0).polynomial().coeffs()
     product = arb_poly(rising) * arb_poly(rising[::-1])
     return [product[len(rising) - 1 + lag] for lag in range(len(rising))]
-
-
-def _times(a: "list[arb]", b: "list[arb]") -> "list[arb]":
-    both = _mirrored(a) * _mirrored(b)
-    middle = len(a) + len(b) - 2
-    return [both[middle + lag] for lag in range(middle + 1)]
-
-
-def _mirrored(s: "list[arb]") -> "arb_poly":
-    from flint import arb_poly
-
-    return arb_poly([*s[:0:-1], *s])
-
-
-def _less(a: "list[arb]", b: "list[arb]") -> "list[arb]":
-    from flint import arb_poly
-
-    difference = arb_poly(a) - arb_poly(b)
-    return [difference[k] for k in range(max(len(a), len(b)))]
 
 
 def is_passive(alpha: float, beta: float, delta: float, delay: float) -> bool:
@@ -144,8 +122,6 @@ def is_passive(alpha: float, beta: float, delta: float, delay: float) -> bool:
         >>> is_passive(1.9, 0.0, delta=1.0, delay=0.0), is_passive(2.1, 0.0, delta=1.0, delay=0.0)
         (True, False)
     """
-    from flint import arb
-
     whole = floor(delay)
 
     def answer() -> bool | None:

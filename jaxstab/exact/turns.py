@@ -23,7 +23,7 @@ import numpy as np
 from jaxstab.exact.verdict import roots_outside
 from jaxstab.model.balls import ball_loop
 from jaxstab.model.device.device import Device
-from jaxstab.model.device.parts import exact, working_precision
+from jaxstab.model.device.parts import exact, flint, working_precision
 from jaxstab.model.device.sampling import force_of, held, in_fastest_time, in_samples, without_force
 from jaxstab.model.loop import LoopParameters
 
@@ -123,8 +123,6 @@ class PeriodicLoop:
 
 def is_growing(loop: PeriodicLoop, delays: Delays) -> bool:
     """True if a motion is proved to grow with delays in turn, of a loop in balls."""
-    import flint
-
     with working_precision(_BITS):
         steps = [flint.arb_mat(step.tolist()) for step in loop.steps(delays)]
         turn = reduce(lambda total, step: step * total, steps)

@@ -32,7 +32,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from jaxstab.conventions import Status, Verdict
 from jaxstab.model.affine import AffineParts, affine_triple
 from jaxstab.model.balls import Triple
-from jaxstab.model.device.parts import decided
+from jaxstab.model.device.parts import decided, flint
 from jaxstab.model.filters import has_roots_inside
 
 if TYPE_CHECKING:
@@ -111,12 +111,10 @@ def roots_outside(p: "arb_poly", most: int | None = None) -> int | None:
 
     Beyond ``most`` they are not counted on.
     """
-    from flint import arb, arb_poly, ctx
-
     count = _counted(p.coeffs(), most)
     if count is None:
-        near = arb(2) ** -(ctx.prec // 4)
-        stretched = (p(arb_poly([0, 1 + side])) for side in (near, -near))
+        near = flint.arb(2) ** -(flint.ctx.prec // 4)
+        stretched = (p(flint.arb_poly([0, 1 + side])) for side in (near, -near))
         counts = {_counted(q.coeffs(), most) for q in stretched}
         count = counts.pop() if len(counts) == 1 else None
     return count

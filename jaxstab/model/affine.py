@@ -37,7 +37,7 @@ from jaxstab.model.balls import (
 )
 from jaxstab.model.device.device import Device
 from jaxstab.model.device.discrete import Simulated, sampled_steps
-from jaxstab.model.device.parts import FIRST_BITS, exact, remembered, working_precision
+from jaxstab.model.device.parts import FIRST_BITS, exact, flint, remembered, working_precision
 from jaxstab.model.filters import NO_FILTERS, Filter, Velocity, given_filters
 
 if TYPE_CHECKING:
@@ -121,10 +121,8 @@ class Chart(AffineParts):
 
 def _lowered(part: Factored, pivot: Factored, leading: "arb") -> Factored:
     """A part less so much of another one of its degree that the highest powers cancel."""
-    from flint import arb_poly
-
     own = part.plus(pivot.scaled(-part.rest[part.rest.degree()] / leading))
-    return own._replace(rest=arb_poly(own.rest.coeffs()[: part.degree - sum(own[1:4])]))
+    return own._replace(rest=flint.arb_poly(own.rest.coeffs()[: part.degree - sum(own[1:4])]))
 
 
 class Coordinates(NamedTuple):
@@ -189,9 +187,7 @@ def _weights(whole: Triple, pivot: int) -> "list[arb]":
 
 def opened_loop(parts: AffineParts, first: float, second: float) -> tuple[Factored, Factored]:
     """D and N of the open loop N/D, opened where no gain moves the leading coefficient of p(z)."""
-    from flint import arb
-
-    coordinates, a, b = coordinates_of(parts), arb(first), arb(second)
+    coordinates, a, b = coordinates_of(parts), flint.arb(first), flint.arb(second)
     triple = affine_triple(coordinates.chart)
     if not coordinates.are_gains:
         weights: Any = tuple(_weights(affine_triple(parts), coordinates.pivot))
@@ -221,20 +217,19 @@ class GivenParts(AffineParts):
 
 
 def _given(falling: tuple[Coefficient, ...]) -> Factored:
-    from flint import arb, arb_poly
-
     rising = falling[::-1]
     if not any(isinstance(c, tuple) for c in rising):
         return Factored.from_rational(_rational(falling))
-    balls = [arb(c[0]).union(arb(c[1])) if isinstance(c, tuple) else arb(exact(c)) for c in rising]
+    balls = [
+        flint.arb(c[0]).union(flint.arb(c[1])) if isinstance(c, tuple) else flint.arb(exact(c))
+        for c in rising
+    ]
     power = next(k for k, ball in enumerate(balls) if ball != 0)
-    return Factored(arb_poly(balls[power:]), power)
+    return Factored(flint.arb_poly(balls[power:]), power)
 
 
 def _rational(falling: tuple[Coefficient, ...]) -> "fmpq_poly":
-    from flint import fmpq_poly
-
-    return fmpq_poly(list(map(exact, falling[::-1])))
+    return flint.fmpq_poly(list(map(exact, falling[::-1])))
 
 
 # ------------------------------------------------------------------------------------- simulators
@@ -253,10 +248,8 @@ class SimulatedParts(AffineParts):
 
     def rational(self) -> "Rationals":
         """The parts in exact numbers."""
-        from flint import fmpq_poly
-
         below, (by_kp, by_kd), lag = sampled_steps(self.joint, self.substeps, self.delay_steps)
-        z, rule = fmpq_poly([0, 1]), "" if self.is_outside else self.joint.integrator
+        z, rule = flint.fmpq_poly([0, 1]), "" if self.is_outside else self.joint.integrator
         by_kp *= z if rule == "implicit" else 1
         by_kd *= z if rule in ("implicit-damping", "implicit") else 1
         return below * z**lag, by_kp, by_kd
@@ -286,7 +279,9 @@ class AdmittanceParts(AffineParts):
     def triple(self) -> Triple:
         """The parts of p(z), by M and D."""
         wall, below = self._wall_and_below()
-        return Triple.from_parts(wall, self._inertial(below), below.times(self._rates()[0]))
+        inertia = flint.fmpq_poly([1, -2, 1]) / exact(self.sample_time)
+        by_mass = below.times(Factored.from_rational(inertia))
+        return Triple.from_parts(wall, by_mass, below.times(self._rates()[0]))
 
     def in_units(self) -> tuple["AdmittanceParts", tuple[float, float]]:
         """The same loop with T = 1 and Ke = 1, and what 1 of its M and D is."""
@@ -297,9 +292,7 @@ class AdmittanceParts(AffineParts):
         return unit, (wall * period**2, wall * period)
 
     def _rates(self) -> tuple[Factored, Factored]:
-        from flint import fmpq_poly
-
-        z = fmpq_poly([0, 1])
+        z = flint.fmpq_poly([0, 1])
         rates = {
             "forward": (z - 1, z),
             "backward": (z * (z - 1), z),
@@ -320,12 +313,6 @@ class AdmittanceParts(AffineParts):
             wall = wall.plus(below.times(position).scaled(self.stiffness))
         return wall, below
 
-    def _inertial(self, below: Factored) -> Factored:
-        from flint import fmpq_poly
-
-        inertia = fmpq_poly([1, -2, 1]) / exact(self.sample_time)
-        return below.times(Factored.from_rational(inertia))
-
 
 # -------------------------------------------------------------------------------------------- PID
 @dataclass(frozen=True)
@@ -343,12 +330,12 @@ class PidParts(AffineParts):
 
     def triple(self) -> Triple:
         """The parts of p(z), by the two other gains in the order kp, ki, kd."""
-        from flint import fmpq_poly
-
         own, late = ball_loop(self.loop), ball_loop(self.late)
-        lag, z = max(own.lag, late.lag), fmpq_poly([0, 1])
+        lag, z = max(own.lag, late.lag), flint.fmpq_poly([0, 1])
         period = exact(float(self.loop.sample_time))
-        summed = {"backward": z, "forward": fmpq_poly([1]), "trapezoid": (z + 1) / 2}[self.rule]
+        summed = {"backward": z, "forward": flint.fmpq_poly([1]), "trapezoid": (z + 1) / 2}[
+            self.rule
+        ]
         has_sum = self.given != "ki" or self.value != 0.0
         pole = Factored.from_rational(z - 1 if has_sum else z**0)
         by_position = _late(own.numerator.times(own.walls[0]), lag - own.lag)
@@ -378,7 +365,10 @@ class CouplingParts(AffineParts):
 
     def triple(self) -> Triple:
         """The parts of p(z) without the common motion, by stiffness and damping."""
-        (n1, d1, lag1, v1), (n2, d2, lag2, v2) = self._plants()
+        (n1, d1, lag1, v1), (n2, d2, lag2, v2) = (
+            plant_in_balls(device, self.sample_time, delay)
+            for device, delay in zip(self.devices, self.delays_samples, strict=True)
+        )
         shared, drift = min(lag1, lag2), min(d1.at_one, d2.at_one)
         first, second = (d.divided(0, drift, 0) for d in (d1, d2))
 
@@ -390,12 +380,6 @@ class CouplingParts(AffineParts):
         whole = Plant(both(n1, n2), d1.times(second), max(lag1, lag2), velocity)
         filters = given_filters(self.velocity, None) or NO_FILTERS
         return BallLoop.from_plant(whole, self.sample_time, filters).triple
-
-    def _plants(self) -> list[Plant]:
-        return [
-            plant_in_balls(device, self.sample_time, delay)
-            for device, delay in zip(self.devices, self.delays_samples, strict=True)
-        ]
 
 
 def _late(part: Factored, samples: int) -> Factored:

@@ -27,7 +27,7 @@ from math import inf, nextafter
 from typing import TYPE_CHECKING, NamedTuple
 
 from jaxstab.model.device.device import Device, in_steps
-from jaxstab.model.device.parts import decided, exact, remembered
+from jaxstab.model.device.parts import decided, exact, flint, remembered
 from jaxstab.model.device.sampling import SampledDevice, one_sample
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import (
@@ -64,16 +64,14 @@ class Factored(NamedTuple):
     @classmethod
     def from_rational(cls, polynomial: "fmpq_poly") -> "Factored":
         """A polynomial of exact numbers, its roots at 0, 1 and -1 counted; it is not 0."""
-        from flint import arb_poly, fmpq_poly
-
         counts = []
         for place in (0, 1, -1):
             counts.append(0)
             while polynomial(place) == 0:
-                polynomial //= fmpq_poly([-place, 1])
+                polynomial //= flint.fmpq_poly([-place, 1])
                 counts[-1] += 1
         zeros, at_one, at_minus_one = counts
-        return cls(arb_poly(polynomial), zeros, at_one, at_minus_one)
+        return cls(flint.arb_poly(polynomial), zeros, at_one, at_minus_one)
 
     @property
     def is_zero(self) -> bool:
@@ -110,11 +108,9 @@ class Factored(NamedTuple):
 
     def scaled(self, factor: "arb | float | int") -> "Factored":
         """Return a multiple; one by the number 0 is the polynomial 0."""
-        from flint import arb, arb_poly
-
         if factor == 0:
-            return Factored(arb_poly([]))
-        return self._replace(rest=self.rest * arb(factor))
+            return Factored(flint.arb_poly([]))
+        return self._replace(rest=self.rest * flint.arb(factor))
 
     def plus(self, other: "Factored") -> "Factored":
         """Return the sum, with the roots that the two are known to share."""
@@ -130,52 +126,47 @@ class Factored(NamedTuple):
 
     def of_radius(self, radius: float) -> "Factored":
         """The polynomial of radius z."""
-        from flint import arb, arb_poly
-
         plain = self.without_windows()
         rising = plain.divided(plain.power, 0, 0).polynomial().coeffs()
-        r = arb(radius)
+        r = flint.arb(radius)
         return Factored(
-            arb_poly([c * r ** (k + self.power) for k, c in enumerate(rising)]), self.power
+            flint.arb_poly([c * r ** (k + self.power) for k, c in enumerate(rising)]), self.power
         )
 
     def around(self, place: int) -> "arb_poly":
         """The coefficients in powers of s, z = place (1 + s), place = 1 or -1."""
-        from flint import arb_poly
-
         plain = self.without_windows()
         orders = (plain.at_one, 0) if place == 1 else (0, plain.at_minus_one)
         others = plain.divided(0, *orders).polynomial()
-        return (others(arb_poly([place, place])) * place ** sum(orders)).left_shift(sum(orders))
+        return (others(flint.arb_poly([place, place])) * place ** sum(orders)).left_shift(
+            sum(orders)
+        )
 
     def without_windows(self) -> "Factored":
         """The same polynomial with the windows multiplied into the rest."""
-        from flint import arb_poly
-
         rest, minus = self.rest, self.at_minus_one
         for n in self.windows:
             if n % 2 == 0:  # W_n = (z + 1) (1 + z^2 + ... + z^(n-2))
                 minus += 1
-                rest *= arb_poly([(k + 1) % 2 for k in range(n - 1)])
+                rest *= flint.arb_poly([(k + 1) % 2 for k in range(n - 1)])
             else:
-                rest *= arb_poly([1] * n)
+                rest *= flint.arb_poly([1] * n)
         return Factored(rest, self.power, self.at_one, minus)
 
     def at_end(self, place: int) -> "arb":
         """The value at 1 or -1, which is the exact 0 where the structure knows a root there."""
-        from flint import arb
-
         known = (place - 1) ** self.at_one * (place + 1) ** self.at_minus_one * place**self.power
         for n in self.windows:
             known *= n if place == 1 else n % 2
-        return self.rest(arb(place)) * known if known else arb(0)
+        return self.rest(flint.arb(place)) * known if known else flint.arb(0)
 
     def polynomial(self) -> "arb_poly":
         """The polynomial multiplied out."""
-        from flint import arb_poly
-
         plain = self.without_windows()
-        minus, plus = arb_poly([-1, 1]) ** plain.at_one, arb_poly([1, 1]) ** plain.at_minus_one
+        minus, plus = (
+            flint.arb_poly([-1, 1]) ** plain.at_one,
+            flint.arb_poly([1, 1]) ** plain.at_minus_one,
+        )
         return (plain.rest * minus * plus).left_shift(plain.power)
 
 
@@ -205,13 +196,11 @@ class Triple:
 
     def monic(self) -> "Triple":
         """The parts over the leading coefficient of the base, which no gain moves."""
-        from flint import arb, arb_poly
-
         base, *others = (part.without_windows() for part in self)
         leading = base.rest[base.rest.degree()]
         rising = [c / leading for c in base.rest.coeffs()[:-1]]
         by_stiffness, by_damping = (part.scaled(1 / leading) for part in others)
-        base = base._replace(rest=arb_poly([*rising, arb(1)]))
+        base = base._replace(rest=flint.arb_poly([*rising, flint.arb(1)]))
         return Triple(base, by_stiffness, by_damping, self.yielding)
 
     @cached_property
@@ -221,14 +210,14 @@ class Triple:
 
     def at(self, stiffness: "arb | float", damping: "arb | float") -> Factored:
         """The polynomial of a wall, K and B in the units of the triple."""
-        from flint import arb
-
         if stiffness == 0 or damping == 0:  # one part less: more roots may be known
             wall = self.stiffness.scaled(stiffness).plus(self.damping.scaled(damping))
             p = self.base.plus(wall)
         else:
             (base, by_stiffness, by_damping), known = self._over_known
-            p = Factored(base + by_stiffness * arb(stiffness) + by_damping * arb(damping), *known)
+            p = Factored(
+                base + by_stiffness * flint.arb(stiffness) + by_damping * flint.arb(damping), *known
+            )
         if stiffness == self.yielding:
             p = p._replace(rest=_known_out(p.rest, 1, 1), at_one=p.at_one + 1)
         return p
@@ -276,9 +265,7 @@ class BallLoop(NamedTuple):
     @classmethod
     def from_plant(cls, plant: Plant, period: float, filters: Filters) -> "BallLoop":
         """A plant behind an estimator and a filter."""
-        from flint import arb_poly
-
-        one, behind = Factored(arb_poly([1])), behind_measured(filters[0])
+        one, behind = Factored(flint.arb_poly([1])), behind_measured(filters[0])
         chains = filters[1], filters[0].filter if behind is None else behind
         (above_p, below_p), (above, below) = (filter_in_balls(x, period) for x in chains)
         if behind is not None and plant.velocity is not None:
@@ -292,15 +279,11 @@ class BallLoop(NamedTuple):
     @classmethod
     def from_triple(cls, triple: Triple) -> "BallLoop":
         """A loop of which only the parts of p(z) are known."""
-        from flint import arb_poly
-
-        one = Factored(arb_poly([1]))
+        one = Factored(flint.arb_poly([1]))
         return cls(one, triple.base, 0, (triple.stiffness, one), (triple.damping, one))
 
     def scaled(self, units: tuple[float, float], radius: float) -> "BallLoop":
         """The loop of K and B in these units, around a circle of this radius."""
-        from flint import arb
-
         stiffness, damping = units
 
         def around(part: Factored) -> Factored:
@@ -309,7 +292,7 @@ class BallLoop(NamedTuple):
         (above_p, below_p), (above_v, below_v) = self.position, self.velocity
         return BallLoop(
             around(self.numerator),
-            around(self.denominator).scaled(arb(radius) ** self.lag),
+            around(self.denominator).scaled(flint.arb(radius) ** self.lag),
             self.lag,
             position=(around(above_p.scaled(stiffness)), around(below_p)),
             velocity=(around(above_v.scaled(damping)), around(below_v)),
@@ -387,8 +370,6 @@ def _yielding(device: Device, position: tuple[Section, ...]) -> float | None:
 
 def plant_in_balls(device: Device, period: float, delay: float) -> Plant:
     """A device behind its hold and a delay in samples."""
-    from flint import arb
-
     own = in_steps(device)
     if own:
         rational, outputs, lag = own.sampled(period, delay)
@@ -397,7 +378,7 @@ def plant_in_balls(device: Device, period: float, delay: float) -> Plant:
     whole, fraction = divmod(delay, 1.0)
     sample = one_sample(device, period)
     above, below = sample.above, sample.below
-    late = arb(exact(fraction)) if fraction else None
+    late = flint.arb(exact(fraction)) if fraction else None
     numerator, denominator = sample.of_samples(late)
     rigid = next(power for power in range(len(below)) if below[power] != 0)
     zeros = 1 if above[0] == 0 else 0
@@ -413,19 +394,15 @@ def plant_in_balls(device: Device, period: float, delay: float) -> Plant:
 
 def _known_out(polynomial: "arb_poly", root: int, count: int) -> "arb_poly":
     """Divide known roots out of a polynomial; the remainder is 0 and dropped."""
-    from flint import arb_poly
-
     if not count:
         return polynomial
-    shifted = polynomial(arb_poly([root, 1])).coeffs()[count:]
-    return arb_poly(shifted)(arb_poly([-root, 1]))
+    shifted = polynomial(flint.arb_poly([root, 1])).coeffs()[count:]
+    return flint.arb_poly(shifted)(flint.arb_poly([-root, 1]))
 
 
 def filter_in_balls(chain: Filter, period: float) -> tuple[Factored, Factored]:
     """Numerator and denominator of a filter in powers of z."""
-    from flint import arb_poly
-
-    one = Factored(arb_poly([1]))
+    one = Factored(flint.arb_poly([1]))
     sections = chain.per_sample(period).sections
     sides = zip(*map(_section, sections), strict=True) if sections else ((), ())
     above, below = (reduce(Factored.times, side, one) for side in sides)
@@ -433,15 +410,13 @@ def filter_in_balls(chain: Filter, period: float) -> tuple[Factored, Factored]:
 
 
 def _section(section: Section) -> tuple[Factored, Factored]:
-    from flint import arb_poly, fmpq, fmpq_poly
-
     n = section.length
     if n is not None:
-        above = Factored(arb_poly([fmpq(1, n)]), windows=(n,) if n > 1 else ())
-        return above, Factored(arb_poly([1]), power=n - 1)
+        above = Factored(flint.arb_poly([flint.fmpq(1, n)]), windows=(n,) if n > 1 else ())
+        return above, Factored(flint.arb_poly([1]), power=n - 1)
     sides = exact_chain((section,))
     order = max(side.degree() for side in sides)
-    in_z = (fmpq_poly([side[order - k] for k in range(order + 1)]) for side in sides)
+    in_z = (flint.fmpq_poly([side[order - k] for k in range(order + 1)]) for side in sides)
     above, below = map(Factored.from_rational, in_z)
     return above, below
 
@@ -477,12 +452,10 @@ def rounded_triple(
 
 
 def _rounded(triple: Triple, stiffness_unit: float, damping_unit: float) -> LinearLoop:
-    from flint import arb
-
     units = 1.0, stiffness_unit, damping_unit
     parts = [part.scaled(1 / exact(unit)) for part, unit in zip(triple, units, strict=True)]
     degree, least = triple.degree, 2  # the least for which the kernels are written
-    more = [arb(0)] * (least - degree)  # so often z
+    more = [flint.arb(0)] * (least - degree)  # so often z
     rows = [[part.polynomial()[degree - k] for k in range(degree + 1)] + more for part in parts]
     pairs = [list(map(_nearest, row)) for row in rows]
     ends = [[_nearest(part.at_end(place) * place**degree) for part in parts] for place in (1, -1)]

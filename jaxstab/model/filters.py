@@ -37,6 +37,7 @@ from jaxstab.arrays import (
     pytree,
     tree_map,
 )
+from jaxstab.model.device.parts import flint
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.numbers import checked_count, checked_number, require_x64
 from jaxstab.shown import call_text
@@ -378,12 +379,10 @@ class SavitzkyGolay(Section):
 @lru_cache
 def _slope_weights(samples: int, order: int) -> tuple[float, ...]:
     """Return sums of the weights that give a slope, in exact numbers up to the last step."""
-    from flint import fmpq_mat
-
     # A polynomial in t = 0, -1, ... whose coefficients solve the normal equations.
     rows = [[(-k) ** power for power in range(order + 1)] for k in range(samples)]
-    powers = fmpq_mat(samples, order + 1, [value for row in rows for value in row])
-    slope = fmpq_mat(order + 1, 1, [int(power == 1) for power in range(order + 1)])
+    powers = flint.fmpq_mat(samples, order + 1, [value for row in rows for value in row])
+    slope = flint.fmpq_mat(order + 1, 1, [int(power == 1) for power in range(order + 1)])
     solved = powers * (powers.transpose() * powers).solve(slope)
     exact = (Fraction(int(solved[k, 0].p), int(solved[k, 0].q)) for k in range(samples - 1))
     return tuple(map(float, accumulate(exact)))
@@ -429,13 +428,13 @@ def _exact_stages(section: Section) -> list[Stage]:
 @lru_cache(maxsize=256)
 def exact_chain(sections: tuple[Section, ...]) -> "tuple[fmpq_poly, fmpq_poly]":
     """Numerator and denominator of a chain in powers of 1/z; ValueError: beyond float64."""
-    from flint import fmpq, fmpq_poly
-
-    sides = [fmpq_poly([1]), fmpq_poly([1])]
+    sides = [flint.fmpq_poly([1]), flint.fmpq_poly([1])]
     for section in sections:
         for stage in section.stages():
             for side, row in enumerate(stage):
-                sides[side] *= fmpq_poly([fmpq(c.numerator, c.denominator) for c in row])
+                sides[side] *= flint.fmpq_poly(
+                    [flint.fmpq(c.numerator, c.denominator) for c in row]
+                )
     largest = 10**150  # products of such coefficients are float64 still
     if max(abs(c) for side in sides for c in side.coeffs()) > largest:
         raise ValueError(

@@ -145,6 +145,8 @@ def filter_factors(filters: Filters) -> FilterFactors:
     """The factors of the loop of filters in units of one sample."""
     velocity, position = filters
     chains = velocity.filter.sections, position.sections
+    if not any(chains):
+        return FilterFactors(((_ONE,), (_ONE,), (_ONE, -_ONE)), (0.0, 0.0, 0.0))
     if not is_any_jax(filters):
         return _exact_factors(*chains)
     (above_v, below_v, sizes_v), (above_p, below_p, sizes_p) = map(_in_pairs, chains)

@@ -29,7 +29,6 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from jaxstab.arrays import Array, Numbers, float_arrays
-from jaxstab.exact.small_gain import is_passive
 from jaxstab.model import checked_delay, checked_delta, checked_gain, checked_gamma, require_x64
 from jaxstab.numbers import checked_number
 from jaxstab.region.closed_form import slice_coefficients
@@ -215,6 +214,8 @@ class PassiveRegion:
 
     def contains(self, alpha: Numbers, beta: Numbers) -> Bool[np.ndarray, "*grid"]:
         """True where (alpha, beta) is proved passive; each wall is tested anew."""
+        from jaxstab.exact.small_gain import is_passive
+
         gains = checked_gain("alpha", alpha), checked_gain("beta", beta)
         grid = np.stack(np.broadcast_arrays(*(np.asarray(g, np.float64) for g in gains)), axis=-1)
         walls = grid.reshape(-1, 2)
@@ -304,6 +305,8 @@ def _boundary_points(directions: Points, delay: float) -> Points:
 
 def _pulled_in(wall: list[float], delta: float, delay: float) -> list[float]:
     """Return a wall that is proved passive, next to one of the boundary, towards no gains."""
+    from jaxstab.exact.small_gain import is_passive
+
     share = 1e-12
     while True:
         alpha, beta = (gain * (1.0 - min(share, 1.0)) for gain in wall)

@@ -457,7 +457,7 @@ def fast_radius(
         others = [first, *others]
     else:
         if is_any_jax(parameters):
-            answer = _tried(loop or _loop(parameters, delay), delay, first)
+            answer = _tried(loop or loop_of(parameters, delay), delay, first)
             value, error = (namespace(column).broadcast_to(column, shape) for column in answer)
         else:
             value, error = _on_grid(loop, parameters, shape, delay, first)
@@ -476,7 +476,7 @@ def fast_radius(
 
 def _shared_loop(parameters: list[Array], delay: float) -> Loop | None:
     plants = prod(np.broadcast_shapes(*(hand.shape for hand in parameters[2:])))
-    return _loop(parameters, delay) if plants <= _LIST else None
+    return loop_of(parameters, delay) if plants <= _LIST else None
 
 
 def _on_grid(
@@ -489,7 +489,7 @@ def _on_grid(
     is_parallel = polynomial_degree(delay) <= HIGHEST_COUNTED
 
     def of_piece(*piece: Any) -> Answer:
-        own = Loop(*piece) if loop else _loop(list(piece), delay)
+        own = Loop(*piece) if loop else loop_of(list(piece), delay)
         return _tried(own, delay, effort, shared)
 
     count = ceil(prod(shape) / (large_block if is_parallel else _BLOCK))
@@ -513,15 +513,16 @@ def _try_list(
         if loop:
             listed = Loop(*looked_up(loop, shape, padded))
         else:
-            listed = _loop(looked_up(parameters, shape, padded), delay)
+            listed = loop_of(looked_up(parameters, shape, padded), delay)
         columns.append(take(_tried(listed, delay, effort), slice(part.size)))
     return joined(columns)
 
 
-def _loop(parameters: list[Array], delay: float) -> Loop:
+def loop_of(parameters: list[Array], delay: Array | float) -> Loop:
+    """Loops of one form of p(z), with their plants."""
     alpha, beta, gamma, delta = parameters
-    fraction = delay % 1.0
-    plant = float_plant(gamma, delta, np.float64(fraction), is_fractional=fraction > 0.0)
+    fraction = np.asarray(delay) % 1.0
+    plant = float_plant(gamma, delta, fraction, is_fractional=bool(np.any(fraction > 0.0)))
     return Loop(alpha, beta, gamma, plant)
 
 

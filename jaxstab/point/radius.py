@@ -57,8 +57,8 @@ from jaxstab.numbers import checked_word
 from jaxstab.point.dominance import (
     LONGEST_DELAY,
     TOLERANCE,
-    Loop,
     fast_radius,
+    loop_of,
     newton,
     with_distance,
 )
@@ -73,7 +73,7 @@ from jaxstab.point.schur_cohn import (
     polynomial_codes,
     size,
 )
-from jaxstab.point.verdicts import Points, Values, filtered_loops, float_plant, is_plant_lost
+from jaxstab.point.verdicts import Points, Values, filtered_loops, is_plant_lost
 from jaxstab.rounding import PAIR_UNIT, SAFETY, UNIT
 from jaxstab.shown import number_text, text_with_bound
 
@@ -409,10 +409,7 @@ def _few(
 
 
 def _polished(parameters: list[Values], delay: Values | float) -> tuple[Values, Values]:
-    alpha, beta, gamma, delta = parameters
-    degree, fraction = polynomial_degree(float(np.max(delay))), np.asarray(delay) % 1.0
-    plant = float_plant(gamma, delta, fraction, is_fractional=bool(np.any(fraction > 0.0)))
-    loop = Loop(alpha, beta, gamma, plant)
+    degree, loop = polynomial_degree(float(np.max(delay))), loop_of(parameters, delay)
     root = companion_poles(loop.polynomials(degree))[:, 0]
     t = Complex(root.real - 1.0, np.abs(root.imag))
     with np.errstate(all="ignore"):

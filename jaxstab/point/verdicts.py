@@ -131,16 +131,6 @@ def linear_verdict(alpha: Array, beta: Array, loop: LinearLoop) -> Int8[Array, "
     return xp.asarray(codes)
 
 
-def traced_filtered_verdict(
-    point: tuple[Array, Array, Array, Array], form: Form, fraction: Array, filters: Filters
-) -> Int8[Array, "*grid"]:
-    """Return the codes of points that a transformation of JAX traces, in float64 alone."""
-    alpha, beta, gamma, delta = point
-    late = fraction if form.is_fractional else 0.0
-    loop = filtered_loop(gamma, delta, form.whole_delay, late, filters)
-    return _loop_float_codes(alpha, beta, rounded_loop(without_zeros(loop)), degree=loop.degree)
-
-
 def _resolved(
     codes: Int8[np.ndarray, "*grid"], points: Points, filters: Filters
 ) -> Int8[np.ndarray, "*grid"]:
@@ -346,7 +336,10 @@ def verdict(
     xp = namespace(point, delay)
     whole, fraction = whole_and_fraction(delay)
     if filters and whole.size == 1 and is_any_traced(point, delay, filters):
-        return traced_filtered_verdict(point, Form.from_delay(delay), fraction, filters)
+        form = Form.from_delay(delay)
+        late = fraction if form.is_fractional else 0.0
+        loop = filtered_loop(point[2], point[3], form.whole_delay, late, filters)
+        return linear_verdict(point[0], point[1], loop)
     if not filters and resolve is None and whole.size == 1:
         arrays, form = [xp.asarray(value, xp.float64) for value in point], Form.from_delay(delay)
         late, is_fractional = xp.asarray(fraction), form.is_fractional

@@ -180,7 +180,8 @@ def _compared(c: Curve, outline: Outline) -> list[tuple[int, float, bool, float]
         aside = max(_BESIDE * limit, _LEAST * extent)
         if np.isfinite(limit):
             lines += [(axis, limit + aside, False, 0.0), (axis, limit - aside, True, 0.0)]
-    rows = [_height(component, row) for component in (main, *islands)]
+    heights = (component.vertices[:, 1] for component in (main, *islands))
+    rows = [float(np.min(beta) + np.ptp(beta) * row) for beta in heights]
     if c.stretches:
         near = np.append(-from_corners, from_corners) * sizes[1]
         rows += (outline.corners[:, 1, None] + near).ravel().tolist()
@@ -228,11 +229,6 @@ def proved_extremes(region: StableRegion) -> tuple[Point, Point]:
                 point[axis] = ends[np.argmin(apart)]
         points.append(point)
     return points[0], points[1]
-
-
-def _height(component: Outline, share: float) -> float:
-    beta = component.vertices[:, 1]
-    return float(np.min(beta) + np.ptp(beta) * share)
 
 
 def _is_any_stable(c: Curve, axis: int, value: float, intervals: Points) -> bool:

@@ -46,17 +46,16 @@ class GainNames(NamedTuple):
 
     def at_largest_stiffness(self, point: Any) -> str:
         """Return the text of a point, the stiffness first and rounded down."""
-        return f"{self._stiffness(point, floors=True)} at {self._damping(point)}"
+        return f"{self._gain(0, point, floors=True)} at {self._gain(1, point)}"
 
     def at_largest_damping(self, point: Any) -> str:
         """Return the text of a point, the damping first and rounded down."""
-        return f"{self._damping(point, floors=True)} at {self._stiffness(point)}"
+        return f"{self._gain(1, point, floors=True)} at {self._gain(0, point)}"
 
-    def _stiffness(self, point: Any, **way: bool) -> str:
-        return f"{self.stiffness} = {_text(point[0], self.stiffness_unit, **way)}"
-
-    def _damping(self, point: Any, **way: bool) -> str:
-        return f"{self.damping} = {_text(point[1], self.damping_unit, **way)}"
+    def _gain(self, index: int, point: Any, *, floors: bool = False) -> str:
+        rounding = {"rounding": ROUND_FLOOR} if floors else {}
+        text = number_text(point[index], _DIGITS, unit=self[2 + index], **rounding)
+        return f"{self[index]} = {text}"
 
 
 class ShownRegion:
@@ -155,11 +154,6 @@ def limits_text(
             + (f", the stiffest of each: {'; '.join(described)}" if islands else ""),
         ]
     )
-
-
-def _text(value: float, unit: str, *, floors: bool = False) -> str:
-    rounding = {"rounding": ROUND_FLOOR} if floors else {}
-    return number_text(value, _DIGITS, unit=unit, **rounding)
 
 
 # What is known about a stable region.

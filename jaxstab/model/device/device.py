@@ -42,6 +42,7 @@ from jaxstab.model.device.parts import (
     checked_state_space,
     checked_transfer_function,
     degree_of,
+    flint,
     polynomial,
     turn,
     working_precision,
@@ -505,8 +506,6 @@ def _has_mass_left(free: Any, held: Any) -> bool:
 
 @lru_cache(maxsize=256)
 def _pole_balls(device: Device) -> list[tuple[Any, int]]:
-    import flint
-
     _, factors = device.compliance().denominator.factor_squarefree()
     with working_precision(_BITS):
         return [

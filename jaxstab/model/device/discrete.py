@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxstab.model.device.parts import HIGHEST_ORDER, Part, Ports, exact, polynomial
+from jaxstab.model.device.parts import HIGHEST_ORDER, Part, Ports, exact, flint, polynomial
 from jaxstab.numbers import checked, checked_number
 
 if TYPE_CHECKING:
@@ -85,21 +85,19 @@ class InSteps(Part):
 @lru_cache(maxsize=128)
 def sampled_steps(device: InSteps, count: int, delay: int) -> Sampled:
     """The same, for steps a sample and a delay in steps; ValueError if it does not move."""
-    from flint import fmpq_mat, fmpq_poly
-
     move, push, outputs = device.one_step()
     whole, late = divmod(delay, count)
     last = [0] * move.nrows() + [1]  # [[F, G], [0, 1]]^j is [[F^j, Gamma_j], [0, 1]]
     rows = [row + column for row, column in zip(move.tolist(), push.tolist(), strict=True)]
-    powers = [(fmpq_mat([*rows, last]) ** j).tolist()[:-1] for j in (count, count - late)]
-    everything, newest = (fmpq_mat([row[-1:] for row in power]) for power in powers)
-    onward = fmpq_mat([row[:-1] for row in powers[0]])
+    powers = [(flint.fmpq_mat([*rows, last]) ** j).tolist()[:-1] for j in (count, count - late)]
+    everything, newest = (flint.fmpq_mat([row[-1:] for row in power]) for power in powers)
+    onward = flint.fmpq_mat([row[:-1] for row in powers[0]])
     below, numerators = onward.charpoly(), []
     for row, direct in outputs:
         newer, older = (
             (onward - column * row).charpoly() - below for column in (newest, everything - newest)
         )
-        moved = newer * fmpq_poly([0, 1]) + older if late else newer
+        moved = newer * flint.fmpq_poly([0, 1]) + older if late else newer
         numerators.append(moved + direct * below)
     if not all(numerators):
         raise ValueError(f"the device ({device}) does not move at samples; give a force that acts.")
@@ -121,21 +119,23 @@ class Discrete(InSteps):
 
     def one_step(self) -> "tuple[fmpq_mat, fmpq_mat, list[tuple[fmpq_mat, fmpq]]]":
         """F and G, and of each output its row c and its d."""
-        from flint import fmpq_mat, fmpq_poly
-
         sides: Any = _exact(self.system)
         if len(sides) == 4:
             a, b, c, d = sides
             rows = zip(c, d, strict=True)
-            return fmpq_mat(a), fmpq_mat(b), [(fmpq_mat([row]), direct) for row, (direct,) in rows]
-        above, below = (fmpq_poly(side[::-1]) / sides[1][0] for side in sides)
+            return (
+                flint.fmpq_mat(a),
+                flint.fmpq_mat(b),
+                [(flint.fmpq_mat([row]), direct) for row, (direct,) in rows],
+            )
+        above, below = (flint.fmpq_poly(side[::-1]) / sides[1][0] for side in sides)
         direct, rest = divmod(above, below)
         order = below.degree()
         move = [[int(k == row + 1) for k in range(order)] for row in range(order - 1)]
         move.append([-below[k] for k in range(order)])
         push = [[int(row == order - 1)] for row in range(order)]
-        row = fmpq_mat([[rest[k] for k in range(order)]])
-        return fmpq_mat(move), fmpq_mat(push), [(row, direct[0])]
+        row = flint.fmpq_mat([[rest[k] for k in range(order)]])
+        return flint.fmpq_mat(move), flint.fmpq_mat(push), [(row, direct[0])]
 
 
 def _exact(numbers: Any) -> Any:
@@ -190,18 +190,16 @@ class Simulated(InSteps):
 
     def one_step(self) -> "tuple[fmpq_mat, fmpq_mat, list[tuple[fmpq_mat, fmpq]]]":
         """F and G, and position and velocity themselves."""
-        from flint import fmpq, fmpq_mat
-
         given = self.inertia, self.damping, self.stiffness, self.step
         inertia, damping, stiffness, step = map(exact, given)
-        rate = fmpq_mat([[0, 1], [-stiffness / inertia, -damping / inertia]])
-        torque = fmpq_mat([[0], [1 / inertia]])
+        rate = flint.fmpq_mat([[0, 1], [-stiffness / inertia, -damping / inertia]])
+        torque = flint.fmpq_mat([[0], [1 / inertia]])
         response = rate**0  # mean of exp(rate t) over a step: of a series, or of the rule
         if self.integrator == "rk4":
             response += rate * (step / 2) + rate**2 * (step**2 / 6) + rate**3 * (step**3 / 24)
         elif self.integrator != "explicit":
             # The position moves with the new velocity, and joint damping may be implicit.
             kept = 1 if self.integrator == "semi-implicit" else inertia / (inertia + step * damping)
-            response = fmpq_mat([[1, step * kept], [0, kept]])
-        outputs = [(fmpq_mat([row]), fmpq(0)) for row in ([1, 0], [0, 1])]
+            response = flint.fmpq_mat([[1, step * kept], [0, kept]])
+        outputs = [(flint.fmpq_mat([row]), flint.fmpq(0)) for row in ([1, 0], [0, 1])]
         return rate**0 + response * rate * step, response * torque * step, outputs

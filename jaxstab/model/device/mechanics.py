@@ -23,7 +23,15 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from jaxstab.model.device.device import Device
-from jaxstab.model.device.parts import Rational, balls_of, decided, exact, turn, working_precision
+from jaxstab.model.device.parts import (
+    Rational,
+    balls_of,
+    decided,
+    exact,
+    flint,
+    turn,
+    working_precision,
+)
 from jaxstab.model.device.sampling import in_fastest_time, in_samples
 from jaxstab.rounding import RAISED
 
@@ -126,8 +134,6 @@ def sides_in_samples(device: Device, sample_time: float) -> Sides:
 
 def equations(device: Device, sides: Sides, sample_time: float) -> "arb_mat":
     """[[A, B], [0, 0]] for the states, the wall's force and the hand's."""
-    import flint
-
     by_motor, by_hand, below = sides
     order, actuators = len(below) - 1, len(device.bandwidths)
     size = order + actuators
@@ -173,8 +179,6 @@ def handle_equations(device: Device, sample_time: float) -> HandleEquations:
 
     ValueError if no mass is there, or its encoder does not show the handle: friction acts there.
     """
-    import flint
-
     ports = device.ports()
     if (ports.encoder, ports.encoder_by_hand) != (ports.handle, ports.handle_by_hand):
         raise ValueError(
@@ -208,8 +212,6 @@ def handle_equations(device: Device, sample_time: float) -> HandleEquations:
 
 
 def _held(matrix: "arb_mat", fraction: float, offset: float) -> "arb_mat":
-    import flint
-
     size = matrix.ncols() - 2
     whole = (matrix * flint.arb(exact(offset))).exp()
     late = flint.arb(exact(offset)) - flint.arb(exact(fraction))
@@ -317,8 +319,6 @@ class _Motion(NamedTuple):
 
     def rows(self, time: "float | arb", is_late: bool) -> "arb_mat":
         """The position and its derivatives up to the fifth, of states and two forces."""
-        import flint
-
         wall = self.states
         whole = _derivatives(self.matrix, self._unit(0), time).tolist()
         since = time - flint.arb(exact(self.fraction))
@@ -331,22 +331,16 @@ class _Motion(NamedTuple):
 
     def blows(self, time: "float | arb") -> "arb_mat":
         """The states a time after a unit impulse at the handle, and their derivatives."""
-        import flint
-
         turned = self.matrix.transpose()
         found = _derivatives(turned, self._unit(self.states + 1) * turned, time)
         return flint.arb_mat([row[: self.states] for row in found.tolist()])
 
     def _unit(self, index: int) -> "arb_mat":
-        import flint
-
         return flint.arb_mat([[int(k == index) for k in range(self.states + 2)]])
 
 
 def _derivatives(matrix: "arb_mat", row: "arb_mat", time: "float | arb") -> "arb_mat":
     """A row times exp(matrix time), and its derivatives by time up to the fifth."""
-    import flint
-
     rows = []
     for _ in range(6):
         rows.append(row.entries())
@@ -387,8 +381,6 @@ def _rounded(
 
 
 def _over(start: float, end: float) -> "arb":
-    import flint
-
     return flint.arb(0.5 * (start + end), 0.5 * (end - start) * RAISED + 2.0**-60)
 
 

@@ -20,7 +20,20 @@ from jaxstab.numbers import checked, checked_number
 from jaxstab.shown import call_text
 
 if TYPE_CHECKING:
+    import flint as flint  # offered to the other files of balls
     from flint import arb, fmpq, fmpq_mpoly, fmpq_mpoly_ctx
+else:
+
+    class _Flint:
+        """python-flint, imported by the first who asks something of it: few questions need it."""
+
+        def __getattr__(self, name: str) -> Any:
+            import flint
+
+            setattr(self, name, getattr(flint, name))
+            return getattr(self, name)
+
+    flint = _Flint()
 
 _PRECISION = RLock()
 FIRST_BITS, MOST_BITS = 192, 192 << 4  # of the balls in which questions are asked
@@ -34,8 +47,6 @@ def working_precision(bits: int) -> Iterator[None]:
     # The precision of python-flint is one number of the whole process. Balls hold the true value at
     # any precision: threads of a program that set it meanwhile can cost an answer its digits, or
     # end it in an error, but cannot make it wrong.
-    import flint
-
     with _PRECISION, flint.ctx.workprec(bits):
         yield
 
@@ -71,8 +82,6 @@ def remembered(count: int) -> Callable[[Function], Function]:
 
         @wraps(function)
         def call(*given: Any) -> Any:
-            import flint
-
             return of_bits(flint.ctx.prec, *given)
 
         return cast(Function, call)
@@ -212,26 +221,20 @@ def turn(hertz: float) -> "fmpq_mpoly":
 
 def exact(value: Any) -> Any:
     """Return the rational number that a float64, or another exact number, is."""
-    from flint import fmpq
-
-    return value if isinstance(value, fmpq) else fmpq(*value.as_integer_ratio())
+    return value if isinstance(value, flint.fmpq) else flint.fmpq(*value.as_integer_ratio())
 
 
 def balls_of(polynomial: "fmpq_mpoly") -> list["arb"]:
     """Return the coefficients of the powers of s, lowest first, in balls of the precision set."""
-    from flint import arb
-
-    coefficients = [arb(0)] * (degree_of(polynomial) + 1)
+    coefficients = [flint.arb(0)] * (degree_of(polynomial) + 1)
     for (power, power_of_pi), factor in polynomial.to_dict().items():
-        coefficients[power] += arb(factor) * arb.pi() ** power_of_pi
+        coefficients[power] += flint.arb(factor) * flint.arb.pi() ** power_of_pi
     return coefficients
 
 
 @cache
 def _ring() -> "fmpq_mpoly_ctx":
-    from flint import fmpq_mpoly_ctx
-
-    return fmpq_mpoly_ctx.get(("s", "pi"), "lex")
+    return flint.fmpq_mpoly_ctx.get(("s", "pi"), "lex")
 
 
 HIGHEST_ORDER = 40
@@ -429,13 +432,11 @@ class StateSpace(Part):
 
     def _characteristic(self, fed_back: "list[list[fmpq]] | None" = None) -> "fmpq_mpoly":
         """det(s - A), or what a feedback adds to it."""
-        from flint import fmpq_mat
-
-        a = fmpq_mat([[exact(value) for value in row] for row in self.a])
+        a = flint.fmpq_mat([[exact(value) for value in row] for row in self.a])
         plain = polynomial(a.charpoly().coeffs()[::-1])
         if fed_back is None:
             return plain
-        return polynomial((a - fmpq_mat(fed_back)).charpoly().coeffs()[::-1]) - plain
+        return polynomial((a - flint.fmpq_mat(fed_back)).charpoly().coeffs()[::-1]) - plain
 
 
 def _description(mass: float, damping: float, stiffness: float) -> str:
@@ -530,10 +531,8 @@ def checked_compliance(function: Rational, what: str) -> Rational:
 
 def _grows(common: "fmpq_mpoly") -> bool:
     """True if a factor has a root in the right half plane; one with pi has none."""
-    from flint import fmpq_poly
-
     if degree_of(common) < 1 or any(power_of_pi for _, power_of_pi in common.monoms()):
         return False  # the denominator of a mode
     rising = [common[power, 0] for power in range(degree_of(common) + 1)]
-    roots: list[Any] = fmpq_poly(rising).complex_roots()  # each with its multiplicity
+    roots: list[Any] = flint.fmpq_poly(rising).complex_roots()  # each with its multiplicity
     return any(root.real > 0 for root, _ in roots)

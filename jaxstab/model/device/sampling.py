@@ -16,7 +16,7 @@ from math import ceil, floor, ldexp, log2
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from jaxstab.model.device.device import Device, in_steps
-from jaxstab.model.device.parts import Rational, balls_of, decided, exact, remembered
+from jaxstab.model.device.parts import Rational, balls_of, decided, exact, flint, remembered
 from jaxstab.model.parameters import LONGEST_DELAY
 from jaxstab.numbers import checked_number
 
@@ -60,7 +60,6 @@ def sampled_device(device: Device, sample_time: float, delay: float) -> SampledD
     """
     period = checked_number("sample_time", sample_time, 0.0, is_open=True, unit="s")
     delay = checked_number("delay", delay, 0.0, LONGEST_DELAY, unit="samples")
-    import flint
 
     def size() -> Ball:
         own = in_steps(device)
@@ -83,8 +82,6 @@ def in_samples(compliance: Rational, sample_time: float) -> tuple[list["arb"], l
     A coefficient that is 0 is the exact 0. ValueError: a pole vanishes within a sampling period.
     """
     fastest = 14  # power of two: poles per sampling period
-    import flint
-
     period = flint.arb(exact(sample_time))
     above, below = (balls_of(polynomial) for polynomial in compliance)
     degree, leading = len(below) - 1, below[-1]
@@ -140,16 +137,12 @@ class OneSample(NamedTuple):
 
     def moved(self, column: Matrix) -> Any:
         """The response of the position to states, as a polynomial in z."""
-        import flint
-
         return flint.arb_poly(position_after(self.above, self.transition, self.denominator, column))
 
     def of_samples(self, fraction: Ball | None) -> tuple[Any, Any]:
         """N(z) and D(z), for a fraction of a sample with one sample of delay more (V10)."""
         if fraction is None:
             return self.whole, self.denominator
-        import flint
-
         later = self.moved(force_of(held(self.below, (1 - fraction) * self.speed)))
         return flint.arb_poly([-1, 1]) * later + self.whole, self.denominator
 
@@ -159,8 +152,6 @@ def in_fastest_time(above: list[Ball], below: list[Ball]) -> "tuple[list[Ball], 
 
     The last number is how many of them a sample has, a power of two.
     """
-    import flint
-
     order, speed = len(below) - 1, _speed(below)
     above, below = (
         [value * flint.arb(2) ** (speed * (power - order)) for power, value in enumerate(row)]
@@ -173,8 +164,6 @@ def position_after(
     above: list[Ball], transition: Matrix, denominator: "arb_poly", column: Matrix
 ) -> list[Ball]:
     """Return C adj(z - A) v, the lowest power first, by det(z - A): what a state v does to z^k."""
-    import flint
-
     order, row = len(above), _matrix([above])
     responses = []
     for _ in range(order):
@@ -214,8 +203,6 @@ def force_of(matrix: Matrix) -> Matrix:
 
 
 def _matrix(rows: list[list[Any]]) -> Any:
-    import flint
-
     return flint.arb_mat(rows)
 
 
@@ -250,8 +237,6 @@ def late_cosines(device: Device, sample_time: float, delay: float, jitter: float
 
     L is the delay, ``jitter`` is J in samples.
     """
-    import flint
-
     given = in_samples(device.compliance(), sample_time)
     above, below, speed = in_fastest_time(*given)
     order = len(below) - 1
@@ -289,8 +274,6 @@ def _after(below: list[Ball], time: "arb") -> "tuple[Matrix, Matrix]":
 
     They are formed over a time in which the device's numbers are of size 1, then doubled.
     """
-    import flint
-
     order, doublings = len(below) - 1, max(0, ceil(log2(float(time)))) if time > 0 else 0
     rows = [[flint.arb(0)] * (2 * order) for _ in range(2 * order)]
     for row in range(order - 1):
