@@ -27,6 +27,7 @@ BENCHMARKS = (
     "loops",
     "exact",
     "polynomials",
+    "rivals",
     "stress",
     "measured",
 )
@@ -77,7 +78,7 @@ def main() -> int:
         options: dict[str, Any] = {}
         if name == "scaling" and choice.billion:
             options = {"billion": True}
-        if name in ("answers", "exact", "loops", "stress") and choice.points:
+        if name in ("answers", "exact", "loops", "polynomials", "stress") and choice.points:
             options = {"points": choice.points}
         if name in ("stress", "loops"):
             options |= {"keep": keep}

@@ -19,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks import truth
+from benchmarks.grids import largest_modulus
 from benchmarks.record import Row
-from benchmarks.rivals import largest_modulus
 from benchmarks.truth.balls import BallLoop
 from benchmarks.truth.filtered import FilteredLoop, average, difference
 from benchmarks.truth.plain import Loop
