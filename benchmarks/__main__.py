@@ -22,7 +22,6 @@ BENCHMARKS = (
     "throughput",
     "accelerator",
     "scaling",
-    "criteria",
     "ranges",
     "loops",
     "exact",

@@ -17,11 +17,10 @@ _STYLES = {
     "nearest": ("#CC79A7", "v"),
     "linear": ("#0072B2", "o"),
     "cubic": ("#009E73", "X"),
-    "jaxstab": ("#0072B2", "o"),
-    "NumPy eigenvalues": ("#E69F00", "s"),
     "Schur-Cohn, not proved": ("#999999", "^"),
     "write int8": ("#999999", "v"),
     "write float64": ("#999999", "o"),
+    "closed form": ("#0072B2", "o"),
     "two cores": ("#E69F00", "s"),
     "device": ("#0072B2", "o"),
     "eigenvalue grid": ("#E69F00", "s"),
@@ -32,20 +31,11 @@ _STYLES = {
     "python-control poles": ("#000000", "P"),
     "verdict grid": ("#56B4E9", "^"),
     "verdict": ("#56B4E9", "^"),
-    "streamed verdict": ("#56B4E9", "^"),
     "traced": ("#009E73", "X"),
     "spectral_radius": ("#0072B2", "o"),
     "spectral_radius, companion": ("#009E73", "X"),
-    "closed form": ("#0072B2", "o"),
-    "stable_region": ("#0072B2", "o"),
-    "its polygon": ("#E69F00", "s"),
-    "verdict, exact": ("#0072B2", "o"),
-    "eq. (9) as printed": ("#D55E00", "P"),
-    "linear_validity": ("#0072B2", "o"),
-    "exact": ("#0072B2", "o"),
 }
 _DOCS, _ON_PAGES = Path(__file__).parents[1] / "docs", ("resolution",)
-_ULPS = (0.1, 1e20)  # smaller and larger errors are drawn here; at 1e16 no digit is right
 
 _SMALLEST = 1e-17  # errors of zero are drawn here
 
@@ -145,87 +135,11 @@ def _resolution(rows: list[Row]) -> Figure:
     return _with_legend(figure, axes)
 
 
-def _scaling(rows: list[Row]) -> Figure:
-    figure, axes = _panels(1, 2, "Cost as work grows")
-    some = [row for row in rows if row["section"] == "points"]
-    labels = {"seconds_per_point": "seconds per point", "peak_mib": "peak memory in MiB"}
-    for panel, (column, label) in zip(axes[0], labels.items(), strict=True):
-        _lines(panel, some, "points", column)
-        panel.set(xscale="log", xlabel="points, streamed", ylabel=label)
-    axes[0, 0].set_yscale("log")
-    axes[0, 1].set_ylim(bottom=0.0)
-    return _with_legend(figure, axes)
-
-
-def _stress(rows: list[Row]) -> Figure:
-    figure, axes = _panels(
-        1, 3, "Largest errors of a spectral radius, random and adversarial loops"
-    )
-    rows = [
-        row | {"error": min(row["error"], _ULPS[1])}
-        for row in rows
-        if "verdict" not in row["method"]
-    ]
-    for panel, axis in zip(axes[0], ("delay", "gamma", "delta"), strict=True):
-        some = [row for row in rows if row["section"] == axis]
-        _lines(panel, some, "place", "error", floor=_ULPS[0])
-        panel.set(yscale="log", ylim=_ULPS)
-        panel.set_xlabel("delay in samples" if axis == "delay" else f"decade of {axis}")
-    axes[0, 0].set_xscale("symlog", linthresh=1.0)
-    axes[0, 0].set_xlim(left=0.0)
-    axes[0, 0].set_ylabel("units of the last place")
-    return _with_legend(figure, axes)
-
-
-def _latency(rows: list[Row]) -> Figure:
-    """Time and memory of each question, a line each; a bar ends at what is wanted."""
-    questions = list(dict.fromkeys(row["section"] for row in rows))[::-1]
-    figure, axes = _panels(1, 2, "One question to a fresh process, imports included")
-    figure.set_figheight(1.6 + 0.3 * len(questions))
-    columns = (
-        ("seconds", "target_seconds", "CPU time in s"),
-        ("peak_mib", "target_mib", "memory in MiB"),
-    )
-    for panel, (column, target, label) in zip(axes[0], columns, strict=True):
-        wanted = {row["section"]: row[target] for row in rows}
-        panel.barh(questions, [wanted[name] for name in questions], color="0.9", label="wanted")
-        for method in dict.fromkeys(row["method"] for row in rows):
-            colour, marker = _STYLES[method]
-            some = [row for row in rows if row["method"] == method]
-            values, names = [row[column] for row in some], [row["section"] for row in some]
-            panel.plot(values, names, marker, color=colour, label=method)
-        panel.set(xlabel=label)
-    axes[0, 0].set_xscale("log")
-    axes[0, 1].set_yticklabels([])
-    return _with_legend(figure, axes)
-
-
-def _exact(rows: list[Row]) -> Figure:
-    """CPU time of balls, and what they leave open."""
-    kinds = [row for row in rows if "judged" in row][::-1]
-    judged, wrong = (sum(row[column] for row in kinds) for column in ("judged", "wrong"))
-    title = f"Random loops in balls: {judged:,} answers judged, {wrong} wrong"
-    figure, axes = _panels(1, 2, title)
-    figure.set_figheight(2.4 + 0.22 * len(kinds))
-    sections = [row["section"] for row in kinds]
-    labels = {"seconds": "median CPU time in s", "open": "left open"}
-    for panel, (name, label) in zip(axes[0], labels.items(), strict=True):
-        panel.plot([row[name] for row in kinds], sections, _STYLES["exact"][1])
-        panel.set(xlabel=label)
-    axes[0, 0].set_xscale("log")
-    axes[0, 1].set_yticklabels([])
-    return figure
-
-
 DRAWINGS: dict[str, Callable[[list[Row]], Figure]] = {
-    "latency": _latency,
     "boundary": _boundary,
-    "exact": _exact,
     "resolution": _resolution,
     "throughput": _throughput,
     "accelerator": _accelerator,
-    "scaling": _scaling,
-    "stress": _stress,
 }
 
 
