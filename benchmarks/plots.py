@@ -17,27 +17,21 @@ _STYLES = {
     "nearest": ("#CC79A7", "v"),
     "linear": ("#0072B2", "o"),
     "cubic": ("#009E73", "X"),
-    "Schur-Cohn, not proved": ("#999999", "^"),
-    "write int8": ("#999999", "v"),
-    "write float64": ("#999999", "o"),
-    "closed form": ("#0072B2", "o"),
-    "two cores": ("#E69F00", "s"),
-    "device": ("#0072B2", "o"),
-    "eigenvalue grid": ("#E69F00", "s"),
-    "numpy eigvals": ("#E69F00", "s"),
-    "jax eigvals": ("#D55E00", "D"),
-    "n-cube bisection": ("#D55E00", "D"),
-    "numpy.roots": ("#CC79A7", "v"),
-    "python-control poles": ("#000000", "P"),
-    "verdict grid": ("#56B4E9", "^"),
-    "verdict": ("#56B4E9", "^"),
-    "traced": ("#009E73", "X"),
-    "spectral_radius": ("#0072B2", "o"),
-    "spectral_radius, companion": ("#009E73", "X"),
+    "jaxstab": ("#0072B2", "o"),
+    "jaxstab, batched": ("#0072B2", "s"),
+    "jaxstab, atlas": ("#0072B2", "^"),
+    "numpy.roots, bisection": ("#E69F00", "o"),
+    "scipy brentq": ("#E69F00", "X"),
+    "python-control margins": ("#D55E00", "o"),
+    "python-control margins, poly": ("#D55E00", "X"),
+    "python-control root locus": ("#D55E00", "s"),
+    "grid of 16 x 16, contourpy": ("#009E73", "v"),
+    "grid of 50 x 50, contourpy": ("#009E73", "s"),
+    "grid of 160 x 160, contourpy": ("#009E73", "^"),
+    "python-flint, exact fractions": ("#CC79A7", "D"),
+    "MuJoCo, bisection": ("#000000", "P"),
 }
-_DOCS, _ON_PAGES = Path(__file__).parents[1] / "docs", ("resolution",)
-
-_SMALLEST = 1e-17  # errors of zero are drawn here
+_DOCS = Path(__file__).parents[1] / "docs"
 
 
 def draw_all(folder: Path) -> None:
@@ -49,7 +43,7 @@ def draw_all(folder: Path) -> None:
         path = record.path_of(one, folder.parent if one["small"] else folder).with_suffix(".png")
         figure.savefig(path, dpi=120)
         print(path)
-        if folder == record.RESULTS and one["benchmark"] in _ON_PAGES:
+        if folder == record.RESULTS:
             figure.savefig(_DOCS / f"{one['benchmark']}.png", dpi=90)
 
 
@@ -61,49 +55,6 @@ def draw(one: Record) -> Figure:
         where = machine["accelerator"] or f"{machine['cpu']}, {machine['cores']} cores"
         figure.suptitle(f"{figure.get_suptitle()}\n{where}", fontsize=11)
         return figure
-
-
-def _boundary(rows: list[Row]) -> Figure:
-    rows = [row for row in rows if row["section"] == "outline"]
-    delays = sorted({row["delay"] for row in rows})
-    figure, axes = _panels(2, len(delays), "The boundary of one slice: run time against error")
-    for column, delay in zip(axes.T, delays, strict=True):
-        some = [row for row in rows if row["delay"] == delay]
-        for panel, what in zip(column, ("error", "gap"), strict=True):
-            _lines(panel, some, "seconds", what, floor=_SMALLEST)
-            panel.set(xscale="log", yscale="log", xlabel="run time in s")
-        column[0].set_title(f"delay {delay:g}")
-    axes[0, 0].set_ylabel("largest distance of found points\nfrom the boundary (region = 1)")
-    axes[1, 0].set_ylabel("largest distance of the boundary\nfrom the outline found (region = 1)")
-    return _with_legend(figure, axes)
-
-
-def _throughput(rows: list[Row]) -> Figure:
-    figure, axes = _panels(2, 2, "Verdict and spectral radius beside eigenvalues")
-    for column, section, x in zip(axes.T, ("delay", "batch"), ("delay", "batch"), strict=True):
-        some = [row for row in rows if row["section"] == section]
-        _lines(column[0], some, x, "seconds_per_point")
-        _lines(column[1], some, x, "error", floor=_SMALLEST)
-        for panel in column:
-            panel.set_yscale("log")
-            panel.set_xscale("log" if x == "batch" else "linear")
-        column[1].set_xlabel("points of the slice, delay 1" if x == "batch" else "delay in samples")
-    axes[0, 0].set_ylabel("seconds per point")
-    axes[1, 0].set_ylabel("verdict: distance at which undecided\nothers: error of the radius")
-    return _with_legend(figure, axes)
-
-
-def _accelerator(rows: list[Row]) -> Figure:
-    """Draw verdicts and radii; rows come in pairs, that of two cores first."""
-    names = [("two cores", "device")[number % 2] for number in range(len(rows))]
-    shown = [row | {"method": name} for row, name in zip(rows, names, strict=True)]
-    figure, axes = _panels(1, 2, "Dense grids that stay on the device, and two cores of its host")
-    for panel, section in zip(axes[0], ("verdict", "spectral_radius"), strict=True):
-        some = [row for row in shown if row["section"] == section]
-        _lines(panel, some, "delay", "seconds_per_point")
-        panel.set(yscale="log", title=section, xlabel="delay in samples")
-    axes[0, 0].set_ylabel("seconds per point")
-    return _with_legend(figure, axes)
 
 
 def _resolution(rows: list[Row]) -> Figure:
@@ -135,11 +86,28 @@ def _resolution(rows: list[Row]) -> Figure:
     return _with_legend(figure, axes)
 
 
+def _rivals(rows: list[Row]) -> Figure:
+    """CPU time of a loop against the error of its end, a panel for each group of loops."""
+    figure, axes = _panels(2, 2, "How far may one gain go: the same question to each tool")
+    figure.set_figwidth(9.5)
+    for panel, group in zip(axes.flat, dict.fromkeys(row["section"] for row in rows), strict=True):
+        some = [
+            row | {"each": row["cpu_seconds"] / row["points"]}
+            for row in rows
+            if row["section"] == group
+        ]
+        _lines(panel, some, "each", "error", floor=1e-17)
+        panel.set(xscale="log", yscale="log", title=group, xlim=(1e-7, 3.0), ylim=(5e-18, 5.0))
+    for panel in axes[1]:
+        panel.set_xlabel("CPU time per loop in s")
+    for panel in axes[:, 0]:
+        panel.set_ylabel("largest relative error\n(1: an end was not found)")
+    return _with_legend(figure, axes)
+
+
 DRAWINGS: dict[str, Callable[[list[Row]], Figure]] = {
-    "boundary": _boundary,
+    "rivals": _rivals,
     "resolution": _resolution,
-    "throughput": _throughput,
-    "accelerator": _accelerator,
 }
 
 

@@ -1,7 +1,6 @@
 """The table of benchmarks: a line for each task and method, with its run time and its error.
 
-docs/accuracy.md has all of it below a few lines for a reader and the table of rivals, of which the
-README has a few lines.
+docs/accuracy.md has all of it below the table of rivals, of which README has some lines.
 """
 
 import re
@@ -17,8 +16,6 @@ ROOT = Path(__file__).parents[1]
 README, PAGE = ROOT / "README.md", ROOT / "docs" / "accuracy.md"
 _BEGIN, _END = "<!-- table of benchmarks: begin -->", "<!-- table of benchmarks: end -->"
 _DEVICES = "<!-- table of devices: begin -->", "<!-- table of devices: end -->"
-
-_READER = "<!-- table for a reader: begin -->", "<!-- table for a reader: end -->"
 
 _RESOLUTIONS = "<!-- table of resolutions: begin -->", "<!-- table of resolutions: end -->"
 _WAYS = ("nearest", "linear", "cubic")
@@ -36,41 +33,15 @@ _DEGREES = ("degree 25", "degree 205", "degree 485")  # of loops in balls
 _OWN_REGIONS = ("stable_region", "regions_of")
 _POLYNOMIALS = ("degree 10", "degree 10, clustered", "degree 40", "degree 40, clustered")
 
-# The same question to all tools: those of the README, and what each of them needs. The fields of a
-# row of that tool fill the braces.
+# What the tools of README's table need; fields of a row of that tool fill the braces.
 _RIVALS = "<!-- table of rivals: begin -->", "<!-- table of rivals: end -->"
 _NEEDS = {
-    "jaxstab": "the numbers of the device; {lines} lines; every answer proved",
-    "numpy.roots, bisection": "p(z), formed by you, and {lines} lines; quickest to start",
-    "python-control margins": "p(z) and {lines} lines; crossings at z = -1 are not found",
-    "grid of 160 x 160, contourpy": "p(z) and {lines} lines; draws the whole boundary",
-    "MuJoCo, bisection": "a model and {lines} lines; sees contact and limits of force, too",
+    "jaxstab": "the device's numbers, {lines} lines; proved; starts in {first}",
+    "numpy.roots, bisection": "p(z), formed by you, {lines} lines; starts in {first}",
+    "python-control margins": "p(z), {lines} lines; overlooks crossings at z = -1",
+    "grid of 160 x 160, contourpy": "p(z), {lines} lines; draws the whole boundary",
+    "MuJoCo, bisection": "a model, {lines} lines; simulators only; can add contact and friction",
 }
-
-# For a reader: the question, then what is said of jaxstab and of the usual way. A line of the whole
-# table is found by a part of its task and by its method; its columns fill the braces.
-_QUESTIONS = (
-    (
-        "Is one wall stable, in a fresh process?",
-        ("process: verdict", "jaxstab", "{2}, proved"),
-        ("process: verdict", "NumPy eigenvalues", "eigenvalues: {2}, not proved"),
-    ),
-    (
-        "A million walls, one sample of delay",
-        ("1,000,000 points, delay 1", "verdict", "{2}, proved"),
-        ("1,000,000 points, delay 1", "verdict", "eigenvalues: {4} times as long, not proved"),
-    ),
-    (
-        "The boundary of the stable set",
-        ("one region, delay 1", "stable_region", "{2}, error {3}"),
-        ("boundary of a slice", "eigenvalue grid", "eigenvalues on a grid: {2}, error {3}"),
-    ),
-    (
-        "Verdicts on loops with estimators, many of them next to the boundary",
-        ("walls judged", "verdict", "{0}: {3}"),
-        ("walls judged", "numpy eigvals", "eigenvalues: {3}"),
-    ),
-)
 
 Line = tuple[str, str, str, str, str]
 
@@ -82,19 +53,6 @@ def markdown(records: list[Record]) -> str:
     return "\n".join(
         [_caption(chosen.get("throughput") or next(iter(chosen.values()))), "", *table]
     )
-
-
-def summary(records: list[Record]) -> str:
-    """Return five lines for a reader, each beside the usual way, of the same machine."""
-    lines = [tuple(map(_short, line)) for line in _lines(_of_one_machine(records))]
-    rows = [("question", "jaxstab", "the usual way"), ("---",) * 3]
-    for question, *columns in _QUESTIONS:
-        said = [
-            next(words.format(*line) for line in lines if part in line[0] and line[1] == method)
-            for part, method, words in columns
-        ]
-        rows.append((question, *said))
-    return "\n".join(map(_row, rows))
 
 
 def rivals(records: list[Record], *, brief: bool = False) -> str:
@@ -110,7 +68,8 @@ def rivals(records: list[Record], *, brief: bool = False) -> str:
         lines.append(("---",) * len(lines[0]))
         for name, words in _NEEDS.items():
             own = list(tools[name].values())
-            lines.append((name, *_end(own), words.format(**own[0])))
+            first = _time(own[0]["first_seconds"])
+            lines.append((name, *_end(own), words.format(**own[0], first=first)))
         return "\n".join(map(_row, lines))
     heading = ("tool", *groups, "verdict", "wrong verdicts", "lines", "fresh process")
     rows = [_row(heading), _row(("---",) * len(heading))]
@@ -134,13 +93,8 @@ def _end(rows: list[Row]) -> tuple[str, str]:
     )
     errors = [row["largest_error_found"] for row in rows if row["missed"] < row["judged"]]
     said = [_error(max(errors))] if errors else []
-    said += [f"{missed} of {judged} not found"] if missed else []
+    said += [f"{missed} of {judged} missed"] if missed else []
     return _time(seconds / loops), "; ".join(said)
-
-
-def _short(cell: str) -> str:
-    """Without what is in brackets, and after them."""
-    return cell.split(" (")[0]
 
 
 def _of_one_machine(records: list[Record]) -> dict[str, Record]:
@@ -164,7 +118,6 @@ def put_into_pages(records: list[Record]) -> None:
         text = _replaced(text, _RIVALS, rivals(records, brief=page == README))
         if page == PAGE:
             text = _replaced(text, (_BEGIN, _END), markdown(records))
-            text = _replaced(text, _READER, summary(records))
         elif any(one["benchmark"] == "resolution" for one in records):
             text = _replaced(text, _RESOLUTIONS, resolutions(records))
         if page == PAGE and devices:
