@@ -31,17 +31,9 @@ from benchmarks import latency
 from benchmarks.record import Row
 from benchmarks.timing import Timing, interleaved
 from benchmarks.tools import EXAMPLE, MUJOCO, TOOLS, IsStable, Joint, Line, Tool
-from benchmarks.truth import plain
+from benchmarks.truth import filtered, plain
 from benchmarks.truth.devices import Mechanism
-from benchmarks.truth.filtered import (
-    Rational,
-    average,
-    butterworth,
-    difference,
-    exponential,
-    low_pass,
-    times,
-)  # fmt: skip
+from benchmarks.truth.filtered import Rational
 from jaxstab import HapticLoop, Loop, Velocity, Verdict
 from jaxstab.atlas.limits import table_of
 
@@ -58,6 +50,7 @@ _MISSED = 0.01  # an end this far off is another crossing, or none
 _SCAN = 1000  # eigenvalues between two doublings of the gain
 
 Parts = list[plain.Falling]
+Walls = list[list[float]]
 
 
 class Case(NamedTuple):
@@ -94,7 +87,7 @@ class Case(NamedTuple):
         loop: Any = self.loop
         return loop.verdict(**dict(zip(self.names, (gain, self.line.other), strict=True)))
 
-    def is_stable(self, gain: mpf) -> bool:
+    def is_stable(self, gain: Any) -> bool:
         """The truth."""
         with mp.workdps(plain.DIGITS):
             t, u = mpf(gain), mpf(self.line.other)
@@ -144,11 +137,10 @@ def rows(small: bool) -> Iterator[Row]:
 def _rows(group: str, cases: list[Case], budget: float, batch: int) -> Iterator[Row]:
     truths = [case.end() for case in cases]
     walls = [[float(end * (1 + mpf(share))) for share in SHARES] for end in truths]
-    stable = np.array(
-        [list(map(*one)) for one in zip([c.is_stable for c in cases], walls, strict=True)]
-    )
+    pairs = zip(cases, walls, strict=True)
+    stable = np.array([[case.is_stable(gain) for gain in row] for case, row in pairs])
     asked = _jaxstab(group, cases, walls, batch) | {
-        name: _tool(name, tool, cases, walls)
+        name: _tool(name, tool, group == "walls" or name == MUJOCO, cases, walls)
         for name, tool in TOOLS.items()
         if name != MUJOCO or group == "simulators"
     }
@@ -171,7 +163,7 @@ def _rows(group: str, cases: list[Case], budget: float, batch: int) -> Iterator[
             "largest_error_found": max((e for e in errors if e <= _MISSED), default=1.0),
             "lines": one.lines,
             **(_verdicts(one, judged[name], stable) if one.verdicts else {}),
-            **(_first(one.process) if group == "walls" or name == MUJOCO else {}),
+            **(_first(one.process) if one.process else {}),
         }
 
 
@@ -196,13 +188,10 @@ def _verdicts(one: Asked, timing: Timing, stable: np.ndarray) -> Row:
 
 
 def _first(words: tuple[str, ...]) -> Row:
-    if not words:
-        return {}
-    runs = [latency.run(words) for _ in range(_RUNS)]
-    return {"first_seconds": median(run.seconds for run in runs)}
+    return {"first_seconds": median(latency.run(words).seconds for _ in range(_RUNS))}
 
 
-def _tool(name: str, tool: Tool, cases: list[Case], walls: list[list[float]]) -> Asked:
+def _tool(name: str, tool: Tool, is_first: bool, cases: list[Case], walls: Walls) -> Asked:
     lines = [case.line for case in cases]
 
     def end(line: Line) -> float:
@@ -218,26 +207,24 @@ def _tool(name: str, tool: Tool, cases: list[Case], walls: list[list[float]]) ->
     return Asked(
         lambda: list(map(end, lines)), len(lines), sum(map(_length, tool.written)),
         partial(codes, tool.is_stable) if tool.is_stable else None, len(lines) * len(SHARES),
-        ("-W", "ignore", "-m", "benchmarks.tools", name),
+        ("-W", "ignore", "-m", "benchmarks.tools", name) if is_first else (),
     )  # fmt: skip
 
 
 def _length(function: Callable[..., Any]) -> int:
     """Lines of a function without its docstring."""
-    return len(inspect.getsource(function).splitlines()) - len(
-        (function.__doc__ or "").splitlines()
-    )
+    source, words = inspect.getsource(function), function.__doc__ or ""
+    return len(source.splitlines()) - len(words.splitlines())
 
 
-def _jaxstab(
-    group: str, cases: list[Case], walls: list[list[float]], batch: int
-) -> dict[str, Asked]:
+def _jaxstab(group: str, cases: list[Case], walls: Walls, batch: int) -> dict[str, Asked]:
     count = len(cases)
     pairs = [pair for case, row in zip(cases, walls, strict=True) for pair in product([case], row)]
     found = {
         "jaxstab": Asked(
             lambda: [case.interval() for case in cases], count, 3,
-            lambda: [int(case.verdict(gain)) for case, gain in pairs], len(pairs), ("-c", _EXAMPLE),
+            lambda: [int(case.verdict(gain)) for case, gain in pairs], len(pairs),
+            ("-c", _EXAMPLE) if group == "walls" else (),
         )
     }  # fmt: skip
     loops = [case.loop for case in cases if isinstance(case.loop, HapticLoop)]
@@ -283,36 +270,31 @@ def groups() -> dict[str, list[Case]]:
         (0.25, 0.1, 0.0, 1.0), (0.4, 5.0, 300.0, 1.0), (1.0, 0.5, 0.0, 1.5), (0.25, 2.0, 0.0, 2.0),
         (0.7, 0.1, 400.0, 2.0), (0.25, 0.1, 0.0, 3.0),
     )  # fmt: skip
-    omega, second = (0.25, 0.1, 0.0), Velocity.butterworth(50.0, order=2)
-    one = Velocity.difference(samples=1)
-    estimators: list[tuple[Velocity, Rational, float, float]] = [
-        *(
-            (Velocity.difference(samples=n), difference(n), delay, share)
-            for n, delay, share in (
-                (2, 1.0, 0.2), (5, 1.0, 0.1), (10, 1.0, 0.06), (20, 1.0, 0.03), (20, 0.0, 0.03),
-                (40, 0.5, 0.015),
-            )
-        ),
-        (Velocity.low_pass(100.0), times(difference(1), low_pass(0.1, 1)), 1.0, 0.2),
-        (Velocity.low_pass(20.0), times(difference(1), low_pass(0.02, 1)), 1.0, 0.12),
-        (second, times(difference(1), butterworth(0.05, 2)), 2.0, 0.05),
-        (Velocity.exponential(0.2), times(difference(1), exponential(0.2)), 0.0, 0.2),
-    ]  # fmt: skip
+    windows = (
+        (2, 1.0, 0.2), (5, 1.0, 0.1), (10, 1.0, 0.06), (20, 1.0, 0.03), (20, 0.0, 0.03),
+        (40, 0.5, 0.015),
+    )  # fmt: skip
+    smooth = (
+        (Velocity.low_pass(100.0), filtered.low_pass(0.1, 1), 1.0, 0.2),
+        (Velocity.low_pass(20.0), filtered.low_pass(0.02, 1), 1.0, 0.12),
+        (Velocity.butterworth(50.0, order=2), filtered.butterworth(0.05, 2), 2.0, 0.05),
+        (Velocity.exponential(0.2), filtered.exponential(0.2), 0.0, 0.2),
+    )
+    one, omega, step = Velocity.difference(samples=1), (0.25, 0.1, 0.0), filtered.difference(1)
+    estimators = [
+        *((Velocity.difference(samples=n), filtered.difference(n), *rest) for n, *rest in windows),
+        *((velocity, filtered.times(step, own), *rest) for velocity, own, *rest in smooth),
+    ]
     return {
-        "walls": [
-            _wall(body, delay, one, difference(1), 0.3 / (1.0 + delay)) for *body, delay in walls
-        ],
-        "estimators": [
-            _wall(omega, delay, velocity, truth, share)
-            for velocity, truth, delay, share in estimators
-        ],
+        "walls": [_wall(body, one, step, delay, 0.3 / (1.0 + delay)) for *body, delay in walls],
+        "estimators": [_wall(omega, *estimator) for estimator in estimators],
         "simulators": [_joint(*joint) for joint in _JOINTS],
         "admittance": [_admittance(*robot) for robot in _ROBOTS],
     }
 
 
 def _wall(
-    body: Sequence[float], delay: float, velocity: Velocity, truth: Rational, share: float
+    body: Sequence[float], velocity: Velocity, truth: Rational, delay: float, share: float
 ) -> Case:
     """A wall on one mass, damping and stiffness; B is a share of m/T."""
     mass, damping, stiffness = body
@@ -321,7 +303,7 @@ def _wall(
         delay=delay * _T, velocity=velocity,
     )  # fmt: skip
     system = Mechanism([(mpf(mass), mpf(damping), mpf(stiffness))]).system()
-    parts = plain.Loop.from_parts(loop, system, delay, (truth, average(1)))[1:]
+    parts = plain.Loop.from_parts(loop, system, delay, (truth, filtered.average(1)))[1:]
     return Case.of(loop, ("stiffness", "damping"), list(parts), share * mass / _T, 10.0)
 
 
@@ -336,32 +318,24 @@ _JOINTS = (
 
 
 def _joint(joint: Joint, share: float) -> Case:
-    """A simulated joint; one step is J' v+ = J v + h torque, J' = J + h c (and + h kd inside)."""
+    """A simulated joint: J' v+ = J v + h torque, J' = J + h c, and + h kd where kd is implicit.
+
+    Those that hold their torque for n steps have no damping: x + n h v + n (n + 1)/2 h^2 torque/J.
+    """
     rules = {"Euler": "implicit-joint", "implicitfast": "implicit-damping"}
     loop = jaxstab.simulated_pd(
         joint.inertia, step=joint.step, damping=joint.damping, integrator=rules[joint.integrator],
         outside=joint.substeps > 0, substeps=max(joint.substeps, 1), delay_steps=joint.delay_steps,
     )  # fmt: skip
     with mp.workdps(plain.DIGITS):
-        inertia, step = mpf(joint.inertia), mpf(joint.step)
+        inertia, step, n = mpf(joint.inertia), mpf(joint.step), max(joint.substeps, 1)
         heavy = inertia + step * mpf(joint.damping)
-        late = [mpf(0)] * joint.delay_steps
-        if joint.integrator == "implicitfast":
-            base, kp, kd = _step(heavy, inertia), [step**2, mpf(0)], [step, -step, mpf(0)]
-        elif joint.substeps < 2:
-            base, kp, kd = _step(heavy, inertia), [step**2, mpf(0)], [step, -step]
-        else:  # without damping: after n steps, v + n a and x + n h v + n (n + 1)/2 h a
-            n = joint.substeps
-            base = [heavy, -2 * heavy, heavy]
-            kp = [step**2 * n * (n + 1) / 2, step**2 * n * (n - 1) / 2]
-            kd = [step * n, -step * n]
-        parts = _padded(base + late, kp, kd)
+        base = [heavy, -heavy - inertia, inertia] + [mpf(0)] * joint.delay_steps
+        kp = [step**2 * n * (n + 1) / 2, step**2 * n * (n - 1) / 2]
+        kd = [step * n, -step * n] + [mpf(0)] * (joint.integrator == "implicitfast")
+        parts = _padded(base, kp, kd)
     kd_given, start = share * joint.inertia / joint.step, 1e-3 * joint.inertia / joint.step**2
     return Case.of(loop, ("kp", "kd"), parts, kd_given, start, 2.0, joint)
-
-
-def _step(heavy: mpf, inertia: mpf) -> plain.Falling:
-    return [heavy, -heavy - inertia, inertia]
 
 
 _ROBOTS = (  # environment in N/m, T in s, samples of delay, mass in kg: the least damping
