@@ -23,7 +23,7 @@ from benchmarks.truth import NotCertain
 from benchmarks.truth.balls import moduli
 
 DEGREES = 3, 5, 10, 20, 40, 60
-_MANY, _SOME = 1 << 16, 1 << 10  # polynomials of a call: of jaxstab, and of rivals that are slower
+_MANY, _SOME = 1 << 16, 1 << 9  # polynomials of a call: of is_schur, and of slower rivals
 _JUDGED, _BITS = 100, 2400
 MEASURE = "largest relative error of a radius; of is_schur the share of wrong verdicts"
 
@@ -31,8 +31,8 @@ _is_schur, _largest = jax.jit(jaxstab.is_schur), jax.jit(jaxstab.radius)
 
 
 def rows(small: bool, points: int | None = None) -> Iterator[Row]:
-    """``points`` polynomials in a call of jaxstab: a GPU has room for more."""
-    sizes = (1 << 8, 1 << 5, 6) if small else (points or _MANY, _SOME, _JUDGED)
+    """``points`` polynomials in a call of is_schur, a 64th in one of radius: a GPU has room."""
+    sizes = (1 << 10, 1 << 5, 6) if small else (points or _MANY, _SOME, _JUDGED)
     for degree in DEGREES[: 2 if small else None]:
         for is_clustered in (False, True):
             yield from _of_degree(degree, is_clustered, *sizes)
@@ -44,12 +44,12 @@ def _of_degree(degree: int, is_clustered: bool, many: int, some: int, judged: in
     truth = np.array([_radius(row) for row in given[:judged].tolist()])
     calls: dict[str, tuple[int, Callable[[], Any]]] = {
         "jaxstab.is_schur": (many, partial(_is_schur, batch)),
-        "jaxstab.radius": (many // 4, partial(_largest, batch[: many // 4])),
+        "jaxstab.radius": (many // 64, partial(_largest, batch[: many // 64])),
         "jax.numpy.roots": (some, partial(_by_jax, batch[:some])),
         "numpy eigvals": (some, partial(_by_numpy, few)),
         "numpy.roots": (some, lambda: [np.abs(np.roots(row)).max() for row in few]),
     }
-    timings = interleaved({name: call for name, (_, call) in calls.items()}, budget=2.0, least=5)
+    timings = interleaved({name: call for name, (_, call) in calls.items()}, budget=1.0, least=3)
     for name, timing in timings.items():
         points, answer = calls[name][0], timing.answer
         columns: dict[str, Any] = {}
