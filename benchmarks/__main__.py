@@ -46,7 +46,7 @@ def main() -> int:
             "plot",
             "table",
         ],
-        help="what to measure, or plot: draw all records and put their table into the pages, "
+        help="what to measure, or plot: draw records and put their tables into the pages, "
         "or table: print that table, "
         "or jitter: attack proofs for delays that move, "
         "or mutants: change single tokens and run the tests; "

@@ -1,4 +1,4 @@
-"""Draw records of run times as PNGs beside them, with the errors in the same picture."""
+"""Draw the records that pages show as PNGs, run time and error in the same picture."""
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -38,7 +38,7 @@ def draw_all(folder: Path) -> None:
     """Draw the records of a folder."""
     for one in record.read_all(folder):
         if one["benchmark"] not in DRAWINGS:
-            continue  # counts, which the table has
+            continue  # the table has it
         figure = draw(one)
         path = record.path_of(one, folder.parent if one["small"] else folder).with_suffix(".png")
         figure.savefig(path, dpi=120)
