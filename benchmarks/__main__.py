@@ -22,11 +22,11 @@ BENCHMARKS = (
     "throughput",
     "accelerator",
     "scaling",
-    "criteria",
     "ranges",
     "loops",
     "exact",
     "polynomials",
+    "rivals",
     "stress",
     "measured",
 )
@@ -46,7 +46,7 @@ def main() -> int:
             "plot",
             "table",
         ],
-        help="what to measure, or plot: draw all records and put their table into the pages, "
+        help="what to measure, or plot: draw records and put their tables into the pages, "
         "or table: print that table, "
         "or jitter: attack proofs for delays that move, "
         "or mutants: change single tokens and run the tests; "
@@ -77,7 +77,7 @@ def main() -> int:
         options: dict[str, Any] = {}
         if name == "scaling" and choice.billion:
             options = {"billion": True}
-        if name in ("answers", "exact", "loops", "stress") and choice.points:
+        if name in ("answers", "exact", "loops", "polynomials", "stress") and choice.points:
             options = {"points": choice.points}
         if name in ("stress", "loops"):
             options |= {"keep": keep}

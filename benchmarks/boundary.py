@@ -15,8 +15,8 @@ from mpmath import mp, mpc, mpf
 
 import jaxstab
 from benchmarks import truth
+from benchmarks.grids import LoopFamily, Outline, bisected, contour, eigenvalue_grid
 from benchmarks.record import Row
-from benchmarks.rivals import LoopFamily, Outline, bisected, contour, eigenvalue_grid
 from benchmarks.timing import interleaved
 from benchmarks.truth.boundary import Boundary
 from benchmarks.truth.filtered import FilteredLoop, average, difference

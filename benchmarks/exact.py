@@ -117,7 +117,7 @@ class Tally:
 
 def _ask(drawn: Drawn, rng: np.random.Generator, tallies: dict[str, Tally], index: int) -> None:
     truth = Loop.of(drawn) if index % _JUDGED == 0 else None
-    loop = loop_of(drawn)
+    loop = drawn.loop
     units = loop.alpha(1.0), loop.beta(1.0)
     walls = (hostile_walls(rng, drawn.balls, _WALLS) / units).tolist()
     triple = partial(ball_triple, loop)
@@ -141,20 +141,6 @@ def _ask(drawn: Drawn, rng: np.random.Generator, tallies: dict[str, Tally], inde
         _limits(tallies["limits"], loop)
         if index % _MARGINS == 0:
             _margins(tallies["margins"], loop, walls)
-
-
-def loop_of(drawn: Drawn) -> HapticLoop:
-    """The loop as jaxstab is asked for it."""
-    from benchmarks.truth.random_loops import _PERIOD, device_of
-
-    velocity, position, _ = drawn.filters
-    filters = {"velocity": velocity, "position": position}
-    if isinstance(drawn, MassLoop):
-        gamma, delta, delay = drawn.plant
-        body = {"device_mass": 1.0, "device_damping": delta, "hand_stiffness": gamma}
-        return HapticLoop(**body, sample_time=1.0, delay=delay, **filters)
-    delay = drawn.device.delay * _PERIOD
-    return HapticLoop(device=device_of(drawn.device), sample_time=_PERIOD, delay=delay, **filters)
 
 
 def _judge(tally: Tally, truth: Loop | None, wall: Any, is_stable: bool, is_said: bool) -> None:

@@ -78,10 +78,10 @@ def rows(small: bool) -> Iterator[Row]:
         if small and question.target > 2.0:
             continue
         runs = 1 if small else _RUNS
-        yield _row(question, "jaxstab", [_run(question.words) for _ in range(runs)])
+        yield _row(question, "jaxstab", [run(question.words) for _ in range(runs)])
         if question.rival:
             words = ("-m", "benchmarks.eigenvalues", question.rival)
-            yield _row(question, "NumPy eigenvalues", [_run(words) for _ in range(runs)])
+            yield _row(question, "NumPy eigenvalues", [run(words) for _ in range(runs)])
 
 
 def _python(code: str) -> tuple[str, ...]:
@@ -163,7 +163,7 @@ with open("used.json", "w") as file:
 """
 
 
-def _run(words: tuple[str, ...]) -> Run:
+def run(words: tuple[str, ...]) -> Run:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         ours = ("JAX_", "OPENBLAS_", "XLA_")

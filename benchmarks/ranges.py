@@ -19,11 +19,10 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks import truth
+from benchmarks.grids import largest_modulus
 from benchmarks.record import Row
-from benchmarks.rivals import largest_modulus
 from benchmarks.truth.balls import BallLoop
 from benchmarks.truth.filtered import FilteredLoop, average, difference
-from benchmarks.truth.plain import Loop
 from benchmarks.truth.random_loops import DeviceLoop, Filters, MassLoop
 from jaxstab import Filter, Velocity
 from jaxstab.boxes import HandRange, RobustLimit
@@ -100,7 +99,7 @@ def device_margins(rng: np.random.Generator, count: int) -> Campaign:
         wall = _wall(rng, region)
         units = np.array([loop.sampled.stiffness_unit, loop.sampled.damping_unit])
         start = process_time()
-        code, *found = crossings_of(Loop.of(loop).loop, tuple((wall / units).tolist()))
+        code, *found = crossings_of(loop.loop, tuple((wall / units).tolist()))
         seconds.append(process_time() - start)
         if code == Verdict.STABLE:
             ends = np.array(found[::2]) * [*np.repeat(units, 2), 1.0]

@@ -1,6 +1,6 @@
 """The table of benchmarks: a line for each task and method, with its run time and its error.
 
-docs/accuracy.md has all of it below five lines for a reader, and the README has a few lines.
+docs/accuracy.md has all of it below the table of rivals, of which README has some lines.
 """
 
 import re
@@ -8,14 +8,14 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
+
 from benchmarks.record import Record, Row
 
 ROOT = Path(__file__).parents[1]
 README, PAGE = ROOT / "README.md", ROOT / "docs" / "accuracy.md"
 _BEGIN, _END = "<!-- table of benchmarks: begin -->", "<!-- table of benchmarks: end -->"
 _DEVICES = "<!-- table of devices: begin -->", "<!-- table of devices: end -->"
-
-_READER = "<!-- table for a reader: begin -->", "<!-- table for a reader: end -->"
 
 _RESOLUTIONS = "<!-- table of resolutions: begin -->", "<!-- table of resolutions: end -->"
 _WAYS = ("nearest", "linear", "cubic")
@@ -31,75 +31,70 @@ _DELAYS = (0.0, 1.0, 5.0, 20.0, 60.0)  # of the throughput: the plot has others,
 _METHODS = ("verdict", "spectral_radius")
 _DEGREES = ("degree 25", "degree 205", "degree 485")  # of loops in balls
 _OWN_REGIONS = ("stable_region", "regions_of")
-_IN_README = {  # parts of tasks, and their methods
-    ("one region,", "stable_region"),
-    ("points, delay 1", "verdict"),
-    ("points, delay 1", "spectral_radius"),
-    ("default atlas, at random", "table"),
-    ("random and adversarial loops", "verdict"),
-}
+_POLYNOMIALS = ("degree 10", "degree 10, clustered", "degree 40", "degree 40, clustered")
 
-# For a reader: the question, then what is said of jaxstab and of the usual way. A line of the whole
-# table is found by a part of its task and by its method; its columns fill the braces.
-_QUESTIONS = (
-    (
-        "Is one wall stable, in a fresh process?",
-        ("process: verdict", "jaxstab", "{2}, proved"),
-        ("process: verdict", "NumPy eigenvalues", "eigenvalues: {2}, not proved"),
-    ),
-    (
-        "A million walls, one sample of delay",
-        ("1,000,000 points, delay 1", "verdict", "{2}, proved"),
-        ("1,000,000 points, delay 1", "verdict", "eigenvalues: {4} times as long, not proved"),
-    ),
-    (
-        "The boundary of the stable set",
-        ("one region, delay 1", "stable_region", "{2}, error {3}"),
-        ("boundary of a slice", "eigenvalue grid", "eigenvalues on a grid: {2}, error {3}"),
-    ),
-    (
-        "Verdicts on loops with estimators, many of them next to the boundary",
-        ("walls judged", "verdict", "{0}: {3}"),
-        ("walls judged", "numpy eigvals", "eigenvalues: {3}"),
-    ),
-)
+# What the tools of README's table need; fields of a row of that tool fill the braces.
+_RIVALS = "<!-- table of rivals: begin -->", "<!-- table of rivals: end -->"
+_NEEDS = {
+    "jaxstab": "the device's numbers, {lines} lines; proved; starts in {first}",
+    "numpy.roots, bisection": "p(z), formed by you, {lines} lines; starts in {first}",
+    "python-control margins": "p(z), {lines} lines; overlooks crossings at z = -1",
+    "grid of 160 x 160, contourpy": "p(z), {lines} lines; draws the whole boundary",
+    "MuJoCo, bisection": "a model, {lines} lines; simulators only; can add contact and friction",
+}
 
 Line = tuple[str, str, str, str, str]
 
 
-def markdown(records: list[Record], *, brief: bool = False) -> str:
-    """Return the table of the machine that has the most records, under the machine's name.
-
-    The brief one has the lines of the README alone.
-    """
+def markdown(records: list[Record]) -> str:
+    """Return the table of the machine that has the most records, under the machine's name."""
     chosen = _of_one_machine(records)
-    lines = [
-        line
-        for line in _lines(chosen)
-        if not brief or any(part in line[0] and line[1] == method for part, method in _IN_README)
-    ]
-    table = map(_row, [_HEADING, ("---",) * len(_HEADING), *lines])
+    table = map(_row, [_HEADING, ("---",) * len(_HEADING), *_lines(chosen)])
     return "\n".join(
         [_caption(chosen.get("throughput") or next(iter(chosen.values()))), "", *table]
     )
 
 
-def summary(records: list[Record]) -> str:
-    """Return five lines for a reader, each beside the usual way, of the same machine."""
-    lines = [tuple(map(_short, line)) for line in _lines(_of_one_machine(records))]
-    rows = [("question", "jaxstab", "the usual way"), ("---",) * 3]
-    for question, *columns in _QUESTIONS:
-        said = [
-            next(words.format(*line) for line in lines if part in line[0] and line[1] == method)
-            for part, method, words in columns
-        ]
-        rows.append((question, *said))
-    return "\n".join(map(_row, rows))
+def rivals(records: list[Record], *, brief: bool = False) -> str:
+    """Return what tools take for a loop and how wrong they are; the brief table is README's."""
+    found = _of_one_machine(records)["rivals"]["rows"]
+    groups = list(dict.fromkeys(row["section"] for row in found))
+    tools = {
+        name: {row["section"]: row for row in found if row["method"] == name}
+        for name in dict.fromkeys(row["method"] for row in found)
+    }
+    if brief:
+        lines = [("tool", "CPU time per loop", "largest error", "what it needs")]
+        lines.append(("---",) * len(lines[0]))
+        for name, words in _NEEDS.items():
+            own = list(tools[name].values())
+            first = _time(own[0]["first_seconds"])
+            lines.append((name, *_end(own), words.format(**own[0], first=first)))
+        return "\n".join(map(_row, lines))
+    heading = ("tool", *groups, "verdict", "wrong verdicts", "lines", "fresh process")
+    rows = [_row(heading), _row(("---",) * len(heading))]
+    for name, of in tools.items():
+        ends = (", ".join(_end([of[group]])) if group in of else "" for group in groups)
+        own = [row for row in of.values() if "wrong" in row]
+        verdict = _time(float(np.mean([r["cpu_seconds_per_verdict"] for r in own]))) if own else ""
+        wrong = " of ".join(str(sum(row[key] for row in own)) for key in ("wrong", "verdicts"))
+        first = next(
+            (_time(row["first_seconds"]) for row in of.values() if "first_seconds" in row), ""
+        )
+        lines_ = str(next(iter(of.values()))["lines"])
+        rows.append(_row((name, *ends, verdict, wrong if own else "", lines_, first)))
+    return "\n".join(rows)
 
 
-def _short(cell: str) -> str:
-    """Without what is in brackets, and after them."""
-    return cell.split(" (")[0]
+def _end(rows: list[Row]) -> tuple[str, str]:
+    """CPU time per loop, and the largest error of ends that were found with how many were not."""
+    seconds, loops, missed, judged = (
+        sum(row[key] for row in rows) for key in ("cpu_seconds", "points", "missed", "judged")
+    )
+    errors = [row["largest_error_found"] for row in rows if row["missed"] < row["judged"]]
+    said = [_error(max(errors))] if errors else []
+    said += [f"{missed} of {judged} missed"] if missed else []
+    return _time(seconds / loops), "; ".join(said)
 
 
 def _of_one_machine(records: list[Record]) -> dict[str, Record]:
@@ -120,9 +115,9 @@ def put_into_pages(records: list[Record]) -> None:
     devices = [one for one in records if one["benchmark"] == "accelerator"]
     for page in (README, PAGE):
         text = page.read_text(encoding="utf-8")
-        text = _replaced(text, (_BEGIN, _END), markdown(records, brief=page == README))
+        text = _replaced(text, _RIVALS, rivals(records, brief=page == README))
         if page == PAGE:
-            text = _replaced(text, _READER, summary(records))
+            text = _replaced(text, (_BEGIN, _END), markdown(records))
         elif any(one["benchmark"] == "resolution" for one in records):
             text = _replaced(text, _RESOLUTIONS, resolutions(records))
         if page == PAGE and devices:
@@ -258,6 +253,17 @@ def _exact(rows: list[Row]) -> Iterator[Line]:
             yield task, f"balls: {row['method']}", f"{_time(row['seconds'])} of CPU", "", ""
 
 
+def _polynomials(rows: list[Row]) -> Iterator[Line]:
+    for row in rows:
+        if row["section"] in _POLYNOMIALS:
+            task = f"polynomials of {row['section']}: {row['points']:,} at once"
+            time = f"{_time(row['cpu_seconds_per_point'])} of CPU each"
+            error = _error(row["error"])
+            if "open" in row:
+                error += f", {row['open'] / row['points']:.2%} undecided"
+            yield task, row["method"], time, error, ""
+
+
 def _stress(rows: list[Row]) -> Iterator[Line]:
     rows = [row for row in rows if row["section"] == "delay"]
     for method in dict.fromkeys(row["method"] for row in rows):
@@ -298,6 +304,7 @@ _LINES: dict[str, Callable[[list[Row]], Iterator[Line]]] = {
     "throughput": _throughput,
     "loops": _loops,
     "exact": _exact,
+    "polynomials": _polynomials,
     "scaling": _scaling,
     "stress": _stress,
 }

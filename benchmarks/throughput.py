@@ -17,8 +17,8 @@ import jax
 import numpy as np
 
 import jaxstab
+from benchmarks.grids import LAPACK_WORK, LoopFamily, jax_eigenvalues, largest_modulus
 from benchmarks.record import Row
-from benchmarks.rivals import LAPACK_WORK, LoopFamily, jax_eigenvalues, largest_modulus
 from benchmarks.timing import Timing, interleaved
 from benchmarks.truth import as_mpf
 from benchmarks.truth.boundary import Boundary

@@ -145,6 +145,9 @@ def test_certified_answers_are_never_wrong(rows: Callable[..., list[dict[str, An
     assert {row["wrong"] for row in rows("answers")} == {0}
     assert {row["wrong"] for row in rows("regions", method="stable_region")} == {0}
     assert {row["wrong"] for row in rows("ranges")} == {0}
+    for method in ("jaxstab", "jaxstab, batched"):
+        assert {row["wrong"] for row in rows("rivals", method=method)} == {0}
+        assert max(row["error"] for row in rows("rivals", method=method)) < 1e-13
     for method in ("verdict", "spectral_radius", "stable_region"):
         assert {row["wrong"] for row in rows("loops", method=method)} == {0}
 

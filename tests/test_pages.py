@@ -159,7 +159,7 @@ def test_the_spelling_is_right() -> None:
 
 def test_the_tables_of_accuracy_are_those_of_the_records() -> None:
     records, page = record.read_all(record.RESULTS), (DOCS / "accuracy.md").read_text("utf-8")
-    assert table.summary(records) in page
+    assert table.rivals(records) in page
     assert table.markdown(records) in page
 
 

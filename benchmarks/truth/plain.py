@@ -12,7 +12,7 @@ from flint import fmpq_poly
 from mpmath import mp, mpf
 
 import jaxstab
-from benchmarks.truth import devices, evaluate, random_loops
+from benchmarks.truth import devices, evaluate
 from benchmarks.truth.random_loops import DeviceLoop, MassLoop
 
 DIGITS = 120
@@ -47,18 +47,10 @@ class Loop(NamedTuple):
         """A loop that was drawn; gains of one of one mass are alpha and beta."""
         if isinstance(drawn, MassLoop):
             gamma, delta, delay = drawn.plant
-            period = 1.0
             system = devices.Mechanism([(mpf(1), mpf(delta), mpf(gamma))]).system()
-            body = {"device_mass": 1.0, "device_damping": delta, "hand_stiffness": gamma}
         else:
-            delay, period = drawn.device.delay, drawn.device.sample_time
-            system = drawn.device.mechanism.system()
-            body = {"device": random_loops.device_of(drawn.device)}
-        velocity, position, truths = drawn.filters
-        loop = jaxstab.HapticLoop(
-            **body, sample_time=period, delay=delay * period, velocity=velocity, position=position
-        )
-        return cls.from_parts(loop, system, delay, truths)
+            delay, system = drawn.device.delay, drawn.device.mechanism.system()
+        return cls.from_parts(drawn.loop, system, delay, drawn.filters.truths)
 
     @classmethod
     def from_parts(

@@ -70,6 +70,13 @@ class MassLoop:
         return jaxstab.stable_region(**by_name(*self.plant), **self._named)
 
     @property
+    def loop(self) -> jaxstab.HapticLoop:
+        """The loop as jaxstab is asked for it: K is alpha and B is beta."""
+        gamma, delta, delay = self.plant
+        body = {"device_mass": 1.0, "device_damping": delta, "hand_stiffness": gamma}
+        return jaxstab.HapticLoop(**body, sample_time=1.0, delay=delay, **self._named)
+
+    @property
     def _named(self) -> dict[str, Any]:
         return {"velocity": self.filters.velocity, "position": self.filters.position}
 
@@ -113,10 +120,16 @@ class DeviceLoop:
         return linear_spectral_radius(alpha, beta, self._loop)
 
     def region(self) -> jaxstab.results.StableRegion:
-        velocity, position = self.filters[:2]
-        device, delay = device_of(self.device), self.device.delay * _PERIOD
-        fields = {"device": device, "sample_time": _PERIOD, "delay": delay}
-        return jaxstab.HapticLoop(**fields, velocity=velocity, position=position).region().region
+        return self.loop.region().region
+
+    @cached_property
+    def loop(self) -> jaxstab.HapticLoop:
+        """The loop as jaxstab is asked for it, in SI."""
+        period = self.device.sample_time
+        return jaxstab.HapticLoop(
+            device=device_of(self.device), sample_time=period, delay=self.device.delay * period,
+            velocity=self.filters.velocity, position=self.filters.position,
+        )  # fmt: skip
 
     @cached_property
     def sampled(self) -> SampledDevice:
