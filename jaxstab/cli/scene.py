@@ -246,7 +246,7 @@ def _answer(
 
     ``asked`` is the quantity that walls are to be stable with, in place of what ``name`` answers.
     """
-    from jaxstab.scene import Backwards, GainScene, any_scene
+    from jaxstab.scene import Backwards, GainScene, MeasuredScene, scene_to_answer
 
     is_one, plot = len(given["files"]) <= 1, given["plot"]
     refusals = () if is_one else (ValueError, TypeError, RuntimeError)
@@ -263,12 +263,15 @@ def _answer(
                 f"--{option.replace('_', '-')} is given, but what walls need of one quantity is "
                 "asked for; leave it out."
             )
-    rows, make = list[_Row](), partial(Backwards.from_table, asked=asked) if asked else any_scene
+    rows = list[_Row]()
+    make = partial(Backwards.from_table, asked=asked) if asked else scene_to_answer
     for source, table in tables_of(given).items():
         scene, refusal = tried(make, table, source if is_one else "")
         rows.append(_Row(source, scene, None, refusal))
     is_of_any_delay = is_one and name in ("tune", "design")
     for scene in filter(None, (row.scene for row in rows if plot)):
+        if isinstance(scene, MeasuredScene):
+            raise click.UsageError("a measured response has no picture; leave --plot out.")
         if isinstance(scene, GainScene):
             if not is_one:
                 raise click.UsageError("a picture of several scenes is for walls; give one FILE.")
