@@ -44,6 +44,7 @@ from .region import boundary_curve as boundary_curve
 from .region import stable_region as stable_region
 from .scene.contact import contact_table as contact_table
 from .scene.identify import identify as identify
+from .scene.identify import identify_servo as identify_servo
 from .scene.joints import joints as joints
 from .scene.study import quantiles as quantiles
 from .scene.study import shares as shares

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.integrate
+import scipy.linalg
 import scipy.signal
 from campaign import many, some
 from commands import assert_one_sentence, run
@@ -17,6 +18,7 @@ from docs.pushed import Log, Pushed, as_csv, difference, moved
 from docs.pushed import run as simulated
 from jaxstab.results import Estimate, Identified
 from jaxstab.scene import Scene
+from jaxstab.scene.identify import chance_of_white
 from jaxstab.tables import parsed
 
 DEVICES = {
@@ -307,3 +309,134 @@ def test_a_log_that_hardly_tells_the_mass_is_refused() -> None:
 def test_columns_of_other_lengths_are_refused() -> None:
     with pytest.raises(ValueError, match="force has 3 rows but position has 2"):
         jaxstab.identify(force=[0.0, 1.0, 0.0], position=[0.0, 0.0], sample_time=1e-3)
+
+
+# Units and colour.
+
+
+def test_a_slip_of_units_is_warned_of_in_python() -> None:
+    log = simulated(Pushed(), 2100, 0)
+    with pytest.warns(UserWarning, match=r"sample_time is 1 s, usual are 1e-05 to 0\.05"):
+        jaxstab.identify(force=log.force, position=log.position, sample_time=1.0)
+    with pytest.warns(UserWarning, match=r"mass is 25\d\.\d+ kg or kg m\^2, usual are"):
+        jaxstab.identify(force=1e3 * log.force, position=log.position, sample_time=1e-3)
+
+
+def test_white_noise_is_told_from_coloured_noise() -> None:
+    """Of white noise the chance is uniform; a correlation of 0.1 is seen in 8,000 samples."""
+    rng = np.random.default_rng(55)
+    noise = rng.normal(size=(400, 16, 500))
+    chances = np.array([chance_of_white(one) for one in noise])
+    assert np.mean(chances < 0.05) == pytest.approx(0.05, abs=0.03)
+    assert np.mean(chances < 0.5) == pytest.approx(0.5, abs=0.08)
+    assert np.mean(chances < 1e-3) < 0.01
+    coloured = scipy.signal.lfilter([1.0], [1.0, -0.1], noise[:40])
+    assert max(map(chance_of_white, coloured)) < 1e-3
+
+
+@pytest.mark.parametrize("colour", [0.0, 0.6])
+def test_a_residual_that_is_not_white_is_a_sentence(colour: float) -> None:
+    """An analog position: noise without steps, white or not."""
+    log, rng = simulated(Pushed(encoder=1e-9), 4000, 1), np.random.default_rng(1)
+    noise = scipy.signal.lfilter([1.0], [1.0, -colour], rng.normal(0.0, 2e-5, 4000))
+    found = identified(Pushed(), replace(log, position=log.position + noise))
+    assert found.resolution is None
+    assert bool(found.warning) == (colour > 0.0)
+    assert ("not white (p = " in found.warning) == (colour > 0.0)
+
+
+# A closed servo, stepped by scipy from sample to sample.
+
+
+def servo(
+    inertia: float = 0.01,
+    damping: float = 0.05,
+    delay: float = 1.5,
+    window: int = 1,
+    kp: float = 20.0,
+    kd: float = 0.6,
+    period: float = 2e-3,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Set points, which step by 0.1 after 30 rows, and positions; the delay is in samples."""
+    rate = np.array([[0.0, 1.0, 0.0], [0.0, -damping / inertia, 1.0 / inertia], [0.0, 0.0, 0.0]])
+    whole = int(delay)
+    parts = [
+        scipy.linalg.expm(rate * period * share) for share in (delay - whole, 1 - delay + whole)
+    ]
+    goals, places, forces = np.repeat([0.2, 0.3], [30, 150]), [0.2] * (window + 1), [0.0] * 40
+    state = np.array([0.2, 0.0, 0.0])
+    for goal in goals:
+        places.append(state[0])
+        speed = (places[-1] - places[-1 - window]) / (window * period)
+        forces.append(kp * (goal - places[-1]) - kd * speed)
+        for part, force in zip(parts, (forces[-2 - whole], forces[-1 - whole]), strict=True):
+            state[2] = force
+            state = part @ state
+    return goals, np.array(places[window + 1 :])
+
+
+@pytest.mark.parametrize("changed", [{}, {"delay": 0.0}, {"window": 5}, {"damping": 0.0}])
+def test_a_servo_is_found_to_rounding(changed: dict[str, float]) -> None:
+    truth = {"inertia": 0.01, "damping": 0.05, "delay": 1.5} | changed
+    setpoint, position = servo(**changed)  # type: ignore[arg-type]
+    velocity = jaxstab.Velocity.difference(5) if "window" in changed else None
+    found = jaxstab.identify_servo(
+        setpoint=setpoint, position=position, kp=20.0, kd=0.6, sample_time=2e-3, velocity=velocity
+    )
+    assert found.mass.value == pytest.approx(truth["inertia"], rel=1e-4)
+    assert found.damping.value == pytest.approx(truth["damping"], abs=5e-5)
+    assert found.delay.value / 2e-3 == pytest.approx(truth["delay"], abs=2e-3)
+    assert not found.warning
+    assert (found.friction.high, found.velocity) == (0.0, velocity)
+
+
+def test_intervals_of_a_servo_contain_the_truth() -> None:
+    setpoint, position = servo()
+    rng, hits = np.random.default_rng(3), np.zeros(3)
+    logs = many(100, 10)
+    for _ in range(logs):
+        found = jaxstab.identify_servo(
+            setpoint=setpoint, position=position + rng.normal(0.0, 1e-4, len(position)),
+            kp=20.0, kd=0.6, sample_time=2e-3,
+        )  # fmt: skip
+        own = (found.mass, 0.01), (found.damping, 0.05), (found.delay, 3e-3)
+        hits += [low <= truth <= high for (_, low, high), truth in own]
+        assert found.mass.value == pytest.approx(0.01, rel=0.02)
+    assert np.all(hits >= 0.7 * logs)
+
+
+def test_a_servo_with_another_gain_does_not_fit() -> None:
+    """Less damping than is said, which no damping of the device makes up: the residual tells."""
+    setpoint, position = servo()
+    found = jaxstab.identify_servo(
+        setpoint=setpoint, position=np.round(position, 4), kp=20.0, kd=0.8, sample_time=2e-3
+    )
+    assert "not white" in found.warning
+    flat = np.ones(100)
+    for columns, words in (
+        ({"setpoint": flat, "position": flat}, "0 of them after a step"),
+        ({"setpoint": setpoint, "position": flat}, "and position 100"),
+        ({"setpoint": setpoint, "position": -position}, "does not fit this step"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            jaxstab.identify_servo(**columns, kp=20.0, kd=0.6, sample_time=2e-3)
+
+
+def test_the_command_fits_a_servo_and_writes_its_scene(tmp_path: Path) -> None:
+    setpoint, position = servo(window=5)
+    times = 2e-3 * np.arange(len(setpoint))
+    columns = np.stack([times, setpoint, np.round(position, 5)], axis=1)
+    log, scene, picture = (tmp_path / name for name in ("servo.csv", "my.toml", "fit.png"))
+    np.savetxt(log, columns, fmt="%.9g", delimiter=",", header="time,goal,angle", comments="")
+    names = ["--setpoint", "goal", "--position", "angle", "--turns", "--window-samples", 5]
+    answer = run("identify", log, "--kp", 20, "--kd", 0.6, *names, "-o", scene, "--plot", picture)
+    assert answer.exit_code == 0, answer.stderr
+    assert "friction" not in answer.stdout
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    made = Scene.from_table(parsed(scene.read_text(encoding="utf-8")))
+    assert made.device.effective_mass[0] == pytest.approx(0.01, rel=0.01)
+    assert made.controller.velocity is not None
+    assert "window of 5 samples" in str(made.controller.velocity)
+    refused = run("identify", log, "--kp", 20)
+    assert (refused.exit_code, refused.stdout) == (2, "")
+    assert_one_sentence(refused.stderr)

@@ -246,7 +246,7 @@ def _answer(
 
     ``asked`` is the quantity that walls are to be stable with, in place of what ``name`` answers.
     """
-    from jaxstab.scene import Backwards, GainScene, any_scene
+    from jaxstab.scene import Backwards, GainScene, MeasuredScene, scene_to_answer
 
     is_one, plot = len(given["files"]) <= 1, given["plot"]
     refusals = () if is_one else (ValueError, TypeError, RuntimeError)
@@ -263,12 +263,15 @@ def _answer(
                 f"--{option.replace('_', '-')} is given, but what walls need of one quantity is "
                 "asked for; leave it out."
             )
-    rows, make = list[_Row](), partial(Backwards.from_table, asked=asked) if asked else any_scene
+    rows = list[_Row]()
+    make = partial(Backwards.from_table, asked=asked) if asked else scene_to_answer
     for source, table in tables_of(given).items():
         scene, refusal = tried(make, table, source if is_one else "")
         rows.append(_Row(source, scene, None, refusal))
     is_of_any_delay = is_one and name in ("tune", "design")
     for scene in filter(None, (row.scene for row in rows if plot)):
+        if isinstance(scene, MeasuredScene):
+            raise click.UsageError("a measured response has no picture; leave --plot out.")
         if isinstance(scene, GainScene):
             if not is_one:
                 raise click.UsageError("a picture of several scenes is for walls; give one FILE.")
@@ -678,7 +681,7 @@ def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
 
 # The command that identifies a device: a scene from a log of forces and positions.
 
-_LOGGED = ("time", "force", "position", "velocity")
+_LOGGED = ("time", "force", "position", "velocity", "setpoint")
 
 
 @click.command()
@@ -697,6 +700,9 @@ _LOGGED = ("time", "force", "position", "velocity")
 @click.option(
     "--spring", is_flag=True, help="Also fit a spring of the device, such as a centring spring."
 )
+@click.option("--kp", type=float, help="Of a closed servo: its stiffness in N/m (N m/rad).")
+@click.option("--kd", type=float, help="Of a closed servo: its damping in N s/m (N m s/rad).")
+@click.option("--window-samples", type=int, help="Of a closed servo: window of its velocity.")
 @plot_option("PNG or SVG file: measured against fitted.")
 def identify(
     log: Path,
@@ -704,6 +710,9 @@ def identify(
     sample_time: float | None,
     turns: bool,
     spring: bool,
+    kp: float | None,
+    kd: float | None,
+    window_samples: int | None,
     plot: Path | None,
     **columns: str | None,
 ) -> None:
@@ -712,17 +721,40 @@ def identify(
     The log is a CSV file with a header and a row for each sample: time in s, commanded force in N,
     position in m, and, if logged, the velocity of the software. docs/identify.md says how to
     record one.
+
+    With --kp and --kd it is of a closed servo, its setpoint in place of the force, with a step:
+    inertia, damping and delay are fitted.
     """
+    import warnings
+
     from jaxstab.durable import publish
-    from jaxstab.scene.identify import identified_scene, identified_text, read_log
+    from jaxstab.model import Velocity
+    from jaxstab.scene.identify import identified_scene, identified_text, identify_servo, read_log
     from jaxstab.scene.identify import identify as fit
     from jaxstab.scene.scene import Scene, Units
     from jaxstab.tables import parsed
 
     keep_programs()
-    names = {name: columns[name] or name for name in _LOGGED}
-    given = read_log(str(log), names, sample_time, columns["velocity"] is not None)
-    device = fit(**given, spring=spring)
+    if (kp is None) != (kd is None) or (kp is None and window_samples) or (kp and spring):
+        raise click.UsageError(
+            "of --kp, --kd and --window-samples some are missing, or there is --spring beside "
+            "them; give --kp and --kd of a servo, without --spring, or none of them."
+        )
+    used = (
+        ("time", "force", "position", "velocity")
+        if kp is None
+        else ("time", "position", "setpoint")
+    )
+    names = {name: columns[name] or name for name in used}
+    optional = [] if kp is not None or columns["velocity"] else [names["velocity"]]
+    given = read_log(str(log), names, sample_time, optional)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # the scene's are printed
+        if kp is None:
+            device = fit(**given, spring=spring)
+        else:
+            window = Velocity.difference(samples=window_samples) if window_samples else None
+            device = identify_servo(**given, kp=kp, kd=kd or 0.0, velocity=window)
     units = Units.ROTATION if turns else Units.LINE
     scene = identified_scene(device, units, log.name)
     warn(*filter(None, [device.warning]), *Scene.from_table(parsed(scene)).unusual())

@@ -45,7 +45,7 @@ from typing import NamedTuple
 
 from flint import acb, acb_poly, arb, arb_poly, ctx
 
-from jaxstab.conventions import Status
+from jaxstab.conventions import MEASURED, Status
 from jaxstab.exact.circle import zeros
 from jaxstab.exact.roots import Number, sign_of
 from jaxstab.exact.verdict import TripleAt, roots_outside
@@ -65,6 +65,7 @@ class LineStatus(Status):
         2,
         "3,072 bits do not tell all crossings of the circle, or the counts between them",
     )
+    MEASURED = 3, MEASURED
 
 
 class End(NamedTuple):

@@ -27,6 +27,8 @@ from .many import regions_of as regions_of
 from .margins import GainMargins as GainMargins
 from .margins import Margins as Margins
 from .margins import margins as margins
+from .measured import MeasuredMargins as MeasuredMargins
+from .measured import MeasuredVerdict as MeasuredVerdict
 from .region import Gains as Gains
 from .region import WallLimits as WallLimits
 from .region import WallRegion as WallRegion

@@ -125,7 +125,7 @@ def _words(name: str, rounding: str, own: AtFrequency) -> list[str]:
     """Margins to the safe side of their errors, the gain margin also in dB."""
     texts = []
     for value, error in zip(*map(np.ravel, own[:2]), strict=True):
-        is_bound = not isfinite(error) and isfinite(value)
+        is_bound = error == inf and isfinite(value)
         moved = error if isfinite(error) else 0.0
         safe = max(float(value + (moved if rounding == ROUND_CEILING else -moved)), 0.0)
         text = "not proved" if isnan(value) else number_text(safe, 5, rounding)

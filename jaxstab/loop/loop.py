@@ -12,6 +12,7 @@ from jaxstab import motion, point
 from jaxstab.arrays import Array, Numbers, is_any_jax, is_any_traced, named, pytree
 from jaxstab.conventions import HORIZON, Excitation, Range, Verdict
 from jaxstab.exact import stable_line
+from jaxstab.loop.measured import measured
 from jaxstab.loop.region import TOLERANCE, Gains, WallLimits, WallRegion, scaled, wall_region
 from jaxstab.loop.walls import few_walls, open_loop
 from jaxstab.model import LoopParameters, by_name, checked_gain
@@ -157,6 +158,8 @@ class HapticLoop(LoopParameters):
         """
         if delays is not None or lost:
             return self._moving("limits with delays", delays, lost).limits()
+        if found := measured(self):
+            return found.limits()
         if is_any_traced(self):
             from jaxstab.loop.moving import moving_limits
 
@@ -235,6 +238,8 @@ class HapticLoop(LoopParameters):
 
     def _line(self, start: tuple[float, float], axis: int) -> "StableLine":
         along = (1.0, 0.0) if axis == 0 else (0.0, 1.0)
+        if found := measured(self):
+            return found.line(start, along)
         return stable_line(partial(ball_triple, self), start, along)
 
     def range_of(
@@ -541,6 +546,8 @@ class HapticLoop(LoopParameters):
         if delays is not None or lost:
             checked_word("resolve", resolve or "exact", ("exact",))
             return self._moving("verdict with delays", delays, lost).verdict(stiffness, damping)
+        if found := measured(self):
+            return found.verdict(stiffness, damping)
         few = few_walls(self, stiffness, damping)
         if few:
             checked_word("resolve", resolve or "exact", ("exact",))
@@ -638,6 +645,8 @@ class HapticLoop(LoopParameters):
             52.9 degrees at 20.6 Hz
         """
         self._refuse_many("frequency_margins")
+        if found := measured(self):
+            return found.frequency_margins(stiffness, damping)
         from jaxstab.loop.frequency import wall_frequency_margins
 
         return wall_frequency_margins(self, stiffness, damping)
@@ -727,9 +736,8 @@ class HapticLoop(LoopParameters):
             77.5
         """
         mode = motion.mode_of(self.poles(stiffness, damping))
-        return motion.Oscillation(
-            mode.damping_ratio, mode.frequency / (2.0 * np.pi * self.sample_time)
-        )
+        frequency = mode.frequency / (2.0 * np.pi * self.sample_time)
+        return motion.Oscillation(mode.damping_ratio, frequency)
 
     def settling_time(
         self,
@@ -818,9 +826,8 @@ class HapticLoop(LoopParameters):
         self._refuse_tracers("amplitude")
         if self.device is not None and self.body is None:
             causes = {"encoder": encoder, "force_step": force_step, "friction": friction}
-            return motion.loop_amplitude(
-                self.in_floats(), stiffness, damping, **causes, noise=noise
-            )
+            causes["noise"] = noise
+            return motion.loop_amplitude(self.in_floats(), stiffness, damping, **causes)
         unit = self.mass / self.sample_time**2  # N that are 1 where 1 m is
         amplitude = motion.amplitude(
             *scaled(self, stiffness, damping),
@@ -832,12 +839,9 @@ class HapticLoop(LoopParameters):
             **self.filters,
         )
         return motion.WallAmplitude(
-            amplitude.position,
-            amplitude.velocity / self.sample_time,
-            amplitude.force * unit,
-            amplitude.force_per_count * unit,
-            amplitude.status,
-        )
+            amplitude.position, amplitude.velocity / self.sample_time, amplitude.force * unit,
+            amplitude.force_per_count * unit, amplitude.status,
+        )  # fmt: skip
 
     def simulate(
         self,
@@ -891,13 +895,9 @@ class HapticLoop(LoopParameters):
         """
         self._refuse_many("simulate")
         options: dict[str, Any] = {
-            "samples": samples,
-            "force": force,
-            "initial_velocity": initial_velocity,
-            "initial_position": initial_position,
-            "between": between,
-            "unilateral": unilateral,
-        }
+            "samples": samples, "force": force, "initial_velocity": initial_velocity,
+            "initial_position": initial_position, "between": between, "unilateral": unilateral,
+        }  # fmt: skip
         if delays is not None:
             from jaxstab.loop.jitter import refuse_traced, turn_of
 

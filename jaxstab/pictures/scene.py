@@ -668,7 +668,8 @@ def identified_figure(device: "Identified", units: Units) -> Figure:
     figure = Figure(figsize=fit_size, layout="constrained")
     above, below = figure.subplots(2, 1, height_ratios=[3, 2])
     milli, micro = f"m{units.length}", f"u{units.length}"
-    times = device.sample_time * (HISTORY + np.arange(device.measured.size))
+    is_step = len(device.measured) == 1  # of a servo
+    times = device.sample_time * (HISTORY * (not is_step) + np.arange(device.measured.size))
     shown = slice(2 * device.measured.shape[1])
     measured, fitted = np.ravel(device.measured), np.ravel(device.fitted)
     above.plot(times[shown], 1e3 * measured[shown], color=ORANGE, lw=3.5, label="measured")
@@ -676,7 +677,8 @@ def identified_figure(device: "Identified", units: Units) -> Figure:
     for begin in times[: shown.stop : device.measured.shape[1]]:
         above.axvline(begin, color="0.75", lw=0.8, zorder=0)
     above.set(xlabel="time (s)", ylabel=f"position ({milli})")
-    above.set_title("first two segments, each with a fitted initial position and velocity")
+    words = "first two segments, each with a fitted initial position and velocity"
+    above.set_title("step of the set point" if is_step else words)
     above.title.set_fontsize(9)
     above.legend(fontsize=8, loc="upper right", framealpha=0.9)
     below.plot(times, 1e6 * (measured - fitted), ".", color=RED, ms=1.0, rasterized=True)

@@ -29,13 +29,23 @@ which the smallest difference of two readings tells. The velocity that software 
 follows from the readings, by a window or a low pass: each window is tried, and a low pass is fitted
 by a linear regression for its factor. The one with the smaller error is taken.
 
+Where positions are not multiples of a step, the test of Ljung and Box (1978) tells whether what is
+left is white: with the correlations r_h of the residual over h samples, n (n + 2) sum r_h^2/(n - h)
+of white noise is chi-squared. What an encoder rounds is not white, so there it is the size that
+tells: that of rounding, or more.
+
 A scene takes mass and delay as ranges: the ends of their intervals. Where a warning says that the
 model lacks something, intervals do not hold, and the scene has the values alone.
+
+Of a servo with known gains a step of the set point is enough: y = x less the set point is the free
+motion of a wall (kp, kd) from -step, which ``HapticLoop.simulate`` has. Mass, damping and delay
+follow by least squares from the best of some tries, intervals from the Jacobian.
 """
 
-from dataclasses import dataclass
+import warnings
+from dataclasses import dataclass, fields
 from functools import cache, lru_cache
-from math import floor, inf, log, log10, pi, sqrt
+from math import floor, inf, isnan, log, log10, nan, pi, sqrt
 from typing import Any, NamedTuple
 
 import jax
@@ -44,15 +54,16 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
-from scipy.special import stdtrit
+from scipy.special import chdtrc, stdtrit
 
 from jaxstab.arrays import Array, Numbers
 from jaxstab.batches import in_float64
+from jaxstab.loop import HapticLoop
 from jaxstab.model import Velocity
 from jaxstab.motion.contact import Flow, Plant, Runs, Seen, series, series_at
 from jaxstab.numbers import checked, checked_number
 from jaxstab.scene.answers import Quantity
-from jaxstab.scene.scene import Units
+from jaxstab.scene.scene import Controller, Device, Units
 from jaxstab.shown import printable
 from jaxstab.tables import columns_of
 
@@ -90,7 +101,7 @@ class Estimate(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class Identified:
-    """A device as identified from a log, in SI units; see ``jaxstab.identify``.
+    """A device as identified from a log, in SI units: ``jaxstab.identify``, ``identify_servo``.
 
     Attributes:
         mass, damping, friction, offset, stiffness, delay: estimates in kg, N s/m, N, N, N/m and s
@@ -103,8 +114,10 @@ class Identified:
         residual: the rms of measured minus fitted positions in m or rad.
         warning: a sentence if the residual contradicts the model; empty otherwise.
         velocity: the estimator that fits the logged velocity best; None without one.
-        unexplained: the rms of the logged minus the estimated velocity, over that of the velocity.
-        measured, fitted: positions in m or rad, (segment, sample), from row 100 of the log on.
+        unexplained: the rms of the logged minus the estimated velocity, over that of the velocity;
+            NaN for the estimator of a servo, which was given.
+        measured, fitted: positions in m or rad, (segment, sample), from row 100 of the log on; of a
+            servo one segment, from at most 100 rows before the step on.
 
     Example:
         >>> push = np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 200), 10)
@@ -211,6 +224,7 @@ def identify(
             f"the log does not separate the mass from damping and friction: it is {mass.low:.3g} "
             f"to {mass.high:.3g}; {_EXCITE}."
         )
+    _warn_of_units(mass.value, period)
     estimator, unexplained = _estimator(positions, columns.get("velocity"), period)
     return Identified(
         mass,
@@ -222,12 +236,145 @@ def identify(
         period,
         resolution,
         residual,
-        _doubt(measured - fitted, resolution is not None, residual, extent, period),
+        _doubt(unit * (measured - fitted), resolution, extent, period),
         estimator,
         unexplained,
         middle + unit * measured,
         middle + unit * fitted,
     )
+
+
+def identify_servo(
+    *,
+    setpoint: Numbers,
+    position: Numbers,
+    kp: float,
+    kd: float,
+    sample_time: float,
+    velocity: Velocity | None = None,
+) -> Identified:
+    """Fit inertia, damping and delay of a closed servo to a step of its set point.
+
+    The force is kp (setpoint - position) - kd v with the estimated velocity v of the position. The
+    servo rests before the step; all up to the next one is fitted, 5,000 samples at most.
+
+    Args:
+        setpoint: in m or rad at each sample, with a step.
+        position: the encoder reading at each sample, in m or rad; as many samples.
+        kp: the servo's stiffness in N/m or N m/rad.
+        kd: the servo's damping in N s/m or N m s/rad.
+        sample_time: in s.
+        velocity: how the servo estimates the velocity; None for the difference over one sample.
+
+    Returns: Identified, without friction, constant force and spring, which are not fitted.
+
+    Raises: see ``jaxstab.conventions``; ValueError also if columns differ in length, nothing steps,
+    or a mass behind a delay does not fit.
+
+    Source: output error (Ljung 1999).
+
+    Example:
+        >>> truth = jaxstab.HapticLoop(
+        ...     device_mass=0.01, device_damping=0.05, sample_time=2e-3, delay=3e-3
+        ... )
+        >>> moved = 0.1 + truth.simulate(20.0, 0.6, samples=100, initial_position=-0.1).position
+        >>> found = jaxstab.identify_servo(
+        ...     setpoint=np.repeat([0.0, 0.1], [10, 100]), position=np.append(np.zeros(10), moved),
+        ...     kp=20.0, kd=0.6, sample_time=2e-3,
+        ... )
+        >>> print(f"{found.mass.value:.6f} kg m^2, {1e3 * found.delay.value:.4f} ms")
+        0.010000 kg m^2, 3.0000 ms
+    """
+    period = checked_number("sample_time", sample_time, 0.0, is_open=True, unit="s")
+    gains = checked_number("kp", kp, 0.0, is_open=True), checked_number("kd", kd, 0.0)
+    measured, still, step = _stepped(setpoint, position)
+    count, rest = len(measured) - still, float(measured[:still].mean())
+
+    def moved(values: Any) -> Rows:
+        mass, damping, late, rest = values
+        loop = HapticLoop(
+            device_mass=mass, device_damping=damping, sample_time=period, delay=late * period,
+            velocity=velocity,
+        )  # fmt: skip
+        path = 1.0 + loop.simulate(*gains, samples=count, initial_position=-1.0).position
+        return rest + step * np.append(np.zeros(still), np.clip(path, -1e3, 1e3))
+
+    rise = (measured[still:] - rest) / step
+    risen, latest = (int(np.argmax(rise > share)) for share in (0.5, 0.05))
+    risen = risen or count
+    heaviest = gains[0] * (risen * period) ** 2
+    masses, delays = heaviest * np.geomspace(0.01, 3.0, 10), latest * np.linspace(0.1, 0.7, 4)
+    tries = [(m, 0.0, d, rest) for m in masses for d in delays]
+    start = np.array(min(tries, key=lambda x: float(np.sum((moved(x) - measured) ** 2))))
+    sizes = np.array([heaviest, heaviest / (risen * period), 1.0, step])
+    found = least_squares(
+        lambda x: (moved(x * sizes) - measured) / step,
+        start / sizes,
+        bounds=([0.01 / risen, 0.0, 0.0, -np.inf], [10.0, 10.0, HISTORY, np.inf]),
+        xtol=1e-10,
+        ftol=1e-12,
+        gtol=None,
+    )
+    residual = step * found.fun
+    size, resolution = float(np.sqrt(np.mean(residual**2))), _resolution(measured)
+    if not size < 0.1 * abs(step):
+        raise ValueError(
+            f"a mass behind a delay does not fit this step: the residual is {size:g} rms of a step "
+            f"of {abs(step):g}; give the servo's own gains, and set point and position in one row."
+        )
+    free = len(measured) - len(sizes)
+    spread = np.sqrt(np.diag(np.linalg.pinv(found.jac.T @ found.jac)) * 2.0 * found.cost / free)
+    values, half = found.x * sizes, stdtrit(free, 0.975) * spread * abs(sizes)
+    mass, damping, late, _ = map(Estimate, values, values - half, values + half)
+    _warn_of_units(mass.value, period)
+    none = Estimate(0.0, 0.0, 0.0)
+    return Identified(
+        mass,
+        damping.times(1.0, 0.0),
+        none,
+        none,
+        none,
+        late.times(period, 0.0),
+        period,
+        resolution,
+        size,
+        _doubt(residual[None], resolution, abs(step), period),
+        velocity,
+        nan,
+        measured[None],
+        (measured + residual)[None],
+    )
+
+
+def _stepped(setpoint: Numbers, position: Numbers) -> tuple[Rows, int, float]:
+    """Positions around a step of the set point, how many are before it, and its size."""
+    fewest, most = 20, 5000  # samples of a step
+    goals, places = (
+        np.ravel(checked(*x)) for x in (("setpoint", setpoint), ("position", position))
+    )
+    begin, end = [*(np.flatnonzero(np.diff(goals)) + 1).tolist(), len(goals), len(goals)][:2]
+    count, still = min(end - begin, most), min(begin, HISTORY)
+    if len(goals) != len(places) or count < fewest:
+        raise ValueError(
+            f"setpoint has {len(goals)} rows, {count} of them after a step, and position "
+            f"{len(places)}; give a step and at least {fewest} rows of both behind it."
+        )
+    return places[begin - still : begin + count], still, float(goals[begin] - goals[begin - 1])
+
+
+def _warn_of_units(mass: float, period: float) -> None:
+    """Warn of a sample time or a mass that no device has: a slip of units."""
+    usual = {x.name: x.metadata["usual"] for kind in (Device, Controller) for x in fields(kind)}
+    odd = [
+        f"{name} is {value:g} {unit}, usual are {low:g} to {high:g}"
+        for name, value, unit, low, high in (
+            ("sample_time", period, "s", *usual["sample_time"][:2]),
+            ("mass", mass, "kg or kg m^2", usual["inertia"][0], usual["mass"][1]),
+        )
+        if not low <= value <= high
+    ]
+    if odd:
+        warnings.warn(f"{'; '.join(odd)}; give s, N or N m, and m or rad.", stacklevel=3)
 
 
 # The fit: a start by a regression, and least squares from there.
@@ -376,16 +523,15 @@ def _program() -> Any:
 
 
 def read_log(
-    file: str, names: dict[str, str], sample_time: float | None, needs_velocity: bool
+    file: str, names: dict[str, str], sample_time: float | None, optional: list[str]
 ) -> dict[str, Any]:
     """Return the sampling period and the columns of a log, by their names in ``identify``.
 
     ValueError: the file is bad, or its time steps differ.
     """
-    needed = ["force", "position", *(["time"] if sample_time is None else [])]
-    optional = [] if needs_velocity else [names["velocity"]]
-    needed += ["velocity"] if needs_velocity else []
-    table = columns_of(file, [names[key] for key in needed], optional)
+    needed = [own for key, own in names.items() if key != "time" or sample_time is None]
+    needed = [own for own in needed if own not in optional]
+    table = columns_of(file, needed, optional)
     columns = {key: np.array(table[name]) for key, name in names.items() if name in table}
     unequal = 0.1  # of a sample: the most that a time step may differ from the mean
     if sample_time is None:
@@ -446,24 +592,36 @@ def _estimator(
     return best, float(np.sqrt(least / max(np.mean(wanted**2), tiny)))
 
 
-def _doubt(residual: Segments, is_stepped: bool, size: float, extent: float, period: float) -> str:
-    """Return a warning with the residual's main frequency if rounding does not explain it."""
-    window = np.hanning(residual.shape[1])
+def _doubt(residual: Segments, resolution: float | None, extent: float, period: float) -> str:
+    """Return a warning, with its main frequency, if the residual is not what noise leaves."""
+    window, size = np.hanning(residual.shape[1]), float(np.sqrt(np.mean(residual**2)))
     power = np.mean(abs(np.fft.rfft(window * residual, axis=1)) ** 2, axis=0)[2:]
-    peak = int(np.argmax(power))
-    times = float(np.sqrt(12.0 * np.mean(residual**2)))
+    peak = (int(np.argmax(power)) + 2) / (residual.shape[1] * period)
+    times = sqrt(12.0) * (size / resolution if resolution else 0.0)
     noise = 1e-6  # of the motion: a smaller residual causes no warning
-    odd, sharp = 1.5, 20.0  # a residual in roundings, its peak in medians of the spectrum
-    is_sharp = power[peak] > sharp * np.median(power) and size > noise * extent
-    is_odd = times > odd if is_stepped else is_sharp
-    if not is_odd:
+    odd, unlikely = 1.5, 1e-3  # a residual in roundings, and the chance of white noise
+    chance = chance_of_white(residual)
+    if times <= odd if resolution else chance > unlikely or size <= noise * extent:
         return ""
-    of_rounding = f", {times:.3g} times that of the encoder's rounding" if is_stepped else ""
+    of_rounding = f", {times:.3g} times that of the encoder's rounding" if resolution else ""
+    colour = f", not white (p = {chance:.1g})" if chance <= unlikely else ""
     return (
-        f"the residual is {size:.3g} rms{of_rounding}, with its largest peak at "
-        f"{(peak + 2) / (residual.shape[1] * period):.3g} Hz: the model lacks something, such as a "
-        "vibration mode, a hand on the handle or a varying delay"
+        f"the residual is {size:.3g} rms{of_rounding}{colour}, with its largest peak at "
+        f"{peak:.3g} Hz: the model lacks something, such as a vibration mode, a hand on the handle "
+        "or a varying delay"
     )
+
+
+def chance_of_white(residual: Segments) -> float:
+    """The chance that white noise is as correlated over 20 samples: the test of Ljung and Box."""
+    lags, (segments, length) = 20, residual.shape
+    lags, count, power = min(lags, length // 4), residual.size, np.sum(residual**2)
+    shares = [
+        float(np.sum(residual[:, lag:] * residual[:, :-lag]) / power) ** 2
+        / (count - lag * segments)
+        for lag in range(1, lags + 1)
+    ]
+    return float(chdtrc(lags, count * (count + 2.0) * sum(shares)))
 
 
 # What is identified, as text and as a scene.
@@ -477,8 +635,8 @@ def identified_text(device: Identified, units: Units) -> str:
     lines = {
         units.moved: f"{device.mass} {units.kilogram}",
         "damping": f"{device.damping} {units.damping}",
-        "friction": f"{device.friction} {units.force}",
-        "constant force": f"{device.offset} {units.force}",
+        "friction": f"{device.friction} {units.force}" if device.friction.high else "",
+        "constant force": f"{device.offset} {units.force}" if device.offset.high else "",
         "spring": f"{device.stiffness} {units.stiffness}" if device.stiffness.value else "",
         "delay": f"{device.delay.times(1e3)} ms; in samples {device.delay.times(1.0 / period)}",
         "residual": f"{length.words(device.residual, units)} rms{explained}",
@@ -491,6 +649,8 @@ def identified_text(device: Identified, units: Units) -> str:
 
 def _unexplained(device: Identified) -> str:
     percent = 100.0 * device.unexplained
+    if isnan(percent):
+        return "as given"
     return f"{f'{percent:.2g}' if percent >= 1e-3 else '< 0.001'} % rms unexplained"
 
 
@@ -515,6 +675,7 @@ def identified_scene(device: Identified, units: Units, source: str) -> str:
             f"The device has a spring of {device.stiffness} {units.stiffness}: add it to the "
             "stiffness of the hand."
         )
+    friction = f"friction = {device.friction.value:.6g}  # {units.force}; {device.friction}"
     lines = [
         f"# From {printable(source)} by jaxstab identify. In brackets{ranges}: 95 %",
         "# confidence intervals, if the model holds.",
@@ -523,7 +684,7 @@ def identified_scene(device: Identified, units: Units, source: str) -> str:
         "[device]",
         f"{units.moved} = {taken(device.mass)}  # {units.kilogram}; {device.mass}",
         f"damping = {device.damping.value:.6g}  # {units.damping}; {device.damping}",
-        f"friction = {device.friction.value:.6g}  # {units.force}; {device.friction}",
+        *([friction] if device.friction.high else []),
         *([f"encoder.resolution = {resolution:.6g}  # {units.length}"] if resolution else []),
         "",
         "[controller]",
@@ -546,5 +707,5 @@ def _velocity_key(device: Identified) -> list[str]:
     samples, cutoff = (getattr(section, name, 0.0) for name in ("samples", "cutoff"))
     key = f"window_samples = {samples}" if samples else f"cutoff = {cutoff:.6g}"
     explained = 0.05  # of a velocity: an estimator with a larger error is only a comment
-    mark = "" if device.unexplained <= explained else "# not explained: "
+    mark = "# not explained: " if device.unexplained > explained else ""
     return [f"{mark}velocity.{key}  # {_unexplained(device)}"]

@@ -631,6 +631,11 @@ class Scene:
                     "the scene has a table [loop], but this answer is for walls; limits, check, "
                     "tune, design and study answer for other loops."
                 )
+            if "response" in (table.get("device") or ()):
+                raise ValueError(
+                    "device.response is measured and no model, which this answer needs; limits "
+                    "and check answer, and jaxstab identify fits a model to a log."
+                )
             return cls(**_tables(table))
         except ValueError as error:
             device = table.get("device")
@@ -713,10 +718,11 @@ def _tables(table: Mapping[str, Any]) -> dict[str, Any]:
     tables: dict[str, Any] = {
         name: kind.from_table(given[name], name) for name, kind in TABLES.items() if name in given
     }
-    return tables | {"walls": _walls(table.get("walls", {}))}
+    return tables | {"walls": walls_in(table.get("walls", {}))}
 
 
-def _walls(table: Any) -> dict[str, Wall]:
+def walls_in(table: Any) -> dict[str, Wall]:
+    """The walls of a table by name; ValueError."""
     if not isinstance(table, Mapping):
         raise ValueError(f"walls is {shortened(table)}; give a table [walls.NAME] for each wall.")
     if len(table) > 1000:
