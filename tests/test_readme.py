@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 
 import jaxstab
+from benchmarks import record
+from benchmarks.table import resolutions, rivals
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -48,25 +50,14 @@ def test_the_main_job_writes_one_file_that_answers(tmp_path: Path) -> None:
     assert (nodes.gamma[0], nodes.gamma[-1]) == (0.0, 1e-3)
     assert (nodes.delta[0], nodes.delta[-1]) == (0.0, 0.015)
 
-    header, answer = jaxstab_command(blocks("sh")[1].strip(), tmp_path).splitlines()
-    assert dict(zip(header.split(","), answer.split(","), strict=True))["verdict"] == "stable"
-    asking = [code for code in blocks("python") if "open_atlas" in code]
-    assert asking
-    for code in asking:
-        assert_prints_what_it_promises(code, tmp_path)
+
+def test_the_lines_for_one_question_run(tmp_path: Path) -> None:
+    assert_prints_what_it_promises(blocks("python")[0], tmp_path)
 
 
-@pytest.mark.parametrize(
-    "code",
-    [
-        pytest.param(code, marks=pytest.mark.campaign if "trace_boundary" in code else ())
-        for code in blocks("python")
-        if "open_atlas" not in code
-    ],
-    ids=lambda code: code.splitlines()[-1],
-)
-def test_the_lines_of_python_run(code: str, tmp_path: Path) -> None:
-    assert_prints_what_it_promises(code, tmp_path)
+@pytest.mark.campaign
+def test_the_lines_for_many_run_behind_them(tmp_path: Path) -> None:
+    assert_prints_what_it_promises("".join(blocks("python")), tmp_path)
 
 
 def assert_prints_what_it_promises(code: str, folder: Path) -> None:
@@ -81,12 +72,12 @@ def test_pictures_and_pages_are_there() -> None:
         assert target.startswith("http") or (ROOT / target).exists(), target
 
 
-def test_the_table_is_that_of_the_records() -> None:
+def test_the_tables_are_those_of_the_records() -> None:
     table = run("-m", "benchmarks", "table", folder=ROOT)
     assert table in (ROOT / "docs" / "accuracy.md").read_text(encoding="utf-8")
-    lines = [line for line in README.splitlines() if line.startswith("| ") and " per point" in line]
-    assert len(lines) == 3
-    assert set(lines) <= set(table.splitlines())
+    records = record.read_all(record.RESULTS)
+    assert rivals(records, brief=True) in README
+    assert resolutions(records) in README
 
 
 def test_the_first_answer_is_what_the_command_prints() -> None:
