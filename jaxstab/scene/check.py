@@ -205,7 +205,7 @@ class Jitter(Answer):
     """
 
     is_part = True
-    absent = "none is proved"
+    absent = "not proved"
 
     extra_delay_moving: SpareTime
     moving_is: str | None
@@ -358,10 +358,12 @@ def check_walls(scene: Scene, *, in_full: bool = True) -> Check:
             method = partial(method, hands=hands_of(scene), mass=masses_of(scene))
         held = []
         for own, wall, reason in zip(measured, walls, left_out, strict=True):
-            is_unstable, beside = wall.worst.verdict == Verdict.UNSTABLE, name == "margins"
-            if is_unstable and beside and not reason and (in_full or not wall.worst.worst_delays):
+            is_unstable = wall.worst.verdict == Verdict.UNSTABLE
+            is_printed = in_full or not wall.worst.worst_delays
+            if name == "margins" and is_unstable and is_printed and not reason:
                 own[name] = _stable_around(wall)
-            is_left_out = reason or (is_unstable and (beside or name == "frequency" or not in_full))
+            has_none = not in_full or name in ("margins", "frequency", "jitter")
+            is_left_out = reason or (is_unstable and has_none)
             held.append([] if is_left_out else _loops_for(wall, name))
         pairs = [(x, wall.gains) for wall, loops in zip(walls, held, strict=True) for x in loops]
         if not pairs:
