@@ -24,7 +24,15 @@ from jaxstab.model.loop import as_one
 from jaxstab.pictures.scene import scene_figure
 from jaxstab.point import spectral_radius, verdict
 from jaxstab.scene import Scene, check_walls, scene_limits
-from jaxstab.scene.answers import Answer, Bound, LargestStiffness, StiffnessLimits, Time
+from jaxstab.scene.answers import (
+    Answer,
+    Bound,
+    LargestStiffness,
+    Quantity,
+    StiffnessLimits,
+    Time,
+)
+from jaxstab.scene.scene import Units
 
 FREE = ["--mass", "1", "--damping", "0", "--sample-time", "0.05", "--delay", "0"]
 PHANTOM = ["--device", "phantom", "--sample-time", "0.001"]
@@ -371,7 +379,7 @@ def test_what_is_zero_by_the_geometry_is_printed_as_zero() -> None:
     for arguments in (
         ["limits", "--all", *PHANTOM, "--at-damping", "0"],
         ["limits", "--all", *FREE, "--at-stiffness", "100"],
-        ["check", *PHANTOM, "--wall", "a", "800", "5"],
+        ["check", "--all", *PHANTOM, "--wall", "a", "800", "5"],
         ["region", "--gamma", "0", "--delta", "0.015", "--delay", "1"],
         ["region", "--gamma", "0", "--delta", "0", "--delay", "0"],
     ):
@@ -379,21 +387,85 @@ def test_what_is_zero_by_the_geometry_is_printed_as_zero() -> None:
         assert not re.search(r"e-\d", text.replace("radius error", "#").split("#")[0]), text
         assert not re.search(r"-0(?![.\d])", text), text
     assert ("at stiffness", "0 N/m") in printed("limits", "--all", *PHANTOM)
-    assert dict(printed("check", *PHANTOM, "--wall", "a", "800", "5"))["stiffness limits"][:5] == (
-        "0 to "
-    )
+    lines = dict(printed("check", "--all", *PHANTOM, "--wall", "a", "800", "5"))
+    assert lines["stiffness limits"][:5] == "0 to "
 
 
 def test_what_is_not_proved_is_said_so_and_an_unstable_wall_never_settles() -> None:
-    lines = dict(printed("check", *FREE, "--wall", "b", "1000", "10", exit_code=1))
+    lines = dict(printed("check", "--all", *FREE, "--wall", "b", "1000", "10", exit_code=1))
     assert lines["stable at its damping"] == "0 to 240 N/m"  # 2 beta (2 - beta)/(2 + beta) m/T^2
-    assert lines["stable at its stiffness"] == "none is proved"
+    assert lines["stable at its stiffness"] == "none is stable"
     assert lines["settling time (2 %)"] == "never"
     assert lines["settling status"] == "the loop is unstable and never settles"
-    slow = dict(printed("check", *FREE, "--wall", "c", "1e-9", "1e-3"))
+    slow = dict(printed("check", "--all", *FREE, "--wall", "c", "1e-9", "1e-3"))
     assert slow["settling time (2 %)"] == slow["settling time (5 %)"] == "not proved"
     text = run("check", *FREE, "--wall", "b", "1000", "10", "--wall", "c", "1e-9", "1e-3").stdout
     assert not re.search(r"\b(nan|inf)\b", text)
+
+
+HELD = ["--hand-mass", "0:0.3", "--hand-stiffness", "0:200"]
+
+
+def test_check_prints_at_most_eight_lines_a_wall_of_the_numbers_that_all_prints() -> None:
+    walls = ["--wall", "a", "3000", "20", "--wall", "b", "90000", "90"]
+    given = ["check", *PHANTOM, *HELD, "--set", "device.encoder.resolution=1e-5", "--push", "1"]
+    result = run(*given, *walls)
+    assert result.exit_code == 1
+    head, first, second = re.split(r"(?m)^wall \w ", result.stdout)
+    assert "\nranges " in head
+    lines, exact = first.splitlines(), answered(*given, *walls, exit_code=1)["walls"]
+    assert lines[0].strip() == "3000 N/m at 20 N s/m: stable for every hand"
+    assert len(lines) <= 8
+    said = dict(re.split(r"  +", line.strip(), maxsplit=1) for line in lines[1:])
+    assert [*said] == [
+        "gain margins",
+        "extra delay",
+        "phase margin",
+        "settling time (2 %)",
+        "encoder chatter",
+        "contact",
+    ]
+    stiffer, damper = re.findall(r"factor of ([\d.]+)", said["gain margins"])
+    assert float(stiffer) == pytest.approx(exact["a"]["stiffness_gain"], rel=1e-3)
+    assert float(damper) == pytest.approx(exact["a"]["damping_gain"], rel=1e-3)
+    extra = float(said["extra delay"].removesuffix(" ms (constant)"))
+    assert extra == pytest.approx(1e3 * exact["a"]["extra_delay"], rel=1e-3)
+    assert "(simulated, at 0.1 m/s, pushed with 1 N" in said["contact"]
+    others = second.splitlines()
+    assert others[0].strip().startswith("90000 N/m at 90 N s/m: unstable with ")
+    assert re.fullmatch(r"  stable walls +K from 0 to \d+ N/m at 90 N s/m; no B at .*", others[1])
+    assert [line.split()[0] for line in others[2:]] == ["contact"]
+
+
+def test_what_check_does_not_print_is_not_computed() -> None:
+    table = {
+        "device": {"mass": 0.1, "damping": 1.5},
+        "hand": {"mass": [0.0, 0.3]},
+        "controller": {"sample_time": 0.001, "delay_samples": 1.0},
+        "walls": {"a": {"stiffness": 300.0, "damping": 2.0}},
+    }
+    short = check_walls(Scene.from_table(table), in_full=False)
+    whole = check_walls(Scene.from_table(table))
+    assert short.in_short() == whole.in_short()
+    (wall,) = short.walls.values()
+    for name in ("distance", "radius", "oscillation", "jitter"):
+        assert getattr(wall, name) is None
+        assert getattr(whole.walls["a"], name) is not None
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        (0.167, "0.167 rad"),
+        (0.0991, "99.1 mrad"),
+        (2.5e-5, "25 urad"),
+        (3e-8, "30 nrad"),
+        (0.0, "0 rad"),
+        (inf, "unlimited"),
+    ],
+)
+def test_an_amount_has_the_prefix_of_its_size(value: float, words: str) -> None:
+    assert Quantity("m", 3).words(value, Units.ROTATION) == words
 
 
 @dataclass(frozen=True)
@@ -415,11 +487,11 @@ class Sample(Answer):
         ),
         (
             (3e3 - 1e-12, (-0.12349, -0.0), 2.0, inf),
-            ["3000 N/m", "-0.1234 to 0 N/m", "2000 ms", "not proved"],
+            ["3000 N/m", "-0.1234 to 0 N/m", "2 s", "not proved"],
         ),
         (
             (-1.23456, (2.50001, 2.50002), 1e-9, 0.0),
-            ["-1.235 N/m", "2.50001 to 2.50002 N/m", "1e-06 ms", "0"],
+            ["-1.235 N/m", "2.50001 to 2.50002 N/m", "1 ns", "0"],
         ),
         (
             (nan, (nan, nan), inf, nan),
@@ -496,7 +568,5 @@ def test_item_7_check_prints_the_worst_of_all_hands_and_whose_it_is(
     ratio, angle = modes[least_damped]
     assert found["damping_ratio"] == pytest.approx(ratio, rel=1e-9)
     assert found["frequency"] == pytest.approx(angle / (2e-3 * np.pi), rel=1e-9)
-    assert found["settling_is"] == "longest over 8 hands"
     assert found["distance_to_boundary"] == pytest.approx(min(distances), rel=1e-12)
-    assert found["distance_is"] == "smallest over 8 hands"
-    assert found["oscillation_is"] == "least damped over 8 hands"
+    assert found["measures_are"] == "the worst of 8 hands"

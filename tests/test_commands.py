@@ -138,7 +138,7 @@ def test_31_18_exit_codes(name: str, arguments: list[str], code: int, folder: Pa
 def test_31_18_a_fault_of_ours_does_not_end_like_an_unstable_wall(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def broken(_: Scene) -> Any:
+    def broken(_: Scene, **__: Any) -> Any:
         raise ZeroDivisionError
 
     monkeypatch.setattr("jaxstab.scene.check_walls", broken)
@@ -158,7 +158,7 @@ def test_31_15_a_delay_that_is_assumed_is_said_beside_the_estimator(command: str
     inputs = json.loads(run(*arguments, "--json").stdout)["inputs"]
     assert (inputs["delay"], inputs["delay_is"]) == (0.0, "assumed: the scene names none")
     given = run(*arguments, "--delay", "0").stdout.splitlines()[1]
-    assert given.split(maxsplit=1) == ["delay", "0 ms (0 samples)"]
+    assert given.split(maxsplit=1) == ["delay", "0 s (0 samples)"]
 
 
 @pytest.mark.parametrize(

@@ -650,7 +650,7 @@ def test_a_scene_answers_with_the_worst_of_its_starts() -> None:
     slowest = [float(one.penetration) for one in resting if one.time_to_rest == longest]
     assert np.isclose(soft.penetration, slowest, rtol=1e-12, atol=0.0).any()
     assert "at 0.1 m/s" in soft.worst_start
-    assert soft.contact_is == "simulated for 1 s, not proved"
+    assert soft.contact_is == "1 s, not proved"
 
 
 def test_check_adds_the_simulated_contact_below_what_is_proved() -> None:
@@ -668,7 +668,7 @@ def test_ranges_are_simulated_at_their_lowest_hand_and_longest_delay() -> None:
         hand={"mass": [0.1, 0.3]}, controller={"delay": [1e-3, 2e-3], "max_force": 12.0}
     )
     soft = simulate_contacts(scene).walls["soft"]
-    words = "the delay constant, its longest; hand and device at their lowest values"
+    words = "the longest delay, held constant; hand and device at their lowest values"
     assert soft.contact_is.endswith(words)
     loop = HapticLoop(**HELD, hand_mass=0.1, delay=2e-3, velocity=Velocity.difference(window=0.02))
     runs = jaxstab.contact_map(
@@ -808,6 +808,17 @@ def test_check_proves_what_it_cannot_simulate(changes: dict[str, Any], reason: s
         assert reason in wall.simulated.contact
         assert wall.simulated.contact.startswith("not simulated: ")
         assert str(replace(wall, simulated=None)) == str(proved.walls[name])
+
+
+def test_a_motion_without_an_end_has_no_size() -> None:
+    """Pushed through a wall whose force is limited, only the duration ends the penetration."""
+    scene = scene_with(controller={"max_force": 0.4})
+    (wall, *_) = simulate_contacts(scene).walls.values()
+    assert wall.contact == ContactKind.PUSHED_THROUGH
+    assert 0.0 < wall.penetration < inf
+    text = "\n".join(wall.lines())
+    assert re.search(r"(?m)^penetration +unlimited$", text)
+    assert wall.in_short(scene.units).startswith("pushed through the wall, whose force stays at ")
 
 
 def test_a_wall_that_cannot_be_simulated_leaves_the_others() -> None:

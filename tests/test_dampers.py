@@ -127,7 +127,7 @@ def test_over_ranges_a_damper_that_only_drifts_is_not_called_unstable(
 ) -> None:
     answer = run("check", *FREE, *ranges, "--wall", "damper", "0", damping)
     words = " ".join(answer.stdout.split())
-    assert f"verdict {verdict}" in words
+    assert f" at {damping} N s/m: {verdict}" in words
     assert ("nothing holds the position" in words) == (verdict == "undecided")
     assert ("measures left out" in words) or verdict == "unstable"
     assert answer.exit_code == 1

@@ -397,7 +397,7 @@ def test_check_prints_all_margins_on_request_for_the_worst_hand() -> None:
     (wall,) = check_walls(Scene.from_table(table)).walls.values()
     found = wall.frequency
     assert found is not None
-    assert found.frequency_is == "worst over 8 hands"
+    assert wall.measures_are == "the worst of 8 hands"
     every = [
         HapticLoop(**own, device_mass=0.25, device_damping=0.1, sample_time=1e-3, delay=1e-3,
                    velocity=Velocity.difference(samples=20)).frequency_margins(1e3, 12.0)
@@ -417,4 +417,4 @@ def test_check_of_other_gains_has_them_too_and_an_unstable_wall_has_none() -> No
     pid = "data/scenes/gains/pid.toml"
     result = run("check", pid, "--frequency")
     assert re.search(r"(?m)^  disk margin +0.9167 at 24.9245 Hz$", result.output)
-    assert re.search(r"(?m)^  phase margin +none: the wall is not stable$", result.output)
+    assert "phase margin" not in result.output.split("gains hasty")[1]

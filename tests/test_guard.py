@@ -372,7 +372,7 @@ def test_the_command_writes_a_header_and_a_picture(tmp_path: Path) -> None:
         "--plot", tmp_path / "a.svg", "--cells", "1,1,4",
     ]  # fmt: skip
     for kind, said, parameters in (
-        ([], "delay, moving from sample to sample: 0.00099 to 0.00101 s", "double mass)"),
+        ([], "delay, varying from sample to sample: 0.00099 to 0.00101 s", "double mass)"),
         (["--constant-delay"], "delay, constant during contact: 0.00099", "mass, double delay)"),
     ):
         answer = run(*words, *kind)
@@ -381,7 +381,7 @@ def test_the_command_writes_a_header_and_a_picture(tmp_path: Path) -> None:
         assert parameters in header.split("int my_guard_clamp")[1].split("{")[0]
         assert (tmp_path / "a.svg").stat().st_size > 1000
         assert "It grants" in answer.output
-        assert "limited by" not in answer.output  # no hand
+        assert " hand of " not in answer.output  # no hand
         assert said in answer.output
 
 

@@ -431,6 +431,8 @@ PLAIN = {
         (["--rate", "500", "--gains", "{folder}/slip.yaml"], "give elbow, for instance"),
         (["--rate", "500", "--gains", "{folder}/half.yaml"], "give kp and kd"),
         (["--rate", "500", "--gains", "{folder}/word.yaml"], "kp of elbow"),
+        (["--rate", "500", "--gains", "{folder}/twice.yaml"], "gives 'elbow' twice"),
+        (["--rate", "500", "--gains", "{folder}/inner.yaml"], "gives 'kp' twice"),
         (["--rate", "500", "--safe-gains", "safe.txt"], "ends in neither .yaml nor .yml"),
     ],
 )
@@ -439,6 +441,8 @@ def test_55_bad_input_is_one_sentence(options: list[str], words: str, tmp_path: 
         "bad": "elbow: {kp: 1",
         "list": "- elbow",
         "slip": "ellbow: {kp: 1, kd: 1}",
+        "twice": "elbow: {kp: 1, kd: 1}\nelbow: {kp: 2, kd: 1}",
+        "inner": "elbow: {kp: 1, kd: 1, kp: 2}",
         "half": "elbow: {kp: 1}",
         "word": "elbow: {kp: soft, kd: 1}",
     }

@@ -166,7 +166,7 @@ def test_the_picture_of_a_moving_delay_has_its_walls_in_its_units() -> None:
         for wall in proved[::3]
     ]
     assert all(np.all(growth(motion, 4) < 1.0) for motion in motions)
-    assert "delay moves between 0 and 1 ms" in figure.get_suptitle()
+    assert "delay varies between 0 and 1 ms" in figure.get_suptitle()
 
 
 def test_an_atlas_refuses_a_delay_that_moves(tmp_path: Path) -> None:
@@ -205,15 +205,14 @@ def test_a_delay_is_one_number_or_two_and_says_what_it_is() -> None:
 
 def test_options_replace_the_delay_of_a_file(tmp_path: Path) -> None:
     file = written(tmp_path, "delay = [0.0, 0.001]\ndelay_is = 'constant'")
-    assert (
-        "constant, somewhere between 0 and 1 ms" in answered("limits", file)["inputs"]["delay_is"]
-    )
+    inputs = answered("limits", file)["inputs"]
+    assert inputs["delay_is"].startswith("is constant, somewhere between 0 and 1 ms; ")
     moving = answered("limits", file, "--delay", "0:0.0005", "--lost-samples", "1")["inputs"]
     assert moving["delay"] == [0.0, 0.0005]
     assert moving["lost_samples"] == 1
     assert moving["delay_is"] == (
-        "moves between 0 and 0.5 ms, newest sample wins, up to 1 in a row lost: proofs hold for "
-        "every sequence"
+        "varies between 0 and 500 us; the most recent sample that has arrived is used, up to 1 in "
+        "a row are lost; verdicts cover every sequence"
     )
     assert "delay_is" not in answered("limits", file, "--delay", "0.001")["inputs"]
 
@@ -221,8 +220,9 @@ def test_options_replace_the_delay_of_a_file(tmp_path: Path) -> None:
 def test_a_delay_that_is_given_beside_a_file_stays_constant(tmp_path: Path) -> None:
     file = written(tmp_path, "delay = [0.0, 0.001]\ndelay_is = 'constant'")
     for delay in (["--delay", "0.0:0.0005"], ["--delay-samples", "0:2"], ["--delay", "0.0005"]):
-        assert "moves" not in run("limits", file, *delay).stdout
-    assert "for every constant delay" in run("limits", file, "--delay", "0.0:0.0005").stdout
+        assert "varies" not in run("limits", file, *delay).stdout
+    text = run("limits", file, "--delay", "0.0:0.0005").stdout
+    assert "verdicts cover every constant delay" in text
 
 
 def test_samples_may_be_lost_of_a_delay_that_is_otherwise_constant() -> None:
@@ -230,7 +230,8 @@ def test_samples_may_be_lost_of_a_delay_that_is_otherwise_constant() -> None:
     assert lossy.inputs is not None
     assert lossy.inputs.delay == T
     assert lossy.inputs.delay_is == (
-        "is 1 ms, newest sample wins, up to 1 in a row lost: proofs hold for every sequence"
+        "is 1 ms; the most recent sample that has arrived is used, up to 1 in a row are lost; "
+        "verdicts cover every sequence"
     )
     wall = lossy.best.largest_stiffness, lossy.best.at_damping
     random = np.random.default_rng(5)
@@ -241,22 +242,25 @@ def test_samples_may_be_lost_of_a_delay_that_is_otherwise_constant() -> None:
 
 # -------------------------------------------------------------------------------- the answers
 @pytest.mark.parametrize("command", ["limits", "check"])
-def test_the_line_of_the_estimator_says_what_is_proved(command: str) -> None:
+def test_the_range_of_delays_stands_first_with_what_is_proved(command: str) -> None:
     wall = ["--wall", "soft", "500", "5"]
     for options, words in (
         (
             [],
-            "; delay moves between 0 and 1 ms, newest sample wins: proofs hold for every sequence",
+            " the delay varies between 0 and 1 ms; the most recent sample that has arrived is "
+            "used; verdicts cover every sequence",
         ),
         (
             ["--constant-delay"],
-            "; delay constant, somewhere between 0 and 1 ms: proofs hold for every constant delay",
+            " the delay is constant, somewhere between 0 and 1 ms; verdicts cover every constant "
+            "delay",
         ),
     ):
-        first, second, *_ = run(command, *MOVING, *wall, *options).stdout.splitlines()
+        first, second, third, *_ = run(command, *MOVING, *wall, *options).stdout.splitlines()
         assert first.startswith("velocity ")
-        assert first.endswith(words)
         assert re.fullmatch(r"delay +0 to 1 ms \(0 to 1 samples\)", second)
+        assert third.startswith("range of delays ")
+        assert third.endswith(words)
 
 
 def test_an_unstable_wall_names_delays_that_make_it_grow() -> None:
@@ -264,7 +268,7 @@ def test_an_unstable_wall_names_delays_that_make_it_grow() -> None:
         wall = answered(command, *MOVING, *ISSUE, code=1)["walls"]["issue"]
         assert wall["verdict"] == "unstable"
         said = re.fullmatch(
-            r"delays of ([\d., ]+) ms in turn: a factor of ([\d.]+) per sample \(growth proved\)",
+            r"delays of ([\d., ]+) ms in turn: the motion grows by a factor of ([\d.]+) per sample",
             wall["worst_delays"],
         )
         assert said, wall["worst_delays"]
@@ -288,7 +292,7 @@ def test_an_unstable_wall_names_the_constant_delay() -> None:
     walls = [*ISSUE, "--wall", "hard", "16000", "40"]
     answer = answered("limits", *MOVING, *walls, "--constant-delay", code=1)["walls"]["hard"]
     assert answer["verdict"] == "unstable"
-    assert answer["worst_delays"].startswith("a constant delay of 1 ms: a factor of ")
+    assert answer["worst_delays"].startswith("a constant delay of 1 ms: the motion grows by a ")
     radius = float(re.search(r"factor of ([\d.]+)", answer["worst_delays"])[1])  # type: ignore[index]
     assert radius == pytest.approx(true_radius(16000.0, 40.0, 1.0), rel=1e-5)
     assert true_radius(16000.0, 40.0, 0.0) < 1.0
@@ -335,10 +339,7 @@ def test_a_safety_is_proved_anew() -> None:
 
 def test_measures_are_those_of_the_worst_constant_delay() -> None:
     wall = answered("check", *MOVING, "--wall", "a", "5000", "20")["walls"]["a"]
-    assert wall["measures_are"] == (
-        "of constant delays, no sample lost: the worst of the shortest and the longest one"
-    )
-    assert wall["margins_are"] == "smallest over 2 constant delays"
+    assert wall["measures_are"] == "the worst of 2 constant delays, no sample lost"
     radii = [true_radius(5000.0, 20.0, delay) for delay in (0.0, 1.0)]
     assert wall["spectral_radius"] == pytest.approx(max(radii), abs=1e-12)
 
@@ -487,14 +488,18 @@ def test_no_sequence_within_the_margin_of_every_hand_makes_one_grow() -> None:
 
 def test_of_a_wall_that_is_not_stable_for_moving_delays_no_constant_one_is_measured() -> None:
     """The wall is stable at each constant delay, which would be printed below "unstable"."""
-    text = run("check", *MOVING, *ISSUE).stdout
+    text = run("check", "--all", *MOVING, *ISSUE).stdout
     assert re.search(r"(?m)^  verdict +unstable$", text)
     assert re.search(r"(?m)^  measures +left out: they are of constant delays", text)
-    for words in ("settled", "spectral radius", "margins", "stiffness gain", "none is proved"):
+    for words in ("settled", "spectral radius", "margins", "stiffness gain", "stable at"):
         assert words not in text
-    constant = run("check", *MOVING, *ISSUE, "--constant-delay")
+    push = ["--push", "1"]
+    last = run("check", *MOVING, *ISSUE, *push).stdout.splitlines()[-1]
+    assert re.match(r"wall issue .*: unstable; delays of .* in turn: the motion grows by", last)
+    constant = run("check", *MOVING, *ISSUE, *push, "--constant-delay")
     assert constant.exit_code == 0
-    assert "settled, and proved to stay so" in constant.stdout
+    for words in ("gain margins", "extra delay", "phase margin", "settling time", "contact"):
+        assert f"\n  {words}" in constant.stdout
 
 
 def test_a_constant_delay_that_is_not_known_may_begin_to_move() -> None:
@@ -509,16 +514,19 @@ def test_a_constant_delay_that_is_not_known_may_begin_to_move() -> None:
 
 
 # ------------------------------------------------------- answers for the longest, constant delay
-LONGEST = "; delay moves between 0 and 1 ms, newest sample wins: here constant, the longest"
+LONGEST = (
+    "the delay varies between 0 and 1 ms; the most recent sample that has arrived is used; here "
+    "constant, the longest"
+)
 
 
 def test_tune_and_design_take_the_longest_delay_and_say_so_first() -> None:
     for command in (["tune"], ["design", "--stiffness", "1000"]):
         ranged, one = run(*command, *MOVING), run(*command, *LIGHT, "--delay", "0.001")
-        first, *others = ranged.stdout.splitlines()
-        assert first.endswith(LONGEST)
-        assert first.removesuffix(LONGEST) == one.stdout.splitlines()[0]
-        assert set(one.stdout.splitlines()[1:]) <= set(others)
+        *first, third = ranged.stdout.splitlines()[:3]
+        assert third.endswith(LONGEST)
+        assert first == one.stdout.splitlines()[:2]
+        assert set(one.stdout.splitlines()) <= set(ranged.stdout.splitlines())
 
 
 def test_tuned_walls_are_judged_for_every_delay_of_the_range() -> None:
@@ -572,10 +580,10 @@ def test_studies_and_pages_take_the_longest_delay_and_say_so_first(tmp_path: Pat
         assert made.exit_code == 0
         assert_one_sentence(made.stderr)
         for words in (made.stderr, page.read_text(encoding="utf-8")):
-            assert re.search(r"elay moves between 0 and 1 ms.*: here constant, the longest", words)
+            assert re.search(r"elay varies between 0 and 1 ms.*; here constant, the longest", words)
         table = run("study", file, "--over", "device.mass=0.1,0.2", "--csv", "-")
         first, *_ = table.stderr.splitlines()
-        assert first.startswith("jaxstab: the delay moves between 0 and 1 ms, newest sample wins")
+        assert first.startswith("jaxstab: the delay varies between 0 and 1 ms; the most recent")
         assert first.endswith("here constant, the longest.")
         single = answered("limits", *LIGHT, "--delay", "0.001")["best"]["largest_stiffness"]
         rows = list(csv.DictReader(io.StringIO(table.stdout)))
@@ -599,8 +607,7 @@ def test_measures_with_hands_are_the_worst_of_hands_and_delays() -> None:
     table["walls"] = {"a": {"stiffness": 2000.0, "damping": 15.0}}
     (wall,) = check_walls(Scene.from_table(table)).walls.values()
     assert wall.margins is not None
-    assert wall.margins.margins_are is not None
-    assert wall.margins.margins_are.endswith("hands and constant delays")
+    assert wall.measures_are == "the worst of 4 hands and constant delays, no sample lost"
     assert wall.jitter is not None
     assert wall.jitter.moving_is == "beyond the range, proved for every hand"
     each = [
@@ -631,8 +638,8 @@ def test_a_guard_takes_the_range_of_its_scene(
     header, text = tmp_path / "g.h", "[device]\nmass = 0.1\ndamping = 0.05\n[controller]\n"
     file = tmp_path / "scene.toml"
     for keys, options, words in (
-        ("", [], "delay, moving from sample to sample: 0.0009 to 0.0011 s"),
-        ("lost_samples = 1", [], "moving from sample to sample, up to 1 in a row lost: "),
+        ("", [], "delay, varying from sample to sample: 0.0009 to 0.0011 s"),
+        ("lost_samples = 1", [], "varying from sample to sample, up to 1 in a row lost: "),
         ("delay_is = 'constant'", [], "delay, constant during contact: 0.0009 to 0.0011 s"),
         ("", ["--constant-delay"], "delay, constant during contact: 0.0009 to 0.0011 s"),
         ("", ["--delay", "1e-3", "--lost-samples", "1"], "in a row lost: 0.001 to 0.002 s"),
@@ -655,7 +662,7 @@ def test_a_constant_range_gives_an_atlas_its_corners() -> None:
 def test_a_model_with_a_moving_delay_is_explained(tmp_path: Path) -> None:
     file = written(tmp_path, "delay_samples = [0.0, 1.0]")
     text = run("scene", "explain", file).stdout
-    assert re.search(r"(?m)^delay +0 to 1 ms \(0 to 1 samples\); moves between 0 and 1 ms", text)
+    assert re.search(r"(?m)^delay +0 to 1 ms \(0 to 1 samples\); varies between 0 and 1 ms", text)
     assert "a mass, hand or gain that changes while the wall is touched" in text
 
 

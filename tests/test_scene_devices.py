@@ -406,7 +406,6 @@ def test_an_encoder_is_bounded_and_the_best_walls_are_found_for_modes_too(file: 
     assert chatter is not None
     loop = loop_of(scene)
     assert chatter.chatter_at_most == loop.amplitude(500.0, 5.0, encoder=1e-5).position
-    assert chatter.chatter_is == "proved"
     best = json.loads(run("tune", file, "--json").stdout)["least_settling"]
     wall = best["stiffness"], best["damping"]
     assert best["settling_time_2_percent"] == loop.settling_time(*wall).value

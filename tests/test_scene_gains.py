@@ -270,6 +270,22 @@ def test_54_a_range_of_environments_is_proved_for_all_of_it() -> None:
     assert seen == {"stable", "unstable"}
 
 
+def test_check_says_by_what_both_gains_may_be_multiplied_or_that_none_are_stable() -> None:
+    """A semi-implicit step: 0 < b < 2 and 0 < a < 4 - 2 b, so b to 2 - a/2, both to 4/(a + 2 b)."""
+    given = ["--set", "loop.kind=simulator", "--set", "loop.inertia=1.0", "--set", "loop.step=1.0"]
+    pair = ["--set", "gains.own.kp=0.5", "--set", "gains.own.kd=0.25"]
+    result = run("check", *given, *pair)
+    assert result.exit_code == 0, result.stderr
+    text = result.stdout
+    assert "gains own       kp = 0.5 N m/rad and kd = 0.25 N m s/rad: stable\n" in text
+    assert "kp by 0 to 7, kd by 0 to 7, both by 0 to 4\n" in text
+    none = ["data/scenes/gains/pid.toml", "--set", "loop.kd=5000.0"]
+    limits = run("limits", *none)
+    assert (limits.exit_code, limits.stderr) == (1, "")
+    assert "there are no stable gains" in limits.stdout
+    assert "no kp at ki = 100000 N/(m s); no ki at kp = 5000 N/m\n" in run("check", *none).stdout
+
+
 @pytest.mark.parametrize("mass", [0.1, 1.0, 1000.0])
 def test_54_a_sample_late_the_least_damping_of_a_range_is_that_of_its_stiffest(mass: float) -> None:
     """One sample late it is D > Ke T for every mass (if D < 2 M/T)."""
@@ -350,6 +366,11 @@ def test_54_a_check_has_verdict_radius_and_all_stable_values() -> None:
         (low, high), other = found["kp_limits"], found["other_kp"]["1"]
         assert len(found["other_kp"]) == 1
         assert (low < found["kp"] < high) == (radius < 1.0)
+        assert ("kp_factors" in found) == (radius < 1.0)
+        if radius < 1.0:
+            assert found["kp_factors"] == pytest.approx(
+                [max(low, 0.0) / found["kp"], high / found["kp"]]
+            )
         assert other[1] < low or high < other[0]
     assert "other kp 1" in str(answer)
 

@@ -661,13 +661,13 @@ def test_the_command_says_the_plan_the_quantiles_and_the_shares(desk: Path) -> N
     assert "20 sample x 1 wall: 20 loops, about 1 s of CPU time" in result.stderr
     lines = [" ".join(line.split()) for line in result.stdout.splitlines()]
     assert lines[:2] == [
-        "largest stiffness in N/m, of 20 draws:",
-        "of 5th percentile median 95th percentile",
+        "largest stiffness in N/m, over 20 draws:",
+        "5th percentile median 95th percentile",
     ]
     low, median, high = map(float, lines[2].removeprefix("20 draws ").split())
     assert low < median < high
     assert lines[3:] == [
-        "% of 20 draws, and the interval of 95 % confidence; each verdict is proved:",
+        "proved stable in % of 20 draws, with the 95 % confidence interval:",
         "wall stable low high undecided",
         "soft 100 83.8875 100 0",
     ]

@@ -115,7 +115,7 @@ class TestMinimizeRadius:
         plant = (10.601024803602744, 0.0, 0.5)
         best = jaxstab.minimize_radius(**by_name(*plant))
         assert int(best.status) == TuningStatus.SCANNED
-        assert "best of a search" in TuningStatus(int(best.status)).words
+        assert "found by a search" in TuningStatus(int(best.status)).words
 
     @pytest.mark.campaign
     def test_what_a_scan_found_has_no_slopes(self) -> None:

@@ -151,7 +151,7 @@ def test_a_scene_with_ranges_has_a_wall_for_them_and_says_what_was_tried() -> No
     assert wall.damping is not None
     assert wall.settling_time_at_worst is not None
     assert wall.certainty == (
-        "the slowest of 109 loops that were tried, 8 of them corners of the ranges: the "
+        "the slowest of 109 loops that were tried, 8 of them at corners of the ranges; the "
         "settling of others is not proved"
     )
     assert wall.fastest_wall_at_worst is not None

@@ -241,10 +241,12 @@ def _answer(
     as_json: bool,
     shown: Callable[[Any], str] = str,
     asked: str | None = None,
+    **options: Any,
 ) -> int:
     """Print what scenes answer, and return the exit code; UsageError if some were refused.
 
-    ``asked`` is the quantity that walls are to be stable with, in place of what ``name`` answers.
+    ``options`` are those of the function that answers about walls. ``asked`` is the quantity that
+    walls are to be stable with, in place of what ``name`` answers.
     """
     from jaxstab.scene import Backwards, GainScene, MeasuredScene, scene_to_answer
 
@@ -278,7 +280,9 @@ def _answer(
         elif not (is_of_any_delay or (is_one and scene.controller.moves)):
             scene.controller.require_one_delay("a picture")
     rows = [
-        _Row(row.source, row.scene, *tried(_computed, row.scene, name)) if row.scene else row
+        _Row(row.source, row.scene, *tried(_computed, row.scene, name, options))
+        if row.scene
+        else row
         for row in rows
     ]
     if plot:
@@ -307,7 +311,7 @@ def _answer(
     return 0 if all(row.answer.all_stable for row in rows) else 1
 
 
-def _computed(scene: Any, name: str) -> Any:
+def _computed(scene: Any, name: str, options: dict[str, Any]) -> Any:
     import jaxstab.scene
 
     if not isinstance(scene, jaxstab.scene.Scene):
@@ -321,7 +325,7 @@ def _computed(scene: Any, name: str) -> Any:
         "contact": "simulate_contacts",
     }
     with at_work(f"{name} of a loop with {scene.controller.samples:g} samples of delay{every}"):
-        return getattr(jaxstab.scene, functions[name])(scene)
+        return getattr(jaxstab.scene, functions[name])(scene, **options)
 
 
 def _csv(rows: list[_Row]) -> list[list[Any]]:
@@ -417,12 +421,13 @@ def limits(as_json: bool, in_full: bool, islands: bool, **given: Any) -> int:
 @click.command(cls=SceneCommand, wanted=["frequency"])
 @scene_options
 @_plot_option
+@click.option("--all", "in_full", is_flag=True, help="Print everything, as --json does.")
 @file_option(
     "--certificate",
     check=file_in(".json"),
     help="JSON file for data/check/check_wall.py, which confirms the verdicts without jaxstab.",
 )
-def check(as_json: bool, certificate: Path | None, **given: Any) -> int:
+def check(as_json: bool, in_full: bool, certificate: Path | None, **given: Any) -> int:
     """Check each wall: stable or not, its margins, how fast it settles.
 
     The exit code is 0 if every wall is proved stable, if only but for a position that nothing
@@ -435,7 +440,9 @@ def check(as_json: bool, certificate: Path | None, **given: Any) -> int:
             raise click.UsageError("a certificate is of one scene; give one FILE.")
         claims = certified(scene_of(given))
         write_beside(json.dumps(claims, indent=1).encode() + b"\n", certificate)
-    return _answer(given, "check", as_json)
+    is_short = not (in_full or as_json or given["csv_file"])
+    shown: Callable[[Any], str] = (lambda answer: answer.in_short()) if is_short else str
+    return _answer(given, "check", as_json, shown, in_full=not is_short)
 
 
 @click.command(cls=SceneCommand)

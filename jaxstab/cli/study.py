@@ -145,15 +145,15 @@ def _report(table: "Dataset", *, is_small: bool) -> str:
     words, draws = [], f"{table.sizes['sample']:,} draws"
     if limit:
         found = quantiles(table, limit)
-        found = found if found.ndim > 1 else found.expand_dims(of=[draws])
+        found = found if found.ndim > 1 else found.expand_dims({"": [draws]})
         named = {0.05: "5th percentile", 0.5: "median", 0.95: "95th percentile"}
-        words.append(f"{limit.replace('_', ' ')} in {found.units}, of {draws}:")
+        words.append(f"{limit.replace('_', ' ')} in {found.units}, over {draws}:")
         words.append(_text(found.to_dataset("quantile").rename(named)))
     if "verdict" in table:
         found = shares(table)
         found = found.drop_vars(of_walls)
         percent = 100.0 * found[["share", "low", "high"]]
-        words.append(f"% of {draws}, and the interval of 95 % confidence; each verdict is proved:")
+        words.append(f"proved stable in % of {draws}, with the 95 % confidence interval:")
         words.append(_text(percent.rename(share="stable").assign(undecided=found.undecided)))
     return "\n".join(words)
 

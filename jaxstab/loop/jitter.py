@@ -41,7 +41,7 @@ class WorstDelays:
     Example:
         >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=0.05, sample_time=1e-3)
         >>> loop.worst_delays(6669.1, 71.60, delays=(0.0, 1e-3))
-        delays of 0, 1, 1, 1 ms in turn: a factor of 1.00916 per sample (growth proved)
+        delays of 0, 1, 1, 1 ms in turn: the motion grows by a factor of 1.00916 per sample
     """
 
     delays: tuple[float, ...]
@@ -51,8 +51,8 @@ class WorstDelays:
     def __repr__(self) -> str:
         turn = ", ".join("lost" if isinf(delay) else f"{1e3 * delay:.6g}" for delay in self.delays)
         what = f"delays of {turn} ms in turn" if len(self.delays) > 1 else f"a delay of {turn} ms"
-        how = "growth proved" if self.is_proved else "best of a search"
-        return f"{what}: a factor of {self.growth:.6g} per sample ({how})"
+        how = "the motion grows by a factor" if self.is_proved else "the worst found is a factor"
+        return f"{what}: {how} of {self.growth:.6g} per sample"
 
 
 @dataclass(frozen=True, repr=False)

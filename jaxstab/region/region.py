@@ -83,9 +83,10 @@ def region_of(loop: ScaledLoop, tolerance: float) -> StableRegion:
 def _followed(c: Curve, centers: Centers, *, is_proved: bool) -> tuple[Pieces, Centers]:
     """Return the pieces that scans find, and the centres with those that arcs told of.
 
-    As long as a scan in float64 finds more arcs for them, it is repeated, some times.
+    As long as a scan in float64 finds more arcs for them, it is repeated, some times. Where each
+    finds several times as many, they are rounding: rows tell then.
     """
-    known, scans = 1e-7, 8  # radians: a centre is there
+    known, scans, most = 1e-7, 8, 100  # radians: a centre is there; centers
     arcs = -1
     for _ in range(scans):
         pieces = find_pieces(c, scan_angles(c, centers, is_proved=is_proved), is_proved=is_proved)
@@ -94,7 +95,7 @@ def _followed(c: Curve, centers: Centers, *, is_proved: bool) -> tuple[Pieces, C
         told = second_pairs(c, pieces.lone)
         away = np.min(np.abs(told[:, None] - centers[:, 0]), axis=1, initial=np.inf)
         new = told[(away > known) & np.isfinite(told)]
-        if not new.size:
+        if not 0 < new.size <= most:
             break
         new_centers = np.stack([new, np.zeros_like(new)], axis=1)
         arcs, centers = len(pieces.begin), np.concatenate([centers, new_centers])

@@ -7,7 +7,7 @@ SI units but for a phase in degrees, and the unit of each key. Answers of a scen
 the units of rotation, and inertia for mass.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
 from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Decimal
 from enum import IntEnum
@@ -19,6 +19,7 @@ from jaxstab.scene.scene import Controller, Grip, Hand, Scene, Units
 from jaxstab.shown import MOST_DIGITS, Printed, exact_text, rounded_text, stable_pair
 
 _LIMIT_DIGITS = 4
+_PREFIXES = ((0.1, 1, ""), (1e-3, 1000, "m"), (1e-6, 10**6, "u"), (1e-9, 10**9, "n"))
 
 _HEADINGS = {
     "walls": "wall {}",
@@ -30,18 +31,24 @@ _HEADINGS = {
 
 """The headings of the answers in a field that is a dictionary, by its name."""
 
-_LABELS = {
+LABELS = {
+    "best": "stiffest wall",
+    "most_damped": "most damped wall",
+    "passive": "stiffest passive wall",
+    "least_radius": "smallest spectral radius",
+    "least_settling": "fastest settling",
+    "share_of_largest": "share of the largest stiffness",
+    "over_ranges": "best worst case over the ranges",
+    "settling_time_at_worst": "settling time, worst case",
+    "fastest_wall_at_worst": "nominally fastest, worst case",
+    "slowest": "slowest loop",
     "now_allowed_stiffness": "stiffness allowed now",
     "settling_time_2_percent": "settling time (2 %)",
     "settling_time_5_percent": "settling time (5 %)",
     "reached": "connection",
-    "margins_are": "margins",
-    "frequency_is": "frequency margins",
-    "distance_is": "distance",
-    "settling_is": "settling",
-    "oscillation_is": "oscillation",
-    "chatter_is": "chatter",
-    "moving_is": "moving delay",
+    "extra_delay_moving": "extra delay, varying",
+    "moving_is": "varying delay",
+    "contact_is": "simulation",
     "hands_are": "hands",
     "measures_are": "measures",
     "linear_rule_is": "note",
@@ -54,7 +61,7 @@ _LABELS = {
 class Quantity:
     """Format of a number: its unit and significant digits, a rounding mode, words for infinity.
 
-    A number in s is printed in ms, one in m or rad in millionths.
+    Times and lengths have the prefix of their size.
     """
 
     unit: str = ""
@@ -64,18 +71,26 @@ class Quantity:
 
     def words(self, value: Any, units: Units = Units.LINE) -> str:
         """Return a finite or infinite number with its unit."""
-        return self._with_unit(self._text(value, self.rounding, self.digits), units)
+        factor, prefix = self._prefix(value)
+        text = self._text(value, self.rounding, self.digits, factor)
+        return self._with_unit(text, prefix, units)
 
-    def _text(self, value: float | int, rounding: str, digits: int) -> str:
+    def _prefix(self, *values: float | int) -> tuple[int, str]:
+        """The factor and the prefix with which some numbers are printed, by the largest of them."""
+        size = max(abs(value) for value in values)
+        if self.unit not in ("s", "m"):
+            return 1, ""
+        return next(((factor, name) for least, factor, name in _PREFIXES if size >= least), (1, ""))
+
+    def _text(self, value: float | int, rounding: str, digits: int, factor: int) -> str:
         if isinf(value):
             return self.infinite
-        factor = {"s": 1000, "m": 10**6}.get(self.unit, 1)
         if isinstance(value, Printed):
             return rounded_text(Decimal(value.text), MOST_DIGITS, factor=factor)
         return rounded_text(value, digits, rounding, factor=factor)
 
-    def _with_unit(self, text: str, units: Units) -> str:
-        unit = {"s": "ms", "m": f"u{units.length}"}.get(self.unit, units.unit(self.unit))
+    def _with_unit(self, text: str, prefix: str, units: Units) -> str:
+        unit = f"{prefix}{units.length if self.unit == 'm' else units.unit(self.unit)}"
         return f"{text} {unit}" if unit and text[-1].isdigit() else text
 
 
@@ -95,12 +110,13 @@ class IntervalQuantity(Quantity):
         """Return the two ends with their unit; one number as any other."""
         if not isinstance(value, tuple):
             return super().words(value, units)
-        low, high = value
+        (low, high), (factor, prefix) = value, self._prefix(*value)
         for digits in range(self.digits, MOST_DIGITS + 1):
-            ends = self._text(low, ROUND_CEILING, digits), self._text(high, ROUND_FLOOR, digits)
-            if isinf(low) or isinf(high) or float(ends[0]) <= float(ends[1]):
+            least = self._text(low, ROUND_CEILING, digits, factor)
+            largest = self._text(high, ROUND_FLOOR, digits, factor)
+            if isinf(low) or isinf(high) or float(least) <= float(largest):
                 break
-        return self._with_unit(" to ".join(ends), units)
+        return self._with_unit(f"{least} to {largest}", prefix, units)
 
 
 def printed_wall(limit: float, other: float, *known: Any) -> tuple[float, float]:
@@ -174,10 +190,10 @@ class Answer:
             words = (
                 _HEADINGS.get(outer[0], f"{outer[0].replace('_', ' ')} {{}}").format(name)
                 if outer
-                else _LABELS.get(name) or _named(name, units).replace("_", " ")
+                else LABELS.get(name) or _named(name, units).replace("_", " ")
             )
             if not isinstance(value, Answer):
-                lines.append(_line(indent, words, self._words([*outer, name][0], value, units)))
+                lines.append(line(indent, words, self._words([*outer, name][0], value, units)))
             elif value.is_part or name == "inputs":
                 lines += value.lines(indent, units)
             else:
@@ -278,15 +294,12 @@ class Basis(Answer):
         return f"{words} ({IntervalQuantity().words(self.delay_samples)} sample{plural})"
 
     def facts(self) -> dict[str, str]:
-        """The estimator, the filter, the delay, and what moves.
-
-        That of the estimator says for which delays a proof holds, where they are a range.
-        """
-        ranged = f"; delay {self.range_of_delays}" if self.range_of_delays else ""
+        """The estimator, the filter, the delay and its range, and what moves."""
         words = {
-            "velocity estimator": f"{self.velocity}{ranged}",
+            "velocity estimator": self.velocity,
             "position filter": self.position,
             "delay": self.delay_in_words,
+            "range of delays": self.range_of_delays and f"the delay {self.range_of_delays}",
             "mechanics": self.mechanics,
             "postures": self.postures,
             "motion": self.motion,
@@ -295,7 +308,7 @@ class Basis(Answer):
 
     def lines(self, indent: str = "", units: Units = Units.LINE) -> list[str]:
         """Return a line for each of the facts."""
-        return [_line(indent, name, said) for name, said in self.facts().items()]
+        return [line(indent, name, said) for name, said in self.facts().items()]
 
 
 @dataclass(frozen=True)
@@ -315,7 +328,15 @@ def _named(name: str, units: Units) -> str:
     return name.replace(Units.LINE.moved, units.moved)
 
 
-def _line(indent: str, name: str, words: str) -> str:
+def aligned(rows: Iterable[tuple[str, str]]) -> str:
+    """Rows as lines, their names in a column."""
+    rows = [*rows]
+    column = max(len(name) for name, _ in rows) + 2
+    return "\n".join(f"{name:{column}}{words}" for name, words in rows)
+
+
+def line(indent: str, name: str, words: str) -> str:
+    """A name and words, which begin in the column of all answers."""
     column = 34  # where values begin
     return f"{indent}{name:{column - len(indent)}}{words}"
 
@@ -354,12 +375,14 @@ def _delay_is(controller: Controller, *, at_longest: bool) -> str | None:
     low, high = controller.delays
     ends = IntervalQuantity("s").words((low, high)).replace(" to ", " and ")
     every = "sequence" if controller.moves else "constant delay"
-    hold = "here constant, the longest" if at_longest else f"proofs hold for every {every}"
+    hold = "here constant, the longest" if at_longest else f"verdicts cover every {every}"
     if not controller.moves:
-        return f"constant, somewhere between {ends}: {hold}"
-    losses = f", up to {controller.lost_samples} in a row lost" if controller.lost_samples else ""
-    motion = f"moves between {ends}" if low < high else f"is {Quantity('s').words(low)}"
-    return f"{motion}, newest sample wins{losses}: {hold}"
+        return f"is constant, somewhere between {ends}; {hold}"
+    losses = (
+        f", up to {controller.lost_samples} in a row are lost" if controller.lost_samples else ""
+    )
+    motion = f"varies between {ends}" if low < high else f"is {Quantity('s').words(low)}"
+    return f"{motion}; the most recent sample that has arrived is used{losses}; {hold}"
 
 
 def delay_notes(scene: Scene) -> list[str]:

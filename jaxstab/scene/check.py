@@ -1,6 +1,6 @@
 """The walls of a scene: verdict, margins, radius, settling and chatter, with proofs."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from decimal import ROUND_CEILING, ROUND_FLOOR
 from functools import partial
@@ -13,6 +13,7 @@ from jaxtyping import Float64
 from jaxstab.arrays import take, tree_map
 from jaxstab.batches import alike
 from jaxstab.conventions import Verdict
+from jaxstab.exact import LineStatus
 from jaxstab.loop import FrequencyMargins as LoopFrequencyMargins
 from jaxstab.loop import Gains, HapticLoop
 from jaxstab.loop import Margins as LoopMargins
@@ -26,6 +27,7 @@ from jaxstab.numbers import without_noise
 from jaxstab.point import SpectralRadius
 from jaxstab.rounding import EPS
 from jaxstab.scene.answers import (
+    LABELS,
     Answer,
     Basis,
     Bound,
@@ -35,7 +37,9 @@ from jaxstab.scene.answers import (
     Number,
     Quantity,
     StiffnessLimits,
+    aligned,
     basis_of,
+    line,
 )
 from jaxstab.scene.contact import NotSimulated, Simulated, contacts_or_reasons
 from jaxstab.scene.hands import (
@@ -45,7 +49,7 @@ from jaxstab.scene.hands import (
     loops_over_delays,
     worst_on,
 )
-from jaxstab.scene.limits import inner_ends, numbered
+from jaxstab.scene.limits import inner_ends, numbered, stable_in_words
 from jaxstab.scene.loops import (
     OneHand,
     corner_loops,
@@ -67,31 +71,30 @@ class Margins(Answer):
     """How far each quantity may change alone: the least over some hands."""
 
     is_part = True
-    absent = "none is proved"
+    absent = "not proved"
 
     stiffness_gain: SpareGain
     damping_gain: SpareGain
     stiffness_limits: StiffnessLimits
     damping_limits: DampingLimits
     extra_delay: SpareTime
-    margins_are: str | None
 
 
 @dataclass(frozen=True)
 class NoMargins(Answer):
     """Where walls are stable beside one that is not: all K at its B, all B at its K.
 
-    Proved for each of some hands; of several intervals the lowest comes first.
+    For some hands at once; of several intervals the lowest comes first. It is left out where the
+    intervals of a hand are not resolved, which is rare.
     """
 
     is_part = True
-    absent = "none is proved"
+    absent = "none is stable"
 
-    stable_at_its_damping: StiffnessLimits
+    stable_at_its_damping: StiffnessLimits | None
     other_stiffnesses: Annotated[dict[str, tuple[float, float]], IntervalQuantity("N/m", 4)]
-    stable_at_its_stiffness: DampingLimits
+    stable_at_its_stiffness: DampingLimits | None
     other_dampings: Annotated[dict[str, tuple[float, float]], IntervalQuantity("N s/m", 4)]
-    margins_are: str | None
 
 
 @dataclass(frozen=True)
@@ -117,27 +120,23 @@ class FrequencyMargins(Answer):
     peak_complementary_at: Frequency | None
     disk_margin: Annotated[float, Quantity("", 4, ROUND_FLOOR)] | None
     disk_margin_at: Frequency | None
-    frequency_is: str | None
+
+    def rows(self, units: Units = Units.LINE) -> dict[str, str]:
+        """The words of each number, the frequency behind it."""
+        rows = dict[str, str]()
+        for path, _, words in self.leaves("", units):
+            name, is_place, _ = path.partition("_at")
+            label = LABELS.get(name, name.replace("_", " "))
+            rows[label] = f"{rows[label]} at {words}" if is_place else words
+        if self.gain_margin is None:
+            phase, peak = rows.values()
+            words = phase if isnan(self.phase_margin) else f"{phase}, peak sensitivity {peak}"
+            rows = {"phase margin": words}
+        return rows
 
     def lines(self, indent: str = "", units: Units = Units.LINE) -> list[str]:
-        """A line for each number, the frequency behind it."""
-        lines = list[str]()
-        for line in super().lines(indent, units):
-            name, is_place, frequency = line.partition(" at ")
-            lines = (
-                [*lines[:-1], f"{lines[-1]} at {frequency.strip()}"] if is_place else [*lines, name]
-            )
-        if self.gain_margin is None:
-            first, second, *_ = lines
-            rest = [" ".join(second.split()), *filter(None, [self.frequency_is])]
-            lines = [first if isnan(self.phase_margin) else ", ".join([first, *rest])]
-        return lines
-
-
-class NoFrequencyMargins(FrequencyMargins):
-    """Those of a wall that is not stable."""
-
-    absent = "none: the wall is not stable"
+        """A line for each number."""
+        return [line(indent, name, words) for name, words in self.rows(units).items()]
 
 
 @dataclass(frozen=True)
@@ -148,7 +147,6 @@ class Distance(Answer):
     absent = "not known"
 
     distance_to_boundary: Annotated[float, Quantity(rounding=ROUND_FLOOR)]
-    distance_is: str | None
 
 
 @dataclass(frozen=True)
@@ -174,7 +172,6 @@ class Settling(Answer):
     settling_time_2_percent: SettlingTime
     settling_time_5_percent: SettlingTime
     settling_status: SettlingStatus
-    settling_is: str | None
     slowest_hand: OneHand | None
 
 
@@ -186,7 +183,6 @@ class Oscillation(Answer):
 
     damping_ratio: Number
     frequency: Frequency
-    oscillation_is: str | None
     least_damped_hand: OneHand | None
 
 
@@ -199,7 +195,6 @@ class Chatter(Answer):
     chatter_at_most: Amplitude
     force_chatter_at_most: Annotated[float, Quantity("N", 3, ROUND_CEILING, "not proved")]
     force_per_count: Annotated[float, Quantity("N", 3)]
-    chatter_is: str | None
 
 
 @dataclass(frozen=True)
@@ -210,7 +205,7 @@ class Jitter(Answer):
     """
 
     is_part = True
-    absent = "none is proved"
+    absent = "not proved"
 
     extra_delay_moving: SpareTime
     moving_is: str | None
@@ -235,6 +230,54 @@ class WallCheck(WallVerdict):
     jitter: Jitter | None = None
     simulated: Simulated | NotSimulated | None = None
 
+    def rows(self, name: str, inputs: Basis) -> Iterator[tuple[str, str]]:
+        """At most eight lines, or some more with all margins over frequency."""
+        said = {path: words for path, _, words in self.leaves("", inputs.units)}
+        verdict, delays = self._verdict(said["verdict"], inputs.units), inputs.range_of_delays
+        yield f"wall {name}", f"{said['stiffness']} at {said['damping']}: {verdict}"
+        if self.drifts and self.measures_are:
+            yield "  measures", self.measures_are
+        if self.verdict == Verdict.UNSTABLE and delays:
+            return  # all else is of constant delays
+        if isinstance(self.margins, NoMargins):
+            beside = (("K", "stiffness", "damping"), ("B", "damping", "stiffness"))
+            ends = (said.get(f"stable_at_its_{fixed}_low") for *_, fixed in beside)
+            places = (
+                stable_in_words(letter, own, said[fixed], words, said)
+                for (letter, own, fixed), words in zip(beside, ends, strict=True)
+            )
+            yield "  stable walls", "; ".join(places)
+        elif self.margins:
+            growth = [said[f"{gain}_gain"] for gain in ("stiffness", "damping")]
+            growth = [f"a factor of {x}" if x[0].isdigit() else f"{x} factor" for x in growth]
+            yield "  gain margins", "K may grow by {}, B by {}".format(*growth)
+            moving = f", {said['extra_delay_moving']} (varying)" if self.jitter and delays else ""
+            yield "  extra delay", f"{said['extra_delay']} (constant){moving}"
+        if self.frequency:
+            rows = self.frequency.rows(inputs.units)
+            yield from ((f"  {name}", words) for name, words in rows.items())
+        if self.settling:
+            is_open = self.settling.settling_status == SettlingStatus.NOT_SETTLED
+            horizon = Quantity("s", 3).words(_HORIZON * inputs.sample_time)
+            words = f"not proved within {horizon}" if is_open else said["settling_time_2_percent"]
+            yield "  settling time (2 %)", words
+        if self.chatter:
+            most = said["chatter_at_most"], said["force_chatter_at_most"]
+            is_endless = isinf(self.chatter.chatter_at_most)
+            yield "  encoder chatter", most[0] if is_endless else "at most {} and {}".format(*most)
+        if self.simulated:
+            yield "  contact", self.simulated.in_short(inputs.units)
+
+    def _verdict(self, words: str, units: Units) -> str:
+        hand = self.worst_hand
+        if self.hands_are:
+            return f"{words}: {self.hands_are}"
+        if self.verdict == Verdict.UNSTABLE:
+            cause = f"{words} with {hand.in_words(units)}" if hand else words
+            return "; ".join(filter(None, [cause, self.worst_delays]))
+        kinds = ["hand", *[units.moved] * (hand.device_mass is not None)] if hand else []
+        return f"{words} for every {' and '.join(kinds)}" if hand else words
+
 
 @dataclass(frozen=True)
 class Check(Answer):
@@ -247,6 +290,17 @@ class Check(Answer):
     def all_stable(self) -> bool:
         """Whether every wall is stable, by proof, with every hand."""
         return all(wall.is_stable for wall in self.walls.values())
+
+    def in_short(self) -> str:
+        """What is easily overlooked, and of each wall what most people ask for."""
+        assert self.inputs is not None  # check_walls always gives them
+        rows, delays = [*self.inputs.facts().items()], self.inputs.range_of_delays
+        if delays or any(wall.worst_hand for wall in self.walls.values()):
+            words = "verdicts cover all of them; other numbers are the worst at their ends"
+            rows.append(("ranges", words + ", of constant delays" * (delays is not None)))
+        for name, wall in self.walls.items():
+            rows += wall.rows(name, self.inputs)
+        return aligned(rows)
 
 
 # Many walls at once: loops of one mass with the same estimator, filter and sampling period are one
@@ -282,13 +336,17 @@ class _Wall:
     worst_loop: HapticLoop
 
 
-def check_walls(scene: Scene) -> Check:
-    """The verdict on each wall and the requested measures, at their worst; at least one wall."""
+def check_walls(scene: Scene, *, in_full: bool = True) -> Check:
+    """The verdict on each wall and the requested measures, at their worst; at least one wall.
+
+    Not ``in_full`` it has of these what ``Check.in_short`` prints.
+    """
     walls, encoder = _walls_of(scene), scene.device.encoder
     measured: list[dict[str, Any]] = [{} for _ in walls]
     left_out = [_left_out(wall) if scene.wanted.measures else None for wall in walls]
+    printed = ["margins", "frequency", "settling", "chatter"] + ["jitter"] * scene.controller.moves
     for name, (method, summarise) in _MEASURES.items():
-        if name not in scene.wanted.measures:
+        if name not in scene.wanted.measures or not (in_full or name in printed):
             continue
         if name == "chatter":
             if encoder is None:
@@ -298,13 +356,18 @@ def check_walls(scene: Scene) -> Check:
             method = partial(method, in_full=scene.wanted.frequency)
         if name == "jitter":
             method = partial(method, hands=hands_of(scene), mass=masses_of(scene))
-        held = [
-            [] if reason else _loops_for(wall, name)
-            for wall, reason in zip(walls, left_out, strict=True)
-        ]
+        held = []
+        for own, wall, reason in zip(measured, walls, left_out, strict=True):
+            is_unstable = wall.worst.verdict == Verdict.UNSTABLE
+            is_printed = in_full or not wall.worst.worst_delays
+            if name == "margins" and is_unstable and is_printed and not reason:
+                own[name] = _stable_around(wall)
+            has_none = not in_full or name in ("margins", "frequency", "jitter")
+            is_left_out = reason or (is_unstable and has_none)
+            held.append([] if is_left_out else _loops_for(wall, name))
         pairs = [(x, wall.gains) for wall, loops in zip(walls, held, strict=True) for x in loops]
         if not pairs:
-            break
+            continue
         apart = name in ("frequency", "distance", "jitter")  # methods that take no loop with arrays
         answers, end = _evaluated(method, pairs, apart=apart), 0
         for own, wall, loops in zip(measured, walls, held, strict=True):
@@ -354,61 +417,57 @@ def _loops_for(wall: _Wall, measure: str) -> list[HapticLoop]:
     return [wall.worst_loop] if measure == "radius" and not controller.moves else wall.loops
 
 
-def _among(words: str, loops: list[HapticLoop]) -> str | None:
-    """Return of how many hands or delays an answer is the worst, or None of one loop."""
-    delays = len({loop.delay for loop in loops})
-    what = "hands and constant delays" if delays < len(loops) else "constant delays"
-    what = "hands" if delays == 1 else what
-    return f"{words} over {len(loops)} {what}" if len(loops) > 1 else None
-
-
 def _measures_are(wall: _Wall) -> str | None:
-    """Return for which delays of a range the measures are; None for a single delay."""
-    if wall.scene.controller.has_one_delay:
-        return None
-    if wall.scene.controller.moves:
-        return "of constant delays, no sample lost: the worst of the shortest and the longest one"
-    return "of constant delays: the worst of those that were tried, both ends and the worst found"
+    """Of how many hands and delays the measures are the worst; None of a single loop."""
+    loops, controller = len(wall.loops), wall.scene.controller
+    delays = len({loop.delay for loop in wall.loops})
+    kinds = ["hands"] * (delays < loops) + ["constant delays"] * (delays > 1)
+    lost = ", no sample lost" if controller.moves else ""
+    return f"the worst of {loops} {' and '.join(kinds)}{lost}" if loops > 1 or lost else None
 
 
 def _hand_of(wall: _Wall, loop: HapticLoop) -> OneHand | None:
     return None if wall.worst.worst_hand is None else held_by(loop, wall.scene)
 
 
-def _least_margins(
-    wall: _Wall, loops: list[HapticLoop], margins: LoopMargins
-) -> Margins | NoMargins:
-    if wall.worst.verdict == Verdict.UNSTABLE:
-        first, *stiffnesses = _stable_beside(wall.gains.damping, loops, "stiffness_intervals")
-        second, *dampings = _stable_beside(wall.gains.stiffness, loops, "damping_intervals")
-        words = _among("stable", loops)
-        return NoMargins(first, numbered(stiffnesses), second, numbered(dampings), words)
+def _stable_around(wall: _Wall) -> NoMargins:
+    """The stable walls beside one that is not stable."""
+    first, *stiffnesses = _stable_beside(wall.gains.damping, wall.loops, "stiffness_intervals")
+    second, *dampings = _stable_beside(wall.gains.stiffness, wall.loops, "damping_intervals")
+    return NoMargins(first, numbered(stiffnesses), second, numbered(dampings))
+
+
+def _least_margins(_: _Wall, __: list[HapticLoop], margins: LoopMargins) -> Margins:
     spare = np.array([margins.stiffness_gain, margins.damping_gain, margins.extra_delay])
     # NaN, of a hand with which the wall is not stable, goes through.
     stiffer, damper, extra_delay = spare.min(axis=1).tolist()
     limits = _common(margins.stiffness), _common(margins.damping)
-    return Margins(stiffer, damper, *limits, extra_delay, _among("smallest", loops))
+    return Margins(stiffer, damper, *limits, extra_delay)
 
 
-def _stable_beside(gain: float, loops: list[HapticLoop], method: str) -> list[tuple[float, float]]:
-    """The gains beside another one, from 0 on, with which all loops are stable; NaN for none."""
+def _stable_beside(gain: float, loops: list[HapticLoop], method: str) -> list[Any]:
+    """The gains beside another one, from 0 on, with which all loops are stable; NaN for none.
+
+    A single None where they are not resolved.
+    """
     common = [(0.0, inf)]
     for loop in loops:
-        ends = inner_ends(getattr(loop, method)(gain))  # none where they are not resolved
+        line = getattr(loop, method)(gain)
+        if line.status != LineStatus.PROVED:
+            return [None]
+        ends = inner_ends(line)
         pairs = ((max(a, c), min(b, d)) for a, b in common for c, d in ends)
         common = [(low, high) for low, high in pairs if low < high]
     return common or [(nan, nan)]
 
 
 def _worst_frequencies(
-    wall: _Wall, loops: list[HapticLoop], found: LoopFrequencyMargins
+    wall: _Wall, _: list[HapticLoop], found: LoopFrequencyMargins
 ) -> FrequencyMargins:
-    return frequency_answer(found, _among("worst", loops), in_full=wall.scene.wanted.frequency)
+    return frequency_answer(found, in_full=wall.scene.wanted.frequency)
 
 
-def frequency_answer(
-    found: LoopFrequencyMargins, words: str | None, *, in_full: bool
-) -> FrequencyMargins:
+def frequency_answer(found: LoopFrequencyMargins, *, in_full: bool) -> FrequencyMargins:
     """The worst of some margins over frequency."""
     answer = dict[str, Any]()
     for name, own, worst in (
@@ -425,8 +484,7 @@ def frequency_answer(
         answer[name] = max(value, 0.0) if is_shown else None
         answer[f"{name}_at"] = place if is_shown and place >= 0.0 else None
     del answer["least_gain_at"]
-    is_unstable = np.any(found.verdict == Verdict.UNSTABLE)
-    return (NoFrequencyMargins if is_unstable else FrequencyMargins)(**answer, frequency_is=words)
+    return FrequencyMargins(**answer)
 
 
 def _common(limits: Float64[np.ndarray, "hand 2"]) -> tuple[float, float]:
@@ -435,9 +493,9 @@ def _common(limits: Float64[np.ndarray, "hand 2"]) -> tuple[float, float]:
     return float(without_noise(low, high - low)), float(without_noise(high, high - low))
 
 
-def _least_distance(_: _Wall, loops: list[HapticLoop], distances: Floats) -> Distance:
+def _least_distance(_: _Wall, __: list[HapticLoop], distances: Floats) -> Distance:
     """Return the least distance; NaN if a loop has no region."""
-    return Distance(float(np.min(distances)), _among("smallest", loops))
+    return Distance(float(np.min(distances)))
 
 
 def _radius(_: _Wall, __: list[HapticLoop], radius: SpectralRadius) -> Radius:
@@ -452,7 +510,7 @@ def _longest(wall: _Wall, loops: list[HapticLoop], settlings: list[MotionSettlin
         for index, settling in zip(numbers, settlings, strict=True)
     )
     status, hand = SettlingStatus(int(two.status)), _hand_of(wall, loops[numbers[0]])
-    return Settling(settled(two), settled(five), status, _among("longest", loops), hand)
+    return Settling(settled(two), settled(five), status, hand)
 
 
 def _slowest(settling: MotionSettling) -> int:
@@ -477,15 +535,12 @@ def _least_damped(wall: _Wall, loops: list[HapticLoop], modes: Mode) -> Oscillat
     ratios = np.asarray(modes.damping_ratio)
     index = int(np.argmin(np.where(np.isnan(ratios), inf, ratios)))
     ratio, frequency = float(ratios[index]), float(modes.frequency[index])
-    words, hand = _among("least damped", loops), _hand_of(wall, loops[index])
-    return Oscillation(ratio, frequency, words, hand)
+    return Oscillation(ratio, frequency, _hand_of(wall, loops[index]))
 
 
-def _chatter(_: _Wall, loops: list[HapticLoop], amplitude: Amplitudes) -> Chatter:
-    most, among = float(amplitude.position.max()), _among("largest", loops)
-    words = None if isinf(most) else ", ".join(filter(None, ["proved", among]))
-    force = float(amplitude.force.max())
-    return Chatter(most, force, float(amplitude.force_per_count[0]), words)
+def _chatter(_: _Wall, __: list[HapticLoop], amplitude: Amplitudes) -> Chatter:
+    position, force = float(amplitude.position.max()), float(amplitude.force.max())
+    return Chatter(position, force, float(amplitude.force_per_count[0]))
 
 
 def _jitter(wall: _Wall, _: list[HapticLoop], margin: Floats) -> Jitter:
@@ -500,10 +555,12 @@ def _jitter(wall: _Wall, _: list[HapticLoop], margin: Floats) -> Jitter:
     return Jitter(extra or nan, ", ".join(words) or None)
 
 
+_HORIZON = 2**17  # samples within which settling is looked for
+
+
 def _settlings(loop: HapticLoop, *gains: Floats) -> list[MotionSettling]:
-    """Return the settling times of walls to each level."""
-    horizon = 2**17  # samples within which settling is looked for
-    return [loop.settling_time(*gains, level=level, horizon=horizon) for level in (0.02, 0.05)]
+    """The settling times of walls to each level."""
+    return [loop.settling_time(*gains, level=level, horizon=_HORIZON) for level in (0.02, 0.05)]
 
 
 _MEASURES: dict[str, tuple[Callable[..., Any], Callable[..., Answer]]] = {

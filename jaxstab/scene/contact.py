@@ -12,7 +12,7 @@ A table of contacts has a dimension for each list of numbers; ``jaxstab.scene.la
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from math import isnan
+from math import inf, isfinite, isnan
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
@@ -50,12 +50,32 @@ class Simulated(Answer):
     worst_start: str
     contact_is: str
 
+    def in_short(self, units: Units) -> str:
+        """How it ends, and from which start."""
+        said = {path: words for path, _, words in self.leaves("", units)}
+        words = said["contact"]
+        if self.contact == ContactKind.RESTS:
+            words += f" after {said['time_to_rest']}, penetration {said['penetration']}"
+        elif self.contact_frequency is not None and isfinite(self.amplitude):
+            words += f", amplitude {said['amplitude']} at {said['contact_frequency']}"
+        return f"{words} (simulated, {self.worst_start})"
+
+    def lines(self, indent: str = "", units: Units = Units.LINE) -> list[str]:
+        """The lines, without the size of a motion that has no end."""
+        endless = (ContactKind.GROWS, ContactKind.PUSHED_THROUGH)
+        own = replace(self, amplitude=inf, penetration=inf) if self.contact in endless else self
+        return Answer.lines(own, indent, units)
+
 
 @dataclass(frozen=True)
 class NotSimulated(Answer):
     """Why the contact with a wall is not simulated: proofs do not need it."""
 
     contact: str
+
+    def in_short(self, _: Units) -> str:
+        """The reason."""
+        return self.contact
 
 
 @dataclass(frozen=True)
@@ -210,9 +230,9 @@ def _simulated(scene: Scene, contact: Contact, start: tuple[float, float, float]
     if scene.device.encoder:
         words.append(f"encoder at {phase:g} of a step")
     assert scene.contact is not None  # callers look
-    about = [f"simulated for {scene.contact.duration:g} s, not proved"]
+    about = [f"{scene.contact.duration:g} s, not proved"]
     if not scene.controller.has_one_delay:
-        about.append("the delay constant, its longest")
+        about.append("the longest delay, held constant")
     if hands_of(scene) is not None:
         about.append("hand and device at their lowest values")
     frequency = float(contact.frequency)

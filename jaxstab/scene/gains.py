@@ -28,9 +28,16 @@ from jaxstab.model.affine import affine_triple
 from jaxstab.numbers import without_noise
 from jaxstab.region import RegionStatus
 from jaxstab.rounding import EPS
-from jaxstab.scene.answers import Answer, GivenQuantity, IntervalQuantity, Quantity, basis_of
+from jaxstab.scene.answers import (
+    Answer,
+    GivenQuantity,
+    IntervalQuantity,
+    Quantity,
+    aligned,
+    basis_of,
+)
 from jaxstab.scene.check import Radius, frequency_answer
-from jaxstab.scene.limits import numbered, stable_intervals
+from jaxstab.scene.limits import numbered, stable_in_words, stable_intervals
 from jaxstab.scene.loops import device_of, hands_of, loop_of
 from jaxstab.scene.scene import Device, Hand, PositionTable, Scene, Units
 from jaxstab.scene.tune import DesignStatus, largest_value
@@ -219,6 +226,29 @@ class GainAnswer(Answer):
         inner = (value for _, value in self._entries() if isinstance(value, GainAnswer))
         return self.is_stable and all(answer.all_stable for answer in inner)
 
+    def in_short(self) -> str:
+        """Of each pair of gains what most people ask for, in at most eight lines."""
+        inputs = self.values["inputs"].values
+        rows = [("loop", inputs["loop"]), ("given", inputs["given"])]
+        rows += inputs["device"].facts().items() if inputs["device"] else ()
+        for name, pair in self.values["gains"].items():
+            rows += pair.rows(f"gains {name}")
+        return aligned(rows)
+
+    def rows(self, name: str) -> Iterator[tuple[str, str]]:
+        """The verdict on a pair of gains, and what is left where it is stable."""
+        said, both = {path: words for path, _, words in self.leaves()}, [*self.values][:2]
+        own = [f"{gain} = {said[gain]}" for gain in both]
+        yield name, f"{own[0]} and {own[1]}: {said['verdict']}"
+        if "both_factors_low" in said:
+            factors = [f"{gain} by {said[f'{gain}_factors_low']}" for gain in (*both, "both")]
+            yield "  gain margins", f"may be multiplied: {', '.join(factors)}"
+            yield from ((f"  {x}", words) for x, words in self.values["frequency"].rows().items())
+        elif f"{both[0]}_limits_low" in said:
+            places = zip(both, own[::-1], strict=True)
+            beside = [stable_in_words(x, x, y, said[f"{x}_limits_low"], said) for x, y in places]
+            yield "  stable gains", "; ".join(beside)
+
     def _entries(self) -> Iterator[tuple[tuple[str, ...], Any]]:
         for name, value in self.values.items():
             if isinstance(value, dict):
@@ -232,9 +262,12 @@ class GainAnswer(Answer):
 
 def gain_limits(scene: GainScene) -> GainAnswer:
     """The limits of both gains, the stable values of one at the other, and around each pair."""
-    values = _stated(scene)
+    values, is_any = _stated(scene), True
     try:
-        values |= {limit.gain.name: _limit(scene, limit) for limit in _limits(scene)}
+        limits = _limits(scene)
+        is_any = not all(isnan(limit.value) for limit in limits)
+        every = {limit.gain.name: _limit(scene, limit) for limit in limits}
+        values |= every if is_any else {"limits": "there are no stable gains"}
     except ValueError as error:  # both gains act alike
         values["limits"] = str(error)
     for gain in scene.loop.gains:
@@ -245,7 +278,8 @@ def gain_limits(scene: GainScene) -> GainAnswer:
                 "of gains are proved; give one environment, or [gains.NAME]."
             )
         values[f"at_given_{gain.name}"] = None if at is None else _row(scene, gain, at)
-    return GainAnswer(values | {"gains": {k: _around(scene, p) for k, p in scene.pairs.items()}})
+    pairs = {name: _around(scene, pair) for name, pair in scene.pairs.items()}
+    return GainAnswer(values | {"gains": pairs}, is_stable=is_any)
 
 
 def check_gains(scene: GainScene) -> GainAnswer:
@@ -265,7 +299,8 @@ def explain_gains(scene: GainScene) -> str:
 
 def _stated(scene: GainScene) -> dict[str, Any]:
     """The range for which answers hold, in words."""
-    given = ", ".join(f"{name} = {value}" for name, value in scene.tables["loop"].items())
+    own = {name: value for name, value in scene.tables["loop"].items() if name != "kind"}
+    given = ", ".join(f"{name} = {value}" for name, value in own.items())
     values = {"loop": scene.loop.words, "given": given, "safety": scene.wanted["safety"]}
     values["device"] = basis_of(scene.held) if scene.held else None
     return {"inputs": GainAnswer(values, {"safety": Quantity()})}
@@ -348,8 +383,14 @@ def _around(scene: GainScene, pair: dict[str, float], *, in_full: bool = False) 
     if in_full and not scene.is_range:
         radius = scene.loop.spectral_radius(**pair)
         values["radius"] = Radius(float(radius.value), float(radius.error))
+    if in_full and not scene.is_range and verdict == Verdict.STABLE:
         margins, is_long = scene.loop.frequency_margins(**pair), scene.wanted["frequency"]
-        values["frequency"] = frequency_answer(margins, None, in_full=bool(is_long))
+        values["frequency"] = frequency_answer(margins, in_full=bool(is_long))
+        found, names = scene.loop.margins(**pair), [f"{name}_factors" for name in (*pair, "both")]
+        each = (found.first_factors, found.second_factors, found.both_factors)
+        ends = (without_noise(pair, pair[1] - pair[0]).tolist() for pair in each)
+        values |= {name: tuple(pair) for name, pair in zip(names, ends, strict=True)}
+        formats |= dict.fromkeys(names, IntervalQuantity("", 4))
     for own in () if scene.is_range else scene.loop.gains:
         fixed = _other(scene, own)
         row = _row(scene, fixed, pair[fixed.name], pair[own.name])

@@ -11,7 +11,7 @@ from jaxstab.guard.build import CELLS, CONSTANT_CELLS, plan_guard
 from jaxstab.guard.guard import LARGEST_HEADER
 from jaxstab.loop import HapticLoop
 from jaxstab.scene.answers import Quantity, blocks_of
-from jaxstab.scene.loops import is_one_mass, loop_of, masses_of, range_of_hands, with_delay
+from jaxstab.scene.loops import OneHand, is_one_mass, loop_of, masses_of, range_of_hands, with_delay
 from jaxstab.scene.scene import Scene, range_in_words
 
 
@@ -72,7 +72,7 @@ def _cells_of(scene: Scene) -> tuple[int, int, int]:
 
 
 def guard_about(scene: Scene, guard: Guard) -> str:
-    """The device, ranges and table of a guard, in lines."""
+    """The loop and the ranges of a guard, and what it grants, in lines."""
     units, blocks = scene.units, blocks_of(scene)
     damping = Quantity("N s/m").words(scene.device.damping, units)
     blocks["device"] = f"{range_in_words(guard.mass)} {units.kilogram}, {damping}"
@@ -81,7 +81,7 @@ def guard_about(scene: Scene, guard: Guard) -> str:
     motion = (
         "constant during contact"
         if guard.is_delay_constant
-        else f"moving from sample to sample{lost}"
+        else f"varying from sample to sample{lost}"
     )
     blocks[f"delay, {motion}"] = f"{range_in_words(guard.delay)} s"
     lines = (f"{name}: {words}" for name, words in blocks.items())
@@ -89,21 +89,18 @@ def guard_about(scene: Scene, guard: Guard) -> str:
 
 
 def _granted(scene: Scene, guard: Guard) -> list[str]:
-    """The share of the stable walls that is granted, and the place where it is least, in lines."""
-    units, least = scene.units, guard.costliest
-    kinds = units.kilogram, units.stiffness, units.damping
-    hand = [f"{value:g} {unit}" for value, unit in zip(least.hand, kinds, strict=True)]
-    limited = [f"limited by a hand of {hand[0]}, {hand[1]} and {hand[2]}."]
-    is_held = scene.hand is not None and scene.hand.is_there
+    """The share of the stable walls that is granted, and where it is least, in lines."""
+    units, least, stiffness = scene.units, guard.costliest, Quantity("N/m", 4, ROUND_FLOOR)
+    limited = f", for {OneHand(*least.hand).in_words(units)}" if any(least.hand) else ""
     proved = float(np.diff(guard.rows).mean()) / guard.grid.cells[2]
-    left = f"Nothing is proved, and granted, in {100.0 * (1.0 - proved):.1f} % of the table."
-    at = "any delay" if least.delay is None else f"a delay of {least.delay:g} s"
+    left = (
+        f"{100.0 * (1.0 - proved):.1f} % of the table is not proved; there both gains are set to 0."
+    )
+    at = "any delay" if least.delay is None else f"a delay of {Quantity('s').words(least.delay)}"
     stable = "the stable stiffness" if guard.is_delay_constant else "what constant delays allow"
-    granted = Quantity("N/m", 4, ROUND_FLOOR).words(least.granted, units)
+    granted, exact = (stiffness.words(K, units) for K in (least.granted, least.exact))
     return [
-        f"It grants {100.0 * guard.granted:.1f} % of {stable}, in the mean.",
+        f"It grants {100.0 * guard.granted:.1f} % of {stable}, on average.",
         *([left] if proved < 1.0 else []),
-        f"The least stiff corner: {least.mass:g} {units.kilogram}, {at}{',' if is_held else '.'}",
-        *(limited if is_held else []),
-        f"It grants {granted} there, of {least.exact:.4g}.",
+        f"It is least at {least.mass:g} {units.kilogram} and {at}{limited}: {granted} of {exact}.",
     ]

@@ -97,7 +97,7 @@ def worst_on(scene: Scene, walls: Sequence[Gains]) -> list[tuple[WallVerdict, Ha
     Of a delay that moves it is for every sequence; of one that is constant, but not known, for each
     constant one.
     """
-    unproved = "no hand that was tried is unstable, but not all others are proved"
+    unproved = "none of the hands that were tried is unstable, but not all hands are proved"
     loop, delays, every = loops_over_delays(scene)[0], delays_of(scene), ranges_of_all(scene)
     is_alone = hands_of(scene) is None
     worst: list[tuple[Any, HapticLoop, float]]  # verdict, loop and radius
@@ -119,7 +119,7 @@ def worst_on(scene: Scene, walls: Sequence[Gains]) -> list[tuple[WallVerdict, Ha
         tried = drifts or (unproved if is_range and verdict == Verdict.UNDECIDED else None)
         if delays and verdict == Verdict.UNSTABLE:
             constant = f"a constant delay of {Quantity('s').words(held.delay)}"
-            words = f"{constant}: a factor of {radius:.6g} per sample"
+            words = f"{constant}: the motion grows by a factor of {radius:.6g} per sample"
             if scene.controller.moves:
                 words = str(held.worst_delays(*gains, **delays))
         answers.append((WallVerdict(*gains, verdict, tried, hand, words), held))

@@ -161,8 +161,19 @@ def _number(name: str, value: Any) -> float:
 def read_gains(file: str | PathLike[str]) -> Any:
     """What a YAML file holds, which ``joints`` checks; ValueError if it is not YAML."""
     yaml = optional("yaml")
+
+    class Once(yaml.SafeLoader):  # type: ignore[misc, name-defined]
+        """YAML in which no key is given twice; the last one would count."""
+
+        def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+            names = [str(key.value) for key, _ in node.value]
+            for name in names:
+                if names.count(name) > 1:
+                    raise ValueError(f"{file} gives {shortened(name)} twice; give each key once.")
+            return super().construct_mapping(node, deep)
+
     try:
-        return yaml.safe_load(text_of(file, MOST_BYTES)) or []  # which are no gains
+        return yaml.load(text_of(file, MOST_BYTES), Once) or []  # which are no gains
     except yaml.YAMLError as error:
         raise ValueError(f"{file} is not YAML: {' '.join(str(error).split())}.") from error
 

@@ -1,6 +1,6 @@
 """The limits of a scene: the largest stiffness and damping, beside the simple rules."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from math import isfinite, nan
 from typing import Annotated, Any
@@ -27,6 +27,7 @@ from jaxstab.scene.answers import (
     Quantity,
     Stiffness,
     StiffnessLimits,
+    aligned,
     basis_of,
     printed_wall,
 )
@@ -212,7 +213,7 @@ def brief(answer: Limits | LimitsOverDelays, *, islands: bool = False) -> str:
     for gain, fixed in (("stiffness", "damping"), ("damping", "stiffness")):
         key = f"at_given_{fixed}"
         if f"{key}.at_{fixed}" in said:
-            place, others = said[f"{key}.at_{fixed}"], _others(f"{key}.other_{gain}", said)
+            place, others = said[f"{key}.at_{fixed}"], others_in_words(f"{key}.other_{gain}", said)
             lines[f"stable {gain}"] = f"{said[f'{key}.{gain}_limits_low']} at {place}{others}"
     for name, wall in answer.walls.items():
         lines[f"wall {name}"] = _wall_text(wall, f"walls.{name}", said)
@@ -221,8 +222,7 @@ def brief(answer: Limits | LimitsOverDelays, *, islands: bool = False) -> str:
             lines[f"island {name}"] = limit(f"islands.{name}", island.reached)
         elif island.largest_stiffness > 0.0 and island.at_damping >= 0.0:
             lines["islands"] = "stable walls that are not connected to zero gains: see --islands"
-    column = max(map(len, lines)) + 2
-    return "\n".join(f"{name:{column}}{words}" for name, words in lines.items())
+    return aligned(lines.items())
 
 
 def _wall_text(wall: WallVerdict | AroundWall, key: str, said: dict[str, str]) -> str:
@@ -236,15 +236,25 @@ def _wall_text(wall: WallVerdict | AroundWall, key: str, said: dict[str, str]) -
     if wall.verdict is not None:
         return f"{gains}, {wall.verdict}"
     if isfinite(wall.stiffness_limits[1]):
-        others = _others(f"{key}.other_stiffness", said)
+        others = others_in_words(f"{key}.other_stiffness", said)
         return f"{gains}, {place} the stable range of {limits}{others}"
     return f"{gains}, where no stiffness is stable"
 
 
-def _others(key: str, said: dict[str, str]) -> str:
-    """Return the further intervals of a row, each after a comma."""
+def others_in_words(key: str, said: Mapping[str, str]) -> str:
+    """The further intervals of a row, each after a comma."""
     ends = (words for path, words in said.items() if path.startswith(key) and "_low" in path)
     return "".join(f", also {words}" for words in ends)
+
+
+def stable_in_words(
+    name: str, own: str, place: str, ends: str | None, said: Mapping[str, str]
+) -> str:
+    """The stable values of a gain at a value of the other one, or that there are none."""
+    if ends is None:
+        return f"{name} is not resolved at {place}"
+    every = f"{name} from {ends}{others_in_words(f'other_{own}', said)}"
+    return f"{every if ' to ' in ends else f'no {name}'} at {place}"
 
 
 def scene_limits(scene: Scene) -> Limits | LimitsOverDelays:

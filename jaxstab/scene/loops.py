@@ -15,7 +15,7 @@ from jaxstab.model.filters import Velocity, given_filters
 from jaxstab.model.parameters import DELTA_LIMIT, GAIN_LIMIT, GAMMA_LIMIT
 from jaxstab.region import RegionStatus
 from jaxstab.scene.answers import Answer, Damping, Mass, Stiffness
-from jaxstab.scene.scene import Hand, Scene, range_in_words
+from jaxstab.scene.scene import Hand, Scene, Units, range_in_words
 
 
 @dataclass(frozen=True)
@@ -26,6 +26,13 @@ class OneHand(Answer):
     stiffness: Stiffness
     damping: Damping
     device_mass: Mass | None = None
+
+    def in_words(self, units: Units) -> str:
+        """The hand, such as "a hand of 0.2 kg, 100 N/m and 0 N s/m", and the device."""
+        mass, stiffness, damping, *device = (words for _, _, words in self.leaves("", units))
+        is_there = self.mass or self.stiffness or self.damping
+        words = f"a hand of {mass}, {stiffness} and {damping}" if is_there else "no hand"
+        return " and ".join([words, *(f"a device of {own}" for own in device)])
 
 
 def wall_region(loop: HapticLoop) -> WallRegion:

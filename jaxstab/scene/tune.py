@@ -103,7 +103,7 @@ def tune_over_ranges(scene: Scene, fastest: Gains | None) -> WallOverRanges | No
     for _ in range(3):  # rounds, in which the slowest of them joins the corners
         wall = tune_for_all(loops)
         if wall.status == TuningStatus.NO_STABLE_GAINS:
-            words = "no wall was found that settles in all of these loops"
+            words = "no wall was found that settles over all of the ranges"
             return WallOverRanges(None, None, None, None, None, words)
         rounded = Gains(
             *rounded_wall(
@@ -121,8 +121,8 @@ def tune_over_ranges(scene: Scene, fastest: Gains | None) -> WallOverRanges | No
         float(times[slowest]),
         None if fastest is None else float(settling_times(every, *fastest).max()),
         SlowestLoop(member.mass, member.delay, member.hand if scene.hand else None),
-        f"the slowest of {len(every)} loops that were tried, {len(corners)} of them corners of the "
-        "ranges: the settling of others is not proved",
+        f"the slowest of {len(every)} loops that were tried, {len(corners)} of them at corners of "
+        "the ranges; the settling of others is not proved",
         worst.for_all,
     )
 

@@ -268,18 +268,18 @@ class TuningStatus(Status):
 
     Example:
         >>> jaxstab.results.TuningStatus(1).words
-        'best of a search: a triple real pole, to full precision'
+        'found by a search: a triple real pole, to full precision'
     """
 
     NOT_COMPUTED = 0, "not computed"
-    TRIPLE_ROOT = 1, "best of a search: a triple real pole, to full precision"
-    DOUBLE_PAIR = 2, "best of a search: a double pair of poles, to full precision"
-    SCANNED = 3, "best of a search; in 1,000 loops another one found no smaller radius"
-    NO_STABLE_GAINS = 4, "no gains found that make the loop stable"
-    ISLAND = 5, "best of a search, in an island: small gains are not stable"
-    ANY_COMPONENT = 6, "best of a search, perhaps in an island: the region is unresolved"
-    NOT_CALM = 7, "no gains found that keep encoder chatter within the limit"
-    ENDLESS = 8, "no gains are best: ever larger ones decay ever faster"
+    TRIPLE_ROOT = 1, "found by a search: a triple real pole, to full precision"
+    DOUBLE_PAIR = 2, "found by a search: a double pair of poles, to full precision"
+    SCANNED = 3, "found by a search, not proved to be the best"
+    NO_STABLE_GAINS = 4, "no stable gains were found"
+    ISLAND = 5, "found by a search, in an island: small gains are not stable"
+    ANY_COMPONENT = 6, "found by a search, perhaps in an island: the region is not resolved"
+    NOT_CALM = 7, "no gains were found that keep encoder chatter within the limit"
+    ENDLESS = 8, "there are no best gains: ever larger ones decay ever faster"
 
 
 class OptimalGains(NamedTuple):
