@@ -199,13 +199,10 @@ class MovingLoop(NamedTuple):
         known = {damping: stiffness for stiffness, damping in sorted(stable, reverse=True)}
         lowest = []
         for most, damping in stiffest.tolist():
-            tried = ((share * most, damping) for share in shares)
-            proved = [stiffness for stiffness, _ in takewhile(self._is_proved_wall, tried)]
+            is_proved = partial(self.is_proved, damping=damping)
+            proved = takewhile(is_proved, (share * most for share in shares))
             lowest.append(min([most, *proved, known.get(damping, most)]))
         return np.array(lowest)
-
-    def _is_proved_wall(self, wall: tuple[float, float]) -> bool:
-        return self.is_proved(*wall)
 
     def _longest(self) -> WallLimits:
         """Return the limits of the longest delay: no wall that it makes unstable is proved."""

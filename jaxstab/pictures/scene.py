@@ -119,25 +119,15 @@ def spots_of(walls: Walls) -> dict[str, Spot]:
     return {name: (wall.stiffness, wall.damping) for name, wall in walls.items()}
 
 
-def margins_of(checked: Check | None) -> list[tuple[Floats, ...]]:
-    """How far K alone, and B alone, of each stable wall may go: the ends (K, B) of two lines."""
-    walls = checked.walls.values() if checked else ()
-    return [
-        tuple(np.broadcast_arrays(*ends))
-        for wall in walls
-        if isinstance(wall.margins, Margins) and np.isfinite(wall.margins.stiffness_limits).all()
-        for ends in (
-            (wall.margins.stiffness_limits, wall.damping),
-            (wall.stiffness, wall.margins.damping_limits),
-        )
-    ]
-
-
-def draw_margins(panel: Axes, margins: list[tuple[Floats, ...]]) -> None:
+def draw_margins(panel: Axes, checked: dict[str, WallCheck]) -> None:
     """Draw from each stable wall how far K alone, and B alone, may go."""
-    for k, ends in enumerate(margins):
-        label = "" if k else "K alone, or B alone, may go this far"
-        panel.plot(*ends, "_-" if k % 2 else "|-", color=BLACK, lw=1.2, ms=9, label=label)
+    label = "K alone, or B alone, may go this far"
+    for wall in checked.values():
+        if isinstance(wall.margins, Margins) and np.isfinite(wall.margins.stiffness_limits).all():
+            stiffness, damping = wall.margins.stiffness_limits, wall.margins.damping_limits
+            panel.plot(stiffness, [wall.damping] * 2, "|-", color=BLACK, lw=1.2, ms=9, label=label)
+            panel.plot([wall.stiffness] * 2, damping, "_-", color=BLACK, lw=1.2, ms=9)
+            label = ""
 
 
 def draw_responses(panel: Axes, scene: Scene, checked: dict[str, WallCheck]) -> None:
@@ -222,8 +212,9 @@ def scene_figure(scene: Scene | GainScene, answer: Answer | None = None) -> Figu
     panels = figure.subplots(1, len(widths), squeeze=False, width_ratios=widths)[0]
     gains = np.array([*spots_of(walls).values()]).reshape(-1, 2)
     seen = [np.maximum(region.outline, 0.0), gains, np.zeros((1, 2))]
-    margins = margins_of(checked)
-    seen += [np.maximum(np.transpose(ends), 0.0) for ends in margins]
+    if checked is not None:
+        draw_margins(panels[0], checked.walls)
+        seen += [np.maximum(line.get_xydata(), 0.0) for line in panels[0].get_lines()]
     _set_window(panels[0], np.concatenate(seen))
     panels[0].set_title("Stable walls")
     planes = [panels[0], *panels[1 : 1 + len(beside)]]
@@ -257,7 +248,6 @@ def scene_figure(scene: Scene | GainScene, answer: Answer | None = None) -> Figu
             *region.stiffest, ">", color=ORANGE, ms=9, mec=BLACK, label=plain(f"stiffest: {wall}")
         )
     if checked is not None:
-        draw_margins(panels[0], margins)
         draw_responses(panels[-1], scene, checked.walls)
         panels[-1].set_title("Response to a constant push")
     for panel in planes:
@@ -323,8 +313,8 @@ def _design_figure(scene: Scene, design: Design, basis: Basis) -> Figure:
         panel.plot(1e3 * values, largest, color=BLUE, lw=1.6, label="largest allowed stiffness")
         label = plain(f"wanted: {_STIFFNESS.words(wanted, units)}")
         panel.axhline(wanted, color=BLACK, lw=1.2, ls="dashdot", label=label)
-        label = f"now: {_LARGEST.words(now, units)}" if isfinite(now) else "now: no stable wall"
-        label = plain(label)
+        stiffest = _LARGEST.words(now, units) if isfinite(now) else "no stable wall"
+        label = plain(f"now: {stiffest}")
         panel.plot(1e3 * present, now, "o", color=SKY, mec=BLACK, ms=8, ls="", label=label)
         if isfinite(designed):
             label = f"largest {name}: {largest_time.words(designed)}"
