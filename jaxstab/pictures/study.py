@@ -101,7 +101,8 @@ def _draw_lines(panel: Axes, study: "Dataset", bands: "list[DataArray]") -> None
     for k, (color, (line, mark)) in enumerate(zip(colors, looks, strict=False)):
         label = _value_text(second[0][k]) if second else None
         look: Any = {"ls": line if _is_number(first) else "", "marker": mark, "color": color}
-        panel.plot(places, lines[len(bands) // 2, :, k], ms=4, label=label, **look)
+        size = 4 if _is_number(first) else 7
+        panel.plot(places, lines[len(bands) // 2, :, k], ms=size, label=label, **look)
         panel.fill_between(places, *lines[[0, -1], :, k], color=color, alpha=0.2, lw=0)
     if second:
         panel.legend(title=_label(second[0]), fontsize=8, title_fontsize=8)
