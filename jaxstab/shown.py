@@ -39,8 +39,10 @@ def rounded_text(
     rounded = exact.normalize(Context(prec=digits, rounding=rounding))
     if not rounded:
         return "0"
-    is_written_out = rounded.adjusted() in _WRITTEN_OUT
-    return format(rounded, "f") if is_written_out else f"{float(rounded):.{digits}g}"
+    power = rounded.adjusted()
+    if power in _WRITTEN_OUT:
+        return format(rounded, "f")
+    return f"{rounded.scaleb(-power):f}e{power:+03d}"
 
 
 class Printed(float):

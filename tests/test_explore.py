@@ -690,6 +690,83 @@ def test_sliders_move_by_keys_and_the_link_brings_the_state_back(omega: Browser)
 
 
 @pytest.mark.campaign
+def test_narrow_pages_show_the_first_slider_and_do_not_scroll_sideways(omega: Browser) -> None:
+    try:
+        for width, most in ((500, 460), (390, 480), (320, 520)):
+            omega.look("light", width, 832)  # as high as the frame on the first page
+            lowest, wide, hidden = omega.run(NARROW)
+            assert lowest < most
+            assert wide <= width
+            assert not hidden  # a mark of a wall, by the small map
+    finally:
+        omega.look("light", 1360, 1000)
+
+
+NARROW = """
+document.documentElement.classList.add("framed");
+return new Promise((done) => setTimeout(() => {
+  const slider = document.querySelector("input[type=range]").getBoundingClientRect();
+  const map = document.querySelector("#picture .back");
+  const box = map && map.getBoundingClientRect();
+  const marks = Array.from(document.querySelectorAll("#picture .wall-good, #picture .wall-bad"));
+  const isHidden = (one) => {
+    const { left, right, top, bottom } = one.getBoundingClientRect();
+    return right > box.left && left < box.right && bottom > box.top && top < box.bottom;
+  };
+  document.documentElement.classList.remove("framed");
+  done([slider.bottom, document.documentElement.scrollWidth, Boolean(box) && marks.some(isHidden)]);
+}, 300));
+"""
+
+
+@pytest.mark.campaign
+def test_values_that_are_refused_are_named_in_one_sentence(omega: Browser) -> None:
+    for key, value, words in (
+        ("handStiffness", 1e11, "the hand's stiffness k is too large for this mass and sampling"),
+        ("damping", 1e9, "the damping b is too large for this mass and sampling period"),
+        ("period", 1e-5, "the sampling period is below 1 µs"),
+        ("mass", -1, "mass must be a number above 0 to 1e12"),
+        ("mass", 0.25, ""),
+    ):
+        refusal, kept = omega.run(GIVE, key, value)
+        assert refusal.startswith(f"Not applied: {words}" if words else "")
+        assert refusal.endswith("; the last values that work are kept." if words else "")
+        assert refusal.count(".") <= 1 or "T²/m" in refusal
+        assert kept == 0.25
+
+
+GIVE = """
+const number = document.getElementById(`${arguments[0]}-number`);
+number.value = arguments[1];
+number.dispatchEvent(new Event("change"));
+return [document.getElementById("refusal").textContent, state.mass];
+"""
+
+
+@pytest.mark.campaign
+def test_the_headline_is_a_stable_wall(omega: Browser, rng: np.random.Generator) -> None:
+    for _ in range(20):
+        mass, damping = 10.0 ** rng.uniform(-1.5, 0.5), 10.0 ** rng.uniform(-1.0, 1.0)
+        delay, window = float(rng.uniform(0.0, 3.0)), int(rng.integers(1, 21))
+        given = {"mass": mass, "damping": damping, "delay": delay, "window": window}
+        headline = omega.run(f"update({json.dumps(given)}); sayMore(); {HEADLINE}")
+        found = re.findall(r"[\d,.]+ (?=N)", headline)
+        stiffness, of_wall = (float(number.replace(",", "")) for number in found)
+        loop = jaxstab.HapticLoop(
+            device_mass=mass,
+            device_damping=damping,
+            sample_time=1e-3,
+            delay=1e-3 * delay,
+            velocity=jaxstab.Velocity.difference(samples=window),
+        )
+        assert loop.verdict(stiffness, of_wall) == jaxstab.Verdict.STABLE
+        assert stiffness == pytest.approx(loop.limits().stiffness, rel=2e-3)
+
+
+HEADLINE = "return document.getElementById('headline').textContent;"
+
+
+@pytest.mark.campaign
 def test_a_contact_is_simulated_where_the_switch_is_on(omega: Browser) -> None:
     """The words are those of Python for the same wall, and never call it proved."""
     loop = scene_loop(Scene.from_file(SCENES[0].parent / "omega.toml"))

@@ -1,6 +1,8 @@
 """Issue 31, item 21: pictures show what is asked, with labels that agree with the text."""
 
+import re
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -9,11 +11,24 @@ import pytest
 from campaign import many
 from commands import run
 from matplotlib.axes import Axes
+from matplotlib.collections import QuadMesh
 from matplotlib.figure import Figure
+from matplotlib.text import Text
+from matplotlib.transforms import Bbox
 
 import jaxstab
-from jaxstab.pictures.scene import scene_figure
-from jaxstab.scene import Scene, check_walls, design_loop, scene_limits, tune_walls
+from jaxstab.pictures.scene import guard_figure, scene_figure
+from jaxstab.pictures.study import study_figure
+from jaxstab.pictures.style import picture, plain
+from jaxstab.scene import (
+    Scene,
+    check_walls,
+    design_loop,
+    scene_limits,
+    simulate_contacts,
+    tune_walls,
+)
+from jaxstab.scene.scene import Units
 
 ROOT = Path(__file__).parents[1]
 
@@ -196,3 +211,155 @@ def test_an_atlas_draws_the_walls_of_a_loop_in_si_units() -> None:
     assert decided.mean() > 0.9
     # Cells are drawn around their walls, so next to the boundary a cell may have the other verdict.
     assert (codes[::20, ::20] == exact)[decided].mean() > 0.98
+
+
+# ------------------------------------------------------------------------------------ texts
+
+
+def boxes_of_texts(panel: Axes) -> dict[str, Bbox]:
+    """The pixels of each text in axes; names of walls and values of lines are different texts."""
+    words = {text.get_text(): Text.get_window_extent(text) for text in panel.texts}
+    words.pop("", None)  # lines that lead to names
+    return words
+
+
+def assert_texts_hide_nothing(figure: Figure, panel: Axes) -> None:
+    figure.draw_without_rendering()
+    boxes = list(boxes_of_texts(panel).values())
+    assert boxes
+    for number, box in enumerate(boxes):
+        assert panel.bbox.contains(*box.min)
+        assert panel.bbox.contains(*box.max)
+        assert not box.count_overlaps(boxes[number + 1 :])
+    for points in marks_of(panel).values():
+        for pixel in panel.transData.transform(points):
+            assert not any(box.contains(*pixel) for box in boxes)
+
+
+CROWDED = {
+    f"a wall with a long name, number {k}": {"stiffness": 1000.0 + 60.0 * k, "damping": 10.0}
+    for k in range(6)
+}
+
+
+@pytest.mark.parametrize("walls", [TABLE["walls"], CROWDED], ids=["two", "crowded"])
+@pytest.mark.parametrize("ask", [scene_limits, check_walls, tune_walls])
+def test_texts_cover_neither_marks_nor_each_other(ask: Any, walls: dict[str, Any]) -> None:
+    device = TABLE["device"] | {"encoder": {"resolution": 1e-5}}
+    scene = Scene.from_table(TABLE | {"walls": walls, "device": device})
+    figure = scene_figure(scene, ask(scene))
+    panel = figure.axes[0]
+    texts = boxes_of_texts(panel)
+    if ask is tune_walls:
+        assert any(text.endswith(" ms") for text in texts)
+    assert all(any(text.endswith(name[-10:]) for text in texts) for name in walls)
+    assert_texts_hide_nothing(figure, panel)
+
+
+def test_a_map_of_contacts_names_its_conditions_and_its_colours() -> None:
+    walls = {
+        "passive": {"stiffness": 2500.0, "damping": 0.0},
+        "next to it": {"stiffness": 2400.0, "damping": 1.0},
+    }
+    contact = {"push": 2.0, "speed": 0.05, "duration": 0.2}
+    scene = Scene.from_table(TABLE | {"walls": walls, "contact": contact})
+    figure = scene_figure(scene, simulate_contacts(scene))
+    panel = figure.axes[0]
+    title = panel.get_title()
+    assert "push 2 N, speed 0.05 m/s, friction 0 N" in title
+    assert "one-sided wall" in title
+    assert "velocity: " in figure.get_suptitle()
+    assert_texts_hide_nothing(figure, panel)
+    (legend,) = figure.legends
+    (swatch,) = legend.get_patches()
+    rests = next(
+        mesh for mesh in panel.collections if isinstance(mesh, QuadMesh) and mesh.cmap.N == 1
+    )
+    assert swatch.get_facecolor() == tuple(rests.cmap(0.5))
+    both = replace(scene, contact=replace(scene.contact, one_sided=False))
+    assert "wall that also pulls" in scene_figure(both, simulate_contacts(both)).axes[0].get_title()
+
+
+def test_the_proved_area_of_a_moving_delay_holds_the_walls_that_are_called_stable() -> None:
+    walls = {
+        "soft": {"stiffness": 5.0, "damping": 0.05},  # below the lowest damping of the picture
+        "firm": {"stiffness": 1700.0, "damping": 12.4},
+        "damped": {"stiffness": 100.0, "damping": 44.0},
+        "stiff": {"stiffness": 5000.0, "damping": 30.0},
+    }
+    controller = {"sample_time": 1e-3, "delay_samples": [0.8, 1.2]}
+    controller |= {"velocity": {"window_samples": 20}}
+    scene = Scene.from_table(TABLE | {"controller": controller, "walls": walls})
+    (panel,) = scene_figure(scene).axes
+    marks = marks_of(panel)
+    assert len(marks["wall, stable"]) == 3
+    assert len(marks["wall, unstable"]) == 1
+    (area,) = panel.collections
+    (path,) = area.get_paths()
+    at_edge = path.contains_points(marks["wall, stable"], radius=-1e-9)
+    assert (at_edge | path.contains_points(marks["wall, stable"], radius=1e-9)).all()
+    assert not path.contains_points(marks["wall, unstable"]).any()
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("2.5e-05 kg m^2", r"2.5$\,\times 10^{-5}$ kg m²"),
+        ("3e+11 N/m", r"3$\,\times 10^{11}$ N/m"),
+        ("for 5 $", r"for 5 \$"),
+        ("wall 2 east", "wall 2 east"),
+    ],
+)
+def test_powers_are_raised_and_dollars_begin_no_formula(text: str, shown: str) -> None:
+    assert plain(text) == shown
+
+
+def test_small_inertias_are_written_as_powers_of_ten() -> None:
+    tiny = {"inertia": 2.2e-7, "damping": 1e-7}
+    walls = {"w": {"stiffness": 0.01, "damping": 3e-5}}
+    scene = Scene.from_table({**TABLE, "device": tiny, "walls": walls})
+    figure = scene_figure(scene, tune_walls(scene))
+    image = picture(figure, "svg").decode()
+    assert not re.search(r"\de-0?\d", " ".join(re.findall("<!-- (.*?) -->", image)))
+    labels = labels_of(figure)
+    assert any("10^{-5}" in label for label in labels)
+    assert all(len(label) < 100 for label in labels)
+
+
+def test_a_guard_names_what_its_curves_are_for() -> None:
+    device = {"device_mass": 2.5e-5, "device_damping": 1e-6, "sample_time": 1e-3}
+    ranges: Any = {"mass": (2e-5, 3e-5), "delay": (0.0, 1e-3)}
+    loop, few = jaxstab.HapticLoop(**device, delay=1e-3), (1, 1, 4)
+    guard = jaxstab.build_guard(loop, jaxstab.HandRange(), **ranges, cells=few, constant_delay=True)
+    left, right = guard_figure(guard, Units.ROTATION).axes
+    assert left.get_title() == r"five delays; inertia 2.5$\,\times 10^{-5}$ kg m²"
+    assert right.get_title() == "five inertias; delay 0.5 ms"
+    assert "kg m²" in right.get_legend().get_texts()[0].get_text()
+
+
+@pytest.mark.parametrize(
+    ("of", "over"),
+    [
+        ({"device": {"inertia": 1e-4, "damping": 1e-3}}, {"device.inertia": (1e-4, 5e-4, 7)}),
+        ({}, {"device.preset": ["omega", "falcon", "phantom"]}),
+        ("simulator", {"loop.inertia": (0.1, 0.5, 7), "loop.substeps": [1, 2]}),
+        ("admittance", {"loop.environment": (1e3, 2e4, 5)}),
+    ],
+)
+def test_ticks_of_a_study_stand_apart_and_axes_have_names(of: Any, over: dict[str, Any]) -> None:
+    table = TABLE | {"walls": {}} | of if isinstance(of, dict) else GAINS / f"{of}.toml"
+    if over.keys() == {"device.preset"}:
+        table = TABLE | {"walls": {}, "device": {}}
+    figure = study_figure(jaxstab.study(table, over, answers=["limits"]))
+    picture(figure, "png")
+    panel = figure.axes[0]
+    labels = [tick.get_window_extent() for tick in panel.get_xticklabels() if tick.get_text()]
+    seen = [box for box in labels if panel.bbox.x0 - 1.0 <= (box.x0 + box.x1) / 2]
+    assert all(a.x1 < b.x0 for a, b in pairwise(seen))
+    words = panel.get_xlabel() + panel.get_ylabel()
+    words += panel.get_legend().get_title().get_text() if panel.get_legend() else ""
+    assert not any(key in words for key in over)
+    assert "joint (kg m²)" in words or of != "simulator"
+
+
+GAINS = ROOT / "data" / "scenes" / "gains"

@@ -93,7 +93,10 @@ function estimatorOf({ window, cutoff, order, kind, factor, numerator, denominat
 /** Take a value of a control over, if it is one that can be computed. */
 function changeTo(key, value, moved) {
   const next = { [key]: acceptable(key, value) };
-  if (Number.isNaN(next[key])) return update({});
+  if (Number.isNaN(next[key])) {
+    const { label } = quantitiesOf(state.motion).find((one) => one.key === key);
+    return update({}, null, `${label} must be a number ${key === "mass" || key === "period" ? "above" : "from"} 0 to 1e12`);
+  }
   if (key === "window" || key === "cutoff") {
     Object.assign(next, { numerator: null, denominator: null, software: null });
   }

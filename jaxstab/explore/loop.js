@@ -38,10 +38,16 @@ function handOf(setup) {
   return { gamma, delta: ((setup.damping + setup.handDamping) * period) / moved };
 }
 
-/** Whether a setup is within the range that jaxstab computes. */
+/** Why a setup is out of the range that jaxstab computes; an empty text where it is within. */
+function whyRefused(setup) {
+  const { gamma, delta } = handOf(setup), forIt = "for this mass and sampling period";
+  if (setup.period * LARGEST_RATE < 1) return "the sampling period is below 1 µs";
+  if (!(gamma <= LARGEST_GAMMA)) return `the hand's stiffness k is too large ${forIt}: k T²/m is above ${LARGEST_GAMMA}`;
+  return delta <= LARGEST_DELTA ? "" : `the damping b is too large ${forIt}: b T/m is above ${LARGEST_DELTA}`;
+}
+
 function isComputable(setup) {
-  const { gamma, delta } = handOf(setup);
-  return gamma <= LARGEST_GAMMA && delta <= LARGEST_DELTA && setup.period * LARGEST_RATE >= 1;
+  return whyRefused(setup) === "";
 }
 
 /** @returns {Loop} */

@@ -4,19 +4,19 @@
 const QUIET = 150; // ms without a change, until what takes longer is computed
 const LOOKS_IN_MOTION = 1; // at a region, while a slider moves; what that leaves open is resolved after
 const initial = JSON.parse(document.getElementById("initial").textContent);
-const BEYOND = "Not taken over: with T the sampling period and m what is moved, k T²/m of the hand is at most 1e4, b T/m at most 1e3, and T at least 1 µs.";
-let state = stateOfHash(location.hash.slice(1), initial.state);
+const asked = stateOfHash(location.hash.slice(1), initial.state);
+let state = isComputable(setupOf(asked)) ? asked : initial.state;
 let drawn = null; // setup, loop, region and frame of the picture
 let size = { width: 0, height: 0 }; // of the picture
 let waiting = 0;
 
 // ----------------------------------------------------------------------------------------- drawing
 
-/** Change the state, and show it. */
-function update(changes, moved) {
-  const next = { ...state, ...changes }, isIn = isComputable(setupOf(next));
-  if (isIn) state = next;
-  assign(byId("refusal"), "textContent", isIn ? "" : BEYOND);
+/** Change the state unless it is refused for a reason, which is shown, and show it. */
+function update(changes, moved, refusal = "") {
+  const next = { ...state, ...changes }, why = refusal || whyRefused(setupOf(next));
+  if (!why) state = next;
+  assign(byId("refusal"), "textContent", why && `Not applied: ${why}; the last values that work are kept.`);
   draw(LOOKS_IN_MOTION);
   showState(moved);
   clearTimeout(waiting);
@@ -249,8 +249,9 @@ function start() {
   byId("views").addEventListener("change", (event) => update({ view: event.target.value }));
   new ResizeObserver(() => measure() && update({})).observe(picture);
   window.addEventListener("hashchange", () => update(stateOfHash(location.hash.slice(1), initial.state)));
+  document.documentElement.classList.toggle("framed", window !== window.top);
   measure();
-  update({});
+  update(asked);
   warmUp();
 }
 

@@ -130,12 +130,19 @@ function short(value) {
   return IN_DIGITS.format(value);
 }
 
+/** The pixel of a wall's mark, which stays within the frame. */
+function markOf({ box, x, y }, [stiffness, damping]) {
+  return [
+    Math.min(box.x + box.width - 8, Math.max(box.x + 8, x(stiffness))),
+    Math.min(box.y + box.height - 8, Math.max(box.y + 8, y(damping))),
+  ];
+}
+
 /** The user's walls: a disc where stable, a cross where not, a square where that is undecided. */
 function wallsOf(frame, view) {
   const group = element("g", { "aria-hidden": "true" }), { box } = frame;
   for (const { name, stiffness, damping, code } of view.walls) {
-    const x = Math.min(box.x + box.width - 8, Math.max(box.x + 8, frame.x(stiffness)));
-    const y = Math.min(box.y + box.height - 8, Math.max(box.y + 8, frame.y(damping)));
+    const [x, y] = markOf(frame, [stiffness, damping]);
     const isBeyond = Math.abs(x - frame.x(stiffness)) + Math.abs(y - frame.y(damping)) > 1;
     if (code === STABLE) group.append(element("circle", { class: "wall-good", cx: x, cy: y, r: 6 }));
     else if (code === UNSTABLE) group.append(element("path", { class: "wall-bad", d: `M${x - 5} ${y - 5}l10 10m0 -10l-10 10` }));
@@ -168,11 +175,15 @@ function cursorOf(frame, view) {
   return group;
 }
 
-/** A small map at one scale: the region beside that of the difference over one sample. */
+/** A small map at one scale: the region beside that of the difference over one sample, where it hides no wall. */
 function mapOf(frame, view) {
   const width = Math.min(190, 0.42 * frame.box.width), height = 0.62 * width;
-  const box = { x: frame.box.x + frame.box.width - width - 8, y: frame.box.y + 8, width, height };
-  const group = element("g", { "aria-hidden": "true" });
+  const group = element("g", { "aria-hidden": "true" }), left = frame.box.x + frame.box.width - width - 8;
+  const marks = [view.stiffest, ...view.walls.map(({ stiffness, damping }) => [stiffness, damping])].map((wall) => markOf(frame, wall));
+  const isFree = (top) => !marks.some(([x, y]) => x > left - 10 && y > top - 10 && y < top + height + 24);
+  const y = [frame.box.y + 8, frame.box.y + frame.box.height - height - 8].find(isFree);
+  if (y === undefined) return group;
+  const box = { x: left, y, width, height };
   group.append(element("rect", { class: "back", ...box, rx: 4 }));
   const inner = { x: box.x + 8, y: box.y + 22, width: width - 16, height: height - 30 };
   const map = frameOf(windowAround([...view.oneSample, ...view.main.flat()]), inner);

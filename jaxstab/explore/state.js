@@ -138,7 +138,7 @@ function hashOf(state) {
   return parts.toString();
 }
 
-/** The state of a link; what it does not say, or says wrongly, is that of another state. */
+/** The state of a link; what it does not say, or says wrongly, is that of another state. It may be refused. */
 function stateOfHash(hash, state) {
   const parts = new URLSearchParams(hash), next = { ...state };
   if (!parts.has("mass")) return next;
@@ -156,7 +156,7 @@ function stateOfHash(hash, state) {
     next[key] = parts.get(key) && numbers.every(Number.isFinite) ? numbers : null;
   }
   next.walls = parts.getAll("wall").map(wallOfWords).filter(Boolean);
-  return isComputable(setupOf(next)) ? next : { ...state };
+  return next;
 }
 
 /** A wall of "K B name"; null where there are no such numbers. */

@@ -5,9 +5,10 @@ J1 of docs/proofs.md), and UNSTABLE if one sequence, constant or in turn, is pro
 J2). Between the two it is UNDECIDED.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import takewhile
 from math import inf, isinf, nan
 from typing import Any, NamedTuple
 
@@ -173,17 +174,35 @@ class MovingLoop(NamedTuple):
         best = self._raised(best, at, finest)
         return MovingLimits(best, at, self._lowest_unstable(best, at))
 
-    def stiffest_walls(self) -> tuple[Float64[np.ndarray, "_ 2"], Float64[np.ndarray, "_ 2"]]:
-        """Return the stiffest proved walls of some dampings, and unstable ones above them."""
+    def stiffest_walls(
+        self, stable: Iterable[tuple[float, float]] = ()
+    ) -> tuple[Float64[np.ndarray, "_ 2"], Float64[np.ndarray, "_ 2"]]:
+        """Stiffest proved walls by damping, those of ``stable`` ones too, and unstable ones."""
         columns, every = 24, 3  # dampings of a picture, and of walls that are unstable
         column = 2e-3  # the same, in a picture
         longest, walls = self._longest(), []
-        for damping in (longest.damping * np.arange(1, columns) / columns).tolist():
-            first = self._first(0.0, damping, longest.stiffness)
-            if first:
+        shares = np.maximum(np.arange(columns), 0.1) / columns  # the first one nearly undamped
+        starts = dict.fromkeys((longest.damping * shares).tolist(), 0.0)
+        starts |= {damping: stiffness for stiffness, damping in sorted(stable)}
+        for damping, stiffness in sorted(starts.items()):
+            first = self._first(stiffness, damping, longest.stiffness)
+            if first > 0.0:
                 walls.append((self._raised(first, damping, column), damping))
         unstable = [(self._lowest_unstable(*wall), wall[1]) for wall in walls[::every]]
         return np.reshape(walls, (-1, 2)), np.reshape(unstable, (-1, 2))
+
+    def softest_walls(
+        self, stiffest: Float64[np.ndarray, "_ 2"], stable: Iterable[tuple[float, float]] = ()
+    ) -> Float64[np.ndarray, " _"]:
+        """The stiffness from which samples up to that of each stiffest wall are proved."""
+        shares = 0.8, 0.5, 0.2, 0.05, 1e-3
+        known = {damping: stiffness for stiffness, damping in sorted(stable, reverse=True)}
+        lowest = []
+        for most, damping in stiffest.tolist():
+            is_proved = partial(self.is_proved, damping=damping)
+            proved = takewhile(is_proved, (share * most for share in shares))
+            lowest.append(min([most, *proved, known.get(damping, most)]))
+        return np.array(lowest)
 
     def _longest(self) -> WallLimits:
         """Return the limits of the longest delay: no wall that it makes unstable is proved."""

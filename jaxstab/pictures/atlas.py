@@ -83,6 +83,7 @@ def draw_atlas(
                 filled[row] = _draw_radii(panel, *nodes)
         for panel in column:
             panel.tick_params(labelsize=8)
+            panel.locator_params(axis="x", nbins=5)
         column[0].set_title(f"delay {delay:g} T", fontsize=10)
         column[-1].set_xlabel(ALPHA_LABEL)
     for panel in panels[:, 0]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from jaxstab.conventions import Verdict
 from jaxstab.loop import FrequencyMargins
-from jaxstab.pictures.style import BLACK, BLUE, GREEN, ORANGE, RED, new_axes
+from jaxstab.pictures.style import BLACK, BLUE, GREEN, OCHRE, ORANGE, RED, new_axes
 from jaxstab.shown import number_text
 
 Floats = NDArray[np.float64]
@@ -83,7 +83,7 @@ def _draw_magnitudes(panel: Axes, frequencies: Floats, values: Complex) -> None:
     panel.set(xlabel="frequency (Hz)", ylabel="magnitude (dB)")
     beside, phase = panel.twinx(), np.degrees(np.unwrap(np.angle(values)))
     beside.plot(frequencies[:-1], phase[:-1], ":", color=ORANGE, lw=1.4)  # L may be 0 at the last
-    beside.set_ylabel("phase of L (degrees), dotted", color=ORANGE)
+    beside.set_ylabel("phase of L (degrees), dotted", color=OCHRE)
     for axes in (panel, beside):
         low, high = axes.get_ylim()
         axes.set_ylim(low - legend_room * (high - low), high)

@@ -4,33 +4,34 @@ Below that several scenes in one picture, a guard, simulated contacts, and the l
 identified from.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from decimal import ROUND_FLOOR
-from itertools import product
 from math import isfinite
-from textwrap import fill
+from textwrap import fill, wrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
-from matplotlib.colors import LogNorm
+from matplotlib.colors import ListedColormap, LogNorm
 from matplotlib.figure import Figure
-from matplotlib.transforms import Bbox
+from matplotlib.lines import Line2D
 
 from jaxstab.conventions import Verdict
 from jaxstab.guard import Guard
 from jaxstab.loop import Contact, ContactKind, HapticLoop, WallRegion
 from jaxstab.loop.jitter import MovingLoop
 from jaxstab.motion.settling import likely_settling
+from jaxstab.pictures.labels import Level, Spot, write_names
 from jaxstab.pictures.style import (
     BLACK,
     BLUE,
     GREEN,
     HALO,
     ORANGE,
+    PLUM,
     PURPLE,
     RED,
     SKY,
@@ -41,6 +42,7 @@ from jaxstab.pictures.style import (
     draw_stable,
     plain,
     plot_moving,
+    raise_powers,
 )
 from jaxstab.scene.answers import (
     Answer,
@@ -56,7 +58,6 @@ from jaxstab.scene.contact import (
     Contacts,
     contact_loop,
     simulated_map,
-    start_in_words,
     walls_around,
 )
 from jaxstab.scene.gains import GainScene
@@ -98,51 +99,24 @@ _LOOKS: dict[Verdict | str, tuple[str, str, str]] = {  # colour, mark and line o
 
 def draw_walls(panel: Axes, checked: Walls) -> None:
     """Draw a mark for each wall, by its verdict."""
+    verdicts = {name: wall.verdict for name, wall in checked.items()}
+    _draw_marks(panel, spots_of(checked), verdicts, "wall")
+
+
+def _draw_marks(
+    panel: Axes, spots: Mapping[str, Spot], verdicts: Mapping[str, Verdict | str], noun: str
+) -> None:
     for verdict, (colour, mark, _) in _LOOKS.items():
-        walls = [wall for wall in checked.values() if wall.verdict == verdict]
-        if walls:
-            panel.plot(
-                [wall.stiffness for wall in walls],
-                [wall.damping for wall in walls],
-                mark,
-                color=colour,
-                ms=9,
-                mec=BLACK,
-                ls="",
-                zorder=5,
-                label=f"wall, {in_words(verdict)}",
-            )
+        found = [spots[name] for name in spots if verdicts[name] == verdict]
+        look: Any = {"color": colour, "ms": 9, "mec": BLACK, "ls": "", "zorder": 5}
+        if found:
+            label = f"{noun}, {in_words(verdict)}"
+            panel.plot(*np.transpose(found), mark, label=label, **look)
 
 
-def name_walls(panel: Axes, checked: Walls) -> None:
-    """Write the name of each wall beside it, where no other name or mark is."""
-    lifts = (0, 10, -10, 20, -20, 32, -32, 44, -44)  # points: how far names are moved up
-    mark = 14.0  # pixels: a wall's mark
-    lines = [line for line in panel.get_lines() if line.get_marker() != "None"]
-    marks = np.concatenate([panel.transData.transform(line.get_xydata()) for line in lines])
-    taken = [Bbox.from_bounds(x - mark / 2, y - mark / 2, mark, mark) for x, y in marks]
-    for name, wall in checked.items():
-        position = (wall.stiffness, wall.damping)
-        if not panel.bbox.contains(*panel.transData.transform(position)):
-            continue
-        text = panel.annotate(
-            plain(name),
-            position,
-            xytext=(8, 0),
-            textcoords="offset points",
-            va="center",
-            fontsize=9,
-            zorder=6,
-            bbox={"boxstyle": "round,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.75},
-        )
-        for across, along in product((1, -1), lifts):
-            text.set(ha="left" if across > 0 else "right")
-            text.xyann = (8 * across, along)
-            box = text.get_window_extent()
-            is_inside = panel.bbox.contains(*box.min) and panel.bbox.contains(*box.max)
-            if is_inside and not box.count_overlaps(taken):
-                break
-        taken.append(box)
+def spots_of(walls: Walls) -> dict[str, Spot]:
+    """Where the walls of a scene stand in the plane of K and B."""
+    return {name: (wall.stiffness, wall.damping) for name, wall in walls.items()}
 
 
 def draw_margins(panel: Axes, checked: dict[str, WallCheck]) -> None:
@@ -158,7 +132,7 @@ def draw_margins(panel: Axes, checked: dict[str, WallCheck]) -> None:
 
 def draw_responses(panel: Axes, scene: Scene, checked: dict[str, WallCheck]) -> None:
     """Draw the response to a step of force, relative to the final displacement."""
-    far_off = 5.0  # final positions: an unstable response is drawn no further
+    far_off, seen, row = 5.0, 2.3, 0.22  # final positions: that are drawn, that are seen, of a name
     fewest, most = 100, 2000  # samples of a response
     level = 0.02
     period = scene.controller.sample_time
@@ -180,9 +154,9 @@ def draw_responses(panel: Axes, scene: Scene, checked: dict[str, WallCheck]) -> 
         shown = np.where(gone, np.nan, relative)
         panel.plot(np.asarray(response.time), shown, _LOOKS[wall.verdict][2], label=plain(name))
     panel.axhspan(1.0 - level, 1.0 + level, color=BLACK, alpha=0.12, lw=0)
-    panel.set(xlim=(0.0, samples * period), ylim=(-0.3, 2.3))
+    panel.set(xlim=(0.0, samples * period), ylim=(-0.3, seen + row * (len(checked) + 1)))
     panel.set(xlabel="time (s)", ylabel="position / final position")
-    panel.legend(fontsize=8, frameon=True)
+    panel.legend(fontsize=8, framealpha=1.0, loc="upper right")  # above what is seen
 
 
 _HEIGHT = 4.6  # inches
@@ -236,8 +210,11 @@ def scene_figure(scene: Scene | GainScene, answer: Answer | None = None) -> Figu
     widths = [_WIDTH] + [3.6] * len(beside) + [4.8] * (checked is not None)  # inches
     figure = Figure(figsize=(sum(widths), _HEIGHT), layout="constrained")
     panels = figure.subplots(1, len(widths), squeeze=False, width_ratios=widths)[0]
-    gains = np.array([(wall.stiffness, wall.damping) for wall in walls.values()]).reshape(-1, 2)
+    gains = np.array([*spots_of(walls).values()]).reshape(-1, 2)
     seen = [np.maximum(region.outline, 0.0), gains, np.zeros((1, 2))]
+    if checked is not None:
+        draw_margins(panels[0], checked.walls)
+        seen += [np.maximum(line.get_xydata(), 0.0) for line in panels[0].get_lines()]
     _set_window(panels[0], np.concatenate(seen))
     panels[0].set_title("Stable walls")
     planes = [panels[0], *panels[1 : 1 + len(beside)]]
@@ -250,15 +227,17 @@ def scene_figure(scene: Scene | GainScene, answer: Answer | None = None) -> Figu
         draw_stable(panel, region)
         for outline, look in areas:
             panel.fill(*outline.T, **look)
-        if not (tuned or checked):
+        if not tuned:
             draw_islands(panel, islands)
+        if not (tuned or checked):
             draw_linear_rule(panel, loop)
+    levels = []
     if tuned:
         panels[0].set_title("Settling times of stable walls")
-        _draw_settling(panels[0], loop, region)
+        levels = _draw_settling(panels[0], loop, region)
         encoder = scene.device.encoder
         if encoder is not None:
-            _draw_chatter(panels[0], loop, region, encoder, scene.units)
+            levels += _draw_chatter(panels[0], loop, region, encoder, scene.units)
         _draw_tuned(panels[0], tuned, scene.units)
     elif checked is None and isfinite(region.stiffest.stiffness):
         printed = printed_wall(
@@ -266,44 +245,55 @@ def scene_figure(scene: Scene | GainScene, answer: Answer | None = None) -> Figu
         )
         wall = _gains_text(*printed, scene.units, _LARGEST)
         panels[0].plot(
-            *region.stiffest, ">", color=ORANGE, ms=9, mec=BLACK, label=f"stiffest: {wall}"
+            *region.stiffest, ">", color=ORANGE, ms=9, mec=BLACK, label=plain(f"stiffest: {wall}")
         )
     if checked is not None:
-        draw_margins(panels[0], checked.walls)
         draw_responses(panels[-1], scene, checked.walls)
         panels[-1].set_title("Response to a constant push")
     for panel in planes:
         draw_walls(panel, walls)
     of_responses = "; responses: worst hand of each wall" if checked else ""
     _write_basis(figure, scene, basis, of_responses)
-    return _with_legend(figure, planes, walls, min(1 + len(widths), 4))
+    return _with_legend(figure, planes, spots_of(walls), min(1 + len(widths), 4), levels)
 
 
 def _gain_figure(scene: GainScene) -> Figure:
     """The stable gains of a loop, in the coordinates of its region, with the pairs of a scene."""
-    figure = Figure(figsize=(6.0, 4.6), layout="constrained")
-    panel = scene.loop.region().plot(figure.subplots())
-    stiffest = ", the stiffest" if scene.is_range else ""
-    panel.set_title(fill(plain(scene.loop.words + stiffest), 70), fontsize=9)
+    small = 0.1  # of the axes, in either direction: pairs that close are enlarged
+    region, spots, verdicts = scene.loop.region(), {}, {}
     for name, pair in scene.pairs.items():
-        colour, mark, _ = _LOOKS[scene.verdict(*pair.values())]
         with np.errstate(all="ignore"):  # of a mass of 0
             x, y = scene.loop._chart.of_gains(*np.array([*pair.values()]))
-        panel.plot(x, y, mark, color=colour, ms=9, mec=BLACK, ls="", label=plain(name))
-    panel.legend(fontsize=8)
-    return figure
+        spots[name], verdicts[name] = (float(x), float(y)), scene.verdict(*pair.values())
+    figure = Figure(figsize=(_WIDTH, _HEIGHT), layout="constrained")
+    panels = [region.plot(figure.subplots())]
+    points = np.array([*spots.values(), (0.0, 0.0)])
+    points = points[np.isfinite(points).all(axis=1)]
+    window = np.ptp([panels[0].get_xlim(), panels[0].get_ylim()], axis=1)
+    if len(points) > 1 and (np.ptp(points, axis=0) < small * window).all():
+        figure, panels = Figure(figsize=(1.6 * _WIDTH, _HEIGHT), layout="constrained"), []
+        panels = [region.plot(panel) for panel in figure.subplots(1, 2)]
+        _set_window(panels[1], points)
+        panels[1].set_title("enlarged", fontsize=9)
+    stiffest = ", the stiffest" if scene.is_range else ""
+    figure.suptitle(fill(plain(scene.loop.words + stiffest), 70), fontsize=9)
+    for panel in panels:
+        _draw_marks(panel, spots, verdicts, "gains")
+    return _with_legend(figure, panels, spots, 3)
 
 
 def _write_basis(figure: Figure, scene: Scene, basis: Basis, more: str = "") -> None:
     """Write the assumptions above a picture: the estimator, the device, the delay, the hand."""
-    letters = 14.0  # of a remark, per inch
+    letters, line = 14.0, 0.17  # of a remark, per inch; inches of a line
     delay, hand = basis.range_of_delays, at_lowest(scene, "")
     remarks = [f"velocity: {basis.velocity}"]
     remarks += [f"delay {delay}" if delay else f"delay: {basis.delay_in_words}"]
     remarks += [remark for remark in (basis.mechanics, basis.postures) if remark]
     remarks += [f"hand {hand}{more}"] if hand else []
     width = int(letters * figure.get_figwidth())
-    figure.suptitle("\n".join(fill(remark, width) for remark in remarks), fontsize=9)
+    lines = [line for remark in remarks for line in wrap(remark, width)]
+    figure.suptitle(plain("\n".join(lines)), fontsize=9)
+    figure.set_figheight(figure.get_figheight() + line * max(0, len(lines) - 2))
 
 
 def _design_figure(scene: Scene, design: Design, basis: Basis) -> Figure:
@@ -321,9 +311,10 @@ def _design_figure(scene: Scene, design: Design, basis: Basis) -> Figure:
     ):
         values, largest = curve(scene, design)
         panel.plot(1e3 * values, largest, color=BLUE, lw=1.6, label="largest allowed stiffness")
-        label = f"wanted: {_STIFFNESS.words(wanted, units)}"
+        label = plain(f"wanted: {_STIFFNESS.words(wanted, units)}")
         panel.axhline(wanted, color=BLACK, lw=1.2, ls="dashdot", label=label)
-        label = f"now: {_LARGEST.words(now, units)}" if isfinite(now) else "now: no stable wall"
+        stiffest = _LARGEST.words(now, units) if isfinite(now) else "no stable wall"
+        label = plain(f"now: {stiffest}")
         panel.plot(1e3 * present, now, "o", color=SKY, mec=BLACK, ms=8, ls="", label=label)
         if isfinite(designed):
             label = f"largest {name}: {largest_time.words(designed)}"
@@ -352,13 +343,15 @@ def _moving_figure(scene: Scene, walls: Walls, basis: Basis) -> Figure:
     figure = Figure(figsize=(_WIDTH, _HEIGHT), layout="constrained")
     panel = figure.subplots()
     loop = MovingLoop.from_loop(loops_over_delays(scene)[0], **delays_of(scene))
-    drawn = plot_moving(loop, panel)
+    spots = spots_of(walls)
+    stable = [spots[name] for name, wall in walls.items() if wall.verdict == Verdict.STABLE]
+    drawn = plot_moving(loop, panel, stable)
     draw_walls(panel, walls)
-    gains = np.array([(wall.stiffness, wall.damping) for wall in walls.values()]).reshape(-1, 2)
+    gains = np.array([*spots.values()]).reshape(-1, 2)
     _set_window(panel, np.concatenate([drawn, gains, np.zeros((1, 2))]))
     _label_gains(panel, scene.units)
     _write_basis(figure, scene, basis)
-    return _with_legend(figure, [panel], walls, 3)
+    return _with_legend(figure, [panel], spots, 3)
 
 
 def _label_gains(panel: Axes, units: Units) -> None:
@@ -366,8 +359,18 @@ def _label_gains(panel: Axes, units: Units) -> None:
     panel.set_ylabel(f"damping B ({units.damping})")
 
 
-def _with_legend(figure: Figure, panels: list[Axes], walls: Walls, most: int) -> Figure:
-    """Write a legend of the first panel, in as many columns as fit, and the names of walls."""
+def _with_legend(
+    figure: Figure,
+    panels: list[Axes],
+    spots: Mapping[str, Spot],
+    most: int,
+    levels: Sequence[Level] = (),
+) -> Figure:
+    """Write a legend of the first panel, in as many columns as fit, and what stands in panels.
+
+    The figure becomes higher by what a long legend needs.
+    """
+    usual = 0.55  # inches
     handles, labels = panels[0].get_legend_handles_labels()
     for columns in range(most, 0, -1):
         legend = figure.legend(
@@ -376,10 +379,19 @@ def _with_legend(figure: Figure, panels: list[Axes], walls: Walls, most: int) ->
         if columns == 1 or legend.get_window_extent().width <= figure.bbox.width:
             break
         legend.remove()
-    if walls:
-        figure.draw_without_rendering()  # positions are known only now
-        for panel in panels:
-            name_walls(panel, walls)
+    more = legend.get_window_extent().height / figure.dpi - usual
+    figure.set_figheight(figure.get_figheight() + max(0.0, more))
+    return _named(figure, panels, spots, levels)
+
+
+def _named(
+    figure: Figure, panels: list[Axes], spots: Mapping[str, Spot], levels: Sequence[Level] = ()
+) -> Figure:
+    """Write names in panels, and values on lines of the first one."""
+    raise_powers(figure.axes)
+    figure.draw_without_rendering()  # positions are known only now
+    for panel in panels:
+        write_names(panel, spots, levels if panel is panels[0] else ())
     return figure
 
 
@@ -398,7 +410,7 @@ def _passive(scene: Scene, loop: HapticLoop) -> _Area:
     # The theorem is of one mass and one difference.
     outline = passive_walls(loop) if is_plain(loop) else np.zeros((0, 2))
     largest = _LARGEST.words(np.max(outline[:, 0], initial=0.0), scene.units)
-    label = f"passive: up to {largest}"
+    label = plain(f"passive: up to {largest}")
     return outline, {"facecolor": GREEN, "edgecolor": GREEN, "alpha": 0.6, "label": label}
 
 
@@ -419,7 +431,7 @@ def _draw_tuned(panel: Axes, tuned: Tuned, units: Units) -> None:
         ("fastest", [tuned.least_settling.rounded], "*", ORANGE),
         ("smallest radius", [tuned.least_radius.rounded], "D", GREEN),
         ("best damping at a given stiffness", [wall.rounded for wall in given], "P", SKY),
-        ("fastest at worst over the ranges", [tuned.over_ranges], "p", PURPLE),
+        ("fastest in the worst case of the ranges", [tuned.over_ranges], "p", PURPLE),
     ):
         pairs = [(wall.stiffness, wall.damping) for wall in walls if wall]
         gains = np.array([wall for wall in pairs if None not in wall], np.float64).reshape(-1, 2)
@@ -429,8 +441,8 @@ def _draw_tuned(panel: Axes, tuned: Tuned, units: Units) -> None:
             time = tuned.least_settling.rounded.settling_time_2_percent
             label += f", settles in {Quantity('s', 3).words(time)}"
         if len(gains):
-            size = 13 if mark == "*" else 8
-            panel.plot(*gains.T, mark, color=colour, ms=size, mec=BLACK, ls="", label=label)
+            look: Any = {"color": colour, "ms": 13 if mark == "*" else 8, "mec": BLACK, "ls": ""}
+            panel.plot(*gains.T, mark, label=plain(label), zorder=5, **look)
 
 
 def _gains_text(
@@ -441,7 +453,7 @@ def _gains_text(
 
 def _draw_chatter(
     panel: Axes, loop: HapticLoop, region: WallRegion, encoder: Encoder, units: Units
-) -> None:
+) -> list[Level]:
     """Draw lines of equal bounds of the chatter that the encoder's resolution causes."""
     drawn = 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0  # amplitudes that are drawn
     calm_columns = 24  # of the map of amplitudes, and rows
@@ -452,21 +464,21 @@ def _draw_chatter(
     fewest, most = np.nanmin(counts, initial=np.inf), np.nanmax(counts, initial=0.0)
     levels = [count for count in drawn if fewest < count < most][:_MOST_LEVELS]
     if not levels:
-        return
+        return []
 
     def words(count: float) -> str:
         return length.words(count * resolution, units)
 
-    _draw_levels(panel, (stiffness, damping, counts), levels, words, PURPLE, "dashed")
     label = f"encoder of {length.words(resolution, units)}: chatters by less, proved"
-    panel.plot([], [], color=PURPLE, lw=0.7, ls="dashed", label=label)
+    panel.plot([], [], color=PLUM, lw=1.0, ls="dashed", label=label)
+    return _draw_levels(panel, (stiffness, damping, counts), levels, words, PLUM, "dashed")
 
 
 def _columns_and_rows(region: WallRegion, count: int) -> Floats:
     return np.linspace(region.outline.min(axis=0), region.outline.max(axis=0), count).T
 
 
-def _draw_settling(panel: Axes, loop: HapticLoop, region: WallRegion) -> None:
+def _draw_settling(panel: Axes, loop: HapticLoop, region: WallRegion) -> list[Level]:
     """Draw lines of equal settling time to 2 %, in ms."""
     even = np.outer(10.0 ** np.arange(-3, 8), [1.0, 2.0, 5.0]).ravel()  # ms
     columns = 64  # of the map of settling times, and rows
@@ -475,25 +487,26 @@ def _draw_settling(panel: Axes, loop: HapticLoop, region: WallRegion) -> None:
     walls = stiffness[None, :], damping[:, None]
     times = 1e3 * likely_settling(loop.in_floats(), *walls, horizon=horizon)
     if np.isnan(times).all():
-        return
+        return []
     fastest, slowest = float(np.nanmin(times)), float(np.nanmax(times))
     levels = [time for time in even if 1.5 * fastest < time < slowest][:_MOST_LEVELS]
-    _draw_levels(panel, (stiffness, damping, times), levels, "%g ms", BLACK, "dotted")
     panel.plot([], [], color=BLACK, lw=1.0, ls="dotted", label="settling time to 2 %")
+    grid = stiffness, damping, times
+    return _draw_levels(panel, grid, levels, lambda time: f"{time:g} ms", BLACK, "dotted")
 
 
 def _draw_levels(
     panel: Axes,
     grid: tuple[Floats, Floats, Floats],
     levels: list[float],
-    words: Any,
+    words: Callable[[float], str],
     colour: str,
     style: str,
-) -> None:
-    """Draw lines of equal values, each with its value on a halo."""
+) -> list[Level]:
+    """Draw lines of equal values; they are returned, for their values are written last."""
     lines = panel.contour(*grid, levels, colors=colour, linewidths=1.0, linestyles=style)
-    for text in panel.clabel(lines, fmt=words, fontsize=8):
-        text.set_path_effects(HALO)
+    paths = zip(levels, lines.get_paths(), strict=True)
+    return [Level(np.asarray(path.vertices), words(level), colour) for level, path in paths]
 
 
 # A picture of several scenes: the stable set and the largest stiffness of each.
@@ -550,25 +563,27 @@ def guard_figure(guard: Guard, units: Units = Units.LINE) -> Figure:
     left, right = panels[0], panels[-1]
     mass, delay = float(np.mean(guard.mass)), None
     low, high = (f"{1e3 * end:.3g}" for end in guard.delay)
-    title = f"a delay that moves between {low} and {high} ms"
+    title = f"delay between {low} and {high} ms"
     if guard.is_delay_constant:
         delay = float(np.mean(guard.delay))
         for value, colour in _coloured(guard.delay):
             _draw(left, guard, (mass, value), colour, f"{1e3 * value:.3g} ms")
-        left.set_title(f"delays, at {mass:.3g} {units.kilogram}")
-        title = f"{1e3 * delay:.3g} ms"
+        left.set_title(plain(f"five delays; {units.moved} {mass:.3g} {units.kilogram}"))
+        title = f"delay {1e3 * delay:.3g} ms"
     for value, colour in _coloured(guard.mass):
-        _draw(right, guard, (value, delay), colour, f"{value:.3g} {units.kilogram}")
-    right.set_title(f"{units.moved} of the device, at {title}")
+        _draw(right, guard, (value, delay), colour, plain(f"{value:.3g} {units.kilogram}"))
+    plural = {"mass": "masses", "inertia": "inertias"}[units.moved]
+    right.set_title(f"five {plural}; {title}")
     left.set_ylabel(f"largest stiffness K ({units.stiffness}), for all hands")
     edge = "where a hand becomes unstable" + ("" if delay else " at a constant delay")
     for panel in panels:
         panel.set_xlabel(f"damping B ({units.damping})")
         panel.set_ylim(0.0, None)
         panel.set_xlim(0.0, None)
-        panel.plot([], [], color="black", lw=0.8, ls="--", label=edge)
-        panel.plot([], [], color="black", lw=1.6, label="granted, proved stable")
-        panel.legend(fontsize=8)
+        panel.legend(fontsize=8, loc="upper right")
+    lines = [Line2D([], [], color=BLACK, lw=0.8, ls="--", label=edge)]
+    lines += [Line2D([], [], color=BLACK, lw=1.6, label="granted, proved stable")]
+    figure.legend(handles=lines, fontsize=9, frameon=False, ncols=2, loc="outside lower center")
     return figure
 
 
@@ -592,14 +607,23 @@ def _draw(
 
 # Simulated contacts: where in (K, B) a device rests.
 
+REST = "#98d594"
+"""The colour of contacts that come to rest."""
+
 
 def scene_contacts(scene: Scene) -> Figure:
     """Return the map of simulated contacts of a scene, from its own start, and its walls."""
     loop, gains, units = contact_loop(scene), walls_of(scene), scene.units
     walls = walls_around(loop, 60, gains.values())  # along each axis
-    friction = Quantity("N").words(scene.device.friction, units)
-    title = f"friction {friction}, {start_in_words(scene, *scene.start)}"
-    return contact_figure(loop, walls, {title: simulated_map(scene, *walls)}, gains, units)
+    (push, speed), contact = scene.start, simulated_map(scene, *walls)
+    force = Quantity("N")
+    words = f"push {force.words(push, units)}, speed {speed:g} {units.length}/s, "
+    words += f"friction {force.words(scene.device.friction, units)}\n"
+    assert scene.contact is not None  # else nothing is simulated
+    words += "one-sided wall" if scene.contact.one_sided else "wall that also pulls"
+    figure = contact_figure(loop, walls, {words: contact}, gains, units)
+    _write_basis(figure, scene, basis_of(scene))
+    return _named(figure, figure.axes[:1], gains)
 
 
 def contact_figure(
@@ -610,25 +634,25 @@ def contact_figure(
     units: Units = Units.LINE,
 ) -> Figure:
     """Return a figure with a panel for each map of walls, by its title; some walls are named."""
-    figure = Figure(figsize=(4.6 * len(maps), 3.6), layout="constrained")
+    figure = Figure(figsize=(1.2 + 4.2 * len(maps), 4.2), layout="constrained")
     panels = np.atleast_1d(figure.subplots(1, len(maps), sharey=True))
     for panel, (title, contact) in zip(panels, maps.items(), strict=True):
         mesh = _draw_map(panel, loop, walls, contact)
-        panel.set_title(title, fontsize=9)
+        panel.set_title(plain(title), fontsize=9)
         panel.set_xlabel(f"stiffness K ({units.stiffness})")
-        for name, gains in (marked or {}).items():
-            panel.plot(*gains, "o", color=BLACK, mfc="white", ms=5)
-            text = panel.annotate(
-                plain(name), gains, xytext=(5, 4), textcoords="offset points", fontsize=8
-            )
-            text.set_path_effects(HALO)
+        for gains in (marked or {}).values():
+            panel.plot(*gains, "o", color=BLACK, mfc="white", ms=6, clip_on=False, zorder=5)
     length = "mm" if units is Units.LINE else "mrad"
     bar = figure.colorbar(
-        mesh, ax=list(panels), label=f"amplitude at the end ({length}), simulated"
+        mesh,
+        ax=list(panels),
+        extend="both",
+        label=f"does not rest, simulated:\namplitude at the end ({length})",
     )
     bar.ax.tick_params(labelsize=7)
     panels[0].set_ylabel(f"damping B ({units.damping})")
-    panels[0].legend(fontsize=7, loc="upper right")
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize=8, frameon=False, ncols=2, loc="outside lower center")
     return figure
 
 
@@ -644,14 +668,15 @@ def _draw_map(
     size = np.clip(1000.0 * amplitude, faintest, strongest)
     panel.pcolormesh(
         stiffness, damping, np.where(does_rest, 1.0, np.nan),
-        cmap="Greens", vmin=0.0, vmax=2.5, shading="nearest", rasterized=True,
+        cmap=ListedColormap([REST]), shading="nearest", rasterized=True,
     )  # fmt: skip
     mesh = panel.pcolormesh(
         stiffness, damping, np.where(does_rest, np.nan, size),
         cmap="inferno_r", norm=LogNorm(faintest, strongest), shading="nearest", rasterized=True,
     )  # fmt: skip
-    panel.fill([], [], color=GREEN, alpha=0.4, label="rests, simulated")
-    panel.plot(*closed_outline(loop.region()).T, color=BLUE, lw=1.6, label="edge of stability")
+    panel.fill([], [], color=REST, label="rests, simulated")
+    edge = panel.plot(*closed_outline(loop.region()).T, color=BLUE, lw=1.6)
+    edge[0].set(label="edge of stability of the linear loop", path_effects=HALO)
     panel.set(xlim=(0.0, stiffness[-1]), ylim=(0.0, damping[-1]))
     panel.tick_params(labelsize=8)
     return mesh

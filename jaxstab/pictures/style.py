@@ -1,14 +1,17 @@
 """The style of all pictures: colours, sizes, labels; and how a figure becomes a file."""
 
+import re
 from base64 import b64encode
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from html import escape
 from io import BytesIO
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patheffects import AbstractPathEffect, withStroke
+from matplotlib.ticker import ScalarFormatter
 from numpy.typing import NDArray
 
 from jaxstab.loop import Contact, ContactKind, GainRegion, HapticLoop, Loop, WallRegion
@@ -26,6 +29,9 @@ BLACK, ORANGE, SKY, GREEN, BLUE, RED, PURPLE = (
     "#d55e00",
     "#cc79a7",
 )
+
+OCHRE, PLUM = "#b35c00", "#9c3f76"
+"""Orange and purple of texts: dark enough to be read on white and on light fills."""
 
 HALO: list[AbstractPathEffect] = [withStroke(linewidth=2.5, foreground="white")]
 """Around text on a picture."""
@@ -59,8 +65,19 @@ def hand_label(gamma: float, delta: float) -> str:
 
 
 def plain(text: str) -> str:
-    """Return a text that matplotlib shows as it is: a dollar sign begins no formula."""
-    return text.replace("$", r"\$")
+    """Return a text as it is read: no dollar sign begins a formula, and powers are raised."""
+    as_it_is = text.replace("$", r"\$").replace("m^2", "m²")
+    raised = r"$\\,\\times 10^{\1\2}$"
+    return re.sub(r"(?<=\d)e(?:\+|(-))0*(\d+)\b", raised, as_it_is)
+
+
+def raise_powers(panels: Iterable[Axes]) -> None:
+    """Let each axis of panels write large and small numbers with one power of ten."""
+    for axis in (axis for panel in panels for axis in (panel.xaxis, panel.yaxis)):
+        form = axis.get_major_formatter()
+        if isinstance(form, ScalarFormatter):
+            form.set_useMathText(True)
+            form.set_powerlimits((-3, 6))
 
 
 def picture(figure: Figure, form: str) -> bytes:
@@ -70,7 +87,8 @@ def picture(figure: Figure, form: str) -> bytes:
     if form not in formats:
         raise ValueError(f"the format is {form!r}; give a name that ends in .png or .svg.")
     image = BytesIO()
-    figure.savefig(image, format=form, dpi=dots_per_inch)
+    raise_powers(figure.axes)
+    figure.savefig(image, format=form, dpi=dots_per_inch, bbox_inches="tight", pad_inches=0.08)
     return image.getvalue()
 
 
@@ -128,21 +146,29 @@ def plot_region(region: Region, ax: Axes | None = None) -> Axes:
         labels = region.names.labels
         _leave_out_negative(panel, region.loop)
     panel.set(xlabel=labels[0], ylabel=labels[1])
+    raise_powers([panel])
     return panel
 
 
-def plot_moving(loop: MovingLoop, panel: Axes) -> NDArray[np.float64]:
+def plot_moving(
+    loop: MovingLoop, panel: Axes, stable: Iterable[tuple[float, float]] = ()
+) -> NDArray[np.float64]:
     """Draw proved walls of a delay that moves, and unstable ones, which it returns, too.
 
-    ValueError: no wall was found that is proved.
+    The area of the walls that are proved holds those that are known to be stable. ValueError: no
+    wall was found that is proved.
     """
-    proved, unstable = loop.stiffest_walls()
+    proved, unstable = loop.stiffest_walls(stable)
     if not len(proved):
         raise ValueError(
             "no wall was found that is proved for every sequence of delays; there is nothing to "
             "draw."
         )
     unstable = unstable[np.isfinite(unstable[:, 0])]
+    look: Any = {"color": SKY, "alpha": 0.35, "lw": 0}
+    label = "stable for every sequence of delays, sampled"
+    softest = loop.softest_walls(proved, stable)
+    panel.fill_betweenx(proved[:, 1], softest, proved[:, 0], label=label, **look)
     label = "stiffest proved for every sequence, at some dampings"
     panel.plot(*proved.T, "o-", color=BLUE, lw=0.6, ms=4, label=label)
     panel.plot(*unstable.T, "x", color=RED, ms=6, label="unstable for some sequence, proved")
@@ -175,7 +201,7 @@ def plot_loop(loop: HapticLoop | Loop, ax: Axes | None = None) -> Axes:
     else:
         word, largest = "largest", region.reachable.extremes[0]
     if isinstance(loop, HapticLoop) or np.dot(loop._chart.shares, largest) < 1.0:
-        words = f"{word}: {region.names.at_largest_stiffness(largest)}"
+        words = plain(f"{word}: {region.names.at_largest_stiffness(largest)}")
         panel.plot(*largest, ">", color=ORANGE, mec=BLACK, ms=8, label=words)
     if isinstance(loop, HapticLoop):
         draw_linear_rule(panel, loop)
@@ -225,10 +251,12 @@ def plot_contact(contact: Contact, ax: Axes | None = None) -> Axes:
     panel.axhline(0.0, color=BLACK, lw=0.6)
     panel.plot(path.time, 1000.0 * path.position, color=BLUE, lw=1.0)
     panel.set_xlabel("time (s)")
+    if contact.kind == ContactKind.RESTS:  # what follows is a straight line
+        panel.set_xlim(0.0, min(path.time[-1], 3.0 * float(contact.time_to_rest)))
     panel.set_ylabel("position (mm), positive inside the wall", color=BLUE)
     beside = panel.twinx()
     beside.plot(path.time, path.force, color=ORANGE, lw=0.6)
-    beside.set_ylabel("force of the wall (N)", color=ORANGE)
+    beside.set_ylabel("force of the wall (N)", color=OCHRE)
     panel.set_title(f"simulated: {ContactKind(int(contact.kind)).words}", fontsize=9)
     return panel
 

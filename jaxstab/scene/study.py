@@ -106,6 +106,20 @@ _FIELDS = {  # of what loops answer, where their names are others than those of 
     "spectral_radius": "value",
     "spectral_radius_error": "error",
 }
+_OF_LOOPS = {  # keys of [loop]: what they are, and their units
+    "inertia": ("moment of inertia of the joint", "kg m^2"),
+    "damping": ("damping of the joint", "N m s/rad"),
+    "stiffness": ("stiffness of the spring", ""),  # N m/rad, or N/m with admittance
+    "step": ("step of the engine", "s"),
+    "substeps": ("engine steps per control step", ""),
+    "delay_steps": ("delay in engine steps", ""),
+    "environment": ("stiffness of the environment", "N/m"),
+    "sample_time": ("sampling period", "s"),
+    "delay_samples": ("delay", "samples"),
+    "kp": ("kp", "N/m"),
+    "ki": ("ki", "N/(m s)"),
+    "kd": ("kd", "N s/m"),
+}
 
 
 def study(
@@ -762,6 +776,9 @@ def _described(key: str) -> tuple[str, str]:
     section = key.split(".")[-3] if section.isdigit() else section
     table = {**TABLES, **INNER}.get(section, Table)
     entry = {entry.name: entry for entry in fields(table)}.get(name)
+    if key.startswith("loop.second."):
+        words, unit = _described(key.removeprefix("loop.").replace("second", "device"))
+        return f"{words}, the second one", unit
     if key.startswith("loop."):
-        return key, ""  # as the function of the loop has it
+        return _OF_LOOPS.get(name, (key, ""))
     return (key, "1") if entry is None else (entry.metadata["words"] or key, unit_of(entry))
