@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory
 # of a small matrix on two cores that are taken.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import annotations  # noqa: E402
+import annotations
 
 annotations.install()
 
