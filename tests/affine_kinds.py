@@ -99,8 +99,10 @@ def _delay(rng: Rng, longest: int) -> float:
     return float(rng.integers(0, longest)) + float(rng.choice([0.0, 0.0, 0.5, 0.25]))
 
 
-@lru_cache(8)
-def _exact_plant(*numbers: float) -> recursions.HeldMass:
+@lru_cache(16)
+def _held(*numbers: float, exact: bool) -> recursions.HeldMass:
+    if not exact:
+        return recursions.HeldMass(*numbers)
     *own, delay = numbers
     return recursions.HeldMass(*map(mpmath.mpf, own), delay, exponential=_exponential)
 
@@ -108,11 +110,6 @@ def _exact_plant(*numbers: float) -> recursions.HeldMass:
 def _exponential(rates: np.ndarray) -> np.ndarray:
     matrix = mpmath.matrix(rates.tolist())
     return np.array(mpmath.expm(matrix).tolist(), object).reshape(rates.shape)
-
-
-def _plant(body: list[float], period: float, delay: float, *, exact: bool) -> recursions.HeldMass:
-    numbers = *body, period, delay
-    return _exact_plant(*numbers) if exact else recursions.HeldMass(*numbers)
 
 
 def _pid(rng: Rng, given: str) -> Case:
@@ -134,7 +131,7 @@ def _pid(rng: Rng, given: str) -> Case:
         others = [name for name in ("kp", "ki", "kd") if name != given]
         every = dict(zip(others, gains, strict=True)) | options
         every = {name: number(x) for name, x in every.items()}
-        plant = _plant(body, period, held.delay_samples, exact=exact)
+        plant = _held(*body, period, held.delay_samples, exact=exact)
         own = {"period": number(period), "rule": rule, "window": window, "one": one}
         return recursions.pid(**every, plant=plant, **own)
 
@@ -151,7 +148,7 @@ def _coupled(
 ) -> np.ndarray:
     number, one = (mpmath.mpf, mpmath.mpf(1)) if exact else (float, 1.0)
     plants: list[Any] = [
-        recursions.Wall() if body is None else _plant(body, period, delay, exact=exact)
+        recursions.Wall() if body is None else _held(*body, period, delay, exact=exact)
         for body, delay in zip(bodies, delays, strict=True)
     ]
     rigid = [2 if body is None else (body[2] == 0.0) * (1 + (body[1] == 0.0)) for body in bodies]

@@ -18,6 +18,7 @@ from jaxtyping import AbstractArray, TypeCheckError, jaxtyped
 
 _by_type = beartype(conf=BeartypeConf(violation_type=TypeCheckError))
 _made: dict[CodeType, Any] = {}  # what beartype has made of a function
+_known: dict[CodeType, tuple[dict[str, Any], bool]] = {}  # its annotations; whether one has a shape
 
 
 def install() -> None:
@@ -38,11 +39,12 @@ def checked(target: Any) -> Any:
         return property(checked(target.fget))
     if isgeneratorfunction(target):  # beartype would check its arguments when it is gone through
         return jaxtyped(target, typechecker=_by_type)
-    target.__annotations__ = known_annotations(target)
+    if target.__code__ not in _known:  # one within another is made at each call of that
+        known = known_annotations(target)
+        _known[target.__code__] = known, any(map(has_shape, known.values()))
+    target.__annotations__, has_sizes = _known[target.__code__]
     function = by_type(target)
-    return (
-        with_sizes(function) if any(map(has_shape, target.__annotations__.values())) else function
-    )
+    return with_sizes(function) if has_sizes else function
 
 
 def by_type(function: FunctionType) -> Any:

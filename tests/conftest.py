@@ -5,11 +5,16 @@ the processes that tests start do not compile the same again. The user's own cac
 ``JAXSTAB_TEST_PROGRAMS`` names a folder for several runs.
 """
 
+import ctypes
 import os
 import resource
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
+
+# Threads of BLAS wait for each other busily: two of them took 500 times as long for an exponential
+# of a small matrix on two cores that are taken.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import annotations
 
@@ -29,27 +34,40 @@ import numpy as np  # noqa: E402
 import pytest  # noqa: E402
 from hypothesis import settings  # noqa: E402
 
+from jaxstab.loop import many  # noqa: E402
+
 # Every run draws the same examples, and no example is timed.
 settings.register_profile("reproducible", derandomize=True, deadline=None)
 settings.load_profile("reproducible")
 
 
+_DEGREES, _ONE_DEGREE = many._DEGREES, (41,)  # up to which p(z) of many loops are filled
 _STATUS = Path("/proc/self/statm")
-_forget_at = 11 << 26  # bytes of a process, from which on it forgets what it has compiled
+_forget_at = 5 << 27  # bytes of a process, from which on it forgets what it has compiled
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Fill batches to one degree: a program takes 10 s and 0.5 GB. Campaigns have all degrees."""
+    many._DEGREES = _DEGREES if item.get_closest_marker("campaign") else _ONE_DEGREE
 
 
 @pytest.fixture(autouse=True)
 def _forget_programs() -> Iterator[None]:
-    """Keep the programs that XLA has compiled from filling the memory; the folder has them.
+    """Keep what XLA needs while it compiles, and what it has compiled, from filling the memory.
 
-    The system seldom gets the memory back, so the next bound is one above what is held then: a
-    process that stays at its bound would compile anew for every test.
+    The folder has the programs. What cannot be given back raises the bound: a process that stays
+    at its bound would compile anew for every test.
     """
     global _forget_at
     yield
     if _STATUS.exists() and _resident() > _forget_at:
-        jax.clear_caches()
-        _forget_at = max(_forget_at, _resident() + (1 << 28))
+        give_back = ctypes.CDLL(None).malloc_trim  # else the system seldom gets the memory
+        give_back(0)
+        if _resident() > _forget_at:
+            jax.clear_caches()
+            give_back(0)
+            _forget_at = max(_forget_at, _resident() + (1 << 28))
 
 
 def _resident() -> int:

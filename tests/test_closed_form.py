@@ -8,6 +8,7 @@ import flint
 import jax
 import numpy as np
 import pytest
+from campaign import many
 from mpmath import mp, mpf
 
 from benchmarks import truth
@@ -196,7 +197,7 @@ def test_the_curve_of_regions_is_the_closed_form(rng: np.random.Generator) -> No
 
 
 @np.errstate(divide="ignore")
-@pytest.mark.parametrize("count", [30, pytest.param(300, marks=pytest.mark.campaign)])
+@pytest.mark.parametrize("count", [30, pytest.param(many(3000, 120), marks=pytest.mark.campaign)])
 def test_slopes_in_numpy_are_within_1e_12_of_the_truth(
     rng: np.random.Generator, count: int
 ) -> None:

@@ -161,7 +161,7 @@ def test_random_runs_are_those_of_scipy_with_events(rng: np.random.Generator) ->
 
 @pytest.mark.campaign
 def test_200_random_runs_are_those_of_scipy_with_events(rng: np.random.Generator) -> None:
-    assert_runs_are_true(rng, campaign.many(200, 40), 60)
+    assert_runs_are_true(rng, campaign.many(200, 20), 60)
 
 
 def test_random_devices_move_as_in_scipy_with_events(rng: np.random.Generator) -> None:
@@ -170,7 +170,7 @@ def test_random_devices_move_as_in_scipy_with_events(rng: np.random.Generator) -
 
 @pytest.mark.campaign
 def test_200_random_devices_move_as_in_scipy_with_events(rng: np.random.Generator) -> None:
-    assert_runs_are_true(rng, campaign.many(200, 40), 40, random_device)
+    assert_runs_are_true(rng, campaign.many(200, 20), 40, random_device)
 
 
 def test_a_free_mass_slides_until_friction_stops_it() -> None:
@@ -424,7 +424,9 @@ def own_run(
 BARE = HapticLoop(**HELD, delay=PERIOD)
 
 
-@pytest.mark.parametrize("count", [60, pytest.param(300, marks=pytest.mark.campaign)])
+@pytest.mark.parametrize(
+    "count", [40, pytest.param(campaign.many(3000, 120), marks=pytest.mark.campaign)]
+)
 def test_a_kind_says_what_an_own_recursion_saw(count: int, rng: np.random.Generator) -> None:
     """Outside in the last quarter, never at the wall, or pushed more than the wall can hold."""
     kinds, samples = [], 320

@@ -15,7 +15,7 @@ from jaxstab.boxes.plant import Arms, with_parts
 from tests.campaign import many
 
 PERIOD = 1e-3
-CASES = many(200, small=4)
+CASES = many(200, small=2)
 NEAR = 1e-7  # of a radius: closer to 1, balls decide
 
 Floats = NDArray[np.float64]

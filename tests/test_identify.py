@@ -94,7 +94,7 @@ def test_intervals_contain_the_truth_in_90_of_100_logs(name: str) -> None:
 
 def test_a_mass_without_friction_is_found_to_rounding() -> None:
     """In closed form, with positions of float64: constant accelerations from sample to sample."""
-    push = np.repeat(np.random.default_rng(3).choice([-1.0, 1.0], 250), 10)
+    push = np.repeat(np.random.default_rng(3).choice([-1.0, 1.0], 200), 10)
     speed = np.append(0.0, np.cumsum(push / 0.4) * 2e-3)[:-1]
     place = np.append(0.0, np.cumsum(speed * 2e-3 + push / 0.4 * 2e-6))[:-1]
     found = jaxstab.identify(force=push, position=place, sample_time=2e-3)
@@ -234,7 +234,7 @@ SLIPS = {
 
 @pytest.mark.parametrize("column", SLIPS)
 def test_a_column_in_thousandths_is_warned_of(column: str, tmp_path: Path) -> None:
-    made = simulated(Pushed(), 2100, 0)
+    made = simulated(Pushed(), 2000, 0)
     path = tmp_path / "log.csv"
     path.write_text(as_csv(replace(made, **{column: 1e3 * getattr(made, column)})))
     answer = run("identify", path, "-o", "-")
@@ -261,13 +261,13 @@ def test_after_a_warning_a_scene_has_no_range(tmp_path: Path) -> None:
     assert made.device.effective_mass == pytest.approx((found.mass.value,) * 2, rel=1e-6)
 
 
-GOOD = as_csv(simulated(Pushed(), 2100, 0))
-STILL = as_csv(Log(1e-3 * np.arange(2100), np.ones(2100), np.zeros(2100)))
+GOOD = as_csv(simulated(Pushed(), 2000, 0))
+STILL = as_csv(Log(1e-3 * np.arange(2000), np.ones(2000), np.zeros(2000)))
 WEAK = as_csv(
     Log(
-        1e-3 * np.arange(2100),
-        np.round(np.sin(1e-3 * np.arange(2100)), 3),
-        np.round(1e-3 * np.arange(2100) % 2.0, 2),
+        1e-3 * np.arange(2000),
+        np.round(np.sin(1e-3 * np.arange(2000)), 3),
+        np.round(1e-3 * np.arange(2000) % 2.0, 2),
     )
 )
 BAD = {
@@ -278,7 +278,7 @@ BAD = {
     "too short": ("\n".join(GOOD.splitlines()[:100]), "rows of the log: 99"),
     "no motion": (STILL, "position spans 0"),
     "the sign of the force": (
-        as_csv(replace(made := simulated(Pushed(), 2100, 0), force=-made.force)),
+        as_csv(replace(made := simulated(Pushed(), 2000, 0), force=-made.force)),
         "accelerates against the force",
     ),
     "a motion of its own": (WEAK, "force"),

@@ -458,7 +458,7 @@ KNOWN = {  # a loop, which of its limits, and its derivative by the mass
         0, 2795811.0,
     ),
 }  # fmt: skip
-OF_A_KIND = many(84, 6)
+OF_A_KIND = many(84, 4)
 
 
 def cutoff(rng: np.random.Generator) -> float:

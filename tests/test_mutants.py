@@ -23,7 +23,10 @@ def test_batched_counts_of_roots_are_those_of_numpys_roots() -> None:
     assert all_inside(falling).tolist() == inside.tolist()
 
 
-@pytest.mark.parametrize("samples", [0.0, 0.25, 1.0, 1.3, 2.9])
+@pytest.mark.parametrize(
+    "samples",
+    [0.25, 1.0, *(pytest.param(x, marks=pytest.mark.campaign) for x in (0.0, 1.3, 2.9))],
+)
 def test_a_traced_delay_has_the_fraction_of_the_delay(samples: float) -> None:
     """loop: a whole delay stays so, a fraction stays, too."""
     loop = jaxstab.HapticLoop(

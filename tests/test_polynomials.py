@@ -60,7 +60,7 @@ def test_verdicts_are_those_in_fractions(degree: int) -> None:
 @pytest.mark.campaign
 def test_verdicts_are_those_in_fractions_at_large() -> None:
     rng = np.random.default_rng(56)
-    for _ in range(many(100)):
+    for _ in range(many(100, 4)):
         polynomials = [drawn(rng, int(rng.integers(1, 41)))]
         polynomials = [*polynomials, *(drawn(rng, len(polynomials[0]) - 1) for _ in range(99))]
         truth = [Verdict.STABLE if has_roots_inside(p) else Verdict.UNSTABLE for p in polynomials]

@@ -13,7 +13,7 @@ from jaxstab import Guard, HandRange, HapticLoop, Velocity, Verdict, build_guard
 from jaxstab.guard.build import CONSTANT_CELLS, plan_guard
 
 Range = tuple[float, float]
-SCENES = many(100, small=5)
+SCENES = many(100, small=3)
 NAMES = "mass", "stiffness", "damping"
 
 

@@ -90,7 +90,7 @@ def test_no_verdict_in_c_of_a_million_is_wrong(
         total += len(cases)
 
 
-@pytest.mark.parametrize("count", [60, pytest.param(1000, marks=pytest.mark.campaign)])
+@pytest.mark.parametrize("count", [60, pytest.param(many(10_000, 400), marks=pytest.mark.campaign)])
 def test_bounds_of_coefficients_hold_against_50_digits(
     count: int, program: Path, rng: np.random.Generator
 ) -> None:

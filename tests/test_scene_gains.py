@@ -114,7 +114,7 @@ def test_54_stable_values_of_a_gain_are_those_of_40_digits(name: str) -> None:
 
 # ---------------------------------------------------------------------- printed numbers are stable
 def held_mass(numbers: tuple[float, ...], late: float) -> recursions.HeldMass:
-    return affine_kinds._exact_plant(*numbers, 1e-3, late)
+    return affine_kinds._held(*numbers, 1e-3, late, exact=True)
 
 
 def judged(tables: Tables, pair: dict[str, Fraction], wall: float = 0.0) -> bool | None:
