@@ -170,3 +170,18 @@ def test_the_curve_is_followed_while_it_passes_a_mode(number: int) -> None:
     rng = np.random.default_rng([20121120, number])
     tally = benchmarks.loops.region(DeviceLoop.hardly_moved(rng), rng)
     assert (tally.wrong, tally.open) == (0, 0)
+
+
+def test_arcs_that_rounding_makes_do_not_multiply() -> None:
+    """Slow filters: each scan found five times as many arcs as the one before, until memory ended.
+
+    Both sides of the limit are judged by certified roots.
+    """
+    drawn = DeviceLoop.drawn(np.random.default_rng([20261126, 13021]))
+    loop, region = drawn.loop, drawn.loop.region()
+    assert region.status == RegionStatus.COMPLETE
+    limits = region.limits()
+    beta = loop.beta(limits.at_damping)
+    for share, is_stable in ((1.0 - 1e-6, True), (1.0 + 1e-6, False)):
+        alpha = loop.alpha(share * limits.stiffness)
+        assert drawn.balls.is_stable(float(alpha), float(beta)) is is_stable

@@ -155,3 +155,21 @@ def test_bad_coefficients_get_a_sentence(given: list[float], words: str) -> None
             question(given)
     with pytest.raises((TypeError, ValueError)):
         jaxstab.is_schur("1")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("degree", [1, 2, 5, 20])
+def test_the_iteration_of_accelerators_finds_the_largest_root(degree: int) -> None:
+    """Roots of all sizes, many at 0, and delays; judged by certified roots."""
+    from jaxstab.point.traced_radius import iterated_root
+
+    rng = np.random.default_rng(degree)
+    rows = []
+    for _ in range(20):
+        heads = [1.0, *rng.normal(size=min(2, degree)), *np.zeros(degree)][: degree + 1]
+        late = np.array(heads) + 1e-3 * rng.normal() * (np.arange(degree + 1) == degree)
+        rows += [heads, late, [1.0, *rng.normal(size=degree)]]
+        rows += [np.array([1.0, *rng.normal(size=degree)]) * 10.0 ** rng.uniform(0, 5, degree + 1)]
+    monic = np.array([np.array(row) / row[0] for row in rows])
+    found = np.abs(jax.jit(iterated_root)(jnp.asarray(monic)))
+    truth = [float(radius_of(np.trim_zeros(row, "b").tolist())) for row in monic]
+    assert found == pytest.approx(truth, rel=1e-9)

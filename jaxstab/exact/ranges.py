@@ -1,4 +1,4 @@
-"""E6. Whether a loop is stable for all values of two numbers in which p(z) is a polynomial.
+"""E6. The verdict on a loop for all values of two numbers in which p(z) is a polynomial.
 
 For p of degree d with the leading coefficient a and the roots z_1, ..., z_d let
 
@@ -51,7 +51,7 @@ class Axis(NamedTuple):
 
     @property
     def is_narrow(self) -> bool:
-        """Whether nodes need a wider range, in which a loop that is not stable says nothing."""
+        """True if nodes need a wider range, in which a loop that is not stable says nothing."""
         return self.low < self.high < self._apart
 
     @property
@@ -129,7 +129,7 @@ def _clearance(p: Factored) -> "arb | None":
 
 
 def _sign(coefficients: "arb_mat") -> Verdict | None:
-    """Whether a polynomial is positive on a rectangle, from its Bernstein coefficients."""
+    """True for a polynomial that is positive on a rectangle, from its Bernstein coefficients."""
     pieces, axis = [(coefficients, 0)], 0
     halving = [_halves(n) for n in (coefficients.nrows(), coefficients.ncols())]
     for _ in range(_MOST_PIECES):

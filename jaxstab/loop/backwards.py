@@ -113,7 +113,7 @@ class StableValues(NamedTuple):
 
     @property
     def scan(self) -> str:
-        """What was tried, in words."""
+        """The values that were tried, in words."""
         low, high = (number_text(end, 4) for end in self.between)
         words = "of all" if self.is_complete else "no other found by a scan of"
         return f"{words} {self.tried:,} values from {low} to {high} {self.unit}".rstrip()

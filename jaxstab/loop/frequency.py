@@ -53,7 +53,7 @@ class AtFrequency(NamedTuple):
 
 
 class FrequencyMargins(NamedTuple):
-    """How far the open loop L of a stable loop stays from -1; NaN for one not proved stable.
+    """The distances of the open loop L of a stable loop from -1; NaN for one not proved stable.
 
     Attributes:
         verdict: certified codes of ``Verdict``.

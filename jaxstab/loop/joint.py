@@ -52,7 +52,7 @@ class Joint(NamedTuple):
 
 
 class JointControl(NamedTuple):
-    """What closes the loop of every joint; in a simulation the rule of its steps.
+    """The controller of every joint; in a simulation the rule of its steps.
 
     ``is_inside``: the gains are part of the step. Times are in s.
     """
@@ -86,7 +86,7 @@ class JointLoop:
 
     @property
     def drifts(self) -> bool:
-        """Whether nothing holds the position: one root at 1 does not count then."""
+        """True if nothing holds the position: one root at 1 does not count then."""
         return self.gains[0] == 0.0 and self.joint.spring == 0.0
 
     def loop(self, inertia: float) -> HapticLoop | Loop:

@@ -218,10 +218,59 @@ def _largest_modulus_jvp(
 
 def _dominant_root(coefficients: Float64[Array, "*grid coefficient"]) -> Complex128[Array, "*grid"]:
     farthest, steps = 1e-6, 3  # from its root: at multiple roots Newton's method may leave
-    guess = root = companion_poles(coefficients)[..., 0]
+    guess = root = lax.platform_dependent(
+        coefficients, cpu=lambda own: companion_poles(own)[..., 0], default=iterated_root
+    )
     for _ in range(steps):
         root = root - _evaluated(coefficients, root) / _slope(coefficients, root)
     return jnp.where(jnp.abs(root - guess) < farthest * jnp.abs(guess), root, guess)
+
+
+def iterated_root(
+    coefficients: Float64[Array, "*grid coefficient"],
+) -> Complex128[Array, "*grid"]:
+    """The largest root by Aberth's iteration for all roots at once.
+
+    Accelerators find eigenvalues of one matrix after the other, and this for all polynomials.
+    """
+    steps, turn = 48, 2.4  # radians, about the golden angle: no start is symmetric
+    rounding = 1e-9  # of the terms of p(z): beyond it z is not yet at a root
+    degree = coefficients.shape[-1] - 1
+    start = _newton_polygon(coefficients) * jnp.exp(1j * turn * jnp.arange(degree))
+    shape = (*coefficients.shape[:-1], degree, degree + 1)
+    falling = jnp.broadcast_to(coefficients[..., None, :], shape)
+
+    def step(_: Array, z: Array) -> Array:
+        value, slope = _evaluated(falling, z), _slope(falling, z)
+        apart = z[..., :, None] - z[..., None, :]
+        away = jnp.sum(jnp.where(apart == 0.0, 0.0, 1.0 / apart), axis=-1)
+        change = value / (slope - value * away)
+        return jnp.where(jnp.isfinite(change), z - change, z)
+
+    roots = lax.fori_loop(0, steps, step, start)
+    sizes = jnp.abs(roots)
+    is_root = jnp.abs(_evaluated(falling, roots)) <= rounding * jnp.polyval(
+        jnp.moveaxis(jnp.abs(falling), -1, 0), sizes
+    )
+    largest = jnp.argmax(jnp.where(is_root, sizes, -1.0), axis=-1, keepdims=True)
+    return jnp.take_along_axis(roots, largest, axis=-1)[..., 0]
+
+
+def _newton_polygon(
+    coefficients: Float64[Array, "*grid coefficient"],
+) -> Float64[Array, "*grid root"]:
+    """About how large the roots are: slopes of the concave hull of the coefficients' logarithms.
+
+    Of the interval from k - 1 to k it is the least of i < k of the largest of j >= k of
+    (log a_j - log a_i)/(j - i) (Bini 1996).
+    """
+    sizes, order = jnp.log(jnp.abs(coefficients)), jnp.arange(coefficients.shape[-1])
+    run = (order - order[:, None]).astype(jnp.float64)
+    rise = sizes[..., None, :] - sizes[..., :, None]
+    slopes = jnp.where(run > 0.0, rise / run, -jnp.inf)
+    highest = lax.cummax(slopes, axis=slopes.ndim - 1, reverse=True)  # [i, k]: of j >= k
+    is_one = (run > 0.0) & jnp.isfinite(sizes)[..., :, None]
+    return jnp.exp(jnp.min(jnp.where(is_one, highest, jnp.inf), axis=-2)[..., 1:])
 
 
 def _slope(coefficients: Array, z: Array) -> Complex128[Array, "*grid"]:

@@ -422,7 +422,7 @@ def basis_of(scene: Scene, *, at_longest: bool = False) -> Basis:
 
 
 def blocks_of(scene: Scene) -> dict[str, str]:
-    """Return what a scene says of each block of the model, in words: device, hand, controller."""
+    """The blocks of a scene's model in words: device, hand, controller."""
     device, controller, hand = scene.device, scene.controller, scene.hand or Hand()
     basis, units = basis_of(scene), scene.units
     mass, *own = (

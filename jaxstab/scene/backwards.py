@@ -1,4 +1,4 @@
-"""What walls of a scene need: the values of one quantity with which they are stable.
+"""Requirements of a scene's walls: the values of one quantity with which they are stable.
 
 ``design --for`` asks for any quantity, ``limits --gains`` without an inertia for that. What is
 asked for may be missing in the scene, and a damping that is missing counts as 0: the answer says
@@ -49,7 +49,7 @@ class Needs(Answer):
 
     @property
     def all_stable(self) -> bool:
-        """Whether each wall is stable with some values, proved for all hands."""
+        """True if each wall is stable with some values, proved for all hands."""
         return all(wall.is_stable for wall in self.walls.values())
 
 
@@ -78,7 +78,7 @@ class Backwards:
         return self.scene.unusual()
 
     def answer(self, _: str) -> Needs:
-        """What each wall needs."""
+        """The values that each wall needs."""
         scene, quantity = self.scene, QUANTITIES[self.asked]
         inputs, controller = basis_of(scene, at_longest=True), scene.controller
         options: Any = {
@@ -104,7 +104,7 @@ class Backwards:
 
 
 def _needs(wall: Gains, found: StableValues, units: Units, *, is_range: bool) -> GainAnswer:
-    """What one wall needs: the interval that is widest by its ratio, and others."""
+    """The values that one wall needs: the interval that is widest by its ratio, and others."""
     name = {"device_mass": "mass"}.get(found.quantity, found.quantity)
     least, largest, others, digits = f"least_{name}", f"largest_{name}", f"other_{name}", 10
     values: dict[str, Any] = {"stiffness": wall.stiffness, "damping": wall.damping}

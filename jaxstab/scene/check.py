@@ -68,7 +68,7 @@ SpareGain = Annotated[float, Quantity("", 4, ROUND_FLOOR, "any")]
 
 @dataclass(frozen=True)
 class Margins(Answer):
-    """How far each quantity may change alone: the least over some hands."""
+    """The change that each quantity allows alone: the least over some hands."""
 
     is_part = True
     absent = "not proved"
@@ -99,7 +99,7 @@ class NoMargins(Answer):
 
 @dataclass(frozen=True)
 class FrequencyMargins(Answer):
-    """How far the open loop stays from -1, and where: each the worst over some hands.
+    """The distances of the open loop from -1, and where they are: each the worst over some hands.
 
     Without a gain margin it is one line, of two numbers.
     """
@@ -188,7 +188,7 @@ class Oscillation(Answer):
 
 @dataclass(frozen=True)
 class Chatter(Answer):
-    """How far the encoder's rounding can drive position and force at all times, at most."""
+    """The largest position and force, at all times, to which the encoder's rounding drives."""
 
     is_part = True
 
@@ -199,7 +199,7 @@ class Chatter(Answer):
 
 @dataclass(frozen=True)
 class Jitter(Answer):
-    """How far the delay may exceed the scene's longest if it changes from sample to sample.
+    """The excess of the delay over the scene's longest if it changes from sample to sample.
 
     It is proved for every hand of the scene.
     """
@@ -281,18 +281,18 @@ class WallCheck(WallVerdict):
 
 @dataclass(frozen=True)
 class Check(Answer):
-    """What is known of each wall, by its name."""
+    """The answers about each wall, by its name."""
 
     inputs: Basis | None
     walls: dict[str, WallCheck]
 
     @property
     def all_stable(self) -> bool:
-        """Whether every wall is stable, by proof, with every hand."""
+        """True if every wall is proved stable with every hand."""
         return all(wall.is_stable for wall in self.walls.values())
 
     def in_short(self) -> str:
-        """What is easily overlooked, and of each wall what most people ask for."""
+        """Notes that are easily overlooked, and the main answers of each wall."""
         assert self.inputs is not None  # check_walls always gives them
         rows, delays = [*self.inputs.facts().items()], self.inputs.range_of_delays
         if delays or any(wall.worst_hand for wall in self.walls.values()):
@@ -310,7 +310,7 @@ class Check(Answer):
 def _evaluated(
     method: Callable[..., Any], walls: Sequence[tuple[HapticLoop, Gains]], *, apart: bool = False
 ) -> Any:
-    """Return what a method of loops answers about walls, as arrays; ``apart``: loop by loop."""
+    """The answers of a method of loops about walls, as arrays; ``apart``: loop by loop."""
     groups = alike(
         loop if apart or loop.body is None else (loop.sample_time, loop.velocity, loop.position)
         for loop, _ in walls
@@ -544,7 +544,7 @@ def _chatter(_: _Wall, __: list[HapticLoop], amplitude: Amplitudes) -> Chatter:
 
 
 def _jitter(wall: _Wall, _: list[HapticLoop], margin: Floats) -> Jitter:
-    """Return how far the delay may move above that of the scene, with every hand."""
+    """The range in which the delay may vary above that of the scene, with every hand."""
     controller, extra = wall.scene.controller, float(margin[0])
     if not controller.has_one_delay:  # the margin of the shortest, rounded down, less the range
         low, high = controller.delays

@@ -39,7 +39,7 @@ Floats = Float64[np.ndarray, " _"]
 
 @dataclass(frozen=True)
 class Simulated(Answer):
-    """How the worst of the simulated contacts ends."""
+    """The end of the worst of the simulated contacts."""
 
     contact: ContactKind
     time_to_rest: Annotated[float, Quantity("s", 3, infinite="never")]
@@ -51,7 +51,7 @@ class Simulated(Answer):
     contact_is: str
 
     def in_short(self, units: Units) -> str:
-        """How it ends, and from which start."""
+        """Its end, and the start that it is from."""
         said = {path: words for path, _, words in self.leaves("", units)}
         words = said["contact"]
         if self.contact == ContactKind.RESTS:
@@ -88,7 +88,7 @@ class Contacts(Answer):
 
     @property
     def all_stable(self) -> bool:
-        """Whether every simulated contact came to rest; nothing is proved."""
+        """True if every simulated contact came to rest; nothing is proved."""
         return all(wall.contact == ContactKind.RESTS for wall in self.walls.values())
 
 
@@ -176,7 +176,7 @@ def map_contacts(scene: Scene, count: int, friction: list[float] | None = None) 
 
 
 def _conditions(scene: Scene) -> dict[str, Any]:
-    """Return what a scene says of contacts, as arguments of ``contact_map``."""
+    """The contacts of a scene, as arguments of ``contact_map``."""
     assert scene.contact is not None  # callers look
     device, controller, given = scene.device, scene.controller, scene.contact
     push, speed = scene.start

@@ -47,7 +47,7 @@ def joints(
     simulated: bool = False,
     postures: int = 256,
 ) -> "Joints":
-    """Whether the gains of each joint of a robot are stable, for every inertia that it may have.
+    """The verdict on the gains of each joint of a robot, for every inertia that it may have.
 
     One joint is asked at a time, the others held or without torque: that all are stable alone does
     not say that they are together.
@@ -159,7 +159,7 @@ def _number(name: str, value: Any) -> float:
 
 
 def read_gains(file: str | PathLike[str]) -> Any:
-    """What a YAML file holds, which ``joints`` checks; ValueError if it is not YAML."""
+    """The contents of a YAML file, which ``joints`` checks; ValueError if it is not YAML."""
     yaml = optional("yaml")
 
     class Once(yaml.SafeLoader):  # type: ignore[misc, name-defined]
@@ -228,7 +228,7 @@ class JointAnswer(Answer):
 
     @property
     def is_stable(self) -> bool:
-        """Whether the gains are proved stable for every inertia."""
+        """True if the gains are proved stable for every inertia."""
         return self.verdict in (Verdict.STABLE, BUT_FOR_DRIFT)
 
     def as_json(self, units: Units = Units.LINE) -> dict[str, Any]:
@@ -276,7 +276,7 @@ class Joints(Answer):
 
     @property
     def all_stable(self) -> bool:
-        """Whether all gains that are judged are proved stable, and there are some."""
+        """True if all gains that are judged are proved stable, and there are some."""
         judged = [joint for joint in self.joints.values() if joint.kp_growth is not None]
         return bool(judged) and all(joint.is_stable for joint in judged)
 

@@ -123,7 +123,7 @@ class AroundWall(DampingsAtStiffness, StiffnessesAtDamping):
 
     @property
     def is_stable(self) -> bool:
-        """Whether the wall is within the limits, or stable but for a position that drifts."""
+        """True if the wall is within the limits, or stable but for a position that drifts."""
         low, high = self.stiffness_limits
         return low < self.at_stiffness < high or self.verdict is not None
 
@@ -155,7 +155,7 @@ class LimitsOverDelays(Answer):
 
     @property
     def all_stable(self) -> bool:
-        """Whether a wall is proved, for all hands, and so is each wall of the scene."""
+        """True if a wall is proved, for all hands, and so is each wall of the scene."""
         if not all(wall.is_stable for wall in self.walls.values()):
             return False
         if self.all_hands is not None:
@@ -184,7 +184,7 @@ class Limits(Answer):
 
     @property
     def all_stable(self) -> bool:
-        """Whether there are stable walls, one proved for all hands, and all of the scene are."""
+        """True if there are stable walls, one proved for all hands, and all of the scene are."""
         is_one = isfinite(self.best.largest_stiffness) and (
             self.all_hands is None or self.all_hands.all_stable
         )
@@ -365,7 +365,7 @@ class _Rows:
         return bool(self.region.reachable.contains(stiffness, damping))
 
     def is_stable(self, stiffness: float, damping: float) -> bool:
-        """Whether a wall is stable; of one without a spring, a very soft one."""
+        """True if a wall is stable; of one without a spring, a very soft one."""
         soft = 0.0 if self.region.is_empty else 1e-6 * self.region.extent.stiffness
         return bool(self.loop.verdict(stiffness or soft, damping) == Verdict.STABLE)
 

@@ -129,7 +129,7 @@ class MeasuredScene:
         }
         if in_full:
             margins = self.loop.frequency_margins(*gains)
-            values["frequency"] = frequency_answer(margins, None, in_full=self.asks_frequency)
+            values["frequency"] = frequency_answer(margins, in_full=self.asks_frequency)
         return replace(self._shown(values), is_stable=verdict == Verdict.STABLE)
 
     def _shown(self, values: dict[str, Any]) -> GainAnswer:

@@ -1,4 +1,4 @@
-"""What to choose for a scene: the walls that come to rest fastest, sample time and delay.
+"""Choices for a scene: the walls that come to rest fastest, sample time and delay.
 
 ``tune_walls`` finds these walls, and the best damping at given stiffnesses; ``design_loop`` the
 largest sample time and the largest delay that allow a wanted stiffness.
@@ -83,7 +83,7 @@ class WallOverRanges(Answer):
 
     @property
     def is_stable(self) -> bool:
-        """Whether there is such a wall, proved stable over the ranges."""
+        """True if there is such a wall, proved stable over the ranges."""
         return self.verdict == Verdict.STABLE
 
 
@@ -182,7 +182,7 @@ class BestWall(Answer):
 
     @property
     def is_stable(self) -> bool:
-        """Whether there is such a wall, proved stable for all hands and delays."""
+        """True if there is such a wall, proved stable for all hands and delays."""
         verdicts = self.for_all_hands, self.for_all_delays
         return self.exact is not None and all(v in (None, Verdict.STABLE) for v in verdicts)
 
@@ -206,7 +206,7 @@ class Tuned(Answer):
 
     @property
     def all_stable(self) -> bool:
-        """Whether each wall is found and proved stable."""
+        """True if each wall is found and proved stable."""
         walls = [self.least_radius, self.least_settling, *self.walls.values()]
         others = [wall for wall in (self.at_given_stiffness, self.over_ranges) if wall]
         return all(wall.is_stable for wall in [*walls, *others])
@@ -277,7 +277,7 @@ _AROUND, _POINTS = (0.6, 1.6), 33  # of a picture: shares of its shortest and lo
 
 
 class DesignStatus(Status):
-    """What is known of a largest sample time or delay."""
+    """The status of a largest sample time or delay."""
 
     FOUND = 1, "the largest that allows the stiffness"
     NONE = 2, "no value tried reaches this stiffness; shorten the delay or the filter"
@@ -304,7 +304,7 @@ class LargestDelay(Answer):
 
 @dataclass(frozen=True)
 class Design(Answer):
-    """What a desired stiffness requires of the controller."""
+    """The sample time and delay that a desired stiffness requires."""
 
     inputs: Basis | None
     stiffness: GivenStiffness
@@ -316,7 +316,7 @@ class Design(Answer):
 
     @property
     def all_stable(self) -> bool:
-        """Whether a sample time and a delay allow the stiffness."""
+        """True if a sample time and a delay allow the stiffness."""
         return DesignStatus.NONE not in (self.sample_time.status, self.delay.status)
 
 

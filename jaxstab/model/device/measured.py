@@ -29,7 +29,7 @@ class Measured(Part):
     error: tuple[float, ...]
 
     def call(self, kind: str) -> str:
-        """Return what makes a device of it, in short."""
+        """The call that makes a device of it, in short."""
         return f"{kind}.from_response(<{len(self.frequency)} frequencies>)"
 
     def __str__(self) -> str:
