@@ -173,3 +173,13 @@ def test_the_iteration_of_accelerators_finds_the_largest_root(degree: int) -> No
     found = np.abs(jax.jit(iterated_root)(jnp.asarray(monic)))
     truth = [float(radius_of(np.trim_zeros(row, "b").tolist())) for row in monic]
     assert found == pytest.approx(truth, rel=1e-9)
+
+
+def test_programs_of_accelerators_have_no_eigenvalues() -> None:
+    """They find those of one matrix after the other."""
+    radii = jax.jit(jax.vmap(jax.value_and_grad(lambda p: jaxstab.radius(p).value)))
+    program = {
+        platform: radii.trace(jnp.ones((4, 6))).lower(lowering_platforms=(platform,)).as_text()
+        for platform in ("cpu", "cuda")
+    }
+    assert {name: "geev" in text for name, text in program.items()} == {"cpu": True, "cuda": False}
