@@ -337,8 +337,8 @@ def test_boxes_of_hands_keep_the_distance_of_moving_delays_themselves() -> None:
     wall = 1.05 * limits.stiffness, limits.damping
     assert lowest.verdict(*wall) == Verdict.STABLE
     assert lowest.verdict(*wall, **moving) == Verdict.UNDECIDED
-    assert len(loops._unproved(wall)) > 0
-    assert len(loops._unproved((0.95 * limits.stiffness, limits.damping))) == 0
+    assert len(loops.unproved(wall)) > 0
+    assert len(loops.unproved((0.95 * limits.stiffness, limits.damping))) == 0
 
 
 def test_hands_and_masses_with_lost_samples_need_more_distance() -> None:

@@ -332,3 +332,28 @@ def test_all_intervals_of_stable_stiffness_are_named_small_gains_first() -> None
     for stiffness in np.linspace(10.0, 2e5, 400).tolist():
         is_inside = any(low < stiffness < high for low, high in (first, second))
         assert (radius_without_damping(stiffness) < 1.0) == is_inside
+
+
+def test_a_wall_within_the_range_of_the_lowest_hand_says_where_another_hand_makes_it_unstable() -> (
+    None
+):
+    scene = ROOT / "data" / "scenes" / "collision.toml"
+    done = run("limits", str(scene))
+    assert done.exit_code == 1
+    within, free_only = done.stdout.splitlines()[-2:]
+    assert within.endswith("within the stable range of 0 to 3401 N/m")
+    assert free_only.endswith("to 62220 N/m; unstable for some hand: see jaxstab check")
+    loop = HapticLoop(
+        device_mass=0.1, device_damping=1.5, hand_stiffness=987e3, sample_time=1e-3
+    )
+    assert max(np.abs(loop.poles(20000.0, 50.0))) > 1.0  # of eigenvalues
+    assert "exception" in answered("limits", scene, code=1)["walls"]["free_only"]
+
+
+def test_a_designed_sample_time_is_printed_so_that_a_window_in_seconds_divides_it() -> None:
+    said = run("design", str(ROOT / "data" / "scenes" / "omega.toml"), "--stiffness", "3000").stdout
+    (text,) = re.findall(r"largest sample time +(\S+) us", said)
+    period = float(text) * 1e-6
+    assert round(0.02 / period) == 47
+    limits = answered("limits", *SDK, "--sample-time", f"{period!r}")  # which refuses others
+    assert limits["best"]["largest_stiffness"] > 3000.0

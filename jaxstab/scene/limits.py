@@ -117,15 +117,24 @@ class DampingsAtStiffness(Answer):
 
 @dataclass(frozen=True)
 class AroundWall(DampingsAtStiffness, StiffnessesAtDamping):
-    """The stable stiffnesses at the damping of a wall, and the dampings at its stiffness."""
+    """The stable stiffnesses at the damping of a wall, and the dampings at its stiffness.
+
+    ``exception`` says that the wall is not stable, or not proved, for other hands of the scene.
+    """
 
     verdict: str | None = None
+    exception: str | None = None
+
+    @property
+    def is_within(self) -> bool:
+        """True if the wall is within the limits of the hand at its lowest values."""
+        low, high = self.stiffness_limits
+        return low < self.at_stiffness < high
 
     @property
     def is_stable(self) -> bool:
-        """True if the wall is within the limits, or stable but for a position that drifts."""
-        low, high = self.stiffness_limits
-        return low < self.at_stiffness < high or self.verdict is not None
+        """True if the wall is stable for every hand, but for a position that drifts."""
+        return (self.is_within or self.verdict is not None) and self.exception is None
 
 
 @dataclass(frozen=True)
@@ -231,13 +240,14 @@ def _wall_text(wall: WallVerdict | AroundWall, key: str, said: dict[str, str]) -
         names = (f"{key}.{name}" for name in ("verdict", "worst_delays"))
         words = ", ".join(said[name] for name in names if name in said)
         return f"{said[f'{key}.stiffness']} at {said[f'{key}.damping']}, {words}"
-    limits, place = said[f"{key}.stiffness_limits_low"], "within" if wall.is_stable else "outside"
+    limits, place = said[f"{key}.stiffness_limits_low"], "within" if wall.is_within else "outside"
     gains = f"{said[f'{key}.at_stiffness']} at {said[f'{key}.at_damping']}"
+    exception = f"; {wall.exception}" if wall.exception and place == "within" else ""
     if wall.verdict is not None:
-        return f"{gains}, {wall.verdict}"
+        return f"{gains}, {wall.verdict}{exception}"
     if isfinite(wall.stiffness_limits[1]):
         others = others_in_words(f"{key}.other_stiffness", said)
-        return f"{gains}, {place} the stable range of {limits}{others}"
+        return f"{gains}, {place} the stable range of {limits}{others}{exception}"
     return f"{gains}, where no stiffness is stable"
 
 
@@ -291,9 +301,24 @@ def scene_limits(scene: Scene) -> Limits | LimitsOverDelays:
         windows=_other_windows(loop, safety) if scene.controller.velocity is None else {},
         at_given_damping=None if damping is None else rows.at_damping(damping),
         at_given_stiffness=None if stiffness is None else rows.at_stiffness(stiffness),
-        walls={name: rows.around(*wall) for name, wall in walls_of(scene).items()},
+        walls={
+            name: replace(rows.around(*wall), exception=words)
+            for (name, wall), words in zip(walls_of(scene).items(), _exceptions(scene), strict=True)
+        },
         all_hands=limit_for_all(scene, safety),
     )
+
+
+def _exceptions(scene: Scene) -> list[str | None]:
+    """Of each wall, what is said of other hands and masses than the lowest ones."""
+    walls = [*walls_of(scene).values()]
+    if hands_of(scene) is None or not walls:
+        return [None] * len(walls)
+    said = {False: "not proved for every hand", True: "unstable for some hand: see jaxstab check"}
+    return [
+        None if wall.is_stable else said[wall.verdict == Verdict.UNSTABLE]
+        for wall, _ in worst_on(scene, walls)
+    ]
 
 
 def _over_delays(scene: Scene) -> LimitsOverDelays:

@@ -49,6 +49,7 @@ from jaxstab.scene.loops import (
     with_tolerances,
 )
 from jaxstab.scene.scene import Scene, Units, VelocityTable
+from jaxstab.shown import Printed, exact_text
 from jaxstab.tuning import TuningStatus
 
 # The wall that is fastest at worst over the device's mass, the hands and the delay of a scene.
@@ -423,7 +424,10 @@ def _largest(
         largest, status = largest_value(spare, start, *ends)
     if status == DesignStatus.NONE:
         return largest, None, status
-    return *printed_wall(largest, _stiffest(loop_at(largest)).damping, is_stable), status
+    damping = _stiffest(loop_at(largest)).damping
+    if among is not None:  # of which no digit may be left out
+        return Printed(largest, exact_text(largest)), damping, status
+    return *printed_wall(largest, damping, is_stable), status
 
 
 def largest_value(
