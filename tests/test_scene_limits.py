@@ -343,9 +343,7 @@ def test_a_wall_within_the_range_of_the_lowest_hand_says_where_another_hand_make
     within, free_only = done.stdout.splitlines()[-2:]
     assert within.endswith("within the stable range of 0 to 3401 N/m")
     assert free_only.endswith("to 62220 N/m; unstable for some hand: see jaxstab check")
-    loop = HapticLoop(
-        device_mass=0.1, device_damping=1.5, hand_stiffness=987e3, sample_time=1e-3
-    )
+    loop = HapticLoop(device_mass=0.1, device_damping=1.5, hand_stiffness=987e3, sample_time=1e-3)
     assert max(np.abs(loop.poles(20000.0, 50.0))) > 1.0  # of eigenvalues
     assert "exception" in answered("limits", scene, code=1)["walls"]["free_only"]
 

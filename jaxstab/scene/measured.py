@@ -49,6 +49,14 @@ class MeasuredDevice(t.Table):
     turns: bool = t.key(t.truth, False)
 
 
+class MeasuredAnswer(GainAnswer):
+    """The answer from a measured response, which is short as it is."""
+
+    def in_short(self) -> str:
+        """The whole answer."""
+        return str(self)
+
+
 @dataclass(frozen=True)
 class MeasuredScene:
     """The loop of a measured device, and walls by name."""
@@ -111,7 +119,7 @@ class MeasuredScene:
         walls = {
             name: self._wall(wall, in_full=command == "check") for name, wall in self.walls.items()
         }
-        return GainAnswer(values | {"walls": walls})
+        return MeasuredAnswer(values | {"walls": walls})
 
     def _wall(self, wall: Wall, *, in_full: bool) -> GainAnswer:
         gains = wall.stiffness, wall.damping
