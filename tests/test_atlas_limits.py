@@ -32,9 +32,9 @@ def window() -> LimitTable:
     return table_of(AtlasSpec(**axes, rows=33, velocity=velocity))
 
 
+@mp.workdps(50)
 def test_limits_of_a_free_mass_are_those_of_the_closed_form(haptic: LimitTable) -> None:
     """Gamma = delta = 0, whole delay d: beta, alpha = 2 sin h sin (2d+1)h / cos^2 h, ..."""
-    mp.dps = 50
     for delay in range(4):
         number = int(np.searchsorted(haptic.delay, delay))
         low, high = haptic.beta_limits[0, 0, number]

@@ -68,7 +68,7 @@ def test_values_at_minus_one_are_within_their_errors() -> None:
     plant = float_plant(gamma, delta, np.zeros(40), is_fractional=False)
     alpha, beta = 10 ** rng.uniform(2.0, 5.0, (2, 40))
     degree = len(plant.stiff) + 1
-    ends = _ends(alpha, beta, gamma, plant, UNIT, degree)
+    ends = _ends(alpha, beta, gamma, plant, degree)
     for k in range(40):
         true = truth.plant(float(gamma[k]), float(delta[k]), 0)
         force = true.n2 - true.n1 + true.n0

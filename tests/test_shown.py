@@ -355,5 +355,7 @@ def test_answers_print_themselves_as_a_person_would_write_them() -> None:
     assert gains.startswith("TunedGains: kp = ")
     assert "\n  spectral radius  " in gains
     endless = repr(jaxstab.simulated_pd(0.1, step=1e-3, integrator="implicit").tune())
-    assert endless.startswith("TunedGains: kp = unlimited at kd = unlimited (no gains are best")
+    assert endless.startswith(
+        "TunedGains: kp = unlimited at kd = unlimited (there are no best gains"
+    )
     assert len(endless.splitlines()) == 1

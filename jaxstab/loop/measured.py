@@ -33,7 +33,7 @@ from jaxstab.exact.line import End, Interval, LineStatus, StableLine
 from jaxstab.loop.frequency import AtFrequency, FrequencyMargins
 from jaxstab.loop.region import WallLimits
 from jaxstab.model import LoopParameters
-from jaxstab.model.device.measured import Measured
+from jaxstab.model.device.measured import MeasuredResponse
 from jaxstab.model.parameters import wall_grid
 from jaxstab.numbers import without_noise
 from jaxstab.region import RegionStatus
@@ -108,7 +108,7 @@ class MeasuredLoop(NamedTuple):
     most: tuple[float, float]
 
     @classmethod
-    def from_loop(cls, loop: LoopParameters, device: Measured) -> "MeasuredLoop":
+    def from_loop(cls, loop: LoopParameters, device: MeasuredResponse) -> "MeasuredLoop":
         """The loop of a measured device; ValueError if their sampling differs."""
         period, delay = float(loop.sample_time), float(loop.delay_samples)
         hertz, response, error = map(np.array, (device.frequency, device.response, device.error))
@@ -316,7 +316,7 @@ class MeasuredLoop(NamedTuple):
 
 def measured(loop: LoopParameters) -> MeasuredLoop | None:
     """The loop of a measured device, in numbers; None for one that has a model."""
-    if loop.device is None or not isinstance(loop.device.mechanism, Measured):
+    if loop.device is None or not isinstance(loop.device.mechanism, MeasuredResponse):
         return None
     return MeasuredLoop.from_loop(loop.in_floats(), loop.device.mechanism)
 

@@ -29,7 +29,7 @@ from jaxtyping import Complex128
 
 from jaxstab.arrays import Numbers
 from jaxstab.model.device.discrete import INTEGRATORS, InSteps, Simulated, checked_discrete
-from jaxstab.model.device.measured import Measured, checked_response
+from jaxstab.model.device.measured import MeasuredResponse, checked_response
 from jaxstab.model.device.parts import (
     Coefficients,
     MassSpringDamper,
@@ -233,7 +233,7 @@ class Device:
         a response measured at 500 frequencies, 1 to 500 Hz
     """
 
-    mechanism: MassSpringDamper | Modes | TransferFunction | StateSpace | InSteps | Measured
+    mechanism: MassSpringDamper | Modes | TransferFunction | StateSpace | InSteps | MeasuredResponse
     hands: tuple[Hand, ...] = ()
     bandwidths: tuple[float, ...] = ()
 

@@ -21,7 +21,7 @@ _SIGN = 70.0  # degrees from those of a mass, a damper and a spring: the axis ha
 
 
 @dataclass(frozen=True)
-class Measured(Part):
+class MeasuredResponse(Part):
     """Frequencies in Hz, the response there in m/N, and its relative error."""
 
     frequency: tuple[float, ...]
@@ -45,7 +45,7 @@ class Measured(Part):
         )
 
 
-def checked_response(frequency: Any, response: Any, error: Any) -> Measured:
+def checked_response(frequency: Any, response: Any, error: Any) -> MeasuredResponse:
     """A response in the order of its frequencies; ``frequency`` may be a file with all columns."""
     if isinstance(frequency, str | PathLike):
         frequency, response, read = _columns(frequency)
@@ -74,7 +74,7 @@ def checked_response(frequency: Any, response: Any, error: Any) -> Measured:
             "slow forces by 0 (a spring) to -180 degrees (a mass); give force and position of one "
             "sign, and begin with lower frequencies."
         )
-    return Measured(*(tuple(each.tolist()) for each in (frequencies, values, errors)))
+    return MeasuredResponse(*(tuple(each.tolist()) for each in (frequencies, values, errors)))
 
 
 def _columns(file: "str | PathLike[str]") -> tuple[Any, Any, Any]:
