@@ -103,7 +103,7 @@ def test_the_guide_leads_from_a_scene_to_a_program_in_c(
         answer = run(*arguments)
         assert answer.exit_code == 0, answer.stderr
         said += answer.stdout
-    for promised in ("1824 N/m", "settled, and proved to stay so"):
+    for promised in ("1824 N/m", "settling time (2 %)"):
         assert promised in said
     (source,) = blocks("c")
     forces = forces_of(source + CALLER)

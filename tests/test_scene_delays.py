@@ -155,6 +155,7 @@ def test_the_picture_of_a_moving_delay_has_its_walls_in_its_units() -> None:
     assert panel.get_xlabel() == "stiffness K (N m/rad)"
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
     assert labels == [
+        "stable for every sequence of delays, sampled",
         "stiffest proved for every sequence, at some dampings",
         "unstable for some sequence, proved",
         "wall, stable",

@@ -169,7 +169,7 @@ def family_of_loop(loop: LinearLoop) -> Family:
     """Return the polynomials of all walls at any linear loop."""
     xp = namespace(loop[:3])
     parts = ([coefficient.rounded() for coefficient in polynomial] for polynomial in loop[:3])
-    return Family(*(xp.stack(polynomial, axis=-1) for polynomial in parts))
+    return Family(*(xp.stack(xp.broadcast_arrays(*part), axis=-1) for part in parts))
 
 
 def _triple_roots(family: Family) -> Pair:
