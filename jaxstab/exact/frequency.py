@@ -17,9 +17,10 @@ Every number is a ball that is as narrow as a float64, or more bits are asked fo
 from collections.abc import Callable
 from functools import partial
 from math import inf, nan
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from flint import arb, arb_poly
 from jaxtyping import Complex128, Float64
 
 from jaxstab.exact.circle import zeros
@@ -28,9 +29,6 @@ from jaxstab.exact.roots import Number
 from jaxstab.exact.small_gain import squared
 from jaxstab.model.balls import Factored
 from jaxstab.model.device.parts import FIRST_BITS, decided, working_precision
-
-if TYPE_CHECKING:
-    from flint import arb
 
 _ACCURATE = 56  # bits of a number
 
@@ -100,8 +98,6 @@ def frequency_response(
     parts: Callable[[], tuple[Factored, Factored]], angles: Float64[np.ndarray, " angle"]
 ) -> Complex128[np.ndarray, " angle"]:
     """L at angles in (0, pi], for pictures: each to some digits more than float64 has."""
-    from flint import arb
-
     with working_precision(FIRST_BITS):
         below, above = map(OnCircle.of, parts())
         places = map(arb, angles.tolist())
@@ -111,15 +107,13 @@ def frequency_response(
 class _Place(NamedTuple):
     """A number in a ball, the angle where it is, and whether it is known to be there at all."""
 
-    ball: "arb"
-    angle: "arb"
+    ball: arb
+    angle: arb
     is_known: bool = True
 
 
 def _crossovers(below: Factored, above: Factored) -> tuple[Reading, Reading] | None:
     """The phase margin, and the delay margin in whole samples; None for more bits."""
-    from flint import arb, arb_poly
-
     sums = arb_poly(squared(above)) - arb_poly(squared(below))
     found = zeros([sums[0], *(2 * c for c in sums.coeffs()[1:])], is_last_try=True)
     if found is None:
@@ -151,8 +145,6 @@ def _peak(
     P = (z-1) (z+1) u w and Q = z (a (z+1) + b (z-1)) u w + z (z-1) (z+1) (u' w - u w'), without the
     factor whose order, a or b, is 0.
     """
-    from flint import arb, arb_poly
-
     below, above = opened()
     x = below.scaled(of_below).plus(above.scaled(of_above)).without_windows()
     p = below.plus(above)

@@ -18,16 +18,14 @@ negative, or a node with a root outside, is a loop that is not stable.
 from collections.abc import Callable
 from itertools import product
 from math import prod
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from flint import arb, arb_mat, arb_poly
 
 from jaxstab.conventions import Verdict
 from jaxstab.model.balls import Factored
 from jaxstab.model.device.parts import decided, exact
-
-if TYPE_CHECKING:
-    from flint import arb, arb_mat, arb_poly
 
 _MOST_BITS = 1024
 _MOST_PIECES = 1000  # of the rectangle
@@ -58,17 +56,15 @@ class Axis(NamedTuple):
     def _apart(self) -> float:
         return self.low * (1.0 + 2.0**-20)
 
-    def to_bernstein(self, nodes: list[float]) -> "arb_mat":
+    def to_bernstein(self, nodes: list[float]) -> arb_mat:
         """From values at nodes to coefficients on the axis."""
-        from flint import arb_mat, arb_poly
-
         first, *_, last = places = [self.coordinate(exact(node)) for node in (*nodes, nodes[-1])]
         spread = last - first or 1
         sides = [arb_poly([(last - t) / spread, (t - first) / spread]) for t in places[:-1]]
         return arb_mat([_coefficients(side, len(nodes)) for side in sides]).inv()
 
 
-def _coefficients(side: "arb_poly", count: int, power: int | None = None) -> "list[arb]":
+def _coefficients(side: arb_poly, count: int, power: int | None = None) -> list[arb]:
     """The values of the basis of Bernstein: those of (1 - t + t y)^n for all powers of y."""
     own = side ** (count - 1 if power is None else power)
     return [own[j] for j in range(count)]
@@ -88,8 +84,6 @@ def stable_over(p: Callable[[float, float], Factored], first: Axis, second: Axis
     """
 
     def judged() -> Verdict | None:
-        from flint import arb, arb_mat
-
         degree, values = p(first.low, second.low).degree, list[arb]()
         nodes = first.nodes(degree + 1), second.nodes(degree + 1)
         counts = len(nodes[0]), len(nodes[1])
@@ -111,10 +105,8 @@ def stable_over(p: Callable[[float, float], Factored], first: Axis, second: Axis
     return Verdict.UNDECIDED if is_wider and code == Verdict.UNSTABLE else code
 
 
-def _clearance(p: Factored) -> "arb | None":
+def _clearance(p: Factored) -> arb | None:
     """c, or a negative number if a root is outside; None where the balls do not tell."""
-    from flint import arb
-
     rising = p.polynomial().coeffs()
     clear = rising[-1] ** len(rising)
     if not rising[-1] > 0:
@@ -128,8 +120,8 @@ def _clearance(p: Factored) -> "arb | None":
     return clear
 
 
-def _sign(coefficients: "arb_mat") -> Verdict | None:
-    """True for a polynomial that is positive on a rectangle, from its Bernstein coefficients."""
+def _sign(coefficients: arb_mat) -> Verdict | None:
+    """The verdict by Bernstein coefficients of c on a rectangle; None where balls do not tell."""
     pieces, axis = [(coefficients, 0)], 0
     halving = [_halves(n) for n in (coefficients.nrows(), coefficients.ncols())]
     for _ in range(_MOST_PIECES):
@@ -150,10 +142,8 @@ def _sign(coefficients: "arb_mat") -> Verdict | None:
     return Verdict.UNDECIDED
 
 
-def _halves(count: int) -> "list[arb_mat]":
+def _halves(count: int) -> list[arb_mat]:
     """From the coefficients on an interval to those on its two halves."""
-    from flint import arb_mat, arb_poly
-
     middle = arb_poly([0.5, 0.5])
     lower = [_coefficients(middle, count, power) for power in range(count)]
     return [arb_mat(lower), arb_mat([row[::-1] for row in lower[::-1]])]

@@ -242,7 +242,7 @@ def _wall_text(wall: WallVerdict | AroundWall, key: str, said: dict[str, str]) -
         return f"{said[f'{key}.stiffness']} at {said[f'{key}.damping']}, {words}"
     limits, place = said[f"{key}.stiffness_limits_low"], "within" if wall.is_within else "outside"
     gains = f"{said[f'{key}.at_stiffness']} at {said[f'{key}.at_damping']}"
-    exception = f"; {wall.exception}" if wall.exception and place == "within" else ""
+    exception = f"; {wall.exception}" if wall.exception else ""
     if wall.verdict is not None:
         return f"{gains}, {wall.verdict}{exception}"
     if isfinite(wall.stiffness_limits[1]):
@@ -301,24 +301,28 @@ def scene_limits(scene: Scene) -> Limits | LimitsOverDelays:
         windows=_other_windows(loop, safety) if scene.controller.velocity is None else {},
         at_given_damping=None if damping is None else rows.at_damping(damping),
         at_given_stiffness=None if stiffness is None else rows.at_stiffness(stiffness),
-        walls={
-            name: replace(rows.around(*wall), exception=words)
-            for (name, wall), words in zip(walls_of(scene).items(), _exceptions(scene), strict=True)
-        },
+        walls={name: _around(scene, rows, wall) for name, wall in walls_of(scene).items()},
         all_hands=limit_for_all(scene, safety),
     )
 
 
-def _exceptions(scene: Scene) -> list[str | None]:
-    """Of each wall, what is said of other hands and masses than the lowest ones."""
-    walls = [*walls_of(scene).values()]
-    if hands_of(scene) is None or not walls:
-        return [None] * len(walls)
-    said = {False: "not proved for every hand", True: "unstable for some hand: see jaxstab check"}
-    return [
-        None if wall.is_stable else said[wall.verdict == Verdict.UNSTABLE]
-        for wall, _ in worst_on(scene, walls)
-    ]
+def _around(scene: Scene, rows: "_Rows", wall: Gains) -> AroundWall:
+    """The limits around a wall; other hands are asked only where it is stable at the lowest."""
+    found = rows.around(*wall)
+    return replace(found, exception=_exception(scene, wall)) if found.is_stable else found
+
+
+def _exception(scene: Scene, wall: Gains) -> str | None:
+    """An exception for other hands and masses than the lowest ones, in words; None for none."""
+    if hands_of(scene) is None:
+        return None
+    ((worst, _),) = worst_on(scene, [wall])
+    if worst.is_stable:
+        return None
+    is_unstable = worst.verdict == Verdict.UNSTABLE
+    return (
+        "unstable for some hand: see jaxstab check" if is_unstable else "not proved for every hand"
+    )
 
 
 def _over_delays(scene: Scene) -> LimitsOverDelays:
