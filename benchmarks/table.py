@@ -175,8 +175,11 @@ def _throughput(rows: list[Row]) -> Iterator[Line]:
     for row in rows:
         shown = row["delay"] in _DELAYS and row["method"] in _METHODS
         if row["section"] != "batch" and shown:
-            numpy, jax = row["cpu_times_numpy_eigvals"], row["cpu_times_jax_eigvals"]
-            ratios = f"{numpy:,.0f} (NumPy), {jax:,.0f} (jax)"
+            rivals = {"NumPy": "numpy_eigvals", "jax": "jax_eigvals"}
+            times = {name: row[f"cpu_times_{rival}"] for name, rival in rivals.items()}
+            ratios = ", ".join(
+                f"{one:,.{0 if one >= 10.0 else 1}f} ({name})" for name, one in times.items()
+            )
             estimator = "" if row["section"] == "delay" else f"{row['section']}, "
             task = f"slice of {row['batch']:,} points, {estimator}delay {row['delay']:g}"
             time = f"{_time(row['seconds_per_point'])} per point"
