@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Context, Decimal
 from itertools import chain, product
 from math import floor, isfinite, isnan, log10
-from reprlib import repr as short_repr
+from reprlib import Repr
 from typing import Any
 
 MOST_DIGITS = 17  # of a float64: more say nothing
@@ -22,12 +22,16 @@ def printable(text: str, besides: str = "") -> str:
     return "".join(c if c.isprintable() or c in besides else repr(c)[1:-1] for c in text)
 
 
-def shortened(value: Any) -> str:
-    """Return the beginning and the end of the repr of a value."""
-    try:
-        return short_repr(value)
-    except ValueError:  # Python writes out no whole number of more digits
-        return "a whole number of thousands of digits"
+class _Short(Repr):
+    """The beginning and the end of a repr; Python writes out no whole number of 4,301 digits."""
+
+    def repr_int(self, x: int, level: int) -> str:
+        longest = 4000  # bits
+        long = x.bit_length() > longest
+        return "a whole number of thousands of digits" if long else super().repr_int(x, level)
+
+
+shortened = _Short().repr
 
 
 def rounded_text(
