@@ -60,7 +60,7 @@ WINDOW = Velocity.difference(samples=4)
 LOOP = HapticLoop(device=DEVICE, sample_time=PERIOD, delay=1e-3, velocity=WINDOW)
 MASSES, DELAYS = (0.245, 0.255), (0.95e-3, 1.05e-3)
 BOXES, CALLS, GUARDS = (
-    many(100, small=4),
+    many(100, small=2),
     many(20_000, small=400),
     many(40, small=2),
 )  # of the campaign
