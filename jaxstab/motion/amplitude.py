@@ -28,12 +28,10 @@ from jaxstab.model.device.mechanics import Between, between_samples
 from jaxstab.model.filters import Filter, Velocity, given_filters
 from jaxstab.model.parameters import checked_delta, checked_gamma
 from jaxstab.motion.response import (
-    DIFFERENCE,
-    POSITION,
-    Bank,
     Column,
+    Controller,
     answer_text,
-    bank_for,
+    controller_for,
     unit_loops,
 )
 from jaxstab.numbers import checked
@@ -161,8 +159,9 @@ def amplitude(
     sizes = _checked_disturbances(encoder, force_step, friction, noise)
     gains = float_arrays(checked_gain("alpha", alpha), checked_gain("beta", beta))
     lanes = *gains, *float_arrays(checked_gamma(gamma), checked_delta(delta)), delay
-    loop_of, bank = unit_loops(velocity, position), bank_for(given_filters(velocity, position))
-    return _answered(Amplitude, loop_of, lanes, sizes, gains, bank)
+    loop_of = unit_loops(velocity, position)
+    controller = controller_for(given_filters(velocity, position))
+    return _answered(Amplitude, loop_of, lanes, sizes, gains, controller)
 
 
 class _Sizes(NamedTuple):
@@ -197,7 +196,7 @@ def _answered(
     lanes: Sequence[Array],
     sizes: _Sizes,
     gains: Sequence[Array],
-    bank: Bank,
+    controller: Controller,
 ) -> Kind:
     """The sums of the bounds of all causes, infinite where one is not proved."""
     causes = _causes(sizes)
@@ -223,8 +222,8 @@ def _answered(
         total = RAISED * sum(a * b for a, b in zip(sizes.causes, finite, strict=True))
         totals.append(xp.where(is_proved, total, xp.inf))
     status = xp.where(is_proved, AmplitudeStatus.PROVED, AmplitudeStatus.NOT_PROVED)
-    direct = bank.outputs[:, POSITION] + bank.outputs[:, DIFFERENCE]
-    per_count = sizes.resolution * abs(gains[0] * direct[0] + gains[1] * direct[1])
+    filtered, difference, _ = controller.step(1.0, controller.at_rest(0.0))
+    per_count = sizes.resolution * abs(gains[0] * filtered + gains[1] * difference)
     answers = kind(*xp.broadcast_arrays(*totals, per_count, status.astype(np.int8)))
     return answers._replace(status=named(answers.status, AmplitudeStatus))
 
@@ -248,9 +247,9 @@ def loop_amplitude(
     sizes = _checked_disturbances(encoder, force_step, friction, noise)
     gains = float_arrays(checked_gain("stiffness", stiffness), checked_gain("damping", damping))
     period = loop.sample_time
-    bank = bank_for(given_filters(loop.velocity, loop.position), period)
+    controller = controller_for(given_filters(loop.velocity, loop.position), period)
     samples = gains[0], gains[1] / period
-    return _answered(WallAmplitude, lambda: loop, gains, sizes, samples, bank)
+    return _answered(WallAmplitude, lambda: loop, gains, sizes, samples, controller)
 
 
 def _bounds(

@@ -19,7 +19,14 @@ from jaxstab.model import LoopParameters, checked_delay, checked_gain, require_x
 from jaxstab.model.device.mechanics import mechanics
 from jaxstab.model.filters import Filter, Velocity, given_filters
 from jaxstab.model.parameters import checked_delta, checked_gamma
-from jaxstab.motion.response import Column, answer_text, bank_for, loops_of, positions, unit_loops
+from jaxstab.motion.response import (
+    Column,
+    answer_text,
+    controller_for,
+    loops_of,
+    positions,
+    unit_loops,
+)
 from jaxstab.numbers import checked_count, checked_number, checked_word
 from jaxstab.point.verdicts import linear_verdict
 
@@ -159,7 +166,7 @@ def likely_settling(
     numbers = 1 << 20  # of an array that loops side by side fill, about
     period, (whole, fraction) = loop.sample_time, divmod(loop.delay_samples, 1.0)
     moves = mechanics(loop.held_device, period, fraction, (1.0,))
-    bank = bank_for(given_filters(loop.velocity, loop.position), period)
+    controller = controller_for(given_filters(loop.velocity, loop.position), period)
     gains = np.broadcast_arrays(*float_arrays(stiffness, damping))
     walls = np.array([np.ravel(gain) for gain in gains])
     codes = linear_verdict(loop.alpha(walls[0]), loop.beta(walls[1]), loop.linear)
@@ -167,8 +174,8 @@ def likely_settling(
     blocks = ceil(stable.size * horizon / numbers)
     for members in np.array_split(stable, blocks) if blocks else []:
         own = walls[0, members], walls[1, members] / period
-        rows, starts = moves.rows[-1, :, :-1], moves.starts
-        loops = loops_of(*own, rows, starts, int(whole), excitation, bank)
+        plant = moves.rows[-1], moves.starts
+        loops = loops_of(*own, *plant, int(whole), excitation, controller)
         with np.errstate(all="ignore"):  # unstable walls overflow
             size = np.abs(positions(loops, horizon)[:, :horizon])
         peak = size.max(axis=1, keepdims=True) if excitation == "impact" else 1.0

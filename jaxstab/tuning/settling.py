@@ -22,7 +22,7 @@ from jaxstab.motion.response import (
     OF_MASS,
     STRETCH,
     Loops,
-    bank_for,
+    controller_for,
     loops_of,
     positions,
     propagator,
@@ -80,8 +80,9 @@ def mass_loop(gamma: float, delta: float, delay: float, filters: Filters | None)
     options = by_name(gamma, delta, delay) | as_keywords(filters)
 
     def deviations(alpha: np.ndarray, beta: np.ndarray, excitation: Excitation) -> Loops:
-        rows = propagator(gamma, delta, delay % 1.0, np.ones(1))[0, :, :4]
-        return loops_of(alpha, beta, rows, OF_MASS, int(delay), excitation, bank_for(filters))
+        rows = propagator(gamma, delta, delay % 1.0, np.ones(1))[0]
+        plant = rows, OF_MASS, int(delay)
+        return loops_of(alpha, beta, *plant, excitation, controller_for(filters))
 
     walls = mass_walls(gamma, delta, delay, filters)
     return TunedLoop(walls, partial(settling_samples, **options), deviations)
@@ -103,10 +104,10 @@ def _device_loop(loop: LoopParameters) -> TunedLoop:
 
     def deviations(alpha: np.ndarray, beta: np.ndarray, excitation: Excitation) -> Loops:
         moves = mechanics(device.device, device.sample_time, device.delay % 1.0, (1.0,))
-        bank = bank_for(filters, device.sample_time)
+        controller = controller_for(filters, device.sample_time)
         rate = device.damping_unit * device.sample_time
-        wall, rows = (alpha / device.stiffness_unit, beta / rate), moves.rows[-1, :, :-1]
-        return loops_of(*wall, rows, moves.starts, int(device.delay), excitation, bank)
+        wall, plant = (alpha / device.stiffness_unit, beta / rate), (moves.rows[-1], moves.starts)
+        return loops_of(*wall, *plant, int(device.delay), excitation, controller)
 
     region = loop_region(loop, 1e-6)  # its size beside that of the outline's error
     return TunedLoop(Walls.of_loop(linear, verdicts, region), settling, deviations)
