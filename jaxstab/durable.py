@@ -51,8 +51,16 @@ def replacing(path: Path, former: Identity = _ANY) -> Iterator[int]:
         target, mode = target_of(path)
         temporary = target.parent / f".{target.name}.{secrets.token_hex(8)}.part"
         try:
-            with _whole(temporary, mode) as descriptor:
+            descriptor, is_named = _new_file(temporary)
+            try:
+                if mode is not None and hasattr(os, "fchmod"):
+                    os.fchmod(descriptor, mode)
                 yield descriptor
+                os.fsync(descriptor)
+                if not is_named:
+                    _name(descriptor, temporary)
+            finally:
+                os.close(descriptor)
             if former != _ANY and identity_of(target) != former:
                 raise FileExistsError(errno.EEXIST, _TAKEN)
             if former is None and _linked(temporary, target):
@@ -64,23 +72,6 @@ def replacing(path: Path, former: Identity = _ANY) -> Iterator[int]:
                 temporary.unlink()
             raise
         _synchronise(target.parent)
-
-
-@contextmanager
-def _whole(temporary: Path, mode: int | None) -> Iterator[int]:
-    """Yield the descriptor of a new file, which has this path when it is on the disk."""
-    descriptor, is_named = _new_file(temporary)
-    try:
-        if mode is not None and hasattr(os, "fchmod"):
-            os.fchmod(descriptor, mode)
-        yield descriptor
-        os.fsync(descriptor)
-        if not is_named:
-            _name(descriptor, temporary)
-        if not _is_at(temporary, descriptor):
-            raise OSError(errno.ESTALE, "another process took its temporary file away")
-    finally:
-        os.close(descriptor)
 
 
 def _new_file(path: Path) -> tuple[int, bool]:
@@ -102,14 +93,6 @@ def _name(descriptor: int, path: Path) -> None:
         os.link(str(descriptor), path, src_dir_fd=opened)
     finally:
         os.close(opened)
-
-
-def _is_at(path: Path, descriptor: int) -> bool:
-    """True if a path is that of an open file."""
-    try:
-        return os.path.samestat(os.fstat(descriptor), os.lstat(path))
-    except FileNotFoundError:
-        return False
 
 
 def _linked(path: Path, target: Path) -> bool:
