@@ -517,8 +517,6 @@ STRETCH = 32  # samples, a power of two, that follow from one state by rows
 _BLOCK = 64  # states of one product, so few that BLAS does not share them out to threads
 
 Lanes = Float64[np.ndarray, " loop"]
-OF_MASS = Starts(np.array([1.0, 0.0]), np.zeros(2, bool), np.array([0.0, 1.0]))
-"""The starts of one mass; its states are position and velocity."""
 
 
 class Loops(NamedTuple):

@@ -21,6 +21,7 @@ from jaxstab.model.filters import Filter, Velocity, given_filters
 from jaxstab.model.parameters import checked_delta, checked_gamma
 from jaxstab.motion.response import (
     Column,
+    Loops,
     answer_text,
     controller_for,
     loops_of,
@@ -164,25 +165,34 @@ def likely_settling(
     They are those of the motion in float64 up to the horizon; NaN where that says too little.
     """
     numbers = 1 << 20  # of an array that loops side by side fill, about
-    period, (whole, fraction) = loop.sample_time, divmod(loop.delay_samples, 1.0)
-    moves = mechanics(loop.held_device, period, fraction, (1.0,))
-    controller = controller_for(given_filters(loop.velocity, loop.position), period)
     gains = np.broadcast_arrays(*float_arrays(stiffness, damping))
     walls = np.array([np.ravel(gain) for gain in gains])
     codes = linear_verdict(loop.alpha(walls[0]), loop.beta(walls[1]), loop.linear)
     samples, stable = np.full(walls.shape[1], np.nan), np.flatnonzero(codes != Verdict.UNSTABLE)
     blocks = ceil(stable.size * horizon / numbers)
     for members in np.array_split(stable, blocks) if blocks else []:
-        own = walls[0, members], walls[1, members] / period
-        plant = moves.rows[-1], moves.starts
-        loops = loops_of(*own, *plant, int(whole), excitation, controller)
+        loops = deviations(loop, walls[0, members], walls[1, members], excitation)
         with np.errstate(all="ignore"):  # unstable walls overflow
             size = np.abs(positions(loops, horizon)[:, :horizon])
         peak = size.max(axis=1, keepdims=True) if excitation == "impact" else 1.0
         outside = ~(size <= level * peak)
         since = np.where(outside.any(axis=1), horizon - np.argmax(outside[:, ::-1], axis=1), 0)
         samples[members] = np.where(since <= 0.75 * horizon, since, np.nan)
-    return samples.reshape(gains[0].shape) * period
+    return samples.reshape(gains[0].shape) * loop.sample_time
+
+
+def deviations(
+    loop: LoopParameters,
+    stiffness: Float64[np.ndarray, " wall"],
+    damping: Float64[np.ndarray, " wall"],
+    excitation: Excitation,
+) -> Loops:
+    """How walls of a loop in plain numbers, side by side, come to rest; in SI units."""
+    period, (whole, fraction) = loop.sample_time, divmod(loop.delay_samples, 1.0)
+    moves = mechanics(loop.held_device, period, fraction, (1.0,))
+    controller = controller_for(given_filters(loop.velocity, loop.position), period)
+    plant = moves.rows[-1], moves.starts, int(whole)
+    return loops_of(stiffness, damping / period, *plant, excitation, controller)
 
 
 def _settled(
