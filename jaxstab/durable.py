@@ -157,7 +157,7 @@ class PatientStream(io.RawIOBase):
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
         self._place = 0
-        self._size = 0
+        self.size = 0  # of the file in bytes
         self._error: OSError | None = None
         self._unwritten: list[tuple[int, bytes]] = []
 
@@ -166,24 +166,15 @@ class PatientStream(io.RawIOBase):
         if self._error is not None:
             raise self._error
 
-    @property
-    def size(self) -> int:
-        """The length of the file in bytes."""
-        return self._size
-
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
         """Go to a place."""
-        start = {os.SEEK_SET: 0, os.SEEK_CUR: self._place, os.SEEK_END: self._size}[whence]
-        self._place = start + offset
+        self._place = (0, self._place, self.size)[whence] + offset
         return self._place
 
     def truncate(self, size: int | None = None) -> int:
         """Set the size; HDF5 makes the file as long as its last address."""
-        self._size = self._place if size is None else size
-        return self._size
-
-    def flush(self) -> None:
-        """Do nothing: the file is synchronised when it is whole."""
+        self.size = self._place if size is None else size
+        return self.size
 
     def write(self, data: Any) -> int:
         """Write all of the data at this place, to the disk if that can be."""
@@ -196,7 +187,7 @@ class PatientStream(io.RawIOBase):
             self._error = self._error or error
             self._unwritten.append((self._place, written))
         self._place += len(written)
-        self._size = max(self._size, self._place)
+        self.size = max(self.size, self._place)
         return len(written)
 
     def readinto(self, buffer: Any) -> int:

@@ -318,14 +318,15 @@ def _granted_rows(
     # delay is enough for all of its walls.
     rows = np.zeros((*grid.cells[:2], 2), np.int64)
     least = np.min(cell_corners(grid.limit, 2), axis=0)
-    for place in product(*map(range, grid.cells[:2])):
+    masses, delays, _ = grid.cells
+    for place in product(range(masses), range(delays)):
         edges = np.flatnonzero(np.diff(np.concatenate([[False], is_proved[place], [False]])))
         stretches = edges.reshape(-1, 2)
         grants = [least[place][begin : end + 1].sum() for begin, end in stretches]
         if not grants or not max(grants) > 0.0:
             continue
         begin, end = stretches[int(np.argmax(grants))]
-        best = begin + int(np.argmax(least[place][begin : end + 1]))
+        best = int(begin + np.argmax(least[place][begin : end + 1]))
         if _is_stable(loop, hands, grid, (*place, best)):
             rows[place] = begin, end
     return rows
