@@ -187,7 +187,7 @@ def deviations(
     damping: Float64[np.ndarray, " wall"],
     excitation: Excitation,
 ) -> Loops:
-    """How walls of a loop in plain numbers, side by side, come to rest; in SI units."""
+    """Walls of a loop in plain numbers, side by side, as they come to rest; in SI units."""
     period, (whole, fraction) = loop.sample_time, divmod(loop.delay_samples, 1.0)
     moves = mechanics(loop.held_device, period, fraction, (1.0,))
     controller = controller_for(given_filters(loop.velocity, loop.position), period)
