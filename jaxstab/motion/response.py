@@ -37,7 +37,7 @@ from jaxstab.arrays import (
     pytree,
     repeat_and_keep,
 )
-from jaxstab.batches import compiled
+from jaxstab.batches import compiled, on_host
 from jaxstab.conventions import Status
 from jaxstab.exact.turns import Segments, segments_of
 from jaxstab.model import LoopParameters, by_name, checked_gain, plant_transition, require_x64
@@ -626,6 +626,33 @@ def unit_loops(
         return unit_loop(gamma, delta, delay, *filters)
 
     return loop_of
+
+
+def asked_of_lanes(
+    ask: Callable[[LoopParameters, float, float], Any],
+    loop_of: Callable[..., LoopParameters | None],
+    lanes: Sequence[Array],
+    count: int,
+    *,
+    is_count: bool,
+) -> tuple[Array, ...]:
+    """So many numbers that are asked of a loop and two gains, for lanes of gains and of loops.
+
+    NaN where there is no loop; ``is_count`` as of ``on_host``.
+    """
+
+    def of_lane(stiffness: float, damping: float, *plant: float) -> Any:
+        loop = loop_of(*plant)
+        return np.full(count, np.nan) if loop is None else ask(loop, stiffness, damping)
+
+    def search(*own: np.ndarray) -> tuple[np.ndarray, ...]:
+        columns = np.array([np.ravel(lane) for lane in own]).T.tolist()
+        found = np.reshape([of_lane(*lane) for lane in columns], (*own[0].shape, count))
+        return tuple(map(np.asarray, np.moveaxis(found, -1, 0)))
+
+    shape = namespace(lanes).broadcast_shapes(*map(np.shape, lanes))
+    like = (np.float64,) * count
+    return on_host(search, *lanes, shape=shape, like=like, is_count=is_count)
 
 
 # The slowest mode of the loop, as damping ratio and frequency.

@@ -5,14 +5,13 @@ time on are bounded by lemma E4 of docs/proofs.md, and those before are looked a
 """
 
 from collections.abc import Callable, Sequence
-from math import ceil, nan
+from math import ceil
 from typing import Any, NamedTuple, get_args
 
 import numpy as np
 from jaxtyping import Float64, Int8
 
 from jaxstab.arrays import Array, Numbers, float_arrays, named, namespace
-from jaxstab.batches import on_host
 from jaxstab.conventions import HORIZON, Excitation, Status, Verdict
 from jaxstab.exact.response import settled_after
 from jaxstab.model import LoopParameters, checked_delay, checked_gain, require_x64
@@ -23,6 +22,7 @@ from jaxstab.motion.response import (
     Column,
     Loops,
     answer_text,
+    asked_of_lanes,
     controller_for,
     loops_of,
     positions,
@@ -206,19 +206,11 @@ def _settled(
     level = checked_level(level, excitation)
     checked_count("horizon", horizon, 1)
 
-    def of_lane(stiffness: float, damping: float, *plant: float) -> float:
-        loop = loop_of(*plant)
-        if loop is None:
-            return nan
+    def ask(loop: LoopParameters, stiffness: float, damping: float) -> float:
         return settled_after(loop, stiffness, damping, excitation, level, horizon)
 
-    xp = namespace(lanes)
-    shape = xp.broadcast_shapes(*map(np.shape, lanes))
-
-    def search(*own: np.ndarray) -> np.ndarray:
-        return np.vectorize(of_lane, otypes=[np.float64])(*own)
-
-    samples = on_host(search, *lanes, shape=shape, like=np.float64)
+    (samples,) = asked_of_lanes(ask, loop_of, lanes, 1, is_count=True)
+    xp = namespace(samples)
     unsettled = xp.where(xp.isnan(samples), SettlingStatus.NOT_SETTLED, SettlingStatus.UNSTABLE)
     status = xp.where(xp.isfinite(samples), SettlingStatus.SETTLED, unsettled)
     return Settling(samples, named(status.astype(np.int8), SettlingStatus))
