@@ -135,8 +135,7 @@ class Controller:
         past = (position,) * self.window
         if self.is_plain:
             return past
-        _, behind = _rest_of_chain(self.velocity, 0.0 * position)
-        return past, behind, _rest_of_chain(self.position, position)[1]
+        return past, run(self.velocity, 0.0 * position)[1], run(self.position, position)[1]
 
     def step(self, position: Array, memory: Any) -> tuple[Array, Array, Any]:
         """Return the filtered position, the velocity times the period, and the new memory."""
@@ -150,22 +149,17 @@ class Controller:
 
 
 def run(
-    chain: Chain, value: Array, memories: tuple[Memory, ...]
+    chain: Chain, value: Array, memories: tuple[Memory, ...] | None = None
 ) -> tuple[Array, tuple[Memory, ...]]:
-    """Return the output of a chain for an input, and its new memory."""
+    """The output of a chain for an input, and its new memory; without one, after a long rest."""
     after = []
-    for equation, memory in zip(chain, memories, strict=True):
-        value, memory = equation.step(value, memory)
+    for k, equation in enumerate(chain):
+        if memories is None:
+            value, memory = equation.at_rest(value)
+        else:
+            value, memory = equation.step(value, memories[k])
         after.append(memory)
     return value, tuple(after)
-
-
-def _rest_of_chain(chain: Chain, value: Array) -> tuple[Array, tuple[Memory, ...]]:
-    memories = []
-    for equation in chain:
-        value, memory = equation.at_rest(value)
-        memories.append(memory)
-    return value, tuple(memories)
 
 
 def _present(coefficient: Array) -> Array | None:
