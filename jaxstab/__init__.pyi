@@ -1,16 +1,13 @@
 from . import paper as paper
 from . import results as results
-from .atlas import Atlas as Atlas
 from .atlas import AtlasSpec as AtlasSpec
 from .atlas import FieldSpec as FieldSpec
-from .atlas import LoopAtlas as LoopAtlas
 from .atlas import build_atlas as build_atlas
 from .atlas import open_atlas as open_atlas
 from .batches import use_compilation_cache as use_compilation_cache
 from .boxes import HandRange as HandRange
 from .boxes import robust_region as robust_region
 from .conventions import Verdict as Verdict
-from .guard import Guard as Guard
 from .guard import build_guard as build_guard
 from .loop import HapticLoop as HapticLoop
 from .loop import Loop as Loop

@@ -51,8 +51,16 @@ def replacing(path: Path, former: Identity = _ANY) -> Iterator[int]:
         target, mode = target_of(path)
         temporary = target.parent / f".{target.name}.{secrets.token_hex(8)}.part"
         try:
-            with _whole(temporary, mode) as descriptor:
+            descriptor, is_named = _new_file(temporary)
+            try:
+                if mode is not None and hasattr(os, "fchmod"):
+                    os.fchmod(descriptor, mode)
                 yield descriptor
+                os.fsync(descriptor)
+                if not is_named:
+                    _name(descriptor, temporary)
+            finally:
+                os.close(descriptor)
             if former != _ANY and identity_of(target) != former:
                 raise FileExistsError(errno.EEXIST, _TAKEN)
             if former is None and _linked(temporary, target):
@@ -64,23 +72,6 @@ def replacing(path: Path, former: Identity = _ANY) -> Iterator[int]:
                 temporary.unlink()
             raise
         _synchronise(target.parent)
-
-
-@contextmanager
-def _whole(temporary: Path, mode: int | None) -> Iterator[int]:
-    """Yield the descriptor of a new file, which has this path when it is on the disk."""
-    descriptor, is_named = _new_file(temporary)
-    try:
-        if mode is not None and hasattr(os, "fchmod"):
-            os.fchmod(descriptor, mode)
-        yield descriptor
-        os.fsync(descriptor)
-        if not is_named:
-            _name(descriptor, temporary)
-        if not _is_at(temporary, descriptor):
-            raise OSError(errno.ESTALE, "another process took its temporary file away")
-    finally:
-        os.close(descriptor)
 
 
 def _new_file(path: Path) -> tuple[int, bool]:
@@ -102,14 +93,6 @@ def _name(descriptor: int, path: Path) -> None:
         os.link(str(descriptor), path, src_dir_fd=opened)
     finally:
         os.close(opened)
-
-
-def _is_at(path: Path, descriptor: int) -> bool:
-    """True if a path is that of an open file."""
-    try:
-        return os.path.samestat(os.fstat(descriptor), os.lstat(path))
-    except FileNotFoundError:
-        return False
 
 
 def _linked(path: Path, target: Path) -> bool:
@@ -174,7 +157,7 @@ class PatientStream(io.RawIOBase):
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
         self._place = 0
-        self._size = 0
+        self.size = 0  # of the file in bytes
         self._error: OSError | None = None
         self._unwritten: list[tuple[int, bytes]] = []
 
@@ -183,24 +166,15 @@ class PatientStream(io.RawIOBase):
         if self._error is not None:
             raise self._error
 
-    @property
-    def size(self) -> int:
-        """The length of the file in bytes."""
-        return self._size
-
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
         """Go to a place."""
-        start = {os.SEEK_SET: 0, os.SEEK_CUR: self._place, os.SEEK_END: self._size}[whence]
-        self._place = start + offset
+        self._place = (0, self._place, self.size)[whence] + offset
         return self._place
 
     def truncate(self, size: int | None = None) -> int:
         """Set the size; HDF5 makes the file as long as its last address."""
-        self._size = self._place if size is None else size
-        return self._size
-
-    def flush(self) -> None:
-        """Do nothing: the file is synchronised when it is whole."""
+        self.size = self._place if size is None else size
+        return self.size
 
     def write(self, data: Any) -> int:
         """Write all of the data at this place, to the disk if that can be."""
@@ -213,7 +187,7 @@ class PatientStream(io.RawIOBase):
             self._error = self._error or error
             self._unwritten.append((self._place, written))
         self._place += len(written)
-        self._size = max(self._size, self._place)
+        self.size = max(self.size, self._place)
         return len(written)
 
     def readinto(self, buffer: Any) -> int:

@@ -1,10 +1,13 @@
 from .atlas import AlphaLimits as AlphaLimits
+from .atlas import Atlas as Atlas
 from .atlas import AtlasAnswer as AtlasAnswer
+from .atlas import LoopAtlas as LoopAtlas
 from .atlas import QueryStatus as QueryStatus
 from .boxes import RobustLimit as RobustLimit
 from .boxes import RobustRegion as RobustRegion
 from .boxes import RobustStatus as RobustStatus
 from .conventions import RadiusStatus as RadiusStatus
+from .guard import Guard as Guard
 from .loop import AtFrequency as AtFrequency
 from .loop import CommonWall as CommonWall
 from .loop import Contact as Contact

@@ -17,9 +17,10 @@ from mpmath import mp, mpc, mpf
 import jaxstab
 from benchmarks import truth
 from benchmarks.truth import filtered
-from jaxstab import Atlas, AtlasSpec, FieldSpec, Velocity, build_atlas
+from jaxstab import AtlasSpec, FieldSpec, Velocity, build_atlas
 from jaxstab.atlas.build import verify_atlas, write_atlas
 from jaxstab.point.fields import UNKNOWN, _outwards, fields_of_grid, poles_outside
+from jaxstab.results import Atlas
 
 FIELDS = ("spectral_radius", "spectral_radius_error", "frequency", "damping_ratio", "outside")
 DELAYS = [0.0, 0.3, 1.0, 2.0, 5.5, 12.0]

@@ -9,8 +9,8 @@ from atlases import small_atlas
 
 import jaxstab
 from benchmarks import truth
-from jaxstab import Atlas, AtlasSpec, HapticLoop, Velocity, Verdict, build_atlas
-from jaxstab.results import QueryStatus
+from jaxstab import AtlasSpec, HapticLoop, Velocity, Verdict, build_atlas
+from jaxstab.results import Atlas, QueryStatus
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 PLANT = {"gamma": 0.0004, "delta": 0.01, "delay": 1.2}

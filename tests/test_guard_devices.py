@@ -21,7 +21,6 @@ from benchmarks.truth.filtered import average, difference
 from benchmarks.truth.moving import late_energy
 from jaxstab import (
     Device,
-    Guard,
     Hand,
     HandRange,
     HapticLoop,
@@ -46,6 +45,7 @@ from jaxstab.model.balls import linear_loop
 from jaxstab.model.device import sampled_device
 from jaxstab.model.device.parts import balls_of, working_precision
 from jaxstab.model.filters import given_filters
+from jaxstab.results import Guard
 
 ROOT = Path(__file__).resolve().parents[1]
 PERIOD = 1e-3

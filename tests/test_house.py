@@ -25,7 +25,7 @@ FLOORS_THAT_COMPUTE = tuple(
         "model", "exact", "point", "region", "boxes", "paper", "motion", "tuning", "trace", "loop"
     )
 )  # fmt: skip
-MOST_NAMES = 65  # that a program finds at the top
+MOST_NAMES = 51  # that a program finds at the top
 CONVERSIONS = {  # of a loop: nothing is asked of it
     "alpha", "beta", "stiffness", "damping", "in_floats", "plot", "to_control", "tree_flatten",
     "tree_unflatten",

@@ -58,7 +58,7 @@ def test_the_public_claims_over_ranges_say_so_too() -> None:
     header = (ROOT / "jaxstab/guard/guard.h.in").read_text(encoding="utf-8")
     claims = (
         HapticLoop.worst_hand.__doc__,
-        jaxstab.Guard.__doc__,
+        jaxstab.results.Guard.__doc__,
         jaxstab.build_guard.__doc__,
         *(
             " ".join(re.findall(rf"(?m)^{kind}\| \* (.*)", header))

@@ -9,8 +9,9 @@ from campaign import many
 import jaxstab
 from benchmarks.truth import filtered
 from benchmarks.truth.filtered import FilteredLoop, Rational
-from jaxstab import Guard, HandRange, HapticLoop, Velocity, Verdict, build_guard
+from jaxstab import HandRange, HapticLoop, Velocity, Verdict, build_guard
 from jaxstab.guard.build import CONSTANT_CELLS, plan_guard
+from jaxstab.results import Guard
 
 Range = tuple[float, float]
 SCENES = many(100, small=3)

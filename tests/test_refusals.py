@@ -180,7 +180,7 @@ def test_issue_31_30_a_dollar_sign_of_a_name_begins_no_formula(tmp_path: Path) -
 
 
 @pytest.fixture(scope="module")
-def guard() -> jaxstab.Guard:
+def guard() -> jaxstab.results.Guard:
     loop = jaxstab.HapticLoop(device_mass=0.25, device_damping=0.1, sample_time=1e-3)
     ranges = {"mass": (0.24, 0.26), "delay": (1e-3, 1.1e-3), "cells": (1, 1, 4)}
     return jaxstab.build_guard(loop, jaxstab.HandRange(), **ranges, constant_delay=True)
@@ -190,7 +190,7 @@ def guard() -> jaxstab.Guard:
     "about", ["**// int injected;", "*/ int injected;", "*/", "a\x00b", "a\x1b[31m", "a\rb"]
 )
 def test_issue_31_30_what_a_guard_is_about_stays_in_its_comment(
-    about: str, guard: jaxstab.Guard
+    about: str, guard: jaxstab.results.Guard
 ) -> None:
     with pytest.raises(ValueError, match="about is "):
         guard.header("g", about)

@@ -286,7 +286,7 @@ def test_positions_are_those_of_one_step_after_the_other(samples: int) -> None:
     angles = np.array([0.02, 0.3])
     decay = np.exp(-1e-3)
     turns = [[np.cos(angles), np.sin(angles)], [-np.sin(angles), np.cos(angles)]]
-    start = np.broadcast_to([[1.0], [0.0]], (2, 2, 1))
+    start = np.broadcast_to([1.0, 0.0], (2, 2))
     found = positions(Loops(decay * np.moveaxis(np.array(turns), 2, 0), start), samples)
     assert samples <= found.shape[1] <= max(2 * samples, samples + 2048)
     time = np.arange(found.shape[1])

@@ -15,7 +15,6 @@ Work is divided into tiles (``Tile``), each a chunk of the file, compressed wher
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -98,20 +97,16 @@ def lay_out(spec: AtlasSpec) -> FieldGrid:
 
 
 def _wall_axes(own: FieldSpec, filters: Filters | None, delay: float) -> tuple[Floats, Floats]:
-    if not isinstance(own.alpha, int) and not isinstance(own.beta, int):
-        return np.array(own.alpha), np.array(own.beta)
-    gamma = np.array(own.gamma, float)
-    highest, lowest_beta, highest_beta = _stable_box(
-        gamma, np.array(own.delta, float), delay, filters
-    )
-    margin = _MARGIN * (highest_beta - lowest_beta)
-    betas = partial(np.linspace, lowest_beta - margin, highest_beta + margin)
-    alphas = partial(_fitted_alpha, gamma=gamma, highest=highest)
-    return _nodes_of(own.alpha, alphas), _nodes_of(own.beta, betas)
-
-
-def _nodes_of(axis: Any, fitted: Any) -> Floats:
-    return np.asarray(fitted(axis) if isinstance(axis, int) else axis, float)
+    alpha, beta = own.alpha, own.beta
+    if isinstance(alpha, int) or isinstance(beta, int):
+        gamma, delta = np.array(own.gamma, float), np.array(own.delta, float)
+        highest, *ends = _stable_box(gamma, delta, delay, filters)
+        margin = _MARGIN * (ends[1] - ends[0])
+        if isinstance(alpha, int):
+            alpha = _fitted_alpha(alpha, gamma, highest)
+        if isinstance(beta, int):
+            beta = np.linspace(ends[0] - margin, ends[1] + margin, beta)
+    return np.array(alpha, float), np.array(beta, float)
 
 
 def _stable_box(
@@ -154,9 +149,7 @@ def _thinned(nodes: Floats) -> list[float]:
 
 def _fitted_alpha(count: int, gamma: Floats, highest: float) -> Floats:
     """Nodes from below the line alpha = -gamma, where stability ends, to above the region."""
-    band_guard = (
-        0.02  # around the line alpha = -gamma, of the distance of two nodes or of its width
-    )
+    band_guard = 0.02  # around the line alpha = -gamma, of two nodes' distance or of its width
     # The line sweeps a band with gamma. Contours bend at its edges, so these get close nodes.
     low, high = -gamma[-1], max(highest, -gamma[0])
     step = (1.0 + 2.0 * _MARGIN) * (high - low) / (count - 1)

@@ -9,7 +9,7 @@ leaves open. So hardly anything is undecided.
 No JAX is imported for answers of the table.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from os import PathLike
@@ -92,13 +92,6 @@ class Atlas:
         (10, 9, 3, 3, 3)
         >>> axes = atlas.plot(delay=1.0)
     """
-
-    table: LimitTable
-    spec: str
-    created_by: str
-    filters_in_words: str
-    tested: Mapping[str, int]
-    has_fields: bool
 
     def __init__(self, path: Path) -> None:
         self._path, self._identity = path, identity_of(target_of(path)[0])

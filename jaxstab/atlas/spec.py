@@ -5,12 +5,14 @@ alpha, beta, gamma, delta and delay, which may be others: limits bend along the 
 whole samples among their nodes, while fields take many nodes of alpha and beta.
 """
 
+import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import reduce
 from itertools import pairwise
 from os import PathLike
+from textwrap import fill
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -349,21 +351,12 @@ def _checked_nodes(name: str, values: Any) -> tuple[float, ...]:
 
 
 def _toml(name: str, value: Any) -> str:
-    line_length = 90
     if name in _FITTED and isinstance(value, int):
         return f"{{ fitted = {value} }}"
     if isinstance(value, Velocity | Filter):
         return toml_of(value)
-    if isinstance(value, str):
-        return f'"{value}"'
-    if not isinstance(value, tuple):
-        return repr(value)
-    lines = [""]
-    for item in map(repr, value):
-        if len(lines[-1]) + len(item) > line_length:
-            lines.append("  ")
-        lines[-1] += f"{item}, "
-    return "[" + "\n".join(lines).rstrip(", ") + "]"
+    whole: Any = {"break_long_words": False, "break_on_hyphens": False}
+    return fill(json.dumps(value), 92, subsequent_indent="  ", **whole)
 
 
 HAPTIC = AtlasSpec(

@@ -71,9 +71,9 @@ class LineStatus(Status):
 class End(NamedTuple):
     """The end of an interval: t, a bound of its error, and the angle of the root that crosses.
 
-    ``angle_rest`` is what rounding took from the angle. Infinite, without an angle, where the
-    interval has no end. Where several roots cross, or may, ``is_shared``, the angle is that of one
-    of them.
+    ``angle_rest`` is what rounding took from the angle, ``change`` how many more roots are outside
+    beyond, None if unknown. Infinite, without an angle, where the interval has no end. Where
+    several roots cross, or may, ``is_shared``, the angle is that of one of them.
     """
 
     value: float
@@ -81,6 +81,7 @@ class End(NamedTuple):
     angle: float
     is_shared: bool = False
     angle_rest: float = 0.0
+    change: int | None = None
 
 
 class Interval(NamedTuple):
@@ -247,7 +248,7 @@ def _found(line: _Line) -> _Found | None:
 def _end(crossing: Crossing) -> End:
     angle = float(crossing.angle.mid())
     rest = float((crossing.angle - angle).mid())
-    return End(*Number.of(crossing.t), angle, crossing.is_shared, rest)
+    return End(*Number.of(crossing.t), angle, crossing.is_shared, rest, crossing.change)
 
 
 def real_quotient_angles(p0: Factored, q: Factored) -> "list[arb] | None":

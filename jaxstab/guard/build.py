@@ -5,11 +5,12 @@ A cell that is not proved within a number of boxes grants no wall.
 
 from collections.abc import Callable
 from functools import partial
+from itertools import product
 from math import frexp
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
+from jaxtyping import Bool, Int64
 
 from jaxstab.boxes import HandRange
 from jaxstab.boxes.box import HAND
@@ -25,7 +26,6 @@ from jaxstab.guard.grid import (
     cell_corners,
     grid_boxes,
     interpolated,
-    step_of,
 )
 from jaxstab.guard.guard import Guard
 from jaxstab.model import LoopParameters
@@ -78,38 +78,24 @@ def proved(
     return is_proved.reshape(cells.shape), count
 
 
-def are_stable(
-    loop: LoopParameters, hands: HandRange, grid: Grid, places: Float64[np.ndarray, "3 place"]
-) -> Bool[np.ndarray, " place"]:
-    """Where the wall of the largest stiffness is proved stable for a random hand."""
-    rng = np.random.default_rng(2008)
-    share = rng.random((3, places.shape[1]))
-    ranges = vars(hands).values()
-    arms = [low + (high - low) * along for (low, high), along in zip(ranges, share, strict=True)]
-    masses = grid.mass[0] + places[0] * step_of(grid.mass)
-    delays = grid.delay[0] + places[1] * step_of(grid.delay)
-    least = 1e-6 * np.max(grid.limit)  # without stiffness a free device drifts
-    stiffness = np.maximum(interpolated(grid.limit, places), least)
-    damping = places[2] / grid.cells[2] * interpolated(grid.top, places[:2])
-    rows = np.stack([stiffness, damping, masses, delays, *arms]).T.tolist()
-    return np.array(
-        [_is_stable(loop, (k, b), (mass, lag), Arms(*arm)) for k, b, mass, lag, *arm in rows], bool
-    )
-
-
 def _is_stable(
-    loop: LoopParameters, wall: tuple[float, float], place: tuple[float, float], arm: Arms
+    loop: LoopParameters, hands: HandRange, grid: Grid, node: tuple[int, int, int]
 ) -> bool:
-    """True if a wall (K, B) of a device with a mass and an arm is proved stable at a delay."""
-    mass, delay = place
+    """True if the wall of the largest stiffness at a node is proved stable for a random hand."""
+    rng = np.random.default_rng(2008)
+    arm = Arms(*(low + (high - low) * rng.random() for low, high in vars(hands).values()))
+    mass, delay, _ = node
+    least = 1e-6 * float(grid.limit.max())  # without stiffness a free device drifts
+    stiffness = max(float(grid.limit[node]), least)
+    damping = node[2] / grid.cells[2] * float(grid.top[mass, delay])
     held = LoopParameters(
         sample_time=loop.sample_time,
-        device=with_parts(loop.held_device, mass, arm),
-        delay=delay * loop.sample_time,
+        device=with_parts(loop.held_device, float(grid.mass[mass]), arm),
+        delay=float(grid.delay[delay]) * loop.sample_time,
         velocity=loop.velocity,
         position=loop.position,
     )
-    return wall_verdict(partial(ball_triple, held), *wall).verdict == Verdict.STABLE
+    return wall_verdict(partial(ball_triple, held), stiffness, damping).verdict == Verdict.STABLE
 
 
 CELLS, CONSTANT_CELLS = (4, 1, 16), (4, 8, 16)
@@ -332,15 +318,16 @@ def _granted_rows(
     # delay is enough for all of its walls.
     rows = np.zeros((*grid.cells[:2], 2), np.int64)
     least = np.min(cell_corners(grid.limit, 2), axis=0)
-    for place in np.ndindex(*grid.cells[:2]):
+    masses, delays, _ = grid.cells
+    for place in product(range(masses), range(delays)):
         edges = np.flatnonzero(np.diff(np.concatenate([[False], is_proved[place], [False]])))
         stretches = edges.reshape(-1, 2)
         grants = [least[place][begin : end + 1].sum() for begin, end in stretches]
         if not grants or not max(grants) > 0.0:
             continue
         begin, end = stretches[int(np.argmax(grants))]
-        best = begin + int(np.argmax(least[place][begin : end + 1]))
-        if are_stable(loop, hands, grid, np.array([*place, best], float)[:, None])[0]:
+        best = int(begin + np.argmax(least[place][begin : end + 1]))
+        if _is_stable(loop, hands, grid, (*place, best)):
             rows[place] = begin, end
     return rows
 

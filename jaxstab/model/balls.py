@@ -219,7 +219,7 @@ class Triple:
                 base + by_stiffness * flint.arb(stiffness) + by_damping * flint.arb(damping), *known
             )
         if stiffness == self.yielding:
-            p = p._replace(rest=_known_out(p.rest, 1, 1), at_one=p.at_one + 1)
+            p = p._replace(rest=known_out(p.rest, 1, 1), at_one=p.at_one + 1)
         return p
 
     @cached_property
@@ -384,15 +384,15 @@ def plant_in_balls(device: Device, period: float, delay: float) -> Plant:
     zeros = 1 if above[0] == 0 else 0
     is_even = all(c == 0 for side in (above[1::2], below[1::2]) for c in side)
     at_minus_one = 1 if is_even and late is None else 0
-    numerator = _known_out(_known_out(numerator, 1, zeros), -1, at_minus_one)
+    numerator = known_out(known_out(numerator, 1, zeros), -1, at_minus_one)
     return Plant(
         Factored(numerator, 0, zeros, at_minus_one),
-        Factored(_known_out(denominator, 1, rigid), 0, rigid),
+        Factored(known_out(denominator, 1, rigid), 0, rigid),
         int(whole) + (fraction > 0.0),
     )
 
 
-def _known_out(polynomial: "arb_poly", root: int, count: int) -> "arb_poly":
+def known_out(polynomial: "arb_poly", root: int, count: int) -> "arb_poly":
     """Divide known roots out of a polynomial; the remainder is 0 and dropped."""
     if not count:
         return polynomial

@@ -20,7 +20,6 @@ import numpy as np
 from jaxtyping import Float64, Int8
 
 from jaxstab.arrays import Array, Numbers, float_arrays, is_traced, named, namespace
-from jaxstab.batches import on_host
 from jaxstab.conventions import Status
 from jaxstab.exact.response import Causes, disturbed_responses
 from jaxstab.model import LoopParameters, checked_delay, checked_gain, require_x64
@@ -28,25 +27,15 @@ from jaxstab.model.device.mechanics import Between, between_samples
 from jaxstab.model.filters import Filter, Velocity, given_filters
 from jaxstab.model.parameters import checked_delta, checked_gamma
 from jaxstab.motion.response import (
-    DIFFERENCE,
-    POSITION,
-    Bank,
     Column,
+    Controller,
     answer_text,
-    bank_for,
+    asked_of_lanes,
+    controller_for,
     unit_loops,
 )
 from jaxstab.numbers import checked
 from jaxstab.rounding import RAISED
-
-
-class Bounds(NamedTuple):
-    """Bounds of what a disturbance of size 1 does; infinite where none is proved."""
-
-    position: Array
-    velocity: Array
-    force: Array
-
 
 Kind = TypeVar("Kind", bound="Amplitude")
 
@@ -161,8 +150,9 @@ def amplitude(
     sizes = _checked_disturbances(encoder, force_step, friction, noise)
     gains = float_arrays(checked_gain("alpha", alpha), checked_gain("beta", beta))
     lanes = *gains, *float_arrays(checked_gamma(gamma), checked_delta(delta)), delay
-    loop_of, bank = unit_loops(velocity, position), bank_for(given_filters(velocity, position))
-    return _answered(Amplitude, loop_of, lanes, sizes, gains, bank)
+    loop_of = unit_loops(velocity, position)
+    controller = controller_for(given_filters(velocity, position))
+    return _answered(Amplitude, loop_of, lanes, sizes, gains, controller)
 
 
 class _Sizes(NamedTuple):
@@ -197,34 +187,25 @@ def _answered(
     lanes: Sequence[Array],
     sizes: _Sizes,
     gains: Sequence[Array],
-    bank: Bank,
+    controller: Controller,
 ) -> Kind:
     """The sums of the bounds of all causes, infinite where one is not proved."""
     causes = _causes(sizes)
 
-    def of_lane(stiffness: float, damping: float, *plant: float) -> np.ndarray:
-        loop = loop_of(*plant)
-        return np.full((3, 3), np.inf) if not loop else _bounds(loop, stiffness, damping, causes)
+    def ask(loop: LoopParameters, stiffness: float, damping: float) -> np.ndarray:
+        return _bounds(loop, stiffness, damping, causes).ravel()
 
-    def search(*lanes: np.ndarray) -> tuple[Bounds, Bounds, Bounds]:
-        columns = np.array([np.ravel(lane) for lane in lanes]).T.tolist()
-        bounds = np.reshape([of_lane(*lane) for lane in columns], (*lanes[0].shape, 3, 3))
-        position, force, friction = np.moveaxis(bounds, (-2, -1), (0, 1))
-        return Bounds(*position), Bounds(*force), Bounds(*friction)
-
-    grid = namespace(lanes).broadcast_shapes(*map(np.shape, lanes))
-    like = (Bounds(*[np.float64] * 3),) * 3
-    bounds = on_host(search, *lanes, shape=grid, like=like, is_count=False)
+    bounds = asked_of_lanes(ask, loop_of, lanes, 9, is_count=False)
     xp = namespace(bounds, sizes, gains)
-    is_proved = xp.isfinite(sum(of_cause.position for of_cause in bounds))
+    is_proved = xp.isfinite(sum(bounds[::3]))
     totals = []
-    for of_causes in zip(*bounds, strict=True):  # of the position, the velocity or the force
+    for of_causes in (bounds[::3], bounds[1::3], bounds[2::3]):  # of position, velocity, force
         finite = (xp.where(is_proved, bound, 0.0) for bound in of_causes)
         total = RAISED * sum(a * b for a, b in zip(sizes.causes, finite, strict=True))
         totals.append(xp.where(is_proved, total, xp.inf))
     status = xp.where(is_proved, AmplitudeStatus.PROVED, AmplitudeStatus.NOT_PROVED)
-    direct = bank.outputs[:, POSITION] + bank.outputs[:, DIFFERENCE]
-    per_count = sizes.resolution * abs(gains[0] * direct[0] + gains[1] * direct[1])
+    filtered, difference, _ = controller.step(1.0, controller.at_rest(0.0))
+    per_count = sizes.resolution * abs(gains[0] * filtered + gains[1] * difference)
     answers = kind(*xp.broadcast_arrays(*totals, per_count, status.astype(np.int8)))
     return answers._replace(status=named(answers.status, AmplitudeStatus))
 
@@ -248,9 +229,9 @@ def loop_amplitude(
     sizes = _checked_disturbances(encoder, force_step, friction, noise)
     gains = float_arrays(checked_gain("stiffness", stiffness), checked_gain("damping", damping))
     period = loop.sample_time
-    bank = bank_for(given_filters(loop.velocity, loop.position), period)
+    controller = controller_for(given_filters(loop.velocity, loop.position), period)
     samples = gains[0], gains[1] / period
-    return _answered(WallAmplitude, lambda: loop, gains, sizes, samples, bank)
+    return _answered(WallAmplitude, lambda: loop, gains, sizes, samples, controller)
 
 
 def _bounds(

@@ -12,12 +12,12 @@ off its difference equations, entry by entry, from unit memories.
 """
 
 from bisect import bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from decimal import ROUND_HALF_EVEN
-from functools import lru_cache, reduce
+from functools import cached_property, lru_cache, reduce
 from itertools import pairwise
-from math import ceil, inf, log2, prod
+from math import ceil, inf, prod
 from operator import add, mul
 from typing import Any, NamedTuple
 
@@ -37,7 +37,7 @@ from jaxstab.arrays import (
     pytree,
     repeat_and_keep,
 )
-from jaxstab.batches import compiled
+from jaxstab.batches import compiled, on_host
 from jaxstab.conventions import Status
 from jaxstab.exact.turns import Segments, segments_of
 from jaxstab.model import LoopParameters, by_name, checked_gain, plant_transition, require_x64
@@ -125,13 +125,22 @@ class Controller:
         velocity, position = (tuple(map(Equation.from_stage, chain)) for chain in chains)
         return cls(velocity, position, window)
 
+    @cached_property
+    def is_plain(self) -> bool:
+        """True for the difference over one sample alone."""
+        return not (self.velocity or self.position or self.window > 1)
+
     def at_rest(self, position: Array) -> Any:
         """The memory after a long rest at one position."""
-        _, behind = _rest_of_chain(self.velocity, 0.0 * position)
-        return (position,) * self.window, behind, _rest_of_chain(self.position, position)[1]
+        past = (position,) * self.window
+        if self.is_plain:
+            return past
+        return past, run(self.velocity, 0.0 * position)[1], run(self.position, position)[1]
 
     def step(self, position: Array, memory: Any) -> tuple[Array, Array, Any]:
         """Return the filtered position, the velocity times the period, and the new memory."""
+        if self.is_plain:
+            return position, position - memory[0], (position,)
         past, behind, beside = memory
         difference = (position - past[-1]) / self.window
         velocity, behind = run(self.velocity, difference, behind)
@@ -139,76 +148,18 @@ class Controller:
         return filtered, velocity, ((position, *past[:-1]), behind, beside)
 
 
-class Bank(NamedTuple):
-    """The controller as matrices; columns: position, last difference, memory.
-
-    The memory holds the differences before the last one, as far as the window reaches, then the
-    memory of the velocity's and the position's chains.
-
-    outputs: rows for the filtered position and for the velocity.
-    steps: rows for the memory at the next sample.
-    at_rest: the memory after a long rest at position 1.
-    """
-
-    outputs: Float64[np.ndarray, "2 column"]
-    steps: Float64[np.ndarray, "memory column"]
-    at_rest: Float64[np.ndarray, " memory"]
-
-
-PLAIN = Bank(outputs=np.eye(2), steps=np.zeros((0, 2)), at_rest=np.zeros(0))
-
-
-def bank_of(controller: Controller) -> Bank:
-    """Return the matrices of a controller, column by column from its difference equations."""
-    unit, zero = np.ones(()), np.zeros(())
-    chains = controller.velocity, controller.position
-    rests = [_rest_of_chain(chain, x) for chain, x in zip(chains, (zero, unit), strict=True)]
-    earlier = controller.window - 1
-    memories = rests[0][1], rests[1][1]
-    outputs, steps = _rows(controller.window, chains, memories)
-    at_rest = [np.zeros(earlier), *(np.array(value).ravel() for m in memories for value in m)]
-    return Bank(outputs, steps, np.concatenate(at_rest))
-
-
-def _rows(
-    window: int, chains: tuple[Chain, Chain], memories: tuple[Any, Any]
-) -> tuple[Float64[np.ndarray, "2 column"], Float64[np.ndarray, "memory column"]]:
-    """The outputs and the steps of a bank for memories of these lengths."""
-    lengths = [window - 1, *(sum(map(len, memory)) for memory in memories)]
-    units = np.eye(2 + sum(lengths))
-    splits = np.split(units[2:], np.cumsum(lengths)[:2])
-    total = units[1] + splits[0].sum(axis=0)
-    inputs = total / window, units[0]
-    runs = [
-        run(chain, value, _like(memory, split))
-        for chain, value, memory, split in zip(chains, inputs, memories, splits[1:], strict=True)
-    ]
-    steps = [*units[1:window], *(row for _, memory in runs for sums in memory for row in sums)]
-    return np.array([runs[1][0], runs[0][0]]), np.array(steps).reshape(-1, len(units))
-
-
 def run(
-    chain: Chain, value: Array, memories: tuple[Memory, ...]
+    chain: Chain, value: Array, memories: tuple[Memory, ...] | None = None
 ) -> tuple[Array, tuple[Memory, ...]]:
-    """Return the output of a chain for an input, and its new memory."""
+    """The output of a chain for an input, and its new memory; without one, after a long rest."""
     after = []
-    for equation, memory in zip(chain, memories, strict=True):
-        value, memory = equation.step(value, memory)
+    for k, equation in enumerate(chain):
+        if memories is None:
+            value, memory = equation.at_rest(value)
+        else:
+            value, memory = equation.step(value, memories[k])
         after.append(memory)
     return value, tuple(after)
-
-
-def _rest_of_chain(chain: Chain, value: Array) -> tuple[Array, tuple[Memory, ...]]:
-    memories = []
-    for equation in chain:
-        value, memory = equation.at_rest(value)
-        memories.append(memory)
-    return value, tuple(memories)
-
-
-def _like(memories: tuple[Memory, ...], rows: np.ndarray) -> tuple[Memory, ...]:
-    remaining = iter(rows)
-    return tuple(tuple(next(remaining) for _ in memory) for memory in memories)
 
 
 def _present(coefficient: Array) -> Array | None:
@@ -359,8 +310,7 @@ def simulate(
     whole, fraction = divmod(loop.delay_samples if delays is None else 0.0, 1.0)
     offsets = np.arange(between + 2) / (between + 1)
     *causes, position, velocity = namespace(values).broadcast_arrays(*values)
-    filters = given_filters(**loop.filters)
-    controller = None if filters is None else Controller.from_filters(filters)
+    controller = controller_for(given_filters(**loop.filters))
     if is_mass:
         rows = seen = propagator(loop.gamma, loop.delta, fraction, offsets)
         start = [position, velocity]
@@ -380,7 +330,6 @@ def simulate(
             unilateral=unilateral,
         )
     else:
-        controller = controller or Controller.from_filters(NO_FILTERS)
         given = causes, start, loop.held_device, controller, segments_of(delays), offsets.tolist()
         x, v, f = _simulate_in_turn(*given, period, samples, unilateral)
     time = np.arange(x.shape[-1]) * (period / (between + 1))
@@ -445,7 +394,7 @@ def _simulate(
     rows: Array,
     seen: Array,
     early: Array,
-    controller: Controller | None,
+    controller: Controller,
     *,
     samples: int,
     whole_delay: int,
@@ -462,31 +411,10 @@ def _simulate(
         rows = rows.tolist()
     if xp is np and not walls[0].ndim:  # numbers of Python are several times faster here
         walls, start = [wall.item() for wall in walls], [state.item() for state in start]
-    alpha, beta, push = walls
-
-    # The state: that of the plant, the memory of the controller (the last position, or the memory
-    # of the filters), the force at the end of the last hold, and the forces on their way, the next
-    # one to arrive first. NumPy and Python are quick with plain tuples.
-    def step(state: Any) -> tuple[tuple[Any, ...], tuple[Array, ...]]:
-        plant, memory, acting, waiting = state
-        x = plant[0]
-        if controller is None:
-            force = -(alpha * x + beta * (x - memory))
-            memory = x
-        else:
-            filtered, difference, memory = controller.step(x, memory)
-            force = -(alpha * filtered + beta * difference)
-        if unilateral:
-            force = force * (x > 0.0)
-        line: tuple[Array, ...] = (*waiting, force)
-        arriving = line[0]
-        causes = (*plant, acting, arriving, push)
-        return (_moved(rows, causes), memory, arriving, line[1:]), causes
-
+    step = _step_of(rows, controller, walls, unilateral=unilateral)
     position = start[0]
     zero = 0.0 * position
-    memory = position if controller is None else controller.at_rest(position)
-    initial = (tuple(start), memory, zero, (zero,) * whole_delay)
+    initial = (tuple(start), controller.at_rest(position), zero, (zero,) * whole_delay)
     _, history = repeat_and_keep(samples, step, initial)
     causes = xp.stack([xp.moveaxis(xp.asarray(cause), 0, -1) for cause in history])
     paths = xp.einsum("ork,k...s->r...so", seen, causes)
@@ -535,6 +463,31 @@ def _simulate_in_turn(
     return x, v, f
 
 
+def _step_of(
+    rows: Any, controller: Controller, walls: Sequence[Array], *, unilateral: bool
+) -> Callable[[Any], tuple[Any, tuple[Array, ...]]]:
+    """The step from sample to sample: the next state, and what moves the plant until then.
+
+    The state: that of the plant, the memory of the controller, the force at the end of the last
+    hold, and the forces on their way, the next one to arrive first.
+    """
+    alpha, beta, push = walls
+
+    # NumPy and Python are quick with plain tuples.
+    def step(state: Any) -> tuple[Any, tuple[Array, ...]]:
+        plant, memory, acting, waiting = state
+        x = plant[0]
+        filtered, difference, memory = controller.step(x, memory)
+        force = -(alpha * filtered + beta * difference)
+        if unilateral:
+            force = force * (x > 0.0)
+        line = (*waiting, force)
+        causes = (*plant, acting, line[0], push)
+        return (_moved(rows, causes), memory, line[0], line[1:]), causes
+
+    return step
+
+
 def _moved(rows: Any, causes: tuple[Array, ...]) -> tuple[Array, ...]:
     if len(causes) == 5:  # one mass, twice as fast so
         x, v, acting, arriving, push = causes
@@ -552,181 +505,98 @@ def _require_excitation(*causes: Array) -> None:
         )
 
 
-# Sampled loops as state spaces, many side by side: the state moves by one matrix per sample.
-#
-# The state: position, its difference to the previous sample's, velocity (or the other states of the
-# plant), the acting force, the forces on their way, the next one to arrive first, and the memory of
-# the filters.
+# Many walls side by side, without a hand's push: the deviation from rest follows s -> A s from s_0.
 
-POSITION, DIFFERENCE, VELOCITY, FORCE = range(4)  # the first entries of the state, of one mass
-
-
-def bank_for(filters: Filters | None, sample_time: float = 1.0) -> Bank:
-    """The matrices of an estimator and a filter, concrete ones, for a sampling period."""
-    if filters is None:
-        return PLAIN
-    is_plain = all(isinstance(leaf, float | int) for leaf in leaves(filters))
-    bank = _remembered_bank if is_plain else _bank
-    return bank(filters, sample_time)
-
-
-def _bank(filters: Filters, sample_time: float) -> Bank:
-    return bank_of(Controller.from_filters(filters, sample_time))
-
-
-_remembered_bank = lru_cache(maxsize=64)(_bank)  # one loop is evaluated at many walls
-
-
-def steps_of(
-    wall: Float64[np.ndarray, "loop known"],
-    rows: Float64[np.ndarray, "loop plant column"],
-    remembered: Float64[np.ndarray, "memory known"],
-    whole_delay: int,
-) -> Matrices:
-    """The matrix of the next state (rows) from the state and the inputs (columns).
-
-    ``wall`` is the computed force, of position, difference, memory, and inputs; ``remembered`` the
-    next memory of the filters, from the same columns. ``rows`` are the plant's states at the next
-    sample, position first, of those at this one, of the acting force, and of the one that arrives.
-    """
-    states = rows.shape[1]
-    plant = [POSITION, *range(VELOCITY, states + 1)]
-    acting, newest = states + 1, states + 1 + whole_delay  # of the forces
-    size = newest + 1 + len(remembered)
-    inputs = wall.shape[1] - 2 - len(remembered)
-    columns = [POSITION, DIFFERENCE, *range(newest + 1, size + inputs)]
-    step = np.zeros((len(wall), size, size + inputs))
-    step[:, range(acting, newest), range(acting + 1, newest + 1)] = 1.0
-    step[:, newest, columns] = wall
-    motion = rows[:, :, -1:] * step[:, [acting]]  # the force that arrives is the next one to act
-    motion[:, :, [*plant, acting]] += rows[:, :, :-1]
-    step[:, plant] = motion
-    step[:, DIFFERENCE] = motion[:, 0]
-    step[:, DIFFERENCE, POSITION] -= 1.0
-    step[:, newest + 1 :, columns] = remembered
-    return step
-
-
-# Loops without inputs, as matrices: the deviation from rest follows s -> A s from s_0 on.
+STRETCH = 32  # samples, a power of two, that follow from one state by rows
+_BLOCK = 64  # states of one product, so few that BLAS does not share them out to threads
 
 Lanes = Float64[np.ndarray, " loop"]
 
 
 class Loops(NamedTuple):
-    """Loops side by side whose delays have the same whole part: s -> A s, from s_0 on.
+    """Loops side by side: s -> A s, from s_0 on.
 
     The position, the first state, is in units of the final displacement, or of the velocity.
     """
 
     transition: Matrices
-    start: Float64[np.ndarray, "loop state 1"]
+    start: Float64[np.ndarray, "loop state"]
 
 
-OF_MASS = Starts(np.array([1.0, 0.0]), np.zeros(2, bool), np.array([0.0, 1.0]))
+def controller_for(filters: Filters | None, sample_time: float = 1.0) -> Controller:
+    """The controller of an estimator and a filter; those of plain numbers are remembered."""
+    filters = filters or NO_FILTERS
+    is_plain = all(isinstance(leaf, float | int) for leaf in leaves(filters))
+    make = _remembered_controller if is_plain else Controller.from_filters
+    return make(filters, sample_time)
 
-"""The starts of one mass; its states are position and velocity."""
+
+_remembered_controller = lru_cache(maxsize=64)(Controller.from_filters)
 
 
 def loops_of(
     stiffness: Lanes,
     damping: Lanes,
-    rows: Float64[np.ndarray, "*loop state column"],
+    rows: Float64[np.ndarray, "state column"],
     starts: Starts,
     whole_delay: int,
     excitation: str,
-    bank: Bank = PLAIN,
+    controller: Controller,
 ) -> Loops:
-    """The loops of gains K and B/T, at plants by their rows (``steps_of``), all of them alike.
+    """The loops of gains K and B/T, at a plant by its rows at the next sample (``Mechanics``).
 
-    One mass is taken as 1, any other device is in SI units.
+    A is the step of a simulation, taken from each unit state. One mass is taken as 1, any other
+    device is in SI units.
     """
-    states = len(starts.at_rest)
-    acting, newest = states + 1, states + 1 + whole_delay  # of the forces
-    plant = [POSITION, *range(VELOCITY, states + 1)]
-    rows = np.broadcast_to(rows, (stiffness.size, states, states + 2))
-    step = steps_of(_wall(stiffness, damping, bank), rows, bank.steps, whole_delay)
-    start = np.zeros(step.shape[:2])
     if excitation == "impact":
-        start[:, plant] = starts.blow
-        start[:, DIFFERENCE] = starts.blow[POSITION]  # where a blow moves the device at once
+        position, plant, force = 0.0, starts.blow, 0.0 * stiffness
     else:
-        wall = _gain(bank) * stiffness[:, None]  # less the force at rest
-        start[:, plant] = np.where(starts.follows, wall, -starts.at_rest)
-        start[:, acting : newest + 1] = wall
-        start[:, newest + 1 :] = -bank.at_rest
-    return Loops(step, start[..., None])
-
-
-def _wall(stiffness: Lanes, damping: Lanes, bank: Bank) -> Float64[np.ndarray, "loop known"]:
-    """The force of walls, as a row for position, difference and the memory of the filters."""
-    felt, estimated = bank.outputs
-    return -(stiffness[:, None] * felt + damping[:, None] * estimated)
-
-
-def _gain(bank: Bank) -> float:
-    return float(bank.outputs[0] @ np.array([1.0, 0.0, *bank.at_rest]))
-
-
-# Sampled positions of many loops side by side, in stretches that are doubled by powers of A.
-
-STRETCH = 32  # samples, a power of two
-_BLOCK = 64  # stretches of one product, a power of two
+        position, memory = -1.0, controller.at_rest(1.0)
+        force = controller.step(1.0, memory)[0] * stiffness  # less that at rest
+        plant = np.where(starts.follows, force[:, None], -starts.at_rest)
+    plant = np.broadcast_to(plant, (stiffness.size, len(starts.at_rest)))
+    waiting = (force,) * whole_delay
+    begun = tuple(plant.T), controller.at_rest(position), force, waiting
+    start = np.stack(np.broadcast_arrays(*_leaves(begun)), axis=-1)
+    walls = stiffness[:, None], damping[:, None], 0.0
+    step = _step_of(rows.tolist(), controller, walls, unilateral=False)
+    after, _ = step(_like(begun, iter(np.eye(start.shape[1]))))
+    columns = [np.broadcast_to(row, start.shape) for row in _leaves(after)]
+    return Loops(np.stack(columns, axis=1), start)
 
 
 def positions(loops: Loops, samples: int) -> Float64[np.ndarray, "loop sample"]:
-    """Return the sampled deviations of loops, at least as many as requested."""
-    outputs = np.zeros((len(loops.start), 1, loops.start.shape[1]))
-    outputs[:, 0, 0] = 1.0
-    motion = Motion.begun(outputs, *loops)
-    stretches = [motion.latest()]
-    computed = motion.samples
-    while computed < samples:
-        blocks = ceil((samples - computed) / (STRETCH * _BLOCK))
-        motion = motion._replace(states=motion.states[:, : blocks * _BLOCK]).doubled()
-        stretches.append(motion.latest())
-        computed += stretches[-1].shape[1]
-    return np.concatenate(stretches, axis=1)
-
-
-class Motion(NamedTuple):
-    """The motion of loops over M stretches of W samples."""
-
-    rows: Float64[np.ndarray, "loop sample state"]  # of the position, times A^i, i < W
-    power: Matrices  # A^(MW)
-    states: Float64[np.ndarray, "loop stretch state"]  # at the beginning of each stretch
-
-    @classmethod
-    def begun(cls, outputs: Matrices, power: Matrices, start: Matrices) -> "Motion":
-        """Return the first stretch."""
-        rows = outputs
-        for _ in range(int(log2(STRETCH))):
-            rows = np.concatenate([rows, rows @ power], axis=1)
-            power = power @ power
-        return cls(rows, power, np.swapaxes(start, 1, 2))
-
-    @property
-    def samples(self) -> int:
-        """The number of computed samples of each loop."""
-        return self.states.shape[1] * STRETCH
-
-    def latest(self) -> Float64[np.ndarray, "loop sample"]:
-        """Return the positions in the second half of the stretches; all, if there is but one."""
-        states = self.states[:, self.states.shape[1] // 2 :]
-        return _mapped(self.rows, states).reshape(len(self.power), -1)
-
-    def doubled(self) -> "Motion":
-        """Return twice as many stretches."""
-        states = np.concatenate([self.states, _mapped(self.power, self.states)], axis=1)
-        return self._replace(power=self.power @ self.power, states=states)
+    """The sampled deviations of loops, at least as many as requested."""
+    power, states = loops.transition, loops.start[:, None]
+    rows = np.zeros_like(states)  # of the position, times A^i
+    rows[..., 0] = 1.0
+    while rows.shape[1] < STRETCH:
+        rows = np.concatenate([rows, rows @ power], axis=1)
+        power = power @ power
+    stretches = ceil(samples / STRETCH)
+    while states.shape[1] < stretches:
+        later = _mapped(power, states[:, : stretches - states.shape[1]])
+        states, power = np.concatenate([states, later], axis=1), power @ power
+    return _mapped(rows, states).reshape(len(power), -1)
 
 
 def _mapped(matrices: Matrices, states: np.ndarray) -> Float64[np.ndarray, "loop stretch row"]:
-    """Return the products of each loop's matrix and its states."""
-    # They are taken in blocks that BLAS does not share out to threads, which for matrices as small
-    # as these wait for each other longer than they work.
-    loops, stretches, size = states.shape
-    blocks = states.reshape(loops, -1, min(stretches, _BLOCK), size)
-    return (blocks @ np.swapaxes(matrices, 1, 2)[:, None]).reshape(loops, stretches, -1)
+    """The products of each loop's matrix and its states."""
+    turned = np.swapaxes(matrices, 1, 2)
+    blocks = range(0, states.shape[1], _BLOCK)
+    return np.concatenate([states[:, k : k + _BLOCK] @ turned for k in blocks], axis=1)
+
+
+def _leaves(state: Any) -> list[Any]:
+    """The arrays of a state in tuples."""
+    return [x for part in state for x in _leaves(part)] if isinstance(state, tuple) else [state]
+
+
+def _like(state: Any, values: Iterator[Any]) -> Any:
+    """A state with these values for its arrays."""
+    if isinstance(state, tuple):
+        return tuple(_like(part, values) for part in state)
+    return next(values)
 
 
 def unit_loops(
@@ -750,6 +620,33 @@ def unit_loops(
         return unit_loop(gamma, delta, delay, *filters)
 
     return loop_of
+
+
+def asked_of_lanes(
+    ask: Callable[[LoopParameters, float, float], Any],
+    loop_of: Callable[..., LoopParameters | None],
+    lanes: Sequence[Array],
+    count: int,
+    *,
+    is_count: bool,
+) -> tuple[Array, ...]:
+    """So many numbers that are asked of a loop and two gains, for lanes of gains and of loops.
+
+    NaN where there is no loop; ``is_count`` as of ``on_host``.
+    """
+
+    def of_lane(stiffness: float, damping: float, *plant: float) -> Any:
+        loop = loop_of(*plant)
+        return np.full(count, np.nan) if loop is None else ask(loop, stiffness, damping)
+
+    def search(*own: np.ndarray) -> tuple[np.ndarray, ...]:
+        columns = np.array([np.ravel(lane) for lane in own]).T.tolist()
+        found = np.reshape([of_lane(*lane) for lane in columns], (*own[0].shape, count))
+        return tuple(map(np.asarray, np.moveaxis(found, -1, 0)))
+
+    shape = namespace(lanes).broadcast_shapes(*map(np.shape, lanes))
+    like = (np.float64,) * count
+    return on_host(search, *lanes, shape=shape, like=like, is_count=is_count)
 
 
 # The slowest mode of the loop, as damping ratio and frequency.

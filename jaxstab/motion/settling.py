@@ -5,21 +5,29 @@ time on are bounded by lemma E4 of docs/proofs.md, and those before are looked a
 """
 
 from collections.abc import Callable, Sequence
-from math import ceil, nan
+from math import ceil
 from typing import Any, NamedTuple, get_args
 
 import numpy as np
 from jaxtyping import Float64, Int8
 
 from jaxstab.arrays import Array, Numbers, float_arrays, named, namespace
-from jaxstab.batches import on_host
 from jaxstab.conventions import HORIZON, Excitation, Status, Verdict
 from jaxstab.exact.response import settled_after
 from jaxstab.model import LoopParameters, checked_delay, checked_gain, require_x64
 from jaxstab.model.device.mechanics import mechanics
 from jaxstab.model.filters import Filter, Velocity, given_filters
 from jaxstab.model.parameters import checked_delta, checked_gamma
-from jaxstab.motion.response import Column, answer_text, bank_for, loops_of, positions, unit_loops
+from jaxstab.motion.response import (
+    Column,
+    Loops,
+    answer_text,
+    asked_of_lanes,
+    controller_for,
+    loops_of,
+    positions,
+    unit_loops,
+)
 from jaxstab.numbers import checked_count, checked_number, checked_word
 from jaxstab.point.verdicts import linear_verdict
 
@@ -157,25 +165,34 @@ def likely_settling(
     They are those of the motion in float64 up to the horizon; NaN where that says too little.
     """
     numbers = 1 << 20  # of an array that loops side by side fill, about
-    period, (whole, fraction) = loop.sample_time, divmod(loop.delay_samples, 1.0)
-    moves = mechanics(loop.held_device, period, fraction, (1.0,))
-    bank = bank_for(given_filters(loop.velocity, loop.position), period)
     gains = np.broadcast_arrays(*float_arrays(stiffness, damping))
     walls = np.array([np.ravel(gain) for gain in gains])
     codes = linear_verdict(loop.alpha(walls[0]), loop.beta(walls[1]), loop.linear)
     samples, stable = np.full(walls.shape[1], np.nan), np.flatnonzero(codes != Verdict.UNSTABLE)
     blocks = ceil(stable.size * horizon / numbers)
     for members in np.array_split(stable, blocks) if blocks else []:
-        own = walls[0, members], walls[1, members] / period
-        rows, starts = moves.rows[-1, :, :-1], moves.starts
-        loops = loops_of(*own, rows, starts, int(whole), excitation, bank)
+        loops = deviations(loop, walls[0, members], walls[1, members], excitation)
         with np.errstate(all="ignore"):  # unstable walls overflow
             size = np.abs(positions(loops, horizon)[:, :horizon])
         peak = size.max(axis=1, keepdims=True) if excitation == "impact" else 1.0
         outside = ~(size <= level * peak)
         since = np.where(outside.any(axis=1), horizon - np.argmax(outside[:, ::-1], axis=1), 0)
         samples[members] = np.where(since <= 0.75 * horizon, since, np.nan)
-    return samples.reshape(gains[0].shape) * period
+    return samples.reshape(gains[0].shape) * loop.sample_time
+
+
+def deviations(
+    loop: LoopParameters,
+    stiffness: Float64[np.ndarray, " wall"],
+    damping: Float64[np.ndarray, " wall"],
+    excitation: Excitation,
+) -> Loops:
+    """Walls of a loop in plain numbers, side by side, as they come to rest; in SI units."""
+    period, (whole, fraction) = loop.sample_time, divmod(loop.delay_samples, 1.0)
+    moves = mechanics(loop.held_device, period, fraction, (1.0,))
+    controller = controller_for(given_filters(loop.velocity, loop.position), period)
+    plant = moves.rows[-1], moves.starts, int(whole)
+    return loops_of(stiffness, damping / period, *plant, excitation, controller)
 
 
 def _settled(
@@ -189,19 +206,11 @@ def _settled(
     level = checked_level(level, excitation)
     checked_count("horizon", horizon, 1)
 
-    def of_lane(stiffness: float, damping: float, *plant: float) -> float:
-        loop = loop_of(*plant)
-        if loop is None:
-            return nan
+    def ask(loop: LoopParameters, stiffness: float, damping: float) -> float:
         return settled_after(loop, stiffness, damping, excitation, level, horizon)
 
-    xp = namespace(lanes)
-    shape = xp.broadcast_shapes(*map(np.shape, lanes))
-
-    def search(*own: np.ndarray) -> np.ndarray:
-        return np.vectorize(of_lane, otypes=[np.float64])(*own)
-
-    samples = on_host(search, *lanes, shape=shape, like=np.float64)
+    (samples,) = asked_of_lanes(ask, loop_of, lanes, 1, is_count=True)
+    xp = namespace(samples)
     unsettled = xp.where(xp.isnan(samples), SettlingStatus.NOT_SETTLED, SettlingStatus.UNSTABLE)
     status = xp.where(xp.isfinite(samples), SettlingStatus.SETTLED, unsettled)
     return Settling(samples, named(status.astype(np.int8), SettlingStatus))

@@ -1,46 +1,37 @@
 """Where the linear condition loses its validity (sec. VII): the first such point, with proof.
 
-With H = alpha + gamma, which is positive to the right of the line z = 1, the error of the linear
-condition exceeds a level where
+The error of the linear condition (``paper.linear_error``) is ``level`` on a straight line of walls,
+which begins at the corner of the boundary curve. With H = alpha + gamma and t_r = 1/2 + delay,
 
-    E = |N(z)|^2 t_r (alpha_lin - alpha - level (alpha + gamma)),       z = e^(i theta),
+    alpha = H - gamma,     beta = t_r (1 + level) H - t_r gamma - delta.
 
-has the sign of H. On the curve |N|^2 beta = Im W/sin(theta) and |N|^2 (alpha + beta (1 - cos
-theta)) = Re W, with W = -z^m D(z) N(1/z), m = floor(delay) + 1, so that
+So E3 (``exact.line``) has every place where the curve meets it, by the angle theta of the curve,
+and by how many roots leave the unit circle there as H grows. In theta the curve has the walls with
+fewer roots outside on its left, as (alpha, beta) -> p has a positive determinant, |N|^2 sin(theta).
+Where a pair leaves, the line passes the curve from left to right, hence the curve passes the line
+from right to left. There, for H > 0, the error is larger: it rises through the level where H and
+the change of the roots have one sign. The first rise is at the smallest such theta; it is a point
+of the stable region where a stable interval of the line ends.
 
-    E = (1 + kappa (1 - cos theta)) Im W/sin(theta) - kappa Re W + (delta - level t_r gamma) |N|^2,
-
-kappa = (1 + level) t_r, is a polynomial in x = cos(theta) of degree m + 2 at most. It vanishes at
-x = 1 for gamma = 0, and for delta = 0 with a whole delay or one with half a sample; there it is
-divided by 1 - x. The error rises through the level where E changes its sign in the direction of H:
-the first rise is at the largest such root.
-
-python-flint encloses the coefficients in balls, and isolates all roots, complex ones too, so that
-the first root where the error rises is the first one indeed. Where balls are too wide to tell two
-roots apart, or a root and an end, twice as many bits are taken.
+At the corner a root lies at z = 1; for gamma = 0, and for delta = 0 with a whole delay or one with
+half a sample, there are two, which the structure of the polynomial need not know.
 """
 
-from collections.abc import Sequence
 from functools import partial
-from math import nan
-from typing import TYPE_CHECKING, NamedTuple
+from math import inf, nan, pi
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64, Int8
 
 from jaxstab.arrays import Array, Numbers, namespace
-from jaxstab.conventions import Status, Verdict
-from jaxstab.exact.roots import real_roots
-from jaxstab.model import Device, by_name, checked_delay, checked_delta, checked_gamma, require_x64
-from jaxstab.model.balls import plant_in_balls
-from jaxstab.model.device.parts import decided
+from jaxstab.conventions import Status
+from jaxstab.exact.line import LineStatus, stable_pencil
+from jaxstab.model import checked_delay, checked_delta, checked_gamma, require_x64
+from jaxstab.model.balls import Factored, ball_triple, known_out
+from jaxstab.model.device.parts import remembered
+from jaxstab.model.loop import LoopParameters, unit_loop
 from jaxstab.numbers import checked
-from jaxstab.point import verdict
-
-if TYPE_CHECKING:
-    from flint import arb, arb_poly
-
-_MOST_BITS = 6144
 
 
 class ValidityStatus(Status):
@@ -85,7 +76,7 @@ def linear_validity(
     0.015). Such crossings are not returned.
 
     It is proved, over the whole curve, that this point is the first. Each point has its own status;
-    NOT_PROVED says that 6,144 bits do not tell two roots apart, or float64 the side of the point.
+    NOT_PROVED says that 3,072 bits do not tell two roots apart.
 
     Args:
         level: relative error in (0, 1e3], any shape; like all arguments it broadcasts. None of them
@@ -104,7 +95,6 @@ def linear_validity(
 
     Source: sec. VII, eq. (24) and Fig. 7 of Hulin, Preusche, Hirzinger (2008).
     """
-    step_back = 1e-6  # of alpha + gamma: how far inside of a boundary point its side is tested
     require_x64(level, gamma, delta, delay)
     xp = namespace(level, gamma, delta, delay)
     values = (
@@ -114,95 +104,42 @@ def linear_validity(
         checked_delay(delay),
     )
     grids = np.broadcast_arrays(*(np.asarray(value, np.float64) for value in values))
-    questions = np.stack([np.ravel(grid) for grid in grids])
-    not_proved = _Rise(ValidityStatus.NOT_PROVED)
-    rises = [
-        decided(partial(_first_rise, *question), _MOST_BITS) or not_proved
-        for question in questions.T.tolist()
-    ]
-    points = np.array([rise.point for rise in rises]).reshape(-1, 3).T
-    status = np.array([rise.status for rise in rises], np.int8)
-    there = status == ValidityStatus.FOUND
-    (alpha, beta, _), slices = points[:, there], by_name(*questions[1:, there])
-    inner = verdict(alpha - step_back * (alpha + slices["gamma"]), beta, **slices)
-    by_side = {Verdict.STABLE: ValidityStatus.FOUND, Verdict.UNSTABLE: ValidityStatus.OFF_THE_EDGE}
-    sides = np.ravel(inner).tolist()
-    status[there] = [by_side.get(side, ValidityStatus.NOT_PROVED) for side in sides]
-    points[:, status == ValidityStatus.NOT_PROVED] = nan
-    alpha, beta, theta = (xp.asarray(row.reshape(grids[0].shape)) for row in points)
-    return LinearValidity(alpha, beta, theta, status.reshape(grids[0].shape))
+    questions = np.stack([np.ravel(grid) for grid in grids]).T.tolist()
+    rises = [_first_rise(*question) for question in questions]
+    status, *points = np.reshape(rises, (-1, 4)).T.reshape(4, *grids[0].shape)
+    alpha, beta, theta = map(xp.asarray, points)
+    return LinearValidity(alpha, beta, theta, status.astype(np.int8))
 
 
-class _Rise(NamedTuple):
-    """The status of a first rise, and its alpha, beta and theta."""
-
-    status: ValidityStatus
-    point: tuple[float, float, float] = (nan, nan, nan)
-
-
-class _Curve(NamedTuple):
-    """E on the boundary curve, and what gives its points, as polynomials in x = cos(theta)."""
-
-    excess: "arb_poly"
-    damping: "arb_poly"  # |N|^2 beta
-    real: "arb_poly"  # |N|^2 (alpha + beta (1 - x))
-    square: "arb_poly"  # |N|^2
-
-
-def _first_rise(level: float, gamma: float, delta: float, delay: float) -> _Rise | None:
-    """Return the largest root x in (-1, 1) where the error rises; None where balls do not tell."""
-    digits = 60  # bits to which an answer is wanted, at least
-    curve = _curve(level, gamma, delta, delay)
-    slope, roots = curve.excess.derivative(), real_roots(curve.excess)
-    if roots is None:
-        return None
-    for x in sorted(roots, key=float, reverse=True):
-        if x > 1 or x < -1:
-            continue
-        square = curve.square(x)
-        beta = curve.damping(x) / square
-        alpha = curve.real(x) / square - beta * (1 - x)
-        rising = -slope(x) * (alpha + gamma)  # of the sign of d error/d theta
-        if not (-1 < x < 1 and (rising > 0 or rising < 0)):
-            return None
-        if rising > 0:
-            theta = x.acos()
-            if min(theta.rel_accuracy_bits(), beta.rel_accuracy_bits()) < digits:
-                return None
-            return _Rise(ValidityStatus.FOUND, (float(alpha), float(beta), float(theta)))
-    return _Rise(ValidityStatus.NEVER)
+def _first_rise(
+    level: float, gamma: float, delta: float, delay: float
+) -> tuple[ValidityStatus, float, float, float]:
+    """The status of the first rise, and its alpha, beta and theta."""
+    line = stable_pencil(partial(_line, unit_loop(gamma, delta, delay, None, None), level))
+    if line.status != LineStatus.PROVED or line.horizon < inf:
+        return ValidityStatus.NOT_PROVED, nan, nan, nan
+    stable_ends = {end.value for interval in line.intervals for end in interval}
+    for end in sorted(line.crossings, key=lambda end: (end.angle, end.angle_rest)):
+        change = end.change if 0.0 < end.angle < pi else 0  # a pair, not a real root
+        if end.is_shared or change is None:
+            return ValidityStatus.NOT_PROVED, nan, nan, nan
+        if change * end.value > 0.0:
+            is_found = end.value in stable_ends
+            status = ValidityStatus.FOUND if is_found else ValidityStatus.OFF_THE_EDGE
+            beta = (delay + 0.5) * ((1.0 + level) * end.value - gamma) - delta
+            return status, end.value - gamma, beta, end.angle
+    return ValidityStatus.NEVER, nan, nan, nan
 
 
-def _curve(level: float, gamma: float, delta: float, delay: float) -> _Curve:
-    """Return the curve and its excess over a level."""
-    import flint
+@remembered(8)
+def _line(loop: LoopParameters, level: float) -> tuple[Factored, Factored]:
+    """p(z) at the corner, and what H adds to it."""
+    from flint import arb
 
-    polynomial = flint.arb_poly
-    plant = plant_in_balls(
-        Device.mass_spring_damper(1.0, damping=delta, stiffness=gamma), 1.0, delay
-    )
-    rising, denominator = plant.numerator.polynomial().coeffs(), plant.denominator.polynomial()
-    mirrored, degree = polynomial(rising[::-1]), len(rising) - 1  # z^degree N(1/z)
-    waves = (-denominator * mirrored).coeffs()
-    real, damping = _in_cosines(waves, plant.lag - degree)
-    square, _ = _in_cosines((polynomial(rising) * mirrored).coeffs(), -degree)
-    lag = flint.arb(delay) + 0.5
-    kappa = (1 + flint.arb(level)) * lag
-    excess = (1 + kappa * polynomial([1, -1])) * damping - kappa * real
-    excess += (delta - flint.arb(level) * lag * gamma) * square
-    if gamma == 0.0 or (delta == 0.0 and delay % 1.0 in (0.0, 0.5)):
-        excess //= polynomial([1, -1])  # exactly: the sign stays
-    return _Curve(excess, damping, real, square)
-
-
-def _in_cosines(sizes: Sequence["arb"], lowest: int) -> "tuple[arb_poly, arb_poly]":
-    """Return Re S and Im S / sin(theta), of S = sum of s_k z^k from the lowest k, in cos(theta)."""
-    from flint import arb_poly, fmpz_poly
-
-    real = imaginary = arb_poly(0)
-    for power, size in enumerate(sizes, lowest):
-        real += size * arb_poly(fmpz_poly.chebyshev_t(abs(power)))
-        if power:
-            ratio = arb_poly(fmpz_poly.chebyshev_u(abs(power) - 1))
-            imaginary += (size if power > 0 else -size) * ratio
-    return real, imaginary
+    triple, lag = ball_triple(loop), arb(loop.delay) + 0.5
+    gamma, delta, delay = loop.slice.values()
+    roots = 2 if gamma == 0.0 or (delta == 0.0 and delay % 1.0 in (0.0, 0.5)) else 1
+    corner = triple.at(-gamma, -(lag * gamma + delta))
+    more = max(roots - corner.at_one, 0)
+    corner = corner._replace(rest=known_out(corner.rest, 1, more), at_one=corner.at_one + more)
+    return corner, triple.stiffness.plus(triple.damping.scaled((1 + arb(level)) * lag))

@@ -558,28 +558,28 @@ def guard_figure(guard: Guard, units: Units = Units.LINE) -> Figure:
     For masses of the range, at the middle delay or for a delay that moves; where it is constant, on
     the left for delays, at the middle mass.
     """
+    curves = 5
     figure = Figure(figsize=_SIZE, layout="constrained")
     panels = figure.subplots(1, 1 + guard.is_delay_constant, sharey=True, squeeze=False)[0]
-    left, right = panels[0], panels[-1]
     mass, delay = float(np.mean(guard.mass)), None
+    masses = np.linspace(*guard.mass, curves).tolist()
+    delays = np.linspace(*guard.delay, curves).tolist()
     low, high = (f"{1e3 * end:.3g}" for end in guard.delay)
     title = f"delay between {low} and {high} ms"
     if guard.is_delay_constant:
-        delay = float(np.mean(guard.delay))
-        for value, colour in _coloured(guard.delay):
-            _draw(left, guard, (mass, value), colour, f"{1e3 * value:.3g} ms")
-        left.set_title(plain(f"five delays; {units.moved} {mass:.3g} {units.kilogram}"))
+        delay = delays[curves // 2]
+        of_delays = [(f"{1e3 * value:.3g} ms", mass, value) for value in delays]
+        _draw_granted(panels[0], guard, of_delays)
+        panels[0].set_title(plain(f"five delays; {units.moved} {mass:.3g} {units.kilogram}"))
         title = f"delay {1e3 * delay:.3g} ms"
-    for value, colour in _coloured(guard.mass):
-        _draw(right, guard, (value, delay), colour, plain(f"{value:.3g} {units.kilogram}"))
+    of_masses = [(plain(f"{value:.3g} {units.kilogram}"), value, delay) for value in masses]
+    _draw_granted(panels[-1], guard, of_masses)
     plural = {"mass": "masses", "inertia": "inertias"}[units.moved]
-    right.set_title(f"five {plural}; {title}")
-    left.set_ylabel(f"largest stiffness K ({units.stiffness}), for all hands")
+    panels[-1].set_title(f"five {plural}; {title}")
+    panels[0].set_ylabel(f"largest stiffness K ({units.stiffness}), for all hands")
     edge = "where a hand becomes unstable" + ("" if delay else " at a constant delay")
     for panel in panels:
-        panel.set_xlabel(f"damping B ({units.damping})")
-        panel.set_ylim(0.0, None)
-        panel.set_xlim(0.0, None)
+        panel.set(xlabel=f"damping B ({units.damping})", xlim=(0.0, None), ylim=(0.0, None))
         panel.legend(fontsize=8, loc="upper right")
     lines = [Line2D([], [], color=BLACK, lw=0.8, ls="--", label=edge)]
     lines += [Line2D([], [], color=BLACK, lw=1.6, label="granted, proved stable")]
@@ -587,22 +587,19 @@ def guard_figure(guard: Guard, units: Units = Units.LINE) -> Figure:
     return figure
 
 
-def _coloured(ends: tuple[float, float]) -> list[tuple[float, object]]:
-    curves = 5
-    colours = colormaps["viridis"](np.linspace(0.0, 0.85, curves))
-    return list(zip(np.linspace(*ends, curves).tolist(), colours, strict=True))
-
-
-def _draw(
-    panel: Axes, guard: Guard, place: tuple[float, float | None], colour: object, label: str
+def _draw_granted(
+    panel: Axes, guard: Guard, places: Sequence[tuple[str, float, float | None]]
 ) -> None:
-    mass, delay = place
+    """Draw the exact and the granted stiffness at masses and delays, by their labels."""
     damping = np.linspace(0.0, 1.1 * float(guard.grid.top.max()), 400)
-    delays = np.array([guard.delay[0] if delay is None else delay])
-    exact = guard.exact_stiffness(damping[None, None], mass=np.array([mass]), delay=delays)[0, 0]
-    panel.plot(damping, np.where(exact > 0.0, exact, np.nan), color=colour, lw=0.8, ls="--")
-    granted = guard.largest_stiffness(damping, mass=mass, delay=delay)
-    panel.plot(damping, np.where(granted > 0.0, granted, np.nan), color=colour, lw=1.6, label=label)
+    colours = colormaps["viridis"](np.linspace(0.0, 0.85, len(places)))
+    for (label, mass, delay), colour in zip(places, colours, strict=True):
+        place = {"mass": np.array([mass]), "delay": np.array([delay or guard.delay[0]])}
+        exact = guard.exact_stiffness(damping[None, None], **place)[0, 0]
+        granted = guard.largest_stiffness(damping, mass=mass, delay=delay)
+        for stiffness, look in ((exact, {"lw": 0.8, "ls": "--"}), (granted, {"label": label})):
+            seen = np.where(stiffness > 0.0, stiffness, np.nan)
+            panel.plot(damping, seen, color=colour, **({"lw": 1.6} | look))
 
 
 # Simulated contacts: where in (K, B) a device rests.
@@ -643,12 +640,8 @@ def contact_figure(
         for gains in (marked or {}).values():
             panel.plot(*gains, "o", color=BLACK, mfc="white", ms=6, clip_on=False, zorder=5)
     length = "mm" if units is Units.LINE else "mrad"
-    bar = figure.colorbar(
-        mesh,
-        ax=list(panels),
-        extend="both",
-        label=f"does not rest, simulated:\namplitude at the end ({length})",
-    )
+    words = f"does not rest, simulated:\namplitude at the end ({length})"
+    bar = figure.colorbar(mesh, ax=list(panels), extend="both", label=words)
     bar.ax.tick_params(labelsize=7)
     panels[0].set_ylabel(f"damping B ({units.damping})")
     handles, labels = panels[0].get_legend_handles_labels()
@@ -666,14 +659,11 @@ def _draw_map(
     is_through = contact.kind == ContactKind.PUSHED_THROUGH
     amplitude = np.where(is_through, np.inf, contact.amplitude)  # nothing holds it
     size = np.clip(1000.0 * amplitude, faintest, strongest)
-    panel.pcolormesh(
-        stiffness, damping, np.where(does_rest, 1.0, np.nan),
-        cmap=ListedColormap([REST]), shading="nearest", rasterized=True,
-    )  # fmt: skip
-    mesh = panel.pcolormesh(
-        stiffness, damping, np.where(does_rest, np.nan, size),
-        cmap="inferno_r", norm=LogNorm(faintest, strongest), shading="nearest", rasterized=True,
-    )  # fmt: skip
+    look: Any = {"shading": "nearest", "rasterized": True}
+    rests = np.where(does_rest, 1.0, np.nan)
+    panel.pcolormesh(stiffness, damping, rests, cmap=ListedColormap([REST]), **look)
+    look |= {"cmap": "inferno_r", "norm": LogNorm(faintest, strongest)}
+    mesh = panel.pcolormesh(stiffness, damping, np.where(does_rest, np.nan, size), **look)
     panel.fill([], [], color=REST, label="rests, simulated")
     edge = panel.plot(*closed_outline(loop.region()).T, color=BLUE, lw=1.6)
     edge[0].set(label="edge of stability of the linear loop", path_effects=HALO)

@@ -16,20 +16,13 @@ import numpy as np
 from jaxstab.arrays import Numbers
 from jaxstab.conventions import Excitation
 from jaxstab.model import LoopParameters, by_name, checked_gain, require_x64
-from jaxstab.model.device.mechanics import mechanics
 from jaxstab.model.filters import Filter, Filters, Velocity, as_keywords, given_filters
-from jaxstab.motion.response import (
-    OF_MASS,
-    STRETCH,
-    Loops,
-    bank_for,
-    loops_of,
-    positions,
-    propagator,
-)
+from jaxstab.model.loop import unit_loop
+from jaxstab.motion.response import STRETCH, Loops, positions
 from jaxstab.motion.settling import (
     Settling,
     checked_level,
+    deviations,
     loop_settling_samples,
     settling_samples,
 )
@@ -79,19 +72,15 @@ def mass_loop(gamma: float, delta: float, delay: float, filters: Filters | None)
     """A loop of one mass, its filters in units of one sample."""
     options = by_name(gamma, delta, delay) | as_keywords(filters)
 
-    def deviations(alpha: np.ndarray, beta: np.ndarray, excitation: Excitation) -> Loops:
-        rows = propagator(gamma, delta, delay % 1.0, np.ones(1))[0, :, :4]
-        return loops_of(alpha, beta, rows, OF_MASS, int(delay), excitation, bank_for(filters))
-
     walls = mass_walls(gamma, delta, delay, filters)
-    return TunedLoop(walls, partial(settling_samples, **options), deviations)
+    coming_to_rest = partial(deviations, unit_loop(gamma, delta, delay, *(filters or (None, None))))
+    return TunedLoop(walls, partial(settling_samples, **options), coming_to_rest)
 
 
 @lru_cache(maxsize=64)
 def _device_loop(loop: LoopParameters) -> TunedLoop:
     device = loop.sampled
     assert device is not None
-    filters = given_filters(loop.velocity, loop.position)
     linear = loop.linear
 
     def verdicts(alpha: Any, beta: Any) -> np.ndarray:
@@ -101,15 +90,12 @@ def _device_loop(loop: LoopParameters) -> TunedLoop:
         wall = np.asarray(alpha) / device.stiffness_unit, np.asarray(beta) / device.damping_unit
         return loop_settling_samples(loop, *wall, **options)
 
-    def deviations(alpha: np.ndarray, beta: np.ndarray, excitation: Excitation) -> Loops:
-        moves = mechanics(device.device, device.sample_time, device.delay % 1.0, (1.0,))
-        bank = bank_for(filters, device.sample_time)
-        rate = device.damping_unit * device.sample_time
-        wall, rows = (alpha / device.stiffness_unit, beta / rate), moves.rows[-1, :, :-1]
-        return loops_of(*wall, rows, moves.starts, int(device.delay), excitation, bank)
+    def coming_to_rest(alpha: np.ndarray, beta: np.ndarray, excitation: Excitation) -> Loops:
+        wall = alpha / device.stiffness_unit, beta / device.damping_unit
+        return deviations(loop, *wall, excitation)
 
     region = loop_region(loop, 1e-6)  # its size beside that of the outline's error
-    return TunedLoop(Walls.of_loop(linear, verdicts, region), settling, deviations)
+    return TunedLoop(Walls.of_loop(linear, verdicts, region), settling, coming_to_rest)
 
 
 def minimize_settling(
