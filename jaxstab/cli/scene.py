@@ -248,7 +248,7 @@ def _answer(
     ``options`` are those of the function that answers about walls. ``asked`` is the quantity that
     walls are to be stable with, in place of what ``name`` answers.
     """
-    from jaxstab.scene import Backwards, GainScene, MeasuredScene, scene_to_answer
+    from jaxstab.scene import Backwards, GainScene, MeasuredScene, any_scene
 
     is_one, plot = len(given["files"]) <= 1, given["plot"]
     refusals = () if is_one else (ValueError, TypeError, RuntimeError)
@@ -266,7 +266,8 @@ def _answer(
                 "asked for; leave it out."
             )
     rows = list[_Row]()
-    make = partial(Backwards.from_table, asked=asked) if asked else scene_to_answer
+    make: Any = partial(any_scene, may_be_measured=True)
+    make = partial(Backwards.from_table, asked=asked) if asked else make
     for source, table in tables_of(given).items():
         scene, refusal = tried(make, table, source if is_one else "")
         rows.append(_Row(source, scene, None, refusal))

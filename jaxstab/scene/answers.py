@@ -245,7 +245,7 @@ class Answer:
 
     def _quantity(self, name: str) -> Quantity:
         kind: Any = type(self)  # mypy holds it for not hashable
-        return _quantities(kind)[name]
+        return quantities(kind)[name]
 
     def _words(self, name: str, value: Any, units: Units) -> str:
         if isinstance(value, str | IntEnum):
@@ -350,7 +350,7 @@ def _for_json(value: Any) -> Any:
 
 
 @cache
-def _quantities(kind: Any) -> dict[str, Quantity]:
+def quantities(kind: Any) -> dict[str, Quantity]:
     """Return the quantities of the annotated fields of an answer."""
     hints = get_type_hints(kind, include_extras=True)
     quantities = {}
