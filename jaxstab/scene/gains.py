@@ -39,9 +39,8 @@ from jaxstab.scene.answers import (
     quantities,
 )
 from jaxstab.scene.check import Radius, frequency_answer
-from jaxstab.scene.hands import WallVerdict
 from jaxstab.scene.limits import AroundWall, Island, numbered, stable_in_words, stable_intervals
-from jaxstab.scene.loops import device_of, hands_of, loop_of
+from jaxstab.scene.loops import WallVerdict, device_of, hands_of, loop_of
 from jaxstab.scene.scene import (
     Controller,
     Device,

@@ -31,21 +31,25 @@ from jaxstab.scene.answers import (
     basis_of,
     printed_wall,
 )
-from jaxstab.scene.hands import (
+from jaxstab.scene.loops import (
     BUT_FOR_DRIFT,
     AllHands,
     Floats,
     WallVerdict,
     at_lowest,
     delays_of,
+    hands_of,
+    is_plain,
     limit_for_all,
+    loop_of,
     loops_over_delays,
     verdict_with_drift,
     wall_for_all,
+    wall_region,
+    walls_of,
     with_safety,
     worst_on,
 )
-from jaxstab.scene.loops import hands_of, is_plain, loop_of, wall_region, walls_of
 from jaxstab.scene.scene import Scene
 
 _SEE_BELOW = " (all hands: see below)"
@@ -373,25 +377,26 @@ class _Rows:
     def stiffest(self, stiffness: float, damping: float) -> tuple[float, float]:
         """Return a largest stiffness times the safety as it is printed, NaN if not stable."""
         scaled = self.safety * stiffness
-        is_inside = self.safety == 1.0 or self.is_inside(scaled, damping)
-        wall = scaled if is_inside else nan, damping
-        return printed_wall(
-            *wall, self.is_stable, lambda b: self.region.stiffness_intervals(np.array([b]))[0]
-        )
+        limit = scaled if self.is_inside(scaled, damping) else nan
+
+        def row(at: float) -> Any:
+            return self.region.stiffness_intervals(np.array([at]))[0]
+
+        return printed_wall(limit, damping, self.is_stable, row)
 
     def most_damped(self, damping: float, stiffness: float) -> tuple[float, float]:
         """Return a largest damping times the safety as it is printed, and its stiffness."""
         scaled = self.safety * damping
-        is_inside = self.safety == 1.0 or self.is_inside(stiffness, scaled)
-        wall = scaled if is_inside else nan, stiffness
-        return printed_wall(
-            *wall,
-            lambda b, k: self.is_stable(k, b),
-            lambda k: self.region.damping_intervals(np.array([k]))[0],
-        )
+        limit = scaled if self.is_inside(stiffness, scaled) else nan
+
+        def row(at: float) -> Any:
+            return self.region.damping_intervals(np.array([at]))[0]
+
+        return printed_wall(limit, stiffness, lambda b, k: self.is_stable(k, b), row)
 
     def is_inside(self, stiffness: float, damping: float) -> bool:
-        return bool(self.region.reachable.contains(stiffness, damping))
+        is_whole = self.safety == 1.0
+        return is_whole or bool(self.region.reachable.contains(stiffness, damping))
 
     def is_stable(self, stiffness: float, damping: float) -> bool:
         """True if a wall is stable; of one without a spring, a very soft one."""

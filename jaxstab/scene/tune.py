@@ -35,10 +35,11 @@ from jaxstab.scene.answers import (
     rounded_wall,
 )
 from jaxstab.scene.check import Amplitude, SettlingTime, settled
-from jaxstab.scene.hands import Floats, at_lowest, worst_on
 from jaxstab.scene.loops import (
+    Floats,
     Member,
     OneHand,
+    at_lowest,
     corners_of,
     hands_of,
     loop_of,
@@ -47,6 +48,7 @@ from jaxstab.scene.loops import (
     ranges_of,
     wall_region,
     with_tolerances,
+    worst_on,
 )
 from jaxstab.scene.scene import Scene, Units, VelocityTable
 from jaxstab.shown import Printed, exact_text
