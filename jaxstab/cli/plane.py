@@ -1,10 +1,9 @@
 """The commands in the plane of alpha and beta: one region, the figures of the paper, atlases."""
 
 import json
-import math
 import shlex
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from decimal import ROUND_FLOOR, ROUND_HALF_EVEN
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -126,8 +125,6 @@ def _example(opened: "Atlas") -> dict[str, float]:
 
 # The commands that ask an atlas and draw it.
 
-_ANSWER = "verdict", "status"
-
 
 @click.command()
 @click.argument("file", type=Path)
@@ -173,9 +170,8 @@ def query(
         from jaxstab.scene.exports import ask_atlas
 
         stated, found = ask_atlas(scene_of({"files": [scene_file], "wall": wall}), opened)
-        rows = [row | _words(row["verdict"], row["status"]) for row in found]
-        _write(rows, list(rows[0]), form, stated)
-        return 0 if all(row["verdict"] == "stable" for row in rows) else 1
+        _write(found, form, stated)
+        return 0 if all(row["verdict"] == "stable" for row in found) else 1
     if table:
         points = _points_in(table, given)
     else:
@@ -184,7 +180,7 @@ def query(
     opened = jaxstab.open_atlas(file)
     answer = opened.query(**points)
     stated = {"inputs": _made_of(opened), "units": dict.fromkeys(AXES, "1")}
-    _write(_answered(points, answer), [*AXES, *_ANSWER], form, stated)
+    _write(_answered(points, answer), form, stated)
     return 0 if (answer.verdict == Verdict.STABLE).all() else 1
 
 
@@ -225,22 +221,14 @@ def _check_complete(names: Iterable[str], remedy: str) -> None:
         raise ValueError(f"{missing[0]} is missing; {remedy}.")
 
 
-def _answered(
-    points: dict[str, list[float]], answer: "AtlasAnswer"
-) -> Iterator[dict[str, float | str]]:
-    """Yield a row of words and numbers for each point."""
-    columns = (*points.values(), *(getattr(answer, name).tolist() for name in _ANSWER))
-    for *numbers, verdict, status in zip(*columns, strict=True):
-        yield dict(zip(AXES, numbers, strict=True)) | _words(verdict, status)
-
-
-def _words(verdict: int, status: int) -> dict[str, float | str]:
+def _answered(points: dict[str, list[float]], answer: "AtlasAnswer") -> list[dict[str, Any]]:
+    """A row of words and numbers for each point."""
     from jaxstab.atlas import QueryStatus
 
-    return {
-        "verdict": Verdict(verdict).name.lower(),
-        "status": QueryStatus(status).name.lower(),
-    }
+    verdicts = [Verdict(code).name.lower() for code in answer.verdict.tolist()]
+    statuses = [QueryStatus(code).name.lower() for code in answer.status.tolist()]
+    rows = zip(*points.values(), verdicts, statuses, strict=True)
+    return [dict(zip((*AXES, "verdict", "status"), row, strict=True)) for row in rows]
 
 
 def _made_of(opened: "Atlas") -> dict[str, str]:
@@ -253,26 +241,15 @@ def _made_of(opened: "Atlas") -> dict[str, str]:
     return filters | {"created_by": opened.created_by}
 
 
-def _write(
-    rows: Iterable[dict[str, float | str]], header: list[str], form: str, stated: dict[str, Any]
-) -> None:
-    every = [{name: row[name] for name in header} for row in rows]
+def _write(rows: list[dict[str, Any]], form: str, stated: dict[str, Any]) -> None:
+    """Print rows as CSV, or as JSON with the units of what is in them."""
+    header = [*(rows[0] if rows else (*AXES, "verdict", "status"))]
     if form == "csv":
-        print_with_csv("", [header, *(row.values() for row in every)], Path("-"))
-    else:
-        units = stated["units"]
-        stated["units"] = {
-            name: units[name] for name in units if name in {*stated["inputs"], *header}
-        }
-        click.echo(json.dumps(stated | {"points": [_finite(row) for row in every]}, indent=1))
-
-
-def _finite(row: dict[str, float | str]) -> dict[str, float | str | None]:
-    """Return a row for JSON, which has no NaN and no infinity."""
-    return {
-        name: None if isinstance(value, float) and not math.isfinite(value) else value
-        for name, value in row.items()
-    }
+        print_with_csv("", [header, *(row.values() for row in rows)], Path("-"))
+        return
+    used = {*stated["inputs"], *header}
+    units = {name: unit for name, unit in stated["units"].items() if name in used}
+    click.echo(json.dumps(stated | {"units": units, "points": rows}, indent=1))
 
 
 # One region, and the figures of the paper.

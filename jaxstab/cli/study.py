@@ -68,7 +68,7 @@ def study(
     seed: int,
     output: Path | None,
     csv_file: Path | None,
-    part: tuple[int, int] | None,
+    part: list[int] | None,
     merge: bool,
     plot: Path | None,
     **given: Any,
@@ -93,8 +93,14 @@ def study(
     else:
         ((_, scene),) = tables_of(given).items()
         keep_programs()
+        number, count = part or (1, 1)
         planned = plan_study(
-            scene, over, answers=given["answers"], samples=samples, seed=seed, part=part or (1, 1)
+            scene,
+            over,
+            answers=given["answers"],
+            samples=samples,
+            seed=seed,
+            part=(number, count),
         )
         table = planned.table
     rows, most = prod(table.sizes.values()), 1_048_575  # in a spreadsheet, with one of names

@@ -506,7 +506,7 @@ def _jitter(wall: _Wall, _: list[HapticLoop], margin: Floats) -> Jitter:
 _HORIZON = 2**17  # samples within which settling is looked for
 
 
-def _settlings(loop: HapticLoop, *gains: Floats) -> list[MotionSettling]:
+def _settlings(loop: HapticLoop, *gains: float) -> list[MotionSettling]:
     """The settling times of walls to each level."""
     return [loop.settling_time(*gains, level=level, horizon=_HORIZON) for level in (0.02, 0.05)]
 

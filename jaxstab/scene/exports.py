@@ -1,4 +1,4 @@
-"""What a scene hands to other programs: a guard for C, an atlas, a certificate of its walls.
+"""Exports of a scene to other programs: a guard for C, an atlas, a certificate of its walls.
 
 A guard and an atlas are for all masses, hands and delays of the scene. Of an atlas gamma and delta
 have their extremes at the corners of the ranges of mass and hand, for they are monotone in each.
@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxstab.atlas import Atlas, AtlasSpec
+from jaxstab.atlas import Atlas, AtlasSpec, QueryStatus
 from jaxstab.conventions import Verdict
 from jaxstab.guard import Guard, build_guard
 from jaxstab.guard.build import CELLS, CONSTANT_CELLS, plan_guard
@@ -182,11 +182,11 @@ def ask_atlas(scene: Scene, atlas: Atlas) -> tuple[dict[str, Any], list[dict[str
     views = [atlas.for_loop(loop_of_member(scene, corner)) for corner in corners]
     rows = []
     for (name, gains), (corner, view) in product(walls.items(), zip(corners, views, strict=True)):
-        hand, answer = corner.hand, view.query(*gains)
-        varied = corner.mass, hand.mass, hand.stiffness, hand.damping, corner.delay
-        row = dict(zip(units, (*gains, *varied), strict=True))
-        codes = {"verdict": answer.verdict.item(), "status": answer.status.item()}
-        rows.append({"wall": name} | row | codes)
+        answer = view.query(*gains)
+        row: dict[str, Any] = dict(zip(units, (*gains, *corner), strict=True))
+        codes = Verdict(answer.verdict.item()), QueryStatus(answer.status.item())
+        words = dict(zip(("verdict", "status"), (code.name.lower() for code in codes), strict=True))
+        rows.append({"wall": name} | row | words)
     stated = Inputs(basis_of(scene)).as_json()
     stated["inputs"] |= {"created_by": atlas.created_by}
     stated["units"] |= units

@@ -211,10 +211,12 @@ def _inputs(loop: HapticLoop) -> str:
 
 
 class Member(NamedTuple):
-    """A member of the ranges: the device's mass, the hand and the delay in s."""
+    """A member of the ranges, the delay in s."""
 
     mass: float
-    hand: OneHand
+    hand_mass: float
+    hand_stiffness: float
+    hand_damping: float
     delay: float
 
 
@@ -252,21 +254,15 @@ def with_tolerances(scene: Scene) -> Scene:
     )
 
 
-def member_of(values: Any) -> Member:
-    """Return the member of five numbers, one of each range."""
-    mass, *hand, delay = values
-    return Member(mass, OneHand(*hand), delay)
-
-
 def corners_of(scene: Scene) -> list[Member]:
     """Return the members at the corners of the ranges, each once."""
-    return list(dict.fromkeys(member_of(values) for values in product(*ranges_of(scene))))
+    return list(dict.fromkeys(Member(*values) for values in product(*ranges_of(scene))))
 
 
 def loop_of_member(scene: Scene, member: Member) -> HapticLoop:
     """Return the loop of a member of the ranges."""
-    hand = replace(member.hand, device_mass=member.mass)
-    return loop_of(with_delay(scene, member.delay), hand)
+    mass, *hand, delay = member
+    return loop_of(with_delay(scene, delay), OneHand(*hand, mass))
 
 
 def with_delay(scene: Scene, delay: float) -> Scene:
