@@ -221,8 +221,8 @@ class Answer:
         return "\n".join(self.lines())
 
     def _units(self, units: Units) -> Units:
-        inputs = getattr(self, "inputs", None)
-        return inputs.units if isinstance(inputs, Basis) else units
+        found = (value.units for _, value in self._entries() if isinstance(value, Basis))
+        return next(found, units)
 
     def _entries(self) -> Iterator[tuple[tuple[str, ...], Any]]:
         """Yield each value after its key, or after the two of one in a dictionary."""
@@ -309,13 +309,6 @@ class Basis(Answer):
     def lines(self, indent: str = "", units: Units = Units.LINE) -> list[str]:
         """Return a line for each of the facts."""
         return [line(indent, name, said) for name, said in self.facts().items()]
-
-
-@dataclass(frozen=True)
-class Inputs(Answer):
-    """The inputs alone, with their units, of answers that are no ``Answer``."""
-
-    inputs: Basis
 
 
 def in_words(value: str | IntEnum) -> str:

@@ -38,7 +38,7 @@ from jaxstab.scene.answers import (
     basis_of,
     line,
 )
-from jaxstab.scene.contact import NotSimulated, Simulated, contacts_or_reasons
+from jaxstab.scene.contact import Simulated, contacts_or_reasons
 from jaxstab.scene.limits import inner_ends, numbered, stable_in_words
 from jaxstab.scene.loops import (
     Floats,
@@ -223,7 +223,7 @@ class WallCheck(WallVerdict):
     oscillation: Oscillation | None = None
     chatter: Chatter | None = None
     jitter: Jitter | None = None
-    simulated: Simulated | NotSimulated | None = None
+    simulated: Simulated | str | None = None
 
     def rows(self, name: str, inputs: Basis) -> Iterator[tuple[str, str]]:
         """At most eight lines, or some more with all margins over frequency."""
@@ -261,7 +261,8 @@ class WallCheck(WallVerdict):
             is_endless = isinf(self.chatter.chatter_at_most)
             yield "  encoder chatter", most[0] if is_endless else "at most {} and {}".format(*most)
         if self.simulated:
-            yield "  contact", self.simulated.in_short(inputs.units)
+            felt = self.simulated
+            yield "  contact", felt if isinstance(felt, str) else felt.in_short(inputs.units)
 
     def _verdict(self, words: str, units: Units) -> str:
         hand = self.worst_hand
@@ -321,7 +322,7 @@ def check_walls(scene: Scene, *, in_full: bool = True) -> Check:
     return Check(basis_of(scene), checked)
 
 
-def _checked(wall: _Wall, felt: Simulated | NotSimulated | None, *, in_full: bool) -> WallCheck:
+def _checked(wall: _Wall, felt: Simulated | str | None, *, in_full: bool) -> WallCheck:
     scene, is_unstable = wall.scene, wall.worst.verdict == Verdict.UNSTABLE
     encoder, wanted, answers = scene.device.encoder, scene.wanted, dict[str, Any]()
     options: dict[str, dict[str, Any]] = {

@@ -25,7 +25,8 @@ from jaxstab.guard.build import CELLS, CONSTANT_CELLS, plan_guard
 from jaxstab.guard.guard import LARGEST_HEADER
 from jaxstab.loop import Gains, HapticLoop
 from jaxstab.model import Velocity
-from jaxstab.scene.answers import Inputs, Quantity, basis_of, blocks_of
+from jaxstab.scene.answers import Quantity, basis_of, blocks_of
+from jaxstab.scene.gains import GainAnswer
 from jaxstab.scene.limits import stable_intervals
 from jaxstab.scene.loops import (
     OneHand,
@@ -187,7 +188,7 @@ def ask_atlas(scene: Scene, atlas: Atlas) -> tuple[dict[str, Any], list[dict[str
         codes = Verdict(answer.verdict.item()), QueryStatus(answer.status.item())
         words = dict(zip(("verdict", "status"), (code.name.lower() for code in codes), strict=True))
         rows.append({"wall": name} | row | words)
-    stated = Inputs(basis_of(scene)).as_json()
+    stated = GainAnswer({"inputs": basis_of(scene)}).as_json()
     stated["inputs"] |= {"created_by": atlas.created_by}
     stated["units"] |= units
     return stated, rows

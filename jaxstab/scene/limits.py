@@ -73,13 +73,6 @@ class MostDampedWall(Answer):
 
 
 @dataclass(frozen=True)
-class OtherWindow(StiffestWall):
-    """The same for another window of the velocity."""
-
-    absent = "not resolved"
-
-
-@dataclass(frozen=True)
 class LinearRule(StiffestWall):
     """The linear rule's stiffness at the damping of the stiffest wall: it is no limit."""
 
@@ -189,7 +182,7 @@ class Limits(Answer):
     islands: dict[str, Island]
     passive: StiffestWall | None
     linear_rule: LinearRule | None
-    windows: dict[str, OtherWindow]
+    windows: dict[str, StiffestWall]
     at_given_damping: StiffnessesAtDamping | None
     at_given_stiffness: DampingsAtStiffness | None
     walls: dict[str, AroundWall]
@@ -493,11 +486,12 @@ def _passive(rows: _Rows) -> StiffestWall:
     return StiffestWall(*printed_wall(rows.safety * stiffness, damping, rows.is_stable))
 
 
-def _other_windows(loop: HapticLoop, safety: float) -> dict[str, OtherWindow]:
+def _other_windows(loop: HapticLoop, safety: float) -> dict[str, StiffestWall]:
     """The largest stiffness with the windows that haptics software uses."""
     answers = {}
     for samples in (10, 20):  # 10 and 20 ms at 1 kHz
         other = replace(loop, velocity=Velocity.difference(samples))
-        rows, limits = _Rows(other, other.region(), safety), other.limits()
-        answers[str(samples)] = OtherWindow(*rows.stiffest(limits.stiffness, limits.at_damping))
+        rows = _Rows(other, wall_region(other), safety)
+        stiffness, damping = rows.region.limits()[:2]
+        answers[str(samples)] = StiffestWall(*rows.stiffest(stiffness, damping))
     return answers

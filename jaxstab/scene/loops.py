@@ -64,7 +64,8 @@ def wall_region(loop: HapticLoop) -> WallRegion:
     region = loop.region()
     if region.status == RegionStatus.UNRESOLVED:
         raise ValueError(
-            f"the stable region of {_inputs(loop)} was not resolved; change one value a little."
+            f"the stable region of a loop with {loop.delay_samples:g} samples of delay, "
+            f"{loop.velocity or Velocity()}, was not resolved; change one value a little."
         )
     return region
 
@@ -195,18 +196,6 @@ def _check_scale(scene: Scene) -> None:
             )
 
 
-def _inputs(loop: HapticLoop) -> str:
-    """The parameters that determine the region of a loop."""
-    velocity = loop.velocity or Velocity()
-    filters = "" if given_filters(**loop.filters) is None else f", {velocity}"
-    if loop.body is None:
-        return f"this device and hand, delay = {loop.delay_samples:g} samples{filters}"
-    return (
-        f"gamma = {loop.gamma:g}, delta = {loop.delta:g}, delay = {loop.delay_samples:g} "
-        f"samples{filters}"
-    )
-
-
 # The members of a scene's ranges: masses of the device, hands and delays.
 
 
@@ -261,8 +250,8 @@ def corners_of(scene: Scene) -> list[Member]:
 
 def loop_of_member(scene: Scene, member: Member) -> HapticLoop:
     """Return the loop of a member of the ranges."""
-    mass, *hand, delay = member
-    return loop_of(with_delay(scene, delay), OneHand(*hand, mass))
+    hand = OneHand(member.hand_mass, member.hand_stiffness, member.hand_damping, member.mass)
+    return loop_of(with_delay(scene, member.delay), hand)
 
 
 def with_delay(scene: Scene, delay: float) -> Scene:

@@ -100,6 +100,7 @@ def folder_of(name: str) -> Traversable:
 
 LENGTH = "m, or in rad for a device that turns"
 FORCE = "N, or in N m for a device that turns"
+_DELAYS = t.Usual(0.0, 2.0)  # in s
 _NO_MASS = "mass is missing; give it a value."
 _STIFFNESS = t.Usual(0.0, 1e6, (0.0, 1e5))  # of hands, grips and walls
 _DAMPING_OF_HANDS = t.Usual(0.0, 1e3, (0.0, 100.0))
@@ -646,38 +647,40 @@ class Scene:
             raise ValueError("walls is empty; give at least one wall with stiffness and damping.")
 
     def unusual(self) -> list[str]:
-        """Describe values that look like a slip of the unit."""
-        controller = self.controller
-        delay = "the delay", controller.delays[1], "s", t.Usual(0.0, 2.0)
-        tables = {"device": self.device, "hand": self.hand or Hand(), "controller": controller}
+        """Describe values that look like a slip of the unit, each once."""
+        return list(dict.fromkeys(self._unusual()))
+
+    def _unusual(self) -> Iterator[str]:
+        controller, units = self.controller, self.units
+        tables: dict[str, t.Table] = {
+            "device": self.device, "hand": self.hand or Hand(), "controller": controller,
+        } | {f"walls.{name}": wall for name, wall in self.walls.items()}  # fmt: skip
         found = [own for name, table in tables.items() for own in table.quantities(name)]
-        warnings = [self._outside(*own) for own in (*found, delay)]
-        warnings += [*_slips_of_delay(controller), _other_period(controller)]
+        for name, value, unit, usual in (*found, ("the delay", controller.delays[1], "s", _DELAYS)):
+            low, high = (units is Units.ROTATION and usual.turning) or usual[:2]
+            size = abs(value) if "modal_" in name else value  # which may be negative
+            own = "" if unit == "1" else f" {units.unit(unit.partition(',')[0])}"
+            if not low <= size <= high:
+                yield f"{name} is {value:g}{own}, usual are {low:g} to {high:g}{own}"
+        words = f"the delay is {controller.samples:g} samples"
+        if controller.samples >= 200.0:
+            yield f"{words}; one in samples is given as delay_samples"
+        if 0.0 < (controller.delay_samples or (0.0, 0.0))[1] < 0.01:
+            yield f"{words}; one in s is given as delay"
+        estimator = controller.velocity
+        meant = estimator.preset_numbers.get("sample_time") if estimator else None
+        if estimator and meant and meant.value != controller.sample_time:
+            own = f"a sample_time of {meant.value:g} s"
+            yield f"the preset {estimator.preset!r} is meant for {own}"
+        is_heavy = units is Units.LINE and self.device.effective_mass[0] > 0.01  # kg
         for name, wall in self.walls.items():
-            warnings += [self._outside(*own) for own in wall.quantities(f"walls.{name}")]
-            warnings.append(self._slip_of_wall(f"walls.{name}", wall))
-        return [words for words in dict.fromkeys(warnings) if words]
-
-    def _outside(self, name: str, value: float, unit: str, usual: t.Usual) -> str:
-        """Return a warning for a quantity outside its usual range; a modal mass may be negative."""
-        low, high = (self.units is Units.ROTATION and usual.turning) or usual[:2]
-        if low <= (abs(value) if "modal_" in name else value) <= high:
-            return ""
-        own = "" if unit == "1" else f" {self.units.unit(unit.partition(',')[0])}"
-        return f"{name} is {value:g}{own}, usual are {low:g} to {high:g}{own}"
-
-    def _slip_of_wall(self, name: str, wall: Wall) -> str:
-        """Return a warning for gains that were swapped, or a stiffness in N/mm."""
-        units, is_line = self.units, self.units is Units.LINE
-        if wall.damping > wall.stiffness > 0.0:
-            return (
-                f"{name} has a damping of {wall.damping:g} {units.damping} beside a stiffness of "
-                f"{wall.stiffness:g} {units.stiffness}; are they swapped?"
-            )
-        is_heavy = is_line and self.device.effective_mass[0] > 0.01  # kg
-        if is_heavy and 0.0 < wall.stiffness < 5.0:
-            return f"{name}.stiffness is {wall.stiffness:g} N/m; is it in N/mm?"
-        return ""
+            if wall.damping > wall.stiffness > 0.0:
+                yield (
+                    f"walls.{name} has a damping of {wall.damping:g} {units.damping} beside a "
+                    f"stiffness of {wall.stiffness:g} {units.stiffness}; are they swapped?"
+                )
+            elif is_heavy and 0.0 < wall.stiffness < 5.0:
+                yield f"walls.{name}.stiffness is {wall.stiffness:g} N/m; is it in N/mm?"
 
 
 TABLES: Mapping[str, type[t.Table]] = {
@@ -721,21 +724,3 @@ def walls_in(table: Any) -> dict[str, Wall]:
                 f"walls.{name} is {shortened(wall)}; give a table [walls.NAME] for each wall."
             )
     return {name: Wall.from_table(wall, f"walls.{name}") for name, wall in table.items()}
-
-
-def _slips_of_delay(controller: Controller) -> Iterator[str]:
-    """Yield warnings for a delay that was given in s and meant in samples, or the other way."""
-    words = f"the delay is {controller.samples:g} samples"
-    if controller.samples >= 200.0:
-        yield f"{words}; one in samples is given as delay_samples"
-    if 0.0 < (controller.delay_samples or (0.0, 0.0))[1] < 0.01:
-        yield f"{words}; one in s is given as delay"
-
-
-def _other_period(controller: Controller) -> str:
-    """Return a warning for a preset whose numbers are meant for another sampling period."""
-    estimator = controller.velocity
-    usual = estimator.preset_numbers.get("sample_time") if estimator else None
-    if estimator is None or usual is None or usual.value == controller.sample_time:
-        return ""
-    return f"the preset {estimator.preset!r} is meant for a sample_time of {usual.value:g} s"
