@@ -26,7 +26,7 @@ def split(separator: str, kind: Callable[[str], Any], counts: Sequence[int], wor
     """Return the reader of numbers in one text; one alone is itself if there may be one."""
 
     def read(_: click.Context, option: click.Parameter, text: str | None) -> Any:
-        if not text:
+        if text is None:
             return None
         try:
             numbers = [kind(word) for word in text.split(separator)]

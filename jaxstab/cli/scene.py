@@ -7,7 +7,7 @@ from dataclasses import Field, fields
 from functools import cache, partial
 from pathlib import Path
 from types import UnionType
-from typing import TYPE_CHECKING, Any, NamedTuple, cast, get_args
+from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 import click
 
@@ -259,22 +259,23 @@ def _answer(
 
     make: Any = partial(any_scene, may_be_measured=True)
     make = partial(Backwards.from_table, asked=asked) if asked else make
-    is_one, rows, scene = len(given["files"]) <= 1, list[_Row](), cast(Any, None)
+    is_one, rows = len(given["files"]) <= 1, list[_Row]()
     refusals = () if is_one else (ValueError, TypeError, RuntimeError)
     for source, table in tables_of(given).items():
+        scene: Any = None
         try:
             scene = make(table, source if is_one else "")
             if given["plot"]:
                 _require_picture(scene, name, is_one=is_one)
             rows.append(_Row(source, scene, _computed(scene, name, options), ""))
         except refusals as error:
-            rows.append(_Row(source, None, None, str(error)))
+            rows.append(_Row(source, scene, None, str(error)))
     if given["plot"]:
         from jaxstab.pictures.scene import comparison_figure, scene_figure
 
-        scenes = {row.source: row.scene for row in rows if row.scene}
-        answer = rows[0].answer
-        draw(scene_figure(scene, answer) if is_one else comparison_figure(scenes), given["plot"])
+        answered = {row.source: row.scene for row in rows if row.answer}
+        one = partial(scene_figure, rows[0].scene, rows[0].answer)
+        draw(one() if is_one else comparison_figure(answered), given["plot"])
     warn(*dict.fromkeys(words for row in rows if row.scene for words in row.scene.unusual()))
     if as_json:
         words = json.dumps(rows[0].answer.as_json() if is_one else _for_json(rows), indent=1)
