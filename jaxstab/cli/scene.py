@@ -301,7 +301,10 @@ def _require_picture(scene: Any, name: str, *, is_one: bool) -> None:
         if not is_one:
             raise click.UsageError("a picture of several scenes is for walls; give one FILE.")
     elif not (is_one and (name in ("tune", "design") or scene.controller.moves)):
-        scene.controller.require_one_delay("a picture")
+        try:
+            scene.controller.require_one_delay("a picture")
+        except ValueError as error:
+            raise click.UsageError(str(error)) from None
 
 
 def _computed(scene: Any, name: str, options: dict[str, Any]) -> Any:
