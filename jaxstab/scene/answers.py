@@ -395,6 +395,8 @@ def basis_of(scene: Scene, *, at_longest: bool = False) -> Basis:
     estimator = controller.velocity or (
         "the difference over one sample (assumed: the scene names no estimator)"
     )
+    masses = IntervalQuantity("kg").words(device.effective_mass, scene.units)
+    postures = f"a device of {masses}, constant while a wall is touched"
     return Basis(
         velocity=str(estimator),
         position=None if controller.position is None else str(controller.position_filter),
@@ -409,7 +411,7 @@ def basis_of(scene: Scene, *, at_longest: bool = False) -> Basis:
         hand_stiffness=None if hand is None else hand.stiffness,
         hand_damping=None if hand is None else hand.damping,
         mechanics=_beside_one_mass(scene),
-        postures=_postures(scene),
+        postures=postures if device.varies else None,
         motion=None if scene.units is Units.LINE else "rotation",
     )
 
@@ -454,14 +456,6 @@ def blocks_of(scene: Scene) -> dict[str, str]:
 def _grip_in_words(grip: Grip, units: Units) -> str:
     spring = Quantity("N/m").words(grip.stiffness, units)
     return f"{spring}, {Quantity('N s/m').words(grip.damping, units)}"
-
-
-def _postures(scene: Scene) -> str | None:
-    """Describe the range of the device's mass; None for a single mass."""
-    if not scene.device.varies:
-        return None
-    words = IntervalQuantity("kg").words(scene.device.effective_mass, scene.units)
-    return f"a device of {words}, constant while a wall is touched"
 
 
 def _beside_one_mass(scene: Scene) -> str | None:

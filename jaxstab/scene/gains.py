@@ -315,11 +315,8 @@ def _limits(scene: GainScene) -> tuple[GainLimit, GainLimit]:
     if limits.status == RegionStatus.UNRESOLVED:
         raise RuntimeError("the stable region was not resolved; change one value a little.")
     factors = {"largest": safety, "least": 1.0 / safety}
-    first, second = limits[:2]
-    return (
-        first._replace(value=first.value * factors[first.gain.sense]),
-        second._replace(value=second.value * factors[second.gain.sense]),
-    )
+    first, second = (own._replace(value=own.value * factors[own.gain.sense]) for own in limits[:2])
+    return first, second
 
 
 def _limit(scene: GainScene, limit: GainLimit) -> GainAnswer:

@@ -369,27 +369,22 @@ class _Rows:
 
     def stiffest(self, stiffness: float, damping: float) -> tuple[float, float]:
         """Return a largest stiffness times the safety as it is printed, NaN if not stable."""
-        scaled = self.safety * stiffness
-        limit = scaled if self.is_inside(scaled, damping) else nan
-
-        def row(at: float) -> Any:
-            return self.region.stiffness_intervals(np.array([at]))[0]
-
-        return printed_wall(limit, damping, self.is_stable, row)
+        return self._printed(stiffness, damping, self.region.stiffness_intervals, Gains)
 
     def most_damped(self, damping: float, stiffness: float) -> tuple[float, float]:
         """Return a largest damping times the safety as it is printed, and its stiffness."""
-        scaled = self.safety * damping
-        limit = scaled if self.is_inside(stiffness, scaled) else nan
+        rows = self.region.damping_intervals
+        return self._printed(damping, stiffness, rows, lambda b, k: Gains(k, b))
 
-        def row(at: float) -> Any:
-            return self.region.damping_intervals(np.array([at]))[0]
-
-        return printed_wall(limit, stiffness, lambda b, k: self.is_stable(k, b), row)
-
-    def is_inside(self, stiffness: float, damping: float) -> bool:
-        is_whole = self.safety == 1.0
-        return is_whole or bool(self.region.reachable.contains(stiffness, damping))
+    def _printed(self, limit: float, other: float, rows: Any, wall: Any) -> tuple[float, float]:
+        scaled = self.safety * limit
+        is_inside = self.safety == 1.0 or self.region.reachable.contains(*wall(scaled, other))
+        return printed_wall(
+            scaled if is_inside else nan,
+            other,
+            lambda *gains: self.is_stable(*wall(*gains)),
+            lambda beside: rows(np.array([beside]))[0],
+        )
 
     def is_stable(self, stiffness: float, damping: float) -> bool:
         """True if a wall is stable; of one without a spring, a very soft one."""
