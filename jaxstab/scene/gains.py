@@ -380,17 +380,19 @@ def _around(scene: GainScene, pair: dict[str, float], *, in_full: bool = False) 
     verdict = scene.verdict(*pair.values())
     values: dict[str, Any] = {**pair, "verdict": verdict}
     formats: dict[str, Quantity] = {x.name: GivenQuantity(x.unit) for x in scene.loop.gains}
-    if in_full and not scene.is_range:
+    if scene.is_range:
+        return GainAnswer(values, formats, verdict == Verdict.STABLE)
+    if in_full:
         radius = scene.loop.spectral_radius(**pair)
         values["radius"] = Radius(float(radius.value), float(radius.error))
-    if in_full and not scene.is_range and verdict == Verdict.STABLE:
+    if in_full and verdict == Verdict.STABLE:
         margins = scene.loop.frequency_margins(**pair)
         values["frequency"] = frequency_answer(margins, in_full=bool(scene.wanted["frequency"]))
         names = [f"{name}_factors" for name in (*pair, "both")]
         for name, (low, high) in zip(names, scene.loop.margins(**pair)[3:6], strict=True):
             values[name] = (*without_noise([low, high], high - low).tolist(),)
         formats |= dict.fromkeys(names, IntervalQuantity("", 4))
-    for own in () if scene.is_range else scene.loop.gains:
+    for own in scene.loop.gains:
         fixed = _other(scene, own)
         row = _row(scene, fixed, pair[fixed.name], pair[own.name])
         values |= {name: value for name, value in row.values.items() if name[:3] != "at_"}
