@@ -11,7 +11,7 @@ from campaign import many
 from commands import run
 
 from jaxstab.scene import Scene
-from jaxstab.scene.certificate import certificate
+from jaxstab.scene.exports import certificate
 
 READER = Path(__file__).parents[1] / "data" / "check" / "check_wall.py"
 SCENE = {

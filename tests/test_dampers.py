@@ -12,7 +12,7 @@ from jaxstab import Device, HapticLoop, Mode, Velocity
 from jaxstab.conventions import Verdict
 from jaxstab.loop import Gains
 from jaxstab.scene import Scene, check_walls
-from jaxstab.scene.hands import BUT_FOR_DRIFT, verdict_with_drift
+from jaxstab.scene.loops import BUT_FOR_DRIFT, verdict_with_drift
 
 T = 1e-3
 DEVICE: dict[str, Any] = {"device_mass": 0.1, "device_damping": 0.1, "sample_time": T}

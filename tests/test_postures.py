@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-import jaxstab.scene.guard
+import jaxstab.scene.exports
 from benchmarks.truth import filtered
 from jaxstab import Verdict
 from jaxstab.scene import Scene
-from jaxstab.scene.atlas import atlas_spec
 from jaxstab.scene.check import check_walls
+from jaxstab.scene.exports import atlas_spec
 from jaxstab.scene.limits import scene_limits
 from jaxstab.scene.loops import hands_among, ranges_of
 from jaxstab.scene.tune import design_loop, tune_walls
@@ -132,10 +132,10 @@ def test_a_guard_and_an_atlas_are_of_the_masses(monkeypatch: pytest.MonkeyPatch)
         given.update(asked)
         raise NotImplementedError
 
-    monkeypatch.setattr(jaxstab.scene.guard, "build_guard", build)
+    monkeypatch.setattr(jaxstab.scene.exports, "build_guard", build)
     scene = Scene.from_table(table())
     with pytest.raises(NotImplementedError):
-        jaxstab.scene.guard.scene_guard(scene)
+        jaxstab.scene.exports.scene_guard(scene)
     assert given["mass"] == MASSES
     assert ranges_of(scene)[0] == MASSES
     nodes = atlas_spec(scene).gamma

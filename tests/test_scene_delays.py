@@ -653,7 +653,7 @@ def test_a_guard_takes_the_range_of_its_scene(
 
 
 def test_a_constant_range_gives_an_atlas_its_corners() -> None:
-    from jaxstab.scene.atlas import atlas_spec
+    from jaxstab.scene.exports import atlas_spec
 
     spec = atlas_spec(Scene.from_table(scene(delay=[0.8e-3, 1.2e-3], delay_is="constant")))
     assert (spec.delay[0], spec.delay[-1]) == pytest.approx((0.8, 1.2))

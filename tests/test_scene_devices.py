@@ -21,8 +21,7 @@ from scipy.linalg import expm, matrix_balance
 from jaxstab import Device, Hand, HapticLoop, Mode, Velocity
 from jaxstab.conventions import Verdict
 from jaxstab.scene import Scene, check_walls, loop_of, scene_limits
-from jaxstab.scene.hands import common_outline
-from jaxstab.scene.loops import hands_among
+from jaxstab.scene.loops import common_outline, hands_among
 
 Floats = NDArray[np.float64]
 

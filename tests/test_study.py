@@ -817,7 +817,7 @@ def test_the_command_computes_parts_and_merges_them(desk: Path) -> None:
         (["--over", "device.mass=1:2:0.5"], "device.mass is '1:2:0.5'; give LOW:HIGH:COUNT"),
         (["--over", "device.mass=1:2:1"], "with a COUNT from 2 to 100000"),
         (["--over", "device.mass=1,2", "--over", "device.mass=1,2"], "device.mass is given twice"),
-        (["--over", "device.mass=1,2", "--part", "3/2"], "'3/2' is no part; give NUMBER/COUNT"),
+        (["--over", "device.mass=1,2", "--part", "3of2"], "'3of2' is no part; give NUMBER/COUNT"),
         (["--over", "device.mass=1,2", "--merge"], "--merge is given beside --over"),
         (["--over", "hand.stiffness=csv:none.csv:k"], "none.csv"),
         (["--over", "hand.stiffness=nomal:1:2"], "'nomal:1:2' is no distribution; give normal:"),

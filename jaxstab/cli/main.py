@@ -17,10 +17,8 @@ from typing import Any, NoReturn
 import click
 
 import jaxstab
-from jaxstab.cli.atlas import build, info, plot, query, spec, verify
 from jaxstab.cli.interrupt import prompt_interrupts
-from jaxstab.cli.joints import joints
-from jaxstab.cli.region import figure, region
+from jaxstab.cli.plane import build, figure, info, plot, query, region, spec, verify
 from jaxstab.cli.scene import (
     check,
     contact,
@@ -28,6 +26,7 @@ from jaxstab.cli.scene import (
     explore,
     guard,
     identify,
+    joints,
     limits,
     scene,
     sentence_of,

@@ -5,9 +5,9 @@ import io
 import json
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from functools import reduce
 from pathlib import Path
 from typing import Any, TypeVar
@@ -22,15 +22,21 @@ from jaxstab.tables import text_of
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
-def number_or_range(_: click.Context, option: click.Parameter, text: str | None) -> Any:
-    """Return one number, or two in a list."""
-    try:
-        numbers = [float(word) for word in text.split(":")] if text else [None]
-    except ValueError:
-        raise click.BadParameter(
-            f"{text!r} is neither a number nor LOW:HIGH.", param=option
-        ) from None
-    return numbers if len(numbers) > 1 else numbers[0]
+def split(separator: str, kind: Callable[[str], Any], counts: Sequence[int], words: str) -> Any:
+    """Return the reader of numbers in one text; one alone is itself if there may be one."""
+
+    def read(_: click.Context, option: click.Parameter, text: str | None) -> Any:
+        if text is None:
+            return None
+        try:
+            numbers = [kind(word) for word in text.split(separator)]
+        except ValueError:
+            numbers = []
+        if len(numbers) not in counts:
+            raise click.BadParameter(f"{shortened(text)} {words}", param=option)
+        return numbers if len(numbers) > 1 else numbers[0]
+
+    return read
 
 
 def key_values(_: click.Context, option: click.Parameter, texts: tuple[str, ...]) -> dict[str, str]:
@@ -176,17 +182,9 @@ executor_options = together(
 def executor_of(given: Mapping[str, Any]) -> Iterator[Executor | None]:
     """Open processes, or the workers of a dask scheduler; None computes in this process."""
     from jaxstab.atlas.build import workers_of
-    from jaxstab.cli.interrupt import processes
 
-    workers, address = _workers_and_address(given)
-    if workers:
-        with processes(workers) as pool:
-            yield pool
-    elif address:
-        with _client(address) as client:
-            yield workers_of(client)
-    else:
-        yield None
+    with _opened(given) as (pool, client):
+        yield workers_of(client) if client else pool
 
 
 @contextmanager
@@ -195,24 +193,39 @@ def computing(given: Mapping[str, Any]) -> Iterator[None]:
     from dask import config
     from dask.callbacks import Callback
 
-    from jaxstab.cli.interrupt import processes
-
-    workers, address = _workers_and_address(given)
-    with ExitStack() as stack:
-        if address:
-            stack.enter_context(_client(address))
-        elif workers:
-            pool = stack.enter_context(processes(workers))
-            # A task is a block, which no other one should wait for.
-            stack.enter_context(config.set(scheduler="processes", pool=pool, chunksize=1))
-        show = stack.enter_context(at_work(f"computing{f' on {address}' * bool(address)}"))
+    with _opened(given) as (pool, _), at_work("computing") as show:
 
         def count(_: Any, __: Any, ___: Any, state: Any, ____: Any) -> None:
             done, left = len(state["finished"]), ("waiting", "ready", "running")
             show(done, done + sum(len(state[kind]) for kind in left))
 
-        stack.enter_context(Callback(posttask=count))  # a cluster's tasks are not counted
-        yield
+        # A task is a block, which no other one should wait for. A cluster's tasks are not counted.
+        here = {"scheduler": "processes", "pool": pool, "chunksize": 1} if pool else {}
+        with config.set(here), Callback(posttask=count):
+            yield
+
+
+@contextmanager
+def _opened(given: Mapping[str, Any]) -> Iterator[tuple[Executor | None, Any]]:
+    """Processes, or the client of a dask scheduler, where options or the environment say so."""
+    from jaxstab.cli.interrupt import processes
+
+    workers, scheduler, file = (given[name] for name in ("workers", "scheduler", "scheduler_file"))
+    options = {"--workers": workers, "--scheduler": scheduler, "--scheduler-file": file}
+    names = [name for name, value in options.items() if value is not None]
+    if len(names) > 1:
+        raise click.UsageError(f"{' and '.join(names)} are given; give one of them.")
+    if scheduler == "":
+        raise click.UsageError("--scheduler is empty; give an address such as tcp://10.0.0.1:8786.")
+    address = _address_in(file) if file else scheduler or os.environ.get("DASK_SCHEDULER_ADDRESS")
+    if workers:
+        with processes(workers) as pool:
+            yield pool, None
+    elif address:
+        with _client(address) as client:
+            yield None, client
+    else:
+        yield None, None
 
 
 def _client(address: str) -> Any:
@@ -236,19 +249,6 @@ def _client(address: str) -> Any:
         words = f"the dask scheduler at {address} has no workers; the command waits for one."
         click.echo(f"jaxstab: {words}", err=True)
     return client
-
-
-def _workers_and_address(given: Mapping[str, Any]) -> tuple[int | None, str | None]:
-    """Return the number of processes, or the address of a dask scheduler, that options give."""
-    workers, scheduler, file = (given[name] for name in ("workers", "scheduler", "scheduler_file"))
-    options = {"--workers": workers, "--scheduler": scheduler, "--scheduler-file": file}
-    names = [name for name, value in options.items() if value is not None]
-    if len(names) > 1:
-        raise click.UsageError(f"{' and '.join(names)} are given; give one of them.")
-    if scheduler == "":
-        raise click.UsageError("--scheduler is empty; give an address such as tcp://10.0.0.1:8786.")
-    address = _address_in(file) if file else scheduler
-    return workers, None if workers else address or os.environ.get("DASK_SCHEDULER_ADDRESS")
 
 
 def _address_in(file: Path) -> str:

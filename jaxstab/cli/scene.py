@@ -20,13 +20,13 @@ from jaxstab.cli.options import (
     file_option,
     keep_programs,
     key_values,
-    number_or_range,
     plot_option,
     print_with_csv,
+    split,
     together,
     write_beside,
 )
-from jaxstab.shown import printable, shortened, table_text
+from jaxstab.shown import printable, table_text
 
 if TYPE_CHECKING:
     from jaxstab.scene import Scene
@@ -91,7 +91,8 @@ def _option(name: str, section: str, entry: Field[Any]) -> click.Option:
         turning = Units.ROTATION.unit(unit)
         words += f" in {unit}" + (f" ({turning})" if turning != unit and unit != "kg" else "")
     if kind == tuple[float, float]:
-        reads, words = {"callback": number_or_range}, f"{words}; LOW:HIGH for a range"
+        reads = {"callback": split(":", float, (1, 2), "is neither a number nor LOW:HIGH.")}
+        words = f"{words}; LOW:HIGH for a range"
     flags: dict[str, Any] = {"constant_delay": "constant", "frequency": True}
     if name in flags:
         reads = {"flag_value": flags[name], "default": None}
@@ -222,7 +223,7 @@ def _merged(table: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
 
 
 class _Row(NamedTuple):
-    """The answers of a scene, or why it was refused."""
+    """The answer of a scene, or why it was refused."""
 
     source: str
     scene: Any  # None for one that was refused
@@ -248,59 +249,38 @@ def _answer(
     ``options`` are those of the function that answers about walls. ``asked`` is the quantity that
     walls are to be stable with, in place of what ``name`` answers.
     """
-    from jaxstab.scene import Backwards, GainScene, MeasuredScene, scene_to_answer
-
-    is_one, plot = len(given["files"]) <= 1, given["plot"]
-    refusals = () if is_one else (ValueError, TypeError, RuntimeError)
-
-    def tried(work: Callable[..., Any], *arguments: Any) -> tuple[Any, str]:
-        try:
-            return work(*arguments), ""
-        except refusals as error:
-            return None, str(error)
-
     for option in ("plot", "safety", "stiffness", "at_damping", "at_stiffness") if asked else ():
         if given.get(option) is not None:
             raise click.UsageError(
                 f"--{option.replace('_', '-')} is given, but what walls need of one quantity is "
                 "asked for; leave it out."
             )
-    rows = list[_Row]()
-    make = partial(Backwards.from_table, asked=asked) if asked else scene_to_answer
+    from jaxstab.scene import Backwards, any_scene
+
+    make: Any = partial(any_scene, may_be_measured=True)
+    make = partial(Backwards.from_table, asked=asked) if asked else make
+    is_one, rows = len(given["files"]) <= 1, list[_Row]()
+    refusals = () if is_one else (ValueError, TypeError, RuntimeError)
     for source, table in tables_of(given).items():
-        scene, refusal = tried(make, table, source if is_one else "")
-        rows.append(_Row(source, scene, None, refusal))
-    is_of_any_delay = is_one and name in ("tune", "design")
-    for scene in filter(None, (row.scene for row in rows if plot)):
-        if isinstance(scene, MeasuredScene):
-            raise click.UsageError("a measured response has no picture; leave --plot out.")
-        if isinstance(scene, GainScene):
-            if not is_one:
-                raise click.UsageError("a picture of several scenes is for walls; give one FILE.")
-        elif not (is_of_any_delay or (is_one and scene.controller.moves)):
-            scene.controller.require_one_delay("a picture")
-    rows = [
-        _Row(row.source, row.scene, *tried(_computed, row.scene, name, options))
-        if row.scene
-        else row
-        for row in rows
-    ]
-    if plot:
+        scene: Any = None
+        try:
+            scene = make(table, source if is_one else "")
+            if given["plot"]:
+                _require_picture(scene, name, is_one=is_one)
+            rows.append(_Row(source, scene, _computed(scene, name, options), ""))
+        except refusals as error:
+            rows.append(_Row(source, scene, None, str(error)))
+    if given["plot"]:
         from jaxstab.pictures.scene import comparison_figure, scene_figure
 
-        answered = {row.source: row.scene for row in rows if row.scene and row.answer}
-        figure = (
-            scene_figure(answered[rows[0].source], rows[0].answer)
-            if is_one
-            else comparison_figure(answered)
-        )
-        draw(figure, plot)
+        answered = {row.source: row.scene for row in rows if row.answer}
+        one = partial(scene_figure, rows[0].scene, rows[0].answer)
+        draw(one() if is_one else comparison_figure(answered), given["plot"])
     warn(*dict.fromkeys(words for row in rows if row.scene for words in row.scene.unusual()))
-    if is_one:
-        answer = rows[0].answer
-        words = json.dumps(answer.as_json(), indent=1) if as_json else shown(answer)
+    if as_json:
+        words = json.dumps(rows[0].answer.as_json() if is_one else _for_json(rows), indent=1)
     else:
-        words = _json(rows) if as_json else _table(rows)
+        words = shown(rows[0].answer) if is_one else _table(rows)
     print_with_csv(words, _csv(rows), given["csv_file"])
     refused = [row for row in rows if row.refusal]
     if refused:
@@ -309,6 +289,22 @@ def _answer(
             f"{refused[0].refusal}"
         )
     return 0 if all(row.answer.all_stable for row in rows) else 1
+
+
+def _require_picture(scene: Any, name: str, *, is_one: bool) -> None:
+    """Refuse a picture of what has none, before anything is computed."""
+    from jaxstab.scene import GainScene, MeasuredScene
+
+    if isinstance(scene, MeasuredScene):
+        raise click.UsageError("a measured response has no picture; leave --plot out.")
+    if isinstance(scene, GainScene):
+        if not is_one:
+            raise click.UsageError("a picture of several scenes is for walls; give one FILE.")
+    elif not (is_one and (name in ("tune", "design") or scene.controller.moves)):
+        try:
+            scene.controller.require_one_delay("a picture")
+        except ValueError as error:
+            raise click.UsageError(str(error)) from None
 
 
 def _computed(scene: Any, name: str, options: dict[str, Any]) -> Any:
@@ -330,43 +326,24 @@ def _computed(scene: Any, name: str, options: dict[str, Any]) -> Any:
 
 def _csv(rows: list[_Row]) -> list[list[Any]]:
     columns = ["scene", *_paths(rows), "refusal"]
-    cells = (
-        {"scene": row.source, "refusal": row.refusal}
-        | {path: value for path, value, _ in row.leaves}
+    tables = (
+        {"scene": row.source, "refusal": row.refusal} | {path: own for path, own, _ in row.leaves}
         for row in rows
     )
-    return [columns, *([own.get(name, "") for name in columns] for own in cells)]
+    return [columns, *([table.get(name, "") for name in columns] for table in tables)]
 
 
-def _json(rows: list[_Row]) -> str:
-    return json.dumps(
-        [
-            {
-                "scene": row.source,
-                "answer": row.answer.as_json() if row.answer else None,
-                "refusal": row.refusal or None,
-            }
-            for row in rows
-        ],
-        indent=1,
-    )
+def _for_json(rows: list[_Row]) -> list[dict[str, Any]]:
+    answers = [row.answer.as_json() if row.answer else None for row in rows]
+    return [
+        {"scene": row.source, "answer": answer, "refusal": row.refusal or None}
+        for row, answer in zip(rows, answers, strict=True)
+    ]
 
 
 def _table(rows: list[_Row]) -> str:
     """Return the main numbers of each scene, in columns, or the reason why it was refused."""
-    shown = {
-        "best.largest_stiffness",
-        "best.at_damping",
-        "most_damped.largest_damping",
-        "all_hands.largest_stiffness",
-        "least_settling.stiffness",
-        "least_settling.damping",
-        "least_settling.settling_time_2_percent",
-        "now_allowed_stiffness",
-        "sample_time.largest_sample_time",
-        "delay.largest_delay",
-    }
-    paths = [path for path in _paths(rows) if path in shown or _is_of_wall(path)]
+    paths = [path for path in _paths(rows) if _is_main(path)]
     plain = (path.removeprefix("walls.").replace("_", " ").replace(".", ": ") for path in paths)
     lines = [["scene", *plain, ""]]
     for row in rows:
@@ -376,13 +353,22 @@ def _table(rows: list[_Row]) -> str:
     return table_text(lines)
 
 
-def _is_of_wall(path: str) -> bool:
-    """True for the path of a wall's main number, or of gains: a limit, a verdict."""
+def _is_main(path: str) -> bool:
+    """True for the path of a scene's main number, or of a wall's or of gains: limits, verdicts."""
     outer, _, name = path.rpartition(".")
-    shown_of_walls = {"verdict", "stiffness_gain", "settling_time_2_percent"}
+    main = {
+        "best": {"largest_stiffness", "at_damping"},
+        "most_damped": {"largest_damping"},
+        "all_hands": {"largest_stiffness"},
+        "least_settling": {"stiffness", "damping", "settling_time_2_percent"},
+        "": {"now_allowed_stiffness"},
+        "sample_time": {"largest_sample_time"},
+        "delay": {"largest_delay"},
+    }
     if outer.startswith(("walls.", "gains.")) and outer.count(".") == 1:
-        return name in shown_of_walls or name.startswith(("least_", "largest_"))
-    return name in {f"largest_{outer}", f"least_{outer}"}
+        of_walls = ("verdict", "stiffness_gain", "settling_time_2_percent")
+        return name in of_walls or name.startswith(("least_", "largest_"))
+    return name in {f"largest_{outer}", f"least_{outer}", *main.get(outer, ())}
 
 
 def _paths(rows: list[_Row]) -> list[str]:
@@ -434,7 +420,7 @@ def check(as_json: bool, in_full: bool, certificate: Path | None, **given: Any) 
     holds, 1 if not.
     """
     if certificate:
-        from jaxstab.scene.certificate import certificate as certified
+        from jaxstab.scene.exports import certificate as certified
 
         if len(given["files"]) > 1:
             raise click.UsageError("a certificate is of one scene; give one FILE.")
@@ -628,23 +614,13 @@ def explore(file: Path | None, output: Path) -> None:
 # The command that writes a guard for C.
 
 
-def _cells(_: click.Context, option: click.Parameter, text: str | None) -> Any:
-    if text is None:
-        return None
-    try:
-        counts = tuple(int(count) for count in text.split(","))
-    except ValueError:
-        counts = ()
-    if len(counts) != 3:
-        raise click.BadParameter(f"{shortened(text)} is not MASS,DELAY,DAMPING.", param=option)
-    return counts
-
-
 @click.command(cls=SceneCommand)
 @scene_options
 @file_option("-o", "--output", required=True, help="Header file; its name begins all names in it.")
 @click.option(
-    "--cells", callback=_cells, help="Cells along mass, delay and damping: powers of two."
+    "--cells",
+    callback=split(",", int, (3,), "is not MASS,DELAY,DAMPING."),
+    help="Cells along mass, delay and damping: powers of two.",
 )
 @plot_option("PNG or SVG file of the limits.")
 def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
@@ -664,10 +640,10 @@ def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
     warn(*scene.unusual())
     from jaxstab.durable import publish
     from jaxstab.guard.guard import checked_name
-    from jaxstab.scene.guard import guard_about, guard_plan, scene_guard
+    from jaxstab.scene.exports import guard_about, guard_plan, scene_guard
 
     name = checked_name(output.stem)  # before the proof, which takes long
-    cells = given["cells"]
+    cells = given["cells"] and (*given["cells"],)
     plan = guard_plan(scene, cells)
     with at_work("proving") as show:
 
@@ -688,8 +664,6 @@ def guard(output: Path, plot: Path | None, as_json: bool, **given: Any) -> None:
 
 # The command that identifies a device: a scene from a log of forces and positions.
 
-_LOGGED = ("time", "force", "position", "velocity", "setpoint")
-
 
 @click.command()
 @click.argument("log", type=Path)
@@ -699,7 +673,7 @@ _LOGGED = ("time", "force", "position", "velocity", "setpoint")
         click.option(
             f"--{name}", metavar="COLUMN", help=f'Column of the {name}; default: "{name}".'
         )
-        for name in _LOGGED
+        for name in ("time", "force", "position", "velocity", "setpoint")
     )
 )
 @click.option("--sample-time", type=float, help="Sampling period in s, in place of a time column.")
@@ -717,11 +691,9 @@ def identify(
     sample_time: float | None,
     turns: bool,
     spring: bool,
-    kp: float | None,
-    kd: float | None,
     window_samples: int | None,
     plot: Path | None,
-    **columns: str | None,
+    **given: Any,
 ) -> None:
     """Fit mass, damping, friction and delay to a LOG, with 95 % confidence intervals.
 
@@ -736,34 +708,35 @@ def identify(
 
     from jaxstab.durable import publish
     from jaxstab.model import Velocity
-    from jaxstab.scene.identify import identified_scene, identified_text, identify_servo, read_log
-    from jaxstab.scene.identify import identify as fit
+    from jaxstab.scene import identify as fits
     from jaxstab.scene.scene import Scene, Units
     from jaxstab.tables import parsed
 
     keep_programs()
-    if (kp is None) != (kd is None) or (kp is None and window_samples) or (kp and spring):
+    gains = {name: given.pop(name) for name in ("kp", "kd")}
+    is_servo = None not in gains.values()
+    if (
+        is_servo == (gains["kp"] is None)
+        or (is_servo and spring)
+        or (window_samples and not is_servo)
+    ):
         raise click.UsageError(
             "of --kp, --kd and --window-samples some are missing, or there is --spring beside "
             "them; give --kp and --kd of a servo, without --spring, or none of them."
         )
-    used = (
-        ("time", "force", "position", "velocity")
-        if kp is None
-        else ("time", "position", "setpoint")
-    )
-    names = {name: columns[name] or name for name in used}
-    optional = [] if kp is not None or columns["velocity"] else [names["velocity"]]
-    given = read_log(str(log), names, sample_time, optional)
+    used = ("time", "position", "setpoint" if is_servo else "force", *["velocity"] * (not is_servo))
+    names = {name: given[name] or name for name in used}
+    optional = [] if is_servo or given["velocity"] else [names["velocity"]]
+    columns = fits.read_log(str(log), names, sample_time, optional)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # the scene's are printed
-        if kp is None:
-            device = fit(**given, spring=spring)
-        else:
+        if is_servo:
             window = Velocity.difference(samples=window_samples) if window_samples else None
-            device = identify_servo(**given, kp=kp, kd=kd or 0.0, velocity=window)
+            device = fits.identify_servo(**columns, **gains, velocity=window)
+        else:
+            device = fits.identify(**columns, spring=spring)
     units = Units.ROTATION if turns else Units.LINE
-    scene = identified_scene(device, units, log.name)
+    scene = fits.identified_scene(device, units, log.name)
     warn(*filter(None, [device.warning]), *Scene.from_table(parsed(scene)).unusual())
     if plot:
         from jaxstab.pictures.scene import identified_figure
@@ -774,4 +747,48 @@ def identify(
         return
     if output:
         publish(scene.encode(), output)
-    click.echo(identified_text(device, units))
+    click.echo(fits.identified_text(device, units))
+
+
+# The command for the joints of a robot file.
+
+
+@click.command()
+@click.argument("robot", type=Path)
+@click.option("--rate", type=float, help="Of the controller in Hz.")
+@click.option("--delay", type=float, default=0.0, help="From sample to torque in s; default: 0.")
+@click.option("--jitter", type=float, default=0.0, help="By which the delay varies, in s.")
+@click.option("--cutoff", type=float, help="Low pass of the velocity in Hz; default: none.")
+@click.option("--gains", type=Path, help="YAML file: kp and kd by the names of joints.")
+@click.option("--simulated", is_flag=True, help="Take the file's own step and integrator.")
+@file_option("--csv", "csv_file", help="CSV file ('-': stdout), a row for each joint.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@file_option(
+    "--safe-gains", check=file_in(".yaml", ".yml"), help="YAML file of safe gains to write."
+)
+def joints(
+    robot: Path,
+    cutoff: float | None,
+    gains: Path | None,
+    csv_file: Path | None,
+    as_json: bool,
+    safe_gains: Path | None,
+    **asked: Any,
+) -> int:
+    """Judge kp and kd of each joint of a ROBOT (MJCF or URDF).
+
+    For every inertia that a joint has over its postures. Gains are those of the file's position
+    actuators, or of --gains. With --simulated and no --rate they are inside of the simulation's
+    step. The exit code is 0 if all gains are proved stable, 1 if not, or if no joint has any.
+    """
+    import jaxstab
+    from jaxstab.scene.joints import read_gains
+
+    velocity = None if cutoff is None else jaxstab.Velocity.low_pass(cutoff)
+    own = None if gains is None else read_gains(gains)
+    answer = jaxstab.joints(robot, gains=own, velocity=velocity, **asked)
+    if safe_gains:
+        write_beside(answer.as_yaml().encode(), safe_gains)
+    words = json.dumps(answer.as_json(), indent=1) if as_json else str(answer)
+    print_with_csv(words, answer.rows(), csv_file)
+    return 0 if answer.all_stable else 1

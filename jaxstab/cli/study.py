@@ -17,23 +17,13 @@ from jaxstab.cli.options import (
     key_values,
     plot_option,
     print_with_csv,
+    split,
 )
 from jaxstab.cli.scene import SceneCommand, mechanics_options, tables_of
 from jaxstab.shown import printable, table_text
 
 if TYPE_CHECKING:
     from xarray import Dataset
-
-
-def _part(_: click.Context, option: click.Parameter, text: str | None) -> tuple[int, int]:
-    if text is None:
-        return 1, 1
-    index, slash, count = text.partition("/")
-    if not (slash and index.isdigit() and count.isdigit() and 1 <= int(index) <= int(count)):
-        raise click.BadParameter(
-            f"{text!r} is no part; give NUMBER/COUNT, such as 3/64.", param=option
-        )
-    return int(index), int(count)
 
 
 @click.command(cls=SceneCommand)
@@ -65,7 +55,10 @@ def _part(_: click.Context, option: click.Parameter, text: str | None) -> tuple[
 )
 @executor_options
 @click.option(
-    "--part", callback=_part, metavar="NUMBER/COUNT", help="Compute one part of the study alone."
+    "--part",
+    callback=split("/", int, (2,), "is no part; give NUMBER/COUNT, such as 3/64."),
+    metavar="NUMBER/COUNT",
+    help="Compute one part of the study alone.",
 )
 @click.option("--merge", is_flag=True, help="FILEs are all parts of a study: put them together.")
 @plot_option("PNG or SVG file to draw the study into.")
@@ -75,7 +68,7 @@ def study(
     seed: int,
     output: Path | None,
     csv_file: Path | None,
-    part: tuple[int, int],
+    part: list[int] | None,
     merge: bool,
     plot: Path | None,
     **given: Any,
@@ -87,9 +80,9 @@ def study(
     from jaxstab.scene.labelled import require_free, write
     from jaxstab.scene.study import merged, plan_study
 
-    if output is None and (merge or part != (1, 1)):
+    if output is None and (merge or part):
         raise click.UsageError("--merge and --part are given without --output; give the file.")
-    if merge and (over or part != (1, 1)):
+    if merge and (over or part):
         raise click.UsageError("--merge is given beside --over or --part; give one of them.")
     if not merge and len(given["files"]) > 1:
         raise click.UsageError("a study is for one scene; give one FILE, or --merge.")
@@ -100,8 +93,14 @@ def study(
     else:
         ((_, scene),) = tables_of(given).items()
         keep_programs()
+        number, count = part or (1, 1)
         planned = plan_study(
-            scene, over, answers=given["answers"], samples=samples, seed=seed, part=part
+            scene,
+            over,
+            answers=given["answers"],
+            samples=samples,
+            seed=seed,
+            part=(number, count),
         )
         table = planned.table
     rows, most = prod(table.sizes.values()), 1_048_575  # in a spreadsheet, with one of names

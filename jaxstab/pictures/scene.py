@@ -61,20 +61,18 @@ from jaxstab.scene.contact import (
     walls_around,
 )
 from jaxstab.scene.gains import GainScene
-from jaxstab.scene.hands import (
+from jaxstab.scene.limits import LimitsOverDelays, passive_walls
+from jaxstab.scene.loops import (
     BUT_FOR_DRIFT,
     WallVerdict,
     at_lowest,
     common_outline,
-    delays_of,
-    loops_over_delays,
-)
-from jaxstab.scene.limits import LimitsOverDelays, passive_walls
-from jaxstab.scene.loops import (
     corner_loops,
+    delays_of,
     hands_of,
     is_plain,
     loop_of,
+    loops_over_delays,
     wall_region,
     walls_of,
 )

@@ -4,12 +4,11 @@ from .check import check_walls as check_walls
 from .contact import simulate_contacts as simulate_contacts
 from .gains import GainAnswer as GainAnswer
 from .gains import GainScene as GainScene
+from .gains import MeasuredScene as MeasuredScene
 from .gains import any_scene as any_scene
 from .gains import explain_gains as explain_gains
 from .limits import scene_limits as scene_limits
 from .loops import loop_of as loop_of
-from .measured import MeasuredScene as MeasuredScene
-from .measured import scene_to_answer as scene_to_answer
 from .scene import Scene as Scene
 from .tune import DesignStatus as DesignStatus
 from .tune import design_loop as design_loop

@@ -221,8 +221,8 @@ class Answer:
         return "\n".join(self.lines())
 
     def _units(self, units: Units) -> Units:
-        inputs = getattr(self, "inputs", None)
-        return inputs.units if isinstance(inputs, Basis) else units
+        found = (value.units for _, value in self._entries() if isinstance(value, Basis))
+        return next(found, units)
 
     def _entries(self) -> Iterator[tuple[tuple[str, ...], Any]]:
         """Yield each value after its key, or after the two of one in a dictionary."""
@@ -245,7 +245,7 @@ class Answer:
 
     def _quantity(self, name: str) -> Quantity:
         kind: Any = type(self)  # mypy holds it for not hashable
-        return _quantities(kind)[name]
+        return quantities(kind)[name]
 
     def _words(self, name: str, value: Any, units: Units) -> str:
         if isinstance(value, str | IntEnum):
@@ -311,13 +311,6 @@ class Basis(Answer):
         return [line(indent, name, said) for name, said in self.facts().items()]
 
 
-@dataclass(frozen=True)
-class Inputs(Answer):
-    """The inputs alone, with their units, of answers that are no ``Answer``."""
-
-    inputs: Basis
-
-
 def in_words(value: str | IntEnum) -> str:
     """Return the words of a status, or the name of a verdict."""
     return value if isinstance(value, str) else getattr(value, "words", value.name.lower())
@@ -350,7 +343,7 @@ def _for_json(value: Any) -> Any:
 
 
 @cache
-def _quantities(kind: Any) -> dict[str, Quantity]:
+def quantities(kind: Any) -> dict[str, Quantity]:
     """Return the quantities of the annotated fields of an answer."""
     hints = get_type_hints(kind, include_extras=True)
     quantities = {}
@@ -402,6 +395,8 @@ def basis_of(scene: Scene, *, at_longest: bool = False) -> Basis:
     estimator = controller.velocity or (
         "the difference over one sample (assumed: the scene names no estimator)"
     )
+    masses = IntervalQuantity("kg").words(device.effective_mass, scene.units)
+    postures = f"a device of {masses}, constant while a wall is touched"
     return Basis(
         velocity=str(estimator),
         position=None if controller.position is None else str(controller.position_filter),
@@ -416,7 +411,7 @@ def basis_of(scene: Scene, *, at_longest: bool = False) -> Basis:
         hand_stiffness=None if hand is None else hand.stiffness,
         hand_damping=None if hand is None else hand.damping,
         mechanics=_beside_one_mass(scene),
-        postures=_postures(scene),
+        postures=postures if device.varies else None,
         motion=None if scene.units is Units.LINE else "rotation",
     )
 
@@ -461,14 +456,6 @@ def blocks_of(scene: Scene) -> dict[str, str]:
 def _grip_in_words(grip: Grip, units: Units) -> str:
     spring = Quantity("N/m").words(grip.stiffness, units)
     return f"{spring}, {Quantity('N s/m').words(grip.damping, units)}"
-
-
-def _postures(scene: Scene) -> str | None:
-    """Describe the range of the device's mass; None for a single mass."""
-    if not scene.device.varies:
-        return None
-    words = IntervalQuantity("kg").words(scene.device.effective_mass, scene.units)
-    return f"a device of {words}, constant while a wall is touched"
 
 
 def _beside_one_mass(scene: Scene) -> str | None:

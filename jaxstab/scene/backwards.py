@@ -13,7 +13,7 @@ from typing import Any
 
 from jaxstab.loop import Gains, StableValues
 from jaxstab.loop.backwards import range_of
-from jaxstab.scene.answers import Answer, Basis, GivenQuantity, IntervalQuantity, Quantity, basis_of
+from jaxstab.scene.answers import GivenQuantity, IntervalQuantity, Quantity, basis_of
 from jaxstab.scene.gains import GainAnswer
 from jaxstab.scene.limits import numbered
 from jaxstab.scene.loops import loop_of, masses_of, range_of_hands, walls_of
@@ -40,20 +40,6 @@ def known_of(table: Mapping[str, Any]) -> set[str]:
 
 
 @dataclass(frozen=True)
-class Needs(Answer):
-    """The values that each wall needs, by its name."""
-
-    inputs: Basis | None
-    device_damping: str | None
-    walls: dict[str, GainAnswer]
-
-    @property
-    def all_stable(self) -> bool:
-        """True if each wall is stable with some values, proved for all hands."""
-        return all(wall.is_stable for wall in self.walls.values())
-
-
-@dataclass(frozen=True)
 class Backwards:
     """A scene, the quantity that is asked for, and whether its damping is assumed to be 0."""
 
@@ -77,7 +63,7 @@ class Backwards:
         """Describe values that look like a slip of the unit."""
         return self.scene.unusual()
 
-    def answer(self, _: str) -> Needs:
+    def answer(self, _: str) -> GainAnswer:
         """The values that each wall needs."""
         scene, quantity = self.scene, QUANTITIES[self.asked]
         inputs, controller = basis_of(scene, at_longest=True), scene.controller
@@ -93,14 +79,12 @@ class Backwards:
             name: (wall, range_of(loop_of(scene), quantity, wall, **options))
             for name, wall in walls_of(scene).items()
         }
-        return Needs(
-            inputs=inputs,
-            device_damping="0, assumed: the scene names none" if self.has_no_damping else None,
-            walls={
-                name: _needs(wall, values, scene.units, is_range="hands" in options)
-                for name, (wall, values) in found.items()
-            },
-        )
+        walls = {
+            name: _needs(wall, values, scene.units, is_range="hands" in options)
+            for name, (wall, values) in found.items()
+        }
+        assumed = "0, assumed: the scene names none" if self.has_no_damping else None
+        return GainAnswer({"inputs": inputs, "device_damping": assumed, "walls": walls})
 
 
 def _needs(wall: Gains, found: StableValues, units: Units, *, is_range: bool) -> GainAnswer:

@@ -1,24 +1,21 @@
 """The walls of a scene: verdict, margins, radius, settling and chatter, with proofs."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from decimal import ROUND_CEILING, ROUND_FLOOR
-from functools import partial
 from math import inf, isinf, isnan, nan
 from typing import Annotated, Any
 
 import numpy as np
 from jaxtyping import Float64
 
-from jaxstab.arrays import take, tree_map
-from jaxstab.batches import alike
+from jaxstab.arrays import tree_map
 from jaxstab.conventions import Verdict
 from jaxstab.exact import LineStatus
 from jaxstab.loop import FrequencyMargins as LoopFrequencyMargins
 from jaxstab.loop import Gains, HapticLoop
 from jaxstab.loop import Margins as LoopMargins
 from jaxstab.loop.frequency import wall_frequency_margins
-from jaxstab.model.loop import as_one
 from jaxstab.motion import Amplitude as Amplitudes
 from jaxstab.motion import Oscillation as Mode
 from jaxstab.motion import Settling as MotionSettling
@@ -41,22 +38,20 @@ from jaxstab.scene.answers import (
     basis_of,
     line,
 )
-from jaxstab.scene.contact import NotSimulated, Simulated, contacts_or_reasons
-from jaxstab.scene.hands import (
-    Floats,
-    WallVerdict,
-    held_by,
-    loops_over_delays,
-    worst_on,
-)
+from jaxstab.scene.contact import Simulated, contacts_or_reasons
 from jaxstab.scene.limits import inner_ends, numbered, stable_in_words
 from jaxstab.scene.loops import (
+    Floats,
     OneHand,
+    WallVerdict,
     corner_loops,
     hands_of,
+    held_by,
+    loops_over_delays,
     masses_of,
     walls_of,
     with_delay,
+    worst_on,
 )
 from jaxstab.scene.scene import Scene, Units
 
@@ -228,7 +223,7 @@ class WallCheck(WallVerdict):
     oscillation: Oscillation | None = None
     chatter: Chatter | None = None
     jitter: Jitter | None = None
-    simulated: Simulated | NotSimulated | None = None
+    simulated: Simulated | str | None = None
 
     def rows(self, name: str, inputs: Basis) -> Iterator[tuple[str, str]]:
         """At most eight lines, or some more with all margins over frequency."""
@@ -266,7 +261,8 @@ class WallCheck(WallVerdict):
             is_endless = isinf(self.chatter.chatter_at_most)
             yield "  encoder chatter", most[0] if is_endless else "at most {} and {}".format(*most)
         if self.simulated:
-            yield "  contact", self.simulated.in_short(inputs.units)
+            felt = self.simulated
+            yield "  contact", felt if isinstance(felt, str) else felt.in_short(inputs.units)
 
     def _verdict(self, words: str, units: Units) -> str:
         hand = self.worst_hand
@@ -303,28 +299,6 @@ class Check(Answer):
         return aligned(rows)
 
 
-# Many walls at once: loops of one mass with the same estimator, filter and sampling period are one
-# loop with arrays. Any other loop is evaluated by itself, at all of its walls.
-
-
-def _evaluated(
-    method: Callable[..., Any], walls: Sequence[tuple[HapticLoop, Gains]], *, apart: bool = False
-) -> Any:
-    """The answers of a method of loops about walls, as arrays; ``apart``: loop by loop."""
-    groups = alike(
-        loop if apart or loop.body is None else (loop.sample_time, loop.velocity, loop.position)
-        for loop, _ in walls
-    )
-    answers = []
-    for indices in groups:
-        loops = [walls[index][0] for index in indices]
-        gains = np.array([walls[index][1] for index in indices]).T
-        is_one = apart or loops[0].body is None
-        answers.append(method(loops[0] if is_one else as_one(loops), *gains))
-    order = np.argsort(np.concatenate(groups))
-    return tree_map(lambda *parts: np.concatenate(parts)[order], *answers)
-
-
 @dataclass(frozen=True)
 class _Wall:
     """A wall of a scene, the loops with the hands at the corners of its range and the worst."""
@@ -341,54 +315,40 @@ def check_walls(scene: Scene, *, in_full: bool = True) -> Check:
 
     Not ``in_full`` it has of these what ``Check.in_short`` prints.
     """
-    walls, encoder = _walls_of(scene), scene.device.encoder
-    measured: list[dict[str, Any]] = [{} for _ in walls]
-    left_out = [_left_out(wall) if scene.wanted.measures else None for wall in walls]
-    printed = ["margins", "frequency", "settling", "chatter"] + ["jitter"] * scene.controller.moves
-    for name, (method, summarise) in _MEASURES.items():
-        if name not in scene.wanted.measures or not (in_full or name in printed):
-            continue
-        if name == "chatter":
-            if encoder is None:
-                continue
-            method = partial(method, encoder=encoder.resolution)
-        if name == "frequency":
-            method = partial(method, in_full=scene.wanted.frequency)
-        if name == "jitter":
-            method = partial(method, hands=hands_of(scene), mass=masses_of(scene))
-        held = []
-        for own, wall, reason in zip(measured, walls, left_out, strict=True):
-            is_unstable = wall.worst.verdict == Verdict.UNSTABLE
-            is_printed = in_full or not wall.worst.worst_delays
-            if name == "margins" and is_unstable and is_printed and not reason:
-                own[name] = _stable_around(wall)
-            has_none = not in_full or name in ("margins", "frequency", "jitter")
-            is_left_out = reason or (is_unstable and has_none)
-            held.append([] if is_left_out else _loops_for(wall, name))
-        pairs = [(x, wall.gains) for wall, loops in zip(walls, held, strict=True) for x in loops]
-        if not pairs:
-            continue
-        apart = name in ("frequency", "distance", "jitter")  # methods that take no loop with arrays
-        answers, end = _evaluated(method, pairs, apart=apart), 0
-        for own, wall, loops in zip(measured, walls, held, strict=True):
-            begin, end = end, end + len(loops)
-            if loops:
-                own[name] = summarise(wall, loops, take(answers, np.s_[begin:end]))
+    scene.require_walls()
     felt = contacts_or_reasons(scene) if scene.wanted.measures else {}
-    checked = {
-        name: WallCheck(
-            **vars(wall.worst),
-            measures_are=reason or (_measures_are(wall) if answers else None),
-            **answers,
-            simulated=felt.get(name),
-        )
-        for name, wall, answers, reason in zip(scene.walls, walls, measured, left_out, strict=True)
-    }
+    walls = zip(scene.walls, _walls_of(scene), strict=True)
+    checked = {name: _checked(wall, felt.get(name), in_full=in_full) for name, wall in walls}
     return Check(basis_of(scene), checked)
 
 
+def _checked(wall: _Wall, felt: Simulated | str | None, *, in_full: bool) -> WallCheck:
+    scene, is_unstable = wall.scene, wall.worst.verdict == Verdict.UNSTABLE
+    encoder, wanted, answers = scene.device.encoder, scene.wanted, dict[str, Any]()
+    options: dict[str, dict[str, Any]] = {
+        "frequency": {"in_full": wanted.frequency},
+        "chatter": {"encoder": encoder.resolution} if encoder else {},
+        "jitter": {"hands": hands_of(scene), "mass": masses_of(scene)},
+    }
+    printed = ["margins", "frequency", "settling", "chatter"] + ["jitter"] * scene.controller.moves
+    of_stable = [*printed, "jitter"] if not in_full else ["margins", "frequency", "jitter"]
+    reason = _left_out(wall) if wanted.measures else None
+    for name, (method, summarise) in _MEASURES.items() if reason is None else ():
+        is_known = name != "chatter" or encoder is not None
+        if name not in wanted.measures or not (is_known and (in_full or name in printed)):
+            continue
+        if not (is_unstable and name in of_stable):
+            loops = _loops_for(wall, name)
+            found = [method(loop, *wall.gains, **options.get(name, {})) for loop in loops]
+            each = tree_map(lambda *parts: np.stack(parts), *found)
+            answers[name] = summarise(wall, loops, each)
+        elif name == "margins" and (in_full or not wall.worst.worst_delays):
+            answers[name] = _stable_around(wall)
+    measures = reason or (_measures_are(wall) if answers else None)
+    return WallCheck(**vars(wall.worst), measures_are=measures, **answers, simulated=felt)
+
+
 def _walls_of(scene: Scene) -> list[_Wall]:
-    scene.require_walls()
     loops = loops_over_delays(scene)
     if hands_of(scene) and (scene.controller.has_one_delay or scene.controller.moves):
         every = (corner_loops(with_delay(scene, loop.delay)) for loop in loops)
@@ -461,12 +421,6 @@ def _stable_beside(gain: float, loops: list[HapticLoop], method: str) -> list[An
     return common or [(nan, nan)]
 
 
-def _worst_frequencies(
-    wall: _Wall, _: list[HapticLoop], found: LoopFrequencyMargins
-) -> FrequencyMargins:
-    return frequency_answer(found, in_full=wall.scene.wanted.frequency)
-
-
 def frequency_answer(found: LoopFrequencyMargins, *, in_full: bool) -> FrequencyMargins:
     """The worst of some margins over frequency."""
     answer = dict[str, Any]()
@@ -491,11 +445,6 @@ def _common(limits: Float64[np.ndarray, "hand 2"]) -> tuple[float, float]:
     """Return the interval that is in all intervals; an end that is 0 but for rounding is 0."""
     low, high = limits[:, 0].max(), limits[:, 1].min()
     return float(without_noise(low, high - low)), float(without_noise(high, high - low))
-
-
-def _least_distance(_: _Wall, __: list[HapticLoop], distances: Floats) -> Distance:
-    """Return the least distance; NaN if a loop has no region."""
-    return Distance(float(np.min(distances)))
 
 
 def _radius(_: _Wall, __: list[HapticLoop], radius: SpectralRadius) -> Radius:
@@ -558,15 +507,18 @@ def _jitter(wall: _Wall, _: list[HapticLoop], margin: Floats) -> Jitter:
 _HORIZON = 2**17  # samples within which settling is looked for
 
 
-def _settlings(loop: HapticLoop, *gains: Floats) -> list[MotionSettling]:
+def _settlings(loop: HapticLoop, *gains: float) -> list[MotionSettling]:
     """The settling times of walls to each level."""
     return [loop.settling_time(*gains, level=level, horizon=_HORIZON) for level in (0.02, 0.05)]
 
 
 _MEASURES: dict[str, tuple[Callable[..., Any], Callable[..., Answer]]] = {
     "margins": (HapticLoop.margins, _least_margins),
-    "frequency": (wall_frequency_margins, _worst_frequencies),
-    "distance": (HapticLoop.boundary_distance, _least_distance),
+    "frequency": (
+        wall_frequency_margins,
+        lambda wall, _, found: frequency_answer(found, in_full=wall.scene.wanted.frequency),
+    ),
+    "distance": (HapticLoop.boundary_distance, lambda *own: Distance(float(own[-1].min()))),
     "radius": (HapticLoop.spectral_radius, _radius),
     "settling": (_settlings, _longest),
     "oscillation": (HapticLoop.oscillation, _least_damped),

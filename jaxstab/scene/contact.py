@@ -68,17 +68,6 @@ class Simulated(Answer):
 
 
 @dataclass(frozen=True)
-class NotSimulated(Answer):
-    """Why the contact with a wall is not simulated: proofs do not need it."""
-
-    contact: str
-
-    def in_short(self, _: Units) -> str:
-        """The reason."""
-        return self.contact
-
-
-@dataclass(frozen=True)
 class Contacts(Answer):
     """The simulated contact of each wall, by its name."""
 
@@ -138,13 +127,13 @@ def contacts_of(scene: Scene) -> dict[str, Simulated]:
     }
 
 
-def contacts_or_reasons(scene: Scene) -> Mapping[str, Simulated | NotSimulated]:
+def contacts_or_reasons(scene: Scene) -> Mapping[str, Simulated | str]:
     """Return ``contacts_of``; for a wall whose contact cannot be simulated, the reason."""
     try:
         return contacts_of(scene)
     except ValueError as error:
         if len(scene.walls) == 1:
-            return dict.fromkeys(scene.walls, NotSimulated(f"not simulated: {error}"))
+            return dict.fromkeys(scene.walls, f"not simulated: {error}")
     alone = (replace(scene, walls={name: wall}) for name, wall in scene.walls.items())
     return {
         name: answer for single in alone for name, answer in contacts_or_reasons(single).items()

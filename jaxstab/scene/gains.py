@@ -20,10 +20,11 @@ from math import inf, isfinite, isnan, nan
 from typing import Any
 
 from jaxstab import loop as doors
+from jaxstab import model
 from jaxstab import tables as t
-from jaxstab.conventions import Verdict
+from jaxstab.conventions import MEASURED, Verdict
 from jaxstab.exact import LineStatus, StableLine, stable_line
-from jaxstab.loop import Gain, GainLimit, Loop
+from jaxstab.loop import Gain, GainLimit, Gains, HapticLoop, Loop
 from jaxstab.model.affine import affine_triple
 from jaxstab.numbers import without_noise
 from jaxstab.region import RegionStatus
@@ -35,11 +36,21 @@ from jaxstab.scene.answers import (
     Quantity,
     aligned,
     basis_of,
+    quantities,
 )
 from jaxstab.scene.check import Radius, frequency_answer
-from jaxstab.scene.limits import numbered, stable_in_words, stable_intervals
-from jaxstab.scene.loops import device_of, hands_of, loop_of
-from jaxstab.scene.scene import Device, Hand, PositionTable, Scene, Units
+from jaxstab.scene.limits import AroundWall, Island, numbered, stable_in_words, stable_intervals
+from jaxstab.scene.loops import WallVerdict, device_of, hands_of, loop_of
+from jaxstab.scene.scene import (
+    Controller,
+    Device,
+    Hand,
+    PositionTable,
+    Scene,
+    Units,
+    Wall,
+    walls_in,
+)
 from jaxstab.scene.tune import DesignStatus, largest_value
 from jaxstab.shown import Printed, stable_pair
 
@@ -186,16 +197,6 @@ class GainScene:
             ) from None
 
 
-def any_scene(tables: Mapping[str, Any], source: str = "") -> Scene | GainScene:
-    """The scene of walls or, with a table [loop], of another loop; ValueError with its source."""
-    if "loop" not in tables:
-        return Scene.from_table(tables, source)
-    try:
-        return GainScene.from_table(tables)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{source}: {error}" if source else str(error)) from None
-
-
 @cache
 def _tables_of(*gains: Gain) -> tuple[Any, Any]:
     """Return the tables of a pair of gains, and of wishes about them."""
@@ -228,6 +229,8 @@ class GainAnswer(Answer):
 
     def in_short(self) -> str:
         """Of each pair of gains what most people ask for, in at most eight lines."""
+        if "gains" not in self.values:  # measured walls, which are short as they are
+            return str(self)
         inputs = self.values["inputs"].values
         rows = [("loop", inputs["loop"]), ("given", inputs["given"])]
         rows += inputs["device"].facts().items() if inputs["device"] else ()
@@ -312,11 +315,8 @@ def _limits(scene: GainScene) -> tuple[GainLimit, GainLimit]:
     if limits.status == RegionStatus.UNRESOLVED:
         raise RuntimeError("the stable region was not resolved; change one value a little.")
     factors = {"largest": safety, "least": 1.0 / safety}
-    first, second = limits[:2]
-    return (
-        first._replace(value=first.value * factors[first.gain.sense]),
-        second._replace(value=second.value * factors[second.gain.sense]),
-    )
+    first, second = (own._replace(value=own.value * factors[own.gain.sense]) for own in limits[:2])
+    return first, second
 
 
 def _limit(scene: GainScene, limit: GainLimit) -> GainAnswer:
@@ -380,27 +380,23 @@ def _around(scene: GainScene, pair: dict[str, float], *, in_full: bool = False) 
     verdict = scene.verdict(*pair.values())
     values: dict[str, Any] = {**pair, "verdict": verdict}
     formats: dict[str, Quantity] = {x.name: GivenQuantity(x.unit) for x in scene.loop.gains}
-    if in_full and not scene.is_range:
+    if scene.is_range:
+        return GainAnswer(values, formats, verdict == Verdict.STABLE)
+    if in_full:
         radius = scene.loop.spectral_radius(**pair)
         values["radius"] = Radius(float(radius.value), float(radius.error))
-    if in_full and not scene.is_range and verdict == Verdict.STABLE:
-        margins, is_long = scene.loop.frequency_margins(**pair), scene.wanted["frequency"]
-        values["frequency"] = frequency_answer(margins, in_full=bool(is_long))
-        found, names = scene.loop.margins(**pair), [f"{name}_factors" for name in (*pair, "both")]
-        each = (found.first_factors, found.second_factors, found.both_factors)
-        ends = (without_noise(pair, pair[1] - pair[0]).tolist() for pair in each)
-        values |= {name: tuple(pair) for name, pair in zip(names, ends, strict=True)}
+    if in_full and verdict == Verdict.STABLE:
+        margins = scene.loop.frequency_margins(**pair)
+        values["frequency"] = frequency_answer(margins, in_full=bool(scene.wanted["frequency"]))
+        names = [f"{name}_factors" for name in (*pair, "both")]
+        for name, (low, high) in zip(names, scene.loop.margins(**pair)[3:6], strict=True):
+            values[name] = (*without_noise([low, high], high - low).tolist(),)
         formats |= dict.fromkeys(names, IntervalQuantity("", 4))
-    for own in () if scene.is_range else scene.loop.gains:
+    for own in scene.loop.gains:
         fixed = _other(scene, own)
         row = _row(scene, fixed, pair[fixed.name], pair[own.name])
         values |= {name: value for name, value in row.values.items() if name[:3] != "at_"}
         formats |= row.formats
-    if in_full and not scene.is_range and verdict == Verdict.STABLE:
-        factors = dict(zip((*pair, "both"), scene.loop.margins(**pair)[3:6], strict=True))
-        shown = ((name, without_noise(ends, ends[1] - ends[0])) for name, ends in factors.items())
-        values |= {f"{name}_factors": (*ends.tolist(),) for name, ends in shown}
-        formats |= {f"{name}_factors": IntervalQuantity("", 4) for name in factors}
     return GainAnswer(values, formats, verdict == Verdict.STABLE)
 
 
@@ -482,3 +478,119 @@ _ANSWERS: Mapping[str, Callable[[GainScene], GainAnswer]] = {
     "tune": tune_gains,
     "design": design_gains,
 }
+
+
+# Scenes of a device that was measured: ``[device] response = "sweep.csv"``, beside the scene. A
+# hand that held the device is in it. Their walls are judged from measured data, not proved.
+
+
+def _file_name(value: Any) -> str:
+    if not isinstance(value, str) or not value:
+        raise ValueError("give the name of a CSV file")
+    return value
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasuredDevice(t.Table):
+    """A device by the file of its response, its relative error, and whether it turns."""
+
+    response: str = t.key(_file_name)
+    error: float | None = t.key(t.tolerance, None)
+    turns: bool = t.key(t.truth, False)
+
+
+@dataclass(frozen=True)
+class MeasuredScene:
+    """The loop of a measured device, and walls by name."""
+
+    loop: HapticLoop
+    units: Units
+    walls: dict[str, Wall]
+    asks_frequency: bool
+
+    @classmethod
+    def from_table(cls, tables: Mapping[str, Any]) -> "MeasuredScene":
+        """Check a table of tables; ValueError on the first key that is unknown, missing or bad."""
+        t.check_keys("", tables, ["device", "controller", "walls", "wanted"])
+        device = MeasuredDevice.from_table(tables["device"], "device")
+        controller = Controller.from_table(tables.get("controller", {}), "controller")
+        controller.require_one_delay("an answer about a measured response")
+        wanted = tables.get("wanted", {})
+        t.check_keys("wanted", wanted, ["frequency"])
+        loop = HapticLoop(
+            device=model.Device.from_response(device.response, error=device.error),
+            sample_time=controller.sample_time,
+            delay=controller.time_delay,
+            velocity=controller.estimator,
+            position=controller.position_filter,
+        )
+        units = Units.ROTATION if device.turns else Units.LINE
+        walls = walls_in(tables.get("walls", {}))
+        return cls(loop, units, walls, bool(wanted.get("frequency", False)))
+
+    def unusual(self) -> list[str]:
+        """There is no number of which unusual values are known."""
+        return []
+
+    def answer(self, command: str) -> GainAnswer:
+        """The limits, or what is known of the walls; ValueError for another command."""
+        if command not in ("limits", "check"):
+            raise ValueError(
+                f"{command} needs a model, but the device is a measured response; limits and check "
+                "answer, and jaxstab identify fits a model to a log."
+            )
+        if command == "check" and not self.walls:
+            raise ValueError("walls is empty; give at least one wall with stiffness and damping.")
+        loop = self.loop
+        stated = {
+            "device": str(loop.device),
+            "velocity": str(loop.velocity or "the difference over one sample (assumed)"),
+            "position": None if loop.position is None else str(loop.position),
+            "delay": f"{loop.delay_samples:g} samples beside what was measured",
+            "certainty": MEASURED,
+        }
+        values: dict[str, Any] = {"inputs": GainAnswer(stated)}
+        if command == "limits":
+            stiffness, at_damping, damping, at_stiffness = loop.limits()[:4]
+            stiffest = {"largest_stiffness": stiffness, "at_damping": at_damping}
+            damped = {"largest_damping": damping, "at_stiffness": at_stiffness}
+            values |= {"stiffest": self._shown(stiffest), "most_damped": self._shown(damped)}
+        walls = {name: self._wall(own, command == "check") for name, own in self.walls.items()}
+        return GainAnswer(values | {"walls": walls})
+
+    def _wall(self, wall: Wall, in_full: bool) -> GainAnswer:
+        loop, gains = self.loop, Gains(wall.stiffness, wall.damping)
+        verdict = Verdict(int(loop.verdict(*gains)))
+        values: dict[str, Any] = {**gains._asdict(), "verdict": verdict}
+        rows = loop.stiffness_intervals(gains.damping), loop.damping_intervals(gains.stiffness)
+        for (name, gain), row in zip(gains._asdict().items(), rows, strict=True):
+            ends = ((low.value, high.value) for low, high in row.intervals)
+            found = sorted((not low <= gain <= high, (low, high)) for low, high in ends)
+            values[f"{name}_limits"] = found[0][1] if found else None
+            plural = {"stiffness": "stiffnesses", "damping": "dampings"}[name]
+            values[f"other_{plural}"] = numbered(own for _, own in found[1:])
+        if in_full:
+            margins = loop.frequency_margins(*gains)
+            values["frequency"] = frequency_answer(margins, in_full=self.asks_frequency)
+        return replace(self._shown(values), is_stable=verdict == Verdict.STABLE)
+
+    def _shown(self, values: dict[str, Any]) -> GainAnswer:
+        formats = quantities(AroundWall) | quantities(Island) | quantities(WallVerdict)
+        known = {k: v for k, v in values.items() if not (isinstance(v, float) and not isfinite(v))}
+        return GainAnswer(
+            known, {k: replace(v, unit=self.units.unit(v.unit)) for k, v in formats.items()}
+        )
+
+
+def any_scene(tables: Mapping[str, Any], source: str = "", *, may_be_measured: bool = False) -> Any:
+    """The scene of walls, of another loop or of a measured device; ValueError with its source."""
+    device = tables.get("device")
+    kind: Any = GainScene if "loop" in tables else None
+    if may_be_measured and isinstance(device, Mapping) and "response" in device:
+        kind = MeasuredScene
+    if kind is None:
+        return Scene.from_table(tables, source)
+    try:
+        return kind.from_table(tables)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{source}: {error}" if source else str(error)) from None

@@ -208,40 +208,25 @@ def identify(
         )
     middle = float(positions.mean())
     estimates, measured, fitted = _fit(forces, (positions - middle) / unit, period, spring)
-    residual = unit * float(np.sqrt(np.mean((measured - fitted) ** 2)))
+    residual, spread = unit * _rms(measured - fitted), float(np.std(positions))
     misfit = 0.1  # of the motion: a log with a larger residual is refused
-    if not residual < misfit * np.std(positions):
+    if not residual < misfit * spread:
         raise ValueError(
             f"a mass with friction does not fit this log: the residual is {residual:g} rms, the "
-            f"motion {np.std(positions):g} rms; let go of the handle, and log force and position "
-            "of the same sample in one row."
+            f"motion {spread:g} rms; let go of the handle, and log force and position of the same "
+            "sample in one row."
         )
     factors = (period**2 / unit, period / unit, 1.0, 1.0, 1.0 / unit, period)
-    mass, damping, friction, offset, stiffness, delay = map(Estimate.times, estimates, factors)
-    loose = 0.5  # of the mass: a larger half-width of its interval is refused
+    found = [*map(Estimate.times, estimates, factors)]
+    mass, loose = found[0], 0.5  # of the mass: a larger half-width of its interval is refused
     if not mass.high - mass.low < 2.0 * loose * mass.value:
         raise ValueError(
             f"the log does not separate the mass from damping and friction: it is {mass.low:.3g} "
             f"to {mass.high:.3g}; {_EXCITE}."
         )
-    _warn_of_units(mass.value, period)
-    estimator, unexplained = _estimator(positions, columns.get("velocity"), period)
-    return Identified(
-        mass,
-        damping.times(1.0, 0.0),
-        friction.times(1.0, 0.0),
-        offset,
-        stiffness,
-        delay,
-        period,
-        resolution,
-        residual,
-        _doubt(unit * (measured - fitted), resolution, extent, period),
-        estimator,
-        unexplained,
-        middle + unit * measured,
-        middle + unit * fitted,
-    )
+    estimator = _estimator(positions, columns.get("velocity"), period)
+    paths = middle + unit * measured, middle + unit * fitted
+    return _identified(found, period, resolution, extent, estimator, *paths)
 
 
 def identify_servo(
@@ -315,8 +300,8 @@ def identify_servo(
         ftol=1e-12,
         gtol=None,
     )
-    residual = step * found.fun
-    size, resolution = float(np.sqrt(np.mean(residual**2))), _resolution(measured)
+    fitted, resolution = measured + step * found.fun, _resolution(measured)
+    size = _rms(fitted - measured)
     if not size < 0.1 * abs(step):
         raise ValueError(
             f"a mass behind a delay does not fit this step: the residual is {size:g} rms of a step "
@@ -326,24 +311,43 @@ def identify_servo(
     spread = np.sqrt(np.diag(np.linalg.pinv(found.jac.T @ found.jac)) * 2.0 * found.cost / free)
     values, half = found.x * sizes, stdtrit(free, 0.975) * spread * abs(sizes)
     mass, damping, late, _ = map(Estimate, values, values - half, values + half)
+    none, late = Estimate(0.0, 0.0, 0.0), late.times(period, 0.0)
+    every, paths = [mass, damping, none, none, none, late], (measured[None], fitted[None])
+    return _identified(every, period, resolution, abs(step), (velocity, nan), *paths)
+
+
+def _identified(
+    estimates: list[Estimate],
+    period: float,
+    resolution: float | None,
+    extent: float,
+    velocity: tuple[Velocity | None, float],
+    measured: Segments,
+    fitted: Segments,
+) -> Identified:
+    """The answer, with what the residual says of it; ``extent`` is that of the motion."""
+    mass, damping, friction, offset, stiffness, delay = estimates
     _warn_of_units(mass.value, period)
-    none = Estimate(0.0, 0.0, 0.0)
+    residual = measured - fitted
     return Identified(
         mass,
         damping.times(1.0, 0.0),
-        none,
-        none,
-        none,
-        late.times(period, 0.0),
+        friction.times(1.0, 0.0),
+        offset,
+        stiffness,
+        delay,
         period,
         resolution,
-        size,
-        _doubt(residual[None], resolution, abs(step), period),
-        velocity,
-        nan,
-        measured[None],
-        (measured + residual)[None],
+        _rms(residual),
+        _doubt(residual, resolution, extent, period),
+        *velocity,
+        measured,
+        fitted,
     )
+
+
+def _rms(values: Any) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def _stepped(setpoint: Numbers, position: Numbers) -> tuple[Rows, int, float]:
@@ -365,16 +369,18 @@ def _stepped(setpoint: Numbers, position: Numbers) -> tuple[Rows, int, float]:
 def _warn_of_units(mass: float, period: float) -> None:
     """Warn of a sample time or a mass that no device has: a slip of units."""
     usual = {x.name: x.metadata["usual"] for kind in (Device, Controller) for x in fields(kind)}
+    masses = usual["inertia"].low, usual["mass"].high
+    given = (
+        ("sample_time", period, "s", *usual["sample_time"][:2]),
+        ("mass", mass, "kg or kg m^2", *masses),
+    )
     odd = [
         f"{name} is {value:g} {unit}, usual are {low:g} to {high:g}"
-        for name, value, unit, low, high in (
-            ("sample_time", period, "s", *usual["sample_time"][:2]),
-            ("mass", mass, "kg or kg m^2", usual["inertia"][0], usual["mass"][1]),
-        )
+        for name, value, unit, low, high in given
         if not low <= value <= high
     ]
     if odd:
-        warnings.warn(f"{'; '.join(odd)}; give s, N or N m, and m or rad.", stacklevel=3)
+        warnings.warn(f"{'; '.join(odd)}; give s, N or N m, and m or rad.", stacklevel=4)
 
 
 # The fit: a start by a regression, and least squares from there.
@@ -594,7 +600,7 @@ def _estimator(
 
 def _doubt(residual: Segments, resolution: float | None, extent: float, period: float) -> str:
     """Return a warning, with its main frequency, if the residual is not what noise leaves."""
-    window, size = np.hanning(residual.shape[1]), float(np.sqrt(np.mean(residual**2)))
+    window, size = np.hanning(residual.shape[1]), _rms(residual)
     power = np.mean(abs(np.fft.rfft(window * residual, axis=1)) ** 2, axis=0)[2:]
     peak = (int(np.argmax(power)) + 2) / (residual.shape[1] * period)
     times = sqrt(12.0) * (size / resolution if resolution else 0.0)
@@ -660,8 +666,12 @@ def identified_scene(device: Identified, units: Units, source: str) -> str:
     The delay becomes a range in which it may vary, because those proofs cover ranges of mass, too.
     With a warning there is no range: what the model lacks moves estimates out of their intervals.
     """
-    period, resolution, velocity = device.sample_time, device.resolution, _velocity_key(device)
-    remarks, ranges = [], " and as ranges"
+    period, resolution, remarks, ranges = (
+        device.sample_time,
+        device.resolution,
+        [],
+        " and as ranges",
+    )
     if device.warning:
         remarks = [f"Warning: {device.warning}. So mass and delay have no range here."]
         ranges = ""
@@ -676,6 +686,13 @@ def identified_scene(device: Identified, units: Units, source: str) -> str:
             "stiffness of the hand."
         )
     friction = f"friction = {device.friction.value:.6g}  # {units.force}; {device.friction}"
+    velocity = list[str]()
+    if device.velocity is not None:
+        key = next(iter(device.velocity.filter.sections[0].toml.items()))
+        explained = 0.05  # of a velocity: an estimator with a larger error is only a comment
+        mark = "# not explained: " if device.unexplained > explained else ""
+        number = f"{key[1]:.6g}" if isinstance(key[1], float) else key[1]
+        velocity = [f"{mark}velocity.{key[0]} = {number}  # {_unexplained(device)}"]
     lines = [
         f"# From {printable(source)} by jaxstab identify. In brackets{ranges}: 95 %",
         "# confidence intervals, if the model holds.",
@@ -697,15 +714,3 @@ def identified_scene(device: Identified, units: Units, source: str) -> str:
         words = f"{units.length}/s, of simulated contacts; that of the log"
         lines += ["", "[contact]", f"speed = {speed:.2g}  # {words}"]
     return "\n".join([*lines, ""])
-
-
-def _velocity_key(device: Identified) -> list[str]:
-    """Return the key of the velocity's estimator, as a comment if it explains too little."""
-    if device.velocity is None:
-        return []
-    (section,) = device.velocity.filter.sections
-    samples, cutoff = (getattr(section, name, 0.0) for name in ("samples", "cutoff"))
-    key = f"window_samples = {samples}" if samples else f"cutoff = {cutoff:.6g}"
-    explained = 0.05  # of a velocity: an estimator with a larger error is only a comment
-    mark = "# not explained: " if device.unexplained > explained else ""
-    return [f"{mark}velocity.{key}  # {_unexplained(device)}"]

@@ -29,7 +29,7 @@ from jaxstab.scene.answers import (
 )
 from jaxstab.scene.check import SpareGain, SpareTime
 from jaxstab.scene.gains import GainAnswer
-from jaxstab.scene.hands import BUT_FOR_DRIFT
+from jaxstab.scene.loops import BUT_FOR_DRIFT
 from jaxstab.scene.robots import MOST_BYTES, joints_of, model_of, optional
 from jaxstab.scene.scene import Units
 from jaxstab.shown import rounded_text, shortened, table_text

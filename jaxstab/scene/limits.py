@@ -31,21 +31,25 @@ from jaxstab.scene.answers import (
     basis_of,
     printed_wall,
 )
-from jaxstab.scene.hands import (
+from jaxstab.scene.loops import (
     BUT_FOR_DRIFT,
     AllHands,
     Floats,
     WallVerdict,
     at_lowest,
     delays_of,
+    hands_of,
+    is_plain,
     limit_for_all,
+    loop_of,
     loops_over_delays,
     verdict_with_drift,
     wall_for_all,
+    wall_region,
+    walls_of,
     with_safety,
     worst_on,
 )
-from jaxstab.scene.loops import hands_of, is_plain, loop_of, wall_region, walls_of
 from jaxstab.scene.scene import Scene
 
 _SEE_BELOW = " (all hands: see below)"
@@ -66,13 +70,6 @@ class MostDampedWall(Answer):
 
     largest_damping: LargestDamping
     at_stiffness: Stiffness
-
-
-@dataclass(frozen=True)
-class OtherWindow(StiffestWall):
-    """The same for another window of the velocity."""
-
-    absent = "not resolved"
 
 
 @dataclass(frozen=True)
@@ -185,7 +182,7 @@ class Limits(Answer):
     islands: dict[str, Island]
     passive: StiffestWall | None
     linear_rule: LinearRule | None
-    windows: dict[str, OtherWindow]
+    windows: dict[str, StiffestWall]
     at_given_damping: StiffnessesAtDamping | None
     at_given_stiffness: DampingsAtStiffness | None
     walls: dict[str, AroundWall]
@@ -372,26 +369,22 @@ class _Rows:
 
     def stiffest(self, stiffness: float, damping: float) -> tuple[float, float]:
         """Return a largest stiffness times the safety as it is printed, NaN if not stable."""
-        scaled = self.safety * stiffness
-        is_inside = self.safety == 1.0 or self.is_inside(scaled, damping)
-        wall = scaled if is_inside else nan, damping
-        return printed_wall(
-            *wall, self.is_stable, lambda b: self.region.stiffness_intervals(np.array([b]))[0]
-        )
+        return self._printed(stiffness, damping, self.region.stiffness_intervals, Gains)
 
     def most_damped(self, damping: float, stiffness: float) -> tuple[float, float]:
         """Return a largest damping times the safety as it is printed, and its stiffness."""
-        scaled = self.safety * damping
-        is_inside = self.safety == 1.0 or self.is_inside(stiffness, scaled)
-        wall = scaled if is_inside else nan, stiffness
-        return printed_wall(
-            *wall,
-            lambda b, k: self.is_stable(k, b),
-            lambda k: self.region.damping_intervals(np.array([k]))[0],
-        )
+        rows = self.region.damping_intervals
+        return self._printed(damping, stiffness, rows, lambda b, k: Gains(k, b))
 
-    def is_inside(self, stiffness: float, damping: float) -> bool:
-        return bool(self.region.reachable.contains(stiffness, damping))
+    def _printed(self, limit: float, other: float, rows: Any, wall: Any) -> tuple[float, float]:
+        scaled = self.safety * limit
+        is_inside = self.safety == 1.0 or self.region.reachable.contains(*wall(scaled, other))
+        return printed_wall(
+            scaled if is_inside else nan,
+            other,
+            lambda *gains: self.is_stable(*wall(*gains)),
+            lambda beside: rows(np.array([beside]))[0],
+        )
 
     def is_stable(self, stiffness: float, damping: float) -> bool:
         """True if a wall is stable; of one without a spring, a very soft one."""
@@ -488,11 +481,12 @@ def _passive(rows: _Rows) -> StiffestWall:
     return StiffestWall(*printed_wall(rows.safety * stiffness, damping, rows.is_stable))
 
 
-def _other_windows(loop: HapticLoop, safety: float) -> dict[str, OtherWindow]:
+def _other_windows(loop: HapticLoop, safety: float) -> dict[str, StiffestWall]:
     """The largest stiffness with the windows that haptics software uses."""
     answers = {}
     for samples in (10, 20):  # 10 and 20 ms at 1 kHz
         other = replace(loop, velocity=Velocity.difference(samples))
-        rows, limits = _Rows(other, other.region(), safety), other.limits()
-        answers[str(samples)] = OtherWindow(*rows.stiffest(limits.stiffness, limits.at_damping))
+        rows = _Rows(other, wall_region(other), safety)
+        stiffness, damping = rows.region.limits()[:2]
+        answers[str(samples)] = StiffestWall(*rows.stiffest(stiffness, damping))
     return answers

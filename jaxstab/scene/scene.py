@@ -12,30 +12,11 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
+from jaxstab import tables as t
 from jaxstab.model import Filter, Velocity
 from jaxstab.model.filter_tables import WINDOW, FilterTable
 from jaxstab.model.parameters import LONGEST_DELAY
 from jaxstab.shown import shortened
-from jaxstab.tables import (
-    Interval,
-    Table,
-    Usual,
-    any_number,
-    check_keys,
-    checked_label,
-    each,
-    key,
-    nested,
-    not_zero,
-    one_of,
-    parsed,
-    quantity,
-    read_table,
-    share,
-    tolerance,
-    truth,
-    whole,
-)
 
 # The units of a scene: those of motion along a line, or those of rotation.
 
@@ -104,7 +85,7 @@ def presets(kind: str) -> Mapping[str, Preset]:
             table.pop("note", ""),
             {key: Sourced(**entry) for key, entry in table.items()},
         )
-        for name, table in parsed(text, f"{kind}.toml: ").items()
+        for name, table in t.parsed(text, f"{kind}.toml: ").items()
     }
 
 
@@ -119,32 +100,33 @@ def folder_of(name: str) -> Traversable:
 
 LENGTH = "m, or in rad for a device that turns"
 FORCE = "N, or in N m for a device that turns"
+_DELAYS = t.Usual(0.0, 2.0)  # in s
 _NO_MASS = "mass is missing; give it a value."
-_STIFFNESS = Usual(0.0, 1e6, (0.0, 1e5))  # of hands, grips and walls
-_DAMPING_OF_HANDS = Usual(0.0, 1e3, (0.0, 100.0))
+_STIFFNESS = t.Usual(0.0, 1e6, (0.0, 1e5))  # of hands, grips and walls
+_DAMPING_OF_HANDS = t.Usual(0.0, 1e3, (0.0, 100.0))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Encoder(Table):
+class Encoder(t.Table):
     """The encoder, by its resolution at the handle."""
 
-    resolution: float = key(quantity(LENGTH, is_positive=True), usual=Usual(1e-9, 1e-3))
+    resolution: float = t.key(t.quantity(LENGTH, is_positive=True), usual=t.Usual(1e-9, 1e-3))
 
 
 @dataclass(frozen=True, kw_only=True)
-class VibrationMode(Table):
+class VibrationMode(t.Table):
     """A vibration mode of the device: its displacement adds to the rigid body's.
 
     ``motor``, ``encoder`` and ``handle`` are its shapes there, 1 where they are one point.
     """
 
-    frequency: float = key(quantity("Hz", is_positive=True), usual=Usual(0.1, 1e4))
-    damping_ratio: float = key(quantity("1"), usual=Usual(0.0, 1.0))
-    modal_mass: float | None = key(not_zero("kg"), None, Usual(1e-3, 5e3))
-    modal_inertia: float | None = key(not_zero("kg m^2"), None, Usual(1e-8, 100.0))
-    motor: float = key(any_number, 1.0, words="shape of the mode at the motor")
-    encoder: float = key(any_number, 1.0, words="shape of the mode at the encoder")
-    handle: float = key(any_number, 1.0, words="shape of the mode where the hand is")
+    frequency: float = t.key(t.quantity("Hz", is_positive=True), usual=t.Usual(0.1, 1e4))
+    damping_ratio: float = t.key(t.quantity("1"), usual=t.Usual(0.0, 1.0))
+    modal_mass: float | None = t.key(t.not_zero("kg"), None, t.Usual(1e-3, 5e3))
+    modal_inertia: float | None = t.key(t.not_zero("kg m^2"), None, t.Usual(1e-8, 100.0))
+    motor: float = t.key(t.any_number, 1.0, words="shape of the mode at the motor")
+    encoder: float = t.key(t.any_number, 1.0, words="shape of the mode at the encoder")
+    handle: float = t.key(t.any_number, 1.0, words="shape of the mode where the hand is")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -162,14 +144,14 @@ class VibrationMode(Table):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Actuator(Table):
+class Actuator(t.Table):
     """The motor with its amplifier: the bandwidth at which the force is 3 dB too weak."""
 
-    bandwidth: float = key(quantity("Hz", is_positive=True), usual=Usual(1.0, 1e5))
+    bandwidth: float = t.key(t.quantity("Hz", is_positive=True), usual=t.Usual(1.0, 1e5))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Device(Table):
+class Device(t.Table):
     """The haptic device: effective mass in kg and physical damping in N s/m, or a preset.
 
     A device that turns has a moment of inertia in kg m^2 in place of the mass, and its damping is
@@ -177,28 +159,28 @@ class Device(Table):
     Vibration modes and an actuator are of any device. Friction is simulated, see ``Contact``.
     """
 
-    preset: str | None = key(
-        lambda name: one_of(presets("devices"))(name),
+    preset: str | None = t.key(
+        lambda name: t.one_of(presets("devices"))(name),
         None,
         words="a device by name; jaxstab scene presets lists names",
     )
-    mass: tuple[float, float] | None = key(
-        Interval("kg", is_positive=True), None, Usual(1e-3, 50.0), words="mass of the device"
+    mass: tuple[float, float] | None = t.key(
+        t.Interval("kg", is_positive=True), None, t.Usual(1e-3, 50.0), words="mass of the device"
     )
-    inertia: tuple[float, float] | None = key(
-        Interval("kg m^2", is_positive=True),
+    inertia: tuple[float, float] | None = t.key(
+        t.Interval("kg m^2", is_positive=True),
         None,
-        Usual(1e-8, 50.0),
+        t.Usual(1e-8, 50.0),
         words="moment of inertia of the device",
     )
-    damping: float = key(
-        quantity("N s/m"), usual=Usual(0.0, 100.0, (0.0, 10.0)), words="damping of the device"
+    damping: float = t.key(
+        t.quantity("N s/m"), usual=t.Usual(0.0, 100.0, (0.0, 10.0)), words="damping of the device"
     )
-    encoder: Encoder | None = key(nested(Encoder), None)
-    modes: tuple[VibrationMode, ...] = key(each(nested(VibrationMode)), ())
-    actuator: Actuator | None = key(nested(Actuator), None)
-    friction: float = key(quantity(FORCE), 0.0, words="Coulomb friction of simulated contacts")
-    static_friction: float | None = key(quantity(FORCE), None)
+    encoder: Encoder | None = t.key(t.nested(Encoder), None)
+    modes: tuple[VibrationMode, ...] = t.key(t.each(t.nested(VibrationMode)), ())
+    actuator: Actuator | None = t.key(t.nested(Actuator), None)
+    friction: float = t.key(t.quantity(FORCE), 0.0, words="Coulomb friction of simulated contacts")
+    static_friction: float | None = t.key(t.quantity(FORCE), None)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -261,11 +243,11 @@ class Device(Table):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Grip(Table):
+class Grip(t.Table):
     """The grip between device and arm: a spring and a damper in parallel."""
 
-    stiffness: float = key(quantity("N/m"), usual=_STIFFNESS)
-    damping: float = key(quantity("N s/m"), 0.0, _DAMPING_OF_HANDS)
+    stiffness: float = t.key(t.quantity("N/m"), usual=_STIFFNESS)
+    damping: float = t.key(t.quantity("N s/m"), 0.0, _DAMPING_OF_HANDS)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -274,26 +256,26 @@ class Grip(Table):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Hand(Table):
+class Hand(t.Table):
     """The hand that holds the device; each quantity a range from lowest to highest.
 
     With a grip these are of the arm behind it; without one the hand is rigidly attached to the
     device.
     """
 
-    mass: tuple[float, float] = key(
-        Interval("kg"), (0.0, 0.0), Usual(0.0, 20.0), words="mass of the hand"
+    mass: tuple[float, float] = t.key(
+        t.Interval("kg"), (0.0, 0.0), t.Usual(0.0, 20.0), words="mass of the hand"
     )
-    inertia: tuple[float, float] | None = key(
-        Interval("kg m^2"), None, Usual(0.0, 5.0), words="moment of inertia of the hand"
+    inertia: tuple[float, float] | None = t.key(
+        t.Interval("kg m^2"), None, t.Usual(0.0, 5.0), words="moment of inertia of the hand"
     )
-    stiffness: tuple[float, float] = key(
-        Interval("N/m"), (0.0, 0.0), _STIFFNESS, words="stiffness of the hand"
+    stiffness: tuple[float, float] = t.key(
+        t.Interval("N/m"), (0.0, 0.0), _STIFFNESS, words="stiffness of the hand"
     )
-    damping: tuple[float, float] = key(
-        Interval("N s/m"), (0.0, 0.0), _DAMPING_OF_HANDS, words="damping of the hand"
+    damping: tuple[float, float] = t.key(
+        t.Interval("N s/m"), (0.0, 0.0), _DAMPING_OF_HANDS, words="damping of the hand"
     )
-    grip: Grip | None = key(nested(Grip), None)
+    grip: Grip | None = t.key(t.nested(Grip), None)
 
     @property
     def effective_mass(self) -> tuple[float, float]:
@@ -318,7 +300,7 @@ class Hand(Table):
 class _TimedTable(FilterTable):
     """The keys of a filter, and the window in s."""
 
-    window: float | None = key(quantity("s", is_positive=True), None, words=WINDOW)
+    window: float | None = t.key(t.quantity("s", is_positive=True), None, words=WINDOW)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -343,8 +325,8 @@ class PositionTable(_TimedTable):
 class VelocityTable(_TimedTable):
     """The estimator of the velocity that the wall's damper sees, or that of a software by name."""
 
-    preset: str | None = key(
-        lambda name: one_of(presets("software"))(name),
+    preset: str | None = t.key(
+        lambda name: t.one_of(presets("software"))(name),
         None,
         words="as this software estimates it; jaxstab scene presets lists names",
     )
@@ -400,32 +382,32 @@ def range_in_words(ends: tuple[float, float]) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Controller(Table):
+class Controller(t.Table):
     """The sampling period in s, the delay of the loop in s or in samples, and the filters.
 
     A range of delays is of one that moves from sample to sample, the newest sample that has arrived
     setting the force, unless ``delay_is`` says that it is constant, only unknown.
     """
 
-    sample_time: float = key(
-        quantity("s", is_positive=True), usual=Usual(1e-5, 0.05), words="sampling period"
+    sample_time: float = t.key(
+        t.quantity("s", is_positive=True), usual=t.Usual(1e-5, 0.05), words="sampling period"
     )
-    delay: tuple[float, float] | None = key(Interval("s"), None, words="delay")
-    delay_samples: tuple[float, float] | None = key(Interval("samples"), None, words="delay")
-    delay_is: str | None = key(
-        one_of(("moving", "constant")),
+    delay: tuple[float, float] | None = t.key(t.Interval("s"), None, words="delay")
+    delay_samples: tuple[float, float] | None = t.key(t.Interval("samples"), None, words="delay")
+    delay_is: str | None = t.key(
+        t.one_of(("moving", "constant")),
         None,
         words="a delay in a range is constant but unknown; else it moves with every sample",
     )
-    lost_samples: int = key(
-        whole(0, int(LONGEST_DELAY)),
+    lost_samples: int = t.key(
+        t.whole(0, int(LONGEST_DELAY)),
         0,
         words="samples in a row that may never arrive, with a delay that moves",
     )
-    max_force: float | None = key(quantity(FORCE, is_positive=True), None)
-    force_step: float = key(quantity(FORCE), 0.0)
-    velocity: VelocityTable | None = key(nested(VelocityTable), None)
-    position: PositionTable | None = key(nested(PositionTable), None)
+    max_force: float | None = t.key(t.quantity(FORCE, is_positive=True), None)
+    force_step: float = t.key(t.quantity(FORCE), 0.0)
+    velocity: VelocityTable | None = t.key(t.nested(VelocityTable), None)
+    position: PositionTable | None = t.key(t.nested(PositionTable), None)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -502,25 +484,27 @@ class Controller(Table):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Wall(Table):
+class Wall(t.Table):
     """A virtual wall: stiffness K in N/m and damping B in N s/m."""
 
-    stiffness: float = key(quantity("N/m"), usual=_STIFFNESS)
-    damping: float = key(quantity("N s/m"), usual=Usual(0.0, 1e4, (0.0, 1e3)))
+    stiffness: float = t.key(t.quantity("N/m"), usual=_STIFFNESS)
+    damping: float = t.key(t.quantity("N s/m"), usual=t.Usual(0.0, 1e4, (0.0, 1e3)))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Contact(Table):
+class Contact(t.Table):
     """The way in which the device meets a wall in simulated contacts; see ``Scene.start``."""
 
-    push: float | None = key(quantity(FORCE), None, words="push of the hand in simulated contacts")
-    speed: float | None = key(
-        quantity("m/s, or in rad/s for a device that turns"),
+    push: float | None = t.key(
+        t.quantity(FORCE), None, words="push of the hand in simulated contacts"
+    )
+    speed: float | None = t.key(
+        t.quantity("m/s, or in rad/s for a device that turns"),
         None,
         words="speed at which simulated contacts begin",
     )
-    one_sided: bool = key(truth, True)
-    duration: float = key(quantity("s", is_positive=True), 4.0)
+    one_sided: bool = t.key(t.truth, True)
+    duration: float = t.key(t.quantity("s", is_positive=True), 4.0)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -532,26 +516,30 @@ FINGER = {Units.LINE: (1.0, 0.1), Units.ROTATION: (0.05, 1.0)}  # push and speed
 
 
 @dataclass(frozen=True, kw_only=True)
-class Wanted(Table):
+class Wanted(t.Table):
     """The measures of a wall beside its verdict, and requirements on the answers."""
 
-    measures: tuple[str, ...] = key(each(one_of(MEASURES)), MEASURES)
-    frequency: bool = key(
-        truth, False, words="print all frequency margins, peaks of |S| and |T|, and the disk margin"
+    measures: tuple[str, ...] = t.key(t.each(t.one_of(MEASURES)), MEASURES)
+    frequency: bool = t.key(
+        t.truth,
+        False,
+        words="print all frequency margins, peaks of |S| and |T|, and the disk margin",
     )
-    at_damping: float | None = key(quantity("N s/m"), None, words="give the limits of K at this B")
-    at_stiffness: float | None = key(
-        quantity("N/m"), None, words="give the limits of B, or the best B, at this K"
+    at_damping: float | None = t.key(
+        t.quantity("N s/m"), None, words="give the limits of K at this B"
     )
-    stiffness: float | None = key(
-        quantity("N/m", is_positive=True), None, words="the stiffness to design for"
+    at_stiffness: float | None = t.key(
+        t.quantity("N/m"), None, words="give the limits of B, or the best B, at this K"
     )
-    chatter: float | None = key(quantity(LENGTH, is_positive=True), None)
-    safety: float | None = key(share, None, words="multiply all limits by this, such as 0.8")
-    mass_tolerance: float | None = key(
-        tolerance, None, words="of the device; 0.1 means 10 % up and down"
+    stiffness: float | None = t.key(
+        t.quantity("N/m", is_positive=True), None, words="the stiffness to design for"
     )
-    delay_tolerance: float | None = key(quantity("s"), None, words="of the delay, up and down,")
+    chatter: float | None = t.key(t.quantity(LENGTH, is_positive=True), None)
+    safety: float | None = t.key(t.share, None, words="multiply all limits by this, such as 0.8")
+    mass_tolerance: float | None = t.key(
+        t.tolerance, None, words="of the device; 0.1 means 10 % up and down"
+    )
+    delay_tolerance: float | None = t.key(t.quantity("s"), None, words="of the delay, up and down,")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -620,7 +608,7 @@ class Scene:
     @classmethod
     def from_file(cls, path: str | PathLike[str]) -> "Scene":
         """Read a TOML file; OSError if it is unreadable, ValueError, with its name, if bad."""
-        return cls.from_table(read_table(path, "scene"), str(path))
+        return cls.from_table(t.read_table(path, "scene"), str(path))
 
     @classmethod
     def from_table(cls, table: Mapping[str, Any], source: str = "") -> "Scene":
@@ -659,41 +647,43 @@ class Scene:
             raise ValueError("walls is empty; give at least one wall with stiffness and damping.")
 
     def unusual(self) -> list[str]:
-        """Describe values that look like a slip of the unit."""
-        controller = self.controller
-        delay = "the delay", controller.delays[1], "s", Usual(0.0, 2.0)
-        tables = {"device": self.device, "hand": self.hand or Hand(), "controller": controller}
+        """Describe values that look like a slip of the unit, each once."""
+        return list(dict.fromkeys(self._unusual()))
+
+    def _unusual(self) -> Iterator[str]:
+        controller, units = self.controller, self.units
+        tables: dict[str, t.Table] = {
+            "device": self.device, "hand": self.hand or Hand(), "controller": controller,
+        } | {f"walls.{name}": wall for name, wall in self.walls.items()}  # fmt: skip
         found = [own for name, table in tables.items() for own in table.quantities(name)]
-        warnings = [self._outside(*own) for own in (*found, delay)]
-        warnings += [*_slips_of_delay(controller), _other_period(controller)]
+        for name, value, unit, usual in (*found, ("the delay", controller.delays[1], "s", _DELAYS)):
+            low, high = (units is Units.ROTATION and usual.turning) or usual[:2]
+            size = abs(value) if "modal_" in name else value  # which may be negative
+            own = "" if unit == "1" else f" {units.unit(unit.partition(',')[0])}"
+            if not low <= size <= high:
+                yield f"{name} is {value:g}{own}, usual are {low:g} to {high:g}{own}"
+        words = f"the delay is {controller.samples:g} samples"
+        if controller.samples >= 200.0:
+            yield f"{words}; one in samples is given as delay_samples"
+        if 0.0 < (controller.delay_samples or (0.0, 0.0))[1] < 0.01:
+            yield f"{words}; one in s is given as delay"
+        estimator = controller.velocity
+        meant = estimator.preset_numbers.get("sample_time") if estimator else None
+        if estimator and meant and meant.value != controller.sample_time:
+            own = f"a sample_time of {meant.value:g} s"
+            yield f"the preset {estimator.preset!r} is meant for {own}"
+        is_heavy = units is Units.LINE and self.device.effective_mass[0] > 0.01  # kg
         for name, wall in self.walls.items():
-            warnings += [self._outside(*own) for own in wall.quantities(f"walls.{name}")]
-            warnings.append(self._slip_of_wall(f"walls.{name}", wall))
-        return [words for words in dict.fromkeys(warnings) if words]
-
-    def _outside(self, name: str, value: float, unit: str, usual: Usual) -> str:
-        """Return a warning for a quantity outside its usual range; a modal mass may be negative."""
-        low, high = (self.units is Units.ROTATION and usual.turning) or usual[:2]
-        if low <= (abs(value) if "modal_" in name else value) <= high:
-            return ""
-        own = "" if unit == "1" else f" {self.units.unit(unit.partition(',')[0])}"
-        return f"{name} is {value:g}{own}, usual are {low:g} to {high:g}{own}"
-
-    def _slip_of_wall(self, name: str, wall: Wall) -> str:
-        """Return a warning for gains that were swapped, or a stiffness in N/mm."""
-        units, is_line = self.units, self.units is Units.LINE
-        if wall.damping > wall.stiffness > 0.0:
-            return (
-                f"{name} has a damping of {wall.damping:g} {units.damping} beside a stiffness of "
-                f"{wall.stiffness:g} {units.stiffness}; are they swapped?"
-            )
-        is_heavy = is_line and self.device.effective_mass[0] > 0.01  # kg
-        if is_heavy and 0.0 < wall.stiffness < 5.0:
-            return f"{name}.stiffness is {wall.stiffness:g} N/m; is it in N/mm?"
-        return ""
+            if wall.damping > wall.stiffness > 0.0:
+                yield (
+                    f"walls.{name} has a damping of {wall.damping:g} {units.damping} beside a "
+                    f"stiffness of {wall.stiffness:g} {units.stiffness}; are they swapped?"
+                )
+            elif is_heavy and 0.0 < wall.stiffness < 5.0:
+                yield f"walls.{name}.stiffness is {wall.stiffness:g} N/m; is it in N/mm?"
 
 
-TABLES: Mapping[str, type[Table]] = {
+TABLES: Mapping[str, type[t.Table]] = {
     "device": Device,
     "controller": Controller,
     "hand": Hand,
@@ -701,7 +691,7 @@ TABLES: Mapping[str, type[Table]] = {
     "contact": Contact,
 }
 
-INNER: Mapping[str, type[Table]] = {
+INNER: Mapping[str, type[t.Table]] = {
     "encoder": Encoder,
     "modes": VibrationMode,
     "actuator": Actuator,
@@ -713,7 +703,7 @@ INNER: Mapping[str, type[Table]] = {
 
 
 def _tables(table: Mapping[str, Any]) -> dict[str, Any]:
-    check_keys("", table, [*TABLES, "walls"])
+    t.check_keys("", table, [*TABLES, "walls"])
     given = {"device": {}, "controller": {}, **table}  # which must not be left out
     tables: dict[str, Any] = {
         name: kind.from_table(given[name], name) for name, kind in TABLES.items() if name in given
@@ -728,27 +718,9 @@ def walls_in(table: Any) -> dict[str, Wall]:
     if len(table) > 1000:
         raise ValueError(f"walls has {len(table)} entries; give 1000 at most.")
     for name, wall in table.items():
-        checked_label(name)
+        t.checked_label(name)
         if not isinstance(wall, Mapping):
             raise ValueError(
                 f"walls.{name} is {shortened(wall)}; give a table [walls.NAME] for each wall."
             )
     return {name: Wall.from_table(wall, f"walls.{name}") for name, wall in table.items()}
-
-
-def _slips_of_delay(controller: Controller) -> Iterator[str]:
-    """Yield warnings for a delay that was given in s and meant in samples, or the other way."""
-    words = f"the delay is {controller.samples:g} samples"
-    if controller.samples >= 200.0:
-        yield f"{words}; one in samples is given as delay_samples"
-    if 0.0 < (controller.delay_samples or (0.0, 0.0))[1] < 0.01:
-        yield f"{words}; one in s is given as delay"
-
-
-def _other_period(controller: Controller) -> str:
-    """Return a warning for a preset whose numbers are meant for another sampling period."""
-    estimator = controller.velocity
-    usual = estimator.preset_numbers.get("sample_time") if estimator else None
-    if estimator is None or usual is None or usual.value == controller.sample_time:
-        return ""
-    return f"the preset {estimator.preset!r} is meant for a sample_time of {usual.value:g} s"

@@ -35,18 +35,19 @@ from jaxstab.scene.answers import (
     rounded_wall,
 )
 from jaxstab.scene.check import Amplitude, SettlingTime, settled
-from jaxstab.scene.hands import Floats, at_lowest, worst_on
 from jaxstab.scene.loops import (
+    Floats,
     Member,
     OneHand,
+    at_lowest,
     corners_of,
     hands_of,
     loop_of,
     loop_of_member,
-    member_of,
     ranges_of,
     wall_region,
     with_tolerances,
+    worst_on,
 )
 from jaxstab.scene.scene import Scene, Units, VelocityTable
 from jaxstab.shown import Printed, exact_text
@@ -121,7 +122,7 @@ def tune_over_ranges(scene: Scene, fastest: Gains | None) -> WallOverRanges | No
         *rounded,
         float(times[slowest]),
         None if fastest is None else float(settling_times(every, *fastest).max()),
-        SlowestLoop(member.mass, member.delay, member.hand if scene.hand else None),
+        SlowestLoop(member.mass, member.delay, OneHand(*member[1:4]) if scene.hand else None),
         f"the slowest of {len(every)} loops that were tried, {len(corners)} of them at corners of "
         "the ranges; the settling of others is not proved",
         worst.for_all,
@@ -141,7 +142,7 @@ def _between(ranges: list[tuple[float, float]]) -> list[Member]:
     values = low + shares * (high - low)
     roots = sqrt(low[2]) + shares[:, 2] * (sqrt(high[2]) - sqrt(low[2]))
     values[:, 2] = np.clip(roots**2, low[2], high[2])
-    return [member_of(row) for row in values.tolist()]
+    return [Member(*row) for row in values.tolist()]
 
 
 @dataclass(frozen=True)
@@ -359,16 +360,15 @@ def _periods(velocity: VelocityTable | None) -> list[float] | None:
 
 def stiffness_over_sample_times(scene: Scene, design: Design) -> tuple[Floats, Floats]:
     """Return sample times in s, around those now and designed, and the allowed stiffness."""
-    period, velocity = loop_of(scene).sample_time, scene.controller.velocity
-    designed = design.sample_time.largest_sample_time
-    ends = min(period, designed) if designed > 0.0 else period, max(period, designed)
-    low, high = _AROUND[0] * ends[0], _AROUND[1] * ends[1]
+    velocity, periods = scene.controller.velocity, _periods(scene.controller.velocity)
+    given = scene.controller.sample_time, design.sample_time.largest_sample_time
+    ends = [period for period in given if period > 0.0]
+    low, high = _AROUND[0] * min(ends), _AROUND[1] * max(ends)
     high = min(high, velocity.longest_sample_time) if velocity else high
     values = np.linspace(low, high, _POINTS)
-    periods = _periods(velocity)
     if periods is not None:
         values = np.array([value for value in periods[::-1] if low <= value <= high])
-    return values, _stiffnesses(scene, partial(sampled_loop, scene), values)
+    return values, _stiffnesses(scene, sampled_loop, values)
 
 
 def stiffness_over_delays(scene: Scene, design: Design) -> tuple[Floats, Floats]:
@@ -376,12 +376,14 @@ def stiffness_over_delays(scene: Scene, design: Design) -> tuple[Floats, Floats]
     loop, designed = loop_of(scene), design.delay.largest_delay
     longest = _AROUND[1] * max(loop.delay, loop.sample_time, designed if designed > 0.0 else 0.0)
     values = np.linspace(0.0, longest, _POINTS)
-    return values, _stiffnesses(scene, partial(delayed_loop, scene), values)
+    return values, _stiffnesses(scene, delayed_loop, values)
 
 
-def _stiffnesses(scene: Scene, loop_at: Callable[[float], HapticLoop], values: Floats) -> Floats:
+def _stiffnesses(
+    scene: Scene, loop_at: Callable[[Scene, float], HapticLoop], values: Floats
+) -> Floats:
     safety = scene.wanted.safety or 1.0
-    return np.array([safety * _stiffest(loop_at(value)).stiffness for value in values.tolist()])
+    return np.array([safety * _stiffest(loop_at(scene, x)).stiffness for x in values.tolist()])
 
 
 def sampled_loop(scene: Scene, period: float) -> HapticLoop:

@@ -1,10 +1,10 @@
-"""The commands that specify, build, describe, verify, ask and draw atlases."""
+"""The commands in the plane of alpha and beta: one region, the figures of the paper, atlases."""
 
 import json
-import math
 import shlex
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
+from decimal import ROUND_FLOOR, ROUND_HALF_EVEN
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,11 +13,13 @@ import click
 import jaxstab
 from jaxstab.cli.options import (
     at_work,
+    draw,
     executor_of,
     executor_options,
     file_in,
     file_option,
     keep_programs,
+    picture_file,
     print_with_csv,
     together,
 )
@@ -57,7 +59,7 @@ def spec(file: Path, **tolerances: float | None) -> None:
     Write it into a file for `jaxstab atlas build --spec`; the atlas has limits for the ranges of
     the scene, with its estimator: `jaxstab atlas query FILE --scene SCENE`.
     """
-    from jaxstab.scene.atlas import spec_text
+    from jaxstab.scene.exports import spec_text
 
     scene = scene_of({"files": [file], **tolerances})
     warn(*scene.unusual())
@@ -123,8 +125,6 @@ def _example(opened: "Atlas") -> dict[str, float]:
 
 # The commands that ask an atlas and draw it.
 
-_ANSWER = "verdict", "status"
-
 
 @click.command()
 @click.argument("file", type=Path)
@@ -167,12 +167,11 @@ def query(
                     f"--{name} is given beside --scene, which has it; give one of them."
                 )
         opened = jaxstab.open_atlas(file)
-        from jaxstab.scene.atlas import ask_atlas
+        from jaxstab.scene.exports import ask_atlas
 
         stated, found = ask_atlas(scene_of({"files": [scene_file], "wall": wall}), opened)
-        rows = [row | _words(row["verdict"], row["status"]) for row in found]
-        _write(rows, list(rows[0]), form, stated)
-        return 0 if all(row["verdict"] == "stable" for row in rows) else 1
+        _write(found, form, stated)
+        return 0 if all(row["verdict"] == "stable" for row in found) else 1
     if table:
         points = _points_in(table, given)
     else:
@@ -181,7 +180,7 @@ def query(
     opened = jaxstab.open_atlas(file)
     answer = opened.query(**points)
     stated = {"inputs": _made_of(opened), "units": dict.fromkeys(AXES, "1")}
-    _write(_answered(points, answer), [*AXES, *_ANSWER], form, stated)
+    _write(_answered(points, answer), form, stated)
     return 0 if (answer.verdict == Verdict.STABLE).all() else 1
 
 
@@ -222,22 +221,14 @@ def _check_complete(names: Iterable[str], remedy: str) -> None:
         raise ValueError(f"{missing[0]} is missing; {remedy}.")
 
 
-def _answered(
-    points: dict[str, list[float]], answer: "AtlasAnswer"
-) -> Iterator[dict[str, float | str]]:
-    """Yield a row of words and numbers for each point."""
-    columns = (*points.values(), *(getattr(answer, name).tolist() for name in _ANSWER))
-    for *numbers, verdict, status in zip(*columns, strict=True):
-        yield dict(zip(AXES, numbers, strict=True)) | _words(verdict, status)
-
-
-def _words(verdict: int, status: int) -> dict[str, float | str]:
+def _answered(points: dict[str, list[float]], answer: "AtlasAnswer") -> list[dict[str, Any]]:
+    """A row of words and numbers for each point."""
     from jaxstab.atlas import QueryStatus
 
-    return {
-        "verdict": Verdict(verdict).name.lower(),
-        "status": QueryStatus(status).name.lower(),
-    }
+    verdicts = [Verdict(code).name.lower() for code in answer.verdict.tolist()]
+    statuses = [QueryStatus(code).name.lower() for code in answer.status.tolist()]
+    rows = zip(*points.values(), verdicts, statuses, strict=True)
+    return [dict(zip((*AXES, "verdict", "status"), row, strict=True)) for row in rows]
 
 
 def _made_of(opened: "Atlas") -> dict[str, str]:
@@ -250,23 +241,83 @@ def _made_of(opened: "Atlas") -> dict[str, str]:
     return filters | {"created_by": opened.created_by}
 
 
-def _write(
-    rows: Iterable[dict[str, float | str]], header: list[str], form: str, stated: dict[str, Any]
-) -> None:
-    every = [{name: row[name] for name in header} for row in rows]
+def _write(rows: list[dict[str, Any]], form: str, stated: dict[str, Any]) -> None:
+    """Print rows as CSV, or as JSON with the units of what is in them."""
+    header = [*(rows[0] if rows else (*AXES, "verdict", "status"))]
     if form == "csv":
-        print_with_csv("", [header, *(row.values() for row in every)], Path("-"))
+        print_with_csv("", [header, *(row.values() for row in rows)], Path("-"))
+        return
+    used = {*stated["inputs"], *header}
+    units = {name: unit for name, unit in stated["units"].items() if name in used}
+    click.echo(json.dumps(stated | {"units": units, "points": rows}, indent=1))
+
+
+# One region, and the figures of the paper.
+
+_FIGURES = range(4, 11)
+
+
+@click.command()
+@click.argument("number", type=click.Choice([*map(str, _FIGURES), "all"]))
+@click.option("-o", "--output", type=Path, default=Path(), help="Folder to write to; it is made.")
+@click.option("--format", "form", type=click.Choice(["png", "svg"]), default="png")
+def figure(number: str, output: Path, form: str) -> None:
+    """Draw a figure of Hulin, Preusche, Hirzinger (2008): NUMBER is 4 ... 10, or all."""
+    from jaxstab.durable import named_errors, publish
+    from jaxstab.pictures.paper import paper_figure
+    from jaxstab.pictures.style import picture
+
+    if output.suffix in (".png", ".svg"):
+        raise click.UsageError(f"{output} is the name of a picture; give a folder to -o.")
+    with named_errors("write to", output):
+        output.mkdir(parents=True, exist_ok=True)
+    for which in _FIGURES if number == "all" else [int(number)]:
+        file = output / f"figure_{which}.{form}"
+        publish(picture(paper_figure(which), form), file)
+        click.echo(file)
+
+
+@click.command()
+@click.option("--gamma", type=float, required=True, help="Physical stiffness k T^2/m.")
+@click.option("--delta", type=float, required=True, help="Physical damping b T/m.")
+@click.option("--delay", type=float, default=0.0, show_default=True, help="t_d/T in samples.")
+@click.option(
+    "--radius", type=float, default=1.0, show_default=True, help="Largest modulus of all roots."
+)
+@file_option("-o", "--output", check=picture_file, help="PNG or SVG file for a picture.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def region(
+    gamma: float, delta: float, delay: float, radius: float, output: Path | None, as_json: bool
+) -> None:
+    """Measure the stable region in the (alpha, beta) plane, and draw it."""
+    from jaxstab.model import Velocity
+    from jaxstab.paper.facts import region_facts
+
+    with at_work(f"region of a loop with {delay:g} samples of delay"):
+        facts = region_facts(gamma=gamma, delta=delta, delay=delay, radius=radius)
+    if output:
+        from jaxstab.pictures.paper import region_figure
+
+        draw(region_figure(gamma, delta, delay, radius), output)
+    if as_json:
+        inputs = {name: facts.pop(name) for name in ("gamma", "delta", "delay", "radius")}
+        units = dict.fromkeys([*inputs, *(name for name in facts if facts[name] is not None)], "1")
+        inputs = {"velocity": str(Velocity()), **inputs}
+        stated = {"inputs": inputs, "units": units, **facts}
+        click.echo(json.dumps(stated, indent=1, allow_nan=False))
     else:
-        units = stated["units"]
-        stated["units"] = {
-            name: units[name] for name in units if name in {*stated["inputs"], *header}
-        }
-        click.echo(json.dumps(stated | {"points": [_finite(row) for row in every]}, indent=1))
+        width = max(map(len, facts))
+        for name, value in facts.items():
+            click.echo(f"{name.replace('_', ' '):{width}}  {_fact(name, value)}")
 
 
-def _finite(row: dict[str, float | str]) -> dict[str, float | str | None]:
-    """Return a row for JSON, which has no NaN and no infinity."""
-    return {
-        name: None if isinstance(value, float) and not math.isfinite(value) else value
-        for name, value in row.items()
-    }
+def _fact(name: str, value: Any) -> str:
+    """A number, a point or a list of points; the largest values are not rounded up."""
+    from jaxstab.paper.facts import DIGITS
+    from jaxstab.scene.answers import Quantity
+
+    if isinstance(value, list):
+        return f"({', '.join(_fact(name, entry) for entry in value)})"
+    is_largest = name.startswith("largest")
+    quantity = Quantity("", DIGITS, ROUND_FLOOR if is_largest else ROUND_HALF_EVEN)
+    return quantity.words(value) if isinstance(value, float) else "none"

@@ -1,0 +1,257 @@
+"""Exports of a scene to other programs: a guard for C, an atlas, a certificate of its walls.
+
+A guard and an atlas are for all masses, hands and delays of the scene. Of an atlas gamma and delta
+have their extremes at the corners of the ranges of mass and hand, for they are monotone in each.
+
+A certificate has the numbers of one loop as exact fractions, and of each wall its verdict and
+between which stiffnesses, at its damping, walls are stable: proved here (``exact``), and confirmed
+by a program of 250 lines without jaxstab, data/check/check_wall.py. It reads loops of one mass with
+the difference over a window or first-order low passes, which is what most software has.
+"""
+
+from collections.abc import Callable
+from decimal import ROUND_FLOOR
+from fractions import Fraction
+from itertools import product
+from math import prod
+from typing import Any
+
+import numpy as np
+
+from jaxstab.atlas import Atlas, AtlasSpec, QueryStatus
+from jaxstab.conventions import Verdict
+from jaxstab.guard import Guard, build_guard
+from jaxstab.guard.build import CELLS, CONSTANT_CELLS, plan_guard
+from jaxstab.guard.guard import LARGEST_HEADER
+from jaxstab.loop import Gains, HapticLoop
+from jaxstab.model import Velocity
+from jaxstab.scene.answers import Quantity, basis_of, blocks_of
+from jaxstab.scene.gains import GainAnswer
+from jaxstab.scene.limits import stable_intervals
+from jaxstab.scene.loops import (
+    OneHand,
+    corners_of,
+    hands_of,
+    is_one_mass,
+    loop_of,
+    loop_of_member,
+    masses_of,
+    range_of_hands,
+    walls_of,
+    with_delay,
+    with_tolerances,
+)
+from jaxstab.scene.scene import Scene, range_in_words
+from jaxstab.shown import printable
+
+
+def scene_guard(
+    scene: Scene,
+    *,
+    lost: int = 0,
+    progress: Callable[[float], None] | None = None,
+    cells: tuple[int, int, int] | None = None,
+) -> Guard:
+    """The guard of a scene, for its hands, masses and delays: see ``jaxstab.build_guard``.
+
+    Of a single mass it covers 0.8 to 1.25 times it. Of a single delay it covers that one to one
+    sample more, and one sample less to one sample more if it is constant. For a device with modes,
+    an actuator or a grip it is 0.96 to 1.04, and a tenth of a sample. The cells are by default
+    those of ``build_guard``, a single one of mass and delay for such a device. ``progress`` is
+    called with the completed share of the proof.
+    """
+    most = LARGEST_HEADER // 6  # letters of a number with its comma
+    if cells and prod(count + 1 for count in cells) > most:
+        raise ValueError(
+            f"cells are {','.join(map(str, cells))}; give fewer: the table may have {most} numbers."
+        )
+    loop, delays = _loop_of(scene), scene.controller.delays
+    is_constant = scene.controller.delay_is == "constant"
+    # What postures may make of the mass; samples beside the delay if it is constant, and beyond it.
+    shares, beside = ((0.8, 1.25), 1.0) if is_one_mass(scene) else ((0.96, 1.04), 0.1)
+    mass, aside = scene.device.effective_mass[0], beside * loop.sample_time
+    if delays[0] == delays[1]:
+        shortest = max(delays[0] - aside, 0.0) if is_constant else delays[0]
+        delays = shortest, delays[0] + aside
+    return build_guard(
+        loop,
+        range_of_hands(scene),
+        mass=masses_of(scene) or (shares[0] * mass, shares[1] * mass),
+        delay=delays,
+        lost=lost or scene.controller.lost_samples,
+        constant_delay=is_constant,
+        progress=progress,
+        cells=cells or _cells_of(scene),
+    )
+
+
+def guard_plan(scene: Scene, cells: tuple[int, int, int] | None) -> str:
+    """Describe what ``scene_guard`` will compute, and about how long that takes."""
+    return str(plan_guard(_loop_of(scene), cells or _cells_of(scene)))
+
+
+def _loop_of(scene: Scene) -> HapticLoop:
+    """Return the loop of a scene with its shortest delay."""
+    return loop_of(with_delay(scene, scene.controller.delays[0]))
+
+
+def _cells_of(scene: Scene) -> tuple[int, int, int]:
+    if not is_one_mass(scene):
+        return 1, 1, 16
+    return CONSTANT_CELLS if scene.controller.delay_is == "constant" else CELLS
+
+
+def guard_about(scene: Scene, guard: Guard) -> str:
+    """The loop and the ranges of a guard, and what it grants, in lines."""
+    units, blocks = scene.units, blocks_of(scene)
+    damping = Quantity("N s/m").words(scene.device.damping, units)
+    blocks["device"] = f"{range_in_words(guard.mass)} {units.kilogram}, {damping}"
+    del blocks["delay"]
+    lost = f", up to {guard.lost} in a row lost" if guard.lost else ""
+    motion = (
+        "constant during contact"
+        if guard.is_delay_constant
+        else f"varying from sample to sample{lost}"
+    )
+    blocks[f"delay, {motion}"] = f"{range_in_words(guard.delay)} s"
+    lines = (f"{name}: {words}" for name, words in blocks.items())
+    return "\n".join([*lines, "", *_granted(scene, guard)])
+
+
+def _granted(scene: Scene, guard: Guard) -> list[str]:
+    """The share of the stable walls that is granted, and where it is least, in lines."""
+    units, least, stiffness = scene.units, guard.costliest, Quantity("N/m", 4, ROUND_FLOOR)
+    limited = f", for {OneHand(*least.hand).in_words(units)}" if any(least.hand) else ""
+    proved = float(np.diff(guard.rows).mean()) / guard.grid.cells[2]
+    left = (
+        f"{100.0 * (1.0 - proved):.1f} % of the table is not proved; there both gains are set to 0."
+    )
+    at = "any delay" if least.delay is None else f"a delay of {Quantity('s').words(least.delay)}"
+    stable = "the stable stiffness" if guard.is_delay_constant else "what constant delays allow"
+    granted, exact = (stiffness.words(K, units) for K in (least.granted, least.exact))
+    return [
+        f"It grants {100.0 * guard.granted:.1f} % of {stable}, on average.",
+        *([left] if proved < 1.0 else []),
+        f"It is least at {least.mass:g} {units.kilogram} and {at}{limited}: {granted} of {exact}.",
+    ]
+
+
+# An atlas: its specification, and its answers about walls.
+
+
+def atlas_spec(scene: Scene) -> AtlasSpec:
+    """The specification of an atlas for all loops of a scene's ranges."""
+    loops = [loop_of_member(scene, member) for member in corners_of(scene)]
+    if loops[0].body is None:
+        raise TypeError(
+            "an atlas covers devices that are one mass with their hand; leave out device.modes, "
+            "device.actuator and hand.grip."
+        )
+    shortest, *_, longest = sorted(float(loop.delay_samples) for loop in 2 * loops)
+    delay_nodes = 8  # to a sample, along a range of delays
+    count = int(delay_nodes * (longest - shortest)) + 2
+
+    def nodes(values: Any) -> list[float]:
+        low, *_, high = sorted(2 * [*values])
+        return np.unique([low, 0.5 * (low + high), high]).tolist()
+
+    return AtlasSpec(
+        gamma=nodes(loop.gamma for loop in loops),
+        delta=nodes(loop.delta for loop in loops),
+        delay=np.unique(np.linspace(shortest, longest, count)).tolist(),
+        **loops[0].filters,
+    )
+
+
+def ask_atlas(scene: Scene, atlas: Atlas) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Ask ``Atlas.query`` about the walls of a scene, at each corner of its ranges.
+
+    Returns inputs and units as JSON has them, and a row for each wall and corner.
+    """
+    scene.require_walls()
+    walls, si, moved = walls_of(scene), scene.units, scene.units.moved
+    units = {
+        "stiffness": si.stiffness,
+        "damping": si.damping,
+        moved: si.kilogram,
+        f"hand_{moved}": si.kilogram,
+        "hand_stiffness": si.stiffness,
+        "hand_damping": si.damping,
+        "delay": "s",
+    }
+    corners = corners_of(scene)
+    views = [atlas.for_loop(loop_of_member(scene, corner)) for corner in corners]
+    rows = []
+    for (name, gains), (corner, view) in product(walls.items(), zip(corners, views, strict=True)):
+        answer = view.query(*gains)
+        row: dict[str, Any] = dict(zip(units, (*gains, *corner), strict=True))
+        codes = Verdict(answer.verdict.item()), QueryStatus(answer.status.item())
+        words = dict(zip(("verdict", "status"), (code.name.lower() for code in codes), strict=True))
+        rows.append({"wall": name} | row | words)
+    stated = GainAnswer({"inputs": basis_of(scene)}).as_json()
+    stated["inputs"] |= {"created_by": atlas.created_by}
+    stated["units"] |= units
+    return stated, rows
+
+
+def spec_text(scene: Scene, name: str) -> str:
+    """The text of a scene's specification, which begins with a description."""
+    text = atlas_spec(scene).to_toml()
+    blocks = blocks_of(with_tolerances(scene))
+    lines = [name, *(f"{block}: {words}" for block, words in blocks.items())]
+    # A control character would end the comment.
+    return "".join(f"# {printable(line)}\n" for line in lines) + "\n" + text
+
+
+# The claims about walls, for a reader that does not trust them: ``check_wall.py``.
+
+
+def certificate(scene: Scene) -> dict[str, Any]:
+    """The claims about the walls of a scene; ValueError for one that the reader cannot follow."""
+    scene.require_walls()
+    scene.controller.require_one_delay("a certificate")
+    loop = loop_of(scene)
+    if loop.body is None or hands_of(scene) is not None or loop.position is not None:
+        raise ValueError(
+            "a certificate is of one mass and one hand without a position filter; leave out modes, "
+            "actuator, grip, ranges and filter."
+        )
+    numbers = {
+        "mass": Fraction(float(loop.device_mass)) + Fraction(float(loop.hand_mass)),
+        "damping": Fraction(float(loop.device_damping)) + Fraction(float(loop.hand_damping)),
+        "stiffness": Fraction(float(loop.hand_stiffness)),
+        "sample_time": Fraction(float(loop.sample_time)),
+        "delay_samples": Fraction(float(loop.delay_samples)),
+    }
+    return {
+        "format": "jaxstab wall 1",
+        "loop": {
+            **{name: str(number) for name, number in numbers.items()},
+            "velocity": _estimator(loop),
+        },
+        "walls": {name: _claims(loop, wall) for name, wall in walls_of(scene).items()},
+    }
+
+
+def _estimator(loop: HapticLoop) -> dict[str, str]:
+    """The keys of the estimator as in scenes, a cut-off in cycles per sample."""
+    sections = (loop.velocity or Velocity()).filter.per_sample(loop.sample_time).sections
+    keys = {**sections[0].toml} if sections else {"window_samples": 1}
+    if len(sections) > 1 or {*keys} not in ({"window_samples"}, {"cutoff", "order"}):
+        raise ValueError(
+            f"velocity is {loop.velocity}; a certificate is of a difference or a low pass."
+        )
+    return {name: str(Fraction(value)) for name, value in keys.items()}
+
+
+def _claims(loop: HapticLoop, wall: Gains) -> dict[str, Any]:
+    verdict = Verdict(int(loop.verdict(*wall)))
+    if verdict == Verdict.UNDECIDED:
+        raise ValueError(f"the wall {tuple(wall)} is not decided; there is nothing to certify.")
+    intervals = stable_intervals(loop.stiffness_intervals(wall.damping), 1.0, wall.stiffness)
+    return {
+        "stiffness": str(Fraction(wall.stiffness)),
+        "damping": str(Fraction(wall.damping)),
+        "verdict": verdict.name.lower(),
+        "stiffness_intervals": [[repr(low), repr(high)] for low, high in intervals if low < high],
+    }
