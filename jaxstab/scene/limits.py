@@ -13,6 +13,7 @@ from jaxstab.exact import LineStatus, StableLine
 from jaxstab.exact.line import End
 from jaxstab.loop import Gains, HapticLoop, WallLimits, WallRegion
 from jaxstab.model import Velocity
+from jaxstab.region import RegionStatus
 from jaxstab.scene.answers import (
     Answer,
     Basis,
@@ -482,11 +483,12 @@ def _passive(rows: _Rows) -> StiffestWall:
 
 
 def _other_windows(loop: HapticLoop, safety: float) -> dict[str, StiffestWall]:
-    """The largest stiffness with the windows that haptics software uses."""
+    """The largest stiffness with windows that haptics software uses; unresolved ones left out."""
     answers = {}
     for samples in (10, 20):  # 10 and 20 ms at 1 kHz
         other = replace(loop, velocity=Velocity.difference(samples))
-        rows = _Rows(other, wall_region(other), safety)
-        stiffness, damping = rows.region.limits()[:2]
-        answers[str(samples)] = StiffestWall(*rows.stiffest(stiffness, damping))
+        region = other.region()
+        if region.status != RegionStatus.UNRESOLVED:
+            stiffest = _Rows(other, region, safety).stiffest(*region.limits()[:2])
+            answers[str(samples)] = StiffestWall(*stiffest)
     return answers
