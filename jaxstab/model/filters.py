@@ -62,20 +62,40 @@ class Section:
     estimator: ClassVar[str | None] = None
     """The method of ``Velocity``, where a difference that begins with this section has one."""
 
+    text: ClassVar[str] = ""
+    """The section in words, with its parameters by name."""
+
+    powers: ClassVar[dict[str, int]] = {}
+    """The parameters with units, each with the power of the sampling period that takes them."""
+
+    remedy: ClassVar[str] = ""
+    """The remedy where a sampling ``period`` leaves no filter, of kinds where one may."""
+
+    def __str__(self) -> str:
+        return self.text.format(**{name: shown(value) for name, value in vars(self).items()})
+
     def per_sample(self, sample_time: Numbers) -> "Section":
-        """Return the section in units of a sampling period in s; here one without units."""
-        del sample_time
-        return self
+        """Return the section in units of a sampling period in s."""
+        if not self.powers:
+            return self
+        given = {name: getattr(self, name) for name in self.powers}
+        scaled = {name: given[name] * sample_time**power for name, power in self.powers.items()}
+        section: Section = replace(self, **scaled)  # type: ignore[type-var]
+        if self.remedy and not is_traced(section.number) and not section.is_filter:
+            name, value = next(iter(given.items()))
+            words = self.remedy.format(period=float(sample_time), rate=0.5 / float(sample_time))
+            raise ValueError(f"{name} is {shown(value)}; {words}")
+        return section
+
+    @property
+    def is_filter(self) -> bool:
+        """True if a section in units of one sample filters, in float64."""
+        return bool(0.0 < self.number < 1.0)
 
     @property
     def longest_sample_time(self) -> float:
         """The longest sampling period in s with which the section is a filter in float64."""
         return inf
-
-    @property
-    def toml(self) -> dict[str, Any]:
-        """The keys and values of TOML of a section in units of one sample."""
-        return dict(vars(self))
 
     @property
     def length(self) -> int | None:
@@ -86,6 +106,11 @@ class Section:
     def number(self) -> Array:
         """The number that a section in units of one sample computes from its parameters."""
         return 1.0
+
+    @property
+    def toml(self) -> dict[str, Any]:
+        """The keys and values of TOML of a section in units of one sample."""
+        return dict(vars(self))
 
     def factors(self, number: Any) -> list[Stage]:
         """The factors of the transfer function, by that number: a pair or a fraction."""
@@ -101,12 +126,8 @@ class Section:
             return _exact_stages(self)
         return self.factors(DoubleDouble.from_value(number))
 
-    @property
-    def degrees(self) -> tuple[int, int]:
-        """The degrees of numerator and denominator in 1/z, whatever the section's number is."""
-        stages = self.factors(Fraction(1, 2))
-        above, below = (sum(len(stage[side]) - 1 for stage in stages) for side in (0, 1))
-        return above, below
+
+_NOT_IN_FLOATS = "with a sampling period of {period:g} s it leaves no filter in float64: give "
 
 
 @pytree
@@ -130,7 +151,6 @@ class Average(Section):
 
     @property
     def length(self) -> int:
-        """The window of a section in units of one sample."""
         return self.samples or _whole_samples(self.window, 1.0)
 
     @property
@@ -153,19 +173,9 @@ class LowPass(Section):
     kind: ClassVar[str] = "low-pass"
     maker: ClassVar[str] = "low_pass"
     estimator: ClassVar[str] = "low_pass"
-
-    def __str__(self) -> str:
-        return f"a low pass at {shown(self.cutoff)} Hz of order {self.order}"
-
-    def per_sample(self, sample_time: Numbers) -> "LowPass":
-        section = LowPass(self.cutoff * sample_time, self.order)
-        pole = section.number
-        if not is_traced(pole) and not 0.0 < pole < 1.0:
-            raise ValueError(
-                f"cutoff is {shown(self.cutoff)}; with a sampling period of {shown(sample_time)} s "
-                "it leaves no filter in float64: give one closer to 1 / period."
-            )
-        return section
+    text: ClassVar[str] = "a low pass at {cutoff} Hz of order {order}"
+    powers: ClassVar[dict[str, int]] = {"cutoff": 1}
+    remedy: ClassVar[str] = f"{_NOT_IN_FLOATS}one closer to 1 / period."
 
     @property
     def number(self) -> Array:
@@ -189,9 +199,7 @@ class Exponential(Section):
 
     maker: ClassVar[str] = "exponential"
     estimator: ClassVar[str] = "exponential"
-
-    def __str__(self) -> str:
-        return f"exponential smoothing by {shown(self.factor)}"
+    text: ClassVar[str] = "exponential smoothing by {factor}"
 
     @property
     def number(self) -> Array:
@@ -212,23 +220,18 @@ class Butterworth(Section):
     kind: ClassVar[str] = "butterworth"
     maker: ClassVar[str] = "butterworth"
     estimator: ClassVar[str] = "butterworth"
-
-    def __str__(self) -> str:
-        return f"a Butterworth filter at {shown(self.cutoff)} Hz of order {self.order}"
-
-    def per_sample(self, sample_time: Numbers) -> "Butterworth":
-        section = Butterworth(self.cutoff * sample_time, self.order)
-        if not is_traced(section.cutoff) and section.cutoff >= 0.5:
-            raise ValueError(
-                f"cutoff is {shown(self.cutoff)}; give one below half of the sampling rate, "
-                f"{0.5 / sample_time:g} Hz."
-            )
-        return section
+    text: ClassVar[str] = "a Butterworth filter at {cutoff} Hz of order {order}"
+    powers: ClassVar[dict[str, int]] = {"cutoff": 1}
+    remedy: ClassVar[str] = "give one below half of the sampling rate, {rate:g} Hz."
 
     @property
     def number(self) -> Array:
         angle = pi * self.cutoff  # of the cut-off, whose tangent is that of the analogue filter
         return _float(namespace(angle).tan(angle))
+
+    @property
+    def is_filter(self) -> bool:
+        return bool(self.cutoff < 0.5)
 
     @property
     def toml(self) -> dict[str, Any]:
@@ -241,7 +244,8 @@ class Butterworth(Section):
     def factors(self, number: Any) -> list[Stage]:
         w, factors = number, []
         for k in range(self.order // 2):
-            gain, turn = w * w, 2 * w * type(w)(butterworth_sine(k, self.order))
+            sine = float(np.sin(pi * (2 * k + 1) / (2 * self.order)))  # of the angle of two poles
+            gain, turn = w * w, 2 * w * type(w)(sine)
             below = [gain + 1 + turn, 2 * (gain - 1), gain + 1 - turn]
             factors.append(_stage([gain, 2 * gain, gain], below))
         if self.order % 2:
@@ -279,9 +283,7 @@ class Differentiator(Rational):
     period: Numbers = 1.0
 
     estimator: ClassVar[str] = "transfer_function"
-
-    def per_sample(self, sample_time: Numbers) -> "Differentiator":
-        return replace(self, period=self.period * sample_time)
+    powers: ClassVar[dict[str, int]] = {"period": 1}
 
     @property
     def number(self) -> Array:
@@ -315,19 +317,9 @@ class Kalman(Section):
     r: Numbers
 
     estimator: ClassVar[str] = "kalman"
-
-    def __str__(self) -> str:
-        return f"a Kalman filter with q = {shown(self.q)} and r = {shown(self.r)}"
-
-    def per_sample(self, sample_time: Numbers) -> "Kalman":
-        section = Kalman(self.q * sample_time**4, self.r)
-        if not is_traced(section.number) and not 0.0 < section.number < 1.0:
-            raise ValueError(
-                f"q is {shown(self.q)} beside r = {shown(self.r)}; with a sampling period of "
-                f"{shown(sample_time)} s the filter's gain is {shown(section.number)} in float64, "
-                "and it has no use: give a ratio closer to 1 / period^4."
-            )
-        return section
+    text: ClassVar[str] = "a Kalman filter with q = {q} and r = {r}"
+    powers: ClassVar[dict[str, int]] = {"q": 4}
+    remedy: ClassVar[str] = f"{_NOT_IN_FLOATS}q/r closer to 1 / period^4."
 
     @property
     def number(self) -> Array:
@@ -359,9 +351,7 @@ class SavitzkyGolay(Section):
     order: int = fixed()
 
     estimator: ClassVar[str] = "savitzky_golay"
-
-    def __str__(self) -> str:
-        return f"the slope of a polynomial of order {self.order} through {self.samples} samples"
+    text: ClassVar[str] = "the slope of a polynomial of order {order} through {samples} samples"
 
     @property
     def weights(self) -> tuple[float, ...]:
@@ -394,9 +384,7 @@ class Measured(Section):
     """The device's own velocity in place of a difference of its positions."""
 
     estimator: ClassVar[str] = "measured"
-
-    def __str__(self) -> str:
-        return "the device's own velocity"
+    text: ClassVar[str] = "the device's own velocity"
 
     def factors(self, number: Any = None) -> Any:
         raise ValueError(
@@ -413,11 +401,6 @@ LOW_PASSES = (LowPass, Butterworth)  # by ``kind``, which a table gives beside t
 def _lag(factor: Any) -> Stage:
     """y_k = y_(k-1) + factor (x_k - y_(k-1))."""
     return _stage([factor, 0], [1, factor - 1])
-
-
-def butterworth_sine(k: int, order: int) -> float:
-    """Return the sine of the angle of a pair of poles of Butterworth's filter, rounded."""
-    return float(np.sin(pi * (2 * k + 1) / (2 * order)))
 
 
 @lru_cache(maxsize=256)
@@ -641,8 +624,8 @@ class Filter:
         """
         require_x64(*(value for section in self.sections for value in vars(section).values()))
         chain = self.per_sample(sample_time)
-        degrees = [section.degrees for section in chain.sections]
-        above, below = map(sum, zip((0, 0), *degrees, strict=True))
+        stages = [stage for section in chain.sections for stage in section.stages()]
+        above, below = (sum(len(stage[side]) - 1 for stage in stages) for side in (0, 1))
         if below > HIGHEST_ORDER or above - below > LONGEST_WINDOW:
             raise ValueError(
                 f"the filter ({self}) is of order {max(above, below)}; give {HIGHEST_ORDER} poles "
