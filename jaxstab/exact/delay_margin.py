@@ -32,7 +32,7 @@ from flint import acb, acb_poly, arb, arb_mat, arb_poly
 from jaxstab.conventions import Status
 from jaxstab.model.balls import BallLoop, Factored
 from jaxstab.model.device.parts import FIRST_BITS, working_precision
-from jaxstab.model.device.sampling import OneSample, force_of, generator, held
+from jaxstab.model.device.sampling import OneSample, states_and_force
 
 _TURNS = 32  # of (n + 1) theta that are looked at
 _TERMS = 8  # of v(f) about the middle of an interval
@@ -182,14 +182,14 @@ class _Search:
         """
         sample, around = self.sample, _around(fraction)
         middle, offset = 1 - around.mid(), arb(0, around.rad())
-        step = generator(sample.below)
-        rate, column = step, held(sample.below, middle * sample.speed)
+        step = sample.generator
+        rate, column = step, sample.held(middle)
         terms = [self._moved(column)]
         for k in range(1, _TERMS):
-            terms.append(self._moved(column * rate) * ((-sample.speed) ** k / arb.fac_ui(k)))
+            terms.append(self._moved(column * rate) * (arb(-1) ** k / arb.fac_ui(k)))
             rate = rate * step
-        wide = held(sample.below, (1 - around) * sample.speed) * rate
-        last = self._moved(wide) * ((-sample.speed) ** _TERMS / arb.fac_ui(_TERMS))
+        wide = sample.held(1 - around) * rate
+        last = self._moved(wide) * (arb(-1) ** _TERMS / arb.fac_ui(_TERMS))
         value, slope = last, last * _TERMS
         for k in range(_TERMS - 1, -1, -1):
             value = value * offset + terms[k]
@@ -199,7 +199,7 @@ class _Search:
 
     def _moved(self, matrix: "arb_mat") -> "arb_poly":
         """N[.] of the last column of a matrix, the force's, in powers of z - 1."""
-        return self.sample.moved(force_of(matrix))(arb_poly([1, 1]))
+        return self.sample.moved(states_and_force(matrix)[1])(arb_poly([1, 1]))
 
     def _over_theta(self, theta: Interval) -> tuple[_Form, _Form, _Form]:
         everywhere = _around(theta)

@@ -34,6 +34,7 @@ from jaxstab.exact.verdict import roots_outside
 from jaxstab.model.balls import Factored, Triple, ball_loop, ball_triple
 from jaxstab.model.device.mechanics import equations, sides_in_samples
 from jaxstab.model.device.parts import Answer, decided, exact, remembered
+from jaxstab.model.device.sampling import seen
 from jaxstab.model.loop import LoopParameters
 from jaxstab.rounding import EPS, UNDERFLOW, UNIT
 
@@ -374,24 +375,10 @@ class _Parts(NamedTuple):
         late = (matrix * (1 - arb(exact(loop.delay_samples % 1.0)))).exp().tolist()
         transition = arb_mat([row[:size] for row in whole[:size]])
         denominator = transition.charpoly()
-        # The part without negative powers of z of D(z) (1/z + F/z^2 + ... + F^(n-1)/z^n).
-        powers = [arb_mat(size, size) + 1]
-        for _ in range(size - 1):
-            powers.append(transition * powers[-1])
-        rows = [power.tolist() for power in powers[::-1]]
-        states = [
-            [
-                (denominator * arb_poly([power[row][column] for power in rows])).right_shift(size)
-                for row in range(size)
-            ]
-            for column in range(size)
-        ]
+        one = arb_mat(size, size) + 1
 
         def after(vector: "list[arb]") -> "list[arb_poly]":
-            return [
-                sum((states[k][row] * vector[k] for k in range(size)), arb_poly([]))
-                for row in range(size)
-            ]
+            return seen(one, transition, denominator, arb_mat([vector]).transpose())
 
         newer = [late[row][size] for row in range(size)]
         older = [whole[row][size] - newer[row] for row in range(size)]
@@ -408,7 +395,7 @@ class _Parts(NamedTuple):
             memory,
             denominator,
             Factored(denominator // parts.denominator.polynomial()),
-            states,
+            [after(row) for row in one.tolist()],
             [a + b.left_shift(1) for a, b in zip(after(older), after(newer), strict=True)],
             free * after(blow)[0],
             free * after(push)[0],

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from jaxstab.model.device.device import Device, in_steps
 from jaxstab.model.device.parts import decided, exact, flint, remembered
-from jaxstab.model.device.sampling import SampledDevice, one_sample
+from jaxstab.model.device.sampling import one_sample
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import (
     NO_FILTERS,
@@ -426,14 +426,9 @@ def _section(section: Section) -> tuple[Factored, Factored]:
 
 
 @lru_cache(maxsize=64)
-def linear_loop(device: SampledDevice, filters: Filters | None) -> LinearLoop:
-    """The loop of gains in units of the device, K stiffness_unit and B damping_unit."""
-    plant = device.device, device.sample_time, device.delay
-
-    def triple() -> Triple:
-        return _ball_loop(*plant, filters or NO_FILTERS).triple
-
-    return rounded_triple(triple, device.stiffness_unit, device.damping_unit)
+def linear_loop(loop: "LoopParameters", units: tuple[float, float]) -> LinearLoop:
+    """A loop in plain numbers, of gains in units: alpha is K times the first one."""
+    return rounded_triple(lambda: ball_triple(loop), *units)
 
 
 def rounded_triple(

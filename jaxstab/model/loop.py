@@ -18,8 +18,9 @@ from jaxstab.arrays import (
     namespace,
 )
 from jaxstab.model.balls import linear_loop
-from jaxstab.model.device import Device, Hand, SampledDevice, sampled_device
+from jaxstab.model.device import Device, Hand
 from jaxstab.model.device.device import in_steps
+from jaxstab.model.device.sampling import gain_units
 from jaxstab.model.filters import Average, Filter, Velocity, filter_on, given_filters
 from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.model.parameters import LONGEST_DELAY, TracedDelay, by_name
@@ -125,7 +126,7 @@ class LoopParameters:
         )
 
     def __dir__(self) -> list[str]:
-        for_computing = {"body", "filters", "held_device", "in_floats", "linear", "sampled"}
+        for_computing = {"body", "filters", "held_device", "in_floats", "linear"}
         for_computing |= {"tree_flatten", "tree_unflatten"}
         return [name for name in super().__dir__() if name not in for_computing]
 
@@ -210,20 +211,10 @@ class LoopParameters:
         return self._one_body.damping * self.sample_time / self.mass
 
     @property
-    def sampled(self) -> SampledDevice | None:
-        """A device that is not one mass, sampled; None for one mass."""
-        if self.device is None or self.body is not None:
-            return None
-        refuse_arrays(self)
-        return sampled_device(self.device, self.sample_time, self.delay_samples)
-
-    @property
     def linear(self) -> LinearLoop:
         """The loop as p(z) = base + alpha stiffness + beta damping; TypeError if JAX traces it."""
         loop = self.in_floats()
-        times = loop.sample_time, loop.delay_samples
-        device = loop.sampled or SampledDevice(loop.held_device, *times, *loop._units)
-        return linear_loop(device, given_filters(loop.velocity, loop.position))
+        return linear_loop(loop, loop._units)
 
     def in_floats(self) -> "LoopParameters":
         """The loop in plain numbers; TypeError if JAX traces it, or fields are arrays."""
@@ -315,10 +306,10 @@ class LoopParameters:
     @property
     def _units(self) -> tuple[Numbers, Numbers]:
         """The units of stiffness and damping, as factors: powers of two for general devices."""
-        sampled = self.sampled
-        if sampled is not None:
-            return sampled.stiffness_unit, sampled.damping_unit
-        return self.sample_time**2 / self.mass, self.sample_time / self.mass
+        if self.device is None or self.body is not None:
+            return self.sample_time**2 / self.mass, self.sample_time / self.mass
+        refuse_arrays(self)
+        return gain_units(self.device, self.sample_time, self.delay_samples)
 
     def alpha(self, stiffness: Values) -> Values:
         """Dimensionless stiffness K T^2/m of a wall of stiffness K in N/m (Table I)."""

@@ -89,24 +89,21 @@ def mass_loop(gamma: float, delta: float, delay: float, filters: Filters | None)
 
 @lru_cache(maxsize=64)
 def _device_loop(loop: LoopParameters) -> TunedLoop:
-    device = loop.sampled
-    assert device is not None
-    filters = given_filters(loop.velocity, loop.position)
     linear = loop.linear
 
     def verdicts(alpha: Any, beta: Any) -> np.ndarray:
         return np.asarray(linear_verdict(np.asarray(alpha), np.asarray(beta), linear))
 
     def settling(alpha: Any, beta: Any, **options: Any) -> Settling:
-        wall = np.asarray(alpha) / device.stiffness_unit, np.asarray(beta) / device.damping_unit
+        wall = loop.stiffness(np.asarray(alpha)), loop.damping(np.asarray(beta))
         return loop_settling_samples(loop, *wall, **options)
 
     def deviations(alpha: np.ndarray, beta: np.ndarray, excitation: Excitation) -> Loops:
-        moves = mechanics(device.device, device.sample_time, device.delay % 1.0, (1.0,))
-        bank = bank_for(filters, device.sample_time)
-        rate = device.damping_unit * device.sample_time
-        wall, rows = (alpha / device.stiffness_unit, beta / rate), moves.rows[-1, :, :-1]
-        return loops_of(*wall, rows, moves.starts, int(device.delay), excitation, bank)
+        period, delay = loop.sample_time, loop.delay_samples
+        moves = mechanics(loop.held_device, period, delay % 1.0, (1.0,))
+        bank = bank_for(given_filters(loop.velocity, loop.position), period)
+        wall, rows = (loop.stiffness(alpha), loop.damping(beta) / period), moves.rows[-1, :, :-1]
+        return loops_of(*wall, rows, moves.starts, int(delay), excitation, bank)
 
     region = loop_region(loop, 1e-6)  # its size beside that of the outline's error
     return TunedLoop(Walls.of_loop(linear, verdicts, region), settling, deviations)
