@@ -220,10 +220,11 @@ def _held(matrix: "arb_mat", fraction: float, offset: float) -> "arb_mat":
 
 def _by_forces(whole: "arb_mat", late: "arb_mat | None") -> "list[list[arb]]":
     """Rows of states, the wall's force before and after its change, and the hand's."""
-    arrived = [flint.arb(0) if late is None else row[-2] for row in (late or whole).tolist()]
+    rows = whole.tolist()
+    arrived = [0 * row[-2] for row in rows] if late is None else [row[-2] for row in late.tolist()]
     return [
         [*states, wall - new, new, hand]
-        for (*states, wall, hand), new in zip(whole.tolist(), arrived, strict=True)
+        for (*states, wall, hand), new in zip(rows, arrived, strict=True)
     ]
 
 
