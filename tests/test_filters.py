@@ -460,7 +460,7 @@ def test_arrays_of_delays_refuse_traced_filters_in_one_sentence() -> None:
         (lambda: Filter.average(window=15.5e-3).checked(1e-3), r"0.015 s \(15 .* 0.016 s \(16"),
         (lambda: Filter.transfer_function([1.0, 2.0, 3.0], [1.0, 0.5]), "proper"),
         (lambda: Filter.transfer_function([1.0], [1.0, -1.0]), "inside the unit circle"),
-        (lambda: Filter.transfer_function([0.0], [1.0, 0.5]), "not 0"),
+        (lambda: Filter.transfer_function([0.0], [1.0, 0.5]), "not all of them 0"),
         (lambda: Filter.transfer_function([1.0], [float("nan")]), "denominator is nan"),
         (lambda: Filter.transfer_function([1.0], [1.0] + [0.0] * 41), "degree 41"),
         (

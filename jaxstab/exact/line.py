@@ -311,21 +311,16 @@ def _real_sign(p: Factored, angle: "arb") -> int:
 
 
 def _cosines_of(p0: Factored, q: Factored) -> "list[arb]":
-    """The cosine sum of p0 and q, without the real functions of factors that are known."""
-    is_odd = (p0.at_one - q.at_one) % 2 == 1
-    return _cosines(p0.rest, q.rest, _phase(p0) - _phase(q), is_odd=is_odd)
-
-
-def _cosines(u: "arb_poly", v: "arb_poly", phase: int, *, is_odd: bool) -> "list[arb]":
-    """c(theta): the sum of Im, or for an odd turn of Re, of e^(i phase theta/2) u conj v, divided.
+    """c(theta) of p0 and q: the sum of Im, or for an odd turn of Re, of their rests, divided.
 
     The terms are g_j e^(i w theta/2), w = 2j + phase. Their sines and cosines, over those of theta
     or theta/2, are sums of cosines (Dirichlet's kernel).
     """
-    product = u * arb_poly(v.coeffs()[::-1])
+    is_odd, phase = (p0.at_one - q.at_one) % 2 == 1, _phase(p0) - _phase(q)
+    product = p0.rest * arb_poly(q.rest.coeffs()[::-1])
     sums: dict[int, arb] = {}
     for power, g in enumerate(product.coeffs()):
-        w = 2 * (power - v.degree()) + phase
+        w = 2 * (power - q.rest.degree()) + phase
         sums[abs(w)] = sums.get(abs(w), arb(0)) + (-g if w < 0 and not is_odd else g)
     if is_odd and phase % 2 == 0:
         return [sums.get(w, arb(0)) for w in range(0, max(sums) + 1, 2)]

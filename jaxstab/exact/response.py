@@ -20,8 +20,9 @@ forces that act: a sample has many times, and a disturbance by friction many inp
 """
 
 from bisect import bisect_left
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
+from functools import partial
 from math import ceil, inf, isfinite, log, nan
 from typing import Any, NamedTuple
 
@@ -253,10 +254,10 @@ class _Wall(NamedTuple):
             found.append((z, [*states, -position, -z * position]))
         return found
 
-    def begun(self, excitation: str) -> Quotients:
+    def begun(self, *, is_impact: bool) -> Quotients:
         """The deviation of the position: of its final value, or after a blow."""
         parts, z = self.parts, _z()
-        if excitation == "impact":
+        if is_impact:
             return [(z, [parts.struck])]
         final = parts.pushed(1) / self.whole(1)
         return [(z, [(parts.pushed * (1 / final) - self.whole) // (z - 1)])]
@@ -273,32 +274,26 @@ class _Wall(NamedTuple):
         if head is None:
             return None
         slope = self.whole.derivative()
-        shape = len(numerators), len(numerators[0][1]), len(chosen)
-        residues = np.zeros(shape, np.complex128)
-        sizes, errors = np.zeros(shape), np.zeros(shape)
-        moduli, gaps, first = np.zeros(len(chosen)), np.zeros(len(chosen)), []
-        for k, (root, is_real) in enumerate(chosen):
+        moduli, gaps, balls = list[float](), list[float](), list[list[list[acb]]]()
+        for root, is_real in chosen:
             modulus = abs(root)
             if not modulus < 1 or not (modulus < 1e-40 or modulus.rel_accuracy_bits() >= 70):
                 return None
-            moduli[k], gaps[k] = float(modulus.upper()) * _UP, float((1 - modulus).lower()) / _UP
+            moduli.append(float(modulus.upper()) * _UP)
+            gaps.append(float((1 - modulus).lower()) / _UP)
             share = root ** (start - 1) * (1 if is_real else 2) / slope(root)
-            for row, (factor, series) in enumerate(numerators):
-                common = factor(root) * share
-                for column, part in enumerate(series):
-                    ball = part(root) * common
-                    number = complex(ball)
-                    residues[row, column, k] = number
-                    sizes[row, column, k] = float(ball.abs_upper()) * _UP
-                    wrong = ball - acb(number.real, number.imag)
-                    errors[row, column, k] = float(wrong.abs_upper()) * _UP
-                    if not row and not column:
-                        first.append((root, ball))
+            factors = ((factor(root) * share, series) for factor, series in numerators)
+            balls.append([[part(root) * factor for part in series] for factor, series in factors])
+        shape = len(chosen), len(numerators), len(numerators[0][1])
+        grid = np.moveaxis(np.array(balls, object).reshape(shape), 0, -1)
+        residues = np.vectorize(complex, [complex])(grid)
+        sizes, errors = (np.vectorize(_above, [float])(each) for each in (grid, grid - residues))
         if np.any(errors > 1e-12 * sizes.max(axis=-1, initial=0.0, keepdims=True)):
             return None
-        poles = np.array([complex(root) for root, _ in first])
-        sizes, errors = sizes + UNDERFLOW, errors + UNDERFLOW
-        return Responses(*head, Modes(poles, residues, sizes, errors, moduli, gaps, first))
+        roots = [root for root, _ in chosen]
+        rounded = np.array(list(map(complex, roots))), residues
+        bounds = sizes + UNDERFLOW, errors + UNDERFLOW, np.array(moduli), np.array(gaps)
+        return Responses(*head, Modes(*rounded, *bounds, list(zip(roots, grid[0, 0], strict=True))))
 
     def by_powers(self, numerators: Quotients, terms: int) -> Responses | None:
         """Responses by x^m mod p, with that many terms before; None where m is too large."""
@@ -407,6 +402,10 @@ def _parts(loop: LoopParameters) -> _Parts:
     return _Parts.from_loop(loop)
 
 
+def _above(ball: "acb") -> float:
+    return float(ball.abs_upper()) * _UP
+
+
 def _z() -> "arb_poly":
     return arb_poly([0, 1])
 
@@ -431,7 +430,7 @@ def disturbed_responses(
     def by_powers(wall: _Wall) -> Responses | None:
         return wall.by_powers(wall.disturbed(causes), 1)
 
-    return _of_wall(loop, stiffness, damping, [by_modes, by_powers], nothing=None)
+    return _of_wall(loop, (stiffness, damping), (by_modes, by_powers), nothing=None)
 
 
 def settled_after(
@@ -450,53 +449,44 @@ def settled_after(
         >>> settled_after(loop, 1000.0, 20.0, "force", 0.02, 1000)
         69.0
     """
-    options: dict[str, Any] = {
-        "level": level,
-        "horizon": horizon,
-        "is_impact": excitation == "impact",
-    }
+    is_impact = excitation == "impact"
 
     def by_modes(wall: _Wall) -> float | None:
-        found = wall.responses(wall.begun(excitation))
-        return None if found is None else found.settled(**options)
+        found = wall.responses(wall.begun(is_impact=is_impact))
+        return found and found.settled(level, horizon, is_impact=is_impact)
 
     def by_powers(wall: _Wall) -> float | None:
-        terms, numerators = 64, wall.begun(excitation)
+        terms, numerators = 64, wall.begun(is_impact=is_impact)
         while terms < _MOST_POWERS and (found := wall.by_powers(numerators, terms)) is not None:
-            if (settled := found.settled(**options)) is not None:
+            if (settled := found.settled(level, horizon, is_impact=is_impact)) is not None:
                 return settled
             terms *= 4
         return None
 
-    settled = _of_wall(loop, stiffness, damping, [by_modes, by_powers], nothing=inf)
+    settled = _of_wall(loop, (stiffness, damping), (by_modes, by_powers), nothing=inf)
     return nan if settled is None else settled
 
 
 def _of_wall(
     loop: LoopParameters,
-    stiffness: float,
-    damping: float,
-    ways: "list[Callable[[_Wall], Answer | None]]",
+    gains: tuple[float, float],
+    ways: "Iterable[Callable[[_Wall], Answer | None]]",
     nothing: Answer,
 ) -> Answer | None:
     """The answer of the first way that has one; ``nothing`` for an unstable wall."""
-    if not isfinite(stiffness + damping):
+    if not isfinite(sum(gains)):
         return None  # as where JAX traced the numbers, so that nobody checked them
-    if not (damping and stiffness):
+    if not all(gains):
         # The filter of a gain that is 0 has poles of its own, which may coincide.
-        kept = loop.velocity if damping else None, loop.position if stiffness else None
+        kept = loop.velocity if gains[1] else None, loop.position if gains[0] else None
         loop = replace(loop, velocity=kept[0], position=kept[1])
-    for way in ways:
 
-        def question(way: "Callable[[_Wall], Answer | None]" = way) -> tuple[Answer] | None:
-            wall = _Wall.from_loop(loop, stiffness, damping)
-            is_stable = wall.is_stable()
-            if not is_stable:
-                return None if is_stable is None else (nothing,)
-            answer = way(wall)
-            return None if answer is None else (answer,)
+    def question(way: "Callable[[_Wall], Answer | None]") -> tuple[Answer | None] | None:
+        wall = _Wall.from_loop(loop, *gains)
+        is_stable = wall.is_stable()
+        answer = way(wall) if is_stable else nothing
+        return None if is_stable is None or (is_stable and answer is None) else (answer,)
 
-        found = decided(question)
-        if found is not None:
-            return found[0]
-    return None
+    answers = (decided(partial(question, way)) for way in ways)
+    (found,) = next(filter(None, answers), (None,))
+    return found

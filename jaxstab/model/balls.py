@@ -339,23 +339,18 @@ def ball_loop(loop: "LoopParameters") -> BallLoop:
 @remembered(128)
 def _parts(loop: "LoopParameters") -> tuple[BallLoop, Triple]:
     filters = given_filters(loop.velocity, loop.position) or NO_FILTERS
-    parts = _ball_loop(loop.held_device, loop.sample_time, loop.delay_samples, filters)
+    device, period = loop.held_device, loop.sample_time
+    parts = BallLoop.from_plant(plant_in_balls(device, period, loop.delay_samples), period, filters)
+    if parts.velocity[0].at_one:  # a velocity that is 0 at rest
+        parts = parts._replace(yielding=_yielding(device, filters[1].per_sample(period)))
     return parts, parts.triple
 
 
-def _ball_loop(device: Device, period: float, delay: float, filters: Filters) -> BallLoop:
-    own = BallLoop.from_plant(plant_in_balls(device, period, delay), period, filters)
-    if not own.velocity[0].at_one:  # a second output that is not 0 at rest
-        return own
-    position = filters[1].per_sample(period).sections
-    return own._replace(yielding=_yielding(device, position))
-
-
-def _yielding(device: Device, position: tuple[Section, ...]) -> float | None:
+def _yielding(device: Device, position: Filter) -> float | None:
     """The K that makes 1 + K P(1) G(1) exactly 0, G(1) the displacement by a constant force."""
     own = in_steps(device)
     moved, force = own.at_rest() if own else device.compliance().at_rest()
-    for section in position:
+    for section in position.sections:
         if section.length is None:
             above, below = exact_chain((section,))
             moved, force = moved * above(1), force * below(1)

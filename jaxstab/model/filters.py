@@ -15,7 +15,7 @@ explorers take all kinds from the class.
 """
 
 import numbers
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import lru_cache
@@ -37,7 +37,7 @@ from jaxstab.arrays import (
     pytree,
     tree_map,
 )
-from jaxstab.model.device.parts import flint
+from jaxstab.model.device.parts import coefficients, flint
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.numbers import checked_count, checked_number, require_x64
 from jaxstab.shown import call_text
@@ -788,12 +788,6 @@ class Velocity:
         return f"the difference over one sample, {self.filter}"
 
 
-def windows_in_seconds(filter_: Filter) -> list[float]:
-    """The windows of a filter that are given in s."""
-    averages = (section for section in filter_.sections if isinstance(section, Average))
-    return [average.window for average in averages if average.window]
-
-
 def with_number(velocity: Velocity, quantity: str, value: float) -> Velocity:
     """An estimator with another "cutoff" in Hz, or with another "window" in samples.
 
@@ -883,7 +877,10 @@ def _checked_order(order: int) -> int:
 def _checked_rational(
     numerator: Sequence[float], denominator: Sequence[float]
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    above, below = _coefficients("numerator", numerator), _coefficients("denominator", denominator)
+    above, below = (
+        coefficients(name, values, "in z")
+        for name, values in (("numerator", numerator), ("denominator", denominator))
+    )
     if len(above) > len(below):
         raise ValueError(
             f"numerator has degree {len(above) - 1} in z and denominator {len(below) - 1}; a "
@@ -899,23 +896,17 @@ def _checked_rational(
     return above, below
 
 
-def _coefficients(name: str, values: Sequence[float]) -> tuple[float, ...]:
-    numbers = [checked_number(name, value) for value in values]
-    while numbers and numbers[0] == 0.0:
-        numbers.pop(0)
-    if not numbers:
-        raise ValueError(f"{name} is {list(values)}; give at least one coefficient that is not 0.")
-    return tuple(numbers)
-
-
 def has_roots_inside(falling: Sequence[Any]) -> bool:
-    """True if all roots are inside the unit circle, of exact numbers (Schur 1917, Cohn 1922).
+    """True if all roots are inside the unit circle, of exact numbers.
 
-    The first |ratio| >= 1 says that the roots of what is left have a product of 1 or more.
+    The first |k| >= 1 says that the roots of what is left have a product of 1 or more.
     """
-    while len(falling) > 1:
-        ratio = falling[-1] / falling[0]
-        if abs(ratio) >= 1:
-            return False
-        falling = [a - ratio * b for a, b in zip(falling[:-1], falling[:0:-1], strict=True)]
-    return True
+    return all(abs(k) < 1 for k in reflections(falling[::-1]))
+
+
+def reflections(rising: Sequence[Any]) -> Iterator[Any]:
+    """The k of a polynomial in exact numbers or balls, one a degree (Schur 1917, Cohn 1922)."""
+    while len(rising) > 1:
+        k = rising[0] / rising[-1]
+        yield k
+        rising = [a - k * b for a, b in zip(rising[1:], rising[-2::-1], strict=True)]

@@ -241,8 +241,6 @@ HIGHEST_ORDER = 40
 
 Coefficients = Sequence[float] | Sequence[int] | np.ndarray[Any, np.dtype[Any]]
 
-_IN_S = "in s, highest power first"
-
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Mode:
@@ -324,13 +322,13 @@ class Part:
 
 @dataclass(frozen=True)
 class MassSpringDamper(Part):
-    """A mass on a spring and a damper."""
+    """A mass in kg on a damper in N s/m and a spring in N/m, of a device or of arrays of loops."""
 
     maker = "mass_spring_damper"
 
-    mass: float
-    damping: float
-    stiffness: float
+    mass: Any
+    damping: Any
+    stiffness: Any
 
     def __str__(self) -> str:
         return _description(self.mass, self.damping, self.stiffness)
@@ -449,11 +447,14 @@ def checked_transfer_function(
     numerator: Coefficients, denominator: Coefficients, excess: int, what: str
 ) -> TransferFunction:
     """A transfer function whose numerator's degree exceeds the other by ``excess`` at most."""
-    above, below = _coefficients("numerator", numerator), _coefficients("denominator", denominator)
+    above, below = (
+        coefficients(name, values, "in s")
+        for name, values in (("numerator", numerator), ("denominator", denominator))
+    )
     if len(above) - len(below) > excess:
         raise ValueError(
             f"numerator has degree {len(above) - 1} in s and denominator {len(below) - 1}; {what}: "
-            f"give coefficients {_IN_S}, not in z."
+            "give coefficients in s, highest power first, not in z."
         )
     if len(below) - 1 > HIGHEST_ORDER:
         raise ValueError(
@@ -462,22 +463,21 @@ def checked_transfer_function(
     return TransferFunction(above, below)
 
 
-def _coefficients(name: str, values: Coefficients) -> tuple[float, ...]:
-    numbers = [checked_number(name, value) for value in _row(name, values)]
+def coefficients(name: str, values: Coefficients, variable: str) -> tuple[float, ...]:
+    """The coefficients of a polynomial, "in s" or "in z", without leading ones of 0."""
+    try:
+        row = list(np.atleast_1d(values))
+    except ValueError:  # rows of unlike lengths
+        row = []
+    numbers = [checked_number(name, value) for value in row]
     while numbers and numbers[0] == 0.0:
         numbers.pop(0)
     if not numbers:
         raise ValueError(
-            f"{name} is {[float(v) for v in values]}; give coefficients {_IN_S}, not all of them 0."
+            f"{name} is {values!r}; give coefficients {variable}, highest power first, not all of "
+            "them 0."
         )
     return tuple(numbers)
-
-
-def _row(name: str, values: Coefficients) -> list[Any]:
-    try:
-        return list(np.atleast_1d(values))
-    except ValueError as error:
-        raise TypeError(f"{name} is {values!r}; give coefficients {_IN_S}.") from error
 
 
 def checked_state_space(a: Any, b: Any, c: Any) -> StateSpace:
