@@ -241,7 +241,7 @@ def test_devices_and_hands_are_values_that_print_themselves() -> None:
         (lambda: Device.transfer_function([1.0], [0.0, 0.0]), "denominator is"),
         (lambda: Device.transfer_function([np.inf], [1.0, 2.0]), "numerator is inf"),
         (lambda: Device.transfer_function([1.0], [1.0] * 42), "40 at most"),
-        (lambda: Device.state_space(np.eye(2), [1.0], [1.0, 0.0]), "B has shape"),
+        (lambda: Device.state_space(np.eye(2), [1.0], [1.0, 0.0]), "B and C have shapes"),
         (lambda: Device.state_space([[0.0]], [1.0], [0.0]), "transfer function 0"),
         (lambda: Device.modes([]), "give at least one"),
         (lambda: Device.modes([MODE], damping=1.0), "give mass, too"),

@@ -32,7 +32,7 @@ from jaxtyping import Complex128, Float64
 
 from jaxstab.exact.roots import isolated_roots, real_or_not
 from jaxstab.exact.verdict import roots_outside
-from jaxstab.model.balls import Factored, Triple, ball_loop, ball_triple
+from jaxstab.model.balls import BallLoop, Factored, ball_loop
 from jaxstab.model.device.mechanics import equations, sides_in_samples
 from jaxstab.model.device.parts import Answer, decided, exact, remembered
 from jaxstab.model.device.sampling import seen
@@ -219,14 +219,12 @@ class _Wall(NamedTuple):
     @classmethod
     def from_loop(cls, loop: LoopParameters, stiffness: float, damping: float) -> "_Wall":
         parts = _parts(loop)
-        p = parts.triple.at(stiffness, damping)
+        p = parts.loop.triple.at(stiffness, damping)
         # An actuator's pole that is a zero of the device is no root of p, but of its states.
         if parts.hidden.degree:
             p = p.times(parts.hidden)
         p = p._replace(power=p.power + parts.degree - p.degree)
-        by_stiffness, by_damping = parts.walls
-        force = by_stiffness * arb(stiffness) + by_damping * arb(damping)
-        return cls(p, p.polynomial(), force, parts)
+        return cls(p, p.polynomial(), parts.loop.wall(stiffness, damping).polynomial(), parts)
 
     def is_stable(self) -> bool | None:
         """True if all roots of p are inside the circle (E1); None where balls do not tell."""
@@ -341,7 +339,7 @@ class _Parts(NamedTuple):
     """A loop without its wall, polynomials of z.
 
     degree: of p(z) with all powers of z that the sequences have.
-    walls, memory: Np Dv and Nv Dp, over Dp Dv.
+    memory: Dp Dv.
     denominator: D(z) = det(z - F) of the states of ``equations``, F their transition in a sample.
     hidden: D over that of the loop.
     states: adj(z - F), by columns.
@@ -350,9 +348,8 @@ class _Parts(NamedTuple):
         unit force from 0 on, times p(z)/z and p(z) (z - 1)/z.
     """
 
-    triple: Triple
+    loop: BallLoop
     degree: int
-    walls: "tuple[arb_poly, arb_poly]"
     memory: "arb_poly"
     denominator: "arb_poly"
     hidden: Factored
@@ -384,9 +381,8 @@ class _Parts(NamedTuple):
         waiting = int(loop.delay_samples) + 1
         free = memory.left_shift(waiting)
         return cls(
-            ball_triple(loop),
+            parts,
             waiting + size + memory.degree(),
-            (parts.walls[0].polynomial(), parts.walls[1].polynomial()),
             memory,
             denominator,
             Factored(denominator // parts.denominator.polynomial()),
@@ -441,14 +437,7 @@ def settled_after(
     level: float,
     horizon: int,
 ) -> float:
-    """The sample from which on a wall stays settled: infinite if unstable, NaN if not proved.
-
-    Example:
-        >>> from jaxstab.exact.response import settled_after
-        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-        >>> settled_after(loop, 1000.0, 20.0, "force", 0.02, 1000)
-        69.0
-    """
+    """The sample from which on a wall stays settled: infinite if unstable, NaN if not proved."""
     is_impact = excitation == "impact"
 
     def by_modes(wall: _Wall) -> float | None:

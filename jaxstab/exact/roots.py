@@ -68,15 +68,7 @@ class Poles(NamedTuple):
 
 
 def spectral_radius(triple: TripleAt, stiffness: float, damping: float) -> Radius:
-    """The largest modulus of the poles of the wall (K, B).
-
-    Example:
-        >>> from jaxstab.exact.roots import spectral_radius
-        >>> from jaxstab.model.balls import ball_triple
-        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-        >>> spectral_radius(lambda: ball_triple(loop), 1000.0, 10.0).value
-        0.94072397073358...
-    """
+    """The largest modulus of the poles of the wall (K, B)."""
 
     def largest() -> Number | None:
         roots = isolated_roots(triple().at(stiffness, damping))

@@ -37,7 +37,7 @@ from jaxstab.arrays import (
     pytree,
     tree_map,
 )
-from jaxstab.model.device.parts import coefficients, flint
+from jaxstab.model.device.parts import coefficients, exact, flint
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.numbers import checked_count, checked_number, require_x64
 from jaxstab.shown import call_text
@@ -374,8 +374,8 @@ def _slope_weights(samples: int, order: int) -> tuple[float, ...]:
     powers = flint.fmpq_mat(samples, order + 1, [value for row in rows for value in row])
     slope = flint.fmpq_mat(order + 1, 1, [int(power == 1) for power in range(order + 1)])
     solved = powers * (powers.transpose() * powers).solve(slope)
-    exact = (Fraction(int(solved[k, 0].p), int(solved[k, 0].q)) for k in range(samples - 1))
-    return tuple(map(float, accumulate(exact)))
+    weights = accumulate(solved[k, 0] for k in range(samples - 1))
+    return tuple(int(weight.p) / int(weight.q) for weight in weights)
 
 
 @pytree
@@ -415,9 +415,7 @@ def exact_chain(sections: tuple[Section, ...]) -> "tuple[fmpq_poly, fmpq_poly]":
     for section in sections:
         for stage in section.stages():
             for side, row in enumerate(stage):
-                sides[side] *= flint.fmpq_poly(
-                    [flint.fmpq(c.numerator, c.denominator) for c in row]
-                )
+                sides[side] *= flint.fmpq_poly(list(map(exact, row)))
     largest = 10**150  # products of such coefficients are float64 still
     if max(abs(c) for side in sides for c in side.coeffs()) > largest:
         raise ValueError(

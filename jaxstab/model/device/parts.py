@@ -482,27 +482,18 @@ def coefficients(name: str, values: Coefficients, variable: str) -> tuple[float,
 
 def checked_state_space(a: Any, b: Any, c: Any) -> StateSpace:
     """A state space of one force and one position, or of two, the hand's second."""
-    matrices = [np.asarray(checked(name, m)) for name, m in zip("ABC", (a, b, c), strict=True)]
-    order = matrices[0].shape[0] if matrices[0].ndim == 2 else 0
-    sides = [m[:, None] if m.ndim == 1 else m for m in (matrices[1], matrices[2].T)]
-    ports = sides[0].shape[1] if sides[0].ndim == 2 else 0
-    allowed = (order, order), (order, ports), (order, ports)
-    for name, given, matrix, shape in zip(
-        "ABC", matrices, (matrices[0], *sides), allowed, strict=True
-    ):
-        if not order or matrix.shape != shape or ports not in (1, 2):
-            raise ValueError(
-                f"{name} has shape {given.shape}; a state space in s of one force and one "
-                "position has A of (n, n), B of (n, 1) and C of (1, n); with the force and the "
-                "position of the hand B is of (n, 2) and C of (2, n)."
-            )
-    if order > HIGHEST_ORDER:
-        raise ValueError(f"A has {order} states; give {HIGHEST_ORDER} at most.")
-    rows = [
-        tuple(tuple(float(value) for value in row) for row in matrix)
-        for matrix in (matrices[0], sides[0], sides[1].T)
-    ]
-    return StateSpace(*rows)
+    given = [np.asarray(checked(name, m)) for name, m in zip("ABC", (a, b, c), strict=True)]
+    order = len(np.atleast_1d(given[0]))
+    sides = given[0], given[1][:, None] if given[1].ndim == 1 else given[1], np.atleast_2d(given[2])
+    shapes = [[(order, order), (order, ports), (ports, order)] for ports in (1, 2)]
+    if [side.shape for side in sides] not in shapes or not 1 <= order <= HIGHEST_ORDER:
+        raise ValueError(
+            f"A, B and C have shapes {', '.join(str(side.shape) for side in given)}; a state space "
+            "in s of one force and one position has A of (n, n), B of (n, 1) and C of (1, n), n "
+            f"from 1 to {HIGHEST_ORDER}; with the force and the position of the hand B is of "
+            "(n, 2) and C of (2, n)."
+        )
+    return StateSpace(*(tuple(map(tuple, side.tolist())) for side in sides))
 
 
 def checked_compliance(function: Rational, what: str) -> Rational:
