@@ -122,13 +122,11 @@ def _enough_bits(loop: ScaledLoop) -> AbstractContextManager[None]:
 @lru_cache(maxsize=64)
 def _bits_for_digits(loop: ScaledLoop) -> int:
     """The precision at which the loop's polynomials have the digits of float64, and some more."""
-    bits = FIRST_BITS
-    while bits < MOST_BITS:
-        with working_precision(bits):
-            if all(map(_has_digits, (*loop.triple(), *_factors(loop)))):
-                break
-        bits *= 2
-    return bits
+
+    def bits() -> int | None:
+        return ctx.prec if all(map(_has_digits, (*loop.triple(), *_factors(loop)))) else None
+
+    return decided(bits) or MOST_BITS
 
 
 def _has_digits(part: Factored) -> bool:

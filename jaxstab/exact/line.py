@@ -406,32 +406,20 @@ def _between(crossings: list[Crossing]) -> "list[arb] | None":
 def _counts(line: Callable[[], _Line | None], found: _Found) -> list[int] | None:
     """The number of roots outside in each gap; None where they are not known or contradict."""
     counts: list[int] = []
-    start = 0
-    for end in range(1, len(found.between) + 1):
-        if end < len(found.between) and found.crossings[end - 1].change is not None:
-            continue
-        changes = [crossing.change or 0 for crossing in found.crossings[start : end - 1]]
-        relative = list(accumulate(changes, initial=0))
-        chain = _chain(line, found.between[start:end], relative, found.bits)
-        if chain is None:
+    begins = [k for k, crossing in enumerate(found.crossings, start=1) if crossing.change is None]
+    for start, end in pairwise([0, *begins, len(found.between)]):
+        changes = (crossing.change or 0 for crossing in found.crossings[start : end - 1])
+        relative, shifts = list(accumulate(changes, initial=0)), set()
+        for index in {relative.index(min(relative)), relative.index(max(relative))}:
+            wall = partial(_outside, line, found.between[start + index].mid())
+            count = decided(wall, first=found.bits)  # it may need more than crossings
+            if count is None:
+                return None
+            shifts.add(count - relative[index])
+        if len(shifts) > 1:
             return None
-        counts += chain
-        start = end
+        counts += [count + min(shifts) for count in relative]
     return counts
-
-
-def _chain(
-    line: Callable[[], _Line | None], walls: "list[arb]", relative: list[int], first: int
-) -> list[int] | None:
-    """The numbers in gaps of which the differences are known."""
-    shifts = set()
-    for index in {relative.index(min(relative)), relative.index(max(relative))}:
-        t = walls[index].mid()
-        count = decided(partial(_outside, line, t), first=first)  # it may need more than crossings
-        if count is None:
-            return None
-        shifts.add(count - relative[index])
-    return [count + min(shifts) for count in relative] if len(shifts) == 1 else None
 
 
 def _outside(line: Callable[[], _Line | None], t: "arb") -> int | None:
