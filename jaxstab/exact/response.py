@@ -262,8 +262,7 @@ class _Wall(NamedTuple):
 
     def responses(self, numerators: Quotients) -> Responses | None:
         """Responses by their modes; None where poles are not told apart, or not inside."""
-        roots = isolated_roots(self.p._replace(power=0))
-        told = None if roots is None else real_or_not(roots)
+        told = real_or_not(isolated_roots(self.p._replace(power=0)))
         if told is None:
             return None
         chosen = [(root, is_real) for root, is_real in told if is_real or root.imag > 0]

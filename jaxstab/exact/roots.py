@@ -91,12 +91,9 @@ def rough_radius(triple: TripleAt, stiffness: float, damping: float) -> float:
 
 def poles(triple: TripleAt, stiffness: float, damping: float) -> Poles:
     """All poles of the wall (K, B), those at z = 0 included."""
-
-    def told_apart() -> "list[tuple[acb, bool]] | None":
-        roots = isolated_roots(triple().at(stiffness, damping))
-        return None if roots is None else real_or_not(roots)
-
-    found = decided(told_apart, most=MOST_FOR_ROOTS)
+    found = decided(
+        lambda: real_or_not(isolated_roots(triple().at(stiffness, damping))), most=MOST_FOR_ROOTS
+    )
     if found is None:
         return Poles(np.full(triple().degree, complex(np.nan, np.nan)), np.inf)
     values, error = [], 0.0
@@ -130,12 +127,14 @@ def _isolated(polynomial: "arb_poly") -> "list[acb] | None":
         return None
 
 
-def real_or_not(roots: "list[acb]") -> "list[tuple[acb, bool]] | None":
+def real_or_not(roots: "list[acb] | None") -> "list[tuple[acb, bool]] | None":
     """All roots of a real polynomial, each with whether it is real; None where balls do not tell.
 
     The mirror image of a root is a root, too. Where it can be in the same ball alone it is the root
     itself; a ball that meets the real axis may also hold one of a pair, with the other beside it.
     """
+    if roots is None:
+        return None
     answers = []
     for root in roots:
         is_real = bool(root.imag.contains(0))
@@ -149,8 +148,7 @@ def real_or_not(roots: "list[acb]") -> "list[tuple[acb, bool]] | None":
 
 def real_roots(polynomial: "arb_poly") -> "list[arb] | None":
     """All real roots, in balls that do not touch; None where they are not told apart."""
-    roots = _isolated(polynomial)
-    told = None if roots is None else real_or_not(roots)
+    told = real_or_not(_isolated(polynomial))
     return None if told is None else [root.real for root, is_real in told if is_real]
 
 
