@@ -97,7 +97,7 @@ def device_margins(rng: np.random.Generator, count: int) -> Campaign:
     tally, seconds = Tally(), []
     for loop, region in _loops(rng, DeviceLoop.drawn, count):
         wall = _wall(rng, region)
-        units = np.array([loop.sampled.stiffness_unit, loop.sampled.damping_unit])
+        units = np.array(loop.units)
         start = process_time()
         code, *found = crossings_of(loop.loop, tuple((wall / units).tolist()))
         seconds.append(process_time() - start)

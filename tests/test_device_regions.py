@@ -11,8 +11,6 @@ from benchmarks.truth.random_loops import DeviceLoop
 from jaxstab import Device, Filter, Hand, HapticLoop, Mode, Velocity, Verdict
 from jaxstab.exact.boundary import ScaledLoop
 from jaxstab.model import LoopParameters, by_name
-from jaxstab.model.balls import linear_loop
-from jaxstab.model.device import SampledDevice, sampled_device
 from jaxstab.model.filters import Filters
 from jaxstab.point.verdicts import linear_verdict
 from jaxstab.region.region import region_of as region_of_balls
@@ -33,6 +31,7 @@ DEVICES = {
     "an unstable device": Device.transfer_function([1.0], [0.25, 0.1, -3.0]),
     "a damper": Device.transfer_function([1.0], [2.0, 0.0]),
 }
+PERIOD = 1e-3
 FILTERS: dict[str, Filters] = {
     "one sample": (Velocity(), Filter()),
     "window": (Velocity.difference(samples=6), Filter()),
@@ -40,17 +39,14 @@ FILTERS: dict[str, Filters] = {
 }
 
 
-def region_of(sampled: SampledDevice, filters: Filters) -> StableRegion:
-    """In the units of the sampled device, one mass as well."""
-    period, units = sampled.sample_time, (1.0 / sampled.stiffness_unit, 1.0 / sampled.damping_unit)
-    loop = LoopParameters(
-        device=sampled.device,
-        sample_time=period,
-        delay=sampled.delay * period,
-        velocity=filters[0],
-        position=filters[1],
-    )
-    return region_of_balls(ScaledLoop(loop, units), 1e-6)
+def loop_of(device: Device, delay: float, filters: Filters) -> LoopParameters:
+    given = dict(zip(("velocity", "position"), filters, strict=True))
+    return LoopParameters(device=device, sample_time=PERIOD, delay=delay * PERIOD, **given)
+
+
+def region_of(loop: LoopParameters) -> StableRegion:
+    """In the units of the loop."""
+    return region_of_balls(ScaledLoop(loop, (loop.stiffness(1.0), loop.damping(1.0))), 1e-6)
 
 
 def points_around(region: StableRegion, rng: np.random.Generator) -> np.ndarray:
@@ -73,9 +69,9 @@ def points_around(region: StableRegion, rng: np.random.Generator) -> np.ndarray:
     return np.concatenate(points)
 
 
-def assert_region_holds(sampled: SampledDevice, filters: Filters, region: StableRegion) -> None:
+def assert_region_holds(loop: LoopParameters, region: StableRegion) -> None:
     points = points_around(region, np.random.default_rng(len(region.points)))
-    codes = linear_verdict(*points.T, linear_loop(sampled, filters))
+    codes = linear_verdict(*points.T, loop.linear)
     inside = region.contains(*points.T)
     assert not np.any((codes == Verdict.STABLE) & ~inside)
     assert not np.any((codes == Verdict.UNSTABLE) & inside)
@@ -85,23 +81,20 @@ def assert_region_holds(sampled: SampledDevice, filters: Filters, region: Stable
 @pytest.mark.parametrize("filters", FILTERS)
 @pytest.mark.parametrize("device", DEVICES)
 def test_regions_against_certified_verdicts(device: str, filters: str, delay: float) -> None:
-    sampled = sampled_device(DEVICES[device], 1e-3, delay)
-    region = region_of(sampled, FILTERS[filters])
+    loop = loop_of(DEVICES[device], delay, FILTERS[filters])
+    region = region_of(loop)
     assert region.status == RegionStatus.COMPLETE
-    assert_region_holds(sampled, FILTERS[filters], region)
+    assert_region_holds(loop, region)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.3, 4.0])
 def test_a_mass_has_the_region_of_five_numbers(delay: float) -> None:
-    period, mass = 1e-3, 0.25
-    device = Device.mass_spring_damper(mass, damping=2.0).held_by(ARM)
-    slice_ = 300.0 * period**2 / 1.25, 7.0 * period / 1.25, delay
-    sampled = sampled_device(device, period, delay)
-    region, expected = (
-        region_of(sampled, FILTERS["one sample"]),
-        jaxstab.stable_region(**by_name(*slice_)),
-    )
-    units = period**2 / 1.25 / sampled.stiffness_unit, period / 1.25 / sampled.damping_unit
+    device = Device.mass_spring_damper(0.25, damping=2.0).held_by(ARM)
+    slice_ = 300.0 * PERIOD**2 / 1.25, 7.0 * PERIOD / 1.25, delay
+    loop = loop_of(device, delay, FILTERS["one sample"])
+    region = region_of_balls(ScaledLoop(loop, (1000.0, 0.5)), 1e-6)  # any units
+    expected = jaxstab.stable_region(**by_name(*slice_))
+    units = 1000.0 * PERIOD**2 / 1.25, 0.5 * PERIOD / 1.25
     assert float(region.area) * units[0] * units[1] == pytest.approx(float(expected.area), 1e-12)
     for one, other in (
         (region.max_alpha, expected.max_alpha),
@@ -113,9 +106,9 @@ def test_a_mass_has_the_region_of_five_numbers(delay: float) -> None:
 
 
 def test_a_device_that_a_constant_force_does_not_move_has_no_region() -> None:
-    sampled = sampled_device(Device.transfer_function([1.0, 0.0], [1.0, 2.0, 3.0]), 1e-3, 0.0)
+    device = Device.transfer_function([1.0, 0.0], [1.0, 2.0, 3.0])
     with pytest.raises(ValueError, match="zero DC gain"):
-        region_of(sampled, FILTERS["one sample"])
+        region_of(loop_of(device, 0.0, FILTERS["one sample"]))
 
 
 def test_a_mode_that_walls_hardly_move_cuts_off_a_corner() -> None:

@@ -22,8 +22,7 @@ from benchmarks.truth import filtered
 from benchmarks.truth.random_loops import device_of
 from jaxstab import Device, Filter, Hand, Mode, Velocity, Verdict
 from jaxstab.model import by_name
-from jaxstab.model.balls import linear_loop
-from jaxstab.model.device import sampled_device
+from jaxstab.model.device.sampling import gain_units
 from jaxstab.point.poles import linear_poles
 from jaxstab.point.radius import linear_spectral_radius
 from jaxstab.point.verdicts import linear_verdict
@@ -34,25 +33,39 @@ FILTERS = Velocity.difference(samples=4), Filter.low_pass(200.0)
 TRUE_FILTERS = filtered.difference(4), filtered.low_pass(0.2, order=1)
 
 
+def loop_of(
+    device: Device,
+    sample_time: float,
+    delay_samples: float,
+    velocity: Velocity | None = None,
+    position: Filter | None = None,
+) -> jaxstab.HapticLoop:
+    return jaxstab.HapticLoop(
+        device=device,
+        sample_time=sample_time,
+        delay=delay_samples * sample_time,
+        velocity=velocity,
+        position=position,
+    )
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_verdicts_and_radii_against_certified_roots(seed: int) -> None:
     rng = np.random.default_rng(100 + seed)
     drawn = truth.drawn(rng)
-    sampled = sampled_device(device_of(drawn), drawn.sample_time, drawn.delay)
-    loop = linear_loop(sampled, FILTERS)
+    loop = loop_of(device_of(drawn), drawn.sample_time, drawn.delay, *FILTERS)
     system = drawn.mechanism.system()
     period = drawn.sample_time
     # Butterworth's and low passes are given in Hz: those of the truth belong to a period of 1.
     position = filtered.low_pass(200.0 * period, order=1)
     true = truth.DeviceLoop(system, period, drawn.delay, filtered.difference(4), position)
-    stiffness = rng.uniform(-0.02, 0.2, 8) / sampled.stiffness_unit
-    damping = rng.uniform(-0.02, 0.4, 8) / sampled.damping_unit
-    walls = stiffness * sampled.stiffness_unit, damping * sampled.damping_unit
-    codes = linear_verdict(*walls, loop)
+    walls = rng.uniform(-0.02, 0.2, 8), rng.uniform(-0.02, 0.4, 8)
+    stiffness, damping = loop.stiffness(walls[0]), loop.damping(walls[1])
+    codes = linear_verdict(*walls, loop.linear)
     expected = [true.code(*wall) for wall in zip(stiffness, damping, strict=True)]
     assert codes.tolist() == expected
-    radius = linear_spectral_radius(*walls, loop)
-    poles = linear_poles(*walls, loop)
+    radius = linear_spectral_radius(*walls, loop.linear)
+    poles = linear_poles(*walls, loop.linear)
     np.testing.assert_allclose(np.abs(poles[:, 0]), radius.value, 1e-3)
     for k, wall in enumerate(zip(stiffness, damping, strict=True)):
         assert abs(true.radius(*wall) - float(radius.value[k])) <= float(radius.error[k])
@@ -64,23 +77,22 @@ def test_a_mass_has_the_verdicts_of_five_numbers() -> None:
     device = Device.mass_spring_damper(mass, damping=2.0).held_by(hand)
     rng = np.random.default_rng(1)
     for delay in (0.0, 0.5, 3.0, 7.25):
-        sampled = sampled_device(device, period, delay)
+        loop = loop_of(device, period, delay)
         slice_ = 512.0 * period**2, 6.0 * period, delay
         alpha, beta = rng.uniform(-0.01, 0.4, 2000), rng.uniform(-0.1, 0.9, 2000)
-        factors = sampled.stiffness_unit / period**2, sampled.damping_unit / period
-        codes = linear_verdict(alpha * factors[0], beta * factors[1], linear_loop(sampled, None))
+        codes = linear_verdict(alpha, beta, loop.linear)  # of a mass of 1 kg
         np.testing.assert_array_equal(codes, jaxstab.verdict(alpha, beta, **by_name(*slice_)))
         assert {Verdict.STABLE, Verdict.UNSTABLE} <= set(codes.tolist())
 
 
 def largest_stable(device: Device, damping: float = 4.0) -> float:
     """The largest stiffness, by bisection from 0."""
-    sampled = sampled_device(device, 1e-3, 1.0)
-    loop, beta = linear_loop(sampled, None), damping * sampled.damping_unit
+    loop = loop_of(device, 1e-3, 1.0)
+    linear, beta = loop.linear, loop.beta(damping)
     low, high = 1.0, 1e6
     for _ in range(60):
         middle = np.sqrt(low * high)
-        is_stable = linear_verdict(middle * sampled.stiffness_unit, beta, loop) == Verdict.STABLE
+        is_stable = linear_verdict(loop.alpha(middle), beta, linear) == Verdict.STABLE
         low, high = (middle, high) if is_stable else (low, middle)
     return low
 
@@ -104,10 +116,9 @@ def test_a_stiff_grip_is_a_glued_hand_and_a_fast_actuator_is_none() -> None:
 
 def test_units_are_exact_and_near_the_size_of_the_plant() -> None:
     for mass in (1e-3, 0.1, 30.0):
-        sampled = sampled_device(Device.mass_spring_damper(mass), 1e-3, 0.0)
-        assert 0.25 < sampled.stiffness_unit / (1e-6 / mass) < 4.0
-        assert 0.1 < sampled.damping_unit / (1e-3 / mass) < 8.0
-        units = [sampled.stiffness_unit, sampled.damping_unit]
+        units = gain_units(Device.mass_spring_damper(mass), 1e-3, 0.0)
+        assert 0.25 < units[0] / (1e-6 / mass) < 4.0
+        assert 0.1 < units[1] / (1e-3 / mass) < 8.0
         assert (np.log2(units) % 1.0 == 0.0).all()
 
 
@@ -230,7 +241,7 @@ def test_devices_and_hands_are_values_that_print_themselves() -> None:
         (lambda: Device.transfer_function([1.0], [0.0, 0.0]), "denominator is"),
         (lambda: Device.transfer_function([np.inf], [1.0, 2.0]), "numerator is inf"),
         (lambda: Device.transfer_function([1.0], [1.0] * 42), "40 at most"),
-        (lambda: Device.state_space(np.eye(2), [1.0], [1.0, 0.0]), "B has shape"),
+        (lambda: Device.state_space(np.eye(2), [1.0], [1.0, 0.0]), "B and C have shapes"),
         (lambda: Device.state_space([[0.0]], [1.0], [0.0]), "transfer function 0"),
         (lambda: Device.modes([]), "give at least one"),
         (lambda: Device.modes([MODE], damping=1.0), "give mass, too"),
@@ -243,13 +254,13 @@ def test_devices_and_hands_are_values_that_print_themselves() -> None:
         (lambda: Device.from_control(control.tf([1.0], [1.0, 2.0], True)), "dt = True"),
         (lambda: Device.from_control(scipy.signal.lti([1.0, 0.0], [1.0, 2.0])), "not in z"),
         (
-            lambda: sampled_device(
+            lambda: gain_units(
                 Device.mass_spring_damper(1.0, damping=0.0, stiffness=1e280), 1e-3, 0.0
             ),
             "a pole",
         ),
-        (lambda: sampled_device(Device.mass_spring_damper(1e280), 1e-3, 0.0), "give SI units"),
-        (lambda: sampled_device(Device.transfer_function([1], [1, -1e3]), 1.0, 0.0), "unstable"),
+        (lambda: gain_units(Device.mass_spring_damper(1e280), 1e-3, 0.0), "give SI units"),
+        (lambda: gain_units(Device.transfer_function([1], [1, -1e3]), 1.0, 0.0), "unstable"),
     ],
 )
 def test_bad_input_is_refused_in_one_sentence(call: Any, words: str) -> None:
@@ -318,22 +329,22 @@ def test_few_walls_are_undecided_next_to_the_boundary() -> None:
     device = Device.modes([MODE], mass=0.25, damping=0.1).held_by(
         ARM.with_grip(stiffness=2000.0, damping=4.0)
     )
-    sampled = sampled_device(device, 1e-3, 1.5)
-    loop, beta = linear_loop(sampled, FILTERS), 2.0 * sampled.damping_unit
+    loop = loop_of(device, 1e-3, 1.5, *FILTERS)
+    linear, beta = loop.linear, loop.beta(2.0)
     low, high = 0.0, 0.2
     for _ in range(60):
         middle = 0.5 * (low + high)
-        is_stable = linear_verdict(middle, beta, loop) == Verdict.STABLE
+        is_stable = linear_verdict(middle, beta, linear) == Verdict.STABLE
         low, high = (middle, high) if is_stable else (low, middle)
     walls = low * (1.0 + np.array([-1e-9, -1e-11, 1e-11, 1e-9]))
-    codes = linear_verdict(walls, beta, loop)
+    codes = linear_verdict(walls, beta, linear)
     assert Verdict.UNDECIDED not in codes
     mechanism = truth.Mechanism(
         [(mpf(0.25), mpf(0.1), mpf(0)), truth.mode(80.0, 0.01, 0.5)],
         [(1.0, 5.0, 300.0, (4.0, 2000.0))],
     )
     true = truth.DeviceLoop(mechanism.system(), 1e-3, 1.5, *TRUE_FILTERS)
-    assert codes.tolist() == [true.code(wall / sampled.stiffness_unit, 2.0) for wall in walls]
+    assert codes.tolist() == [true.code(loop.stiffness(wall), 2.0) for wall in walls]
 
 
 @pytest.fixture
@@ -352,7 +363,7 @@ def test_threads_that_ask_devices_agree_and_restore_the_precision() -> None:
     def poles_and_plant(frequency: float, order: int = 1) -> tuple[list[complex], Any]:
         modes = [Mode(frequency=f, damping_ratio=0.01, modal_mass=0.3) for f in (frequency, 90.0)]
         device = Device.modes(modes[::order], mass=0.2)
-        return device.poles().tolist(), linear_loop(sampled_device(device, 1e-3, 1.5), None)
+        return device.poles().tolist(), loop_of(device, 1e-3, 1.5).linear
 
     frequencies = np.linspace(30.0, 60.0, 64).tolist()
     with flint.ctx.workprec(77), ThreadPoolExecutor(8) as pool:

@@ -12,8 +12,8 @@ from jaxstab.exact.circle import (
     _by_cells,
     _by_powers,
     _Cells,
-    _End,
     _Part,
+    _place,
     is_positive,
     zeros,
 )
@@ -170,9 +170,9 @@ def test_cells_meet_at_their_ends_wherever_these_are_moved_to() -> None:
     cells = _Cells([flint.arb(1)] * 4)
     for number in range(1, cells.count):
         for moved in (0, 1, 8):
-            end = _End(number, moved, 1)
-            left, right = (cells.angle(cell, end.of_cell(cell)[0]) for cell in (number - 1, number))
+            left = cells.angle(number - 1, _place(1, moved))
+            right = cells.angle(number, _place(-1, moved))
             truth = np.pi * (number / cells.count + moved / 128 / cells.count)
             assert left.overlaps(right)
             assert float(left.mid()) == pytest.approx(truth, rel=1e-15)
-            assert end.of_cell(number - 1)[0] <= 1
+            assert _place(1, moved) <= 1

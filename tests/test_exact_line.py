@@ -13,12 +13,14 @@ from benchmarks.truth.plain import Loop, is_stable, outside
 from benchmarks.truth.random_loops import DeviceLoop, Filters, MassLoop, long_window
 from jaxstab import Device, Filter, HapticLoop, Velocity
 from jaxstab.exact.line import (
+    Crossing,
     End,
     Interval,
     LineStatus,
     OnCircle,
     StableLine,
-    _chain,
+    _counts,
+    _Found,
     _found,
     _Line,
     stable_line,
@@ -285,8 +287,9 @@ def test_counts_in_gaps_that_contradict_their_changes_are_no_counts(changes: lis
     walls = [flint.arb(t) for t in (0.5, 2.0, 3.0)[: len(changes)]]
     truth = [0, 1, 1][: len(changes)]
     is_right = len({own - count for own, count in zip(changes, truth, strict=True)}) == 1
-    found = _chain(lambda: _Line(p0, q, 0), walls, changes, 128)
-    assert found == (truth if is_right else None)
+    crossings = [Crossing(flint.arb(1), flint.arb(0), more) for more in np.diff(changes).tolist()]
+    found = _Found(crossings, walls, np.inf, 0, 128)
+    assert _counts(lambda: _Line(p0, q, 0), found) == (truth if is_right else None)
 
 
 @pytest.mark.parametrize("degree", [3, 40, 200])

@@ -91,7 +91,7 @@ def test_walls_next_to_the_boundary_are_as_mpmath_has_them(draw: object, seed: i
     truth = Loop.of(drawn)
     units = (1.0, 1.0)
     if isinstance(drawn, DeviceLoop):
-        units = (drawn.sampled.stiffness_unit, drawn.sampled.damping_unit)
+        units = drawn.units
     walls = hostile_walls(rng, drawn.balls, 12) / units
     decided_walls = 0
     for stiffness, damping in walls.tolist():

@@ -41,10 +41,7 @@ from jaxstab.boxes.plant import (
 )
 from jaxstab.boxes.search import paved
 from jaxstab.guard.grid import Grid, grid_boxes, interpolated
-from jaxstab.model.balls import linear_loop
-from jaxstab.model.device import sampled_device
 from jaxstab.model.device.parts import balls_of, working_precision
-from jaxstab.model.filters import given_filters
 from jaxstab.results import Guard
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -129,14 +126,13 @@ def drawn_loop(rng: np.random.Generator) -> tuple[HapticLoop, HandRange, Grid]:
 
 def true_value(loop: HapticLoop, wall: tuple[float, float], theta: float) -> mpc:
     """The polynomial of the loop over that without a wall, by balls and mpmath."""
-    sampled = sampled_device(loop.device, PERIOD, loop.delay / PERIOD)
-    parts = linear_loop(sampled, given_filters(loop.velocity, loop.position))[:3]
+    parts = loop.linear[:3]
     z = mp.expj(mpf(theta))
     base, stiffness, damping = (
         mp.polyval([mpf(float(c.hi)) + mpf(float(c.lo)) for c in part[::-1]], z, asc=True)
         for part in parts
     )
-    alpha, beta = wall[0] * sampled.stiffness_unit, wall[1] * sampled.damping_unit
+    alpha, beta = loop.alpha(wall[0]), loop.beta(wall[1])
     return 1 + (alpha * stiffness + beta * damping) / base
 
 

@@ -18,7 +18,7 @@ from jaxstab.exact.turns import segments_of
 from jaxstab.loop.hands import LoopsWithHands
 from jaxstab.loop.jitter import MovingLoop
 from jaxstab.model.device.parts import working_precision
-from jaxstab.model.device.sampling import OneSample, in_samples, late_cosines
+from jaxstab.model.device.sampling import late_cosines, one_sample
 from jaxstab.motion.moving_delays import Delays
 
 T = 1e-3
@@ -72,7 +72,7 @@ def test_the_response_to_late_forces_is_that_of_the_device_in_continuous_time(
 ) -> None:
     with working_precision(256):
         late = late_cosines(DEVICES[name], T, delay, jitter_of)
-        device = OneSample.from_compliance(*in_samples(DEVICES[name].compliance(), T))
+        device = one_sample(DEVICES[name], T)
     first, *others = (float(c.mid()) for c in late)
     below = [float(c.mid()) for c in device.of_samples(None)[1].coeffs()][::-1]
     for theta in (0.05, 0.5, 1.5, 2.5, 3.1):

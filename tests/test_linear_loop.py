@@ -15,7 +15,6 @@ from campaign import many
 
 from benchmarks.truth.random_loops import DeviceLoop, MassLoop
 from jaxstab.model import DoubleDouble, Filter
-from jaxstab.model.balls import linear_loop
 from jaxstab.model.linear_loop import LinearLoop, filter_factors, filtered_loop, size_of
 
 MORE = pytest.param(many(1000), marks=pytest.mark.campaign)
@@ -59,7 +58,7 @@ def test_loops_of_devices_are_within_their_bounds(count: int) -> None:
     """Lemma V10."""
     for seed in range(count):
         drawn = DeviceLoop.drawn(np.random.default_rng([53, seed]))
-        loop = linear_loop(drawn.sampled, drawn.filters[:2])
+        loop = drawn.loop.linear
         assert loop.base[0] == DoubleDouble(1.0, 0.0)
         with flint.ctx.workprec(400):  # its truth has some 60 digits
             assert_within_bounds(loop, drawn.balls[:3], 1e-50)

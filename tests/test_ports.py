@@ -380,5 +380,5 @@ def test_contacts_need_an_encoder_that_shows_the_handle() -> None:
     [([[0.0, 0.0], [1.0, 1.0]], [[1.0, 0.0]]), ([[0.0] * 3, [1.0] * 3], [[1.0, 0.0]] * 3)],
 )
 def test_ports_that_do_not_fit_are_named(b: Any, c: Any) -> None:
-    with pytest.raises(ValueError, match=r"has shape .* of the hand B is of \(n, 2\)"):
+    with pytest.raises(ValueError, match=r"have shapes .* of the hand B is of \(n, 2\)"):
         Device.state_space([[0.0, 1.0], [0.0, -1.0]], b, c)

@@ -192,7 +192,8 @@ def test_a_device_of_which_no_mass_is_known_asks_for_one() -> None:
         (
             "controller.velocity.numerator",
             [1.0, -1.0],
-            "controller.velocity.numerator is given alone; give numerator and denominator.",
+            "controller.velocity.numerator is (1.0, -1.0) without denominator; "
+            "give denominator, too.",
         ),
         (
             "controller.position",

@@ -19,9 +19,6 @@ from benchmarks.truth.balls import BallLoop
 from benchmarks.truth.boundary import Boundary
 from benchmarks.truth.filtered import FilteredLoop, Rational
 from jaxstab.model import Device, Filter, Hand, Mode, Velocity, by_name
-from jaxstab.model.balls import linear_loop
-from jaxstab.model.device import SampledDevice, sampled_device
-from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.point.radius import linear_spectral_radius
 from jaxstab.point.verdicts import linear_verdict
 
@@ -111,13 +108,13 @@ class DeviceLoop:
         """The truth of the same gains with another delay in samples."""
         rest = _PERIOD, delay, *self.filters.truths
         balls = devices.DeviceLoop(self.device.mechanism.system(), *rest).balls()
-        return balls.in_units(self.sampled.stiffness_unit, self.sampled.damping_unit)
+        return balls.in_units(*self.units)
 
     def verdict(self, alpha: np.ndarray, beta: np.ndarray) -> Any:
-        return linear_verdict(alpha, beta, self._loop)
+        return linear_verdict(alpha, beta, self.loop.linear)
 
     def spectral_radius(self, alpha: np.ndarray, beta: np.ndarray) -> Any:
-        return linear_spectral_radius(alpha, beta, self._loop)
+        return linear_spectral_radius(alpha, beta, self.loop.linear)
 
     def region(self) -> jaxstab.results.StableRegion:
         return self.loop.region().region
@@ -131,13 +128,10 @@ class DeviceLoop:
             velocity=self.filters.velocity, position=self.filters.position,
         )  # fmt: skip
 
-    @cached_property
-    def sampled(self) -> SampledDevice:
-        return sampled_device(device_of(self.device), _PERIOD, self.device.delay)
-
-    @cached_property
-    def _loop(self) -> LinearLoop:
-        return linear_loop(self.sampled, self.filters[:2])
+    @property
+    def units(self) -> tuple[float, float]:
+        """K in N/m and B in N s/m times these are the gains."""
+        return self.loop.alpha(1.0), self.loop.beta(1.0)
 
 
 def device_of(drawn: devices.Drawn) -> Device:

@@ -40,22 +40,26 @@ class ScaledLoop(NamedTuple):
 
     def balls(self) -> BallLoop:
         """The parts of the loop in balls of the precision that is set."""
-        return _scaled(self)[0]
+        return _scaled(self)
 
     def triple(self) -> Triple:
         """The parts of p(z), likewise."""
-        return _scaled(self)[1]
+        return _scaled(self).triple
 
 
 @remembered(64)
-def _scaled(question: ScaledLoop) -> tuple[BallLoop, Triple]:
+def _scaled(question: ScaledLoop) -> BallLoop:
     loop = question.loop
     if isinstance(loop, LoopParameters):
         own = ball_loop(loop)
     else:
         own = BallLoop.from_triple(affine_triple(loop))
-    own = own.scaled(question.units, question.radius)
-    return own, own.triple
+    return own.scaled(question.units, question.radius)
+
+
+@remembered(64)
+def _polynomials(question: ScaledLoop) -> list[arb_poly]:
+    return [part.polynomial() for part in question.triple()]
 
 
 _LAST_BITS = 768  # a plant that is real to that precision is real
@@ -89,8 +93,8 @@ def curve_parts(loop: ScaledLoop) -> CurveParts:
     with _enough_bits(loop):
         own, degree = loop.balls(), loop.triple().degree
         parts, factors = loop.triple(), _factors(loop)
-        unit = 1 / parts.base.polynomial()[degree]
-        triple = [_floats((part.polynomial() * unit).coeffs(), degree) for part in parts]
+        unit = 1 / _polynomials(loop)[0][degree]
+        triple = [_floats((part * unit).coeffs(), degree) for part in _polynomials(loop)]
         length = max(part.degree for part in factors)
         whole = [_floats(part.polynomial().coeffs(), length) for part in factors]
         shifted = [
@@ -118,13 +122,11 @@ def _enough_bits(loop: ScaledLoop) -> AbstractContextManager[None]:
 @lru_cache(maxsize=64)
 def _bits_for_digits(loop: ScaledLoop) -> int:
     """The precision at which the loop's polynomials have the digits of float64, and some more."""
-    bits = FIRST_BITS
-    while bits < MOST_BITS:
-        with working_precision(bits):
-            if all(map(_has_digits, (*loop.triple(), *_factors(loop)))):
-                break
-        bits *= 2
-    return bits
+
+    def bits() -> int | None:
+        return ctx.prec if all(map(_has_digits, (*loop.triple(), *_factors(loop)))) else None
+
+    return decided(bits) or MOST_BITS
 
 
 def _has_digits(part: Factored) -> bool:
@@ -270,7 +272,7 @@ def root_lines(loop: ScaledLoop, parts: CurveParts) -> list[RootLine]:
 
 
 def _turn(loop: ScaledLoop, at_root: Callable[[], _Kept]) -> float | None:
-    """Return where on a line the side of its stable walls changes; NaN nowhere."""
+    """The place on a line where the side of its stable walls changes; NaN nowhere."""
     kept = at_root()
     parts = _divided(loop, at_root)
     if kept.z is None or kept.direction is None or parts is None:
@@ -290,7 +292,7 @@ def _at_pole(loop: ScaledLoop, pole: float) -> _Kept:
     known = _pole_at(loop, pole)
     angle = arb(pole) if known is None else known
     z = acb(0, angle).exp()
-    base, stiffness, damping = (part.polynomial()(z) for part in loop.triple())
+    base, stiffness, damping = (part(z) for part in _polynomials(loop))
     unit = (damping if stiffness.contains(0) else stiffness).conjugate()
     s = arb(0) if stiffness.contains(0) else (stiffness * unit).real
     divisor = Factored(arb_poly([1, -2 * angle.cos(), 1]))
@@ -367,7 +369,7 @@ def _is_real(loop: ScaledLoop, angle: float) -> bool:
         return False
     with working_precision(_LAST_BITS):
         z = acb(0, pole).exp()
-        base, stiffness, damping = (part.polynomial()(z) for part in loop.triple())
+        base, stiffness, damping = (part(z) for part in _polynomials(loop))
         unit = (damping if stiffness.contains(0) else stiffness).conjugate()
         return bool(not unit.contains(0) and (base * unit).imag.contains(0))
 
@@ -377,25 +379,16 @@ def others_inside(loop: ScaledLoop, angles: Angles, low: Angles) -> Bool[np.ndar
 
     False also where no bits decide.
     """
-    known: dict[int, list[arb_poly]] = {}
-
-    def parts() -> "list[arb_poly]":
-        if ctx.prec not in known:
-            known[ctx.prec] = [part.polynomial() for part in loop.triple()]
-        return known[ctx.prec]
-
     answers, bits = np.zeros(len(angles), bool), FIRST_BITS
     for k, pair in enumerate(zip(angles.tolist(), low.tolist(), strict=True)):
-        answer = decided(partial(_is_inside, parts, *pair), first=bits)
+        answer = decided(partial(_is_inside, loop, *pair), first=bits)
         if answer is not None:
             answers[k], bits = answer  # neighbours mostly need as many
     return answers
 
 
-def _is_inside(
-    parts: "Callable[[], list[arb_poly]]", angle: float, low: float
-) -> tuple[bool, int] | None:
-    base, stiffness, damping = parts()
+def _is_inside(loop: ScaledLoop, angle: float, low: float) -> tuple[bool, int] | None:
+    base, stiffness, damping = _polynomials(loop)
     theta = arb(angle) + arb(low)
     z = acb(0, theta).exp()
     p, s, r = (part(z) for part in (base, stiffness, damping))

@@ -112,7 +112,8 @@ def _by_cells(cosines: "list[arb]", *, is_last_try: bool) -> list[Zero] | None:
     ends = [_end(cell, signs, parts) for cell in range(cells.count + 1)]
     found: list[Zero] = []
     for cell, part in parts.items():
-        places = _isolated(part, ends[cell].of_cell(cell), ends[cell + 1].of_cell(cell))
+        (left, first), (right, last) = ends[cell : cell + 2]
+        places = _isolated(part, (_place(-1, left), first), (_place(1, right), last))
         if places is None or not (is_last_try or all(place.slope for place in places)):
             return None
         found += [Zero(cells.angle(cell, place.angle), place.slope) for place in places]
@@ -209,32 +210,21 @@ class _Part(NamedTuple):
         return sign_of(self.value(t) + self.missed)
 
 
-class _End(NamedTuple):
-    """An end between two cells, in 72ths of a cell from where it should be, and the sign there."""
-
-    number: int
-    moved: int
-    sign: int
-
-    def of_cell(self, cell: int) -> "tuple[arb, int]":
-        """The end as a place of one of its cells, and the sign."""
-        return arb((64 if cell < self.number else -64) + self.moved) / 72, self.sign
-
-
-def _end(index: int, signs: list[int], parts: "dict[int, _Part]") -> _End:
-    moves = 9  # of an end, in 72ths of a cell
+def _end(index: int, signs: list[int], parts: "dict[int, _Part]") -> tuple[int, int]:
+    """By how much the end before a cell is moved, in 72ths of a cell, and the sign there."""
+    moves = 9  # of an end
     known = [signs[cell] for cell in (index - 1, index) if 0 <= cell < len(signs)]
-    sign = known[0] or known[-1]
-    if sign:
-        return _End(index, 0, sign)
-    cell = max(index - 1, 0)
-    is_outermost = len(known) == 1
+    sign, is_outermost, cell = known[0] or known[-1], len(known) == 1, max(index - 1, 0)
     for moved in range(1 if is_outermost else moves):
-        end = _End(index, moved, 0)
-        sign = parts[cell].sign(end.of_cell(cell)[0])
+        sign = sign or parts[cell].sign(_place(1 if index else -1, moved))
         if sign:
-            return end._replace(sign=sign)
-    return _End(index, 0, 0)
+            return moved, sign
+    return 0, 0
+
+
+def _place(side: int, moved: int) -> "arb":
+    """The right or the left end of a cell, moved, as a place of it."""
+    return arb(64 * side + moved) / 72
 
 
 def _sign_on_cell(cells: _Cells, cell: int) -> int:

@@ -32,7 +32,7 @@ from flint import acb, acb_poly, arb, arb_mat, arb_poly
 from jaxstab.conventions import Status
 from jaxstab.model.balls import BallLoop, Factored
 from jaxstab.model.device.parts import FIRST_BITS, working_precision
-from jaxstab.model.device.sampling import OneSample, force_of, generator, held
+from jaxstab.model.device.sampling import OneSample, states_and_force
 
 _TURNS = 32  # of (n + 1) theta that are looked at
 _TERMS = 8  # of v(f) about the middle of an interval
@@ -96,28 +96,18 @@ def delay_margin(
 
 
 class _Form(NamedTuple):
-    """A function over a box: its value in the middle, its slopes over all of it, and all values."""
+    """A function over a box: its value in the middle, slopes by theta and values over all of it."""
 
     middle: "acb"
-    by_theta: "acb"
-    by_fraction: "acb"
+    slope: "acb"
     all: "acb"
 
     def times(self, other: "_Form") -> "_Form":
-        return _Form(
-            self.middle * other.middle,
-            self.by_theta * other.all + self.all * other.by_theta,
-            self.by_fraction * other.all + self.all * other.by_fraction,
-            self.all * other.all,
-        )
+        slope = self.slope * other.all + self.all * other.slope
+        return _Form(self.middle * other.middle, slope, self.all * other.all)
 
     def plus(self, other: "_Form") -> "_Form":
         return _Form(*(a + b for a, b in zip(self, other, strict=True)))
-
-    def narrowed(self, spread: "tuple[acb, acb]") -> "_Form":
-        """The same with its values by the mean-value form."""
-        wide = self.middle + self.by_theta * spread[0] + self.by_fraction * spread[1]
-        return self._replace(all=wide)
 
 
 class _Search:
@@ -142,17 +132,19 @@ class _Search:
         place, above, below = self.over_theta(theta)
         half = _around(theta).rad(), _around(fraction).rad()
         spread = acb(arb(0, half[0])), acb(arb(0, half[1]))
-        x = self._force(place, late, late_slope).times(above).narrowed(spread)
-        y = below.narrowed(spread)
-        if x.all.abs_upper() < y.all.abs_lower() or x.all.abs_lower() > y.all.abs_upper():
+        x, y = self._force(place, late).times(above), below
+        by_fraction = place.all * late_slope(place.all) * above.all
+        all_x = x.middle + x.slope * spread[0] + by_fraction * spread[1]
+        all_y = y.middle + y.slope * spread[0]
+        if all_x.abs_upper() < all_y.abs_lower() or all_x.abs_lower() > all_y.abs_upper():
             return []
         least = self.delay - fraction[1]
-        if x.all.contains(0) or y.all.contains(0):
+        if all_x.contains(0) or all_y.contains(0):
             key = max(self.delay, fraction[0])
-            slopes = x.by_theta.abs_upper() + y.by_theta.abs_upper(), x.by_fraction.abs_upper()
+            slopes = x.slope.abs_upper() + y.slope.abs_upper(), by_fraction.abs_upper()
             return [(key, theta, fraction, bool(slopes[0] * half[0] > slopes[1] * half[1]))]
-        turns = x.by_theta / x.all - y.by_theta / y.all, x.by_fraction / x.all
-        moves = turns[0] * spread[0], turns[1] * spread[1]
+        turn = x.slope / all_x - y.slope / all_y
+        moves = turn * spread[0], by_fraction / all_x * spread[1]
         log = (x.middle / y.middle).log() + moves[0] + moves[1]
         if not log.real.contains(0):
             return []
@@ -160,19 +152,14 @@ class _Search:
         sizes = [float(move.abs_upper()) for move in moves]
         return [(max(n + fraction[0], self.delay), theta, fraction, sizes[0] > sizes[1])]
 
-    def _force(self, place: "_Form", late: "_Pair", slope: "arb_poly") -> _Form:
+    def _force(self, place: "_Form", late: "_Pair") -> _Form:
         """N_f(z), place being z - 1."""
         middle, everywhere = late
-        w, all_w = place.middle, place.all
-        rising = self.whole
+        (w, slope, all_w), rising = place, self.whole
         by_w = everywhere(all_w) + all_w * everywhere.derivative()(all_w)
         by_w += rising.derivative()(all_w)
-        return _Form(
-            w * middle(w) + rising(w),
-            by_w * place.by_theta,
-            all_w * slope(all_w),
-            all_w * everywhere(all_w) + rising(all_w),
-        )
+        value = all_w * everywhere(all_w) + rising(all_w)
+        return _Form(w * middle(w) + rising(w), by_w * slope, value)
 
     def _over_fraction(self, fraction: Interval) -> "tuple[_Pair, arb_poly]":
         """N[v(f)] in powers of z - 1, in the middle and over an interval, and its slope.
@@ -182,14 +169,14 @@ class _Search:
         """
         sample, around = self.sample, _around(fraction)
         middle, offset = 1 - around.mid(), arb(0, around.rad())
-        step = generator(sample.below)
-        rate, column = step, held(sample.below, middle * sample.speed)
+        step = sample.generator
+        rate, column = step, sample.held(middle)
         terms = [self._moved(column)]
         for k in range(1, _TERMS):
-            terms.append(self._moved(column * rate) * ((-sample.speed) ** k / arb.fac_ui(k)))
+            terms.append(self._moved(column * rate) * (arb(-1) ** k / arb.fac_ui(k)))
             rate = rate * step
-        wide = held(sample.below, (1 - around) * sample.speed) * rate
-        last = self._moved(wide) * ((-sample.speed) ** _TERMS / arb.fac_ui(_TERMS))
+        wide = sample.held(1 - around) * rate
+        last = self._moved(wide) * (arb(-1) ** _TERMS / arb.fac_ui(_TERMS))
         value, slope = last, last * _TERMS
         for k in range(_TERMS - 1, -1, -1):
             value = value * offset + terms[k]
@@ -199,16 +186,16 @@ class _Search:
 
     def _moved(self, matrix: "arb_mat") -> "arb_poly":
         """N[.] of the last column of a matrix, the force's, in powers of z - 1."""
-        return self.sample.moved(force_of(matrix))(arb_poly([1, 1]))
+        return self.sample.moved(states_and_force(matrix)[1])(arb_poly([1, 1]))
 
     def _over_theta(self, theta: Interval) -> tuple[_Form, _Form, _Form]:
         everywhere = _around(theta)
         middle = everywhere.mid()
         turn = acb(0, everywhere).exp()
-        place = _Form(acb(0, middle).exp() - 1, acb(0, 1) * turn, acb(0), turn - 1)
+        place = _Form(acb(0, middle).exp() - 1, acb(0, 1) * turn, turn - 1)
         phases = middle, everywhere
         terms = (_value(term, place, phases) for term in self.above)
-        above = reduce(_Form.plus, terms, _Form(*[acb(0)] * 4))
+        above = reduce(_Form.plus, terms, _Form(*[acb(0)] * 3))
         return place, above, _value(self.below, place, phases)
 
 
@@ -227,17 +214,16 @@ def _about_one(p: Factored) -> Factored:
 
 def _value(p: Factored, place: _Form, phases: "tuple[arb, arb]") -> _Form:
     """A polynomial of which the rest is in powers of z - 1, over an interval of theta."""
-    zero = acb(0)
-    w, all_w = place.middle, place.all
-    value = _Form(p.rest(w), p.rest.derivative()(all_w) * place.by_theta, zero, p.rest(all_w))
+    w, slope, all_w = place
+    value = _Form(p.rest(w), p.rest.derivative()(all_w) * slope, p.rest(all_w))
     for root, count in ((0, p.at_one), (2, p.at_minus_one)):
         for _ in range(count):
-            value = value.times(_Form(w + root, place.by_theta, zero, all_w + root))
+            value = value.times(_Form(w + root, slope, all_w + root))
     for n in p.windows:
         value = value.times(_window(n, phases))
     if p.power:
         turns = [(acb(0, p.power) * phase).exp() for phase in phases]
-        value = value.times(_Form(turns[0], acb(0, p.power) * turns[1], zero, turns[1]))
+        value = value.times(_Form(turns[0], acb(0, p.power) * turns[1], turns[1]))
     return value
 
 
@@ -248,7 +234,7 @@ def _window(n: int, phases: "tuple[arb, arb]") -> _Form:
     bend = spread * (n * (n - 1) * (2 * n - 1) // 6)
     middle = terms(z)
     slope = acb(0, 1) * z * terms.derivative()(z) + acb(arb(0, bend), arb(0, bend))
-    return _Form(middle, slope, acb(0), middle + slope * acb(arb(0, spread)))
+    return _Form(middle, slope, middle + slope * acb(arb(0, spread)))
 
 
 def _least_whole(angle: "arb", theta: Interval, least: float) -> float:

@@ -66,16 +66,6 @@ def readings(parts: Callable[[], tuple[Factored, Factored]], *, in_full: bool = 
     """The margins and peaks of a loop that is stable, from D and N in balls.
 
     Not ``in_full`` they are phase, delay and the peak of S, which take a third of the time.
-
-    Example:
-        >>> from jaxstab.exact.frequency import readings
-        >>> from jaxstab.model.balls import ball_triple
-        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-        >>> def parts():
-        ...     triple = ball_triple(loop)
-        ...     return triple.base, triple.stiffness.scaled(1e3).plus(triple.damping.scaled(10.0))
-        >>> round(readings(parts).sensitivity.value, 6)
-        1.187958
     """
 
     def opened() -> tuple[Factored, Factored]:

@@ -312,21 +312,16 @@ def _real_sign(p: Factored, angle: "arb") -> int:
 
 
 def _cosines_of(p0: Factored, q: Factored) -> "list[arb]":
-    """The cosine sum of p0 and q, without the real functions of factors that are known."""
-    is_odd = (p0.at_one - q.at_one) % 2 == 1
-    return _cosines(p0.rest, q.rest, _phase(p0) - _phase(q), is_odd=is_odd)
-
-
-def _cosines(u: "arb_poly", v: "arb_poly", phase: int, *, is_odd: bool) -> "list[arb]":
-    """c(theta): the sum of Im, or for an odd turn of Re, of e^(i phase theta/2) u conj v, divided.
+    """c(theta) of p0 and q: the sum of Im, or for an odd turn of Re, of their rests, divided.
 
     The terms are g_j e^(i w theta/2), w = 2j + phase. Their sines and cosines, over those of theta
     or theta/2, are sums of cosines (Dirichlet's kernel).
     """
-    product = u * arb_poly(v.coeffs()[::-1])
+    is_odd, phase = (p0.at_one - q.at_one) % 2 == 1, _phase(p0) - _phase(q)
+    product = p0.rest * arb_poly(q.rest.coeffs()[::-1])
     sums: dict[int, arb] = {}
     for power, g in enumerate(product.coeffs()):
-        w = 2 * (power - v.degree()) + phase
+        w = 2 * (power - q.rest.degree()) + phase
         sums[abs(w)] = sums.get(abs(w), arb(0)) + (-g if w < 0 and not is_odd else g)
     if is_odd and phase % 2 == 0:
         return [sums.get(w, arb(0)) for w in range(0, max(sums) + 1, 2)]
@@ -412,32 +407,20 @@ def _between(crossings: list[Crossing]) -> "list[arb] | None":
 def _counts(line: Callable[[], _Line | None], found: _Found) -> list[int] | None:
     """The number of roots outside in each gap; None where they are not known or contradict."""
     counts: list[int] = []
-    start = 0
-    for end in range(1, len(found.between) + 1):
-        if end < len(found.between) and found.crossings[end - 1].change is not None:
-            continue
-        changes = [crossing.change or 0 for crossing in found.crossings[start : end - 1]]
-        relative = list(accumulate(changes, initial=0))
-        chain = _chain(line, found.between[start:end], relative, found.bits)
-        if chain is None:
+    begins = [k for k, crossing in enumerate(found.crossings, start=1) if crossing.change is None]
+    for start, end in pairwise([0, *begins, len(found.between)]):
+        changes = (crossing.change or 0 for crossing in found.crossings[start : end - 1])
+        relative, shifts = list(accumulate(changes, initial=0)), set()
+        for index in {relative.index(min(relative)), relative.index(max(relative))}:
+            wall = partial(_outside, line, found.between[start + index].mid())
+            count = decided(wall, first=found.bits)  # it may need more than crossings
+            if count is None:
+                return None
+            shifts.add(count - relative[index])
+        if len(shifts) > 1:
             return None
-        counts += chain
-        start = end
+        counts += [count + min(shifts) for count in relative]
     return counts
-
-
-def _chain(
-    line: Callable[[], _Line | None], walls: "list[arb]", relative: list[int], first: int
-) -> list[int] | None:
-    """The numbers in gaps of which the differences are known."""
-    shifts = set()
-    for index in {relative.index(min(relative)), relative.index(max(relative))}:
-        t = walls[index].mid()
-        count = decided(partial(_outside, line, t), first=first)  # it may need more than crossings
-        if count is None:
-            return None
-        shifts.add(count - relative[index])
-    return [count + min(shifts) for count in relative] if len(shifts) == 1 else None
 
 
 def _outside(line: Callable[[], _Line | None], t: "arb") -> int | None:

@@ -26,6 +26,7 @@ from flint import arb, arb_mat, arb_poly
 from jaxstab.conventions import Verdict
 from jaxstab.model.balls import Factored
 from jaxstab.model.device.parts import decided, exact
+from jaxstab.model.filters import reflections
 
 _MOST_BITS = 1024
 _MOST_PIECES = 1000  # of the rectangle
@@ -111,12 +112,10 @@ def _clearance(p: Factored) -> arb | None:
     clear = rising[-1] ** len(rising)
     if not rising[-1] > 0:
         return None
-    for j in range(len(rising) - 1, 0, -1):
-        k = rising[0] / rising[-1]
+    for j, k in zip(range(len(rising) - 1, 0, -1), reflections(rising), strict=True):
         if not abs(k) < 1:
             return arb(-1) if abs(k) > 1 else None
         clear *= (1 - k * k) ** ((j + 1) // 2) * (1 if j % 2 else 1 + k)
-        rising = [a - k * b for a, b in zip(rising[1:], rising[-2::-1], strict=True)]
     return clear
 
 

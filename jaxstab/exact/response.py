@@ -20,8 +20,9 @@ forces that act: a sample has many times, and a disturbance by friction many inp
 """
 
 from bisect import bisect_left
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
+from functools import partial
 from math import ceil, inf, isfinite, log, nan
 from typing import Any, NamedTuple
 
@@ -31,9 +32,10 @@ from jaxtyping import Complex128, Float64
 
 from jaxstab.exact.roots import isolated_roots, real_or_not
 from jaxstab.exact.verdict import roots_outside
-from jaxstab.model.balls import Factored, Triple, ball_loop, ball_triple
+from jaxstab.model.balls import BallLoop, Factored, ball_loop
 from jaxstab.model.device.mechanics import equations, sides_in_samples
 from jaxstab.model.device.parts import Answer, decided, exact, remembered
+from jaxstab.model.device.sampling import seen
 from jaxstab.model.loop import LoopParameters
 from jaxstab.rounding import EPS, UNDERFLOW, UNIT
 
@@ -217,14 +219,12 @@ class _Wall(NamedTuple):
     @classmethod
     def from_loop(cls, loop: LoopParameters, stiffness: float, damping: float) -> "_Wall":
         parts = _parts(loop)
-        p = parts.triple.at(stiffness, damping)
+        p = parts.loop.triple.at(stiffness, damping)
         # An actuator's pole that is a zero of the device is no root of p, but of its states.
         if parts.hidden.degree:
             p = p.times(parts.hidden)
         p = p._replace(power=p.power + parts.degree - p.degree)
-        by_stiffness, by_damping = parts.walls
-        force = by_stiffness * arb(stiffness) + by_damping * arb(damping)
-        return cls(p, p.polynomial(), force, parts)
+        return cls(p, p.polynomial(), parts.loop.wall(stiffness, damping).polynomial(), parts)
 
     def is_stable(self) -> bool | None:
         """True if all roots of p are inside the circle (E1); None where balls do not tell."""
@@ -252,18 +252,17 @@ class _Wall(NamedTuple):
             found.append((z, [*states, -position, -z * position]))
         return found
 
-    def begun(self, excitation: str) -> Quotients:
+    def begun(self, *, is_impact: bool) -> Quotients:
         """The deviation of the position: of its final value, or after a blow."""
         parts, z = self.parts, _z()
-        if excitation == "impact":
+        if is_impact:
             return [(z, [parts.struck])]
         final = parts.pushed(1) / self.whole(1)
         return [(z, [(parts.pushed * (1 / final) - self.whole) // (z - 1)])]
 
     def responses(self, numerators: Quotients) -> Responses | None:
         """Responses by their modes; None where poles are not told apart, or not inside."""
-        roots = isolated_roots(self.p._replace(power=0))
-        told = None if roots is None else real_or_not(roots)
+        told = real_or_not(isolated_roots(self.p._replace(power=0)))
         if told is None:
             return None
         chosen = [(root, is_real) for root, is_real in told if is_real or root.imag > 0]
@@ -272,32 +271,26 @@ class _Wall(NamedTuple):
         if head is None:
             return None
         slope = self.whole.derivative()
-        shape = len(numerators), len(numerators[0][1]), len(chosen)
-        residues = np.zeros(shape, np.complex128)
-        sizes, errors = np.zeros(shape), np.zeros(shape)
-        moduli, gaps, first = np.zeros(len(chosen)), np.zeros(len(chosen)), []
-        for k, (root, is_real) in enumerate(chosen):
+        moduli, gaps, balls = list[float](), list[float](), list[list[list[acb]]]()
+        for root, is_real in chosen:
             modulus = abs(root)
             if not modulus < 1 or not (modulus < 1e-40 or modulus.rel_accuracy_bits() >= 70):
                 return None
-            moduli[k], gaps[k] = float(modulus.upper()) * _UP, float((1 - modulus).lower()) / _UP
+            moduli.append(float(modulus.upper()) * _UP)
+            gaps.append(float((1 - modulus).lower()) / _UP)
             share = root ** (start - 1) * (1 if is_real else 2) / slope(root)
-            for row, (factor, series) in enumerate(numerators):
-                common = factor(root) * share
-                for column, part in enumerate(series):
-                    ball = part(root) * common
-                    number = complex(ball)
-                    residues[row, column, k] = number
-                    sizes[row, column, k] = float(ball.abs_upper()) * _UP
-                    wrong = ball - acb(number.real, number.imag)
-                    errors[row, column, k] = float(wrong.abs_upper()) * _UP
-                    if not row and not column:
-                        first.append((root, ball))
+            factors = ((factor(root) * share, series) for factor, series in numerators)
+            balls.append([[part(root) * factor for part in series] for factor, series in factors])
+        shape = len(chosen), len(numerators), len(numerators[0][1])
+        grid = np.moveaxis(np.array(balls, object).reshape(shape), 0, -1)
+        residues = np.vectorize(complex, [complex])(grid)
+        sizes, errors = (np.vectorize(_above, [float])(each) for each in (grid, grid - residues))
         if np.any(errors > 1e-12 * sizes.max(axis=-1, initial=0.0, keepdims=True)):
             return None
-        poles = np.array([complex(root) for root, _ in first])
-        sizes, errors = sizes + UNDERFLOW, errors + UNDERFLOW
-        return Responses(*head, Modes(poles, residues, sizes, errors, moduli, gaps, first))
+        roots = [root for root, _ in chosen]
+        rounded = np.array(list(map(complex, roots))), residues
+        bounds = sizes + UNDERFLOW, errors + UNDERFLOW, np.array(moduli), np.array(gaps)
+        return Responses(*head, Modes(*rounded, *bounds, list(zip(roots, grid[0, 0], strict=True))))
 
     def by_powers(self, numerators: Quotients, terms: int) -> Responses | None:
         """Responses by x^m mod p, with that many terms before; None where m is too large."""
@@ -345,7 +338,7 @@ class _Parts(NamedTuple):
     """A loop without its wall, polynomials of z.
 
     degree: of p(z) with all powers of z that the sequences have.
-    walls, memory: Np Dv and Nv Dp, over Dp Dv.
+    memory: Dp Dv.
     denominator: D(z) = det(z - F) of the states of ``equations``, F their transition in a sample.
     hidden: D over that of the loop.
     states: adj(z - F), by columns.
@@ -354,9 +347,8 @@ class _Parts(NamedTuple):
         unit force from 0 on, times p(z)/z and p(z) (z - 1)/z.
     """
 
-    triple: Triple
+    loop: BallLoop
     degree: int
-    walls: "tuple[arb_poly, arb_poly]"
     memory: "arb_poly"
     denominator: "arb_poly"
     hidden: Factored
@@ -374,24 +366,10 @@ class _Parts(NamedTuple):
         late = (matrix * (1 - arb(exact(loop.delay_samples % 1.0)))).exp().tolist()
         transition = arb_mat([row[:size] for row in whole[:size]])
         denominator = transition.charpoly()
-        # The part without negative powers of z of D(z) (1/z + F/z^2 + ... + F^(n-1)/z^n).
-        powers = [arb_mat(size, size) + 1]
-        for _ in range(size - 1):
-            powers.append(transition * powers[-1])
-        rows = [power.tolist() for power in powers[::-1]]
-        states = [
-            [
-                (denominator * arb_poly([power[row][column] for power in rows])).right_shift(size)
-                for row in range(size)
-            ]
-            for column in range(size)
-        ]
+        one = arb_mat(size, size) + 1
 
         def after(vector: "list[arb]") -> "list[arb_poly]":
-            return [
-                sum((states[k][row] * vector[k] for k in range(size)), arb_poly([]))
-                for row in range(size)
-            ]
+            return seen(one, transition, denominator, arb_mat([vector]).transpose())
 
         newer = [late[row][size] for row in range(size)]
         older = [whole[row][size] - newer[row] for row in range(size)]
@@ -402,13 +380,12 @@ class _Parts(NamedTuple):
         waiting = int(loop.delay_samples) + 1
         free = memory.left_shift(waiting)
         return cls(
-            ball_triple(loop),
+            parts,
             waiting + size + memory.degree(),
-            (parts.walls[0].polynomial(), parts.walls[1].polynomial()),
             memory,
             denominator,
             Factored(denominator // parts.denominator.polynomial()),
-            states,
+            [after(row) for row in one.tolist()],
             [a + b.left_shift(1) for a, b in zip(after(older), after(newer), strict=True)],
             free * after(blow)[0],
             free * after(push)[0],
@@ -418,6 +395,10 @@ class _Parts(NamedTuple):
 @remembered(128)
 def _parts(loop: LoopParameters) -> _Parts:
     return _Parts.from_loop(loop)
+
+
+def _above(ball: "acb") -> float:
+    return float(ball.abs_upper()) * _UP
 
 
 def _z() -> "arb_poly":
@@ -444,7 +425,7 @@ def disturbed_responses(
     def by_powers(wall: _Wall) -> Responses | None:
         return wall.by_powers(wall.disturbed(causes), 1)
 
-    return _of_wall(loop, stiffness, damping, [by_modes, by_powers], nothing=None)
+    return _of_wall(loop, (stiffness, damping), (by_modes, by_powers), nothing=None)
 
 
 def settled_after(
@@ -455,61 +436,45 @@ def settled_after(
     level: float,
     horizon: int,
 ) -> float:
-    """The sample from which on a wall stays settled: infinite if unstable, NaN if not proved.
-
-    Example:
-        >>> from jaxstab.exact.response import settled_after
-        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-        >>> settled_after(loop, 1000.0, 20.0, "force", 0.02, 1000)
-        69.0
-    """
-    options: dict[str, Any] = {
-        "level": level,
-        "horizon": horizon,
-        "is_impact": excitation == "impact",
-    }
+    """The sample from which on a wall stays settled: infinite if unstable, NaN if not proved."""
+    is_impact = excitation == "impact"
 
     def by_modes(wall: _Wall) -> float | None:
-        found = wall.responses(wall.begun(excitation))
-        return None if found is None else found.settled(**options)
+        found = wall.responses(wall.begun(is_impact=is_impact))
+        return found and found.settled(level, horizon, is_impact=is_impact)
 
     def by_powers(wall: _Wall) -> float | None:
-        terms, numerators = 64, wall.begun(excitation)
+        terms, numerators = 64, wall.begun(is_impact=is_impact)
         while terms < _MOST_POWERS and (found := wall.by_powers(numerators, terms)) is not None:
-            if (settled := found.settled(**options)) is not None:
+            if (settled := found.settled(level, horizon, is_impact=is_impact)) is not None:
                 return settled
             terms *= 4
         return None
 
-    settled = _of_wall(loop, stiffness, damping, [by_modes, by_powers], nothing=inf)
+    settled = _of_wall(loop, (stiffness, damping), (by_modes, by_powers), nothing=inf)
     return nan if settled is None else settled
 
 
 def _of_wall(
     loop: LoopParameters,
-    stiffness: float,
-    damping: float,
-    ways: "list[Callable[[_Wall], Answer | None]]",
+    gains: tuple[float, float],
+    ways: "Iterable[Callable[[_Wall], Answer | None]]",
     nothing: Answer,
 ) -> Answer | None:
     """The answer of the first way that has one; ``nothing`` for an unstable wall."""
-    if not isfinite(stiffness + damping):
+    if not isfinite(sum(gains)):
         return None  # as where JAX traced the numbers, so that nobody checked them
-    if not (damping and stiffness):
+    if not all(gains):
         # The filter of a gain that is 0 has poles of its own, which may coincide.
-        kept = loop.velocity if damping else None, loop.position if stiffness else None
+        kept = loop.velocity if gains[1] else None, loop.position if gains[0] else None
         loop = replace(loop, velocity=kept[0], position=kept[1])
-    for way in ways:
 
-        def question(way: "Callable[[_Wall], Answer | None]" = way) -> tuple[Answer] | None:
-            wall = _Wall.from_loop(loop, stiffness, damping)
-            is_stable = wall.is_stable()
-            if not is_stable:
-                return None if is_stable is None else (nothing,)
-            answer = way(wall)
-            return None if answer is None else (answer,)
+    def question(way: "Callable[[_Wall], Answer | None]") -> tuple[Answer | None] | None:
+        wall = _Wall.from_loop(loop, *gains)
+        is_stable = wall.is_stable()
+        answer = way(wall) if is_stable else nothing
+        return None if is_stable is None or (is_stable and answer is None) else (answer,)
 
-        found = decided(question)
-        if found is not None:
-            return found[0]
-    return None
+    answers = (decided(partial(question, way)) for way in ways)
+    (found,) = next(filter(None, answers), (None,))
+    return found

@@ -68,15 +68,7 @@ class Poles(NamedTuple):
 
 
 def spectral_radius(triple: TripleAt, stiffness: float, damping: float) -> Radius:
-    """The largest modulus of the poles of the wall (K, B).
-
-    Example:
-        >>> from jaxstab.exact.roots import spectral_radius
-        >>> from jaxstab.model.balls import ball_triple
-        >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-        >>> spectral_radius(lambda: ball_triple(loop), 1000.0, 10.0).value
-        0.94072397073358...
-    """
+    """The largest modulus of the poles of the wall (K, B)."""
 
     def largest() -> Number | None:
         roots = isolated_roots(triple().at(stiffness, damping))
@@ -99,12 +91,9 @@ def rough_radius(triple: TripleAt, stiffness: float, damping: float) -> float:
 
 def poles(triple: TripleAt, stiffness: float, damping: float) -> Poles:
     """All poles of the wall (K, B), those at z = 0 included."""
-
-    def told_apart() -> "list[tuple[acb, bool]] | None":
-        roots = isolated_roots(triple().at(stiffness, damping))
-        return None if roots is None else real_or_not(roots)
-
-    found = decided(told_apart, most=MOST_FOR_ROOTS)
+    found = decided(
+        lambda: real_or_not(isolated_roots(triple().at(stiffness, damping))), most=MOST_FOR_ROOTS
+    )
     if found is None:
         return Poles(np.full(triple().degree, complex(np.nan, np.nan)), np.inf)
     values, error = [], 0.0
@@ -138,12 +127,14 @@ def _isolated(polynomial: "arb_poly") -> "list[acb] | None":
         return None
 
 
-def real_or_not(roots: "list[acb]") -> "list[tuple[acb, bool]] | None":
+def real_or_not(roots: "list[acb] | None") -> "list[tuple[acb, bool]] | None":
     """All roots of a real polynomial, each with whether it is real; None where balls do not tell.
 
     The mirror image of a root is a root, too. Where it can be in the same ball alone it is the root
     itself; a ball that meets the real axis may also hold one of a pair, with the other beside it.
     """
+    if roots is None:
+        return None
     answers = []
     for root in roots:
         is_real = bool(root.imag.contains(0))
@@ -157,8 +148,7 @@ def real_or_not(roots: "list[acb]") -> "list[tuple[acb, bool]] | None":
 
 def real_roots(polynomial: "arb_poly") -> "list[arb] | None":
     """All real roots, in balls that do not touch; None where they are not told apart."""
-    roots = _isolated(polynomial)
-    told = None if roots is None else real_or_not(roots)
+    told = real_or_not(_isolated(polynomial))
     return None if told is None else [root.real for root, is_real in told if is_real]
 
 

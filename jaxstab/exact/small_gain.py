@@ -55,7 +55,7 @@ def small_gain(
     def answer() -> SmallGainStatus | None:
         parts = loop()
         wall = parts.wall(stiffness, damping)
-        p = parts.free.plus(parts.numerator.times(wall))
+        p = parts.triple.at(stiffness, damping)
         if p.is_on_circle:
             return SmallGainStatus.UNSTABLE
         outside = roots_outside(p.rest, most=0)
@@ -115,13 +115,7 @@ def squared(p: Factored) -> "list[arb]":
 
 
 def is_passive(alpha: float, beta: float, delta: float, delay: float) -> bool:
-    """True if a wall is proved passive with a damping > 0; False also where balls do not tell.
-
-    Example:
-        >>> from jaxstab.exact.small_gain import is_passive
-        >>> is_passive(1.9, 0.0, delta=1.0, delay=0.0), is_passive(2.1, 0.0, delta=1.0, delay=0.0)
-        (True, False)
-    """
+    """True if a wall is proved passive with a damping > 0; False also where balls do not tell."""
     whole = floor(delay)
 
     def answer() -> bool | None:

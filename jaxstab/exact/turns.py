@@ -24,7 +24,7 @@ from jaxstab.exact.verdict import roots_outside
 from jaxstab.model.balls import ball_loop
 from jaxstab.model.device.device import Device
 from jaxstab.model.device.parts import exact, flint, working_precision
-from jaxstab.model.device.sampling import force_of, held, in_fastest_time, in_samples, without_force
+from jaxstab.model.device.sampling import one_sample, states_and_force
 from jaxstab.model.loop import LoopParameters
 
 _BITS = 512
@@ -132,10 +132,9 @@ def is_growing(loop: PeriodicLoop, delays: Delays) -> bool:
 @lru_cache(maxsize=256)
 def _held(device: Device, sample_time: float, start: float) -> Held:
     with working_precision(_BITS):
-        above, below, speed = in_fastest_time(*in_samples(device.compliance(), sample_time))
-        matrix = held(below, (1 - exact(start)) * speed)
-        states, force = without_force(matrix).tolist(), force_of(matrix).tolist()
-        return np.array(states), np.array(force)[:, 0], np.array(above)
+        sample = one_sample(device, sample_time)
+        states, force = states_and_force(sample.held(flint.arb(1 - exact(start))))
+        return np.array(states.tolist()), np.array(force.entries()), np.array(sample.above)
 
 
 @lru_cache(maxsize=256)

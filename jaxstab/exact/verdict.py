@@ -33,7 +33,7 @@ from jaxstab.conventions import Status, Verdict
 from jaxstab.model.affine import AffineParts, affine_triple
 from jaxstab.model.balls import Triple
 from jaxstab.model.device.parts import decided, flint
-from jaxstab.model.filters import has_roots_inside
+from jaxstab.model.filters import has_roots_inside, reflections
 
 if TYPE_CHECKING:
     from flint import arb, arb_poly, fmpq_poly
@@ -122,8 +122,7 @@ def roots_outside(p: "arb_poly", most: int | None = None) -> int | None:
 
 def _counted(rising: "list[arb]", most: int | None) -> int | None:
     count, is_negative = 0, False
-    while len(rising) > 1:
-        k = rising[0] / rising[-1]
+    for k in reflections(rising):
         if not abs(k) < 1:
             if not abs(k) > 1:
                 return None
@@ -131,5 +130,4 @@ def _counted(rising: "list[arb]", most: int | None) -> int | None:
         count += is_negative
         if most is not None and count > most:
             return count
-        rising = [a - k * b for a, b in zip(rising[1:], rising[-2::-1], strict=True)]
     return count

@@ -32,7 +32,7 @@ from jaxstab.loop.region import Gains
 from jaxstab.model.balls import ball_triple
 from jaxstab.model.device.device import in_steps
 from jaxstab.model.device.parts import MassSpringDamper, Modes
-from jaxstab.model.filters import Filter, Velocity, windows_in_seconds, with_number
+from jaxstab.model.filters import Filter, Velocity, with_number
 from jaxstab.model.parameters import LONGEST_DELAY
 from jaxstab.numbers import checked_count, checked_number, checked_word
 from jaxstab.shown import number_text
@@ -280,7 +280,7 @@ def _scan(loop: Any, quantity: str, wall: Gains, count: int) -> Scan:
         whole = [n * body.step for n in range(round(most / body.step) + 1)] if body else None
     elif quantity == "sample_time":  # few have whole samples in a window in s, or whole steps
         chain = (loop.velocity or Velocity()).filter * (loop.position or Filter())
-        windows = windows_in_seconds(chain)
+        windows = [w for section in chain.sections if (w := getattr(section, "window", None))]
         whole = [n * body.step for n in counts] if body else None
         whole = [windows[0] / n for n in counts][::-1] if windows else whole
     if whole:

@@ -33,7 +33,7 @@ from jaxstab.exact.line import End, Interval, LineStatus, StableLine
 from jaxstab.loop.frequency import AtFrequency, FrequencyMargins
 from jaxstab.loop.region import WallLimits
 from jaxstab.model import LoopParameters
-from jaxstab.model.device.measured import MeasuredResponse
+from jaxstab.model.device.discrete import MeasuredResponse
 from jaxstab.model.parameters import wall_grid
 from jaxstab.numbers import without_noise
 from jaxstab.region import RegionStatus

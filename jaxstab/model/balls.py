@@ -20,7 +20,7 @@ what the structure says is kept beside the rest (``Factored``):
 """
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache, reduce
 from math import inf, nextafter
@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from jaxstab.model.device.device import Device, in_steps
 from jaxstab.model.device.parts import decided, exact, flint, remembered
-from jaxstab.model.device.sampling import SampledDevice, one_sample
+from jaxstab.model.device.sampling import one_sample
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.model.filters import (
     NO_FILTERS,
@@ -126,21 +126,16 @@ class Factored(NamedTuple):
 
     def of_radius(self, radius: float) -> "Factored":
         """The polynomial of radius z."""
-        plain = self.without_windows()
-        rising = plain.divided(plain.power, 0, 0).polynomial().coeffs()
-        r = flint.arb(radius)
-        return Factored(
-            flint.arb_poly([c * r ** (k + self.power) for k, c in enumerate(rising)]), self.power
-        )
+        rest, r = self._replace(power=0).polynomial(), flint.arb(radius)
+        return Factored(rest(flint.arb_poly([0, r])) * r**self.power, self.power)
 
     def around(self, place: int) -> "arb_poly":
         """The coefficients in powers of s, z = place (1 + s), place = 1 or -1."""
         plain = self.without_windows()
-        orders = (plain.at_one, 0) if place == 1 else (0, plain.at_minus_one)
-        others = plain.divided(0, *orders).polynomial()
-        return (others(flint.arb_poly([place, place])) * place ** sum(orders)).left_shift(
-            sum(orders)
-        )
+        order = plain.at_one if place == 1 else plain.at_minus_one
+        orders = (order, 0) if place == 1 else (0, order)
+        others = plain.divided(0, *orders).polynomial()(flint.arb_poly([place, place]))
+        return (others * place**order).left_shift(order)
 
     def without_windows(self) -> "Factored":
         """The same polynomial with the windows multiplied into the rest."""
@@ -163,11 +158,10 @@ class Factored(NamedTuple):
     def polynomial(self) -> "arb_poly":
         """The polynomial multiplied out."""
         plain = self.without_windows()
-        minus, plus = (
-            flint.arb_poly([-1, 1]) ** plain.at_one,
-            flint.arb_poly([1, 1]) ** plain.at_minus_one,
+        known = (
+            flint.arb_poly([-1, 1]) ** plain.at_one * flint.arb_poly([1, 1]) ** plain.at_minus_one
         )
-        return (plain.rest * minus * plus).left_shift(plain.power)
+        return (plain.rest * known).left_shift(plain.power)
 
 
 @dataclass(frozen=True)
@@ -247,7 +241,8 @@ class Plant(NamedTuple):
     velocity: Factored | None = None
 
 
-class BallLoop(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class BallLoop:
     """A loop by its parts: the plant z^-lag N/D, P = Np/Dp and V = Nv/Dv, V in 1/s.
 
     N is in m/N; D, Dp and Dv have no roots at 1 or -1 but those that are counted. Where the
@@ -315,7 +310,7 @@ class BallLoop(NamedTuple):
         by_stiffness, by_damping = self.walls
         return by_stiffness.scaled(stiffness).plus(by_damping.scaled(damping))
 
-    @property
+    @cached_property
     def triple(self) -> Triple:
         """The three parts of p(z)."""
         by_gains = (self.numerator.times(wall) for wall in self.walls)
@@ -328,34 +323,29 @@ def ball_triple(loop: "LoopParameters") -> Triple:
     Raises: TypeError if JAX traces the loop or its fields are arrays; ValueError for a device that
     is too fast for balls (``in_samples``).
     """
-    return _parts(loop.in_floats())[1]
+    return ball_loop(loop).triple
 
 
 def ball_loop(loop: "LoopParameters") -> BallLoop:
     """The parts of a loop, otherwise as ``ball_triple``."""
-    return _parts(loop.in_floats())[0]
+    return _ball_loop(loop.in_floats())
 
 
 @remembered(128)
-def _parts(loop: "LoopParameters") -> tuple[BallLoop, Triple]:
+def _ball_loop(loop: "LoopParameters") -> BallLoop:
     filters = given_filters(loop.velocity, loop.position) or NO_FILTERS
-    parts = _ball_loop(loop.held_device, loop.sample_time, loop.delay_samples, filters)
-    return parts, parts.triple
+    device, period = loop.held_device, loop.sample_time
+    parts = BallLoop.from_plant(plant_in_balls(device, period, loop.delay_samples), period, filters)
+    if parts.velocity[0].at_one:  # a velocity that is 0 at rest
+        parts = replace(parts, yielding=_yielding(device, filters[1].per_sample(period)))
+    return parts
 
 
-def _ball_loop(device: Device, period: float, delay: float, filters: Filters) -> BallLoop:
-    own = BallLoop.from_plant(plant_in_balls(device, period, delay), period, filters)
-    if not own.velocity[0].at_one:  # a second output that is not 0 at rest
-        return own
-    position = filters[1].per_sample(period).sections
-    return own._replace(yielding=_yielding(device, position))
-
-
-def _yielding(device: Device, position: tuple[Section, ...]) -> float | None:
+def _yielding(device: Device, position: Filter) -> float | None:
     """The K that makes 1 + K P(1) G(1) exactly 0, G(1) the displacement by a constant force."""
     own = in_steps(device)
     moved, force = own.at_rest() if own else device.compliance().at_rest()
-    for section in position:
+    for section in position.sections:
         if section.length is None:
             above, below = exact_chain((section,))
             moved, force = moved * above(1), force * below(1)
@@ -394,10 +384,7 @@ def plant_in_balls(device: Device, period: float, delay: float) -> Plant:
 
 def known_out(polynomial: "arb_poly", root: int, count: int) -> "arb_poly":
     """Divide known roots out of a polynomial; the remainder is 0 and dropped."""
-    if not count:
-        return polynomial
-    shifted = polynomial(flint.arb_poly([root, 1])).coeffs()[count:]
-    return flint.arb_poly(shifted)(flint.arb_poly([-root, 1]))
+    return polynomial // flint.arb_poly([-root, 1]) ** count if count else polynomial
 
 
 def filter_in_balls(chain: Filter, period: float) -> tuple[Factored, Factored]:
@@ -426,14 +413,9 @@ def _section(section: Section) -> tuple[Factored, Factored]:
 
 
 @lru_cache(maxsize=64)
-def linear_loop(device: SampledDevice, filters: Filters | None) -> LinearLoop:
-    """The loop of gains in units of the device, K stiffness_unit and B damping_unit."""
-    plant = device.device, device.sample_time, device.delay
-
-    def triple() -> Triple:
-        return _ball_loop(*plant, filters or NO_FILTERS).triple
-
-    return rounded_triple(triple, device.stiffness_unit, device.damping_unit)
+def linear_loop(loop: "LoopParameters", units: tuple[float, float]) -> LinearLoop:
+    """A loop in plain numbers, of gains in units: alpha is K times the first one."""
+    return rounded_triple(lambda: ball_triple(loop), *units)
 
 
 def rounded_triple(

@@ -40,8 +40,18 @@ NO_FILTER: Mapping[str, Any] = {
 }
 """The keys of a table but for the window, with values that filter nothing."""
 
-_NOISES = ("acceleration_variance", "position_variance")
-_ESTIMATOR = ("polynomial", *_NOISES)  # keys of velocities alone
+_ESTIMATOR = "polynomial", "acceleration_variance", "position_variance"  # keys of velocities alone
+
+_NEEDS = {
+    "order": "cutoff",
+    "kind": "cutoff",
+    "polynomial": "window_samples",
+    "numerator": "denominator",
+    "denominator": "numerator",
+    "acceleration_variance": "position_variance",
+    "position_variance": "acceleration_variance",
+}
+"""Keys that mean nothing without another one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,33 +78,19 @@ class FilterTable(Table):
     """Keys that make no filter."""
 
     def __post_init__(self) -> None:
-        of_low_pass = "order", "kind"  # keys that need its cut-off
-        of_fraction = "numerator", "denominator"
         super().__post_init__()
-        given = [name for name in self._names() if getattr(self, name) is not None]
-        for name in of_low_pass:
-            if name in given and self.cutoff is None:
-                raise ValueError(
-                    f"{name} is {getattr(self, name)} without cutoff; give cutoff, too."
-                )
-        fraction = [name for name in given if name in of_fraction]
-        others = [name for name in given if name not in of_fraction]
-        if len(fraction) == 1:
-            raise ValueError(f"{fraction[0]} is given alone; give numerator and denominator.")
-        if fraction and others:
+        every = {name: getattr(self, name) for name in self._names()}
+        given = {name: value for name, value in every.items() if value is not None}
+        for name, needed in _NEEDS.items():
+            if name in given and needed not in given:
+                raise ValueError(f"{name} is {given[name]} without {needed}; give {needed}, too.")
+        others = [name for name in given if name not in ("numerator", "denominator")]
+        if "numerator" in given and others:
             raise ValueError(f"{others[0]} is given beside numerator; give one of them.")
-        if self.polynomial is not None and self.window_samples is None:
-            raise ValueError(
-                f"polynomial is {self.polynomial} without window_samples; give the samples, too."
-            )
-        noises = [name for name in given if name in _NOISES]
-        if len(noises) == 1:
-            raise ValueError(f"{noises[0]} is given alone; give {' and '.join(_NOISES)}.")
-        if noises and "window_samples" in given:
-            raise ValueError(f"window_samples is given beside {noises[0]}; give one of them.")
+        if "position_variance" in given and "window_samples" in given:
+            raise ValueError("window_samples is given beside position_variance; give one of them.")
         if not given:
-            beside = *of_low_pass, *of_fraction, *_ESTIMATOR
-            needed, *more = (name for name in self._names() if name not in beside)
+            needed, *more = (name for name in every if name not in _NEEDS)
             raise ValueError(
                 f"{needed} is missing; give it, or {', '.join(more)}, or numerator and denominator."
             )

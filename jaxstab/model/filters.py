@@ -15,7 +15,7 @@ explorers take all kinds from the class.
 """
 
 import numbers
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import lru_cache
@@ -37,7 +37,7 @@ from jaxstab.arrays import (
     pytree,
     tree_map,
 )
-from jaxstab.model.device.parts import flint
+from jaxstab.model.device.parts import coefficients, exact, flint
 from jaxstab.model.double_double import DoubleDouble
 from jaxstab.numbers import checked_count, checked_number, require_x64
 from jaxstab.shown import call_text
@@ -62,20 +62,40 @@ class Section:
     estimator: ClassVar[str | None] = None
     """The method of ``Velocity``, where a difference that begins with this section has one."""
 
+    text: ClassVar[str] = ""
+    """The section in words, with its parameters by name."""
+
+    powers: ClassVar[dict[str, int]] = {}
+    """The parameters with units, each with the power of the sampling period that takes them."""
+
+    remedy: ClassVar[str] = ""
+    """The remedy where a sampling ``period`` leaves no filter, of kinds where one may."""
+
+    def __str__(self) -> str:
+        return self.text.format(**{name: shown(value) for name, value in vars(self).items()})
+
     def per_sample(self, sample_time: Numbers) -> "Section":
-        """Return the section in units of a sampling period in s; here one without units."""
-        del sample_time
-        return self
+        """Return the section in units of a sampling period in s."""
+        if not self.powers:
+            return self
+        given = {name: getattr(self, name) for name in self.powers}
+        scaled = {name: given[name] * sample_time**power for name, power in self.powers.items()}
+        section: Section = replace(self, **scaled)  # type: ignore[type-var]
+        if self.remedy and not is_traced(section.number) and not section.is_filter:
+            name, value = next(iter(given.items()))
+            words = self.remedy.format(period=float(sample_time), rate=0.5 / float(sample_time))
+            raise ValueError(f"{name} is {shown(value)}; {words}")
+        return section
+
+    @property
+    def is_filter(self) -> bool:
+        """True if a section in units of one sample filters, in float64."""
+        return bool(0.0 < self.number < 1.0)
 
     @property
     def longest_sample_time(self) -> float:
         """The longest sampling period in s with which the section is a filter in float64."""
         return inf
-
-    @property
-    def toml(self) -> dict[str, Any]:
-        """The keys and values of TOML of a section in units of one sample."""
-        return dict(vars(self))
 
     @property
     def length(self) -> int | None:
@@ -86,6 +106,11 @@ class Section:
     def number(self) -> Array:
         """The number that a section in units of one sample computes from its parameters."""
         return 1.0
+
+    @property
+    def toml(self) -> dict[str, Any]:
+        """The keys and values of TOML of a section in units of one sample."""
+        return dict(vars(self))
 
     def factors(self, number: Any) -> list[Stage]:
         """The factors of the transfer function, by that number: a pair or a fraction."""
@@ -101,12 +126,8 @@ class Section:
             return _exact_stages(self)
         return self.factors(DoubleDouble.from_value(number))
 
-    @property
-    def degrees(self) -> tuple[int, int]:
-        """The degrees of numerator and denominator in 1/z, whatever the section's number is."""
-        stages = self.factors(Fraction(1, 2))
-        above, below = (sum(len(stage[side]) - 1 for stage in stages) for side in (0, 1))
-        return above, below
+
+_NOT_IN_FLOATS = "with a sampling period of {period:g} s it leaves no filter in float64: give "
 
 
 @pytree
@@ -130,7 +151,6 @@ class Average(Section):
 
     @property
     def length(self) -> int:
-        """The window of a section in units of one sample."""
         return self.samples or _whole_samples(self.window, 1.0)
 
     @property
@@ -153,19 +173,9 @@ class LowPass(Section):
     kind: ClassVar[str] = "low-pass"
     maker: ClassVar[str] = "low_pass"
     estimator: ClassVar[str] = "low_pass"
-
-    def __str__(self) -> str:
-        return f"a low pass at {shown(self.cutoff)} Hz of order {self.order}"
-
-    def per_sample(self, sample_time: Numbers) -> "LowPass":
-        section = LowPass(self.cutoff * sample_time, self.order)
-        pole = section.number
-        if not is_traced(pole) and not 0.0 < pole < 1.0:
-            raise ValueError(
-                f"cutoff is {shown(self.cutoff)}; with a sampling period of {shown(sample_time)} s "
-                "it leaves no filter in float64: give one closer to 1 / period."
-            )
-        return section
+    text: ClassVar[str] = "a low pass at {cutoff} Hz of order {order}"
+    powers: ClassVar[dict[str, int]] = {"cutoff": 1}
+    remedy: ClassVar[str] = f"{_NOT_IN_FLOATS}one closer to 1 / period."
 
     @property
     def number(self) -> Array:
@@ -189,9 +199,7 @@ class Exponential(Section):
 
     maker: ClassVar[str] = "exponential"
     estimator: ClassVar[str] = "exponential"
-
-    def __str__(self) -> str:
-        return f"exponential smoothing by {shown(self.factor)}"
+    text: ClassVar[str] = "exponential smoothing by {factor}"
 
     @property
     def number(self) -> Array:
@@ -212,23 +220,18 @@ class Butterworth(Section):
     kind: ClassVar[str] = "butterworth"
     maker: ClassVar[str] = "butterworth"
     estimator: ClassVar[str] = "butterworth"
-
-    def __str__(self) -> str:
-        return f"a Butterworth filter at {shown(self.cutoff)} Hz of order {self.order}"
-
-    def per_sample(self, sample_time: Numbers) -> "Butterworth":
-        section = Butterworth(self.cutoff * sample_time, self.order)
-        if not is_traced(section.cutoff) and section.cutoff >= 0.5:
-            raise ValueError(
-                f"cutoff is {shown(self.cutoff)}; give one below half of the sampling rate, "
-                f"{0.5 / sample_time:g} Hz."
-            )
-        return section
+    text: ClassVar[str] = "a Butterworth filter at {cutoff} Hz of order {order}"
+    powers: ClassVar[dict[str, int]] = {"cutoff": 1}
+    remedy: ClassVar[str] = "give one below half of the sampling rate, {rate:g} Hz."
 
     @property
     def number(self) -> Array:
         angle = pi * self.cutoff  # of the cut-off, whose tangent is that of the analogue filter
         return _float(namespace(angle).tan(angle))
+
+    @property
+    def is_filter(self) -> bool:
+        return bool(self.cutoff < 0.5)
 
     @property
     def toml(self) -> dict[str, Any]:
@@ -241,7 +244,8 @@ class Butterworth(Section):
     def factors(self, number: Any) -> list[Stage]:
         w, factors = number, []
         for k in range(self.order // 2):
-            gain, turn = w * w, 2 * w * type(w)(butterworth_sine(k, self.order))
+            sine = float(np.sin(pi * (2 * k + 1) / (2 * self.order)))  # of the angle of two poles
+            gain, turn = w * w, 2 * w * type(w)(sine)
             below = [gain + 1 + turn, 2 * (gain - 1), gain + 1 - turn]
             factors.append(_stage([gain, 2 * gain, gain], below))
         if self.order % 2:
@@ -279,9 +283,7 @@ class Differentiator(Rational):
     period: Numbers = 1.0
 
     estimator: ClassVar[str] = "transfer_function"
-
-    def per_sample(self, sample_time: Numbers) -> "Differentiator":
-        return replace(self, period=self.period * sample_time)
+    powers: ClassVar[dict[str, int]] = {"period": 1}
 
     @property
     def number(self) -> Array:
@@ -315,19 +317,9 @@ class Kalman(Section):
     r: Numbers
 
     estimator: ClassVar[str] = "kalman"
-
-    def __str__(self) -> str:
-        return f"a Kalman filter with q = {shown(self.q)} and r = {shown(self.r)}"
-
-    def per_sample(self, sample_time: Numbers) -> "Kalman":
-        section = Kalman(self.q * sample_time**4, self.r)
-        if not is_traced(section.number) and not 0.0 < section.number < 1.0:
-            raise ValueError(
-                f"q is {shown(self.q)} beside r = {shown(self.r)}; with a sampling period of "
-                f"{shown(sample_time)} s the filter's gain is {shown(section.number)} in float64, "
-                "and it has no use: give a ratio closer to 1 / period^4."
-            )
-        return section
+    text: ClassVar[str] = "a Kalman filter with q = {q} and r = {r}"
+    powers: ClassVar[dict[str, int]] = {"q": 4}
+    remedy: ClassVar[str] = f"{_NOT_IN_FLOATS}q/r closer to 1 / period^4."
 
     @property
     def number(self) -> Array:
@@ -359,9 +351,7 @@ class SavitzkyGolay(Section):
     order: int = fixed()
 
     estimator: ClassVar[str] = "savitzky_golay"
-
-    def __str__(self) -> str:
-        return f"the slope of a polynomial of order {self.order} through {self.samples} samples"
+    text: ClassVar[str] = "the slope of a polynomial of order {order} through {samples} samples"
 
     @property
     def weights(self) -> tuple[float, ...]:
@@ -384,8 +374,8 @@ def _slope_weights(samples: int, order: int) -> tuple[float, ...]:
     powers = flint.fmpq_mat(samples, order + 1, [value for row in rows for value in row])
     slope = flint.fmpq_mat(order + 1, 1, [int(power == 1) for power in range(order + 1)])
     solved = powers * (powers.transpose() * powers).solve(slope)
-    exact = (Fraction(int(solved[k, 0].p), int(solved[k, 0].q)) for k in range(samples - 1))
-    return tuple(map(float, accumulate(exact)))
+    weights = accumulate(solved[k, 0] for k in range(samples - 1))
+    return tuple(int(weight.p) / int(weight.q) for weight in weights)
 
 
 @pytree
@@ -394,9 +384,7 @@ class Measured(Section):
     """The device's own velocity in place of a difference of its positions."""
 
     estimator: ClassVar[str] = "measured"
-
-    def __str__(self) -> str:
-        return "the device's own velocity"
+    text: ClassVar[str] = "the device's own velocity"
 
     def factors(self, number: Any = None) -> Any:
         raise ValueError(
@@ -415,11 +403,6 @@ def _lag(factor: Any) -> Stage:
     return _stage([factor, 0], [1, factor - 1])
 
 
-def butterworth_sine(k: int, order: int) -> float:
-    """Return the sine of the angle of a pair of poles of Butterworth's filter, rounded."""
-    return float(np.sin(pi * (2 * k + 1) / (2 * order)))
-
-
 @lru_cache(maxsize=256)
 def _exact_stages(section: Section) -> list[Stage]:
     return section.factors(Fraction(float(section.number)))
@@ -432,9 +415,7 @@ def exact_chain(sections: tuple[Section, ...]) -> "tuple[fmpq_poly, fmpq_poly]":
     for section in sections:
         for stage in section.stages():
             for side, row in enumerate(stage):
-                sides[side] *= flint.fmpq_poly(
-                    [flint.fmpq(c.numerator, c.denominator) for c in row]
-                )
+                sides[side] *= flint.fmpq_poly(list(map(exact, row)))
     largest = 10**150  # products of such coefficients are float64 still
     if max(abs(c) for side in sides for c in side.coeffs()) > largest:
         raise ValueError(
@@ -641,8 +622,8 @@ class Filter:
         """
         require_x64(*(value for section in self.sections for value in vars(section).values()))
         chain = self.per_sample(sample_time)
-        degrees = [section.degrees for section in chain.sections]
-        above, below = map(sum, zip((0, 0), *degrees, strict=True))
+        stages = [stage for section in chain.sections for stage in section.stages()]
+        above, below = (sum(len(stage[side]) - 1 for stage in stages) for side in (0, 1))
         if below > HIGHEST_ORDER or above - below > LONGEST_WINDOW:
             raise ValueError(
                 f"the filter ({self}) is of order {max(above, below)}; give {HIGHEST_ORDER} poles "
@@ -805,12 +786,6 @@ class Velocity:
         return f"the difference over one sample, {self.filter}"
 
 
-def windows_in_seconds(filter_: Filter) -> list[float]:
-    """The windows of a filter that are given in s."""
-    averages = (section for section in filter_.sections if isinstance(section, Average))
-    return [average.window for average in averages if average.window]
-
-
 def with_number(velocity: Velocity, quantity: str, value: float) -> Velocity:
     """An estimator with another "cutoff" in Hz, or with another "window" in samples.
 
@@ -900,7 +875,10 @@ def _checked_order(order: int) -> int:
 def _checked_rational(
     numerator: Sequence[float], denominator: Sequence[float]
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    above, below = _coefficients("numerator", numerator), _coefficients("denominator", denominator)
+    above, below = (
+        coefficients(name, values, "in z")
+        for name, values in (("numerator", numerator), ("denominator", denominator))
+    )
     if len(above) > len(below):
         raise ValueError(
             f"numerator has degree {len(above) - 1} in z and denominator {len(below) - 1}; a "
@@ -916,23 +894,17 @@ def _checked_rational(
     return above, below
 
 
-def _coefficients(name: str, values: Sequence[float]) -> tuple[float, ...]:
-    numbers = [checked_number(name, value) for value in values]
-    while numbers and numbers[0] == 0.0:
-        numbers.pop(0)
-    if not numbers:
-        raise ValueError(f"{name} is {list(values)}; give at least one coefficient that is not 0.")
-    return tuple(numbers)
-
-
 def has_roots_inside(falling: Sequence[Any]) -> bool:
-    """True if all roots are inside the unit circle, of exact numbers (Schur 1917, Cohn 1922).
+    """True if all roots are inside the unit circle, of exact numbers.
 
-    The first |ratio| >= 1 says that the roots of what is left have a product of 1 or more.
+    The first |k| >= 1 says that the roots of what is left have a product of 1 or more.
     """
-    while len(falling) > 1:
-        ratio = falling[-1] / falling[0]
-        if abs(ratio) >= 1:
-            return False
-        falling = [a - ratio * b for a, b in zip(falling[:-1], falling[:0:-1], strict=True)]
-    return True
+    return all(abs(k) < 1 for k in reflections(falling[::-1]))
+
+
+def reflections(rising: Sequence[Any]) -> Iterator[Any]:
+    """The k of a polynomial in exact numbers or balls, one a degree (Schur 1917, Cohn 1922)."""
+    while len(rising) > 1:
+        k = rising[0] / rising[-1]
+        yield k
+        rising = [a - k * b for a, b in zip(rising[1:], rising[-2::-1], strict=True)]

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields
 from functools import wraps
 from math import ulp
-from typing import Any, ClassVar, NamedTuple, ParamSpec, TypedDict, TypeVar
+from typing import Any, ClassVar, ParamSpec, TypedDict, TypeVar
 
 import numpy as np
 
@@ -18,8 +18,10 @@ from jaxstab.arrays import (
     namespace,
 )
 from jaxstab.model.balls import linear_loop
-from jaxstab.model.device import Device, Hand, SampledDevice, sampled_device
+from jaxstab.model.device import Device, Hand
 from jaxstab.model.device.device import in_steps
+from jaxstab.model.device.parts import MassSpringDamper
+from jaxstab.model.device.sampling import gain_units
 from jaxstab.model.filters import Average, Filter, Velocity, filter_on, given_filters
 from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.model.parameters import LONGEST_DELAY, TracedDelay, by_name
@@ -41,14 +43,6 @@ Values = TypeVar("Values", bound=Numbers)
 Arguments = ParamSpec("Arguments")
 
 Result = TypeVar("Result")
-
-
-class Body(NamedTuple):
-    """One mass in kg, on a damper in N s/m and a spring in N/m."""
-
-    mass: Numbers
-    damping: Numbers
-    stiffness: Numbers
 
 
 class Estimators(TypedDict):
@@ -125,7 +119,7 @@ class LoopParameters:
         )
 
     def __dir__(self) -> list[str]:
-        for_computing = {"body", "filters", "held_device", "in_floats", "linear", "sampled"}
+        for_computing = {"body", "filters", "held_device", "in_floats", "linear"}
         for_computing |= {"tree_flatten", "tree_unflatten"}
         return [name for name in super().__dir__() if name not in for_computing]
 
@@ -168,13 +162,12 @@ class LoopParameters:
             raise ValueError(f"the shapes {shapes} do not broadcast; give one shape.") from None
 
     @property
-    def body(self) -> Body | None:
+    def body(self) -> MassSpringDamper | None:
         """Device and hand as one mass on a spring and a damper; None for any other device."""
         if self.device is not None:
-            body = self.device.one_mass()
-            return None if body is None else Body(body.mass, body.damping, body.stiffness)
+            return self.device.one_mass()
         damping = self.device_damping + self.hand_damping
-        return Body(self.device_mass + self.hand_mass, damping, self.hand_stiffness)
+        return MassSpringDamper(self.device_mass + self.hand_mass, damping, self.hand_stiffness)
 
     @property
     def held_device(self) -> Device:
@@ -186,7 +179,7 @@ class LoopParameters:
         return device.held_by(Hand.mass_spring_damper(self.hand_mass, **numbers))
 
     @property
-    def _one_body(self) -> Body:
+    def _one_body(self) -> MassSpringDamper:
         body = self.body
         if body is None:
             raise TypeError(
@@ -210,20 +203,10 @@ class LoopParameters:
         return self._one_body.damping * self.sample_time / self.mass
 
     @property
-    def sampled(self) -> SampledDevice | None:
-        """A device that is not one mass, sampled; None for one mass."""
-        if self.device is None or self.body is not None:
-            return None
-        refuse_arrays(self)
-        return sampled_device(self.device, self.sample_time, self.delay_samples)
-
-    @property
     def linear(self) -> LinearLoop:
         """The loop as p(z) = base + alpha stiffness + beta damping; TypeError if JAX traces it."""
         loop = self.in_floats()
-        times = loop.sample_time, loop.delay_samples
-        device = loop.sampled or SampledDevice(loop.held_device, *times, *loop._units)
-        return linear_loop(device, given_filters(loop.velocity, loop.position))
+        return linear_loop(loop, loop._units)
 
     def in_floats(self) -> "LoopParameters":
         """The loop in plain numbers; TypeError if JAX traces it, or fields are arrays."""
@@ -315,10 +298,10 @@ class LoopParameters:
     @property
     def _units(self) -> tuple[Numbers, Numbers]:
         """The units of stiffness and damping, as factors: powers of two for general devices."""
-        sampled = self.sampled
-        if sampled is not None:
-            return sampled.stiffness_unit, sampled.damping_unit
-        return self.sample_time**2 / self.mass, self.sample_time / self.mass
+        if self.device is None or self.body is not None:
+            return self.sample_time**2 / self.mass, self.sample_time / self.mass
+        refuse_arrays(self)
+        return gain_units(self.device, self.sample_time, self.delay_samples)
 
     def alpha(self, stiffness: Values) -> Values:
         """Dimensionless stiffness K T^2/m of a wall of stiffness K in N/m (Table I)."""
@@ -361,7 +344,8 @@ def _is_array(value: Numbers) -> bool:
 def as_one(loops: Sequence[LoopParameters]) -> Any:
     """Return loops of one mass, which differ in mechanics and times, as one that has arrays."""
     names = "device_mass", "device_damping", "hand_stiffness", "delay", "sample_time"
-    numbers = {x: (*x._one_body, x.delay, x.sample_time) for x in dict.fromkeys(loops)}
+    bodies = {x: vars(x._one_body).values() for x in dict.fromkeys(loops)}
+    numbers = {x: (*body, x.delay, x.sample_time) for x, body in bodies.items()}
     columns = dict(zip(names, np.array([numbers[loop] for loop in loops]).T, strict=True))
     first = loops[0]
     if len({loop.sample_time for loop in loops}) == 1:

@@ -79,19 +79,17 @@ def mass_loop(gamma: float, delta: float, delay: float, filters: Filters | None)
 
 @lru_cache(maxsize=64)
 def _device_loop(loop: LoopParameters) -> TunedLoop:
-    device = loop.sampled
-    assert device is not None
     linear = loop.linear
 
     def verdicts(alpha: Any, beta: Any) -> np.ndarray:
         return np.asarray(linear_verdict(np.asarray(alpha), np.asarray(beta), linear))
 
     def settling(alpha: Any, beta: Any, **options: Any) -> Settling:
-        wall = np.asarray(alpha) / device.stiffness_unit, np.asarray(beta) / device.damping_unit
+        wall = loop.stiffness(np.asarray(alpha)), loop.damping(np.asarray(beta))
         return loop_settling_samples(loop, *wall, **options)
 
     def coming_to_rest(alpha: np.ndarray, beta: np.ndarray, excitation: Excitation) -> Loops:
-        wall = alpha / device.stiffness_unit, beta / device.damping_unit
+        wall = loop.stiffness(alpha), loop.damping(beta)
         return deviations(loop, *wall, excitation)
 
     region = loop_region(loop, 1e-6)  # its size beside that of the outline's error

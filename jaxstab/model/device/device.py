@@ -28,8 +28,14 @@ import numpy as np
 from jaxtyping import Complex128
 
 from jaxstab.arrays import Numbers
-from jaxstab.model.device.discrete import INTEGRATORS, InSteps, Simulated, checked_discrete
-from jaxstab.model.device.measured import MeasuredResponse, checked_response
+from jaxstab.model.device.discrete import (
+    INTEGRATORS,
+    InSteps,
+    MeasuredResponse,
+    Simulated,
+    checked_discrete,
+    checked_response,
+)
 from jaxstab.model.device.parts import (
     Coefficients,
     MassSpringDamper,

@@ -32,7 +32,7 @@ from jaxstab.model.device.parts import (
     turn,
     working_precision,
 )
-from jaxstab.model.device.sampling import in_fastest_time, in_samples
+from jaxstab.model.device.sampling import in_samples, speed_of
 from jaxstab.rounding import RAISED
 
 if TYPE_CHECKING:
@@ -189,7 +189,7 @@ def handle_equations(device: Device, sample_time: float) -> HandleEquations:
     with working_precision(1024):
         of_samples = sides_in_samples(device, sample_time)[1:]
         turns = (2.0 * pi * width * sample_time for width in device.bandwidths)
-        fastest = max(float(in_fastest_time(*of_samples)[2]), *turns, 1.0)
+        fastest = max(2.0 ** speed_of(of_samples[1]), *turns, 1.0)
         ticks = 2.0 ** ceil(log2(fastest))
         tick = sample_time / ticks
         moves = mechanics(device, tick, 0.0, (0.0,))
@@ -212,16 +212,20 @@ def handle_equations(device: Device, sample_time: float) -> HandleEquations:
 
 
 def _held(matrix: "arb_mat", fraction: float, offset: float) -> "arb_mat":
-    size = matrix.ncols() - 2
     whole = (matrix * flint.arb(exact(offset))).exp()
     late = flint.arb(exact(offset)) - flint.arb(exact(fraction))
     after = (matrix * late).exp() if offset > fraction else None
-    rows: list[list[arb]] = []
-    for row in whole.tolist()[:size]:
-        *states, wall, hand = row
-        arrived = after[len(rows), size] if after is not None else flint.arb(0)
-        rows.append([*states, wall - arrived, arrived, hand])
-    return flint.arb_mat(rows)
+    return flint.arb_mat(_by_forces(whole, after)[:-2])
+
+
+def _by_forces(whole: "arb_mat", late: "arb_mat | None") -> "list[list[arb]]":
+    """Rows of states, the wall's force before and after its change, and the hand's."""
+    rows = whole.tolist()
+    arrived = [0 * row[-2] for row in rows] if late is None else [row[-2] for row in late.tolist()]
+    return [
+        [*states, wall - new, new, hand]
+        for (*states, wall, hand), new in zip(rows, arrived, strict=True)
+    ]
 
 
 def _are_known(matrix: "arb_mat") -> bool:
@@ -249,9 +253,9 @@ class Between(NamedTuple):
     Columns: the states, the force that acts up to the fraction of the delay, the one from then on.
 
     Attributes:
-        rows: the distinct rows.
+        rows: those of all ends.
         ends: indices of the rows of position, velocity and their second derivatives at both ends of
-            each piece; the next sample's are those of this one.
+            each piece.
         states: indices of the rows of the states and of the acting force.
         half: half the lengths of the pieces.
         remainder: bounds of the fourth derivatives in each piece, of position and velocity.
@@ -274,6 +278,10 @@ class Between(NamedTuple):
     path: tuple[float, float]
 
 
+Node = tuple[float, bool]  # a time, and whether the wall's force has changed by then
+Piece = tuple[float, float, bool]  # between two such times
+
+
 @lru_cache(maxsize=32)
 def between_samples(device: Device, sample_time: float, fraction: float) -> Between:
     """The motion of a device within a sample, for a fraction of the delay."""
@@ -282,15 +290,12 @@ def between_samples(device: Device, sample_time: float, fraction: float) -> Betw
         sides = sides_in_samples(device, sample_time)
         matrix = equations(device, sides, sample_time)
         actuators = range(len(sides[0]), matrix.ncols() - 2)
-        rates = [in_fastest_time(*sides[1:])[2], *(-matrix[k, k] for k in actuators)]
+        rates = [2.0 ** speed_of(sides[2]), *(float(-matrix[k, k]) for k in actuators)]
         motion = _Motion(matrix, fraction)
-        pieces = motion.pieces(max(map(float, rates)))
-        rows = [
-            [motion.rows(start, is_late), motion.rows(end % 1.0, is_late and end < 1.0)]
-            for start, end, is_late in pieces
-        ]
-        is_known = all(_are_known(block) for pair in rows for block in pair)
-        return is_known, _rounded(motion, pieces, rows)
+        pieces = motion.pieces(max(rates))
+        nodes = dict.fromkeys(node for piece in pieces for node in _ends(*piece))
+        rows = {node: motion.rows(*node) for node in nodes}
+        return all(map(_are_known, rows.values())), _rounded(motion, pieces, rows)
 
     return decided(asked, most=_MOST_BITS, is_answered=lambda found: found[0])[1]
 
@@ -305,29 +310,21 @@ class _Motion(NamedTuple):
     def states(self) -> int:
         return int(self.matrix.ncols()) - 2
 
-    def pieces(self, speed: float) -> list[tuple[float, float, bool]]:
-        """Return the ends of pieces, and whether the force has changed by then."""
+    def pieces(self, speed: float) -> list[Piece]:
         count = min(speed, 24.0)
         parts = [(0.0, self.fraction, False), (self.fraction, 1.0, True)]
         pieces = []
-        for start, end, is_late in parts:
-            if start == end:
-                continue
+        for start, end, is_late in parts if self.fraction else parts[1:]:
             ends = np.linspace(start, end, max(1, ceil(count * (end - start))) + 1).tolist()
             pieces += [(a, b, is_late) for a, b in pairwise(ends)]
         return pieces
 
     def rows(self, time: "float | arb", is_late: bool) -> "arb_mat":
         """The position and its derivatives up to the fifth, of states and two forces."""
-        wall = self.states
-        whole = _derivatives(self.matrix, self._unit(0), time).tolist()
+        whole = _derivatives(self.matrix, self._unit(0), time)
         since = time - flint.arb(exact(self.fraction))
-        late = _derivatives(self.matrix, self._unit(0), since).tolist() if is_late else None
-        rows = []
-        for order, (*states, force, _) in enumerate(whole):
-            arrived = late[order][wall] if late is not None else flint.arb(0)
-            rows.append([*states, force - arrived, arrived])
-        return flint.arb_mat(rows)
+        late = _derivatives(self.matrix, self._unit(0), since) if is_late else None
+        return flint.arb_mat([row[:-1] for row in _by_forces(whole, late)])
 
     def blows(self, time: "float | arb") -> "arb_mat":
         """The states a time after a unit impulse at the handle, and their derivatives."""
@@ -348,33 +345,34 @@ def _derivatives(matrix: "arb_mat", row: "arb_mat", time: "float | arb") -> "arb
     return flint.arb_mat(rows) * (matrix * flint.arb(time)).exp()
 
 
-def _rounded(
-    motion: _Motion, pieces: list[tuple[float, float, bool]], rows: list[list["arb_mat"]]
-) -> Between:
-    ends = np.array([[_floats(matrix)[:4] for matrix in pair] for pair in rows])
-    columns, states = ends.shape[-1], motion.states + 1
-    every = np.concatenate([ends.reshape(-1, columns), np.eye(states, columns)])
-    unique, index = np.unique(every, axis=0, return_inverse=True)
-    index = np.ravel(index)
+def _ends(start: float, end: float, is_late: bool) -> tuple[Node, Node]:
+    """The two ends of a piece; that of a sample is the beginning of the next one."""
+    return (start, is_late), (end % 1.0, is_late and end < 1.0)
+
+
+def _rounded(motion: _Motion, pieces: list[Piece], rows: dict[Node, "arb_mat"]) -> Between:
+    index = dict(zip(rows, np.arange(4 * len(rows)).reshape(-1, 4), strict=True))
+    size = motion.states
+    values = [*(_floats(matrix)[:4] for matrix in rows.values()), np.eye(size + 1, size + 2)]
     half = np.array([0.5 * (end - start) for start, end, _ in pieces]) * RAISED
     remainder = np.array([_sizes(motion.rows(_over(*piece[:2]), piece[2]))[4:] for piece in pieces])
     count = len(pieces)
     times = [k / count for k in range(count + 1)]
     blows = np.array([_floats(motion.blows(time)) for time in times])
     widest = np.array([_sizes(motion.blows(_over(*ends))) for ends in pairwise(times)])
-    size = 0.5 / count * RAISED
+    share = 0.5 / count * RAISED
     # The integral of a modulus: that of the chord, and what the second derivative adds.
-    chords = size * (abs(blows[:-1, :2, 0]) + abs(blows[1:, :2, 0]))
-    path = np.sum(chords + (2.0 * size) ** 3 / 12.0 * widest[:, 2:4, 0], axis=0)
+    chords = share * (abs(blows[:-1, :2, 0]) + abs(blows[1:, :2, 0]))
+    path = np.sum(chords + (2.0 * share) ** 3 / 12.0 * widest[:, 2:4, 0], axis=0)
     path[1] += _sizes(motion.blows(0.0))[0, 0]
     return Between(
-        rows=unique,
-        ends=index[:-states].reshape(ends.shape[:-1]),
-        states=index[-states:],
+        rows=np.concatenate(values),
+        ends=np.array([[index[node] for node in _ends(*piece)] for piece in pieces]),
+        states=np.arange(size + 1) + 4 * len(rows),
         half=half,
         remainder=remainder,
         blows=np.moveaxis(blows[:, [0, 2]], 1, 0),
-        blow_half=size,
+        blow_half=share,
         blow_remainder=widest[:, 4].sum(axis=0) * RAISED,
         path=(float(path[0]) * RAISED, float(path[1]) * RAISED),
     )

@@ -241,8 +241,6 @@ HIGHEST_ORDER = 40
 
 Coefficients = Sequence[float] | Sequence[int] | np.ndarray[Any, np.dtype[Any]]
 
-_IN_S = "in s, highest power first"
-
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Mode:
@@ -324,13 +322,13 @@ class Part:
 
 @dataclass(frozen=True)
 class MassSpringDamper(Part):
-    """A mass on a spring and a damper."""
+    """A mass in kg on a damper in N s/m and a spring in N/m, of a device or of arrays of loops."""
 
     maker = "mass_spring_damper"
 
-    mass: float
-    damping: float
-    stiffness: float
+    mass: Any
+    damping: Any
+    stiffness: Any
 
     def __str__(self) -> str:
         return _description(self.mass, self.damping, self.stiffness)
@@ -449,11 +447,14 @@ def checked_transfer_function(
     numerator: Coefficients, denominator: Coefficients, excess: int, what: str
 ) -> TransferFunction:
     """A transfer function whose numerator's degree exceeds the other by ``excess`` at most."""
-    above, below = _coefficients("numerator", numerator), _coefficients("denominator", denominator)
+    above, below = (
+        coefficients(name, values, "in s")
+        for name, values in (("numerator", numerator), ("denominator", denominator))
+    )
     if len(above) - len(below) > excess:
         raise ValueError(
             f"numerator has degree {len(above) - 1} in s and denominator {len(below) - 1}; {what}: "
-            f"give coefficients {_IN_S}, not in z."
+            "give coefficients in s, highest power first, not in z."
         )
     if len(below) - 1 > HIGHEST_ORDER:
         raise ValueError(
@@ -462,47 +463,37 @@ def checked_transfer_function(
     return TransferFunction(above, below)
 
 
-def _coefficients(name: str, values: Coefficients) -> tuple[float, ...]:
-    numbers = [checked_number(name, value) for value in _row(name, values)]
+def coefficients(name: str, values: Coefficients, variable: str) -> tuple[float, ...]:
+    """The coefficients of a polynomial, "in s" or "in z", without leading ones of 0."""
+    try:
+        row = list(np.atleast_1d(values))
+    except ValueError:  # rows of unlike lengths
+        row = []
+    numbers = [checked_number(name, value) for value in row]
     while numbers and numbers[0] == 0.0:
         numbers.pop(0)
     if not numbers:
         raise ValueError(
-            f"{name} is {[float(v) for v in values]}; give coefficients {_IN_S}, not all of them 0."
+            f"{name} is {values!r}; give coefficients {variable}, highest power first, not all of "
+            "them 0."
         )
     return tuple(numbers)
 
 
-def _row(name: str, values: Coefficients) -> list[Any]:
-    try:
-        return list(np.atleast_1d(values))
-    except ValueError as error:
-        raise TypeError(f"{name} is {values!r}; give coefficients {_IN_S}.") from error
-
-
 def checked_state_space(a: Any, b: Any, c: Any) -> StateSpace:
     """A state space of one force and one position, or of two, the hand's second."""
-    matrices = [np.asarray(checked(name, m)) for name, m in zip("ABC", (a, b, c), strict=True)]
-    order = matrices[0].shape[0] if matrices[0].ndim == 2 else 0
-    sides = [m[:, None] if m.ndim == 1 else m for m in (matrices[1], matrices[2].T)]
-    ports = sides[0].shape[1] if sides[0].ndim == 2 else 0
-    allowed = (order, order), (order, ports), (order, ports)
-    for name, given, matrix, shape in zip(
-        "ABC", matrices, (matrices[0], *sides), allowed, strict=True
-    ):
-        if not order or matrix.shape != shape or ports not in (1, 2):
-            raise ValueError(
-                f"{name} has shape {given.shape}; a state space in s of one force and one "
-                "position has A of (n, n), B of (n, 1) and C of (1, n); with the force and the "
-                "position of the hand B is of (n, 2) and C of (2, n)."
-            )
-    if order > HIGHEST_ORDER:
-        raise ValueError(f"A has {order} states; give {HIGHEST_ORDER} at most.")
-    rows = [
-        tuple(tuple(float(value) for value in row) for row in matrix)
-        for matrix in (matrices[0], sides[0], sides[1].T)
-    ]
-    return StateSpace(*rows)
+    given = [np.asarray(checked(name, m)) for name, m in zip("ABC", (a, b, c), strict=True)]
+    order = len(np.atleast_1d(given[0]))
+    sides = given[0], given[1][:, None] if given[1].ndim == 1 else given[1], np.atleast_2d(given[2])
+    shapes = [[(order, order), (order, ports), (ports, order)] for ports in (1, 2)]
+    if [side.shape for side in sides] not in shapes or not 1 <= order <= HIGHEST_ORDER:
+        raise ValueError(
+            f"A, B and C have shapes {', '.join(str(side.shape) for side in given)}; a state space "
+            "in s of one force and one position has A of (n, n), B of (n, 1) and C of (1, n), n "
+            f"from 1 to {HIGHEST_ORDER}; with the force and the position of the hand B is of "
+            "(n, 2) and C of (2, n)."
+        )
+    return StateSpace(*(tuple(map(tuple, side.tolist())) for side in sides))
 
 
 def checked_compliance(function: Rational, what: str) -> Rational:

@@ -10,70 +10,43 @@ state moves and what a held force adds to it, and so
 (``late_cosines``).
 """
 
-from dataclasses import dataclass
 from functools import lru_cache
 from math import ceil, floor, ldexp, log2
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from jaxstab.model.device.device import Device, in_steps
 from jaxstab.model.device.parts import Rational, balls_of, decided, exact, flint, remembered
-from jaxstab.model.parameters import LONGEST_DELAY
-from jaxstab.numbers import checked_number
 
 if TYPE_CHECKING:
-    from flint import arb, arb_poly, fmpq
+    from flint import arb, arb_mat, arb_poly, fmpq
 
 Ball = Any  # of python-flint
-Matrix = Any  # of such balls
-
-
-@dataclass(frozen=True)
-class SampledDevice:
-    """A device as a sampled controller meets it, and units for the gains of its walls.
-
-    Attributes:
-        device: with its hands and actuators.
-        sample_time: T in s.
-        delay: in samples.
-        stiffness_unit: in m/N: alpha is K stiffness_unit.
-        damping_unit: in m/(N s): beta is B damping_unit.
-    """
-
-    device: Device
-    sample_time: float
-    delay: float
-    stiffness_unit: float
-    damping_unit: float
 
 
 @lru_cache(maxsize=512)
-def sampled_device(device: Device, sample_time: float, delay: float) -> SampledDevice:
-    """A device behind a hold and a delay in samples; its units are powers of two.
+def gain_units(device: Device, sample_time: float, delay: float) -> tuple[float, float]:
+    """Units of gains, powers of two: alpha is K times the first one in m/N, beta B times the other.
 
-    alpha and beta are without rounding: their units are next to the sum of the moduli of the
-    coefficients of N, and to that over T.
+    They are next to the sum of the moduli of the coefficients of N, and to that over T; the delay
+    is in samples.
 
-    Raises: see ``jaxstab.conventions``, the range of the delay being [0, 500]; ValueError also if
-    the device moves by more or less within a sample than float64 can say.
-
-    Source: the modified z-transform; Van Loan (1978) for the exponential.
+    Raises: as ``in_samples``; ValueError also if the device moves by more or less within a sample
+    than float64 can say.
     """
-    period = checked_number("sample_time", sample_time, 0.0, is_open=True, unit="s")
-    delay = checked_number("delay", delay, 0.0, LONGEST_DELAY, unit="samples")
 
     def size() -> Ball:
-        own = in_steps(device)
-        whole = own.sampled(period, delay)[1][0] if own else one_sample(device, period).whole
+        own, given = in_steps(device), (sample_time, delay)
+        whole = own.sampled(*given)[1][0] if own else one_sample(device, sample_time).whole
         return sum(map(abs, whole.coeffs()), flint.arb(0))
 
     unit = _binary_digits(decided(size, is_answered=lambda ball: ball.rel_accuracy_bits() > 1))
-    in_time = unit - _binary_digits(flint.arb(period))
+    in_time = unit - _binary_digits(flint.arb(sample_time))
     if max(abs(unit), abs(in_time)) > 900:  # products of numbers in such units are float64 still
         raise ValueError(
             f"the device ({device}) moves by about 2^{unit} m per N within a sampling period of "
             f"{sample_time:g} s; give SI units, and no pole so unstable that float64 overflows."
         )
-    return SampledDevice(device, period, delay, ldexp(1.0, unit), ldexp(1.0, in_time))
+    return ldexp(1.0, unit), ldexp(1.0, in_time)
 
 
 def in_samples(compliance: Rational, sample_time: float) -> tuple[list["arb"], list["arb"]]:
@@ -88,126 +61,97 @@ def in_samples(compliance: Rational, sample_time: float) -> tuple[list["arb"], l
     below = [value / leading * period ** (degree - k) for k, value in enumerate(below)]
     above = [value / leading * period ** (degree - k) for k, value in enumerate(above)]
     above, below = above + [flint.arb(0)] * (degree - len(above)), [*below[:-1], flint.arb(1)]
-    if _speed(below) > fastest:
+    if speed_of(below) > fastest:
         raise ValueError(
-            f"the device has a pole at 2^{_speed(below)} or so per sampling period of "
+            f"the device has a pole at 2^{speed_of(below)} or so per sampling period of "
             f"{sample_time:g} s; give SI units, and leave out what is faster than 2^{fastest}."
         )
     return above, below
 
 
-def _speed(below: list[Ball]) -> int:
-    """Return the exponent of a power of two next to the largest root, but for a factor of 2."""
+def speed_of(below: list[Ball]) -> int:
+    """The exponent of a power of two next to the largest root, but for a factor of 2."""
     degree = len(below) - 1
     sizes = [(degree - k, c) for k, c in enumerate(below[:-1]) if c != 0]
     return max((_binary_digits(c) // root for root, c in sizes), default=0)
 
 
-@remembered(64)
-def one_sample(device: Device, sample_time: float) -> "OneSample":
-    """The motion of a device within a sample, in balls of the precision that is set.
-
-    Raises: as ``in_samples``.
-    """
-    return OneSample.from_compliance(*in_samples(device.compliance(), sample_time))
-
-
 class OneSample(NamedTuple):
     """A device in the time of its fastest pole, and what its states do within a sample.
 
-    ``speed`` is how many such times a sample has, ``whole`` what a force that is held for a whole
-    sample does to the position.
+    above, below: numerator and denominator in that time, of which a sample has 2^``speed``.
+    generator: [[A, B], [0, 0]], A the companion matrix, B the last unit vector, over a sample.
+    transition, denominator: exp(A) and D(z); ``whole``: N(z) without a delay.
     """
 
     above: list[Ball]
     below: list[Ball]
-    speed: "arb"
-    transition: Matrix
-    denominator: Any
-    whole: Any
+    speed: int
+    generator: "arb_mat"
+    transition: "arb_mat"
+    denominator: "arb_poly"
+    whole: Any = None
 
-    @classmethod
-    def from_compliance(cls, above: list[Ball], below: list[Ball]) -> "OneSample":
-        """A device from its compliance, as ``in_samples`` has it."""
-        above, below, speed = in_fastest_time(above, below)
-        sample = held(below, speed)
-        transition = without_force(sample)
-        one = cls(above, below, speed, transition, transition.charpoly(), None)
-        return one._replace(whole=one.moved(force_of(sample)))
+    def held(self, time: Ball) -> "arb_mat":
+        """The exponential of [[A, B], [0, 0]] times a time in samples (Van Loan 1978)."""
+        return (self.generator * time).exp()
 
-    def moved(self, column: Matrix) -> Any:
+    def moved(self, column: "arb_mat") -> "arb_poly":
         """The response of the position to states, as a polynomial in z."""
-        return flint.arb_poly(position_after(self.above, self.transition, self.denominator, column))
+        (response,) = seen(flint.arb_mat([self.above]), self.transition, self.denominator, column)
+        return response
 
-    def of_samples(self, fraction: Ball | None) -> tuple[Any, Any]:
+    def of_samples(self, fraction: Ball | None) -> "tuple[arb_poly, arb_poly]":
         """N(z) and D(z), for a fraction of a sample with one sample of delay more (V10)."""
         if fraction is None:
             return self.whole, self.denominator
-        later = self.moved(force_of(held(self.below, (1 - fraction) * self.speed)))
+        later = self.moved(states_and_force(self.held(1 - fraction))[1])
         return flint.arb_poly([-1, 1]) * later + self.whole, self.denominator
 
 
-def in_fastest_time(above: list[Ball], below: list[Ball]) -> "tuple[list[Ball], list[Ball], arb]":
-    """Return a device in a unit of time in which its numbers are of size 1.
+@remembered(64)
+def one_sample(device: Device, sample_time: float) -> OneSample:
+    """The motion of a device within a sample, in balls of the precision that is set.
 
-    The last number is how many of them a sample has, a power of two.
+    Raises: as ``in_samples``.
     """
-    order, speed = len(below) - 1, _speed(below)
+    sides = in_samples(device.compliance(), sample_time)
+    order, speed = len(sides[0]), speed_of(sides[1])
     above, below = (
-        [value * flint.arb(2) ** (speed * (power - order)) for power, value in enumerate(row)]
-        for row in (above, below)
+        [value * flint.arb(2) ** (speed * (power - order)) for power, value in enumerate(side)]
+        for side in sides
     )
-    return above, below, flint.arb(2) ** speed
+    rows: list[list[Any]] = [[int(k == row + 1) for k in range(order + 1)] for row in range(order)]
+    rows[-1][:order] = [-value for value in below[:order]]
+    generator = flint.arb_mat([*rows, [0] * (order + 1)]) * flint.arb(2) ** speed
+    transition, force = states_and_force(generator.exp())
+    sample = OneSample(above, below, speed, generator, transition, transition.charpoly())
+    return sample._replace(whole=sample.moved(force))
 
 
-def position_after(
-    above: list[Ball], transition: Matrix, denominator: "arb_poly", column: Matrix
-) -> list[Ball]:
-    """Return C adj(z - A) v, the lowest power first, by det(z - A): what a state v does to z^k."""
-    order, row = len(above), _matrix([above])
-    responses = []
-    for _ in range(order):
-        responses.append((row * column)[0, 0])
-        column = transition * column
+def states_and_force(matrix: "arb_mat") -> "tuple[arb_mat, arb_mat]":
+    """The parts of [[A, B], [0, 0]], or of an exponential of it, that act on states."""
+    rows = matrix.tolist()[:-1]
+    return flint.arb_mat([row[:-1] for row in rows]), flint.arb_mat([row[-1:] for row in rows])
+
+
+def seen(
+    rows: "arb_mat", transition: "arb_mat", denominator: "arb_poly", column: "arb_mat"
+) -> "list[arb_poly]":
+    """C adj(z - F) v, a polynomial for each row of C: what a state v does to z^k."""
     # It is the part without negative powers of D(z) (h_1/z + h_2/z^2 + ...).
-    falling = [
-        sum((denominator[order - i] * responses[k - i] for i in range(k + 1)), flint.arb(0))
-        for k in range(order)
+    order, terms = transition.nrows(), []
+    for _ in range(order):
+        terms.append((rows * column).entries())
+        column = transition * column
+    return [
+        (denominator * flint.arb_poly(list(response))).right_shift(order)
+        for response in zip(*terms[::-1], strict=True)
     ]
-    return falling[::-1]
-
-
-def held(below: list[Ball], time: Ball) -> Matrix:
-    """Return exp of [[A, B], [0, 0]] times a time (Van Loan 1978)."""
-    return (generator(below) * time).exp()
-
-
-def generator(below: list[Ball]) -> Matrix:
-    """Return [[A, B], [0, 0]], A the companion matrix, B the last unit vector."""
-    order = len(below) - 1
-    rows: list[list[Any]] = [[0] * (order + 1) for _ in range(order + 1)]
-    for row in range(order):
-        rows[row][row + 1] = 1  # beyond the states: the force
-    rows[order - 1][:order] = [-value for value in below[:order]]
-    return _matrix(rows)
-
-
-def without_force(matrix: Matrix) -> Matrix:
-    """The transition of the states, from the result of ``held``."""
-    return _matrix([row[:-1] for row in matrix.tolist()[:-1]])
-
-
-def force_of(matrix: Matrix) -> Matrix:
-    """The effect of a force on the states, from the result of ``held``."""
-    return _matrix([row[-1:] for row in matrix.tolist()[:-1]])
-
-
-def _matrix(rows: list[list[Any]]) -> Any:
-    return flint.arb_mat(rows)
 
 
 def _binary_digits(ball: Ball) -> int:
-    """Return the exponent of a power of two that is at most twice or half as large."""
+    """The exponent of a power of two that is at most twice or half as large."""
     mantissa, exponent = abs(ball).mid().man_exp()
     return int(exponent) + int(abs(mantissa)).bit_length() - 1
 
@@ -233,25 +177,19 @@ def _binary_digits(ball: Ball) -> int:
 
 @remembered(256)
 def late_cosines(device: Device, sample_time: float, delay: float, jitter: float) -> list["arb"]:
-    """Return q of Q = q_0 + 2 q_1 cos(theta) + 2 q_2 cos(2 theta) + ..., in SI units.
+    """The q of Q = q_0 + 2 q_1 cos(theta) + 2 q_2 cos(2 theta) + ..., in SI units.
 
     L is the delay, ``jitter`` is J in samples.
     """
-    given = in_samples(device.compliance(), sample_time)
-    above, below, speed = in_fastest_time(*given)
-    order = len(below) - 1
-    transition, whole = _after(below, speed)
-    gramian = whole * floor(jitter)
+    sample = one_sample(device, sample_time)
+    order = len(sample.above)
+    gramian = _after(sample, exact(1.0))[1] * floor(jitter)
     for start, end in _windows(delay % 1.0, jitter % 1.0):
-        onward, _ = _after(below, (1 - end) * speed)
-        _, window = _after(below, (end - start) * speed)
+        onward, window = _after(sample, 1 - end)[0], _after(sample, end - start)[1]
         gramian += onward * window * onward.transpose()
-    weights = (gramian * (speed * flint.arb(exact(jitter)))).tolist()
-    denominator = transition.charpoly()
-    units = [[int(i == j) for i in range(order)] for j in range(order)]
-    columns = [flint.arb_mat([unit]).transpose() for unit in units]
+    weights = (gramian * flint.arb(exact(jitter))).tolist()
     rows = [
-        flint.arb_poly(position_after(above, transition, denominator, column)) for column in columns
+        sample.moved(flint.arb_mat([[int(i == j)] for i in range(order)])) for j in range(order)
     ]
     zero = flint.arb_poly([])
     total = zero
@@ -269,22 +207,19 @@ def _windows(start: float, length: float) -> list[tuple["fmpq", "fmpq"]]:
     return [piece for piece in pieces if piece[0] < piece[1]]
 
 
-def _after(below: list[Ball], time: "arb") -> "tuple[Matrix, Matrix]":
-    """Return F, and the Gramian, over a time: the integral of exp(A t) B B' exp(A' t) (Van Loan).
+def _after(sample: OneSample, time: "fmpq") -> "tuple[arb_mat, arb_mat]":
+    """F, and the Gramian, over a time: the integral of exp(A t) B B' exp(A' t) (Van Loan).
 
     They are formed over a time in which the device's numbers are of size 1, then doubled.
     """
-    order, doublings = len(below) - 1, max(0, ceil(log2(float(time)))) if time > 0 else 0
-    rows = [[flint.arb(0)] * (2 * order) for _ in range(2 * order)]
-    for row in range(order - 1):
-        rows[row][row + 1], rows[order + row + 1][order + row] = flint.arb(-1), flint.arb(1)
-    for column in range(order):
-        rows[order - 1][column] = below[column]
-        rows[order + column][2 * order - 1] = -below[column]
-    rows[order - 1][2 * order - 1] = flint.arb(1)
-    blocks = (flint.arb_mat(rows) * (flint.arb(time) / flint.arb(2) ** doublings)).exp().tolist()
-    turned = flint.arb_mat([row[order:] for row in blocks[order:]])
-    transition = turned.transpose()
+    doublings = max(0, sample.speed + ceil(log2(float(flint.arb(time))))) if time > 0 else 0
+    a, push = states_and_force(sample.generator)
+    order = a.nrows()
+    pairs = zip((-a).tolist(), (push * push.transpose()).tolist(), strict=True)
+    below = [[0] * order + row for row in a.transpose().tolist()]
+    short = flint.arb(time) / flint.arb(2) ** doublings
+    blocks = (flint.arb_mat([*(x + y for x, y in pairs), *below]) * short).exp().tolist()
+    transition = flint.arb_mat([row[order:] for row in blocks[order:]]).transpose()
     gramian = transition * flint.arb_mat([row[order:] for row in blocks[:order]])
     for _ in range(doublings):
         gramian = gramian + transition * gramian * transition.transpose()
