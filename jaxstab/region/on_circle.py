@@ -10,7 +10,7 @@ and V as numbers that a compiled program takes, and ``circle_equations`` the two
 root on the circle. Nothing here is a bound: searches and derivatives start from it.
 """
 
-from functools import partial
+from collections.abc import Iterable
 from math import pi
 from typing import NamedTuple
 
@@ -20,7 +20,6 @@ from jaxtyping import Float64
 from jaxstab.arrays import PI_REST, Array, Numbers, namespace, repeat
 from jaxstab.model.filters import Filters
 from jaxstab.model.plant import PlantCoefficients
-from jaxstab.region.closed_form import SliceCoefficients
 
 OverSine = tuple[Array, Array]
 
@@ -137,8 +136,7 @@ def motion(gamma: Array, delta: Array, time: Array) -> Motion:
     The smallest terms are added first.
     """
     xp = namespace(gamma, delta, time)
-    doublings = _doublings(gamma, delta) if xp is np else _DOUBLINGS
-    short = time * 2.0**-doublings
+    short = time * 2.0**-_DOUBLINGS
     terms = [xp.zeros_like(short), 0.5 * short**2]  # of the position, from the first power on
     for k in range(2, _TERMS):
         following = delta * short * terms[-1] + gamma * short**2 * terms[-2] / k
@@ -153,18 +151,7 @@ def motion(gamma: Array, delta: Array, time: Array) -> Motion:
         return Motion(2 * p - gamma * p**2 + v**2, 2 * v - delta * v**2 - 2 * gamma * p * v)
 
     start = Motion(position, moment / xp.where(short == 0.0, 1.0, short))
-    if xp is not np:
-        return repeat(_DOUBLINGS, doubled, start)
-    moved = start
-    for count in range(int(np.max(doublings, initial=0.0))):
-        moved = Motion(*map(partial(np.where, count < doublings), doubled(moved), moved))
-    return moved
-
-
-def _doublings(gamma: Array, delta: Array) -> Array:
-    """The doublings of the time in which a plant moves by no more than about 1/4."""
-    rates = 4.0 * (np.sqrt(np.abs(gamma)) + np.abs(delta))
-    return np.ceil(np.log2(np.fmax(np.fmin(rates, 2.0**_DOUBLINGS), 1.0)))  # whatever is NaN
+    return repeat(_DOUBLINGS, doubled, start)
 
 
 def quick_plant(gamma: Array, delta: Array, delay: Array) -> PlantCoefficients:
@@ -183,48 +170,35 @@ def quick_plant(gamma: Array, delta: Array, delay: Array) -> PlantCoefficients:
     return PlantCoefficients(d1, d0, n2, n1, n0, total, n2 - n1 + n0, gamma * total)
 
 
-def quick_slice(gamma: Array, delta: Array, delay: Array) -> SliceCoefficients:
-    """The slice for radius 1 in plain float64: quick to compile and to differentiate.
-
-    Absolute errors are about 1e-14; ``slice_coefficients`` is accurate relative to each value.
-    """
-    xp = namespace(gamma, delta, delay)
-    plant = quick_plant(gamma, delta, delay)
-    ones = xp.ones_like(plant.d0)
-    return SliceCoefficients(
-        radius=ones,
-        turns=xp.floor(delay) + 1.0,
-        gain=ones,
-        ratio=gamma,
-        kappa=1.0 + plant.d0,
-        eps=-xp.expm1(-delta),
-        sigma=plant.n2 + plant.n0,
-        nu=plant.n2 - plant.n0,
-        den_plus=plant.den_at_one,
-        den_minus=1.0 - plant.d1 + plant.d0,
-        num_plus=plant.sum,
-        num_minus=plant.difference,
-    )
-
-
 def circle_equations(
-    c: SliceCoefficients, alpha: Numbers, beta: Numbers, theta: Array, responses: Responses
+    hand: Iterable[Array],
+    alpha: Numbers,
+    beta: Numbers,
+    theta: Array,
+    responses: Responses,
+    plant: PlantCoefficients | None = None,
 ) -> tuple[Array, Array]:
-    """Return Re g and Im g / sin(theta); differentiable, and smooth in theta at 0 and pi."""
+    """Return Re g and Im g / sin(theta); differentiable, and smooth in theta at 0 and pi.
+
+    ``hand`` is gamma, delta and the delay, of a plant that is quick to compile if none is given.
+    """
+    gamma, delta, delay = hand
+    c = quick_plant(gamma, delta, delay) if plant is None else plant
     xp = namespace(c, alpha, beta, theta)
     upper = theta > pi / 2
     folded = xp.where(upper, (pi - theta) + PI_REST, theta)
     square = xp.sin(folded) ** 2
-    cosine_m, ratio_m = turns_over_sine(c.turns, theta)
+    cosine_m, ratio_m = turns_over_sine(xp.floor(delay) + 1.0, theta)
     near, far = 2.0 * xp.sin(0.5 * folded) ** 2, 2.0 * xp.cos(0.5 * folded) ** 2
     h, mirror_h = xp.where(upper, far, near), xp.where(upper, near, far)  # 1 -+ cos(theta)
-    d = xp.where(upper, c.kappa * mirror_h - c.den_minus, c.den_plus - c.kappa * h)
-    q = xp.where(upper, c.sigma * mirror_h - c.num_minus, c.num_plus - c.sigma * h)
+    kappa, eps, sigma, nu = 1.0 + c.d0, -xp.expm1(-delta), c.n2 + c.n0, c.n2 - c.n0
+    d = xp.where(upper, kappa * mirror_h - (1.0 - c.d1 + c.d0), c.den_at_one - kappa * h)
+    q = xp.where(upper, sigma * mirror_h - c.difference, c.sum - sigma * h)
     position, velocity = responses.over_sine(theta)
     wall, wall_turned = (alpha * p + beta * v for p, v in zip(position, velocity, strict=True))
     # (N/z) H = push + i sin(theta) turned
-    push = q * wall - c.nu * wall_turned * square
-    turned = q * wall_turned + c.nu * wall
+    push = q * wall - nu * wall_turned * square
+    turned = q * wall_turned + nu * wall
     real = d + cosine_m * push + ratio_m * square * turned
-    imaginary = c.eps + cosine_m * turned - ratio_m * push
+    imaginary = eps + cosine_m * turned - ratio_m * push
     return real, imaginary
