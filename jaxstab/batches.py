@@ -128,18 +128,11 @@ def on_few_sizes(function: Callable[..., Result], *arguments: Any) -> Result:
     return filled(*arguments) if count < 2 else in_pieces(filled, arguments, count)
 
 
-def in_pieces(
-    function: Callable[..., Result],
-    arguments: tuple[Any, ...],
-    count: int,
-    *,
-    is_parallel: bool = False,
-) -> Result:
+def in_pieces(function: Callable[..., Result], arguments: tuple[Any, ...], count: int) -> Result:
     """Call a function of points, NumPy in and out, on ``count`` pieces of their grid.
 
     The grid is cut across its longest axis, and each answer is copied into arrays for the whole
-    grid. The cores of the CPU share the pieces; if the function itself uses all cores
-    (``is_parallel``), the pieces are computed one after another, and the cores share the copying.
+    grid. The cores of the CPU share the pieces.
     """
     shape = np.broadcast_shapes(*map(np.shape, leaves(arguments)))
     count = max(1, min(count, max(shape) // 2))
@@ -163,26 +156,10 @@ def in_pieces(
         with is_first:
             if not wholes:
                 wholes.append(tree_map(whole, answer))
-        own = tree_map(lambda leaf: leaf[index if has_axis(leaf) else ...], wholes[0])
-        shares = _cores() if is_parallel else 1
+        for target, leaf in zip(leaves(wholes[0]), leaves(answer), strict=True):
+            target[index if has_axis(target) else ...] = leaf
 
-        def write(share: int) -> None:
-            for pair in zip(leaves(own), leaves(answer), strict=True):
-                target, leaf = map(np.atleast_1d, pair)
-                rows = slice(len(leaf) * share // shares, len(leaf) * (share + 1) // shares)
-                target[rows] = leaf[rows]
-
-        if is_parallel:
-            on_cores(write, range(shares))
-        else:
-            write(0)
-
-    pieces = list(pairwise(ends))
-    if is_parallel:
-        for piece in pieces:
-            of_piece(piece)
-    else:
-        on_cores(of_piece, pieces)
+    on_cores(of_piece, list(pairwise(ends)))
     result: Result = wholes[0]
     return result
 

@@ -28,7 +28,6 @@ from jaxstab.arrays import (
     reciprocal,
     take,
     tree_map,
-    true_indices,
     with_values,
 )
 from jaxstab.batches import compiled, filled_up, in_pieces, is_on_cpu, lists, over_tiles
@@ -458,7 +457,7 @@ def fast_radius(
             value, error = (namespace(column).broadcast_to(column, shape) for column in answer)
         else:
             value, error = _on_grid(loop, parameters, shape, delay, first)
-        still_open = true_indices(~(error <= TOLERANCE))
+        still_open = np.flatnonzero(~np.asarray(error <= TOLERANCE))
     for effort in others:
         if not still_open.size:
             break
@@ -479,18 +478,14 @@ def _shared_loop(parameters: list[Array], delay: float) -> Loop | None:
 def _on_grid(
     loop: Loop | None, parameters: list[Array], shape: tuple[int, ...], delay: float, effort: Effort
 ) -> Answer:
-    large_block = 2**20  # the same for all cores together
     longest_shared = 8.0  # delay; beyond, guesses are little of the work
     shared = _steady_axis(parameters, shape) if delay <= longest_shared else None
-    # XLA divides a program without loops among the cores by itself.
-    is_parallel = polynomial_degree(delay) <= HIGHEST_COUNTED
 
     def of_piece(*piece: Any) -> Answer:
         own = Loop(*piece) if loop else loop_of(list(piece), delay)
         return _tried(own, delay, effort, shared)
 
-    count = ceil(prod(shape) / (large_block if is_parallel else _BLOCK))
-    return in_pieces(of_piece, tuple(loop or parameters), count, is_parallel=is_parallel)
+    return in_pieces(of_piece, tuple(loop or parameters), ceil(prod(shape) / _BLOCK))
 
 
 def _try_list(
