@@ -304,22 +304,15 @@ def over_rows(
 
 
 def lists(
-    indices: Int64[np.ndarray, " point"],
-    longest: int,
-    shortest: int | None = None,
-    fewest: int = 0,
+    indices: Int64[np.ndarray, " point"], longest: int, shortest: int | None = None
 ) -> Iterator[tuple[Int64[np.ndarray, " block"], Int64[np.ndarray, " list"]]]:
     """Cut a list of points into blocks, and repeat points to fill each to a length compiled before.
 
     The lengths are ``longest`` / 8^k down to ``shortest`` (by default ``longest``): a few points do
-    not pay for many. Blocks of less than ``fewest`` points, which NumPy computes, are not padded.
-    Yields each block and the padded list to compute, which begins with the block.
+    not pay for many. Yields each block and the padded list to compute, which begins with the block.
     """
     for start in range(0, indices.size, longest):
         block = indices[start : start + longest]
-        if block.size < fewest:
-            yield block, block
-            continue
         length = longest
         while length // 8 >= max(block.size, longest if shortest is None else shortest):
             length //= 8

@@ -41,7 +41,7 @@ from jaxstab.model import (
 from jaxstab.model.filters import Filters, as_keywords, known_filters
 from jaxstab.numbers import checked, checked_number, require_x64
 from jaxstab.point.fields import UNKNOWN, poles_outside
-from jaxstab.region.on_circle import Responses, circle_equations
+from jaxstab.region.closed_form import Responses, circle_equations
 from jaxstab.region.pieces import Branch
 from jaxstab.rounding import UNIT
 

@@ -16,7 +16,7 @@ from jaxtyping import Float64
 
 from jaxstab.arrays import is_traced, solved
 from jaxstab.model.filters import Filters
-from jaxstab.region.on_circle import Responses, circle_equations
+from jaxstab.region.closed_form import Responses, circle_equations
 
 Search = Callable[..., Float64[np.ndarray, "wall column"]]
 

@@ -45,7 +45,7 @@ from jaxstab.model.filters import given_filters
 from jaxstab.point import closed_loop_poles
 from jaxstab.region import RegionStatus, measures
 from jaxstab.region.batch import Triples, components, cross
-from jaxstab.region.on_circle import Responses, circle_equations
+from jaxstab.region.closed_form import Responses, circle_equations
 from jaxstab.region.outline import vertex_roots
 
 Answer = TypeVar("Answer")
