@@ -262,8 +262,9 @@ def over_tiles(kernel: Callable[..., Result], arguments: Any, tile: int = TILE) 
     if size <= tile or not is_on_cpu():
         return kernel(*arguments)
     shared = [xp.reshape(leaf, ()) if leaf.size == 1 else None for leaf in leaves_of]
+    count = -(-size // tile)
     tiles = [
-        xp.resize(xp.broadcast_to(leaf, shape).ravel(), (-(-size // tile), tile))
+        xp.resize(xp.broadcast_to(leaf, shape).ravel(), (count, -(-size // count)))
         for leaf in leaves_of
         if leaf.size > 1
     ]
@@ -274,33 +275,6 @@ def over_tiles(kernel: Callable[..., Result], arguments: Any, tile: int = TILE) 
         return kernel(*jax.tree.unflatten(structure, mixed))
 
     return tree_map(lambda row: row.ravel()[:size].reshape(shape), jax.lax.map(of_tile, tiles))
-
-
-def over_rows(
-    kernel: Callable[..., Result], loops: Any, alpha: Array, *others: Array, width: int
-) -> Result:
-    """Evaluate an elementwise kernel on a grid (loop, alpha, width), a few rows at a time.
-
-    Like ``over_tiles``, but values shared by a row or a loop are not copied for each point. Arrays
-    of ``loops`` have the shape (loop, 1, 1) or (), ``alpha`` (alpha, 1), ``others`` the grid's.
-    """
-    xp = namespace(loops, alpha)
-    if xp is np or not is_on_cpu():
-        return kernel(loops, alpha, *others)
-    from jax import lax
-
-    count = -(-len(alpha) // max(1, TILE // width))
-    rows = -(-len(alpha) // count)
-
-    def of_loop(arguments: tuple[Any, ...]) -> Result:
-        loop, *own = arguments
-        tiles = [xp.resize(array, (count, rows, array.shape[-1])) for array in (alpha, *own)]
-        answer = lax.map(lambda arrays: kernel(loop, *arrays), tiles)
-        return tree_map(lambda row: row.reshape(-1, width)[: len(alpha)], answer)
-
-    shape = xp.broadcast_shapes((1, 1, 1), *map(xp.shape, leaves(loops)))
-    loops = tree_map(lambda leaf: xp.broadcast_to(leaf, shape), loops)
-    return lax.map(of_loop, (loops, *others))
 
 
 def lists(
