@@ -327,17 +327,6 @@ def with_values(array: Array, indices: np.ndarray, values: Array) -> Array:
     return array
 
 
-def true_indices(mask: Array) -> np.ndarray:
-    """Return the flat indices of true entries in NumPy; those of a JAX array come from its device.
-
-    JAX compiles for each length of the result, so it is filled up to a power of 2.
-    """
-    if not is_jax(mask):
-        return np.flatnonzero(mask)
-    xp, count = namespace(mask), int(mask.sum())
-    return np.asarray(xp.flatnonzero(mask, size=1 << count.bit_length()))[:count]
-
-
 def solved(matrix: Array, values: Array) -> Array:
     """Return x of a small system matrix x = values (row, column) in JAX, by elimination.
 

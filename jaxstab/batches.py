@@ -128,18 +128,11 @@ def on_few_sizes(function: Callable[..., Result], *arguments: Any) -> Result:
     return filled(*arguments) if count < 2 else in_pieces(filled, arguments, count)
 
 
-def in_pieces(
-    function: Callable[..., Result],
-    arguments: tuple[Any, ...],
-    count: int,
-    *,
-    is_parallel: bool = False,
-) -> Result:
+def in_pieces(function: Callable[..., Result], arguments: tuple[Any, ...], count: int) -> Result:
     """Call a function of points, NumPy in and out, on ``count`` pieces of their grid.
 
     The grid is cut across its longest axis, and each answer is copied into arrays for the whole
-    grid. The cores of the CPU share the pieces; if the function itself uses all cores
-    (``is_parallel``), the pieces are computed one after another, and the cores share the copying.
+    grid. The cores of the CPU share the pieces.
     """
     shape = np.broadcast_shapes(*map(np.shape, leaves(arguments)))
     count = max(1, min(count, max(shape) // 2))
@@ -163,26 +156,10 @@ def in_pieces(
         with is_first:
             if not wholes:
                 wholes.append(tree_map(whole, answer))
-        own = tree_map(lambda leaf: leaf[index if has_axis(leaf) else ...], wholes[0])
-        shares = _cores() if is_parallel else 1
+        for target, leaf in zip(leaves(wholes[0]), leaves(answer), strict=True):
+            target[index if has_axis(target) else ...] = leaf
 
-        def write(share: int) -> None:
-            for pair in zip(leaves(own), leaves(answer), strict=True):
-                target, leaf = map(np.atleast_1d, pair)
-                rows = slice(len(leaf) * share // shares, len(leaf) * (share + 1) // shares)
-                target[rows] = leaf[rows]
-
-        if is_parallel:
-            on_cores(write, range(shares))
-        else:
-            write(0)
-
-    pieces = list(pairwise(ends))
-    if is_parallel:
-        for piece in pieces:
-            of_piece(piece)
-    else:
-        on_cores(of_piece, pieces)
+    on_cores(of_piece, list(pairwise(ends)))
     result: Result = wholes[0]
     return result
 
@@ -285,8 +262,9 @@ def over_tiles(kernel: Callable[..., Result], arguments: Any, tile: int = TILE) 
     if size <= tile or not is_on_cpu():
         return kernel(*arguments)
     shared = [xp.reshape(leaf, ()) if leaf.size == 1 else None for leaf in leaves_of]
+    count = -(-size // tile)
     tiles = [
-        xp.resize(xp.broadcast_to(leaf, shape).ravel(), (-(-size // tile), tile))
+        xp.resize(xp.broadcast_to(leaf, shape).ravel(), (count, -(-size // count)))
         for leaf in leaves_of
         if leaf.size > 1
     ]
@@ -299,50 +277,16 @@ def over_tiles(kernel: Callable[..., Result], arguments: Any, tile: int = TILE) 
     return tree_map(lambda row: row.ravel()[:size].reshape(shape), jax.lax.map(of_tile, tiles))
 
 
-def over_rows(
-    kernel: Callable[..., Result], loops: Any, alpha: Array, *others: Array, width: int
-) -> Result:
-    """Evaluate an elementwise kernel on a grid (loop, alpha, width), a few rows at a time.
-
-    Like ``over_tiles``, but values shared by a row or a loop are not copied for each point. Arrays
-    of ``loops`` have the shape (loop, 1, 1) or (), ``alpha`` (alpha, 1), ``others`` the grid's.
-    """
-    xp = namespace(loops, alpha)
-    if xp is np or not is_on_cpu():
-        return kernel(loops, alpha, *others)
-    from jax import lax
-
-    count = -(-len(alpha) // max(1, TILE // width))
-    rows = -(-len(alpha) // count)
-
-    def of_loop(arguments: tuple[Any, ...]) -> Result:
-        loop, *own = arguments
-        tiles = [xp.resize(array, (count, rows, array.shape[-1])) for array in (alpha, *own)]
-        answer = lax.map(lambda arrays: kernel(loop, *arrays), tiles)
-        return tree_map(lambda row: row.reshape(-1, width)[: len(alpha)], answer)
-
-    shape = xp.broadcast_shapes((1, 1, 1), *map(xp.shape, leaves(loops)))
-    loops = tree_map(lambda leaf: xp.broadcast_to(leaf, shape), loops)
-    return lax.map(of_loop, (loops, *others))
-
-
 def lists(
-    indices: Int64[np.ndarray, " point"],
-    longest: int,
-    shortest: int | None = None,
-    fewest: int = 0,
+    indices: Int64[np.ndarray, " point"], longest: int, shortest: int | None = None
 ) -> Iterator[tuple[Int64[np.ndarray, " block"], Int64[np.ndarray, " list"]]]:
     """Cut a list of points into blocks, and repeat points to fill each to a length compiled before.
 
     The lengths are ``longest`` / 8^k down to ``shortest`` (by default ``longest``): a few points do
-    not pay for many. Blocks of less than ``fewest`` points, which NumPy computes, are not padded.
-    Yields each block and the padded list to compute, which begins with the block.
+    not pay for many. Yields each block and the padded list to compute, which begins with the block.
     """
     for start in range(0, indices.size, longest):
         block = indices[start : start + longest]
-        if block.size < fewest:
-            yield block, block
-            continue
         length = longest
         while length // 8 >= max(block.size, longest if shortest is None else shortest):
             length //= 8

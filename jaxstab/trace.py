@@ -18,7 +18,7 @@ on a boundary, as those of a hand without stiffness at alpha = 0, have one, too.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from math import ceil, inf, pi, prod, sqrt
 from typing import Any, NamedTuple, overload
 
@@ -27,20 +27,21 @@ from contourpy import contour_generator
 from jaxtyping import Bool, Complex128, Float64, Int8, Int64
 
 from jaxstab.arrays import Array, Numbers, is_traced, namespace
-from jaxstab.batches import lists
+from jaxstab.batches import in_float64, lists
 from jaxstab.conventions import AXES, Status
 from jaxstab.model import (
     Filter,
     LoopParameters,
+    PlantCoefficients,
     Velocity,
     by_name,
     characteristic_polynomial,
+    plant_coefficients,
 )
 from jaxstab.model.filters import Filters, as_keywords, known_filters
 from jaxstab.numbers import checked, checked_number, require_x64
 from jaxstab.point.fields import UNKNOWN, poles_outside
-from jaxstab.region.closed_form import SliceCoefficients, slice_coefficients
-from jaxstab.region.on_circle import Responses, circle_equations, quick_slice
+from jaxstab.region.closed_form import Responses, circle_equations
 from jaxstab.region.pieces import Branch
 from jaxstab.rounding import UNIT
 
@@ -122,7 +123,7 @@ def monomials(plane: tuple[str, str], window: Window, fixed: Mapping[str, Number
 
 
 def _table(plane: tuple[str, str]) -> dict[str, dict[str, int]]:
-    return DIMENSIONLESS if set(plane) <= set(DIMENSIONLESS) else PHYSICAL
+    return PHYSICAL if DIMENSIONLESS.keys().isdisjoint(plane) else DIMENSIONLESS
 
 
 def loop_quantities(loop: LoopParameters) -> dict[str, float]:
@@ -174,8 +175,7 @@ def _filters_of(
 def _check_names(plane: tuple[str, str], fixed: Mapping[str, Numbers]) -> None:
     names = [*plane, *fixed]
     table = _table(plane)
-    unknown = [name for name in names if name not in DIMENSIONLESS and name not in PHYSICAL]
-    unknown += [name for name in names if name not in table]
+    unknown = [name for name in names if name not in table]
     if unknown:
         raise ValueError(
             f"{unknown[0]!r} is not a quantity of this plane; choose all names from "
@@ -341,13 +341,18 @@ _BEYOND = 0.01  # of an edge: how far the larger circle may move a bracket
 
 
 def _values(
-    c: SliceCoefficients, gains: tuple[Array, Array], turn: Array, branch: Array, filters: Responses
+    parameters: Array,
+    turn: Array,
+    branch: Array,
+    filters: Responses,
+    plant: PlantCoefficients | None = None,
 ) -> Array:
-    """Return the two equations of a branch at gains and theta / pi: (2, ...)."""
-    xp = namespace(c, gains)
+    """Return the two equations of a branch, of the five parameters and theta / pi: (2, ...)."""
+    alpha, beta, *hand = parameters
+    xp = namespace(alpha)
     is_pair, end = branch == Branch.CURVE, 1.0 * (branch == Branch.Z_MINUS_ONE)
     theta = pi * xp.where(is_pair, turn, end)
-    real, imaginary = circle_equations(c, *gains, theta, filters)
+    real, imaginary = circle_equations(hand, alpha, beta, theta, filters, plant)
     return xp.stack([real, xp.where(is_pair, imaginary, turn - end)])
 
 
@@ -369,8 +374,8 @@ def _corrector() -> Callable[..., tuple[Array, Array, Array]]:
         def residual(u: Array, _: None) -> tuple[Array, Array]:
             here = jax.lax.stop_gradient(u)
             share, turn = (here + shift).T
-            alpha, beta, *plant = maps.parameters(ends[0] + share[:, None] * (ends[1] - ends[0]))
-            value = _values(quick_slice(*plant), (alpha, beta), turn, branch, filters)
+            here_and_beside = ends[0] + share[:, None] * (ends[1] - ends[0])
+            value = _values(maps.parameters(here_and_beside), turn, branch, filters)
             rows = (value[:, 1:] - value[:, :1]) / difference
             # The derivatives are at hand: solved for, the equations have those of u itself.
             return (u - here) + jnp.stack(_solution(rows, value[:, 0])), rows
@@ -388,14 +393,7 @@ def _corrector() -> Callable[..., tuple[Array, Array, Array]]:
 
     # What is not of each lane is of the plane.
     of_lane: Any = 0, 0, 0, Monomials(1, None, None, None), None
-    program = jax.jit(jax.vmap(correct, in_axes=of_lane))
-
-    def in_float64(*arguments: Any) -> tuple[Array, Array, Array]:
-        with jax.enable_x64(True):
-            answer: tuple[Array, Array, Array] = jax.device_get(program(*arguments))
-        return answer
-
-    return in_float64
+    return partial(in_float64, jax.jit(jax.vmap(correct, in_axes=of_lane)))
 
 
 def _solution(rows: Array, value: Array) -> tuple[Array, Array]:
@@ -423,10 +421,10 @@ def solved(
     is_solved &= np.abs(u[:, 1] - 0.5) <= 0.5 + _CONVERGED
     u = np.where(is_solved[:, None], u, start)
     for _ in range(3):  # with plants of full accuracy; the last step is less than rounding
-        alpha, beta, *plant = maps.parameters(edges.at(u[:, 0]))
-        gamma, delta, delay = (np.maximum(value, 0.0) for value in plant)
-        c = slice_coefficients(gamma, delta, delay, np.ones(len(u)))
-        value = _values(c, (alpha, beta), u[:, 1], edges.branch, responses)
+        parameters = maps.parameters(edges.at(u[:, 0]))
+        parameters[2:] = np.maximum(parameters[2:], 0.0)
+        plant = plant_coefficients(**dict(zip(AXES[2:], parameters[2:], strict=True)))
+        value = _values(parameters, u[:, 1], edges.branch, responses, plant)
         step = np.stack(_solution(np.moveaxis(rows, 0, -1), value), axis=1)
         u = np.where(is_solved[:, None], u - step, u)
     return u, np.linalg.norm(value, axis=0), is_solved

@@ -17,8 +17,8 @@ from jaxstab.exact.boundary import ScaledLoop
 from jaxstab.model import LoopParameters, by_name
 from jaxstab.paper import minus_line, plus_line
 from jaxstab.region import boundary_curve
+from jaxstab.region.closed_form import quick_plant
 from jaxstab.region.curve import Curve, bracketed_root, curve_gains, curve_of, gains_and_slopes
-from jaxstab.region.on_circle import quick_plant
 
 ACCURACY = 1e-13
 ROUNDING = 2.0**-52

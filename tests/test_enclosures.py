@@ -14,8 +14,7 @@ import pytest
 
 from jaxstab import Filter, Velocity
 from jaxstab.boxes.box import ParameterBoxes
-from jaxstab.boxes.enclosures import LinearModel, phasor, sinc, sine, variable
-from jaxstab.boxes.filters import quotients
+from jaxstab.boxes.enclosures import LinearModel, phasor, quotients, sinc, sine, variable
 from jaxstab.boxes.plant import (
     Arms,
     DeviceBoxes,

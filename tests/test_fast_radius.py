@@ -19,7 +19,6 @@ from jaxstab.model import by_name
 from jaxstab.point import dominance as dominance
 from jaxstab.point import dominance as fast_radius
 from jaxstab.point import radius as door
-from jaxstab.point import traced_radius as cubic
 from jaxstab.point import traced_radius as power_iteration
 from jaxstab.point.dominance import Loop
 from jaxstab.point.poles import Complex
@@ -293,19 +292,6 @@ class TestPowerIteration:
         power = np.concatenate(compute([jnp.asarray([value]) for value in coefficients], 3))
         at_roots = np.abs(np.polyval(power[::-1], roots))
         assert np.max(at_roots[2:]) < 1e-11 * at_roots[0]
-
-
-class TestCubic:
-    def test_the_largest_root_is_found_to_eight_digits(self, rng: np.random.Generator) -> None:
-        """Built from its roots: a real one, and a pair or two real ones."""
-        real, re, im = rng.uniform(-2.0, 2.0, (3, 500))
-        im[::3] = 0.0
-        other = np.where(im == 0.0, rng.uniform(-2.0, 2.0, 500), re)
-        total, product = re + other, np.where(im == 0.0, re * other, re * re + im * im)
-        a, b, c = -(real + total), product + real * total, -real * product
-        found = np.hypot(*cubic.largest_root(*map(jnp.asarray, (a, b, c))))
-        moduli = np.abs([real, re + 1j * im, other + 1j * im])
-        np.testing.assert_allclose(found, moduli.max(axis=0), rtol=1e-6)
 
 
 class TestDominantRoot:

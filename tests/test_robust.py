@@ -269,7 +269,7 @@ def test_a_wall_that_few_hands_make_unstable_is_not_proved(axis: str, end: str) 
             ranges = {name: (x, x) for name, x in zip(names, drawn[2:, k[n]], strict=True)}
             ranges[axis] = tuple(sorted([far[n], inner[n] + beyond * (inner[n] - far[n])]))
             fixed = (1.0, 1.0), (float(delay[k[n]]),) * 2
-            hands, wall = HandRange(**ranges), tuple(drawn[:2, k[n]].tolist())
+            hands, wall = HandRange(**ranges), drawn[None, :2, k[n]]
             left = unproved_members(loop.held_device, loop, hands, *fixed, wall)
             assert (not len(left)) == is_proved
             values = left[:, names.index(axis)]  # within the range

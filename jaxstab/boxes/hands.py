@@ -21,6 +21,8 @@ from jaxstab.model import Device, LoopParameters
 Members = Float64[np.ndarray, "member 5"]
 """Mass, stiffness and damping of hands; the device's mass in kg, and the delay in samples."""
 
+Walls = Float64[np.ndarray, "wall 2"]
+
 _SMALLEST = 2.0**-16  # of the ranges: boxes are not halved beyond
 _MOST = 40_000  # boxes at once
 
@@ -82,36 +84,36 @@ def unproved_members(
     hands: HandRange,
     mass: Range,
     delay: Range,
-    wall: tuple[float, float],
+    walls: Walls,
     jitter: float = 0.0,
-    until: tuple[float, float] | None = None,
+    until: Walls | None = None,
 ) -> Members:
     """Members of the ranges at which a root on the circle is not excluded; none is a proof.
 
     The delay in samples is constant within its range; with ``jitter`` it may exceed that by so many
-    samples, in each sample anew. With ``until`` of all walls between two. NotImplementedError: as
-    ``DeviceBoxes``.
+    samples, in each sample anew. Walls are (K, B); with ``until`` all between two are meant.
+    NotImplementedError: as ``DeviceBoxes``.
     """
     period = float(loop.sample_time)
-    units = period**2, period
+    units = np.array([period**2, period])
+    way_of = None if until is None else (until - walls) * units
 
     def extent(boxes: ParameterBoxes) -> Extent:
-        walls = [boxes.constant(gain * unit) for gain, unit in zip(wall, units, strict=True)]
-        if until:
-            way = boxes.along("edge")
-            moves = [(b - a) * unit for a, b, unit in zip(wall, until, units, strict=True)]
-            walls = [gain + way * boxes.constant(by) for gain, by in zip(walls, moves, strict=True)]
+        own = [boxes.constant(gains) for gains in (walls * units)[boxes.index].T]
+        if way_of is not None:
+            share, ways = boxes.along("edge"), map(boxes.constant, way_of[boxes.index].T)
+            own = [gain + share * way for gain, way in zip(own, ways, strict=True)]
         return Extent(
             boxes.quantity("mass", mass[0]),
             boxes.quantity("delay", delay[0]),
             arms_over(boxes, hands, period),
-            *walls,
+            *own,
         )
 
     ends: dict[str, Any] = dict(zip(HAND, vars(hands).values(), strict=True))
     ends |= {"mass": mass, "delay": delay}
-    edge: dict[str, Any] = {"edge": (0.0, 1.0)} if until else {}
+    edge: dict[str, Any] = {} if until is None else {"edge": (0.0, 1.0)}
     arm = hands.stiffness[1], hands.damping[0]
     boxes = DeviceBoxes(device, loop, mass, arm, extent, jitter=jitter)
-    left = paved(boxes.judged, 1, _SMALLEST, most=_MOST, **ends, **edge).boxes
+    left = paved(boxes.judged, len(walls), _SMALLEST, most=_MOST, **ends, **edge).boxes
     return np.stack([left.middles(name, *pair) for name, pair in ends.items()], axis=1)

@@ -28,15 +28,16 @@ from jaxstab.boxes.box import HAND, THETA, ParameterBoxes, Rows
 from jaxstab.boxes.enclosures import (
     LinearModel,
     Moving,
+    Quotient,
     clearances,
     conjugate,
     disc,
     on_axes_of,
     phasor,
+    quotients,
     sinc,
     sine,
 )
-from jaxstab.boxes.filters import Quotient, quotients
 from jaxstab.conventions import Range
 from jaxstab.model import Device, LoopParameters
 from jaxstab.model import Hand as Arm

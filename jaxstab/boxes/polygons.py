@@ -8,20 +8,17 @@ docs/proofs.md). The device is one mass: 1 kg, held by a spring gamma and a damp
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import sqrt
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
 from jaxstab.arrays import Numbers
-from jaxstab.boxes.box import ParameterBoxes
-from jaxstab.boxes.plant import Arms, DeviceBoxes, Extent
+from jaxstab.boxes.hands import HandRange, unproved_members
 from jaxstab.boxes.search import (
     NOTHING,
     Guess,
     Points,
     RobustStatus,
-    paved,
     search,
     verdicts_of_range,
 )
@@ -40,7 +37,6 @@ Hands = Float64[np.ndarray, "hands 2"]
 Rows = Float64[np.ndarray, " rows"]
 
 _ROWS = 129
-_SMALLEST = 2.0**-12  # of the ranges: boxes are not halved beyond
 
 
 @dataclass(frozen=True)
@@ -256,38 +252,17 @@ def pulled_in(outline: Points, tolerance: float) -> Points:
 def failures(
     outline: Points, gamma: Range, delta: Range, delay: float, *, filters: Filters | None
 ) -> Hands:
-    """Some hands at which walls on a closed polygon could not be proved; none is a proof.
-
-    The axes of the boxes are the way along an edge, from -1 to 1, gamma, delta and theta.
-    """
-    most_boxes = 60_000  # at once
-    following = np.roll(outline, -1, axis=0)
-    middle, half = 0.5 * (outline + following), 0.5 * (following - outline)
-    is_polygon = len(outline) > 1
-
-    def extent(boxes: ParameterBoxes) -> Extent:
-        walls = [boxes.constant(column) for column in middle[boxes.index].T]
-        if is_polygon:
-            way, moves = boxes.along("edge"), half[boxes.index].T
-            walls = [wall + way * move for wall, move in zip(walls, moves, strict=True)]
-        spring = boxes.quantity("hand_stiffness", gamma[0])
-        damper = boxes.quantity("hand_damping", delta[0])
-        arm = Arms(boxes.constant(0.0), spring, damper)
-        return Extent(boxes.constant(1.0), boxes.constant(delay), arm, *walls)
-
-    one = unit_loop(0.0, 0.0, delay, **as_keywords(filters))
-    ends: dict[str, Any] = {"hand_stiffness": gamma, "hand_damping": delta}
-    if is_polygon:
-        ends["edge"] = (-1.0, 1.0)
+    """Some hands at which walls on a closed polygon could not be proved; none is a proof."""
+    loop = unit_loop(0.0, 0.0, delay, **as_keywords(filters))
+    ranges = HandRange(stiffness=gamma, damping=delta), (1.0, 1.0), (delay, delay)
+    following = np.roll(outline, -1, axis=0) if len(outline) > 1 else None
     try:
-        boxes = DeviceBoxes(one.held_device, one, (1.0, 1.0), (gamma[1], delta[0]), extent)
+        members = unproved_members(loop.held_device, loop, *ranges, outline, until=following)
     except NotImplementedError:  # a hand so stiff that the plant has no bound at high frequencies
         return np.array([[gamma[0], delta[0]]])
-    left = paved(boxes.judged, len(outline), _SMALLEST, most=most_boxes, **ends).boxes
-    if not left.index.size:
+    if not len(members):
         return np.zeros((0, 2))
-    sides = left.middles("hand_stiffness", *gamma), left.middles("hand_damping", *delta)
-    hands = np.stack(sides, axis=1)
+    hands = members[:, 1:3]
     extremes: Hands = hands[[*np.argmin(hands, axis=0), *np.argmax(hands, axis=0)]]
     return np.unique(extremes, axis=0)
 

@@ -35,7 +35,7 @@ from jaxstab.model.filters import known_filters
 from jaxstab.model.loop import refuse_arrays
 from jaxstab.motion.moving_delays import Delays
 from jaxstab.numbers import checked_count, checked_number
-from jaxstab.region.on_circle import responses_at
+from jaxstab.region.closed_form import responses_at
 
 # Proof that every wall which a guard lets through is stable (lemma B20).
 #

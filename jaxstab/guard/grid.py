@@ -15,7 +15,7 @@ from jaxstab.boxes.hands import arms_over, spread_hands
 from jaxstab.boxes.plant import Arms, DeviceBoxes, Extent, FirstRow, HeldDevice
 from jaxstab.model import Device, LoopParameters
 from jaxstab.model.filters import NO_FILTERS, known_filters
-from jaxstab.region.on_circle import quick_plant, responses_at
+from jaxstab.region.closed_form import quick_plant, responses_at
 
 Ends = Float64[np.ndarray, "axis box"]  # in cells
 

@@ -226,7 +226,8 @@ class LoopsWithHands:
         device = with_parts(self.loop.held_device, None, Arms(0.0, 0.0, 0.0))
         ranges = self.hands, self._masses, self._delays
         try:
-            return unproved_members(device, self.loop, *ranges, wall, jitter, until)
+            ends = (np.array([wall]), jitter, until and np.array([until]))
+            return unproved_members(device, self.loop, *ranges, *ends)
         except NotImplementedError:
             return None
 

@@ -16,7 +16,7 @@ from jaxtyping import Float64
 
 from jaxstab.arrays import is_traced, solved
 from jaxstab.model.filters import Filters
-from jaxstab.region.on_circle import Responses, circle_equations, quick_slice
+from jaxstab.region.closed_form import Responses, circle_equations
 
 Search = Callable[..., Float64[np.ndarray, "wall column"]]
 
@@ -91,8 +91,7 @@ def _slopes(filters: Filters | None) -> Callable[..., Array]:
 
         def equations(crossing: Array, point: Array) -> Array:
             alpha, beta, *plant = point.at[axis].add(crossing[0])
-            c = quick_slice(*plant)
-            real, imaginary = circle_equations(c, alpha, beta, crossing[1], responses)
+            real, imaginary = circle_equations(plant, alpha, beta, crossing[1], responses)
             return jnp.stack([real, jnp.where(is_real, crossing[1] - start, imaginary)])
 
         bracketed = jnp.stack([step, start])

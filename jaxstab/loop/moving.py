@@ -45,7 +45,7 @@ from jaxstab.model.filters import given_filters
 from jaxstab.point import closed_loop_poles
 from jaxstab.region import RegionStatus, measures
 from jaxstab.region.batch import Triples, components, cross
-from jaxstab.region.on_circle import Responses, circle_equations, quick_slice
+from jaxstab.region.closed_form import Responses, circle_equations
 from jaxstab.region.outline import vertex_roots
 
 Answer = TypeVar("Answer")
@@ -343,8 +343,7 @@ def _settled(start: Array, angles: Array, values: Array) -> Array:
 
 def _values(numbers: _Numbers, wall: Array, angle: Array) -> Array:
     plant, responses = numbers
-    c = quick_slice(*plant)
-    return jnp.stack(circle_equations(c, wall[0], wall[1], angle, responses))
+    return jnp.stack(circle_equations(plant, wall[0], wall[1], angle, responses))
 
 
 def _equations(

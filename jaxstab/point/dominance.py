@@ -28,7 +28,6 @@ from jaxstab.arrays import (
     reciprocal,
     take,
     tree_map,
-    true_indices,
     with_values,
 )
 from jaxstab.batches import compiled, filled_up, in_pieces, is_on_cpu, lists, over_tiles
@@ -72,7 +71,7 @@ class Effort(NamedTuple):
     Each doubling halves the number of points where two roots of nearly one modulus are confused.
     """
 
-    doublings: int  # squarings of a power of z; 0: the closed form for degree 3
+    doublings: int  # squarings of a power of z
     corrections: int  # steps of Newton's method
     longest_list: int  # points at once
     steps: int = 0  # into which the delay is divided for the guess; 0: the samples
@@ -130,7 +129,7 @@ def dominant_root(loop: Loop, *, degree: int, effort: Effort, shared: int | None
     longest_unrolled = 4000  # about as many products; beyond, code was up to 100 times slower
     from jax import lax
 
-    from jaxstab.point.traced_radius import guessed_root, largest_root
+    from jaxstab.point.traced_radius import guessed_root
 
     of_guess = effort.steps + 2 if effort.steps else degree
     is_unrolled = effort.doublings * of_guess * (of_guess + 10) <= longest_unrolled
@@ -139,11 +138,8 @@ def dominant_root(loop: Loop, *, degree: int, effort: Effort, shared: int | None
     def root(loop: Loop) -> Array:
         if effort.steps:
             t = _in_long_steps(loop, degree, effort.steps, guessed)
-        elif effort.doublings:
-            t = Complex(*guessed(loop.coefficients(degree)))
         else:
-            c, b, a = loop.coefficients(degree)
-            t = Complex(*largest_root(a, b, c)).shifted(-1.0)
+            t = Complex(*guessed(loop.coefficients(degree)))
         return lax.complex(t.re, t.im)  # of two arrays XLA would compute each on its own
 
     if shared is not None:
@@ -461,7 +457,7 @@ def fast_radius(
             value, error = (namespace(column).broadcast_to(column, shape) for column in answer)
         else:
             value, error = _on_grid(loop, parameters, shape, delay, first)
-        still_open = true_indices(~(error <= TOLERANCE))
+        still_open = np.flatnonzero(~np.asarray(error <= TOLERANCE))
     for effort in others:
         if not still_open.size:
             break
@@ -482,18 +478,14 @@ def _shared_loop(parameters: list[Array], delay: float) -> Loop | None:
 def _on_grid(
     loop: Loop | None, parameters: list[Array], shape: tuple[int, ...], delay: float, effort: Effort
 ) -> Answer:
-    large_block = 2**20  # the same for all cores together
     longest_shared = 8.0  # delay; beyond, guesses are little of the work
-    shared = _steady_axis(parameters, shape) if 0.0 < delay <= longest_shared else None
-    # XLA divides a program without loops among the cores by itself.
-    is_parallel = polynomial_degree(delay) <= HIGHEST_COUNTED
+    shared = _steady_axis(parameters, shape) if delay <= longest_shared else None
 
     def of_piece(*piece: Any) -> Answer:
         own = Loop(*piece) if loop else loop_of(list(piece), delay)
         return _tried(own, delay, effort, shared)
 
-    count = ceil(prod(shape) / (large_block if is_parallel else _BLOCK))
-    return in_pieces(of_piece, tuple(loop or parameters), count, is_parallel=is_parallel)
+    return in_pieces(of_piece, tuple(loop or parameters), ceil(prod(shape) / _BLOCK))
 
 
 def _try_list(
@@ -566,6 +558,6 @@ def _tried(loop: Loop, delay: float, effort: Effort, shared: int | None = None) 
 
 def _tries(delay: float) -> tuple[Effort, ...]:
     if delay <= 8.0:
-        return Effort(10, 1, 2**15) if delay else Effort(0, 1, 2**15), Effort(20, 10, 2**13)
+        return Effort(10, 1, 2**15), Effort(20, 10, 2**13)
     last = Effort(14, 8, 2**10)
     return Effort(9, 6, 2**15, 4 if delay <= 21.0 else 6), Effort(10, 8, 2**12, 16), last

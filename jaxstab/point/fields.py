@@ -26,12 +26,14 @@ from jaxstab.arrays import (
     Array,
     bits,
     floats,
+    leaves,
     namespace,
     power_of_two_below_inverse,
     reciprocal,
     repeat,
+    tree_map,
 )
-from jaxstab.batches import MANY, compiled, over_rows
+from jaxstab.batches import MANY, compiled, is_on_cpu, over_tiles
 from jaxstab.model.filters import NO_FILTERS, Filters
 from jaxstab.model.linear_loop import LinearLoop
 from jaxstab.point.poles import Complex, companion_poles, distance_to_root, evaluated, looked_up
@@ -119,11 +121,20 @@ def _fields(alpha: Array, beta: Array, loop: LinearLoop, *, method: str) -> Pole
     xp = namespace(alpha, beta, loop)
 
     def stage(kernel: Callable[..., Result], *more: Array) -> Result:
-        def of_rows(loop: LinearLoop, alpha: Array, *more: Array) -> Result:
-            coefficients, error = loop_coefficients(alpha, beta, loop, UNIT)
-            return kernel(list(coefficients), error, *more)
+        def of_loop(loop: LinearLoop, *more: Array) -> Result:
+            def of_points(alpha: Array, beta: Array, *more: Array) -> Result:
+                coefficients, error = loop_coefficients(alpha, beta, loop, UNIT)
+                return kernel(list(coefficients), error, *more)
 
-        return over_rows(of_rows, loop, alpha, *more, width=beta.size)
+            return over_tiles(of_points, (alpha, beta, *more))
+
+        if xp is np or not is_on_cpu():
+            return of_loop(loop, *more)
+        from jax import lax
+
+        shape = xp.broadcast_shapes((1, 1, 1), *map(xp.shape, leaves(loop)))
+        loops = tree_map(lambda leaf: xp.broadcast_to(leaf, shape), loop)
+        return lax.map(lambda own: of_loop(*own), (loops, *more))
 
     pole = stage(partial(_pole, is_guessed=method == "fast" and xp is not np))
     bound, radius = stage(_bound, pole), abs(pole)

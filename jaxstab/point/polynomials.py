@@ -18,6 +18,7 @@ from jaxstab.exact import spectral_radius
 from jaxstab.exact.verdict import affine_verdict
 from jaxstab.model.affine import GivenParts, affine_triple
 from jaxstab.numbers import require_x64
+from jaxstab.point.poles import companion_poles
 from jaxstab.point.radius import SpectralRadius, radius_error, with_status
 from jaxstab.point.schur_cohn import UNDERFLOW, Ends, polynomial_codes
 from jaxstab.rounding import SAFETY, UNIT
@@ -136,8 +137,6 @@ def _radii(coefficients: Array) -> tuple[Array, Array]:
     xp = namespace(coefficients)
     monic = _monic(coefficients)
     if xp is np:
-        from jaxstab.point.poles import companion_poles
-
         value = np.abs(companion_poles(monic)[..., 0])
     else:
         from jaxstab.point.traced_radius import largest_modulus

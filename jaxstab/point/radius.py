@@ -314,10 +314,10 @@ def spectral_radius(
     points = [own.asarray(value, np.float64) for value in checked_arguments[:-1]]
     points.append(np.asarray(checked_arguments[-1], np.float64))
     if filters:
-        radius = with_status(*filtered_radius(Points(*points), filters))
+        both = filtered_radius(Points(*points), filters)
     else:
-        radius = _concrete_radius(points, is_fast=is_fast)
-    answer = _believed(radius, points[2], points[3])
+        both = _concrete_radius(points, is_fast=is_fast)
+    answer = _believed(*both, points[2], points[3])
     return answer if xp is own else tree_map(xp.asarray, answer)
 
 
@@ -334,15 +334,13 @@ def linear_spectral_radius(alpha: Array, beta: Array, loop: LinearLoop) -> Spect
     return with_status(*both)
 
 
-def _concrete_radius(points: list[Array], *, is_fast: bool) -> SpectralRadius:
+def _concrete_radius(points: list[Array], *, is_fast: bool) -> tuple[Array, Array]:
     *parameters, delay = points
     shape = np.broadcast_shapes(*(values.shape for values in points))
     if delay.size == 1:
         return _of_delay(parameters, shape, delay.item(), is_fast=is_fast)
-    answer = SpectralRadius(np.empty(shape), np.empty(shape), np.empty(shape, np.int8))
-    form = np.floor(delay) + np.ceil(delay)
-    for one in np.unique(form).tolist():
-        indices = np.flatnonzero(np.broadcast_to(form == one, shape))
+    value, error = np.empty(shape), np.empty(shape)
+    for _, indices in Points(*points).groups(np.full(shape, True)):
         (listed,) = looked_up([delay], shape, indices)
         delays, number = np.unique(listed, return_inverse=True)
         parts = [indices]  # of few points for each delay
@@ -351,15 +349,14 @@ def _concrete_radius(points: list[Array], *, is_fast: bool) -> SpectralRadius:
         for part in parts:
             *listed, own = looked_up(points, shape, part)
             own = own[0].item() if len(parts) == delays.size else own
-            radii = _of_delay(listed, part.shape, own, is_fast=is_fast)
-            for column, new in zip(answer, radii, strict=True):
-                column.flat[part] = new
-    return answer
+            found = _of_delay(listed, part.shape, own, is_fast=is_fast)
+            value.flat[part], error.flat[part] = found
+    return value, error
 
 
 def _of_delay(
     parameters: list[Array], shape: tuple[int, ...], delay: Values | float, *, is_fast: bool
-) -> SpectralRadius:
+) -> tuple[Array, Array]:
     """Return the answer at points of one delay, or of delays of the same form of p(z)."""
     if is_fast and _is_for_many(shape, delay):
         value, error, still_open = fast_radius(parameters, shape, float(delay))
@@ -376,12 +373,7 @@ def _of_delay(
             with_values(column, part[closer], new[closer])
             for column, new in zip((value, error), best, strict=True)
         )
-    # The error of all others is at most TOLERANCE.
-    status = namespace(value).full(shape, np.int8(RadiusStatus.PROVED))
-    if still_open.size:
-        listed = with_status(value.ravel()[still_open], error.ravel()[still_open]).status
-        status = with_values(status, still_open, listed)
-    return SpectralRadius(value, error, named(status, RadiusStatus))
+    return value, error
 
 
 def _is_for_many(shape: tuple[int, ...], delay: Values | float) -> bool:
@@ -421,7 +413,7 @@ def _polished(parameters: list[Values], delay: Values | float) -> tuple[Values, 
 def _traced_radius(*arguments: Numbers, filters: Filters | None) -> SpectralRadius:
     coefficients = characteristic_polynomial(**by_name(*arguments), **as_keywords(filters))
     both = _traced_radius_of(coefficients, is_summed=filters is not None)
-    return _believed(with_status(*both), *arguments[2:4])
+    return _believed(*both, *arguments[2:4])
 
 
 def _traced_radius_of(coefficients: Array, *, is_summed: bool) -> tuple[Array, Array]:
@@ -432,17 +424,16 @@ def _traced_radius_of(coefficients: Array, *, is_summed: bool) -> tuple[Array, A
 
 
 @compiled()
-def _believed(radius: SpectralRadius, gamma: Array, delta: Array) -> SpectralRadius:
-    """Take back the bounds where the plant is not known to an ulp."""
+def _believed(value: Array, error: Array, gamma: Array, delta: Array) -> SpectralRadius:
+    """Radii without the bounds where the plant is not known to an ulp."""
     # Strongly damped plants have coefficients of N far below its size, which do not have all their
     # digits; rounding errors beside 1, divided by powers of a small radius, exceed one rounding.
     damped, small_radius = 10.0, 0.5
-    xp, (value, error, _) = namespace(radius, gamma, delta), radius
+    xp = namespace(value, error, gamma, delta)
     is_damped, is_lost = delta > damped, is_plant_lost(gamma, delta)
-    if xp is np and not np.any(is_damped) and not np.any(is_lost):
-        return radius
-    is_lost = is_lost | (is_damped & (value < small_radius))
-    return with_status(value, xp.where(is_lost, xp.inf, error))
+    if xp is not np or np.any(is_damped) or np.any(is_lost):
+        error = xp.where(is_lost | (is_damped & (value < small_radius)), xp.inf, error)
+    return with_status(value, error)
 
 
 def with_status(value: Array, error: Array) -> SpectralRadius:
