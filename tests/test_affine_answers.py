@@ -121,6 +121,24 @@ def test_54_simulations_are_those_of_the_recursion_s_polynomial(kind: str) -> No
         assert np.allclose(samples, truth, rtol=1e-5, atol=1e-5 * np.abs(truth).max())
 
 
+@pytest.mark.parametrize("kind", OF_GAINS)
+def test_54_motions_settle_where_recursions_do(kind: str) -> None:
+    count, compared = 4000, 0
+    for case in drawn(kind, 3, seed=5):
+        gains = stable_gains(case)
+        if not gains or radius(case, *gains.values()) > 0.995:
+            continue
+        unit = np.zeros(count)
+        unit[0] = 1.0
+        motion = np.abs(lfilter([1.0], np.poly(case.matrix(*gains.values())).real, unit))
+        truth = np.flatnonzero(motion > 0.02 * motion.max())[-1] + 1
+        settling = case.loop.settling_time(**gains)
+        assert settling.status.name == "SETTLED"
+        assert abs(round(float(settling.value) / case.loop.sample_time) - truth) <= 1
+        compared += 1
+    assert compared or kind != "simulator"
+
+
 def test_54_simulations_broadcast_and_are_differentiable() -> None:
     jax = pytest.importorskip("jax")
     loop = jaxstab.simulated_pd(0.1, step=2e-3)

@@ -224,7 +224,8 @@ def _extremes(region: WallRegion) -> Float64[np.ndarray, "2 field"]:
     """The two extreme walls of the reachable part, or of all, and the status of the region."""
     main = region.main
     of = region if main is None else main
-    loop, curve, outline, rows = region.loop, of.region.curve, of.region.outline, []
+    curve, outline, rows = of.region.curve, of.region.outline, []
+    loop: LoopParameters = region.loop
     for point, vertex in measures.quadrant_extremes(curve, outline):
         angles = np.full(2, np.nan)
         if np.any(np.isnan(point)):

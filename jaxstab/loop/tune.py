@@ -9,12 +9,13 @@ from jaxtyping import Float64
 
 from jaxstab.conventions import Excitation
 from jaxstab.loop.region import TOLERANCE, wall_region
+from jaxstab.model.filters import behind_measured
 from jaxstab.motion.settling import checked_level, likely_settling
 from jaxstab.numbers import checked_number, checked_word
 from jaxstab.shown import exact_text, number_text, text_with_bound
 from jaxstab.tuning import TuningStatus
 from jaxstab.tuning.radius import Axis, Values, minimised, smallest_radius
-from jaxstab.tuning.settling import shortest_settling, tuned_loop
+from jaxstab.tuning.settling import TunedLoop, shortest_settling
 
 if TYPE_CHECKING:
     from jaxstab.loop.loop import HapticLoop
@@ -114,7 +115,7 @@ def optimal_wall(
     checked_word("goal", goal, ("radius", "settling"))
     level = checked_level(level, excitation)
     alpha = None if stiffness is None else loop.alpha(checked_number("stiffness", stiffness, 0.0))
-    tuned = tuned_loop(loop)
+    tuned = TunedLoop.from_loop(loop.in_floats())
     tuned = tuned._replace(walls=tuned.walls._replace(lowest=0.0))
     best = smallest_radius(tuned.walls, alpha)
     wall, status = best.wall, best.status
@@ -145,10 +146,11 @@ def optimal_wall(
         return OptimalWall(np.nan, np.nan, np.nan, np.inf, np.inf, status)
     gains = loop.stiffness(wall[0]), loop.damping(wall[1])
     radius = loop.spectral_radius(*gains)
-    settling = loop.settling_time(*gains, level=level, excitation=excitation)
-    return OptimalWall(
-        *gains, float(radius.value), float(radius.error), float(settling.value), status, reached
-    )
+    settling = np.nan  # of a velocity that is measured, the radius alone is known
+    if loop.velocity is None or behind_measured(loop.velocity) is None:
+        found = loop.settling_time(*gains, level=level, excitation=excitation)
+        settling = float(found.value)
+    return OptimalWall(*gains, float(radius.value), float(radius.error), settling, status, reached)
 
 
 def checked_chatter(encoder: float | None, limit: float | None) -> Chatter | None:
