@@ -133,7 +133,7 @@ def test_54_motions_settle_where_recursions_do(kind: str) -> None:
         motion = np.abs(lfilter([1.0], np.poly(case.matrix(*gains.values())).real, unit))
         truth = np.flatnonzero(motion > 0.02 * motion.max())[-1] + 1
         settling = case.loop.settling_time(**gains)
-        assert settling.status.name == "SETTLED"
+        assert int(settling.status) == 1  # settled, and proved to stay so
         assert abs(round(float(settling.value) / case.loop.sample_time) - truth) <= 1
         compared += 1
     assert compared or kind != "simulator"

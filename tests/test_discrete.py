@@ -278,7 +278,7 @@ def test_a_device_in_z_moves_and_settles_as_its_engine_steps_it(
     velocity, period = Velocity.difference(samples=window), n * 1e-3
     loop = HapticLoop(device=joint, sample_time=period, delay=late * 1e-3, velocity=velocity)
     limits = loop.limits()
-    gains = 0.2 * limits.stiffness, 0.5 * limits.at_damping
+    gains = 0.05 * limits.stiffness, 0.3 * limits.damping
     between = {} if n == 1 else {"between": n - 1}
     found = loop.simulate(*gains, samples=50, force=1.0, **between)
     truth = stepped(n, late, window, gains, 2000)

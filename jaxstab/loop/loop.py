@@ -739,7 +739,8 @@ class HapticLoop(LoopParameters, TwoGains):
         Device and hand move in continuous time. At every sample the wall computes -K x - B v from
         the position x, filtered if there is a filter, and the estimated velocity v; this force
         begins to act after the delay and is held for one sample. Before time 0 the device was at
-        rest where it starts, held there by the hand, and no force was on its way.
+        rest where it starts, held there by the hand, and no force was on its way. A device in z
+        moves from step to step, where the hand's force acts as the wall's does.
 
         Args:
             stiffness, damping: see ``jaxstab.conventions``.

@@ -10,51 +10,25 @@ from math import pi
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 from jaxtyping import Float64
 
-from jaxstab.arrays import is_traced, solved
+from jaxstab.arrays import solved
+from jaxstab.loop.margins import WAYS
 from jaxstab.model.filters import Filters
 from jaxstab.region.on_circle import Responses, circle_equations, quick_slice
 
-Search = Callable[..., Float64[np.ndarray, "wall column"]]
-
 
 def moving_ends(
-    search: Search,
-    ways: Sequence[tuple[int, float]],
     point: Float64[Array, "*grid 5"],
+    ends: Sequence[Array],
+    angles: Sequence[Array],
     filters: Filters | None = None,
-) -> tuple[Float64[Array, "*grid"], Float64[Array, "*grid way"]]:
-    """Codes of verdicts, and the ends of all ways with their derivatives.
-
-    ``search`` is ``first_crossings``; ``ways`` are those that it goes.
-    """
-    table = _called_back(search, len(ways), jax.lax.stop_gradient(point), filters)
-    ends = [
-        _moving(point, table[..., 1 + 2 * way], table[..., 2 + 2 * way], axis, filters)
-        for way, (axis, _) in enumerate(ways)
-    ]
-    return table[..., 0], jnp.stack(ends, axis=-1)
-
-
-def _called_back(search: Search, ways: int, point: Array, filters: Filters | None) -> Array:
-    of_grid = partial(_of_grid, search, filters)
-    if not is_traced(point):
-        return jnp.asarray(of_grid(point))
-    shape = (*point.shape[:-1], 1 + 2 * ways)
-    result = jax.ShapeDtypeStruct(shape, jnp.float64)
-    table: Array = jax.pure_callback(of_grid, result, point, vmap_method="broadcast_all")
-    return table
-
-
-def _of_grid(
-    search: Search, filters: Filters | None, point: Array
-) -> Float64[np.ndarray, "*grid column"]:
-    walls = np.asarray(point)
-    table = search(walls.reshape(-1, walls.shape[-1]), filters)
-    return table.reshape(*walls.shape[:-1], table.shape[-1])
+) -> Float64[Array, "*grid way"]:
+    """The ends of all ways from points, with their derivatives by these."""
+    ways = zip(WAYS, ends, angles, strict=True)
+    moved = [_moving(point, end, angle, axis, filters) for (axis, _), end, angle in ways]
+    return jnp.stack(moved, axis=-1)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(3, 4))

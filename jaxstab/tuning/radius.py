@@ -235,20 +235,13 @@ def _newton_step(family: Family, pair: Pair, is_triple: Array) -> Pair:
 
 
 def _derivatives(coefficients: Array) -> Float64[Array, "*grid 4 coefficient"]:
-    """Return polynomials and their first three derivatives, with zeros in front."""
-    places, factors = _places_and_factors(coefficients.shape[-1])
-    return coefficients[..., places] * factors
-
-
-@cache
-def _places_and_factors(size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return where the coefficients of derivatives come from, and times what."""
-    order, place = np.arange(4)[:, None], np.arange(size) - np.arange(4)[:, None]
-    powers = size - 1.0 - place
-    factors = np.ones(place.shape)
-    for below in range(3):
-        factors *= np.where(order > below, powers - below, 1.0)
-    return np.maximum(place, 0), np.where(place >= 0, factors, 0.0)
+    """Polynomials and their first three derivatives, with zeros in front."""
+    xp, powers = namespace(coefficients), np.arange(coefficients.shape[-1])[::-1]
+    found = [coefficients]
+    for _ in range(3):
+        falling = found[-1] * powers
+        found.append(xp.concatenate([0.0 * falling[..., :1], falling[..., :-1]], axis=-1))
+    return xp.stack(found, axis=-2)
 
 
 def _value(coefficients: Array, z: Array) -> Array:
