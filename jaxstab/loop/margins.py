@@ -273,7 +273,7 @@ def margins(
     code, *found = on_host(search, *arrays, shape=point.shape[:-1], like=like)
     ends = xp.stack(found[::2], axis=-1)
     if is_jax(point):
-        from jaxstab.loop.margin_slopes import moving_ends
+        from jaxstab.loop.moving import moving_ends
 
         ends = moving_ends(point, found[::2], found[1::2], filters)
     return margins_of(point, code, ends)
