@@ -32,8 +32,8 @@ from .region import GainRegion as GainRegion
 from .region import Gains as Gains
 from .region import WallLimits as WallLimits
 from .region import WallRegion as WallRegion
+from .tune import CommonWall as CommonWall
 from .tune import OptimalWall as OptimalWall
-from .tune_for_all import CommonWall as CommonWall
-from .tune_for_all import tune_for_all as tune_for_all
+from .tune import tune_for_all as tune_for_all
 
 __all__: list[str]

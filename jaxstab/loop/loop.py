@@ -44,8 +44,9 @@ class HapticLoop(LoopParameters, TwoGains):
     ``verdict``, ``spectral_radius``, ``poles``, ``margins``, ``settling_time``, ``oscillation``,
     ``amplitude``, ``frequency_margins``, ``simulate``, ``contact``; about all walls:
     ``region``, ``limits``, ``stiffness_limits``, ``damping_limits``, ``stiffness_intervals``,
-    ``damping_intervals``, ``boundary_distance``, ``tune``; about all hands of a range:
-    ``worst_hand``, ``robust_limit``; and ``range_of``, ``to_control``. Numbers are in SI units.
+    ``damping_intervals``, ``boundary``, ``boundary_distance``, ``tune``; about all hands of a
+    range: ``worst_hand``, ``robust_limit``; and ``range_of``, ``to_control``. Numbers are in SI
+    units.
 
     Fields may be arrays that broadcast; the loop then stands for many loops. The methods from
     ``verdict`` to ``amplitude`` broadcast them with the walls, if the device is one mass and the
