@@ -60,6 +60,7 @@ class TwoGains:
     """
 
     _by_place: ClassVar[bool] = False
+    _delay_margin: ClassVar[Any] = None  # of pairs of gains, beside that of whole samples
     shape: Any = ()
     if TYPE_CHECKING:
         gains: Any
@@ -309,8 +310,6 @@ class TwoGains:
     def _verdicts(self, grid: Float64[np.ndarray, "*grid 2"]) -> Any:
         codes = np.array(_each(grid, self._verdict), np.int8)
         return named(codes.reshape(grid.shape[:-1]), Verdict)
-
-    _delay_margin: ClassVar[Any] = None  # of pairs of gains, beside that of whole samples
 
     def _refuse_many(self, method: str) -> None:
         """Refuse a loop that is not one of concrete numbers."""

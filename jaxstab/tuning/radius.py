@@ -330,11 +330,14 @@ class Walls(NamedTuple):
             return walls._replace(status=TuningStatus.ISLAND)
         return walls._replace(main=region.main if region.islands else None)
 
-    def decay(self, alpha: float, beta: float) -> bool:
-        """True if gains are proved stable, with a radius that is less than 1 in float64, too."""
+    def decay(self, alpha: float, beta: float, radius: float) -> bool:
+        """True if gains are proved stable, and their radius is less than 1 in float64, too."""
+        slow = 0.999  # radii from which on those of coinciding poles may be 1
         wall = np.asarray(alpha), np.asarray(beta)
         if linear_verdict(wall[0], wall[1], self.linear) != Verdict.STABLE:
             return False
+        if radius < slow:
+            return True
         return bool(linear_spectral_radius(wall[0], wall[1], self.linear).value < 1.0)
 
     def anywhere(self) -> "Walls":
@@ -463,7 +466,7 @@ def smallest_radius(walls: Walls, alpha: float | None = None) -> Best:
             edges += [(edge, np.full(1, 1.0 / share)) for share in walls.shares[1:] if share]
             on_edges = [_on_line(walls, axes, below=1.0) for axes in edges]
             best = min([_smallest(walls), *on_edges], key=lambda each: each.radius)
-    if not (best.radius < _LARGEST and walls.decay(*best.wall)):
+    if not (best.radius < _LARGEST and walls.decay(*best.wall, best.radius)):
         return best._replace(status=TuningStatus.NO_STABLE_GAINS)
     return best._replace(status=walls.status or best.status)
 
