@@ -484,23 +484,8 @@ class Loop(TwoGains):
             samples.flat[k] = motion_settled_after(self._triple, *pair, level, horizon)
         return SettlingTime(*settled_answer(samples * self.sample_time))
 
-    def boundary(self, *, tolerance: float = TOLERANCE) -> Float64[np.ndarray, "point 2"]:
-        """The outline of the stable gains, loop after loop, each of them closed.
-
-        It is the ``outline`` of ``region`` in the gains themselves: NaN or infinite where these
-        are, as an admittance's endless mass.
-
-        Args and Raises: as ``region``. Source: the D-decomposition of eq. (9), likewise.
-
-        Example:
-            >>> robot = jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=4)
-            >>> mass, damping = robot.boundary().T
-            >>> print(f"{mass[mass > 0].min():.4f} kg")
-            0.0159 kg
-        """
-        with np.errstate(all="ignore"):
-            outline = self.region(tolerance=tolerance).outline
-            return np.stack(self._chart.gains(*outline.T), axis=-1)
+    def _of_chart(self, first: Array, second: Array) -> tuple[Array, Array]:
+        return self._chart.gains(first, second)
 
     def _triple(self) -> Triple:
         return affine_triple(self.parts)

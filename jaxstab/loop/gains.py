@@ -64,6 +64,7 @@ class TwoGains:
     shape: Any = ()
     if TYPE_CHECKING:
         gains: Any
+        region: Any
         sample_time: Any
 
     def _triple(self) -> "Triple":
@@ -83,6 +84,10 @@ class TwoGains:
     def _scale(self) -> tuple[float, float]:
         """Gains, or those of the chart, that are 1 in ``_pairs`` and regions."""
         raise NotImplementedError
+
+    def _of_chart(self, first: Array, second: Array) -> tuple[Array, Array]:
+        """Coordinates of regions as gains."""
+        return first, second
 
     def _opened(self, first: float, second: float) -> "OpenLoop":
         """D and N of the open loop N/D."""
@@ -186,6 +191,24 @@ class TwoGains:
         if name == names[0]:
             return self._line((number, 0.0), (0.0, 1.0))
         return self._line((0.0, number), (1.0, 0.0))
+
+    def boundary(self, *, tolerance: float = 1e-6) -> Float64[np.ndarray, "point 2"]:
+        """The outline of the stable gains, loop after loop, each of them closed.
+
+        It is the ``outline`` of ``region`` in the gains themselves: NaN or infinite where these
+        are, as an admittance's endless mass.
+
+        Args and Raises: as ``region``. Source: the D-decomposition of eq. (9).
+
+        Example:
+            >>> robot = jaxstab.admittance(1e4, sample_time=1e-3, delay_samples=4)
+            >>> mass, damping = robot.boundary().T
+            >>> print(f"{mass[mass > 0].min():.4f} kg")
+            0.0159 kg
+        """
+        outline = self.region(tolerance=tolerance).outline
+        with np.errstate(all="ignore"):
+            return np.stack(self._of_chart(*outline.T), axis=-1)
 
     def frequency_margins(self, *wall: Numbers, **gains: Numbers) -> "FrequencyMargins":
         """Gain, phase, delay and disk margin, and the peaks of |S| and |T|: proved.

@@ -445,18 +445,6 @@ class HapticLoop(LoopParameters, TwoGains):
 
         return LoopsWithHands.from_loop(self, hands, mass, delay, delays, lost).robust_limit()
 
-    def boundary(self, *, tolerance: float = TOLERANCE) -> Float64[np.ndarray, "point 2"]:
-        """The outline of the stable walls (K, B), loop after loop, each of them closed.
-
-        Args and Raises: as ``region``. Source: eq. (9) by the D-decomposition.
-
-        Example:
-            >>> loop = jaxstab.HapticLoop(device_mass=0.1, device_damping=1.5, sample_time=1e-3)
-            >>> loop.boundary().max(axis=0).round(1).tolist()
-            [70643.1, 202.0]
-        """
-        return self.region(tolerance=tolerance).outline
-
     def verdict(
         self,
         stiffness: Numbers,
